@@ -1,0 +1,47 @@
+"""Constants of nature and of the Earth, each once, beside its source. SI units and radians."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+__all__ = [
+    "ARCSEC",
+    "DAY_S",
+    "EARTH_ROTATION_RATE",
+    "GM_EARTH",
+    "J2_EARTH",
+    "JULIAN_YEAR_S",
+    "SPEED_OF_LIGHT",
+    "WGS84",
+    "Ellipsoid",
+]
+
+SPEED_OF_LIGHT = 299_792_458.0  # m/s, exact (SI)
+DAY_S = 86_400.0  # s
+JULIAN_YEAR_S = 365.25 * DAY_S  # s
+ARCSEC = math.pi / 648_000.0  # rad
+EARTH_ROTATION_RATE = (
+    2.0 * math.pi * 1.00273781191135448 / DAY_S
+)  # rad/s of UT1 (IERS Conventions 2010, 5.15)
+GM_EARTH = 3.986004418e14  # m^3/s^2 (IERS Conventions 2010, table 1.1)
+J2_EARTH = 1.0826359e-3  # (IERS Conventions 2010, table 1.1)
+
+
+@dataclass(frozen=True, slots=True)
+class Ellipsoid:
+    """An ellipsoid of revolution: semi-major axis (m) and flattening."""
+
+    semi_major_m: float
+    flattening: float
+
+    @property
+    def semi_minor_m(self) -> float:
+        return self.semi_major_m * (1.0 - self.flattening)
+
+    @property
+    def eccentricity_squared(self) -> float:
+        return self.flattening * (2.0 - self.flattening)
+
+
+WGS84 = Ellipsoid(6_378_137.0, 1.0 / 298.257223563)  # NGA.STND.0036

@@ -1,0 +1,42 @@
+"""The installation matrix, its deviation and the angles they are spoken of in (paper, eqs. 11-13).
+
+`R_cs` takes star-camera vectors to the remote-sensing camera. Its deviation from a reference `R_cs0` is
+`R_cs = M R_cs0` with `M = exp[[theta]]`; the paper's `[[theta]]` is minus the cross-product matrix, so M is
+the right-handed rotation by **-theta** about the axes of frame c. Angles in radians.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+__all__ = ["deviation_from_theta", "euler_zxy_from_theta", "theta_from_deviation", "theta_between"]
+
+Array = NDArray[np.float64]
+
+
+def deviation_from_theta(theta: Array) -> Rotation:
+    """M = exp[[theta]] (paper, eq. 12): the right-handed rotation by -theta. `theta` is (3,) or (N, 3), rad."""
+    return Rotation.from_rotvec(-np.asarray(theta, dtype=float))
+
+
+def theta_from_deviation(M: Rotation) -> Array:
+    """The theta of `M = exp[[theta]]`, |theta| <= pi: inverse of `deviation_from_theta`."""
+    return -M.as_rotvec()
+
+
+def theta_between(R_cs: Rotation, R_cs0: Rotation) -> Array:
+    """The theta that takes the reference `R_cs0` to `R_cs` (paper, eq. 11): R_cs = exp[[theta]] R_cs0."""
+    return theta_from_deviation(R_cs * R_cs0.inv())
+
+
+def euler_zxy_from_theta(theta: Array) -> Array:
+    """Deviation angles about X, Y and Z, taken in the order Z-X-Y (paper, section 3.3), rad, as (..., 3) x, y, z.
+
+    M is the matrix of a change of axes, so it is the *axes* that are turned, first about Z, then about the new
+    X, then about the new Y. For small deviations the three angles are theta itself.
+    """
+    turn_of_axes = deviation_from_theta(theta).inv()
+    z, x, y = np.moveaxis(turn_of_axes.as_euler("ZXY"), -1, 0)
+    return np.stack([x, y, z], axis=-1)
