@@ -21,9 +21,7 @@ SPEED_OF_LIGHT = 299_792_458.0  # m/s, exact (SI)
 DAY_S = 86_400.0  # s
 JULIAN_YEAR_S = 365.25 * DAY_S  # s
 ARCSEC = math.pi / 648_000.0  # rad
-EARTH_ROTATION_RATE = (
-    2.0 * math.pi * 1.00273781191135448 / DAY_S
-)  # rad/s of UT1 (IERS Conventions 2010, 5.15)
+EARTH_ROTATION_RATE = 2.0 * math.pi * 1.00273781191135448 / DAY_S  # rad/s (IERS 2010, 5.15)
 GM_EARTH = 3.986004418e14  # m^3/s^2 (IERS Conventions 2010, table 1.1)
 J2_EARTH = 1.0826359e-3  # (IERS Conventions 2010, table 1.1)
 

@@ -11,13 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-__all__ = ["deviation_from_theta", "euler_zxy_from_theta", "theta_from_deviation", "theta_between"]
+__all__ = ["deviation_from_theta", "euler_zxy_from_theta", "theta_between", "theta_from_deviation"]
 
 Array = NDArray[np.float64]
 
 
 def deviation_from_theta(theta: Array) -> Rotation:
-    """M = exp[[theta]] (paper, eq. 12): the right-handed rotation by -theta. `theta` is (3,) or (N, 3), rad."""
+    """M = exp[[theta]] (paper, eq. 12): the right-handed rotation by -theta; theta (3,) or (N, 3), rad."""
     return Rotation.from_rotvec(-np.asarray(theta, dtype=float))
 
 
@@ -32,10 +32,10 @@ def theta_between(R_cs: Rotation, R_cs0: Rotation) -> Array:
 
 
 def euler_zxy_from_theta(theta: Array) -> Array:
-    """Deviation angles about X, Y and Z, taken in the order Z-X-Y (paper, section 3.3), rad, as (..., 3) x, y, z.
+    """Deviation angles in the order Z-X-Y (paper, section 3.3), rad, returned as (..., 3) = about x, y, z.
 
-    M is the matrix of a change of axes, so it is the *axes* that are turned, first about Z, then about the new
-    X, then about the new Y. For small deviations the three angles are theta itself.
+    M is the matrix of a change of axes, so it is the *axes* that are turned, first about Z, then about the
+    new X, then about the new Y. For small deviations the three angles are theta itself.
     """
     turn_of_axes = deviation_from_theta(theta).inv()
     z, x, y = np.moveaxis(turn_of_axes.as_euler("ZXY"), -1, 0)

@@ -1,4 +1,4 @@
-"""What the stages hand to one another: directions measured by a camera beside the same directions known from outside.
+"""What the stages hand to one another: directions as a camera measured them, and as they are known to be.
 
 A covariance of a direction is (3, 3), rad², in the axes of the camera that measured it, and has no part along
 the direction itself (paper, A3): `covariance @ u = 0`. The QUEST model of the paper's (A14) is
@@ -7,7 +7,8 @@ the direction itself (paper, A3): `covariance @ u = 0`. The QUEST model of the p
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -46,9 +47,9 @@ class StarSightings:
 class GroundSightings:
     """Ground calibration targets placed in one strip. Row n of every array speaks of the same sighting.
 
-    The covariance holds what is independent from sighting to sighting: the placing of the target in the image.
-    Errors that are common to a strip (position, clock) or belong to the target are described by the last four
-    fields and are the estimator's business.
+    The covariance holds what is independent from sighting to sighting: its placing in the
+    image. Errors that are common to a strip (position, clock) or belong to the target are described by
+    the last four fields and are the estimator's business.
     """
 
     target_id: NDArray[np.str_]  # (N,)
@@ -81,10 +82,10 @@ class GroundSightings:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StripSightings:
-    """One strip: its targets, the star exposures around it, and the nominal motion that carries one to the other.
+    """One strip: its targets, the star exposures around it, and the nominal motion between their instants.
 
-    `R_oi` is the rotation from GCRS to the satellite's orbital frame (or any other smooth nominal attitude). What
-    is left when it is taken out of the measured attitude varies slowly, and only that is interpolated.
+    `R_oi` is the rotation from GCRS to the satellite's orbital frame (or any other smooth nominal attitude).
+    What is left when it is taken out of the measured attitude varies slowly, and only that is interpolated.
     """
 
     strip_id: str
@@ -95,7 +96,7 @@ class StripSightings:
 
     def __post_init__(self) -> None:
         times = [exposure.t_s for exposure in self.exposures]
-        if any(b <= a for a, b in zip(times, times[1:])):
+        if any(b <= a for a, b in pairwise(times)):
             raise ValueError(f"strip {self.strip_id}: exposures must be in strictly increasing order of time")
         for name, got, expected in (
             ("R_oi_exposures", len(self.R_oi_exposures), len(self.exposures)),
@@ -106,7 +107,7 @@ class StripSightings:
 
 
 def isotropic_covariance(u: Array, sigma_rad: Array | float) -> Array:
-    """sigma² (I - u uᵀ), the QUEST model (paper, A14). `u` (N, 3), `sigma_rad` (N,) or one number; (N, 3, 3)."""
+    """sigma² (I - u uᵀ), the QUEST model (paper, A14). `u` (N, 3), `sigma_rad` (N,) or a number."""
     variance = np.broadcast_to(np.asarray(sigma_rad, dtype=float) ** 2, (len(u),))
     return variance[:, None, None] * (np.eye(3) - u[:, :, None] * u[:, None, :])
 
@@ -122,8 +123,6 @@ def information_of_directions(u: Array, covariance: Array) -> Array:
 
 
 def _check_shapes(record: Any, **shapes: tuple[int, ...]) -> None:
-    names = {field.name for field in fields(record)}
     for name, expected in shapes.items():
-        assert name in names
         if (got := np.shape(getattr(record, name))) != expected:
             raise ValueError(f"{type(record).__name__}.{name} must have shape {expected}, got {got}")
