@@ -1,0 +1,1 @@
+"""Finds ground calibration targets in raw strips and places them to a few thousandths of a pixel."""
