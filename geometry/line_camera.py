@@ -1,0 +1,273 @@
+"""Pushbroom cameras: samples of their CCDs <-> directions in the remote-sensing camera's frame c (paper, eq.
+1).
+
+Frame c has z along the optical axis towards the ground, x along the direction of flight, y along the
+detectors. An image point `(x_f, y_f)` of the focal plane (metres) is seen in the direction `[-x_f, -y_f, f]`,
+normalised: the same sign habit as the star camera's. `LineCamera` is described by its hardware (paper, Table
+3); `LookAngleCamera` by tabulated look angles, as operators publish them. Both are a `LineSensor`, which is
+all that the pushbroom model needs.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal, Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.interpolate import CubicSpline
+
+__all__ = ["Ccd", "LineCamera", "LineSensor", "LookAngleCamera", "TimeOfRow"]
+
+Array = NDArray[np.float64]
+TimeOfRow = Literal["start", "middle", "end"]
+
+_NEWTON_STEPS = 20
+
+
+class LineSensor(Protocol):
+    """What a pushbroom model must know of its camera. `ccd` is an index from 0."""
+
+    @property
+    def n_ccds(self) -> int: ...
+
+    def n_px(self, ccd: int) -> int: ...
+
+    def directions_from_pixels(self, ccd: int, sample: ArrayLike) -> Array:
+        """Unit vectors (N, 3) in frame c towards samples (N,), fractional ones included."""
+
+    def sample_jacobian(self, ccd: int, sample: ArrayLike) -> Array:
+        """d u_c / d sample, (N, 3), rad/px."""
+
+    def samples_from_directions(self, ccd: int, u_c: ArrayLike) -> tuple[Array, Array]:
+        """The sample (N,) beside each direction (N, 3), and its miss across the detector, px (N,).
+
+        The miss is counted positive towards +x of frame c. NaN for directions behind the camera.
+        """
+
+    def delay_to_middle_s(self, row_period_s: float) -> float:
+        """Seconds from the instant by which a row is labelled to the middle of its exposure."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Ccd:
+    """One line detector in the focal plane (paper, Table 3).
+
+    Without rotation and distortion sample n lies at `x_f = x_offset_m`, `y_f = y_first_m + n pixel_m`. The
+    detector is turned by `rotation_rad` about its principal sample, from +x_f towards +y_f. The distortion
+    table lists at real samples the offset of the image along the detector, as eq. (4) has it (real = ideal +
+    offset), and zero at the principal sample; between its entries a cubic spline (not-a-knot) holds, beyond
+    its ends it goes on straight. With TDI, `x_offset_m` is the middle of the block of stages.
+    """
+
+    n_px: int
+    y_first_m: float
+    x_offset_m: float
+    rotation_rad: float
+    pixel_m: float
+    principal_sample: float
+    distortion_samples: Array = field(default_factory=lambda: np.zeros(0))
+    distortion_offsets_m: Array = field(default_factory=lambda: np.zeros(0))
+    _spline: CubicSpline | None = field(init=False, repr=False, default=None)
+
+    def __post_init__(self) -> None:
+        samples = np.asarray(self.distortion_samples, dtype=float)
+        offsets = np.asarray(self.distortion_offsets_m, dtype=float)
+        if samples.ndim != 1 or samples.shape != offsets.shape:
+            raise ValueError(f"distortion table: {samples.shape} samples, {offsets.shape} offsets")
+        if len(samples) == 1 or np.any(np.diff(samples) <= 0.0):
+            raise ValueError(f"distortion_samples must be two or more in increasing order, got {samples}")
+        if not (self.n_px > 0 and self.pixel_m > 0.0):
+            raise ValueError(f"n_px and pixel_m must be positive, got {self.n_px}, {self.pixel_m}")
+        object.__setattr__(self, "distortion_samples", samples)
+        object.__setattr__(self, "distortion_offsets_m", offsets)
+        if len(samples):
+            object.__setattr__(self, "_spline", CubicSpline(samples, offsets))
+        along, slope = self._along(np.array([0.0, self.n_px - 1.0]))
+        if np.any(slope <= 0.0) or along[1] <= along[0]:
+            raise ValueError("the distortion table turns the order of the samples round")
+
+    def focal_plane(self, sample: ArrayLike) -> Array:
+        """Ideal image points (N, 2), `(x_f, y_f)` in metres, distortion removed."""
+        along, _ = self._along(np.asarray(sample, dtype=float))
+        return self._axis_point + along[:, None] * self._axis
+
+    def focal_plane_slope(self, sample: ArrayLike) -> Array:
+        """d(x_f, y_f) / d sample, (N, 2), m/px."""
+        _, slope = self._along(np.asarray(sample, dtype=float))
+        return slope[:, None] * self._axis
+
+    def samples(self, xy_f: Array) -> tuple[Array, Array]:
+        """The sample (N,) at the foot of focal-plane points (N, 2), and their distance across the detector
+        (N,), m.
+
+        The distance is positive towards +x_f.
+        """
+        offset = xy_f - self._axis_point
+        along = offset @ self._axis
+        across = offset @ np.array([self._axis[1], -self._axis[0]])
+        sample = self.principal_sample + along / self.pixel_m
+        for _ in range(_NEWTON_STEPS):
+            reached, slope = self._along(sample)
+            step = (along - reached) / slope
+            sample = sample + step
+            if np.nanmax(np.abs(step), initial=0.0) < 1e-10:
+                break
+        return sample, across
+
+    @property
+    def _axis(self) -> Array:
+        return np.array([-np.sin(self.rotation_rad), np.cos(self.rotation_rad)])
+
+    @property
+    def _axis_point(self) -> Array:
+        return np.array([self.x_offset_m, self.y_first_m + self.principal_sample * self.pixel_m])
+
+    def _along(self, sample: Array) -> tuple[Array, Array]:
+        """Ideal distance along the detector from its principal sample (m), and its slope (m/px)."""
+        along = (sample - self.principal_sample) * self.pixel_m
+        if self._spline is None:
+            return along, np.full_like(along, self.pixel_m)
+        inside = np.clip(sample, self.distortion_samples[0], self.distortion_samples[-1])
+        slope = self._spline(inside, 1)
+        offset = self._spline(inside) + slope * (sample - inside)
+        return along - offset, self.pixel_m - slope
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LineCamera:
+    """A camera of one or more staggered CCDs behind one lens (paper, section 3.1 and Table 3).
+
+    A row of a TDI image gathers light during `tdi_stages` row periods; `time_of_row` says which instant of
+    them a row's time label means. The rigorous model always works with the middle.
+    """
+
+    focal_m: float
+    ccds: tuple[Ccd, ...]
+    tdi_stages: int = 1
+    time_of_row: TimeOfRow = "middle"
+
+    def __post_init__(self) -> None:
+        if not self.focal_m > 0.0:
+            raise ValueError(f"LineCamera.focal_m must be positive, got {self.focal_m}")
+        if not self.ccds:
+            raise ValueError("LineCamera.ccds must hold at least one CCD")
+        if self.tdi_stages < 1:
+            raise ValueError(f"LineCamera.tdi_stages must be 1 or more, got {self.tdi_stages}")
+        if self.time_of_row not in ("start", "middle", "end"):
+            raise ValueError(f"LineCamera.time_of_row must be start, middle or end, got {self.time_of_row!r}")
+
+    @property
+    def n_ccds(self) -> int:
+        return len(self.ccds)
+
+    def n_px(self, ccd: int) -> int:
+        return self.ccds[ccd].n_px
+
+    def directions_from_pixels(self, ccd: int, sample: ArrayLike) -> Array:
+        """Unit look vectors (N, 3) in frame c of samples (N,) of one CCD (paper, eq. 1, with lambda < 0)."""
+        v_c = self._rays(ccd, sample)
+        return v_c / np.linalg.norm(v_c, axis=1, keepdims=True)
+
+    def sample_jacobian(self, ccd: int, sample: ArrayLike) -> Array:
+        """d u_c / d sample, (N, 3), rad/px."""
+        v_c = self._rays(ccd, sample)
+        slope = np.zeros_like(v_c)
+        slope[:, :2] = -self.ccds[ccd].focal_plane_slope(sample)
+        norm = np.linalg.norm(v_c, axis=1, keepdims=True)
+        u_c = v_c / norm
+        return (slope - u_c * np.einsum("ni,ni->n", u_c, slope)[:, None]) / norm
+
+    def samples_from_directions(self, ccd: int, u_c: ArrayLike) -> tuple[Array, Array]:
+        """The sample beside each direction (N, 3), and its miss across the detector, px, positive towards
+        +x_c.
+        """
+        u = np.asarray(u_c, dtype=float)
+        xy_f = -u[:, :2] * (self.focal_m / np.where(u[:, 2] > 0.0, u[:, 2], np.nan))[:, None]
+        sample, across = self.ccds[ccd].samples(xy_f)
+        return sample, -across / self.ccds[ccd].pixel_m
+
+    def delay_to_middle_s(self, row_period_s: float) -> float:
+        """Seconds from a row's time label to the middle of its exposure over all TDI stages."""
+        half = 0.5 * self.tdi_stages * row_period_s
+        return {"start": half, "middle": 0.0, "end": -half}[self.time_of_row]
+
+    def _rays(self, ccd: int, sample: ArrayLike) -> Array:
+        xy_f = self.ccds[ccd].focal_plane(sample)
+        return np.column_stack([-xy_f, np.full(len(xy_f), self.focal_m)])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LookAngleCamera:
+    """A single detector given by the tangents of its look directions at some samples: `u_c ~ [tan_x, tan_y,
+    1]`.
+
+    Between the samples a cubic spline holds (a straight line between two); beyond them it goes on straight.
+    """
+
+    width_px: int
+    samples: Array  # (K,) increasing
+    tan_x: Array  # (K,)
+    tan_y: Array  # (K,) strictly monotone
+    _spline: CubicSpline = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        samples = np.asarray(self.samples, dtype=float)
+        tangents = np.column_stack([self.tan_x, self.tan_y])
+        if len(samples) < 2 or np.any(np.diff(samples) <= 0.0) or len(tangents) != len(samples):
+            raise ValueError(
+                "LookAngleCamera needs two or more samples in increasing order, each with tangents"
+            )
+        along = np.diff(tangents[:, 1])
+        if not (np.all(along > 0.0) or np.all(along < 0.0)):
+            raise ValueError("LookAngleCamera.tan_y must be strictly monotone along the detector")
+        object.__setattr__(self, "_spline", CubicSpline(samples, tangents))
+
+    @property
+    def n_ccds(self) -> int:
+        return 1
+
+    def n_px(self, ccd: int) -> int:
+        return self.width_px
+
+    def directions_from_pixels(self, ccd: int, sample: ArrayLike) -> Array:
+        tangents, _ = self._tangents(sample)
+        v_c = np.column_stack([tangents, np.ones(len(tangents))])
+        return v_c / np.linalg.norm(v_c, axis=1, keepdims=True)
+
+    def sample_jacobian(self, ccd: int, sample: ArrayLike) -> Array:
+        tangents, slope = self._tangents(sample)
+        v_c = np.column_stack([tangents, np.ones(len(tangents))])
+        dv = np.column_stack([slope, np.zeros(len(slope))])
+        norm = np.linalg.norm(v_c, axis=1, keepdims=True)
+        u_c = v_c / norm
+        return (dv - u_c * np.einsum("ni,ni->n", u_c, dv)[:, None]) / norm
+
+    def samples_from_directions(self, ccd: int, u_c: ArrayLike) -> tuple[Array, Array]:
+        u = np.asarray(u_c, dtype=float)
+        wanted = u[:, :2] / np.where(u[:, 2] > 0.0, u[:, 2], np.nan)[:, None]
+        ends = self._spline(self.samples[[0, -1]])
+        along = (wanted[:, 1] - ends[0, 1]) / (ends[1, 1] - ends[0, 1])
+        sample = self.samples[0] + along * (self.samples[-1] - self.samples[0])
+        for _ in range(_NEWTON_STEPS):
+            tangents, slope = self._tangents(sample)
+            miss = wanted - tangents
+            pitch = np.hypot(slope[:, 0], slope[:, 1])
+            step = np.einsum("ni,ni->n", miss, slope) / pitch**2
+            sample = sample + step
+            if np.nanmax(np.abs(step), initial=0.0) < 1e-10:
+                break
+        tangents, slope = self._tangents(sample)
+        miss = wanted - tangents
+        pitch = np.hypot(slope[:, 0], slope[:, 1])
+        across = (miss[:, 0] * slope[:, 1] - miss[:, 1] * slope[:, 0]) / pitch**2
+        return sample, across * np.sign(slope[:, 1])
+
+    def delay_to_middle_s(self, row_period_s: float) -> float:
+        return 0.0
+
+    def _tangents(self, sample: ArrayLike) -> tuple[Array, Array]:
+        n = np.asarray(sample, dtype=float)
+        inside = np.clip(n, self.samples[0], self.samples[-1])
+        slope = self._spline(inside, 1)
+        return self._spline(inside) + slope * (n - inside)[:, None], slope

@@ -1,0 +1,230 @@
+"""The star camera: pixels of its detector <-> directions in its own frame s (paper, eqs. 3-6).
+
+Frame s has z along the optical axis, outward; x and y are *opposite* to the image's column and row axes,
+because the lens turns the image round. Distortion takes an ideal image point to where it is really formed, so
+the way from direction to pixel is explicit and the way back is solved by Newton's method. What a lens does
+outside its own fold (where the distortion polynomial turns back) is not an image: such directions give NaN,
+never a pixel.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+__all__ = ["OpenCVParameters", "StarCamera"]
+
+Array = NDArray[np.float64]
+
+_MM = 1e3  # mm per metre: the paper's distortion numbers are for coordinates in millimetres
+_NEWTON_STEPS = 25
+_NEWTON_MM = 1e-13  # last step of the inversion: 1.6e-11 px for a pixel of 6.4 um
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OpenCVParameters:
+    """The same lens as OpenCV writes it: in pixels, distortion for coordinates divided by f.
+
+    OpenCV's camera frame has x and y along the image's column and row axes: `v_cv = [-u_x, -u_y, u_z]`.
+    """
+
+    camera_matrix: Array  # (3, 3)
+    distortion: Array  # (4,) k1, k2, p1, p2
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StarCamera:
+    """A frame camera with radial and tangential distortion, in the paper's form (Table 2, eqs. 4-6).
+
+    `p1`, `p2` (1/mm), `q1` (1/mm^2) and `q2` (1/mm^4) act on image coordinates in millimetres. Table 2 lists
+    its four numbers in the order p1, p2, q1, q2.
+    """
+
+    focal_m: float
+    pixel_m: float  # pitch, the same along columns and rows
+    width_px: int
+    height_px: int
+    principal_px: tuple[float, float]  # (x0, y0); (0, 0) is the centre of the first pixel
+    p1: float = 0.0
+    p2: float = 0.0
+    q1: float = 0.0
+    q2: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name in ("focal_m", "pixel_m", "width_px", "height_px"):
+            if not getattr(self, name) > 0:
+                raise ValueError(f"StarCamera.{name} must be positive, got {getattr(self, name)}")
+        if len(self.principal_px) != 2:
+            raise ValueError(f"StarCamera.principal_px must be (x0, y0), got {self.principal_px}")
+
+    @property
+    def field_radius_rad(self) -> float:
+        """Angle from the optical axis to the farthest corner of the detector."""
+        x, y = float(self.width_px) - 0.5, float(self.height_px) - 0.5
+        corners = np.array([[-0.5, -0.5], [x, -0.5], [-0.5, y], [x, y]])
+        return float(np.arccos(self.directions_from_pixels(corners)[:, 2].min()))
+
+    def contains(self, xy_px: ArrayLike) -> NDArray[np.bool_]:
+        """Whether points (N, 2) fall on the detector; pixels reach half a pixel beyond their centres."""
+        xy = _points(xy_px)
+        upper = np.array([self.width_px, self.height_px]) - 0.5
+        return np.asarray(((xy >= -0.5) & (xy <= upper)).all(axis=1))
+
+    def directions_from_pixels(self, xy_px: ArrayLike) -> Array:
+        """Unit vectors in frame s towards points of the detector (paper, eqs. 3-6).
+
+        Parameters
+        ----------
+        xy_px : (N, 2)
+            Points (column, row) as measured, distortion not removed.
+
+        Returns
+        -------
+        u_s : (N, 3)
+            `[-x, -y, f]` normalised, x and y the ideal image coordinates; NaN for NaN, and for a point which
+            lies so far outside that no ideal point is imaged on it.
+        """
+        ideal = self._ideal_mm(self._image_mm(xy_px))
+        v_s = np.column_stack([-ideal, np.full(len(ideal), self.focal_m * _MM)])
+        return v_s / np.linalg.norm(v_s, axis=1, keepdims=True)
+
+    def pixels_from_directions(self, u_s: ArrayLike) -> Array:
+        """Image points (N, 2) of directions (N, 3) in frame s, distortion included.
+
+        The points may lie outside the detector (`contains` tells). NaN behind the camera, and beyond the fold
+        of the distortion polynomial, where it would lead a direction far outside the field back into the
+        image.
+        """
+        u = np.asarray(u_s, dtype=float)
+        if u.ndim != 2 or u.shape[1] != 3:
+            raise ValueError(f"u_s must have shape (N, 3), got {u.shape}")
+        ahead = u[:, 2] > 0.0
+        z = np.where(ahead, u[:, 2], np.nan)
+        ideal = -u[:, :2] * (self.focal_m * _MM / z)[:, None]
+        ideal[~self._inside_fold(ideal)] = np.nan
+        actual = ideal + self._distortion_mm(ideal)
+        return np.asarray(self.principal_px) + actual / (self.pixel_m * _MM)
+
+    def pixel_jacobian(self, xy_px: ArrayLike) -> Array:
+        """Derivative of the unit vectors with respect to the pixel: (N, 3, 2), `d u_s / d(column, row)`,
+        rad/px.
+
+        A covariance of a centroid (2, 2) px^2 becomes that of its direction: `J C J^T` (3, 3) rad^2.
+        """
+        ideal = self._ideal_mm(self._image_mm(xy_px))
+        v = np.column_stack([-ideal, np.full(len(ideal), self.focal_m * _MM)])
+        norm = np.linalg.norm(v, axis=1)
+        u = v / norm[:, None]
+        across = (np.eye(3) - u[:, :, None] * u[:, None, :]) / norm[:, None, None]
+        du_dideal = -across[:, :, :2]
+        dactual_dideal = self._distortion_jacobian(ideal)
+        return du_dideal @ _inverse_2x2(dactual_dideal) * (self.pixel_m * _MM)
+
+    def opencv_parameters(self) -> OpenCVParameters:
+        """This lens in OpenCV's terms: k1 = q1 f^2, k2 = q2 f^4, p1cv = p2 f, p2cv = p1 f with f in mm."""
+        f = self.focal_m * _MM
+        f_px = self.focal_m / self.pixel_m
+        x0, y0 = self.principal_px
+        return OpenCVParameters(
+            camera_matrix=np.array([[f_px, 0.0, x0], [0.0, f_px, y0], [0.0, 0.0, 1.0]]),
+            distortion=np.array([self.q1 * f**2, self.q2 * f**4, self.p2 * f, self.p1 * f]),
+        )
+
+    @classmethod
+    def from_opencv(
+        cls, parameters: OpenCVParameters, *, pixel_m: float, width_px: int, height_px: int
+    ) -> StarCamera:
+        """The camera that OpenCV describes by `parameters`, its pixels being squares of `pixel_m`.
+
+        Raises `ValueError` for what this model cannot hold: pixels that are not square, skew, more than four
+        distortion coefficients other than zero.
+        """
+        K = np.asarray(parameters.camera_matrix, dtype=float)
+        d = np.zeros(max(4, np.size(parameters.distortion)))
+        d[: np.size(parameters.distortion)] = np.ravel(parameters.distortion)
+        if not np.isclose(K[0, 0], K[1, 1], rtol=1e-12) or K[0, 1] != 0.0:
+            raise ValueError(
+                f"square pixels without skew expected, got fx={K[0, 0]}, fy={K[1, 1]}, skew={K[0, 1]}"
+            )
+        if np.any(d[4:] != 0.0):
+            raise ValueError(f"only k1, k2, p1, p2 can be taken over, got further coefficients {d[4:]}")
+        f = K[0, 0] * pixel_m * _MM
+        return cls(
+            focal_m=K[0, 0] * pixel_m,
+            pixel_m=pixel_m,
+            width_px=width_px,
+            height_px=height_px,
+            principal_px=(float(K[0, 2]), float(K[1, 2])),
+            p1=float(d[3] / f),
+            p2=float(d[2] / f),
+            q1=float(d[0] / f**2),
+            q2=float(d[1] / f**4),
+        )
+
+    def _image_mm(self, xy_px: ArrayLike) -> Array:
+        return (_points(xy_px) - np.asarray(self.principal_px)) * (self.pixel_m * _MM)
+
+    def _distortion_mm(self, ideal: Array) -> Array:
+        """(dx, dy) of eq. (5) at ideal image coordinates (N, 2), millimetres."""
+        x, y = ideal.T
+        r2 = x * x + y * y
+        radial = r2 * (self.q1 + r2 * self.q2)
+        dx = x * radial + self.p1 * (r2 + 2 * x * x) + 2 * self.p2 * x * y
+        dy = y * radial + self.p2 * (r2 + 2 * y * y) + 2 * self.p1 * x * y
+        return np.column_stack([dx, dy])
+
+    def _distortion_jacobian(self, ideal: Array) -> Array:
+        """d(actual) / d(ideal), (N, 2, 2)."""
+        x, y = ideal.T
+        r2 = x * x + y * y
+        radial = r2 * (self.q1 + r2 * self.q2)
+        slope = 2.0 * (self.q1 + 2.0 * self.q2 * r2)  # d(radial) = slope (x dx + y dy)
+        J = np.empty((len(ideal), 2, 2))
+        J[:, 0, 0] = 1.0 + radial + slope * x * x + 6.0 * self.p1 * x + 2.0 * self.p2 * y
+        J[:, 1, 1] = 1.0 + radial + slope * y * y + 6.0 * self.p2 * y + 2.0 * self.p1 * x
+        J[:, 0, 1] = J[:, 1, 0] = slope * x * y + 2.0 * self.p1 * y + 2.0 * self.p2 * x
+        return J
+
+    def _inside_fold(self, ideal: Array) -> NDArray[np.bool_]:
+        """Where the image still grows outward: within the first root of 1 + 3 q1 r^2 + 5 q2 r^4, Jacobian >
+        0.
+        """
+        roots = np.roots([5.0 * self.q2, 3.0 * self.q1, 1.0])
+        real = roots[np.isreal(roots)].real
+        r2_fold = min(real[real > 0.0], default=np.inf)
+        r2 = np.einsum("ni,ni->n", ideal, ideal)
+        J = self._distortion_jacobian(ideal)
+        with np.errstate(invalid="ignore"):
+            return (r2 < r2_fold) & (J[:, 0, 0] * J[:, 1, 1] > J[:, 0, 1] * J[:, 1, 0])
+
+    def _ideal_mm(self, actual: Array) -> Array:
+        """Inverse of eq. (4): the ideal points whose real places are `actual`; NaN where there is none."""
+        ideal = actual.copy()
+        for _ in range(_NEWTON_STEPS):
+            miss = actual - ideal - self._distortion_mm(ideal)
+            step = (_inverse_2x2(self._distortion_jacobian(ideal)) @ miss[:, :, None])[:, :, 0]
+            ideal += step
+            largest = np.nanmax(np.abs(step), initial=0.0)
+            if largest < _NEWTON_MM:
+                break
+        miss = np.abs(actual - ideal - self._distortion_mm(ideal)).max(axis=1, initial=0.0)
+        with np.errstate(invalid="ignore"):
+            found = (miss < 1e-10) & self._inside_fold(ideal)
+        ideal[~found] = np.nan
+        return ideal
+
+
+def _points(xy_px: ArrayLike) -> Array:
+    xy = np.asarray(xy_px, dtype=float)
+    if xy.ndim != 2 or xy.shape[1] != 2:
+        raise ValueError(f"xy_px must have shape (N, 2), got {xy.shape}")
+    return xy
+
+
+def _inverse_2x2(J: Array) -> Array:
+    a, b, c, d = J[:, 0, 0], J[:, 0, 1], J[:, 1, 0], J[:, 1, 1]
+    inverse = np.stack([np.stack([d, -b], axis=-1), np.stack([-c, a], axis=-1)], axis=-2)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return inverse / (a * d - b * c)[:, None, None]
