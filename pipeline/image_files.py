@@ -1,0 +1,266 @@
+"""Image files read: exposures whole, strips and terrain by window, chips whole. Size and depth are checked in the
+header before a single pixel is decoded, so that a file that claims to be huge costs nothing.
+
+An image that cannot be used raises `RawDataError`; whether that stops the run or is an omission is the caller's
+choice. TIFF files are opened by GDAL's GeoTIFF driver alone, without sidecar files and without network.
+"""
+
+from __future__ import annotations
+
+import struct
+import warnings
+import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import rasterio
+from numpy.typing import NDArray
+from rasterio.errors import RasterioError, RasterioIOError
+from rasterio.windows import Window
+
+from pipeline.errors import RawDataError
+
+__all__ = ["GridImage", "StripFiles", "open_geotiff", "read_exposure", "read_grid", "read_star_image"]
+
+PNG_MAGIC = b"\x89PNG\r\n\x1a\n"
+TIFF_MAGICS = (b"II*\x00", b"MM\x00*", b"II+\x00", b"MM\x00+")
+FITS_MAGIC = b"SIMPLE  ="
+MAX_STAR_PIXELS = 2**28  # a free image of `identify`; those of a dump are held to the camera's own size
+
+
+def read_exposure(path: Path, file: str, *, width: int, height: int, bit_depth: int) -> NDArray[np.uint16]:
+    """One star exposure of a dump, (height, width), raw counts. PNG, TIFF or FITS; 8 or 16 bits a pixel."""
+    image = _read_star_image(path, file, (width, height), 8 if bit_depth <= 8 else 16)
+    if bit_depth not in (8, 16) and int(image.max()) >> bit_depth:
+        raise RawDataError(file, "pixels", f"a value of {image.max()}", f"values of {bit_depth} bits")
+    return image
+
+
+def read_star_image(path: Path, file: str) -> NDArray[Any]:
+    """Any single grey star image, of whatever size up to 2^28 pixels: for `boresight identify`."""
+    return _read_star_image(path, file, None, None)
+
+
+def _read_star_image(path: Path, file: str, size: tuple[int, int] | None, bits: int | None) -> NDArray[Any]:
+    magic = _first_bytes(path, file, 16)
+    if magic.startswith(PNG_MAGIC):
+        return _read_png(path, file, size, bits)
+    if magic.startswith(TIFF_MAGICS):
+        return _read_tiff_whole(path, file, size, bits)
+    if magic.startswith(FITS_MAGIC):
+        return _read_fits(path, file, size, bits)
+    if not magic:
+        raise RawDataError(file, "byte 0", "an empty file", "a PNG, TIFF or FITS image")
+    raise RawDataError(file, "byte 0", magic[:8].hex(" "), "a PNG, TIFF or FITS image")
+
+
+def _first_bytes(path: Path, file: str, n: int) -> bytes:
+    if not path.is_file():
+        raise RawDataError(file, "file", "no such file", "an image")
+    try:
+        with path.open("rb") as stream:
+            return stream.read(n)
+    except OSError as error:
+        raise RawDataError(file, "file", error.strerror or str(error), "a readable image") from error
+
+
+def _check_size(
+    file: str, got: tuple[int, int], expected: tuple[int, int] | None, got_bits: int, bits: int | None
+) -> None:
+    if expected is None and got[0] * got[1] > MAX_STAR_PIXELS:
+        raise RawDataError(file, "image size", f"{got[0]} x {got[1]} px", f"at most {MAX_STAR_PIXELS} px")
+    if expected is not None and got != expected:
+        raise RawDataError(file, "image size", f"{got[0]} x {got[1]} px", f"{expected[0]} x {expected[1]} px")
+    if (bits is not None and got_bits != bits) or got_bits not in (8, 16):
+        expected_bits = f"{bits}" if bits is not None else "8 or 16"
+        raise RawDataError(file, "bit depth", f"{got_bits} bits", f"{expected_bits} bits a pixel")
+
+
+def _read_png(path: Path, file: str, size: tuple[int, int] | None, bits: int | None) -> NDArray[Any]:
+    raw = path.read_bytes()
+    if len(raw) < 33 or raw[12:16] != b"IHDR":
+        raise RawDataError(file, "byte 8", f"{len(raw)} bytes without a header", "a PNG header (IHDR)")
+    width, height, depth, colour = struct.unpack(">IIBB", raw[16:26])
+    if colour != 0 and size is not None:
+        raise RawDataError(file, "colour type", str(colour), "0 (grey)")
+    _check_size(file, (width, height), size, depth, bits)
+    _check_png_chunks(raw, file)
+    flag = cv2.IMREAD_UNCHANGED if colour == 0 else cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH
+    image = cv2.imdecode(np.frombuffer(raw, np.uint8), flag)
+    if image is None or image.shape != (height, width):
+        raise RawDataError(file, "pixels", "data that do not decode", f"{width} x {height} px")
+    return image
+
+
+def _check_png_chunks(raw: bytes, file: str) -> None:
+    """Every chunk complete and with the right checksum: decoders fill what is missing with black in silence."""
+    at = 8
+    while at + 12 <= len(raw):
+        (length,) = struct.unpack_from(">I", raw, at)
+        kind = raw[at + 4 : at + 8]
+        if at + 12 + length > len(raw):
+            break
+        (stated,) = struct.unpack_from(">I", raw, at + 8 + length)
+        computed = zlib.crc32(raw[at + 4 : at + 8 + length])
+        if computed != stated:
+            raise RawDataError(file, f"byte {at}", f"checksum {computed:08x}", f"{stated:08x}")
+        if kind == b"IEND":
+            return
+        at += 12 + length
+    raise RawDataError(file, f"byte {len(raw)}", "end of file", f"the rest of the PNG chunk that starts at {at}")
+
+
+def _read_fits(path: Path, file: str, size: tuple[int, int] | None, bits: int | None) -> NDArray[Any]:
+    from astropy.io import fits
+    from astropy.utils.exceptions import AstropyWarning
+
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", AstropyWarning)
+            with fits.open(path, memmap=False, lazy_load_hdus=True, do_not_scale_image_data=True) as hdus:
+                header = hdus[0].header
+                naxis, bitpix = header.get("NAXIS"), header.get("BITPIX")
+                if naxis != 2:
+                    raise RawDataError(file, "NAXIS", str(naxis), "2, one grey image in the primary HDU")
+                if bitpix not in (8, 16):
+                    raise RawDataError(file, "BITPIX", str(bitpix), "8 or 16")
+                width, height = int(header["NAXIS1"]), int(header["NAXIS2"])
+                _check_size(file, (width, height), size, bitpix, bits)
+                start, need = hdus[0].fileinfo()["datLoc"], width * height * bitpix // 8
+                if (have := path.stat().st_size - start) < need:
+                    raise RawDataError(file, "pixels", f"{have} bytes", f"{need} bytes")
+                zero, scale = float(header.get("BZERO", 0)), float(header.get("BSCALE", 1))
+                if scale != 1.0 or zero not in (0.0, 32768.0):
+                    raise RawDataError(file, "BZERO, BSCALE", f"{zero:g}, {scale:g}", "0 or 32768, 1")
+                pixels = np.asarray(hdus[0].data)
+    except RawDataError:
+        raise
+    except Exception as error:  # astropy raises many kinds for damaged headers; each is the same fact for us
+        raise RawDataError(file, "FITS header", f"{type(error).__name__}: {error}", "a FITS image") from error
+    if bitpix == 8:
+        return pixels
+    values = pixels.astype(np.int32) + int(zero)
+    if values.min() < 0:
+        raise RawDataError(file, "pixels", f"a value of {values.min()}", "counts from 0 to 65535")
+    return values.astype(np.uint16)
+
+
+def _read_tiff_whole(path: Path, file: str, size: tuple[int, int] | None, bits: int | None) -> NDArray[Any]:
+    with open_geotiff(path, file) as image:
+        depth = _bits(image, file)
+        _check_size(file, (image.width, image.height), size, depth, bits)
+        if image.count != 1:
+            raise RawDataError(file, "bands", str(image.count), "1")
+        return _read_window(image, file, Window(0, 0, image.width, image.height))
+
+
+@contextmanager
+def open_geotiff(path: Path, file: str) -> Iterator[Any]:
+    """A TIFF opened for reading by window. Its header is parsed, nothing is decoded."""
+    magic = _first_bytes(path, file, 4)
+    if magic not in TIFF_MAGICS:
+        raise RawDataError(file, "byte 0", magic.hex(" ") or "an empty file", "a TIFF (II or MM, 42 or 43)")
+    options = {
+        "GDAL_PAM_ENABLED": "NO",
+        "GDAL_DISABLE_READDIR_ON_OPEN": "EMPTY_DIR",
+        "GDAL_TIFF_INTERNAL_MASK": "YES",
+        "CPL_VSIL_CURL_ALLOWED_EXTENSIONS": ".none",
+    }
+    with rasterio.Env(**options), warnings.catch_warnings():
+        warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)
+        try:
+            image = rasterio.open(path.resolve(), driver="GTiff", sharing=False)
+        except (RasterioError, ValueError, OSError) as error:
+            raise RawDataError(file, "TIFF header", str(error), "a TIFF image") from error
+        with image:
+            yield image
+
+
+def _bits(image: Any, file: str) -> int:
+    depth = {"uint8": 8, "uint16": 16}.get(image.dtypes[0])
+    if depth is None:
+        raise RawDataError(file, "bit depth", str(image.dtypes[0]), "uint8 or uint16")
+    return depth
+
+
+def _read_window(image: Any, file: str, window: Window) -> NDArray[Any]:
+    try:
+        return image.read(1, window=window)
+    except (RasterioError, RasterioIOError, ValueError, MemoryError) as error:
+        where = f"rows {window.row_off}..{window.row_off + window.height - 1}"
+        raise RawDataError(file, where, str(error), "pixels that decode") from error
+
+
+@dataclass(frozen=True, slots=True)
+class StripFiles:
+    """The raw images of one strip, one file for each CCD, read by window (`gct_match`'s StripImage)."""
+
+    paths: dict[int, Path]  # by CCD
+    names: dict[int, str]  # the same files as the user knows them
+    shapes: dict[int, tuple[int, int]]  # (lines, samples)
+
+    @property
+    def ccds(self) -> tuple[int, ...]:
+        return tuple(sorted(self.paths))
+
+    def shape(self, ccd: int) -> tuple[int, int]:
+        """(lines, samples) of a CCD's image."""
+        return self.shapes[ccd]
+
+    def read(self, ccd: int, line0: int, line1: int, sample0: int, sample1: int) -> NDArray[Any]:
+        """Rows line0..line1-1, columns sample0..sample1-1, raw counts. The window must lie inside the image."""
+        lines, samples = self.shapes[ccd]
+        if not (0 <= line0 < line1 <= lines and 0 <= sample0 < sample1 <= samples):
+            raise ValueError(f"window {line0}:{line1}, {sample0}:{sample1} is not inside {lines} x {samples}")
+        with open_geotiff(self.paths[ccd], self.names[ccd]) as image:
+            return _read_window(
+                image, self.names[ccd], Window(sample0, line0, sample1 - sample0, line1 - line0)
+            )
+
+
+def check_strip_file(path: Path, file: str, *, lines: int, samples: int, bit_depth: int) -> None:
+    """The header of a strip's image against what the dump says, and its last row decoded (a file cut short)."""
+    with open_geotiff(path, file) as image:
+        depth = _bits(image, file)
+        _check_size(file, (image.width, image.height), (samples, lines), depth, 8 if bit_depth <= 8 else 16)
+        if image.count != 1:
+            raise RawDataError(file, "bands", str(image.count), "1")
+        _read_window(image, file, Window(0, lines - 1, samples, 1))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GridImage:
+    """A georeferenced raster: values (H, W) float32 with NaN where there are none, affine transform, CRS as WKT."""
+
+    values: NDArray[np.float32]
+    transform: tuple[float, float, float, float, float, float]
+    crs: str
+
+
+def read_grid(path: Path, file: str, *, max_pixels: int) -> GridImage:
+    """A GeoTIFF of one band: a chip or a terrain model. It must have a CRS and a transform."""
+    with open_geotiff(path, file) as image:
+        if image.width * image.height > max_pixels:
+            raise RawDataError(file, "image size", f"{image.width} x {image.height} px", f"<= {max_pixels} px")
+        if image.count != 1:
+            raise RawDataError(file, "bands", str(image.count), "1")
+        if image.dtypes[0] not in ("uint8", "uint16", "int16", "float32", "float64"):
+            raise RawDataError(file, "bit depth", str(image.dtypes[0]), "8 or 16 bits or floating point")
+        if image.crs is None:
+            raise RawDataError(file, "coordinate reference system", "none", "a GeoTIFF with a CRS")
+        if image.transform.is_identity or image.transform.determinant == 0:
+            raise RawDataError(file, "transform", "none", "a GeoTIFF with an affine transform")
+        raw = _read_window(image, file, Window(0, 0, image.width, image.height))
+        values = raw.astype(np.float32)
+        if image.nodata is not None and np.isfinite(image.nodata):
+            values[raw == image.nodata] = np.nan
+        values[~np.isfinite(values)] = np.nan
+        if not np.isfinite(values).any():
+            raise RawDataError(file, "pixels", "none that is valid", "at least one valid pixel")
+        a, b, c, d, e, f = (float(v) for v in tuple(image.transform)[:6])
+        return GridImage(values, (a, b, c, d, e, f), image.crs.to_wkt())

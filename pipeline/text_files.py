@@ -1,0 +1,126 @@
+"""TOML and CSV files read into the records of `dump_schema`; every complaint names file, field, found, expected.
+
+Nothing in a file is ever executed or followed: values are text and numbers, paths stay inside the dump.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import re
+import tomllib
+from collections.abc import Sequence
+from pathlib import Path, PureWindowsPath
+from typing import Any, TypeVar
+
+from pydantic import BaseModel, ValidationError
+
+from pipeline.errors import RawDataError
+
+__all__ = ["path_inside", "read_table", "read_text", "read_toml"]
+
+Model = TypeVar("Model", bound=BaseModel)
+MAX_TEXT_BYTES = 256 * 2**20  # a text file beyond this is no manifest
+
+
+def path_inside(root: Path, relative: str, *, file: str, field: str) -> Path:
+    """The path that a manifest names, refused when it leaves the dump (absolute, `..`, a link that leads out)."""
+    expected = "a path inside the dump, relative to it, with / between its parts and no .."
+    parts = relative.split("/")
+    if (
+        not relative.isprintable()
+        or "\\" in relative
+        or PureWindowsPath(relative).drive
+        or any(part in ("", ".", "..") for part in parts)
+    ):
+        raise RawDataError(file, field, relative, expected)
+    path = root.joinpath(*parts)
+    try:
+        resolved, home = path.resolve(), root.resolve()
+    except (OSError, RuntimeError) as error:  # a loop of links
+        raise RawDataError(file, field, f"{relative} ({error})", expected) from error
+    if not resolved.is_relative_to(home):
+        raise RawDataError(file, field, f"{relative}, a link to a place outside", expected)
+    return path
+
+
+def read_text(path: Path, file: str) -> str:
+    """The text of a file of bounded size in UTF-8."""
+    try:
+        if not path.is_file():
+            raise RawDataError(file, "file", "no such file", "a readable file")
+        if (size := path.stat().st_size) > MAX_TEXT_BYTES:
+            raise RawDataError(file, "file", f"{size} bytes", f"at most {MAX_TEXT_BYTES} bytes of text")
+        raw = path.read_bytes()
+    except OSError as error:
+        raise RawDataError(file, "file", error.strerror or str(error), "a readable file") from error
+    try:
+        return raw.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        found = f"byte 0x{raw[error.start]:02x}"
+        raise RawDataError(file, f"byte {error.start}", found, "text in UTF-8") from error
+
+
+def read_toml(path: Path, model: type[Model], file: str) -> Model:
+    """A TOML file as a record of type `model`."""
+    try:
+        content = tomllib.loads(read_text(path, file))
+    except (tomllib.TOMLDecodeError, RecursionError) as error:
+        found = str(error) or type(error).__name__
+        where = re.search(r"line \d+", found)
+        raise RawDataError(file, where.group() if where else "text", found, "TOML 1.0") from error
+    try:
+        return model.model_validate(content)
+    except ValidationError as error:
+        raise _complaint(error, file, "") from error
+
+
+def read_table(path: Path, model: type[Model], file: str) -> list[Model]:
+    """A CSV file (RFC 4180, comma, header line) as one record of type `model` for each row, in the file's order."""
+    text = read_text(path, file)
+    expected = list(model.model_fields)
+    rows = csv.reader(io.StringIO(text, newline=""), strict=True)
+    records: list[Model] = []
+    try:
+        header = [name.strip() for name in next(rows, [])]
+        _check_header(header, expected, file)
+        for cells in rows:
+            if not cells:
+                continue
+            line = f"line {rows.line_num}"
+            if len(cells) != len(header):
+                raise RawDataError(file, line, f"{len(cells)} cells", f"{len(header)} cells")
+            try:
+                records.append(model.model_validate(dict(zip(header, cells))))
+            except ValidationError as error:
+                raise _complaint(error, file, f"{line}, ") from error
+    except csv.Error as error:
+        raise RawDataError(file, f"line {rows.line_num}", str(error), "comma-separated values") from error
+    return records
+
+
+def _check_header(header: Sequence[str], expected: Sequence[str], file: str) -> None:
+    if missing := [name for name in expected if name not in header]:
+        raise RawDataError(file, f"column {missing[0]}", "no such column", f"columns {', '.join(expected)}")
+    if unknown := [name for name in header if name not in expected]:
+        raise RawDataError(file, f"column {unknown[0]}", "an unknown column", f"columns {', '.join(expected)}")
+    if len(set(header)) != len(header):
+        raise RawDataError(file, "header", ", ".join(header), "each column once")
+
+
+def _complaint(error: ValidationError, file: str, prefix: str) -> RawDataError:
+    """The first thing pydantic found wrong, in our four words."""
+    first: Any = error.errors(include_url=False)[0]
+    field = ".".join(str(part) for part in first["loc"]) or "file"
+    others = f" (and {error.error_count() - 1} more)" if error.error_count() > 1 else ""
+    kind, message = first["type"], first["msg"]
+    if kind == "missing":
+        found, expected = "nothing", "this key"
+    elif kind == "extra_forbidden":
+        found, expected = "an unknown key", "only the keys of the format's description"
+    else:
+        found = first["input"] if isinstance(first["input"], str) else repr(first["input"])
+        if isinstance(first["input"], dict):
+            found = "keys " + ", ".join(map(str, first["input"]))
+        expected = message[0].lower() + message[1:]
+    return RawDataError(file, prefix + field, found, expected + others)
