@@ -1,0 +1,471 @@
+"""What a simulated mission is asked to be: frozen settings, each with its unit and the reason for its value.
+
+Two scenarios are built in: `mini` (a camera pair of the same field of view with few pixels, for tests) and
+`paper` (Tables 1-3 of the paper at full size). `scenario_from_dict` builds one from a nested dictionary,
+as a TOML file gives it: what the dictionary leaves out is taken from the scenario that it is based on, a
+key that does not exist is refused. Settings are spoken in the units that a mission's documents use; the
+unit is in the name.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import types
+from dataclasses import dataclass, field, fields, is_dataclass, replace
+from typing import Any, get_args, get_origin, get_type_hints
+
+__all__ = [
+    "AttitudeSettings",
+    "CloudSettings",
+    "ErrorSettings",
+    "GroundSettings",
+    "InstallationSettings",
+    "LineCameraSettings",
+    "OrbitSettings",
+    "OtherDateSettings",
+    "PointingWave",
+    "Scenario",
+    "ScenarioError",
+    "SkySettings",
+    "StarCameraSettings",
+    "StripSettings",
+    "TargetSettings",
+    "TerrainSettings",
+    "builtin_scenario",
+    "builtin_scenario_names",
+    "mini_scenario",
+    "paper_scenario",
+    "scenario_from_dict",
+    "scenario_to_dict",
+]
+
+
+class ScenarioError(ValueError):
+    """A scenario that cannot be: names the setting, what was found and what is expected."""
+
+
+@dataclass(frozen=True, slots=True)
+class OrbitSettings:
+    """A sun-synchronous orbit that passes over a given place when time zero of the mission strikes."""
+
+    altitude_km: float = 530.0  # above the equatorial radius (paper, section 3.3)
+    inclination_deg: float = 97.5  # sun-synchronous at 530 km: node turns 0.9856 deg a day under J2
+    latitude_deg: float = 36.0  # geocentric latitude below the satellite at time zero
+    longitude_deg: float = 103.0  # east; with the epoch below, about 10:30 local time
+    descending: bool = True  # daylight half of a 10:30 orbit
+    oem_step_s: float = 1.0  # the paper's 1 Hz
+    oem_margin_s: float = 12.0  # nodes before the first and after the last exposure, for interpolation
+
+
+@dataclass(frozen=True, slots=True)
+class PointingWave:
+    """One sine of the attitude about one axis of the remote-sensing camera."""
+
+    axis: str  # "roll" (about x, flight), "pitch" (about y) or "yaw" (about z, nadir)
+    amplitude_arcsec: float
+    period_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class AttitudeSettings:
+    """Nadir pointing (z of frame c to the centre of the Earth), offsets, and the oscillation of Fig. 4."""
+
+    roll_deg: float = 0.0  # off-nadir angle across track
+    pitch_deg: float = 0.0
+    yaw_deg: float = 0.0
+    yaw_steering: bool = True  # x of frame c along the motion over the turning ground, as TDI needs
+    waves: tuple[PointingWave, ...] = (  # phases are drawn from the seed; 3-12 arcsec and 3-7 s as in Fig. 4
+        PointingWave("roll", 8.0, 5.3),
+        PointingWave("roll", 3.0, 3.1),
+        PointingWave("pitch", 12.0, 6.7),
+        PointingWave("pitch", 4.0, 3.7),
+        PointingWave("yaw", 3.0, 6.1),
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class InstallationSettings:
+    """Where the star camera sits on the remote-sensing camera, and by how much that was measured wrong."""
+
+    # Of the star camera's axis from -z of frame c (errata: fits the paper's figures).
+    zenith_distance_deg: float = 15.0
+    azimuth_deg: float = 90.0  # of that axis about z of frame c, from x; 90 is the Y-Z plane
+    turn_deg: float = 37.0  # of the star camera about its own axis: lopsided, so that a wrong frame shows
+    theta_rad: tuple[float, float, float] = (0.003, 0.002, 0.001)  # R_cs = exp[[theta]] R_cs0, (28), errata
+    sigma_rad: tuple[float, float, float] = (0.003, 0.003, 0.003)  # 1 sigma stated for the measured matrix
+
+
+@dataclass(frozen=True, slots=True)
+class StarCameraSettings:
+    """The paper's Table 2."""
+
+    focal_mm: float = 100.0
+    pixel_um: float = 6.4
+    width_px: int = 5120
+    height_px: int = 3840
+    principal_px: tuple[float, float] = (2560.0, 1920.0)
+    p1: float = 2.29e-5  # the paper's (4)-(6) with image coordinates in millimetres (errata)
+    p2: float = -2.96e-5
+    q1: float = -9.30e-7
+    q2: float = -4.25e-9
+    rate_hz: float = 5.0
+    exposure_s: float = 0.030  # the sky turns 0.5 px meanwhile at full size: smear stays below the PSF
+
+
+@dataclass(frozen=True, slots=True)
+class SkySettings:
+    """What makes a raw star image out of stars: light, optics, detector."""
+
+    flux_v0_e_per_s: float = 6.0e7  # electrons a second of a star of V = 0: SNR 8 at V = 7 in 30 ms
+    color_term: float = 0.0  # detector magnitude = V + color_term (B - V)
+    psf_sigma_px: float = 1.25  # Gaussian, integrated over the pixels
+    psf_sigma_corner_px: float = 1.25  # grows with the square of the distance from the centre
+    faint_stars_per_deg2: float = 0.0  # stars that no catalogue lists, invented from the seed
+    faint_v_range: tuple[float, float] = (8.0, 10.0)
+    background_dn: float = 12.0  # in the middle of the image, offset included
+    background_gradient_dn: tuple[float, float] = (4.0, -3.0)  # change over the width, over the height
+    background_bow_dn: float = (
+        2.0  # added in the corners, growing with the square of the distance from the centre
+    )
+    e_per_dn: float = 40.0
+    read_noise_dn: float = 2.0
+    background_shot_noise: bool = True  # the background's own photons are noisy too
+    hot_pixels: int = 500  # at the same places in every exposure
+    hot_pixel_dn: tuple[float, float] = (20.0, 200.0)
+    cosmic_rays: int = 10  # tracks in one exposure (mean)
+    cosmic_ray_e: tuple[float, float] = (2000.0, 20000.0)  # electrons that one leaves
+    bloom: bool = False  # charge above saturation runs along the column
+    bits: int = 8
+    sub_exposures_per_px: float = 4.0  # steps of the smear, in each pixel of path
+
+
+@dataclass(frozen=True, slots=True)
+class LineCameraSettings:
+    """The paper's Table 3. Four CCDs, staggered along track, overlapping across track."""
+
+    focal_m: float = 10.0
+    pixel_um: float = 10.0
+    ccds: int = 4
+    samples: int = 6144
+    principal_sample: float = 3067.0
+    overlap_px: float = 200.0  # of neighbours, distortion included
+    stagger_mm: float = (
+        20.0  # odd CCDs lie this far ahead in the focal plane: room for the splicing reflector
+    )
+    rotation_urad: tuple[float, ...] = (
+        12.0,
+        -8.0,
+        5.0,
+        -14.0,
+    )  # of each CCD in the focal plane, below 2 um of splicing
+    # Law that fills Table 3: offset = -(a r^3 + b r^5), r = sample - principal_sample. Both printed values
+    # (1077.2 um at 56, 866.3 um at 203) are met, and the principal sample has none. See docs/simulator.md.
+    distortion_um: tuple[tuple[float, float], tuple[float, float]] = ((56.0, 1077.2), (203.0, 866.3))
+    distortion_nodes: int = 49  # entries of the table that the camera file gets
+    tdi_stages: int = 1
+
+
+@dataclass(frozen=True, slots=True)
+class StripSettings:
+    """When the remote-sensing camera takes its strips, and which star exposures go with them."""
+
+    count: int = 3
+    first_s: float = 2.0  # first row of the first strip after time zero
+    spacing_s: float = (
+        20.0  # from one strip's first row to the next one's; long enough for the GPS error to change
+    )
+    lines: int = 26000
+    row_period_s: float = 1.8 / 26000
+    exposure_lead_s: float = 0.3  # exposures reach this far before the first and after the last row
+
+
+@dataclass(frozen=True, slots=True)
+class TerrainSettings:
+    """Fractal relief, given to the user as a grid of orthometric heights."""
+
+    mean_m: float = 400.0
+    relief_m: float = 120.0  # 1 sigma of the heights
+    feature_km: float = 8.0  # size of the largest hills
+    roughness: float = 0.45  # ratio of amplitudes from one octave to the next; 0.5 is a rough mountain
+    spacing_arcsec: float = 3.0  # of the grid
+    error_m: float = 0.0  # 1 sigma of the grid that the user gets, on top of the truth
+
+
+@dataclass(frozen=True, slots=True)
+class CloudSettings:
+    """Partial cloud in the strips."""
+
+    cover: float = 0.0  # fraction of the ground covered
+    size_km: float = 1.5
+    brightness: float = 0.85  # reflectance
+
+
+@dataclass(frozen=True, slots=True)
+class OtherDateSettings:
+    """The strips see the ground at another date than the chips do. Nothing changes by default."""
+
+    gamma: float = 1.0
+    ramp: float = 0.0  # relative change of illumination over 10 km
+    changed_fields: float = 0.0  # fraction of the parcels that bear another crop
+    occlusion: float = 0.0  # fraction of the ground covered by new dark or bright patches
+
+
+@dataclass(frozen=True, slots=True)
+class GroundSettings:
+    """The ground's look and how the cameras render it."""
+
+    image: str = ""  # path of a GeoTIFF to be used instead of the procedural ground; "" is procedural
+    texels_per_pixel: float = (
+        2.0  # ground texture's own sampling against the strip's pixel; linear in between
+    )
+    parcel_m: float = 140.0  # mean side of a field
+    detail: float = 1.0  # strength of the fractal texture on fields, 1 = realistic
+    water: float = 0.05  # fraction of parcels
+    settlement: float = 0.18
+    forest: float = 0.22
+    mtf_nyquist: float = 0.15  # of the strip, optics + detector + motion, at its own Nyquist frequency
+    dn_full_scale: float = 255.0  # strip grey value of reflectance 1 (below saturation when bits allow)
+    bits: int = 8
+    e_per_dn: float = 60.0
+    read_noise_dn: float = 0.8
+    pixel_gain_sigma: float = 0.002  # residual non-uniformity from pixel to pixel of the line
+    cloud: CloudSettings = CloudSettings()
+    other_date: OtherDateSettings = OtherDateSettings()
+
+
+@dataclass(frozen=True, slots=True)
+class TargetSettings:
+    """Ground calibration targets and their chips."""
+
+    per_strip: int = 12
+    check_points_per_strip: int = 20  # known to `truth/` alone
+    sigma_m: tuple[float, float, float] = (
+        0.10,
+        0.10,
+        0.20,
+    )  # 1 sigma east, north, up of the surveyed targets
+    chip_size_px: int = 128  # side of the chip, in pixels of the strip
+    chip_pixel: float = 0.5  # chip's ground pixel / strip's
+    chip_mtf_nyquist: float = 0.25  # sharper than the strip, at the chip's own Nyquist frequency
+    chip_noise_dn: float = 1.0
+    least_texture_dn: float = 6.0  # standard deviation a chip must have, or another place is drawn
+
+
+@dataclass(frozen=True, slots=True)
+class ErrorSettings:
+    """The paper's Table 1. Each may be zero."""
+
+    gps_m: float = 2.0  # 1 sigma of each axis, constant over a strip, another draw for the next
+    vibration_arcsec: float = 0.1  # rms of each axis, sines in the band below
+    vibration_hz: tuple[float, float] = (30.0, 80.0)
+    clock_s: float = (
+        1.0e-4  # 1 sigma of the rows' time against the star camera's and the orbit's, one draw a strip
+    )
+    distortion_px: float = 0.3  # rms of what the distortion table leaves, smooth along the detector
+    distortion_length_px: float = 1500.0  # its correlation length
+
+
+@dataclass(frozen=True, slots=True)
+class Scenario:
+    """Everything that a simulated mission is made from, apart from the seed."""
+
+    name: str
+    epoch_utc: str = "2024-11-20T03:40:00"  # time zero; the Sun stands far from the zenith
+    orbit: OrbitSettings = OrbitSettings()
+    attitude: AttitudeSettings = AttitudeSettings()
+    installation: InstallationSettings = InstallationSettings()
+    star_camera: StarCameraSettings = StarCameraSettings()
+    sky: SkySettings = SkySettings()
+    line_camera: LineCameraSettings = LineCameraSettings()
+    strips: StripSettings = StripSettings()
+    terrain: TerrainSettings = TerrainSettings()
+    ground: GroundSettings = GroundSettings()
+    targets: TargetSettings = TargetSettings()
+    errors: ErrorSettings = field(default_factory=ErrorSettings)
+
+    def __post_init__(self) -> None:
+        _check(self)
+
+    @property
+    def ground_pixel_m(self) -> float:
+        """Size on the ground of a pixel of the strip, across track, near nadir."""
+        camera = self.line_camera
+        return camera.pixel_um * 1e-6 / camera.focal_m * self.orbit.altitude_km * 1e3
+
+
+def paper_scenario() -> Scenario:
+    """Tables 1-3 at full size: 5120 x 3840 px at 5 Hz, 4 CCDs x 6144 px x 26000 rows, Table 1's errors."""
+    return Scenario(name="paper")
+
+
+def mini_scenario() -> Scenario:
+    """The same two fields of view with a fifth and a twelfth of the pixels across: a dump of some 20 MB."""
+    return Scenario(
+        name="mini",
+        star_camera=StarCameraSettings(
+            pixel_um=32.0, width_px=1024, height_px=768, principal_px=(512.0, 384.0), exposure_s=0.1
+        ),
+        sky=SkySettings(
+            flux_v0_e_per_s=1.5e7, psf_sigma_px=1.0, psf_sigma_corner_px=1.0, hot_pixels=40, cosmic_rays=2
+        ),
+        line_camera=LineCameraSettings(
+            pixel_um=120.0,
+            samples=512,
+            principal_sample=255.0,
+            overlap_px=24.0,
+            distortion_um=((5.0, 1077.2), (17.0, 866.3)),
+            distortion_nodes=33,
+        ),
+        strips=StripSettings(lines=2000, row_period_s=0.9e-3),
+        terrain=TerrainSettings(spacing_arcsec=6.0),
+        ground=GroundSettings(texels_per_pixel=3.0, parcel_m=220.0),
+        targets=TargetSettings(sigma_m=(0.3, 0.3, 0.5), chip_size_px=96),
+        errors=ErrorSettings(distortion_px=0.03, distortion_length_px=125.0),
+    )
+
+
+_BUILTIN = types.MappingProxyType({"mini": mini_scenario, "paper": paper_scenario})
+
+
+def builtin_scenario_names() -> tuple[str, ...]:
+    """Names of the scenarios that need no file."""
+    return tuple(_BUILTIN)
+
+
+def builtin_scenario(name: str) -> Scenario:
+    """The built-in scenario of that name; `ScenarioError` when there is none."""
+    if name not in _BUILTIN:
+        raise ScenarioError(f"scenario {name!r} is unknown; built in are {', '.join(_BUILTIN)}")
+    return _BUILTIN[name]()
+
+
+def scenario_from_dict(values: dict[str, Any]) -> Scenario:
+    """A scenario from nested tables, as TOML gives them.
+
+    The key `based_on` names a built-in scenario (`paper` when left out) whose settings hold wherever the
+    tables say nothing. A list of tables replaces the whole list. `ScenarioError` names the key (dotted),
+    what was found and what is expected, for an unknown key as for a value of the wrong type.
+    """
+    values = dict(values)
+    base = builtin_scenario(_text("based_on", values.pop("based_on", "paper")))
+    return _filled(base, values, "")
+
+
+def scenario_to_dict(scenario: Scenario) -> dict[str, Any]:
+    """Nested tables of plain values, tuples as lists: what `scenario_from_dict` takes."""
+    plain: dict[str, Any] = _plain(scenario)
+    return plain
+
+
+def _filled(base: Any, values: Any, path: str) -> Any:
+    if not isinstance(values, dict):
+        raise ScenarioError(f"{path or 'scenario'}: expected a table, found {values!r}")
+    hints = get_type_hints(type(base))
+    changed = {}
+    for key, value in values.items():
+        where = f"{path}.{key}" if path else key
+        if key not in hints:
+            raise ScenarioError(f"{where}: unknown setting; expected one of {', '.join(sorted(hints))}")
+        if is_dataclass(hints[key]):
+            changed[key] = _filled(getattr(base, key), value, where)
+        else:
+            changed[key] = _converted(hints[key], value, where)
+    return replace(base, **changed)
+
+
+def _converted(hint: Any, value: Any, where: str) -> Any:
+    if get_origin(hint) is tuple:
+        return _converted_tuple(get_args(hint), value, where)
+    if is_dataclass(hint):
+        return _new(hint, value, where)
+    if hint is float and isinstance(value, (int, float)) and not isinstance(value, bool):
+        return float(value)
+    if isinstance(hint, type) and isinstance(value, hint) and not (hint is int and isinstance(value, bool)):
+        return value
+    raise ScenarioError(f"{where}: expected {getattr(hint, '__name__', hint)}, found {value!r}")
+
+
+def _converted_tuple(parts: tuple[Any, ...], value: Any, where: str) -> tuple[Any, ...]:
+    if not isinstance(value, (list, tuple)):
+        raise ScenarioError(f"{where}: expected a list, found {value!r}")
+    if len(parts) == 2 and parts[1] is Ellipsis:
+        parts = (parts[0],) * len(value)
+    if len(parts) != len(value):
+        raise ScenarioError(f"{where}: expected {len(parts)} values, found {len(value)}")
+    return tuple(_converted(part, item, f"{where}[{n}]") for n, (part, item) in enumerate(zip(parts, value)))
+
+
+def _new(kind: Any, value: Any, where: str) -> Any:
+    """A record of a list: nothing to be based on, so that every field without a default must be there."""
+    if not isinstance(value, dict):
+        raise ScenarioError(f"{where}: expected a table, found {value!r}")
+    hints = get_type_hints(kind)
+    if unknown := set(value) - set(hints):
+        raise ScenarioError(
+            f"{where}: unknown setting {sorted(unknown)}; expected {', '.join(sorted(hints))}"
+        )
+    needed = {f.name for f in fields(kind) if f.default is dataclasses.MISSING}
+    if missing := needed - set(value):
+        raise ScenarioError(f"{where}: missing {', '.join(sorted(missing))}")
+    return kind(**{key: _converted(hints[key], item, f"{where}.{key}") for key, item in value.items()})
+
+
+def _plain(value: Any) -> Any:
+    if is_dataclass(value):
+        return {f.name: _plain(getattr(value, f.name)) for f in fields(value)}
+    if isinstance(value, tuple):
+        return [_plain(item) for item in value]
+    return value
+
+
+def _text(where: str, value: Any) -> str:
+    if not isinstance(value, str):
+        raise ScenarioError(f"{where}: expected str, found {value!r}")
+    return value
+
+
+def _check(scenario: Scenario) -> None:
+    """Values that no mission can have; the message names the setting."""
+    camera, sky, line, strips = scenario.star_camera, scenario.sky, scenario.line_camera, scenario.strips
+    ground, targets = scenario.ground, scenario.targets
+    positive: dict[str, float] = {
+        "orbit.altitude_km": scenario.orbit.altitude_km,
+        "orbit.oem_step_s": scenario.orbit.oem_step_s,
+        "star_camera.focal_mm": camera.focal_mm,
+        "star_camera.width_px": camera.width_px,
+        "star_camera.height_px": camera.height_px,
+        "star_camera.exposure_s": camera.exposure_s,
+        "sky.psf_sigma_px": sky.psf_sigma_px,
+        "sky.e_per_dn": sky.e_per_dn,
+        "line_camera.focal_m": line.focal_m,
+        "line_camera.ccds": line.ccds,
+        "line_camera.samples": line.samples,
+        "strips.count": strips.count,
+        "strips.lines": strips.lines,
+        "strips.row_period_s": strips.row_period_s,
+        "ground.texels_per_pixel": ground.texels_per_pixel,
+        "ground.parcel_m": ground.parcel_m,
+        "ground.e_per_dn": ground.e_per_dn,
+        "targets.chip_size_px": targets.chip_size_px,
+        "targets.chip_pixel": targets.chip_pixel,
+    }
+    for name, value in positive.items():
+        if not value > 0:
+            raise ScenarioError(f"{name}: expected a positive number, found {value!r}")
+    for name, bits in (("sky.bits", sky.bits), ("ground.bits", ground.bits)):
+        if not 8 <= bits <= 16:
+            raise ScenarioError(f"{name}: expected 8 to 16, found {bits}")
+    if camera.exposure_s * camera.rate_hz > 1.0:
+        raise ScenarioError(
+            f"star_camera.exposure_s: expected at most {1 / camera.rate_hz} s, found {camera.exposure_s}"
+        )
+    if len(line.rotation_urad) != line.ccds:
+        raise ScenarioError(
+            f"line_camera.rotation_urad: expected {line.ccds} values, found {len(line.rotation_urad)}"
+        )
+    for wave in scenario.attitude.waves:
+        if wave.axis not in ("roll", "pitch", "yaw"):
+            raise ScenarioError(f"attitude.waves.axis: expected roll, pitch or yaw, found {wave.axis!r}")
+    for name, nyquist in (("ground.mtf_nyquist", ground.mtf_nyquist), ("chip", targets.chip_mtf_nyquist)):
+        if not 0.0 < nyquist < 1.0:
+            raise ScenarioError(f"{name}: expected a value between 0 and 1, found {nyquist}")
