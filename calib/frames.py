@@ -1,0 +1,195 @@
+"""The information form, all frames at once: vectors of many frames to their pairs (F, F theta), no SVD of B.
+
+A frame is the paper's: one attitude, stars and targets at one instant. With the attitude eliminated, the information
+on theta is the parallel sum of what the two cameras know of the attitude (docs/estimation.md):
+
+    F = F_s - F_s (F_s + F_c)⁻¹ F_s,    F_s = R_cs sum (I - u uᵀ)/σ² R_csᵀ,    F_c = sum (I - w wᵀ)/σ²
+
+and F theta = F_s (F_s + F_c)⁻¹ b, where b is the right-hand side of the targets' residuals with the star camera's own
+attitude. It equals the paper's cross-angle form where that one exists, and a frame with one target still counts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from calib.information import ExactSum, InformationPairs, InformationTotal, Solution, solve_total
+from geometry.installation import deviation_from_theta
+
+__all__ = [
+    "FrameCalibration",
+    "Frames",
+    "PreparedFrames",
+    "calibrate_frames",
+    "frame_pairs",
+    "prepare_frames",
+    "sums_over",
+]
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Frames:
+    """Vectors of K frames, one after another. Frame k has stars star_start[k]:star_start[k+1], and likewise targets."""
+
+    star_start: Index  # (K + 1,)
+    u_s: Array  # (N, 3) measured star vectors, star-camera frame
+    v_stars: Array  # (N, 3) their known directions, GCRS
+    sigma_s: Array  # (N,) rad per axis (QUEST model)
+    target_start: Index  # (K + 1,)
+    w_c: Array  # (J, 3) measured target vectors, remote-sensing-camera frame
+    v_targets: Array  # (J, 3) their known directions, GCRS
+    sigma_c: Array  # (J,) rad per axis
+
+    def __post_init__(self) -> None:
+        N, J = int(self.star_start[-1]), int(self.target_start[-1])
+        if len(self.star_start) != len(self.target_start):
+            raise ValueError(
+                f"{len(self.star_start) - 1} frames of stars, {len(self.target_start) - 1} of targets"
+            )
+        for name, n, width in (
+            ("u_s", N, (3,)),
+            ("v_stars", N, (3,)),
+            ("sigma_s", N, ()),
+            ("w_c", J, (3,)),
+            ("v_targets", J, (3,)),
+            ("sigma_c", J, ()),
+        ):
+            if (got := getattr(self, name).shape) != (n, *width):
+                raise ValueError(f"{name} must have shape {(n, *width)}, got {got}")
+
+    def __len__(self) -> int:
+        return len(self.star_start) - 1
+
+    def frame(self, k: int) -> tuple[Array, Array, Array, Array, Array, Array]:
+        """The six arrays of frame k, as the literal form takes them."""
+        s = slice(self.star_start[k], self.star_start[k + 1])
+        c = slice(self.target_start[k], self.target_start[k + 1])
+        return self.u_s[s], self.v_stars[s], self.sigma_s[s], self.w_c[c], self.v_targets[c], self.sigma_c[c]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PreparedFrames:
+    """What does not depend on the installation matrix: one pass over the vectors, then 3 x 3 matrices only."""
+
+    R_is: Array  # (K, 3, 3) star camera's own attitude, s to i
+    F_s: Array  # (K, 3, 3) its information, frame s
+    F_c: Array  # (K, 3, 3) the targets' attitude information, frame c
+    profile: Array  # (K, 3, 3) sum w (R_si v)ᵀ / σ²: c by s
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FrameCalibration:
+    """Installation matrix from frames: `R_cs = exp[[theta]] R_cs0`, covariance of a small turn about the axes of c."""
+
+    R_cs: Rotation
+    solution: Solution
+    theta_steps: tuple[Array, ...]  # rad, one an iteration; the last is the M -> I rule's
+    pairs: InformationPairs  # about the last iteration's matrix
+
+
+def sums_over(start: Index, values: Array) -> Array:
+    """Sums of `values` (N, ...) over the groups start[k]:start[k+1]; an empty group gives 0. Shape (K, ...)."""
+    full = np.flatnonzero(np.diff(start))
+    if len(full) == len(start) - 1:
+        return np.add.reduceat(values, start[:-1], axis=0)
+    out = np.zeros((len(start) - 1, *values.shape[1:]))
+    if len(full):
+        out[full] = np.add.reduceat(values, start[full], axis=0)
+    return out
+
+
+def prepare_frames(frames: Frames) -> PreparedFrames:
+    """Attitude of each frame from its stars (Wahba's problem, Markley's SVD) and the sums that the iteration needs."""
+    weight = frames.sigma_s**-2.0
+    weighted = weight[:, None] * frames.u_s
+    R_is = _wahba(_profile(frames.star_start, frames.v_stars, weighted))
+    F_s = _information(
+        sums_over(frames.star_start, weight), _profile(frames.star_start, frames.u_s, weighted)
+    )
+    weight = frames.sigma_c**-2.0
+    weighted = weight[:, None] * frames.w_c
+    F_c = _information(
+        sums_over(frames.target_start, weight), _profile(frames.target_start, frames.w_c, weighted)
+    )
+    return PreparedFrames(R_is, F_s, F_c, _profile(frames.target_start, weighted, frames.v_targets) @ R_is)
+
+
+def frame_pairs(prepared: PreparedFrames, R_cs: Rotation) -> tuple[Array, Array]:
+    """F (K, 3, 3) and F theta (K, 3) of every frame about `R_cs`, frame c."""
+    C = R_cs.as_matrix()
+    F_s = C @ prepared.F_s @ C.T
+    T = prepared.profile @ C.T  # sum w (R_cs R_si v)ᵀ / σ²
+    b = np.stack([T[:, 1, 2] - T[:, 2, 1], T[:, 2, 0] - T[:, 0, 2], T[:, 0, 1] - T[:, 1, 0]], axis=1)
+    shared = np.linalg.solve(F_s + prepared.F_c, np.concatenate([F_s, b[:, :, None]], axis=2))
+    both = F_s @ shared
+    F = F_s - both[:, :, :3]
+    return 0.5 * (F + F.transpose(0, 2, 1)), both[:, :, 3]
+
+
+def calibrate_frames(
+    frames: Frames | Iterable[Frames],
+    R_cs0: Rotation,
+    *,
+    sigma_observable_rad: float = 1e-3,
+    tolerance_rad: float = 1e-12,
+    most_iterations: int = 10,
+) -> FrameCalibration:
+    """The installation matrix from any number of frames, given at once or in chunks, to M = I.
+
+    Only 40 numbers a frame are kept of each chunk, so the vectors of a chunk may be dropped once it was read.
+    Raises `ValueError` when M is not the unit matrix to `tolerance_rad` after `most_iterations`.
+    """
+    chunks = [prepare_frames(chunk) for chunk in ([frames] if isinstance(frames, Frames) else frames)]
+    R_cs, steps = R_cs0, list[Array]()
+    for _ in range(most_iterations):
+        pairs = [frame_pairs(chunk, R_cs) for chunk in chunks]
+        total = _total(pairs, R_cs)
+        solution = solve_total(total.F, total.F_theta, sigma_observable_rad=sigma_observable_rad)
+        steps.append(solution.theta)
+        reference, R_cs = R_cs, deviation_from_theta(solution.theta) * R_cs
+        if np.linalg.norm(solution.theta) < tolerance_rad:
+            F, F_theta = (np.concatenate(part) for part in zip(*pairs))
+            names = np.char.mod("%07d", np.arange(len(F)))
+            return FrameCalibration(
+                R_cs, solution, tuple(steps), InformationPairs(names, F, F_theta, reference)
+            )
+    raise ValueError(
+        f"M is {np.linalg.norm(steps[-1]):.2g} rad from the unit matrix after {most_iterations} iterations"
+    )
+
+
+_ROWS, _COLUMNS = np.triu_indices(3)
+
+
+def _total(pairs: list[tuple[Array, Array]], R_cs: Rotation) -> InformationTotal:
+    sums = [ExactSum.of(np.column_stack([F[:, _ROWS, _COLUMNS], b])) for F, b in pairs]
+    total = sums[0]
+    for more in sums[1:]:
+        total = total.merged(more)
+    return InformationTotal(total, 3, R_cs)
+
+
+def _profile(start: Index, a: Array, b: Array) -> Array:
+    """Sum of a bᵀ over each group, (K, 3, 3)."""
+    return sums_over(start, (a[:, :, None] * b[:, None, :]).reshape(-1, 9)).reshape(-1, 3, 3)
+
+
+def _information(weight: Array, profile: Array) -> Array:
+    """sum (I - u uᵀ)/σ², from sum 1/σ² and sum u uᵀ/σ²."""
+    return weight[:, None, None] * np.eye(3) - profile
+
+
+def _wahba(profile: Array) -> Array:
+    """Rotations a <- b that maximise tr(Rᵀ sum a bᵀ) (Markley 1988): (K, 3, 3)."""
+    U, _, Vt = np.linalg.svd(profile)
+    sign = np.linalg.det(U) * np.linalg.det(Vt)
+    U[:, :, 2] *= np.sign(sign)[:, None]
+    return U @ Vt

@@ -1,0 +1,185 @@
+"""Information about the installation matrix: pairs (F, F theta), their exact sum and what it says.
+
+A pair speaks of the deviation theta (frame c, rad, the paper's sign: R_cs = exp[[theta]] R_cs_ref) from a stated
+reference. Pairs of independent frames or strips about one reference add. The sum is exact and rounded once, so it
+is the same, bit for bit, in whatever order and groups it is made. Unknowns that several strips share (a camera's
+distortion) stand after theta in the pair, scaled to unit prior variance; they are eliminated after the sum.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from geometry.installation import theta_between
+
+__all__ = ["ExactSum", "InformationPairs", "InformationTotal", "Solution", "solve_total"]
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class ExactSum:
+    """The sum of columns of numbers without any rounding: each column as its canonical expansion.
+
+    The first part is the sum rounded to double precision, the second the rounded remainder, and so on to
+    nothing. It depends on the exact sum alone, so partial sums may be merged in any order.
+    """
+
+    parts: tuple[tuple[float, ...], ...]  # one expansion a column
+
+    @classmethod
+    def of(cls, rows: Array) -> ExactSum:
+        """The exact sum over the first axis of `rows` (K, m)."""
+        return cls(tuple(_expansion(column) for column in np.asarray(rows, dtype=float).T.tolist()))
+
+    def merged(self, other: ExactSum) -> ExactSum:
+        if len(self.parts) != len(other.parts):
+            raise ValueError(f"sums of {len(self.parts)} and {len(other.parts)} columns cannot be merged")
+        return ExactSum(tuple(_expansion([*a, *b]) for a, b in zip(self.parts, other.parts)))
+
+    def rounded(self) -> Array:
+        """(m,) the sums, rounded to double precision once."""
+        return np.array([part[0] if part else 0.0 for part in self.parts])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class InformationPairs:
+    """Pairs of K frames or strips about one reference. n = 3 unless unknowns are shared between strips."""
+
+    names: NDArray[np.str_]  # (K,) frame or strip ids
+    F: Array  # (K, n, n) information; the block of theta in rad⁻²
+    F_theta: Array  # (K, n) F times the best (theta, shared unknowns)
+    R_cs_ref: Rotation  # the reference: theta is the deviation from it
+
+    def __post_init__(self) -> None:
+        K, n = len(self.names), self.F.shape[-1]
+        if self.F.shape != (K, n, n) or self.F_theta.shape != (K, n):
+            raise ValueError(
+                f"{K} names need F ({K}, n, n) and F_theta ({K}, n), got {self.F.shape}, {self.F_theta.shape}"
+            )
+
+    def merged(self, other: InformationPairs) -> InformationPairs:
+        """Both sets together. A name in both is an error: nothing may be counted twice."""
+        if twice := sorted(set(self.names.tolist()) & set(other.names.tolist())):
+            raise ValueError(f"{len(twice)} names are in both sets of pairs, first {twice[0]!r}")
+        if np.any(theta_between(self.R_cs_ref, other.R_cs_ref)):
+            other = other.about(self.R_cs_ref)
+        return InformationPairs(
+            np.concatenate([self.names, other.names]),
+            np.concatenate([self.F, other.F]),
+            np.concatenate([self.F_theta, other.F_theta]),
+            self.R_cs_ref,
+        )
+
+    def about(self, R_cs_ref: Rotation) -> InformationPairs:
+        """The same information about another reference, to first order in its small distance from this one."""
+        shift = np.zeros(self.F.shape[-1])
+        shift[:3] = theta_between(self.R_cs_ref, R_cs_ref)
+        return InformationPairs(self.names, self.F, self.F_theta + self.F @ shift, R_cs_ref)
+
+    def total(self) -> InformationTotal:
+        """The exact sum over all pairs."""
+        n = self.F.shape[-1]
+        rows, columns = np.triu_indices(n)
+        return InformationTotal(
+            ExactSum.of(np.column_stack([self.F[:, rows, columns], self.F_theta])), n, self.R_cs_ref
+        )
+
+    def table(self) -> pd.DataFrame:
+        """One row a pair, for storage: name, upper triangle of F, F_theta, the reference's quaternion (scalar last)."""
+        n = self.F.shape[-1]
+        rows, columns = np.triu_indices(n)
+        data: dict[str, object] = {"name": self.names.astype(object)}
+        data |= {f"F_{i}_{j}": self.F[:, i, j] for i, j in zip(rows.tolist(), columns.tolist())}
+        data |= {f"F_theta_{i}": self.F_theta[:, i] for i in range(n)}
+        data |= {f"q_ref_{i}": q for i, q in enumerate(self.R_cs_ref.as_quat())}
+        return pd.DataFrame(data)
+
+    @classmethod
+    def from_table(cls, table: pd.DataFrame) -> InformationPairs:
+        """The inverse of `table`; ValueError when the rows do not share one reference."""
+        n = sum(name.startswith("F_theta_") for name in table.columns)
+        quaternions = table[[f"q_ref_{i}" for i in range(4)]].to_numpy()
+        if np.any(quaternions != quaternions[0]):
+            raise ValueError("the pairs of one table must share one reference")
+        rows, columns = np.triu_indices(n)
+        F = np.empty((len(table), n, n))
+        for i, j in zip(rows.tolist(), columns.tolist()):
+            F[:, i, j] = F[:, j, i] = table[f"F_{i}_{j}"]
+        F_theta = table[[f"F_theta_{i}" for i in range(n)]].to_numpy()
+        return cls(table["name"].to_numpy(dtype=str), F, F_theta, Rotation.from_quat(quaternions[0]))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class InformationTotal:
+    """The exact sum of many pairs. Totals about one reference merge exactly, in any order."""
+
+    sums: ExactSum  # upper triangle of F, row by row, then F_theta
+    n: int
+    R_cs_ref: Rotation
+
+    def merged(self, other: InformationTotal) -> InformationTotal:
+        if self.n != other.n or np.any(self.R_cs_ref.as_quat() != other.R_cs_ref.as_quat()):
+            raise ValueError("totals merge exactly only about one reference and with the same unknowns")
+        return InformationTotal(self.sums.merged(other.sums), self.n, self.R_cs_ref)
+
+    @property
+    def F(self) -> Array:
+        """(n, n) information."""
+        F = np.zeros((self.n, self.n))
+        F[np.triu_indices(self.n)] = self.sums.rounded()[: -self.n]
+        return np.asarray(np.triu(F) + np.triu(F, 1).T)
+
+    @property
+    def F_theta(self) -> Array:
+        """(n,) right-hand side."""
+        return self.sums.rounded()[-self.n :]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Solution:
+    """The best theta of a total, with what could not be seen left out and named."""
+
+    theta: Array  # (3,) rad, about the reference; nothing along unobservable directions
+    covariance: Array  # (3, 3) rad², frame c; zero along unobservable directions, where no number is given
+    information: Array  # (3, 3) rad⁻², shared unknowns eliminated
+    shared: Array  # (n - 3,) the best shared unknowns, in units of their prior sigma
+    covariance_all: Array  # (n, n) of theta and the shared unknowns
+    unobservable: Array  # (m, 3) unit vectors, frame c, about which the turn is not observable
+
+
+def solve_total(F: Array, F_theta: Array, *, sigma_observable_rad: float) -> Solution:
+    """Best theta of the summed pair: shared unknowns take their unit prior, then F theta = F_theta.
+
+    A direction (eigenvector of the information on theta) whose 1-sigma would exceed `sigma_observable_rad`, or whose
+    eigenvalue drowns in the rounding of the largest, is not observable: it is named and gets no number.
+    """
+    n = len(F_theta)
+    shared_F = F[3:, 3:] + np.eye(n - 3)
+    gain = np.linalg.solve(shared_F, F[3:, :3])  # (n - 3, 3)
+    shared_0 = np.linalg.solve(shared_F, F_theta[3:])
+    information = F[:3, :3] - F[:3, 3:] @ gain
+    information = 0.5 * (information + information.T)
+    right = F_theta[:3] - gain.T @ F_theta[3:]
+    values, vectors = np.linalg.eigh(information)
+    seen = (values > sigma_observable_rad**-2.0) & (values > 1e-13 * values[-1])
+    inverse = np.divide(1.0, values, out=np.zeros(3), where=seen)
+    covariance = (vectors * inverse) @ vectors.T
+    theta = vectors @ (inverse * (vectors.T @ right))
+    lift = np.vstack([np.eye(3), -gain])
+    covariance_all = lift @ covariance @ lift.T
+    covariance_all[3:, 3:] += np.linalg.inv(shared_F)
+    return Solution(theta, covariance, information, shared_0 - gain @ theta, covariance_all, vectors.T[~seen])
+
+
+def _expansion(numbers: list[float]) -> tuple[float, ...]:
+    parts: list[float] = []
+    while part := math.fsum([*numbers, *(-p for p in parts)]):
+        parts.append(part)
+    return tuple(parts)

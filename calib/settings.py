@@ -1,0 +1,60 @@
+"""What the estimator believes and how far it goes: one record, every field with its unit and its reason."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from geometry.constants import ARCSEC
+
+__all__ = ["CalibrationSettings"]
+
+
+@dataclass(frozen=True, slots=True)
+class CalibrationSettings:
+    """Priors of the errors that the sightings' own covariances do not hold, and the solver's limits.
+
+    A prior of zero switches its error off. The defaults are the paper's Table 1.
+    """
+
+    sigma_position_m: float = 2.0  # per axis, common to a strip (Table 1, GPS)
+    sigma_clock_s: float = 1e-4  # common to a strip: position and image are apart by it (Table 1)
+    sigma_vibration_rad: float = (
+        0.1 * ARCSEC
+    )  # per axis and target: motion that the exposures cannot follow (Table 1)
+    sigma_vibration_exposure_rad: float = 0.0  # the same seen by an exposure: its own time averages it away
+    sigma_distortion_rad: float = 3e-7  # per axis: 0.3 px of 10 µm behind 10 m (Tables 1 and 3)
+    distortion_length_px: float = (
+        2000.0  # along a CCD: a residual left by a calibration with a few knots a CCD
+    )
+    distortion_scope: Literal["camera", "strip"] = (
+        "camera"  # one curve for all strips: the camera is the same one
+    )
+    use_target_sigma: bool = True  # the targets' own coordinate errors (cov_target_i)
+    probability_false_alarm: float = 1e-3  # of a good star or target being left out
+    robust: bool = True  # look for gross errors at all
+    fewest_stars: int = 3  # an exposure with fewer is left out: nothing checks its attitude
+    estimate_noise: bool = False  # scale the stars' and the placings' sigmas by what the residuals show
+    sigma_observable_rad: float = (
+        1e-3  # a ground measurement is better than this; a weaker direction gets no number
+    )
+    tolerance_rad: float = 1e-11  # M -> I: 2e-6 arcsec
+    tolerance_sigma: float = 0.01  # M -> I in units of the predicted sigma
+    most_iterations: int = 20
+
+    def __post_init__(self) -> None:
+        for name in (
+            "sigma_position_m",
+            "sigma_clock_s",
+            "sigma_vibration_rad",
+            "sigma_vibration_exposure_rad",
+            "sigma_distortion_rad",
+        ):
+            if not getattr(self, name) >= 0.0:
+                raise ValueError(f"{name} must be zero or positive, got {getattr(self, name)}")
+        if not self.distortion_length_px > 0.0:
+            raise ValueError(f"distortion_length_px must be positive, got {self.distortion_length_px}")
+        if not 0.0 < self.probability_false_alarm < 0.5:
+            raise ValueError(
+                f"probability_false_alarm must lie in (0, 0.5), got {self.probability_false_alarm}"
+            )
