@@ -1,0 +1,158 @@
+"""Attitude against time, from the star camera's exposures: interpolated relative to the nominal orbital
+motion.
+
+A satellite that keeps pointing at the Earth turns by four degrees a minute; what is left after that turn is
+taken out is slow and small, and only this is interpolated, by Lagrange's polynomial through four exposures.
+The weights are linear in the exposures' corrections, so an estimator can use the same ones. Rotations R_si
+take GCRS to the star camera; any other frame in the place of s serves as well. TAI seconds since the epoch,
+radians.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation
+
+__all__ = ["Attitude", "AttitudeTrack", "NominalMotion", "lagrange_weights"]
+
+Array = NDArray[np.float64]
+
+
+class Attitude(Protocol):
+    """Attitude as a function of time."""
+
+    def R_si(self, t_s: ArrayLike) -> Rotation:
+        """The rotation from GCRS to frame s at each instant (N,)."""
+
+
+class NominalMotion(Protocol):
+    """Any smooth reference attitude; `geometry.orbit.Orbit` is one."""
+
+    def R_oi(self, t_s: ArrayLike) -> Rotation:
+        """The rotation from GCRS to the orbital frame at each instant (N,)."""
+
+
+def lagrange_weights(t_nodes: ArrayLike, t: ArrayLike, points: int = 4) -> Array:
+    """Weights (J, K) with which values at nodes (K,) give the value at instants (J,); each row sums to 1.
+
+    Lagrange's polynomial through the `points` nodes around each instant (all nodes where there are fewer); at
+    the ends the stencil stays with the outermost nodes. An instant up to half a step outside is taken; beyond
+    that `ValueError`.
+    """
+    nodes, instants = np.asarray(t_nodes, dtype=float), np.asarray(t, dtype=float)
+    start, local = _stencil_weights(nodes, instants, points)
+    weights = np.zeros((len(instants), len(nodes)))
+    np.put_along_axis(weights, start[:, None] + np.arange(local.shape[1]), local, axis=1)
+    return weights
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AttitudeTrack:
+    """Attitudes at K exposures, and what lies between them."""
+
+    t_s: Array  # (K,) increasing
+    R_si_nodes: Rotation  # (K,)
+    nominal: NominalMotion
+    cov_s: Array | None = None  # (K, 3, 3) of a small rotation of each attitude about the axes of s, rad^2
+    points: int = 4
+    _R_so_middle: Rotation = field(init=False, repr=False)
+    _turn_s: Array = field(init=False, repr=False)  # (K, 3) D_k relative to the middle one, rotation vectors
+
+    def __post_init__(self) -> None:
+        k = len(self.t_s)
+        if k < 2 or np.any(np.diff(self.t_s) <= 0.0):
+            raise ValueError(f"AttitudeTrack needs two or more instants in increasing order, got {k}")
+        if len(self.R_si_nodes) != k:
+            raise ValueError(f"AttitudeTrack needs {k} attitudes, got {len(self.R_si_nodes)}")
+        if self.cov_s is not None and np.shape(self.cov_s) != (k, 3, 3):
+            raise ValueError(f"AttitudeTrack.cov_s must have shape ({k}, 3, 3), got {np.shape(self.cov_s)}")
+        R_so = self.R_si_nodes * self.nominal.R_oi(self.t_s).inv()
+        object.__setattr__(self, "_R_so_middle", R_so[k // 2])
+        object.__setattr__(self, "_turn_s", (R_so * R_so[k // 2].inv()).as_rotvec())
+
+    def R_si(self, t_s: ArrayLike) -> Rotation:
+        """Attitudes at instants (N,); `ValueError` more than half a step outside the exposures."""
+        t = np.asarray(t_s, dtype=float)
+        start, weights = _stencil_weights(self.t_s, t, self.points)
+        turn = np.zeros((len(t), 3))
+        for m in range(weights.shape[1]):
+            turn += weights[:, m, None] * self._turn_s[start + m]
+        return Rotation.from_rotvec(turn) * self._R_so_middle * self.nominal.R_oi(t)
+
+    def covariance_s(self, t_s: ArrayLike) -> Array:
+        """Covariance (N, 3, 3), rad^2, of a small rotation of `R_si(t_s)` about the axes of s.
+
+        The exposures' own errors, carried through the weights, and the interpolation's error on top.
+        """
+        t = np.asarray(t_s, dtype=float)
+        covariance = self.interpolation_sigma_rad(t)[:, :, None] ** 2 * np.eye(3)
+        if self.cov_s is not None:
+            weights = lagrange_weights(self.t_s, t, self.points)
+            covariance += np.einsum("jk,kab->jab", weights**2, self.cov_s)
+        return covariance
+
+    def interpolation_sigma_rad(self, t_s: ArrayLike) -> Array:
+        """1-sigma (N, 3), about the axes of s, of what the polynomial misses between the exposures.
+
+        The remainder of Lagrange's formula, `f'''' (t - t_1)...(t - t_4) / 4!` for four points, with the size
+        of the derivative taken from divided differences of one order more than the polynomial uses; what the
+        exposures' own errors put into those is taken off. Motion faster than the exposures (vibration) does
+        not show here. NaN with too few exposures to tell.
+        """
+        t = np.asarray(t_s, dtype=float)
+        points = min(self.points, len(self.t_s))
+        if len(self.t_s) <= points:
+            return np.full((len(t), 3), np.nan)
+        coefficients = _divided_difference_weights(self.t_s, points)
+        differences = coefficients @ self._turn_s
+        size2 = (differences**2).mean(axis=0)
+        if self.cov_s is not None:
+            variance = np.einsum("kaa->ka", self.cov_s)
+            size2 = np.maximum(size2 - (coefficients**2 @ variance).mean(axis=0), 0.0)
+        start = _stencil_start(self.t_s, t, points)
+        product = np.ones(len(t))
+        for m in range(points):
+            product *= t - self.t_s[start + m]
+        return np.abs(product)[:, None] * np.sqrt(size2)
+
+
+def _stencil_start(nodes: Array, t: Array, points: int) -> NDArray[np.int64]:
+    if len(nodes) < 2 or np.any(np.diff(nodes) <= 0.0):
+        raise ValueError(f"two or more nodes in increasing order are needed, got {len(nodes)}")
+    low = nodes[0] - 0.5 * (nodes[1] - nodes[0])
+    high = nodes[-1] + 0.5 * (nodes[-1] - nodes[-2])
+    outside = ~((t >= low) & (t <= high))
+    if np.any(outside):
+        raise ValueError(
+            f"{outside.sum()} of {len(t)} instants lie outside the exposures by more than half a step: "
+            f"{t[outside][0]:.6f} s, exposures {nodes[0]:.6f} ... {nodes[-1]:.6f} s"
+        )
+    interval = np.clip(np.searchsorted(nodes, t, side="right") - 1, 0, len(nodes) - 2)
+    return np.clip(interval - (points // 2 - 1), 0, len(nodes) - points)
+
+
+def _stencil_weights(nodes: Array, t: Array, points: int) -> tuple[NDArray[np.int64], Array]:
+    """First node (J,) of each stencil and the weights (J, points) of its nodes."""
+    if points < 2:
+        raise ValueError(f"interpolation needs two points or more, got {points}")
+    points = min(points, len(nodes))
+    start = _stencil_start(nodes, t, points)
+    local = nodes[start[:, None] + np.arange(points)]
+    weights = np.ones((len(t), points))
+    for j in range(points):
+        for m in range(points):
+            if m != j:
+                weights[:, j] *= (t - local[:, m]) / (local[:, j] - local[:, m])
+    return start, weights
+
+
+def _divided_difference_weights(nodes: Array, order: int) -> Array:
+    """Matrix (K - order, K) that takes values at the nodes to their divided differences of this order."""
+    matrix = np.eye(len(nodes))
+    for step in range(1, order + 1):
+        matrix = np.diff(matrix, axis=0) / (nodes[step:] - nodes[:-step])[:, None]
+    return matrix
