@@ -124,9 +124,7 @@ class SkySettings:
     faint_v_range: tuple[float, float] = (8.0, 10.0)
     background_dn: float = 12.0  # in the middle of the image, offset included
     background_gradient_dn: tuple[float, float] = (4.0, -3.0)  # change over the width, over the height
-    background_bow_dn: float = (
-        2.0  # added in the corners, growing with the square of the distance from the centre
-    )
+    background_bow_dn: float = 2.0  # added in the corners, with the square of the distance from the centre
     e_per_dn: float = 40.0
     read_noise_dn: float = 2.0
     background_shot_noise: bool = True  # the background's own photons are noisy too
@@ -149,15 +147,8 @@ class LineCameraSettings:
     samples: int = 6144
     principal_sample: float = 3067.0
     overlap_px: float = 200.0  # of neighbours, distortion included
-    stagger_mm: float = (
-        20.0  # odd CCDs lie this far ahead in the focal plane: room for the splicing reflector
-    )
-    rotation_urad: tuple[float, ...] = (
-        12.0,
-        -8.0,
-        5.0,
-        -14.0,
-    )  # of each CCD in the focal plane, below 2 um of splicing
+    stagger_mm: float = 20.0  # odd CCDs lie this far off in x_f: room for the splicing reflector
+    rotation_urad: tuple[float, ...] = (12.0, -8.0, 5.0, -14.0)  # of each CCD, below 2 um of splicing
     # Law that fills Table 3: offset = -(a r^3 + b r^5), r = sample - principal_sample. Both printed values
     # (1077.2 um at 56, 866.3 um at 203) are met, and the principal sample has none. See docs/simulator.md.
     distortion_um: tuple[tuple[float, float], tuple[float, float]] = ((56.0, 1077.2), (203.0, 866.3))
@@ -171,9 +162,7 @@ class StripSettings:
 
     count: int = 3
     first_s: float = 2.0  # first row of the first strip after time zero
-    spacing_s: float = (
-        20.0  # from one strip's first row to the next one's; long enough for the GPS error to change
-    )
+    spacing_s: float = 20.0  # from strip to strip; long enough for the GPS error to change
     lines: int = 26000
     row_period_s: float = 1.8 / 26000
     exposure_lead_s: float = 0.3  # exposures reach this far before the first and after the last row
@@ -215,9 +204,7 @@ class GroundSettings:
     """The ground's look and how the cameras render it."""
 
     image: str = ""  # path of a GeoTIFF to be used instead of the procedural ground; "" is procedural
-    texels_per_pixel: float = (
-        2.0  # ground texture's own sampling against the strip's pixel; linear in between
-    )
+    texels_per_pixel: float = 2.0  # ground texture's sampling against the strip's pixel; linear in between
     parcel_m: float = 140.0  # mean side of a field
     detail: float = 1.0  # strength of the fractal texture on fields, 1 = realistic
     water: float = 0.05  # fraction of parcels
@@ -239,11 +226,7 @@ class TargetSettings:
 
     per_strip: int = 12
     check_points_per_strip: int = 20  # known to `truth/` alone
-    sigma_m: tuple[float, float, float] = (
-        0.10,
-        0.10,
-        0.20,
-    )  # 1 sigma east, north, up of the surveyed targets
+    sigma_m: tuple[float, float, float] = (0.10, 0.10, 0.20)  # 1 sigma east, north, up of the survey
     chip_size_px: int = 128  # side of the chip, in pixels of the strip
     chip_pixel: float = 0.5  # chip's ground pixel / strip's
     chip_mtf_nyquist: float = 0.25  # sharper than the strip, at the chip's own Nyquist frequency
@@ -258,9 +241,7 @@ class ErrorSettings:
     gps_m: float = 2.0  # 1 sigma of each axis, constant over a strip, another draw for the next
     vibration_arcsec: float = 0.1  # rms of each axis, sines in the band below
     vibration_hz: tuple[float, float] = (30.0, 80.0)
-    clock_s: float = (
-        1.0e-4  # 1 sigma of the rows' time against the star camera's and the orbit's, one draw a strip
-    )
+    clock_s: float = 1.0e-4  # 1 sigma of the rows' time against orbit and star camera, one draw a strip
     distortion_px: float = 0.3  # rms of what the distortion table leaves, smooth along the detector
     distortion_length_px: float = 1500.0  # its correlation length
 
