@@ -1,0 +1,136 @@
+"""Bending of light in the atmosphere between the ground and a satellite, for an atmosphere in spherical
+layers.
+
+A ray keeps n(r) r sin z (Snell). Against the straight line that it follows in space, it comes down nearer to
+the point below the satellite and steeper. To second order in the refractivity N = n - 1 and first order in
+height over Earth radius, with z the zenith distance of the straight line at the ground of height h,
+
+    displacement = tan z sec^2 z [ I0 - (2 + 3 tan^2 z) I1 / R - (3 sec^2 z - 1) I2 / 2 ]
+    sin z_ground = sin z / n(h)
+
+with I0, I1, I2 the integrals over height, from h upwards, of N, N (h' - h) and N^2 (expand the central angle
+of Noerdlinger 1999, ISPRS J. 54, 360-373, eq. 6). The closed form is good to 1e-4 of the displacement up to z
+= 60 deg.
+
+The standard atmosphere is the US Standard Atmosphere 1976 (dry air), with the refractivity of Ciddor (1996,
+Appl. Opt. 35, 1566, eq. 1) at 0.6 um. Weather changes the displacement by a few per cent.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+__all__ = ["Atmosphere", "layered_atmosphere", "refractivity_of_air", "standard_atmosphere"]
+
+Array = NDArray[np.float64]
+
+_EARTH_RADIUS_M = 6_371_000.0  # mean; the curvature term is a thousandth of the whole
+_TOP_M = 84_852.0  # top of the 1976 layers used here
+_LOWEST_M = -1_000.0
+_STEP_M = 20.0
+_STEEPEST = np.cos(np.radians(80.0))  # beyond 80 deg the expansion fails
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Atmosphere:
+    """Refractivity against height and its integrals to the top. Made by the functions of this module."""
+
+    height_m: Array  # (K,) ellipsoidal heights in even steps
+    refractivity: Array  # (K,) n - 1
+    integrals: Array  # (K, 3) of N (m), N (h' - h) (m^2), N^2 (m), from each height upwards
+
+    def bending(self, cos_z: ArrayLike, height_m: ArrayLike) -> tuple[Array, Array]:
+        """Displacement (m, >= 0) and change of zenith distance (rad, >= 0) where the straight line meets the
+        ground.
+
+        `cos_z` is the cosine of the straight line's zenith distance at ground of height `height_m`; broadcast
+        together. Below 1000 m under the ellipsoid the lowest layer goes on; beyond 80 deg of zenith distance:
+        NaN.
+        """
+        c = np.asarray(cos_z, dtype=float)
+        c = np.where(c > _STEEPEST, c, np.nan)
+        n, (i0, i1, i2) = self._at(np.asarray(height_m, dtype=float))
+        sec2 = 1.0 / (c * c)
+        tan2 = np.maximum(sec2 - 1.0, 0.0)
+        tan = np.sqrt(tan2)
+        factor = i0 - (2.0 + 3.0 * tan2) * (i1 / _EARTH_RADIUS_M) - (1.5 * sec2 - 0.5) * i2
+        # z - arcsin(sin z / n): the sine of the difference to second order in N is enough (1e-10 rad)
+        return tan * sec2 * factor, n * tan * (1.0 - n - 0.5 * n * tan2)
+
+    def _at(self, height: Array) -> tuple[Array, tuple[Array, Array, Array]]:
+        index = np.clip((height - self.height_m[0]) / _STEP_M, 0.0, len(self.height_m) - 1.0)
+        below = np.minimum(index.astype(np.int64), len(self.height_m) - 2)
+        f = index - below
+        i0, i1, i2 = (
+            (1.0 - f) * self.integrals[below, k] + f * self.integrals[below + 1, k] for k in range(3)
+        )
+        return (1.0 - f) * self.refractivity[below] + f * self.refractivity[below + 1], (i0, i1, i2)
+
+
+def refractivity_of_air(wavelength_um: float) -> float:
+    """n - 1 of dry air at 15 C, 101 325 Pa and 450 ppm CO2 (Ciddor 1996, eq. 1); 0.3 to 1.7 um."""
+    s2 = wavelength_um**-2.0
+    return 1e-8 * (5_792_105.0 / (238.0185 - s2) + 167_917.0 / (57.362 - s2))
+
+
+@cache
+def standard_atmosphere() -> Atmosphere:
+    """US Standard Atmosphere 1976 at 0.6 um."""
+    height = np.asarray(np.arange(_LOWEST_M, _TOP_M + _STEP_M, _STEP_M))
+    return _with_integrals(height, refractivity_of_air(0.6) * _relative_density_1976(height))
+
+
+def layered_atmosphere(lowest_m: ArrayLike, refractive_index: ArrayLike) -> Atmosphere:
+    """An atmosphere of homogeneous layers, each from its lowest height up to the next (the last without end,
+    n = 1).
+
+    Parameters are (L,), in increasing order of height. This is how some geo-location software states its
+    atmosphere.
+    """
+    lowest, index = np.asarray(lowest_m, dtype=float), np.asarray(refractive_index, dtype=float)
+    if lowest.ndim != 1 or lowest.shape != index.shape or np.any(np.diff(lowest) <= 0.0):
+        raise ValueError("layers need as many refractive indices as heights, in increasing order of height")
+    height = np.arange(lowest[0], lowest[-1] + _STEP_M, _STEP_M)
+    # a step between two samples is met at its middle by the trapezium rule, so it is sampled half a step late
+    return _with_integrals(height, index[np.searchsorted(lowest, height, side="right") - 1] - 1.0)
+
+
+def _with_integrals(height: Array, refractivity: Array) -> Atmosphere:
+    def upwards(integrand: Array) -> Array:
+        pieces = 0.5 * _STEP_M * (integrand[1:] + integrand[:-1])
+        return np.concatenate([np.cumsum(pieces[::-1])[::-1], [0.0]])
+
+    i0, weighted = upwards(refractivity), upwards(refractivity * height)
+    integrals = np.column_stack([i0, weighted - height * i0, upwards(refractivity**2)])
+    return Atmosphere(height, refractivity, integrals)
+
+
+def _relative_density_1976(height_m: Array) -> Array:
+    """Density over its sea-level value (US Standard Atmosphere 1976, table 4 and eqs. 18, 23, 33)."""
+    base_m = np.array([0.0, 11e3, 20e3, 32e3, 47e3, 51e3, 71e3])  # geopotential
+    lapse = np.array([-6.5e-3, 0.0, 1e-3, 2.8e-3, 0.0, -2.8e-3, -2e-3])  # K/m
+    g_over_r = 9.80665 * 28.9644e-3 / 8.31432  # K/m
+    geopotential = 6_356_766.0 * height_m / (6_356_766.0 + height_m)
+    density, temperature, pressure = np.zeros_like(height_m), 288.15, np.array(1.0)
+    for k, (base, rate) in enumerate(zip(base_m, lapse)):
+        top = base_m[k + 1] if k + 1 < len(base_m) else 84_852.0
+        inside = (geopotential >= base if k else True) & (geopotential < top)
+        density = np.where(
+            inside, _layer(geopotential - base, temperature, rate, g_over_r, pressure)[1], density
+        )
+        pressure, _ = _layer(np.array(top - base), temperature, rate, g_over_r, pressure)
+        temperature += rate * (top - base)
+    return density
+
+
+def _layer(
+    above: Array, temperature: float, rate: float, g_over_r: float, pressure: Array | float
+) -> tuple[Array, Array]:
+    """Pressure and density over their sea-level values at a height `above` the layer's base."""
+    here = np.maximum(temperature + rate * above, 100.0)  # outside its layer the formula is not used
+    ratio = (temperature / here) ** (g_over_r / rate) if rate else np.exp(-g_over_r * above / temperature)
+    return pressure * ratio, pressure * ratio * 288.15 / here

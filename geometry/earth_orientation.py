@@ -1,0 +1,139 @@
+"""Earth orientation parameters of the IERS, day by day: UT1, polar motion and celestial pole offsets.
+
+The bundled tables come with the package astropy-iers-data, so nothing is fetched at run time: the final
+series EOP 20 C04 as far as it goes, then the rapid values and predictions of finals2000A (Bulletin A). The
+celestial pole offsets refer to IAU 2006/2000A precession-nutation.
+"""
+
+from __future__ import annotations
+
+import importlib.resources
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geometry.constants import ARCSEC
+from geometry.epoch import tai_minus_utc_s
+
+__all__ = [
+    "EarthOrientationError",
+    "EarthOrientationTable",
+    "EarthOrientationWarning",
+    "bundled_earth_orientation",
+    "expected_prediction_error_m",
+]
+
+Array = NDArray[np.float64]
+
+_MJD_1972 = 41317.0
+_EQUATOR_SPEED = 465.1  # m/s, what one second of UT1 moves on the equator
+_METRES_PER_ARCSEC = 6_371_000.0 * ARCSEC
+
+
+class EarthOrientationError(ValueError):
+    """A date lies outside the Earth-orientation table."""
+
+
+class EarthOrientationWarning(UserWarning):
+    """Earth orientation is extrapolated, or predicted so far ahead that it shows on the ground."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class EarthOrientationTable:
+    """One row a day, at 0h UTC. Values after `mjd_last_measured` are predictions."""
+
+    mjd_utc: Array  # (N,) whole days, increasing by one
+    ut1_utc_s: Array  # (N,) UT1 - UTC, s
+    xp_rad: Array  # (N,) pole coordinates, rad
+    yp_rad: Array
+    dx_rad: Array  # (N,) celestial pole offsets to IAU 2006/2000A, rad
+    dy_rad: Array
+    source: str
+    mjd_last_measured: float
+
+    def __post_init__(self) -> None:
+        n = len(self.mjd_utc)
+        for name in ("mjd_utc", "ut1_utc_s", "xp_rad", "yp_rad", "dx_rad", "dy_rad"):
+            values = getattr(self, name)
+            if values.shape != (n,) or not np.all(np.isfinite(values)):
+                raise ValueError(
+                    f"EarthOrientationTable.{name} must be {n} finite numbers, got {values.shape}"
+                )
+        if n < 4 or not np.all(np.diff(self.mjd_utc) == 1.0) or np.any(self.mjd_utc % 1.0):
+            raise ValueError("EarthOrientationTable.mjd_utc must be at least 4 consecutive whole days")
+
+
+def bundled_earth_orientation() -> EarthOrientationTable:
+    """The tables of the installed astropy-iers-data: EOP 20 C04 from 1972, then finals2000A with its
+    predictions."""
+    package = importlib.resources.files("astropy_iers_data")
+    final = _parse_c04((package / "data" / "eopc04.1962-now").read_text(encoding="utf-8"))
+    rapid, last_measured = _parse_finals((package / "data" / "finals2000A.all").read_text(encoding="ascii"))
+    _check_leap_seconds((package / "data" / "Leap_Second.dat").read_text(encoding="ascii"))
+    final = final[final[:, 0] >= _MJD_1972]
+    table = np.vstack([final, rapid[rapid[:, 0] > final[-1, 0]]])
+    mjd, ut1_utc, xp, yp, dx, dy = np.ascontiguousarray(table.T)
+    return EarthOrientationTable(
+        mjd,
+        ut1_utc,
+        xp,
+        yp,
+        dx,
+        dy,
+        source="astropy-iers-data: EOP 20 C04, then finals2000A",
+        mjd_last_measured=max(final[-1, 0], last_measured),
+    )
+
+
+def expected_prediction_error_m(days_ahead: float) -> float:
+    """1-sigma displacement on the equator of a prediction that reaches so many days past the last
+    measurement.
+
+    IERS Bulletin A states 0.00025 s D^0.75 for UT1 and 0.00068" D^0.80 for each pole coordinate.
+    """
+    days = max(days_ahead, 0.0)
+    ut1_m = 0.00025 * days**0.75 * _EQUATOR_SPEED
+    pole_m = 0.00068 * days**0.80 * _METRES_PER_ARCSEC
+    return float(np.hypot(ut1_m, pole_m))
+
+
+def _parse_c04(text: str) -> Array:
+    """Rows of MJD, UT1 - UTC, xp, yp, dX, dY (s and rad) of an EOP 20 C04 file."""
+    lines = [line.split() for line in text.splitlines() if line.strip() and not line.startswith("#")]
+    columns = np.array([[row[4], row[7], row[5], row[6], row[8], row[9]] for row in lines], dtype=float)
+    columns[:, 2:] *= ARCSEC
+    return columns
+
+
+def _parse_finals(text: str) -> tuple[Array, float]:
+    """The same of finals2000A.all (fixed columns), and the MJD of its last measured UT1.
+
+    Days without a celestial pole offset (the far end of the predictions) take the last one given.
+    """
+    rows, last_measured, pole_offset = [], -np.inf, (0.0, 0.0)
+    for line in text.splitlines():
+        if not line[58:68].strip() or not line[18:27].strip():
+            continue
+        mjd = float(line[7:15])
+        if line[57] == "I":
+            last_measured = mjd
+        if line[97:106].strip() and line[116:125].strip():
+            pole_offset = (1e-3 * float(line[97:106]), 1e-3 * float(line[116:125]))
+        rows.append([mjd, float(line[58:68]), float(line[18:27]), float(line[37:46]), *pole_offset])
+    columns = np.array(rows)
+    columns[:, 2:] *= ARCSEC
+    return columns, last_measured
+
+
+def _check_leap_seconds(text: str) -> None:
+    """The leap seconds that the IERS tables were made with must be those that ERFA knows, or UT1 is off by a
+    second."""
+    for line in text.splitlines():
+        if line.strip() and not line.lstrip().startswith("#"):
+            mjd, *_, offset = line.split()
+            if float(tai_minus_utc_s(float(mjd))) != float(offset):
+                raise EarthOrientationError(
+                    f"TAI - UTC at MJD {mjd} is {offset} s in the IERS tables and "
+                    f"{tai_minus_utc_s(float(mjd))} s in ERFA; install a newer pyerfa"
+                )

@@ -1,0 +1,180 @@
+"""GCRS <-> ITRS for many epochs: IAU 2006/2000A precession-nutation, Earth rotation angle, polar motion.
+
+The slow parts are taken at nodes and interpolated by cubics: X, Y and s every six hours, the
+IERS parameters between their daily values (UT1 as UT1 - TAI, which has no leap seconds). The Earth rotation
+angle is exact at each epoch. Left out: the diurnal and semi-diurnal tides in UT1 and polar motion (<= 0.03 m
+on the ground).
+"""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass
+
+import erfa
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation
+
+from geometry.constants import DAY_S, EARTH_ROTATION_RATE
+from geometry.earth_orientation import (
+    EarthOrientationError,
+    EarthOrientationTable,
+    EarthOrientationWarning,
+    expected_prediction_error_m,
+)
+from geometry.epoch import MJD_ZERO_JD, Epoch, tai_minus_utc_s
+
+__all__ = ["EarthRotation"]
+
+Array = NDArray[np.float64]
+
+_NODE_DAYS = 0.25  # nutation of 9 days and 50 mas is interpolated to 1e-9 rad and better
+_NOTICEABLE_M = 0.1  # predictions whose stated error is larger than this are spoken of
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class EarthRotation:
+    """Rotation between ITRS (e) and GCRS (i) over a stretch of time. Made by `EarthRotation.over`."""
+
+    epoch: Epoch
+    t_start_s: float  # the stretch that was asked for, TAI seconds since `epoch`
+    t_stop_s: float
+    node_mjd_tai: Array  # (K,) nodes of precession-nutation
+    node_xys_rad: Array  # (K, 3) X and Y without offsets, s
+    day_mjd_tai: Array  # (D,) days of the IERS table
+    day_values: Array  # (D, 5) UT1 - TAI (s), xp, yp, dX, dY (rad)
+    omega_e: Array  # (3,) angular velocity of e relative to i, axes of e, rad/s, at the middle of the stretch
+    expected_error_m: (
+        float  # 1-sigma on the equator where the table holds predictions or is extrapolated, else 0
+    )
+
+    @staticmethod
+    def over(
+        epoch: Epoch,
+        t_start_s: float,
+        t_stop_s: float,
+        table: EarthOrientationTable,
+        *,
+        allow_stale_eop: bool = False,
+    ) -> EarthRotation:
+        """Prepare the rotation for `t_start_s` <= t_s <= `t_stop_s` (TAI seconds since `epoch`).
+
+        Raises `EarthOrientationError` for a date outside the table, naming both. With `allow_stale_eop` a
+        date past its end is served by its last values (UT1 going on at its last rate), with a warning that
+        states the size of the effect.
+        """
+        start, stop = (float(epoch.mjd_tai(t)) for t in (t_start_s, t_stop_s))
+        if not start <= stop:
+            raise ValueError(f"t_start_s must not be after t_stop_s, got {t_start_s} and {t_stop_s}")
+        error_m = _check_dates(epoch, t_start_s, t_stop_s, table, allow_stale_eop)
+        days, values = _daily_values(table, start, stop)
+        nodes = np.arange(np.floor(start / _NODE_DAYS) - 1, np.ceil(stop / _NODE_DAYS) + 2) * _NODE_DAYS
+        nodes = nodes if len(nodes) >= 4 else nodes[0] + _NODE_DAYS * np.arange(4)
+        xys = np.stack(erfa.xys06a(MJD_ZERO_JD, nodes + (32.184 / DAY_S)), axis=-1)
+        omega_e = _angular_velocity(days, values, 0.5 * (start + stop))
+        return EarthRotation(
+            epoch, float(t_start_s), float(t_stop_s), nodes, xys, days, values, omega_e, error_m
+        )
+
+    def matrices_ie(self, t_s: ArrayLike) -> Array:
+        """Matrices that take ITRS to GCRS, (N, 3, 3), at `t_s` (N,). `ValueError` outside the stretch."""
+        t = np.atleast_1d(np.asarray(t_s, dtype=float))
+        self._check_inside(t)
+        mjd = self.epoch.mjd_tai(t)
+        x, y, s = _cubic(self.node_mjd_tai, self.node_xys_rad, mjd).T
+        ut1_tai_s, xp, yp, dx, dy = _cubic(self.day_mjd_tai, self.day_values, mjd).T
+        day, days_since = self.epoch.tai_jd(t)
+        era = erfa.era00(day, days_since + ut1_tai_s / DAY_S)
+        tt_day, tt_since = self.epoch.tt_jd(t)
+        polar_motion = erfa.pom00(xp, yp, erfa.sp00(tt_day, tt_since))
+        celestial = erfa.c2ixys(x + dx, y + dy, s)
+        return np.asarray(np.swapaxes(erfa.c2tcio(celestial, era, polar_motion), -1, -2))
+
+    def rotations_ie(self, t_s: ArrayLike) -> Rotation:
+        """`R_ie`, ITRS to GCRS, at `t_s` (N,)."""
+        return Rotation.from_matrix(self.matrices_ie(t_s))
+
+    def _check_inside(self, t: Array) -> None:
+        slack = 1e-3  # s, light times and rounding
+        if t.size and not (t.min() >= self.t_start_s - slack and t.max() <= self.t_stop_s + slack):
+            raise ValueError(
+                f"Earth rotation was prepared for {self.t_start_s:.3f} to {self.t_stop_s:.3f} s, "
+                f"asked for {t.min():.3f} to {t.max():.3f} s"
+            )
+
+
+def _check_dates(
+    epoch: Epoch, t_start_s: float, t_stop_s: float, table: EarthOrientationTable, allow_stale: bool
+) -> float:
+    """Refuse dates outside the table; return the expected error on the equator, m, of what is not
+    measured."""
+    first, last = table.mjd_utc[0], table.mjd_utc[-1]
+    start, stop = (float(epoch.mjd_tai(t)) - 37.0 / DAY_S for t in (t_start_s, t_stop_s))
+    span = f"the Earth-orientation table ({table.source}) holds {_date(first)} to {_date(last)}"
+    if start < first:
+        raise EarthOrientationError(f"{epoch.utc_from_seconds(t_start_s)[0]} is before the table: {span}")
+    error_m = expected_prediction_error_m(stop - table.mjd_last_measured)
+    if stop > last and not allow_stale:
+        raise EarthOrientationError(
+            f"{epoch.utc_from_seconds(t_stop_s)[0]} is past the table: {span}; "
+            f"install a newer astropy-iers-data, or allow stale Earth orientation "
+            f"(about {error_m:.1f} m on the ground)"
+        )
+    if stop > last or error_m > _NOTICEABLE_M:
+        what = "extrapolated" if stop > last else "predicted"
+        warnings.warn(
+            f"Earth orientation at {epoch.utc_from_seconds(t_stop_s)[0]} is {what}: "
+            f"expected error {error_m:.2f} m on the equator (1 sigma); measured until {_date(table.mjd_last_measured)}, {span}",
+            EarthOrientationWarning,
+            stacklevel=3,
+        )
+    return error_m
+
+
+def _date(mjd: float) -> str:
+    year, month, day, _ = erfa.jd2cal(MJD_ZERO_JD, mjd)
+    return f"{int(year):04d}-{int(month):02d}-{int(day):02d}"
+
+
+def _daily_values(table: EarthOrientationTable, start: float, stop: float) -> tuple[Array, Array]:
+    """Table rows around a stretch, on TAI, with UT1 - TAI; past the end the last row goes on (UT1 at its last
+    rate)."""
+    tai_utc = tai_minus_utc_s(table.mjd_utc)
+    days = table.mjd_utc + tai_utc / DAY_S
+    values = np.column_stack(
+        [table.ut1_utc_s - tai_utc, table.xp_rad, table.yp_rad, table.dx_rad, table.dy_rad]
+    )
+    if (missing := int(np.ceil(stop - days[-1])) + 2) > 0:
+        step = np.arange(1, missing + 1)
+        more = np.repeat(values[-1:], missing, axis=0)
+        more[:, 0] += (values[-1, 0] - values[-8, 0]) / 7.0 * step
+        days, values = np.concatenate([days, days[-1] + step]), np.vstack([values, more])
+    low = max(int(np.searchsorted(days, start)) - 3, 0)
+    high = max(int(np.searchsorted(days, stop)) + 3, low + 4)
+    return days[low:high], values[low:high]
+
+
+def _angular_velocity(days: Array, values: Array, mjd: float) -> Array:
+    """Angular velocity of the ITRS in its own axes: the pole of rotation, and the rate with the length of
+    day."""
+    about = np.array([mjd - 0.5, mjd, mjd + 0.5])
+    before, middle, after = _cubic(days, values, np.clip(about, days[0], days[-1]))
+    ut1_rate = (after[0] - before[0]) / (np.ptp(np.clip(about[[0, 2]], days[0], days[-1])) * DAY_S)
+    pole_e = erfa.pom00(middle[1], middle[2], 0.0) @ np.array([0.0, 0.0, 1.0])
+    return np.asarray(EARTH_ROTATION_RATE * (1.0 + ut1_rate) * pole_e)
+
+
+def _cubic(nodes: Array, values: Array, at: Array) -> Array:
+    """Lagrange polynomials through the four nodes around each point: nodes (K,), values (K, M), at (N,); (N,
+    M)."""
+    first = np.clip(np.searchsorted(nodes, at) - 2, 0, len(nodes) - 4)
+    result = np.zeros((len(at), values.shape[1]))
+    away = [at - nodes[first + k] for k in range(4)]
+    for k in range(4):
+        weight = np.ones(len(at))
+        for other in range(4):
+            if other != k:
+                weight *= away[other] / (nodes[first + k] - nodes[first + other])
+        result += weight[:, None] * values[first + k]
+    return result

@@ -1,0 +1,169 @@
+"""Instants: seconds of International Atomic Time (TAI) from a stated epoch, and their names in UTC, TT and
+GPS time.
+
+Inside the program an instant is `t_s`, a float of TAI seconds since an `Epoch`. An `Epoch` is a whole TAI
+second near the observations, so that `t_s` stays small and keeps better than a nanosecond. UTC, with its leap
+seconds, is met only where text comes in or goes out. UTC before 1972 (when it was not whole seconds from TAI)
+is refused.
+
+Scales: TT = TAI + 32.184 s; GPS time = TAI - 19 s; UTC = TAI - (10 ... 37 s) by the table of leap seconds in
+ERFA.
+"""
+
+from __future__ import annotations
+
+import datetime
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+
+import erfa
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from geometry.constants import DAY_S
+
+__all__ = ["GPS_MINUS_TAI_S", "TT_MINUS_TAI_S", "Epoch", "tai_minus_utc_s"]
+
+Array = NDArray[np.float64]
+
+TT_MINUS_TAI_S = 32.184  # s, IAU 1991 Recommendation IV
+GPS_MINUS_TAI_S = -19  # s, IS-GPS-200: GPS time met UTC on 1980-01-06
+J2000_JD = 2451545.0  # 2000-01-01T12:00:00, the origin of `Epoch.tai_s`
+MJD_ZERO_JD = 2400000.5
+MJD_OF_ORIGIN = 51544  # the day whose noon is the origin
+_DAY = 86_400
+_NOON = 43_200
+_GPS_ORIGIN_TAI_S = (44244 - MJD_OF_ORIGIN) * _DAY - _NOON - GPS_MINUS_TAI_S  # 1980-01-06T00:00:00 GPS time
+_MJD_1972 = 41317
+_DATE_TIME = re.compile(r"(\d{4})-(\d{2})-(\d{2})(?:[T ](\d{2}):(\d{2}):(\d{2})(?:\.(\d{1,18}))?)?Z?")
+_MODIFIED_JULIAN_ZERO = datetime.date(1858, 11, 17).toordinal()
+
+
+@dataclass(frozen=True, slots=True, order=True)
+class Epoch:
+    """A whole TAI second, counted from 2000-01-01T12:00:00 TAI. Times near it are float seconds since it."""
+
+    tai_s: int
+
+    @staticmethod
+    def from_utc(utc: str) -> Epoch:
+        """The whole TAI second at or before a UTC date and time in ISO form, `2024-06-30T23:59:60.5Z`.
+
+        Raises `ValueError` for text of another form, a day that is not in the calendar, second 60 where no
+        leap second was inserted, and any date before 1972.
+        """
+        return Epoch(_tai_from_utc(utc)[0])
+
+    @staticmethod
+    def from_gps(week: int, seconds_of_week: int) -> Epoch:
+        """The epoch at whole `seconds_of_week` of the GPS week `week` (full count since 1980-01-06, no
+        rollover)."""
+        return Epoch(_GPS_ORIGIN_TAI_S + week * 7 * _DAY + seconds_of_week)
+
+    def seconds_from_utc(self, utc: Sequence[str]) -> Array:
+        """TAI seconds since this epoch of UTC dates in ISO form; (N,). Errors as in `from_utc`."""
+        parts = [_tai_from_utc(text) for text in utc]
+        whole = np.array([second - self.tai_s for second, _ in parts], dtype=float)
+        return whole + np.array([fraction for _, fraction in parts], dtype=float)
+
+    def utc_from_seconds(self, t_s: ArrayLike) -> list[str]:
+        """UTC in ISO form with nine decimals (rounded to the nanosecond) of TAI seconds since this epoch."""
+        seconds = np.atleast_1d(np.asarray(t_s, dtype=float))
+        whole = np.floor(seconds)
+        nanoseconds = np.rint((seconds - whole) * 1e9).astype(np.int64)
+        return [
+            _utc_from_tai(self.tai_s + int(second) + int(nano) // 10**9, int(nano) % 10**9)
+            for second, nano in zip(whole, nanoseconds)
+        ]
+
+    def seconds_from_gps(self, week: ArrayLike, seconds_of_week: ArrayLike) -> Array:
+        """TAI seconds since this epoch of GPS weeks (full count) and seconds of week."""
+        whole = np.asarray(week, dtype=np.int64) * (7 * _DAY) + (_GPS_ORIGIN_TAI_S - self.tai_s)
+        return whole + np.asarray(seconds_of_week, dtype=float)
+
+    def gps_from_seconds(self, t_s: ArrayLike) -> tuple[NDArray[np.int64], Array]:
+        """GPS week (full count) and seconds of week of TAI seconds since this epoch."""
+        seconds = np.asarray(t_s, dtype=float)
+        offset = self.tai_s - _GPS_ORIGIN_TAI_S
+        week = np.floor_divide(seconds + offset, 7 * _DAY).astype(np.int64)
+        return week, seconds + (offset - week * (7 * _DAY))
+
+    def tai_jd(self, t_s: ArrayLike) -> tuple[Array, Array]:
+        """Two-part Julian date (TAI): the date of the epoch's noon, and the days since then (1e-11 s
+        kept)."""
+        day, second = divmod(self.tai_s, _DAY)
+        t = np.asarray(t_s, dtype=float)
+        return np.full(t.shape, J2000_JD + day), (t + second) / DAY_S
+
+    def tt_jd(self, t_s: ArrayLike) -> tuple[Array, Array]:
+        """Two-part Julian date in Terrestrial Time; as `tai_jd`."""
+        day, days_since = self.tai_jd(t_s)
+        return day, days_since + TT_MINUS_TAI_S / DAY_S
+
+    def julian_year(self, t_s: ArrayLike) -> Array:
+        """Julian epoch (TT), as in J1991.25."""
+        day, days_since = self.tt_jd(t_s)
+        return np.asarray(2000.0 + ((day - J2000_JD) + days_since) / 365.25)
+
+    def mjd_tai(self, t_s: ArrayLike) -> Array:
+        """Modified Julian date (TAI) as one float, good to a microsecond: for looking up slow tables."""
+        day, days_since = self.tai_jd(t_s)
+        return np.asarray((day - MJD_ZERO_JD) + days_since)
+
+
+def tai_minus_utc_s(mjd_utc: ArrayLike) -> Array:
+    """TAI - UTC, whole seconds, that holds on UTC days given as modified Julian dates; 1972 and later."""
+    days, offsets = _leap_seconds()
+    index = np.searchsorted(days, np.floor(np.asarray(mjd_utc, dtype=float)), side="right") - 1
+    if np.any(index < 0):
+        raise ValueError(f"UTC before 1972-01-01 (MJD {days[0]}) is not supported")
+    return np.asarray(offsets[index], dtype=float)
+
+
+@cache
+def _leap_seconds() -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """MJD of the first day on which each TAI - UTC holds, and that TAI - UTC."""
+    table = [row for row in erfa.leap_seconds.get() if row["year"] >= 1972]
+    days = [_mjd(int(row["year"]), int(row["month"]), 1) for row in table]
+    return np.array(days), np.array([round(float(row["tai_utc"])) for row in table])
+
+
+def _mjd(year: int, month: int, day: int) -> int:
+    return datetime.date(year, month, day).toordinal() - _MODIFIED_JULIAN_ZERO
+
+
+def _tai_from_utc(text: str) -> tuple[int, float]:
+    """TAI seconds since the origin: whole and fraction."""
+    match = _DATE_TIME.fullmatch(text.strip())
+    if match is None:
+        raise ValueError(f"UTC must look like 2024-06-30T23:59:59.123456789, found {text!r}")
+    year, month, day, hour, minute, second = (int(group or 0) for group in match.groups()[:6])
+    try:
+        mjd = _mjd(year, month, day)
+    except ValueError as error:
+        raise ValueError(f"UTC {text!r}: {error}") from None
+    if mjd < _MJD_1972:
+        raise ValueError(f"UTC {text!r}: dates before 1972-01-01 are not supported")
+    offset = int(tai_minus_utc_s(mjd))
+    last_second = 60 if int(tai_minus_utc_s(mjd + 1)) > offset and (hour, minute) == (23, 59) else 59
+    if hour > 23 or minute > 59 or second > last_second:
+        raise ValueError(f"UTC {text!r}: no such time of day (no leap second is known there)")
+    whole = (mjd - MJD_OF_ORIGIN) * _DAY + hour * 3600 + minute * 60 + second + offset - _NOON
+    return whole, float(f"0.{match.group(7) or 0}")
+
+
+def _utc_from_tai(tai_s: int, nanosecond: int) -> str:
+    days, offsets = _leap_seconds()
+    starts = (days - MJD_OF_ORIGIN) * _DAY - _NOON + offsets  # TAI at which each offset begins to hold
+    index = int(np.searchsorted(starts, tai_s, side="right")) - 1
+    if index < 0:
+        raise ValueError("UTC before 1972-01-01 is not supported")
+    in_leap_second = index + 1 < len(starts) and tai_s >= starts[index + 1] - 1
+    utc = tai_s + _NOON - int(offsets[index]) - int(in_leap_second)
+    day, second = divmod(utc, _DAY)
+    date = datetime.date.fromordinal(day + MJD_OF_ORIGIN + _MODIFIED_JULIAN_ZERO)
+    hour, second = divmod(second, 3600)
+    minute, second = divmod(second, 60)
+    return f"{date.isoformat()}T{hour:02d}:{minute:02d}:{second + int(in_leap_second):02d}.{nanosecond:09d}"

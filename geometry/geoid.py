@@ -1,0 +1,105 @@
+"""Height of the geoid above the WGS84 ellipsoid, from a global or regional grid of latitude and longitude.
+
+Orthometric height H (above mean sea level) + undulation = ellipsoidal height. EGM96 on its 5' grid is part of
+the package; `geometry/data/README.md` says where it is from. Between grid points a bicubic convolution serves
+(Keys 1981).
+"""
+
+from __future__ import annotations
+
+import importlib.resources
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+__all__ = ["Geoid", "egm96"]
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Geoid:
+    """Undulations on a regular grid of latitude and longitude.
+
+    `undulations_m[r, c]` holds at latitude `lat_first_rad + r step_lat_rad` and longitude `lon_first_rad +
+    c step_lon_rad`; a step may be negative (north-up rasters). A grid that goes around the whole Earth closes
+    on itself, with or without a repeated last column.
+    """
+
+    undulations_m: NDArray[np.float32]  # (rows, columns)
+    lat_first_rad: float
+    lon_first_rad: float
+    step_lat_rad: float
+    step_lon_rad: float
+
+    def __post_init__(self) -> None:
+        if self.undulations_m.ndim != 2 or min(self.undulations_m.shape) < 2:
+            raise ValueError(f"a geoid grid needs at least 2 x 2 points, got {self.undulations_m.shape}")
+        if not np.all(np.isfinite(self.undulations_m)):
+            raise ValueError("a geoid grid must not have missing values")
+
+    def undulation_m(self, lat_rad: ArrayLike, lon_rad: ArrayLike) -> Array:
+        """Height of the geoid above the ellipsoid, m, same shape as the arguments broadcast together.
+
+        Longitude may be given in any turn. Raises `ValueError` for a place outside the grid.
+        """
+        lat, lon = np.broadcast_arrays(np.asarray(lat_rad, float), np.asarray(lon_rad, float))
+        rows, columns = self.undulations_m.shape
+        turn = round(2.0 * np.pi / abs(self.step_lon_rad))
+        closed = columns >= turn
+        row = (lat - self.lat_first_rad) / self.step_lat_rad
+        column = (lon - self.lon_first_rad) / self.step_lon_rad
+        column = np.mod(column, 2.0 * np.pi / abs(self.step_lon_rad))
+        slack = 1e-6
+        outside = (row < -slack) | (row > rows - 1 + slack)
+        if not closed:
+            outside |= column > columns - 1 + slack
+        if np.any(outside):
+            where = int(np.argmax(np.ravel(outside)))
+            raise ValueError(
+                f"latitude {np.degrees(np.ravel(lat)[where]):.6f}, "
+                f"longitude {np.degrees(np.ravel(lon)[where]):.6f} deg is outside the geoid grid"
+            )
+        return self._bicubic(np.clip(row, 0.0, rows - 1.0), column, turn if closed else 0)
+
+    def _bicubic(self, row: Array, column: Array, turn: int) -> Array:
+        rows, columns = self.undulations_m.shape
+        r0 = np.clip(np.floor(row).astype(np.int64), 0, rows - 2)
+        c0 = np.floor(column).astype(np.int64)
+        c0 = c0 if turn else np.clip(c0, 0, columns - 2)
+        row_weights, column_weights = _keys_weights(row - r0), _keys_weights(column - c0)
+        result = np.zeros(row.shape)
+        for i in range(4):
+            r = np.clip(r0 + (i - 1), 0, rows - 1)
+            line = np.zeros(row.shape)
+            for j in range(4):
+                c = np.mod(c0 + (j - 1), turn) if turn else np.clip(c0 + (j - 1), 0, columns - 1)
+                line += column_weights[j] * self.undulations_m[r, c]
+            result += row_weights[i] * line
+        return result
+
+
+@cache
+def egm96() -> Geoid:
+    """EGM96 (NIMA/NASA 1998) on the 5' grid that ships with the package; values are whole centimetres."""
+    path = importlib.resources.files("geometry") / "data" / "egm96-5.npz"
+    with path.open("rb") as file, np.load(file) as stored:
+        # Second differences in centimetres along longitude, then latitude: two running sums give the values
+        # back.
+        centimetres = np.cumsum(stored["undulation_d2"], axis=0, dtype=np.int32)
+    np.cumsum(centimetres, axis=1, out=centimetres)
+    step = np.radians(1.0 / 12.0)
+    return Geoid((0.01 * centimetres).astype(np.float32), -0.5 * np.pi, -np.pi, step, step)
+
+
+def _keys_weights(fraction: Array) -> tuple[Array, Array, Array, Array]:
+    """Weights of points -1, 0, 1, 2 of cubic convolution with a = -1/2 (Keys 1981, eq. 15)."""
+    f = fraction
+    return (
+        ((-0.5 * f + 1.0) * f - 0.5) * f,
+        (1.5 * f - 2.5) * f * f + 1.0,
+        ((-1.5 * f + 2.0) * f + 0.5) * f,
+        (0.5 * f - 0.5) * f * f,
+    )

@@ -1,0 +1,100 @@
+"""Where stars are seen from a moving satellite: from catalogue places to apparent directions in the GCRS.
+
+Space motion from the catalogue's epoch (a straight line in space, radial velocity included), parallax,
+bending of light by the Sun, and aberration by the satellite's barycentric velocity: the Earth's (ERFA's
+`epv00`) plus its own. All through ERFA's routines for astrometry. Bending by planets (0.02" at Jupiter's
+limb) and by the Earth (0.0006" at its limb) is left out.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import erfa
+import numpy as np
+from numpy.typing import NDArray
+
+from geometry.epoch import Epoch
+
+__all__ = ["StarPlaces", "apparent_star_directions", "apparent_star_directions_at"]
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StarPlaces:
+    """Catalogue places of stars, ICRS at `epoch_jyear`. Row n of every array speaks of the same star."""
+
+    hip: NDArray[np.int64]  # (N,) Hipparcos numbers
+    ra_rad: Array  # (N,) right ascension and declination
+    dec_rad: Array
+    pm_ra_rad_yr: Array  # (N,) d(alpha)/dt, without the factor cos(delta), rad per Julian year
+    pm_dec_rad_yr: Array  # (N,) rad per Julian year
+    parallax_arcsec: Array  # (N,) one below zero, which only noise makes, is taken as zero
+    radial_velocity_km_s: Array  # (N,) positive when receding; 0 where unknown
+    v_mag: Array  # (N,)
+    b_v: Array  # (N,) colour index B - V
+    epoch_jyear: float  # Julian epoch of the places, 1991.25 for Hipparcos
+
+    def __post_init__(self) -> None:
+        n = len(self.hip)
+        for field in fields(self):
+            shape = np.shape(getattr(self, field.name))
+            if field.name != "epoch_jyear" and shape != (n,):
+                raise ValueError(f"StarPlaces.{field.name} must have shape ({n},), got {shape}")
+
+    def take(self, index: NDArray[np.int64] | NDArray[np.bool_]) -> StarPlaces:
+        """The stars that an index array or a mask picks."""
+        arrays = {f.name: getattr(self, f.name)[index] for f in fields(self) if f.name != "epoch_jyear"}
+        return StarPlaces(**arrays, epoch_jyear=self.epoch_jyear)
+
+
+def apparent_star_directions(stars: StarPlaces, epoch: Epoch, t_s: float, p_i: Array, v_i: Array) -> Array:
+    """Unit vectors, GCRS axes, towards stars as a satellite sees them.
+
+    Parameters
+    ----------
+    stars : StarPlaces
+        N stars.
+    epoch, t_s : Epoch, float
+        Instant of observation, TAI seconds since `epoch`.
+    p_i, v_i : (3,) arrays
+        Geocentric position (m) and velocity (m/s) of the satellite, GCRS.
+
+    Returns
+    -------
+    u_i : (N, 3) array
+    """
+    times = np.array([t_s], dtype=float)
+    return apparent_star_directions_at(stars, epoch, times, np.reshape(p_i, (1, 3)), np.reshape(v_i, (1, 3)))[
+        0
+    ]
+
+
+def apparent_star_directions_at(stars: StarPlaces, epoch: Epoch, t_s: Array, p_i: Array, v_i: Array) -> Array:
+    """The same for T instants `t_s` (T,), positions and velocities (T, 3); returns (T, N, 3)."""
+    astrom = _observer(epoch, t_s, p_i, v_i)
+    years = epoch.julian_year(t_s) - stars.epoch_jyear
+    parallax = np.maximum(stars.parallax_arcsec, 0.0)
+    u_i = np.empty((len(t_s), len(stars.hip), 3))
+    for k, (observer, dt) in enumerate(zip(astrom, years)):
+        coordinate = erfa.pmpx(
+            stars.ra_rad,
+            stars.dec_rad,
+            stars.pm_ra_rad_yr,
+            stars.pm_dec_rad_yr,
+            parallax,
+            stars.radial_velocity_km_s,
+            dt,
+            observer["eb"],
+        )
+        natural = erfa.ldsun(coordinate, observer["eh"], observer["em"])
+        u_i[k] = erfa.ab(natural, observer["v"], observer["em"], observer["bm1"])
+    return u_i
+
+
+def _observer(epoch: Epoch, t_s: Array, p_i: Array, v_i: Array) -> NDArray[np.void]:
+    """ERFA's star-independent parameters for a satellite (TT serves for TDB: 2 ms at most)."""
+    pv = np.zeros(len(t_s), dtype=erfa.dt_pv)
+    pv["p"], pv["v"] = p_i, v_i
+    return np.asarray(erfa.apcs13(*epoch.tt_jd(np.asarray(t_s, dtype=float)), pv))
