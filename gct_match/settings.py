@@ -11,10 +11,14 @@ __all__ = ["MatchSettings"]
 class MatchSettings:
     """One default for every sensor; each value with its unit and the reason for it."""
 
-    template_px: int = 128  # side of the predicted template: the bound falls as 1/side, the cost grows as side²
+    template_px: int = (
+        128  # side of the predicted template: the bound falls as 1/side, the cost grows as side²
+    )
     smallest_template_px: int = 32  # below, a texture is seldom unique within a search window
     margin_px: int = 12  # search radius of the fine stage: three times what the vote leaves over
-    mtf_at_nyquist: float = 0.15  # of the camera, optics with detector and smear (usual design value 0.1 to 0.2)
+    mtf_at_nyquist: float = (
+        0.15  # of the camera, optics with detector and smear (usual design value 0.1 to 0.2)
+    )
     chip_mtf_at_nyquist: float = 0.3  # of the chip at its own grid: an ortho-image that was resampled once
     sigmas: float = 3.0  # half-width of the search in standard errors of the installation matrix
     candidates: int = 20  # peaks per target and CCD that take part in the vote
@@ -24,5 +28,7 @@ class MatchSettings:
     probability_chance: float = 1e-6  # a vote that chance would give more often than this is no vote
     probability_wrong: float = 1e-4  # a place that is more likely wrong than this is refused
     sigma_px: float = 0.25  # a target whose texture cannot place it better than this is refused
-    consistency_sigma_px: float = 0.5  # what position, clock and terrain may move a target off the common rotation
+    consistency_sigma_px: float = (
+        0.5  # what position, clock and terrain may move a target off the common rotation
+    )
     saturation: float = float("inf")  # grey values from here on are not used
