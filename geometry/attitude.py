@@ -25,6 +25,10 @@ Array = NDArray[np.float64]
 class Attitude(Protocol):
     """Attitude as a function of time."""
 
+    @property
+    def span_s(self) -> tuple[float, float]:
+        """First and last instant at which it is known, TAI seconds since the epoch."""
+
     def R_si(self, t_s: ArrayLike) -> Rotation:
         """The rotation from GCRS to frame s at each instant (N,)."""
 
@@ -73,6 +77,12 @@ class AttitudeTrack:
         R_so = self.R_si_nodes * self.nominal.R_oi(self.t_s).inv()
         object.__setattr__(self, "_R_so_middle", R_so[k // 2])
         object.__setattr__(self, "_turn_s", (R_so * R_so[k // 2].inv()).as_rotvec())
+
+    @property
+    def span_s(self) -> tuple[float, float]:
+        """From half a step before the first exposure to half a step after the last."""
+        t = self.t_s
+        return float(t[0] - 0.5 * (t[1] - t[0])), float(t[-1] + 0.5 * (t[-1] - t[-2]))
 
     def R_si(self, t_s: ArrayLike) -> Rotation:
         """Attitudes at instants (N,); `ValueError` more than half a step outside the exposures."""

@@ -83,6 +83,11 @@ class Orbit:
         """How many nodes one polynomial runs through."""
         return self.degree + 1 if self.method == "lagrange" else (self.degree + 2) // 2
 
+    @property
+    def span_s(self) -> tuple[float, float]:
+        """First and last node; there may be gaps between them."""
+        return float(self.t_s[0]), float(self.t_s[-1])
+
     def positions_i(self, t_s: ArrayLike) -> Array:
         """Positions (N, 3) in GCRS, m, at instants (N,)."""
         t = _instants(t_s)

@@ -1,0 +1,303 @@
+"""The rigorous model of a pushbroom strip: pixel of a CCD and row <-> direction in space <-> point on the
+ground.
+
+A row is an instant: orbit, Earth rotation and attitude are those of the middle of its exposure. Directions
+are as seen from the moving satellite (`geometry.groundlight`), frames i = GCRS, e = ITRS, s = star camera, c
+= remote-sensing camera; image points are (sample, line) in a CCD's raw image. Everything takes arrays of
+points and works through them together; orbit and attitude are read from a table over the rows
+(`geometry.row_table`) when the points are many.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Protocol, cast
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation
+
+from geometry.attitude import Attitude
+from geometry.constants import WGS84
+from geometry.earth_rotation import EarthRotation
+from geometry.geodesy import geodetic_from_ecef
+from geometry.groundlight import LightEffects, OrbitLike, apparent_ground_directions, emission_rays_e
+from geometry.line_camera import LineSensor
+from geometry.row_table import RowTable, tabulated
+from geometry.terrain import ConstantHeight, Surface, intersect
+
+__all__ = ["OrbitOverTime", "Pushbroom", "RowClock"]
+
+Array = NDArray[np.float64]
+
+_POSITION_M = 1e-8  # what the table over the rows may be wrong by
+_VELOCITY_M_S = 1e-6
+_ROTATION = 2e-14
+_TOLERANCE = np.repeat([_POSITION_M, _VELOCITY_M_S, _ROTATION], [3, 3, 9])
+_CHUNK = 16_384  # points at a time: their arrays stay in the cache
+_FEW = 64  # points that are looked for without a guess, to give the others one
+_SCAN = 65  # lines at which such points are looked for
+_SECANT_STEPS = 12
+_MOVED_PX = 1e-2
+_FOUND_PX = 1e-7
+_HEIGHT_STEP_M = 1.0  # a line of sight made for this height is good for ground so much higher or lower
+
+
+class OrbitOverTime(OrbitLike, Protocol):
+    """Geocentric inertial states, and the instants between which they are known."""
+
+    @property
+    def span_s(self) -> tuple[float, float]: ...
+
+
+@dataclass(frozen=True, slots=True)
+class RowClock:
+    """When rows were taken: line 0 at `t_first_row_s`, each next one `row_period_s` later. TAI seconds."""
+
+    t_first_row_s: float
+    row_period_s: float
+
+    def __post_init__(self) -> None:
+        if not self.row_period_s > 0.0:
+            raise ValueError(f"RowClock.row_period_s must be positive, got {self.row_period_s}")
+
+    def instant(self, line: ArrayLike) -> Array:
+        """The time label of lines (fractional ones included), TAI seconds since the epoch."""
+        return self.t_first_row_s + np.asarray(line, dtype=float) * self.row_period_s
+
+    def line(self, t_s: ArrayLike) -> Array:
+        """The fractional line of instants: inverse of `instant`."""
+        return (np.asarray(t_s, dtype=float) - self.t_first_row_s) / self.row_period_s
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _States:
+    """Satellite and camera at N instants, in axes e of each instant."""
+
+    p_e: Array  # (N, 3) m
+    v_e: Array  # (N, 3) velocity in the inertial frame, m/s
+    R_ec: Array  # (N, 3, 3)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _InAxesE:
+    """States dressed as an orbit and an Earth whose inertial axes are those of frame e at each instant."""
+
+    states: _States
+    omega_e: Array
+
+    def positions_i(self, t_s: Array) -> Array:
+        return self.states.p_e
+
+    def velocities_i(self, t_s: Array) -> Array:
+        return self.states.v_e
+
+    def matrices_ie(self, t_s: Array) -> Array:
+        return np.broadcast_to(np.eye(3), (len(t_s), 3, 3))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Pushbroom:
+    """One strip of a pushbroom camera on a satellite."""
+
+    camera: LineSensor
+    rows: RowClock
+    orbit: OrbitOverTime
+    earth: EarthRotation
+    attitude: Attitude
+    R_cs: Rotation
+    effects: LightEffects
+    table: RowTable | None = None  # made by `tabulated`
+
+    def with_installation(self, R_cs: Rotation) -> Pushbroom:
+        """The same strip with another installation matrix."""
+        return replace(self, R_cs=R_cs, table=None)
+
+    def tabulated(self, first_line: float, last_line: float) -> Pushbroom:
+        """The same strip with orbit and attitude tabulated between two lines: worth it before many small
+        calls.
+        """
+        table = tabulated(self._exact_states, first_line, last_line, _TOLERANCE)
+        return replace(self, table=table)
+
+    def instants(self, line: ArrayLike) -> Array:
+        """Middle of the exposure of lines (N,), TAI seconds since the epoch."""
+        return self.rows.instant(line) + self.camera.delay_to_middle_s(self.rows.row_period_s)
+
+    def look_i(self, ccd: int, sample: ArrayLike, line: ArrayLike) -> tuple[Array, Array]:
+        """Apparent directions u_i (N, 3) of pixels, and their instants (N,)."""
+        sample, line = _pixels(sample, line)
+        t_s = self.instants(line)
+        u_s = self.R_cs.inv().apply(self.camera.directions_from_pixels(ccd, sample))
+        return self.attitude.R_si(t_s).inv().apply(u_s), t_s
+
+    def ground_points(self, ccd: int, sample: ArrayLike, line: ArrayLike, surface: Surface) -> Array:
+        """Where pixels look at the ground: p_e (N, 3), m; NaN where the line of sight meets no surface."""
+        sample, line = _pixels(sample, line)
+        model = self._for_many(line)
+        p_e = np.empty((len(line), 3))
+        for part in _chunks(len(line)):
+            states = model._states(line[part])
+            u_c = self.camera.directions_from_pixels(ccd, sample[part])
+            u_e = np.einsum("nij,nj->ni", states.R_ec, u_c)
+            p_e[part] = self._meet(u_e, states, surface)
+        return p_e
+
+    def pixels_from_ground(self, ccd: int, p_e: ArrayLike) -> tuple[Array, Array]:
+        """The pixels (sample (N,), line (N,)) in which ground points (N, 3) appear, to 1e-6 px.
+
+        They may lie off the detector's ends (the caller compares with `camera.n_px`); NaN where a point is
+        never seen while orbit and attitude are known, or stands behind the horizon.
+        """
+        p = np.asarray(p_e, dtype=float)
+        if p.ndim != 2 or p.shape[1] != 3:
+            raise ValueError(f"p_e must have shape (N, 3), got {p.shape}")
+        sample, line = np.full(len(p), np.nan), np.full(len(p), np.nan)
+        good = np.flatnonzero(np.isfinite(p).all(axis=1))
+        if len(good) == 0:
+            return sample, line
+        few = good[:: max(1, len(good) // _FEW)]
+        sample[few], line[few] = self._found_from_scan(ccd, p[few])
+        rest = np.setdiff1d(good, few)
+        if len(rest):
+            guess = _affine_guess(p[few], line[few], p[rest])
+            model = self._for_many(np.concatenate([guess, line[few]]))
+            for part in _chunks(len(rest)):
+                into = rest[part]
+                sample[into], line[into] = model._found(ccd, p[into], guess[part])
+            lost = rest[np.isnan(line[rest])]
+            sample[lost], line[lost] = self._found_from_scan(ccd, p[lost])
+        return sample, line
+
+    def pixel_jacobian(self, ccd: int, sample: ArrayLike, line: ArrayLike, *, height_m: float = 0.0) -> Array:
+        """d u_c / d(sample, line), (N, 3, 2), rad/px: what a shift of a pixel means for its look direction.
+
+        Along the line it is the motion, in frame c, of the ground that the pixel looks at (orbit, Earth
+        rotation and attitude together), for ground at `height_m` above the ellipsoid. A covariance of a place
+        in the image (2, 2) px^2 becomes that of its direction: `J C J^T` (3, 3) rad^2.
+        """
+        sample, line = _pixels(sample, line)
+        ground = self.ground_points(ccd, sample, line, ConstantHeight(height_m))
+        before, after = (self._apparent_c(ground, self._states(line + half))[0] for half in (-0.5, 0.5))
+        return np.stack([self.camera.sample_jacobian(ccd, sample), before - after], axis=-1)
+
+    def _found_from_scan(self, ccd: int, p_e: Array) -> tuple[Array, Array]:
+        """Pixels of points about which nothing is known: search the whole span, then close in."""
+        first, last = self._span_lines()
+        best, miss_of_best = np.full(len(p_e), np.nan), np.full(len(p_e), np.inf)
+        for at in np.linspace(first, last, _SCAN):
+            _, miss, seen = self._missed(ccd, p_e, np.full(len(p_e), at))
+            nearer = seen & (np.abs(miss) < miss_of_best)
+            best[nearer], miss_of_best[nearer] = at, np.abs(miss[nearer])
+        return self._found(ccd, p_e, best)
+
+    def _found(self, ccd: int, p_e: Array, guess: Array) -> tuple[Array, Array]:
+        """Pixels of points by the secant method on the line, from a guess (N,); NaN where it fails."""
+        first, last = self._span_lines()
+        old = np.clip(guess, first, last)
+        _, miss_old, _ = self._missed(ccd, p_e, old)
+        line = np.clip(old + np.where(old < 0.5 * (first + last), 1.0, -1.0), first, last)
+        rate = np.full(len(p_e), np.nan)  # d(miss) / d(line), about one pixel per line
+        for _ in range(_SECANT_STEPS):
+            sample, miss, seen = self._missed(ccd, p_e, line)
+            moved = np.abs(line - old) > _MOVED_PX  # a rate from a shorter way would be noise
+            rate[moved] = (miss[moved] - miss_old[moved]) / (line[moved] - old[moved])
+            old, miss_old = line, miss
+            with np.errstate(divide="ignore", invalid="ignore"):
+                line = np.clip(line - miss / rate, first, last)
+            if np.nanmax(np.abs(line - old), initial=0.0) < _FOUND_PX:
+                break
+        found = seen & (np.abs(line - old) < _FOUND_PX)
+        return np.where(found, sample, np.nan), np.where(found, line, np.nan)
+
+    def _missed(self, ccd: int, p_e: Array, line: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
+        """At given lines: the sample beside each point, its miss across the detector (px), and whether it is
+        seen.
+        """
+        known = np.isfinite(line)
+        states = self._states(np.where(known, line, self._span_lines()[0]))
+        u_c, above_horizon = self._apparent_c(p_e, states)
+        sample, miss = self.camera.samples_from_directions(ccd, u_c)
+        return sample, np.where(known, miss, np.nan), known & above_horizon & np.isfinite(miss)
+
+    def _apparent_c(self, p_e: Array, states: _States) -> tuple[Array, NDArray[np.bool_]]:
+        """Apparent directions (N, 3) of ground points in frame c, and whether they face the satellite."""
+        axes_e = _InAxesE(states, self.earth.omega_e)
+        earth = cast(EarthRotation, axes_e)
+        u_e, _ = apparent_ground_directions(p_e, np.zeros(len(p_e)), axes_e, earth, self.effects)
+        above = np.einsum("ni,ni->n", states.p_e - p_e, p_e) > 0.0
+        return np.einsum("nji,nj->ni", states.R_ec, u_e), above
+
+    def _span_lines(self) -> tuple[float, float]:
+        """Lines between which orbit and attitude are known."""
+        spans = self.attitude.span_s, self.orbit.span_s, (self.earth.t_start_s, self.earth.t_stop_s)
+        delay = self.camera.delay_to_middle_s(self.rows.row_period_s)
+        first, last = max(span[0] for span in spans) - delay, min(span[1] for span in spans) - delay
+        if not last > first:
+            raise ValueError("orbit, attitude and Earth rotation have no time in common")
+        ends = self.rows.line(np.array([first, last]))
+        slack = 1e-6 / self.rows.row_period_s  # rounding must not lead outside
+        return float(ends[0]) + slack, float(ends[1]) - slack
+
+    def _meet(self, u_e: Array, states: _States, surface: Surface) -> Array:
+        """Lines of sight down to the surface, each made for the height at which it meets it."""
+        height: Array | float = 0.5 * sum(surface.height_range_m())
+        for _ in range(2):
+            rays = emission_rays_e(u_e, states.p_e, states.v_e, self.earth.omega_e, self.effects, height)
+            p_e = intersect(*rays, surface)
+            found = geodetic_from_ecef(p_e, WGS84)[2]
+            if not np.any(np.abs(found - height) > _HEIGHT_STEP_M):
+                break
+            height = np.where(np.isfinite(found), found, height)
+        return p_e
+
+    def _states(self, line: Array) -> _States:
+        if self.table is not None and self.table.covers(line):
+            return _unpacked(self.table.at(line))
+        return _unpacked(self._exact_states(line))
+
+    def _exact_states(self, line: Array) -> Array:
+        """Position, velocity and rotation c -> e of lines (N,), in axes e, as (N, 15)."""
+        t_s = self.instants(line)
+        R_ei = np.swapaxes(self.earth.matrices_ie(t_s), 1, 2)
+        R_ic = (self.R_cs * self.attitude.R_si(t_s)).inv().as_matrix()
+        packed = np.empty((len(t_s), 15))
+        packed[:, 0:3] = np.einsum("nij,nj->ni", R_ei, self.orbit.positions_i(t_s))
+        packed[:, 3:6] = np.einsum("nij,nj->ni", R_ei, self.orbit.velocities_i(t_s))
+        packed[:, 6:] = (R_ei @ R_ic).reshape(-1, 9)
+        return packed
+
+    def _for_many(self, line: Array) -> Pushbroom:
+        """This strip, tabulated if the lines are many."""
+        line = line[np.isfinite(line)]
+        if len(line) < _CHUNK or (self.table is not None and self.table.covers(line)):
+            return self
+        first, last = float(line.min()), float(line.max())
+        return self.tabulated(first, last) if last > first else self
+
+
+def _unpacked(packed: Array) -> _States:
+    return _States(packed[:, 0:3], packed[:, 3:6], packed[:, 6:].reshape(-1, 3, 3))
+
+
+def _pixels(sample: ArrayLike, line: ArrayLike) -> tuple[Array, Array]:
+    a, b = np.broadcast_arrays(np.asarray(sample, dtype=float), np.asarray(line, dtype=float))
+    if a.ndim != 1:
+        raise ValueError(f"samples and lines must have shape (N,), got {a.shape}")
+    return a, b
+
+
+def _affine_guess(p_known: Array, line_known: Array, p_e: Array) -> Array:
+    """Lines of points from a plane through the lines of others; NaN where there are none."""
+    known = np.isfinite(line_known)
+    if not known.any():
+        return np.full(len(p_e), np.nan)
+    middle = p_known[known].mean(axis=0)
+    scale = max(float(np.abs(p_known[known] - middle).max()), 1.0)
+    A = np.column_stack([(p_known[known] - middle) / scale, np.ones(known.sum())])
+    plane, *_ = np.linalg.lstsq(A, line_known[known], rcond=1e-9)
+    return ((p_e - middle) / scale) @ plane[:3] + plane[3]
+
+
+def _chunks(n: int) -> list[slice]:
+    return [slice(start, min(start + _CHUNK, n)) for start in range(0, n, _CHUNK)]
