@@ -97,7 +97,7 @@ class Strip:
     _render: Callable[[int], Iterator[Image]]
 
     def blocks(self, rows: int = 512) -> Iterator[Image]:
-        """The strip from first row to last in arrays (rows, samples), uint8 or uint16; the last may be shorter."""
+        """The strip in arrays (rows, samples), uint8 or uint16, first row first; the last may be shorter."""
         return self._render(rows)
 
 

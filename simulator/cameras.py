@@ -1,0 +1,118 @@
+"""The two cameras of a scenario: as their makers calibrated them, and the line camera as it really is."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from geometry.installation import deviation_from_theta
+from geometry.line_camera import Ccd, LineCamera
+from geometry.star_camera import StarCamera
+from simulator.scenario import ErrorSettings, InstallationSettings, LineCameraSettings, StarCameraSettings
+
+__all__ = [
+    "calibrated_line_camera",
+    "distorted_line_camera",
+    "measured_installation",
+    "star_camera",
+    "true_installation",
+]
+
+Array = NDArray[np.float64]
+
+
+def star_camera(settings: StarCameraSettings) -> StarCamera:
+    """The star camera (paper, Table 2); simulated images are exactly those of its calibration."""
+    return StarCamera(
+        focal_m=settings.focal_mm * 1e-3,
+        pixel_m=settings.pixel_um * 1e-6,
+        width_px=settings.width_px,
+        height_px=settings.height_px,
+        principal_px=settings.principal_px,
+        p1=settings.p1,
+        p2=settings.p2,
+        q1=settings.q1,
+        q2=settings.q2,
+    )
+
+
+def calibrated_line_camera(settings: LineCameraSettings) -> LineCamera:
+    """The remote-sensing camera as calibrated (paper, Table 3): every CCD with the same distortion table.
+
+    The table is filled by `offset = -(a r^3 + b r^5)`, r from the principal sample, through the two printed
+    entries. Neighbours share `overlap_px` samples, the field is centred on the optical axis.
+    """
+    samples = np.asarray(np.linspace(0.0, settings.samples - 1.0, settings.distortion_nodes), dtype=float)
+    offsets = _distortion_law_m(samples, settings)
+    pixel_m = settings.pixel_um * 1e-6
+
+    def along(sample: float) -> float:
+        offset = _distortion_law_m(np.array([sample]), settings)[0]
+        return float((sample - settings.principal_sample) * pixel_m - offset)
+
+    start, end = along(0.0), along(settings.samples - 1.0)
+    pitch = along(settings.samples - settings.overlap_px) - start
+    middle = 0.5 * (start + end + (settings.ccds - 1) * pitch)
+    ccds = tuple(
+        Ccd(
+            n_px=settings.samples,
+            y_first_m=n * pitch - middle - settings.principal_sample * pixel_m,
+            x_offset_m=(n % 2 - 0.5) * settings.stagger_mm * 1e-3,
+            rotation_rad=settings.rotation_urad[n] * 1e-6,
+            pixel_m=pixel_m,
+            principal_sample=settings.principal_sample,
+            distortion_samples=samples,
+            distortion_offsets_m=offsets,
+        )
+        for n in range(settings.ccds)
+    )
+    return LineCamera(settings.focal_m, ccds, tdi_stages=settings.tdi_stages, time_of_row="middle")
+
+
+def distorted_line_camera(
+    calibrated: LineCamera, errors: ErrorSettings, rng: np.random.Generator
+) -> LineCamera:
+    """The camera as it is: with a smooth Gaussian process along the detectors on top of the tables.
+
+    Its mean over all samples is taken off: a shift of the whole field is by definition part of the
+    installation.
+    """
+    tables = [ccd.distortion_samples for ccd in calibrated.ccds]
+    places = np.concatenate([ccd.focal_plane(ccd.distortion_samples)[:, 1] for ccd in calibrated.ccds])
+    pixel_m = calibrated.ccds[0].pixel_m
+    distance = (places[:, None] - places) / (errors.distortion_length_px * pixel_m)
+    covariance = np.exp(-0.5 * distance**2)
+    values, vectors = np.linalg.eigh(covariance)
+    draw = vectors @ (np.sqrt(np.maximum(values, 0.0)) * rng.standard_normal(len(places)))
+    draw = (draw - draw.mean()) * errors.distortion_px * pixel_m
+    parts = np.split(draw, np.cumsum([len(table) for table in tables])[:-1])
+    ccds = tuple(
+        replace(ccd, distortion_offsets_m=ccd.distortion_offsets_m + part)
+        for ccd, part in zip(calibrated.ccds, parts)
+    )
+    return replace(calibrated, ccds=ccds)
+
+
+def measured_installation(settings: InstallationSettings) -> Rotation:
+    """R_cs0: star camera -> remote-sensing camera, as measured on the ground."""
+    tilt, azimuth = np.radians(settings.zenith_distance_deg), np.radians(settings.azimuth_deg)
+    z_c = np.array([np.sin(tilt) * np.cos(azimuth), np.sin(tilt) * np.sin(azimuth), -np.cos(tilt)])
+    side = np.array([np.cos(azimuth + np.pi / 2), np.sin(azimuth + np.pi / 2), 0.0])
+    axes = np.column_stack([side, np.cross(z_c, side), z_c])
+    return Rotation.from_matrix(axes) * Rotation.from_rotvec([0.0, 0.0, np.radians(settings.turn_deg)])
+
+
+def true_installation(settings: InstallationSettings) -> Rotation:
+    """R_cs = exp[[theta]] R_cs0 (paper, eqs. 11, 12 and 28)."""
+    return deviation_from_theta(np.array(settings.theta_rad)) * measured_installation(settings)
+
+
+def _distortion_law_m(samples: Array, settings: LineCameraSettings) -> Array:
+    known = np.array(settings.distortion_um)
+    r = known[:, 0] - settings.principal_sample
+    a, b = np.linalg.solve(np.column_stack([r**3, r**5]), known[:, 1] * 1e-6)
+    distance = samples - settings.principal_sample
+    return np.asarray(a * distance**3 + b * distance**5)

@@ -1,0 +1,129 @@
+"""Raw strips: the ground seen through the rigorous model, row by row, blurred, with noise and digits.
+
+Where a pixel looks is computed through the true camera, orbit, attitude and terrain at nodes: every 64
+samples (cubics in between) and often enough along the rows that the fastest vibration is followed
+(straight lines in between). The ground's texels are read by linear interpolation at those places.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from pyproj import Transformer
+
+from geometry.attitude import lagrange_weights
+from geometry.pushbroom import Pushbroom
+from geometry.terrain import Surface
+from simulator.ground import BlurredGround
+from simulator.scenario import GroundSettings
+
+__all__ = ["Scene", "read_ground", "scan"]
+
+Array = NDArray[np.float64]
+Grey = NDArray[np.float32]
+
+_PANEL_LINES, _PANEL_SAMPLES = 256, 512  # rendered at once: the ground under a panel stays in the cache
+_SAMPLE_STEP = 64  # 35 m of ground at full size
+_LINE_STEP_S = 0.28e-3  # 45 nodes in a period of 80 Hz: straight lines miss 0.0025 of its amplitude
+_STEPS_OF_REMAP = 32  # OpenCV places its samples on a lattice of 1/32 texel
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Scene:
+    """One strip's true geometry, and the ground below it as the camera's optics show it."""
+
+    model: Pushbroom
+    surface: Surface
+    epsg: int  # UTM zone in which the ground is mapped
+    ground: BlurredGround
+
+    def texels(self, ccd: int, samples: Array, lines: Array) -> tuple[Array, Array]:
+        """Where the pixels of a grid of lines and samples look: texel column and row, (lines, samples)."""
+        line, sample = (axis.ravel() for axis in np.meshgrid(lines, samples, indexing="ij"))
+        p_e = self.model.ground_points(ccd, sample, line, self.surface)
+        if not np.all(np.isfinite(p_e)):
+            raise ValueError(
+                f"CCD {ccd}: {np.isnan(p_e[:, 0]).sum()} of {len(line)} lines of sight miss the terrain"
+            )
+        to_map = Transformer.from_crs(4978, self.epsg, always_xy=True)
+        east, north, _ = to_map.transform(*p_e.T)
+        column, row = east / self.ground.texel_m - 0.5, -north / self.ground.texel_m - 0.5
+        shape = (len(lines), len(samples))
+        return column.reshape(shape), row.reshape(shape)
+
+
+def scan(
+    scene: Scene,
+    ccd: int,
+    lines: int,
+    settings: GroundSettings,
+    gain: Grey,
+    rng: np.random.Generator,
+    rows: int,
+) -> Iterator[NDArray[Any]]:
+    """One CCD's image in blocks of `rows` rows, uint8 up to 8 bits and uint16 above.
+
+    `gain` (samples,) is each pixel's own sensitivity. The image does not depend on `rows`.
+    """
+    waiting: list[NDArray[Any]] = []
+    for first in range(0, lines, _PANEL_LINES):
+        seen = _panel_row(scene, ccd, first, min(_PANEL_LINES, lines - first), len(gain), rng)
+        waiting.append(_digitised(seen, settings, gain, rng))
+        while (ready := sum(map(len, waiting))) >= rows or (first + _PANEL_LINES >= lines and ready):
+            block = np.concatenate(waiting)
+            yield block[:rows]
+            waiting = [block[rows:]] if len(block) > rows else []
+
+
+def read_ground(ground: BlurredGround, column: Array, row: Array, rng: np.random.Generator) -> Grey:
+    """Reflectance at texel coordinates (H, W), by linear interpolation, float32.
+
+    OpenCV rounds places to 1/32 texel. A random shift of up to half such a step, another for each pixel,
+    turns this from a displacement of whole regions into a noise far below the camera's.
+    """
+    left, top = int(np.floor(column.min())) - 1, int(np.floor(row.min())) - 1
+    width, height = int(np.ceil(column.max())) + 2 - left, int(np.ceil(row.max())) + 2 - top
+    places = []
+    for place, origin in ((column, left), (row, top)):
+        shift = rng.random(place.shape, dtype=np.float32)
+        shift -= np.float32(0.5)
+        shift *= np.float32(1.0 / _STEPS_OF_REMAP)
+        shift += (place - origin).astype(np.float32)
+        places.append(shift)
+    window = ground.window(left, top, width, height)
+    seen = cv2.remap(window, places[0], places[1], cv2.INTER_LINEAR)
+    return np.asarray(seen, dtype=np.float32) * np.float32(1.0 / 65535.0)
+
+
+def _panel_row(
+    scene: Scene, ccd: int, first: int, lines: int, samples: int, rng: np.random.Generator
+) -> Grey:
+    """Reflectance seen by rows `first` ... of one CCD, (lines, samples)."""
+    step = max(1, int(_LINE_STEP_S / scene.model.rows.row_period_s))
+    line_nodes = np.arange(first, first + lines + step, step, dtype=float)
+    sample_step = min(_SAMPLE_STEP, max(1, samples // 16))
+    sample_nodes = np.append(np.arange(0.0, samples - 1.0, sample_step), samples - 1.0)
+    columns, rows = scene.texels(ccd, sample_nodes, line_nodes)
+    down = lagrange_weights(line_nodes, np.arange(first, first + lines, dtype=float), points=2)
+    columns, rows = down @ columns, down @ rows
+    seen = np.empty((lines, samples), np.float32)
+    for left in range(0, samples, _PANEL_SAMPLES):
+        right = min(left + _PANEL_SAMPLES, samples)
+        across = lagrange_weights(sample_nodes, np.arange(left, right, dtype=float)).T
+        seen[:, left:right] = read_ground(scene.ground, columns @ across, rows @ across, rng)
+    return seen
+
+
+def _digitised(seen: Grey, settings: GroundSettings, gain: Grey, rng: np.random.Generator) -> NDArray[Any]:
+    """Grey values of reflectances: pixel gains, photon and read noise, rounding, saturation."""
+    image = seen * (gain * np.float32(settings.dn_full_scale))
+    noise = rng.standard_normal(image.shape, dtype=np.float32)
+    noise *= np.sqrt(image * np.float32(1.0 / settings.e_per_dn) + np.float32(settings.read_noise_dn**2))
+    image += noise
+    np.clip(np.rint(image, out=image), 0, 2**settings.bits - 1, out=image)
+    return image.astype(np.uint8 if settings.bits <= 8 else np.uint16)
