@@ -20,11 +20,12 @@ from numpy.typing import ArrayLike, NDArray
 from geometry.atmosphere import Atmosphere, standard_atmosphere
 from geometry.constants import SPEED_OF_LIGHT, WGS84
 from geometry.earth_rotation import EarthRotation
-from geometry.geodesy import ellipsoid_normals, geodetic_from_ecef, ray_ellipsoid_intersection
+from geometry.geodesy import geodetic_from_ecef, ray_ellipsoid_intersection, vertical_at
 
 __all__ = [
     "LightEffects",
     "OrbitLike",
+    "apparent_directions_e",
     "apparent_ground_directions",
     "boosted",
     "emission_rays_e",
@@ -62,10 +63,8 @@ def boosted(u: Array, velocity: Array) -> Array:
 
     Parameters are (..., 3), in any one set of axes.
     """
-    beta = velocity / SPEED_OF_LIGHT
-    inverse_gamma = np.sqrt(1.0 - np.einsum("...i,...i->...", beta, beta))[..., None]
-    along = np.einsum("...i,...i->...", u, beta)[..., None]
-    return np.asarray((inverse_gamma * u + (1.0 + along / (1.0 + inverse_gamma)) * beta) / (1.0 + along))
+    flat_u, flat_v = np.broadcast_arrays(u, velocity)
+    return _boosted(flat_u.reshape(-1, 3).T, flat_v.reshape(-1, 3).T).T.reshape(flat_u.shape)
 
 
 def apparent_ground_directions(
@@ -87,25 +86,46 @@ def apparent_ground_directions(
     range_m : (N,) array
         Geometric distance from satellite at reception to ground point at emission.
     """
-    p_i, v_i, R_ie = orbit.positions_i(t_s), orbit.velocities_i(t_s), earth.matrices_ie(t_s)
-    satellite_e = np.einsum("nji,nj->ni", R_ie, p_i)
-    # Light time: in axes e of reception the ground point was turned back by omega * tau at emission.
-    seen_e, to_ground = p_e, p_e - satellite_e
+    states = _states_e(t_s, orbit, earth)
+    u_e, range_m = apparent_directions_e(p_e, states.p_e, states.v_e, earth.omega_e, effects)
+    return np.einsum("nij,nj->ni", states.R_ie, u_e), range_m
+
+
+def apparent_directions_e(
+    ground_e: Array, p_e: Array, v_e: Array, omega_e: Array, effects: LightEffects
+) -> tuple[Array, Array]:
+    """`apparent_ground_directions` for a caller who has everything in the axes of frame e at reception.
+
+    Parameters
+    ----------
+    ground_e : (N, 3) array
+        Ground points.
+    p_e, v_e : (N, 3) arrays
+        Satellite's position and its velocity **in the inertial frame**, both in axes e: `R_ei v_i`, m, m/s.
+    omega_e : (3,) array
+        `EarthRotation.omega_e`.
+
+    Returns
+    -------
+    u_e : (N, 3) array
+        Apparent unit vectors, axes e of reception.
+    range_m : (N,) array
+    """
+    satellite, ground = _rows(p_e), _rows(ground_e)
+    # Light time: in axes e of reception the ground point was turned back by omega tau at emission.
+    seen, range_m = ground, _length(ground - satellite)
     for _ in range(2 if effects.light_time else 0):
-        tau = np.linalg.norm(to_ground, axis=1) / SPEED_OF_LIGHT
-        seen_e = _turned(p_e, earth.omega_e, -tau)
-        to_ground = seen_e - satellite_e
-    range_m = np.linalg.norm(to_ground, axis=1)
+        seen = _turned(ground, omega_e, range_m / -SPEED_OF_LIGHT)
+        range_m = _length(seen - satellite)
+    aim = seen
     if effects.refraction:
-        height = geodetic_from_ecef(seen_e, WGS84)[2]
-        aim = seen_e
-        for _ in range(3):  # contraction 1e-5 an iteration
-            up, down = ellipsoid_normals(*geodetic_from_ecef(aim, WGS84)[:2]), _unit(aim - satellite_e)
-            shift, _ = _refraction(down, up, height, effects.atmosphere)
-            aim = seen_e + shift
-        to_ground = aim - satellite_e
-    u_i = np.einsum("nij,nj->ni", R_ie, _unit(to_ground))
-    return (boosted(u_i, v_i) if effects.aberration else u_i), range_m
+        height = geodetic_from_ecef(ground_e, WGS84)[2]
+        for _ in range(2):  # contraction 1e-6 an iteration
+            down = _unit(aim - satellite)
+            up = _rows(vertical_at(aim.T, height, WGS84))
+            aim = seen + _refraction(down, up, height, effects.atmosphere)[0]
+    u = _unit(aim - satellite)
+    return (_boosted(u, _rows(v_e)) if effects.aberration else u).T, range_m
 
 
 def lines_of_sight_e(
@@ -138,12 +158,9 @@ def lines_of_sight_e(
         A point at the satellite's distance (not exactly the satellite), m, and unit direction downwards. NaN
         for a line of sight that misses the Earth.
     """
-    R_ei = np.swapaxes(earth.matrices_ie(t_s), 1, 2)
-    u_e, p_e, v_e = (
-        np.einsum("nij,nj->ni", R_ei, vectors)
-        for vectors in (u_i, orbit.positions_i(t_s), orbit.velocities_i(t_s))
-    )
-    return emission_rays_e(u_e, p_e, v_e, earth.omega_e, effects, height_m)
+    states = _states_e(t_s, orbit, earth)
+    u_e = np.einsum("nji,nj->ni", states.R_ie, u_i)
+    return emission_rays_e(u_e, states.p_e, states.v_e, earth.omega_e, effects, height_m)
 
 
 def emission_rays_e(
@@ -161,47 +178,90 @@ def emission_rays_e(
     omega_e : (3,) array
         `EarthRotation.omega_e`.
     """
-    direction = boosted(u_e, -v_e) if effects.aberration else u_e
+    down = _boosted(_rows(u_e), -_rows(v_e)) if effects.aberration else _rows(u_e)
     if not (effects.light_time or effects.refraction):
-        return p_e, direction
-    met = ray_ellipsoid_intersection(p_e, direction, height_m, WGS84)
+        return p_e, down.T
+    satellite = _rows(p_e)
+    met = _rows(ray_ellipsoid_intersection(p_e, down.T, height_m, WGS84))
     if effects.refraction:
-        up = ellipsoid_normals(*geodetic_from_ecef(met, WGS84)[:2])
-        shift, bend = _refraction(direction, up, height_m, effects.atmosphere)
-        met, direction = met - shift, _unit(direction + bend)
-    distance = np.linalg.norm(met - p_e, axis=1)
+        up = _rows(vertical_at(met.T, height_m, WGS84))
+        shift, bend = _refraction(down, up, height_m, effects.atmosphere)
+        met, down = met - shift, down + bend
+    distance = _length(met - satellite)
     if effects.light_time:
-        # The path in axes e is turned(met + s u, omega (distance + s) / c); the ray is its tangent at s = 0.
+        # The path in axes e is turned(met + s down, omega (distance + s) / c); the ray is its tangent at s =
+        # 0.
         tau = distance / SPEED_OF_LIGHT
-        direction = _unit(_turned(direction + np.cross(omega_e, met) / SPEED_OF_LIGHT, omega_e, tau))
+        down = _turned(down + _cross(omega_e, met) / SPEED_OF_LIGHT, omega_e, tau)
         met = _turned(met, omega_e, tau)
-    distance = distance[:, None]
-    return met - distance * direction, direction
+    down = _unit(down)
+    return (met - distance * down).T, down.T
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _StatesE:
+    """Satellite and Earth at N instants, in axes e of each."""
+
+    p_e: Array  # (N, 3)
+    v_e: Array  # (N, 3) inertial velocity
+    R_ie: Array  # (N, 3, 3)
+
+
+def _states_e(t_s: Array, orbit: OrbitLike, earth: EarthRotation) -> _StatesE:
+    """States at instants that may repeat (all pixels of a row share theirs): each is evaluated once."""
+    instants, place = np.unique(t_s, return_inverse=True)
+    R_ie = earth.matrices_ie(instants)
+    p_e, v_e = (np.einsum("nji,nj->ni", R_ie, of(instants)) for of in (orbit.positions_i, orbit.velocities_i))
+    return _StatesE(p_e[place], v_e[place], R_ie[place])
+
+
+# Below, vectors are columns: (3, N), so that components lie together in memory.
 
 
 def _refraction(down: Array, up: Array, height_m: ArrayLike, atmosphere: Atmosphere) -> tuple[Array, Array]:
     """Horizontal shift (m) of the straight line's foot from the true one, and what to add to its direction to
     bend it.
 
-    `down` (N, 3) is the straight line's direction, `up` (N, 3) the vertical at its foot.
+    `down` is the straight line's direction, `up` the vertical at its foot.
     """
-    cos_z = -np.einsum("ni,ni->n", down, up)
-    away = down + cos_z[:, None] * up  # horizontal, away from the satellite, of length sin z
-    sin_z = np.linalg.norm(away, axis=1)
-    outwards = away / np.where(sin_z > 1e-12, sin_z, 1.0)[:, None]
+    cos_z = -_dot(down, up)
+    away = down + cos_z * up  # horizontal, away from the satellite, of length sin z
+    sin_z = np.sqrt(np.maximum(1.0 - cos_z * cos_z, 1e-24))
     displacement, angle = atmosphere.bending(cos_z, height_m)
-    steeper = -cos_z[:, None] * outwards - sin_z[:, None] * up  # d(down)/d(zenith distance), reversed
-    return displacement[:, None] * outwards, np.tan(angle)[:, None] * steeper
+    # d(down) / d(zenith distance) = cos z away / sin z + sin z up; the ray comes down steeper
+    return (displacement / sin_z) * away, (-angle * cos_z / sin_z) * away - (angle * sin_z) * up
+
+
+def _boosted(u: Array, velocity: Array) -> Array:
+    beta = velocity / SPEED_OF_LIGHT
+    inverse_gamma = np.sqrt(1.0 - _dot(beta, beta))
+    along = _dot(u, beta)
+    return np.asarray((inverse_gamma * u + (1.0 + along / (1.0 + inverse_gamma)) * beta) / (1.0 + along))
 
 
 def _turned(vectors: Array, omega: Array, seconds: Array) -> Array:
-    """Vectors (N, 3) turned right-handedly about omega by |omega| * seconds, for angles below 1e-6 (error
-    1e-12 m)."""
-    first = np.cross(omega, vectors)
-    return np.asarray(
-        vectors + seconds[:, None] * first + (0.5 * seconds**2)[:, None] * np.cross(omega, first)
-    )
+    """Turned right-handedly about omega by |omega| seconds, for angles below 1e-6 (error 1e-12 m)."""
+    first = _cross(omega, vectors)
+    return np.asarray(vectors + seconds * first + (0.5 * seconds**2) * _cross(omega, first))
 
 
-def _unit(vectors: Array) -> Array:
-    return np.asarray(vectors / np.linalg.norm(vectors, axis=-1, keepdims=True))
+def _rows(vectors: Array) -> Array:
+    """(N, 3) to (3, N), contiguous."""
+    return np.ascontiguousarray(vectors.T)
+
+
+def _dot(a: Array, b: Array) -> Array:
+    return np.asarray(a[0] * b[0] + a[1] * b[1] + a[2] * b[2])
+
+
+def _length(a: Array) -> Array:
+    return np.sqrt(_dot(a, a))
+
+
+def _unit(a: Array) -> Array:
+    return np.asarray(a / _length(a))
+
+
+def _cross(a: Array, b: Array) -> Array:
+    """a (3,) times b (3, N)."""
+    return np.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])

@@ -11,7 +11,7 @@ points and works through them together; orbit and attitude are read from a table
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Protocol, cast
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -21,7 +21,7 @@ from geometry.attitude import Attitude
 from geometry.constants import WGS84
 from geometry.earth_rotation import EarthRotation
 from geometry.geodesy import geodetic_from_ecef
-from geometry.groundlight import LightEffects, OrbitLike, apparent_ground_directions, emission_rays_e
+from geometry.groundlight import LightEffects, OrbitLike, apparent_directions_e, emission_rays_e
 from geometry.line_camera import LineSensor
 from geometry.row_table import RowTable, tabulated
 from geometry.terrain import ConstantHeight, Surface, intersect
@@ -77,23 +77,6 @@ class _States:
     p_e: Array  # (N, 3) m
     v_e: Array  # (N, 3) velocity in the inertial frame, m/s
     R_ec: Array  # (N, 3, 3)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _InAxesE:
-    """States dressed as an orbit and an Earth whose inertial axes are those of frame e at each instant."""
-
-    states: _States
-    omega_e: Array
-
-    def positions_i(self, t_s: Array) -> Array:
-        return self.states.p_e
-
-    def velocities_i(self, t_s: Array) -> Array:
-        return self.states.v_e
-
-    def matrices_ie(self, t_s: Array) -> Array:
-        return np.broadcast_to(np.eye(3), (len(t_s), 3, 3))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -222,9 +205,7 @@ class Pushbroom:
 
     def _apparent_c(self, p_e: Array, states: _States) -> tuple[Array, NDArray[np.bool_]]:
         """Apparent directions (N, 3) of ground points in frame c, and whether they face the satellite."""
-        axes_e = _InAxesE(states, self.earth.omega_e)
-        earth = cast(EarthRotation, axes_e)
-        u_e, _ = apparent_ground_directions(p_e, np.zeros(len(p_e)), axes_e, earth, self.effects)
+        u_e, _ = apparent_directions_e(p_e, states.p_e, states.v_e, self.earth.omega_e, self.effects)
         above = np.einsum("ni,ni->n", states.p_e - p_e, p_e) > 0.0
         return np.einsum("nji,nj->ni", states.R_ec, u_e), above
 
