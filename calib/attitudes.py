@@ -1,8 +1,8 @@
 """Attitude of many star exposures at once, with covariance, gross errors found and left out.
 
-`R_si` takes GCRS to the star camera. Its error is a small right-handed turn psi about the axes of s:
-true R_si = exp(psi) R_si. Angles in radians. Where several exposures stand one after another, exposure k has the rows
-start[k]:start[k+1].
+`R_si` takes GCRS to the star camera. Its error is a small right-handed turn psi about the axes of s: true
+R_si = exp(psi) R_si. Angles in radians. Where several exposures stand one after another, exposure k has the
+rows start[k]:start[k+1].
 """
 
 from __future__ import annotations
@@ -49,9 +49,9 @@ def fit_attitudes(
 ) -> ExposureAttitudes:
     """Maximum-likelihood attitude of each exposure from its stars (N, 3), their directions and covariances.
 
-    Robust: a sum of absolute residuals finds the attitude that most stars share, whatever the others say; weights
-    that fall to zero bring it to the noise; then stars beyond the chi-square limit are left out one and all, and the
-    rest is fitted with its full weight, so that the covariance is that of least squares.
+    Robust: a sum of absolute residuals finds the attitude that most stars share, whatever the others say;
+    weights that fall to zero bring it to the noise; then stars beyond the chi-square limit are left out one
+    and all, and the rest is fitted with its full weight, so that the covariance is that of least squares.
     """
     information = information_of_directions(u_s, cov_s)
     variance = 0.5 * np.trace(cov_s, axis1=1, axis2=2)
@@ -59,7 +59,7 @@ def fit_attitudes(
     group = np.repeat(np.arange(len(start) - 1), np.diff(start))
     plain = 1.0 / variance
     R_si = _refined(_wahba(u_s, u_i, plain, start), u_s, u_i, information, start, group)
-    kept = np.ones(len(u_s), dtype=bool)
+    kept: NDArray[np.bool_] = np.ones(len(u_s), dtype=bool)
     if robust and np.any(_normalised(R_si, u_s, u_i, information, group) > limit):
         R_si = _robust_start(u_s, u_i, variance, start, group)
         for _ in range(10):
@@ -69,13 +69,14 @@ def fit_attitudes(
                 break
     normalised = _normalised(R_si, u_s, u_i, information, group)
     F_s = _normal(R_si, u_s, u_i, information * kept[:, None, None], start, group)[0]
-    left = sums_over(start, kept.astype(np.int64))
+    left = np.round(sums_over(start, kept.astype(float))).astype(np.int64)
     values = np.linalg.eigvalsh(F_s)
     usable = (left >= fewest_stars) & (values[:, 0] > 1e-10 * values[:, 2]) & (values[:, 2] > 0.0)
     covariance = np.zeros_like(F_s)
     covariance[usable] = np.linalg.inv(F_s[usable])
-    chi2_sum = sums_over(start, normalised * kept)
-    return ExposureAttitudes(R_si, covariance, usable, kept, normalised, chi2_sum, 2 * left - 3)
+    return ExposureAttitudes(
+        R_si, covariance, usable, kept, normalised, sums_over(start, normalised * kept), 2 * left - 3
+    )
 
 
 def cross_matrices(v: Array) -> Array:
@@ -87,7 +88,9 @@ def cross_matrices(v: Array) -> Array:
 
 
 def _robust_start(u_s: Array, u_i: Array, variance: Array, start: Index, group: Index) -> Array:
-    """Least absolute residuals, then Geman and McClure's weights with a limit that comes down to the noise."""
+    """Least absolute residuals, then Geman and McClure's weights with a limit that comes down to the
+    noise.
+    """
     sigma = np.sqrt(variance)
     weight = np.ones(len(u_s))
     for _ in range(25):

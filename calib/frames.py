@@ -1,12 +1,13 @@
 """The information form, all frames at once: vectors of many frames to their pairs (F, F theta), no SVD of B.
 
-A frame is the paper's: one attitude, stars and targets at one instant. With the attitude eliminated, the information
-on theta is the parallel sum of what the two cameras know of the attitude (docs/estimation.md):
+A frame is the paper's: one attitude, stars and targets at one instant. With the attitude eliminated, the
+information on theta is the parallel sum of what the two cameras know of the attitude (docs/estimation.md):
 
     F = F_s - F_s (F_s + F_c)⁻¹ F_s,    F_s = R_cs sum (I - u uᵀ)/σ² R_csᵀ,    F_c = sum (I - w wᵀ)/σ²
 
-and F theta = F_s (F_s + F_c)⁻¹ b, where b is the right-hand side of the targets' residuals with the star camera's own
-attitude. It equals the paper's cross-angle form where that one exists, and a frame with one target still counts.
+and F theta = F_s (F_s + F_c)⁻¹ b, where b is the right-hand side of the targets' residuals with the star
+camera's own attitude. It equals the paper's cross-angle form where that one exists, and a frame with one
+target still counts.
 """
 
 from __future__ import annotations
@@ -37,7 +38,9 @@ Index = NDArray[np.int64]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Frames:
-    """Vectors of K frames, one after another. Frame k has stars star_start[k]:star_start[k+1], and likewise targets."""
+    """Vectors of K frames, one after another. Frame k has stars star_start[k]:star_start[k+1], and likewise
+    targets.
+    """
 
     star_start: Index  # (K + 1,)
     u_s: Array  # (N, 3) measured star vectors, star-camera frame
@@ -77,7 +80,9 @@ class Frames:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PreparedFrames:
-    """What does not depend on the installation matrix: one pass over the vectors, then 3 x 3 matrices only."""
+    """What does not depend on the installation matrix: one pass over the vectors, then 3 x 3 matrices
+    only.
+    """
 
     R_is: Array  # (K, 3, 3) star camera's own attitude, s to i
     F_s: Array  # (K, 3, 3) its information, frame s
@@ -87,7 +92,9 @@ class PreparedFrames:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FrameCalibration:
-    """Installation matrix from frames: `R_cs = exp[[theta]] R_cs0`, covariance of a small turn about the axes of c."""
+    """Installation matrix from frames: `R_cs = exp[[theta]] R_cs0`, covariance of a small turn about the axes
+    of c.
+    """
 
     R_cs: Rotation
     solution: Solution
@@ -96,7 +103,9 @@ class FrameCalibration:
 
 
 def sums_over(start: Index, values: Array) -> Array:
-    """Sums of `values` (N, ...) over the groups start[k]:start[k+1]; an empty group gives 0. Shape (K, ...)."""
+    """Sums of `values` (N, ...) over the groups start[k]:start[k+1]; an empty group gives 0. Shape (K,
+    ...).
+    """
     full = np.flatnonzero(np.diff(start))
     if len(full) == len(start) - 1:
         return np.add.reduceat(values, start[:-1], axis=0)
@@ -107,7 +116,9 @@ def sums_over(start: Index, values: Array) -> Array:
 
 
 def prepare_frames(frames: Frames) -> PreparedFrames:
-    """Attitude of each frame from its stars (Wahba's problem, Markley's SVD) and the sums that the iteration needs."""
+    """Attitude of each frame from its stars (Wahba's problem, Markley's SVD) and the sums that the iteration
+    needs.
+    """
     weight = frames.sigma_s**-2.0
     weighted = weight[:, None] * frames.u_s
     R_is = _wahba(_profile(frames.star_start, frames.v_stars, weighted))
@@ -174,7 +185,7 @@ def _total(pairs: list[tuple[Array, Array]], R_cs: Rotation) -> InformationTotal
     total = sums[0]
     for more in sums[1:]:
         total = total.merged(more)
-    return InformationTotal(total, 3, R_cs)
+    return InformationTotal(total, R_cs)
 
 
 def _profile(start: Index, a: Array, b: Array) -> Array:

@@ -1,15 +1,16 @@
 """Information about the installation matrix: pairs (F, F theta), their exact sum and what it says.
 
-A pair speaks of the deviation theta (frame c, rad, the paper's sign: R_cs = exp[[theta]] R_cs_ref) from a stated
-reference. Pairs of independent frames or strips about one reference add. The sum is exact and rounded once, so it
-is the same, bit for bit, in whatever order and groups it is made. Unknowns that several strips share (a camera's
-distortion) stand after theta in the pair, scaled to unit prior variance; they are eliminated after the sum.
+A pair speaks of the deviation theta (frame c, rad, the paper's sign: R_cs = exp[[theta]] R_cs_ref) from a
+stated reference. Pairs of independent frames or strips about one reference add. The sum is exact and rounded
+once, so it is the same, bit for bit, in whatever order and groups it is made. Unknowns that several strips
+share (a camera's distortion) stand after theta in the pair, each by its name; they get their prior, and are
+eliminated, after the sum.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import pandas as pd
@@ -50,70 +51,91 @@ class ExactSum:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class InformationPairs:
-    """Pairs of K frames or strips about one reference. n = 3 unless unknowns are shared between strips."""
+    """Pairs of K frames or strips about one reference, n = 3 + number of unknowns shared between strips."""
 
     names: NDArray[np.str_]  # (K,) frame or strip ids
     F: Array  # (K, n, n) information; the block of theta in rad⁻²
     F_theta: Array  # (K, n) F times the best (theta, shared unknowns)
     R_cs_ref: Rotation  # the reference: theta is the deviation from it
+    shared: tuple[str, ...] = ()  # names of the shared unknowns, in the order of the rows after theta
 
     def __post_init__(self) -> None:
-        K, n = len(self.names), self.F.shape[-1]
+        K, n = len(self.names), 3 + len(self.shared)
         if self.F.shape != (K, n, n) or self.F_theta.shape != (K, n):
             raise ValueError(
-                f"{K} names need F ({K}, n, n) and F_theta ({K}, n), got {self.F.shape}, {self.F_theta.shape}"
+                f"{K} names and {n - 3} shared unknowns need F {(K, n, n)} and F_theta {(K, n)}, "
+                f"got {self.F.shape} and {self.F_theta.shape}"
             )
 
     def merged(self, other: InformationPairs) -> InformationPairs:
-        """Both sets together. A name in both is an error: nothing may be counted twice."""
+        """Both sets together, about this one's reference. A name in both is an error: nothing counts
+        twice.
+        """
         if twice := sorted(set(self.names.tolist()) & set(other.names.tolist())):
             raise ValueError(f"{len(twice)} names are in both sets of pairs, first {twice[0]!r}")
-        if np.any(theta_between(self.R_cs_ref, other.R_cs_ref)):
-            other = other.about(self.R_cs_ref)
+        shared = tuple(sorted(set(self.shared) | set(other.shared)))
+        mine, theirs = self.widened(shared), other.about(self.R_cs_ref).widened(shared)
         return InformationPairs(
-            np.concatenate([self.names, other.names]),
-            np.concatenate([self.F, other.F]),
-            np.concatenate([self.F_theta, other.F_theta]),
+            np.concatenate([mine.names, theirs.names]),
+            np.concatenate([mine.F, theirs.F]),
+            np.concatenate([mine.F_theta, theirs.F_theta]),
             self.R_cs_ref,
+            shared,
         )
 
     def about(self, R_cs_ref: Rotation) -> InformationPairs:
-        """The same information about another reference, to first order in its small distance from this one."""
+        """The same information about another reference, to first order in its distance from this one."""
+        if np.array_equal(self.R_cs_ref.as_quat(), R_cs_ref.as_quat()):
+            return self
         shift = np.zeros(self.F.shape[-1])
         shift[:3] = theta_between(self.R_cs_ref, R_cs_ref)
-        return InformationPairs(self.names, self.F, self.F_theta + self.F @ shift, R_cs_ref)
+        return InformationPairs(self.names, self.F, self.F_theta + self.F @ shift, R_cs_ref, self.shared)
+
+    def widened(self, shared: tuple[str, ...]) -> InformationPairs:
+        """The same pairs with zeros for the shared unknowns that they know nothing of."""
+        if shared == self.shared:
+            return self
+        place = np.array([0, 1, 2, *(3 + shared.index(name) for name in self.shared)], dtype=np.int64)
+        n = 3 + len(shared)
+        F, F_theta = np.zeros((len(self.names), n, n)), np.zeros((len(self.names), n))
+        F[:, place[:, None], place] = self.F
+        F_theta[:, place] = self.F_theta
+        return InformationPairs(self.names, F, F_theta, self.R_cs_ref, shared)
 
     def total(self) -> InformationTotal:
         """The exact sum over all pairs."""
-        n = self.F.shape[-1]
-        rows, columns = np.triu_indices(n)
-        return InformationTotal(
-            ExactSum.of(np.column_stack([self.F[:, rows, columns], self.F_theta])), n, self.R_cs_ref
-        )
+        rows, columns = np.triu_indices(self.F.shape[-1])
+        sums = ExactSum.of(np.column_stack([self.F[:, rows, columns], self.F_theta]))
+        return InformationTotal(sums, self.R_cs_ref, self.shared)
 
     def table(self) -> pd.DataFrame:
-        """One row a pair, for storage: name, upper triangle of F, F_theta, the reference's quaternion (scalar last)."""
-        n = self.F.shape[-1]
-        rows, columns = np.triu_indices(n)
+        """One row a pair, for storage: name, upper triangle of F, F_theta, the reference (scalar last).
+
+        Columns `F:a:b` and `F_theta:a`, where a and b are x, y, z or the name of a shared unknown.
+        """
+        unknowns = ("x", "y", "z", *self.shared)
+        rows, columns = np.triu_indices(len(unknowns))
         data: dict[str, object] = {"name": self.names.astype(object)}
-        data |= {f"F_{i}_{j}": self.F[:, i, j] for i, j in zip(rows.tolist(), columns.tolist())}
-        data |= {f"F_theta_{i}": self.F_theta[:, i] for i in range(n)}
-        data |= {f"q_ref_{i}": q for i, q in enumerate(self.R_cs_ref.as_quat())}
+        for i, j in zip(rows.tolist(), columns.tolist()):
+            data[f"F:{unknowns[i]}:{unknowns[j]}"] = self.F[:, i, j]
+        data |= {f"F_theta:{unknown}": self.F_theta[:, i] for i, unknown in enumerate(unknowns)}
+        data |= {f"q_ref:{i}": q for i, q in enumerate(self.R_cs_ref.as_quat().tolist())}
         return pd.DataFrame(data)
 
     @classmethod
     def from_table(cls, table: pd.DataFrame) -> InformationPairs:
-        """The inverse of `table`; ValueError when the rows do not share one reference."""
-        n = sum(name.startswith("F_theta_") for name in table.columns)
-        quaternions = table[[f"q_ref_{i}" for i in range(4)]].to_numpy()
+        """The inverse of `table`; `ValueError` when the rows do not share one reference."""
+        unknowns = [name.removeprefix("F_theta:") for name in table.columns if name.startswith("F_theta:")]
+        quaternions = table[[f"q_ref:{i}" for i in range(4)]].to_numpy()
         if np.any(quaternions != quaternions[0]):
             raise ValueError("the pairs of one table must share one reference")
-        rows, columns = np.triu_indices(n)
-        F = np.empty((len(table), n, n))
+        rows, columns = np.triu_indices(len(unknowns))
+        F = np.empty((len(table), len(unknowns), len(unknowns)))
         for i, j in zip(rows.tolist(), columns.tolist()):
-            F[:, i, j] = F[:, j, i] = table[f"F_{i}_{j}"]
-        F_theta = table[[f"F_theta_{i}" for i in range(n)]].to_numpy()
-        return cls(table["name"].to_numpy(dtype=str), F, F_theta, Rotation.from_quat(quaternions[0]))
+            F[:, i, j] = F[:, j, i] = table[f"F:{unknowns[i]}:{unknowns[j]}"]
+        F_theta = table[[f"F_theta:{unknown}" for unknown in unknowns]].to_numpy()
+        R_cs_ref = Rotation.from_quat(quaternions[0])
+        return cls(table["name"].to_numpy(dtype=str), F, F_theta, R_cs_ref, tuple(unknowns[3:]))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -121,13 +143,18 @@ class InformationTotal:
     """The exact sum of many pairs. Totals about one reference merge exactly, in any order."""
 
     sums: ExactSum  # upper triangle of F, row by row, then F_theta
-    n: int
     R_cs_ref: Rotation
+    shared: tuple[str, ...] = field(default=())
 
     def merged(self, other: InformationTotal) -> InformationTotal:
-        if self.n != other.n or np.any(self.R_cs_ref.as_quat() != other.R_cs_ref.as_quat()):
+        same = np.array_equal(self.R_cs_ref.as_quat(), other.R_cs_ref.as_quat())
+        if self.shared != other.shared or not same:
             raise ValueError("totals merge exactly only about one reference and with the same unknowns")
-        return InformationTotal(self.sums.merged(other.sums), self.n, self.R_cs_ref)
+        return InformationTotal(self.sums.merged(other.sums), self.R_cs_ref, self.shared)
+
+    @property
+    def n(self) -> int:
+        return 3 + len(self.shared)
 
     @property
     def F(self) -> Array:
@@ -149,19 +176,23 @@ class Solution:
     theta: Array  # (3,) rad, about the reference; nothing along unobservable directions
     covariance: Array  # (3, 3) rad², frame c; zero along unobservable directions, where no number is given
     information: Array  # (3, 3) rad⁻², shared unknowns eliminated
-    shared: Array  # (n - 3,) the best shared unknowns, in units of their prior sigma
+    shared: Array  # (n - 3,) the best shared unknowns
     covariance_all: Array  # (n, n) of theta and the shared unknowns
     unobservable: Array  # (m, 3) unit vectors, frame c, about which the turn is not observable
 
 
-def solve_total(F: Array, F_theta: Array, *, sigma_observable_rad: float) -> Solution:
-    """Best theta of the summed pair: shared unknowns take their unit prior, then F theta = F_theta.
+def solve_total(
+    F: Array, F_theta: Array, prior_shared: Array | None = None, *, sigma_observable_rad: float
+) -> Solution:
+    """Best theta of the summed pair (n, n), (n,); `prior_shared` (n - 3, n - 3) is the shared unknowns'
+    information.
 
-    A direction (eigenvector of the information on theta) whose 1-sigma would exceed `sigma_observable_rad`, or whose
-    eigenvalue drowns in the rounding of the largest, is not observable: it is named and gets no number.
+    A direction (eigenvector of the information on theta) whose 1-sigma would exceed `sigma_observable_rad`,
+    or whose eigenvalue drowns in the rounding of the largest, is not observable: it is named, and gets no
+    number.
     """
-    n = len(F_theta)
-    shared_F = F[3:, 3:] + np.eye(n - 3)
+    prior = np.zeros((0, 0)) if prior_shared is None else prior_shared
+    shared_F = F[3:, 3:] + prior
     gain = np.linalg.solve(shared_F, F[3:, :3])  # (n - 3, 3)
     shared_0 = np.linalg.solve(shared_F, F_theta[3:])
     information = F[:3, :3] - F[:3, 3:] @ gain

@@ -1,8 +1,10 @@
-"""The paper's ten steps, literally: one frame of vectors to (F, F theta) through the SVD of B (section 2.3, appendix B).
+"""The paper's ten steps, literally: one frame of vectors to (F, F theta) through the SVD of B (section 2.3,
+appendix B).
 
-This is the reference that the fast forms are held to. Frames: star vectors `u_s` in s, targets `w_c` in c, their
-known directions `v_stars`, `v_targets` in i; one attitude for the whole frame. Sign of H: the paper prints
--(W° x W) in (20), (21) and (A9); under its own (12), (13) and (19) the coefficient of theta is **+(W° x W)**.
+This is the reference that the fast forms are held to. Frames: star vectors `u_s` in s, targets `w_c` in c,
+their known directions `v_stars`, `v_targets` in i; one attitude for the whole frame. Sign of H: the paper
+prints -(W° x W) in (20), (21) and (A9); under its own (12), (13) and (19) the coefficient of theta is **+(W°
+x W)**.
 """
 
 from __future__ import annotations
@@ -30,8 +32,9 @@ def frame_information_literally(
 ) -> tuple[Array, Array]:
     """Steps 1 to 9 for one frame: F (3, 3) rad⁻² and F theta (3,) of (A13), about `R_cs0`.
 
-    `u_s`, `v_stars` (n_s, 3), `w_c`, `v_targets` (n_c, 3) unit vectors; `sigma_s` (n_s,), `sigma_c` (n_c,) rad per axis
-    (QUEST model, A14). LAPACK's gesvd is asked for: the default gesdd has failed to converge on such matrices.
+    `u_s`, `v_stars` (n_s, 3), `w_c`, `v_targets` (n_c, 3) unit vectors; `sigma_s` (n_s,), `sigma_c` (n_c,)
+    rad per axis (QUEST model, A14). LAPACK's gesvd is asked for: the default gesdd has failed to converge on
+    such matrices.
     """
     n_s, n_c = len(u_s), len(w_c)
     w_o = R_cs0.apply(u_s)  # step 1, (18)
@@ -65,7 +68,8 @@ def calibrate_literally(
     tolerance_rad: float = 1e-12,
     most_iterations: int = 10,
 ) -> tuple[Rotation, Array, int]:
-    """All ten steps over frames (u_s, v_stars, sigma_s, w_c, v_targets, sigma_c), repeated until M is the unit matrix.
+    """All ten steps over frames (u_s, v_stars, sigma_s, w_c, v_targets, sigma_c), repeated until M is the
+    unit matrix.
 
     Returns R_cs, its covariance P_theta_theta (3, 3) rad² in frame c, and the number of iterations. Raises
     `ValueError` when M has not come to within `tolerance_rad` of the unit matrix.

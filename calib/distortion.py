@@ -1,0 +1,60 @@
+"""What is left of the remote-sensing camera's distortion after its own calibration: a curve along each CCD.
+
+The residual of a look vector along x and y of frame c is a random curve of the sample number, one for each
+CCD, with variance one (times `sigma_distortion_rad` squared) and Matérn's 3/2 correlation over `length_px`.
+The curve is held by its values at knots half a length apart, straight lines between them; what straight
+lines miss of the variance is noise of each target.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["correlation", "knot_weights", "knots_touched", "prior_information", "unknown_names"]
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+Knot = tuple[int, int]  # CCD, number of the knot along it
+
+
+def knots_touched(ccd: Index, sample: Array, length_px: float) -> tuple[Knot, ...]:
+    """The knots that targets at (ccd, sample) lie between, in order."""
+    left = np.floor(sample / (0.5 * length_px)).astype(np.int64)
+    both = {(int(c), int(k)) for c, k in zip(ccd, left)} | {(int(c), int(k) + 1) for c, k in zip(ccd, left)}
+    return tuple(sorted(both))
+
+
+def knot_weights(ccd: Index, sample: Array, knots: tuple[Knot, ...], length_px: float) -> Array:
+    """Weights (J, K) of the knots in the curve's value at each target. Raises `KeyError` for a knot not
+    in `knots`.
+    """
+    place = {knot: n for n, knot in enumerate(knots)}
+    step = sample / (0.5 * length_px)
+    left = np.floor(step).astype(np.int64)
+    weights = np.zeros((len(ccd), len(knots)))
+    for j, (c, k) in enumerate(zip(ccd.tolist(), left.tolist())):
+        share = step[j] - k
+        weights[j, place[c, k]] = 1.0 - share
+        weights[j, place[c, k + 1]] = share
+    return weights
+
+
+def correlation(knots: tuple[Knot, ...]) -> Array:
+    """Prior correlation (K, K) of the curve's values at knots: Matérn 3/2 within a CCD, none between CCDs."""
+    table = np.array(knots, dtype=float).reshape(-1, 2)
+    distance = np.sqrt(3.0) * 0.5 * np.abs(table[:, None, 1] - table[None, :, 1])
+    return (1.0 + distance) * np.exp(-distance) * (table[:, None, 0] == table[None, :, 0])
+
+
+def unknown_names(knots: tuple[Knot, ...]) -> tuple[str, ...]:
+    """Names of the camera's unknowns: the curve along x at every knot, then along y."""
+    return tuple(f"distortion/{axis}/{ccd}/{k}" for axis in "xy" for ccd, k in knots)
+
+
+def prior_information(names: tuple[str, ...]) -> Array:
+    """Inverse prior covariance (n, n) of unknowns by their names, in units of the prior sigma."""
+    parts = [name.split("/") for name in names]
+    knots = tuple((int(ccd), int(k)) for _, _, ccd, k in parts)
+    axis = np.array([a for _, a, _, _ in parts])
+    return np.linalg.inv(correlation(knots) * (axis[:, None] == axis[None, :])) if names else np.zeros((0, 0))

@@ -1,0 +1,315 @@
+"""One strip, linearised: its targets' residuals as theta, the errors that targets share, and white noise.
+
+Each target of a line scanner has its own instant t_j. The star camera's attitude there is interpolated
+between the exposures' attitudes (relative to the nominal motion, Lagrange weights w_jk), and the exposures'
+errors phi_k stay unknowns: the residual of a target sees theta - sum w_jk phi_k (docs/estimation.md; phi
+right-handed, theta with the paper's sign, hence the minus). What else targets of a strip share stands
+beside the phi_k, every unknown scaled to unit prior variance: position error, clock offset, distortion,
+coordinates of a target seen twice. For all of them, with whitened residuals r = X_theta theta + X_q q +
+noise,
+
+    F = X_thetaᵀ X_theta - X_thetaᵀ X_q (I + X_qᵀ X_q)⁻¹ X_qᵀ X_theta,    F theta likewise with r.
+
+A prior of zero makes a column of zeros: the error is off. Preparing does not need the installation matrix
+and is done once. Strips with equal numbers of exposures, targets and unknowns are reduced together.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from calib.attitudes import ExposureAttitudes, cross_matrices, fit_attitudes
+from calib.distortion import Knot, correlation, knot_weights, knots_touched
+from calib.settings import CalibrationSettings
+from geometry.attitude import lagrange_weights
+from geometry.sightings import GroundSightings, StripSightings
+
+__all__ = ["LinearStrips", "PreparedStrip", "StripGroup", "group_strips", "linearise", "prepare_strip"]
+
+Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PreparedStrip:
+    """A strip before the installation matrix is known. J targets, n unknowns that its targets share."""
+
+    strip_id: str
+    attitudes: ExposureAttitudes  # of all exposures
+    used: Flags  # (K,) exposures that carry targets' attitudes
+    inside: Flags  # (J,) targets whose instant the exposures cover
+    target_id: NDArray[np.str_]  # (J,)
+    ccd: NDArray[np.int64]  # (J,)
+    sample: Array  # (J,) px along the CCD
+    u_c: Array  # (J, 3) measured look vectors
+    cov_c: Array  # (J, 3, 3) of their placing, rad²
+    v_s: Array  # (J, 3) the targets' known directions as the star camera's attitude puts them into frame s
+    shared_s: Array  # (J, 3, n) change of v_s by each shared unknown in units of its prior sigma
+    white_s: Array  # (J, 3, 3) rad², what is the target's own beside its placing, frame s
+    unknowns: tuple[str, ...]  # (n,) names of the columns of shared_s
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StripGroup:
+    """S prepared strips of equal shape, one after another, with the knots of the distortion."""
+
+    place: NDArray[np.int64]  # (S,) which strips of the calibration these are
+    inside: Flags  # (S, J)
+    u_c: Array  # (S, J, 3)
+    cov_c: Array  # (S, J, 3, 3)
+    v_s: Array  # (S, J, 3)
+    shared_s: Array  # (S, J, 3, n)
+    white_s: Array  # (S, J, 3, 3)
+    camera: (
+        Array  # (S, J, g/2) rad, change of the look vector along x, and along y, by each knot of the camera
+    )
+    own: Array  # (S, J, m) the same for the strip's own distortion, whitened
+    missed: Array  # (S, J) rad², variance of the distortion that straight lines between knots miss
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LinearStrips:
+    """S strips of equal shape, linearised about one installation matrix. Rows are whitened, two a target."""
+
+    r: Array  # (S, 2 J)
+    X_theta: Array  # (S, 2 J, 3) change of r by theta
+    X_camera: (
+        Array  # (S, 2 J, g) change of r by the knots of the camera's distortion, units of its prior sigma
+    )
+    X_q: Array  # (S, 2 J, n) change of r by the strip's own unknowns, units of their prior sigma
+    whitener: Array  # (S, J, 2, 2) takes residuals along the two tangent axes to rows of r
+    share: Array  # (S, J, 2, 2) the placing's part of the whitened noise
+
+
+def prepare_strip(
+    strip: StripSightings, settings: CalibrationSettings, scale_s: float = 1.0
+) -> PreparedStrip:
+    """Fit the exposures' attitudes and bring every target into frame s at its own instant.
+
+    `scale_s` scales the sigma of the stars.
+    """
+    attitudes = _attitudes(strip, settings, scale_s)
+    ground = strip.ground
+    used = attitudes.usable
+    times = np.array([exposure.t_s for exposure in strip.exposures])
+    inside, weights = _weights(times[used], ground.t_s)
+    J, K = len(ground.t_s), int(used.sum())
+    R_si = _interpolated(
+        attitudes.R_si[used], strip.R_oi_exposures, used, strip.R_oi_targets, weights, inside
+    )
+    v_s = np.einsum("jab,jb->ja", R_si, ground.u_i)
+    covariance = attitudes.covariance_s[used] + settings.sigma_vibration_exposure_rad**2 * np.eye(3)
+    turn = -cross_matrices(v_s)[:, None] @ np.linalg.cholesky(covariance)[None]  # (J, K, 3, 3)
+    phi = (weights[:, :, None, None] * turn).transpose(0, 2, 1, 3).reshape(J, 3, 3 * K)
+    move_s = R_si @ _direction_by_position(ground)  # (J, 3, 3) per metre
+    position = move_s * settings.sigma_position_m
+    clock = (move_s @ ground.v_rel_i[:, :, None]) * settings.sigma_clock_s
+    twice, own, white_s = _target_coordinates(ground, move_s, settings)
+    names = [f"phi/{k}/{axis}" for k in range(K) for axis in "xyz"] + [f"position/{axis}" for axis in "xyz"]
+    return PreparedStrip(
+        strip.strip_id,
+        attitudes,
+        used,
+        inside,
+        ground.target_id,
+        ground.ccd,
+        ground.xy_px[:, 0],
+        ground.u_c,
+        ground.cov_c,
+        v_s,
+        np.concatenate([phi, position, clock, own], axis=2),
+        white_s,
+        (*names, "clock", *twice),
+    )
+
+
+def group_strips(
+    strips: list[PreparedStrip], camera_knots: tuple[Knot, ...], settings: CalibrationSettings
+) -> list[StripGroup]:
+    """Strips of equal shape put together, in the order in which their shapes first come.
+
+    A strip none of whose targets the exposures cover is in no group.
+    """
+    shapes: dict[tuple[int, int, int], list[int]] = {}
+    for place, strip in enumerate(strips):
+        if not strip.inside.any():
+            continue
+        n = len(strip.unknowns) + 2 * len(_own_knots(strip, settings))
+        shapes.setdefault((int(strip.used.sum()), len(strip.ccd), n), []).append(place)
+    return [_group(strips, np.array(places), camera_knots, settings) for places in shapes.values()]
+
+
+def linearise(
+    group: StripGroup, R_cs: Rotation, settings: CalibrationSettings, scale_c: float = 1.0
+) -> LinearStrips:
+    """Whitened residuals and their derivatives about `R_cs`; `scale_c` scales the sigma of the placings.
+
+    Targets that the exposures do not cover have rows of zeros.
+    """
+    C = R_cs.as_matrix()
+    S = len(group.place)
+    w = group.v_s @ C.T  # (S, J, 3)
+    tangent = _tangent_axes(w)  # (S, J, 2, 3)
+    difference = group.u_c - w
+    placing = tangent @ group.cov_c @ np.swapaxes(tangent, 2, 3)
+    turned = tangent @ C
+    white = scale_c**2 * placing + turned @ group.white_s @ np.swapaxes(turned, 2, 3)
+    white = white + (settings.sigma_vibration_rad**2 + group.missed)[:, :, None, None] * np.eye(2)
+    whitener = _inverse_cholesky_2x2(white)
+    rows = whitener * group.inside[:, :, None, None]
+    own = _along_axes(tangent, group.own)
+    parts = (
+        rows @ (tangent @ difference[..., None]),
+        rows @ (tangent @ cross_matrices(w)),
+        rows @ _along_axes(tangent, group.camera),
+        rows @ np.concatenate([turned @ group.shared_s, own], axis=3),
+    )
+    r, X_theta, X_camera, X_q = (part.reshape(S, 2 * w.shape[1], part.shape[-1]) for part in parts)
+    share = whitener @ placing @ np.swapaxes(whitener, 2, 3)
+    return LinearStrips(r[:, :, 0], X_theta, X_camera, X_q, whitener, share)
+
+
+def _group(
+    strips: list[PreparedStrip],
+    place: NDArray[np.int64],
+    camera_knots: tuple[Knot, ...],
+    settings: CalibrationSettings,
+) -> StripGroup:
+    members = [strips[n] for n in place]
+    camera, own, missed = zip(*(_distortion(strip, camera_knots, settings) for strip in members))
+    fields = ("inside", "u_c", "cov_c", "v_s", "shared_s", "white_s")
+    stacked = {name: np.stack([getattr(strip, name) for strip in members]) for name in fields}
+    return StripGroup(
+        place=place, camera=np.stack(camera), own=np.stack(own), missed=np.stack(missed), **stacked
+    )
+
+
+def _attitudes(strip: StripSightings, settings: CalibrationSettings, scale_s: float) -> ExposureAttitudes:
+    counts = [len(exposure.hip) for exposure in strip.exposures]
+    start = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
+    none = np.zeros((0, 3))
+    return fit_attitudes(
+        np.concatenate([none, *(exposure.u_s for exposure in strip.exposures)]),
+        np.concatenate([none, *(exposure.u_i for exposure in strip.exposures)]),
+        scale_s**2 * np.concatenate([np.zeros((0, 3, 3)), *(exposure.cov_s for exposure in strip.exposures)]),
+        start,
+        robust=settings.robust,
+        probability_false_alarm=settings.probability_false_alarm,
+        fewest_stars=settings.fewest_stars,
+    )
+
+
+def _weights(times: Array, t_s: Array) -> tuple[Flags, Array]:
+    """Which instants the exposures cover, and the weights (J, K) of the exposures there, zero where not
+    covered.
+
+    One exposure alone covers half a second around it, by the nominal motion.
+    """
+    if len(times) == 0:
+        return np.zeros(len(t_s), dtype=bool), np.zeros((len(t_s), 0))
+    if len(times) == 1:
+        inside = np.abs(t_s - times[0]) <= 0.5
+        return inside, inside[:, None].astype(float)
+    before, after = 0.5 * (times[1] - times[0]), 0.5 * (times[-1] - times[-2])
+    inside = (t_s >= times[0] - before) & (t_s <= times[-1] + after)
+    weights = np.zeros((len(t_s), len(times)))
+    weights[inside] = lagrange_weights(times, t_s[inside], points=min(4, len(times)))
+    return inside, weights
+
+
+def _interpolated(
+    R_si: Array, R_oi_exposures: Rotation, used: Flags, R_oi_targets: Rotation, weights: Array, inside: Flags
+) -> Array:
+    """Attitudes (J, 3, 3) at the targets' instants; the unit matrix where the exposures do not cover them."""
+    R_si_targets = np.tile(np.eye(3), (len(weights), 1, 1))
+    if not inside.any():
+        return R_si_targets
+    D = Rotation.from_matrix(R_si) * R_oi_exposures[used].inv()
+    middle = D[len(D) // 2]
+    turned = Rotation.from_rotvec(weights[inside] @ (D * middle.inv()).as_rotvec())
+    R_si_targets[inside] = (turned * middle * R_oi_targets[inside]).as_matrix()
+    return R_si_targets
+
+
+def _direction_by_position(ground: GroundSightings) -> Array:
+    """d u_i / d p_i = -(I - u uᵀ) / range, (J, 3, 3) 1/m: the satellite is not where it was said to be."""
+    u = ground.u_i
+    return -(np.eye(3) - u[:, :, None] * u[:, None, :]) / ground.range_m[:, None, None]
+
+
+def _target_coordinates(
+    ground: GroundSightings, move_s: Array, settings: CalibrationSettings
+) -> tuple[list[str], Array, Array]:
+    """Targets' own coordinate errors: shared columns for those seen more than once, white noise for the
+    rest.
+    """
+    J = len(ground.t_s)
+    if not settings.use_target_sigma:
+        return [], np.zeros((J, 3, 0)), np.zeros((J, 3, 3))
+    covariance = ground.cov_target_i
+    white_s = move_s @ covariance @ np.swapaxes(move_s, 1, 2)
+    ids, group, count = np.unique(ground.target_id, return_inverse=True, return_counts=True)
+    again = np.flatnonzero(count > 1)
+    own = np.zeros((J, 3, 3 * len(again)))
+    for n, target in enumerate(again.tolist()):
+        values, vectors = np.linalg.eigh(covariance[group == target][0])
+        root = vectors * np.sqrt(np.maximum(values, 0.0))
+        own[group == target, :, 3 * n : 3 * n + 3] = move_s[group == target] @ root
+        white_s[group == target] = 0.0
+    return [f"target/{ids[target]}/{axis}" for target in again for axis in range(3)], own, white_s
+
+
+def _own_knots(strip: PreparedStrip, settings: CalibrationSettings) -> tuple[Knot, ...]:
+    if settings.distortion_scope == "camera" or settings.sigma_distortion_rad == 0.0:
+        return ()
+    return knots_touched(strip.ccd, strip.sample, settings.distortion_length_px)
+
+
+def _distortion(
+    strip: PreparedStrip, camera_knots: tuple[Knot, ...], settings: CalibrationSettings
+) -> tuple[Array, Array, Array]:
+    """Weights of the camera's knots (J, g/2), whitened weights of the strip's own (J, m), white variance
+    (J,), rad².
+    """
+    sigma, length = settings.sigma_distortion_rad, settings.distortion_length_px
+    J, knots = len(strip.ccd), _own_knots(strip, settings)
+    camera, own = np.zeros((J, len(camera_knots))), np.zeros((J, len(knots)))
+    missed = np.full(J, sigma**2)
+    if camera_knots:
+        camera = knot_weights(strip.ccd, strip.sample, camera_knots, length)
+        missed = sigma**2 * (1.0 - np.einsum("jk,kl,jl->j", camera, correlation(camera_knots), camera))
+    if knots:
+        own = knot_weights(strip.ccd, strip.sample, knots, length) @ np.linalg.cholesky(correlation(knots))
+        missed = sigma**2 * (1.0 - np.einsum("jk,jk->j", own, own))
+    return sigma * camera, sigma * own, missed
+
+
+def _along_axes(tangent: Array, weights: Array) -> Array:
+    """Columns (S, J, 2, 2 K) of curves along x and along y of frame c."""
+    x, y = (tangent[:, :, :, axis, None] * weights[:, :, None, :] for axis in (0, 1))
+    return np.concatenate([x, y], axis=3)
+
+
+def _tangent_axes(w: Array) -> Array:
+    """Two unit vectors (..., 2, 3) across each direction: the camera's x axis as nearly as may be, and w
+    x that.
+    """
+    x = np.zeros_like(w)
+    x[..., 0] = 1.0
+    x = x - w[..., :1] * w
+    x = x / np.linalg.norm(x, axis=-1, keepdims=True)
+    return np.stack([x, np.cross(w, x)], axis=-2)
+
+
+def _inverse_cholesky_2x2(matrix: Array) -> Array:
+    """L⁻¹ of matrix = L Lᵀ, (..., 2, 2)."""
+    a = np.sqrt(matrix[..., 0, 0])
+    b = matrix[..., 1, 0] / a
+    c = np.sqrt(matrix[..., 1, 1] - b * b)
+    out = np.zeros_like(matrix)
+    out[..., 0, 0], out[..., 1, 1], out[..., 1, 0] = 1.0 / a, 1.0 / c, -b / (a * c)
+    return out
