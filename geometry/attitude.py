@@ -17,7 +17,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
-__all__ = ["Attitude", "AttitudeTrack", "NominalMotion", "lagrange_weights"]
+from geometry.earth_rotation import EarthRotation
+
+__all__ = ["Attitude", "AttitudeTrack", "EarthFixedAttitude", "NominalMotion", "lagrange_weights"]
 
 Array = NDArray[np.float64]
 
@@ -128,6 +130,33 @@ class AttitudeTrack:
         for m in range(points):
             product *= t - self.t_s[start + m]
         return np.abs(product)[:, None] * np.sqrt(size2)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class EarthFixedAttitude:
+    """Attitude as an operator's polynomials in time: a quaternion that takes frame s to ITRS axes.
+
+    `q(t) = sum_n coefficients[:, n] ((t - t_offset_s) / scale_s)^n`, scalar last, normalised after.
+    """
+
+    coefficients: Array  # (4, D + 1), lowest power first
+    t_offset_s: float
+    scale_s: float
+    earth: EarthRotation
+    span_s: tuple[float, float]
+
+    def __post_init__(self) -> None:
+        if np.ndim(self.coefficients) != 2 or len(self.coefficients) != 4:
+            raise ValueError(f"coefficients must have shape (4, D + 1), got {np.shape(self.coefficients)}")
+        if not self.scale_s > 0.0:
+            raise ValueError(f"scale_s must be positive, got {self.scale_s}")
+
+    def R_si(self, t_s: ArrayLike) -> Rotation:
+        """The rotation from GCRS to frame s at instants (N,)."""
+        t = np.asarray(t_s, dtype=float)
+        x = (t - self.t_offset_s) / self.scale_s
+        quaternion = np.polynomial.polynomial.polyval(x, self.coefficients.T).T
+        return (self.earth.rotations_ie(t) * Rotation.from_quat(quaternion)).inv()
 
 
 def _stencil_start(nodes: Array, t: Array, points: int) -> NDArray[np.int64]:
