@@ -238,10 +238,9 @@ class ProceduralGround:
             x = (column + columns + 0.5) * self.texel_m
             y = -(row + rows + 0.5) * self.texel_m
             noise = self._cloud_noise(*np.meshgrid(x, y)).astype(np.float32)
-            across, down = np.meshgrid(np.arange(width) / step, np.arange(height) / step)
-            full = cv2.remap(noise, across.astype(np.float32), down.astype(np.float32), cv2.INTER_LINEAR)
+            full = cv2.remap(noise, *_places(width, height, step), interpolation=cv2.INTER_LINEAR)
             cover = np.clip((full - self._cloud_level) / 0.15 + 0.5, 0.0, 1.0)
-            reflectance = reflectance * (1.0 - cover) + np.float32(cloud.brightness) * cover
+            reflectance = (reflectance * (1.0 - cover) + cloud.brightness * cover).astype(np.float32)
         return np.clip(reflectance, 0.0, 1.0).astype(np.float32)
 
     def _cloud_noise(self, x: Array, y: Array) -> Array:
@@ -285,7 +284,7 @@ class ImageGround:
         for values, size in ((image_x, self._image.shape[1]), (image_y, self._image.shape[0])):
             offset = np.floor(values.min() / (2 * size - 2)) * (2 * size - 2)
             dense = cv2.remap((values - offset).astype(np.float32), across, down, cv2.INTER_LINEAR)
-            full.append(_mirrored(dense, size))
+            full.append(_mirrored(np.asarray(dense, dtype=np.float32), size))
         return np.asarray(cv2.remap(self._image, full[0], full[1], cv2.INTER_LINEAR), dtype=np.float32)
 
 
@@ -332,6 +331,13 @@ def _number(key: int, i: int, j: int, n: int) -> float:
 def _shrunk(quad: Array, by: float) -> Array:
     middle = quad.mean(axis=0)
     return middle + (1.0 - by) * (quad - middle)
+
+
+def _places(width: int, height: int, step: int) -> tuple[Patch, Patch]:
+    """Where the points of a window (height, width) lie on a grid of every `step`-th point."""
+    x, y = np.arange(width, dtype=np.float32) / step, np.arange(height, dtype=np.float32) / step
+    across, down = np.meshgrid(x.astype(np.float32), y.astype(np.float32))
+    return across, down
 
 
 def _mirrored(index: NDArray[np.float32], size: int) -> NDArray[np.float32]:

@@ -7,7 +7,7 @@ table: every row has its own.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -86,6 +86,11 @@ class TrueAttitude:
     amplitude_rad: Array  # (W,)
     frequency_rad_s: Array  # (W,)
     phase_rad: Array  # (W,)
+    span_s: tuple[float, float]  # from when to when it is to be used
+
+    def during(self, t_start_s: float, t_stop_s: float) -> TrueAttitude:
+        """The same attitude, to be used over a shorter stretch."""
+        return replace(self, span_s=(t_start_s, t_stop_s))
 
     def R_ci(self, t_s: ArrayLike) -> Rotation:
         """GCRS -> remote-sensing camera, at instants (N,)."""
@@ -140,6 +145,7 @@ def true_attitude(
         amplitude_rad=np.array(amplitude),
         frequency_rad_s=np.array(frequency),
         phase_rad=rng.uniform(0.0, 2.0 * np.pi, len(axis)),
+        span_s=(float(orbit.t_s[0]), float(orbit.t_s[-1])),
     )
 
 

@@ -51,7 +51,7 @@ class Scene:
                 f"CCD {ccd}: {np.isnan(p_e[:, 0]).sum()} of {len(line)} lines of sight miss the terrain"
             )
         to_map = Transformer.from_crs(4978, self.epsg, always_xy=True)
-        east, north, _ = to_map.transform(*p_e.T)
+        east, north, _ = to_map.transform(p_e[:, 0], p_e[:, 1], p_e[:, 2])
         column, row = east / self.ground.texel_m - 0.5, -north / self.ground.texel_m - 0.5
         shape = (len(lines), len(samples))
         return column.reshape(shape), row.reshape(shape)

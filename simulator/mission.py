@@ -1,0 +1,371 @@
+"""One simulated mission, from a scenario and a seed: everything that goes into a dump, and the truth apart.
+
+The order is that of cause and effect: orbit, attitude, ground, then what the cameras see of it, and last
+what the mission believes about itself. Images are made when they are asked for. Every kind of chance draws
+from its own stream of random numbers, so that a setting which is changed leaves the others' draws alone.
+"""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geometry.constants import WGS84
+from geometry.earth_orientation import EarthOrientationTable
+from geometry.earth_rotation import EarthRotation
+from geometry.epoch import Epoch
+from geometry.geodesy import geodetic_from_ecef
+from geometry.geoid import Geoid
+from geometry.groundlight import LightEffects
+from geometry.orbit import Orbit
+from geometry.pushbroom import Pushbroom, RowClock
+from geometry.starlight import StarPlaces
+from geometry.terrain import ConstantHeight, TerrainGrid
+from simulator.cameras import (
+    calibrated_line_camera,
+    distorted_line_camera,
+    measured_installation,
+    star_camera,
+    true_installation,
+)
+from simulator.ground import (
+    BlurredGround,
+    Ground,
+    GroundImage,
+    ImageGround,
+    ProceduralGround,
+    gaussian_sigma_px,
+)
+from simulator.ground_targets import check_points, place_targets
+from simulator.motion import TrueAttitude, flown_orbit, reported_orbit, true_attitude
+from simulator.records import (
+    Exposure,
+    Installation,
+    Mission,
+    OrbitReport,
+    StatedErrors,
+    Strip,
+    TerrainReport,
+    TrueExposure,
+    TrueStrip,
+    Truth,
+)
+from simulator.relief import Affine, relief_grid
+from simulator.scan import Scene, scan
+from simulator.scenario import Scenario
+from simulator.sky import hot_pixels
+from simulator.star_images import StarField, with_invented_stars
+
+__all__ = ["simulate"]
+
+Array = NDArray[np.float64]
+
+_MARGIN_DEG = 0.08  # terrain beyond the strips' corners: a wrong installation matrix looks 2 km aside
+_EARTH_MARGIN_S = 2.0
+_AROUND_S = 1.0  # before and after a strip: a point is looked for in its rows and a little beyond
+
+
+def simulate(
+    scenario: Scenario,
+    stars: StarPlaces,
+    table: EarthOrientationTable,
+    geoid: Geoid,
+    seed: int,
+    ground_image: GroundImage | None = None,
+) -> Mission:
+    """A mission flown as the scenario says.
+
+    Parameters
+    ----------
+    stars : StarPlaces
+        Every star that shall shine, those unfit for calibration included.
+    table, geoid : EarthOrientationTable, Geoid
+        The Earth's rotation and the zero of heights.
+    seed : int
+        Of everything that is left to chance. The same seed gives the same bytes.
+    ground_image : GroundImage, optional
+        The ortho-image that `scenario.ground.image` names; the caller reads it.
+    """
+    if bool(scenario.ground.image) != (ground_image is not None):
+        raise ValueError(
+            f"ground.image is {scenario.ground.image!r}: ground_image goes with it, or not at all"
+        )
+    plan = _Plan.of(scenario)
+    world = _World.of(scenario, plan, table, seed)
+    scenes, terrain = _scenes(scenario, plan, world, geoid, seed, ground_image)
+    placed, checks = [], []
+    for n, scene in enumerate(scenes):
+        reference = _seen_ground(scenario, scene.epsg, seed, ground_image, date=0)
+        args = (plan.strip_ids[n], scene, scenario.strips.lines)
+        placed += place_targets(
+            *args, reference, scenario.ground_pixel_m, scenario.targets, geoid, _rng(seed, "targets", n)
+        )
+        checks += check_points(*args, scenario.targets.check_points_per_strip, _rng(seed, "check points", n))
+    sky = _star_field(scenario, stars, world, seed)
+    position_e = _rng(seed, "gps").standard_normal((scenario.strips.count, 3)) * scenario.errors.gps_m
+    clock_s = _rng(seed, "clock").standard_normal(scenario.strips.count) * scenario.errors.clock_s
+    true_strips = tuple(
+        TrueStrip(strip_id, float(offset), error)
+        for strip_id, offset, error in zip(plan.strip_ids, clock_s, position_e)
+    )
+    targets = [item for item in placed if item.truth]
+    return Mission(
+        scenario=scenario,
+        epoch=world.orbit.epoch,
+        orbit=_orbit_report(scenario, plan, world.orbit, position_e),
+        star_camera=sky.camera,
+        line_camera=calibrated_line_camera(scenario.line_camera),
+        installation=Installation(
+            measured_installation(scenario.installation), np.array(scenario.installation.sigma_rad)
+        ),
+        errors=_stated(scenario),
+        exposures=_exposures(scenario, plan, sky, seed),
+        strips=_strips(scenario, plan, scenes, clock_s, seed),
+        targets=tuple(item.target for item in targets),
+        chips=tuple(item.chip for item in targets),
+        terrain=terrain,
+        truth=Truth(
+            seed=seed,
+            R_cs=true_installation(scenario.installation),
+            theta_rad=np.array(scenario.installation.theta_rad),
+            line_camera=world.line_camera,
+            orbit=reported_orbit(world.orbit, plan.oem_s, plan.strips_s, 0.0 * position_e, 0.0, 1.0),
+            t_attitude_s=plan.attitude_s,
+            R_ci=world.attitude.R_ci(plan.attitude_s),
+            strips=true_strips,
+            targets=tuple(point for item in targets for point in item.truth),
+            check_points=tuple(checks),
+            _exposure=partial(_true_exposure, sky, scenario.star_camera.exposure_s, plan),
+        ),
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Plan:
+    """When everything happens; seconds since the mission's epoch."""
+
+    epoch: Epoch
+    strip_ids: tuple[str, ...]
+    strips_s: Array  # (S,) first row of each strip
+    strip_s: float  # duration of a strip
+    exposures_s: Array  # (K,) middles of the exposures
+    oem_s: Array  # nodes of the reported orbit
+    attitude_s: Array  # instants of the attitudes that the truth tells
+
+    @staticmethod
+    def of(scenario: Scenario) -> _Plan:
+        s, rate = scenario.strips, scenario.star_camera.rate_hz
+        first = s.first_s + s.spacing_s * np.arange(s.count)
+        duration = s.lines * s.row_period_s
+        lead = s.exposure_lead_s
+        ticks = [
+            np.arange(np.floor((t - lead) * rate), np.ceil((t + duration + lead) * rate) + 1.0) for t in first
+        ]
+        exposures = np.unique(np.concatenate(ticks)) / rate
+        step, margin = scenario.orbit.oem_step_s, scenario.orbit.oem_margin_s
+        nodes = np.floor((exposures[0] - margin) / step), np.ceil((exposures[-1] + margin) / step)
+        oem = np.arange(nodes[0], nodes[1] + 1.0)
+        return _Plan(
+            epoch=Epoch.from_utc(scenario.epoch_utc),
+            strip_ids=tuple(f"s{n + 1:02d}" for n in range(s.count)),
+            strips_s=np.asarray(first, dtype=float),
+            strip_s=duration,
+            exposures_s=exposures,
+            oem_s=oem * step,
+            attitude_s=np.concatenate([np.arange(t, t + duration, 1e-3) for t in first]),
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _World:
+    """The satellite as it truly flies, points and looks."""
+
+    earth: EarthRotation
+    orbit: Orbit
+    attitude: TrueAttitude
+    line_camera: Any
+
+    @staticmethod
+    def of(scenario: Scenario, plan: _Plan, table: EarthOrientationTable, seed: int) -> _World:
+        start, stop = min(plan.oem_s[0], 0.0) - _EARTH_MARGIN_S, plan.oem_s[-1] + _EARTH_MARGIN_S
+        earth = EarthRotation.over(plan.epoch, start - 5.0, stop + 5.0, table)
+        orbit = flown_orbit(scenario.orbit, start - 4.0, stop + 4.0, earth)
+        R_cs = true_installation(scenario.installation)
+        chance = _rng(seed, "attitude")
+        attitude = true_attitude(scenario.attitude, scenario.errors, R_cs, orbit, earth, chance)
+        calibrated = calibrated_line_camera(scenario.line_camera)
+        camera = distorted_line_camera(calibrated, scenario.errors, _rng(seed, "distortion"))
+        return _World(earth, orbit, attitude, camera)
+
+
+def _scenes(
+    scenario: Scenario,
+    plan: _Plan,
+    world: _World,
+    geoid: Geoid,
+    seed: int,
+    ground_image: GroundImage | None,
+) -> tuple[list[Scene], TerrainReport]:
+    """The true geometry of each strip over the true terrain, and the terrain as the user gets it."""
+    models = [
+        Pushbroom(
+            camera=world.line_camera,
+            rows=RowClock(float(t), scenario.strips.row_period_s),
+            orbit=world.orbit,
+            earth=world.earth,
+            attitude=world.attitude.during(float(t) - _AROUND_S, float(t) + plan.strip_s + _AROUND_S),
+            R_cs=world.attitude.R_cs,
+            effects=LightEffects(),
+        )
+        for t in plan.strips_s
+    ]
+    boxes = np.array([_box_deg(model, scenario) for model in models])
+    heights, affine = relief_grid(boxes, scenario.terrain, _key(seed, "relief"))
+    surface = TerrainGrid.from_raster(heights, affine, "EPSG:4326", geoid)
+    scenes = []
+    for model, (south, west, north, east) in zip(models, boxes):
+        epsg = _utm_epsg(0.5 * (south + north), 0.5 * (west + east))
+        ground = _seen_ground(scenario, epsg, seed, ground_image, date=1)
+        last = float(scenario.strips.lines + 64)
+        scenes.append(Scene(model.tabulated(-64.0, last), surface, epsg, ground))
+    return scenes, _terrain_report(scenario, heights, affine, seed)
+
+
+def _terrain_report(
+    scenario: Scenario, heights: NDArray[np.float32], affine: Affine, seed: int
+) -> TerrainReport:
+    error = scenario.terrain.error_m * _rng(seed, "terrain error").standard_normal(heights.shape)
+    told = (heights + error).astype(np.float32)
+    return TerrainReport(told, affine, 4326, "egm96", scenario.terrain.error_m)
+
+
+def _seen_ground(
+    scenario: Scenario, epsg: int, seed: int, ground_image: GroundImage | None, date: int
+) -> BlurredGround:
+    """The ground as the strips' optics show it (date 1), or the reference image's (date 0)."""
+    settings, targets = scenario.ground, scenario.targets
+    texel_m = scenario.ground_pixel_m / settings.texels_per_pixel
+    ground: Ground
+    if ground_image is not None:
+        ground = ImageGround(ground_image, texel_m, epsg)
+    else:
+        ground = ProceduralGround(settings, texel_m, _key(seed, "ground"), date)
+    if date == 1:
+        sigma_px = gaussian_sigma_px(settings.mtf_nyquist)
+    else:
+        sigma_px = gaussian_sigma_px(targets.chip_mtf_nyquist) * targets.chip_pixel
+    return BlurredGround(ground, sigma_px * settings.texels_per_pixel)
+
+
+def _star_field(scenario: Scenario, stars: StarPlaces, world: _World, seed: int) -> StarField:
+    camera = star_camera(scenario.star_camera)
+    sky = scenario.sky
+    shining = with_invented_stars(stars, sky, _rng(seed, "invented stars"))
+    hot = hot_pixels(camera.width_px, camera.height_px, sky, _rng(seed, "hot pixels"))
+    return StarField.of(camera, sky, shining, world.orbit, world.attitude, hot)
+
+
+def _exposures(scenario: Scenario, plan: _Plan, sky: StarField, seed: int) -> tuple[Exposure, ...]:
+    duration = scenario.star_camera.exposure_s
+
+    def render(n: int) -> NDArray[Any]:
+        return sky.image(float(plan.exposures_s[n]), duration, _rng(seed, "exposure", n))
+
+    return tuple(
+        Exposure(_exposure_id(n), float(t), duration, partial(render, n))
+        for n, t in enumerate(plan.exposures_s)
+    )
+
+
+def _true_exposure(sky: StarField, exposure_s: float, plan: _Plan, exposure_id: str) -> TrueExposure:
+    ids = {_exposure_id(n): float(t) for n, t in enumerate(plan.exposures_s)}
+    return sky.truth(exposure_id, ids[exposure_id], exposure_s)
+
+
+def _exposure_id(n: int) -> str:
+    return f"e{n + 1:04d}"
+
+
+def _strips(
+    scenario: Scenario, plan: _Plan, scenes: list[Scene], clock_s: Array, seed: int
+) -> tuple[Strip, ...]:
+    """Every CCD of every strip; the time of the first row as the camera's clock says it."""
+    camera, s, ground = scenario.line_camera, scenario.strips, scenario.ground
+    spread = [_rng(seed, "gain", ccd).standard_normal(camera.samples) for ccd in range(camera.ccds)]
+    gains = [(1.0 + ground.pixel_gain_sigma * each).astype(np.float32) for each in spread]
+
+    def render(n: int, ccd: int, rows: int) -> Iterator[NDArray[Any]]:
+        chance = _rng(seed, "strip", n, ccd)
+        return scan(scenes[n], ccd, s.lines, ground, gains[ccd], chance, rows)
+
+    return tuple(
+        Strip(
+            strip_id=plan.strip_ids[n],
+            ccd=ccd,
+            lines=s.lines,
+            samples=camera.samples,
+            t_first_row_s=float(plan.strips_s[n] + clock_s[n]),
+            row_period_s=s.row_period_s,
+            bits=ground.bits,
+            _render=partial(render, n, ccd),
+        )
+        for n in range(s.count)
+        for ccd in range(camera.ccds)
+    )
+
+
+def _orbit_report(scenario: Scenario, plan: _Plan, orbit: Orbit, position_e: Array) -> OrbitReport:
+    """The receiver's ephemeris; a strip's error holds as far around it as the spacing allows, 6 s at most."""
+    middles = plan.strips_s + 0.5 * plan.strip_s
+    hold = 0.5 * plan.strip_s + min(6.0, 0.3 * (scenario.strips.spacing_s - plan.strip_s))
+    return reported_orbit(orbit, plan.oem_s, middles, position_e, scenario.errors.gps_m, hold)
+
+
+def _stated(scenario: Scenario) -> StatedErrors:
+    errors = scenario.errors
+    return StatedErrors(
+        position_m=errors.gps_m,
+        clock_s=errors.clock_s,
+        vibration_arcsec=errors.vibration_arcsec,
+        look_distortion_px=errors.distortion_px,
+        terrain_m=scenario.terrain.error_m,
+    )
+
+
+def _box_deg(model: Pushbroom, scenario: Scenario) -> tuple[float, float, float, float]:
+    """South, west, north, east of what a strip sees, with a margin."""
+    last = float(scenario.strips.lines - 1)
+    corners = []
+    for ccd in (0, model.camera.n_ccds - 1):
+        end = float(model.camera.n_px(ccd) - 1)
+        sample, line = np.array([0.0, end, 0.0, end]), np.array([0.0, 0.0, last, last])
+        corners.append(model.ground_points(ccd, sample, line, ConstantHeight(scenario.terrain.mean_m)))
+    lat, lon, _ = geodetic_from_ecef(np.concatenate(corners), WGS84)
+    lat_deg, lon_deg = np.degrees(lat), np.degrees(lon)
+    wide = _MARGIN_DEG / float(np.cos(lat.mean()))
+    return (
+        float(lat_deg.min() - _MARGIN_DEG),
+        float(lon_deg.min() - wide),
+        float(lat_deg.max() + _MARGIN_DEG),
+        float(lon_deg.max() + wide),
+    )
+
+
+def _utm_epsg(lat_deg: float, lon_deg: float) -> int:
+    zone = int((lon_deg + 180.0) % 360.0 // 6.0) + 1
+    return (32600 if lat_deg >= 0.0 else 32700) + zone
+
+
+def _rng(seed: int, name: str, *index: int) -> np.random.Generator:
+    """The stream of random numbers of one purpose."""
+    return np.random.default_rng([seed, zlib.crc32(name.encode()), *index])
+
+
+def _key(seed: int, name: str) -> int:
+    return int(_rng(seed, name).integers(2**31))
