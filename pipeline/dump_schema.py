@@ -5,6 +5,7 @@ Units are those of the files, and stand in the names. Unknown keys are refused; 
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import Annotated, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, StringConstraints, model_validator
@@ -68,6 +69,7 @@ class Errors(_Strict):
     clock_s: NotNegative
     vibration_arcsec: NotNegative
     look_distortion_px: NotNegative
+    look_distortion_length_px: Positive
 
 
 class TerrainHeights(_Strict):
@@ -130,7 +132,7 @@ class CcdFile(_Strict):
         s, d = self.distortion_samples, self.distortion_offsets_um
         if len(s) != len(d):
             raise ValueError(f"{len(s)} distortion_samples but {len(d)} distortion_offsets_um")
-        if len(s) == 1 or any(b <= a for a, b in zip(s, s[1:])):
+        if len(s) == 1 or any(b <= a for a, b in pairwise(s)):
             raise ValueError("distortion_samples must be none, or two and more in increasing order")
         return self
 

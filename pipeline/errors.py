@@ -1,4 +1,6 @@
-"""What can be wrong with a file, and how it is told: which file, which field, what was found, what was expected."""
+"""What can be wrong with a file, and how it is told: which file, which field, what was found, what was
+expected.
+"""
 
 from __future__ import annotations
 
@@ -10,8 +12,8 @@ __all__ = ["DataNotSufficientError", "Omission", "RawDataError"]
 class RawDataError(Exception):
     """A file is missing, damaged or says something that cannot be. Four facts, always all four.
 
-    `file` is the path as the user knows it (relative to the dump where there is one), `field` the key, column,
-    row or byte offset concerned, `found` what stands there, `expected` what would have been right.
+    `file` is the path as the user knows it (relative to the dump where there is one), `field` the key,
+    column, row or byte offset concerned, `found` what stands there, `expected` what would have been right.
     """
 
     def __init__(self, file: str, field: str, found: object, expected: str) -> None:
@@ -23,7 +25,9 @@ class RawDataError(Exception):
 
 
 class DataNotSufficientError(Exception):
-    """Everything could be read, and still there is no answer in it (exit status 1). The message says what lacks."""
+    """Everything could be read, and still there is no answer in it (exit status 1). The message says what
+    lacks.
+    """
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,8 +1,9 @@
-"""Image files read: exposures whole, strips and terrain by window, chips whole. Size and depth are checked in the
-header before a single pixel is decoded, so that a file that claims to be huge costs nothing.
+"""Image files read: exposures whole, strips and terrain by window, chips whole. Size and depth are checked in
+the header before a single pixel is decoded, so that a file that claims to be huge costs nothing.
 
-An image that cannot be used raises `RawDataError`; whether that stops the run or is an omission is the caller's
-choice. TIFF files are opened by GDAL's GeoTIFF driver alone, without sidecar files and without network.
+An image that cannot be used raises `RawDataError`; whether that stops the run or is an omission is the
+caller's choice. TIFF files are opened by GDAL's GeoTIFF driver alone, without sidecar files and without
+network.
 """
 
 from __future__ import annotations
@@ -98,7 +99,9 @@ def _read_png(path: Path, file: str, size: tuple[int, int] | None, bits: int | N
 
 
 def _check_png_chunks(raw: bytes, file: str) -> None:
-    """Every chunk complete and with the right checksum: decoders fill what is missing with black in silence."""
+    """Every chunk complete and with the right checksum: decoders fill what is missing with black in
+    silence.
+    """
     at = 8
     while at + 12 <= len(raw):
         (length,) = struct.unpack_from(">I", raw, at)
@@ -112,7 +115,9 @@ def _check_png_chunks(raw: bytes, file: str) -> None:
         if kind == b"IEND":
             return
         at += 12 + length
-    raise RawDataError(file, f"byte {len(raw)}", "end of file", f"the rest of the PNG chunk that starts at {at}")
+    raise RawDataError(
+        file, f"byte {len(raw)}", "end of file", f"the rest of the PNG chunk that starts at {at}"
+    )
 
 
 def _read_fits(path: Path, file: str, size: tuple[int, int] | None, bits: int | None) -> NDArray[Any]:
@@ -213,7 +218,9 @@ class StripFiles:
         return self.shapes[ccd]
 
     def read(self, ccd: int, line0: int, line1: int, sample0: int, sample1: int) -> NDArray[Any]:
-        """Rows line0..line1-1, columns sample0..sample1-1, raw counts. The window must lie inside the image."""
+        """Rows line0..line1-1, columns sample0..sample1-1, raw counts. The window must lie inside the
+        image.
+        """
         lines, samples = self.shapes[ccd]
         if not (0 <= line0 < line1 <= lines and 0 <= sample0 < sample1 <= samples):
             raise ValueError(f"window {line0}:{line1}, {sample0}:{sample1} is not inside {lines} x {samples}")
@@ -224,7 +231,9 @@ class StripFiles:
 
 
 def check_strip_file(path: Path, file: str, *, lines: int, samples: int, bit_depth: int) -> None:
-    """The header of a strip's image against what the dump says, and its last row decoded (a file cut short)."""
+    """The header of a strip's image against what the dump says, and its last row decoded (a file cut
+    short).
+    """
     with open_geotiff(path, file) as image:
         depth = _bits(image, file)
         _check_size(file, (image.width, image.height), (samples, lines), depth, 8 if bit_depth <= 8 else 16)
@@ -235,7 +244,9 @@ def check_strip_file(path: Path, file: str, *, lines: int, samples: int, bit_dep
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GridImage:
-    """A georeferenced raster: values (H, W) float32 with NaN where there are none, affine transform, CRS as WKT."""
+    """A georeferenced raster: values (H, W) float32 with NaN where there are none, affine transform, CRS as
+    WKT.
+    """
 
     values: NDArray[np.float32]
     transform: tuple[float, float, float, float, float, float]
@@ -246,7 +257,9 @@ def read_grid(path: Path, file: str, *, max_pixels: int) -> GridImage:
     """A GeoTIFF of one band: a chip or a terrain model. It must have a CRS and a transform."""
     with open_geotiff(path, file) as image:
         if image.width * image.height > max_pixels:
-            raise RawDataError(file, "image size", f"{image.width} x {image.height} px", f"<= {max_pixels} px")
+            raise RawDataError(
+                file, "image size", f"{image.width} x {image.height} px", f"<= {max_pixels} px"
+            )
         if image.count != 1:
             raise RawDataError(file, "bands", str(image.count), "1")
         if image.dtypes[0] not in ("uint8", "uint16", "int16", "float32", "float64"):

@@ -33,6 +33,7 @@ class Ephemeris:
     positions_m: Array  # (N, 3)
     velocities_m_s: Array  # (N, 3)
     frame: Literal["GCRF", "ITRF"]
+    method: Literal["lagrange", "hermite"]
     interpolation_degree: int
     object_name: str
 
@@ -59,7 +60,14 @@ def read_oem(path: Path, file: str) -> Ephemeris:
     velocities = 1e3 * np.array([state.velocity for state in states], dtype=float)
     _check_states(t_s, positions, velocities, file)
     return Ephemeris(
-        epoch, t_s, positions, velocities, _frame(meta, file), _degree(meta, file), str(meta["OBJECT_NAME"])[:64]
+        epoch,
+        t_s,
+        positions,
+        velocities,
+        _frame(meta, file),
+        _method(meta, file),
+        _degree(meta, file),
+        str(meta["OBJECT_NAME"])[:64],
     )
 
 
@@ -72,6 +80,15 @@ def _frame(meta: Any, file: str) -> Literal["GCRF", "ITRF"]:
     if frame.startswith("ITRF"):
         return "ITRF"
     raise RawDataError(file, "REF_FRAME", frame, "GCRF, ICRF or ITRF (with or without a year)")
+
+
+def _method(meta: Any, file: str) -> Literal["lagrange", "hermite"]:
+    method = str(meta["INTERPOLATION"]).strip().upper() if "INTERPOLATION" in meta else "LAGRANGE"
+    if method == "LAGRANGE":
+        return "lagrange"
+    if method == "HERMITE":
+        return "hermite"
+    raise RawDataError(file, "INTERPOLATION", method, "LAGRANGE or HERMITE")
 
 
 def _degree(meta: Any, file: str) -> int:

@@ -1,4 +1,5 @@
-"""TOML and CSV files read into the records of `dump_schema`; every complaint names file, field, found, expected.
+"""TOML and CSV files read into the records of `dump_schema`; every complaint names file, field, found,
+expected.
 
 Nothing in a file is ever executed or followed: values are text and numbers, paths stay inside the dump.
 """
@@ -24,7 +25,9 @@ MAX_TEXT_BYTES = 256 * 2**20  # a text file beyond this is no manifest
 
 
 def path_inside(root: Path, relative: str, *, file: str, field: str) -> Path:
-    """The path that a manifest names, refused when it leaves the dump (absolute, `..`, a link that leads out)."""
+    """The path that a manifest names, refused when it leaves the dump (absolute, `..`, a link that leads
+    out).
+    """
     expected = "a path inside the dump, relative to it, with / between its parts and no .."
     parts = relative.split("/")
     if (
@@ -76,7 +79,9 @@ def read_toml(path: Path, model: type[Model], file: str) -> Model:
 
 
 def read_table(path: Path, model: type[Model], file: str) -> list[Model]:
-    """A CSV file (RFC 4180, comma, header line) as one record of type `model` for each row, in the file's order."""
+    """A CSV file (RFC 4180, comma, header line) as one record of type `model` for each row, in the file's
+    order.
+    """
     text = read_text(path, file)
     expected = list(model.model_fields)
     rows = csv.reader(io.StringIO(text, newline=""), strict=True)
@@ -103,7 +108,9 @@ def _check_header(header: Sequence[str], expected: Sequence[str], file: str) -> 
     if missing := [name for name in expected if name not in header]:
         raise RawDataError(file, f"column {missing[0]}", "no such column", f"columns {', '.join(expected)}")
     if unknown := [name for name in header if name not in expected]:
-        raise RawDataError(file, f"column {unknown[0]}", "an unknown column", f"columns {', '.join(expected)}")
+        raise RawDataError(
+            file, f"column {unknown[0]}", "an unknown column", f"columns {', '.join(expected)}"
+        )
     if len(set(header)) != len(header):
         raise RawDataError(file, "header", ", ".join(header), "each column once")
 

@@ -1,0 +1,239 @@
+"""The command line: each command loads, calls one function and saves.
+
+Results go to the named folder, one line per input or a summary to stdout, progress and remarks to stderr.
+Exit status 0: done; 1: the data did not allow it; 2: wrong usage.
+"""
+
+from __future__ import annotations
+
+import platform
+import sys
+import time
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+from pipeline import __version__
+from pipeline.errors import DataNotSufficientError, RawDataError
+
+__all__ = ["app", "main"]
+
+app = typer.Typer(
+    name="boresight",
+    help="On-orbit calibration of the installation matrix between star camera and remote-sensing camera.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+)
+remarks = Console(stderr=True, highlight=False)
+
+DONE, DATA_DID_NOT_ALLOW, WRONG_USAGE = 0, 1, 2
+
+SettingsFile = Annotated[Path | None, typer.Option(help="TOML file of settings; unknown keys are refused.")]
+
+
+def main() -> None:
+    """Entry point of the command `boresight`."""
+    with _errors_told():
+        app(standalone_mode=True)
+
+
+@contextmanager
+def _errors_told() -> Iterator[None]:
+    """Errors that the user can do something about, as one line; anything else is a fault of the program."""
+    from pipeline.workers import WorkerError
+
+    try:
+        yield
+    except (RawDataError, DataNotSufficientError, WorkerError) as error:
+        _say(f"error: {error}")
+        sys.exit(DATA_DID_NOT_ALLOW)
+    except OSError as error:  # disk full, no permission: what is finished is on disk
+        _say(f"error: {error.filename or 'file'}: {error.strerror or error}")
+        sys.exit(DATA_DID_NOT_ALLOW)
+    except KeyboardInterrupt:
+        _say("interrupted; what is finished is kept, the same command goes on from there")
+        sys.exit(130)
+
+
+def _say(text: str) -> None:
+    remarks.print(text, markup=False, soft_wrap=True)
+
+
+@contextmanager
+def _bar() -> Iterator[Progress]:
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+    with Progress(*columns, console=remarks, transient=True) as bar:
+        yield bar
+
+
+def _wrong_usage(text: str) -> typer.Exit:
+    _say(f"error: {text}")
+    return typer.Exit(WRONG_USAGE)
+
+
+@app.callback(invoke_without_command=True)
+def _global(
+    version: Annotated[bool, typer.Option("--version", help="Print the version and stop.")] = False,
+) -> None:
+    if version:
+        typer.echo(f"boresight {__version__}")
+        raise typer.Exit(DONE)
+
+
+@app.command()
+def simulate(
+    scenario: Annotated[str, typer.Argument(help="mini, paper, or the path of a TOML file.")],
+    out: Annotated[Path, typer.Argument(help="Folder to be made; must not exist or be empty.")],
+    seed: Annotated[int, typer.Option(help="Everything random comes from this number.", min=0)] = 1,
+    set_: Annotated[
+        list[str] | None, typer.Option("--set", help="Change one setting: strips.count=5. May be repeated.")
+    ] = None,
+) -> None:
+    """Render a mission with known truth: raw star images and strips, written as a dump."""
+    from pipeline.dump_writer import images_in, write_dump
+    from pipeline.scenario_file import fly, named_scenario
+    from simulator.scenario import ScenarioError
+
+    try:
+        chosen = named_scenario(scenario, set_ or [])
+    except ScenarioError as error:
+        raise _wrong_usage(str(error)) from error
+    if out.exists() and (not out.is_dir() or any(out.iterdir())):
+        raise _wrong_usage(f"{out} is there already and is not an empty folder")
+    start = time.perf_counter()
+    mission = fly(chosen, seed)
+    changes = "".join(f" --set {item}" for item in set_ or [])
+    command = f"boresight {__version__}: simulate {chosen.name} --seed {seed}{changes}"
+    with _bar() as bar:
+        task = bar.add_task("rendering", total=images_in(mission))
+        write_dump(mission, out, created_by=command[:500], on_image=lambda name: bar.advance(task))
+    strips = len({strip.strip_id for strip in mission.strips})
+    size = sum(path.stat().st_size for path in out.rglob("*") if path.is_file())
+    typer.echo(
+        f"{len(mission.exposures)} exposures, {strips} strips, {len(mission.targets)} targets, "
+        f"{size / 1e6:.1f} MB in {time.perf_counter() - start:.1f} s -> {out}"
+    )
+
+
+@app.command()
+def calibrate(
+    dump: Annotated[Path, typer.Argument(help="Folder with a dump.toml.")],
+    out: Annotated[Path, typer.Option(help="Folder of the result; a run that was stopped goes on in it.")],
+    settings: SettingsFile = None,
+    workers: Annotated[
+        int | None, typer.Option(help="Processes on this machine; default: one a core.", min=1)
+    ] = None,
+    scheduler: Annotated[str | None, typer.Option(help="Address of a dask scheduler instead.")] = None,
+    allow_stale_eop: Annotated[
+        bool, typer.Option(help="Go on past the end of the Earth-orientation table, with a warning.")
+    ] = False,
+) -> None:
+    """Find the installation matrix of a dump, from raw pixels."""
+    from pipeline.calibrate import calibrate_dump
+    from pipeline.dump import open_dump
+    from pipeline.result import begin_result, store_of, write_result, write_run
+    from pipeline.settings import read_settings
+    from pipeline.summary import calibration_summary
+    from pipeline.workers import executor_for
+
+    if workers is not None and scheduler is not None:
+        raise _wrong_usage("--workers and --scheduler exclude one another")
+    start = time.perf_counter()
+    chosen = read_settings(settings)
+    with _warnings_told():
+        opened = open_dump(dump, allow_stale_eop=allow_stale_eop)
+    begin_result(out)
+    with _bar() as bar, executor_for(workers, scheduler) as executor:
+        bars: dict[str, Any] = {}
+
+        def progress(stage: str, done: int, total: int) -> None:
+            if stage not in bars:
+                bars[stage] = bar.add_task(stage, total=total)
+            bar.update(bars[stage], completed=done)
+
+        found = calibrate_dump(opened, chosen, store_of(out), executor, progress)
+    write_result(out, found, chosen)
+    elapsed = time.perf_counter() - start
+    write_run(
+        out,
+        {
+            "dump": str(dump),
+            "elapsed_s": elapsed,
+            "units_made": found.units_made,
+            "units_found": found.units_found,
+            "workers": workers,
+            "scheduler": scheduler,
+            "python": platform.python_version(),
+            "machine": platform.platform(),
+            "version": __version__,
+        },
+    )
+    typer.echo(calibration_summary(found))
+    typer.echo(f"{elapsed:.1f} s -> {out / 'installation.json'}")
+
+
+@contextmanager
+def _warnings_told() -> Iterator[None]:
+    """Warnings of the library as one line each on stderr."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        yield
+    for text in dict.fromkeys(str(warning.message) for warning in caught):
+        _say(f"warning: {text}")
+
+
+@app.command()
+def validate(
+    result: Annotated[Path, typer.Argument(help="Folder that `calibrate` wrote.")],
+    dump: Annotated[Path, typer.Option(help="The simulated dump it was made from, with its truth/ folder.")],
+) -> None:
+    """Hold a result against the truth of a simulated dump."""
+    from pipeline.dump import open_dump
+    from pipeline.result import read_result
+    from pipeline.summary import validation_summary
+    from pipeline.validate import validate as held_against_truth
+
+    typer.echo(validation_summary(held_against_truth(read_result(result), open_dump(dump))))
+
+
+@app.command()
+def identify(
+    images: Annotated[list[Path], typer.Argument(help="PNG, TIFF or FITS star images.")],
+    camera: Annotated[
+        Path | None, typer.Option(help="star_camera.toml of the camera, if it is known.")
+    ] = None,
+    fov_deg: Annotated[
+        float | None, typer.Option(help="Width of the field of view, if that is known.")
+    ] = None,
+    out: Annotated[Path | None, typer.Option(help="Parquet file for the stars that were named.")] = None,
+    settings: SettingsFile = None,
+) -> None:
+    """Name the stars of single images, with no idea where they look."""
+    from pipeline.identify import identify_images
+    from pipeline.settings import read_settings
+
+    if camera is not None and fov_deg is not None:
+        raise _wrong_usage("--camera and --fov-deg exclude one another")
+    lines = identify_images(images, camera, fov_deg, out, read_settings(settings).stars)
+    named = 0
+    for line in lines:
+        named += line.identified
+        typer.echo(line.text)
+    typer.echo(f"identified {named} of {len(images)} images" + (f" -> {out}" if out else ""))
+    if named == 0:
+        raise typer.Exit(DATA_DID_NOT_ALLOW)
+
+
+@app.command()
+def status(result: Annotated[Path, typer.Argument(help="Folder of a run, finished or not.")]) -> None:
+    """What of a run is done, what was left out and why."""
+    from pipeline.summary import status_summary
+
+    typer.echo(status_summary(result))

@@ -1,0 +1,275 @@
+"""The folder that `calibrate` leaves: `installation.json` for the reader, Parquet for reports and later
+calibrations.
+
+    installation.json            the matrix, its covariance and what it rests on
+    sightings/stars.parquet      every identified star of every exposure, one row group an exposure
+    sightings/exposures.parquet  attitude of every exposure from its stars
+    sightings/targets.parquet    every placed target with look direction, known direction and residual
+    sightings/strips.parquet     information pair (F, F theta) of every strip: all that a later merge needs
+    sightings/omissions.parquet  what was left out, and why
+    work/                        finished units, for a run that is started again
+    run.json                     times and counts of the run that wrote the rest
+
+Everything but run.json is the same, bit for bit, for the same inputs, settings and version.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from calib.information import InformationPairs
+from geometry.installation import euler_zxy_from_theta
+from geometry.sightings import StarSightings
+from pipeline import __version__
+from pipeline.calibrate import Calibration
+from pipeline.errors import Omission, RawDataError
+from pipeline.settings import Settings
+from pipeline.text_files import read_text
+from pipeline.unit_store import UnitStore, column, fixed_list, list_values, write_whole
+
+__all__ = [
+    "SavedResult",
+    "begin_result",
+    "read_pairs",
+    "read_result",
+    "store_of",
+    "write_result",
+    "write_run",
+]
+
+Array = NDArray[np.float64]
+FIELDS = (
+    "R_cs",
+    "quaternion",
+    "theta_rad",
+    "euler_zxy_deg",
+    "covariance_rad2",
+    "frames",
+    "stars",
+    "targets",
+    "chi2",
+    "dof",
+    "settings",
+    "version",
+)
+
+
+@dataclasses.dataclass(frozen=True, slots=True, eq=False)
+class SavedResult:
+    """What `validate` and `report` read back of a result."""
+
+    R_cs: Rotation
+    theta: Array  # (3,) rad against the matrix measured on the ground
+    cov_theta: Array  # (3, 3) rad², a small turn about the axes of c
+    installation: dict[str, Any]  # installation.json as it stands
+    exposure_id: list[str]
+    t_exposures_s: Array  # (K,)
+    R_si: Rotation  # (K,)
+    usable: NDArray[np.bool_]  # (K,)
+
+
+def store_of(result: Path) -> UnitStore:
+    """Where finished units of a result lie."""
+    return UnitStore(result / "work")
+
+
+def begin_result(result: Path) -> None:
+    """Make the folder; an `installation.json` of an earlier run goes, since it no longer speaks for the
+    folder.
+    """
+    (result / "work").mkdir(parents=True, exist_ok=True)
+    (result / "installation.json").unlink(missing_ok=True)
+
+
+def write_result(result: Path, calibration: Calibration, settings: Settings) -> None:
+    """Write everything but run.json; `installation.json` comes last, so that where it is, all is."""
+    tables = result / "sightings"
+    tables.mkdir(parents=True, exist_ok=True)
+    _write_groups(tables / "stars.parquet", _star_groups(calibration))
+    _write_groups(tables / "exposures.parquet", [_exposures_table(calibration)])
+    _write_groups(tables / "targets.parquet", _target_groups(calibration))
+    pairs = calibration.estimate.pairs
+    _write_groups(tables / "strips.parquet", [pa.Table.from_pandas(pairs.table(), preserve_index=False)])
+    _write_groups(tables / "omissions.parquet", [_omissions_table(calibration.omissions)])
+    _write_json(result / "installation.json", _installation(calibration, settings))
+
+
+def write_run(result: Path, facts: dict[str, Any]) -> None:
+    """Times, counts and machine of a run: what may differ between two runs with the same result."""
+    _write_json(result / "run.json", facts)
+
+
+def read_result(result: Path) -> SavedResult:
+    """Read back what a finished run left. `RawDataError` when it is not there or damaged."""
+    name = str(result / "installation.json")
+    text = read_text(result / "installation.json", name)
+    try:
+        content = json.loads(text)
+        quaternion = np.array(content["quaternion"], dtype=float).reshape(4)
+        theta = np.array(content["theta_rad"], dtype=float).reshape(3)
+        covariance = np.array(content["covariance_rad2"], dtype=float).reshape(3, 3)
+    except (ValueError, KeyError, TypeError) as error:
+        raise RawDataError(
+            name, "JSON", f"{type(error).__name__}: {error}", "what `calibrate` wrote"
+        ) from error
+    path = result / "sightings" / "exposures.parquet"
+    try:
+        table = pq.read_table(path)
+    except (OSError, pa.ArrowException) as error:
+        raise RawDataError(str(path), "file", str(error), "the table that `calibrate` wrote") from error
+    return SavedResult(
+        Rotation.from_quat(quaternion),
+        theta,
+        covariance,
+        content,
+        [str(name) for name in table.column("exposure_id").to_pylist()],
+        column(table, "t_s"),
+        Rotation.from_matrix(list_values(table, "R_si", 3, 3)) if len(table) else Rotation.identity(0),
+        column(table, "usable").astype(bool),
+    )
+
+
+def _installation(calibration: Calibration, settings: Settings) -> dict[str, Any]:
+    estimate = calibration.estimate
+    used = dataclasses.asdict(dataclasses.replace(settings, calibration=())) | {
+        "calibration": dataclasses.asdict(calibration.settings)
+    }
+    values = {
+        "R_cs": estimate.R_cs.as_matrix().tolist(),
+        "quaternion": estimate.R_cs.as_quat(canonical=True).tolist(),
+        "theta_rad": estimate.theta.tolist(),
+        "euler_zxy_deg": np.degrees(euler_zxy_from_theta(estimate.theta)).tolist(),
+        "covariance_rad2": estimate.cov_theta.tolist(),
+        "frames": estimate.n_exposures,
+        "stars": estimate.n_stars,
+        "targets": estimate.n_targets,
+        "chi2": estimate.chi2,
+        "dof": estimate.dof,
+        "settings": used,
+        "version": __version__,
+    }
+    return {field: values[field] for field in FIELDS}
+
+
+def _star_groups(calibration: Calibration) -> list[pa.Table]:
+    attitudes = calibration.attitudes
+    groups, at = [], 0
+    for k, exposure in enumerate(calibration.stars):
+        n = len(exposure.hip)
+        rows = slice(at, at + n)
+        residual = exposure.u_s - exposure.u_i @ attitudes.R_si[k].T
+        groups.append(_star_table(exposure, residual, attitudes.normalised[rows], attitudes.kept[rows]))
+        at += n
+    return groups
+
+
+def _star_table(exposure: StarSightings, residual: Array, normalised: Array, kept: NDArray) -> pa.Table:
+    n = len(exposure.hip)
+    return pa.table(
+        {
+            "exposure_id": pa.array([exposure.exposure_id] * n, pa.string()),
+            "t_s": pa.array(np.full(n, exposure.t_s)),
+            "hip": pa.array(exposure.hip),
+            "xy_px": fixed_list(exposure.xy_px),
+            "u_s": fixed_list(exposure.u_s),
+            "u_i": fixed_list(exposure.u_i),
+            "cov_s": fixed_list(exposure.cov_s),
+            "residual_s": fixed_list(residual),
+            "normalised": pa.array(np.asarray(normalised, dtype=float)),
+            "kept": pa.array(np.asarray(kept, dtype=bool)),
+        }
+    )
+
+
+def _exposures_table(calibration: Calibration) -> pa.Table:
+    attitudes, stars = calibration.attitudes, calibration.stars
+    return pa.table(
+        {
+            "exposure_id": pa.array([s.exposure_id for s in stars], pa.string()),
+            "t_s": pa.array(np.array([s.t_s for s in stars], dtype=float)),
+            "stars": pa.array(np.array([len(s.hip) for s in stars], dtype=np.int64)),
+            "R_si": fixed_list(attitudes.R_si),
+            "covariance_s": fixed_list(attitudes.covariance_s),
+            "usable": pa.array(np.asarray(attitudes.usable, dtype=bool)),
+            "chi2": pa.array(np.asarray(attitudes.chi2, dtype=float)),
+            "dof": pa.array(np.asarray(attitudes.dof, dtype=np.int64)),
+        }
+    )
+
+
+def _target_groups(calibration: Calibration) -> list[pa.Table]:
+    """One row group a strip. Residuals are matched by strip, target and CCD."""
+    found = calibration.estimate.targets
+    row_of = {
+        key: n
+        for n, key in enumerate(zip(found.strip_id.tolist(), found.target_id.tolist(), found.ccd.tolist()))
+    }
+    placed = {p.strip_id: p for p in calibration.placings}
+    groups = []
+    for strip in calibration.strips:
+        ground, places = strip.ground, placed[strip.strip_id]
+        rows = [row_of[strip.strip_id, t, c] for t, c in zip(ground.target_id.tolist(), ground.ccd.tolist())]
+        groups.append(
+            pa.table(
+                {
+                    "strip_id": pa.array([strip.strip_id] * len(rows), pa.string()),
+                    "target_id": pa.array(ground.target_id.tolist(), pa.string()),
+                    "ccd": pa.array(ground.ccd),
+                    "t_s": pa.array(ground.t_s),
+                    "xy_px": fixed_list(ground.xy_px),
+                    "cov_px": fixed_list(places.cov_px),
+                    "predicted_px": fixed_list(places.predicted_px),
+                    "correlation": pa.array(places.correlation),
+                    "probability_wrong": pa.array(places.probability_wrong),
+                    "u_c": fixed_list(ground.u_c),
+                    "u_i": fixed_list(ground.u_i),
+                    "cov_c": fixed_list(ground.cov_c),
+                    "range_m": pa.array(ground.range_m),
+                    "v_rel_i": fixed_list(ground.v_rel_i),
+                    "cov_target_i": fixed_list(ground.cov_target_i),
+                    "residual_c": fixed_list(found.residual_c[rows]),
+                    "normalised": pa.array(found.normalised[rows]),
+                    "kept": pa.array(found.kept[rows]),
+                }
+            )
+        )
+    return groups
+
+
+def read_pairs(result: Path) -> InformationPairs:
+    """The strips' information pairs of a finished result."""
+    return InformationPairs.from_table(pq.read_table(result / "sightings" / "strips.parquet").to_pandas())
+
+
+def _omissions_table(omissions: Sequence[Omission]) -> pa.Table:
+    rows = [dataclasses.asdict(omission) for omission in omissions]
+    names = ("kind", "name", "file", "reason")
+    return pa.table({name: pa.array([row[name] for row in rows], pa.string()) for name in names})
+
+
+def _write_groups(path: Path, groups: Sequence[pa.Table]) -> None:
+    """One Parquet file, one row group a table."""
+
+    def write(target: Path) -> None:
+        with pq.ParquetWriter(target, groups[0].schema, compression="zstd") as file:
+            for group in groups:
+                file.write_table(group, row_group_size=max(len(group), 1))
+
+    if groups:
+        write_whole(path, write)
+
+
+def _write_json(path: Path, content: dict[str, Any]) -> None:
+    text = json.dumps(content, indent=2, allow_nan=True) + "\n"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_whole(path, lambda target: target.write_text(text, encoding="utf-8"))

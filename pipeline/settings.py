@@ -1,0 +1,133 @@
+"""All tunables of a run in one record, filled from one TOML file that may name only what exists.
+
+Each section belongs to the package that uses it: `[stars]`, `[match]`, `[calibration]` and `[run]`. What the
+file leaves out keeps its default; the error model's defaults in `[calibration]` are what the dump says about
+itself.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import tomllib
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, TypeVar, get_type_hints
+
+from pydantic import TypeAdapter, ValidationError
+
+from calib.settings import CalibrationSettings
+from gct_match.settings import MatchSettings
+from geometry.constants import ARCSEC
+from geometry.line_camera import LineCamera
+from pipeline.dump_schema import Errors
+from pipeline.errors import RawDataError
+from pipeline.text_files import read_text
+from star_id.settings import StarSettings
+
+__all__ = ["RunSettings", "Settings", "calibration_settings", "read_settings", "settings_from_tables"]
+
+Record = TypeVar("Record")
+
+
+@dataclass(frozen=True, slots=True)
+class RunSettings:
+    """How the stages are put together."""
+
+    exposure_margin_s: float = (
+        1.0  # exposures this far before the first and after the last row belong to a strip
+    )
+    rematch_sigma_rad: float = 5e-6  # 1-sigma of the search in the second matching: position and clock errors
+    passes: int = (
+        2  # matchings: the first starts from the ground's matrix, each later one from the last result
+    )
+    geometric_light_time: bool = True  # light time from ground to satellite
+    aberration: bool = True  # by the satellite's velocity
+    refraction: bool = True  # of the atmosphere
+
+    def __post_init__(self) -> None:
+        if self.passes < 1:
+            raise ValueError(f"passes must be 1 or more, got {self.passes}")
+        if not self.exposure_margin_s > 0.0:
+            raise ValueError(f"exposure_margin_s must be positive, got {self.exposure_margin_s}")
+
+
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """What the user asked for. `calibration` holds only the values that were given."""
+
+    stars: StarSettings = field(default_factory=StarSettings)
+    match: MatchSettings = field(default_factory=MatchSettings)
+    calibration: tuple[tuple[str, Any], ...] = ()
+    run: RunSettings = field(default_factory=RunSettings)
+
+
+def read_settings(path: Path | None) -> Settings:
+    """Settings from a TOML file; `RawDataError` names an unknown section or key, or a value of the wrong
+    type.
+    """
+    if path is None:
+        return Settings()
+    name = str(path)
+    try:
+        tables = tomllib.loads(read_text(path, name))
+    except (tomllib.TOMLDecodeError, RecursionError) as error:
+        raise RawDataError(name, "text", str(error), "TOML 1.0") from error
+    return settings_from_tables(tables, name)
+
+
+def settings_from_tables(tables: dict[str, Any], file: str) -> Settings:
+    """The same from tables already parsed; `file` is named in complaints."""
+    expected = [f.name for f in dataclasses.fields(Settings)]
+    for section, content in tables.items():
+        if section not in expected:
+            raise RawDataError(file, section, "an unknown section", f"one of {', '.join(expected)}")
+        if not isinstance(content, dict):
+            raise RawDataError(file, section, repr(content), "a table")
+    calibration = tables.get("calibration", {})
+    filled(CalibrationSettings, calibration, file, "calibration")
+    return Settings(
+        stars=filled(StarSettings, tables.get("stars", {}), file, "stars"),
+        match=filled(MatchSettings, tables.get("match", {}), file, "match"),
+        calibration=tuple(sorted(calibration.items())),
+        run=filled(RunSettings, tables.get("run", {}), file, "run"),
+    )
+
+
+def calibration_settings(settings: Settings, errors: Errors, camera: LineCamera) -> CalibrationSettings:
+    """The error model of a dump, with what the user's settings say instead."""
+    pixel_rad = camera.ccds[0].pixel_m / camera.focal_m
+    stated: dict[str, Any] = {
+        "sigma_position_m": errors.position_m,
+        "sigma_clock_s": errors.clock_s,
+        "sigma_vibration_rad": errors.vibration_arcsec * ARCSEC,
+        "sigma_distortion_rad": errors.look_distortion_px * pixel_rad,
+        "distortion_length_px": errors.look_distortion_length_px,
+    }
+    return CalibrationSettings(**(stated | dict(settings.calibration)))
+
+
+def filled(kind: type[Record], values: dict[str, Any], file: str, section: str) -> Record:
+    """A settings record of type `kind` with some values replaced."""
+    hints = get_type_hints(kind)
+    taken: dict[str, Any] = {}
+    for key, value in values.items():
+        if key not in hints:
+            raise RawDataError(
+                file, f"{section}.{key}", "an unknown key", f"one of {', '.join(sorted(hints))}"
+            )
+        if dataclasses.is_dataclass(hints[key]):
+            if not isinstance(value, dict):
+                raise RawDataError(file, f"{section}.{key}", repr(value), "a table")
+            taken[key] = filled(hints[key], value, file, f"{section}.{key}")
+            continue
+        try:
+            taken[key] = TypeAdapter(hints[key]).validate_python(
+                tuple(value) if isinstance(value, list) else value, strict=True
+            )
+        except ValidationError as error:
+            expected = error.errors(include_url=False)[0]["msg"]
+            raise RawDataError(file, f"{section}.{key}", repr(value), expected) from error
+    try:
+        return kind(**taken)
+    except ValueError as error:
+        raise RawDataError(file, section, str(error), "values that are possible together") from error

@@ -1,0 +1,160 @@
+"""Units of finished work on disk: one Parquet file each, found again by what it was made from.
+
+A unit (one exposure, one strip) is known by a digest of everything that its result depends on: the records it
+was called with, the content of the files they name, the settings and the version of the program. A file is
+written under another name, flushed and renamed, so that a unit is either there as a whole or not at all,
+whatever happens.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+import os
+import uuid
+from collections.abc import Mapping
+from enum import Enum
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from scipy.spatial.transform import Rotation
+
+__all__ = ["UnitStore", "column", "digest", "fixed_list", "list_values", "read_meta", "write_whole"]
+
+META = b"boresight"
+WHOLE_FILE_BYTES = 64 * 2**20  # larger files are known by size, time of change and both ends
+END_BYTES = 2**20
+
+
+def digest(*values: Any) -> str:
+    """32 hexadecimal digits that change when anything in `values` does; a `Path` stands for its file's
+    content.
+    """
+    state = hashlib.blake2b(digest_size=16)
+    for value in values:
+        _feed(state, value)
+    return state.hexdigest()
+
+
+def _feed(state: Any, value: Any) -> None:
+    if value is None or isinstance(value, (bool, int, float, str, bytes, np.number, np.bool_)):
+        state.update(f"{type(value).__name__}:{value!r};".encode())
+    elif isinstance(value, np.ndarray):
+        array = np.ascontiguousarray(value)
+        state.update(f"array:{array.dtype.str}:{array.shape};".encode())
+        state.update(array.astype(str).tobytes() if array.dtype == object else array.tobytes())
+    elif isinstance(value, Rotation):
+        _feed(state, value.as_quat())
+    elif isinstance(value, Path):
+        _feed_file(state, value)
+    elif isinstance(value, Enum):
+        _feed(state, value.name)
+    elif dataclasses.is_dataclass(value) and not isinstance(value, type):
+        state.update(f"{type(value).__name__}(".encode())
+        for field in dataclasses.fields(value):
+            if field.init:
+                state.update(f"{field.name}=".encode())
+                _feed(state, getattr(value, field.name))
+        state.update(b")")
+    elif isinstance(value, Mapping):
+        state.update(f"map:{len(value)};".encode())
+        for key in sorted(value):
+            _feed(state, key)
+            _feed(state, value[key])
+    elif isinstance(value, (tuple, list)):
+        state.update(f"list:{len(value)};".encode())
+        for item in value:
+            _feed(state, item)
+    else:
+        raise TypeError(f"no digest for a {type(value).__name__}")
+
+
+def _feed_file(state: Any, path: Path) -> None:
+    try:
+        size = path.stat().st_size
+        with path.open("rb") as stream:
+            if size <= WHOLE_FILE_BYTES:
+                state.update(f"file:{size};".encode())
+                while block := stream.read(2**20):
+                    state.update(block)
+            else:
+                state.update(f"large file:{size}:{path.stat().st_mtime_ns};".encode())
+                state.update(stream.read(END_BYTES))
+                stream.seek(size - END_BYTES)
+                state.update(stream.read(END_BYTES))
+    except OSError as error:
+        state.update(f"no file:{error.errno};".encode())
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class UnitStore:
+    """A folder of units, one sub-folder a stage. Safe to be used by many processes at once."""
+
+    root: Path
+
+    def path(self, stage: str, name: str, key: str) -> Path:
+        return self.root / stage / f"{name}.{key}.parquet"
+
+    def read(self, stage: str, name: str, key: str) -> pa.Table | None:
+        """The finished unit, or None when it has to be made. A file that cannot be read counts as not
+        made.
+        """
+        path = self.path(stage, name, key)
+        if not path.is_file():
+            return None
+        try:
+            return pq.read_table(path)
+        except (OSError, pa.ArrowException):
+            return None
+
+    def write(self, stage: str, name: str, key: str, table: pa.Table, meta: Mapping[str, Any]) -> Path:
+        """Write a finished unit; results of the same unit that were made from something else are removed."""
+        path = self.path(stage, name, key)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        stated = table.replace_schema_metadata({META: json.dumps(dict(meta), sort_keys=True).encode()})
+        write_whole(path, lambda target: pq.write_table(stated, target, compression="zstd"))
+        for other in path.parent.glob(f"{name}.*.parquet"):
+            if other != path and other.name.count(".") == path.name.count("."):
+                other.unlink(missing_ok=True)
+        return path
+
+
+def write_whole(path: Path, write: Any) -> None:
+    """Have `write(temporary path)` make a file beside `path`, flush it to the disk and give it its name."""
+    temporary = path.with_name(f".{path.name}.{uuid.uuid4().hex}.tmp")
+    try:
+        write(temporary)
+        with temporary.open("rb+") as stream:
+            os.fsync(stream.fileno())
+        temporary.replace(path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def read_meta(table: pa.Table) -> dict[str, Any]:
+    """What `UnitStore.write` was given as `meta`."""
+    content: dict[str, Any] = json.loads((table.schema.metadata or {})[META])
+    return content
+
+
+def fixed_list(values: np.ndarray) -> pa.Array:
+    """An array (N, ...) as N lists of fixed length."""
+    flat = np.ascontiguousarray(values, dtype=float).reshape(len(values), -1)
+    width = flat.shape[1] if len(values) else int(np.prod(values.shape[1:]))
+    return pa.FixedSizeListArray.from_arrays(pa.array(flat.ravel(), pa.float64()), width)
+
+
+def list_values(table: pa.Table, name: str, *shape: int) -> np.ndarray:
+    """The inverse of `fixed_list`: (N, *shape)."""
+    flat = table.column(name).combine_chunks()
+    values = flat.flatten().to_numpy(zero_copy_only=False) if len(table) else np.zeros(0)
+    return np.array(values, dtype=float).reshape(len(table), *shape)
+
+
+def column(table: pa.Table, name: str) -> np.ndarray:
+    """A plain column as a NumPy array."""
+    return np.array(table.column(name).to_numpy())
