@@ -108,8 +108,7 @@ class StarCamera:
         return np.asarray(self.principal_px) + actual / (self.pixel_m * _MM)
 
     def pixel_jacobian(self, xy_px: ArrayLike) -> Array:
-        """Derivative of the unit vectors with respect to the pixel: (N, 3, 2), `d u_s / d(column, row)`,
-        rad/px.
+        """Derivative of the unit vectors, (N, 3, 2): `d u_s / d(column, row)`, rad/px.
 
         A covariance of a centroid (2, 2) px^2 becomes that of its direction: `J C J^T` (3, 3) rad^2.
         """
@@ -188,16 +187,18 @@ class StarCamera:
         return J
 
     def _inside_fold(self, ideal: Array) -> NDArray[np.bool_]:
-        """Where the image still grows outward: within the first root of 1 + 3 q1 r^2 + 5 q2 r^4, Jacobian >
-        0.
-        """
-        roots = np.roots([5.0 * self.q2, 3.0 * self.q1, 1.0])
-        real = roots[np.isreal(roots)].real
-        r2_fold = min(real[real > 0.0], default=np.inf)
+        """Where the image still grows outward and is not turned over."""
         r2 = np.einsum("ni,ni->n", ideal, ideal)
         J = self._distortion_jacobian(ideal)
         with np.errstate(invalid="ignore"):
-            return (r2 < r2_fold) & (J[:, 0, 0] * J[:, 1, 1] > J[:, 0, 1] * J[:, 1, 0])
+            return (r2 < self._fold_mm2) & (J[:, 0, 0] * J[:, 1, 1] > J[:, 0, 1] * J[:, 1, 0])
+
+    @property
+    def _fold_mm2(self) -> float:
+        """The smallest r^2 at which the radial image stops growing, 1 + 3 q1 r^2 + 5 q2 r^4 = 0."""
+        discriminant = 9.0 * self.q1**2 - 20.0 * self.q2
+        reciprocal = -3.0 * self.q1 + np.sqrt(max(discriminant, 0.0))  # of half the root
+        return float(2.0 / reciprocal) if discriminant >= 0.0 and reciprocal > 1e-30 else float("inf")
 
     def _ideal_mm(self, actual: Array) -> Array:
         """Inverse of eq. (4): the ideal points whose real places are `actual`; NaN where there is none."""
