@@ -1,0 +1,192 @@
+"""Orbits between their nodes, against a two-body orbit known in closed form."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from geometry.constants import EARTH_ROTATION_RATE, GM_EARTH
+from geometry.epoch import Epoch
+from geometry.orbit import Orbit, OrbitGapError, fit_polynomial, orbital_frame
+
+EPOCH = Epoch.from_utc("2024-03-05T10:20:30Z")
+RADIUS = 6_908e3  # m
+RATE = np.sqrt(GM_EARTH / RADIUS**3)  # rad/s
+TILT = Rotation.from_euler("xz", [1.7, 0.4])
+
+
+class TurningEarth:
+    """An Earth that only turns about z: enough to tell the frames apart, and known in closed form."""
+
+    omega_e = np.array([0.0, 0.0, EARTH_ROTATION_RATE])
+
+    def matrices_ie(self, t_s):
+        return Rotation.from_rotvec(np.outer(t_s, self.omega_e)).as_matrix()
+
+
+def state(t_s):
+    angle = RATE * np.asarray(t_s)
+    c, s, zero = np.cos(angle), np.sin(angle), np.zeros_like(angle)
+    p = TILT.apply(RADIUS * np.stack([c, s, zero], axis=-1))
+    return p, TILT.apply(RADIUS * RATE * np.stack([-s, c, zero], axis=-1))
+
+
+def in_axes_e(t_s):
+    p, v = state(t_s)
+    R_ei = np.swapaxes(TurningEarth().matrices_ie(t_s), 1, 2)
+    p_e = np.einsum("nij,nj->ni", R_ei, p)
+    return p_e, np.einsum("nij,nj->ni", R_ei, v) - np.cross(TurningEarth.omega_e, p_e)
+
+
+def orbit(t_s, degree=7, frame="GCRF", method="lagrange", velocities=True, **more):
+    p, v = state(t_s) if frame == "GCRF" else in_axes_e(t_s)
+    return Orbit(
+        EPOCH, t_s, p, v if velocities else None, frame, degree, TurningEarth(), method=method, **more
+    )
+
+
+SECONDS = np.arange(0.0, 61.0)
+BETWEEN = np.random.default_rng(5).uniform(0.0, 60.0, 2000)
+
+
+@pytest.mark.parametrize("frame", ["GCRF", "ITRF"])
+@pytest.mark.parametrize(
+    ("method", "degree"), [("lagrange", 7), ("lagrange", 8), ("hermite", 7), ("hermite", 3)]
+)
+def test_states_at_1_hz_are_those_of_the_true_orbit(frame, method, degree):
+    # 1e-7 m: rounding is 1e-9 m a term; Hermite of degree 3 misses r n^4 / 384 = 3e-8 m. Velocity: 8 r n^5 /
+    # ...
+    ephemeris = orbit(SECONDS, degree, frame, method)
+    p, v = state(BETWEEN)
+    p_e, v_e = in_axes_e(BETWEEN)
+    assert np.abs(ephemeris.positions_i(BETWEEN) - p).max() < 1e-7  # m
+    assert np.abs(ephemeris.velocities_i(BETWEEN) - v).max() < 2e-7  # m/s
+    assert np.abs(ephemeris.positions_e(BETWEEN) - p_e).max() < 1e-7
+    assert np.abs(ephemeris.velocities_e(BETWEEN) - v_e).max() < 2e-7
+
+
+def test_velocity_without_velocities_is_the_slope_of_the_positions():
+    ephemeris = orbit(SECONDS, velocities=False)
+    assert np.abs(ephemeris.velocities_i(BETWEEN) - state(BETWEEN)[1]).max() < 1e-6  # m/s
+
+
+@pytest.mark.parametrize(("method", "step_s", "degree"), [("lagrange", 60.0, 5), ("hermite", 120.0, 5)])
+def test_the_degree_asked_for_is_the_degree_used(method, step_s, degree):
+    # A polynomial of that degree is met exactly, one of the next degree is not.
+    t = np.arange(12) * step_s
+    x = lambda t: (t - 300.0) / 300.0  # noqa: E731
+    at = np.linspace(200.0, 600.0, 50)
+    for power, exact in ((degree, True), (degree + 1, False)):
+        p = np.outer(1e6 * x(t) ** power, [1.0, -2.0, 0.5])
+        v = np.outer(1e6 * power * x(t) ** (power - 1) / 300.0, [1.0, -2.0, 0.5])
+        ephemeris = Orbit(EPOCH, t, p, v, "GCRF", degree, TurningEarth(), method=method)
+        error = np.abs(ephemeris.positions_i(at) - np.outer(1e6 * x(at) ** power, [1.0, -2.0, 0.5])).max()
+        assert (error < 1e-6) == exact
+
+
+def test_instants_outside_the_nodes_are_refused():
+    ephemeris = orbit(SECONDS)
+    assert np.isfinite(
+        ephemeris.positions_i(np.array([0.0, 60.0, 60.0 + 1e-7]))
+    ).all()  # rounding is forgiven
+    for t in (-0.01, 60.01, np.nan):
+        with pytest.raises(OrbitGapError, match="outside the ephemeris"):
+            ephemeris.positions_i(np.array([30.0, t]))
+
+
+@pytest.mark.parametrize("method", ["lagrange", "hermite"])
+def test_a_gap_is_refused_and_never_reached_across(method):
+    kept = SECONDS[(SECONDS <= 25.0) | (SECONDS >= 29.0)]
+    ephemeris = orbit(kept, method=method)
+    for t in (25.5, 27.0, 28.99):
+        with pytest.raises(OrbitGapError, match="gap"):
+            ephemeris.positions_i(np.array([10.0, t]))
+    at = np.array([24.9, 25.0, 29.0, 29.1])  # beside the gap the stencil keeps to its side
+    assert np.abs(ephemeris.positions_i(at) - state(at)[0]).max() < 1e-6
+    poisoned = state(kept)[0]
+    poisoned[kept > 26.0] += 1e6  # what stands beyond the gap must not matter here
+    beyond = Orbit(EPOCH, kept, poisoned, state(kept)[1], "GCRF", 7, TurningEarth(), method=method)
+    assert np.abs(beyond.positions_i(at[:2]) - state(at[:2])[0]).max() < 1e-6
+
+
+def test_too_few_nodes_between_gaps_are_refused():
+    kept = SECONDS[(SECONDS <= 20.0) | ((SECONDS >= 30.0) & (SECONDS <= 33.0)) | (SECONDS >= 40.0)]
+    with pytest.raises(OrbitGapError, match="needs 8 nodes"):
+        orbit(kept).positions_i(np.array([31.5]))
+    with pytest.raises(ValueError, match="8 nodes needed"):
+        orbit(SECONDS[:5])
+
+
+def test_uneven_nodes_are_served_when_the_longest_step_is_stated():
+    uneven = np.cumsum(np.tile([1.0, 2.0, 1.5], 10))
+    at = np.linspace(5.0, 40.0, 200)
+    ephemeris = orbit(uneven, max_step_s=2.5)
+    assert np.abs(ephemeris.positions_i(at) - state(at)[0]).max() < 1e-6
+
+
+def test_nonsense_is_refused():
+    with pytest.raises(ValueError, match="increase"):
+        orbit(SECONDS[::-1])
+    with pytest.raises(ValueError, match="frame"):
+        Orbit(EPOCH, SECONDS, *state(SECONDS), "TEME", 7, TurningEarth())
+    with pytest.raises(ValueError, match="velocities"):
+        orbit(SECONDS, method="hermite", velocities=False)
+    with pytest.raises(ValueError, match="shape"):
+        Orbit(EPOCH, SECONDS, state(SECONDS)[0][:5], None, "GCRF", 7, TurningEarth())
+
+
+def test_the_orbital_frame_has_z_down_y_against_the_normal_and_x_along():
+    p, v = state(BETWEEN)
+    R_oi = orbital_frame(p, v)
+    assert R_oi.apply(-p / RADIUS) == pytest.approx(np.tile([0.0, 0.0, 1.0], (len(p), 1)), abs=1e-12)
+    assert R_oi.apply(v / (RADIUS * RATE)) == pytest.approx(np.tile([1.0, 0.0, 0.0], (len(p), 1)), abs=1e-12)
+    normal = np.cross(p, v)
+    assert np.all(R_oi.apply(normal)[:, 1] < 0.0)
+
+
+def test_covariance_of_position_turns_with_the_orbit():
+    ephemeris = orbit(SECONDS, sigma_position_m=(3.0, 2.0, 1.0))
+    covariance = ephemeris.position_covariance_i(BETWEEN[:20])
+    p, v = state(BETWEEN[:20])
+    along, down = v / (RADIUS * RATE), -p / RADIUS
+    assert np.einsum("ni,nij,nj->n", along, covariance, along) == pytest.approx(9.0, abs=1e-9)
+    assert np.einsum("ni,nij,nj->n", down, covariance, down) == pytest.approx(1.0, abs=1e-9)
+    same = orbit(SECONDS, sigma_position_m=2.0).position_covariance_i(BETWEEN[:2])
+    assert same == pytest.approx(np.tile(4.0 * np.eye(3), (2, 1, 1)))
+
+
+@pytest.mark.parametrize(("length_s", "bound_m"), [(2.0, 4.0e-4), (4.0, 3.1e-3), (10.0, 4.8e-2)])
+def test_a_polynomial_of_second_degree_departs_by_the_third_derivative(length_s, bound_m):
+    # The best parabola over T misses r n^3 T^3 / 192; least squares over nodes at 1 Hz at most 1.6 times as
+    # much.
+    fit = fit_polynomial(orbit(SECONDS), 20.0, 20.0 + length_s)
+    at = np.linspace(20.0, 20.0 + length_s, 100)
+    departure = np.linalg.norm(fit.orbit.positions_i(at) - state(at)[0], axis=1).max()
+    assert 0.5 * bound_m < departure < 1.6 * bound_m
+
+
+def test_paper_section_3_2_parabola_and_lagrange_of_degree_8_do_not_differ_over_a_strip():
+    # Over the 1.8 s of a strip: 1 mm, against the receiver's 2 m.
+    t = np.linspace(30.1, 31.9, 50)
+    parabola = fit_polynomial(orbit(SECONDS), 30.0, 32.0, degree=2).orbit.positions_i(t)
+    lagrange = orbit(SECONDS, 8).positions_i(t)
+    assert np.abs(parabola - lagrange).max() < 1e-3
+
+
+def test_a_fitted_polynomial_averages_the_receivers_noise_and_states_it():
+    rng = np.random.default_rng(8)
+    p, v = state(SECONDS)
+    noisy = Orbit(EPOCH, SECONDS, p + rng.normal(0.0, 0.05, p.shape), v, "GCRF", 7, TurningEarth())
+    fit = fit_polynomial(noisy, 25.0, 35.0, degree=3)
+    at = np.linspace(27.0, 33.0, 50)
+    rms = lambda o: np.sqrt(((o.positions_i(at) - state(at)[0]) ** 2).mean())  # noqa: E731
+    # 11 nodes, 4 coefficients: noise down by about sqrt(11/4) = 1.66 in the mean, more in the middle
+    assert rms(fit.orbit) < 0.75 * rms(noisy)
+    assert 0.03 < fit.sigma_m < 0.07  # 0.05 m, 21 degrees of freedom
+
+
+def test_a_polynomial_over_a_gap_is_refused():
+    kept = SECONDS[(SECONDS <= 25.0) | (SECONDS >= 29.0)]
+    with pytest.raises(OrbitGapError):
+        fit_polynomial(orbit(kept), 24.0, 30.0)
+    with pytest.raises(OrbitGapError):
+        fit_polynomial(orbit(SECONDS), 58.0, 62.0)
