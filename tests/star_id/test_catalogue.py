@@ -28,8 +28,8 @@ def test_it_holds_the_41411_stars_to_v_8_and_the_5044_to_v_6(stars):
     assert np.all(np.diff(stars.places.hip) > 0)
 
 
-# van Leeuwen 2007 (CDS I/311): RA and Dec at J1991.25 (deg), parallax (mas), mu_alpha cos(delta), mu_delta (mas/yr); V of
-# ESA 1997. Tolerances: half a unit of the last digit quoted; V is stored to float32.
+# van Leeuwen 2007 (CDS I/311): RA and Dec at J1991.25 (deg), parallax (mas), mu_alpha cos(delta), mu_delta
+# (mas/yr); V of ESA 1997. Tolerances: half a unit of the last digit quoted; V is stored to float32.
 PUBLISHED = {
     SIRIUS: (101.28854105, -16.71314306, 379.21, -546.01, -1223.07, -1.44),
     VEGA: (279.23410832, 38.78299311, 130.23, 200.94, 286.23, 0.03),
@@ -52,8 +52,8 @@ def test_well_known_stars_stand_where_they_were_published(hip):
     assert every.v_mag[k] == approx(v_mag, abs=0.005)
 
 
-# SIMBAD, ICRS at J2000.0 (deg). Tolerance 20 mas: radial velocity is left at zero here; Barnard's star stands there by
-# its Gaia solution, 93 mas from Hipparcos' own motion carried over 8.75 years.
+# SIMBAD, ICRS at J2000.0 (deg). Tolerance 20 mas: radial velocity is left at zero here; Barnard's star stands
+# there by its Gaia solution, 93 mas from Hipparcos' own motion carried over 8.75 years.
 SIMBAD_J2000 = {
     SIRIUS: (101.28715533, -16.71611586),
     VEGA: (279.23473479, 38.78368896),

@@ -1,0 +1,74 @@
+"""Attitude of a camera from named stars: the rotation that brings catalogue directions to the measured ones.
+
+The perturbation is a small right-handed turn in the axes of s: R_si = exp(delta_s) R0_si; its covariance is
+the inverse of the Fisher information  F = sum -[u x] C^-1 [u x], each star with its own covariance.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from geometry.sightings import information_of_directions
+
+__all__ = ["Attitude", "solve_attitude", "wahba"]
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Attitude:
+    """Orientation of a star camera at one instant."""
+
+    R_si: Rotation
+    cov_s: Array  # (3, 3) rad^2, of a right-handed turn about the axes of s
+    chi2: float
+    dof: int
+    residuals_s: Array  # (N, 3) measured minus predicted direction
+
+
+def solve_attitude(u_s: Array, u_i: Array, cov_s: Array) -> Attitude:
+    """Maximum-likelihood attitude from measured `u_s` (N, 3) with covariances (N, 3, 3), and true `u_i` (N,
+    3).
+
+    Raises `ValueError` for fewer than two directions, or directions that fix no rotation.
+    """
+    if len(u_s) < 2:
+        raise ValueError(f"two directions at least are needed to fix an attitude, got {len(u_s)}")
+    information = information_of_directions(u_s, cov_s)
+    weight = 2.0 / np.trace(cov_s, axis1=1, axis2=2)
+    R = wahba(u_s, u_i, weight)
+    for _ in range(3):
+        predicted = u_i @ R.T
+        residual = u_s - predicted
+        A = -_cross_matrices(predicted)  # d(exp(delta) u) = delta x u = -[u x] delta
+        AtI = A.transpose(0, 2, 1) @ information
+        fisher = (AtI @ A).sum(axis=0)
+        delta = np.linalg.solve(fisher, (AtI @ residual[:, :, None]).sum(axis=0)[:, 0])
+        R = Rotation.from_rotvec(delta).as_matrix() @ R
+        if np.abs(delta).max() < 1e-11:
+            break
+    if np.linalg.cond(fisher) > 1e12:
+        raise ValueError(f"{len(u_s)} directions too close together to fix all three angles")
+    residual = u_s - u_i @ R.T
+    chi2 = float(np.einsum("ni,nij,nj->", residual, information, residual))
+    return Attitude(Rotation.from_matrix(R), np.linalg.inv(fisher), chi2, 2 * len(u_s) - 3, residual)
+
+
+def wahba(u_s: Array, u_i: Array, weight: Array) -> Array:
+    """Rotation matrix (3, 3) that minimises sum weight |u_s - R u_i|^2 (Markley 1988, by singular values)."""
+    U, _, Vt = np.linalg.svd((u_s * weight[:, None]).T @ u_i)
+    U[:, 2] *= np.linalg.det(U) * np.linalg.det(Vt)
+    return np.asarray(U @ Vt)
+
+
+def _cross_matrices(u: Array) -> Array:
+    """[u x], (N, 3, 3)."""
+    matrices = np.zeros((len(u), 3, 3))
+    x, y, z = u.T
+    matrices[:, 0, 1], matrices[:, 0, 2], matrices[:, 1, 2] = -z, y, -x
+    matrices[:, 1, 0], matrices[:, 2, 0], matrices[:, 2, 1] = z, -y, x
+    return matrices

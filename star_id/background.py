@@ -1,0 +1,144 @@
+"""Level and noise of the sky, block by block: what an image would show without stars.
+
+A sparse sample of each block gives a histogram; its mean and standard deviation within three sigmas, repeated
+until nothing changes, are the block's level and noise (DN). Between block centres both are interpolated
+linearly and beyond the outermost ones continued, so gradients of stray light and vignetting leave no step.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["Background", "estimate_background"]
+
+Array = NDArray[np.float64]
+
+_SAMPLES_ACROSS_BLOCK = 64  # 4096 values a block: the level is known to 1/50 of a sigma
+_CLIP_SIGMA = 3.0
+_CLIPPED_VARIANCE = 0.973337  # variance of a unit normal within 3 sigma of its mean
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Background:
+    """Sky level and noise on a grid of blocks that divides the image evenly."""
+
+    level_dn: Array  # (rows of blocks, columns of blocks)
+    noise_dn: Array  # (rows of blocks, columns of blocks), standard deviation of a pixel
+    width_px: int
+    height_px: int
+
+    def at(self, xy_px: Array) -> tuple[Array, Array]:
+        """Level and noise (N,), (N,) at points (N, 2), interpolated between block centres."""
+        rows, columns = self.level_dn.shape
+        x = (xy_px[:, 0] + 0.5) * (columns / self.width_px) + 0.5
+        y = (xy_px[:, 1] + 0.5) * (rows / self.height_px) + 0.5
+        x = np.clip(x, 0.0, columns + 1.0)
+        y = np.clip(y, 0.0, rows + 1.0)
+        i, j = np.minimum(y.astype(int), rows), np.minimum(x.astype(int), columns)
+        a, b = y - i, x - j
+        values = []
+        for grid in (extended(self.level_dn), extended(self.noise_dn, continued=False)):
+            top = grid[i, j] * (1 - b) + grid[i, j + 1] * b
+            bottom = grid[i + 1, j] * (1 - b) + grid[i + 1, j + 1] * b
+            values.append(top * (1 - a) + bottom * a)
+        return values[0], values[1]
+
+
+def estimate_background(image: NDArray) -> Background:
+    """Background of a raw image (H, W) of any integer or floating type; stars may cover a third of a
+    block."""
+    height, width = image.shape
+    side = float(np.clip(min(height, width) / 7.0, 48.0, 512.0))
+    rows, columns = max(1, round(height / side)), max(1, round(width / side))
+    step = max(1, int(min(height / rows, width / columns) // _SAMPLES_ACROSS_BLOCK))
+    sample = np.ascontiguousarray(image[step // 2 :: step, step // 2 :: step])
+    if sample.dtype not in (np.uint8, np.uint16, np.float32):
+        sample = sample.astype(np.float32)
+    low, high, bins = _histogram_range(sample)
+    edges_y = np.linspace(0, sample.shape[0], rows + 1).round().astype(int)
+    edges_x = np.linspace(0, sample.shape[1], columns + 1).round().astype(int)
+    counts = np.array(
+        [
+            cv2.calcHist([sample[y0:y1, x0:x1]], [0], None, [bins], [low, high])[:, 0]
+            for y0, y1 in pairwise(edges_y)
+            for x0, x1 in pairwise(edges_x)
+        ],
+        dtype=float,
+    )
+    width_bin = (high - low) / bins
+    offset = 0.0 if np.issubdtype(sample.dtype, np.integer) and width_bin == 1.0 else 0.5
+    level, noise = _clipped_moments(
+        counts, np.asarray(low + (np.arange(bins) + offset) * width_bin), width_bin
+    )
+    return Background(
+        _without_outliers(level.reshape(rows, columns)),
+        _without_outliers(noise.reshape(rows, columns)),
+        width,
+        height,
+    )
+
+
+def extended(grid: Array, *, continued: bool = True) -> Array:
+    """The grid with one more ring of blocks: continued linearly, or repeated (noise must not turn
+    negative)."""
+    padded = np.pad(grid, 1, mode="edge")
+    if continued and grid.shape[0] > 1:
+        padded[0], padded[-1] = 2 * padded[1] - padded[2], 2 * padded[-2] - padded[-3]
+    if continued and grid.shape[1] > 1:
+        padded[:, 0], padded[:, -1] = 2 * padded[:, 1] - padded[:, 2], 2 * padded[:, -2] - padded[:, -3]
+    return padded
+
+
+def _histogram_range(sample: NDArray) -> tuple[float, float, int]:
+    if sample.dtype == np.uint8:
+        return 0.0, 256.0, 256
+    few = np.sort(sample.ravel()[:: max(1, sample.size // 20000)])
+    low, middle, high = (float(few[int(q * (len(few) - 1))]) for q in (0.002, 0.5, 0.98))
+    low, high = np.floor(low - 0.1 * (middle - low)), np.ceil(high + (high - middle) + 1.0)
+    bins = 2048
+    if np.issubdtype(sample.dtype, np.integer):
+        width = max(1.0, np.ceil((high - low) / bins))
+        return low, low + width * bins, bins
+    return low, max(high, np.nextafter(low, np.inf)), bins
+
+
+def _clipped_moments(counts: Array, value: Array, width: float) -> tuple[Array, Array]:
+    """Mean and standard deviation within three sigmas of it, per row of `counts`; bins are cut where they
+    lie."""
+    total = np.cumsum(counts, axis=1)
+    n = np.maximum(total[:, -1:], 1.0)
+
+    def quantile(q: float) -> Array:
+        k = np.minimum((total < q * n).sum(axis=1), len(value) - 1)
+        inside = np.maximum(np.take_along_axis(counts, k[:, None], 1)[:, 0], 1e-9)
+        before = np.take_along_axis(total, k[:, None], 1)[:, 0] - inside
+        return value[k] + width * ((q * n[:, 0] - before) / inside - 0.5)
+
+    level = quantile(0.5)
+    sigma = np.maximum((level - quantile(0.1587)), 0.3 * width)
+    for _ in range(4):
+        reach = _CLIP_SIGMA * sigma[:, None]
+        upper = np.clip((level[:, None] + reach - value) / width + 0.5, 0.0, 1.0)
+        lower = np.clip((value - level[:, None] + reach) / width + 0.5, 0.0, 1.0)
+        weight = counts * upper * lower
+        n_in = np.maximum(weight.sum(axis=1), 1e-9)
+        level = weight @ value / n_in
+        spread = weight @ value**2 / n_in - level**2
+        sigma = np.sqrt(np.maximum(spread, 0.0) / _CLIPPED_VARIANCE)
+        sigma = np.maximum(sigma, 0.3 * width)
+    return level, sigma
+
+
+def _without_outliers(grid: Array) -> Array:
+    """Blocks covered by a bloom or the Moon take the median of their neighbours; all others keep their
+    value."""
+    if min(grid.shape) < 3:
+        return grid
+    median = cv2.medianBlur(extended(grid).astype(np.float32), 3).astype(float)[1:-1, 1:-1]
+    off = np.abs(grid - median)
+    return np.where(off > 6.0 * np.median(off) + 0.02 * np.abs(median), median, grid)

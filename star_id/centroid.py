@@ -1,0 +1,316 @@
+"""Places of stars to a hundredth of a pixel: a maximum-likelihood fit of the PSF, each with its covariance.
+
+All stars of an image are fitted at once, each in its own window, by Gauss-Newton steps on column, row, flux
+and local sky. A pixel's variance is the sky's own plus the photon noise of the fitted star; the covariance is
+the inverse of the Fisher information (Winick 1986 for the bound). Saturated pixels carry no weight. Where the
+residuals are larger than noise allows - a lens is not a Gaussian - the covariance grows with them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from star_id.background import Background
+from star_id.detect import windows_at
+from star_id.psf import Psf, PsfImages, psf_images
+
+__all__ = ["StarFits", "estimate_gain", "estimate_psf", "fit_stars"]
+
+Array = NDArray[np.float64]
+
+_STEPS = 5
+_LARGEST_STEP_PX = 0.8
+_SATURATED_WINDOW_SIGMA = 9.0
+_WINDOW_SIGMA = 4.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StarFits:
+    """One row a star, in the order of the places that were handed over."""
+
+    xy_px: Array  # (N, 2)
+    cov_px: Array  # (N, 2, 2) px^2
+    flux_dn: Array  # (N,)
+    flux_sigma_dn: Array  # (N,)
+    chi2: Array  # (N,) of the window's pixels
+    dof: Array  # (N,)
+    saturated: NDArray[np.bool_]  # (N,) some pixel of the window is at the top of the range
+    converged: NDArray[
+        np.bool_
+    ]  # (N,) the last step was small, the star within two pixels of where it was seen
+
+    @property
+    def snr(self) -> Array:
+        """(N,) flux over its own standard error against the sky alone."""
+        return self.flux_dn / self.flux_sigma_dn
+
+    def take(self, index: NDArray) -> StarFits:
+        return StarFits(*(getattr(self, name)[index] for name in self.__slots__))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Windows:
+    corner: NDArray[np.int64]  # (N, 2) first pixel
+    radius: int
+    data: Array  # (N, side * side), sky level subtracted
+    good: Array  # (N, side * side) 1 or 0
+    noise2: Array  # (N,) variance of a pixel of sky
+    saturated: NDArray[np.bool_]
+
+
+def fit_stars(
+    image: NDArray,
+    places: NDArray[np.int64],
+    background: Background,
+    psf: Psf,
+    *,
+    gain_e_per_dn: float,
+    saturation_dn: float,
+) -> StarFits:
+    """Fits stars near whole pixels `places` (N, 2). `gain_e_per_dn` may be infinite: no photon noise."""
+    n = len(places)
+    if n == 0:
+        return _no_fits()
+    smear = 0.5 * float(np.hypot(*psf.smear_px))
+    sigma = psf.sigma_at(places.astype(float))
+    radius = max(3, int(np.ceil(_WINDOW_SIGMA * np.median(sigma) + smear)))
+    windows = _cut(image, places, background, radius, saturation_dn)
+    wide = np.flatnonzero(windows.saturated)
+    plain = np.flatnonzero(~windows.saturated)
+    parts = [(plain, _fit(_pick(windows, plain), places[plain], sigma[plain], psf, gain_e_per_dn))]
+    if len(wide):
+        large = int(np.ceil(_SATURATED_WINDOW_SIGMA * np.median(sigma) + smear))
+        cut = _cut(image, places[wide], background, large, saturation_dn)
+        parts.append((wide, _fit(cut, places[wide], sigma[wide], psf, gain_e_per_dn)))
+    order = np.argsort(np.concatenate([index for index, _ in parts]), kind="stable")
+    joined = [np.concatenate([getattr(fit, name) for _, fit in parts]) for name in StarFits.__slots__]
+    return StarFits(*joined).take(order)
+
+
+def estimate_psf(
+    image: NDArray,
+    places: NDArray[np.int64],
+    background: Background,
+    *,
+    start_sigma_px: float,
+    smear_px: tuple[float, float],
+    saturation_dn: float,
+) -> tuple[Psf, int]:
+    """Width of the PSF, and the number of stars it rests on (0: the starting value comes back)."""
+    height, width = image.shape
+    psf = Psf(start_sigma_px, start_sigma_px, smear_px, width, height)
+    radius = max(3, int(np.ceil(4.5 * start_sigma_px + 0.5 * np.hypot(*smear_px))))
+    windows = _cut(image, places, background, radius, saturation_dn)
+    use = np.flatnonzero(~windows.saturated)
+    if len(use) == 0:
+        return psf, 0
+    windows, places = _pick(windows, use), places[use]
+    sigma = np.full(len(use), start_sigma_px)
+    state = _linear_start(windows, places, sigma, psf)
+    for _ in range(8):
+        images = _images(windows, state, sigma, psf, widths=True)
+        step, normal, _, _ = _newton(windows, images, state, np.inf)
+        state = state + np.concatenate([np.clip(step[:, :2], -0.8, 0.8), step[:, 2:4]], axis=1)
+        sigma = np.clip(sigma * np.exp(np.clip(step[:, 4], -0.3, 0.3)), 0.25, 4.0 * start_sigma_px)
+    error = sigma * np.sqrt(np.linalg.inv(normal)[:, 4, 4])
+    offset = state[:, :2] - (places - windows.corner - windows.radius)
+    sound = (np.abs(offset) < 1.5).all(axis=1) & (state[:, 2] > 0) & (sigma > 0.27) & (error < 0.15 * sigma)
+    sound &= sigma < 3.9 * start_sigma_px
+    if sound.sum() < 3:
+        return psf, 0
+    middle, corner = _width_over_field(psf, places[sound].astype(float), sigma[sound], error[sound])
+    return replace(psf, sigma_px=middle, sigma_corner_px=corner), int(sound.sum())
+
+
+def estimate_gain(
+    image: NDArray,
+    places: NDArray[np.int64],
+    background: Background,
+    psf: Psf,
+    *,
+    saturation_dn: float,
+) -> float:
+    """Electrons a DN, from how the residuals of unsaturated stars grow with their signal; infinite if they do
+    not.
+
+    Misfit of the PSF enters too, which makes the stated covariance larger, never smaller.
+    """
+    sigma = psf.sigma_at(places.astype(float))
+    radius = max(3, int(np.ceil(3.0 * np.median(sigma)))) if len(sigma) else 3
+    windows = _cut(image, places, background, radius, saturation_dn)
+    use = np.flatnonzero(~windows.saturated)
+    if len(use) < 5:
+        return np.inf
+    windows, places, sigma = _pick(windows, use), places[use], sigma[use]
+    per_dn = 0.0  # variance per DN of signal, 1 / gain
+    state = _linear_start(windows, places, sigma, psf)
+    for _ in range(_STEPS):
+        images = _images(windows, state, sigma, psf)
+        step, normal, residual, weight = _newton(
+            windows, images, state, 1.0 / per_dn if per_dn > 0 else np.inf
+        )
+        state = state + np.clip(step, -np.inf, np.inf)
+        model = np.maximum(state[:, 2:3] * images.value, 0.0)
+        J = _columns(images, state)
+        leverage = np.einsum("npm,npq,nqm->nm", J, np.linalg.inv(normal), J) * weight
+        expected = windows.noise2[:, None] * (1.0 - leverage)
+        excess = residual**2 - expected
+        slope = model * (1.0 - leverage)
+        w = windows.good / (windows.noise2[:, None] + per_dn * model) ** 2
+        inlier = residual**2 * weight < 16.0
+        per_dn = float(max((w * inlier * slope * excess).sum() / (w * inlier * slope**2).sum(), 0.0))
+    return 1.0 / per_dn if per_dn > 0 else np.inf
+
+
+def _fit(windows: _Windows, places: NDArray[np.int64], sigma: Array, psf: Psf, gain: float) -> StarFits:
+    if len(places) == 0:
+        return _no_fits()
+    state = _linear_start(windows, places, sigma, psf)
+    for k in range(_STEPS):
+        images = _images(windows, state, sigma, psf)
+        step, normal, residual, weight = _newton(windows, images, state, gain)
+        if k == 1:
+            windows = _without_outliers(windows, residual, weight)
+        last = np.abs(step[:, :2]).max(axis=1)
+        step[:, :2] = np.clip(step[:, :2], -_LARGEST_STEP_PX, _LARGEST_STEP_PX)
+        state = state + step
+    cov = _safe_inverse(normal)
+    chi2 = (residual**2 * weight).sum(axis=1)
+    dof = np.maximum((weight > 0).sum(axis=1) - 4.0, 1.0)
+    ratio = chi2 / dof
+    inflation = np.where(ratio > 1.0 + 3.5 * np.sqrt(2.0 / dof), ratio, 1.0)
+    sky_information = ((images.value**2) * windows.good).sum(axis=1) / windows.noise2
+    moved = state[:, :2] + windows.corner + windows.radius - places
+    return StarFits(
+        xy_px=state[:, :2] + windows.corner + windows.radius,
+        cov_px=cov[:, :2, :2] * inflation[:, None, None],
+        flux_dn=state[:, 2],
+        flux_sigma_dn=1.0 / np.sqrt(np.maximum(sky_information, 1e-30)),
+        chi2=chi2,
+        dof=dof,
+        saturated=windows.saturated,
+        converged=(last < 0.1)
+        & (np.abs(moved).max(axis=1) < 2.0 + windows.saturated * 4.0)
+        & (state[:, 2] > 0),
+    )
+
+
+def _cut(
+    image: NDArray, places: NDArray[np.int64], background: Background, radius: int, saturation: float
+) -> _Windows:
+    height, width = image.shape
+    side = 2 * radius + 1
+    corner = np.clip(places - radius, 0, [width - side, height - side])
+    raw = windows_at(image, corner, side)
+    level, noise = background.at(places.astype(float))
+    full = raw >= saturation
+    saturated = np.asarray(full.any(axis=(1, 2)))
+    good = np.ones(raw.shape)
+    if saturated.any():
+        spoilt = full.copy()  # a bloom ends in a pixel that is not full but does not belong to the star alone
+        spoilt[:, 1:] |= full[:, :-1]
+        spoilt[:, :-1] |= full[:, 1:]
+        good[spoilt] = 0.0
+    n = len(raw)
+    data = raw.reshape(n, side * side) - level[:, None]
+    return _Windows(corner, radius, data, good.reshape(n, side * side), noise**2, saturated)
+
+
+def _pick(windows: _Windows, index: NDArray) -> _Windows:
+    return replace(
+        windows,
+        corner=windows.corner[index],
+        data=windows.data[index],
+        good=windows.good[index],
+        noise2=windows.noise2[index],
+        saturated=windows.saturated[index],
+    )
+
+
+def _linear_start(windows: _Windows, places: NDArray[np.int64], sigma: Array, psf: Psf) -> Array:
+    """(N, 4) column and row from the window's middle, flux, sky: the last two by least squares."""
+    state = np.zeros((len(places), 4))
+    state[:, :2] = places - windows.corner - windows.radius
+    images = _images(windows, state, sigma, psf)
+    p, g = images.value, windows.good
+    n, sp, spp = g.sum(1), (g * p).sum(1), (g * p * p).sum(1)
+    sd, spd = (g * windows.data).sum(1), (g * p * windows.data).sum(1)
+    determinant = np.maximum(n * spp - sp**2, 1e-12)
+    state[:, 2] = (n * spd - sp * sd) / determinant
+    return state
+
+
+def _images(windows: _Windows, state: Array, sigma: Array, psf: Psf, *, widths: bool = False) -> PsfImages:
+    return psf_images(state[:, :2], sigma, psf.smear_px, windows.radius, widths=widths)
+
+
+def _columns(images: PsfImages, state: Array) -> Array:
+    flux = state[:, 2:3]
+    columns = [flux * images.d_x, flux * images.d_y, images.value, np.ones_like(images.value)]
+    if images.d_log_sigma is not None:
+        columns.append(flux * images.d_log_sigma)
+    return np.stack(columns, axis=1)
+
+
+def _newton(
+    windows: _Windows, images: PsfImages, state: Array, gain: float
+) -> tuple[Array, Array, Array, Array]:
+    """One Gauss-Newton step: (N, P) step, (N, P, P) normal matrix, (N, M) residuals, (N, M) weights."""
+    signal = state[:, 2:3] * images.value
+    weight = windows.good / (windows.noise2[:, None] + np.maximum(signal, 0.0) / gain)
+    residual = windows.data - signal - state[:, 3:4]
+    J = _columns(images, state)
+    JW = J * weight[:, None, :]
+    normal = JW @ J.transpose(0, 2, 1)
+    scale = np.maximum(np.einsum("npp->np", normal), 1e-30)
+    normal = normal + 1e-9 * scale[:, :, None] * np.eye(normal.shape[1])
+    step = np.linalg.solve(normal, JW @ residual[:, :, None])[:, :, 0]
+    return step, normal, residual, weight
+
+
+def _without_outliers(windows: _Windows, residual: Array, weight: Array) -> _Windows:
+    """Takes out up to four pixels that stand 6 sigma above an otherwise good fit: a hot pixel, a neighbour's
+    edge."""
+    high = (residual > 0) & (residual**2 * weight > 36.0)
+    count = high.sum(axis=1)
+    drop = high & ((count > 0) & (count <= 4))[:, None]
+    return replace(windows, good=np.where(drop, 0.0, windows.good)) if drop.any() else windows
+
+
+def _width_over_field(psf: Psf, xy: Array, sigma: Array, error: Array) -> tuple[float, float]:
+    """Width in the middle and in the corners; equal unless the stars say otherwise by three standard
+    errors."""
+    size = np.array([psf.width_px, psf.height_px])
+    radius2 = 2.0 * (((xy + 0.5) / size - 0.5) ** 2).sum(axis=1)
+    error = np.maximum(error, 0.01 * sigma)
+    keep = np.abs(sigma - np.median(sigma)) < 0.35 * np.median(sigma)
+    for _ in range(4):
+        w = keep / error**2
+        mean = (w * sigma).sum() / w.sum()
+        spread = max(1.0, 1.4826 * float(np.median(np.abs(sigma - mean)[keep] / error[keep])))
+        keep = np.abs(sigma - mean) < 4.0 * spread * error
+        if keep.sum() < 3:
+            return float(np.median(sigma)), float(np.median(sigma))
+    if keep.sum() < 12:
+        return float(mean), float(mean)
+    A = np.column_stack([np.ones(len(sigma)), radius2]) * (keep / (spread * error))[:, None]
+    covariance = np.linalg.inv(A.T @ A + 1e-12 * np.eye(2))
+    fit = covariance @ (A.T @ (sigma * keep / (spread * error)))
+    if abs(fit[1]) < 3.0 * np.sqrt(covariance[1, 1]) or fit[0] + min(fit[1], 0.0) < 0.5 * mean:
+        return float(mean), float(mean)
+    return float(fit[0]), float(fit[0] + fit[1])
+
+
+def _safe_inverse(normal: Array) -> Array:
+    scale = 1.0 / np.sqrt(np.maximum(np.einsum("npp->np", normal), 1e-30))
+    return (
+        np.linalg.inv(normal * scale[:, :, None] * scale[:, None, :]) * scale[:, :, None] * scale[:, None, :]
+    )
+
+
+def _no_fits() -> StarFits:
+    none, flags = np.empty(0), np.empty(0, dtype=bool)
+    return StarFits(np.empty((0, 2)), np.empty((0, 2, 2)), none, none, none, none, flags, flags)

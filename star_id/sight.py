@@ -1,0 +1,148 @@
+"""A raw image of a known camera becomes the sightings that calibration uses: named stars with covariances.
+
+Only stars whose place is beyond doubt pass on: not saturated, not displaced by a neighbour or a companion,
+not marked in the catalogue, not an outlier of the attitude fit.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geometry.constants import ARCSEC
+from geometry.epoch import Epoch
+from geometry.sightings import StarSightings
+from geometry.star_camera import StarCamera
+from geometry.starlight import apparent_star_directions
+from star_id.attitude import solve_attitude
+from star_id.catalogue import hipparcos_stars
+from star_id.identify import FieldOfView, Identification, NotIdentified, identify
+from star_id.settings import StarSettings
+from star_id.star_list import StarList, find_stars
+from star_id.triangles import StarIndex, equivalent_fov
+
+__all__ = ["field_of_camera", "plane_coordinates", "sight_stars", "smear_of_rate", "without_doubt"]
+
+Array = NDArray[np.float64]
+
+_OUTLIER_CHI2 = 18.4  # two degrees of freedom, 1e-4
+
+
+def sight_stars(
+    exposure_id: str,
+    image: NDArray,
+    camera: StarCamera,
+    index: StarIndex,
+    epoch: Epoch,
+    t_s: float,
+    p_i: Array,
+    v_i: Array,
+    settings: StarSettings,
+    *,
+    dark: NDArray | None = None,
+) -> StarSightings | NotIdentified:
+    """Named stars of one exposure taken at `t_s` (its middle) from `p_i` (m) with velocity `v_i` (m/s), GCRS.
+
+    A satellite's turning during the exposure goes in as `settings.smear_px` (`smear_of_rate`).
+    """
+    stars = find_stars(image, settings, dark)
+    found = identify(
+        plane_coordinates(camera, stars.xy_px), field_of_camera(camera, settings), index, settings
+    )
+    if isinstance(found, NotIdentified):
+        return NotIdentified(f"exposure {exposure_id}: {found.reason}", found.numbers)
+    safe = without_doubt(stars, found, camera, index, settings)
+    rows, names = found.detections[safe], found.stars[safe]
+    if len(rows) < 3:
+        return NotIdentified(
+            f"exposure {exposure_id}: {len(found.detections)} stars identified, only {len(rows)} fit for"
+            " calibration, 3 are needed",
+            {"identified": float(len(found.detections)), "usable": float(len(rows))},
+        )
+    xy = stars.xy_px[rows]
+    u_s = camera.directions_from_pixels(xy)
+    J = camera.pixel_jacobian(xy)
+    cov_s = J @ stars.cov_px[rows] @ J.transpose(0, 2, 1)
+    u_i = apparent_star_directions(index.stars.take(names), epoch, t_s, p_i, v_i)
+    keep = _without_outliers(u_s, u_i, cov_s)
+    return StarSightings(
+        exposure_id, t_s, index.stars.hip[names][keep], xy[keep], u_s[keep], u_i[keep], cov_s[keep]
+    )
+
+
+def plane_coordinates(camera: StarCamera, xy_px: Array) -> Array:
+    """Tangent-plane coordinates (u_x, u_y) / u_z of image points, distortion removed."""
+    u_s = camera.directions_from_pixels(xy_px)
+    return np.asarray(u_s[:, :2] / u_s[:, 2:])
+
+
+def field_of_camera(camera: StarCamera, settings: StarSettings) -> FieldOfView:
+    """What identification has to know of a calibrated camera."""
+    focal_px = camera.focal_m / camera.pixel_m
+    return FieldOfView(
+        0.5 * camera.width_px / focal_px,
+        0.5 * camera.height_px / focal_px,
+        equivalent_fov(camera.width_px, camera.height_px, focal_px),
+        1.0 / focal_px,
+        0.0,
+        settings.camera_error,
+    )
+
+
+def smear_of_rate(camera: StarCamera, rate_s: Array, exposure_s: float) -> tuple[float, float]:
+    """How far (columns, rows) stars near the axis move while the camera turns at `rate_s` (3,) rad/s, in axes
+    of s.
+
+    Stars turn against the camera, du/dt = -rate x u; the image is the reverse of u.
+    """
+    scale = camera.focal_m / camera.pixel_m * exposure_s
+    return float(scale * rate_s[1]), float(-scale * rate_s[0])
+
+
+def without_doubt(
+    stars: StarList, found: Identification, camera: StarCamera, index: StarIndex, settings: StarSettings
+) -> NDArray[np.bool_]:
+    """Which matches may serve calibration, as a mask over `found.detections`."""
+    arcsec_per_px = camera.pixel_m / camera.focal_m / ARCSEC
+    sigma_rad = stars.psf.sigma_px * arcsec_per_px * ARCSEC
+    trusted = np.isin(index.stars.hip[found.stars], _trusted_hip(settings, arcsec_per_px))
+    measured = ~stars.saturated[found.detections] & ~stars.blended[found.detections]
+    alone = _alone(index, found.stars, sigma_rad, settings.max_photocentre_shift_px * arcsec_per_px * ARCSEC)
+    return np.asarray(trusted & measured & alone)
+
+
+def _trusted_hip(settings: StarSettings, arcsec_per_px: float) -> NDArray[np.int64]:
+    catalogue = hipparcos_stars(8.0)
+    limit = settings.max_photocentre_shift_px * arcsec_per_px
+    return catalogue.places.hip[catalogue.usable_for_calibration & catalogue.point_like(limit)]
+
+
+def _alone(
+    index: StarIndex, rows: NDArray[np.int64], sigma_rad: float, limit_rad: float
+) -> NDArray[np.bool_]:
+    """No other catalogue star displaces the image by more than `limit_rad` (Gaussian of `sigma_rad`)."""
+    reach = 8.0 * sigma_rad
+    near = index.tree.query_ball_point(index.u_i[rows], reach)
+    alone = np.ones(len(rows), dtype=bool)
+    for k in (k for k, others in enumerate(near) if len(others) > 1):
+        others = np.array([j for j in near[k] if j != rows[k]])
+        d = np.linalg.norm(index.u_i[others] - index.u_i[rows[k]], axis=1)
+        ratio = 10.0 ** (-0.4 * (index.stars.v_mag[others] - index.stars.v_mag[rows[k]]))
+        alone[k] = (ratio * d * np.exp(-((0.5 * d / sigma_rad) ** 2))).max() <= limit_rad
+    return alone
+
+
+def _without_outliers(u_s: Array, u_i: Array, cov_s: Array) -> NDArray[np.int64]:
+    """Rows that agree with one attitude; the worst go first, the fit's own scatter is the measure if it is
+    larger."""
+    keep = np.arange(len(u_s))
+    for _ in range(10):
+        attitude = solve_attitude(u_s[keep], u_i[keep], cov_s[keep])
+        variance = 0.5 * np.trace(cov_s[keep], axis1=1, axis2=2)
+        chi2 = (attitude.residuals_s**2).sum(axis=1) / variance
+        scale = max(1.0, float(np.median(chi2)) / 1.386)
+        bad = chi2 > _OUTLIER_CHI2 * scale
+        if not bad.any() or len(keep) - bad.sum() < 3:
+            break
+        keep = keep[~(chi2 >= max(_OUTLIER_CHI2 * scale, 0.5 * chi2.max()))]
+    return keep

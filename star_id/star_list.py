@@ -1,0 +1,204 @@
+"""One raw image in, its stars out: background, detection, width of the PSF, centroids, and what is not a
+star."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from star_id.background import Background, estimate_background
+from star_id.centroid import StarFits, estimate_gain, estimate_psf, fit_stars
+from star_id.detect import Detections, candidate_places, detect, detection_threshold
+from star_id.psf import Psf
+from star_id.settings import StarSettings
+
+__all__ = ["StarList", "find_stars"]
+
+Array = NDArray[np.float64]
+
+_START_SIGMA_PX = 1.2
+_STARS_FOR_PSF = 80
+_STARS_FOR_GAIN = 60
+_LARGEST_SIGMA_AT_HALF = 2.4  # wider stars are searched at a quarter of the resolution
+_MISFIT_LIMIT = 0.3  # residual energy over the star's own: more is a cosmic ray, a trail, a bloom's arm
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StarList:
+    """Stars of one image, brightest first. Row n of every array speaks of the same star."""
+
+    xy_px: Array  # (N, 2) centroid
+    cov_px: Array  # (N, 2, 2) px^2
+    flux_dn: Array  # (N,)
+    snr: Array  # (N,) flux over the error that the sky alone gives it
+    saturated: NDArray[np.bool_]  # (N,)
+    blended: NDArray[np.bool_]  # (N,) a neighbour displaces it by more than a fifth of its standard error
+    psf: Psf
+    psf_stars: int  # stars that the width rests on; 0: it was assumed
+    background: Background
+    gain_e_per_dn: float
+    threshold: float  # sigmas of the matched filter
+    hot_pixels: int  # refused
+    misshapen: int  # refused: cosmic rays, trails, arms of blooms
+
+    def take(self, index: NDArray) -> StarList:
+        names = ("xy_px", "cov_px", "flux_dn", "snr", "saturated", "blended")
+        picked = {name: getattr(self, name)[index] for name in names}
+        rest = {name: getattr(self, name) for name in self.__slots__ if name not in names}
+        return StarList(**picked, **rest)
+
+
+def find_stars(image: NDArray, settings: StarSettings, dark: NDArray | None = None) -> StarList:
+    """Stars of a raw image (H, W), 8 or 16 bits or floating, with the dark frame of the camera if there is
+    one.
+
+    Raises `ValueError` for an image that is not two-dimensional or smaller than 32 pixels.
+    """
+    if image.ndim != 2 or min(image.shape) < 32:
+        raise ValueError(f"image must be (H, W), both at least 32, got {image.shape}")
+    saturation = settings.saturation_dn or _top_of_range(image)
+    if dark is not None:
+        image, saturation = _minus_dark(image, dark, saturation)
+    background = estimate_background(image)
+    found, psf, psf_stars, threshold = _detections(image, background, settings, saturation)
+    places = found.xy_px[: settings.max_stars]
+    gain = settings.gain_e_per_dn or estimate_gain(
+        image, places[:_STARS_FOR_GAIN], background, psf, saturation_dn=saturation
+    )
+    places = _once_per_saturated_star(image, places, saturation)
+    fits = fit_stars(image, places, background, psf, gain_e_per_dn=gain, saturation_dn=saturation)
+    star_like = fits.chi2 - fits.dof < np.maximum(_MISFIT_LIMIT * fits.snr**2, 6.0 * np.sqrt(2 * fits.dof))
+    good = fits.converged & (star_like | fits.saturated) & (fits.snr > 0.75 * threshold)
+    kept = _distinct(
+        fits, np.flatnonzero(good), float(np.median(psf.sigma_at(fits.xy_px))) if len(places) else 1.0
+    )
+    misshapen = int((~good).sum())
+    fits = fits.take(kept)
+    return StarList(
+        fits.xy_px,
+        fits.cov_px,
+        fits.flux_dn,
+        fits.snr,
+        fits.saturated,
+        _blended(fits, psf),
+        psf,
+        psf_stars,
+        background,
+        float(gain),
+        threshold,
+        found.hot_pixels,
+        misshapen,
+    )
+
+
+def _detections(
+    image: NDArray, background: Background, settings: StarSettings, saturation: float
+) -> tuple[Detections, Psf, int, float]:
+    """Detections with the width of the PSF that the image itself shows, unless it is given."""
+    height, width = image.shape
+    smear = settings.smear_px or (0.0, 0.0)
+    sigma = settings.psf_sigma_px or _START_SIGMA_PX
+    psf, stars = Psf(sigma, sigma, smear, width, height), 0
+    halvings = 1 if sigma <= _LARGEST_SIGMA_AT_HALF else 2
+    places = candidate_places(image, background, halvings=halvings)
+    threshold = detection_threshold(image.size, sigma, settings.false_alarms_per_frame)
+    found = detect(image, background, places, psf_sigma_px=sigma, threshold=threshold, reach_px=halvings)
+    if settings.psf_sigma_px is not None:
+        return found, psf, 0, threshold
+    for _ in range(2):
+        psf, stars = estimate_psf(
+            image,
+            found.xy_px[:_STARS_FOR_PSF],
+            background,
+            start_sigma_px=sigma,
+            smear_px=smear,
+            saturation_dn=saturation,
+        )
+        if stars == 0:
+            return found, psf, 0, threshold
+        settled = abs(psf.sigma_px - sigma) < 0.25 * sigma
+        sigma = psf.sigma_px
+        if sigma > _LARGEST_SIGMA_AT_HALF and halvings == 1:
+            halvings = 2
+            places = candidate_places(image, background, halvings=halvings)
+        threshold = detection_threshold(image.size, sigma, settings.false_alarms_per_frame)
+        found = detect(image, background, places, psf_sigma_px=sigma, threshold=threshold, reach_px=halvings)
+        if settled:
+            break
+    return found, psf, stars, threshold
+
+
+def _top_of_range(image: NDArray) -> float:
+    """Grey value from which a pixel counts as full: the top of the type, or a plateau of the brightest
+    value."""
+    if not np.issubdtype(image.dtype, np.integer):
+        return np.inf
+    top = int(np.iinfo(image.dtype).max)
+    if image.dtype == np.uint8:
+        return float(top)
+    brightest = int(image.max())
+    for bits in (10, 12, 14, 16):
+        if brightest <= 2**bits - 1:
+            return float(0.995 * (2**bits - 1)) if bits < 16 else float(0.98 * top)
+    return float(top)
+
+
+def _minus_dark(image: NDArray, dark: NDArray, saturation: float) -> tuple[NDArray, float]:
+    """The image less its dark frame; a pixel that was full stays full."""
+    if dark.shape != image.shape:
+        raise ValueError(f"dark frame is {dark.shape}, image is {image.shape}")
+    corrected = image.astype(np.float32) - dark.astype(np.float32) + np.float32(np.median(dark))
+    corrected[image >= saturation] = saturation
+    return corrected, saturation
+
+
+def _once_per_saturated_star(
+    image: NDArray, places: NDArray[np.int64], saturation: float
+) -> NDArray[np.int64]:
+    """Peaks on one plateau of full pixels are one star, placed in the plateau's middle."""
+    full = image[places[:, 1], places[:, 0]] >= saturation if len(places) else np.empty(0, dtype=bool)
+    if full.sum() < 2:
+        return places
+    plateau = places[full]
+    pairs = cKDTree(plateau).query_pairs(4.5, output_type="ndarray")
+    label = np.arange(len(plateau))
+    for _ in range(len(plateau)):
+        low = np.minimum(label[pairs[:, 0]], label[pairs[:, 1]])
+        new = label.copy()
+        np.minimum.at(new, pairs[:, 0], low)
+        np.minimum.at(new, pairs[:, 1], low)
+        if np.array_equal(new, label):
+            break
+        label = new
+    middles = [np.rint(plateau[label == k].mean(axis=0)).astype(np.int64) for k in np.unique(label)]
+    return np.vstack([np.array(middles), places[~full]])
+
+
+def _distinct(fits: StarFits, good: NDArray[np.int64], sigma: float) -> NDArray[np.int64]:
+    """Indices of good fits, brightest first; of two that ended on one spot the brighter stays."""
+    order = good[np.argsort(-fits.flux_dn[good], kind="stable")]
+    if len(order) < 2:
+        return order
+    pairs = cKDTree(fits.xy_px[order]).query_pairs(max(1.0, sigma), output_type="ndarray")
+    drop = np.zeros(len(order), dtype=bool)
+    drop[pairs.max(axis=1)] = True
+    return np.asarray(order[~drop])
+
+
+def _blended(fits: StarFits, psf: Psf) -> NDArray[np.bool_]:
+    """A neighbour of flux F2 at distance d displaces a Gaussian fit by about (F2 / F1) d exp(-d^2 / 4
+    s^2)."""
+    blended = np.zeros(len(fits.xy_px), dtype=bool)
+    if len(blended) < 2:
+        return blended
+    sigma = float(np.median(psf.sigma_at(fits.xy_px)))
+    pairs = cKDTree(fits.xy_px).query_pairs(10.0 * sigma, output_type="ndarray")
+    for a, b in (pairs.T, pairs.T[::-1]):
+        d2 = ((fits.xy_px[a] - fits.xy_px[b]) ** 2).sum(axis=1)
+        shift = fits.flux_dn[b] / fits.flux_dn[a] * np.sqrt(d2) * np.exp(-d2 / (4.0 * sigma**2))
+        own = np.sqrt(0.5 * np.trace(fits.cov_px[a], axis1=1, axis2=2))
+        blended[a[shift > 0.2 * own]] = True
+    return blended

@@ -1,0 +1,197 @@
+"""Index of catalogue triangles by shape, so that three stars of an image can be looked up anywhere on the
+sky.
+
+For a field of view the index takes the stars that are among the brightest of their neighbourhood, makes every
+triangle of them that fits into a good part of the field, and sorts the triangles into cells of (middle side /
+longest side, shortest side / longest side). All triangles of one handedness seen from inside the sphere are
+kept with the sign of it. The vertices stand in the order: longest-and-middle side, longest-and-shortest side,
+middle-and-shortest side.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from geometry.starlight import StarPlaces
+
+__all__ = ["StarIndex", "TriangleTable", "build_index", "equivalent_fov", "triangle_shapes"]
+
+Array = NDArray[np.float64]
+
+STARS_A_FIELD = 14  # index stars in the area of one field of view
+LONGEST_SIDE = 0.62  # of the field of view
+SHORTEST_SIDE = 0.06
+_LEVEL_STEP = 1.4  # fields of view of neighbouring tables of an index for unknown cameras
+_CELLS = 100  # along each ratio
+_FULL_SKY_SR = 4.0 * np.pi
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TriangleTable:
+    """Triangles for fields of view near `fov_rad`, sorted by cell."""
+
+    fov_rad: float
+    vertices: NDArray[np.int32]  # (T, 3) rows of the index's stars
+    longest_rad: NDArray[np.float32]  # (T,)
+    ratios: NDArray[np.float32]  # (T, 2) middle / longest, shortest / longest
+    right_handed: NDArray[np.bool_]  # (T,) sign of the vertices' triple product
+    cell_start: NDArray[np.int64]  # (cells + 1,) first row of each cell
+
+    def lookup(
+        self, longest: Array, ratios: Array, right_handed: NDArray[np.bool_], tolerance: Array, scale: float
+    ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Pairs (query, row) of triangles alike: ratios within `tolerance` (Q,), longest side within
+        `scale`."""
+        low = np.clip(((ratios - tolerance[:, None]) * _CELLS).astype(np.int64), 0, _CELLS - 1)
+        high = np.clip(((ratios + tolerance[:, None]) * _CELLS).astype(np.int64), 0, _CELLS - 1)
+        lines = high[:, 0] - low[:, 0] + 1
+        query = np.repeat(np.arange(len(low)), lines)
+        line = low[query, 0] + _ramp(lines)
+        first = self.cell_start[line * _CELLS + low[query, 1]]
+        count = self.cell_start[line * _CELLS + high[query, 1] + 1] - first
+        row = np.repeat(first, count) + _ramp(count)
+        query = np.repeat(query, count)
+        near = np.abs(self.longest_rad[row] - longest[query]) < scale * longest[query]
+        near &= self.right_handed[row] == right_handed[query]
+        row, query = row[near], query[near]
+        near = (np.abs(self.ratios[row] - ratios[query]) < tolerance[query, None]).all(axis=1)
+        return query[near], row[near]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StarIndex:
+    """Stars, brightest first, and triangle tables of them. Directions are those of the epoch, no light
+    effects."""
+
+    stars: StarPlaces
+    u_i: Array  # (N, 3)
+    tables: tuple[TriangleTable, ...]
+    tree: cKDTree
+
+    def table_for(self, fov_rad: float) -> TriangleTable:
+        """The table made for the nearest field of view."""
+        distance = [abs(np.log(table.fov_rad / fov_rad)) for table in self.tables]
+        return self.tables[int(np.argmin(distance))]
+
+    def near(self, direction_i: Array, radius_rad: float) -> NDArray[np.int64]:
+        """Rows of the stars within `radius_rad` of a unit vector, brightest first."""
+        chord = 2.0 * np.sin(0.5 * min(radius_rad, np.pi))
+        return np.sort(np.asarray(self.tree.query_ball_point(direction_i, chord), dtype=np.int64))
+
+
+def build_index(stars: StarPlaces, epoch_jyear: float, fov_rad: float | tuple[float, float]) -> StarIndex:
+    """Index for a field of view, or for all between two of them.
+
+    Parameters
+    ----------
+    stars : StarPlaces
+        Any order; carried to `epoch_jyear` by their proper motions.
+    fov_rad : float or (float, float)
+        Width of a 4:3 field of the camera's area (`equivalent_fov`), or least and greatest.
+    """
+    order = np.argsort(stars.v_mag, kind="stable")
+    stars = stars.take(order)
+    u_i = _directions_at(stars, epoch_jyear)
+    tree = cKDTree(u_i)
+    if isinstance(fov_rad, tuple):
+        low, high = fov_rad
+        levels = max(1, int(np.ceil(np.log(high / low) / np.log(_LEVEL_STEP))))
+        fields = low * (high / low) ** ((np.arange(levels) + 0.5) / levels)
+    else:
+        fields = np.array([fov_rad])
+    return StarIndex(stars, u_i, tuple(_table(u_i, float(field)) for field in fields), tree)
+
+
+def equivalent_fov(width_px: int, height_px: int, focal_px: float) -> float:
+    """Width (rad) of the 4:3 field that has the area of this one."""
+    return float(2.0 * np.arctan(0.5 * np.sqrt(width_px * height_px / 0.75) / focal_px))
+
+
+def triangle_shapes(
+    u: Array, triples: NDArray[np.integer]
+) -> tuple[NDArray, Array, Array, NDArray[np.bool_]]:
+    """Vertices in canonical order (T, 3), longest sides (rad), ratios (T, 2) and handedness of triangles."""
+    a, b, c = u[triples[:, 0]], u[triples[:, 1]], u[triples[:, 2]]
+    sides = np.stack([_angle(b, c), _angle(c, a), _angle(a, b)], axis=1)  # opposite to each vertex
+    order = np.argsort(sides, axis=1)  # shortest, middle, longest
+    # the vertex opposite the shortest side lies between the middle and the longest, and so on
+    vertices = np.take_along_axis(triples, order, axis=1)
+    sorted_sides = np.take_along_axis(sides, order, axis=1)
+    p, q, r = (u[vertices[:, k]] for k in range(3))
+    right_handed = np.einsum("ni,ni->n", np.cross(q - p, r - p), p) > 0.0
+    longest = np.maximum(sorted_sides[:, 2], 1e-12)
+    return vertices, longest, sorted_sides[:, 1::-1] / longest[:, None], right_handed
+
+
+def _table(u_i: Array, fov_rad: float) -> TriangleTable:
+    chosen = _brightest_of_neighbourhood(u_i, fov_rad)
+    triples = chosen[_triples(u_i[chosen], LONGEST_SIDE * fov_rad)]
+    vertices, longest, ratios, right_handed = triangle_shapes(u_i, triples)
+    keep = (longest < LONGEST_SIDE * fov_rad) & (ratios[:, 1] * longest > SHORTEST_SIDE * fov_rad)
+    cell = np.minimum((ratios * _CELLS).astype(np.int64), _CELLS - 1) @ np.array([_CELLS, 1])
+    rows = np.flatnonzero(keep)
+    rows = rows[np.argsort(cell[rows], kind="stable")]
+    counts = np.bincount(cell[rows], minlength=_CELLS * _CELLS)
+    return TriangleTable(
+        fov_rad,
+        vertices[rows].astype(np.int32),
+        longest[rows].astype(np.float32),
+        ratios[rows].astype(np.float32),
+        right_handed[rows],
+        np.concatenate([[0], np.cumsum(counts)]),
+    )
+
+
+def _brightest_of_neighbourhood(u_i: Array, fov_rad: float) -> NDArray[np.int64]:
+    """Rows (stars are sorted by brightness) with fewer than STARS_A_FIELD brighter stars in a field around
+    them."""
+    area = 0.75 * fov_rad**2
+    radius = np.sqrt(area / np.pi)
+    enough = min(len(u_i), int(4 * STARS_A_FIELD * _FULL_SKY_SR / area))
+    pairs = cKDTree(u_i[:enough]).query_pairs(2.0 * np.sin(0.5 * radius), output_type="ndarray")
+    brighter = np.bincount(pairs.max(axis=1), minlength=enough)
+    return np.flatnonzero(brighter < STARS_A_FIELD)
+
+
+def _triples(u: Array, longest_rad: float) -> NDArray[np.int64]:
+    """All index triples i < j < k with both sides at i no longer than `longest_rad`."""
+    pairs = cKDTree(u).query_pairs(2.0 * np.sin(0.5 * longest_rad), output_type="ndarray")
+    pairs = pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]
+    last = np.searchsorted(pairs[:, 0], np.arange(len(u)), side="right")
+    row = np.arange(len(pairs))
+    partners = last[pairs[:, 0]] - row - 1  # later partners of the same first star
+    one = np.repeat(row, partners)
+    other = one + 1 + _ramp(partners)
+    triples = np.column_stack([pairs[one], pairs[other, 1]])
+    closes = ((u[triples[:, 1]] - u[triples[:, 2]]) ** 2).sum(axis=1) < (2.0 * np.sin(0.5 * longest_rad)) ** 2
+    return np.asarray(triples[closes])
+
+
+def _ramp(counts: NDArray[np.integer]) -> NDArray[np.int64]:
+    """0 .. n-1 for each n of `counts`, one after the other."""
+    total = int(counts.sum())
+    ends = np.cumsum(counts)
+    return np.arange(total) - np.repeat(ends - counts, counts)
+
+
+def _angle(a: Array, b: Array) -> Array:
+    """Angle between unit vectors, from the chord (safe at small angles)."""
+    return np.asarray(2.0 * np.arcsin(np.minimum(0.5 * np.sqrt(((a - b) ** 2).sum(axis=1)), 1.0)))
+
+
+def _directions_at(stars: StarPlaces, epoch_jyear: float) -> Array:
+    """Catalogue directions (N, 3) carried along straight lines; parallax and all effects of light are left
+    out."""
+    ra, dec = stars.ra_rad, stars.dec_rad
+    east = np.column_stack([-np.sin(ra), np.cos(ra), np.zeros(len(ra))])
+    north = np.column_stack([-np.sin(dec) * np.cos(ra), -np.sin(dec) * np.sin(ra), np.cos(dec)])
+    here = np.column_stack([np.cos(dec) * np.cos(ra), np.cos(dec) * np.sin(ra), np.sin(dec)])
+    years = epoch_jyear - stars.epoch_jyear
+    moved = here + years * (
+        (stars.pm_ra_rad_yr * np.cos(dec))[:, None] * east + stars.pm_dec_rad_yr[:, None] * north
+    )
+    return np.asarray(moved / np.linalg.norm(moved, axis=1, keepdims=True))
