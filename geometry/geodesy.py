@@ -27,7 +27,10 @@ Array = NDArray[np.float64]
 def geodetic_from_ecef(p_e: ArrayLike, ellipsoid: Ellipsoid) -> tuple[Array, Array, Array]:
     """Geodetic latitude, longitude (rad, -pi to pi) and height (m) of points (..., 3) (Fukushima 2006, by
     ERFA)."""
-    lon, lat, height = erfa.gc2gde(ellipsoid.semi_major_m, ellipsoid.flattening, np.asarray(p_e, dtype=float))
+    with np.errstate(invalid="ignore"):  # NaN gives NaN
+        lon, lat, height = erfa.gc2gde(
+            ellipsoid.semi_major_m, ellipsoid.flattening, np.asarray(p_e, dtype=float)
+        )
     return lat, lon, height
 
 

@@ -1,8 +1,9 @@
-"""The shape of the ground, and where a line of sight meets it first.
+"""The shape of the ground: surfaces that give ellipsoidal heights, and where a line of sight meets them
+first.
 
-A surface gives ellipsoidal heights at geodetic places, NaN where it knows none. `TerrainGrid` is a raster in
-any map projection or in degrees, read by bilinear interpolation; heights above mean sea level are brought to
-the ellipsoid once, at birth.
+`TerrainGrid` is a raster in any map projection or in degrees, bilinear between the centres of its pixels;
+heights above mean sea level are brought to the ellipsoid once, at birth. How a ray is followed over it is in
+`geometry.terrain_rays`.
 """
 
 from __future__ import annotations
@@ -18,12 +19,23 @@ from pyproj import CRS, Transformer
 from geometry.constants import WGS84
 from geometry.geodesy import geodetic_from_ecef, ray_ellipsoid_intersection
 from geometry.geoid import Geoid
+from geometry.terrain_rays import (
+    HeightBounds,
+    bilinear,
+    bounds_of_heights,
+    crossing_by_steps,
+    first_crossings,
+)
 
 __all__ = ["ConstantHeight", "Surface", "TerrainGrid", "intersect"]
 
 Array = NDArray[np.float64]
 
-_TOLERANCE_M = 1e-6
+_FLAT_M = 1e-6  # relief below this is a constant height
+_CHUNK = 16_384  # rays at a time: their arrays stay in the cache
+_MARGIN_M = 0.01
+_STEPS = 64  # on the way from the highest to the lowest height of a surface that is not a grid
+_TRACK_EXACT_M = 300.0  # third order of a way so long in the map: 300^3 / R^2 = 7e-7 m
 
 
 class Surface(Protocol):
@@ -56,10 +68,9 @@ class TerrainGrid:
     """A raster of ellipsoidal heights. Made by `TerrainGrid.from_raster`."""
 
     heights_m: NDArray[np.float32]  # (rows, columns) above the ellipsoid at pixel centres, NaN = no data
-    transform: tuple[
-        float, float, float, float, float, float
-    ]  # a b c d e f: x = a col + b row + c of a pixel's corner
+    transform: tuple[float, float, float, float, float, float]  # x = a col + b row + c, y = d col + e row + f
     crs: str
+    bounds: HeightBounds
 
     @staticmethod
     def from_raster(
@@ -77,12 +88,12 @@ class TerrainGrid:
         heights_m : (rows, columns) array
             Heights at the centres of pixels, m. NaN and `no_data` mean that there is none.
         transform : six numbers
-            (a, b, c, d, e, f) of rasterio's Affine: corner of pixel (column, row) at x = a column + b row +
-            c, y = d column + e row + f, in the CRS (x east, y north; degrees if geographic).
+            (a, b, c, d, e, f) of rasterio's Affine: the corner of pixel (column, row) is at x = a column + b
+            row + c, y = d column + e row + f, in the CRS (x east, y north; degrees if geographic).
         crs : str
             Any horizontal CRS that PROJ understands, as WKT or "EPSG:32650".
         geoid : Geoid or None
-            Geoid that the heights refer to (egm96() for SRTM); None if they are above the ellipsoid.
+            Geoid that the heights refer to (`egm96()` for SRTM); None if they are above the ellipsoid.
         """
         heights = np.array(heights_m, dtype=np.float32)
         if heights.ndim != 2 or min(heights.shape) < 2:
@@ -92,96 +103,117 @@ class TerrainGrid:
         if not np.any(np.isfinite(heights)):
             raise ValueError("terrain has no height at all: every pixel is without data")
         a, b, c, d, e, f = (float(value) for value in np.ravel(np.asarray(transform, dtype=float))[:6])
-        grid = TerrainGrid(heights, (a, b, c, d, e, f), crs)
+        if a * e == b * d:
+            raise ValueError(f"terrain transform cannot be inverted: {(a, b, c, d, e, f)}")
         if geoid is not None:
-            grid._add(geoid)
-        return grid
+            _add_undulations(heights, (a, b, c, d, e, f), crs, geoid)
+        return TerrainGrid(heights, (a, b, c, d, e, f), crs, bounds_of_heights(heights))
 
-    def height_m(self, lat_rad: Array, lon_rad: Array) -> Array:
+    def height_m(self, lat_rad: ArrayLike, lon_rad: ArrayLike) -> Array:
         """Bilinear between the four pixel centres around; NaN if one of them has no data, or past the
         edge."""
-        column, row = self.pixels_from_geodetic(lat_rad, lon_rad)
-        return _bilinear(self.heights_m, column, row)
+        return bilinear(self.heights_m, *self.pixels_from_geodetic(lat_rad, lon_rad))
 
     def height_range_m(self) -> tuple[float, float]:
-        return float(np.nanmin(self.heights_m)), float(np.nanmax(self.heights_m))
+        return self.bounds.lowest_m, self.bounds.highest_m
 
     def pixels_from_geodetic(self, lat_rad: ArrayLike, lon_rad: ArrayLike) -> tuple[Array, Array]:
         """Column and row, (0, 0) at the centre of the first pixel."""
-        x, y = _to_map(self.crs).transform(np.degrees(lon_rad), np.degrees(lat_rad))
+        lon, lat = np.degrees(lon_rad), np.degrees(lat_rad)
         a, b, c, d, e, f = self.transform
-        determinant = a * e - b * d
+        to_map = _to_map(self.crs)
+        if to_map is None:  # degrees; take the turn of longitude that the raster is written in
+            middle = c + 0.5 * (a * self.heights_m.shape[1] + b * self.heights_m.shape[0])
+            x, y = lon + 360.0 * np.round((middle - lon) / 360.0), lat
+        else:
+            x, y = to_map.transform(lon, lat)
         dx, dy = np.asarray(x) - c, np.asarray(y) - f
+        determinant = a * e - b * d
         return (e * dx - b * dy) / determinant - 0.5, (a * dy - d * dx) / determinant - 0.5
-
-    def geodetic_from_pixels(self, column: ArrayLike, row: ArrayLike) -> tuple[Array, Array]:
-        """Latitude and longitude, rad; the inverse of `pixels_from_geodetic`."""
-        a, b, c, d, e, f = self.transform
-        u, v = np.asarray(column, float) + 0.5, np.asarray(row, float) + 0.5
-        lon, lat = _to_map(self.crs).transform(a * u + b * v + c, d * u + e * v + f, direction="INVERSE")
-        return np.radians(lat), np.radians(lon)
-
-    def _add(self, geoid: Geoid) -> None:
-        """Raise heights above mean sea level to heights above the ellipsoid, some rows at a time."""
-        rows, columns = self.heights_m.shape
-        step = max(1, 2**20 // columns)
-        for first in range(0, rows, step):
-            row, column = np.mgrid[first : min(first + step, rows), :columns]
-            lat, lon = self.geodetic_from_pixels(column, row)
-            self.heights_m[first : first + step] += geoid.undulation_m(lat, lon)
 
 
 def intersect(origin_e: Array, direction_e: Array, surface: Surface) -> Array:
-    """First point where each ray meets the ground, (N, 3), frame e, m; NaN where it meets none.
+    """First point where each ray, from above all ground downwards, meets the surface.
 
-    Each ray is followed from the highest ground downwards; where a first crossing is bracketed, it is
-    narrowed to 1e-6 m.
+    Found to 1e-6 m in height. On a grid the ray is looked at once a pixel, so that a crest which it cuts for
+    less than that may be passed. A ray whose first ground may lie where there is no data, or past the edge of
+    the surface, gives NaN, and so does one that misses.
+
+    Parameters
+    ----------
+    origin_e, direction_e : (N, 3) arrays
+        Rays in frame e, m; directions of any length.
+
+    Returns
+    -------
+    p_e : (N, 3) array
     """
     low, high = surface.height_range_m()
-    if high - low < _TOLERANCE_M:
-        met = ray_ellipsoid_intersection(origin_e, direction_e, high, WGS84)
-        lat, lon, _ = geodetic_from_ecef(met, WGS84)
-        return np.where(np.isfinite(surface.height_m(lat, lon))[:, None], met, np.nan)
-    return _march(origin_e, direction_e, surface, low - 1.0, high + 1.0)
+    p_e = np.empty((len(origin_e), 3))
+    for first in range(0, len(origin_e), _CHUNK):
+        part = slice(first, first + _CHUNK)
+        origin, along = origin_e[part], direction_e[part]
+        if high - low < _FLAT_M:
+            p_e[part] = _on_flat(origin, along, surface, high)
+        else:
+            p_e[part] = _on_relief(origin, along, surface, low, high)
+    return p_e
 
 
-def _march(origin_e: Array, direction_e: Array, surface: Surface, low: float, high: float) -> Array:
-    start = ray_ellipsoid_intersection(origin_e, direction_e, high, WGS84)
-    stop = ray_ellipsoid_intersection(origin_e, direction_e, low, WGS84)
+def _on_flat(origin_e: Array, direction_e: Array, surface: Surface, height: float) -> Array:
+    met = ray_ellipsoid_intersection(origin_e, direction_e, height, WGS84)
+    if isinstance(surface, ConstantHeight):
+        return met
+    lat, lon, _ = geodetic_from_ecef(met, WGS84)
+    return np.where(np.isfinite(surface.height_m(lat, lon))[:, None], met, np.nan)
 
-    def above(fraction: Array) -> Array:
-        lat, lon, height = geodetic_from_ecef(start + fraction[:, None] * (stop - start), WGS84)
+
+def _on_relief(origin_e: Array, direction_e: Array, surface: Surface, low: float, high: float) -> Array:
+    """Follow each ray from just above the highest ground to just below the lowest."""
+    top = ray_ellipsoid_intersection(origin_e, direction_e, high + _MARGIN_M, WGS84)
+    way = ray_ellipsoid_intersection(origin_e, direction_e, low - _MARGIN_M, WGS84) - top
+
+    def clearance(share: Array, rays: NDArray[np.int64]) -> Array:
+        """Height above ground at a share of the way of some rays."""
+        lat, lon, height = geodetic_from_ecef(top[rays] + share[:, None] * way[rays], WGS84)
         return height - surface.height_m(lat, lon)
 
-    steps = 64
-    left: Array = np.zeros(len(start))
-    right: Array = np.full(len(start), np.nan)
-    for k in range(1, steps + 1):
-        here = np.full(len(start), k / steps)
-        under = above(here) <= 0.0
-        found = np.isnan(right) & under
-        right[found] = here[found]
-        left[np.isnan(right)] = k / steps
-    for _ in range(50):
-        middle = 0.5 * (left + right)
-        under = above(middle) <= 0.0
-        left, right = np.where(under, left, middle), np.where(under, middle, right)
-    end = np.where(np.abs(above(right)) < 1e-3, right, np.nan)
-    return np.asarray(start + end[:, None] * (stop - start))
+    if not isinstance(surface, TerrainGrid):
+        share = crossing_by_steps(clearance, len(top), _STEPS)
+        return np.asarray(top + share[:, None] * way)
+    tracks = np.empty((3, 3, len(top)))
+    for k in range(3):
+        lat, lon, tracks[k, 2] = geodetic_from_ecef(top + 0.5 * k * way, WGS84)
+        tracks[k, 0], tracks[k, 1] = surface.pixels_from_geodetic(lat, lon)
+    share = first_crossings(surface.heights_m, surface.bounds, tracks)
+    p_e = top + share[:, None] * way
+    if np.nanmax(np.einsum("ni,ni->n", way, way), initial=0.0) > _TRACK_EXACT_M**2:
+        # the tracks were parabolas: one step of Newton's method with the true place
+        lat, lon, height = geodetic_from_ecef(p_e, WGS84)
+        left_over = height - surface.height_m(lat, lon)
+        p_e = p_e - (left_over / (tracks[2, 2] - tracks[0, 2]))[:, None] * way
+    return np.asarray(p_e)
 
 
-def _bilinear(values: NDArray[np.float32], column: Array, row: Array) -> Array:
-    rows, columns = values.shape
-    inside = (column >= 0.0) & (column <= columns - 1.0) & (row >= 0.0) & (row <= rows - 1.0)
-    x, y = np.where(inside, column, 0.0), np.where(inside, row, 0.0)
-    c = np.minimum(x.astype(np.int64), columns - 2)
-    r = np.minimum(y.astype(np.int64), rows - 2)
-    fx, fy = x - c, y - r
-    upper = values[r, c] * (1.0 - fx) + values[r, c + 1] * fx
-    lower = values[r + 1, c] * (1.0 - fx) + values[r + 1, c + 1] * fx
-    return np.where(inside, upper * (1.0 - fy) + lower * fy, np.nan)
+def _add_undulations(
+    heights: NDArray[np.float32], transform: tuple[float, ...], crs: str, geoid: Geoid
+) -> None:
+    """Raise heights above mean sea level to heights above the ellipsoid, in place, some rows at a time."""
+    a, b, c, d, e, f = transform
+    rows, columns = heights.shape
+    to_map = _to_map(crs)
+    for first in range(0, rows, max(1, 2**20 // columns)):
+        row, column = np.mgrid[first : min(first + max(1, 2**20 // columns), rows), :columns] + 0.5
+        lon, lat = a * column + b * row + c, d * column + e * row + f
+        if to_map is not None:
+            lon, lat = to_map.transform(lon, lat, direction="INVERSE")
+        heights[first : first + len(row)] += geoid.undulation_m(np.radians(lat), np.radians(lon))
 
 
 @lru_cache(maxsize=16)
-def _to_map(crs: str) -> Transformer:
-    return Transformer.from_crs(CRS.from_epsg(4326), CRS.from_user_input(crs), always_xy=True)
+def _to_map(crs: str) -> Transformer | None:
+    """From longitude and latitude (WGS84, degrees) to a map; None if the map is just that."""
+    target = CRS.from_user_input(crs)
+    if target.is_geographic and target.to_epsg(min_confidence=20) == 4326:
+        return None
+    return Transformer.from_crs(CRS.from_epsg(4326), target, always_xy=True)
