@@ -85,7 +85,7 @@ class InformationPairs:
 
     def about(self, R_cs_ref: Rotation) -> InformationPairs:
         """The same information about another reference, to first order in its distance from this one."""
-        if np.array_equal(self.R_cs_ref.as_quat(), R_cs_ref.as_quat()):
+        if _same_reference(self.R_cs_ref, R_cs_ref):
             return self
         shift = np.zeros(self.F.shape[-1])
         shift[:3] = theta_between(self.R_cs_ref, R_cs_ref)
@@ -147,8 +147,7 @@ class InformationTotal:
     shared: tuple[str, ...] = field(default=())
 
     def merged(self, other: InformationTotal) -> InformationTotal:
-        same = np.array_equal(self.R_cs_ref.as_quat(), other.R_cs_ref.as_quat())
-        if self.shared != other.shared or not same:
+        if self.shared != other.shared or not _same_reference(self.R_cs_ref, other.R_cs_ref):
             raise ValueError("totals merge exactly only about one reference and with the same unknowns")
         return InformationTotal(self.sums.merged(other.sums), self.R_cs_ref, self.shared)
 
@@ -207,6 +206,11 @@ def solve_total(
     covariance_all = lift @ covariance @ lift.T
     covariance_all[3:, 3:] += np.linalg.inv(shared_F)
     return Solution(theta, covariance, information, shared_0 - gain @ theta, covariance_all, vectors.T[~seen])
+
+
+def _same_reference(a: Rotation, b: Rotation) -> bool:
+    """Equal but for the last bit, which a quaternion may lose each time it is normalised."""
+    return bool(np.allclose(a.as_quat(), b.as_quat(), rtol=0.0, atol=5e-16))
 
 
 def _expansion(numbers: list[float]) -> tuple[float, ...]:

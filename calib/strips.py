@@ -278,7 +278,7 @@ def _distortion(
     sigma, length = settings.sigma_distortion_rad, settings.distortion_length_px
     J, knots = len(strip.ccd), _own_knots(strip, settings)
     camera, own = np.zeros((J, len(camera_knots))), np.zeros((J, len(knots)))
-    missed = np.full(J, sigma**2)
+    missed: Array = np.full((J,), sigma**2)
     if camera_knots:
         camera = knot_weights(strip.ccd, strip.sample, camera_knots, length)
         missed = sigma**2 * (1.0 - np.einsum("jk,kl,jl->j", camera, correlation(camera_knots), camera))

@@ -1,0 +1,155 @@
+"""Strips to matrix: truth recovered, covariance honest, gross errors out, order of no consequence."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from scipy.stats import chi2
+
+from calib.calibration import calibrate
+from calib.campaign import CameraPair, StripPlan, draw_strips
+from calib.estimate import InstallationEstimate, NotObservable
+from calib.information import solve_total
+from calib.settings import CalibrationSettings
+from geometry.constants import ARCSEC
+from geometry.installation import deviation_from_theta, theta_between
+
+BOLD = Rotation.from_euler("xyz", [40, -65, 110], degrees=True)
+CAMERAS = CameraPair(BOLD)
+R_CS0 = deviation_from_theta(np.array([0.003, 0.002, 0.001])).inv() * BOLD  # the paper's (28)
+TABLE_1 = StripPlan(
+    sigma_position_m=2.0, sigma_clock_s=1e-4, sigma_vibration_rad=0.1 * ARCSEC, sigma_distortion_rad=3e-7
+)
+
+
+def normalised_errors(plan, settings, runs, seed):
+    rng = np.random.default_rng(seed)
+    out = []
+    for _ in range(runs):
+        strips, _ = draw_strips(plan, CAMERAS, rng)
+        estimate = calibrate(strips, R_CS0, settings)
+        assert isinstance(estimate, InstallationEstimate) and estimate.converged
+        error = theta_between(estimate.R_cs, BOLD)
+        out.append(error @ np.linalg.solve(estimate.cov_theta, error))
+    return np.array(out)
+
+
+@pytest.mark.parametrize("scope", ["camera", "strip"])
+def test_stated_covariance_holds_with_every_error_of_table_1(scope):
+    plan, settings = replace(TABLE_1, distortion_scope=scope), CalibrationSettings(distortion_scope=scope)
+    nees = normalised_errors(plan, settings, 60, seed=11)
+    low, high = chi2(df=3 * 60).ppf([0.0005, 0.9995])
+    assert low < nees.sum() < high
+
+
+def test_without_the_position_nuisance_the_covariance_is_many_times_too_small():
+    nees = normalised_errors(TABLE_1, CalibrationSettings(sigma_position_m=0.0, robust=False), 20, seed=12)
+    assert nees.mean() > 15  # expected 3
+
+
+def test_gross_errors_are_left_out_and_said_so():
+    plan = replace(TABLE_1, gross_stars=0.2, gross_targets=0.2)
+    strips, truth = draw_strips(plan, CAMERAS, np.random.default_rng(5))
+    estimate = calibrate(strips, R_CS0, CalibrationSettings())
+    assert isinstance(estimate, InstallationEstimate)
+    error = theta_between(estimate.R_cs, BOLD)
+    assert error @ np.linalg.solve(estimate.cov_theta, error) < chi2(3).ppf(0.999)
+    out = {(r.strip_id, int(r.name.split("/")[1])) for r in estimate.rejected if r.kind == "target"}
+    assert len(truth.wrong_targets) > 10
+    assert truth.wrong_targets <= out
+    stars = {(r.strip_id, r.exposure_id, int(r.name) - 1) for r in estimate.rejected if r.kind == "star"}
+    assert len(truth.wrong_stars - stars) <= 0.002 * len(
+        truth.wrong_stars
+    )  # one may fall near its true place
+    assert len(stars - truth.wrong_stars) <= 0.004 * 8 * 10 * 40  # false alarms: 0.1 % asked for
+    assert "sigma from" in estimate.rejected[0].reason
+
+
+def test_order_of_strips_is_of_no_consequence_to_the_last_bit():
+    plan = replace(TABLE_1, strips=7, gross_targets=0.1)
+    strips, _ = draw_strips(plan, CAMERAS, np.random.default_rng(2))
+    strips[3] = draw_strips(replace(plan, strips=4, targets=5), CAMERAS, np.random.default_rng(3))[0][3]
+    one = calibrate(strips, R_CS0, CalibrationSettings())
+    two = calibrate(strips[::-1], R_CS0, CalibrationSettings())
+    assert isinstance(one, InstallationEstimate) and isinstance(two, InstallationEstimate)
+    assert one.R_cs.as_quat().tobytes() == two.R_cs.as_quat().tobytes()
+    assert one.cov_theta.tobytes() == two.cov_theta.tobytes()
+    assert one.chi2 == two.chi2 and one.rejected == two.rejected
+
+
+def test_stored_pairs_are_all_that_a_later_calibration_needs():
+    strips, _ = draw_strips(TABLE_1, CAMERAS, np.random.default_rng(4))
+    settings = CalibrationSettings()
+    estimate = calibrate(strips, R_CS0, settings)
+    assert isinstance(estimate, InstallationEstimate)
+    total = estimate.pairs.total()
+    again = solve_total(total.F, total.F_theta, estimate.prior_shared, sigma_observable_rad=1e-3)
+    np.testing.assert_array_equal(again.covariance, estimate.cov_theta)
+    np.testing.assert_allclose(again.theta, 0.0, atol=1e-11)
+
+
+def test_noise_that_was_stated_wrong_is_found_with_its_own_sigma():
+    plan = StripPlan(strips=30, sigma_s_px=0.12, sigma_c_px=0.6)
+    strips, _ = draw_strips(plan, CAMERAS, np.random.default_rng(6))
+    believed = [
+        replace(
+            strip,
+            exposures=tuple(replace(e, cov_s=e.cov_s / 4.0) for e in strip.exposures),
+            ground=replace(strip.ground, cov_c=strip.ground.cov_c / 9.0),
+        )
+        for strip in strips
+    ]
+    settings = CalibrationSettings(
+        sigma_position_m=0,
+        sigma_clock_s=0,
+        sigma_vibration_rad=0,
+        sigma_distortion_rad=0,
+        estimate_noise=True,
+    )
+    estimate = calibrate(believed, R_CS0, settings)
+    assert isinstance(estimate, InstallationEstimate)
+    noise = estimate.noise
+    assert abs(noise.stars - 2.0) < 4 * noise.stars_sigma < 0.1
+    assert abs(noise.targets - 3.0) < 4 * noise.targets_sigma < 0.8
+    error = theta_between(estimate.R_cs, BOLD)
+    assert error @ np.linalg.solve(estimate.cov_theta, error) < chi2(3).ppf(0.999)
+
+
+def test_targets_in_one_spot_leave_one_turn_open_and_it_is_named():
+    strips, _ = draw_strips(StripPlan(), CAMERAS, np.random.default_rng(8))
+    spot = []
+    for strip in strips:
+        rows = np.zeros(12, dtype=int)  # twelve times the same sighting
+        g = strip.ground
+        fields = {n: getattr(g, n)[rows] for n in g.__dataclass_fields__}
+        fields["target_id"] = g.target_id
+        spot.append(replace(strip, ground=type(g)(**fields), R_oi_targets=strip.R_oi_targets[rows]))
+    spot = spot[:1]
+    result = calibrate(spot, R_CS0, CalibrationSettings(sigma_distortion_rad=0.0))
+    assert isinstance(result, NotObservable)
+    assert len(result.directions_c) == 1
+    along = spot[0].ground.u_c[0]
+    assert abs(result.directions_c[0] @ along) > 0.999  # the turn about the line of sight to the spot
+    assert "is not observable" in result.reason
+    truth = theta_between(BOLD, R_CS0)
+    off = result.theta_along - result.observable_c @ truth
+    assert np.all(
+        np.abs(off) < 5 * result.sigma_along + 1e-5
+    )  # rad; second order of 3.7 mrad of an open turn
+
+
+def test_no_usable_strip_is_a_result_and_not_a_crash():
+    strips, _ = draw_strips(StripPlan(strips=2, stars=2), CAMERAS, np.random.default_rng(8))
+    result = calibrate(strips, R_CS0, CalibrationSettings())
+    assert isinstance(result, NotObservable)
+    assert len(result.directions_c) == 3
+    assert sum(r.kind == "exposure" for r in result.rejected) == 20
+    assert sum(r.kind == "strip" for r in result.rejected) == 2
+    assert isinstance(calibrate([], R_CS0, CalibrationSettings()), NotObservable)
+
+
+def test_two_strips_of_one_name_are_a_mistake():
+    strips, _ = draw_strips(StripPlan(strips=2), CAMERAS, np.random.default_rng(8))
+    with pytest.raises(ValueError, match="two strips have the id 'strip0000'"):
+        calibrate([strips[0], strips[0]], R_CS0, CalibrationSettings())

@@ -1,0 +1,136 @@
+"""The strip's linear model against the paper's frame and against differences of the physics."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from calib.calibration import calibrate
+from calib.campaign import CameraPair, StripPlan, draw_strips
+from calib.estimate import InstallationEstimate
+from calib.frames import Frames, calibrate_frames
+from calib.settings import CalibrationSettings
+from calib.strips import group_strips, linearise, prepare_strip
+from geometry.constants import ARCSEC
+from geometry.installation import deviation_from_theta, theta_between
+from geometry.sightings import StripSightings
+
+BOLD = Rotation.from_euler("xyz", [40, -65, 110], degrees=True)
+CAMERAS = CameraPair(BOLD)
+NONE = CalibrationSettings(
+    sigma_position_m=0.0, sigma_clock_s=0.0, sigma_vibration_rad=0.0, sigma_distortion_rad=0.0
+)
+
+
+def strips_of(plan, seed=1):
+    return draw_strips(plan, CAMERAS, np.random.default_rng(seed))[0]
+
+
+def one_instant(strip: StripSightings) -> StripSightings:
+    """The strip with its first exposure only, and all targets at its instant, where they would be seen
+    then.
+    """
+    exposure, ground = strip.exposures[0], strip.ground
+    R_oi = strip.R_oi_exposures[:1]
+    same = replace(ground, t_s=np.zeros(len(ground.t_s)))
+    return replace(
+        strip,
+        exposures=(exposure,),
+        ground=same,
+        R_oi_exposures=R_oi,
+        R_oi_targets=Rotation.concatenate([R_oi[0]] * len(ground.t_s)),
+    )
+
+
+def test_with_one_exposure_at_the_targets_instant_it_is_the_papers_frame():
+    still = replace(StripPlan(), duration_s=0.0, exposures=1, strips=5, targets=15)
+    strips = [one_instant(strip) for strip in strips_of(still)]
+    grounds, exposures = [s.ground for s in strips], [s.exposures[0] for s in strips]
+    frames = Frames(
+        np.arange(6) * 40,
+        np.concatenate([e.u_s for e in exposures]),
+        np.concatenate([e.u_i for e in exposures]),
+        np.full(200, 0.06 * 6.4e-5),
+        np.arange(6) * 15,
+        np.concatenate([g.u_c for g in grounds]),
+        np.concatenate([g.u_i for g in grounds]),
+        np.full(75, 0.3e-6),
+    )
+    by_frames = calibrate_frames(frames, BOLD)
+    by_strips = calibrate(strips, BOLD, replace(NONE, robust=False))
+    assert isinstance(by_strips, InstallationEstimate)
+    np.testing.assert_allclose(
+        by_strips.cov_theta, by_frames.solution.covariance, rtol=1e-4, atol=0
+    )  # relative; 1e-5 rad of noise moves the vectors at which information is taken
+    apart = theta_between(by_strips.R_cs, by_frames.R_cs)
+    assert np.linalg.norm(apart) < 2e-3 * ARCSEC  # second order in 5 arcsec of noise about Z
+
+
+@pytest.mark.parametrize(
+    ("unknown", "setting", "moved"),
+    [
+        ("position/y", {"sigma_position_m": 2.0}, lambda g: (np.array([0.0, 2.0, 0.0]), 0.0)),
+        ("clock", {"sigma_clock_s": 1e-3}, lambda g: (g.v_rel_i * 1e-3, 0.0)),
+    ],
+)
+def test_shared_errors_move_the_targets_as_the_physics_says(unknown, setting, moved):
+    strip = strips_of(StripPlan(strips=1))[0]
+    ground = strip.ground
+    shift, _ = moved(ground)
+    seen_from_there = ground.range_m[:, None] * ground.u_i - shift
+    seen_from_there /= np.linalg.norm(seen_from_there, axis=1, keepdims=True)
+    there = replace(strip, ground=replace(ground, u_i=seen_from_there))
+    before, after = (prepare_strip(s, replace(NONE, **setting)) for s in (strip, there))
+    column = before.shared_s[:, :, before.unknowns.index(unknown)]
+    size = np.abs(column).max()
+    assert size > 1e-6  # rad
+    np.testing.assert_allclose(after.v_s - before.v_s, column, rtol=0, atol=1e-5 * size)  # 2 m of 530 km
+
+
+def test_theta_and_attitude_columns_are_derivatives_of_the_residual():
+    strip = strips_of(StripPlan(strips=1))[0]
+    settings = replace(NONE, robust=False)
+    theta = np.array([2e-6, -3e-6, 1e-6])
+    group = group_strips([prepare_strip(strip, settings)], (), settings)[0]
+    at = linearise(group, BOLD, settings)
+    turned = linearise(group, deviation_from_theta(theta) * BOLD, settings)
+    change = (turned.r - at.r)[0]
+    np.testing.assert_allclose(change, -(at.X_theta[0] @ theta), rtol=0, atol=2e-4 * np.abs(change).max())
+    column = at.X_q[0][:, 3 * 4 : 3 * 5]  # the fifth exposure
+    psi = np.array([3e-6, 1e-6, -2e-6])
+    covariance = prepare_strip(strip, settings).attitudes.covariance_s[4]
+    exposure = strip.exposures[4]
+    wrong = replace(exposure, u_s=Rotation.from_rotvec(psi).apply(exposure.u_s))
+    exposures = (*strip.exposures[:4], wrong, *strip.exposures[5:])
+    moved = group_strips([prepare_strip(replace(strip, exposures=exposures), settings)], (), settings)[0]
+    change = (linearise(moved, BOLD, settings).r - at.r)[0]
+    expected = -(column @ np.linalg.solve(np.linalg.cholesky(covariance), psi))
+    np.testing.assert_allclose(change, expected, rtol=0, atol=1e-3 * np.abs(change).max())
+
+
+def test_a_prior_of_zero_switches_its_error_off():
+    strip = strips_of(StripPlan(strips=1))[0]
+    prepared = prepare_strip(strip, NONE)
+    for unknown in ("position/x", "position/y", "position/z", "clock"):
+        assert not np.any(prepared.shared_s[:, :, prepared.unknowns.index(unknown)])
+    assert not np.any(prepared.white_s)
+
+
+def test_a_target_seen_twice_is_one_point_on_the_ground():
+    strip = strips_of(StripPlan(strips=1, sigma_target_m=3.0))[0]
+    ids = strip.ground.target_id.copy()
+    ids[3] = ids[7]
+    prepared = prepare_strip(replace(strip, ground=replace(strip.ground, target_id=ids)), NONE)
+    names = [name for name in prepared.unknowns if name.startswith("target/")]
+    assert len(names) == 3
+    own = prepared.shared_s[:, :, -3:]
+    assert np.flatnonzero(np.any(own != 0, axis=(1, 2))).tolist() == [3, 7]
+    assert np.flatnonzero(~np.any(prepared.white_s != 0, axis=(1, 2))).tolist() == [3, 7]
+
+
+def test_targets_outside_the_exposures_are_not_extrapolated():
+    strip = strips_of(StripPlan(strips=1))[0]
+    short = replace(strip, exposures=strip.exposures[:5], R_oi_exposures=strip.R_oi_exposures[:5])
+    prepared = prepare_strip(short, NONE)
+    assert prepared.inside.tolist() == (strip.ground.t_s <= 0.9).tolist()  # 0.8 s and half a step of 0.2 s
