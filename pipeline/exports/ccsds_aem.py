@@ -1,0 +1,72 @@
+"""CCSDS Attitude Ephemeris Message (504.0-B-1, KVN): the remote-sensing camera's calibrated attitude over a
+strip.
+
+A is the inertial frame (ICRF axes; with the Earth as centre those of GCRS), B the camera. The standard's
+quaternion, scalar last, gives the matrix that takes components in A to components in B with 2 (q1 q2 + q3 qc)
+in its first row: the quaternion that our `Rotation`, which acts on vectors, has for the way back from B to A.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from scipy.spatial.transform import Rotation
+
+__all__ = ["AemHeader", "attitude_message"]
+
+
+@dataclass(frozen=True, slots=True)
+class AemHeader:
+    """What the message says of itself."""
+
+    creation_utc: str  # ISO, with or without decimals
+    object_name: str
+    object_id: str = "0000-000A"
+    originator: str = "BORESIGHT"
+    instrument: str = "INSTRUMENT_0"  # name of frame B
+    interpolation_degree: int = 7
+
+
+def attitude_message(header: AemHeader, comments: Sequence[str], utc: Sequence[str], R_ci: Rotation) -> str:
+    """Text of the message: one segment. `utc` (N,) instants, `R_ci` (N,) from GCRS to the camera."""
+    if len(utc) != len(R_ci) or len(utc) < 2:
+        raise ValueError(f"an attitude ephemeris needs two or more states, got {len(utc)} and {len(R_ci)}")
+    start, stop = utc[0].rstrip("Z"), utc[-1].rstrip("Z")
+    lines = [
+        "CCSDS_AEM_VERS = 1.0",
+        f"CREATION_DATE = {header.creation_utc.rstrip('Z')}",
+        f"ORIGINATOR = {header.originator}",
+        "",
+        "META_START",
+        *(f"COMMENT {comment}" for comment in comments),
+        f"OBJECT_NAME = {header.object_name}",
+        f"OBJECT_ID = {header.object_id}",
+        "CENTER_NAME = EARTH",
+        "REF_FRAME_A = ICRF",
+        f"REF_FRAME_B = {header.instrument}",
+        "ATTITUDE_DIR = A2B",
+        "TIME_SYSTEM = UTC",
+        f"START_TIME = {start}",
+        f"STOP_TIME = {stop}",
+        "ATTITUDE_TYPE = QUATERNION",
+        "QUATERNION_TYPE = LAST",
+        "INTERPOLATION_METHOD = LAGRANGE",
+        f"INTERPOLATION_DEGREE = {min(header.interpolation_degree, len(utc) - 1)}",
+        "META_STOP",
+        "",
+        "DATA_START",
+    ]
+    for instant, q in zip(utc, _continuous(R_ci.inv())):
+        lines.append(" ".join([instant.rstrip("Z"), *(f"{value: .15f}" for value in q)]))
+    return "\n".join([*lines, "DATA_STOP", ""])
+
+
+def _continuous(rotations: Rotation) -> list[list[float]]:
+    """Quaternions without a change of sign between neighbours, so that they can be interpolated."""
+    quaternions: list[list[float]] = []
+    for q in rotations.as_quat():
+        if quaternions and sum(a * b for a, b in zip(q, quaternions[-1])) < 0.0:
+            q = -q
+        quaternions.append(q.tolist())
+    return quaternions

@@ -1,0 +1,307 @@
+"""USGS CSM line-scanner image support data (ISD, JSON) of one CCD of a strip, for ISIS, ASP and other users
+of `usgscsm`.
+
+Written for `USGS_ASTRO_LINE_SCANNER_SENSOR_MODEL` and the reader of the Abstraction Layer for Ephemerides
+(ALE). That model knows straight rays from a moving camera in the Earth-fixed frame, an affine detector, and a
+cubic distortion. So
+
+* its camera frame is frame c turned by 180 degrees about x (its z axis points away from the ground);
+* aberration, light time and refraction are folded into position and attitude at a stated height: at each node
+  the rotation is the one that best takes the camera's look directions to the true lines of sight;
+* positions and attitudes are those of ITRS, and the body's rotation is the unit rotation;
+* where a cubic cannot follow the distortion table, the detector is cut into pieces that are images of their
+  own.
+
+What is left out is computed and written into each file, under "boresight": `left_out_px`.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import Any
+
+import erfa
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from geometry.constants import WGS84
+from geometry.epoch import TT_MINUS_TAI_S, Epoch
+from geometry.geodesy import ray_ellipsoid_intersection
+from geometry.groundlight import lines_of_sight_e
+from geometry.line_camera import Ccd, LineCamera
+from geometry.pushbroom import Pushbroom
+
+__all__ = ["IsdPiece", "line_scanner_isds"]
+
+Array = NDArray[np.float64]
+
+NODE_STEP_S = 2.0**-7  # node times are then exact in ephemeris seconds, which resolve only 1e-7 s
+MARGIN_NODES = 8  # on either side: the model interpolates with eight points
+FOLD_SAMPLES = 9  # look directions per node, to which the rotation is fitted
+DISTORTION_PX = 1e-3  # what the cubic may leave over
+SMALLEST_PIECE_PX = 32
+_TURN = Rotation.from_quat([1.0, 0.0, 0.0, 0.0])  # c' <- c: half a turn about x
+
+
+@dataclass(frozen=True, slots=True)
+class IsdPiece:
+    """One ISD and the samples of the raw image that it is for: first_sample <= sample < stop_sample."""
+
+    ccd: int
+    first_sample: int
+    stop_sample: int
+    isd: dict[str, Any]
+    whole_detector: bool
+
+    @property
+    def suffix(self) -> str:
+        """Distinguishes files of one strip: `ccd0`, or `ccd0.samples-0512-1023` for a piece."""
+        if self.whole_detector:
+            return f"ccd{self.ccd}"
+        return f"ccd{self.ccd}.samples-{self.first_sample:05d}-{self.stop_sample - 1:05d}"
+
+    def text(self) -> str:
+        return json.dumps(self.isd, indent=1, allow_nan=False) + "\n"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Path:
+    """Camera centre and attitude at equally spaced nodes, with the light's effects folded in."""
+
+    et_s: Array  # (N,) ephemeris seconds: TDB since J2000
+    centre_et_s: float
+    t_s: Array  # (N,) the same instants, TAI seconds since the epoch
+    p_e: Array  # (N, 3)
+    v_e: Array  # (N, 3)
+    R_ec: Rotation  # (N,)
+    misfit_rad: float  # largest angle that one rotation for all samples leaves over
+
+
+def line_scanner_isds(
+    pushbroom: Pushbroom, epoch: Epoch, ccd: int, lines: int, height_m: float, names: tuple[str, str]
+) -> list[IsdPiece]:
+    """ISDs of one CCD of a strip of `lines` rows, exact for ground at the ellipsoidal height `height_m`.
+
+    `names` are those of platform and sensor. Raises `ValueError` for a camera that is not a `LineCamera`.
+    """
+    camera = pushbroom.camera
+    if not isinstance(camera, LineCamera):
+        raise ValueError("only a camera with focal length and focal plane has an ISD")
+    path = _folded_path(pushbroom, epoch, ccd, lines, height_m)
+    common = _common(path, pushbroom, lines, height_m, names, camera.focal_m)
+    detector = camera.ccds[ccd]
+    pieces = _pieces(detector)
+    made = []
+    for first, stop, coefficients, residual_px in pieces:
+        left_out = residual_px + path.misfit_rad * camera.focal_m / detector.pixel_m
+        content = common | _detector(detector, first, stop, coefficients)
+        content["boresight"] = common["boresight"] | {
+            "ccd": ccd,
+            "first_sample": first,
+            "stop_sample": stop,
+            "left_out_px": left_out,
+        }
+        made.append(IsdPiece(ccd, first, stop, content, len(pieces) == 1))
+    return made
+
+
+def _folded_path(pushbroom: Pushbroom, epoch: Epoch, ccd: int, lines: int, height_m: float) -> _Path:
+    """Nodes over a strip. Those beyond the attitude's or orbit's end repeat the motion, extrapolated."""
+    t_first, t_last = pushbroom.instants(np.array([-0.5, lines - 0.5]))
+    et_minus_t = _ephemeris_seconds(epoch, 0.5 * (t_first + t_last)) - 0.5 * (t_first + t_last)
+    low = np.floor((t_first + et_minus_t) / NODE_STEP_S) - MARGIN_NODES
+    high = np.ceil((t_last + et_minus_t) / NODE_STEP_S) + MARGIN_NODES
+    et = np.arange(low, high + 1) * NODE_STEP_S
+    t = et - et_minus_t
+    spans = pushbroom.attitude.span_s, pushbroom.orbit.span_s
+    inside = (t >= max(s[0] for s in spans)) & (t <= min(s[1] for s in spans))
+    if not (t[inside][0] <= t_first + NODE_STEP_S and t[inside][-1] >= t_last - NODE_STEP_S):
+        raise ValueError("orbit or attitude do not cover the strip")
+    et, t = et[inside], t[inside]
+    p_e, R_ec, misfit = _folded_states(pushbroom, ccd, t, height_m)
+    v_e = np.gradient(p_e, NODE_STEP_S, axis=0, edge_order=2)
+    return _Path(et, float(et[len(et) // 2]), t, p_e, v_e, R_ec, misfit)
+
+
+def _folded_states(
+    pushbroom: Pushbroom, ccd: int, t_s: Array, height_m: float
+) -> tuple[Array, Rotation, float]:
+    """Origins (N, 3) and rotations c -> e whose straight rays meet the ground where the light comes from."""
+    n_px = pushbroom.camera.n_px(ccd)
+    samples = np.linspace(0.0, n_px - 1.0, FOLD_SAMPLES)
+    u_c = pushbroom.camera.directions_from_pixels(ccd, samples)
+    R_ic = (pushbroom.R_cs * pushbroom.attitude.R_si(t_s)).inv()
+    u_i = np.einsum("nij,kj->nki", R_ic.as_matrix(), u_c).reshape(-1, 3)
+    t_each = np.repeat(t_s, FOLD_SAMPLES)
+    rays = lines_of_sight_e(u_i, t_each, pushbroom.orbit, pushbroom.earth, pushbroom.effects, height_m)
+    ground = ray_ellipsoid_intersection(*rays, height_m, WGS84).reshape(len(t_s), FOLD_SAMPLES, 3)
+    if not np.isfinite(ground).all():
+        raise ValueError(f"a line of sight does not meet the height of {height_m:.0f} m")
+    p_e = rays[0].reshape(len(t_s), FOLD_SAMPLES, 3)[:, FOLD_SAMPLES // 2]
+    wanted = ground - p_e[:, None, :]
+    wanted /= np.linalg.norm(wanted, axis=2, keepdims=True)
+    quaternions, misfit = np.empty((len(t_s), 4)), 0.0
+    for n in range(len(t_s)):
+        R_ec, _ = Rotation.align_vectors(wanted[n], u_c)
+        quaternions[n] = R_ec.as_quat()
+        left = np.linalg.norm(R_ec.apply(u_c) - wanted[n], axis=1).max()
+        misfit = max(misfit, float(left))
+    return p_e, Rotation.from_quat(quaternions), misfit
+
+
+def _common(
+    path: _Path, pushbroom: Pushbroom, lines: int, height_m: float, names: tuple[str, str], focal_m: float
+) -> dict[str, Any]:
+    """Everything that the pieces of a detector share."""
+    start_t_s = float(pushbroom.instants(np.array([-0.5]))[0])
+    start_from_centre_s = start_t_s - float(path.t_s[len(path.t_s) // 2])
+    times = path.et_s.tolist()
+    ends = [times[0], times[-1]]
+    sensor_from_e = _scalar_first((path.R_ec * _TURN.inv()).inv())
+    rate_e = _angular_velocities(path.R_ec)
+    sun_km = _sun_e(pushbroom, path) / 1e3
+    return {
+        "isis_camera_version": 2,
+        "name_model": "USGS_ASTRO_LINE_SCANNER_SENSOR_MODEL",
+        "name_platform": names[0],
+        "name_sensor": names[1],
+        "image_lines": lines,
+        "interpolation_method": "lagrange",
+        "starting_ephemeris_time": path.centre_et_s + start_from_centre_s,
+        "center_ephemeris_time": path.centre_et_s,
+        "line_scan_rate": [[0.5, start_from_centre_s, pushbroom.rows.row_period_s]],
+        "radii": {
+            "semimajor": WGS84.semi_major_m / 1e3,
+            "semiminor": WGS84.semi_minor_m / 1e3,
+            "unit": "km",
+        },
+        "reference_height": {"minheight": -1000.0, "maxheight": 9000.0, "unit": "m"},
+        "focal_length_model": {"focal_length": focal_m * 1e3},
+        "body_rotation": {
+            "time_dependent_frames": [1],
+            "ephemeris_times": ends,
+            "quaternions": [[1.0, 0.0, 0.0, 0.0]] * 2,
+            "angular_velocities": [[0.0, 0.0, 0.0]] * 2,
+            "constant_frames": [1],
+            "constant_rotation": np.eye(3).ravel().tolist(),
+            "reference_frame": 1,
+        },
+        "instrument_pointing": {
+            "time_dependent_frames": [1],
+            "ephemeris_times": times,
+            "quaternions": sensor_from_e.tolist(),
+            "angular_velocities": rate_e.tolist(),
+            "constant_frames": [1],
+            "constant_rotation": np.eye(3).ravel().tolist(),
+            "reference_frame": 1,
+        },
+        "instrument_position": {
+            "ephemeris_times": times,
+            "positions": (path.p_e / 1e3).tolist(),
+            "velocities": (path.v_e / 1e3).tolist(),
+            "reference_frame": 1,
+        },
+        "sun_position": {
+            "ephemeris_times": [path.centre_et_s],
+            "positions": [sun_km.tolist()],
+            "velocities": [[0.0, 0.0, 0.0]],
+            "reference_frame": 1,
+        },
+        "boresight": {
+            "frame": "positions, attitudes and Sun are those of ITRS, the body rotation is the unit rotation",
+            "folded_in": "aberration, light time and refraction, exact at height_m",
+            "height_m": height_m,
+        },
+    }
+
+
+def _detector(detector: Ccd, first: int, stop: int, coefficients: tuple[Array, Array]) -> dict[str, Any]:
+    """Affine detector in the turned frame, millimetres: y' = -y. CSM's sample is ours + 0.5."""
+    per_mm = 1e-3 / detector.pixel_m
+    cos, sin = np.cos(detector.rotation_rad), np.sin(detector.rotation_rad)
+    centre_mm = np.array([detector.x_offset_m, -_principal_y(detector)]) * 1e3
+    samples = np.array([-sin, -cos]) * per_mm
+    lines = np.array([cos, -sin]) * per_mm
+    return {
+        "image_samples": stop - first,
+        "detector_sample_summing": 1,
+        "detector_line_summing": 1,
+        "starting_detector_sample": first,
+        "starting_detector_line": 0,
+        "detector_center": {"sample": detector.principal_sample + 0.5, "line": 0.0},
+        "focal2pixel_samples": [float(-samples @ centre_mm), *samples.tolist()],
+        "focal2pixel_lines": [float(-lines @ centre_mm), *lines.tolist()],
+        "optical_distortion": {"transverse": {"x": coefficients[0].tolist(), "y": coefficients[1].tolist()}},
+    }
+
+
+def _pieces(detector: Ccd) -> list[tuple[int, int, tuple[Array, Array], float]]:
+    """The detector cut into as few equal pieces as let a cubic follow its distortion to `DISTORTION_PX`."""
+    count = 1
+    while True:
+        bounds = np.linspace(0, detector.n_px, count + 1).round().astype(int)
+        fits = [(int(a), int(b), *_cubic(detector, int(a), int(b))) for a, b in pairwise(bounds)]
+        small = detector.n_px / (2 * count) < SMALLEST_PIECE_PX
+        if max(fit[3] for fit in fits) <= DISTORTION_PX or small:
+            return fits
+        count *= 2
+
+
+def _cubic(detector: Ccd, first: int, stop: int) -> tuple[tuple[Array, Array], float]:
+    """Coefficients (mm) of CSM's transverse model, from ideal to real image points, and the largest misfit,
+    px.
+    """
+    sample = np.linspace(first - 0.5, stop - 0.5, max(64, min(stop - first, 1024)))
+    ideal = detector.focal_plane(sample) * [1e3, -1e3]
+    real = replace(detector, distortion_samples=np.zeros(0), distortion_offsets_m=np.zeros(0)).focal_plane(
+        sample
+    )
+    offset = real * [1e3, -1e3] - ideal
+    x, y = np.zeros(10), np.zeros(10)
+    x[1] = y[2] = 1.0
+    misfit = np.empty_like(offset)
+    for axis, target in enumerate((x, y)):
+        fit = np.polynomial.Polynomial.fit(ideal[:, 1], offset[:, axis], 3)
+        misfit[:, axis] = offset[:, axis] - fit(ideal[:, 1])
+        cubic = np.zeros(4)
+        terms = fit.convert().coef
+        cubic[: len(terms)] = terms
+        target[[0, 2, 5, 9]] += cubic
+    residual_px = float(np.hypot(*misfit.T).max()) * 1e-3 / detector.pixel_m
+    return (x, y), residual_px
+
+
+def _principal_y(detector: Ccd) -> float:
+    return detector.y_first_m + detector.principal_sample * detector.pixel_m
+
+
+def _scalar_first(rotations: Rotation) -> Array:
+    q = rotations.as_quat()[:, [3, 0, 1, 2]]
+    flips = np.where(np.einsum("ni,ni->n", q[1:], q[:-1]) < 0.0, -1.0, 1.0)
+    return np.asarray(q * np.concatenate([[1.0], np.cumprod(flips)])[:, None])
+
+
+def _angular_velocities(R_ec: Rotation) -> Array:
+    """Of the camera in axes e, rad/s, from neighbouring nodes."""
+    steps = (R_ec[1:] * R_ec[:-1].inv()).as_rotvec() / NODE_STEP_S
+    return np.concatenate([steps[:1], 0.5 * (steps[1:] + steps[:-1]), steps[-1:]])
+
+
+def _ephemeris_seconds(epoch: Epoch, t_s: float) -> float:
+    """TDB seconds since J2000 (geocentric terms; 2 us)."""
+    day, since = epoch.tt_jd(t_s)
+    tdb_minus_tt = float(erfa.dtdb(float(day), float(since), 0.0, 0.0, 0.0, 0.0))
+    return epoch.tai_s + t_s + TT_MINUS_TAI_S + tdb_minus_tt
+
+
+def _sun_e(pushbroom: Pushbroom, path: _Path) -> Array:
+    """Geocentric Sun in ITRS axes at the middle, m."""
+    t = path.t_s[len(path.t_s) // 2]
+    earth = pushbroom.earth
+    day, since = earth.epoch.tt_jd(t)
+    heliocentric, _ = erfa.epv00(float(day), float(since))
+    sun_i = -np.asarray(heliocentric["p"]) * 149_597_870_700.0
+    return np.asarray(earth.matrices_ie(np.array([t]))[0].T @ sun_i)

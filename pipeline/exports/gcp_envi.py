@@ -1,0 +1,34 @@
+"""Ground control points of one image for ENVI: its orthorectification .pts file.
+
+ENVI counts image points from (1, 1) at the outer corner of the first pixel, so its centre is (1.5, 1.5), and
+its heights are above the geoid (EGM96 here). Points that the calibration rejected are left out: the format
+has no mark for them.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from geometry.geoid import Geoid
+from pipeline.exports.ground_points import GroundPoints
+
+__all__ = ["points_envi"]
+
+_CENTRE_OF_FIRST_PIXEL = 1.5
+
+
+def points_envi(points: GroundPoints, geoid: Geoid) -> str:
+    """Text of the file: longitude, latitude, orthometric height, image x, image y, tab-separated."""
+    undulation = geoid.undulation_m(np.radians(points.lat_deg), np.radians(points.lon_deg))
+    lines = [
+        "; ENVI Orthorectification Ground Control Points File",
+        f"; warp file: {points.image}",
+        "; projection info = {Geographic Lat/Lon, WGS-84, units=Degrees}",
+        "; Map (x,y,elev), Image (x,y)",
+        ";",
+    ]
+    for n in np.flatnonzero(points.used):
+        x, y = points.xy_px[n] + _CENTRE_OF_FIRST_PIXEL
+        height = points.height_m[n] - undulation[n]
+        lines.append(f"{points.lon_deg[n]:.10f}\t{points.lat_deg[n]:.10f}\t{height:.4f}\t{x:.4f}\t{y:.4f}")
+    return "\n".join(lines) + "\n"

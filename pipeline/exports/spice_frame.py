@@ -1,0 +1,66 @@
+"""SPICE text frame kernel: the remote-sensing camera as a fixed-offset (TK) frame of the star camera.
+
+With it loaded, `pxform(star camera, remote camera, et)` is `R_cs`. NAIF's TK matrix takes vectors of the new
+frame to the one it is relative to, and is listed column by column (Frames Required Reading); the columns of
+`R_sc` are the rows of `R_cs`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from scipy.spatial.transform import Rotation
+
+__all__ = ["SpiceFrames", "frame_kernel"]
+
+
+@dataclass(frozen=True, slots=True)
+class SpiceFrames:
+    """Names and ids under which the two cameras are known. The defaults belong to no real mission."""
+
+    spacecraft_id: int = -999
+    star_camera_id: int = -999001
+    star_camera_name: str = "BORESIGHT_STAR_CAMERA"
+    remote_camera_id: int = -999002
+    remote_camera_name: str = "BORESIGHT_REMOTE_CAMERA"
+    define_star_camera: bool = True  # False where the mission's own kernels define it
+
+    def __post_init__(self) -> None:
+        for name in (self.star_camera_name, self.remote_camera_name):
+            if not 0 < len(name) <= 32 or name != name.upper() or any(c.isspace() or c == "'" for c in name):
+                raise ValueError(f"a SPICE frame name has 1 to 32 upper-case characters, got {name!r}")
+        if self.star_camera_id == self.remote_camera_id:
+            raise ValueError(f"two frames need two ids, got {self.star_camera_id} twice")
+
+
+def frame_kernel(R_cs: Rotation, comment: str, frames: SpiceFrames) -> str:
+    """Text of the kernel. `comment` is free text for its head, any number of lines."""
+    star, remote = frames.star_camera_id, frames.remote_camera_id
+    lines = ["KPL/FK", "", *(line.rstrip() for line in comment.splitlines()), "", "\\begindata", ""]
+    if frames.define_star_camera:
+        lines += [
+            f"FRAME_{frames.star_camera_name} = {star}",
+            f"FRAME_{star}_NAME = '{frames.star_camera_name}'",
+            f"FRAME_{star}_CLASS = 3",
+            f"FRAME_{star}_CLASS_ID = {star}",
+            f"FRAME_{star}_CENTER = {frames.spacecraft_id}",
+            f"CK_{star}_SCLK = {frames.spacecraft_id}",
+            f"CK_{star}_SPK = {frames.spacecraft_id}",
+            "",
+        ]
+    lines += [
+        f"FRAME_{frames.remote_camera_name} = {remote}",
+        f"FRAME_{remote}_NAME = '{frames.remote_camera_name}'",
+        f"FRAME_{remote}_CLASS = 4",
+        f"FRAME_{remote}_CLASS_ID = {remote}",
+        f"FRAME_{remote}_CENTER = {frames.spacecraft_id}",
+        f"TKFRAME_{remote}_RELATIVE = '{frames.star_camera_name}'",
+        f"TKFRAME_{remote}_SPEC = 'MATRIX'",
+        f"TKFRAME_{remote}_MATRIX = (",
+        *("    " + " ".join(f"{value: .17e}" for value in row) for row in R_cs.as_matrix()),
+        ")",
+        "",
+        "\\begintext",
+        "",
+    ]
+    return "\n".join(lines)

@@ -1,0 +1,52 @@
+"""Star centroids as a FITS binary table: one row a star of an exposure, as measured and as known."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Sequence
+
+import numpy as np
+from astropy.io import fits
+
+from geometry.epoch import Epoch
+from geometry.sightings import StarSightings
+
+__all__ = ["centroids_fits"]
+
+
+def centroids_fits(exposures: Sequence[StarSightings], epoch: Epoch, mission: str) -> bytes:
+    """Bytes of the file. Column units stand in TUNIT; (0, 0) is the centre of the first pixel, not FITS's (1,
+    1).
+    """
+    utc = epoch.utc_from_seconds([e.t_s for e in exposures]) if exposures else []
+    counts = [len(e.hip) for e in exposures]
+
+    def joined(name: str, *shape: int) -> np.ndarray:
+        return np.concatenate([np.zeros((0, *shape)), *(getattr(e, name) for e in exposures)])
+
+    u_i = joined("u_i", 3)
+    sigma = np.sqrt(0.5 * np.einsum("naa->n", joined("cov_s", 3, 3)))
+    hip = np.concatenate([np.zeros(0, dtype=np.int32), *(e.hip for e in exposures)]).astype(np.int32)
+    columns = [
+        fits.Column("EXPOSURE", "64A", array=np.repeat([e.exposure_id for e in exposures], counts)),
+        fits.Column("UTC", "29A", array=np.repeat(utc, counts)),
+        fits.Column("HIP", "J", array=hip),
+        fits.Column("XY", "2D", unit="pixel", array=joined("xy_px", 2)),
+        fits.Column("U_S", "3D", array=joined("u_s", 3)),
+        fits.Column("U_I", "3D", array=u_i),
+        fits.Column("RA", "D", unit="deg", array=np.degrees(np.arctan2(u_i[:, 1], u_i[:, 0])) % 360.0),
+        fits.Column("DEC", "D", unit="deg", array=np.degrees(np.arcsin(np.clip(u_i[:, 2], -1.0, 1.0)))),
+        fits.Column("SIGMA", "D", unit="rad", array=sigma),
+    ]
+    table = fits.BinTableHDU.from_columns(columns, name="CENTROIDS")
+    table.header["MISSION"] = mission.encode("ascii", "replace").decode()[:68]
+    table.header["TIMESYS"] = "UTC"
+    for text in (
+        "XY: column and row as measured, (0, 0) is the centre of the first pixel; distortion not removed.",
+        "U_S: direction in the star camera, distortion removed. U_I: apparent direction in GCRS,",
+        "aberration included (that of RA, DEC). SIGMA: of a direction, rms of its two axes.",
+    ):
+        table.header["COMMENT"] = text
+    out = io.BytesIO()
+    fits.HDUList([fits.PrimaryHDU(), table]).writeto(out)
+    return out.getvalue()

@@ -1,0 +1,50 @@
+"""The attitude message, read back by the package `ccsds-ndm` and turned as the standard's text says."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from pipeline.exports.ccsds_aem import AemHeader, attitude_message
+
+R_CI = Rotation.from_rotvec(np.outer(np.linspace(2.9, 3.4, 7), [0.48, -0.6, 0.64]))  # through half a turn
+UTC = [f"2025-03-20T02:31:0{n}.250000000" for n in range(7)]
+HEADER = AemHeader("2025-03-21T00:00:00", "TESTSAT", "2025-001A")
+
+
+def matrix_a_to_b(q1, q2, q3, qc):
+    """CCSDS 504.0-B, annex on conventions: takes components in frame A to components in frame B."""
+    return np.array(
+        [
+            [q1**2 - q2**2 - q3**2 + qc**2, 2 * (q1 * q2 + q3 * qc), 2 * (q1 * q3 - q2 * qc)],
+            [2 * (q1 * q2 - q3 * qc), -(q1**2) + q2**2 - q3**2 + qc**2, 2 * (q2 * q3 + q1 * qc)],
+            [2 * (q1 * q3 + q2 * qc), 2 * (q2 * q3 - q1 * qc), -(q1**2) - q2**2 + q3**2 + qc**2],
+        ]
+    )
+
+
+def test_attitudes_are_read_back_by_another_program():
+    ndm_io = pytest.importorskip(
+        "ccsds_ndm.ndm_io", reason="the independent reader ccsds-ndm is not installed"
+    )
+    message = ndm_io.NdmIo().from_string(attitude_message(HEADER, ["strip S01"], UTC, R_CI))
+    segment = message.body.segment[0]
+    assert segment.metadata.object_name == "TESTSAT"
+    assert segment.metadata.attitude_type.value == "QUATERNION"
+    states = segment.data.attitude_state
+    assert [state.quaternion_state.epoch for state in states] == UTC
+    for n, state in enumerate(states):
+        q = state.quaternion_state.quaternion
+        got = matrix_a_to_b(*(float(getattr(q, name)) for name in ("q1", "q2", "q3", "qc")))
+        assert got == pytest.approx(R_CI[n].as_matrix(), abs=1e-14)  # 15 decimals are written
+
+
+def test_neighbouring_quaternions_do_not_change_sign():
+    lines = attitude_message(HEADER, [], UTC, R_CI).splitlines()
+    rows = lines[lines.index("DATA_START") + 1 : lines.index("DATA_STOP")]
+    q = np.array([[float(value) for value in row.split()[1:]] for row in rows])
+    assert np.all(np.einsum("ni,ni->n", q[1:], q[:-1]) > 0.9)
+
+
+def test_a_single_attitude_is_refused():
+    with pytest.raises(ValueError, match="two or more"):
+        attitude_message(HEADER, [], UTC[:1], R_CI[:1])
