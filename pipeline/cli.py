@@ -20,7 +20,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 from pipeline import __version__
-from pipeline.errors import DataNotSufficientError, RawDataError
+from pipeline.errors import DataNotSufficientError, RawDataError, WorkerError
 
 __all__ = ["app", "main"]
 
@@ -47,8 +47,6 @@ def main() -> None:
 @contextmanager
 def _errors_told() -> Iterator[None]:
     """Errors that the user can do something about, as one line; anything else is a fault of the program."""
-    from pipeline.workers import WorkerError
-
     try:
         yield
     except (RawDataError, DataNotSufficientError, WorkerError) as error:

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-__all__ = ["DataNotSufficientError", "Omission", "RawDataError"]
+__all__ = ["DataNotSufficientError", "Omission", "RawDataError", "WorkerError"]
 
 
 class RawDataError(Exception):
@@ -28,6 +28,10 @@ class DataNotSufficientError(Exception):
     """Everything could be read, and still there is no answer in it (exit status 1). The message says what
     lacks.
     """
+
+
+class WorkerError(Exception):
+    """A unit could not be done: its process died again and again, or no worker can be reached."""
 
 
 @dataclass(frozen=True, slots=True)

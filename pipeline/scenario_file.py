@@ -1,5 +1,6 @@
-"""The scenario that a command line names, and the mission flown from it with the catalogue, the Earth's tables
-and a user's own ground image read from their files.
+"""The scenario that a command line names, and the mission flown from it.
+
+The catalogue, the Earth's tables and a user's own ground image are read here and handed to the simulator.
 """
 
 from __future__ import annotations

@@ -14,15 +14,12 @@ from dataclasses import dataclass
 from typing import Any, TypeVar
 
 from pipeline.calibrate import Executor, InOrder
+from pipeline.errors import WorkerError
 
-__all__ = ["WorkerError", "executor_for"]
+__all__ = ["executor_for"]
 
 Item = TypeVar("Item")
 Outcome = TypeVar("Outcome")
-
-
-class WorkerError(Exception):
-    """The workers could not do a unit: its process died again and again, or no worker can be reached."""
 
 
 @dataclass(frozen=True, slots=True)
