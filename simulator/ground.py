@@ -18,7 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pyproj import CRS, Transformer
 
-from simulator.lattice_noise import fractal, smooth_noise, white
+from simulator.landscape import Landscape
+from simulator.lattice_noise import fractal, smooth_noise
 from simulator.scenario import GroundSettings
 
 __all__ = ["BlurredGround", "Ground", "GroundImage", "ImageGround", "ProceduralGround", "gaussian_sigma_px"]
@@ -28,7 +29,6 @@ Array = NDArray[np.float64]
 Grey = NDArray[np.uint8]
 
 TILE = 1024  # texels: a tile of reflectance takes 2 MB, a row of tiles under one CCD's swath some 30 MB
-_FIELD, _FOREST, _SETTLEMENT, _WATER = range(4)
 
 
 class Ground(Protocol):
@@ -98,27 +98,19 @@ class BlurredGround:
 
 
 class ProceduralGround:
-    """An invented landscape. `date` 0 is what the chips show, 1 what the strips show (settings
-    `other_date`, `cloud`).
-    """
+    """An invented landscape. `date` 0 is what the chips show, 1 what the strips show (other date, clouds)."""
 
     def __init__(self, settings: GroundSettings, texel_m: float, key: int, date: int) -> None:
         self.texel_m = texel_m
         self._settings = settings
         self._key = key
         self._date = date
-        # Shares of the land become thresholds of noise; a sample of parcels gives its distribution.
-        i, j = (index.ravel() for index in np.meshgrid(np.arange(100), np.arange(100)))
-        self._levels = {
-            kind: np.quantile(self._character(i, j, kind), 1.0 - share) for kind, share in self._shares()
-        }
+        self._landscape = Landscape(settings, key, date)
         self._cloud_level = self._cloud_threshold()
 
     def patch(self, column: int, row: int, width: int, height: int) -> Patch:
-        base = np.full((height, width), 60, np.uint8)  # reflectance * 255
-        rough = np.full((height, width), 40, np.uint8)  # relative strength of the texture * 255
-        self._draw_parcels(base, rough, column, row)
-        octaves = max(3, int(np.log2(48.0 / self.texel_m)) + 1)
+        base, rough = self._painted(column, row, width, height)
+        octaves = max(3, int(np.log2(48.0 / self.texel_m)) + 1)  # texture from a texel to 50 m
         detail = fractal(column, row, width, height, self._key + 7, octaves, 0.8)
         detail *= rough
         detail *= np.float32(self._settings.detail / 255.0)
@@ -128,100 +120,23 @@ class ProceduralGround:
         np.clip(detail, 0.01, 0.95, out=detail)
         return self._as_seen(detail, column, row) if self._date else detail
 
-    def _shares(self) -> list[tuple[int, float]]:
-        s = self._settings
-        return [(_WATER, s.water), (_SETTLEMENT, s.settlement), (_FOREST, s.forest)]
-
-    def _character(self, i: NDArray[np.int64], j: NDArray[np.int64], kind: int) -> Array:
-        """How much parcels (i, j) are of a kind: smooth over some parcels, so that each kind gathers."""
-        own = np.array([_number(self._key + 31 * kind, int(a), int(b), 0) for a, b in zip(i, j)])
-        return smooth_noise(i / 4.3, j / 4.3, self._key + 100 + kind) + 0.35 * (2.0 * own - 1.0)
-
-    def _kind(self, i: int, j: int) -> int:
-        for kind, share in self._shares():
-            if share > 0.0 and self._character(np.array([i]), np.array([j]), kind)[0] > self._levels[kind]:
-                return kind
-        return _FIELD
-
-    def _vertex(self, i: int, j: int) -> Array:
-        """Corner (i, j) of the parcels, metres (east, north)."""
-        jitter = np.array([_number(self._key, i, j, 1), _number(self._key, i, j, 2)])
-        return (np.array([i, j]) + 0.6 * (jitter - 0.5)) * self._settings.parcel_m
-
-    def _draw_parcels(self, base: Grey, rough: Grey, column: int, row: int) -> None:
-        height, width = base.shape
-        side = self._settings.parcel_m / self.texel_m
-        i0, i1 = int(np.floor(column / side)) - 1, int(np.floor((column + width) / side)) + 1
-        j0, j1 = int(np.floor(-(row + height) / side)) - 1, int(np.floor(-row / side)) + 1
+    def _painted(self, column: int, row: int, width: int, height: int) -> tuple[Grey, Grey]:
+        """Reflectance and strength of texture, both times 255, from the landscape's polygons."""
+        base, rough = np.zeros((height, width), np.uint8), np.zeros((height, width), np.uint8)
+        west, north = column * self.texel_m, -row * self.texel_m
+        east, south = west + width * self.texel_m, north - height * self.texel_m
         origin = np.array([column + 0.5, row + 0.5])
-        canvas = _Canvas(base, rough, self.texel_m, origin)
-        corners = {(i, j): self._vertex(i, j) for i in range(i0, i1 + 2) for j in range(j0, j1 + 2)}
-        for j in range(j0, j1 + 1):
-            for i in range(i0, i1 + 1):
-                quad = np.array([corners[i, j], corners[i + 1, j], corners[i + 1, j + 1], corners[i, j + 1]])
-                self._draw_parcel(canvas, i, j, quad)
-        for j in range(j0, j1 + 1):  # roads run along the parcels' borders, over all of them
-            for i in range(i0, i1 + 1):
-                for n, other in enumerate(((i + 1, j), (i, j + 1))):
-                    line_index = j if n == 0 else i
-                    if _number(self._key, line_index, n, 3) < 0.3:
-                        tone = 50 + int(60 * _number(self._key, line_index, n, 4))
-                        canvas.line(corners[i, j], corners[other], 5.0 + 4.0 * (line_index % 3), tone, 15)
-
-    def _draw_parcel(self, canvas: _Canvas, i: int, j: int, quad: Array) -> None:
-        kind = self._kind(i, j)
-        changed = self._date and _number(self._key, i, j, 9) < self._settings.other_date.changed_fields
-        rng = np.random.default_rng([self._key, i & 0xFFFFFFFF, j & 0xFFFFFFFF, 1 if changed else 0])
-        if kind == _WATER:
-            canvas.fill(quad, 12 + int(rng.integers(8)), 12)
-        elif kind == _FOREST:
-            canvas.fill(quad, int(rng.integers(24, 40)), 120)
-            canvas.fill(_shrunk(quad, 0.12), int(rng.integers(20, 34)), 150)
-        elif kind == _FIELD:
-            self._draw_field(canvas, quad, rng)
-        else:
-            self._draw_settlement(canvas, quad, rng)
-        covered = self._date and _number(self._key, i, j, 10) < self._settings.other_date.occlusion
-        if covered:
-            canvas.fill(_shrunk(quad, 0.05), int(rng.choice([15, 200])), 30)
-
-    def _draw_field(self, canvas: _Canvas, quad: Array, rng: np.random.Generator) -> None:
-        tone = int(rng.integers(28, 110))
-        canvas.fill(quad, tone, int(rng.integers(20, 60)))
-        spacing = rng.uniform(9.0, 30.0)
-        count = int(self._settings.parcel_m / spacing)
-        turn = int(rng.integers(4))
-        a, b, c, d = np.roll(quad, turn, axis=0)
-        stripe = int(np.clip(tone * rng.choice([0.8, 0.9, 1.15]), 5, 250))
-        for n in range(1, count):
-            canvas.line(a + (b - a) * n / count, d + (c - d) * n / count, 0.18 * spacing, stripe, 40)
-        for s, t in rng.uniform(0.1, 0.9, (int(rng.integers(0, 4)), 2)):  # single trees, sheds, ponds
-            centre = (a + (b - a) * s) * (1 - t) + (d + (c - d) * s) * t
-            canvas.disc(centre, rng.uniform(3.0, 7.0), int(rng.choice([14, 24, 170])))
-
-    def _draw_settlement(self, canvas: _Canvas, quad: Array, rng: np.random.Generator) -> None:
-        canvas.fill(quad, int(rng.integers(50, 80)), 50)
-        a, b, c, d = quad
-        n = max(2, round(self._settings.parcel_m / 32.0))
-        for s in (np.arange(n) + 0.5) / n:
-            for t in (np.arange(n) + 0.5) / n:
-                u, v, keep = rng.uniform(-0.12, 0.12), rng.uniform(-0.12, 0.12), rng.uniform()
-                length, depth = rng.uniform(9.0, 20.0), rng.uniform(7.0, 11.0)
-                tone = int(np.exp(rng.uniform(np.log(30.0), np.log(210.0))))
-                if keep < 0.2:
-                    continue
-                p, q = s + u / n, t + v / n
-                centre = (a + (b - a) * p) * (1 - q) + (d + (c - d) * p) * q
-                along = (b - a) / np.linalg.norm(b - a)
-                across = np.array([-along[1], along[0]])
-                if keep < 0.4:
-                    canvas.disc(centre, rng.uniform(3.0, 6.0), 18)
-                    continue
-                for half, shade in ((-0.25, 1.0), (0.25, 0.72)):  # the two slopes of a roof
-                    middle = centre + half * depth * across
-                    canvas.box(middle, along * length / 2, across * depth / 4, int(tone * shade))
-        canvas.line((a + b) / 2, (c + d) / 2, 6.0, 75, 15)
-        canvas.line((a + d) / 2, (b + c) / 2, 6.0, 75, 15)
+        for shapes in self._landscape.shapes(west, south, east, north):
+            texels = shapes.points * np.array([1.0, -1.0]) / self.texel_m - origin
+            corners = np.rint(texels * 16.0).astype(np.int32)  # OpenCV draws in 1/16 texel
+            start = 0
+            for end, tone, roughness in zip(shapes.ends, shapes.tone.tolist(), shapes.rough.tolist()):
+                polygon = corners[start:end]
+                start = end
+                cv2.fillConvexPoly(base, polygon, (tone,), cv2.LINE_AA, 4)
+                if roughness >= 0:
+                    cv2.fillConvexPoly(rough, polygon, (roughness,), cv2.LINE_8, 4)
+        return base, rough
 
     def _as_seen(self, reflectance: Patch, column: int, row: int) -> Patch:
         """Light and weather of the strips' date."""
@@ -286,51 +201,6 @@ class ImageGround:
             dense = cv2.remap((values - offset).astype(np.float32), across, down, cv2.INTER_LINEAR)
             full.append(_mirrored(np.asarray(dense, dtype=np.float32), size))
         return np.asarray(cv2.remap(self._image, full[0], full[1], cv2.INTER_LINEAR), dtype=np.float32)
-
-
-class _Canvas:
-    """Draws with sub-texel corners on the reflectance and roughness of a window."""
-
-    def __init__(
-        self, base: NDArray[np.uint8], rough: NDArray[np.uint8], texel_m: float, origin: Array
-    ) -> None:
-        self._base, self._rough = base, rough
-        self._texel_m, self._origin = texel_m, origin
-
-    def _texels(self, points: Array) -> NDArray[np.int32]:
-        """Map coordinates as 1/16 texels of the window, as OpenCV's drawing wants them."""
-        flipped = points * np.array([1.0, -1.0]) / self._texel_m - self._origin
-        return np.rint(flipped * 16.0).astype(np.int32)
-
-    def fill(self, polygon: Array, tone: int, rough: int) -> None:
-        corners = self._texels(polygon)
-        cv2.fillPoly(self._base, [corners], (float(tone),), cv2.LINE_AA, 4)
-        cv2.fillPoly(self._rough, [corners], (float(rough),), cv2.LINE_8, 4)
-
-    def box(self, centre: Array, half_a: Array, half_b: Array, tone: int) -> None:
-        corners = centre + np.array([half_a + half_b, half_a - half_b, -half_a - half_b, half_b - half_a])
-        cv2.fillPoly(self._base, [self._texels(corners)], (float(tone),), cv2.LINE_AA, 4)
-
-    def line(self, a: Array, b: Array, width_m: float, tone: int, rough: int) -> None:
-        along = b - a
-        half = 0.5 * width_m * np.array([-along[1], along[0]]) / np.linalg.norm(along)
-        self.fill(np.array([a + half, b + half, b - half, a - half]), tone, rough)
-
-    def disc(self, centre: Array, radius_m: float, tone: int) -> None:
-        x, y = (int(v) for v in self._texels(centre))
-        cv2.circle(
-            self._base, (x, y), max(1, int(16 * radius_m / self._texel_m)), (float(tone),), -1, cv2.LINE_AA, 4
-        )
-
-
-def _number(key: int, i: int, j: int, n: int) -> float:
-    """One uniform number in [0, 1) that belongs to lattice point (i, j)."""
-    return 0.5 * (1.0 + float(white(i, j, 1, 1, key * 64 + n)[0, 0]))
-
-
-def _shrunk(quad: Array, by: float) -> Array:
-    middle = quad.mean(axis=0)
-    return middle + (1.0 - by) * (quad - middle)
 
 
 def _places(width: int, height: int, step: int) -> tuple[Patch, Patch]:

@@ -50,7 +50,7 @@ def place_targets(
     whose chip has little texture is given up for another one.
     """
     chip_m = pixel_m * settings.chip_pixel
-    placed = []
+    found = []
     for n in range(settings.per_strip):
         for _ in range(_TRIES):
             ccd, sample, line = _somewhere(n, scene, lines, settings, rng)
@@ -61,22 +61,29 @@ def place_targets(
                 break
         name = f"{strip_id}-t{n + 1:02d}"
         target, chip, true_e = _surveyed(name, scene, east, north, image, chip_m, settings, geoid, rng)
-        placed.append(Placed(target, chip, tuple(_true_points(name, strip_id, scene, lines, true_e))))
-    return placed
+        found.append((target, chip, true_e))
+    names = [target.target_id for target, _, _ in found]
+    p_e = np.concatenate([true_e for _, _, true_e in found]) if found else np.zeros((0, 3))
+    seen = _true_points(names, strip_id, scene, lines, p_e)
+    return [
+        Placed(target, chip, tuple(point for point in seen if point.point_id == target.target_id))
+        for target, chip, _ in found
+    ]
 
 
 def check_points(
     strip_id: str, scene: Scene, lines: int, count: int, rng: np.random.Generator
 ) -> list[TruePoint]:
     """Points of the ground that a strip sees, spread over its rows and CCDs; known to the truth alone."""
-    points: list[TruePoint] = []
+    places = []
     for n in range(count):
         ccd = n % scene.model.camera.n_ccds
         sample = rng.uniform(0.0, scene.model.camera.n_px(ccd) - 1.0)
         line = (n + rng.uniform()) * (lines - 1.0) / count
-        p_e = scene.model.ground_points(ccd, np.array([sample]), np.array([line]), scene.surface)
-        points += _true_points(f"{strip_id}-c{n + 1:02d}", strip_id, scene, lines, p_e)
-    return points
+        places.append(scene.model.ground_points(ccd, np.array([sample]), np.array([line]), scene.surface))
+    p_e = np.concatenate(places) if places else np.zeros((0, 3))
+    names = [f"{strip_id}-c{n + 1:02d}" for n in range(count)]
+    return _true_points(names, strip_id, scene, lines, p_e)
 
 
 def _somewhere(
@@ -142,25 +149,28 @@ def _surveyed(
     return target, ChipImage(target_id, image, affine, scene.epsg), p_e
 
 
-def _true_points(point_id: str, strip_id: str, scene: Scene, lines: int, p_e: Array) -> list[TruePoint]:
-    """A ground point (1, 3) in every CCD that sees it."""
+def _true_points(
+    point_ids: list[str], strip_id: str, scene: Scene, lines: int, p_e: Array
+) -> list[TruePoint]:
+    """Ground points (N, 3) in every CCD that sees them; in the order of the points."""
     lat, lon, height = geodetic_from_ecef(p_e, WGS84)
     points = []
     for ccd in range(scene.model.camera.n_ccds):
-        (sample,), (line,) = scene.model.pixels_from_ground(ccd, p_e)
-        if -0.5 <= sample <= scene.model.camera.n_px(ccd) - 0.5 and -0.5 <= line <= lines - 0.5:
-            points.append(
-                TruePoint(
-                    point_id=point_id,
-                    strip_id=strip_id,
-                    ccd=ccd,
-                    sample=float(sample),
-                    line=float(line),
-                    t_s=float(scene.model.instants(np.array([line]))[0]),
-                    p_e=(float(p_e[0, 0]), float(p_e[0, 1]), float(p_e[0, 2])),
-                    lat_deg=float(np.degrees(lat[0])),
-                    lon_deg=float(np.degrees(lon[0])),
-                    height_ellipsoidal_m=float(height[0]),
-                )
+        sample, line = scene.model.pixels_from_ground(ccd, p_e)
+        inside = (sample >= -0.5) & (sample <= scene.model.camera.n_px(ccd) - 0.5)
+        inside &= (line >= -0.5) & (line <= lines - 0.5)
+        for n in np.flatnonzero(inside):
+            point = TruePoint(
+                point_id=point_ids[n],
+                strip_id=strip_id,
+                ccd=ccd,
+                sample=float(sample[n]),
+                line=float(line[n]),
+                t_s=float(scene.model.instants(line[n : n + 1])[0]),
+                p_e=(float(p_e[n, 0]), float(p_e[n, 1]), float(p_e[n, 2])),
+                lat_deg=float(np.degrees(lat[n])),
+                lon_deg=float(np.degrees(lon[n])),
+                height_ellipsoidal_m=float(height[n]),
             )
-    return points
+            points.append((int(n), point))
+    return [point for _, point in sorted(points, key=lambda item: item[0])]

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["fractal", "smooth_noise", "white"]
+__all__ = ["fractal", "smooth_noise", "white", "white_at"]
 
 _WORD = 0xFFFFFFFF
 
@@ -20,6 +20,11 @@ _WORD = 0xFFFFFFFF
 def white(column: int, row: int, width: int, height: int, key: int) -> NDArray[np.float32]:
     """Uniform numbers in [-1, 1) of the lattice points of a window, (height, width)."""
     return _unit(_hashed_window(column, row, width, height, key))
+
+
+def white_at(i: NDArray[np.int64], j: NDArray[np.int64], key: int) -> NDArray[np.float32]:
+    """The same numbers at any lattice points."""
+    return _unit(_hashed(i, j, key))
 
 
 def smooth_noise(x: NDArray[np.float64], y: NDArray[np.float64], key: int) -> NDArray[np.float64]:

@@ -1,0 +1,198 @@
+"""An invented landscape: parcels of land with fields, woods, water, settlements and roads, as polygons to
+be painted.
+
+The land is a lattice of quadrilaterals with displaced corners. What a parcel bears follows from its two
+indices and the key alone. Map coordinates are metres (east, north); tones are reflectance times 255;
+`rough` is the strength of the texture on top, times 255.
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simulator.lattice_noise import smooth_noise, white_at
+from simulator.scenario import GroundSettings
+
+__all__ = ["Landscape", "Shapes"]
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+_FIELD, _WATER, _SETTLEMENT, _FOREST = range(4)
+_KEEP_PARCELS = 4096  # parcels drawn lately are wanted again by the neighbouring tiles
+_CIRCLE = np.column_stack([np.cos(np.arange(12) * np.pi / 6), np.sin(np.arange(12) * np.pi / 6)])
+_SPARED = -1  # a shape that leaves the roughness below it alone
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Shapes:
+    """Polygons in the order in which they are painted."""
+
+    points: Array  # (P, 2) corners of all polygons, one after the other, m
+    ends: Index  # (M,) where each polygon's corners end
+    tone: Index  # (M,)
+    rough: Index  # (M,) or -1
+
+
+class Landscape:
+    """`date` 0 is the land as the chips show it, 1 as the strips do (settings `other_date`)."""
+
+    def __init__(self, settings: GroundSettings, key: int, date: int) -> None:
+        self._settings = settings
+        self._key = key
+        self._date = date
+        self._parcels: OrderedDict[tuple[int, int], Shapes] = OrderedDict()
+        # Shares of the land become thresholds of noise; a sample of parcels gives its distribution.
+        i, j = (index.ravel() for index in np.meshgrid(np.arange(100), np.arange(100)))
+        self._levels = {
+            kind: np.quantile(self._character(i, j, kind), 1.0 - share) for kind, share in self._shares()
+        }
+
+    def shapes(self, west: float, south: float, east: float, north: float) -> list[Shapes]:
+        """Everything that may show inside a box (m), parcels first, roads last."""
+        side = self._settings.parcel_m
+        i0, i1 = int(np.floor(west / side)) - 1, int(np.floor(east / side)) + 1
+        j0, j1 = int(np.floor(south / side)) - 1, int(np.floor(north / side)) + 1
+        i, j = np.meshgrid(np.arange(i0, i1 + 2), np.arange(j0, j1 + 2))
+        corners = self._vertices(i, j)  # (J, I, 2)
+        kinds = self._kinds(i, j)
+        painted = []
+        for b in range(len(corners) - 1):
+            for a in range(corners.shape[1] - 1):
+                quad = corners[[b, b, b + 1, b + 1], [a, a + 1, a + 1, a]]
+                painted.append(self._parcel(int(i[b, a]), int(j[b, a]), int(kinds[b, a]), quad))
+        return [*painted, self._roads(i, j, corners)]
+
+    def _shares(self) -> list[tuple[int, float]]:
+        s = self._settings
+        return [(_WATER, s.water), (_SETTLEMENT, s.settlement), (_FOREST, s.forest)]
+
+    def _number(self, i: Index, j: Index, n: int) -> Array:
+        """One uniform number in [0, 1) for each place."""
+        return 0.5 + 0.5 * white_at(i, j, self._key * 64 + n).astype(float)
+
+    def _character(self, i: Index, j: Index, kind: int) -> Array:
+        """How much parcels are of a kind: smooth over some parcels, so that each kind gathers."""
+        own = 2.0 * self._number(i, j, 20 + kind) - 1.0
+        return smooth_noise(i / 4.3, j / 4.3, self._key + 100 + kind) + 0.35 * own
+
+    def _kinds(self, i: Index, j: Index) -> Index:
+        kinds = np.full(i.shape, _FIELD)
+        for kind, share in reversed(self._shares()):
+            if share > 0.0:
+                kinds[self._character(i, j, kind) > self._levels[kind]] = kind
+        return kinds
+
+    def _vertices(self, i: Index, j: Index) -> Array:
+        """Corners of the parcels, (..., 2)."""
+        jitter = np.stack([self._number(i, j, 1), self._number(i, j, 2)], axis=-1)
+        return (np.stack([i, j], axis=-1) + 0.6 * (jitter - 0.5)) * self._settings.parcel_m
+
+    def _parcel(self, i: int, j: int, kind: int, quad: Array) -> Shapes:
+        if (i, j) in self._parcels:
+            self._parcels.move_to_end((i, j))
+            return self._parcels[i, j]
+        place = np.array([i]), np.array([j])
+        other = self._settings.other_date
+        changed = self._date == 1 and self._number(*place, 9)[0] < other.changed_fields
+        rng = np.random.default_rng([self._key, i & 0xFFFFFFFF, j & 0xFFFFFFFF, int(changed)])
+        brush = _Brush()
+        if kind == _WATER:
+            brush.polygon(quad, 12 + int(rng.integers(8)), 12)
+        elif kind == _FOREST:
+            brush.polygon(quad, int(rng.integers(24, 40)), 120)
+            brush.polygon(_shrunk(quad, 0.12), int(rng.integers(20, 34)), 150)
+        elif kind == _FIELD:
+            self._field(brush, quad, rng)
+        else:
+            self._settlement(brush, quad, rng)
+        if self._date == 1 and self._number(*place, 10)[0] < other.occlusion:
+            brush.polygon(_shrunk(quad, 0.05), int(rng.choice([15, 200])), 30)
+        self._parcels[i, j] = brush.shapes()
+        while len(self._parcels) > _KEEP_PARCELS:
+            self._parcels.popitem(last=False)
+        return self._parcels[i, j]
+
+    def _field(self, brush: _Brush, quad: Array, rng: np.random.Generator) -> None:
+        """A crop in rows, with a few single trees, sheds and ponds."""
+        tone = int(rng.integers(28, 110))
+        brush.polygon(quad, tone, int(rng.integers(20, 60)))
+        spacing = rng.uniform(9.0, 30.0)
+        count = int(self._settings.parcel_m / spacing)
+        a, b, c, d = np.roll(quad, int(rng.integers(4)), axis=0)
+        stripe = int(np.clip(tone * rng.choice([0.8, 0.9, 1.15]), 5, 250))
+        for n in range(1, count):
+            brush.line(a + (b - a) * n / count, d + (c - d) * n / count, 0.18 * spacing, stripe, 40)
+        for s, t in rng.uniform(0.1, 0.9, (int(rng.integers(0, 4)), 2)):
+            centre = (a + (b - a) * s) * (1 - t) + (d + (c - d) * s) * t
+            brush.polygon(centre + rng.uniform(3.0, 7.0) * _CIRCLE, int(rng.choice([14, 24, 170])), _SPARED)
+
+    def _settlement(self, brush: _Brush, quad: Array, rng: np.random.Generator) -> None:
+        """Gardens, two streets, houses whose roofs have a light and a dark slope, trees."""
+        brush.polygon(quad, int(rng.integers(50, 80)), 50)
+        a, b, c, d = quad
+        n = max(2, round(self._settings.parcel_m / 32.0))
+        along = (b - a) / np.linalg.norm(b - a)
+        across = np.array([-along[1], along[0]])
+        for k, (u, v, kept, long, deep, dark) in enumerate(rng.uniform(size=(n * n, 6))):
+            s, t = (k % n + 0.5 + 0.24 * (u - 0.5)) / n, (k // n + 0.5 + 0.24 * (v - 0.5)) / n
+            centre = (a + (b - a) * s) * (1 - t) + (d + (c - d) * s) * t
+            if kept < 0.2:
+                continue
+            if kept < 0.4:
+                brush.polygon(centre + (3.0 + 3.0 * long) * _CIRCLE, 18, _SPARED)
+                continue
+            half_length, depth = (4.5 + 5.5 * long) * along, (7.0 + 4.0 * deep) * across
+            tone = 30.0 * 7.0**dark
+            for slope, shade in ((-0.5 * depth, 1.0), (0.5 * depth, 0.72)):
+                corners = [centre - half_length, centre + half_length]
+                roof = np.array([*corners, corners[1] + slope, corners[0] + slope])
+                brush.polygon(roof, int(tone * shade), _SPARED)
+        brush.line((a + b) / 2, (c + d) / 2, 6.0, 75, 15)
+        brush.line((a + d) / 2, (b + c) / 2, 6.0, 75, 15)
+
+    def _roads(self, i: Index, j: Index, corners: Array) -> Shapes:
+        """Roads run along some of the lattice's lines, over all parcels."""
+        brush = _Brush()
+        for n, index in ((0, j[:, 0]), (1, i[0])):
+            chosen = self._number(index, np.full_like(index, n), 3) < 0.3
+            tones = 50 + 60 * self._number(index, np.full_like(index, n), 4)
+            for k in np.flatnonzero(chosen):
+                path = corners[k] if n == 0 else corners[:, k]
+                for start, stop in pairwise(path):
+                    brush.line(start, stop, 5.0 + 4.0 * (int(index[k]) % 3), int(tones[k]), 15)
+        return brush.shapes()
+
+
+class _Brush:
+    """Gathers polygons."""
+
+    def __init__(self) -> None:
+        self._polygons: list[Array] = []
+        self._tones: list[int] = []
+        self._roughs: list[int] = []
+
+    def polygon(self, corners: Array, tone: int, rough: int) -> None:
+        self._polygons.append(corners)
+        self._tones.append(tone)
+        self._roughs.append(rough)
+
+    def line(self, a: Array, b: Array, width_m: float, tone: int, rough: int) -> None:
+        dx, dy = b - a
+        half = 0.5 * width_m / np.hypot(dx, dy) * np.array([-dy, dx])
+        self.polygon(np.array([a + half, b + half, b - half, a - half]), tone, rough)
+
+    def shapes(self) -> Shapes:
+        points = np.concatenate(self._polygons) if self._polygons else np.zeros((0, 2))
+        ends = np.cumsum([len(polygon) for polygon in self._polygons]).astype(np.int64)
+        return Shapes(points, ends, np.array(self._tones, np.int64), np.array(self._roughs, np.int64))
+
+
+def _shrunk(quad: Array, by: float) -> Array:
+    middle = quad.mean(axis=0)
+    return np.asarray(middle + (1.0 - by) * (quad - middle))
