@@ -21,6 +21,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from gct_match.resample import gradient, sample
 from gct_match.weighting import band_pass, coherence_filter, derivatives, inverse_spectrum, spectrum
 
 __all__ = ["Placement", "place"]
@@ -37,7 +38,6 @@ _AFFINE_CHI2 = 18.5  # four parameters more have to earn this: chi² of 4 at 0.1
 _LARGEST_AFFINE = 0.05  # beyond, the template was predicted with another model than the strip's
 _LOW_PX, _HIGH_PX = 0.7, 4.0  # first band-pass, before the pair itself has told which frequencies to use
 _CONVERGED_PX = 2e-4
-_DIFFERENCE = np.array([1.0, -8.0, 0.0, 8.0, -1.0], dtype=np.float32) / 12.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -55,15 +55,20 @@ class Placement:
 
 
 def place(
-    template: Image, picture: Image, valid: NDArray[np.bool_], start_px: tuple[int, int], reference_px: Array
+    template: Image,
+    template_valid: NDArray[np.bool_],
+    picture: Image,
+    valid: NDArray[np.bool_],
+    start_px: tuple[int, int],
+    reference_px: Array,
 ) -> Placement:
     """Place `template` (h, w) in `picture` (H, W), started with its first pixel at `start_px` (x, y).
 
-    `valid` (H, W) is false where the picture must not be used. `reference_px` (x, y) is the point of the template
+    `template_valid` (h, w) and `valid` (H, W) are false where template and picture must not be used. `reference_px` (x, y) is the point of the template
     whose place is wanted. The place may be up to 2 px from the start; farther is reported as not converged.
     """
     patch, usable = _patch(picture, valid, start_px, template.shape)
-    solver = _Solver(template, patch, usable, reference_px)
+    solver = _Solver(template, template_valid, patch, usable, reference_px)
     solver.filter_by(band_pass(patch.shape, _LOW_PX, _HIGH_PX))
     solver.approach()
     solver.weigh()
@@ -97,7 +102,14 @@ def _patch(
 class _Solver:
     """One template against one patch: the design matrix and the state that the iterations move."""
 
-    def __init__(self, template: Image, patch: Image, usable: Image, reference_px: Array) -> None:
+    def __init__(
+        self,
+        template: Image,
+        template_valid: NDArray[np.bool_],
+        patch: Image,
+        usable: Image,
+        reference_px: Array,
+    ) -> None:
         self.shape = template.shape
         self.template = template - np.float32(template.mean())
         self.contrast = np.float32(1.0 / (self.template.std() + 1e-12))
@@ -111,6 +123,8 @@ class _Solver:
         middle = np.s_[_PAD : _PAD + self.shape[0], _PAD : _PAD + self.shape[1]]
         if not usable.all():
             inside = inside * cv2.erode(usable, np.ones((7, 7)))[middle]
+        if not template_valid.all():
+            inside = inside * cv2.erode(template_valid.astype(np.float32), np.ones((7, 7)))
         self.mask = inside.ravel()
         self.weight = self.mask
         self.affine = False
@@ -176,15 +190,11 @@ class _Solver:
         return out[_TAPS:-_TAPS, _TAPS:-_TAPS]
 
     def _affine_warped(self, picture: Image) -> Image:
-        """Lanczos interpolation at points rounded to OpenCV's 1/32 px, brought to the exact point by the gradient."""
         m = self.warp.astype(np.float32)
         origin = self.reference_px + _PAD
         px = (m[0, 0] * self.x + m[0, 1] * self.y + np.float32(m[0, 2] + origin[0])).reshape(self.shape)
         py = (m[1, 0] * self.x + m[1, 1] * self.y + np.float32(m[1, 2] + origin[1])).reshape(self.shape)
-        qx, qy = np.round(px * 32.0) / 32.0, np.round(py * 32.0) / 32.0
-        out = cv2.remap(picture, qx, qy, cv2.INTER_LANCZOS4, borderMode=cv2.BORDER_REFLECT)
-        gx, gy = _gradient(out)
-        return out + (px - qx) * gx + (py - qy) * gy
+        return sample(picture, px, py)
 
     # Gauss-Newton
 
@@ -292,7 +302,7 @@ class _Solver:
         t = self.columns[6].reshape(self.shape)
         weight = self.weight.reshape(self.shape)
         cross, own = 0.0, 1e-30
-        for of_t, of_i in zip(_gradient(t), _gradient(self.i.reshape(self.shape))):
+        for of_t, of_i in zip(gradient(t), gradient(self.i.reshape(self.shape))):
             cross += float(np.vdot(weight * of_t, of_i))
             own += float(np.vdot(weight * of_t, of_t))
         return float(np.clip(cross / own / max(self.radiometry[0], 1e-6), 0.05, 1.0))
@@ -326,11 +336,6 @@ def _block_sums(score: NDArray, block: int) -> Array:
     p, h, w = score.shape
     rows = np.add.reduceat(score, np.arange(0, h, block), axis=1)
     return np.add.reduceat(rows, np.arange(0, w, block), axis=2).reshape(p, -1).astype(np.float64)
-
-
-def _gradient(image: Image) -> tuple[Image, Image]:
-    gx = cv2.filter2D(image, -1, _DIFFERENCE[None, :], borderType=cv2.BORDER_REFLECT)
-    return gx, cv2.filter2D(image, -1, _DIFFERENCE[:, None], borderType=cv2.BORDER_REFLECT)
 
 
 def _mirrored(image: Image) -> Image:

@@ -22,13 +22,13 @@ class MatchSettings:
     chip_mtf_at_nyquist: float = 0.3  # of the chip at its own grid: an ortho-image that was resampled once
     sigmas: float = 3.0  # half-width of the search in standard errors of the installation matrix
     candidates: int = 20  # peaks per target and CCD that take part in the vote
-    coarse_template_px: int = 24  # smallest side of a template in the coarsest level of the pyramid
+    coarse_template_px: int = 16  # smallest side of a template in the coarsest level of the pyramid
     coarse_pixels: float = 12e6  # pixels of the coarse strip that one search may hold in memory (48 MB)
     read_block_px: int = 4_000_000  # pixels read at once
     probability_chance: float = 1e-6  # a vote that chance would give more often than this is no vote
     probability_wrong: float = 1e-4  # a place that is more likely wrong than this is refused
     sigma_px: float = 0.25  # a target whose texture cannot place it better than this is refused
-    consistency_sigma_px: float = (
-        0.5  # what position, clock and terrain may move a target off the common rotation
-    )
+    consistency_sigma_px: float = 0.75  # by which vibration, distortion and terrain move single targets
+    least_correlation: float = 0.4  # filtered and robustly weighted: below, most of the chip has changed
     saturation: float = float("inf")  # grey values from here on are not used
+    no_data: float = float("nan")  # this grey value means that there is none

@@ -1,0 +1,334 @@
+"""Targets found although the installation matrix is wrong by thousands of pixels: all of them at once.
+
+Whatever the installation matrix is wrong by, it is one small rotation for the whole strip. Each target is looked for in
+the part of the strip where that rotation could have put it, on a coarse picture read once; its best few places
+are candidates, and the targets vote on the rotation. Targets are taken a few at a time until the vote is beyond chance.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gct_match.coarse import CoarseStrip, read_coarse
+from gct_match.correlation import correlation_surface, log_chance, normalised, peaks_of
+from gct_match.records import Chip, StripImage, Target
+from gct_match.settings import MatchSettings
+from gct_match.template import chip_side_px, predict_template
+from gct_match.vote import Candidates, Vote, vote
+from geometry.groundlight import apparent_ground_directions
+from geometry.installation import deviation_from_theta
+from geometry.pushbroom import Pushbroom
+from geometry.terrain import Surface
+
+__all__ = ["SearchPlan", "Window", "bootstrap", "displacements", "plan_search"]
+
+Array = NDArray[np.float64]
+Image = NDArray[np.float32]
+
+_NODES = 65  # places along a strip and a CCD at which the reach of the search is computed
+_FIRST_BATCH, _NEXT_BATCH = 6, 4  # targets that go into the first vote, and into each later one
+
+
+@dataclass(frozen=True, slots=True)
+class Window:
+    """Where a target's own point may lie in one CCD."""
+
+    target: int  # index into the strip's targets
+    ccd: int
+    lines: tuple[int, int]
+    samples: tuple[int, int]
+
+    @property
+    def radius_px(self) -> float:
+        return 0.5 * max(self.lines[1] - self.lines[0], self.samples[1] - self.samples[0])
+
+
+@dataclass(frozen=True, slots=True)
+class SearchPlan:
+    """What a search will read and hold, known before it starts."""
+
+    windows: tuple[Window, ...]
+    factor: int  # pixels of the strip to one of the coarse picture
+    pixels_to_read: int
+    coarse_pixels: int
+
+
+def plan_search(
+    strip: StripImage,
+    pushbroom: Pushbroom,
+    targets: Sequence[Target],
+    chips: Sequence[Chip],
+    surface: Surface,
+    sigma_installation_rad: Array,
+    settings: MatchSettings,
+) -> SearchPlan:
+    """Windows of all targets, and the coarsest picture in which their chips still show something."""
+    windows = tuple(
+        window
+        for ccd in strip.ccds
+        for window in _windows(ccd, strip.shape(ccd), pushbroom, targets, sigma_installation_rad, settings)
+    )
+    if not windows:
+        return SearchPlan((), 1, 0, 0)
+    sides = [chip_side_px(chips[w.target], pushbroom, w.ccd, _middle(w), surface) for w in windows]
+    side = float(np.median(sides))
+    radius = max(window.radius_px for window in windows)
+    factor = 1
+    while (
+        side / (2 * factor) >= settings.coarse_template_px and radius / (2 * factor) >= 2 * settings.margin_px
+    ):
+        factor *= 2
+    read = sum((b - a) * (d - c) for (a, b), (c, d) in _extents(strip, windows, side).values())
+    while read / factor**2 > settings.coarse_pixels:
+        factor *= 2
+    return SearchPlan(windows, factor, read, read // factor**2)
+
+
+def bootstrap(
+    strip: StripImage,
+    pushbroom: Pushbroom,
+    targets: Sequence[Target],
+    chips: Sequence[Chip],
+    surface: Surface,
+    sigma_installation_rad: Array,
+    plan: SearchPlan,
+    settings: MatchSettings,
+) -> Vote:
+    """The common rotation theta (3,), rad, against the installation matrix of `pushbroom`."""
+    side = max(chip_side_px(chips[w.target], pushbroom, w.ccd, _middle(w), surface) for w in plan.windows)
+    pictures = {
+        ccd: _prepared(read_coarse(strip, ccd, lines, samples, plan.factor, settings))
+        for ccd, (lines, samples) in _extents(strip, plan.windows, side).items()
+    }
+    search = _Search(pushbroom, targets, chips, surface, settings, plan, pictures)
+    order = search.in_order_of_texture()
+    tolerance_px = 1.5 * plan.factor + 2.0 * settings.consistency_sigma_px
+    reach = settings.sigmas
+    found: list[Candidates] = []
+    outcome = Vote(np.zeros(3), np.diag(sigma_installation_rad**2), np.zeros(0, dtype=np.int64), 0.0)
+    first = 0
+    while first < len(order):
+        last = first + (_NEXT_BATCH if first else _FIRST_BATCH)
+        found += [search.candidates(n, tolerance_px) for n in order[first:last]]
+        first = last
+        outcome = vote(_joined(found), sigma_installation_rad, reach, tolerance_px, 0.5 * plan.factor)
+        if (
+            outcome.log_probability_chance < 2.0 * np.log(settings.probability_chance)
+            and len(outcome.supporters) >= 4
+        ):
+            break
+    return outcome
+
+
+def displacements(
+    pushbroom: Pushbroom, p_e: Array, ccd: NDArray[np.int64], xy_px: Array
+) -> tuple[Array, Array]:
+    """How far pixels (N, 2) lie from where the model sees points p_e (N, 3), and its derivative by theta.
+
+    Returns (N, 2) px and (N, 2, 3) px/rad. A rotation by theta of the installation matrix moves the direction u_c
+    of a point by u x theta (paper, eq. 12); the pixel's Jacobian brings directions to pixels.
+    """
+    displacement, design = np.empty((len(p_e), 2)), np.empty((len(p_e), 2, 3))
+    for n in np.unique(ccd):
+        here = ccd == n
+        sample, line = xy_px[here].T
+        measured = pushbroom.camera.directions_from_pixels(int(n), sample)
+        predicted = _directions_c(pushbroom, p_e[here], line)
+        inverse = np.linalg.pinv(pushbroom.pixel_jacobian(int(n), sample, line))
+        displacement[here] = np.einsum("nij,nj->ni", inverse, measured - predicted)
+        design[here] = inverse @ _cross_matrix(predicted)
+    return displacement, design
+
+
+class _Search:
+    """The coarse pictures and the templates that are looked for in them."""
+
+    def __init__(
+        self,
+        pushbroom: Pushbroom,
+        targets: Sequence[Target],
+        chips: Sequence[Chip],
+        surface: Surface,
+        settings: MatchSettings,
+        plan: SearchPlan,
+        pictures: dict[int, CoarseStrip],
+    ) -> None:
+        self.pushbroom, self.targets, self.chips, self.surface = pushbroom, targets, chips, surface
+        self.settings, self.plan, self.pictures = settings, plan, pictures
+        self.templates = {n: self._template(n) for n in sorted({w.target for w in plan.windows})}
+
+    def in_order_of_texture(self) -> list[int]:
+        """Targets with the most independent texture first."""
+        texture = {n: float(np.sum(np.abs(image))) for n, (image, _) in self.templates.items()}
+        return sorted(texture, key=lambda n: -texture[n])
+
+    def candidates(self, target: int, tolerance_px: float) -> Candidates:
+        """The best places of a target over all CCDs that it may lie in."""
+        template, offset_px = self.templates[target]
+        found = [
+            self._in_window(template, offset_px, window, tolerance_px)
+            for window in self.plan.windows
+            if window.target == target
+        ]
+        xy = np.concatenate([item[0] for item in found])
+        ccd = np.concatenate([item[1] for item in found])
+        chance = np.concatenate([item[2] for item in found])
+        keep = np.argsort(chance)[: 2 * self.settings.candidates]
+        p_e = np.broadcast_to(self.targets[target].p_e, (len(keep), 3))
+        displacement, design = displacements(self.pushbroom, p_e, ccd[keep], xy[keep])
+        return Candidates(np.full(len(keep), target), displacement, design, chance[keep])
+
+    def _template(self, target: int) -> tuple[Image, Array]:
+        """The normalised template, and where in it (in strip pixels from its first one) the target's point lies."""
+        windows = [w for w in self.plan.windows if w.target == target]
+        window = max(windows, key=lambda w: (w.lines[1] - w.lines[0]) * (w.samples[1] - w.samples[0]))
+        factor = self.plan.factor
+        middle = _middle(window)
+        model = _seeing_at(self.pushbroom, self.targets[target].p_e, window.ccd, middle)
+        side = chip_side_px(self.chips[target], model, window.ccd, middle, self.surface)
+        n = int(np.clip(side / factor, 8, 96))
+        origin = np.round(middle - 0.5 * n * factor).astype(int)
+        template = predict_template(
+            self.chips[target],
+            model,
+            window.ccd,
+            (int(origin[0]), int(origin[1])),
+            (n, n),
+            self.surface,
+            self.settings,
+            stride=factor,
+        )
+        image = normalised(template.image, template.valid)
+        return image * template.valid, middle - origin
+
+    def _in_window(
+        self, template: Image, offset_px: Array, window: Window, tolerance_px: float
+    ) -> tuple[Array, NDArray[np.int64], Array]:
+        picture, factor = self.pictures[window.ccd], self.plan.factor
+        low = np.array([window.samples[0], window.lines[0]]) - offset_px - picture.origin_px
+        high = np.array([window.samples[1], window.lines[1]]) - offset_px - picture.origin_px
+        h, w = template.shape
+        x0, y0 = np.maximum(np.floor(low / factor).astype(int), -(w // 2))
+        x1 = min(int(np.ceil(high[0] / factor)) + w, picture.image.shape[1] + w // 2)
+        y1 = min(int(np.ceil(high[1] / factor)) + h, picture.image.shape[0] + h // 2)
+        nothing = np.zeros((0, 2)), np.zeros(0, dtype=np.int64), np.zeros(0)
+        if x1 - x0 < w or y1 - y0 < h:
+            return nothing
+        part = _cut(picture.image, x0, y0, x1, y1)
+        surface = correlation_surface(template, part)
+        peaks = peaks_of(surface, self.settings.candidates, 3)
+        some = surface[:: max(1, surface.shape[0] // 200), :: max(1, surface.shape[1] // 200)]
+        independent = 1.0 / max(float(np.mean(some.astype(float) ** 2)), 1e-4)
+        places = np.pi * (tolerance_px / factor) ** 2
+        xy = (peaks.xy + [x0, y0]) * factor + picture.origin_px + offset_px
+        return xy, np.full(len(xy), window.ccd), log_chance(peaks.value, independent, places)
+
+
+def _windows(
+    ccd: int,
+    shape: tuple[int, int],
+    pushbroom: Pushbroom,
+    targets: Sequence[Target],
+    sigma_rad: Array,
+    settings: MatchSettings,
+) -> list[Window]:
+    """Where a rotation of so many standard errors may have put each target: the box around what is within reach."""
+    lines, samples = shape
+    line, sample = np.linspace(0.0, lines - 1.0, _NODES), np.linspace(0.0, samples - 1.0, _NODES)
+    measured = pushbroom.camera.directions_from_pixels(ccd, sample)
+    out = []
+    for n, target in enumerate(targets):
+        predicted = _directions_c(pushbroom, np.broadcast_to(target.p_e, (_NODES, 3)), line)
+        miss = measured[None, :, :2] - predicted[:, None, :2]  # (line, sample, 2)
+        far = np.abs(predicted[:, None, :2]).max(axis=2) * sigma_rad[2]
+        reach_x = settings.sigmas * np.hypot(sigma_rad[1], far) + 1e-9
+        reach_y = settings.sigmas * np.hypot(sigma_rad[0], far) + 1e-9
+        step = np.abs(np.diff(predicted[:, 0])).max(), np.abs(np.diff(measured[:, 1])).max()
+        inside = (np.abs(miss[:, :, 0]) <= reach_x + step[0]) & (np.abs(miss[:, :, 1]) <= reach_y + step[1])
+        if not inside.any():
+            continue
+        rows, columns = np.nonzero(inside.any(axis=1))[0], np.nonzero(inside.any(axis=0))[0]
+        out.append(
+            Window(
+                n,
+                ccd,
+                (int(line[max(rows[0] - 1, 0)]), int(line[min(rows[-1] + 1, _NODES - 1)]) + 1),
+                (int(sample[max(columns[0] - 1, 0)]), int(sample[min(columns[-1] + 1, _NODES - 1)]) + 1),
+            )
+        )
+    return out
+
+
+def _extents(
+    strip: StripImage, windows: Sequence[Window], side_px: float
+) -> dict[int, tuple[tuple[int, int], tuple[int, int]]]:
+    """(lines, samples) of each CCD that hold all its windows with half a chip around."""
+    spare = int(0.75 * side_px) + 8
+    out = {}
+    for ccd in sorted({w.ccd for w in windows}):
+        mine = [w for w in windows if w.ccd == ccd]
+        lines, samples = strip.shape(ccd)
+        out[ccd] = (
+            (
+                max(0, min(w.lines[0] for w in mine) - spare),
+                min(lines, max(w.lines[1] for w in mine) + spare),
+            ),
+            (
+                max(0, min(w.samples[0] for w in mine) - spare),
+                min(samples, max(w.samples[1] for w in mine) + spare),
+            ),
+        )
+    return out
+
+
+def _directions_c(pushbroom: Pushbroom, p_e: Array, line: Array) -> Array:
+    """Directions (N, 3), frame c, in which the camera sees points p_e at lines (N,)."""
+    t_s = pushbroom.instants(line)
+    u_i, _ = apparent_ground_directions(p_e, t_s, pushbroom.orbit, pushbroom.earth, pushbroom.effects)
+    return (pushbroom.R_cs * pushbroom.attitude.R_si(t_s)).apply(u_i)
+
+
+def _seeing_at(pushbroom: Pushbroom, p_e: Array, ccd: int, xy_px: Array) -> Pushbroom:
+    """The strip with its installation matrix turned so that a point is seen at a pixel (turn about z left alone)."""
+    measured = pushbroom.camera.directions_from_pixels(ccd, xy_px[:1])[0]
+    predicted = _directions_c(pushbroom, p_e[None], xy_px[1:])[0]
+    axis = np.cross(predicted, measured)
+    turn = axis / (np.linalg.norm(axis) + 1e-300) * np.arctan2(np.linalg.norm(axis), predicted @ measured)
+    return pushbroom.with_installation(deviation_from_theta(-turn) * pushbroom.R_cs)
+
+
+def _prepared(coarse: CoarseStrip) -> CoarseStrip:
+    return CoarseStrip(normalised(coarse.image, coarse.valid), coarse.valid, coarse.origin_px, coarse.factor)
+
+
+def _middle(window: Window) -> Array:
+    return np.array([0.5 * sum(window.samples), 0.5 * sum(window.lines)])
+
+
+def _cut(image: Image, x0: int, y0: int, x1: int, y1: int) -> Image:
+    """A window of a picture; zero beyond its edges."""
+    rows, columns = image.shape
+    out = np.zeros((y1 - y0, x1 - x0), dtype=np.float32)
+    a, b, c, d = max(0, y0), min(rows, y1), max(0, x0), min(columns, x1)
+    out[a - y0 : b - y0, c - x0 : d - x0] = image[a:b, c:d]
+    return out
+
+
+def _cross_matrix(u: Array) -> Array:
+    """(N, 3, 3) with matrix @ v = u x v."""
+    out = np.zeros((len(u), 3, 3))
+    out[:, 0, 1], out[:, 0, 2], out[:, 1, 2] = -u[:, 2], u[:, 1], -u[:, 0]
+    return out - np.swapaxes(out, 1, 2)
+
+
+def _joined(parts: Sequence[Candidates]) -> Candidates:
+    return Candidates(
+        np.concatenate([p.owner for p in parts]),
+        np.concatenate([p.displacement_px for p in parts]),
+        np.concatenate([p.design for p in parts]),
+        np.concatenate([p.log_chance for p in parts]),
+    )

@@ -1,0 +1,309 @@
+"""A strip's targets: found, placed and judged.
+
+    within reach?  ->  bootstrap, if the installation matrix is not known to some pixels  ->  each target in each CCD:
+    template at the common rotation -> correlation in a small window -> least-squares places of the best peaks ->
+    refusal, or a match  ->  do the matches agree on one rotation?
+
+A target in the overlap of two CCDs is placed in both. Whatever is refused is listed with its reason.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gct_match.bootstrap import bootstrap, displacements, plan_search
+from gct_match.coarse import read_window
+from gct_match.correlation import correlation_surface, normalised, peaks_of, probability_wrong
+from gct_match.least_squares import Placement, place
+from gct_match.records import Chip, Evidence, Refusal, StripImage, StripMatches, Target, TargetMatch
+from gct_match.settings import MatchSettings
+from gct_match.template import Template, chip_side_px, predict_template
+from gct_match.vote import fit_common
+from geometry.installation import deviation_from_theta
+from geometry.pushbroom import Pushbroom
+from geometry.terrain import Surface
+
+__all__ = ["match_strip"]
+
+Array = NDArray[np.float64]
+
+_ABSENT = 0.05  # prior probability that a target cannot be seen where it should be
+_GATE = 4.0  # standard errors by which a match may miss the common rotation
+_SECOND_PEAK = 0.7  # peaks this high, against the best, are tried too
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Scene:
+    """A strip and everything known about it."""
+
+    strip: StripImage
+    pushbroom: Pushbroom
+    targets: Sequence[Target]
+    chips: Sequence[Chip]
+    surface: Surface
+    settings: MatchSettings
+
+
+def match_strip(
+    strip: StripImage,
+    pushbroom: Pushbroom,
+    targets: Sequence[Target],
+    chips: Sequence[Chip],
+    surface: Surface,
+    sigma_installation_rad: Array,
+    settings: MatchSettings,
+) -> StripMatches:
+    """Place all targets of a strip whose installation matrix is wrong by up to `settings.sigmas` standard errors.
+
+    Parameters
+    ----------
+    pushbroom : Pushbroom
+        The rigorous model at the present installation matrix.
+    targets, chips : sequences of one length and order
+        Chip n shows the ground around target n.
+    surface : Surface
+        Ellipsoidal heights of the ground between the targets.
+    sigma_installation_rad : (3,) array
+        1-sigma of the rotation by which the installation matrix may be wrong, about the axes of frame c.
+
+    Raises
+    ------
+    ValueError
+        If targets and chips do not belong together. Errors of `strip.read` are passed on.
+    """
+    if [t.target_id for t in targets] != [c.target_id for c in chips]:
+        raise ValueError(
+            f"{len(targets)} targets and {len(chips)} chips do not belong to one another in order"
+        )
+    sigma = np.asarray(sigma_installation_rad, dtype=float)
+    scene = _Scene(strip, pushbroom, targets, chips, surface, settings)
+    plan = plan_search(strip, pushbroom, targets, chips, surface, sigma, settings)
+    within = {window.target for window in plan.windows}
+    refused = [
+        Refusal(t.target_id, -1, "lies outside the strip for any installation matrix within reach")
+        for n, t in enumerate(targets)
+        if n not in within
+    ]
+    theta, covariance, log_chance, read = np.zeros(3), np.diag(sigma**2), 0.0, 0
+    if plan.windows and max(window.radius_px for window in plan.windows) > 2.0 * settings.margin_px + 2.0:
+        outcome = bootstrap(strip, pushbroom, targets, chips, surface, sigma, plan, settings)
+        theta, covariance, log_chance = outcome.parameters, outcome.covariance, outcome.log_probability_chance
+        read += plan.pixels_to_read
+        if log_chance > np.log(settings.probability_chance):
+            reason = (
+                f"{len(within)} targets agree on no common rotation: {len(outcome.supporters)} at best, which chance "
+                f"gives with probability {np.exp(log_chance):.1g}, {settings.probability_chance:.1g} is allowed"
+            )
+            refused += [Refusal(targets[n].target_id, -1, reason) for n in sorted(within)]
+            return StripMatches(
+                (), tuple(refused), np.full(3, np.nan), np.full((3, 3), np.nan), np.exp(log_chance), read
+            )
+    found, more, pixels = _fine(scene, sorted(within), theta, covariance)
+    matches, inconsistent, theta, covariance = _consistent(scene, found, theta, sigma)
+    refused += more + inconsistent
+    return StripMatches(
+        tuple(matches), tuple(refused), theta, covariance, float(np.exp(log_chance)), read + pixels
+    )
+
+
+def _fine(
+    scene: _Scene, within: Sequence[int], theta: Array, covariance: Array
+) -> tuple[list[tuple[int, TargetMatch]], list[Refusal], int]:
+    """All targets in all CCDs, near where the common rotation puts them."""
+    model = scene.pushbroom.with_installation(deviation_from_theta(theta) * scene.pushbroom.R_cs)
+    p_e = np.array([scene.targets[n].p_e for n in within]).reshape(-1, 3)
+    seen: set[int] = set()
+    found, refused, pixels = [], [], 0
+    for ccd in scene.strip.ccds:
+        lines, samples = scene.strip.shape(ccd)
+        now = np.column_stack(model.pixels_from_ground(ccd, p_e)).reshape(-1, 2)
+        before = np.column_stack(scene.pushbroom.pixels_from_ground(ccd, p_e)).reshape(-1, 2)
+        inside = (now >= -0.5).all(axis=1) & (now < [samples - 0.5, lines - 0.5]).all(axis=1)
+        for k in np.nonzero(inside)[0]:
+            n = within[k]
+            seen.add(n)
+            outcome, read = _one(scene, model, n, ccd, now[k], before[k], covariance)
+            pixels += read
+            if isinstance(outcome, Refusal):
+                refused.append(outcome)
+            else:
+                found.append((n, outcome))
+    refused += [
+        Refusal(scene.targets[n].target_id, -1, "lies outside every CCD at the common rotation")
+        for n in within
+        if n not in seen
+    ]
+    return found, refused, pixels
+
+
+def _one(
+    scene: _Scene, model: Pushbroom, n: int, ccd: int, xy_px: Array, before_px: Array, covariance: Array
+) -> tuple[TargetMatch | Refusal, int]:
+    """One target in one CCD, predicted at `xy_px`; and how many pixels were read."""
+    settings, name = scene.settings, scene.targets[n].target_id
+    _, design = displacements(model, scene.targets[n].p_e[None], np.array([ccd]), xy_px[None])
+    spread = design[0] @ covariance @ design[0].T + settings.consistency_sigma_px**2 * np.eye(2)
+    radius = int(np.clip(np.ceil(3.0 * np.sqrt(np.diag(spread).max())) + 2.0, 8, 2 * settings.margin_px))
+    template = _template(scene, model, n, ccd, xy_px, radius)
+    if isinstance(template, Refusal):
+        return template, 0
+    h, w = template.image.shape
+    x0, y0 = template.origin_px
+    lines, samples = scene.strip.shape(ccd)
+    left, top = max(0, x0 - radius - 8), max(0, y0 - radius - 8)
+    right, bottom = min(samples, x0 + w + radius + 8), min(lines, y0 + h + radius + 8)
+    picture, valid = read_window(scene.strip, ccd, top, bottom, left, right, settings)
+    read = picture.size
+    usable = valid[max(0, y0 - top) :, max(0, x0 - left) :][:h, :w] & template.valid
+    if usable.mean() < 0.4:
+        reason = f"{100.0 * usable.mean():.0f} % of the template can be used (cloud, no data, saturation), 40 % are needed"
+        return Refusal(name, ccd, reason), read
+    start = np.array([x0 - left, y0 - top])
+    return _placed(
+        scene, n, ccd, template, picture, valid, start, np.array([left, top]), xy_px, before_px, radius
+    ), read
+
+
+def _template(
+    scene: _Scene, model: Pushbroom, n: int, ccd: int, xy_px: Array, radius: int
+) -> Template | Refusal:
+    """The predicted template around a target, as large as chip, strip and settings allow."""
+    settings, name = scene.settings, scene.targets[n].target_id
+    lines, samples = scene.strip.shape(ccd)
+    side = chip_side_px(scene.chips[n], model, ccd, xy_px, scene.surface)
+    half = 0.5 * min(float(settings.template_px), side)
+    spare = min(radius, 4)
+    x0, y0 = np.maximum(np.round(xy_px - half), -spare).astype(int)
+    x1 = int(min(round(xy_px[0] + half), samples + spare))
+    y1 = int(min(round(xy_px[1] + half), lines + spare))
+    if min(x1 - x0, y1 - y0) < settings.smallest_template_px:
+        reason = (
+            f"{x1 - x0} x {y1 - y0} px of its chip lie within the strip's image, "
+            f"{settings.smallest_template_px} are needed"
+        )
+        return Refusal(name, ccd, reason)
+    return predict_template(
+        scene.chips[n], model, ccd, (int(x0), int(y0)), (y1 - y0, x1 - x0), scene.surface, settings
+    )
+
+
+def _placed(
+    scene: _Scene,
+    n: int,
+    ccd: int,
+    template: Template,
+    picture: NDArray[np.float32],
+    valid: NDArray[np.bool_],
+    start: NDArray[np.int64],
+    corner: NDArray[np.int64],
+    xy_px: Array,
+    before_px: Array,
+    radius: int,
+) -> TargetMatch | Refusal:
+    """Correlation over the window, least squares from its best peaks, and judgement of the outcome."""
+    settings, name = scene.settings, scene.targets[n].target_id
+    h, w = template.image.shape
+    a = normalised(template.image, template.valid) * template.valid
+    pad = max(
+        0,
+        radius - int(start.min()),
+        radius - (picture.shape[1] - w - int(start[0])),
+        radius - (picture.shape[0] - h - int(start[1])),
+    )
+    wide = np.pad(normalised(picture, valid), pad)
+    x, y = start + pad - radius
+    surface = correlation_surface(a, wide[y : y + h + 2 * radius, x : x + w + 2 * radius])
+    peaks = peaks_of(surface, 3, 3)
+    if len(peaks.value) == 0:
+        return Refusal(name, ccd, "correlates nowhere in its window")
+    reference = xy_px - template.origin_px
+    best: Placement | None = None
+    best_peak = peaks.xy[0]
+    for peak, value in zip(peaks.xy, peaks.value):
+        if value < _SECOND_PEAK * peaks.value[0]:
+            break
+        at = np.round(peak).astype(int) + start - radius
+        trial = place(template.image, template.valid, picture, valid, (int(at[0]), int(at[1])), reference)
+        if trial.converged and (best is None or trial.correlation > best.correlation):
+            best, best_peak = trial, np.round(peak)
+    if best is None:
+        return Refusal(name, ccd, f"least squares did not converge from its {len(peaks.value)} best peaks")
+    wrong = probability_wrong(surface, best_peak, 3, _ABSENT)
+    reason = _why_not(best, best_peak, wrong, float(peaks.value[0]), radius, settings)
+    if reason:
+        return Refusal(name, ccd, reason)
+    return TargetMatch(
+        target_id=name,
+        ccd=ccd,
+        xy_px=best.xy_px + corner,
+        cov_px=best.cov_px,
+        correlation=best.correlation,
+        probability_wrong=wrong,
+        model="affine" if best.affine.any() else "translation",
+        predicted_px=before_px,
+        residual_px=best.xy_px + corner - xy_px,
+        evidence=Evidence(
+            template.image, best.found, best.residual, surface, np.array(template.origin_px, dtype=float)
+        ),
+    )
+
+
+def _why_not(
+    best: Placement, peak: Array, wrong: float, highest: float, radius: int, settings: MatchSettings
+) -> str:
+    """Why a place is not to be believed; empty if it is."""
+    sigma = float(np.sqrt(np.linalg.eigvalsh(best.cov_px)[-1]))
+    if not np.isfinite(sigma) or sigma > settings.sigma_px:
+        return f"its texture places it to {sigma:.2f} px only, {settings.sigma_px} px are needed"
+    if wrong > settings.probability_wrong:
+        return (
+            f"is another place with probability {wrong:.1g} (highest correlation {highest:.2f}), "
+            f"{settings.probability_wrong:.1g} is allowed"
+        )
+    if np.abs(peak - radius).max() >= radius:
+        return f"lies at the edge of its search window of {radius} px"
+    if best.correlation < settings.least_correlation:
+        return f"correlates to {best.correlation:.2f} only, {settings.least_correlation} is needed"
+    return ""
+
+
+def _consistent(
+    scene: _Scene, found: list[tuple[int, TargetMatch]], theta: Array, sigma_rad: Array
+) -> tuple[list[TargetMatch], list[Refusal], Array, Array]:
+    """Matches that agree on one rotation, the others refused; the rotation and its covariance."""
+    settings = scene.settings
+    if not found:
+        return [], [], theta, np.diag(sigma_rad**2)
+    p_e = np.array([scene.targets[n].p_e for n, _ in found])
+    ccd = np.array([m.ccd for _, m in found])
+    xy = np.array([m.xy_px for _, m in found])
+    model = scene.pushbroom.with_installation(deviation_from_theta(theta) * scene.pushbroom.R_cs)
+    d, design = displacements(model, p_e, ccd, xy)
+    cov = np.array([m.cov_px for _, m in found]) + settings.consistency_sigma_px**2 * np.eye(2)
+    keep = np.ones(len(found), dtype=bool)
+    for _ in range(len(found)):
+        p, covariance = fit_common(d[keep], design[keep], cov[keep], sigma_rad)
+        miss = d - design @ p
+        distance = np.sqrt(np.einsum("ni,nij,nj->n", miss, np.linalg.inv(cov), miss))
+        worst = int(np.argmax(np.where(keep, distance, 0.0)))
+        if distance[worst] <= _GATE or keep.sum() <= 2:
+            break
+        keep[worst] = False
+        if (back := ~keep & (distance < 0.5 * _GATE)).any():
+            keep |= back
+    matches = [replace(m, residual_px=miss[k]) for k, (_, m) in enumerate(found) if keep[k]]
+    refused = [
+        Refusal(
+            m.target_id,
+            m.ccd,
+            f"misses the strip's common rotation by {distance[k]:.1f} standard errors "
+            f"({miss[k][0]:+.2f}, {miss[k][1]:+.2f} px), {_GATE:.0f} are allowed",
+        )
+        for k, (_, m) in enumerate(found)
+        if not keep[k]
+    ]
+    return matches, refused, theta + p, covariance

@@ -1,0 +1,135 @@
+"""The one small motion on which candidate places of many targets agree, and how likely chance would agree so well.
+
+Every target offers several candidate places, of which at most one is right. A candidate's displacement from where the
+model put it is d = D p for the common parameters p (three small angles for a strip, two shifts for a picture). Each
+candidate proposes the p that explains it; the other targets' candidates nearby support it, the more the less likely
+chance would give such a correlation there.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+__all__ = ["Candidates", "Vote", "fit_common", "vote"]
+
+Array = NDArray[np.float64]
+
+_LEAST_LOG_CHANCE = np.log(1e-4)  # however high a correlation: repeated patterns are not chance
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Candidates:
+    """Places where targets may lie. Row n of every array speaks of the same candidate."""
+
+    owner: NDArray[np.int64]  # (C,) which target, 0..T-1
+    displacement_px: Array  # (C, 2) from where the model put the target
+    design: Array  # (C, 2, P) its derivative by the common parameters
+    log_chance: Array  # (C,) of such a correlation, or a higher one, within the tolerance, by chance
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Vote:
+    """What the candidates agree on."""
+
+    parameters: Array  # (P,)
+    covariance: Array  # (P, P)
+    supporters: NDArray[np.int64]  # one candidate of each target that agrees
+    log_probability_chance: float
+
+
+def vote(
+    candidates: Candidates, prior_sigma: Array, reach: float, tolerance_px: float, sigma_px: float
+) -> Vote:
+    """The best supported parameters within `reach` standard errors of zero.
+
+    `tolerance_px` is how far a supporting candidate may lie from the common motion, `sigma_px` its standard error.
+    """
+    n_targets = int(candidates.owner.max()) + 1 if len(candidates.owner) else 0
+    third = _third_parameters(candidates, prior_sigma, reach, tolerance_px)
+    best, start = 0.0, np.zeros(len(prior_sigma))
+    scale = np.abs(candidates.design[:, :, :2]).sum(axis=2).mean() if n_targets else 1.0
+    for value in third:
+        q = _proposals(candidates, value)
+        inside = (np.abs(q) <= reach * prior_sigma[:2] * 1.05).all(axis=1)
+        if not inside.any():
+            continue
+        owner, chance = candidates.owner[inside], np.maximum(candidates.log_chance[inside], _LEAST_LOG_CHANCE)
+        score = _support(q[inside] * scale, owner, chance, n_targets, tolerance_px)
+        n = int(np.argmin(score))
+        if score[n] < best:
+            best = float(score[n])
+            start = np.concatenate([q[inside][n], [value]])[: len(prior_sigma)]
+    cells = float(np.prod(2.0 * reach * prior_sigma[:2] * scale)) / (np.pi * tolerance_px**2) * len(third)
+    return _polished(candidates, start, best, cells, prior_sigma, tolerance_px, sigma_px)
+
+
+def fit_common(
+    displacement_px: Array, design: Array, cov_px: Array, prior_sigma: Array
+) -> tuple[Array, Array]:
+    """Least squares for the common parameters and their covariance; (N, 2), (N, 2, P), (N, 2, 2), (P,)."""
+    weight = np.linalg.inv(cov_px)
+    normal = np.einsum("nai,nab,nbj->ij", design, weight, design) + np.diag(prior_sigma**-2.0)
+    right = np.einsum("nai,nab,nb->i", design, weight, displacement_px)
+    covariance = np.linalg.inv(normal)
+    return covariance @ right, covariance
+
+
+def _third_parameters(candidates: Candidates, prior_sigma: Array, reach: float, tolerance_px: float) -> Array:
+    """Values of the third parameter to try, so close that none is missed; one zero where there is no third."""
+    if len(prior_sigma) < 3 or len(candidates.owner) == 0:
+        return np.zeros(1)
+    design = candidates.design[:, :, 2]
+    lever = float(np.abs(design - design.mean(axis=0)).max()) + 1e-9
+    half = reach * prior_sigma[2]
+    count = 2 * int(np.ceil(half * lever / tolerance_px)) + 1
+    return np.linspace(-half, half, min(count, 61)) if count > 1 else np.zeros(1)
+
+
+def _proposals(candidates: Candidates, third: float) -> Array:
+    rest = candidates.displacement_px
+    if candidates.design.shape[2] > 2:
+        rest = rest - candidates.design[:, :, 2] * third
+    return np.linalg.solve(candidates.design[:, :, :2], rest[:, :, None])[:, :, 0]
+
+
+def _support(q_px: Array, owner: NDArray, log_chance: Array, n_targets: int, tolerance_px: float) -> Array:
+    """(C,) sum over targets of the lowest log chance among their candidates near each proposal."""
+    pairs = cKDTree(q_px).query_pairs(tolerance_px, output_type="ndarray")
+    lowest = np.zeros((len(owner), n_targets))
+    every = np.arange(len(owner))
+    first = np.concatenate([every, pairs[:, 0], pairs[:, 1]])
+    second = np.concatenate([every, pairs[:, 1], pairs[:, 0]])
+    np.minimum.at(lowest, (first, owner[second]), log_chance[second])
+    return lowest.sum(axis=1)
+
+
+def _polished(
+    candidates: Candidates,
+    start: Array,
+    score: float,
+    cells: float,
+    prior_sigma: Array,
+    tolerance_px: float,
+    sigma_px: float,
+) -> Vote:
+    p, covariance = start, np.diag(prior_sigma**2)
+    chosen = np.zeros(0, dtype=np.int64)
+    for _ in range(4):
+        miss = candidates.displacement_px - candidates.design @ p
+        distance = np.hypot(miss[:, 0], miss[:, 1])
+        near = np.nonzero(distance <= tolerance_px)[0]
+        near = near[np.lexsort((distance[near], candidates.log_chance[near]))]
+        _, first = np.unique(candidates.owner[near], return_index=True)
+        chosen = near[first]
+        if len(chosen) == 0:
+            break
+        cov_px = np.broadcast_to(np.eye(2) * sigma_px**2, (len(chosen), 2, 2))
+        p, covariance = fit_common(
+            candidates.displacement_px[chosen], candidates.design[chosen], cov_px, prior_sigma
+        )
+    subsets = (len(np.unique(candidates.owner)) if len(candidates.owner) else 0) * np.log(2.0)
+    return Vote(p, covariance, chosen, min(0.0, score + np.log(max(cells, 1.0)) + subsets))
