@@ -18,6 +18,7 @@ __all__ = [
     "geodetic_from_ecef",
     "local_axes_e",
     "ray_ellipsoid_intersection",
+    "ray_shell_intersection",
     "vertical_at",
 ]
 
@@ -77,9 +78,22 @@ def ray_ellipsoid_intersection(
     -------
     p_e : (N, 3) array
     """
+    met = ray_shell_intersection(origin_e, direction_e, height_m, ellipsoid)
     height = np.asarray(height_m, dtype=float)
-    along = direction_e / np.sqrt(np.einsum("ni,ni->n", direction_e, direction_e))[:, None]
-    origin, unit = np.ascontiguousarray(origin_e.T), np.ascontiguousarray(along.T)
+    if np.any(height):
+        along = direction_e / np.sqrt(np.einsum("ni,ni->n", direction_e, direction_e))[:, None]
+        h = geodetic_from_ecef(met, ellipsoid)[2]
+        slope = np.einsum("ni,ni->n", vertical_at(met, height, ellipsoid), along)
+        met = met + ((height - h) / np.where(np.abs(slope) > 1e-6, slope, np.nan))[:, None] * along
+    return met
+
+
+def ray_shell_intersection(
+    origin_e: Array, direction_e: Array, height_m: ArrayLike, ellipsoid: Ellipsoid
+) -> Array:
+    """The same for the ellipsoid with semi-axes a + h, b + h: within 0.05 m of height h for h up to 9 km."""
+    height = np.asarray(height_m, dtype=float)
+    origin, unit = np.ascontiguousarray(origin_e.T), np.ascontiguousarray(direction_e.T)
     a2, b2 = (ellipsoid.semi_major_m + height) ** -2.0, (ellipsoid.semi_minor_m + height) ** -2.0
     dd, od, oo = (
         a2 * (left[0] * right[0] + left[1] * right[1]) + b2 * (left[2] * right[2])
@@ -88,12 +102,7 @@ def ray_ellipsoid_intersection(
     discriminant = od * od - dd * (oo - 1.0)
     meets = (discriminant >= 0.0) & (od < 0.0) & (oo >= 1.0)
     distance = (oo - 1.0) / np.where(meets, -od + np.sqrt(np.where(meets, discriminant, 0.0)), np.nan)
-    met = (origin + distance * unit).T
-    if np.any(height):
-        h = geodetic_from_ecef(met, ellipsoid)[2]
-        slope = np.einsum("ni,ni->n", vertical_at(met, height, ellipsoid), along)
-        met = met + ((height - h) / np.where(np.abs(slope) > 1e-6, slope, np.nan))[:, None] * along
-    return np.asarray(met)
+    return np.ascontiguousarray((origin + distance * unit).T)
 
 
 def vertical_at(p_e: Array, height_m: ArrayLike, ellipsoid: Ellipsoid) -> Array:

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from pyproj import CRS, Transformer
 
 from geometry.constants import WGS84
-from geometry.geodesy import geodetic_from_ecef, ray_ellipsoid_intersection
+from geometry.geodesy import geodetic_from_ecef, ray_ellipsoid_intersection, ray_shell_intersection
 from geometry.geoid import Geoid
 from geometry.terrain_rays import (
     HeightBounds,
@@ -33,9 +33,9 @@ Array = NDArray[np.float64]
 
 _FLAT_M = 1e-6  # relief below this is a constant height
 _CHUNK = 16_384  # rays at a time: their arrays stay in the cache
-_MARGIN_M = 0.01
+_MARGIN_M = 0.1  # a shell is so near to equal height
 _STEPS = 64  # on the way from the highest to the lowest height of a surface that is not a grid
-_TRACK_EXACT_M = 300.0  # third order of a way so long in the map: 300^3 / R^2 = 7e-7 m
+_LONGEST_WAY_M = (300.0, 3e3, 1.2e4, 3e4)  # for polynomials of degree 2, 3, ...: L^(n+1) / R^n < 1e-6 m
 
 
 class Surface(Protocol):
@@ -168,31 +168,38 @@ def _on_flat(origin_e: Array, direction_e: Array, surface: Surface, height: floa
     return np.where(np.isfinite(surface.height_m(lat, lon))[:, None], met, np.nan)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _RaysOverSurface:
+    """Rays from `top` along `way`, both (N, 3), and any surface."""
+
+    surface: Surface
+    top: Array
+    way: Array
+
+    def above_ground(self, share: Array) -> Array:
+        lat, lon, height = geodetic_from_ecef(self.top + share[:, None] * self.way, WGS84)
+        return height - self.surface.height_m(lat, lon)
+
+    def of(self, rays: NDArray[np.int64]) -> _RaysOverSurface:
+        return _RaysOverSurface(self.surface, self.top[rays], self.way[rays])
+
+
 def _on_relief(origin_e: Array, direction_e: Array, surface: Surface, low: float, high: float) -> Array:
     """Follow each ray from just above the highest ground to just below the lowest."""
-    top = ray_ellipsoid_intersection(origin_e, direction_e, high + _MARGIN_M, WGS84)
-    way = ray_ellipsoid_intersection(origin_e, direction_e, low - _MARGIN_M, WGS84) - top
-
-    def clearance(share: Array, rays: NDArray[np.int64]) -> Array:
-        """Height above ground at a share of the way of some rays."""
-        lat, lon, height = geodetic_from_ecef(top[rays] + share[:, None] * way[rays], WGS84)
-        return height - surface.height_m(lat, lon)
-
+    top = ray_shell_intersection(origin_e, direction_e, high + _MARGIN_M, WGS84)
+    way = ray_shell_intersection(origin_e, direction_e, low - _MARGIN_M, WGS84) - top
+    rays = _RaysOverSurface(surface, top, way)
     if not isinstance(surface, TerrainGrid):
-        share = crossing_by_steps(clearance, len(top), _STEPS)
+        share = crossing_by_steps(rays, len(top), _STEPS)
         return np.asarray(top + share[:, None] * way)
-    tracks = np.empty((3, 3, len(top)))
-    for k in range(3):
-        lat, lon, tracks[k, 2] = geodetic_from_ecef(top + 0.5 * k * way, WGS84)
-        tracks[k, 0], tracks[k, 1] = surface.pixels_from_geodetic(lat, lon)
+    longest = float(np.nanmax(np.einsum("ni,ni->n", way, way), initial=0.0)) ** 0.5
+    degree = 2 + int(np.searchsorted(_LONGEST_WAY_M, longest))
+    tracks = np.empty((degree + 1, 3, len(top)))
+    for k, track in enumerate(tracks):
+        lat, lon, track[2] = geodetic_from_ecef(top + (k / degree) * way, WGS84)
+        track[0], track[1] = surface.pixels_from_geodetic(lat, lon)
     share = first_crossings(surface.heights_m, surface.bounds, tracks)
-    p_e = top + share[:, None] * way
-    if np.nanmax(np.einsum("ni,ni->n", way, way), initial=0.0) > _TRACK_EXACT_M**2:
-        # the tracks were parabolas: one step of Newton's method with the true place
-        lat, lon, height = geodetic_from_ecef(p_e, WGS84)
-        left_over = height - surface.height_m(lat, lon)
-        p_e = p_e - (left_over / (tracks[2, 2] - tracks[0, 2]))[:, None] * way
-    return np.asarray(p_e)
+    return np.asarray(top + share[:, None] * way)
 
 
 def _add_undulations(

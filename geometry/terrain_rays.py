@@ -1,30 +1,48 @@
 """Rays over a grid of heights, in the grid's own pixels: where each first comes down to the ground.
 
-A ray is given by three points (column, row, height): its beginning above all ground, its middle and its end
-below it; between them it is a parabola in the share u of its way, 0 to 1. It is first shortened by the
-highest and lowest ground of the tiles around it, coarse to fine; then looked at once a pixel until it is
-below ground; then the crossing is narrowed.
+A ray is given by a few points (column, row, height) from its beginning above all ground to its end below it,
+and is the polynomial through them in the share u of its way, 0 to 1. It is first shortened by the highest and
+lowest ground of the tiles around it, coarse to fine; then looked at once a pixel until it is below ground;
+then the crossing is narrowed.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter, minimum_filter
 
-__all__ = ["HeightBounds", "bilinear", "bounds_of_heights", "crossing_by_steps", "first_crossings"]
+__all__ = [
+    "Clearance",
+    "HeightBounds",
+    "bilinear",
+    "bounds_of_heights",
+    "crossing_by_steps",
+    "first_crossings",
+]
 
 Array = NDArray[np.float64]
-Clearance = Callable[[Array, NDArray[np.int64]], Array]
 
 _TILE = 8  # pixels a side of the finest tiles
 _GROWTH = 4
 _MARGIN_M = 1e-4  # beyond the bounds of tiles
 _CLEARANCE_M = 1e-7
 _NARROWINGS = 60
+
+
+class Clearance(Protocol):
+    """Rays over ground."""
+
+    def above_ground(self, share: Array) -> Array:
+        """Height of each ray above the ground at shares (N,) of its way; NaN where there is no data."""
+        ...
+
+    def of(self, rays: NDArray[np.int64]) -> Clearance:
+        """Some of the rays."""
+        ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -73,77 +91,78 @@ def bilinear(heights: NDArray[np.float32], column: Array, row: Array) -> Array:
 
 
 def first_crossings(heights: NDArray[np.float32], bounds: HeightBounds, tracks: Array) -> Array:
-    """Share of the way, (N,), at which rays first meet the ground; NaN where they do not, or where it is not
-    known.
+    """Share of the way, (N,), at which rays first meet the ground; NaN where they do not, or it is not known.
 
     Parameters
     ----------
     heights : (rows, columns) array
     bounds : HeightBounds
         Of these heights.
-    tracks : (3, 3, N) array
-        At the beginning, middle and end of the way: column, row and height.
+    tracks : (K, 3, N) array
+        Column, row and height at K >= 3 even steps from the beginning to the end of the way.
     """
-    curve = _Parabolas.through(tracks)
+    curve = _Polynomials.through(heights, tracks)
     start, stop = _shortened(curve, bounds)
-
-    def clearance(share: Array, rays: NDArray[np.int64]) -> Array:
-        column, row, height = curve.at(share, rays)
-        return height - bilinear(heights, column, row)
-
-    length = (stop - start) * curve.pixels()
-    steps = np.where(stop >= start, np.maximum(np.ceil(length), 1.0), 0.0)
-    return _first(clearance, start, stop, np.nan_to_num(steps))
+    steps = np.where(stop >= start, np.maximum(np.ceil((stop - start) * curve.pixels()), 1.0), 0.0)
+    return _first(curve, start, stop, np.nan_to_num(steps))
 
 
 def crossing_by_steps(clearance: Clearance, n: int, steps: int) -> Array:
-    """The same for any surface: `clearance(share (M,), rays (M,))` is looked at in so many even steps."""
+    """The share for any surface and N rays, whose height above ground is looked at in so many even steps."""
     return _first(clearance, np.zeros(n), np.ones(n), np.full(n, float(steps)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Parabolas:
-    """Column, row and height as a + b u + c u^2: each (3, N)."""
+class _Polynomials:
+    """Rays in pixels: column, row and height as polynomials in the share of the way."""
 
-    a: Array
-    b: Array
-    c: Array
+    heights: NDArray[np.float32]
+    coefficients: Array  # (K, 3, N), constant first
 
     @staticmethod
-    def through(tracks: Array) -> _Parabolas:
-        begin, middle, end = tracks
-        return _Parabolas(begin, 4.0 * middle - 3.0 * begin - end, 2.0 * (begin + end) - 4.0 * middle)
+    def through(heights: NDArray[np.float32], tracks: Array) -> _Polynomials:
+        k = len(tracks)
+        to_coefficients = np.linalg.inv(np.vander(np.linspace(0.0, 1.0, k), increasing=True))
+        return _Polynomials(heights, (to_coefficients @ tracks.reshape(k, -1)).reshape(tracks.shape))
 
-    def at(self, share: Array, rays: NDArray[np.int64] | slice) -> Array:
-        return np.asarray(self.a[:, rays] + share * (self.b[:, rays] + share * self.c[:, rays]))
+    def above_ground(self, share: Array) -> Array:
+        column, row, height = self.at(share)
+        return height - bilinear(self.heights, column, row)
+
+    def of(self, rays: NDArray[np.int64]) -> _Polynomials:
+        return _Polynomials(self.heights, self.coefficients[:, :, rays])
+
+    def at(self, share: Array) -> Array:
+        value = self.coefficients[-1] * share
+        for coefficient in self.coefficients[-2:0:-1]:
+            value += coefficient
+            value *= share
+        value += self.coefficients[0]
+        return value
 
     def pixels(self) -> Array:
-        """Pixels that the whole way goes over, along the row or the column, whichever is more."""
-        return np.max(np.abs(self.b[:2]) + np.abs(self.c[:2]), axis=0)
+        """Pixels that the whole way goes over at most, along the row or the column, whichever is more."""
+        return np.max(np.sum(np.abs(self.coefficients[1:, :2]), axis=0), axis=0)
 
     def share_at_height(self, height: Array) -> Array:
-        above = self.a[2] - height
-        slope = -self.b[2]
-        root = np.sqrt(np.maximum(slope * slope - 4.0 * self.c[2] * above, 0.0))
-        return 2.0 * above / (slope + root)
+        """Height falls along the way, and hardly faster at its beginning than at its end: Newton's method."""
+        share = (self.coefficients[0, 2] - height) / np.sum(-self.coefficients[1:, 2], axis=0)
+        slope = self.coefficients[1, 2] + 2.0 * share * self.coefficients[2, 2]
+        return share - (self.at(share)[2] - height) / slope
 
 
-def _shortened(curve: _Parabolas, bounds: HeightBounds) -> tuple[Array, Array]:
-    """Shares between which each ray can meet ground, by the tiles that it is over; start > stop if it
-    cannot."""
-    n = curve.a.shape[1]
-    start: Array = np.zeros(n)
-    stop: Array = np.ones(n)
+def _shortened(curve: _Polynomials, bounds: HeightBounds) -> tuple[Array, Array]:
+    """Shares between which each ray can meet ground, by the tiles it is over; start > stop if it cannot."""
     pixels = curve.pixels()
-    everything = slice(None)
-    for size, low, high in zip(bounds.sizes[::-1], bounds.low_m[::-1], bounds.high_m[::-1]):
-        near = 0.5 * (stop - start) * pixels <= size - 1.0
-        if not near.any():
-            continue
-        column, row, _ = curve.at(0.5 * (start + stop), everything)
-        r = _tile_index(row, size, low.shape[0])
-        c = _tile_index(column, size, low.shape[1])
-        at = r * low.shape[1] + c
+    start: Array = np.zeros(len(pixels))
+    stop: Array = np.ones(len(pixels))
+    widest = 0.5 * float(np.nanmax(pixels, initial=0.0))
+    fitting = [k for k, size in enumerate(bounds.sizes) if size - 1.0 >= widest]
+    for k in range(fitting[0] if fitting else len(bounds.sizes) - 1, -1, -1):
+        size, low, high = bounds.sizes[k], bounds.low_m[k], bounds.high_m[k]
+        near = (0.5 * (stop - start) * pixels <= size - 1.0) & (start <= stop)
+        column, row, _ = curve.at(0.5 * (start + stop))
+        at = _tile_index(row, size, low.shape[0]) * low.shape[1] + _tile_index(column, size, low.shape[1])
         lowest, highest = low.ravel().take(at), high.ravel().take(at)
         empty = near & (highest < lowest)  # no data anywhere near
         near &= ~empty
@@ -156,8 +175,8 @@ def _shortened(curve: _Parabolas, bounds: HeightBounds) -> tuple[Array, Array]:
 
 
 def _tile_index(pixel: Array, size: int, count: int) -> NDArray[np.int64]:
-    inside = np.clip(np.nan_to_num(pixel, nan=-1e9), -1e9, 1e9)
-    return np.clip(np.floor(inside * (1.0 / size)).astype(np.int64) + 2, 0, count - 1)
+    inside = np.clip(pixel * (1.0 / size), -2.0, count - 3.0)
+    return np.floor(np.nan_to_num(inside, nan=-2.0)).astype(np.int64) + 2
 
 
 def _tiles(values: Array, size: int, fill: float) -> Array:
@@ -171,47 +190,50 @@ def _tiles(values: Array, size: int, fill: float) -> Array:
 
 def _first(clearance: Clearance, start: Array, stop: Array, steps: Array) -> Array:
     """First change from above ground to below it between `start` and `stop`, looked at in so many steps."""
-    result = np.full(len(start), np.nan)
+    share = np.full(len(start), np.nan)
     rays: NDArray[np.int64] = np.flatnonzero(steps > 0.0)
+    going = clearance if len(rays) == len(start) else clearance.of(rays)
     step = (stop[rays] - start[rays]) / steps[rays]
     left = start[rays]
-    above = clearance(left, rays)
+    above = going.above_ground(left)
     k = 0
     while len(rays):
         k += 1
         right = left + step
-        below = clearance(right, rays)
+        below = going.above_ground(right)
         crossed = below <= 0.0
-        if crossed.any():
-            result[rays[crossed]] = _narrowed(
-                clearance, rays[crossed], left[crossed], right[crossed], above[crossed], below[crossed]
-            )
-        going_on = ~crossed & (k < steps[rays])
-        rays, step, left, above = rays[going_on], step[going_on], right[going_on], below[going_on]
-    return result
+        done: NDArray[np.int64] = np.flatnonzero(crossed)
+        if len(done):
+            here = going if len(done) == len(rays) else going.of(done)
+            share[rays[done]] = _narrowed(here, left[done], right[done], above[done], below[done])
+        kept: NDArray[np.int64] = np.flatnonzero(~crossed & (k < steps[rays]))
+        left, above = right, below
+        if len(kept) < len(rays):
+            going = going.of(kept)
+            rays, step, left, above = rays[kept], step[kept], left[kept], above[kept]
+    return share
 
 
-def _narrowed(
-    clearance: Clearance, rays: NDArray[np.int64], left: Array, right: Array, above: Array, below: Array
-) -> Array:
+def _narrowed(clearance: Clearance, left: Array, right: Array, above: Array, below: Array) -> Array:
     """Root between `left` (above ground) and `right` (below) by regula falsi with halved weights (Illinois).
 
     NaN where the ground is not known at `left`, or at any point that is looked at.
     """
-    root = right.copy()
-    active: NDArray[np.int64] = np.arange(len(rays))
-    root[~(above >= 0.0)] = np.nan
-    active = active[(above >= 0.0) & (below < -_CLEARANCE_M)]
+    known = above >= 0.0
+    root = np.where(known, right, np.nan)
+    active: NDArray[np.int64] = np.flatnonzero(known & (below < -_CLEARANCE_M))
     a, b, fa, fb = left[active], right[active], above[active], below[active]
+    here = clearance.of(active) if len(active) < len(left) else clearance
     for iteration in range(_NARROWINGS):
         if len(active) == 0:
             break
         c = b - fb * (b - a) / (fb - fa) if iteration % 8 != 7 else 0.5 * (a + b)
-        fc = clearance(c, rays[active])
+        fc = here.above_ground(c)
         root[active] = np.where(np.isfinite(fc), c, np.nan)
         other_side = fc * fb < 0.0
         a, fa = np.where(other_side, b, a), np.where(other_side, fb, 0.5 * fa)
         b, fb = c, fc
-        more = np.abs(fc) > _CLEARANCE_M
-        active, a, b, fa, fb = active[more], a[more], b[more], fa[more], fb[more]
+        more: NDArray[np.int64] = np.flatnonzero(np.abs(fc) > _CLEARANCE_M)
+        if len(more) < len(active):
+            active, a, b, fa, fb, here = active[more], a[more], b[more], fa[more], fb[more], here.of(more)
     return root
