@@ -11,7 +11,7 @@ id, so the result is the same bit for bit.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol, TypeVar
 
 import numpy as np
@@ -36,6 +36,7 @@ from pipeline.ground_chain import (
     orbit_around,
     placings_from_table,
     placings_table,
+    targets_near,
 )
 from pipeline.settings import RunSettings, Settings, calibration_settings
 from pipeline.star_chain import (
@@ -254,22 +255,22 @@ def _strip_tasks(
         if reason := _not_covered(times[near], first, last):
             omitted.append(Omission("strip", strip.strip_id, "", reason))
             continue
-        tasks.append(
-            StripTask(
-                strip,
-                dump.line_camera,
-                orbit_around(dump.orbit, first - run.exposure_margin_s, last + run.exposure_margin_s),
-                times[near],
-                Rotation.from_matrix(attitudes.R_si[near]),
-                R_cs,
-                np.asarray(sigma_rad, dtype=float),
-                effects,
-                dump.targets,
-                dump.chips,
-                dump.terrain,
-                settings.match,
-            )
+        task = StripTask(
+            strip,
+            dump.line_camera,
+            orbit_around(dump.orbit, first - run.exposure_margin_s, last + run.exposure_margin_s),
+            times[near],
+            Rotation.from_matrix(attitudes.R_si[near]),
+            R_cs,
+            np.asarray(sigma_rad, dtype=float),
+            effects,
+            (),
+            (),
+            dump.terrain,
+            settings.match,
         )
+        targets, chips = targets_near(task, dump.targets, dump.chips)
+        tasks.append(replace(task, targets=targets, chips=chips))
     return tasks, omitted
 
 

@@ -15,10 +15,10 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
-from gct_match.match import match_strip
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from gct_match.match import match_strip
 from gct_match.records import Chip, Refusal, StripMatches, Target
 from gct_match.settings import MatchSettings
 from geometry.attitude import AttitudeTrack
@@ -29,6 +29,7 @@ from geometry.line_camera import LineCamera
 from geometry.orbit import Orbit
 from geometry.pushbroom import Pushbroom, RowClock
 from geometry.sightings import GroundSightings
+from geometry.terrain import ConstantHeight
 from pipeline.dump import ChipFile, Dump, Strip, TargetHeights, TerrainFile, surface_of
 from pipeline.errors import Omission, RawDataError
 from pipeline.image_files import read_grid
@@ -127,6 +128,7 @@ def _chip(file: ChipFile) -> Chip:
 
 def _placings(strip: Strip, result: StripMatches | None, omitted: Sequence[Omission]) -> Placings:
     matches = sorted(result.matches, key=lambda m: (m.target_id, m.ccd)) if result else []
+    refused = [r for r in result.refused if not _out_of_view(r)] if result else []
     n = len(matches)
     return Placings(
         strip.strip_id,
@@ -137,8 +139,13 @@ def _placings(strip: Strip, result: StripMatches | None, omitted: Sequence[Omiss
         np.array([m.correlation for m in matches], dtype=float),
         np.array([m.probability_wrong for m in matches], dtype=float),
         np.array([m.predicted_px for m in matches], dtype=float).reshape(n, 2),
-        (*omitted, *(_omission(strip, refusal) for refusal in (result.refused if result else ()))),
+        (*omitted, *(_omission(strip, refusal) for refusal in refused)),
     )
+
+
+def _out_of_view(refusal: Refusal) -> bool:
+    """Whether the strip never saw the target: nothing that anybody has to be told."""
+    return refusal.ccd < 0 and refusal.reason.startswith("lies outside")
 
 
 def _omission(strip: Strip, refusal: Refusal) -> Omission:
@@ -214,6 +221,29 @@ def placings_from_table(table: pa.Table) -> Placings:
         list_values(table, "predicted_px", 2),
         tuple(Omission(*parts) for parts in meta["omitted"]),
     )
+
+
+def targets_near(
+    task: StripTask, targets: Sequence[Target], chips: Sequence[ChipFile]
+) -> tuple[tuple[Target, ...], tuple[ChipFile, ...]]:
+    """Those that the strip might show, generously: all that its result depends on, however large the list."""
+    model, lines = pushbroom_of(task), np.linspace(0.0, task.strip.lines - 1.0, 9)
+    seen = []
+    for ccd in range(task.camera.n_ccds):
+        for sample in (0.0, task.camera.n_px(ccd) - 1.0):
+            seen.append(model.ground_points(ccd, np.full(9, sample), lines, ConstantHeight(0.0)))
+    ground_e = np.vstack(seen)
+    ground_e = ground_e[np.isfinite(ground_e).all(axis=1)]
+    if not len(ground_e):
+        return (), ()
+    middle = ground_e.mean(axis=0)
+    reach = float(np.linalg.norm(ground_e - middle, axis=1).max())
+    satellite = task.orbit.positions_e(model.instants(lines[4:5]))[0]
+    distance = float(np.linalg.norm(satellite - middle))
+    turn = 2.0 * task.settings.sigmas * float(task.sigma_installation_rad.max())
+    reach = 1.2 * reach + distance * turn + 2e4
+    near = [n for n, target in enumerate(targets) if np.linalg.norm(target.p_e - middle) <= reach]
+    return tuple(targets[n] for n in near), tuple(chips[n] for n in near)
 
 
 def orbit_around(orbit: Orbit, t_first_s: float, t_last_s: float) -> Orbit:

@@ -9,14 +9,13 @@ a table for the disk. A night without stars is an outcome, not an error.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
-from star_id.sight import NotIdentified, StarIndex, build_index, sight_stars
 
 from geometry.epoch import Epoch
 from geometry.orbit import OrbitGapError
@@ -27,7 +26,10 @@ from pipeline.errors import Omission, RawDataError
 from pipeline.image_files import read_exposure
 from pipeline.unit_store import column, fixed_list, list_values, read_meta
 from star_id.catalogue import hipparcos_stars
+from star_id.identify import NotIdentified
 from star_id.settings import StarSettings
+from star_id.sight import sight_stars
+from star_id.triangles import StarIndex, build_index, equivalent_fov
 
 __all__ = ["StarTask", "sight_exposure", "sightings_from_table", "star_tasks", "stars_table"]
 
@@ -49,6 +51,8 @@ class StarTask:
 
 def star_tasks(dump: Dump, settings: StarSettings) -> tuple[list[StarTask], list[Omission]]:
     """A task for each exposure of a dump that the orbit covers; the others are named."""
+    if settings.saturation_dn is None:
+        settings = replace(settings, saturation_dn=float(2**dump.star_bit_depth - 1))
     tasks, omitted = [], []
     for exposure in dump.exposures:
         try:
@@ -75,9 +79,8 @@ def sight_exposure(task: StarTask) -> StarSightings | Omission:
         )
     except RawDataError as error:
         return Omission("exposure", exposure.exposure_id, exposure.file, str(error))
-    index = star_index(
-        camera.field_radius_rad, round(float(task.epoch.julian_year(exposure.t_s))), task.settings
-    )
+    year = round(float(task.epoch.julian_year(exposure.t_s)))
+    index = star_index(_field_of_view(camera), year)
     sightings = sight_stars(
         exposure.exposure_id,
         image,
@@ -97,9 +100,13 @@ def sight_exposure(task: StarTask) -> StarSightings | Omission:
 
 
 @lru_cache(maxsize=2)
-def star_index(field_radius_rad: float, year: int, settings: StarSettings) -> StarIndex:
+def star_index(fov_rad: float, year: int) -> StarIndex:
     """The index of catalogue triangles for a field of view, built once in each process."""
-    return build_index(hipparcos_stars(), float(year), field_radius_rad, settings)
+    return build_index(hipparcos_stars().places, float(year), fov_rad)
+
+
+def _field_of_view(camera: StarCamera) -> float:
+    return equivalent_fov(camera.width_px, camera.height_px, camera.focal_m / camera.pixel_m)
 
 
 def stars_table(task: StarTask, outcome: StarSightings | Omission) -> tuple[pa.Table, dict[str, Any]]:
