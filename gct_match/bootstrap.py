@@ -15,21 +15,21 @@ from numpy.typing import NDArray
 
 from gct_match.coarse import CoarseStrip, read_coarse
 from gct_match.correlation import correlation_surface, log_chance, normalised, peaks_of
+from gct_match.paths import Paths, directions_c, displacements
 from gct_match.records import Chip, StripImage, Target
 from gct_match.settings import MatchSettings
 from gct_match.template import chip_side_px, predict_template
 from gct_match.vote import Candidates, Vote, vote
-from geometry.groundlight import apparent_ground_directions
 from geometry.installation import deviation_from_theta
 from geometry.pushbroom import Pushbroom
 from geometry.terrain import Surface
 
-__all__ = ["SearchPlan", "Window", "bootstrap", "displacements", "plan_search"]
+__all__ = ["SearchPlan", "Window", "bootstrap", "plan_search"]
 
 Array = NDArray[np.float64]
 Image = NDArray[np.float32]
 
-_NODES = 65  # places along a strip and a CCD at which the reach of the search is computed
+_NODES = 65  # places along a CCD at which the reach of the search is computed
 _FIRST_BATCH, _NEXT_BATCH = 6, 4  # targets that go into the first vote, and into each later one
 
 
@@ -52,6 +52,7 @@ class SearchPlan:
     """What a search will read and hold, known before it starts."""
 
     windows: tuple[Window, ...]
+    sides_px: dict[int, float]  # side of each target's chip in pixels of the strip
     factor: int  # pixels of the strip to one of the coarse picture
     pixels_to_read: int
     coarse_pixels: int
@@ -59,8 +60,7 @@ class SearchPlan:
 
 def plan_search(
     strip: StripImage,
-    pushbroom: Pushbroom,
-    targets: Sequence[Target],
+    paths: Paths,
     chips: Sequence[Chip],
     surface: Surface,
     sigma_installation_rad: Array,
@@ -70,12 +70,18 @@ def plan_search(
     windows = tuple(
         window
         for ccd in strip.ccds
-        for window in _windows(ccd, strip.shape(ccd), pushbroom, targets, sigma_installation_rad, settings)
+        for window in _windows(ccd, strip.shape(ccd), paths, sigma_installation_rad, settings)
     )
+    sides: dict[int, float] = {}
+    for window in windows:
+        if window.target not in sides:
+            middle = _middle(window)
+            sides[window.target] = chip_side_px(
+                chips[window.target], paths.pushbroom, window.ccd, middle, surface
+            )
     if not windows:
-        return SearchPlan((), 1, 0, 0)
-    sides = [chip_side_px(chips[w.target], pushbroom, w.ccd, _middle(w), surface) for w in windows]
-    side = float(np.median(sides))
+        return SearchPlan((), sides, 1, 0, 0)
+    side = float(np.median(list(sides.values())))
     radius = max(window.radius_px for window in windows)
     factor = 1
     while (
@@ -85,7 +91,7 @@ def plan_search(
     read = sum((b - a) * (d - c) for (a, b), (c, d) in _extents(strip, windows, side).values())
     while read / factor**2 > settings.coarse_pixels:
         factor *= 2
-    return SearchPlan(windows, factor, read, read // factor**2)
+    return SearchPlan(windows, sides, factor, read, read // factor**2)
 
 
 def bootstrap(
@@ -99,7 +105,7 @@ def bootstrap(
     settings: MatchSettings,
 ) -> Vote:
     """The common rotation theta (3,), rad, against the installation matrix of `pushbroom`."""
-    side = max(chip_side_px(chips[w.target], pushbroom, w.ccd, _middle(w), surface) for w in plan.windows)
+    side = max(plan.sides_px.values())
     pictures = {
         ccd: _prepared(read_coarse(strip, ccd, lines, samples, plan.factor, settings))
         for ccd, (lines, samples) in _extents(strip, plan.windows, side).items()
@@ -122,26 +128,6 @@ def bootstrap(
         ):
             break
     return outcome
-
-
-def displacements(
-    pushbroom: Pushbroom, p_e: Array, ccd: NDArray[np.int64], xy_px: Array
-) -> tuple[Array, Array]:
-    """How far pixels (N, 2) lie from where the model sees points p_e (N, 3), and its derivative by theta.
-
-    Returns (N, 2) px and (N, 2, 3) px/rad. A rotation by theta of the installation matrix moves the direction u_c
-    of a point by u x theta (paper, eq. 12); the pixel's Jacobian brings directions to pixels.
-    """
-    displacement, design = np.empty((len(p_e), 2)), np.empty((len(p_e), 2, 3))
-    for n in np.unique(ccd):
-        here = ccd == n
-        sample, line = xy_px[here].T
-        measured = pushbroom.camera.directions_from_pixels(int(n), sample)
-        predicted = _directions_c(pushbroom, p_e[here], line)
-        inverse = np.linalg.pinv(pushbroom.pixel_jacobian(int(n), sample, line))
-        displacement[here] = np.einsum("nij,nj->ni", inverse, measured - predicted)
-        design[here] = inverse @ _cross_matrix(predicted)
-    return displacement, design
 
 
 class _Search:
@@ -189,8 +175,7 @@ class _Search:
         factor = self.plan.factor
         middle = _middle(window)
         model = _seeing_at(self.pushbroom, self.targets[target].p_e, window.ccd, middle)
-        side = chip_side_px(self.chips[target], model, window.ccd, middle, self.surface)
-        n = int(np.clip(side / factor, 8, 96))
+        n = int(np.clip(self.plan.sides_px[target] / factor, 8, 96))
         origin = np.round(middle - 0.5 * n * factor).astype(int)
         template = predict_template(
             self.chips[target],
@@ -229,20 +214,14 @@ class _Search:
 
 
 def _windows(
-    ccd: int,
-    shape: tuple[int, int],
-    pushbroom: Pushbroom,
-    targets: Sequence[Target],
-    sigma_rad: Array,
-    settings: MatchSettings,
+    ccd: int, shape: tuple[int, int], paths: Paths, sigma_rad: Array, settings: MatchSettings
 ) -> list[Window]:
     """Where a rotation of so many standard errors may have put each target: the box around what is within reach."""
     lines, samples = shape
-    line, sample = np.linspace(0.0, lines - 1.0, _NODES), np.linspace(0.0, samples - 1.0, _NODES)
-    measured = pushbroom.camera.directions_from_pixels(ccd, sample)
+    line, sample = np.clip(paths.lines, 0.0, lines - 1.0), np.linspace(0.0, samples - 1.0, _NODES)
+    measured = paths.pushbroom.camera.directions_from_pixels(ccd, sample)
     out = []
-    for n, target in enumerate(targets):
-        predicted = _directions_c(pushbroom, np.broadcast_to(target.p_e, (_NODES, 3)), line)
+    for n, predicted in enumerate(paths.u_c):
         miss = measured[None, :, :2] - predicted[:, None, :2]  # (line, sample, 2)
         far = np.abs(predicted[:, None, :2]).max(axis=2) * sigma_rad[2]
         reach_x = settings.sigmas * np.hypot(sigma_rad[1], far) + 1e-9
@@ -256,7 +235,7 @@ def _windows(
             Window(
                 n,
                 ccd,
-                (int(line[max(rows[0] - 1, 0)]), int(line[min(rows[-1] + 1, _NODES - 1)]) + 1),
+                (int(line[max(rows[0] - 1, 0)]), int(line[min(rows[-1] + 1, len(line) - 1)]) + 1),
                 (int(sample[max(columns[0] - 1, 0)]), int(sample[min(columns[-1] + 1, _NODES - 1)]) + 1),
             )
         )
@@ -285,17 +264,10 @@ def _extents(
     return out
 
 
-def _directions_c(pushbroom: Pushbroom, p_e: Array, line: Array) -> Array:
-    """Directions (N, 3), frame c, in which the camera sees points p_e at lines (N,)."""
-    t_s = pushbroom.instants(line)
-    u_i, _ = apparent_ground_directions(p_e, t_s, pushbroom.orbit, pushbroom.earth, pushbroom.effects)
-    return (pushbroom.R_cs * pushbroom.attitude.R_si(t_s)).apply(u_i)
-
-
 def _seeing_at(pushbroom: Pushbroom, p_e: Array, ccd: int, xy_px: Array) -> Pushbroom:
     """The strip with its installation matrix turned so that a point is seen at a pixel (turn about z left alone)."""
     measured = pushbroom.camera.directions_from_pixels(ccd, xy_px[:1])[0]
-    predicted = _directions_c(pushbroom, p_e[None], xy_px[1:])[0]
+    predicted = directions_c(pushbroom, p_e[None], xy_px[1:])[0]
     axis = np.cross(predicted, measured)
     turn = axis / (np.linalg.norm(axis) + 1e-300) * np.arctan2(np.linalg.norm(axis), predicted @ measured)
     return pushbroom.with_installation(deviation_from_theta(-turn) * pushbroom.R_cs)
@@ -316,13 +288,6 @@ def _cut(image: Image, x0: int, y0: int, x1: int, y1: int) -> Image:
     a, b, c, d = max(0, y0), min(rows, y1), max(0, x0), min(columns, x1)
     out[a - y0 : b - y0, c - x0 : d - x0] = image[a:b, c:d]
     return out
-
-
-def _cross_matrix(u: Array) -> Array:
-    """(N, 3, 3) with matrix @ v = u x v."""
-    out = np.zeros((len(u), 3, 3))
-    out[:, 0, 1], out[:, 0, 2], out[:, 1, 2] = -u[:, 2], u[:, 1], -u[:, 0]
-    return out - np.swapaxes(out, 1, 2)
 
 
 def _joined(parts: Sequence[Candidates]) -> Candidates:

@@ -15,10 +15,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from gct_match.bootstrap import bootstrap, displacements, plan_search
+from gct_match.bootstrap import bootstrap, plan_search
 from gct_match.coarse import read_window
 from gct_match.correlation import correlation_surface, normalised, peaks_of, probability_wrong
 from gct_match.least_squares import Placement, place
+from gct_match.paths import Paths, displacements, target_paths
 from gct_match.records import Chip, Evidence, Refusal, StripImage, StripMatches, Target, TargetMatch
 from gct_match.settings import MatchSettings
 from gct_match.template import Template, chip_side_px, predict_template
@@ -46,6 +47,7 @@ class _Scene:
     chips: Sequence[Chip]
     surface: Surface
     settings: MatchSettings
+    paths: Paths
 
 
 def match_strip(
@@ -80,8 +82,13 @@ def match_strip(
             f"{len(targets)} targets and {len(chips)} chips do not belong to one another in order"
         )
     sigma = np.asarray(sigma_installation_rad, dtype=float)
-    scene = _Scene(strip, pushbroom, targets, chips, surface, settings)
-    plan = plan_search(strip, pushbroom, targets, chips, surface, sigma, settings)
+    if not targets or not strip.ccds:
+        return StripMatches((), (), np.full(3, np.nan), np.full((3, 3), np.nan), 1.0, 0)
+    lines = max(strip.shape(ccd)[0] for ccd in strip.ccds)
+    pushbroom = pushbroom.tabulated(-0.5, lines - 0.5)
+    paths = target_paths(pushbroom, np.array([t.p_e for t in targets]), lines)
+    scene = _Scene(strip, pushbroom, targets, chips, surface, settings, paths)
+    plan = plan_search(strip, paths, chips, surface, sigma, settings)
     within = {window.target for window in plan.windows}
     refused = [
         Refusal(t.target_id, -1, "lies outside the strip for any installation matrix within reach")
@@ -115,18 +122,18 @@ def _fine(
 ) -> tuple[list[tuple[int, TargetMatch]], list[Refusal], int]:
     """All targets in all CCDs, near where the common rotation puts them."""
     model = scene.pushbroom.with_installation(deviation_from_theta(theta) * scene.pushbroom.R_cs)
-    p_e = np.array([scene.targets[n].p_e for n in within]).reshape(-1, 3)
+    model = model.tabulated(*scene.paths.lines[[0, -1]])
     seen: set[int] = set()
     found, refused, pixels = [], [], 0
     for ccd in scene.strip.ccds:
         lines, samples = scene.strip.shape(ccd)
-        now = np.column_stack(model.pixels_from_ground(ccd, p_e)).reshape(-1, 2)
-        before = np.column_stack(scene.pushbroom.pixels_from_ground(ccd, p_e)).reshape(-1, 2)
+        now, before = scene.paths.pixels(ccd, theta), scene.paths.pixels(ccd, np.zeros(3))
         inside = (now >= -0.5).all(axis=1) & (now < [samples - 0.5, lines - 0.5]).all(axis=1)
-        for k in np.nonzero(inside)[0]:
-            n = within[k]
+        for n in within:
+            if not inside[n]:
+                continue
             seen.add(n)
-            outcome, read = _one(scene, model, n, ccd, now[k], before[k], covariance)
+            outcome, read = _one(scene, model, n, ccd, now[n], before[n], covariance)
             pixels += read
             if isinstance(outcome, Refusal):
                 refused.append(outcome)
