@@ -65,7 +65,7 @@ class StripPlan:
     wave_rad: tuple[float, float] = (3 * ARCSEC, 12 * ARCSEC)  # amplitudes, drawn per strip and axis
     wave_s: tuple[float, float] = (3.0, 7.0)  # periods
     sigma_position_m: float = 0.0  # per axis, constant over a strip (Table 1: 2 m)
-    sigma_clock_s: float = 0.0  # constant over a strip (Table 1: 0.1 ms)
+    sigma_clock_s: float = 0.0  # of the rows, constant over a strip (Table 1: 0.1 ms)
     sigma_vibration_rad: float = 0.0  # per axis, white from target to target (Table 1: 0.1 arcsec)
     vibration_hz: float = 0.0  # if not 0: a wave of this frequency with that rms instead of white noise
     sigma_distortion_rad: float = 0.0  # per axis (Table 1: 0.3 px)
@@ -251,8 +251,9 @@ def _draw_targets(
     sample = rng.uniform(0.0, cameras.ccd_px, J)
     y = px * (ccd * cameras.ccd_px + sample) - cameras.half_field_rad
     u_c = _unit(np.column_stack([0 * y, y, np.ones(J)]))
-    R_ic = (Rotation.from_rotvec(_vibration(t, plan, rng)) * motion.R_ci(t)).inv()
-    truth_i = motion.position_i(t + rng.normal(0.0, plan.sigma_clock_s))
+    t_true = t + rng.normal(0.0, plan.sigma_clock_s)
+    R_ic = (Rotation.from_rotvec(_vibration(t, plan, rng)) * motion.R_ci(t_true)).inv()
+    truth_i = motion.position_i(t_true)
     ground_i = truth_i + plan.height_m / u_c[:, 2:] * R_ic.apply(u_c)
     recorded_i = motion.position_i(t) - rng.normal(0.0, plan.sigma_position_m, 3)
     known_i = ground_i + rng.normal(0.0, plan.sigma_target_m, (J, 3))

@@ -18,7 +18,7 @@ class CalibrationSettings:
     """
 
     sigma_position_m: float = 2.0  # per axis, common to a strip (Table 1, GPS)
-    sigma_clock_s: float = 1e-4  # common to a strip: position and image are apart by it (Table 1)
+    sigma_clock_s: float = 1e-4  # common to a strip: its rows against orbit and star camera (Table 1)
     sigma_vibration_rad: float = (
         0.1 * ARCSEC
     )  # per axis and target: motion that the exposures cannot follow (Table 1)

@@ -107,7 +107,8 @@ def prepare_strip(
     phi = (weights[:, :, None, None] * turn).transpose(0, 2, 1, 3).reshape(J, 3, 3 * K)
     move_s = R_si @ _direction_by_position(ground)  # (J, 3, 3) per metre
     position = move_s * settings.sigma_position_m
-    clock = (move_s @ ground.v_rel_i[:, :, None]) * settings.sigma_clock_s
+    rate_s = _turning_rate(times[used], attitudes.R_si[used])
+    clock = (move_s @ ground.v_rel_i[:, :, None] + np.cross(rate_s, v_s)[:, :, None]) * settings.sigma_clock_s
     twice, own, white_s = _target_coordinates(ground, move_s, settings)
     names = [f"phi/{k}/{axis}" for k in range(K) for axis in "xyz"] + [f"position/{axis}" for axis in "xyz"]
     return PreparedStrip(
@@ -235,6 +236,14 @@ def _interpolated(
     return R_si_targets
 
 
+def _turning_rate(times: Array, R_si: Array) -> Array:
+    """Mean rate (3,) at which frame s sees the sky turn about it, rad/s; zero for one exposure alone."""
+    if len(times) < 2:
+        return np.zeros(3)
+    turn = Rotation.from_matrix(R_si[-1] @ R_si[0].T).as_rotvec()
+    return np.asarray(turn / (times[-1] - times[0]))
+
+
 def _direction_by_position(ground: GroundSightings) -> Array:
     """d u_i / d p_i = -(I - u uᵀ) / range, (J, 3, 3) 1/m: the satellite is not where it was said to be."""
     u = ground.u_i
@@ -277,8 +286,9 @@ def _distortion(
     """
     sigma, length = settings.sigma_distortion_rad, settings.distortion_length_px
     J, knots = len(strip.ccd), _own_knots(strip, settings)
-    camera, own = np.zeros((J, len(camera_knots))), np.zeros((J, len(knots)))
-    missed: Array = np.full((J,), sigma**2)
+    camera: Array = np.zeros((J, len(camera_knots)))
+    own: Array = np.zeros((J, len(knots)))
+    missed: Array = np.full(J, sigma**2)
     if camera_knots:
         camera = knot_weights(strip.ccd, strip.sample, camera_knots, length)
         missed = sigma**2 * (1.0 - np.einsum("jk,kl,jl->j", camera, correlation(camera_knots), camera))
