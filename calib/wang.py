@@ -74,7 +74,7 @@ def attitudes_of(exposures: Sequence[StarSightings]) -> tuple[Rotation, Array]:
 def polynomial_residuals(t_s: Array, angles: Array, order: int) -> Array:
     """What a polynomial of this order leaves of angles (N, 3) against time: the paper's Fig. 8."""
     powers = _powers(t_s, float(t_s[0]), float(t_s[-1]), order)
-    return angles - powers @ np.linalg.lstsq(powers, angles, rcond=None)[0]
+    return np.asarray(angles - powers @ np.linalg.lstsq(powers, angles, rcond=None)[0], dtype=np.float64)
 
 
 def _strip_matrix(strip: StripSightings, R_cs0: Rotation, order: int) -> Rotation:
@@ -98,4 +98,6 @@ def _strip_matrix(strip: StripSightings, R_cs0: Rotation, order: int) -> Rotatio
 
 
 def _powers(t: Array, first: float, last: float, order: int) -> Array:
-    return np.vander((2.0 * t - first - last) / max(last - first, 1e-9), order + 1, increasing=True)
+    scaled = np.asarray((2.0 * t - first - last) / max(last - first, 1e-9), dtype=np.float64)
+    powers: Array = np.vander(scaled, order + 1, increasing=True)
+    return powers
