@@ -53,6 +53,8 @@ class Orbit:
     method: OrbitMethod = "lagrange"
     max_step_s: float | None = None  # a longer step is a gap; None: 1.5 times the usual step
     _segment: NDArray[np.int64] = field(init=False, repr=False)  # (K,) number of the gap-free stretch
+    _scale: Array = field(init=False, repr=False)  # (windows, nodes_needed), of Lagrange's polynomials
+    _slope_at_node: Array = field(init=False, repr=False)  # the same, their slope at their own node
 
     def __post_init__(self) -> None:
         k = len(self.t_s)
@@ -77,6 +79,9 @@ class Orbit:
             raise ValueError("Orbit.t_s must increase")
         limit = _GAP_FACTOR * float(np.median(steps)) if self.max_step_s is None else self.max_step_s
         object.__setattr__(self, "_segment", np.concatenate([[0], np.cumsum(steps > limit)]))
+        scale, slope_at_node = _window_scales(np.asarray(self.t_s, dtype=float), self.nodes_needed)
+        object.__setattr__(self, "_scale", scale)
+        object.__setattr__(self, "_slope_at_node", slope_at_node)
 
     @property
     def nodes_needed(self) -> int:
@@ -138,21 +143,25 @@ class Orbit:
 
     def _state(self, t: Array) -> tuple[Array, Array]:
         """Interpolated positions and velocities (N, 3) in the frame of the nodes."""
-        nodes = self._stencils(t)
-        basis, slope, slope_at_node = _lagrange_basis(self.t_s[nodes], t)
+        begin = self._stencils(t)
+        nodes = begin[:, None] + np.arange(self.nodes_needed)
+        away = t[:, None] - self.t_s[nodes]
+        scale = self._scale[begin]
+        basis = _lagrange_basis(away, scale)
         p = self.positions_m[nodes]
         if self.method == "hermite":
             assert self.velocities_m_s is not None
-            return _hermite(t, self.t_s[nodes], p, self.velocities_m_s[nodes], basis, slope, slope_at_node)
+            v, slope = self.velocities_m_s[nodes], _lagrange_slopes(away, scale)
+            return _hermite(away, p, v, basis, slope, self._slope_at_node[begin])
         position = np.einsum("nk,nkj->nj", basis, p)
         if self.velocities_m_s is None:
-            return position, np.einsum("nk,nkj->nj", slope, p)
+            return position, np.einsum("nk,nkj->nj", _lagrange_slopes(away, scale), p)
         return position, np.einsum("nk,nkj->nj", basis, self.velocities_m_s[nodes])
 
     def _stencils(self, t: Array) -> NDArray[np.int64]:
-        """Indices (N, nodes_needed) of the nodes around each instant, all in one gap-free stretch."""
+        """First (N,) of the nodes around each instant, all of them in one gap-free stretch."""
         if len(t) == 0:
-            return np.zeros((0, self.nodes_needed), dtype=np.int64)
+            return np.zeros(0, dtype=np.int64)
         first, last = self.t_s[0], self.t_s[-1]
         outside = ~((t >= first - _CLOCK_SLACK_S) & (t <= last + _CLOCK_SLACK_S))
         if np.any(outside):
@@ -184,8 +193,7 @@ class Orbit:
             begin = left + nearer_right - k // 2
         else:
             begin = left - (k // 2 - 1)
-        begin = np.clip(begin, start, stop - k)
-        return begin[:, None] + np.arange(k)
+        return np.asarray(np.clip(begin, start, stop - k), dtype=np.int64)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -247,34 +255,49 @@ def orbital_frame(p_i: ArrayLike, v_i: ArrayLike) -> Rotation:
     return Rotation.from_matrix(np.stack([np.cross(y, z), y, z], axis=1))
 
 
-def _lagrange_basis(t_nodes: Array, t: Array) -> tuple[Array, Array, Array]:
-    """Lagrange's polynomials of the nodes (N, K) at t (N,): values, slopes, and each one's slope at its own
-    node.
-    """
-    n, k = t_nodes.shape
-    value, slope, slope_at_node = np.ones((n, k)), np.zeros((n, k)), np.zeros((n, k))
+def _lagrange_basis(away: Array, scale: Array) -> Array:
+    """Lagrange's polynomials (N, K): products of the other nodes' distances `away`, times `scale`, (N, K)."""
+    basis = scale.copy()
+    left: Array = np.ones(len(away))
+    right: Array = left
+    for j in range(away.shape[1]):
+        basis[:, j] *= left
+        basis[:, -1 - j] *= right
+        left, right = left * away[:, j], right * away[:, -1 - j]
+    return basis
+
+
+def _lagrange_slopes(away: Array, scale: Array) -> Array:
+    """Derivatives of `_lagrange_basis`, (N, K), by the product rule."""
+    n, k = away.shape
+    slopes = np.zeros((n, k))
     for j in range(k):
+        value: Array = np.ones(n)
+        slope: Array = np.zeros(n)
         for m in range(k):
-            if m == j:
-                continue
-            reciprocal = 1.0 / (t_nodes[:, j] - t_nodes[:, m])
-            factor = (t - t_nodes[:, m]) * reciprocal
-            slope[:, j] = slope[:, j] * factor + value[:, j] * reciprocal
-            value[:, j] *= factor
-            slope_at_node[:, j] += reciprocal
-    return value, slope, slope_at_node
+            if m != j:
+                value, slope = value * away[:, m], slope * away[:, m] + value
+        slopes[:, j] = slope * scale[:, j]
+    return slopes
+
+
+def _window_scales(t_nodes: Array, k: int) -> tuple[Array, Array]:
+    """Of each node's distances to the others in a window of k: 1 / product and sum of 1 / distance."""
+    windows = np.lib.stride_tricks.sliding_window_view(t_nodes, k)
+    difference = windows[:, :, None] - windows[:, None, :]
+    difference[:, np.arange(k), np.arange(k)] = 1.0
+    return 1.0 / difference.prod(axis=2), (1.0 / difference).sum(axis=2) - 1.0
 
 
 def _hermite(
-    t: Array, t_nodes: Array, p: Array, v: Array, basis: Array, slope: Array, slope_at_node: Array
+    away: Array, p: Array, v: Array, basis: Array, slope: Array, slope_at_node: Array
 ) -> tuple[Array, Array]:
     """Hermite's polynomial through positions and velocities (N, K, 3), and its derivative."""
-    dt = t[:, None] - t_nodes
     square, square_slope = basis**2, 2.0 * basis * slope
-    lean = 1.0 - 2.0 * slope_at_node * dt
-    a, b = lean * square, dt * square
+    lean = 1.0 - 2.0 * slope_at_node * away
+    a, b = lean * square, away * square
     da = -2.0 * slope_at_node * square + lean * square_slope
-    db = square + dt * square_slope
+    db = square + away * square_slope
     position = np.einsum("nk,nkj->nj", a, p) + np.einsum("nk,nkj->nj", b, v)
     return position, np.einsum("nk,nkj->nj", da, p) + np.einsum("nk,nkj->nj", db, v)
 
