@@ -33,6 +33,12 @@ from geometry.terrain import ConstantHeight
 from pipeline.dump import ChipFile, Dump, Strip, TargetHeights, TerrainFile, surface_of
 from pipeline.errors import Omission, RawDataError
 from pipeline.image_files import read_grid
+from pipeline.match_pictures import (
+    MatchPictures,
+    match_pictures,
+    pictures_columns,
+    pictures_from_columns,
+)
 from pipeline.unit_store import column, fixed_list, list_values, read_meta
 
 __all__ = [
@@ -79,6 +85,7 @@ class Placings:
     correlation: Array  # (N,)
     probability_wrong: Array  # (N,)
     predicted_px: Array  # (N, 2) where the model put it
+    pictures: tuple[MatchPictures, ...]  # (N) what a person needs to believe it
     omissions: tuple[Omission, ...]  # chips that could not be read, targets that were refused
 
 
@@ -139,6 +146,7 @@ def _placings(strip: Strip, result: StripMatches | None, omitted: Sequence[Omiss
         np.array([m.correlation for m in matches], dtype=float),
         np.array([m.probability_wrong for m in matches], dtype=float),
         np.array([m.predicted_px for m in matches], dtype=float).reshape(n, 2),
+        tuple(match_pictures(m.evidence) for m in matches),
         (*omitted, *(_omission(strip, refusal) for refusal in refused)),
     )
 
@@ -201,6 +209,7 @@ def placings_table(placings: Placings) -> tuple[pa.Table, dict[str, Any]]:
             "correlation": pa.array(placings.correlation),
             "probability_wrong": pa.array(placings.probability_wrong),
             "predicted_px": fixed_list(placings.predicted_px),
+            **pictures_columns(placings.pictures),
         }
     )
     omitted = [[o.kind, o.name, o.file, o.reason] for o in placings.omissions]
@@ -219,6 +228,7 @@ def placings_from_table(table: pa.Table) -> Placings:
         column(table, "correlation"),
         column(table, "probability_wrong"),
         list_values(table, "predicted_px", 2),
+        pictures_from_columns(table),
         tuple(Omission(*parts) for parts in meta["omitted"]),
     )
 
