@@ -35,7 +35,12 @@ _FLAT_M = 1e-6  # relief below this is a constant height
 _CHUNK = 16_384  # rays at a time: their arrays stay in the cache
 _MARGIN_M = 0.1  # a shell is so near to equal height
 _STEPS = 64  # on the way from the highest to the lowest height of a surface that is not a grid
-_LONGEST_WAY_M = (300.0, 3e3, 1.2e4, 3e4)  # for polynomials of degree 2, 3, ...: L^(n+1) / R^n < 1e-6 m
+_LONGEST_WAY_M = (
+    300.0,
+    3e3,
+    1.2e4,
+    3e4,
+)  # on the map, for polynomials of degree 2, 3, ...: L^(n+1) / R^n < 1e-6 m
 
 
 class Surface(Protocol):
@@ -192,7 +197,8 @@ def _on_relief(origin_e: Array, direction_e: Array, surface: Surface, low: float
     if not isinstance(surface, TerrainGrid):
         share = crossing_by_steps(rays, len(top), _STEPS)
         return np.asarray(top + share[:, None] * way)
-    longest = float(np.nanmax(np.einsum("ni,ni->n", way, way), initial=0.0)) ** 0.5
+    level2 = np.einsum("ni,ni->n", way, way) - (high - low) ** 2
+    longest = float(np.nanmax(level2, initial=0.0)) ** 0.5
     degree = 2 + int(np.searchsorted(_LONGEST_WAY_M, longest))
     tracks = np.empty((degree + 1, 3, len(top)))
     for k, track in enumerate(tracks):

@@ -31,6 +31,8 @@ _GROWTH = 4
 _MARGIN_M = 1e-4  # beyond the bounds of tiles
 _CLEARANCE_M = 1e-7
 _NARROWINGS = 60
+_UNKNOWN_RISE_M = 1e9  # at holes and past the edge
+_SURELY = 0.8  # height falls by a few per cent less at the end of a long way than at its beginning
 
 
 class Clearance(Protocol):
@@ -54,24 +56,40 @@ class HeightBounds:
     sizes: tuple[int, ...]  # pixels a side, from fine to coarse
     low_m: tuple[Array, ...]  # (tile rows + 4, tile columns + 4): tile and its 8 neighbours; +inf where there
     high_m: tuple[Array, ...]  # is no data, -inf here. Two rings of tiles beyond the edge.
+    rise_m: tuple[Array, ...]  # most that the ground rises over a pixel along row and column
 
 
 def bounds_of_heights(heights: NDArray[np.float32]) -> HeightBounds:
     """Bounds of a grid of heights, NaN = no data."""
     low: Array = np.where(np.isnan(heights), np.inf, heights)
     high: Array = np.where(np.isnan(heights), -np.inf, heights)
+    rise = _rises(heights)
     lowest, highest = float(low.min()), float(high.max())
-    sizes, lows, highs, size = [], [], [], _TILE
-    factor = _TILE
+    levels, size, factor = [], _TILE, _TILE
     while True:
         low = _tiles(low, factor, np.inf).min(axis=(1, 3))
         high = _tiles(high, factor, -np.inf).max(axis=(1, 3))
-        sizes.append(size)
-        lows.append(minimum_filter(np.pad(low, 2, constant_values=np.inf), 3, mode="nearest"))
-        highs.append(maximum_filter(np.pad(high, 2, constant_values=-np.inf), 3, mode="nearest"))
+        rise = _tiles(rise, factor, _UNKNOWN_RISE_M).max(axis=(1, 3))
+        levels.append(
+            (
+                size,
+                minimum_filter(np.pad(low, 2, constant_values=np.inf), 3, mode="nearest"),
+                maximum_filter(np.pad(high, 2, constant_values=-np.inf), 3, mode="nearest"),
+                maximum_filter(np.pad(rise, 2, constant_values=_UNKNOWN_RISE_M), 3, mode="nearest"),
+            )
+        )
         if max(low.shape) == 1:
-            return HeightBounds(lowest, highest, tuple(sizes), tuple(lows), tuple(highs))
+            sizes, lows, highs, rises = zip(*levels)
+            return HeightBounds(lowest, highest, sizes, lows, highs, rises)
         size, factor = size * _GROWTH, _GROWTH
+
+
+def _rises(heights: NDArray[np.float32]) -> Array:
+    """Bound of |d height / d column| + |d height / d row| in each cell, m per pixel; (rows, columns)."""
+    along_row, along_column = np.abs(np.diff(heights, axis=1)), np.abs(np.diff(heights, axis=0))
+    rise = np.maximum(along_row[1:], along_row[:-1]) + np.maximum(along_column[:, 1:], along_column[:, :-1])
+    known = np.where(np.isnan(rise), _UNKNOWN_RISE_M, rise)
+    return np.pad(known, ((0, 1), (0, 1)), constant_values=_UNKNOWN_RISE_M)
 
 
 def bilinear(heights: NDArray[np.float32], column: Array, row: Array) -> Array:
@@ -102,9 +120,12 @@ def first_crossings(heights: NDArray[np.float32], bounds: HeightBounds, tracks: 
         Column, row and height at K >= 3 even steps from the beginning to the end of the way.
     """
     curve = _Polynomials.through(heights, tracks)
-    start, stop = _shortened(curve, bounds)
-    steps = np.where(stop >= start, np.maximum(np.ceil((stop - start) * curve.pixels()), 1.0), 0.0)
-    return _first(curve, start, stop, np.nan_to_num(steps))
+    start, stop, rise = _shortened(curve, bounds)
+    pixels = curve.pixels()
+    # A ray that falls faster than any ground here can fall meets it once: nothing to look for on the way.
+    once = rise * pixels < -np.sum(curve.coefficients[1:, 2], axis=0) * _SURELY
+    steps = np.where(once, 1.0, np.maximum(np.ceil((stop - start) * pixels), 1.0))
+    return _first(curve, start, stop, np.nan_to_num(np.where(stop >= start, steps, 0.0)))
 
 
 def crossing_by_steps(clearance: Clearance, n: int, steps: int) -> Array:
@@ -151,11 +172,14 @@ class _Polynomials:
         return share - (self.at(share)[2] - height) / slope
 
 
-def _shortened(curve: _Polynomials, bounds: HeightBounds) -> tuple[Array, Array]:
-    """Shares between which each ray can meet ground, by the tiles it is over; start > stop if it cannot."""
+def _shortened(curve: _Polynomials, bounds: HeightBounds) -> tuple[Array, Array, Array]:
+    """Shares between which each ray can meet ground, by the tiles it is over; start > stop if it cannot. Also
+    the most that ground rises there over a pixel.
+    """
     pixels = curve.pixels()
     start: Array = np.zeros(len(pixels))
     stop: Array = np.ones(len(pixels))
+    rise: Array = np.full(len(pixels), _UNKNOWN_RISE_M)
     widest = 0.5 * float(np.nanmax(pixels, initial=0.0))
     fitting = [k for k, size in enumerate(bounds.sizes) if size - 1.0 >= widest]
     for k in range(fitting[0] if fitting else len(bounds.sizes) - 1, -1, -1):
@@ -164,6 +188,7 @@ def _shortened(curve: _Polynomials, bounds: HeightBounds) -> tuple[Array, Array]
         column, row, _ = curve.at(0.5 * (start + stop))
         at = _tile_index(row, size, low.shape[0]) * low.shape[1] + _tile_index(column, size, low.shape[1])
         lowest, highest = low.ravel().take(at), high.ravel().take(at)
+        rise = np.where(near, bounds.rise_m[k].ravel().take(at), rise)
         empty = near & (highest < lowest)  # no data anywhere near
         near &= ~empty
         begin = curve.share_at_height(np.where(near, highest + _MARGIN_M, 0.0))
@@ -171,7 +196,7 @@ def _shortened(curve: _Polynomials, bounds: HeightBounds) -> tuple[Array, Array]
         start = np.where(near, np.maximum(start, begin), start)
         stop = np.where(near, np.minimum(stop, end), stop)
         start[empty], stop[empty] = 1.0, 0.0
-    return start, stop
+    return start, stop, rise
 
 
 def _tile_index(pixel: Array, size: int, count: int) -> NDArray[np.int64]:
