@@ -27,12 +27,16 @@ _GREY_LEVELS_PER_SIGMA = 12.0
 _LEAST_LEVELS_PER_SIGMA = 2.5  # less than this and rounding to 8 bits costs sensitivity
 _SEARCH_SIGMA = 3.5  # a star of SNR 8 midway between coarse pixels still shows 6 in the search image
 _MAX_CANDIDATES = 20_000
+_CROSS_OF_PEAK = 0.35
+_WIDE_SIGMA_PX = 0.9
+_LEAST_ABOVE_FRAME = 0.5  # share of a peak that must remain when the level around it is taken away
 _NEIGHBOURS = np.ones((3, 3), np.uint8)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Detections:
-    """Peaks of the matched filter above its threshold, brightest first."""
+    """Peaks of the matched filter above its threshold, the ones that stand out most from their surroundings
+    first."""
 
     xy_px: NDArray[np.int64]  # (N, 2) whole pixel of the peak
     snr: Array  # (N,) height of the peak over the filter's noise
@@ -85,10 +89,12 @@ def detect(
     psf_sigma_px: float,
     threshold: float,
     reach_px: int = 1,
+    width_known: bool = True,
 ) -> Detections:
     """Peaks of the matched filter within `reach_px` of the places (and one more pixel towards +x, +y).
 
-    `psf_sigma_px` is the width of a Gaussian star integrated over pixels; noise is the background's.
+    `psf_sigma_px` is the width of a Gaussian star integrated over pixels, measured if `width_known` and a
+    first guess otherwise; noise is the background's.
     """
     taps = _pixel_gaussian(psf_sigma_px)
     radius = len(taps) // 2
@@ -106,18 +112,28 @@ def detect(
     flux = (windows.astype(np.float32) - level[:, None].astype(np.float32)) @ kernel.astype(np.float32)
     best = flux.argmax(axis=1)
     snr = flux[np.arange(len(flux)), best] * np.sqrt((taps**2).sum() ** 2) / noise
-    brightest_pixel = (windows.max(axis=1) - level) / noise if len(windows) else np.empty(0)
     high = snr > threshold
-    hot = high & (brightest_pixel > snr)
+    hot = np.zeros(len(high), dtype=bool)
+    hot[high] = _single_pixels(
+        windows[high].reshape(-1, side, side),
+        level[high],
+        noise[high],
+        snr[high],
+        psf_sigma_px if width_known else 0.0,
+    )
     keep = np.flatnonzero(high & ~hot)
+    frame = np.asarray(_frame_level(windows[keep].reshape(-1, side, side)) - level[keep])
+    of_frame = frame * (taps.sum() / (taps**2).sum()) ** 2  # flux that the filter sees in an even level
+    above_frame = snr[keep] * (1.0 - of_frame / np.maximum(flux[keep, best[keep]], 1e-9))
+    alone = above_frame > _LEAST_ABOVE_FRAME * snr[keep]
+    keep, above_frame = keep[alone], above_frame[alone]
     row, column = np.divmod(best[keep], len(offsets))
     xy = places[keep] + np.column_stack([offsets[column], offsets[row]])
-    order = np.argsort(-snr[keep], kind="stable")
-    xy, keep, best = xy[order], keep[order], best[keep][order]
-    _, first = np.unique(xy @ np.array([1, width]), return_index=True)
-    first.sort()
-    peak_flux = flux[keep, best][first].astype(float)
-    return Detections(xy[first], snr[keep][first].astype(float), peak_flux, int(hot.sum()))
+    order = np.argsort(-above_frame, kind="stable")
+    _, first = np.unique(xy[order] @ np.array([1, width]), return_index=True)
+    order = order[np.sort(first)]
+    peak_flux = flux[keep[order], best[keep[order]]].astype(float)
+    return Detections(xy[order], snr[keep[order]].astype(float), peak_flux, int(hot.sum()))
 
 
 def windows_at(image: NDArray, corners: NDArray[np.int64], side: int) -> NDArray:
@@ -155,6 +171,37 @@ def _enlarged(
     size = (round(shape[1] * (columns + 2) / columns), round(shape[0] * (rows + 2) / rows))
     large = cv2.resize(ringed.astype(dtype), size, interpolation=cv2.INTER_LINEAR)
     return np.ascontiguousarray(large[y0 : y0 + shape[0], x0 : x0 + shape[1]])
+
+
+def _single_pixels(
+    windows: NDArray, level: Array, noise: Array, snr: Array, sigma: float
+) -> NDArray[np.bool_]:
+    """Peaks that one pixel makes: its four neighbours hold less than any lens puts there.
+
+    The image of a star of width 0.4 px, centred on a pixel, still puts half of the peak into the neighbours
+    together. Where stars are known to be wide the likelihood of a lone pixel, exp(z^2 / 2), is set against
+    that of a star, exp(snr^2 / 2).
+    """
+    n, side = len(windows), windows.shape[1]
+    if n == 0:
+        return np.empty(0, dtype=bool)
+    inner = windows[:, 1:-1, 1:-1].reshape(n, -1)
+    y, x = np.divmod(inner.argmax(axis=1), side - 2)
+    k = np.arange(n)
+    cross = sum(
+        windows[k, y + 1 + dy, x + 1 + dx].astype(float) for dx, dy in ((1, 0), (-1, 0), (0, 1), (0, -1))
+    )
+    peak = windows[k, y + 1, x + 1] - level
+    lone = cross - 4.0 * level < _CROSS_OF_PEAK * peak
+    if sigma > _WIDE_SIGMA_PX:
+        lone |= peak / noise > snr
+    return np.asarray(lone)
+
+
+def _frame_level(windows: NDArray) -> Array:
+    """(N,) median of the outermost pixels of windows: what a star stands on, be it sky, cloud or a roof."""
+    frame = np.concatenate([windows[:, 0], windows[:, -1], windows[:, 1:-1, 0], windows[:, 1:-1, -1]], axis=1)
+    return np.asarray(np.median(frame, axis=1), dtype=np.float64)
 
 
 def _pixel_gaussian(sigma: float) -> Array:

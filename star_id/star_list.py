@@ -105,8 +105,17 @@ def _detections(
     halvings = 1 if sigma <= _LARGEST_SIGMA_AT_HALF else 2
     places = candidate_places(image, background, halvings=halvings)
     threshold = detection_threshold(image.size, sigma, settings.false_alarms_per_frame)
-    found = detect(image, background, places, psf_sigma_px=sigma, threshold=threshold, reach_px=halvings)
-    if settings.psf_sigma_px is not None:
+    known = settings.psf_sigma_px is not None
+    found = detect(
+        image,
+        background,
+        places,
+        psf_sigma_px=sigma,
+        threshold=threshold,
+        reach_px=halvings,
+        width_known=known,
+    )
+    if known:
         return found, psf, 0, threshold
     for _ in range(2):
         psf, stars = estimate_psf(
