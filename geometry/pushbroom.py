@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
-from geometry.attitude import Attitude
+from geometry.attitude import Attitude, AttitudeTrack
 from geometry.constants import WGS84
 from geometry.earth_rotation import EarthRotation
 from geometry.geodesy import geodetic_from_ecef
@@ -30,11 +30,13 @@ __all__ = ["OrbitOverTime", "Pushbroom", "RowClock"]
 
 Array = NDArray[np.float64]
 
-_POSITION_M = 1e-8  # what the table over the rows may be wrong by
+_POSITION_M = 1e-7  # what the table over the rows may be wrong by
 _VELOCITY_M_S = 1e-6
-_ROTATION = 2e-14
+_ROTATION = 1e-13
 _TOLERANCE = np.repeat([_POSITION_M, _VELOCITY_M_S, _ROTATION], [3, 3, 9])
 _CHUNK = 16_384  # points at a time: their arrays stay in the cache
+_MANY = 4_000  # points from which on a table over the rows is worth making
+_MARGIN_LINES = 256.0  # what a guess of a line may be wrong by without leaving the table
 _FEW = 64  # points that are looked for without a guess, to give the others one
 _SCAN = 65  # lines at which such points are looked for
 _SECANT_STEPS = 12
@@ -78,6 +80,9 @@ class _States:
     v_e: Array  # (N, 3) velocity in the inertial frame, m/s
     R_ec: Array  # (N, 3, 3)
 
+    def take(self, index: NDArray[np.int64]) -> _States:
+        return _States(self.p_e[index], self.v_e[index], self.R_ec[index])
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Pushbroom:
@@ -100,12 +105,19 @@ class Pushbroom:
         """The same strip with orbit and attitude tabulated between two lines: worth it before many small
         calls.
         """
-        table = tabulated(self._exact_states, first_line, last_line, _TOLERANCE)
+        bends: ArrayLike = ()
+        if isinstance(self.attitude, AttitudeTrack):
+            bends = self.rows.line(self.attitude.t_s - self._delay_s)
+        table = tabulated(self._exact_states, first_line, last_line, _TOLERANCE, bends)
         return replace(self, table=table)
 
     def instants(self, line: ArrayLike) -> Array:
         """Middle of the exposure of lines (N,), TAI seconds since the epoch."""
-        return self.rows.instant(line) + self.camera.delay_to_middle_s(self.rows.row_period_s)
+        return self.rows.instant(line) + self._delay_s
+
+    @property
+    def _delay_s(self) -> float:
+        return self.camera.delay_to_middle_s(self.rows.row_period_s)
 
     def look_i(self, ccd: int, sample: ArrayLike, line: ArrayLike) -> tuple[Array, Array]:
         """Apparent directions u_i (N, 3) of pixels, and their instants (N,)."""
@@ -143,8 +155,8 @@ class Pushbroom:
         sample[few], line[few] = self._found_from_scan(ccd, p[few])
         rest = np.setdiff1d(good, few)
         if len(rest):
-            guess = _affine_guess(p[few], line[few], p[rest])
-            model = self._for_many(np.concatenate([guess, line[few]]))
+            guess = np.clip(_affine_guess(p[few], line[few], p[rest]), *self._span_lines())
+            model = self._for_many(np.concatenate([guess, line[few]]), margin=_MARGIN_LINES)
             for part in _chunks(len(rest)):
                 into = rest[part]
                 sample[into], line[into] = model._found(ccd, p[into], guess[part])
@@ -198,7 +210,9 @@ class Pushbroom:
         seen.
         """
         known = np.isfinite(line)
-        states = self._states(np.where(known, line, self._span_lines()[0]))
+        if not known.all():
+            line = np.where(known, line, self._span_lines()[0] if self.table is None else self.table.edges[0])
+        states = self._states(line)
         u_c, above_horizon = self._apparent_c(p_e, states)
         sample, miss = self.camera.samples_from_directions(ccd, u_c)
         return sample, np.where(known, miss, np.nan), known & above_horizon & np.isfinite(miss)
@@ -222,20 +236,29 @@ class Pushbroom:
 
     def _meet(self, u_e: Array, states: _States, surface: Surface) -> Array:
         """Lines of sight down to the surface, each made for the height at which it meets it."""
-        height: Array | float = 0.5 * sum(surface.height_range_m())
-        for _ in range(2):
-            rays = emission_rays_e(u_e, states.p_e, states.v_e, self.earth.omega_e, self.effects, height)
-            p_e = intersect(*rays, surface)
+        low, high = surface.height_range_m()
+        height: Array | float = 0.5 * (low + high)
+        p_e = self._met(u_e, states, surface, height)
+        if high - low > _HEIGHT_STEP_M and (self.effects.light_time or self.effects.refraction):
             found = geodetic_from_ecef(p_e, WGS84)[2]
-            if not np.any(np.abs(found - height) > _HEIGHT_STEP_M):
-                break
-            height = np.where(np.isfinite(found), found, height)
+            far = np.flatnonzero(np.abs(found - height) > _HEIGHT_STEP_M)
+            p_e[far] = self._met(u_e[far], states.take(far), surface, found[far])
         return p_e
 
+    def _met(self, u_e: Array, states: _States, surface: Surface, height_m: ArrayLike) -> Array:
+        rays = emission_rays_e(u_e, states.p_e, states.v_e, self.earth.omega_e, self.effects, height_m)
+        return intersect(*rays, surface)
+
     def _states(self, line: Array) -> _States:
-        if self.table is not None and self.table.covers(line):
+        if self.table is None:
+            return _unpacked(self._exact_states(line))
+        covered = self.table.covers(line)
+        if covered.all():
             return _unpacked(self.table.at(line))
-        return _unpacked(self._exact_states(line))
+        packed = np.empty((len(line), self.table.values.shape[1]))
+        packed[covered] = self.table.at(line[covered])
+        packed[~covered] = self._exact_states(line[~covered])
+        return _unpacked(packed)
 
     def _exact_states(self, line: Array) -> Array:
         """Position, velocity and rotation c -> e of lines (N,), in axes e, as (N, 15)."""
@@ -248,13 +271,14 @@ class Pushbroom:
         packed[:, 6:] = (R_ei @ R_ic).reshape(-1, 9)
         return packed
 
-    def _for_many(self, line: Array) -> Pushbroom:
+    def _for_many(self, line: Array, margin: float = 0.0) -> Pushbroom:
         """This strip, tabulated if the lines are many."""
         line = line[np.isfinite(line)]
-        if len(line) < _CHUNK or (self.table is not None and self.table.covers(line)):
+        if len(line) < _MANY or (self.table is not None and self.table.covers(line).all()):
             return self
-        first, last = float(line.min()), float(line.max())
-        return self.tabulated(first, last) if last > first else self
+        first, last = self._span_lines()
+        first, last = max(float(line.min()) - margin, first), min(float(line.max()) + margin, last)
+        return self.tabulated(first, last) if last - first > 1.0 else self
 
 
 def _unpacked(packed: Array) -> _States:

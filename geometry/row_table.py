@@ -2,94 +2,125 @@
 
 Orbit, Earth rotation and attitude are slow functions of the row, but dear to evaluate a million times. They
 are evaluated at evenly spaced nodes, halving the spacing until cubics through four nodes agree with the true
-function at every midpoint; where it does not even then (an attitude track has a kink at each exposure), the
-cell is marked and the function itself is called there.
+function at every midpoint. Where the function is known to bend (an attitude track does at each exposure), the
+table is broken and no cubic reaches across; a cell where the cubic is still not good enough is marked and the
+function itself is called there.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 __all__ = ["RowTable", "tabulated"]
 
 Array = NDArray[np.float64]
+Index = NDArray[np.int64]
 
 _FIRST_STEP = 64.0  # lines
 _LAST_STEP = 1.0
-_ROUGH_SHARE = 0.02  # share of cells which may be left to the function itself
+_ROUGH_SHARE = 0.005  # share of cells which may be left to the function itself
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RowTable:
-    """Values of C quantities at evenly spaced lines. Made by `tabulated`."""
+    """Values of C quantities at lines, in P pieces of evenly spaced nodes. Made by `tabulated`."""
 
     function: Callable[[Array], Array]  # (N,) lines -> (N, C)
-    first: float  # line of the first node
-    step: float  # lines between nodes
-    values: Array  # (K, C)
-    rough: NDArray[np.bool_]  # (K - 1,) cells in which the cubic is not good enough
+    edges: Array  # (P + 1,) lines where pieces begin and end
+    cells: Index  # (P,) number of cells of each piece
+    values: Array  # (K, C) nodes, piece after piece
+    rough: NDArray[np.bool_]  # (K,) whether the cell that begins at a node is not good enough
 
-    @property
-    def last(self) -> float:
-        return self.first + self.step * (len(self.values) - 1)
-
-    def covers(self, line: Array) -> bool:
-        """Whether every line lies between the first and the last node."""
-        return len(line) == 0 or bool(line.min() >= self.first and line.max() <= self.last)
+    def covers(self, line: Array) -> NDArray[np.bool_]:
+        """Which lines lie between the first and the last node."""
+        return (line >= self.edges[0]) & (line <= self.edges[-1])
 
     def at(self, line: Array) -> Array:
         """The quantities (N, C) at lines (N,) inside the table."""
-        where = (line - self.first) / self.step
-        cell = np.clip(where.astype(np.int64), 0, len(self.values) - 2)
-        values = _cubic(self.values, where, cell)
-        exact = self.rough[cell]
+        piece: Index | int = 0
+        if len(self.cells) > 1:
+            piece = np.searchsorted(self.edges[1:-1], line, side="right")
+        first, cells = self.edges[piece], self.cells[piece]
+        where = (line - first) * (cells / (self.edges[1:][piece] - first))
+        cell = np.clip(where.astype(np.int64), 0, cells - 1)
+        node = (np.cumsum(self.cells + 1) - self.cells - 1)[piece]
+        start = np.clip(cell - 1, 0, cells - 3)
+        values = _cubic(self.values, where - start, node + start)
+        exact = self.rough[node + cell]
         if exact.any():
             values[exact] = self.function(line[exact])
         return values
 
 
 def tabulated(
-    function: Callable[[Array], Array], first: float, last: float, tolerance: Array | float
+    function: Callable[[Array], Array],
+    first: float,
+    last: float,
+    tolerance: Array | float,
+    breaks: ArrayLike = (),
 ) -> RowTable:
     """Tabulate `function`, lines (N,) -> (N, C), between two lines, to `tolerance` (C,) or a number.
 
-    It is called at lines from `first` to `last` only.
+    It is called at lines from `first` to `last` only. `breaks` are lines at which it is continuous but bends.
     """
     if not last > first:
         raise ValueError(f"the last line must lie after the first, got {first} and {last}")
-    cells = max(4, int(np.ceil((last - first) / _FIRST_STEP)))
-    nodes = _even(first, last, cells + 1)
-    values = function(nodes)
+    inner = np.unique(np.asarray(breaks, dtype=float))
+    inner = inner[(inner > first + _LAST_STEP) & (inner < last - _LAST_STEP)]
+    edges = np.concatenate([[first], inner, [last]])
+    cells = np.maximum(4, np.ceil(np.diff(edges) / _FIRST_STEP)).astype(np.int64)
+    values = function(_nodes(edges, cells))
     while True:
-        middles = 0.5 * (nodes[1:] + nodes[:-1])
+        middles, before = _middles(edges, cells)
         true = function(middles)
-        guess = _cubic(values, np.arange(len(middles)) + 0.5, np.arange(len(middles)))
-        rough = (np.abs(guess - true) > tolerance).any(axis=1)
-        both = np.empty((len(nodes) + len(middles), values.shape[1]))
-        both[::2], both[1::2] = values, true
-        nodes, values, rough = _even(first, last, len(both)), both, np.repeat(rough, 2)
-        step = nodes[1] - nodes[0]
+        where = before - np.repeat(np.cumsum(cells + 1) - cells - 1, cells)  # cell within its piece
+        start = np.clip(where - 1, 0, np.repeat(cells, cells) - 3)
+        guess = _cubic(values, where + 0.5 - start, before - where + start)
+        rough = np.asarray((np.abs(guess - true) > tolerance).any(axis=1))
+        step = np.max(np.diff(edges) / cells)
+        values, rough_nodes, cells = _merged(values, true, before, rough, cells)
         if rough.mean() <= _ROUGH_SHARE or step <= _LAST_STEP:
-            return RowTable(function, float(first), float(step), values, rough)
+            return RowTable(function, edges, cells, values, rough_nodes)
 
 
-def _even(first: float, last: float, number: int) -> Array:
-    return np.asarray(np.linspace(first, last, number), dtype=np.float64)
+def _nodes(edges: Array, cells: Index) -> Array:
+    """Evenly spaced lines, both ends included, of every piece in turn."""
+    pieces = [np.linspace(a, b, n + 1) for a, b, n in zip(edges[:-1], edges[1:], cells)]
+    return np.concatenate(pieces)
 
 
-def _cubic(values: Array, where: NDArray[Any], cell: NDArray[np.int64]) -> Array:
-    """Cubics through four neighbouring rows of `values` (K, C) at fractional indices `where` (N,)."""
-    start = np.clip(cell - 1, 0, len(values) - 4)
-    x = (where - start)[:, None]
+def _middles(edges: Array, cells: Index) -> tuple[Array, Index]:
+    """Lines midway between neighbouring nodes of every piece, and the index of the node before each."""
+    nodes = _nodes(edges, cells)
+    last_of_piece = np.cumsum(cells + 1) - 1
+    before = np.setdiff1d(np.arange(len(nodes)), last_of_piece)
+    return 0.5 * (nodes[before] + nodes[before + 1]), before
+
+
+def _merged(
+    values: Array, true: Array, before: Index, rough: NDArray[np.bool_], cells: Index
+) -> tuple[Array, NDArray[np.bool_], Index]:
+    """Nodes and middles in one table of twice as many cells; both halves of a rough cell are rough."""
+    place = np.arange(len(values)) + np.searchsorted(before, np.arange(len(values)))  # of the old nodes
+    both = np.empty((len(values) + len(true), values.shape[1]))
+    both[place] = values
+    both[place[before] + 1] = true
+    rough_nodes = np.zeros(len(both), dtype=np.bool_)
+    rough_nodes[place[before]] = rough_nodes[place[before] + 1] = rough
+    return both, rough_nodes, 2 * cells
+
+
+def _cubic(values: Array, x: Array, start: Index) -> Array:
+    """Cubics through the four rows of `values` (K, C) from `start` (N,) on, at x (N,) rows after it."""
+    x = x[:, None]
     a, b, c, d = x, x - 1.0, x - 2.0, x - 3.0
     ab, cd = a * b, c * d
     result = values[start] * (b * cd / -6.0)
     result += values[start + 1] * (a * cd * 0.5)
     result += values[start + 2] * (ab * d * -0.5)
     result += values[start + 3] * (ab * c / 6.0)
-    return result
+    return np.asarray(result)
