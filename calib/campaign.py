@@ -58,7 +58,10 @@ class StripPlan:
     duration_s: float = 1.8  # of a strip: 26 000 rows of 0.07 ms
     exposures: int = 10  # a strip, evenly over its duration
     stars: int = 40  # an exposure
+    exposure_margin_s: float = 0.0  # exposures start before, and end after, the strip by this much
     targets: int = 12  # a strip
+    across: tuple[float, float] = (-1.0, 1.0)  # where targets lie across the field, its half width being 1
+    along: tuple[float, float] = (0.0, 1.0)  # and along the strip, its length being 1
     sigma_s_px: float = 0.06
     sigma_c_px: float = 0.3
     height_m: float = 530e3
@@ -84,6 +87,10 @@ class StripTruth:
     R_cs: Rotation
     wrong_stars: frozenset[tuple[str, str, int]]  # strip, exposure, row
     wrong_targets: frozenset[tuple[str, int]]  # strip, row
+    R_ci: tuple[Rotation, ...]  # a strip, (J,) at the rows' recorded instants, vibration left out
+    look_c: tuple[
+        Array, ...
+    ]  # a strip, (J, 3) where the targets' images fall, distortion in, placing's error not
 
 
 def draw_strips(
@@ -96,9 +103,13 @@ def draw_strips(
         if plan.distortion_scope == "strip":
             curve = _Curve.draw(plan, cameras, rng)
         drawn.append(_draw_strip(f"strip{n:04d}", plan, cameras, curve, rng))
-    wrong_stars = frozenset().union(*(stars for _, stars, _ in drawn))
-    wrong_targets = frozenset().union(*(targets for _, _, targets in drawn))
-    return [strip for strip, _, _ in drawn], StripTruth(cameras.R_cs, wrong_stars, wrong_targets)
+    return [strip for strip, _ in drawn], StripTruth(
+        cameras.R_cs,
+        frozenset().union(*(truth.wrong_stars for _, truth in drawn)),
+        frozenset().union(*(truth.wrong_targets for _, truth in drawn)),
+        tuple(R_ci for _, truth in drawn for R_ci in truth.R_ci),
+        tuple(look_c for _, truth in drawn for look_c in truth.look_c),
+    )
 
 
 def draw_frames(
@@ -207,18 +218,20 @@ class _Curve:
 
 def _draw_strip(
     name: str, plan: StripPlan, cameras: CameraPair, curve: _Curve, rng: np.random.Generator
-) -> tuple[StripSightings, set[tuple[str, str, int]], set[tuple[str, int]]]:
-    motion = _Motion.draw(plan, rng)
-    t_stars = np.asarray(np.linspace(0.0, plan.duration_s, plan.exposures), dtype=np.float64)
+) -> tuple[StripSightings, StripTruth]:
+    motion, margin = _Motion.draw(plan, rng), plan.exposure_margin_s
+    t_stars = np.asarray(np.linspace(-margin, plan.duration_s + margin, plan.exposures), dtype=np.float64)
     exposures, wrong_stars = [], set[tuple[str, str, int]]()
     for k, t in enumerate(t_stars):
         exposure, wrong = _draw_exposure(f"{name}/{k:03d}", float(t), plan, cameras, motion, rng)
         exposures.append(exposure)
         wrong_stars |= {(name, exposure.exposure_id, row) for row in wrong}
-    t_targets = np.sort(rng.uniform(0.0, plan.duration_s, plan.targets))
-    ground, wrong_rows = _draw_targets(name, t_targets, plan, cameras, motion, curve, rng)
+    t_targets = plan.duration_s * np.sort(rng.uniform(*plan.along, plan.targets))
+    ground, wrong_rows, look_c = _draw_targets(name, t_targets, plan, cameras, motion, curve, rng)
     strip = StripSightings(name, tuple(exposures), ground, motion.R_oi(t_stars), motion.R_oi(t_targets))
-    return strip, wrong_stars, {(name, row) for row in wrong_rows}
+    wrong_targets = frozenset((name, row) for row in wrong_rows)
+    R_ci = (motion.R_ci(t_targets),)
+    return strip, StripTruth(cameras.R_cs, frozenset(wrong_stars), wrong_targets, R_ci, (look_c,))
 
 
 def _draw_exposure(
@@ -245,11 +258,12 @@ def _draw_targets(
     motion: _Motion,
     curve: _Curve,
     rng: np.random.Generator,
-) -> tuple[GroundSightings, list[int]]:
+) -> tuple[GroundSightings, list[int], Array]:
     J, px = len(t), cameras.pixel_rad
-    ccd = rng.integers(0, cameras.n_ccds, J)
-    sample = rng.uniform(0.0, cameras.ccd_px, J)
-    y = px * (ccd * cameras.ccd_px + sample) - cameras.half_field_rad
+    y = cameras.half_field_rad * rng.uniform(*plan.across, J)
+    pixel = np.clip((y + cameras.half_field_rad) / px, 0.0, cameras.n_ccds * cameras.ccd_px * (1.0 - 1e-12))
+    ccd = np.floor(pixel / cameras.ccd_px).astype(np.int64)
+    sample = pixel - ccd * cameras.ccd_px
     u_c = _unit(np.column_stack([0 * y, y, np.ones(J)]))
     t_true = t + rng.normal(0.0, plan.sigma_clock_s)
     R_ic = (Rotation.from_rotvec(_vibration(t, plan, rng)) * motion.R_ci(t_true)).inv()
@@ -262,10 +276,11 @@ def _draw_targets(
     wrong = np.flatnonzero(rng.random(J) < plan.gross_targets)
     seen[wrong, :2] += px * rng.uniform(-plan.gross_reach_px, plan.gross_reach_px, (len(wrong), 2))
     sigma = plan.sigma_c_px * px
-    measured = _noisy(_unit(seen), sigma, rng)
-    return GroundSightings(
+    look_c = _unit(seen)
+    measured = _noisy(look_c, sigma, rng)
+    ground = GroundSightings(
         np.array([f"{name}/{j:03d}" for j in range(J)], dtype=str),
-        ccd.astype(np.int64),
+        ccd,
         np.column_stack([sample, t]),
         t,
         measured,
@@ -274,7 +289,8 @@ def _draw_targets(
         range_m,
         motion.velocity_i(t),
         np.tile(plan.sigma_target_m**2 * np.eye(3), (J, 1, 1)),
-    ), wrong.tolist()
+    )
+    return ground, wrong.tolist(), look_c
 
 
 def _vibration(t: Array, plan: StripPlan, rng: np.random.Generator) -> Array:

@@ -89,7 +89,7 @@ def _strip_matrix(strip: StripSightings, R_cs0: Rotation, order: int) -> Rotatio
         w = Rotation.from_rotvec(powers @ coefficients).apply(nominal)
         turn = -cross_matrices(w)[
             :, :2
-        ]  # x and y of u_c - w by a right-handed turn: the two collinearity equations
+        ]  # x and y of u_c - w by a right-handed turn: two collinearity equations
         A = (turn[:, :, None, :] * powers[:, None, :, None]).reshape(2 * len(w), -1)
         step = np.linalg.lstsq(A, (strip.ground.u_c - w)[:, :2].ravel(), rcond=None)[0]
         coefficients += step.reshape(order + 1, 3)
@@ -98,6 +98,5 @@ def _strip_matrix(strip: StripSightings, R_cs0: Rotation, order: int) -> Rotatio
 
 
 def _powers(t: Array, first: float, last: float, order: int) -> Array:
-    scaled = np.asarray((2.0 * t - first - last) / max(last - first, 1e-9), dtype=np.float64)
-    powers: Array = np.vander(scaled, order + 1, increasing=True)
-    return powers
+    scaled = (2.0 * t - first - last) / max(last - first, 1e-9)
+    return np.asarray(scaled[:, None] ** np.arange(order + 1), dtype=np.float64)
