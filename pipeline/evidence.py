@@ -213,7 +213,7 @@ def _motions(calibration: Calibration) -> list[StripMotion]:
 
 
 def _matches(calibration: Calibration) -> pa.Table:
-    """Pictures of every placed target; correlation surfaces run from `correlation_low` to `_high`."""
+    """Pictures of every placed target; the correlation surface runs from `surface_low` to `_high`."""
     rows = [(p, n) for p in calibration.placings for n in range(len(p.target_id))]
     return pa.table(
         {

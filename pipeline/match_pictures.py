@@ -22,11 +22,11 @@ SURFACE_PX = 96
 class MatchPictures:
     """Pictures of one match on the strip's own pixel grid."""
 
-    template: bytes  # the chip as the strip should show it
-    found: bytes  # the strip where it was found
-    correlation: bytes  # surface of the search around the place
-    correlation_low: float  # value of its black
-    correlation_high: float  # value of its white
+    template_png: bytes  # the chip as the strip should show it
+    found_png: bytes  # the strip where it was found
+    surface_png: bytes  # surface of the search around the place
+    surface_low: float  # value of its black
+    surface_high: float  # value of its white
 
 
 def match_pictures(evidence: Evidence) -> MatchPictures:
