@@ -57,7 +57,7 @@ from simulator.records import (
     Truth,
 )
 from simulator.relief import Affine, relief_grid
-from simulator.scan import Scene, scan
+from simulator.scan import Scene, needed_sample_step, scan
 from simulator.scenario import Scenario
 from simulator.sky import hot_pixels
 from simulator.star_images import StarField, with_invented_stars
@@ -233,7 +233,8 @@ def _scenes(
         epsg = _utm_epsg(0.5 * (south + north), 0.5 * (west + east))
         ground = _seen_ground(scenario, epsg, seed, ground_image, date=1)
         last = float(scenario.strips.lines + 64)
-        scenes.append(Scene(model.tabulated(-64.0, last), surface, epsg, ground))
+        step = needed_sample_step(model, surface, scenario.strips.lines)
+        scenes.append(Scene(model.tabulated(-64.0, last), surface, epsg, ground, step))
     return scenes, _terrain_report(scenario, heights, affine, seed)
 
 

@@ -17,18 +17,20 @@ from numpy.typing import NDArray
 from pyproj import Transformer
 
 from geometry.attitude import lagrange_weights
+from geometry.constants import WGS84
 from geometry.pushbroom import Pushbroom
-from geometry.terrain import Surface
+from geometry.terrain import ConstantHeight, Surface, TerrainGrid
 from simulator.ground import BlurredGround
 from simulator.scenario import GroundSettings
 
-__all__ = ["Scene", "read_ground", "scan"]
+__all__ = ["Scene", "needed_sample_step", "read_ground", "row_places", "scan"]
 
 Array = NDArray[np.float64]
 Grey = NDArray[np.float32]
 
 _PANEL_LINES, _PANEL_SAMPLES = 256, 512  # rendered at once: the ground under a panel stays in the cache
-_SAMPLE_STEP = 64  # 35 m of ground at full size
+_SAMPLE_STEP = 64  # at most: the camera's distortion is smooth over so many
+_TERRAIN_MISS_PX = 0.005  # what the nodes may miss where the slope of the terrain changes from cell to cell
 _LINE_STEP_S = 0.28e-3  # 45 nodes in a period of 80 Hz: straight lines miss 0.0025 of its amplitude
 _STEPS_OF_REMAP = 32  # OpenCV places its samples on a lattice of 1/32 texel
 
@@ -41,6 +43,7 @@ class Scene:
     surface: Surface
     epsg: int  # UTM zone in which the ground is mapped
     ground: BlurredGround
+    sample_step: int  # between nodes along the detector, from `needed_sample_step`
 
     def texels(self, ccd: int, samples: Array, lines: Array) -> tuple[Array, Array]:
         """Where the pixels of a grid of lines and samples look: texel column and row, (lines, samples)."""
@@ -55,6 +58,30 @@ class Scene:
         column, row = east / self.ground.texel_m - 0.5, -north / self.ground.texel_m - 0.5
         shape = (len(lines), len(samples))
         return column.reshape(shape), row.reshape(shape)
+
+
+def needed_sample_step(model: Pushbroom, surface: TerrainGrid, lines: int) -> int:
+    """How far apart nodes along the detector may be.
+
+    Where the terrain's slope changes by k between cells, a line of sight inclined by z is misplaced by up to
+    `k tan z / 8` of the distance between nodes.
+    """
+    ends, first, last = [], 0.0, lines - 1.0
+    for ccd in {0, model.camera.n_ccds - 1}:
+        end = model.camera.n_px(ccd) - 1.0
+        sample, line = np.array([0.0, end, 0.0, end]), np.array([first, first, last, last])
+        low, high = (model.ground_points(ccd, sample, line, ConstantHeight(h)) for h in (0.0, 100.0))
+        climb = np.linalg.norm(high - low, axis=1) / 100.0  # 1 / cos z
+        ends.append(np.sqrt(np.maximum(climb.max() ** 2 - 1.0, 0.0)))
+    a, _, _, _, e, f = surface.transform
+    cell_m = np.radians(abs(e)) * WGS84.semi_major_m * np.array([1.0, abs(a / e) * np.cos(np.radians(f))])
+    bends = [np.nanquantile(np.abs(np.diff(surface.heights_m, 2, axis=n)), 0.999) / cell_m[n] for n in (0, 1)]
+    miss_per_sample = max(bends) * max(ends) / 8.0
+    return int(
+        np.clip(
+            _TERRAIN_MISS_PX / max(miss_per_sample, 1e-9), 1, min(_SAMPLE_STEP, model.camera.n_px(0) // 16)
+        )
+    )
 
 
 def scan(
@@ -100,21 +127,25 @@ def read_ground(ground: BlurredGround, column: Array, row: Array, rng: np.random
     return np.asarray(seen, dtype=np.float32) * np.float32(1.0 / 65535.0)
 
 
+def row_places(scene: Scene, ccd: int, first: int, lines: int, sample_nodes: Array) -> tuple[Array, Array]:
+    """Texel column and row at which some samples of rows `first` ... look, (lines, nodes)."""
+    step = max(1, int(_LINE_STEP_S / scene.model.rows.row_period_s))
+    line_nodes = np.arange(first, first + lines + step, step, dtype=float)
+    columns, rows = scene.texels(ccd, sample_nodes, line_nodes)
+    down = lagrange_weights(line_nodes, np.arange(first, first + lines, dtype=float), points=2)
+    return down @ columns, down @ rows
+
+
 def _panel_row(
     scene: Scene, ccd: int, first: int, lines: int, samples: int, rng: np.random.Generator
 ) -> Grey:
     """Reflectance seen by rows `first` ... of one CCD, (lines, samples)."""
-    step = max(1, int(_LINE_STEP_S / scene.model.rows.row_period_s))
-    line_nodes = np.arange(first, first + lines + step, step, dtype=float)
-    sample_step = min(_SAMPLE_STEP, max(1, samples // 16))
-    sample_nodes = np.append(np.arange(0.0, samples - 1.0, sample_step), samples - 1.0)
-    columns, rows = scene.texels(ccd, sample_nodes, line_nodes)
-    down = lagrange_weights(line_nodes, np.arange(first, first + lines, dtype=float), points=2)
-    columns, rows = down @ columns, down @ rows
+    nodes = np.append(np.arange(0.0, samples - 1.0, scene.sample_step), samples - 1.0)
+    columns, rows = row_places(scene, ccd, first, lines, nodes)
     seen = np.empty((lines, samples), np.float32)
     for left in range(0, samples, _PANEL_SAMPLES):
         right = min(left + _PANEL_SAMPLES, samples)
-        across = lagrange_weights(sample_nodes, np.arange(left, right, dtype=float)).T
+        across = lagrange_weights(nodes, np.arange(left, right, dtype=float)).T
         seen[:, left:right] = read_ground(scene.ground, columns @ across, rows @ across, rng)
     return seen
 

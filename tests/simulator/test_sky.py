@@ -45,7 +45,7 @@ def test_stars_stand_where_they_were_put():
         image = expose(still([place]), np.array([1e4]), (500, 400), DARK, NO_HOT, rng).astype(float)
         rows, columns = np.indices(image.shape)
         errors.append([(image * columns).sum() / image.sum(), (image * rows).sum() / image.sum()] - place)
-    # A centre of mass of 1e4 photons scatters by 1.28 px / 100 (PSF with its pixel); its mean by a tenth of that.
+    # A centre of mass of 1e4 photons scatters by 1.28 px / 100 (PSF with its pixel); their mean by a tenth.
     assert np.abs(np.mean(errors, axis=0)).max() < 5 * 1.28e-3
     assert np.std(errors) == pytest.approx(1.28e-2, rel=0.25)  # 200 numbers: 5 %, five standard errors
 
@@ -55,7 +55,7 @@ def test_psf_is_integrated_over_pixels():
     image = expose(
         still([[15.0, 15.0]]), np.array([6e7]), (31, 31), noiseless, NO_HOT, np.random.default_rng(3)
     )
-    rows, columns = np.indices(image.shape)
+    columns = np.arange(31.0)
     variance = (image * (columns - 15.0) ** 2).sum() / image.sum()
     assert variance == pytest.approx(1.25**2 + 1.0 / 12.0, rel=0.01)  # Sheppard: a pixel adds 1/12
 
@@ -113,7 +113,7 @@ def test_blooming_runs_along_the_column_and_keeps_the_charge():
     args = (still([[30.0, 80.0]]), np.array([3e6]), (60, 160), sky, NO_HOT, np.random.default_rng(10))
     image = expose(*args).astype(float)
     assert (image[:, 30] >= 240).sum() > (image[80] >= 240).sum() + 10
-    # Nothing is lost: 3e6 e are 75 000 DN; noise of all pixels is 200 DN, pixels at the limit lose about 1 DN each.
+    # Nothing is lost: 3e6 e are 75 000 DN; all pixels' noise is 200 DN, those at the limit lose 1 DN each.
     assert (image - sky.background_dn).sum() == pytest.approx(75_000.0, abs=1300.0)
 
 
