@@ -12,7 +12,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,69 +23,31 @@ from calib.estimate import InstallationEstimate, NotObservable
 from calib.settings import CalibrationSettings
 from geometry.groundlight import LightEffects
 from geometry.sightings import StarSightings, StripSightings
-from pipeline import __version__
 from pipeline.dump import Dump, Strip
 from pipeline.errors import DataNotSufficientError, Omission
+from pipeline.executor import Executor
 from pipeline.ground_chain import (
     Placings,
     StripTask,
     covers,
     ground_sightings,
-    match_targets,
     orbit_around,
     placings_from_table,
-    placings_table,
     targets_near,
 )
 from pipeline.settings import RunSettings, Settings, calibration_settings
 from pipeline.star_chain import (
-    StarTask,
     in_order,
-    sight_exposure,
     sightings_from_table,
     star_tasks,
-    stars_table,
 )
-from pipeline.unit_store import UnitStore, digest
+from pipeline.unit_store import UnitStore
+from pipeline.units import Made, StarUnit, StripUnit
 
-__all__ = ["Calibration", "Executor", "InOrder", "Progress", "calibrate_dump"]
+__all__ = ["Calibration", "Progress", "calibrate_dump"]
 
 Array = NDArray[np.float64]
-Item = TypeVar("Item")
-Outcome = TypeVar("Outcome")
 Progress = Callable[[str, int, int], None]  # stage, units done, units in all
-
-
-class Executor(Protocol):
-    """Something that applies a function to many items, here or elsewhere."""
-
-    def map(
-        self, function: Callable[[Item], Outcome], items: Sequence[Item], done: Callable[[int], None]
-    ) -> list[Outcome]:
-        """Outcomes in the order of the items; `done(n)` is told how many are finished."""
-
-
-@dataclass(frozen=True, slots=True)
-class InOrder:
-    """The executor that works in this process, one item after another."""
-
-    def map(
-        self, function: Callable[[Item], Outcome], items: Sequence[Item], done: Callable[[int], None]
-    ) -> list[Outcome]:
-        outcomes = []
-        for n, item in enumerate(items):
-            outcomes.append(function(item))
-            done(n + 1)
-        return outcomes
-
-
-@dataclass(frozen=True, slots=True)
-class Made:
-    """A unit that is on disk now. `redone` tells whether it had to be made in this run."""
-
-    name: str
-    key: str
-    redone: bool
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -103,35 +64,6 @@ class Calibration:
     omissions: tuple[Omission, ...]
     units_made: int
     units_found: int
-
-
-@dataclass(frozen=True, slots=True)
-class StarUnit:
-    """Makes one exposure's unit unless the store has it."""
-
-    store: UnitStore
-
-    def __call__(self, task: StarTask) -> Made:
-        name, key = task.exposure.exposure_id, digest("stars", __version__, task)
-        if self.store.read("exposures", name, key) is not None:
-            return Made(name, key, False)
-        self.store.write("exposures", name, key, *stars_table(task, sight_exposure(task)))
-        return Made(name, key, True)
-
-
-@dataclass(frozen=True, slots=True)
-class StripUnit:
-    """Makes one strip's unit of one matching unless the store has it."""
-
-    store: UnitStore
-    stage: str
-
-    def __call__(self, task: StripTask) -> Made:
-        name, key = task.strip.strip_id, digest("places", __version__, task)
-        if self.store.read(self.stage, name, key) is not None:
-            return Made(name, key, False)
-        self.store.write(self.stage, name, key, *placings_table(match_targets(task)))
-        return Made(name, key, True)
 
 
 def calibrate_dump(

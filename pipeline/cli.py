@@ -126,7 +126,8 @@ def calibrate(
     out: Annotated[Path, typer.Option(help="Folder of the result; a run that was stopped goes on in it.")],
     settings: SettingsFile = None,
     workers: Annotated[
-        int | None, typer.Option(help="Processes on this machine; default: one a core.", min=1)
+        int | None,
+        typer.Option(help="Processes on this machine; default: one a core, one for a small dump.", min=1),
     ] = None,
     scheduler: Annotated[str | None, typer.Option(help="Address of a dask scheduler instead.")] = None,
     allow_stale_eop: Annotated[
@@ -148,7 +149,7 @@ def calibrate(
     with _warnings_told():
         opened = open_dump(dump, allow_stale_eop=allow_stale_eop)
     begin_result(out)
-    with _bar() as bar, executor_for(workers, scheduler) as executor:
+    with _bar() as bar, executor_for(workers, scheduler, opened.pixels) as executor:
         bars: dict[str, Any] = {}
 
         def progress(stage: str, done: int, total: int) -> None:

@@ -131,6 +131,12 @@ class Dump:
     terrain: TerrainFile | TargetHeights
     omissions: tuple[Omission, ...]
 
+    @property
+    def pixels(self) -> int:
+        """Pixels of all images."""
+        star = self.star_camera.width_px * self.star_camera.height_px * len(self.exposures)
+        return star + sum(a * b for strip in self.strips for a, b in strip.images.shapes.values())
+
 
 def open_dump(root: Path, *, allow_stale_eop: bool = False) -> Dump:
     """Read a dump (docs/dump-format.md). `RawDataError` for anything wrong that is not one image's own

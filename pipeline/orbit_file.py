@@ -8,9 +8,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from astropy.time import Time
 from numpy.typing import NDArray
-from oem import OrbitEphemerisMessage
 
 from geometry.epoch import Epoch
 from pipeline.errors import RawDataError
@@ -40,6 +38,8 @@ class Ephemeris:
 
 def read_oem(path: Path, file: str) -> Ephemeris:
     """The one segment of an OEM. The dump's epoch is the whole TAI second at or before the first state."""
+    from oem import OrbitEphemerisMessage  # with astropy 0.6 s to load, which workers need not
+
     if not read_text(path, file).startswith("CCSDS_OEM_VERS"):
         raise RawDataError(file, "line 1", "another text", "CCSDS_OEM_VERS = ..., an OEM in KVN form")
     try:
@@ -101,6 +101,8 @@ def _degree(meta: Any, file: str) -> int:
 
 
 def _tai_seconds(epochs: list[Any], time_system: str, file: str) -> tuple[Epoch, Array]:
+    from astropy.time import Time
+
     scale = SECOND_OF_TIME_SYSTEM.get(time_system.strip().upper())
     if scale is None:
         raise RawDataError(file, "TIME_SYSTEM", time_system, "UTC, TAI, TT or GPS")

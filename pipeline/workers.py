@@ -13,10 +13,12 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
-from pipeline.calibrate import Executor, InOrder
 from pipeline.errors import WorkerError
+from pipeline.executor import Executor, InOrder
 
 __all__ = ["executor_for"]
+
+SMALL_JOB_PIXELS = 200_000_000  # ten full-size exposures: half a minute of work
 
 Item = TypeVar("Item")
 Outcome = TypeVar("Outcome")
@@ -60,16 +62,17 @@ class OnWorkers:
 
 
 @contextmanager
-def executor_for(workers: int | None, scheduler: str | None) -> Iterator[Executor]:
+def executor_for(workers: int | None, scheduler: str | None, pixels: int) -> Iterator[Executor]:
     """This process for one worker; that many processes of this machine; or the cluster at an address.
 
-    `workers` None means as many as this machine has cores for us.
+    `workers` None means as many as this machine has cores for us, and this process alone where the job has so
+    few `pixels` that starting others would take longer than the job.
     """
     if scheduler is not None:
         with _client(scheduler) as client:
             yield OnWorkers(client)
         return
-    count = workers if workers is not None else _cores()
+    count = workers if workers is not None else (1 if pixels < SMALL_JOB_PIXELS else _cores())
     if count == 1:
         yield InOrder()
         return

@@ -1,0 +1,53 @@
+"""The units of work that can be done anywhere: one exposure, one strip. What is on disk is not made again.
+
+Kept apart from the rest so that a worker process loads only what it needs.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from pipeline import __version__
+from pipeline.ground_chain import StripTask, match_targets, placings_table
+from pipeline.star_chain import StarTask, sight_exposure, stars_table
+from pipeline.unit_store import UnitStore, digest
+
+__all__ = ["Made", "StarUnit", "StripUnit"]
+
+
+@dataclass(frozen=True, slots=True)
+class Made:
+    """A unit that is on disk now. `redone` tells whether it had to be made in this run."""
+
+    name: str
+    key: str
+    redone: bool
+
+
+@dataclass(frozen=True, slots=True)
+class StarUnit:
+    """Makes one exposure's unit unless the store has it."""
+
+    store: UnitStore
+
+    def __call__(self, task: StarTask) -> Made:
+        name, key = task.exposure.exposure_id, digest("stars", __version__, task)
+        if self.store.read("exposures", name, key) is not None:
+            return Made(name, key, False)
+        self.store.write("exposures", name, key, *stars_table(task, sight_exposure(task)))
+        return Made(name, key, True)
+
+
+@dataclass(frozen=True, slots=True)
+class StripUnit:
+    """Makes one strip's unit of one matching unless the store has it."""
+
+    store: UnitStore
+    stage: str
+
+    def __call__(self, task: StripTask) -> Made:
+        name, key = task.strip.strip_id, digest("places", __version__, task)
+        if self.store.read(self.stage, name, key) is not None:
+            return Made(name, key, False)
+        self.store.write(self.stage, name, key, *placings_table(match_targets(task)))
+        return Made(name, key, True)
