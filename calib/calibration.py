@@ -35,7 +35,7 @@ from calib.strips import LinearStrips, PreparedStrip, StripGroup, group_strips, 
 from geometry.installation import deviation_from_theta, theta_between
 from geometry.sightings import StripSightings
 
-__all__ = ["calibrate"]
+__all__ = ["calibrate", "strip_pairs"]
 
 Array = NDArray[np.float64]
 
@@ -66,6 +66,18 @@ def calibrate(
     if len(fit.step.solution.unobservable):
         return _not_observable(fit.step.solution, theta_between(R_cs, R_cs0), rejected, settings)
     return _estimate(prepared, problem, fit, (R_cs, R_cs0), residuals, rejected, scale_s)
+
+
+def strip_pairs(
+    strips: Sequence[StripSightings], R_cs: Rotation, settings: CalibrationSettings
+) -> tuple[InformationPairs, Array]:
+    """One information pair a strip about `R_cs`, no strip or target left out but those that exposures do
+    not cover, and the prior information of the unknowns that the strips share.
+    """
+    problem = _Problem.of([prepare_strip(strip, settings) for strip in strips], settings)
+    if not problem.groups:
+        raise ValueError(f"{len(strips)} strips, none with a target between usable star exposures")
+    return _linear_solution(problem, R_cs, problem.inside.astype(float), 1.0).pairs, problem.prior_shared
 
 
 @dataclass(frozen=True, slots=True, eq=False)
