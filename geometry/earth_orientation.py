@@ -21,6 +21,7 @@ __all__ = [
     "EarthOrientationTable",
     "EarthOrientationWarning",
     "bundled_earth_orientation",
+    "expected_extrapolation_error_m",
     "expected_prediction_error_m",
 ]
 
@@ -96,6 +97,16 @@ def expected_prediction_error_m(days_ahead: float) -> float:
     ut1_m = 0.00025 * days**0.75 * _EQUATOR_SPEED
     pole_m = 0.00068 * days**0.80 * _METRES_PER_ARCSEC
     return float(np.hypot(ut1_m, pole_m))
+
+
+def expected_extrapolation_error_m(days_past: float) -> float:
+    """1-sigma displacement on the equator of UT1 going on at its mean rate of a year, and of a pole held
+    still.
+
+    Rms over the tables since 1990: UT1 0.25 m D^0.9 (10 m after 60 days), pole 0.05 m D, at most 6 m.
+    """
+    days = max(days_past, 0.0)
+    return float(np.hypot(0.25 * days**0.9, min(0.05 * days, 6.0)))
 
 
 def _parse_c04(text: str) -> Array:

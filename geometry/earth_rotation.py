@@ -21,6 +21,7 @@ from geometry.earth_orientation import (
     EarthOrientationError,
     EarthOrientationTable,
     EarthOrientationWarning,
+    expected_extrapolation_error_m,
     expected_prediction_error_m,
 )
 from geometry.epoch import MJD_ZERO_JD, Epoch, tai_minus_utc_s
@@ -30,6 +31,7 @@ __all__ = ["EarthRotation"]
 Array = NDArray[np.float64]
 
 _NODE_DAYS = 0.25  # nutation of 9 days and 50 mas is interpolated to 1e-9 rad and better
+_YEAR_DAYS = 365
 _NOTICEABLE_M = 0.1  # predictions whose stated error is larger than this are spoken of
 
 
@@ -61,8 +63,8 @@ class EarthRotation:
         """Prepare the rotation for `t_start_s` <= t_s <= `t_stop_s` (TAI seconds since `epoch`).
 
         Raises `EarthOrientationError` for a date outside the table, naming both. With `allow_stale_eop` a
-        date past its end is served by its last values (UT1 going on at its last rate), with a warning that
-        states the size of the effect.
+        date past its end is served by its last values (UT1 going on at its mean rate of a year), with a
+        warning that states the size of the effect.
         """
         start, stop = (float(epoch.mjd_tai(t)) for t in (t_start_s, t_stop_s))
         if not start <= stop:
@@ -114,7 +116,12 @@ def _check_dates(
     span = f"the Earth-orientation table ({table.source}) holds {_date(first)} to {_date(last)}"
     if start < first:
         raise EarthOrientationError(f"{epoch.utc_from_seconds(t_start_s)[0]} is before the table: {span}")
-    error_m = expected_prediction_error_m(stop - table.mjd_last_measured)
+    error_m = float(
+        np.hypot(
+            expected_prediction_error_m(min(stop, last) - table.mjd_last_measured),
+            expected_extrapolation_error_m(stop - last),
+        )
+    )
     if stop > last and not allow_stale:
         raise EarthOrientationError(
             f"{epoch.utc_from_seconds(t_stop_s)[0]} is past the table: {span}; "
@@ -125,7 +132,8 @@ def _check_dates(
         what = "extrapolated" if stop > last else "predicted"
         warnings.warn(
             f"Earth orientation at {epoch.utc_from_seconds(t_stop_s)[0]} is {what}: "
-            f"expected error {error_m:.2f} m on the equator (1 sigma); measured until {_date(table.mjd_last_measured)}, {span}",
+            f"expected error {error_m:.2f} m on the equator (1 sigma); "
+            f"measured until {_date(table.mjd_last_measured)}, {span}",
             EarthOrientationWarning,
             stacklevel=3,
         )
@@ -148,7 +156,10 @@ def _daily_values(table: EarthOrientationTable, start: float, stop: float) -> tu
     if (missing := int(np.ceil(stop - days[-1])) + 2) > 0:
         step = np.arange(1, missing + 1)
         more = np.repeat(values[-1:], missing, axis=0)
-        more[:, 0] += (values[-1, 0] - values[-8, 0]) / 7.0 * step
+        back = min(
+            _YEAR_DAYS, len(values) - 1
+        )  # over less than a year, tides and seasons make the rate worse
+        more[:, 0] += (values[-1, 0] - values[-1 - back, 0]) / back * step
         days, values = np.concatenate([days, days[-1] + step]), np.vstack([values, more])
     low = max(int(np.searchsorted(days, start)) - 3, 0)
     high = max(int(np.searchsorted(days, stop)) + 3, low + 4)
