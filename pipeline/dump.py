@@ -20,7 +20,7 @@ from scipy.spatial.transform import Rotation
 
 from gct_match.records import Target
 from geometry.constants import WGS84
-from geometry.earth_orientation import EarthOrientationError, EarthOrientationTable, bundled_earth_orientation
+from geometry.earth_orientation import EarthOrientationTable, bundled_earth_orientation
 from geometry.earth_rotation import EarthRotation
 from geometry.epoch import Epoch
 from geometry.geodesy import ecef_from_geodetic
@@ -230,10 +230,10 @@ def _orbit(
         earth = EarthRotation.over(
             ephemeris.epoch, float(t[0]), float(t[-1]), table, allow_stale_eop=allow_stale_eop
         )
-    except EarthOrientationError as error:
-        first, last = ephemeris.epoch.utc_from_seconds(t[[0, -1]])
+    except ValueError as error:  # before 1972, or EarthOrientationError
+        found = f"{ephemeris.first_time} to {ephemeris.last_time}"
         expected = f"dates within the Earth-orientation table ({error})"
-        raise RawDataError(head.files.orbit, "time of the states", f"{first} to {last}", expected) from error
+        raise RawDataError(head.files.orbit, "time of the states", found, expected) from error
     try:
         return Orbit(
             ephemeris.epoch,

@@ -34,6 +34,8 @@ class Ephemeris:
     method: Literal["lagrange", "hermite"]
     interpolation_degree: int
     object_name: str
+    first_time: str  # of the states, as the file has it, in its own time system
+    last_time: str
 
 
 def read_oem(path: Path, file: str) -> Ephemeris:
@@ -68,6 +70,8 @@ def read_oem(path: Path, file: str) -> Ephemeris:
         _method(meta, file),
         _degree(meta, file),
         str(meta["OBJECT_NAME"])[:64],
+        f"{states[0].epoch}",
+        f"{states[-1].epoch}",
     )
 
 

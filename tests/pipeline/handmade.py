@@ -1,7 +1,7 @@
 """A small dump written by hand after docs/dump-format.md, without the program's own writer.
 
-A circular orbit, four noise exposures of 64 x 48 px, one strip of two CCDs of 64 x 200 px, two targets with chips.
-Everything can be read; nothing in it can be calibrated.
+A circular orbit, four noise exposures of 64 x 48 px, one strip of two CCDs of 64 x 200 px, two targets with
+chips. Everything can be read; nothing in it can be calibrated.
 """
 
 from __future__ import annotations

@@ -1,0 +1,69 @@
+"""Dumps for the tests of pipeline/: one written by hand, and one strip of the committed `fixtures/mini`."""
+
+from __future__ import annotations
+
+import csv
+import os
+import shutil
+from pathlib import Path
+
+import pytest
+from handmade import write_handmade_dump
+
+FIXTURE = Path(__file__).parents[2] / "fixtures" / "mini"
+
+
+@pytest.fixture
+def handmade(tmp_path: Path) -> Path:
+    """A fresh dump written by hand; a test may damage it as it likes."""
+    return write_handmade_dump(tmp_path / "handmade")
+
+
+@pytest.fixture
+def one_strip(tmp_path: Path) -> Path:
+    """The first strip of `fixtures/mini` and the exposures around it, without truth."""
+    return first_strip_of_fixture(tmp_path / "one-strip")
+
+
+def first_strip_of_fixture(root: Path) -> Path:
+    """Copy of the fixture with its first strip only. Images are hard links: replace them, never write
+    into them.
+    """
+    root.mkdir()
+    for name in ("dump.toml", "star_camera.toml", "remote_camera.toml", "installation.toml", "orbit.oem"):
+        shutil.copy(FIXTURE / name, root / name)
+    shutil.copytree(FIXTURE / "terrain", root / "terrain")
+    strips = _rows("strips.csv")
+    first = strips[1][0]
+    _write(root / "strips.csv", [strips[0], *(row for row in strips[1:] if row[0] == first)])
+    targets = _rows("targets.csv")
+    _write(root / "targets.csv", [targets[0], *(row for row in targets[1:] if row[0].startswith(first))])
+    exposures = _rows("exposures.csv")
+    second = next(row[3] for row in strips[1:] if row[0] != first)
+    until = _seconds_before(second)
+    _write(root / "exposures.csv", [exposures[0], *(row for row in exposures[1:] if row[2] < until)])
+    for table, column in (("strips.csv", 2), ("targets.csv", 8), ("exposures.csv", 1)):
+        for row in _read(root / table)[1:]:
+            (root / row[column]).parent.mkdir(exist_ok=True)
+            os.link(FIXTURE / row[column], root / row[column])
+    return root
+
+
+def _seconds_before(utc: str) -> str:
+    """Text that sorts before the exposures of the strip that begins at `utc` (all on one day, one hour)."""
+    minute, second = int(utc[14:16]), float(utc[17:].rstrip("Z")) - 5.0
+    return f"{utc[:14]}{minute - (second < 0):02d}:{second % 60.0:06.3f}"
+
+
+def _rows(name: str) -> list[list[str]]:
+    return _read(FIXTURE / name)
+
+
+def _read(path: Path) -> list[list[str]]:
+    with path.open(newline="") as stream:
+        return list(csv.reader(stream))
+
+
+def _write(path: Path, rows: list[list[str]]) -> None:
+    with path.open("w", newline="") as stream:
+        csv.writer(stream, lineterminator="\n").writerows(rows)
