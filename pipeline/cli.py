@@ -12,6 +12,7 @@ import time
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -236,3 +237,51 @@ def status(result: Annotated[Path, typer.Argument(help="Folder of a run, finishe
     from pipeline.summary import status_summary
 
     typer.echo(status_summary(result))
+
+
+@app.command()
+def experiment(
+    name: Annotated[str, typer.Argument(help="convergence, grid, table4, table5 or figure8.")],
+    out: Annotated[Path, typer.Option(help="Folder for NAME.csv and NAME.png.")],
+    runs: Annotated[
+        int | None, typer.Option(help="Runs a cell; default 200 (Wang 40, table5 20).", min=2)
+    ] = None,
+    seed: Annotated[int, typer.Option(help="Everything random comes from this number.", min=0)] = 2020,
+    star_from_zenith_deg: Annotated[
+        float, typer.Option(help="Where the star camera looks, in the Y-Z plane.")
+    ] = 15.0,
+) -> None:
+    """Run a simulation of the paper from scratch, its figures beside ours."""
+    from calib.experiments import ExperimentSettings
+    from pipeline.experiments import EXPERIMENTS, run_experiment
+
+    if name not in EXPERIMENTS:
+        raise _wrong_usage(f"there is no experiment {name!r}, only {', '.join(EXPERIMENTS)}")
+    chosen = ExperimentSettings(seed=seed, from_zenith_deg=star_from_zenith_deg)
+    if runs is not None:
+        chosen = replace(chosen, runs=runs, wang_runs=runs, table5_runs=runs)
+    with _bar() as bar:
+        task = bar.add_task(name, total=None)
+        table, written = run_experiment(
+            name, out, chosen, lambda done, total: bar.update(task, completed=done, total=total)
+        )
+    typer.echo(f"{name}: {len(table)} rows -> {', '.join(str(path) for path in written)}")
+
+
+@app.command()
+def plan(
+    plan_file: Annotated[Path, typer.Argument(metavar="PLAN", help="TOML file that describes the campaign.")],
+    target: Annotated[
+        float | None, typer.Option(help="Arcsec on every axis: how many strips are needed?", min=1e-9)
+    ] = None,
+    out: Annotated[Path | None, typer.Option(help="Folder for plan.csv and plan.png.")] = None,
+) -> None:
+    """Tell, before any data, how well a campaign will fix the installation matrix."""
+    from pipeline.plan import forecast_plan, read_plan, write_forecast
+
+    found = forecast_plan(read_plan(plan_file), target)
+    typer.echo(found.text)
+    if out is not None:
+        typer.echo(f"-> {', '.join(str(path) for path in write_forecast(found, out, target))}")
+    if target is not None and found.strips_needed is None:
+        raise typer.Exit(DATA_DID_NOT_ALLOW)
