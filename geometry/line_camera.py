@@ -83,19 +83,19 @@ class Ccd:
         object.__setattr__(self, "distortion_offsets_m", offsets)
         if len(samples):
             object.__setattr__(self, "_spline", CubicSpline(samples, offsets))
-        along, slope = self._along(np.array([0.0, self.n_px - 1.0]))
+        ends = np.array([0.0, self.n_px - 1.0])
+        along, slope = self._along(ends), self._along_slope(ends)
         if np.any(slope <= 0.0) or along[1] <= along[0]:
             raise ValueError("the distortion table turns the order of the samples round")
 
     def focal_plane(self, sample: ArrayLike) -> Array:
         """Ideal image points (N, 2), `(x_f, y_f)` in metres, distortion removed."""
-        along, _ = self._along(np.asarray(sample, dtype=float))
+        along = self._along(np.asarray(sample, dtype=float))
         return self._axis_point + along[:, None] * self._axis
 
     def focal_plane_slope(self, sample: ArrayLike) -> Array:
         """d(x_f, y_f) / d sample, (N, 2), m/px."""
-        _, slope = self._along(np.asarray(sample, dtype=float))
-        return slope[:, None] * self._axis
+        return self._along_slope(np.asarray(sample, dtype=float))[:, None] * self._axis
 
     def samples(self, xy_f: Array) -> tuple[Array, Array]:
         """The sample (N,) at the foot of focal-plane points (N, 2), and their distance across the detector
@@ -108,8 +108,7 @@ class Ccd:
         across = offset @ np.array([self._axis[1], -self._axis[0]])
         sample = self.principal_sample + along / self.pixel_m
         for _ in range(_NEWTON_STEPS):
-            reached, slope = self._along(sample)
-            step = (along - reached) / slope
+            step = (along - self._along(sample)) / self._along_slope(sample)
             sample = sample + step
             if np.nanmax(np.abs(step), initial=0.0) < 1e-10:
                 break
@@ -123,15 +122,23 @@ class Ccd:
     def _axis_point(self) -> Array:
         return np.array([self.x_offset_m, self.y_first_m + self.principal_sample * self.pixel_m])
 
-    def _along(self, sample: Array) -> tuple[Array, Array]:
-        """Ideal distance along the detector from its principal sample (m), and its slope (m/px)."""
+    def _along(self, sample: Array) -> Array:
+        """Ideal distance along the detector from its principal sample, m."""
         along = (sample - self.principal_sample) * self.pixel_m
         if self._spline is None:
-            return along, np.full_like(along, self.pixel_m)
+            return along
         inside = np.clip(sample, self.distortion_samples[0], self.distortion_samples[-1])
-        slope = self._spline(inside, 1)
-        offset = self._spline(inside) + slope * (sample - inside)
-        return along - offset, self.pixel_m - slope
+        along -= self._spline(inside)
+        beyond = np.flatnonzero(inside != sample)
+        along[beyond] -= self._spline(inside[beyond], 1) * (sample[beyond] - inside[beyond])
+        return along
+
+    def _along_slope(self, sample: Array) -> Array:
+        """Its derivative, m/px."""
+        if self._spline is None:
+            return np.full(len(sample), self.pixel_m)
+        inside = np.clip(sample, self.distortion_samples[0], self.distortion_samples[-1])
+        return np.asarray(self.pixel_m - self._spline(inside, 1))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -25,6 +25,7 @@ from geometry.groundlight import LightEffects, OrbitLike, apparent_directions_e,
 from geometry.line_camera import LineSensor
 from geometry.row_table import RowTable, tabulated
 from geometry.terrain import ConstantHeight, Surface, intersect
+from geometry.terrain_rays import bilinear
 
 __all__ = ["OrbitOverTime", "Pushbroom", "RowClock"]
 
@@ -42,7 +43,11 @@ _SCAN = 65  # lines at which such points are looked for
 _SECANT_STEPS = 12
 _MOVED_PX = 1e-2
 _FOUND_PX = 1e-7
-_HEIGHT_STEP_M = 1.0  # a line of sight made for this height is good for ground so much higher or lower
+_BENT_M = 2e-5  # a bend so small is left in a line of sight
+_BEND_LIGHT_TIME = 3e-13  # 1/m: bend of the path over a way d in height is this times d^2
+_BEND_AIR = 3e-8  # 1/m, times tan z sec^2 z: refractivity of 2.8e-4 with a scale height of 8 km
+_LATTICE = (65, 33)  # lines and samples from which the height of the ground is guessed
+_LATTICE_M = 20.0  # less relief needs no guess
 
 
 class OrbitOverTime(OrbitLike, Protocol):
@@ -76,12 +81,32 @@ class RowClock:
 class _States:
     """Satellite and camera at N instants, in axes e of each instant."""
 
-    p_e: Array  # (N, 3) m
-    v_e: Array  # (N, 3) velocity in the inertial frame, m/s
-    R_ec: Array  # (N, 3, 3)
+    packed: Array  # (15, N): position, m; velocity in the inertial frame, m/s; R_ec row by row
+
+    @property
+    def p_e(self) -> Array:
+        """(N, 3), m."""
+        return self.packed[0:3].T
+
+    @property
+    def v_e(self) -> Array:
+        """(N, 3), m/s."""
+        return self.packed[3:6].T
+
+    def to_e(self, u_c: Array) -> Array:
+        """Vectors (N, 3) of frame c in axes e."""
+        x, y, z = u_c.T
+        R = self.packed[6:]
+        return np.stack([R[k] * x + R[k + 1] * y + R[k + 2] * z for k in (0, 3, 6)]).T
+
+    def to_c(self, u_e: Array) -> Array:
+        """Vectors (N, 3) of axes e in frame c."""
+        x, y, z = u_e.T
+        R = self.packed[6:]
+        return np.stack([R[k] * x + R[k + 3] * y + R[k + 6] * z for k in (0, 1, 2)]).T
 
     def take(self, index: NDArray[np.int64]) -> _States:
-        return _States(self.p_e[index], self.v_e[index], self.R_ec[index])
+        return _States(self.packed[:, index])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -130,12 +155,10 @@ class Pushbroom:
         """Where pixels look at the ground: p_e (N, 3), m; NaN where the line of sight meets no surface."""
         sample, line = _pixels(sample, line)
         model = self._for_many(line)
+        height = model._expected_heights(ccd, sample, line, surface)
         p_e = np.empty((len(line), 3))
         for part in _chunks(len(line)):
-            states = model._states(line[part])
-            u_c = self.camera.directions_from_pixels(ccd, sample[part])
-            u_e = np.einsum("nij,nj->ni", states.R_ec, u_c)
-            p_e[part] = self._meet(u_e, states, surface)
+            p_e[part] = model._meet(ccd, sample[part], line[part], surface, height[part])
         return p_e
 
     def pixels_from_ground(self, ccd: int, p_e: ArrayLike) -> tuple[Array, Array]:
@@ -221,7 +244,7 @@ class Pushbroom:
         """Apparent directions (N, 3) of ground points in frame c, and whether they face the satellite."""
         u_e, _ = apparent_directions_e(p_e, states.p_e, states.v_e, self.earth.omega_e, self.effects)
         above = np.einsum("ni,ni->n", states.p_e - p_e, p_e) > 0.0
-        return np.einsum("nji,nj->ni", states.R_ec, u_e), above
+        return states.to_c(u_e), above
 
     def _span_lines(self) -> tuple[float, float]:
         """Lines between which orbit and attitude are known."""
@@ -234,42 +257,78 @@ class Pushbroom:
         slack = 1e-6 / self.rows.row_period_s  # rounding must not lead outside
         return float(ends[0]) + slack, float(ends[1]) - slack
 
-    def _meet(self, u_e: Array, states: _States, surface: Surface) -> Array:
-        """Lines of sight down to the surface, each made for the height at which it meets it."""
-        low, high = surface.height_range_m()
-        height: Array | float = 0.5 * (low + high)
-        p_e = self._met(u_e, states, surface, height)
-        if high - low > _HEIGHT_STEP_M and (self.effects.light_time or self.effects.refraction):
-            found = geodetic_from_ecef(p_e, WGS84)[2]
-            far = np.flatnonzero(np.abs(found - height) > _HEIGHT_STEP_M)
-            p_e[far] = self._met(u_e[far], states.take(far), surface, found[far])
+    def _meet(self, ccd: int, sample: Array, line: Array, surface: Surface, height_m: Array) -> Array:
+        """Lines of sight down to the surface. Each is straight, and exact at the height it is made for: where
+        it meets the surface too far from there for that, it is made anew.
+        """
+        states = self._states(line)
+        u_e = states.to_e(self.camera.directions_from_pixels(ccd, sample))
+        p_e = self._met(u_e, states, surface, height_m)
+        far = np.flatnonzero(self._bent_m(p_e, u_e, height_m) > _BENT_M)
+        if len(far):
+            height = geodetic_from_ecef(p_e[far], WGS84)[2]
+            p_e[far] = self._met(u_e[far], states.take(far), surface, height)
         return p_e
 
-    def _met(self, u_e: Array, states: _States, surface: Surface, height_m: ArrayLike) -> Array:
+    def _met(self, u_e: Array, states: _States, surface: Surface, height_m: Array) -> Array:
         rays = emission_rays_e(u_e, states.p_e, states.v_e, self.earth.omega_e, self.effects, height_m)
         return intersect(*rays, surface)
 
+    def _bent_m(self, p_e: Array, u_e: Array, height_m: Array) -> Array:
+        """How far (N,), m, the path of light bends at most from its tangent on the way to p_e."""
+        if not (self.effects.light_time or self.effects.refraction):
+            return np.zeros(len(p_e))
+        away = _above_shell(p_e, height_m)
+        radius2 = np.einsum("ni,ni->n", p_e, p_e)
+        cos2 = np.einsum("ni,ni->n", p_e, u_e) ** 2 / radius2
+        with np.errstate(divide="ignore", invalid="ignore"):
+            tan = np.sqrt(np.maximum(1.0 / cos2 - 1.0, 0.0))
+        return away**2 * (_BEND_LIGHT_TIME + _BEND_AIR * tan * (1.0 + tan**2))
+
+    def _expected_heights(self, ccd: int, sample: Array, line: Array, surface: Surface) -> Array:
+        """Roughly the height (N,) at which pixels meet the ground, from a lattice of pixels when they are
+        many.
+        """
+        low, high = surface.height_range_m()
+        middle = 0.5 * (low + high)
+        if len(line) < _MANY or high - low < _LATTICE_M:
+            return np.full(len(line), middle)
+        axes = [
+            np.linspace(np.nanmin(a), np.nanmax(a), n)
+            for a, n in ((line, _LATTICE[0]), (sample, _LATTICE[1]))
+        ]
+        if np.ptp(axes[0]) < 1.0 or np.ptp(axes[1]) < 1.0:
+            return np.full(len(line), middle)
+        at_line, at_sample = (grid.ravel() for grid in np.meshgrid(*axes, indexing="ij"))
+        p_e = self._meet(ccd, at_sample, at_line, surface, np.full(len(at_line), middle))
+        heights = np.nan_to_num(geodetic_from_ecef(p_e, WGS84)[2], nan=middle).reshape(_LATTICE)
+        row, column = (
+            (a - axis[0]) * ((len(axis) - 1) / (axis[-1] - axis[0]))
+            for a, axis in ((line, axes[0]), (sample, axes[1]))
+        )
+        return np.nan_to_num(bilinear(heights.astype(np.float32), column, row), nan=middle)
+
     def _states(self, line: Array) -> _States:
         if self.table is None:
-            return _unpacked(self._exact_states(line))
+            return _States(self._exact_states(line))
         covered = self.table.covers(line)
         if covered.all():
-            return _unpacked(self.table.at(line))
-        packed = np.empty((len(line), self.table.values.shape[1]))
-        packed[covered] = self.table.at(line[covered])
-        packed[~covered] = self._exact_states(line[~covered])
-        return _unpacked(packed)
+            return _States(self.table.at(line))
+        packed = np.empty((len(_TOLERANCE), len(line)))
+        packed[:, covered] = self.table.at(line[covered])
+        packed[:, ~covered] = self._exact_states(line[~covered])
+        return _States(packed)
 
     def _exact_states(self, line: Array) -> Array:
-        """Position, velocity and rotation c -> e of lines (N,), in axes e, as (N, 15)."""
+        """What `_States` holds, (15, N), at lines (N,)."""
         t_s = self.instants(line)
         R_ei = np.swapaxes(self.earth.matrices_ie(t_s), 1, 2)
         R_ic = (self.R_cs * self.attitude.R_si(t_s)).inv().as_matrix()
-        packed = np.empty((len(t_s), 15))
+        packed = np.empty((len(t_s), len(_TOLERANCE)))
         packed[:, 0:3] = np.einsum("nij,nj->ni", R_ei, self.orbit.positions_i(t_s))
         packed[:, 3:6] = np.einsum("nij,nj->ni", R_ei, self.orbit.velocities_i(t_s))
         packed[:, 6:] = (R_ei @ R_ic).reshape(-1, 9)
-        return packed
+        return np.ascontiguousarray(packed.T)
 
     def _for_many(self, line: Array, margin: float = 0.0) -> Pushbroom:
         """This strip, tabulated if the lines are many."""
@@ -281,8 +340,11 @@ class Pushbroom:
         return self.tabulated(first, last) if last - first > 1.0 else self
 
 
-def _unpacked(packed: Array) -> _States:
-    return _States(packed[:, 0:3], packed[:, 3:6], packed[:, 6:].reshape(-1, 3, 3))
+def _above_shell(p_e: Array, height_m: Array) -> Array:
+    """Height of points above the ellipsoid with semi-axes a + h, b + h, m, to a per cent."""
+    a, b = WGS84.semi_major_m + height_m, WGS84.semi_minor_m + height_m
+    x, y, z = p_e.T
+    return np.asarray(0.5 * a * ((x * x + y * y) / (a * a) + (z / b) ** 2 - 1.0))
 
 
 def _pixels(sample: ArrayLike, line: ArrayLike) -> tuple[Array, Array]:

@@ -29,10 +29,10 @@ _ROUGH_SHARE = 0.005  # share of cells which may be left to the function itself
 class RowTable:
     """Values of C quantities at lines, in P pieces of evenly spaced nodes. Made by `tabulated`."""
 
-    function: Callable[[Array], Array]  # (N,) lines -> (N, C)
+    function: Callable[[Array], Array]  # (N,) lines -> (C, N)
     edges: Array  # (P + 1,) lines where pieces begin and end
     cells: Index  # (P,) number of cells of each piece
-    values: Array  # (K, C) nodes, piece after piece
+    values: Array  # (C, K) at the nodes, piece after piece
     rough: NDArray[np.bool_]  # (K,) whether the cell that begins at a node is not good enough
 
     def covers(self, line: Array) -> NDArray[np.bool_]:
@@ -40,7 +40,7 @@ class RowTable:
         return (line >= self.edges[0]) & (line <= self.edges[-1])
 
     def at(self, line: Array) -> Array:
-        """The quantities (N, C) at lines (N,) inside the table."""
+        """The quantities (C, N) at lines (N,) inside the table."""
         piece: Index | int = 0
         if len(self.cells) > 1:
             piece = np.searchsorted(self.edges[1:-1], line, side="right")
@@ -52,7 +52,7 @@ class RowTable:
         values = _cubic(self.values, where - start, node + start)
         exact = self.rough[node + cell]
         if exact.any():
-            values[exact] = self.function(line[exact])
+            values[:, exact] = self.function(line[exact])
         return values
 
 
@@ -63,7 +63,7 @@ def tabulated(
     tolerance: Array | float,
     breaks: ArrayLike = (),
 ) -> RowTable:
-    """Tabulate `function`, lines (N,) -> (N, C), between two lines, to `tolerance` (C,) or a number.
+    """Tabulate `function`, lines (N,) -> (C, N), between two lines, to `tolerance` (C,) or a number.
 
     It is called at lines from `first` to `last` only. `breaks` are lines at which it is continuous but bends.
     """
@@ -80,7 +80,7 @@ def tabulated(
         where = before - np.repeat(np.cumsum(cells + 1) - cells - 1, cells)  # cell within its piece
         start = np.clip(where - 1, 0, np.repeat(cells, cells) - 3)
         guess = _cubic(values, where + 0.5 - start, before - where + start)
-        rough = np.asarray((np.abs(guess - true) > tolerance).any(axis=1))
+        rough = np.asarray((np.abs(guess - true) > np.reshape(tolerance, (-1, 1))).any(axis=0))
         step = np.max(np.diff(edges) / cells)
         values, rough_nodes, cells = _merged(values, true, before, rough, cells)
         if rough.mean() <= _ROUGH_SHARE or step <= _LAST_STEP:
@@ -105,22 +105,27 @@ def _merged(
     values: Array, true: Array, before: Index, rough: NDArray[np.bool_], cells: Index
 ) -> tuple[Array, NDArray[np.bool_], Index]:
     """Nodes and middles in one table of twice as many cells; both halves of a rough cell are rough."""
-    place = np.arange(len(values)) + np.searchsorted(before, np.arange(len(values)))  # of the old nodes
-    both = np.empty((len(values) + len(true), values.shape[1]))
-    both[place] = values
-    both[place[before] + 1] = true
-    rough_nodes = np.zeros(len(both), dtype=np.bool_)
+    nodes = np.arange(values.shape[1])
+    place = nodes + np.searchsorted(before, nodes)  # of the old nodes
+    both = np.empty((len(values), values.shape[1] + true.shape[1]))
+    both[:, place] = values
+    both[:, place[before] + 1] = true
+    rough_nodes = np.zeros(both.shape[1], dtype=np.bool_)
     rough_nodes[place[before]] = rough_nodes[place[before] + 1] = rough
     return both, rough_nodes, 2 * cells
 
 
 def _cubic(values: Array, x: Array, start: Index) -> Array:
-    """Cubics through the four rows of `values` (K, C) from `start` (N,) on, at x (N,) rows after it."""
-    x = x[:, None]
+    """Cubics (C, N) through the four columns of `values` (C, K) from `start` (N,) on, at x (N,) columns after
+    it.
+    """
     a, b, c, d = x, x - 1.0, x - 2.0, x - 3.0
     ab, cd = a * b, c * d
-    result = values[start] * (b * cd / -6.0)
-    result += values[start + 1] * (a * cd * 0.5)
-    result += values[start + 2] * (ab * d * -0.5)
-    result += values[start + 3] * (ab * c / 6.0)
-    return np.asarray(result)
+    result = values.take(start, axis=1)
+    result *= b * cd * (-1.0 / 6.0)
+    term = np.empty_like(result)
+    for k, weight in ((1, a * cd * 0.5), (2, ab * d * -0.5), (3, ab * c * (1.0 / 6.0))):
+        np.take(values, start + k, axis=1, out=term, mode="clip")
+        term *= weight
+        result += term
+    return result
