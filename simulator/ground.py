@@ -130,12 +130,12 @@ class ProceduralGround:
             texels = shapes.points * np.array([1.0, -1.0]) / self.texel_m - origin
             corners = np.rint(texels * 16.0).astype(np.int32)  # OpenCV draws in 1/16 texel
             start = 0
-            for end, tone, roughness in zip(shapes.ends, shapes.tone.tolist(), shapes.rough.tolist()):
-                polygon = corners[start:end]
-                start = end
-                cv2.fillConvexPoly(base, polygon, (tone,), cv2.LINE_AA, 4)
+            for (number, k), tone, roughness in zip(shapes.counts, shapes.tones, shapes.roughs):
+                polygons = list(corners[start : start + number * k].reshape(number, k, 2))
+                start += number * k
+                cv2.fillPoly(base, polygons, (tone,), cv2.LINE_AA, 4)
                 if roughness >= 0:
-                    cv2.fillConvexPoly(rough, polygon, (roughness,), cv2.LINE_8, 4)
+                    cv2.fillPoly(rough, polygons, (roughness,), cv2.LINE_8, 4)
         return base, rough
 
     def _as_seen(self, reflectance: Patch, column: int, row: int) -> Patch:

@@ -31,12 +31,12 @@ _SPARED = -1  # a shape that leaves the roughness below it alone
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Shapes:
-    """Polygons in the order in which they are painted."""
+    """Groups of polygons in the order in which they are painted; those of a group do not overlap."""
 
     points: Array  # (P, 2) corners of all polygons, one after the other, m
-    ends: Index  # (M,) where each polygon's corners end
-    tone: Index  # (M,)
-    rough: Index  # (M,) or -1
+    counts: tuple[tuple[int, int], ...]  # of each group: how many polygons, and how many corners each has
+    tones: tuple[int, ...]  # of each group
+    roughs: tuple[int, ...]  # of each group, or -1
 
 
 class Landscape:
@@ -126,8 +126,8 @@ class Landscape:
         count = int(self._settings.parcel_m / spacing)
         a, b, c, d = np.roll(quad, int(rng.integers(4)), axis=0)
         stripe = int(np.clip(tone * rng.choice([0.8, 0.9, 1.15]), 5, 250))
-        for n in range(1, count):
-            brush.line(a + (b - a) * n / count, d + (c - d) * n / count, 0.18 * spacing, stripe, 40)
+        along = np.arange(1, count)[:, None] / max(count, 1)
+        brush.lines(a + (b - a) * along, d + (c - d) * along, 0.18 * spacing, stripe, 40)
         for s, t in rng.uniform(0.1, 0.9, (int(rng.integers(0, 4)), 2)):
             centre = (a + (b - a) * s) * (1 - t) + (d + (c - d) * s) * t
             brush.polygon(centre + rng.uniform(3.0, 7.0) * _CIRCLE, int(rng.choice([14, 24, 170])), _SPARED)
@@ -139,22 +139,23 @@ class Landscape:
         n = max(2, round(self._settings.parcel_m / 32.0))
         along = (b - a) / np.linalg.norm(b - a)
         across = np.array([-along[1], along[0]])
-        for k, (u, v, kept, long, deep, dark) in enumerate(rng.uniform(size=(n * n, 6))):
-            s, t = (k % n + 0.5 + 0.24 * (u - 0.5)) / n, (k // n + 0.5 + 0.24 * (v - 0.5)) / n
-            centre = (a + (b - a) * s) * (1 - t) + (d + (c - d) * s) * t
-            if kept < 0.2:
-                continue
-            if kept < 0.4:
-                brush.polygon(centre + (3.0 + 3.0 * long) * _CIRCLE, 18, _SPARED)
-                continue
-            half_length, depth = (4.5 + 5.5 * long) * along, (7.0 + 4.0 * deep) * across
-            tone = 30.0 * 7.0**dark
-            for slope, shade in ((-0.5 * depth, 1.0), (0.5 * depth, 0.72)):
-                corners = [centre - half_length, centre + half_length]
-                roof = np.array([*corners, corners[1] + slope, corners[0] + slope])
-                brush.polygon(roof, int(tone * shade), _SPARED)
-        brush.line((a + b) / 2, (c + d) / 2, 6.0, 75, 15)
-        brush.line((a + d) / 2, (b + c) / 2, 6.0, 75, 15)
+        u, v, kept, long, deep, dark = rng.uniform(size=(6, n * n))[:, :, None]
+        column, row = (index.reshape(-1, 1) for index in np.meshgrid(np.arange(n), np.arange(n)))
+        s, t = (column + 0.5 + 0.24 * (u - 0.5)) / n, (row + 0.5 + 0.24 * (v - 0.5)) / n
+        centre = (a + (b - a) * s) * (1 - t) + (d + (c - d) * s) * t  # (H, 2)
+        tree = ((kept >= 0.2) & (kept < 0.4))[:, 0]
+        brush.polygons(centre[tree, None] + (3.0 + 3.0 * long[tree, None]) * _CIRCLE, 18, _SPARED)
+        house = (kept >= 0.4)[:, 0]
+        half, depth = (4.5 + 5.5 * long) * along, (7.0 + 4.0 * deep) * across
+        for side, shade in ((-0.5, 1.0), (0.5, 0.72)):
+            slope = side * depth
+            roofs = np.stack(
+                [centre - half, centre + half, centre + half + slope, centre - half + slope], axis=1
+            )
+            for n_house in np.flatnonzero(house):
+                brush.polygon(roofs[n_house], int(30.0 * 7.0 ** dark[n_house, 0] * shade), _SPARED)
+        brush.lines(((a + b) / 2)[None], ((c + d) / 2)[None], 6.0, 75, 15)
+        brush.lines(((a + d) / 2)[None], ((b + c) / 2)[None], 6.0, 75, 15)
 
     def _roads(self, i: Index, j: Index, corners: Array) -> Shapes:
         """Roads run along some of the lattice's lines, over all parcels."""
@@ -164,8 +165,9 @@ class Landscape:
             tones = 50 + 60 * self._number(index, np.full_like(index, n), 4)
             for k in np.flatnonzero(chosen):
                 path = corners[k] if n == 0 else corners[:, k]
-                for start, stop in pairwise(path):
-                    brush.line(start, stop, 5.0 + 4.0 * (int(index[k]) % 3), int(tones[k]), 15)
+                for start, stop in pairwise(path):  # one by one: they overlap where they meet
+                    width_m = 5.0 + 4.0 * (int(index[k]) % 3)
+                    brush.lines(start[None], stop[None], width_m, int(tones[k]), 15)
         return brush.shapes()
 
 
@@ -173,24 +175,39 @@ class _Brush:
     """Gathers polygons."""
 
     def __init__(self) -> None:
-        self._polygons: list[Array] = []
+        self._groups: list[Array] = []
         self._tones: list[int] = []
         self._roughs: list[int] = []
 
-    def polygon(self, corners: Array, tone: int, rough: int) -> None:
-        self._polygons.append(corners)
-        self._tones.append(tone)
-        self._roughs.append(rough)
+    def polygons(self, corners: Array, tone: int, rough: int) -> None:
+        """Polygons (n, k, 2) of one tone that do not overlap."""
+        if len(corners):
+            self._groups.append(corners)
+            self._tones.append(tone)
+            self._roughs.append(rough)
 
-    def line(self, a: Array, b: Array, width_m: float, tone: int, rough: int) -> None:
-        dx, dy = b - a
-        half = 0.5 * width_m / np.hypot(dx, dy) * np.array([-dy, dx])
-        self.polygon(np.array([a + half, b + half, b - half, a - half]), tone, rough)
+    def polygon(self, corners: Array, tone: int, rough: int) -> None:
+        self.polygons(corners[None], tone, rough)
+
+    def lines(self, a: Array, b: Array, width_m: float, tone: int, rough: int) -> None:
+        """Straight lines from points (n, 2) to points (n, 2)."""
+        along = b - a
+        half = (
+            0.5
+            * width_m
+            * np.column_stack([-along[:, 1], along[:, 0]])
+            / np.linalg.norm(along, axis=1)[:, None]
+        )
+        self.polygons(np.stack([a + half, b + half, b - half, a - half], axis=1), tone, rough)
 
     def shapes(self) -> Shapes:
-        points = np.concatenate(self._polygons) if self._polygons else np.zeros((0, 2))
-        ends = np.cumsum([len(polygon) for polygon in self._polygons]).astype(np.int64)
-        return Shapes(points, ends, np.array(self._tones, np.int64), np.array(self._roughs, np.int64))
+        points = [group.reshape(-1, 2) for group in self._groups]
+        return Shapes(
+            points=np.concatenate(points) if points else np.zeros((0, 2)),
+            counts=tuple((len(group), group.shape[1]) for group in self._groups),
+            tones=tuple(self._tones),
+            roughs=tuple(self._roughs),
+        )
 
 
 def _shrunk(quad: Array, by: float) -> Array:
