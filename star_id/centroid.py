@@ -21,10 +21,10 @@ __all__ = ["StarFits", "estimate_gain", "estimate_psf", "fit_stars"]
 
 Array = NDArray[np.float64]
 
-_STEPS = 5
+_SMALL_STEP_PX = 0.004
 _LARGEST_STEP_PX = 0.8
 _SATURATED_WINDOW_SIGMA = 9.0
-_WINDOW_SIGMA = 4.0
+_WINDOW_SIGMA = 3.0  # and half a pixel or more: 99 % of the information even on a photon-limited star
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -55,8 +55,8 @@ class StarFits:
 class _Windows:
     corner: NDArray[np.int64]  # (N, 2) first pixel
     radius: int
-    data: Array  # (N, side * side), sky level subtracted
-    good: Array  # (N, side * side) 1 or 0
+    data: NDArray[np.float32]  # (N, side * side), sky level subtracted
+    good: NDArray[np.float32]  # (N, side * side) 1 or 0
     noise2: Array  # (N,) variance of a pixel of sky
     saturated: NDArray[np.bool_]
 
@@ -64,13 +64,17 @@ class _Windows:
 def fit_stars(
     image: NDArray,
     places: NDArray[np.int64],
+    offset: Array,
     background: Background,
     psf: Psf,
     *,
     gain_e_per_dn: float,
     saturation_dn: float,
 ) -> StarFits:
-    """Fits stars near whole pixels `places` (N, 2). `gain_e_per_dn` may be infinite: no photon noise."""
+    """Fits stars near `places` + `offset` (N, 2), whole pixels and what to add to them to begin with.
+
+    `gain_e_per_dn` may be infinite: no photon noise.
+    """
     n = len(places)
     if n == 0:
         return _no_fits()
@@ -80,11 +84,13 @@ def fit_stars(
     windows = _cut(image, places, background, radius, saturation_dn)
     wide = np.flatnonzero(windows.saturated)
     plain = np.flatnonzero(~windows.saturated)
-    parts = [(plain, _fit(_pick(windows, plain), places[plain], sigma[plain], psf, gain_e_per_dn))]
+    parts = [
+        (plain, _fit(_pick(windows, plain), places[plain], offset[plain], sigma[plain], psf, gain_e_per_dn))
+    ]
     if len(wide):
         large = int(np.ceil(_SATURATED_WINDOW_SIGMA * np.median(sigma) + smear))
         cut = _cut(image, places[wide], background, large, saturation_dn)
-        parts.append((wide, _fit(cut, places[wide], sigma[wide], psf, gain_e_per_dn)))
+        parts.append((wide, _fit(cut, places[wide], offset[wide], sigma[wide], psf, gain_e_per_dn)))
     order = np.argsort(np.concatenate([index for index, _ in parts]), kind="stable")
     joined = [np.concatenate([getattr(fit, name) for _, fit in parts]) for name in StarFits.__slots__]
     return StarFits(*joined).take(order)
@@ -93,6 +99,7 @@ def fit_stars(
 def estimate_psf(
     image: NDArray,
     places: NDArray[np.int64],
+    start: Array,
     background: Background,
     *,
     start_sigma_px: float,
@@ -102,16 +109,18 @@ def estimate_psf(
     """Width of the PSF, and the number of stars it rests on (0: the starting value comes back)."""
     height, width = image.shape
     psf = Psf(start_sigma_px, start_sigma_px, smear_px, width, height)
-    radius = max(3, int(np.ceil(4.5 * start_sigma_px + 0.5 * np.hypot(*smear_px))))
+    radius = max(3, int(np.ceil(4.0 * start_sigma_px + 0.5 * np.hypot(*smear_px))))
     windows = _cut(image, places, background, radius, saturation_dn)
     use = np.flatnonzero(~windows.saturated)
     if len(use) == 0:
         return psf, 0
-    windows, places = _pick(windows, use), places[use]
+    windows, places, start = _pick(windows, use), places[use], start[use]
     sigma = np.full(len(use), start_sigma_px)
-    state = _linear_start(windows, places, sigma, psf)
-    for _ in range(8):
+    state = _start(windows, places + start)
+    for k in range(5):
         images = _images(windows, state, sigma, psf, widths=True)
+        if k == 0:
+            state = _linear(windows, state, images)
         step, normal, _, _ = _newton(windows, images, state, np.inf)
         state = state + np.concatenate([np.clip(step[:, :2], -0.8, 0.8), step[:, 2:4]], axis=1)
         sigma = np.clip(sigma * np.exp(np.clip(step[:, 4], -0.3, 0.3)), 0.25, 4.0 * start_sigma_px)
@@ -128,6 +137,7 @@ def estimate_psf(
 def estimate_gain(
     image: NDArray,
     places: NDArray[np.int64],
+    start: Array,
     background: Background,
     psf: Psf,
     *,
@@ -144,57 +154,112 @@ def estimate_gain(
     use = np.flatnonzero(~windows.saturated)
     if len(use) < 5:
         return np.inf
-    windows, places, sigma = _pick(windows, use), places[use], sigma[use]
-    per_dn = 0.0  # variance per DN of signal, 1 / gain
-    state = _linear_start(windows, places, sigma, psf)
-    for _ in range(_STEPS):
+    windows, places, start, sigma = _pick(windows, use), places[use], start[use], sigma[use]
+    state = _start(windows, places + start)
+    for k in range(2):
         images = _images(windows, state, sigma, psf)
-        step, normal, residual, weight = _newton(
-            windows, images, state, 1.0 / per_dn if per_dn > 0 else np.inf
-        )
-        state = state + np.clip(step, -np.inf, np.inf)
-        model = np.maximum(state[:, 2:3] * images.value, 0.0)
-        J = _columns(images, state)
-        leverage = np.einsum("npm,npq,nqm->nm", J, np.linalg.inv(normal), J) * weight
-        expected = windows.noise2[:, None] * (1.0 - leverage)
-        excess = residual**2 - expected
-        slope = model * (1.0 - leverage)
-        w = windows.good / (windows.noise2[:, None] + per_dn * model) ** 2
-        inlier = residual**2 * weight < 16.0
-        per_dn = float(max((w * inlier * slope * excess).sum() / (w * inlier * slope**2).sum(), 0.0))
+        if k == 0:
+            state = _linear(windows, state, images)
+        step, normal, residual, _ = _newton(windows, images, state, np.inf)
+        state = state + step
+    J: NDArray = _columns(images, state)
+    leverage = (np.matmul(np.linalg.inv(normal).astype(np.float32), J) * J).sum(axis=1) / windows.noise2[
+        :, None
+    ]
+    model = np.maximum(state[:, 2:3] * images.value, 0.0)
+    freedom = np.clip(1.0 - leverage, 0.1, 1.0)
+    excess = residual.astype(float) ** 2 - windows.noise2[:, None] * freedom
+    slope = model * freedom
+    per_dn = 0.0  # variance per DN of signal, 1 / gain
+    for _ in range(4):
+        variance = windows.noise2[:, None] + per_dn * model
+        w = windows.good * (residual**2 < 25.0 * variance) / variance**2
+        weight = np.maximum((w * slope**2).sum(axis=1), 1e-30)
+        each = (w * slope * excess).sum(axis=1) / weight
+        middle = _weighted_median(each, weight)
+        sound = (each - middle) ** 2 * weight < 12.0
+        per_dn = max(float((each * weight)[sound].sum() / weight[sound].sum()), 0.0)
     return 1.0 / per_dn if per_dn > 0 else np.inf
 
 
-def _fit(windows: _Windows, places: NDArray[np.int64], sigma: Array, psf: Psf, gain: float) -> StarFits:
+def _weighted_median(values: Array, weights: Array) -> float:
+    order = np.argsort(values)
+    below = np.cumsum(weights[order])
+    return float(values[order[int(np.searchsorted(below, 0.5 * below[-1]))]])
+
+
+def _fit(
+    windows: _Windows, places: NDArray[np.int64], start: Array, sigma: Array, psf: Psf, gain: float
+) -> StarFits:
     if len(places) == 0:
         return _no_fits()
-    state = _linear_start(windows, places, sigma, psf)
-    for k in range(_STEPS):
+    state = _start(windows, places + start)
+    fit = _iterate(windows, state, sigma, psf, gain, steps=3, fresh=True)
+    slow = np.flatnonzero(fit.last > _SMALL_STEP_PX)
+    if len(slow):
+        more = _iterate(
+            _pick(replace(windows, good=fit.good), slow),
+            fit.state[slow],
+            sigma[slow],
+            psf,
+            gain,
+            steps=6,
+            fresh=False,
+        )
+        for name in _Fit.__slots__:
+            getattr(fit, name)[slow] = getattr(more, name)
+    return _stars_of(fit, windows, places)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Fit:
+    state: Array  # (N, 4) after the last step
+    normal: Array  # (N, 4, 4)
+    residual: NDArray[np.float32]  # (N, M)
+    weight: NDArray[np.float32]  # (N, M)
+    good: NDArray[np.float32]  # (N, M)
+    value: NDArray[np.float32]  # (N, M) unit images
+    last: Array  # (N,) largest component of the last step, px
+
+
+def _iterate(
+    windows: _Windows, state: Array, sigma: Array, psf: Psf, gain: float, *, steps: int, fresh: bool
+) -> _Fit:
+    """Gauss-Newton steps on all stars; a fresh fit finds its flux first and drops outlying pixels on its
+    way."""
+    for k in range(steps):
         images = _images(windows, state, sigma, psf)
+        if fresh and k == 0:
+            state = _linear(windows, state, images)
         step, normal, residual, weight = _newton(windows, images, state, gain)
-        if k == 1:
+        if fresh and k == 1:
             windows = _without_outliers(windows, residual, weight)
         last = np.abs(step[:, :2]).max(axis=1)
         step[:, :2] = np.clip(step[:, :2], -_LARGEST_STEP_PX, _LARGEST_STEP_PX)
         state = state + step
-    cov = _safe_inverse(normal)
-    chi2 = (residual**2 * weight).sum(axis=1)
-    dof = np.maximum((weight > 0).sum(axis=1) - 4.0, 1.0)
+        if last.max() < _SMALL_STEP_PX:
+            break
+    return _Fit(state, normal, residual, weight, windows.good.copy(), images.value, last)
+
+
+def _stars_of(fit: _Fit, windows: _Windows, places: NDArray[np.int64]) -> StarFits:
+    cov = _safe_inverse(fit.normal)
+    chi2 = (fit.residual**2 * fit.weight).sum(axis=1, dtype=float)
+    dof = np.maximum((fit.weight > 0).sum(axis=1) - 4.0, 1.0)
     ratio = chi2 / dof
     inflation = np.where(ratio > 1.0 + 3.5 * np.sqrt(2.0 / dof), ratio, 1.0)
-    sky_information = ((images.value**2) * windows.good).sum(axis=1) / windows.noise2
-    moved = state[:, :2] + windows.corner + windows.radius - places
+    sky_information = (fit.value**2 * fit.good).sum(axis=1, dtype=float) / windows.noise2
+    xy = fit.state[:, :2] + windows.corner + windows.radius
+    near = np.abs(xy - places).max(axis=1) < 2.0 + windows.saturated * 4.0
     return StarFits(
-        xy_px=state[:, :2] + windows.corner + windows.radius,
+        xy_px=xy,
         cov_px=cov[:, :2, :2] * inflation[:, None, None],
-        flux_dn=state[:, 2],
+        flux_dn=fit.state[:, 2],
         flux_sigma_dn=1.0 / np.sqrt(np.maximum(sky_information, 1e-30)),
         chi2=chi2,
         dof=dof,
         saturated=windows.saturated,
-        converged=(last < 0.1)
-        & (np.abs(moved).max(axis=1) < 2.0 + windows.saturated * 4.0)
-        & (state[:, 2] > 0),
+        converged=(fit.last < 0.1) & near & (fit.state[:, 2] > 0),
     )
 
 
@@ -208,14 +273,14 @@ def _cut(
     level, noise = background.at(places.astype(float))
     full = raw >= saturation
     saturated = np.asarray(full.any(axis=(1, 2)))
-    good = np.ones(raw.shape)
+    good = np.ones(raw.shape, dtype=np.float32)
     if saturated.any():
         spoilt = full.copy()  # a bloom ends in a pixel that is not full but does not belong to the star alone
         spoilt[:, 1:] |= full[:, :-1]
         spoilt[:, :-1] |= full[:, 1:]
         good[spoilt] = 0.0
     n = len(raw)
-    data = raw.reshape(n, side * side) - level[:, None]
+    data = raw.reshape(n, side * side) - level[:, None].astype(np.float32)
     return _Windows(corner, radius, data, good.reshape(n, side * side), noise**2, saturated)
 
 
@@ -230,16 +295,22 @@ def _pick(windows: _Windows, index: NDArray) -> _Windows:
     )
 
 
-def _linear_start(windows: _Windows, places: NDArray[np.int64], sigma: Array, psf: Psf) -> Array:
-    """(N, 4) column and row from the window's middle, flux, sky: the last two by least squares."""
+def _start(windows: _Windows, places: Array) -> Array:
+    """(N, 4) column and row from the window's middle; flux and sky follow from the first images."""
     state = np.zeros((len(places), 4))
     state[:, :2] = places - windows.corner - windows.radius
-    images = _images(windows, state, sigma, psf)
-    p, g = images.value, windows.good
-    n, sp, spp = g.sum(1), (g * p).sum(1), (g * p * p).sum(1)
-    sd, spd = (g * windows.data).sum(1), (g * p * windows.data).sum(1)
+    return state
+
+
+def _linear(windows: _Windows, state: Array, images: PsfImages) -> Array:
+    """The state with flux and sky by unweighted least squares, column and row held."""
+    p, g, d = images.value, windows.good, windows.data
+    gp = g * p
+    n, sp, spp = g.sum(1, dtype=float), gp.sum(1, dtype=float), (gp * p).sum(1, dtype=float)
+    sd, spd = (g * d).sum(1, dtype=float), (gp * d).sum(1, dtype=float)
     determinant = np.maximum(n * spp - sp**2, 1e-12)
     state[:, 2] = (n * spd - sp * sd) / determinant
+    state[:, 3] = (spp * sd - sp * spd) / determinant
     return state
 
 
@@ -247,31 +318,40 @@ def _images(windows: _Windows, state: Array, sigma: Array, psf: Psf, *, widths: 
     return psf_images(state[:, :2], sigma, psf.smear_px, windows.radius, widths=widths)
 
 
-def _columns(images: PsfImages, state: Array) -> Array:
-    flux = state[:, 2:3]
-    columns = [flux * images.d_x, flux * images.d_y, images.value, np.ones_like(images.value)]
+def _columns(images: PsfImages, state: Array) -> NDArray[np.float32]:
+    """(N, P, M) derivatives of the model with respect to column, row, flux, sky and, if wanted, log width."""
+    n, m = images.value.shape
+    flux = state[:, 2:3].astype(np.float32)
+    J = np.empty((n, 4 if images.d_log_sigma is None else 5, m), dtype=np.float32)
+    np.multiply(images.d_x, flux, out=J[:, 0])
+    np.multiply(images.d_y, flux, out=J[:, 1])
+    J[:, 2] = images.value
+    J[:, 3] = 1.0
     if images.d_log_sigma is not None:
-        columns.append(flux * images.d_log_sigma)
-    return np.stack(columns, axis=1)
+        np.multiply(images.d_log_sigma, flux, out=J[:, 4])
+    return J
 
 
 def _newton(
     windows: _Windows, images: PsfImages, state: Array, gain: float
-) -> tuple[Array, Array, Array, Array]:
+) -> tuple[Array, Array, NDArray[np.float32], NDArray[np.float32]]:
     """One Gauss-Newton step: (N, P) step, (N, P, P) normal matrix, (N, M) residuals, (N, M) weights."""
-    signal = state[:, 2:3] * images.value
-    weight = windows.good / (windows.noise2[:, None] + np.maximum(signal, 0.0) / gain)
-    residual = windows.data - signal - state[:, 3:4]
+    signal = images.value * state[:, 2:3].astype(np.float32)
+    variance: NDArray = windows.noise2[:, None].astype(np.float32)
+    if np.isfinite(gain):
+        variance = variance + np.maximum(signal, np.float32(0.0)) * np.float32(1.0 / gain)
+    weight = windows.good / variance
+    residual = windows.data - signal - state[:, 3:4].astype(np.float32)
     J = _columns(images, state)
     JW = J * weight[:, None, :]
-    normal = JW @ J.transpose(0, 2, 1)
+    normal = np.matmul(JW, J.transpose(0, 2, 1)).astype(float)
+    gradient = np.matmul(JW, residual[:, :, None]).astype(float)
     scale = np.maximum(np.einsum("npp->np", normal), 1e-30)
-    normal = normal + 1e-9 * scale[:, :, None] * np.eye(normal.shape[1])
-    step = np.linalg.solve(normal, JW @ residual[:, :, None])[:, :, 0]
-    return step, normal, residual, weight
+    normal += 1e-9 * scale[:, :, None] * np.eye(normal.shape[1])
+    return np.linalg.solve(normal, gradient)[:, :, 0], normal, residual, weight
 
 
-def _without_outliers(windows: _Windows, residual: Array, weight: Array) -> _Windows:
+def _without_outliers(windows: _Windows, residual: NDArray, weight: NDArray) -> _Windows:
     """Takes out up to four pixels that stand 6 sigma above an otherwise good fit: a hot pixel, a neighbour's
     edge."""
     high = (residual > 0) & (residual**2 * weight > 36.0)

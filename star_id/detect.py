@@ -25,12 +25,15 @@ Array = NDArray[np.float64]
 
 _GREY_LEVELS_PER_SIGMA = 12.0
 _LEAST_LEVELS_PER_SIGMA = 2.5  # less than this and rounding to 8 bits costs sensitivity
-_SEARCH_SIGMA = 3.5  # a star of SNR 8 midway between coarse pixels still shows 6 in the search image
+_SEARCH_SIGMA = 3.7  # a star of SNR 8 midway between coarse pixels still shows 6 in the search image
+_COARSE_NOISE_DN = 1.2  # sky noise from which rounding means of four pixels to whole numbers costs little
+_EVEN_LEVELS = 3.5  # a threshold that varies by no more over the image is taken as constant
 _MAX_CANDIDATES = 20_000
 _CROSS_OF_PEAK = 0.35
-_WIDE_SIGMA_PX = 0.9
+_LEAST_LONE_SIGMA = 4.0
 _LEAST_ABOVE_FRAME = 0.5  # share of a peak that must remain when the level around it is taken away
 _NEIGHBOURS = np.ones((3, 3), np.uint8)
+_BAND_ROWS = 64  # of the halved image
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -39,6 +42,7 @@ class Detections:
     first."""
 
     xy_px: NDArray[np.int64]  # (N, 2) whole pixel of the peak
+    offset_px: Array  # (N, 2) from there to the peak of a parabola
     snr: Array  # (N,) height of the peak over the filter's noise
     flux_dn: Array  # (N,) flux of a star of the assumed width
     hot_pixels: int  # peaks refused because a single pixel explains them better
@@ -58,27 +62,50 @@ def detection_threshold(n_px: int, psf_sigma_px: float, false_alarms: float) -> 
 
 
 def candidate_places(image: NDArray, background: Background, *, halvings: int = 1) -> NDArray[np.int64]:
-    """Full-resolution places (N, 2) near the local maxima of the image halved `halvings` times and
-    blurred."""
-    stretched, gain, offset = _stretched(image, background)
-    coarse = stretched
-    for _ in range(halvings):
-        rows, columns = coarse.shape[0] // 2, coarse.shape[1] // 2
-        coarse = cv2.resize(coarse[: 2 * rows, : 2 * columns], (columns, rows), interpolation=cv2.INTER_AREA)
-    blurred = cv2.GaussianBlur(coarse, (3, 3), 0)
-    # noise after the mean over 4^halvings pixels and after [1 2 1]/4 along both axes (3/8 of the variance
-    # each)
-    sigma = extended(background.noise_dn, continued=False) * gain * 0.375 / 2**halvings
-    level = extended(background.level_dn) * gain + offset if offset is not None else _PEDESTAL
-    threshold = _enlarged(level + _SEARCH_SIGMA * sigma, background, blurred.shape)
-    peak = cv2.compare(blurred, cv2.dilate(blurred, _NEIGHBOURS), cv2.CMP_GE)
-    cv2.bitwise_and(peak, cv2.compare(blurred, threshold, cv2.CMP_GT), peak)
-    found = np.flatnonzero(peak.ravel().view(np.bool_))
-    if len(found) > _MAX_CANDIDATES:
-        height = blurred.ravel()[found].astype(np.int16)
-        found = np.sort(found[np.argpartition(-height, _MAX_CANDIDATES)[:_MAX_CANDIDATES]])
-    y, x = np.divmod(found, blurred.shape[1])
-    return np.column_stack([x, y]) * 2**halvings + (2**halvings // 2 - 1 if halvings else 0)
+    """Full-resolution places (N, 2) near the local maxima of the image halved `halvings` times and blurred.
+
+    The image is worked through in bands of rows that stay in the processor's cache.
+    """
+    source, gain, offset = _stretch(image, background)
+    scale = 2**halvings
+    # stretching after the first halving costs a quarter, but rounds the means of four to whole numbers before
+    late = source is image and (
+        image.dtype != np.uint8 or float(background.noise_dn.min()) > _COARSE_NOISE_DN
+    )
+    early = source is image and not late
+    # noise after the mean over scale^2 pixels and after [1 2 1]/4 along both axes (3/8 of the variance each)
+    variance = extended(background.noise_dn, continued=False) ** 2 / scale**2
+    sigma = gain * 0.375 * np.sqrt(variance + (late and image.dtype == np.uint8) / 12.0 * 4.0 / scale**2)
+    level = extended(background.level_dn) * gain + offset if source is image else _PEDESTAL
+    threshold = level + _SEARCH_SIGMA * sigma
+    rows, columns = image.shape[0] // scale, image.shape[1] // scale
+    uneven = None
+    if np.ptp(threshold) >= _EVEN_LEVELS:
+        uneven = _enlarged(threshold, background, (rows, columns))
+    even = np.array([np.ceil(threshold.mean())])
+    found, heights = [], []
+    for top in range(0, rows, _BAND_ROWS):
+        first, last = max(0, top - 2), min(rows, top + _BAND_ROWS + 2)
+        band = source[first * scale : last * scale, : columns * scale]
+        coarse = cv2.convertScaleAbs(band, alpha=gain, beta=offset) if early else band
+        for k in range(halvings):
+            size = (coarse.shape[1] // 2, coarse.shape[0] // 2)
+            coarse = cv2.resize(coarse, size, interpolation=cv2.INTER_AREA)
+            if late and k == 0:
+                coarse = cv2.convertScaleAbs(coarse, alpha=gain, beta=offset)
+        blurred = cv2.GaussianBlur(coarse, (3, 3), 0)
+        floor = cv2.max(cv2.dilate(blurred, _NEIGHBOURS), even if uneven is None else uneven[first:last])
+        peak = cv2.compare(blurred, floor, cv2.CMP_GE)
+        inner = slice((top - first) * columns, (min(top + _BAND_ROWS, rows) - first) * columns)
+        places = np.flatnonzero(peak.ravel()[inner].view(np.bool_))
+        heights.append(blurred.ravel()[inner][places])
+        found.append(places + top * columns)
+    places = np.concatenate(found)
+    if len(places) > _MAX_CANDIDATES:
+        height = np.concatenate(heights).astype(np.int16)
+        places = np.sort(places[np.argpartition(-height, _MAX_CANDIDATES)[:_MAX_CANDIDATES]])
+    y, x = np.divmod(places, columns)
+    return np.column_stack([x, y]) * scale + (scale // 2 - 1 if halvings else 0)
 
 
 def detect(
@@ -89,51 +116,54 @@ def detect(
     psf_sigma_px: float,
     threshold: float,
     reach_px: int = 1,
-    width_known: bool = True,
 ) -> Detections:
     """Peaks of the matched filter within `reach_px` of the places (and one more pixel towards +x, +y).
 
-    `psf_sigma_px` is the width of a Gaussian star integrated over pixels, measured if `width_known` and a
-    first guess otherwise; noise is the background's.
+    `psf_sigma_px` is the width of a Gaussian star integrated over pixels; noise is the background's.
     """
     taps = _pixel_gaussian(psf_sigma_px)
-    radius = len(taps) // 2
-    offsets = np.arange(-reach_px, reach_px + 2)
-    margin = radius + reach_px + 1
+    margin = len(taps) // 2 + reach_px + 1
     height, width = image.shape
-    inside = (
-        (places >= margin).all(axis=1) & (places[:, 0] < width - margin) & (places[:, 1] < height - margin)
-    )
+    inside = (places >= margin).all(axis=1)
+    inside &= (places[:, 0] < width - margin) & (places[:, 1] < height - margin)
     places = places[inside]
-    side = len(taps) + len(offsets) - 1
-    windows = windows_at(image, places - (radius + reach_px), side).reshape(len(places), -1)
-    kernel = _shifted_kernels(taps, len(offsets))
+    shifts = 2 * reach_px + 2
+    side = len(taps) + shifts - 1
     level, noise = background.at(places.astype(float))
-    flux = (windows.astype(np.float32) - level[:, None].astype(np.float32)) @ kernel.astype(np.float32)
+    windows: NDArray = windows_at(image, places - (len(taps) // 2 + reach_px), side)
+    windows = windows.reshape(len(places), side * side)
+    kernel = _shifted_kernels(taps, shifts)
+    unit = float((taps**2).sum())  # flux over this and the noise is the signal-to-noise ratio
+    flux = (windows.astype(np.float32) - level[:, None].astype(np.float32)) @ kernel
     best = flux.argmax(axis=1)
-    snr = flux[np.arange(len(flux)), best] * np.sqrt((taps**2).sum() ** 2) / noise
-    high = snr > threshold
-    hot = np.zeros(len(high), dtype=bool)
-    hot[high] = _single_pixels(
-        windows[high].reshape(-1, side, side),
-        level[high],
-        noise[high],
-        snr[high],
-        psf_sigma_px if width_known else 0.0,
+    high = np.flatnonzero(flux[np.arange(len(flux)), best] * unit > threshold * noise)
+    windows = np.asarray(windows[high], dtype=np.float32)
+    flux, best = flux[high], best[high]
+    level, noise, places = level[high], noise[high], places[high]
+    hot = _lone_pixels(windows, best, level, noise, shifts)
+    flux[hot] = (windows[hot] - level[hot, None].astype(np.float32)) @ kernel  # the lone pixel taken out
+    best = flux.argmax(axis=1)
+    snr = flux[np.arange(len(flux)), best] * unit / noise
+    kept = keep = np.flatnonzero(snr > threshold)
+    windows, flux, best, snr = windows[keep], flux[keep], best[keep], snr[keep]
+    level, noise, places = level[keep], noise[keep], places[keep]
+    frame = _frame_level(windows.reshape(-1, side, side)) - level
+    above_frame = snr - frame * (taps.sum() ** 2 / unit) / noise
+    sound = above_frame > _LEAST_ABOVE_FRAME * snr
+    sound &= ~(hot[keep] & _are_lone(windows, best, level, noise, shifts))
+    row, column = np.divmod(best, shifts)
+    xy = places + np.column_stack([column, row]) - reach_px
+    keep = np.flatnonzero(sound)
+    keep = keep[np.argsort(-above_frame[keep], kind="stable")]
+    _, first = np.unique(xy[keep] @ np.array([1, width]), return_index=True)
+    keep = keep[np.sort(first)]
+    return Detections(
+        xy[keep],
+        _parabola(flux[keep].reshape(-1, shifts, shifts), row[keep], column[keep]),
+        snr[keep].astype(float),
+        flux[keep, best[keep]].astype(float),
+        int(hot.sum() - hot[kept][sound].sum()),
     )
-    keep = np.flatnonzero(high & ~hot)
-    frame = np.asarray(_frame_level(windows[keep].reshape(-1, side, side)) - level[keep])
-    of_frame = frame * (taps.sum() / (taps**2).sum()) ** 2  # flux that the filter sees in an even level
-    above_frame = snr[keep] * (1.0 - of_frame / np.maximum(flux[keep, best[keep]], 1e-9))
-    alone = above_frame > _LEAST_ABOVE_FRAME * snr[keep]
-    keep, above_frame = keep[alone], above_frame[alone]
-    row, column = np.divmod(best[keep], len(offsets))
-    xy = places[keep] + np.column_stack([offsets[column], offsets[row]])
-    order = np.argsort(-above_frame, kind="stable")
-    _, first = np.unique(xy[order] @ np.array([1, width]), return_index=True)
-    order = order[np.sort(first)]
-    peak_flux = flux[keep[order], best[keep[order]]].astype(float)
-    return Detections(xy[order], snr[keep[order]].astype(float), peak_flux, int(hot.sum()))
 
 
 def windows_at(image: NDArray, corners: NDArray[np.int64], side: int) -> NDArray:
@@ -146,18 +176,19 @@ def windows_at(image: NDArray, corners: NDArray[np.int64], side: int) -> NDArray
 _PEDESTAL = 64.0  # grey level of the sky where it had to be subtracted first
 
 
-def _stretched(image: NDArray, background: Background) -> tuple[NDArray, float, float | None]:
-    """The image in 8 bits as gain * image + offset; where the sky varies too much for that, minus the sky."""
+def _stretch(image: NDArray, background: Background) -> tuple[NDArray, float, float]:
+    """How to bring the image to 8 bits: itself, to become gain * image + offset, or, where the sky varies too
+    much for that, the image less its sky in 8 bits already.
+    """
     sigma = float(np.median(background.noise_dn))
     low, high = float(background.level_dn.min()), float(background.level_dn.max())
     gain = min(_GREY_LEVELS_PER_SIGMA / sigma, 255.0 / (high - low + 16.0 * sigma))
     if gain * sigma >= _LEAST_LEVELS_PER_SIGMA and image.dtype in (np.uint8, np.uint16):
-        offset = gain * (5.0 * sigma - low)
-        return cv2.convertScaleAbs(image, alpha=gain, beta=offset), gain, offset
+        return image, gain, gain * (5.0 * sigma - low)
     sky = _enlarged(extended(background.level_dn), background, image.shape, np.float32)
     gain = _GREY_LEVELS_PER_SIGMA / sigma
     flat = (image - sky) * np.float32(gain) + np.float32(_PEDESTAL)
-    return np.clip(flat, 0.0, 255.0).astype(np.uint8), gain, None
+    return np.clip(flat, 0.0, 255.0).astype(np.uint8), gain, 0.0
 
 
 def _enlarged(
@@ -166,36 +197,73 @@ def _enlarged(
     """A grid with its outer ring (`extended`), interpolated to `shape`."""
     rows, columns = background.level_dn.shape
     if dtype is np.uint8:
-        ringed = np.clip(np.floor(ringed), 0, 255)
+        ringed = np.clip(np.ceil(ringed), 0, 255)
     y0, x0 = round(shape[0] / rows), round(shape[1] / columns)
     size = (round(shape[1] * (columns + 2) / columns), round(shape[0] * (rows + 2) / rows))
     large = cv2.resize(ringed.astype(dtype), size, interpolation=cv2.INTER_LINEAR)
     return np.ascontiguousarray(large[y0 : y0 + shape[0], x0 : x0 + shape[1]])
 
 
-def _single_pixels(
-    windows: NDArray, level: Array, noise: Array, snr: Array, sigma: float
+def _lone_pixels(
+    windows: NDArray[np.float32], best: NDArray, level: Array, noise: Array, shifts: int
 ) -> NDArray[np.bool_]:
-    """Peaks that one pixel makes: its four neighbours hold less than any lens puts there.
+    """Marks peaks that one pixel makes, and puts the mean of its neighbours in that pixel's place in
+    `windows`."""
+    y, x, cross = _peak_pixels(windows, best, shifts)
+    lone = _are_lone(windows, best, level, noise, shifts)
+    side = _side(windows)
+    windows[np.flatnonzero(lone), (y * side + x)[lone]] = 0.25 * cross[lone]
+    return lone
 
-    The image of a star of width 0.4 px, centred on a pixel, still puts half of the peak into the neighbours
-    together. Where stars are known to be wide the likelihood of a lone pixel, exp(z^2 / 2), is set against
-    that of a star, exp(snr^2 / 2).
+
+def _are_lone(
+    windows: NDArray[np.float32], best: NDArray, level: Array, noise: Array, shifts: int
+) -> NDArray[np.bool_]:
+    """The four neighbours of the brightest pixel hold less than any lens puts there, by more than noise
+    explains.
+
+    A star of width 0.4 px in the middle of a pixel puts half of its peak into the four neighbours together, a
+    wide star three times its peak.
     """
-    n, side = len(windows), windows.shape[1]
-    if n == 0:
-        return np.empty(0, dtype=bool)
-    inner = windows[:, 1:-1, 1:-1].reshape(n, -1)
-    y, x = np.divmod(inner.argmax(axis=1), side - 2)
+    y, x, cross = _peak_pixels(windows, best, shifts)
+    peak = windows[np.arange(len(windows)), y * _side(windows) + x] - level
+    return np.asarray((cross - 4.0 * level < _CROSS_OF_PEAK * peak) & (peak > _LEAST_LONE_SIGMA * noise))
+
+
+def _peak_pixels(windows: NDArray, best: NDArray, shifts: int) -> tuple[NDArray, NDArray, Array]:
+    """Row and column of the brightest pixel of the nine about each peak, and the sum of its four
+    neighbours."""
+    side = _side(windows)
+    k = np.arange(len(windows))
+    row, column = np.divmod(best, shifts)
+    first = (side - shifts) // 2
+    y, x = row + first, column + first
+    near = (np.arange(-1, 2)[:, None] * side + np.arange(-1, 2)).ravel()
+    brightest = near[windows[k[:, None], (y * side + x)[:, None] + near].argmax(axis=1)]
+    y, x = np.divmod(y * side + x + brightest, side)
+    at = np.clip(y, 1, side - 2) * side + np.clip(x, 1, side - 2)
+    cross = windows[k, at + 1] + windows[k, at - 1] + windows[k, at + side] + windows[k, at - side]
+    return y, x, cross.astype(float)
+
+
+def _side(windows: NDArray) -> int:
+    return round(float(np.sqrt(windows.shape[1])))
+
+
+def _parabola(flux: NDArray, row: NDArray, column: NDArray) -> Array:
+    """(N, 2) place of the peak between pixels, from the filter's values beside it; 0 where one is missing."""
+    n, shifts = len(flux), flux.shape[1]
+    offset = np.zeros((n, 2))
     k = np.arange(n)
-    cross = sum(
-        windows[k, y + 1 + dy, x + 1 + dx].astype(float) for dx, dy in ((1, 0), (-1, 0), (0, 1), (0, -1))
-    )
-    peak = windows[k, y + 1, x + 1] - level
-    lone = cross - 4.0 * level < _CROSS_OF_PEAK * peak
-    if sigma > _WIDE_SIGMA_PX:
-        lone |= peak / noise > snr
-    return np.asarray(lone)
+    for axis, at, other in ((0, column, row), (1, row, column)):
+        inner = np.clip(at, 1, shifts - 2)
+        if axis == 0:
+            before, here, after = (flux[k, other, inner + d] for d in (-1, 0, 1))
+        else:
+            before, here, after = (flux[k, inner + d, other] for d in (-1, 0, 1))
+        curve = np.maximum(2.0 * here - before - after, 1e-6)
+        offset[:, axis] = np.where(at == inner, np.clip(0.5 * (after - before) / curve, -0.6, 0.6), 0.0)
+    return offset
 
 
 def _frame_level(windows: NDArray) -> Array:
@@ -211,10 +279,10 @@ def _pixel_gaussian(sigma: float) -> Array:
     return np.asarray(0.5 * np.diff(erf(edges)))
 
 
-def _shifted_kernels(taps: Array, shifts: int) -> Array:
+def _shifted_kernels(taps: Array, shifts: int) -> NDArray[np.float32]:
     """(side^2, shifts^2): flux of a star at each of shifts x shifts places of a window, least squares."""
     side = len(taps) + shifts - 1
     one = np.zeros((side, shifts))
     for k in range(shifts):
         one[k : k + len(taps), k] = taps / (taps**2).sum()
-    return np.asarray(np.kron(one, one), dtype=np.float64)
+    return np.asarray(np.kron(one, one), dtype=np.float32)

@@ -125,8 +125,8 @@ def solve_stars(
             best, count = max(best, found.numbers.get("best_log_odds", -np.inf)), count + 1
     low, high = np.degrees(guesses[-1][0]), np.degrees(guesses[0][0])
     return NotIdentified(
-        f"{len(xy_px)} stars found; {tried} triangles agree with the catalogue for fields of view from {low:.1f} to"
-        f" {high:.1f} deg, none explains the image",
+        f"{len(xy_px)} stars found; {tried} triangles agree with the catalogue for fields of view from"
+        f" {low:.1f} to {high:.1f} deg, none explains the image",
         {"stars": float(len(xy_px)), "proposals": float(tried), "best_log_odds": float(best)},
     )
 

@@ -40,10 +40,10 @@ class Psf:
 class PsfImages:
     """Unit-flux images of N stars in square windows, and what moves them. All (N, side * side)."""
 
-    value: Array
-    d_x: Array
-    d_y: Array
-    d_log_sigma: Array | None
+    value: NDArray[np.float32]
+    d_x: NDArray[np.float32]
+    d_y: NDArray[np.float32]
+    d_log_sigma: NDArray[np.float32] | None
 
 
 def psf_images(
@@ -51,22 +51,29 @@ def psf_images(
 ) -> PsfImages:
     """Images of stars at `offset` (N, 2) from the central pixel of windows of side 2 radius + 1."""
     nodes, weights = _smear_nodes(smear_px, float(sigma.min()) if len(sigma) else 1.0)
-    edges = np.arange(2 * radius + 2) - radius - 0.5
-    n = len(offset)
+    edges = np.arange(2 * radius + 2, dtype=np.float32) - np.float32(radius + 0.5)
+    n, side = len(offset), 2 * radius + 1
+    sigma = sigma.astype(np.float32)
+    weights = weights.astype(np.float32)
     centre = offset[:, None, :] + nodes[None, :, None] * np.array(smear_px)  # (N, K, 2)
-    z = (edges - centre[..., None]) / sigma[:, None, None, None]  # (N, K, 2, side + 1)
-    density = np.exp(-0.5 * z * z) * (1.0 / np.sqrt(2.0 * np.pi))
-    value = 0.5 * np.diff(erf(z * np.sqrt(0.5)), axis=-1)  # (N, K, 2, side)
-    slope = -np.diff(density, axis=-1) / sigma[:, None, None, None]
+    z = (edges - centre[..., None].astype(np.float32)) / sigma[:, None, None, None]  # (N, K, 2, side + 1)
+    density = np.exp(np.float32(-0.5) * z * z) * np.float32(1.0 / np.sqrt(2.0 * np.pi))
+    cumulated = np.float32(0.5) * erf(z * np.float32(np.sqrt(0.5)))
+    value = cumulated[..., 1:] - cumulated[..., :-1]  # (N, K, 2, side)
+    slope = (density[..., :-1] - density[..., 1:]) / sigma[:, None, None, None]
     x, y = value[:, :, 0], value[:, :, 1] * weights[:, None]
     d_x, d_y = slope[:, :, 0], slope[:, :, 1] * weights[:, None]
 
-    def product(rows: Array, columns: Array) -> Array:
-        return np.asarray(np.matmul(rows.transpose(0, 2, 1), columns).reshape(n, -1))
+    def product(rows: NDArray, columns: NDArray) -> NDArray[np.float32]:
+        if rows.shape[1] == 1:
+            image = rows[:, 0, :, None] * columns[:, 0, None, :]
+        else:
+            image = np.matmul(rows.transpose(0, 2, 1), columns)
+        return np.asarray(image.reshape(n, side * side))
 
     d_log_sigma = None
     if widths:
-        wide = -np.diff(z * density, axis=-1)
+        wide = z[..., :-1] * density[..., :-1] - z[..., 1:] * density[..., 1:]
         wide_y = wide[:, :, 1] * weights[:, None]
         d_log_sigma = product(wide_y, x) + product(y, wide[:, :, 0])
     return PsfImages(product(y, x), product(y, d_x), product(d_y, x), d_log_sigma)
