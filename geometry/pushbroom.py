@@ -36,9 +36,9 @@ _VELOCITY_M_S = 1e-6
 _ROTATION = 1e-13
 _TOLERANCE = np.repeat([_POSITION_M, _VELOCITY_M_S, _ROTATION], [3, 3, 9])
 _CHUNK = 16_384  # points at a time: their arrays stay in the cache
-_MANY = 4_000  # points from which on a table over the rows is worth making
+_MANY = 1_500  # points from which on a table over the rows is worth making
 _MARGIN_LINES = 256.0  # what a guess of a line may be wrong by without leaving the table
-_FEW = 64  # points that are looked for without a guess, to give the others one
+_FEW = 16  # points that are looked for without a guess, to give the others one
 _SCAN = 65  # lines at which such points are looked for
 _SECANT_STEPS = 12
 _MOVED_PX = 1e-2
@@ -201,13 +201,21 @@ class Pushbroom:
 
     def _found_from_scan(self, ccd: int, p_e: Array) -> tuple[Array, Array]:
         """Pixels of points about which nothing is known: search the whole span, then close in."""
-        first, last = self._span_lines()
-        best, miss_of_best = np.full(len(p_e), np.nan), np.full(len(p_e), np.inf)
-        for at in np.linspace(first, last, _SCAN):
-            _, miss, seen = self._missed(ccd, p_e, np.full(len(p_e), at))
-            nearer = seen & (np.abs(miss) < miss_of_best)
-            best[nearer], miss_of_best[nearer] = at, np.abs(miss[nearer])
-        return self._found(ccd, p_e, best)
+        at: Array = np.linspace(*self._span_lines(), _SCAN, dtype=np.float64)
+        states = self._states(at)
+        best = np.full(len(p_e), np.nan)
+        for part in _chunks(len(p_e), _CHUNK // _SCAN):
+            points = np.repeat(p_e[part], _SCAN, axis=0)
+            there = states.take(np.tile(np.arange(_SCAN), len(points) // _SCAN))
+            u_c, seen = self._apparent_c(points, there)
+            _, miss = self.camera.samples_from_directions(ccd, u_c)
+            miss = np.where(seen & np.isfinite(miss), np.abs(miss), np.inf).reshape(-1, _SCAN)
+            best[part] = np.where(np.isfinite(miss.min(axis=1)), at[miss.argmin(axis=1)], np.nan)
+        sample, line = np.full(len(p_e), np.nan), np.full(len(p_e), np.nan)
+        hopeful = np.flatnonzero(np.isfinite(best))
+        if len(hopeful):
+            sample[hopeful], line[hopeful] = self._found(ccd, p_e[hopeful], best[hopeful])
+        return sample, line
 
     def _found(self, ccd: int, p_e: Array, guess: Array) -> tuple[Array, Array]:
         """Pixels of points by the secant method on the line, from a guess (N,); NaN where it fails."""
@@ -366,5 +374,5 @@ def _affine_guess(p_known: Array, line_known: Array, p_e: Array) -> Array:
     return ((p_e - middle) / scale) @ plane[:3] + plane[3]
 
 
-def _chunks(n: int) -> list[slice]:
-    return [slice(start, min(start + _CHUNK, n)) for start in range(0, n, _CHUNK)]
+def _chunks(n: int, size: int = _CHUNK) -> list[slice]:
+    return [slice(start, min(start + size, n)) for start in range(0, n, size)]
