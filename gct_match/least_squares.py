@@ -8,7 +8,7 @@ The picture, warped by a translation or by a small affine map, is a radiometric 
 filter of `weighting`, first a fixed band-pass, then the one that the aligned pair itself asks for. Gauss-Newton in
 the inverse-compositional form (Baker & Matthews 2004): derivatives of the template, which are known once. Pixels
 whose neighbourhood fits worse than the rest lose weight, so that what hides part of the template (a cloud, another
-crop) does not move it. The covariance is a sandwich: the scatter of the score summed over blocks, so that a residual
+crop) does not move it. The covariance is a jackknife over blocks, so that a residual
 with a correlation of its own is honoured.
 """
 
@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gct_match.resample import gradient, sample
-from gct_match.weighting import band_pass, coherence_filter, derivatives, inverse_spectrum, spectrum
+from gct_match.weighting import band_pass, change_px2, coherence_filter, derivatives, inverse_spectrum, point_spread, spectrum
 
 __all__ = ["Placement", "place"]
 
@@ -33,10 +33,15 @@ _PAD = 8  # pixels around the template that interpolation and warp may reach int
 _TAPS = 5  # half length of the interpolating kernel
 _FARTHEST = _PAD - _TAPS - 0.51  # px from the start
 _RIM = 3  # the filters reach this far over the template's edge
-_NUISANCES = 8
+_NUISANCES = 9
+_BLOCKS = 8  # along each side of the template
 _AFFINE_CHI2 = 18.5  # four parameters more have to earn this: chi² of 4 at 0.1 %
 _LARGEST_AFFINE = 0.05  # beyond, the template was predicted with another model than the strip's
 _LOW_PX, _HIGH_PX = 0.7, 4.0  # first band-pass, before the pair itself has told which frequencies to use
+# Where the scene has changed, the change has a direction: light and shadow lie on the same side of every tree and
+# roof, and a shift of all of them alike shows in no residual. On rendered dates it comes to this share of the change.
+_LOPSIDED = 0.02
+_BLUR_PX = 0.62  # of the camera, for tones that were changed before it: MTF 0.15 at the Nyquist frequency
 _CONVERGED_PX = 2e-4
 
 
@@ -130,26 +135,34 @@ class _Solver:
         self.affine = False
         self.warp = np.eye(3)  # template point - reference -> patch point - reference - _PAD
         self.step_px = np.inf
+        self.columns: Image = np.empty((6 + _NUISANCES, template.size), dtype=np.float32)
+        self.buffer = np.empty_like(self.columns)
 
     # The filtered pair
 
     def filter_by(self, amplitude: Image) -> None:
         """Filter template and patch by `amplitude` (half spectrum); form the columns of the design matrix."""
         shape = self.patch.shape
-        half = spectrum(_mirrored(self.mapped)) * amplitude
-        square = spectrum(_mirrored(self.mapped**2)) * (amplitude * self.contrast)
+        full = spectrum(_mirrored(self.mapped))
+        half = full * amplitude
+        blur, sharpen = point_spread(shape, _BLUR_PX)
+        sharp = inverse_spectrum(full * sharpen, shape) * self.contrast
+        square = spectrum(sharp * sharp) * blur
+        cube = spectrum(sharp * sharp * sharp) * blur
         d_dx, d_dy, laplacian = derivatives(shape)
-        t = self._core(half)
         extent = np.float32(2.0 / max(self.shape))
-        self.filtered_patch = inverse_spectrum(self.patch_spectrum * amplitude, shape)
-        self.columns: Image = np.empty((6 + _NUISANCES, t.size), dtype=np.float32)
-        tx, ty = self._core(half * d_dx), self._core(half * d_dy)
         u, v = self.x * extent, self.y * extent
-        for n, column in enumerate(
-            (tx * self.x, tx * self.y, ty * self.x, ty * self.y, tx, ty)
-            + (t, 1.0, u, v, u * t, v * t, self._core(square), self._core(half * laplacian))
-        ):
-            self.columns[n] = column
+        self.filtered_patch = inverse_spectrum(self.patch_spectrum * amplitude, shape)
+        c = self.columns
+        c[4], c[5], c[6] = self._core(half * d_dx), self._core(half * d_dy), self._core(half)
+        for n, (slope, lever) in enumerate(((4, self.x), (4, self.y), (5, self.x), (5, self.y))):
+            np.multiply(c[slope], lever, out=c[n])
+        c[7], c[8], c[9] = 1.0, u, v
+        np.multiply(u, c[6], out=c[10])
+        np.multiply(v, c[6], out=c[11])
+        c[12], c[13] = self._core(half * laplacian), self._core(square * amplitude)
+        c[14] = self._core(cube * amplitude)
+        self.tones = square, cube
 
     def filter_by_coherence(self) -> None:
         """Carry the radiometry over to the template; measure the weighting filter from the aligned pair."""
@@ -165,13 +178,15 @@ class _Solver:
         return full[_PAD : _PAD + self.shape[0], _PAD : _PAD + self.shape[1]].ravel()
 
     def _mapped_template(self) -> Image:
-        """The template with gain, its ramps, square and Laplacian as found, not filtered."""
+        """The template with gain, its ramps, blur and tone curve as found, not filtered."""
         T = self.mapped
         extent = np.float32(2.0 / max(self.shape))
-        g, _, _, gx, gy, q, b = (np.float32(value) for value in np.delete(self.radiometry, 1))
+        g, _, _, _, gx, gy, b, q, e = (np.float32(value) for value in self.radiometry)
         gain = (g + gx * extent * self.x + gy * extent * self.y).reshape(self.shape)
         laplacian = cv2.Laplacian(T, cv2.CV_32F, borderType=cv2.BORDER_REFLECT)
-        mapped = gain * T + (q * self.contrast) * T**2 + b * laplacian
+        square, cube = self.tones
+        tones = self._core(q * square + e * cube).reshape(self.shape)
+        mapped = gain * T + b * laplacian + tones
         return mapped - np.float32(mapped.mean())
 
     # Warp
@@ -199,16 +214,16 @@ class _Solver:
     # Gauss-Newton
 
     def approach(self) -> None:
-        """A first step from every fifth pixel, before anything is known about weights."""
+        """A first step from every fourth row, before anything is known about weights."""
         i = self._warped(self.filtered_patch).ravel()
-        self._form_normal(stride=5)
+        self._form_normal(every=4)
         self._read_solution(i)
         self._compose()
 
     def weigh(self) -> None:
         """Robust weights from the residual, normal equations with them, step."""
         i = self._warped(self.filtered_patch).ravel()
-        self._form_normal(stride=5)
+        self._form_normal(every=4)
         self._read_solution(i)
         self.weight = self._robust_weights()
         self._form_normal()
@@ -223,20 +238,27 @@ class _Solver:
             self._read_solution(self._warped(self.filtered_patch).ravel())
             self._compose()
 
-    def _form_normal(self, stride: int = 1) -> None:
-        """Normal matrix of all columns over every `stride`-th pixel; a translation uses its lower right part."""
-        self.stride = stride
-        columns = self.columns[:, ::stride]
-        self.weighted = columns * self.weight[::stride]
-        self.normal = (self.weighted @ columns.T).astype(np.float64)
+    def _form_normal(self, every: int = 1) -> None:
+        """Normal matrix of all columns over every so many rows; a translation uses its lower right part."""
+        self.every = every
+        self.root = np.sqrt(self._rows(self.weight[None], every)[0])
+        columns = self._rows(self.columns, every)
+        self.scaled = np.multiply(columns, self.root, out=self.buffer[:, : columns.shape[1]])
+        self.normal = (self.scaled @ self.scaled.T).astype(np.float64)
+
+    def _rows(self, flat: Image, every: int) -> Image:
+        if every == 1:
+            return flat
+        return flat.reshape(len(flat), *self.shape)[:, ::every].reshape(len(flat), -1)
 
     def _read_solution(self, i: Image) -> None:
         first = 0 if self.affine else 4
         normal = self.normal[first:, first:]
         scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-30))
         scaled = normal * scale[:, None] * scale
-        scaled[np.diag_indices_from(scaled)] += 1e-7  # columns that are nearly alike (a flat template)
-        right = scale * (self.weighted[first:] @ i[:: self.stride]).astype(np.float64)
+        scaled.flat[:: len(scaled) + 1] += 1e-7  # columns that are nearly alike (a flat template)
+        seen = self._rows(i[None], self.every)[0] * self.root
+        right = scale * (self.scaled[first:] @ seen).astype(np.float64)
         solution = scale * np.linalg.solve(scaled, right)
         self.radiometry = solution[-_NUISANCES:]
         self.i = i
@@ -270,9 +292,7 @@ class _Solver:
         self.affine = True
         self._read_solution(self.i)
         extra = self.delta[:4]
-        cov = self._covariance()[:4, :4]
-        pays = float(extra @ np.linalg.solve(cov, extra)) > _AFFINE_CHI2
-        if pays and np.abs(extra).max() < _LARGEST_AFFINE:
+        if self._pays(extra) and np.abs(extra).max() < _LARGEST_AFFINE:
             self._compose()
             self.weigh()
             self.refine(2)
@@ -280,22 +300,44 @@ class _Solver:
             self.affine = False
             self._read_solution(self.i)
 
+    def _pays(self, extra: Array) -> bool:
+        """Whether four affine parameters are more than noise; the honest covariance is asked only if a quick one agrees."""
+        inverse = np.linalg.inv(self.normal + 1e-9 * np.diag(np.diag(self.normal)) + 1e-30 * np.eye(len(self.normal)))
+        noise = float(np.vdot(self.weight * self.residual, self.residual) / max(self.weight.sum(), 1.0))
+        quick = inverse[:4, :4] * noise / max(self.radiometry[0], 1e-6) ** 2
+        if float(extra @ np.linalg.solve(quick, extra)) < _AFFINE_CHI2:
+            return False
+        return float(extra @ np.linalg.solve(self._covariance()[:4, :4], extra)) > _AFFINE_CHI2
+
     # What came out
 
     def _covariance(self) -> Array:
-        """Covariance of the warp's parameters: score's scatter over blocks between two inverse Hessians."""
+        """Covariance of the warp's parameters: jackknife over blocks of pixels.
+
+        Leaving out block b moves the solution by (N - N_b)^-1 g_b with g_b the block's score. The scatter of these
+        moves honours a residual that is correlated within a block, and a few edges that carry most of the weight.
+        """
         first = 0 if self.affine else 4
-        normal = self.normal[first:, first:]
-        n_warp = len(normal) - _NUISANCES
-        mix = np.linalg.solve(normal[n_warp:, n_warp:], normal[n_warp:, :n_warp])
-        columns = self.columns[first:]
-        j = columns[:n_warp] - mix.T.astype(np.float32) @ columns[n_warp:]
-        score = (j * (self.weight * self.residual)).reshape(n_warp, *self.shape)
-        sums = _block_sums(score, max(8, min(self.shape) // 8))
-        n = sums.shape[1]
-        hessian = (normal[:n_warp, :n_warp] - normal[:n_warp, n_warp:] @ mix) * self.radiometry[0]
-        inverse = np.linalg.inv(hessian * self._shared_gradient())
-        return inverse @ (sums @ sums.T * (n / (n - len(normal)))) @ inverse.T
+        columns = self._in_blocks(self.scaled[first:])
+        residual = self._in_blocks((self.residual * self.root)[None])
+        n_b = np.matmul(columns, columns.transpose(0, 2, 1)).astype(np.float64)
+        g_b = np.matmul(columns, residual.transpose(0, 2, 1)).astype(np.float64)
+        scale = 1.0 / np.sqrt(np.maximum(np.einsum("bcc->c", n_b), 1e-30))
+        n_b *= scale[:, None] * scale
+        without = n_b.sum(axis=0) + 1e-5 * np.eye(len(scale)) - n_b
+        moved = np.linalg.solve(without, g_b * scale[:, None])[:, :-_NUISANCES, 0] * scale[:-_NUISANCES]
+        moved -= moved.mean(axis=0)
+        n = len(moved)
+        gain = max(self.radiometry[0], 1e-6) * self._shared_gradient()
+        return (n - 1.0) / n / gain**2 * moved.T @ moved
+
+    def _in_blocks(self, rows: Image) -> Image:
+        """(P, pixels) as (blocks, P, pixels of a block); what does not fill a block at the far edges joins none."""
+        h, w = self.shape
+        side = max(8, min(h, w) // _BLOCKS)
+        m, n = h // side, w // side
+        image = rows.reshape(len(rows), h, w)[:, : m * side, : n * side]
+        return image.reshape(-1, m, side, n, side).transpose(1, 3, 0, 2, 4).reshape(m * n, len(rows), -1)
 
     def _shared_gradient(self) -> float:
         """Share of the template's gradient that is the scene's: its noise adds to the Hessian, not to what is known."""
@@ -311,7 +353,10 @@ class _Solver:
         cov = self._covariance()[-2:, -2:]
         raw = self._warped(self.patch)
         residual = raw - self.mapped
-        residual -= _mean(residual, self.weight.reshape(self.shape))
+        weight = self.weight.reshape(self.shape)
+        residual -= _mean(residual, weight)
+        taper = self.taper * weight
+        cov += _LOPSIDED**2 * change_px2(residual * taper, self.mapped * taper) * np.eye(2)
         return Placement(
             xy_px=start_px + self.warp[:2, 2] + self.reference_px,
             cov_px=cov,
@@ -330,12 +375,6 @@ def _correlation(i: Image, t: Image, weight: Image) -> float:
     t = t - np.float32(np.vdot(weight, t) / total)
     power = float(np.vdot(weight * i, i)) * float(np.vdot(weight * t, t))
     return float(np.vdot(weight * i, t)) / np.sqrt(power) if power > 0.0 else 0.0
-
-
-def _block_sums(score: NDArray, block: int) -> Array:
-    p, h, w = score.shape
-    rows = np.add.reduceat(score, np.arange(0, h, block), axis=1)
-    return np.add.reduceat(rows, np.arange(0, w, block), axis=2).reshape(p, -1).astype(np.float64)
 
 
 def _mirrored(image: Image) -> Image:

@@ -15,11 +15,12 @@ import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
-__all__ = ["band_pass", "coherence_filter", "derivatives", "inverse_spectrum", "spectrum"]
+__all__ = ["band_pass", "change_px2", "coherence_filter", "derivatives", "inverse_spectrum", "point_spread", "spectrum"]
 
 Image = NDArray[np.float32]
 Spectrum = NDArray[np.complex64]
 
+_REGULAR = 0.005
 _RING = 1.0 / 32.0  # width of a ring, cycles per pixel: hundreds of coefficients each on a 64 px chip
 
 
@@ -39,6 +40,13 @@ def band_pass(shape: tuple[int, ...], low_px: float, high_px: float) -> Image:
     f2 = _frequency(shape) ** 2
     low = np.exp(-2.0 * np.pi**2 * low_px**2 * f2)
     return (low * (1.0 - np.exp(-2.0 * np.pi**2 * high_px**2 * f2))).astype(np.float32)
+
+
+@lru_cache(maxsize=32)
+def point_spread(shape: tuple[int, ...], sigma_px: float) -> tuple[Image, Image]:
+    """Half spectra of a Gaussian camera and of its regularised inverse."""
+    blur = np.exp(-2.0 * np.pi**2 * sigma_px**2 * _frequency(shape) ** 2)
+    return blur.astype(np.float32), (blur / (blur**2 + _REGULAR)).astype(np.float32)
 
 
 def coherence_filter(a: Image, b: Image, shape: tuple[int, ...]) -> Image:
@@ -64,6 +72,25 @@ def coherence_filter(a: Image, b: Image, shape: tuple[int, ...]) -> Image:
     amplitude /= amplitude.max() + 1e-30
     centres = (np.arange(n) + 0.5) * _RING
     return np.interp(_frequency(shape), centres, amplitude).astype(np.float32)
+
+
+def change_px2(residual: Image, template: Image) -> float:
+    """How much the scene itself has changed, against its gradients, in px²: a measure of mismatch, not an error.
+
+    Noise and aliasing fill the residual's high frequencies; what the low ones hold beyond them is change. Both
+    pictures come tapered.
+    """
+    ring, count = _ring(residual.shape), _ring_count(residual.shape)
+    n = len(count)
+    frequency = (np.arange(n) + 0.5) * _RING
+    power, of_template = (
+        np.bincount(ring, _double(np.abs(scipy.fft.rfft2(image)) ** 2).ravel(), n) / count
+        for image in (residual, template)
+    )
+    low, high = frequency < 0.25, (frequency > 0.3) & (frequency < 0.5)
+    square = count[low] * (2.0 * np.pi * frequency[low]) ** 2
+    excess = np.maximum(power[low] - power[high].min(), 0.0)
+    return float(np.sum(square * excess) / (0.5 * np.sum(square * of_template[low]) + 1e-30))
 
 
 @lru_cache(maxsize=32)
