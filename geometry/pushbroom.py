@@ -230,10 +230,13 @@ class Pushbroom:
             rate[moved] = (miss[moved] - miss_old[moved]) / (line[moved] - old[moved])
             old, miss_old = line, miss
             with np.errstate(divide="ignore", invalid="ignore"):
-                line = np.clip(line - miss / rate, first, last)
+                step = -miss / rate
+            line = np.clip(line + step, first, last)
             if np.nanmax(np.abs(line - old), initial=0.0) < _FOUND_PX:
                 break
-        found = seen & (np.abs(line - old) < _FOUND_PX)
+        found = seen & (
+            np.abs(step) < _FOUND_PX
+        )  # at the end of the span the line may stand still, not found
         return np.where(found, sample, np.nan), np.where(found, line, np.nan)
 
     def _missed(self, ccd: int, p_e: Array, line: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
