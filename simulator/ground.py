@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pyproj import CRS, Transformer
 
+from geometry.attitude import lagrange_weights
 from simulator.landscape import Landscape
 from simulator.lattice_noise import fractal, smooth_noise
 from simulator.scenario import GroundSettings
@@ -152,8 +153,8 @@ class ProceduralGround:
             columns, rows = np.arange(0, width + step, step), np.arange(0, height + step, step)
             x = (column + columns + 0.5) * self.texel_m
             y = -(row + rows + 0.5) * self.texel_m
-            noise = self._cloud_noise(*np.meshgrid(x, y)).astype(np.float32)
-            full = cv2.remap(noise, *_places(width, height, step), interpolation=cv2.INTER_LINEAR)
+            noise = self._cloud_noise(*np.meshgrid(x, y))
+            full = _between(noise, step, width, height)
             cover = np.clip((full - self._cloud_level) / 0.15 + 0.5, 0.0, 1.0)
             reflectance = (reflectance * (1.0 - cover) + cloud.brightness * cover).astype(np.float32)
         return np.clip(reflectance, 0.0, 1.0).astype(np.float32)
@@ -192,22 +193,19 @@ class ImageGround:
         m = self._pixels_from_map
         image_x = m[0, 0] * x + m[0, 1] * y + m[0, 2] - 0.5
         image_y = m[1, 0] * x + m[1, 1] * y + m[1, 2] - 0.5
-        across, down = (
-            g.astype(np.float32) for g in np.meshgrid(np.arange(width) / step, np.arange(height) / step)
-        )
         full = []
         for values, size in ((image_x, self._image.shape[1]), (image_y, self._image.shape[0])):
             offset = np.floor(values.min() / (2 * size - 2)) * (2 * size - 2)
-            dense = cv2.remap((values - offset).astype(np.float32), across, down, cv2.INTER_LINEAR)
-            full.append(_mirrored(np.asarray(dense, dtype=np.float32), size))
+            full.append(_mirrored(_between(values - offset, step, width, height), size))
         return np.asarray(cv2.remap(self._image, full[0], full[1], cv2.INTER_LINEAR), dtype=np.float32)
 
 
-def _places(width: int, height: int, step: int) -> tuple[Patch, Patch]:
-    """Where the points of a window (height, width) lie on a grid of every `step`-th point."""
-    x, y = np.arange(width, dtype=np.float32) / step, np.arange(height, dtype=np.float32) / step
-    across, down = np.meshgrid(x.astype(np.float32), y.astype(np.float32))
-    return across, down
+def _between(values: Array, step: int, width: int, height: int) -> Patch:
+    """A window (height, width) from values at every `step`-th point, by straight lines."""
+    rows, columns = (np.arange(n, dtype=float) * step for n in values.shape)
+    down = lagrange_weights(rows, np.arange(height, dtype=float), points=2)
+    across = lagrange_weights(columns, np.arange(width, dtype=float), points=2)
+    return (down @ values @ across.T).astype(np.float32)
 
 
 def _mirrored(index: NDArray[np.float32], size: int) -> NDArray[np.float32]:
