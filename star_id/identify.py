@@ -31,6 +31,8 @@ Array = NDArray[np.float64]
 
 STAGES = (6, 9, 13, 18, 24)  # brightest detections of which triangles are made, one stage after the other
 _TRIALS_A_STAGE = 16
+_PROMISING = 3.0  # log evidence of the triangle alone that makes refinement worth its time
+_CALIBRATED = 2e-3  # relative error of angles below which a lens counts as known
 _PRIOR_SHARE = 1.6  # predicted stars kept, brightest first, per detection
 
 
@@ -45,6 +47,11 @@ class FieldOfView:
     pixel: float  # size of a pixel in the tangent plane
     scale_error: float  # the focal length is good to this fraction; 0: known
     shape_error: float  # ratios of a triangle's sides are good to this
+
+    @property
+    def known(self) -> bool:
+        """The camera is calibrated: nothing about its lens is left to be found."""
+        return self.scale_error == 0.0 and self.shape_error < _CALIBRATED
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -97,11 +104,11 @@ def identify(
         size = min(size, n, settings.max_identification_stars)
         if size <= done:
             break
-        queries, rows, triples = _look_up(image, table, size, settings)
+        queries, rows, triples = _look_up(image, table, size)
         proposals += len(rows)
         for trial in _ranked(triples[queries], table.vertices[rows], fresh=done)[:_TRIALS_A_STAGE]:
             result, log_evidence_found = _try(
-                image, index, triples[queries[trial]], table.vertices[rows[trial]], settings
+                image, index, triples[queries[trial]], table.vertices[rows[trial]]
             )
             best = max(best, log_evidence_found - np.log(proposals))
             if result is not None and np.log(proposals) - log_evidence_found < limit:
@@ -131,12 +138,11 @@ class _Match:
     stars: NDArray[np.int64]
     R: Array
     lens: Array
-    distance: Array
     rms: float
 
 
 def _look_up(
-    image: _Image, table: TriangleTable, size: int, settings: StarSettings
+    image: _Image, table: TriangleTable, size: int
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
     field = image.field
     u = _directions(image.plane[:size])
@@ -160,138 +166,161 @@ _TRIPLES = np.array(sorted(combinations(range(max(STAGES)), 3), key=lambda t: t[
 
 
 def _ranked(detected: NDArray[np.int64], named: NDArray[np.integer], *, fresh: int) -> NDArray[np.int64]:
-    """Proposals in the order of how many others name one of their sides alike; old ones alone are not
-    repeated.
+    """Proposals in the order of how many others name one of their sides alike; old ones are not repeated.
 
     `detected` (P, 3) detections and `named` (P, 3) stars of each proposal.
     """
     count = len(detected)
     if count == 0:
         return np.empty(0, dtype=np.int64)
-    support = np.zeros(count, dtype=np.int64)
     base = int(named.max()) + 1
-    for a, b in ((0, 1), (0, 2), (1, 2)):
-        first, second = detected[:, a], detected[:, b]
-        swap = first > second
-        d = np.where(swap, second * 64 + first, first * 64 + second)
-        p, q = named[:, a].astype(np.int64), named[:, b].astype(np.int64)
-        key_side = d * base * base + np.where(swap, q * base + p, p * base + q)
-        if a == 0 and b == 1:
-            keys = [key_side]
-        else:
-            keys.append(key_side)
-    _, inverse, counts = np.unique(np.concatenate(keys), return_inverse=True, return_counts=True)
-    support = (counts[inverse] - 1).reshape(3, count).sum(axis=0)
-    order = np.lexsort((detected.sum(axis=1), -support))
-    return order[detected[order].max(axis=1) >= fresh] if fresh else order
+    first, second = detected[:, _SIDES[:, 0]], detected[:, _SIDES[:, 1]]  # (P, 3) the ends of each side
+    p, q = named[:, _SIDES[:, 0]].astype(np.int64), named[:, _SIDES[:, 1]].astype(np.int64)
+    ends = np.where(first > second, second * 64 + first, first * 64 + second)
+    keys = (ends * base * base + np.where(first > second, q * base + p, p * base + q)).ravel()
+    order = np.argsort(keys, kind="stable")
+    starts = np.flatnonzero(np.concatenate([[True], np.diff(keys[order]) != 0]))
+    counts = np.diff(np.append(starts, len(keys)))
+    support = np.empty(len(keys), dtype=np.int64)
+    support[order] = np.repeat(counts - 1, counts)
+    support = support.reshape(count, 3).sum(axis=1)
+    best = np.argsort(detected.sum(axis=1) - 1000 * support, kind="stable")
+    return best[detected[best].max(axis=1) >= fresh] if fresh else best
 
 
-def _try(
-    image: _Image, index: StarIndex, detected: NDArray, named: NDArray, settings: StarSettings
-) -> tuple[_Match | None, float]:
+_SIDES = np.array([[0, 1], [0, 2], [1, 2]])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Guess:
+    """An attitude and a lens, the catalogue stars in view with them, and how far they may be off."""
+
+    R: Array
+    lens: Array
+    rows: NDArray[np.int64]  # (M,) brightest first
+    predicted: Array  # (M, 2)
+    inside: NDArray[np.bool_]  # (M,)
+
+
+def _try(image: _Image, index: StarIndex, detected: NDArray, named: NDArray) -> tuple[_Match | None, float]:
     """One proposal: predicted field, evidence, and if that is promising, refinement."""
     field = image.field
-    u = _directions(image.plane[detected])
-    v = index.u_i[named]
+    points = image.plane[detected]
+    u, v = _directions(points), index.u_i[named]
     lens: Array = np.zeros(4)
     if field.scale_error > 0:
-        ratio = np.linalg.norm(u - np.roll(u, 1, axis=0), axis=1).sum()
-        lens[0] = np.log(ratio / np.linalg.norm(v - np.roll(v, 1, axis=0), axis=1).sum())
-        u = _directions(image.plane[detected] * np.exp(-lens[0]))
-    R = wahba(u, v, np.ones(len(u)))
-    centre = image.plane[detected].mean(axis=0)
-    size = np.sqrt(((image.plane[detected] - centre) ** 2).sum(axis=1).mean())
-    match, evidence = _match(image, index, R, lens, centre, size, first=True, voiceless=3)
-    if evidence < 3.0 or match is None:
+        lens[0] = np.log(_perimeter(u) / _perimeter(v))
+        u = _directions(points * np.exp(-lens[0]))
+    guess = _guess(image, index, wahba(u, v, np.ones(3)), lens)
+    # the triangle fixes the field near it; errors grow with the distance in units of its size
+    centre = points.mean(axis=0)
+    size2 = ((points - centre) ** 2).sum() / 3.0
+    reach2 = ((guess.predicted - centre) ** 2).sum(axis=1)
+    sigma = np.sqrt(field.pixel**2 + (0.5 * field.shape_error) ** 2 * reach2) * (
+        1.0 + 0.7 * np.sqrt(reach2 / size2)
+    )
+    match, evidence = _match(image, guess, sigma, gate=3.0, voiceless=3)
+    if match is None or evidence < _PROMISING:
         return None, evidence
-    for k in range(4):
-        R, lens, fitted = _refined(image, index, match, level=k)
-        spoken = 3 + (fitted + 1) // 2
-        match, evidence = _match(image, index, R, lens, centre, size, first=False, voiceless=spoken)
+    for _ in range(1 if field.known else 4):
+        R, lens, fitted = _refined(image, index, match)
+        guess = _moved(image, index, guess, R, lens)
+        match, evidence = _match(image, guess, None, gate=0.0, voiceless=3 + (fitted + 1) // 2)
         if match is None:
             return None, evidence
     return match, evidence
 
 
-def _match(
-    image: _Image,
-    index: StarIndex,
-    R: Array,
-    lens: Array,
-    centre: Array,
-    size: float,
-    *,
-    first: bool,
-    voiceless: int,
-) -> tuple[_Match | None, float]:
-    """Stars predicted with an attitude, each paired with the nearest detection, and the evidence of it
-    all."""
+def _guess(image: _Image, index: StarIndex, R: Array, lens: Array) -> _Guess:
     field = image.field
-    margin = 1.0 + 0.5 * field.scale_error
-    radius = np.arctan(np.hypot(field.half_x, field.half_y) * margin * np.exp(-lens[0]))
-    rows = index.near(R[2], radius)
-    ideal = _plane(index.u_i[rows] @ R.T)
-    predicted = _distorted(ideal, lens)
-    inside = (np.abs(predicted) < [field.half_x, field.half_y]).all(axis=1)
-    keep = np.flatnonzero(inside)[: int(_PRIOR_SHARE * len(image.plane)) + 12]
-    rows, predicted = rows[keep], predicted[keep]
-    if len(rows) < 3:
+    corner = np.hypot(field.half_x, field.half_y) * (1.03 + 0.5 * field.shape_error)
+    radius = np.arctan(corner * np.exp(-lens[0]))
+    rows = index.near(R[2], float(radius))
+    predicted = _distorted(_plane(index.u_i[rows] @ R.T), lens)
+    inside = _inside(predicted, field)
+    limit = int(_PRIOR_SHARE * len(image.plane)) + 12
+    if np.count_nonzero(inside) > limit:
+        end = int(np.searchsorted(np.cumsum(inside), limit)) + 1
+        rows, predicted, inside = rows[:end], predicted[:end], inside[:end]
+    return _Guess(R, lens, rows, predicted, inside)
+
+
+def _moved(image: _Image, index: StarIndex, guess: _Guess, R: Array, lens: Array) -> _Guess:
+    """The same stars with a slightly different attitude and lens."""
+    predicted = _distorted(_plane(index.u_i[guess.rows] @ R.T), lens)
+    return _Guess(R, lens, guess.rows, predicted, _inside(predicted, image.field))
+
+
+def _inside(plane: Array, field: FieldOfView) -> NDArray[np.bool_]:
+    x, y = np.abs(plane[:, 0]), np.abs(plane[:, 1])
+    return np.asarray((x < field.half_x) & (y < field.half_y))
+
+
+def _match(
+    image: _Image, guess: _Guess, sigma: Array | None, *, gate: float, voiceless: int
+) -> tuple[_Match | None, float]:
+    """Each predicted star with the nearest detection, each detection with one star, and the evidence of it
+    all.
+
+    `sigma` (M,) expected errors and the gate in units of it; None: a pixel, and the matches' own scatter.
+    """
+    pixel, n = image.field.pixel, len(image.plane)
+    seen = int(np.count_nonzero(guess.inside))
+    if seen < 3:
         return None, -np.inf
-    if first:  # the triangle fixes the field near it; errors grow with the distance in units of its size
-        reach = np.sqrt(((predicted - centre) ** 2).sum(axis=1))
-        sigma = np.hypot(field.pixel, field.shape_error * 0.5 * reach) * (1.0 + 0.7 * reach / size)
+    reach = 5.0 * (pixel if sigma is None else float(sigma.max()))
+    distance, detection = image.tree.query(guess.predicted, distance_upper_bound=reach)
+    usable = np.flatnonzero(guess.inside & (detection < n))
+    relative = distance[usable] / (pixel if sigma is None else sigma[usable])
+    worst_first = usable[np.argsort(-relative)]
+    star = np.full(n, -1)
+    star[detection[worst_first]] = worst_first  # the best comes last and stays
+    named = np.flatnonzero(star >= 0)
+    chosen = star[named]
+    distance = distance[chosen]
+    if sigma is None:
+        own = np.full(len(chosen), pixel)
+        limit: Array | float = 3.0 * _scatter(distance, pixel)
     else:
-        sigma = np.full(len(rows), 1.0 * field.pixel)
-    distance, detection = image.tree.query(predicted, distance_upper_bound=float(5.0 * sigma.max()))
-    relative = distance / sigma
-    order = np.argsort(relative, kind="stable")
-    order = order[np.isfinite(distance[order])]
-    _, unique = np.unique(detection[order], return_index=True)
-    chosen = order[unique]
-    n = len(image.plane)
-    far, spread = np.full(n, np.inf), np.full(n, float(sigma.mean()))
-    far[detection[chosen]], spread[detection[chosen]] = distance[chosen], sigma[chosen]
-    evidence = log_evidence(far, spread, len(rows), image.area, voiceless=voiceless)
-    gate = (
-        3.0 * sigma[chosen] if first else np.full(len(chosen), 3.0 * _scatter(distance[chosen], field.pixel))
-    )
-    close = distance[chosen] < gate
-    chosen = chosen[close]
+        own = sigma[chosen]
+        limit = gate * own
+    evidence = log_evidence(distance, own, n - len(named), seen, image.area, voiceless=voiceless)
+    close = distance < limit
+    named, chosen, distance = named[close], chosen[close], distance[close]
     if len(chosen) < 4:
         return None, evidence
-    rms = float(np.sqrt(0.5 * (distance[chosen] ** 2).mean()))
-    return _Match(detection[chosen].astype(np.int64), rows[chosen], R, lens, distance[chosen], rms), evidence
+    rms = float(np.sqrt(0.5 * (distance**2).mean()))
+    return _Match(named, guess.rows[chosen], guess.R, guess.lens, rms), evidence
 
 
 def _scatter(distance: Array, pixel: float) -> float:
-    """Robust one-axis size of the distances of true matches, between a tenth of a pixel and three pixels."""
+    """Robust one-axis size of the distances of true matches, between a seventh of a pixel and three
+    pixels."""
     if len(distance) == 0:
         return pixel
-    return float(np.clip(np.median(distance) / 1.1774, 0.15 * pixel, 3.0 * pixel))
+    middle = float(np.partition(distance, len(distance) // 2)[len(distance) // 2])
+    return min(max(middle / 1.1774, 0.15 * pixel), 3.0 * pixel)
 
 
-def _refined(image: _Image, index: StarIndex, match: _Match, *, level: int) -> tuple[Array, Array, int]:
+def _refined(image: _Image, index: StarIndex, match: _Match) -> tuple[Array, Array, int]:
     """Attitude, and what the matches allow to be said of an unknown lens; also the number of parameters."""
     measured = image.plane[match.detections]
     u_i = index.u_i[match.stars]
+    if image.field.known:
+        return wahba(_directions(measured), u_i, np.ones(len(u_i))), match.lens, 3
     n = len(measured)
-    lens = match.lens.copy()
-    free = 0
-    if image.field.scale_error > 0 or image.field.shape_error > 2e-3:
-        free = 1 if n < 8 else 2 if n < 16 else 4
-    if image.field.scale_error == 0 and free:
-        free = max(free, 2)
-    R = match.R
+    free = 2 if n < 16 else 4
+    if image.field.scale_error > 0 and n < 8:
+        free = 1
+    R, lens = match.R, match.lens.copy()
     for _ in range(3):
-        ideal_s = u_i @ R.T
-        ideal = _plane(ideal_s)
+        ideal = _plane(u_i @ R.T)
         residual = (measured - _distorted(ideal, lens)).ravel()
-        A = np.concatenate([_turn_columns(ideal), _lens_columns(ideal)[:, :, :free]], axis=2).reshape(
-            2 * n, -1
-        )
+        A = np.concatenate([_turn_columns(ideal), _lens_columns(ideal)[:, :, :free]], axis=2)
         size = np.sqrt(0.5 * (residual.reshape(n, 2) ** 2).sum(axis=1))
-        weight = np.repeat(1.0 / (1.0 + (size / (2.0 * np.median(size) + 0.05 * image.field.pixel)) ** 2), 2)
-        step = np.linalg.lstsq(A * weight[:, None] ** 0.5, residual * weight**0.5, rcond=1e-10)[0]
+        weight = 1.0 / np.hypot(1.0, size / (2.0 * np.median(size) + 0.05 * image.field.pixel))
+        A = (A * weight[:, None, None]).reshape(2 * n, 3 + free)
+        step = np.linalg.lstsq(A, residual * np.repeat(weight, 2), rcond=1e-10)[0]
         R = Rotation.from_rotvec(step[:3]).as_matrix() @ R
         lens[:free] += step[3:]
     return R, lens, 3 + free
@@ -339,6 +368,11 @@ def _answer(match: _Match, proposals: int, evidence: float) -> Identification:
         proposals,
         match.rms,
     )
+
+
+def _perimeter(u: Array) -> float:
+    """Sum of the chords of a triangle of unit vectors."""
+    return float(np.sqrt(((u - u[[1, 2, 0]]) ** 2).sum(axis=1)).sum())
 
 
 def _directions(plane: Array) -> Array:

@@ -23,32 +23,34 @@ _OTHERS = np.array([0.1, 0.3, 0.6, 0.9])  # e, the share of detections that are 
 _SIZES = np.array([0.25, 0.5, 1.0, 2.0, 4.0])  # error in units of the expected one
 
 
-def log_evidence(distance: Array, sigma: Array, predicted: int, area: float, *, voiceless: int = 0) -> float:
+def log_evidence(
+    distance: Array, sigma: Array, others: int, predicted: int, area: float, *, voiceless: int = 0
+) -> float:
     """Natural logarithm of the likelihood ratio of an image with a proposal to one without.
 
     Parameters
     ----------
-    distance : (N,)
-        From each detection to the nearest predicted star no other detection claims; infinite where there is
-        none.
-    sigma : (N,)
-        Expected error of that distance along one axis.
+    distance, sigma : (K,), (K,)
+        From each of K detections to the predicted star it is paired with, and the expected error along one
+        axis.
+    others : int
+        Detections without a predicted star near them.
     predicted : int
         Number of predicted stars in the image.
     area : float
         Of the image, in squared units of `distance`.
     voiceless : int
-        How many of the strongest detections are left out of the vote.
+        How many of the strongest votes are left out.
     """
     if predicted == 0:
         return -np.inf
-    s = sigma * _SIZES[:, None]  # (sizes, N)
-    with np.errstate(over="ignore"):
-        density = area / (predicted * 2.0 * np.pi * s**2) * np.exp(-0.5 * np.minimum(distance / s, 37.0) ** 2)
-    others = _OTHERS[:, None, None]
-    votes = np.log(others + (1.0 - others) * density)  # (others, sizes, N)
+    weight = area / (predicted * 2.0 * np.pi * sigma**2)
+    half_square = 0.5 * np.minimum(distance / sigma, 37.0) ** 2
     if voiceless:
-        votes = np.sort(votes, axis=2)[:, :, : max(0, votes.shape[2] - voiceless)]
-    total = votes.sum(axis=2).ravel()
+        spoken = np.argsort(half_square - np.log(weight))[voiceless:]
+        weight, half_square = weight[spoken], half_square[spoken]
+    density = weight * _SIZES[:, None] ** -2.0 * np.exp(-half_square * _SIZES[:, None] ** -2.0)
+    votes = np.log(_OTHERS[:, None, None] + (1.0 - _OTHERS[:, None, None]) * density)
+    total = (votes.sum(axis=2) + others * np.log(_OTHERS)[:, None]).ravel()
     top = total.max()
     return float(top + np.log(np.exp(total - top).mean()))
