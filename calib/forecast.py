@@ -45,8 +45,11 @@ class Forecast:
         return np.where(blind, np.nan, sigma)
 
     def floor(self) -> Array:
-        """(3,) rad, what no number of strips falls below."""
-        return self.sigma(1e9)
+        """(3,) rad, what no number of strips falls below; 0 where nothing is shared that would not
+        average.
+        """
+        one, many = self.sigma(1.0), self.sigma(1e9)
+        return np.where(many < 1e-3 * one, 0.0, many)
 
     def strips_for(self, target_rad: float) -> int | None:
         """The least number of strips with which every axis is known to `target_rad`; None if no number

@@ -29,7 +29,9 @@ class MotionPrior:
     """
 
     sigma_rad: float = 10.0 * ARCSEC  # waves of 3 to 12 arcsec (paper, Fig. 4)
-    length_s: float = 0.6  # squared-exponential; a wave of 4 s has 4 / 2 pi
+    length_s: float = (
+        1.0  # of a squared-exponential: shorter waves still come through, at a little more noise
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -170,7 +170,9 @@ def plot_figure8(table: pd.DataFrame) -> Figure:
                     label=f"order {order}: {rms:.2g}″",
                 )
             ax.set(title=f"{axis}, {span:g} s", xlabel="s")
-            ax.legend(fontsize=6.5, loc="upper right")
+            low, high = ax.get_ylim()
+            ax.set_ylim(low, high + 0.55 * (high - low))
+            ax.legend(fontsize=6.5, loc="upper center", ncols=2)
         axes[row, 0].set_ylabel("arcsec")
     figure.suptitle("Residuals of polynomials fitted to the attitude (paper, Fig. 8)")
     return figure
@@ -184,7 +186,7 @@ def plot_forecast(table: pd.DataFrame, target_arcsec: float | None) -> Figure:
         part = table[table["axis"] == axis]
         ax.plot(part["strips"], part["sigma_arcsec"], color=colour, lw=1.8, label=axis)
         floor = part["floor_arcsec"].iloc[0]
-        if floor > 1e-3 * part["sigma_arcsec"].min():
+        if floor > 0.0:
             ax.axhline(floor, color=colour, ls=":", lw=1)
     if target_arcsec is not None:
         ax.axhline(target_arcsec, color=BOUND, ls="--", lw=1, label=f"target {target_arcsec:g}″")

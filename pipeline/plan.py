@@ -167,7 +167,7 @@ def _text(plan: Plan, found: Forecast, target_arcsec: float | None, needed: int 
 
     lines = [
         f"{plan.strips.count} strips: 1-sigma  {angles(found.sigma(plan.strips.count) / ARCSEC)}",
-        f"any number of strips:  {angles(found.floor() / ARCSEC)}",
+        f"never below:  {angles(found.floor() / ARCSEC)}",
     ]
     for d in found.after(plan.strips.count).unobservable:
         lines.append(f"the turn about [{d[0]:+.3f} {d[1]:+.3f} {d[2]:+.3f}] (frame c) is not observable")

@@ -1,0 +1,104 @@
+"""Speed of the information form against the literal SVD, and how cost and memory grow with the number of
+frames.
+
+    OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 python benchmarks/calib_speed.py
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from functools import partial
+
+import numpy as np
+from calib_report import head, peak_mib, verdict
+from scipy.spatial.transform import Rotation
+
+from calib.campaign import CameraPair, draw_frames, installation_by_tilt
+from calib.frames import Frames, calibrate_frames, calibrate_stream, frame_pairs, prepare_frames
+from calib.ten_steps import frame_information_literally
+from geometry.constants import ARCSEC
+from geometry.installation import deviation_from_theta, theta_between
+
+CAMERAS = CameraPair(installation_by_tilt(np.radians(15.0)))
+R_CS0 = deviation_from_theta(np.array([0.003, 0.002, 0.001])).inv() * CAMERAS.R_cs
+CHUNK = 2000
+
+
+def seconds(work: Callable[[], object], repeats: int) -> float:
+    """Least CPU time of `repeats` calls."""
+    best = np.inf
+    for _ in range(repeats):
+        start = time.process_time()
+        work()
+        best = min(best, time.process_time() - start)
+    return best
+
+
+def one_pass(frames: Frames, R_cs: Rotation) -> tuple[np.ndarray, np.ndarray]:
+    return frame_pairs(prepare_frames(frames), R_cs)
+
+
+def against_the_svd() -> None:
+    print("one iteration, CPU time a frame; the information form works on 400 frames at once")
+    print(" n_s n_c   literal SVD   information   ratio   dF relative   dtheta arcsec")
+    for (stars, targets), least in {(30, 10): 200, (60, 20): 1500, (60, 40): 3000}.items():
+        frames = draw_frames(400, stars, targets, 0.06, 0.3, CAMERAS, np.random.default_rng(1))
+        R_cs = calibrate_frames(frames, R_CS0).R_cs
+        fast = seconds(partial(one_pass, frames, R_cs), 9) / 400
+        some = [frames.frame(k) for k in range(6)]
+        slow = min(seconds(partial(frame_information_literally, *one, R_cs), 2) for one in some)
+        F, F_theta = frame_pairs(prepare_frames(frames), R_cs)
+        apart_F, apart = 0.0, 0.0
+        for k, one in enumerate(some):
+            literal_F, literal = frame_information_literally(*one, R_cs)
+            apart_F = max(apart_F, np.abs(F[k] - literal_F).max() / np.abs(literal_F).max())
+            theta = np.linalg.solve(F[k], F_theta[k]) - np.linalg.solve(literal_F, literal)
+            apart = max(apart, np.abs(theta).max() / ARCSEC)
+        print(
+            f" {stars:3d} {targets:3d}   {1e3 * slow:8.2f} ms   {1e6 * fast:8.2f} us   {slow / fast:5.0f}"
+            f"   {apart_F:11.1e}   {apart:13.1e}"
+        )
+        verdict(f"ratio >= {least}", slow / fast >= least)
+        verdict("information to 1e-9 relative, theta to 1e-4 arcsec", apart_F < 1e-9 and apart < 1e-4)
+        if (stars, targets) == (60, 20):
+            whole = seconds(partial(calibrate_frames, frames, R_CS0), 9)
+            verdict(f"400 frames x (60, 20), one pass: {400e3 * fast:.1f} ms <= 20 ms", 400 * fast <= 0.020)
+            verdict(f"the same from (28) to M = I: {1e3 * whole:.1f} ms <= 20 ms", whole <= 0.020)
+    print()
+
+
+def growth() -> None:
+    print(f"growth, (60, 20) a frame, chunks of {CHUNK}; the vectors of a chunk are drawn outside the clock")
+    print("  frames   CPU s   us a frame   peak MiB   1-sigma X Y Z, arcsec")
+    pool = [draw_frames(CHUNK, 60, 20, 0.06, 0.3, CAMERAS, np.random.default_rng(seed)) for seed in range(4)]
+    found = {}
+    for n_frames in (400, 4000, 40_000, 400_000):
+        start = time.process_time()
+        R_cs, solution, _ = calibrate_stream(chunks(pool, n_frames), R_CS0)
+        spent = time.process_time() - start
+        found[n_frames] = (spent, peak_mib())
+        sigma = np.sqrt(np.diag(solution.covariance)) / ARCSEC
+        print(
+            f"{n_frames:8d} {spent:7.3f}   {1e6 * spent / n_frames:10.1f}   {peak_mib():8.0f}   "
+            f"{sigma[0]:.5f} {sigma[1]:.5f} {sigma[2]:.5f}"
+        )
+        assert np.linalg.norm(theta_between(R_cs, CAMERAS.R_cs)) < 1e-5
+    slope = (found[400_000][0] - found[40_000][0]) / (found[40_000][0] - found[4000][0])
+    verdict(f"linear: 360 000 more frames cost {slope:.1f} times 36 000 more (9 to 11)", 9.0 <= slope <= 11.0)
+    more = found[400_000][1] - found[4000][1]
+    verdict(f"memory flat: {more:.0f} MiB more for 100 times the frames (<= 20)", more <= 20)
+
+
+def chunks(pool: list[Frames], n_frames: int) -> Iterator[Frames]:
+    """`n_frames` frames in chunks; the same few chunks come round again."""
+    if n_frames < CHUNK:
+        yield draw_frames(n_frames, 60, 20, 0.06, 0.3, CAMERAS, np.random.default_rng(9))
+    for k in range(n_frames // CHUNK):
+        yield pool[k % len(pool)]
+
+
+if __name__ == "__main__":
+    head("calib: speed of the information form")
+    against_the_svd()
+    growth()
