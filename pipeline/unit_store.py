@@ -143,9 +143,9 @@ def read_meta(table: pa.Table) -> dict[str, Any]:
 
 def fixed_list(values: np.ndarray) -> pa.Array:
     """An array (N, ...) as N lists of fixed length."""
-    flat = np.ascontiguousarray(values, dtype=float).reshape(len(values), -1)
-    width = flat.shape[1] if len(values) else int(np.prod(values.shape[1:]))
-    return pa.FixedSizeListArray.from_arrays(pa.array(flat.ravel(), pa.float64()), width)
+    width = int(np.prod(values.shape[1:]))
+    flat = np.ascontiguousarray(values, dtype=float).ravel()
+    return pa.FixedSizeListArray.from_arrays(pa.array(flat, pa.float64()), width)
 
 
 def list_values(table: pa.Table, name: str, *shape: int) -> np.ndarray:

@@ -1,0 +1,48 @@
+"""Who may import whom: the rooms of the house (docs/design.md)."""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+ROOMS = {"geometry", "star_id", "gct_match", "calib", "simulator", "pipeline"}
+
+
+def our_imports(package: str) -> set[str]:
+    """The packages of ours that any module of `package` imports, at whatever depth of its code."""
+    found = set()
+    for path in (ROOT / package).rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Import):
+                found |= {alias.name.split(".")[0] for alias in node.names}
+            elif isinstance(node, ast.ImportFrom) and node.module and node.level == 0:
+                found.add(node.module.split(".")[0])
+    return found & ROOMS
+
+
+@pytest.mark.parametrize("package", ["geometry", "star_id", "gct_match", "calib", "simulator"])
+def test_package_imports_nothing_of_ours_but_geometry(package: str) -> None:
+    assert our_imports(package) <= {package, "geometry"}
+
+
+def test_geometry_imports_nothing_of_ours() -> None:
+    assert our_imports("geometry") <= {"geometry"}
+
+
+@pytest.mark.parametrize("package", ["geometry", "star_id", "gct_match", "calib", "simulator"])
+def test_only_pipeline_prints_and_opens_files_outside_the_package(package: str) -> None:
+    for path in (ROOT / package).rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
+                assert node.func.id not in ("print", "open", "input", "eval", "exec"), f"{path}:{node.lineno}"
+
+
+def test_nothing_of_the_reading_side_opens_truth_but_validate() -> None:
+    for path in (ROOT / "pipeline").rglob("*.py"):
+        if path.name not in ("validate.py", "dump_writer.py"):
+            for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+                if isinstance(node, ast.Constant) and node.value == "truth":
+                    raise AssertionError(f"{path}:{node.lineno} names the folder of the truth")
