@@ -2,15 +2,19 @@
 layers.
 
 A ray keeps n(r) r sin z (Snell). Against the straight line that it follows in space, it comes down nearer to
-the point below the satellite and steeper. To second order in the refractivity N = n - 1 and first order in
-height over Earth radius, with z the zenith distance of the straight line at the ground of height h,
+the point below the satellite, and steeper. With z the zenith distance of the straight line at the ground of
+height h, N = n - 1, and integrals over height from h upwards
 
-    displacement = tan z sec^2 z [ I0 - (2 + 3 tan^2 z) I1 / R - (3 sec^2 z - 1) I2 / 2 ]
-    sin z_ground = sin z / n(h)
+    I0 = int N,   I1 = int N (h' - h),   I2 = int N (h' - h)^2,   J = int N^2,
 
-with I0, I1, I2 the integrals over height, from h upwards, of N, N (h' - h) and N^2 (expand the central angle
-of Noerdlinger 1999, ISPRS J. 54, 360-373, eq. 6). The closed form is good to 1e-4 of the displacement up to z
-= 60 deg.
+the displacement is, to second order in N and in height over Earth radius R,
+
+    tan z sec^2 z [ I0 - (3 sec^2 z - 1) I1 / R + (15 sec^4 z - 9 sec^2 z) I2 / (2 R^2) - (3 sec^2 z - 1) J /
+    2 ]
+
+(the difference of the central angles of the two lines, int a dr / (r sqrt(n^2 r^2 - a^2)) with a = r sin z,
+expanded; that integral: Noerdlinger 1999, ISPRS J. 54, 360-373), and sin z_ground = sin z / n(h). Good to
+1e-4 of the displacement up to z = 60 deg.
 
 The standard atmosphere is the US Standard Atmosphere 1976 (dry air), with the refractivity of Ciddor (1996,
 Appl. Opt. 35, 1566, eq. 1) at 0.6 um. Weather changes the displacement by a few per cent.
@@ -41,7 +45,7 @@ class Atmosphere:
 
     height_m: Array  # (K,) ellipsoidal heights in even steps
     refractivity: Array  # (K,) n - 1
-    integrals: Array  # (K, 3) of N (m), N (h' - h) (m^2), N^2 (m), from each height upwards
+    integrals: Array  # (K, 4): I0 (m), I1 (m^2), I2 (m^3), J (m), from each height upwards
 
     def bending(self, cos_z: ArrayLike, height_m: ArrayLike) -> tuple[Array, Array]:
         """Displacement (m, >= 0) and change of zenith distance (rad, >= 0) where the straight line meets the
@@ -53,22 +57,22 @@ class Atmosphere:
         """
         c = np.asarray(cos_z, dtype=float)
         c = np.where(c > _STEEPEST, c, np.nan)
-        n, (i0, i1, i2) = self._at(np.asarray(height_m, dtype=float))
+        n, i0, i1, i2, j = self._at(np.asarray(height_m, dtype=float))
         sec2 = 1.0 / (c * c)
         tan2 = np.maximum(sec2 - 1.0, 0.0)
         tan = np.sqrt(tan2)
-        factor = i0 - (2.0 + 3.0 * tan2) * (i1 / _EARTH_RADIUS_M) - (1.5 * sec2 - 0.5) * i2
+        first = (i1 / _EARTH_RADIUS_M + 0.5 * j) * (3.0 * sec2 - 1.0)
+        second = (i2 / (2.0 * _EARTH_RADIUS_M**2)) * (15.0 * sec2 - 9.0) * sec2
         # z - arcsin(sin z / n): the sine of the difference to second order in N is enough (1e-10 rad)
-        return tan * sec2 * factor, n * tan * (1.0 - n - 0.5 * n * tan2)
+        return tan * sec2 * (i0 - first + second), n * tan * (1.0 - n - 0.5 * n * tan2)
 
-    def _at(self, height: Array) -> tuple[Array, tuple[Array, Array, Array]]:
+    def _at(self, height: Array) -> list[Array]:
+        """Refractivity and the integrals at heights, linear between the steps."""
         index = np.clip((height - self.height_m[0]) / _STEP_M, 0.0, len(self.height_m) - 1.0)
         below = np.minimum(index.astype(np.int64), len(self.height_m) - 2)
         f = index - below
-        i0, i1, i2 = (
-            (1.0 - f) * self.integrals[below, k] + f * self.integrals[below + 1, k] for k in range(3)
-        )
-        return (1.0 - f) * self.refractivity[below] + f * self.refractivity[below + 1], (i0, i1, i2)
+        columns = (self.refractivity, *self.integrals.T)
+        return [(1.0 - f) * column[below] + f * column[below + 1] for column in columns]
 
 
 def refractivity_of_air(wavelength_um: float) -> float:
@@ -95,8 +99,11 @@ def layered_atmosphere(lowest_m: ArrayLike, refractive_index: ArrayLike) -> Atmo
     if lowest.ndim != 1 or lowest.shape != index.shape or np.any(np.diff(lowest) <= 0.0):
         raise ValueError("layers need as many refractive indices as heights, in increasing order of height")
     height = np.arange(lowest[0], lowest[-1] + _STEP_M, _STEP_M)
-    # a step between two samples is met at its middle by the trapezium rule, so it is sampled half a step late
-    return _with_integrals(height, index[np.searchsorted(lowest, height, side="right") - 1] - 1.0)
+    n, top = index - 1.0, np.append(lowest[1:], max(lowest[-1], height[-1]))
+    from_, to = (np.maximum(bound - height[:, None], 0.0) for bound in (lowest, top))
+    moments = [((to**k - from_**k) / k) @ n for k in (1, 2, 3)]
+    refractivity = n[np.searchsorted(lowest, height, side="right") - 1]
+    return Atmosphere(height, refractivity, np.column_stack([*moments, (to - from_) @ n**2]))
 
 
 def _with_integrals(height: Array, refractivity: Array) -> Atmosphere:
@@ -104,9 +111,9 @@ def _with_integrals(height: Array, refractivity: Array) -> Atmosphere:
         pieces = 0.5 * _STEP_M * (integrand[1:] + integrand[:-1])
         return np.concatenate([np.cumsum(pieces[::-1])[::-1], [0.0]])
 
-    i0, weighted = upwards(refractivity), upwards(refractivity * height)
-    integrals = np.column_stack([i0, weighted - height * i0, upwards(refractivity**2)])
-    return Atmosphere(height, refractivity, integrals)
+    m0, m1, m2 = (upwards(refractivity * height**k) for k in (0, 1, 2))
+    moments = m0, m1 - height * m0, m2 - 2.0 * height * m1 + height**2 * m0
+    return Atmosphere(height, refractivity, np.column_stack([*moments, upwards(refractivity**2)]))
 
 
 def _relative_density_1976(height_m: Array) -> Array:

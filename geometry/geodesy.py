@@ -65,7 +65,7 @@ def ray_ellipsoid_intersection(
     """First point of each ray at geodetic height `height_m`; rays that miss it, or start below, give NaN.
 
     Points of equal height do not form an ellipsoid, so the one with semi-axes a + h and b + h is met first
-    and the rest (centimetres at most) is taken off along the ray by one step of Newton's method, to 1e-8 m.
+    and the rest (a centimetre at most) is taken off along the ray by one step of Newton's method, to 1e-8 m.
 
     Parameters
     ----------
@@ -91,7 +91,9 @@ def ray_ellipsoid_intersection(
 def ray_shell_intersection(
     origin_e: Array, direction_e: Array, height_m: ArrayLike, ellipsoid: Ellipsoid
 ) -> Array:
-    """The same for the ellipsoid with semi-axes a + h, b + h: within 0.05 m of height h for h up to 9 km."""
+    """The same for the ellipsoid with semi-axes a + h, b + h: it lies under height h by h f^2 sin^2(2 lat) /
+    8, 0.013 m at 9 km.
+    """
     height = np.asarray(height_m, dtype=float)
     origin, unit = np.ascontiguousarray(origin_e.T), np.ascontiguousarray(direction_e.T)
     a2, b2 = (ellipsoid.semi_major_m + height) ** -2.0, (ellipsoid.semi_minor_m + height) ** -2.0
@@ -106,13 +108,17 @@ def ray_shell_intersection(
 
 
 def vertical_at(p_e: Array, height_m: ArrayLike, ellipsoid: Ellipsoid) -> Array:
-    """Unit vectors upwards, (N, 3), at points (N, 3) of about the height given; good to 1e-5 rad up to 9 km.
+    """Unit vectors upwards, (N, 3), at points (N, 3) whose height is known to some metres; good to 3e-8 rad
+    up to 9 km.
 
-    Quicker than going through latitude and longitude: the normal of the ellipsoid a + h, b + h.
+    Quicker than going through latitude and longitude: x : z = (N + h) cos(lat) : (N (1 - e^2) + h) sin(lat),
+    where the mean of the radius N serves, as it matters only by h / N.
     """
     height = np.asarray(height_m, dtype=float)
-    a, b = ellipsoid.semi_major_m + height, ellipsoid.semi_minor_m + height
-    gradient = np.empty(p_e.shape)
-    gradient[:, :2] = p_e[:, :2]
-    gradient[:, 2] = p_e[:, 2] * (a / b) ** 2
-    return np.asarray(gradient / np.sqrt(np.einsum("ni,ni->n", gradient, gradient))[:, None])
+    radius = ellipsoid.semi_major_m * (1.0 + 0.5 * ellipsoid.flattening)
+    normal = np.empty(p_e.shape)
+    normal[:, :2] = p_e[:, :2]
+    normal[:, 2] = p_e[:, 2] * (
+        (radius + height) / (radius * (1.0 - ellipsoid.eccentricity_squared) + height)
+    )
+    return np.asarray(normal / np.sqrt(np.einsum("ni,ni->n", normal, normal))[:, None])
