@@ -11,10 +11,19 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+import scipy.fft
 from numpy.typing import NDArray
 from scipy.special import log_ndtr
 
-__all__ = ["Peaks", "correlation_surface", "log_chance", "normalised", "peaks_of", "probability_wrong"]
+__all__ = [
+    "Peaks",
+    "correlation_surface",
+    "independent_values",
+    "log_chance",
+    "normalised",
+    "peaks_of",
+    "probability_wrong",
+]
 
 Array = NDArray[np.float64]
 Image = NDArray[np.float32]
@@ -83,26 +92,37 @@ def peaks_of(surface: Image, most: int, apart: int) -> Peaks:
     return Peaks(xy.astype(float), value.astype(float))
 
 
-def probability_wrong(surface: Image, peak_xy: Array, apart: int, absent: float) -> float:
-    """That the true place is not at the peak, given the whole correlation surface.
+def probability_wrong(surface: Image, peak_xy: Array, independent: float, absent: float) -> float:
+    """That the true place is not under the peak, given the whole correlation surface.
 
-    Each place of the surface has the likelihood (1 - r²)^(-n/2) of explaining the pair, against 1 for chance;
-    n, the number of independent values in the template, is one over the variance of r away from the peak. `absent` is
-    the prior probability that the surface does not hold the target at all.
+    Each place of the surface has the likelihood (1 - r²)^(-n/2) of explaining the pair, against 1 for chance. n is
+    the geometric mean of the template's number of independent values and of one over the variance of r away from
+    the peak: the first overrates scenes of repeated pattern, the second takes the peak's own side lobes for chance. Under
+    the peak is what is joined to it at more than half its height: from there least squares climbs to the same place.
+    `absent` is the prior probability that the surface does not hold the target at all.
     """
-    rows, columns = np.indices(surface.shape)
-    near = (np.abs(columns - peak_xy[0]) <= apart) & (np.abs(rows - peak_xy[1]) <= apart)
-    r = np.clip(surface.astype(float), 0.0, 0.99999)
-    away = surface[~near].astype(float)
+    column, row = np.clip(np.round(peak_xy).astype(int), 0, np.array(surface.shape[::-1]) - 1)
+    _, labels = cv2.connectedComponents((surface > 0.5 * surface[row, column]).astype(np.uint8))
+    near = (labels == labels[row, column]).astype(np.uint8)
+    near[max(0, row - 1) : row + 2, max(0, column - 1) : column + 2] = 1
+    under = cv2.dilate(near, np.ones((5, 5), np.uint8)).astype(bool)
+    away = surface[~under].astype(float)
     if away.size < 30:
         return 1.0
-    independent = 1.0 / max(float(np.mean(away**2)), 1e-6)
+    r = np.clip(surface.astype(float), 0.0, 0.99999)
+    independent = float(np.sqrt(independent / max(float(np.mean(away**2)), 1e-6)))
     log_likelihood = -0.5 * independent * np.log1p(-(r**2))
     top = float(log_likelihood.max())
     weight = np.exp(log_likelihood - top)
-    here, elsewhere = float(weight[near].sum()), float(weight[~near].sum())
+    here, elsewhere = float(weight[under].sum()), float(weight[~under].sum())
     chance = absent / (1.0 - absent) * surface.size * np.exp(-top)
     return float((elsewhere + chance) / (here + elsewhere + chance))
+
+
+def independent_values(template: Image) -> float:
+    """How many independent values a normalised template holds, from the evenness of its spectrum."""
+    power = np.abs(scipy.fft.rfft2(template - template.mean())).astype(float) ** 2
+    return float(2.0 * power.sum() ** 2 / (power**2).sum()) if power.any() else 1.0
 
 
 def log_chance(value: Array, independent: float, places: float) -> Array:

@@ -22,7 +22,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gct_match.resample import gradient, sample
-from gct_match.weighting import band_pass, change_px2, coherence_filter, derivatives, inverse_spectrum, point_spread, spectrum
+from gct_match.weighting import (
+    band_pass,
+    change_px2,
+    coherence_filter,
+    derivatives,
+    inverse_spectrum,
+    point_spread,
+    spectrum,
+)
 
 __all__ = ["Placement", "place"]
 
@@ -302,7 +310,9 @@ class _Solver:
 
     def _pays(self, extra: Array) -> bool:
         """Whether four affine parameters are more than noise; the honest covariance is asked only if a quick one agrees."""
-        inverse = np.linalg.inv(self.normal + 1e-9 * np.diag(np.diag(self.normal)) + 1e-30 * np.eye(len(self.normal)))
+        inverse = np.linalg.inv(
+            self.normal + 1e-9 * np.diag(np.diag(self.normal)) + 1e-30 * np.eye(len(self.normal))
+        )
         noise = float(np.vdot(self.weight * self.residual, self.residual) / max(self.weight.sum(), 1.0))
         quick = inverse[:4, :4] * noise / max(self.radiometry[0], 1e-6) ** 2
         if float(extra @ np.linalg.solve(quick, extra)) < _AFFINE_CHI2:

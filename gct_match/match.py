@@ -17,7 +17,13 @@ from numpy.typing import NDArray
 
 from gct_match.bootstrap import bootstrap, plan_search
 from gct_match.coarse import read_window
-from gct_match.correlation import correlation_surface, normalised, peaks_of, probability_wrong
+from gct_match.correlation import (
+    correlation_surface,
+    independent_values,
+    normalised,
+    peaks_of,
+    probability_wrong,
+)
 from gct_match.least_squares import Placement, place
 from gct_match.paths import Paths, displacements, target_paths
 from gct_match.records import Chip, Evidence, Refusal, StripImage, StripMatches, Target, TargetMatch
@@ -154,7 +160,11 @@ def _one(
     settings, name = scene.settings, scene.targets[n].target_id
     _, design = displacements(model, scene.targets[n].p_e[None], np.array([ccd]), xy_px[None])
     spread = design[0] @ covariance @ design[0].T + settings.consistency_sigma_px**2 * np.eye(2)
-    radius = int(np.clip(np.ceil(3.0 * np.sqrt(np.diag(spread).max())) + 2.0, 8, 2 * settings.margin_px))
+    radius = int(
+        np.clip(
+            np.ceil(3.0 * np.sqrt(np.diag(spread).max())) + 2.0, settings.margin_px, 2 * settings.margin_px
+        )
+    )
     template = _template(scene, model, n, ccd, xy_px, radius)
     if isinstance(template, Refusal):
         return template, 0
@@ -183,10 +193,9 @@ def _template(
     lines, samples = scene.strip.shape(ccd)
     side = chip_side_px(scene.chips[n], model, ccd, xy_px, scene.surface)
     half = 0.5 * min(float(settings.template_px), side)
-    spare = min(radius, 4)
-    x0, y0 = np.maximum(np.round(xy_px - half), -spare).astype(int)
-    x1 = int(min(round(xy_px[0] + half), samples + spare))
-    y1 = int(min(round(xy_px[1] + half), lines + spare))
+    x0, y0 = np.maximum(np.round(xy_px - half), 0).astype(int)
+    x1 = int(min(round(xy_px[0] + half), samples))
+    y1 = int(min(round(xy_px[1] + half), lines))
     if min(x1 - x0, y1 - y0) < settings.smallest_template_px:
         reason = (
             f"{x1 - x0} x {y1 - y0} px of its chip lie within the strip's image, "
@@ -239,7 +248,7 @@ def _placed(
             best, best_peak = trial, np.round(peak)
     if best is None:
         return Refusal(name, ccd, f"least squares did not converge from its {len(peaks.value)} best peaks")
-    wrong = probability_wrong(surface, best_peak, 3, _ABSENT)
+    wrong = probability_wrong(surface, best_peak, independent_values(a), _ABSENT)
     reason = _why_not(best, best_peak, wrong, float(peaks.value[0]), radius, settings)
     if reason:
         return Refusal(name, ccd, reason)

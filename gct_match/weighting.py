@@ -15,7 +15,15 @@ import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
-__all__ = ["band_pass", "change_px2", "coherence_filter", "derivatives", "inverse_spectrum", "point_spread", "spectrum"]
+__all__ = [
+    "band_pass",
+    "change_px2",
+    "coherence_filter",
+    "derivatives",
+    "inverse_spectrum",
+    "point_spread",
+    "spectrum",
+]
 
 Image = NDArray[np.float32]
 Spectrum = NDArray[np.complex64]
