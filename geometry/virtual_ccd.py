@@ -1,0 +1,185 @@
+"""One ideal line in the place of several staggered detectors (paper, section 3.1).
+
+The virtual CCD is the straight line through the focal plane that fits the look directions of all real pixels
+best (paper, eqs. 26-27), divided into equal pixels of an ideal pinhole camera. Raw images are brought to it
+over the ground: where a virtual pixel meets the mean elevation plane, which pixel of the real CCD saw that
+place? Ground d metres off that plane is shifted by stagger / focal length times d; with a terrain in the
+plane's place it is not.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from geometry.attitude import lagrange_weights
+from geometry.line_camera import Ccd, LineCamera
+from geometry.pushbroom import Pushbroom
+from geometry.terrain import Surface
+
+__all__ = ["ReadStrip", "VirtualStrip", "virtual_camera"]
+
+Array = NDArray[np.float64]
+Image = NDArray[np.float32]
+ReadStrip = Callable[
+    [int, int, int, int, int], NDArray
+]  # ccd, line0, line1, sample0, sample1 -> (lines, samples)
+
+_NODE_LINES = 16  # lattice on which the way between the images is worked out, cubics between:
+_NODE_SAMPLES = 96  # 1 ms of motion and 50 m of ground
+_MARGIN_PX = 5  # what the interpolation needs around
+_BLOCK_LINES = 512
+
+
+def virtual_camera(camera: LineCamera, pixel_m: float | None = None) -> LineCamera:
+    """The virtual CCD of a camera, as a camera with one ideal detector (paper, eqs. 26-27).
+
+    `pixel_m` is the virtual pixel; without it the mean of the real ones. The virtual line begins and ends
+    where the real detectors do. Its rows bear the middle of their exposure as their time.
+    """
+    points = np.vstack([ccd.focal_plane(np.arange(ccd.n_px)) for ccd in camera.ccds])
+    along, across = points[:, 1], points[:, 0]
+    A = np.column_stack([along, np.ones(len(along))])
+    (a, b), *_ = np.linalg.lstsq(A, across, rcond=None)
+    pitch = float(np.mean([ccd.pixel_m for ccd in camera.ccds])) if pixel_m is None else pixel_m
+    length = np.hypot(1.0, a) * np.ptp(along)
+    ideal = Ccd(
+        n_px=int(np.floor(length / pitch)) + 1,
+        y_first_m=float(along.min()),
+        x_offset_m=float(a * along.min() + b),
+        rotation_rad=float(-np.arctan(a)),
+        pixel_m=pitch,
+        principal_sample=0.0,
+    )
+    return LineCamera(camera.focal_m, (ideal,))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class VirtualStrip:
+    """A strip of several CCDs, and the same strip as the virtual CCD would have taken it.
+
+    Line n of the virtual image is taken at the same instant as line n of the real ones.
+    """
+
+    real: Pushbroom
+    surface: Surface  # the mean elevation plane, or the terrain
+    pixel_m: float | None = None
+    virtual: Pushbroom = field(init=False)
+
+    def __post_init__(self) -> None:
+        camera = self._camera
+        rows = self.real.rows
+        middle = rows.t_first_row_s + camera.delay_to_middle_s(rows.row_period_s)
+        virtual = replace(
+            self.real,
+            camera=virtual_camera(camera, self.pixel_m),
+            rows=replace(rows, t_first_row_s=middle),
+            table=None,
+        )
+        object.__setattr__(self, "virtual", virtual)
+
+    @property
+    def width_px(self) -> int:
+        """Pixels of the virtual CCD."""
+        return self.virtual.camera.n_px(0)
+
+    def seams(self, line: float) -> list[tuple[int, float, float]]:
+        """For each CCD in order along the line: its index, and the virtual samples at which its part begins
+        and ends, about a line of the virtual image.
+
+        A seam runs in the middle of what two neighbours both saw, or of the gap between them. The ground
+        moves across between the instants at which staggered detectors pass it, so this is not quite the
+        middle of their overlap in the focal plane.
+        """
+        ends = []
+        for k in range(self._camera.n_ccds):
+            corners = np.array([0.0, self._camera.n_px(k) - 1.0])
+            ground = self.real.ground_points(k, corners, np.full(2, line), self.surface)
+            first, last = self.virtual.pixels_from_ground(0, ground)[0]
+            ends.append((k, float(first), float(last)))
+        ends.sort(key=lambda end: end[1])
+        parts = []
+        for n, (k, first, last) in enumerate(ends):
+            begin = 0.5 * (ends[n - 1][2] + first) if n else -0.5
+            end = 0.5 * (last + ends[n + 1][1]) if n + 1 < len(ends) else self.width_px - 0.5
+            parts.append((k, begin, end))
+        return parts
+
+    def source_pixels(self, ccd: int, sample: Array, line: Array) -> tuple[Array, Array]:
+        """Which pixels (sample, line) of a real CCD see the ground that virtual pixels (N,) see."""
+        ground = self.virtual.ground_points(0, sample, line, self.surface)
+        return self.real.pixels_from_ground(ccd, ground)
+
+    def resampled(
+        self, ccd: int, read: ReadStrip, n_lines: int, lines: tuple[int, int], samples: tuple[int, int]
+    ) -> Image:
+        """A window of the virtual image as seen by one CCD: (lines, samples), NaN where that CCD saw nothing.
+
+        Lanczos over 8 x 8 px, at places rounded to 1/32 px. `read` gives windows of the raw images, which
+        have `n_lines` lines.
+        """
+        at_line, at_sample = np.arange(*lines, dtype=float), np.arange(*samples, dtype=float)
+        node_lines = _nodes(at_line, _NODE_LINES)
+        node_samples = _nodes(at_sample, _NODE_SAMPLES)
+        grid = np.meshgrid(node_lines, node_samples, indexing="ij")
+        source = self.source_pixels(ccd, grid[1].ravel(), grid[0].ravel())
+        to_lines, to_samples = (
+            lagrange_weights(node_lines, at_line),
+            lagrange_weights(node_samples, at_sample),
+        )
+        unseen = np.isnan(source[0]).reshape(grid[0].shape).astype(float)
+        doubtful = np.abs(to_lines) @ unseen @ np.abs(to_samples).T > 1e-9
+        column, row = (
+            np.where(doubtful, np.nan, to_lines @ np.nan_to_num(s).reshape(grid[0].shape) @ to_samples.T)
+            for s in source
+        )
+        if not np.isfinite(column).any():
+            return np.full(column.shape, np.nan, dtype=np.float32)
+        left, right = _window(column, self._camera.n_px(ccd))
+        top, bottom = _window(row, n_lines)
+        if left >= right or top >= bottom:
+            return np.full(column.shape, np.nan, dtype=np.float32)
+        raw = np.asarray(read(ccd, top, bottom, left, right), dtype=np.float32)
+        image = cv2.remap(
+            raw,
+            (column - left).astype(np.float32),
+            (row - top).astype(np.float32),
+            interpolation=cv2.INTER_LANCZOS4,
+            borderMode=cv2.BORDER_CONSTANT,
+            borderValue=[float("nan")],
+        )
+        return np.asarray(image, dtype=np.float32)
+
+    def stitched(self, read: ReadStrip, n_lines: int, lines: tuple[int, int]) -> Image:
+        """Lines of the virtual image from all CCDs: (lines, `width_px`), NaN where none saw the ground."""
+        image: Image = np.full((lines[1] - lines[0], self.width_px), np.nan, dtype=np.float32)
+        for ccd, begin, end in self.seams(0.5 * (lines[0] + lines[1])):
+            first, last = max(0, int(np.ceil(begin))), min(self.width_px, int(np.ceil(end)))
+            for top in range(lines[0], lines[1], _BLOCK_LINES):
+                bottom = min(top + _BLOCK_LINES, lines[1])
+                image[top - lines[0] : bottom - lines[0], first:last] = self.resampled(
+                    ccd, read, n_lines, (top, bottom), (first, last)
+                )
+        return image
+
+    @property
+    def _camera(self) -> LineCamera:
+        if not isinstance(self.real.camera, LineCamera):
+            raise TypeError(f"a virtual CCD needs a LineCamera, got {type(self.real.camera).__name__}")
+        return self.real.camera
+
+
+def _nodes(at: Array, step: int) -> Array:
+    """Evenly spaced nodes, five or more, from the first to the last of `at`, about `step` apart."""
+    count = max(4, int(np.ceil((at[-1] - at[0]) / step)))
+    return np.asarray(at[0] + np.arange(count + 1) * (max(at[-1] - at[0], 1.0) / count), dtype=np.float64)
+
+
+def _window(pixel: Array, size: int) -> tuple[int, int]:
+    """The part of a raw image's axis that holds some places, with what interpolation needs around."""
+    low, high = float(np.nanmin(pixel)), float(np.nanmax(pixel))
+    return max(0, int(np.floor(low)) - _MARGIN_PX), min(size, int(np.ceil(high)) + _MARGIN_PX + 1)
