@@ -13,6 +13,7 @@ import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from importlib import metadata
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -22,6 +23,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from pipeline import __version__
 from pipeline.errors import DataNotSufficientError, RawDataError, WorkerError
+from pipeline.report_commands import add_report_commands
 
 __all__ = ["app", "main"]
 
@@ -35,6 +37,15 @@ app = typer.Typer(
 remarks = Console(stderr=True, highlight=False)
 
 DONE, DATA_DID_NOT_ALLOW, WRONG_USAGE = 0, 1, 2
+REPORTED_PACKAGES = (
+    "numpy",
+    "scipy",
+    "opencv-python-headless",
+    "astropy",
+    "astropy-iers-data",
+    "pyerfa",
+    "pyproj",
+)
 
 SettingsFile = Annotated[Path | None, typer.Option(help="TOML file of settings; unknown keys are refused.")]
 
@@ -138,6 +149,8 @@ def calibrate(
     """Find the installation matrix of a dump, from raw pixels."""
     from pipeline.calibrate import calibrate_dump
     from pipeline.dump import open_dump
+    from pipeline.evidence import write_evidence
+    from pipeline.report import write_report
     from pipeline.result import begin_result, store_of, write_result, write_run
     from pipeline.settings import read_settings
     from pipeline.summary import calibration_summary
@@ -159,6 +172,7 @@ def calibrate(
             bar.update(bars[stage], completed=done)
 
         found = calibrate_dump(opened, chosen, store_of(out), executor, progress)
+    write_evidence(out, opened, found, chosen)
     write_result(out, found, chosen)
     elapsed = time.perf_counter() - start
     write_run(
@@ -173,10 +187,12 @@ def calibrate(
             "python": platform.python_version(),
             "machine": platform.platform(),
             "version": __version__,
+            "packages": {name: metadata.version(name) for name in REPORTED_PACKAGES},
         },
     )
+    page = write_report(out)
     typer.echo(calibration_summary(found))
-    typer.echo(f"{elapsed:.1f} s -> {out / 'installation.json'}")
+    typer.echo(f"{elapsed:.1f} s -> {out / 'installation.json'}, {page.name}")
 
 
 @contextmanager
@@ -285,3 +301,6 @@ def plan(
         typer.echo(f"-> {', '.join(str(path) for path in write_forecast(found, out, target))}")
     if target is not None and found.strips_needed is None:
         raise typer.Exit(DATA_DID_NOT_ALLOW)
+
+
+add_report_commands(app)

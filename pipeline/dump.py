@@ -35,7 +35,17 @@ from pipeline.image_files import StripFiles, check_strip_file, read_grid
 from pipeline.orbit_file import Ephemeris, read_oem
 from pipeline.text_files import path_inside, read_table, read_toml
 
-__all__ = ["ChipFile", "Dump", "Exposure", "Strip", "TargetHeights", "TerrainFile", "open_dump", "surface_of"]
+__all__ = [
+    "ChipFile",
+    "Dump",
+    "Exposure",
+    "Strip",
+    "TargetHeights",
+    "TerrainFile",
+    "open_dump",
+    "star_camera_of",
+    "surface_of",
+]
 
 Array = NDArray[np.float64]
 MAX_TERRAIN_PIXELS = 8192 * 8192
@@ -162,7 +172,7 @@ def open_dump(root: Path, *, allow_stale_eop: bool = False) -> Dump:
         root=root,
         mission=head.mission,
         epoch=ephemeris.epoch,
-        star_camera=_star_camera(star, head.files.star_camera),
+        star_camera=star_camera_of(star, head.files.star_camera),
         star_bit_depth=star.bit_depth,
         line_camera=line_camera,
         remote_bit_depth=remote.bit_depth,
@@ -179,7 +189,8 @@ def open_dump(root: Path, *, allow_stale_eop: bool = False) -> Dump:
     )
 
 
-def _star_camera(file: schema.StarCameraFile, name: str) -> StarCamera:
+def star_camera_of(file: schema.StarCameraFile, name: str) -> StarCamera:
+    """The camera that a star_camera.toml describes; `RawDataError` for a lens that cannot be."""
     x0, y0 = file.principal_point_px
     d = file.distortion
     camera = StarCamera(

@@ -31,6 +31,8 @@ __all__ = ["GridImage", "StripFiles", "open_geotiff", "read_exposure", "read_gri
 PNG_MAGIC = b"\x89PNG\r\n\x1a\n"
 TIFF_MAGICS = (b"II*\x00", b"MM\x00*", b"II+\x00", b"MM\x00+")
 FITS_MAGIC = b"SIMPLE  ="
+JPEG_MAGIC = b"\xff\xd8\xff"
+BMP_MAGIC = b"BM"
 MAX_STAR_PIXELS = 2**28  # a free image of `identify`; those of a dump are held to the camera's own size
 
 
@@ -43,7 +45,9 @@ def read_exposure(path: Path, file: str, *, width: int, height: int, bit_depth: 
 
 
 def read_star_image(path: Path, file: str) -> NDArray[Any]:
-    """Any single grey star image, of whatever size up to 2^28 pixels: for `boresight identify`."""
+    """Any single star image of up to 2^28 pixels, JPEG and BMP too, colours made grey: for `boresight
+    identify`.
+    """
     return _read_star_image(path, file, None, None)
 
 
@@ -55,6 +59,8 @@ def _read_star_image(path: Path, file: str, size: tuple[int, int] | None, bits: 
         return _read_tiff_whole(path, file, size, bits)
     if magic.startswith(FITS_MAGIC):
         return _read_fits(path, file, size, bits)
+    if size is None and (magic.startswith(JPEG_MAGIC) or magic.startswith(BMP_MAGIC)):
+        return _read_jpeg_or_bmp(path, file)
     if not magic:
         raise RawDataError(file, "byte 0", "an empty file", "a PNG, TIFF or FITS image")
     raise RawDataError(file, "byte 0", magic[:8].hex(" "), "a PNG, TIFF or FITS image")
@@ -118,6 +124,37 @@ def _check_png_chunks(raw: bytes, file: str) -> None:
     raise RawDataError(
         file, f"byte {len(raw)}", "end of file", f"the rest of the PNG chunk that starts at {at}"
     )
+
+
+def _read_jpeg_or_bmp(path: Path, file: str) -> NDArray[Any]:
+    raw = path.read_bytes()
+    width, height = _jpeg_size(raw, file) if raw.startswith(JPEG_MAGIC) else _bmp_size(raw, file)
+    _check_size(file, (width, height), None, 8, 8)
+    image = cv2.imdecode(np.frombuffer(raw, np.uint8), cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION)
+    if image is None or image.shape != (height, width):
+        raise RawDataError(file, "pixels", "data that do not decode", f"{width} x {height} px")
+    return image
+
+
+def _jpeg_size(raw: bytes, file: str) -> tuple[int, int]:
+    """Width and height from the frame header (ITU-T T.81, B.2.2)."""
+    at = 2
+    while at + 9 < len(raw) and raw[at] == 0xFF:
+        marker = raw[at + 1]
+        if 0xC0 <= marker <= 0xCF and marker not in (0xC4, 0xC8, 0xCC):
+            height, width = struct.unpack_from(">HH", raw, at + 5)
+            return width, height
+        at += 1 if marker == 0xFF else 2 + struct.unpack_from(">H", raw, at + 2)[0]
+    raise RawDataError(file, f"byte {at}", "no frame header", "a JPEG image")
+
+
+def _bmp_size(raw: bytes, file: str) -> tuple[int, int]:
+    if len(raw) < 26 or struct.unpack_from("<I", raw, 14)[0] < 40:
+        raise RawDataError(file, "byte 14", f"{len(raw)} bytes", "a Windows bitmap header")
+    width, height = struct.unpack_from("<ii", raw, 18)
+    if width <= 0 or height == 0:
+        raise RawDataError(file, "byte 18", f"{width} x {height} px", "a size")
+    return width, abs(height)
 
 
 def _read_fits(path: Path, file: str, size: tuple[int, int] | None, bits: int | None) -> NDArray[Any]:
