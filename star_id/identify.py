@@ -225,7 +225,7 @@ def _try(image: _Image, index: StarIndex, detected: NDArray, named: NDArray) -> 
     for _ in range(1 if field.known else 4):
         R, lens, fitted = _refined(image, index, match)
         guess = _moved(image, index, guess, R, lens)
-        match, evidence = _match(image, guess, None, gate=0.0, voiceless=3 + (fitted + 1) // 2)
+        match, evidence = _match(image, guess, None, gate=0.0, voiceless=3 + (fitted - 2) // 2)
         if match is None:
             return None, evidence
     return match, evidence

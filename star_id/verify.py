@@ -6,8 +6,8 @@ error, and with probability e something else, anywhere in the image; without it 
 else. The ratio of the two likelihoods, averaged over a few values of e and of the error's size, has mean one
 over images without the proposed stars. So (Markov) it passes the value K there with probability 1/K at most,
 and with n proposals tried n/K bounds the probability of a false identification; no count of inliers is
-chosen. Detections that made the proposal do not vote, nor do as many more as the parameters fitted since
-could have bent to it.
+chosen. The three detections that made the proposal and fix its attitude do not vote, nor do as many more as
+the lens parameters fitted since could have bent.
 """
 
 from __future__ import annotations
