@@ -85,11 +85,13 @@ def place(
     solver.filter_by(band_pass(patch.shape, _LOW_PX, _HIGH_PX))
     solver.approach()
     solver.weigh()
-    solver.extend_to_affine()
-    solver.filter_by_coherence()
-    solver.weigh()
-    solver.refine(4)
-    if not solver.affine:
+    if not solver.lost:
+        solver.extend_to_affine()
+    if not solver.lost:
+        solver.filter_by_coherence()
+        solver.weigh()
+        solver.refine(4)
+    if not solver.affine and not solver.lost:
         solver.extend_to_affine()
     return solver.placement(np.asarray(start_px, dtype=float))
 
@@ -221,9 +223,16 @@ class _Solver:
 
     # Gauss-Newton
 
+    @property
+    def lost(self) -> bool:
+        """Whether template and patch have nothing in common, so that no place can be told."""
+        gain, power = self.radiometry[0], np.diag(self.normal)
+        return not (gain > 1e-3 and power[4] > 0.0 and power[5] > 0.0 and power[6] > 0.0)
+
     def approach(self) -> None:
-        """A first step from every fourth row, before anything is known about weights."""
+        """A first step from every fourth row, weighted by how alike the two are around each pixel."""
         i = self._warped(self.filtered_patch).ravel()
+        self.weight = self.mask * self._likeness(i)
         self._form_normal(every=4)
         self._read_solution(i)
         self._compose()
@@ -284,6 +293,13 @@ class _Solver:
         usual = np.float32(np.median(some) if some.size else 1.0)
         ratio = local * np.float32(1.0 / (3.0 * usual))
         return self.mask / (1.0 + ratio * ratio)
+
+    def _likeness(self, i: Image) -> Image:
+        """Square of the positive local correlation of template and patch, in neighbourhoods of 15 px."""
+        t, i = self.columns[6].reshape(self.shape), i.reshape(self.shape)
+        tt, ii, ti = (cv2.blur(product, (15, 15)) for product in (t * t, i * i, t * i))
+        local = np.maximum(ti, 0.0) ** 2 / (tt * ii + np.float32(1e-20 + 1e-4 * tt.mean() * ii.mean()))
+        return local.ravel()
 
     def _compose(self) -> None:
         """Warp <- warp o increment^-1; the increment maps the template's own points."""
@@ -360,7 +376,7 @@ class _Solver:
         return float(np.clip(cross / own / max(self.radiometry[0], 1e-6), 0.05, 1.0))
 
     def placement(self, start_px: Array) -> Placement:
-        cov = self._covariance()[-2:, -2:]
+        cov = np.diag([np.inf, np.inf]) if self.lost else self._covariance()[-2:, -2:]
         raw = self._warped(self.patch)
         residual = raw - self.mapped
         weight = self.weight.reshape(self.shape)
@@ -373,7 +389,7 @@ class _Solver:
             affine=self.warp[:2, :2] - np.eye(2),
             correlation=_correlation(self.i, self.i - self.residual, self.weight),
             kept=float(self.weight.sum() / max(self.mask.sum(), 1.0)),
-            converged=bool(self.step_px < 0.02 and np.abs(self.warp[:2, 2]).max() < _FARTHEST),
+            converged=bool(not self.lost and self.step_px < 0.02 and np.abs(self.warp[:2, 2]).max() < _FARTHEST),
             found=raw,
             residual=residual,
         )
