@@ -19,7 +19,6 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass, replace
-from itertools import pairwise
 from typing import Any
 
 import erfa
@@ -41,7 +40,7 @@ Array = NDArray[np.float64]
 NODE_STEP_S = 2.0**-7  # node times are then exact in ephemeris seconds, which resolve only 1e-7 s
 MARGIN_NODES = 8  # on either side: the model interpolates with eight points
 FOLD_SAMPLES = 9  # look directions per node, to which the rotation is fitted
-DISTORTION_PX = 1e-3  # what the cubic may leave over
+DISTORTION_PX = 3e-3  # what the cubic may leave over
 SMALLEST_PIECE_PX = 32
 _TURN = Rotation.from_quat([1.0, 0.0, 0.0, 0.0])  # c' <- c: half a turn about x
 
@@ -239,15 +238,30 @@ def _detector(detector: Ccd, first: int, stop: int, coefficients: tuple[Array, A
 
 
 def _pieces(detector: Ccd) -> list[tuple[int, int, tuple[Array, Array], float]]:
-    """The detector cut into as few equal pieces as let a cubic follow its distortion to `DISTORTION_PX`."""
-    count = 1
-    while True:
-        bounds = np.linspace(0, detector.n_px, count + 1).round().astype(int)
-        fits = [(int(a), int(b), *_cubic(detector, int(a), int(b))) for a, b in pairwise(bounds)]
-        small = detector.n_px / (2 * count) < SMALLEST_PIECE_PX
-        if max(fit[3] for fit in fits) <= DISTORTION_PX or small:
-            return fits
-        count *= 2
+    """The detector cut from its beginning, each piece as long as a cubic follows the distortion to
+    `DISTORTION_PX`.
+    """
+    pieces: list[tuple[int, int, tuple[Array, Array], float]] = []
+    first = 0
+    while first < detector.n_px:
+        stop = _longest(detector, first)
+        if detector.n_px - stop < SMALLEST_PIECE_PX:
+            stop = detector.n_px
+        pieces.append((first, stop, *_cubic(detector, first, stop)))
+        first = stop
+    return pieces
+
+
+def _longest(detector: Ccd, first: int) -> int:
+    """Where the longest good piece from `first` on ends, by bisection."""
+    good, bad = min(first + SMALLEST_PIECE_PX, detector.n_px), detector.n_px + 1
+    while bad - good > 1:
+        middle = (good + bad) // 2
+        if _cubic(detector, first, middle)[1] <= DISTORTION_PX:
+            good = middle
+        else:
+            bad = middle
+    return good
 
 
 def _cubic(detector: Ccd, first: int, stop: int) -> tuple[tuple[Array, Array], float]:

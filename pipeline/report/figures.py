@@ -1,0 +1,355 @@
+"""The plots of a report, each from saved tables alone."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+from matplotlib.axes import Axes
+from matplotlib.patches import Ellipse
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+from numpy.typing import NDArray
+
+from geometry.constants import ARCSEC
+from pipeline.report.drawing import (
+    AXES,
+    FILL,
+    INK,
+    MUTED,
+    Drawing,
+    axes_of,
+    drawn,
+    new_figure,
+)
+from pipeline.report.saved import Saved
+from pipeline.unit_store import column, list_values
+
+__all__ = [
+    "angle_histogram",
+    "angle_spread",
+    "convergence",
+    "covariance_ellipses",
+    "exposure_chi2",
+    "normalised_histogram",
+    "star_residual_map",
+    "target_residual_map",
+]
+
+Array = NDArray[np.float64]
+CELLS = 14  # of the star map along its longer side
+FEWEST_IN_CELL = 5
+ELLIPSE_SIGMAS = (1.0, 2.4477)  # 39 and 95 per cent of a plane normal distribution
+
+
+def convergence(saved: Saved) -> Drawing:
+    """1-sigma of theta and its distance from the end, after each further strip."""
+    table = saved.convergence
+    frames = column(table, "frames")
+    theta, sigma = (list_values(table, name, 3) / ARCSEC for name in ("theta_rad", "sigma_rad"))
+    end = theta[-1] if len(theta) else np.zeros(3)
+    figure = new_figure(3.0)
+    axes = axes_of(figure, "star exposures so far", "arc-seconds")
+    for n, curve in enumerate(AXES):
+        seen = np.isfinite(sigma[:, n])
+        axes.plot(
+            frames[seen],
+            sigma[seen, n],
+            curve.dash,
+            color=curve.colour,
+            linewidth=1.6,
+            label=f"{curve.name}: 1σ",
+        )
+        distance = np.abs(theta[:-1, n] - end[n])
+        shown = np.isfinite(distance) & (distance > 0.0)
+        axes.plot(
+            frames[:-1][shown],
+            distance[shown],
+            curve.marker,
+            color=curve.colour,
+            markersize=4,
+            fillstyle="none",
+            label=f"{curve.name}: |θ − end|",
+        )
+    _logarithmic(axes, "y")
+    axes.legend(
+        fontsize=8, labelcolor=INK, frameon=False, ncols=3, loc="upper center", bbox_to_anchor=(0.5, 1.2)
+    )
+    last = ", ".join(f"{c.name} {s:.3g}″" for c, s in zip(AXES, sigma[-1])) if len(sigma) else "none"
+    return drawn(
+        figure,
+        "convergence",
+        "Lines: predicted 1σ after each further strip. Marks: distance of θ from its value at the end.",
+        f"Convergence over {len(frames)} strips; 1-sigma at the end: {last}.",
+    )
+
+
+def angle_histogram(saved: Saved) -> Drawing:
+    """Cross-angle residuals over their own predicted spread."""
+    ratio = column(saved.angles, "z") / column(saved.angles, "sigma")
+    text = f"{len(ratio)} pairs of star and target; standard deviation of z/σ {_rms(ratio):.3f}, expected 1."
+    figure = new_figure(2.6)
+    axes = axes_of(figure, "z / predicted σ", "share per unit")
+    edges = np.linspace(-4.5, 4.5, 46)
+    _histogram(axes, ratio, edges)
+    x = np.linspace(-4.5, 4.5, 181)
+    axes.plot(x, np.exp(-0.5 * x**2) / np.sqrt(2.0 * np.pi), "-", color=INK, linewidth=1.4, label="expected")
+    _legend(axes)
+    return drawn(figure, "angle-histogram", text, f"Histogram of cross-angle residuals. {text}")
+
+
+def angle_spread(saved: Saved) -> Drawing:
+    """Measured against predicted spread, in groups of equal prediction."""
+    z, sigma = column(saved.angles, "z"), column(saved.angles, "sigma")
+    figure = new_figure(2.6)
+    axes = axes_of(figure, "predicted σ of z, arc-seconds", "measured rms of z, arc-seconds")
+    groups = [g for g in np.array_split(np.argsort(sigma), 12) if len(g) >= 5]
+    predicted = np.array([_rms(sigma[g]) for g in groups]) / ARCSEC
+    measured = np.array([_rms(z[g]) for g in groups]) / ARCSEC
+    if len(groups):
+        error = measured / np.sqrt(2.0 * np.array([len(g) for g in groups]))
+        axes.errorbar(
+            predicted, measured, error, fmt="o", color=INK, ecolor=MUTED, markersize=4, fillstyle="none"
+        )
+        span = np.array([predicted.min(), predicted.max()])
+        axes.plot(span, span, "--", color=MUTED, linewidth=1.2, label="measured = predicted")
+        _legend(axes)
+        if predicted.max() > 3.0 * predicted.min():
+            _logarithmic(axes, "x", "y")
+    ratio = measured / predicted
+    words = f"ratio from {ratio.min():.2f} to {ratio.max():.2f}" if len(ratio) else "no pairs"
+    return drawn(
+        figure,
+        "angle-spread",
+        f"{len(groups)} groups of equal prediction; {words}. Bars: 1σ as if all pairs were independent.",
+        f"Measured against predicted spread of cross angles in {len(groups)} groups: {words}.",
+    )
+
+
+def star_residual_map(saved: Saved) -> Drawing:
+    """Mean residual of stars in cells of the detector."""
+    camera = saved.context["star_camera"]
+    kept = column(saved.stars, "kept").astype(bool)
+    xy = list_values(saved.stars, "xy_px", 2)[kept]
+    residual = -list_values(saved.stars, "residual_s", 3)[kept, :2] / camera["pixel_rad"]
+    width, height = camera["width_px"], camera["height_px"]
+    cell = max(width, height) / CELLS
+    place, mean = _cell_means(xy, residual, cell, width)
+    figure = new_figure(0.6 + 0.9 * 4.6 * height / width)
+    axes = axes_of(figure, "column, px", "row, px")
+    axes.set_xlim(-0.5, width - 0.5)
+    axes.set_ylim(height - 0.5, -0.5)
+    axes.set_aspect("equal")
+    size = np.linalg.norm(mean, axis=1)
+    scale = _nice(float(np.percentile(size, 90)) if len(size) else 0.0)
+    _arrows(axes, place, mean, scale, cell)
+    rms = _rms(residual.ravel())
+    text = (
+        f"Mean residual of {kept.sum()} stars in {len(place)} cells with {FEWEST_IN_CELL} or more; the arrow "
+        f"in the corner is {scale:g} px. Single stars scatter by {rms:.3f} px rms per axis."
+    )
+    return drawn(figure, "star-map", text, f"Star residuals over the detector. {text}")
+
+
+def target_residual_map(saved: Saved) -> Drawing:
+    """Residuals of targets where they were seen: across the swath and along the strip."""
+    camera = saved.context["remote_camera"]
+    table = saved.targets
+    kept = column(table, "kept").astype(bool)
+    u_c, xy = list_values(table, "u_c", 3), list_values(table, "xy_px", 2)
+    residual = list_values(table, "residual_c", 2) / camera["pixel_rad"]
+    across = np.degrees(u_c[:, 1] / u_c[:, 2]) if len(u_c) else np.zeros(0)
+    figure = new_figure(3.4)
+    axes = axes_of(figure, "across the swath (y of c), degrees", "line of the strip")
+    good = np.isfinite(residual).all(axis=1)
+    size = np.linalg.norm(residual[kept & good], axis=1)
+    scale = _nice(float(np.percentile(size, 90)) if len(size) else 0.0)
+    for rows, colour, marker in ((kept & good, INK, "."), (~kept & good, MUTED, "x")):
+        axes.plot(across[rows], xy[rows, 1], marker, color=colour, markersize=4, linestyle="none")
+    rows = np.flatnonzero(kept & good)
+    if len(rows):
+        axes.quiver(
+            across[rows],
+            xy[rows, 1],
+            residual[rows, 1],
+            residual[rows, 0],
+            angles="uv",
+            scale_units="inches",
+            scale=scale / 0.28,
+            color=INK,
+            width=0.004,
+        )
+        _key(axes, scale, 0.28)
+    low, high = (xy[:, 1].min(), xy[:, 1].max()) if len(xy) else (0.0, 1.0)
+    margin = 0.08 * max(high - low, 1.0)
+    axes.set_ylim(high + margin, low - margin)
+    text = (
+        f"{len(rows)} sightings of targets from all strips; arrows along x and y of the camera, the one "
+        f"in the corner is {scale:g} px (crosses: left out, {int((~kept).sum())}). "
+        f"Rms {_rms(residual[rows].ravel()):.3f} px per axis."
+    )
+    return drawn(figure, "target-map", text, f"Target residuals over the swath. {text}")
+
+
+def covariance_ellipses(saved: Saved) -> list[Drawing]:
+    """One drawing for each pair of axes."""
+    covariance = np.array(saved.installation["covariance_rad2"]) / ARCSEC**2
+    drawings = []
+    for a, b in ((0, 1), (0, 2), (1, 2)):
+        names = f"{AXES[a].name}{AXES[b].name}"
+        part = covariance[np.ix_([a, b], [a, b])]
+        values, vectors = np.linalg.eigh(part)
+        angle = float(np.degrees(np.arctan2(vectors[1, 1], vectors[0, 1])))
+        figure = new_figure(3.4)
+        axes = axes_of(figure, f"{AXES[a].name}, arc-seconds", f"{AXES[b].name}, arc-seconds")
+        for sigmas, dash in zip(ELLIPSE_SIGMAS, ("-", "--")):
+            size = 2.0 * sigmas * np.sqrt(np.maximum(values, 0.0))
+            shape = Ellipse((0.0, 0.0), float(size[1]), float(size[0]), angle=angle, linewidth=1.4)
+            shape.set(edgecolor=INK, facecolor="none", linestyle=dash)
+            axes.add_patch(shape)
+        reach = 1.15 * ELLIPSE_SIGMAS[1] * np.sqrt(np.diag(part))
+        axes.set_xlim(-reach[0], reach[0])
+        axes.set_ylim(-reach[1], reach[1])
+        axes.plot(0.0, 0.0, "+", color=INK, markersize=8)
+        correlation = part[0, 1] / np.sqrt(part[0, 0] * part[1, 1])
+        text = (
+            f"{names}: 1σ {np.sqrt(part[0, 0]):.4g}″ and {np.sqrt(part[1, 1]):.4g}″, "
+            f"correlation {correlation:+.3f}."
+        )
+        drawings.append(
+            drawn(
+                figure,
+                f"ellipse-{names.lower()}",
+                f"{text} Solid: 1σ (39 %), dashed: 95 %.",
+                f"Covariance ellipse of the axes {text}",
+            )
+        )
+    return drawings
+
+
+def normalised_histogram(saved: Saved, table_name: str, what: str) -> Drawing:
+    """Squared residuals over their variance, two degrees of freedom each."""
+    table: pa.Table = getattr(saved, table_name)
+    values = column(table, "normalised")
+    kept = column(table, "kept").astype(bool)
+    good = values[kept & np.isfinite(values)]
+    figure = new_figure(2.6)
+    axes = axes_of(figure, "squared residual over its variance", "share per unit")
+    edges = np.linspace(0.0, 16.0, 41)
+    _histogram(axes, np.minimum(good, 15.99), edges)
+    x = np.linspace(0.0, 16.0, 161)
+    axes.plot(x, 0.5 * np.exp(-0.5 * x), "-", color=INK, linewidth=1.4, label="expected (χ², 2 degrees)")
+    _logarithmic(axes, "y", steps=(1.0,))
+    axes.set_ylim(1e-4, 1.0)
+    _legend(axes)
+    mean = float(good.mean()) if len(good) else float("nan")
+    text = f"{len(good)} {what} kept, mean {mean:.3f} (2 expected); {int((~kept).sum())} left out."
+    return drawn(figure, f"normalised-{table_name}", text, f"Histogram of normalised residuals. {text}")
+
+
+def exposure_chi2(saved: Saved) -> Drawing:
+    """Chi-square over degrees of freedom of every exposure's attitude, in time."""
+    table = saved.exposures
+    usable = column(table, "usable").astype(bool)
+    dof = column(table, "dof").astype(float)
+    ratio = np.divide(column(table, "chi2"), dof, out=np.full(len(dof), np.nan), where=dof > 0)
+    figure = new_figure(2.6)
+    axes = axes_of(figure, "seconds since the epoch", "χ² / degrees of freedom")
+    t = column(table, "t_s")
+    axes.plot(t[usable], ratio[usable], ".", color=INK, markersize=5)
+    axes.plot(t[~usable], np.nan_to_num(ratio[~usable], nan=0.0), "x", color=MUTED, markersize=5)
+    axes.axhline(1.0, color=MUTED, linestyle="--", linewidth=1.0)
+    if usable.any():
+        spread = 2.0 * np.sqrt(2.0 / np.median(dof[usable]))
+        axes.axhspan(max(1.0 - spread, 0.0), 1.0 + spread, color=FILL, alpha=0.5, linewidth=0)
+    axes.set_ylim(bottom=0.0)
+    mean = float(np.nanmean(ratio[usable])) if usable.any() else float("nan")
+    text = f"Attitude fits of {usable.sum()} exposures, mean {mean:.3f} (1 expected); band: 2σ."
+    return drawn(figure, "exposure-chi2", text, f"Chi-square of exposures against time. {text}")
+
+
+def preview_about(saved: Saved) -> dict[str, object] | None:
+    """What the star image's table says of the whole; None where there is no image."""
+    metadata = saved.detections.schema.metadata or {}
+    return json.loads(metadata[b"about"]) if b"about" in metadata else None
+
+
+def _logarithmic(axes: Axes, *which: str, steps: tuple[float, ...] = (1.0, 2.0, 5.0)) -> None:
+    for name in which:
+        axis = axes.xaxis if name == "x" else axes.yaxis
+        axes.set(**{f"{name}scale": "log"})
+        axis.set_major_locator(LogLocator(subs=steps))
+        axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        axis.set_minor_formatter(NullFormatter())
+
+
+def _legend(axes: Axes, **where: Any) -> None:
+    axes.legend(fontsize=8, labelcolor=INK, frameon=False, **where)
+
+
+def _histogram(axes: Axes, values: Array, edges: Any) -> None:
+    counts, _ = np.histogram(values, edges)
+    density = counts / max(len(values), 1) / np.diff(edges)
+    axes.stairs(density, edges, fill=True, facecolor=FILL, edgecolor=MUTED, linewidth=0.8)
+
+
+def _cell_means(xy: Array, residual: Array, cell: float, width: float) -> tuple[Array, Array]:
+    columns = int(np.ceil(width / cell))
+    index = (xy[:, 1] // cell).astype(int) * columns + (xy[:, 0] // cell).astype(int)
+    place, mean = [], []
+    for one in np.unique(index):
+        rows = index == one
+        if rows.sum() >= FEWEST_IN_CELL:
+            place.append([(one % columns + 0.5) * cell, (one // columns + 0.5) * cell])
+            mean.append(residual[rows].mean(axis=0))
+    return np.array(place).reshape(-1, 2), np.array(mean).reshape(-1, 2)
+
+
+def _arrows(axes: Axes, place: Array, vector: Array, scale: float, length: float) -> None:
+    if not len(place):
+        return
+    axes.plot(*place.T, ".", color=MUTED, markersize=2, linestyle="none")
+    axes.quiver(
+        *place.T,
+        *vector.T,
+        angles="xy",
+        scale_units="xy",
+        scale=scale / length,
+        color=INK,
+        width=0.004,
+    )
+    low, high = axes.get_xlim()[0], axes.get_ylim()[0]
+    box = {"facecolor": "none", "edgecolor": "none", "pad": 1}
+    x, y = low + 0.6 * length, high - 0.6 * length
+    axes.quiver(x, y, scale, 0.0, angles="xy", scale_units="xy", scale=scale / length, color=INK, width=0.007)
+    axes.text(x + 1.25 * length, y, f"{scale:g} px", fontsize=8, color=INK, va="center", bbox=box)
+
+
+def _key(axes: Axes, scale: float, inches: float) -> None:
+    where = axes.transAxes
+    axes.quiver(
+        0.03,
+        0.96,
+        scale,
+        0.0,
+        angles="uv",
+        scale_units="inches",
+        scale=scale / inches,
+        color=INK,
+        width=0.007,
+        transform=where,
+    )
+    axes.text(0.03 + 0.10, 0.96, f"{scale:g} px", fontsize=8, color=INK, va="center", transform=where)
+
+
+def _nice(value: float) -> float:
+    """A round number of about this size."""
+    if not value > 0.0:
+        return 1.0
+    power = 10.0 ** np.floor(np.log10(value))
+    return float(power * min((1.0, 2.0, 5.0, 10.0), key=lambda step: abs(step - value / power)))
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(np.square(values)))) if len(values) else float("nan")

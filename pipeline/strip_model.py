@@ -1,0 +1,94 @@
+"""The rigorous model of a strip as a finished result knows it: the attitude that its star exposures gave, its
+installation matrix, the dump's camera and orbit. For everything that uses a calibration: geolocation,
+exports.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet as pq
+from numpy.typing import NDArray
+
+from geometry.attitude import AttitudeTrack
+from geometry.groundlight import LightEffects
+from geometry.pushbroom import Pushbroom, RowClock
+from pipeline.dump import Dump, Strip, open_dump
+from pipeline.errors import DataNotSufficientError, RawDataError
+from pipeline.result import SavedResult, read_result
+from pipeline.text_files import read_text
+from pipeline.unit_store import list_values
+
+__all__ = ["Calibrated", "StripModel", "open_calibrated", "strip_model"]
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Calibrated:
+    """A result and the dump that it was made from."""
+
+    result: SavedResult
+    dump: Dump
+    attitude_covariance_s: Array  # (K, 3, 3) of the result's exposures, rad², frame s
+    effects: LightEffects  # those that the calibration took into account
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StripModel:
+    """One strip: pixel <-> ground."""
+
+    strip: Strip
+    pushbroom: Pushbroom
+    track: AttitudeTrack
+
+
+def open_calibrated(result: Path, dump: Path | None) -> Calibrated:
+    """A finished result with its dump: the one given, or else the one that the run's notes name."""
+    saved = read_result(result)
+    table = pq.read_table(result / "sightings" / "exposures.parquet", columns=["covariance_s"])
+    run = saved.installation["settings"]["run"]
+    effects = LightEffects(run["geometric_light_time"], run["aberration"], run["refraction"])
+    opened = open_dump(dump if dump is not None else _noted_dump(result))
+    return Calibrated(saved, opened, list_values(table, "covariance_s", 3, 3), effects)
+
+
+def strip_model(calibrated: Calibrated, strip_id: str) -> StripModel:
+    """The model of one strip. `RawDataError` for a strip that is not in the dump, `DataNotSufficientError`
+    for one whose rows the result's star exposures do not cover.
+    """
+    dump, result = calibrated.dump, calibrated.result
+    strips = {strip.strip_id: strip for strip in dump.strips}
+    if strip_id not in strips:
+        raise RawDataError("strips.csv", "id", strip_id, f"one of {', '.join(sorted(strips))}")
+    strip = strips[strip_id]
+    margin_s = result.installation["settings"]["run"]["exposure_margin_s"]
+    first = strip.t_first_row_s + dump.line_camera.delay_to_middle_s(strip.row_period_s)
+    last = first + (strip.lines - 1) * strip.row_period_s
+    t = result.t_exposures_s
+    near = np.flatnonzero(result.usable & (t >= first - margin_s) & (t <= last + margin_s))
+    if len(near) < 2:
+        reason = f"strip {strip_id}: {len(near)} usable star exposures around it, 2 are needed"
+        raise DataNotSufficientError(reason)
+    covariance = calibrated.attitude_covariance_s[near]
+    track = AttitudeTrack(t[near], result.R_si[near], dump.orbit, covariance)
+    clock = RowClock(strip.t_first_row_s, strip.row_period_s)
+    model = Pushbroom(
+        dump.line_camera, clock, dump.orbit, dump.orbit.earth, track, result.R_cs, calibrated.effects
+    )
+    return StripModel(strip, model, track)
+
+
+def _noted_dump(result: Path) -> Path:
+    path = result / "run.json"
+    try:
+        noted = Path(json.loads(read_text(path, str(path)))["dump"])
+    except (ValueError, KeyError, TypeError) as error:
+        raise RawDataError(str(path), "dump", str(error), "the dump's folder; or give --dump") from error
+    if not noted.is_dir():
+        expected = "the folder that the result was made from; give it with --dump"
+        raise RawDataError(str(path), "dump", f"{noted}, which is no folder", expected)
+    return noted
