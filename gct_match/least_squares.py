@@ -226,14 +226,15 @@ class _Solver:
     @property
     def lost(self) -> bool:
         """Whether template and patch have nothing in common, so that no place can be told."""
-        gain, power = self.radiometry[0], np.diag(self.normal)
-        return not (gain > 1e-3 and power[4] > 0.0 and power[5] > 0.0 and power[6] > 0.0)
+        power = np.diag(self.normal)
+        return not (self.alike and power[4] > 0.0 and power[5] > 0.0 and power[6] > 0.0)
 
     def approach(self) -> None:
         """A first step from every fourth row, weighted by how alike the two are around each pixel."""
         i = self._warped(self.filtered_patch).ravel()
         self.weight = self.mask * self._likeness(i)
         self._form_normal(every=4)
+        self._measure_response(i)
         self._read_solution(i)
         self._compose()
 
@@ -244,6 +245,7 @@ class _Solver:
         self._read_solution(i)
         self.weight = self._robust_weights()
         self._form_normal()
+        self._measure_response(i)
         self._read_solution(i)
         self._compose()
 
@@ -254,6 +256,21 @@ class _Solver:
                 break
             self._read_solution(self._warped(self.filtered_patch).ravel())
             self._compose()
+
+    def _measure_response(self, i: Image) -> None:
+        """How the patch's gradients follow the template's: what a pixel of shift changes, per unit of the template's.
+
+        It is the gain where nothing has changed and there is no noise. The template's noise adds to its gradients but not
+        to what is known of the place; where part of the scene has changed, the gain of all of it says little of the rest.
+        """
+        t, weight = self.columns[6].reshape(self.shape), self.weight.reshape(self.shape)
+        cross, own = 0.0, 1e-30
+        for of_t, of_i in zip(gradient(t), gradient(i.reshape(self.shape))):
+            weighted = weight * of_t
+            cross += float(np.vdot(weighted, of_i))
+            own += float(np.vdot(weighted, of_t))
+        self.alike = cross > 1e-3 * own
+        self.response = max(cross / own, 1e-3)
 
     def _form_normal(self, every: int = 1) -> None:
         """Normal matrix of all columns over every so many rows; a translation uses its lower right part."""
@@ -280,9 +297,7 @@ class _Solver:
         self.radiometry = solution[-_NUISANCES:]
         self.i = i
         self.residual = i - solution.astype(np.float32) @ self.columns[first:]
-        gain = self.radiometry[0]
-        warp = solution[:-_NUISANCES]
-        self.delta = warp / gain if gain > 1e-6 else np.zeros_like(warp)
+        self.delta = solution[:-_NUISANCES] / self.response
 
     def _robust_weights(self) -> Image:
         """One over the local variance, where a neighbourhood of 5 px fits worse than the rest."""
@@ -330,7 +345,7 @@ class _Solver:
             self.normal + 1e-9 * np.diag(np.diag(self.normal)) + 1e-30 * np.eye(len(self.normal))
         )
         noise = float(np.vdot(self.weight * self.residual, self.residual) / max(self.weight.sum(), 1.0))
-        quick = inverse[:4, :4] * noise / max(self.radiometry[0], 1e-6) ** 2
+        quick = inverse[:4, :4] * noise / self.response**2
         if float(extra @ np.linalg.solve(quick, extra)) < _AFFINE_CHI2:
             return False
         return float(extra @ np.linalg.solve(self._covariance()[:4, :4], extra)) > _AFFINE_CHI2
@@ -354,8 +369,7 @@ class _Solver:
         moved = np.linalg.solve(without, g_b * scale[:, None])[:, :-_NUISANCES, 0] * scale[:-_NUISANCES]
         moved -= moved.mean(axis=0)
         n = len(moved)
-        gain = max(self.radiometry[0], 1e-6) * self._shared_gradient()
-        return (n - 1.0) / n / gain**2 * moved.T @ moved
+        return (n - 1.0) / n / self.response**2 * moved.T @ moved
 
     def _in_blocks(self, rows: Image) -> Image:
         """(P, pixels) as (blocks, P, pixels of a block); what does not fill a block at the far edges joins none."""
@@ -364,16 +378,6 @@ class _Solver:
         m, n = h // side, w // side
         image = rows.reshape(len(rows), h, w)[:, : m * side, : n * side]
         return image.reshape(-1, m, side, n, side).transpose(1, 3, 0, 2, 4).reshape(m * n, len(rows), -1)
-
-    def _shared_gradient(self) -> float:
-        """Share of the template's gradient that is the scene's: its noise adds to the Hessian, not to what is known."""
-        t = self.columns[6].reshape(self.shape)
-        weight = self.weight.reshape(self.shape)
-        cross, own = 0.0, 1e-30
-        for of_t, of_i in zip(gradient(t), gradient(self.i.reshape(self.shape))):
-            cross += float(np.vdot(weight * of_t, of_i))
-            own += float(np.vdot(weight * of_t, of_t))
-        return float(np.clip(cross / own / max(self.radiometry[0], 1e-6), 0.05, 1.0))
 
     def placement(self, start_px: Array) -> Placement:
         cov = np.diag([np.inf, np.inf]) if self.lost else self._covariance()[-2:, -2:]
