@@ -393,7 +393,9 @@ class _Solver:
             affine=self.warp[:2, :2] - np.eye(2),
             correlation=_correlation(self.i, self.i - self.residual, self.weight),
             kept=float(self.weight.sum() / max(self.mask.sum(), 1.0)),
-            converged=bool(not self.lost and self.step_px < 0.02 and np.abs(self.warp[:2, 2]).max() < _FARTHEST),
+            converged=bool(
+                not self.lost and self.step_px < 0.02 and np.abs(self.warp[:2, 2]).max() < _FARTHEST
+            ),
             found=raw,
             residual=residual,
         )

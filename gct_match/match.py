@@ -17,14 +17,7 @@ from numpy.typing import NDArray
 
 from gct_match.bootstrap import bootstrap, plan_search
 from gct_match.coarse import read_window
-from gct_match.correlation import (
-    correlation_surface,
-    independent_values,
-    normalised,
-    peaks_of,
-    probability_wrong,
-)
-from gct_match.least_squares import Placement, place
+from gct_match.locate import NotLocated, locate
 from gct_match.paths import Paths, displacements, target_paths
 from gct_match.records import Chip, Evidence, Refusal, StripImage, StripMatches, Target, TargetMatch
 from gct_match.settings import MatchSettings
@@ -38,9 +31,7 @@ __all__ = ["match_strip"]
 
 Array = NDArray[np.float64]
 
-_ABSENT = 0.05  # prior probability that a target cannot be seen where it should be
 _GATE = 4.0  # standard errors by which a match may miss the common rotation
-_SECOND_PEAK = 0.7  # peaks this high, against the best, are tried too
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -174,15 +165,33 @@ def _one(
     left, top = max(0, x0 - radius - 8), max(0, y0 - radius - 8)
     right, bottom = min(samples, x0 + w + radius + 8), min(lines, y0 + h + radius + 8)
     picture, valid = read_window(scene.strip, ccd, top, bottom, left, right, settings)
-    read = picture.size
-    usable = valid[max(0, y0 - top) :, max(0, x0 - left) :][:h, :w] & template.valid
-    if usable.mean() < 0.4:
-        reason = f"{100.0 * usable.mean():.0f} % of the template can be used (cloud, no data, saturation), 40 % are needed"
-        return Refusal(name, ccd, reason), read
-    start = np.array([x0 - left, y0 - top])
-    return _placed(
-        scene, n, ccd, template, picture, valid, start, np.array([left, top]), xy_px, before_px, radius
-    ), read
+    reference = xy_px - template.origin_px
+    outcome = locate(
+        template.image, template.valid, picture, valid, (x0 - left, y0 - top), radius, reference, settings
+    )
+    if isinstance(outcome, NotLocated):
+        return Refusal(name, ccd, outcome.reason), picture.size
+    placed = outcome.placement
+    found = placed.xy_px + [left, top]
+    match = TargetMatch(
+        target_id=name,
+        ccd=ccd,
+        xy_px=found,
+        cov_px=placed.cov_px,
+        correlation=placed.correlation,
+        probability_wrong=outcome.probability_wrong,
+        model="affine" if placed.affine.any() else "translation",
+        predicted_px=before_px,
+        residual_px=found - xy_px,
+        evidence=Evidence(
+            template.image,
+            placed.found,
+            placed.residual,
+            outcome.surface,
+            np.array(template.origin_px, dtype=float),
+        ),
+    )
+    return match, picture.size
 
 
 def _template(
@@ -205,86 +214,6 @@ def _template(
     return predict_template(
         scene.chips[n], model, ccd, (int(x0), int(y0)), (y1 - y0, x1 - x0), scene.surface, settings
     )
-
-
-def _placed(
-    scene: _Scene,
-    n: int,
-    ccd: int,
-    template: Template,
-    picture: NDArray[np.float32],
-    valid: NDArray[np.bool_],
-    start: NDArray[np.int64],
-    corner: NDArray[np.int64],
-    xy_px: Array,
-    before_px: Array,
-    radius: int,
-) -> TargetMatch | Refusal:
-    """Correlation over the window, least squares from its best peaks, and judgement of the outcome."""
-    settings, name = scene.settings, scene.targets[n].target_id
-    h, w = template.image.shape
-    a = normalised(template.image, template.valid) * template.valid
-    pad = max(
-        0,
-        radius - int(start.min()),
-        radius - (picture.shape[1] - w - int(start[0])),
-        radius - (picture.shape[0] - h - int(start[1])),
-    )
-    wide = np.pad(normalised(picture, valid), pad)
-    x, y = start + pad - radius
-    surface = correlation_surface(a, wide[y : y + h + 2 * radius, x : x + w + 2 * radius])
-    peaks = peaks_of(surface, 3, 3)
-    if len(peaks.value) == 0:
-        return Refusal(name, ccd, "correlates nowhere in its window")
-    reference = xy_px - template.origin_px
-    best: Placement | None = None
-    best_peak = peaks.xy[0]
-    for peak, value in zip(peaks.xy, peaks.value):
-        if value < _SECOND_PEAK * peaks.value[0]:
-            break
-        at = np.round(peak).astype(int) + start - radius
-        trial = place(template.image, template.valid, picture, valid, (int(at[0]), int(at[1])), reference)
-        if trial.converged and (best is None or trial.correlation > best.correlation):
-            best, best_peak = trial, np.round(peak)
-    if best is None:
-        return Refusal(name, ccd, f"least squares did not converge from its {len(peaks.value)} best peaks")
-    wrong = probability_wrong(surface, best_peak, independent_values(a), _ABSENT)
-    reason = _why_not(best, best_peak, wrong, float(peaks.value[0]), radius, settings)
-    if reason:
-        return Refusal(name, ccd, reason)
-    return TargetMatch(
-        target_id=name,
-        ccd=ccd,
-        xy_px=best.xy_px + corner,
-        cov_px=best.cov_px,
-        correlation=best.correlation,
-        probability_wrong=wrong,
-        model="affine" if best.affine.any() else "translation",
-        predicted_px=before_px,
-        residual_px=best.xy_px + corner - xy_px,
-        evidence=Evidence(
-            template.image, best.found, best.residual, surface, np.array(template.origin_px, dtype=float)
-        ),
-    )
-
-
-def _why_not(
-    best: Placement, peak: Array, wrong: float, highest: float, radius: int, settings: MatchSettings
-) -> str:
-    """Why a place is not to be believed; empty if it is."""
-    sigma = float(np.sqrt(np.linalg.eigvalsh(best.cov_px)[-1]))
-    if not np.isfinite(sigma) or sigma > settings.sigma_px:
-        return f"its texture places it to {sigma:.2f} px only, {settings.sigma_px} px are needed"
-    if wrong > settings.probability_wrong:
-        return (
-            f"is another place with probability {wrong:.1g} (highest correlation {highest:.2f}), "
-            f"{settings.probability_wrong:.1g} is allowed"
-        )
-    if np.abs(peak - radius).max() >= radius:
-        return f"lies at the edge of its search window of {radius} px"
-    if best.correlation < settings.least_correlation:
-        return f"correlates to {best.correlation:.2f} only, {settings.least_correlation} is needed"
-    return ""
 
 
 def _consistent(
