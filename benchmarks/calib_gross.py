@@ -43,7 +43,8 @@ def report(name: str, plan: StripPlan, believed: CalibrationSettings, runs: int)
     nees = float(np.mean(np.einsum("ra,rab,rb->r", off, np.linalg.inv(covariance), off)))
     low, high = band_of_mean_nees(runs)
     print(
-        f"{name}\n       bound {np.array2string(bound / ARCSEC, precision=3)} arcsec; NEES {nees:.2f} ({low:.2f} to {high:.2f}); "
+        f"{name}\n       bound {np.array2string(bound / ARCSEC, precision=3)} arcsec; "
+        f"NEES {nees:.2f} ({low:.2f} to {high:.2f}); "
         f"wrong targets kept {missed} of {wrong}, good ones lost {lost} of {good}"
     )
     verdict(
