@@ -44,6 +44,9 @@ class PsfImages:
     d_x: NDArray[np.float32]
     d_y: NDArray[np.float32]
     d_log_sigma: NDArray[np.float32] | None
+    d_stretch: (
+        NDArray[np.float32] | None
+    )  # (2, N, side * side): by (Cxx - Cyy) / 2 and by Cxy of the second moments
 
 
 def psf_images(
@@ -71,12 +74,15 @@ def psf_images(
             image = np.matmul(rows.transpose(0, 2, 1), columns)
         return np.asarray(image.reshape(n, side * side))
 
-    d_log_sigma = None
+    d_log_sigma = d_stretch = None
     if widths:
         wide = z[..., :-1] * density[..., :-1] - z[..., 1:] * density[..., 1:]
         wide_y = wide[:, :, 1] * weights[:, None]
-        d_log_sigma = product(wide_y, x) + product(y, wide[:, :, 0])
-    return PsfImages(product(y, x), product(y, d_x), product(d_y, x), d_log_sigma)
+        # widening by heat: dE/dC = E''/2, and sigma^2 E'' is the derivative by log sigma
+        by_x, by_y = product(y, wide[:, :, 0]), product(wide_y, x)
+        d_log_sigma = by_x + by_y
+        d_stretch = np.stack([0.5 * (by_x - by_y) / sigma[:, None] ** 2, product(d_y, d_x)])
+    return PsfImages(product(y, x), product(y, d_x), product(d_y, x), d_log_sigma, d_stretch)
 
 
 def _smear_nodes(smear_px: tuple[float, float], sigma: float) -> tuple[Array, Array]:

@@ -18,7 +18,9 @@ class StarSettings:
         None  # None: photon noise is judged from the residuals of the stars themselves
     )
     psf_sigma_px: float | None = None  # None: estimated from the image
-    smear_px: tuple[float, float] | None = None  # blur by motion in the exposure, (column, row); None: none
+    smear_px: tuple[float, float] | None = (
+        None  # blur by motion in the exposure, (column, row); None: looked for
+    )
     max_stars: int = 600  # brightest detections kept; beyond it more stars only cost time
 
     # Identification

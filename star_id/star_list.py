@@ -101,7 +101,7 @@ def _detections(
 ) -> tuple[Detections, Psf, int, float]:
     """Detections with the width of the PSF that the image itself shows, unless it is given."""
     height, width = image.shape
-    smear = settings.smear_px or (0.0, 0.0)
+    smear, find_smear = settings.smear_px or (0.0, 0.0), settings.smear_px is None
     sigma = settings.psf_sigma_px or _START_SIGMA_PX
     psf, stars = Psf(sigma, sigma, smear, width, height), 0
     halvings = 1 if sigma <= _LARGEST_SIGMA_AT_HALF else 2
@@ -110,7 +110,7 @@ def _detections(
     found = detect(image, background, places, psf_sigma_px=sigma, threshold=threshold, reach_px=halvings)
     if settings.psf_sigma_px is not None:
         return found, psf, 0, threshold
-    for _ in range(2):
+    for _ in range(5):
         psf, stars = estimate_psf(
             image,
             found.xy_px[:_STARS_FOR_PSF],
@@ -118,10 +118,13 @@ def _detections(
             background,
             start_sigma_px=sigma,
             smear_px=smear,
+            find_smear=find_smear,
             saturation_dn=saturation,
         )
         change, sigma = abs(np.log(psf.sigma_px / sigma)), psf.sigma_px
-        if stars == 0 or change < _SMALL_CHANGE:
+        moved = float(np.hypot(psf.smear_px[0] - smear[0], psf.smear_px[1] - smear[1]))
+        smear = psf.smear_px
+        if stars == 0 or (change < _SMALL_CHANGE and moved < 0.5 * sigma):
             break
         if sigma > _LARGEST_SIGMA_AT_HALF and halvings == 1:
             halvings = 2
@@ -140,7 +143,7 @@ def _top_of_range(image: NDArray) -> float:
     if image.dtype == np.uint8:
         return float(top)
     brightest = int(image.max())
-    for bits in (10, 12, 14, 16):
+    for bits in (8, 10, 12, 14, 16):
         if brightest <= 2**bits - 1:
             return float(0.995 * (2**bits - 1)) if bits < 16 else float(0.98 * top)
     return float(top)
