@@ -27,8 +27,8 @@ __all__ = ["images_in", "write_dump"]
 
 INTERPOLATION_DEGREE = 7
 SMALL_PIXELS = 4_000_000  # an exposure below this is packed as small as may be: it may become a fixture
-# In a sky of noise no string of bytes comes twice: to code single bytes is smaller by a tenth, and eight times
-# faster.
+# In a sky of noise no string of bytes comes twice: coding single bytes is smaller by a tenth, and eight
+# times faster.
 PNG_OF_NOISE = (
     *(cv2.IMWRITE_PNG_COMPRESSION, 1),
     *(cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_HUFFMAN_ONLY),
