@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 from geometry.atmosphere import Atmosphere, standard_atmosphere
 from geometry.constants import SPEED_OF_LIGHT, WGS84
 from geometry.earth_rotation import EarthRotation
-from geometry.geodesy import geodetic_from_ecef, ray_shell_intersection, vertical_at
+from geometry.geodesy import columns_at_height, geodetic_from_ecef, vertical_at
 
 __all__ = [
     "LightEffects",
@@ -28,6 +28,7 @@ __all__ = [
     "apparent_directions_e",
     "apparent_ground_directions",
     "boosted",
+    "emission_points_e",
     "emission_rays_e",
     "lines_of_sight_e",
 ]
@@ -178,28 +179,42 @@ def emission_rays_e(
     omega_e : (3,) array
         `EarthRotation.omega_e`.
     """
-    down = _boosted(_rows(u_e), -_rows(v_e)) if effects.aberration else _rows(u_e)
     if not (effects.light_time or effects.refraction):
-        return p_e, down.T
+        return p_e, (_boosted(_rows(u_e), -_rows(v_e)) if effects.aberration else _rows(u_e)).T
+    met, down, distance = _seen_at_height(u_e, p_e, v_e, omega_e, effects, height_m)
+    return (met - distance * down).T, down.T
+
+
+def emission_points_e(
+    u_e: Array, p_e: Array, v_e: Array, omega_e: Array, effects: LightEffects, height_m: ArrayLike
+) -> Array:
+    """Ground points (N, 3), m, frame e of emission, seen in the directions `u_e` at `height_m` above the
+    ellipsoid.
+
+    Where the height is known there is no need of a ray: parameters as in `emission_rays_e`. NaN for a line of
+    sight that misses the Earth.
+    """
+    return _seen_at_height(u_e, p_e, v_e, omega_e, effects, height_m)[0].T
+
+
+def _seen_at_height(
+    u_e: Array, p_e: Array, v_e: Array, omega_e: Array, effects: LightEffects, height_m: ArrayLike
+) -> tuple[Array, Array, Array]:
+    """Points on the path of light at a height, the path's direction there, and the distance; columns."""
+    down = _boosted(_rows(u_e), -_rows(v_e)) if effects.aberration else _rows(u_e)
     satellite = _rows(p_e)
-    met = _rows(ray_shell_intersection(p_e, down.T, height_m, WGS84))
+    met, up = columns_at_height(satellite, down, height_m, WGS84)
     if effects.refraction:
-        up = _rows(vertical_at(met.T, height_m, WGS84))
-        # the shell lies under the height by h f^2 sin^2 cos^2 / 2 (1 cm at 9 km), which bent and straight
-        # part by 1e-4
-        low = (0.5 * WGS84.flattening**2) * np.asarray(height_m) * (up[2] ** 2 * (1.0 - up[2] ** 2))
-        met = met + (low / _dot(down, up)) * down
         shift, bend = _refraction(down, up, height_m, effects.atmosphere)
         met, down = met - shift, down + bend
     distance = _length(met - satellite)
     if effects.light_time:
-        # The path in axes e is turned(met + s down, omega (distance + s) / c); the ray is its tangent at s =
-        # 0.
+        # the path in axes e is turned(met + s down, omega (distance + s) / c), of which this is the tangent
+        # at s = 0
         tau = distance / SPEED_OF_LIGHT
         down = _turned(down + _cross(omega_e, met) / SPEED_OF_LIGHT, omega_e, tau)
         met = _turned(met, omega_e, tau)
-    down = _unit(down)
-    return (met - distance * down).T, down.T
+    return met, _unit(down), distance
 
 
 @dataclass(frozen=True, slots=True, eq=False)
