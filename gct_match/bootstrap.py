@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +28,7 @@ from geometry.terrain import Surface
 __all__ = ["SearchPlan", "Window", "bootstrap", "plan_search"]
 
 Array = NDArray[np.float64]
-Image = NDArray[np.float32]
+Image = NDArray[Any]  # single precision
 
 _NODES = 65  # places along a CCD at which the reach of the search is computed
 _FIRST_BATCH, _NEXT_BATCH = 6, 4  # targets that go into the first vote, and into each later one
@@ -209,7 +210,7 @@ class _Search:
         some = surface[:: max(1, surface.shape[0] // 200), :: max(1, surface.shape[1] // 200)]
         independent = 1.0 / max(float(np.mean(some.astype(float) ** 2)), 1e-4)
         places = np.pi * (tolerance_px / factor) ** 2
-        xy = (peaks.xy + [x0, y0]) * factor + picture.origin_px + offset_px
+        xy = (peaks.xy + np.array([x0, y0])) * factor + picture.origin_px + offset_px
         return xy, np.full(len(xy), window.ccd), log_chance(peaks.value, independent, places)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
@@ -13,7 +14,7 @@ from gct_match.settings import MatchSettings
 
 __all__ = ["CoarseStrip", "read_coarse", "read_window"]
 
-Image = NDArray[np.float32]
+Image = NDArray[Any]  # single precision
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -8,6 +8,7 @@ of independent values in the template, measured where it surely does not lie.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
@@ -26,7 +27,7 @@ __all__ = [
 ]
 
 Array = NDArray[np.float64]
-Image = NDArray[np.float32]
+Image = NDArray[Any]  # single precision
 
 _FINE_PX, _LOCAL_PX, _CONTRAST_PX = 0.8, 4.0, 6.0  # pass band and the neighbourhood of the contrast
 _FLOOR = 0.15  # of the usual contrast: flat ground is not blown up to texture
@@ -47,7 +48,7 @@ def normalised(image: Image, valid: NDArray[np.bool_]) -> Image:
         if not valid.any():
             return np.zeros_like(image)
         image = np.where(valid, image, image[valid].mean()).astype(np.float32)
-    fine = cv2.GaussianBlur(image, (0, 0), _FINE_PX)
+    fine: Image = cv2.GaussianBlur(image, (0, 0), _FINE_PX)
     if weight is None:
         fine -= cv2.GaussianBlur(image, (0, 0), _LOCAL_PX)
         power = cv2.GaussianBlur(fine * fine, (0, 0), _CONTRAST_PX)
@@ -56,7 +57,9 @@ def normalised(image: Image, valid: NDArray[np.bool_]) -> Image:
         fine = (fine - cv2.GaussianBlur(image * weight, (0, 0), _LOCAL_PX) / part) * weight
         part = cv2.GaussianBlur(weight, (0, 0), _CONTRAST_PX) + np.float32(1e-6)
         power = cv2.GaussianBlur(fine * fine, (0, 0), _CONTRAST_PX) / part
-    usual = np.float32(np.median(power[:: max(1, power.shape[0] // 256), :: max(1, power.shape[1] // 256)]))
+    usual = np.float32(
+        np.median(np.asarray(power)[:: max(1, power.shape[0] // 256), :: max(1, power.shape[1] // 256)])
+    )
     fine /= np.sqrt(np.maximum(power, 0.0) + np.float32(_FLOOR**2) * usual + np.float32(1e-12))
     return np.clip(fine, -3.0, 3.0, out=fine)
 

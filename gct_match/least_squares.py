@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import cv2
 import numpy as np
@@ -35,7 +36,7 @@ from gct_match.weighting import (
 __all__ = ["Placement", "place"]
 
 Array = NDArray[np.float64]
-Image = NDArray[np.float32]
+Image = NDArray[Any]  # single precision
 
 _PAD = 8  # pixels around the template that interpolation and warp may reach into
 _TAPS = 5  # half length of the interpolating kernel
@@ -140,8 +141,8 @@ class _Solver:
             inside = inside * cv2.erode(usable, np.ones((7, 7)))[middle]
         if not template_valid.all():
             inside = inside * cv2.erode(template_valid.astype(np.float32), np.ones((7, 7)))
-        self.mask = inside.ravel()
-        self.weight = self.mask
+        self.mask: Image = inside.ravel()
+        self.weight: Image = self.mask
         self.affine = False
         self.warp = np.eye(3)  # template point - reference -> patch point - reference - _PAD
         self.step_px = np.inf

@@ -7,6 +7,7 @@ robust correlation wins. What cannot be believed comes back as the reason why no
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +25,7 @@ from gct_match.settings import MatchSettings
 __all__ = ["Located", "NotLocated", "locate"]
 
 Array = NDArray[np.float64]
-Image = NDArray[np.float32]
+Image = NDArray[Any]  # single precision
 Mask = NDArray[np.bool_]
 
 _ABSENT = 0.05  # prior probability that a target cannot be seen where it should be
@@ -79,7 +80,7 @@ def locate(
     if len(peaks.value) == 0:
         return NotLocated("correlates nowhere in its window")
     best, best_peak = None, peaks.xy[0]
-    for peak, value in zip(peaks.xy, peaks.value):
+    for peak, value in zip(peaks.xy, peaks.value, strict=True):
         if value < _SECOND_PEAK * peaks.value[0]:
             break
         at = np.round(peak).astype(int) + start_px - radius

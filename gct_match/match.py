@@ -92,7 +92,9 @@ def match_strip(
         for n, t in enumerate(targets)
         if n not in within
     ]
-    theta, covariance, log_chance, read = np.zeros(3), np.diag(sigma**2), 0.0, 0
+    theta: Array = np.zeros(3)
+    covariance: Array = np.diag(sigma**2)
+    log_chance, read = 0.0, 0
     if plan.windows and max(window.radius_px for window in plan.windows) > 2.0 * settings.margin_px + 2.0:
         outcome = bootstrap(strip, pushbroom, targets, chips, surface, sigma, plan, settings)
         theta, covariance, log_chance = outcome.parameters, outcome.covariance, outcome.log_probability_chance
@@ -125,7 +127,7 @@ def _fine(
     for ccd in scene.strip.ccds:
         lines, samples = scene.strip.shape(ccd)
         now, before = scene.paths.pixels(ccd, theta), scene.paths.pixels(ccd, np.zeros(3))
-        inside = (now >= -0.5).all(axis=1) & (now < [samples - 0.5, lines - 0.5]).all(axis=1)
+        inside = np.asarray((now >= -0.5) & (now < np.array([samples - 0.5, lines - 0.5]))).all(axis=1)
         for n in within:
             if not inside[n]:
                 continue
@@ -172,7 +174,7 @@ def _one(
     if isinstance(outcome, NotLocated):
         return Refusal(name, ccd, outcome.reason), picture.size
     placed = outcome.placement
-    found = placed.xy_px + [left, top]
+    found = placed.xy_px + np.array([left, top])
     match = TargetMatch(
         target_id=name,
         ccd=ccd,

@@ -57,7 +57,7 @@ class Paths:
 
 def target_paths(pushbroom: Pushbroom, p_e: Array, lines: int) -> Paths:
     """The paths of points p_e (T, 3) through a strip of so many lines."""
-    nodes = np.linspace(-0.5, lines - 0.5, _NODES)
+    nodes = np.asarray(np.linspace(-0.5, lines - 0.5, _NODES), dtype=float)
     points = np.repeat(p_e, _NODES, axis=0)
     u_c = directions_c(pushbroom, points, np.tile(nodes, len(p_e)))
     return Paths(pushbroom, p_e, nodes, u_c.reshape(len(p_e), _NODES, 3))

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 __all__ = ["Chip", "Evidence", "Refusal", "StripImage", "StripMatches", "Target", "TargetMatch"]
 
 Array = NDArray[np.float64]
-Image = NDArray[np.float32]
+Image = NDArray[Any]  # single precision
 
 
 @dataclass(frozen=True, slots=True, eq=False)

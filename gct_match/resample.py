@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 __all__ = ["gradient", "sample"]
 
-Image = NDArray[np.float32]
+Image = NDArray[Any]  # single precision
 
 _GRID = 32.0  # OpenCV's remap rounds every point to this part of a pixel
 _DIFFERENCE = np.array([1.0, -8.0, 0.0, 8.0, -1.0], dtype=np.float32) / 12.0

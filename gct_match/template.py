@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import cv2
 import numpy as np
@@ -26,7 +27,7 @@ from geometry.terrain import Surface
 __all__ = ["Template", "chip_points", "chip_side_px", "predict_template"]
 
 Array = NDArray[np.float64]
-Image = NDArray[np.float32]
+Image = NDArray[Any]  # single precision
 
 _NODE_PX = 8  # between nodes of the map, in pixels of the template
 
@@ -134,7 +135,7 @@ def _blurred(chip: Chip, sigma: float) -> Image:
         weight = chip.valid.astype(np.float32)
         wide = 4.0 + 2.0 * sigma
         level = np.float32(image[chip.valid].mean()) if chip.valid.any() else np.float32(0.0)
-        around = cv2.GaussianBlur((image - level) * weight, (0, 0), wide)
+        around: Image = cv2.GaussianBlur((image - level) * weight, (0, 0), wide)
         around /= cv2.GaussianBlur(weight, (0, 0), wide) + np.float32(1e-3)
         image = np.where(chip.valid, image, level + around)
     if sigma < 0.2:
@@ -143,7 +144,7 @@ def _blurred(chip: Chip, sigma: float) -> Image:
 
 
 def _nodes(n: int) -> Array:
-    return np.linspace(0.0, n - 1.0, max(2, -(-(n - 1) // _NODE_PX) + 1))
+    return np.asarray(np.linspace(0.0, n - 1.0, max(2, -(-(n - 1) // _NODE_PX) + 1)), dtype=float)
 
 
 def _weights(nodes: Array, n: int) -> Array:

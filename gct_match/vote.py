@@ -86,7 +86,7 @@ def _third_parameters(candidates: Candidates, prior_sigma: Array, reach: float, 
     lever = float(np.abs(design - design.mean(axis=0)).max()) + 1e-9
     half = reach * prior_sigma[2]
     count = 2 * int(np.ceil(half * lever / tolerance_px)) + 1
-    return np.linspace(-half, half, min(count, 61)) if count > 1 else np.zeros(1)
+    return np.asarray(np.linspace(-half, half, min(count, 61)), dtype=float)
 
 
 def _proposals(candidates: Candidates, third: float) -> Array:

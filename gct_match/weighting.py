@@ -10,6 +10,7 @@ the pair itself, in rings of equal frequency. Frequencies are in cycles per pixe
 from __future__ import annotations
 
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 import scipy.fft
@@ -25,8 +26,8 @@ __all__ = [
     "spectrum",
 ]
 
-Image = NDArray[np.float32]
-Spectrum = NDArray[np.complex64]
+Image = NDArray[Any]  # single precision
+Spectrum = NDArray[Any]  # single precision, complex
 
 _REGULAR = 0.005
 _RING = 1.0 / 32.0  # width of a ring, cycles per pixel: hundreds of coefficients each on a 64 px chip
