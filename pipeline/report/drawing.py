@@ -97,5 +97,11 @@ def _for_html(svg: str, name: str, words: str) -> str:
     assert box is not None
     title = f'<title id="{name}-words">{html.escape(words)}</title>'
     head = f'<svg viewBox="{box.group(1)}" role="img" aria-labelledby="{name}-words" class="plot">{title}'
-    ids = re.sub(r'id="((?!m|p)[a-z_]+[\d_]*)"', "", svg[svg.index(">") + 1 :])  # names of groups repeat
-    return head + ids
+    return head + _only_own_ids(svg[svg.index(">") + 1 :], name)
+
+
+def _only_own_ids(body: str, name: str) -> str:
+    """Ids that something refers to, made the page's only ones of that name; the others go."""
+    wanted = set(re.findall(r'(?:url\(#|href="#)([^)"]+)', body))
+    body = re.sub(r' id="([^"]*)"', lambda m: f' id="{name}-{m[1]}"' if m[1] in wanted else "", body)
+    return re.sub(r'(url\(#|href="#)([^)"]+)', rf"\g<1>{name}-\g<2>", body)

@@ -82,12 +82,13 @@ def number_at(content: Any, key: str) -> float:
 
 def read_saved(result: Path) -> Saved:
     """Read a finished result. `RawDataError` names what is missing."""
+    installation = _json(result / "installation.json")
     tables = {name: _table(result / "sightings" / f"{name}.parquet") for name in _SIGHTINGS}
     tables |= {name: _table(result / "evidence" / f"{name}.parquet") for name in _EVIDENCE}
     tables["detections"] = _table(result / "evidence" / "exposure.parquet")
     run = result / "run.json"
     return Saved(
-        _json(result / "installation.json"),
+        installation,
         _json(result / "evidence" / "context.json"),
         _json(run) if run.is_file() else {},
         **tables,
@@ -110,6 +111,8 @@ def _json(path: Path) -> dict[str, Any]:
 
 
 def _table(path: Path) -> pa.Table:
+    if not path.is_file():
+        raise RawDataError(str(path), "file", "nothing", "the table that `calibrate` wrote")
     try:
         return pq.read_table(path)
     except (OSError, pa.ArrowException) as error:

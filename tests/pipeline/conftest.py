@@ -9,6 +9,9 @@ from pathlib import Path
 
 import pytest
 from handmade import write_handmade_dump
+from typer.testing import CliRunner
+
+from pipeline.cli import app
 
 FIXTURE = Path(__file__).parents[2] / "fixtures" / "mini"
 
@@ -23,6 +26,16 @@ def handmade(tmp_path: Path) -> Path:
 def one_strip(tmp_path: Path) -> Path:
     """The first strip of `fixtures/mini` and the exposures around it, without truth."""
     return first_strip_of_fixture(tmp_path / "one-strip")
+
+
+@pytest.fixture(scope="session")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """One strip of the fixture, carried through by the command itself: the dump and its result. Read only."""
+    folder = tmp_path_factory.mktemp("finished")
+    dump, result = first_strip_of_fixture(folder / "dump"), folder / "result"
+    ran = CliRunner().invoke(app, ["calibrate", str(dump), "--out", str(result), "--workers", "1"])
+    assert ran.exit_code == 0, ran.output
+    return dump, result
 
 
 def first_strip_of_fixture(root: Path) -> Path:
