@@ -96,14 +96,11 @@ def timed(work: Callable[[], Any], repeats: int = 3) -> tuple[float, Any]:
 
 
 def to_the_ground(worst: dict[str, float]) -> None:
+    print(f"{N:,} pixels of CCD 2, in any order, to the ground, and every fifth back: CPU time per million,")
+    print("points per second, largest distance from where they began. Roll and pitch in degrees; relief is a")
+    print("grid of 1024 x 1024 heights.")
     print(
-        f"{N:,} pixels of CCD 2, in any order, to the ground, every fifth back: CPU time per million, points"
-    )
-    print(
-        "per second, largest distance from where they began. Roll and pitch in degrees; relief is a grid of 1024 x 1024."
-    )
-    print(
-        " roll pitch  ground                        to ground                back            there and back, px"
+        " roll pitch  ground                      to ground             back             there and back, px"
     )
     rng = np.random.default_rng(0)
     sample, line = rng.uniform(0.0, SAMPLES - 1.0, N), rng.uniform(0.0, LINES - 1.0, N)
