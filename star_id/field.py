@@ -52,6 +52,7 @@ class FieldSolution:
     R_si: Rotation
     camera: StarCamera  # as given, or fitted to this image
     hip: NDArray[np.int64]
+    detections: NDArray[np.int64]  # (M,) rows of the centroids handed over
     xy_px: Array  # (M, 2)
     residual_px: Array  # (M, 2) measured minus predicted
     false_alarm_probability: float
@@ -205,6 +206,7 @@ def _solution(
         R_si=found.R_si,
         camera=camera,
         hip=index.stars.hip[found.stars],
+        detections=found.detections,
         xy_px=xy,
         residual_px=xy - predicted,
         false_alarm_probability=found.false_alarm_probability,

@@ -25,7 +25,7 @@ from star_id.settings import StarSettings
 from star_id.triangles import LONGEST_SIDE, SHORTEST_SIDE, StarIndex, TriangleTable, triangle_shapes
 from star_id.verify import log_evidence
 
-__all__ = ["STAGES", "FieldOfView", "Identification", "NotIdentified", "identify"]
+__all__ = ["STAGES", "AttitudePrior", "FieldOfView", "Identification", "NotIdentified", "identify"]
 
 Array = NDArray[np.float64]
 
@@ -33,6 +33,7 @@ STAGES = (6, 9, 13, 18, 24)  # brightest detections of which triangles are made,
 _TRIALS_A_STAGE = 16
 _PROMISING = 3.0  # log evidence of the triangle alone that makes refinement worth its time
 _CALIBRATED = 2e-3  # relative error of angles below which a lens counts as known
+_TRACKED_STARS = 30  # bright stars that vote on how far a prior attitude is off
 _PRIOR_SHARE = 1.6  # predicted stars kept, brightest first, per detection
 
 
@@ -52,6 +53,15 @@ class FieldOfView:
     def known(self) -> bool:
         """The camera is calibrated: nothing about its lens is left to be found."""
         return self.scale_error == 0.0 and self.shape_error < _CALIBRATED
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AttitudePrior:
+    """Where the camera is believed to look, each axis good to `sigma_rad`: the last image's attitude and a
+    rate."""
+
+    R_si: Rotation
+    sigma_rad: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -84,6 +94,7 @@ def identify(
     *,
     stages: tuple[int, ...] = STAGES,
     tried: int = 0,
+    prior: AttitudePrior | None = None,
 ) -> Identification | NotIdentified:
     """Identifies detections `plane` (N, 2), brightest first, distortion removed as far as it is known.
 
@@ -96,6 +107,10 @@ def identify(
             f"{n} stars found, 4 are needed; lower the threshold or expose longer", {"stars": float(n)}
         )
     image = _Image(plane, cKDTree(plane), field)
+    if prior is not None:
+        tracked, tried = _tracked(image, index, prior, settings)
+        if tracked is not None:
+            return tracked
     table = index.table_for(field.equivalent_fov_rad)
     proposals, best = tried, -np.inf
     limit = np.log(settings.max_false_alarm_probability)
@@ -139,6 +154,45 @@ class _Match:
     R: Array
     lens: Array
     rms: float
+
+
+def _tracked(
+    image: _Image, index: StarIndex, prior: AttitudePrior, settings: StarSettings
+) -> tuple[Identification | None, int]:
+    """The field that the prior attitude predicts, shifted to where most bright stars agree; and shifts
+    tried."""
+    field = image.field
+    reach = 4.0 * prior.sigma_rad * (1.0 + field.half_x**2 + field.half_y**2)
+    guess = _guess(image, index, prior.R_si.as_matrix(), np.zeros(4))
+    shifts = 1
+    if reach > 4.0 * field.pixel:
+        bright = guess.predicted[:_TRACKED_STARS]
+        pairs = (image.plane[None, :_TRACKED_STARS] - bright[:, None]).reshape(-1, 2)
+        offset = pairs[(np.abs(pairs) < reach).all(axis=1)]
+        cell = max(4.0 * field.pixel, 0.5 * prior.sigma_rad)
+        cells = int(np.ceil(2.0 * reach / cell))
+        shifts = cells * cells
+        if len(offset) == 0:
+            return None, shifts
+        bins = ((offset + reach) / cell).astype(np.int64) @ np.array([cells, 1])
+        votes = np.bincount(bins)
+        dx, dy = offset[bins == int(votes.argmax())].mean(axis=0)
+        turn = Rotation.from_rotvec([-dy, dx, 0.0]).as_matrix()  # moves (x, y) by the shift
+        guess = _moved(image, index, guess, turn @ guess.R, guess.lens)
+    radius = np.sqrt((guess.predicted**2).sum(axis=1))
+    sigma = np.sqrt((2.0 * field.pixel) ** 2 + (prior.sigma_rad * radius) ** 2)
+    match, evidence = _match(image, guess, sigma, gate=3.0, voiceless=2)
+    if match is None or evidence < _PROMISING + np.log(shifts):
+        return None, shifts
+    for _ in range(1 if field.known else 4):
+        R, lens, fitted = _refined(image, index, match)
+        guess = _moved(image, index, guess, R, lens)
+        match, evidence = _match(image, guess, None, gate=0.0, voiceless=2 + (fitted - 2) // 2)
+        if match is None:
+            return None, shifts
+    if np.log(shifts) - evidence < np.log(settings.max_false_alarm_probability):
+        return _answer(match, shifts, evidence), shifts
+    return None, shifts
 
 
 def _look_up(

@@ -16,12 +16,19 @@ from geometry.star_camera import StarCamera
 from geometry.starlight import apparent_star_directions
 from star_id.attitude import solve_attitude
 from star_id.catalogue import hipparcos_stars
-from star_id.identify import FieldOfView, Identification, NotIdentified, identify
+from star_id.identify import AttitudePrior, FieldOfView, Identification, NotIdentified, identify
 from star_id.settings import StarSettings
 from star_id.star_list import StarList, find_stars
 from star_id.triangles import StarIndex, equivalent_fov
 
-__all__ = ["field_of_camera", "plane_coordinates", "sight_stars", "smear_of_rate", "without_doubt"]
+__all__ = [
+    "field_of_camera",
+    "fit_for_calibration",
+    "plane_coordinates",
+    "sight_stars",
+    "smear_of_rate",
+    "without_doubt",
+]
 
 Array = NDArray[np.float64]
 
@@ -40,14 +47,20 @@ def sight_stars(
     settings: StarSettings,
     *,
     dark: NDArray | None = None,
+    prior: AttitudePrior | None = None,
 ) -> StarSightings | NotIdentified:
     """Named stars of one exposure taken at `t_s` (its middle) from `p_i` (m) with velocity `v_i` (m/s), GCRS.
 
-    A satellite's turning during the exposure goes in as `settings.smear_px` (`smear_of_rate`).
+    A `prior` attitude (GCRS to s, aberration left in) saves time. A satellite's turning during the exposure
+    goes in as `settings.smear_px` (`smear_of_rate`).
     """
     stars = find_stars(image, settings, dark)
     found = identify(
-        plane_coordinates(camera, stars.xy_px), field_of_camera(camera, settings), index, settings
+        plane_coordinates(camera, stars.xy_px),
+        field_of_camera(camera, settings),
+        index,
+        settings,
+        prior=prior,
     )
     if isinstance(found, NotIdentified):
         return NotIdentified(f"exposure {exposure_id}: {found.reason}", found.numbers)
@@ -103,11 +116,23 @@ def without_doubt(
     stars: StarList, found: Identification, camera: StarCamera, index: StarIndex, settings: StarSettings
 ) -> NDArray[np.bool_]:
     """Which matches may serve calibration, as a mask over `found.detections`."""
+    return fit_for_calibration(stars, found.detections, found.stars, camera, index, settings)
+
+
+def fit_for_calibration(
+    stars: StarList,
+    detections: NDArray[np.int64],
+    rows: NDArray[np.int64],
+    camera: StarCamera,
+    index: StarIndex,
+    settings: StarSettings,
+) -> NDArray[np.bool_]:
+    """The same for detections named by rows of the index."""
     arcsec_per_px = camera.pixel_m / camera.focal_m / ARCSEC
     sigma_rad = stars.psf.sigma_px * arcsec_per_px * ARCSEC
-    trusted = np.isin(index.stars.hip[found.stars], _trusted_hip(settings, arcsec_per_px))
-    measured = ~stars.saturated[found.detections] & ~stars.blended[found.detections]
-    alone = _alone(index, found.stars, sigma_rad, settings.max_photocentre_shift_px * arcsec_per_px * ARCSEC)
+    trusted = np.isin(index.stars.hip[rows], _trusted_hip(settings, arcsec_per_px))
+    measured = ~stars.saturated[detections] & ~stars.blended[detections]
+    alone = _alone(index, rows, sigma_rad, settings.max_photocentre_shift_px * arcsec_per_px * ARCSEC)
     return np.asarray(trusted & measured & alone)
 
 
