@@ -21,7 +21,13 @@ from geometry.attitude import Attitude, AttitudeTrack
 from geometry.constants import WGS84
 from geometry.earth_rotation import EarthRotation
 from geometry.geodesy import geodetic_from_ecef
-from geometry.groundlight import LightEffects, OrbitLike, apparent_directions_e, emission_rays_e
+from geometry.groundlight import (
+    LightEffects,
+    OrbitLike,
+    apparent_directions_e,
+    emission_points_e,
+    emission_rays_e,
+)
 from geometry.line_camera import LineSensor
 from geometry.row_table import RowTable, tabulated
 from geometry.terrain import ConstantHeight, Surface, intersect
@@ -274,6 +280,10 @@ class Pushbroom:
         """
         states = self._states(line)
         u_e = states.to_e(self.camera.directions_from_pixels(ccd, sample))
+        if isinstance(surface, ConstantHeight):
+            return emission_points_e(
+                u_e, states.p_e, states.v_e, self.earth.omega_e, self.effects, surface.height
+            )
         p_e = self._met(u_e, states, surface, height_m)
         far = np.flatnonzero(self._bent_m(p_e, u_e, height_m) > _BENT_M)
         if len(far):

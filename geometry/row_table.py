@@ -22,6 +22,7 @@ Index = NDArray[np.int64]
 
 _FIRST_STEP = 64.0  # lines
 _LAST_STEP = 1.0
+_RUN = 4  # pixels of one line in a row, on the average, from which the run is worth finding
 _ROUGH_SHARE = 0.005  # share of cells which may be left to the function itself
 
 
@@ -40,7 +41,14 @@ class RowTable:
         return (line >= self.edges[0]) & (line <= self.edges[-1])
 
     def at(self, line: Array) -> Array:
-        """The quantities (C, N) at lines (N,) inside the table."""
+        """The quantities (C, N) at lines (N,) inside the table; lines that repeat are looked up once."""
+        new = np.flatnonzero(np.diff(line)) + 1
+        if len(new) * _RUN < len(line):
+            runs = np.concatenate([[0], new, [len(line)]])
+            return np.repeat(self._at_each(line[runs[:-1]]), np.diff(runs), axis=1)
+        return self._at_each(line)
+
+    def _at_each(self, line: Array) -> Array:
         piece: Index | int = 0
         if len(self.cells) > 1:
             piece = np.searchsorted(self.edges[1:-1], line, side="right")
