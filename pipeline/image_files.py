@@ -290,14 +290,17 @@ class GridImage:
     crs: str
 
 
-def read_grid(path: Path, file: str, *, max_pixels: int) -> GridImage:
-    """A GeoTIFF of one band: a chip or a terrain model. It must have a CRS and a transform."""
+def read_grid(path: Path, file: str, *, max_pixels: int, first_band: bool = False) -> GridImage:
+    """A GeoTIFF of one band: a chip or a terrain model. It must have a CRS and a transform.
+
+    With `first_band` it may have more bands than the first, which is read.
+    """
     with open_geotiff(path, file) as image:
         if image.width * image.height > max_pixels:
             raise RawDataError(
                 file, "image size", f"{image.width} x {image.height} px", f"<= {max_pixels} px"
             )
-        if image.count != 1:
+        if image.count != 1 and not first_band:
             raise RawDataError(file, "bands", str(image.count), "1")
         if image.dtypes[0] not in ("uint8", "uint16", "int16", "float32", "float64"):
             raise RawDataError(file, "bit depth", str(image.dtypes[0]), "8 or 16 bits or floating point")

@@ -58,7 +58,7 @@ def fly(scenario: Scenario, seed: int) -> Mission:
 
 
 def _ground_image(name: str) -> GroundImage:
-    grid = read_grid(Path(name), name, max_pixels=MAX_GROUND_PIXELS)
+    grid = read_grid(Path(name), name, max_pixels=MAX_GROUND_PIXELS, first_band=True)
     return GroundImage(np.nan_to_num(grid.values, nan=0.0), grid.transform, grid.crs)
 
 

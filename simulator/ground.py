@@ -183,6 +183,10 @@ class ImageGround:
             CRS.from_epsg(epsg), CRS.from_user_input(source.crs), always_xy=True
         )
         a, b, c, d, e, f = source.affine
+        rows, columns = image.shape
+        middle = a * columns / 2 + b * rows / 2 + c, d * columns / 2 + e * rows / 2 + f
+        lon, lat = Transformer.from_crs(source.crs, 4326, always_xy=True).transform(*middle)
+        self._middle = f"{lat:.2f} deg north, {lon:.2f} deg east"
         self._pixels_from_map = np.linalg.inv(np.array([[a, b, c], [d, e, f], [0.0, 0.0, 1.0]]))
 
     def patch(self, column: int, row: int, width: int, height: int) -> Patch:
@@ -191,6 +195,11 @@ class ImageGround:
         east, north = np.meshgrid((column + columns + 0.5) * self.texel_m, -(row + rows + 0.5) * self.texel_m)
         x, y = self._to_image.transform(east, north)
         m = self._pixels_from_map
+        if not (np.all(np.isfinite(x)) and np.all(np.isfinite(y))):
+            raise ValueError(
+                f"ground.image: the strip lies beyond the reach of the image's map; the image's middle is "
+                f"at {self._middle}: set orbit.latitude_deg and orbit.longitude_deg near it"
+            )
         image_x = m[0, 0] * x + m[0, 1] * y + m[0, 2] - 0.5
         image_y = m[1, 0] * x + m[1, 1] * y + m[1, 2] - 0.5
         full = []
