@@ -24,10 +24,9 @@ from pydantic import BaseModel, ConfigDict, Field
 from geometry.constants import ARCSEC, WGS84
 from geometry.geodesy import ellipsoid_normals, geodetic_from_ecef
 from geometry.terrain import Surface
-from pipeline.dump_schema import DumpFile
 from pipeline.errors import RawDataError
 from pipeline.strip_model import Calibrated, StripModel
-from pipeline.text_files import read_table, read_toml
+from pipeline.text_files import read_table
 
 __all__ = ["GroundPlaces", "Pixels", "geolocate", "places_csv", "read_pixels"]
 
@@ -134,7 +133,7 @@ def _sigma(calibrated: Calibrated, model: StripModel, line: Array, p_e: Array) -
     variance = np.einsum("nia,nab,nib->ni", by_turn, turn, by_turn)
     variance += dump.errors.position_m**2 * np.einsum("nia,nia->ni", by_shift, by_shift)
     variance += (dump.errors.clock_s * np.einsum("nia,na->ni", by_shift, motion_e)) ** 2
-    variance += (_terrain_sigma_m(calibrated) * np.einsum("nia,na->ni", to_track, fall - up)) ** 2
+    variance += (calibrated.sigma_terrain_m * np.einsum("nia,na->ni", to_track, fall - up)) ** 2
     return np.sqrt(variance)
 
 
@@ -156,8 +155,3 @@ def _turn_variance(calibrated: Calibrated) -> Array:
     errors, camera = calibrated.dump.errors, calibrated.dump.line_camera
     distortion = errors.look_distortion_px * camera.ccds[0].pixel_m / camera.focal_m
     return np.asarray(((errors.vibration_arcsec * ARCSEC) ** 2 + distortion**2) * np.eye(3))
-
-
-def _terrain_sigma_m(calibrated: Calibrated) -> float:
-    head = read_toml(calibrated.dump.root / "dump.toml", DumpFile, "dump.toml")
-    return head.terrain.sigma_m if head.terrain is not None else 0.0

@@ -17,9 +17,10 @@ from geometry.attitude import AttitudeTrack
 from geometry.groundlight import LightEffects
 from geometry.pushbroom import Pushbroom, RowClock
 from pipeline.dump import Dump, Strip, open_dump
+from pipeline.dump_schema import DumpFile
 from pipeline.errors import DataNotSufficientError, RawDataError
 from pipeline.result import SavedResult, read_result
-from pipeline.text_files import read_text
+from pipeline.text_files import read_text, read_toml
 from pipeline.unit_store import list_values
 
 __all__ = ["Calibrated", "StripModel", "open_calibrated", "strip_model"]
@@ -35,6 +36,7 @@ class Calibrated:
     dump: Dump
     attitude_covariance_s: Array  # (K, 3, 3) of the result's exposures, rad², frame s
     effects: LightEffects  # those that the calibration took into account
+    sigma_terrain_m: float  # of the heights; 0 without a terrain model, where it is not known
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,7 +55,9 @@ def open_calibrated(result: Path, dump: Path | None) -> Calibrated:
     run = saved.installation["settings"]["run"]
     effects = LightEffects(run["geometric_light_time"], run["aberration"], run["refraction"])
     opened = open_dump(dump if dump is not None else _noted_dump(result))
-    return Calibrated(saved, opened, list_values(table, "covariance_s", 3, 3), effects)
+    terrain = read_toml(opened.root / "dump.toml", DumpFile, "dump.toml").terrain
+    sigma_m = terrain.sigma_m if terrain is not None else 0.0
+    return Calibrated(saved, opened, list_values(table, "covariance_s", 3, 3), effects, sigma_m)
 
 
 def strip_model(calibrated: Calibrated, strip_id: str) -> StripModel:
