@@ -444,6 +444,12 @@ def _check(scenario: Scenario) -> None:
         raise ScenarioError(
             f"line_camera.rotation_urad: expected {line.ccds} values, found {len(line.rotation_urad)}"
         )
+    needed = strips.lines * strips.row_period_s + 2.0 * strips.exposure_lead_s
+    if strips.count > 1 and strips.spacing_s <= needed:
+        raise ScenarioError(
+            f"strips.spacing_s: expected more than a strip and its exposures last, {needed:.3f} s, "
+            f"found {strips.spacing_s}"
+        )
     for wave in scenario.attitude.waves:
         if wave.axis not in ("roll", "pitch", "yaw"):
             raise ScenarioError(f"attitude.waves.axis: expected roll, pitch or yaw, found {wave.axis!r}")

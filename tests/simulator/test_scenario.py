@@ -34,6 +34,7 @@ def test_what_a_table_leaves_out_is_taken_from_its_base():
         ({"strips": {"lines": "many"}}, ["strips.lines", "int", "many"]),
         ({"strips": {"count": True}}, ["strips.count", "int"]),
         ({"strips": {"count": 0}}, ["strips.count", "positive"]),
+        ({"strips": {"spacing_s": 2.0}}, ["strips.spacing_s", "2.4", "2.0"]),
         ({"star_camera": {"principal_px": [1.0]}}, ["principal_px", "2 values", "1"]),
         ({"attitude": {"waves": [{"axis": "roll", "period_s": 3.0}]}}, ["waves[0]", "amplitude_arcsec"]),
         (
