@@ -30,9 +30,7 @@ class ExposureAttitudes:
     covariance_s: Array  # (K, 3, 3) rad², of psi
     usable: NDArray[np.bool_]  # (K,)
     kept: NDArray[np.bool_]  # (N,) stars taken as good
-    normalised: (
-        Array  # (N,) squared residual over its variance, two degrees of freedom: kept ones from the fit
-    )
+    normalised: Array  # (N,) squared residual over its variance, two degrees of freedom
     chi2: Array  # (K,)
     dof: Index  # (K,)
 

@@ -19,7 +19,6 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from calib.attitudes import cross_matrices
-from calib.distortion import Knot, knots_touched, prior_information, unknown_names
 from calib.estimate import (
     InstallationEstimate,
     Iteration,
@@ -31,6 +30,7 @@ from calib.estimate import (
 from calib.information import InformationPairs, Solution, solve_total
 from calib.rejection import left_out
 from calib.settings import CalibrationSettings
+from calib.shared_unknowns import SharedUnknowns, find_shared
 from calib.strips import LinearStrips, PreparedStrip, StripGroup, group_strips, linearise, prepare_strip
 from geometry.installation import deviation_from_theta, theta_between
 from geometry.sightings import StripSightings
@@ -88,25 +88,19 @@ class _Problem:
 
     groups: list[StripGroup]
     names: NDArray[np.str_]  # (S,) strip ids, group after group
-    shared: tuple[str, ...]
+    shared: SharedUnknowns
     prior_shared: Array
     inside: NDArray[np.bool_]  # (J,)
     settings: CalibrationSettings
 
     @classmethod
     def of(cls, prepared: list[PreparedStrip], settings: CalibrationSettings) -> _Problem:
-        knots: set[Knot] = set()
-        if settings.distortion_scope == "camera" and settings.sigma_distortion_rad > 0.0:
-            for strip in prepared:
-                if strip.inside.any():
-                    knots.update(knots_touched(strip.ccd, strip.sample, settings.distortion_length_px))
-        camera_knots = tuple(sorted(knots))
-        groups = group_strips(prepared, camera_knots, settings)
+        shared = find_shared([strip.seen() for strip in prepared if strip.inside.any()], settings)
+        groups = group_strips(prepared, shared, settings)
         none = np.zeros(0, dtype=bool)
         inside = np.concatenate([none, *(group.inside.ravel() for group in groups)])
         names = np.concatenate([[prepared[n].strip_id for n in group.place] for group in groups] or [[]])
-        shared = unknown_names(camera_knots)
-        return cls(groups, names.astype(str), shared, prior_information(shared), inside, settings)
+        return cls(groups, names.astype(str), shared, shared.prior_information(), inside, settings)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -118,9 +112,7 @@ class _Step:
     solution: Solution
     chi2: float
     whitened: Array  # (J, 2) residuals after all unknowns were taken out
-    variance: (
-        Array  # (J, 2, 2) of `whitened`, the target being good: I - leverage if it took part, else I + it
-    )
+    variance: Array  # (J, 2, 2) of `whitened` of a good target: I - leverage, or I + it if left out
     residual_c: Array  # (J, 2) rad, along x and y of frame c
     share: Array  # (J, 2, 2) the placing's part of the whitened noise
 
@@ -207,7 +199,7 @@ def _linear_solution(problem: _Problem, R_cs: Rotation, weight: Array, scale_c: 
         lines.append(line)
         at += J
     N = np.concatenate([part.N for part in reduced])
-    pairs = InformationPairs(problem.names, N[:, :-1, :-1], N[:, :-1, -1], R_cs, problem.shared)
+    pairs = InformationPairs(problem.names, N[:, :-1, :-1], N[:, :-1, -1], R_cs, problem.shared.names)
     total = pairs.total()
     solution = solve_total(
         total.F,
@@ -229,7 +221,7 @@ def _linear_solution(problem: _Problem, R_cs: Rotation, weight: Array, scale_c: 
 class _Reduced:
     """A group with its strips' own unknowns eliminated."""
 
-    N: Array  # (S, n + 1, n + 1) normal matrix of theta, the camera's unknowns and, last, the residual
+    N: Array  # (S, n + 1, n + 1) normal matrix of theta, the shared unknowns and, last, the residual
     back: Array  # (S, n_q, n + 1) what each of those puts into the strip's own unknowns
     cov_q: Array  # (S, n_q, n_q) of the strip's own unknowns, the others given
 
@@ -237,7 +229,7 @@ class _Reduced:
 def _reduced(line: LinearStrips, weight: Array) -> _Reduced:
     root: Array = np.repeat(np.sqrt(weight), 2, axis=1)[:, :, None]
     X_q = root * line.X_q
-    Y = root * np.concatenate([line.X_theta, line.X_camera, line.r[:, :, None]], axis=2)
+    Y = root * np.concatenate([line.X_theta, line.X_shared, line.r[:, :, None]], axis=2)
     X_qT = np.swapaxes(X_q, 1, 2)
     cov_q = np.asarray(np.linalg.inv(np.eye(X_q.shape[2]) + X_qT @ X_q), dtype=np.float64)
     G = X_qT @ Y
@@ -251,7 +243,7 @@ def _fitted(line: LinearStrips, part: _Reduced, x: Array, cov_x: Array) -> tuple
     y of c.
     """
     S, rows, _ = line.X_theta.shape
-    X = np.concatenate([line.X_theta, line.X_camera], axis=2)
+    X = np.concatenate([line.X_theta, line.X_shared], axis=2)
     q = part.back[:, :, -1] - part.back[:, :, :-1] @ x
     e = line.r - X @ x - (line.X_q @ q[:, :, None])[:, :, 0]
     Z = X - line.X_q @ part.back[:, :, :-1]
@@ -423,6 +415,7 @@ def _estimate(
         rejected=rejected,
         pairs=step.pairs,
         prior_shared=problem.prior_shared,
+        targets_taken_apart=problem.shared.taken_apart,
         targets=residuals,
         noise=NoiseScale(*scale_s, fit.scale_c, fit.scale_c_sigma),
     )

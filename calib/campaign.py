@@ -75,6 +75,7 @@ class StripPlan:
     distortion_length_px: float = 2000.0
     distortion_scope: str = "camera"  # one curve for all strips, or "strip"
     sigma_target_m: float = 0.0  # per axis, of the targets' own coordinates
+    same_targets: bool = False  # all strips see the same ones on one and the same track: one error each
     gross_stars: float = 0.0  # share of stars with a wrong identity: anywhere in the field
     gross_targets: float = 0.0  # share of targets matched at a wrong place: anywhere within gross_reach_px
     gross_reach_px: float = 500.0
@@ -98,11 +99,12 @@ def draw_strips(
 ) -> tuple[list[StripSightings], StripTruth]:
     """Strips of one campaign with noise drawn from `rng`."""
     curve = _Curve.draw(plan, cameras, rng)
+    survey_i = rng.normal(0.0, plan.sigma_target_m, (plan.targets, 3)) if plan.same_targets else None
     drawn = []
     for n in range(plan.strips):
         if plan.distortion_scope == "strip":
             curve = _Curve.draw(plan, cameras, rng)
-        drawn.append(_draw_strip(f"strip{n:04d}", plan, cameras, curve, rng))
+        drawn.append(_draw_strip(f"strip{n:04d}", plan, cameras, curve, survey_i, rng))
     return [strip for strip, _ in drawn], StripTruth(
         cameras.R_cs,
         frozenset().union(*(truth.wrong_stars for _, truth in drawn)),
@@ -169,7 +171,7 @@ class _Motion:
         return cls(
             radius,
             float(np.sqrt(GM_EARTH / radius**3)),
-            Rotation.random(rng=rng),
+            Rotation.identity() if plan.same_targets else Rotation.random(rng=rng),
             rng.uniform(*plan.wave_rad, 3),
             2 * np.pi / rng.uniform(*plan.wave_s, 3),
             rng.uniform(0, 2 * np.pi, 3),
@@ -217,7 +219,12 @@ class _Curve:
 
 
 def _draw_strip(
-    name: str, plan: StripPlan, cameras: CameraPair, curve: _Curve, rng: np.random.Generator
+    name: str,
+    plan: StripPlan,
+    cameras: CameraPair,
+    curve: _Curve,
+    survey_i: Array | None,
+    rng: np.random.Generator,
 ) -> tuple[StripSightings, StripTruth]:
     motion, margin = _Motion.draw(plan, rng), plan.exposure_margin_s
     t_stars = np.asarray(np.linspace(-margin, plan.duration_s + margin, plan.exposures), dtype=np.float64)
@@ -227,7 +234,7 @@ def _draw_strip(
         exposures.append(exposure)
         wrong_stars |= {(name, exposure.exposure_id, row) for row in wrong}
     t_targets = plan.duration_s * np.sort(rng.uniform(*plan.along, plan.targets))
-    ground, wrong_rows, look_c = _draw_targets(name, t_targets, plan, cameras, motion, curve, rng)
+    ground, wrong_rows, look_c = _draw_targets(name, t_targets, plan, cameras, motion, (curve, survey_i), rng)
     strip = StripSightings(name, tuple(exposures), ground, motion.R_oi(t_stars), motion.R_oi(t_targets))
     wrong_targets = frozenset((name, row) for row in wrong_rows)
     R_ci = (motion.R_ci(t_targets),)
@@ -256,10 +263,11 @@ def _draw_targets(
     plan: StripPlan,
     cameras: CameraPair,
     motion: _Motion,
-    curve: _Curve,
+    shared: tuple[_Curve, Array | None],
     rng: np.random.Generator,
 ) -> tuple[GroundSightings, list[int], Array]:
     J, px = len(t), cameras.pixel_rad
+    curve, survey_i = shared
     y = cameras.half_field_rad * rng.uniform(*plan.across, J)
     pixel = np.clip((y + cameras.half_field_rad) / px, 0.0, cameras.n_ccds * cameras.ccd_px * (1.0 - 1e-12))
     ccd = np.floor(pixel / cameras.ccd_px).astype(np.int64)
@@ -270,16 +278,18 @@ def _draw_targets(
     truth_i = motion.position_i(t_true)
     ground_i = truth_i + plan.height_m / u_c[:, 2:] * R_ic.apply(u_c)
     recorded_i = motion.position_i(t) - rng.normal(0.0, plan.sigma_position_m, 3)
-    known_i = ground_i + rng.normal(0.0, plan.sigma_target_m, (J, 3))
+    own_i = rng.normal(0.0, plan.sigma_target_m, (J, 3)) if survey_i is None else survey_i
+    known_i = ground_i + own_i
     range_m = np.linalg.norm(known_i - recorded_i, axis=1)
     seen = u_c + np.pad(curve.at(ccd, sample), ((0, 0), (0, 1)))
     wrong = np.flatnonzero(rng.random(J) < plan.gross_targets)
     seen[wrong, :2] += px * rng.uniform(-plan.gross_reach_px, plan.gross_reach_px, (len(wrong), 2))
+    prefix = name if survey_i is None else "site"
     sigma = plan.sigma_c_px * px
     look_c = _unit(seen)
     measured = _noisy(look_c, sigma, rng)
     ground = GroundSightings(
-        np.array([f"{name}/{j:03d}" for j in range(J)], dtype=str),
+        np.array([f"{prefix}/{j:03d}" for j in range(J)], dtype=str),
         ccd,
         np.column_stack([sample, t]),
         t,

@@ -91,6 +91,7 @@ class InstallationEstimate:
     rejected: tuple[Rejected, ...]
     pairs: InformationPairs  # one a strip, about the matrix of the last iteration
     prior_shared: Array  # (n - 3, n - 3) information of the pairs' shared unknowns before any strip
+    targets_taken_apart: int  # targets in several strips whose coordinates were taken as drawn anew in each
     targets: TargetResiduals
     noise: NoiseScale
 

@@ -31,6 +31,9 @@ class CalibrationSettings:
         "camera"  # one curve for all strips: the camera is the same one
     )
     use_target_sigma: bool = True  # the targets' own coordinate errors (cov_target_i)
+    most_shared_targets: int = (
+        100  # seen in several strips and kept as one point each; the rest, as many points
+    )
     probability_false_alarm: float = 1e-3  # of a good star or target being left out
     robust: bool = True  # look for gross errors at all
     fewest_stars: int = 3  # an exposure with fewer is left out: nothing checks its attitude

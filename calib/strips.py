@@ -25,7 +25,9 @@ from scipy.spatial.transform import Rotation
 from calib.attitudes import ExposureAttitudes, cross_matrices, fit_attitudes
 from calib.distortion import Knot, correlation, knot_weights, knots_touched
 from calib.settings import CalibrationSettings
+from calib.shared_unknowns import SeenTargets, SharedUnknowns
 from geometry.attitude import lagrange_weights
+from geometry.constants import EARTH_ROTATION_RATE
 from geometry.sightings import GroundSightings, StripSightings
 
 __all__ = ["LinearStrips", "PreparedStrip", "StripGroup", "group_strips", "linearise", "prepare_strip"]
@@ -49,8 +51,13 @@ class PreparedStrip:
     cov_c: Array  # (J, 3, 3) of their placing, rad²
     v_s: Array  # (J, 3) the targets' known directions as the star camera's attitude puts them into frame s
     shared_s: Array  # (J, 3, n) change of v_s by each shared unknown in units of its prior sigma
-    white_s: Array  # (J, 3, 3) rad², what is the target's own beside its placing, frame s
     unknowns: tuple[str, ...]  # (n,) names of the columns of shared_s
+    coordinates_s: Array  # (J, 3, 3) 1/m, change of v_s by its coordinates, axes turning with the Earth
+    cov_coordinates: Array  # (J, 3, 3) m², the same axes
+
+    def seen(self) -> SeenTargets:
+        """What other strips may share with this one."""
+        return SeenTargets(self.target_id, self.ccd, self.sample, self.cov_coordinates)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -62,11 +69,10 @@ class StripGroup:
     u_c: Array  # (S, J, 3)
     cov_c: Array  # (S, J, 3, 3)
     v_s: Array  # (S, J, 3)
-    shared_s: Array  # (S, J, 3, n)
-    white_s: Array  # (S, J, 3, 3)
-    camera: (
-        Array  # (S, J, g/2) rad, change of the look vector along x, and along y, by each knot of the camera
-    )
+    shared_s: Array  # (S, J, 3, n + 3 m) with the coordinates of m targets seen twice in the strip
+    white_s: Array  # (S, J, 3, 3) rad², coordinates of targets seen once
+    targets_s: Array  # (S, J, 3, 3 t) 1/m, coordinates of targets that other strips see, too
+    camera: Array  # (S, J, g/2) rad, change of the look vector along x (or y) by each of the knots
     own: Array  # (S, J, m) the same for the strip's own distortion, whitened
     missed: Array  # (S, J) rad², variance of the distortion that straight lines between knots miss
 
@@ -77,9 +83,7 @@ class LinearStrips:
 
     r: Array  # (S, 2 J)
     X_theta: Array  # (S, 2 J, 3) change of r by theta
-    X_camera: (
-        Array  # (S, 2 J, g) change of r by the knots of the camera's distortion, units of its prior sigma
-    )
+    X_shared: Array  # (S, 2 J, g) change of r by what strips share: the distortion's knots, targets
     X_q: Array  # (S, 2 J, n) change of r by the strip's own unknowns, units of their prior sigma
     whitener: Array  # (S, J, 2, 2) takes residuals along the two tangent axes to rows of r
     share: Array  # (S, J, 2, 2) the placing's part of the whitened noise
@@ -109,7 +113,7 @@ def prepare_strip(
     position = move_s * settings.sigma_position_m
     rate_s = _turning_rate(times[used], attitudes.R_si[used])
     clock = (move_s @ ground.v_rel_i[:, :, None] + np.cross(rate_s, v_s)[:, :, None]) * settings.sigma_clock_s
-    twice, own, white_s = _target_coordinates(ground, move_s, settings)
+    R_ie = Rotation.from_rotvec(np.outer(EARTH_ROTATION_RATE * ground.t_s, [0.0, 0.0, 1.0])).as_matrix()
     names = [f"phi/{k}/{axis}" for k in range(K) for axis in "xyz"] + [f"position/{axis}" for axis in "xyz"]
     return PreparedStrip(
         strip.strip_id,
@@ -122,14 +126,15 @@ def prepare_strip(
         ground.u_c,
         ground.cov_c,
         v_s,
-        np.concatenate([phi, position, clock, own], axis=2),
-        white_s,
-        (*names, "clock", *twice),
+        np.concatenate([phi, position, clock], axis=2),
+        (*names, "clock"),
+        -move_s @ R_ie,
+        np.swapaxes(R_ie, 1, 2) @ ground.cov_target_i @ R_ie * settings.use_target_sigma,
     )
 
 
 def group_strips(
-    strips: list[PreparedStrip], camera_knots: tuple[Knot, ...], settings: CalibrationSettings
+    strips: list[PreparedStrip], shared: SharedUnknowns, settings: CalibrationSettings
 ) -> list[StripGroup]:
     """Strips of equal shape put together, in the order in which their shapes first come.
 
@@ -139,9 +144,9 @@ def group_strips(
     for place, strip in enumerate(strips):
         if not strip.inside.any():
             continue
-        n = len(strip.unknowns) + 2 * len(_own_knots(strip, settings))
+        n = 2 * len(_own_knots(strip, settings)) + 3 * len(_seen_again(strip, shared))
         shapes.setdefault((int(strip.used.sum()), len(strip.ccd), n), []).append(place)
-    return [_group(strips, np.array(places), camera_knots, settings) for places in shapes.values()]
+    return [_group(strips, np.array(places), shared, settings) for places in shapes.values()]
 
 
 def linearise(
@@ -166,26 +171,35 @@ def linearise(
     parts = (
         rows @ (tangent @ difference[..., None]),
         rows @ (tangent @ cross_matrices(w)),
-        rows @ _along_axes(tangent, group.camera),
+        rows @ np.concatenate([_along_axes(tangent, group.camera), turned @ group.targets_s], axis=3),
         rows @ np.concatenate([turned @ group.shared_s, own], axis=3),
     )
-    r, X_theta, X_camera, X_q = (part.reshape(S, 2 * w.shape[1], part.shape[-1]) for part in parts)
+    r, X_theta, X_shared, X_q = (part.reshape(S, 2 * w.shape[1], part.shape[-1]) for part in parts)
     share = whitener @ placing @ np.swapaxes(whitener, 2, 3)
-    return LinearStrips(r[:, :, 0], X_theta, X_camera, X_q, whitener, share)
+    return LinearStrips(r[:, :, 0], X_theta, X_shared, X_q, whitener, share)
 
 
 def _group(
     strips: list[PreparedStrip],
     place: NDArray[np.int64],
-    camera_knots: tuple[Knot, ...],
+    shared: SharedUnknowns,
     settings: CalibrationSettings,
 ) -> StripGroup:
     members = [strips[n] for n in place]
-    camera, own, missed = zip(*(_distortion(strip, camera_knots, settings) for strip in members))
-    fields = ("inside", "u_c", "cov_c", "v_s", "shared_s", "white_s")
-    stacked = {name: np.stack([getattr(strip, name) for strip in members]) for name in fields}
+    camera, own, missed = zip(*(_distortion(strip, shared.knots, settings) for strip in members))
+    across, again, white = zip(*(_coordinates(strip, shared) for strip in members))
+    fields = ("inside", "u_c", "cov_c", "v_s")
     return StripGroup(
-        place=place, camera=np.stack(camera), own=np.stack(own), missed=np.stack(missed), **stacked
+        place=place,
+        shared_s=np.stack(
+            [np.concatenate([strip.shared_s, two], axis=2) for strip, two in zip(members, again)]
+        ),
+        white_s=np.stack(white),
+        targets_s=np.stack(across),
+        camera=np.stack(camera),
+        own=np.stack(own),
+        missed=np.stack(missed),
+        **{name: np.stack([getattr(strip, name) for strip in members]) for name in fields},
     )
 
 
@@ -250,26 +264,31 @@ def _direction_by_position(ground: GroundSightings) -> Array:
     return -(np.eye(3) - u[:, :, None] * u[:, None, :]) / ground.range_m[:, None, None]
 
 
-def _target_coordinates(
-    ground: GroundSightings, move_s: Array, settings: CalibrationSettings
-) -> tuple[list[str], Array, Array]:
-    """Targets' own coordinate errors: shared columns for those seen more than once, white noise for the
-    rest.
+def _seen_again(strip: PreparedStrip, shared: SharedUnknowns) -> list[str]:
+    """Targets that this strip alone sees, more than once: of the same points, on two CCDs."""
+    ids, count = np.unique(strip.target_id, return_counts=True)
+    return [str(name) for name in ids[count > 1] if str(name) not in shared.targets]
+
+
+def _coordinates(strip: PreparedStrip, shared: SharedUnknowns) -> tuple[Array, Array, Array]:
+    """Targets' own coordinates: columns (J, 3, 3 t) of the shared ones, (J, 3, 3 m) of those seen again in
+    this strip, whitened, and the white noise (J, 3, 3) of the rest, rad².
     """
-    J = len(ground.t_s)
-    if not settings.use_target_sigma:
-        return [], np.zeros((J, 3, 0)), np.zeros((J, 3, 3))
-    covariance = ground.cov_target_i
-    white_s = move_s @ covariance @ np.swapaxes(move_s, 1, 2)
-    ids, group, count = np.unique(ground.target_id, return_inverse=True, return_counts=True)
-    again = np.flatnonzero(count > 1)
-    own = np.zeros((J, 3, 3 * len(again)))
-    for n, target in enumerate(again.tolist()):
-        values, vectors = np.linalg.eigh(covariance[group == target][0])
-        root = vectors * np.sqrt(np.maximum(values, 0.0))
-        own[group == target, :, 3 * n : 3 * n + 3] = move_s[group == target] @ root
-        white_s[group == target] = 0.0
-    return [f"target/{ids[target]}/{axis}" for target in again for axis in range(3)], own, white_s
+    move, covariance = strip.coordinates_s, strip.cov_coordinates
+    white = move @ covariance @ np.swapaxes(move, 1, 2)
+    again = _seen_again(strip, shared)
+    across = np.zeros((len(move), 3, 3 * len(shared.targets)))
+    own = np.zeros((len(move), 3, 3 * len(again)))
+    for row in np.flatnonzero(np.isin(strip.target_id, [*shared.targets])):
+        place = 3 * shared.targets.index(str(strip.target_id[row]))
+        across[row, :, place : place + 3] = move[row]
+        white[row] = 0.0
+    for n, name in enumerate(again):
+        rows = strip.target_id == name
+        values, vectors = np.linalg.eigh(covariance[rows][0])
+        own[rows, :, 3 * n : 3 * n + 3] = move[rows] @ (vectors * np.sqrt(np.maximum(values, 0.0)))
+        white[rows] = 0.0
+    return across, own, white
 
 
 def _own_knots(strip: PreparedStrip, settings: CalibrationSettings) -> tuple[Knot, ...]:

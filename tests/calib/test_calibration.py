@@ -48,6 +48,28 @@ def test_without_the_position_nuisance_the_covariance_is_many_times_too_small():
     assert nees.mean() > 15  # expected 3
 
 
+def test_targets_that_all_strips_see_are_one_point_each():
+    plan = replace(StripPlan(), strips=20, targets=6, sigma_target_m=5.0, same_targets=True)
+    settings = CalibrationSettings(
+        sigma_clock_s=0, sigma_vibration_rad=0, sigma_distortion_rad=0, robust=False
+    )
+    settings = replace(settings, sigma_position_m=0.0)
+    nees = normalised_errors(plan, settings, 40, seed=21)
+    low, high = chi2(df=3 * 40).ppf([0.0005, 0.9995])
+    assert low < nees.sum() < high
+    apart = normalised_errors(plan, replace(settings, most_shared_targets=0), 5, seed=21)
+    assert apart.mean() > 15  # expected 3: 5 m of 6 points do not average over 20 strips
+
+
+def test_targets_beyond_the_limit_are_counted():
+    plan = replace(StripPlan(), strips=3, targets=6, sigma_target_m=5.0, same_targets=True)
+    strips, _ = draw_strips(plan, CAMERAS, np.random.default_rng(1))
+    estimate = calibrate(strips, R_CS0, CalibrationSettings(most_shared_targets=4))
+    assert isinstance(estimate, InstallationEstimate)
+    assert estimate.targets_taken_apart == 2
+    assert sum(name.startswith("target/") for name in estimate.pairs.shared) == 12
+
+
 def test_gross_errors_are_left_out_and_said_so():
     plan = replace(TABLE_1, gross_stars=0.2, gross_targets=0.2)
     strips, truth = draw_strips(plan, CAMERAS, np.random.default_rng(5))

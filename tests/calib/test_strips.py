@@ -11,6 +11,7 @@ from calib.campaign import CameraPair, StripPlan, draw_strips
 from calib.estimate import InstallationEstimate
 from calib.frames import Frames, calibrate_frames
 from calib.settings import CalibrationSettings
+from calib.shared_unknowns import SharedUnknowns
 from calib.strips import group_strips, linearise, prepare_strip
 from geometry.constants import ARCSEC
 from geometry.installation import deviation_from_theta, theta_between
@@ -21,6 +22,7 @@ CAMERAS = CameraPair(BOLD)
 NONE = CalibrationSettings(
     sigma_position_m=0.0, sigma_clock_s=0.0, sigma_vibration_rad=0.0, sigma_distortion_rad=0.0
 )
+NOTHING = SharedUnknowns((), (), np.zeros((0, 3, 3)), 0)
 
 
 def strips_of(plan, seed=1):
@@ -92,7 +94,7 @@ def test_theta_and_attitude_columns_are_derivatives_of_the_residual():
     strip = strips_of(StripPlan(strips=1))[0]
     settings = replace(NONE, robust=False)
     theta = np.array([2e-6, -3e-6, 1e-6])
-    group = group_strips([prepare_strip(strip, settings)], (), settings)[0]
+    group = group_strips([prepare_strip(strip, settings)], NOTHING, settings)[0]
     at = linearise(group, BOLD, settings)
     turned = linearise(group, deviation_from_theta(theta) * BOLD, settings)
     change = (turned.r - at.r)[0]
@@ -103,7 +105,7 @@ def test_theta_and_attitude_columns_are_derivatives_of_the_residual():
     exposure = strip.exposures[4]
     wrong = replace(exposure, u_s=Rotation.from_rotvec(psi).apply(exposure.u_s))
     exposures = (*strip.exposures[:4], wrong, *strip.exposures[5:])
-    moved = group_strips([prepare_strip(replace(strip, exposures=exposures), settings)], (), settings)[0]
+    moved = group_strips([prepare_strip(replace(strip, exposures=exposures), settings)], NOTHING, settings)[0]
     change = (linearise(moved, BOLD, settings).r - at.r)[0]
     expected = -(column @ np.linalg.solve(np.linalg.cholesky(covariance), psi))
     np.testing.assert_allclose(change, expected, rtol=0, atol=1e-3 * np.abs(change).max())
@@ -114,7 +116,8 @@ def test_a_prior_of_zero_switches_its_error_off():
     prepared = prepare_strip(strip, NONE)
     for unknown in ("position/x", "position/y", "position/z", "clock"):
         assert not np.any(prepared.shared_s[:, :, prepared.unknowns.index(unknown)])
-    assert not np.any(prepared.white_s)
+    group = group_strips([prepared], NOTHING, NONE)[0]
+    assert not np.any(group.white_s) and not np.any(group.missed)
 
 
 def test_a_target_seen_twice_is_one_point_on_the_ground():
@@ -122,11 +125,11 @@ def test_a_target_seen_twice_is_one_point_on_the_ground():
     ids = strip.ground.target_id.copy()
     ids[3] = ids[7]
     prepared = prepare_strip(replace(strip, ground=replace(strip.ground, target_id=ids)), NONE)
-    names = [name for name in prepared.unknowns if name.startswith("target/")]
-    assert len(names) == 3
-    own = prepared.shared_s[:, :, -3:]
+    group = group_strips([prepared], NOTHING, NONE)[0]
+    assert group.shared_s.shape[3] == prepared.shared_s.shape[2] + 3
+    own = group.shared_s[0, :, :, -3:]
     assert np.flatnonzero(np.any(own != 0, axis=(1, 2))).tolist() == [3, 7]
-    assert np.flatnonzero(~np.any(prepared.white_s != 0, axis=(1, 2))).tolist() == [3, 7]
+    assert np.flatnonzero(~np.any(group.white_s[0] != 0, axis=(1, 2))).tolist() == [3, 7]
 
 
 def test_targets_outside_the_exposures_are_not_extrapolated():

@@ -1,0 +1,75 @@
+"""What several strips share: the camera's distortion, and the coordinates of targets that they all see.
+
+Each of these is one unknown for the whole calibration, with a name; strips cannot average it away. A
+target's coordinates are three unknowns in metres, in axes that turn with the Earth about the pole of GCRS:
+near enough to ITRS for an error of metres.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import block_diag
+
+from calib.distortion import Knot, knots_touched, prior_information, unknown_names
+from calib.settings import CalibrationSettings
+
+__all__ = ["SeenTargets", "SharedUnknowns", "find_shared"]
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SeenTargets:
+    """What one strip has seen, as far as sharing goes."""
+
+    target_id: NDArray[np.str_]  # (J,)
+    ccd: NDArray[np.int64]  # (J,)
+    sample: Array  # (J,) px
+    cov_coordinates: Array  # (J, 3, 3) m²
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SharedUnknowns:
+    """The unknowns of a calibration beside theta, in the order of the information pairs' rows."""
+
+    knots: tuple[Knot, ...]  # of the camera's distortion: along x, then along y
+    targets: tuple[str, ...]  # three each
+    cov_targets: Array  # (t, 3, 3) m²
+    taken_apart: int  # targets in several strips beyond the limit
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        coordinates = tuple(f"target/{name}/{axis}" for name in self.targets for axis in range(3))
+        return unknown_names(self.knots) + coordinates
+
+    def prior_information(self) -> Array:
+        """Inverse prior covariance (n, n), distortion in units of its prior sigma, coordinates in metres."""
+        parts = [prior_information(unknown_names(self.knots)), *np.linalg.inv(self.cov_targets)]
+        parts = [part for part in parts if part.size]
+        return np.asarray(block_diag(*parts)) if parts else np.zeros((0, 0))
+
+
+def find_shared(strips: Sequence[SeenTargets], settings: CalibrationSettings) -> SharedUnknowns:
+    """The unknowns that these strips share. Of targets in several strips, those seen most often come
+    first.
+    """
+    knots: set[Knot] = set()
+    if settings.distortion_scope == "camera" and settings.sigma_distortion_rad > 0.0:
+        for strip in strips:
+            knots.update(knots_touched(strip.ccd, strip.sample, settings.distortion_length_px))
+    count: dict[str, int] = {}
+    covariance: dict[str, Array] = {}
+    for strip in strips:
+        ids, first = np.unique(strip.target_id, return_index=True)
+        for name, row in zip(ids.tolist(), first.tolist()):
+            count[name] = count.get(name, 0) + 1
+            covariance.setdefault(name, strip.cov_coordinates[row])
+    often = [name for name, n in count.items() if n > 1 and np.linalg.eigvalsh(covariance[name])[0] > 0.0]
+    often.sort(key=lambda name: (-count[name], name))
+    kept = tuple(sorted(often[: settings.most_shared_targets]))
+    covariances = np.array([covariance[name] for name in kept]).reshape(-1, 3, 3)
+    return SharedUnknowns(tuple(sorted(knots)), kept, covariances, len(often) - len(kept))
