@@ -313,7 +313,8 @@ How to read it:
 * The aberration by the Earth's velocity changes with the season and with the place on the orbit. A campaign
   spread over a year averages some of it out; a campaign of a week does not.
 * Earth orientation matters although the orbit is Earth-fixed: satellite and targets turn together against
-  the stars, 15″ for each second of UT1 - UTC, which was within 0.05 s in 2024. dX and dY were 0.3 mas.
+  the stars, 15″ for each second of UT1 - UTC, which was within 0.06 s in 2024. dX and dY were 0.6 mas at
+  most.
 * Each row has its own instant: the attitude turns by 0.22″ a millisecond, and what the nearest exposure
   says is up to 100 ms old. Z, which only the spread of the targets in the field tells, suffers most. Half a
   TDI exposure is 8 m along the track.
