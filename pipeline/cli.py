@@ -145,12 +145,11 @@ def calibrate(
     allow_stale_eop: Annotated[
         bool, typer.Option(help="Go on past the end of the Earth-orientation table, with a warning.")
     ] = False,
+    report: Annotated[bool, typer.Option(help="Write report.html at the end.")] = True,
 ) -> None:
     """Find the installation matrix of a dump, from raw pixels."""
     from pipeline.calibrate import calibrate_dump
     from pipeline.dump import open_dump
-    from pipeline.evidence import write_evidence
-    from pipeline.report import write_report
     from pipeline.result import begin_result, store_of, write_result, write_run
     from pipeline.settings import read_settings
     from pipeline.summary import calibration_summary
@@ -172,7 +171,10 @@ def calibrate(
             bar.update(bars[stage], completed=done)
 
         found = calibrate_dump(opened, chosen, store_of(out), executor, progress)
-    write_evidence(out, opened, found, chosen)
+    if report:
+        from pipeline.evidence import write_evidence
+
+        write_evidence(out, opened, found, chosen)
     write_result(out, found, chosen)
     elapsed = time.perf_counter() - start
     write_run(
@@ -190,9 +192,13 @@ def calibrate(
             "packages": {name: metadata.version(name) for name in REPORTED_PACKAGES},
         },
     )
-    page = write_report(out)
+    page = ""
+    if report:
+        from pipeline.report import write_report
+
+        page = f", {write_report(out).name}"
     typer.echo(calibration_summary(found))
-    typer.echo(f"{elapsed:.1f} s -> {out / 'installation.json'}, {page.name}")
+    typer.echo(f"{elapsed:.1f} s -> {out / 'installation.json'}{page}")
 
 
 @contextmanager

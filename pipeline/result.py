@@ -84,10 +84,13 @@ def store_of(result: Path) -> UnitStore:
 
 
 def begin_result(result: Path) -> None:
-    """Make the folder; an `installation.json` of an earlier run goes, since it no longer speaks for the
-    folder.
+    """Make the folder; an `installation.json` of an earlier run goes, since it speaks for the folder no more.
+
+    What a killed run left half-written goes too: it has no name that anything is looked for under.
     """
     (result / "work").mkdir(parents=True, exist_ok=True)
+    for left in result.rglob(".*.tmp"):
+        left.unlink(missing_ok=True)
     (result / "installation.json").unlink(missing_ok=True)
 
 

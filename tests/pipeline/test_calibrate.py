@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from conftest import FIXTURE, first_strip_of_fixture
+from conftest import FIXTURE
 from typer.testing import CliRunner
 
 from geometry.installation import theta_between
@@ -43,13 +43,11 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "result"
 
 
-@pytest.fixture(scope="module")
-def small(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, bytes]:
+@pytest.fixture
+def small(finished: tuple[Path, Path]) -> tuple[Path, bytes]:
     """One strip of the fixture, calibrated: the dump and the bytes of installation.json."""
-    folder = tmp_path_factory.mktemp("small")
-    dump = first_strip_of_fixture(folder / "dump")
-    run(dump, folder / "result")
-    return dump, (folder / "result" / "installation.json").read_bytes()
+    dump, result = finished
+    return dump, (result / "installation.json").read_bytes()
 
 
 def test_fixture_is_calibrated_within_its_own_covariance(whole: Path) -> None:
