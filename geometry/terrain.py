@@ -35,12 +35,7 @@ _FLAT_M = 1e-6  # relief below this is a constant height
 _CHUNK = 16_384  # rays at a time: their arrays stay in the cache
 _MARGIN_M = 0.1  # a shell is so near to equal height
 _STEPS = 64  # on the way from the highest to the lowest height of a surface that is not a grid
-_LONGEST_WAY_M = (
-    300.0,
-    3e3,
-    1.2e4,
-    3e4,
-)  # on the map, for polynomials of degree 2, 3, ...: L^(n+1) / R^n < 1e-6 m
+_LONGEST_WAY_M = (200.0, 2e3, 1e4, 2.5e4)  # on the map, for polynomials of degree 2, 3, ...: L^(n+1) / R^n
 
 
 class Surface(Protocol):
