@@ -19,6 +19,7 @@ from pyproj import CRS, Transformer
 from geometry.constants import WGS84
 from geometry.geodesy import geodetic_from_ecef, ray_ellipsoid_intersection, ray_shell_intersection
 from geometry.geoid import Geoid
+from geometry.local_map import LocalMap, fit_local_map
 from geometry.terrain_rays import (
     HeightBounds,
     bilinear,
@@ -34,6 +35,7 @@ Array = NDArray[np.float64]
 _FLAT_M = 1e-6  # relief below this is a constant height
 _CHUNK = 16_384  # rays at a time: their arrays stay in the cache
 _MARGIN_M = 0.1  # a shell is so near to equal height
+_QUICK_MAP_PX = 1e-7  # what a polynomial in the place of a map projection may be wrong by
 _STEPS = 64  # on the way from the highest to the lowest height of a surface that is not a grid
 _LONGEST_WAY_M = (200.0, 2e3, 1e4, 2.5e4)  # on the map, for polynomials of degree 2, 3, ...: L^(n+1) / R^n
 
@@ -71,6 +73,7 @@ class TerrainGrid:
     transform: tuple[float, float, float, float, float, float]  # x = a col + b row + c, y = d col + e row + f
     crs: str
     bounds: HeightBounds
+    quick_map: LocalMap | None  # latitude and longitude to column and row, 1e-7 pixel, where there is one
 
     @staticmethod
     def from_raster(
@@ -107,7 +110,8 @@ class TerrainGrid:
             raise ValueError(f"terrain transform cannot be inverted: {(a, b, c, d, e, f)}")
         if geoid is not None:
             _add_undulations(heights, (a, b, c, d, e, f), crs, geoid)
-        return TerrainGrid(heights, (a, b, c, d, e, f), crs, bounds_of_heights(heights))
+        quick_map = _quick_map((a, b, c, d, e, f), heights.shape, crs)
+        return TerrainGrid(heights, (a, b, c, d, e, f), crs, bounds_of_heights(heights), quick_map)
 
     def height_m(self, lat_rad: ArrayLike, lon_rad: ArrayLike) -> Array:
         """Bilinear between the four pixel centres around; NaN if one of them has no data, or past the
@@ -119,17 +123,17 @@ class TerrainGrid:
 
     def pixels_from_geodetic(self, lat_rad: ArrayLike, lon_rad: ArrayLike) -> tuple[Array, Array]:
         """Column and row, (0, 0) at the centre of the first pixel."""
-        lon, lat = np.degrees(lon_rad), np.degrees(lat_rad)
-        a, b, c, d, e, f = self.transform
+        lat, lon = np.asarray(lat_rad, dtype=float), np.asarray(lon_rad, dtype=float)
+        if self.quick_map is not None and self.quick_map.covers(lat, lon).all():
+            return self.quick_map.at(lat, lon)
+        a, b, c, _, _, _ = self.transform
         to_map = _to_map(self.crs)
-        if to_map is None:  # degrees; take the turn of longitude that the raster is written in
-            middle = c + 0.5 * (a * self.heights_m.shape[1] + b * self.heights_m.shape[0])
-            x, y = lon + 360.0 * np.round((middle - lon) / 360.0), lat
-        else:
-            x, y = to_map.transform(lon, lat)
-        dx, dy = np.asarray(x) - c, np.asarray(y) - f
-        determinant = a * e - b * d
-        return (e * dx - b * dy) / determinant - 0.5, (a * dy - d * dx) / determinant - 0.5
+        if to_map is not None:
+            return _pixels_from_map(self.transform, *to_map.transform(np.degrees(lon), np.degrees(lat)))
+        # degrees; take the turn of longitude that the raster is written in
+        middle = c + 0.5 * (a * self.heights_m.shape[1] + b * self.heights_m.shape[0])
+        x = np.degrees(lon)
+        return _pixels_from_map(self.transform, x + 360.0 * np.round((middle - x) / 360.0), np.degrees(lat))
 
 
 def intersect(origin_e: Array, direction_e: Array, surface: Surface) -> Array:
@@ -216,6 +220,38 @@ def _add_undulations(
         if to_map is not None:
             lon, lat = to_map.transform(lon, lat, direction="INVERSE")
         heights[first : first + len(row)] += geoid.undulation_m(np.radians(lat), np.radians(lon))
+
+
+def _pixels_from_map(transform: tuple[float, ...], x: ArrayLike, y: ArrayLike) -> tuple[Array, Array]:
+    a, b, c, d, e, f = transform
+    dx, dy = np.asarray(x) - c, np.asarray(y) - f
+    determinant = a * e - b * d
+    return (e * dx - b * dy) / determinant - 0.5, (a * dy - d * dx) / determinant - 0.5
+
+
+def _quick_map(transform: tuple[float, ...], shape: tuple[int, ...], crs: str) -> LocalMap | None:
+    """A polynomial in the place of a map projection over a raster; None in degrees, or if none is good."""
+    to_map = _to_map(crs)
+    if to_map is None:
+        return None
+    a, b, c, d, e, f = transform
+    along = np.linspace(0.0, 1.0, 9)
+    edge = np.concatenate(
+        [[along, 0 * along], [along, 0 * along + 1], [0 * along, along], [0 * along + 1, along]], axis=1
+    )
+    column, row = edge[0] * shape[1], edge[1] * shape[0]
+    lon, lat = to_map.transform(a * column + b * row + c, d * column + e * row + f, direction="INVERSE")
+    if not (np.isfinite(lon).all() and np.isfinite(lat).all()) or np.ptp(lon) > 90.0:
+        return None
+    (low_v, high_v), (low_u, high_u) = ((g.min(), g.max()) for g in (np.radians(lon), np.radians(lat)))
+    edge_u, edge_v = 0.02 * (high_u - low_u), 0.02 * (high_v - low_v)
+
+    def true(u: Array, v: Array) -> tuple[Array, Array]:
+        return _pixels_from_map(transform, *to_map.transform(np.degrees(v), np.degrees(u)))
+
+    return fit_local_map(
+        true, (low_u - edge_u, high_u + edge_u), (low_v - edge_v, high_v + edge_v), _QUICK_MAP_PX
+    )
 
 
 @lru_cache(maxsize=16)
