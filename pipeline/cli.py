@@ -24,6 +24,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from pipeline import __version__
 from pipeline.errors import DataNotSufficientError, RawDataError, WorkerError
 from pipeline.report_commands import add_report_commands
+from pipeline.star_commands import add_star_commands
 
 __all__ = ["app", "main"]
 
@@ -226,34 +227,6 @@ def validate(
 
 
 @app.command()
-def identify(
-    images: Annotated[list[Path], typer.Argument(help="PNG, TIFF or FITS star images.")],
-    camera: Annotated[
-        Path | None, typer.Option(help="star_camera.toml of the camera, if it is known.")
-    ] = None,
-    fov_deg: Annotated[
-        float | None, typer.Option(help="Width of the field of view, if that is known.")
-    ] = None,
-    out: Annotated[Path | None, typer.Option(help="Parquet file for the stars that were named.")] = None,
-    settings: SettingsFile = None,
-) -> None:
-    """Name the stars of single images, with no idea where they look."""
-    from pipeline.identify import identify_images
-    from pipeline.settings import read_settings
-
-    if camera is not None and fov_deg is not None:
-        raise _wrong_usage("--camera and --fov-deg exclude one another")
-    lines = identify_images(images, camera, fov_deg, out, read_settings(settings).stars)
-    named = 0
-    for line in lines:
-        named += line.identified
-        typer.echo(line.text)
-    typer.echo(f"identified {named} of {len(images)} images" + (f" -> {out}" if out else ""))
-    if named == 0:
-        raise typer.Exit(DATA_DID_NOT_ALLOW)
-
-
-@app.command()
 def status(result: Annotated[Path, typer.Argument(help="Folder of a run, finished or not.")]) -> None:
     """What of a run is done, what was left out and why."""
     from pipeline.summary import status_summary
@@ -309,4 +282,5 @@ def plan(
         raise typer.Exit(DATA_DID_NOT_ALLOW)
 
 
+add_star_commands(app)
 add_report_commands(app)

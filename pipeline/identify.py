@@ -6,14 +6,18 @@ One image's fault is one line of the outcome; the others go on.
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
+import cv2
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
+from numpy.typing import NDArray
 
 from geometry.star_camera import StarCamera
 from pipeline.dump import star_camera_of
@@ -28,7 +32,7 @@ from star_id.identify import NotIdentified
 from star_id.settings import StarSettings
 from star_id.triangles import StarIndex, build_index, equivalent_fov
 
-__all__ = ["Line", "identify_images"]
+__all__ = ["Line", "Request", "identify_images", "read_camera", "read_sky_image", "sky_index"]
 
 CATALOGUE_YEAR = 2020.0  # proper motion since then is far below a pixel of any camera with so wide a field
 
@@ -39,45 +43,118 @@ class Line:
 
     text: str
     identified: bool
+    record: dict[str, Any]  # file, identified, ra_deg, dec_deg, roll_deg, fov_x_deg, matches, rms_arcsec, ...
+    found: FieldSolution | None
 
 
-def identify_images(
-    images: Sequence[Path],
-    camera_file: Path | None,
-    fov_deg: float | None,
-    out: Path | None,
-    settings: StarSettings,
-) -> Iterator[Line]:
-    """One line an image, as it is done; the named stars go to `out` at the end."""
-    camera = None
-    if camera_file is not None:
-        name = str(camera_file)
-        camera = star_camera_of(read_toml(camera_file, StarCameraFile, name), name)
-    if fov_deg is not None and not 0.5 < fov_deg < 90.0:
-        raise RawDataError("--fov-deg", "value", f"{fov_deg}", "between 0.5 and 90 degrees")
-    index = _index(camera, fov_deg, settings)
+@dataclass(frozen=True, slots=True)
+class Request:
+    """What is known of the camera, and where the named stars go."""
+
+    camera_file: Path | None = None
+    fov_deg: float | None = None
+    dark_file: Path | None = None
+    out: Path | None = None  # Parquet, at the end
+    overlay: Path | None = None  # PNG; with several images each adds its own name
+
+
+def identify_images(images: Sequence[Path], request: Request, settings: StarSettings) -> Iterator[Line]:
+    """One line an image, as it is done; the named stars go to `request.out` at the end."""
+    camera = read_camera(request.camera_file)
+    if request.fov_deg is not None and not 0.5 < request.fov_deg < 90.0:
+        raise RawDataError("--fov", "value", f"{request.fov_deg}", "between 0.5 and 90 degrees")
+    dark = None if request.dark_file is None else read_star_image(request.dark_file, str(request.dark_file))
+    fov = None if request.fov_deg is None else float(np.radians(request.fov_deg))
+    index = sky_index(camera, request.fov_deg, settings)
     width = max(len(str(path)) for path in images)
     tables = []
     for path in images:
+        started = time.process_time()
         try:
-            image = read_star_image(path, str(path))
-            if camera is not None and image.shape != (camera.height_px, camera.width_px):
-                found = f"{image.shape[1]} x {image.shape[0]} px"
-                expected = f"{camera.width_px} x {camera.height_px} px, as in {camera_file}"
-                raise RawDataError(str(path), "image size", found, expected)
-            fov = None if fov_deg is None else float(np.radians(fov_deg))
-            outcome = solve_field(image, index, settings, camera=camera, fov_x_rad=fov)
+            image = read_sky_image(path, camera, request.camera_file)
+            if dark is not None and dark.shape != image.shape:
+                shapes = (f"{d.shape[1]} x {d.shape[0]} px" for d in (dark, image))
+                raise RawDataError(str(request.dark_file), "image size", *shapes)
+            outcome = solve_field(image, index, settings, camera=camera, fov_x_rad=fov, dark=dark)
         except RawDataError as error:
-            yield Line(f"{path!s:{width}s}   not read: {error}", False)
+            yield _unnamed(path, width, "not read", str(error), started)
             continue
         if isinstance(outcome, NotIdentified):
-            yield Line(f"{path!s:{width}s}   not identified: {outcome.reason}", False)
+            yield _unnamed(path, width, "not identified", outcome.reason, started)
             continue
+        spent_ms = 1e3 * (time.process_time() - started)
         tables.append(_table(path, outcome))
-        yield Line(f"{path!s:{width}s}   {_facts(outcome)}", True)
-    if out is not None:
+        if request.overlay is not None:
+            _draw(image, outcome, _own_name(request.overlay, path, len(images)))
+        yield Line(f"{path!s:{width}s}   {_facts(outcome)}", True, _record(path, outcome, spent_ms), outcome)
+    if request.out is not None:
         whole = pa.concat_tables(tables) if tables else _table_of_nothing()
-        write_whole(out, lambda target: pq.write_table(whole, target, compression="zstd"))
+        write_whole(request.out, lambda target: pq.write_table(whole, target, compression="zstd"))
+
+
+def read_camera(file: Path | None) -> StarCamera | None:
+    """The camera of a star_camera.toml."""
+    return None if file is None else star_camera_of(read_toml(file, StarCameraFile, str(file)), str(file))
+
+
+def read_sky_image(path: Path, camera: StarCamera | None, camera_file: Path | None) -> NDArray[Any]:
+    """An image, held to the camera's size where a camera is given."""
+    image = read_star_image(path, str(path))
+    if camera is not None and image.shape != (camera.height_px, camera.width_px):
+        found = f"{image.shape[1]} x {image.shape[0]} px"
+        expected = f"{camera.width_px} x {camera.height_px} px, as in {camera_file}"
+        raise RawDataError(str(path), "image size", found, expected)
+    return image
+
+
+def _unnamed(path: Path, width: int, what: str, reason: str, started: float) -> Line:
+    record = {
+        "file": str(path),
+        "identified": False,
+        "cpu_ms": _spent(started),
+        "reason": f"{what}: {reason}",
+    }
+    return Line(f"{path!s:{width}s}   {what}: {reason}", False, record, None)
+
+
+def _spent(started: float) -> float:
+    return round(1e3 * (time.process_time() - started), 2)
+
+
+def _record(path: Path, found: FieldSolution, spent_ms: float) -> dict[str, Any]:
+    return {
+        "file": str(path),
+        "identified": True,
+        "ra_deg": float(np.degrees(found.ra_rad)),
+        "dec_deg": float(np.degrees(found.dec_rad)),
+        "roll_deg": float(np.degrees(found.roll_rad)),
+        "fov_x_deg": float(np.degrees(found.fov_x_rad)),
+        "matches": found.matches,
+        "rms_arcsec": found.rms_arcsec,
+        "false_alarm_probability": found.false_alarm_probability,
+        "cpu_ms": round(spent_ms, 2),
+    }
+
+
+def _own_name(path: Path, image: Path, count: int) -> Path:
+    return path if count == 1 else path.with_name(f"{path.stem}-{image.stem}{path.suffix}")
+
+
+def _draw(image: NDArray[Any], found: FieldSolution, path: Path) -> None:
+    """The image with the named stars ringed and numbered, faint detections marked."""
+    low, high = np.percentile(image, (1.0, 99.7))
+    grey = np.clip((image.astype(np.float32) - low) * (255.0 / max(high - low, 1.0)), 0, 255).astype(np.uint8)
+    picture = cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR)
+    radius = max(5, image.shape[1] // 200)
+    if found.stars is not None:
+        for x, y in np.rint(found.stars.xy_px).astype(int).tolist():
+            cv2.circle(picture, (x, y), radius // 2, (0, 120, 255), 1, cv2.LINE_AA)
+    for (x, y), hip in zip(np.rint(found.xy_px).astype(int).tolist(), found.hip.tolist()):
+        cv2.circle(picture, (x, y), radius, (0, 255, 0), 1, cv2.LINE_AA)
+        place = (x + radius + 2, y - 2)
+        cv2.putText(picture, str(hip), place, cv2.FONT_HERSHEY_SIMPLEX, 0.4, (0, 255, 0), 1, cv2.LINE_AA)
+    if not cv2.imwrite(str(path), picture):
+        raise RawDataError(str(path), "overlay", "could not be written", "the name of a PNG file in a folder")
 
 
 def _facts(found: FieldSolution) -> str:
@@ -89,7 +166,8 @@ def _facts(found: FieldSolution) -> str:
     )
 
 
-def _index(camera: StarCamera | None, fov_deg: float | None, settings: StarSettings) -> StarIndex:
+def sky_index(camera: StarCamera | None, fov_deg: float | None, settings: StarSettings) -> StarIndex:
+    """Catalogue triangles for what is known of the camera."""
     if camera is not None:
         return _built(equivalent_fov(camera.width_px, camera.height_px, camera.focal_m / camera.pixel_m))
     if fov_deg is None:

@@ -1,0 +1,150 @@
+"""Centroids held against a known truth: completeness, false detections, error over the Cramer-Rao bound, bias
+by phase.
+
+The bound is that of an unbiased estimate of column, row, flux and sky from independent pixels of known
+variance (Winick 1986): the inverse of the Fisher information at the true place.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from star_id.psf import Psf, psf_images
+from star_id.star_list import StarList
+
+__all__ = ["CentroidScore", "cramer_rao_px", "score_centroids"]
+
+Array = NDArray[np.float64]
+
+SNR_EDGES = (5.0, 7.0, 8.0, 10.0, 14.0, 20.0, 40.0, 80.0, 160.0, 1e4)
+PHASES = 10
+_ISOLATED_SIGMA = 10.0  # no other star that matters within so many PSF widths
+_MATTERS = 0.002  # flux of a neighbour in units of the star's own that counts
+_MATCH_SIGMA = 2.5  # a detection within so many PSF widths of a true star is that star
+_BRIGHT_SNR = 15.0  # of stars that the bias over pixel phase is taken from
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CentroidScore:
+    """Figures by signal-to-noise ratio, B bins between SNR_EDGES, isolated unsaturated stars only."""
+
+    snr_edges: Array  # (B + 1,)
+    stars: NDArray[np.int64]  # (B,) true stars
+    found: NDArray[np.int64]  # (B,)
+    rms_px: Array  # (B,) one axis
+    bound_px: Array  # (B,) root mean square of the bound, the same stars
+    chi2: Array  # (B,) mean normalised square error, one axis
+    false: int  # detections without a true star
+    phase_bias_px: Array  # (PHASES, 2) mean error by pixel phase (column, row), weighted
+    phase_error_px: Array  # (PHASES, 2) its standard error
+
+    @property
+    def over_bound(self) -> Array:
+        """(B,) rms error over the bound."""
+        return self.rms_px / self.bound_px
+
+
+def cramer_rao_px(xy_px: Array, flux_dn: Array, noise_dn: Array, psf: Psf, gain_e_per_dn: float) -> Array:
+    """(N,) smallest possible rms error along one axis (mean of both), and so the bound's pixel phase is the
+    true one."""
+    sigma = psf.sigma_at(xy_px)
+    radius = int(np.ceil(5.0 * sigma.max() + 0.5 * np.hypot(*psf.smear_px)))
+    images = psf_images(xy_px - np.rint(xy_px), sigma, psf.smear_px, radius)
+    value, flux = images.value.astype(float), flux_dn[:, None]
+    J = np.stack([flux * images.d_x, flux * images.d_y, value, np.ones_like(value)], axis=1)
+    weight = 1.0 / (noise_dn[:, None] ** 2 + np.maximum(flux * value, 0.0) / gain_e_per_dn)
+    covariance = np.linalg.inv((J * weight[:, None]) @ J.transpose(0, 2, 1))
+    return np.asarray(np.sqrt(0.5 * (covariance[:, 0, 0] + covariance[:, 1, 1])))
+
+
+def score_centroids(
+    lists: list[StarList],
+    truths: list[tuple[Array, Array]],
+    *,
+    saturation_dn: float,
+    psf: Psf | None = None,
+    gain_e_per_dn: float | None = None,
+) -> CentroidScore:
+    """Scores the star lists of images whose true places (N, 2) and fluxes (N,) DN are known.
+
+    `psf` and the gain are the true ones where they are known; otherwise those that each list was made with.
+    """
+    parts = [
+        _matched(stars, xy, flux, saturation_dn, psf or stars.psf, gain_e_per_dn or stars.gain_e_per_dn)
+        for stars, (xy, flux) in zip(lists, truths)
+    ]
+    snr, found, bound = (np.concatenate([part[k] for part in parts]) for k in range(3))
+    error, variance, phase = (np.concatenate([part[k] for part in parts]) for k in range(3, 6))
+    edges = np.array(SNR_EDGES)
+    cell = np.digitize(snr, edges) - 1
+    bins = len(edges) - 1
+    seen = cell[found]
+
+    def mean(values: Array, cells: Array) -> Array:
+        count = np.bincount(cells[(cells >= 0) & (cells < bins)], minlength=bins)
+        total = np.bincount(cells[(cells >= 0) & (cells < bins)], values[(cells >= 0) & (cells < bins)], bins)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            return np.asarray(total / count)
+
+    inside = (cell >= 0) & (cell < bins)
+    bias, bias_error = _by_phase(error, variance, phase, snr[found] > _BRIGHT_SNR)
+    return CentroidScore(
+        edges,
+        np.bincount(cell[inside], minlength=bins),
+        np.bincount(cell[inside & found], minlength=bins),
+        np.sqrt(mean(0.5 * (error**2).sum(axis=1), seen)),
+        np.sqrt(mean(bound[found] ** 2, seen)),
+        mean(0.5 * (error**2 / variance).sum(axis=1), seen),
+        sum(part[6] for part in parts),
+        bias,
+        bias_error,
+    )
+
+
+def _matched(
+    stars: StarList, xy: Array, flux: Array, saturation: float, psf: Psf, gain: float
+) -> tuple[Array, NDArray[np.bool_], Array, Array, Array, Array, int]:
+    """Of isolated, unsaturated true stars: SNR, whether found, bound; of the found ones error, variance,
+    phase; false."""
+    sigma = float(psf.sigma_px)
+    level, noise = stars.background.at(xy)
+    images = psf_images(np.zeros((1, 2)), np.array([sigma]), psf.smear_px, 5 + int(3 * sigma))
+    snr = flux * np.sqrt(float((images.value.astype(float) ** 2).sum())) / noise
+    peak = flux * float(images.value.max()) + level
+    border = 8.0 * sigma
+    size = np.array([psf.width_px, psf.height_px])
+    usable = (peak < 0.95 * saturation) & (xy > border).all(axis=1) & (xy < size - 1 - border).all(axis=1)
+    tree = cKDTree(xy)
+    pairs = tree.query_pairs(_ISOLATED_SIGMA * sigma, output_type="ndarray")
+    for a, b in (pairs.T, pairs.T[::-1]):
+        usable[a[flux[b] > _MATTERS * flux[a]]] = False
+    reach = _MATCH_SIGMA * sigma
+    near, nearest = tree.query(stars.xy_px, distance_upper_bound=reach)
+    false = int(np.count_nonzero(~np.isfinite(near)))
+    back, detection = cKDTree(stars.xy_px).query(xy, distance_upper_bound=reach)
+    found = np.isfinite(back)
+    rows = np.flatnonzero(usable)
+    seen = rows[found[rows]]
+    del nearest
+    error = stars.xy_px[detection[seen]] - xy[seen]
+    variance = np.einsum("nii->ni", stars.cov_px[detection[seen]])
+    bound = cramer_rao_px(xy[rows], flux[rows], noise[rows], psf, gain)
+    phase = xy[seen] - np.floor(xy[seen] + 0.5)
+    return snr[rows], found[rows], bound, error, variance, phase, false
+
+
+def _by_phase(error: Array, variance: Array, phase: Array, bright: NDArray[np.bool_]) -> tuple[Array, Array]:
+    bias, bias_error = np.full((PHASES, 2), np.nan), np.full((PHASES, 2), np.nan)
+    cell = np.clip(((phase + 0.5) * PHASES).astype(int), 0, PHASES - 1)
+    for k in range(PHASES):
+        for axis in range(2):
+            here = bright & (cell[:, axis] == k)
+            if here.any():
+                weight = 1.0 / variance[here, axis]
+                bias[k, axis] = (weight * error[here, axis]).sum() / weight.sum()
+                bias_error[k, axis] = 1.0 / np.sqrt(weight.sum())
+    return bias, bias_error

@@ -1,0 +1,81 @@
+"""A star camera as FITS writes it: tangent-plane projection with SIP polynomials (Shupe et al. 2005).
+
+The principal point is the reference pixel and the optical axis the reference direction, so the linear part is
+a rotation and a scale, and the polynomials hold the lens alone.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from geometry.star_camera import StarCamera
+
+__all__ = ["TanSip", "tan_sip"]
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TanSip:
+    """Numbers of a TAN-SIP header. Pixels of FITS: the first pixel's centre is (1, 1)."""
+
+    crval_deg: tuple[float, float]
+    crpix: tuple[float, float]
+    cd: Array  # (2, 2) deg per pixel
+    a: Array  # (order + 1, order + 1) A_p_q in a[p, q]: corrected u = u + sum A_p_q u^p v^q
+    b: Array
+    largest_misfit_px: float  # of the polynomials against the camera, over the detector
+
+    def cards(self) -> dict[str, float | int | str]:
+        """Header cards, in order."""
+        order = len(self.a) - 1
+        cards: dict[str, float | int | str] = {
+            "CTYPE1": "RA---TAN-SIP",
+            "CTYPE2": "DEC--TAN-SIP",
+            "CRVAL1": self.crval_deg[0],
+            "CRVAL2": self.crval_deg[1],
+            "CRPIX1": self.crpix[0],
+            "CRPIX2": self.crpix[1],
+            "CD1_1": float(self.cd[0, 0]),
+            "CD1_2": float(self.cd[0, 1]),
+            "CD2_1": float(self.cd[1, 0]),
+            "CD2_2": float(self.cd[1, 1]),
+            "A_ORDER": order,
+            "B_ORDER": order,
+        }
+        for name, table in (("A", self.a), ("B", self.b)):
+            for p, q in zip(*np.nonzero(table)):
+                cards[f"{name}_{p}_{q}"] = float(table[p, q])
+        return cards
+
+
+def tan_sip(camera: StarCamera, R_si: Rotation, order: int = 5) -> TanSip:
+    """TAN-SIP header of an image taken by `camera` with attitude `R_si`."""
+    x, y = np.meshgrid(np.linspace(0, camera.width_px - 1, 41), np.linspace(0, camera.height_px - 1, 31))
+    xy = np.column_stack([x.ravel(), y.ravel()])
+    u_s = camera.directions_from_pixels(xy)
+    focal_px = camera.focal_m / camera.pixel_m
+    offset = xy - np.asarray(camera.principal_px)
+    ideal = -u_s[:, :2] / u_s[:, 2:] * focal_px
+    powers = [(p, q) for p in range(order + 1) for q in range(order + 1 - p) if p + q >= 1]
+    unit = float(np.abs(offset).max())
+    scaled = offset / unit
+    A = np.stack([scaled[:, 0] ** p * scaled[:, 1] ** q for p, q in powers], axis=1)
+    fit = np.linalg.lstsq(A, ideal - offset, rcond=None)[0]
+    misfit = float(np.abs(A @ fit - (ideal - offset)).max())
+    a, b = np.zeros((order + 1, order + 1)), np.zeros((order + 1, order + 1))
+    for (p, q), (dx, dy) in zip(powers, fit):
+        a[p, q], b[p, q] = dx / unit ** (p + q), dy / unit ** (p + q)
+    axes_i = R_si.inv().apply(np.eye(3))
+    ra, dec = np.arctan2(axes_i[2, 1], axes_i[2, 0]), np.arcsin(axes_i[2, 2])
+    east = np.array([-np.sin(ra), np.cos(ra), 0.0])
+    north = np.array([-np.sin(dec) * np.cos(ra), -np.sin(dec) * np.sin(ra), np.cos(dec)])
+    cd = -np.degrees(np.array([axes_i[:2] @ east, axes_i[:2] @ north]) / focal_px)
+    x0, y0 = camera.principal_px
+    return TanSip(
+        (float(np.degrees(ra) % 360.0), float(np.degrees(dec))), (x0 + 1.0, y0 + 1.0), cd, a, b, misfit
+    )
