@@ -15,14 +15,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from gct_match.bootstrap import bootstrap, plan_search
+from gct_match.bootstrap import SearchPlan, bootstrap, plan_search
 from gct_match.coarse import read_window
 from gct_match.locate import NotLocated, locate
 from gct_match.paths import Paths, displacements, target_paths
 from gct_match.records import Chip, Evidence, Refusal, StripImage, StripMatches, Target, TargetMatch
 from gct_match.settings import MatchSettings
 from gct_match.template import Template, chip_side_px, predict_template
-from gct_match.vote import fit_common
+from gct_match.texture import expected_sigma_px
+from gct_match.vote import Vote, fit_common
 from geometry.installation import deviation_from_theta
 from geometry.pushbroom import Pushbroom
 from geometry.terrain import Surface
@@ -86,12 +87,8 @@ def match_strip(
     paths = target_paths(pushbroom, np.array([t.p_e for t in targets]), lines)
     scene = _Scene(strip, pushbroom, targets, chips, surface, settings, paths)
     plan = plan_search(strip, paths, chips, surface, sigma, settings)
-    within = {window.target for window in plan.windows}
-    refused = [
-        Refusal(t.target_id, -1, "lies outside the strip for any installation matrix within reach")
-        for n, t in enumerate(targets)
-        if n not in within
-    ]
+    plan, refused = _worth_a_search(scene, plan)
+    within = sorted({window.target for window in plan.windows})
     theta: Array = np.zeros(3)
     covariance: Array = np.diag(sigma**2)
     log_chance, read = 0.0, 0
@@ -100,20 +97,45 @@ def match_strip(
         theta, covariance, log_chance = outcome.parameters, outcome.covariance, outcome.log_probability_chance
         read += plan.pixels_to_read
         if log_chance > np.log(settings.probability_chance):
-            reason = (
-                f"{len(within)} targets agree on no common rotation: {len(outcome.supporters)} at best, which chance "
-                f"gives with probability {np.exp(log_chance):.1g}, {settings.probability_chance:.1g} is allowed"
-            )
-            refused += [Refusal(targets[n].target_id, -1, reason) for n in sorted(within)]
-            return StripMatches(
-                (), tuple(refused), np.full(3, np.nan), np.full((3, 3), np.nan), np.exp(log_chance), read
-            )
-    found, more, pixels = _fine(scene, sorted(within), theta, covariance)
+            return _no_vote(scene, within, refused, outcome, read)
+    found, more, pixels = _fine(scene, within, theta, covariance)
     matches, inconsistent, theta, covariance = _consistent(scene, found, theta, sigma)
-    refused += more + inconsistent
+    refused = [*refused, *more, *inconsistent]
     return StripMatches(
         tuple(matches), tuple(refused), theta, covariance, float(np.exp(log_chance)), read + pixels
     )
+
+
+def _worth_a_search(scene: _Scene, plan: SearchPlan) -> tuple[SearchPlan, list[Refusal]]:
+    """The plan without targets that nothing could place, and those, with the reason."""
+    refused, bland = [], set()
+    within = {window.target for window in plan.windows}
+    for n, target in enumerate(scene.targets):
+        if n not in within:
+            reason = "lies outside the strip for any installation matrix within reach"
+            refused.append(Refusal(target.target_id, -1, reason))
+            continue
+        chip, limit = scene.chips[n], scene.settings.sigma_px
+        per_px = min(chip.image.shape) / max(plan.sides_px[n], 1.0)  # pixels of the chip in one of the strip
+        expected = expected_sigma_px(chip.image.astype(np.float32), chip.valid) / max(per_px, 1e-6)
+        if not expected <= limit:
+            bland.add(n)
+            reason = f"its chip has too little texture: good to {expected:.2g} px, {limit} px are needed"
+            refused.append(Refusal(target.target_id, -1, reason))
+    return replace(plan, windows=tuple(w for w in plan.windows if w.target not in bland)), refused
+
+
+def _no_vote(
+    scene: _Scene, within: Sequence[int], refused: Sequence[Refusal], outcome: Vote, read: int
+) -> StripMatches:
+    """A strip whose targets agree on nothing."""
+    chance, allowed = np.exp(outcome.log_probability_chance), scene.settings.probability_chance
+    reason = (
+        f"{len(within)} targets agree on no common rotation: {len(outcome.supporters)} at best, which chance "
+        f"gives with probability {chance:.1g}, {allowed:.1g} is allowed"
+    )
+    every = [*refused, *(Refusal(scene.targets[n].target_id, -1, reason) for n in within)]
+    return StripMatches((), tuple(every), np.full(3, np.nan), np.full((3, 3), np.nan), float(chance), read)
 
 
 def _fine(

@@ -1,0 +1,80 @@
+"""Correlation of normalised pictures, its peaks, and how likely a peak is wrong."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from gct_match.correlation import (
+    correlation_surface,
+    independent_values,
+    log_chance,
+    normalised,
+    peaks_of,
+    probability_wrong,
+)
+
+
+def noise(seed: int, side: int) -> NDArray:
+    return np.random.default_rng(seed).standard_normal((side, side)).astype(np.float32)
+
+
+def test_normalised_picture_forgets_light_and_contrast():
+    image = noise(1, 200) * 10.0 + 100.0
+    ramp = np.linspace(0.5, 2.0, 200, dtype=np.float32)
+    every = np.ones(image.shape, dtype=bool)
+    one, two = normalised(image, every), normalised(image * ramp + 300.0 * ramp, every)
+    assert (
+        np.corrcoef(one.ravel(), two.ravel())[0, 1] > 0.95
+    )  # the ramp itself shows where it is steep against the noise
+
+
+def test_masked_pixels_say_nothing():
+    image, valid = noise(2, 100), np.ones((100, 100), dtype=bool)
+    valid[30:60, 30:60] = False
+    bright = image.copy()
+    bright[~valid] = 1e4
+    assert normalised(image, valid) == pytest.approx(normalised(bright, valid), abs=1e-3)
+    assert not normalised(bright, valid)[~valid].any()
+
+
+def test_correlation_is_one_where_the_template_was_cut_out():
+    picture = normalised(noise(3, 120), np.ones((120, 120), dtype=bool))
+    surface = correlation_surface(picture[40:72, 50:82], picture)
+    peaks = peaks_of(surface, 3, 3)
+    assert peaks.xy[0] == pytest.approx([50.0, 40.0], abs=0.05)  # px, a parabola's accuracy
+    assert peaks.value[0] == pytest.approx(1.0, abs=0.02)
+    assert peaks.value[1] < 0.5
+
+
+def test_independent_values_of_white_noise_are_its_pixels():
+    assert independent_values(noise(4, 64)) == pytest.approx(
+        64**2 / 2.0, rel=0.15
+    )  # |F|² is exponential: 1/2
+
+
+def test_chance_is_as_likely_as_it_is_stated():
+    # 4000 unrelated pairs of 400 independent values: the share of correlations beyond r against its stated chance
+    rng = np.random.default_rng(5)
+    a, b = rng.standard_normal((2, 4000, 400))
+    r = np.einsum("ni,ni->n", a, b) / np.linalg.norm(a, axis=1) / np.linalg.norm(b, axis=1)
+    stated = float(np.exp(log_chance(np.array([0.1]), 400.0, 1.0))[0])
+    assert np.mean(r > 0.1) == pytest.approx(stated, rel=0.3)  # 90 events: 11 % is one standard error
+
+
+def test_lone_peak_is_right_and_one_among_equals_is_not():
+    surface = 0.05 * noise(6, 41)
+    surface[20, 20] = 0.8
+    assert probability_wrong(surface, np.array([20.0, 20.0]), 300.0, 0.05) < 1e-6
+    surface[5, 33] = 0.8
+    assert probability_wrong(surface, np.array([20.0, 20.0]), 300.0, 0.05) > 0.4
+
+
+def test_highest_of_nothing_but_chance_is_not_believed():
+    wrong = []
+    for seed in range(200):
+        surface = 0.05 * noise(seed, 33)
+        row, column = np.unravel_index(np.argmax(surface), surface.shape)
+        wrong.append(probability_wrong(surface, np.array([column, row], dtype=float), 400.0, 0.05))
+    assert min(wrong) > 1e-4  # the limit at which matches are refused

@@ -1,0 +1,202 @@
+"""A whole strip from the wrong installation matrix to places of its targets, and what must not be placed."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from small_strip import LINES, SURFACE, Case, SmallStrip, make_case
+
+from gct_match.bootstrap import plan_search
+from gct_match.match import match_strip
+from gct_match.paths import displacements, target_paths
+from gct_match.records import Chip, StripMatches, Target
+from gct_match.settings import MatchSettings
+from gct_match.template import predict_template
+from geometry.installation import deviation_from_theta, theta_between
+
+SIGMA = np.full(3, 0.003)  # rad: what a mission says of a matrix that is wrong by (28)
+
+
+def matched(case: Case, strip: SmallStrip | None = None, chips: list[Chip] | None = None) -> StripMatches:
+    return match_strip(
+        strip or case.strip,
+        case.pushbroom,
+        case.targets,
+        chips or case.chips,
+        SURFACE,
+        SIGMA,
+        MatchSettings(),
+    )
+
+
+def errors(case: Case, outcome: StripMatches) -> tuple[NDArray, NDArray]:
+    p_e = {target.target_id: target.p_e for target in case.targets}
+    error, nees = [], []
+    for match in outcome.matches:
+        sample, line = case.true.pixels_from_ground(match.ccd, p_e[match.target_id][None])
+        error.append(match.xy_px - np.array([sample[0], line[0]]))
+        nees.append(error[-1] @ np.linalg.solve(match.cov_px, error[-1]))
+    return np.array(error), np.array(nees)
+
+
+@pytest.fixture(scope="module")
+def outcome(case: Case) -> StripMatches:
+    return matched(case)
+
+
+def test_all_targets_are_found_and_placed_to_a_hundredth_of_a_pixel(case: Case, outcome: StripMatches):
+    error, nees = errors(case, outcome)
+    assert {match.target_id for match in outcome.matches} == {target.target_id for target in case.targets}
+    assert outcome.probability_chance < 1e-6
+    assert np.abs(error).max() < 0.015  # px: 0.003 px of noise, and 1/2 m of rounding in nobody's survey
+    assert np.mean(nees) / 2.0 < 2.5  # 12 sightings: the 99.9 % point of chi² of 24 is 2.1 of its mean
+
+
+def test_vote_is_the_deviation_that_was_applied(case: Case, outcome: StripMatches):
+    # 0.005 px of 12 targets at 1.2e-5 rad a pixel; the angle about z has a lever of 0.005 rad
+    assert outcome.theta_vote[:2] == pytest.approx(case.theta[:2], abs=1e-6)
+    assert outcome.theta_vote[2] == pytest.approx(case.theta[2], abs=2e-4)
+    assert theta_between(case.true.R_cs, case.pushbroom.R_cs) == pytest.approx(case.theta, abs=1e-12)
+
+
+def test_predictions_are_those_of_the_matrix_that_the_search_started_from(case: Case, outcome: StripMatches):
+    match = next(m for m in outcome.matches if np.isfinite(m.predicted_px).all())
+    p_e = next(t.p_e for t in case.targets if t.target_id == match.target_id)
+    sample, line = case.pushbroom.pixels_from_ground(match.ccd, p_e[None])
+    assert match.predicted_px == pytest.approx([sample[0], line[0]], abs=1e-3)  # px
+    assert np.hypot(*(match.predicted_px - match.xy_px)) > 200.0  # the deviation (28) at this scale
+
+
+def test_target_in_the_overlap_is_placed_in_both_ccds(case: Case):
+    sample, line = np.array([360.0 + 30.0]), np.array([350.0])  # 60 px of overlap begin at 360
+    p_e = case.true.ground_points(0, sample, line, SURFACE)[0]
+    shown = min(case.targets, key=lambda t: np.linalg.norm(t.p_e - p_e))
+    chip = next(c for c in case.chips if c.target_id == shown.target_id)
+    inside = [ccd for ccd in (0, 1) if 8.0 < case.true.pixels_from_ground(ccd, shown.p_e[None])[0][0] < 411.0]
+    model = case.true
+    outcome = match_strip(
+        case.strip, model, [shown], [chip], SURFACE, np.full(3, 1e-5), MatchSettings(smallest_template_px=16)
+    )
+    assert sorted(m.ccd for m in outcome.matches) == inside
+
+
+def test_small_uncertainty_needs_no_bootstrap(case: Case):
+    case.strip.pixels_read = 0
+    outcome = match_strip(
+        case.strip, case.true, case.targets, case.chips, SURFACE, np.full(3, 1e-5), MatchSettings()
+    )
+    assert len(outcome.matches) == len(case.targets)
+    assert case.strip.pixels_read == outcome.pixels_read < 12 * 200 * 200
+
+
+def test_cost_is_known_before_the_search_starts(case: Case):
+    paths = target_paths(case.pushbroom, np.array([t.p_e for t in case.targets]), LINES)
+    plan = plan_search(case.strip, paths, case.chips, SURFACE, SIGMA, MatchSettings())
+    case.strip.pixels_read = 0
+    outcome = matched(case)
+    windows = outcome.pixels_read - plan.pixels_to_read
+    assert 0 < windows < 14 * 200 * 200
+    assert case.strip.pixels_read <= outcome.pixels_read
+
+
+def test_strip_of_another_place_gives_no_match(case: Case):
+    other = make_case(np.random.default_rng(99), case.theta, 1)
+    outcome = matched(case, other.strip)
+    assert outcome.matches == ()
+    assert len(outcome.refused) == len(case.targets)
+    assert all("agree on no common rotation" in refusal.reason for refusal in outcome.refused)
+    assert np.isnan(outcome.theta_vote).all()
+
+
+def test_chip_of_another_place_is_refused_among_good_ones(case: Case):
+    chips = list(case.chips)
+    chips[4] = replace(chips[4], image=chips[5].image)
+    outcome = matched(case, chips=chips)
+    assert "t04" not in {match.target_id for match in outcome.matches}
+    assert "t04" in {refusal.target_id for refusal in outcome.refused}
+    assert len(outcome.matches) >= len(case.targets) - 1
+
+
+def test_target_on_a_lake_is_refused_with_the_reason(case: Case):
+    chips = list(case.chips)
+    water = np.random.default_rng(5).normal(20.0, 1.5, chips[3].image.shape)
+    chips[3] = replace(chips[3], image=water.astype(np.float32))
+    refused = {refusal.target_id: refusal.reason for refusal in matched(case, chips=chips).refused}
+    assert "texture" in refused["t03"]
+
+
+def test_cloud_and_saturation_are_kept_out(case: Case):
+    images = {}
+    for ccd, image in case.strip.images.items():
+        images[ccd] = image.astype(np.float32)
+        images[ccd][200:330, 100:300] = np.nan  # a cloud mask
+        images[ccd][400:420, :] = 4095.0  # blooming
+    outcome = match_strip(
+        SmallStrip(images),
+        case.pushbroom,
+        case.targets,
+        case.chips,
+        SURFACE,
+        SIGMA,
+        MatchSettings(saturation=4000.0),
+    )
+    error, _ = errors(case, outcome)
+    assert len(outcome.matches) >= 8
+    assert np.abs(error).max() < 0.03  # px
+    assert len(outcome.matches) + len(outcome.refused) >= len(case.targets)
+
+
+def test_target_outside_the_strip_is_listed(case: Case):
+    far = Target("far", case.targets[0].p_e + np.array([0.0, 0.0, 90e3]), np.full(3, 0.1))
+    chip = replace(case.chips[0], target_id="far")
+    outcome = match_strip(
+        case.strip,
+        case.true,
+        [*case.targets, far],
+        [*case.chips, chip],
+        SURFACE,
+        np.full(3, 1e-5),
+        MatchSettings(),
+    )
+    reasons = {refusal.target_id: refusal.reason for refusal in outcome.refused}
+    assert "outside" in reasons["far"]
+
+
+def test_targets_and_chips_must_belong_together(case: Case):
+    with pytest.raises(ValueError, match="do not belong"):
+        matched(case, chips=case.chips[1:])
+
+
+def test_displacement_is_linear_in_theta(case: Case):
+    theta = np.array([2e-5, -3e-5, 4e-4])
+    p_e = np.array([target.p_e for target in case.targets])
+    ccd = np.array([n % 2 for n in range(len(p_e))])
+    turned = case.true.with_installation(deviation_from_theta(theta) * case.true.R_cs)
+    xy = np.array([np.column_stack(turned.pixels_from_ground(c, p[None]))[0] for c, p in zip(ccd, p_e)])
+    d, design = displacements(case.true, p_e, ccd, xy)
+    assert d == pytest.approx(design @ theta, abs=2e-3)  # px of 4: second order of an angle of 4e-4
+
+
+def test_template_map_between_nodes_is_that_of_the_model(case: Case):
+    chip, target = case.chips[0], case.targets[0]
+    xy = np.column_stack(case.true.pixels_from_ground(0, target.p_e[None]))[0]
+    origin = (int(xy[0]) - 40, int(xy[1]) - 40)
+    whole = predict_template(chip, case.true, 0, origin, (81, 81), SURFACE, MatchSettings())
+    part = predict_template(
+        chip, case.true, 0, (origin[0] + 20, origin[1] + 17), (5, 5), SURFACE, MatchSettings()
+    )
+    gradient = np.abs(np.diff(whole.image)).max()
+    assert np.abs(whole.image[17:22, 20:25] - part.image).max() < 0.01 * gradient  # 0.01 px of misplacement
+
+
+def test_template_looks_like_the_strip(case: Case):
+    chip, target = case.chips[2], case.targets[2]
+    xy = np.column_stack(case.true.pixels_from_ground(0, target.p_e[None]))[0]
+    x, y = int(xy[0]) - 32, int(xy[1]) - 32
+    template = predict_template(chip, case.true, 0, (x, y), (64, 64), SURFACE, MatchSettings())
+    strip = case.strip.images[0][y : y + 64, x : x + 64]
+    assert template.valid.all()
+    assert np.corrcoef(template.image.ravel(), strip.ravel())[0, 1] > 0.99

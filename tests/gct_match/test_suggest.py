@@ -1,0 +1,48 @@
+"""Good places for targets in an ortho-image."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from gct_match.suggest import suggest_targets
+
+TRANSFORM = (0.5, 0.0, 4000.0, 0.0, -0.5, 9000.0)
+
+
+def test_lakes_and_repeated_patterns_are_left_out(invented: NDArray):
+    image = invented[:600, :900].copy()
+    image[:, :300] = 20.0  # a lake
+    rows, columns = np.mgrid[0:600, 0:300]
+    image[:, 600:] = 90.0 + 40.0 * np.sign(np.sin(rows * 0.4)) * np.sign(
+        np.sin(columns * 0.4)
+    )  # a plantation
+    image += np.random.default_rng(1).normal(0.0, 1.0, image.shape)
+    found = suggest_targets(image, TRANSFORM, np.ones(image.shape, dtype=bool), size_px=64, most=6)
+    assert len(found) >= 3
+    for target in found:
+        assert 300 - 32 < target.column < 600 + 32  # a chip may reach over the border by its half
+        assert target.sigma_px < 0.02
+
+
+def test_best_comes_first_and_map_coordinates_are_those_of_the_pixel(invented: NDArray):
+    found = suggest_targets(invented, TRANSFORM, np.ones(invented.shape, dtype=bool), size_px=96, most=10)
+    assert len(found) == 10
+    scores = [target.score for target in found]
+    assert scores == sorted(scores, reverse=True)
+    best = found[0]
+    assert best.x == pytest.approx(4000.0 + 0.5 * (best.column + 0.5), abs=1e-9)
+    assert best.y == pytest.approx(9000.0 - 0.5 * (best.row + 0.5), abs=1e-9)
+
+
+def test_places_without_data_are_left_out(invented: NDArray):
+    valid = np.ones(invented.shape, dtype=bool)
+    valid[:, 700:] = False
+    found = suggest_targets(invented, TRANSFORM, valid, size_px=96, most=10)
+    assert max(target.column for target in found) < 700 - 48
+
+
+def test_image_of_less_than_two_chips_is_refused(invented: NDArray):
+    with pytest.raises(ValueError, match="smaller than two chips"):
+        suggest_targets(invented[:100, :300], TRANSFORM, np.ones((100, 300), dtype=bool), size_px=64, most=3)

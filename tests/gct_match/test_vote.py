@@ -1,0 +1,71 @@
+"""The common motion found among candidates of which most are wrong, and chance known for what it is."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from gct_match.vote import Candidates, fit_common, vote
+
+SIGMA = np.full(3, 0.003)  # rad
+PX_PER_RAD = 1e6  # the paper's camera
+
+
+def candidates(rng: np.random.Generator, theta: NDArray | None, targets: int, share: float) -> Candidates:
+    """20 candidates a target over ± 9000 px; in `share` of the targets one of them is right."""
+    owner, displacement, design = [], [], []
+    chance = np.log(rng.uniform(1e-4, 1e-1, 20 * targets))
+    for n in range(targets):
+        x, y = rng.uniform(-0.012, 0.012, 2)
+        D = PX_PER_RAD * np.array([[0.0, -1.0, y], [1.0, 0.0, -x]])
+        d = rng.uniform(-9000.0, 9000.0, (20, 2))
+        if theta is not None and rng.uniform() < share:
+            d[7] = D @ theta + rng.normal(0.0, 3.0, 2)
+            chance[20 * n + 7] = np.log(1e-5)
+        owner += [n] * 20
+        displacement.append(d)
+        design += [D] * 20
+    return Candidates(np.array(owner), np.concatenate(displacement), np.array(design), chance)
+
+
+def test_half_of_the_targets_are_enough():
+    rng = np.random.default_rng(1)
+    theta = np.array([0.003, 0.002, 0.001])
+    for _ in range(20):
+        outcome = vote(candidates(rng, theta, 14, 0.5), SIGMA, 3.0, 14.0, 4.0)
+        if len(outcome.supporters) < 5:
+            continue  # fewer than five of the fourteen happened to be visible
+        assert outcome.log_probability_chance < np.log(1e-6)
+        # the angles about x and y are fixed by 3 px over the supporters, that about z by them over 0.024 rad of field
+        assert outcome.parameters[:2] == pytest.approx(theta[:2], abs=1.5e-5)
+        assert outcome.parameters[2] == pytest.approx(theta[2], abs=1.5e-3)
+
+
+def test_nothing_but_chance_is_never_elected():
+    rng = np.random.default_rng(2)
+    outcomes = [vote(candidates(rng, None, 14, 0.0), SIGMA, 3.0, 14.0, 4.0) for _ in range(60)]
+    assert min(outcome.log_probability_chance for outcome in outcomes) > np.log(1e-6)
+
+
+def test_no_candidates_elect_nothing():
+    none = Candidates(np.zeros(0, dtype=np.int64), np.zeros((0, 2)), np.zeros((0, 2, 3)), np.zeros(0))
+    outcome = vote(none, SIGMA, 3.0, 14.0, 4.0)
+    assert outcome.log_probability_chance == 0.0
+    assert len(outcome.supporters) == 0
+
+
+def test_covariance_of_the_fit_matches_its_scatter():
+    rng = np.random.default_rng(3)
+    design = PX_PER_RAD * np.array(
+        [[[0.0, -1.0, y], [1.0, 0.0, -x]] for x, y in rng.uniform(-0.012, 0.012, (8, 2))]
+    )
+    cov = np.broadcast_to(np.array([[0.09, 0.03], [0.03, 0.04]]), (8, 2, 2))
+    root = np.linalg.cholesky(cov[0])
+    nees = []
+    for _ in range(400):
+        theta = rng.normal(0.0, SIGMA)
+        d = design @ theta + rng.standard_normal((8, 2)) @ root.T
+        p, covariance = fit_common(d, design, cov, SIGMA)
+        nees.append((p - theta) @ np.linalg.solve(covariance, p - theta))
+    assert np.mean(nees) == pytest.approx(3.0, abs=0.42)  # 3.4 standard errors of the mean of 400 chi² of 3
