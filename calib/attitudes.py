@@ -16,10 +16,14 @@ from scipy.stats import chi2
 from calib.frames import sums_over
 from geometry.sightings import information_of_directions
 
-__all__ = ["ExposureAttitudes", "cross_matrices", "fit_attitudes"]
+__all__ = ["GROSS", "ExposureAttitudes", "cross_matrices", "fit_attitudes"]
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
+
+# Squared residual over its variance beyond which a least-squares fit may have been pulled off. What lies
+# between the chi-square limit and this is left out from where the fit stands.
+GROSS = 40.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,8 +62,16 @@ def fit_attitudes(
     plain = 1.0 / variance
     R_si = _refined(_wahba(u_s, u_i, plain, start), u_s, u_i, information, start, group)
     kept: NDArray[np.bool_] = np.ones(len(u_s), dtype=bool)
-    if robust and np.any(_normalised(R_si, u_s, u_i, information, group) > limit):
-        R_si = _robust_start(u_s, u_i, variance, start, group)
+    normalised = _normalised(R_si, u_s, u_i, information, group)
+    if robust and np.any(normalised > limit):
+        gross = np.zeros(len(start) - 1, dtype=bool)
+        gross[group[normalised > GROSS]] = True
+        if gross.any():
+            rows = gross[group]
+            counts = np.diff(start)[gross]
+            part = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
+            inner = np.repeat(np.arange(len(counts)), counts)
+            R_si[gross] = _robust_start(u_s[rows], u_i[rows], variance[rows], part, inner)
         for _ in range(10):
             before, kept = kept, _normalised(R_si, u_s, u_i, information, group) <= limit
             R_si = _refined(R_si, u_s, u_i, information * kept[:, None, None], start, group)

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from calib.attitudes import cross_matrices
+from calib.attitudes import GROSS, cross_matrices
 from calib.estimate import (
     InstallationEstimate,
     Iteration,
@@ -158,9 +158,11 @@ def _solve(problem: _Problem, R_cs0: Rotation) -> _Fit:
     step = _iterated(problem, R_cs0, kept, iterations, 1.0)
     for _ in range(5 if settings.estimate_noise else 1):
         if settings.robust and np.any(_normalised(step)[problem.inside] > limit):
-            R_cs = _most_shared(problem, R_cs0)
-            R_cs, weight = _down_to_the_noise(problem, R_cs, iterations, scale[0])
-            kept = weight > 0.25
+            R_cs, kept = step.R_cs, problem.inside & (_normalised(step) <= limit)
+            if np.any(_normalised(step)[problem.inside] > GROSS):
+                R_cs = _most_shared(problem, R_cs0)
+                R_cs, weight = _down_to_the_noise(problem, R_cs, iterations, scale[0])
+                kept = weight > 0.25
             for _ in range(settings.most_iterations):
                 step = _linear_solution(problem, R_cs, kept.astype(float), scale[0])
                 iterations.append(_record(step, kept.astype(float)))

@@ -9,7 +9,7 @@ installation matrix. SI units, radians.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +19,15 @@ from calib.frames import Frames
 from geometry.constants import ARCSEC, GM_EARTH, WGS84
 from geometry.sightings import GroundSightings, StarSightings, StripSightings, isotropic_covariance
 
-__all__ = ["CameraPair", "StripPlan", "StripTruth", "draw_frames", "draw_strips", "installation_by_tilt"]
+__all__ = [
+    "CameraPair",
+    "StripPlan",
+    "StripTruth",
+    "draw_frames",
+    "draw_strips",
+    "installation_by_tilt",
+    "noisy_frames",
+]
 
 Array = NDArray[np.float64]
 
@@ -122,8 +130,11 @@ def draw_frames(
     sigma_c_px: float,
     cameras: CameraPair,
     rng: np.random.Generator,
+    *,
+    noise: bool = True,
 ) -> Frames:
-    """The paper's frames: one attitude each, stars and targets over the whole fields, white noise.
+    """The paper's frames: one attitude each, stars and targets over the whole fields, white noise (or none
+    yet).
 
     `stars` is their number a frame, drawn over the field, or one (n, 3) array of true directions u_s a frame.
     """
@@ -142,15 +153,25 @@ def draw_frames(
     v_stars = R_ic[np.repeat(np.arange(n_frames), np.diff(star_start))].apply(cameras.R_cs.apply(u_s))
     v_targets = R_ic[np.repeat(np.arange(n_frames), targets)].apply(w_c)
     sigma_s, sigma_c = sigma_s_px * cameras.star_pixel_rad, sigma_c_px * cameras.pixel_rad
-    return Frames(
+    exact = Frames(
         star_start.astype(np.int64),
-        _noisy(u_s, sigma_s, rng),
+        u_s,
         v_stars,
         np.full(len(u_s), sigma_s),
         target_start.astype(np.int64),
-        _noisy(w_c, sigma_c, rng),
+        w_c,
         v_targets,
         np.full(len(w_c), sigma_c),
+    )
+    return noisy_frames(exact, rng) if noise else exact
+
+
+def noisy_frames(frames: Frames, rng: np.random.Generator) -> Frames:
+    """The same frames, measured anew: noise of their own sigmas on both cameras' vectors."""
+    return replace(
+        frames,
+        u_s=_noisy(frames.u_s, frames.sigma_s[:, None], rng),
+        w_c=_noisy(frames.w_c, frames.sigma_c[:, None], rng),
     )
 
 
@@ -228,33 +249,34 @@ def _draw_strip(
 ) -> tuple[StripSightings, StripTruth]:
     motion, margin = _Motion.draw(plan, rng), plan.exposure_margin_s
     t_stars = np.asarray(np.linspace(-margin, plan.duration_s + margin, plan.exposures), dtype=np.float64)
-    exposures, wrong_stars = [], set[tuple[str, str, int]]()
-    for k, t in enumerate(t_stars):
-        exposure, wrong = _draw_exposure(f"{name}/{k:03d}", float(t), plan, cameras, motion, rng)
-        exposures.append(exposure)
-        wrong_stars |= {(name, exposure.exposure_id, row) for row in wrong}
+    exposures, wrong_stars = _draw_exposures(name, t_stars, plan, cameras, motion.R_ci(t_stars), rng)
     t_targets = plan.duration_s * np.sort(rng.uniform(*plan.along, plan.targets))
     ground, wrong_rows, look_c = _draw_targets(name, t_targets, plan, cameras, motion, (curve, survey_i), rng)
-    strip = StripSightings(name, tuple(exposures), ground, motion.R_oi(t_stars), motion.R_oi(t_targets))
+    strip = StripSightings(name, exposures, ground, motion.R_oi(t_stars), motion.R_oi(t_targets))
     wrong_targets = frozenset((name, row) for row in wrong_rows)
     R_ci = (motion.R_ci(t_targets),)
     return strip, StripTruth(cameras.R_cs, frozenset(wrong_stars), wrong_targets, R_ci, (look_c,))
 
 
-def _draw_exposure(
-    name: str, t: float, plan: StripPlan, cameras: CameraPair, motion: _Motion, rng: np.random.Generator
-) -> tuple[StarSightings, list[int]]:
-    u_s = _star_field(plan.stars, cameras, rng)
-    R_is = motion.R_ci(np.array([t]))[0].inv() * cameras.R_cs
+def _draw_exposures(
+    name: str, t: Array, plan: StripPlan, cameras: CameraPair, R_ci: Rotation, rng: np.random.Generator
+) -> tuple[tuple[StarSightings, ...], set[tuple[str, str, int]]]:
+    K, n = len(t), plan.stars
+    R_is = (R_ci.inv() * cameras.R_cs).as_matrix()
     sigma = plan.sigma_s_px * cameras.star_pixel_rad
-    u_i = R_is.apply(u_s)
-    wrong = np.flatnonzero(rng.random(plan.stars) < plan.gross_stars)
-    u_i[wrong] = R_is.apply(_star_field(len(wrong), cameras, rng))
-    measured = _noisy(u_s, sigma, rng)
-    xy_px = -measured[:, :2] / measured[:, 2:] / cameras.star_pixel_rad
-    covariance = isotropic_covariance(measured, sigma)
-    hip = np.arange(1, plan.stars + 1, dtype=np.int64)
-    return StarSightings(name, t, hip, xy_px, measured, u_i, covariance), wrong.tolist()
+    truth = _star_field(K * n, cameras, rng).reshape(K, n, 3)
+    wrong = rng.random((K, n)) < plan.gross_stars
+    named = np.where(wrong[:, :, None], _star_field(K * n, cameras, rng).reshape(K, n, 3), truth)
+    u_i = named @ np.swapaxes(R_is, 1, 2)
+    u_s = _noisy(truth, sigma, rng)
+    xy_px = -u_s[..., :2] / u_s[..., 2:] / cameras.star_pixel_rad
+    covariance = isotropic_covariance(u_s.reshape(-1, 3), sigma).reshape(K, n, 3, 3)
+    hip = np.arange(1, n + 1, dtype=np.int64)
+    ids = [f"{name}/{k:03d}" for k in range(K)]
+    exposures = tuple(
+        StarSightings(ids[k], float(t[k]), hip, xy_px[k], u_s[k], u_i[k], covariance[k]) for k in range(K)
+    )
+    return exposures, {(name, ids[k], row) for k, row in np.argwhere(wrong).tolist()}
 
 
 def _draw_targets(
@@ -318,7 +340,7 @@ def _star_field(n: int, cameras: CameraPair, rng: np.random.Generator) -> Array:
     return _unit(np.column_stack([-cameras.star_pixel_rad * xy, np.ones(n)]))
 
 
-def _noisy(u: Array, sigma: float, rng: np.random.Generator) -> Array:
+def _noisy(u: Array, sigma: float | Array, rng: np.random.Generator) -> Array:
     return _unit(u + sigma * rng.standard_normal(u.shape))
 
 

@@ -19,7 +19,14 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from calib.calibration import calibrate
-from calib.campaign import CameraPair, StripPlan, StripTruth, draw_frames, draw_strips, installation_by_tilt
+from calib.campaign import (
+    CameraPair,
+    StripPlan,
+    StripTruth,
+    draw_frames,
+    draw_strips,
+    installation_by_tilt,
+)
 from calib.estimate import InstallationEstimate
 from calib.frames import Frames, calibrate_frames
 from calib.geopositioning import GroundErrors, MotionPrior, ground_errors, smoothed_attitude
@@ -279,15 +286,18 @@ def _frame_runs(
     cameras = settings.cameras
     R_cs0 = _starting_matrix(cameras)
     errors, covariances = [], []
-    for _ in range(settings.runs):
-        fields: int | list[Array]
-        fields = (
-            stars if isinstance(stars, int) else [stars[k] for k in rng.integers(0, len(stars), n_frames)]
-        )
-        found = calibrate_frames(draw_frames(n_frames, fields, targets, *sigma_px, cameras, rng), R_cs0)
+    for run in range(settings.runs):
+        if run % 10 == 0:  # where stars and targets lie is drawn anew every ten runs
+            fields = stars if isinstance(stars, int) else _some(stars, n_frames, rng)
+            exact = draw_frames(n_frames, fields, targets, *sigma_px, cameras, rng, noise=False)
+        found = calibrate_frames(noisy_frames(exact, rng), R_cs0)
         errors.append(theta_between(found.R_cs, cameras.R_cs))
         covariances.append(found.solution.covariance)
     return np.array(errors), np.array(covariances)
+
+
+def _some(fields: Sequence[Array], n: int, rng: np.random.Generator) -> list[Array]:
+    return [fields[k] for k in rng.integers(0, len(fields), n)]
 
 
 def _wang_runs(settings: ExperimentSettings, plan: StripPlan, stream: tuple[int, int]) -> tuple[Array, Array]:

@@ -45,7 +45,7 @@ def test_stated_covariance_holds_with_every_error_of_table_1(scope):
 
 def test_without_the_position_nuisance_the_covariance_is_many_times_too_small():
     nees = normalised_errors(TABLE_1, CalibrationSettings(sigma_position_m=0.0, robust=False), 20, seed=12)
-    assert nees.mean() > 15  # expected 3
+    assert nees.mean() > 8  # expected 3; 99.99 % of means of 20 lie below 5.3
 
 
 def test_targets_that_all_strips_see_are_one_point_each():
