@@ -26,6 +26,7 @@ from calib.campaign import (
     draw_frames,
     draw_strips,
     installation_by_tilt,
+    noisy_frames,
 )
 from calib.estimate import InstallationEstimate
 from calib.frames import Frames, calibrate_frames
