@@ -1,0 +1,215 @@
+"""Speed and accuracy of frames and light: Earth rotation, stars, ground, geoid, terrain, each beside its
+authority.
+
+    python benchmarks/bench_frames.py [results.txt]
+
+Accuracy is against direct evaluation by ERFA, astropy, skyfield with DE421, pyproj, NGA's test points and a
+plain search. Times are CPU time of one thread, best of three.
+"""
+
+import platform
+import sys
+import time
+from importlib.metadata import version
+from pathlib import Path
+
+import erfa
+import numpy as np
+from astropy import units as u
+from astropy.coordinates import GCRS, ITRS, CartesianRepresentation
+from astropy.time import Time
+from astropy.utils import iers
+from pyproj import Transformer
+
+from geometry.constants import ARCSEC, GM_EARTH, WGS84
+from geometry.earth_orientation import bundled_earth_orientation
+from geometry.earth_rotation import EarthRotation
+from geometry.epoch import MJD_ZERO_JD, Epoch, tai_minus_utc_s
+from geometry.geodesy import ecef_from_geodetic, geodetic_from_ecef, local_axes_e, ray_ellipsoid_intersection
+from geometry.geoid import egm96
+from geometry.groundlight import LightEffects, apparent_directions_e, emission_points_e, emission_rays_e
+from geometry.starlight import apparent_star_directions
+from geometry.terrain import TerrainGrid, intersect
+
+TESTS = Path(__file__).parents[1] / "tests" / "geometry"
+TABLE = bundled_earth_orientation()
+RADIUS = 6_908_137.0
+
+
+def best(function, *arguments):
+    took = []
+    for _ in range(3):
+        start = time.process_time()
+        result = function(*arguments)
+        took.append(time.process_time() - start)
+    return min(took), result
+
+
+def earth_rotation():
+    """Largest error on the equator of the last 20 years' dates, m, against ERFA and against astropy."""
+    rng = np.random.default_rng(1)
+    tai_utc = tai_minus_utc_s(TABLE.mjd_utc)
+    direct, peer = [], []
+    for row in rng.integers(len(TABLE.mjd_utc) - 7700, len(TABLE.mjd_utc) - 400, 200):
+        day = TABLE.mjd_utc[row]  # at 0h UTC nothing has to be interpolated
+        year, month, dom, _ = erfa.jd2cal(MJD_ZERO_JD, day)
+        epoch = Epoch.from_utc(f"{year:04d}-{month:02d}-{dom:02d}")
+        R = EarthRotation.over(epoch, -9000.0, 50_000.0, TABLE).matrices_ie([0.0])[0]
+        tt = (tai_utc[row] + 32.184) / 86_400.0
+        x, y, s = erfa.xys06a(MJD_ZERO_JD + day, tt)
+        celestial = erfa.c2ixys(x + TABLE.dx_rad[row], y + TABLE.dy_rad[row], s)
+        era = erfa.era00(MJD_ZERO_JD + day, TABLE.ut1_utc_s[row] / 86_400.0)
+        motion = erfa.pom00(TABLE.xp_rad[row], TABLE.yp_rad[row], erfa.sp00(MJD_ZERO_JD + day, tt))
+        direct.append(np.abs(R - erfa.c2tcio(celestial, era, motion).T).max() * WGS84.semi_major_m)
+        with iers.conf.set_temp("auto_download", False):
+            when = Time(day, format="mjd", scale="utc")
+            p = CartesianRepresentation([WGS84.semi_major_m, 0.0, 0.0] * u.m)
+            there = ITRS(p, obstime=when).transform_to(GCRS(obstime=when)).cartesian.xyz.to_value(u.m)
+        peer.append(np.linalg.norm(R[:, 0] * WGS84.semi_major_m - there))
+    return max(direct), max(peer)
+
+
+def stars():
+    """1000 stars at 20 epochs against skyfield, mas; through the very code of the test."""
+    sys.path.insert(0, str(TESTS))
+    import test_starlight as t
+
+    places, theirs = t.star_places(1000, np.random.default_rng(2))
+    ephemeris, timescale = t.load_file(str(t.EPHEMERIS)), t.load.timescale(builtin=True)
+    worst = named = 0.0
+    for k, year in enumerate(np.linspace(1995.1, 2026.5, 20)):
+        epoch = Epoch(round((year - 2000.0) * 365.25 * 86_400))
+        p_i, v_i = t.satellite_state(k)
+        day, since = epoch.tt_jd(0.0)
+        observer = (ephemeris["earth"] + t.Satellite(p_i, v_i)).at(timescale.tt_jd(float(day), float(since)))
+        seen = observer.observe(theirs).apparent(deflectors=(10,)).xyz.au.T
+        seen /= np.linalg.norm(seen, axis=1, keepdims=True)
+        sun = observer.observe(ephemeris["sun"]).xyz.au
+        error = np.linalg.norm(apparent_star_directions(places, epoch, 0.0, p_i, v_i) - seen, axis=1)
+        far = seen @ sun / np.linalg.norm(sun) < np.cos(np.radians(3.0))
+        worst, named = max(worst, error[far].max()), max(named, error[:2].max())
+    took, _ = best(apparent_star_directions, places, epoch, 0.0, p_i, v_i)
+    return worst / ARCSEC * 1e3, named / ARCSEC * 1e3, 1000 / took
+
+
+def satellite(n, rng, steepest_deg):
+    """n satellites in axes e, and directions down from them."""
+    lat, lon = rng.uniform(-1.3, 1.3, n), rng.uniform(-np.pi, np.pi, n)
+    axes = local_axes_e(lat, lon)
+    p_e = ecef_from_geodetic(lat, lon, 530e3, WGS84)
+    v_e = np.sqrt(GM_EARTH / RADIUS) * axes[:, :, 1]
+    zenith, azimuth = np.radians(rng.uniform(0.0, steepest_deg, n)), rng.uniform(0.0, 2 * np.pi, n)
+    local = [np.sin(zenith) * np.sin(azimuth), np.sin(zenith) * np.cos(azimuth), -np.cos(zenith)]
+    return p_e, v_e, np.einsum("nij,nj->ni", axes, np.stack(local, axis=-1))
+
+
+def in_parts(function, n, part=16_384):
+    for start in range(0, n, part):
+        function(slice(start, start + part))
+
+
+def light():
+    """Round trip in m and points a second, both ways; all effects on."""
+    rng, n = np.random.default_rng(3), 300_000
+    p_e, v_e, u_e = satellite(n, rng, 35.0)
+    omega, effects = np.array([0.0, 0.0, 7.292115e-5]), LightEffects()
+    ground = emission_points_e(u_e, p_e, v_e, omega, effects, 300.0)
+    back, _ = apparent_directions_e(ground, p_e, v_e, omega, effects)
+    rays = emission_rays_e(back, p_e, v_e, omega, effects, 300.0)
+    error = np.linalg.norm(ray_ellipsoid_intersection(*rays, 300.0, WGS84) - ground, axis=1).max()
+    to_ground, _ = best(
+        in_parts, lambda k: emission_points_e(u_e[k], p_e[k], v_e[k], omega, effects, 300.0), n
+    )
+    to_sky, _ = best(in_parts, lambda k: apparent_directions_e(ground[k], p_e[k], v_e[k], omega, effects), n)
+    return error, n / to_ground, n / to_sky
+
+
+def ellipsoid():
+    """Height of met points by pyproj, m, and rays a second."""
+    rng, n = np.random.default_rng(4), 300_000
+    p_e, _, u_e = satellite(n, rng, 60.0)
+    took, met = best(ray_ellipsoid_intersection, p_e, u_e, 2500.0, WGS84)
+    *_, height = Transformer.from_crs("EPSG:4978", "EPSG:4979", always_xy=True).transform(*met.T)
+    return np.abs(height - 2500.0).max(), n / took
+
+
+def geoid():
+    sys.path.insert(0, str(TESTS))
+    from test_geoid import NGA_TEST_POINTS
+
+    lat, lon, height = NGA_TEST_POINTS.T
+    error = np.abs(egm96().undulation_m(np.radians(lat), np.radians(lon)) - height).max()
+    rng, n = np.random.default_rng(5), 300_000
+    took, _ = best(egm96().undulation_m, rng.uniform(-1.5, 1.5, n), rng.uniform(-3.1, 3.1, n))
+    return error, n / took
+
+
+def terrain(zenith_deg, relief_m, cell_m):
+    """Height above terrain of the met points, m, and rays a second: raster order, pixels of 0.6 m."""
+    rng, n = np.random.default_rng(6), 1024
+    frequency = np.hypot(np.fft.rfftfreq(n), np.fft.fftfreq(n)[:, None])
+    frequency[0, 0] = 1.0
+    heights = np.fft.irfft2(np.fft.rfft2(rng.standard_normal((n, n))) * frequency**-2.1, s=(n, n))
+    heights = (heights - heights.min()) * (relief_m / np.ptp(heights))
+    step = cell_m / 111_320.0
+    grid = TerrainGrid.from_raster(heights, (step, 0.0, 14.0, 0.0, -step, 45.0), "EPSG:4326", None)
+    px = 0.6 / 111_320.0
+    column, row = (a.ravel() for a in np.meshgrid(np.arange(1000.0), np.arange(300.0)))
+    lat = np.radians(45.0 - 300 * step - row * px)
+    lon = np.radians(14.0 + 300 * step + column * px)
+    p_e = ecef_from_geodetic(lat, lon, 0.5 * relief_m, WGS84)
+    zenith = np.radians(zenith_deg)
+    u_e = local_axes_e(lat, lon) @ np.array([np.sin(zenith), 0.0, -np.cos(zenith)])
+    took, met = best(intersect, p_e - 600e3 * u_e, u_e, grid)
+    lat, lon, height = geodetic_from_ecef(met, WGS84)
+    return np.abs(height - grid.height_m(lat, lon)).max(), len(met) / took
+
+
+def main():
+    target = open(sys.argv[1], "w", encoding="utf-8") if len(sys.argv) > 1 else None
+
+    def report(text):
+        print(text, flush=True)
+        if target:
+            print(text, file=target)
+
+    info = Path("/proc/cpuinfo").read_text() if Path("/proc/cpuinfo").exists() else ""
+    names = [line.split(":")[1].strip() for line in info.splitlines() if line.startswith("model name")]
+    packages = ("numpy", "pyerfa", "astropy", "skyfield", "pyproj", "astropy-iers-data")
+    report("Frames and light: accuracy and speed, one thread")
+    report(f"{(names or [platform.machine()])[0]}, Python {platform.python_version()}")
+    report(", ".join(f"{name} {version(name)}" for name in packages))
+
+    def over():
+        return EarthRotation.over(Epoch.from_utc("2025-09-01"), 0.0, 86_400.0, TABLE).matrices_ie(
+            np.linspace(0.0, 86_400.0, 100_000)
+        )
+
+    direct, peer = earth_rotation()
+    took, _ = best(over)
+    report(f"\nITRS -> GCRS, ERFA directly, with dX, dY      {1e3 * direct:10.6f} mm      (wanted 1)")
+    report(f"ITRS -> GCRS, astropy (no dX, dY)             {1e3 * peer:10.3f} mm      (wanted 20)")
+    report(f"ITRS -> GCRS, 100 000 epochs of a day         {took:10.3f} s       (wanted 0.3)")
+    worst, named, rate = stars()
+    report(f"\nstars, 1000 x 20 epochs, skyfield             {worst:10.4f} mas     (wanted 1)")
+    report(f"stars, Barnard's star and Polaris             {named:10.4f} mas     (wanted 1)")
+    report(f"stars                                         {rate:10.0f} /s")
+    error, to_ground, to_sky = light()
+    report(f"\nground -> sky -> ground, all effects          {1e6 * error:10.4f} um")
+    report(f"sky -> ground at a height                     {to_ground:10.0f} /s")
+    report(f"ground -> sky                                 {to_sky:10.0f} /s")
+    error, rate = ellipsoid()
+    report(f"ray to ellipsoid at a height, pyproj          {1e6 * error:10.4f} um      (wanted 1)")
+    report(f"ray to ellipsoid at a height                  {rate:10.0f} /s")
+    error, rate = geoid()
+    report(f"geoid, NGA's six points                       {1e3 * error:10.3f} mm      (wanted 10)")
+    report(f"geoid                                         {rate:10.0f} /s")
+    report("\nterrain, rays in raster order                     left over        rays a second")
+    for zenith_deg, relief_m in ((1, 300), (1, 3000), (27, 300), (27, 3000), (60, 1000)):
+        error, rate = terrain(zenith_deg, relief_m, 30)
+        name = f"z = {zenith_deg:2d} deg, {relief_m:4d} m of relief, cells of 30 m"
+        report(f"{name} {1e6 * error:10.4f} um   {rate:14.0f}")
+
+
+if __name__ == "__main__":
+    main()
