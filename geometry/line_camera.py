@@ -91,7 +91,13 @@ class Ccd:
     def focal_plane(self, sample: ArrayLike) -> Array:
         """Ideal image points (N, 2), `(x_f, y_f)` in metres, distortion removed."""
         along = self._along(np.asarray(sample, dtype=float))
-        return self._axis_point + along[:, None] * self._axis
+        (dx, dy), (x, y) = self._axis, self._axis_point
+        points = np.empty((2, len(along)))
+        np.multiply(along, dx, out=points[0])
+        np.multiply(along, dy, out=points[1])
+        points[0] += x
+        points[1] += y
+        return points.T
 
     def focal_plane_slope(self, sample: ArrayLike) -> Array:
         """d(x_f, y_f) / d sample, (N, 2), m/px."""
@@ -173,8 +179,13 @@ class LineCamera:
 
     def directions_from_pixels(self, ccd: int, sample: ArrayLike) -> Array:
         """Unit look vectors (N, 3) in frame c of samples (N,) of one CCD (paper, eq. 1, with lambda < 0)."""
-        v_c = self._rays(ccd, sample)
-        return v_c / np.linalg.norm(v_c, axis=1, keepdims=True)
+        x_f, y_f = self.ccds[ccd].focal_plane(sample).T
+        u_c = np.empty((3, len(x_f)))  # components lie together in memory
+        np.negative(x_f, out=u_c[0])
+        np.negative(y_f, out=u_c[1])
+        u_c[2] = self.focal_m
+        u_c *= 1.0 / np.sqrt(x_f * x_f + y_f * y_f + self.focal_m**2)
+        return u_c.T
 
     def sample_jacobian(self, ccd: int, sample: ArrayLike) -> Array:
         """d u_c / d sample, (N, 3), rad/px."""

@@ -33,7 +33,7 @@ __all__ = ["ConstantHeight", "Surface", "TerrainGrid", "intersect"]
 Array = NDArray[np.float64]
 
 _FLAT_M = 1e-6  # relief below this is a constant height
-_CHUNK = 16_384  # rays at a time: their arrays stay in the cache
+_CHUNK = 32_768  # rays at a time: their arrays stay in the cache
 _MARGIN_M = 0.1  # a shell is so near to equal height
 _QUICK_MAP_PX = 1e-7  # what a polynomial in the place of a map projection may be wrong by
 _STEPS = 64  # on the way from the highest to the lowest height of a surface that is not a grid
