@@ -16,7 +16,7 @@ import datetime
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, lru_cache
 
 import erfa
 import numpy as np
@@ -130,6 +130,11 @@ def _leap_seconds() -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     return np.array(days), np.array([round(float(row["tai_utc"])) for row in table])
 
 
+@lru_cache(maxsize=4096)
+def _offset_of_day(mjd: int) -> int:
+    return int(tai_minus_utc_s(mjd))
+
+
 def _mjd(year: int, month: int, day: int) -> int:
     return datetime.date(year, month, day).toordinal() - _MODIFIED_JULIAN_ZERO
 
@@ -146,8 +151,8 @@ def _tai_from_utc(text: str) -> tuple[int, float]:
         raise ValueError(f"UTC {text!r}: {error}") from None
     if mjd < _MJD_1972:
         raise ValueError(f"UTC {text!r}: dates before 1972-01-01 are not supported")
-    offset = int(tai_minus_utc_s(mjd))
-    last_second = 60 if int(tai_minus_utc_s(mjd + 1)) > offset and (hour, minute) == (23, 59) else 59
+    offset = _offset_of_day(mjd)
+    last_second = 60 if _offset_of_day(mjd + 1) > offset and (hour, minute) == (23, 59) else 59
     if hour > 23 or minute > 59 or second > last_second:
         raise ValueError(f"UTC {text!r}: no such time of day (no leap second is known there)")
     whole = (mjd - MJD_OF_ORIGIN) * _DAY + hour * 3600 + minute * 60 + second + offset - _NOON

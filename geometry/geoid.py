@@ -40,6 +40,21 @@ class Geoid:
         if not np.all(np.isfinite(self.undulations_m)):
             raise ValueError("a geoid grid must not have missing values")
 
+    @staticmethod
+    def from_raster(undulations_m: ArrayLike, transform: ArrayLike) -> Geoid:
+        """A geoid from a north-up raster in degrees, as GeoTIFF and GTX files of EGM2008 or national geoids
+        are.
+
+        `undulations_m` (rows, columns) holds at the centres of pixels; `transform` is the six numbers (a, 0,
+        c, 0, e, f) of rasterio's Affine, whose origin is the corner of the first pixel.
+        """
+        a, b, c, d, e, f = (float(value) for value in np.ravel(np.asarray(transform, dtype=float))[:6])
+        if b or d or not (a and e):
+            raise ValueError(f"a geoid raster must have its rows along parallels, got {(a, b, c, d, e, f)}")
+        first_lat, first_lon = np.radians(f + 0.5 * e), np.radians(c + 0.5 * a)
+        grid = np.asarray(undulations_m, dtype=np.float32)
+        return Geoid(grid, float(first_lat), float(first_lon), float(np.radians(e)), float(np.radians(a)))
+
     def undulation_m(self, lat_rad: ArrayLike, lon_rad: ArrayLike) -> Array:
         """Height of the geoid above the ellipsoid, m, same shape as the arguments broadcast together.
 

@@ -4,7 +4,7 @@ import erfa
 import numpy as np
 import pytest
 from astropy.time import Time
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from geometry.epoch import Epoch, tai_minus_utc_s
@@ -60,6 +60,7 @@ def test_every_leap_second_has_its_own_name_and_length():
         assert epoch.utc_from_seconds(t_s) == [name + "00000000" for name in names]
 
 
+@settings(deadline=None)  # the first call loads tables
 @given(NANOSECONDS)
 def test_utc_comes_back(nanoseconds):
     second, nano = divmod(nanoseconds, 10**9)
@@ -71,6 +72,7 @@ def test_utc_comes_back(nanoseconds):
 
 
 @pytest.mark.filterwarnings("ignore:.*dubious year")
+@settings(deadline=None)  # the first call loads tables
 @given(NANOSECONDS)
 def test_utc_agrees_with_astropy(nanoseconds):
     second, nano = divmod(nanoseconds, 10**9)

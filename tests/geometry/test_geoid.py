@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import rasterio
 
 from geometry.geoid import Geoid, egm96
 
@@ -62,3 +63,24 @@ def test_a_grid_with_holes_is_refused():
     grid[1, 1] = np.nan
     with pytest.raises(ValueError, match="missing values"):
         Geoid(grid, 0.0, 0.0, 0.1, 0.1)
+
+
+@pytest.mark.parametrize("driver", ["GTiff", "GTX"])
+def test_a_grid_of_the_users_own_is_read_as_rasterio_gives_it(driver, tmp_path):
+    # A piece of EGM96 written as a file and read back: the same undulations between its points. float32: 1e-5
+    # m.
+    step = 1.0 / 12.0
+    lat, lon = 50.0 - step * np.arange(60), 14.0 + step * np.arange(70)
+    piece = egm96().undulation_m(*np.meshgrid(np.radians(lat), np.radians(lon), indexing="ij"))
+    path = tmp_path / f"geoid.{driver.lower()}"
+    transform = rasterio.Affine(step, 0.0, lon[0] - 0.5 * step, 0.0, -step, lat[0] + 0.5 * step)
+    form = {"width": 70, "height": 60, "count": 1, "dtype": "float32", "transform": transform}
+    with rasterio.open(path, "w", driver=driver, crs="EPSG:4326", **form) as file:
+        file.write(piece.astype(np.float32), 1)
+    with rasterio.open(path) as file:
+        geoid = Geoid.from_raster(file.read(1), file.transform)
+    rng = np.random.default_rng(6)
+    at, to = np.radians(rng.uniform(lat[-3], lat[2], 200)), np.radians(rng.uniform(lon[2], lon[-3], 200))
+    np.testing.assert_allclose(geoid.undulation_m(at, to), egm96().undulation_m(at, to), rtol=0, atol=1e-5)
+    with pytest.raises(ValueError, match="rows along parallels"):
+        Geoid.from_raster(piece, (0.0, step, 14.0, -step, 0.0, 50.0))
