@@ -1,8 +1,9 @@
 """Targets found although the installation matrix is wrong by thousands of pixels: all of them at once.
 
-Whatever the installation matrix is wrong by, it is one small rotation for the whole strip. Each target is looked for in
-the part of the strip where that rotation could have put it, on a coarse picture read once; its best few places
-are candidates, and the targets vote on the rotation. Targets are taken a few at a time until the vote is beyond chance.
+Whatever the installation matrix is wrong by, it is one small rotation for the whole strip. Each target is
+looked for in the part of the strip where that rotation could have put it, on a coarse picture read once;
+its best few places are candidates, and the targets vote on the rotation. Targets are taken a few at a time
+until the vote is beyond chance.
 """
 
 from __future__ import annotations
@@ -170,7 +171,9 @@ class _Search:
         return Candidates(np.full(len(keep), target), displacement, design, chance[keep])
 
     def _template(self, target: int) -> tuple[Image, Array]:
-        """The normalised template, and where in it (in strip pixels from its first one) the target's point lies."""
+        """The normalised template, and where in it (in strip pixels from its first one) the target's point
+        lies.
+        """
         windows = [w for w in self.plan.windows if w.target == target]
         window = max(windows, key=lambda w: (w.lines[1] - w.lines[0]) * (w.samples[1] - w.samples[0]))
         factor = self.plan.factor
@@ -217,7 +220,9 @@ class _Search:
 def _windows(
     ccd: int, shape: tuple[int, int], paths: Paths, sigma_rad: Array, settings: MatchSettings
 ) -> list[Window]:
-    """Where a rotation of so many standard errors may have put each target: the box around what is within reach."""
+    """Where a rotation of so many standard errors may have put each target: the box around what is within
+    reach.
+    """
     lines, samples = shape
     line, sample = np.clip(paths.lines, 0.0, lines - 1.0), np.linspace(0.0, samples - 1.0, _NODES)
     measured = paths.pushbroom.camera.directions_from_pixels(ccd, sample)
@@ -266,7 +271,9 @@ def _extents(
 
 
 def _seeing_at(pushbroom: Pushbroom, p_e: Array, ccd: int, xy_px: Array) -> Pushbroom:
-    """The strip with its installation matrix turned so that a point is seen at a pixel (turn about z left alone)."""
+    """The strip with its installation matrix turned so that a point is seen at a pixel (turn about z left
+    alone).
+    """
     measured = pushbroom.camera.directions_from_pixels(ccd, xy_px[:1])[0]
     predicted = directions_c(pushbroom, p_e[None], xy_px[1:])[0]
     axis = np.cross(predicted, measured)

@@ -19,7 +19,9 @@ Image = NDArray[Any]  # single precision
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CoarseStrip:
-    """Part of a CCD's image: pixel (0, 0) is the mean of factor² pixels from `origin_px` (sample, line) on."""
+    """Part of a CCD's image: pixel (0, 0) is the mean of factor² pixels from `origin_px` (sample, line)
+    on.
+    """
 
     image: Image  # (h, w)
     valid: NDArray[np.bool_]  # (h, w)
@@ -46,7 +48,9 @@ def read_coarse(
     factor: int,
     settings: MatchSettings,
 ) -> CoarseStrip:
-    """The part of a CCD between two lines and two samples; what does not fill a block at its ends is left off."""
+    """The part of a CCD between two lines and two samples; what does not fill a block at its ends is left
+    off.
+    """
     h, w = (lines[1] - lines[0]) // factor, (samples[1] - samples[0]) // factor
     image = np.empty((h, w), dtype=np.float32)
     valid = np.ones((h, w), dtype=bool)

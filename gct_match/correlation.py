@@ -1,8 +1,9 @@
-"""Where in a picture a template may lie: correlation of band-passed, locally normalised pictures, and its peaks.
+"""Where in a picture a template may lie: correlation of band-passed, locally normalised pictures, and its
+peaks.
 
-Light, season and haze change a scene's grey values but leave most of its edges: both pictures lose their local mean
-and are divided by their local contrast before they are compared. How likely a peak is chance follows from the number
-of independent values in the template, measured where it surely does not lie.
+Light, season and haze change a scene's grey values but leave most of its edges: both pictures lose their
+local mean and are divided by their local contrast before they are compared. How likely a peak is chance
+follows from the number of independent values in the template, measured where it surely does not lie.
 """
 
 from __future__ import annotations
@@ -58,14 +59,20 @@ def normalised(image: Image, valid: NDArray[np.bool_]) -> Image:
         part = cv2.GaussianBlur(weight, (0, 0), _CONTRAST_PX) + np.float32(1e-6)
         power = cv2.GaussianBlur(fine * fine, (0, 0), _CONTRAST_PX) / part
     usual = np.float32(
-        np.median(np.asarray(power)[:: max(1, power.shape[0] // 256), :: max(1, power.shape[1] // 256)])
+        np.median(
+            np.array(power, dtype=np.float64)[
+                :: max(1, power.shape[0] // 256), :: max(1, power.shape[1] // 256)
+            ]
+        )
     )
-    fine /= np.sqrt(np.maximum(power, 0.0) + np.float32(_FLOOR**2) * usual + np.float32(1e-12))
+    fine = fine / np.sqrt(np.maximum(power, 0.0) + np.float32(_FLOOR**2) * usual + np.float32(1e-12))
     return np.clip(fine, -3.0, 3.0, out=fine)
 
 
 def correlation_surface(template: Image, picture: Image) -> Image:
-    """Normalised correlation of a normalised template at every place where it lies within a normalised picture."""
+    """Normalised correlation of a normalised template at every place where it lies within a normalised
+    picture.
+    """
     out = cv2.matchTemplate(picture, template - template.mean(), cv2.TM_CCORR)
     energy = cv2.boxFilter(
         picture * picture,
@@ -98,11 +105,12 @@ def peaks_of(surface: Image, most: int, apart: int) -> Peaks:
 def probability_wrong(surface: Image, peak_xy: Array, independent: float, absent: float) -> float:
     """That the true place is not under the peak, given the whole correlation surface.
 
-    Each place of the surface has the likelihood (1 - r²)^(-n/2) of explaining the pair, against 1 for chance. n is
-    the geometric mean of the template's number of independent values and of one over the variance of r away from
-    the peak: the first overrates scenes of repeated pattern, the second takes the peak's own side lobes for chance. Under
-    the peak is what is joined to it at more than half its height: from there least squares climbs to the same place.
-    `absent` is the prior probability that the surface does not hold the target at all.
+    Each place of the surface has the likelihood (1 - r²)^(-n/2) of explaining the pair, against 1 for
+    chance. n is the geometric mean of the template's number of independent values and of one over the
+    variance of r away from the peak: the first overrates scenes of repeated pattern, the second takes the
+    peak's own side lobes for chance. Under the peak is what is joined to it at more than half its height:
+    from there least squares climbs to the same place. `absent` is the prior probability that the surface
+    does not hold the target at all.
     """
     column, row = np.clip(np.round(peak_xy).astype(int), 0, np.array(surface.shape[::-1]) - 1)
     _, labels = cv2.connectedComponents((surface > 0.5 * surface[row, column]).astype(np.uint8))

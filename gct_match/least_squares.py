@@ -1,15 +1,17 @@
-"""Least-squares matching: a template placed in a picture to a few thousandths of a pixel, with its covariance.
+"""Least-squares matching: a template placed in a picture to a few thousandths of a pixel, with its
+covariance.
 
-The picture, warped by a translation or by a small affine map, is a radiometric map of the template plus noise:
+The picture, warped by a translation or by a small affine map, is a radiometric map of the template plus
+noise:
 
     I(c + d + A (x - c))  =  o + o_x x + o_y y + (g + g_x x + g_y y) T + q T² + b lap(T) + noise
 
-(x in template pixels, c the reference point; q serves another gamma, b another blur). Both sides pass the weighting
-filter of `weighting`, first a fixed band-pass, then the one that the aligned pair itself asks for. Gauss-Newton in
-the inverse-compositional form (Baker & Matthews 2004): derivatives of the template, which are known once. Pixels
-whose neighbourhood fits worse than the rest lose weight, so that what hides part of the template (a cloud, another
-crop) does not move it. The covariance is a jackknife over blocks, so that a residual
-with a correlation of its own is honoured.
+(x in template pixels, c the reference point; q serves another gamma, b another blur). Both sides pass the
+weighting filter of `weighting`, first a fixed band-pass, then the one that the aligned pair itself asks
+for. Gauss-Newton in the inverse-compositional form (Baker & Matthews 2004): derivatives of the template,
+which are known once. Pixels whose neighbourhood fits worse than the rest lose weight, so that what hides
+part of the template (a cloud, another crop) does not move it. The covariance is a jackknife over blocks,
+so that a residual with a correlation of its own is honoured.
 """
 
 from __future__ import annotations
@@ -47,8 +49,10 @@ _BLOCKS = 8  # along each side of the template
 _AFFINE_CHI2 = 18.5  # four parameters more have to earn this: chi² of 4 at 0.1 %
 _LARGEST_AFFINE = 0.05  # beyond, the template was predicted with another model than the strip's
 _LOW_PX, _HIGH_PX = 0.7, 4.0  # first band-pass, before the pair itself has told which frequencies to use
-# Where the scene has changed, the change has a direction: light and shadow lie on the same side of every tree and
-# roof, and a shift of all of them alike shows in no residual. On rendered dates it comes to this share of the change.
+# Where the scene has changed, the change has a direction: light and shadow lie on the same side of every
+# tree and
+# roof, and a shift of all of them alike shows in no residual. On rendered dates it comes to this share of
+# the change.
 _LOPSIDED = 0.02
 _BLUR_PX = 0.62  # of the camera, for tones that were changed before it: MTF 0.15 at the Nyquist frequency
 _CONVERGED_PX = 2e-4
@@ -78,8 +82,9 @@ def place(
 ) -> Placement:
     """Place `template` (h, w) in `picture` (H, W), started with its first pixel at `start_px` (x, y).
 
-    `template_valid` (h, w) and `valid` (H, W) are false where template and picture must not be used. `reference_px` (x, y) is the point of the template
-    whose place is wanted. The place may be up to 2 px from the start; farther is reported as not converged.
+    `template_valid` (h, w) and `valid` (H, W) are false where template and picture must not be used.
+    `reference_px` (x, y) is the point of the template whose place is wanted. The place may be up to 2 px
+    from the start; farther is reported as not converged.
     """
     patch, usable = _patch(picture, valid, start_px, template.shape)
     solver = _Solver(template, template_valid, patch, usable, reference_px)
@@ -100,18 +105,17 @@ def place(
 def _patch(
     picture: Image, valid: NDArray[np.bool_], start_px: tuple[int, int], shape: tuple[int, ...]
 ) -> tuple[Image, NDArray[np.float32]]:
-    """The template's place with _PAD pixels around it; mirrored beyond the picture's edge, where nothing is usable."""
+    """The template's place with _PAD pixels around it; mirrored beyond the picture's edge, where nothing
+    is usable.
+    """
     x, y = start_px
     h, w = shape
     rows, columns = picture.shape
     top, left = max(0, _PAD - y), max(0, _PAD - x)
     bottom, right = max(0, y + h + _PAD - rows), max(0, x + w + _PAD - columns)
     inner = np.s_[max(0, y - _PAD) : y + h + _PAD, max(0, x - _PAD) : x + w + _PAD]
-    edges = (top, bottom, left, right)
-    patch = cv2.copyMakeBorder(picture[inner], *edges, borderType=cv2.BORDER_REFLECT)
-    usable = cv2.copyMakeBorder(
-        valid[inner].astype(np.float32), *edges, borderType=cv2.BORDER_CONSTANT, value=0.0
-    )
+    patch = cv2.copyMakeBorder(picture[inner], top, bottom, left, right, borderType=cv2.BORDER_REFLECT)
+    usable = np.pad(valid[inner].astype(np.float32), ((top, bottom), (left, right)))
     return patch, usable
 
 
@@ -259,10 +263,12 @@ class _Solver:
             self._compose()
 
     def _measure_response(self, i: Image) -> None:
-        """How the patch's gradients follow the template's: what a pixel of shift changes, per unit of the template's.
+        """How the patch's gradients follow the template's: what a pixel of shift changes, per unit of the
+        template's.
 
-        It is the gain where nothing has changed and there is no noise. The template's noise adds to its gradients but not
-        to what is known of the place; where part of the scene has changed, the gain of all of it says little of the rest.
+        It is the gain where nothing has changed and there is no noise. The template's noise adds to its
+        gradients but not to what is known of the place; where part of the scene has changed, the gain of
+        all of it says little of the rest.
         """
         t, weight = self.columns[6].reshape(self.shape), self.weight.reshape(self.shape)
         cross, own = 0.0, 1e-30
@@ -341,7 +347,9 @@ class _Solver:
             self._read_solution(self.i)
 
     def _pays(self, extra: Array) -> bool:
-        """Whether four affine parameters are more than noise; the honest covariance is asked only if a quick one agrees."""
+        """Whether four affine parameters are more than noise; the honest covariance is asked only if a
+        quick one agrees.
+        """
         inverse = np.linalg.inv(
             self.normal + 1e-9 * np.diag(np.diag(self.normal)) + 1e-30 * np.eye(len(self.normal))
         )
@@ -356,8 +364,9 @@ class _Solver:
     def _covariance(self) -> Array:
         """Covariance of the warp's parameters: jackknife over blocks of pixels.
 
-        Leaving out block b moves the solution by (N - N_b)^-1 g_b with g_b the block's score. The scatter of these
-        moves honours a residual that is correlated within a block, and a few edges that carry most of the weight.
+        Leaving out block b moves the solution by (N - N_b)^-1 g_b with g_b the block's score. The scatter
+        of these moves honours a residual that is correlated within a block, and a few edges that carry
+        most of the weight.
         """
         first = 0 if self.affine else 4
         columns = self._in_blocks(self.scaled[first:])
@@ -373,7 +382,9 @@ class _Solver:
         return (n - 1.0) / n / self.response**2 * moved.T @ moved
 
     def _in_blocks(self, rows: Image) -> Image:
-        """(P, pixels) as (blocks, P, pixels of a block); what does not fill a block at the far edges joins none."""
+        """(P, pixels) as (blocks, P, pixels of a block); what does not fill a block at the far edges joins
+        none.
+        """
         h, w = self.shape
         side = max(8, min(h, w) // _BLOCKS)
         m, n = h // side, w // side

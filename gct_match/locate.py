@@ -1,7 +1,7 @@
 """One template in one window: found by correlation, placed by least squares, judged.
 
-Several peaks of the correlation are tried where they are of like height; the least-squares fit with the highest
-robust correlation wins. What cannot be believed comes back as the reason why not.
+Several peaks of the correlation are tried where they are of like height; the least-squares fit with the
+highest robust correlation wins. What cannot be believed comes back as the reason why not.
 """
 
 from __future__ import annotations
@@ -61,9 +61,9 @@ def locate(
 ) -> Located | NotLocated:
     """Look for `template` (h, w) in `picture` (H, W) within `radius` px of `start_px`.
 
-    `start_px` (x, y) is the expected place of the template's first pixel in the picture, which should show `radius` and 8
-    px more on every side; what is missing counts as not valid. `reference_px` (x, y) is the point of the template
-    whose place is wanted.
+    `start_px` (x, y) is the expected place of the template's first pixel in the picture, which should show
+    `radius` and 8 px more on every side; what is missing counts as not valid. `reference_px` (x, y) is the
+    point of the template whose place is wanted.
     """
     h, w = template.shape
     x, y = start_px

@@ -1,8 +1,8 @@
 """A strip's targets: found, placed and judged.
 
-    within reach?  ->  bootstrap, if the installation matrix is not known to some pixels  ->  each target in each CCD:
-    template at the common rotation -> correlation in a small window -> least-squares places of the best peaks ->
-    refusal, or a match  ->  do the matches agree on one rotation?
+    within reach?  ->  bootstrap, if the installation matrix is not known to some pixels  ->  each target
+    in each CCD: template at the common rotation -> correlation in a small window -> least-squares places
+    of the best peaks -> refusal, or a match  ->  do the matches agree on one rotation?
 
 A target in the overlap of two CCDs is placed in both. Whatever is refused is listed with its reason.
 """
@@ -57,7 +57,8 @@ def match_strip(
     sigma_installation_rad: Array,
     settings: MatchSettings,
 ) -> StripMatches:
-    """Place all targets of a strip whose installation matrix is wrong by up to `settings.sigmas` standard errors.
+    """Place all targets of a strip whose installation matrix is wrong by up to `settings.sigmas` standard
+    errors.
 
     Parameters
     ----------
@@ -149,7 +150,8 @@ def _fine(
     for ccd in scene.strip.ccds:
         lines, samples = scene.strip.shape(ccd)
         now, before = scene.paths.pixels(ccd, theta), scene.paths.pixels(ccd, np.zeros(3))
-        inside = np.asarray((now >= -0.5) & (now < np.array([samples - 0.5, lines - 0.5]))).all(axis=1)
+        sample, line = now.T
+        inside = (sample >= -0.5) & (sample < samples - 0.5) & (line >= -0.5) & (line < lines - 0.5)
         for n in within:
             if not inside[n]:
                 continue

@@ -1,7 +1,8 @@
 """How targets move through the camera's view while a strip is taken, and at which pixels the CCDs meet them.
 
-The path of a target is its apparent direction in frame c against the line number, at the present installation matrix; a
-rotation of that matrix turns all paths alike. Only lines of the strip itself are looked at: there the attitude is known.
+The path of a target is its apparent direction in frame c against the line number, at the present
+installation matrix; a rotation of that matrix turns all paths alike. Only lines of the strip itself are
+looked at: there the attitude is known.
 """
 
 from __future__ import annotations
@@ -33,7 +34,9 @@ class Paths:
     u_c: Array  # (T, K, 3) at the pushbroom's own installation matrix
 
     def pixels(self, ccd: int, theta: Array) -> Array:
-        """(T, 2) (sample, line) in a CCD if the installation matrix is exp[[theta]] R_cs0; NaN if in no line."""
+        """(T, 2) (sample, line) in a CCD if the installation matrix is exp[[theta]] R_cs0; NaN if in no
+        line.
+        """
         turn = deviation_from_theta(theta)
         t, k = self.u_c.shape[:2]
         _, miss = self.pushbroom.camera.samples_from_directions(ccd, turn.apply(self.u_c.reshape(-1, 3)))
@@ -75,8 +78,8 @@ def displacements(
 ) -> tuple[Array, Array]:
     """How far pixels (N, 2) lie from where the model sees points p_e (N, 3), and its derivative by theta.
 
-    Returns (N, 2) px and (N, 2, 3) px/rad. A rotation by theta of the installation matrix moves the direction u_c
-    of a point by u x theta (paper, eq. 12); the pixel's Jacobian brings directions to pixels.
+    Returns (N, 2) px and (N, 2, 3) px/rad. A rotation by theta of the installation matrix moves the
+    direction u_c of a point by u x theta (paper, eq. 12); the pixel's Jacobian brings directions to pixels.
     """
     displacement, design = np.empty((len(p_e), 2)), np.empty((len(p_e), 2, 3))
     for n in np.unique(ccd):

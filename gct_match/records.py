@@ -23,8 +23,8 @@ class Chip:
     """A geo-referenced picture of the ground around a target.
 
     `transform` (a, b, c, d, e, f) takes a point (column, row) of the chip to map coordinates of `crs`,
-    X = a col + b row + c, Y = d col + e row + f, where (0, 0) is the **outer corner** of the first pixel, as in a
-    GeoTIFF; the centre of the first pixel is (0.5, 0.5).
+    X = a col + b row + c, Y = d col + e row + f, where (0, 0) is the **outer corner** of the first pixel,
+    as in a GeoTIFF; the centre of the first pixel is (0.5, 0.5).
     """
 
     target_id: str
@@ -36,7 +36,8 @@ class Chip:
     def __post_init__(self) -> None:
         if self.image.ndim != 2 or self.valid.shape != self.image.shape:
             raise ValueError(
-                f"chip {self.target_id}: image and valid must be one (H, W), got {self.image.shape} and {self.valid.shape}"
+                f"chip {self.target_id}: image and valid must be one (H, W), "
+                f"got {self.image.shape} and {self.valid.shape}"
             )
         a, b, _, d, e, _ = self.transform
         if a * e - b * d == 0.0:
@@ -67,7 +68,8 @@ class StripImage(Protocol):
         """(lines, samples) of one CCD's image."""
 
     def read(self, ccd: int, line0: int, line1: int, sample0: int, sample1: int) -> NDArray:
-        """Rows line0..line1 and columns sample0..sample1 (ends excluded, all inside the image), any real type.
+        """Rows line0..line1 and columns sample0..sample1 (ends excluded, all inside the image), any real
+        type.
 
         NaN marks what must not be used: no data, cloud, saturation.
         """
@@ -113,9 +115,9 @@ class Refusal:
 class StripMatches:
     """All targets of a strip: placed, or refused with the reason.
 
-    `theta_vote` is the one small rotation on which the targets agree, against the installation matrix that the
-    search started from: R_cs = exp[[theta]] R_cs0 (geometry/installation.py), rad, axes of frame c. It is a by-product
-    for the search; the calibration estimates its own. NaN when the targets agreed on nothing.
+    `theta_vote` is the one small rotation on which the targets agree, against the installation matrix that
+    the search started from: R_cs = exp[[theta]] R_cs0 (geometry/installation.py), rad, axes of frame c. It
+    is a by-product for the search; the calibration estimates its own. NaN when the targets agreed on nothing.
     """
 
     matches: tuple[TargetMatch, ...]

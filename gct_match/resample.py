@@ -1,4 +1,6 @@
-"""Pictures read between their pixels, exactly enough that the reading leaves no trace at a thousandth of a pixel."""
+"""Pictures read between their pixels, exactly enough that the reading leaves no trace at a thousandth of a
+pixel.
+"""
 
 from __future__ import annotations
 
@@ -19,8 +21,8 @@ _DIFFERENCE = np.array([1.0, -8.0, 0.0, 8.0, -1.0], dtype=np.float32) / 12.0
 def sample(image: Image, x: Image, y: Image) -> Image:
     """The picture at points (x, y) (h, w), by Lanczos interpolation; mirrored beyond its edges.
 
-    The points must form a smooth map of unit-like scale or finer. OpenCV reads at points rounded to 1/32 px; the
-    rest is brought in to first order, with the map's own derivatives of the picture that was read.
+    The points must form a smooth map of unit-like scale or finer. OpenCV reads at points rounded to 1/32
+    px; the rest is brought in to first order, with the map's own derivatives of the picture that was read.
     """
     qx, qy = np.round(x * _GRID) / _GRID, np.round(y * _GRID) / _GRID
     out = cv2.remap(image, qx, qy, cv2.INTER_LANCZOS4, borderMode=cv2.BORDER_REFLECT)

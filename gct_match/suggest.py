@@ -1,8 +1,10 @@
-"""Where in an ortho-image good targets are: texture that fixes a place in both directions, and that is found only once.
+"""Where in an ortho-image good targets are: texture that fixes a place in both directions, and that is
+found only once.
 
-The expected standard error of a chip's place follows from its gradients and the image's noise (Cramér-Rao, both
-pictures as noisy as this one). A chip whose like is found again elsewhere, rows of crops or a grid of streets, is worth little,
-however sharp. Of what remains the best are taken, far enough from one another to cover the image.
+The expected standard error of a chip's place follows from its gradients and the image's noise (Cramér-Rao,
+both pictures as noisy as this one). A chip whose like is found again elsewhere, rows of crops or a grid of
+streets, is worth little, however sharp. Of what remains the best are taken, far enough from one another to
+cover the image.
 """
 
 from __future__ import annotations
@@ -55,8 +57,8 @@ def suggest_targets(
 ) -> tuple[SuggestedTarget, ...]:
     """The best places for chips in an ortho-image (H, W); fewer than `most` if no more are good.
 
-    `transform` is that of the image's pixel corners (as in `Chip`), `valid` (H, W) false where it has no data or cloud.
-    `ValueError` if the image is smaller than two chips.
+    `transform` is that of the image's pixel corners (as in `Chip`), `valid` (H, W) false where it has no
+    data or cloud. `ValueError` if the image is smaller than two chips.
     """
     if min(image.shape) < 2 * size_px:
         raise ValueError(
@@ -84,7 +86,9 @@ def suggest_targets(
 
 
 def _expected_sigma(image: Image, valid: NDArray[np.bool_], size_px: int) -> Image:
-    """(H, W) standard error of the place of a chip around each pixel, its worse direction; infinite near what is not valid."""
+    """(H, W) standard error of the place of a chip around each pixel, its worse direction; infinite near
+    what is not valid.
+    """
     gx, gy = smooth_gradients(image)
     most = 3.0 * np.float32(np.percentile(np.abs(gx[::5, ::5]), 90.0) + 1e-6)  # one bright edge is no texture
     gx, gy = np.clip(gx, -most, most), np.clip(gy, -most, most)

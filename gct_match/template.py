@@ -1,8 +1,9 @@
 """What a strip should show of a chip: the chip in the strip's own geometry, blurred as the camera blurs.
 
-Pixel of the strip -> point on the ground, through the rigorous model, every row at its own instant -> map coordinates
--> chip. The map is computed on nodes a few pixels apart and is linear in between: attitude, orbit and terrain models
-are smooth on that scale. What is left between template and strip is a translation and a small affine map.
+Pixel of the strip -> point on the ground, through the rigorous model, every row at its own instant -> map
+coordinates -> chip. The map is computed on nodes a few pixels apart and is linear in between: attitude,
+orbit and terrain models are smooth on that scale. What is left between template and strip is a translation
+and a small affine map.
 """
 
 from __future__ import annotations
@@ -34,7 +35,9 @@ _NODE_PX = 8  # between nodes of the map, in pixels of the template
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Template:
-    """A chip on the grid of a strip: pixel (0, 0) covers `stride`² pixels from `origin_px` (sample, line) on."""
+    """A chip on the grid of a strip: pixel (0, 0) covers `stride`² pixels from `origin_px` (sample, line)
+    on.
+    """
 
     image: Image  # (h, w)
     valid: NDArray[np.bool_]  # (h, w)
@@ -95,7 +98,9 @@ def predict_template(
 
 
 def chip_points(chip: Chip, p_e: Array) -> Array:
-    """Points of the chip (N, 2), (column, row) with (0, 0) at the centre of its first pixel, of ground points (N, 3)."""
+    """Points of the chip (N, 2), (column, row) with (0, 0) at the centre of its first pixel, of ground
+    points (N, 3).
+    """
     lat, lon, _ = geodetic_from_ecef(p_e, WGS84)
     east, north = _to_map(chip.crs).transform(np.degrees(lon), np.degrees(lat))
     a, b, c, d, e, f = chip.transform

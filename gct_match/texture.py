@@ -18,7 +18,9 @@ _NOISE_SHARE = (
 
 
 def expected_sigma_px(image: Image, valid: NDArray[np.bool_]) -> float:
-    """Standard error of the place of a whole picture (h, w) against another as noisy: Cramér-Rao, the worse direction."""
+    """Standard error of the place of a whole picture (h, w) against another as noisy: Cramér-Rao, the
+    worse direction.
+    """
     weight = valid.astype(np.float32)
     gx, gy = smooth_gradients(image)
     sums = (float(np.vdot(weight * a, b)) for a, b in ((gx, gx), (gx, gy), (gy, gy)))
@@ -49,6 +51,6 @@ def noise_of(image: Image) -> float:
     Not less than 0.3, which rounding to whole values gives.
     """
     mask = np.array([[1.0, -2.0, 1.0], [-2.0, 4.0, -2.0], [1.0, -2.0, 1.0]], dtype=np.float32)
-    power = cv2.blur(cv2.filter2D(image, -1, mask) ** 2 / 36.0, (15, 15))
+    power: Image = cv2.blur(np.asarray(cv2.filter2D(image, -1, mask) ** 2 / 36.0, dtype=np.float32), (15, 15))
     step = max(1, min(power.shape) // 100)
     return max(float(np.sqrt(np.percentile(power[::step, ::step], 10.0))), 0.3)

@@ -1,9 +1,10 @@
-"""The one small motion on which candidate places of many targets agree, and how likely chance would agree so well.
+"""The one small motion on which candidate places of many targets agree, and how likely chance would agree
+so well.
 
-Every target offers several candidate places, of which at most one is right. A candidate's displacement from where the
-model put it is d = D p for the common parameters p (three small angles for a strip, two shifts for a picture). Each
-candidate proposes the p that explains it; the other targets' candidates nearby support it, the more the less likely
-chance would give such a correlation there.
+Every target offers several candidate places, of which at most one is right. A candidate's displacement
+from where the model put it is d = D p for the common parameters p (three small angles for a strip, two
+shifts for a picture). Each candidate proposes the p that explains it; the other targets' candidates nearby
+support it, the more the less likely chance would give such a correlation there.
 """
 
 from __future__ import annotations
@@ -46,7 +47,8 @@ def vote(
 ) -> Vote:
     """The best supported parameters within `reach` standard errors of zero.
 
-    `tolerance_px` is how far a supporting candidate may lie from the common motion, `sigma_px` its standard error.
+    `tolerance_px` is how far a supporting candidate may lie from the common motion, `sigma_px` its
+    standard error.
     """
     n_targets = int(candidates.owner.max()) + 1 if len(candidates.owner) else 0
     third = _third_parameters(candidates, prior_sigma, reach, tolerance_px)
@@ -79,21 +81,24 @@ def fit_common(
 
 
 def _third_parameters(candidates: Candidates, prior_sigma: Array, reach: float, tolerance_px: float) -> Array:
-    """Values of the third parameter to try, so close that none is missed; one zero where there is no third."""
+    """Values of the third parameter to try, so close that none is missed; one zero where there is no
+    third.
+    """
     if len(prior_sigma) < 3 or len(candidates.owner) == 0:
         return np.zeros(1)
     design = candidates.design[:, :, 2]
     lever = float(np.abs(design - design.mean(axis=0)).max()) + 1e-9
     half = reach * prior_sigma[2]
-    count = 2 * int(np.ceil(half * lever / tolerance_px)) + 1
-    return np.asarray(np.linspace(-half, half, min(count, 61)), dtype=float)
+    count = min(2 * int(np.ceil(half * lever / tolerance_px)) + 1, 61)
+    return np.array([half * k / max(count // 2, 1) for k in range(-(count // 2), count // 2 + 1)])
 
 
 def _proposals(candidates: Candidates, third: float) -> Array:
     rest = candidates.displacement_px
     if candidates.design.shape[2] > 2:
         rest = rest - candidates.design[:, :, 2] * third
-    return np.linalg.solve(candidates.design[:, :, :2], rest[:, :, None])[:, :, 0]
+    proposals: Array = np.linalg.solve(candidates.design[:, :, :2], rest[:, :, None])[:, :, 0].astype(float)
+    return proposals
 
 
 def _support(q_px: Array, owner: NDArray, log_chance: Array, n_targets: int, tolerance_px: float) -> Array:

@@ -1,10 +1,11 @@
 """Which spatial frequencies of two pictures of one scene say where they lie: the weighting filter.
 
-Two sensors see one scene, each with noise, aliasing and changes of its own. The maximum-likelihood estimate of their
-offset filters both by |H|² = g² / (1 - g²) / |P_ab| with g² the squared coherence at each frequency (Hannan & Thomson
-1973; Knapp & Carter 1976, for two microphones). Where only white noise separates them that is a mild low-pass; where
-light, season or haze changed the low frequencies, it turns into a band-pass on its own. Coherence is measured from
-the pair itself, in rings of equal frequency. Frequencies are in cycles per pixel.
+Two sensors see one scene, each with noise, aliasing and changes of its own. The maximum-likelihood
+estimate of their offset filters both by |H|² = g² / (1 - g²) / |P_ab| with g² the squared coherence at
+each frequency (Hannan & Thomson 1973; Knapp & Carter 1976, for two microphones). Where only white noise
+separates them that is a mild low-pass; where light, season or haze changed the low frequencies, it turns
+into a band-pass on its own. Coherence is measured from the pair itself, in rings of equal frequency.
+Frequencies are in cycles per pixel.
 """
 
 from __future__ import annotations
@@ -45,7 +46,9 @@ def inverse_spectrum(half: Spectrum, shape: tuple[int, ...]) -> Image:
 
 @lru_cache(maxsize=32)
 def band_pass(shape: tuple[int, ...], low_px: float, high_px: float) -> Image:
-    """Amplitude of a band-pass: a Gaussian of `low_px`, less its mean over a Gaussian of `high_px`; half spectrum."""
+    """Amplitude of a band-pass: a Gaussian of `low_px`, less its mean over a Gaussian of `high_px`; half
+    spectrum.
+    """
     f2 = _frequency(shape) ** 2
     low = np.exp(-2.0 * np.pi**2 * low_px**2 * f2)
     return (low * (1.0 - np.exp(-2.0 * np.pi**2 * high_px**2 * f2))).astype(np.float32)
@@ -59,7 +62,8 @@ def point_spread(shape: tuple[int, ...], sigma_px: float) -> tuple[Image, Image]
 
 
 def coherence_filter(a: Image, b: Image, shape: tuple[int, ...]) -> Image:
-    """Amplitude of the weighting filter on the half spectrum of `shape`, measured from an aligned, tapered pair.
+    """Amplitude of the weighting filter on the half spectrum of `shape`, measured from an aligned, tapered
+    pair.
 
     Its scale is arbitrary: the largest amplitude is one.
     """
@@ -84,10 +88,11 @@ def coherence_filter(a: Image, b: Image, shape: tuple[int, ...]) -> Image:
 
 
 def change_px2(residual: Image, template: Image) -> float:
-    """How much the scene itself has changed, against its gradients, in px²: a measure of mismatch, not an error.
+    """How much the scene itself has changed, against its gradients, in px²: a measure of mismatch, not an
+    error.
 
-    Noise and aliasing fill the residual's high frequencies; what the low ones hold beyond them is change. Both
-    pictures come tapered.
+    Noise and aliasing fill the residual's high frequencies; what the low ones hold beyond them is change.
+    Both pictures come tapered.
     """
     ring, count = _ring(residual.shape), _ring_count(residual.shape)
     n = len(count)

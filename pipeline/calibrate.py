@@ -44,7 +44,7 @@ from pipeline.star_chain import (
 from pipeline.unit_store import UnitStore
 from pipeline.units import Made, StarUnit, StripUnit
 
-__all__ = ["Calibration", "Progress", "calibrate_dump"]
+__all__ = ["Calibration", "Progress", "calibrate_dump", "strips_to_match"]
 
 Array = NDArray[np.float64]
 Progress = Callable[[str, int, int], None]  # stage, units done, units in all
@@ -116,6 +116,24 @@ def calibrate_dump(
         sum(counts),
         len(counts) - sum(counts),
     )
+
+
+def strips_to_match(
+    dump: Dump,
+    settings: Settings,
+    store: UnitStore,
+    executor: Executor,
+    progress: Progress = lambda stage, done, total: None,
+) -> tuple[list[StripTask], list[Omission]]:
+    """The beginning alone: stars and attitudes, and a task for each strip with the ground's matrix."""
+    tasks, uncovered = star_tasks(dump, settings.stars)
+    made = executor.map(StarUnit(store), tasks, _told(progress, "exposures", len(tasks)))
+    stars, failed = _exposures(store, made)
+    attitudes = _attitudes(stars, calibration_settings(settings, dump.errors, dump.line_camera))
+    strip_tasks, left_out = _strip_tasks(
+        dump, stars, attitudes, dump.R_cs0, dump.sigma_installation_rad, settings
+    )
+    return strip_tasks, [*dump.omissions, *uncovered, *failed, *left_out]
 
 
 def _told(progress: Progress, stage: str, total: int) -> Callable[[int], None]:

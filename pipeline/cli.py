@@ -23,6 +23,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from pipeline import __version__
 from pipeline.errors import DataNotSufficientError, RawDataError, WorkerError
+from pipeline.match_commands import add_match_commands
 from pipeline.report_commands import add_report_commands
 from pipeline.star_commands import add_star_commands
 
@@ -283,4 +284,5 @@ def plan(
 
 
 add_star_commands(app)
+add_match_commands(app)
 add_report_commands(app)

@@ -49,6 +49,7 @@ __all__ = [
     "placings_from_table",
     "placings_table",
     "pushbroom_of",
+    "strip_matches",
 ]
 
 Array = NDArray[np.float64]
@@ -104,6 +105,12 @@ def pushbroom_of(task: StripTask) -> Pushbroom:
 
 def match_targets(task: StripTask) -> Placings:
     """Place the targets of one strip. A damaged strip image leaves nothing of that strip, and says so."""
+    result, omitted = strip_matches(task)
+    return _placings(task.strip, result, omitted)
+
+
+def strip_matches(task: StripTask) -> tuple[StripMatches | None, list[Omission]]:
+    """What the matcher says of one strip, None if its images are damaged; and what could not be read."""
     chips, targets, omitted = [], [], []
     for target, file in zip(task.targets, task.chips):
         try:
@@ -123,8 +130,8 @@ def match_targets(task: StripTask) -> Placings:
         )
     except RawDataError as error:
         omitted.append(Omission("strip", task.strip.strip_id, error.file, str(error)))
-        return _placings(task.strip, None, omitted)
-    return _placings(task.strip, result, omitted)
+        return None, omitted
+    return result, omitted
 
 
 def _chip(file: ChipFile) -> Chip:

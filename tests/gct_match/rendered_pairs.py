@@ -1,11 +1,12 @@
-"""Pairs of chip and window rendered from a sharper picture, with the true offset and the bound of its estimation.
+"""Pairs of chip and window rendered from a sharper picture, with the true offset and the bound of its
+estimation.
 
-The picture (10 cm aerial, or any array) is blurred by a Gaussian camera and sampled every fourth pixel at known
-fractions of a pixel; both members of a pair get noise of their own. `condition` is one of
+The picture (10 cm aerial, or any array) is blurred by a Gaussian camera and sampled every fourth pixel at
+known fractions of a pixel; both members of a pair get noise of their own. `condition` is one of
 
     clean   noise alone
-    date    the window's scene with another gamma, an illumination ramp and 15 % of the chip hidden by other texture
-    affine  the window turned by 0.5 degree and scaled by 0.5 %
+    date    the window's scene with another gamma, an illumination ramp and 15 % of the chip hidden by
+    other texture affine  the window turned by 0.5 degree and scaled by 0.5 %
 """
 
 from __future__ import annotations
@@ -76,7 +77,8 @@ def make_pair(
         turn = scale * np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
     if condition == "date":
         other = _seen(255.0 * (scene / 255.0) ** np.exp(rng.uniform(-0.5, 0.5)))
-    # window pixel v sees scene centre + RATIO (turn (v - middle) - turn shift): the template's middle is at v = middle + shift
+    # window pixel v sees scene centre + RATIO (turn (v - middle) - turn shift): the template's middle is
+    # at v = middle + shift
     window = _sample(other, centre - RATIO * turn @ shift, turn, size_px + 2 * margin_px)
     if condition == "date":
         window = _another_date(window, picture, rng, size_px, margin_px, shift)
@@ -105,7 +107,7 @@ def _another_date(
     angle = rng.uniform(0.0, 2.0 * np.pi)
     window = window * (1.0 + 0.3 * (np.cos(angle) * x + np.sin(angle) * y))
     aspect = np.exp(rng.uniform(-0.7, 0.7))
-    height, width = (int(round(size_px * np.sqrt(0.15) * a)) for a in (aspect, 1.0 / aspect))
+    height, width = (round(float(size_px * np.sqrt(0.15) * a)) for a in (aspect, 1.0 / aspect))
     height, width = min(height, size_px), min(width, size_px)
     row = margin_px + int(shift[1]) + rng.integers(0, size_px - height + 1)
     column = margin_px + int(shift[0]) + rng.integers(0, size_px - width + 1)

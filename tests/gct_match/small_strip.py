@@ -1,7 +1,9 @@
-"""A small strip of two CCDs over an invented texture, rendered through the rigorous model, and chips of its targets.
+"""A small strip of two CCDs over an invented texture, rendered through the rigorous model, and chips of
+its targets.
 
-500 m circular-orbit geometry of the paper at a twelfth of its resolution: 6.4 m pixels, two staggered CCDs of 420 px that
-overlap by 60, 700 lines. The mounting is bold and lopsided, the attitude oscillates by some arc-seconds.
+500 m circular-orbit geometry of the paper at a twelfth of its resolution: 6.4 m pixels, two staggered CCDs
+of 420 px that overlap by 60, 700 lines. The mounting is bold and lopsided, the attitude oscillates by some
+arc-seconds.
 """
 
 from __future__ import annotations

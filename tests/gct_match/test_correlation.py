@@ -55,7 +55,8 @@ def test_independent_values_of_white_noise_are_its_pixels():
 
 
 def test_chance_is_as_likely_as_it_is_stated():
-    # 4000 unrelated pairs of 400 independent values: the share of correlations beyond r against its stated chance
+    # 4000 unrelated pairs of 400 independent values: the share of correlations beyond r against its stated
+    # chance
     rng = np.random.default_rng(5)
     a, b = rng.standard_normal((2, 4000, 400))
     r = np.einsum("ni,ni->n", a, b) / np.linalg.norm(a, axis=1) / np.linalg.norm(b, axis=1)

@@ -1,4 +1,6 @@
-"""Least-squares matching against rendered truth: error, bound, honesty of the covariance, edges of its world."""
+"""Least-squares matching against rendered truth: error, bound, honesty of the covariance, edges of its
+world.
+"""
 
 from __future__ import annotations
 
@@ -52,7 +54,8 @@ LIMITS = {
 def test_aerial_chips_are_placed_to_thousandths_of_a_pixel(aerial_pairs: Pairs, condition: str, size: int):
     error, nees = errors(aerial_pairs[condition, size])
     assert np.sqrt(np.mean(error**2)) <= LIMITS[condition, size]
-    # mean of 40 pairs: the 99.9 % band of chi² with 80 degrees of freedom is 0.55 to 1.58 of its mean; what the date
+    # mean of 40 pairs: the 99.9 % band of chi² with 80 degrees of freedom is 0.55 to 1.58 of its mean;
+    # what the date
     # does to a scene is not chi², its tail may be longer
     assert np.mean(nees) / 2.0 < (2.2 if condition == "date" else 1.6)
 
@@ -62,7 +65,8 @@ def test_invented_chips_are_placed_near_the_bound(invented_pairs: Pairs, conditi
     pairs = invented_pairs[condition, size]
     error, _ = errors(pairs)
     bound = np.mean([np.trace(pair.cov_bound_px) / 2.0 for pair in pairs])
-    # the bound knows the radiometry and uses the rim; another date hides a sixth and changes the tones of the rest
+    # the bound knows the radiometry and uses the rim; another date hides a sixth and changes the tones of
+    # the rest
     assert np.mean(error**2) <= (3.0 if condition == "date" else 1.8) ** 2 * bound
 
 

@@ -37,7 +37,8 @@ def test_half_of_the_targets_are_enough():
         if len(outcome.supporters) < 5:
             continue  # fewer than five of the fourteen happened to be visible
         assert outcome.log_probability_chance < np.log(1e-6)
-        # the angles about x and y are fixed by 3 px over the supporters, that about z by them over 0.024 rad of field
+        # the angles about x and y are fixed by 3 px over the supporters, that about z by them over 0.024
+        # rad of field
         assert outcome.parameters[:2] == pytest.approx(theta[:2], abs=1.5e-5)
         assert outcome.parameters[2] == pytest.approx(theta[2], abs=1.5e-3)
 
