@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: demo test lint types install clean
+.PHONY: demo test lint types docs install clean
 
 install: $(VENV)/.installed
 
@@ -29,5 +29,9 @@ types: install
 test: lint types
 	$(BIN)/pytest -n 2
 
+docs: install
+	$(BIN)/python -m pip install --quiet --no-compile --editable '.[docs]' --constraint constraints.txt
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
+
 clean:
-	rm -rf $(VENV) demo-result
+	rm -rf $(VENV) demo-result site

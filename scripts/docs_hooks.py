@@ -1,0 +1,69 @@
+"""What the documentation site is given when it is built: the API reference, one page for each package, and
+the benchmarks' records on the accuracy page.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from mkdocs.structure.files import File, Files
+
+ROOT = Path(__file__).parents[1]
+RECORDS = ROOT / "benchmarks" / "results"
+PACKAGES = {
+    "geometry": "Constants, time, frames, light, the Earth, cameras, orbit and attitude, and the records"
+    " that stages exchange. Imports nothing of ours.",
+    "star_id": "A star image becomes named stars with directions and covariances.",
+    "gct_match": "Ground targets are found in a strip and placed to a few hundredths of a pixel.",
+    "calib": "Directions and covariances become the installation matrix, with a covariance that holds.",
+    "simulator": "Missions with known truth, as raw pixels.",
+    "pipeline": "Files, settings, command line, reports and exports: the only input and output.",
+}
+
+
+def on_config(config: Any) -> Any:
+    """Pages that `nav` does not name stand under "Notes", so that a new page needs no second place."""
+    named = set(re.findall(r"[\w/-]+\.md", str(config.nav)))
+    others = sorted(path.name for path in Path(config.docs_dir).glob("*.md") if path.name not in named)
+    if others:
+        config.nav.insert(-1, {"Notes": others})
+    return config
+
+
+def on_files(files: Files, *, config: Any) -> Files:
+    """Add `api/PACKAGE.md` for each package."""
+    for package, text in PACKAGES.items():
+        parts = [f"# {package}\n\n{text}\n"]
+        parts += [f"::: {module}\n" for module in modules_of(package)]
+        page = File.generated(config, f"api/{package}.md", content="\n".join(parts))
+        files.append(page)
+    for plot in sorted(RECORDS.glob("*.png")):
+        files.append(File.generated(config, f"results/{plot.name}", abs_src_path=str(plot)))
+    return files
+
+
+def on_page_markdown(markdown: str, *, page: Any, config: Any, files: Files) -> str:
+    """Put the records where `<!-- benchmark records -->` stands."""
+    return markdown.replace("<!-- benchmark records -->", "\n".join(_records()))
+
+
+def _records() -> Iterator[str]:
+    for path in sorted(RECORDS.glob("*")):
+        if path.suffix in (".txt", ".md", ".png"):
+            yield f"### {path.stem.replace('_', ' ')}\n"
+        if path.suffix == ".txt":
+            yield f"```text\n{path.read_text(encoding='utf-8').rstrip()}\n```\n"
+        elif path.suffix == ".md":
+            yield re.sub(r"^#", "####", path.read_text(encoding="utf-8"), flags=re.MULTILINE)
+        elif path.suffix == ".png":
+            yield f"![Plot of {path.stem.replace('_', ' ')}](results/{path.name})\n"
+
+
+def modules_of(package: str) -> list[str]:
+    """Dotted names of a package's modules, packages within it included, private ones not."""
+    paths = sorted((ROOT / package).rglob("*.py"))
+    names = [path.relative_to(ROOT).with_suffix("").as_posix().replace("/", ".") for path in paths]
+    return [name for name in names if not any(part.startswith("_") for part in name.split("."))]

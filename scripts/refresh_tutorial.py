@@ -1,0 +1,86 @@
+"""Put the true output of the commands of docs/tutorial.md behind them: `python scripts/refresh_tutorial.py`.
+
+A block that follows `<!-- run -->` is run in a fresh folder beside a link to `fixtures`: console blocks
+command by command (`$ cat NAME` makes the file from what stands there), Python blocks as one script.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import re
+import shlex
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+
+from typer.testing import CliRunner
+
+from pipeline.cli import app
+
+ROOT = Path(__file__).parents[1]
+TUTORIAL = ROOT / "docs" / "tutorial.md"
+BLOCK = re.compile(r"<!-- run -->\n```(console|python)\n(.*?)```\n(?:\n```text\n(.*?)```\n)?", re.DOTALL)
+
+
+@dataclass(frozen=True)
+class Step:
+    """One command and what it is shown to print."""
+
+    command: str
+    shown: str
+
+
+def steps(kind: str, text: str, shown: str) -> list[Step]:
+    """The commands of a block. Of a Python block the output stands in a block of its own behind it."""
+    if kind == "python":
+        return [Step(text, shown)]
+    parts = re.split(r"^\$ ", text, flags=re.MULTILINE)[1:]
+    return [Step(*part.split("\n", 1)) if "\n" in part else Step(part, "") for part in parts]
+
+
+def run(kind: str, step: Step) -> str:
+    """What a step prints to standard output, run in the present folder. `RuntimeError` when it fails."""
+    if kind == "python":
+        with contextlib.redirect_stdout(io.StringIO()) as out:
+            exec(step.command, {})
+        return out.getvalue()
+    name, *arguments = shlex.split(step.command)
+    if name == "cat":
+        Path(arguments[0]).write_text(step.shown)
+        return step.shown
+    done = CliRunner().invoke(app, arguments)
+    if done.exit_code:
+        raise RuntimeError(f"{step.command}\n{done.output}") from done.exception
+    return done.stdout
+
+
+def prepared(folder: Path) -> Path:
+    """A folder in which the tutorial's paths mean what they say."""
+    (folder / "fixtures").symlink_to(ROOT / "fixtures")
+    return folder
+
+
+def refreshed(text: str) -> str:
+    """The tutorial with all output made anew."""
+
+    def renewed(match: re.Match[str]) -> str:
+        kind, block, shown = match[1], match[2], match[3] or ""
+        outputs = [(step, run(kind, step)) for step in steps(kind, block, shown)]
+        if kind == "python":
+            return f"<!-- run -->\n```python\n{block}```\n\n```text\n{outputs[0][1]}```\n"
+        body = "".join(f"$ {step.command}\n{output}" for step, output in outputs)
+        return f"<!-- run -->\n```console\n{body}```\n"
+
+    return BLOCK.sub(renewed, text)
+
+
+def main() -> None:
+    with tempfile.TemporaryDirectory() as name:
+        with contextlib.chdir(prepared(Path(name))):
+            text = refreshed(TUTORIAL.read_text())
+        TUTORIAL.write_text(text)
+
+
+if __name__ == "__main__":
+    main()

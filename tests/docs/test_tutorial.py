@@ -1,0 +1,59 @@
+"""The tutorial's commands are run, and what they print is what the page shows."""
+
+from __future__ import annotations
+
+import re
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+sys.path.insert(0, str(ROOT / "scripts"))
+
+from refresh_tutorial import BLOCK, TUTORIAL, prepared, run, steps  # noqa: E402
+
+NUMBER = re.compile(r"[-+]?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?")
+TIMES = re.compile(r"\d+\.\d+ s(?= ->)")
+
+
+@pytest.fixture(scope="module")
+def blocks() -> list[re.Match[str]]:
+    return list(BLOCK.finditer(TUTORIAL.read_text()))
+
+
+def test_every_command_prints_what_the_page_shows(blocks, tmp_path, monkeypatch):
+    monkeypatch.chdir(prepared(tmp_path))
+    commands = 0
+    for block in blocks:
+        for step in steps(block[1], block[2], block[3] or ""):
+            printed = run(block[1], step)
+            assert_same(printed, step.shown, step.command)
+            commands += 1
+    assert commands >= 8
+
+
+def test_every_program_of_the_page_is_run(blocks):
+    text = TUTORIAL.read_text()
+    assert text.count("<!-- run -->") == len(blocks)
+    assert set(re.findall(r"^\$ (\S+ ?\S*)", text, re.MULTILINE)) <= {
+        "boresight calibrate",
+        "boresight status",
+        "boresight report",
+        "boresight validate",
+        "boresight geolocate",
+        "boresight export",
+        "cat pixels.csv",
+    }
+
+
+def assert_same(printed: str, shown: str, command: str) -> None:
+    """Words exactly; numbers to 3 % or three units of their last digit: another processor rounds differently,
+    and a hundredth of a sigma is no news. How long it took is not compared."""
+    printed, shown = TIMES.sub("some time", printed), TIMES.sub("some time", shown)
+    where = f"{command}: printed\n{printed}\nthe page shows\n{shown}\nrun scripts/refresh_tutorial.py"
+    assert NUMBER.sub("#", printed).split() == NUMBER.sub("#", shown).split(), where
+    for got, expected in zip(NUMBER.findall(printed), NUMBER.findall(shown)):
+        digits = len(expected.partition(".")[2]) if "e" not in expected.lower() else 0
+        unit = 10.0**-digits if "e" not in expected.lower() else 0.0
+        assert abs(float(got) - float(expected)) <= max(0.03 * abs(float(expected)), 3.0 * unit), where
