@@ -28,6 +28,7 @@ Array = NDArray[np.float64]
 
 _TILE = 8  # pixels a side of the finest tiles
 _GROWTH = 4
+_BAND = 64 * _TILE  # rows at a time when the bounds are made
 _MARGIN_M = 1e-4  # beyond the bounds of tiles
 _CLEARANCE_M = 1e-7
 _NARROWINGS = 60
@@ -61,15 +62,11 @@ class HeightBounds:
 
 def bounds_of_heights(heights: NDArray[np.float32]) -> HeightBounds:
     """Bounds of a grid of heights, NaN = no data."""
-    low: Array = np.where(np.isnan(heights), np.inf, heights)
-    high: Array = np.where(np.isnan(heights), -np.inf, heights)
-    rise = _rises(heights)
+    bands = [_finest_bounds(heights, first) for first in range(0, len(heights), _BAND)]
+    low, high, rise = (np.concatenate(parts) for parts in zip(*bands))
     lowest, highest = float(low.min()), float(high.max())
-    levels, size, factor = [], _TILE, _TILE
+    levels, size = [], _TILE
     while True:
-        low = _tiles(low, factor, np.inf).min(axis=(1, 3))
-        high = _tiles(high, factor, -np.inf).max(axis=(1, 3))
-        rise = _tiles(rise, factor, _UNKNOWN_RISE_M).max(axis=(1, 3))
         levels.append(
             (
                 size,
@@ -81,15 +78,26 @@ def bounds_of_heights(heights: NDArray[np.float32]) -> HeightBounds:
         if max(low.shape) == 1:
             sizes, lows, highs, rises = zip(*levels)
             return HeightBounds(lowest, highest, sizes, lows, highs, rises)
-        size, factor = size * _GROWTH, _GROWTH
+        low = _tiles(low, _GROWTH, np.inf).min(axis=(1, 3))
+        high = _tiles(high, _GROWTH, -np.inf).max(axis=(1, 3))
+        rise = _tiles(rise, _GROWTH, _UNKNOWN_RISE_M).max(axis=(1, 3))
+        size *= _GROWTH
 
 
-def _rises(heights: NDArray[np.float32]) -> Array:
-    """Bound of |d height / d column| + |d height / d row| in each cell, m per pixel; (rows, columns)."""
-    along_row, along_column = np.abs(np.diff(heights, axis=1)), np.abs(np.diff(heights, axis=0))
+def _finest_bounds(heights: NDArray[np.float32], first: int) -> tuple[Array, Array, Array]:
+    """Lowest and highest ground and greatest rise a pixel in the finest tiles of a band of rows."""
+    band = heights[first : first + _BAND]
+    unknown = np.isnan(band)
+    low = _tiles(np.where(unknown, np.inf, band), _TILE, np.inf).min(axis=(1, 3))
+    high = _tiles(np.where(unknown, -np.inf, band), _TILE, -np.inf).max(axis=(1, 3))
+    # |d height / d column| + |d height / d row| in each cell; the last row and column of pixels begin none
+    cells = heights[first : first + _BAND + 1]
+    along_row, along_column = np.abs(np.diff(cells, axis=1)), np.abs(np.diff(cells, axis=0))
     rise = np.maximum(along_row[1:], along_row[:-1]) + np.maximum(along_column[:, 1:], along_column[:, :-1])
-    known = np.where(np.isnan(rise), _UNKNOWN_RISE_M, rise)
-    return np.pad(known, ((0, 1), (0, 1)), constant_values=_UNKNOWN_RISE_M)
+    rise = np.where(np.isnan(rise), _UNKNOWN_RISE_M, rise)
+    missing = ((0, len(band) - len(rise)), (0, 1))
+    rise = np.pad(rise, missing, constant_values=_UNKNOWN_RISE_M)
+    return low, high, _tiles(rise, _TILE, _UNKNOWN_RISE_M).max(axis=(1, 3))
 
 
 def bilinear(heights: NDArray[np.float32], column: Array, row: Array) -> Array:

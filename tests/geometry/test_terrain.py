@@ -12,7 +12,7 @@ from geometry.constants import WGS84
 from geometry.geodesy import ecef_from_geodetic, geodetic_from_ecef, local_axes_e, ray_ellipsoid_intersection
 from geometry.geoid import Geoid, egm96
 from geometry.terrain import ConstantHeight, TerrainGrid, intersect
-from geometry.terrain_rays import bilinear
+from geometry.terrain_rays import bilinear, bounds_of_heights
 
 UTM33 = "EPSG:32633"
 CELL_DEG = 1.0 / 3600.0  # 31 m
@@ -256,3 +256,25 @@ def test_a_hundred_thousand_rays_are_quick():
         took.append(time.process_time() - start)
     assert np.isfinite(met).all()
     assert min(took) < 0.3
+
+
+@pytest.mark.parametrize("shape", [(1025, 700), (513, 9), (2, 2)])
+def test_bounds_of_tiles_are_those_of_the_heights_in_and_around_them(shape):
+    rng = np.random.default_rng(10)
+    heights = rng.normal(0.0, 100.0, shape).astype(np.float32)
+    heights[rng.random(shape) < 0.01] = np.nan
+    bounds = bounds_of_heights(heights)
+    assert (bounds.lowest_m, bounds.highest_m) == (np.nanmin(heights), np.nanmax(heights))
+    for size, low, high, rise in zip(bounds.sizes, bounds.low_m, bounds.high_m, bounds.rise_m):
+        rows, columns = (-(-length // size) for length in shape)
+        assert low.shape == high.shape == rise.shape == (rows + 4, columns + 4)
+        for row, column in zip(rng.integers(0, rows, 20), rng.integers(0, columns, 20)):
+            near = heights[max(0, (row - 1) * size) : (row + 2) * size]
+            near = near[:, max(0, (column - 1) * size) : (column + 2) * size]
+            if np.isfinite(near).any():
+                assert low[row + 2, column + 2] == np.nanmin(near)
+                assert high[row + 2, column + 2] == np.nanmax(near)
+            steps = [
+                np.nanmax(np.abs(np.diff(near, axis=k)), initial=0.0) for k in (0, 1) if near.shape[k] > 1
+            ]
+            assert rise[row + 2, column + 2] >= max(steps, default=0.0)
