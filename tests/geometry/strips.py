@@ -57,23 +57,24 @@ def camera(tdi_stages=1, time_of_row="middle"):
     return LineCamera(10.0, tuple(ccds), tdi_stages, time_of_row)
 
 
-def attitude(path, roll_deg=0.0, pitch_deg=0.0, wave_rad=6e-5):
+def attitude(path, roll_deg=0.0, pitch_deg=0.0, wave_rad=6e-5, yaw_deg=0.0):
     """Exposures at 5 Hz of an attitude that points at the Earth and oscillates by 12", as in Fig. 4."""
     t_s = np.arange(-0.4, 2.6, 0.2)
     periods = np.array([3.1, 4.7, 5.0])
     wave = wave_rad * np.sin(2.0 * np.pi * t_s[:, None] / periods + [0.0, 1.0, 2.0])
-    R_co = Rotation.from_euler("xy", [roll_deg, pitch_deg], degrees=True) * Rotation.from_rotvec(wave)
+    turn = Rotation.from_euler("xyz", [roll_deg, pitch_deg, yaw_deg], degrees=True)
+    R_co = turn * Rotation.from_rotvec(wave)
     return AttitudeTrack(t_s, R_CS.inv() * R_co * path.R_oi(t_s), path)
 
 
-def strip(roll_deg=0.0, pitch_deg=0.0, effects=None, **of_camera):
+def strip(roll_deg=0.0, pitch_deg=0.0, effects=None, yaw_deg=0.0, **of_camera):
     path = orbit()
     return Pushbroom(
         camera=camera(**of_camera),
         rows=RowClock(0.013, PERIOD_S),
         orbit=path,
         earth=EARTH,
-        attitude=attitude(path, roll_deg, pitch_deg),
+        attitude=attitude(path, roll_deg, pitch_deg, yaw_deg=yaw_deg),
         R_cs=R_CS,
         effects=LightEffects() if effects is None else effects,
     )

@@ -80,6 +80,14 @@ def test_terrain_leads_back_to_the_pixel_it_is_seen_in(roll, pitch):
     assert np.abs(found[0] - sample).max() < 1e-4 and np.abs(found[1] - line).max() < 1e-4
 
 
+@pytest.mark.parametrize("yaw", [180.0, 170.0, -40.0])
+def test_a_camera_that_flies_backwards_or_askew_is_inverted_too(yaw):
+    model = strip(8.0, 5.0, yaw_deg=yaw)
+    sample, line = pixels(200)
+    found = model.pixels_from_ground(1, model.ground_points(1, sample, line, ConstantHeight(50.0)))
+    assert np.abs(found[0] - sample).max() < 1e-6 and np.abs(found[1] - line).max() < 1e-6  # px
+
+
 def test_many_pixels_and_few_pixels_agree():
     # Many go through a table over the rows, few through orbit and attitude themselves: 1e-6 px of 0.5 m.
     model = strip(5.0, 8.0)
