@@ -13,6 +13,7 @@ from mkdocs.structure.files import File, Files
 
 ROOT = Path(__file__).parents[1]
 RECORDS = ROOT / "benchmarks" / "results"
+NAME = re.compile(r"`((?:geometry|star_id|gct_match|calib|simulator|pipeline)(?:\.\w+)+)`")
 PACKAGES = {
     "geometry": "Constants, time, frames, light, the Earth, cameras, orbit and attitude, and the records"
     " that stages exchange. Imports nothing of ours.",
@@ -46,7 +47,11 @@ def on_files(files: Files, *, config: Any) -> Files:
 
 
 def on_page_markdown(markdown: str, *, page: Any, config: Any, files: Files) -> str:
-    """Put the records where `<!-- benchmark records -->` stands."""
+    """Put the records where `<!-- benchmark records -->` stands, and link the method's names to the API
+    pages.
+    """
+    if page.file.src_uri == "method.md":
+        markdown = NAME.sub(r"[`\1`][\1]", markdown)
     return markdown.replace("<!-- benchmark records -->", "\n".join(_records()))
 
 
