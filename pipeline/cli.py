@@ -246,21 +246,32 @@ def experiment(
     star_from_zenith_deg: Annotated[
         float, typer.Option(help="Where the star camera looks, in the Y-Z plane.")
     ] = 15.0,
+    pixels: Annotated[
+        bool, typer.Option("--pixels", help="Through rendered images, at a reduced grid: grid and table5.")
+    ] = False,
 ) -> None:
     """Run a simulation of the paper from scratch, its figures beside ours."""
     from calib.experiments import ExperimentSettings
-    from pipeline.experiments import EXPERIMENTS, run_experiment
+    from pipeline.experiments import EXPERIMENTS, FROM_PIXELS, run_experiment, run_from_pixels
+    from pipeline.pixel_experiments import PixelSettings
 
-    if name not in EXPERIMENTS:
-        raise _wrong_usage(f"there is no experiment {name!r}, only {', '.join(EXPERIMENTS)}")
+    known = FROM_PIXELS if pixels else EXPERIMENTS
+    if name not in known:
+        raise _wrong_usage(f"there is no experiment {name!r} of this kind, only {', '.join(known)}")
     chosen = ExperimentSettings(seed=seed, from_zenith_deg=star_from_zenith_deg)
     if runs is not None:
         chosen = replace(chosen, runs=runs, wang_runs=runs, table5_runs=runs)
     with _bar() as bar:
         task = bar.add_task(name, total=None)
-        table, written = run_experiment(
-            name, out, chosen, lambda done, total: bar.update(task, completed=done, total=total)
-        )
+
+        def progress(done: int, total: int) -> None:
+            bar.update(task, completed=done, total=total)
+
+        if pixels:
+            rendered = PixelSettings(seed=seed, runs=runs or 2)
+            table, written = run_from_pixels(name, out, rendered, progress)
+        else:
+            table, written = run_experiment(name, out, chosen, progress)
     typer.echo(f"{name}: {len(table)} rows -> {', '.join(str(path) for path in written)}")
 
 

@@ -178,6 +178,39 @@ def plot_figure8(table: pd.DataFrame) -> Figure:
     return figure
 
 
+def plot_grid_pixels(table: pd.DataFrame) -> Figure:
+    """The grid from rendered images: rms of a few missions beside what they state of themselves."""
+    figure, axes = _panels(1, 3, 3.6, 3.2)
+    for column, axis in enumerate(AXES):
+        ax, part = axes[0, column], table[table["axis"] == axis]
+        place = np.arange(len(part))
+        ax.bar(
+            place - 0.2, part["rms_arcsec"], 0.36, color=OURS, label=f"rms of {part['runs'].iloc[0]} missions"
+        )
+        ax.bar(place + 0.2, part["bound_arcsec"], 0.36, color=PAPER, label="stated 1σ")
+        ax.set_xticks(place, [f"{s:.3f}\n{c:.2f}" for s, c in zip(part["sigma_s_px"], part["sigma_c_px"])])
+        ax.set(yscale="log", title=axis, xlabel="σs, σc of the sightings, px")
+    axes[0, 0].set_ylabel("arcsec")
+    axes[0, 2].legend(fontsize=7, loc="upper left", bbox_to_anchor=(1.0, 1.0))
+    figure.suptitle("From pixels (mini scenario, every error of Table 1)")
+    return figure
+
+
+def plot_table5_pixels(table: pd.DataFrame) -> Figure:
+    """Geo-positioning from rendered images."""
+    figure, axes = _panels(1, 1, 5.0, 3.4)
+    ax = axes[0, 0]
+    for direction, colour, shift in (("along", OURS, -0.2), ("across", WANG, 0.2)):
+        part = table[table["direction"] == direction]
+        place = np.arange(len(part))
+        ax.bar(place + shift, part["rms_m"], 0.36, color=colour, label=f"{direction} track")
+        ax.set_xticks(place, [f"{s:.3f}\n{c:.2f}" for s, c in zip(part["sigma_s_px"], part["sigma_c_px"])])
+    ax.set(xlabel="σs, σc of the sightings, px", ylabel="rms at check points, m")
+    ax.legend(fontsize=7)
+    ax.set_title("Geo-positioning from pixels (mini scenario)", fontsize=10)
+    return figure
+
+
 def plot_forecast(table: pd.DataFrame, target_arcsec: float | None) -> Figure:
     """1-sigma of a plan against the number of strips."""
     figure, axes = _panels(1, 1, 6.0, 4.2)
@@ -202,6 +235,8 @@ PLOTS: dict[str, Callable[[pd.DataFrame], Figure]] = {
     "table4": plot_table4,
     "table5": plot_table5,
     "figure8": plot_figure8,
+    "grid-pixels": plot_grid_pixels,
+    "table5-pixels": plot_table5_pixels,
 }
 
 

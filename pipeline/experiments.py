@@ -17,9 +17,17 @@ from scipy.spatial.transform import Rotation
 from calib.campaign import CameraPair
 from calib.experiments import ExperimentSettings, convergence, figure8, grid, table4, table5
 from pipeline.experiment_plots import PLOTS
+from pipeline.pixel_experiments import PixelSettings, grid_from_pixels, table5_from_pixels
 from star_id.catalogue import hipparcos_stars
 
-__all__ = ["EXPERIMENTS", "experiment_table", "hipparcos_fields", "run_experiment"]
+__all__ = [
+    "EXPERIMENTS",
+    "FROM_PIXELS",
+    "experiment_table",
+    "hipparcos_fields",
+    "run_experiment",
+    "run_from_pixels",
+]
 
 Array = NDArray[np.float64]
 Progress = Callable[[int, int], None]
@@ -27,13 +35,25 @@ Progress = Callable[[int, int], None]
 FAINTEST_V = 6.5  # about 55 stars in the field, as many as the paper's spread asks for (docs/estimation.md)
 
 EXPERIMENTS = ("convergence", "grid", "table4", "table5", "figure8")
+FROM_PIXELS = ("grid", "table5")
 
 
 def run_experiment(
     name: str, out: Path, settings: ExperimentSettings, progress: Progress | None = None
 ) -> tuple[pd.DataFrame, list[Path]]:
     """Run one experiment; its table, and the files written: `NAME.csv` and `NAME.png` in `out`."""
-    table = experiment_table(name, settings, progress)
+    return _written(name, experiment_table(name, settings, progress), out)
+
+
+def run_from_pixels(
+    name: str, out: Path, settings: PixelSettings, progress: Progress | None = None
+) -> tuple[pd.DataFrame, list[Path]]:
+    """One of `FROM_PIXELS` through rendered images: `NAME-pixels.csv` and `NAME-pixels.png` in `out`."""
+    table = {"grid": grid_from_pixels, "table5": table5_from_pixels}[name](settings, progress)
+    return _written(f"{name}-pixels", table, out)
+
+
+def _written(name: str, table: pd.DataFrame, out: Path) -> tuple[pd.DataFrame, list[Path]]:
     out.mkdir(parents=True, exist_ok=True)
     written = [out / f"{name}.csv", out / f"{name}.png"]
     table.to_csv(written[0], index=False, float_format="%.6g")

@@ -63,3 +63,8 @@ def test_stars_of_a_field_are_the_skys():
 
 def test_an_unknown_experiment_is_wrong_usage():
     assert runner.invoke(app, ["experiment", "table9", "--out", "nowhere"]).exit_code == 2
+
+
+def test_only_some_experiments_go_through_pixels():
+    told = runner.invoke(app, ["experiment", "table4", "--out", "nowhere", "--pixels"])
+    assert told.exit_code == 2
