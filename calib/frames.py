@@ -89,6 +89,9 @@ class PreparedFrames:
     F_s: Array  # (K, 3, 3) its information, frame s
     F_c: Array  # (K, 3, 3) the targets' attitude information, frame c
     profile: Array  # (K, 3, 3) sum w (R_si v)ᵀ / σ²: c by s
+    telling: NDArray[
+        np.bool_
+    ]  # (K,) two stars and a target at least: a frame with less says nothing of theta
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -131,7 +134,9 @@ def prepare_frames(frames: Frames) -> PreparedFrames:
     F_c = _information(
         sums_over(frames.target_start, weight), _profile(frames.target_start, frames.w_c, weighted)
     )
-    return PreparedFrames(R_is, F_s, F_c, _profile(frames.target_start, weighted, frames.v_targets) @ R_is)
+    profile = _profile(frames.target_start, weighted, frames.v_targets) @ R_is
+    telling = (np.diff(frames.star_start) >= 2) & (np.diff(frames.target_start) >= 1)
+    return PreparedFrames(R_is, F_s, F_c, profile, telling)
 
 
 def frame_pairs(prepared: PreparedFrames, R_cs: Rotation) -> tuple[Array, Array]:
@@ -140,10 +145,14 @@ def frame_pairs(prepared: PreparedFrames, R_cs: Rotation) -> tuple[Array, Array]
     F_s = C @ prepared.F_s @ C.T
     T = prepared.profile @ C.T  # sum w (R_cs R_si v)ᵀ / σ²
     b = np.stack([T[:, 1, 2] - T[:, 2, 1], T[:, 2, 0] - T[:, 0, 2], T[:, 0, 1] - T[:, 1, 0]], axis=1)
-    shared = np.linalg.solve(F_s + prepared.F_c, np.concatenate([F_s, b[:, :, None]], axis=2))
-    both = F_s @ shared
-    F = F_s - both[:, :, :3]
-    return 0.5 * (F + F.transpose(0, 2, 1)), both[:, :, 3]
+    both = F_s + prepared.F_c
+    both[~prepared.telling] = np.eye(3)
+    shared = np.linalg.solve(both, np.concatenate([F_s, b[:, :, None]], axis=2))
+    left = F_s @ shared
+    F = F_s - left[:, :, :3]
+    F, F_theta = 0.5 * (F + F.transpose(0, 2, 1)), left[:, :, 3]
+    F[~prepared.telling], F_theta[~prepared.telling] = 0.0, 0.0
+    return F, F_theta
 
 
 def calibrate_frames(

@@ -1,0 +1,94 @@
+"""Many frames at once: ragged, in chunks, and at the bound."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from scipy.stats import chi2
+
+from calib.campaign import CameraPair, draw_frames, noisy_frames
+from calib.frames import Frames, calibrate_frames, calibrate_stream, frame_pairs, prepare_frames
+from geometry.constants import ARCSEC
+from geometry.installation import deviation_from_theta, theta_between
+
+BOLD = Rotation.from_euler("xyz", [40, -65, 110], degrees=True)
+CAMERAS = CameraPair(BOLD)
+R_CS0 = deviation_from_theta(np.array([0.003, 0.002, 0.001])).inv() * BOLD
+
+
+def drawn(n, seed, stars=30, targets=10):
+    return draw_frames(n, stars, targets, 0.06, 0.3, CAMERAS, np.random.default_rng(seed))
+
+
+def cut(frames: Frames, stars: list[int], targets: list[int]) -> Frames:
+    """The frames with only the first so many stars and targets each."""
+    s = np.concatenate([np.arange(a, a + n) for a, n in zip(frames.star_start, stars)])
+    c = np.concatenate([np.arange(a, a + n) for a, n in zip(frames.target_start, targets)])
+    return replace(
+        frames,
+        star_start=np.concatenate([[0], np.cumsum(stars)]),
+        target_start=np.concatenate([[0], np.cumsum(targets)]),
+        **{name: getattr(frames, name)[s] for name in ("u_s", "v_stars", "sigma_s")},
+        **{name: getattr(frames, name)[c] for name in ("w_c", "v_targets", "sigma_c")},
+    )
+
+
+def test_ragged_frames_give_what_each_gives_alone():
+    frames = cut(drawn(6, 1), [30, 2, 0, 17, 1, 25], [10, 3, 4, 0, 5, 1])
+    F, F_theta = frame_pairs(prepare_frames(frames), BOLD)
+    for k in (0, 1, 5):
+        s, c = (np.array([0, len(part)]) for part in (frames.frame(k)[0], frames.frame(k)[3]))
+        u_s, v_s, sigma_s, w_c, v_c, sigma_c = frames.frame(k)
+        alone = Frames(s, u_s, v_s, sigma_s, c, w_c, v_c, sigma_c)
+        one_F, one_F_theta = frame_pairs(prepare_frames(alone), BOLD)
+        np.testing.assert_allclose(F[k], one_F[0], rtol=0, atol=1e-12 * np.abs(F[k]).max())
+        np.testing.assert_allclose(F_theta[k], one_F_theta[0], rtol=0, atol=1e-9 * np.abs(F_theta[k]).max())
+    assert not np.any(F[[2, 3, 4]]) and not np.any(F_theta[[2, 3, 4]])  # no stars, no targets, one star
+
+
+def test_chunks_give_what_the_whole_gives_whatever_their_size():
+    parts = [drawn(n, seed) for n, seed in ((40, 1), (7, 2), (100, 3))]
+    R_cs, solution, total = calibrate_stream(iter(parts), R_CS0)
+    whole = Frames(
+        *(
+            np.concatenate([[0], np.cumsum(np.concatenate([np.diff(getattr(p, name)) for p in parts]))])
+            if name.endswith("start")
+            else np.concatenate([getattr(p, name) for p in parts])
+            for name in Frames.__dataclass_fields__
+        )
+    )
+    at_once = calibrate_frames(whole, R_CS0)
+    assert np.linalg.norm(theta_between(R_cs, at_once.R_cs)) < 1e-6 * ARCSEC  # second order in 0.5 arcsec
+    np.testing.assert_allclose(
+        solution.covariance, at_once.solution.covariance, rtol=1e-5
+    )  # half an arcsec apart
+    assert total.n == 3
+    with pytest.raises(ValueError, match="no frames"):
+        calibrate_stream(iter([]), R_CS0)
+
+
+def test_errors_are_at_the_bound_and_unbiased():
+    exact = draw_frames(60, 30, 10, 0.06, 0.3, CAMERAS, np.random.default_rng(4), noise=False)
+    rng, runs = np.random.default_rng(5), 150
+    found = [calibrate_frames(noisy_frames(exact, rng), R_CS0) for _ in range(runs)]
+    off = np.array([theta_between(f.R_cs, BOLD) for f in found])
+    covariance = found[0].solution.covariance
+    nees = np.einsum("ra,ab,rb->", off, np.linalg.inv(covariance), off)
+    low, high = chi2(3 * runs).ppf([0.0005, 0.9995])
+    assert low < nees < high
+    assert np.all(np.abs(off.mean(axis=0)) < 3.3 * np.sqrt(np.diag(covariance) / runs))
+
+
+def test_a_matrix_far_away_is_reached_and_a_hopeless_one_refused():
+    frames = drawn(20, 6)
+    far = Rotation.from_rotvec([0.2, -0.1, 0.15]) * BOLD
+    assert np.linalg.norm(theta_between(calibrate_frames(frames, far).R_cs, BOLD)) < 5 * ARCSEC
+    with pytest.raises(ValueError, match="from the unit matrix after 1 iterations"):
+        calibrate_frames(frames, far, most_iterations=1)
+
+
+def test_shapes_are_checked_at_birth():
+    frames = drawn(2, 1)
+    with pytest.raises(ValueError, match="w_c must have shape"):
+        replace(frames, w_c=frames.w_c[:-1])
