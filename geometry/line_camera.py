@@ -197,9 +197,7 @@ class LineCamera:
         return (slope - u_c * np.einsum("ni,ni->n", u_c, slope)[:, None]) / norm
 
     def samples_from_directions(self, ccd: int, u_c: ArrayLike) -> tuple[Array, Array]:
-        """The sample beside each direction (N, 3), and its miss across the detector, px, positive towards
-        +x_c.
-        """
+        """The sample beside each direction (N, 3), and its miss across the detector, px, towards +x_c."""
         u = np.asarray(u_c, dtype=float)
         xy_f = -u[:, :2] * (self.focal_m / np.where(u[:, 2] > 0.0, u[:, 2], np.nan))[:, None]
         sample, across = self.ccds[ccd].samples(xy_f)
@@ -217,8 +215,7 @@ class LineCamera:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LookAngleCamera:
-    """A single detector given by the tangents of its look directions at some samples: `u_c ~ [tan_x, tan_y,
-    1]`.
+    """A single detector given by tangents at some samples: `u_c ~ [tan_x, tan_y, 1]`.
 
     Between the samples a cubic spline holds (a straight line between two); beyond them it goes on straight.
     """

@@ -133,9 +133,7 @@ class Pushbroom:
         return replace(self, R_cs=R_cs, table=None)
 
     def tabulated(self, first_line: float, last_line: float) -> Pushbroom:
-        """The same strip with orbit and attitude tabulated between two lines: worth it before many small
-        calls.
-        """
+        """The same strip with its rows tabulated between two lines: worth it before many small calls."""
         bends: ArrayLike = ()
         if isinstance(self.attitude, AttitudeTrack):
             bends = self.rows.line(self.attitude.t_s - self._delay_s)
@@ -246,9 +244,7 @@ class Pushbroom:
         return np.where(found, sample, np.nan), np.where(found, line, np.nan)
 
     def _missed(self, ccd: int, p_e: Array, line: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
-        """At given lines: the sample beside each point, its miss across the detector (px), and whether it is
-        seen.
-        """
+        """At given lines: the sample beside each point, its miss across (px), and whether it is seen."""
         known = np.isfinite(line)
         if not known.all():
             line = np.where(known, line, self._span_lines()[0] if self.table is None else self.table.edges[0])
@@ -307,9 +303,7 @@ class Pushbroom:
         return away**2 * (_BEND_LIGHT_TIME + _BEND_AIR * tan * (1.0 + tan**2))
 
     def _expected_heights(self, ccd: int, sample: Array, line: Array, surface: Surface) -> Array:
-        """Roughly the height (N,) at which pixels meet the ground, from a lattice of pixels when they are
-        many.
-        """
+        """Roughly the height (N,) at which pixels meet the ground, from a lattice when they are many."""
         low, high = surface.height_range_m()
         middle = 0.5 * (low + high)
         if len(line) < _MANY or high - low < _LATTICE_M:

@@ -124,9 +124,7 @@ def _merged(
 
 
 def _cubic(values: Array, x: Array, start: Index) -> Array:
-    """Cubics (C, N) through the four columns of `values` (C, K) from `start` (N,) on, at x (N,) columns after
-    it.
-    """
+    """Cubics (C, N) through four columns of `values` (C, K) from `start` (N,) on, x (N,) columns after it."""
     a, b, c, d = x, x - 1.0, x - 2.0, x - 3.0
     ab, cd = a * b, c * d
     result = values.take(start, axis=1)
