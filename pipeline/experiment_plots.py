@@ -110,7 +110,7 @@ def plot_table4(table: pd.DataFrame) -> Figure:
                 color=BOUND,
                 ms=14,
                 mew=2,
-                label=f"paper, {label}" if shift < 0 else "paper, its own",
+                label="the paper's figure for it" if shift > 0 else None,
             )
         ax.set_xticks(place, [f"{s:g}\n{c:g}" for s, c in cells])
         ax.set(yscale="log", title=axis, xlabel="σs, σc, px")
