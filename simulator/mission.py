@@ -23,6 +23,7 @@ from geometry.epoch import Epoch
 from geometry.geodesy import geodetic_from_ecef
 from geometry.geoid import Geoid
 from geometry.groundlight import LightEffects
+from geometry.line_camera import LineCamera
 from geometry.orbit import Orbit
 from geometry.pushbroom import Pushbroom, RowClock
 from geometry.starlight import StarPlaces
@@ -42,7 +43,7 @@ from simulator.ground import (
     ProceduralGround,
     gaussian_sigma_px,
 )
-from simulator.ground_targets import check_points, place_targets
+from simulator.ground_targets import Placed, check_points, place_targets
 from simulator.motion import TrueAttitude, flown_orbit, reported_orbit, true_attitude
 from simulator.records import (
     Exposure,
@@ -53,6 +54,7 @@ from simulator.records import (
     Strip,
     TerrainReport,
     TrueExposure,
+    TruePoint,
     TrueStrip,
     Truth,
 )
@@ -99,31 +101,18 @@ def simulate(
     plan = _Plan.of(scenario)
     world = _World.of(scenario, plan, table, seed)
     scenes, terrain = _scenes(scenario, plan, world, geoid, seed, ground_image)
-    placed, checks = [], []
-    for n, scene in enumerate(scenes):
-        reference = _seen_ground(scenario, scene.epsg, seed, ground_image, date=0)
-        args = (plan.strip_ids[n], scene, scenario.strips.lines)
-        placed += place_targets(
-            *args, reference, scenario.ground_pixel_m, scenario.targets, geoid, _rng(seed, "targets", n)
-        )
-        checks += check_points(*args, scenario.targets.check_points_per_strip, _rng(seed, "check points", n))
+    targets, checks = _ground_points(scenario, plan, scenes, geoid, seed, ground_image)
     sky = _star_field(scenario, stars, world, seed)
     position_e = _rng(seed, "gps").standard_normal((scenario.strips.count, 3)) * scenario.errors.gps_m
     clock_s = _rng(seed, "clock").standard_normal(scenario.strips.count) * scenario.errors.clock_s
-    true_strips = tuple(
-        TrueStrip(strip_id, float(offset), error)
-        for strip_id, offset, error in zip(plan.strip_ids, clock_s, position_e)
-    )
-    targets = [item for item in placed if item.truth]
+    R_cs0 = measured_installation(scenario.installation)
     return Mission(
         scenario=scenario,
         epoch=world.orbit.epoch,
         orbit=_orbit_report(scenario, plan, world.orbit, position_e),
         star_camera=sky.camera,
         line_camera=calibrated_line_camera(scenario.line_camera),
-        installation=Installation(
-            measured_installation(scenario.installation), np.array(scenario.installation.sigma_rad)
-        ),
+        installation=Installation(R_cs0, np.array(scenario.installation.sigma_rad)),
         errors=_stated(scenario),
         exposures=_exposures(scenario, plan, sky, seed),
         strips=_strips(scenario, plan, scenes, clock_s, seed),
@@ -132,13 +121,13 @@ def simulate(
         terrain=terrain,
         truth=Truth(
             seed=seed,
-            R_cs=true_installation(scenario.installation),
+            R_cs=world.attitude.R_cs,
             theta_rad=np.array(scenario.installation.theta_rad),
             line_camera=world.line_camera,
             orbit=reported_orbit(world.orbit, plan.oem_s, plan.strips_s, 0.0 * position_e, 0.0, 1.0),
             t_attitude_s=plan.attitude_s,
             R_ci=world.attitude.R_ci(plan.attitude_s),
-            strips=true_strips,
+            strips=tuple(map(TrueStrip, plan.strip_ids, clock_s.tolist(), position_e)),
             targets=tuple(point for item in targets for point in item.truth),
             check_points=tuple(checks),
             _exposure=partial(_true_exposure, sky, scenario.star_camera.exposure_s, plan),
@@ -189,7 +178,7 @@ class _World:
     earth: EarthRotation
     orbit: Orbit
     attitude: TrueAttitude
-    line_camera: Any
+    line_camera: LineCamera
 
     @staticmethod
     def of(scenario: Scenario, plan: _Plan, table: EarthOrientationTable, seed: int) -> _World:
@@ -236,6 +225,28 @@ def _scenes(
         step = needed_sample_step(model, surface, scenario.strips.lines)
         scenes.append(Scene(model.tabulated(-64.0, last), surface, epsg, ground, step))
     return scenes, _terrain_report(scenario, heights, affine, seed)
+
+
+def _ground_points(
+    scenario: Scenario,
+    plan: _Plan,
+    scenes: list[Scene],
+    geoid: Geoid,
+    seed: int,
+    ground_image: GroundImage | None,
+) -> tuple[list[Placed], list[TruePoint]]:
+    """Targets that some CCD sees, and check points, of all strips."""
+    targets: list[Placed] = []
+    checks: list[TruePoint] = []
+    lines = scenario.strips.lines
+    for n, (strip_id, scene) in enumerate(zip(plan.strip_ids, scenes)):
+        chance = _rng(seed, "targets", n)
+        reference = _seen_ground(scenario, scene.epsg, seed, ground_image, date=0)
+        pixel_m = scenario.ground_pixel_m
+        targets += place_targets(strip_id, scene, lines, reference, pixel_m, scenario.targets, geoid, chance)
+        chance = _rng(seed, "check points", n)
+        checks += check_points(strip_id, scene, lines, scenario.targets.check_points_per_strip, chance)
+    return [item for item in targets if item.truth], checks
 
 
 def _terrain_report(
