@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
+from geometry.attitude import lagrange_weights
 from geometry.constants import ARCSEC, WGS84
 from geometry.geodesy import ellipsoid_normals, geodetic_from_ecef
 from geometry.terrain import Surface
@@ -145,9 +146,15 @@ def _turned_by(u: Array) -> Array:
 
 
 def _attitude_covariance(model: StripModel, t_s: Array) -> Array:
-    """Covariance (N, 3, 3) of the star camera's attitude, turned into frame c."""
-    C = model.pushbroom.R_cs.as_matrix()
-    return np.asarray(C @ np.nan_to_num(model.track.covariance_s(t_s)) @ C.T)
+    """Covariance (N, 3, 3) of the star camera's attitude, turned into frame c. Where too few exposures tell
+    what the interpolation misses, the exposures' own errors stand alone.
+    """
+    track, C = model.track, model.pushbroom.R_cs.as_matrix()
+    missed = np.nan_to_num(track.interpolation_sigma_rad(t_s))[:, :, None] ** 2 * np.eye(3)
+    weights = lagrange_weights(track.t_s, t_s, track.points)
+    assert track.cov_s is not None  # `strip_model` gives it
+    own = np.einsum("jk,kab->jab", weights**2, track.cov_s)
+    return np.asarray(C @ (own + missed) @ C.T)
 
 
 def _turn_variance(calibrated: Calibrated) -> Array:

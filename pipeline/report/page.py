@@ -50,9 +50,10 @@ class Detection:
 
     x: float
     y: float
-    r: float
+    r: float  # size, about 1
     state: str
     words: str
+    name: str  # of the star; empty where it was not named
 
 
 def write_report(result: Path, *, most_matches: int = MOST_MATCHES) -> Path:
@@ -201,14 +202,14 @@ def _star_image(saved: Saved) -> dict[str, Any] | None:
     table, camera = saved.detections, saved.context["star_camera"]
     xy, snr = list_values(table, "xy_px", 2), column(table, "snr")
     state, hip = table.column("state").to_pylist(), column(table, "hip")
-    unit = max(camera["width_px"], camera["height_px"]) / 1000.0
     marks = [
         Detection(
             round(float(xy[n, 0]), 3),
             round(float(xy[n, 1]), 3),
-            round(unit * (5.0 + min(3.0 * float(np.log10(max(snr[n], 1.0))), 9.0)), 2),
+            round(0.6 + min(0.3 * float(np.log10(max(snr[n], 1.0))), 0.9), 2),
             state[n],
             (f"HIP {hip[n]}, " if hip[n] else "") + f"signal to noise {snr[n]:.1f}: {STATES[state[n]]}",
+            f"HIP {hip[n]}" if hip[n] else "",
         )
         for n in range(len(table))
     ]

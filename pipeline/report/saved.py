@@ -83,7 +83,9 @@ def number_at(content: Any, key: str) -> float:
 def read_saved(result: Path) -> Saved:
     """Read a finished result. `RawDataError` names what is missing."""
     installation = _json(result / "installation.json")
-    tables = {name: _table(result / "sightings" / f"{name}.parquet") for name in _SIGHTINGS}
+    tables = {
+        name: _table(result / "sightings" / f"{name}.parquet", names) for name, names in _SIGHTINGS.items()
+    }
     tables |= {name: _table(result / "evidence" / f"{name}.parquet") for name in _EVIDENCE}
     tables["detections"] = _table(result / "evidence" / "exposure.parquet")
     run = result / "run.json"
@@ -95,7 +97,12 @@ def read_saved(result: Path) -> Saved:
     )
 
 
-_SIGHTINGS = ("stars", "exposures", "targets", "omissions")
+_SIGHTINGS: dict[str, list[str] | None] = {  # of a long archive only the columns that are drawn
+    "stars": ["xy_px", "residual_s", "normalised", "kept"],
+    "exposures": ["t_s", "usable", "chi2", "dof"],
+    "targets": None,
+    "omissions": None,
+}
 _EVIDENCE = ("inputs", "convergence", "angles", "matches")
 
 
@@ -110,10 +117,10 @@ def _json(path: Path) -> dict[str, Any]:
     return content
 
 
-def _table(path: Path) -> pa.Table:
+def _table(path: Path, columns: list[str] | None = None) -> pa.Table:
     if not path.is_file():
         raise RawDataError(str(path), "file", "nothing", "the table that `calibrate` wrote")
     try:
-        return pq.read_table(path)
+        return pq.read_table(path, columns=columns)
     except (OSError, pa.ArrowException) as error:
         raise RawDataError(str(path), "file", str(error), "the table that `calibrate` wrote") from error

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -171,6 +172,8 @@ def test_every_detection_is_marked_by_its_state(page: Page, finished):
     marks = [a["class"].split()[1] for _, a in page.all("g") if a.get("class", "").startswith("mark ")]
     assert sorted(marks) == sorted(detections.state)
     assert (detections.state == "used").sum() >= 20
+    names = [page.texts[n] for n, a in page.all("text") if a.get("class", "").startswith("name ")]
+    assert sorted(names) == sorted(f"HIP {hip}" for hip in detections.hip if hip)
     legend = " ".join(page.texts[n] for n, _ in page.all("li"))
     assert f"{(detections.state == 'used').sum()} named and used" in legend
 
@@ -207,6 +210,27 @@ def test_of_too_many_matches_the_worst_are_shown_and_the_rest_counted(finished):
     worst = targets.sort_values("normalised").target_id.iloc[-1]
     assert any(f"/ {worst}, CCD" in page.texts[n] for n, _ in page.all("figcaption"))
     assert f"Shown are the 2 with the largest residuals of {len(targets)}" in page.texts[0]
+
+
+def test_a_result_with_next_to_nothing_in_it_gets_a_whole_page_too(finished):
+    saved = read_saved(finished[1])
+    names = ("angles", "matches", "omissions", "inputs", "convergence")
+    empty = {name: getattr(saved, name).slice(0, 0) for name in names}
+    bare = replace(
+        saved, **empty, detections=saved.detections.slice(0, 0).replace_schema_metadata(None), run={}
+    )
+    page = Page(report_html(bare))
+    assert {attributes.get("id") for _, attributes in page.all("section")} == SECTIONS
+    assert "No star image was kept" in page.texts[0] and "No target was placed" in page.texts[0]
+    assert "Nothing was left out" in page.texts[0]
+
+
+def test_names_of_a_mission_cannot_become_markup(finished):
+    saved = read_saved(finished[1])
+    hostile = replace(saved, context=saved.context | {"mission": "<script>alert('\"&</script>"})
+    page = Page(report_html(hostile))
+    assert len(page.all("script")) == 1
+    assert "<script>alert('\"&</script>" in page.texts[0]
 
 
 def test_a_folder_without_a_result_gets_a_report_of_what_is_missing(tmp_path):

@@ -5,12 +5,18 @@ for (const box of document.querySelectorAll(".zoom")) {
   const most = Math.max(whole.w / 24, 1);
   let view = { ...whole };
   const clamp = (value, low, high) => Math.min(Math.max(value, low), high);
+  function measure() { // marks and names keep their size on the screen, marks grow a little with the zoom
+    const pixel = view.w / Math.max(svg.clientWidth, 1);
+    svg.style.setProperty("--screen-px", pixel);
+    svg.style.setProperty("--mark", pixel * Math.min(1, svg.clientWidth / 700) * Math.sqrt(whole.w / view.w));
+  }
   function show(next) {
     const w = clamp(next.w, whole.w / most, whole.w);
     const h = w * whole.h / whole.w;
     view = { w, h, x: clamp(next.x, whole.x, whole.x + whole.w - w), y: clamp(next.y, whole.y, whole.y + whole.h - h) };
     svg.setAttribute("viewBox", `${view.x} ${view.y} ${view.w} ${view.h}`);
     svg.classList.toggle("closer", view.w < whole.w * 0.999);
+    measure();
   }
   function zoom(factor, at) {
     const centre = at || { x: view.x + view.w / 2, y: view.y + view.h / 2 };
@@ -46,6 +52,7 @@ for (const box of document.querySelectorAll(".zoom")) {
     else return;
     event.preventDefault();
   });
+  new ResizeObserver(measure).observe(svg);
   const fingers = new Map();
   let last = null;
   svg.addEventListener("pointerdown", (event) => {
