@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from calib.attitudes import GROSS, cross_matrices
+from calib.attitudes import GROSS
 from calib.estimate import (
     InstallationEstimate,
     Iteration,
@@ -27,11 +27,12 @@ from calib.estimate import (
     Rejected,
     TargetResiduals,
 )
-from calib.information import InformationPairs, Solution, solve_total
+from calib.gross_errors import down_to_the_noise, most_shared_matrix
+from calib.information import InformationPairs, Solution
+from calib.joint_solution import Problem, Step, iteration_record, linear_solution, normalised_residuals
 from calib.rejection import left_out
 from calib.settings import CalibrationSettings
-from calib.shared_unknowns import SharedUnknowns, find_shared
-from calib.strips import LinearStrips, PreparedStrip, StripGroup, group_strips, linearise, prepare_strip
+from calib.strips import PreparedStrip, prepare_strip
 from geometry.installation import deviation_from_theta, theta_between
 from geometry.sightings import StripSightings
 
@@ -54,7 +55,7 @@ def calibrate(
         twice = next(a for a, b in pairwise(ids) if a == b)
         raise ValueError(f"two strips have the id {twice!r}")
     scale_s, prepared = _prepared(strips, settings)
-    problem = _Problem.of(prepared, settings)
+    problem = Problem.of(prepared, settings)
     if not problem.groups:
         reason = f"{len(strips)} strips, none with a target between usable star exposures"
         none = np.zeros((0, 3))
@@ -74,56 +75,15 @@ def strip_pairs(
     """One information pair a strip about `R_cs`, no strip or target left out but those that exposures do
     not cover, and the prior information of the unknowns that the strips share.
     """
-    problem = _Problem.of([prepare_strip(strip, settings) for strip in strips], settings)
+    problem = Problem.of([prepare_strip(strip, settings) for strip in strips], settings)
     if not problem.groups:
         raise ValueError(f"{len(strips)} strips, none with a target between usable star exposures")
-    return _linear_solution(problem, R_cs, problem.inside.astype(float), 1.0).pairs, problem.prior_shared
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Problem:
-    """All strips in groups of equal shape. Targets of all groups stand one after another: group, strip,
-    target.
-    """
-
-    groups: list[StripGroup]
-    names: NDArray[np.str_]  # (S,) strip ids, group after group
-    shared: SharedUnknowns
-    prior_shared: Array
-    inside: NDArray[np.bool_]  # (J,)
-    settings: CalibrationSettings
-
-    @classmethod
-    def of(cls, prepared: list[PreparedStrip], settings: CalibrationSettings) -> _Problem:
-        shared = find_shared([strip.seen() for strip in prepared if strip.inside.any()], settings)
-        groups = group_strips(prepared, shared, settings)
-        none = np.zeros(0, dtype=bool)
-        inside = np.concatenate([none, *(group.inside.ravel() for group in groups)])
-        names = np.concatenate([[prepared[n].strip_id for n in group.place] for group in groups] or [[]])
-        return cls(groups, names.astype(str), shared, shared.prior_information(), inside, settings)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Step:
-    """One linear solution about `R_cs`, all weights given."""
-
-    R_cs: Rotation
-    pairs: InformationPairs
-    solution: Solution
-    chi2: float
-    whitened: Array  # (J, 2) residuals after all unknowns were taken out
-    variance: Array  # (J, 2, 2) of `whitened` of a good target: I - leverage, or I + it if left out
-    residual_c: Array  # (J, 2) rad, along x and y of frame c
-    share: Array  # (J, 2, 2) the placing's part of the whitened noise
-
-    @property
-    def sigma(self) -> Array:
-        return np.sqrt(np.diag(self.solution.covariance))
+    return linear_solution(problem, R_cs, problem.inside.astype(float), 1.0).pairs, problem.prior_shared
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Fit:
-    step: _Step
+    step: Step
     iterations: list[Iteration]
     kept: NDArray[np.bool_]  # (J,)
     normalised: Array  # (J,)
@@ -150,23 +110,23 @@ def _prepared(
     return (scale, sigma), prepared
 
 
-def _solve(problem: _Problem, R_cs0: Rotation) -> _Fit:
+def _solve(problem: Problem, R_cs0: Rotation) -> _Fit:
     settings = problem.settings
     iterations: list[Iteration] = []
     limit = float(chi2.isf(settings.probability_false_alarm, 2))
     kept, scale = problem.inside, (1.0, 0.0)
     step = _iterated(problem, R_cs0, kept, iterations, 1.0)
     for _ in range(5 if settings.estimate_noise else 1):
-        if settings.robust and np.any(_normalised(step)[problem.inside] > limit):
-            R_cs, kept = step.R_cs, problem.inside & (_normalised(step) <= limit)
-            if np.any(_normalised(step)[problem.inside] > GROSS):
-                R_cs = _most_shared(problem, R_cs0)
-                R_cs, weight = _down_to_the_noise(problem, R_cs, iterations, scale[0])
+        if settings.robust and np.any(normalised_residuals(step)[problem.inside] > limit):
+            R_cs, kept = step.R_cs, problem.inside & (normalised_residuals(step) <= limit)
+            if np.any(normalised_residuals(step)[problem.inside] > GROSS):
+                R_cs = most_shared_matrix(problem, R_cs0)
+                R_cs, weight = down_to_the_noise(problem, R_cs, iterations, scale[0])
                 kept = weight > 0.25
             for _ in range(settings.most_iterations):
-                step = _linear_solution(problem, R_cs, kept.astype(float), scale[0])
-                iterations.append(_record(step, kept.astype(float)))
-                before, kept = kept, problem.inside & (_normalised(step) <= limit)
+                step = linear_solution(problem, R_cs, kept.astype(float), scale[0])
+                iterations.append(iteration_record(step, kept.astype(float)))
+                before, kept = kept, problem.inside & (normalised_residuals(step) <= limit)
                 R_cs = deviation_from_theta(step.solution.theta) * R_cs
                 if np.array_equal(before, kept):
                     break
@@ -174,155 +134,25 @@ def _solve(problem: _Problem, R_cs0: Rotation) -> _Fit:
         if settings.estimate_noise:
             scale = _noise_scale(step, kept, scale[0], settings)
             step = _iterated(problem, step.R_cs, kept, iterations, scale[0])
-    return _Fit(step, iterations, kept, _normalised(step), *scale)
+    return _Fit(step, iterations, kept, normalised_residuals(step), *scale)
 
 
 def _iterated(
-    problem: _Problem, R_cs: Rotation, kept: NDArray[np.bool_], iterations: list[Iteration], scale_c: float
-) -> _Step:
+    problem: Problem, R_cs: Rotation, kept: NDArray[np.bool_], iterations: list[Iteration], scale_c: float
+) -> Step:
     """Gauss-Newton to M = I with given weights."""
     settings = problem.settings
     for _ in range(settings.most_iterations):
-        step = _linear_solution(problem, R_cs, kept.astype(float), scale_c)
-        iterations.append(_record(step, kept.astype(float)))
+        step = linear_solution(problem, R_cs, kept.astype(float), scale_c)
+        iterations.append(iteration_record(step, kept.astype(float)))
         if np.linalg.norm(step.solution.theta) <= settings.tolerance_rad:
             break
         R_cs = deviation_from_theta(step.solution.theta) * R_cs
     return step
 
 
-def _linear_solution(problem: _Problem, R_cs: Rotation, weight: Array, scale_c: float) -> _Step:
-    """Reduce every strip, add, solve, and put the solution back into every strip."""
-    lines, reduced, at = [], [], 0
-    for group in problem.groups:
-        line = linearise(group, R_cs, problem.settings, scale_c)
-        J = group.inside.size
-        reduced.append(_reduced(line, weight[at : at + J].reshape(group.inside.shape)))
-        lines.append(line)
-        at += J
-    N = np.concatenate([part.N for part in reduced])
-    pairs = InformationPairs(problem.names, N[:, :-1, :-1], N[:, :-1, -1], R_cs, problem.shared.names)
-    total = pairs.total()
-    solution = solve_total(
-        total.F,
-        total.F_theta,
-        problem.prior_shared,
-        sigma_observable_rad=problem.settings.sigma_observable_rad,
-    )
-    x = np.concatenate([solution.theta, solution.shared])
-    fitted = [_fitted(line, part, x, solution.covariance_all) for line, part in zip(lines, reduced)]
-    whitened, variance, along = (np.concatenate(part) for part in zip(*fitted))
-    used = (weight > 0.0)[:, None, None]
-    variance = np.where(used, np.eye(2) - variance, np.eye(2) + variance)
-    share = np.concatenate([line.share.reshape(-1, 2, 2) for line in lines])
-    chi2_sum = float(np.sum(N[:, -1, -1]) - x @ total.F_theta)
-    return _Step(R_cs, pairs, solution, chi2_sum, whitened, variance, along, share)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Reduced:
-    """A group with its strips' own unknowns eliminated."""
-
-    N: Array  # (S, n + 1, n + 1) normal matrix of theta, the shared unknowns and, last, the residual
-    back: Array  # (S, n_q, n + 1) what each of those puts into the strip's own unknowns
-    cov_q: Array  # (S, n_q, n_q) of the strip's own unknowns, the others given
-
-
-def _reduced(line: LinearStrips, weight: Array) -> _Reduced:
-    root: Array = np.repeat(np.sqrt(weight), 2, axis=1)[:, :, None]
-    X_q = root * line.X_q
-    Y = root * np.concatenate([line.X_theta, line.X_shared, line.r[:, :, None]], axis=2)
-    X_qT = np.swapaxes(X_q, 1, 2)
-    cov_q = np.asarray(np.linalg.inv(np.eye(X_q.shape[2]) + X_qT @ X_q), dtype=np.float64)
-    G = X_qT @ Y
-    back = cov_q @ G
-    N = np.swapaxes(Y, 1, 2) @ Y - np.swapaxes(G, 1, 2) @ back
-    return _Reduced(np.asarray(0.5 * (N + np.swapaxes(N, 1, 2))), back, cov_q)
-
-
-def _fitted(line: LinearStrips, part: _Reduced, x: Array, cov_x: Array) -> tuple[Array, Array, Array]:
-    """Residuals (J, 2) after all unknowns, their leverage (J, 2, 2), and the residuals in rad along x and
-    y of c.
-    """
-    S, rows, _ = line.X_theta.shape
-    X = np.concatenate([line.X_theta, line.X_shared], axis=2)
-    q = part.back[:, :, -1] - part.back[:, :, :-1] @ x
-    e = line.r - X @ x - (line.X_q @ q[:, :, None])[:, :, 0]
-    Z = X - line.X_q @ part.back[:, :, :-1]
-    J = S * rows // 2
-
-    def blocks(left: Array, middle: Array) -> Array:
-        root = left.reshape(S, rows // 2, 2, -1)
-        return ((root @ middle) @ np.swapaxes(root, 2, 3)).reshape(J, 2, 2)
-
-    leverage = blocks(line.X_q, part.cov_q[:, None]) + blocks(Z, cov_x)
-    along = np.linalg.solve(line.whitener.reshape(-1, 2, 2), e.reshape(-1, 2, 1))[:, :, 0]
-    return e.reshape(J, 2), leverage, np.asarray(along, dtype=np.float64)
-
-
-def _normalised(step: _Step) -> Array:
-    """Squared residual over its variance (J,). A residual that nothing checks gives zero."""
-    v = step.variance
-    det = v[:, 0, 0] * v[:, 1, 1] - v[:, 0, 1] ** 2
-    e = step.whitened
-    inside = v[:, 1, 1] * e[:, 0] ** 2 - 2.0 * v[:, 0, 1] * e[:, 0] * e[:, 1] + v[:, 0, 0] * e[:, 1] ** 2
-    return np.divide(inside, det, out=np.zeros(len(det)), where=det > 1e-9)
-
-
-def _most_shared(problem: _Problem, R_cs: Rotation) -> Rotation:
-    """The matrix with the least sum of absolute residuals: what most targets share, whatever the others
-    say.
-    """
-    u_c = np.concatenate([group.u_c[group.inside] for group in problem.groups])
-    v_s = np.concatenate([group.v_s[group.inside] for group in problem.groups])
-    for _ in range(50):
-        w = R_cs.apply(v_s)
-        difference = u_c - w
-        weight = 1.0 / np.maximum(
-            np.linalg.norm(difference, axis=1), 1e-6
-        )  # 0.2 arcsec: below this all is equal
-        turn = cross_matrices(w)
-        N = np.einsum("n,nia,nib->ab", weight, turn, turn)
-        right = np.einsum("n,nia,ni->a", weight, turn, difference)
-        values, vectors = np.linalg.eigh(N)
-        known = values > 1e-10 * values[-1]
-        theta = (vectors[:, known] / values[known]) @ (vectors[:, known].T @ right)
-        R_cs = deviation_from_theta(theta) * R_cs
-        if np.linalg.norm(theta) < 1e-9:
-            break
-    return R_cs
-
-
-def _down_to_the_noise(
-    problem: _Problem, R_cs: Rotation, iterations: list[Iteration], scale_c: float
-) -> tuple[Rotation, Array]:
-    """Geman and McClure's weights with a limit that halves until it is three sigma."""
-    weight = problem.inside.astype(float)
-    limit = np.inf
-    for _ in range(40):
-        step = _linear_solution(problem, R_cs, weight, scale_c)
-        if np.isinf(limit):  # nothing may move yet: residuals about the starting matrix
-            distance = np.linalg.norm(_residuals_about(problem, R_cs, scale_c), axis=1)
-            limit = max(3.0, 3.0 * float(np.median(distance[problem.inside])))
-        else:
-            iterations.append(_record(step, weight))
-            R_cs = deviation_from_theta(step.solution.theta) * R_cs
-            distance = np.linalg.norm(step.whitened, axis=1)
-            limit = max(3.0, 0.5 * limit)
-        before = weight
-        weight = problem.inside * (1.0 + (distance / limit) ** 2) ** -2.0
-        if limit == 3.0 and np.max(np.abs(weight - before)) < 1e-2:
-            break
-    return R_cs, weight
-
-
-def _residuals_about(problem: _Problem, R_cs: Rotation, scale_c: float) -> Array:
-    lines = [linearise(group, R_cs, problem.settings, scale_c) for group in problem.groups]
-    return np.concatenate([line.r.reshape(-1, 2) for line in lines])
-
-
 def _noise_scale(
-    step: _Step, kept: NDArray[np.bool_], scale: float, settings: CalibrationSettings
+    step: Step, kept: NDArray[np.bool_], scale: float, settings: CalibrationSettings
 ) -> tuple[float, float]:
     """Scale of the placings' sigma by restricted maximum likelihood, one step, and its 1-sigma."""
     share = scale**2 * step.share[kept]
@@ -341,11 +171,7 @@ def _trimmed_mean(settings: CalibrationSettings) -> float:
     return 1.0 + p * np.log(p) / (1.0 - p) if settings.robust else 1.0
 
 
-def _record(step: _Step, weight: Array) -> Iteration:
-    return Iteration(step.solution.theta, step.sigma, step.chi2, float(np.sum(weight)))
-
-
-def _residuals(prepared: list[PreparedStrip], problem: _Problem, fit: _Fit) -> TargetResiduals:
+def _residuals(prepared: list[PreparedStrip], problem: Problem, fit: _Fit) -> TargetResiduals:
     """All targets of all strips in order of strip; those of strips in no group have no residual."""
     start = np.concatenate([[0], np.cumsum([len(strip.target_id) for strip in prepared])]).astype(np.int64)
     n = int(start[-1])
@@ -384,7 +210,7 @@ def _not_observable(
 
 def _estimate(
     prepared: list[PreparedStrip],
-    problem: _Problem,
+    problem: Problem,
     fit: _Fit,
     matrices: tuple[Rotation, Rotation],
     residuals: TargetResiduals,
