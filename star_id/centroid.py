@@ -23,6 +23,8 @@ Array = NDArray[np.float64]
 
 _SMALL_STEP_PX = 0.004
 _LARGEST_STEP_PX = 0.8
+_SECOND_ORDER = 6.0  # scatter of the fits over the Fisher covariance: 1 + 6 / SNR^2, seen from SNR 6 to 20
+_PSF_MISFIT = 0.15  # residual energy over a star's own that a lens may leave on a Gaussian of free width
 _LARGEST_STRETCH = 0.6  # of the width's square, in one round of looking for a smear
 _SATURATED_WINDOW_SIGMA = 9.0
 _WINDOW_SIGMA = 3.0  # and half a pixel or more: 99 % of the information even on a photon-limited star
@@ -122,11 +124,11 @@ def estimate_psf(
     windows, places, start = _pick(windows, use), places[use], start[use]
     sigma = np.full(len(use), start_sigma_px)
     state = _start(windows, places + start)
-    for k in range(5):
+    for k in range(4):
         images = _images(windows, state, sigma, psf, widths=True)
         if k == 0:
             state = _linear(windows, state, images)
-        step, normal, residual, _ = _newton(windows, images, state, np.inf)
+        step, normal, residual, weight = _newton(windows, images, state, np.inf)
         flux = state[:, 2]
         state = state + np.concatenate([np.clip(step[:, :2], -0.8, 0.8), step[:, 2:4]], axis=1)
         sigma = np.clip(sigma * np.exp(np.clip(step[:, 4], -0.3, 0.3)), 0.25, 4.0 * start_sigma_px)
@@ -134,6 +136,9 @@ def estimate_psf(
     offset = state[:, :2] - (places - windows.corner - windows.radius)
     sound = (np.abs(offset) < 1.5).all(axis=1) & (state[:, 2] > 0) & (sigma > 0.27) & (error < 0.15 * sigma)
     sound &= sigma < 3.9 * start_sigma_px
+    misfit = (residual**2 * weight).sum(axis=1) - residual.shape[1]
+    energy = ((flux[:, None] * images.value) ** 2 * weight).sum(axis=1)
+    sound &= misfit < np.maximum(_PSF_MISFIT * energy, 5.0 * np.sqrt(2.0 * residual.shape[1]))
     if sound.sum() < 3:
         return psf, 0
     middle, corner = _width_over_field(psf, places[sound].astype(float), sigma[sound], error[sound])
@@ -288,13 +293,16 @@ def _stars_of(fit: _Fit, windows: _Windows, places: NDArray[np.int64]) -> StarFi
     ratio = chi2 / dof
     inflation = np.where(ratio > 1.0 + 3.5 * np.sqrt(2.0 / dof), ratio, 1.0)
     sky_information = (fit.value**2 * fit.good).sum(axis=1, dtype=float) / windows.noise2
+    flux_sigma = 1.0 / np.sqrt(np.maximum(sky_information, 1e-30))
+    snr = np.maximum(fit.state[:, 2] / flux_sigma, 1.0)
+    inflation = inflation * (1.0 + _SECOND_ORDER / snr**2)
     xy = fit.state[:, :2] + windows.corner + windows.radius
     near = np.abs(xy - places).max(axis=1) < 2.0 + windows.saturated * 4.0
     return StarFits(
         xy_px=xy,
         cov_px=cov[:, :2, :2] * inflation[:, None, None],
         flux_dn=fit.state[:, 2],
-        flux_sigma_dn=1.0 / np.sqrt(np.maximum(sky_information, 1e-30)),
+        flux_sigma_dn=flux_sigma,
         chi2=chi2,
         dof=dof,
         saturated=windows.saturated,

@@ -6,6 +6,8 @@ not marked in the catalogue, not an outlier of the attitude fit.
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -130,16 +132,24 @@ def fit_for_calibration(
     """The same for detections named by rows of the index."""
     arcsec_per_px = camera.pixel_m / camera.focal_m / ARCSEC
     sigma_rad = stars.psf.sigma_px * arcsec_per_px * ARCSEC
-    trusted = np.isin(index.stars.hip[rows], _trusted_hip(settings, arcsec_per_px))
+    trusted = _is_in(
+        index.stars.hip[rows], _trusted_hip(round(settings.max_photocentre_shift_px * arcsec_per_px, 6))
+    )
     measured = ~stars.saturated[detections] & ~stars.blended[detections]
     alone = _alone(index, rows, sigma_rad, settings.max_photocentre_shift_px * arcsec_per_px * ARCSEC)
     return np.asarray(trusted & measured & alone)
 
 
-def _trusted_hip(settings: StarSettings, arcsec_per_px: float) -> NDArray[np.int64]:
+@lru_cache(maxsize=4)
+def _trusted_hip(limit_arcsec: float) -> NDArray[np.int64]:
+    """Hipparcos numbers, ascending, of stars that the catalogue does not doubt and no companion displaces."""
     catalogue = hipparcos_stars(8.0)
-    limit = settings.max_photocentre_shift_px * arcsec_per_px
-    return catalogue.places.hip[catalogue.usable_for_calibration & catalogue.point_like(limit)]
+    return catalogue.places.hip[catalogue.usable_for_calibration & catalogue.point_like(limit_arcsec)]
+
+
+def _is_in(values: NDArray[np.int64], ascending: NDArray[np.int64]) -> NDArray[np.bool_]:
+    place = np.minimum(np.searchsorted(ascending, values), len(ascending) - 1)
+    return np.asarray(ascending[place] == values)
 
 
 def _alone(

@@ -53,7 +53,7 @@ class TanSip:
         return cards
 
 
-def tan_sip(camera: StarCamera, R_si: Rotation, order: int = 5) -> TanSip:
+def tan_sip(camera: StarCamera, R_si: Rotation, order: int = 7) -> TanSip:
     """TAN-SIP header of an image taken by `camera` with attitude `R_si`."""
     x, y = np.meshgrid(np.linspace(0, camera.width_px - 1, 41), np.linspace(0, camera.height_px - 1, 31))
     xy = np.column_stack([x.ravel(), y.ravel()])

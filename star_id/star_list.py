@@ -20,8 +20,9 @@ __all__ = ["StarList", "find_stars"]
 Array = NDArray[np.float64]
 
 _START_SIGMA_PX = 1.2
-_STARS_FOR_PSF = 60
-_STARS_FOR_GAIN = 60
+_STARS_FOR_PSF = 50
+_FEW_STARS = 8
+_STARS_FOR_GAIN = 50
 _LARGEST_SIGMA_AT_HALF = 2.4  # wider stars are searched at a quarter of the resolution
 _SMALL_CHANGE = 0.2  # of the width: a filter that far off still sees 98 % of the signal-to-noise ratio
 _MISFIT_LIMIT = 0.3  # residual energy over the star's own: more is a cosmic ray, a trail, a bloom's arm
@@ -111,16 +112,19 @@ def _detections(
     if settings.psf_sigma_px is not None:
         return found, psf, 0, threshold
     for _ in range(5):
-        psf, stars = estimate_psf(
-            image,
-            found.xy_px[:_STARS_FOR_PSF],
-            found.offset_px[:_STARS_FOR_PSF],
-            background,
-            start_sigma_px=sigma,
-            smear_px=smear,
-            find_smear=find_smear,
-            saturation_dn=saturation,
-        )
+        for some in (slice(0, _STARS_FOR_PSF), slice(_STARS_FOR_PSF, 6 * _STARS_FOR_PSF)):
+            psf, stars = estimate_psf(
+                image,
+                found.xy_px[some],
+                found.offset_px[some],
+                background,
+                start_sigma_px=sigma,
+                smear_px=smear,
+                find_smear=find_smear,
+                saturation_dn=saturation,
+            )
+            if stars >= _FEW_STARS:  # else the brightest are trails or roofs, and the stars come after them
+                break
         change, sigma = abs(np.log(psf.sigma_px / sigma)), psf.sigma_px
         moved = float(np.hypot(psf.smear_px[0] - smear[0], psf.smear_px[1] - smear[1]))
         smear = psf.smear_px
@@ -193,11 +197,16 @@ def _distinct(fits: StarFits, good: NDArray[np.int64], sigma: float) -> NDArray[
 
 
 def _blended(fits: StarFits, psf: Psf) -> NDArray[np.bool_]:
-    """A neighbour of flux F2 at distance d displaces a Gaussian fit by about (F2 / F1) d exp(-d^2 / 4
-    s^2)."""
-    blended = np.zeros(len(fits.xy_px), dtype=bool)
-    if len(blended) < 2:
-        return blended
+    """A neighbour of flux F2 at distance d displaces a Gaussian fit by about (F2 / F1) d exp(-d^2 / 4 s^2).
+
+    One too close to be found by itself shows as a misfit that the other stars do not have.
+    """
+    if len(fits.xy_px) < 2:
+        return np.zeros(len(fits.xy_px), dtype=bool)
+    misfit = (fits.chi2 - fits.dof) / np.maximum(fits.snr**2, 1.0)
+    usual = float(np.quantile(misfit[~fits.saturated], 0.25)) if not fits.saturated.all() else 0.0
+    blended = ~fits.saturated & (fits.chi2 > fits.dof + 6.0 * np.sqrt(2.0 * fits.dof))
+    blended &= misfit > 3.0 * max(usual, 0.0) + 0.003
     sigma = float(np.median(psf.sigma_at(fits.xy_px)))
     pairs = cKDTree(fits.xy_px).query_pairs(10.0 * sigma, output_type="ndarray")
     for a, b in (pairs.T, pairs.T[::-1]):

@@ -1,0 +1,105 @@
+"""How well stars are found, placed and named: full frames of the paper's camera, known truth.
+
+    python benchmarks/star_accuracy.py [--frames 20] [--told-gain]
+
+5120 x 3840 px, 8 bit, PSF sigma 1.25 px, read noise 2 DN, 40 e-/DN, 2000 hot pixels, SNR 8 at V = 7; the
+Hipparcos sky and below it random stars to V = 11. Prints CPU time (one thread), completeness, error over the
+Cramér-Rao bound and chi2 by SNR, bias over pixel phase, false detections, and the attitude's error over its
+bound.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+from calib_report import head
+from scipy.spatial.transform import Rotation
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "star_id"))
+
+from frames import PAPER_CAMERA, Sensor, star_frame
+
+from pipeline.centroid_report import score_lines
+from star_id.attitude import solve_attitude
+from star_id.catalogue import hipparcos_stars
+from star_id.identify import NotIdentified, identify
+from star_id.psf import Psf
+from star_id.score import score_centroids
+from star_id.settings import StarSettings
+from star_id.sight import field_of_camera, fit_for_calibration, plane_coordinates
+from star_id.star_list import find_stars
+from star_id.triangles import build_index, equivalent_fov
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--frames", type=int, default=20)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--gradient", type=float, default=0.0, help="DN from the left edge to the right")
+    parser.add_argument("--told-gain", action="store_true")
+    arguments = parser.parse_args()
+    cv2.setNumThreads(1)
+    camera, places = PAPER_CAMERA, hipparcos_stars(8.0).places
+    sensor = Sensor(hot_pixels=2000, gradient_dn=arguments.gradient)
+    settings = StarSettings(gain_e_per_dn=sensor.e_per_dn if arguments.told_gain else None)
+    focal_px = camera.focal_m / camera.pixel_m
+    index = build_index(places, places.epoch_jyear, equivalent_fov(5120, 3840, focal_px))
+    lists, truths, find_ms, whole_ms, nees, hot = [], [], [], [], [], 0
+    for k in range(arguments.frames):
+        rng = np.random.default_rng([arguments.seed, k])
+        R_si = Rotation.random(random_state=rng)
+        image, truth = star_frame(camera, R_si, places, sensor, rng)
+        find_stars(image, settings)  # the first call of a process pays for memory
+        start = time.process_time()
+        stars = find_stars(image, settings)
+        found_at = time.process_time()
+        plane, field = plane_coordinates(camera, stars.xy_px), field_of_camera(camera, settings)
+        named = identify(plane, field, index, settings)
+        if isinstance(named, NotIdentified):
+            print(f"frame {k}: {named.reason}")
+            continue
+        safe = fit_for_calibration(stars, named.detections, named.stars, camera, index, settings)
+        rows = named.detections[safe]
+        J = camera.pixel_jacobian(stars.xy_px[rows])
+        cov_s = J @ stars.cov_px[rows] @ J.transpose(0, 2, 1)
+        u_s = camera.directions_from_pixels(stars.xy_px[rows])
+        attitude = solve_attitude(u_s, index.u_i[named.stars[safe]], cov_s)
+        ended = time.process_time()
+        find_ms.append(1e3 * (found_at - start))
+        whole_ms.append(1e3 * (ended - start))
+        delta = (attitude.R_si * R_si.inv()).as_rotvec()
+        nees.append(delta @ np.linalg.solve(attitude.cov_s, delta) / 3.0)
+        lists.append(replace(stars))
+        truths.append((truth.xy_px, truth.flux_dn))
+        hot += _hot_taken(stars, image, truth)
+    psf = Psf(sensor.sigma_px, sensor.sigma_px, (0.0, 0.0), camera.width_px, camera.height_px)
+    score = score_centroids(lists, truths, saturation_dn=255.0, psf=psf, gain_e_per_dn=sensor.e_per_dn)
+    head(f"star_id: accuracy on {len(lists)} rendered full frames (OpenCV {cv2.__version__}, one thread)")
+    print(f"find and place, CPU ms       median {np.median(find_ms):.1f}  least {min(find_ms):.1f}")
+    print(f"raw image to attitude, CPU ms median {np.median(whole_ms):.1f}  least {min(whole_ms):.1f}")
+    print(f"attitude: mean normalised error squared {np.mean(nees):.2f} (1 expected) over {len(nees)} frames")
+    print(f"PSF sigma found {np.mean([s.psf.sigma_px for s in lists]):.4f} px, true {sensor.sigma_px}")
+    print(f"hot pixels taken for stars {hot / max(1, len(lists)):.2f} a frame of {sensor.hot_pixels}")
+    print("\n".join(score_lines(score, len(lists))))
+
+
+def _hot_taken(stars, image, truth) -> int:
+    """Detections without a true star within 3 px whose brightest pixel stands alone."""
+    from scipy.spatial import cKDTree
+
+    far = cKDTree(truth.xy_px).query(stars.xy_px)[0] > 3.0
+    taken = 0
+    for x, y in np.rint(stars.xy_px[far]).astype(int):
+        window = image[y - 2 : y + 3, x - 2 : x + 3].astype(float)
+        taken += window.size == 25 and window.max() - np.sort(window.ravel())[-2] > 15.0
+    return taken
+
+
+if __name__ == "__main__":
+    main()

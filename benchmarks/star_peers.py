@@ -1,0 +1,360 @@
+"""Finding, placing and naming stars beside its peers: same images, in turn, one thread, CPU time.
+
+    python benchmarks/star_peers.py --peers-python PYTHON [--frames 8] [--attitudes 150]
+
+The peers (the extra `peers`: seiza, tetra3rs, cedar-solve, sep, photutils; and plain OpenCV) pin other
+versions than this project, so they run in an interpreter of their own, PYTHON, which this script drives; both
+sides read the same files. Frames are those of star_accuracy.py. Scores are for isolated, unsaturated stars of
+SNR 8 and more.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from importlib import metadata
+from pathlib import Path
+
+import numpy as np
+
+HERE = Path(__file__).resolve().parent
+SIGMA, SIZE = 1.25, (5120, 3840)
+
+
+def worker() -> None:
+    """Runs in the peers' interpreter: one JSON request a line, one answer a line."""
+    os.environ.setdefault("RAYON_NUM_THREADS", "1")
+    tools = _peer_tools()
+    print(json.dumps({name: version for name, (_, version) in tools.items()}), flush=True)
+    for line in sys.stdin:
+        request = json.loads(line)
+        data = np.load(request["file"])
+        call = tools[request["tool"]][0]
+        start = time.process_time()
+        answer = call(data)
+        spent = 1e3 * (time.process_time() - start)
+        np.save(request["answer"], np.asarray(answer, dtype=float))
+        print(json.dumps({"cpu_ms": spent}), flush=True)
+
+
+def _peer_tools() -> dict:
+    import cv2
+    import seiza
+    import sep
+    import tetra3rs
+    from photutils.detection import DAOStarFinder
+
+    cv2.setNumThreads(1)
+
+    def run_seiza(image):
+        stars = seiza.detect(image, max_stars=2000)
+        return [(s.x, s.y) for s in seiza.refine_centroids(stars, image.astype(np.float32))]
+
+    def centred(found):
+        middle = np.array([(SIZE[0] - 1) / 2, (SIZE[1] - 1) / 2])
+        return [(c.x + middle[0], c.y + middle[1]) for c in found.centroids]
+
+    def run_tetra3rs(image):
+        return centred(tetra3rs.extract_centroids(image, threads=1))
+
+    def run_tetra3rs_fast(image):
+        return centred(tetra3rs.extract_centroids_fast(image, threads=1))
+
+    def run_sep(image):
+        data = image.astype(np.float32)
+        background = sep.Background(data, bw=256, bh=256)
+        data = data - background
+        found = sep.extract(data, 1.5, err=background.globalrms, minarea=5)
+        x, y, _ = sep.winpos(data, found["x"], found["y"], np.full(len(found), SIGMA))
+        return np.column_stack([x, y])
+
+    def run_photutils(image):
+        data = image.astype(np.float32) - np.median(image[::8, ::8])
+        noise = 1.4826 * np.median(np.abs(data[::8, ::8]))
+        found = DAOStarFinder(threshold=5.0 * noise, fwhm=2.355 * SIGMA)(data)
+        x = found["x_centroid" if "x_centroid" in found.colnames else "xcentroid"]
+        y = found["y_centroid" if "y_centroid" in found.colnames else "ycentroid"]
+        return np.column_stack([x, y])
+
+    tools = {
+        "seiza detect + refine": (run_seiza, metadata.version("seiza")),
+        "tetra3rs extract": (run_tetra3rs, metadata.version("tetra3rs")),
+        "tetra3rs extract_fast": (run_tetra3rs_fast, metadata.version("tetra3rs")),
+        "plain OpenCV, told the PSF": (_plain_opencv, metadata.version("opencv-python-headless")),
+        "sep + winpos": (run_sep, metadata.version("sep")),
+        "photutils DAO": (run_photutils, metadata.version("photutils")),
+    }
+    tools |= _peer_solvers()
+    return tools
+
+
+def _plain_opencv(image):
+    """Blur, threshold, components, Gaussian-window centroids with the true width."""
+    import cv2
+
+    blurred = cv2.GaussianBlur(image.astype(np.float32), (7, 7), SIGMA)
+    level = float(np.median(blurred[::8, ::8]))
+    noise = 1.4826 * float(np.median(np.abs(blurred[::8, ::8] - level)))
+    above = (blurred > level + 5 * noise).astype(np.uint8)
+    count, _, stats, middles = cv2.connectedComponentsWithStats(above)
+    middles = middles[1:count][stats[1:count, cv2.CC_STAT_AREA] >= 3]
+    inside = (middles > 8).all(axis=1) & (middles < np.array(SIZE) - 9).all(axis=1)
+    xy = middles[inside]
+    grid = np.arange(-5, 6)
+    for _ in range(8):
+        corner = np.rint(xy).astype(int)
+        window = np.stack([image[y - 5 : y + 6, x - 5 : x + 6] for x, y in corner]).astype(float) - level
+        dx, dy = corner[:, :1] + grid - xy[:, :1], corner[:, 1:] + grid - xy[:, 1:]
+        weight = np.exp(-0.5 * (dx[:, None, :] ** 2 + dy[:, :, None] ** 2) / SIGMA**2) * window
+        total = weight.sum(axis=(1, 2))
+        step = np.column_stack(
+            [(weight * dx[:, None, :]).sum(axis=(1, 2)), (weight * dy[:, :, None]).sum(axis=(1, 2))]
+        )
+        xy = xy + np.clip(2.0 * step / total[:, None], -1, 1)
+    return xy
+
+
+def _peer_solvers() -> dict:
+    """Each takes (N, 2) centroids, brightest first, and gives the centre's unit vector, or nothing."""
+    import tetra3
+    import tetra3rs
+
+    database = tetra3rs.SolverDatabase.generate_from_gaia(
+        None, max_fov_deg=19.0, star_max_magnitude=8.0, epoch_proper_motion_year=1991.25
+    )
+    cedar = tetra3.Tetra3("default_database")
+    middle = np.array([(SIZE[0] - 1) / 2, (SIZE[1] - 1) / 2])
+
+    def unit(ra_deg, dec_deg):
+        ra, dec = np.radians([ra_deg, dec_deg])
+        return [np.cos(dec) * np.cos(ra), np.cos(dec) * np.sin(ra), np.sin(dec)]
+
+    def by_tetra3rs(xy):
+        found = database.solve_from_centroids(
+            np.column_stack([xy - middle, np.arange(len(xy), 0, -1.0)]),
+            fov_estimate_deg=18.6,
+            fov_max_error_deg=0.5,
+            image_shape=(SIZE[1], SIZE[0]),
+        )
+        return unit(found.ra_deg, found.dec_deg) if hasattr(found, "ra_deg") else []
+
+    def by_cedar(xy):
+        found = cedar.solve_from_centroids(
+            xy[:, ::-1] + 0.5, (SIZE[1], SIZE[0]), fov_estimate=18.6, fov_max_error=0.5, distortion=None
+        )
+        return [] if found["RA"] is None else unit(found["RA"], found["Dec"])
+
+    return {
+        "tetra3rs solve": (by_tetra3rs, metadata.version("tetra3rs")),
+        "cedar-solve": (by_cedar, metadata.version("cedar-solve")),
+    }
+
+
+class Peers:
+    """The worker, as this side sees it."""
+
+    def __init__(self, python: str, folder: Path) -> None:
+        self.folder = folder
+        self.process = subprocess.Popen(
+            [python, __file__, "--worker"],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        self.versions: dict[str, str] = self._answer()
+
+    def _answer(self) -> dict:
+        assert self.process.stdout is not None
+        while True:
+            line = self.process.stdout.readline()
+            if not line:
+                raise SystemExit("the peers' interpreter ended")
+            if line.startswith("{"):
+                return json.loads(line)
+
+    def run(self, tool: str, file: Path) -> tuple[np.ndarray, float]:
+        answer = self.folder / "answer.npy"
+        assert self.process.stdin is not None
+        self.process.stdin.write(json.dumps({"tool": tool, "file": str(file), "answer": str(answer)}) + "\n")
+        self.process.stdin.flush()
+        spent = self._answer()["cpu_ms"]
+        return np.load(answer), spent
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--peers-python", required=True)
+    parser.add_argument("--frames", type=int, default=8)
+    parser.add_argument("--attitudes", type=int, default=150)
+    arguments = parser.parse_args()
+    sys.path[:0] = [str(HERE.parent), str(HERE.parent / "tests" / "star_id"), str(HERE)]
+    import cv2
+    from calib_report import head
+
+    cv2.setNumThreads(1)
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        peers = Peers(arguments.peers_python, folder)
+        head("star_id beside its peers")
+        print("peers: " + ", ".join(f"{tool} {version}" for tool, version in peers.versions.items()))
+        _finding(peers, folder, arguments.frames)
+        _naming(peers, folder, arguments.attitudes)
+        peers.process.terminate()
+
+
+def _finding(peers: Peers, folder: Path, frames: int) -> None:
+    from frames import PAPER_CAMERA, Sensor, star_frame
+    from scipy.spatial.transform import Rotation
+
+    from star_id.catalogue import hipparcos_stars
+    from star_id.psf import Psf
+    from star_id.settings import StarSettings
+    from star_id.star_list import find_stars
+
+    places, settings, sensor = hipparcos_stars(8.0).places, StarSettings(), Sensor(hot_pixels=2000)
+    tools = [tool for tool in peers.versions if "solve" not in tool]
+    found: dict[str, list] = {"boresight": [], **{tool: [] for tool in tools}}
+    spent: dict[str, list[float]] = {name: [] for name in found}
+    truths = []
+    for k in range(frames):
+        rng = np.random.default_rng([2, k])
+        image, truth = star_frame(PAPER_CAMERA, Rotation.random(random_state=rng), places, sensor, rng)
+        np.save(folder / "image.npy", image)
+        truths.append((truth.xy_px, truth.flux_dn, image))
+        for tool in found:
+            for _ in range(2):  # the second run counts
+                if tool == "boresight":
+                    start = time.process_time()
+                    stars = find_stars(image, settings)
+                    cost, xy = 1e3 * (time.process_time() - start), stars.xy_px
+                else:
+                    xy, cost = peers.run(tool, folder / "image.npy")
+                if "photutils" in tool:
+                    break
+            found[tool].append(xy.reshape(-1, 2))
+            spent[tool].append(cost)
+    psf = Psf(sensor.sigma_px, sensor.sigma_px, (0.0, 0.0), *SIZE)
+    print(f"\nfinding and placing, {frames} frames; false and hot pixels taken are per frame")
+    print(f"{'':30s} CPU ms  complete  x bound   false     hot")
+    for tool, places_found in found.items():
+        print(_score_line(tool, places_found, truths, spent[tool], psf, sensor))
+
+
+def _score_line(tool, found, truths, spent, psf, sensor) -> str:
+    from scipy.spatial import cKDTree
+
+    from star_id.score import cramer_rao_px
+
+    seen = total = false = hot = 0
+    errors, bounds = [], []
+    for xy, (true_xy, flux, image) in zip(found, truths):
+        snr = flux / (2.02 * np.sqrt(4.0 * np.pi * (sensor.sigma_px**2 + 1 / 12)))
+        tree = cKDTree(true_xy)
+        alone = np.ones(len(true_xy), dtype=bool)
+        for a, b in tree.query_pairs(12.5):
+            alone[a] &= flux[b] < 0.002 * flux[a]
+            alone[b] &= flux[a] < 0.002 * flux[b]
+        inside = (true_xy > 12).all(axis=1) & (true_xy < np.array(SIZE) - 13).all(axis=1)
+        rows = np.flatnonzero(alone & inside & (snr >= 8) & (flux * 0.097 < 215))
+        total += len(rows)
+        if len(xy) == 0:
+            continue
+        distance, nearest = cKDTree(xy).query(true_xy[rows])
+        hit = distance < 2.5 * sensor.sigma_px
+        seen += int(hit.sum())
+        errors.append(xy[nearest[hit]] - true_xy[rows[hit]])
+        noise = np.full(int(hit.sum()), np.sqrt(sensor.read_noise_dn**2 + 1 / 12))
+        bounds.append(cramer_rao_px(true_xy[rows[hit]], flux[rows[hit]], noise, psf, sensor.e_per_dn))
+        astray = tree.query(xy)[0] > 2.5 * sensor.sigma_px
+        is_hot = [_lone(image, point) for point in np.rint(xy[astray]).astype(int)]
+        hot += sum(is_hot)
+        false += int(astray.sum()) - sum(is_hot)
+    error, bound = np.vstack(errors), np.concatenate(bounds)
+    over = np.sqrt((0.5 * (error**2).sum(axis=1) / bound**2).mean())
+    n = len(found)
+    figures = f"{seen / total:8.4f}  {over:7.3f}  {false / n:6.1f}  {hot / n:6.1f}"
+    return f"{tool:30s} {np.median(spent):6.1f}  {figures}"
+
+
+def _lone(image, point) -> bool:
+    x, y = point
+    window = image[max(0, y - 2) : y + 3, max(0, x - 2) : x + 3].astype(float)
+    return bool(window.size >= 9 and window.max() - np.sort(window.ravel())[-2] > 15.0)
+
+
+def _naming(peers: Peers, folder: Path, attitudes: int) -> None:
+    from dataclasses import replace
+
+    from frames import PAPER_CAMERA, stars_in_view
+    from scipy.spatial.transform import Rotation
+
+    from star_id.attitude import solve_attitude
+    from star_id.catalogue import hipparcos_stars
+    from star_id.identify import NotIdentified, identify
+    from star_id.settings import StarSettings
+    from star_id.sight import field_of_camera, plane_coordinates
+    from star_id.triangles import build_index, equivalent_fov
+
+    camera = replace(PAPER_CAMERA, p1=0.0, p2=0.0, q1=0.0, q2=0.0, principal_px=(2559.5, 1919.5))
+    places, settings = hipparcos_stars(8.0).places, StarSettings()
+    index = build_index(places, places.epoch_jyear, equivalent_fov(*SIZE, camera.focal_m / camera.pixel_m))
+    field = field_of_camera(camera, settings)
+    print(
+        f"\nnaming, {attitudes} attitudes a scenario, field of view known; error of the centre, arc-seconds"
+    )
+    print(f"{'':44s} CPU ms  right  wrong  error")
+    for title, stars, false in (
+        ("138 stars", 138, 0),
+        ("138 stars, 50 false", 138, 50),
+        ("138 stars, 200 false", 138, 200),
+        ("8 stars, 3 false", 8, 3),
+    ):
+        names = ("boresight", "tetra3rs solve", "cedar-solve")
+        score: dict[str, list] = {name: [0, 0, [], []] for name in names}
+        for k in range(attitudes):
+            rng = np.random.default_rng([3, k])
+            R_si = Rotation.random(random_state=rng)
+            rows, xy = stars_in_view(camera, R_si, places)
+            order = np.argsort(places.v_mag[rows])[:stars]
+            v = places.v_mag[rows[order]] + rng.normal(0, 0.1, len(order))
+            sigma = np.clip(1.77 / (8.0 * 10 ** (-0.4 * (v - 7.0))), 0.01, 0.3)
+            xy = xy[order] + rng.normal(size=(len(order), 2)) * sigma[:, None]
+            xy = np.vstack([xy, rng.uniform([0, 0], np.array(SIZE) - 1, (false, 2))])
+            sigma = np.append(sigma, np.full(false, 0.2))
+            order = np.argsort(np.append(v, rng.choice(v, false)))
+            xy, sigma = xy[order], sigma[order]
+            np.save(folder / "centroids.npy", xy)
+            centre = R_si.inv().apply([0.0, 0.0, 1.0])
+            for name, entry in score.items():
+                if name == "boresight":
+                    start = time.process_time()
+                    found = identify(plane_coordinates(camera, xy), field, index, settings)
+                    cost = 1e3 * (time.process_time() - start)
+                    if isinstance(found, NotIdentified):
+                        pointing = np.empty(0)
+                    else:
+                        d = found.detections
+                        u_s, J = camera.directions_from_pixels(xy[d]), camera.pixel_jacobian(xy[d])
+                        cov = J @ (sigma[d, None, None] ** 2 * np.eye(2)) @ J.transpose(0, 2, 1)
+                        fit = solve_attitude(u_s, index.u_i[found.stars], cov)
+                        pointing = fit.R_si.inv().apply([0.0, 0.0, 1.0])
+                else:
+                    pointing, cost = peers.run(name, folder / "centroids.npy")
+                entry[3].append(cost)
+                if pointing.size == 3:
+                    miss = np.linalg.norm(pointing - centre) * 206265.0
+                    entry[0] += miss < 120.0
+                    entry[1] += miss >= 120.0
+                    entry[2].append(miss)
+        for name, (right, wrong, misses, costs) in score.items():
+            middle = np.median(misses) if misses else np.nan
+            print(f"{title:26s}{name:18s} {np.median(costs):6.2f}  {right:5d}  {wrong:5d}  {middle:5.2f}")
+
+
+if __name__ == "__main__":
+    worker() if "--worker" in sys.argv else main()

@@ -1,0 +1,125 @@
+"""The sky as a calibration field: truth recovered from a wrong nominal camera, with an honest covariance."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from astropy.wcs import WCS
+from frames import PAPER_CAMERA, stars_in_view
+from scipy.spatial.transform import Rotation
+
+from geometry.star_camera import StarCamera
+from star_id.background import Background
+from star_id.camera_calibration import CameraCalibration, SkyFrame, calibrate_camera, residual_map
+from star_id.catalogue import hipparcos_stars
+from star_id.identify import NotIdentified
+from star_id.psf import Psf
+from star_id.settings import StarSettings
+from star_id.sip import tan_sip
+from star_id.star_list import StarList
+from star_id.triangles import build_index
+
+TRUTH = replace(PAPER_CAMERA, principal_px=(2571.3, 1911.2))
+NOMINAL = StarCamera(0.105, 6.4e-6, 5120, 3840, (2559.5, 1919.5))  # focal length 5 % wrong, no distortion
+SETTINGS = StarSettings()
+
+
+@pytest.fixture(scope="module")
+def index():
+    places = hipparcos_stars(8.0).places
+    return build_index(places, places.epoch_jyear, (np.radians(15.0), np.radians(24.0)))
+
+
+def sky_frame(name, rng):
+    """Centroids as `find_stars` hands them over, errors as at the bound."""
+    places = hipparcos_stars(8.0).places
+    rows, xy = stars_in_view(TRUTH, Rotation.random(random_state=rng), places)
+    snr = 8.0 * 10 ** (-0.4 * (places.v_mag[rows] - 7.0))
+    keep = np.flatnonzero((snr > 6) & (snr < 260))
+    keep = keep[np.argsort(-snr[keep])]
+    sigma, n = 1.8 / snr[keep], len(keep)
+    xy = xy[keep] + rng.normal(size=(n, 2)) * sigma[:, None]
+    no = np.zeros(n, dtype=bool)
+    psf = Psf(1.25, 1.25, (0.0, 0.0), 5120, 3840)
+    sky = Background(np.full((8, 10), 20.0), np.full((8, 10), 2.0), 5120, 3840)
+    cov = sigma[:, None, None] ** 2 * np.eye(2)
+    return SkyFrame(name, StarList(xy, cov, snr[keep], snr[keep], no, no, psf, 50, sky, 40.0, 5.5, 0, 0))
+
+
+def model_error(camera):
+    """Error of the pixel map over the detector, the best rotation taken out, px (N, 2)."""
+    x, y = np.meshgrid(np.linspace(0, 5119, 25), np.linspace(0, 3839, 19))
+    xy = np.column_stack([x.ravel(), y.ravel()])
+    true, got = TRUTH.directions_from_pixels(xy), camera.directions_from_pixels(xy)
+    turn, _ = Rotation.align_vectors(true, got)
+    return TRUTH.pixels_from_directions(turn.apply(got)) - xy
+
+
+@pytest.fixture(scope="module")
+def calibrations(index):
+    results = []
+    for seed in range(5):
+        rng = np.random.default_rng([9, seed])
+        frames = [sky_frame(str(k), rng) for k in range(10)]
+        results.append(calibrate_camera(frames, NOMINAL, index, SETTINGS))
+    return results
+
+
+def test_ten_frames_give_the_camera_to_a_hundredth_of_a_pixel(calibrations):
+    for result in calibrations:
+        assert isinstance(result, CameraCalibration)
+        error = model_error(result.camera)
+        assert np.sqrt((error**2).mean()) < 0.01  # px
+        assert np.hypot(*error.T).max() < 0.03  # px
+
+
+def test_the_stated_covariance_holds(calibrations):
+    ratios = []
+    for result in calibrations:
+        camera = result.camera
+        found = np.array([camera.focal_m, *camera.principal_px, camera.q1, camera.q2])
+        truth = np.array([TRUTH.focal_m, *TRUTH.principal_px, TRUTH.q1, TRUTH.q2])
+        sigma = np.sqrt(np.diag(result.covariance))[[0, 1, 2, 5, 6]]
+        ratios.append((found - truth) / sigma)
+        assert 0.7 < result.chi2 / result.dof < 1.2
+    # 25 normalised errors, correlated within a run: mean square one within a factor
+    assert 0.3 < np.mean(np.square(ratios)) < 2.2
+    assert np.abs(ratios).max() < 4.0
+
+
+def test_the_error_that_is_foretold_is_the_error_that_comes(calibrations):
+    x, y = np.meshgrid(np.linspace(0, 5119, 25), np.linspace(0, 3839, 19))
+    xy = np.column_stack([x.ravel(), y.ravel()])
+    foretold = np.mean([(result.model_sigma_px(xy) ** 2).mean() for result in calibrations])
+    come = np.mean([(model_error(result.camera) ** 2).mean() for result in calibrations])
+    assert 0.3 < come / foretold < 3.0
+
+
+def test_the_residual_map_shows_what_the_model_leaves(calibrations):
+    cells = residual_map(calibrations[0])
+    assert cells.count.sum() == len(calibrations[0].frame)
+    good = cells.count > 3
+    assert (np.abs(cells.mean_px[good]) < 5.0 * cells.error_px[good][:, None]).all()
+
+
+def test_too_few_stars_is_an_answer(index):
+    rng = np.random.default_rng(1)
+    frame = sky_frame("one", rng)
+    few = SkyFrame("one", frame.stars.take(np.arange(3)))
+    answer = calibrate_camera([few], NOMINAL, index, SETTINGS)
+    assert isinstance(answer, NotIdentified) and "20 are needed" in answer.reason
+
+
+def test_sip_header_means_to_astropy_what_the_camera_means_here():
+    R_si = Rotation.from_euler("xyz", [40, -65, 110], degrees=True)
+    header = tan_sip(TRUTH, R_si)
+    assert header.largest_misfit_px < 1e-3
+    rng = np.random.default_rng(2)
+    xy = rng.uniform([0, 0], [5119, 3839], (200, 2))
+    sky = WCS(header.cards()).all_pix2world(xy, 0)
+    u_i = R_si.inv().apply(TRUTH.directions_from_pixels(xy))
+    ra, dec = np.radians(sky.T)
+    other = np.column_stack([np.cos(dec) * np.cos(ra), np.cos(dec) * np.sin(ra), np.sin(dec)])
+    assert np.linalg.norm(u_i - other, axis=1).max() < 2e-3 * TRUTH.pixel_m / TRUTH.focal_m  # 2e-3 px

@@ -1,0 +1,186 @@
+"""Naming stars: whatever is known of the camera, whatever else is in the image, never a wrong name."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from frames import PAPER_CAMERA, stars_in_view
+from scipy.spatial.transform import Rotation
+
+from star_id.attitude import solve_attitude
+from star_id.catalogue import hipparcos_stars
+from star_id.field import LARGEST_FOV_RAD, SMALLEST_FOV_RAD, FieldSolution, nominal_camera, solve_stars
+from star_id.identify import AttitudePrior, Identification, NotIdentified, identify
+from star_id.settings import StarSettings
+from star_id.sight import field_of_camera, plane_coordinates
+from star_id.triangles import build_index, equivalent_fov, triangle_shapes
+from star_id.verify import log_evidence
+
+SETTINGS = StarSettings()
+SIZE = (PAPER_CAMERA.width_px, PAPER_CAMERA.height_px)
+
+
+@pytest.fixture(scope="module")
+def places():
+    return hipparcos_stars(8.0).places
+
+
+@pytest.fixture(scope="module")
+def index(places):
+    fov = equivalent_fov(*SIZE, PAPER_CAMERA.focal_m / PAPER_CAMERA.pixel_m)
+    return build_index(places, places.epoch_jyear, fov)
+
+
+@pytest.fixture(scope="module")
+def wide_index(places):
+    return build_index(places, places.epoch_jyear, (float(SMALLEST_FOV_RAD), float(LARGEST_FOV_RAD)))
+
+
+def detections(camera, R_si, places, rng, *, stars=138, false=0, error_px=0.2):
+    """Centroids, brightest first, and the Hipparcos numbers behind them (0: false)."""
+    rows, xy = stars_in_view(camera, R_si, places)
+    bright = np.argsort(places.v_mag[rows])[:stars]
+    v = places.v_mag[rows[bright]] + rng.normal(0, 0.15, len(bright))
+    xy = xy[bright] + rng.normal(0, error_px, (len(bright), 2))
+    size = (camera.width_px, camera.height_px)
+    xy = np.vstack([xy, rng.uniform([0, 0], size, (false, 2))])
+    hip = np.append(places.hip[rows[bright]], np.zeros(false, dtype=np.int64))
+    order = np.argsort(np.append(v, rng.choice(v, false)))
+    return xy[order], hip[order]
+
+
+def share_right(named_hip, rows, hip):
+    return (named_hip == hip[rows]).mean()
+
+
+@pytest.mark.parametrize(
+    ("stars", "false", "least"), [(138, 0, 40), (138, 50, 40), (138, 200, 38), (8, 3, 40)]
+)
+def test_a_known_camera_is_identified_among_false_stars(index, places, stars, false, least):
+    rng = np.random.default_rng([1, stars, false])
+    named = 0
+    for _ in range(40):
+        R_si = Rotation.random(random_state=rng)
+        xy, hip = detections(PAPER_CAMERA, R_si, places, rng, stars=stars, false=false)
+        found = identify(
+            plane_coordinates(PAPER_CAMERA, xy), field_of_camera(PAPER_CAMERA, SETTINGS), index, SETTINGS
+        )
+        if isinstance(found, Identification):
+            named += 1
+            # a false star may fall within a pixel of an unseen catalogue star: 0.1 % of the area
+            assert share_right(index.stars.hip[found.stars], found.detections, hip) > 0.9
+            assert (found.R_si * R_si.inv()).magnitude() < 60 / 206265  # rad: five pixels
+    assert named >= least
+
+
+@pytest.mark.parametrize("fov_given", [True, False])
+def test_an_uncalibrated_camera_is_identified(wide_index, places, fov_given):
+    rng = np.random.default_rng([2, fov_given])
+    for k in range(12):
+        fov = np.radians(rng.uniform(6.0, 55.0))
+        plain = nominal_camera((1600, 1200), fov)
+        f_mm = plain.focal_m * 1e3
+        bend = rng.uniform(-0.08, 0.08) / (0.6 * fov) ** 2 * 0.15  # up to 1.2 % at the corner
+        camera = type(plain)(
+            plain.focal_m,
+            plain.pixel_m,
+            1600,
+            1200,
+            (801.0, 597.0),
+            q1=bend / f_mm**2,
+            p1=2e-3 * bend / f_mm,
+        )
+        R_si = Rotation.random(random_state=rng)
+        xy, hip = detections(camera, R_si, places, rng, stars=90, false=10)
+        guess = fov * rng.uniform(0.93, 1.07) if fov_given else None
+        found = solve_stars(xy, (1600, 1200), wide_index, SETTINGS, fov_x_rad=guess)
+        assert isinstance(found, FieldSolution), (k, np.degrees(fov), found)
+        assert share_right(found.hip, found.detections, hip) > 0.9
+        assert found.fov_x_rad == pytest.approx(fov, rel=0.02)
+        centre = R_si.inv().apply(camera.directions_from_pixels(np.array([[799.5, 599.5]])))[0]
+        here = [np.cos(found.dec_rad) * np.cos(found.ra_rad), np.cos(found.dec_rad) * np.sin(found.ra_rad)]
+        assert np.linalg.norm(centre - [*here, np.sin(found.dec_rad)]) < 0.003 * fov
+
+
+def test_noise_is_never_identified(index, wide_index):
+    rng = np.random.default_rng(3)
+    field, best = field_of_camera(PAPER_CAMERA, SETTINGS), -np.inf
+    for _ in range(150):
+        xy = rng.uniform([0, 0], SIZE, (int(rng.integers(4, 350)), 2))
+        answer = identify(plane_coordinates(PAPER_CAMERA, xy), field, index, SETTINGS)
+        assert isinstance(answer, NotIdentified)
+        best = max(best, answer.numbers["best_log_odds"])
+    assert best < 6.0  # 20.7 is asked for; 150 images of noise should come to ln 150 at most
+    xy = rng.uniform([0, 0], SIZE, (40, 2))
+    assert isinstance(solve_stars(xy, SIZE, wide_index, SETTINGS), NotIdentified)
+
+
+def test_stars_of_one_sky_mirrored_are_not_identified(index, places):
+    rng = np.random.default_rng(4)
+    for _ in range(10):
+        xy, _ = detections(PAPER_CAMERA, Rotation.random(random_state=rng), places, rng)
+        mirrored = np.column_stack([PAPER_CAMERA.width_px - 1 - xy[:, 0], xy[:, 1]])
+        plane = plane_coordinates(PAPER_CAMERA, mirrored)
+        assert isinstance(
+            identify(plane, field_of_camera(PAPER_CAMERA, SETTINGS), index, SETTINGS), NotIdentified
+        )
+
+
+@pytest.mark.parametrize("sigma_rad", [0.0, 2e-4, 5e-3])
+def test_a_prior_attitude_is_followed_and_a_wrong_one_does_no_harm(index, places, sigma_rad):
+    rng = np.random.default_rng(5)
+    field = field_of_camera(PAPER_CAMERA, SETTINGS)
+    for wrong in (False, False, False, True):
+        R_si = Rotation.random(random_state=rng)
+        xy, hip = detections(PAPER_CAMERA, R_si, places, rng, false=50)
+        believed = Rotation.from_rotvec(rng.normal(0, sigma_rad, 3)) * R_si
+        prior = AttitudePrior(Rotation.random(random_state=rng) if wrong else believed, sigma_rad)
+        found = identify(plane_coordinates(PAPER_CAMERA, xy), field, index, SETTINGS, prior=prior)
+        assert isinstance(found, Identification)
+        assert share_right(index.stars.hip[found.stars], found.detections, hip) > 0.9
+
+
+def test_too_few_stars_is_said_with_the_number():
+    answer = identify(np.zeros((3, 2)), field_of_camera(PAPER_CAMERA, SETTINGS), None, SETTINGS)
+    assert answer == NotIdentified(
+        "3 stars found, 4 are needed; lower the threshold or expose longer", {"stars": 3.0}
+    )
+
+
+def test_evidence_has_mean_one_under_noise():
+    # Markov's inequality, on which the bound of a false identification rests, needs no more than this.
+    rng, ratios = np.random.default_rng(6), []
+    for _ in range(4000):
+        predicted, seen = rng.uniform(0, 1, (8, 2)), rng.uniform(0, 1, (5, 2))
+        distance = np.linalg.norm(seen[:, None] - predicted, axis=2).min(axis=1)
+        ratios.append(np.exp(log_evidence(distance, np.full(5, 0.02), 0, 8, 1.0)))
+    assert np.mean(ratios) < 1.0 + 4.0 * np.std(ratios) / np.sqrt(4000)
+
+
+def test_the_shape_of_a_triangle_does_not_depend_on_where_or_in_which_order():
+    rng = np.random.default_rng(7)
+    u = Rotation.random(random_state=rng).apply(
+        [[np.sin(0.1), 0, np.cos(0.1)], [0, np.sin(0.06), np.cos(0.06)], [0, 0, 1.0]]
+    )
+    orders = np.array([[0, 1, 2], [1, 2, 0], [2, 1, 0], [1, 0, 2]])
+    vertices, longest, ratios, right_handed = triangle_shapes(u, orders)
+    assert (vertices == vertices[0]).all()
+    assert np.ptp(longest) < 1e-15 and np.ptp(ratios, axis=0).max() < 1e-12
+    assert right_handed.all() or not right_handed.any()
+
+
+def test_the_stated_covariance_of_the_attitude_holds():
+    rng, total, runs = np.random.default_rng(8), 0.0, 300
+    R_si = Rotation.from_euler("xyz", [40, -65, 110], degrees=True)
+    for _ in range(runs):
+        u_s = np.column_stack([rng.uniform(-0.15, 0.15, (20, 2)), np.ones(20)])
+        u_s /= np.linalg.norm(u_s, axis=1, keepdims=True)
+        xy = PAPER_CAMERA.pixels_from_directions(u_s)
+        L = np.array([[0.3, 0.0], [0.15, 0.1]])  # px: lopsided errors
+        J = PAPER_CAMERA.pixel_jacobian(xy)
+        cov_s = J @ (L @ L.T) @ J.transpose(0, 2, 1)
+        measured = PAPER_CAMERA.directions_from_pixels(xy + rng.normal(size=(20, 2)) @ L.T)
+        attitude = solve_attitude(measured, R_si.inv().apply(u_s), cov_s)
+        delta_s = (attitude.R_si * R_si.inv()).as_rotvec()
+        total += delta_s @ np.linalg.solve(attitude.cov_s, delta_s)
+    assert total / runs == pytest.approx(3.0, abs=5 * np.sqrt(6.0 / runs))

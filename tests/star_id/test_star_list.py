@@ -1,0 +1,192 @@
+"""Detection and centroids against rendered truth: rates, bounds, honest covariances, and what is not a
+star."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from frames import Sensor, render
+from scipy.spatial import cKDTree
+from scipy.stats import poisson
+
+from star_id.background import estimate_background
+from star_id.detect import detection_threshold
+from star_id.psf import Psf
+from star_id.score import cramer_rao_px, score_centroids
+from star_id.settings import StarSettings
+from star_id.star_list import find_stars
+
+TOLD_GAIN = StarSettings(gain_e_per_dn=40.0)
+
+
+def grid_of_stars(rng, flux, *, size=1500, step=25, sensor=None):
+    """An image full of equal stars at random pixel phases, far from one another."""
+    x, y = np.meshgrid(np.arange(20, size - 20, step), np.arange(20, size - 20, step))
+    xy = np.column_stack([x.ravel(), y.ravel()]) + rng.uniform(-0.5, 0.5, (x.size, 2))
+    image = render(xy, np.full(len(xy), flux), size, size, sensor or Sensor(), rng)
+    return image, xy
+
+
+@pytest.mark.parametrize(("level", "noise"), [(20.0, 2.0), (20.0, 0.8), (7.3, 4.0)])
+def test_sky_level_and_noise_are_found_under_stars_and_hot_pixels(level, noise):
+    rng = np.random.default_rng(1)
+    sensor = Sensor(background_dn=level, read_noise_dn=noise, hot_pixels=500)
+    image = render(rng.uniform(0, 1024, (300, 2)), rng.uniform(50, 5000, 300), 1024, 1024, sensor, rng)
+    background = estimate_background(image)
+    # a block's level rests on 4096 values or fewer; stars leave a trace of 1/50 sigma. Rounding adds 1/12
+    # DN^2.
+    assert background.level_dn == pytest.approx(level, abs=0.12 * noise)
+    assert np.median(background.noise_dn) == pytest.approx(np.sqrt(noise**2 + 1 / 12), rel=0.03)
+
+
+def test_false_alarms_come_at_the_rate_that_was_asked_for():
+    rng = np.random.default_rng(2)
+    settings = StarSettings(false_alarms_per_frame=2.0, psf_sigma_px=1.25)
+    sensor = Sensor(background_dn=30.0, read_noise_dn=3.0)
+    empty = np.empty((0, 2)), np.empty(0)
+    count = sum(len(find_stars(render(*empty, 1024, 1024, sensor, rng), settings).xy_px) for _ in range(30))
+    # 60 are expected at most: peaks between pixel centres and those that fit no star fall away
+    assert poisson(60).ppf(1e-4) * 0.25 < count < poisson(60).ppf(1 - 1e-4)
+
+
+def test_the_threshold_follows_the_density_of_peaks():
+    v = detection_threshold(5120 * 3840, 1.25, 0.5)
+    density = v * np.exp(-0.5 * v * v) / (2 * 1.25**2 * (2 * np.pi) ** 1.5)
+    assert density * 5120 * 3840 == pytest.approx(0.5, rel=1e-6)
+
+
+def test_stars_of_snr_8_are_found_and_hot_pixels_are_not():
+    rng = np.random.default_rng(3)
+    image, xy = grid_of_stars(rng, 74.0, sensor=Sensor(hot_pixels=2000))  # SNR 8.1
+    stars = find_stars(image, StarSettings(max_stars=9999))
+    distance = cKDTree(stars.xy_px).query(xy)[0]
+    near_hot = 2000 * 50 / 1500**2  # a hot pixel within 4 px of a star may hide it
+    assert (distance < 2.0).mean() > 0.985 - near_hot
+    assert (cKDTree(xy).query(stars.xy_px)[0] > 3.0).sum() <= 4  # of 2000 hot pixels and of the noise
+
+
+@pytest.mark.parametrize(("snr", "flux"), [(8, 73.0), (15, 137.0), (40, 365.0), (150, 1370.0)])
+def test_errors_are_at_the_bound_and_stated_honestly_without_being_told_the_psf(snr, flux):
+    rng = np.random.default_rng(snr)
+    sensor = Sensor()
+    parts, truths = [], []
+    for _ in range(2):
+        image, xy = grid_of_stars(rng, flux, size=1000, step=24, sensor=sensor)
+        parts.append(find_stars(image, StarSettings(gain_e_per_dn=40.0, max_stars=5000)))
+        truths.append((xy, np.full(len(xy), flux)))
+    psf = Psf(1.25, 1.25, (0.0, 0.0), 1000, 1000)
+    score = score_centroids(parts, truths, saturation_dn=255.0, psf=psf, gain_e_per_dn=40.0)
+    bins = score.found > 500
+    assert bins.any()
+    # 3400 coordinates a flux: 1.2 % on the rms, 2.4 % on chi2 (1 sigma)
+    assert (score.over_bound[bins] < 1.05 + 0.03).all()
+    assert ((score.chi2[bins] > 0.9) & (score.chi2[bins] < 1.1)).all()
+
+
+def test_no_bias_over_pixel_phase():
+    rng = np.random.default_rng(6)
+    parts, truths = [], []
+    for _ in range(4):
+        image, xy = grid_of_stars(rng, 1400.0, size=1500, step=20)
+        parts.append(find_stars(image, StarSettings(gain_e_per_dn=40.0, max_stars=10000)))
+        truths.append((xy, np.full(len(xy), 1400.0)))
+    score = score_centroids(parts, truths, saturation_dn=255.0)
+    # 20 phases of 2000 coordinates each, standard error 0.0003 px
+    assert np.nanmax(score.phase_error_px) < 0.0006
+    assert np.nanmax(np.abs(score.phase_bias_px)) < 0.003
+
+
+def test_smear_is_found_and_its_centroids_are_honest():
+    rng = np.random.default_rng(7)
+    image, xy = grid_of_stars(rng, 700.0, size=800, sensor=Sensor(smear_px=(2.4, -1.5)))
+    stars = find_stars(image, TOLD_GAIN)
+    direction = np.sign(stars.psf.smear_px[0])  # a smear has no sense
+    assert np.array(stars.psf.smear_px) * direction == pytest.approx([2.4, -1.5], abs=0.25)
+    distance, nearest = cKDTree(xy).query(stars.xy_px)
+    error = (stars.xy_px - xy[nearest])[distance < 1.0]
+    chi2 = np.einsum("ni,nij,nj->n", error, np.linalg.inv(stars.cov_px[distance < 1.0]), error) / 2
+    assert 0.85 < chi2.mean() < 1.2
+
+
+def test_a_field_dependent_width_is_found():
+    rng = np.random.default_rng(8)
+    size, xy = 1200, rng.uniform(30, 1170, (400, 2))
+    corner = ((xy + 0.5) / size - 0.5) ** 2
+    sigma = 1.0 + 0.5 * 2.0 * corner.sum(axis=1)
+    quiet = Sensor(read_noise_dn=0.01, background_dn=0.0, bits=16)
+    parts = [
+        render(xy[[k]], np.array([900.0]), size, size, Sensor(**(vars(quiet) | {"sigma_px": s})), rng)[None]
+        for k, s in list(enumerate(sigma))[:60]
+    ]
+    image = (
+        np.clip(np.sum(parts, axis=0)[0] + rng.normal(20, 2, (size, size)), 0, 255).round().astype(np.uint8)
+    )
+    psf = find_stars(image, TOLD_GAIN).psf
+    assert psf.sigma_px == pytest.approx(1.0, abs=0.06)
+    assert psf.sigma_corner_px == pytest.approx(1.5, abs=0.15)
+
+
+def test_saturated_and_blended_stars_are_flagged():
+    rng = np.random.default_rng(9)
+    xy = np.array([[100.2, 100.7], [300.0, 100.0], [305.0, 101.0], [200.3, 300.6]])
+    image = render(xy, np.array([9000.0, 800.0, 500.0, 800.0]), 400, 400, Sensor(), rng)
+    stars = find_stars(image, TOLD_GAIN)
+    row = cKDTree(stars.xy_px).query(xy)[1]
+    assert stars.saturated[row].tolist() == [True, False, False, False]
+    assert stars.blended[row].tolist() == [False, True, True, False]
+    miss = stars.xy_px[row[0]] - xy[0]  # the wings alone place a saturated star, to its stated error
+    assert miss @ np.linalg.solve(stars.cov_px[row[0]], miss) < 18.4
+
+
+def test_a_cosmic_ray_and_a_trail_are_not_stars():
+    rng = np.random.default_rng(10)
+    image = render(rng.uniform(20, 380, (30, 2)), np.full(30, 900.0), 400, 400, Sensor(), rng)
+    image[200, 150:162] = 180
+    for k in range(300):
+        image[50 + k // 3, 50 + k] = 200
+    stars = find_stars(image, TOLD_GAIN)
+    on_trail = np.abs(stars.xy_px[:, 1] - 50 - (stars.xy_px[:, 0] - 50) / 3) < 2.0
+    on_ray = (np.abs(stars.xy_px[:, 1] - 200) < 2) & (stars.xy_px[:, 0] > 147) & (stars.xy_px[:, 0] < 165)
+    assert (on_trail & (stars.xy_px[:, 0] > 55) & (stars.xy_px[:, 0] < 345)).sum() <= 3
+    assert on_ray.sum() <= 1
+
+
+def test_a_dark_frame_removes_what_it_knows():
+    rng = np.random.default_rng(11)
+    pattern = np.zeros((400, 400))
+    pattern[rng.integers(0, 400, 4000), rng.integers(0, 400, 4000)] = 30.0
+    xy = rng.uniform(20, 380, (40, 2))
+    image = render(xy, np.full(40, 700.0), 400, 400, Sensor(), rng) + pattern
+    dark = np.clip(pattern + 20.0, 0, 255).astype(np.uint8)
+    stars = find_stars(np.clip(image, 0, 255).astype(np.uint8), TOLD_GAIN, dark)
+    assert (cKDTree(stars.xy_px).query(xy)[0] < 0.5).mean() > 0.9
+    assert (cKDTree(xy).query(stars.xy_px)[0] > 2.0).sum() <= 2
+
+
+@pytest.mark.parametrize("shape", [(33, 47), (101, 517)])
+def test_odd_and_small_images_are_worked_through(shape):
+    rng = np.random.default_rng(12)
+    xy = np.array([[20.3, 16.4]])
+    stars = find_stars(render(xy, np.array([900.0]), shape[1], shape[0], Sensor(), rng), TOLD_GAIN)
+    assert cKDTree(stars.xy_px).query(xy)[0][0] < 0.2
+
+
+def test_an_image_too_small_or_not_flat_is_refused():
+    with pytest.raises(ValueError, match="must be"):
+        find_stars(np.zeros((10, 400), np.uint8), StarSettings())
+    with pytest.raises(ValueError, match="must be"):
+        find_stars(np.zeros((100, 100, 3), np.uint8), StarSettings())
+
+
+def test_an_image_of_one_value_has_no_stars():
+    assert len(find_stars(np.full((200, 200), 17, np.uint8), StarSettings()).xy_px) == 0
+
+
+def test_the_bound_agrees_with_the_closed_form_for_fine_pixels():
+    # Sky-limited Gaussian, known width: sigma_x = sqrt(2) sigma / SNR with SNR = F / (noise sqrt(4 pi
+    # sigma^2)).
+    psf = Psf(3.0, 3.0, (0.0, 0.0), 100, 100)
+    flux, noise = 5000.0, 2.0
+    bound = cramer_rao_px(np.array([[50.0, 50.0]]), np.array([flux]), np.array([noise]), psf, np.inf)[0]
+    snr = flux / (noise * np.sqrt(4 * np.pi * 9.0))
+    assert bound == pytest.approx(np.sqrt(2) * 3.0 / snr, rel=0.02)  # the pixel widens the PSF by 1 %
