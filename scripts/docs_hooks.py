@@ -5,11 +5,15 @@ the benchmarks' records on the accuracy page.
 from __future__ import annotations
 
 import re
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 from mkdocs.structure.files import File, Files
+
+sys.path.insert(0, str(Path(__file__).parent))
+from accuracy_tables import table4_markdown
 
 ROOT = Path(__file__).parents[1]
 RECORDS = ROOT / "benchmarks" / "results"
@@ -52,6 +56,8 @@ def on_page_markdown(markdown: str, *, page: Any, config: Any, files: Files) -> 
     """
     if page.file.src_uri == "method.md":
         markdown = NAME.sub(r"[`\1`][\1]", markdown)
+    if "<!-- table 4 -->" in markdown:
+        markdown = markdown.replace("<!-- table 4 -->", table4_markdown())
     return markdown.replace("<!-- benchmark records -->", "\n".join(_records()))
 
 

@@ -73,6 +73,16 @@ def test_all_commands_of_the_program_are_in_the_readme():
     assert [name for name in names if f"boresight {name}" not in text] == []
 
 
+def test_the_readme_shows_the_accuracy_that_was_measured():
+    sys.path.insert(0, str(ROOT / "scripts"))
+    from accuracy_tables import MARKS, table4_markdown
+
+    found = MARKS.search((ROOT / "README.md").read_text())
+    assert found is not None
+    shown = found[0].removeprefix(found[1]).removesuffix(found[2])
+    assert shown == table4_markdown(), "run scripts/accuracy_tables.py"
+
+
 def test_the_site_builds_without_a_warning(tmp_path):
     if importlib.util.find_spec("mkdocs") is None or importlib.util.find_spec("mkdocstrings") is None:
         pytest.skip("MKDOCS IS NOT INSTALLED (extra `docs`): the site was not built; `make docs` builds it")
