@@ -35,14 +35,12 @@ from rendered_pairs import DATA, Pair, load_picture, make_pair  # noqa: E402
 
 from gct_match.correlation import (  # noqa: E402
     correlation_surface,
-    independent_values,
-    log_chance,
     normalised,
     peaks_of,
 )
 from gct_match.locate import Located, locate  # noqa: E402
 from gct_match.settings import MatchSettings  # noqa: E402
-from gct_match.vote import Candidates, vote  # noqa: E402
+from gct_match.vote import Candidates, log_chance_of_ranks, vote  # noqa: E402
 
 Array = NDArray[np.float64]
 Outcome = tuple[Array | None, Array | None]  # place (2,) and covariance (2, 2), None where there is none
@@ -346,11 +344,10 @@ def _common_offset(
         alone.append(_peak(cv2.matchTemplate(window, template, cv2.TM_CCOEFF_NORMED)) - reach)
         ta, tb = (normalised(image, image > 0.0) for image in (template, window))
         surface = correlation_surface(ta, tb)
-        peaks = peaks_of(surface, SETTINGS.candidates, 2)
+        peaks = peaks_of(surface, 40, 2)
         owner += [k] * len(peaks.value)
         displacement.append(peaks.xy - reach)
-        independent = np.sqrt(independent_values(ta) / np.mean(surface.astype(float) ** 2))
-        chance.append(log_chance(peaks.value, float(independent), np.pi * 2.0**2))
+        chance.append(log_chance_of_ranks(len(peaks.value), np.pi * 2.0**2 / (2.0 * reach) ** 2))
     every = np.concatenate(displacement)
     candidates = Candidates(
         np.array(owner), every, np.broadcast_to(np.eye(2), (len(every), 2, 2)), np.concatenate(chance)

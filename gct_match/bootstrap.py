@@ -16,12 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gct_match.coarse import CoarseStrip, read_coarse
-from gct_match.correlation import correlation_surface, log_chance, normalised, peaks_of
+from gct_match.correlation import correlation_surface, normalised, peaks_of
 from gct_match.paths import Paths, directions_c, displacements
 from gct_match.records import Chip, StripImage, Target
 from gct_match.settings import MatchSettings
 from gct_match.template import chip_side_px, predict_template
-from gct_match.vote import Candidates, Vote, vote
+from gct_match.vote import Candidates, Vote, log_chance_of_ranks, vote
 from geometry.installation import deviation_from_theta
 from geometry.pushbroom import Pushbroom
 from geometry.terrain import Surface
@@ -157,18 +157,17 @@ class _Search:
     def candidates(self, target: int, tolerance_px: float) -> Candidates:
         """The best places of a target over all CCDs that it may lie in."""
         template, offset_px = self.templates[target]
-        found = [
-            self._in_window(template, offset_px, window, tolerance_px)
-            for window in self.plan.windows
-            if window.target == target
-        ]
+        windows = [window for window in self.plan.windows if window.target == target]
+        found = [self._in_window(template, offset_px, window) for window in windows]
         xy = np.concatenate([item[0] for item in found])
-        ccd = np.concatenate([item[1] for item in found])
-        chance = np.concatenate([item[2] for item in found])
-        keep = np.argsort(chance)[: 2 * self.settings.candidates]
+        ccd = np.concatenate([np.full(len(item[0]), w.ccd) for item, w in zip(found, windows)])
+        value = np.concatenate([item[1] for item in found])
+        keep = np.argsort(-value, kind="stable")[: self.settings.candidates]
+        area = sum((w.lines[1] - w.lines[0]) * (w.samples[1] - w.samples[0]) for w in windows)
+        chance = log_chance_of_ranks(len(keep), np.pi * tolerance_px**2 / max(area, 1))
         p_e = np.broadcast_to(self.targets[target].p_e, (len(keep), 3))
         displacement, design = displacements(self.pushbroom, p_e, ccd[keep], xy[keep])
-        return Candidates(np.full(len(keep), target), displacement, design, chance[keep])
+        return Candidates(np.full(len(keep), target), displacement, design, chance)
 
     def _template(self, target: int) -> tuple[Image, Array]:
         """The normalised template, and where in it (in strip pixels from its first one) the target's point
@@ -194,9 +193,8 @@ class _Search:
         image = normalised(template.image, template.valid)
         return image * template.valid, middle - origin
 
-    def _in_window(
-        self, template: Image, offset_px: Array, window: Window, tolerance_px: float
-    ) -> tuple[Array, NDArray[np.int64], Array]:
+    def _in_window(self, template: Image, offset_px: Array, window: Window) -> tuple[Array, Array]:
+        """Places (K, 2), px of the strip, and their correlations (K,)."""
         picture, factor = self.pictures[window.ccd], self.plan.factor
         low = np.array([window.samples[0], window.lines[0]]) - offset_px - picture.origin_px
         high = np.array([window.samples[1], window.lines[1]]) - offset_px - picture.origin_px
@@ -204,17 +202,13 @@ class _Search:
         x0, y0 = np.maximum(np.floor(low / factor).astype(int), -(w // 2))
         x1 = min(int(np.ceil(high[0] / factor)) + w, picture.image.shape[1] + w // 2)
         y1 = min(int(np.ceil(high[1] / factor)) + h, picture.image.shape[0] + h // 2)
-        nothing = np.zeros((0, 2)), np.zeros(0, dtype=np.int64), np.zeros(0)
         if x1 - x0 < w or y1 - y0 < h:
-            return nothing
+            return np.zeros((0, 2)), np.zeros(0)
         part = _cut(picture.image, x0, y0, x1, y1)
         surface = correlation_surface(template, part)
         peaks = peaks_of(surface, self.settings.candidates, 3)
-        some = surface[:: max(1, surface.shape[0] // 200), :: max(1, surface.shape[1] // 200)]
-        independent = 1.0 / max(float(np.mean(some.astype(float) ** 2)), 1e-4)
-        places = np.pi * (tolerance_px / factor) ** 2
         xy = (peaks.xy + np.array([x0, y0])) * factor + picture.origin_px + offset_px
-        return xy, np.full(len(xy), window.ccd), log_chance(peaks.value, independent, places)
+        return xy, peaks.value
 
 
 def _windows(

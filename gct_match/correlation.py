@@ -15,13 +15,11 @@ import cv2
 import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
-from scipy.special import log_ndtr
 
 __all__ = [
     "Peaks",
     "correlation_surface",
     "independent_values",
-    "log_chance",
     "normalised",
     "peaks_of",
     "probability_wrong",
@@ -134,12 +132,6 @@ def independent_values(template: Image) -> float:
     """How many independent values a normalised template holds, from the evenness of its spectrum."""
     power = np.abs(scipy.fft.rfft2(template - template.mean())).astype(float) ** 2
     return float(2.0 * power.sum() ** 2 / (power**2).sum()) if power.any() else 1.0
-
-
-def log_chance(value: Array, independent: float, places: float) -> Array:
-    """Log of the probability that chance gives a correlation of `value` or more at one of so many places."""
-    z = np.arctanh(np.clip(value, -0.9999, 0.9999)) * np.sqrt(max(independent - 3.0, 1.0))
-    return np.minimum(log_ndtr(-z) + np.log(places), 0.0)
 
 
 def _vertex(surface: Image, row: NDArray, column: NDArray, axis: int) -> Array:

@@ -21,7 +21,9 @@ class MatchSettings:
     )
     chip_mtf_at_nyquist: float = 0.3  # of the chip at its own grid: an ortho-image that was resampled once
     sigmas: float = 3.0  # half-width of the search in standard errors of the installation matrix
-    candidates: int = 20  # peaks per target and CCD that take part in the vote
+    candidates: int = (
+        300  # best places of a target that take part in the vote; its weight falls with its rank
+    )
     coarse_template_px: int = 16  # smallest side of a template in the coarsest level of the pyramid
     coarse_pixels: float = 12e6  # pixels of the coarse strip that one search may hold in memory (48 MB)
     read_block_px: int = 4_000_000  # pixels read at once

@@ -14,12 +14,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
+from scipy.special import gammaln
 
-__all__ = ["Candidates", "Vote", "fit_common", "vote"]
+__all__ = ["Candidates", "Vote", "fit_common", "log_chance_of_ranks", "vote"]
 
 Array = NDArray[np.float64]
-
-_LEAST_LOG_CHANCE = np.log(1e-4)  # however high a correlation: repeated patterns are not chance
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -59,7 +58,7 @@ def vote(
         inside = (np.abs(q) <= reach * prior_sigma[:2] * 1.05).all(axis=1)
         if not inside.any():
             continue
-        owner, chance = candidates.owner[inside], np.maximum(candidates.log_chance[inside], _LEAST_LOG_CHANCE)
+        owner, chance = candidates.owner[inside], candidates.log_chance[inside]
         score = _support(q[inside] * scale, owner, chance, n_targets, tolerance_px)
         n = int(np.argmin(score))
         if score[n] < best:
@@ -67,6 +66,15 @@ def vote(
             start = np.concatenate([q[inside][n], [value]])[: len(prior_sigma)]
     cells = float(np.prod(2.0 * reach * prior_sigma[:2] * scale)) / (np.pi * tolerance_px**2) * len(third)
     return _polished(candidates, start, best, cells, prior_sigma, tolerance_px, sigma_px)
+
+
+def log_chance_of_ranks(count: int, share: float) -> Array:
+    """Log of the chance that one of a target's k + 1 best places lies in a given spot by accident, k = 0..count-1.
+
+    `share` is that of the spot in the area that was searched. High correlations are no rarer for chips of repeated
+    patterns than ranks say: the picture itself shows how often a place looks like the chip.
+    """
+    return np.minimum(np.log(np.arange(1.0, count + 1.0)) + np.log(share), 0.0)
 
 
 def fit_common(
@@ -136,5 +144,6 @@ def _polished(
         p, covariance = fit_common(
             candidates.displacement_px[chosen], candidates.design[chosen], cov_px, prior_sigma
         )
-    subsets = (len(np.unique(candidates.owner)) if len(candidates.owner) else 0) * np.log(2.0)
+    n, m = (len(np.unique(candidates.owner)) if len(candidates.owner) else 0), len(chosen)
+    subsets = gammaln(n + 1) - gammaln(m + 1) - gammaln(n - m + 1)  # of n targets, any m might have agreed
     return Vote(p, covariance, chosen, min(0.0, score + np.log(max(cells, 1.0)) + subsets))

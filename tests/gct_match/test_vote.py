@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from gct_match.vote import Candidates, fit_common, vote
+from gct_match.vote import Candidates, fit_common, log_chance_of_ranks, vote
 
 SIGMA = np.full(3, 0.003)  # rad
 PX_PER_RAD = 1e6  # the paper's camera
@@ -15,14 +15,14 @@ PX_PER_RAD = 1e6  # the paper's camera
 def candidates(rng: np.random.Generator, theta: NDArray | None, targets: int, share: float) -> Candidates:
     """20 candidates a target over ± 9000 px; in `share` of the targets one of them is right."""
     owner, displacement, design = [], [], []
-    chance = np.log(rng.uniform(1e-4, 1e-1, 20 * targets))
+    share = np.pi * 14.0**2 / 18000.0**2  # of the tolerance in the area searched
+    chance = np.tile(log_chance_of_ranks(20, share), targets)
     for n in range(targets):
         x, y = rng.uniform(-0.012, 0.012, 2)
         D = PX_PER_RAD * np.array([[0.0, -1.0, y], [1.0, 0.0, -x]])
         d = rng.uniform(-9000.0, 9000.0, (20, 2))
         if theta is not None and rng.uniform() < share:
             d[7] = D @ theta + rng.normal(0.0, 3.0, 2)
-            chance[20 * n + 7] = np.log(1e-5)
         owner += [n] * 20
         displacement.append(d)
         design += [D] * 20
