@@ -29,8 +29,8 @@ def table4_markdown() -> str:
         "| --- " * 10 + "|",
         *rows,
         "",
-        f"Error in arc-seconds. Ours: rms of {ours[0]['runs']} runs of {ours[0]['frames']} frames at the level of",
-        "vectors, as in the paper's Table 4. Bound: Cramér-Rao. Paper: size of its printed single draws.",
+        f"Error in arc-seconds. Ours: rms of {ours[0]['runs']} runs of {ours[0]['frames']} frames at the level",
+        "of vectors, as in the paper's Table 4. Bound: Cramér-Rao. Paper: size of its printed single draws.",
     ]
     return "\n".join(lines) + "\n"
 
