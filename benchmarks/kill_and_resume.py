@@ -3,8 +3,8 @@
     python benchmarks/kill_and_resume.py --dump fixtures/mini --kills 20 --seed 1
 
 `boresight calibrate` is started, killed with SIGKILL after a random share of the time that an undisturbed run
-takes to work, and started again, until it was killed so many times; then it may finish. A unit that was on disk when
-the process died must not be made again; units that were in flight may be.
+takes to work, and started again, until it was killed so many times; then it may finish. A unit that was on
+disk when the process died must not be made again; units that were in flight may be.
 """
 
 from __future__ import annotations

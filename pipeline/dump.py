@@ -164,7 +164,7 @@ def open_dump(root: Path, *, allow_stale_eop: bool = False) -> Dump:
     installation = read_toml(paths["installation"], schema.InstallationFile, head.files.installation)
     line_camera = _line_camera(remote, head.files.remote_camera)
     ephemeris = read_oem(paths["orbit"], head.files.orbit)
-    orbit = _orbit(ephemeris, head, bundled_earth_orientation(), allow_stale_eop)
+    orbit = _orbit(ephemeris, head, _earth_orientation(), allow_stale_eop)
     strips, omitted = _strips(root, paths["strips"], head.files.strips, ephemeris.epoch, remote)
     rows = _target_rows(paths["targets"], head.files.targets)
     targets, heights = _targets(rows)
@@ -187,6 +187,12 @@ def open_dump(root: Path, *, allow_stale_eop: bool = False) -> Dump:
         terrain=_terrain(paths.get("terrain"), head, rows, heights),
         omissions=omitted,
     )
+
+
+@lru_cache(maxsize=1)
+def _earth_orientation() -> EarthOrientationTable:
+    """The bundled table, parsed once in each process."""
+    return bundled_earth_orientation()
 
 
 def star_camera_of(file: schema.StarCameraFile, name: str) -> StarCamera:
