@@ -24,12 +24,13 @@ def table4_markdown() -> str:
     for s, c in pairs:
         values = [f"{float(cells[s, c, axis][name]):.4f}" for name in COLUMNS for axis in "XYZ"]
         rows.append(f"| {float(s):.2f}, {float(c):.1f} | " + " | ".join(values) + " |")
+    runs, frames = ours[0]["runs"], ours[0]["frames"]
     lines = [
         "| σ_s, σ_c, px | ours: X | Y | Z | bound: X | Y | Z | paper: X | Y | Z |",
         "| --- " * 10 + "|",
         *rows,
         "",
-        f"Error in arc-seconds. Ours: rms of {ours[0]['runs']} runs of {ours[0]['frames']} frames at the level",
+        f"Error in arc-seconds. Ours: rms of {runs} runs of {frames} frames at the level",
         "of vectors, as in the paper's Table 4. Bound: Cramér-Rao. Paper: size of its printed single draws.",
     ]
     return "\n".join(lines) + "\n"
