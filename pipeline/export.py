@@ -17,7 +17,7 @@ from pipeline import __version__
 from pipeline.dump import surface_of
 from pipeline.errors import DataNotSufficientError, RawDataError
 from pipeline.exports.ccsds_aem import AemHeader, attitude_message
-from pipeline.exports.csm_isd import line_scanner_isds
+from pipeline.exports.csm_isd import IsdNames, line_scanner_isds
 from pipeline.exports.gcp_envi import points_envi
 from pipeline.exports.gcp_geojson import points_geojson
 from pipeline.exports.gcp_qgis import points_qgis
@@ -91,7 +91,8 @@ def _csm_isd(request: ExportRequest) -> Made:
     height_m = float(np.mean(surface_of(dump.terrain).height_range_m()))
     for model in _models(calibrated, request.strips):
         for ccd in model.strip.images.ccds:
-            names = (dump.mission, f"remote-sensing camera, CCD {ccd}")
+            image = model.strip.images.names[ccd]
+            names = IsdNames(image, dump.mission, f"remote-sensing camera, CCD {ccd}")
             lines = model.strip.lines
             for piece in line_scanner_isds(model.pushbroom, dump.epoch, ccd, lines, height_m, names):
                 yield f"{model.strip.strip_id}.{piece.suffix}.json", piece.text()

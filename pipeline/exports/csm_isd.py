@@ -33,7 +33,7 @@ from geometry.groundlight import lines_of_sight_e
 from geometry.line_camera import Ccd, LineCamera
 from geometry.pushbroom import Pushbroom
 
-__all__ = ["IsdPiece", "line_scanner_isds"]
+__all__ = ["IsdNames", "IsdPiece", "line_scanner_isds"]
 
 Array = NDArray[np.float64]
 
@@ -43,6 +43,15 @@ FOLD_SAMPLES = 9  # look directions per node, to which the rotation is fitted
 DISTORTION_PX = 3e-3  # what the cubic may leave over
 SMALLEST_PIECE_PX = 32
 _TURN = Rotation.from_quat([1.0, 0.0, 0.0, 0.0])  # c' <- c: half a turn about x
+
+
+@dataclass(frozen=True, slots=True)
+class IsdNames:
+    """What an ISD calls things."""
+
+    image: str  # file name of the raw image
+    platform: str
+    sensor: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,11 +89,11 @@ class _Path:
 
 
 def line_scanner_isds(
-    pushbroom: Pushbroom, epoch: Epoch, ccd: int, lines: int, height_m: float, names: tuple[str, str]
+    pushbroom: Pushbroom, epoch: Epoch, ccd: int, lines: int, height_m: float, names: IsdNames
 ) -> list[IsdPiece]:
     """ISDs of one CCD of a strip of `lines` rows, exact for ground at the ellipsoidal height `height_m`.
 
-    `names` are those of platform and sensor. Raises `ValueError` for a camera that is not a `LineCamera`.
+    Raises `ValueError` for a camera that is not a `LineCamera`.
     """
     camera = pushbroom.camera
     if not isinstance(camera, LineCamera):
@@ -152,7 +161,7 @@ def _folded_states(
 
 
 def _common(
-    path: _Path, pushbroom: Pushbroom, lines: int, height_m: float, names: tuple[str, str], focal_m: float
+    path: _Path, pushbroom: Pushbroom, lines: int, height_m: float, names: IsdNames, focal_m: float
 ) -> dict[str, Any]:
     """Everything that the pieces of a detector share."""
     start_t_s = float(pushbroom.instants(np.array([-0.5]))[0])
@@ -165,8 +174,9 @@ def _common(
     return {
         "isis_camera_version": 2,
         "name_model": "USGS_ASTRO_LINE_SCANNER_SENSOR_MODEL",
-        "name_platform": names[0],
-        "name_sensor": names[1],
+        "image_identifier": names.image,
+        "name_platform": names.platform,
+        "name_sensor": names.sensor,
         "image_lines": lines,
         "interpolation_method": "lagrange",
         "starting_ephemeris_time": path.centre_et_s + start_from_centre_s,

@@ -8,9 +8,9 @@ import pytest
 from orbiting_camera import EPOCH, LINES, strip
 
 from geometry.terrain import ConstantHeight
-from pipeline.exports.csm_isd import line_scanner_isds
+from pipeline.exports.csm_isd import IsdNames, line_scanner_isds
 
-NAMES = ("TESTSAT", "TESTCAM")
+NAMES = IsdNames("strip.tif", "TESTSAT", "TESTCAM")
 HEIGHT_M = 400.0
 
 
@@ -132,6 +132,11 @@ def test_a_detector_with_strong_distortion_is_cut_and_one_without_is_not(pieces)
 def test_what_an_isd_reader_asks_for_is_there(pieces):
     # The keys that the ISD reader of the Abstraction Layer for Ephemerides takes without a default.
     isd = pieces[1][0].isd
+    assert [isd[k] for k in ("image_identifier", "name_platform", "name_sensor")] == [
+        "strip.tif",
+        "TESTSAT",
+        "TESTCAM",
+    ]
     assert isd["name_model"] == "USGS_ASTRO_LINE_SCANNER_SENSOR_MODEL"
     assert (isd["image_lines"], isd["image_samples"]) == (LINES, 2048)
     assert isd["radii"] == {"semimajor": 6378.137, "semiminor": pytest.approx(6356.752314), "unit": "km"}
