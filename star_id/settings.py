@@ -32,7 +32,6 @@ class StarSettings:
 
     # Sightings for calibration
     max_photocentre_shift_px: float = 0.02  # catalogue pairs that displace the light further are left out
-    min_separation_sigma: float = 6.0  # neighbours closer than this many PSF sigmas count as blended
 
     def __post_init__(self) -> None:
         for name in ("false_alarms_per_frame", "max_stars", "max_false_alarm_probability", "camera_error"):
