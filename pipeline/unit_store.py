@@ -1,7 +1,7 @@
 """Units of finished work on disk: one Parquet file each, found again by what it was made from.
 
 A unit (one exposure, one strip) is known by a digest of everything that its result depends on: the records it
-was called with, the content of the files they name, the settings and the version of the program. A file is
+was called with, the content of the files they name, the settings and the program itself. A file is
 written under another name, flushed and renamed, so that a unit is either there as a whole or not at all,
 whatever happens.
 """
@@ -10,11 +10,13 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
+import importlib.resources
 import json
 import os
 import uuid
 from collections.abc import Mapping
 from enum import Enum
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +25,18 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from scipy.spatial.transform import Rotation
 
-__all__ = ["UnitStore", "column", "digest", "fixed_list", "list_values", "read_meta", "write_whole"]
+from pipeline import __version__
+
+__all__ = [
+    "UnitStore",
+    "column",
+    "digest",
+    "fixed_list",
+    "list_values",
+    "program",
+    "read_meta",
+    "write_whole",
+]
 
 META = b"boresight"
 WHOLE_FILE_BYTES = 64 * 2**20  # larger files are known by size, time of change and both ends
@@ -88,6 +101,21 @@ def _feed_file(state: Any, path: Path) -> None:
                 state.update(stream.read(END_BYTES))
     except OSError as error:
         state.update(f"no file:{error.errno};".encode())
+
+
+@cache
+def program(*packages: str) -> str:
+    """The version of the program, and a digest of the source of those packages that a stage rests on.
+
+    So a unit is made again when the code behind it has changed, also where nobody has raised a version
+    number.
+    """
+    sources: dict[str, bytes] = {}
+    for package in packages:
+        folder = importlib.resources.files(package)
+        names = sorted(entry.name for entry in folder.iterdir() if entry.name.endswith(".py"))
+        sources |= {f"{package}/{name}": (folder / name).read_bytes() for name in names}
+    return f"{__version__} {digest(sources)}"
 
 
 @dataclasses.dataclass(frozen=True, slots=True)

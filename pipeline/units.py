@@ -7,10 +7,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from pipeline import __version__
 from pipeline.ground_chain import StripTask, match_targets, placings_table
 from pipeline.star_chain import StarTask, sight_exposure, stars_table
-from pipeline.unit_store import UnitStore, digest
+from pipeline.unit_store import UnitStore, digest, program
 
 __all__ = ["Made", "StarUnit", "StripUnit"]
 
@@ -31,7 +30,7 @@ class StarUnit:
     store: UnitStore
 
     def __call__(self, task: StarTask) -> Made:
-        name, key = task.exposure.exposure_id, digest("stars", __version__, task)
+        name, key = task.exposure.exposure_id, digest("stars", program("geometry", "star_id"), task)
         if self.store.read("exposures", name, key) is not None:
             return Made(name, key, False)
         self.store.write("exposures", name, key, *stars_table(task, sight_exposure(task)))
@@ -46,7 +45,7 @@ class StripUnit:
     stage: str
 
     def __call__(self, task: StripTask) -> Made:
-        name, key = task.strip.strip_id, digest("places", __version__, task)
+        name, key = task.strip.strip_id, digest("places", program("geometry", "gct_match"), task)
         if self.store.read(self.stage, name, key) is not None:
             return Made(name, key, False)
         self.store.write(self.stage, name, key, *placings_table(match_targets(task)))
