@@ -10,7 +10,7 @@ import platform
 import sys
 import time
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from importlib import metadata
@@ -165,14 +165,7 @@ def calibrate(
         opened = open_dump(dump, allow_stale_eop=allow_stale_eop)
     begin_result(out)
     with _bar() as bar, executor_for(workers, scheduler, opened.pixels) as executor:
-        bars: dict[str, Any] = {}
-
-        def progress(stage: str, done: int, total: int) -> None:
-            if stage not in bars:
-                bars[stage] = bar.add_task(stage, total=total)
-            bar.update(bars[stage], completed=done)
-
-        found = calibrate_dump(opened, chosen, store_of(out), executor, progress)
+        found = calibrate_dump(opened, chosen, store_of(out), executor, _shown_on(bar))
     if report:
         from pipeline.evidence import write_evidence
 
@@ -201,6 +194,18 @@ def calibrate(
         page = f", {write_report(out).name}"
     typer.echo(calibration_summary(found))
     typer.echo(f"{elapsed:.1f} s -> {out / 'installation.json'}{page}")
+
+
+def _shown_on(bar: Progress) -> Callable[[str, int, int], None]:
+    """A listener to a run's progress: one bar a stage."""
+    bars: dict[str, Any] = {}
+
+    def told(stage: str, done: int, total: int) -> None:
+        if stage not in bars:
+            bars[stage] = bar.add_task(stage, total=total)
+        bar.update(bars[stage], completed=done)
+
+    return told
 
 
 @contextmanager
