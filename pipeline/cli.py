@@ -162,10 +162,10 @@ def calibrate(
     start = time.perf_counter()
     chosen = read_settings(settings)
     with _warnings_told():
-        opened = open_dump(dump, allow_stale_eop=allow_stale_eop)
+        opened = open_dump(dump.resolve(), allow_stale_eop=allow_stale_eop)
     begin_result(out)
     with _bar() as bar, executor_for(workers, scheduler, opened.pixels) as executor:
-        found = calibrate_dump(opened, chosen, store_of(out), executor, _shown_on(bar))
+        found = calibrate_dump(opened, chosen, store_of(out.resolve()), executor, _shown_on(bar))
     if report:
         from pipeline.evidence import write_evidence
 
