@@ -83,6 +83,9 @@ def number_at(content: Any, key: str) -> float:
 def read_saved(result: Path) -> Saved:
     """Read a finished result. `RawDataError` names what is missing."""
     installation = _json(result / "installation.json")
+    if not (result / "evidence" / "context.json").is_file():
+        again = "what `calibrate` writes unless --no-report is given; run it again, finished work is kept"
+        raise RawDataError(str(result / "evidence"), "folder", "not there, or not whole", again)
     tables = {
         name: _table(result / "sightings" / f"{name}.parquet", names) for name, names in _SIGHTINGS.items()
     }

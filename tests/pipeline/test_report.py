@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
@@ -237,3 +238,9 @@ def test_a_folder_without_a_result_gets_a_report_of_what_is_missing(tmp_path):
     ran = CliRunner().invoke(app, ["report", str(tmp_path)])
     assert ran.exit_code != 0
     assert "installation.json" in str(ran.exception)
+
+
+def test_a_result_made_without_report_says_how_to_get_one(finished, tmp_path):
+    shutil.copytree(finished[1], tmp_path / "result", ignore=shutil.ignore_patterns("work", "evidence"))
+    ran = CliRunner().invoke(app, ["report", str(tmp_path / "result")])
+    assert ran.exit_code != 0 and "run it again" in str(ran.exception)
