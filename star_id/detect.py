@@ -140,8 +140,8 @@ def detect(
     windows = np.asarray(windows[high], dtype=np.float32)
     flux, best = flux[high], best[high]
     level, noise, places = level[high], noise[high], places[high]
-    hot = _lone_pixels(windows, best, level, noise, shifts)
-    flux[hot] = (windows[hot] - level[hot, None].astype(np.float32)) @ kernel  # the lone pixel taken out
+    hot, pixel, excess = _lone_pixels(windows, best, level, noise, shifts)
+    flux[hot] -= excess[:, None] * kernel[pixel]  # the lone pixel taken out
     best = flux.argmax(axis=1)
     snr = flux[np.arange(len(flux)), best] * unit / noise
     kept = keep = np.flatnonzero(snr > threshold)
@@ -206,28 +206,41 @@ def _enlarged(
 
 def _lone_pixels(
     windows: NDArray[np.float32], best: NDArray, level: Array, noise: Array, shifts: int
-) -> NDArray[np.bool_]:
+) -> tuple[NDArray[np.bool_], NDArray[np.int64], NDArray[np.float32]]:
     """Marks peaks that one pixel makes, and puts the mean of its neighbours in that pixel's place in
-    `windows`."""
+    `windows`.
+
+    Returns the mask, and of the marked ones that pixel's place in the window and what it stood above its
+    neighbours.
+    """
     y, x, cross = _peak_pixels(windows, best, shifts)
-    lone = _are_lone(windows, best, level, noise, shifts)
     side = _side(windows)
-    windows[np.flatnonzero(lone), (y * side + x)[lone]] = 0.25 * cross[lone]
-    return lone
+    k = np.arange(len(windows))
+    lone = _is_lone(windows[k, y * side + x] - level, cross - 4.0 * level, noise)
+    pixel = (y * side + x)[lone]
+    mean = (0.25 * cross[lone]).astype(np.float32)
+    excess = windows[k[lone], pixel] - mean
+    windows[k[lone], pixel] = mean
+    return lone, pixel, excess
 
 
 def _are_lone(
     windows: NDArray[np.float32], best: NDArray, level: Array, noise: Array, shifts: int
 ) -> NDArray[np.bool_]:
+    """Whether one pixel makes each peak."""
+    y, x, cross = _peak_pixels(windows, best, shifts)
+    peak = windows[np.arange(len(windows)), y * _side(windows) + x] - level
+    return _is_lone(peak, cross - 4.0 * level, noise)
+
+
+def _is_lone(peak: Array, cross: Array, noise: Array) -> NDArray[np.bool_]:
     """The four neighbours of the brightest pixel hold less than any lens puts there, by more than noise
     explains.
 
     A star of width 0.4 px in the middle of a pixel puts half of its peak into the four neighbours together, a
     wide star three times its peak.
     """
-    y, x, cross = _peak_pixels(windows, best, shifts)
-    peak = windows[np.arange(len(windows)), y * _side(windows) + x] - level
-    return np.asarray((cross - 4.0 * level < _CROSS_OF_PEAK * peak) & (peak > _LEAST_LONE_SIGMA * noise))
+    return np.asarray((cross < _CROSS_OF_PEAK * peak) & (peak > _LEAST_LONE_SIGMA * noise))
 
 
 def _peak_pixels(windows: NDArray, best: NDArray, shifts: int) -> tuple[NDArray, NDArray, Array]:

@@ -20,9 +20,9 @@ __all__ = ["StarList", "find_stars"]
 Array = NDArray[np.float64]
 
 _START_SIGMA_PX = 1.2
-_STARS_FOR_PSF = 50
+_STARS_FOR_PSF = 40
 _FEW_STARS = 8
-_STARS_FOR_GAIN = 50
+_STARS_FOR_GAIN = 40
 _LARGEST_SIGMA_AT_HALF = 2.4  # wider stars are searched at a quarter of the resolution
 _SMALL_CHANGE = 0.2  # of the width: a filter that far off still sees 98 % of the signal-to-noise ratio
 _MISFIT_LIMIT = 0.3  # residual energy over the star's own: more is a cosmic ray, a trail, a bloom's arm

@@ -121,8 +121,11 @@ def triangle_shapes(
     # the vertex opposite the shortest side lies between the middle and the longest, and so on
     vertices = np.take_along_axis(triples, order, axis=1)
     sorted_sides = np.take_along_axis(sides, order, axis=1)
-    p, q, r = (u[vertices[:, k]] for k in range(3))
-    right_handed = np.einsum("ni,ni->n", np.cross(q - p, r - p), p) > 0.0
+    px, py, pz = u[vertices[:, 0]].T
+    qx, qy, qz = u[vertices[:, 1]].T
+    rx, ry, rz = u[vertices[:, 2]].T
+    triple = px * (qy * rz - qz * ry) + py * (qz * rx - qx * rz) + pz * (qx * ry - qy * rx)
+    right_handed = triple > 0.0
     longest = np.maximum(sorted_sides[:, 2], 1e-12)
     return vertices, longest, sorted_sides[:, 1::-1] / longest[:, None], right_handed
 
