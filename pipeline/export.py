@@ -45,6 +45,7 @@ class ExportRequest:
     strips: tuple[str, ...]
     frames: SpiceFrames
     creation_utc: str  # for formats that want to know when they were made
+    allow_stale_eop: bool = False
 
 
 def export(name: str, request: ExportRequest) -> Made:
@@ -71,7 +72,7 @@ def _csv(request: ExportRequest) -> Made:
 
 
 def _aem(request: ExportRequest) -> Made:
-    calibrated = open_calibrated(request.result, request.dump)
+    calibrated = _opened(request)
     dump = calibrated.dump
     for model in _models(calibrated, request.strips):
         first, last = model.pushbroom.instants(np.array([-0.5, model.strip.lines - 0.5]))
@@ -86,7 +87,7 @@ def _aem(request: ExportRequest) -> Made:
 
 
 def _csm_isd(request: ExportRequest) -> Made:
-    calibrated = open_calibrated(request.result, request.dump)
+    calibrated = _opened(request)
     dump = calibrated.dump
     height_m = float(np.mean(surface_of(dump.terrain).height_range_m()))
     for model in _models(calibrated, request.strips):
@@ -113,7 +114,7 @@ def _qgis(request: ExportRequest) -> Made:
 
 
 def _fits(request: ExportRequest) -> Made:
-    calibrated = open_calibrated(request.result, request.dump)
+    calibrated = _opened(request)
     path = request.result / "sightings" / "stars.parquet"
     file = pq.ParquetFile(path)
     exposures = [_exposure(file, group) for group in range(file.num_row_groups)]
@@ -132,6 +133,10 @@ FORMATS: dict[str, Callable[[ExportRequest], Made]] = {
     "qgis": _qgis,
     "fits": _fits,
 }
+
+
+def _opened(request: ExportRequest) -> Calibrated:
+    return open_calibrated(request.result, request.dump, allow_stale_eop=request.allow_stale_eop)
 
 
 def _models(calibrated: Calibrated, wanted: tuple[str, ...]) -> Iterator[StripModel]:
@@ -168,7 +173,7 @@ def _exposure(file: pq.ParquetFile, group: int) -> StarSightings | None:
 
 def _ground_points(request: ExportRequest) -> list[GroundPoints]:
     """Placed targets, one record for each CCD of each strip."""
-    calibrated = open_calibrated(request.result, request.dump)
+    calibrated = _opened(request)
     table = pq.read_table(request.result / "sightings" / "targets.parquet")
     strips = np.array(table.column("strip_id").to_pylist(), dtype=str)
     names = np.array(table.column("target_id").to_pylist(), dtype=str)

@@ -16,6 +16,9 @@ Result = Annotated[Path, typer.Argument(help="Folder that `calibrate` wrote.")]
 DumpOption = Annotated[
     Path | None, typer.Option(help="The dump it was made from, if it is no longer where it was.")
 ]
+StaleOption = Annotated[
+    bool, typer.Option(help="Go on past the end of the Earth-orientation table, with a warning.")
+]
 
 
 def add_report_commands(app: typer.Typer) -> None:
@@ -48,6 +51,7 @@ def export(
     out: Annotated[Path | None, typer.Option(help="Folder for the files; default: RESULT/exports.")] = None,
     dump: DumpOption = None,
     strip: Annotated[list[str] | None, typer.Option(help="Only this strip. May be repeated.")] = None,
+    allow_stale_eop: StaleOption = False,
     spice_spacecraft: Annotated[int, typer.Option(help="SPICE: id of the spacecraft.")] = -999,
     spice_star_camera: Annotated[
         str, typer.Option(help="SPICE: name of the star camera's frame.")
@@ -79,7 +83,7 @@ def export(
     except ValueError as error:
         raise typer.BadParameter(str(error)) from error
     now = datetime.datetime.now(datetime.UTC).strftime("%Y-%m-%dT%H:%M:%S")
-    request = ExportRequest(result, dump, tuple(strip or ()), frames, now)
+    request = ExportRequest(result, dump, tuple(strip or ()), frames, now, allow_stale_eop)
     folder = out if out is not None else result / "exports"
     folder.mkdir(parents=True, exist_ok=True)
     for name in names:
@@ -98,6 +102,7 @@ def geolocate(
     height_m: Annotated[
         float | None, typer.Option(help="Take this ellipsoidal height instead of the terrain model.")
     ] = None,
+    allow_stale_eop: StaleOption = False,
 ) -> None:
     """Image points of a strip to latitude, longitude and height, with 1-sigma along and across the track."""
     from geometry.terrain import ConstantHeight
@@ -106,7 +111,7 @@ def geolocate(
     from pipeline.geolocate import places_csv, read_pixels
     from pipeline.strip_model import open_calibrated, strip_model
 
-    calibrated = open_calibrated(result, dump)
+    calibrated = open_calibrated(result, dump, allow_stale_eop=allow_stale_eop)
     model = strip_model(calibrated, strip)
     read = read_pixels(pixels, calibrated)
     surface = ConstantHeight(height_m) if height_m is not None else surface_of(calibrated.dump.terrain)

@@ -48,13 +48,14 @@ class StripModel:
     track: AttitudeTrack
 
 
-def open_calibrated(result: Path, dump: Path | None) -> Calibrated:
+def open_calibrated(result: Path, dump: Path | None, *, allow_stale_eop: bool = False) -> Calibrated:
     """A finished result with its dump: the one given, or else the one that the run's notes name."""
     saved = read_result(result)
     table = pq.read_table(result / "sightings" / "exposures.parquet", columns=["covariance_s"])
     run = saved.installation["settings"]["run"]
     effects = LightEffects(run["geometric_light_time"], run["aberration"], run["refraction"])
-    opened = open_dump(dump if dump is not None else _noted_dump(result))
+    root = dump if dump is not None else _noted_dump(result)
+    opened = open_dump(root, allow_stale_eop=allow_stale_eop)
     terrain = read_toml(opened.root / "dump.toml", DumpFile, "dump.toml").terrain
     sigma_m = terrain.sigma_m if terrain is not None else 0.0
     return Calibrated(saved, opened, list_values(table, "covariance_s", 3, 3), effects, sigma_m)

@@ -1,4 +1,5 @@
-"""Put the true output of the commands of docs/tutorial.md behind them: `python scripts/refresh_tutorial.py`.
+"""Put the true output of the commands of docs/tutorial.md behind them, and of the two on README's first
+screen: `python scripts/refresh_tutorial.py`.
 
 A block that follows `<!-- run -->` is run in a fresh folder beside a link to `fixtures`: console blocks
 command by command (`$ cat NAME` makes the file from what stands there), Python blocks as one script.
@@ -20,6 +21,8 @@ from pipeline.cli import app
 
 ROOT = Path(__file__).parents[1]
 TUTORIAL = ROOT / "docs" / "tutorial.md"
+README = ROOT / "README.md"
+FIRST_SCREEN = re.compile(r"(\n\$ boresight calibrate fixtures/mini.*?)(?=```)", re.DOTALL)
 BLOCK = re.compile(r"<!-- run -->\n```(console|python)\n(.*?)```\n(?:\n```text\n(.*?)```\n)?", re.DOTALL)
 
 
@@ -75,11 +78,19 @@ def refreshed(text: str) -> str:
     return BLOCK.sub(renewed, text)
 
 
+def first_screen(tutorial: str) -> str:
+    """Commands and output of README's first screen, as they stand in the tutorial."""
+    blocks = [match[2] for match in BLOCK.finditer(tutorial)]
+    wanted = [f"boresight {name} " for name in ("calibrate", "validate")]
+    return "\n" + "".join(next(block for block in blocks if name in block) for name in wanted)
+
+
 def main() -> None:
     with tempfile.TemporaryDirectory() as name:
         with contextlib.chdir(prepared(Path(name))):
             text = refreshed(TUTORIAL.read_text())
         TUTORIAL.write_text(text)
+        README.write_text(FIRST_SCREEN.sub(lambda m: first_screen(text), README.read_text(), count=1))
 
 
 if __name__ == "__main__":

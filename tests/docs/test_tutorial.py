@@ -11,7 +11,16 @@ import pytest
 ROOT = Path(__file__).parents[2]
 sys.path.insert(0, str(ROOT / "scripts"))
 
-from refresh_tutorial import BLOCK, TUTORIAL, prepared, run, steps  # noqa: E402
+from refresh_tutorial import (  # noqa: E402
+    BLOCK,
+    FIRST_SCREEN,
+    README,
+    TUTORIAL,
+    first_screen,
+    prepared,
+    run,
+    steps,
+)
 
 NUMBER = re.compile(r"[-+]?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?")
 TIMES = re.compile(r"\d+\.\d+ s(?= ->)")
@@ -47,13 +56,22 @@ def test_every_program_of_the_page_is_run(blocks):
     }
 
 
+def test_the_first_screen_of_the_readme_is_the_tutorials_run():
+    found = FIRST_SCREEN.search(README.read_text())
+    assert found is not None and found[1] == first_screen(TUTORIAL.read_text()), (
+        "run scripts/refresh_tutorial.py"
+    )
+
+
 def assert_same(printed: str, shown: str, command: str) -> None:
-    """Words exactly; numbers to 3 % or three units of their last digit: another processor rounds differently,
-    and a hundredth of a sigma is no news. How long it took is not compared."""
+    """Words exactly; numbers to 15 % or three units of their last digit: rounding on another processor and a
+    small gain in some stage move them by less, a wrong unit, sign or count by more. How long it took is not
+    compared.
+    """
     printed, shown = TIMES.sub("some time", printed), TIMES.sub("some time", shown)
     where = f"{command}: printed\n{printed}\nthe page shows\n{shown}\nrun scripts/refresh_tutorial.py"
     assert NUMBER.sub("#", printed).split() == NUMBER.sub("#", shown).split(), where
     for got, expected in zip(NUMBER.findall(printed), NUMBER.findall(shown)):
         digits = len(expected.partition(".")[2]) if "e" not in expected.lower() else 0
         unit = 10.0**-digits if "e" not in expected.lower() else 0.0
-        assert abs(float(got) - float(expected)) <= max(0.03 * abs(float(expected)), 3.0 * unit), where
+        assert abs(float(got) - float(expected)) <= max(0.15 * abs(float(expected)), 3.0 * unit), where
