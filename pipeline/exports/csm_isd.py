@@ -168,6 +168,7 @@ def _common(
     start_from_centre_s = start_t_s - float(path.t_s[len(path.t_s) // 2])
     times = path.et_s.tolist()
     ends = [times[0], times[-1]]
+    unit = np.tile([1.0, 0.0, 0.0, 0.0], (2, 1))
     sensor_from_e = _scalar_first((path.R_ec * _TURN.inv()).inv())
     rate_e = _angular_velocities(path.R_ec)
     sun_km = _sun_e(pushbroom, path) / 1e3
@@ -189,24 +190,8 @@ def _common(
         },
         "reference_height": {"minheight": -1000.0, "maxheight": 9000.0, "unit": "m"},
         "focal_length_model": {"focal_length": focal_m * 1e3},
-        "body_rotation": {
-            "time_dependent_frames": [1],
-            "ephemeris_times": ends,
-            "quaternions": [[1.0, 0.0, 0.0, 0.0]] * 2,
-            "angular_velocities": [[0.0, 0.0, 0.0]] * 2,
-            "constant_frames": [1],
-            "constant_rotation": np.eye(3).ravel().tolist(),
-            "reference_frame": 1,
-        },
-        "instrument_pointing": {
-            "time_dependent_frames": [1],
-            "ephemeris_times": times,
-            "quaternions": sensor_from_e.tolist(),
-            "angular_velocities": rate_e.tolist(),
-            "constant_frames": [1],
-            "constant_rotation": np.eye(3).ravel().tolist(),
-            "reference_frame": 1,
-        },
+        "body_rotation": _orientation(ends, unit.tolist(), np.zeros((2, 3)).tolist()),
+        "instrument_pointing": _orientation(times, sensor_from_e.tolist(), rate_e.tolist()),
         "instrument_position": {
             "ephemeris_times": times,
             "positions": (path.p_e / 1e3).tolist(),
@@ -224,6 +209,21 @@ def _common(
             "folded_in": "aberration, light time and refraction, exact at height_m",
             "height_m": height_m,
         },
+    }
+
+
+def _orientation(
+    times: list[float], quaternions: list[list[float]], rates: list[list[float]]
+) -> dict[str, Any]:
+    """Rotations against time as the ISD's reader takes them: all between the frames of number 1."""
+    return {
+        "time_dependent_frames": [1],
+        "ephemeris_times": times,
+        "quaternions": quaternions,
+        "angular_velocities": rates,
+        "constant_frames": [1],
+        "constant_rotation": np.eye(3).ravel().tolist(),
+        "reference_frame": 1,
     }
 
 
