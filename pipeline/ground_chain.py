@@ -46,6 +46,7 @@ __all__ = [
     "StripTask",
     "ground_sightings",
     "match_targets",
+    "nothing_placed",
     "placings_from_table",
     "placings_table",
     "pushbroom_of",
@@ -156,6 +157,11 @@ def _placings(strip: Strip, result: StripMatches | None, omitted: Sequence[Omiss
         tuple(match_pictures(m.evidence) for m in matches),
         (*omitted, *(_omission(strip, refusal) for refusal in refused)),
     )
+
+
+def nothing_placed(strip: Strip, omission: Omission) -> Placings:
+    """The outcome for a strip that could not be worked on."""
+    return _placings(strip, None, [omission])
 
 
 def _out_of_view(refusal: Refusal) -> bool:

@@ -7,11 +7,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from pipeline.ground_chain import StripTask, match_targets, placings_table
+import cv2
+
+from pipeline.errors import Omission
+from pipeline.ground_chain import StripTask, match_targets, nothing_placed, placings_table
 from pipeline.star_chain import StarTask, sight_exposure, stars_table
 from pipeline.unit_store import UnitStore, digest, program
 
 __all__ = ["Made", "StarUnit", "StripUnit"]
+
+# What numerical code may raise on data that nobody thought of. One image's misfortune is not the run's; it is
+# counted and its text points to the fault.
+UNFORESEEN = (ValueError, ArithmeticError, cv2.error)
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,7 +40,11 @@ class StarUnit:
         name, key = task.exposure.exposure_id, digest("stars", program("geometry", "star_id"), task)
         if self.store.read("exposures", name, key) is not None:
             return Made(name, key, False)
-        self.store.write("exposures", name, key, *stars_table(task, sight_exposure(task)))
+        try:
+            outcome = sight_exposure(task)
+        except UNFORESEEN as error:
+            outcome = Omission("exposure", name, task.exposure.file, _told(error))
+        self.store.write("exposures", name, key, *stars_table(task, outcome))
         return Made(name, key, True)
 
 
@@ -48,5 +59,13 @@ class StripUnit:
         name, key = task.strip.strip_id, digest("places", program("geometry", "gct_match"), task)
         if self.store.read(self.stage, name, key) is not None:
             return Made(name, key, False)
-        self.store.write(self.stage, name, key, *placings_table(match_targets(task)))
+        try:
+            placings = match_targets(task)
+        except UNFORESEEN as error:
+            placings = nothing_placed(task.strip, Omission("strip", name, "", _told(error)))
+        self.store.write(self.stage, name, key, *placings_table(placings))
         return Made(name, key, True)
+
+
+def _told(error: Exception) -> str:
+    return f"could not be worked on, please report this: {type(error).__name__}: {str(error)[:300]}"

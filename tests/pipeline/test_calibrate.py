@@ -153,6 +153,25 @@ def test_strip_without_targets_is_named_and_the_lack_is_told(one_strip: Path, tm
         calibrate_dump(open_dump(one_strip), Settings(), store_of(tmp_path), InOrder())
 
 
+def test_fault_in_one_exposure_is_that_exposures_own(
+    one_strip: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import pipeline.star_chain
+
+    sound = pipeline.star_chain.sight_stars
+
+    def fragile(exposure_id: str, *arguments: object, **more: object) -> object:
+        if exposure_id.endswith("5"):
+            raise ValueError("a matrix that nobody thought of")
+        return sound(exposure_id, *arguments, **more)
+
+    monkeypatch.setattr(pipeline.star_chain, "sight_stars", fragile)
+    found = calibrate_dump(open_dump(one_strip), Settings(), store_of(tmp_path), InOrder())
+    (left_out,) = [o for o in found.omissions if o.kind == "exposure"]
+    assert left_out.name.endswith("5")
+    assert "please report this: ValueError: a matrix that nobody thought of" in left_out.reason
+
+
 def test_commands_exit_as_promised(one_strip: Path, tmp_path: Path) -> None:
     def exit_code(*arguments: str) -> int:
         outcome = runner.invoke(app, list(arguments))
