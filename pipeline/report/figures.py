@@ -221,7 +221,7 @@ def covariance_ellipses(saved: Saved) -> list[Drawing]:
             drawn(
                 figure,
                 f"ellipse-{names.lower()}",
-                f"{text} Solid: 1σ (39 %), dashed: 95 %.",
+                f"{text} Solid: 1σ (39 %), dashed: 95 %; each axis has its own scale.",
                 f"Covariance ellipse of the axes {text}",
             )
         )

@@ -233,12 +233,12 @@ def _omissions(saved: Saved) -> list[dict[str, str]]:
 
 
 def _flat(values: Any, path: str = "") -> Iterator[tuple[str, str]]:
-    """Nested settings as dotted names and JSON values."""
+    """Nested settings as dotted names and values: text as it is, the rest as JSON."""
     if isinstance(values, dict) and values:
         for name, value in values.items():
             yield from _flat(value, f"{path}.{name}" if path else str(name))
     else:
-        yield path, json.dumps(values, ensure_ascii=False)
+        yield path, values if isinstance(values, str) else json.dumps(values, ensure_ascii=False)
 
 
 def _data_uri(kind: str, content: bytes) -> str:
