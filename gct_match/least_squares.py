@@ -88,9 +88,9 @@ def place(
     """
     patch, usable = _patch(picture, valid, start_px, template.shape)
     solver = _Solver(template, template_valid, patch, usable, reference_px)
-    solver.filter_by(band_pass(patch.shape, _LOW_PX, _HIGH_PX))
+    solver.filter_by(band_pass(patch.shape, _LOW_PX, _HIGH_PX), tones=False)
     solver.approach()
-    solver.weigh()
+    solver.weigh(every=2)
     if not solver.lost:
         solver.extend_to_affine()
     if not solver.lost:
@@ -155,15 +155,14 @@ class _Solver:
 
     # The filtered pair
 
-    def filter_by(self, amplitude: Image) -> None:
-        """Filter template and patch by `amplitude` (half spectrum); form the columns of the design matrix."""
+    def filter_by(self, amplitude: Image, *, tones: bool) -> None:
+        """Filter template and patch by `amplitude` (half spectrum); form the columns of the design matrix.
+
+        Without `tones` the tone curve is left for later: its two columns are zero.
+        """
         shape = self.patch.shape
         full = spectrum(_mirrored(self.mapped))
         half = full * amplitude
-        blur, sharpen = point_spread(shape, _BLUR_PX)
-        sharp = inverse_spectrum(full * sharpen, shape) * self.contrast
-        square = spectrum(sharp * sharp) * blur
-        cube = spectrum(sharp * sharp * sharp) * blur
         d_dx, d_dy, laplacian = derivatives(shape)
         extent = np.float32(2.0 / max(self.shape))
         u, v = self.x * extent, self.y * extent
@@ -175,9 +174,16 @@ class _Solver:
         c[7], c[8], c[9] = 1.0, u, v
         np.multiply(u, c[6], out=c[10])
         np.multiply(v, c[6], out=c[11])
-        c[12], c[13] = self._core(half * laplacian), self._core(square * amplitude)
-        c[14] = self._core(cube * amplitude)
-        self.tones = square, cube
+        c[12] = self._core(half * laplacian)
+        if not tones:
+            c[13:] = 0.0
+            return
+        blur, sharpen = point_spread(shape, _BLUR_PX)
+        sharp = inverse_spectrum(full * sharpen, shape) * self.contrast
+        blur = blur * amplitude
+        square = sharp * sharp
+        c[13] = self._core(spectrum(square) * blur)
+        c[14] = self._core(spectrum(square * sharp) * blur)
 
     def filter_by_coherence(self) -> None:
         """Carry the radiometry over to the template; measure the weighting filter from the aligned pair."""
@@ -186,22 +192,20 @@ class _Solver:
         taper = self.taper * np.sqrt(self.weight).reshape(self.shape)
         a = (self.mapped - _mean(self.mapped, taper)) * taper
         b = (raw - _mean(raw, taper)) * taper
-        self.filter_by(coherence_filter(a, b, self.patch.shape))
+        self.filter_by(coherence_filter(a, b, self.patch.shape), tones=True)
 
     def _core(self, half: NDArray) -> Image:
         full = inverse_spectrum(half, self.patch.shape)
         return full[_PAD : _PAD + self.shape[0], _PAD : _PAD + self.shape[1]].ravel()
 
     def _mapped_template(self) -> Image:
-        """The template with gain, its ramps, blur and tone curve as found, not filtered."""
+        """The template with gain, its ramps and blur as found, not filtered."""
         T = self.mapped
         extent = np.float32(2.0 / max(self.shape))
-        g, _, _, _, gx, gy, b, q, e = (np.float32(value) for value in self.radiometry)
+        g, _, _, _, gx, gy, b, _, _ = (np.float32(value) for value in self.radiometry)
         gain = (g + gx * extent * self.x + gy * extent * self.y).reshape(self.shape)
         laplacian = cv2.Laplacian(T, cv2.CV_32F, borderType=cv2.BORDER_REFLECT)
-        square, cube = self.tones
-        tones = self._core(q * square + e * cube).reshape(self.shape)
-        mapped = gain * T + b * laplacian + tones
+        mapped = gain * T + b * laplacian
         return mapped - np.float32(mapped.mean())
 
     # Warp
@@ -243,13 +247,13 @@ class _Solver:
         self._read_solution(i)
         self._compose()
 
-    def weigh(self) -> None:
+    def weigh(self, every: int = 1) -> None:
         """Robust weights from the residual, normal equations with them, step."""
         i = self._warped(self.filtered_patch).ravel()
         self._form_normal(every=4)
         self._read_solution(i)
         self.weight = self._robust_weights()
-        self._form_normal()
+        self._form_normal(every)
         self._measure_response(i)
         self._read_solution(i)
         self._compose()
@@ -357,6 +361,9 @@ class _Solver:
         quick = inverse[:4, :4] * noise / self.response**2
         if float(extra @ np.linalg.solve(quick, extra)) < _AFFINE_CHI2:
             return False
+        if self.every != 1:
+            self._form_normal()
+            self._read_solution(self.i)
         return float(extra @ np.linalg.solve(self._covariance()[:4, :4], extra)) > _AFFINE_CHI2
 
     # What came out
@@ -379,7 +386,8 @@ class _Solver:
         moved = np.linalg.solve(without, g_b * scale[:, None])[:, :-_NUISANCES, 0] * scale[:-_NUISANCES]
         moved -= moved.mean(axis=0)
         n = len(moved)
-        return (n - 1.0) / n / self.response**2 * moved.T @ moved
+        # a covariance from n blocks is itself uncertain: n - 4 keeps the mean of the normalised error squared
+        return (n - 1.0) / (n - 4.0) / self.response**2 * moved.T @ moved
 
     def _in_blocks(self, rows: Image) -> Image:
         """(P, pixels) as (blocks, P, pixels of a block); what does not fill a block at the far edges joins

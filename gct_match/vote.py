@@ -69,10 +69,11 @@ def vote(
 
 
 def log_chance_of_ranks(count: int, share: float) -> Array:
-    """Log of the chance that one of a target's k + 1 best places lies in a given spot by accident, k = 0..count-1.
+    """Log of the chance that one of a target's k + 1 best places lies in a given spot by accident, k =
+    0..count-1.
 
-    `share` is that of the spot in the area that was searched. High correlations are no rarer for chips of repeated
-    patterns than ranks say: the picture itself shows how often a place looks like the chip.
+    `share` is that of the spot in the area that was searched. High correlations are no rarer for chips of
+    repeated patterns than ranks say: the picture itself shows how often a place looks like the chip.
     """
     return np.minimum(np.log(np.arange(1.0, count + 1.0)) + np.log(share), 0.0)
 

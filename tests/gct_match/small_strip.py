@@ -159,7 +159,7 @@ def _zone(model: Pushbroom) -> int:
 
 def _map(model: Pushbroom, to_map: Transformer, ccd: int, sample: NDArray, line: NDArray) -> NDArray:
     p_e = model.ground_points(ccd, sample, line, SURFACE)
-    return np.array(to_map.transform(p_e[:, 0], p_e[:, 1], p_e[:, 2])[:2])
+    return np.array(to_map.transform(*p_e.T.tolist())[:2])
 
 
 def _rendered(
