@@ -1,0 +1,87 @@
+"""How often stars are named, rightly or wrongly, whatever is known of the camera: random attitudes of the
+paper's camera.
+
+    python benchmarks/star_naming.py [--attitudes 150] [--noise 1000]
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+from calib_report import head, verdict
+from scipy.spatial.transform import Rotation
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "star_id"))
+
+from frames import PAPER_CAMERA, stars_in_view
+
+from star_id.catalogue import hipparcos_stars
+from star_id.field import FieldSolution, solve_stars
+from star_id.settings import StarSettings
+from star_id.triangles import build_index, equivalent_fov
+
+SIZE = (5120, 3840)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--attitudes", type=int, default=150)
+    parser.add_argument("--noise", type=int, default=1000)
+    arguments = parser.parse_args()
+    places, settings = hipparcos_stars(8.0).places, StarSettings()
+    fov = 2.0 * np.arctan(0.5 * SIZE[0] * PAPER_CAMERA.pixel_m / PAPER_CAMERA.focal_m)
+    own = build_index(places, 1991.25, equivalent_fov(*SIZE, PAPER_CAMERA.focal_m / PAPER_CAMERA.pixel_m))
+    every = build_index(places, 1991.25, (np.radians(5.0), np.radians(60.0)))
+    head("star_id: naming")
+    print(f"{'':52s} named  wrong  CPU ms median  longest")
+    for title, stars, false, known in (
+        ("calibrated camera", 138, 0, {"camera": PAPER_CAMERA}),
+        ("calibrated camera, 50 false stars", 138, 50, {"camera": PAPER_CAMERA}),
+        ("calibrated camera, 200 false stars", 138, 200, {"camera": PAPER_CAMERA}),
+        ("calibrated camera, 8 stars, 3 false", 8, 3, {"camera": PAPER_CAMERA}),
+        ("field of view 7 % wrong, lens not calibrated", 138, 0, {"fov_x_rad": 1.07 * fov}),
+        ("field of view unknown, lens not calibrated", 138, 0, {}),
+        ("field of view unknown, 50 false stars", 138, 50, {}),
+    ):
+        index = own if "camera" in known else every
+        right, wrong, spent = 0, 0, []
+        for k in range(arguments.attitudes):
+            rng = np.random.default_rng([4, k])
+            R_si = Rotation.random(random_state=rng)
+            xy, hip = _detections(R_si, places, rng, stars, false)
+            start = time.process_time()
+            found = solve_stars(xy, SIZE, index, settings, **known)
+            spent.append(1e3 * (time.process_time() - start))
+            if isinstance(found, FieldSolution):
+                good = (found.hip == hip[found.detections]).mean() > 0.9
+                right, wrong = right + good, wrong + (not good)
+        count = f"{right}/{arguments.attitudes}"
+        print(f"{title:50s} {count:>7s}  {wrong:5d}  {np.median(spent):13.2f}  {max(spent):7.1f}", flush=True)
+    rng, named, best = np.random.default_rng(5), 0, -np.inf
+    for _ in range(arguments.noise):
+        xy = rng.uniform([0, 0], np.array(SIZE) - 1, (int(rng.integers(4, 350)), 2))
+        answer = solve_stars(xy, SIZE, own, settings, camera=PAPER_CAMERA)
+        named += isinstance(answer, FieldSolution)
+        best = max(best, getattr(answer, "numbers", {}).get("best_log_odds", -np.inf))
+    print(
+        f"best log odds of noise {best:.1f}; {-np.log(settings.max_false_alarm_probability):.1f} are asked for"
+    )
+    verdict(f"0 of {arguments.noise} frames of noise identified", named == 0)
+
+
+def _detections(R_si, places, rng, stars, false):
+    rows, xy = stars_in_view(PAPER_CAMERA, R_si, places)
+    bright = np.argsort(places.v_mag[rows])[:stars]
+    v = places.v_mag[rows[bright]] + rng.normal(0, 0.15, len(bright))
+    xy = xy[bright] + rng.normal(0, 0.2, (len(bright), 2))
+    xy = np.vstack([xy, rng.uniform([0, 0], SIZE, (false, 2))])
+    order = np.argsort(np.append(v, rng.choice(v, false)))
+    return xy[order], np.append(places.hip[rows[bright]], np.zeros(false, dtype=np.int64))[order]
+
+
+if __name__ == "__main__":
+    main()
