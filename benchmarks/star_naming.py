@@ -67,9 +67,8 @@ def main() -> None:
         answer = solve_stars(xy, SIZE, own, settings, camera=PAPER_CAMERA)
         named += isinstance(answer, FieldSolution)
         best = max(best, getattr(answer, "numbers", {}).get("best_log_odds", -np.inf))
-    print(
-        f"best log odds of noise {best:.1f}; {-np.log(settings.max_false_alarm_probability):.1f} are asked for"
-    )
+    needed = -np.log(settings.max_false_alarm_probability)
+    print(f"best log odds of noise {best:.1f}; {needed:.1f} are asked for")
     verdict(f"0 of {arguments.noise} frames of noise identified", named == 0)
 
 
