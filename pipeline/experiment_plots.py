@@ -126,7 +126,12 @@ def plot_table5(table: pd.DataFrame) -> Figure:
     for ax, direction in zip(axes[0], ("along", "across")):
         for method, colour, name in (("wang", WANG, "Wang's way"), ("information", OURS, "ours")):
             part = table[(table["method"] == method) & (table["direction"] == direction)]
-            ax.plot(part["sigma_s_px"], part["rms_m"], color=colour, marker="o", ms=3, label=name)
+            marker = (
+                {"marker": "s", "ms": 8, "mfc": "none", "lw": 3}
+                if method == "wang"
+                else {"marker": "o", "ms": 3}
+            )
+            ax.plot(part["sigma_s_px"], part["rms_m"], color=colour, label=name, **marker)
             paper = "the paper's Wang" if method == "wang" else "the paper"
             ax.plot(part["sigma_s_px"], part["paper_m"], color=colour, ls=":", marker="x", ms=4, label=paper)
         ax.plot(
