@@ -143,7 +143,7 @@ def machine() -> list[str]:
         f"{datetime.date.today().isoformat()}, {os.cpu_count()} cores of {cpu}, "
         f"Python {platform.python_version()}, {packages}",
         "",
-        f"    python benchmarks/end_to_end.py {' '.join(sys.argv[1:])}",
+        f"    python benchmarks/{Path(sys.argv[0]).name} {' '.join(sys.argv[1:])}",
         "",
     ]
 
