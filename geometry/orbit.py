@@ -20,7 +20,14 @@ if TYPE_CHECKING:
     from geometry.earth_rotation import EarthRotation
     from geometry.epoch import Epoch
 
-__all__ = ["Orbit", "OrbitFit", "OrbitGapError", "fit_polynomial", "orbital_frame"]
+__all__ = [
+    "Orbit",
+    "OrbitFit",
+    "OrbitGapError",
+    "argument_of_latitude",
+    "fit_polynomial",
+    "orbital_frame",
+]
 
 Array = NDArray[np.float64]
 OrbitFrame = Literal["GCRF", "ITRF"]
@@ -253,6 +260,22 @@ def orbital_frame(p_i: ArrayLike, v_i: ArrayLike) -> Rotation:
     y = -np.cross(p, v)
     y /= np.linalg.norm(y, axis=1, keepdims=True)
     return Rotation.from_matrix(np.stack([np.cross(y, z), y, z], axis=1))
+
+
+def argument_of_latitude(p_i: ArrayLike, v_i: ArrayLike) -> Array:
+    """Angle in the orbit's plane from the ascending node on the equator of GCRS, (N,), 0 to 2 pi.
+
+    Positions and velocities (N, 3) in GCRS. Where the orbit lies in the equator there is no node, and the
+    angle counts from the x axis.
+    """
+    p, v = np.asarray(p_i, dtype=float), np.asarray(v_i, dtype=float)
+    normal = np.cross(p, v)
+    node = np.stack([-normal[..., 1], normal[..., 0], np.zeros(normal.shape[:-1])], axis=-1)
+    flat = np.linalg.norm(node, axis=-1) < 1e-12 * np.linalg.norm(normal, axis=-1)
+    node[flat] = [1.0, 0.0, 0.0]
+    ahead = np.cross(normal, node) / np.linalg.norm(normal, axis=-1, keepdims=True)
+    angle = np.arctan2((p * ahead).sum(axis=-1), (p * node).sum(axis=-1))
+    return np.asarray(angle % (2.0 * np.pi))
 
 
 def _lagrange_basis(away: Array, scale: Array) -> Array:

@@ -5,6 +5,7 @@ calibrations.
     sightings/stars.parquet      every identified star of every exposure, one row group an exposure
     sightings/exposures.parquet  attitude of every exposure from its stars
     sightings/targets.parquet    every placed target with look direction, known direction and residual
+    sightings/passes.parquet     when each strip was taken, where in the orbit, by which camera
     sightings/strips.parquet     information pair (F, F theta) of every strip: all that a later merge needs
     sightings/omissions.parquet  what was left out, and why
     work/                        finished units, for a run that is started again
@@ -29,13 +30,14 @@ from scipy.spatial.transform import Rotation
 
 from calib.information import InformationPairs
 from geometry.installation import euler_zxy_from_theta
+from geometry.orbit import argument_of_latitude
 from geometry.sightings import StarSightings
 from pipeline import __version__
 from pipeline.calibrate import Calibration
 from pipeline.errors import Omission, RawDataError
 from pipeline.settings import Settings
 from pipeline.text_files import read_text
-from pipeline.unit_store import UnitStore, column, fixed_list, list_values, write_whole
+from pipeline.unit_store import UnitStore, column, digest, fixed_list, list_values, write_whole
 
 __all__ = [
     "SavedResult",
@@ -103,6 +105,7 @@ def write_result(result: Path, calibration: Calibration, settings: Settings) -> 
     _write_groups(tables / "targets.parquet", _target_groups(calibration))
     pairs = calibration.estimate.pairs
     _write_groups(tables / "strips.parquet", [pa.Table.from_pandas(pairs.table(), preserve_index=False)])
+    _write_groups(tables / "passes.parquet", [_passes_table(calibration)])
     _write_groups(tables / "omissions.parquet", [_omissions_table(calibration.omissions)])
     _write_json(result / "installation.json", _installation(calibration, settings))
 
@@ -252,6 +255,26 @@ def _target_groups(calibration: Calibration) -> list[pa.Table]:
 def read_pairs(result: Path) -> InformationPairs:
     """The strips' information pairs of a finished result."""
     return InformationPairs.from_table(pq.read_table(result / "sightings" / "strips.parquet").to_pandas())
+
+
+def _passes_table(calibration: Calibration) -> pa.Table:
+    """One row a strip of the estimate, at its middle: what a drift estimate wants to know of it."""
+    used = {strip.strip_id for strip in calibration.strips}
+    tasks = [task for task in calibration.tasks if task.strip.strip_id in used]
+    rows: list[dict[str, object]] = []
+    for task in tasks:
+        t_s = np.array([task.strip.t_first_row_s + 0.5 * task.strip.lines * task.strip.row_period_s])
+        rows.append(
+            {
+                "strip_id": task.strip.strip_id,
+                "utc_middle": task.orbit.epoch.utc_from_seconds(t_s)[0],
+                "argument_of_latitude_rad": float(argument_of_latitude(*task.orbit.states_i(t_s))[0]),
+                "camera": digest(task.camera),
+            }
+        )
+    types = (pa.string(), pa.string(), pa.float64(), pa.string())
+    names = ("strip_id", "utc_middle", "argument_of_latitude_rad", "camera")
+    return pa.Table.from_pylist(rows, schema=pa.schema(list(zip(names, types))))
 
 
 def _omissions_table(omissions: Sequence[Omission]) -> pa.Table:

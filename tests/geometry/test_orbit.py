@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from geometry.constants import EARTH_ROTATION_RATE, GM_EARTH
 from geometry.epoch import Epoch
-from geometry.orbit import Orbit, OrbitGapError, fit_polynomial, orbital_frame
+from geometry.orbit import Orbit, OrbitGapError, argument_of_latitude, fit_polynomial, orbital_frame
 
 EPOCH = Epoch.from_utc("2024-03-05T10:20:30Z")
 RADIUS = 6_908e3  # m
@@ -190,3 +190,15 @@ def test_a_polynomial_over_a_gap_is_refused():
         fit_polynomial(orbit(kept), 24.0, 30.0)
     with pytest.raises(OrbitGapError):
         fit_polynomial(orbit(SECONDS), 58.0, 62.0)
+
+
+def test_the_argument_of_latitude_counts_from_the_ascending_node():
+    # The two-body orbit crosses the equator northwards at angle 0.
+    angle = np.array([0.0, 0.5, 2.0, 4.0, 6.2])
+    found = argument_of_latitude(*state(angle / RATE))
+    np.testing.assert_allclose(np.unwrap(found - angle, period=2 * np.pi) % (2 * np.pi), 0.0, atol=1e-9)
+
+
+def test_an_orbit_in_the_equator_counts_from_the_x_axis():
+    p, v = np.array([[0.0, 7e6, 0.0]]), np.array([[-7.5e3, 0.0, 0.0]])
+    np.testing.assert_allclose(argument_of_latitude(p, v), [np.pi / 2], atol=1e-12)
