@@ -22,6 +22,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 from pipeline import __version__
+from pipeline.drift_commands import add_drift_commands
 from pipeline.errors import DataNotSufficientError, RawDataError, WorkerError
 from pipeline.match_commands import add_match_commands
 from pipeline.report_commands import add_report_commands
@@ -302,3 +303,4 @@ def plan(
 add_star_commands(app)
 add_match_commands(app)
 add_report_commands(app)
+add_drift_commands(app)
