@@ -180,7 +180,9 @@ class LinearFit:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OrbitPhaseTerm:
-    """theta's part a cos(u) + b sin(u), u the argument of latitude."""
+    """theta's part a cos(u) + b sin(u), u the argument of latitude, fitted beside the random walk: so a
+    mounting that moves is not taken for one that breathes.
+    """
 
     cosine: Array  # (3,) a, rad
     sine: Array  # (3,) b, rad
@@ -240,10 +242,9 @@ def estimate_drift(series: MountingSeries, settings: DriftSettings) -> Drift:
     phase = _phase_regressors(series) if settings.orbit_phase else np.empty((len(series.names), 0))
     constant = _fit(series, np.hstack([ones, phase]))
     step = _best_step(series, phase, constant.chi2, settings.confidence)
-    walk = _random_walk(series, phase, settings)
+    walk, term = _random_walk(series, phase, settings)
     share = 0.5 * settings.probability_false_alarm
     moved = constant.p_value < share or step.p_value < share
-    term = _phase_term(constant) if settings.orbit_phase else None
     return Drift(series, merged, constant, step, walk, term, moved, settings)
 
 
@@ -278,11 +279,14 @@ def _phase_regressors(series: MountingSeries) -> Array:
     return series.cos_sin
 
 
-def _phase_term(fit: LinearFit) -> OrbitPhaseTerm:
-    values, covariance = fit.coefficients[1:].ravel(), fit.covariance[3:, 3:]
+def _phase_term(coefficients: Array, covariance: Array) -> OrbitPhaseTerm | None:
+    """From coefficients (2, 3) with covariance (6, 6); None from none of them."""
+    if not len(coefficients):
+        return None
+    values = coefficients.ravel()
     size = float(values @ np.linalg.solve(covariance, values))
     p_value = float(chi2_distribution.sf(size, 6))
-    return OrbitPhaseTerm(fit.coefficients[1], fit.coefficients[2], covariance, p_value)
+    return OrbitPhaseTerm(coefficients[0], coefficients[1], covariance, p_value)
 
 
 def _best_step(series: MountingSeries, phase: Array, chi2_constant: float, confidence: float) -> StepFit:
@@ -318,14 +322,16 @@ def _best_step(series: MountingSeries, phase: Array, chi2_constant: float, confi
     )
 
 
-def _random_walk(series: MountingSeries, phase: Array, settings: DriftSettings) -> RandomWalk:
-    if settings.density_rad2_s is not None:
-        smoothed, covariance = _walk(series, phase, settings.density_rad2_s)
-        nothing = (float("nan"), float("nan"))
-        return RandomWalk(smoothed, covariance, settings.density_rad2_s, nothing, estimated=False)
-    density, interval = _likely_density(series, phase, settings.confidence)
-    smoothed, covariance = _walk(series, phase, density)
-    return RandomWalk(smoothed, covariance, density, interval, estimated=True)
+def _random_walk(
+    series: MountingSeries, phase: Array, settings: DriftSettings
+) -> tuple[RandomWalk, OrbitPhaseTerm | None]:
+    given = settings.density_rad2_s
+    if given is None:
+        density, interval = _likely_density(series, phase, settings.confidence)
+    else:
+        density, interval = given, (float("nan"), float("nan"))
+    theta, covariance, term = _walk(series, phase, density)
+    return RandomWalk(theta, covariance, density, interval, estimated=given is None), term
 
 
 def _likely_density(
@@ -370,17 +376,19 @@ class _WalkSolution:
     factor: Array  # banded Cholesky factor of the levels' information
     levels: Array  # (K, 3), phase coefficients at their best
     lift: Array  # (3 K, 3 m): the levels' answer to the phase coefficients, sign turned
+    phase: Array  # (m, 3) the coefficients
     phase_covariance: Array  # (3 m, 3 m)
     loss: float  # -2 log likelihood, the first level and the coefficients integrated out
 
 
-def _walk(series: MountingSeries, phase: Array, density: float) -> tuple[Array, Array]:
-    """Smoothed levels (K, 3) of a walk and their covariances (K, 3, 3)."""
+def _walk(series: MountingSeries, phase: Array, density: float) -> tuple[Array, Array, OrbitPhaseTerm | None]:
+    """Smoothed levels (K, 3) of a walk, their covariances (K, 3, 3), and the orbit's term beside them."""
     K, m = len(series.names), phase.shape[1]
     if density == 0.0:
         fit = _fit(series, np.hstack([np.ones((K, 1)), phase]))
         level, covariance = fit.coefficients[0], fit.covariance[:3, :3]
-        return np.tile(level, (K, 1)), np.tile(covariance, (K, 1, 1))
+        term = _phase_term(fit.coefficients[1:], fit.covariance[3:, 3:])
+        return np.tile(level, (K, 1)), np.tile(covariance, (K, 1, 1)), term
     solved = _solve_walk(series, phase, density)
     covariances = np.empty((K, 3, 3))
     for k in range(K):
@@ -390,7 +398,7 @@ def _walk(series: MountingSeries, phase: Array, density: float) -> tuple[Array, 
         if m:
             rows = solved.lift[3 * k : 3 * k + 3]
             covariances[k] += rows @ solved.phase_covariance @ rows.T
-    return solved.levels, covariances
+    return solved.levels, covariances, _phase_term(solved.phase, solved.phase_covariance)
 
 
 def _walk_loss(series: MountingSeries, phase: Array, density: float) -> float:
@@ -433,4 +441,5 @@ def _solve_walk(series: MountingSeries, phase: Array, density: float) -> _WalkSo
     loss = chi2 + np.linalg.slogdet(series.covariance)[1].sum() - 3.0 * np.log(stiffness).sum()
     loss += 2.0 * np.log(factor[0]).sum() + (np.linalg.slogdet(schur)[1] if m else 0.0)
     covariance = np.linalg.inv(schur) if m else np.zeros((0, 0))
-    return _WalkSolution(factor, levels.reshape(K, 3), lift, covariance, float(loss))
+    phase_best = coefficients.reshape(m, 3)
+    return _WalkSolution(factor, levels.reshape(K, 3), lift, phase_best, covariance, float(loss))

@@ -266,7 +266,7 @@ def _content(dated: DatedDrift) -> dict[str, Any]:
 
 def _verdict(dated: DatedDrift) -> str:
     said = "the mounting has moved" if dated.drift.moved else "no sign that the mounting has moved"
-    return f"{said} (false alarms: {dated.drift.settings.probability_false_alarm:.2g})"
+    return f"{said}, at a false-alarm probability of {dated.drift.settings.probability_false_alarm:.2g}"
 
 
 def _interval(drift: Drift) -> str:

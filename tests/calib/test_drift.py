@@ -165,6 +165,19 @@ def test_an_orbit_term_is_recovered_and_is_no_drift():
     assert unmodelled == runs  # left out, the same term looks like a moving mounting
 
 
+def test_an_orbit_term_stays_honest_beside_a_step():
+    # No term is there, but a step of 5". Of 60 p-values 3 should lie below 5 %, binomial: beside a constant
+    # the term would try to follow the step, and nearly all would.
+    rng, small = np.random.default_rng(12), 0
+    for _ in range(60):
+        u = rng.uniform(0.0, 2.0 * np.pi, 12)
+        cos_sin = np.column_stack([np.cos(u), np.sin(u)])
+        course = np.where(np.arange(12)[:, None] > 6, [5 * ARCSEC, 0.0, 0.0], 0.0)
+        drift = estimate_drift(drawn(course, MONTHS, rng, cos_sin=cos_sin), DriftSettings(orbit_phase=True))
+        small += drift.orbit_phase.p_value < 0.05
+    assert small <= binom(60, 0.05).ppf(0.999)
+
+
 def test_merging_gives_the_same_bits_in_any_order():
     rng = np.random.default_rng(9)
     series = drawn(rng.normal(size=(4, 3)) * ARCSEC, MONTHS[:4], rng)
