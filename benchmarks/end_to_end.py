@@ -59,14 +59,26 @@ class Run:
 
 def run_command(*arguments: str) -> Step:
     """Run `boresight` with these arguments in a process of its own; its cost, children included."""
-    start = time.perf_counter()
+    start, peak_kib = time.perf_counter(), 0
     with tempfile.TemporaryFile("w+") as told:
         process = subprocess.Popen([*COMMAND, *arguments], stdout=told, stderr=subprocess.STDOUT)
-        _, status, usage = os.wait4(process.pid, 0)
+        while not (ended := os.wait4(process.pid, os.WNOHANG))[0]:
+            peak_kib = max(peak_kib, high_water_kib(process.pid))
+            time.sleep(0.05)
+        _, status, usage = ended
         if status:
             told.seek(0)
             raise SystemExit(f"boresight {' '.join(arguments)} failed:\n{told.read()}")
-    return Step(time.perf_counter() - start, usage.ru_utime + usage.ru_stime, usage.ru_maxrss / 1024.0)
+    return Step(time.perf_counter() - start, usage.ru_utime + usage.ru_stime, peak_kib / 1024.0)
+
+
+def high_water_kib(pid: int) -> int:
+    """Largest resident size so far of a process (Linux; its ru_maxrss would count the parent's before exec)."""
+    try:
+        lines = Path(f"/proc/{pid}/status").read_text().splitlines()
+    except OSError:
+        return 0
+    return next((int(line.split()[1]) for line in lines if line.startswith("VmHWM")), 0)
 
 
 def run_seed(scenario: str, seed: int, scratch: Path, changes: list[str], workers: int) -> Run:
