@@ -73,7 +73,7 @@ def run_command(*arguments: str) -> Step:
 
 
 def high_water_kib(pid: int) -> int:
-    """Largest resident size so far of a process (Linux; its ru_maxrss would count the parent's before exec)."""
+    """Largest resident size so far of a process (Linux; ru_maxrss would count the parent's before exec)."""
     try:
         lines = Path(f"/proc/{pid}/status").read_text().splitlines()
     except OSError:
