@@ -45,7 +45,7 @@ def main() -> None:
     print("| way | elapsed (s) | CPU (s) | against one process | installation.json |")
     print("|---|---|---|---|---|")
     first: tuple[float, bytes] | None = None
-    cluster_options = {"processes": True, "threads_per_worker": 1, "dashboard_address": None}
+    cluster_options = {"processes": True, "threads_per_worker": 1, "dashboard_address": "127.0.0.1:0"}
     with tempfile.TemporaryDirectory() as folder, LocalCluster(n_workers=2, **cluster_options) as cluster:
         ways = [("--workers", "1"), ("--workers", "2"), ("--workers", "4")]
         for n, way in enumerate([*ways, ("--scheduler", str(cluster.scheduler_address))]):

@@ -83,7 +83,7 @@ def executor_for(workers: int | None, scheduler: str | None, pixels: int) -> Ite
             n_workers=count,
             threads_per_worker=1,
             processes=True,
-            dashboard_address=None,
+            dashboard_address="127.0.0.1:0",
             memory_limit=0,
             silence_logs=50,
         )
