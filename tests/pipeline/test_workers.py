@@ -36,7 +36,12 @@ def test_cluster_by_address_gives_the_same_bytes(undisturbed: tuple[Path, bytes]
     from distributed import LocalCluster
 
     dump, expected = undisturbed
-    options = {"processes": True, "threads_per_worker": 1, "dashboard_address": "127.0.0.1:0", "silence_logs": 50}
+    options = {
+        "processes": True,
+        "threads_per_worker": 1,
+        "dashboard_address": "127.0.0.1:0",
+        "silence_logs": 50,
+    }
     with LocalCluster(n_workers=2, **options) as cluster:
         outcome = calibrate(dump, tmp_path, "--scheduler", cluster.scheduler_address)
     assert outcome.returncode == 0, outcome.stderr
