@@ -287,10 +287,26 @@ def _lone(image, point) -> bool:
     return bool(window.size >= 9 and window.max() - np.sort(window.ravel())[-2] > 15.0)
 
 
+def _centroids(camera, R_si, places, rng, stars: int, false: int):
+    """The brightest stars in view with the noise of their brightness, and false ones among them; brightest
+    first."""
+    from frames import stars_in_view
+
+    rows, xy = stars_in_view(camera, R_si, places)
+    order = np.argsort(places.v_mag[rows])[:stars]
+    v = places.v_mag[rows[order]] + rng.normal(0, 0.1, len(order))
+    sigma = np.clip(1.77 / (8.0 * 10 ** (-0.4 * (v - 7.0))), 0.01, 0.3)
+    xy = xy[order] + rng.normal(size=(len(order), 2)) * sigma[:, None]
+    xy = np.vstack([xy, rng.uniform([0, 0], np.array(SIZE) - 1, (false, 2))])
+    sigma = np.append(sigma, np.full(false, 0.2))
+    order = np.argsort(np.append(v, rng.choice(v, false)))
+    return xy[order], sigma[order]
+
+
 def _naming(peers: Peers, folder: Path, attitudes: int) -> None:
     from dataclasses import replace
 
-    from frames import PAPER_CAMERA, stars_in_view
+    from frames import PAPER_CAMERA
     from scipy.spatial.transform import Rotation
 
     from star_id.attitude import solve_attitude
@@ -319,15 +335,7 @@ def _naming(peers: Peers, folder: Path, attitudes: int) -> None:
         for k in range(attitudes):
             rng = np.random.default_rng([3, k])
             R_si = Rotation.random(random_state=rng)
-            rows, xy = stars_in_view(camera, R_si, places)
-            order = np.argsort(places.v_mag[rows])[:stars]
-            v = places.v_mag[rows[order]] + rng.normal(0, 0.1, len(order))
-            sigma = np.clip(1.77 / (8.0 * 10 ** (-0.4 * (v - 7.0))), 0.01, 0.3)
-            xy = xy[order] + rng.normal(size=(len(order), 2)) * sigma[:, None]
-            xy = np.vstack([xy, rng.uniform([0, 0], np.array(SIZE) - 1, (false, 2))])
-            sigma = np.append(sigma, np.full(false, 0.2))
-            order = np.argsort(np.append(v, rng.choice(v, false)))
-            xy, sigma = xy[order], sigma[order]
+            xy, sigma = _centroids(camera, R_si, places, rng, stars, false)
             np.save(folder / "centroids.npy", xy)
             centre = R_si.inv().apply([0.0, 0.0, 1.0])
             for name, entry in score.items():

@@ -31,9 +31,9 @@ from pipeline.calibrate import Calibration
 from pipeline.dump import Dump
 from pipeline.dump_schema import DumpFile
 from pipeline.errors import RawDataError
-from pipeline.image_files import read_exposure
 from pipeline.match_pictures import pictures_columns
 from pipeline.settings import Settings
+from pipeline.star_chain import exposure_image
 from pipeline.star_preview import StarPreview, star_preview
 from pipeline.text_files import read_toml
 from pipeline.unit_store import END_BYTES, WHOLE_FILE_BYTES, fixed_list, write_whole
@@ -236,13 +236,7 @@ def _preview(dump: Dump, calibration: Calibration, settings: Settings) -> StarPr
         sighted = calibration.stars[k]
         exposure, camera = files[sighted.exposure_id], dump.star_camera
         try:
-            image = read_exposure(
-                exposure.path,
-                exposure.file,
-                width=camera.width_px,
-                height=camera.height_px,
-                bit_depth=dump.star_bit_depth,
-            )
+            image = exposure_image(exposure, camera, dump.star_bit_depth)
         except RawDataError:  # gone since it was read: another will do
             continue
         return star_preview(image, sighted, kept[k], settings.stars)

@@ -31,7 +31,14 @@ from star_id.settings import StarSettings
 from star_id.sight import sight_stars
 from star_id.triangles import StarIndex, build_index, equivalent_fov
 
-__all__ = ["StarTask", "sight_exposure", "sightings_from_table", "star_tasks", "stars_table"]
+__all__ = [
+    "StarTask",
+    "exposure_image",
+    "sight_exposure",
+    "sightings_from_table",
+    "star_tasks",
+    "stars_table",
+]
 
 Array = NDArray[np.float64]
 
@@ -66,17 +73,22 @@ def star_tasks(dump: Dump, settings: StarSettings) -> tuple[list[StarTask], list
     return tasks, omitted
 
 
+def exposure_image(exposure: Exposure, camera: StarCamera, bit_depth: int) -> NDArray:
+    """The raw image of an exposure, of the size and depth that the camera says, or `RawDataError`."""
+    return read_exposure(
+        exposure.path,
+        exposure.file,
+        width=camera.width_px,
+        height=camera.height_px,
+        bit_depth=bit_depth,
+    )
+
+
 def sight_exposure(task: StarTask) -> StarSightings | Omission:
     """The whole chain for one exposure."""
     exposure, camera = task.exposure, task.camera
     try:
-        image = read_exposure(
-            exposure.path,
-            exposure.file,
-            width=camera.width_px,
-            height=camera.height_px,
-            bit_depth=task.bit_depth,
-        )
+        image = exposure_image(exposure, camera, task.bit_depth)
     except RawDataError as error:
         return Omission("exposure", exposure.exposure_id, exposure.file, str(error))
     year = round(float(task.epoch.julian_year(exposure.t_s)))

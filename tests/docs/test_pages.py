@@ -33,7 +33,7 @@ def test_every_equation_names_a_function():
 )
 def test_every_name_of_the_code_exists(page):
     for name in NAME.findall((ROOT / "docs" / page).read_text()):
-        found(name)
+        assert found(name) is not None, f"{page}: {name}"
 
 
 def found(name: str) -> object:

@@ -41,8 +41,11 @@ def test_only_pipeline_prints_and_opens_files_outside_the_package(package: str) 
 
 
 def test_nothing_of_the_reading_side_opens_truth_but_validate() -> None:
-    for path in (ROOT / "pipeline").rglob("*.py"):
-        if path.name not in ("validate.py", "dump_writer.py"):
-            for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-                if isinstance(node, ast.Constant) and node.value == "truth":
-                    raise AssertionError(f"{path}:{node.lineno} names the folder of the truth")
+    places = [
+        f"{path}:{node.lineno}"
+        for path in (ROOT / "pipeline").rglob("*.py")
+        if path.name not in ("validate.py", "dump_writer.py")
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.Constant) and node.value == "truth"
+    ]
+    assert places == []
