@@ -34,7 +34,7 @@ from geometry.orbit import Orbit
 from geometry.pushbroom import Pushbroom, RowClock
 from geometry.terrain import ConstantHeight, TerrainGrid
 from geometry.virtual_ccd import VirtualStrip
-from pipeline.dimap import read_dimap
+from pipeline.files.dimap import read_dimap
 
 Array = NDArray[np.float64]
 N, LINES, SAMPLES = 1_000_000, 26_000, 6144

@@ -15,7 +15,7 @@ from calib_report import band_of_mean_nees, head, verdict
 from scipy.stats import chi2, norm
 
 from calib.experiments import ExperimentSettings
-from pipeline.experiments import run_experiment
+from pipeline.experiments.tables import run_experiment
 
 OUT = Path(__file__).parent / "results"
 

@@ -14,7 +14,7 @@ import pandas as pd
 from calib_report import head, verdict
 
 from calib.experiments import ExperimentSettings
-from pipeline.experiments import run_experiment
+from pipeline.experiments.tables import run_experiment
 
 OUT = Path(__file__).parent / "results"
 

@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geometry.constants import ARCSEC
-from pipeline.dump import open_dump
+from pipeline.files.dump import open_dump
 from pipeline.result import read_result
 from pipeline.validate import Validation, validate
 

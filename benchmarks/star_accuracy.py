@@ -25,7 +25,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "star_id"
 
 from frames import PAPER_CAMERA, Sensor, star_frame
 
-from pipeline.centroid_report import score_lines
+from pipeline.report.centroid_report import score_lines
 from star_id.attitude import solve_attitude
 from star_id.catalogue import hipparcos_stars
 from star_id.identify import NotIdentified, identify

@@ -23,10 +23,7 @@ from calib.estimate import InstallationEstimate, NotObservable
 from calib.settings import CalibrationSettings
 from geometry.groundlight import LightEffects
 from geometry.sightings import StarSightings, StripSightings
-from pipeline.dump import Dump, Strip
-from pipeline.errors import DataNotSufficientError, Omission
-from pipeline.executor import Executor
-from pipeline.ground_chain import (
+from pipeline.chains.ground_chain import (
     Placings,
     StripTask,
     covers,
@@ -35,14 +32,17 @@ from pipeline.ground_chain import (
     placings_from_table,
     targets_near,
 )
-from pipeline.settings import RunSettings, Settings, calibration_settings
-from pipeline.star_chain import (
+from pipeline.chains.star_chain import (
     in_order,
     sightings_from_table,
     star_tasks,
 )
-from pipeline.unit_store import UnitStore
-from pipeline.units import Made, StarUnit, StripUnit
+from pipeline.chains.units import Made, StarUnit, StripUnit
+from pipeline.errors import DataNotSufficientError, Omission
+from pipeline.files.dump import Dump, Strip
+from pipeline.settings import RunSettings, Settings, calibration_settings
+from pipeline.work.executor import Executor
+from pipeline.work.unit_store import UnitStore
 
 __all__ = ["Calibration", "Progress", "calibrate_dump", "strips_to_match"]
 

@@ -22,11 +22,11 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 from pipeline import __version__
-from pipeline.drift_commands import add_drift_commands
+from pipeline.commands.drift import add_drift_commands
+from pipeline.commands.match import add_match_commands
+from pipeline.commands.report import add_report_commands
+from pipeline.commands.star import add_star_commands
 from pipeline.errors import DataNotSufficientError, RawDataError, WorkerError
-from pipeline.match_commands import add_match_commands
-from pipeline.report_commands import add_report_commands
-from pipeline.star_commands import add_star_commands
 
 __all__ = ["app", "main"]
 
@@ -110,8 +110,8 @@ def simulate(
     ] = None,
 ) -> None:
     """Render a mission with known truth: raw star images and strips, written as a dump."""
-    from pipeline.dump_writer import images_in, write_dump
-    from pipeline.scenario_file import fly, named_scenario
+    from pipeline.files.dump_writer import images_in, write_dump
+    from pipeline.files.scenario_file import fly, named_scenario
     from simulator.scenario import ScenarioError
 
     try:
@@ -152,11 +152,11 @@ def calibrate(
 ) -> None:
     """Find the installation matrix of a dump, from raw pixels."""
     from pipeline.calibrate import calibrate_dump
-    from pipeline.dump import open_dump
+    from pipeline.files.dump import open_dump
     from pipeline.result import begin_result, store_of, write_result, write_run
     from pipeline.settings import read_settings
     from pipeline.summary import calibration_summary
-    from pipeline.workers import executor_for
+    from pipeline.work.workers import executor_for
 
     if workers is not None and scheduler is not None:
         raise _wrong_usage("--workers and --scheduler exclude one another")
@@ -168,7 +168,7 @@ def calibrate(
     with _bar() as bar, executor_for(workers, scheduler, opened.pixels) as executor:
         found = calibrate_dump(opened, chosen, store_of(out.resolve()), executor, _shown_on(bar))
     if report:
-        from pipeline.evidence import write_evidence
+        from pipeline.report.evidence import write_evidence
 
         write_evidence(out, opened, found, chosen)
     write_result(out, found, chosen)
@@ -190,7 +190,7 @@ def calibrate(
     )
     page = ""
     if report:
-        from pipeline.report import write_report
+        from pipeline.report.page import write_report
 
         page = f", {write_report(out).name}"
     typer.echo(calibration_summary(found))
@@ -225,7 +225,7 @@ def validate(
     dump: Annotated[Path, typer.Option(help="The simulated dump it was made from, with its truth/ folder.")],
 ) -> None:
     """Hold a result against the truth of a simulated dump."""
-    from pipeline.dump import open_dump
+    from pipeline.files.dump import open_dump
     from pipeline.result import read_result
     from pipeline.summary import validation_summary
     from pipeline.validate import validate as held_against_truth
@@ -258,8 +258,8 @@ def experiment(
 ) -> None:
     """Run a simulation of the paper from scratch, its figures beside ours."""
     from calib.experiments import ExperimentSettings
-    from pipeline.experiments import EXPERIMENTS, FROM_PIXELS, run_experiment, run_from_pixels
-    from pipeline.pixel_experiments import PixelSettings
+    from pipeline.experiments.pixels import PixelSettings
+    from pipeline.experiments.tables import EXPERIMENTS, FROM_PIXELS, run_experiment, run_from_pixels
 
     known = FROM_PIXELS if pixels else EXPERIMENTS
     if name not in known:

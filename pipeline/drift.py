@@ -26,11 +26,11 @@ from geometry.constants import ARCSEC, DAY_S
 from geometry.epoch import Epoch
 from geometry.installation import deviation_from_theta, theta_between
 from pipeline import __version__
-from pipeline.drift_plot import plot_drift
 from pipeline.errors import DataNotSufficientError, RawDataError
+from pipeline.files.text_files import read_text
+from pipeline.report.drift_plot import plot_drift
 from pipeline.result import read_result
-from pipeline.text_files import read_text
-from pipeline.unit_store import column, write_whole
+from pipeline.work.unit_store import column, write_whole
 
 __all__ = ["DatedDrift", "drift_of_results", "drift_summary", "write_drift"]
 

@@ -14,7 +14,6 @@ from geometry.geodesy import geodetic_from_ecef
 from geometry.geoid import egm96
 from geometry.sightings import StarSightings
 from pipeline import __version__
-from pipeline.dump import surface_of
 from pipeline.errors import DataNotSufficientError, RawDataError
 from pipeline.exports.ccsds_aem import AemHeader, attitude_message
 from pipeline.exports.csm_isd import IsdNames, line_scanner_isds
@@ -26,9 +25,10 @@ from pipeline.exports.matrix_csv import matrix_csv
 from pipeline.exports.matrix_json import matrix_json
 from pipeline.exports.spice_frame import SpiceFrames, frame_kernel
 from pipeline.exports.star_fits import centroids_fits
+from pipeline.files.dump import surface_of
 from pipeline.result import read_result
 from pipeline.strip_model import Calibrated, StripModel, open_calibrated, strip_model
-from pipeline.unit_store import column, list_values
+from pipeline.work.unit_store import column, list_values
 
 __all__ = ["FORMATS", "ExportRequest", "export"]
 

@@ -26,8 +26,8 @@ from geometry.constants import ARCSEC, WGS84
 from geometry.geodesy import ellipsoid_normals, geodetic_from_ecef
 from geometry.terrain import Surface
 from pipeline.errors import RawDataError
+from pipeline.files.text_files import read_table
 from pipeline.strip_model import Calibrated, StripModel
-from pipeline.text_files import read_table
 
 __all__ = ["GroundPlaces", "Pixels", "geolocate", "places_csv", "read_pixels"]
 

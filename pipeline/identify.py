@@ -20,12 +20,12 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from geometry.star_camera import StarCamera
-from pipeline.dump import star_camera_of
-from pipeline.dump_schema import StarCameraFile
 from pipeline.errors import RawDataError
-from pipeline.image_files import read_star_image
-from pipeline.text_files import read_toml
-from pipeline.unit_store import fixed_list, write_whole
+from pipeline.files.dump import star_camera_of
+from pipeline.files.dump_schema import StarCameraFile
+from pipeline.files.image_files import read_star_image
+from pipeline.files.text_files import read_toml
+from pipeline.work.unit_store import fixed_list, write_whole
 from star_id.catalogue import hipparcos_stars
 from star_id.field import LARGEST_FOV_RAD, SMALLEST_FOV_RAD, FieldSolution, solve_field
 from star_id.identify import NotIdentified

@@ -21,9 +21,9 @@ from pyproj import CRS, Transformer
 
 from gct_match.records import Refusal, TargetMatch
 from gct_match.suggest import SuggestedTarget, suggest_targets
+from pipeline.chains.ground_chain import StripTask, strip_matches
 from pipeline.errors import DataNotSufficientError, RawDataError
-from pipeline.ground_chain import StripTask, strip_matches
-from pipeline.image_files import read_grid
+from pipeline.files.image_files import read_grid
 
 __all__ = ["StripLine", "match_strips", "overlay_picture", "suggest", "write_matches"]
 

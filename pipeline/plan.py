@@ -13,9 +13,9 @@ from calib.campaign import CameraPair, StripPlan, installation_by_tilt
 from calib.forecast import Forecast, forecast
 from geometry.constants import ARCSEC
 from pipeline.errors import RawDataError
-from pipeline.experiment_plots import plot_forecast
+from pipeline.experiments.plots import plot_forecast
+from pipeline.files.text_files import read_text
 from pipeline.settings import filled
-from pipeline.text_files import read_text
 
 __all__ = ["Plan", "PlanForecast", "forecast_plan", "read_plan", "write_forecast"]
 

@@ -35,9 +35,9 @@ from geometry.sightings import StarSightings
 from pipeline import __version__
 from pipeline.calibrate import Calibration
 from pipeline.errors import Omission, RawDataError
+from pipeline.files.text_files import read_text
 from pipeline.settings import Settings
-from pipeline.text_files import read_text
-from pipeline.unit_store import UnitStore, column, digest, fixed_list, list_values, write_whole
+from pipeline.work.unit_store import UnitStore, column, digest, fixed_list, list_values, write_whole
 
 __all__ = [
     "SavedResult",

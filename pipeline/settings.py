@@ -19,9 +19,9 @@ from calib.settings import CalibrationSettings
 from gct_match.settings import MatchSettings
 from geometry.constants import ARCSEC
 from geometry.line_camera import LineCamera
-from pipeline.dump_schema import Errors
 from pipeline.errors import RawDataError
-from pipeline.text_files import read_text
+from pipeline.files.dump_schema import Errors
+from pipeline.files.text_files import read_text
 from star_id.settings import StarSettings
 
 __all__ = ["RunSettings", "Settings", "calibration_settings", "read_settings", "settings_from_tables"]

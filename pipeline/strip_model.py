@@ -16,12 +16,12 @@ from numpy.typing import NDArray
 from geometry.attitude import AttitudeTrack
 from geometry.groundlight import LightEffects
 from geometry.pushbroom import Pushbroom, RowClock
-from pipeline.dump import Dump, Strip, open_dump
-from pipeline.dump_schema import DumpFile
 from pipeline.errors import DataNotSufficientError, RawDataError
+from pipeline.files.dump import Dump, Strip, open_dump
+from pipeline.files.dump_schema import DumpFile
+from pipeline.files.text_files import read_text, read_toml
 from pipeline.result import SavedResult, read_result
-from pipeline.text_files import read_text, read_toml
-from pipeline.unit_store import list_values
+from pipeline.work.unit_store import list_values
 
 __all__ = ["Calibrated", "StripModel", "open_calibrated", "strip_model"]
 

@@ -15,8 +15,8 @@ from geometry.constants import ARCSEC
 from geometry.installation import euler_zxy_from_theta
 from pipeline.calibrate import Calibration
 from pipeline.errors import Omission, RawDataError
-from pipeline.unit_store import read_meta
 from pipeline.validate import Validation
+from pipeline.work.unit_store import read_meta
 
 __all__ = ["calibration_summary", "status_summary", "validation_summary"]
 

@@ -19,10 +19,10 @@ from geometry.geodesy import ecef_from_geodetic, ellipsoid_normals
 from geometry.groundlight import LightEffects
 from geometry.installation import theta_between
 from geometry.pushbroom import Pushbroom, RowClock
-from pipeline.dump import Dump, Strip, surface_of
 from pipeline.errors import RawDataError
+from pipeline.files.dump import Dump, Strip, surface_of
+from pipeline.files.text_files import read_table, read_toml
 from pipeline.result import SavedResult
-from pipeline.text_files import read_table, read_toml
 
 __all__ = ["CheckPoints", "Validation", "validate"]
 

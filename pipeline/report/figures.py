@@ -24,7 +24,7 @@ from pipeline.report.drawing import (
     new_figure,
 )
 from pipeline.report.saved import Saved
-from pipeline.unit_store import column, list_values
+from pipeline.work.unit_store import column, list_values
 
 __all__ = [
     "angle_histogram",

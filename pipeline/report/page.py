@@ -18,8 +18,8 @@ from markupsafe import Markup
 from geometry.constants import ARCSEC
 from pipeline.report import figures
 from pipeline.report.saved import Number, Saved, read_saved
-from pipeline.star_preview import STATES
-from pipeline.unit_store import column, list_values, write_whole
+from pipeline.report.star_preview import STATES
+from pipeline.work.unit_store import column, list_values, write_whole
 
 __all__ = ["report_html", "write_report"]
 

@@ -13,7 +13,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from pipeline.errors import RawDataError
-from pipeline.text_files import read_text
+from pipeline.files.text_files import read_text
 
 __all__ = ["Number", "Saved", "number_at", "read_saved"]
 

@@ -16,12 +16,12 @@ from typer.testing import CliRunner
 from geometry.installation import theta_between
 from pipeline.calibrate import calibrate_dump
 from pipeline.cli import app
-from pipeline.dump import open_dump
 from pipeline.errors import DataNotSufficientError
-from pipeline.executor import InOrder
+from pipeline.files.dump import open_dump
 from pipeline.result import FIELDS, begin_result, read_result, store_of, write_result
 from pipeline.settings import Settings
 from pipeline.validate import validate
+from pipeline.work.executor import InOrder
 
 runner = CliRunner()
 
@@ -156,16 +156,16 @@ def test_strip_without_targets_is_named_and_the_lack_is_told(one_strip: Path, tm
 def test_fault_in_one_exposure_is_that_exposures_own(
     one_strip: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    import pipeline.star_chain
+    import pipeline.chains.star_chain
 
-    sound = pipeline.star_chain.sight_stars
+    sound = pipeline.chains.star_chain.sight_stars
 
     def fragile(exposure_id: str, *arguments: object, **more: object) -> object:
         if exposure_id.endswith("5"):
             raise ValueError("a matrix that nobody thought of")
         return sound(exposure_id, *arguments, **more)
 
-    monkeypatch.setattr(pipeline.star_chain, "sight_stars", fragile)
+    monkeypatch.setattr(pipeline.chains.star_chain, "sight_stars", fragile)
     found = calibrate_dump(open_dump(one_strip), Settings(), store_of(tmp_path), InOrder())
     (left_out,) = [o for o in found.omissions if o.kind == "exposure"]
     assert left_out.name.endswith("5")

@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 from calib.experiments import ExperimentSettings
 from pipeline.cli import app
 from pipeline.errors import RawDataError
-from pipeline.experiments import hipparcos_fields, run_experiment
+from pipeline.experiments.tables import hipparcos_fields, run_experiment
 from pipeline.plan import read_plan
 
 runner = CliRunner()

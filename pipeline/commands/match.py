@@ -1,0 +1,87 @@
+"""Commands for those who want the ground half alone: match, targets suggest."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+__all__ = ["add_match_commands"]
+
+DATA_DID_NOT_ALLOW = 1
+
+targets_app = typer.Typer(help="Ground calibration targets.", no_args_is_help=True)
+
+
+def add_match_commands(app: typer.Typer) -> None:
+    """Plug the commands into the program."""
+    app.command()(match)
+    app.add_typer(targets_app, name="targets")
+
+
+def match(
+    dump: Annotated[Path, typer.Argument(help="Folder with a dump.toml.")],
+    out: Annotated[Path, typer.Option(help="File for places and refusals: .csv or .parquet.")],
+    strip: Annotated[list[str] | None, typer.Option(help="Only this strip. May be repeated.")] = None,
+    overlay: Annotated[
+        Path | None, typer.Option(help="Folder for a picture of each place: predicted, found, residual.")
+    ] = None,
+    settings: Annotated[
+        Path | None, typer.Option(help="TOML file of settings; unknown keys are refused.")
+    ] = None,
+    workers: Annotated[int | None, typer.Option(help="Processes for the star images.", min=1)] = None,
+) -> None:
+    """Find a dump's targets in its strips, from the installation matrix measured on the ground."""
+    from pipeline.calibrate import strips_to_match
+    from pipeline.errors import DataNotSufficientError
+    from pipeline.files.dump import open_dump
+    from pipeline.match_run import match_strips, write_matches
+    from pipeline.result import store_of
+    from pipeline.settings import read_settings
+    from pipeline.work.workers import executor_for
+
+    chosen, opened = read_settings(settings), open_dump(dump)
+    if unknown := set(strip or []) - {s.strip_id for s in opened.strips}:
+        raise DataNotSufficientError(f"{dump} has no strip {', '.join(sorted(unknown))}")
+    with tempfile.TemporaryDirectory() as scratch, executor_for(workers, None, opened.pixels) as executor:
+        tasks, omissions = strips_to_match(opened, chosen, store_of(Path(scratch)), executor)
+    wanted = [task for task in tasks if not strip or task.strip.strip_id in strip]
+    for omission in omissions:
+        typer.echo(f"left out: {omission.kind} {omission.name}: {omission.reason}", err=True)
+    lines = []
+    for line in match_strips(wanted, overlay):
+        lines.append(line)
+        typer.echo(line.text)
+        for refusal in line.refused:
+            where = f", CCD {refusal.ccd}" if refusal.ccd >= 0 else ""
+            typer.echo(f"refused: {line.strip_id}/{refusal.target_id}{where}: {refusal.reason}", err=True)
+    write_matches(out, lines)
+    placed = sum(len(line.matches) for line in lines)
+    typer.echo(f"placed {placed} in {len(lines)} strips -> {out}")
+    if not placed:
+        raise typer.Exit(DATA_DID_NOT_ALLOW)
+
+
+@targets_app.command()
+def suggest(
+    ortho: Annotated[Path, typer.Argument(help="Ortho-image: GeoTIFF of one band with a CRS.")],
+    out: Annotated[Path, typer.Option(help="Folder for chips/ and targets.csv.")],
+    size_px: Annotated[int, typer.Option(help="Side of a chip, in pixels of the image.", min=32)] = 256,
+    most: Annotated[int, typer.Option(help="So many targets at most.", min=1)] = 40,
+    height_m: Annotated[
+        float | None, typer.Option(help="Ellipsoidal height of the ground; left empty if not given.")
+    ] = None,
+    sigma_m: Annotated[float, typer.Option(help="1-sigma of the image's georeferencing.", min=0.0)] = 1.0,
+) -> None:
+    """Tell where in an ortho-image good targets are; cut their chips and write the list that a dump wants."""
+    from pipeline.match_run import suggest as suggest_from
+
+    found = suggest_from(ortho, out, size_px=size_px, most=most, height_m=height_m, sigma_m=sigma_m)
+    for n, target in enumerate(found, start=1):
+        typer.echo(
+            f"t{n:03d}   column {target.column:.0f}, row {target.row:.0f}   "
+            f"expected sigma {target.sigma_px:.4f} px, best rival {target.rival:.2f}"
+        )
+    typer.echo(f"{len(found)} targets -> {out / 'targets.csv'}")

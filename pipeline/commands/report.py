@@ -1,0 +1,125 @@
+"""Commands for those who look at a result and hand it on: report, export, geolocate."""
+
+from __future__ import annotations
+
+import datetime
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from pipeline.work.unit_store import write_whole
+
+__all__ = ["add_report_commands"]
+
+Result = Annotated[Path, typer.Argument(help="Folder that `calibrate` wrote.")]
+DumpOption = Annotated[
+    Path | None, typer.Option(help="The dump it was made from, if it is no longer where it was.")
+]
+StaleOption = Annotated[
+    bool, typer.Option(help="Go on past the end of the Earth-orientation table, with a warning.")
+]
+
+
+def add_report_commands(app: typer.Typer) -> None:
+    """Plug the commands into the program."""
+    app.command()(report)
+    app.command()(export)
+    app.command()(geolocate)
+
+
+def report(
+    result: Result,
+    matches: Annotated[int, typer.Option(help="Show the pictures of at most so many targets.", min=0)] = 400,
+) -> None:
+    """Draw one HTML page about a result, from what was saved, readable without a network."""
+    from pipeline.report.page import write_report
+
+    path = write_report(result, most_matches=matches)
+    typer.echo(f"{path.stat().st_size / 1e6:.1f} MB -> {path}")
+
+
+def export(
+    result: Result,
+    format_: Annotated[
+        str,
+        typer.Option(
+            "--format",
+            help="spice, aem, json, csv, csm-isd, geojson, envi, qgis or fits; several with commas.",
+        ),
+    ],
+    out: Annotated[Path | None, typer.Option(help="Folder for the files; default: RESULT/exports.")] = None,
+    dump: DumpOption = None,
+    strip: Annotated[list[str] | None, typer.Option(help="Only this strip. May be repeated.")] = None,
+    allow_stale_eop: StaleOption = False,
+    spice_spacecraft: Annotated[int, typer.Option(help="SPICE: id of the spacecraft.")] = -999,
+    spice_star_camera: Annotated[
+        str, typer.Option(help="SPICE: name of the star camera's frame.")
+    ] = "BORESIGHT_STAR_CAMERA",
+    spice_remote_camera: Annotated[
+        str, typer.Option(help="SPICE: name of the remote-sensing camera's frame.")
+    ] = "BORESIGHT_REMOTE_CAMERA",
+    spice_known_star_camera: Annotated[
+        bool, typer.Option(help="SPICE: the star camera's frame is defined by other kernels.")
+    ] = False,
+) -> None:
+    """Write a result in formats that other tools read."""
+    from pipeline.export import FORMATS, ExportRequest
+    from pipeline.export import export as made
+    from pipeline.exports.spice_frame import SpiceFrames
+
+    names = [name.strip() for name in format_.split(",")]
+    if unknown := [name for name in names if name not in FORMATS]:
+        raise typer.BadParameter(f"there is no format {unknown[0]!r}, only {', '.join(FORMATS)}")
+    try:
+        frames = SpiceFrames(
+            spice_spacecraft,
+            spice_spacecraft * 1000 - 1,
+            spice_star_camera,
+            spice_spacecraft * 1000 - 2,
+            spice_remote_camera,
+            not spice_known_star_camera,
+        )
+    except ValueError as error:
+        raise typer.BadParameter(str(error)) from error
+    now = datetime.datetime.now(datetime.UTC).strftime("%Y-%m-%dT%H:%M:%S")
+    request = ExportRequest(result, dump, tuple(strip or ()), frames, now, allow_stale_eop)
+    folder = out if out is not None else result / "exports"
+    folder.mkdir(parents=True, exist_ok=True)
+    for name in names:
+        for file, content in made(name, request):
+            raw = content.encode("utf-8") if isinstance(content, str) else content
+            write_whole(folder / file, lambda path, raw=raw: path.write_bytes(raw))
+            typer.echo(f"{name:8s} {len(raw):10d} bytes -> {folder / file}")
+
+
+def geolocate(
+    result: Result,
+    strip: Annotated[str, typer.Option(help="Id of the strip.")],
+    pixels: Annotated[Path, typer.Option(help="CSV file with the columns ccd, sample, line.")],
+    dump: DumpOption = None,
+    out: Annotated[Path | None, typer.Option(help="CSV file to write; default: standard output.")] = None,
+    height_m: Annotated[
+        float | None, typer.Option(help="Take this ellipsoidal height instead of the terrain model.")
+    ] = None,
+    allow_stale_eop: StaleOption = False,
+) -> None:
+    """Image points of a strip to latitude, longitude and height, with 1-sigma along and across the track."""
+    from geometry.terrain import ConstantHeight
+    from pipeline.files.dump import surface_of
+    from pipeline.geolocate import geolocate as places_of
+    from pipeline.geolocate import places_csv, read_pixels
+    from pipeline.strip_model import open_calibrated, strip_model
+
+    calibrated = open_calibrated(result, dump, allow_stale_eop=allow_stale_eop)
+    model = strip_model(calibrated, strip)
+    read = read_pixels(pixels, calibrated)
+    surface = ConstantHeight(height_m) if height_m is not None else surface_of(calibrated.dump.terrain)
+    places = places_of(calibrated, model, read, surface)
+    text = "".join(places_csv(read, places))
+    if out is None:
+        typer.echo(text, nl=False)
+    else:
+        write_whole(out, lambda path: path.write_text(text, encoding="utf-8"))
+        known = int((places.sigma_along_m == places.sigma_along_m).sum())
+        typer.echo(f"{known} of {len(read.line)} image points have a place -> {out}")

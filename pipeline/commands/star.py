@@ -1,0 +1,137 @@
+"""Commands for those who only have a star camera: identify, centroids, star-camera-calibrate."""
+
+from __future__ import annotations
+
+import csv
+import json
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+__all__ = ["add_star_commands"]
+
+DATA_DID_NOT_ALLOW, WRONG_USAGE = 1, 2
+FIELDS = (
+    "file,identified,ra_deg,dec_deg,roll_deg,fov_x_deg,matches,rms_arcsec,false_alarm_probability,cpu_ms,reason"
+).split(",")
+
+Images = Annotated[list[Path], typer.Argument(help="Star images: PNG, TIFF, FITS, JPEG or BMP.")]
+CameraFile = Annotated[Path | None, typer.Option(help="star_camera.toml of the camera, if it is known.")]
+Fov = Annotated[
+    float | None, typer.Option("--fov", "--fov-deg", help="Width of the field of view in degrees, if known.")
+]
+Dark = Annotated[Path | None, typer.Option(help="Dark frame of the same camera and exposure.")]
+SettingsFile = Annotated[Path | None, typer.Option(help="TOML file of settings; unknown keys are refused.")]
+
+
+def add_star_commands(app: typer.Typer) -> None:
+    """Plug the commands into the program."""
+    app.command()(identify)
+    app.command()(centroids)
+    app.command("star-camera-calibrate")(star_camera_calibrate)
+
+
+def identify(
+    images: Images,
+    camera: CameraFile = None,
+    fov: Fov = None,
+    dark: Dark = None,
+    as_json: Annotated[bool, typer.Option("--json", help="One JSON object a line on stdout.")] = False,
+    as_csv: Annotated[bool, typer.Option("--csv", help="One CSV row a line on stdout.")] = False,
+    as_fits: Annotated[
+        bool, typer.Option("--fits", help="Write NAME.wcs.fits here: a TAN-SIP header and the named stars.")
+    ] = False,
+    overlay: Annotated[Path | None, typer.Option(help="PNG of the image with its stars named.")] = None,
+    out: Annotated[Path | None, typer.Option(help="Parquet file for the stars that were named.")] = None,
+    settings: SettingsFile = None,
+) -> None:
+    """Name the stars of single images, with no idea where they look."""
+    from pipeline.files.star_files import write_wcs
+    from pipeline.identify import Request, identify_images
+    from pipeline.settings import read_settings
+
+    if camera is not None and fov is not None:
+        raise _wrong_usage("--camera and --fov exclude one another")
+    if as_json + as_csv + as_fits > 1:
+        raise _wrong_usage("--json, --csv and --fits exclude one another")
+    table = csv.DictWriter(sys.stdout, FIELDS, lineterminator="\n")
+    if as_csv:
+        table.writeheader()
+    named = 0
+    request = Request(camera, fov, dark, out, overlay)
+    for path, line in zip(images, identify_images(images, request, read_settings(settings).stars)):
+        named += line.identified
+        if as_json:
+            typer.echo(json.dumps(line.record))
+        elif as_csv:
+            table.writerow(line.record)
+        else:
+            typer.echo(line.text)
+        if as_fits and line.found is not None:
+            write_wcs(Path(f"{path.stem}.wcs.fits"), str(path), line.found)
+    typer.echo(
+        f"identified {named} of {len(images)} images" + (f" -> {out}" if out else ""), err=as_json or as_csv
+    )
+    if named == 0:
+        raise typer.Exit(DATA_DID_NOT_ALLOW)
+
+
+def centroids(
+    images: Images,
+    truth: Annotated[
+        Path | None, typer.Option(help="CSV with columns x_px, y_px, flux_dn (and file, for several images).")
+    ] = None,
+    psf_sigma_px: Annotated[float | None, typer.Option(help="True width of the PSF, if known.")] = None,
+    gain: Annotated[float | None, typer.Option(help="Electrons per DN, if known.")] = None,
+    dark: Dark = None,
+    out: Annotated[Path | None, typer.Option(help="CSV file for all centroids with their errors.")] = None,
+    plot: Annotated[
+        Path | None, typer.Option(help="PNG of error against SNR and bias against phase.")
+    ] = None,
+    settings: SettingsFile = None,
+) -> None:
+    """Find the stars of images and place them; with a truth, say how well: completeness, error, bound,
+    bias."""
+    from pipeline.report.centroid_report import centroid_lines
+    from pipeline.settings import read_settings
+
+    if plot is not None and truth is None:
+        raise _wrong_usage("--plot needs --truth")
+    stars = read_settings(settings).stars
+    for line in centroid_lines(
+        images, truth, stars, psf_sigma_px=psf_sigma_px, gain=gain, dark=dark, out=out, plot=plot
+    ):
+        typer.echo(line)
+
+
+def star_camera_calibrate(
+    images: Images,
+    camera: CameraFile = None,
+    fov: Fov = None,
+    out: Annotated[Path, typer.Option(help="The calibrated star_camera.toml.")] = Path("star_camera.toml"),
+    report: Annotated[
+        Path | None, typer.Option(help="JSON file: covariance, OpenCV form, residual map, stars used.")
+    ] = None,
+    plot: Annotated[Path | None, typer.Option(help="PNG of the residual map.")] = None,
+    settings: SettingsFile = None,
+) -> None:
+    """Calibrate a star camera from images of the sky: focal length, principal point, distortion."""
+    from pipeline.report.star_camera_report import calibrate_from_images
+    from pipeline.settings import read_settings
+
+    if camera is not None and fov is not None:
+        raise _wrong_usage("--camera and --fov exclude one another")
+    lines, done = calibrate_from_images(
+        images, camera, fov, read_settings(settings).stars, out=out, report=report, plot=plot
+    )
+    for line in lines:
+        typer.echo(line)
+    if not done:
+        raise typer.Exit(DATA_DID_NOT_ALLOW)
+
+
+def _wrong_usage(text: str) -> typer.Exit:
+    typer.echo(f"error: {text}", err=True)
+    return typer.Exit(WRONG_USAGE)

@@ -1,0 +1,96 @@
+"""`boresight experiment NAME`: a simulation of the paper run from scratch, as a CSV in long form and a plot.
+
+The simulations are `calib.experiments`; here they get real stars where the paper had them, a file and a
+figure.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from calib.campaign import CameraPair
+from calib.experiments import ExperimentSettings, convergence, figure8, grid, table4, table5
+from pipeline.experiments.pixels import PixelSettings, grid_from_pixels, table5_from_pixels
+from pipeline.experiments.plots import PLOTS
+from star_id.catalogue import hipparcos_stars
+
+__all__ = [
+    "EXPERIMENTS",
+    "FROM_PIXELS",
+    "experiment_table",
+    "hipparcos_fields",
+    "run_experiment",
+    "run_from_pixels",
+]
+
+Array = NDArray[np.float64]
+Progress = Callable[[int, int], None]
+
+FAINTEST_V = 6.5  # about 55 stars in the field, as many as the paper's spread asks for (docs/estimation.md)
+
+EXPERIMENTS = ("convergence", "grid", "table4", "table5", "figure8")
+FROM_PIXELS = ("grid", "table5")
+
+
+def run_experiment(
+    name: str, out: Path, settings: ExperimentSettings, progress: Progress | None = None
+) -> tuple[pd.DataFrame, list[Path]]:
+    """Run one experiment; its table, and the files written: `NAME.csv` and `NAME.png` in `out`."""
+    return _written(name, experiment_table(name, settings, progress), out)
+
+
+def run_from_pixels(
+    name: str, out: Path, settings: PixelSettings, progress: Progress | None = None
+) -> tuple[pd.DataFrame, list[Path]]:
+    """One of `FROM_PIXELS` through rendered images: `NAME-pixels.csv` and `NAME-pixels.png` in `out`."""
+    table = {"grid": grid_from_pixels, "table5": table5_from_pixels}[name](settings, progress)
+    return _written(f"{name}-pixels", table, out)
+
+
+def _written(name: str, table: pd.DataFrame, out: Path) -> tuple[pd.DataFrame, list[Path]]:
+    out.mkdir(parents=True, exist_ok=True)
+    written = [out / f"{name}.csv", out / f"{name}.png"]
+    table.to_csv(written[0], index=False, float_format="%.6g")
+    figure = PLOTS[name](table)
+    figure.savefig(written[1], dpi=110, bbox_inches="tight")
+    return table, written
+
+
+def experiment_table(
+    name: str, settings: ExperimentSettings, progress: Progress | None = None
+) -> pd.DataFrame:
+    """The long-form table of one of `EXPERIMENTS`; `KeyError` for another name."""
+    if name == "table4":
+        return table4(settings, hipparcos_fields(settings.cameras, 400, settings.seed), progress)
+    if name == "grid":
+        return grid(settings, progress)
+    if name == "table5":
+        return table5(settings, progress)
+    return {"convergence": convergence, "figure8": figure8}[name](settings)
+
+
+def hipparcos_fields(cameras: CameraPair, fields: int, seed: int) -> list[Array]:
+    """Directions (n, 3) in frame s of the Hipparcos stars in the star camera's field, pointed at random."""
+    stars = hipparcos_stars(FAINTEST_V)
+    places = stars.places.take(stars.usable_for_calibration)
+    u_i = np.column_stack(
+        [
+            np.cos(places.dec_rad) * np.cos(places.ra_rad),
+            np.cos(places.dec_rad) * np.sin(places.ra_rad),
+            np.sin(places.dec_rad),
+        ]
+    )
+    half_x = cameras.star_half_width_px * cameras.star_pixel_rad
+    half_y = cameras.star_half_height_px * cameras.star_pixel_rad
+    found = []
+    for R_si in Rotation.random(fields, rng=np.random.default_rng(seed)):
+        u_s = R_si.apply(u_i)
+        x, y, z = u_s.T
+        found.append(u_s[(z > 0.0) & (np.abs(x) <= half_x * z) & (np.abs(y) <= half_y * z)])
+    return found

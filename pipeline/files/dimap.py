@@ -1,0 +1,223 @@
+"""The metadata of a Pleiades primary product (DIMAP V1 of the ground segment): ephemeris, attitude, look
+angles, times.
+
+The file is XML from outside: it is parsed without DTD, entities or references, and every number is checked.
+What comes out is a rigorous model of the strip in the operator's own convention, checked against the
+operator's location grid:
+
+* line 0 is taken at START, and the look angles are polynomials of the column counted from the first one; *
+the look vector of angles psi is `[psi_y, -psi_x, 1]`, without tangents, turned into ITRS axes by the
+quaternion Q0 (scalar)
+  ... Q3, polynomials in (UTC second of the day - OFFSET) / SCALE;
+* positions are ITRS, interpolated through all points from positions alone; the velocities listed beside them
+are
+  relative to inertial axes, so the Earth's rotation is taken out of them here;
+* the operator left out aberration and light time, so `LightEffects` with all effects off reproduces the
+operator's places.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from xml.etree.ElementTree import Element, ParseError
+
+import defusedxml.ElementTree
+import numpy as np
+from defusedxml.common import DefusedXmlException
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from geometry.attitude import EarthFixedAttitude
+from geometry.constants import DAY_S
+from geometry.earth_orientation import EarthOrientationTable
+from geometry.earth_rotation import EarthRotation
+from geometry.epoch import Epoch
+from geometry.groundlight import LightEffects
+from geometry.line_camera import LookAngleCamera
+from geometry.orbit import Orbit
+from geometry.pushbroom import Pushbroom, RowClock
+from pipeline.errors import RawDataError
+from pipeline.files.text_files import read_text
+
+__all__ = ["DimapStrip", "read_dimap"]
+
+Array = NDArray[np.float64]
+
+_MODEL = "Geometric_Data/Sensor_Model_Characteristics"
+_EPHEMERIS = f"{_MODEL}/Sensor_Ephemeris/Point_List/Point"
+_ATTITUDE = f"{_MODEL}/Sensor_Attitudes"
+_VIEWING = f"{_MODEL}/Sensor_Viewing_Model"
+_MAX_ITEMS = 10_000  # ephemeris points, polynomial coefficients: more is no such product
+_MAX_PIXELS = 10_000_000  # rows or columns
+_LOOK_SAMPLES = 201  # a cubic spline through them holds a polynomial of degree 5 to 1e-13 rad
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DimapStrip:
+    """One panchromatic strip as its operator describes it; frames s and c are the same."""
+
+    pushbroom: Pushbroom
+    width_px: int
+    height_px: int  # lines
+    dataset: str
+
+
+def read_dimap(
+    path: Path, eop: EarthOrientationTable, effects: LightEffects, *, allow_stale_eop: bool = False
+) -> DimapStrip:
+    """Read a Pleiades DIMAP file. `RawDataError` for anything that is missing, damaged or out of range."""
+    file = path.name
+    root = _parsed(read_text(path, file), file)
+    if root.tag != "PHR_Dimap_Document":
+        raise RawDataError(file, "root element", root.tag, "PHR_Dimap_Document")
+    width, height = (
+        _whole(root, f"Raster_Dimensions/{name}", file, _MAX_PIXELS) for name in ("NCOLS", "NROWS")
+    )
+    start = _utc(_text(root, f"{_MODEL}/UTC_Sensor_Model_Range/START", file), "START", file)
+    epoch = Epoch.from_utc(start)
+    t_first = float(epoch.seconds_from_utc([start])[0])
+    period = 1e-3 * _numbers(root, f"{_MODEL}/SENSOR_LINE_PERIOD", file, 1)[0]
+    if not 0.0 < period < 1.0:
+        raise RawDataError(file, "SENSOR_LINE_PERIOD", period, "a period in milliseconds, below 1000")
+    t_orbit, positions, inertial = _ephemeris(root, epoch, file)
+    earth = EarthRotation.over(
+        epoch, float(t_orbit[0]), float(t_orbit[-1]), eop, allow_stale_eop=allow_stale_eop
+    )
+    orbit = Orbit(
+        epoch=epoch,
+        t_s=t_orbit,
+        positions_m=positions,
+        velocities_m_s=inertial - np.cross(earth.omega_e, positions),
+        frame="ITRF",
+        degree=len(t_orbit) - 1,
+        earth=earth,
+    )
+    last = t_first + height * period
+    pushbroom = Pushbroom(
+        camera=_camera(root, width, file),
+        rows=RowClock(t_first, period),
+        orbit=orbit,
+        earth=earth,
+        attitude=_attitude(root, epoch, start, earth, (t_first - 1.0, last + 1.0), file),
+        R_cs=Rotation.identity(),
+        effects=effects,
+    )
+    return DimapStrip(
+        pushbroom, width, height, _text(root, "Dataset_Identification/DATASET_NAME", file)[:128]
+    )
+
+
+def _ephemeris(root: Element, epoch: Epoch, file: str) -> tuple[Array, Array, Array]:
+    points = root.findall(_EPHEMERIS)
+    if not 2 <= len(points) <= _MAX_ITEMS:
+        raise RawDataError(file, _EPHEMERIS, f"{len(points)} points", f"2 to {_MAX_ITEMS} points")
+    times = [_utc(_text(point, "UTC_TIME", file), "UTC_TIME", file) for point in points]
+    positions = np.array([_numbers(point, "LOCATION_VALUES", file, 3) for point in points])
+    velocities = np.array([_numbers(point, "VELOCITY_VALUES", file, 3) for point in points])
+    t_s = epoch.seconds_from_utc(times)
+    if np.any(np.diff(t_s) <= 0.0):
+        raise RawDataError(file, f"{_EPHEMERIS}/UTC_TIME", "times out of order", "increasing times")
+    radius = np.linalg.norm(positions, axis=1)
+    if np.any((radius < 6.4e6) | (radius > 5e7)):
+        raise RawDataError(
+            file, f"{_EPHEMERIS}/LOCATION_VALUES", f"{radius.min():.0f} m from the centre", "an orbit, metres"
+        )
+    return t_s, positions, velocities
+
+
+def _attitude(
+    root: Element, epoch: Epoch, start: str, earth: EarthRotation, span_s: tuple[float, float], file: str
+) -> EarthFixedAttitude:
+    polynomials = [
+        _polynomial(root, f"{_ATTITUDE}/Polynomial_Models/Q{k}", file) for k in (1, 2, 3, 0)
+    ]  # scalar last
+    coefficients = np.zeros((4, max(len(p) for p in polynomials)))
+    for row, polynomial in zip(coefficients, polynomials):
+        row[: len(polynomial)] = polynomial
+    (offset,), (scale,) = (_numbers(root, f"{_ATTITUDE}/{name}", file, 1) for name in ("OFFSET", "SCALE"))
+    if not (0.0 <= offset < DAY_S + 1.0 and scale > 0.0):
+        raise RawDataError(
+            file, f"{_ATTITUDE}/OFFSET, SCALE", (offset, scale), "second of the day, scale > 0"
+        )
+    if not 0.5 < np.linalg.norm(coefficients[:, 0]) < 2.0:
+        raise RawDataError(
+            file, f"{_ATTITUDE}/Polynomial_Models", coefficients[:, 0].tolist(), "a quaternion"
+        )
+    midnight = float(epoch.seconds_from_utc([start[:10] + "T00:00:00"])[0])
+    return EarthFixedAttitude(coefficients, midnight + offset, scale, earth, span_s)
+
+
+def _camera(root: Element, width: int, file: str) -> LookAngleCamera:
+    first, last = (
+        _whole(root, f"{_VIEWING}/Position_In_Retina/{n}", file, 10**9) for n in ("FIRST_COL", "LAST_COL")
+    )
+    if last - first + 1 != width:
+        raise RawDataError(file, f"{_VIEWING}/Position_In_Retina", f"{first} ... {last}", f"{width} columns")
+    psi_x, psi_y = (_polynomial(root, f"{_VIEWING}/Viewing_Directions/Psi{a}_Model", file) for a in "XY")
+    samples: Array = np.linspace(0.0, max(width - 1.0, 1.0), _LOOK_SAMPLES, dtype=np.float64)
+    powers = samples[:, None] ** np.arange(21)
+    tan_x, tan_y = powers[:, : len(psi_y)] @ psi_y, -powers[:, : len(psi_x)] @ psi_x
+    try:
+        return LookAngleCamera(width, samples, tan_x, tan_y)
+    except ValueError as error:
+        raise RawDataError(
+            file, f"{_VIEWING}/Viewing_Directions", str(error), "look angles along a line"
+        ) from error
+
+
+def _polynomial(root: Element, where: str, file: str) -> list[float]:
+    degree = _whole(root, f"{where}/DEGREE", file, 20)
+    return _numbers(root, f"{where}/COEFFICIENTS", file, degree + 1)
+
+
+def _parsed(text: str, file: str) -> Element:
+    try:
+        root = defusedxml.ElementTree.fromstring(text, forbid_dtd=True)
+    except DefusedXmlException as error:
+        raise RawDataError(
+            file, "XML", type(error).__name__, "XML without DTD, entities or references"
+        ) from error
+    except (ParseError, ValueError) as error:
+        raise RawDataError(file, "XML", str(error), "well-formed XML") from error
+    assert isinstance(root, Element)
+    return root
+
+
+def _text(root: Element, where: str, file: str) -> str:
+    found = root.findall(where)
+    if len(found) != 1 or not (found[0].text or "").strip():
+        raise RawDataError(
+            file, where, f"{len(found)} such elements, or an empty one", "one element with text"
+        )
+    return (found[0].text or "").strip()
+
+
+def _numbers(root: Element, where: str, file: str, number: int) -> list[float]:
+    words = _text(root, where, file).split()
+    expected = f"{number} finite number{'s' if number > 1 else ''}"
+    if len(words) != number:
+        raise RawDataError(file, where, f"{len(words)} words", expected)
+    try:
+        values = [float(word) for word in words]
+    except ValueError as error:
+        raise RawDataError(file, where, str(error), expected) from error
+    if not np.all(np.isfinite(values)):
+        raise RawDataError(file, where, values, expected)
+    return values
+
+
+def _whole(root: Element, where: str, file: str, largest: int) -> int:
+    text = _text(root, where, file)
+    if not re.fullmatch(r"[0-9]{1,10}", text) or int(text) > largest:
+        raise RawDataError(file, where, text, f"a whole number from 0 to {largest}")
+    return int(text)
+
+
+def _utc(text: str, field: str, file: str) -> str:
+    try:
+        Epoch.from_utc(text)
+    except ValueError as error:
+        raise RawDataError(file, field, text, "a UTC instant, 2018-12-26T10:48:55.449Z") from error
+    return text

@@ -1,0 +1,300 @@
+"""A simulated mission written as a dump (docs/dump-format.md). The truth goes to `truth/` and nowhere
+else.
+"""
+
+from __future__ import annotations
+
+import csv
+import warnings
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import rasterio
+from rasterio.errors import NotGeoreferencedWarning
+from rasterio.transform import Affine
+from rasterio.windows import Window
+
+from geometry.line_camera import LineCamera
+from geometry.star_camera import StarCamera
+from pipeline.files.toml_writer import toml_text
+from simulator.records import ChipImage, Mission, OrbitReport, Strip, TerrainReport, Truth
+from simulator.scenario import scenario_to_dict
+
+__all__ = ["images_in", "write_dump"]
+
+INTERPOLATION_DEGREE = 7
+SMALL_PIXELS = 4_000_000  # an exposure below this is packed as small as may be: it may become a fixture
+# In a sky of noise no string of bytes comes twice: coding single bytes is smaller by a tenth, and eight
+# times faster.
+PNG_OF_NOISE = (
+    *(cv2.IMWRITE_PNG_COMPRESSION, 1),
+    *(cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_HUFFMAN_ONLY),
+)
+
+
+def images_in(mission: Mission) -> int:
+    """How many images `write_dump` will render."""
+    return len(mission.exposures) + len(mission.strips)
+
+
+def write_dump(
+    mission: Mission, root: Path, *, created_by: str, on_image: Callable[[str], None] = lambda name: None
+) -> None:
+    """Write the whole dump into `root`, which must be empty or absent. `on_image` hears of each image
+    rendered.
+    """
+    if root.exists() and (not root.is_dir() or any(root.iterdir())):
+        raise FileExistsError(f"{root} is there already and is not an empty folder")
+    for folder in ("exposures", "strips", "chips", "terrain", "truth"):
+        (root / folder).mkdir(parents=True, exist_ok=True)
+    _write_toml(root / "star_camera.toml", _star_camera(mission.star_camera, mission.scenario.sky.bits))
+    _write_toml(
+        root / "remote_camera.toml", _remote_camera(mission.line_camera, mission.scenario.ground.bits)
+    )
+    installation = {
+        "quaternion_cs": mission.installation.R_cs.as_quat().tolist(),
+        "sigma_rad": np.asarray(mission.installation.sigma_rad, dtype=float).tolist(),
+    }
+    _write_toml(root / "installation.toml", installation)
+    (root / "orbit.oem").write_text(_oem(mission, mission.orbit), encoding="utf-8")
+    _write_exposures(root, mission, on_image)
+    _write_strips(root, mission, on_image)
+    _write_targets(root, mission)
+    _write_terrain(root / "terrain" / "dem.tif", mission.terrain)
+    _write_truth(root / "truth", mission, mission.truth)
+    _write_toml(root / "dump.toml", _head(mission, created_by))  # last: a dump with a head is a whole dump
+
+
+def _head(mission: Mission, created_by: str) -> dict[str, Any]:
+    errors = mission.errors
+    return {
+        "format": "boresight-dump",
+        "format_version": 1,
+        "mission": mission.scenario.name,
+        "created_by": created_by,
+        "conventions": {
+            "inertial_frame": "GCRS",
+            "earth_fixed_frame": "ITRS",
+            "time_scale": "UTC",
+            "quaternions": "scalar-last",
+            "image_origin": "centre of first pixel is (0, 0)",
+        },
+        "files": {
+            "star_camera": "star_camera.toml",
+            "remote_camera": "remote_camera.toml",
+            "installation": "installation.toml",
+            "orbit": "orbit.oem",
+            "exposures": "exposures.csv",
+            "strips": "strips.csv",
+            "targets": "targets.csv",
+            "terrain": "terrain/dem.tif",
+        },
+        "errors": {
+            "position_m": errors.position_m,
+            "clock_s": errors.clock_s,
+            "vibration_arcsec": errors.vibration_arcsec,
+            "look_distortion_px": errors.look_distortion_px,
+            "look_distortion_length_px": mission.scenario.errors.distortion_length_px,
+        },
+        "terrain": {"height_kind": mission.terrain.height_kind, "sigma_m": mission.terrain.sigma_m},
+    }
+
+
+def _star_camera(camera: StarCamera, bits: int) -> dict[str, Any]:
+    return {
+        "focal_length_mm": _rounded(camera.focal_m * 1e3),
+        "pixel_pitch_um": _rounded(camera.pixel_m * 1e6),
+        "width_px": camera.width_px,
+        "height_px": camera.height_px,
+        "principal_point_px": [float(v) for v in camera.principal_px],
+        "bit_depth": bits,
+        "distortion": {
+            "p1_per_mm": camera.p1,
+            "p2_per_mm": camera.p2,
+            "q1_per_mm2": camera.q1,
+            "q2_per_mm4": camera.q2,
+        },
+    }
+
+
+def _remote_camera(camera: LineCamera, bits: int) -> dict[str, Any]:
+    return {
+        "focal_length_m": camera.focal_m,
+        "tdi_stages": camera.tdi_stages,
+        "time_of_row": camera.time_of_row,
+        "bit_depth": bits,
+        "ccds": [
+            {
+                "n_px": ccd.n_px,
+                "pixel_pitch_um": _rounded(ccd.pixel_m * 1e6),
+                "y_first_mm": _rounded(ccd.y_first_m * 1e3),
+                "x_offset_mm": _rounded(ccd.x_offset_m * 1e3),
+                "rotation_mrad": _rounded(ccd.rotation_rad * 1e3),
+                "principal_sample": ccd.principal_sample,
+                "distortion_samples": np.asarray(ccd.distortion_samples, dtype=float).tolist(),
+                "distortion_offsets_um": [_rounded(v * 1e6) for v in np.asarray(ccd.distortion_offsets_m)],
+            }
+            for ccd in camera.ccds
+        ],
+    }
+
+
+def _rounded(value: float) -> float:
+    """Fourteen digits: what a change of units adds in the last place is no information."""
+    return float(f"{value:.14g}")
+
+
+def _oem(mission: Mission, orbit: OrbitReport) -> str:
+    """CCSDS OEM 2.0, positions to the micrometre, velocities to the nanometre per second."""
+    utc = [text.rstrip("Z") for text in mission.epoch.utc_from_seconds(orbit.t_s)]
+    lines = [
+        "CCSDS_OEM_VERS = 2.0",
+        f"CREATION_DATE = {utc[0][:19]}",
+        "ORIGINATOR = BORESIGHT",
+        "",
+        "META_START",
+        f"OBJECT_NAME = {mission.scenario.name.upper()}",
+        "OBJECT_ID = 2024-000A",
+        "CENTER_NAME = EARTH",
+        f"REF_FRAME = {orbit.frame}",
+        "TIME_SYSTEM = UTC",
+        f"START_TIME = {utc[0]}",
+        f"STOP_TIME = {utc[-1]}",
+        "INTERPOLATION = LAGRANGE",
+        f"INTERPOLATION_DEGREE = {INTERPOLATION_DEGREE}",
+        "META_STOP",
+        "",
+    ]
+    for instant, p, v in zip(utc, orbit.positions_m / 1e3, orbit.velocities_m_s / 1e3):
+        numbers = [f"{x:.9f}" for x in p] + [f"{x:.12f}" for x in v]
+        lines.append(f"{instant} " + " ".join(numbers))
+    return "\n".join(lines) + "\n"
+
+
+def _write_exposures(root: Path, mission: Mission, on_image: Callable[[str], None]) -> None:
+    utc = mission.epoch.utc_from_seconds([exposure.t_s for exposure in mission.exposures])
+    rows = []
+    for exposure, instant in zip(mission.exposures, utc):
+        file = f"exposures/{exposure.exposure_id}.png"
+        encoded, data = cv2.imencode(".png", exposure.image(), PNG_OF_NOISE)
+        if not encoded:
+            raise OSError(f"{file} could not be encoded")
+        (root / file).write_bytes(data.tobytes())
+        rows.append([exposure.exposure_id, file, instant, exposure.exposure_s])
+        on_image(file)
+    _write_csv(root / "exposures.csv", ["id", "file", "utc_mid", "exposure_s"], rows)
+
+
+def _write_strips(root: Path, mission: Mission, on_image: Callable[[str], None]) -> None:
+    utc = mission.epoch.utc_from_seconds([strip.t_first_row_s for strip in mission.strips])
+    rows = []
+    for strip, instant in zip(mission.strips, utc):
+        file = f"strips/{strip.strip_id}_ccd{strip.ccd}.tif"
+        _write_strip_image(root / file, strip)
+        rows.append([strip.strip_id, strip.ccd, file, instant, repr(strip.row_period_s), strip.lines])
+        on_image(file)
+    _write_csv(root / "strips.csv", ["id", "ccd", "file", "utc_first_row", "row_period_s", "lines"], rows)
+
+
+def _write_strip_image(path: Path, strip: Strip) -> None:
+    profile = {
+        "driver": "GTiff",
+        "width": strip.samples,
+        "height": strip.lines,
+        "count": 1,
+        "dtype": "uint8" if strip.bits <= 8 else "uint16",
+        "tiled": True,
+        "blockxsize": 256,
+        "blockysize": 256,
+        "compress": "deflate",
+        "zlevel": 6 if strip.lines * strip.samples < SMALL_PIXELS else 2,
+        "predictor": 2,
+        "bigtiff": "if_safer",
+    }
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", NotGeoreferencedWarning)
+        with rasterio.open(path, "w", **profile) as image:
+            line = 0
+            for block in strip.blocks(512):
+                image.write(block, 1, window=Window(0, line, strip.samples, len(block)))
+                line += len(block)
+
+
+def _write_targets(root: Path, mission: Mission) -> None:
+    chips = {chip.target_id: chip for chip in mission.chips}
+    rows = []
+    for target in mission.targets:
+        file = f"chips/{target.target_id}.tif"
+        _write_chip(root / file, chips[target.target_id])
+        place = [f"{target.lat_deg:.10f}", f"{target.lon_deg:.10f}", f"{target.height_m:.4f}"]
+        rows.append([target.target_id, *place, target.height_kind, *target.sigma_m, file])
+    columns = ["id", "lat_deg", "lon_deg", "height_m", "height_kind"]
+    columns += ["sigma_east_m", "sigma_north_m", "sigma_up_m", "chip"]
+    _write_csv(root / "targets.csv", columns, rows)
+
+
+def _write_chip(path: Path, chip: ChipImage) -> None:
+    height, width = chip.image.shape
+    profile = {
+        "driver": "GTiff",
+        "width": width,
+        "height": height,
+        "count": 1,
+        "dtype": chip.image.dtype.name,
+    }
+    profile |= {"crs": f"EPSG:{chip.epsg}", "transform": Affine(*chip.affine), "compress": "deflate"}
+    with rasterio.open(path, "w", **profile, zlevel=9, predictor=2) as image:
+        image.write(chip.image, 1)
+
+
+def _write_terrain(path: Path, terrain: TerrainReport) -> None:
+    height, width = terrain.heights_m.shape
+    centimetres = np.round(np.asarray(terrain.heights_m, dtype=float), 2).astype(np.float32)
+    profile = {"driver": "GTiff", "width": width, "height": height, "count": 1, "dtype": "float32"}
+    profile |= {"crs": f"EPSG:{terrain.epsg}", "transform": Affine(*terrain.affine), "nodata": -32768.0}
+    with rasterio.open(path, "w", **profile, compress="deflate", zlevel=9, predictor=3) as image:
+        image.write(centimetres, 1)
+
+
+def _write_truth(root: Path, mission: Mission, truth: Truth) -> None:
+    installation = {
+        "quaternion_cs": truth.R_cs.as_quat().tolist(),
+        "theta_rad": np.asarray(truth.theta_rad).tolist(),
+    }
+    _write_toml(root / "installation.toml", installation)
+    _write_toml(root / "scenario.toml", {"seed": truth.seed, "scenario": scenario_to_dict(mission.scenario)})
+    columns = ["strip", "ccd", "sample", "line", "lat_deg", "lon_deg", "height_m"]
+    for name, points in (("check_points", truth.check_points), ("targets", truth.targets)):
+        rows = [
+            [
+                p.point_id,
+                p.strip_id,
+                p.ccd,
+                f"{p.sample:.6f}",
+                f"{p.line:.6f}",
+                f"{p.lat_deg:.11f}",
+                f"{p.lon_deg:.11f}",
+                f"{p.height_ellipsoidal_m:.5f}",
+            ]
+            for p in points
+        ]
+        _write_csv(root / f"{name}.csv", ["id", *columns], rows)
+    strips = [
+        [s.strip_id, repr(s.clock_offset_s), *np.asarray(s.position_error_m).tolist()] for s in truth.strips
+    ]
+    columns = ["strip", "clock_offset_s", "error_x_m", "error_y_m", "error_z_m"]
+    _write_csv(root / "strips.csv", columns, strips)
+
+
+def _write_toml(path: Path, tables: dict[str, Any]) -> None:
+    path.write_text(toml_text(tables), encoding="utf-8")
+
+
+def _write_csv(path: Path, columns: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
+    with path.open("w", newline="", encoding="utf-8") as stream:
+        table = csv.writer(stream, lineterminator="\n")
+        table.writerow(columns)
+        table.writerows(rows)

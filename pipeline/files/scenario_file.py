@@ -1,0 +1,86 @@
+"""The scenario that a command line names, and the mission flown from it.
+
+The catalogue, the Earth's tables and a user's own ground image are read here and handed to the simulator.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from geometry.earth_orientation import bundled_earth_orientation
+from geometry.geoid import egm96
+from pipeline.errors import RawDataError
+from pipeline.files.image_files import read_grid
+from pipeline.files.text_files import read_text
+from simulator.ground import GroundImage
+from simulator.mission import simulate
+from simulator.records import Mission
+from simulator.scenario import (
+    Scenario,
+    ScenarioError,
+    builtin_scenario_names,
+    scenario_from_dict,
+)
+from star_id.catalogue import hipparcos_stars
+
+__all__ = ["fly", "named_scenario"]
+
+MAX_GROUND_PIXELS = 2**30
+
+
+def named_scenario(name: str, changes: Sequence[str]) -> Scenario:
+    """`name` is built in or the path of a TOML file; each change is `section.key=value` with a TOML value.
+
+    `ScenarioError` for what no scenario has, `RawDataError` for a file that cannot be read.
+    """
+    if name in builtin_scenario_names():
+        values: dict[str, Any] = {"based_on": name}
+    elif Path(name).is_file():
+        values = _from_file(Path(name))
+    else:
+        known = ", ".join(builtin_scenario_names())
+        raise ScenarioError(f"scenario {name!r}: expected {known} or the path of a TOML file")
+    for change in changes:
+        _apply(values, change)
+    return scenario_from_dict(values)
+
+
+def fly(scenario: Scenario, seed: int) -> Mission:
+    """The mission of a scenario under the real sky and on the real Earth."""
+    ground = _ground_image(scenario.ground.image) if scenario.ground.image else None
+    stars = hipparcos_stars().places
+    return simulate(scenario, stars, bundled_earth_orientation(), egm96(), seed, ground)
+
+
+def _ground_image(name: str) -> GroundImage:
+    grid = read_grid(Path(name), name, max_pixels=MAX_GROUND_PIXELS, first_band=True)
+    return GroundImage(np.nan_to_num(grid.values, nan=0.0), grid.transform, grid.crs)
+
+
+def _from_file(path: Path) -> dict[str, Any]:
+    try:
+        return tomllib.loads(read_text(path, str(path)))
+    except (tomllib.TOMLDecodeError, RecursionError) as error:
+        raise RawDataError(str(path), "text", str(error), "TOML 1.0") from error
+
+
+def _apply(values: dict[str, Any], change: str) -> None:
+    key, equals, text = change.partition("=")
+    if not equals or not key.strip():
+        raise ScenarioError(f"--set {change}: expected section.key=value")
+    try:
+        value = tomllib.loads(f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError:
+        value = text
+    table = values
+    *sections, last = key.strip().split(".")
+    for section in sections:
+        table = table.setdefault(section, {})
+        if not isinstance(table, dict):
+            raise ScenarioError(f"--set {change}: {section} is not a table")
+    table[last] = value

@@ -1,0 +1,154 @@
+"""Centroids of images, written and, where the truth is known, scored: the figures and the two plots of it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from pipeline.errors import RawDataError
+from pipeline.files.image_files import read_star_image
+from pipeline.work.unit_store import write_whole
+from star_id.score import CentroidScore, score_centroids
+from star_id.settings import StarSettings
+from star_id.star_list import StarList, find_stars
+
+__all__ = ["centroid_lines", "draw_score", "score_lines"]
+
+Array = NDArray[np.float64]
+
+
+def centroid_lines(
+    images: Sequence[Path],
+    truth: Path | None,
+    settings: StarSettings,
+    *,
+    psf_sigma_px: float | None,
+    gain: float | None,
+    dark: Path | None,
+    out: Path | None,
+    plot: Path | None,
+) -> Iterator[str]:
+    """One line an image; then, with a truth, the table of figures."""
+    if gain is not None:
+        settings = replace(settings, gain_e_per_dn=gain)
+    true_stars = None if truth is None else _read_truth(truth)
+    dark_image = None if dark is None else read_star_image(dark, str(dark))
+    lists, truths, tables, top = [], [], [], 255.0
+    for path in images:
+        image = read_star_image(path, str(path))
+        if dark_image is not None and dark_image.shape != image.shape:
+            shapes = (f"{d.shape[1]} x {d.shape[0]} px" for d in (dark_image, image))
+            raise RawDataError(str(dark), "image size", *shapes)
+        stars = find_stars(image, settings, dark_image)
+        top = settings.saturation_dn or float(np.iinfo(image.dtype).max)
+        tables.append(_table(path, stars))
+        yield (
+            f"{path}   {len(stars.xy_px)} stars above {stars.threshold:.2f} sigma   "
+            f"PSF sigma {stars.psf.sigma_px:.3f} px from {stars.psf_stars} stars   "
+            f"{stars.hot_pixels} hot pixels, {stars.misshapen} misshapen left out"
+        )
+        if true_stars is not None:
+            lists.append(stars)
+            truths.append(_truth_of(true_stars, path, len(images), str(truth)))
+    if out is not None:
+        whole = pd.concat(tables)
+        write_whole(out, lambda target: whole.to_csv(target, index=False, lineterminator="\n"))
+    if true_stars is not None:
+        psf = (
+            None
+            if psf_sigma_px is None
+            else replace(
+                lists[0].psf, sigma_px=psf_sigma_px, sigma_corner_px=psf_sigma_px, smear_px=(0.0, 0.0)
+            )
+        )
+        score = score_centroids(lists, truths, saturation_dn=top, psf=psf, gain_e_per_dn=gain)
+        yield from score_lines(score, len(images))
+        if plot is not None:
+            draw_score(score, plot)
+
+
+def score_lines(score: CentroidScore, frames: int) -> list[str]:
+    """The table of figures, one line a bin of signal-to-noise ratio."""
+    lines = ["   SNR          stars  complete   rms px   bound px   x bound   chi2"]
+    for k, (low, high) in enumerate(zip(score.snr_edges[:-1], score.snr_edges[1:])):
+        if score.stars[k]:
+            complete = score.found[k] / score.stars[k]
+            lines.append(
+                f"{low:6.0f} -{high:6.0f}  {score.stars[k]:6d}  {complete:8.4f}  {score.rms_px[k]:7.4f}"
+                f"  {score.bound_px[k]:9.4f}  {score.over_bound[k]:8.3f}  {score.chi2[k]:5.2f}"
+            )
+    worst = np.nanmax(np.abs(score.phase_bias_px)) if np.isfinite(score.phase_bias_px).any() else np.nan
+    error = np.nanmax(score.phase_error_px) if np.isfinite(score.phase_error_px).any() else np.nan
+    lines.append(f"false detections {score.false} in {frames} images")
+    lines.append(f"largest bias over pixel phase {worst:.4f} px (standard error of a phase {error:.4f} px)")
+    return lines
+
+
+def draw_score(score: CentroidScore, path: Path) -> None:
+    """Error and bound against SNR, bias against pixel phase."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(9.0, 3.6), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    middle = np.sqrt(score.snr_edges[:-1] * np.minimum(score.snr_edges[1:], 2.0 * score.snr_edges[:-1]))
+    left.loglog(middle, score.rms_px, "o", label="rms error, one axis")
+    left.loglog(middle, score.bound_px, "-", label="Cramér-Rao bound")
+    left.set_xlabel("signal-to-noise ratio")
+    left.set_ylabel("px")
+    left.legend()
+    phases = len(score.phase_bias_px)
+    phase = (np.arange(phases) + 0.5) / phases - 0.5
+    for axis, name in enumerate(("column", "row")):
+        right.errorbar(
+            phase, score.phase_bias_px[:, axis], score.phase_error_px[:, axis], fmt="o", label=name
+        )
+    right.axhline(0.0, color="0.6", lw=0.8)
+    right.set_xlabel("pixel phase, px")
+    right.set_ylabel("mean error, px")
+    right.legend()
+    write_whole(path, lambda target: figure.savefig(target, format="png", dpi=120))
+
+
+def _table(path: Path, stars: StarList) -> pd.DataFrame:
+    return pd.DataFrame(
+        {
+            "file": str(path),
+            "x_px": stars.xy_px[:, 0],
+            "y_px": stars.xy_px[:, 1],
+            "sigma_x_px": np.sqrt(stars.cov_px[:, 0, 0]),
+            "sigma_y_px": np.sqrt(stars.cov_px[:, 1, 1]),
+            "cov_xy_px2": stars.cov_px[:, 0, 1],
+            "flux_dn": stars.flux_dn,
+            "snr": stars.snr,
+            "saturated": stars.saturated,
+            "blended": stars.blended,
+        }
+    )
+
+
+def _read_truth(path: Path) -> pd.DataFrame:
+    try:
+        table = pd.read_csv(path)
+    except (OSError, ValueError) as error:
+        raise RawDataError(str(path), "file", str(error), "a CSV file with x_px, y_px, flux_dn") from error
+    for column in ("x_px", "y_px", "flux_dn"):
+        if column not in table or not pd.api.types.is_numeric_dtype(table[column]):
+            found = ", ".join(map(str, table.columns[:20]))
+            raise RawDataError(str(path), f"column {column}", found, "x_px, y_px, flux_dn as numbers")
+    return table
+
+
+def _truth_of(table: pd.DataFrame, image: Path, images: int, file: str) -> tuple[Any, Any]:
+    if "file" in table:
+        table = table[table["file"].map(lambda name: Path(str(name)).name) == image.name]
+    elif images > 1:
+        raise RawDataError(
+            file, "column file", "none", "the name of the image for each star: there are several"
+        )
+    return table[["x_px", "y_px"]].to_numpy(float), table["flux_dn"].to_numpy(float)

@@ -1,0 +1,266 @@
+"""What a report is drawn from and the estimate itself does not need, saved beside it in `RESULT/evidence/`.
+
+    context.json          mission, epoch, cameras, counts, noise scales, iterations
+    inputs.parquet        every file of the dump that was read: bytes and SHA-256
+    convergence.parquet   theta and its 1-sigma after each further strip
+    angles.parquet        cross angles z_ij and their predicted spread
+    matches.parquet       pictures of every placed target
+    exposure.parquet      detections in the star image that is shown, and the image itself
+
+Like the tables under `sightings/`, all of it is the same for the same inputs, settings and version.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterator
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from calib.information import solve_total
+from pipeline.angles import StripMotion, cross_angles
+from pipeline.calibrate import Calibration
+from pipeline.chains.star_chain import exposure_image
+from pipeline.errors import RawDataError
+from pipeline.files.dump import Dump
+from pipeline.files.dump_schema import DumpFile
+from pipeline.files.text_files import read_toml
+from pipeline.report.match_pictures import pictures_columns
+from pipeline.report.star_preview import StarPreview, star_preview
+from pipeline.settings import Settings
+from pipeline.work.unit_store import END_BYTES, WHOLE_FILE_BYTES, fixed_list, write_whole
+
+__all__ = ["write_evidence"]
+
+Array = NDArray[np.float64]
+
+
+def write_evidence(result: Path, dump: Dump, calibration: Calibration, settings: Settings) -> None:
+    """Write the folder. Nothing in it is read by a later calibration."""
+    folder = result / "evidence"
+    folder.mkdir(parents=True, exist_ok=True)
+    tables: dict[str, pa.Table] = {
+        "inputs": _inputs(dump),
+        "convergence": _convergence(calibration),
+        "angles": _angles(calibration),
+        "matches": _matches(calibration),
+        "exposure": _exposure(_preview(dump, calibration, settings)),
+    }
+    for name, table in tables.items():
+        write_whole(
+            folder / f"{name}.parquet", lambda path, t=table: pq.write_table(t, path, compression="zstd")
+        )
+    text = json.dumps(_context(dump, calibration), indent=2) + "\n"
+    write_whole(folder / "context.json", lambda path: path.write_text(text, encoding="utf-8"))
+
+
+def _context(dump: Dump, calibration: Calibration) -> dict[str, Any]:
+    estimate, camera, star = calibration.estimate, dump.line_camera, dump.star_camera
+    return {
+        "mission": dump.mission,
+        "epoch_utc": dump.epoch.utc_from_seconds([0.0])[0],
+        "quaternion_cs0": dump.R_cs0.as_quat().tolist(),
+        "sigma_installation_rad": dump.sigma_installation_rad.tolist(),
+        "sigma_theta_rad": estimate.sigma_theta.tolist(),
+        "converged_matrix": bool(estimate.converged_matrix),
+        "converged_covariance": bool(estimate.converged_covariance),
+        "strips": int(estimate.n_strips),
+        "chi2_stars": float(estimate.chi2_stars),
+        "dof_stars": int(estimate.dof_stars),
+        "noise": {
+            name: float(getattr(estimate.noise, name))
+            for name in ("stars", "stars_sigma", "targets", "targets_sigma")
+        },
+        "iterations": [
+            {
+                "theta_step_rad": step.theta_step.tolist(),
+                "sigma_rad": step.sigma.tolist(),
+                "chi2": float(step.chi2),
+                "targets": float(step.targets),
+            }
+            for step in estimate.iterations
+        ],
+        "star_camera": {
+            "width_px": star.width_px,
+            "height_px": star.height_px,
+            "pixel_rad": star.pixel_m / star.focal_m,
+        },
+        "remote_camera": {
+            "pixel_rad": camera.ccds[0].pixel_m / camera.focal_m,
+            "samples": [ccd.n_px for ccd in camera.ccds],
+        },
+    }
+
+
+def _inputs(dump: Dump) -> pa.Table:
+    """Files that the calibration may read, in the order of their names. Of a large file only both ends and
+    the size are taken, as when units of work are told apart; `whole` says which.
+    """
+    rows = [_fingerprint(dump.root / name, name) for name in sorted(set(_files(dump)))]
+    names = ("file", "bytes", "sha256", "whole")
+    return pa.table({name: pa.array([row[n] for row in rows]) for n, name in enumerate(names)})
+
+
+def _files(dump: Dump) -> Iterator[str]:
+    head = read_toml(dump.root / "dump.toml", DumpFile, "dump.toml")
+    yield "dump.toml"
+    yield from head.files.model_dump(exclude_none=True).values()
+    yield from (exposure.file for exposure in dump.exposures)
+    yield from (name for strip in dump.strips for name in strip.images.names.values())
+    yield from (chip.file for chip in dump.chips)
+
+
+def _fingerprint(path: Path, name: str) -> tuple[str, int, str, bool]:
+    """Name, bytes, SHA-256 (empty where it cannot be read), and whether that is of the whole file."""
+    state = hashlib.sha256()
+    try:
+        size = path.stat().st_size
+        with path.open("rb") as stream:
+            if size <= WHOLE_FILE_BYTES:
+                while block := stream.read(END_BYTES):
+                    state.update(block)
+            else:
+                state.update(stream.read(END_BYTES))
+                stream.seek(size - END_BYTES)
+                state.update(stream.read(END_BYTES))
+    except OSError:
+        return name, -1, "", False
+    return name, size, state.hexdigest(), size <= WHOLE_FILE_BYTES
+
+
+def _convergence(calibration: Calibration) -> pa.Table:
+    """theta against the final matrix after each further strip, in the order of time.
+
+    NaN with infinite 1-sigma while it is not observable.
+    """
+    estimate = calibration.estimate
+    pairs = estimate.pairs
+    order = [strip.strip_id for strip in calibration.strips if strip.strip_id in set(pairs.names.tolist())]
+    row = {name: n for n, name in enumerate(pairs.names.tolist())}
+    count = {
+        strip.strip_id: (len(strip.exposures), len(strip.ground.target_id)) for strip in calibration.strips
+    }
+    F, F_theta = np.zeros(pairs.F.shape[1:]), np.zeros(pairs.F_theta.shape[1:])
+    theta, sigma, frames, targets = [], [], [], []
+    limit = calibration.settings.sigma_observable_rad
+    for name in order:
+        F, F_theta = F + pairs.F[row[name]], F_theta + pairs.F_theta[row[name]]
+        so_far = solve_total(F, F_theta, estimate.prior_shared, sigma_observable_rad=limit)
+        seen = len(so_far.unobservable) == 0
+        theta.append(so_far.theta if seen else np.full(3, np.nan))
+        sigma.append(np.sqrt(np.diag(so_far.covariance)) if seen else np.full(3, np.inf))
+        frames.append(count[name][0])
+        targets.append(count[name][1])
+    return pa.table(
+        {
+            "strip_id": pa.array(order, pa.string()),
+            "frames": pa.array(np.cumsum(np.array(frames, dtype=np.int64))),
+            "targets": pa.array(np.cumsum(np.array(targets, dtype=np.int64))),
+            "theta_rad": fixed_list(np.array(theta).reshape(-1, 3)),
+            "sigma_rad": fixed_list(np.array(sigma).reshape(-1, 3)),
+        }
+    )
+
+
+def _angles(calibration: Calibration) -> pa.Table:
+    angles = cross_angles(_motions(calibration), calibration.estimate.R_cs, calibration.settings)
+    return pa.table(
+        {
+            "strip_id": pa.array(angles.strip_id.tolist(), pa.string()),
+            "target_id": pa.array(angles.target_id.tolist(), pa.string()),
+            "exposure_id": pa.array(angles.exposure_id.tolist(), pa.string()),
+            "hip": pa.array(angles.hip),
+            "z": pa.array(angles.z),
+            "sigma": pa.array(angles.sigma),
+        }
+    )
+
+
+def _motions(calibration: Calibration) -> list[StripMotion]:
+    attitudes, found = calibration.attitudes, calibration.estimate.targets
+    start = np.concatenate([[0], np.cumsum([len(s.hip) for s in calibration.stars])])
+    index = {exposure.t_s: k for k, exposure in enumerate(calibration.stars)}
+    kept = {
+        key: bool(good)
+        for key, good in zip(
+            zip(found.strip_id.tolist(), found.target_id.tolist(), found.ccd.tolist()), found.kept
+        )
+    }
+    orbits = {task.strip.strip_id: task.orbit for task in calibration.tasks}
+    motions = []
+    for strip in calibration.strips:
+        rows = [index[exposure.t_s] for exposure in strip.exposures]
+        ground = zip(strip.ground.target_id.tolist(), strip.ground.ccd.tolist())
+        motions.append(
+            StripMotion(
+                strip,
+                orbits[strip.strip_id],
+                Rotation.from_matrix(attitudes.R_si[rows]),
+                attitudes.covariance_s[rows],
+                tuple(attitudes.kept[start[k] : start[k + 1]].astype(bool) for k in rows),
+                np.array([kept.get((strip.strip_id, name, ccd), False) for name, ccd in ground], dtype=bool),
+            )
+        )
+    return motions
+
+
+def _matches(calibration: Calibration) -> pa.Table:
+    """Pictures of every placed target; the correlation surface runs from `surface_low` to `_high`."""
+    rows = [(p, n) for p in calibration.placings for n in range(len(p.target_id))]
+    return pa.table(
+        {
+            "strip_id": pa.array([p.strip_id for p, _ in rows], pa.string()),
+            "target_id": pa.array([str(p.target_id[n]) for p, n in rows], pa.string()),
+            "ccd": pa.array([int(p.ccd[n]) for p, n in rows], pa.int64()),
+            **pictures_columns([p.pictures[n] for p, n in rows]),
+        }
+    )
+
+
+def _preview(dump: Dump, calibration: Calibration, settings: Settings) -> StarPreview | None:
+    """The exposure with the most left out of those named; of equals the one in the middle of the mission."""
+    start = np.concatenate([[0], np.cumsum([len(s.hip) for s in calibration.stars])])
+    kept = [calibration.attitudes.kept[a:b].astype(bool) for a, b in pairwise(start)]
+    middle = len(kept) // 2
+    order = sorted(range(len(kept)), key=lambda k: (-int((~kept[k]).sum()), abs(k - middle)))
+    files = {exposure.exposure_id: exposure for exposure in dump.exposures}
+    for k in order[:3]:
+        sighted = calibration.stars[k]
+        exposure, camera = files[sighted.exposure_id], dump.star_camera
+        try:
+            image = exposure_image(exposure, camera, dump.star_bit_depth)
+        except RawDataError:  # gone since it was read: another will do
+            continue
+        return star_preview(image, sighted, kept[k], settings.stars)
+    return None
+
+
+def _exposure(preview: StarPreview | None) -> pa.Table:
+    """One row a detection; the picture and what there is to say once stand in the schema's metadata."""
+    if preview is None:
+        return pa.table({"xy_px": fixed_list(np.zeros((0, 2))), "snr": [], "state": [], "hip": []})
+    about = {
+        "exposure_id": preview.exposure_id,
+        "shrunk": preview.shrunk,
+        "hot_pixels": preview.hot_pixels,
+        "misshapen": preview.misshapen,
+    }
+    table = pa.table(
+        {
+            "xy_px": fixed_list(preview.xy_px),
+            "snr": pa.array(preview.snr),
+            "state": pa.array(preview.state.tolist(), pa.string()),
+            "hip": pa.array(preview.hip),
+        }
+    )
+    return table.replace_schema_metadata(
+        {b"about": json.dumps(about, sort_keys=True).encode(), b"jpeg": preview.jpeg}
+    )

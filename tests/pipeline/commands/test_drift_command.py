@@ -1,0 +1,176 @@
+"""Results of several dumps, written by hand, through the command: files, dates, verdicts, refusals."""
+
+import csv
+import json
+import shutil
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from numpy.testing import assert_allclose
+from scipy.spatial.transform import Rotation
+from typer.testing import CliRunner
+
+from calib.drift import DriftSettings
+from geometry.constants import ARCSEC, DAY_S
+from geometry.epoch import Epoch
+from geometry.installation import deviation_from_theta, theta_between
+from pipeline.cli import app
+from pipeline.drift import drift_of_results
+from pipeline.errors import DataNotSufficientError, RawDataError
+from pipeline.work.unit_store import fixed_list
+
+runner = CliRunner()
+EPOCH = Epoch.from_utc("2024-01-10T03:00:00Z")
+R_CS0 = Rotation.from_euler("xyz", [40, -65, 110], degrees=True)
+THETA = np.array([3e-3, 2e-3, 1e-3])
+SIGMA = np.array([0.15, 0.2, 0.6]) * ARCSEC
+REST = DriftSettings(density_rad2_s=0.0)
+
+
+def write_result(folder, t_s, theta, *, phase=0.0, camera="c0", mission="m", version="0.1.0"):
+    """A finished result, as far as a drift looks at it; theta (3,) rad against the ground's matrix."""
+    R_cs = deviation_from_theta(theta) * R_CS0
+    content = {
+        "quaternion": R_cs.as_quat().tolist(),
+        "theta_rad": list(theta),
+        "covariance_rad2": np.diag(SIGMA**2).tolist(),
+        "version": version,
+    }
+    (folder / "sightings").mkdir(parents=True)
+    (folder / "evidence").mkdir()
+    (folder / "installation.json").write_text(json.dumps(content))
+    epoch_utc = EPOCH.utc_from_seconds(t_s)[0]
+    (folder / "evidence/context.json").write_text(json.dumps({"mission": mission, "epoch_utc": epoch_utc}))
+    exposures = {
+        "exposure_id": ["e1", "e2"],
+        "t_s": [0.0, 20.0],
+        "R_si": fixed_list(np.tile(np.eye(3), (2, 1, 1))),
+        "usable": [True, True],
+    }
+    passes = {
+        "strip_id": ["s1", "s2"],
+        "utc_middle": EPOCH.utc_from_seconds([t_s, t_s + 20.0]),
+        "argument_of_latitude_rad": [phase, phase + 0.02],
+        "camera": [camera, camera],
+    }
+    for name, table in (("exposures", exposures), ("passes", passes)):
+        pq.write_table(pa.table(table), folder / f"sightings/{name}.parquet")
+    return folder
+
+
+def archive(root, months, rng, *, step_after=None, amplitude=0.0):
+    """Monthly results; from month `step_after` + 1 on, theta x is 1" larger."""
+    folders = []
+    for k in range(months):
+        theta = THETA + rng.normal(size=3) * SIGMA
+        theta[0] += ARCSEC if step_after is not None and k > step_after else 0.0
+        phase = rng.uniform(0.0, 2.0 * np.pi)
+        theta[1] += amplitude * np.cos(phase)
+        folders.append(write_result(root / f"m{k:02d}", 30 * DAY_S * k, theta, phase=phase))
+    return folders
+
+
+def test_a_step_of_one_arcsec_between_two_months_is_told_with_its_date(tmp_path):
+    folders = archive(tmp_path, 12, np.random.default_rng(1), step_after=6)
+    out = tmp_path / "out"
+    ran = runner.invoke(app, ["drift", *map(str, reversed(folders)), "--out", str(out)])
+    assert ran.exit_code == 0, ran.output
+    assert "the mounting has moved" in ran.stdout
+    content = json.loads((out / "drift.json").read_text())
+    assert content["moved"] and content["step"]["p_value"] < 1e-6
+    assert (content["step"]["after"], content["step"]["before"]) == (str(folders[6]), str(folders[7]))
+    assert content["step"]["utc"][:10] == "2024-07-23"  # 2024-01-10 and 6.5 times 30 days
+    low, high = content["step"]["utc_interval"]
+    assert "2024-07-08" <= low[:10] < "2024-07-12" and "2024-08-03" < high[:10] <= "2024-08-07"
+    # 1 sigma of the step along x is 0.15" sqrt(1/7 + 1/5) = 0.09"
+    assert content["step"]["theta_rad"][0] / ARCSEC == pytest.approx(1.0, abs=0.3)
+    rows = list(csv.DictReader((out / "drift.csv").open()))
+    assert len(rows) == 36 and rows[0]["utc"] == "2024-01-10T03:00:10Z"
+    assert (out / "drift.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_mounting_at_rest_is_merged_and_gives_no_alarm(tmp_path):
+    folders = archive(tmp_path, 8, np.random.default_rng(2))
+    out = tmp_path / "out"
+    ran = runner.invoke(app, ["drift", *map(str, folders), "--out", str(out)])
+    assert ran.exit_code == 0 and "no sign that the mounting has moved" in ran.stdout, ran.output
+    merged = json.loads((out / "drift.json").read_text())["merged"]
+    assert_allclose(merged["covariance_rad2"], np.diag(SIGMA**2) / 8, atol=1e-20)
+    # 4 sigma of the mean, each axis
+    assert np.all(np.abs(np.array(merged["theta_rad"]) - THETA) < 4.0 * SIGMA / np.sqrt(8))
+    again = theta_between(Rotation.from_quat(merged["quaternion"]), R_CS0)
+    assert_allclose(again, merged["theta_rad"], atol=1e-14)
+
+
+def test_files_are_the_same_bytes_in_whatever_order_results_are_named(tmp_path):
+    folders = [str(path) for path in archive(tmp_path, 5, np.random.default_rng(3))]
+    for out, order in (("a", folders), ("b", [folders[k] for k in (3, 0, 4, 2, 1)])):
+        assert runner.invoke(app, ["drift", *order, "--out", str(tmp_path / out)]).exit_code == 0
+    for name in ("drift.json", "drift.csv"):
+        assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
+
+
+def test_an_orbit_term_is_fitted_when_asked_for(tmp_path):
+    folders = archive(tmp_path, 12, np.random.default_rng(4), amplitude=2.0 * ARCSEC)
+    assert drift_of_results(folders, REST).drift.moved
+    ran = runner.invoke(
+        app, ["drift", *map(str, folders), "--out", str(tmp_path / "out"), "--orbit-phase", "--density", "0"]
+    )
+    assert ran.exit_code == 0 and "no sign" in ran.stdout, ran.output
+    term = json.loads((tmp_path / "out/drift.json").read_text())["orbit_phase"]
+    # 1 sigma is 0.2" sqrt(2/12) = 0.08"
+    assert term["cosine_rad"][1] / ARCSEC == pytest.approx(2.0, abs=0.35)
+
+
+def test_a_result_of_an_earlier_version_is_dated_by_its_reports_notes(tmp_path):
+    folders = archive(tmp_path, 3, np.random.default_rng(5))
+    (folders[1] / "sightings/passes.parquet").unlink()
+    found = drift_of_results(folders, REST)
+    # exposures at 0 and 20 s of its epoch, as the strips of the others
+    assert_allclose(found.drift.series.t_s, 30 * DAY_S * np.arange(3) + 10.0, atol=1e-6)
+    with pytest.raises(DataNotSufficientError, match="orbit phase of 1 calibrations is not known"):
+        drift_of_results(folders, DriftSettings(orbit_phase=True))
+    shutil.rmtree(folders[1] / "evidence")
+    with pytest.raises(RawDataError, match=r"passes\.parquet.*calibrate the dump once more"):
+        drift_of_results(folders, REST)
+
+
+@pytest.mark.parametrize(
+    ("change", "error", "says"),
+    [
+        ({"camera": "c1"}, RawDataError, "camera of version .*one mounting has one pair"),
+        ({"mission": "other"}, RawDataError, "mission: found other"),
+        ({"theta": THETA + 0.1}, DataNotSufficientError, "not one mounting, or not the same frames"),
+        ({"t_s": 0.0}, DataNotSufficientError, "one and the same time"),
+    ],
+)
+def test_results_that_are_not_of_one_mounting_are_refused(tmp_path, change, error, says):
+    first = write_result(tmp_path / "a", 0.0, THETA)
+    other = write_result(tmp_path / "b", **({"t_s": DAY_S, "theta": THETA} | change))
+    with pytest.raises(error, match=says):
+        drift_of_results([first, other], REST)
+
+
+def test_a_camera_is_compared_within_one_version_of_the_program_only(tmp_path):
+    first = write_result(tmp_path / "a", 0.0, THETA)
+    other = write_result(tmp_path / "b", DAY_S, THETA, camera="c1", version="0.2.0")
+    assert not drift_of_results([first, other], REST).drift.moved
+
+
+def test_a_result_named_twice_none_one_or_a_damaged_one_are_refused(tmp_path):
+    first = write_result(tmp_path / "a", 0.0, THETA)
+    other = write_result(tmp_path / "b", DAY_S, THETA)
+    with pytest.raises(RawDataError, match="each result once"):
+        drift_of_results([first, tmp_path / "b" / ".." / "a"], REST)
+    with pytest.raises(DataNotSufficientError, match="0 calibrations"):
+        drift_of_results([], REST)
+    with pytest.raises(DataNotSufficientError, match="1 calibrations"):
+        drift_of_results([first], REST)
+    with pytest.raises(RawDataError, match="nowhere"):
+        drift_of_results([first, tmp_path / "nowhere"], REST)
+    (other / "sightings/passes.parquet").write_bytes(b"PAR1")
+    with pytest.raises(RawDataError, match=r"passes\.parquet"):
+        drift_of_results([first, other], REST)
+    assert runner.invoke(app, ["drift", "--out", str(tmp_path / "out")]).exit_code == 2

@@ -1,0 +1,62 @@
+"""The ground half from the command line: places of a dump's targets, and good targets in an ortho-image."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import numpy as np
+import rasterio
+import rasterio.warp
+from typer.testing import CliRunner
+
+from pipeline.cli import app
+
+MINI = Path(__file__).resolve().parents[3] / "fixtures" / "mini"
+
+
+def test_match_places_the_targets_of_one_strip_and_draws_them(tmp_path: Path):
+    out, overlay = tmp_path / "places.csv", tmp_path / "overlay"
+    arguments = ["match", str(MINI), "--strip", "s01", "--out", str(out), "--overlay", str(overlay)]
+    outcome = CliRunner().invoke(app, [*arguments, "--workers", "1"])
+    assert outcome.exit_code == 0, outcome.output
+    with out.open(encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    placed = [row for row in rows if row["outcome"] == "placed"]
+    assert {row["strip_id"] for row in rows} == {"s01"}
+    assert len(placed) >= 10
+    assert len(list(overlay.glob("*.png"))) == len(placed)
+    assert all(float(row["sigma_sample_px"]) < 0.1 for row in placed)
+
+
+def test_suggested_targets_are_a_list_that_a_dump_can_have(tmp_path: Path):
+    rng = np.random.default_rng(4)
+    image = np.kron(rng.integers(20, 230, (40, 50)), np.ones((12, 12))) + rng.normal(0.0, 1.0, (480, 600))
+    ortho = tmp_path / "ortho.tif"
+    profile = {
+        "driver": "GTiff",
+        "width": 600,
+        "height": 480,
+        "count": 1,
+        "dtype": "uint8",
+        "crs": "EPSG:32633",
+    }
+    with rasterio.open(ortho, "w", **profile, transform=rasterio.Affine(0.5, 0, 4e5, 0, -0.5, 5e6)) as file:
+        file.write(np.clip(image, 0, 255).astype(np.uint8), 1)
+    out = tmp_path / "targets"
+    arguments = ["targets", "suggest", str(ortho), "--out", str(out), "--size-px", "64", "--most", "5"]
+    outcome = CliRunner().invoke(app, [*arguments, "--height-m", "310"])
+    assert outcome.exit_code == 0, outcome.output
+    with (out / "targets.csv").open(encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == 5
+    assert {row["height_m"] for row in rows} == {"310.000"}
+    for row in rows:
+        with rasterio.open(out / row["chip"]) as chip:
+            assert chip.shape == (64, 64)
+            east, north = chip.transform @ (32.5, 32.5)
+            lon, lat = rasterio.warp.transform("EPSG:32633", "EPSG:4326", [east], [north])
+        # the list has nine decimals of a degree: 0.1 mm
+        np.testing.assert_allclose(
+            [float(row["lon_deg"]), float(row["lat_deg"])], [lon[0], lat[0]], atol=2e-9
+        )

@@ -1,0 +1,112 @@
+"""A real sensor: the operator's own location grid of a Pleiades strip; and damaged files."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rasterio
+
+from geometry.constants import WGS84
+from geometry.earth_orientation import bundled_earth_orientation
+from geometry.geodesy import ecef_from_geodetic
+from geometry.groundlight import LightEffects
+from geometry.terrain import ConstantHeight
+from pipeline.errors import RawDataError
+from pipeline.files.dimap import read_dimap
+
+REAL = Path(__file__).parents[3] / ".." / "shared" / "data" / "pleiades"
+DIMAP = REAL / "PHRDIMAP_P1BP--2018122638935449CP.XML"
+GRID = REAL / "GRID_P1BP--2018122638935449CP.tif"
+OFF = LightEffects(light_time=False, aberration=False, refraction=False)  # the operator left them out
+
+needs_real_data = pytest.mark.skipif(
+    not (DIMAP.exists() and GRID.exists()),
+    reason=f"the real Pleiades metadata and location grid are not there: {REAL}",
+)
+
+
+@pytest.fixture(scope="module")
+def strip():
+    return read_dimap(DIMAP, bundled_earth_orientation(), OFF)
+
+
+@pytest.fixture(scope="module")
+def operator_grid():
+    """Samples and lines of 65 x 65 nodes, altitudes (9,), places of the nodes at each altitude (9, N, 3)."""
+    with rasterio.open(GRID) as raster:
+        bands, tags, t = raster.read(), raster.tags(), raster.transform
+    column, row = (axis.ravel() for axis in np.meshgrid(np.arange(65), np.arange(65)))
+    # the grid's origin (0.5, 0.5) is the centre of the first pixel, which is (0, 0) here
+    sample, line = t.a * column + t.c - 0.5, t.e * row + t.f - 0.5
+    altitudes = np.array([float(tags[f"ALTITUDE_B{2 * k}"]) for k in range(9)])
+    places = [
+        ecef_from_geodetic(np.radians(bands[2 * k + 1].ravel()), np.radians(bands[2 * k].ravel()), h, WGS84)
+        for k, h in enumerate(altitudes)
+    ]
+    return sample, line, altitudes, np.array(places)
+
+
+@needs_real_data
+def test_pixels_of_a_real_strip_lie_where_its_operator_puts_them(strip, operator_grid):
+    # 1 mm rms is what the metadata's own rounding (positions to 1 mm) allows; measured: 0.2 mm.
+    sample, line, altitudes, places = operator_grid
+    for altitude, operator in zip(altitudes, places):
+        ours = strip.pushbroom.ground_points(0, sample, line, ConstantHeight(altitude))
+        assert np.sqrt(((ours - operator) ** 2).sum(axis=1).mean()) < 1e-3  # m
+
+
+@needs_real_data
+def test_places_of_the_operator_are_found_in_the_pixels_he_gives_them(strip, operator_grid):
+    # 1 mm at 0.7 m per pixel is 0.0015 px.
+    sample, line, _, places = operator_grid
+    for k in (0, 4, 8):
+        inside = slice(65 * 3, -65 * 3)
+        found = strip.pushbroom.pixels_from_ground(0, places[k][inside])
+        assert np.abs(found[0] - sample[inside]).max() < 2e-3
+        assert np.abs(found[1] - line[inside]).max() < 2e-3
+
+
+@needs_real_data
+def test_light_effects_move_the_real_strip_by_what_physics_says(strip, operator_grid):
+    # Aberration: v/c times 695 km of range = 17.7 m; light time: 0.46 km/s cos(31 deg) times 2.3 ms.
+    sample, line, altitudes, places = operator_grid
+    for effects, low, high in (
+        (LightEffects(light_time=False, aberration=True, refraction=False), 17.0, 18.5),
+        (LightEffects(light_time=True, aberration=False, refraction=False), 0.85, 1.0),
+    ):
+        seen = read_dimap(DIMAP, bundled_earth_orientation(), effects)
+        moved = seen.pushbroom.ground_points(0, sample, line, ConstantHeight(altitudes[0])) - places[0]
+        size = np.linalg.norm(moved, axis=1)
+        assert low < size.min() and size.max() < high
+
+
+@needs_real_data
+@pytest.mark.parametrize(
+    ("old", "new", "field"),
+    [
+        ("<OFFSET>38936.90625</OFFSET>", "", "OFFSET"),
+        ("<OFFSET>38936.90625</OFFSET>", "<OFFSET>nan</OFFSET>", "OFFSET"),
+        ("0.0735<", "-1<", "SENSOR_LINE_PERIOD"),
+        ("2018-12-26T10:48:55.4490000Z", "yesterday", "START"),
+        ("10:47:23.000000Z</UTC_TIME>", "10:46:23.000000Z</UTC_TIME>", "UTC_TIME"),
+        ('<LOCATION_VALUES unit="m">5447304.949 ', '<LOCATION_VALUES unit="m">', "LOCATION_VALUES"),
+        ("<NCOLS>40000<", "<NCOLS>-5<", "NCOLS"),
+        ("<PHR_Dimap_Document>", "<!DOCTYPE d [<!ENTITY a 'b'>]><PHR_Dimap_Document>", "XML"),
+        ("</PHR_Dimap_Document>", "", "XML"),
+    ],
+)
+def test_damaged_metadata_is_refused_by_file_and_field(tmp_path, old, new, field):
+    text = DIMAP.read_text()
+    assert old in text
+    damaged = tmp_path / "damaged.xml"
+    damaged.write_text(text.replace(old, new))
+    with pytest.raises(RawDataError) as error:
+        read_dimap(damaged, bundled_earth_orientation(), OFF)
+    assert field in error.value.field and error.value.file == "damaged.xml"
+
+
+def test_entities_are_never_expanded(tmp_path):
+    bomb = tmp_path / "bomb.xml"
+    bomb.write_text('<?xml version="1.0"?><!DOCTYPE x [<!ENTITY a "aaaa"><!ENTITY b "&a;&a;">]><x>&b;</x>')
+    with pytest.raises(RawDataError, match="without DTD"):
+        read_dimap(bomb, bundled_earth_orientation(), OFF)

@@ -1,0 +1,89 @@
+"""A simulated mission comes back from its dump as it was, and its truth lies in one folder alone."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from geometry.constants import ARCSEC
+from pipeline.files.dump import Dump, open_dump
+from pipeline.files.dump_writer import write_dump
+from pipeline.files.image_files import read_exposure
+from pipeline.files.scenario_file import fly, named_scenario
+from simulator.records import Mission
+
+SMALL = (
+    "strips.count=1",
+    "strips.lines=300",
+    "strips.exposure_lead_s=0.1",
+    "star_camera.width_px=128",
+    "star_camera.height_px=96",
+    "star_camera.principal_px=[64.0, 48.0]",
+    "targets.per_strip=2",
+    "targets.check_points_per_strip=3",
+    "targets.chip_size_px=48",
+    "sky.bits=12",
+)
+
+
+@pytest.fixture(scope="module")
+def flown(tmp_path_factory: pytest.TempPathFactory) -> tuple[Mission, Path, Dump]:
+    root = tmp_path_factory.mktemp("written") / "dump"
+    mission = fly(named_scenario("mini", SMALL), 3)
+    write_dump(mission, root, created_by="a test")
+    return mission, root, open_dump(root)
+
+
+def test_cameras_and_matrix_come_back_to_fourteen_digits(flown: tuple[Mission, Path, Dump]) -> None:
+    mission, _, dump = flown
+    xy = np.array([[0.0, 0.0], [100.0, 30.0]])
+    expected = mission.star_camera.directions_from_pixels(xy)
+    assert np.allclose(dump.star_camera.directions_from_pixels(xy), expected, atol=1e-15)
+    for ccd in range(mission.line_camera.n_ccds):
+        expected = mission.line_camera.directions_from_pixels(ccd, np.array([0.0, 100.0, 500.0]))
+        got = dump.line_camera.directions_from_pixels(ccd, np.array([0.0, 100.0, 500.0]))
+        assert np.allclose(got, expected, atol=1e-14)  # rad: 1e-10 px
+    assert (dump.R_cs0 * mission.installation.R_cs.inv()).magnitude() < 1e-15
+    assert dump.errors.vibration_arcsec * ARCSEC == mission.errors.vibration_arcsec * ARCSEC
+
+
+def test_times_and_orbit_come_back_to_the_nanosecond_and_the_micrometre(
+    flown: tuple[Mission, Path, Dump],
+) -> None:
+    mission, _, dump = flown
+    shift = mission.epoch.tai_s - dump.epoch.tai_s
+    assert np.allclose([e.t_s - shift for e in dump.exposures], [e.t_s for e in mission.exposures], atol=1e-9)
+    assert dump.strips[0].t_first_row_s - shift == pytest.approx(mission.strips[0].t_first_row_s, abs=1e-9)
+    assert np.allclose(dump.orbit.t_s - shift, mission.orbit.t_s, atol=1e-9)
+    assert np.allclose(dump.orbit.positions_m, mission.orbit.positions_m, atol=1e-6)
+    assert np.allclose(dump.orbit.velocities_m_s, mission.orbit.velocities_m_s, atol=1e-9)
+
+
+def test_pixels_come_back_as_rendered(flown: tuple[Mission, Path, Dump]) -> None:
+    mission, _, dump = flown
+    exposure = dump.exposures[0]
+    read = read_exposure(exposure.path, exposure.file, width=128, height=96, bit_depth=12)
+    assert np.array_equal(read, mission.exposures[0].image())
+    strip = next(s for s in mission.strips if s.ccd == 2)
+    assert np.array_equal(dump.strips[0].images.read(2, 0, 300, 0, 512), np.vstack(list(strip.blocks(128))))
+    assert dump.omissions == ()
+    assert [t.target_id for t in dump.targets] == [t.target_id for t in mission.targets]
+
+
+def test_truth_is_in_its_folder_and_nowhere_else(flown: tuple[Mission, Path, Dump]) -> None:
+    mission, root, _ = flown
+    truth = tomllib.loads((root / "truth" / "installation.toml").read_text())
+    assert np.allclose(truth["theta_rad"], mission.truth.theta_rad)
+    number = f"{truth['quaternion_cs'][0]:.12f}"
+    for path in root.rglob("*"):
+        if path.is_file() and path.suffix in (".toml", ".csv", ".oem") and path.parent.name != "truth":
+            assert number not in path.read_text(), path
+
+
+def test_folder_with_something_in_it_is_not_written_over(flown: tuple[Mission, Path, Dump]) -> None:
+    mission, root, _ = flown
+    with pytest.raises(FileExistsError, match="is there already"):
+        write_dump(mission, root, created_by="a test")

@@ -1,0 +1,135 @@
+"""What is saved for the report: it agrees with the estimate, and its predictions with its residuals."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+
+import cv2
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from pytest import approx
+from scipy.spatial.transform import Rotation
+
+from calib.campaign import CameraPair, StripPlan, draw_strips, installation_by_tilt
+from calib.settings import CalibrationSettings
+from geometry.sightings import StarSightings, isotropic_covariance
+from pipeline.angles import StripMotion, cross_angles
+from pipeline.report.star_preview import star_preview
+from star_id.settings import StarSettings
+
+
+def table(finished, name):
+    return pq.read_table(finished[1] / "evidence" / f"{name}.parquet")
+
+
+def test_convergence_ends_at_the_result(finished):
+    installation = json.loads((finished[1] / "installation.json").read_text())
+    steps = table(finished, "convergence").to_pylist()
+    sigma = np.sqrt(np.diag(installation["covariance_rad2"]))
+    assert steps[-1]["sigma_rad"] == approx(sigma, rel=1e-6)
+    assert np.abs(steps[-1]["theta_rad"]).max() < 0.02 * sigma.max()  # about the last iteration's matrix
+    assert (steps[-1]["frames"], steps[-1]["targets"]) == (installation["frames"], installation["targets"])
+
+
+def test_checksums_are_those_of_the_files(finished):
+    for row in table(finished, "inputs").to_pylist():
+        content = (finished[0] / row["file"]).read_bytes()
+        assert (row["bytes"], row["whole"]) == (len(content), True)
+        assert row["sha256"] == hashlib.sha256(content).hexdigest()
+
+
+def test_pictures_of_a_match_show_the_same_place(finished):
+    for row in table(finished, "matches").to_pylist():
+        template, found, surface = (
+            cv2.imdecode(np.frombuffer(row[name], np.uint8), cv2.IMREAD_UNCHANGED)
+            for name in ("template_png", "found_png", "surface_png")
+        )
+        assert template.shape == found.shape and surface.ndim == 2
+        inner = (slice(8, -8), slice(8, -8))
+        assert np.corrcoef(template[inner].ravel(), found[inner].ravel())[0, 1] > 0.8
+        assert -1.0 <= row["surface_low"] < row["surface_high"] <= 1.001
+
+
+def test_spread_of_cross_angles_is_the_predicted_one():
+    # Vectors drawn with white errors only: z over its prediction has unit variance. The pairs of one target
+    # share its error, so 8 x 12 targets count: 1 / sqrt(2 * 96) = 7 %, three times that holds.
+    plan = StripPlan(strips=8, wave_rad=(0.0, 0.0))
+    settings = CalibrationSettings(
+        sigma_position_m=0.0, sigma_clock_s=0.0, sigma_vibration_rad=0.0, sigma_distortion_rad=0.0
+    )
+    R_cs = installation_by_tilt(np.radians(15.0))
+    strips, _ = draw_strips(plan, CameraPair(R_cs), np.random.default_rng(4))
+    motions = [motion_of(strip) for strip in strips]
+    angles = cross_angles(motions, R_cs, settings)
+    assert len(angles.z) > 2000
+    assert np.std(angles.z / angles.sigma) == approx(1.0, abs=0.21)
+    wrong = cross_angles(motions, Rotation.from_rotvec([0.0, 3e-5, 0.0]) * R_cs, settings)
+    assert np.std(wrong.z / wrong.sigma) > 2.0  # and it shows a matrix that is off by 6 arcsec
+
+
+class Still:
+    """A nominal motion that an `AttitudeTrack` may ask, interpolated from the strip's own."""
+
+    def __init__(self, strip):
+        self.t = np.array([e.t_s for e in strip.exposures])
+        self.R = strip.R_oi_exposures
+        self.rate = (self.R[-1] * self.R[0].inv()).as_rotvec() / (self.t[-1] - self.t[0])
+
+    def R_oi(self, t_s):
+        return Rotation.from_rotvec(np.outer(np.asarray(t_s) - self.t[0], self.rate)) * self.R[0]
+
+
+def motion_of(strip):
+    attitudes, covariances = [], []
+    for exposure in strip.exposures:
+        weight = 0.5 * np.trace(exposure.cov_s, axis1=1, axis2=2)
+        attitudes.append(Rotation.align_vectors(exposure.u_s, exposure.u_i, weights=1.0 / weight)[0])
+        u = exposure.u_s
+        information = ((np.eye(3) - u[:, :, None] * u[:, None, :]) / weight[:, None, None]).sum(axis=0)
+        covariances.append(np.linalg.inv(information))
+    return StripMotion(
+        strip,
+        Still(strip),
+        Rotation.concatenate(attitudes),
+        np.array(covariances),
+        tuple(np.ones(len(e.hip), dtype=bool) for e in strip.exposures),
+        np.ones(len(strip.ground.target_id), dtype=bool),
+    )
+
+
+def test_detections_of_the_star_image_are_told_apart():
+    rng = np.random.default_rng(6)
+    places = np.array([[30.2, 40.7], [80.5, 20.1], [120.9, 90.3], [60.0, 100.4]])
+    y, x = np.mgrid[:128, :160]
+    image = rng.normal(20.0, 2.0, (128, 160))
+    for (cx, cy), flux in zip(places, (900.0, 1500.0, 1200.0, 700.0)):
+        image += flux / (2 * np.pi) * np.exp(-0.5 * ((x - cx) ** 2 + (y - cy) ** 2))
+    raw = np.clip(np.round(image), 0, 255).astype(np.uint16)
+    found = star_preview(raw, sighted_at(np.zeros((0, 2))), np.zeros(0, dtype=bool), StarSettings()).xy_px
+    named = np.array([found[np.argmin(np.linalg.norm(found - place, axis=1))] for place in places[:2]])
+    preview = star_preview(raw, sighted_at(named), np.array([True, False]), StarSettings())
+    state = {
+        n: preview.state[np.argmin(np.linalg.norm(preview.xy_px - p, axis=1))] for n, p in enumerate(places)
+    }
+    assert state == {0: "used", 1: "rejected", 2: "unused", 3: "unused"}
+    assert sorted(preview.hip[preview.hip > 0].tolist()) == [101, 102]
+    picture = cv2.imdecode(np.frombuffer(preview.jpeg, np.uint8), cv2.IMREAD_UNCHANGED)
+    assert picture.shape == (128, 160) and preview.shrunk == 1
+
+
+def sighted_at(xy_px):
+    n = len(xy_px)
+    u = np.tile([0.0, 0.0, 1.0], (n, 1))
+    return StarSightings("E1", 0.0, 101 + np.arange(n), xy_px, u, u, isotropic_covariance(u, 1e-6))
+
+
+@pytest.mark.parametrize("side", [3000, 5000])
+def test_a_large_star_image_is_shown_by_its_brightest_pixels(side):
+    image = np.full((64, side), 10, dtype=np.uint16)
+    image[32, side // 2] = 255
+    preview = star_preview(image, sighted_at(np.zeros((0, 2))), np.zeros(0, dtype=bool), StarSettings())
+    picture = cv2.imdecode(np.frombuffer(preview.jpeg, np.uint8), cv2.IMREAD_UNCHANGED)
+    assert max(picture.shape) <= 2048 and preview.shrunk == (2 if side == 3000 else 4)
+    assert picture.max() > 150

@@ -1,0 +1,87 @@
+"""A unit is found again by everything that it was made from, and by nothing else."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pytest
+from scipy.spatial.transform import Rotation
+
+from pipeline.work.unit_store import UnitStore, digest, fixed_list, list_values, program, read_meta
+
+
+@dataclass(frozen=True)
+class Task:
+    name: str
+    values: np.ndarray
+    turn: Rotation
+    file: Path
+    settings: dict
+
+
+def task(tmp_path: Path, **changes: object) -> Task:
+    (tmp_path / "image").write_bytes(b"pixels")
+    parts = {
+        "name": "e1",
+        "values": np.arange(3.0),
+        "turn": Rotation.from_rotvec([0.1, 0.2, 0.3]),
+        "file": tmp_path / "image",
+        "settings": {"a": 1, "b": 2.5},
+    }
+    return Task(**(parts | changes))
+
+
+def test_digest_changes_with_every_part_and_only_then(tmp_path: Path) -> None:
+    (tmp_path / "copy").write_bytes(b"pixels")
+    (tmp_path / "other").write_bytes(b"pixelz")
+    same = [
+        task(tmp_path),
+        task(tmp_path),
+        task(tmp_path, file=tmp_path / "copy"),
+        task(tmp_path, settings={"b": 2.5, "a": 1}),
+    ]
+    assert len({digest(t) for t in same}) == 1
+    others = [
+        task(tmp_path, name="e2"),
+        task(tmp_path, values=np.nextafter(np.arange(3.0), 9.0)),
+        task(tmp_path, values=np.arange(3.0).reshape(3, 1)),
+        task(tmp_path, values=np.arange(3.0, dtype=np.float32)),
+        task(tmp_path, turn=Rotation.from_rotvec([0.1, 0.2, 0.3 + 1e-15])),
+        task(tmp_path, file=tmp_path / "other"),
+        task(tmp_path, file=tmp_path / "missing"),
+        task(tmp_path, settings={"a": 1, "b": 2.5000000000000004}),
+    ]
+    assert len({digest(t) for t in [*same, *others]}) == 1 + len(others)
+
+
+def test_what_has_no_digest_is_refused() -> None:
+    with pytest.raises(TypeError, match="no digest for a set"):
+        digest({1, 2})
+
+
+def test_program_is_its_version_and_the_source_that_a_stage_rests_on() -> None:
+    assert program("geometry", "star_id") != program("geometry", "gct_match")
+    assert program("geometry", "star_id") == program("geometry", "star_id")
+
+
+def test_unit_is_read_back_bit_for_bit_and_replaces_its_predecessor(tmp_path: Path) -> None:
+    store, values = UnitStore(tmp_path), np.random.default_rng(2).normal(size=(4, 3, 3))
+    table = pa.table({"cov": fixed_list(values)})
+    store.write("stage", "s.1", "old", table, {"id": "s.1", "t_s": 0.1 + 0.2})
+    store.write("stage", "s.1.x", "old", table, {"id": "s.1.x"})
+    store.write("stage", "s.1", "new", table, {"id": "s.1", "t_s": 0.1 + 0.2})
+    assert store.read("stage", "s.1", "old") is None
+    assert store.read("stage", "s.1.x", "old") is not None
+    back = store.read("stage", "s.1", "new")
+    assert np.array_equal(list_values(back, "cov", 3, 3), values)
+    assert read_meta(back) == {"id": "s.1", "t_s": 0.1 + 0.2}
+    (tmp_path / "stage" / "s.1.new.parquet").write_bytes(b"PAR1 damaged")
+    assert store.read("stage", "s.1", "new") is None
+
+
+def test_no_rows_keep_their_shape() -> None:
+    table = pa.table({"cov": fixed_list(np.zeros((0, 2, 2)))})
+    assert list_values(table, "cov", 2, 2).shape == (0, 2, 2)

@@ -1,0 +1,108 @@
+"""Other processes, killed processes, full disks: the same result, and nothing finished is lost."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from pipeline.work.executor import InOrder
+from pipeline.work.workers import executor_for
+
+BORESIGHT = (sys.executable, "-c", "from pipeline.cli import main; main()")
+
+
+def calibrate(dump: Path, out: Path, *more: str, limit: str = "") -> subprocess.CompletedProcess:
+    command = [*BORESIGHT, "calibrate", str(dump), "--out", str(out), *more]
+    if limit:
+        command = ["bash", "-c", f'{limit}; exec "$@"', "bash", *command]
+    command.append("--no-report")
+    return subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
+
+
+@pytest.fixture
+def undisturbed(finished: tuple[Path, Path]) -> tuple[Path, bytes]:
+    """One strip of the fixture and the installation.json that one process makes of it."""
+    dump, result = finished
+    return dump, (result / "installation.json").read_bytes()
+
+
+def test_cluster_by_address_gives_the_same_bytes(undisturbed: tuple[Path, bytes], tmp_path: Path) -> None:
+    from distributed import LocalCluster
+
+    dump, expected = undisturbed
+    options = {
+        "processes": True,
+        "threads_per_worker": 1,
+        "dashboard_address": "127.0.0.1:0",
+        "silence_logs": 50,
+    }
+    with LocalCluster(n_workers=2, **options) as cluster:
+        outcome = calibrate(dump, tmp_path, "--scheduler", cluster.scheduler_address)
+    assert outcome.returncode == 0, outcome.stderr
+    assert (tmp_path / "installation.json").read_bytes() == expected
+
+
+def test_run_killed_at_any_moment_goes_on_to_the_same_bytes(
+    undisturbed: tuple[Path, bytes], tmp_path: Path
+) -> None:
+    dump, expected = undisturbed
+    command = [*BORESIGHT, "calibrate", str(dump), "--out", str(tmp_path), "--workers", "1", "--no-report"]
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    while process.poll() is None and len(list(tmp_path.glob("work/*/*.parquet"))) < 9:
+        time.sleep(0.005)
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    kept = {path: path.stat().st_mtime_ns for path in tmp_path.glob("work/*/*.parquet")}
+    assert 9 <= len(kept) < 16
+    outcome = calibrate(dump, tmp_path, "--workers", "1")
+    assert outcome.returncode == 0, outcome.stderr
+    assert (tmp_path / "installation.json").read_bytes() == expected
+    assert all(path.stat().st_mtime_ns == made for path, made in kept.items())  # nothing was made twice
+    status = subprocess.run([*BORESIGHT, "status", str(tmp_path)], capture_output=True, text=True, check=True)
+    assert "exposures     14 done" in status.stdout and "\nfinished" in status.stdout
+
+
+def test_full_disk_stops_with_a_message_and_the_next_run_goes_on(
+    undisturbed: tuple[Path, bytes], tmp_path: Path
+) -> None:
+    # A limit of 8 KiB a file stands for a full disk: the first unit that is larger cannot be written.
+    dump, expected = undisturbed
+    outcome = calibrate(dump, tmp_path, "--workers", "1", limit="ulimit -f 8")
+    assert outcome.returncode == 1
+    assert "error:" in outcome.stderr and "too large" in outcome.stderr, outcome.stderr
+    assert "Traceback" not in outcome.stderr
+    assert not (tmp_path / "installation.json").exists()
+    assert not list(tmp_path.rglob("*.tmp"))
+    assert calibrate(dump, tmp_path, "--workers", "1").returncode == 0
+    assert (tmp_path / "installation.json").read_bytes() == expected
+
+
+def test_unit_whose_process_dies_is_done_by_another(tmp_path: Path) -> None:
+    marker = tmp_path / "died once"
+
+    def fragile(number: int) -> int:
+        import os as system
+        from pathlib import Path as File
+
+        if number == 2 and not File(marker).exists():
+            File(marker).touch()
+            system.kill(system.getpid(), 9)
+        return number * number
+
+    counts: list[int] = []
+    with executor_for(2, None, 0) as executor:
+        assert executor.map(fragile, [0, 1, 2, 3], counts.append) == [0, 1, 4, 9]
+    assert marker.exists()
+    assert counts[-1] == 4
+
+
+def test_one_worker_is_this_process() -> None:
+    with executor_for(1, None, 10**12) as executor:
+        assert isinstance(executor, InOrder)
+        assert executor.map(lambda n: (n, os.getpid()), [3], lambda n: None) == [(3, os.getpid())]
