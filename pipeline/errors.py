@@ -50,6 +50,9 @@ class Omission:
 
 def _short(found: object) -> str:
     """What was found, as one printable line of bounded length: a hostile file must not flood a terminal."""
-    text = found if isinstance(found, str) else repr(found)
+    try:
+        text = found if isinstance(found, str) else repr(found)
+    except (ValueError, RecursionError):  # an integer of thousands of digits
+        text = f"a {type(found).__name__} too long to be shown"
     text = "".join(c if c.isprintable() else repr(c)[1:-1] for c in text[:200])
     return text if len(text) <= 160 else text[:157] + "..."

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
 import pyarrow.parquet as pq
 
 from geometry.constants import WGS84
@@ -26,6 +27,7 @@ from pipeline.exports.matrix_json import matrix_json
 from pipeline.exports.spice_frame import SpiceFrames, frame_kernel
 from pipeline.exports.star_fits import centroids_fits
 from pipeline.files.dump import surface_of
+from pipeline.files.table_files import fixed, read_parquet
 from pipeline.result import read_result
 from pipeline.strip_model import Calibrated, StripModel, open_calibrated, strip_model
 from pipeline.work.unit_store import column, list_values
@@ -116,12 +118,30 @@ def _qgis(request: ExportRequest) -> Made:
 def _fits(request: ExportRequest) -> Made:
     calibrated = _opened(request)
     path = request.result / "sightings" / "stars.parquet"
+    read_parquet(path, STARS)  # damage is told; the groups are read one by one
     file = pq.ParquetFile(path)
     exposures = [_exposure(file, group) for group in range(file.num_row_groups)]
     found = [exposure for exposure in exposures if exposure is not None]
     yield "centroids.fits", centroids_fits(found, calibrated.dump.epoch, calibrated.dump.mission)
 
 
+TARGETS = {
+    "strip_id": pa.string(),
+    "target_id": pa.string(),
+    "ccd": pa.int64(),
+    "kept": pa.bool_(),
+    "xy_px": fixed(2),
+    "cov_px": fixed(4),
+}
+STARS = {
+    "exposure_id": pa.string(),
+    "t_s": pa.float64(),
+    "hip": pa.int64(),
+    "xy_px": fixed(2),
+    "u_s": fixed(3),
+    "u_i": fixed(3),
+    "cov_s": fixed(9),
+}
 FORMATS: dict[str, Callable[[ExportRequest], Made]] = {
     "spice": _spice,
     "aem": _aem,
@@ -174,7 +194,7 @@ def _exposure(file: pq.ParquetFile, group: int) -> StarSightings | None:
 def _ground_points(request: ExportRequest) -> list[GroundPoints]:
     """Placed targets, one record for each CCD of each strip."""
     calibrated = _opened(request)
-    table = pq.read_table(request.result / "sightings" / "targets.parquet")
+    table = read_parquet(request.result / "sightings" / "targets.parquet", TARGETS)
     strips = np.array(table.column("strip_id").to_pylist(), dtype=str)
     names = np.array(table.column("target_id").to_pylist(), dtype=str)
     ccd, kept = column(table, "ccd"), column(table, "kept").astype(bool)

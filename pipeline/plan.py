@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -12,9 +11,8 @@ import pandas as pd
 from calib.campaign import CameraPair, StripPlan, installation_by_tilt
 from calib.forecast import Forecast, forecast
 from geometry.constants import ARCSEC
-from pipeline.errors import RawDataError
 from pipeline.experiments.plots import plot_forecast
-from pipeline.files.text_files import read_text
+from pipeline.files.text_files import toml_tables
 from pipeline.settings import filled
 
 __all__ = ["Plan", "PlanForecast", "forecast_plan", "read_plan", "write_forecast"]
@@ -91,12 +89,7 @@ class PlanForecast:
 
 def read_plan(path: Path) -> Plan:
     """The plan of a TOML file; `RawDataError` names what it does not know."""
-    name = str(path)
-    try:
-        tables = tomllib.loads(read_text(path, name))
-    except tomllib.TOMLDecodeError as error:
-        raise RawDataError(name, "TOML", str(error), "a TOML file") from error
-    return filled(Plan, tables, name, "plan")
+    return filled(Plan, toml_tables(path, str(path)), str(path), "plan")
 
 
 def forecast_plan(plan: Plan, target_arcsec: float | None = None) -> PlanForecast:

@@ -8,12 +8,11 @@ itself.
 from __future__ import annotations
 
 import dataclasses
-import tomllib
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeVar, get_type_hints
 
-from pydantic import TypeAdapter, ValidationError
+from pydantic import ConfigDict, TypeAdapter, ValidationError
 
 from calib.settings import CalibrationSettings
 from gct_match.settings import MatchSettings
@@ -21,12 +20,13 @@ from geometry.constants import ARCSEC
 from geometry.line_camera import LineCamera
 from pipeline.errors import RawDataError
 from pipeline.files.dump_schema import Errors
-from pipeline.files.text_files import read_text
+from pipeline.files.text_files import toml_tables
 from star_id.settings import StarSettings
 
 __all__ = ["RunSettings", "Settings", "calibration_settings", "read_settings", "settings_from_tables"]
 
 Record = TypeVar("Record")
+FINITE = ConfigDict(allow_inf_nan=False)
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,12 +67,7 @@ def read_settings(path: Path | None) -> Settings:
     """
     if path is None:
         return Settings()
-    name = str(path)
-    try:
-        tables = tomllib.loads(read_text(path, name))
-    except (tomllib.TOMLDecodeError, RecursionError) as error:
-        raise RawDataError(name, "text", str(error), "TOML 1.0") from error
-    return settings_from_tables(tables, name)
+    return settings_from_tables(toml_tables(path, str(path)), str(path))
 
 
 def settings_from_tables(tables: dict[str, Any], file: str) -> Settings:
@@ -82,7 +77,7 @@ def settings_from_tables(tables: dict[str, Any], file: str) -> Settings:
         if section not in expected:
             raise RawDataError(file, section, "an unknown section", f"one of {', '.join(expected)}")
         if not isinstance(content, dict):
-            raise RawDataError(file, section, repr(content), "a table")
+            raise RawDataError(file, section, content, "a table")
     calibration = tables.get("calibration", {})
     filled(CalibrationSettings, calibration, file, "calibration")
     return Settings(
@@ -117,16 +112,16 @@ def filled(kind: type[Record], values: dict[str, Any], file: str, section: str) 
             )
         if dataclasses.is_dataclass(hints[key]):
             if not isinstance(value, dict):
-                raise RawDataError(file, f"{section}.{key}", repr(value), "a table")
+                raise RawDataError(file, f"{section}.{key}", value, "a table")
             taken[key] = filled(hints[key], value, file, f"{section}.{key}")
             continue
         try:
-            taken[key] = TypeAdapter(hints[key]).validate_python(
+            taken[key] = TypeAdapter(hints[key], config=FINITE).validate_python(
                 tuple(value) if isinstance(value, list) else value, strict=True
             )
         except ValidationError as error:
             expected = error.errors(include_url=False)[0]["msg"]
-            raise RawDataError(file, f"{section}.{key}", repr(value), expected) from error
+            raise RawDataError(file, f"{section}.{key}", value, expected) from error
     try:
         return kind(**taken)
     except ValueError as error:

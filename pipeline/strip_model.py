@@ -5,12 +5,10 @@ exports.
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from geometry.attitude import AttitudeTrack
@@ -19,8 +17,10 @@ from geometry.pushbroom import Pushbroom, RowClock
 from pipeline.errors import DataNotSufficientError, RawDataError
 from pipeline.files.dump import Dump, Strip, open_dump
 from pipeline.files.dump_schema import DumpFile
-from pipeline.files.text_files import read_text, read_toml
+from pipeline.files.table_files import fixed, read_parquet
+from pipeline.files.text_files import read_json, read_toml
 from pipeline.result import SavedResult, read_result
+from pipeline.settings import RunSettings, filled
 from pipeline.work.unit_store import list_values
 
 __all__ = ["Calibrated", "StripModel", "open_calibrated", "strip_model"]
@@ -37,6 +37,7 @@ class Calibrated:
     attitude_covariance_s: Array  # (K, 3, 3) of the result's exposures, rad², frame s
     effects: LightEffects  # those that the calibration took into account
     sigma_terrain_m: float  # of the heights; 0 without a terrain model, where it is not known
+    exposure_margin_s: float  # exposures so far around a strip belong to it
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -51,14 +52,15 @@ class StripModel:
 def open_calibrated(result: Path, dump: Path | None, *, allow_stale_eop: bool = False) -> Calibrated:
     """A finished result with its dump: the one given, or else the one that the run's notes name."""
     saved = read_result(result)
-    table = pq.read_table(result / "sightings" / "exposures.parquet", columns=["covariance_s"])
-    run = saved.installation["settings"]["run"]
-    effects = LightEffects(run["geometric_light_time"], run["aberration"], run["refraction"])
+    table = read_parquet(result / "sightings" / "exposures.parquet", {"covariance_s": fixed(9)})
+    run = _run_settings(saved, result)
+    effects = LightEffects(run.geometric_light_time, run.aberration, run.refraction)
     root = dump if dump is not None else _noted_dump(result)
     opened = open_dump(root, allow_stale_eop=allow_stale_eop)
     terrain = read_toml(opened.root / "dump.toml", DumpFile, "dump.toml").terrain
     sigma_m = terrain.sigma_m if terrain is not None else 0.0
-    return Calibrated(saved, opened, list_values(table, "covariance_s", 3, 3), effects, sigma_m)
+    covariance = list_values(table, "covariance_s", 3, 3)
+    return Calibrated(saved, opened, covariance, effects, sigma_m, run.exposure_margin_s)
 
 
 def strip_model(calibrated: Calibrated, strip_id: str) -> StripModel:
@@ -70,7 +72,7 @@ def strip_model(calibrated: Calibrated, strip_id: str) -> StripModel:
     if strip_id not in strips:
         raise RawDataError("strips.csv", "id", strip_id, f"one of {', '.join(sorted(strips))}")
     strip = strips[strip_id]
-    margin_s = result.installation["settings"]["run"]["exposure_margin_s"]
+    margin_s = calibrated.exposure_margin_s
     first = strip.t_first_row_s + dump.line_camera.delay_to_middle_s(strip.row_period_s)
     last = first + (strip.lines - 1) * strip.row_period_s
     t = result.t_exposures_s
@@ -87,11 +89,21 @@ def strip_model(calibrated: Calibrated, strip_id: str) -> StripModel:
     return StripModel(strip, model, track)
 
 
+def _run_settings(saved: SavedResult, result: Path) -> RunSettings:
+    """Those that the result was made with."""
+    settings = saved.installation.get("settings")
+    run = settings.get("run") if isinstance(settings, dict) else None
+    file = str(result / "installation.json")
+    if not isinstance(run, dict):
+        raise RawDataError(file, "settings.run", type(run).__name__, "an object, as `calibrate` wrote it")
+    return filled(RunSettings, run, file, "settings.run")
+
+
 def _noted_dump(result: Path) -> Path:
     path = result / "run.json"
     try:
-        noted = Path(json.loads(read_text(path, str(path)))["dump"])
-    except (ValueError, KeyError, TypeError) as error:
+        noted = Path(read_json(path, str(path))["dump"])
+    except (KeyError, TypeError) as error:
         raise RawDataError(str(path), "dump", str(error), "the dump's folder; or give --dump") from error
     if not noted.is_dir():
         expected = "the folder that the result was made from; give it with --dump"

@@ -7,14 +7,13 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from geometry.constants import ARCSEC
 from geometry.installation import euler_zxy_from_theta
 from pipeline.calibrate import Calibration
 from pipeline.errors import Omission, RawDataError
+from pipeline.files.table_files import read_parquet
 from pipeline.validate import Validation
 from pipeline.work.unit_store import read_meta
 
@@ -76,8 +75,8 @@ def status_summary(result: Path) -> str:
         metas, damaged = [], 0
         for path in sorted(stage.glob("*.parquet")):
             try:
-                metas.append(read_meta(pq.read_table(path)))
-            except (OSError, pa.ArrowException, KeyError):
+                metas.append(read_meta(read_parquet(path)))
+            except (RawDataError, ValueError, KeyError):
                 damaged += 1
         failed = [Omission("exposure", m["id"], m["file"], m["reason"]) for m in metas if m.get("reason")]
         failed += [Omission(*parts) for m in metas for parts in m.get("omitted", [])]

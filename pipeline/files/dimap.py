@@ -82,28 +82,31 @@ def read_dimap(
     if not 0.0 < period < 1.0:
         raise RawDataError(file, "SENSOR_LINE_PERIOD", period, "a period in milliseconds, below 1000")
     t_orbit, positions, inertial = _ephemeris(root, epoch, file)
-    earth = EarthRotation.over(
-        epoch, float(t_orbit[0]), float(t_orbit[-1]), eop, allow_stale_eop=allow_stale_eop
-    )
-    orbit = Orbit(
-        epoch=epoch,
-        t_s=t_orbit,
-        positions_m=positions,
-        velocities_m_s=inertial - np.cross(earth.omega_e, positions),
-        frame="ITRF",
-        degree=len(t_orbit) - 1,
-        earth=earth,
-    )
     last = t_first + height * period
-    pushbroom = Pushbroom(
-        camera=_camera(root, width, file),
-        rows=RowClock(t_first, period),
-        orbit=orbit,
-        earth=earth,
-        attitude=_attitude(root, epoch, start, earth, (t_first - 1.0, last + 1.0), file),
-        R_cs=Rotation.identity(),
-        effects=effects,
-    )
+    try:
+        earth = EarthRotation.over(
+            epoch, float(t_orbit[0]), float(t_orbit[-1]), eop, allow_stale_eop=allow_stale_eop
+        )
+        orbit = Orbit(
+            epoch=epoch,
+            t_s=t_orbit,
+            positions_m=positions,
+            velocities_m_s=inertial - np.cross(earth.omega_e, positions),
+            frame="ITRF",
+            degree=len(t_orbit) - 1,
+            earth=earth,
+        )
+        pushbroom = Pushbroom(
+            camera=_camera(root, width, file),
+            rows=RowClock(t_first, period),
+            orbit=orbit,
+            earth=earth,
+            attitude=_attitude(root, epoch, start, earth, (t_first - 1.0, last + 1.0), file),
+            R_cs=Rotation.identity(),
+            effects=effects,
+        )
+    except ValueError as error:  # dates without Earth orientation, states that are no orbit
+        raise RawDataError(file, _MODEL, str(error), "a strip that a satellite can have taken") from error
     return DimapStrip(
         pushbroom, width, height, _text(root, "Dataset_Identification/DATASET_NAME", file)[:128]
     )

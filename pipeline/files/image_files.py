@@ -33,6 +33,9 @@ TIFF_MAGICS = (b"II*\x00", b"MM\x00*", b"II+\x00", b"MM\x00+")
 FITS_MAGIC = b"SIMPLE  ="
 JPEG_MAGIC = b"\xff\xd8\xff"
 BMP_MAGIC = b"BM"
+MAX_BLOCK_BYTES = 2**28  # a tile or strip of a TIFF is decoded as a whole
+MAX_FITS_HEADER_BYTES = 100 * 2880
+ENCODED_SPARE_BYTES = 2**20  # what an image's file may be larger than twice its pixels: tables, remarks
 MAX_STAR_PIXELS = 2**28  # a free image of `identify`; those of a dump are held to the camera's own size
 
 
@@ -89,18 +92,36 @@ def _check_size(
 
 
 def _read_png(path: Path, file: str, size: tuple[int, int] | None, bits: int | None) -> NDArray[Any]:
-    raw = path.read_bytes()
-    if len(raw) < 33 or raw[12:16] != b"IHDR":
-        raise RawDataError(file, "byte 8", f"{len(raw)} bytes without a header", "a PNG header (IHDR)")
-    width, height, depth, colour = struct.unpack(">IIBB", raw[16:26])
+    head = _first_bytes(path, file, 33)
+    if len(head) < 33 or head[12:16] != b"IHDR":
+        raise RawDataError(file, "byte 8", f"{len(head)} bytes without a header", "a PNG header (IHDR)")
+    width, height, depth, colour = struct.unpack(">IIBB", head[16:26])
     if colour != 0 and size is not None:
         raise RawDataError(file, "colour type", str(colour), "0 (grey)")
     _check_size(file, (width, height), size, depth, bits)
+    channels = 1 if colour in (0, 3) else 4
+    raw = _encoded(path, file, width * height * channels * depth // 8)
     _check_png_chunks(raw, file)
     flag = cv2.IMREAD_UNCHANGED if colour == 0 else cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH
-    image = cv2.imdecode(np.frombuffer(raw, np.uint8), flag)
+    return _decoded(raw, flag, file, width, height)
+
+
+def _encoded(path: Path, file: str, pixel_bytes: int) -> bytes:
+    """A compressed file of a size that its pixels can account for."""
+    most = 2 * pixel_bytes + ENCODED_SPARE_BYTES
+    if (length := path.stat().st_size) > most:
+        raise RawDataError(file, "file", f"{length} bytes", f"at most {most} bytes for so many pixels")
+    return path.read_bytes()
+
+
+def _decoded(raw: bytes, flag: int, file: str, width: int, height: int) -> NDArray[Any]:
+    expected = f"{width} x {height} px"
+    try:
+        image = cv2.imdecode(np.frombuffer(raw, np.uint8), flag)
+    except cv2.error as error:
+        raise RawDataError(file, "pixels", str(error), expected) from error
     if image is None or image.shape != (height, width):
-        raise RawDataError(file, "pixels", "data that do not decode", f"{width} x {height} px")
+        raise RawDataError(file, "pixels", "data that do not decode", expected)
     return image
 
 
@@ -127,13 +148,11 @@ def _check_png_chunks(raw: bytes, file: str) -> None:
 
 
 def _read_jpeg_or_bmp(path: Path, file: str) -> NDArray[Any]:
-    raw = path.read_bytes()
-    width, height = _jpeg_size(raw, file) if raw.startswith(JPEG_MAGIC) else _bmp_size(raw, file)
+    head = _first_bytes(path, file, ENCODED_SPARE_BYTES)
+    width, height = _jpeg_size(head, file) if head.startswith(JPEG_MAGIC) else _bmp_size(head, file)
     _check_size(file, (width, height), None, 8, 8)
-    image = cv2.imdecode(np.frombuffer(raw, np.uint8), cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION)
-    if image is None or image.shape != (height, width):
-        raise RawDataError(file, "pixels", "data that do not decode", f"{width} x {height} px")
-    return image
+    raw = _encoded(path, file, 4 * width * height)
+    return _decoded(raw, cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION, file, width, height)
 
 
 def _jpeg_size(raw: bytes, file: str) -> tuple[int, int]:
@@ -161,6 +180,8 @@ def _read_fits(path: Path, file: str, size: tuple[int, int] | None, bits: int | 
     from astropy.io import fits
     from astropy.utils.exceptions import AstropyWarning
 
+    if b"END" + b" " * 77 not in _first_bytes(path, file, MAX_FITS_HEADER_BYTES):
+        raise RawDataError(file, "FITS header", "no END", f"END within {MAX_FITS_HEADER_BYTES} bytes")
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", AstropyWarning)
@@ -220,6 +241,10 @@ def open_geotiff(path: Path, file: str) -> Iterator[Any]:
         except (RasterioError, ValueError, OSError) as error:
             raise RawDataError(file, "TIFF header", str(error), "a TIFF image") from error
         with image:
+            for (rows, columns), kind in zip(image.block_shapes, image.dtypes):
+                if (block := rows * columns * np.dtype(kind).itemsize) > MAX_BLOCK_BYTES:
+                    found = f"blocks of {columns} x {rows} px, {block} bytes"
+                    raise RawDataError(file, "tiles or strips", found, f"at most {MAX_BLOCK_BYTES} bytes")
             yield image
 
 

@@ -14,9 +14,8 @@ import numpy as np
 
 from geometry.earth_orientation import bundled_earth_orientation
 from geometry.geoid import egm96
-from pipeline.errors import RawDataError
 from pipeline.files.image_files import read_grid
-from pipeline.files.text_files import read_text
+from pipeline.files.text_files import toml_tables
 from simulator.ground import GroundImage
 from simulator.mission import simulate
 from simulator.records import Mission
@@ -41,7 +40,7 @@ def named_scenario(name: str, changes: Sequence[str]) -> Scenario:
     if name in builtin_scenario_names():
         values: dict[str, Any] = {"based_on": name}
     elif Path(name).is_file():
-        values = _from_file(Path(name))
+        values = toml_tables(Path(name), name)
     else:
         known = ", ".join(builtin_scenario_names())
         raise ScenarioError(f"scenario {name!r}: expected {known} or the path of a TOML file")
@@ -62,20 +61,13 @@ def _ground_image(name: str) -> GroundImage:
     return GroundImage(np.nan_to_num(grid.values, nan=0.0), grid.transform, grid.crs)
 
 
-def _from_file(path: Path) -> dict[str, Any]:
-    try:
-        return tomllib.loads(read_text(path, str(path)))
-    except (tomllib.TOMLDecodeError, RecursionError) as error:
-        raise RawDataError(str(path), "text", str(error), "TOML 1.0") from error
-
-
 def _apply(values: dict[str, Any], change: str) -> None:
     key, equals, text = change.partition("=")
     if not equals or not key.strip():
         raise ScenarioError(f"--set {change}: expected section.key=value")
     try:
         value = tomllib.loads(f"value = {text}")["value"]
-    except tomllib.TOMLDecodeError:
+    except (ValueError, RecursionError):
         value = text
     table = values
     *sections, last = key.strip().split(".")

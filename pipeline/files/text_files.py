@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import csv
 import io
+import json
 import re
 import tomllib
 from collections.abc import Sequence
@@ -18,10 +19,17 @@ from pydantic import BaseModel, ValidationError
 
 from pipeline.errors import RawDataError
 
-__all__ = ["path_inside", "read_table", "read_text", "read_toml"]
+__all__ = ["path_inside", "read_json", "read_table", "read_text", "read_toml", "toml_tables"]
 
 Model = TypeVar("Model", bound=BaseModel)
 MAX_TEXT_BYTES = 256 * 2**20  # a text file beyond this is no manifest
+MAX_TOML_BYTES = 2**20
+MAX_KEY_PARTS = 32  # of a dotted key; the parser's time grows with the square
+MAX_ROWS = 500_000  # of a table: a record takes a kilobyte
+_STRING_OR_COMMENT = re.compile(
+    r'''"""(?:\\.|[^\\])*?(?:"""|\Z)|\'{3}.*?(?:\'{3}|\Z)|"(?:\\.|[^"\\\n])*(?:"|$)|'[^'\n]*(?:'|$)|\#[^\n]*''',
+    re.DOTALL | re.MULTILINE,
+)
 
 
 def path_inside(root: Path, relative: str, *, file: str, field: str) -> Path:
@@ -47,13 +55,13 @@ def path_inside(root: Path, relative: str, *, file: str, field: str) -> Path:
     return path
 
 
-def read_text(path: Path, file: str) -> str:
+def read_text(path: Path, file: str, most_bytes: int = MAX_TEXT_BYTES) -> str:
     """The text of a file of bounded size in UTF-8."""
     try:
         if not path.is_file():
             raise RawDataError(file, "file", "no such file", "a readable file")
-        if (size := path.stat().st_size) > MAX_TEXT_BYTES:
-            raise RawDataError(file, "file", f"{size} bytes", f"at most {MAX_TEXT_BYTES} bytes of text")
+        if (size := path.stat().st_size) > most_bytes:
+            raise RawDataError(file, "file", f"{size} bytes", f"at most {most_bytes} bytes of text")
         raw = path.read_bytes()
     except OSError as error:
         raise RawDataError(file, "file", error.strerror or str(error), "a readable file") from error
@@ -64,14 +72,35 @@ def read_text(path: Path, file: str) -> str:
         raise RawDataError(file, f"byte {error.start}", found, "text in UTF-8") from error
 
 
-def read_toml(path: Path, model: type[Model], file: str) -> Model:
-    """A TOML file as a record of type `model`."""
+def toml_tables(path: Path, file: str) -> dict[str, Any]:
+    """The tables of a TOML file."""
+    text = read_text(path, file, MAX_TOML_BYTES)
+    pieces = re.split(r"[,=\[\]{}\n]", _STRING_OR_COMMENT.sub("", text))
+    if (parts := 1 + max(piece.count(".") for piece in pieces)) > MAX_KEY_PARTS:
+        raise RawDataError(file, "text", f"a key of {parts} parts", f"at most {MAX_KEY_PARTS} parts")
     try:
-        content = tomllib.loads(read_text(path, file))
-    except (tomllib.TOMLDecodeError, RecursionError) as error:
+        return tomllib.loads(text)
+    except (ValueError, RecursionError) as error:  # an integer of too many digits is a plain ValueError
         found = str(error) or type(error).__name__
         where = re.search(r"line \d+", found)
         raise RawDataError(file, where.group() if where else "text", found, "TOML 1.0") from error
+
+
+def read_json(path: Path, file: str) -> dict[str, Any]:
+    """The object in a JSON file that the program wrote itself."""
+    text = read_text(path, file)
+    try:
+        content = json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise RawDataError(file, "JSON", str(error), "what `calibrate` wrote") from error
+    if not isinstance(content, dict):
+        raise RawDataError(file, "JSON", type(content).__name__, "an object, as `calibrate` wrote it")
+    return content
+
+
+def read_toml(path: Path, model: type[Model], file: str) -> Model:
+    """A TOML file as a record of type `model`."""
+    content = toml_tables(path, file)
     try:
         return model.model_validate(content)
     except ValidationError as error:
@@ -93,6 +122,8 @@ def read_table(path: Path, model: type[Model], file: str) -> list[Model]:
             if not cells:
                 continue
             line = f"line {rows.line_num}"
+            if len(records) == MAX_ROWS:
+                raise RawDataError(file, line, f"more than {MAX_ROWS} rows", f"at most {MAX_ROWS} rows")
             if len(cells) != len(header):
                 raise RawDataError(file, line, f"{len(cells)} cells", f"{len(header)} cells")
             try:
@@ -121,12 +152,13 @@ def _complaint(error: ValidationError, file: str, prefix: str) -> RawDataError:
     field = ".".join(str(part) for part in first["loc"]) or "file"
     others = f" (and {error.error_count() - 1} more)" if error.error_count() > 1 else ""
     kind, message = first["type"], first["msg"]
+    found: object
     if kind == "missing":
         found, expected = "nothing", "this key"
     elif kind == "extra_forbidden":
         found, expected = "an unknown key", "only the keys of the format's description"
     else:
-        found = first["input"] if isinstance(first["input"], str) else repr(first["input"])
+        found = first["input"]
         if isinstance(first["input"], dict):
             found = "keys " + ", ".join(map(str, first["input"]))
         expected = message[0].lower() + message[1:]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -13,6 +14,7 @@ from numpy.typing import NDArray
 
 from pipeline.errors import RawDataError
 from pipeline.files.image_files import read_star_image
+from pipeline.files.text_files import read_text
 from pipeline.work.unit_store import write_whole
 from star_id.score import CentroidScore, score_centroids
 from star_id.settings import StarSettings
@@ -133,9 +135,10 @@ def _table(path: Path, stars: StarList) -> pd.DataFrame:
 
 
 def _read_truth(path: Path) -> pd.DataFrame:
+    text = read_text(path, str(path))
     try:
-        table = pd.read_csv(path)
-    except (OSError, ValueError) as error:
+        table = pd.read_csv(io.StringIO(text))
+    except (ValueError, OverflowError) as error:
         raise RawDataError(str(path), "file", str(error), "a CSV file with x_px, y_px, flux_dn") from error
     for column in ("x_px", "y_px", "flux_dn"):
         if column not in table or not pd.api.types.is_numeric_dtype(table[column]):

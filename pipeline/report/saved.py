@@ -3,17 +3,16 @@ from."""
 
 from __future__ import annotations
 
-import json
 import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
-import pyarrow.parquet as pq
 
 from pipeline.errors import RawDataError
-from pipeline.files.text_files import read_text
+from pipeline.files.table_files import fixed, read_parquet
+from pipeline.files.text_files import read_json
 
 __all__ = ["Number", "Saved", "number_at", "read_saved"]
 
@@ -82,48 +81,29 @@ def number_at(content: Any, key: str) -> float:
 
 def read_saved(result: Path) -> Saved:
     """Read a finished result. `RawDataError` names what is missing."""
-    installation = _json(result / "installation.json")
+    installation = read_json(result / "installation.json", str(result / "installation.json"))
     if not (result / "evidence" / "context.json").is_file():
         again = "what `calibrate` writes unless --no-report is given; run it again, finished work is kept"
         raise RawDataError(str(result / "evidence"), "folder", "not there, or not whole", again)
     tables = {
-        name: _table(result / "sightings" / f"{name}.parquet", names) for name, names in _SIGHTINGS.items()
+        name: read_parquet(result / "sightings" / f"{name}.parquet", names)
+        for name, names in _SIGHTINGS.items()
     }
-    tables |= {name: _table(result / "evidence" / f"{name}.parquet") for name in _EVIDENCE}
-    tables["detections"] = _table(result / "evidence" / "exposure.parquet")
+    tables |= {name: read_parquet(result / "evidence" / f"{name}.parquet") for name in _EVIDENCE}
+    tables["detections"] = read_parquet(result / "evidence" / "exposure.parquet")
     run = result / "run.json"
     return Saved(
         installation,
-        _json(result / "evidence" / "context.json"),
-        _json(run) if run.is_file() else {},
+        read_json(result / "evidence" / "context.json", str(result / "evidence" / "context.json")),
+        read_json(run, str(run)) if run.is_file() else {},
         **tables,
     )
 
 
-_SIGHTINGS: dict[str, list[str] | None] = {  # of a long archive only the columns that are drawn
-    "stars": ["xy_px", "residual_s", "normalised", "kept"],
-    "exposures": ["t_s", "usable", "chi2", "dof"],
+_SIGHTINGS: dict[str, dict[str, pa.DataType] | None] = {  # of a long archive only the columns that are drawn
+    "stars": {"xy_px": fixed(2), "residual_s": fixed(3), "normalised": pa.float64(), "kept": pa.bool_()},
+    "exposures": {"t_s": pa.float64(), "usable": pa.bool_(), "chi2": pa.float64(), "dof": pa.int64()},
     "targets": None,
     "omissions": None,
 }
 _EVIDENCE = ("inputs", "convergence", "angles", "matches")
-
-
-def _json(path: Path) -> dict[str, Any]:
-    text = read_text(path, str(path))
-    try:
-        content = json.loads(text)
-    except ValueError as error:
-        raise RawDataError(str(path), "JSON", str(error), "what `calibrate` wrote") from error
-    if not isinstance(content, dict):
-        raise RawDataError(str(path), "JSON", type(content).__name__, "an object")
-    return content
-
-
-def _table(path: Path, columns: list[str] | None = None) -> pa.Table:
-    if not path.is_file():
-        raise RawDataError(str(path), "file", "nothing", "the table that `calibrate` wrote")
-    try:
-        return pq.read_table(path, columns=columns)
-    except (OSError, pa.ArrowException) as error:
-        raise RawDataError(str(path), "file", str(error), "the table that `calibrate` wrote") from error

@@ -9,6 +9,7 @@ whatever happens.
 from __future__ import annotations
 
 import dataclasses
+import errno
 import hashlib
 import importlib.resources
 import json
@@ -26,6 +27,8 @@ import pyarrow.parquet as pq
 from scipy.spatial.transform import Rotation
 
 from pipeline import __version__
+from pipeline.errors import RawDataError
+from pipeline.files.table_files import read_parquet
 
 __all__ = [
     "UnitStore",
@@ -135,8 +138,8 @@ class UnitStore:
         if not path.is_file():
             return None
         try:
-            return pq.read_table(path)
-        except (OSError, pa.ArrowException):
+            return read_parquet(path)
+        except RawDataError:
             return None
 
     def write(self, stage: str, name: str, key: str, table: pa.Table, meta: Mapping[str, Any]) -> Path:
@@ -144,7 +147,9 @@ class UnitStore:
         path = self.path(stage, name, key)
         path.parent.mkdir(parents=True, exist_ok=True)
         stated = table.replace_schema_metadata({META: json.dumps(dict(meta), sort_keys=True).encode()})
-        write_whole(path, lambda target: pq.write_table(stated, target, compression="zstd"))
+        write_whole(
+            path, lambda target: pq.write_table(stated, target, compression="zstd", write_page_checksum=True)
+        )
         for other in path.parent.glob(f"{name}.*.parquet"):
             if other != path and other.name.count(".") == path.name.count("."):
                 other.unlink(missing_ok=True)
@@ -152,13 +157,18 @@ class UnitStore:
 
 
 def write_whole(path: Path, write: Any) -> None:
-    """Have `write(temporary path)` make a file beside `path`, flush it to the disk and give it its name."""
+    """Have `write(temporary path)` make a file beside `path`, flush it to the disk and give it its name.
+
+    An `OSError` names `path`, whatever library it comes from.
+    """
     temporary = path.with_name(f".{path.name}.{uuid.uuid4().hex}.tmp")
     try:
         write(temporary)
         with temporary.open("rb+") as stream:
             os.fsync(stream.fileno())
         temporary.replace(path)
+    except OSError as error:
+        raise OSError(error.errno or errno.EIO, error.strerror or str(error), str(path)) from error
     finally:
         temporary.unlink(missing_ok=True)
 
