@@ -1,8 +1,7 @@
-"""Units of work spread over processes with dask.distributed: on this machine, or on a cluster by its address.
+"""Who does the units of work: this process, several of this machine, or a dask cluster by its address.
 
-Each process works on one unit at a time and at most one more waits for it, so the number of images in memory
-is the number of processes, whatever the size of the dump. A unit whose process dies is given to another one;
-a unit that kills three processes in a row is an error that names it.
+On a cluster, too, each process works on one unit at a time, and at most one more waits for it. A unit whose
+process dies is given to another one.
 """
 
 from __future__ import annotations
@@ -15,6 +14,7 @@ from typing import Any, TypeVar
 
 from pipeline.errors import WorkerError
 from pipeline.work.executor import Executor, InOrder
+from pipeline.work.processes import Processes
 
 __all__ = ["executor_for"]
 
@@ -25,7 +25,7 @@ Outcome = TypeVar("Outcome")
 
 
 @dataclass(frozen=True, slots=True)
-class OnWorkers:
+class OnCluster:
     """An executor with a dask client. Outcomes come back in the order of the items."""
 
     client: Any
@@ -70,25 +70,10 @@ def executor_for(workers: int | None, scheduler: str | None, pixels: int) -> Ite
     """
     if scheduler is not None:
         with _client(scheduler) as client:
-            yield OnWorkers(client)
+            yield OnCluster(client)
         return
     count = workers if workers is not None else (1 if pixels < SMALL_JOB_PIXELS else _cores())
-    if count == 1:
-        yield InOrder()
-        return
-    from distributed import LocalCluster
-
-    with _quiet():
-        cluster = LocalCluster(
-            n_workers=count,
-            threads_per_worker=1,
-            processes=True,
-            dashboard_address="127.0.0.1:0",
-            memory_limit=0,
-            silence_logs=50,
-        )
-    with cluster, _client(cluster) as client:
-        yield OnWorkers(client)
+    yield InOrder() if count == 1 else Processes(count)
 
 
 def _cores() -> int:
@@ -96,7 +81,7 @@ def _cores() -> int:
 
 
 @contextmanager
-def _client(address: Any) -> Iterator[Any]:
+def _client(address: str) -> Iterator[Any]:
     from distributed import Client
 
     try:
@@ -105,16 +90,3 @@ def _client(address: Any) -> Iterator[Any]:
         raise WorkerError(f"no scheduler at {address}: {error}") from error
     with client:
         yield client
-
-
-@contextmanager
-def _quiet() -> Iterator[None]:
-    import logging
-
-    logger = logging.getLogger("distributed")
-    level = logger.level
-    logger.setLevel(logging.ERROR)
-    try:
-        yield
-    finally:
-        logger.setLevel(level)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import signal
 import subprocess
@@ -11,6 +12,7 @@ from pathlib import Path
 
 import pytest
 
+from pipeline.errors import WorkerError
 from pipeline.work.executor import InOrder
 from pipeline.work.workers import executor_for
 
@@ -87,12 +89,9 @@ def test_unit_whose_process_dies_is_done_by_another(tmp_path: Path) -> None:
     marker = tmp_path / "died once"
 
     def fragile(number: int) -> int:
-        import os as system
-        from pathlib import Path as File
-
-        if number == 2 and not File(marker).exists():
-            File(marker).touch()
-            system.kill(system.getpid(), 9)
+        if number == 2 and not marker.exists():
+            marker.touch()
+            os.kill(os.getpid(), signal.SIGKILL)
         return number * number
 
     counts: list[int] = []
@@ -100,6 +99,67 @@ def test_unit_whose_process_dies_is_done_by_another(tmp_path: Path) -> None:
         assert executor.map(fragile, [0, 1, 2, 3], counts.append) == [0, 1, 4, 9]
     assert marker.exists()
     assert counts[-1] == 4
+
+
+def test_unit_that_kills_every_process_is_named() -> None:
+    def deadly(number: int) -> int:
+        if number == 1:
+            os.kill(os.getpid(), signal.SIGKILL)
+        return number
+
+    with (
+        executor_for(2, None, 0) as executor,
+        pytest.raises(WorkerError, match=r"unit 2 of 3: .* died 3 times"),
+    ):
+        executor.map(deadly, [0, 1, 2], lambda n: None)
+
+
+def test_error_of_a_unit_is_told_by_the_first_process_with_the_place_where_it_arose() -> None:
+    def full(number: int) -> int:
+        raise OSError(errno.ENOSPC, "no space left", f"unit {number}")
+
+    with executor_for(2, None, 0) as executor, pytest.raises(OSError, match="no space left") as caught:
+        executor.map(full, [0, 1], lambda n: None)
+    assert caught.value.errno == errno.ENOSPC
+    assert "in full" in caught.value.__notes__[0]
+
+
+def test_processes_share_the_units_and_are_gone_afterwards() -> None:
+    def slow(number: int) -> tuple[int, int]:
+        time.sleep(0.05)
+        return number, os.getpid()
+
+    with executor_for(2, None, 0) as executor:
+        outcomes = executor.map(slow, range(8), lambda n: None)
+    assert [number for number, _ in outcomes] == list(range(8))
+    workers = {process for _, process in outcomes}
+    assert len(workers) == 2 and os.getpid() not in workers
+    for process in workers:
+        with pytest.raises(ProcessLookupError):
+            os.kill(process, 0)
+
+
+def test_workers_of_a_killed_run_end_by_themselves(tmp_path: Path) -> None:
+    program = """
+import os, sys, time
+from pathlib import Path
+from pipeline.work.processes import Processes
+
+def slow(number):
+    Path(sys.argv[1], str(os.getpid())).touch()
+    time.sleep(0.1)
+
+Processes(2).map(slow, range(1000), lambda n: None)
+"""
+    first = subprocess.Popen([sys.executable, "-c", program, str(tmp_path)])
+    while len(workers := [int(path.name) for path in tmp_path.iterdir()]) < 2:
+        time.sleep(0.01)
+    first.kill()
+    first.wait()
+    deadline = time.monotonic() + 20.0
+    while any(Path("/proc", str(worker)).exists() for worker in workers) and time.monotonic() < deadline:
+        time.sleep(0.02)
+    assert not any(Path("/proc", str(worker)).exists() for worker in workers)
 
 
 def test_one_worker_is_this_process() -> None:

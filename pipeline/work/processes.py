@@ -1,0 +1,129 @@
+"""Units of work spread over processes of this machine.
+
+Where the system can fork, a process starts in milliseconds and shares what this one has in memory:
+libraries, terrain, the items themselves. All that travels is the number of an item and its outcome. Each
+process works on one unit at a time, so the number of images in memory is the number of processes, whatever
+the size of the dump. A unit whose process dies is given to another one; a unit that kills three processes is
+an error that names it.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import signal
+import sys
+import traceback
+from collections import Counter
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from multiprocessing.connection import Connection, wait
+from multiprocessing.context import ForkContext, SpawnContext
+from typing import Any, TypeVar
+
+from pipeline.errors import WorkerError
+
+__all__ = ["Processes"]
+
+Item = TypeVar("Item")
+Outcome = TypeVar("Outcome")
+
+MOST_DEATHS = 3
+DIED = (EOFError, ConnectionError)  # what a line says whose other end is gone
+# Elsewhere a system has no fork, or has libraries that do not survive one.
+START: ForkContext | SpawnContext = (
+    multiprocessing.get_context("fork") if sys.platform == "linux" else multiprocessing.get_context("spawn")
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Processes:
+    """An executor of so many processes, started anew for each list of items."""
+
+    count: int
+
+    def map(
+        self, function: Callable[[Item], Outcome], items: Sequence[Item], done: Callable[[int], None]
+    ) -> list[Outcome]:
+        waiting = [*range(len(items))][::-1]
+        outcomes: dict[int, Outcome] = {}
+        deaths: Counter[int] = Counter()
+        started: list[_Process] = []
+        at_work: dict[Any, _Process] = {}
+
+        def begin(process: _Process) -> None:
+            process.begin(waiting.pop())
+            at_work[process.line] = process
+
+        def start() -> None:
+            started.append(_Process(function, items))
+            begin(started[-1])
+
+        try:
+            for _ in range(min(self.count, len(items))):
+                start()
+            while at_work:
+                for line in wait(list(at_work)):
+                    process = at_work.pop(line)
+                    n = process.unit
+                    try:
+                        outcome, error = process.line.recv()
+                    except DIED as error:
+                        deaths[n] += 1
+                        if deaths[n] == MOST_DEATHS:
+                            told = f"unit {n + 1} of {len(items)}: its process died {MOST_DEATHS} times"
+                            raise WorkerError(told) from error
+                        waiting.append(n)
+                        start()
+                        continue
+                    if error is not None:
+                        raise error
+                    outcomes[n] = outcome
+                    done(len(outcomes))
+                    if waiting:
+                        begin(process)
+        finally:
+            for process in started:
+                process.stop()
+        return [outcomes[n] for n in range(len(items))]
+
+
+class _Process:
+    """A process that does one unit after another, and the line to it."""
+
+    def __init__(self, function: Callable[[Any], Any], items: Sequence[Any]) -> None:
+        self.line, other_end = multiprocessing.Pipe()
+        ends = other_end, self.line
+        self.process = START.Process(target=_serve, args=(*ends, function, items), daemon=True)
+        self.process.start()
+        other_end.close()
+        self.unit = -1
+
+    def begin(self, unit: int) -> None:
+        self.unit = unit
+        with suppress(ConnectionError):  # a process that died idle is noticed where its answer is awaited
+            self.line.send(unit)
+
+    def stop(self) -> None:
+        self.process.kill()
+        self.process.join()
+        self.line.close()
+
+
+def _serve(
+    line: Connection, far_end: Connection, function: Callable[[Any], Any], items: Sequence[Any]
+) -> None:
+    """Do the units that the line names, until nobody is there any more."""
+    far_end.close()  # or this very process would keep the line open
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the first process hears it too and stops the others
+    sys.stdout, sys.stderr = sys.__stdout__, sys.__stderr__  # a progress bar's may be locked for ever
+    with suppress(*DIED):
+        while True:
+            unit = line.recv()
+            answer: tuple[Any, Exception | None]
+            try:
+                answer = function(items[unit]), None
+            except Exception as error:
+                error.add_note(traceback.format_exc())
+                answer = None, error
+            line.send(answer)
