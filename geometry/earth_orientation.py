@@ -111,8 +111,7 @@ def expected_extrapolation_error_m(days_past: float) -> float:
 
 def _parse_c04(text: str) -> Array:
     """Rows of MJD, UT1 - UTC, xp, yp, dX, dY (s and rad) of an EOP 20 C04 file."""
-    lines = [line.split() for line in text.splitlines() if line.strip() and not line.startswith("#")]
-    columns = np.array([[row[4], row[7], row[5], row[6], row[8], row[9]] for row in lines], dtype=float)
+    columns = np.loadtxt(text.splitlines(), usecols=(4, 7, 5, 6, 8, 9))
     columns[:, 2:] *= ARCSEC
     return columns
 

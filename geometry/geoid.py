@@ -61,39 +61,69 @@ class Geoid:
         Longitude may be given in any turn. Raises `ValueError` for a place outside the grid.
         """
         lat, lon = np.broadcast_arrays(np.asarray(lat_rad, float), np.asarray(lon_rad, float))
-        rows, columns = self.undulations_m.shape
+        row, column = self._place(lat, lon)
+        near, row_weights = self._four_rows(row)
+        result = np.zeros(row.shape)
+        for i in range(4):
+            result += row_weights[i] * self._along_rows(near[i], column)
+        return result
+
+    def undulation_on_grid_m(self, lat_rad: ArrayLike, lon_rad: ArrayLike) -> Array:
+        """The same where parallels (R,) and meridians (C,) cross, (R, C), bit for bit and some ten times
+        sooner: each row of the geoid is interpolated along the parallel once.
+        """
+        lat, lon = np.asarray(lat_rad, float)[:, None], np.asarray(lon_rad, float)[None, :]
+        row, column = self._place(lat, lon)
+        near, row_weights = self._four_rows(row[:, 0])
+        needed, place = np.unique(np.stack(near), return_inverse=True)
+        lines = self._along_rows(needed[:, None], column)
+        result = np.zeros((len(row), column.shape[1]))
+        for weight, at in zip(row_weights, place.reshape(4, -1)):
+            result += weight[:, None] * lines[at]
+        return result
+
+    @property
+    def _turn(self) -> int:
+        """Columns of a grid that goes around the whole Earth, 0 for one that does not."""
         turn = round(2.0 * np.pi / abs(self.step_lon_rad))
-        closed = columns >= turn
+        return turn if self.undulations_m.shape[1] >= turn else 0
+
+    def _place(self, lat: Array, lon: Array) -> tuple[Array, Array]:
+        """Row and column of places that broadcast against each other."""
+        rows, columns = self.undulations_m.shape
         row = (lat - self.lat_first_rad) / self.step_lat_rad
         column = (lon - self.lon_first_rad) / self.step_lon_rad
         column = np.mod(column, 2.0 * np.pi / abs(self.step_lon_rad))
         slack = 1e-6
         outside = (row < -slack) | (row > rows - 1 + slack)
-        if not closed:
-            outside |= column > columns - 1 + slack
+        if not self._turn:
+            outside = outside | (column > columns - 1 + slack)
         if np.any(outside):
-            where = int(np.argmax(np.ravel(outside)))
+            lat, lon, outside = (np.ravel(each) for each in np.broadcast_arrays(lat, lon, outside))
+            where = int(np.argmax(outside))
             raise ValueError(
-                f"latitude {np.degrees(np.ravel(lat)[where]):.6f}, "
-                f"longitude {np.degrees(np.ravel(lon)[where]):.6f} deg is outside the geoid grid"
+                f"latitude {np.degrees(lat[where]):.6f}, "
+                f"longitude {np.degrees(lon[where]):.6f} deg is outside the geoid grid"
             )
-        return self._bicubic(np.clip(row, 0.0, rows - 1.0), column, turn if closed else 0)
+        return np.clip(row, 0.0, rows - 1.0), column
 
-    def _bicubic(self, row: Array, column: Array, turn: int) -> Array:
-        rows, columns = self.undulations_m.shape
+    def _four_rows(self, row: Array) -> tuple[list[NDArray[np.int64]], tuple[Array, ...]]:
+        """The grid's rows around places between them, and their weights."""
+        rows = self.undulations_m.shape[0]
         r0 = np.clip(np.floor(row).astype(np.int64), 0, rows - 2)
+        return [np.clip(r0 + i, 0, rows - 1) for i in (-1, 0, 1, 2)], _keys_weights(row - r0)
+
+    def _along_rows(self, r: NDArray[np.int64], column: Array) -> Array:
+        """Values between the columns of the grid's rows `r`."""
+        columns, turn = self.undulations_m.shape[1], self._turn
         c0 = np.floor(column).astype(np.int64)
         c0 = c0 if turn else np.clip(c0, 0, columns - 2)
-        row_weights, column_weights = _keys_weights(row - r0), _keys_weights(column - c0)
-        result = np.zeros(row.shape)
-        for i in range(4):
-            r = np.clip(r0 + (i - 1), 0, rows - 1)
-            line = np.zeros(row.shape)
-            for j in range(4):
-                c = np.mod(c0 + (j - 1), turn) if turn else np.clip(c0 + (j - 1), 0, columns - 1)
-                line += column_weights[j] * self.undulations_m[r, c]
-            result += row_weights[i] * line
-        return result
+        column_weights = _keys_weights(column - c0)
+        line = np.zeros(np.broadcast_shapes(r.shape, column.shape))
+        for j in range(4):
+            c = np.mod(c0 + (j - 1), turn) if turn else np.clip(c0 + (j - 1), 0, columns - 1)
+            line += column_weights[j] * self.undulations_m[r, c]
+        return line
 
 
 @cache

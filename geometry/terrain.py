@@ -214,12 +214,18 @@ def _add_undulations(
     a, b, c, d, e, f = transform
     rows, columns = heights.shape
     to_map = _to_map(crs)
-    for first in range(0, rows, max(1, 2**20 // columns)):
-        row, column = np.mgrid[first : min(first + max(1, 2**20 // columns), rows), :columns] + 0.5
-        lon, lat = a * column + b * row + c, d * column + e * row + f
-        if to_map is not None:
-            lon, lat = to_map.transform(lon, lat, direction="INVERSE")
-        heights[first : first + len(row)] += geoid.undulation_m(np.radians(lat), np.radians(lon))
+    at_once = max(1, 2**20 // columns)
+    for first in range(0, rows, at_once):
+        row, column = np.arange(first, min(first + at_once, rows)) + 0.5, np.arange(columns) + 0.5
+        part = heights[first : first + at_once]
+        if to_map is None and not b and not d:
+            part += geoid.undulation_on_grid_m(np.radians(e * row + f), np.radians(a * column + c))
+        else:
+            column, row = np.meshgrid(column, row)
+            lon, lat = a * column + b * row + c, d * column + e * row + f
+            if to_map is not None:
+                lon, lat = to_map.transform(lon, lat, direction="INVERSE")
+            part += geoid.undulation_m(np.radians(lat), np.radians(lon))
 
 
 def _pixels_from_map(transform: tuple[float, ...], x: ArrayLike, y: ArrayLike) -> tuple[Array, Array]:

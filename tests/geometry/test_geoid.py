@@ -84,3 +84,17 @@ def test_a_grid_of_the_users_own_is_read_as_rasterio_gives_it(driver, tmp_path):
     np.testing.assert_allclose(geoid.undulation_m(at, to), egm96().undulation_m(at, to), rtol=0, atol=1e-5)
     with pytest.raises(ValueError, match="rows along parallels"):
         Geoid.from_raster(piece, (0.0, step, 14.0, -step, 0.0, 50.0))
+
+
+@pytest.mark.parametrize("whole_earth", [True, False])
+def test_crossings_of_parallels_and_meridians_have_the_bits_of_scattered_places(whole_earth: bool) -> None:
+    geoid = egm96()
+    lat = np.radians(np.r_[-90.0, np.linspace(-33.3, 41.7, 50), 90.0])
+    lon = np.radians(np.linspace(-200.0, 500.0, 60))
+    if not whole_earth:
+        geoid = Geoid(geoid.undulations_m[1300:1400, 2000:2200], *np.radians([18.3, -13.3, 1 / 12, 1 / 12]))
+        lat, lon = np.radians(np.linspace(18.31, 26.5, 70)), np.radians(np.linspace(-13.2, 3.2, 80))
+    expected = geoid.undulation_m(lat[:, None], lon[None, :])
+    np.testing.assert_array_equal(geoid.undulation_on_grid_m(lat, lon), expected)
+    with pytest.raises(ValueError, match="outside the geoid grid"):
+        geoid.undulation_on_grid_m(np.append(lat, np.radians(90.5)), lon)
