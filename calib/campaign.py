@@ -27,6 +27,7 @@ __all__ = [
     "draw_strips",
     "installation_by_tilt",
     "noisy_frames",
+    "remounted",
 ]
 
 Array = NDArray[np.float64]
@@ -120,6 +121,17 @@ def draw_strips(
         tuple(R_ci for _, truth in drawn for R_ci in truth.R_ci),
         tuple(look_c for _, truth in drawn for look_c in truth.look_c),
     )
+
+
+def remounted(strips: list[StripSightings], R_before: Rotation, R_after: Rotation) -> list[StripSightings]:
+    """The same strips, seen by a star camera whose mounting is `R_after` instead of `R_before`."""
+    turn = R_after.inv() * R_before
+    T = turn.as_matrix()
+
+    def seen(exposure: StarSightings) -> StarSightings:
+        return replace(exposure, u_s=turn.apply(exposure.u_s), cov_s=T @ exposure.cov_s @ T.T)
+
+    return [replace(strip, exposures=tuple(map(seen, strip.exposures))) for strip in strips]
 
 
 def draw_frames(

@@ -1,29 +1,29 @@
 """Does the mounting move? Calibrations of one pair of cameras at several times: their mean, their course.
 
-Each calibration k, made at t_k, gives theta_k (frame c, rad, the paper's sign: R_cs = exp[[theta]] R_cs_ref)
-with its covariance C_k, all other unknowns eliminated with their priors. Taken as independent of one another,
+Each calibration k, made at t_k, speaks of theta_k (frame c, rad, the paper's sign: R_cs = exp[[theta]]
+R_cs_ref) and of what all of them share, such as the remote-sensing camera's distortion, which is one unknown
+for all. Eliminated, it leaves the theta_k with one information matrix L over all of them together:
 
-    theta_k = theta(t_k) + a cos(u_k) + b sin(u_k) + e_k,    e_k ~ N(0, C_k)
+    theta_k = theta(t_k) + a cos(u_k) + b sin(u_k) + e_k,    e = (e_1, ..., e_K) ~ N(0, L⁻¹)
 
 with u the argument of latitude (the thermal change around the orbit; only when asked for), and theta(t)
 either a value of its own at each k, or constant, or constant but for one step, or a random walk of density
-q (rad²/s on each axis). What all calibrations share, such as an error of the camera's distortion, moves them
-all alike: it makes no drift, and it is not in the covariance of the mean either.
+q (rad²/s on each axis). What is shared moves all theta_k nearly alike: it makes no drift and hardly blurs
+one, and the mean over calibrations does not average it away.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cho_solve_banded, cholesky_banded
-from scipy.optimize import brentq, minimize_scalar
+from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2 as chi2_distribution
 
-from calib.information import ExactSum
+from calib.information import InformationPairs
+from calib.random_walk import WalkProblem, likely_density
 from geometry.installation import deviation_from_theta, theta_between
 
 __all__ = [
@@ -70,40 +70,37 @@ class MountingSeries:
     names: tuple[str, ...]  # K
     t_s: Array  # (K,) increasing
     theta: Array  # (K, 3) rad, frame c, against R_cs_ref
-    covariance: Array  # (K, 3, 3) rad², frame c
+    information: Array  # (3 K, 3 K) rad⁻² on all theta together, frame c
     cos_sin: Array  # (K, 2) of the argument of latitude, means over the strips of each; NaN where not known
     R_cs_ref: Rotation
 
     @classmethod
     def of(
         cls,
-        names: Sequence[str],
+        pairs: InformationPairs,
+        prior_shared: Array,
         t_s: Array,
-        R_cs: Rotation,
-        covariance: Array,
         cos_sin: Array | None = None,
     ) -> MountingSeries:
-        """A series from K matrices and their covariances, in any order; the earliest matrix is the reference.
+        """A series from one information pair a calibration (K of them, in any order). What the pairs share is
+        one unknown for all, with the information `prior_shared` (n - 3, n - 3) on it before any calibration.
 
         Raises
         ------
         ValueError
             For fewer than two calibrations, a name or an instant that occurs twice, matrices more than 0.02
-            rad apart (another mounting, or other frames), a covariance that is not positive definite.
+            rad apart (another mounting, or other frames), a pair that does not fix all three turns.
         """
-        K = len(names)
-        t, C = np.asarray(t_s, dtype=float), np.asarray(covariance, dtype=float)
+        K = len(pairs.names)
+        t = np.asarray(t_s, dtype=float)
         phase = np.full((K, 2), np.nan) if cos_sin is None else np.asarray(cos_sin, dtype=float)
         if K < 2:
             raise ValueError(f"{K} calibrations show no course of time, 2 are needed")
-        if t.shape != (K,) or len(R_cs) != K or C.shape != (K, 3, 3) or phase.shape != (K, 2):
-            raise ValueError(
-                f"{K} names need t_s {(K,)}, {K} matrices, covariance {(K, 3, 3)}, cos_sin {(K, 2)}; "
-                f"got {t.shape}, {len(R_cs)}, {C.shape}, {phase.shape}"
-            )
+        if t.shape != (K,) or phase.shape != (K, 2):
+            raise ValueError(f"{K} pairs need t_s {(K,)}, cos_sin {(K, 2)}; got {t.shape}, {phase.shape}")
         order = np.argsort(t, kind="stable")
-        ids = tuple(str(names[k]) for k in order)
-        t, C, R, phase = t[order], C[order], R_cs[order], phase[order]
+        ids = tuple(pairs.names[order].tolist())
+        t, F, right = t[order], pairs.F[order], pairs.F_theta[order]
         if len(set(ids)) < K:
             raise ValueError(f"calibration {next(n for n in ids if ids.count(n) > 1)!r} is given twice")
         if not np.all(np.isfinite(t)):
@@ -111,15 +108,15 @@ class MountingSeries:
         for k in np.flatnonzero(np.diff(t) <= 0.0):
             raise ValueError(f"calibrations {ids[k]!r} and {ids[k + 1]!r} speak of one and the same time")
         for k in range(K):
-            if not np.all(np.isfinite(C[k])) or np.linalg.eigvalsh(0.5 * (C[k] + C[k].T))[0] <= 0.0:
-                raise ValueError(f"calibration {ids[k]!r}: its covariance is not positive definite")
-        theta = theta_between(R, R[0])
-        for k in np.flatnonzero(np.linalg.norm(theta, axis=1) > MOST_TURN_RAD):
+            if not np.all(np.isfinite(F[k])) or np.linalg.eigvalsh(F[k, :3, :3])[0] <= 0.0:
+                raise ValueError(f"calibration {ids[k]!r}: its information is not positive definite")
+        theta, information = _without_shared(F, right, prior_shared)
+        for k in np.flatnonzero(np.linalg.norm(theta - theta[0], axis=1) > MOST_TURN_RAD):
             raise ValueError(
-                f"calibrations {ids[0]!r} and {ids[k]!r} are {np.linalg.norm(theta[k]):.3g} rad apart, more "
-                f"than {MOST_TURN_RAD} rad: not one mounting, or not the same frames"
+                f"calibrations {ids[0]!r} and {ids[k]!r} are {np.linalg.norm(theta[k] - theta[0]):.3g} rad "
+                f"apart, more than {MOST_TURN_RAD} rad: not one mounting, or not the same frames"
             )
-        return cls(ids, t, theta, 0.5 * (C + np.swapaxes(C, 1, 2)), phase, R[0])
+        return cls(ids, t, theta, information, phase[order], pairs.R_cs_ref)
 
     @property
     def R_cs(self) -> Rotation:
@@ -127,30 +124,26 @@ class MountingSeries:
         return deviation_from_theta(self.theta) * self.R_cs_ref
 
     @property
-    def information(self) -> Array:
-        """(K, 3, 3) rad⁻²."""
-        inverse = np.linalg.inv(self.covariance)
-        return np.asarray(0.5 * (inverse + np.swapaxes(inverse, 1, 2)))
+    def covariance(self) -> Array:
+        """(K, 3, 3) rad² of each theta, what is shared included."""
+        K = len(self.names)
+        blocks = np.linalg.inv(self.information).reshape(K, 3, K, 3)
+        return np.ascontiguousarray(np.einsum("kikj->kij", blocks))
 
     def about(self, R_cs_ref: Rotation) -> MountingSeries:
-        """The same matrices about another reference near by (covariances stay, to first order)."""
+        """The same matrices about another reference near by (the information stays, to first order)."""
         theta = theta_between(self.R_cs, R_cs_ref)
-        return MountingSeries(self.names, self.t_s, theta, self.covariance, self.cos_sin, R_cs_ref)
+        return MountingSeries(self.names, self.t_s, theta, self.information, self.cos_sin, R_cs_ref)
 
     def merged(self) -> MergedMounting:
-        """One matrix from all, as if the mounting had never moved: the exact sum of their information.
-
-        The reference is first moved to a mean, so that turns are added where they are small; the sums are
-        rounded once, so the result is the same, bit for bit, in whatever order calibrations were given.
+        """One matrix from all, as if the mounting had never moved. The reference is first moved to a mean, so
+        that turns are added where they are small.
         """
-        F = self.information
-        first = np.asarray(np.linalg.solve(*_exact_sums(F, self.theta)), dtype=float)
-        R_cs_ref = deviation_from_theta(first) * self.R_cs_ref
-        series = self.about(R_cs_ref)
-        total, right = _exact_sums(F, series.theta)
-        covariance = np.linalg.inv(total)
-        R_cs = deviation_from_theta(covariance @ right) * R_cs_ref
-        return MergedMounting(R_cs, 0.5 * (covariance + covariance.T), len(self.names))
+        series, ones = self, np.ones((len(self.names), 1))
+        for _ in range(2):
+            fit = _fit(series, ones)
+            series = series.about(deviation_from_theta(fit.coefficients[0]) * series.R_cs_ref)
+        return MergedMounting(series.R_cs_ref, fit.covariance, len(self.names))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -158,7 +151,7 @@ class MergedMounting:
     """One matrix from several calibrations."""
 
     R_cs: Rotation
-    covariance: Array  # (3, 3) rad², of theta, frame c; without what all calibrations share
+    covariance: Array  # (3, 3) rad², of theta, frame c
     calibrations: int
 
 
@@ -248,23 +241,32 @@ def estimate_drift(series: MountingSeries, settings: DriftSettings) -> Drift:
     return Drift(series, merged, constant, step, walk, term, moved, settings)
 
 
-def _exact_sums(F: Array, theta: Array) -> tuple[Array, Array]:
-    right = np.einsum("kij,kj->ki", F, theta)
-    sums = ExactSum.of(np.hstack([F.reshape(-1, 9), right])).rounded()
-    return sums[:9].reshape(3, 3), sums[9:]
+def _without_shared(F: Array, right: Array, prior_shared: Array) -> tuple[Array, Array]:
+    """theta (K, 3) and its information (3 K, 3 K) from pairs (K, n, n), (K, n), the shared unknowns
+    eliminated.
+    """
+    K = len(F)
+    shared = prior_shared + F[:, 3:, 3:].sum(axis=0)
+    cross = F[:, :3, 3:].reshape(3 * K, -1)
+    gain = np.linalg.solve(shared, cross.T)
+    information = block_diag(*F[:, :3, :3]) - cross @ gain
+    information = 0.5 * (information + information.T)
+    own = right[:, :3].ravel() - gain.T @ right[:, 3:].sum(axis=0)
+    return np.linalg.solve(information, own).reshape(K, 3), information
 
 
 def _fit(series: MountingSeries, regressors: Array) -> LinearFit:
     """theta_k = sum over j of regressors[k, j] coefficients[j]; regressors (K, m)."""
-    F, m = series.information, regressors.shape[1]
-    normal = np.einsum("ka,kb,kij->aibj", regressors, regressors, F, optimize=True).reshape(3 * m, 3 * m)
-    right = np.einsum("ka,kij,kj->ai", regressors, F, series.theta, optimize=True).ravel()
+    X = np.kron(regressors, np.eye(3))
+    weighted = series.information @ X
+    normal = X.T @ weighted
     covariance = np.linalg.inv(normal)
-    coefficients = (covariance @ right).reshape(m, 3)
-    residual = series.theta - regressors @ coefficients
-    chi2 = float(np.einsum("ki,kij,kj->", residual, F, residual))
+    covariance = 0.5 * (covariance + covariance.T)
+    coefficients = covariance @ (weighted.T @ series.theta.ravel())
+    residual = series.theta.ravel() - X @ coefficients
+    chi2 = float(residual @ series.information @ residual)
     log_information = float(np.linalg.slogdet(normal)[1])
-    return LinearFit(coefficients, covariance, chi2, 3 * (len(F) - m), log_information)
+    return LinearFit(coefficients.reshape(-1, 3), covariance, chi2, len(X) - X.shape[1], log_information)
 
 
 def _phase_regressors(series: MountingSeries) -> Array:
@@ -325,121 +327,12 @@ def _best_step(series: MountingSeries, phase: Array, chi2_constant: float, confi
 def _random_walk(
     series: MountingSeries, phase: Array, settings: DriftSettings
 ) -> tuple[RandomWalk, OrbitPhaseTerm | None]:
+    problem = WalkProblem.of(series.theta, series.information, series.t_s, phase)
     given = settings.density_rad2_s
     if given is None:
-        density, interval = _likely_density(series, phase, settings.confidence)
+        density, interval = likely_density(problem, settings.confidence)
     else:
         density, interval = given, (float("nan"), float("nan"))
-    theta, covariance, term = _walk(series, phase, density)
-    return RandomWalk(theta, covariance, density, interval, estimated=given is None), term
-
-
-def _likely_density(
-    series: MountingSeries, phase: Array, confidence: float
-) -> tuple[float, tuple[float, float]]:
-    """Most likely density (rad²/s), and the interval in which the likelihood falls by less than chi2 of one
-    degree of freedom allows. 0 where no walk is as likely as any.
-    """
-    gaps, K = np.diff(series.t_s), len(series.names)
-    variance = np.trace(series.covariance, axis1=1, axis2=2) / 3.0
-    least = variance.min() / (series.t_s[-1] - series.t_s[0]) / K * 1e-5
-    most = (variance.max() + np.ptp(series.theta, axis=0).max() ** 2) / gaps.min() * 1e2
-
-    def loss(log_density: float) -> float:
-        return _walk_loss(series, phase, float(np.exp(log_density)))
-
-    grid = np.linspace(np.log(least), np.log(most), 60)
-    losses = np.array([loss(x) for x in grid])
-    at = int(np.argmin(losses))
-    window = (grid[max(at - 1, 0)], grid[min(at + 1, len(grid) - 1)])
-    found = minimize_scalar(loss, bounds=window, method="bounded", options={"xatol": 1e-4})
-    at_rest = _walk_loss(series, phase, 0.0)
-    resting = at_rest <= found.fun + 1e-6
-    lowest = min(at_rest, float(found.fun))
-    limit = lowest + float(chi2_distribution.ppf(confidence, 1))
-    centre = grid[0] if resting else float(found.x)
-    below, above = grid[(grid < centre) & (losses > limit)], grid[(grid > centre) & (losses > limit)]
-    low = high = 0.0
-    if len(below) and not resting:
-        low = float(np.exp(brentq(lambda x: loss(x) - limit, below[-1], centre)))
-    if len(above):
-        high = float(np.exp(brentq(lambda x: loss(x) - limit, centre, above[0])))
-    else:
-        high = float("inf")
-    return (0.0 if resting else float(np.exp(found.x))), (low, high)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _WalkSolution:
-    """The normal equations of a walk, solved: theta is K levels, plus phase coefficients times regressors."""
-
-    factor: Array  # banded Cholesky factor of the levels' information
-    levels: Array  # (K, 3), phase coefficients at their best
-    lift: Array  # (3 K, 3 m): the levels' answer to the phase coefficients, sign turned
-    phase: Array  # (m, 3) the coefficients
-    phase_covariance: Array  # (3 m, 3 m)
-    loss: float  # -2 log likelihood, the first level and the coefficients integrated out
-
-
-def _walk(series: MountingSeries, phase: Array, density: float) -> tuple[Array, Array, OrbitPhaseTerm | None]:
-    """Smoothed levels (K, 3) of a walk, their covariances (K, 3, 3), and the orbit's term beside them."""
-    K, m = len(series.names), phase.shape[1]
-    if density == 0.0:
-        fit = _fit(series, np.hstack([np.ones((K, 1)), phase]))
-        level, covariance = fit.coefficients[0], fit.covariance[:3, :3]
-        term = _phase_term(fit.coefficients[1:], fit.covariance[3:, 3:])
-        return np.tile(level, (K, 1)), np.tile(covariance, (K, 1, 1)), term
-    solved = _solve_walk(series, phase, density)
-    covariances = np.empty((K, 3, 3))
-    for k in range(K):
-        unit = np.zeros((3 * K, 3))
-        unit[3 * k : 3 * k + 3] = np.eye(3)
-        covariances[k] = cho_solve_banded((solved.factor, True), unit)[3 * k : 3 * k + 3]
-        if m:
-            rows = solved.lift[3 * k : 3 * k + 3]
-            covariances[k] += rows @ solved.phase_covariance @ rows.T
-    return solved.levels, covariances, _phase_term(solved.phase, solved.phase_covariance)
-
-
-def _walk_loss(series: MountingSeries, phase: Array, density: float) -> float:
-    if density == 0.0:
-        return _rest_loss(series, _fit(series, np.hstack([np.ones((len(series.names), 1)), phase])))
-    return _solve_walk(series, phase, density).loss
-
-
-def _rest_loss(series: MountingSeries, fit: LinearFit) -> float:
-    return float(np.linalg.slogdet(series.covariance)[1].sum()) + fit.log_information + fit.chi2
-
-
-def _solve_walk(series: MountingSeries, phase: Array, density: float) -> _WalkSolution:
-    """Information of the levels, blocks of 3 on three diagonals: calibrations on the middle one, and
-    1 / (q dt) for each step. First level and phase coefficients have no prior.
-    """
-    K, m = len(series.names), phase.shape[1]
-    F, gaps = series.information, np.diff(series.t_s)
-    stiffness = 1.0 / (density * gaps)
-    blocks = F.copy()
-    blocks[:-1] += stiffness[:, None, None] * np.eye(3)
-    blocks[1:] += stiffness[:, None, None] * np.eye(3)
-    banded = np.zeros((4, 3 * K))  # lower form: row d holds the d-th diagonal below the main one
-    for i in range(3):
-        for j in range(i + 1):
-            banded[i - j, j::3] = blocks[:, i, j]
-    banded[3, : 3 * (K - 1)] = -np.repeat(stiffness, 3)
-    factor = cholesky_banded(banded, lower=True)
-    right = np.einsum("kij,kj->ki", F, series.theta).ravel()
-    cross = np.einsum("kij,ka->kiaj", F, phase).reshape(3 * K, 3 * m)  # levels to phase coefficients
-    lift = cho_solve_banded((factor, True), cross) if m else cross
-    levels = cho_solve_banded((factor, True), right)
-    schur = np.einsum("ka,kb,kij->aibj", phase, phase, F).reshape(3 * m, 3 * m) - cross.T @ lift
-    right_phase = np.einsum("ka,ki->ai", phase, right.reshape(K, 3)).ravel() - cross.T @ levels
-    coefficients = np.linalg.solve(schur, right_phase) if m else np.zeros(0)
-    levels = levels - lift @ coefficients
-    model = levels.reshape(K, 3) + phase @ coefficients.reshape(m, 3)
-    residual, steps = series.theta - model, np.diff(levels.reshape(K, 3), axis=0)
-    chi2 = np.einsum("ki,kij,kj->", residual, F, residual) + (stiffness[:, None] * steps**2).sum()
-    loss = chi2 + np.linalg.slogdet(series.covariance)[1].sum() - 3.0 * np.log(stiffness).sum()
-    loss += 2.0 * np.log(factor[0]).sum() + (np.linalg.slogdet(schur)[1] if m else 0.0)
-    covariance = np.linalg.inv(schur) if m else np.zeros((0, 0))
-    phase_best = coefficients.reshape(m, 3)
-    return _WalkSolution(factor, levels.reshape(K, 3), lift, phase_best, covariance, float(loss))
+    course = problem.course(density)
+    walk = RandomWalk(course.theta, course.covariance, density, interval, estimated=given is None)
+    return walk, _phase_term(course.coefficients, course.coefficients_covariance)

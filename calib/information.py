@@ -108,6 +108,25 @@ class InformationPairs:
         sums = ExactSum.of(np.column_stack([self.F[:, rows, columns], self.F_theta]))
         return InformationTotal(sums, self.R_cs_ref, self.shared)
 
+    def as_one(self, name: str, eliminated: tuple[str, ...], prior: Array) -> InformationPairs:
+        """All pairs as a single one, added exactly. The shared unknowns `eliminated`, with the information
+        `prior` on them before any pair, are taken out; theta and the others stay.
+        """
+        total = self.total()
+        out = 3 + np.array([self.shared.index(unknown) for unknown in eliminated], dtype=np.int64)
+        stay = np.setdiff1d(np.arange(total.n), out)
+        F, right = total.F, total.F_theta
+        gain = np.linalg.solve(F[np.ix_(out, out)] + prior, F[np.ix_(out, stay)])
+        left = F[np.ix_(stay, stay)] - F[np.ix_(stay, out)] @ gain
+        shared = tuple(unknown for unknown in self.shared if unknown not in eliminated)
+        return InformationPairs(
+            np.array([name]),
+            0.5 * (left + left.T)[None],
+            (right[stay] - gain.T @ right[out])[None],
+            self.R_cs_ref,
+            shared,
+        )
+
     def table(self) -> pd.DataFrame:
         """One row a pair, for storage: name, upper triangle of F, F_theta, the reference (scalar last).
 

@@ -13,11 +13,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
+from scipy.spatial.transform import Rotation
 
 from calib.distortion import Knot, knots_touched, prior_information, unknown_names
 from calib.settings import CalibrationSettings
+from geometry.constants import EARTH_ROTATION_RATE
 
-__all__ = ["SeenTargets", "SharedUnknowns", "find_shared"]
+__all__ = ["SeenTargets", "SharedUnknowns", "coordinate_names", "find_shared", "turning_axes"]
 
 Array = NDArray[np.float64]
 
@@ -43,14 +45,23 @@ class SharedUnknowns:
 
     @property
     def names(self) -> tuple[str, ...]:
-        coordinates = tuple(f"target/{name}/{axis}" for name in self.targets for axis in range(3))
-        return unknown_names(self.knots) + coordinates
+        return unknown_names(self.knots) + coordinate_names(self.targets)
 
     def prior_information(self) -> Array:
         """Inverse prior covariance (n, n), distortion in units of its prior sigma, coordinates in metres."""
         parts = [prior_information(unknown_names(self.knots)), *np.linalg.inv(self.cov_targets)]
         parts = [part for part in parts if part.size]
         return np.asarray(block_diag(*parts)) if parts else np.zeros((0, 0))
+
+
+def coordinate_names(targets: Sequence[str]) -> tuple[str, ...]:
+    """Names of the unknown coordinates of targets, three each."""
+    return tuple(f"target/{name}/{axis}" for name in targets for axis in range(3))
+
+
+def turning_axes(t_s: Array) -> Array:
+    """(J, 3, 3), from the axes in which targets' coordinates are unknown to GCRS at t_s (J,)."""
+    return Rotation.from_rotvec(np.outer(EARTH_ROTATION_RATE * t_s, [0.0, 0.0, 1.0])).as_matrix()
 
 
 def find_shared(strips: Sequence[SeenTargets], settings: CalibrationSettings) -> SharedUnknowns:

@@ -25,9 +25,8 @@ from scipy.spatial.transform import Rotation
 from calib.attitudes import ExposureAttitudes, cross_matrices, fit_attitudes
 from calib.distortion import Knot, correlation, knot_weights, knots_touched
 from calib.settings import CalibrationSettings
-from calib.shared_unknowns import SeenTargets, SharedUnknowns
+from calib.shared_unknowns import SeenTargets, SharedUnknowns, turning_axes
 from geometry.attitude import lagrange_weights
-from geometry.constants import EARTH_ROTATION_RATE
 from geometry.sightings import GroundSightings, StripSightings
 
 __all__ = ["LinearStrips", "PreparedStrip", "StripGroup", "group_strips", "linearise", "prepare_strip"]
@@ -113,7 +112,7 @@ def prepare_strip(
     position = move_s * settings.sigma_position_m
     rate_s = _turning_rate(times[used], attitudes.R_si[used])
     clock = (move_s @ ground.v_rel_i[:, :, None] + np.cross(rate_s, v_s)[:, :, None]) * settings.sigma_clock_s
-    R_ie = Rotation.from_rotvec(np.outer(EARTH_ROTATION_RATE * ground.t_s, [0.0, 0.0, 1.0])).as_matrix()
+    R_ie = turning_axes(ground.t_s)
     names = [f"phi/{k}/{axis}" for k in range(K) for axis in "xyz"] + [f"position/{axis}" for axis in "xyz"]
     return PreparedStrip(
         strip.strip_id,

@@ -9,33 +9,38 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import reduce
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 import pyarrow as pa
-import pyarrow.parquet as pq
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from calib.distortion import prior_information
 from calib.drift import Drift, DriftSettings, MountingSeries, estimate_drift
+from calib.information import InformationPairs
 from geometry.constants import ARCSEC, DAY_S
 from geometry.epoch import Epoch
 from geometry.installation import deviation_from_theta, theta_between
 from pipeline import __version__
 from pipeline.errors import DataNotSufficientError, RawDataError
-from pipeline.files.text_files import read_text
+from pipeline.files.table_files import read_parquet
+from pipeline.files.text_files import read_json
 from pipeline.report.drift_plot import plot_drift
-from pipeline.result import read_result
+from pipeline.result import read_mounting, read_result, results_in
 from pipeline.work.unit_store import column, write_whole
 
-__all__ = ["DatedDrift", "drift_of_results", "drift_summary", "write_drift"]
+__all__ = ["DatedDrift", "drift_of_results", "drift_summary", "named_results", "write_drift"]
 
 Array = NDArray[np.float64]
 AXES = ("X", "Y", "Z")
+PASSES = {"utc_middle": pa.string(), "argument_of_latitude_rad": pa.float64(), "camera": pa.string()}
+OF_DISTORTION = ("sigma_distortion_rad", "distortion_length_px")  # by which its unknowns are measured
 BY_CAMERA = ("mission", "star_camera", "remote_camera")  # of evidence/context.json: alike in all results
 
 
@@ -51,42 +56,53 @@ class DatedDrift:
 @dataclass(frozen=True, slots=True, eq=False)
 class _DatedResult:
     name: str
-    R_cs: Rotation
+    pair: InformationPairs  # of theta and of the camera's distortion
     R_cs0: Rotation
-    covariance: Array  # (3, 3) rad²
     utc: tuple[str, ...]  # of its strips
     cos_sin: Array  # (2,) mean over the strips; NaN where not known
     alike: dict[str, Any]  # what must be the same in all results, where it is known
 
 
-def drift_of_results(results: Sequence[Path], settings: DriftSettings) -> DatedDrift:
-    """The course of the mounting that finished results speak of, in whatever order they are named.
-
-    `RawDataError` for a result that cannot be read, is not of the same cameras as the first, or is named
-    twice; `DataNotSufficientError` when the results do not make a series.
+def named_results(folders: Sequence[Path]) -> dict[str, Path]:
+    """The results that are meant by folders: themselves, or those of their dumps. `RawDataError` for one that
+    is named twice.
     """
-    seen: dict[Path, Path] = {}
-    for path in results:
-        if (real := path.resolve()) in seen:
-            raise RawDataError(str(path), "RESULT", f"the same folder as {seen[real]}", "each result once")
-        seen[real] = path
-    read = [_read(path) for path in results]
+    named: dict[Path, Path] = {}
+    for folder in folders:
+        for path in results_in(folder):
+            if (real := path.resolve()) in named:
+                raise RawDataError(
+                    str(path), "RESULT", f"the same folder as {named[real]}", "each result once"
+                )
+            named[real] = path
+    return {str(path): path for path in named.values()}
+
+
+def drift_of_results(results: Mapping[str, Path], settings: DriftSettings) -> DatedDrift:
+    """The course of the mounting that finished results speak of, each by its name, in whatever order.
+
+    `RawDataError` for a result that cannot be read or is not of the same cameras as the first;
+    `DataNotSufficientError` when the results do not make a series.
+    """
+    read = [_read(name, path) for name, path in results.items()]
     for other in read[1:]:
         _check_alike(read[0], other)
-    epoch = Epoch.from_utc(min((utc for result in read for utc in result.utc), default="2000-01-01"))
-    t_s = np.array([epoch.seconds_from_utc(result.utc).mean() for result in read])
+    if len(read) < 2:
+        raise DataNotSufficientError(f"{len(read)} results show no course of time, 2 are needed")
+    epoch = Epoch.from_utc(min(utc for result in read for utc in result.utc))
+    dated = sorted(((float(epoch.seconds_from_utc(r.utc).mean()), r) for r in read), key=lambda item: item[0])
+    pairs = reduce(InformationPairs.merged, [result.pair for _, result in dated])
     try:
         series = MountingSeries.of(
-            [result.name for result in read],
-            t_s,
-            Rotation.concatenate([result.R_cs for result in read]) if read else Rotation.identity(0),
-            np.array([result.covariance for result in read]).reshape(-1, 3, 3),
-            np.array([result.cos_sin for result in read]).reshape(-1, 2),
+            pairs,
+            prior_information(pairs.shared),
+            np.array([t_s for t_s, _ in dated]),
+            np.array([result.cos_sin for _, result in dated]),
         )
         found = estimate_drift(series, settings)
     except ValueError as error:
         raise DataNotSufficientError(str(error)) from error
-    return DatedDrift(found, epoch, read[int(np.argmin(t_s))].R_cs0)
+    return DatedDrift(found, epoch, dated[0][1].R_cs0)
 
 
 def write_drift(dated: DatedDrift, out: Path) -> list[Path]:
@@ -103,11 +119,15 @@ def write_drift(dated: DatedDrift, out: Path) -> list[Path]:
 
 
 def drift_table(dated: DatedDrift) -> pd.DataFrame:
-    """One row a result and axis; angles in arcsec against the merged matrix, frame c."""
+    """One row a result and axis; angles in arcsec against the merged matrix, frame c, with their 1-sigma as
+    such: what all results share is in both and falls out.
+    """
     drift, series = dated.drift, dated.drift.series
     phase = np.degrees(np.arctan2(series.cos_sin[:, 1], series.cos_sin[:, 0])) % 360.0
-    sigma = np.sqrt(np.einsum("kii->ki", series.covariance)) / ARCSEC
-    smoothed_sigma = np.sqrt(np.einsum("kii->ki", drift.walk.covariance)) / ARCSEC
+    sigma, smoothed_sigma = (
+        np.sqrt(np.maximum(np.einsum("kii->ki", covariance - drift.merged.covariance), 0.0)) / ARCSEC
+        for covariance in (series.covariance, drift.walk.covariance)
+    )
     rows = [
         (
             name,
@@ -158,41 +178,39 @@ def drift_summary(dated: DatedDrift) -> str:
     return "\n".join(lines)
 
 
-def _read(path: Path) -> _DatedResult:
+def _read(name: str, path: Path) -> _DatedResult:
     saved = read_result(path)
     R_cs0 = deviation_from_theta(saved.theta).inv() * saved.R_cs
+    pair = read_mounting(path, name)
     alike: dict[str, Any] = {}
     context = _context(path)
     alike |= {key: context[key] for key in BY_CAMERA if key in context}
+    if pair.shared:
+        believed = saved.installation.get("settings", {}).get("calibration", {})
+        alike |= {f"settings.calibration.{key}": believed.get(key) for key in OF_DISTORTION}
     passes = path / "sightings" / "passes.parquet"
     if passes.is_file():
+        table = read_parquet(passes, PASSES)
+        utc = tuple(table.column("utc_middle").to_pylist())
+        u = column(table, "argument_of_latitude_rad")
+        cameras = sorted(set(table.column("camera").to_pylist()))
         try:
-            table = pq.read_table(passes)
-            utc = tuple(str(value) for value in table.column("utc_middle").to_pylist())
-            u = column(table, "argument_of_latitude_rad").astype(float)
-            cameras = sorted(set(table.column("camera").to_pylist()))
             Epoch.from_utc(min(utc)).seconds_from_utc(utc)
-        except (OSError, KeyError, ValueError, pa.ArrowException) as error:
-            raise RawDataError(str(passes), "file", str(error), "the table that `calibrate` wrote") from error
+        except ValueError as error:
+            raise RawDataError(str(passes), "utc_middle", str(error), "UTC times of strips") from error
         # A digest is only comparable between results of one version of the program.
         alike[f"camera of version {saved.installation.get('version')}"] = cameras
         cos_sin = np.array([np.cos(u).mean(), np.sin(u).mean()])
-        return _DatedResult(str(path), saved.R_cs, R_cs0, saved.cov_theta, utc, cos_sin, alike)
+        return _DatedResult(name, pair, R_cs0, utc, cos_sin, alike)
     utc = _date_of_exposures(path, context, saved.t_exposures_s)
-    return _DatedResult(str(path), saved.R_cs, R_cs0, saved.cov_theta, utc, np.full(2, np.nan), alike)
+    return _DatedResult(name, pair, R_cs0, utc, np.full(2, np.nan), alike)
 
 
 def _context(path: Path) -> dict[str, Any]:
     file = path / "evidence" / "context.json"
     if not file.is_file():
         return {}
-    try:
-        content = json.loads(read_text(file, str(file)))
-    except ValueError as error:
-        raise RawDataError(str(file), "JSON", str(error), "what `calibrate` wrote") from error
-    if not isinstance(content, dict):
-        raise RawDataError(str(file), "JSON", type(content).__name__, "what `calibrate` wrote")
-    return content
+    return read_json(file, str(file))
 
 
 def _date_of_exposures(path: Path, context: dict[str, Any], t_s: Array) -> tuple[str, ...]:

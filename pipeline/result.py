@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -26,30 +27,38 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
+from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
 
 from calib.information import InformationPairs
+from calib.shared_unknowns import coordinate_names, turning_axes
 from geometry.installation import euler_zxy_from_theta
 from geometry.orbit import argument_of_latitude
 from geometry.sightings import StarSightings
 from pipeline import __version__
 from pipeline.calibrate import Calibration
 from pipeline.errors import Omission, RawDataError
-from pipeline.files.text_files import read_text
+from pipeline.files.table_files import fixed, read_parquet
+from pipeline.files.text_files import read_json
 from pipeline.settings import Settings
 from pipeline.work.unit_store import UnitStore, column, digest, fixed_list, list_values, write_whole
 
 __all__ = [
     "SavedResult",
     "begin_result",
+    "dumps_in",
+    "read_mounting",
     "read_pairs",
     "read_result",
+    "results_in",
     "store_of",
+    "write_dumps",
     "write_result",
     "write_run",
 ]
 
 Array = NDArray[np.float64]
+DUMPS = "dumps.json"
 FIELDS = (
     "R_cs",
     "quaternion",
@@ -64,6 +73,14 @@ FIELDS = (
     "settings",
     "version",
 )
+EXPOSURES = {
+    "exposure_id": pa.string(),
+    "t_s": pa.float64(),
+    "R_si": fixed(9),
+    "usable": pa.bool_(),
+}
+COORDINATES = {"target_id": pa.string(), "t_s": pa.float64(), "cov_target_i": fixed(9)}
+DISTORTION = re.compile(r"distortion/[xy]/\d{1,6}/-?\d{1,6}")
 
 
 @dataclasses.dataclass(frozen=True, slots=True, eq=False)
@@ -86,14 +103,15 @@ def store_of(result: Path) -> UnitStore:
 
 
 def begin_result(result: Path) -> None:
-    """Make the folder; an `installation.json` of an earlier run goes, since it speaks for the folder no more.
+    """Make the folder; what says of an earlier run that it is finished goes, since it is true no more.
 
     What a killed run left half-written goes too: it has no name that anything is looked for under.
     """
     (result / "work").mkdir(parents=True, exist_ok=True)
     for left in result.rglob(".*.tmp"):
         left.unlink(missing_ok=True)
-    (result / "installation.json").unlink(missing_ok=True)
+    for name in ("installation.json", DUMPS):
+        (result / name).unlink(missing_ok=True)
 
 
 def write_result(result: Path, calibration: Calibration, settings: Settings) -> None:
@@ -110,6 +128,28 @@ def write_result(result: Path, calibration: Calibration, settings: Settings) -> 
     _write_json(result / "installation.json", _installation(calibration, settings))
 
 
+def write_dumps(result: Path, names: Sequence[str]) -> None:
+    """Note that the folder is of several dumps, whose own results lie in its folders `names`."""
+    _write_json(result / DUMPS, {"dumps": list(names)})
+
+
+def dumps_in(result: Path) -> tuple[str, ...]:
+    """Names of the dumps whose results lie in this one's folders; none for the result of one dump."""
+    if not (path := result / DUMPS).is_file():
+        return ()
+    names = read_json(path, str(path)).get("dumps")
+    if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
+        raise RawDataError(str(path), "dumps", names, "a list of names")
+    return tuple(names)
+
+
+def results_in(result: Path) -> list[Path]:
+    """The result itself, or the finished ones of its dumps."""
+    if not (names := dumps_in(result)):
+        return [result]
+    return [result / name for name in names if (result / name / "installation.json").is_file()]
+
+
 def write_run(result: Path, facts: dict[str, Any]) -> None:
     """Times, counts and machine of a run: what may differ between two runs with the same result."""
     _write_json(result / "run.json", facts)
@@ -118,31 +158,38 @@ def write_run(result: Path, facts: dict[str, Any]) -> None:
 def read_result(result: Path) -> SavedResult:
     """Read back what a finished run left. `RawDataError` when it is not there or damaged."""
     name = str(result / "installation.json")
-    text = read_text(result / "installation.json", name)
-    try:
-        content = json.loads(text)
-        quaternion = np.array(content["quaternion"], dtype=float).reshape(4)
-        theta = np.array(content["theta_rad"], dtype=float).reshape(3)
-        covariance = np.array(content["covariance_rad2"], dtype=float).reshape(3, 3)
-    except (ValueError, KeyError, TypeError) as error:
-        raise RawDataError(
-            name, "JSON", f"{type(error).__name__}: {error}", "what `calibrate` wrote"
-        ) from error
+    content = read_json(result / "installation.json", name)
+    quaternion = _numbers(content, "quaternion", (4,), name)
+    if abs(np.linalg.norm(quaternion) - 1.0) > 1e-6:
+        raise RawDataError(name, "quaternion", quaternion.tolist(), "length 1")
     path = result / "sightings" / "exposures.parquet"
+    table = read_parquet(path, EXPOSURES)
     try:
-        table = pq.read_table(path)
-    except (OSError, pa.ArrowException) as error:
-        raise RawDataError(str(path), "file", str(error), "the table that `calibrate` wrote") from error
+        R_si = Rotation.from_matrix(list_values(table, "R_si", 3, 3)) if len(table) else Rotation.identity(0)
+    except ValueError as error:
+        raise RawDataError(str(path), "column R_si", str(error), "rotations") from error
     return SavedResult(
         Rotation.from_quat(quaternion),
-        theta,
-        covariance,
+        _numbers(content, "theta_rad", (3,), name),
+        _numbers(content, "covariance_rad2", (3, 3), name),
         content,
         [str(name) for name in table.column("exposure_id").to_pylist()],
         column(table, "t_s"),
-        Rotation.from_matrix(list_values(table, "R_si", 3, 3)) if len(table) else Rotation.identity(0),
+        R_si,
         column(table, "usable").astype(bool),
     )
+
+
+def _numbers(content: dict[str, Any], key: str, shape: tuple[int, ...], file: str) -> Array:
+    """An array of finite numbers under a key of installation.json."""
+    expected = f"{' x '.join(map(str, shape))} finite numbers"
+    try:
+        values = np.array(content.get(key), dtype=float)
+    except (ValueError, TypeError, OverflowError) as error:
+        raise RawDataError(file, key, str(error), expected) from error
+    if values.shape != shape or not np.isfinite(values).all():
+        raise RawDataError(file, key, content.get(key), expected)
+    return values
 
 
 def _installation(calibration: Calibration, settings: Settings) -> dict[str, Any]:
@@ -254,7 +301,42 @@ def _target_groups(calibration: Calibration) -> list[pa.Table]:
 
 def read_pairs(result: Path) -> InformationPairs:
     """The strips' information pairs of a finished result."""
-    return InformationPairs.from_table(pq.read_table(result / "sightings" / "strips.parquet").to_pandas())
+    path = result / "sightings" / "strips.parquet"
+    try:
+        return InformationPairs.from_table(read_parquet(path).to_pandas())
+    except (ValueError, KeyError, IndexError, TypeError) as error:
+        raise RawDataError(str(path), "columns", str(error), "the table that `calibrate` wrote") from error
+
+
+def read_mounting(result: Path, name: str) -> InformationPairs:
+    """What a finished result says of the mounting, as one pair: its strips added, coordinates of targets that
+    several of them see eliminated. The camera's distortion stays, for other results know of the same.
+    """
+    pairs = read_pairs(result)
+    path = result / "sightings" / "strips.parquet"
+    coordinates = [unknown for unknown in pairs.shared if not DISTORTION.fullmatch(unknown)]
+    targets = tuple(dict.fromkeys(unknown.removeprefix("target/")[:-2] for unknown in coordinates))
+    if tuple(coordinates) != coordinate_names(targets):
+        raise RawDataError(str(path), "columns", coordinates[0], "unknowns of the camera and of targets")
+    try:
+        return pairs.as_one(name, coordinate_names(targets), _prior_of_targets(result, targets))
+    except np.linalg.LinAlgError as error:
+        raise RawDataError(str(path), "F", str(error), "information pairs of strips") from error
+
+
+def _prior_of_targets(result: Path, targets: Sequence[str]) -> Array:
+    """Information (3 t, 3 t) on the coordinates of targets before any strip, 1/m²."""
+    if not targets:
+        return np.zeros((0, 0))
+    path = result / "sightings" / "targets.parquet"
+    table = read_parquet(path, COORDINATES)
+    names = table.column("target_id").to_pylist()
+    if unknown := sorted(set(targets) - set(names)):
+        raise RawDataError(str(path), "target_id", "not there", f"target {unknown[0]} of strips.parquet")
+    rows = [names.index(target) for target in targets]
+    axes = turning_axes(column(table, "t_s")[rows])
+    covariance = np.swapaxes(axes, 1, 2) @ list_values(table, "cov_target_i", 3, 3)[rows] @ axes
+    return np.asarray(block_diag(*np.linalg.inv(covariance)))
 
 
 def _passes_table(calibration: Calibration) -> pa.Table:
@@ -287,7 +369,7 @@ def _write_groups(path: Path, groups: Sequence[pa.Table]) -> None:
     """One Parquet file, one row group a table."""
 
     def write(target: Path) -> None:
-        with pq.ParquetWriter(target, groups[0].schema, compression="zstd") as file:
+        with pq.ParquetWriter(target, groups[0].schema, compression="zstd", write_page_checksum=True) as file:
             for group in groups:
                 file.write_table(group, row_group_size=max(len(group), 1))
 

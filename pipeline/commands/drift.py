@@ -35,13 +35,13 @@ def drift(
     """Merge several results into one matrix, and tell whether, how and when the mounting has moved."""
     from calib.drift import DriftSettings
     from geometry.constants import ARCSEC, DAY_S
-    from pipeline.drift import drift_of_results, drift_summary, write_drift
+    from pipeline.drift import drift_of_results, drift_summary, named_results, write_drift
 
     settings = DriftSettings(
         probability_false_alarm=false_alarm,
         density_rad2_s=None if density is None else (density * ARCSEC) ** 2 / DAY_S,
         orbit_phase=orbit_phase,
     )
-    found = drift_of_results(results, settings)
+    found = drift_of_results(named_results(results), settings)
     typer.echo(drift_summary(found))
     typer.echo(f"-> {', '.join(str(path) for path in write_drift(found, out))}")

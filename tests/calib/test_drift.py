@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import binom, chi2
 
 from calib.drift import DriftSettings, MountingSeries, estimate_drift
+from calib.information import InformationPairs
 from geometry.constants import ARCSEC
 from geometry.installation import deviation_from_theta, theta_between
 
@@ -33,7 +34,14 @@ def drawn(course, t_s, rng, *, cos_sin=None, C=None):
     C = covariances(len(t_s), rng) if C is None else C
     noise = np.einsum("kij,kj->ki", np.linalg.cholesky(C), rng.normal(size=(len(t_s), 3)))
     names = [f"d{k:02d}" for k in range(len(t_s))]
-    return MountingSeries.of(names, t_s, deviation_from_theta(course + noise) * R_CS, C, cos_sin)
+    return independent(names, t_s, course + noise, C, cos_sin)
+
+
+def independent(names, t_s, theta, C, cos_sin=None):
+    """Calibrations that share nothing: theta (K, 3) rad about R_CS with covariances C (K, 3, 3)."""
+    F = np.linalg.inv(np.asarray(C))
+    pairs = InformationPairs(np.array(names, dtype=str), F, np.einsum("kij,kj->ki", F, theta), R_CS)
+    return MountingSeries.of(pairs, np.zeros((0, 0)), t_s, cos_sin)
 
 
 def test_alarms_at_rest_come_no_more_often_than_is_asked_for():
@@ -114,7 +122,7 @@ def test_the_density_of_a_random_walk_is_recovered_within_its_interval():
     assert low < nees < high
 
 
-def test_the_banded_smoother_is_the_dense_gaussian_posterior():
+def test_the_smoother_is_the_dense_gaussian_posterior():
     # Against conditioning of the joint Gaussian of all levels, phase term with it; first level and
     # coefficients get a wide prior (1e4 times the data), which is worth 1e-6 of the result.
     rng, density = np.random.default_rng(6), (0.1 * ARCSEC) ** 2 / DAY_S
@@ -181,11 +189,11 @@ def test_an_orbit_term_stays_honest_beside_a_step():
 def test_merging_gives_the_same_bits_in_any_order():
     rng = np.random.default_rng(9)
     series = drawn(rng.normal(size=(4, 3)) * ARCSEC, MONTHS[:4], rng)
-    R, C = series.R_cs, series.covariance
-    expected = MountingSeries.of(series.names, series.t_s, R, C).merged()
+    theta, C = series.theta, series.covariance
+    expected = independent(series.names, series.t_s, theta, C).merged()
     for order in itertools.permutations(range(4)):
         at = list(order)
-        other = MountingSeries.of([series.names[k] for k in at], series.t_s[at], R[at], C[at]).merged()
+        other = independent([series.names[k] for k in at], series.t_s[at], theta[at], C[at]).merged()
         assert other.R_cs.as_quat().tobytes() == expected.R_cs.as_quat().tobytes()
         assert other.covariance.tobytes() == expected.covariance.tobytes()
 
@@ -206,9 +214,9 @@ def test_the_merged_matrix_and_its_covariance_are_honest():
         ({"names": ["a", "a", "c"]}, "'a' is given twice"),
         ({"t_s": np.array([0.0, 5.0, 5.0])}, "one and the same time"),
         ({"t_s": np.array([0.0, 5.0, np.nan])}, "needs a time"),
-        ({"R_cs": Rotation.from_euler("z", [[0.0], [0.0], [2.0]], degrees=True)}, "not one mounting"),
-        ({"covariance": np.tile(np.diag([1.0, 1.0, 0.0]), (3, 1, 1))}, "not positive definite"),
-        ({"names": [], "t_s": np.zeros(0)}, "0 calibrations"),
+        ({"theta": np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, 0.03]])}, "not one mounting"),
+        ({"C": np.tile(np.diag([1.0, 1.0, -1.0]), (3, 1, 1))}, "not positive definite"),
+        ({"names": [], "t_s": np.zeros(0), "theta": np.zeros((0, 3)), "C": np.zeros((0, 3, 3))}, "0 calib"),
         ({"t_s": np.zeros(2)}, "need t_s"),
     ],
 )
@@ -216,11 +224,11 @@ def test_what_is_not_a_series_is_refused(change, says):
     given = {
         "names": ["a", "b", "c"],
         "t_s": np.arange(3.0),
-        "R_cs": Rotation.identity(3),
-        "covariance": np.tile(ARCSEC**2 * np.eye(3), (3, 1, 1)),
+        "theta": np.zeros((3, 3)),
+        "C": np.tile(ARCSEC**2 * np.eye(3), (3, 1, 1)),
     } | change
     with pytest.raises(ValueError, match=says):
-        MountingSeries.of(**given)
+        independent(**given)
 
 
 def test_an_orbit_term_that_nothing_tells_is_refused():

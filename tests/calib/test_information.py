@@ -96,3 +96,18 @@ def test_a_turn_without_information_is_named_and_gets_no_number():
     solution = solve_total(F, F @ np.array([1e-6, 2e-6, -1e-6]), sigma_observable_rad=1e-3)
     np.testing.assert_allclose(np.abs(solution.unobservable @ axis), 1.0, atol=1e-9)
     assert abs(solution.theta @ axis) < 1e-15 and abs(axis @ solution.covariance @ axis) < 1e-20
+
+
+def test_pairs_made_one_say_the_same_of_what_is_left():
+    pairs = pairs_of(6, 3, shared=("a", "b", "c", "d"))
+    prior_bd, prior_ac = 1e9 * np.array([[2.0, 0.5], [0.5, 1.0]]), 1e9 * np.array([[1.0, -0.3], [-0.3, 1.5]])
+    prior = np.zeros((4, 4))
+    prior[np.ix_([1, 3], [1, 3])], prior[np.ix_([0, 2], [0, 2])] = prior_bd, prior_ac
+    total = pairs.total()
+    whole = solve_total(total.F, total.F_theta, prior, sigma_observable_rad=1.0)
+    one = pairs.as_one("all", ("b", "d"), prior_bd)
+    assert one.names.tolist() == ["all"] and one.shared == ("a", "c")
+    left = solve_total(one.F[0], one.F_theta[0], prior_ac, sigma_observable_rad=1.0)
+    # Rounding of sums whose terms span six decades.
+    np.testing.assert_allclose(left.theta, whole.theta, rtol=1e-6)
+    np.testing.assert_allclose(left.covariance, whole.covariance, rtol=1e-6)

@@ -13,11 +13,12 @@ from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
 from calib.drift import DriftSettings
+from calib.information import InformationPairs
 from geometry.constants import ARCSEC, DAY_S
 from geometry.epoch import Epoch
 from geometry.installation import deviation_from_theta, theta_between
 from pipeline.cli import app
-from pipeline.drift import drift_of_results
+from pipeline.drift import drift_of_results, named_results
 from pipeline.errors import DataNotSufficientError, RawDataError
 from pipeline.work.unit_store import fixed_list
 
@@ -55,9 +56,16 @@ def write_result(folder, t_s, theta, *, phase=0.0, camera="c0", mission="m", ver
         "argument_of_latitude_rad": [phase, phase + 0.02],
         "camera": [camera, camera],
     }
-    for name, table in (("exposures", exposures), ("passes", passes)):
-        pq.write_table(pa.table(table), folder / f"sightings/{name}.parquet")
+    pair = InformationPairs(np.array(["s1"]), np.diag(SIGMA**-2.0)[None], np.zeros((1, 3)), R_cs)
+    strips = pa.Table.from_pandas(pair.table(), preserve_index=False)
+    tables = {"exposures": pa.table(exposures), "passes": pa.table(passes), "strips": strips}
+    for name, table in tables.items():
+        pq.write_table(table, folder / f"sightings/{name}.parquet")
     return folder
+
+
+def drift_of(folders, settings):
+    return drift_of_results(named_results(folders), settings)
 
 
 def archive(root, months, rng, *, step_after=None, amplitude=0.0):
@@ -114,7 +122,7 @@ def test_files_are_the_same_bytes_in_whatever_order_results_are_named(tmp_path):
 
 def test_an_orbit_term_is_fitted_when_asked_for(tmp_path):
     folders = archive(tmp_path, 12, np.random.default_rng(4), amplitude=2.0 * ARCSEC)
-    assert drift_of_results(folders, REST).drift.moved
+    assert drift_of(folders, REST).drift.moved
     ran = runner.invoke(
         app, ["drift", *map(str, folders), "--out", str(tmp_path / "out"), "--orbit-phase", "--density", "0"]
     )
@@ -127,14 +135,14 @@ def test_an_orbit_term_is_fitted_when_asked_for(tmp_path):
 def test_a_result_of_an_earlier_version_is_dated_by_its_reports_notes(tmp_path):
     folders = archive(tmp_path, 3, np.random.default_rng(5))
     (folders[1] / "sightings/passes.parquet").unlink()
-    found = drift_of_results(folders, REST)
+    found = drift_of(folders, REST)
     # exposures at 0 and 20 s of its epoch, as the strips of the others
     assert_allclose(found.drift.series.t_s, 30 * DAY_S * np.arange(3) + 10.0, atol=1e-6)
     with pytest.raises(DataNotSufficientError, match="orbit phase of 1 calibrations is not known"):
-        drift_of_results(folders, DriftSettings(orbit_phase=True))
+        drift_of(folders, DriftSettings(orbit_phase=True))
     shutil.rmtree(folders[1] / "evidence")
     with pytest.raises(RawDataError, match=r"passes\.parquet.*calibrate the dump once more"):
-        drift_of_results(folders, REST)
+        drift_of(folders, REST)
 
 
 @pytest.mark.parametrize(
@@ -150,27 +158,27 @@ def test_results_that_are_not_of_one_mounting_are_refused(tmp_path, change, erro
     first = write_result(tmp_path / "a", 0.0, THETA)
     other = write_result(tmp_path / "b", **({"t_s": DAY_S, "theta": THETA} | change))
     with pytest.raises(error, match=says):
-        drift_of_results([first, other], REST)
+        drift_of([first, other], REST)
 
 
 def test_a_camera_is_compared_within_one_version_of_the_program_only(tmp_path):
     first = write_result(tmp_path / "a", 0.0, THETA)
     other = write_result(tmp_path / "b", DAY_S, THETA, camera="c1", version="0.2.0")
-    assert not drift_of_results([first, other], REST).drift.moved
+    assert not drift_of([first, other], REST).drift.moved
 
 
 def test_a_result_named_twice_none_one_or_a_damaged_one_are_refused(tmp_path):
     first = write_result(tmp_path / "a", 0.0, THETA)
     other = write_result(tmp_path / "b", DAY_S, THETA)
     with pytest.raises(RawDataError, match="each result once"):
-        drift_of_results([first, tmp_path / "b" / ".." / "a"], REST)
-    with pytest.raises(DataNotSufficientError, match="0 calibrations"):
-        drift_of_results([], REST)
-    with pytest.raises(DataNotSufficientError, match="1 calibrations"):
-        drift_of_results([first], REST)
+        drift_of([first, tmp_path / "b" / ".." / "a"], REST)
+    with pytest.raises(DataNotSufficientError, match="0 results"):
+        drift_of([], REST)
+    with pytest.raises(DataNotSufficientError, match="1 results"):
+        drift_of([first], REST)
     with pytest.raises(RawDataError, match="nowhere"):
-        drift_of_results([first, tmp_path / "nowhere"], REST)
+        drift_of([first, tmp_path / "nowhere"], REST)
     (other / "sightings/passes.parquet").write_bytes(b"PAR1")
     with pytest.raises(RawDataError, match=r"passes\.parquet"):
-        drift_of_results([first, other], REST)
+        drift_of([first, other], REST)
     assert runner.invoke(app, ["drift", "--out", str(tmp_path / "out")]).exit_code == 2
