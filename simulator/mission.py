@@ -59,7 +59,7 @@ from simulator.records import (
     Truth,
 )
 from simulator.relief import Affine, relief_grid
-from simulator.scan import Scene, needed_sample_step, scan
+from simulator.scan import Scene, needed_sample_step, panels, panels_near, scan
 from simulator.scenario import Scenario
 from simulator.sky import hot_pixels
 from simulator.star_images import StarField, with_invented_stars
@@ -115,7 +115,7 @@ def simulate(
         installation=Installation(R_cs0, np.array(scenario.installation.sigma_rad)),
         errors=_stated(scenario),
         exposures=_exposures(scenario, plan, sky, seed),
-        strips=_strips(scenario, plan, scenes, clock_s, seed),
+        strips=_strips(scenario, plan, scenes, targets, clock_s, seed),
         targets=tuple(item.target for item in targets),
         chips=tuple(item.chip for item in targets),
         terrain=terrain,
@@ -305,7 +305,7 @@ def _exposure_id(n: int) -> str:
 
 
 def _strips(
-    scenario: Scenario, plan: _Plan, scenes: list[Scene], clock_s: Array, seed: int
+    scenario: Scenario, plan: _Plan, scenes: list[Scene], targets: list[Placed], clock_s: Array, seed: int
 ) -> tuple[Strip, ...]:
     """Every CCD of every strip; the time of the first row as the camera's clock says it."""
     camera, s, ground = scenario.line_camera, scenario.strips, scenario.ground
@@ -314,7 +314,14 @@ def _strips(
 
     def render(n: int, ccd: int, rows: int) -> Iterator[NDArray[Any]]:
         chance = _rng(seed, "strip", n, ccd)
-        return scan(scenes[n], ccd, s.lines, ground, gains[ccd], chance, rows)
+        return scan(scenes[n], ccd, s.lines, ground, gains[ccd], chance, rows, wanted(n, ccd))
+
+    def wanted(n: int, ccd: int) -> NDArray[np.bool_]:
+        if not s.only_around_targets_px:
+            return panels(s.lines, camera.samples)
+        seen = [p for item in targets for p in item.truth if (p.strip_id, p.ccd) == (plan.strip_ids[n], ccd)]
+        places = np.array([(p.sample, p.line) for p in seen]).reshape(-1, 2)
+        return panels_near(places, s.only_around_targets_px, s.lines, camera.samples)
 
     return tuple(
         Strip(

@@ -23,7 +23,7 @@ from geometry.terrain import ConstantHeight, Surface, TerrainGrid
 from simulator.ground import BlurredGround
 from simulator.scenario import GroundSettings
 
-__all__ = ["Scene", "needed_sample_step", "read_ground", "row_places", "scan"]
+__all__ = ["Scene", "needed_sample_step", "panels", "panels_near", "read_ground", "row_places", "scan"]
 
 Array = NDArray[np.float64]
 Grey = NDArray[np.float32]
@@ -84,6 +84,21 @@ def needed_sample_step(model: Pushbroom, surface: TerrainGrid, lines: int) -> in
     )
 
 
+def panels(lines: int, samples: int) -> NDArray[np.bool_]:
+    """Every panel that a CCD's image is rendered in, (rows of panels, panels in a row)."""
+    return np.ones((-(-lines // _PANEL_LINES), -(-samples // _PANEL_SAMPLES)), dtype=bool)
+
+
+def panels_near(places_px: Array, reach_px: float, lines: int, samples: int) -> NDArray[np.bool_]:
+    """Those of `panels` that reach within `reach_px` of one of the places (N, 2), sample and line."""
+    near = ~panels(lines, samples)
+    size = np.array([_PANEL_SAMPLES, _PANEL_LINES])
+    for place in places_px:
+        (left, top), (right, bottom) = ((place + way * reach_px) // size for way in (-1.0, 1.0))
+        near[max(int(top), 0) : int(bottom) + 1, max(int(left), 0) : int(right) + 1] = True
+    return near
+
+
 def scan(
     scene: Scene,
     ccd: int,
@@ -92,15 +107,17 @@ def scan(
     gain: Grey,
     rng: np.random.Generator,
     rows: int,
+    wanted: NDArray[np.bool_],
 ) -> Iterator[NDArray[Any]]:
     """One CCD's image in blocks of `rows` rows, uint8 up to 8 bits and uint16 above.
 
-    `gain` (samples,) is each pixel's own sensitivity. The image does not depend on `rows`.
+    `gain` (samples,) is each pixel's own sensitivity; of `panels` those that are not `wanted` are zeros. The
+    image does not depend on `rows`.
     """
     waiting: list[NDArray[Any]] = []
-    for first in range(0, lines, _PANEL_LINES):
-        seen = _panel_row(scene, ccd, first, min(_PANEL_LINES, lines - first), len(gain), rng)
-        waiting.append(_digitised(seen, settings, gain, rng))
+    for first, chosen in zip(range(0, lines, _PANEL_LINES), wanted):
+        seen = _panel_row(scene, ccd, first, min(_PANEL_LINES, lines - first), len(gain), rng, chosen)
+        waiting.append(_digitised(seen, settings, gain, rng) * np.repeat(chosen, _PANEL_SAMPLES)[: len(gain)])
         while (ready := sum(map(len, waiting))) >= rows or (first + _PANEL_LINES >= lines and ready):
             block = np.concatenate(waiting)
             yield block[:rows]
@@ -137,13 +154,21 @@ def row_places(scene: Scene, ccd: int, first: int, lines: int, sample_nodes: Arr
 
 
 def _panel_row(
-    scene: Scene, ccd: int, first: int, lines: int, samples: int, rng: np.random.Generator
+    scene: Scene,
+    ccd: int,
+    first: int,
+    lines: int,
+    samples: int,
+    rng: np.random.Generator,
+    chosen: NDArray[np.bool_],
 ) -> Grey:
-    """Reflectance seen by rows `first` ... of one CCD, (lines, samples)."""
+    """Reflectance seen by rows `first` ... of one CCD, (lines, samples), in the chosen panels."""
+    seen = np.zeros((lines, samples), np.float32)
+    if not chosen.any():
+        return seen
     nodes = np.append(np.arange(0.0, samples - 1.0, scene.sample_step), samples - 1.0)
     columns, rows = row_places(scene, ccd, first, lines, nodes)
-    seen = np.empty((lines, samples), np.float32)
-    for left in range(0, samples, _PANEL_SAMPLES):
+    for left in (_PANEL_SAMPLES * np.flatnonzero(chosen)).tolist():
         right = min(left + _PANEL_SAMPLES, samples)
         across = lagrange_weights(nodes, np.arange(left, right, dtype=float)).T
         seen[:, left:right] = read_ground(scene.ground, columns @ across, rows @ across, rng)

@@ -166,6 +166,7 @@ class StripSettings:
     lines: int = 26000
     row_period_s: float = 1.8 / 26000
     exposure_lead_s: float = 0.3  # exposures reach this far before the first and after the last row
+    only_around_targets_px: float = 0.0  # beyond it zeros, for trials of size: 20 times sooner; 0: all of it
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,7 +15,7 @@ from geometry.terrain import ConstantHeight, TerrainGrid
 from simulator.cameras import calibrated_line_camera, distorted_line_camera, true_installation
 from simulator.ground import BlurredGround, gaussian_sigma_px
 from simulator.motion import flown_orbit, true_attitude
-from simulator.scan import Scene, needed_sample_step, read_ground, row_places, scan
+from simulator.scan import Scene, needed_sample_step, panels, panels_near, read_ground, row_places, scan
 from simulator.scenario import scenario_from_dict
 
 LINES, EPSG = 900, 32648
@@ -95,13 +95,15 @@ def surface(model, tables):
     )
 
 
-def rendered(model, surface, ground, ccd, sigma_texel=2.2):
+def rendered(model, surface, ground, ccd, sigma_texel=2.2, wanted=None):
     step = needed_sample_step(model, surface, LINES)
     scene = Scene(
         model.tabulated(-10.0, LINES + 10.0), surface, EPSG, BlurredGround(ground, sigma_texel), step
     )
     gain = np.ones(SCENARIO.line_camera.samples, np.float32)
-    return np.concatenate(list(scan(scene, ccd, LINES, SCENARIO.ground, gain, np.random.default_rng(3), 128)))
+    wanted = panels(LINES, len(gain)) if wanted is None else wanted
+    rng = np.random.default_rng(3)
+    return np.concatenate(list(scan(scene, ccd, LINES, SCENARIO.ground, gain, rng, 128, wanted)))
 
 
 @pytest.mark.parametrize("ccd", [0, 3])
@@ -189,9 +191,8 @@ def test_noise_of_a_strip_is_read_and_photon_noise(model, surface):
     ground = scenario.ground
     scene = Scene(model.tabulated(-10.0, 210.0), surface, EPSG, BlurredGround(Flat(0.4), 1.0), 16)
     gain = np.ones(512, np.float32)
-    image = np.concatenate(list(scan(scene, 1, 200, ground, gain, np.random.default_rng(3), 200))).astype(
-        float
-    )
+    blocks = scan(scene, 1, 200, ground, gain, np.random.default_rng(3), 200, panels(200, len(gain)))
+    image = np.concatenate(list(blocks)).astype(float)
     expected = ground.read_noise_dn**2 + 0.4 * 255.0 / ground.e_per_dn + 1.0 / 12.0
     # 102 400 pixels: variance to 0.44 %, five sigma.
     assert image.var() == pytest.approx(expected, rel=0.022)
@@ -236,3 +237,19 @@ def test_targets_lie_in_their_chips_middle(mission):
         column, row = (east - c) / a, (north - f) / e
         assert column == pytest.approx(chip.image.shape[1] / 2, abs=1e-3)  # px; rounding of degrees
         assert row == pytest.approx(chip.image.shape[0] / 2, abs=1e-3)
+
+
+def test_panels_near_a_place_are_all_that_a_square_around_it_touches():
+    near = panels_near(np.array([[600.0, 250.0], [0.0, 999.0]]), 30.0, 1000, 1100)
+    assert near.shape == panels(1000, 1100).shape == (4, 3)
+    assert np.argwhere(near).tolist() == [[0, 1], [1, 1], [3, 0]]
+
+
+def test_panels_that_nobody_wants_are_zeros_and_the_others_show_the_ground(model, surface):
+    wanted = panels_near(np.array([[100.0, 100.0]]), 20.0, LINES, SCENARIO.line_camera.samples)
+    wanted[1:] = False
+    whole, some = (
+        rendered(model, surface, Flat(0.4), 1, wanted=each) for each in (np.ones_like(wanted), wanted)
+    )
+    np.testing.assert_array_equal(some[:256], whole[:256])
+    assert whole[256:].min() > 0 and not some[256:].any()
