@@ -21,6 +21,8 @@ import cv2
 import numpy as np
 import rasterio
 from numpy.typing import NDArray
+from pyproj import CRS, Transformer
+from pyproj.exceptions import ProjError
 from rasterio.errors import RasterioError, RasterioIOError
 from rasterio.windows import Window
 
@@ -331,7 +333,11 @@ def read_grid(path: Path, file: str, *, max_pixels: int, first_band: bool = Fals
             raise RawDataError(file, "bit depth", str(image.dtypes[0]), "8 or 16 bits or floating point")
         if image.crs is None:
             raise RawDataError(file, "coordinate reference system", "none", "a GeoTIFF with a CRS")
-        if image.transform.is_identity or image.transform.determinant == 0:
+        if (
+            image.transform.is_identity
+            or image.transform.determinant == 0
+            or not np.isfinite(tuple(image.transform)).all()
+        ):
             raise RawDataError(file, "transform", "none", "a GeoTIFF with an affine transform")
         raw = _read_window(image, file, Window(0, 0, image.width, image.height))
         values = raw.astype(np.float32)
@@ -341,4 +347,15 @@ def read_grid(path: Path, file: str, *, max_pixels: int, first_band: bool = Fals
         if not np.isfinite(values).any():
             raise RawDataError(file, "pixels", "none that is valid", "at least one valid pixel")
         a, b, c, d, e, f = (float(v) for v in tuple(image.transform)[:6])
-        return GridImage(values, (a, b, c, d, e, f), image.crs.to_wkt())
+        return GridImage(values, (a, b, c, d, e, f), _map_of(image, file))
+
+
+def _map_of(image: Any, file: str) -> str:
+    """The WKT of a map in which places on the Earth have coordinates."""
+    try:
+        wkt = str(image.crs.to_wkt())
+        Transformer.from_crs(CRS.from_epsg(4326), CRS.from_user_input(wkt), always_xy=True)
+    except (RasterioError, ProjError) as error:
+        expected = "one into which latitude and longitude can be turned"
+        raise RawDataError(file, "coordinate reference system", str(error), expected) from error
+    return wkt
