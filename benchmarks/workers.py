@@ -1,10 +1,11 @@
 """One, two, four processes and a cluster by its address: the same bytes, and how much faster.
 
-    python benchmarks/workers.py --dump DUMP
+    python benchmarks/workers.py --dump DUMP --repeats 3
 
-`boresight calibrate` runs once for each way of working, from nothing; the table gives the elapsed time, the
-CPU time and whether installation.json is that of the first run, bit for bit. Starting two processes takes
-some seconds: a dump of a hundred exposures or more shows what they are good for.
+`boresight calibrate` runs from nothing, the ways of working in turn, so many times over; the table gives
+elapsed and CPU time, least and median, and whether installation.json is that of the first run, bit for bit.
+Efficiency is the CPU time of one process against that of all processes: what is left of it on a machine that
+others use, too, when elapsed time says nothing.
 """
 
 from __future__ import annotations
@@ -15,24 +16,45 @@ import subprocess
 import sys
 import tempfile
 import time
+from dataclasses import dataclass, field
 from pathlib import Path
+from statistics import median
 
 from end_to_end import machine
 
 COMMAND = (sys.executable, "-c", "from pipeline.cli import main; main()", "calibrate")
 
 
-def run(dump: Path, out: Path, *way: str) -> tuple[float, float, bytes]:
-    """Elapsed and CPU seconds, and the bytes of installation.json."""
-    begin = time.perf_counter()
-    process = subprocess.Popen(
-        [*COMMAND, str(dump), "--out", str(out), "--no-report", *way], stdout=subprocess.DEVNULL
-    )
-    _, status, usage = os.wait4(process.pid, 0)
-    if status:
-        raise SystemExit(f"calibrate {' '.join(way)} failed")
-    elapsed = time.perf_counter() - begin
-    return elapsed, usage.ru_utime + usage.ru_stime, (out / "installation.json").read_bytes()
+@dataclass(frozen=True)
+class Way:
+    """A way of working and what its runs took."""
+
+    options: tuple[str, ...]
+    elapsed_s: list[float] = field(default_factory=list)
+    cpu_s: list[float] = field(default_factory=list)
+    found: set[bytes] = field(default_factory=set)  # contents of installation.json
+
+    def run(self, dump: Path, out: Path) -> None:
+        begin = time.perf_counter()
+        process = subprocess.Popen(
+            [*COMMAND, str(dump), "--out", str(out), "--no-report", *self.options], stdout=subprocess.DEVNULL
+        )
+        _, status, usage = os.wait4(process.pid, 0)
+        if status:
+            raise SystemExit(f"calibrate {' '.join(self.options)} failed")
+        self.elapsed_s.append(time.perf_counter() - begin)
+        self.cpu_s.append(usage.ru_utime + usage.ru_stime)
+        self.found.add((out / "installation.json").read_bytes())
+
+    def row(self, one: Way) -> str:
+        same = "the same" if self.found == one.found and len(one.found) == 1 else "ANOTHER ONE"
+        local = self.options[0] == "--workers"  # what a cluster's own processes use is not seen here
+        cpu = f"{min(self.cpu_s):.1f}, {median(self.cpu_s):.1f}" if local else ""
+        efficiency = f"{min(one.cpu_s) / min(self.cpu_s):.2f}" if local else ""
+        return (
+            f"| {' '.join(self.options)} | {min(self.elapsed_s):.1f}, {median(self.elapsed_s):.1f} | {cpu} "
+            f"| {median(one.elapsed_s) / median(self.elapsed_s):.2f} | {efficiency} | {same} |"
+        )
 
 
 def main() -> None:
@@ -40,22 +62,26 @@ def main() -> None:
 
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--dump", type=Path, required=True)
+    parser.add_argument("--repeats", type=int, default=3)
     options = parser.parse_args()
     print("\n".join(machine()))
-    print("| way | elapsed (s) | CPU (s) | against one process | installation.json |")
-    print("|---|---|---|---|---|")
-    first: tuple[float, bytes] | None = None
+    load = [os.getloadavg()[0]]
     cluster_options = {"processes": True, "threads_per_worker": 1, "dashboard_address": "127.0.0.1:0"}
-    with tempfile.TemporaryDirectory() as folder, LocalCluster(n_workers=2, **cluster_options) as cluster:
-        ways = [("--workers", "1"), ("--workers", "2"), ("--workers", "4")]
-        for n, way in enumerate([*ways, ("--scheduler", str(cluster.scheduler_address))]):
-            elapsed, cpu, content = run(options.dump, Path(folder) / str(n), *way)
-            first = first or (elapsed, content)
-            same = "the same" if content == first[1] else "ANOTHER ONE"
-            print(
-                f"| {' '.join(way)} | {elapsed:.1f} | {cpu:.1f} | {first[0] / elapsed:.2f} | {same} |",
-                flush=True,
-            )
+    with LocalCluster(n_workers=2, **cluster_options) as cluster:
+        ways = [Way(("--workers", str(count))) for count in (1, 2, 4)]
+        ways.append(Way(("--scheduler", str(cluster.scheduler_address))))
+        for _ in range(options.repeats):
+            for way in ways:
+                with tempfile.TemporaryDirectory() as folder:
+                    way.run(options.dump, Path(folder))
+            load.append(os.getloadavg()[0])
+    print("| way | elapsed (s) | CPU (s) | one process / this | efficiency | installation.json |")
+    print("|---|---|---|---|---|---|")
+    print("\n".join(way.row(ways[0]) for way in ways))
+    told = ", ".join(f"{each:.1f}" for each in load)
+    print(
+        f"\nLeast and median of {options.repeats} runs; ratio of medians. Load average before each: {told}."
+    )
 
 
 if __name__ == "__main__":
