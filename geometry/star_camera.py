@@ -102,10 +102,10 @@ class StarCamera:
             raise ValueError(f"u_s must have shape (N, 3), got {u.shape}")
         ahead = u[:, 2] > 0.0
         z = np.where(ahead, u[:, 2], np.nan)
-        ideal = -u[:, :2] * (self.focal_m * _MM / z)[:, None]
-        ideal[~self._inside_fold(ideal)] = np.nan
-        actual = ideal + self._distortion_mm(ideal)
-        return np.asarray(self.principal_px) + actual / (self.pixel_m * _MM)
+        p = u[:, :2].T * (-self.focal_m * _MM / z)
+        actual, diagonal, mixed = self._bent(p)
+        actual[:, ~self._upright(p, diagonal, mixed)] = np.nan
+        return np.asarray(self.principal_px) + actual.T / (self.pixel_m * _MM)
 
     def pixel_jacobian(self, xy_px: ArrayLike) -> Array:
         """Derivative of the unit vectors, (N, 3, 2): `d u_s / d(column, row)`, rad/px.
@@ -165,33 +165,39 @@ class StarCamera:
     def _image_mm(self, xy_px: ArrayLike) -> Array:
         return (_points(xy_px) - np.asarray(self.principal_px)) * (self.pixel_m * _MM)
 
-    def _distortion_mm(self, ideal: Array) -> Array:
-        """(dx, dy) of eq. (5) at ideal image coordinates (N, 2), millimetres."""
-        x, y = ideal.T
-        r2 = x * x + y * y
-        radial = r2 * (self.q1 + r2 * self.q2)
-        dx = x * radial + self.p1 * (r2 + 2 * x * x) + 2 * self.p2 * x * y
-        dy = y * radial + self.p2 * (r2 + 2 * y * y) + 2 * self.p1 * x * y
-        return np.column_stack([dx, dy])
-
     def _distortion_jacobian(self, ideal: Array) -> Array:
         """d(actual) / d(ideal), (N, 2, 2)."""
-        x, y = ideal.T
-        r2 = x * x + y * y
-        radial = r2 * (self.q1 + r2 * self.q2)
-        slope = 2.0 * (self.q1 + 2.0 * self.q2 * r2)  # d(radial) = slope (x dx + y dy)
+        _, diagonal, mixed = self._bent(ideal.T)
         J = np.empty((len(ideal), 2, 2))
-        J[:, 0, 0] = 1.0 + radial + slope * x * x + 6.0 * self.p1 * x + 2.0 * self.p2 * y
-        J[:, 1, 1] = 1.0 + radial + slope * y * y + 6.0 * self.p2 * y + 2.0 * self.p1 * x
-        J[:, 0, 1] = J[:, 1, 0] = slope * x * y + 2.0 * self.p1 * y + 2.0 * self.p2 * x
+        J[:, 0, 0], J[:, 1, 1] = diagonal
+        J[:, 0, 1] = J[:, 1, 0] = mixed
         return J
 
-    def _inside_fold(self, ideal: Array) -> NDArray[np.bool_]:
-        """Where the image still grows outward and is not turned over."""
-        r2 = np.einsum("ni,ni->n", ideal, ideal)
-        J = self._distortion_jacobian(ideal)
+    def _bent(self, p: Array) -> tuple[Array, Array, Array]:
+        """Real places (2, N) of ideal points p (2, N), mm (eq. 4), and their derivatives: (2, N) each
+        coordinate by itself, (N,) each by the other.
+
+        With t = (p1, p2) eq. (5) is p + d = s p + r^2 t, where s = 1 + q1 r^2 + q2 r^4 + 2 t.p, so the
+        derivative is s I + 2 (q1 + 2 q2 r^2) p p^T + 2 (p t^T + t p^T).
+        """
+        t = self._tangential
+        x, y = p
+        r2 = x * x + y * y
+        s = r2 * (self.q1 + r2 * self.q2) + (2.0 * (self.p1 * x + self.p2 * y) + 1.0)
+        slope = 2.0 * self.q1 + (4.0 * self.q2) * r2
+        diagonal = s + p * (slope * p + 4.0 * t)
+        mixed = slope * x * y + 2.0 * (self.p2 * x + self.p1 * y)
+        return s * p + t * r2, diagonal, mixed
+
+    @property
+    def _tangential(self) -> Array:
+        return np.array([[self.p1], [self.p2]])
+
+    def _upright(self, p: Array, diagonal: Array, mixed: Array) -> NDArray[np.bool_]:
+        """(N,) where the image still grows outward and is not turned over; arguments as in `_bent`."""
         with np.errstate(invalid="ignore"):
-            return (r2 < self._fold_mm2) & (J[:, 0, 0] * J[:, 1, 1] > J[:, 0, 1] * J[:, 1, 0])
+            near = p[0] * p[0] + p[1] * p[1] < self._fold_mm2
+            return np.asarray(near & (diagonal[0] * diagonal[1] > mixed * mixed))
 
     @property
     def _fold_mm2(self) -> float:
@@ -202,17 +208,19 @@ class StarCamera:
 
     def _ideal_mm(self, actual: Array) -> Array:
         """Inverse of eq. (4): the ideal points whose real places are `actual`; NaN where there is none."""
-        ideal = actual.copy()
-        for _ in range(_NEWTON_STEPS):
-            miss = actual - ideal - self._distortion_mm(ideal)
-            step = (_inverse_2x2(self._distortion_jacobian(ideal)) @ miss[:, :, None])[:, :, 0]
-            ideal += step
-            largest = np.nanmax(np.abs(step), initial=0.0)
-            if largest < _NEWTON_MM:
-                break
-        miss = np.abs(actual - ideal - self._distortion_mm(ideal)).max(axis=1, initial=0.0)
-        with np.errstate(invalid="ignore"):
-            found = (miss < 1e-10) & self._inside_fold(ideal)
+        goal = np.ascontiguousarray(actual.T)
+        p = goal.copy()
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            for _ in range(_NEWTON_STEPS):
+                real, diagonal, mixed = self._bent(p)
+                miss = goal - real
+                determinant = diagonal[0] * diagonal[1] - mixed * mixed
+                step = (diagonal[::-1] * miss - mixed * miss[::-1]) / determinant
+                if not (np.abs(step) >= _NEWTON_MM).any():
+                    break
+                p += step
+            found = (np.abs(miss) < 1e-10).all(axis=0) & self._upright(p, diagonal, mixed)
+        ideal = p.T.copy()
         ideal[~found] = np.nan
         return ideal
 

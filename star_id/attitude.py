@@ -40,7 +40,7 @@ def solve_attitude(u_s: Array, u_i: Array, cov_s: Array) -> Attitude:
         raise ValueError(f"two directions at least are needed to fix an attitude, got {len(u_s)}")
     information = information_of_directions(u_s, cov_s)
     weight = 2.0 / np.trace(cov_s, axis1=1, axis2=2)
-    R = wahba(u_s, u_i, weight)
+    R = wahba(u_s, u_i, weight).as_matrix()
     for _ in range(3):
         predicted = u_i @ R.T
         residual = u_s - predicted
@@ -58,11 +58,24 @@ def solve_attitude(u_s: Array, u_i: Array, cov_s: Array) -> Attitude:
     return Attitude(Rotation.from_matrix(R), np.linalg.inv(fisher), chi2, 2 * len(u_s) - 3, residual)
 
 
-def wahba(u_s: Array, u_i: Array, weight: Array) -> Array:
-    """Rotation matrix (3, 3) that minimises sum weight |u_s - R u_i|^2 (Markley 1988, by singular values)."""
-    U, _, Vt = np.linalg.svd((u_s * weight[:, None]).T @ u_i)
-    U[:, 2] *= np.linalg.det(U) * np.linalg.det(Vt)
-    return np.asarray(U @ Vt)
+def wahba(u_s: Array, u_i: Array, weight: Array) -> Rotation:
+    """Rotation R_si that minimises sum weight |u_s - R u_i|^2: Davenport's q-method
+    (Wertz 1978, sec. 12.2.3).
+
+    Its quaternion is the eigenvector of the largest eigenvalue of a symmetric matrix of B = sum w u_s u_i^T;
+    scipy's quaternion is the conjugate of Davenport's, which turns axes and not vectors.
+    """
+    B = (u_s * weight[:, None]).T @ u_i
+    K = np.empty((4, 4))
+    K[:3, :3] = B + B.T
+    K[0, 3], K[1, 3], K[2, 3] = B[2, 1] - B[1, 2], B[0, 2] - B[2, 0], B[1, 0] - B[0, 1]
+    K[3, :3] = K[:3, 3]
+    trace = B[0, 0] + B[1, 1] + B[2, 2]
+    K[3, 3] = trace
+    K[0, 0] -= trace
+    K[1, 1] -= trace
+    K[2, 2] -= trace
+    return Rotation.from_quat(np.linalg.eigh(K)[1][:, 3])
 
 
 def _cross_matrices(u: Array) -> Array:

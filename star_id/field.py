@@ -16,7 +16,8 @@ from scipy.spatial.transform import Rotation
 
 from geometry.constants import ARCSEC
 from geometry.star_camera import StarCamera
-from star_id.identify import STAGES, FieldOfView, Identification, NotIdentified, identify
+from star_id.identify import STAGES, Identification, NotIdentified, identify
+from star_id.plane import FieldOfView
 from star_id.settings import StarSettings
 from star_id.sight import field_of_camera, plane_coordinates
 from star_id.star_list import StarList, find_stars
@@ -37,18 +38,13 @@ SMALLEST_FOV_RAD, LARGEST_FOV_RAD = np.radians(5.0), np.radians(60.0)  # of an u
 _NOMINAL_PIXEL_M = 5e-6  # of cameras of which only angles are known: focal length and pixel scale together
 _GUESS_ERROR = 0.10
 _BEND = 0.012  # what an error of the focal length may do to the shape of a triangle, as a ratio
-_QUICK = STAGES[:2]
-_THOROUGH = STAGES[2:4]
+_PASSES = (STAGES[:2], STAGES[2:5])  # all fields of view quickly first
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FieldSolution:
     """An image identified. Row n of `hip`, `xy_px` and `residual_px` speaks of the same star."""
 
-    ra_rad: float  # centre of the image, GCRS axes, light effects not removed
-    dec_rad: float
-    roll_rad: float  # position angle, east of north, of the image's up direction (towards row 0)
-    fov_x_rad: float  # between the middles of the left and right edges
     R_si: Rotation
     camera: StarCamera  # as given, or fitted to this image
     hip: NDArray[np.int64]
@@ -62,6 +58,38 @@ class FieldSolution:
     @property
     def matches(self) -> int:
         return len(self.hip)
+
+    @property
+    def ra_rad(self) -> float:
+        """Right ascension of the image's centre, GCRS axes, light effects not removed."""
+        x, y, _ = self._outline_i()[0]
+        return float(np.arctan2(y, x) % (2 * np.pi))
+
+    @property
+    def dec_rad(self) -> float:
+        """Declination of the image's centre."""
+        return float(np.arcsin(self._outline_i()[0, 2]))
+
+    @property
+    def roll_rad(self) -> float:
+        """Position angle, east of north, of the image's up direction (towards row 0) at its centre."""
+        centre, up = self._outline_i()[:2]
+        east = np.cross([0.0, 0.0, 1.0], centre)
+        north = np.cross(centre, east)
+        return float(np.arctan2(up @ east, up @ north))
+
+    @property
+    def fov_x_rad(self) -> float:
+        """Angle between the middles of the left and right edges."""
+        left, right = self._outline_i()[2:]
+        return float(2.0 * np.arcsin(0.5 * np.linalg.norm(right - left)))
+
+    def _outline_i(self) -> Array:
+        """Directions to the image's centre, the pixel above it, the middles of the left and right edges."""
+        width, height = self.camera.width_px, self.camera.height_px
+        middle = np.array([0.5 * (width - 1), 0.5 * (height - 1)])
+        points = middle + np.array([[0.0, 0.0], [0.0, -1.0], [-0.5 * width, 0.0], [0.5 * width, 0.0]])
+        return np.asarray(self.R_si.inv().apply(self.camera.directions_from_pixels(points)))
 
     @property
     def rms_arcsec(self) -> float:
@@ -109,7 +137,7 @@ def solve_stars(
         return found if isinstance(found, NotIdentified) else _solution(found, xy_px, camera, index, stars)
     tried, best, count = 0, -np.inf, 0
     guesses = _guesses(fov_x_rad, settings)
-    for stages in (_QUICK, _THOROUGH):
+    for stages in _PASSES:
         for fov, error in guesses:
             guess = nominal_camera(size, fov)
             found = identify(
@@ -188,21 +216,9 @@ def _fitted_camera(guess: StarCamera, lens: Array) -> StarCamera:
 def _solution(
     found: Identification, xy_px: Array, camera: StarCamera, index: StarIndex, stars: StarList | None
 ) -> FieldSolution:
-    width, height = camera.width_px, camera.height_px
-    middle = np.array([0.5 * (width - 1), 0.5 * (height - 1)])
-    points = middle + np.array([[0.0, 0.0], [0.0, -1.0], [-0.5 * width, 0.0], [0.5 * width, 0.0]])
-    u_s = camera.directions_from_pixels(points)
-    centre, up = found.R_si.inv().apply(u_s[:2])
-    ra, dec = np.arctan2(centre[1], centre[0]), np.arcsin(centre[2])
-    north = np.array([-np.sin(dec) * np.cos(ra), -np.sin(dec) * np.sin(ra), np.cos(dec)])
-    east = np.array([-np.sin(ra), np.cos(ra), 0.0])
     xy = xy_px[found.detections]
     predicted = camera.pixels_from_directions(found.R_si.apply(index.u_i[found.stars]))
     return FieldSolution(
-        ra_rad=float(ra % (2 * np.pi)),
-        dec_rad=float(dec),
-        roll_rad=float(np.arctan2((up - centre) @ east, (up - centre) @ north)),
-        fov_x_rad=float(np.arccos(np.clip(u_s[2] @ u_s[3], -1, 1))),
         R_si=found.R_si,
         camera=camera,
         hip=index.stars.hip[found.stars],

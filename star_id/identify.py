@@ -1,11 +1,9 @@
-"""Names for the stars of an image: triangles looked up on the sky, a fourth star to confirm, the whole image
+"""Names for the stars of an image: triangles looked up on the sky, their neighbours to vote, the whole image
 to decide.
 
-Triangles of the brightest detections are looked up by shape. Every proposal found names two stars at each of
-its three sides; two proposals that share a side, named alike, are a triangle confirmed by a fourth star, and
-the ones confirmed most are tried first. A trial predicts all catalogue stars of the field and asks `verify`
-how much likelier that makes the image. What passes is refined, predicted again, and asked once more. No
-attitude need be known.
+Triangles of the brightest detections are looked up by shape (`proposals`), and the few that the neighbouring
+index stars speak for are tried. A trial predicts all catalogue stars of the field, improves attitude and lens
+by those it finds, and asks `verify` how much likelier that makes the image. No attitude need be known.
 
 Coordinates are those of the tangent plane of frame s, (x, y) = (u_x, u_y) / u_z.
 """
@@ -13,7 +11,6 @@ Coordinates are those of the tangent plane of frame s, (x, y) = (u_x, u_y) / u_z
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,38 +18,20 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from star_id.attitude import wahba
+from star_id.plane import FieldOfView, PlaneImage, directions_of_plane, plane_of_directions
+from star_id.proposals import MOST_DETECTIONS, propose
 from star_id.settings import StarSettings
-from star_id.triangles import LONGEST_SIDE, SHORTEST_SIDE, StarIndex, TriangleTable, triangle_shapes
+from star_id.triangles import StarIndex
 from star_id.verify import log_evidence
 
-__all__ = ["STAGES", "AttitudePrior", "FieldOfView", "Identification", "NotIdentified", "identify"]
+__all__ = ["STAGES", "AttitudePrior", "Identification", "NotIdentified", "identify"]
 
 Array = NDArray[np.float64]
 
-STAGES = (6, 9, 13, 18, 24)  # brightest detections of which triangles are made, one stage after the other
-_TRIALS_A_STAGE = 16
-_PROMISING = 3.0  # log evidence of the triangle alone that makes refinement worth its time
-_CALIBRATED = 2e-3  # relative error of angles below which a lens counts as known
+# (table, brightest detections): stages one after the other; table 1 holds wider triangles of brighter stars
+STAGES = ((0, 6), (0, 9), (0, 13), (0, 18), (1, 9), (0, MOST_DETECTIONS), (1, 18))
 _TRACKED_STARS = 30  # bright stars that vote on how far a prior attitude is off
 _PRIOR_SHARE = 1.6  # predicted stars kept, brightest first, per detection
-
-
-@dataclass(frozen=True, slots=True)
-class FieldOfView:
-    """What is known of the camera, as half sizes of the image in the tangent plane and errors to be
-    expected."""
-
-    half_x: float
-    half_y: float
-    equivalent_fov_rad: float
-    pixel: float  # size of a pixel in the tangent plane
-    scale_error: float  # the focal length is good to this fraction; 0: known
-    shape_error: float  # ratios of a triangle's sides are good to this
-
-    @property
-    def known(self) -> bool:
-        """The camera is calibrated: nothing about its lens is left to be found."""
-        return self.scale_error == 0.0 and self.shape_error < _CALIBRATED
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -92,72 +71,70 @@ def identify(
     index: StarIndex,
     settings: StarSettings,
     *,
-    stages: tuple[int, ...] = STAGES,
+    stages: tuple[tuple[int, int], ...] = STAGES,
     tried: int = 0,
     prior: AttitudePrior | None = None,
 ) -> Identification | NotIdentified:
     """Identifies detections `plane` (N, 2), brightest first, distortion removed as far as it is known.
 
-    `stages` are the numbers of brightest detections of which triangles are made, one after the other; `tried`
-    proposals were examined elsewhere (other fields of view) and count towards the false-alarm probability.
+    `stages` are a run of STAGES; `tried` proposals were examined elsewhere (earlier stages, other fields of
+    view) and count towards the false-alarm probability.
     """
     n = len(plane)
     if n < 4:
         return NotIdentified(
             f"{n} stars found, 4 are needed; lower the threshold or expose longer", {"stars": float(n)}
         )
-    image = _Image(plane, cKDTree(plane), field)
+    image = PlaneImage(plane, cKDTree(plane, compact_nodes=False, balanced_tree=False), field)
     if prior is not None:
         tracked, tried = _tracked(image, index, prior, settings)
         if tracked is not None:
             return tracked
-    table = index.table_for(field.equivalent_fov_rad)
-    proposals, best = tried, -np.inf
+    tables = index.tables_for(field.equivalent_fov_rad)
+    examined, best = tried, -np.inf
     limit = np.log(settings.max_false_alarm_probability)
-    done = max((size for size in STAGES if size < stages[0]), default=0)
-    for size in stages:
-        size = min(size, n, settings.max_identification_stars)
-        if size <= done:
-            break
-        queries, rows, triples = _look_up(image, table, size)
-        proposals += len(rows)
-        for trial in _ranked(triples[queries], table.vertices[rows], fresh=done)[:_TRIALS_A_STAGE]:
-            result, log_evidence_found = _try(
-                image, index, triples[queries[trial]], table.vertices[rows[trial]]
-            )
-            best = max(best, log_evidence_found - np.log(proposals))
-            if result is not None and np.log(proposals) - log_evidence_found < limit:
-                return _answer(result, proposals, log_evidence_found)
-        done = size
+    for number, brightest in stages:
+        done = max((b for t, b in STAGES if t == number and b < brightest), default=0)
+        size = min(brightest, n, settings.max_identification_stars)
+        if size <= done or number >= len(tables):
+            continue
+        proposals = propose(image, tables[number], index.u_i, done, size)
+        examined += proposals.examined
+        for triangle, R, log_scale in zip(proposals.detections, proposals.R, proposals.log_scale):
+            trial = _try(image, index, plane[triangle], R, float(log_scale))
+            if trial is None:
+                continue
+            best = max(best, trial.evidence - np.log(examined))
+            if np.log(examined) - trial.evidence < limit:
+                return _answer(trial, examined)
     return NotIdentified(
-        f"{n} stars found, {proposals} triangles agree with the catalogue, none explains the image"
+        f"{n} stars found, {examined} triangles agree with the catalogue, none explains the image"
         f" (best log odds {best:.1f}, {-limit:.1f} needed)",
-        {"stars": float(n), "proposals": float(proposals), "best_log_odds": float(best)},
+        {"stars": float(n), "proposals": float(examined), "best_log_odds": float(best)},
     )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Image:
-    plane: Array
-    tree: cKDTree
-    field: FieldOfView
+class _Trial:
+    """What became of a proposal."""
 
-    @property
-    def area(self) -> float:
-        return 4.0 * self.field.half_x * self.field.half_y
+    match: _Match
+    R_si: Rotation
+    lens: Array
+    evidence: float  # logarithm of the likelihood ratio
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Match:
+    """Detections and catalogue stars that belong together."""
+
     detections: NDArray[np.int64]
     stars: NDArray[np.int64]
-    R: Array
-    lens: Array
     rms: float
 
 
 def _tracked(
-    image: _Image, index: StarIndex, prior: AttitudePrior, settings: StarSettings
+    image: PlaneImage, index: StarIndex, prior: AttitudePrior, settings: StarSettings
 ) -> tuple[Identification | None, int]:
     """The field that the prior attitude predicts, shifted to where most bright stars agree; and shifts
     tried."""
@@ -177,132 +154,91 @@ def _tracked(
         bins = ((offset + reach) / cell).astype(np.int64) @ np.array([cells, 1])
         votes = np.bincount(bins)
         dx, dy = offset[bins == int(votes.argmax())].mean(axis=0)
-        turn = Rotation.from_rotvec([-dy, dx, 0.0]).as_matrix()  # moves (x, y) by the shift
-        guess = _moved(image, index, guess, turn @ guess.R, guess.lens)
+        turn = Rotation.from_rotvec([-dy, dx, 0.0])  # moves (x, y) by the shift
+        guess = _moved(index, guess.rows, turn * prior.R_si, guess.lens)
     radius = np.sqrt((guess.predicted**2).sum(axis=1))
     sigma = np.sqrt((2.0 * field.pixel) ** 2 + (prior.sigma_rad * radius) ** 2)
-    match, evidence = _match(image, guess, sigma, gate=3.0, voiceless=2)
-    if match is None or evidence < _PROMISING + np.log(shifts):
+    trial = _improved(image, index, guess, sigma, chosen=2)
+    if trial is None or np.log(shifts) - trial.evidence >= np.log(settings.max_false_alarm_probability):
         return None, shifts
-    for _ in range(1 if field.known else 4):
-        R, lens, fitted = _refined(image, index, match)
-        guess = _moved(image, index, guess, R, lens)
-        match, evidence = _match(image, guess, None, gate=0.0, voiceless=2 + (fitted - 2) // 2)
-        if match is None:
-            return None, shifts
-    if np.log(shifts) - evidence < np.log(settings.max_false_alarm_probability):
-        return _answer(match, shifts, evidence), shifts
-    return None, shifts
-
-
-def _look_up(
-    image: _Image, table: TriangleTable, size: int
-) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-    field = image.field
-    u = _directions(image.plane[:size])
-    triples = _TRIPLES[_TRIPLES[:, 2] < size]
-    vertices, longest, ratios, right_handed = triangle_shapes(u, triples)
-    fits = longest < LONGEST_SIDE * table.fov_rad * (1.0 + field.scale_error)
-    fits &= longest * ratios[:, 1] > SHORTEST_SIDE * table.fov_rad * (1.0 - field.scale_error)
-    vertices, longest, ratios, right_handed = vertices[fits], longest[fits], ratios[fits], right_handed[fits]
-    # a side's own error: half a pixel at both ends, and the camera's relative error
-    tolerance = field.shape_error + 1.5 * field.pixel / longest
-    scale = (
-        field.scale_error
-        + float(field.shape_error)
-        + 1.5 * field.pixel / np.maximum(longest.min(initial=1.0), 1e-9)
-    )
-    queries, rows = table.lookup(longest, ratios, right_handed, tolerance, scale)
-    return queries, rows, vertices
-
-
-_TRIPLES = np.array(sorted(combinations(range(max(STAGES)), 3), key=lambda t: t[2]), dtype=np.int64)
-
-
-def _ranked(detected: NDArray[np.int64], named: NDArray[np.integer], *, fresh: int) -> NDArray[np.int64]:
-    """Proposals in the order of how many others name one of their sides alike; old ones are not repeated.
-
-    `detected` (P, 3) detections and `named` (P, 3) stars of each proposal.
-    """
-    count = len(detected)
-    if count == 0:
-        return np.empty(0, dtype=np.int64)
-    base = int(named.max()) + 1
-    first, second = detected[:, _SIDES[:, 0]], detected[:, _SIDES[:, 1]]  # (P, 3) the ends of each side
-    p, q = named[:, _SIDES[:, 0]].astype(np.int64), named[:, _SIDES[:, 1]].astype(np.int64)
-    ends = np.where(first > second, second * 64 + first, first * 64 + second)
-    keys = (ends * base * base + np.where(first > second, q * base + p, p * base + q)).ravel()
-    order = np.argsort(keys, kind="stable")
-    starts = np.flatnonzero(np.concatenate([[True], np.diff(keys[order]) != 0]))
-    counts = np.diff(np.append(starts, len(keys)))
-    support = np.empty(len(keys), dtype=np.int64)
-    support[order] = np.repeat(counts - 1, counts)
-    support = support.reshape(count, 3).sum(axis=1)
-    best = np.argsort(detected.sum(axis=1) - 1000 * support, kind="stable")
-    return best[detected[best].max(axis=1) >= fresh] if fresh else best
-
-
-_SIDES = np.array([[0, 1], [0, 2], [1, 2]])
+    return _answer(trial, shifts), shifts
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Guess:
-    """An attitude and a lens, the catalogue stars in view with them, and how far they may be off."""
+    """An attitude and a lens, and catalogue stars as they are seen with them."""
 
     R: Array
     lens: Array
-    rows: NDArray[np.int64]  # (M,) brightest first
+    rows: NDArray[np.int64]  # (M,) brightest first, all that may be in view
     predicted: Array  # (M, 2)
-    inside: NDArray[np.bool_]  # (M,)
 
 
-def _try(image: _Image, index: StarIndex, detected: NDArray, named: NDArray) -> tuple[_Match | None, float]:
-    """One proposal: predicted field, evidence, and if that is promising, refinement."""
+def _try(image: PlaneImage, index: StarIndex, corners: Array, R: Array, log_scale: float) -> _Trial | None:
+    """One proposal, from the triangle of `corners` (3, 2)."""
     field = image.field
-    points = image.plane[detected]
-    u, v = _directions(points), index.u_i[named]
-    lens: Array = np.zeros(4)
-    if field.scale_error > 0:
-        lens[0] = np.log(_perimeter(u) / _perimeter(v))
-        u = _directions(points * np.exp(-lens[0]))
-    guess = _guess(image, index, wahba(u, v, np.ones(3)), lens)
+    guess = _guess(image, index, R, np.array([log_scale, 0.0, 0.0, 0.0]))
     # the triangle fixes the field near it; errors grow with the distance in units of its size
-    centre = points.mean(axis=0)
-    size2 = ((points - centre) ** 2).sum() / 3.0
+    centre = corners.mean(axis=0)
+    size2 = ((corners - centre) ** 2).sum() / 3.0
     reach2 = ((guess.predicted - centre) ** 2).sum(axis=1)
     sigma = np.sqrt(field.pixel**2 + (0.5 * field.shape_error) ** 2 * reach2) * (
         1.0 + 0.7 * np.sqrt(reach2 / size2)
     )
-    match, evidence = _match(image, guess, sigma, gate=3.0, voiceless=3)
-    if match is None or evidence < _PROMISING:
-        return None, evidence
-    for _ in range(1 if field.known else 4):
-        R, lens, fitted = _refined(image, index, match)
-        guess = _moved(image, index, guess, R, lens)
-        match, evidence = _match(image, guess, None, gate=0.0, voiceless=3 + (fitted - 2) // 2)
+    return _improved(image, index, guess, sigma, chosen=3)
+
+
+def _improved(
+    image: PlaneImage, index: StarIndex, guess: _Guess, sigma: Array, *, chosen: int
+) -> _Trial | None:
+    """The guess, each star of it good to `sigma` (M,), improved by the detections that it predicts; None if
+    they are fewer than four.
+
+    The guess was made to fit `chosen` detections: they do not vote.
+    """
+    pixel = image.field.pixel
+    pairs = _paired(image, guess, sigma)
+    match = _kept(guess, pairs, 3.0 * pairs.sigma)
+    for _ in range(0 if image.field.known else 3):  # what a lens bends comes near step by step
         if match is None:
-            return None, evidence
-    return match, evidence
+            return None
+        R_si, lens, _ = _refined(image, index, guess, match)
+        guess = _moved(index, guess.rows, R_si, lens)
+        pairs = _paired(image, guess, np.full(len(guess.rows), pixel))
+        match = _kept(guess, pairs, 3.0 * _scatter(pairs.distance, pixel))
+    if match is None:
+        return None
+    R_si, lens, fitted = _refined(image, index, guess, match)
+    guess = _moved(index, guess.rows[pairs.places], R_si, lens)
+    pairs = pairs.again(image, guess)
+    match = _kept(guess, pairs, 3.0 * _scatter(pairs.distance, pixel))
+    if match is None:
+        return None
+    unpaired, voiceless = len(image.plane) - len(pairs.detections), chosen + (fitted - 2) // 2
+    evidence = log_evidence(
+        pairs.distance, pairs.sigma, unpaired, pairs.predicted, image.area, voiceless=voiceless
+    )
+    return _Trial(match, R_si, lens, evidence)
 
 
-def _guess(image: _Image, index: StarIndex, R: Array, lens: Array) -> _Guess:
+def _guess(image: PlaneImage, index: StarIndex, R: Array, lens: Array) -> _Guess:
     field = image.field
     corner = np.hypot(field.half_x, field.half_y) * (1.03 + 0.5 * field.shape_error)
     radius = np.arctan(corner * np.exp(-lens[0]))
     rows = index.near(R[2], float(radius))
-    predicted = _distorted(_plane(index.u_i[rows] @ R.T), lens)
-    inside = _inside(predicted, field)
+    predicted = _distorted(plane_of_directions(index.u_i[rows] @ R.T), lens)
+    seen = np.cumsum(_inside(predicted, field))
     limit = int(_PRIOR_SHARE * len(image.plane)) + 12
-    if np.count_nonzero(inside) > limit:
-        end = int(np.searchsorted(np.cumsum(inside), limit)) + 1
-        rows, predicted, inside = rows[:end], predicted[:end], inside[:end]
-    return _Guess(R, lens, rows, predicted, inside)
+    if seen[-1:] > limit:
+        end = int(np.searchsorted(seen, limit)) + 1
+        rows, predicted = rows[:end], predicted[:end]
+    return _Guess(R, lens, rows, predicted)
 
 
-def _moved(image: _Image, index: StarIndex, guess: _Guess, R: Array, lens: Array) -> _Guess:
+def _moved(index: StarIndex, rows: NDArray[np.int64], R_si: Rotation, lens: Array) -> _Guess:
     """The same stars with a slightly different attitude and lens."""
-    predicted = _distorted(_plane(index.u_i[guess.rows] @ R.T), lens)
-    return _Guess(R, lens, guess.rows, predicted, _inside(predicted, image.field))
+    R = R_si.as_matrix()
+    return _Guess(R, lens, rows, _distorted(plane_of_directions(index.u_i[rows] @ R.T), lens))
 
 
 def _inside(plane: Array, field: FieldOfView) -> NDArray[np.bool_]:
@@ -310,41 +246,47 @@ def _inside(plane: Array, field: FieldOfView) -> NDArray[np.bool_]:
     return np.asarray((x < field.half_x) & (y < field.half_y))
 
 
-def _match(
-    image: _Image, guess: _Guess, sigma: Array | None, *, gate: float, voiceless: int
-) -> tuple[_Match | None, float]:
-    """Each predicted star with the nearest detection, each detection with one star, and the evidence of it
-    all.
+@dataclass(frozen=True, slots=True, eq=False)
+class _Pairs:
+    """Predicted stars and the detections near them, each at most once."""
 
-    `sigma` (M,) expected errors and the gate in units of it; None: a pixel, and the matches' own scatter.
-    """
-    pixel, n = image.field.pixel, len(image.plane)
-    seen = int(np.count_nonzero(guess.inside))
-    if seen < 3:
-        return None, -np.inf
-    reach = 5.0 * (pixel if sigma is None else float(sigma.max()))
-    distance, detection = image.tree.query(guess.predicted, distance_upper_bound=reach)
-    usable = np.flatnonzero(guess.inside & (detection < n))
-    relative = distance[usable] / (pixel if sigma is None else sigma[usable])
-    worst_first = usable[np.argsort(-relative)]
+    detections: NDArray[np.int64]  # (K,)
+    places: NDArray[np.int64]  # (K,) rows of the guess
+    distance: Array  # (K,)
+    sigma: Array  # (K,) expected along one axis
+    predicted: int  # stars asked for
+
+    def again(self, image: PlaneImage, guess: _Guess) -> _Pairs:
+        """The same pairs after `guess`, which holds their stars alone, has moved, good to a pixel."""
+        distance = np.sqrt(((image.plane[self.detections] - guess.predicted) ** 2).sum(axis=1))
+        sigma = np.full(len(distance), image.field.pixel)
+        return _Pairs(self.detections, np.arange(len(distance)), distance, sigma, self.predicted)
+
+
+def _paired(image: PlaneImage, guess: _Guess, sigma: Array) -> _Pairs:
+    """Each star predicted inside with the nearest detection within five `sigma` (M,), each detection with the
+    star that it fits best."""
+    n = len(image.plane)
+    inside = np.flatnonzero(_inside(guess.predicted, image.field))
+    own = sigma[inside]
+    reach = 5.0 * float(own.max(initial=0.0))
+    distance, detection = image.tree.query(guess.predicted[inside], distance_upper_bound=reach)
+    near = np.flatnonzero(detection < n)
+    worst_first = near[np.argsort(-(distance[near] / own[near]))]
     star = np.full(n, -1)
     star[detection[worst_first]] = worst_first  # the best comes last and stays
-    named = np.flatnonzero(star >= 0)
-    chosen = star[named]
-    distance = distance[chosen]
-    if sigma is None:
-        own = np.full(len(chosen), pixel)
-        limit: Array | float = 3.0 * _scatter(distance, pixel)
-    else:
-        own = sigma[chosen]
-        limit = gate * own
-    evidence = log_evidence(distance, own, n - len(named), seen, image.area, voiceless=voiceless)
-    close = distance < limit
-    named, chosen, distance = named[close], chosen[close], distance[close]
-    if len(chosen) < 4:
-        return None, evidence
-    rms = float(np.sqrt(0.5 * (distance**2).mean()))
-    return _Match(named, guess.rows[chosen], guess.R, guess.lens, rms), evidence
+    detections = np.flatnonzero(star >= 0)
+    chosen = star[detections]
+    return _Pairs(detections, inside[chosen], distance[chosen], own[chosen], len(inside))
+
+
+def _kept(guess: _Guess, pairs: _Pairs, limit: Array | float) -> _Match | None:
+    """The pairs no farther apart than `limit`, four at least."""
+    close = pairs.distance < limit
+    if np.count_nonzero(close) < 4:
+        return None
+    rms = float(np.sqrt(0.5 * (pairs.distance[close] ** 2).mean()))
+    return _Match(pairs.detections[close], guess.rows[pairs.places[close]], rms)
 
 
 def _scatter(distance: Array, pixel: float) -> float:
@@ -356,19 +298,21 @@ def _scatter(distance: Array, pixel: float) -> float:
     return min(max(middle / 1.1774, 0.15 * pixel), 3.0 * pixel)
 
 
-def _refined(image: _Image, index: StarIndex, match: _Match) -> tuple[Array, Array, int]:
+def _refined(
+    image: PlaneImage, index: StarIndex, guess: _Guess, match: _Match
+) -> tuple[Rotation, Array, int]:
     """Attitude, and what the matches allow to be said of an unknown lens; also the number of parameters."""
     measured = image.plane[match.detections]
     u_i = index.u_i[match.stars]
     if image.field.known:
-        return wahba(_directions(measured), u_i, np.ones(len(u_i))), match.lens, 3
+        return wahba(directions_of_plane(measured), u_i, np.ones(len(u_i))), guess.lens, 3
     n = len(measured)
     free = 2 if n < 16 else 4
     if image.field.scale_error > 0 and n < 8:
         free = 1
-    R, lens = match.R, match.lens.copy()
+    R, lens = guess.R, guess.lens.copy()
     for _ in range(3):
-        ideal = _plane(u_i @ R.T)
+        ideal = plane_of_directions(u_i @ R.T)
         residual = (measured - _distorted(ideal, lens)).ravel()
         A = np.concatenate([_turn_columns(ideal), _lens_columns(ideal)[:, :, :free]], axis=2)
         size = np.sqrt(0.5 * (residual.reshape(n, 2) ** 2).sum(axis=1))
@@ -377,7 +321,7 @@ def _refined(image: _Image, index: StarIndex, match: _Match) -> tuple[Array, Arr
         step = np.linalg.lstsq(A, residual * np.repeat(weight, 2), rcond=1e-10)[0]
         R = Rotation.from_rotvec(step[:3]).as_matrix() @ R
         lens[:free] += step[3:]
-    return R, lens, 3 + free
+    return Rotation.from_matrix(R), lens, 3 + free
 
 
 def _turn_columns(t: Array) -> Array:
@@ -410,30 +354,15 @@ def _distorted(t: Array, lens: Array) -> Array:
     return np.asarray((t + _lens_columns(t)[:, :, 1:] @ lens[1:]) * np.exp(lens[0]))
 
 
-def _answer(match: _Match, proposals: int, evidence: float) -> Identification:
-    log_probability = float(min(np.log(max(proposals, 1)) - evidence, 0.0))
+def _answer(trial: _Trial, proposals: int) -> Identification:
+    log_probability = float(min(np.log(max(proposals, 1)) - trial.evidence, 0.0))
     return Identification(
-        match.detections,
-        match.stars,
-        Rotation.from_matrix(match.R),
-        match.lens,
+        trial.match.detections,
+        trial.match.stars,
+        trial.R_si,
+        trial.lens,
         float(np.exp(max(log_probability, -700.0))),
         log_probability,
         proposals,
-        match.rms,
+        trial.match.rms,
     )
-
-
-def _perimeter(u: Array) -> float:
-    """Sum of the chords of a triangle of unit vectors."""
-    return float(np.sqrt(((u - u[[1, 2, 0]]) ** 2).sum(axis=1)).sum())
-
-
-def _directions(plane: Array) -> Array:
-    v = np.column_stack([plane, np.ones(len(plane))])
-    return np.asarray(v / np.sqrt((v * v).sum(axis=1))[:, None])
-
-
-def _plane(u: Array) -> Array:
-    z = np.where(u[:, 2] > 0.05, u[:, 2], np.nan)
-    return np.asarray(u[:, :2] / z[:, None])

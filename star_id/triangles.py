@@ -5,7 +5,8 @@ For a field of view the index takes the stars that are among the brightest of th
 triangle of them that fits into a good part of the field, and sorts the triangles into cells of (middle side /
 longest side, shortest side / longest side). All triangles of one handedness seen from inside the sphere are
 kept with the sign of it. The vertices stand in the order: longest-and-middle side, longest-and-shortest side,
-middle-and-shortest side.
+middle-and-shortest side. Beside the triangles a table knows the nearest index stars of each of its stars,
+which tell a true proposal from the many false ones.
 """
 
 from __future__ import annotations
@@ -23,6 +24,8 @@ __all__ = ["StarIndex", "TriangleTable", "build_index", "equivalent_fov", "trian
 Array = NDArray[np.float64]
 
 STARS_A_FIELD = 14  # index stars in the area of one field of view
+_NEIGHBOURS = 16  # nearest index stars kept for each: they fill a circle 1.2 fields of view wide
+_WIDER = 1.5  # a second table for a known camera: fewer stars, sides up to 0.93 of its field
 LONGEST_SIDE = 0.62  # of the field of view
 SHORTEST_SIDE = 0.06
 _LEVEL_STEP = 1.4  # fields of view of neighbouring tables of an index for unknown cameras
@@ -40,14 +43,20 @@ class TriangleTable:
     ratios: NDArray[np.float32]  # (T, 2) middle / longest, shortest / longest
     right_handed: NDArray[np.bool_]  # (T,) sign of the vertices' triple product
     cell_start: NDArray[np.int64]  # (cells + 1,) first row of each cell
+    neighbours: NDArray[np.int32]  # (S, K) nearest index stars of each, S beyond the last index star's row
 
     def lookup(
-        self, longest: Array, ratios: Array, right_handed: NDArray[np.bool_], tolerance: Array, scale: float
+        self,
+        longest: Array,
+        ratios: Array,
+        right_handed: NDArray[np.bool_],
+        tolerance: Array,
+        scale_error: float,
     ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Pairs (query, row) of triangles alike: ratios within `tolerance` (Q,), longest side within
-        `scale`."""
-        low = np.clip(((ratios - tolerance[:, None]) * _CELLS).astype(np.int64), 0, _CELLS - 1)
-        high = np.clip(((ratios + tolerance[:, None]) * _CELLS).astype(np.int64), 0, _CELLS - 1)
+        """Pairs (query, row) of triangles alike: ratios within `tolerance` (Q,), longest sides within
+        `tolerance` and `scale_error`, relative."""
+        low = np.maximum(((ratios - tolerance[:, None]) * _CELLS).astype(np.int64), 0)
+        high = np.minimum(((ratios + tolerance[:, None]) * _CELLS).astype(np.int64), _CELLS - 1)
         lines = high[:, 0] - low[:, 0] + 1
         query = np.repeat(np.arange(len(low)), lines)
         line = low[query, 0] + _ramp(lines)
@@ -55,7 +64,7 @@ class TriangleTable:
         count = self.cell_start[line * _CELLS + high[query, 1] + 1] - first
         row = np.repeat(first, count) + _ramp(count)
         query = np.repeat(query, count)
-        near = np.abs(self.longest_rad[row] - longest[query]) < scale * longest[query]
+        near = np.abs(self.longest_rad[row] - longest[query]) < ((tolerance + scale_error) * longest)[query]
         near &= self.right_handed[row] == right_handed[query]
         row, query = row[near], query[near]
         near = (np.abs(self.ratios[row] - ratios[query]) < tolerance[query, None]).all(axis=1)
@@ -72,10 +81,11 @@ class StarIndex:
     tables: tuple[TriangleTable, ...]
     tree: cKDTree
 
-    def table_for(self, fov_rad: float) -> TriangleTable:
-        """The table made for the nearest field of view."""
-        distance = [abs(np.log(table.fov_rad / fov_rad)) for table in self.tables]
-        return self.tables[int(np.argmin(distance))]
+    def tables_for(self, fov_rad: float) -> tuple[TriangleTable, ...]:
+        """The table made for the nearest field of view, and the next wider one."""
+        nearest = min(self.tables, key=lambda table: abs(np.log(table.fov_rad / fov_rad)))
+        wider = [table for table in self.tables if table.fov_rad > nearest.fov_rad]
+        return (nearest, *sorted(wider, key=lambda table: table.fov_rad)[:1])
 
     def near(self, direction_i: Array, radius_rad: float) -> NDArray[np.int64]:
         """Rows of the stars within `radius_rad` of a unit vector, brightest first."""
@@ -102,7 +112,7 @@ def build_index(stars: StarPlaces, epoch_jyear: float, fov_rad: float | tuple[fl
         levels = max(1, int(np.ceil(np.log(high / low) / np.log(_LEVEL_STEP))))
         fields = low * (high / low) ** ((np.arange(levels) + 0.5) / levels)
     else:
-        fields = np.array([fov_rad])
+        fields = fov_rad * np.array([1.0, _WIDER])
     return StarIndex(stars, u_i, tuple(_table(u_i, float(field)) for field in fields), tree)
 
 
@@ -115,15 +125,15 @@ def triangle_shapes(
     u: Array, triples: NDArray[np.integer]
 ) -> tuple[NDArray, Array, Array, NDArray[np.bool_]]:
     """Vertices in canonical order (T, 3), longest sides (rad), ratios (T, 2) and handedness of triangles."""
-    a, b, c = u[triples[:, 0]], u[triples[:, 1]], u[triples[:, 2]]
-    sides = np.stack([_angle(b, c), _angle(c, a), _angle(a, b)], axis=1)  # opposite to each vertex
+    corners = u[triples]  # (T, 3, 3)
+    across = corners[:, [1, 2, 0]] - corners[:, [2, 0, 1]]  # sides opposite to each vertex
+    # angles from chords: safe however small
+    sides = 2.0 * np.arcsin(np.minimum(0.5 * np.sqrt(np.einsum("tij,tij->ti", across, across)), 1.0))
     order = np.argsort(sides, axis=1)  # shortest, middle, longest
+    row = np.arange(len(triples))[:, None]
     # the vertex opposite the shortest side lies between the middle and the longest, and so on
-    vertices = np.take_along_axis(triples, order, axis=1)
-    sorted_sides = np.take_along_axis(sides, order, axis=1)
-    px, py, pz = u[vertices[:, 0]].T
-    qx, qy, qz = u[vertices[:, 1]].T
-    rx, ry, rz = u[vertices[:, 2]].T
+    vertices, sorted_sides = triples[row, order], sides[row, order]
+    px, py, pz, qx, qy, qz, rx, ry, rz = corners[row, order].reshape(-1, 9).T
     triple = px * (qy * rz - qz * ry) + py * (qz * rx - qx * rz) + pz * (qx * ry - qy * rx)
     right_handed = triple > 0.0
     longest = np.maximum(sorted_sides[:, 2], 1e-12)
@@ -146,7 +156,17 @@ def _table(u_i: Array, fov_rad: float) -> TriangleTable:
         ratios[rows].astype(np.float32),
         right_handed[rows],
         np.concatenate([[0], np.cumsum(counts)]),
+        _neighbours(u_i, chosen),
     )
+
+
+def _neighbours(u_i: Array, chosen: NDArray[np.int64]) -> NDArray[np.int32]:
+    """(S, K) the stars of `chosen` (ascending) nearest to each of them; rows of other stars are zero."""
+    nearest = min(_NEIGHBOURS + 1, len(chosen))
+    _, place = cKDTree(u_i[chosen]).query(u_i[chosen], k=np.arange(2, nearest + 1))  # the first is the star
+    neighbours = np.zeros((int(chosen.max(initial=-1)) + 1, nearest - 1), dtype=np.int32)
+    neighbours[chosen] = chosen[place]
+    return neighbours
 
 
 def _brightest_of_neighbourhood(u_i: Array, fov_rad: float) -> NDArray[np.int64]:
@@ -179,11 +199,6 @@ def _ramp(counts: NDArray[np.integer]) -> NDArray[np.int64]:
     total = int(counts.sum())
     ends = np.cumsum(counts)
     return np.arange(total) - np.repeat(ends - counts, counts)
-
-
-def _angle(a: Array, b: Array) -> Array:
-    """Angle between unit vectors, from the chord (safe at small angles)."""
-    return np.asarray(2.0 * np.arcsin(np.minimum(0.5 * np.sqrt(((a - b) ** 2).sum(axis=1)), 1.0)))
 
 
 def _directions_at(stars: StarPlaces, epoch_jyear: float) -> Array:
