@@ -366,7 +366,8 @@ def _box_deg(model: Pushbroom, scenario: Scenario) -> tuple[float, float, float,
         sample, line = np.array([0.0, end, 0.0, end]), np.array([0.0, 0.0, last, last])
         corners.append(model.ground_points(ccd, sample, line, ConstantHeight(scenario.terrain.mean_m)))
     lat, lon, _ = geodetic_from_ecef(np.concatenate(corners), WGS84)
-    lat_deg, lon_deg = np.degrees(lat), np.degrees(lon)
+    lat_deg = np.degrees(lat)
+    lon_deg = np.degrees(lon[0] + (lon - lon[0] + np.pi) % (2.0 * np.pi) - np.pi)  # in one piece across 180
     wide = _MARGIN_DEG / float(np.cos(lat.mean()))
     return (
         float(lat_deg.min() - _MARGIN_DEG),

@@ -1,0 +1,192 @@
+"""Every reader of files from outside given damaged files: does it read, or say what is wrong, and nothing else?
+
+    python benchmarks/fuzz_readers.py --inputs 100000 --seed 1
+    python benchmarks/fuzz_readers.py --coverage "orbit.oem" --inputs 20000       # atheris must be installed
+
+The sound files and the readers are those of tests/pipeline/faults/readers.py. Each reader works in a process of
+its own; the damaged file is on disk when it is read, so that it is still there when the process is not. A
+finding is any exception but the documented ones, more than 5 s, more than 1 GiB of memory more than before, a
+process that dies. Findings are kept in --keep. The second form follows the branches of the readers' Python code.
+"""
+
+from __future__ import annotations
+
+import argparse
+import faulthandler
+import multiprocessing
+import os
+import platform
+import random
+import resource
+import shutil
+import signal
+import sys
+import tempfile
+import time
+import traceback
+import warnings
+from collections import Counter
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+TESTS = Path(__file__).resolve().parents[1] / "tests" / "pipeline"
+sys.path[:0] = [str(TESTS), str(TESTS / "faults")]
+
+LONGEST_S = 5
+MOST_KIB = 2**20
+HANGS_S = 30  # after which a process that does not even take a signal is killed
+SLOW = {"plan, forecast": 0.002}  # share of the inputs of a reader that takes so long
+
+
+class TooLong(BaseException):
+    """The alarm went off while a file was read."""
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--inputs", type=int, default=100_000, help="in all, or of the one reader")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--only", default="", help="readers whose name contains this")
+    parser.add_argument("--keep", type=Path, default=Path("fuzz-findings"))
+    parser.add_argument("--coverage", metavar="READER", help="coverage-guided, with atheris")
+    options = parser.parse_args()
+    if options.coverage:
+        follow_coverage(options.coverage, options.inputs, options.seed)
+        return
+    from readers import READERS
+
+    chosen = [reader.name for reader in READERS if options.only in reader.name]
+    weights = [SLOW.get(name, 1.0) for name in chosen]
+    shares = [max(1, round(options.inputs * weight / sum(weights))) for weight in weights]
+    print(f"Python {platform.python_version()}, {platform.platform()}, seed {options.seed}\n")
+    print(
+        f"{'reader':24s}{'inputs':>9s}{'read':>9s}{'refused':>9s}{'findings':>10s}{'longest ms':>12s}{'s':>8s}"
+    )
+    total: Counter[str] = Counter()
+    for name, share in zip(chosen, shares):
+        counts = tried(name, share, options.seed, options.keep)
+        total += counts
+        print(
+            f"{name:24s}{share:9d}{counts['read']:9d}{counts['refused']:9d}{counts['findings']:10d}"
+            f"{counts['longest_us'] / 1e3:12.1f}{counts['seconds']:8d}",
+            flush=True,
+        )
+    print(f"{'in all':24s}{sum(shares):9d}{total['read']:9d}{total['refused']:9d}{total['findings']:10d}")
+    raise SystemExit(1 if total["findings"] else 0)
+
+
+def tried(name: str, inputs: int, seed: int, keep: Path) -> Counter[str]:
+    """One reader, in processes that are started again where they died."""
+    counts: Counter[str] = Counter()
+    begin, done = time.perf_counter(), 0
+    context = multiprocessing.get_context("spawn")
+    while done < inputs:
+        with tempfile.TemporaryDirectory(dir="/dev/shm" if Path("/dev/shm").is_dir() else None) as folder:
+            progress = context.Array("q", 6, lock=False)  # done, read, refused, findings, longest us, restart
+            process = context.Process(target=work, args=(name, seed, done, inputs, folder, keep, progress))
+            process.start()
+            before, since = -1, time.perf_counter()
+            while process.is_alive():
+                process.join(0.2)
+                if progress[0] != before:
+                    before, since = progress[0], time.perf_counter()
+                elif time.perf_counter() - since > HANGS_S + (60 if before == 0 else 0):
+                    process.kill()
+            done += progress[0]
+            for key, at in (("read", 1), ("refused", 2), ("findings", 3)):
+                counts[key] += progress[at]
+            counts["longest_us"] = max(counts["longest_us"], progress[4])
+            if process.exitcode and done < inputs:
+                saved(keep, name, seed, done, Path(folder), f"the process ended with {process.exitcode}")
+                counts["findings"] += 1
+                done += 1
+    counts["seconds"] = round(time.perf_counter() - begin)
+    return counts
+
+
+def work(name: str, seed: int, first: int, last: int, folder: str, keep: Path, progress: Any) -> None:
+    """Inputs first ... last-1 of one reader. A memory jump ends the process, for memory is seldom given back."""
+    from readers import DOCUMENTED, READERS, mutated, write_sound_files
+
+    faulthandler.enable()
+    os.nice(5)
+    signal.signal(signal.SIGALRM, alarmed)
+    warnings.simplefilter("ignore")
+    reader = next(reader for reader in READERS if reader.name == name)
+    root = write_sound_files(Path(folder))
+    path = root / reader.file
+    sound = path.read_bytes()
+    reader.read(root)
+    for n in range(first, last):
+        path.write_bytes(mutated(random.Random(f"{name} {seed} {n}"), sound, reader.is_text))
+        held, begin = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss, time.perf_counter()
+        trouble = ""
+        signal.alarm(LONGEST_S)
+        try:
+            reader.read(root)
+            progress[1] += 1
+        except DOCUMENTED:
+            progress[2] += 1
+        except TooLong:
+            trouble = f"more than {LONGEST_S} s\n{traceback.format_exc()}"
+        except Exception:
+            trouble = traceback.format_exc()
+        signal.alarm(0)
+        more = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - held
+        if more > MOST_KIB:
+            trouble += f"{more / 2**20:.1f} GiB more memory"
+        if trouble:
+            saved(keep, name, seed, n, root, trouble)
+            progress[3] += 1
+        progress[4] = max(progress[4], int(1e6 * (time.perf_counter() - begin)))
+        progress[0] += 1
+        if more > MOST_KIB:
+            return
+
+
+def alarmed(number: int, frame: FrameType | None) -> None:
+    raise TooLong
+
+
+def saved(keep: Path, name: str, seed: int, n: int, root: Path, trouble: str) -> None:
+    """The damaged file and what came of it."""
+    from readers import READERS
+
+    keep.mkdir(parents=True, exist_ok=True)
+    reader = next(reader for reader in READERS if reader.name == name)
+    stem = "".join(c if c.isalnum() else "-" for c in name) + f"-{seed}-{n}"
+    shutil.copy(root / reader.file, keep / f"{stem}{Path(reader.file).suffix}")
+    (keep / f"{stem}.txt").write_text(trouble)
+    print(f"  finding: {name}, input {n}: {trouble.strip().splitlines()[-1][:150]}", flush=True)
+
+
+def follow_coverage(name: str, inputs: int, seed: int) -> None:
+    """libFuzzer's mutations, steered by the branches that they reach in the readers' Python code."""
+    import atheris
+
+    with atheris.instrument_imports(include=["pipeline.files", "pipeline.settings", "pipeline.plan", "oem"]):
+        from readers import DOCUMENTED, READERS, write_sound_files
+    warnings.simplefilter("ignore")
+    reader = next(reader for reader in READERS if reader.name == name)
+    with tempfile.TemporaryDirectory(dir="/dev/shm" if Path("/dev/shm").is_dir() else None) as folder:
+        root = write_sound_files(Path(folder) / "sound")
+        path = root / reader.file
+        corpus = Path(folder) / "corpus"
+        corpus.mkdir()
+        shutil.copy(path, corpus)
+
+        def read_one(raw: bytes) -> None:
+            path.write_bytes(raw)
+            try:
+                reader.read(root)
+            except DOCUMENTED:
+                pass
+
+        limits = ["-timeout=5", "-rss_limit_mb=2048", f"-max_len={4 * path.stat().st_size}"]
+        atheris.Setup([sys.argv[0], f"-runs={inputs}", f"-seed={seed}", *limits, str(corpus)], read_one)
+        atheris.Fuzz()
+
+
+if __name__ == "__main__":
+    main()

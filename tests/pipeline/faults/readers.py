@@ -1,0 +1,506 @@
+"""Every reader of files from outside with a sound file each, and what may come of a file that is not sound.
+
+The tests of this folder and `benchmarks/fuzz_readers.py` change the sound files and ask for one of two
+outcomes: something is read, or one of the errors in `DOCUMENTED` is raised.
+"""
+
+from __future__ import annotations
+
+import json
+import random
+import zlib
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import cv2
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import rasterio
+from astropy.io import fits
+from handmade import write_handmade_dump, write_strip
+from scipy.spatial.transform import Rotation
+
+from calib.information import InformationPairs
+from geometry.earth_orientation import bundled_earth_orientation
+from geometry.groundlight import LightEffects
+from geometry.sightings import StarSightings
+from pipeline.chains.ground_chain import Placings, _chip, placings_from_table, placings_table
+from pipeline.chains.star_chain import sightings_from_table, stars_table
+from pipeline.errors import DataNotSufficientError, RawDataError
+from pipeline.files.dimap import read_dimap
+from pipeline.files.dump import ChipFile, TerrainFile, _read_terrain, open_dump
+from pipeline.files.image_files import StripFiles, check_strip_file, read_exposure, read_star_image
+from pipeline.files.orbit_file import read_oem
+from pipeline.files.scenario_file import named_scenario
+from pipeline.geolocate import read_pixels
+from pipeline.plan import forecast_plan, read_plan
+from pipeline.report.centroid_report import _read_truth
+from pipeline.result import read_pairs, read_result
+from pipeline.settings import read_settings
+from pipeline.summary import status_summary
+from pipeline.work.unit_store import UnitStore, fixed_list
+from simulator.scenario import ScenarioError
+
+__all__ = ["DOCUMENTED", "READERS", "Reader", "mutated", "write_sound_files"]
+
+DOCUMENTED = (RawDataError, DataNotSufficientError, ScenarioError)
+WIDTH, HEIGHT = 48, 40
+STRIP = (64, 200)
+
+
+@dataclass(frozen=True, slots=True)
+class Reader:
+    """`read(folder)` reads the file `file` of a folder that `write_sound_files` made."""
+
+    name: str
+    file: str
+    read: Callable[[Path], Any]
+
+    @property
+    def is_text(self) -> bool:
+        return Path(self.file).suffix in (".toml", ".csv", ".oem", ".xml", ".json")
+
+
+def write_sound_files(folder: Path) -> Path:
+    """One sound file for each reader."""
+    root = write_handmade_dump(folder / "dump")
+    _write_terrain(root / "dem.tif")
+    head = (root / "dump.toml").read_text()
+    head = head.replace('"targets.csv"', '"targets.csv"\nterrain = "dem.tif"')
+    (root / "dump.toml").write_text(head + '\n[terrain]\nheight_kind = "ellipsoidal"\nsigma_m = 5\n')
+    counts = np.random.default_rng(8).integers(0, 255, (HEIGHT, WIDTH)).astype(np.uint8)
+    for suffix in (".png", ".jpg", ".bmp"):
+        assert cv2.imwrite(str(folder / f"sky{suffix}"), counts)
+    assert cv2.imwrite(str(folder / "colour.png"), np.dstack([counts, counts, counts]))
+    assert cv2.imwrite(str(folder / "deep.png"), 256 * counts.astype(np.uint16))
+    write_strip(folder / "sky.tif", counts)
+    fits.PrimaryHDU(counts.astype(np.uint16)).writeto(folder / "sky.fits")
+    (folder / "plan.toml").write_text(PLAN)
+    (folder / "settings.toml").write_text(SETTINGS)
+    (folder / "scenario.toml").write_text(SCENARIO)
+    (folder / "truth.csv").write_text("file,x_px,y_px,flux_dn\nsky.png,10.5,20.25,300\nsky.png,1,2,3\n")
+    (folder / "pixels.csv").write_text("ccd,sample,line\n0,1.5,2.5\n1,3,4\n")
+    (folder / "dimap.xml").write_text(dimap_text())
+    _write_result(folder / "result")
+    _write_units(folder)
+    return folder
+
+
+def _write_terrain(path: Path) -> None:
+    heights = np.random.default_rng(3).normal(100.0, 20.0, (30, 30)).astype(np.float32)
+    transform = rasterio.Affine(0.01, 0, 102.85, 0, -0.01, 0.15)
+    profile = {"driver": "GTiff", "width": 30, "height": 30, "count": 1, "dtype": "float32"}
+    with rasterio.open(path, "w", **profile, crs="EPSG:4326", transform=transform, nodata=-32768) as file:
+        file.write(heights, 1)
+
+
+def _write_result(result: Path) -> None:
+    (result / "sightings").mkdir(parents=True)
+    content = {
+        "quaternion": [0.5, -0.5, 0.5, 0.5],
+        "theta_rad": [1e-3, 2e-3, 3e-3],
+        "covariance_rad2": np.diag([1e-12, 1e-12, 1e-11]).tolist(),
+        "settings": {"run": {"exposure_margin_s": 1.0}},
+        "version": "0.1.0",
+    }
+    (result / "installation.json").write_text(json.dumps(content))
+    exposures = {
+        "exposure_id": ["e1", "e2"],
+        "t_s": [0.0, 20.0],
+        "R_si": fixed_list(np.tile(np.eye(3), (2, 1, 1))),
+        "usable": [True, True],
+    }
+    pq.write_table(pa.table(exposures), result / "sightings/exposures.parquet", write_page_checksum=True)
+    R_cs = Rotation.from_quat([0.5, -0.5, 0.5, 0.5])
+    pair = InformationPairs(np.array(["s1"]), 1e12 * np.eye(3)[None], np.zeros((1, 3)), R_cs)
+    table = pa.Table.from_pandas(pair.table(), preserve_index=False)
+    pq.write_table(table, result / "sightings/strips.parquet", write_page_checksum=True)
+
+
+def _write_units(folder: Path) -> None:
+    rng, store = np.random.default_rng(1), UnitStore(folder / "run" / "work")
+    u = rng.normal(size=(9, 3))
+    u /= np.linalg.norm(u, axis=1, keepdims=True)
+    hip, cov = np.arange(9) + 1, np.tile(1e-10 * np.eye(3), (9, 1, 1))
+    stars = StarSightings("e1", 1.0, hip, rng.uniform(0, 99, (9, 2)), u, u, cov)
+    task: Any = SimpleNamespace(exposure=SimpleNamespace(exposure_id="e1", t_s=1.0))
+    store.write("exposures", "e1", "0" * 32, *stars_table(task, stars))
+    none, pairs = np.zeros(0), np.zeros((0, 2))
+    names, ccd = np.array([], dtype=str), np.zeros(0, dtype=np.int64)
+    placings = Placings("s1", names, ccd, pairs, np.zeros((0, 2, 2)), none, none, pairs, (), ())
+    store.write("places-1", "s1", "0" * 32, *placings_table(placings))
+
+
+def _orbit(folder: Path) -> Any:
+    return read_oem(folder / "dump/orbit.oem", "orbit.oem")
+
+
+def _dump(folder: Path) -> Any:
+    return open_dump(folder / "dump")
+
+
+def _plan(folder: Path) -> Any:
+    return forecast_plan(read_plan(folder / "plan.toml"), 1.0)
+
+
+def _pixels(folder: Path) -> Any:
+    calibrated: Any = SimpleNamespace(dump=SimpleNamespace(line_camera=SimpleNamespace(n_ccds=2)))
+    return read_pixels(folder / "pixels.csv", calibrated)
+
+
+def _exposure(name: str) -> Callable[[Path], Any]:
+    return lambda folder: read_exposure(folder / name, name, width=WIDTH, height=HEIGHT, bit_depth=8)
+
+
+def _exposure_of_16_bits(folder: Path) -> Any:
+    return read_exposure(folder / "sky.fits", "sky.fits", width=WIDTH, height=HEIGHT, bit_depth=16)
+
+
+def _star_image(name: str) -> Callable[[Path], Any]:
+    return lambda folder: read_star_image(folder / name, name)
+
+
+def _strip(folder: Path) -> Any:
+    path, (samples, lines) = folder / "dump/strips/0.tif", STRIP
+    check_strip_file(path, "0.tif", lines=lines, samples=samples, bit_depth=8)
+    return StripFiles({0: path}, {0: "0.tif"}, {0: (lines, samples)}).read(0, 10, 90, 5, 60)
+
+
+def _chip_image(folder: Path) -> Any:
+    return _chip(ChipFile("t0", "chips/0.tif", folder / "dump/chips/0.tif"))
+
+
+def _terrain(folder: Path) -> Any:
+    surface = _read_terrain.__wrapped__(TerrainFile("dem.tif", folder / "dump/dem.tif", "ellipsoidal"))
+    return surface.height_m(np.zeros(3), np.radians([102.9, 103.0, 103.1]))
+
+
+def _dimap(folder: Path) -> Any:
+    return read_dimap(folder / "dimap.xml", EARTH, LightEffects())
+
+
+def _star_unit(folder: Path) -> Any:
+    table = UnitStore(folder / "run/work").read("exposures", "e1", "0" * 32)
+    return None if table is None else sightings_from_table(table)
+
+
+def _strip_unit(folder: Path) -> Any:
+    table = UnitStore(folder / "run/work").read("places-1", "s1", "0" * 32)
+    return None if table is None else placings_from_table(table)
+
+
+EARTH = bundled_earth_orientation()
+STAR_UNIT = f"run/work/exposures/e1.{'0' * 32}.parquet"
+STRIP_UNIT = f"run/work/places-1/s1.{'0' * 32}.parquet"
+
+READERS = (
+    *(
+        Reader(name, f"dump/{name}", _dump)
+        for name in (
+            "dump.toml",
+            "star_camera.toml",
+            "remote_camera.toml",
+            "installation.toml",
+            "exposures.csv",
+            "strips.csv",
+            "targets.csv",
+        )
+    ),
+    Reader("orbit.oem", "dump/orbit.oem", _orbit),
+    Reader("settings", "settings.toml", lambda folder: read_settings(folder / "settings.toml")),
+    Reader("scenario", "scenario.toml", lambda folder: named_scenario(str(folder / "scenario.toml"), [])),
+    Reader("plan", "plan.toml", lambda folder: read_plan(folder / "plan.toml")),
+    Reader("plan, forecast", "plan.toml", _plan),
+    Reader("centroids --truth", "truth.csv", lambda folder: _read_truth(folder / "truth.csv")),
+    Reader("geolocate --pixels", "pixels.csv", _pixels),
+    Reader("exposure, PNG", "sky.png", _exposure("sky.png")),
+    Reader("exposure, TIFF", "sky.tif", _exposure("sky.tif")),
+    Reader("exposure, FITS", "sky.fits", _exposure_of_16_bits),
+    Reader("star image, PNG", "deep.png", _star_image("deep.png")),
+    Reader("star image, colour PNG", "colour.png", _star_image("colour.png")),
+    Reader("star image, TIFF", "sky.tif", _star_image("sky.tif")),
+    Reader("star image, FITS", "sky.fits", _star_image("sky.fits")),
+    Reader("star image, JPEG", "sky.jpg", _star_image("sky.jpg")),
+    Reader("star image, BMP", "sky.bmp", _star_image("sky.bmp")),
+    Reader("strip, TIFF", "dump/strips/0.tif", _strip),
+    Reader("chip, GeoTIFF", "dump/chips/0.tif", _chip_image),
+    Reader("terrain, GeoTIFF", "dump/dem.tif", _terrain),
+    Reader("DIMAP", "dimap.xml", _dimap),
+    Reader("installation.json", "result/installation.json", lambda folder: read_result(folder / "result")),
+    Reader(
+        "exposures.parquet",
+        "result/sightings/exposures.parquet",
+        lambda folder: read_result(folder / "result"),
+    ),
+    Reader("strips.parquet", "result/sightings/strips.parquet", lambda folder: read_pairs(folder / "result")),
+    Reader("unit of an exposure", STAR_UNIT, _star_unit),
+    Reader("unit of a strip", STRIP_UNIT, _strip_unit),
+    Reader("status", STAR_UNIT, lambda folder: status_summary(folder / "run")),
+)
+
+PLAN = """
+[cameras]
+star_from_zenith_deg = 15.0
+star_focal_mm = 100.0
+star_width_px = 5120
+n_ccds = 4
+[strips]
+count = 8
+duration_s = 1.8
+exposures = 10
+stars = 40
+star_sigma_px = 0.06
+height_km = 530.0
+[targets]
+count = 12
+sigma_px = 0.3
+across = [-1.0, 1.0]
+along = [0.0, 1.0]
+[errors]
+position_m = 2.0
+clock_s = 1e-4
+"""
+SETTINGS = """
+[match]
+template_px = 96
+[run]
+passes = 3
+exposure_margin_s = 1.5
+aberration = true
+[calibration]
+sigma_clock_s = 2e-4
+[stars]
+false_alarms_per_frame = 0.1
+gain_e_per_dn = 40.0
+"""
+SCENARIO = """
+based_on = "mini"
+name = "mine"
+epoch_utc = "2024-11-20T03:40:00"
+[orbit]
+altitude_km = 530.0
+descending = true
+[strips]
+count = 2
+lines = 1000
+[star_camera]
+principal_px = [512.0, 384.0]
+[line_camera]
+distortion_um = [[5.0, 1077.2], [17.0, 866.3]]
+[[attitude.waves]]
+axis = "roll"
+amplitude_arcsec = 8.0
+period_s = 5.3
+"""
+
+
+def dimap_text() -> str:
+    """The elements of a Pleiades DIMAP file that are read, over a circular orbit of 40 s."""
+    radius, rate = 7_064_000.0, 1.06e-3
+    points = []
+    for n in range(9):
+        angle = rate * 5.0 * n
+        x, y = radius * np.cos(angle), radius * np.sin(angle)
+        vx, vy = -rate * y, rate * x
+        points.append(
+            f"<Point><LOCATION_VALUES>{x:.3f} 0.0 {y:.3f}</LOCATION_VALUES>"
+            f"<VELOCITY_VALUES>{vx:.6f} 0.0 {vy:.6f}</VELOCITY_VALUES>"
+            f"<UTC_TIME>2018-12-26T10:48:{40 + 5 * n if n < 4 else 0:02d}.000000Z</UTC_TIME></Point>".replace(
+                "10:48:00", f"10:49:{5 * (n - 4):02d}"
+            )
+        )
+    quaternion = "".join(
+        f"<Q{k}><DEGREE>1</DEGREE><COEFFICIENTS>{q} 1e-4</COEFFICIENTS></Q{k}>"
+        for k, q in enumerate((0.5, 0.5, 0.5, 0.5))
+    )
+    look = "".join(
+        f"<Psi{a}_Model><DEGREE>1</DEGREE><COEFFICIENTS>{c}</COEFFICIENTS></Psi{a}_Model>"
+        for a, c in (("X", "-1e-2 1e-6"), ("Y", "1e-3 0.0"))
+    )
+    return (
+        "<PHR_Dimap_Document><Dataset_Identification><DATASET_NAME>D</DATASET_NAME></Dataset_Identification>"
+        "<Raster_Dimensions><NCOLS>20000</NCOLS><NROWS>9000</NROWS></Raster_Dimensions>"
+        "<Geometric_Data><Sensor_Model_Characteristics>"
+        "<UTC_Sensor_Model_Range><START>2018-12-26T10:48:55.4490000Z</START></UTC_Sensor_Model_Range>"
+        "<SENSOR_LINE_PERIOD>0.0735</SENSOR_LINE_PERIOD>"
+        f"<Sensor_Ephemeris><Point_List>{''.join(points)}</Point_List></Sensor_Ephemeris>"
+        f"<Sensor_Attitudes><OFFSET>38935.0</OFFSET><SCALE>1.0</SCALE>"
+        f"<Polynomial_Models>{quaternion}</Polynomial_Models></Sensor_Attitudes>"
+        "<Sensor_Viewing_Model><Position_In_Retina><FIRST_COL>1</FIRST_COL><LAST_COL>20000</LAST_COL>"
+        f"</Position_In_Retina><Viewing_Directions>{look}</Viewing_Directions></Sensor_Viewing_Model>"
+        "</Sensor_Model_Characteristics></Geometric_Data></PHR_Dimap_Document>"
+    )
+
+
+PIECES = [
+    *(
+        "nan",
+        "-nan",
+        "inf",
+        "-inf",
+        "-1",
+        "0",
+        "1e999",
+        "-1e308",
+        "5e-324",
+        "9" * 400,
+        "9" * 5000,
+        "1_0",
+        "٣",
+    ),
+    *(
+        "",
+        " ",
+        "\n",
+        "\r",
+        "\r\n",
+        "\t",
+        "\x00",
+        "\x1b[2J",
+        "\ufeff",
+        "\u202e",
+        "é",
+        "𝄞",
+        "'",
+        '"',
+        '"""',
+        "'''",
+    ),
+    *("[", "]", "[[", "{", "}", "=", ",", ";", "#", ".", ":", "<", ">", "&", "\\", "/", "|", "%s", "%n"),
+    *("..", "../", "/etc/passwd", "C:\\x", "file:///etc/passwd", "http://[", "~", "a." * 50, "[" * 300),
+    *(
+        "true",
+        "false",
+        "null",
+        "{}",
+        "[]",
+        "2024-13-45T99:99:99",
+        "2016-12-31T23:59:60",
+        "1971-01-01T00:00:00",
+    ),
+    *("9999-12-31T23:59:59", "0001-01-01T00:00:00", "0x" + "f" * 5000, "<!DOCTYPE x>", "&a;", "<![CDATA["),
+    *(
+        "__import__('os')",
+        "!!python/object",
+        "=cmd|' /C calc'!A0",
+        "${jndi:x}",
+        "<script>",
+        "COMMENT",
+        "META_START",
+    ),
+]
+NUMBERS = (0, 1, 2, 7, 8, 15, 16, 127, 128, 255, 256, 32767, 32768, 65535, 65536, 2**31 - 1, 2**31, 2**32 - 1)
+
+
+def mutated(chance: random.Random, sound: bytes, text: bool) -> bytes:
+    """The file with one to five changes: of bytes, of numbers, of lines, or cut short."""
+    raw = bytearray(sound)
+    for _ in range(chance.choice((1, 1, 1, 2, 2, 3, 5))):
+        change = chance.choice(_TEXT_CHANGES if text and chance.random() < 0.8 else _BYTE_CHANGES)
+        change(chance, raw)
+    if raw.startswith(b"\x89PNG") and chance.random() < 0.7:
+        return with_checksums(bytes(raw))
+    return bytes(raw)
+
+
+def with_checksums(raw: bytes) -> bytes:
+    """A PNG whose chunks have the right checksums again, so that what is in them is looked at."""
+    out, at = bytearray(raw), 8
+    while at + 12 <= len(out):
+        length = int.from_bytes(out[at : at + 4], "big")
+        if at + 12 + length > len(out):
+            break
+        out[at + 8 + length : at + 12 + length] = zlib.crc32(out[at + 4 : at + 8 + length]).to_bytes(4, "big")
+        at += 12 + length
+    return bytes(out)
+
+
+def _set_byte(chance: random.Random, raw: bytearray) -> None:
+    if raw:
+        raw[chance.randrange(len(raw))] = chance.randrange(256)
+
+
+def _flip_bit(chance: random.Random, raw: bytearray) -> None:
+    if raw:
+        raw[chance.randrange(len(raw))] ^= 1 << chance.randrange(8)
+
+
+def _set_number(chance: random.Random, raw: bytearray) -> None:
+    """A whole number of 2 or 4 bytes; headers come first, so early places are preferred."""
+    size = chance.choice((2, 4))
+    if len(raw) >= size:
+        at = int((len(raw) - size) * chance.random() ** chance.choice((1, 4)))
+        number = chance.choice(NUMBERS) % 256**size
+        raw[at : at + size] = number.to_bytes(size, chance.choice(("little", "big")))
+
+
+def _cut(chance: random.Random, raw: bytearray) -> None:
+    del raw[chance.randrange(len(raw) + 1) :]
+
+
+def _remove(chance: random.Random, raw: bytearray) -> None:
+    at = chance.randrange(len(raw) + 1)
+    del raw[at : at + chance.choice((1, 2, 4, 16, 100))]
+
+
+def _repeat(chance: random.Random, raw: bytearray) -> None:
+    at, length = chance.randrange(len(raw) + 1), chance.choice((1, 4, 30, 200))
+    raw[at:at] = raw[at : at + length] * chance.choice((1, 2, 20))
+
+
+def _insert(chance: random.Random, raw: bytearray) -> None:
+    at = chance.randrange(len(raw) + 1)
+    raw[at:at] = chance.randbytes(chance.choice((1, 2, 4, 40)))
+
+
+def _hostile_piece(chance: random.Random, raw: bytearray) -> None:
+    at = chance.randrange(len(raw) + 1)
+    raw[at : at + chance.choice((0, 0, 1, 5))] = chance.choice(PIECES).encode("utf-8", "surrogatepass")
+
+
+def _words(raw: bytearray) -> list[tuple[int, int]]:
+    """Where words of letters, digits and the signs of numbers begin and end."""
+    ends, begin = [], -1
+    for at, byte in enumerate(raw):
+        inside = chr(byte).isalnum() or byte in b"+-._"
+        if inside and begin < 0:
+            begin = at
+        elif not inside and begin >= 0:
+            ends.append((begin, at))
+            begin = -1
+    return ends
+
+
+def _replace_word(chance: random.Random, raw: bytearray) -> None:
+    if words := _words(raw):
+        begin, end = chance.choice(words)
+        other = chance.choice(words)
+        piece = chance.choice((*PIECES, *map(str, NUMBERS))).encode()
+        raw[begin:end] = piece if chance.random() < 0.7 else raw[other[0] : other[1]]
+
+
+def _other_digit(chance: random.Random, raw: bytearray) -> None:
+    if places := [at for at, byte in enumerate(raw) if byte in b"0123456789"]:
+        raw[chance.choice(places)] = chance.choice(b"0123456789")
+
+
+def _change_lines(chance: random.Random, raw: bytearray) -> None:
+    lines = bytes(raw).split(b"\n")
+    one, other = chance.randrange(len(lines)), chance.randrange(len(lines))
+    how = chance.randrange(3)
+    if how == 0:
+        lines[one], lines[other] = lines[other], lines[one]
+    elif how == 1:
+        del lines[one]
+    else:
+        lines.insert(one, lines[other])
+    raw[:] = b"\n".join(lines)
+
+
+_BYTE_CHANGES = (_set_byte, _flip_bit, _set_number, _set_number, _cut, _remove, _repeat, _insert)
+_TEXT_CHANGES = (_hostile_piece, _hostile_piece, _replace_word, _replace_word, _change_lines)
+_TEXT_CHANGES = (*_TEXT_CHANGES, _other_digit, _other_digit)
