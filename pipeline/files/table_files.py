@@ -29,7 +29,8 @@ def read_parquet(path: Path, columns: Mapping[str, pa.DataType] | None = None) -
         raise RawDataError(file, "file", "nothing", EXPECTED)
     names = None if columns is None else list(columns)
     try:
-        table = pq.read_table(path, columns=names, partitioning=None, page_checksum_verification=True)
+        with pq.ParquetFile(path, page_checksum_verification=True) as stored:
+            table = stored.read(columns=names, use_threads=False)
     except (OSError, ValueError, MemoryError, pa.ArrowException) as error:
         raise RawDataError(file, "file", str(error), EXPECTED) from error
     for name, kind in (columns or {}).items():
