@@ -35,18 +35,15 @@ class Background:
     def at(self, xy_px: Array) -> tuple[Array, Array]:
         """Level and noise (N,), (N,) at points (N, 2), interpolated between block centres."""
         rows, columns = self.level_dn.shape
-        x = (xy_px[:, 0] + 0.5) * (columns / self.width_px) + 0.5
-        y = (xy_px[:, 1] + 0.5) * (rows / self.height_px) + 0.5
-        x = np.clip(x, 0.0, columns + 1.0)
-        y = np.clip(y, 0.0, rows + 1.0)
+        x = np.clip((xy_px[:, 0] + 0.5) * (columns / self.width_px) + 0.5, 0.0, columns + 1.0)
+        y = np.clip((xy_px[:, 1] + 0.5) * (rows / self.height_px) + 0.5, 0.0, rows + 1.0)
         i, j = np.minimum(y.astype(int), rows), np.minimum(x.astype(int), columns)
-        a, b = y - i, x - j
-        values = []
-        for grid in (extended(self.level_dn), extended(self.noise_dn, continued=False)):
-            top = grid[i, j] * (1 - b) + grid[i, j + 1] * b
-            bottom = grid[i + 1, j] * (1 - b) + grid[i + 1, j + 1] * b
-            values.append(top * (1 - a) + bottom * a)
-        return values[0], values[1]
+        corner, a, b = i * (columns + 2) + j, y - i, x - j
+        shares = ((1 - a) * (1 - b), (1 - a) * b, a * (1 - b), a * b)
+        steps = (0, 1, columns + 2, columns + 3)
+        grids = extended(self.level_dn).ravel(), extended(self.noise_dn, continued=False).ravel()
+        level, noise = (sum(grid[corner + k] * share for k, share in zip(steps, shares)) for grid in grids)
+        return level, noise
 
 
 def estimate_background(image: NDArray) -> Background:
@@ -56,7 +53,8 @@ def estimate_background(image: NDArray) -> Background:
     side = float(np.clip(min(height, width) / 7.0, 48.0, 512.0))
     rows, columns = max(1, round(height / side)), max(1, round(width / side))
     step = max(1, int(min(height / rows, width / columns) // _SAMPLES_ACROSS_BLOCK))
-    sample = np.ascontiguousarray(image[step // 2 :: step, step // 2 :: step])
+    step_x, step_y = (step // 2, 2 * step) if step >= 4 else (step, step)  # memory comes in lines of pixels
+    sample = np.ascontiguousarray(image[step_y // 2 :: step_y, step_x // 2 :: step_x])
     if sample.dtype not in (np.uint8, np.uint16, np.float32):
         sample = sample.astype(np.float32)
     low, high, bins = _histogram_range(sample)
@@ -86,7 +84,10 @@ def estimate_background(image: NDArray) -> Background:
 def extended(grid: Array, *, continued: bool = True) -> Array:
     """The grid with one more ring of blocks: continued linearly, or repeated (noise must not turn
     negative)."""
-    padded = np.pad(grid, 1, mode="edge")
+    padded = np.empty((grid.shape[0] + 2, grid.shape[1] + 2))
+    padded[1:-1, 1:-1] = grid
+    padded[0, 1:-1], padded[-1, 1:-1] = grid[0], grid[-1]
+    padded[:, 0], padded[:, -1] = padded[:, 1], padded[:, -2]
     if continued and grid.shape[0] > 1:
         padded[0], padded[-1] = 2 * padded[1] - padded[2], 2 * padded[-2] - padded[-3]
     if continued and grid.shape[1] > 1:
@@ -121,6 +122,8 @@ def _clipped_moments(counts: Array, value: Array, width: float) -> tuple[Array, 
 
     level = quantile(0.5)
     sigma = np.maximum((level - quantile(0.1587)), 0.3 * width)
+    used = _bins_within(value, level, 3.0 * _CLIP_SIGMA * sigma)
+    counts, value = counts[:, used], value[used]
     for _ in range(4):
         reach = _CLIP_SIGMA * sigma[:, None]
         upper = np.clip((level[:, None] + reach - value) / width + 0.5, 0.0, 1.0)
@@ -132,6 +135,12 @@ def _clipped_moments(counts: Array, value: Array, width: float) -> tuple[Array, 
         sigma = np.sqrt(np.maximum(spread, 0.0) / _CLIPPED_VARIANCE)
         sigma = np.maximum(sigma, 0.3 * width)
     return level, sigma
+
+
+def _bins_within(value: Array, level: Array, reach: Array) -> slice:
+    """The bins that lie within `reach` of the level of some block."""
+    low, high = np.searchsorted(value, [(level - reach).min(), (level + reach).max()])
+    return slice(max(int(low) - 1, 0), int(high) + 1)
 
 
 def _without_outliers(grid: Array) -> Array:

@@ -38,15 +38,29 @@ class Psf:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PsfImages:
-    """Unit-flux images of N stars in square windows, and what moves them. All (N, side * side)."""
+    """Unit-flux images of N stars in square windows of M pixels, and what moves them.
 
-    value: NDArray[np.float32]
-    d_x: NDArray[np.float32]
-    d_y: NDArray[np.float32]
-    d_log_sigma: NDArray[np.float32] | None
-    d_stretch: (
-        NDArray[np.float32] | None
-    )  # (2, N, side * side): by (Cxx - Cyy) / 2 and by Cxy of the second moments
+    The rows of `columns` are the derivatives by column and row, the image, ones, and with widths the
+    derivative by the logarithm of the width.
+    """
+
+    columns: NDArray[np.float32]  # (N, 4 or 5, M)
+    d_stretch: NDArray[np.float32] | None  # (2, N, M): by (Cxx - Cyy) / 2 and by Cxy of the second moments
+
+    @property
+    def d_x(self) -> NDArray[np.float32]:
+        """(N, M)"""
+        return self.columns[:, 0]
+
+    @property
+    def d_y(self) -> NDArray[np.float32]:
+        """(N, M)"""
+        return self.columns[:, 1]
+
+    @property
+    def value(self) -> NDArray[np.float32]:
+        """(N, M)"""
+        return self.columns[:, 2]
 
 
 def psf_images(
@@ -66,23 +80,27 @@ def psf_images(
     slope = (density[..., :-1] - density[..., 1:]) / sigma[:, None, None, None]
     x, y = value[:, :, 0], value[:, :, 1] * weights[:, None]
     d_x, d_y = slope[:, :, 0], slope[:, :, 1] * weights[:, None]
+    columns = np.empty((n, 5 if widths else 4, side, side), dtype=np.float32)
 
-    def product(rows: NDArray, columns: NDArray) -> NDArray[np.float32]:
+    def product(rows: NDArray, columns: NDArray, out: NDArray | None = None) -> NDArray[np.float32]:
         if rows.shape[1] == 1:
-            image = rows[:, 0, :, None] * columns[:, 0, None, :]
-        else:
-            image = np.matmul(rows.transpose(0, 2, 1), columns)
-        return np.asarray(image.reshape(n, side * side))
+            return np.multiply(rows[:, 0, :, None], columns[:, 0, None, :], out=out)
+        return np.matmul(rows.transpose(0, 2, 1), columns, out=out)
 
-    d_log_sigma = d_stretch = None
+    product(y, d_x, columns[:, 0])
+    product(d_y, x, columns[:, 1])
+    product(y, x, columns[:, 2])
+    columns[:, 3] = 1.0
+    d_stretch = None
     if widths:
         wide = z[..., :-1] * density[..., :-1] - z[..., 1:] * density[..., 1:]
         wide_y = wide[:, :, 1] * weights[:, None]
         # widening by heat: dE/dC = E''/2, and sigma^2 E'' is the derivative by log sigma
         by_x, by_y = product(y, wide[:, :, 0]), product(wide_y, x)
-        d_log_sigma = by_x + by_y
-        d_stretch = np.stack([0.5 * (by_x - by_y) / sigma[:, None] ** 2, product(d_y, d_x)])
-    return PsfImages(product(y, x), product(y, d_x), product(d_y, x), d_log_sigma, d_stretch)
+        np.add(by_x, by_y, out=columns[:, 4])
+        half = np.float32(0.5) * (by_x - by_y) / sigma[:, None, None] ** 2
+        d_stretch = np.stack([half, product(d_y, d_x)]).reshape(2, n, side * side)
+    return PsfImages(columns.reshape(n, columns.shape[1], side * side), d_stretch)
 
 
 def _smear_nodes(smear_px: tuple[float, float], sigma: float) -> tuple[Array, Array]:

@@ -10,10 +10,12 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from star_id.background import Background, estimate_background
-from star_id.centroid import StarFits, estimate_gain, estimate_psf, fit_stars
-from star_id.detect import Detections, candidate_places, detect, detection_threshold
+from star_id.centroid import StarFits, fit_stars
+from star_id.detect import Detections, detect, detection_threshold
 from star_id.psf import Psf
+from star_id.search import candidate_places
 from star_id.settings import StarSettings
+from star_id.star_shape import WidthFits, fit_widths, gain_of, psf_of
 
 __all__ = ["StarList", "find_stars"]
 
@@ -22,8 +24,9 @@ Array = NDArray[np.float64]
 _START_SIGMA_PX = 1.2
 _STARS_FOR_PSF = 40
 _FEW_STARS = 8
-_STARS_FOR_GAIN = 40
-_LARGEST_SIGMA_AT_HALF = 2.4  # wider stars are searched at a quarter of the resolution
+_LEAST_STARS = 3  # fewer tell nothing of the width
+_ROUNDS = 6  # of detection and width
+_LARGEST_SIGMA_AT_HALF = 1.8  # wider stars are searched at a quarter of the resolution
 _SMALL_CHANGE = 0.2  # of the width: a filter that far off still sees 98 % of the signal-to-noise ratio
 _MISFIT_LIMIT = 0.3  # residual energy over the star's own: more is a cosmic ray, a trail, a bloom's arm
 
@@ -65,21 +68,13 @@ def find_stars(image: NDArray, settings: StarSettings, dark: NDArray | None = No
     if dark is not None:
         image, saturation = _minus_dark(image, dark, saturation)
     background = estimate_background(image)
-    found, psf, psf_stars, threshold = _detections(image, background, settings, saturation)
+    found, psf, psf_stars, gain, threshold = _detections(image, background, settings, saturation)
     places, offset = found.xy_px[: settings.max_stars], found.offset_px[: settings.max_stars]
-    few = slice(0, _STARS_FOR_GAIN)
-    gain = settings.gain_e_per_dn or estimate_gain(
-        image, places[few], offset[few], background, psf, saturation_dn=saturation
-    )
     places, offset = _once_per_saturated_star(image, places, offset, saturation)
     fits = fit_stars(image, places, offset, background, psf, gain_e_per_dn=gain, saturation_dn=saturation)
     star_like = fits.chi2 - fits.dof < np.maximum(_MISFIT_LIMIT * fits.snr**2, 6.0 * np.sqrt(2 * fits.dof))
     good = fits.converged & (star_like | fits.saturated) & (fits.snr > 0.75 * threshold)
-    kept = _distinct(
-        fits, np.flatnonzero(good), float(np.median(psf.sigma_at(fits.xy_px))) if len(places) else 1.0
-    )
-    misshapen = int((~good).sum())
-    fits = fits.take(kept)
+    fits = fits.take(_distinct(fits, np.flatnonzero(good), psf))
     return StarList(
         fits.xy_px,
         fits.cov_px,
@@ -90,52 +85,55 @@ def find_stars(image: NDArray, settings: StarSettings, dark: NDArray | None = No
         psf,
         psf_stars,
         background,
-        float(gain),
+        gain,
         threshold,
         found.hot_pixels,
-        misshapen,
+        int((~good).sum()),
     )
 
 
 def _detections(
     image: NDArray, background: Background, settings: StarSettings, saturation: float
-) -> tuple[Detections, Psf, int, float]:
-    """Detections with the width of the PSF that the image itself shows, unless it is given."""
+) -> tuple[Detections, Psf, int, float, float]:
+    """Detections; the PSF and the number of stars it rests on, 0 if it was given or there are too few; gain;
+    threshold."""
     height, width = image.shape
-    smear, find_smear = settings.smear_px or (0.0, 0.0), settings.smear_px is None
     sigma = settings.psf_sigma_px or _START_SIGMA_PX
-    psf, stars = Psf(sigma, sigma, smear, width, height), 0
-    halvings = 1 if sigma <= _LARGEST_SIGMA_AT_HALF else 2
-    places = candidate_places(image, background, halvings=halvings)
-    threshold = detection_threshold(image.size, sigma, settings.false_alarms_per_frame)
-    found = detect(image, background, places, psf_sigma_px=sigma, threshold=threshold, reach_px=halvings)
-    if settings.psf_sigma_px is not None:
-        return found, psf, 0, threshold
-    for _ in range(5):
-        for some in (slice(0, _STARS_FOR_PSF), slice(_STARS_FOR_PSF, 6 * _STARS_FOR_PSF)):
-            psf, stars = estimate_psf(
-                image,
-                found.xy_px[some],
-                found.offset_px[some],
-                background,
-                start_sigma_px=sigma,
-                smear_px=smear,
-                find_smear=find_smear,
-                saturation_dn=saturation,
-            )
-            if stars >= _FEW_STARS:  # else the brightest are trails or roofs, and the stars come after them
-                break
-        change, sigma = abs(np.log(psf.sigma_px / sigma)), psf.sigma_px
-        moved = float(np.hypot(psf.smear_px[0] - smear[0], psf.smear_px[1] - smear[1]))
-        smear = psf.smear_px
-        if stars == 0 or (change < _SMALL_CHANGE and moved < 0.5 * sigma):
+    psf, psf_stars = Psf(sigma, sigma, settings.smear_px or (0.0, 0.0), width, height), 0
+    halvings, places = 0, np.array([], np.int64)
+    for _ in range(_ROUNDS):
+        if halvings < (needed := 1 if psf.sigma_px <= _LARGEST_SIGMA_AT_HALF else 2):
+            halvings, places = needed, candidate_places(image, background, halvings=needed)
+        threshold = detection_threshold(image.size, psf.sigma_px, settings.false_alarms_per_frame)
+        found = detect(
+            image,
+            background,
+            places,
+            psf_sigma_px=psf.sigma_px,
+            threshold=threshold,
+            reach_px=2**halvings - 1,
+        )
+        shapes = _shapes(image, found, background, psf, saturation)
+        if settings.psf_sigma_px is not None or shapes.stars < _LEAST_STARS:
             break
-        if sigma > _LARGEST_SIGMA_AT_HALF and halvings == 1:
-            halvings = 2
-            places = candidate_places(image, background, halvings=halvings)
-        threshold = detection_threshold(image.size, sigma, settings.false_alarms_per_frame)
-        found = detect(image, background, places, psf_sigma_px=sigma, threshold=threshold, reach_px=halvings)
-    return found, psf, stars, threshold
+        before, psf_stars = psf, shapes.stars
+        psf = psf_of(shapes, before, find_smear=settings.smear_px is None)
+        moved = np.hypot(psf.smear_px[0] - before.smear_px[0], psf.smear_px[1] - before.smear_px[1])
+        if abs(np.log(psf.sigma_px / before.sigma_px)) < _SMALL_CHANGE and moved < 0.5 * psf.sigma_px:
+            break
+    return found, psf, psf_stars, settings.gain_e_per_dn or gain_of(shapes), threshold
+
+
+def _shapes(
+    image: NDArray, found: Detections, background: Background, psf: Psf, saturation: float
+) -> WidthFits:
+    """The brightest detections, or, where they are trails or roofs, the ones that come after them."""
+    for some in (slice(0, _STARS_FOR_PSF), slice(_STARS_FOR_PSF, 6 * _STARS_FOR_PSF)):
+        places, offset = found.xy_px[some], found.offset_px[some]
+        shapes = fit_widths(image, places, offset, background, psf, saturation_dn=saturation)
+        if shapes.stars >= _FEW_STARS:
+            break
+    return shapes
 
 
 def _top_of_range(image: NDArray) -> float:
@@ -185,12 +183,13 @@ def _once_per_saturated_star(
     return np.vstack([np.array(middles), places[~full]]), offset
 
 
-def _distinct(fits: StarFits, good: NDArray[np.int64], sigma: float) -> NDArray[np.int64]:
+def _distinct(fits: StarFits, good: NDArray[np.int64], psf: Psf) -> NDArray[np.int64]:
     """Indices of good fits, brightest first; of two that ended on one spot the brighter stays."""
     order = good[np.argsort(-fits.flux_dn[good], kind="stable")]
     if len(order) < 2:
         return order
-    pairs = cKDTree(fits.xy_px[order]).query_pairs(max(1.0, sigma), output_type="ndarray")
+    reach = max(1.0, float(psf.sigma_at(fits.xy_px[order]).mean()))
+    pairs = cKDTree(fits.xy_px[order]).query_pairs(reach, output_type="ndarray")
     drop = np.zeros(len(order), dtype=bool)
     drop[pairs.max(axis=1)] = True
     return np.asarray(order[~drop])
@@ -204,10 +203,11 @@ def _blended(fits: StarFits, psf: Psf) -> NDArray[np.bool_]:
     if len(fits.xy_px) < 2:
         return np.zeros(len(fits.xy_px), dtype=bool)
     misfit = (fits.chi2 - fits.dof) / np.maximum(fits.snr**2, 1.0)
-    usual = float(np.quantile(misfit[~fits.saturated], 0.25)) if not fits.saturated.all() else 0.0
+    plain = np.sort(misfit[~fits.saturated])
+    usual = float(plain[len(plain) // 4]) if len(plain) else 0.0
     blended = ~fits.saturated & (fits.chi2 > fits.dof + 6.0 * np.sqrt(2.0 * fits.dof))
     blended &= misfit > 3.0 * max(usual, 0.0) + 0.003
-    sigma = float(np.median(psf.sigma_at(fits.xy_px)))
+    sigma = float(psf.sigma_at(fits.xy_px).mean())
     pairs = cKDTree(fits.xy_px).query_pairs(10.0 * sigma, output_type="ndarray")
     for a, b in (pairs.T, pairs.T[::-1]):
         d2 = ((fits.xy_px[a] - fits.xy_px[b]) ** 2).sum(axis=1)

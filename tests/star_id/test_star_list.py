@@ -7,12 +7,14 @@ import numpy as np
 import pytest
 from frames import Sensor, render
 from scipy.spatial import cKDTree
+from scipy.special import ndtr
 from scipy.stats import poisson
 
 from star_id.background import estimate_background
 from star_id.detect import detection_threshold
 from star_id.psf import Psf
 from star_id.score import cramer_rao_px, score_centroids
+from star_id.search import candidate_places
 from star_id.settings import StarSettings
 from star_id.star_list import find_stars
 
@@ -63,6 +65,38 @@ def test_stars_of_snr_8_are_found_and_hot_pixels_are_not():
     near_hot = 2000 * 50 / 1500**2  # a hot pixel within 4 px of a star may hide it
     assert (distance < 2.0).mean() > 0.985 - near_hot
     assert (cKDTree(xy).query(stars.xy_px)[0] > 3.0).sum() <= 4  # of 2000 hot pixels and of the noise
+
+
+SKIES = {
+    "plain": Sensor(),
+    "quiet": Sensor(read_noise_dn=0.8),
+    "sloping": Sensor(background_dn=40.0, gradient_dn=30.0),
+    "steep": Sensor(background_dn=110.0, gradient_dn=180.0),
+    "quiet and steep": Sensor(background_dn=60.0, gradient_dn=80.0, read_noise_dn=0.8),
+    "bright": Sensor(background_dn=170.0, read_noise_dn=3.0),
+    "wide": Sensor(sigma_px=2.0),
+    "wide and sloping": Sensor(sigma_px=2.3, background_dn=40.0, gradient_dn=30.0),
+    "16 bit": Sensor(bits=16, background_dn=1000.0, read_noise_dn=25.0),
+    "16 bit and steep": Sensor(bits=16, background_dn=4000.0, gradient_dn=6000.0, read_noise_dn=25.0),
+}
+
+
+@pytest.mark.parametrize("sky", [*SKIES, "floating"])
+def test_the_search_misses_few_stars_of_snr_8_in_any_sky(sky):
+    rng = np.random.default_rng(4)
+    sensor = SKIES.get(sky, Sensor(bits=16, background_dn=1000.0, read_noise_dn=25.0))
+    share = np.diff(ndtr((np.arange(-9, 11) - 0.5) / sensor.sigma_px))
+    # a block of the background, a seventh of the image, counts a slope within it as noise
+    noise = np.sqrt(sensor.read_noise_dn**2 + (1.0 + (sensor.gradient_dn / 7.0) ** 2) / 12.0)
+    image, xy = grid_of_stars(rng, 8.0 * noise / (share**2).sum(), size=1000, sensor=sensor)
+    image = image.astype(np.float32) if sky == "floating" else image
+    halvings = 1 if sensor.sigma_px < 1.8 else 2
+    places = candidate_places(image, estimate_background(image), halvings=halvings)
+    distance = cKDTree(places + 0.5).query(xy, p=np.inf)[0]
+    assert (distance < 2**halvings).mean() > 0.985  # that far `detect` looks about a place
+    false = (cKDTree(xy).query(places)[0] > 6.0).sum()
+    # 3.7 sigma leaves 1.1e-4 of the sums of white noise; neighbours overlap, and rounding lowers it a little
+    assert false < 4e-4 * image.size / 4**halvings
 
 
 @pytest.mark.parametrize(("snr", "flux"), [(8, 73.0), (15, 137.0), (40, 365.0), (150, 1370.0)])

@@ -1,0 +1,62 @@
+"""Gauss-Newton steps of a PSF's parameters in the windows of many stars at once.
+
+A star's state is column and row from its window's middle, flux and local sky (px, px, DN, DN); its
+logarithmic width may be a fifth parameter. A pixel's variance is the sky's own plus the photon noise of the
+star.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from star_id.psf import PsfImages
+from star_id.windows import StarWindows
+
+__all__ = ["by_parameter", "newton_step", "start_state"]
+
+Array = NDArray[np.float64]
+Pixels = NDArray[np.float32]
+
+
+def start_state(windows: StarWindows, offset: Array, images: PsfImages) -> Array:
+    """(N, 4) state at `offset` (N, 2), flux and sky by unweighted least squares."""
+    p, g, d = images.value, windows.good, windows.data
+    gp, gd = g * p, g * d
+    n, sp, spp = (np.asarray(v, dtype=float) for v in (g.sum(1), gp.sum(1), np.einsum("nm,nm->n", gp, p)))
+    sd, spd = np.asarray(gd.sum(1), dtype=float), np.asarray(np.einsum("nm,nm->n", gd, p), dtype=float)
+    determinant = np.maximum(n * spp - sp**2, 1e-12)
+    flux, sky = (n * spd - sp * sd) / determinant, (spp * sd - sp * spd) / determinant
+    return np.column_stack([offset, flux, sky])
+
+
+def newton_step(
+    windows: StarWindows, images: PsfImages, state: Array, gain_e_per_dn: float
+) -> tuple[Array, Array, Pixels, Pixels]:
+    """One Gauss-Newton step: (N, P) step, (N, P, P) normal matrix, (N, M) residuals, (N, M) weights.
+
+    P is 4, or 5 where the images have widths.
+    """
+    signal = images.value * state[:, 2:3].astype(np.float32)
+    variance: NDArray = windows.noise2[:, None].astype(np.float32)
+    if np.isfinite(gain_e_per_dn):
+        variance = variance + np.maximum(signal, np.float32(0.0)) * np.float32(1.0 / gain_e_per_dn)
+    weight = windows.good / variance
+    residual = windows.data - signal
+    residual -= state[:, 3:4].astype(np.float32)
+    unit = images.columns
+    weighted = unit * weight[:, None, :]
+    scale = by_parameter(state, unit.shape[1])
+    normal = np.matmul(weighted, unit.transpose(0, 2, 1)) * (scale[:, :, None] * scale[:, None, :])
+    gradient = np.matmul(weighted, residual[:, :, None])[:, :, 0] * scale
+    diagonal = normal.reshape(len(normal), unit.shape[1] ** 2)[:, :: unit.shape[1] + 1]
+    diagonal *= 1.0 + 1e-9
+    diagonal += 1e-30
+    return np.linalg.solve(normal, gradient[:, :, None])[:, :, 0], normal, residual, weight
+
+
+def by_parameter(state: Array, parameters: int) -> Array:
+    """(N, P) what turns the columns of unit images into derivatives of the model: flux, or 1."""
+    scale = np.ones((len(state), parameters))
+    scale[:, [0, 1, *range(4, parameters)]] = state[:, 2:3]
+    return scale
