@@ -18,7 +18,7 @@ from pipeline.work.processes import Processes
 
 __all__ = ["executor_for"]
 
-SMALL_JOB_PIXELS = 200_000_000  # ten full-size exposures: half a minute of work
+SMALL_JOB_PIXELS = 20_000_000  # one full-size exposure: a second of work
 
 Item = TypeVar("Item")
 Outcome = TypeVar("Outcome")
