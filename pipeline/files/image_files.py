@@ -35,7 +35,7 @@ TIFF_MAGICS = (b"II*\x00", b"MM\x00*", b"II+\x00", b"MM\x00+")
 FITS_MAGIC = b"SIMPLE  ="
 JPEG_MAGIC = b"\xff\xd8\xff"
 BMP_MAGIC = b"BM"
-MAX_BLOCK_BYTES = 2**28  # a tile or strip of a TIFF is decoded as a whole
+MAX_BLOCK_BYTES = 2**29  # of a row of tiles, or a strip of a TIFF: they are decoded as a whole
 MAX_FITS_HEADER_BYTES = 100 * 2880
 ENCODED_SPARE_BYTES = 2**20  # what an image's file may be larger than twice its pixels: tables, remarks
 MAX_STAR_PIXELS = 2**28  # a free image of `identify`; those of a dump are held to the camera's own size
@@ -244,8 +244,8 @@ def open_geotiff(path: Path, file: str) -> Iterator[Any]:
             raise RawDataError(file, "TIFF header", str(error), "a TIFF image") from error
         with image:
             for (rows, columns), kind in zip(image.block_shapes, image.dtypes):
-                if (block := rows * columns * np.dtype(kind).itemsize) > MAX_BLOCK_BYTES:
-                    found = f"blocks of {columns} x {rows} px, {block} bytes"
+                if (row := rows * max(columns, image.width) * np.dtype(kind).itemsize) > MAX_BLOCK_BYTES:
+                    found = f"{columns} x {rows} px, {row} bytes in a row"
                     raise RawDataError(file, "tiles or strips", found, f"at most {MAX_BLOCK_BYTES} bytes")
             yield image
 

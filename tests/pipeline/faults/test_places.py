@@ -1,4 +1,4 @@
-"""Strips over the pole and over the 180th meridian: pixels to targets to places, and terrain that lies across."""
+"""Strips over the pole and the 180th meridian: pixels to targets to places, and terrain that lies across."""
 
 from __future__ import annotations
 
@@ -27,9 +27,11 @@ from simulator.records import Mission
 
 SMALL = [
     *("strips.count=1", "strips.lines=600", "line_camera.ccds=1", "line_camera.rotation_urad=[12.0]"),
-    *("line_camera.samples=256", "line_camera.principal_sample=127.0", "line_camera.distortion_um=[[5.0,50.0],[17.0,40.0]]"),
+    *("line_camera.samples=256", "line_camera.principal_sample=127.0"),
+    "line_camera.distortion_um=[[5.0,50.0],[17.0,40.0]]",
     *("targets.per_strip=8", "targets.check_points_per_strip=8", "targets.chip_size_px=64"),
-    *("star_camera.width_px=64", "star_camera.height_px=48", "star_camera.rate_hz=2.0", "terrain.spacing_arcsec=30.0"),
+    *("star_camera.width_px=64", "star_camera.height_px=48", "star_camera.rate_hz=2.0"),
+    "terrain.spacing_arcsec=30.0",
     *("errors.gps_m=0.0", "errors.clock_s=0.0", "sky.hot_pixels=0", "sky.cosmic_rays=0"),
 ]  # fmt: skip
 PLACES = {
@@ -85,7 +87,7 @@ def task_of(mission: Mission, dump: Dump) -> StripTask:
         *(strip, dump.line_camera, dump.orbit, t_s, R_si, dump.R_cs0, dump.sigma_installation_rad),
         *(LightEffects(), dump.targets, dump.chips, dump.terrain, Settings().match),
     )
-    targets, chips = targets_near(task, dump.targets, dump.chips)
+    targets, _ = targets_near(task, dump.targets, dump.chips)
     assert len(targets) == len(dump.targets)
     return task
 
@@ -107,7 +109,7 @@ def test_targets_are_placed_where_they_are(flown) -> None:
 
 
 def test_pixels_are_placed_on_the_ground_and_found_again(flown) -> None:
-    place, mission, dump = flown
+    _, mission, dump = flown
     truth = mission.truth
     task = replace(task_of(mission, dump), R_cs=truth.R_cs)
     push = pushbroom_of(task)
