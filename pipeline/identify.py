@@ -24,13 +24,14 @@ from pipeline.errors import RawDataError
 from pipeline.files.dump import star_camera_of
 from pipeline.files.dump_schema import StarCameraFile
 from pipeline.files.image_files import read_star_image
+from pipeline.files.index_cache import cached_index
 from pipeline.files.text_files import read_toml
 from pipeline.work.unit_store import fixed_list, write_whole
 from star_id.catalogue import hipparcos_stars
 from star_id.field import LARGEST_FOV_RAD, SMALLEST_FOV_RAD, FieldSolution, solve_field
 from star_id.identify import NotIdentified
 from star_id.settings import StarSettings
-from star_id.triangles import StarIndex, build_index, equivalent_fov
+from star_id.triangles import StarIndex, equivalent_fov
 
 __all__ = ["Line", "Request", "identify_images", "read_camera", "read_sky_image", "sky_index"]
 
@@ -179,7 +180,7 @@ def sky_index(camera: StarCamera | None, fov_deg: float | None, settings: StarSe
 
 @lru_cache(maxsize=1)
 def _built(fov_rad: float | tuple[float, float]) -> StarIndex:
-    return build_index(hipparcos_stars().places, CATALOGUE_YEAR, fov_rad)
+    return cached_index(hipparcos_stars().places, CATALOGUE_YEAR, fov_rad)
 
 
 def _table(path: Path, found: FieldSolution) -> pa.Table:

@@ -11,7 +11,8 @@ which tell a true proposal from the many false ones.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
@@ -81,6 +82,26 @@ class StarIndex:
     tables: tuple[TriangleTable, ...]
     tree: cKDTree
 
+    @property
+    def arrays(self) -> dict[str, NDArray]:
+        """The tables as plain arrays, to be kept."""
+        return {
+            f"{k}.{field.name}": np.asarray(getattr(table, field.name))
+            for k, table in enumerate(self.tables)
+            for field in fields(TriangleTable)
+        }
+
+    @classmethod
+    def from_arrays(cls, stars: StarPlaces, epoch_jyear: float, arrays: Mapping[str, NDArray]) -> StarIndex:
+        """The index that gave `arrays`, of the same stars and epoch. Raises `ValueError` if they belong to no
+        index."""
+        stars, u_i = _sorted(stars, epoch_jyear)
+        count = len({name.partition(".")[0] for name in arrays})
+        tables = tuple(_checked(arrays, str(k), len(u_i)) for k in range(count))
+        if not tables:
+            raise ValueError("an index has a table of triangles at least, got none")
+        return cls(stars, u_i, tables, cKDTree(u_i))
+
     def tables_for(self, fov_rad: float) -> tuple[TriangleTable, ...]:
         """The table made for the nearest field of view, and the next wider one."""
         nearest = min(self.tables, key=lambda table: abs(np.log(table.fov_rad / fov_rad)))
@@ -103,17 +124,49 @@ def build_index(stars: StarPlaces, epoch_jyear: float, fov_rad: float | tuple[fl
     fov_rad : float or (float, float)
         Width of a 4:3 field of the camera's area (`equivalent_fov`), or least and greatest.
     """
-    order = np.argsort(stars.v_mag, kind="stable")
-    stars = stars.take(order)
-    u_i = _directions_at(stars, epoch_jyear)
-    tree = cKDTree(u_i)
+    stars, u_i = _sorted(stars, epoch_jyear)
     if isinstance(fov_rad, tuple):
         low, high = fov_rad
         levels = max(1, int(np.ceil(np.log(high / low) / np.log(_LEVEL_STEP))))
-        fields = low * (high / low) ** ((np.arange(levels) + 0.5) / levels)
+        fovs = low * (high / low) ** ((np.arange(levels) + 0.5) / levels)
     else:
-        fields = fov_rad * np.array([1.0, _WIDER])
-    return StarIndex(stars, u_i, tuple(_table(u_i, float(field)) for field in fields), tree)
+        fovs = fov_rad * np.array([1.0, _WIDER])
+    return StarIndex(stars, u_i, tuple(_table(u_i, float(fov)) for fov in fovs), cKDTree(u_i))
+
+
+def _sorted(stars: StarPlaces, epoch_jyear: float) -> tuple[StarPlaces, Array]:
+    stars = stars.take(np.argsort(stars.v_mag, kind="stable"))
+    return stars, _directions_at(stars, epoch_jyear)
+
+
+def _checked(arrays: Mapping[str, NDArray], k: str, stars: int) -> TriangleTable:
+    """Table `k` of `arrays`, if its parts fit one another and `stars` stars."""
+    expected = {field.name: f"{k}.{field.name}" for field in fields(TriangleTable)}
+    if missing := [name for name in expected.values() if name not in arrays]:
+        raise ValueError(f"an index of triangles holds no {missing[0]}")
+    part = {name: arrays[key] for name, key in expected.items()}
+    n = len(part["longest_rad"])
+    shapes = [("vertices", (n, 3)), ("ratios", (n, 2)), ("right_handed", (n,)), ("fov_rad", ())]
+    for name, shape in [*shapes, ("cell_start", (_CELLS * _CELLS + 1,))]:
+        if part[name].shape != shape:
+            raise ValueError(f"{k}.{name} must have shape {shape}, got {part[name].shape}")
+    start, vertices, neighbours = part["cell_start"], part["vertices"], part["neighbours"]
+    largest = int(vertices.max(initial=-1))
+    if start[0] != 0 or start[-1] != n or (np.diff(start) < 0).any():
+        raise ValueError(f"{k}.cell_start must rise from 0 to the {n} triangles of the table")
+    if vertices.min(initial=0) < 0 or largest >= min(stars, len(neighbours)):
+        raise ValueError(f"{k}.vertices must be rows of {len(neighbours)} of {stars} stars, got {largest}")
+    if neighbours.min(initial=0) < 0 or neighbours.max(initial=-1) >= stars:
+        raise ValueError(f"{k}.neighbours must be rows of {stars} stars")
+    return TriangleTable(
+        float(part["fov_rad"]),
+        vertices,
+        part["longest_rad"],
+        part["ratios"],
+        part["right_handed"],
+        start,
+        neighbours,
+    )
 
 
 def equivalent_fov(width_px: int, height_px: int, focal_px: float) -> float:

@@ -1,0 +1,73 @@
+"""The index of catalogue triangles, kept between runs in the user's cache folder.
+
+A file is known by the catalogue, the epoch, the field of view and the program that makes it; when any of them
+changes another is made, and those beyond a few that were used least lately are removed. A folder that cannot
+be written costs time and nothing else; a damaged file is made anew, with a warning.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import warnings
+import zipfile
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from geometry.starlight import StarPlaces
+from pipeline.work.unit_store import digest, program, write_whole
+from star_id.triangles import StarIndex, build_index
+
+__all__ = ["cache_folder", "cached_index"]
+
+_KEPT = 6  # files; the largest, for all fields of view, takes 60 MB
+
+
+def cached_index(stars: StarPlaces, epoch_jyear: float, fov_rad: float | tuple[float, float]) -> StarIndex:
+    """`build_index`, or what it gave before."""
+    key = digest(stars, float(epoch_jyear), fov_rad, program("star_id"))
+    path = cache_folder() / f"triangles-{key}.npz"
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            index = StarIndex.from_arrays(stars, epoch_jyear, dict(file))
+        with suppress(OSError):
+            path.touch()  # used: not the next to be removed
+        return index
+    except OSError:
+        pass  # none there, or not ours to read
+    except (ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
+        warnings.warn(f"{path}: damaged ({error}); the index is made anew", stacklevel=2)
+    index = build_index(stars, epoch_jyear, fov_rad)
+    _keep(path, index)
+    return index
+
+
+def cache_folder() -> Path:
+    """Where this platform keeps a user's cache: XDG_CACHE_HOME if set, else the custom of the system."""
+    if stated := os.environ.get("XDG_CACHE_HOME"):
+        base = Path(stated)
+    elif sys.platform == "win32":
+        base = Path(os.environ.get("LOCALAPPDATA", Path.home() / "AppData" / "Local"))
+    elif sys.platform == "darwin":
+        base = Path.home() / "Library" / "Caches"
+    else:
+        base = Path.home() / ".cache"
+    return base / "boresight"
+
+
+def _keep(path: Path, index: StarIndex) -> None:
+    arrays: dict[str, Any] = index.arrays
+
+    def write(target: Path) -> None:
+        with target.open("wb") as stream:
+            np.savez(stream, **arrays)
+
+    with suppress(OSError):  # read-only or full: the next run makes the index again
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_whole(path, write)
+        files = sorted(path.parent.glob("triangles-*.npz"), key=lambda file: file.stat().st_mtime_ns)
+        for old in files[:-_KEPT]:
+            old.unlink(missing_ok=True)
