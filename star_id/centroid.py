@@ -27,6 +27,7 @@ _STEPS = 2  # for all stars
 _MORE_STEPS = 5  # for those still on their way
 _LARGEST_STEP_PX = 0.8
 _SECOND_ORDER = 6.0  # scatter of the fits over the Fisher covariance: 1 + 6 / SNR^2, seen from SNR 6 to 20
+_GOOD_SHARE = 0.75  # of a window's pixels; where more are full, light is found further out
 _SATURATED_WINDOW_SIGMA = 9.0
 _WINDOW_SIGMA = 3.0  # and half a pixel or more: 99 % of the information even on a photon-limited star
 
@@ -54,6 +55,13 @@ class StarFits:
     def take(self, index: NDArray) -> StarFits:
         return StarFits(*(getattr(self, name)[index] for name in self.__slots__))
 
+    def with_rows(self, index: NDArray[np.int64], rows: StarFits) -> StarFits:
+        """The same fits, those at `index` replaced by `rows`."""
+        arrays = {name: getattr(self, name).copy() for name in self.__slots__}
+        for name, array in arrays.items():
+            array[index] = getattr(rows, name)
+        return StarFits(**arrays)
+
 
 def fit_stars(
     image: NDArray,
@@ -76,7 +84,7 @@ def fit_stars(
     sigma = psf.sigma_at(places.astype(float))
     radius = max(3, int(np.ceil(_WINDOW_SIGMA * sigma.mean() + smear)))
     windows = star_windows(image, places, background, radius, saturation_dn)
-    full = windows.saturated
+    full = windows.saturated & (windows.good.mean(axis=1) < _GOOD_SHARE)
     if not full.any():
         return _fit(windows, places, offset, sigma, psf, gain_e_per_dn)
     large = int(np.ceil(_SATURATED_WINDOW_SIGMA * sigma.mean() + smear))

@@ -79,18 +79,20 @@ def detect(
     kernel = _shifted_kernels(taps, shifts)
     unit = float((taps**2).sum())  # flux over this and the noise is the signal-to-noise ratio
     flux = windows @ kernel
-    high = _peaks(flux)[1] * unit > threshold * noise
-    lone = _without_lone_pixels(windows, flux, noise, kernel) & high
-    keep = np.flatnonzero(_peaks(flux)[1] * unit > threshold * noise)
-    windows, flux, level, noise, spared = windows[keep], flux[keep], level[keep], noise[keep], lone[keep]
     best, peak = _peaks(flux)
+    high = np.flatnonzero(peak * unit > threshold * noise)
+    lone = high[_without_lone_pixels(windows, flux, noise, kernel, high, best[high])]
+    best[lone], peak[lone] = _peaks(flux[lone])
+    keep = high[peak[high] * unit > threshold * noise[high]]
+    flux, level, noise, best, peak = flux[keep], level[keep], noise[keep], best[keep], peak[keep]
     snr = peak * unit / noise
     row, column = np.divmod(best, shifts)
     xy = places[keep] + np.column_stack([column, row]) - reach_px
     frame = _frame_dn(image, xy, psf_sigma_px) - level
     above_frame = snr - frame * (taps.sum() ** 2 / unit) / noise
     sound = above_frame > _LEAST_ABOVE_FRAME * snr
-    sound &= ~(spared & _lone_pixels(windows, best, noise, shifts)[0])
+    spared = np.isin(keep, lone)
+    sound &= ~(spared & _lone_pixels(windows, noise, shifts, keep, best)[0])
     order = np.flatnonzero(sound)
     order = order[np.argsort(-above_frame[order], kind="stable")]
     order = order[_apart(xy[order], snr[order], psf_sigma_px)]
@@ -99,7 +101,7 @@ def detect(
         _parabola(flux[order].reshape(-1, shifts, shifts), row[order], column[order]),
         snr[order].astype(float),
         peak[order].astype(float),
-        int(np.count_nonzero(lone) - np.count_nonzero(sound & spared)),
+        len(lone) - int(np.count_nonzero(sound & spared)),
     )
 
 
@@ -116,19 +118,26 @@ def _peaks(flux: Pixels) -> tuple[NDArray[np.int64], Pixels]:
     return best, flux[np.arange(len(flux)), best]
 
 
-def _without_lone_pixels(windows: Pixels, flux: Pixels, noise: Array, kernel: Pixels) -> NDArray[np.bool_]:
-    """Marks peaks that one pixel makes, and puts the mean of its neighbours in that pixel's place in
-    `windows`, and so in `flux`."""
-    lone, pixel, mean = _lone_pixels(windows, flux.argmax(axis=1), noise, _side(flux))
-    (k,) = lone.nonzero()
-    excess = windows[k, pixel[k]] - mean[k]
-    windows[k, pixel[k]] = mean[k]
-    flux[k] -= excess[:, None] * kernel[pixel[k]]
+def _without_lone_pixels(
+    windows: Pixels,
+    flux: Pixels,
+    noise: Array,
+    kernel: Pixels,
+    rows: NDArray[np.int64],
+    best: NDArray[np.int64],
+) -> NDArray[np.bool_]:
+    """Which of the peaks at `best` of the windows `rows` one pixel makes; there the mean of its neighbours is
+    put in its place, in `windows` and so in `flux`."""
+    lone, pixel, mean = _lone_pixels(windows, noise[rows], _side(flux), rows, best)
+    rows, pixel, mean = rows[lone], pixel[lone], mean[lone]
+    excess = windows[rows, pixel] - mean
+    windows[rows, pixel] = mean
+    flux[rows] -= excess[:, None] * kernel[pixel]
     return lone
 
 
 def _lone_pixels(
-    windows: Pixels, best: NDArray[np.int64], noise: Array, shifts: int
+    windows: Pixels, noise: Array, shifts: int, rows: NDArray[np.int64], best: NDArray[np.int64]
 ) -> tuple[NDArray[np.bool_], NDArray[np.int64], Pixels]:
     """Whether one pixel makes each peak, the brightest of the nine about it; that pixel's place in the
     window; the mean of its four neighbours.
@@ -137,7 +146,7 @@ def _lone_pixels(
     wide star three times its peak.
     """
     side = _side(windows)
-    flat, start = windows.ravel(), np.arange(0, windows.size, side * side)
+    flat, start = windows.ravel(), rows * side**2
     row, column = np.divmod(best, shifts)
     middle = (side - shifts) // 2
     near = (np.arange(-1, 2)[:, None] * side + np.arange(-1, 2)).ravel()

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal, get_args
 
-__all__ = ["StarSettings"]
+__all__ = ["CentroidMethod", "StarSettings"]
+
+CentroidMethod = Literal["fit", "window"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,6 +24,9 @@ class StarSettings:
     smear_px: tuple[float, float] | None = (
         None  # blur by motion in the exposure, (column, row); None: looked for
     )
+    centroid_method: CentroidMethod = (
+        "fit"  # "window": first moments; nearly as good, and ask for symmetry alone
+    )
     max_stars: int = 600  # brightest detections kept; beyond it more stars only cost time
 
     # Identification
@@ -34,6 +40,9 @@ class StarSettings:
     max_photocentre_shift_px: float = 0.02  # catalogue pairs that displace the light further are left out
 
     def __post_init__(self) -> None:
+        if self.centroid_method not in get_args(CentroidMethod):
+            methods = " or ".join(get_args(CentroidMethod))
+            raise ValueError(f"StarSettings.centroid_method must be {methods}, got {self.centroid_method}")
         for name in ("false_alarms_per_frame", "max_stars", "max_false_alarm_probability", "camera_error"):
             if not getattr(self, name) > 0:
                 raise ValueError(f"StarSettings.{name} must be positive, got {getattr(self, name)}")

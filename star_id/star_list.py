@@ -16,6 +16,7 @@ from star_id.psf import Psf
 from star_id.search import candidate_places
 from star_id.settings import StarSettings
 from star_id.star_shape import WidthFits, fit_widths, gain_of, psf_of
+from star_id.windowed_centroid import windowed_centroids
 
 __all__ = ["StarList", "find_stars"]
 
@@ -71,7 +72,8 @@ def find_stars(image: NDArray, settings: StarSettings, dark: NDArray | None = No
     found, psf, psf_stars, gain, threshold = _detections(image, background, settings, saturation)
     places, offset = found.xy_px[: settings.max_stars], found.offset_px[: settings.max_stars]
     places, offset = _once_per_saturated_star(image, places, offset, saturation)
-    fits = fit_stars(image, places, offset, background, psf, gain_e_per_dn=gain, saturation_dn=saturation)
+    place = fit_stars if settings.centroid_method == "fit" else _windowed_or_fitted
+    fits = place(image, places, offset, background, psf, gain_e_per_dn=gain, saturation_dn=saturation)
     star_like = fits.chi2 - fits.dof < np.maximum(_MISFIT_LIMIT * fits.snr**2, 6.0 * np.sqrt(2 * fits.dof))
     good = fits.converged & (star_like | fits.saturated) & (fits.snr > 0.75 * threshold)
     fits = fits.take(_distinct(fits, np.flatnonzero(good), psf))
@@ -90,6 +92,23 @@ def find_stars(image: NDArray, settings: StarSettings, dark: NDArray | None = No
         found.hot_pixels,
         int((~good).sum()),
     )
+
+
+def _windowed_or_fitted(
+    image: NDArray,
+    places: NDArray[np.int64],
+    offset: Array,
+    background: Background,
+    psf: Psf,
+    *,
+    gain_e_per_dn: float,
+    saturation_dn: float,
+) -> StarFits:
+    """Windowed centroids, but of saturated stars, whose middles are lost, fits."""
+    camera = {"gain_e_per_dn": gain_e_per_dn, "saturation_dn": saturation_dn}
+    stars = windowed_centroids(image, places, offset, background, psf, **camera)
+    full = np.flatnonzero(stars.saturated)
+    return stars.with_rows(full, fit_stars(image, places[full], offset[full], background, psf, **camera))
 
 
 def _detections(

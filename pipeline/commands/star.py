@@ -5,10 +5,13 @@ from __future__ import annotations
 import csv
 import json
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
 import typer
+
+from star_id.settings import CentroidMethod
 
 __all__ = ["add_star_commands"]
 
@@ -85,6 +88,9 @@ def centroids(
     ] = None,
     psf_sigma_px: Annotated[float | None, typer.Option(help="True width of the PSF, if known.")] = None,
     gain: Annotated[float | None, typer.Option(help="Electrons per DN, if known.")] = None,
+    method: Annotated[
+        CentroidMethod | None, typer.Option(help="A fit of the PSF, or first moments in a window.")
+    ] = None,
     dark: Dark = None,
     out: Annotated[Path | None, typer.Option(help="CSV file for all centroids with their errors.")] = None,
     plot: Annotated[
@@ -100,6 +106,8 @@ def centroids(
     if plot is not None and truth is None:
         raise _wrong_usage("--plot needs --truth")
     stars = read_settings(settings).stars
+    if method is not None:
+        stars = replace(stars, centroid_method=method)
     for line in centroid_lines(
         images, truth, stars, psf_sigma_px=psf_sigma_px, gain=gain, dark=dark, out=out, plot=plot
     ):
