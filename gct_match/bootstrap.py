@@ -9,14 +9,15 @@ until the vote is beyond chance.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gct_match.coarse import CoarseStrip, read_coarse
-from gct_match.correlation import correlation_surface, normalised, peaks_of
+from gct_match.coarse import read_coarse
+from gct_match.correlation import peaks_of
+from gct_match.edges import edge_field, edge_similarity
 from gct_match.paths import Paths, directions_c, displacements
 from gct_match.records import Chip, StripImage, Target
 from gct_match.settings import MatchSettings
@@ -32,7 +33,8 @@ Array = NDArray[np.float64]
 Image = NDArray[Any]  # single precision
 
 _NODES = 65  # places along a CCD at which the reach of the search is computed
-_FIRST_BATCH, _NEXT_BATCH = 6, 4  # targets that go into the first vote, and into each later one
+_BATCH = 4  # targets that join before each vote
+_SUPPORTERS = 4  # targets that fix a rotation well enough to look for the others nearby
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,6 +98,11 @@ def plan_search(
     return SearchPlan(windows, sides, factor, read, read // factor**2)
 
 
+def vote_tolerance_px(factor: int, settings: MatchSettings) -> float:
+    """How far a target's place on the coarse picture may lie from the common motion."""
+    return factor + 2.0 * float(np.hypot(settings.consistency_sigma_px, settings.attitude_sigma_px))
+
+
 def bootstrap(
     strip: StripImage,
     pushbroom: Pushbroom,
@@ -109,27 +116,33 @@ def bootstrap(
     """The common rotation theta (3,), rad, against the installation matrix of `pushbroom`."""
     side = max(plan.sides_px.values())
     pictures = {
-        ccd: _prepared(read_coarse(strip, ccd, lines, samples, plan.factor, settings))
+        ccd: _picture(strip, ccd, lines, samples, plan.factor, settings)
         for ccd, (lines, samples) in _extents(strip, plan.windows, side).items()
     }
     search = _Search(pushbroom, targets, chips, surface, settings, plan, pictures)
     order = search.in_order_of_texture()
-    tolerance_px = 1.5 * plan.factor + 2.0 * settings.consistency_sigma_px
-    reach = settings.sigmas
+    tolerance_px = vote_tolerance_px(plan.factor, settings)
+    looks = range(0, len(order), _BATCH)  # each may end the search: chance has that many chances
     found: list[Candidates] = []
     outcome = Vote(np.zeros(3), np.diag(sigma_installation_rad**2), np.zeros(0, dtype=np.int64), 0.0)
-    first = 0
-    while first < len(order):
-        last = first + (_NEXT_BATCH if first else _FIRST_BATCH)
-        found += [search.candidates(n, tolerance_px) for n in order[first:last]]
-        first = last
-        outcome = vote(_joined(found), sigma_installation_rad, reach, tolerance_px, 0.5 * plan.factor)
-        if (
-            outcome.log_probability_chance < 2.0 * np.log(settings.probability_chance)
-            and len(outcome.supporters) >= 4
-        ):
+    for first in looks:
+        found += [search.candidates(n, tolerance_px) for n in order[first : first + _BATCH]]
+        outcome = vote(
+            _joined(found), sigma_installation_rad, settings.sigmas, tolerance_px, 0.5 * plan.factor
+        )
+        log_chance = min(outcome.log_probability_chance + np.log(len(looks)), 0.0)
+        outcome = replace(outcome, log_probability_chance=log_chance)
+        if log_chance < np.log(settings.probability_chance) and len(outcome.supporters) >= _SUPPORTERS:
             break
     return outcome
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Picture:
+    """The edges of the part of a CCD's coarse picture, from `origin_px` (sample, line) on."""
+
+    field: Image  # (2, h, w)
+    origin_px: tuple[int, int]
 
 
 class _Search:
@@ -143,7 +156,7 @@ class _Search:
         surface: Surface,
         settings: MatchSettings,
         plan: SearchPlan,
-        pictures: dict[int, CoarseStrip],
+        pictures: dict[int, _Picture],
     ) -> None:
         self.pushbroom, self.targets, self.chips, self.surface = pushbroom, targets, chips, surface
         self.settings, self.plan, self.pictures = settings, plan, pictures
@@ -151,7 +164,7 @@ class _Search:
 
     def in_order_of_texture(self) -> list[int]:
         """Targets with the most independent texture first."""
-        texture = {n: float(np.sum(np.abs(image))) for n, (image, _) in self.templates.items()}
+        texture = {n: float(np.sum(field**2)) for n, (field, _) in self.templates.items()}
         return sorted(texture, key=lambda n: -texture[n])
 
     def candidates(self, target: int, tolerance_px: float) -> Candidates:
@@ -170,9 +183,7 @@ class _Search:
         return Candidates(np.full(len(keep), target), displacement, design, chance)
 
     def _template(self, target: int) -> tuple[Image, Array]:
-        """The normalised template, and where in it (in strip pixels from its first one) the target's point
-        lies.
-        """
+        """The template's edges, and where in it the target's point lies, strip pixels from its first one."""
         windows = [w for w in self.plan.windows if w.target == target]
         window = max(windows, key=lambda w: (w.lines[1] - w.lines[0]) * (w.samples[1] - w.samples[0]))
         factor = self.plan.factor
@@ -190,22 +201,21 @@ class _Search:
             self.settings,
             stride=factor,
         )
-        image = normalised(template.image, template.valid)
-        return image * template.valid, middle - origin
+        return edge_field(template.image, template.valid), middle - origin
 
     def _in_window(self, template: Image, offset_px: Array, window: Window) -> tuple[Array, Array]:
         """Places (K, 2), px of the strip, and their correlations (K,)."""
         picture, factor = self.pictures[window.ccd], self.plan.factor
         low = np.array([window.samples[0], window.lines[0]]) - offset_px - picture.origin_px
         high = np.array([window.samples[1], window.lines[1]]) - offset_px - picture.origin_px
-        h, w = template.shape
+        h, w = template.shape[1:]
+        rows, columns = picture.field.shape[1:]
         x0, y0 = np.maximum(np.floor(low / factor).astype(int), -(w // 2))
-        x1 = min(int(np.ceil(high[0] / factor)) + w, picture.image.shape[1] + w // 2)
-        y1 = min(int(np.ceil(high[1] / factor)) + h, picture.image.shape[0] + h // 2)
+        x1 = min(int(np.ceil(high[0] / factor)) + w, columns + w // 2)
+        y1 = min(int(np.ceil(high[1] / factor)) + h, rows + h // 2)
         if x1 - x0 < w or y1 - y0 < h:
             return np.zeros((0, 2)), np.zeros(0)
-        part = _cut(picture.image, x0, y0, x1, y1)
-        surface = correlation_surface(template, part)
+        surface = edge_similarity(template, _cut(picture.field, x0, y0, x1, y1))
         peaks = peaks_of(surface, self.settings.candidates, 3)
         xy = (peaks.xy + np.array([x0, y0])) * factor + picture.origin_px + offset_px
         return xy, peaks.value
@@ -275,20 +285,30 @@ def _seeing_at(pushbroom: Pushbroom, p_e: Array, ccd: int, xy_px: Array) -> Push
     return pushbroom.with_installation(deviation_from_theta(-turn) * pushbroom.R_cs)
 
 
-def _prepared(coarse: CoarseStrip) -> CoarseStrip:
-    return CoarseStrip(normalised(coarse.image, coarse.valid), coarse.valid, coarse.origin_px, coarse.factor)
+def _picture(
+    strip: StripImage,
+    ccd: int,
+    lines: tuple[int, int],
+    samples: tuple[int, int],
+    factor: int,
+    settings: MatchSettings,
+) -> _Picture:
+    coarse = read_coarse(strip, ccd, lines, samples, factor, settings)
+    return _Picture(edge_field(coarse.image, coarse.valid), coarse.origin_px)
 
 
 def _middle(window: Window) -> Array:
     return np.array([0.5 * sum(window.samples), 0.5 * sum(window.lines)])
 
 
-def _cut(image: Image, x0: int, y0: int, x1: int, y1: int) -> Image:
-    """A window of a picture; zero beyond its edges."""
-    rows, columns = image.shape
-    out = np.zeros((y1 - y0, x1 - x0), dtype=np.float32)
+def _cut(field: Image, x0: int, y0: int, x1: int, y1: int) -> Image:
+    """A window of a field; zero beyond its edges."""
+    _, rows, columns = field.shape
     a, b, c, d = max(0, y0), min(rows, y1), max(0, x0), min(columns, x1)
-    out[a - y0 : b - y0, c - x0 : d - x0] = image[a:b, c:d]
+    if (a, b, c, d) == (y0, y1, x0, x1):
+        return field[:, a:b, c:d]
+    out = np.zeros((2, y1 - y0, x1 - x0), dtype=np.float32)
+    out[:, a - y0 : b - y0, c - x0 : d - x0] = field[:, a:b, c:d]
     return out
 
 

@@ -16,6 +16,8 @@ __all__ = ["CoarseStrip", "read_coarse", "read_window"]
 
 Image = NDArray[Any]  # single precision
 
+_EXACT = 4  # down from this factor halvings are in single precision: rounding before adds 0.07 grey values
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CoarseStrip:
@@ -33,11 +35,9 @@ def read_window(
     strip: StripImage, ccd: int, line0: int, line1: int, sample0: int, sample1: int, settings: MatchSettings
 ) -> tuple[Image, NDArray[np.bool_]]:
     """Grey values, and where they can be used: not NaN, not the no-data value, not saturated."""
-    image = np.asarray(strip.read(ccd, line0, line1, sample0, sample1)).astype(np.float32)
-    valid = np.isfinite(image) & (image < settings.saturation) & (image != settings.no_data)
-    if not valid.all():
-        image = np.where(valid, image, image[valid].mean() if valid.any() else 0.0).astype(np.float32)
-    return image, valid
+    image = np.asarray(strip.read(ccd, line0, line1, sample0, sample1))
+    valid = _usable(image, settings)
+    return _filled(image, valid), valid
 
 
 def read_coarse(
@@ -48,8 +48,8 @@ def read_coarse(
     factor: int,
     settings: MatchSettings,
 ) -> CoarseStrip:
-    """The part of a CCD between two lines and two samples; what does not fill a block at its ends is left
-    off.
+    """The part of a CCD between two lines and two samples; `factor` is a power of two, what does not fill a
+    block at the ends is left off.
     """
     h, w = (lines[1] - lines[0]) // factor, (samples[1] - samples[0]) // factor
     image = np.empty((h, w), dtype=np.float32)
@@ -58,9 +58,39 @@ def read_coarse(
     for row in range(0, h, at_once):
         stop = min(row + at_once, h)
         line0, line1 = lines[0] + row * factor, lines[0] + stop * factor
-        block, good = read_window(strip, ccd, line0, line1, samples[0], samples[0] + w * factor, settings)
-        image[row:stop] = cv2.resize(block, (w, stop - row), interpolation=cv2.INTER_AREA)
-        if not good.all():
-            share = cv2.resize(good.astype(np.float32), (w, stop - row), interpolation=cv2.INTER_AREA)
-            valid[row:stop] = share > 0.75
+        block = np.asarray(strip.read(ccd, line0, line1, samples[0], samples[0] + w * factor))
+        good = _usable(block, settings)
+        if good.all():
+            image[row:stop] = _block_means(block, factor)
+        else:
+            image[row:stop] = _block_means(_filled(block, good), factor)
+            valid[row:stop] = _block_means(good.astype(np.float32), factor) > 0.75
     return CoarseStrip(image, valid, (samples[0], lines[0]), factor)
+
+
+def _usable(image: NDArray, settings: MatchSettings) -> NDArray[np.bool_]:
+    usable = np.ones(image.shape, dtype=bool) if image.dtype.kind in "iu" else np.isfinite(image)
+    if np.isfinite(settings.saturation):
+        usable &= image < settings.saturation
+    if np.isfinite(settings.no_data):
+        usable &= image != settings.no_data
+    return usable
+
+
+def _filled(image: NDArray, valid: NDArray[np.bool_]) -> Image:
+    """In single precision, the mean where it is not valid."""
+    if valid.all():
+        return image.astype(np.float32)
+    return np.where(valid, image, image[valid].mean() if valid.any() else 0.0).astype(np.float32)
+
+
+def _block_means(image: NDArray, factor: int) -> Image:
+    """Means of factor² pixels, by halving; whole numbers stay whole while their rounding does not count."""
+    if image.dtype not in (np.uint8, np.uint16):
+        image = image.astype(np.float32, copy=False)
+    while factor > 1:
+        if factor <= _EXACT:
+            image = image.astype(np.float32, copy=False)
+        image = cv2.resize(image, (image.shape[1] // 2, image.shape[0] // 2), interpolation=cv2.INTER_AREA)
+        factor //= 2
+    return image.astype(np.float32, copy=False)

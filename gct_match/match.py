@@ -23,8 +23,8 @@ from gct_match.records import Chip, Evidence, Refusal, StripImage, StripMatches,
 from gct_match.settings import MatchSettings
 from gct_match.template import Template, chip_side_px, predict_template
 from gct_match.texture import expected_sigma_px
-from gct_match.vote import Vote, fit_common
-from geometry.installation import deviation_from_theta
+from gct_match.vote import Vote
+from geometry.installation import deviation_from_theta, theta_from_deviation
 from geometry.pushbroom import Pushbroom
 from geometry.terrain import Surface
 
@@ -32,7 +32,7 @@ __all__ = ["match_strip"]
 
 Array = NDArray[np.float64]
 
-_GATE = 4.0  # standard errors by which a match may miss the common rotation
+_GATE = 4.0  # standard errors by which a match may miss where the others put it
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -176,7 +176,8 @@ def _one(
     """One target in one CCD, predicted at `xy_px`; and how many pixels were read."""
     settings, name = scene.settings, scene.targets[n].target_id
     _, design = displacements(model, scene.targets[n].p_e[None], np.array([ccd]), xy_px[None])
-    spread = design[0] @ covariance @ design[0].T + settings.consistency_sigma_px**2 * np.eye(2)
+    alone_px2 = settings.consistency_sigma_px**2 + settings.attitude_sigma_px**2
+    spread = design[0] @ covariance @ design[0].T + alone_px2 * np.eye(2)
     radius = int(
         np.clip(
             np.ceil(3.0 * np.sqrt(np.diag(spread).max())) + 2.0, settings.margin_px, 2 * settings.margin_px
@@ -245,8 +246,10 @@ def _template(
 def _consistent(
     scene: _Scene, found: list[tuple[int, TargetMatch]], theta: Array, sigma_rad: Array
 ) -> tuple[list[TargetMatch], list[Refusal], Array, Array]:
-    """Matches that agree on one rotation, the others refused; the rotation and its covariance."""
-    settings = scene.settings
+    """Matches of which each agrees with what the others predict; the rotation and its covariance.
+
+    The worst is refused first, until all agree; two that contradict one another are both kept.
+    """
     if not found:
         return [], [], theta, np.diag(sigma_rad**2)
     p_e = np.array([scene.targets[n].p_e for n, _ in found])
@@ -254,27 +257,64 @@ def _consistent(
     xy = np.array([m.xy_px for _, m in found])
     model = scene.pushbroom.with_installation(deviation_from_theta(theta) * scene.pushbroom.R_cs)
     d, design = displacements(model, p_e, ccd, xy)
-    cov = np.array([m.cov_px for _, m in found]) + settings.consistency_sigma_px**2 * np.eye(2)
-    keep = np.ones(len(found), dtype=bool)
-    for _ in range(len(found)):
-        p, covariance = fit_common(d[keep], design[keep], cov[keep], sigma_rad)
-        miss = d - design @ p
-        distance = np.sqrt(np.einsum("ni,nij,nj->n", miss, np.linalg.inv(cov), miss))
-        worst = int(np.argmax(np.where(keep, distance, 0.0)))
-        if distance[worst] <= _GATE or keep.sum() <= 2:
+    scatter = _scatter(scene, np.array([m.cov_px for _, m in found]), xy[:, 1])
+    keep, refused = np.arange(len(found)), []
+    while True:
+        miss, distance = _from_the_others(d[keep], design[keep], scatter[np.ix_(keep, keep)], sigma_rad)
+        worst = int(np.argmax(distance))
+        if distance[worst] <= _GATE or len(keep) <= 2:
             break
-        keep[worst] = False
-        if (back := ~keep & (distance < 0.5 * _GATE)).any():
-            keep |= back
-    matches = [replace(m, residual_px=miss[k]) for k, (_, m) in enumerate(found) if keep[k]]
-    refused = [
-        Refusal(
-            m.target_id,
-            m.ccd,
-            f"misses the strip's common rotation by {distance[k]:.1f} standard errors "
-            f"({miss[k][0]:+.2f}, {miss[k][1]:+.2f} px), {_GATE:.0f} are allowed",
+        match = found[keep[worst]][1]
+        reason = (
+            f"lies {distance[worst]:.1f} standard errors ({miss[worst][0]:+.2f}, {miss[worst][1]:+.2f} px) "
+            f"from where the strip's other targets put it, {_GATE:.0f} are allowed"
         )
-        for k, (_, m) in enumerate(found)
-        if not keep[k]
-    ]
-    return matches, refused, theta + p, covariance
+        refused.append(Refusal(match.target_id, match.ccd, reason))
+        keep = np.delete(keep, worst)
+    p, covariance = _common_rotation(d[keep], design[keep], scatter[np.ix_(keep, keep)], sigma_rad)
+    total = deviation_from_theta(p) * deviation_from_theta(theta)
+    matches = [replace(found[k][1], residual_px=d[k] - design[k] @ p) for k in keep]
+    return matches, refused, theta_from_deviation(total), covariance
+
+
+def _scatter(scene: _Scene, cov_px: Array, line: Array) -> Array:
+    """(N, N, 2, 2) covariance of places about the common rotation: each one's own, and the attitude's error,
+    which those share that were seen between the same star exposures.
+    """
+    settings = scene.settings
+    t_s = scene.pushbroom.instants(line)
+    alike = np.maximum(1.0 - np.abs(t_s[:, None] - t_s) / settings.attitude_step_s, 0.0)
+    out = np.asarray(settings.attitude_sigma_px**2 * alike[:, :, None, None] * np.eye(2))
+    every = np.arange(len(line))
+    out[every, every] += cov_px + settings.consistency_sigma_px**2 * np.eye(2)
+    return out
+
+
+def _from_the_others(d: Array, design: Array, scatter: Array, sigma_rad: Array) -> tuple[Array, Array]:
+    """How far each displacement (N, 2) lies from what the others predict (N, 2), px, and in standard errors
+    (N,).
+
+    With S the covariance of all displacements, the rotation's own included, and Q its inverse, the others
+    leave of displacement n  e_n = Q_nn^-1 (Q d)_n,  with covariance Q_nn^-1.
+    """
+    n = len(d)
+    prior = np.einsum("nap,p,mbp->nmab", design, sigma_rad**2, design)
+    Q = np.linalg.inv(_flat(scatter + prior)).reshape(n, 2, n, 2)
+    pull = np.einsum("namb,mb->na", Q, d)
+    own = np.einsum("nanb->nab", Q)
+    miss = np.linalg.solve(own, pull[:, :, None])[:, :, 0]
+    return miss, np.sqrt(np.einsum("na,na->n", miss, pull))
+
+
+def _common_rotation(d: Array, design: Array, scatter: Array, sigma_rad: Array) -> tuple[Array, Array]:
+    """The rotation (3,), rad, that explains the displacements best, and its covariance."""
+    D = design.reshape(-1, 3)
+    weighted = np.linalg.solve(_flat(scatter), D)
+    covariance = np.linalg.inv(D.T @ weighted + np.diag(sigma_rad**-2.0))
+    return covariance @ (weighted.T @ d.ravel()), covariance
+
+
+def _flat(blocks: Array) -> Array:
+    """(N, N, 2, 2) as one matrix (2 N, 2 N)."""
+    n = len(blocks)
+    return blocks.transpose(0, 2, 1, 3).reshape(2 * n, 2 * n)

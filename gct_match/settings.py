@@ -26,11 +26,15 @@ class MatchSettings:
     )
     coarse_template_px: int = 16  # smallest side of a template in the coarsest level of the pyramid
     coarse_pixels: float = 12e6  # pixels of the coarse strip that one search may hold in memory (48 MB)
-    read_block_px: int = 4_000_000  # pixels read at once
+    read_block_px: int = 16_000_000  # pixels read at once: few tiles of a file are decoded twice
     probability_chance: float = 1e-6  # a vote that chance would give more often than this is no vote
     probability_wrong: float = 1e-4  # a place that is more likely wrong than this is refused
     sigma_px: float = 0.25  # a target whose texture cannot place it better than this is refused
     consistency_sigma_px: float = 0.75  # by which vibration, distortion and terrain move single targets
+    attitude_sigma_px: float = (
+        1.5  # by which a star exposure's attitude (0.3 arcsec) moves those seen near it
+    )
+    attitude_step_s: float = 0.2  # from one star exposure to the next: over it that error stays alike
     least_correlation: float = 0.4  # filtered and robustly weighted: below, most of the chip has changed
     saturation: float = float("inf")  # grey values from here on are not used
     no_data: float = float("nan")  # this grey value means that there is none

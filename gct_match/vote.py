@@ -14,11 +14,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
-from scipy.special import gammaln
+from scipy.special import logsumexp
 
 __all__ = ["Candidates", "Vote", "fit_common", "log_chance_of_ranks", "vote"]
 
 Array = NDArray[np.float64]
+
+_ORDERS = np.linspace(
+    0.05, 0.95, 19
+)  # of the moments that bound a chance; between them the bound hardly changes
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -49,10 +53,12 @@ def vote(
     `tolerance_px` is how far a supporting candidate may lie from the common motion, `sigma_px` its
     standard error.
     """
-    n_targets = int(candidates.owner.max()) + 1 if len(candidates.owner) else 0
+    if len(candidates.owner) == 0:
+        return Vote(np.zeros(len(prior_sigma)), np.diag(prior_sigma**2), np.zeros(0, dtype=np.int64), 0.0)
+    n_targets = int(candidates.owner.max()) + 1
     third = _third_parameters(candidates, prior_sigma, reach, tolerance_px)
     best, start = 0.0, np.zeros(len(prior_sigma))
-    scale = np.abs(candidates.design[:, :, :2]).sum(axis=2).mean() if n_targets else 1.0
+    scale = np.abs(candidates.design[:, :, :2]).sum(axis=2).mean()
     for value in third:
         q = _proposals(candidates, value)
         inside = (np.abs(q) <= reach * prior_sigma[:2] * 1.05).all(axis=1)
@@ -64,8 +70,8 @@ def vote(
         if score[n] < best:
             best = float(score[n])
             start = np.concatenate([q[inside][n], [value]])[: len(prior_sigma)]
-    cells = float(np.prod(2.0 * reach * prior_sigma[:2] * scale)) / (np.pi * tolerance_px**2) * len(third)
-    return _polished(candidates, start, best, cells, prior_sigma, tolerance_px, sigma_px)
+    log_chance = log_chance_of_score(candidates, -best) + np.log(len(third))
+    return _polished(candidates, start, min(log_chance, 0.0), prior_sigma, tolerance_px, sigma_px)
 
 
 def log_chance_of_ranks(count: int, share: float) -> Array:
@@ -76,6 +82,32 @@ def log_chance_of_ranks(count: int, share: float) -> Array:
     repeated patterns than ranks say: the picture itself shows how often a place looks like the chip.
     """
     return np.minimum(np.log(np.arange(1.0, count + 1.0)) + np.log(share), 0.0)
+
+
+def log_chance_of_score(candidates: Candidates, score: float) -> float:
+    """Log of a bound of the chance that somewhere the targets' log chances add up to -score, by accident.
+
+    If target t's places lie anywhere, its share -log p of the score has the moments M_t(s) = E[p^-s], where
+    p is the chance of its best place within the tolerance, or 1. Some candidate of some target must be part
+    of the agreement:
+
+        P  <=  sum_t sum_k p_tk^-s  prod_(other targets u) M_u(s)  exp(-s score)     for every s in (0, 1)
+
+    (Boole's inequality over the candidates, Chernoff's for the sum of the others).
+    """
+    owners = [np.sort(candidates.log_chance[candidates.owner == n]) for n in np.unique(candidates.owner)]
+    return min((_log_bound(owners, score, s) for s in _ORDERS), default=0.0)
+
+
+def _log_bound(log_p: list[Array], score: float, s: float) -> float:
+    seeds, moments = [], []
+    for each in log_p:
+        p = np.exp(each)
+        raised = np.exp(-s * each)
+        seeds.append(np.log(raised.sum()))
+        moments.append(np.log(np.diff(p, prepend=0.0) @ raised + 1.0 - p[-1]))
+    others = np.sum(moments) - np.array(moments)
+    return float(logsumexp(np.array(seeds) + others) - s * score)
 
 
 def fit_common(
@@ -93,7 +125,7 @@ def _third_parameters(candidates: Candidates, prior_sigma: Array, reach: float, 
     """Values of the third parameter to try, so close that none is missed; one zero where there is no
     third.
     """
-    if len(prior_sigma) < 3 or len(candidates.owner) == 0:
+    if len(prior_sigma) < 3:
         return np.zeros(1)
     design = candidates.design[:, :, 2]
     lever = float(np.abs(design - design.mean(axis=0)).max()) + 1e-9
@@ -124,8 +156,7 @@ def _support(q_px: Array, owner: NDArray, log_chance: Array, n_targets: int, tol
 def _polished(
     candidates: Candidates,
     start: Array,
-    score: float,
-    cells: float,
+    log_chance: float,
     prior_sigma: Array,
     tolerance_px: float,
     sigma_px: float,
@@ -145,6 +176,4 @@ def _polished(
         p, covariance = fit_common(
             candidates.displacement_px[chosen], candidates.design[chosen], cov_px, prior_sigma
         )
-    n, m = (len(np.unique(candidates.owner)) if len(candidates.owner) else 0), len(chosen)
-    subsets = gammaln(n + 1) - gammaln(m + 1) - gammaln(n - m + 1)  # of n targets, any m might have agreed
-    return Vote(p, covariance, chosen, min(0.0, score + np.log(max(cells, 1.0)) + subsets))
+    return Vote(p, covariance, chosen, log_chance)

@@ -1,0 +1,54 @@
+"""How alike two pictures of one ground are by the directions of their edges, whatever has changed between
+them.
+
+A field that was darker than the track beside it is brighter in another year: grey values and the signs of
+their differences come and go, the line between two parcels stays. The square of the complex gradient
+g = g_x + i g_y has twice its angle and forgets which side is the brighter (Kass & Witkin 1987); divided by
+its length it counts every edge alike (orientation correlation, Fitch et al. 2002):
+
+    z = g² / (|g|² + median of |g|²)
+
+The median keeps noise on flat ground from counting as edges.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["edge_field", "edge_similarity"]
+
+Image = NDArray[Any]  # single precision
+
+
+def edge_field(image: Image, valid: NDArray[np.bool_]) -> Image:
+    """(2, H, W) real and imaginary part of z at each pixel of a picture (H, W), float32; zero where the
+    picture is not valid.
+    """
+    gx: Image = cv2.Sobel(image, cv2.CV_32F, 1, 0)
+    gy: Image = cv2.Sobel(image, cv2.CV_32F, 0, 1)
+    xx, yy = gx * gx, gy * gy
+    power: Image = xx + yy
+    step = max(1, min(image.shape) // 256)
+    floor = np.float32(np.median(power[::step, ::step]) + 1e-6)
+    scale: Image = 1.0 / (power + floor)
+    if not valid.all():
+        scale[cv2.dilate((~valid).astype(np.uint8), np.ones((3, 3), np.uint8)) > 0] = 0.0
+    return np.stack([(xx - yy) * scale, 2.0 * gx * gy * scale])
+
+
+def edge_similarity(template: Image, field: Image) -> Image:
+    """Correlation of a template's edges (2, h, w) with a picture's (2, H, W) wherever the template lies
+    within it, (H - h + 1, W - w + 1).
+    """
+    _, h, w = template.shape
+    both = [
+        cv2.filter2D(plane, -1, kernel - kernel.mean(), anchor=(0, 0))[
+            : plane.shape[0] - h + 1, : plane.shape[1] - w + 1
+        ]
+        for kernel, plane in zip(template, field, strict=True)
+    ]
+    return both[0] + both[1]
