@@ -13,9 +13,8 @@ from geometry.constants import ARCSEC
 from geometry.installation import euler_zxy_from_theta
 from pipeline.calibrate import Calibration
 from pipeline.errors import Omission, RawDataError
-from pipeline.files.table_files import read_parquet
 from pipeline.validate import Validation
-from pipeline.work.unit_store import read_meta
+from pipeline.work.unit_store import read_meta, read_unit
 
 __all__ = ["calibration_summary", "status_summary", "validation_summary"]
 
@@ -74,10 +73,10 @@ def status_summary(result: Path) -> str:
     for stage in sorted(path for path in work.iterdir() if path.is_dir()) if work.is_dir() else []:
         metas, damaged = [], 0
         for path in sorted(stage.glob("*.parquet")):
-            try:
-                metas.append(read_meta(read_parquet(path)))
-            except (RawDataError, ValueError, KeyError):
+            if (unit := read_unit(path)) is None:
                 damaged += 1
+            else:
+                metas.append(read_meta(unit))
         failed = [Omission("exposure", m["id"], m["file"], m["reason"]) for m in metas if m.get("reason")]
         failed += [Omission(*parts) for m in metas for parts in m.get("omitted", [])]
         text = f"{stage.name:14s}{len(metas)} done" + (f", {damaged} damaged files" if damaged else "")

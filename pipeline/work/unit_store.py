@@ -38,10 +38,11 @@ __all__ = [
     "list_values",
     "program",
     "read_meta",
+    "read_unit",
     "write_whole",
 ]
 
-META = b"boresight"
+META, SEAL = b"boresight", b"seal"
 WHOLE_FILE_BYTES = 64 * 2**20  # larger files are known by size, time of change and both ends
 END_BYTES = 2**20
 
@@ -134,19 +135,14 @@ class UnitStore:
         """The finished unit, or None when it has to be made. A file that cannot be read counts as not
         made.
         """
-        path = self.path(stage, name, key)
-        if not path.is_file():
-            return None
-        try:
-            return read_parquet(path)
-        except RawDataError:
-            return None
+        return read_unit(self.path(stage, name, key))
 
     def write(self, stage: str, name: str, key: str, table: pa.Table, meta: Mapping[str, Any]) -> Path:
         """Write a finished unit; results of the same unit that were made from something else are removed."""
         path = self.path(stage, name, key)
         path.parent.mkdir(parents=True, exist_ok=True)
-        stated = table.replace_schema_metadata({META: json.dumps(dict(meta), sort_keys=True).encode()})
+        remarks = json.dumps(dict(meta), sort_keys=True).encode()
+        stated = table.replace_schema_metadata({META: remarks, SEAL: _seal(table, remarks)})
         write_whole(
             path, lambda target: pq.write_table(stated, target, compression="zstd", write_page_checksum=True)
         )
@@ -154,6 +150,22 @@ class UnitStore:
             if other != path and other.name.count(".") == path.name.count("."):
                 other.unlink(missing_ok=True)
         return path
+
+
+def read_unit(path: Path) -> pa.Table | None:
+    """A finished unit; None for a file that is not there or is not whole."""
+    try:
+        table = read_parquet(path)
+    except RawDataError:
+        return None
+    metadata = table.schema.metadata or {}
+    return table if metadata.get(SEAL) == _seal(table, metadata.get(META, b"")) else None
+
+
+def _seal(table: pa.Table, remarks: bytes) -> bytes:
+    """Digest of what a Parquet file's own checksums do not cover: names, number of rows, remarks."""
+    facts = json.dumps([table.column_names, len(table)]).encode()
+    return hashlib.blake2b(facts + remarks, digest_size=16).hexdigest().encode()
 
 
 def write_whole(path: Path, write: Any) -> None:

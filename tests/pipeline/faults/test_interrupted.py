@@ -1,0 +1,199 @@
+"""Runs killed at every step of writing, and disks that are full: what is there is whole, and the run goes on."""
+
+from __future__ import annotations
+
+import errno
+import os
+import shutil
+import signal
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from readers import write_sound_files
+
+from pipeline.cli import main
+from pipeline.errors import RawDataError
+from pipeline.files.table_files import read_parquet
+from pipeline.work.unit_store import UnitStore, write_whole
+
+# One process after another goes on with a run; each kills itself a little later than the one before, at a
+# moment after a file was written under its temporary name, after it was flushed, or after it got its own.
+KILLED = """
+import os, signal, sys
+from pathlib import Path
+import cv2
+cv2.setNumThreads(1)
+from pipeline.calibrate import calibrate_dump
+from pipeline.files.dump import open_dump
+from pipeline.result import begin_result, store_of, write_result
+from pipeline.settings import Settings
+from pipeline.work.executor import InOrder
+
+dump, result = open_dump(Path(sys.argv[1])), Path(sys.argv[2])
+
+def dying_after(steps):
+    left = [steps]
+    def counted(function):
+        def step(*arguments, **named):
+            left[0] -= 1
+            if left[0] == 0:
+                os.kill(os.getpid(), signal.SIGKILL)
+            outcome = function(*arguments, **named)
+            left[0] -= 1
+            if left[0] == 0:
+                os.kill(os.getpid(), signal.SIGKILL)
+            return outcome
+        return step
+    os.fsync, Path.replace = counted(os.fsync), counted(Path.replace)
+
+def run(steps):
+    dying_after(steps)
+    begin_result(result)
+    found = calibrate_dump(dump, Settings(), store_of(result), InOrder())
+    write_result(result, found, Settings())
+
+for steps in range(1, 200, 5):
+    child = os.fork()
+    if not child:
+        run(steps)
+        os._exit(0)
+    _, status = os.waitpid(child, 0)
+    left = [str(path) for path in result.rglob("*.tmp")]
+    print(os.WIFSIGNALED(status), (result / "installation.json").exists(), len(left), flush=True)
+    if not os.WIFSIGNALED(status):
+        sys.exit(os.WEXITSTATUS(status))
+"""
+
+
+@pytest.fixture
+def begun(finished: tuple[Path, Path], tmp_path: Path) -> tuple[Path, Path, bytes]:
+    """A dump, a folder where the last matching is missing, and the installation.json that must come out."""
+    dump, result = finished
+    out = tmp_path / "result"
+    shutil.copytree(result / "work", out / "work")
+    for unit in (out / "work" / "places-2").iterdir():
+        unit.unlink()
+    return dump, out, (result / "installation.json").read_bytes()
+
+
+def test_run_killed_at_every_step_of_writing_ends_with_the_same_bytes(
+    begun: tuple[Path, Path, bytes],
+) -> None:
+    dump, out, expected = begun
+    ran = subprocess.run(
+        [sys.executable, "-c", KILLED, str(dump), str(out)], capture_output=True, text=True, timeout=300
+    )
+    assert ran.returncode == 0, ran.stderr
+    deaths = [line.split() for line in ran.stdout.splitlines()]
+    assert len(deaths) >= 7 and all(killed == "True" for killed, _, _ in deaths[:-1])
+    assert any(left == "1" for _, _, left in deaths)  # some died with a file half written
+    # The file that says that all is there was there only once everything was.
+    assert [finished for _, finished, _ in deaths[:-2]] == ["False"] * (len(deaths) - 2)
+    assert (out / "installation.json").read_bytes() == expected
+    for path in out.rglob("*.parquet"):
+        read_parquet(path)
+
+
+@pytest.mark.parametrize("step", ["written", "flushed", "renamed"])
+def test_unit_is_the_old_one_or_the_new_one_whenever_its_process_is_killed(step: str, tmp_path: Path) -> None:
+    store, table = UnitStore(tmp_path), pa.table({"a": [1.0, 2.0]})
+    store.write("stage", "s1", "old", table, {"id": "s1"})
+    if not (child := os.fork()):
+        die = lambda *arguments: os.kill(os.getpid(), signal.SIGKILL)  # noqa: E731
+        if step == "written":
+            os.fsync = die
+        elif step == "flushed":
+            Path.replace = die
+        else:
+            Path.unlink = die
+        store.write("stage", "s1", "new", table, {"id": "s1"})
+        os._exit(0)
+    _, status = os.waitpid(child, 0)
+    assert os.WIFSIGNALED(status)
+    assert store.read("stage", "s1", "old") is not None
+    assert (store.read("stage", "s1", "new") is not None) == (step == "renamed")
+
+
+def no_space(*arguments: object, **named: object) -> None:
+    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+
+def half_written(table: pa.Table, target: Path, **named: object) -> None:
+    """What pyarrow does on a full disk: some bytes, then an error that names no file."""
+    Path(target).write_bytes(b"PAR1" + bytes(1000))
+    no_space()
+
+
+@pytest.mark.parametrize(
+    ("where", "fault", "named"),
+    [
+        (pq, ("write_table", half_written), "places-2/"),
+        (os, ("fsync", no_space), "places-2/"),
+        (pq, ("ParquetWriter", no_space), "sightings/stars.parquet"),
+        (Path, ("write_text", no_space), "installation.json"),
+    ],
+    ids=["unit half written", "unit not flushed", "table", "installation.json"],
+)
+def test_full_disk_is_told_with_the_file_and_the_run_goes_on_when_there_is_room(
+    where: object,
+    fault: tuple[str, Callable],
+    named: str,
+    begun: tuple[Path, Path, bytes],
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    dump, out, expected = begun
+    command = ["boresight", "calibrate", str(dump), "--out", str(out), "--workers", "1", "--no-report"]
+    if named != "places-2/":  # its units are there already
+        shutil.copytree(dump.parent / "result" / "work", out / "work", dirs_exist_ok=True)
+    units = {path: path.stat().st_mtime_ns for path in out.glob("work/*/*.parquet")}
+    with monkeypatch.context() as patch:
+        patch.setattr(sys, "argv", command)
+        patch.setattr(where, *fault)
+        with pytest.raises(SystemExit) as ended:
+            main()
+    assert ended.value.code == 1
+    told = "".join(capsys.readouterr().err.split("\n"))
+    assert "error: " in told and named in told and "No space left on device" in told, told
+    assert not (out / "installation.json").exists()
+    assert not list(out.rglob("*.tmp"))
+    assert {path: path.stat().st_mtime_ns for path in out.glob("work/*/*.parquet")} == units
+    with monkeypatch.context() as patch:
+        patch.setattr(sys, "argv", command)
+        with pytest.raises(SystemExit) as ended:
+            main()
+    assert not ended.value.code
+    assert (out / "installation.json").read_bytes() == expected
+    assert all(path.stat().st_mtime_ns == made for path, made in units.items())
+
+
+def test_unit_damaged_on_the_disk_is_made_anew_and_counted_by_status(tmp_path: Path) -> None:
+    """Any single byte of a unit's data changed: it is not believed."""
+    from pipeline.summary import status_summary
+
+    root = write_sound_files(tmp_path)
+    store = UnitStore(root / "run/work")
+    path = store.path("exposures", "e1", "0" * 32)
+    sound = path.read_bytes()
+    content = store.read("exposures", "e1", "0" * 32)
+    for at in range(0, len(sound), 5):
+        damaged = bytearray(sound)
+        damaged[at] ^= 0x10
+        path.write_bytes(bytes(damaged))
+        table = store.read("exposures", "e1", "0" * 32)
+        # Some bytes bear no meaning: statistics, the name of the writer.
+        assert table is None or table.to_pylist() == content.to_pylist()
+    path.write_bytes(sound[:-100])
+    assert "exposures     0 done, 1 damaged files" in status_summary(root / "run")
+
+
+def test_error_of_a_file_names_the_file(tmp_path: Path) -> None:
+    with pytest.raises(OSError, match=r"No space left on device.*table.csv"):
+        write_whole(tmp_path / "table.csv", no_space)
+    with pytest.raises(RawDataError, match=r"table.parquet: file: found nothing, expected the table"):
+        read_parquet(tmp_path / "table.parquet")
