@@ -137,7 +137,10 @@ def simulate(
 
 @app.command()
 def calibrate(
-    dump: Annotated[Path, typer.Argument(help="Folder with a dump.toml.")],
+    dumps: Annotated[
+        list[Path],
+        typer.Argument(metavar="DUMP", help="Folder with a dump.toml; several of one mission, in any order."),
+    ],
     out: Annotated[Path, typer.Option(help="Folder of the result; a run that was stopped goes on in it.")],
     settings: SettingsFile = None,
     workers: Annotated[
@@ -150,51 +153,39 @@ def calibrate(
     ] = False,
     report: Annotated[bool, typer.Option(help="Write report.html at the end.")] = True,
 ) -> None:
-    """Find the installation matrix of a dump, from raw pixels."""
-    from pipeline.calibrate import calibrate_dump
+    """Find the installation matrix of a dump, from raw pixels; of several dumps, that of each and of all."""
+    from pipeline.calibrate_run import RunRequest, run_dump, run_dumps
     from pipeline.files.dump import open_dump
-    from pipeline.result import begin_result, store_of, write_result, write_run
+    from pipeline.joint import open_dumps
     from pipeline.settings import read_settings
-    from pipeline.summary import calibration_summary
     from pipeline.work.workers import executor_for
 
     if workers is not None and scheduler is not None:
         raise _wrong_usage("--workers and --scheduler exclude one another")
-    start = time.perf_counter()
-    chosen = read_settings(settings)
-    with _warnings_told():
-        opened = open_dump(dump.resolve(), allow_stale_eop=allow_stale_eop)
-    begin_result(out)
-    with _bar() as bar, executor_for(workers, scheduler, opened.pixels) as executor:
-        found = calibrate_dump(opened, chosen, store_of(out.resolve()), executor, _shown_on(bar))
-    if report:
-        from pipeline.report.evidence import write_evidence
-
-        write_evidence(out, opened, found, chosen)
-    write_result(out, found, chosen)
-    elapsed = time.perf_counter() - start
-    write_run(
-        out,
-        {
-            "dump": str(dump),
-            "elapsed_s": elapsed,
-            "units_made": found.units_made,
-            "units_found": found.units_found,
-            "workers": workers,
-            "scheduler": scheduler,
-            "python": platform.python_version(),
-            "machine": platform.platform(),
-            "version": __version__,
-            "packages": {name: metadata.version(name) for name in REPORTED_PACKAGES},
-        },
-    )
-    page = ""
-    if report:
-        from pipeline.report.page import write_report
-
-        page = f", {write_report(out).name}"
-    typer.echo(calibration_summary(found))
-    typer.echo(f"{elapsed:.1f} s -> {out / 'installation.json'}{page}")
+    facts = {
+        "workers": workers,
+        "scheduler": scheduler,
+        "python": platform.python_version(),
+        "machine": platform.platform(),
+        "version": __version__,
+        "packages": {name: metadata.version(name) for name in REPORTED_PACKAGES},
+    }
+    begun_s = time.perf_counter()
+    request = RunRequest(read_settings(settings), report, begun_s, facts)
+    if len(dumps) == 1:
+        with _warnings_told():
+            one = open_dump(dumps[0].resolve(), allow_stale_eop=allow_stale_eop)
+        with _bar() as bar, executor_for(workers, scheduler, one.pixels) as executor:
+            text = run_dump(out, one, str(dumps[0]), request, executor, _shown_on(bar))
+    else:
+        with _warnings_told():
+            several = open_dumps(dumps, request.settings, allow_stale_eop=allow_stale_eop)
+        pixels = sum(named.dump.pixels for named in several)
+        with _bar() as bar, executor_for(workers, scheduler, pixels) as executor:
+            text = run_dumps(out, several, request, executor, _shown_on(bar))
+    typer.echo(text)
+    page = ", report.html" if report else ""
+    typer.echo(f"{time.perf_counter() - begun_s:.1f} s -> {out / 'installation.json'}{page}")
 
 
 def _shown_on(bar: Progress) -> Callable[[str, int, int], None]:

@@ -11,6 +11,9 @@ calibrations.
     work/                        finished units, for a run that is started again
     run.json                     times and counts of the run that wrote the rest
 
+The result of several dumps has `dumps.json` too, the full result of each dump in a folder of its own, and of
+itself what is joint: no stars, exposures and work.
+
 Everything but run.json is the same, bit for bit, for the same inputs, settings and version.
 """
 
@@ -19,7 +22,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -30,16 +33,20 @@ from numpy.typing import NDArray
 from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
 
+from calib.estimate import InstallationEstimate, TargetResiduals
 from calib.information import InformationPairs
+from calib.settings import CalibrationSettings
 from calib.shared_unknowns import coordinate_names, turning_axes
 from geometry.installation import euler_zxy_from_theta
 from geometry.orbit import argument_of_latitude
-from geometry.sightings import StarSightings
+from geometry.sightings import StarSightings, StripSightings
 from pipeline import __version__
 from pipeline.calibrate import Calibration
+from pipeline.chains.ground_chain import Placings
 from pipeline.errors import Omission, RawDataError
 from pipeline.files.table_files import fixed, read_parquet
 from pipeline.files.text_files import read_json
+from pipeline.joint import JointCalibration
 from pipeline.settings import Settings
 from pipeline.work.unit_store import UnitStore, column, digest, fixed_list, list_values, write_whole
 
@@ -53,6 +60,7 @@ __all__ = [
     "results_in",
     "store_of",
     "write_dumps",
+    "write_joint_result",
     "write_result",
     "write_run",
 ]
@@ -107,10 +115,10 @@ def begin_result(result: Path) -> None:
 
     What a killed run left half-written goes too: it has no name that anything is looked for under.
     """
-    (result / "work").mkdir(parents=True, exist_ok=True)
+    result.mkdir(parents=True, exist_ok=True)
     for left in result.rglob(".*.tmp"):
         left.unlink(missing_ok=True)
-    for name in ("installation.json", DUMPS):
+    for name in ("installation.json", DUMPS, "drift.json"):
         (result / name).unlink(missing_ok=True)
 
 
@@ -120,12 +128,31 @@ def write_result(result: Path, calibration: Calibration, settings: Settings) -> 
     tables.mkdir(parents=True, exist_ok=True)
     _write_groups(tables / "stars.parquet", _star_groups(calibration))
     _write_groups(tables / "exposures.parquet", [_exposures_table(calibration)])
-    _write_groups(tables / "targets.parquet", _target_groups(calibration))
-    pairs = calibration.estimate.pairs
-    _write_groups(tables / "strips.parquet", [pa.Table.from_pandas(pairs.table(), preserve_index=False)])
+    placed = {places.strip_id: places for places in calibration.placings}
+    estimate = calibration.estimate
+    _write_groups(tables / "targets.parquet", _target_groups(estimate.targets, calibration.strips, placed))
+    _write_groups(tables / "strips.parquet", [_pairs_table(estimate)])
     _write_groups(tables / "passes.parquet", [_passes_table(calibration)])
     _write_groups(tables / "omissions.parquet", [_omissions_table(calibration.omissions)])
-    _write_json(result / "installation.json", _installation(calibration, settings))
+    _write_json(result / "installation.json", _installation(estimate, calibration.settings, settings))
+
+
+def write_joint_result(
+    result: Path, joint: JointCalibration, of_dumps: Mapping[str, Calibration], settings: Settings
+) -> None:
+    """Write the joint result of several dumps; their own stand in its folders. `installation.json` last."""
+    tables = result / "sightings"
+    tables.mkdir(parents=True, exist_ok=True)
+    placed = {
+        f"{name}/{places.strip_id}": places for name, found in of_dumps.items() for places in found.placings
+    }
+    estimate = joint.estimate
+    _write_groups(tables / "targets.parquet", _target_groups(estimate.targets, joint.strips, placed))
+    _write_groups(tables / "strips.parquet", [_pairs_table(estimate)])
+    passes = [_passes_table(found, f"{name}/") for name, found in of_dumps.items()]
+    _write_groups(tables / "passes.parquet", [pa.concat_tables(passes)])
+    _write_groups(tables / "omissions.parquet", [_omissions_table(joint.omissions)])
+    _write_json(result / "installation.json", _installation(estimate, joint.settings, settings))
 
 
 def write_dumps(result: Path, names: Sequence[str]) -> None:
@@ -156,14 +183,17 @@ def write_run(result: Path, facts: dict[str, Any]) -> None:
 
 
 def read_result(result: Path) -> SavedResult:
-    """Read back what a finished run left. `RawDataError` when it is not there or damaged."""
+    """Read back what a finished run left; of several dumps, the joint matrix without any exposures.
+
+    `RawDataError` when it is not there or damaged.
+    """
     name = str(result / "installation.json")
     content = read_json(result / "installation.json", name)
     quaternion = _numbers(content, "quaternion", (4,), name)
     if abs(np.linalg.norm(quaternion) - 1.0) > 1e-6:
         raise RawDataError(name, "quaternion", quaternion.tolist(), "length 1")
     path = result / "sightings" / "exposures.parquet"
-    table = read_parquet(path, EXPOSURES)
+    table = read_parquet(path, EXPOSURES) if not dumps_in(result) else _no_rows(EXPOSURES)
     try:
         R_si = Rotation.from_matrix(list_values(table, "R_si", 3, 3)) if len(table) else Rotation.identity(0)
     except ValueError as error:
@@ -180,6 +210,10 @@ def read_result(result: Path) -> SavedResult:
     )
 
 
+def _no_rows(columns: Mapping[str, pa.DataType]) -> pa.Table:
+    return pa.schema(list(columns.items())).empty_table()
+
+
 def _numbers(content: dict[str, Any], key: str, shape: tuple[int, ...], file: str) -> Array:
     """An array of finite numbers under a key of installation.json."""
     expected = f"{' x '.join(map(str, shape))} finite numbers"
@@ -192,10 +226,11 @@ def _numbers(content: dict[str, Any], key: str, shape: tuple[int, ...], file: st
     return values
 
 
-def _installation(calibration: Calibration, settings: Settings) -> dict[str, Any]:
-    estimate = calibration.estimate
+def _installation(
+    estimate: InstallationEstimate, believed: CalibrationSettings, settings: Settings
+) -> dict[str, Any]:
     used = dataclasses.asdict(dataclasses.replace(settings, calibration=())) | {
-        "calibration": dataclasses.asdict(calibration.settings)
+        "calibration": dataclasses.asdict(believed)
     }
     values = {
         "R_cs": estimate.R_cs.as_matrix().tolist(),
@@ -260,16 +295,16 @@ def _exposures_table(calibration: Calibration) -> pa.Table:
     )
 
 
-def _target_groups(calibration: Calibration) -> list[pa.Table]:
+def _target_groups(
+    found: TargetResiduals, strips: Sequence[StripSightings], placed: Mapping[str, Placings]
+) -> list[pa.Table]:
     """One row group a strip. Residuals are matched by strip, target and CCD."""
-    found = calibration.estimate.targets
     row_of = {
         key: n
         for n, key in enumerate(zip(found.strip_id.tolist(), found.target_id.tolist(), found.ccd.tolist()))
     }
-    placed = {p.strip_id: p for p in calibration.placings}
     groups = []
-    for strip in calibration.strips:
+    for strip in strips:
         ground, places = strip.ground, placed[strip.strip_id]
         rows = [row_of[strip.strip_id, t, c] for t, c in zip(ground.target_id.tolist(), ground.ccd.tolist())]
         groups.append(
@@ -339,7 +374,11 @@ def _prior_of_targets(result: Path, targets: Sequence[str]) -> Array:
     return np.asarray(block_diag(*np.linalg.inv(covariance)))
 
 
-def _passes_table(calibration: Calibration) -> pa.Table:
+def _pairs_table(estimate: InstallationEstimate) -> pa.Table:
+    return pa.Table.from_pandas(estimate.pairs.table(), preserve_index=False)
+
+
+def _passes_table(calibration: Calibration, prefix: str = "") -> pa.Table:
     """One row a strip of the estimate, at its middle: what a drift estimate wants to know of it."""
     used = {strip.strip_id for strip in calibration.strips}
     tasks = [task for task in calibration.tasks if task.strip.strip_id in used]
@@ -348,7 +387,7 @@ def _passes_table(calibration: Calibration) -> pa.Table:
         t_s = np.array([task.strip.t_first_row_s + 0.5 * task.strip.lines * task.strip.row_period_s])
         rows.append(
             {
-                "strip_id": task.strip.strip_id,
+                "strip_id": prefix + task.strip.strip_id,
                 "utc_middle": task.orbit.epoch.utc_from_seconds(t_s)[0],
                 "argument_of_latitude_rad": float(argument_of_latitude(*task.orbit.states_i(t_s))[0]),
                 "camera": digest(task.camera),

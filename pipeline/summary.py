@@ -3,20 +3,23 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.estimate import InstallationEstimate
 from geometry.constants import ARCSEC
 from geometry.installation import euler_zxy_from_theta
 from pipeline.calibrate import Calibration
 from pipeline.errors import Omission, RawDataError
+from pipeline.joint import JointCalibration
+from pipeline.result import dumps_in
 from pipeline.validate import Validation
 from pipeline.work.unit_store import read_meta, read_unit
 
-__all__ = ["calibration_summary", "status_summary", "validation_summary"]
+__all__ = ["calibration_summary", "joint_summary", "status_summary", "validation_summary"]
 
 Array = NDArray[np.float64]
 MOST_REASONS = 8
@@ -24,7 +27,18 @@ MOST_REASONS = 8
 
 def calibration_summary(found: Calibration) -> str:
     """Matrix, deviation, 1-sigma, what it rests on, what was left out."""
-    estimate = found.estimate
+    return "\n".join(_estimate_lines(found.estimate) + _omission_lines(found.omissions))
+
+
+def joint_summary(of_dumps: Mapping[str, Calibration], joint: JointCalibration) -> str:
+    """A line a dump, then the joint matrix as that of one dump."""
+    lines = [f"{'1 sigma, arcsec, of':26s}" + "".join(f"{axis:>14s}" for axis in "XYZ")]
+    lines += [_row(f"  {name}", one.estimate.sigma_theta / ARCSEC, ".4f") for name, one in of_dumps.items()]
+    lines.append(f"jointly from {len(of_dumps)} dumps:")
+    return "\n".join(lines + _estimate_lines(joint.estimate) + _omission_lines(joint.omissions))
+
+
+def _estimate_lines(estimate: InstallationEstimate) -> list[str]:
     matrix = estimate.R_cs.as_matrix()
     euler = np.degrees(euler_zxy_from_theta(estimate.theta))
     lines = ["R_cs ="]
@@ -39,7 +53,7 @@ def calibration_summary(found: Calibration) -> str:
     ]
     if not estimate.converged:
         lines.append("not converged: M is not the unit matrix to the tolerance; do not use this matrix")
-    return "\n".join(lines + _omission_lines(found.omissions))
+    return lines
 
 
 def validation_summary(validation: Validation) -> str:
@@ -65,7 +79,14 @@ def validation_summary(validation: Validation) -> str:
 
 
 def status_summary(result: Path) -> str:
-    """Counts of finished units by stage, and what they left out."""
+    """Counts of finished units by stage, and what they left out; of several dumps, of each."""
+    if names := dumps_in(result):
+        lines = []
+        for name in names:
+            begun = (result / name).is_dir()
+            text = status_summary(result / name) if begun else "not begun"
+            lines += [f"dump {name}", *("  " + line for line in text.splitlines())]
+        return "\n".join([*lines, f"all dumps together: {_finished(result)}"])
     work = result / "work"
     if not work.is_dir() and not (result / "installation.json").is_file():
         raise RawDataError(str(result), "folder", "no run", "a folder that `boresight calibrate` wrote")
@@ -82,11 +103,13 @@ def status_summary(result: Path) -> str:
         text = f"{stage.name:14s}{len(metas)} done" + (f", {damaged} damaged files" if damaged else "")
         lines.append(text + (f", {len(failed)} left out" if failed else ""))
         lines += ["  " + line for line in _omission_lines(failed)[1:]]
-    finished = (result / "installation.json").is_file()
-    lines.append(
-        "finished: installation.json is there" if finished else "not finished: no installation.json yet"
-    )
-    return "\n".join(lines)
+    return "\n".join([*lines, _finished(result)])
+
+
+def _finished(result: Path) -> str:
+    if (result / "installation.json").is_file():
+        return "finished: installation.json is there"
+    return "not finished: no installation.json yet"
 
 
 def _row(name: str, values: Array, form: str) -> str:

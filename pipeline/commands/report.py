@@ -33,9 +33,11 @@ def report(
     matches: Annotated[int, typer.Option(help="Show the pictures of at most so many targets.", min=0)] = 400,
 ) -> None:
     """Draw one HTML page about a result, from what was saved, readable without a network."""
+    from pipeline.report.dumps_page import write_dumps_report
     from pipeline.report.page import write_report
+    from pipeline.result import dumps_in
 
-    path = write_report(result, most_matches=matches)
+    path = write_dumps_report(result) if dumps_in(result) else write_report(result, most_matches=matches)
     typer.echo(f"{path.stat().st_size / 1e6:.1f} MB -> {path}")
 
 

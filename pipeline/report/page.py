@@ -21,7 +21,7 @@ from pipeline.report.saved import Number, Saved, read_saved
 from pipeline.report.star_preview import STATES
 from pipeline.work.unit_store import column, list_values, write_whole
 
-__all__ = ["report_html", "write_report"]
+__all__ = ["data_uri", "report_html", "template", "write_report"]
 
 MOST_MATCHES = 400  # pictures of more would make the page heavier than a browser likes
 MOST_ROWS = 300  # of a long table
@@ -66,16 +66,8 @@ def write_report(result: Path, *, most_matches: int = MOST_MATCHES) -> Path:
 
 def report_html(saved: Saved, *, most_matches: int = MOST_MATCHES) -> str:
     """The whole page."""
-    environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("pipeline.report", "templates"),
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.filters["number"] = _number
     cards, matches_in_all = _matches(saved, most_matches)
-    return environment.get_template("page.html.j2").render(
+    return template("page.html.j2").render(
         saved=saved,
         summary=_summary(saved),
         iterations=_iterations(saved),
@@ -102,6 +94,19 @@ def report_html(saved: Saved, *, most_matches: int = MOST_MATCHES) -> str:
         inputs_in_all=len(saved.inputs),
         most_rows=MOST_ROWS,
     )
+
+
+def template(name: str) -> jinja2.Template:
+    """A page's template, with the filter `number` that shows where a number comes from."""
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("pipeline.report", "templates"),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters["number"] = _number
+    return environment.get_template(name)
 
 
 def _number(value: Number) -> Markup:
@@ -184,9 +189,9 @@ def _card(saved: Saved, row: int, n: int) -> MatchCard:
     return MatchCard(
         f"{match['strip_id']} / {match['target_id']}, CCD {match['ccd']}",
         bool(saved.targets.column("kept")[row].as_py()),
-        _data_uri("image/png", match["template_png"]),
-        _data_uri("image/png", match["found_png"]),
-        _data_uri("image/png", match["surface_png"]),
+        data_uri("image/png", match["template_png"]),
+        data_uri("image/png", match["found_png"]),
+        data_uri("image/png", match["surface_png"]),
         saved.cell(targets, "correlation", row, ".3f"),
         saved.cell(targets, "probability_wrong", row, ".1e"),
         saved.cell(targets, "normalised", row, ".2f"),
@@ -217,7 +222,7 @@ def _star_image(saved: Saved) -> dict[str, Any] | None:
     shrunk = int(str(about["shrunk"]))
     return {
         "about": about,
-        "uri": _data_uri("image/jpeg", saved.detections.schema.metadata[b"jpeg"]),
+        "uri": data_uri("image/jpeg", saved.detections.schema.metadata[b"jpeg"]),
         "width": camera["width_px"] // shrunk * shrunk,
         "height": camera["height_px"] // shrunk * shrunk,
         "marks": marks,
@@ -241,5 +246,6 @@ def _flat(values: Any, path: str = "") -> Iterator[tuple[str, str]]:
         yield path, values if isinstance(values, str) else json.dumps(values, ensure_ascii=False)
 
 
-def _data_uri(kind: str, content: bytes) -> str:
+def data_uri(kind: str, content: bytes) -> str:
+    """What a page holds of a file, so that it needs no other."""
     return f"data:{kind};base64,{base64.b64encode(content).decode('ascii')}"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import datetime
 import os
 import shutil
 from pathlib import Path
@@ -25,36 +26,37 @@ def handmade(tmp_path: Path) -> Path:
 @pytest.fixture
 def one_strip(tmp_path: Path) -> Path:
     """The first strip of `fixtures/mini` and the exposures around it, without truth."""
-    return first_strip_of_fixture(tmp_path / "one-strip")
+    return strip_of_fixture(tmp_path / "one-strip", 1)
 
 
 @pytest.fixture(scope="session")
 def finished(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     """One strip of the fixture, carried through by the command itself: the dump and its result. Read only."""
     folder = tmp_path_factory.mktemp("finished")
-    dump, result = first_strip_of_fixture(folder / "dump"), folder / "result"
+    dump, result = strip_of_fixture(folder / "dump", 1), folder / "result"
     ran = CliRunner().invoke(app, ["calibrate", str(dump), "--out", str(result), "--workers", "1"])
     assert ran.exit_code == 0, ran.output
     return dump, result
 
 
-def first_strip_of_fixture(root: Path) -> Path:
-    """Copy of the fixture with its first strip only. Images are hard links: replace them, never write
-    into them.
+def strip_of_fixture(root: Path, number: int) -> Path:
+    """Copy of the fixture with one of its strips only, from 1. Images are hard links: replace them, never
+    write into them.
     """
     root.mkdir()
     for name in ("dump.toml", "star_camera.toml", "remote_camera.toml", "installation.toml", "orbit.oem"):
         shutil.copy(FIXTURE / name, root / name)
     shutil.copytree(FIXTURE / "terrain", root / "terrain")
     strips = _rows("strips.csv")
-    first = strips[1][0]
-    _write(root / "strips.csv", [strips[0], *(row for row in strips[1:] if row[0] == first)])
+    begins = {row[0]: row[3] for row in strips[1:]}
+    chosen = sorted(begins)[number - 1]
+    _write(root / "strips.csv", [strips[0], *(row for row in strips[1:] if row[0] == chosen)])
     targets = _rows("targets.csv")
-    _write(root / "targets.csv", [targets[0], *(row for row in targets[1:] if row[0].startswith(first))])
+    _write(root / "targets.csv", [targets[0], *(row for row in targets[1:] if row[0].startswith(chosen))])
     exposures = _rows("exposures.csv")
-    second = next(row[3] for row in strips[1:] if row[0] != first)
-    until = _seconds_before(second)
-    _write(root / "exposures.csv", [exposures[0], *(row for row in exposures[1:] if row[2] < until)])
+    since = _seconds_before(begins[chosen])
+    until = min((_seconds_before(utc) for utc in begins.values() if utc > begins[chosen]), default="9")
+    _write(root / "exposures.csv", [exposures[0], *(row for row in exposures[1:] if since < row[2] < until)])
     for table, column in (("strips.csv", 2), ("targets.csv", 8), ("exposures.csv", 1)):
         for row in _read(root / table)[1:]:
             (root / row[column]).parent.mkdir(exist_ok=True)
@@ -63,9 +65,9 @@ def first_strip_of_fixture(root: Path) -> Path:
 
 
 def _seconds_before(utc: str) -> str:
-    """Text that sorts before the exposures of the strip that begins at `utc` (all on one day, one hour)."""
-    minute, second = int(utc[14:16]), float(utc[17:].rstrip("Z")) - 5.0
-    return f"{utc[:14]}{minute - (second < 0):02d}:{second % 60.0:06.3f}"
+    """Text that sorts before the exposures of the strip that begins at `utc`."""
+    before = datetime.datetime.fromisoformat(utc[:23]) - datetime.timedelta(seconds=5.0)
+    return before.isoformat(timespec="milliseconds")
 
 
 def _rows(name: str) -> list[list[str]]:
