@@ -116,8 +116,12 @@ def scan(
     """
     waiting: list[NDArray[Any]] = []
     for first, chosen in zip(range(0, lines, _PANEL_LINES), wanted):
-        seen = _panel_row(scene, ccd, first, min(_PANEL_LINES, lines - first), len(gain), rng, chosen)
-        waiting.append(_digitised(seen, settings, gain, rng) * np.repeat(chosen, _PANEL_SAMPLES)[: len(gain)])
+        image = np.zeros((min(_PANEL_LINES, lines - first), len(gain)), _grey_type(settings))
+        if chosen.any():
+            seen = _panel_row(scene, ccd, first, len(image), len(gain), rng, chosen)
+            shown = np.repeat(chosen, _PANEL_SAMPLES)[: len(gain)]
+            image[:, shown] = _digitised(seen, settings, gain, rng)[:, shown]
+        waiting.append(image)
         while (ready := sum(map(len, waiting))) >= rows or (first + _PANEL_LINES >= lines and ready):
             block = np.concatenate(waiting)
             yield block[:rows]
@@ -164,8 +168,6 @@ def _panel_row(
 ) -> Grey:
     """Reflectance seen by rows `first` ... of one CCD, (lines, samples), in the chosen panels."""
     seen = np.zeros((lines, samples), np.float32)
-    if not chosen.any():
-        return seen
     nodes = np.append(np.arange(0.0, samples - 1.0, scene.sample_step), samples - 1.0)
     columns, rows = row_places(scene, ccd, first, lines, nodes)
     for left in (_PANEL_SAMPLES * np.flatnonzero(chosen)).tolist():
@@ -175,6 +177,10 @@ def _panel_row(
     return seen
 
 
+def _grey_type(settings: GroundSettings) -> Any:
+    return np.uint8 if settings.bits <= 8 else np.uint16
+
+
 def _digitised(seen: Grey, settings: GroundSettings, gain: Grey, rng: np.random.Generator) -> NDArray[Any]:
     """Grey values of reflectances: pixel gains, photon and read noise, rounding, saturation."""
     image = seen * (gain * np.float32(settings.dn_full_scale))
@@ -182,4 +188,4 @@ def _digitised(seen: Grey, settings: GroundSettings, gain: Grey, rng: np.random.
     noise *= np.sqrt(image * np.float32(1.0 / settings.e_per_dn) + np.float32(settings.read_noise_dn**2))
     image += noise
     np.clip(np.rint(image, out=image), 0, 2**settings.bits - 1, out=image)
-    return image.astype(np.uint8 if settings.bits <= 8 else np.uint16)
+    return image.astype(_grey_type(settings))
