@@ -95,7 +95,6 @@ def main() -> None:
     print(f"killed {options.kills} times, with so many units on disk: {', '.join(map(str, moments))}")
     print(f"all {options.kills} died of it: {'yes' if alive_all else 'NO'}")
     print(f"finished units made again: {made_again}; units in the end: {len(after)}")
-    print(f"lost in flight: at most {options.workers} units a kill, one for each process")
     print(f"installation.json is {'the same, bit for bit' if same else 'ANOTHER ONE'}")
     if made_again or not same or not alive_all or len(after) != count:
         raise SystemExit(1)
