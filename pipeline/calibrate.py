@@ -39,7 +39,7 @@ from pipeline.chains.star_chain import (
 )
 from pipeline.chains.units import Made, StarUnit, StripUnit
 from pipeline.errors import DataNotSufficientError, Omission
-from pipeline.files.dump import Dump, Strip
+from pipeline.files.dump import Dump, Strip, surface_of
 from pipeline.settings import RunSettings, Settings, calibration_settings
 from pipeline.work.executor import Executor
 from pipeline.work.unit_store import UnitStore
@@ -84,6 +84,7 @@ def calibrate_dump(
     stars, failed = _exposures(store, made)
     omissions += [*uncovered, *failed]
     attitudes = _attitudes(stars, believed)
+    surface_of(dump.terrain)  # of several dumps the last one's is in memory: processes forked here share this
     R_cs, sigma = dump.R_cs0, dump.sigma_installation_rad
     for number in range(1, settings.run.passes + 1):
         strip_tasks, left_out = _strip_tasks(dump, stars, attitudes, R_cs, sigma, settings)
