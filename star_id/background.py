@@ -60,18 +60,14 @@ def estimate_background(image: NDArray) -> Background:
     low, high, bins = _histogram_range(sample)
     edges_y = np.linspace(0, sample.shape[0], rows + 1).round().astype(int)
     edges_x = np.linspace(0, sample.shape[1], columns + 1).round().astype(int)
-    counts = np.array(
-        [
-            cv2.calcHist([sample[y0:y1, x0:x1]], [0], None, [bins], [low, high])[:, 0]
-            for y0, y1 in pairwise(edges_y)
-            for x0, x1 in pairwise(edges_x)
-        ],
-        dtype=float,
-    )
+    blocks = (sample[y0:y1, x0:x1] for y0, y1 in pairwise(edges_y) for x0, x1 in pairwise(edges_x))
+    counts = np.hstack([cv2.calcHist([block], [0], None, [bins], [low, high]) for block in blocks])
     width_bin = (high - low) / bins
     offset = 0.0 if np.issubdtype(sample.dtype, np.integer) and width_bin == 1.0 else 0.5
     level, noise = _clipped_moments(
-        counts, np.asarray(low + (np.arange(bins) + offset) * width_bin), width_bin
+        np.asarray(counts.T, dtype=float, order="C"),
+        np.asarray(low + (np.arange(bins) + offset) * width_bin),
+        width_bin,
     )
     return Background(
         _without_outliers(level.reshape(rows, columns)),

@@ -91,7 +91,9 @@ def detect(
     frame = _frame_dn(image, xy, psf_sigma_px) - level
     above_frame = snr - frame * (taps.sum() ** 2 / unit) / noise
     sound = above_frame > _LEAST_ABOVE_FRAME * snr
-    spared = np.isin(keep, lone)
+    held_lone = np.zeros(len(places), dtype=bool)
+    held_lone[lone] = True
+    spared = held_lone[keep]
     sound &= ~(spared & _lone_pixels(windows, noise, shifts, keep, best)[0])
     order = np.flatnonzero(sound)
     order = order[np.argsort(-above_frame[order], kind="stable")]

@@ -16,7 +16,7 @@ from scipy.spatial import cKDTree
 from star_id.psf import Psf, psf_images
 from star_id.star_list import StarList
 
-__all__ = ["CentroidScore", "cramer_rao_px", "score_centroids"]
+__all__ = ["SNR_EDGES", "CentroidScore", "cramer_rao_px", "score_centroids"]
 
 Array = NDArray[np.float64]
 
@@ -37,7 +37,9 @@ class CentroidScore:
     found: NDArray[np.int64]  # (B,)
     rms_px: Array  # (B,) one axis
     bound_px: Array  # (B,) root mean square of the bound, the same stars
+    rms_error_px: Array  # (B,) standard error of rms_px
     chi2: Array  # (B,) mean normalised square error, one axis
+    chi2_error: Array  # (B,) standard error of chi2
     false: int  # detections without a true star
     phase_bias_px: Array  # (PHASES, 2) mean error by pixel phase (column, row), weighted
     phase_error_px: Array  # (PHASES, 2) its standard error
@@ -46,6 +48,11 @@ class CentroidScore:
     def over_bound(self) -> Array:
         """(B,) rms error over the bound."""
         return self.rms_px / self.bound_px
+
+    @property
+    def over_bound_error(self) -> Array:
+        """(B,) standard error of that."""
+        return self.rms_error_px / self.bound_px
 
 
 def cramer_rao_px(xy_px: Array, flux_dn: Array, noise_dn: Array, psf: Psf, gain_e_per_dn: float) -> Array:
@@ -90,15 +97,24 @@ def score_centroids(
         with np.errstate(invalid="ignore", divide="ignore"):
             return np.asarray(total / count)
 
+    def mean_and_error(values: Array) -> tuple[Array, Array]:
+        average = mean(values, seen)
+        count = np.maximum(np.bincount(seen[(seen >= 0) & (seen < bins)], minlength=bins), 1)
+        return average, np.sqrt(np.maximum(mean(values**2, seen) - average**2, 0.0) / count)
+
     inside = (cell >= 0) & (cell < bins)
+    square, square_error = mean_and_error(0.5 * (error**2).sum(axis=1))
+    chi2, chi2_error = mean_and_error(0.5 * (error**2 / variance).sum(axis=1))
     bias, bias_error = _by_phase(error, variance, phase, snr[found] > _BRIGHT_SNR)
     return CentroidScore(
         edges,
         np.bincount(cell[inside], minlength=bins),
         np.bincount(cell[inside & found], minlength=bins),
-        np.sqrt(mean(0.5 * (error**2).sum(axis=1), seen)),
+        np.sqrt(square),
         np.sqrt(mean(bound[found] ** 2, seen)),
-        mean(0.5 * (error**2 / variance).sum(axis=1), seen),
+        0.5 * square_error / np.sqrt(square),
+        chi2,
+        chi2_error,
         sum(part[6] for part in parts),
         bias,
         bias_error,

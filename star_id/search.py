@@ -67,7 +67,7 @@ def candidate_places(image: NDArray, background: Background, *, halvings: int = 
         cv2.subtract(sums[:n], level, sums[:n])  # what stays below the threshold becomes 0, and that is most
         cv2.dilate(sums[:n], _NEIGHBOURS, crests[:n])
         own = slice(top - first, top - first + _BAND_ROWS)
-        sums[n:] = 0
+        sums[n:] = 0  # below the image
         height, crest = _words(sums[own]), _words(crests[own])
         (filled,) = (height != 0).nonzero()
         where.append(filled + top * columns // 8)
@@ -102,7 +102,7 @@ def _stretch(image: NDArray, background: Background, halvings: int) -> _Stretch:
     level = np.zeros(1) if steep else gain * extended(background.level_dn)
     threshold = 4.0 * (level + offset) + 0.5 + _SEARCH_SIGMA * sigma  # 0.5: halves are rounded up
     shape = image.shape[0] // scale, image.shape[1] // scale
-    even = np.ptp(threshold) < _EVEN_SIGMA * float(sigma.mean())
+    even = np.ptp(threshold[1:-1, 1:-1]) < _EVEN_SIGMA * float(sigma.mean())
     height = np.full(1, threshold.mean()) if even else _enlarged(threshold, background, shape)
     sky = _enlarged(extended(background.level_dn), background, shape) if steep else None
     return _Stretch(gain, offset, halvings, after, sky, np.clip(height, 0.0, 255.0).astype(np.uint8))

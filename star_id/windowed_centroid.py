@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from star_id.background import Background
-from star_id.centroid import StarFits
+from star_id.centroid import StarFits, faint_star_inflation
 from star_id.psf import Psf, psf_images
 from star_id.window_fit import start_state
 from star_id.windows import star_windows
@@ -27,7 +27,6 @@ _LEAST_WIDTH_PX = 1.1  # a narrower window on a narrow star would feel the pixel
 _WINDOW_SIGMA = 3.0  # the window's weight there is 1 %, of light that is 1 % of the peak
 _STEPS = 20
 _SMALL_STEP = 0.002  # of the window's width
-_SECOND_ORDER = 6.0  # scatter over the propagated covariance: 1 + 6 / SNR^2, as for the fit
 
 
 def windowed_centroids(
@@ -70,7 +69,7 @@ def windowed_centroids(
     flux_sigma = np.sqrt(1.0 / np.maximum((unit**2 / noise2).sum(axis=1), 1e-30))
     ratio = chi2 / dof
     inflation = np.where(ratio > 1.0 + 3.5 * np.sqrt(2.0 / dof), ratio, 1.0)
-    inflation = inflation * (1.0 + _SECOND_ORDER / np.maximum(flux / flux_sigma, 1.0) ** 2)
+    inflation = inflation * faint_star_inflation(np.maximum(flux / flux_sigma, 1.0))
     xy = centre + windows.corner + windows.radius
     near = np.abs(xy - places).max(axis=1, initial=0.0) < 2.0
     return StarFits(
