@@ -29,6 +29,7 @@ from pipeline.files.dump import open_dump
 from pipeline.joint import calibrate_jointly, dump_names, open_dumps
 from pipeline.result import read_result, store_of
 from pipeline.settings import Settings
+from pipeline.strip_model import open_calibrated
 from pipeline.work.executor import InOrder
 
 runner = CliRunner()
@@ -153,6 +154,14 @@ def test_status_report_and_drift_know_a_folder_of_dumps(joint: Path, tmp_path: P
     assert "no sign that the mounting has moved" in ran("drift", joint, "--out", tmp_path)
     alone = json.loads((tmp_path / "drift.json").read_text())
     assert alone["merged"] == json.loads((joint / "drift.json").read_text())["merged"]
+
+
+def test_matrix_formats_are_exported_and_what_needs_one_dump_says_so(joint: Path, tmp_path: Path) -> None:
+    ran("export", joint, "--format", "json", "--out", tmp_path)
+    exported = json.loads((tmp_path / "matrix.json").read_text())
+    assert exported["covariance_rad2"] == matrix(joint)["covariance_rad2"]
+    with pytest.raises(RawDataError, match=r"the joint result of 3 dumps, expected that of one .*november"):
+        open_calibrated(joint, None)
 
 
 def test_a_dump_that_does_not_suffice_is_counted_and_the_others_go_on(

@@ -12,14 +12,19 @@ from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
+from calib.calibration import calibrate
+from calib.campaign import CameraPair, StripPlan, draw_strips
+from calib.distortion import prior_information
 from calib.drift import DriftSettings
-from calib.information import InformationPairs
+from calib.forecast import settings_of_plan
+from calib.information import InformationPairs, solve_total
 from geometry.constants import ARCSEC, DAY_S
 from geometry.epoch import Epoch
 from geometry.installation import deviation_from_theta, theta_between
 from pipeline.cli import app
 from pipeline.drift import drift_of_results, named_results
 from pipeline.errors import DataNotSufficientError, RawDataError
+from pipeline.result import read_mounting
 from pipeline.work.unit_store import fixed_list
 
 runner = CliRunner()
@@ -110,6 +115,33 @@ def test_a_mounting_at_rest_is_merged_and_gives_no_alarm(tmp_path):
     assert np.all(np.abs(np.array(merged["theta_rad"]) - THETA) < 4.0 * SIGMA / np.sqrt(8))
     again = theta_between(Rotation.from_quat(merged["quaternion"]), R_CS0)
     assert_allclose(again, merged["theta_rad"], atol=1e-14)
+
+
+def test_a_results_own_targets_are_eliminated_and_its_distortion_is_kept(tmp_path):
+    plan = StripPlan(
+        strips=4, sigma_position_m=2.0, sigma_target_m=3.0, same_targets=True, sigma_distortion_rad=3e-7
+    )
+    strips, _ = draw_strips(plan, CameraPair(R_CS0), np.random.default_rng(6))
+    found = calibrate(strips, R_CS0, settings_of_plan(plan))
+    grounds = [strip.ground for strip in strips]
+    targets = {
+        "target_id": np.concatenate([ground.target_id for ground in grounds]).tolist(),
+        "t_s": np.concatenate([ground.t_s for ground in grounds]),
+        "cov_target_i": fixed_list(np.concatenate([ground.cov_target_i for ground in grounds])),
+    }
+    (tmp_path / "sightings").mkdir()
+    pq.write_table(pa.table(targets), tmp_path / "sightings/targets.parquet")
+    strips_table = pa.Table.from_pandas(found.pairs.table(), preserve_index=False)
+    pq.write_table(strips_table, tmp_path / "sightings/strips.parquet")
+    pair = read_mounting(tmp_path, "one")
+    assert pair.names.tolist() == ["one"] and len(found.pairs.shared) == len(pair.shared) + 3 * 12
+    prior = prior_information(pair.shared)
+    solved = solve_total(pair.F[0], pair.F_theta[0], prior, sigma_observable_rad=1.0)
+    # Rounding; the targets' priors are those that the result was made with.
+    assert_allclose(solved.covariance, found.cov_theta, rtol=1e-6, atol=1e-9 * found.cov_theta.max())
+    (tmp_path / "sightings/targets.parquet").unlink()
+    with pytest.raises(RawDataError, match=r"targets\.parquet"):
+        read_mounting(tmp_path, "one")
 
 
 def test_files_are_the_same_bytes_in_whatever_order_results_are_named(tmp_path):
