@@ -10,9 +10,11 @@ from astropy.wcs import WCS
 from frames import PAPER_CAMERA, stars_in_view
 from scipy.spatial.transform import Rotation
 
+from geometry.epoch import Epoch
 from geometry.star_camera import StarCamera
+from geometry.starlight import apparent_star_directions
 from star_id.background import Background
-from star_id.camera_calibration import CameraCalibration, SkyFrame, calibrate_camera, residual_map
+from star_id.camera_calibration import CameraCalibration, Observer, SkyFrame, calibrate_camera, residual_map
 from star_id.catalogue import hipparcos_stars
 from star_id.identify import NotIdentified
 from star_id.psf import Psf
@@ -24,6 +26,8 @@ from star_id.triangles import build_index
 TRUTH = replace(PAPER_CAMERA, principal_px=(2571.3, 1911.2))
 NOMINAL = StarCamera(0.105, 6.4e-6, 5120, 3840, (2559.5, 1919.5))  # focal length 5 % wrong, no distortion
 SETTINGS = StarSettings()
+EPOCH = Epoch.from_utc("2026-01-01T00:00:00Z")
+P_I, V_I = np.array([6.9e6, 0.0, 0.0]), np.array([0.0, 1.0e3, 7.5e3])  # m, m/s
 
 
 @pytest.fixture(scope="module")
@@ -32,10 +36,14 @@ def index():
     return build_index(places, places.epoch_jyear, (np.radians(15.0), np.radians(24.0)))
 
 
-def sky_frame(name, rng):
-    """Centroids as `find_stars` hands them over, errors as at the bound."""
+def sky_frame(name, rng, camera=TRUTH, observer=None):
+    """Centroids as `find_stars` hands them over, errors as at the bound; light as the observer sees it."""
     places = hipparcos_stars(8.0).places
-    rows, xy = stars_in_view(TRUTH, Rotation.random(random_state=rng), places)
+    sky = places
+    if observer is not None:
+        x, y, z = apparent_star_directions(places, observer.epoch, observer.t_s, observer.p_i, observer.v_i).T
+        sky = replace(places, ra_rad=np.arctan2(y, x), dec_rad=np.arcsin(np.clip(z, -1.0, 1.0)))
+    rows, xy = stars_in_view(camera, Rotation.random(random_state=rng), sky)
     snr = 8.0 * 10 ** (-0.4 * (places.v_mag[rows] - 7.0))
     keep = np.flatnonzero((snr > 6) & (snr < 260))
     keep = keep[np.argsort(-snr[keep])]
@@ -43,9 +51,11 @@ def sky_frame(name, rng):
     xy = xy[keep] + rng.normal(size=(n, 2)) * sigma[:, None]
     no = np.zeros(n, dtype=bool)
     psf = Psf(1.25, 1.25, (0.0, 0.0), 5120, 3840)
-    sky = Background(np.full((8, 10), 20.0), np.full((8, 10), 2.0), 5120, 3840)
+    ground = Background(np.full((8, 10), 20.0), np.full((8, 10), 2.0), 5120, 3840)
     cov = sigma[:, None, None] ** 2 * np.eye(2)
-    return SkyFrame(name, StarList(xy, cov, snr[keep], snr[keep], no, no, psf, 50, sky, 40.0, 5.5, 0, 0))
+    return SkyFrame(
+        name, StarList(xy, cov, snr[keep], snr[keep], no, no, psf, 50, ground, 40.0, 5.5, 0, 0), observer
+    )
 
 
 def model_error(camera):
@@ -102,6 +112,33 @@ def test_the_residual_map_shows_what_the_model_leaves(calibrations):
     assert cells.count.sum() == len(calibrations[0].frame)
     good = cells.count > 3
     assert (np.abs(cells.mean_px[good]) < 5.0 * cells.error_px[good][:, None]).all()
+
+
+def months_of_frames(rng, drift_per_s):
+    """Two frames a fortnight for half a year, the focal length changing; satellite and Earth move."""
+    half_year_s, frames = 1.58e7, []
+    for k, t_s in enumerate(np.repeat(np.linspace(0.0, half_year_s, 13), 2)):
+        camera = replace(TRUTH, focal_m=TRUTH.focal_m * np.exp(drift_per_s * (t_s - 0.5 * half_year_s)))
+        observer = Observer(EPOCH, float(t_s), P_I, V_I)
+        frames.append(sky_frame(str(k), rng, camera, observer))
+    return frames
+
+
+def test_a_drift_of_the_focal_length_is_found_where_there_is_one(index):
+    rng, deviations = np.random.default_rng(17), []
+    for ppm_a_year in (0.0, 30.0, -60.0, 0.0, 30.0, -60.0):
+        per_s = ppm_a_year * 1e-6 / 3.15576e7
+        frames = months_of_frames(rng, per_s)
+        result = calibrate_camera(frames, NOMINAL, index, SETTINGS, drift=True)
+        assert isinstance(result, CameraCalibration)
+        sigma = result.focal_drift_sigma_per_s
+        assert sigma * 3.15576e7 < 5e-6  # a year: what 26 frames can tell, a sixth of the drifts here
+        assert (abs(result.focal_drift_per_s) > 4.0 * sigma) == (ppm_a_year != 0.0)
+        deviations.append((result.focal_drift_per_s - per_s) / sigma)
+        # the focal length is that of the middle of the half-year, within its own error
+        assert abs(result.camera.focal_m - TRUTH.focal_m) < 4.0 * np.sqrt(result.covariance[0, 0])
+    assert np.abs(deviations).max() < 3.5  # of six, one in 350 times
+    assert 0.06 < np.mean(np.square(deviations)) < 3.7  # chi2 of 6 degrees: 0.1 % on either side
 
 
 def test_too_few_stars_is_an_answer(index):

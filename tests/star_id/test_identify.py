@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from star_id.attitude import solve_attitude
 from star_id.catalogue import hipparcos_stars
 from star_id.field import LARGEST_FOV_RAD, SMALLEST_FOV_RAD, FieldSolution, nominal_camera, solve_stars
-from star_id.identify import AttitudePrior, Identification, NotIdentified, identify
+from star_id.identify import STAGES, AttitudePrior, Identification, NotIdentified, identify
 from star_id.settings import StarSettings
 from star_id.sight import field_of_camera, plane_coordinates
 from star_id.triangles import build_index, equivalent_fov, triangle_shapes
@@ -71,6 +71,28 @@ def test_a_known_camera_is_identified_among_false_stars(index, places, stars, fa
             assert share_right(index.stars.hip[found.stars], found.detections, hip) > 0.9
             assert (found.R_si * R_si.inv()).magnitude() < 60 / 206265  # rad: five pixels
     assert named >= least
+
+
+@pytest.mark.parametrize("seed", [(4, 116), (105, 60)])
+def test_stars_in_two_far_clusters_are_identified_by_wider_triangles(index, places, seed):
+    # Two of 600 attitudes: the eight brightest make no triangle between 0.06 and 0.62 fields of view.
+    rng = np.random.default_rng(seed)
+    xy, hip = detections(PAPER_CAMERA, Rotation.random(random_state=rng), places, rng, stars=8, false=3)
+    plane, field = plane_coordinates(PAPER_CAMERA, xy), field_of_camera(PAPER_CAMERA, SETTINGS)
+    assert isinstance(identify(plane, field, index, SETTINGS, stages=STAGES[:4]), NotIdentified)
+    found = identify(plane, field, index, SETTINGS)
+    assert isinstance(found, Identification)
+    assert share_right(index.stars.hip[found.stars], found.detections, hip) == 1.0
+
+
+@pytest.mark.parametrize(("seed", "false"), [((4, 49), 0), ((104, 120), 50)])
+def test_one_true_proposal_is_found_among_thousands(wide_index, places, seed, false):
+    # Of an uncalibrated camera's proposals in these fields one in a thousand is right.
+    rng = np.random.default_rng(seed)
+    xy, hip = detections(PAPER_CAMERA, Rotation.random(random_state=rng), places, rng, false=false)
+    found = solve_stars(xy, SIZE, wide_index, SETTINGS, fov_x_rad=0.35)
+    assert isinstance(found, FieldSolution)
+    assert share_right(found.hip, found.detections, hip) > 0.9
 
 
 @pytest.mark.parametrize("fov_given", [True, False])

@@ -46,12 +46,30 @@ def test_a_frame_with_stars_is_identified(row, index):
     # Solvers agree to 0.04 deg where the lens bends most, and to a thousandth elsewhere; the field to 1 %.
     assert np.degrees(np.arccos(min(cosine, 1.0))) < 0.1
     assert np.degrees(found.fov_x_rad) == pytest.approx(float(row["fov_deg"]), rel=0.01)
-    if row["roll_convention"] == "anet":
-        # That solver counts rows upwards, and states the angle where its pattern lies: up to half a field
-        # away meridians have turned by half a field times tan(dec).
-        turned = 0.5 * float(row["fov_deg"]) * abs(np.tan(found.dec_rad))
-        difference = np.degrees(found.roll_rad) + 180.0 - float(row["roll_deg"])
-        assert abs((difference + 180.0) % 360.0 - 180.0) < 1.0 + turned
+    difference = roll_differences_deg(found, float(row["roll_deg"]))
+    middle = difference[difference.shape[0] // 2, difference.shape[1] // 2]
+    if row["roll_convention"].startswith("anet"):
+        # That solver states the angle not in the middle of the image but at the tangent point of its
+        # solution, where the pattern lies that it recognised, anywhere in the image; meridians turn from
+        # there to here, by 5 deg in the widest of these. So somewhere the angles agree: 0.1 deg is what
+        # lenses of 27 deg bend at their corners, where one frame has its point; the others come to 0.005.
+        assert np.abs(difference).min() < 0.1
+    else:  # stated in the middle: 0.003 deg apart but for a 34 deg lens, whose bending two solvers fit apart
+        assert abs(middle) < (0.15 if float(row["fov_deg"]) > 30.0 else 0.01)
+
+
+def roll_differences_deg(found, stated_deg):
+    """On a grid over the image: position angle of the direction towards the last row, as the reference
+    solvers count rows upwards, minus the stated one."""
+    width, height = found.camera.width_px, found.camera.height_px
+    x, y = np.meshgrid(np.linspace(0, width - 1, 61), np.linspace(0, height - 1, 45))
+    xy = np.column_stack([x.ravel(), y.ravel()])
+    here = found.R_si.inv().apply(found.camera.directions_from_pixels(xy))
+    down = found.R_si.inv().apply(found.camera.directions_from_pixels(xy + np.array([0.0, 1.0]))) - here
+    east = np.cross([0.0, 0.0, 1.0], here)
+    north = np.cross(here, east)
+    angle = np.degrees(np.arctan2((down * east).sum(axis=1), (down * north).sum(axis=1)))
+    return ((angle - stated_deg + 180.0) % 360.0 - 180.0).reshape(x.shape)
 
 
 @pytest.mark.parametrize("row", [r for r in ROWS if r["level"] != "verified"], ids=lambda row: row["file"])

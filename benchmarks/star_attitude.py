@@ -1,0 +1,122 @@
+"""How well one image of the sky tells where the camera looks: raw frames of the paper's camera, known truth.
+
+    python benchmarks/star_attitude.py [--frames 300] [--seed 1]
+
+5120 x 3840 px, 8 bit, PSF sigma 1.25 px, read noise 2 DN, 40 e-/DN, 2000 hot pixels, SNR 8 at V = 7; the
+Hipparcos sky as a satellite sees it in 2026 (proper motion, parallax, aberration, deflection) and below it
+random stars to V = 11. Each frame goes the whole way: found, placed, named, sifted, attitude with covariance.
+Printed beside the attitude's error is its Cramér-Rao bound, from the true places, fluxes and noise of the
+stars used, and the mean normalised error squared of the stated covariance.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+from calib_report import band_of_mean_nees, head, verdict
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "star_id"))
+
+from frames import PAPER_CAMERA, Sensor, star_frame
+
+from geometry.constants import ARCSEC
+from geometry.epoch import Epoch
+from geometry.sightings import information_of_directions
+from geometry.starlight import apparent_star_directions
+from star_id.attitude import solve_attitude
+from star_id.catalogue import hipparcos_stars
+from star_id.identify import NotIdentified
+from star_id.psf import Psf
+from star_id.score import cramer_rao_px
+from star_id.settings import StarSettings
+from star_id.sight import sight_stars
+from star_id.triangles import build_index, equivalent_fov
+
+CAMERA = PAPER_CAMERA
+SENSOR = Sensor(hot_pixels=2000)
+EPOCH = Epoch.from_utc("2026-03-20T00:00:00Z")
+P_I, V_I = np.array([6.9e6, 0.0, 0.0]), np.array([0.0, 1.0e3, 7.5e3])  # m, m/s: an orbit 500 km up
+ROUNDING = 1.0 / 12.0  # DN^2
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--frames", type=int, default=300)
+    parser.add_argument("--seed", type=int, default=1)
+    arguments = parser.parse_args()
+    cv2.setNumThreads(1)
+    places, settings = hipparcos_stars(8.0).places, StarSettings()
+    fov = equivalent_fov(CAMERA.width_px, CAMERA.height_px, CAMERA.focal_m / CAMERA.pixel_m)
+    index = build_index(places, 2026.2, fov)
+    errors, bounds, nees, chi2, dof, stars = [], [], [], 0.0, 0, 0
+    for k in range(arguments.frames):
+        rng = np.random.default_rng([arguments.seed, k])
+        t_s = float(rng.uniform(0.0, 3.0e7))  # anywhere in a year: the Earth's velocity goes round
+        R_si = Rotation.random(random_state=rng)
+        sky = _as_seen(places, t_s)
+        image, truth = star_frame(CAMERA, R_si, sky, SENSOR, rng)
+        seen = sight_stars(str(k), image, CAMERA, index, EPOCH, t_s, P_I, V_I, settings)
+        if isinstance(seen, NotIdentified):
+            print(seen.reason)
+            continue
+        attitude = solve_attitude(seen.u_s, seen.u_i, seen.cov_s)
+        delta = (attitude.R_si * R_si.inv()).as_rotvec()
+        errors.append(delta)
+        bounds.append(np.linalg.inv(_information(seen.u_s, seen.xy_px, truth)))
+        nees.append(delta @ np.linalg.solve(attitude.cov_s, delta))
+        chi2, dof, stars = chi2 + attitude.chi2, dof + attitude.dof, stars + len(seen.u_s)
+    _print(np.array(errors), np.array(bounds), np.array(nees), chi2 / dof, stars, arguments.frames)
+
+
+def _as_seen(places, t_s):
+    """The catalogue with each star where its light comes from at `t_s`."""
+    x, y, z = apparent_star_directions(places, EPOCH, t_s, P_I, V_I).T
+    return replace(places, ra_rad=np.arctan2(y, x), dec_rad=np.arcsin(np.clip(z, -1.0, 1.0)))
+
+
+def _information(u_s, xy_px, truth):
+    """(3, 3) Fisher information of the attitude by the stars at `xy_px`, from what is true of them."""
+    row = cKDTree(truth.xy_px).query(xy_px)[1]
+    psf = Psf(SENSOR.sigma_px, SENSOR.sigma_px, (0.0, 0.0), CAMERA.width_px, CAMERA.height_px)
+    noise = np.full(len(row), np.sqrt(SENSOR.read_noise_dn**2 + ROUNDING))
+    sigma = cramer_rao_px(truth.xy_px[row], truth.flux_dn[row], noise, psf, SENSOR.e_per_dn)
+    J = CAMERA.pixel_jacobian(xy_px)
+    W = information_of_directions(u_s, sigma[:, None, None] ** 2 * (J @ J.transpose(0, 2, 1)))
+    x, y, z = u_s.T
+    zero = np.zeros(len(u_s))
+    A = np.stack([zero, z, -y, -z, zero, x, y, -x, zero], axis=1).reshape(-1, 3, 3)  # -[u x]
+    return (A.transpose(0, 2, 1) @ W @ A).sum(axis=0)
+
+
+def _print(errors, bounds, nees, chi2, stars, asked):
+    n = len(errors)
+    head(f"star_id: attitude of {n} of {asked} rendered full frames (OpenCV {cv2.__version__}, one thread)")
+    print(f"stars used {stars / n:.1f} a frame, their residuals' chi2 per degree of freedom {chi2:.3f}")
+    print("axis of s   rms error   rms bound   x bound  (standard error)")
+    variance = np.einsum("nii->ni", bounds)
+    for axis, name in enumerate("xyz"):
+        rms, bound = np.sqrt((errors[:, axis] ** 2).mean()), np.sqrt(variance[:, axis].mean())
+        ratio = rms / bound
+        print(
+            f'{name:9s}   {rms / ARCSEC:8.3f}"   {bound / ARCSEC:8.3f}"   {ratio:7.3f}'
+            f"  ({ratio / np.sqrt(2.0 * n):.3f})"
+        )
+    against_bound = np.einsum("ni,nij,nj->n", errors, np.linalg.inv(bounds), errors)
+    whole = np.sqrt(against_bound.mean() / 3.0)
+    print(f"all axes, each in units of its bound: {whole:.3f} ({whole / np.sqrt(6.0 * n):.3f})")
+    spread = nees.std() / np.sqrt(n) / 3.0
+    mean, (low, high) = nees.mean() / 3.0, (band / 3.0 for band in band_of_mean_nees(n))
+    print(f"mean normalised error squared of the stated covariance, per axis: {mean:.3f} ({spread:.3f})")
+    verdict("the attitude's error is within 1.1 of its bound", whole <= 1.1)
+    verdict(f"the normalised error squared is in its 99.9 % band, {low:.3f} to {high:.3f}", low < mean < high)
+
+
+if __name__ == "__main__":
+    main()
