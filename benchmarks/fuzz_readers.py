@@ -1,11 +1,11 @@
-"""Every reader of files from outside given damaged ones: does it read, or say what is wrong, and nothing else?
+"""Every reader of files from outside given damaged ones: is it read, or is it said what is wrong?
 
     python benchmarks/fuzz_readers.py --inputs 100000 --seed 1
     python benchmarks/fuzz_readers.py --coverage "orbit.oem" --inputs 20000     # needs atheris
 
 The sound files and the readers are those of tests/pipeline/faults/readers.py. Each reader works in a process
 of its own; the damaged file is on disk when it is read, so that it is still there when the process is not. A
-finding is any exception but the documented ones, more than 5 s of processor time, more than 1 GiB of memory, a
+finding is any exception but the documented ones, more than 5 s of processor time, 1 GiB more memory, a
 process that dies. Findings are kept in --keep. The second form follows the branches of the readers' code.
 """
 
@@ -62,9 +62,8 @@ def main() -> None:
     weights = [SLOW.get(name, WHOLE_DUMP if name in whole else 1.0) for name in chosen]
     shares = [max(1, round(options.inputs * weight / sum(weights))) for weight in weights]
     print(f"Python {platform.python_version()}, {platform.platform()}, seed {options.seed}\n")
-    print(
-        f"{'reader':24s}{'inputs':>9s}{'read':>9s}{'refused':>9s}{'findings':>10s}{'longest ms':>12s}{'s':>8s}"
-    )
+    titles = ("inputs", "read", "refused", "findings", "longest ms", "s")
+    print(f"{'reader':24s}" + "".join(f"{title:>11s}" for title in titles))
     total: Counter[str] = Counter()
     for name, share in zip(chosen, shares):
         counts = tried(name, share, options.seed, options.keep)

@@ -40,6 +40,9 @@ __all__ = [
 ]
 
 
+LARGEST = 1e15  # of any number: no setting comes near it
+
+
 class ScenarioError(ValueError):
     """A scenario that cannot be: names the setting, what was found and what is expected."""
 
@@ -341,7 +344,7 @@ def scenario_to_dict(scenario: Scenario) -> dict[str, Any]:
 
 def _filled(base: Any, values: Any, path: str) -> Any:
     if not isinstance(values, dict):
-        raise ScenarioError(f"{path or 'scenario'}: expected a table, found {values!r}")
+        raise ScenarioError(f"{path or 'scenario'}: expected a table, found {_shown(values)}")
     hints = get_type_hints(type(base))
     changed = {}
     for key, value in values.items():
@@ -360,16 +363,18 @@ def _converted(hint: Any, value: Any, where: str) -> Any:
         return _converted_tuple(get_args(hint), value, where)
     if is_dataclass(hint):
         return _new(hint, value, where)
-    if hint is float and isinstance(value, (int, float)) and not isinstance(value, bool):
-        return float(value)
-    if isinstance(hint, type) and isinstance(value, hint) and not (hint is int and isinstance(value, bool)):
+    if hint in (int, float):
+        kinds = (int, float) if hint is float else (int,)
+        if isinstance(value, kinds) and not isinstance(value, bool) and abs(value) <= LARGEST:
+            return hint(value)
+    elif isinstance(hint, type) and isinstance(value, hint):
         return value
-    raise ScenarioError(f"{where}: expected {getattr(hint, '__name__', hint)}, found {value!r}")
+    raise ScenarioError(f"{where}: expected {getattr(hint, '__name__', hint)}, found {_shown(value)}")
 
 
 def _converted_tuple(parts: tuple[Any, ...], value: Any, where: str) -> tuple[Any, ...]:
     if not isinstance(value, (list, tuple)):
-        raise ScenarioError(f"{where}: expected a list, found {value!r}")
+        raise ScenarioError(f"{where}: expected a list, found {_shown(value)}")
     if len(parts) == 2 and parts[1] is Ellipsis:
         parts = (parts[0],) * len(value)
     if len(parts) != len(value):
@@ -380,7 +385,7 @@ def _converted_tuple(parts: tuple[Any, ...], value: Any, where: str) -> tuple[An
 def _new(kind: Any, value: Any, where: str) -> Any:
     """A record of a list: nothing to be based on, so that every field without a default must be there."""
     if not isinstance(value, dict):
-        raise ScenarioError(f"{where}: expected a table, found {value!r}")
+        raise ScenarioError(f"{where}: expected a table, found {_shown(value)}")
     hints = get_type_hints(kind)
     if unknown := set(value) - set(hints):
         raise ScenarioError(
@@ -400,9 +405,16 @@ def _plain(value: Any) -> Any:
     return value
 
 
+def _shown(value: Any) -> str:
+    try:
+        return repr(value)[:160]
+    except (ValueError, RecursionError):  # an integer of thousands of digits
+        return f"a {type(value).__name__} too long to be shown"
+
+
 def _text(where: str, value: Any) -> str:
     if not isinstance(value, str):
-        raise ScenarioError(f"{where}: expected str, found {value!r}")
+        raise ScenarioError(f"{where}: expected str, found {_shown(value)}")
     return value
 
 
@@ -433,7 +445,7 @@ def _check(scenario: Scenario) -> None:
     }
     for name, value in positive.items():
         if not value > 0:
-            raise ScenarioError(f"{name}: expected a positive number, found {value!r}")
+            raise ScenarioError(f"{name}: expected a positive number, found {_shown(value)}")
     for name, bits in (("sky.bits", sky.bits), ("ground.bits", ground.bits)):
         if not 8 <= bits <= 16:
             raise ScenarioError(f"{name}: expected 8 to 16, found {bits}")

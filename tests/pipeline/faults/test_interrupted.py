@@ -1,4 +1,4 @@
-"""Runs killed at every step of writing, and disks that are full: what is there is whole, and the run goes on."""
+"""Runs killed at every step of writing, and disks that are full: what is there is whole, and runs go on."""
 
 from __future__ import annotations
 
