@@ -28,6 +28,7 @@ _ROOM_SIGMA = 28.0  # sigmas of a pixel that a sum of four has room for: 16 belo
 _DARK_LEVELS = 128.0  # a sum of four from a sky darker than this has room enough as it is
 _COARSE_NOISE_DN = 1.2  # sky noise from which rounding means of four pixels to whole numbers costs little
 _EVEN_SIGMA = 1.0  # a threshold that varies by no more over the image is taken as constant
+_TILES_ACROSS_BLOCK = 32  # of the background: as many steps an uneven threshold takes
 _MAX_CANDIDATES = 20_000
 _NEIGHBOURS = np.ones((3, 3), np.uint8)
 _BAND_ROWS = 64  # of the halved image
@@ -42,7 +43,7 @@ class _Stretch:
     halvings: int
     after: int  # how many of the halvings come before
     sky_dn: NDArray[np.float32] | None  # of the coarse image; None: a number, held in the offset, will do
-    threshold: NDArray[np.uint8]  # that sums of four must exceed, (1,) or of the shape of the coarse image
+    threshold: NDArray[np.uint8]  # that sums of four must exceed: (1,), or as large as the coarse image
 
 
 def candidate_places(image: NDArray, background: Background, *, halvings: int = 1) -> NDArray[np.int64]:
@@ -63,7 +64,9 @@ def candidate_places(image: NDArray, background: Background, *, halvings: int = 
         coarse = _grey(image[first * scale : last * scale, : columns * scale], stretch, first)
         cv2.add(coarse[1:], coarse[:-1], pairs[:n])
         cv2.add(pairs[:n, 1:], pairs[:n, :-1], sums[:n, :-1])
-        level = stretch.threshold if len(stretch.threshold) == 1 else stretch.threshold[first : first + n]
+        level = stretch.threshold
+        if len(level) > 1:
+            level = level[first : first + n, :columns]
         cv2.subtract(sums[:n], level, sums[:n])  # what stays below the threshold becomes 0, and that is most
         cv2.dilate(sums[:n], _NEIGHBOURS, crests[:n])
         own = slice(top - first, top - first + _BAND_ROWS)
@@ -102,10 +105,21 @@ def _stretch(image: NDArray, background: Background, halvings: int) -> _Stretch:
     level = np.zeros(1) if steep else gain * extended(background.level_dn)
     threshold = 4.0 * (level + offset) + 0.5 + _SEARCH_SIGMA * sigma  # 0.5: halves are rounded up
     shape = image.shape[0] // scale, image.shape[1] // scale
-    even = np.ptp(threshold[1:-1, 1:-1]) < _EVEN_SIGMA * float(sigma.mean())
-    height = np.full(1, threshold.mean()) if even else _enlarged(threshold, background, shape)
-    sky = _enlarged(extended(background.level_dn), background, shape) if steep else None
-    return _Stretch(gain, offset, halvings, after, sky, np.clip(height, 0.0, 255.0).astype(np.uint8))
+    limit = _limit(threshold, _EVEN_SIGMA * float(sigma.mean()), shape)
+    sky = _enlarged(extended(background.level_dn), shape) if steep else None
+    return _Stretch(gain, offset, halvings, after, sky, limit)
+
+
+def _limit(threshold: Array, tolerance: float, shape: tuple[int, int]) -> NDArray[np.uint8]:
+    """The thresholds at blocks, with their outer ring, as one number or one for each pixel."""
+    inner = np.clip(threshold[1:-1, 1:-1], 0.0, 255.0)
+    if np.ptp(inner) < tolerance:
+        return np.full(1, inner.mean()).astype(np.uint8)
+    rows, columns = inner.shape
+    tile = max(1, min(shape[0] // rows, shape[1] // columns) // _TILES_ACROSS_BLOCK)
+    limit: NDArray = np.clip(_enlarged(threshold, shape, tile), 0.0, 255.0).astype(np.uint8)
+    large = (limit.shape[1] * tile, limit.shape[0] * tile)
+    return np.asarray(cv2.resize(limit, large, interpolation=cv2.INTER_NEAREST), dtype=np.uint8)
 
 
 def _grey(band: NDArray, stretch: _Stretch, first: int) -> NDArray:
@@ -121,7 +135,7 @@ def _grey(band: NDArray, stretch: _Stretch, first: int) -> NDArray:
 
 
 def _eight_bits(coarse: NDArray, stretch: _Stretch, first: int) -> NDArray:
-    if stretch.gain == 1.0:
+    if coarse.dtype == np.uint8 and stretch.gain == 1.0:
         return coarse if stretch.offset == 0.0 else cv2.subtract(coarse, np.full(1, -stretch.offset))
     if stretch.sky_dn is not None:
         darkest = -stretch.offset / stretch.gain
@@ -129,13 +143,20 @@ def _eight_bits(coarse: NDArray, stretch: _Stretch, first: int) -> NDArray:
     return cv2.convertScaleAbs(coarse, alpha=stretch.gain, beta=stretch.offset)
 
 
-def _enlarged(ringed: Array, background: Background, shape: tuple[int, int]) -> NDArray[np.float32]:
-    """A grid with its outer ring (`extended`), interpolated to `shape`."""
-    rows, columns = background.level_dn.shape
-    y0, x0 = round(shape[0] / rows), round(shape[1] / columns)
-    size = (round(shape[1] * (columns + 2) / columns), round(shape[0] * (rows + 2) / rows))
-    large = cv2.resize(ringed.astype(np.float32), size, interpolation=cv2.INTER_LINEAR)
-    return np.ascontiguousarray(large[y0 : y0 + shape[0], x0 : x0 + shape[1]])
+def _enlarged(ringed: Array, shape: tuple[int, int], tile: int = 1) -> NDArray[np.float32]:
+    """A grid with its outer ring (`extended`), interpolated to one value for each tile of an image of
+    `shape`."""
+    down, across = (
+        _shares(size, blocks - 2, tile).astype(np.float32) for size, blocks in zip(shape, ringed.shape)
+    )
+    return np.asarray(down @ ringed.astype(np.float32) @ across.T)
+
+
+def _shares(size: int, blocks: int, tile: int) -> Array:
+    """(tiles, blocks + 2) shares of the blocks in the value of each tile, linear between their middles."""
+    middles = tile * (np.arange(-(-size // tile)) + 0.5)
+    at = np.minimum(middles * blocks / size, blocks) + 0.5
+    return np.asarray(np.maximum(0.0, 1.0 - np.abs(at[:, None] - np.arange(blocks + 2))))
 
 
 def _words(rows: NDArray[np.uint8]) -> NDArray[np.uint64]:

@@ -77,6 +77,7 @@ SKIES = {
     "wide": Sensor(sigma_px=2.0),
     "wide and sloping": Sensor(sigma_px=2.3, background_dn=40.0, gradient_dn=30.0),
     "16 bit": Sensor(bits=16, background_dn=1000.0, read_noise_dn=25.0),
+    "16 bit, whose grey levels need no stretch": Sensor(bits=16, background_dn=100.0, read_noise_dn=4.0),
     "16 bit and steep": Sensor(bits=16, background_dn=4000.0, gradient_dn=6000.0, read_noise_dn=25.0),
 }
 
