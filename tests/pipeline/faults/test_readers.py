@@ -1,5 +1,5 @@
-"""Every reader given damaged files: something is read, or a documented error says what is wrong. A short run of
-what `benchmarks/fuzz_readers.py` does at length.
+"""Every reader given damaged files: something is read, or a documented error says what is wrong. A short run
+of what `benchmarks/fuzz_readers.py` does at length.
 """
 
 from __future__ import annotations

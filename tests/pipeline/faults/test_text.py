@@ -61,7 +61,7 @@ def test_path_that_could_leave_the_dump_is_refused_in_every_table(name: str, han
     ["%2e%2e/secret", "~", "~root/x", "file:///etc/passwd", "zip://a.zip!b.tif", "$HOME", "=1+1", "-rf"],
 )
 def test_name_that_other_programs_would_interpret_is_a_name(name: str, handmade: Path) -> None:
-    """Nothing is unescaped, expanded or fetched: inside the dump there is no such file, or the path is none."""
+    """Nothing is unescaped, expanded or fetched: there is no such file, or the path is none."""
     rows = (handmade / "strips.csv").read_text()
     (handmade / "strips.csv").write_text(rows.replace("strips/0.tif", name))
     if "//" in name:
@@ -225,7 +225,7 @@ def test_orbit_is_text_and_nothing_else(handmade: Path) -> None:
 
 
 def test_nothing_that_is_read_can_be_run_or_unpacked() -> None:
-    """No module of the program calls what would run code out of data, unpack an archive or start a program."""
+    """No module calls what would run code out of data, unpack an archive or start a program."""
     forbidden = {"pickle", "marshal", "shelve", "joblib", "dill", "yaml", "tarfile", "subprocess"}
     calls = {
         "eval",
