@@ -19,8 +19,9 @@ __all__ = ["log_evidence"]
 
 Array = NDArray[np.float64]
 
-_OTHERS = np.array([0.1, 0.3, 0.6, 0.9])  # e, the share of detections that are none of the predicted stars
-_SIZES = np.array([0.25, 0.5, 1.0, 2.0, 4.0])  # error in units of the expected one
+# e, the share of detections that are none of the predicted stars; the error in units of the expected one
+_OTHERS = np.array([0.1, 0.3, 0.6, 0.9])[:, None, None]
+_NARROWER = np.array([0.25, 0.5, 1.0, 2.0, 4.0])[:, None] ** -2.0
 
 
 def log_evidence(
@@ -49,8 +50,8 @@ def log_evidence(
     if voiceless:
         spoken = np.argsort(half_square - np.log(weight))[voiceless:]
         weight, half_square = weight[spoken], half_square[spoken]
-    density = weight * _SIZES[:, None] ** -2.0 * np.exp(-half_square * _SIZES[:, None] ** -2.0)
-    votes = np.log(_OTHERS[:, None, None] + (1.0 - _OTHERS[:, None, None]) * density)
-    total = (votes.sum(axis=2) + others * np.log(_OTHERS)[:, None]).ravel()
+    density = weight * _NARROWER * np.exp(-half_square * _NARROWER)
+    votes = np.log(_OTHERS + (1.0 - _OTHERS) * density)
+    total = (votes.sum(axis=2) + others * np.log(_OTHERS[:, :, 0])).ravel()
     top = total.max()
     return float(top + np.log(np.exp(total - top).mean()))
