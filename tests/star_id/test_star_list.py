@@ -118,6 +118,23 @@ def test_errors_are_at_the_bound_and_stated_honestly_without_being_told_the_psf(
     assert ((score.chi2[bins] > 0.9) & (score.chi2[bins] < 1.1)).all()
 
 
+def test_stars_near_the_threshold_state_honest_errors():
+    # numbers of stars as in the sky: most that are seen at SNR 6 are fainter, lifted by noise
+    rng = np.random.default_rng(2)
+    chi2 = []
+    for _ in range(2):
+        image, xy = grid_of_stars(rng, 0.0, step=24)
+        snr = 5.0 * rng.uniform((5.0 / 7.0) ** 1.125, 1.0, len(xy)) ** (-1.0 / 1.125)
+        image = render(xy, 9.1 * snr, 1500, 1500, Sensor(), rng)
+        stars = find_stars(image, StarSettings(gain_e_per_dn=40.0, psf_sigma_px=1.25, max_stars=9999))
+        distance, nearest = cKDTree(xy).query(stars.xy_px)
+        seen = distance < 3.1
+        error = stars.xy_px[seen] - xy[nearest[seen]]
+        chi2.append(np.einsum("ni,nij,nj->n", error, np.linalg.inv(stars.cov_px[seen]), error) / 2.0)
+    # 4800 stars: 1.6 % (1 sigma)
+    assert 0.95 < np.concatenate(chi2).mean() < 1.05
+
+
 def test_no_bias_over_pixel_phase():
     rng = np.random.default_rng(6)
     parts, truths = [], []
