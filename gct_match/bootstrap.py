@@ -27,7 +27,7 @@ from geometry.installation import deviation_from_theta
 from geometry.pushbroom import Pushbroom
 from geometry.terrain import Surface
 
-__all__ = ["SearchPlan", "Window", "bootstrap", "plan_search"]
+__all__ = ["SearchPlan", "Window", "bootstrap", "plan_search", "pyramid_factor", "vote_tolerance_px"]
 
 Array = NDArray[np.float64]
 Image = NDArray[Any]  # single precision
@@ -87,15 +87,22 @@ def plan_search(
         return SearchPlan((), sides, 1, 0, 0)
     side = float(np.median(list(sides.values())))
     radius = max(window.radius_px for window in windows)
-    factor = 1
-    while (
-        side / (2 * factor) >= settings.coarse_template_px and radius / (2 * factor) >= 2 * settings.margin_px
-    ):
-        factor *= 2
+    factor = pyramid_factor(side, radius, settings)
     read = sum((b - a) * (d - c) for (a, b), (c, d) in _extents(strip, windows, side).values())
     while read / factor**2 > settings.coarse_pixels:
         factor *= 2
     return SearchPlan(windows, sides, factor, read, read // factor**2)
+
+
+def pyramid_factor(side_px: float, radius_px: float, settings: MatchSettings) -> int:
+    """Pixels to one of the coarsest picture in which a chip is large enough, and the search wide enough."""
+    factor = 1
+    while (
+        side_px / (2 * factor) >= settings.coarse_template_px
+        and radius_px / (2 * factor) >= 2 * settings.margin_px
+    ):
+        factor *= 2
+    return factor
 
 
 def vote_tolerance_px(factor: int, settings: MatchSettings) -> float:

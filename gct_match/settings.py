@@ -24,12 +24,14 @@ class MatchSettings:
     candidates: int = (
         300  # best places of a target that take part in the vote; its weight falls with its rank
     )
-    coarse_template_px: int = 16  # smallest side of a template in the coarsest level of the pyramid
+    coarse_template_px: int = 32  # of a chip on the coarse picture: coarser, it loses too many of its edges
     coarse_pixels: float = 12e6  # pixels of the coarse strip that one search may hold in memory (48 MB)
     read_block_px: int = 16_000_000  # pixels read at once: few tiles of a file are decoded twice
     probability_chance: float = 1e-6  # a vote that chance would give more often than this is no vote
     probability_wrong: float = 1e-4  # a place that is more likely wrong than this is refused
-    sigma_px: float = 0.25  # a target whose texture cannot place it better than this is refused
+    sigma_px: float = (
+        0.1  # placed worse than this is refused: what merely looks alike is seldom placed better
+    )
     consistency_sigma_px: float = 0.75  # by which vibration, distortion and terrain move single targets
     attitude_sigma_px: float = (
         1.5  # by which a star exposure's attitude (0.3 arcsec) moves those seen near it

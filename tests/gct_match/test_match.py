@@ -7,15 +7,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+from scipy.stats import chi2
 from small_strip import LINES, SURFACE, Case, SmallStrip, make_case
 
 from gct_match.bootstrap import plan_search
+from gct_match.coarse import read_coarse
 from gct_match.match import match_strip
 from gct_match.paths import displacements, target_paths
 from gct_match.records import Chip, StripMatches, Target
 from gct_match.settings import MatchSettings
 from gct_match.template import predict_template
 from geometry.installation import deviation_from_theta, theta_between
+from geometry.virtual_ccd import VirtualStrip
 
 SIGMA = np.full(3, 0.003)  # rad: what a mission says of a matrix that is wrong by (28)
 
@@ -200,3 +204,44 @@ def test_template_looks_like_the_strip(case: Case):
     strip = case.strip.images[0][y : y + 64, x : x + 64]
     assert template.valid.all()
     assert np.corrcoef(template.image.ravel(), strip.ravel())[0, 1] > 0.99
+
+
+def test_virtual_ccd_gives_the_same_places_as_the_raw_ones(case: Case, outcome: StripMatches):
+    virtual = VirtualStrip(case.pushbroom, SURFACE)
+    image = virtual.stitched(case.strip.read, LINES, (0, LINES))
+    found = match_strip(
+        SmallStrip({0: image}), virtual.virtual, case.targets, case.chips, SURFACE, SIGMA, MatchSettings()
+    )
+    placed = {match.target_id: match for match in found.matches}
+    nees = []
+    for raw in outcome.matches:
+        ground = case.pushbroom.ground_points(raw.ccd, raw.xy_px[:1], raw.xy_px[1:], SURFACE)
+        there = np.column_stack(virtual.virtual.pixels_from_ground(0, ground))[0]
+        match = placed[raw.target_id]
+        cov = match.cov_px + raw.cov_px + np.eye(2) / 32.0**2 / 12.0  # stitching rounds to 1/32 px
+        nees.append((match.xy_px - there) @ np.linalg.solve(cov, match.xy_px - there))
+    assert sum(nees) < chi2(df=2 * len(nees)).ppf(0.9995)
+
+
+def test_places_that_an_exposure_moves_together_are_kept(case: Case):
+    # One star exposure is wrong by 6 px of 12 urad, four of its standard errors: what is seen near it moves alike.
+    track = case.pushbroom.attitude
+    turn = np.zeros((len(track.t_s), 3))
+    turn[np.argmin(np.abs(track.t_s - 0.4))] = case.pushbroom.R_cs.inv().apply([0.0, 72e-6, 0.0])
+    nodes = Rotation.from_rotvec(turn) * track.R_si_nodes
+    moved = replace(case.pushbroom, attitude=replace(track, R_si_nodes=nodes))
+    outcome = match_strip(case.strip, moved, case.targets, case.chips, SURFACE, SIGMA, MatchSettings())
+    residual = np.array([match.residual_px for match in outcome.matches])
+    assert len({match.target_id for match in outcome.matches}) == len(case.targets)
+    assert np.ptp(residual, axis=0).max() > 5.0  # px
+
+
+@pytest.mark.parametrize("kind", [np.uint8, np.uint16, np.float32])
+def test_coarse_pictures_are_means_of_blocks(kind: type):
+    image = np.random.default_rng(4).integers(0, 250, (203, 330)).astype(kind)
+    coarse = read_coarse(SmallStrip({0: image}), 0, (3, 203), (1, 330), 8, MatchSettings())
+    means = image[3:203, 1:329].reshape(25, 8, 41, 8).mean(axis=(1, 3))
+    assert coarse.image.shape == (25, 41)
+    # grey values: the first halving of whole numbers rounds by 0.35 rms and 16 such roundings are averaged
+    assert np.abs(coarse.image - means - (coarse.image - means).mean()).max() < 4.5 * 0.35 / 4.0
+    assert abs((coarse.image - means).mean()) < (0.13 if kind is not np.float32 else 1e-4)

@@ -49,6 +49,31 @@ def test_nothing_but_chance_is_never_elected():
     assert min(outcome.log_probability_chance for outcome in outcomes) > np.log(1e-6)
 
 
+def test_chance_is_no_rarer_than_stated():
+    rng = np.random.default_rng(4)
+    stated = [
+        np.exp(vote(candidates(rng, None, 6, 0.0), SIGMA, 3.0, 14.0, 4.0).log_probability_chance)
+        for _ in range(200)
+    ]
+    assert np.mean(np.array(stated) < 0.1) < 0.1 + 3.0 * np.sqrt(0.1 * 0.9 / 200)  # 3 standard errors
+    assert np.mean(np.array(stated) < 0.01) < 0.01 + 3.0 * np.sqrt(0.01 * 0.99 / 200)
+
+
+def test_chance_of_rank_one_in_every_target_is_the_share_to_their_number():
+    # Four targets at rank one: three must fall by accident into a spot of 1/1000 about the fourth.
+    spread = np.random.default_rng(5).uniform(-1e3, 1e3, (4, 50, 2))
+    spread[:, 0] = 5.0
+    every = Candidates(
+        np.repeat(np.arange(4), 50),
+        spread.reshape(-1, 2),
+        np.broadcast_to(np.eye(2), (200, 2, 2)),
+        np.tile(log_chance_of_ranks(50, 1e-3), 4),
+    )
+    outcome = vote(every, np.full(2, 400.0), 3.0, 2.0, 1.0)
+    assert outcome.log_probability_chance > np.log(4.0 * 1e-3**3)  # a bound, hence not below the chance
+    assert outcome.log_probability_chance < np.log(1e-5)
+
+
 def test_no_candidates_elect_nothing():
     none = Candidates(np.zeros(0, dtype=np.int64), np.zeros((0, 2)), np.zeros((0, 2, 3)), np.zeros(0))
     outcome = vote(none, SIGMA, 3.0, 14.0, 4.0)
