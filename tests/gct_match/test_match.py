@@ -224,7 +224,7 @@ def test_virtual_ccd_gives_the_same_places_as_the_raw_ones(case: Case, outcome: 
 
 
 def test_places_that_an_exposure_moves_together_are_kept(case: Case):
-    # One star exposure is wrong by 6 px of 12 urad, four of its standard errors: what is seen near it moves alike.
+    # One star exposure is wrong by 6 px of 12 urad, four standard errors: what is seen near it moves alike.
     track = case.pushbroom.attitude
     turn = np.zeros((len(track.t_s), 3))
     turn[np.argmin(np.abs(track.t_s - 0.4))] = case.pushbroom.R_cs.inv().apply([0.0, 72e-6, 0.0])
