@@ -163,8 +163,10 @@ def read_unit(path: Path) -> pa.Table | None:
 
 
 def _seal(table: pa.Table, remarks: bytes) -> bytes:
-    """Digest of what a Parquet file's own checksums do not cover: names, number of rows, remarks."""
-    facts = json.dumps([table.column_names, len(table)]).encode()
+    """Digest of what a Parquet file's own checksums do not cover: names, types, rows, remarks."""
+    # Parquet calls the items of a list elements.
+    columns = [(field.name, str(field.type).replace("<item:", "<element:")) for field in table.schema]
+    facts = json.dumps([columns, len(table)]).encode()
     return hashlib.blake2b(facts + remarks, digest_size=16).hexdigest().encode()
 
 

@@ -22,9 +22,9 @@ from simulator.records import Mission
 # 1200 rows of 0.9 ms from 23:59:59.95 on, over 23:59:60, to 00:00:00.03 of the next year.
 SCENARIO = [
     *('epoch_utc="2016-12-31T23:59:57"', "strips.count=1", "strips.first_s=2.95", "strips.lines=1200"),
-    *("line_camera.ccds=2", "line_camera.rotation_urad=[12.0, -8.0]", "targets.per_strip=12"),
+    *("line_camera.ccds=1", "line_camera.rotation_urad=[12.0]", "targets.per_strip=12"),
     *("targets.check_points_per_strip=0", "strips.exposure_lead_s=0.3", "star_camera.rate_hz=4.0"),
-    "terrain.spacing_arcsec=30.0",
+    *("terrain.spacing_arcsec=30.0", "ground.texels_per_pixel=2.0", "targets.chip_size_px=64"),
 ]
 
 
