@@ -13,16 +13,17 @@ from typing import Any
 
 import cv2
 import numpy as np
-import scipy.fft
 from numpy.typing import NDArray
 
 __all__ = [
     "Peaks",
+    "View",
     "correlation_surface",
     "independent_values",
     "normalised",
     "peaks_of",
     "probability_wrong",
+    "view_of",
 ]
 
 Array = NDArray[np.float64]
@@ -40,49 +41,66 @@ class Peaks:
     value: Array  # (K,)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class View:
+    """A picture (h, w) and what search and fit need of it."""
+
+    grey: Image
+    valid: NDArray[np.bool_]
+    normalised: Image
+
+
+def view_of(grey: Image, valid: NDArray[np.bool_]) -> View:
+    """`grey` (h, w), of which only pixels that are `valid` may be used."""
+    return View(grey, valid, normalised(grey, valid))
+
+
 def normalised(image: Image, valid: NDArray[np.bool_]) -> Image:
     """Band-passed, divided by the local contrast, limited to ±3; zero where not valid."""
-    weight = None if valid.all() else valid.astype(np.float32)
-    if weight is not None:
-        if not valid.any():
-            return np.zeros_like(image)
-        image = np.where(valid, image, image[valid].mean()).astype(np.float32)
-    fine: Image = cv2.GaussianBlur(image, (0, 0), _FINE_PX)
-    if weight is None:
-        fine -= cv2.GaussianBlur(image, (0, 0), _LOCAL_PX)
-        power = cv2.GaussianBlur(fine * fine, (0, 0), _CONTRAST_PX)
+    if valid.all():
+        fine = _fine(image)
+        fine -= _wide_mean(fine, _LOCAL_PX)
+        power = _wide_mean(fine * fine, _CONTRAST_PX)
+    elif not valid.any():
+        return np.zeros_like(image)
     else:
-        part = cv2.GaussianBlur(weight, (0, 0), _LOCAL_PX) + np.float32(1e-6)
-        fine = (fine - cv2.GaussianBlur(image * weight, (0, 0), _LOCAL_PX) / part) * weight
-        part = cv2.GaussianBlur(weight, (0, 0), _CONTRAST_PX) + np.float32(1e-6)
-        power = cv2.GaussianBlur(fine * fine, (0, 0), _CONTRAST_PX) / part
-    usual = np.float32(
-        np.median(
-            np.array(power, dtype=np.float64)[
-                :: max(1, power.shape[0] // 256), :: max(1, power.shape[1] // 256)
-            ]
-        )
-    )
-    fine = fine / np.sqrt(np.maximum(power, 0.0) + np.float32(_FLOOR**2) * usual + np.float32(1e-12))
+        weight = valid.astype(np.float32)
+        image = np.where(valid, image, image[valid].mean()).astype(np.float32)
+        fine = _fine(image)
+        fine -= _wide_mean(image * weight, _LOCAL_PX) / (_wide_mean(weight, _LOCAL_PX) + np.float32(1e-6))
+        fine *= weight
+        part = _wide_mean(weight, _CONTRAST_PX) + np.float32(1e-6)
+        power = _wide_mean(fine * fine, _CONTRAST_PX) / part
+    some = power[tuple(slice(None, None, max(1, n // 64)) for n in power.shape)]
+    usual = np.partition(some.ravel(), some.size // 2)[some.size // 2]
+    floor = np.float32(_FLOOR**2 * float(usual) + 1e-12)
+    fine /= cv2.sqrt(np.maximum(power, 0.0) + floor)
     return np.clip(fine, -3.0, 3.0, out=fine)
+
+
+def _fine(image: Image) -> Image:
+    return cv2.GaussianBlur(image, (0, 0), _FINE_PX)
+
+
+def _wide_mean(image: Image, sigma_px: float) -> Image:
+    """Mean over a wide Gaussian, formed from means of 2 x 2 pixels."""
+    h, w = image.shape
+    small = cv2.resize(image, (max(1, w // 2), max(1, h // 2)), interpolation=cv2.INTER_AREA)
+    return cv2.resize(cv2.GaussianBlur(small, (0, 0), sigma_px / 2.0), (w, h), interpolation=cv2.INTER_LINEAR)
 
 
 def correlation_surface(template: Image, picture: Image) -> Image:
     """Normalised correlation of a normalised template at every place where it lies within a normalised
     picture.
     """
-    out = cv2.matchTemplate(picture, template - template.mean(), cv2.TM_CCORR)
-    energy = cv2.boxFilter(
-        picture * picture,
-        -1,
-        template.shape[::-1],
-        anchor=(0, 0),
-        normalize=False,
-        borderType=cv2.BORDER_CONSTANT,
-    )[: out.shape[0], : out.shape[1]]
-    total = float(np.sum((template - template.mean()) ** 2))
+    template = template - np.float32(cv2.mean(template)[0])
+    out = cv2.matchTemplate(picture, template, cv2.TM_CCORR)
+    h, w = template.shape
+    below = cv2.integral(picture * picture)
+    energy = below[h:, w:] - below[:-h, w:] - below[h:, :-w] + below[:-h, :-w]
+    total = float(np.vdot(template, template))
     floor = 0.05 * total  # a window that is mostly empty has no correlation
-    return out / np.sqrt(total * np.maximum(energy, floor) + 1e-12)
+    return out / np.sqrt(total * np.maximum(energy, floor) + 1e-12).astype(np.float32)
 
 
 def peaks_of(surface: Image, most: int, apart: int) -> Peaks:
@@ -130,8 +148,9 @@ def probability_wrong(surface: Image, peak_xy: Array, independent: float, absent
 
 def independent_values(template: Image) -> float:
     """How many independent values a normalised template holds, from the evenness of its spectrum."""
-    power = np.abs(scipy.fft.rfft2(template - template.mean())).astype(float) ** 2
-    return float(2.0 * power.sum() ** 2 / (power**2).sum()) if power.any() else 1.0
+    parts: Image = cv2.dft(template - np.float32(cv2.mean(template)[0]), flags=cv2.DFT_COMPLEX_OUTPUT)
+    power = np.sum(np.square(parts, dtype=float), axis=2)
+    return float(power.sum() ** 2 / np.sum(power**2)) if power.any() else 1.0
 
 
 def _vertex(surface: Image, row: NDArray, column: NDArray, axis: int) -> Array:

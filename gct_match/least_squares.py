@@ -1,61 +1,48 @@
 """Least-squares matching: a template placed in a picture to a few thousandths of a pixel, with its
 covariance.
 
-The picture, warped by a translation or by a small affine map, is a radiometric map of the template plus
-noise:
-
-    I(c + d + A (x - c))  =  o + o_x x + o_y y + (g + g_x x + g_y y) T + q T² + b lap(T) + noise
-
-(x in template pixels, c the reference point; q serves another gamma, b another blur). Both sides pass the
-weighting filter of `weighting`, first a fixed band-pass, then the one that the aligned pair itself asks
-for. Gauss-Newton in the inverse-compositional form (Baker & Matthews 2004): derivatives of the template,
-which are known once. Pixels whose neighbourhood fits worse than the rest lose weight, so that what hides
-part of the template (a cloud, another crop) does not move it. The covariance is a jackknife over blocks,
-so that a residual with a correlation of its own is honoured.
+The picture, warped by a translation or by a small affine map, is a radiometric map of the template
+(`radiometry`) plus noise. `approach` brings the two to a few hundredths of a pixel; then both pass the
+filter that the aligned pair itself asks for (`weighting`), and Gauss-Newton in the inverse-compositional
+form (Baker & Matthews 2004) does the rest: derivatives of the template, which are known once. Pixels whose
+neighbourhood fits worse than the rest lose weight, so that what hides part of the template (a cloud,
+another crop) does not move it. The covariance is that of the template's blocks (`blocks`).
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from gct_match.resample import gradient, sample
-from gct_match.weighting import (
-    band_pass,
-    change_px2,
-    coherence_filter,
-    derivatives,
-    inverse_spectrum,
-    point_spread,
-    spectrum,
-)
+from gct_match.approach import approach, robust_weights
+from gct_match.blocks import Blocks, blocks_of
+from gct_match.correlation import View
+from gct_match.radiometry import TERMS, TONES, fill_columns
+from gct_match.resample import composed, gradient, shifted, warped
+from gct_match.spectra import filtered
+from gct_match.weighting import weighting
 
 __all__ = ["Placement", "place"]
 
 Array = NDArray[np.float64]
 Image = NDArray[Any]  # single precision
 
-_PAD = 8  # pixels around the template that interpolation and warp may reach into
-_TAPS = 5  # half length of the interpolating kernel
-_FARTHEST = _PAD - _TAPS - 0.51  # px from the start
-_RIM = 3  # the filters reach this far over the template's edge
-_NUISANCES = 9
-_BLOCKS = 8  # along each side of the template
-_AFFINE_CHI2 = 18.5  # four parameters more have to earn this: chi² of 4 at 0.1 %
-_LARGEST_AFFINE = 0.05  # beyond, the template was predicted with another model than the strip's
-_LOW_PX, _HIGH_PX = 0.7, 4.0  # first band-pass, before the pair itself has told which frequencies to use
-# Where the scene has changed, the change has a direction: light and shadow lie on the same side of every
-# tree and
-# roof, and a shift of all of them alike shows in no residual. On rendered dates it comes to this share of
-# the change.
-_LOPSIDED = 0.02
-_BLUR_PX = 0.62  # of the camera, for tones that were changed before it: MTF 0.15 at the Nyquist frequency
-_CONVERGED_PX = 2e-4
+_FARTHEST_PX = 2.5  # from the start
+_RIM = 3  # the filters reach this far over the template's edge, and over a hole's
+_COLUMNS = 2 + TERMS  # of the design matrix: the two derivatives and the radiometry
+_STEPS = 5
+_ROUNDS = 4
+_NEAR_PX = 0.05  # the pair's coherence, as measured farther off, misleads
+_SETTLED_PX = 0.02  # a step below this leaves a thirtieth of it as error: the derivatives are that good
+_PIECE = 8192  # pixels whose columns stay in the processor's cache
+# A tone curve acts on the scene, of which the template shows no more than means over a pixel. The rest of
+# what it does has a direction where light and shadow lie on the same side of every tree and roof, and a
+# shift of all of them alike shows in no residual. On rendered scenes it comes to this share of what shows.
+_UNSEEN_TONE = 0.06
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -69,386 +56,187 @@ class Placement:
     kept: float  # share of the weight that the robust weighting left
     converged: bool
     found: Image  # (h, w) picture warped onto the template
-    residual: Image  # (h, w) grey values of the picture
+    residual: Image  # (h, w) what the fit left of it, filtered, in grey values of the picture
 
 
-def place(
-    template: Image,
-    template_valid: NDArray[np.bool_],
-    picture: Image,
-    valid: NDArray[np.bool_],
-    start_px: tuple[int, int],
-    reference_px: Array,
-) -> Placement:
+def place(template: View, picture: View, start_px: tuple[int, int], reference_px: Array) -> Placement:
     """Place `template` (h, w) in `picture` (H, W), started with its first pixel at `start_px` (x, y).
 
-    `template_valid` (h, w) and `valid` (H, W) are false where template and picture must not be used.
     `reference_px` (x, y) is the point of the template whose place is wanted. The place may be up to 2 px
     from the start; farther is reported as not converged.
     """
-    patch, usable = _patch(picture, valid, start_px, template.shape)
-    solver = _Solver(template, template_valid, patch, usable, reference_px)
-    solver.filter_by(band_pass(patch.shape, _LOW_PX, _HIGH_PX), tones=False)
-    solver.approach()
-    solver.weigh(every=2)
-    if not solver.lost:
-        solver.extend_to_affine()
-    if not solver.lost:
-        solver.filter_by_coherence()
-        solver.weigh()
-        solver.refine(4)
-    if not solver.affine and not solver.lost:
-        solver.extend_to_affine()
-    return solver.placement(np.asarray(start_px, dtype=float))
+    fit = _Fit(template, picture, start_px, reference_px)
+    for _ in range(_ROUNDS):
+        if fit.measure():
+            break
+    if not fit.affine and fit.blocks().ask_for_affine(fit.response):
+        fit.step(fit.blocks().displacement(affine=True) / fit.response)
+        fit.measure()
+    return fit.placement()
 
 
-def _patch(
-    picture: Image, valid: NDArray[np.bool_], start_px: tuple[int, int], shape: tuple[int, ...]
-) -> tuple[Image, NDArray[np.float32]]:
-    """The template's place with _PAD pixels around it; mirrored beyond the picture's edge, where nothing
-    is usable.
-    """
-    x, y = start_px
-    h, w = shape
-    rows, columns = picture.shape
-    top, left = max(0, _PAD - y), max(0, _PAD - x)
-    bottom, right = max(0, y + h + _PAD - rows), max(0, x + w + _PAD - columns)
-    inner = np.s_[max(0, y - _PAD) : y + h + _PAD, max(0, x - _PAD) : x + w + _PAD]
-    patch = cv2.copyMakeBorder(picture[inner], top, bottom, left, right, borderType=cv2.BORDER_REFLECT)
-    usable = np.pad(valid[inner].astype(np.float32), ((top, bottom), (left, right)))
-    return patch, usable
+class _Fit:
+    """One template against one picture: the warp, the weights, and the equations that move them."""
 
-
-class _Solver:
-    """One template against one patch: the design matrix and the state that the iterations move."""
-
-    def __init__(
-        self,
-        template: Image,
-        template_valid: NDArray[np.bool_],
-        patch: Image,
-        usable: Image,
-        reference_px: Array,
-    ) -> None:
-        self.shape = template.shape
-        self.template = template - np.float32(template.mean())
-        self.contrast = np.float32(1.0 / (self.template.std() + 1e-12))
-        self.mapped = self.template  # with the radiometry found so far
-        self.patch = patch
-        self.patch_spectrum = spectrum(patch - np.float32(patch.mean()))
-        column, row, self.taper, inside = _grid(*self.shape)
+    def __init__(self, template: View, picture: View, start_px: tuple[int, int], reference_px: Array) -> None:
+        self.template = template.grey - np.float32(cv2.mean(template.grey)[0])
+        h, w = template.grey.shape
+        self.shape = (h, w)
+        self.picture = picture.grey
         self.reference_px = reference_px
-        self.x = (column - np.float32(reference_px[0])).ravel()
-        self.y = (row - np.float32(reference_px[1])).ravel()
-        middle = np.s_[_PAD : _PAD + self.shape[0], _PAD : _PAD + self.shape[1]]
-        if not usable.all():
-            inside = inside * cv2.erode(usable, np.ones((7, 7)))[middle]
-        if not template_valid.all():
-            inside = inside * cv2.erode(template_valid.astype(np.float32), np.ones((7, 7)))
-        self.mask: Image = inside.ravel()
-        self.weight: Image = self.mask
-        self.affine = False
-        self.warp = np.eye(3)  # template point - reference -> patch point - reference - _PAD
-        self.step_px = np.inf
-        self.columns: Image = np.empty((6 + _NUISANCES, template.size), dtype=np.float32)
-        self.buffer = np.empty_like(self.columns)
-
-    # The filtered pair
-
-    def filter_by(self, amplitude: Image, *, tones: bool) -> None:
-        """Filter template and patch by `amplitude` (half spectrum); form the columns of the design matrix.
-
-        Without `tones` the tone curve is left for later: its two columns are zero.
-        """
-        shape = self.patch.shape
-        full = spectrum(_mirrored(self.mapped))
-        half = full * amplitude
-        d_dx, d_dy, laplacian = derivatives(shape)
-        extent = np.float32(2.0 / max(self.shape))
-        u, v = self.x * extent, self.y * extent
-        self.filtered_patch = inverse_spectrum(self.patch_spectrum * amplitude, shape)
-        c = self.columns
-        c[4], c[5], c[6] = self._core(half * d_dx), self._core(half * d_dy), self._core(half)
-        for n, (slope, lever) in enumerate(((4, self.x), (4, self.y), (5, self.x), (5, self.y))):
-            np.multiply(c[slope], lever, out=c[n])
-        c[7], c[8], c[9] = 1.0, u, v
-        np.multiply(u, c[6], out=c[10])
-        np.multiply(v, c[6], out=c[11])
-        c[12] = self._core(half * laplacian)
-        if not tones:
-            c[13:] = 0.0
-            return
-        blur, sharpen = point_spread(shape, _BLUR_PX)
-        sharp = inverse_spectrum(full * sharpen, shape) * self.contrast
-        blur = blur * amplitude
-        square = sharp * sharp
-        c[13] = self._core(spectrum(square) * blur)
-        c[14] = self._core(spectrum(square * sharp) * blur)
-
-    def filter_by_coherence(self) -> None:
-        """Carry the radiometry over to the template; measure the weighting filter from the aligned pair."""
-        raw = self._warped(self.patch)
-        self.mapped = self._mapped_template()
-        taper = self.taper * np.sqrt(self.weight).reshape(self.shape)
-        a = (self.mapped - _mean(self.mapped, taper)) * taper
-        b = (raw - _mean(raw, taper)) * taper
-        self.filter_by(coherence_filter(a, b, self.patch.shape), tones=True)
-
-    def _core(self, half: NDArray) -> Image:
-        full = inverse_spectrum(half, self.patch.shape)
-        return full[_PAD : _PAD + self.shape[0], _PAD : _PAD + self.shape[1]].ravel()
-
-    def _mapped_template(self) -> Image:
-        """The template with gain, its ramps and blur as found, not filtered."""
-        T = self.mapped
-        extent = np.float32(2.0 / max(self.shape))
-        g, _, _, _, gx, gy, b, _, _ = (np.float32(value) for value in self.radiometry)
-        gain = (g + gx * extent * self.x + gy * extent * self.y).reshape(self.shape)
-        laplacian = cv2.Laplacian(T, cv2.CV_32F, borderType=cv2.BORDER_REFLECT)
-        mapped = gain * T + b * laplacian
-        return mapped - np.float32(mapped.mean())
-
-    # Warp
-
-    def _warped(self, picture: Image) -> Image:
-        return (self._affine_warped if self.affine else self._shifted)(picture)
-
-    def _shifted(self, picture: Image) -> Image:
-        h, w = self.shape
-        d = self.warp[:2, 2]
-        whole = np.round(d).astype(int)
-        fx, fy = d - whole
-        x, y = _PAD + whole
-        inner = picture[y - _TAPS : y + h + _TAPS, x - _TAPS : x + w + _TAPS]
-        out = cv2.sepFilter2D(inner, -1, _kernel(fx), _kernel(fy), borderType=cv2.BORDER_REFLECT)
-        return out[_TAPS:-_TAPS, _TAPS:-_TAPS]
-
-    def _affine_warped(self, picture: Image) -> Image:
-        m = self.warp.astype(np.float32)
-        origin = self.reference_px + _PAD
-        px = (m[0, 0] * self.x + m[0, 1] * self.y + np.float32(m[0, 2] + origin[0])).reshape(self.shape)
-        py = (m[1, 0] * self.x + m[1, 1] * self.y + np.float32(m[1, 2] + origin[1])).reshape(self.shape)
-        return sample(picture, px, py)
-
-    # Gauss-Newton
+        self.from_corner = np.array(
+            [[1.0, 0.0, -reference_px[0]], [0.0, 1.0, -reference_px[1]], [0.0, 0.0, 1.0]]
+        )
+        self.mask = _usable(template.valid, picture.valid, start_px)
+        self.start = np.asarray(start_px, dtype=float) + reference_px
+        self.warp = np.eye(3)  # template point - reference -> picture
+        self.warp[:2, 2] = self.start
+        self.warp, weight = approach(
+            template.normalised, picture.normalised, self.mask, self.warp, reference_px
+        )
+        self._keep_near()
+        self.weight = self.mask * cv2.resize(weight, (w, h), interpolation=cv2.INTER_LINEAR)
+        self.columns: Image = np.empty((_COLUMNS + 1, h * w), dtype=np.float32)  # and the picture
 
     @property
-    def lost(self) -> bool:
-        """Whether template and patch have nothing in common, so that no place can be told."""
-        power = np.diag(self.normal)
-        return not (self.alike and power[4] > 0.0 and power[5] > 0.0 and power[6] > 0.0)
+    def affine(self) -> bool:
+        return bool((self.warp[:2, :2] != np.eye(2)).any())
 
-    def approach(self) -> None:
-        """A first step from every fourth row, weighted by how alike the two are around each pixel."""
-        i = self._warped(self.filtered_patch).ravel()
-        self.weight = self.mask * self._likeness(i)
-        self._form_normal(every=4)
-        self._measure_response(i)
-        self._read_solution(i)
-        self._compose()
+    def measure(self) -> bool:
+        """Filter the pair as it asks for, weight its pixels, and step until the steps are small.
 
-    def weigh(self, every: int = 1) -> None:
-        """Robust weights from the residual, normal equations with them, step."""
-        i = self._warped(self.filtered_patch).ravel()
-        self._form_normal(every=4)
-        self._read_solution(i)
-        self.weight = self._robust_weights()
-        self._form_normal(every)
-        self._measure_response(i)
-        self._read_solution(i)
-        self._compose()
-
-    def refine(self, most: int) -> None:
-        """Steps with the weights as they are, until they are small."""
-        for _ in range(most):
-            if self.step_px < _CONVERGED_PX:
+        Whether the pair was near enough from the beginning for filter and weights to be right.
+        """
+        self.found = self._warped()
+        before = self.warp[:2, 2].copy()
+        pair = weighting(self.template, self.found, self.weight)
+        image = self.columns.reshape(-1, *self.shape)
+        fill_columns(image[:_COLUMNS], self.template, pair)
+        image[_COLUMNS] = filtered(self.found, pair.amplitude)
+        self._weigh(image)
+        for _ in range(_STEPS):
+            self._solve()
+            P = self._displacement()
+            self.step(P)
+            if self.settled or not self.alike:
                 break
-            self._read_solution(self._warped(self.filtered_patch).ravel())
-            self._compose()
+            if self.affine:
+                image[_COLUMNS] = filtered(self._warped(), pair.amplitude)
+            else:
+                image[_COLUMNS] = shifted(image[_COLUMNS], *np.clip(-P[:, 2], -0.5, 0.5))
+        return bool(np.abs(self.warp[:2, 2] - before).max() < _NEAR_PX)
 
-    def _measure_response(self, i: Image) -> None:
-        """How the patch's gradients follow the template's: what a pixel of shift changes, per unit of the
+    def step(self, P: Array) -> None:
+        """Warp <- warp o (identity + P)^-1; P is a displacement of the template's own points."""
+        self.warp = composed(self.warp, P)
+        self._keep_near()
+        largest = np.abs(P[:, 2]).max() + 0.5 * max(self.shape) * np.abs(P[:, :2]).max()
+        self.settled = bool(largest < _SETTLED_PX)
+
+    def blocks(self) -> Blocks:
+        """The template's blocks, their gradients free of all that the radiometry explains."""
+        explained = _solved(self.normal[2:, 2:], self.normal[2:, :2]).astype(np.float32)
+        gx, gy = self.columns[:2] - explained.T @ self.columns[2:_COLUMNS]
+        return blocks_of(
+            gx.reshape(self.shape), gy.reshape(self.shape), self.residual, self.weight, self.reference_px, 1.0
+        )
+
+    def placement(self) -> Placement:
+        cov = self.blocks().covariance(affine=self.affine) / self.response**2
+        cov += _UNSEEN_TONE**2 * self._tone_px2() * np.eye(2)
+        far = np.abs(self.warp[:2, 2] - self.start).max()
+        return Placement(
+            xy_px=self.warp[:2, 2].copy(),
+            cov_px=cov if self.alike else np.diag([np.inf, np.inf]),
+            affine=self.warp[:2, :2] - np.eye(2),
+            correlation=self._correlation(),
+            kept=float(self.weight.sum() / max(self.mask.sum(), 1.0)),
+            converged=bool(self.alike and self.settled and far < _FARTHEST_PX),
+            found=self.found,
+            residual=self.residual,
+        )
+
+    def _warped(self) -> Image:
+        return warped(self.picture, self.warp @ self.from_corner, self.shape)
+
+    def _keep_near(self) -> None:
+        near = self.start - _FARTHEST_PX, self.start + _FARTHEST_PX
+        np.clip(self.warp[:2, 2], *near, out=self.warp[:2, 2])
+
+    def _weigh(self, image: Image) -> None:
+        """Robust weights from the residual of a quick fit to every fourth row; normal equations with them."""
+        some = image[:, 1::4].reshape(len(image), -1)
+        quick = (some @ (some * self.weight[1::4].ravel()).T).astype(float)
+        solution = _solved(quick[:_COLUMNS, :_COLUMNS], quick[:_COLUMNS, _COLUMNS]).astype(np.float32)
+        residual = image[_COLUMNS] - (solution @ self.columns[:_COLUMNS]).reshape(self.shape)
+        self.weight = robust_weights(residual, self.mask, 5, 3.0)
+        weighted = self.columns[:_COLUMNS] * self.weight.ravel()
+        self.normal: Array = np.zeros((_COLUMNS, _COLUMNS))
+        for k in range(0, weighted.shape[1], _PIECE):
+            piece = np.s_[:_COLUMNS, k : k + _PIECE]
+            self.normal = self.normal + weighted[piece] @ self.columns[piece].T
+        self._measure_response(weighted[:2], gradient(image[_COLUMNS]))
+
+    def _measure_response(self, weighted: Image, slopes: tuple[Image, Image]) -> None:
+        """How the picture's gradients follow the template's: what a pixel of shift changes, per unit of the
         template's.
 
         It is the gain where nothing has changed and there is no noise. The template's noise adds to its
         gradients but not to what is known of the place; where part of the scene has changed, the gain of
         all of it says little of the rest.
         """
-        t, weight = self.columns[6].reshape(self.shape), self.weight.reshape(self.shape)
-        cross, own = 0.0, 1e-30
-        for of_t, of_i in zip(gradient(t), gradient(i.reshape(self.shape))):
-            weighted = weight * of_t
-            cross += float(np.vdot(weighted, of_i))
-            own += float(np.vdot(weighted, of_t))
-        self.alike = cross > 1e-3 * own
-        self.response = max(cross / own, 1e-3)
+        cross = sum(float(np.vdot(own, other)) for own, other in zip(weighted, slopes, strict=True))
+        own = float(self.normal[0, 0] + self.normal[1, 1])
+        self.alike = cross > 1e-3 * own  # else they have nothing in common, and no place can be told
+        self.response = max(cross / (own + 1e-30), 1e-3)
 
-    def _form_normal(self, every: int = 1) -> None:
-        """Normal matrix of all columns over every so many rows; a translation uses its lower right part."""
-        self.every = every
-        self.root = np.sqrt(self._rows(self.weight[None], every)[0])
-        columns = self._rows(self.columns, every)
-        self.scaled = np.multiply(columns, self.root, out=self.buffer[:, : columns.shape[1]])
-        self.normal = (self.scaled @ self.scaled.T).astype(np.float64)
+    def _solve(self) -> None:
+        columns, i = self.columns[:_COLUMNS], self.columns[_COLUMNS]
+        self.right = (columns @ (self.weight.ravel() * i)).astype(float)
+        self.solution = _solved(self.normal, self.right)
+        self.residual = (i - self.solution.astype(np.float32) @ columns).reshape(self.shape)
 
-    def _rows(self, flat: Image, every: int) -> Image:
-        if every == 1:
-            return flat
-        return flat.reshape(len(flat), *self.shape)[:, ::every].reshape(len(flat), -1)
+    def _displacement(self) -> Array:
+        """The translation of the solution, and what the blocks still ask for if the warp is affine."""
+        P = self.blocks().displacement(affine=True) if self.affine else np.zeros((2, 3))
+        P[:, 2] += self.solution[:2]
+        return P / self.response
 
-    def _read_solution(self, i: Image) -> None:
-        first = 0 if self.affine else 4
-        normal = self.normal[first:, first:]
-        scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-30))
-        scaled = normal * scale[:, None] * scale
-        scaled.flat[:: len(scaled) + 1] += 1e-7  # columns that are nearly alike (a flat template)
-        seen = self._rows(i[None], self.every)[0] * self.root
-        right = scale * (self.scaled[first:] @ seen).astype(np.float64)
-        solution = scale * np.linalg.solve(scaled, right)
-        self.radiometry = solution[-_NUISANCES:]
-        self.i = i
-        self.residual = i - solution.astype(np.float32) @ self.columns[first:]
-        self.delta = solution[:-_NUISANCES] / self.response
+    def _tone_px2(self) -> float:
+        """What the tone curve changes in the picture, against its gradients, px²."""
+        seen = self.solution[-TONES:]
+        fixed = self.normal[2:-TONES, 2:-TONES], self.normal[2:-TONES, -TONES:]
+        alone = self.normal[-TONES:, -TONES:] - fixed[1].T @ _solved(*fixed)
+        slopes = 0.5 * self.response**2 * (self.normal[0, 0] + self.normal[1, 1])
+        return float(seen @ alone @ seen / (slopes + 1e-30))
 
-    def _robust_weights(self) -> Image:
-        """One over the local variance, where a neighbourhood of 5 px fits worse than the rest."""
-        square = (self.residual * self.residual * self.mask).reshape(self.shape)
-        local = cv2.blur(square, (5, 5)).ravel()
-        some = local[::7]
-        some = some[some > 0.0]
-        usual = np.float32(np.median(some) if some.size else 1.0)
-        ratio = local * np.float32(1.0 / (3.0 * usual))
-        return self.mask / (1.0 + ratio * ratio)
-
-    def _likeness(self, i: Image) -> Image:
-        """Square of the positive local correlation of template and patch, in neighbourhoods of 15 px."""
-        t, i = self.columns[6].reshape(self.shape), i.reshape(self.shape)
-        tt, ii, ti = (cv2.blur(product, (15, 15)) for product in (t * t, i * i, t * i))
-        local = np.maximum(ti, 0.0) ** 2 / (tt * ii + np.float32(1e-20 + 1e-4 * tt.mean() * ii.mean()))
-        return local.ravel()
-
-    def _compose(self) -> None:
-        """Warp <- warp o increment^-1; the increment maps the template's own points."""
-        increment = np.eye(3)
-        increment[:2, 2] = self.delta[-2:]
-        if self.affine:
-            increment[:2, :2] += self.delta[:4].reshape(2, 2)
-        self.warp = self.warp @ np.linalg.inv(increment)
-        np.clip(self.warp[:2, 2], -_FARTHEST, _FARTHEST, out=self.warp[:2, 2])
-        self.step_px = float(np.abs(self.delta[-2:]).max())
-
-    def extend_to_affine(self) -> None:
-        """Take up the four affine parameters if the data pay for them."""
-        self.affine = True
-        self._read_solution(self.i)
-        extra = self.delta[:4]
-        if self._pays(extra) and np.abs(extra).max() < _LARGEST_AFFINE:
-            self._compose()
-            self.weigh()
-            self.refine(2)
-        else:
-            self.affine = False
-            self._read_solution(self.i)
-
-    def _pays(self, extra: Array) -> bool:
-        """Whether four affine parameters are more than noise; the honest covariance is asked only if a
-        quick one agrees.
-        """
-        inverse = np.linalg.inv(
-            self.normal + 1e-9 * np.diag(np.diag(self.normal)) + 1e-30 * np.eye(len(self.normal))
-        )
-        noise = float(np.vdot(self.weight * self.residual, self.residual) / max(self.weight.sum(), 1.0))
-        quick = inverse[:4, :4] * noise / self.response**2
-        if float(extra @ np.linalg.solve(quick, extra)) < _AFFINE_CHI2:
-            return False
-        if self.every != 1:
-            self._form_normal()
-            self._read_solution(self.i)
-        return float(extra @ np.linalg.solve(self._covariance()[:4, :4], extra)) > _AFFINE_CHI2
-
-    # What came out
-
-    def _covariance(self) -> Array:
-        """Covariance of the warp's parameters: jackknife over blocks of pixels.
-
-        Leaving out block b moves the solution by (N - N_b)^-1 g_b with g_b the block's score. The scatter
-        of these moves honours a residual that is correlated within a block, and a few edges that carry
-        most of the weight.
-        """
-        first = 0 if self.affine else 4
-        columns = self._in_blocks(self.scaled[first:])
-        residual = self._in_blocks((self.residual * self.root)[None])
-        n_b = np.matmul(columns, columns.transpose(0, 2, 1)).astype(np.float64)
-        g_b = np.matmul(columns, residual.transpose(0, 2, 1)).astype(np.float64)
-        scale = 1.0 / np.sqrt(np.maximum(np.einsum("bcc->c", n_b), 1e-30))
-        n_b *= scale[:, None] * scale
-        without = n_b.sum(axis=0) + 1e-5 * np.eye(len(scale)) - n_b
-        moved = np.linalg.solve(without, g_b * scale[:, None])[:, :-_NUISANCES, 0] * scale[:-_NUISANCES]
-        moved -= moved.mean(axis=0)
-        n = len(moved)
-        # a covariance from n blocks is itself uncertain: n - 4 keeps the mean of the normalised error squared
-        return (n - 1.0) / (n - 4.0) / self.response**2 * moved.T @ moved
-
-    def _in_blocks(self, rows: Image) -> Image:
-        """(P, pixels) as (blocks, P, pixels of a block); what does not fill a block at the far edges joins
-        none.
-        """
-        h, w = self.shape
-        side = max(8, min(h, w) // _BLOCKS)
-        m, n = h // side, w // side
-        image = rows.reshape(len(rows), h, w)[:, : m * side, : n * side]
-        return image.reshape(-1, m, side, n, side).transpose(1, 3, 0, 2, 4).reshape(m * n, len(rows), -1)
-
-    def placement(self, start_px: Array) -> Placement:
-        cov = np.diag([np.inf, np.inf]) if self.lost else self._covariance()[-2:, -2:]
-        raw = self._warped(self.patch)
-        residual = raw - self.mapped
-        weight = self.weight.reshape(self.shape)
-        residual -= _mean(residual, weight)
-        taper = self.taper * weight
-        cov += _LOPSIDED**2 * change_px2(residual * taper, self.mapped * taper) * np.eye(2)
-        return Placement(
-            xy_px=start_px + self.warp[:2, 2] + self.reference_px,
-            cov_px=cov,
-            affine=self.warp[:2, :2] - np.eye(2),
-            correlation=_correlation(self.i, self.i - self.residual, self.weight),
-            kept=float(self.weight.sum() / max(self.mask.sum(), 1.0)),
-            converged=bool(
-                not self.lost and self.step_px < 0.02 and np.abs(self.warp[:2, 2]).max() < _FARTHEST
-            ),
-            found=raw,
-            residual=residual,
-        )
+    def _correlation(self) -> float:
+        """Square root of the share of the filtered picture's weighted variance that the fit explains."""
+        i, total = self.columns[_COLUMNS].reshape(self.shape), float(self.weight.sum()) + 1e-30
+        i = i - np.float32(np.vdot(self.weight, i) / total)
+        left = float(np.vdot(self.weight * self.residual, self.residual))
+        return float(np.sqrt(max(0.0, 1.0 - left / (float(np.vdot(self.weight * i, i)) + 1e-30))))
 
 
-def _correlation(i: Image, t: Image, weight: Image) -> float:
-    total = float(weight.sum()) + 1e-30
-    i = i - np.float32(np.vdot(weight, i) / total)
-    t = t - np.float32(np.vdot(weight, t) / total)
-    power = float(np.vdot(weight * i, i)) * float(np.vdot(weight * t, t))
-    return float(np.vdot(weight * i, t)) / np.sqrt(power) if power > 0.0 else 0.0
+def _usable(template_valid: NDArray[np.bool_], valid: NDArray[np.bool_], start_px: tuple[int, int]) -> Image:
+    """One for the pixels (h, w) of a template where no filter reaches over an edge or a hole, else zero."""
+    x, y = start_px
+    h, w = template_valid.shape
+    rows, columns = valid.shape
+    usable = np.zeros((h, w), dtype=np.uint8)
+    inner = np.s_[max(0, -y) : rows - y, max(0, -x) : columns - x]
+    usable[inner] = valid[max(0, y) : y + h, max(0, x) : x + w] & template_valid[inner]
+    side = 2 * _RIM + 1
+    kernel = np.ones((side, side), dtype=np.uint8)
+    eroded = cv2.erode(usable, kernel, borderType=cv2.BORDER_CONSTANT, borderValue=(0.0,))
+    return eroded.astype(np.float32)
 
 
-def _mirrored(image: Image) -> Image:
-    return cv2.copyMakeBorder(image, _PAD, _PAD, _PAD, _PAD, borderType=cv2.BORDER_REFLECT)
-
-
-def _mean(image: Image, weight: Image) -> np.float32:
-    return np.float32(np.vdot(image, weight) / (weight.sum() + 1e-12))
-
-
-@lru_cache(maxsize=16)
-def _grid(h: int, w: int) -> tuple[Image, Image, Image, Image]:
-    """Column and row of each pixel, a taper for spectra, and one inside the rim."""
-    row, column = np.mgrid[0:h, 0:w].astype(np.float32)
-    taper = np.outer(np.hanning(h + 2)[1:-1], np.hanning(w + 2)[1:-1]).astype(np.float32)
-    inside = np.zeros((h, w), dtype=np.float32)
-    inside[_RIM:-_RIM, _RIM:-_RIM] = 1.0
-    return column, row, taper, inside
-
-
-def _kernel(fraction: float) -> NDArray[np.float32]:
-    """Windowed sinc that reads a picture at `fraction` (-0.5..0.5) of a pixel from its grid."""
-    t = np.arange(-_TAPS, _TAPS + 1) - fraction
-    taps = np.sinc(t) * np.sinc(t / (_TAPS + 0.5))
-    return (taps / taps.sum()).astype(np.float32)
+def _solved(normal: Array, right: Array) -> Array:
+    """Solution of normal equations (P, P) for right sides (P,) or (P, K), even where columns are nearly alike
+    (a flat template).
+    """
+    scale = 1.0 / np.sqrt(np.maximum(np.diagonal(normal), 1e-30))
+    firm = normal * scale[:, None] * scale
+    firm.flat[:: len(firm) + 1] += 1e-7
+    return (np.linalg.solve(firm, right.T * scale if right.ndim == 1 else right * scale[:, None]).T * scale).T

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from gct_match.correlation import (
     correlation_surface,
     independent_values,
-    normalised,
     peaks_of,
     probability_wrong,
+    view_of,
 )
 from gct_match.least_squares import Placement, place
 from gct_match.settings import MatchSettings
@@ -73,8 +73,9 @@ def locate(
             f"{100.0 * here.mean():.0f} % of the template can be used (cloud, no data, saturation, edge), "
             f"{100.0 * _LEAST_USABLE:.0f} % are needed"
         )
-    a = normalised(template, template_valid) * template_valid
-    b = _cut(normalised(picture, picture_valid), x - radius, y - radius, w + 2 * radius, h + 2 * radius)
+    one, two = view_of(template, template_valid), view_of(picture, picture_valid)
+    a = one.normalised
+    b = _cut(two.normalised, x - radius, y - radius, w + 2 * radius, h + 2 * radius)
     surface = correlation_surface(a, b)
     peaks = peaks_of(surface, 3, 3)
     if len(peaks.value) == 0:
@@ -84,9 +85,7 @@ def locate(
         if value < _SECOND_PEAK * peaks.value[0]:
             break
         at = np.round(peak).astype(int) + start_px - radius
-        trial = place(
-            template, template_valid, picture, picture_valid, (int(at[0]), int(at[1])), reference_px
-        )
+        trial = place(one, two, (int(at[0]), int(at[1])), reference_px)
         if trial.converged and (best is None or trial.correlation > best.correlation):
             best, best_peak = trial, np.round(peak)
     if best is None:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from rendered_pairs import Pair
 from scipy.stats import chi2
 
+from gct_match.correlation import view_of
 from gct_match.least_squares import Placement, place
 
 Pairs = dict[tuple[str, int], list[Pair]]
@@ -18,14 +19,9 @@ Pairs = dict[tuple[str, int], list[Pair]]
 def placed(pair: Pair, *, extra: NDArray | None = None) -> Placement:
     start = np.round(pair.offset_px).astype(int)
     middle = (np.array(pair.template.shape[::-1]) - 1.0) / 2.0
-    return place(
-        pair.template,
-        np.ones(pair.template.shape, dtype=bool),
-        pair.window,
-        np.ones(pair.window.shape, dtype=bool) if extra is None else extra,
-        (int(start[0]), int(start[1])),
-        middle,
-    )
+    template = view_of(pair.template, np.ones(pair.template.shape, dtype=bool))
+    window = view_of(pair.window, np.ones(pair.window.shape, dtype=bool) if extra is None else extra)
+    return place(template, window, (int(start[0]), int(start[1])), middle)
 
 
 def errors(pairs: list[Pair]) -> tuple[NDArray, NDArray]:
@@ -114,9 +110,9 @@ def test_place_does_not_depend_on_grey_scale(invented_pairs: Pairs):
 def test_reference_point_moves_with_the_affine_map(invented_pairs: Pairs):
     pair = invented_pairs["affine", 128][1]
     start = (round(pair.offset_px[0]), round(pair.offset_px[1]))
-    masks = np.ones(pair.template.shape, dtype=bool), np.ones(pair.window.shape, dtype=bool)
+    views = [view_of(image, np.ones(image.shape, dtype=bool)) for image in (pair.template, pair.window)]
     middle, corner = np.array([63.5, 63.5]), np.array([20.0, 100.0])
-    one, two = (place(pair.template, masks[0], pair.window, masks[1], start, at) for at in (middle, corner))
+    one, two = (place(*views, start, at) for at in (middle, corner))
     A = np.eye(2) + one.affine
     assert two.xy_px == pytest.approx(
         one.xy_px + A @ (corner - middle), abs=2e-3

@@ -1,0 +1,106 @@
+"""Spectra of pictures, and filters that do not shift them.
+
+Spectra are packed as OpenCV packs them: as many real numbers as pixels, the real and the imaginary part
+of each coefficient in places of their own. Powers and filters without phase work number by number.
+Frequencies are in cycles per pixel.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = [
+    "filtered",
+    "frequency",
+    "padded_picture",
+    "padded_shape",
+    "padded_spectrum",
+    "picture_of",
+    "ring_means",
+    "rings",
+]
+
+Image = NDArray[Any]  # single precision
+Shape = tuple[int, int]
+
+_PAD = 8  # mirrored pixels around a picture that is filtered
+_RING = 1.0 / 32.0  # width of a ring, cycles per pixel: hundreds of coefficients each on a 64 px chip
+
+
+def filtered(image: Image, amplitude: Image) -> Image:
+    """A picture (h, w) after the filter `amplitude`, packed for its `padded_shape`."""
+    return picture_of(padded_spectrum(image) * amplitude, image.shape)
+
+
+def padded_spectrum(image: Image) -> Image:
+    """Packed spectrum of a picture with mirrored edges."""
+    (h, w), (rows, columns) = image.shape, padded_shape(image.shape)
+    bottom, right = rows - h - _PAD, columns - w - _PAD
+    return cv2.dft(cv2.copyMakeBorder(image, _PAD, bottom, _PAD, right, borderType=cv2.BORDER_REFLECT))
+
+
+def picture_of(packed: Image, shape: tuple[int, ...]) -> Image:
+    """The picture of `shape` within the padded one of a packed spectrum."""
+    return padded_picture(packed)[_PAD : _PAD + shape[0], _PAD : _PAD + shape[1]]
+
+
+def padded_picture(packed: Image) -> Image:
+    """The whole picture of a packed spectrum."""
+    return cv2.idft(packed, flags=cv2.DFT_SCALE)
+
+
+@lru_cache(maxsize=32)
+def padded_shape(shape: tuple[int, ...]) -> Shape:
+    """A shape that is quickly transformed, with room for _PAD pixels around `shape`."""
+    return cv2.getOptimalDFTSize(shape[0] + 2 * _PAD), cv2.getOptimalDFTSize(shape[1] + 2 * _PAD)
+
+
+@lru_cache(maxsize=32)
+def frequency(shape: Shape) -> Image:
+    """Absolute frequency of each number of a packed spectrum."""
+    rows, columns = shape
+    fx = (np.arange(columns) + 1) // 2 / columns
+    fy = np.repeat(np.abs(np.fft.fftfreq(rows))[:, None], columns, axis=1)
+    alone = [0] if columns % 2 else [0, -1]  # columns whose coefficients are conjugate to each other
+    fy[:, alone] = ((np.arange(rows) + 1) // 2 / rows)[:, None]
+    return np.hypot(fx[None, :], fy).astype(np.float32)
+
+
+def rings(shape: tuple[int, ...]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Middle frequency (R,) of the rings of a picture's spectrum, and how many numbers each holds."""
+    return _sorted(_quick(shape))[2:]
+
+
+def ring_means(a: Image, b: Image) -> tuple[NDArray[np.float64], ...]:
+    """Means (R,) over rings of the power of a, of the power of b, and of the real cross power of two tapered
+    pictures.
+    """
+    (h, w), (rows, columns) = a.shape, _quick(a.shape)
+    if (rows, columns) != (h, w):
+        a, b = (
+            cv2.copyMakeBorder(x, 0, rows - h, 0, columns - w, borderType=cv2.BORDER_CONSTANT) for x in (a, b)
+        )
+    A, B = cv2.dft(a), cv2.dft(b)
+    order, starts, _, count = _sorted((rows, columns))
+    return tuple(
+        np.add.reduceat(product.ravel().take(order), starts).astype(float) / count
+        for product in (A * A, B * B, A * B)
+    )
+
+
+def _quick(shape: tuple[int, ...]) -> Shape:
+    return cv2.getOptimalDFTSize(shape[0]), cv2.getOptimalDFTSize(shape[1])
+
+
+@lru_cache(maxsize=32)
+def _sorted(shape: Shape) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any], NDArray[Any]]:
+    """Order that sorts a packed spectrum by ring; where each starts in it; the rings' middles, sizes."""
+    ring = (frequency(shape) / _RING).astype(np.int64).ravel()
+    count = np.bincount(ring)
+    starts = np.concatenate([[0], np.cumsum(count)[:-1]])
+    return np.argsort(ring, kind="stable"), starts, (np.arange(len(count)) + 0.5) * _RING, count.astype(float)

@@ -1,0 +1,60 @@
+"""What blocks of a template say of its displacement, beside a fit to its pixels."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from gct_match.blocks import Blocks, blocks_of
+
+SIDE = 128
+MIDDLE = np.array([63.5, 63.5])
+Y, X = np.mgrid[0:SIDE, 0:SIDE] - 63.5
+
+
+def texture(seed: int) -> tuple[NDArray, NDArray, NDArray, NDArray]:
+    """Gradients, unit noise and weights of a template."""
+    rng = np.random.default_rng(seed)
+    gx, gy, noise = rng.standard_normal((3, SIDE, SIDE)).astype(np.float32)
+    return gx, gy, noise, rng.uniform(0.2, 1.0, (SIDE, SIDE)).astype(np.float32)
+
+
+def seen(P: NDArray, seed: int, noise_level: float) -> Blocks:
+    gx, gy, noise, weight = texture(seed)
+    dx, dy = (P[k, 0] * X + P[k, 1] * Y + P[k, 2] for k in (0, 1))
+    return blocks_of(
+        gx, gy, (gx * dx + gy * dy + noise_level * noise).astype(np.float32), weight, MIDDLE, 1.0
+    )
+
+
+def test_translation_is_that_of_all_pixels():
+    P = np.array([[0.0, 0.0, 0.3], [0.0, 0.0, -0.2]])
+    assert seen(P, 1, 0.0).displacement(affine=False) == pytest.approx(P, abs=1e-5)  # px, single precision
+
+
+def test_affine_map_is_found_but_for_what_turns_within_a_block():
+    P = np.array([[0.004, -0.003, 0.3], [0.002, 0.005, -0.2]])
+    found = seen(P, 2, 0.0).displacement(affine=True)
+    # a block of 16 px sees the mean lever arm: 16² / 128² of the information on the map is lost, and as much
+    # of what it says of the rest is noise of the texture
+    assert found[:, :2] == pytest.approx(P[:, :2], abs=4e-4)
+    assert found[:, 2] == pytest.approx(P[:, 2], abs=2e-3)
+
+
+def test_map_is_asked_for_only_where_there_is_one():
+    still = np.zeros((2, 3))
+    turned = np.array([[0.0, -2e-3, 0.0], [2e-3, 0.0, 0.0]])  # ten standard errors: noise 1, gradients 1
+    assert all(seen(turned, seed, 1.0).ask_for_affine(1.0) for seed in range(10))
+    assert (
+        sum(seen(still, seed, 1.0).ask_for_affine(1.0) for seed in range(200)) <= 3
+    )  # 0.1 % of 200; P(> 3) = 4e-5
+    assert not seen(50.0 * turned, 0, 1.0).ask_for_affine(1.0)  # no small map any more
+
+
+def test_covariance_is_the_scatter_of_translations():
+    blocks = [seen(np.zeros((2, 3)), seed, 1.0) for seed in range(200)]
+    scatter = np.mean([np.sum(b.displacement(affine=False)[:, 2] ** 2) / 2.0 for b in blocks])
+    stated = np.mean([np.trace(b.covariance(affine=False)) / 2.0 for b in blocks])
+    # 400 squares of a normal variable have a mean good to 7 %; 63 / 60 allow for a covariance from 64 blocks
+    assert stated == pytest.approx(63.0 / 60.0 * scatter, rel=0.25)
