@@ -16,7 +16,7 @@ __all__ = ["CoarseStrip", "read_coarse", "read_window"]
 
 Image = NDArray[Any]  # single precision
 
-_EXACT = 4  # down from this factor halvings are in single precision: rounding before adds 0.07 grey values
+_EXACT = 2  # the last halving is in single precision: rounding before it adds 0.2 grey values
 
 
 @dataclass(frozen=True, slots=True, eq=False)

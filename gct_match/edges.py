@@ -31,24 +31,21 @@ def edge_field(image: Image, valid: NDArray[np.bool_]) -> Image:
     gx: Image = cv2.Sobel(image, cv2.CV_32F, 1, 0)
     gy: Image = cv2.Sobel(image, cv2.CV_32F, 0, 1)
     xx, yy = gx * gx, gy * gy
+    field: Image = np.stack([xx - yy, 2.0 * gx * gy])
     power: Image = xx + yy
     step = max(1, min(image.shape) // 256)
-    floor = np.float32(np.median(power[::step, ::step]) + 1e-6)
-    scale: Image = 1.0 / (power + floor)
+    field /= power + np.float32(np.median(power[::step, ::step]) + 1e-6)
     if not valid.all():
-        scale[cv2.dilate((~valid).astype(np.uint8), np.ones((3, 3), np.uint8)) > 0] = 0.0
-    return np.stack([(xx - yy) * scale, 2.0 * gx * gy * scale])
+        field[:, cv2.dilate((~valid).astype(np.uint8), np.ones((3, 3), np.uint8)) > 0] = 0.0
+    return field
 
 
 def edge_similarity(template: Image, field: Image) -> Image:
     """Correlation of a template's edges (2, h, w) with a picture's (2, H, W) wherever the template lies
     within it, (H - h + 1, W - w + 1).
     """
-    _, h, w = template.shape
-    both = [
-        cv2.filter2D(plane, -1, kernel - kernel.mean(), anchor=(0, 0))[
-            : plane.shape[0] - h + 1, : plane.shape[1] - w + 1
-        ]
+    real, imaginary = (
+        cv2.matchTemplate(plane, kernel - kernel.mean(), cv2.TM_CCORR)
         for kernel, plane in zip(template, field, strict=True)
-    ]
-    return both[0] + both[1]
+    )
+    return real + imaginary
