@@ -233,6 +233,8 @@ def _same_reference(a: Rotation, b: Rotation) -> bool:
 
 
 def _expansion(numbers: list[float]) -> tuple[float, ...]:
+    if not all(map(math.isfinite, numbers)):
+        raise ValueError("information that is not a finite number cannot be added")
     parts: list[float] = []
     while part := math.fsum([*numbers, *(-p for p in parts)]):
         parts.append(part)

@@ -11,6 +11,7 @@ import pandas as pd
 from calib.campaign import CameraPair, StripPlan, installation_by_tilt
 from calib.forecast import Forecast, forecast
 from geometry.constants import ARCSEC
+from pipeline.errors import DataNotSufficientError
 from pipeline.experiments.plots import plot_forecast
 from pipeline.files.text_files import toml_tables
 from pipeline.settings import filled
@@ -32,6 +33,10 @@ class PlannedCameras:
     ccd_px: int = 6144
     n_ccds: int = 4
 
+    def __post_init__(self) -> None:
+        _check_counts(self, 65_536, "star_width_px", "star_height_px", "ccd_px")
+        _check_counts(self, 64, "n_ccds")
+
 
 @dataclass(frozen=True, slots=True)
 class PlannedStrips:
@@ -45,6 +50,10 @@ class PlannedStrips:
     star_sigma_px: float = 0.06
     height_km: float = 530.0
 
+    def __post_init__(self) -> None:
+        _check_counts(self, 1_000_000, "count")
+        _check_counts(self, 1000, "exposures", "stars")
+
 
 @dataclass(frozen=True, slots=True)
 class PlannedTargets:
@@ -55,6 +64,9 @@ class PlannedTargets:
     across: tuple[float, float] = (-1.0, 1.0)  # part of the field's half width
     along: tuple[float, float] = (0.0, 1.0)  # part of the strip's length
     sigma_m: float = 0.0
+
+    def __post_init__(self) -> None:
+        _check_counts(self, 10_000, "count")
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,8 +106,11 @@ def read_plan(path: Path) -> Plan:
 
 def forecast_plan(plan: Plan, target_arcsec: float | None = None) -> PlanForecast:
     """Predicted 1-sigma of theta for 1 to 1000 strips and the plan's own number."""
-    campaign, cameras = _campaign(plan)
-    found = forecast(campaign, cameras)
+    try:
+        campaign, cameras = _campaign(plan)
+        found = forecast(campaign, cameras)
+    except (ValueError, ArithmeticError) as error:
+        raise DataNotSufficientError(f"this campaign cannot be forecast: {error}") from error
     counts = np.unique(np.append(np.geomspace(1, 1000, 31).astype(int), plan.strips.count))
     floor = found.floor() / ARCSEC
     rows = [
@@ -114,6 +129,12 @@ def write_forecast(found: PlanForecast, out: Path, target_arcsec: float | None) 
     found.table.to_csv(out / "plan.csv", index=False, float_format="%.6g")
     plot_forecast(found.table, target_arcsec).savefig(out / "plan.png", dpi=110, bbox_inches="tight")
     return [out / "plan.csv", out / "plan.png"]
+
+
+def _check_counts(record: object, most: int, *names: str) -> None:
+    for name in names:
+        if not 1 <= getattr(record, name) <= most:
+            raise ValueError(f"{name} must be 1 to {most}, got {getattr(record, name)}")
 
 
 def _campaign(plan: Plan) -> tuple[StripPlan, CameraPair]:

@@ -9,9 +9,9 @@ from typer.testing import CliRunner
 
 from calib.experiments import ExperimentSettings
 from pipeline.cli import app
-from pipeline.errors import RawDataError
+from pipeline.errors import DataNotSufficientError, RawDataError
 from pipeline.experiments.tables import hipparcos_fields, run_experiment
-from pipeline.plan import read_plan
+from pipeline.plan import forecast_plan, read_plan
 
 runner = CliRunner()
 
@@ -68,3 +68,20 @@ def test_an_unknown_experiment_is_wrong_usage():
 def test_only_some_experiments_go_through_pixels():
     told = runner.invoke(app, ["experiment", "table4", "--out", "nowhere", "--pixels"])
     assert told.exit_code == 2
+
+
+@pytest.mark.parametrize("text", ["[strips]\nduration_s = 1e-300", "[errors]\nclock_s = 1e300"])
+def test_campaign_whose_information_has_no_number_is_told_and_ends(tmp_path, text):
+    (tmp_path / "plan.toml").write_text(text)
+    with pytest.raises(DataNotSufficientError, match="cannot be forecast"):
+        forecast_plan(read_plan(tmp_path / "plan.toml"))
+
+
+@pytest.mark.parametrize(
+    ("section", "key", "value"),
+    [("strips", "stars", 10**12), ("strips", "count", 0), ("cameras", "n_ccds", 0), ("targets", "count", -1)],
+)
+def test_count_that_no_campaign_has_is_told_with_its_range(tmp_path, section, key, value):
+    (tmp_path / "plan.toml").write_text(f"[{section}]\n{key} = {value}\n")
+    with pytest.raises(RawDataError, match=f"plan.{section}: found {key} must be 1 to .*, got {value}"):
+        read_plan(tmp_path / "plan.toml")
