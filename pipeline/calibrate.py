@@ -44,7 +44,7 @@ from pipeline.settings import RunSettings, Settings, calibration_settings
 from pipeline.work.executor import Executor
 from pipeline.work.unit_store import UnitStore
 
-__all__ = ["Calibration", "Progress", "calibrate_dump", "strips_to_match"]
+__all__ = ["Calibration", "Progress", "calibrate_dump", "left_out_of", "strips_to_match"]
 
 Array = NDArray[np.float64]
 Progress = Callable[[str, int, int], None]  # stage, units done, units in all
@@ -101,10 +101,7 @@ def calibrate_dump(
         R_cs = estimate.R_cs
         sigma = np.sqrt(np.diag(estimate.cov_theta) + settings.run.rematch_sigma_rad**2)
     omissions += left_out + [o for p in placings for o in p.omissions] + _without_targets(placings)
-    omissions += [
-        Omission(r.kind, _full_name(r.exposure_id or r.strip_id, r.name), "", r.reason)
-        for r in found.rejected
-    ]
+    omissions += left_out_of(found)
     return Calibration(
         found,
         tuple(stars),
@@ -117,6 +114,14 @@ def calibrate_dump(
         sum(counts),
         len(counts) - sum(counts),
     )
+
+
+def left_out_of(estimate: InstallationEstimate) -> list[Omission]:
+    """What the estimate itself left out: gross errors, and what exposures do not cover."""
+    return [
+        Omission(r.kind, _full_name(r.exposure_id or r.strip_id, r.name), "", r.reason)
+        for r in estimate.rejected
+    ]
 
 
 def strips_to_match(

@@ -217,11 +217,12 @@ def validate(
 ) -> None:
     """Hold a result against the truth of a simulated dump."""
     from pipeline.files.dump import open_dump
-    from pipeline.result import read_result
+    from pipeline.result import read_for_dump
     from pipeline.summary import validation_summary
     from pipeline.validate import validate as held_against_truth
 
-    typer.echo(validation_summary(held_against_truth(read_result(result), open_dump(dump))))
+    _, saved = read_for_dump(result, dump)
+    typer.echo(validation_summary(held_against_truth(saved, open_dump(dump))))
 
 
 @app.command()

@@ -28,7 +28,7 @@ from pipeline.exports.spice_frame import SpiceFrames, frame_kernel
 from pipeline.exports.star_fits import centroids_fits
 from pipeline.files.dump import surface_of
 from pipeline.files.table_files import fixed, read_parquet
-from pipeline.result import read_result
+from pipeline.result import read_for_dump, read_result
 from pipeline.strip_model import Calibrated, StripModel, open_calibrated, strip_model
 from pipeline.work.unit_store import column, list_values
 
@@ -117,7 +117,7 @@ def _qgis(request: ExportRequest) -> Made:
 
 def _fits(request: ExportRequest) -> Made:
     calibrated = _opened(request)
-    path = request.result / "sightings" / "stars.parquet"
+    path = read_for_dump(request.result, request.dump)[0] / "sightings" / "stars.parquet"
     read_parquet(path, STARS)  # damage is told; the groups are read one by one
     file = pq.ParquetFile(path)
     exposures = [_exposure(file, group) for group in range(file.num_row_groups)]
@@ -194,7 +194,8 @@ def _exposure(file: pq.ParquetFile, group: int) -> StarSightings | None:
 def _ground_points(request: ExportRequest) -> list[GroundPoints]:
     """Placed targets, one record for each CCD of each strip."""
     calibrated = _opened(request)
-    table = read_parquet(request.result / "sightings" / "targets.parquet", TARGETS)
+    folder, _ = read_for_dump(request.result, request.dump)
+    table = read_parquet(folder / "sightings" / "targets.parquet", TARGETS)
     strips = np.array(table.column("strip_id").to_pylist(), dtype=str)
     names = np.array(table.column("target_id").to_pylist(), dtype=str)
     ccd, kept = column(table, "ccd"), column(table, "kept").astype(bool)

@@ -23,7 +23,7 @@ from calib.estimate import InstallationEstimate, NotObservable
 from calib.settings import CalibrationSettings
 from geometry.epoch import Epoch
 from geometry.sightings import StarSightings, StripSightings
-from pipeline.calibrate import Calibration
+from pipeline.calibrate import Calibration, left_out_of
 from pipeline.errors import DataNotSufficientError, Omission, RawDataError
 from pipeline.files.dump import Dump, open_dump
 from pipeline.files.dump_schema import DumpFile
@@ -48,8 +48,7 @@ class JointCalibration:
     """One matrix from all dumps that could be calibrated."""
 
     estimate: InstallationEstimate
-    strips: tuple[StripSightings, ...]  # of all dumps, ids "dump/strip", t_s since `epoch`
-    epoch: Epoch
+    strips: tuple[StripSightings, ...]  # of all dumps, ids "dump/strip", t_s since the first one's epoch
     settings: CalibrationSettings
     omissions: tuple[Omission, ...]  # dumps that could not be calibrated, and what the joint fit left out
 
@@ -65,7 +64,7 @@ def open_dumps(
         raise RawDataError(str(twice[0]), "DUMP", "named twice", "each dump once")
     names = dump_names(roots)
     dumps = [NamedDump(n, open_dump(root, allow_stale_eop=allow_stale_eop)) for n, root in zip(names, roots)]
-    dumps.sort(key=lambda one: (_instants(one)[0][:1], one.name))
+    dumps.sort(key=lambda one: (min(_instants(one)[0], default=0), one.name))
     for other in dumps[1:]:
         _check_one_mission(dumps[0], other, settings)
     _check_nothing_twice(dumps)
@@ -106,8 +105,7 @@ def calibrate_jointly(
     estimate = calibrate(strips, first.dump.R_cs0, one.settings)
     if isinstance(estimate, NotObservable):
         raise DataNotSufficientError(f"all dumps together: {estimate.reason}")
-    left_out = [Omission(r.kind, f"{r.strip_id}/{r.name}", "", r.reason) for r in estimate.rejected]
-    return JointCalibration(estimate, strips, epoch, one.settings, (*failed, *left_out))
+    return JointCalibration(estimate, strips, one.settings, (*failed, *left_out_of(estimate)))
 
 
 Place = tuple[str, bytes, bytes]

@@ -54,6 +54,7 @@ __all__ = [
     "SavedResult",
     "begin_result",
     "dumps_in",
+    "read_for_dump",
     "read_mounting",
     "read_pairs",
     "read_result",
@@ -208,6 +209,27 @@ def read_result(result: Path) -> SavedResult:
         R_si,
         column(table, "usable").astype(bool),
     )
+
+
+def read_for_dump(result: Path, dump: Path | None) -> tuple[Path, SavedResult]:
+    """The folder with a dump's own sightings, and its result; where `result` is of several dumps, with the
+    joint matrix instead of its own.
+
+    `RawDataError` where `result` is of several dumps and `dump` is none of them.
+    """
+    if not dumps_in(result):
+        return result, read_result(result)
+    path = result / "run.json"
+    roots = read_json(path, str(path)).get("dumps")
+    if not isinstance(roots, dict):
+        raise RawDataError(str(path), "dumps", type(roots).__name__, "folders of dumps by their names")
+    for name, root in roots.items():
+        if dump is not None and dump.resolve() == Path(str(root)):
+            joint, own = read_result(result), read_result(result / name)
+            matrix = {key: getattr(joint, key) for key in ("R_cs", "theta", "cov_theta", "installation")}
+            return result / name, dataclasses.replace(own, **matrix)
+    expected = f"one of {', '.join(map(str, roots.values()))}: the result is of {len(roots)} dumps"
+    raise RawDataError(str(result), "--dump", "nothing" if dump is None else str(dump), expected)
 
 
 def _no_rows(columns: Mapping[str, pa.DataType]) -> pa.Table:

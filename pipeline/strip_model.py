@@ -19,7 +19,7 @@ from pipeline.files.dump import Dump, Strip, open_dump
 from pipeline.files.dump_schema import DumpFile
 from pipeline.files.table_files import fixed, read_parquet
 from pipeline.files.text_files import read_json, read_toml
-from pipeline.result import SavedResult, dumps_in, read_result
+from pipeline.result import SavedResult, read_for_dump
 from pipeline.settings import RunSettings, filled
 from pipeline.work.unit_store import list_values
 
@@ -50,12 +50,11 @@ class StripModel:
 
 
 def open_calibrated(result: Path, dump: Path | None, *, allow_stale_eop: bool = False) -> Calibrated:
-    """A finished result with its dump: the one given, or else the one that the run's notes name."""
-    if names := dumps_in(result):
-        expected = f"that of one of them, such as {result / names[0]}"
-        raise RawDataError(str(result), "RESULT", f"the joint result of {len(names)} dumps", expected)
-    saved = read_result(result)
-    table = read_parquet(result / "sightings" / "exposures.parquet", {"covariance_s": fixed(9)})
+    """A finished result with its dump: the one given, or else the one that the run's notes name. Of several
+    dumps, one must be given; it comes with the joint matrix.
+    """
+    folder, saved = read_for_dump(result, dump)
+    table = read_parquet(folder / "sightings" / "exposures.parquet", {"covariance_s": fixed(9)})
     run = _run_settings(saved, result)
     effects = LightEffects(run.geometric_light_time, run.aberration, run.refraction)
     root = dump if dump is not None else _noted_dump(result)

@@ -50,7 +50,7 @@ def dumps(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     folder = tmp_path_factory.mktemp("dumps")
     november, later = (strip_of_fixture(folder / name, n + 1) for n, name in enumerate(NAMES[:2]))
     changes = ["strips.count=1", "strips.lines=1000", "strips.only_around_targets_px=60.0"]
-    changes += ["targets.per_strip=8", 'epoch_utc="2025-01-15T03:40:00"']
+    changes += ["targets.per_strip=12", 'epoch_utc="2025-01-15T03:40:00"']
     options = [part for change in changes for part in ("--set", change)]
     ran("simulate", "mini", folder / NAMES[2], "--seed", 2, *options)
     return [november, later, folder / NAMES[2]]
@@ -156,12 +156,24 @@ def test_status_report_and_drift_know_a_folder_of_dumps(joint: Path, tmp_path: P
     assert alone["merged"] == json.loads((joint / "drift.json").read_text())["merged"]
 
 
-def test_matrix_formats_are_exported_and_what_needs_one_dump_says_so(joint: Path, tmp_path: Path) -> None:
+def test_joint_matrix_serves_each_of_its_dumps(dumps: list[Path], joint: Path, tmp_path: Path) -> None:
     ran("export", joint, "--format", "json", "--out", tmp_path)
     exported = json.loads((tmp_path / "matrix.json").read_text())
     assert exported["covariance_rad2"] == matrix(joint)["covariance_rad2"]
-    with pytest.raises(RawDataError, match=r"the joint result of 3 dumps, expected that of one .*november"):
+    ran("export", joint, "--format", "aem,geojson,fits", "--dump", dumps[2], "--out", tmp_path)
+    assert (tmp_path / "s01.aem").is_file()
+    with pytest.raises(RawDataError, match=r"--dump: found nothing, expected one of .*november.* of 3 dumps"):
         open_calibrated(joint, None)
+    # The exposures' attitudes are the dump's own, the matrix is the joint one, and better: one dump of one
+    # strip leaves 10 arcsec about Z.
+    told = ran("validate", joint, "--dump", dumps[2]).splitlines()
+    sigma = next(line.split()[-3:] for line in told if "stated 1 sigma" in line)
+    joint_sigma = np.sqrt(np.diag(matrix(joint)["covariance_rad2"])) / ARCSEC
+    np.testing.assert_allclose(np.array(sigma, dtype=float), joint_sigma, atol=6e-5)  # as printed
+    nees = next(float(line.split()[-1]) for line in told if "NEES" in line)
+    assert nees < 16.27  # chi-square of 3: 999 of 1000
+    assert any(line.startswith("geo-positioning at 2") for line in told)  # 20, or more seen by two CCDs
+    assert not any("no position" in line for line in told)
 
 
 def test_a_dump_that_does_not_suffice_is_counted_and_the_others_go_on(

@@ -193,6 +193,26 @@ def test_results_that_are_not_of_one_mounting_are_refused(tmp_path, change, erro
         drift_of([first, other], REST)
 
 
+def test_results_that_believe_another_distortion_are_refused(tmp_path):
+    # Their unknowns are not the same ones: knots elsewhere, in other units.
+    folders = []
+    for k, length in enumerate((2000.0, 1500.0)):
+        folder = write_result(tmp_path / f"m{k}", 30 * DAY_S * k, THETA)
+        content = json.loads((folder / "installation.json").read_text())
+        believed = {"sigma_distortion_rad": 3e-7, "distortion_length_px": length}
+        (folder / "installation.json").write_text(
+            json.dumps(content | {"settings": {"calibration": believed}})
+        )
+        F = np.diag([*SIGMA**-2.0, 1.0])[None]
+        R_cs = deviation_from_theta(THETA) * R_CS0
+        pair = InformationPairs(np.array(["s1"]), F, np.zeros((1, 4)), R_cs, ("distortion/x/0/1",))
+        table = pa.Table.from_pandas(pair.table(), preserve_index=False)
+        pq.write_table(table, folder / "sightings/strips.parquet")
+        folders.append(folder)
+    with pytest.raises(RawDataError, match=r"distortion_length_px: found 1500.0, expected 2000.0"):
+        drift_of(folders, REST)
+
+
 def test_a_camera_is_compared_within_one_version_of_the_program_only(tmp_path):
     first = write_result(tmp_path / "a", 0.0, THETA)
     other = write_result(tmp_path / "b", DAY_S, THETA, camera="c1", version="0.2.0")
