@@ -42,7 +42,7 @@ _PIECE = 8192  # pixels whose columns stay in the processor's cache
 # A tone curve acts on the scene, of which the template shows no more than means over a pixel. The rest of
 # what it does has a direction where light and shadow lie on the same side of every tree and roof, and a
 # shift of all of them alike shows in no residual. On rendered scenes it comes to this share of what shows.
-_UNSEEN_TONE = 0.06
+_UNSEEN_TONE = 0.05
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -151,7 +151,7 @@ class _Fit:
             affine=self.warp[:2, :2] - np.eye(2),
             correlation=self._correlation(),
             kept=float(self.weight.sum() / max(self.mask.sum(), 1.0)),
-            converged=bool(self.alike and self.settled and far < _FARTHEST_PX),
+            converged=bool(self.alike and self.settled and far < _FARTHEST_PX - 1e-6),
             found=self.found,
             residual=self.residual,
         )
