@@ -40,9 +40,9 @@ _NEAR_PX = 0.05  # the pair's coherence, as measured farther off, misleads
 _SETTLED_PX = 0.02  # a step below this leaves a thirtieth of it as error: the derivatives are that good
 _PIECE = 8192  # pixels whose columns stay in the processor's cache
 # A tone curve acts on the scene, of which the template shows no more than means over a pixel. The rest of
-# what it does has a direction where light and shadow lie on the same side of every tree and roof, and a
-# shift of all of them alike shows in no residual. On rendered scenes it comes to this share of what shows.
-_UNSEEN_TONE = 0.05
+# what it does leans one way where light and shadow lie on the same side of trees and roofs, and a shift of
+# all of them alike shows in no residual. It averages out over the scene as structures of this size would.
+_LEANING_PX = 5.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -143,7 +143,7 @@ class _Fit:
 
     def placement(self) -> Placement:
         cov = self.blocks().covariance(affine=self.affine) / self.response**2
-        cov += _UNSEEN_TONE**2 * self._tone_px2() * np.eye(2)
+        cov += _LEANING_PX**2 / max(float(self.weight.sum()), 1.0) * self._tone_px2() * np.eye(2)
         far = np.abs(self.warp[:2, 2] - self.start).max()
         return Placement(
             xy_px=self.warp[:2, 2].copy(),
