@@ -21,7 +21,7 @@ __all__ = ["Paths", "directions_c", "displacements", "target_paths"]
 Array = NDArray[np.float64]
 
 _NODES = 65  # lines of a strip at which directions are computed
-_STEPS = 4  # of the secant method: from a 1/64 of a strip to 1e-6 px
+_STEPS = 3  # of the secant method: from a 1/64 of a strip to 1e-6 px
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -81,16 +81,15 @@ def displacements(
     Returns (N, 2) px and (N, 2, 3) px/rad. A rotation by theta of the installation matrix moves the
     direction u_c of a point by u x theta (paper, eq. 12); the pixel's Jacobian brings directions to pixels.
     """
-    displacement, design = np.empty((len(p_e), 2)), np.empty((len(p_e), 2, 3))
+    predicted = directions_c(pushbroom, p_e, xy_px[:, 1])
+    measured, jacobian = np.empty((len(p_e), 3)), np.empty((len(p_e), 3, 2))
     for n in np.unique(ccd):
         here = ccd == n
         sample, line = xy_px[here].T
-        measured = pushbroom.camera.directions_from_pixels(int(n), sample)
-        predicted = directions_c(pushbroom, p_e[here], line)
-        inverse = np.linalg.pinv(pushbroom.pixel_jacobian(int(n), sample, line))
-        displacement[here] = np.einsum("nij,nj->ni", inverse, measured - predicted)
-        design[here] = inverse @ _cross_matrix(predicted)
-    return displacement, design
+        measured[here] = pushbroom.camera.directions_from_pixels(int(n), sample)
+        jacobian[here] = pushbroom.pixel_jacobian(int(n), sample, line)
+    inverse = np.linalg.pinv(jacobian)
+    return np.einsum("nij,nj->ni", inverse, measured - predicted), inverse @ _cross_matrix(predicted)
 
 
 def _cross_matrix(u: Array) -> Array:
