@@ -235,17 +235,10 @@ def vectors_report(options: argparse.Namespace) -> str:
     calibrated = years(
         [Job((seed + 2, n), FOR_STEPS, True, STEPS) for n in range(options.calibrated)], options.processes
     )
-    command = (
-        f"python benchmarks/drift.py --rest {options.rest} --steps {options.steps} "
-        f"--calibrated {options.calibrated} --series {options.series} --seed {seed}"
-    )
     lines = [
         "# A year of calibrations: alarms, steps, dates",
         "",
         *machine(),
-        "",
-        f"    {command}",
-        "",
         f"{len(DAYS)} results on days {', '.join(f'{d:.0f}' for d in DAYS)}, strips "
         f"({PLAN.exposures} exposures of {PLAN.stars} stars, {PLAN.targets} targets; every error of Table 1; "
         "one distortion a year). *shared*: the distortion is one unknown of all results, as `boresight "
@@ -316,10 +309,8 @@ def pixels_report(folder: Path) -> str:
         "## From pixels: four dumps of mini, the mounting moved by 1″ after the second",
         "",
         *machine(),
-        "",
         f"    boresight simulate mini MONTH --seed 11 … 14 {changes}",
         "    boresight calibrate MONTHS --out RESULT",
-        "    python benchmarks/drift.py --pixels FOLDER",
         "",
         f"Dumps of {', '.join(MONTHS)}; step {', '.join(f'{v:g}' for v in STEP / ARCSEC)}″ about X, Y, Z.",
         "",
