@@ -2,7 +2,7 @@
 
     within reach?  ->  bootstrap, if the installation matrix is not known to some pixels  ->  each target
     in each CCD: template at the common rotation -> correlation in a small window -> least-squares places
-    of the best peaks -> refusal, or a match  ->  do the matches agree on one rotation?
+    of the best peaks -> refusal, or a match  ->  do the matches agree on one rotation, beyond chance?
 
 A target in the overlap of two CCDs is placed in both. Whatever is refused is listed with its reason.
 """
@@ -92,15 +92,15 @@ def match_strip(
     within = sorted({window.target for window in plan.windows})
     theta: Array = np.zeros(3)
     covariance: Array = np.diag(sigma**2)
-    log_chance, read = 0.0, 0
+    outcome, read = None, 0
     if plan.windows and max(window.radius_px for window in plan.windows) > 2.0 * settings.margin_px + 2.0:
         outcome = bootstrap(strip, pushbroom, targets, chips, surface, sigma, plan, settings)
-        theta, covariance, log_chance = outcome.parameters, outcome.covariance, outcome.log_probability_chance
-        read += plan.pixels_to_read
-        if log_chance > np.log(settings.probability_chance):
-            return _no_vote(scene, within, refused, outcome, read)
+        theta, covariance, read = outcome.parameters, outcome.covariance, plan.pixels_to_read
     found, more, pixels = _fine(scene, within, theta, covariance)
     matches, inconsistent, theta, covariance = _consistent(scene, found, theta, sigma)
+    log_chance = 0.0 if outcome is None else _log_chance(outcome, matches, settings)
+    if outcome is not None and log_chance > np.log(settings.probability_chance):
+        return _no_vote(scene, within, refused, outcome, len(matches), log_chance, read + pixels)
     refused = [*refused, *more, *inconsistent]
     return StripMatches(
         tuple(matches), tuple(refused), theta, covariance, float(np.exp(log_chance)), read + pixels
@@ -126,14 +126,26 @@ def _worth_a_search(scene: _Scene, plan: SearchPlan) -> tuple[SearchPlan, list[R
     return replace(plan, windows=tuple(w for w in plan.windows if w.target not in bland)), refused
 
 
+def _log_chance(outcome: Vote, matches: Sequence[TargetMatch], settings: MatchSettings) -> float:
+    """Log of the chance of the vote and of the places that were found because of it."""
+    placed = len({match.target_id for match in matches})
+    return outcome.log_probability_chance + placed * float(np.log(settings.chance_of_a_place))
+
+
 def _no_vote(
-    scene: _Scene, within: Sequence[int], refused: Sequence[Refusal], outcome: Vote, read: int
+    scene: _Scene,
+    within: Sequence[int],
+    refused: Sequence[Refusal],
+    outcome: Vote,
+    placed: int,
+    log_chance: float,
+    read: int,
 ) -> StripMatches:
     """A strip whose targets agree on nothing."""
-    chance, allowed = np.exp(outcome.log_probability_chance), scene.settings.probability_chance
+    chance, allowed = np.exp(log_chance), scene.settings.probability_chance
     reason = (
-        f"{len(within)} targets agree on no common rotation: {len(outcome.supporters)} at best, which chance "
-        f"gives with probability {chance:.1g}, {allowed:.1g} is allowed"
+        f"{len(within)} targets agree on no common rotation: {len(outcome.supporters)} at best, {placed} of "
+        f"them placed, which chance gives with probability {chance:.1g}, {allowed:.1g} is allowed"
     )
     every = [*refused, *(Refusal(scene.targets[n].target_id, -1, reason) for n in within)]
     return StripMatches((), tuple(every), np.full(3, np.nan), np.full((3, 3), np.nan), float(chance), read)

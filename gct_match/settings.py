@@ -27,7 +27,10 @@ class MatchSettings:
     coarse_template_px: int = 32  # of a chip on the coarse picture: coarser, it loses too many of its edges
     coarse_pixels: float = 12e6  # pixels of the coarse strip that one search may hold in memory (48 MB)
     read_block_px: int = 16_000_000  # pixels read at once: few tiles of a file are decoded twice
-    probability_chance: float = 1e-6  # a vote that chance would give more often than this is no vote
+    probability_chance: float = 1e-6  # a vote, and the places it led to, that chance gives more often is none
+    chance_of_a_place: float = (
+        1e-2  # that a target is placed, in accord with the others, where it is not: 3 of 2160 were placed
+    )
     probability_wrong: float = 1e-4  # a place that is more likely wrong than this is refused
     sigma_px: float = (
         0.1  # placed worse than this is refused: what merely looks alike is seldom placed better
