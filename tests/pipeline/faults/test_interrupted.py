@@ -69,6 +69,21 @@ for steps in range(1, 200, 7):
         sys.exit(os.WEXITSTATUS(status))
 """
 
+# A process that kills itself at one moment of writing a unit.
+KILLED_AT = """
+import os, signal, sys
+from pathlib import Path
+import pyarrow as pa
+from pipeline.work.unit_store import UnitStore
+
+def die(*arguments, **named):
+    os.kill(os.getpid(), signal.SIGKILL)
+
+where = {"written": (os, "fsync"), "flushed": (Path, "replace"), "renamed": (Path, "unlink")}
+setattr(*where[sys.argv[1]], die)
+UnitStore(Path(sys.argv[2])).write("stage", "s1", "new", pa.table({"a": [1.0, 2.0]}), {"id": "s1"})
+"""
+
 
 @pytest.fixture
 def begun(finished: tuple[Path, Path], tmp_path: Path) -> tuple[Path, Path, bytes]:
@@ -103,18 +118,8 @@ def test_run_killed_at_every_step_of_writing_ends_with_the_same_bytes(
 def test_unit_is_the_old_one_or_the_new_one_whenever_its_process_is_killed(step: str, tmp_path: Path) -> None:
     store, table = UnitStore(tmp_path), pa.table({"a": [1.0, 2.0]})
     store.write("stage", "s1", "old", table, {"id": "s1"})
-    if not (child := os.fork()):
-        die = lambda *arguments: os.kill(os.getpid(), signal.SIGKILL)  # noqa: E731
-        if step == "written":
-            os.fsync = die
-        elif step == "flushed":
-            Path.replace = die
-        else:
-            Path.unlink = die
-        store.write("stage", "s1", "new", table, {"id": "s1"})
-        os._exit(0)
-    _, status = os.waitpid(child, 0)
-    assert os.WIFSIGNALED(status)
+    ran = subprocess.run([sys.executable, "-c", KILLED_AT, step, str(tmp_path)], timeout=60)
+    assert ran.returncode == -signal.SIGKILL
     assert store.read("stage", "s1", "old") is not None
     assert (store.read("stage", "s1", "new") is not None) == (step == "renamed")
 
