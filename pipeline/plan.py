@@ -108,7 +108,8 @@ def forecast_plan(plan: Plan, target_arcsec: float | None = None) -> PlanForecas
     """Predicted 1-sigma of theta for 1 to 1000 strips and the plan's own number."""
     try:
         campaign, cameras = _campaign(plan)
-        found = forecast(campaign, cameras)
+        with np.errstate(over="raise", invalid="raise"):
+            found = forecast(campaign, cameras)
     except (ValueError, ArithmeticError) as error:
         raise DataNotSufficientError(f"this campaign cannot be forecast: {error}") from error
     counts = np.unique(np.append(np.geomspace(1, 1000, 31).astype(int), plan.strips.count))

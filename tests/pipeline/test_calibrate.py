@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from conftest import FIXTURE
+from fixture_strips import FIXTURE
 from typer.testing import CliRunner
 
 from geometry.installation import theta_between

@@ -12,7 +12,7 @@ from types import SimpleNamespace
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from conftest import strip_of_fixture
+from fixture_strips import strip_of_fixture
 from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
