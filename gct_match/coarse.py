@@ -59,13 +59,18 @@ def read_coarse(
         stop = min(row + at_once, h)
         line0, line1 = lines[0] + row * factor, lines[0] + stop * factor
         block = np.asarray(strip.read(ccd, line0, line1, samples[0], samples[0] + w * factor))
-        good = _usable(block, settings)
-        if good.all():
+        if _sets_nothing_aside(block, settings) or (good := _usable(block, settings)).all():
             image[row:stop] = _block_means(block, factor)
         else:
             image[row:stop] = _block_means(_filled(block, good), factor)
             valid[row:stop] = _block_means(good.astype(np.float32), factor) > 0.75
     return CoarseStrip(image, valid, (samples[0], lines[0]), factor)
+
+
+def _sets_nothing_aside(image: NDArray, settings: MatchSettings) -> bool:
+    """Whole numbers, each of which is a grey value: there is nothing to look for."""
+    limits = np.isfinite([settings.saturation, settings.no_data])
+    return image.dtype.kind in "iu" and not limits.any()
 
 
 def _usable(image: NDArray, settings: MatchSettings) -> NDArray[np.bool_]:

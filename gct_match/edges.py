@@ -31,8 +31,11 @@ def edge_field(image: Image, valid: NDArray[np.bool_]) -> Image:
     gx: Image = cv2.Sobel(image, cv2.CV_32F, 1, 0)
     gy: Image = cv2.Sobel(image, cv2.CV_32F, 0, 1)
     xx, yy = gx * gx, gy * gy
-    field: Image = np.stack([xx - yy, 2.0 * gx * gy])
-    power: Image = xx + yy
+    field: Image = np.empty((2, *image.shape), dtype=np.float32)
+    np.subtract(xx, yy, out=field[0])
+    np.multiply(gx, gy, out=field[1])
+    field[1] *= 2.0
+    power: Image = np.add(xx, yy, out=xx)
     step = max(1, min(image.shape) // 256)
     field /= power + np.float32(np.median(power[::step, ::step]) + 1e-6)
     if not valid.all():
