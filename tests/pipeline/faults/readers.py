@@ -11,7 +11,7 @@ import random
 import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from types import SimpleNamespace
 from typing import Any
 
@@ -194,8 +194,8 @@ def _strip_unit(folder: Path) -> Any:
 
 
 EARTH = bundled_earth_orientation()
-STAR_UNIT = f"run/work/exposures/e1.{'0' * 32}.parquet"
-STRIP_UNIT = f"run/work/places-1/s1.{'0' * 32}.parquet"
+STAR_UNIT = PurePosixPath("run", "work", "exposures", f"e1.{'0' * 32}.parquet").as_posix()
+STRIP_UNIT = PurePosixPath("run", "work", "places-1", f"s1.{'0' * 32}.parquet").as_posix()
 
 READERS = (
     *(
