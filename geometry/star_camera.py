@@ -9,6 +9,7 @@ never a pixel.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,10 +18,13 @@ from numpy.typing import ArrayLike, NDArray
 __all__ = ["OpenCVParameters", "StarCamera"]
 
 Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
 
 _MM = 1e3  # mm per metre: the paper's distortion numbers are for coordinates in millimetres
 _NEWTON_STEPS = 25
-_NEWTON_MM = 1e-13  # last step of the inversion: 1.6e-11 px for a pixel of 6.4 um
+_NEWTON_MM = (
+    3e-6  # last step of the inversion: its square times the bend of a lens, 0.02 / mm, is 2e-13 mm left
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -86,9 +90,12 @@ class StarCamera:
             `[-x, -y, f]` normalised, x and y the ideal image coordinates; NaN for NaN, and for a point which
             lies so far outside that no ideal point is imaged on it.
         """
-        ideal = self._ideal_mm(self._image_mm(xy_px))
-        v_s = np.column_stack([-ideal, np.full(len(ideal), self.focal_m * _MM)])
-        return v_s / np.linalg.norm(v_s, axis=1, keepdims=True)
+        return _normalised(self.tangents_from_pixels(xy_px))
+
+    def tangents_from_pixels(self, xy_px: ArrayLike) -> Array:
+        """The same directions as points (N, 2) of the tangent plane, `(u_x, u_y) / u_z`."""
+        ideal = self._ideal_mm(_points(xy_px))
+        return _pairs(ideal * (-1.0 / (self.focal_m * _MM)))
 
     def pixels_from_directions(self, u_s: ArrayLike) -> Array:
         """Image points (N, 2) of directions (N, 3) in frame s, distortion included.
@@ -100,26 +107,26 @@ class StarCamera:
         u = np.asarray(u_s, dtype=float)
         if u.ndim != 2 or u.shape[1] != 3:
             raise ValueError(f"u_s must have shape (N, 3), got {u.shape}")
-        ahead = u[:, 2] > 0.0
-        z = np.where(ahead, u[:, 2], np.nan)
-        p = u[:, :2].T * (-self.focal_m * _MM / z)
-        actual, diagonal, mixed = self._bent(p)
-        actual[:, ~self._upright(p, diagonal, mixed)] = np.nan
-        return np.asarray(self.principal_px) + actual.T / (self.pixel_m * _MM)
+        ahead = np.where(u[:, 2] > 0.0, u[:, 2], np.nan)
+        ideal = _complex(u[:, :2]) * (-self.focal_m * _MM / ahead)
+        actual, own, other = self._bent(ideal)
+        actual[~self._upright(ideal, own, other)] = complex(np.nan, np.nan)
+        return np.asarray(self.principal_px) + _pairs(actual) / (self.pixel_m * _MM)
 
     def pixel_jacobian(self, xy_px: ArrayLike) -> Array:
         """Derivative of the unit vectors, (N, 3, 2): `d u_s / d(column, row)`, rad/px.
 
         A covariance of a centroid (2, 2) px^2 becomes that of its direction: `J C J^T` (3, 3) rad^2.
         """
-        ideal = self._ideal_mm(self._image_mm(xy_px))
-        v = np.column_stack([-ideal, np.full(len(ideal), self.focal_m * _MM)])
-        norm = np.linalg.norm(v, axis=1)
-        u = v / norm[:, None]
-        across = (np.eye(3) - u[:, :, None] * u[:, None, :]) / norm[:, None, None]
-        du_dideal = -across[:, :, :2]
-        dactual_dideal = self._distortion_jacobian(ideal)
-        return du_dideal @ _inverse_2x2(dactual_dideal) * (self.pixel_m * _MM)
+        ideal = self._ideal_mm(_points(xy_px))
+        _, own, other = self._bent(ideal)
+        dactual_dideal = np.empty((len(ideal), 2, 2))
+        dactual_dideal[:, 0, 0], dactual_dideal[:, 1, 1] = own + other.real, own - other.real
+        dactual_dideal[:, 0, 1] = dactual_dideal[:, 1, 0] = other.imag
+        f_mm = self.focal_m * _MM
+        u = _normalised(_pairs(ideal / -f_mm))
+        across = (np.eye(3) - u[:, :, None] * u[:, None, :]) * (u[:, 2] / f_mm)[:, None, None]
+        return -across[:, :, :2] @ _inverse_2x2(dactual_dideal) * (self.pixel_m * _MM)
 
     def opencv_parameters(self) -> OpenCVParameters:
         """This lens in OpenCV's terms: k1 = q1 f^2, k2 = q2 f^4, p1cv = p2 f, p2cv = p1 f with f in mm."""
@@ -162,67 +169,65 @@ class StarCamera:
             q2=float(d[1] / f**4),
         )
 
-    def _image_mm(self, xy_px: ArrayLike) -> Array:
-        return (_points(xy_px) - np.asarray(self.principal_px)) * (self.pixel_m * _MM)
+    def _bent(self, z: Complex) -> tuple[Complex, Array, Complex]:
+        """Real places of ideal points z = x + iy, mm (eq. 4), their derivatives by z and by its conjugate.
 
-    def _distortion_jacobian(self, ideal: Array) -> Array:
-        """d(actual) / d(ideal), (N, 2, 2)."""
-        _, diagonal, mixed = self._bent(ideal.T)
-        J = np.empty((len(ideal), 2, 2))
-        J[:, 0, 0], J[:, 1, 1] = diagonal
-        J[:, 0, 1] = J[:, 1, 0] = mixed
-        return J
-
-    def _bent(self, p: Array) -> tuple[Array, Array, Array]:
-        """Real places (2, N) of ideal points p (2, N), mm (eq. 4), and their derivatives: (2, N) each
-        coordinate by itself, (N,) each by the other.
-
-        With t = (p1, p2) eq. (5) is p + d = s p + r^2 t, where s = 1 + q1 r^2 + q2 r^4 + 2 t.p, so the
-        derivative is s I + 2 (q1 + 2 q2 r^2) p p^T + 2 (p t^T + t p^T).
+        With t = p1 + i p2 eq. (5) is  z + d = s z + r^2 t, where s = 1 + q1 r^2 + q2 r^4 + 2 t.z. A small dz
+        moves the real place by  own dz + other conj(dz), own being real; areas grow by own^2 - |other|^2.
         """
-        t = self._tangential
-        x, y = p
-        r2 = x * x + y * y
-        s = r2 * (self.q1 + r2 * self.q2) + (2.0 * (self.p1 * x + self.p2 * y) + 1.0)
-        slope = 2.0 * self.q1 + (4.0 * self.q2) * r2
-        diagonal = s + p * (slope * p + 4.0 * t)
-        mixed = slope * x * y + 2.0 * (self.p2 * x + self.p1 * y)
-        return s * p + t * r2, diagonal, mixed
+        t = complex(self.p1, self.p2)
+        r2 = z.real * z.real + z.imag * z.imag
+        sideways = 2.0 * (self.p1 * z.real + self.p2 * z.imag)
+        s = r2 * (self.q1 + r2 * self.q2) + (sideways + 1.0)
+        slope = self.q1 + r2 * (2.0 * self.q2)
+        return s * z + r2 * t, s + (r2 * slope + sideways), z * (slope * z + 2.0 * t)
 
-    @property
-    def _tangential(self) -> Array:
-        return np.array([[self.p1], [self.p2]])
-
-    def _upright(self, p: Array, diagonal: Array, mixed: Array) -> NDArray[np.bool_]:
+    def _upright(self, z: Complex, own: Array, other: Complex) -> NDArray[np.bool_]:
         """(N,) where the image still grows outward and is not turned over; arguments as in `_bent`."""
-        with np.errstate(invalid="ignore"):
-            near = p[0] * p[0] + p[1] * p[1] < self._fold_mm2
-            return np.asarray(near & (diagonal[0] * diagonal[1] > mixed * mixed))
+        return np.asarray((np.abs(z) < self._fold_mm) & (own > np.abs(other)))
 
     @property
-    def _fold_mm2(self) -> float:
-        """The smallest r^2 at which the radial image stops growing, 1 + 3 q1 r^2 + 5 q2 r^4 = 0."""
+    def _fold_mm(self) -> float:
+        """The smallest r at which the radial image stops growing, 1 + 3 q1 r^2 + 5 q2 r^4 = 0."""
         discriminant = 9.0 * self.q1**2 - 20.0 * self.q2
-        reciprocal = -3.0 * self.q1 + np.sqrt(max(discriminant, 0.0))  # of half the root
-        return float(2.0 / reciprocal) if discriminant >= 0.0 and reciprocal > 1e-30 else float("inf")
+        reciprocal = -3.0 * self.q1 + math.sqrt(max(discriminant, 0.0))  # of half of r^2
+        return math.sqrt(2.0 / reciprocal) if discriminant >= 0.0 and reciprocal > 1e-30 else math.inf
 
-    def _ideal_mm(self, actual: Array) -> Array:
-        """Inverse of eq. (4): the ideal points whose real places are `actual`; NaN where there is none."""
-        goal = np.ascontiguousarray(actual.T)
-        p = goal.copy()
+    def _ideal_mm(self, xy_px: Array) -> Complex:
+        """Inverse of eq. (4): (N,) ideal points x + iy whose real places are the pixels; NaN where none is.
+
+        Newton's method: the step that takes away a miss m is  (own m - other conj(m)) / (own^2 - |other|^2).
+        """
+        goal = _complex((xy_px - np.asarray(self.principal_px)) * (self.pixel_m * _MM))
+        z = goal
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             for _ in range(_NEWTON_STEPS):
-                real, diagonal, mixed = self._bent(p)
+                real, own, other = self._bent(z)
                 miss = goal - real
-                determinant = diagonal[0] * diagonal[1] - mixed * mixed
-                step = (diagonal[::-1] * miss - mixed * miss[::-1]) / determinant
-                if not (np.abs(step) >= _NEWTON_MM).any():
+                step = (own * miss - other * miss.conj()) / (own * own - np.abs(other) ** 2)
+                z = z + step
+                size = np.abs(step)
+                if not (size >= _NEWTON_MM).any():
                     break
-                p += step
-            found = (np.abs(miss) < 1e-10).all(axis=0) & self._upright(p, diagonal, mixed)
-        ideal = p.T.copy()
-        ideal[~found] = np.nan
-        return ideal
+            found = (size < _NEWTON_MM) & self._upright(z, own, other)
+        z[~found] = complex(np.nan, np.nan)
+        return z
+
+
+def _complex(points: Array) -> Complex:
+    """x + iy of points (N, 2)."""
+    return np.ascontiguousarray(points).view(np.complex128)[:, 0]
+
+
+def _pairs(z: Complex) -> Array:
+    """Points (N, 2) of x + iy."""
+    return z.view(float).reshape(-1, 2)
+
+
+def _normalised(tangents: Array) -> Array:
+    """Unit vectors (N, 3) of points (N, 2) of the tangent plane."""
+    v = np.column_stack([tangents, np.ones(len(tangents))])
+    return v / np.linalg.norm(v, axis=1, keepdims=True)
 
 
 def _points(xy_px: ArrayLike) -> Array:

@@ -1,7 +1,7 @@
 """A raw image of a known camera becomes the sightings that calibration uses: named stars with covariances.
 
-Only stars whose place is beyond doubt pass on: not saturated, not displaced by a neighbour or a companion,
-not marked in the catalogue, not an outlier of the attitude fit.
+Only stars whose place is beyond doubt pass on: not displaced by a neighbour, a companion or, if saturated, a
+skirt that is not the PSF's, not marked in the catalogue, not an outlier of the attitude fit.
 """
 
 from __future__ import annotations
@@ -88,8 +88,7 @@ def sight_stars(
 
 def plane_coordinates(camera: StarCamera, xy_px: Array) -> Array:
     """Tangent-plane coordinates (u_x, u_y) / u_z of image points, distortion removed."""
-    u_s = camera.directions_from_pixels(xy_px)
-    return np.asarray(u_s[:, :2] / u_s[:, 2:])
+    return camera.tangents_from_pixels(xy_px)
 
 
 def field_of_camera(camera: StarCamera, settings: StarSettings) -> FieldOfView:
@@ -136,7 +135,7 @@ def fit_for_calibration(
     trusted = _is_in(
         index.stars.hip[rows], _trusted_hip(round(settings.max_photocentre_shift_px * arcsec_per_px, 6))
     )
-    measured = ~stars.saturated[detections] & ~stars.blended[detections]
+    measured = ~stars.blended[detections]
     alone = _alone(index, rows, sigma_rad, settings.max_photocentre_shift_px * arcsec_per_px * ARCSEC)
     return np.asarray(trusted & measured & alone)
 
