@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from gct_match.coarse import read_coarse
 from gct_match.correlation import peaks_of
 from gct_match.edges import edge_field, edge_similarity
-from gct_match.paths import Paths, directions_c, displacements
+from gct_match.paths import Paths, displacements
 from gct_match.records import Chip, StripImage, Target
 from gct_match.settings import MatchSettings
 from gct_match.template import chip_side_px, predict_template
@@ -286,7 +286,7 @@ def _seeing_at(pushbroom: Pushbroom, p_e: Array, ccd: int, xy_px: Array) -> Push
     alone).
     """
     measured = pushbroom.camera.directions_from_pixels(ccd, xy_px[:1])[0]
-    predicted = directions_c(pushbroom, p_e[None], xy_px[1:])[0]
+    predicted = pushbroom.directions_c(p_e[None], xy_px[1:])[0]
     axis = np.cross(predicted, measured)
     turn = axis / (np.linalg.norm(axis) + 1e-300) * np.arctan2(np.linalg.norm(axis), predicted @ measured)
     return pushbroom.with_installation(deviation_from_theta(-turn) * pushbroom.R_cs)

@@ -156,7 +156,6 @@ def _fine(
 ) -> tuple[list[tuple[int, TargetMatch]], list[Refusal], int]:
     """All targets in all CCDs, near where the common rotation puts them."""
     model = scene.pushbroom.with_installation(deviation_from_theta(theta) * scene.pushbroom.R_cs)
-    model = model.tabulated(*scene.paths.lines[[0, -1]])
     seen: set[int] = set()
     found, refused, pixels = [], [], 0
     for ccd in scene.strip.ccds:

@@ -12,11 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from geometry.groundlight import apparent_ground_directions
 from geometry.installation import deviation_from_theta
 from geometry.pushbroom import Pushbroom
 
-__all__ = ["Paths", "directions_c", "displacements", "target_paths"]
+__all__ = ["Paths", "displacements", "target_paths"]
 
 Array = NDArray[np.float64]
 
@@ -51,7 +50,7 @@ class Paths:
         f_before, f_after = miss[found, first], miss[found, first + 1]
         line = before - f_before * (after - before) / (f_after - f_before)
         for _ in range(_STEPS):
-            u_c = turn.apply(directions_c(self.pushbroom, self.p_e[found], line))
+            u_c = turn.apply(self.pushbroom.directions_c(self.p_e[found], line))
             sample, f = self.pushbroom.camera.samples_from_directions(ccd, u_c)
             line = line - f * (after - before) / (f_after - f_before)
         out[found] = np.column_stack([sample, line])
@@ -62,15 +61,8 @@ def target_paths(pushbroom: Pushbroom, p_e: Array, lines: int) -> Paths:
     """The paths of points p_e (T, 3) through a strip of so many lines."""
     nodes = np.asarray(np.linspace(-0.5, lines - 0.5, _NODES), dtype=float)
     points = np.repeat(p_e, _NODES, axis=0)
-    u_c = directions_c(pushbroom, points, np.tile(nodes, len(p_e)))
+    u_c = pushbroom.directions_c(points, np.tile(nodes, len(p_e)))
     return Paths(pushbroom, p_e, nodes, u_c.reshape(len(p_e), _NODES, 3))
-
-
-def directions_c(pushbroom: Pushbroom, p_e: Array, line: Array) -> Array:
-    """Directions (N, 3), frame c, in which the camera sees points p_e (N, 3) at lines (N,)."""
-    t_s = pushbroom.instants(line)
-    u_i, _ = apparent_ground_directions(p_e, t_s, pushbroom.orbit, pushbroom.earth, pushbroom.effects)
-    return (pushbroom.R_cs * pushbroom.attitude.R_si(t_s)).apply(u_i)
 
 
 def displacements(
@@ -81,7 +73,7 @@ def displacements(
     Returns (N, 2) px and (N, 2, 3) px/rad. A rotation by theta of the installation matrix moves the
     direction u_c of a point by u x theta (paper, eq. 12); the pixel's Jacobian brings directions to pixels.
     """
-    predicted = directions_c(pushbroom, p_e, xy_px[:, 1])
+    predicted = pushbroom.directions_c(p_e, xy_px[:, 1])
     measured, jacobian = np.empty((len(p_e), 3)), np.empty((len(p_e), 3, 2))
     for n in np.unique(ccd):
         here = ccd == n

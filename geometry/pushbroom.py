@@ -129,8 +129,14 @@ class Pushbroom:
     table: RowTable | None = None  # made by `tabulated`
 
     def with_installation(self, R_cs: Rotation) -> Pushbroom:
-        """The same strip with another installation matrix."""
-        return replace(self, R_cs=R_cs, table=None)
+        """The same strip with another installation matrix; a table over its rows turns along."""
+        M = (self.R_cs * R_cs.inv()).as_matrix()  # R_ec R_cs = R_ec' R_cs'
+
+        def turned(packed: Array) -> Array:
+            R_ec = np.einsum("ijn,jk->ikn", packed[6:].reshape(3, 3, -1), M)
+            return np.concatenate([packed[:6], R_ec.reshape(9, -1)])
+
+        return replace(self, R_cs=R_cs, table=self.table and self.table.mapped(turned))
 
     def tabulated(self, first_line: float, last_line: float) -> Pushbroom:
         """The same strip with its rows tabulated between two lines: worth it before many small calls."""
@@ -154,6 +160,10 @@ class Pushbroom:
         t_s = self.instants(line)
         u_s = self.R_cs.inv().apply(self.camera.directions_from_pixels(ccd, sample))
         return self.attitude.R_si(t_s).inv().apply(u_s), t_s
+
+    def directions_c(self, p_e: Array, line: ArrayLike) -> Array:
+        """Directions (N, 3), frame c, in which the camera sees ground points (N, 3) at lines (N,)."""
+        return self._apparent_c(p_e, self._states(np.asarray(line, dtype=float)))[0]
 
     def ground_points(self, ccd: int, sample: ArrayLike, line: ArrayLike, surface: Surface) -> Array:
         """Where pixels look at the ground: p_e (N, 3), m; NaN where the line of sight meets no surface."""

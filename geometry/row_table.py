@@ -10,7 +10,7 @@ function itself is called there.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -47,6 +47,10 @@ class RowTable:
             runs = np.concatenate([[0], new, [len(line)]])
             return np.repeat(self._at_each(line[runs[:-1]]), np.diff(runs), axis=1)
         return self._at_each(line)
+
+    def mapped(self, linear: Callable[[Array], Array]) -> RowTable:
+        """The table of a linear map, (C, N) -> (C, N), of the quantities."""
+        return replace(self, function=lambda line: linear(self.function(line)), values=linear(self.values))
 
     def _at_each(self, line: Array) -> Array:
         piece: Index | int = 0

@@ -8,7 +8,7 @@ from strips import EARTH, LINES, PERIOD_S, R_CS, attitude, orbit, states, strip
 
 from geometry.constants import SPEED_OF_LIGHT, WGS84
 from geometry.geodesy import geodetic_from_ecef
-from geometry.groundlight import LightEffects
+from geometry.groundlight import LightEffects, apparent_ground_directions
 from geometry.orbit import OrbitGapError
 from geometry.pushbroom import RowClock
 from geometry.terrain import ConstantHeight, TerrainGrid
@@ -137,6 +137,19 @@ def test_attitude_and_installation_make_the_look_direction():
     turned = Rotation.from_rotvec([0.003, -0.002, 0.001]) * R_CS
     other, _ = model.with_installation(turned).look_i(0, sample, line)
     assert np.abs((turned * model.attitude.R_si(t_s)).apply(other) - u_c).max() < 1e-15
+
+
+def test_a_table_turns_with_the_installation_matrix():
+    # Against the model without a table: 1e-7 m of position and 1e-13 rad of attitude are 3e-13 rad seen
+    # from 530 km; a turn of the wrong sense or order would be milliradians.
+    turned = Rotation.from_rotvec([0.2, -0.3, 0.4]) * R_CS
+    exact, table = strip(5.0, 8.0), strip(5.0, 8.0).tabulated(-10.0, LINES).with_installation(turned)
+    sample, line = pixels(30)
+    p_e = exact.ground_points(2, sample, line, ConstantHeight(100.0))
+    seen = exact.with_installation(turned).directions_c(p_e, line)
+    assert np.abs(table.directions_c(p_e, line) - seen).max() < 1e-12
+    u_i, _ = apparent_ground_directions(p_e, exact.instants(line), exact.orbit, EARTH, exact.effects)
+    assert np.abs((turned * exact.attitude.R_si(exact.instants(line))).apply(u_i) - seen).max() < 1e-12
 
 
 def test_jacobian_tells_how_a_shift_in_the_image_turns_the_look_direction():
