@@ -5,6 +5,7 @@
 5120 x 3840 px, 8 bit, PSF sigma 1.25 px, read noise 2 DN, 40 e-/DN, 2000 hot pixels, SNR 8 at V = 7; the
 Hipparcos sky as a satellite sees it in 2026 (proper motion, parallax, aberration, deflection) and below it
 random stars to V = 11. Each frame goes the whole way: found, placed, named, sifted, attitude with covariance.
+Saturated stars count by their skirts, in the bound too.
 Printed beside the attitude's error is its Cramér-Rao bound, from the true places, fluxes and noise of the
 stars used, and the mean normalised error squared of the stated covariance.
 """
@@ -86,7 +87,8 @@ def _information(u_s, xy_px, truth):
     row = cKDTree(truth.xy_px).query(xy_px)[1]
     psf = Psf(SENSOR.sigma_px, SENSOR.sigma_px, (0.0, 0.0), CAMERA.width_px, CAMERA.height_px)
     noise = np.full(len(row), np.sqrt(SENSOR.read_noise_dn**2 + ROUNDING))
-    sigma = cramer_rao_px(truth.xy_px[row], truth.flux_dn[row], noise, psf, SENSOR.e_per_dn)
+    full = 2**SENSOR.bits - 1 - SENSOR.background_dn
+    sigma = cramer_rao_px(truth.xy_px[row], truth.flux_dn[row], noise, psf, SENSOR.e_per_dn, full_dn=full)
     J = CAMERA.pixel_jacobian(xy_px)
     W = information_of_directions(u_s, sigma[:, None, None] ** 2 * (J @ J.transpose(0, 2, 1)))
     x, y, z = u_s.T

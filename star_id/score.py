@@ -55,15 +55,27 @@ class CentroidScore:
         return self.rms_error_px / self.bound_px
 
 
-def cramer_rao_px(xy_px: Array, flux_dn: Array, noise_dn: Array, psf: Psf, gain_e_per_dn: float) -> Array:
+def cramer_rao_px(
+    xy_px: Array,
+    flux_dn: Array,
+    noise_dn: Array,
+    psf: Psf,
+    gain_e_per_dn: float,
+    *,
+    full_dn: float = np.inf,
+) -> Array:
     """(N,) smallest possible rms error along one axis (mean of both), and so the bound's pixel phase is the
-    true one."""
+    true one.
+
+    Pixels that a star lifts by `full_dn` above the sky are saturated and tell nothing.
+    """
     sigma = psf.sigma_at(xy_px)
     radius = int(np.ceil(5.0 * sigma.max() + 0.5 * np.hypot(*psf.smear_px)))
     images = psf_images(xy_px - np.rint(xy_px), sigma, psf.smear_px, radius)
     value, flux = images.value.astype(float), flux_dn[:, None]
     J = np.stack([flux * images.d_x, flux * images.d_y, value, np.ones_like(value)], axis=1)
     weight = 1.0 / (noise_dn[:, None] ** 2 + np.maximum(flux * value, 0.0) / gain_e_per_dn)
+    weight *= flux * value < full_dn
     covariance = np.linalg.inv((J * weight[:, None]) @ J.transpose(0, 2, 1))
     return np.asarray(np.sqrt(0.5 * (covariance[:, 0, 0] + covariance[:, 1, 1])))
 

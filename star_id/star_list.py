@@ -29,6 +29,7 @@ _LEAST_STARS = 3  # fewer tell nothing of the width
 _ROUNDS = 6  # of detection and width
 _LARGEST_SIGMA_AT_HALF = 1.8  # wider stars are searched at a quarter of the resolution
 _SMALL_CHANGE = 0.2  # of the width: a filter that far off still sees 98 % of the signal-to-noise ratio
+_SKIRT_MISFIT = 4.0  # standard deviations of chi2: one sound saturated star in 10 000 is lost
 _MISFIT_LIMIT = 0.3  # residual energy over the star's own: more is a cosmic ray, a trail, a bloom's arm
 
 
@@ -41,7 +42,7 @@ class StarList:
     flux_dn: Array  # (N,)
     snr: Array  # (N,) flux over the error that the sky alone gives it
     saturated: NDArray[np.bool_]  # (N,)
-    blended: NDArray[np.bool_]  # (N,) a neighbour displaces it by more than a fifth of its standard error
+    blended: NDArray[np.bool_]  # (N,) displaced by a neighbour, more than a fifth of its error, or by a bloom
     psf: Psf
     psf_stars: int  # stars that the width rests on; 0: it was assumed
     background: Background
@@ -147,7 +148,9 @@ def _shapes(
     image: NDArray, found: Detections, background: Background, psf: Psf, saturation: float
 ) -> WidthFits:
     """The brightest detections, or, where they are trails or roofs, the ones that come after them."""
-    for some in (slice(0, _STARS_FOR_PSF), slice(_STARS_FOR_PSF, 6 * _STARS_FOR_PSF)):
+    column, row = found.xy_px.T
+    below = np.flatnonzero(image[row, column] < saturation)[: 6 * _STARS_FOR_PSF]
+    for some in (below[:_STARS_FOR_PSF], below[_STARS_FOR_PSF:]):
         places, offset = found.xy_px[some], found.offset_px[some]
         shapes = fit_widths(image, places, offset, background, psf, saturation_dn=saturation)
         if shapes.stars >= _FEW_STARS:
@@ -217,7 +220,8 @@ def _distinct(fits: StarFits, good: NDArray[np.int64], psf: Psf) -> NDArray[np.i
 def _blended(fits: StarFits, psf: Psf) -> NDArray[np.bool_]:
     """A neighbour of flux F2 at distance d displaces a Gaussian fit by about (F2 / F1) d exp(-d^2 / 4 s^2).
 
-    One too close to be found by itself shows as a misfit that the other stars do not have.
+    One too close to be found by itself shows as a misfit that the other stars do not have. Of a saturated
+    star only the skirt is seen, on one side more than on the other: any misfit displaces it.
     """
     if len(fits.xy_px) < 2:
         return np.zeros(len(fits.xy_px), dtype=bool)
@@ -226,6 +230,7 @@ def _blended(fits: StarFits, psf: Psf) -> NDArray[np.bool_]:
     usual = float(plain[len(plain) // 4]) if len(plain) else 0.0
     blended = ~fits.saturated & (fits.chi2 > fits.dof + 6.0 * np.sqrt(2.0 * fits.dof))
     blended &= misfit > 3.0 * max(usual, 0.0) + 0.003
+    blended |= fits.saturated & (fits.chi2 > fits.dof + _SKIRT_MISFIT * np.sqrt(2.0 * fits.dof))
     sigma = float(psf.sigma_at(fits.xy_px).mean())
     pairs = cKDTree(fits.xy_px).query_pairs(10.0 * sigma, output_type="ndarray")
     for a, b in (pairs.T, pairs.T[::-1]):

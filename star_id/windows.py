@@ -58,10 +58,16 @@ def star_windows(
     saturated = np.asarray(full.any(axis=(1, 2)))
     good = np.ones(raw.shape, dtype=np.float32)
     if saturated.any():
-        spoilt = full.copy()  # a bloom ends in a pixel that is not full but does not belong to the star alone
-        spoilt[:, 1:] |= full[:, :-1]
-        spoilt[:, :-1] |= full[:, 1:]
-        good[spoilt] = 0.0
+        good[full] = 0.0
+        arms = full & _bloomed(full)[:, None, None]
+        good[:, 1:][arms[:, :-1]] = 0.0  # a bloom ends in a pixel that is not full, and not the star's alone
+        good[:, :-1][arms[:, 1:]] = 0.0
     n = len(raw)
     data = raw.reshape(n, side * side) - level[:, None].astype(np.float32)
     return StarWindows(corner, radius, data, good.reshape(n, side * side), noise**2, saturated)
+
+
+def _bloomed(full: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """(N,) whether the full pixels (N, side, side) stand more than one row higher than they are wide: charge
+    ran over."""
+    return np.asarray(full.any(axis=2).sum(axis=1) > full.any(axis=1).sum(axis=1) + 1)

@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 STATES = {
     "used": "named and used",
     "rejected": "named, left out by the calibration",
-    "saturated": "saturated: not used",
+    "saturated": "saturated, its skirt not that of a star: not used",
     "blended": "displaced by a neighbour: not used",
     "unused": "not named, or marked in the catalogue: not used",
 }
@@ -48,7 +48,8 @@ def star_preview(
     """`image` (H, W) is the raw exposure, `sighted` what identification made of it, `kept` (N,) what of that
     the calibration used."""
     found = find_stars(image, settings)
-    state = np.where(found.saturated, "saturated", np.where(found.blended, "blended", "unused")).astype("U9")
+    displaced = np.where(found.saturated, "saturated", "blended")
+    state = np.where(found.blended, displaced, "unused").astype("U9")
     hip = np.zeros(len(state), dtype=np.int64)
     if len(state) and len(sighted.hip):
         distance = np.linalg.norm(found.xy_px[:, None, :] - sighted.xy_px[None, :, :], axis=2)

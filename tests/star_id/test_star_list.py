@@ -3,13 +3,17 @@ star."""
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from frames import Sensor, render
 from scipy.spatial import cKDTree
 from scipy.special import ndtr
-from scipy.stats import poisson
+from scipy.stats import chi2, poisson
 
+from simulator.scenario import SkySettings
+from simulator.sky import expose
 from star_id.background import estimate_background
 from star_id.detect import detection_threshold
 from star_id.psf import Psf
@@ -188,6 +192,50 @@ def test_saturated_and_blended_stars_are_flagged():
     assert stars.blended[row].tolist() == [False, True, True, False]
     miss = stars.xy_px[row[0]] - xy[0]  # the wings alone place a saturated star, to its stated error
     assert miss @ np.linalg.solve(stars.cov_px[row[0]], miss) < 18.4
+
+
+def bright_and_full_stars(rng):
+    """80 stars from 3 to 60 times as bright as would fill a pixel, among 240 that are not saturated."""
+    x, y = np.meshgrid(np.arange(50, 1750, 94), np.arange(50, 1750, 94))
+    xy = np.column_stack([x.ravel(), y.ravel()])[:320] + rng.uniform(-5.0, 5.0, (320, 2))
+    flux = np.exp(rng.uniform(*np.log([[100.0, 1500.0]]).T, 320))
+    flux[::4] = np.exp(rng.uniform(*np.log([[3500.0, 60000.0]]).T, 80))
+    return render(xy, flux, 1800, 1800, Sensor(), rng), xy[::4], flux[::4]
+
+
+def test_saturated_stars_are_placed_by_their_skirts_nearly_to_the_bound():
+    image, xy, flux = bright_and_full_stars(np.random.default_rng(12))
+    stars = find_stars(image, StarSettings())
+    row = cKDTree(stars.xy_px).query(xy)[1]
+    assert stars.saturated[row].all()
+    row, good = row[~stars.blended[row]], ~stars.blended[row]
+    assert len(row) >= 76
+    miss = stars.xy_px[row] - xy[good]
+    nees = np.einsum("ni,nij,nj->n", miss, np.linalg.inv(stars.cov_px[row]), miss).sum()
+    low, high = chi2.ppf([5e-4, 1.0 - 5e-4], 2 * len(row))
+    assert low < nees < high
+    noise = np.full(len(row), np.sqrt(4.0 + 1.0 / 12.0))
+    bound = cramer_rao_px(xy[good], flux[good], noise, stars.psf, 40.0, full_dn=235.0)
+    # half the pixels beside full ones are clipped or spoilt by chance; 160 numbers tell a ratio to 6 %
+    assert np.sqrt((miss**2).sum() / (2.0 * (bound**2).sum())) < 1.3
+
+
+def test_saturated_stars_whose_charge_ran_over_are_not_trusted():
+    rng = np.random.default_rng(13)
+    _, xy, flux = bright_and_full_stars(rng)
+    sky = replace(SkySettings(), bloom=True, cosmic_rays=0, hot_pixels=0)
+    others = rng.uniform(0.0, 1800.0, (200, 2))
+    places, charge = np.vstack([xy, others]), 40.0 * np.append(flux, rng.uniform(100.0, 1500.0, 200))
+    image = expose(places[:, None, :], charge, (1800, 1800), sky, np.empty((0, 3)), rng)
+    stars = find_stars(image, StarSettings())
+    distance, nearest = cKDTree(xy).query(stars.xy_px)
+    seen = np.flatnonzero(stars.saturated & (distance < 5.0))
+    assert len(seen) > 60
+    trusted = seen[~stars.blended[seen]]
+    assert len(trusted) < 0.1 * len(seen)
+    miss = stars.xy_px[trusted] - xy[nearest[trusted]]
+    nees = np.einsum("ni,nij,nj->n", miss, np.linalg.inv(stars.cov_px[trusted]), miss)
+    assert (nees < 18.4).all()  # 1e-4 of two degrees of freedom
 
 
 def test_a_cosmic_ray_and_a_trail_are_not_stars():
