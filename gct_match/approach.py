@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gct_match.blocks import blocks_of
-from gct_match.resample import composed, gradient
+from gct_match.resample import change, composed, gradient, largest_px
 
 __all__ = ["approach", "robust_weights"]
 
@@ -22,7 +22,8 @@ Array = NDArray[np.float64]
 Image = NDArray[Any]  # single precision
 
 _STEPS = 3
-_NEAR_PX = 0.05
+_NEAR_PX = 0.15
+_SURE_PX = 0.25
 
 
 def approach(
@@ -34,11 +35,11 @@ def approach(
     be 2 px off. `mask` (h, w) is zero where template or picture must not be used.
     """
     t, mask = np.ascontiguousarray(template[::2, ::2]), mask[::2, ::2]
-    gx, gy = (slope[::2, ::2] for slope in gradient(template))
+    slopes = [np.ascontiguousarray(slope[::2, ::2]) for slope in gradient(template)]
     from_every_second = np.array(
         [[2.0, 0.0, -reference_px[0]], [0.0, 2.0, -reference_px[1]], [0.0, 0.0, 1.0]]
     )
-    affine, weight, residual = False, mask, t
+    affine, weight = False, mask
     for step in range(_STEPS):
         i = cv2.warpAffine(
             picture,
@@ -46,17 +47,21 @@ def approach(
             t.shape[::-1],
             flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
         )
-        weight = robust_weights(residual, mask, 3, 1.5) if step else mask * _likeness(t, i)
+        if step == 0:
+            weight = mask * _likeness(t, i)
         weighted = weight * t
         power = float(np.vdot(weighted, t)) + 1e-30
         gain = max(float(np.vdot(weighted, i)) / power, 1e-3)
         residual = i - np.float32(gain) * t
-        gx, gy = (slope - np.float32(float(np.vdot(weighted, slope)) / power) * t for slope in (gx, gy))
+        gx, gy = (slope - np.float32(float(np.vdot(weighted, slope)) / power) * t for slope in slopes)
         blocks = blocks_of(gx, gy, residual, weight, reference_px, 2.0)
-        affine = affine or (step > 0 and blocks.ask_for_affine(gain))
-        P = blocks.displacement(affine=affine) / gain
+        P = blocks.displacement(affine=affine)
+        if not affine and np.abs(P).max() < _SURE_PX * gain and blocks.ask_for_affine(gain):
+            affine, P = True, blocks.displacement(affine=True)
+        weight = robust_weights(residual - change((gx, gy), P, reference_px, 2.0), mask, 3, 1.5)
+        P = P / gain
         warp = composed(warp, P)
-        if step and not affine and np.abs(P).max() < _NEAR_PX:
+        if largest_px(P, template.shape) < _NEAR_PX:
             break
     return warp, weight
 

@@ -47,9 +47,11 @@ class Blocks:
         return P
 
     def covariance(self, *, affine: bool) -> Array:
-        """Covariance (2, 2) of the reference point's displacement, px²; residuals are those that it left."""
+        """Covariance (2, 2) of the reference point's displacement, px², from the residuals that it leaves."""
         n_b, g_b = self._equations(affine)
-        moved = np.linalg.solve(_firm(n_b.sum(axis=0)) - n_b, g_b[:, :, None])[:, -2:, 0]
+        whole = _firm(n_b.sum(axis=0))
+        left = g_b - n_b @ np.linalg.solve(whole, g_b.sum(axis=0))
+        moved = np.linalg.solve(whole - n_b, left[:, :, None])[:, -2:, 0]
         moved -= moved.mean(axis=0)
         n = len(moved)
         # a covariance from n blocks is itself uncertain: n - 4 keeps the mean of the normalised error squared

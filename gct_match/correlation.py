@@ -149,8 +149,9 @@ def probability_wrong(surface: Image, peak_xy: Array, independent: float, absent
 def independent_values(template: Image) -> float:
     """How many independent values a normalised template holds, from the evenness of its spectrum."""
     parts: Image = cv2.dft(template - np.float32(cv2.mean(template)[0]), flags=cv2.DFT_COMPLEX_OUTPUT)
-    power = np.sum(np.square(parts, dtype=float), axis=2)
-    return float(power.sum() ** 2 / np.sum(power**2)) if power.any() else 1.0
+    power: Image = cv2.mulSpectrums(parts, parts, 0, conjB=True)  # its imaginary part is zero
+    square = float(np.vdot(power, power))
+    return float(np.vdot(parts, parts)) ** 2 / square if square else 1.0
 
 
 def _vertex(surface: Image, row: NDArray, column: NDArray, axis: int) -> Array:

@@ -19,10 +19,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gct_match.approach import approach, robust_weights
-from gct_match.blocks import Blocks, blocks_of
+from gct_match.blocks import blocks_of
 from gct_match.correlation import View
 from gct_match.radiometry import TERMS, TONES, fill_columns
-from gct_match.resample import composed, gradient, shifted, warped
+from gct_match.resample import change, composed, gradient, largest_px, warped
 from gct_match.spectra import filtered
 from gct_match.weighting import weighting
 
@@ -38,7 +38,7 @@ _STEPS = 5
 _ROUNDS = 4
 _NEAR_PX = 0.05  # the pair's coherence, as measured farther off, misleads
 _SETTLED_PX = 0.02  # a step below this leaves a thirtieth of it as error: the derivatives are that good
-_PIECE = 8192  # pixels whose columns stay in the processor's cache
+_PIECE = 2048  # pixels whose columns stay in the processor's cache
 # A tone curve acts on the scene, of which the template shows no more than means over a pixel. The rest of
 # what it does leans one way where light and shadow lie on the same side of trees and roofs, and a shift of
 # all of them alike shows in no residual. It averages out over the scene as structures of this size would.
@@ -59,18 +59,18 @@ class Placement:
     residual: Image  # (h, w) what the fit left of it, filtered, in grey values of the picture
 
 
-def place(template: View, picture: View, start_px: tuple[int, int], reference_px: Array) -> Placement:
+def place(template: View, picture: View, start_px: Array, reference_px: Array) -> Placement:
     """Place `template` (h, w) in `picture` (H, W), started with its first pixel at `start_px` (x, y).
 
     `reference_px` (x, y) is the point of the template whose place is wanted. The place may be up to 2 px
-    from the start; farther is reported as not converged.
+    from the start; farther is reported as not converged. Nearer than half a pixel is quicker.
     """
     fit = _Fit(template, picture, start_px, reference_px)
     for _ in range(_ROUNDS):
         if fit.measure():
             break
-    if not fit.affine and fit.blocks().ask_for_affine(fit.response):
-        fit.step(fit.blocks().displacement(affine=True) / fit.response)
+    if not fit.affine and fit.blocks.ask_for_affine(fit.response):
+        fit.step(fit.blocks.displacement(affine=True) / fit.response)
         fit.measure()
     return fit.placement()
 
@@ -78,7 +78,7 @@ def place(template: View, picture: View, start_px: tuple[int, int], reference_px
 class _Fit:
     """One template against one picture: the warp, the weights, and the equations that move them."""
 
-    def __init__(self, template: View, picture: View, start_px: tuple[int, int], reference_px: Array) -> None:
+    def __init__(self, template: View, picture: View, start_px: Array, reference_px: Array) -> None:
         self.template = template.grey - np.float32(cv2.mean(template.grey)[0])
         h, w = template.grey.shape
         self.shape = (h, w)
@@ -88,7 +88,7 @@ class _Fit:
             [[1.0, 0.0, -reference_px[0]], [0.0, 1.0, -reference_px[1]], [0.0, 0.0, 1.0]]
         )
         self.mask = _usable(template.valid, picture.valid, start_px)
-        self.start = np.asarray(start_px, dtype=float) + reference_px
+        self.start = start_px + reference_px
         self.warp = np.eye(3)  # template point - reference -> picture
         self.warp[:2, 2] = self.start
         self.warp, weight = approach(
@@ -105,7 +105,8 @@ class _Fit:
     def measure(self) -> bool:
         """Filter the pair as it asks for, weight its pixels, and step until the steps are small.
 
-        Whether the pair was near enough from the beginning for filter and weights to be right.
+        Whether the pair was near enough from the beginning for filter, weights and a picture moved to first
+        order to be right.
         """
         self.found = self._warped()
         before = self.warp[:2, 2].copy()
@@ -113,36 +114,28 @@ class _Fit:
         image = self.columns.reshape(-1, *self.shape)
         fill_columns(image[:_COLUMNS], self.template, pair)
         image[_COLUMNS] = filtered(self.found, pair.amplitude)
-        self._weigh(image)
+        slopes = gradient(image[_COLUMNS])
+        self._weigh(image, slopes)
         for _ in range(_STEPS):
             self._solve()
             P = self._displacement()
             self.step(P)
-            if self.settled or not self.alike:
+            near = bool(np.abs(self.warp[:2, 2] - before).max() < _NEAR_PX)
+            if self.settled or not self.alike or not near:
                 break
-            if self.affine:
-                image[_COLUMNS] = filtered(self._warped(), pair.amplitude)
-            else:
-                image[_COLUMNS] = shifted(image[_COLUMNS], *np.clip(-P[:, 2], -0.5, 0.5))
-        return bool(np.abs(self.warp[:2, 2] - before).max() < _NEAR_PX)
+            image[_COLUMNS] -= change(slopes, P, self.reference_px, 1.0)
+        if not self.affine:
+            self._divide()
+        return near
 
     def step(self, P: Array) -> None:
         """Warp <- warp o (identity + P)^-1; P is a displacement of the template's own points."""
         self.warp = composed(self.warp, P)
         self._keep_near()
-        largest = np.abs(P[:, 2]).max() + 0.5 * max(self.shape) * np.abs(P[:, :2]).max()
-        self.settled = bool(largest < _SETTLED_PX)
-
-    def blocks(self) -> Blocks:
-        """The template's blocks, their gradients free of all that the radiometry explains."""
-        explained = _solved(self.normal[2:, 2:], self.normal[2:, :2]).astype(np.float32)
-        gx, gy = self.columns[:2] - explained.T @ self.columns[2:_COLUMNS]
-        return blocks_of(
-            gx.reshape(self.shape), gy.reshape(self.shape), self.residual, self.weight, self.reference_px, 1.0
-        )
+        self.settled = largest_px(P, self.shape) < _SETTLED_PX
 
     def placement(self) -> Placement:
-        cov = self.blocks().covariance(affine=self.affine) / self.response**2
+        cov = self.blocks.covariance(affine=self.affine) / self.response**2
         cov += _LEANING_PX**2 / max(float(self.weight.sum()), 1.0) * self._tone_px2() * np.eye(2)
         far = np.abs(self.warp[:2, 2] - self.start).max()
         return Placement(
@@ -163,21 +156,23 @@ class _Fit:
         near = self.start - _FARTHEST_PX, self.start + _FARTHEST_PX
         np.clip(self.warp[:2, 2], *near, out=self.warp[:2, 2])
 
-    def _weigh(self, image: Image) -> None:
+    def _weigh(self, image: Image, slopes: tuple[Image, Image]) -> None:
         """Robust weights from the residual of a quick fit to every fourth row; normal equations with them."""
         some = image[:, 1::4].reshape(len(image), -1)
         quick = (some @ (some * self.weight[1::4].ravel()).T).astype(float)
         solution = _solved(quick[:_COLUMNS, :_COLUMNS], quick[:_COLUMNS, _COLUMNS]).astype(np.float32)
         residual = image[_COLUMNS] - (solution @ self.columns[:_COLUMNS]).reshape(self.shape)
         self.weight = robust_weights(residual, self.mask, 5, 3.0)
-        weighted = self.columns[:_COLUMNS] * self.weight.ravel()
+        weight, columns = self.weight.ravel(), self.columns[:_COLUMNS]
         self.normal: Array = np.zeros((_COLUMNS, _COLUMNS))
-        for k in range(0, weighted.shape[1], _PIECE):
-            piece = np.s_[:_COLUMNS, k : k + _PIECE]
-            self.normal = self.normal + weighted[piece] @ self.columns[piece].T
-        self._measure_response(weighted[:2], gradient(image[_COLUMNS]))
+        for k in range(0, columns.shape[1], _PIECE):
+            piece = columns[:, k : k + _PIECE]
+            self.normal = self.normal + (piece * weight[k : k + _PIECE]) @ piece.T
+        explained = _solved(self.normal[2:, 2:], self.normal[2:, :2]).astype(np.float32)
+        self.slopes = (columns[:2] - explained.T @ columns[2:]).reshape(2, *self.shape)
+        self._measure_response(image, slopes)
 
-    def _measure_response(self, weighted: Image, slopes: tuple[Image, Image]) -> None:
+    def _measure_response(self, image: Image, slopes: tuple[Image, Image]) -> None:
         """How the picture's gradients follow the template's: what a pixel of shift changes, per unit of the
         template's.
 
@@ -185,20 +180,27 @@ class _Fit:
         gradients but not to what is known of the place; where part of the scene has changed, the gain of
         all of it says little of the rest.
         """
-        cross = sum(float(np.vdot(own, other)) for own, other in zip(weighted, slopes, strict=True))
+        cross = sum(float(np.vdot(self.weight * one, two)) for one, two in zip(image, slopes, strict=False))
         own = float(self.normal[0, 0] + self.normal[1, 1])
         self.alike = cross > 1e-3 * own  # else they have nothing in common, and no place can be told
         self.response = max(cross / (own + 1e-30), 1e-3)
 
     def _solve(self) -> None:
         columns, i = self.columns[:_COLUMNS], self.columns[_COLUMNS]
-        self.right = (columns @ (self.weight.ravel() * i)).astype(float)
-        self.solution = _solved(self.normal, self.right)
+        self.solution = _solved(self.normal, (columns @ (self.weight.ravel() * i)).astype(float))
         self.residual = (i - self.solution.astype(np.float32) @ columns).reshape(self.shape)
+
+    def _divide(self) -> None:
+        """The template's blocks, their gradients free of all that the radiometry explains."""
+        gx, gy = self.slopes
+        self.blocks = blocks_of(gx, gy, self.residual, self.weight, self.reference_px, 1.0)
 
     def _displacement(self) -> Array:
         """The translation of the solution, and what the blocks still ask for if the warp is affine."""
-        P = self.blocks().displacement(affine=True) if self.affine else np.zeros((2, 3))
+        P: Array = np.zeros((2, 3))
+        if self.affine:
+            self._divide()
+            P = self.blocks.displacement(affine=True)
         P[:, 2] += self.solution[:2]
         return P / self.response
 
@@ -218,9 +220,9 @@ class _Fit:
         return float(np.sqrt(max(0.0, 1.0 - left / (float(np.vdot(self.weight * i, i)) + 1e-30))))
 
 
-def _usable(template_valid: NDArray[np.bool_], valid: NDArray[np.bool_], start_px: tuple[int, int]) -> Image:
+def _usable(template_valid: NDArray[np.bool_], valid: NDArray[np.bool_], start_px: Array) -> Image:
     """One for the pixels (h, w) of a template where no filter reaches over an edge or a hole, else zero."""
-    x, y = start_px
+    x, y = np.round(start_px).astype(int)
     h, w = template_valid.shape
     rows, columns = valid.shape
     usable = np.zeros((h, w), dtype=np.uint8)

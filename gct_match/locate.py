@@ -84,8 +84,7 @@ def locate(
     for peak, value in zip(peaks.xy, peaks.value, strict=True):
         if value < _SECOND_PEAK * peaks.value[0]:
             break
-        at = np.round(peak).astype(int) + start_px - radius
-        trial = place(one, two, (int(at[0]), int(at[1])), reference_px)
+        trial = place(one, two, peak + start_px - radius, reference_px)
         if trial.converged and (best is None or trial.correlation > best.correlation):
             best, best_peak = trial, np.round(peak)
     if best is None:

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["composed", "gradient", "sample", "shifted", "warped"]
+__all__ = ["change", "composed", "gradient", "largest_px", "sample", "shifted", "warped"]
 
 Array = NDArray[np.float64]
 Image = NDArray[Any]  # single precision
@@ -26,6 +26,24 @@ def composed(warp: Array, P: Array) -> Array:
     """warp o (identity + P)^-1, with P (2, 3) the displacement P (x, y, 1) of the points it starts from."""
     (a, b, x), (c, d, y) = P
     return warp @ np.linalg.inv(np.array([[1.0 + a, b, x], [c, 1.0 + d, y], [0.0, 0.0, 1.0]]))
+
+
+def largest_px(P: Array, shape: tuple[int, ...]) -> float:
+    """How far P (2, 3) displaces the points of a picture (h, w), about its middle, at most."""
+    return float(np.abs(P[:, 2]).max() + 0.5 * max(shape) * np.abs(P[:, :2]).max())
+
+
+def change(slopes: tuple[Image, Image], P: Array, reference_px: Array, pitch_px: float) -> Image:
+    """What P (2, 3), a displacement of a picture's points by far less than a pixel, changes in the picture.
+
+    `slopes` (h, w) each are its derivatives per px at every `pitch_px`-th pixel, `reference_px` (x, y) is
+    the pixel from which P counts.
+    """
+    y, x = (pitch_px * np.arange(n) - at for n, at in zip(slopes[0].shape, reference_px[::-1], strict=True))
+    (along, across), (down, below) = (
+        ((a * x + c).astype(np.float32), (b * y).astype(np.float32)[:, None]) for a, b, c in P
+    )
+    return slopes[0] * (along + across) + slopes[1] * (down + below)
 
 
 def warped(picture: Image, warp: Array, shape: tuple[int, int]) -> Image:
