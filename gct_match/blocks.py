@@ -10,6 +10,7 @@ a few edges that carry most of the weight. Gradients must be free of all that th
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import cv2
@@ -31,7 +32,7 @@ _SMALLEST = 8  # pixels along a block's side: more than the residual is correlat
 class Blocks:
     """What the B blocks of a template say of its displacement."""
 
-    centre_px: Array  # (B, 2) from the reference point
+    lever: Array  # (B, 3) x, y of each block's middle, from the reference point, px, and one
     score: Array  # (B, 2)
     information: Array  # (B, 2, 2)
 
@@ -39,23 +40,25 @@ class Blocks:
         """P (2, 3), px: the displacement of the reference point is its last column; the others are zero
         unless `affine`.
         """
-        n_b, g_b = self._equations(affine)
-        n = n_b.sum(axis=0)
+        n, g = self._sums(affine)
         P = np.zeros((2, 3))
-        solution = np.linalg.solve(_firm(n), g_b.sum(axis=0))
-        P[:, -solution.size // 2 :] = solution.reshape(-1, 2).T
+        P[:, -g.size // 2 :] = np.linalg.solve(n, g).reshape(-1, 2).T
         return P
 
     def covariance(self, *, affine: bool) -> Array:
         """Covariance (2, 2) of the reference point's displacement, px², from the residuals that it leaves."""
-        n_b, g_b = self._equations(affine)
-        whole = _firm(n_b.sum(axis=0))
-        left = g_b - n_b @ np.linalg.solve(whole, g_b.sum(axis=0))
-        moved = np.linalg.solve(whole - n_b, left[:, :, None])[:, -2:, 0]
+        n, g = self._sums(affine)
+        n_b = self.information
+        if affine:
+            by_lever = self.lever[:, :, None] * self.lever[:, None, :]
+            n_b = (by_lever[:, :, None, :, None] * n_b[:, None, :, None, :]).reshape(-1, 6, 6)
+        left = self._scores(affine) - n_b @ np.linalg.solve(n, g)
+        moved = np.linalg.solve(n - n_b, left[:, :, None])[:, -2:, 0]
         moved -= moved.mean(axis=0)
-        n = len(moved)
-        # a covariance from n blocks is itself uncertain: n - 4 keeps the mean of the normalised error squared
-        return (n - 1.0) / (n - 4.0) * moved.T @ moved
+        count = len(moved)
+        # a covariance from so many blocks is itself uncertain: 4 less keeps the mean of the normalised error
+        # squared
+        return (count - 1.0) / (count - 4.0) * moved.T @ moved
 
     def ask_for_affine(self, response: float) -> bool:
         """Whether four affine parameters beside a translation are more than noise, and still a small map.
@@ -63,9 +66,9 @@ class Blocks:
         A score test of the residuals that the translation left. Its covariance is the blocks' own scatter,
         with n - 4 degrees of freedom of n (Hotelling's T²). `response` is the picture's gain.
         """
-        n_b, g_b = self._equations(True)
-        n = _firm(n_b.sum(axis=0))
-        free = g_b[:, :4] - g_b[:, 4:] @ np.linalg.solve(n[4:, 4:], n[4:, :4])
+        n, _ = self._sums(True)
+        score = self._scores(True)
+        free = score[:, :4] - score[:, 4:] @ np.linalg.solve(n[4:, 4:], n[4:, :4])
         total = free.sum(axis=0)
         free -= total / len(free)
         chi2 = total @ np.linalg.solve(_firm(free.T @ free), total) * (len(free) - 4.0) / len(free)
@@ -74,14 +77,17 @@ class Blocks:
             and np.abs(self.displacement(affine=True)[:, :2]).max() < _LARGEST_AFFINE * response
         )
 
-    def _equations(self, affine: bool) -> tuple[Array, Array]:
-        """Normal matrices (B, P, P) and right sides (B, P) of the parameters, column after column of P."""
+    def _scores(self, affine: bool) -> Array:
+        """Right sides (B, P) of the parameters, column after column of P."""
+        return (self.lever[:, :, None] * self.score[:, None, :]).reshape(-1, 6) if affine else self.score
+
+    def _sums(self, affine: bool) -> tuple[Array, Array]:
+        """Normal matrix (P, P), solvable, and right side (P,) of all blocks."""
         if not affine:
-            return self.information, self.score
-        lever = np.concatenate([self.centre_px, np.ones((len(self.centre_px), 1))], axis=1)
-        by_lever = (lever[:, :, None] * lever[:, None, :])[:, :, None, :, None]
-        n_b = by_lever * self.information[:, None, :, None, :]
-        return n_b.reshape(-1, 6, 6), (lever[:, :, None] * self.score[:, None, :]).reshape(-1, 6)
+            return _firm(self.information.sum(axis=0)), self.score.sum(axis=0)
+        by_lever = (self.lever[:, :, None] * self.lever[:, None, :]).reshape(-1, 9)
+        n = (by_lever.T @ self.information.reshape(-1, 4)).reshape(3, 3, 2, 2)
+        return _firm(n.transpose(0, 2, 1, 3).reshape(6, 6)), (self.lever.T @ self.score).ravel()
 
 
 def blocks_of(
@@ -99,13 +105,19 @@ def blocks_of(
         cv2.resize(product, (columns, rows), interpolation=cv2.INTER_AREA).ravel()
         for product in (wx * residual, wy * residual, wx * gx, wx * gy, wy * gy)
     ]
-    gx_r, gy_r, xx, xy, yy = area * np.array(sums, dtype=float)
-    x = ((np.arange(columns) + 0.5) * w / columns - 0.5) * pitch_px - reference_px[0]
-    y = ((np.arange(rows) + 0.5) * h / rows - 0.5) * pitch_px - reference_px[1]
-    centre = np.stack([np.tile(x, rows), np.repeat(y, columns)], axis=1)
-    return Blocks(
-        centre, np.stack([gx_r, gy_r], axis=1), np.stack([xx, xy, xy, yy], axis=1).reshape(-1, 2, 2)
-    )
+    by_block = (area * np.array(sums, dtype=float)).T
+    middles = _middles(h, w, columns, rows)
+    lever = np.ones((len(middles), 3))
+    lever[:, :2] = middles * pitch_px - reference_px
+    return Blocks(lever, by_block[:, :2], by_block[:, [2, 3, 3, 4]].reshape(-1, 2, 2))
+
+
+@lru_cache(maxsize=32)
+def _middles(h: int, w: int, columns: int, rows: int) -> Array:
+    """Middle (x, y) of each block of a template (h, w), its pixels."""
+    x = (np.arange(columns) + 0.5) * w / columns - 0.5
+    y = (np.arange(rows) + 0.5) * h / rows - 0.5
+    return np.stack([np.tile(x, rows), np.repeat(y, columns)], axis=1)
 
 
 def _firm(normal: Array) -> Array:

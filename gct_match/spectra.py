@@ -85,12 +85,9 @@ def ring_means(a: Image, b: Image) -> tuple[NDArray[np.float64], ...]:
         a, b = (
             cv2.copyMakeBorder(x, 0, rows - h, 0, columns - w, borderType=cv2.BORDER_CONSTANT) for x in (a, b)
         )
-    A, B = cv2.dft(a), cv2.dft(b)
     order, starts, _, count = _sorted((rows, columns))
-    return tuple(
-        np.add.reduceat(product.ravel().take(order), starts).astype(float) / count
-        for product in (A * A, B * B, A * B)
-    )
+    a, b = (cv2.dft(image).ravel().take(order) for image in (a, b))
+    return tuple(np.add.reduceat(product, starts).astype(float) / count for product in (a * a, b * b, a * b))
 
 
 def _quick(shape: tuple[int, ...]) -> Shape:

@@ -65,7 +65,11 @@ def _most_likely(power_a: Array, power_b: Array, common: Array, count: Array) ->
     g2[common <= 0.0] = 0.0
     weight = g2 / (1.0 - g2) / (np.abs(common) + floor)
     weight[0] = min(weight[0], weight[1])
-    return np.convolve(np.pad(weight, 1, mode="edge"), [0.25, 0.5, 0.25], mode="valid")
+    smooth: Array = 0.5 * weight
+    smooth[1:] += 0.25 * weight[:-1]
+    smooth[:-1] += 0.25 * weight[1:]
+    smooth[[0, -1]] += 0.25 * weight[[0, -1]]
+    return smooth
 
 
 @lru_cache(maxsize=16)
