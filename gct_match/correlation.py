@@ -9,6 +9,7 @@ follows from the number of independent values in the template, measured where it
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import cv2
@@ -20,6 +21,7 @@ __all__ = [
     "View",
     "correlation_surface",
     "independent_values",
+    "likeness_to_itself",
     "normalised",
     "peaks_of",
     "probability_wrong",
@@ -31,6 +33,7 @@ Image = NDArray[Any]  # single precision
 
 _FINE_PX, _LOCAL_PX, _CONTRAST_PX = 0.8, 4.0, 6.0  # pass band and the neighbourhood of the contrast
 _FLOOR = 0.15  # of the usual contrast: flat ground is not blown up to texture
+_FAR, _SHARED = 0.25, 0.25  # of a template's side and area, where it is compared with itself
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -152,6 +155,41 @@ def independent_values(template: Image) -> float:
     power: Image = cv2.mulSpectrums(parts, parts, 0, conjB=True)  # its imaginary part is zero
     square = float(np.vdot(power, power))
     return float(np.vdot(parts, parts)) ** 2 / square if square else 1.0
+
+
+def likeness_to_itself(template: Image) -> float:
+    """Highest correlation of a normalised template with itself, displaced by a quarter of its side or more
+    so that a quarter of its area is still shared: high if it holds several things of one kind.
+    """
+    h, w = (n // 2 for n in template.shape)
+    small: Image = cv2.resize(template, (w, h), interpolation=cv2.INTER_AREA)
+    small = small - np.float32(cv2.mean(small)[0])
+    every, far = _displaced(h, w)
+    spectrum, power = (cv2.dft(_twice(part)) for part in (small, small * small))
+    common, energy = (
+        cv2.idft(cv2.mulSpectrums(one, other, 0, conjB=True), flags=cv2.DFT_SCALE)
+        for one, other in ((spectrum, spectrum), (power, every))
+    )
+    back = np.roll(energy[::-1, ::-1], 1, axis=(0, 1))  # of the other copy's shared part
+    floor = 1e-6 * float(np.vdot(small, small)) ** 2 + 1e-12
+    return float(np.max(common[far] / np.sqrt(np.maximum(energy[far] * back[far], floor))))
+
+
+@lru_cache(maxsize=16)
+def _displaced(h: int, w: int) -> tuple[Image, NDArray[np.bool_]]:
+    """Packed spectrum of a picture (h, w) of ones amid zeros, and which displacements of such a picture
+    against itself are a quarter of its side or more and leave it a quarter of its area.
+    """
+    down, along = (np.minimum(np.arange(2 * n), 2 * n - np.arange(2 * n)) / n for n in (h, w))
+    shared = np.outer(1.0 - down, 1.0 - along)
+    far = np.maximum(down[:, None], along) >= _FAR
+    return cv2.dft(_twice(np.ones((h, w), dtype=np.float32))), far & (shared >= _SHARED)
+
+
+def _twice(image: Image) -> Image:
+    """A picture and as much again of zeros in both directions, where it may be displaced to."""
+    h, w = image.shape
+    return cv2.copyMakeBorder(image, 0, h, 0, w, borderType=cv2.BORDER_CONSTANT)
 
 
 def _vertex(surface: Image, row: NDArray, column: NDArray, axis: int) -> Array:

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from gct_match.correlation import (
     correlation_surface,
     independent_values,
+    likeness_to_itself,
     peaks_of,
     probability_wrong,
     view_of,
@@ -30,6 +31,7 @@ Mask = NDArray[np.bool_]
 
 _ABSENT = 0.05  # prior probability that a target cannot be seen where it should be
 _SECOND_PEAK = 0.7  # peaks this high, against the best, are tried too
+_ALIKE = 0.4  # of 441 look-alikes that passed every other test, one came from a template less like itself
 _LEAST_USABLE = 0.4  # share of the template that clouds and the strip's edges must leave
 
 
@@ -90,12 +92,18 @@ def locate(
     if best is None:
         return NotLocated(f"least squares did not converge from its {len(peaks.value)} best peak(s)")
     wrong = probability_wrong(surface, best_peak, independent_values(a), _ABSENT)
-    reason = _why_not(best, best_peak, wrong, float(peaks.value[0]), radius, settings)
+    reason = _why_not(best, best_peak, wrong, float(peaks.value[0]), radius, a, settings)
     return NotLocated(reason) if reason else Located(best, wrong, surface)
 
 
 def _why_not(
-    best: Placement, peak: Array, wrong: float, highest: float, radius: int, settings: MatchSettings
+    best: Placement,
+    peak: Array,
+    wrong: float,
+    highest: float,
+    radius: int,
+    normalised: Image,
+    settings: MatchSettings,
 ) -> str:
     """Why a place is not to be believed; empty if it is."""
     sigma = float(np.sqrt(max(best.cov_px[0, 0], best.cov_px[1, 1])))
@@ -108,6 +116,11 @@ def _why_not(
         )
     if np.abs(peak - radius).max() >= radius:
         return f"lies at the edge of its search window of {radius} px"
+    if sigma > settings.sigma_alike_px and (likeness := likeness_to_itself(normalised)) > _ALIKE:
+        return (
+            f"holds things alike (it correlates to {likeness:.2f} with itself elsewhere) and is placed to "
+            f"{sigma:.2g} px only, {settings.sigma_alike_px} px are needed to tell them apart"
+        )
     if best.correlation < settings.least_correlation:
         return f"correlates to {best.correlation:.2f} only, {settings.least_correlation} is needed"
     return ""
