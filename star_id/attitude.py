@@ -65,16 +65,13 @@ def wahba(u_s: Array, u_i: Array, weight: Array) -> Rotation:
     Its quaternion is the eigenvector of the largest eigenvalue of a symmetric matrix of B = sum w u_s u_i^T;
     scipy's quaternion is the conjugate of Davenport's, which turns axes and not vectors.
     """
-    B = (u_s * weight[:, None]).T @ u_i
-    K = np.empty((4, 4))
-    K[:3, :3] = B + B.T
-    K[0, 3], K[1, 3], K[2, 3] = B[2, 1] - B[1, 2], B[0, 2] - B[2, 0], B[1, 0] - B[0, 1]
-    K[3, :3] = K[:3, 3]
-    trace = B[0, 0] + B[1, 1] + B[2, 2]
-    K[3, 3] = trace
-    K[0, 0] -= trace
-    K[1, 1] -= trace
-    K[2, 2] -= trace
+    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = ((u_s * weight[:, None]).T @ u_i).tolist()
+    K = [
+        [xx - yy - zz, xy + yx, xz + zx, zy - yz],
+        [xy + yx, yy - xx - zz, yz + zy, xz - zx],
+        [xz + zx, yz + zy, zz - xx - yy, yx - xy],
+        [zy - yz, xz - zx, yx - xy, xx + yy + zz],
+    ]
     return Rotation.from_quat(np.linalg.eigh(K)[1][:, 3])
 
 

@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from geometry.constants import ARCSEC
 from geometry.star_camera import StarCamera
-from star_id.identify import STAGES, Identification, NotIdentified, identify
+from star_id.identify import Identification, NotIdentified, identify
 from star_id.plane import FieldOfView
 from star_id.settings import StarSettings
 from star_id.sight import field_of_camera, plane_coordinates
@@ -38,7 +38,8 @@ SMALLEST_FOV_RAD, LARGEST_FOV_RAD = np.radians(5.0), np.radians(60.0)  # of an u
 _NOMINAL_PIXEL_M = 5e-6  # of cameras of which only angles are known: focal length and pixel scale together
 _GUESS_ERROR = 0.10
 _BEND = 0.012  # what an error of the focal length may do to the shape of a triangle, as a ratio
-_PASSES = (STAGES[:2], STAGES[2:5])  # all fields of view quickly first
+# stages of identification: all fields of view quickly first
+_PASSES = (((0, 0, 6), (0, 6, 9)), ((0, 9, 13), (0, 13, 18), (1, 0, 9)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,7 +51,7 @@ class FieldSolution:
     hip: NDArray[np.int64]
     detections: NDArray[np.int64]  # (M,) rows of the centroids handed over
     xy_px: Array  # (M, 2)
-    residual_px: Array  # (M, 2) measured minus predicted
+    u_i: Array  # (M, 3) catalogue directions
     false_alarm_probability: float
     log_false_alarm_probability: float
     stars: StarList | None  # all detections, where the image itself was given
@@ -58,6 +59,11 @@ class FieldSolution:
     @property
     def matches(self) -> int:
         return len(self.hip)
+
+    @property
+    def residual_px(self) -> Array:
+        """(M, 2) measured minus predicted."""
+        return self.xy_px - self.camera.pixels_from_directions(self.R_si.apply(self.u_i))
 
     @property
     def ra_rad(self) -> float:
@@ -216,15 +222,13 @@ def _fitted_camera(guess: StarCamera, lens: Array) -> StarCamera:
 def _solution(
     found: Identification, xy_px: Array, camera: StarCamera, index: StarIndex, stars: StarList | None
 ) -> FieldSolution:
-    xy = xy_px[found.detections]
-    predicted = camera.pixels_from_directions(found.R_si.apply(index.u_i[found.stars]))
     return FieldSolution(
         R_si=found.R_si,
         camera=camera,
         hip=index.stars.hip[found.stars],
         detections=found.detections,
-        xy_px=xy,
-        residual_px=xy - predicted,
+        xy_px=xy_px[found.detections],
+        u_i=index.u_i[found.stars],
         false_alarm_probability=found.false_alarm_probability,
         log_false_alarm_probability=found.log_false_alarm_probability,
         stars=stars,

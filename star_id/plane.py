@@ -1,17 +1,25 @@
-"""An image's detections in the tangent plane of frame s, (x, y) = (u_x, u_y) / u_z, and what is known of the
-camera there."""
+"""An image's detections in the tangent plane of frame s, x + iy = (u_x + i u_y) / u_z, and what is known of
+the camera there."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
-__all__ = ["FieldOfView", "PlaneImage", "directions_of_plane", "plane_of_directions"]
+from star_id.ranges import least_of_each, ranges
+
+__all__ = [
+    "FieldOfView",
+    "PlaneImage",
+    "directions_of_plane",
+    "plane_of_directions",
+]
 
 Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
 
 _CALIBRATED = 2e-3  # relative error of angles below which a lens counts as known
 
@@ -36,27 +44,43 @@ class FieldOfView:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlaneImage:
-    """Detections, brightest first, and a tree to find them by place."""
+    """Detections, brightest first, and their order along x to find them by place."""
 
-    plane: Array  # (N, 2)
-    tree: cKDTree
+    plane: Complex  # (N,)
     field: FieldOfView
+    along_x: NDArray[np.int64]  # (N,) rows of `plane`, ascending in x
+
+    @classmethod
+    def of(cls, plane: Array, field: FieldOfView) -> PlaneImage:
+        """Detections from their coordinates (N, 2). Raises `ValueError` for places that are not known."""
+        if not math.isfinite(plane.sum()):
+            raise ValueError("detections must have finite places in the tangent plane, got NaN or infinity")
+        return cls(np.ascontiguousarray(plane).view(np.complex128)[:, 0], field, plane[:, 0].argsort())
 
     @property
     def area(self) -> float:
         return 4.0 * self.field.half_x * self.field.half_y
 
+    def nearest(self, points: Complex, reach: float) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
+        """Points (M,) that have a detection nearer than `reach`, the nearest one, and its distance."""
+        x = points.real
+        window = self.plane.real.take(self.along_x).searchsorted([x - reach, x + reach])
+        point, place = ranges(*window)
+        detection = self.along_x.take(place)
+        distance = np.abs(points.take(point) - self.plane.take(detection))
+        nearest = least_of_each(point, distance, len(points))
+        nearest = nearest[distance.take(nearest) < reach]
+        return point.take(nearest), detection.take(nearest), distance.take(nearest)
 
-def directions_of_plane(plane: Array) -> Array:
-    """Unit vectors (..., 3) of points (..., 2)."""
-    v = np.empty((*plane.shape[:-1], 3))
-    v[..., :2] = plane
-    v[..., 2] = 1.0
-    v *= (1.0 / np.sqrt(1.0 + (plane * plane).sum(axis=-1)))[..., None]
-    return v
+
+def directions_of_plane(plane: Complex) -> Array:
+    """Unit vectors (..., 3) of points (...)."""
+    u = np.empty((*plane.shape, 3))
+    u[..., 2] = z = 1.0 / np.sqrt(1.0 + np.abs(plane) ** 2)
+    u[..., 0], u[..., 1] = plane.real * z, plane.imag * z
+    return u
 
 
-def plane_of_directions(u: Array) -> Array:
-    """Points (N, 2) of directions (N, 3); NaN at the horizon and beyond."""
-    z = np.where(u[:, 2] > 0.05, u[:, 2], np.nan)
-    return np.asarray(u[:, :2] / z[:, None])
+def plane_of_directions(u: Array) -> Complex:
+    """Points (N,) of directions (N, 3) ahead of the camera."""
+    return np.asarray((u[:, 0] + 1j * u[:, 1]) / u[:, 2])

@@ -16,7 +16,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from star_id.plane import PlaneImage, directions_of_plane
-from star_id.triangles import LONGEST_SIDE, SHORTEST_SIDE, STARS_A_FIELD, TriangleTable, triangle_shapes
+from star_id.triangles import (
+    LONGEST_SIDE,
+    SHORTEST_SIDE,
+    STARS_A_FIELD,
+    TriangleTable,
+    cross,
+    triangle_shapes,
+)
 
 __all__ = ["MOST_DETECTIONS", "Proposals", "propose"]
 
@@ -44,15 +51,15 @@ class Proposals:
 
 def propose(image: PlaneImage, table: TriangleTable, u_i: Array, done: int, size: int) -> Proposals:
     """Proposals from triangles of the brightest `size` detections that are not all among the first `done`."""
-    queries, rows, vertices, longest = _look_up(image, table, done, size)
-    detected, named = vertices[queries], table.vertices[rows]
+    detected, longest, rows = _look_up(image, table, done, size)
+    named = table.vertices.take(rows, axis=0)
     if image.field.scale_error > 0.0:
-        log_scale = np.log(longest[queries] / table.longest_rad[rows])
+        log_scale = np.log(longest / np.abs(table.shapes[rows, 2]))
     else:
         log_scale = np.zeros(len(rows))
     R = _attitudes(image, u_i, detected, named, log_scale)
-    if len(rows) <= _TRIALS:
-        best = np.argsort(-longest[queries], kind="stable")  # the widest fixes the attitude best
+    if len(rows) <= _TRIALS or image.field.known:  # of a known camera most proposals are right
+        best = (-longest).argsort()[:_TRIALS]  # the widest fixes the attitude best
     else:
         sky = _Map.of(image)
         parts = [slice(k, k + _AT_ONCE) for k in range(0, len(rows), _AT_ONCE)]
@@ -63,23 +70,26 @@ def propose(image: PlaneImage, table: TriangleTable, u_i: Array, done: int, size
 
 
 _TRIPLES = np.array(sorted(combinations(range(MOST_DETECTIONS), 3), key=lambda t: t[2]), dtype=np.int64)
+_LAST_OF_TRIPLES = _TRIPLES[:, 2].copy()
 
 
 def _look_up(
     image: PlaneImage, table: TriangleTable, done: int, size: int
-) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64], Array]:
-    """Pairs (query, row of the table), and the queries' vertices and longest sides."""
+) -> tuple[NDArray[np.int64], Array, NDArray[np.int64]]:
+    """Triangles that agree: the image's detections (P, 3) and longest sides (P,), and rows of the table
+    (P,)."""
     field = image.field
-    u = directions_of_plane(image.plane[:size])
-    first, last = np.searchsorted(_TRIPLES[:, 2], [done, size])
-    vertices, longest, ratios, right_handed = triangle_shapes(u, _TRIPLES[first:last])
+    first, last = _LAST_OF_TRIPLES.searchsorted([done, size])
+    vertices, shapes = triangle_shapes(directions_of_plane(image.plane[:size]), _TRIPLES[first:last])
+    longest = np.abs(shapes[:, 2])
     fits = longest < LONGEST_SIDE * table.fov_rad * (1.0 + field.scale_error)
-    fits &= longest * ratios[:, 1] > SHORTEST_SIDE * table.fov_rad * (1.0 - field.scale_error)
-    vertices, longest, ratios, right_handed = vertices[fits], longest[fits], ratios[fits], right_handed[fits]
+    fits &= longest * shapes[:, 1] > SHORTEST_SIDE * table.fov_rad * (1.0 - field.scale_error)
+    fitting = fits.nonzero()[0]
+    vertices, shapes, longest = vertices.take(fitting, axis=0), shapes.take(fitting, axis=0), longest[fits]
     # a side's own error: half a pixel at both ends, and the camera's relative error
     tolerance = field.shape_error + 1.5 * field.pixel / longest
-    queries, rows = table.lookup(longest, ratios, right_handed, tolerance, field.scale_error)
-    return queries, rows, vertices, longest
+    queries, rows = table.lookup(shapes, tolerance, field.scale_error)
+    return vertices.take(queries, axis=0), longest.take(queries), rows
 
 
 def _attitudes(
@@ -90,23 +100,17 @@ def _attitudes(
     log_scale: Array,
 ) -> Array:
     """(P, 3, 3) rotations that bring the ends of each longest side upon one another, halving its misfit."""
-    ends = directions_of_plane(image.plane[detected[:, :2]] * np.exp(-log_scale)[:, None, None])
+    ends = directions_of_plane(image.plane.take(detected[:, :2]) * np.exp(-log_scale)[:, None])
     axes = _axes(np.concatenate([ends, u_i[named[:, :2]]]))
     return np.asarray(axes[: len(ends)] @ axes[len(ends) :].transpose(0, 2, 1))
 
 
 def _axes(ends: Array) -> Array:
     """Orthonormal columns (P, 3, 3) from pairs of unit vectors (P, 2, 3): half way, along, across."""
+    a, b = ends[:, 0], ends[:, 1]
     axes = np.empty((len(ends), 3, 3))
-    middle, along = axes[:, :, 0], axes[:, :, 1]
-    np.add(ends[:, 0], ends[:, 1], out=middle)
-    np.subtract(ends[:, 1], ends[:, 0], out=along)
-    length = np.sqrt((axes[:, :, :2] ** 2).sum(axis=1))
-    axes[:, :, :2] /= length[:, None, :]
-    axes[:, 0, 2] = middle[:, 1] * along[:, 2] - middle[:, 2] * along[:, 1]
-    axes[:, 1, 2] = middle[:, 2] * along[:, 0] - middle[:, 0] * along[:, 2]
-    axes[:, 2, 2] = middle[:, 0] * along[:, 1] - middle[:, 1] * along[:, 0]
-    return axes
+    axes[:, :, 0], axes[:, :, 1], axes[:, :, 2] = a + b, b - a, cross(a, b)
+    return np.asarray(axes / np.sqrt((axes * axes).sum(axis=1))[:, None, :])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -124,9 +128,11 @@ class _Map:
         cell = max(_REACH * field.shape_error * width + 2.0 * field.pixel, width / _MAP_CELLS)
         columns, rows = int(width / cell) + 1, int(height / cell) + 1
         occupied = np.zeros((rows + 2, columns + 2), dtype=bool)
-        at = ((image.plane[:_BRIGHT] + np.array([field.half_x, field.half_y])) / cell).astype(np.int64)
-        at = at[(at >= 0).all(axis=1) & (at[:, 0] < columns) & (at[:, 1] < rows)]
-        occupied[at[:, 1, None] + _AROUND[:, 1], at[:, 0, None] + _AROUND[:, 0]] = True
+        bright = image.plane[:_BRIGHT]
+        column = ((bright.real + field.half_x) / cell).astype(np.int64)
+        row = ((bright.imag + field.half_y) / cell).astype(np.int64)
+        there = (column >= 0) & (row >= 0) & (column < columns) & (row < rows)
+        occupied[row[there, None] + _AROUND[:, 1], column[there, None] + _AROUND[:, 0]] = True
         return cls(image, cell, occupied)
 
     def votes(

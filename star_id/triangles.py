@@ -3,14 +3,15 @@ sky.
 
 For a field of view the index takes the stars that are among the brightest of their neighbourhood, makes every
 triangle of them that fits into a good part of the field, and sorts the triangles into cells of (middle side /
-longest side, shortest side / longest side). All triangles of one handedness seen from inside the sphere are
-kept with the sign of it. The vertices stand in the order: longest-and-middle side, longest-and-shortest side,
-middle-and-shortest side. Beside the triangles a table knows the nearest index stars of each of its stars,
-which tell a true proposal from the many false ones.
+longest side, shortest side / longest side). All triangles of one handedness seen from inside the sphere have
+a longest side with the sign of it. The vertices stand in the order: longest-and-middle side,
+longest-and-shortest side, middle-and-shortest side. Beside the triangles a table knows the nearest index
+stars of each of its stars, which tell a true proposal from the many false ones.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 
@@ -19,6 +20,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from geometry.starlight import StarPlaces
+from star_id.ranges import ranges
 
 __all__ = ["StarIndex", "TriangleTable", "build_index", "equivalent_fov", "triangle_shapes"]
 
@@ -32,6 +34,7 @@ SHORTEST_SIDE = 0.06
 _LEVEL_STEP = 1.4  # fields of view of neighbouring tables of an index for unknown cameras
 _CELLS = 100  # along each ratio
 _FULL_SKY_SR = 4.0 * np.pi
+_NEXT, _LAST = np.array([1, 2, 0]), np.array([2, 0, 1])  # of three, going round
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -40,36 +43,29 @@ class TriangleTable:
 
     fov_rad: float
     vertices: NDArray[np.int32]  # (T, 3) rows of the index's stars
-    longest_rad: NDArray[np.float32]  # (T,)
-    ratios: NDArray[np.float32]  # (T, 2) middle / longest, shortest / longest
-    right_handed: NDArray[np.bool_]  # (T,) sign of the vertices' triple product
+    shapes: NDArray[np.float32]  # (T, 3) as `triangle_shapes` gives them
     cell_start: NDArray[np.int64]  # (cells + 1,) first row of each cell
     neighbours: NDArray[np.int32]  # (S, K) nearest index stars of each, S beyond the last index star's row
 
     def lookup(
-        self,
-        longest: Array,
-        ratios: Array,
-        right_handed: NDArray[np.bool_],
-        tolerance: Array,
-        scale_error: float,
+        self, shapes: Array, tolerance: Array, scale_error: float
     ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Pairs (query, row) of triangles alike: ratios within `tolerance` (Q,), longest sides within
         `tolerance` and `scale_error`, relative."""
-        low = np.maximum(((ratios - tolerance[:, None]) * _CELLS).astype(np.int64), 0)
-        high = np.minimum(((ratios + tolerance[:, None]) * _CELLS).astype(np.int64), _CELLS - 1)
-        lines = high[:, 0] - low[:, 0] + 1
-        query = np.repeat(np.arange(len(low)), lines)
-        line = low[query, 0] + _ramp(lines)
-        first = self.cell_start[line * _CELLS + low[query, 1]]
-        count = self.cell_start[line * _CELLS + high[query, 1] + 1] - first
-        row = np.repeat(first, count) + _ramp(count)
-        query = np.repeat(query, count)
-        near = np.abs(self.longest_rad[row] - longest[query]) < ((tolerance + scale_error) * longest)[query]
-        near &= self.right_handed[row] == right_handed[query]
-        row, query = row[near], query[near]
-        near = (np.abs(self.ratios[row] - ratios[query]) < tolerance[query, None]).all(axis=1)
-        return query[near], row[near]
+        reach = tolerance[:, None] * np.ones(3)
+        low = np.maximum((shapes - reach) * _CELLS, 0.0).astype(np.int64)
+        high = np.minimum((shapes + reach) * _CELLS, _CELLS - 1.0).astype(np.int64)
+        query, line = ranges(low[:, 0], high[:, 0] + 1)
+        line *= _CELLS
+        part, row = ranges(
+            self.cell_start.take(line + low[:, 1].take(query)),
+            self.cell_start.take(line + high[:, 1].take(query) + 1),
+        )
+        query = query.take(part)
+        reach[:, 2] = (tolerance + scale_error) * np.abs(shapes[:, 2])
+        near = np.abs(self.shapes.take(row, axis=0) - shapes.take(query, axis=0)) < reach.take(query, axis=0)
+        alike = (near[:, 0] & near[:, 1] & near[:, 2]).nonzero()[0]
+        return query.take(alike), row.take(alike)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -81,6 +77,8 @@ class StarIndex:
     u_i: Array  # (N, 3)
     tables: tuple[TriangleTable, ...]
     tree: cKDTree
+    along_z: NDArray[np.int64]  # (N,) rows, ascending in z
+    u_along_z: NDArray[np.float32]  # (N, 3)
 
     @property
     def arrays(self) -> dict[str, NDArray]:
@@ -100,18 +98,26 @@ class StarIndex:
         tables = tuple(_checked(arrays, str(k), len(u_i)) for k in range(count))
         if not tables:
             raise ValueError("an index has a table of triangles at least, got none")
-        return cls(stars, u_i, tables, cKDTree(u_i))
+        return cls._of(stars, u_i, tables)
+
+    @classmethod
+    def _of(cls, stars: StarPlaces, u_i: Array, tables: tuple[TriangleTable, ...]) -> StarIndex:
+        along_z = np.argsort(u_i[:, 2])
+        return cls(stars, u_i, tables, cKDTree(u_i), along_z, u_i[along_z].astype(np.float32))
 
     def tables_for(self, fov_rad: float) -> tuple[TriangleTable, ...]:
         """The table made for the nearest field of view, and the next wider one."""
-        nearest = min(self.tables, key=lambda table: abs(np.log(table.fov_rad / fov_rad)))
+        nearest = min(self.tables, key=lambda table: abs(math.log(table.fov_rad / fov_rad)))
         wider = [table for table in self.tables if table.fov_rad > nearest.fov_rad]
         return (nearest, *sorted(wider, key=lambda table: table.fov_rad)[:1])
 
     def near(self, direction_i: Array, radius_rad: float) -> NDArray[np.int64]:
-        """Rows of the stars within `radius_rad` of a unit vector, brightest first."""
-        chord = 2.0 * np.sin(0.5 * min(radius_rad, np.pi))
-        return np.sort(np.asarray(self.tree.query_ball_point(direction_i, chord), dtype=np.int64))
+        """Rows of the stars within `radius_rad`, good to 1e-6, of a unit vector, brightest first."""
+        chord = 2.0 * math.sin(0.5 * min(radius_rad, math.pi))
+        direction = direction_i.astype(np.float32)
+        first, end = self.u_along_z[:, 2].searchsorted([direction[2] - chord, direction[2] + chord])
+        near = self.u_along_z[first:end] @ direction > math.cos(min(radius_rad, math.pi))
+        return np.sort(self.along_z[first:end][near])
 
 
 def build_index(stars: StarPlaces, epoch_jyear: float, fov_rad: float | tuple[float, float]) -> StarIndex:
@@ -131,7 +137,7 @@ def build_index(stars: StarPlaces, epoch_jyear: float, fov_rad: float | tuple[fl
         fovs = low * (high / low) ** ((np.arange(levels) + 0.5) / levels)
     else:
         fovs = fov_rad * np.array([1.0, _WIDER])
-    return StarIndex(stars, u_i, tuple(_table(u_i, float(fov)) for fov in fovs), cKDTree(u_i))
+    return StarIndex._of(stars, u_i, tuple(_table(u_i, float(fov)) for fov in fovs))
 
 
 def _sorted(stars: StarPlaces, epoch_jyear: float) -> tuple[StarPlaces, Array]:
@@ -145,8 +151,8 @@ def _checked(arrays: Mapping[str, NDArray], k: str, stars: int) -> TriangleTable
     if missing := [name for name in expected.values() if name not in arrays]:
         raise ValueError(f"an index of triangles holds no {missing[0]}")
     part = {name: arrays[key] for name, key in expected.items()}
-    n = len(part["longest_rad"])
-    shapes = [("vertices", (n, 3)), ("ratios", (n, 2)), ("right_handed", (n,)), ("fov_rad", ())]
+    n = len(part["vertices"])
+    shapes = [("vertices", (n, 3)), ("shapes", (n, 3)), ("fov_rad", ())]
     for name, shape in [*shapes, ("cell_start", (_CELLS * _CELLS + 1,))]:
         if part[name].shape != shape:
             raise ValueError(f"{k}.{name} must have shape {shape}, got {part[name].shape}")
@@ -158,56 +164,51 @@ def _checked(arrays: Mapping[str, NDArray], k: str, stars: int) -> TriangleTable
         raise ValueError(f"{k}.vertices must be rows of {len(neighbours)} of {stars} stars, got {largest}")
     if neighbours.min(initial=0) < 0 or neighbours.max(initial=-1) >= stars:
         raise ValueError(f"{k}.neighbours must be rows of {stars} stars")
-    return TriangleTable(
-        float(part["fov_rad"]),
-        vertices,
-        part["longest_rad"],
-        part["ratios"],
-        part["right_handed"],
-        start,
-        neighbours,
-    )
+    return TriangleTable(float(part["fov_rad"]), vertices, part["shapes"], start, neighbours)
 
 
 def equivalent_fov(width_px: int, height_px: int, focal_px: float) -> float:
     """Width (rad) of the 4:3 field that has the area of this one."""
-    return float(2.0 * np.arctan(0.5 * np.sqrt(width_px * height_px / 0.75) / focal_px))
+    return 2.0 * math.atan(0.5 * math.sqrt(width_px * height_px / 0.75) / focal_px)
 
 
-def triangle_shapes(
-    u: Array, triples: NDArray[np.integer]
-) -> tuple[NDArray, Array, Array, NDArray[np.bool_]]:
-    """Vertices in canonical order (T, 3), longest sides (rad), ratios (T, 2) and handedness of triangles."""
-    corners = u[triples]  # (T, 3, 3)
-    across = corners[:, [1, 2, 0]] - corners[:, [2, 0, 1]]  # sides opposite to each vertex
+def triangle_shapes(u: Array, triples: NDArray[np.integer]) -> tuple[NDArray, Array]:
+    """Vertices in canonical order (T, 3), and shapes of triangles (T, 3): middle / longest side, shortest /
+    longest, and the longest (rad), which is negative where the vertices' triple product is."""
+    corners = u.take(triples, axis=0)  # (T, 3, 3)
+    across = corners.take(_NEXT, axis=1) - corners.take(_LAST, axis=1)  # sides opposite to each vertex
     # angles from chords: safe however small
-    sides = 2.0 * np.arcsin(np.minimum(0.5 * np.sqrt(np.einsum("tij,tij->ti", across, across)), 1.0))
-    order = np.argsort(sides, axis=1)  # shortest, middle, longest
-    row = np.arange(len(triples))[:, None]
+    sides = 2.0 * np.arcsin(np.minimum(0.5 * np.sqrt((across * across).sum(axis=2)), 1.0))
+    order = sides.argsort(axis=1)  # shortest, middle, longest
+    order += np.arange(0, order.size, 3)[:, None]
     # the vertex opposite the shortest side lies between the middle and the longest, and so on
-    vertices, sorted_sides = triples[row, order], sides[row, order]
-    px, py, pz, qx, qy, qz, rx, ry, rz = corners[row, order].reshape(-1, 9).T
-    triple = px * (qy * rz - qz * ry) + py * (qz * rx - qx * rz) + pz * (qx * ry - qy * rx)
-    right_handed = triple > 0.0
-    longest = np.maximum(sorted_sides[:, 2], 1e-12)
-    return vertices, longest, sorted_sides[:, 1::-1] / longest[:, None], right_handed
+    vertices, (shortest, middle, longest) = triples.take(order), sides.take(order).T
+    p, q, r = u.take(vertices, axis=0).transpose(1, 0, 2)
+    shapes = np.empty((len(triples), 3))
+    shapes[:, 0], shapes[:, 1] = middle / longest, shortest / longest
+    shapes[:, 2] = np.copysign(longest, (p * cross(q, r)).sum(axis=1))
+    return vertices, shapes
+
+
+def cross(a: Array, b: Array) -> Array:
+    """Vector products (N, 3)."""
+    return a.take(_NEXT, axis=1) * b.take(_LAST, axis=1) - a.take(_LAST, axis=1) * b.take(_NEXT, axis=1)
 
 
 def _table(u_i: Array, fov_rad: float) -> TriangleTable:
     chosen = _brightest_of_neighbourhood(u_i, fov_rad)
     triples = chosen[_triples(u_i[chosen], LONGEST_SIDE * fov_rad)]
-    vertices, longest, ratios, right_handed = triangle_shapes(u_i, triples)
-    keep = (longest < LONGEST_SIDE * fov_rad) & (ratios[:, 1] * longest > SHORTEST_SIDE * fov_rad)
-    cell = np.minimum((ratios * _CELLS).astype(np.int64), _CELLS - 1) @ np.array([_CELLS, 1])
+    vertices, shapes = triangle_shapes(u_i, triples)
+    longest = np.abs(shapes[:, 2])
+    keep = (longest < LONGEST_SIDE * fov_rad) & (shapes[:, 1] * longest > SHORTEST_SIDE * fov_rad)
+    cell = np.minimum((shapes[:, :2] * _CELLS).astype(np.int64), _CELLS - 1) @ np.array([_CELLS, 1])
     rows = np.flatnonzero(keep)
     rows = rows[np.argsort(cell[rows], kind="stable")]
     counts = np.bincount(cell[rows], minlength=_CELLS * _CELLS)
     return TriangleTable(
         fov_rad,
         vertices[rows].astype(np.int32),
-        longest[rows].astype(np.float32),
-        ratios[rows].astype(np.float32),
-        right_handed[rows],
+        shapes[rows].astype(np.float32),
         np.concatenate([[0], np.cumsum(counts)]),
         _neighbours(u_i, chosen),
     )
@@ -238,20 +239,11 @@ def _triples(u: Array, longest_rad: float) -> NDArray[np.int64]:
     pairs = cKDTree(u).query_pairs(2.0 * np.sin(0.5 * longest_rad), output_type="ndarray")
     pairs = pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]
     last = np.searchsorted(pairs[:, 0], np.arange(len(u)), side="right")
-    row = np.arange(len(pairs))
-    partners = last[pairs[:, 0]] - row - 1  # later partners of the same first star
-    one = np.repeat(row, partners)
-    other = one + 1 + _ramp(partners)
+    # later partners of the same first star
+    one, other = ranges(np.arange(1, len(pairs) + 1), last[pairs[:, 0]])
     triples = np.column_stack([pairs[one], pairs[other, 1]])
     closes = ((u[triples[:, 1]] - u[triples[:, 2]]) ** 2).sum(axis=1) < (2.0 * np.sin(0.5 * longest_rad)) ** 2
     return np.asarray(triples[closes])
-
-
-def _ramp(counts: NDArray[np.integer]) -> NDArray[np.int64]:
-    """0 .. n-1 for each n of `counts`, one after the other."""
-    total = int(counts.sum())
-    ends = np.cumsum(counts)
-    return np.arange(total) - np.repeat(ends - counts, counts)
 
 
 def _directions_at(stars: StarPlaces, epoch_jyear: float) -> Array:

@@ -12,6 +12,8 @@ the lens parameters fitted since could have bent.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -48,10 +50,10 @@ def log_evidence(
     weight = area / (predicted * 2.0 * np.pi * sigma**2)
     half_square = 0.5 * np.minimum(distance / sigma, 37.0) ** 2
     if voiceless:
-        spoken = np.argsort(half_square - np.log(weight))[voiceless:]
-        weight, half_square = weight[spoken], half_square[spoken]
+        spoken = (half_square - np.log(weight)).argsort()[voiceless:]
+        weight, half_square = weight.take(spoken), half_square.take(spoken)
     density = weight * _NARROWER * np.exp(-half_square * _NARROWER)
     votes = np.log(_OTHERS + (1.0 - _OTHERS) * density)
-    total = (votes.sum(axis=2) + others * np.log(_OTHERS[:, :, 0])).ravel()
-    top = total.max()
-    return float(top + np.log(np.exp(total - top).mean()))
+    total = votes.sum(axis=2) + others * np.log(_OTHERS[:, :, 0])
+    top = float(total.max())
+    return top + math.log(np.exp(total - top).sum() / total.size)
