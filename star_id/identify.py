@@ -251,8 +251,7 @@ def _paired(image: PlaneImage, guess: _Guess, sigma: Array) -> _Pairs:
     star that it fits best."""
     inside = _inside(guess.predicted, image.field).nonzero()[0][: _most_stars(image)]
     own = sigma.take(inside)
-    reach = 5.0 * float(own.max(initial=0.0))
-    star, detection, distance = image.nearest(guess.predicted.take(inside), reach)
+    star, detection, distance = image.nearest(guess.predicted.take(inside), 5.0 * own)
     best = least_of_each(detection, distance / own.take(star), len(image.plane))
     star = star.take(best)
     return _Pairs(detection.take(best), inside.take(star), distance.take(best), own.take(star), len(inside))

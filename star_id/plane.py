@@ -61,15 +61,16 @@ class PlaneImage:
     def area(self) -> float:
         return 4.0 * self.field.half_x * self.field.half_y
 
-    def nearest(self, points: Complex, reach: float) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
-        """Points (M,) that have a detection nearer than `reach`, the nearest one, and its distance."""
+    def nearest(self, points: Complex, reach: Array) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
+        """Points (M,) that have a detection nearer than `reach` (M,), the nearest one, and its distance."""
         x = points.real
         window = self.plane.real.take(self.along_x).searchsorted([x - reach, x + reach])
         point, place = ranges(*window)
         detection = self.along_x.take(place)
         distance = np.abs(points.take(point) - self.plane.take(detection))
+        close = (distance < reach.take(point)).nonzero()[0]
+        point, detection, distance = point.take(close), detection.take(close), distance.take(close)
         nearest = least_of_each(point, distance, len(points))
-        nearest = nearest[distance.take(nearest) < reach]
         return point.take(nearest), detection.take(nearest), distance.take(nearest)
 
 
