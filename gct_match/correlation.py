@@ -151,10 +151,12 @@ def probability_wrong(surface: Image, peak_xy: Array, independent: float, absent
 
 def independent_values(template: Image) -> float:
     """How many independent values a normalised template holds, from the evenness of its spectrum."""
-    parts: Image = cv2.dft(template - np.float32(cv2.mean(template)[0]), flags=cv2.DFT_COMPLEX_OUTPUT)
-    power: Image = cv2.mulSpectrums(parts, parts, 0, conjB=True)  # its imaginary part is zero
-    square = float(np.vdot(power, power))
-    return float(np.vdot(parts, parts)) ** 2 / square if square else 1.0
+    template = template - np.float32(cv2.mean(template)[0])
+    spectrum = cv2.dft(template)
+    power: Image = cv2.mulSpectrums(spectrum, spectrum, 0, conjB=True)
+    total = template.size * float(np.vdot(template, template))  # Parseval
+    square = 2.0 * float(np.vdot(power, power))  # packed: all but four numbers stand for two coefficients
+    return total**2 / square if square else 1.0
 
 
 def likeness_to_itself(template: Image) -> float:

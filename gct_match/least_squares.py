@@ -94,13 +94,10 @@ class _Fit:
         self.warp, weight = approach(
             template.normalised, picture.normalised, self.mask, self.warp, reference_px
         )
+        self.affine = bool((self.warp[:2, :2] != np.eye(2)).any())
         self._keep_near()
         self.weight = self.mask * cv2.resize(weight, (w, h), interpolation=cv2.INTER_LINEAR)
         self.columns: Image = np.empty((_COLUMNS + 1, h * w), dtype=np.float32)  # and the picture
-
-    @property
-    def affine(self) -> bool:
-        return bool((self.warp[:2, :2] != np.eye(2)).any())
 
     def measure(self) -> bool:
         """Filter the pair as it asks for, weight its pixels, and step until the steps are small.
@@ -131,6 +128,7 @@ class _Fit:
     def step(self, P: Array) -> None:
         """Warp <- warp o (identity + P)^-1; P is a displacement of the template's own points."""
         self.warp = composed(self.warp, P)
+        self.affine = self.affine or bool(P[:, :2].any())
         self._keep_near()
         self.settled = largest_px(P, self.shape) < _SETTLED_PX
 
@@ -153,8 +151,8 @@ class _Fit:
         return warped(self.picture, self.warp @ self.from_corner, self.shape)
 
     def _keep_near(self) -> None:
-        near = self.start - _FARTHEST_PX, self.start + _FARTHEST_PX
-        np.clip(self.warp[:2, 2], *near, out=self.warp[:2, 2])
+        far = np.maximum(self.warp[:2, 2], self.start - _FARTHEST_PX)
+        self.warp[:2, 2] = np.minimum(far, self.start + _FARTHEST_PX)
 
     def _weigh(self, image: Image, slopes: tuple[Image, Image]) -> None:
         """Robust weights from the residual of a quick fit to every fourth row; normal equations with them."""

@@ -93,8 +93,9 @@ def gradient(image: Image) -> tuple[Image, Image]:
 
 def _kernel(fraction: float) -> NDArray[np.float32]:
     """Windowed sinc that reads a picture at `fraction` (-0.5..0.5) of a pixel from its grid."""
-    t = _TAP - fraction
-    taps = np.sinc(t) * np.sinc(t / (_REACH + 0.5))
+    t = np.pi * (_TAP - fraction)
+    t[_REACH] = t[_REACH] or 1e-9
+    taps = np.sin(t) * np.sin(t / (_REACH + 0.5)) / (t * t)
     return (taps / taps.sum()).astype(np.float32)
 
 

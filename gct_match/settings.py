@@ -29,7 +29,7 @@ class MatchSettings:
     read_block_px: int = 16_000_000  # pixels read at once: few tiles of a file are decoded twice
     probability_chance: float = 1e-6  # a vote, and the places it led to, that chance gives more often is none
     chance_of_a_place: float = (
-        1e-2  # that a target is placed, in accord with the others, where it is not: 7 of 6120 were placed
+        1e-2  # that a target is placed, in accord with the others, where it is not: 0 of 6120 were placed
     )
     probability_wrong: float = 1e-4  # a place that is more likely wrong than this is refused
     sigma_px: float = (

@@ -49,7 +49,7 @@ def weighting(template: Image, picture: Image, weight: Image) -> Weighting:
     table = np.interp(steps, ring, amplitude).astype(np.float32)
     # a Gaussian of sigma s has the slope -4 pi² s² f times itself
     shared = count * np.maximum(common, 0.0)
-    slope = 0.5 * np.gradient(amplitude**2, ring)
+    slope = 0.5 * np.gradient(amplitude**2, ring[1] - ring[0])
     spread = -np.sum(shared * ring * slope) / (
         4.0 * np.pi**2 * np.sum(shared * (ring * amplitude) ** 2) + 1e-30
     )
