@@ -11,6 +11,7 @@ from star_id.attitude import solve_attitude
 from star_id.catalogue import hipparcos_stars
 from star_id.field import LARGEST_FOV_RAD, SMALLEST_FOV_RAD, FieldSolution, nominal_camera, solve_stars
 from star_id.identify import AttitudePrior, Identification, NotIdentified, identify
+from star_id.plane import PlaneImage
 from star_id.settings import StarSettings
 from star_id.sight import field_of_camera, plane_coordinates
 from star_id.triangles import build_index, equivalent_fov, triangle_shapes
@@ -160,6 +161,36 @@ def test_a_prior_attitude_is_followed_and_a_wrong_one_does_no_harm(index, places
         found = identify(plane_coordinates(PAPER_CAMERA, xy), field, index, SETTINGS, prior=prior)
         assert isinstance(found, Identification)
         assert share_right(index.stars.hip[found.stars], found.detections, hip) > 0.9
+
+
+def test_what_is_nearest_is_found_within_its_reach():
+    rng = np.random.default_rng(9)
+    plane, points = rng.uniform(-0.1, 0.1, (300, 2)), rng.uniform(-0.1, 0.1, (200, 2))
+    reach = rng.uniform(0.0, 0.01, 200)
+    image = PlaneImage.of(plane, field_of_camera(PAPER_CAMERA, SETTINGS))
+    point, detection, distance = image.nearest(points @ [1.0, 1j], reach)
+    every = np.linalg.norm(points[:, None] - plane, axis=2)
+    near = np.flatnonzero(every.min(axis=1) < reach)
+    assert 20 < len(near) < 180
+    assert (point == near).all() and (detection == every[near].argmin(axis=1)).all()
+    assert distance == pytest.approx(every[near].min(axis=1), rel=1e-12)
+
+
+@pytest.mark.parametrize("radius_rad", [0.02, 0.2, 1.5, 3.2])
+def test_stars_near_a_direction_are_found_to_its_edge(index, radius_rad):
+    for direction_i in np.vstack([np.eye(3), Rotation.random(5, random_state=10).as_matrix()[:, 0]]):
+        angle = np.arccos(np.clip(index.u_i @ direction_i, -1.0, 1.0))
+        near = index.near(direction_i, radius_rad)
+        assert (np.diff(near) > 0).all()  # brightest first
+        assert (angle[near] < radius_rad + 1e-5).all()  # rad: single precision of the cosine at 0.02 rad
+        assert np.isin(np.flatnonzero(angle < radius_rad - 1e-5), near).all()
+
+
+def test_a_detection_without_a_place_is_refused(index):
+    plane = np.random.default_rng(11).uniform(-0.1, 0.1, (20, 2))
+    plane[3, 1] = np.nan
+    with pytest.raises(ValueError, match="finite"):
+        identify(plane, field_of_camera(PAPER_CAMERA, SETTINGS), index, SETTINGS)
 
 
 def test_too_few_stars_is_said_with_the_number():
