@@ -37,7 +37,7 @@ class MatchSettings:
     )
     sigma_alike_px: float = (
         0.05  # the same, where the chip holds things alike: their parts disagree by a pixel, which leaves
-        # 0.16 px in the median, below 0.05 in 6e-4 (log-normal, 441 look-alikes in invented estates)
+        # 0.16 px in the median, below 0.05 in 1e-4 (log-normal, 441 look-alikes in invented estates)
     )
     consistency_sigma_px: float = 0.75  # by which vibration, distortion and terrain move single targets
     attitude_sigma_px: float = (
