@@ -38,6 +38,7 @@ _STEPS = 5
 _ROUNDS = 4
 _NEAR_PX = 0.05  # the pair's coherence, as measured farther off, misleads
 _SETTLED_PX = 0.02  # a step below this leaves a thirtieth of it as error: the derivatives are that good
+_SETTLED_RIM_PX = 0.06  # the same at the template's rim, where an affine map is three times less well known
 _PIECE = 2048  # pixels whose columns stay in the processor's cache
 # A tone curve acts on the scene, of which the template shows no more than means over a pixel. The rest of
 # what it does leans one way where light and shadow lie on the same side of trees and roofs, and a shift of
@@ -130,7 +131,8 @@ class _Fit:
         self.warp = composed(self.warp, P)
         self.affine = self.affine or bool(P[:, :2].any())
         self._keep_near()
-        self.settled = largest_px(P, self.shape) < _SETTLED_PX
+        here = bool(np.abs(P[:, 2]).max() < _SETTLED_PX)
+        self.settled = here and largest_px(P, self.shape) < _SETTLED_RIM_PX
 
     def placement(self) -> Placement:
         cov = self.blocks.covariance(affine=self.affine) / self.response**2
