@@ -22,8 +22,8 @@ from numpy.typing import NDArray
 from rendered_pairs import DATA, Pair
 
 from gct_match.bootstrap import pyramid_factor, vote_tolerance_px
-from gct_match.correlation import correlation_surface, normalised, peaks_of
-from gct_match.edges import edge_field, edge_similarity
+from gct_match.correlation import correlation_surface, normalised
+from gct_match.edge_search import best_places, search_picture, search_template
 from gct_match.suggest import suggest_targets
 from gct_match.vote import Candidates, Vote, log_chance_of_ranks, vote
 
@@ -230,14 +230,15 @@ def _common_offset(a: NDArray, b: NDArray, places: list[Place], aside: Array | i
     owner, displacement, chance = [], [], []
     for k, (x, y) in enumerate(places):
         window, at = _window(b, np.array([x, y]) + aside)
-        template, picture = (_edges(image, factor) for image in (a[y : y + SIZE, x : x + SIZE], window))
-        surface = edge_similarity(template, picture)
-        peaks = peaks_of(surface, SETTINGS.candidates, 3)
-        owner.append(np.full(len(peaks.value), k))
-        displacement.append(peaks.xy * factor + at - [x, y] - aside)
-        chance.append(
-            log_chance_of_ranks(len(peaks.value), np.pi * tolerance**2 / (surface.size * factor**2))
+        template, picture = (_coarse(image, factor) for image in (a[y : y + SIZE, x : x + SIZE], window))
+        width, height = np.subtract(picture.shape, template.shape)[::-1].tolist()
+        found = best_places(
+            search_template(template), [search_picture(picture)], [(0, 0, width, height)], SETTINGS.candidates
         )
+        owner.append(np.full(len(found.xy), k))
+        displacement.append(found.xy * factor + at - [x, y] - aside)
+        share = np.pi * tolerance**2 / ((width + 1) * (height + 1) * factor**2)
+        chance.append(log_chance_of_ranks(len(found.xy), share))
     every = np.concatenate(displacement)
     shift = np.broadcast_to(np.eye(2), (len(every), 2, 2))
     candidates = Candidates(np.concatenate(owner), every, shift, np.concatenate(chance))
@@ -251,10 +252,10 @@ def _window(image: NDArray, place: Array) -> tuple[NDArray, Array]:
     return image[top : y + SIZE + REACH, left : x + SIZE + REACH], np.array([left, top])
 
 
-def _edges(image: NDArray, factor: int) -> NDArray:
+def _coarse(image: NDArray, factor: int) -> NDArray:
     h, w = (n // factor for n in image.shape)
     coarse = cv2.resize(image[: h * factor, : w * factor], (w, h), interpolation=cv2.INTER_AREA)
-    return edge_field(coarse, coarse > 0.0)
+    return np.where(coarse > 0.0, coarse, np.nan)
 
 
 def _band(path: Path) -> NDArray:

@@ -10,14 +10,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gct_match.coarse import read_coarse
-from gct_match.correlation import peaks_of
-from gct_match.edges import edge_field, edge_similarity
+from gct_match.edge_search import SearchPicture, SearchTemplate, best_places, search_picture, search_template
 from gct_match.paths import Paths, displacements
 from gct_match.records import Chip, StripImage, Target
 from gct_match.settings import MatchSettings
@@ -30,11 +28,9 @@ from geometry.terrain import Surface
 __all__ = ["SearchPlan", "Window", "bootstrap", "plan_search", "pyramid_factor", "vote_tolerance_px"]
 
 Array = NDArray[np.float64]
-Image = NDArray[Any]  # single precision
 
 _NODES = 65  # places along a CCD at which the reach of the search is computed
-_BATCH = 4  # targets that join before each vote
-_SUPPORTERS = 4  # targets that fix a rotation well enough to look for the others nearby
+_SUPPORTERS = 3  # targets that fix a rotation well enough to look for the others nearby
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,18 +118,18 @@ def bootstrap(
 ) -> Vote:
     """The common rotation theta (3,), rad, against the installation matrix of `pushbroom`."""
     side = max(plan.sides_px.values())
-    pictures = {
-        ccd: _picture(strip, ccd, lines, samples, plan.factor, settings)
-        for ccd, (lines, samples) in _extents(strip, plan.windows, side).items()
-    }
+    pictures = {}
+    for ccd, (lines, samples) in _extents(strip, plan.windows, side).items():
+        coarse = read_coarse(strip, ccd, lines, samples, plan.factor, settings)
+        pictures[ccd] = _Picture(search_picture(coarse.image), coarse.origin_px)
     search = _Search(pushbroom, targets, chips, surface, settings, plan, pictures)
     order = search.in_order_of_texture()
     tolerance_px = vote_tolerance_px(plan.factor, settings)
-    looks = range(0, len(order), _BATCH)  # each may end the search: chance has that many chances
+    looks = _looks(len(order))  # each may end the search: chance has that many chances
     found: list[Candidates] = []
     outcome = Vote(np.zeros(3), np.diag(sigma_installation_rad**2), np.zeros(0, dtype=np.int64), 0.0)
-    for first in looks:
-        found += [search.candidates(n, tolerance_px) for n in order[first : first + _BATCH]]
+    for first, last in zip([0, *looks], looks):
+        found.append(search.candidates(order[first:last], tolerance_px))
         outcome = vote(
             _joined(found), sigma_installation_rad, settings.sigmas, tolerance_px, 0.5 * plan.factor
         )
@@ -144,16 +140,8 @@ def bootstrap(
     return outcome
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Picture:
-    """The edges of the part of a CCD's coarse picture, from `origin_px` (sample, line) on."""
-
-    field: Image  # (2, h, w)
-    origin_px: tuple[int, int]
-
-
 class _Search:
-    """The coarse pictures and the templates that are looked for in them."""
+    """The strip's pictures and the templates that are looked for in them."""
 
     def __init__(
         self,
@@ -171,32 +159,37 @@ class _Search:
 
     def in_order_of_texture(self) -> list[int]:
         """Targets with the most independent texture first."""
-        texture = {n: float(np.sum(field**2)) for n, (field, _) in self.templates.items()}
+        texture = {n: float(np.sum(template.own**2)) for n, (template, _) in self.templates.items()}
         return sorted(texture, key=lambda n: -texture[n])
 
-    def candidates(self, target: int, tolerance_px: float) -> Candidates:
-        """The best places of a target over all CCDs that it may lie in."""
-        template, offset_px = self.templates[target]
-        windows = [window for window in self.plan.windows if window.target == target]
-        found = [self._in_window(template, offset_px, window) for window in windows]
-        xy = np.concatenate([item[0] for item in found])
-        ccd = np.concatenate([np.full(len(item[0]), w.ccd) for item, w in zip(found, windows)])
-        value = np.concatenate([item[1] for item in found])
-        keep = np.argsort(-value, kind="stable")[: self.settings.candidates]
-        area = sum((w.lines[1] - w.lines[0]) * (w.samples[1] - w.samples[0]) for w in windows)
-        chance = log_chance_of_ranks(len(keep), np.pi * tolerance_px**2 / max(area, 1))
-        p_e = np.broadcast_to(self.targets[target].p_e, (len(keep), 3))
-        displacement, design = displacements(self.pushbroom, p_e, ccd[keep], xy[keep])
-        return Candidates(np.full(len(keep), target), displacement, design, chance)
+    def candidates(self, targets: Sequence[int], tolerance_px: float) -> Candidates:
+        """The best places of some targets over all CCDs that they may lie in."""
+        found = [self._places(n) for n in targets]
+        owner = np.repeat(targets, [len(xy) for _, xy in found])
+        p_e = np.array([target.p_e for target in self.targets])[owner]
+        displacement, design = displacements(
+            self.pushbroom, p_e, *(np.concatenate(part) for part in zip(*found, strict=True))
+        )
+        chance = [self._log_chance(n, len(xy), tolerance_px) for n, (_, xy) in zip(targets, found)]
+        return Candidates(owner, displacement, design, np.concatenate(chance))
 
-    def _template(self, target: int) -> tuple[Image, Array]:
-        """The template's edges, and where in it the target's point lies, strip pixels from its first one."""
+    def _log_chance(self, target: int, count: int, tolerance_px: float) -> Array:
+        sides = [
+            (w.lines[1] - w.lines[0], w.samples[1] - w.samples[0])
+            for w in self.plan.windows
+            if w.target == target
+        ]
+        area = sum(h * w for h, w in sides)
+        return log_chance_of_ranks(count, np.pi * tolerance_px**2 / max(area, 1))
+
+    def _template(self, target: int) -> tuple[SearchTemplate, Array]:
+        """The template, and where in it the target's point lies, strip pixels from its first one."""
         windows = [w for w in self.plan.windows if w.target == target]
         window = max(windows, key=lambda w: (w.lines[1] - w.lines[0]) * (w.samples[1] - w.samples[0]))
         factor = self.plan.factor
         middle = _middle(window)
         model = _seeing_at(self.pushbroom, self.targets[target].p_e, window.ccd, middle)
-        n = int(np.clip(self.plan.sides_px[target] / factor, 8, 96))
+        n = 4 * int(np.clip(self.plan.sides_px[target] / (4 * factor), 4, 24))
         origin = np.round(middle - 0.5 * n * factor).astype(int)
         template = predict_template(
             self.chips[target],
@@ -208,24 +201,43 @@ class _Search:
             self.settings,
             stride=factor,
         )
-        return edge_field(template.image, template.valid), middle - origin
+        return search_template(np.where(template.valid, template.image, np.nan)), middle - origin
 
-    def _in_window(self, template: Image, offset_px: Array, window: Window) -> tuple[Array, Array]:
-        """Places (K, 2), px of the strip, and their correlations (K,)."""
-        picture, factor = self.pictures[window.ccd], self.plan.factor
-        low = np.array([window.samples[0], window.lines[0]]) - offset_px - picture.origin_px
-        high = np.array([window.samples[1], window.lines[1]]) - offset_px - picture.origin_px
-        h, w = template.shape[1:]
-        rows, columns = picture.field.shape[1:]
-        x0, y0 = np.maximum(np.floor(low / factor).astype(int), -(w // 2))
-        x1 = min(int(np.ceil(high[0] / factor)) + w, columns + w // 2)
-        y1 = min(int(np.ceil(high[1] / factor)) + h, rows + h // 2)
-        if x1 - x0 < w or y1 - y0 < h:
-            return np.zeros((0, 2)), np.zeros(0)
-        surface = edge_similarity(template, _cut(picture.field, x0, y0, x1, y1))
-        peaks = peaks_of(surface, self.settings.candidates, 3)
-        xy = (peaks.xy + np.array([x0, y0])) * factor + picture.origin_px + offset_px
-        return xy, peaks.value
+    def _places(self, target: int) -> tuple[NDArray[np.int64], Array]:
+        """CCDs (K,) and pixels (K, 2) of a target's best places, best first."""
+        template, offset_px = self.templates[target]
+        windows = [window for window in self.plan.windows if window.target == target]
+        pictures = [self.pictures[window.ccd] for window in windows]
+        boxes = [self._box(window, offset_px) for window in windows]
+        found = best_places(
+            template, [picture.search for picture in pictures], boxes, self.settings.candidates
+        )
+        origin = np.array([picture.origin_px for picture in pictures]) + offset_px
+        ccd = np.array([window.ccd for window in windows])
+        return ccd[found.picture], found.xy * float(self.plan.factor) + origin[found.picture]
+
+    def _box(self, window: Window, offset_px: Array) -> tuple[int, int, int, int]:
+        """Where in its picture a template's first pixel lies if the target's point lies in a window."""
+        shift = offset_px + self.pictures[window.ccd].origin_px
+        corners = np.array([window.samples, window.lines]).T - shift
+        (x0, y0), (x1, y1) = np.floor(corners / self.plan.factor).astype(int).tolist()
+        return x0, y0, x1 + 1, y1 + 1
+
+
+def _looks(targets: int) -> list[int]:
+    """After how many targets to vote: as few as can fix a rotation, then half as many again, up to all."""
+    looks = [min(_SUPPORTERS, targets)]
+    while looks[-1] < targets:
+        looks.append(min(looks[-1] + looks[-1] // 2, targets))
+    return looks
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Picture:
+    """The part of a CCD that is searched, from `origin_px` (sample, line) on."""
+
+    search: SearchPicture
+    origin_px: tuple[int, int]
 
 
 def _windows(
@@ -292,31 +304,8 @@ def _seeing_at(pushbroom: Pushbroom, p_e: Array, ccd: int, xy_px: Array) -> Push
     return pushbroom.with_installation(deviation_from_theta(-turn) * pushbroom.R_cs)
 
 
-def _picture(
-    strip: StripImage,
-    ccd: int,
-    lines: tuple[int, int],
-    samples: tuple[int, int],
-    factor: int,
-    settings: MatchSettings,
-) -> _Picture:
-    coarse = read_coarse(strip, ccd, lines, samples, factor, settings)
-    return _Picture(edge_field(coarse.image, coarse.valid), coarse.origin_px)
-
-
 def _middle(window: Window) -> Array:
     return np.array([0.5 * sum(window.samples), 0.5 * sum(window.lines)])
-
-
-def _cut(field: Image, x0: int, y0: int, x1: int, y1: int) -> Image:
-    """A window of a field; zero beyond its edges."""
-    _, rows, columns = field.shape
-    a, b, c, d = max(0, y0), min(rows, y1), max(0, x0), min(columns, x1)
-    if (a, b, c, d) == (y0, y1, x0, x1):
-        return field[:, a:b, c:d]
-    out = np.zeros((2, y1 - y0, x1 - x0), dtype=np.float32)
-    out[:, a - y0 : b - y0, c - x0 : d - x0] = field[:, a:b, c:d]
-    return out
 
 
 def _joined(parts: Sequence[Candidates]) -> Candidates:

@@ -16,7 +16,7 @@ __all__ = ["CoarseStrip", "read_coarse", "read_window"]
 
 Image = NDArray[Any]  # single precision
 
-_EXACT = 2  # the last halving is in single precision: rounding before it adds 0.2 grey values
+_LEAST_VALID = 0.75  # share of a block's pixels that must be usable
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -25,8 +25,9 @@ class CoarseStrip:
     on.
     """
 
-    image: Image  # (h, w)
-    valid: NDArray[np.bool_]  # (h, w)
+    image: NDArray[
+        Any
+    ]  # (h, w) whole numbers as in the strip, or single precision with NaN where it shows nothing
     origin_px: tuple[int, int]
     factor: int
 
@@ -52,19 +53,20 @@ def read_coarse(
     block at the ends is left off.
     """
     h, w = (lines[1] - lines[0]) // factor, (samples[1] - samples[0]) // factor
-    image = np.empty((h, w), dtype=np.float32)
-    valid = np.ones((h, w), dtype=bool)
+    parts = []
     at_once = max(1, settings.read_block_px // (max(w, 1) * factor * factor))
     for row in range(0, h, at_once):
-        stop = min(row + at_once, h)
-        line0, line1 = lines[0] + row * factor, lines[0] + stop * factor
+        line0, line1 = lines[0] + row * factor, lines[0] + min(row + at_once, h) * factor
         block = np.asarray(strip.read(ccd, line0, line1, samples[0], samples[0] + w * factor))
-        if _sets_nothing_aside(block, settings) or (good := _usable(block, settings)).all():
-            image[row:stop] = _block_means(block, factor)
-        else:
-            image[row:stop] = _block_means(_filled(block, good), factor)
-            valid[row:stop] = _block_means(good.astype(np.float32), factor) > 0.75
-    return CoarseStrip(image, valid, (samples[0], lines[0]), factor)
+        if _sets_nothing_aside(block, settings):
+            parts.append(_block_means(block, factor))
+            continue
+        good = _usable(block, settings)
+        means = _block_means(_filled(block, good), factor)
+        if not good.all():
+            means[_block_means(good.astype(np.float32), factor) <= _LEAST_VALID] = np.nan
+        parts.append(means)
+    return CoarseStrip(np.concatenate(parts), (samples[0], lines[0]), factor)
 
 
 def _sets_nothing_aside(image: NDArray, settings: MatchSettings) -> bool:
@@ -89,13 +91,11 @@ def _filled(image: NDArray, valid: NDArray[np.bool_]) -> Image:
     return np.where(valid, image, image[valid].mean() if valid.any() else 0.0).astype(np.float32)
 
 
-def _block_means(image: NDArray, factor: int) -> Image:
-    """Means of factor² pixels, by halving; whole numbers stay whole while their rounding does not count."""
+def _block_means(image: NDArray, factor: int) -> NDArray:
+    """Means of factor² pixels, by halving; whole numbers of 8 or 16 bit stay whole."""
     if image.dtype not in (np.uint8, np.uint16):
         image = image.astype(np.float32, copy=False)
     while factor > 1:
-        if factor <= _EXACT:
-            image = image.astype(np.float32, copy=False)
         image = cv2.resize(image, (image.shape[1] // 2, image.shape[0] // 2), interpolation=cv2.INTER_AREA)
         factor //= 2
-    return image.astype(np.float32, copy=False)
+    return image

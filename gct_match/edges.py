@@ -8,47 +8,124 @@ its length it counts every edge alike (orientation correlation, Fitch et al. 200
 
     z = g² / (|g|² + median of |g|²)
 
-The median keeps noise on flat ground from counting as edges.
+The median keeps noise on flat ground from counting as edges. A picture holds whole numbers, or single
+precision with NaN where it shows nothing: there z is zero.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["edge_field", "edge_similarity"]
+__all__ = ["FULL", "centred", "coarse_edge_fields", "edge_field", "edge_similarity", "halved", "normalised"]
 
-Image = NDArray[Any]  # single precision
+Image = NDArray[Any]  # whole numbers or single precision
+
+FULL = np.float32(127.0)  # what |z| = 1 is in 8 bit
+
+_FLOOR = np.float32(0.1)  # of the template's power: ground with fewer edges is taken to have so many
+_BAND = 64  # rows of the field at a time: they stay in the cache
+_STRIPS, _ROWS = 24, 16  # strips of so many rows tell a large picture's median
 
 
-def edge_field(image: Image, valid: NDArray[np.bool_]) -> Image:
-    """(2, H, W) real and imaginary part of z at each pixel of a picture (H, W), float32; zero where the
-    picture is not valid.
+def edge_field(image: Image) -> Image:
+    """(2, H, W) real and imaginary part of z at each pixel of a picture (H, W), float32."""
+    return _field(image, _usual_power(_strips(image)))
+
+
+def coarse_edge_fields(image: Image) -> tuple[Image, Image]:
+    """z of a picture's means over 2 x 2 px, (2, H // 4 * 2, W // 4 * 2), in parts of `FULL`, 8 bit; and its
+    means over 2 x 2 of these, (2, H // 4, W // 4), float32.
+
+    The mean of directions remembers edges that the mean of as many grey values has lost.
     """
-    gx: Image = cv2.Sobel(image, cv2.CV_32F, 1, 0)
-    gy: Image = cv2.Sobel(image, cv2.CV_32F, 0, 1)
-    xx, yy = gx * gx, gy * gy
-    field: Image = np.empty((2, *image.shape), dtype=np.float32)
-    np.subtract(xx, yy, out=field[0])
-    np.multiply(gx, gy, out=field[1])
-    field[1] *= 2.0
-    power: Image = np.add(xx, yy, out=xx)
-    step = max(1, min(image.shape) // 256)
-    field /= power + np.float32(np.median(power[::step, ::step]) + 1e-6)
-    if not valid.all():
-        field[:, cv2.dilate((~valid).astype(np.uint8), np.ones((3, 3), np.uint8)) > 0] = 0.0
-    return field
+    h, w = (n // 4 for n in image.shape)
+    image = image[: 4 * h, : 4 * w]
+    usual = _usual_power([halved(strip) for strip in _strips(image)])
+    fine, pooled = np.empty((2, 2 * h, 2 * w), dtype=np.int8), np.empty((2, h, w), dtype=np.float32)
+    for top in range(0, h, _BAND // 2):
+        stop = min(top + _BAND // 2, h)
+        first, last = max(0, 4 * top - 2), min(4 * stop + 2, 4 * h)
+        field = _field(halved(image[first:last]), usual)[:, (4 * top - first) // 2 :][:, : 2 * (stop - top)]
+        for k in (0, 1):
+            pooled[k, top:stop] = halved(field[k])
+        np.multiply(field, FULL, out=fine[:, 2 * top : 2 * stop], casting="unsafe")
+    return fine, pooled
+
+
+def halved(image: Image) -> Image:
+    """Means of 2 x 2 px, single precision."""
+    size = (image.shape[1] // 2, image.shape[0] // 2)
+    return cv2.resize(image.astype(np.float32, copy=False), size, interpolation=cv2.INTER_AREA)
 
 
 def edge_similarity(template: Image, field: Image) -> Image:
-    """Correlation of a template's edges (2, h, w) with a picture's (2, H, W) wherever the template lies
-    within it, (H - h + 1, W - w + 1).
+    """Normalised correlation of a template's edges (2, h, w) with a picture's (2, H, W) wherever the template
+    lies within it, (H - h + 1, W - w + 1): ground that is full of edges is no likelier for that.
     """
+    h, w = template.shape[1:]
+    inner = slice(0, field.shape[1] - h + 1), slice(0, field.shape[2] - w + 1)
     real, imaginary = (
-        cv2.matchTemplate(plane, kernel - kernel.mean(), cv2.TM_CCORR)
-        for kernel, plane in zip(template, field, strict=True)
+        cv2.filter2D(plane, -1, kernel, anchor=(0, 0), borderType=cv2.BORDER_CONSTANT)[inner]
+        for kernel, plane in zip(centred(template), field, strict=True)
     )
-    return real + imaginary
+    power = field[0] * field[0]
+    power += field[1] * field[1]
+    under = cv2.boxFilter(power, -1, (w, h), anchor=(0, 0), borderType=cv2.BORDER_CONSTANT)[inner]
+    return normalised(real + imaginary, template, under)
+
+
+def normalised(product: Image, template: Image, power: Image) -> Image:
+    """A template's products with fields of mean `power` as correlations; those that are all but empty have
+    next to none.
+    """
+    own = np.float32(2.0 * np.mean(np.square(template)))
+    scale = np.maximum(power, _FLOOR * own)
+    np.sqrt(scale, out=scale)
+    scale *= np.float32(0.5 * template.size) * np.sqrt(own)
+    return product / scale
+
+
+def centred(template: Image) -> Image:
+    """A template's edges (2, h, w) without their mean."""
+    return template - template.mean(axis=(1, 2), keepdims=True)
+
+
+def _field(image: Image, usual_power: np.float32) -> Image:
+    gx: Image = cv2.Sobel(image, cv2.CV_32F, 1, 0)
+    gy: Image = cv2.Sobel(image, cv2.CV_32F, 0, 1)
+    field: Image = np.empty((2, *image.shape), dtype=np.float32)
+    np.multiply(gx, gy, out=field[1])
+    field[1] *= 2.0
+    gx *= gx
+    gy *= gy
+    np.subtract(gx, gy, out=field[0])
+    gx += gy
+    gx += usual_power
+    field /= gx
+    if image.dtype.kind == "f":
+        cv2.patchNaNs(field.reshape(-1, image.shape[1]), 0.0)
+    return field
+
+
+def _strips(image: Image) -> list[Image]:
+    """Rows of a picture, evenly spread over it; all of a small one."""
+    rows = len(image)
+    if rows <= _STRIPS * _ROWS:
+        return [image]
+    return [image[first : first + _ROWS] for first in np.linspace(0, rows - _ROWS, _STRIPS).astype(int)]
+
+
+def _usual_power(strips: Sequence[Image]) -> np.float32:
+    """Median of |g|² over strips of a picture."""
+    power = []
+    for strip in strips:
+        gx, gy = (cv2.Sobel(strip, cv2.CV_32F, *order) for order in ((1, 0), (0, 1)))
+        power.append((gx * gx + gy * gy)[1:-1].ravel())
+    every = np.concatenate(power)
+    every = every[np.isfinite(every)]
+    return np.float32(np.median(every) + 1e-6 if every.size else 1.0)

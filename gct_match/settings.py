@@ -22,10 +22,10 @@ class MatchSettings:
     chip_mtf_at_nyquist: float = 0.3  # of the chip at its own grid: an ortho-image that was resampled once
     sigmas: float = 3.0  # half-width of the search in standard errors of the installation matrix
     candidates: int = (
-        300  # best places of a target that take part in the vote; its weight falls with its rank
+        100  # best places of a target that take part in the vote; its weight falls with its rank
     )
     coarse_template_px: int = 32  # of a chip on the coarse picture: coarser, it loses too many of its edges
-    coarse_pixels: float = 12e6  # pixels of the coarse strip that one search may hold in memory (48 MB)
+    coarse_pixels: float = 48e6  # of the coarse strip that one search may hold: 48 MB of 8 bit, 192 with gaps
     read_block_px: int = 16_000_000  # pixels read at once: few tiles of a file are decoded twice
     probability_chance: float = 1e-6  # a vote, and the places it led to, that chance gives more often is none
     chance_of_a_place: float = (

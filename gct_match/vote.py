@@ -9,6 +9,7 @@ support it, the more the less likely chance would give such a correlation there.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -59,8 +60,9 @@ def vote(
     third = _third_parameters(candidates, prior_sigma, reach, tolerance_px)
     best, start = 0.0, np.zeros(len(prior_sigma))
     scale = np.abs(candidates.design[:, :, :2]).sum(axis=2).mean()
+    q_of = _proposals(candidates)
     for value in third:
-        q = _proposals(candidates, value)
+        q = q_of(value)
         inside = (np.abs(q) <= reach * prior_sigma[:2] * 1.05).all(axis=1)
         if not inside.any():
             continue
@@ -134,12 +136,12 @@ def _third_parameters(candidates: Candidates, prior_sigma: Array, reach: float, 
     return np.array([half * k / max(count // 2, 1) for k in range(-(count // 2), count // 2 + 1)])
 
 
-def _proposals(candidates: Candidates, third: float) -> Array:
-    rest = candidates.displacement_px
-    if candidates.design.shape[2] > 2:
-        rest = rest - candidates.design[:, :, 2] * third
-    proposals: Array = np.linalg.solve(candidates.design[:, :, :2], rest[:, :, None])[:, :, 0].astype(float)
-    return proposals
+def _proposals(candidates: Candidates) -> Callable[[float], Array]:
+    """The first two parameters (C, 2) that explain each candidate, as a function of the third."""
+    inverse = np.linalg.inv(candidates.design[:, :, :2])
+    alone = np.einsum("cij,cj->ci", inverse, candidates.displacement_px)
+    by_third = np.einsum("cij,cjk->cik", inverse, candidates.design[:, :, 2:]).sum(axis=2)
+    return lambda third: alone - by_third * third
 
 
 def _support(q_px: Array, owner: NDArray, log_chance: Array, n_targets: int, tolerance_px: float) -> Array:
