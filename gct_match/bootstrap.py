@@ -30,7 +30,7 @@ __all__ = ["SearchPlan", "Window", "bootstrap", "plan_search", "pyramid_factor",
 Array = NDArray[np.float64]
 
 _NODES = 65  # places along a CCD at which the reach of the search is computed
-_SUPPORTERS = 3  # targets that fix a rotation well enough to look for the others nearby
+_SUPPORTERS = 4  # targets that fix a rotation, even if one of them agrees with it by accident
 
 
 @dataclass(frozen=True, slots=True)
@@ -225,7 +225,7 @@ class _Search:
 
 
 def _looks(targets: int) -> list[int]:
-    """After how many targets to vote: as few as can fix a rotation, then half as many again, up to all."""
+    """After how many targets to vote: as few as may end the search, then half as many again, up to all."""
     looks = [min(_SUPPORTERS, targets)]
     while looks[-1] < targets:
         looks.append(min(looks[-1] + looks[-1] // 2, targets))
