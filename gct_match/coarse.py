@@ -53,20 +53,27 @@ def read_coarse(
     block at the ends is left off.
     """
     h, w = (lines[1] - lines[0]) // factor, (samples[1] - samples[0]) // factor
-    parts = []
+    image = np.empty((h, w), dtype=np.float32)
     at_once = max(1, settings.read_block_px // (max(w, 1) * factor * factor))
     for row in range(0, h, at_once):
-        line0, line1 = lines[0] + row * factor, lines[0] + min(row + at_once, h) * factor
+        stop = min(row + at_once, h)
+        line0, line1 = lines[0] + row * factor, lines[0] + stop * factor
         block = np.asarray(strip.read(ccd, line0, line1, samples[0], samples[0] + w * factor))
-        if _sets_nothing_aside(block, settings):
-            parts.append(_block_means(block, factor))
-            continue
-        good = _usable(block, settings)
-        means = _block_means(_filled(block, good), factor)
-        if not good.all():
-            means[_block_means(good.astype(np.float32), factor) <= _LEAST_VALID] = np.nan
-        parts.append(means)
-    return CoarseStrip(np.concatenate(parts), (samples[0], lines[0]), factor)
+        means = _means_of_usable(block, factor, settings)
+        if row == 0:
+            image = np.empty((h, w), dtype=means.dtype)
+        image[row:stop] = means
+    return CoarseStrip(image, (samples[0], lines[0]), factor)
+
+
+def _means_of_usable(block: NDArray, factor: int, settings: MatchSettings) -> NDArray:
+    if _sets_nothing_aside(block, settings):
+        return _block_means(block, factor)
+    good = _usable(block, settings)
+    means = _block_means(_filled(block, good), factor)
+    if not good.all():
+        means[_block_means(good.astype(np.float32), factor) <= _LEAST_VALID] = np.nan
+    return means
 
 
 def _sets_nothing_aside(image: NDArray, settings: MatchSettings) -> bool:

@@ -30,7 +30,7 @@ __all__ = ["Places", "SearchPicture", "SearchTemplate", "best_places", "search_p
 Image = NDArray[Any]  # whole numbers or single precision
 
 _POOLED = 4  # pixels of a picture to one of its pooled edge field
-_KEPT = 24, 4  # times as many places as are wanted in the end are looked at in the next finer picture
+_KEPT = 16, 4  # times as many places as are wanted in the end are looked at in the next finer picture
 _REACH = 2  # pixels by which the next finer picture may move a place
 _RING = 1  # pixel around them: the outermost edges of a window are those of a cut
 _SPARE = _REACH + _RING

@@ -97,19 +97,15 @@ def log_chance_of_score(candidates: Candidates, score: float) -> float:
 
     (Boole's inequality over the candidates, Chernoff's for the sum of the others).
     """
-    owners = [np.sort(candidates.log_chance[candidates.owner == n]) for n in np.unique(candidates.owner)]
-    return min((_log_bound(owners, score, s) for s in _ORDERS), default=0.0)
-
-
-def _log_bound(log_p: list[Array], score: float, s: float) -> float:
     seeds, moments = [], []
-    for each in log_p:
-        p = np.exp(each)
-        raised = np.exp(-s * each)
-        seeds.append(np.log(raised.sum()))
-        moments.append(np.log(np.diff(p, prepend=0.0) @ raised + 1.0 - p[-1]))
-    others = np.sum(moments) - np.array(moments)
-    return float(logsumexp(np.array(seeds) + others) - s * score)
+    for n in np.unique(candidates.owner):
+        log_p = np.sort(candidates.log_chance[candidates.owner == n])
+        p, raised = np.exp(log_p), np.exp(-_ORDERS[:, None] * log_p)
+        seeds.append(np.log(raised.sum(axis=1)))
+        moments.append(np.log(raised @ np.diff(p, prepend=0.0) + 1.0 - p[-1]))
+    others = np.sum(moments, axis=0) - np.array(moments)
+    bounds = logsumexp(np.array(seeds) + others, axis=0) - _ORDERS * score
+    return float(bounds.min())
 
 
 def fit_common(
