@@ -3,11 +3,12 @@
     OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 python benchmarks/match_full_size.py --dumps FOLDER
 
 One strip of the scenario `paper` (4 CCDs of 6144 x 26 000 px, Table 1's errors, 1-sigma of 3 mrad stated)
-with 40 targets, twice: as the chips show the ground, and at another date, under cloud. A dump that FOLDER
-does not hold is rendered (some minutes, 450 MB each). All 40 targets are looked for, then disjoint sets of
-12 and of 6. A place is wrong if it lies over 1 px from the truth. CPU is that of the matcher without the
-strip's own `read`. Memory is the process's largest resident size, imports included; the star images are
-read by another process.
+with 40 targets, three times: as the chips show the ground, at another date, and at another date under cloud
+with a part of the fields changed. A dump that FOLDER does not hold is rendered (some minutes, 450 MB each).
+All 40 targets are looked for, then disjoint sets of 12 and of 6. A place is wrong if it lies over 1 px from
+the truth. CPU is that of the matcher without the strip's own `read`, and of the bootstrap alone, which ends
+with the vote; targets are placed after it. Memory is the process's largest resident size, imports included;
+the star images are read by another process.
 """
 
 from __future__ import annotations
@@ -28,7 +29,9 @@ from calib_report import head, peak_mib, verdict
 from end_to_end import run_command
 from numpy.typing import NDArray
 
+from gct_match.bootstrap import bootstrap, plan_search
 from gct_match.match import match_strip
+from gct_match.paths import target_paths
 from gct_match.records import Chip, StripImage, StripMatches
 from pipeline.calibrate import strips_to_match
 from pipeline.chains.ground_chain import StripTask, pushbroom_of
@@ -43,6 +46,11 @@ WRONG_PX = 1.0
 DATES = {
     "same date": (),
     "another date": (
+        "ground.other_date.gamma=1.3",
+        "ground.other_date.ramp=0.2",
+        "ground.other_date.occlusion=0.15",
+    ),
+    "another date, cloud": (
         "ground.other_date.gamma=1.3",
         "ground.other_date.ramp=0.2",
         "ground.other_date.changed_fields=0.3",
@@ -81,7 +89,7 @@ def main() -> None:
     head("Targets in a strip of full size")
     cost = []
     for name, settings in DATES.items():
-        dump = folder / name.replace(" ", "_")
+        dump = folder / name.replace(",", "").replace(" ", "_")
         if not (dump / "dump.toml").exists():
             change = [part for setting in settings for part in ("--set", setting)]
             count = ["--set", "strips.count=1", "--set", f"targets.per_strip={TARGETS}"]
@@ -89,12 +97,15 @@ def main() -> None:
         cost += [(name, *each) for each in date(name, settings, dump)]
     print(f"peak memory of the matching process {peak_mib():.0f} MiB")
     verdict("peak memory <= 1 GiB with 40 targets", peak_mib() <= 1024.0)
-    for name, n, median in cost:
-        verdict(f"<= 0.1 s CPU a target beyond reading (median), {name}, {n} targets", median <= 0.1)
+    for name, n, searching, median in cost:
+        limit = f"<= 0.1 s CPU a target beyond reading (median), {name}, {n} targets"
+        verdict(f"{limit}: bootstrap {searching:.3f}", searching <= 0.1)
+        verdict(f"{limit}: and placing {median:.3f}", median <= 0.1)
 
 
-def date(name: str, settings: Sequence[str], dump: Path) -> list[tuple[int, float]]:
-    """Look for all targets and for subsets; (targets, CPU s a target, median of the sets) of each size."""
+def date(name: str, settings: Sequence[str], dump: Path) -> list[tuple[int, float, float]]:
+    """Look for all targets and for subsets; (targets, CPU s a target of the bootstrap and of all, medians of
+    the sets) of each size."""
     print(f"{name}{': ' if settings else ''}{', '.join(s.removeprefix('ground.') for s in settings)}")
     spawn = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(1, mp_context=spawn) as apart:
@@ -102,7 +113,10 @@ def date(name: str, settings: Sequence[str], dump: Path) -> list[tuple[int, floa
     truth = pd.read_csv(dump / "truth" / "targets.csv")
     true = {(row.id, row.ccd): np.array([row.sample, row.line]) for row in truth.itertuples()}
     chips = [chip_of(task, n) for n in range(len(task.targets))]
-    print("  targets  sets  found   placed / in view  wrong   rms px   NEES  worst chance   CPU a target, s")
+    print(
+        "  targets  sets  found   placed / in view  wrong   rms px   NEES  worst chance   CPU a target, s:"
+        "  bootstrap  and placing  least  most"
+    )
     out = []
     for size in (TARGETS, 12, 6):
         sets = [range(k, TARGETS, TARGETS // size)[:size] for k in range(TARGETS // size)]
@@ -115,14 +129,15 @@ def date(name: str, settings: Sequence[str], dump: Path) -> list[tuple[int, floa
         found = [len(result.matches) > 0 for result, _ in results]
         chance = max((result.probability_chance for (result, _), f in zip(results, found) if f), default=1.0)
         cpu = np.array([seconds for _, seconds in results]) / size
+        searching = float(np.median([searched(task, chips, list(chosen)) for chosen in sets]) / size)
         print(
             f"  {size:7d} {len(sets):5d} {sum(found):6d} {len(error):8d} / {in_view:<7d} {wrong.sum():6d}"
             f" {np.sqrt(np.mean(error[~wrong] ** 2)):8.4f} {np.mean(nees[~wrong]):6.2f} {chance:13.1e}"
-            f"   least {cpu.min():.3f} median {np.median(cpu):.3f} most {cpu.max():.3f}",
+            f"{searching:30.3f} {np.median(cpu):12.3f} {cpu.min():6.3f} {cpu.max():5.3f}",
             flush=True,
         )
         verdict(f"{name}, {size} targets: found in every set, none wrong", all(found) and not wrong.any())
-        out.append((size, float(np.median(cpu))))
+        out.append((size, searching, float(np.median(cpu))))
     print()
     return out
 
@@ -154,6 +169,20 @@ def measured(task: StripTask, chips: Sequence[Chip], chosen: Sequence[int]) -> t
         task.settings,
     )
     return result, time.process_time() - start - strip.read_s
+
+
+def searched(task: StripTask, chips: Sequence[Chip], chosen: Sequence[int]) -> float:
+    """CPU of the matcher up to the vote, without reading, s."""
+    strip = Timed(task.strip.images)
+    targets, own = [task.targets[n] for n in chosen], [chips[n] for n in chosen]
+    sigma, surface = np.asarray(task.sigma_installation_rad, dtype=float), surface_of(task.terrain)
+    start = time.process_time()
+    lines = max(strip.shape(ccd)[0] for ccd in strip.ccds)
+    pushbroom = pushbroom_of(task).tabulated(-0.5, lines - 0.5)
+    paths = target_paths(pushbroom, np.array([target.p_e for target in targets]), lines)
+    plan = plan_search(strip, paths, own, surface, sigma, task.settings)
+    bootstrap(strip, pushbroom, targets, own, surface, sigma, plan, task.settings)
+    return time.process_time() - start - strip.read_s
 
 
 def judged(result: StripMatches, true: dict[tuple[str, int], NDArray]) -> tuple[NDArray, NDArray]:
