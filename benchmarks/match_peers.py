@@ -40,6 +40,7 @@ from gct_match.settings import MatchSettings  # noqa: E402
 Array = NDArray[np.float64]
 Outcome = tuple[Array | None, Array | None]  # place (2,) and covariance (2, 2), None where there is none
 MARGIN = 16
+MOST_MS, ECC_MS = 5.0, 1.6  # CPU of a 128 px chip, on a machine where OpenCV's ECC of a translation takes 1.6
 SETTINGS = MatchSettings()
 
 
@@ -55,6 +56,7 @@ def main() -> None:
 def rendered(n: int) -> None:
     pictures = [load_picture("neon_yell_10cm.png"), load_picture("neon_yell_b_10cm.png")]
     ours: dict[tuple[int, str], dict[str, float]] = {}
+    ecc_ms: dict[tuple[int, str], float] = {}
     for size in (128, 64):
         for condition in ("clean", "date", "affine"):
             rng = np.random.default_rng(11)
@@ -72,9 +74,12 @@ def rendered(n: int) -> None:
                     f"{row['gross']:6.1f} % {row['refused']:5.1f} % {row['nees']:7.2f} {row['ms']:7.2f}",
                     flush=True,
                 )
+                if name == "OpenCV ECC translation":
+                    ecc_ms[size, condition] = row["ms"]
             ours[size, condition] = row
             print()
-    verdict("128 px clean: <= 1.5 x bound and <= 0.003 px", ours[128, "clean"]["ratio"] <= 1.5)
+    clean = ours[128, "clean"]
+    verdict("128 px clean: <= 1.5 x bound and <= 0.003 px", clean["ratio"] <= 1.5 and clean["rms"] <= 0.003)
     verdict("128 px date: <= 0.010 px", ours[128, "date"]["rms"] <= 0.010)
     verdict("128 px affine: <= 0.003 px", ours[128, "affine"]["rms"] <= 0.003)
     verdict("64 px date: gross <= 2 % of those accepted", ours[64, "date"]["gross"] <= 2.0)
@@ -87,8 +92,14 @@ def rendered(n: int) -> None:
         all(0.8 <= r["nees"] <= 1.2 for r in ours.values()),
     )
     verdict(
-        "<= 5 ms CPU a 128 px chip in every condition",
-        all(row["ms"] <= 5.0 for (size, _), row in ours.items() if size == 128),
+        f"<= {MOST_MS:.0f} ms CPU a 128 px chip in every condition",
+        all(row["ms"] <= MOST_MS for (size, _), row in ours.items() if size == 128),
+    )
+    ratios = [row["ms"] / ecc_ms[key] for key, row in ours.items() if key[0] == 128]
+    shown = ", ".join(f"{ratio:.1f}" for ratio in ratios)
+    verdict(
+        f"that is <= {MOST_MS / ECC_MS:.1f} times OpenCV's ECC of a translation in the same run ({shown})",
+        max(ratios) <= MOST_MS / ECC_MS,
     )
     print()
 

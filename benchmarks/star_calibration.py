@@ -70,7 +70,7 @@ def _rendered(seeds: range) -> None:
     print("raw frames, found, placed and named      stars  chi2/dof   rms px   foretold    bound   max px")
     by_count: dict[int, list[float]] = {10: [], 30: []}
     bounds: dict[int, list[float]] = {10: [], 30: []}
-    largest = []
+    largest, maps = [], []
     for seed in seeds:
         seen = [_sky_frame(places, np.random.default_rng([seed, k]), k, settings) for k in range(30)]
         for chosen in (seen[:10], seen[10:20], seen[20:], seen):
@@ -85,6 +85,7 @@ def _rendered(seeds: range) -> None:
             bounds[len(chosen)].append(bound)
             if len(chosen) == 10:
                 largest.append(most)
+                maps.append((error**2).sum(axis=1))
             title = f"seed {seed}, {len(chosen)} frames"
             print(
                 f"{title:39s} {len(found.frame):6d}  {found.chi2 / found.dof:8.3f}"
@@ -98,7 +99,9 @@ def _rendered(seeds: range) -> None:
         f"largest error of 10 frames: median {np.median(largest):.4f} px,"
         f" at most 0.03 px in {within} of {len(largest)} sets"
     )
-    verdict(f"10 frames: no error beyond 0.03 px ({max(largest):.4f})", max(largest) <= 0.03)
+    worst = float(np.sqrt(np.mean(maps, axis=0)).max())
+    verdict(f"10 frames: nowhere on the detector 0.03 px, rms over the sets ({worst:.4f})", worst <= 0.03)
+    verdict(f"10 frames: nowhere in any set 0.03 px ({max(largest):.4f})", max(largest) <= 0.03)
     print(f"error of 10 frames over that of 30: {ten / thirty:.2f}; the square root of 3 is 1.73")
     for n, own in by_count.items():
         ratio = np.sqrt(np.mean(np.square(own)) / np.mean(np.square(bounds[n])))
