@@ -22,9 +22,8 @@ Complex = NDArray[np.complex128]
 
 _MM = 1e3  # mm per metre: the paper's distortion numbers are for coordinates in millimetres
 _NEWTON_STEPS = 25
-_NEWTON_MM = (
-    3e-6  # last step of the inversion: its square times the bend of a lens, 0.02 / mm, is 2e-13 mm left
-)
+_EXACT_MM = 2e-13
+_BEND_PER_MM = 0.02  # of a lens, at most: a step of Newton's method leaves its own square times this
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -92,9 +91,10 @@ class StarCamera:
         """
         return _normalised(self.tangents_from_pixels(xy_px))
 
-    def tangents_from_pixels(self, xy_px: ArrayLike) -> Array:
-        """The same directions as points (N, 2) of the tangent plane, `(u_x, u_y) / u_z`."""
-        ideal = self._ideal_mm(_points(xy_px))
+    def tangents_from_pixels(self, xy_px: ArrayLike, *, error_px: float = 0.0) -> Array:
+        """The same directions as points (N, 2) of the tangent plane, `(u_x, u_y) / u_z`; quicker if they may
+        be wrong by `error_px`."""
+        ideal = self._ideal_mm(_points(xy_px), max(error_px * self.pixel_m * _MM, _EXACT_MM))
         return _pairs(ideal * (-1.0 / (self.focal_m * _MM)))
 
     def pixels_from_directions(self, u_s: ArrayLike) -> Array:
@@ -193,12 +193,13 @@ class StarCamera:
         reciprocal = -3.0 * self.q1 + math.sqrt(max(discriminant, 0.0))  # of half of r^2
         return math.sqrt(2.0 / reciprocal) if discriminant >= 0.0 and reciprocal > 1e-30 else math.inf
 
-    def _ideal_mm(self, xy_px: Array) -> Complex:
+    def _ideal_mm(self, xy_px: Array, error_mm: float = _EXACT_MM) -> Complex:
         """Inverse of eq. (4): (N,) ideal points x + iy whose real places are the pixels; NaN where none is.
 
         Newton's method: the step that takes away a miss m is  (own m - other conj(m)) / (own^2 - |other|^2).
         """
-        goal = _complex((xy_px - np.asarray(self.principal_px)) * (self.pixel_m * _MM))
+        last_mm = math.sqrt(error_mm / _BEND_PER_MM)
+        goal = (_complex(xy_px) - complex(*self.principal_px)) * (self.pixel_m * _MM)
         z = goal
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             for _ in range(_NEWTON_STEPS):
@@ -207,9 +208,9 @@ class StarCamera:
                 step = (own * miss - other * miss.conj()) / (own * own - np.abs(other) ** 2)
                 z = z + step
                 size = np.abs(step)
-                if not (size >= _NEWTON_MM).any():
+                if not (size >= last_mm).any():
                     break
-            found = (size < _NEWTON_MM) & self._upright(z, own, other)
+            found = (size < last_mm) & self._upright(z, own, other)
         z[~found] = complex(np.nan, np.nan)
         return z
 

@@ -225,10 +225,10 @@ def _solution(
     return FieldSolution(
         R_si=found.R_si,
         camera=camera,
-        hip=index.stars.hip[found.stars],
+        hip=index.stars.hip.take(found.stars),
         detections=found.detections,
-        xy_px=xy_px[found.detections],
-        u_i=index.u_i[found.stars],
+        xy_px=xy_px.take(found.detections, axis=0),
+        u_i=index.u_i.take(found.stars, axis=0),
         false_alarm_probability=found.false_alarm_probability,
         log_false_alarm_probability=found.log_false_alarm_probability,
         stars=stars,

@@ -34,6 +34,7 @@ Complex = NDArray[np.complex128]
 # wider triangles of brighter stars, which are rarer, but less often hidden among false stars
 STAGES = ((0, 0, 8), (1, 0, 10), (0, 8, 14), (0, 14, MOST_DETECTIONS), (1, 10, 18))
 _TRACKED_STARS = 30  # bright stars that vote on how far a prior attitude is off
+_SURE = 0.05  # of the detections' spacing: a star predicted so well is nearest to its own detection
 _PRIOR_SHARE = 1.6  # predicted stars kept, brightest first, per detection
 
 
@@ -181,8 +182,9 @@ def _try(image: PlaneImage, index: StarIndex, corners: Complex, R: Array, log_sc
     field = image.field
     guess = _guess(image, index, R, np.array([log_scale, 0.0, 0.0, 0.0]))
     # the triangle fixes the field near it; errors grow with the distance in units of its size
-    centre = corners.sum() / 3.0
-    size = math.sqrt((np.abs(corners - centre) ** 2).sum() / 3.0)
+    a, b, c = corners.tolist()
+    centre = (a + b + c) / 3.0
+    size = math.hypot(abs(a - centre), abs(b - centre), abs(c - centre)) / math.sqrt(3.0)
     reach = np.abs(guess.predicted - centre)
     sigma = np.sqrt(field.pixel**2 + (0.5 * field.shape_error * reach) ** 2) * (1.0 + 0.7 / size * reach)
     return _improved(image, index, guess, sigma, chosen=3)
@@ -196,16 +198,21 @@ def _improved(
 
     The guess was made to fit `chosen` detections: they do not vote.
     """
-    pixel = image.field.pixel
-    pairs = _paired(image, guess, sigma)
+    field = image.field
+    near = _near(image, guess, sigma)
+    pairs = _paired(image, guess, near, sigma)
     match = _kept(guess, pairs, 3.0 * pairs.sigma)
-    for _ in range(1 if image.field.known else 4):  # what a lens bends comes near step by step
+    sure = field.known and sigma.max() < _SURE * math.sqrt(image.area / len(image.plane))
+    for _ in range(1 if field.known else 4):  # what a lens bends comes near step by step
         if match is None:
             return None
         R_si, lens, fitted = _refined(image, index, guess, match)
         guess = _seen(index, guess.rows, R_si.as_matrix(), lens)
-        pairs = _paired(image, guess, np.full(len(guess.rows), pixel))
-        match = _kept(guess, pairs, 3.0 * _scatter(pairs.distance, pixel))
+        sigma = np.full(len(guess.rows), field.pixel)
+        if not sure:
+            near = _near(image, guess, sigma)
+        pairs = _paired(image, guess, near, sigma)
+        match = _kept(guess, pairs, 3.0 * _scatter(pairs.distance, field.pixel))
     if match is None:
         return None
     unpaired, voiceless = len(image.plane) - len(pairs.detections), chosen + (fitted - 2) // 2
@@ -236,6 +243,22 @@ def _inside(plane: Complex, field: FieldOfView) -> NDArray[np.bool_]:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class _Near:
+    """Stars predicted inside and the detections that they may be: all pairs near one another."""
+
+    places: NDArray[np.int64]  # (K,) rows of the guess
+    detections: NDArray[np.int64]  # (K,)
+    predicted: int  # stars asked for
+
+
+def _near(image: PlaneImage, guess: _Guess, sigma: Array) -> _Near:
+    """Pairs within five `sigma` (M,)."""
+    inside = _inside(guess.predicted, image.field).nonzero()[0][: _most_stars(image)]
+    star, detection = image.within(guess.predicted.take(inside), 5.0 * sigma.take(inside))
+    return _Near(inside.take(star), detection, len(inside))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class _Pairs:
     """Predicted stars and the detections near them, each at most once."""
 
@@ -246,15 +269,19 @@ class _Pairs:
     predicted: int  # stars asked for
 
 
-def _paired(image: PlaneImage, guess: _Guess, sigma: Array) -> _Pairs:
-    """Each star predicted inside with the nearest detection within five `sigma` (M,), each detection with the
-    star that it fits best."""
-    inside = _inside(guess.predicted, image.field).nonzero()[0][: _most_stars(image)]
-    own = sigma.take(inside)
-    star, detection, distance = image.nearest(guess.predicted.take(inside), 5.0 * own)
-    best = least_of_each(detection, distance / own.take(star), len(image.plane))
-    star = star.take(best)
-    return _Pairs(detection.take(best), inside.take(star), distance.take(best), own.take(star), len(inside))
+def _paired(image: PlaneImage, guess: _Guess, near: _Near, sigma: Array) -> _Pairs:
+    """Of what is near one another: each star with the nearest detection, each detection with the star that it
+    fits best, in units of the star's own `sigma` (M,)."""
+    distance = np.abs(guess.predicted.take(near.places) - image.plane.take(near.detections))
+    nearest = least_of_each(near.places, distance, len(guess.rows))
+    star, detection, distance = (
+        near.places.take(nearest),
+        near.detections.take(nearest),
+        distance.take(nearest),
+    )
+    own = sigma.take(star)
+    best = least_of_each(detection, distance / own, len(image.plane))
+    return _Pairs(detection.take(best), star.take(best), distance.take(best), own.take(best), near.predicted)
 
 
 def _kept(guess: _Guess, pairs: _Pairs, limit: Array | float) -> _Match | None:
@@ -330,5 +357,5 @@ def _answer(trial: _Trial, proposals: int) -> Identification:
         math.exp(max(log_probability, -700.0)),
         log_probability,
         proposals,
-        math.sqrt(0.5 * (trial.match.distance**2).sum() / len(trial.match.distance)),
+        math.sqrt(0.5 * (trial.match.distance @ trial.match.distance) / len(trial.match.distance)),
     )

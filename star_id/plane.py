@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from star_id.ranges import least_of_each, ranges
+from star_id.ranges import ranges
 
 __all__ = [
     "FieldOfView",
@@ -61,17 +61,15 @@ class PlaneImage:
     def area(self) -> float:
         return 4.0 * self.field.half_x * self.field.half_y
 
-    def nearest(self, points: Complex, reach: Array) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
-        """Points (M,) that have a detection nearer than `reach` (M,), the nearest one, and its distance."""
+    def within(self, points: Complex, reach: Array) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """All pairs of points (M,) and detections nearer to them than `reach` (M,): rows of both."""
         x = points.real
         window = self.plane.real.take(self.along_x).searchsorted([x - reach, x + reach])
         point, place = ranges(*window)
         detection = self.along_x.take(place)
         distance = np.abs(points.take(point) - self.plane.take(detection))
         close = (distance < reach.take(point)).nonzero()[0]
-        point, detection, distance = point.take(close), detection.take(close), distance.take(close)
-        nearest = least_of_each(point, distance, len(points))
-        return point.take(nearest), detection.take(nearest), distance.take(nearest)
+        return point.take(close), detection.take(close)
 
 
 def directions_of_plane(plane: Complex) -> Array:

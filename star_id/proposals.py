@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import combinations
+from math import comb
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,25 +53,28 @@ class Proposals:
 def propose(image: PlaneImage, table: TriangleTable, u_i: Array, done: int, size: int) -> Proposals:
     """Proposals from triangles of the brightest `size` detections that are not all among the first `done`."""
     detected, longest, rows = _look_up(image, table, done, size)
+    examined = len(rows)
+    if image.field.known or examined <= _TRIALS:  # of a known camera most are right: the widest fix it best
+        widest = (-longest).argsort()[:_TRIALS]
+        detected, longest, rows = detected.take(widest, axis=0), longest.take(widest), rows.take(widest)
     named = table.vertices.take(rows, axis=0)
     if image.field.scale_error > 0.0:
-        log_scale = np.log(longest / np.abs(table.shapes[rows, 2]))
+        log_scale = np.log(longest / np.abs(table.longest.take(rows)))
     else:
         log_scale = np.zeros(len(rows))
     R = _attitudes(image, u_i, detected, named, log_scale)
-    if len(rows) <= _TRIALS or image.field.known:  # of a known camera most proposals are right
-        best = (-longest).argsort()[:_TRIALS]  # the widest fixes the attitude best
-    else:
+    if len(rows) > _TRIALS:
         sky = _Map.of(image)
         parts = [slice(k, k + _AT_ONCE) for k in range(0, len(rows), _AT_ONCE)]
         votes = np.concatenate([sky.votes(table, u_i, named[p], R[p], log_scale[p]) for p in parts])
         worth = np.flatnonzero(votes > np.log(len(rows)) - _DOUBT)
         best = worth[np.argsort(-votes[worth], kind="stable")][:_TRIALS]
-    return Proposals(detected[best], R[best], log_scale[best], len(rows))
+        detected, R, log_scale = detected[best], R[best], log_scale[best]
+    return Proposals(detected, R, log_scale, examined)
 
 
+# the first k over 3 of them are those of the k brightest
 _TRIPLES = np.array(sorted(combinations(range(MOST_DETECTIONS), 3), key=lambda t: t[2]), dtype=np.int64)
-_LAST_OF_TRIPLES = _TRIPLES[:, 2].copy()
 
 
 def _look_up(
@@ -79,8 +83,8 @@ def _look_up(
     """Triangles that agree: the image's detections (P, 3) and longest sides (P,), and rows of the table
     (P,)."""
     field = image.field
-    first, last = _LAST_OF_TRIPLES.searchsorted([done, size])
-    vertices, shapes = triangle_shapes(directions_of_plane(image.plane[:size]), _TRIPLES[first:last])
+    triples = _TRIPLES[comb(done, 3) : comb(size, 3)]
+    vertices, shapes = triangle_shapes(directions_of_plane(image.plane[:size]), triples)
     longest = np.abs(shapes[:, 2])
     fits = longest < LONGEST_SIDE * table.fov_rad * (1.0 + field.scale_error)
     fits &= longest * shapes[:, 1] > SHORTEST_SIDE * table.fov_rad * (1.0 - field.scale_error)
@@ -101,7 +105,7 @@ def _attitudes(
 ) -> Array:
     """(P, 3, 3) rotations that bring the ends of each longest side upon one another, halving its misfit."""
     ends = directions_of_plane(image.plane.take(detected[:, :2]) * np.exp(-log_scale)[:, None])
-    axes = _axes(np.concatenate([ends, u_i[named[:, :2]]]))
+    axes = _axes(np.concatenate([ends, u_i.take(named[:, :2], axis=0)]))
     return np.asarray(axes[: len(ends)] @ axes[len(ends) :].transpose(0, 2, 1))
 
 
@@ -110,7 +114,7 @@ def _axes(ends: Array) -> Array:
     a, b = ends[:, 0], ends[:, 1]
     axes = np.empty((len(ends), 3, 3))
     axes[:, :, 0], axes[:, :, 1], axes[:, :, 2] = a + b, b - a, cross(a, b)
-    return np.asarray(axes / np.sqrt((axes * axes).sum(axis=1))[:, None, :])
+    return np.asarray(axes / np.sqrt(np.einsum("pij,pij->pj", axes, axes))[:, None, :])
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -35,6 +35,7 @@ __all__ = [
 
 Array = NDArray[np.float64]
 
+_NAMING_PX = 0.02  # a tenth of a faint star's centroid error
 _OUTLIER_CHI2 = 18.4  # two degrees of freedom, 1e-4
 
 
@@ -87,8 +88,9 @@ def sight_stars(
 
 
 def plane_coordinates(camera: StarCamera, xy_px: Array) -> Array:
-    """Tangent-plane coordinates (u_x, u_y) / u_z of image points, distortion removed."""
-    return camera.tangents_from_pixels(xy_px)
+    """Tangent-plane coordinates (u_x, u_y) / u_z of image points, distortion removed well enough for
+    naming."""
+    return camera.tangents_from_pixels(xy_px, error_px=_NAMING_PX)
 
 
 def field_of_camera(camera: StarCamera, settings: StarSettings) -> FieldOfView:

@@ -43,7 +43,8 @@ class TriangleTable:
 
     fov_rad: float
     vertices: NDArray[np.int32]  # (T, 3) rows of the index's stars
-    shapes: NDArray[np.float32]  # (T, 3) as `triangle_shapes` gives them
+    ratios: NDArray[np.float32]  # (T, 2) shapes, as `triangle_shapes` gives them
+    longest: NDArray[np.float32]  # (T,) the rest of the shapes: longest sides with their signs, rad
     cell_start: NDArray[np.int64]  # (cells + 1,) first row of each cell
     neighbours: NDArray[np.int32]  # (S, K) nearest index stars of each, S beyond the last index star's row
 
@@ -52,9 +53,9 @@ class TriangleTable:
     ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Pairs (query, row) of triangles alike: ratios within `tolerance` (Q,), longest sides within
         `tolerance` and `scale_error`, relative."""
-        reach = tolerance[:, None] * np.ones(3)
-        low = np.maximum((shapes - reach) * _CELLS, 0.0).astype(np.int64)
-        high = np.minimum((shapes + reach) * _CELLS, _CELLS - 1.0).astype(np.int64)
+        ratios, longest = shapes[:, :2], shapes[:, 2]
+        low = np.maximum((ratios - tolerance[:, None]) * _CELLS, 0.0).astype(np.int64)
+        high = np.minimum((ratios + tolerance[:, None]) * _CELLS, _CELLS - 1.0).astype(np.int64)
         query, line = ranges(low[:, 0], high[:, 0] + 1)
         line *= _CELLS
         part, row = ranges(
@@ -62,9 +63,11 @@ class TriangleTable:
             self.cell_start.take(line + high[:, 1].take(query) + 1),
         )
         query = query.take(part)
-        reach[:, 2] = (tolerance + scale_error) * np.abs(shapes[:, 2])
-        near = np.abs(self.shapes.take(row, axis=0) - shapes.take(query, axis=0)) < reach.take(query, axis=0)
-        alike = (near[:, 0] & near[:, 1] & near[:, 2]).nonzero()[0]
+        reach = (tolerance + scale_error) * np.abs(longest)  # the longest side tells most: it is asked first
+        alike = (np.abs(self.longest.take(row) - longest.take(query)) < reach.take(query)).nonzero()[0]
+        query, row = query.take(alike), row.take(alike)
+        off = np.abs(self.ratios.take(row, axis=0) - ratios.take(query, axis=0)).max(axis=1, initial=0.0)
+        alike = (off < tolerance.take(query)).nonzero()[0]
         return query.take(alike), row.take(alike)
 
 
@@ -117,7 +120,7 @@ class StarIndex:
         direction = direction_i.astype(np.float32)
         first, end = self.u_along_z[:, 2].searchsorted([direction[2] - chord, direction[2] + chord])
         near = self.u_along_z[first:end] @ direction > math.cos(min(radius_rad, math.pi))
-        return np.sort(self.along_z[first:end][near])
+        return np.sort(self.along_z[first:end].take(near.nonzero()[0]))
 
 
 def build_index(stars: StarPlaces, epoch_jyear: float, fov_rad: float | tuple[float, float]) -> StarIndex:
@@ -152,7 +155,7 @@ def _checked(arrays: Mapping[str, NDArray], k: str, stars: int) -> TriangleTable
         raise ValueError(f"an index of triangles holds no {missing[0]}")
     part = {name: arrays[key] for name, key in expected.items()}
     n = len(part["vertices"])
-    shapes = [("vertices", (n, 3)), ("shapes", (n, 3)), ("fov_rad", ())]
+    shapes = [("vertices", (n, 3)), ("ratios", (n, 2)), ("longest", (n,)), ("fov_rad", ())]
     for name, shape in [*shapes, ("cell_start", (_CELLS * _CELLS + 1,))]:
         if part[name].shape != shape:
             raise ValueError(f"{k}.{name} must have shape {shape}, got {part[name].shape}")
@@ -164,7 +167,7 @@ def _checked(arrays: Mapping[str, NDArray], k: str, stars: int) -> TriangleTable
         raise ValueError(f"{k}.vertices must be rows of {len(neighbours)} of {stars} stars, got {largest}")
     if neighbours.min(initial=0) < 0 or neighbours.max(initial=-1) >= stars:
         raise ValueError(f"{k}.neighbours must be rows of {stars} stars")
-    return TriangleTable(float(part["fov_rad"]), vertices, part["shapes"], start, neighbours)
+    return TriangleTable(float(part["fov_rad"]), vertices, part["ratios"], part["longest"], start, neighbours)
 
 
 def equivalent_fov(width_px: int, height_px: int, focal_px: float) -> float:
@@ -178,7 +181,8 @@ def triangle_shapes(u: Array, triples: NDArray[np.integer]) -> tuple[NDArray, Ar
     corners = u.take(triples, axis=0)  # (T, 3, 3)
     across = corners.take(_NEXT, axis=1) - corners.take(_LAST, axis=1)  # sides opposite to each vertex
     # angles from chords: safe however small
-    sides = 2.0 * np.arcsin(np.minimum(0.5 * np.sqrt((across * across).sum(axis=2)), 1.0))
+    chords = np.sqrt(np.einsum("tij,tij->ti", across, across))
+    sides = 2.0 * np.arcsin(np.minimum(0.5 * chords, 1.0))
     order = sides.argsort(axis=1)  # shortest, middle, longest
     order += np.arange(0, order.size, 3)[:, None]
     # the vertex opposite the shortest side lies between the middle and the longest, and so on
@@ -186,7 +190,7 @@ def triangle_shapes(u: Array, triples: NDArray[np.integer]) -> tuple[NDArray, Ar
     p, q, r = u.take(vertices, axis=0).transpose(1, 0, 2)
     shapes = np.empty((len(triples), 3))
     shapes[:, 0], shapes[:, 1] = middle / longest, shortest / longest
-    shapes[:, 2] = np.copysign(longest, (p * cross(q, r)).sum(axis=1))
+    shapes[:, 2] = np.copysign(longest, np.einsum("ti,ti->t", p, cross(q, r)))
     return vertices, shapes
 
 
@@ -208,7 +212,8 @@ def _table(u_i: Array, fov_rad: float) -> TriangleTable:
     return TriangleTable(
         fov_rad,
         vertices[rows].astype(np.int32),
-        shapes[rows].astype(np.float32),
+        shapes[rows, :2].astype(np.float32),
+        shapes[rows, 2].astype(np.float32),
         np.concatenate([[0], np.cumsum(counts)]),
         _neighbours(u_i, chosen),
     )

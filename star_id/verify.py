@@ -23,6 +23,8 @@ Array = NDArray[np.float64]
 
 # e, the share of detections that are none of the predicted stars; the error in units of the expected one
 _OTHERS = np.array([0.1, 0.3, 0.6, 0.9])[:, None, None]
+_ODDS = _OTHERS / (1.0 - _OTHERS)
+_LOG_OTHERS, _LOG_STARS = np.log(_OTHERS[:, :, 0]), np.log(1.0 - _OTHERS[:, :, 0])
 _NARROWER = np.array([0.25, 0.5, 1.0, 2.0, 4.0])[:, None] ** -2.0
 
 
@@ -53,7 +55,8 @@ def log_evidence(
         spoken = (half_square - np.log(weight)).argsort()[voiceless:]
         weight, half_square = weight.take(spoken), half_square.take(spoken)
     density = weight * _NARROWER * np.exp(-half_square * _NARROWER)
-    votes = np.log(_OTHERS + (1.0 - _OTHERS) * density)
-    total = votes.sum(axis=2) + others * np.log(_OTHERS[:, :, 0])
+    # log(e + (1 - e) density), the log(1 - e) taken out of the sum
+    votes = np.log(_ODDS + density).sum(axis=2) + len(weight) * _LOG_STARS
+    total = votes + others * _LOG_OTHERS
     top = float(total.max())
     return top + math.log(np.exp(total - top).sum() / total.size)

@@ -56,6 +56,15 @@ def test_pixels_come_back_from_their_directions(camera):
     assert np.abs(there_and_back - xy_px).max() < 1e-9
 
 
+@pytest.mark.parametrize("camera", CAMERAS)
+@pytest.mark.parametrize("error_px", [0.02, 0.5])
+def test_quick_tangents_err_by_no_more_than_they_may(camera, error_px):
+    xy_px = detector_points(camera)
+    quick, exact = camera.tangents_from_pixels(xy_px, error_px=error_px), camera.tangents_from_pixels(xy_px)
+    off_px = np.abs(quick - exact) * camera.focal_m / camera.pixel_m
+    assert 1e-9 < off_px.max() < error_px  # quick indeed, and good enough
+
+
 def test_the_lens_turns_the_image_round():
     # Equation (3): a star right of the centre in the image (larger column) has a negative x in frame s.
     u_s = StarCamera(0.1, 6.4e-6, 5120, 3840, (2560.0, 1920.0)).directions_from_pixels([[3060.0, 1920.0]])
