@@ -6,7 +6,8 @@ Rendered: 5120 x 3840 px, 8 bit, PSF sigma 1.25 px, read noise 2 DN, 40 e-/DN, 2
 V = 7, the Hipparcos sky and below it random stars to V = 11. The nominal camera is 5 % wrong in focal length
 and knows of no distortion. Printed is the error of the pixel map over the detector, the best rotation taken
 out, from 10 frames (three sets a seed) and from all 30 of a seed. Beside it stand what the calibration itself
-foretells and the Cramér-Rao bound, from the true places, fluxes and noise of the stars used.
+foretells and the Cramér-Rao bound, from the true places, fluxes and noise of the stars used; and, since the
+largest error of a set is a matter of luck, how often an estimate at that bound would stay below the limit.
 
 Real: the four 16-bit frames of one lens published with ESA's tetra3, whose names tell the altitudes at which
 they were taken. One distortion for all of them, and then each frame's own focal length, with and without the
@@ -44,6 +45,7 @@ from star_id.triangles import build_index
 TRUTH = replace(PAPER_CAMERA, principal_px=(2571.3, 1911.2))
 NOMINAL = StarCamera(0.105, 6.4e-6, 5120, 3840, (2559.5, 1919.5))
 SENSOR = Sensor(hot_pixels=2000)
+LIMIT_PX = 0.03  # of the pixel map, anywhere on the detector
 REFRACTIVITY = 2.77e-4  # n - 1 of air at 15 C, 1013 hPa, 550 nm
 FOLDER = Path(__file__).resolve().parents[2] / "shared" / "data" / "star_images" / "tetra3"
 
@@ -70,22 +72,22 @@ def _rendered(seeds: range) -> None:
     print("raw frames, found, placed and named      stars  chi2/dof   rms px   foretold    bound   max px")
     by_count: dict[int, list[float]] = {10: [], 30: []}
     bounds: dict[int, list[float]] = {10: [], 30: []}
-    largest, maps = [], []
+    largest, maps, luck = [], [], []
     for seed in seeds:
         seen = [_sky_frame(places, np.random.default_rng([seed, k]), k, settings) for k in range(30)]
         for chosen in (seen[:10], seen[10:20], seen[20:], seen):
             found = calibrate_camera([frame for frame, _ in chosen], NOMINAL, index, settings)
             assert isinstance(found, CameraCalibration), found
             error, foretold = _map_error(found)
-            bound = _rms_sigma(
-                replace(found, covariance=_bound(found, {f.frame_id: truth for f, truth in chosen}))
-            )
+            best = replace(found, covariance=_bound(found, {f.frame_id: truth for f, truth in chosen}))
+            bound = _rms_sigma(best)
             rms, most = float(np.sqrt((error**2).mean())), float(np.hypot(*error.T).max())
             by_count[len(chosen)].append(rms)
             bounds[len(chosen)].append(bound)
             if len(chosen) == 10:
                 largest.append(most)
                 maps.append((error**2).sum(axis=1))
+                luck.append(float((_largest_errors(best) <= LIMIT_PX).mean()))
             title = f"seed {seed}, {len(chosen)} frames"
             print(
                 f"{title:39s} {len(found.frame):6d}  {found.chi2 / found.dof:8.3f}"
@@ -94,14 +96,17 @@ def _rendered(seeds: range) -> None:
             )
     ten, thirty = (float(np.sqrt(np.mean(np.square(by_count[n])))) for n in (10, 30))
     verdict(f"10 frames: no rms error beyond 0.01 px ({max(by_count[10]):.4f})", max(by_count[10]) <= 0.01)
-    within = sum(most <= 0.03 for most in largest)
-    print(
-        f"largest error of 10 frames: median {np.median(largest):.4f} px,"
-        f" at most 0.03 px in {within} of {len(largest)} sets"
-    )
     worst = float(np.sqrt(np.mean(maps, axis=0)).max())
-    verdict(f"10 frames: nowhere on the detector 0.03 px, rms over the sets ({worst:.4f})", worst <= 0.03)
-    verdict(f"10 frames: nowhere in any set 0.03 px ({max(largest):.4f})", max(largest) <= 0.03)
+    verdict(f"10 frames: nowhere on the detector 0.03 px, rms over the sets ({worst:.4f})", worst <= LIMIT_PX)
+    middle = float(np.median(largest))
+    verdict(
+        f"10 frames: largest error 0.03 px at most, median of the sets ({middle:.4f})", middle <= LIMIT_PX
+    )
+    within, chance = sum(most <= LIMIT_PX for most in largest), sum(luck)
+    spread = float(np.sqrt(sum(p * (1.0 - p) for p in luck)))
+    title = f"10 frames: largest error 0.03 px at most in {within} of {len(largest)} sets"
+    verdict(f"{title}, at the bound {chance:.1f} +- {spread:.1f}", within >= chance - 2.0 * spread)
+    verdict(f"10 frames: nowhere in any set 0.03 px ({max(largest):.4f})", max(largest) <= LIMIT_PX)
     print(f"error of 10 frames over that of 30: {ten / thirty:.2f}; the square root of 3 is 1.73")
     for n, own in by_count.items():
         ratio = np.sqrt(np.mean(np.square(own)) / np.mean(np.square(bounds[n])))
@@ -120,6 +125,17 @@ def _map_error(found: CameraCalibration):
     turn, _ = Rotation.align_vectors(true, got)
     error = TRUTH.pixels_from_directions(turn.apply(got)) - xy
     return error, _rms_sigma(found)
+
+
+def _largest_errors(found: CameraCalibration, draws: int = 2000):
+    """(draws,) largest errors of the pixel map over the detector, px, of estimates with this covariance."""
+    J, A = _slopes(TRUTH.directions_from_pixels(_detector()))
+    J = J - A @ np.linalg.lstsq(A, J, rcond=None)[0]
+    unit = np.sqrt(np.diag(found.covariance))
+    error = np.random.default_rng(1).multivariate_normal(
+        np.zeros(7), found.covariance / np.outer(unit, unit), size=draws
+    )
+    return np.hypot(*((error * unit) @ J.T).reshape(draws, -1, 2).transpose(2, 0, 1)).max(axis=1)
 
 
 def _rms_sigma(found: CameraCalibration) -> float:
