@@ -16,7 +16,7 @@ from math import comb
 import numpy as np
 from numpy.typing import NDArray
 
-from star_id.plane import PlaneImage, directions_of_plane
+from star_id.plane import FieldOfView, PlaneImage, directions_of_plane
 from star_id.triangles import (
     LONGEST_SIDE,
     SHORTEST_SIDE,
@@ -52,7 +52,8 @@ class Proposals:
 
 def propose(image: PlaneImage, table: TriangleTable, u_i: Array, done: int, size: int) -> Proposals:
     """Proposals from triangles of the brightest `size` detections that are not all among the first `done`."""
-    detected, longest, rows = _look_up(image, table, done, size)
+    u_s = directions_of_plane(image.plane[:size])
+    detected, longest, rows = _look_up(image.field, u_s, table, done)
     examined = len(rows)
     if image.field.known or examined <= _TRIALS:  # of a known camera most are right: the widest fix it best
         widest = (-longest).argsort()[:_TRIALS]
@@ -62,7 +63,7 @@ def propose(image: PlaneImage, table: TriangleTable, u_i: Array, done: int, size
         log_scale = np.log(longest / np.abs(table.longest.take(rows)))
     else:
         log_scale = np.zeros(len(rows))
-    R = _attitudes(image, u_i, detected, named, log_scale)
+    R = _attitudes(u_s, u_i, detected, named, log_scale)
     if len(rows) > _TRIALS:
         sky = _Map.of(image)
         parts = [slice(k, k + _AT_ONCE) for k in range(0, len(rows), _AT_ONCE)]
@@ -78,13 +79,11 @@ _TRIPLES = np.array(sorted(combinations(range(MOST_DETECTIONS), 3), key=lambda t
 
 
 def _look_up(
-    image: PlaneImage, table: TriangleTable, done: int, size: int
+    field: FieldOfView, u_s: Array, table: TriangleTable, done: int
 ) -> tuple[NDArray[np.int64], Array, NDArray[np.int64]]:
     """Triangles that agree: the image's detections (P, 3) and longest sides (P,), and rows of the table
     (P,)."""
-    field = image.field
-    triples = _TRIPLES[comb(done, 3) : comb(size, 3)]
-    vertices, shapes = triangle_shapes(directions_of_plane(image.plane[:size]), triples)
+    vertices, shapes = triangle_shapes(u_s, _TRIPLES[comb(done, 3) : comb(len(u_s), 3)])
     longest = np.abs(shapes[:, 2])
     fits = longest < LONGEST_SIDE * table.fov_rad * (1.0 + field.scale_error)
     fits &= longest * shapes[:, 1] > SHORTEST_SIDE * table.fov_rad * (1.0 - field.scale_error)
@@ -97,14 +96,17 @@ def _look_up(
 
 
 def _attitudes(
-    image: PlaneImage,
+    u_s: Array,
     u_i: Array,
     detected: NDArray[np.int64],
     named: NDArray[np.int32],
     log_scale: Array,
 ) -> Array:
     """(P, 3, 3) rotations that bring the ends of each longest side upon one another, halving its misfit."""
-    ends = directions_of_plane(image.plane.take(detected[:, :2]) * np.exp(-log_scale)[:, None])
+    ends = u_s.take(detected[:, :2], axis=0)
+    if log_scale.any():
+        ends[:, :, :2] *= np.exp(-log_scale)[:, None, None]
+        ends /= np.linalg.norm(ends, axis=2, keepdims=True)
     axes = _axes(np.concatenate([ends, u_i.take(named[:, :2], axis=0)]))
     return np.asarray(axes[: len(ends)] @ axes[len(ends) :].transpose(0, 2, 1))
 
