@@ -35,6 +35,7 @@ Complex = NDArray[np.complex128]
 STAGES = ((0, 0, 8), (1, 0, 10), (0, 8, 14), (0, 14, MOST_DETECTIONS), (1, 10, 18))
 _TRACKED_STARS = 30  # bright stars that vote on how far a prior attitude is off
 _SURE = 0.05  # of the detections' spacing: a star predicted so well is nearest to its own detection
+_APART = 3.0  # pixels: a star nearer to a brighter one is not seen apart from it
 _PRIOR_SHARE = 1.6  # predicted stars kept, brightest first, per detection
 
 
@@ -212,7 +213,7 @@ def _improved(
         if not sure:
             near = _near(image, guess, sigma)
         pairs = _paired(image, guess, near, sigma)
-        match = _kept(guess, pairs, 3.0 * _scatter(pairs.distance, field.pixel))
+        match = _kept(guess, pairs, max(3.0 * _scatter(pairs.distance, field.pixel), field.pixel))
     if match is None:
         return None
     unpaired, voiceless = len(image.plane) - len(pairs.detections), chosen + (fitted - 2) // 2
@@ -225,7 +226,9 @@ def _improved(
 def _guess(image: PlaneImage, index: StarIndex, R: Array, lens: Array) -> _Guess:
     field = image.field
     corner = math.hypot(field.half_x, field.half_y) * (1.03 + 0.5 * field.shape_error)
-    return _seen(index, index.near(R[2], math.atan(corner * math.exp(-lens[0]))), R, lens)
+    rows = index.near(R[2], math.atan(corner * math.exp(-lens[0])))
+    apart = index.to_brighter_rad.take(rows) > _APART * field.pixel
+    return _seen(index, rows.take(apart.nonzero()[0]), R, lens)
 
 
 def _seen(index: StarIndex, rows: NDArray[np.int64], R: Array, lens: Array) -> _Guess:

@@ -163,6 +163,39 @@ def test_a_prior_attitude_is_followed_and_a_wrong_one_does_no_harm(index, places
         assert share_right(index.stars.hip[found.stars], found.detections, hip) > 0.9
 
 
+def test_faint_stars_are_named_though_bright_ones_are_better_placed(index, places):
+    # A fit that dropped faint stars far from their places would leave a sample that looks too good.
+    rng = np.random.default_rng(12)
+    xy, hip = detections(PAPER_CAMERA, Rotation.random(random_state=rng), places, rng, error_px=0.05)
+    faint = np.arange(3, len(xy), 9)
+    angle = rng.uniform(0.0, 2.0 * np.pi, len(faint))
+    xy[faint] += 0.7 * np.column_stack([np.cos(angle), np.sin(angle)])
+    found = identify(
+        plane_coordinates(PAPER_CAMERA, xy), field_of_camera(PAPER_CAMERA, SETTINGS), index, SETTINGS
+    )
+    assert isinstance(found, Identification)
+    named = dict(zip(found.detections.tolist(), index.stars.hip[found.stars].tolist()))
+    assert sum(named.get(k) == hip[k] for k in faint.tolist()) >= len(faint) - 1  # one may be a close pair's
+
+
+def test_a_star_next_to_a_brighter_one_is_not_named(index, places):
+    # beta Scorpii: 13.6 arc-seconds, one pixel of this camera
+    brighter, fainter = 78820, 78821
+    u_i = index.u_i[np.flatnonzero(index.stars.hip == brighter)[0]]
+    for seed in range(10):
+        rng = np.random.default_rng([13, seed])
+        R_si = Rotation.align_vectors([0.0, 0.0, 1.0], u_i)[0]
+        R_si = Rotation.from_rotvec([*rng.normal(0, 0.03, 2), rng.uniform(-np.pi, np.pi)]) * R_si
+        xy, hip = detections(PAPER_CAMERA, R_si, places, rng, stars=60)
+        xy, hip = xy[hip != fainter], hip[hip != fainter]
+        xy[hip == brighter] += rng.normal(0, 0.7, 2)
+        found = identify(
+            plane_coordinates(PAPER_CAMERA, xy), field_of_camera(PAPER_CAMERA, SETTINGS), index, SETTINGS
+        )
+        assert isinstance(found, Identification)
+        assert fainter not in index.stars.hip[found.stars]
+
+
 def test_all_that_is_near_is_found():
     rng = np.random.default_rng(9)
     plane, points = rng.uniform(-0.1, 0.1, (300, 2)), rng.uniform(-0.1, 0.1, (200, 2))
