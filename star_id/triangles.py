@@ -34,7 +34,7 @@ SHORTEST_SIDE = 0.06
 _LEVEL_STEP = 1.4  # fields of view of neighbouring tables of an index for unknown cameras
 _CELLS = 100  # along each ratio
 _FULL_SKY_SR = 4.0 * np.pi
-_CLOSE_RAD = np.radians(0.2)  # three pixels of any star camera
+_CLOSE_RAD = np.radians(0.2)  # three pixels of all but the coarsest star cameras
 _NEXT, _LAST = np.array([1, 2, 0]), np.array([2, 0, 1])  # of three, going round
 
 
@@ -83,7 +83,7 @@ class StarIndex:
     tree: cKDTree
     along_z: NDArray[np.int64]  # (N,) rows, ascending in z
     u_along_z: NDArray[np.float32]  # (N, 3)
-    to_brighter_rad: Array  # (N,) to the nearest brighter star, 0.2 deg at most
+    to_brighter_rad: Array  # (N,) to the nearest brighter star; infinite where none is within 0.2 deg
 
     @property
     def arrays(self) -> dict[str, NDArray]:
@@ -109,7 +109,7 @@ class StarIndex:
     def _of(cls, stars: StarPlaces, u_i: Array, tables: tuple[TriangleTable, ...]) -> StarIndex:
         along_z, tree = np.argsort(u_i[:, 2]), cKDTree(u_i)
         close = tree.query_pairs(_CLOSE_RAD, output_type="ndarray")
-        to_brighter = np.full(len(u_i), _CLOSE_RAD)
+        to_brighter = np.full(len(u_i), np.inf)
         distance = np.linalg.norm(u_i[close[:, 0]] - u_i[close[:, 1]], axis=1)
         np.minimum.at(to_brighter, close.max(axis=1), distance)
         return cls(stars, u_i, tables, tree, along_z, u_i[along_z].astype(np.float32), to_brighter)

@@ -196,6 +196,13 @@ def test_a_star_next_to_a_brighter_one_is_not_named(index, places):
         assert fainter not in index.stars.hip[found.stars]
 
 
+def test_distance_to_the_nearest_brighter_star(index):
+    limit = np.radians(0.2)
+    for row in [0, 1, *np.flatnonzero(np.isfinite(index.to_brighter_rad))[:50].tolist(), 5000]:
+        d = np.linalg.norm(index.u_i[:row] - index.u_i[row], axis=1).min(initial=np.inf)
+        assert index.to_brighter_rad[row] == (pytest.approx(d, rel=1e-12) if d <= limit else np.inf)
+
+
 def test_all_that_is_near_is_found():
     rng = np.random.default_rng(9)
     plane, points = rng.uniform(-0.1, 0.1, (300, 2)), rng.uniform(-0.1, 0.1, (200, 2))
