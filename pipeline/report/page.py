@@ -155,7 +155,7 @@ def _iterations(saved: Saved) -> list[dict[str, Any]]:
                 saved.context_number(f"iterations.{n}.theta_step_rad.{i}", "+.3e", scale=TO_ARCSEC)
                 for i in range(3)
             ],
-            "chi2": saved.context_number(f"iterations.{n}.chi2", ".4g"),
+            "chi2": saved.context_number(f"iterations.{n}.chi2", ".2f"),
             "targets": saved.context_number(f"iterations.{n}.targets", ".1f"),
         }
         for n in range(len(saved.context["iterations"]))
