@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import csv
+import io
 import json
 import re
 import shutil
@@ -19,8 +21,9 @@ from typer.testing import CliRunner
 from calib.calibration import calibrate
 from calib.campaign import CameraPair, StripPlan, draw_strips
 from calib.settings import CalibrationSettings
-from geometry.constants import ARCSEC, EARTH_ROTATION_RATE
+from geometry.constants import ARCSEC, EARTH_ROTATION_RATE, WGS84
 from geometry.epoch import Epoch
+from geometry.geodesy import ecef_from_geodetic
 from geometry.installation import theta_between
 from pipeline.calibrate import calibrate_dump
 from pipeline.cli import app
@@ -29,7 +32,7 @@ from pipeline.files.dump import open_dump
 from pipeline.joint import calibrate_jointly, dump_names, open_dumps
 from pipeline.result import read_result, store_of
 from pipeline.settings import Settings
-from pipeline.strip_model import open_calibrated
+from pipeline.strip_model import open_calibrated, strip_model
 from pipeline.work.executor import InOrder
 
 runner = CliRunner()
@@ -174,6 +177,23 @@ def test_joint_matrix_serves_each_of_its_dumps(dumps: list[Path], joint: Path, t
     assert nees < 16.27  # chi-square of 3: 999 of 1000
     assert any(line.startswith("geo-positioning at 2") for line in told)  # 20, or more seen by two CCDs
     assert not any("no position" in line for line in told)
+
+
+def test_image_points_of_each_dump_are_placed_with_the_joint_matrix(
+    dumps: list[Path], joint: Path, tmp_path: Path
+) -> None:
+    calibrated = open_calibrated(joint, dumps[2])
+    strip = calibrated.dump.strips[0].strip_id
+    (tmp_path / "pixels.csv").write_text("ccd,sample,line\n1,300.25,500.5\n")
+    told = ran("geolocate", joint, "--dump", dumps[2], "--strip", strip, "--pixels", tmp_path / "pixels.csv")
+    (place,) = csv.DictReader(io.StringIO(told))
+    lat, lon, height = (float(place[name]) for name in ("lat_deg", "lon_deg", "height_m"))
+    p_e = ecef_from_geodetic(np.radians([lat]), np.radians([lon]), np.array([height]), WGS84)
+    model = strip_model(calibrated, strip).pushbroom
+    assert (model.R_cs.as_matrix() == np.reshape(matrix(joint)["R_cs"], (3, 3))).all()
+    sample, line = model.pixels_from_ground(1, p_e)
+    # Heights are written to the millimetre, 1/6000 of a pixel of the fixture.
+    assert (sample[0], line[0]) == pytest.approx((300.25, 500.5), abs=1e-3)
 
 
 def test_a_dump_that_does_not_suffice_is_counted_and_the_others_go_on(
