@@ -17,10 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from star_id.attitude import wahba
-from star_id.plane import FieldOfView, PlaneImage, directions_of_plane, plane_of_directions
+from star_id.guess import Guess, guess_at, refined, seen_with
+from star_id.pairing import Match, kept, near_pairs, paired, scatter
+from star_id.plane import FieldOfView, PlaneImage
 from star_id.proposals import MOST_DETECTIONS, propose
-from star_id.ranges import least_of_each
 from star_id.settings import StarSettings
 from star_id.triangles import StarIndex
 from star_id.verify import log_evidence
@@ -35,8 +35,6 @@ Complex = NDArray[np.complex128]
 STAGES = ((0, 0, 8), (1, 0, 10), (0, 8, 14), (0, 14, MOST_DETECTIONS), (1, 10, 18))
 _TRACKED_STARS = 30  # bright stars that vote on how far a prior attitude is off
 _SURE = 0.05  # of the detections' spacing: a star predicted so well is nearest to its own detection
-_APART = 3.0  # pixels: a star nearer to a brighter one is not seen apart from it
-_PRIOR_SHARE = 1.6  # predicted stars kept, brightest first, per detection
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -123,19 +121,10 @@ def identify(
 class _Trial:
     """What became of a proposal."""
 
-    match: _Match
+    match: Match
     R_si: Rotation
     lens: Array
     evidence: float  # logarithm of the likelihood ratio
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Match:
-    """Detections and catalogue stars that belong together."""
-
-    detections: NDArray[np.int64]
-    stars: NDArray[np.int64]
-    distance: Array  # tangent plane
 
 
 def _tracked(
@@ -145,7 +134,7 @@ def _tracked(
     tried."""
     field = image.field
     reach = 4.0 * prior.sigma_rad * (1.0 + field.half_x**2 + field.half_y**2)
-    guess = _guess(image, index, prior.R_si.as_matrix(), np.zeros(4))
+    guess = guess_at(image, index, prior.R_si.as_matrix(), np.zeros(4))
     shifts = 1
     if reach > 4.0 * field.pixel:
         bright = guess.predicted[:_TRACKED_STARS]
@@ -160,7 +149,7 @@ def _tracked(
         bins = column * cells + row
         shift = offset[bins == np.bincount(bins).argmax()].mean()
         turn = Rotation.from_rotvec([-shift.imag, shift.real, 0.0])  # moves stars by the shift
-        guess = _seen(index, guess.rows, (turn * prior.R_si).as_matrix(), guess.lens)
+        guess = seen_with(index, guess.rows, (turn * prior.R_si).as_matrix(), guess.lens)
     sigma = np.hypot(2.0 * field.pixel, prior.sigma_rad * np.abs(guess.predicted))
     trial = _improved(image, index, guess, sigma, chosen=2)
     if trial is None or np.log(shifts) - trial.evidence >= np.log(settings.max_false_alarm_probability):
@@ -168,20 +157,10 @@ def _tracked(
     return _answer(trial, shifts), shifts
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Guess:
-    """An attitude and a lens, and catalogue stars as they are seen with them."""
-
-    R: Array
-    lens: Array
-    rows: NDArray[np.int64]  # (M,) brightest first, all that may be in view
-    predicted: Complex  # (M,)
-
-
 def _try(image: PlaneImage, index: StarIndex, corners: Complex, R: Array, log_scale: float) -> _Trial | None:
     """One proposal, from the triangle of `corners` (3,)."""
     field = image.field
-    guess = _guess(image, index, R, np.array([log_scale, 0.0, 0.0, 0.0]))
+    guess = guess_at(image, index, R, np.array([log_scale, 0.0, 0.0, 0.0]))
     # the triangle fixes the field near it; errors grow with the distance in units of its size
     a, b, c = corners.tolist()
     centre = (a + b + c) / 3.0
@@ -192,7 +171,7 @@ def _try(image: PlaneImage, index: StarIndex, corners: Complex, R: Array, log_sc
 
 
 def _improved(
-    image: PlaneImage, index: StarIndex, guess: _Guess, sigma: Array, *, chosen: int
+    image: PlaneImage, index: StarIndex, guess: Guess, sigma: Array, *, chosen: int
 ) -> _Trial | None:
     """The guess, each star of it good to `sigma` (M,), improved by the detections that it predicts; None if
     they are fewer than four.
@@ -200,20 +179,20 @@ def _improved(
     The guess was made to fit `chosen` detections: they do not vote.
     """
     field = image.field
-    near = _near(image, guess, sigma)
-    pairs = _paired(image, guess, near, sigma)
-    match = _kept(guess, pairs, 3.0 * pairs.sigma)
-    sure = field.known and sigma.max() < _SURE * math.sqrt(image.area / len(image.plane))
+    near = near_pairs(image, guess, sigma)
+    pairs = paired(image, guess, near, sigma)
+    match = kept(guess, pairs, 3.0 * pairs.sigma)
+    sure = field.known and sigma.max(initial=0.0) < _SURE * math.sqrt(image.area / len(image.plane))
     for _ in range(1 if field.known else 4):  # what a lens bends comes near step by step
         if match is None:
             return None
-        R_si, lens, fitted = _refined(image, index, guess, match)
-        guess = _seen(index, guess.rows, R_si.as_matrix(), lens)
+        R_si, lens, fitted = refined(image, index, guess, match.detections, match.stars)
+        guess = seen_with(index, guess.rows, R_si.as_matrix(), lens)
         sigma = np.full(len(guess.rows), field.pixel)
         if not sure:
-            near = _near(image, guess, sigma)
-        pairs = _paired(image, guess, near, sigma)
-        match = _kept(guess, pairs, max(3.0 * _scatter(pairs.distance, field.pixel), field.pixel))
+            near = near_pairs(image, guess, sigma)
+        pairs = paired(image, guess, near, sigma)
+        match = kept(guess, pairs, max(3.0 * scatter(pairs.distance, field.pixel), field.pixel))
     if match is None:
         return None
     unpaired, voiceless = len(image.plane) - len(pairs.detections), chosen + (fitted - 2) // 2
@@ -221,133 +200,6 @@ def _improved(
         pairs.distance, pairs.sigma, unpaired, pairs.predicted, image.area, voiceless=voiceless
     )
     return _Trial(match, R_si, lens, evidence)
-
-
-def _guess(image: PlaneImage, index: StarIndex, R: Array, lens: Array) -> _Guess:
-    field = image.field
-    corner = math.hypot(field.half_x, field.half_y) * (1.03 + 0.5 * field.shape_error)
-    rows = index.near(R[2], math.atan(corner * math.exp(-lens[0])))
-    apart = index.to_brighter_rad.take(rows) > _APART * field.pixel
-    return _seen(index, rows.take(apart.nonzero()[0]), R, lens)
-
-
-def _seen(index: StarIndex, rows: NDArray[np.int64], R: Array, lens: Array) -> _Guess:
-    """The index's stars `rows` as they are seen with an attitude and a lens."""
-    return _Guess(R, lens, rows, _distorted(plane_of_directions(index.u_i.take(rows, axis=0) @ R.T), lens))
-
-
-def _most_stars(image: PlaneImage) -> int:
-    """Catalogue stars, brightest first, that an image with so many detections is asked for."""
-    return int(_PRIOR_SHARE * len(image.plane)) + 12
-
-
-def _inside(plane: Complex, field: FieldOfView) -> NDArray[np.bool_]:
-    return np.asarray((np.abs(plane.real) < field.half_x) & (np.abs(plane.imag) < field.half_y))
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Near:
-    """Stars predicted inside and the detections that they may be: all pairs near one another."""
-
-    places: NDArray[np.int64]  # (K,) rows of the guess
-    detections: NDArray[np.int64]  # (K,)
-    predicted: int  # stars asked for
-
-
-def _near(image: PlaneImage, guess: _Guess, sigma: Array) -> _Near:
-    """Pairs within five `sigma` (M,)."""
-    inside = _inside(guess.predicted, image.field).nonzero()[0][: _most_stars(image)]
-    star, detection = image.within(guess.predicted.take(inside), 5.0 * sigma.take(inside))
-    return _Near(inside.take(star), detection, len(inside))
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Pairs:
-    """Predicted stars and the detections near them, each at most once."""
-
-    detections: NDArray[np.int64]  # (K,)
-    places: NDArray[np.int64]  # (K,) rows of the guess
-    distance: Array  # (K,)
-    sigma: Array  # (K,) expected along one axis
-    predicted: int  # stars asked for
-
-
-def _paired(image: PlaneImage, guess: _Guess, near: _Near, sigma: Array) -> _Pairs:
-    """Of what is near one another: each star with the nearest detection, each detection with the star that it
-    fits best, in units of the star's own `sigma` (M,)."""
-    distance = np.abs(guess.predicted.take(near.places) - image.plane.take(near.detections))
-    nearest = least_of_each(near.places, distance, len(guess.rows))
-    star, detection, distance = (
-        near.places.take(nearest),
-        near.detections.take(nearest),
-        distance.take(nearest),
-    )
-    own = sigma.take(star)
-    best = least_of_each(detection, distance / own, len(image.plane))
-    return _Pairs(detection.take(best), star.take(best), distance.take(best), own.take(best), near.predicted)
-
-
-def _kept(guess: _Guess, pairs: _Pairs, limit: Array | float) -> _Match | None:
-    """The pairs no farther apart than `limit`, four at least."""
-    close = (pairs.distance < limit).nonzero()[0]
-    if len(close) < 4:
-        return None
-    stars = guess.rows.take(pairs.places.take(close))
-    return _Match(pairs.detections.take(close), stars, pairs.distance.take(close))
-
-
-def _scatter(distance: Array, pixel: float) -> float:
-    """Robust one-axis size of the distances of true matches, between a seventh of a pixel and three
-    pixels."""
-    if len(distance) == 0:
-        return pixel
-    middle = float(distance[distance.argsort()[len(distance) // 2]])
-    return min(max(middle / 1.1774, 0.15 * pixel), 3.0 * pixel)
-
-
-def _refined(
-    image: PlaneImage, index: StarIndex, guess: _Guess, match: _Match
-) -> tuple[Rotation, Array, int]:
-    """Attitude, and what the matches allow to be said of an unknown lens; also the number of parameters."""
-    measured = image.plane.take(match.detections)
-    u_i = index.u_i.take(match.stars, axis=0)
-    if image.field.known:
-        return wahba(directions_of_plane(measured), u_i, np.ones(len(u_i))), guess.lens, 3
-    n = len(measured)
-    free = 2 if n < 16 else 4
-    if image.field.scale_error > 0 and n < 8:
-        free = 1
-    R, lens = guess.R, guess.lens.copy()
-    for _ in range(3):
-        ideal = plane_of_directions(u_i @ R.T)
-        residual = measured - _distorted(ideal, lens)
-        size = np.abs(residual) / math.sqrt(2.0)
-        weight = 1.0 / np.hypot(1.0, size / (2.0 * np.median(size) + 0.05 * image.field.pixel))
-        A = np.column_stack([*_turn_columns(ideal), *_lens_columns(ideal)[:free]]) * weight[:, None]
-        b = residual * weight
-        step = np.linalg.lstsq(np.vstack([A.real, A.imag]), np.append(b.real, b.imag), rcond=1e-10)[0]
-        R = Rotation.from_rotvec(step[:3]).as_matrix() @ R
-        lens[:free] += step[3:]
-    return Rotation.from_matrix(R), lens, 3 + free
-
-
-def _turn_columns(t: Complex) -> tuple[Complex, Complex, Complex]:
-    """d(tangent coordinates) / d(right-handed turn about the axes of s), (N,) each."""
-    return -1j - t.imag * t, 1.0 + t.real * t, 1j * t
-
-
-def _lens_columns(t: Complex) -> tuple[Complex, Complex, Complex, Complex]:
-    """d(distorted) / d(log scale, k1, p1, p2), (N,) each."""
-    r2 = np.abs(t) ** 2
-    return t, r2 * t, r2 + 2.0 * t.real * t, 1j * r2 + 2.0 * t.imag * t
-
-
-def _distorted(t: Complex, lens: Array) -> Complex:
-    if not lens.any():
-        return t
-    scale, k1, p1, p2 = lens
-    _, radial, along, across = _lens_columns(t)
-    return np.asarray((t + k1 * radial + p1 * along + p2 * across) * math.exp(scale))
 
 
 def _answer(trial: _Trial, proposals: int) -> Identification:

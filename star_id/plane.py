@@ -41,6 +41,10 @@ class FieldOfView:
         """The camera is calibrated: nothing about its lens is left to be found."""
         return self.scale_error == 0.0 and self.shape_error < _CALIBRATED
 
+    def contains(self, plane: Complex) -> NDArray[np.bool_]:
+        """(N,) whether points (N,) of the tangent plane are in the image."""
+        return np.asarray((np.abs(plane.real) < self.half_x) & (np.abs(plane.imag) < self.half_y))
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlaneImage:

@@ -275,3 +275,18 @@ def test_the_stated_covariance_of_the_attitude_holds():
         delta_s = (attitude.R_si * R_si.inv()).as_rotvec()
         total += delta_s @ np.linalg.solve(attitude.cov_s, delta_s)
     assert total / runs == pytest.approx(3.0, abs=5 * np.sqrt(6.0 / runs))
+
+
+def test_a_guess_without_catalogue_stars_is_no_match(index):
+    few = index.stars.take(np.arange(5))
+    lonely = build_index(few, few.epoch_jyear, 0.3)
+    away = Rotation.align_vectors([0.0, 0.0, 1.0], -lonely.u_i.sum(axis=0))[0]
+    plane = np.random.default_rng(14).uniform(-0.05, 0.05, (20, 2))
+    answer = identify(
+        plane,
+        field_of_camera(PAPER_CAMERA, SETTINGS),
+        lonely,
+        SETTINGS,
+        prior=AttitudePrior(away, 1e-3),
+    )
+    assert isinstance(answer, NotIdentified)
