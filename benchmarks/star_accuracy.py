@@ -35,13 +35,13 @@ from frames import PAPER_CAMERA, Sensor, render, star_frame
 from pipeline.report.centroid_report import score_lines
 from star_id.attitude import Attitude, solve_attitude
 from star_id.catalogue import hipparcos_stars
-from star_id.identify import NotIdentified, identify
-from star_id.psf import Psf
+from star_id.finding.psf import Psf
+from star_id.finding.star_list import StarList, find_stars
+from star_id.naming.identify import NotIdentified, identify
+from star_id.naming.triangles import StarIndex, build_index, equivalent_fov
 from star_id.score import SNR_EDGES, score_centroids
 from star_id.settings import CentroidMethod, StarSettings
 from star_id.sight import field_of_camera, fit_for_calibration, plane_coordinates
-from star_id.star_list import StarList, find_stars
-from star_id.triangles import StarIndex, build_index, equivalent_fov
 
 RUNS = 5  # of each frame: on a shared machine the least tells what the work costs
 

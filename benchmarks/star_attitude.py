@@ -33,12 +33,12 @@ from geometry.sightings import information_of_directions
 from geometry.starlight import apparent_star_directions
 from star_id.attitude import solve_attitude
 from star_id.catalogue import hipparcos_stars
-from star_id.identify import NotIdentified
-from star_id.psf import Psf
+from star_id.finding.psf import Psf
+from star_id.naming.identify import NotIdentified
+from star_id.naming.triangles import build_index, equivalent_fov
 from star_id.score import cramer_rao_px
 from star_id.settings import StarSettings
 from star_id.sight import sight_stars
-from star_id.triangles import build_index, equivalent_fov
 
 CAMERA = PAPER_CAMERA
 SENSOR = Sensor(hot_pixels=2000)

@@ -36,11 +36,11 @@ from geometry.star_camera import StarCamera
 from star_id.camera_calibration import PARAMETERS, CameraCalibration, SkyFrame, calibrate_camera
 from star_id.catalogue import hipparcos_stars
 from star_id.field import nominal_camera
-from star_id.psf import Psf
+from star_id.finding.psf import Psf
+from star_id.finding.star_list import find_stars
+from star_id.naming.triangles import build_index
 from star_id.score import cramer_rao_px
 from star_id.settings import StarSettings
-from star_id.star_list import find_stars
-from star_id.triangles import build_index
 
 TRUTH = replace(PAPER_CAMERA, principal_px=(2571.3, 1911.2))
 NOMINAL = StarCamera(0.105, 6.4e-6, 5120, 3840, (2559.5, 1919.5))

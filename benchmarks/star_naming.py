@@ -25,8 +25,8 @@ from frames import PAPER_CAMERA, stars_in_view
 
 from star_id.catalogue import hipparcos_stars
 from star_id.field import FieldSolution, solve_stars
+from star_id.naming.triangles import build_index, equivalent_fov
 from star_id.settings import StarSettings
-from star_id.triangles import build_index, equivalent_fov
 
 SIZE = (5120, 3840)
 # title, stars, false stars, error of the field of view (None: unknown)

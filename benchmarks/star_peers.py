@@ -213,9 +213,9 @@ def _finding(peers: Peers, folder: Path, frames: int) -> None:
     from scipy.spatial.transform import Rotation
 
     from star_id.catalogue import hipparcos_stars
-    from star_id.psf import Psf
+    from star_id.finding.psf import Psf
+    from star_id.finding.star_list import find_stars
     from star_id.settings import StarSettings
-    from star_id.star_list import find_stars
 
     places, settings, sensor = hipparcos_stars(8.0).places, StarSettings(), Sensor(hot_pixels=2000)
     tools = [tool for tool in peers.versions if "solve" not in tool]
@@ -312,9 +312,9 @@ def _naming(peers: Peers, folder: Path, attitudes: int) -> None:
     from scipy.spatial.transform import Rotation
 
     from star_id.catalogue import hipparcos_stars
+    from star_id.naming.triangles import build_index, equivalent_fov
     from star_id.settings import StarSettings
     from star_id.sight import field_of_camera
-    from star_id.triangles import build_index, equivalent_fov
 
     camera = replace(PAPER_CAMERA, p1=0.0, p2=0.0, q1=0.0, q2=0.0, principal_px=(2559.5, 1919.5))
     places, settings = hipparcos_stars(8.0).places, StarSettings()
@@ -363,7 +363,7 @@ def _naming(peers: Peers, folder: Path, attitudes: int) -> None:
 def _named(camera, field, index, settings, xy, sigma):
     """Direction of the axis, empty where not identified, and the CPU time of naming alone, ms."""
     from star_id.attitude import solve_attitude
-    from star_id.identify import NotIdentified, identify
+    from star_id.naming.identify import NotIdentified, identify
     from star_id.sight import plane_coordinates
 
     start = time.process_time()

@@ -29,9 +29,9 @@ from pipeline.files.text_files import read_toml
 from pipeline.work.unit_store import fixed_list, write_whole
 from star_id.catalogue import hipparcos_stars
 from star_id.field import LARGEST_FOV_RAD, SMALLEST_FOV_RAD, FieldSolution, solve_field
-from star_id.identify import NotIdentified
+from star_id.naming.identify import NotIdentified
+from star_id.naming.triangles import StarIndex, equivalent_fov
 from star_id.settings import StarSettings
-from star_id.triangles import StarIndex, equivalent_fov
 
 __all__ = ["Line", "Request", "identify_images", "read_camera", "read_sky_image", "sky_index"]
 

@@ -20,11 +20,11 @@ from geometry.epoch import Epoch
 from geometry.star_camera import StarCamera
 from geometry.starlight import apparent_star_directions
 from star_id.field import FieldSolution, solve_stars
-from star_id.identify import NotIdentified
+from star_id.finding.star_list import StarList
+from star_id.naming.identify import NotIdentified
+from star_id.naming.triangles import StarIndex
 from star_id.settings import StarSettings
 from star_id.sight import fit_for_calibration
-from star_id.star_list import StarList
-from star_id.triangles import StarIndex
 
 __all__ = ["CameraCalibration", "Observer", "ResidualMap", "SkyFrame", "calibrate_camera", "residual_map"]
 

@@ -16,12 +16,12 @@ from scipy.spatial.transform import Rotation
 
 from geometry.constants import ARCSEC
 from geometry.star_camera import StarCamera
-from star_id.identify import Identification, NotIdentified, identify
-from star_id.plane import FieldOfView
+from star_id.finding.star_list import StarList, find_stars
+from star_id.naming.identify import Identification, NotIdentified, identify
+from star_id.naming.plane import FieldOfView
+from star_id.naming.triangles import StarIndex, equivalent_fov
 from star_id.settings import StarSettings
 from star_id.sight import field_of_camera, plane_coordinates
-from star_id.star_list import StarList, find_stars
-from star_id.triangles import StarIndex, equivalent_fov
 
 __all__ = [
     "LARGEST_FOV_RAD",

@@ -18,11 +18,11 @@ from geometry.star_camera import StarCamera
 from geometry.starlight import apparent_star_directions
 from star_id.attitude import solve_attitude
 from star_id.catalogue import hipparcos_stars
-from star_id.identify import AttitudePrior, Identification, NotIdentified, identify
-from star_id.plane import FieldOfView
+from star_id.finding.star_list import StarList, find_stars
+from star_id.naming.identify import AttitudePrior, Identification, NotIdentified, identify
+from star_id.naming.plane import FieldOfView
+from star_id.naming.triangles import StarIndex, equivalent_fov
 from star_id.settings import StarSettings
-from star_id.star_list import StarList, find_stars
-from star_id.triangles import StarIndex, equivalent_fov
 
 __all__ = [
     "field_of_camera",

@@ -26,10 +26,10 @@ from pipeline.files.dump import Dump, Exposure
 from pipeline.files.image_files import read_exposure
 from pipeline.work.unit_store import column, fixed_list, list_values, read_meta
 from star_id.catalogue import hipparcos_stars
-from star_id.identify import NotIdentified
+from star_id.naming.identify import NotIdentified
+from star_id.naming.triangles import StarIndex, build_index, equivalent_fov
 from star_id.settings import StarSettings
 from star_id.sight import sight_stars
-from star_id.triangles import StarIndex, build_index, equivalent_fov
 
 __all__ = [
     "StarTask",

@@ -19,7 +19,7 @@ import numpy as np
 
 from geometry.starlight import StarPlaces
 from pipeline.work.unit_store import digest, program, write_whole
-from star_id.triangles import StarIndex, build_index
+from star_id.naming.triangles import StarIndex, build_index
 
 __all__ = ["cache_folder", "cached_index"]
 

@@ -16,9 +16,9 @@ from pipeline.errors import RawDataError
 from pipeline.files.image_files import read_star_image
 from pipeline.files.text_files import read_text
 from pipeline.work.unit_store import write_whole
+from star_id.finding.star_list import StarList, find_stars
 from star_id.score import CentroidScore, score_centroids
 from star_id.settings import StarSettings
-from star_id.star_list import StarList, find_stars
 
 __all__ = ["centroid_lines", "draw_score", "score_lines"]
 

@@ -23,9 +23,9 @@ from star_id.camera_calibration import (
     residual_map,
 )
 from star_id.field import nominal_camera, solve_stars
-from star_id.identify import NotIdentified
+from star_id.finding.star_list import find_stars
+from star_id.naming.identify import NotIdentified
 from star_id.settings import StarSettings
-from star_id.star_list import find_stars
 
 __all__ = ["calibrate_from_images"]
 

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geometry.sightings import StarSightings
+from star_id.finding.star_list import find_stars
 from star_id.settings import StarSettings
-from star_id.star_list import find_stars
 
 __all__ = ["STATES", "StarPreview", "star_preview"]
 

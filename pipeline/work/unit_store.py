@@ -18,6 +18,7 @@ import uuid
 from collections.abc import Mapping
 from enum import Enum
 from functools import cache
+from importlib.resources.abc import Traversable
 from pathlib import Path
 from typing import Any
 
@@ -116,10 +117,19 @@ def program(*packages: str) -> str:
     """
     sources: dict[str, bytes] = {}
     for package in packages:
-        folder = importlib.resources.files(package)
-        names = sorted(entry.name for entry in folder.iterdir() if entry.name.endswith(".py"))
-        sources |= {f"{package}/{name}": (folder / name).read_bytes() for name in names}
+        sources |= _sources(importlib.resources.files(package), package)
     return f"{__version__} {digest(sources)}"
+
+
+def _sources(folder: Traversable, name: str) -> dict[str, bytes]:
+    """Python files of a folder and of those within it."""
+    sources: dict[str, bytes] = {}
+    for entry in sorted(folder.iterdir(), key=lambda entry: entry.name):
+        if entry.is_dir():
+            sources |= _sources(entry, f"{name}/{entry.name}")
+        elif entry.name.endswith(".py"):
+            sources[f"{name}/{entry.name}"] = entry.read_bytes()
+    return sources
 
 
 @dataclasses.dataclass(frozen=True, slots=True)

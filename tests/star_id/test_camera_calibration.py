@@ -13,15 +13,15 @@ from scipy.spatial.transform import Rotation
 from geometry.epoch import Epoch
 from geometry.star_camera import StarCamera
 from geometry.starlight import apparent_star_directions
-from star_id.background import Background
 from star_id.camera_calibration import CameraCalibration, Observer, SkyFrame, calibrate_camera, residual_map
 from star_id.catalogue import hipparcos_stars
-from star_id.identify import NotIdentified
-from star_id.psf import Psf
+from star_id.finding.background import Background
+from star_id.finding.psf import Psf
+from star_id.finding.star_list import StarList
+from star_id.naming.identify import NotIdentified
+from star_id.naming.triangles import build_index
 from star_id.settings import StarSettings
 from star_id.sip import tan_sip
-from star_id.star_list import StarList
-from star_id.triangles import build_index
 
 TRUTH = replace(PAPER_CAMERA, principal_px=(2571.3, 1911.2))
 NOMINAL = StarCamera(0.105, 6.4e-6, 5120, 3840, (2559.5, 1919.5))  # focal length 5 % wrong, no distortion

@@ -10,12 +10,12 @@ from scipy.spatial.transform import Rotation
 from star_id.attitude import solve_attitude
 from star_id.catalogue import hipparcos_stars
 from star_id.field import LARGEST_FOV_RAD, SMALLEST_FOV_RAD, FieldSolution, nominal_camera, solve_stars
-from star_id.identify import AttitudePrior, Identification, NotIdentified, identify
-from star_id.plane import PlaneImage
+from star_id.naming.identify import AttitudePrior, Identification, NotIdentified, identify
+from star_id.naming.plane import PlaneImage
+from star_id.naming.triangles import build_index, equivalent_fov, triangle_shapes
+from star_id.naming.verify import log_evidence
 from star_id.settings import StarSettings
 from star_id.sight import field_of_camera, plane_coordinates
-from star_id.triangles import build_index, equivalent_fov, triangle_shapes
-from star_id.verify import log_evidence
 
 SETTINGS = StarSettings()
 SIZE = (PAPER_CAMERA.width_px, PAPER_CAMERA.height_px)

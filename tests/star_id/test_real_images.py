@@ -14,9 +14,9 @@ import pytest
 
 from star_id.catalogue import hipparcos_stars
 from star_id.field import LARGEST_FOV_RAD, SMALLEST_FOV_RAD, FieldSolution, solve_field
-from star_id.identify import NotIdentified
+from star_id.naming.identify import NotIdentified
+from star_id.naming.triangles import build_index
 from star_id.settings import StarSettings
-from star_id.triangles import build_index
 
 FOLDER = Path(__file__).resolve().parents[3] / "shared" / "data" / "star_images"
 ROWS = list(csv.DictReader((FOLDER / "manifest.csv").open())) if FOLDER.is_dir() else []

@@ -14,10 +14,10 @@ from geometry.star_camera import StarCamera
 from geometry.starlight import apparent_star_directions
 from star_id.attitude import solve_attitude
 from star_id.catalogue import hipparcos_stars
-from star_id.identify import NotIdentified
+from star_id.naming.identify import NotIdentified
+from star_id.naming.triangles import build_index, equivalent_fov
 from star_id.settings import StarSettings
 from star_id.sight import sight_stars
-from star_id.triangles import build_index, equivalent_fov
 
 CAMERA = StarCamera(
     0.1, 25.6e-6, 1280, 960, (641.3, 477.2), p1=2.29e-5, p2=-2.96e-5, q1=-9.30e-7, q2=-4.25e-9

@@ -14,13 +14,13 @@ from scipy.stats import chi2, poisson
 
 from simulator.scenario import SkySettings
 from simulator.sky import expose
-from star_id.background import estimate_background
-from star_id.detect import detection_threshold
-from star_id.psf import Psf
+from star_id.finding.background import estimate_background
+from star_id.finding.detect import detection_threshold
+from star_id.finding.psf import Psf
+from star_id.finding.search import candidate_places
+from star_id.finding.star_list import find_stars
 from star_id.score import cramer_rao_px, score_centroids
-from star_id.search import candidate_places
 from star_id.settings import StarSettings
-from star_id.star_list import find_stars
 
 TOLD_GAIN = StarSettings(gain_e_per_dn=40.0)
 

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from frames import Sensor, render
 
-from star_id.background import estimate_background
-from star_id.centroid import fit_stars
-from star_id.psf import Psf
+from star_id.finding.background import estimate_background
+from star_id.finding.centroid import fit_stars
+from star_id.finding.psf import Psf
+from star_id.finding.star_list import find_stars
+from star_id.finding.windowed_centroid import windowed_centroids
 from star_id.score import cramer_rao_px
 from star_id.settings import StarSettings
-from star_id.star_list import find_stars
-from star_id.windowed_centroid import windowed_centroids
 
 SIZE = 1500
 PSF = Psf(1.25, 1.25, (0.0, 0.0), SIZE, SIZE)

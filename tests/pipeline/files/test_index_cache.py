@@ -11,7 +11,7 @@ import pytest
 from pipeline.files import index_cache
 from pipeline.files.index_cache import cache_folder, cached_index
 from star_id.catalogue import hipparcos_stars
-from star_id.triangles import StarIndex, TriangleTable, build_index
+from star_id.naming.triangles import StarIndex, TriangleTable, build_index
 
 FOV = 0.6  # rad: a small index
 

@@ -67,6 +67,19 @@ def test_program_is_its_version_and_the_source_that_a_stage_rests_on() -> None:
     assert program("geometry", "star_id") == program("geometry", "star_id")
 
 
+def test_program_knows_the_folders_within_a_package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    inner = tmp_path / "outer_package" / "inner"
+    inner.mkdir(parents=True)
+    for folder in (inner, inner.parent):
+        (folder / "__init__.py").touch()
+    monkeypatch.syspath_prepend(tmp_path)
+    (inner / "module.py").write_text("A = 1\n")
+    before = program("outer_package")
+    (inner / "module.py").write_text("A = 2\n")
+    program.cache_clear()
+    assert program("outer_package") != before
+
+
 def test_unit_is_read_back_bit_for_bit_and_replaces_its_predecessor(tmp_path: Path) -> None:
     store, values = UnitStore(tmp_path), np.random.default_rng(2).normal(size=(4, 3, 3))
     table = pa.table({"cov": fixed_list(values)})

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from geometry.starlight import StarPlaces
-from star_id.ranges import ranges
+from star_id.naming.ranges import ranges
 
 __all__ = ["StarIndex", "TriangleTable", "build_index", "equivalent_fov", "triangle_shapes"]
 

@@ -13,11 +13,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from star_id.background import Background
-from star_id.centroid import StarFits, faint_star_inflation
-from star_id.psf import Psf, psf_images
-from star_id.window_fit import start_state
-from star_id.windows import star_windows
+from star_id.finding.background import Background
+from star_id.finding.centroid import StarFits, faint_star_inflation
+from star_id.finding.psf import Psf, psf_images
+from star_id.finding.window_fit import start_state
+from star_id.finding.windows import star_windows
 
 __all__ = ["windowed_centroids"]
 
@@ -39,7 +39,7 @@ def windowed_centroids(
     gain_e_per_dn: float,
     saturation_dn: float,
 ) -> StarFits:
-    """Centroids near `places` + `offset` (N, 2), as `star_id.centroid.fit_stars` gives them.
+    """Centroids near `places` + `offset` (N, 2), as `star_id.finding.centroid.fit_stars` gives them.
 
     Full pixels count as they are, so the covariances of saturated stars are too small.
     """

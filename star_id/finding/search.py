@@ -2,8 +2,8 @@
 
 The image is halved, brought to 8 bits with the noise at a level or two, and summed over squares of two by two
 of its pixels: for stars as wide as a pixel or two that is close to the matched filter. Local maxima at a low
-threshold remain, some thousands of places for `star_id.detect` to judge. All goes band by band of rows that
-stay in the processor's cache.
+threshold remain, some thousands of places for `detect` to judge. All goes band by band of rows that stay in
+the processor's cache.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from star_id.background import Background, extended
+from star_id.finding.background import Background, extended
 
 __all__ = ["candidate_places"]
 

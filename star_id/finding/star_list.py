@@ -9,14 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from star_id.background import Background, estimate_background
-from star_id.centroid import StarFits, fit_stars
-from star_id.detect import Detections, detect, detection_threshold
-from star_id.psf import Psf
-from star_id.search import candidate_places
+from star_id.finding.background import Background, estimate_background
+from star_id.finding.centroid import StarFits, fit_stars
+from star_id.finding.detect import Detections, detect, detection_threshold
+from star_id.finding.psf import Psf
+from star_id.finding.search import candidate_places
+from star_id.finding.star_shape import WidthFits, fit_widths, gain_of, psf_of
+from star_id.finding.windowed_centroid import windowed_centroids
 from star_id.settings import StarSettings
-from star_id.star_shape import WidthFits, fit_widths, gain_of, psf_of
-from star_id.windowed_centroid import windowed_centroids
 
 __all__ = ["StarList", "find_stars"]
 

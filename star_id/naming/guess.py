@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from star_id.attitude import wahba
-from star_id.plane import PlaneImage, directions_of_plane, plane_of_directions
-from star_id.triangles import StarIndex
+from star_id.naming.plane import PlaneImage, directions_of_plane, plane_of_directions
+from star_id.naming.triangles import StarIndex
 
 __all__ = ["Guess", "guess_at", "refined", "seen_with"]
 

@@ -1,0 +1,1 @@
+"""From places on a detector to names in the catalogue."""
