@@ -41,22 +41,21 @@ def solve_attitude(u_s: Array, u_i: Array, cov_s: Array) -> Attitude:
         raise ValueError(f"two directions at least are needed to fix an attitude, got {len(u_s)}")
     information = information_of_directions(u_s, cov_s)
     weight = 2.0 / np.trace(cov_s, axis1=1, axis2=2)
-    R = wahba(u_s, u_i, weight).as_matrix()
+    R_si = wahba(u_s, u_i, weight)
     for _ in range(3):
-        predicted = u_i @ R.T
-        residual = u_s - predicted
+        predicted = u_i @ R_si.as_matrix().T
         A = -_cross_matrices(predicted)  # d(exp(delta) u) = delta x u = -[u x] delta
         AtI = A.transpose(0, 2, 1) @ information
-        fisher = (AtI @ A).sum(axis=0)
-        delta = np.linalg.solve(fisher, (AtI @ residual[:, :, None]).sum(axis=0)[:, 0])
-        R = Rotation.from_rotvec(delta).as_matrix() @ R
+        cov = np.linalg.inv((AtI @ A).sum(axis=0))
+        delta = cov @ (AtI @ (u_s - predicted)[:, :, None]).sum(axis=0)[:, 0]
+        R_si = Rotation.from_rotvec(delta) * R_si
         if np.abs(delta).max() < 1e-11:
             break
-    if np.linalg.cond(fisher) > 1e12:
+    if np.linalg.cond(cov) > 1e12:
         raise ValueError(f"{len(u_s)} directions too close together to fix all three angles")
-    residual = u_s - u_i @ R.T
+    residual = u_s - u_i @ R_si.as_matrix().T
     chi2 = float(np.einsum("ni,nij,nj->", residual, information, residual))
-    return Attitude(Rotation.from_matrix(R), np.linalg.inv(fisher), chi2, 2 * len(u_s) - 3, residual)
+    return Attitude(R_si, cov, chi2, 2 * len(u_s) - 3, residual)
 
 
 def wahba(u_s: Array, u_i: Array, weight: Array) -> Rotation:

@@ -36,6 +36,7 @@ __all__ = [
 Array = NDArray[np.float64]
 
 _NAMING_PX = 0.02  # a tenth of a faint star's centroid error
+_REACH_SIGMA = 8.0  # no star displaces another from so far
 _OUTLIER_CHI2 = 18.4  # two degrees of freedom, 1e-4
 
 
@@ -138,8 +139,8 @@ def fit_for_calibration(
         index.stars.hip[rows], _trusted_hip(round(settings.max_photocentre_shift_px * arcsec_per_px, 6))
     )
     measured = ~stars.blended[detections]
-    alone = _alone(index, rows, sigma_rad, settings.max_photocentre_shift_px * arcsec_per_px * ARCSEC)
-    return np.asarray(trusted & measured & alone)
+    displaced = _displaced(index, sigma_rad, settings.max_photocentre_shift_px * arcsec_per_px * ARCSEC)
+    return np.asarray(trusted & measured & ~displaced[rows])
 
 
 @lru_cache(maxsize=4)
@@ -154,19 +155,18 @@ def _is_in(values: NDArray[np.int64], ascending: NDArray[np.int64]) -> NDArray[n
     return np.asarray(ascending[place] == values)
 
 
-def _alone(
-    index: StarIndex, rows: NDArray[np.int64], sigma_rad: float, limit_rad: float
-) -> NDArray[np.bool_]:
-    """No other catalogue star displaces the image by more than `limit_rad` (Gaussian of `sigma_rad`)."""
-    reach = 8.0 * sigma_rad
-    near = index.tree.query_ball_point(index.u_i[rows], reach)
-    alone = np.ones(len(rows), dtype=bool)
-    for k in (k for k, others in enumerate(near) if len(others) > 1):
-        others = np.array([j for j in near[k] if j != rows[k]])
-        d = np.linalg.norm(index.u_i[others] - index.u_i[rows[k]], axis=1)
-        ratio = 10.0 ** (-0.4 * (index.stars.v_mag[others] - index.stars.v_mag[rows[k]]))
-        alone[k] = (ratio * d * np.exp(-((0.5 * d / sigma_rad) ** 2))).max() <= limit_rad
-    return alone
+def _displaced(index: StarIndex, sigma_rad: float, limit_rad: float) -> NDArray[np.bool_]:
+    """(N,) which stars of the index another one displaces by more than `limit_rad` (Gaussian images of
+    `sigma_rad`)."""
+    near = (index.close_rad < _REACH_SIGMA * sigma_rad).nonzero()[0]
+    pair, d = index.close.take(near, axis=0), index.close_rad.take(near)
+    v_mag = index.stars.v_mag.take(pair)
+    overlap = d * np.exp(-((0.5 * d / sigma_rad) ** 2))
+    displaced = np.zeros(len(index.u_i), dtype=bool)
+    for star, other in ((0, 1), (1, 0)):
+        flux_ratio = 10.0 ** (-0.4 * (v_mag[:, other] - v_mag[:, star]))
+        displaced[pair[flux_ratio * overlap > limit_rad, star]] = True
+    return displaced
 
 
 def _without_outliers(u_s: Array, u_i: Array, cov_s: Array) -> NDArray[np.int64]:

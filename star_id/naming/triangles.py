@@ -22,19 +22,19 @@ from scipy.spatial import cKDTree
 from geometry.starlight import StarPlaces
 from star_id.naming.ranges import ranges
 
-__all__ = ["StarIndex", "TriangleTable", "build_index", "equivalent_fov", "triangle_shapes"]
+__all__ = ["CLOSE_RAD", "StarIndex", "TriangleTable", "build_index", "equivalent_fov", "triangle_shapes"]
 
 Array = NDArray[np.float64]
 
 STARS_A_FIELD = 14  # index stars in the area of one field of view
 _NEIGHBOURS = 16  # nearest index stars kept for each: they fill a circle 1.2 fields of view wide
 _WIDER = 1.5  # a second table for a known camera: fewer stars, sides up to 0.93 of its field
+CLOSE_RAD = np.radians(0.5)  # eight widths of a star's image in the coarsest camera
 LONGEST_SIDE = 0.62  # of the field of view
 SHORTEST_SIDE = 0.06
 _LEVEL_STEP = 1.4  # fields of view of neighbouring tables of an index for unknown cameras
 _CELLS = 100  # along each ratio
 _FULL_SKY_SR = 4.0 * np.pi
-_CLOSE_RAD = np.radians(0.2)  # three pixels of all but the coarsest star cameras
 _NEXT, _LAST = np.array([1, 2, 0]), np.array([2, 0, 1])  # of three, going round
 
 
@@ -80,10 +80,11 @@ class StarIndex:
     stars: StarPlaces
     u_i: Array  # (N, 3)
     tables: tuple[TriangleTable, ...]
-    tree: cKDTree
     along_z: NDArray[np.int64]  # (N,) rows, ascending in z
     u_along_z: NDArray[np.float32]  # (N, 3)
-    to_brighter_rad: Array  # (N,) to the nearest brighter star; infinite where none is within 0.2 deg
+    close: NDArray[np.int64]  # (P, 2) rows of all pairs within `CLOSE_RAD`, the brighter star first
+    close_rad: Array  # (P,) their distances
+    to_brighter_rad: Array  # (N,) to the nearest brighter star; infinite where none is within `CLOSE_RAD`
 
     @property
     def arrays(self) -> dict[str, NDArray]:
@@ -108,11 +109,12 @@ class StarIndex:
     @classmethod
     def _of(cls, stars: StarPlaces, u_i: Array, tables: tuple[TriangleTable, ...]) -> StarIndex:
         along_z, tree = np.argsort(u_i[:, 2]), cKDTree(u_i)
-        close = tree.query_pairs(_CLOSE_RAD, output_type="ndarray")
+        close = np.sort(tree.query_pairs(CLOSE_RAD, output_type="ndarray"), axis=1)
+        close_rad = np.linalg.norm(u_i[close[:, 0]] - u_i[close[:, 1]], axis=1)
         to_brighter = np.full(len(u_i), np.inf)
-        distance = np.linalg.norm(u_i[close[:, 0]] - u_i[close[:, 1]], axis=1)
-        np.minimum.at(to_brighter, close.max(axis=1), distance)
-        return cls(stars, u_i, tables, tree, along_z, u_i[along_z].astype(np.float32), to_brighter)
+        np.minimum.at(to_brighter, close[:, 1], close_rad)
+        u_along_z = u_i[along_z].astype(np.float32)
+        return cls(stars, u_i, tables, along_z, u_along_z, close, close_rad, to_brighter)
 
     def tables_for(self, fov_rad: float) -> tuple[TriangleTable, ...]:
         """The table made for the nearest field of view, and the next wider one."""

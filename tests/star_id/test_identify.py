@@ -12,7 +12,7 @@ from star_id.catalogue import hipparcos_stars
 from star_id.field import LARGEST_FOV_RAD, SMALLEST_FOV_RAD, FieldSolution, nominal_camera, solve_stars
 from star_id.naming.identify import AttitudePrior, Identification, NotIdentified, identify
 from star_id.naming.plane import PlaneImage
-from star_id.naming.triangles import build_index, equivalent_fov, triangle_shapes
+from star_id.naming.triangles import CLOSE_RAD, build_index, equivalent_fov, triangle_shapes
 from star_id.naming.verify import log_evidence
 from star_id.settings import StarSettings
 from star_id.sight import field_of_camera, plane_coordinates
@@ -197,7 +197,7 @@ def test_a_star_next_to_a_brighter_one_is_not_named(index, places):
 
 
 def test_distance_to_the_nearest_brighter_star(index):
-    limit = np.radians(0.2)
+    limit = CLOSE_RAD
     for row in [0, 1, *np.flatnonzero(np.isfinite(index.to_brighter_rad))[:50].tolist(), 5000]:
         d = np.linalg.norm(index.u_i[:row] - index.u_i[row], axis=1).min(initial=np.inf)
         assert index.to_brighter_rad[row] == (pytest.approx(d, rel=1e-12) if d <= limit else np.inf)
