@@ -33,7 +33,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "star_id"
 from frames import PAPER_CAMERA, FrameTruth, Sensor, star_frame
 
 from geometry.star_camera import StarCamera
-from star_id.camera_calibration import PARAMETERS, CameraCalibration, SkyFrame, calibrate_camera
+from star_id.camera_calibration import CameraCalibration, SkyFrame, calibrate_camera
+from star_id.camera_fit import PARAMETERS
 from star_id.catalogue import hipparcos_stars
 from star_id.field import nominal_camera
 from star_id.finding.psf import Psf

@@ -15,9 +15,11 @@ from scipy.spatial.transform import Rotation
 
 from geometry.sightings import information_of_directions
 
-__all__ = ["Attitude", "solve_attitude", "wahba"]
+__all__ = ["Attitude", "attitude_of_most", "solve_attitude", "wahba"]
 
 Array = NDArray[np.float64]
+
+_OUTLIER_CHI2 = 18.4  # two degrees of freedom, 1e-4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,6 +58,25 @@ def solve_attitude(u_s: Array, u_i: Array, cov_s: Array) -> Attitude:
     residual = u_s - u_i @ R_si.as_matrix().T
     chi2 = float(np.einsum("ni,nij,nj->", residual, information, residual))
     return Attitude(R_si, cov, chi2, 2 * len(u_s) - 3, residual)
+
+
+def attitude_of_most(u_s: Array, u_i: Array, cov_s: Array) -> tuple[NDArray[np.int64], Attitude]:
+    """The same with rows left out that do not agree with the others, and the rows that do.
+
+    The worst go first; the fit's own scatter is the measure where it is larger than the covariances say.
+    """
+    keep = np.arange(len(u_s))
+    attitude = solve_attitude(u_s, u_i, cov_s)
+    for _ in range(10):
+        variance = 0.5 * np.trace(cov_s[keep], axis1=1, axis2=2)
+        chi2 = (attitude.residuals_s**2).sum(axis=1) / variance
+        limit = _OUTLIER_CHI2 * max(1.0, float(np.median(chi2)) / 1.386)
+        bad = chi2 > limit
+        if not bad.any() or len(keep) - bad.sum() < 3:
+            break
+        keep = keep[chi2 < max(limit, 0.5 * chi2.max())]
+        attitude = solve_attitude(u_s[keep], u_i[keep], cov_s[keep])
+    return keep, attitude
 
 
 def wahba(u_s: Array, u_i: Array, weight: Array) -> Rotation:

@@ -1,10 +1,7 @@
 """A star camera calibrated by the sky: focal length, principal point and distortion from named stars of many
 images.
 
-Unknowns are the camera's seven numbers (eqs. 3-6: f, x0, y0, p1, p2, q1, q2), if wanted a drift of the focal
-length with time, and a small rotation for each image, which is eliminated (its three columns see one image
-only). Each star weighs by the covariance of its centroid; stars that do not fit are left out. A wrong nominal
-camera is enough to begin with: the first identification takes it for an uncalibrated one.
+A wrong nominal camera is enough to begin with: the first identification takes it for an uncalibrated one.
 """
 
 from __future__ import annotations
@@ -16,35 +13,28 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from geometry.epoch import Epoch
 from geometry.star_camera import StarCamera
-from geometry.starlight import apparent_star_directions
+from star_id.camera_fit import (
+    DRIFT,
+    PARAMETERS,
+    NamedStars,
+    fit_camera,
+    pixel_derivatives,
+    turn_derivatives,
+)
 from star_id.field import FieldSolution, solve_stars
 from star_id.finding.star_list import StarList
 from star_id.naming.identify import NotIdentified
 from star_id.naming.triangles import StarIndex
+from star_id.observer import Observer, star_directions
 from star_id.settings import StarSettings
 from star_id.sight import fit_for_calibration
 
-__all__ = ["CameraCalibration", "Observer", "ResidualMap", "SkyFrame", "calibrate_camera", "residual_map"]
+__all__ = ["CameraCalibration", "ResidualMap", "SkyFrame", "calibrate_camera", "residual_map"]
 
 Array = NDArray[np.float64]
 
-PARAMETERS = ("focal_m", "x0_px", "y0_px", "p1", "p2", "q1", "q2")
-_OUTLIER_CHI2 = 16.0
 _ROUNDS = 3
-_STEPS = 12
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Observer:
-    """Where and when an image was taken: without it aberration (1e-4 of every angle) goes into the focal
-    length."""
-
-    epoch: Epoch
-    t_s: float
-    p_i: Array  # (3,) m, GCRS
-    v_i: Array  # (3,) m/s, GCRS
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -86,14 +76,12 @@ class CameraCalibration:
         Attitude is found anew in every image, so a part of the error that looks like a rotation does no harm.
         """
         camera = self.camera
-        points = np.vstack([xy_px, _grid(camera)])
-        theta = _vector(camera)
-        u_s = camera.directions_from_pixels(points)
-        J, A = _camera_columns(theta, camera, u_s, 0.0)[:, :, :7], _turn_columns(theta, camera, u_s)
+        u_s = camera.directions_from_pixels(np.vstack([xy_px, _grid(camera)]))
+        J, A = pixel_derivatives(camera, u_s), turn_derivatives(camera, u_s)
         grid = slice(len(xy_px), None)
         absorbed = np.linalg.lstsq(A[grid].reshape(-1, 3), J[grid].reshape(-1, 7), rcond=None)[0]
         J = J - A @ absorbed
-        variance = np.einsum("nip,pq,niq->ni", J, _scaled(self.covariance, camera), J)
+        variance = np.einsum("nip,pq,niq->ni", J, self.covariance, J)
         return np.asarray(np.sqrt(0.5 * variance[: len(xy_px)].sum(axis=1)))
 
 
@@ -165,7 +153,6 @@ def _named(
             settings,
             camera=camera if known else None,
             fov_x_rad=None if known else float(fov),
-            stars=frame.stars,
         )
         if isinstance(solution, NotIdentified):
             refused.append((frame.frame_id, solution.reason))
@@ -183,182 +170,39 @@ def _adjusted(
     *,
     drift: bool,
 ) -> CameraCalibration:
-    """Weighted least squares over all named stars, from a camera near enough for Gauss-Newton steps."""
+    """All named stars that are beyond doubt, and the camera and rotations that fit them."""
     row_of = {int(hip): row for row, hip in enumerate(index.stars.hip)}
     xy, cov, u_i, frame, times, rotations = [], [], [], [], [], []
     for number, (k, solution) in enumerate(named):
         rows = np.array([row_of[int(h)] for h in solution.hip], dtype=np.int64)
         safe = fit_for_calibration(frames[k].stars, solution.detections, rows, camera, index, settings)
-        rows = rows[safe]
         observer = frames[k].observer
         xy.append(solution.xy_px[safe])
         cov.append(frames[k].stars.cov_px[solution.detections[safe]])
-        u_i.append(_directions(index, rows, observer))
-        frame.append(np.full(len(rows), number))
+        u_i.append(star_directions(index, rows[safe], observer))
+        frame.append(np.full(int(safe.sum()), number))
         times.append(0.0 if observer is None else observer.t_s)
         rotations.append(solution.R_si)
-    data = _Data(
-        np.vstack(xy),
-        np.concatenate(cov),
-        np.vstack(u_i),
-        np.concatenate(frame),
-        np.array(times) - np.mean(times),
+    stars = NamedStars(
+        np.vstack(xy), np.concatenate(cov), np.vstack(u_i), np.concatenate(frame), np.array(times)
     )
-    theta = np.append(_vector(_shape_of(camera, named), camera), 0.0)
-    R = Rotation.concatenate(rotations)
-    keep = np.ones(len(data.xy), dtype=bool)
-    for k in range(_STEPS):
-        theta, R, normal, residual = _step(theta, R, camera, data, keep, drift=drift)
-        variance = 0.5 * np.trace(data.cov, axis1=1, axis2=2)
-        chi2 = 0.5 * (residual**2).sum(axis=1) / variance
-        if k >= 2:
-            scale = max(1.0, float(np.median(chi2[keep])) / 0.693)
-            keep = chi2 < _OUTLIER_CHI2 * scale
-    information = np.linalg.inv(data.cov[keep])
-    total = float(np.einsum("ni,nij,nj->", residual[keep], information, residual[keep]))
-    free = 8 if drift else 7
-    dof = 2 * int(keep.sum()) - free - 3 * len(named)
-    covariance = np.linalg.inv(normal) * max(1.0, total / max(dof, 1))
+    free = (*PARAMETERS, DRIFT) if drift else PARAMETERS
+    fit = fit_camera(stars, _shape_of(camera, named), Rotation.concatenate(rotations), free)
     return CameraCalibration(
-        camera=_camera(theta[:7], camera),
-        covariance=_unscaled(covariance[:7, :7], camera),
-        focal_drift_per_s=float(theta[7]),
-        focal_drift_sigma_per_s=float(np.sqrt(covariance[7, 7])) if drift else 0.0,
-        chi2=total,
-        dof=dof,
-        frame=data.frame[keep],
-        xy_px=data.xy[keep],
-        residual_px=residual[keep],
-        rotations=R,
+        camera=fit.camera,
+        covariance=fit.covariance[:7, :7],
+        focal_drift_per_s=fit.focal_drift_per_s,
+        focal_drift_sigma_per_s=float(np.sqrt(fit.covariance[7, 7])) if drift else 0.0,
+        chi2=fit.chi2,
+        dof=fit.dof,
+        frame=stars.frame[fit.keep],
+        xy_px=stars.xy_px[fit.keep],
+        residual_px=fit.residual_px[fit.keep],
+        rotations=fit.rotations,
         frames_used=tuple(frames[k].frame_id for k, _ in named),
         frames_refused=(),
-        outliers=int((~keep).sum()),
+        outliers=int((~fit.keep).sum()),
     )
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Data:
-    xy: Array  # (N, 2)
-    cov: Array  # (N, 2, 2)
-    u_i: Array  # (N, 3)
-    frame: NDArray[np.int64]  # (N,)
-    time: Array  # (K,) s from the mean
-
-
-def _step(
-    theta: Array, R: Rotation, camera: StarCamera, data: _Data, keep: NDArray[np.bool_], *, drift: bool
-) -> tuple[Array, Rotation, Array, Array]:
-    """One Gauss-Newton step with the rotations eliminated; also the camera's normal matrix and the
-    residuals."""
-    u_s = np.einsum("nij,nj->ni", R.as_matrix()[data.frame], data.u_i)
-    time = data.time[data.frame]
-    residual = data.xy - _project(theta, camera, u_s, time)
-    J = _camera_columns(theta, camera, u_s, time)[:, :, : 8 if drift else 7]
-    A = _turn_columns(theta, camera, u_s)
-    W = np.linalg.inv(data.cov) * keep[:, None, None]
-    JW = J.transpose(0, 2, 1) @ W
-    AW = A.transpose(0, 2, 1) @ W
-    k = len(data.time)
-    Naa = _summed(AW @ A, data.frame, k)
-    Nca = _summed(JW @ A, data.frame, k)
-    ga = _summed((AW @ residual[:, :, None])[:, :, 0], data.frame, k)
-    gain = np.linalg.solve(Naa, Nca.transpose(0, 2, 1))  # (K, 3, P)
-    normal = (JW @ J).sum(axis=0) - (Nca @ gain).sum(axis=0)
-    g = (JW @ residual[:, :, None]).sum(axis=0)[:, 0] - np.einsum("kap,ka->p", gain, ga)
-    d_camera = np.linalg.solve(normal, g)
-    d_turn = np.linalg.solve(Naa, (ga - np.einsum("kpa,p->ka", Nca, d_camera))[:, :, None])[:, :, 0]
-    theta = theta.copy()
-    theta[: len(d_camera)] += d_camera
-    return theta, Rotation.from_rotvec(d_turn) * R, normal, residual
-
-
-def _summed(values: Array, group: NDArray[np.int64], groups: int) -> Array:
-    total = np.zeros((groups, *values.shape[1:]))
-    np.add.at(total, group, values)
-    return total
-
-
-def _project(theta: Array, camera: StarCamera, u_s: Array, time: Array | float) -> Array:
-    """Pixels (N, 2) of directions; theta: log f, x0, y0 (px), then p1 f, p2 f, q1 f^2, q2 f^4, log-f drift
-    (1/s).
-
-    Distortion numbers are those for coordinates divided by the nominal focal length: all of order one.
-    """
-    f0 = camera.focal_m / camera.pixel_m
-    drift = theta[7] if len(theta) > 7 else 0.0
-    scale = np.exp(theta[0] + drift * np.asarray(time))
-    t = -u_s[:, :2] / u_s[:, 2:] * np.reshape(scale, (-1, 1))
-    x, y = t.T
-    r2 = x * x + y * y
-    p1, p2, q1, q2 = theta[3:7]
-    radial = r2 * (q1 + r2 * q2)
-    dx = x * radial + p1 * (r2 + 2 * x * x) + 2 * p2 * x * y
-    dy = y * radial + p2 * (r2 + 2 * y * y) + 2 * p1 * x * y
-    return np.asarray(theta[1:3] + f0 * (t + np.column_stack([dx, dy])))
-
-
-def _camera_columns(theta: Array, camera: StarCamera, u_s: Array, time: Array | float) -> Array:
-    """(N, 2, 8) derivatives of the pixels by theta: central differences, exact to 1e-9 for so smooth a
-    model."""
-    theta = np.append(theta, np.zeros(8 - len(theta)))
-    columns = []
-    for k in range(8):
-        h = 1e-4 if k < 7 else 1e-4 / max(float(np.max(np.abs(time))), 1.0)
-        up, down = theta.copy(), theta.copy()
-        up[k] += h
-        down[k] -= h
-        columns.append((_project(up, camera, u_s, time) - _project(down, camera, u_s, time)) / (2 * h))
-    return np.stack(columns, axis=2)
-
-
-def _turn_columns(theta: Array, camera: StarCamera, u_s: Array) -> Array:
-    """(N, 2, 3) derivatives by a right-handed turn about the axes of s."""
-    h = 1e-5
-    turned = [(Rotation.from_rotvec(s * h * e).apply(u_s), s) for e in np.eye(3) for s in (1.0, -1.0)]
-    points = [_project(theta, camera, u, 0.0) for u, _ in turned]
-    return np.stack([(points[2 * k] - points[2 * k + 1]) / (2 * h) for k in range(3)], axis=2)
-
-
-def _vector(camera: StarCamera, nominal: StarCamera | None = None) -> Array:
-    f_mm = (nominal or camera).focal_m * 1e3
-    return np.array(
-        [
-            np.log(camera.focal_m / (nominal or camera).focal_m),
-            *camera.principal_px,
-            camera.p1 * f_mm,
-            camera.p2 * f_mm,
-            camera.q1 * f_mm**2,
-            camera.q2 * f_mm**4,
-        ]
-    )
-
-
-def _camera(theta: Array, nominal: StarCamera) -> StarCamera:
-    f_mm = nominal.focal_m * 1e3
-    return replace(
-        nominal,
-        focal_m=float(nominal.focal_m * np.exp(theta[0])),
-        principal_px=(float(theta[1]), float(theta[2])),
-        p1=float(theta[3] / f_mm),
-        p2=float(theta[4] / f_mm),
-        q1=float(theta[5] / f_mm**2),
-        q2=float(theta[6] / f_mm**4),
-    )
-
-
-def _units(camera: StarCamera) -> Array:
-    f_mm = camera.focal_m * 1e3
-    return np.array([camera.focal_m, 1.0, 1.0, 1 / f_mm, 1 / f_mm, 1 / f_mm**2, 1 / f_mm**4])
-
-
-def _unscaled(covariance: NDArray, camera: StarCamera) -> Array:
-    units = _units(camera)
-    return np.asarray(covariance * units[:, None] * units)
-
-
-def _scaled(covariance: Array, camera: StarCamera) -> Array:
-    units = _units(camera)
-    return np.asarray(covariance / units[:, None] / units)
 
 
 def _shape_of(camera: StarCamera, named: list[tuple[int, FieldSolution]]) -> StarCamera:
@@ -368,14 +212,6 @@ def _shape_of(camera: StarCamera, named: list[tuple[int, FieldSolution]]) -> Sta
         camera.focal_m / camera.pixel_m
     )
     return replace(camera, focal_m=float(camera.focal_m * scale))
-
-
-def _directions(index: StarIndex, rows: NDArray[np.int64], observer: Observer | None) -> Array:
-    if observer is None:
-        return index.u_i[rows]
-    return apparent_star_directions(
-        index.stars.take(rows), observer.epoch, observer.t_s, observer.p_i, observer.v_i
-    )
 
 
 def _grid(camera: StarCamera) -> Array:

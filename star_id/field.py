@@ -4,11 +4,13 @@ all.
 An unknown field of view is a row of roughly known ones: for each guess triangles are looked up in the table
 made for it, the large fields first, because their tables are small. The first guess whose proposal passes the
 test ends the search; all proposals of all guesses count in its false-alarm probability.
+
+Where centroids come with covariances, attitude and lens are fitted once more, each star with its own weight.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,12 +18,14 @@ from scipy.spatial.transform import Rotation
 
 from geometry.constants import ARCSEC
 from geometry.star_camera import StarCamera
+from star_id.field_fit import field_of_view_x, fit_attitude, fit_attitude_and_lens, middle_of
 from star_id.finding.star_list import StarList, find_stars
 from star_id.naming.identify import Identification, NotIdentified, identify
 from star_id.naming.plane import FieldOfView
 from star_id.naming.triangles import StarIndex, equivalent_fov
+from star_id.observer import Observer, star_directions
 from star_id.settings import StarSettings
-from star_id.sight import field_of_camera, plane_coordinates
+from star_id.sight import field_of_camera, fit_for_calibration, plane_coordinates
 
 __all__ = [
     "LARGEST_FOV_RAD",
@@ -29,6 +33,7 @@ __all__ = [
     "FieldSolution",
     "nominal_camera",
     "solve_field",
+    "solve_list",
     "solve_stars",
 ]
 
@@ -37,6 +42,7 @@ Array = NDArray[np.float64]
 SMALLEST_FOV_RAD, LARGEST_FOV_RAD = np.radians(5.0), np.radians(60.0)  # of an unknown camera
 _NOMINAL_PIXEL_M = 5e-6  # of cameras of which only angles are known: focal length and pixel scale together
 _GUESS_ERROR = 0.10
+_LEAST_SAFE = 4  # stars beyond doubt; of fewer an attitude is no better than of all
 _BEND = 0.012  # what an error of the focal length may do to the shape of a triangle, as a ratio
 # stages of identification: all fields of view quickly first
 _PASSES = (((0, 0, 6), (0, 6, 9)), ((0, 9, 13), (0, 13, 18), (1, 0, 9)))
@@ -47,11 +53,15 @@ class FieldSolution:
     """An image identified. Row n of `hip`, `xy_px` and `residual_px` speaks of the same star."""
 
     R_si: Rotation
+    cov_s: (
+        Array | None
+    )  # (3, 3) rad^2, of a turn of the image's centre about the axes of s; None: bare places
     camera: StarCamera  # as given, or fitted to this image
+    fov_x_sigma_rad: float  # of a fitted camera; 0 for one that was given, NaN for bare places
     hip: NDArray[np.int64]
     detections: NDArray[np.int64]  # (M,) rows of the centroids handed over
     xy_px: Array  # (M, 2)
-    u_i: Array  # (M, 3) catalogue directions
+    u_i: Array  # (M, 3) where they stand, as the observer sees it if there is one
     false_alarm_probability: float
     log_false_alarm_probability: float
     stars: StarList | None  # all detections, where the image itself was given
@@ -67,35 +77,49 @@ class FieldSolution:
 
     @property
     def ra_rad(self) -> float:
-        """Right ascension of the image's centre, GCRS axes, light effects not removed."""
-        x, y, _ = self._outline_i()[0]
+        """Right ascension of the image's centre, GCRS axes; light effects are removed if there was an
+        observer."""
+        x, y, _ = self._middle_i()[:, 2]
         return float(np.arctan2(y, x) % (2 * np.pi))
 
     @property
     def dec_rad(self) -> float:
         """Declination of the image's centre."""
-        return float(np.arcsin(self._outline_i()[0, 2]))
+        return float(np.arcsin(self._middle_i()[2, 2]))
 
     @property
     def roll_rad(self) -> float:
         """Position angle, east of north, of the image's up direction (towards row 0) at its centre."""
-        centre, up = self._outline_i()[:2]
+        _, down, centre = self._middle_i().T
         east = np.cross([0.0, 0.0, 1.0], centre)
         north = np.cross(centre, east)
-        return float(np.arctan2(up @ east, up @ north))
+        return float(np.arctan2(-down @ east, -down @ north))
 
     @property
     def fov_x_rad(self) -> float:
         """Angle between the middles of the left and right edges."""
-        left, right = self._outline_i()[2:]
-        return float(2.0 * np.arcsin(0.5 * np.linalg.norm(right - left)))
+        return field_of_view_x(self.camera)
 
-    def _outline_i(self) -> Array:
-        """Directions to the image's centre, the pixel above it, the middles of the left and right edges."""
-        width, height = self.camera.width_px, self.camera.height_px
-        middle = np.array([0.5 * (width - 1), 0.5 * (height - 1)])
-        points = middle + np.array([[0.0, 0.0], [0.0, -1.0], [-0.5 * width, 0.0], [0.5 * width, 0.0]])
-        return np.asarray(self.R_si.inv().apply(self.camera.directions_from_pixels(points)))
+    @property
+    def pointing_sigma_rad(self) -> float:
+        """1-sigma error of the direction to the image's centre along one axis; NaN for bare places."""
+        return float(np.sqrt(0.5 * np.trace(self._middle_covariance()[:2, :2])))
+
+    @property
+    def roll_sigma_rad(self) -> float:
+        """1-sigma error of the turn about the direction to the image's centre; NaN for bare places."""
+        return float(np.sqrt(self._middle_covariance()[2, 2]))
+
+    def _middle_i(self) -> Array:
+        """(3, 3) right, down and towards the image's centre, in columns."""
+        return np.asarray(self.R_si.inv().as_matrix() @ middle_of(self.camera))
+
+    def _middle_covariance(self) -> Array:
+        """(3, 3) rad^2, of a turn about the axes of `_middle_i`."""
+        if self.cov_s is None:
+            return np.full((3, 3), np.nan)
+        axes = middle_of(self.camera)
+        return np.asarray(axes.T @ self.cov_s @ axes)
 
     @property
     def rms_arcsec(self) -> float:
@@ -112,18 +136,42 @@ def solve_field(
     camera: StarCamera | None = None,
     fov_x_rad: float | None = None,
     dark: NDArray | None = None,
+    observer: Observer | None = None,
 ) -> FieldSolution | NotIdentified:
     """Identifies a raw image (H, W). Give `camera` (calibrated), or `fov_x_rad` (good to
-    settings.fov_tolerance), or neither."""
+    settings.fov_tolerance), or neither; and the `observer`, if known, to have aberration removed."""
     stars = find_stars(image, settings, dark)
-    return solve_stars(
-        stars.xy_px,
-        (image.shape[1], image.shape[0]),
-        index,
-        settings,
-        camera=camera,
-        fov_x_rad=fov_x_rad,
-        stars=stars,
+    size = (image.shape[1], image.shape[0])
+    return solve_list(stars, size, index, settings, camera=camera, fov_x_rad=fov_x_rad, observer=observer)
+
+
+def solve_list(
+    stars: StarList,
+    size: tuple[int, int],
+    index: StarIndex,
+    settings: StarSettings,
+    *,
+    camera: StarCamera | None = None,
+    fov_x_rad: float | None = None,
+    observer: Observer | None = None,
+) -> FieldSolution | NotIdentified:
+    """The same from the stars that were found in an image of `size` (width, height)."""
+    named = _named(stars.xy_px, size, index, settings, camera, fov_x_rad)
+    if isinstance(named, NotIdentified):
+        return named
+    found, guess = named
+    rows = found.detections
+    xy, cov, u_i = stars.xy_px[rows], stars.cov_px[rows], star_directions(index, found.stars, observer)
+    safe = fit_for_calibration(stars, rows, found.stars, guess, index, settings)
+    if safe.sum() < _LEAST_SAFE:
+        safe[:] = True
+    if camera is not None:
+        fit = fit_attitude(camera, xy[safe], cov[safe], u_i[safe])
+    else:
+        fit = fit_attitude_and_lens(guess, found.R_si, xy[safe], cov[safe], u_i[safe])
+    bare = _solution(found, stars.xy_px, fit.camera, index)
+    return replace(
+        bare, R_si=fit.R_si, cov_s=fit.cov_s, fov_x_sigma_rad=fit.fov_x_sigma_rad, u_i=u_i, stars=stars
     )
 
 
@@ -135,12 +183,24 @@ def solve_stars(
     *,
     camera: StarCamera | None = None,
     fov_x_rad: float | None = None,
-    stars: StarList | None = None,
 ) -> FieldSolution | NotIdentified:
-    """The same from centroids (N, 2), brightest first, in an image of `size` (width, height)."""
+    """The same from bare places (N, 2), brightest first; all stars weigh alike."""
+    named = _named(xy_px, size, index, settings, camera, fov_x_rad)
+    return named if isinstance(named, NotIdentified) else _solution(named[0], xy_px, named[1], index)
+
+
+def _named(
+    xy_px: Array,
+    size: tuple[int, int],
+    index: StarIndex,
+    settings: StarSettings,
+    camera: StarCamera | None,
+    fov_x_rad: float | None,
+) -> tuple[Identification, StarCamera] | NotIdentified:
+    """The names, and the camera, given or guessed, that they were found with."""
     if camera is not None:
         found = identify(plane_coordinates(camera, xy_px), field_of_camera(camera, settings), index, settings)
-        return found if isinstance(found, NotIdentified) else _solution(found, xy_px, camera, index, stars)
+        return found if isinstance(found, NotIdentified) else (found, camera)
     tried, best, count = 0, -np.inf, 0
     guesses = _guesses(fov_x_rad, settings)
     for stages in _PASSES:
@@ -155,7 +215,7 @@ def solve_stars(
                 tried=tried,
             )
             if isinstance(found, Identification):
-                return _solution(found, xy_px, _fitted_camera(guess, found.lens), index, stars)
+                return found, _fitted_camera(guess, found.lens)
             tried = int(found.numbers.get("proposals", tried))
             best, count = max(best, found.numbers.get("best_log_odds", -np.inf)), count + 1
     low, high = np.degrees(guesses[-1][0]), np.degrees(guesses[0][0])
@@ -219,17 +279,17 @@ def _fitted_camera(guess: StarCamera, lens: Array) -> StarCamera:
     )
 
 
-def _solution(
-    found: Identification, xy_px: Array, camera: StarCamera, index: StarIndex, stars: StarList | None
-) -> FieldSolution:
+def _solution(found: Identification, xy_px: Array, camera: StarCamera, index: StarIndex) -> FieldSolution:
     return FieldSolution(
         R_si=found.R_si,
+        cov_s=None,
         camera=camera,
+        fov_x_sigma_rad=np.nan,
         hip=index.stars.hip.take(found.stars),
         detections=found.detections,
         xy_px=xy_px.take(found.detections, axis=0),
         u_i=index.u_i.take(found.stars, axis=0),
         false_alarm_probability=found.false_alarm_probability,
         log_false_alarm_probability=found.log_false_alarm_probability,
-        stars=stars,
+        stars=None,
     )

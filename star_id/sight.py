@@ -16,7 +16,7 @@ from geometry.epoch import Epoch
 from geometry.sightings import StarSightings
 from geometry.star_camera import StarCamera
 from geometry.starlight import apparent_star_directions
-from star_id.attitude import solve_attitude
+from star_id.attitude import attitude_of_most
 from star_id.catalogue import hipparcos_stars
 from star_id.finding.star_list import StarList, find_stars
 from star_id.naming.identify import AttitudePrior, Identification, NotIdentified, identify
@@ -37,7 +37,6 @@ Array = NDArray[np.float64]
 
 _NAMING_PX = 0.02  # a tenth of a faint star's centroid error
 _REACH_SIGMA = 8.0  # no star displaces another from so far
-_OUTLIER_CHI2 = 18.4  # two degrees of freedom, 1e-4
 
 
 def sight_stars(
@@ -82,7 +81,7 @@ def sight_stars(
     J = camera.pixel_jacobian(xy)
     cov_s = J @ stars.cov_px[rows] @ J.transpose(0, 2, 1)
     u_i = apparent_star_directions(index.stars.take(names), epoch, t_s, p_i, v_i)
-    keep = _without_outliers(u_s, u_i, cov_s)
+    keep, _ = attitude_of_most(u_s, u_i, cov_s)
     return StarSightings(
         exposure_id, t_s, index.stars.hip[names][keep], xy[keep], u_s[keep], u_i[keep], cov_s[keep]
     )
@@ -167,19 +166,3 @@ def _displaced(index: StarIndex, sigma_rad: float, limit_rad: float) -> NDArray[
         flux_ratio = 10.0 ** (-0.4 * (v_mag[:, other] - v_mag[:, star]))
         displaced[pair[flux_ratio * overlap > limit_rad, star]] = True
     return displaced
-
-
-def _without_outliers(u_s: Array, u_i: Array, cov_s: Array) -> NDArray[np.int64]:
-    """Rows that agree with one attitude; the worst go first, the fit's own scatter is the measure if it is
-    larger."""
-    keep = np.arange(len(u_s))
-    for _ in range(10):
-        attitude = solve_attitude(u_s[keep], u_i[keep], cov_s[keep])
-        variance = 0.5 * np.trace(cov_s[keep], axis1=1, axis2=2)
-        chi2 = (attitude.residuals_s**2).sum(axis=1) / variance
-        scale = max(1.0, float(np.median(chi2)) / 1.386)
-        bad = chi2 > _OUTLIER_CHI2 * scale
-        if not bad.any() or len(keep) - bad.sum() < 3:
-            break
-        keep = keep[~(chi2 >= max(_OUTLIER_CHI2 * scale, 0.5 * chi2.max()))]
-    return keep

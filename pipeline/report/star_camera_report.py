@@ -15,13 +15,13 @@ from pipeline.files.toml_writer import toml_text
 from pipeline.identify import read_camera, read_sky_image, sky_index
 from pipeline.work.unit_store import write_whole
 from star_id.camera_calibration import (
-    PARAMETERS,
     CameraCalibration,
     ResidualMap,
     SkyFrame,
     calibrate_camera,
     residual_map,
 )
+from star_id.camera_fit import PARAMETERS
 from star_id.field import nominal_camera, solve_stars
 from star_id.finding.star_list import find_stars
 from star_id.naming.identify import NotIdentified
@@ -86,7 +86,7 @@ def _first_camera(
         return nominal_camera(size, float(np.radians(fov_deg)))
     answer: NotIdentified = NotIdentified("there is no image", {})
     for frame in frames:
-        found = solve_stars(frame.stars.xy_px, size, index, settings, stars=frame.stars)
+        found = solve_stars(frame.stars.xy_px, size, index, settings)
         if not isinstance(found, NotIdentified):
             return nominal_camera(size, found.fov_x_rad)
         answer = found

@@ -7,13 +7,17 @@ faint stars as numerous as the real ones (2.9 times more per magnitude).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 from scipy.special import ndtr
 
 from geometry.star_camera import StarCamera
+from geometry.starlight import apparent_star_directions
+from star_id.finding.background import Background
+from star_id.finding.psf import Psf
+from star_id.finding.star_list import StarList
 
 PAPER_CAMERA = StarCamera(
     0.1, 6.4e-6, 5120, 3840, (2560.0, 1920.0), p1=2.29e-5, p2=-2.96e-5, q1=-9.30e-7, q2=-4.25e-9
@@ -54,6 +58,27 @@ def stars_in_view(camera, R_si, places):
     with np.errstate(invalid="ignore"):
         inside = camera.contains(xy)
     return near[inside], xy[inside]
+
+
+def listed_stars(camera, R_si, places, rng):
+    """Stars of SNR 6 to 260 as `find_stars` hands them over, their errors those of the bound."""
+    rows, xy = stars_in_view(camera, R_si, places)
+    snr = 8.0 * 10 ** (-0.4 * (places.v_mag[rows] - 7.0))
+    keep = np.flatnonzero((snr > 6) & (snr < 260))
+    keep = keep[np.argsort(-snr[keep])]
+    sigma, n = 1.8 / snr[keep], len(keep)
+    xy = xy[keep] + rng.normal(size=(n, 2)) * sigma[:, None]
+    no = np.zeros(n, dtype=bool)
+    psf = Psf(1.25, 1.25, (0.0, 0.0), camera.width_px, camera.height_px)
+    ground = Background(np.full((8, 10), 20.0), np.full((8, 10), 2.0), camera.width_px, camera.height_px)
+    cov = sigma[:, None, None] ** 2 * np.eye(2)
+    return StarList(xy, cov, snr[keep], snr[keep], no, no, psf, 50, ground, 40.0, 5.5, 0, 0)
+
+
+def as_seen(places, observer):
+    """The catalogue with each star where its light comes from for an observer."""
+    x, y, z = apparent_star_directions(places, observer.epoch, observer.t_s, observer.p_i, observer.v_i).T
+    return replace(places, ra_rad=np.arctan2(y, x), dec_rad=np.arcsin(np.clip(z, -1.0, 1.0)))
 
 
 def render(xy, flux, width, height, sensor, rng):

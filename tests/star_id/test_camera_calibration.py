@@ -7,19 +7,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from astropy.wcs import WCS
-from frames import PAPER_CAMERA, stars_in_view
+from frames import PAPER_CAMERA, as_seen, listed_stars
 from scipy.spatial.transform import Rotation
 
 from geometry.epoch import Epoch
 from geometry.star_camera import StarCamera
-from geometry.starlight import apparent_star_directions
-from star_id.camera_calibration import CameraCalibration, Observer, SkyFrame, calibrate_camera, residual_map
+from star_id.camera_calibration import CameraCalibration, SkyFrame, calibrate_camera, residual_map
 from star_id.catalogue import hipparcos_stars
-from star_id.finding.background import Background
-from star_id.finding.psf import Psf
-from star_id.finding.star_list import StarList
 from star_id.naming.identify import NotIdentified
 from star_id.naming.triangles import build_index
+from star_id.observer import Observer
 from star_id.settings import StarSettings
 from star_id.sip import tan_sip
 
@@ -37,25 +34,9 @@ def index():
 
 
 def sky_frame(name, rng, camera=TRUTH, observer=None):
-    """Centroids as `find_stars` hands them over, errors as at the bound; light as the observer sees it."""
     places = hipparcos_stars(8.0).places
-    sky = places
-    if observer is not None:
-        x, y, z = apparent_star_directions(places, observer.epoch, observer.t_s, observer.p_i, observer.v_i).T
-        sky = replace(places, ra_rad=np.arctan2(y, x), dec_rad=np.arcsin(np.clip(z, -1.0, 1.0)))
-    rows, xy = stars_in_view(camera, Rotation.random(random_state=rng), sky)
-    snr = 8.0 * 10 ** (-0.4 * (places.v_mag[rows] - 7.0))
-    keep = np.flatnonzero((snr > 6) & (snr < 260))
-    keep = keep[np.argsort(-snr[keep])]
-    sigma, n = 1.8 / snr[keep], len(keep)
-    xy = xy[keep] + rng.normal(size=(n, 2)) * sigma[:, None]
-    no = np.zeros(n, dtype=bool)
-    psf = Psf(1.25, 1.25, (0.0, 0.0), 5120, 3840)
-    ground = Background(np.full((8, 10), 20.0), np.full((8, 10), 2.0), 5120, 3840)
-    cov = sigma[:, None, None] ** 2 * np.eye(2)
-    return SkyFrame(
-        name, StarList(xy, cov, snr[keep], snr[keep], no, no, psf, 50, ground, 40.0, 5.5, 0, 0), observer
-    )
+    sky = places if observer is None else as_seen(places, observer)
+    return SkyFrame(name, listed_stars(camera, Rotation.random(random_state=rng), sky, rng), observer)
 
 
 def model_error(camera):

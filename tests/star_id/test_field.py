@@ -1,0 +1,124 @@
+"""Where one image looks, each star weighed by its covariance: bound reached, stated error true."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from frames import PAPER_CAMERA, as_seen, listed_stars
+from scipy.spatial.transform import Rotation
+from scipy.stats import chi2
+
+from geometry.epoch import Epoch
+from geometry.sightings import information_of_directions
+from star_id.catalogue import hipparcos_stars
+from star_id.field import FieldSolution, solve_list, solve_stars
+from star_id.naming.triangles import build_index
+from star_id.observer import Observer
+from star_id.settings import StarSettings
+
+TRUTH = replace(PAPER_CAMERA, principal_px=(2571.3, 1893.2))  # the detector is not centred on the axis
+SIZE, MIDDLE = (5120, 3840), [[2559.5, 1919.5]]
+SETTINGS = StarSettings()
+ARCSEC = np.pi / 648000.0
+IMAGES = 40
+
+
+@pytest.fixture(scope="module")
+def index():
+    places = hipparcos_stars(8.0).places
+    return build_index(places, places.epoch_jyear, (np.radians(15.0), np.radians(24.0)))
+
+
+@pytest.fixture(scope="module")
+def images():
+    rng, places = np.random.default_rng(21), hipparcos_stars(8.0).places
+    attitudes = [Rotation.random(random_state=rng) for _ in range(IMAGES)]
+    return [(R_si, listed_stars(TRUTH, R_si, places, rng)) for R_si in attitudes]
+
+
+def within_three_in_ten_thousand(squares, each):
+    """Whether the mean of chi-squared numbers, each of `each` degrees of freedom, is one a degree."""
+    n = each * len(squares)
+    low, high = chi2.ppf([1.5e-4, 1.0 - 1.5e-4], n) / n
+    return low < np.sum(squares) / n < high
+
+
+def test_the_attitude_of_a_calibrated_camera_reaches_its_bound(index, images):
+    of_weighed, of_bare, stated = [], [], []
+    for R_si, stars in images:
+        weighed = solve_list(stars, SIZE, index, SETTINGS, camera=TRUTH)
+        bare = solve_stars(stars.xy_px, SIZE, index, SETTINGS, camera=TRUTH)
+        assert isinstance(weighed, FieldSolution) and isinstance(bare, FieldSolution)
+        bound = np.linalg.inv(information(stars, weighed.detections))
+        for found, squares in ((weighed, of_weighed), (bare, of_bare)):
+            error = (found.R_si * R_si.inv()).as_rotvec()
+            squares.append(error @ np.linalg.solve(bound, error))
+        error = (weighed.R_si * R_si.inv()).as_rotvec()
+        stated.append(error @ np.linalg.solve(weighed.cov_s, error))
+        assert bare.cov_s is None and np.isnan(bare.pointing_sigma_rad)
+    # of the bound of all named stars; the few with a companion are not weighed, hence 1.2 and not 1.1
+    assert np.sqrt(np.mean(of_weighed) / 3.0) < 1.2
+    assert np.sqrt(np.mean(of_bare) / 3.0) > 2.0  # what all stars alike would give
+    assert within_three_in_ten_thousand(stated, 3)
+
+
+def information(stars, rows):
+    """(3, 3) Fisher information of the attitude by the stars, each row of the derivative -[u x]."""
+    u, J = TRUTH.directions_from_pixels(stars.xy_px[rows]), TRUTH.pixel_jacobian(stars.xy_px[rows])
+    W = information_of_directions(u, J @ stars.cov_px[rows] @ J.transpose(0, 2, 1))
+    A = np.stack([-np.cross(u, axis) for axis in np.eye(3)], axis=2)  # d(turn x u) for a turn about each
+    return (A.transpose(0, 2, 1) @ W @ A).sum(axis=0)
+
+
+def test_an_unknown_lens_leaves_the_middle_and_the_width_of_the_image_as_sure_as_stated(index, images):
+    """Nothing is known but the field of view to 5 %: principal point and decentring are as good as unknown,
+    and yet the direction of the image's middle, its roll and the field's width are what the errors say."""
+    pointing, roll, width = [], [], []
+    true_width = angle_between_edges(TRUTH)
+    for R_si, stars in images:
+        found = solve_list(stars, SIZE, index, SETTINGS, fov_x_rad=1.05 * true_width)
+        assert isinstance(found, FieldSolution)
+        turn = Rotation.from_matrix(middle_axes(found.R_si, found.camera) @ middle_axes(R_si, TRUTH).T)
+        right, down, along = turn.as_rotvec() @ middle_axes(R_si, TRUTH)
+        pointing += [(right / found.pointing_sigma_rad) ** 2, (down / found.pointing_sigma_rad) ** 2]
+        roll.append((along / found.roll_sigma_rad) ** 2)
+        width.append(((found.fov_x_rad - true_width) / found.fov_x_sigma_rad) ** 2)
+        assert found.pointing_sigma_rad < 0.5 * ARCSEC  # 0.03 px
+    assert within_three_in_ten_thousand(pointing, 1)
+    assert within_three_in_ten_thousand(roll, 1)
+    assert within_three_in_ten_thousand(width, 1)
+
+
+def middle_axes(R_si, camera):
+    """(3, 3) right, down and towards the image's middle in GCRS, in columns."""
+    x, y = MIDDLE[0]
+    middle, below = camera.directions_from_pixels([[x, y], [x, y + 0.5]])
+    down = below - middle * (below @ middle)
+    down /= np.linalg.norm(down)
+    return R_si.inv().as_matrix() @ np.stack([np.cross(down, middle), down, middle], axis=1)
+
+
+def angle_between_edges(camera):
+    left, right = camera.directions_from_pixels([[-0.5, MIDDLE[0][1]], [5119.5, MIDDLE[0][1]]])
+    return float(np.arctan2(np.linalg.norm(np.cross(left, right)), left @ right))
+
+
+def test_an_observer_has_aberration_removed(index):
+    """Light comes from up to 20 arc-seconds off because the Earth moves, and 5 because the satellite does."""
+    epoch = Epoch.from_utc("2026-03-20T00:00:00Z")
+    observer = Observer(epoch, 4.2e6, np.array([6.9e6, 0.0, 0.0]), np.array([0.0, 1.0e3, 7.5e3]))
+    rng, squares, ignored = np.random.default_rng(3), [], []
+    sky = as_seen(hipparcos_stars(8.0).places, observer)
+    for _ in range(10):
+        R_si = Rotation.random(random_state=rng)
+        stars = listed_stars(TRUTH, R_si, sky, rng)
+        found = solve_list(stars, SIZE, index, SETTINGS, camera=TRUTH, observer=observer)
+        without = solve_list(stars, SIZE, index, SETTINGS, camera=TRUTH)
+        assert isinstance(found, FieldSolution) and isinstance(without, FieldSolution)
+        error = (found.R_si * R_si.inv()).as_rotvec()
+        squares.append(error @ np.linalg.solve(found.cov_s, error))
+        ignored.append((without.R_si * R_si.inv()).magnitude())
+    assert within_three_in_ten_thousand(squares, 3)
+    assert 5.0 * ARCSEC < np.max(ignored) < 30.0 * ARCSEC
