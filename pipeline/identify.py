@@ -19,12 +19,14 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
+from geometry.constants import ARCSEC
 from geometry.star_camera import StarCamera
 from pipeline.errors import RawDataError
 from pipeline.files.dump import star_camera_of
 from pipeline.files.dump_schema import StarCameraFile
 from pipeline.files.image_files import read_star_image
 from pipeline.files.index_cache import cached_index
+from pipeline.files.sky_images import observers_of
 from pipeline.files.text_files import read_toml
 from pipeline.work.unit_store import fixed_list, write_whole
 from star_id.catalogue import hipparcos_stars
@@ -55,6 +57,8 @@ class Request:
     camera_file: Path | None = None
     fov_deg: float | None = None
     dark_file: Path | None = None
+    times: Path | None = None  # CSV: file, utc_mid
+    orbit: Path | None = None  # OEM
     out: Path | None = None  # Parquet, at the end
     overlay: Path | None = None  # PNG; with several images each adds its own name
 
@@ -66,6 +70,7 @@ def identify_images(images: Sequence[Path], request: Request, settings: StarSett
         raise RawDataError("--fov", "value", f"{request.fov_deg}", "between 0.5 and 90 degrees")
     dark = None if request.dark_file is None else read_star_image(request.dark_file, str(request.dark_file))
     fov = None if request.fov_deg is None else float(np.radians(request.fov_deg))
+    observers = observers_of(images, request.times, request.orbit)
     index = sky_index(camera, request.fov_deg, settings)
     width = max(len(str(path)) for path in images)
     tables = []
@@ -76,7 +81,10 @@ def identify_images(images: Sequence[Path], request: Request, settings: StarSett
             if dark is not None and dark.shape != image.shape:
                 shapes = (f"{d.shape[1]} x {d.shape[0]} px" for d in (dark, image))
                 raise RawDataError(str(request.dark_file), "image size", *shapes)
-            outcome = solve_field(image, index, settings, camera=camera, fov_x_rad=fov, dark=dark)
+            observer = observers.get(path.name)
+            outcome = solve_field(
+                image, index, settings, camera=camera, fov_x_rad=fov, dark=dark, observer=observer
+            )
         except RawDataError as error:
             yield _unnamed(path, width, "not read", str(error), started)
             continue
@@ -134,6 +142,9 @@ def _record(path: Path, found: FieldSolution, spent_ms: float) -> dict[str, Any]
         "rms_arcsec": found.rms_arcsec,
         "false_alarm_probability": found.false_alarm_probability,
         "cpu_ms": round(spent_ms, 2),
+        "pointing_sigma_arcsec": found.pointing_sigma_rad / ARCSEC,
+        "roll_sigma_arcsec": found.roll_sigma_rad / ARCSEC,
+        "fov_x_sigma_deg": float(np.degrees(found.fov_x_sigma_rad)),
     }
 
 
@@ -161,8 +172,10 @@ def _draw(image: NDArray[Any], found: FieldSolution, path: Path) -> None:
 def _facts(found: FieldSolution) -> str:
     return (
         f"{found.matches:4d} stars   rms {found.rms_arcsec:.1f} arcsec   "
-        f"RA {np.degrees(found.ra_rad):.4f}  Dec {np.degrees(found.dec_rad):+.4f}  "
-        f"roll {np.degrees(found.roll_rad):.3f}  FOV {np.degrees(found.fov_x_rad):.3f} deg   "
+        f"RA {np.degrees(found.ra_rad):.5f}  Dec {np.degrees(found.dec_rad):+.5f} deg"
+        f" +- {found.pointing_sigma_rad / ARCSEC:.2f} arcsec   "
+        f"roll {np.degrees(found.roll_rad):.4f} deg +- {found.roll_sigma_rad / ARCSEC:.1f} arcsec   "
+        f"FOV {np.degrees(found.fov_x_rad):.4f} deg   "
         f"wrong with probability < 1e{found.log_false_alarm_probability / np.log(10.0):.0f}"
     )
 

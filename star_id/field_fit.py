@@ -15,13 +15,21 @@ from scipy.spatial.transform import Rotation
 
 from geometry.star_camera import StarCamera
 from star_id.attitude import Attitude, attitude_of_most
-from star_id.camera_fit import PARAMETERS, CameraFit, NamedStars, fit_camera, moved
+from star_id.camera_fit import (
+    PARAMETERS,
+    CameraFit,
+    NamedStars,
+    fit_camera,
+    moved,
+    pixel_derivatives,
+    turn_derivatives,
+)
 
 __all__ = ["FieldFit", "field_of_view_x", "fit_attitude", "fit_attitude_and_lens", "middle_of"]
 
 Array = NDArray[np.float64]
 
-_ROUNDS = 4  # of the lens and of what it leaves unexplained
+_ROUNDS = 8  # of the lens and of what it leaves unexplained
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -51,18 +59,20 @@ def fit_attitude_and_lens(
     Fitted are focal length and q1, or, if the stars are many, all seven numbers, which one image does not
     tell apart: a shifted detector looks like a turned and decentred one. So they are believed to be such as
     lenses have (`_usual`), and the error is stated of what can be seen, the direction of the image's middle.
-    What the lens cannot explain, such as the air, is an error of all stars alike, as large as makes chi2 what
-    it should be: otherwise the brightest few would bend the lens their way.
+    What the lens cannot explain, such as the air, is an error of all stars alike (`_unexplained`): otherwise
+    the brightest few would bend the lens their way.
     """
     free = _numbers_for(len(xy_px))
     one = np.zeros(len(xy_px), dtype=np.int64)
     stars = NamedStars(xy_px, cov_px, u_i, one, np.zeros(1))
-    plain, R, unexplained = replace(camera, p1=0.0, p2=0.0), Rotation.concatenate([R_si]), 0.0
+    plain, R = replace(camera, p1=0.0, p2=0.0), Rotation.concatenate([R_si])
+    miss = xy_px - camera.pixels_from_directions(R_si.apply(u_i))
+    unexplained = float(np.median((miss**2).sum(axis=1))) / 1.386  # of two axes
     for _ in range(_ROUNDS):
         cov = cov_px + unexplained * np.eye(2)
         fit = fit_camera(replace(stars, cov_px=cov), plain, R, free, _usual(plain))
-        unexplained, before = _unexplained(fit, cov_px), unexplained
-        if abs(unexplained - before) <= 0.02 * unexplained:
+        unexplained, before = _unexplained(fit, stars, unexplained, free), unexplained
+        if abs(unexplained - before) <= 0.02 * before:
             break
     sigma = np.sqrt(np.diag(fit.covariance))
     slopes = [_slope(fit.camera, name, step) for name, step in zip(free, sigma)]
@@ -111,14 +121,28 @@ def _slope(camera: StarCamera, name: str, step: float) -> Array:
     return np.append(turn, field_of_view_x(more) - field_of_view_x(less)) / step
 
 
-def _unexplained(fit: CameraFit, cov_px: Array) -> float:
-    """Variance, px^2, that each star must have beside its own for chi2 to be one a degree of freedom."""
-    square = (fit.residual_px[fit.keep] ** 2).sum(axis=1)
-    own = 0.5 * np.trace(cov_px[fit.keep], axis1=1, axis2=2)
+def _unexplained(fit: CameraFit, stars: NamedStars, before: float, free: tuple[str, ...]) -> float:
+    """Variance, px^2, that each star has beside its own, where likelihood restricted to the residuals is
+    largest: the bright stars tell it, whose own is small.
+
+    At the maximum  sum (2 - h) / v = sum r^2 / v^2,  v the variance of a star along one axis, r its residual,
+    h its share in the numbers fitted (with the variance `before`).
+    """
+    rows = fit.keep.nonzero()[0]
+    u_s = fit.rotations[0].apply(stars.u_i[rows])
+    columns = [PARAMETERS.index(name) for name in free]
+    A = np.concatenate(
+        [pixel_derivatives(fit.camera, u_s)[:, :, columns], turn_derivatives(fit.camera, u_s)], axis=2
+    )
+    whole = np.block([[fit.covariance, fit.cross[0].T], [fit.cross[0], fit.cov_s[0]]])
+    own = 0.5 * np.trace(stars.cov_px[rows], axis1=1, axis2=2)
+    share = np.einsum("nip,pq,niq->n", A, whole, A) / (own + before)
+    square = (fit.residual_px[rows] ** 2).sum(axis=1)
 
     def excess(variance: float) -> float:
-        return float((square / (own + variance)).sum() - fit.dof)
+        v = own + variance
+        return float((square / v**2).sum() - ((2.0 - share) / v).sum())
 
-    if fit.dof <= 0 or excess(0.0) <= 0.0:
+    if excess(0.0) <= 0.0:
         return 0.0
-    return float(brentq(excess, 0.0, float(square.sum()) / fit.dof))
+    return float(brentq(excess, 0.0, float(square.max())))

@@ -17,7 +17,8 @@ __all__ = ["add_star_commands"]
 
 DATA_DID_NOT_ALLOW, WRONG_USAGE = 1, 2
 FIELDS = (
-    "file,identified,ra_deg,dec_deg,roll_deg,fov_x_deg,matches,rms_arcsec,false_alarm_probability,cpu_ms,reason"
+    "file,identified,ra_deg,dec_deg,roll_deg,fov_x_deg,matches,rms_arcsec,false_alarm_probability,cpu_ms,reason,"
+    "pointing_sigma_arcsec,roll_sigma_arcsec,fov_x_sigma_deg"
 ).split(",")
 
 Images = Annotated[list[Path], typer.Argument(help="Star images: PNG, TIFF, FITS, JPEG or BMP.")]
@@ -26,6 +27,15 @@ Fov = Annotated[
     float | None, typer.Option("--fov", "--fov-deg", help="Width of the field of view in degrees, if known.")
 ]
 Dark = Annotated[Path | None, typer.Option(help="Dark frame of the same camera and exposure.")]
+Times = Annotated[
+    Path | None,
+    typer.Option(
+        help="CSV file (file, utc_mid) of the images' times: the Earth's aberration is taken out of them."
+    ),
+]
+OrbitFile = Annotated[
+    Path | None, typer.Option(help="OEM of the satellite, with --times: its aberration is taken out as well.")
+]
 SettingsFile = Annotated[Path | None, typer.Option(help="TOML file of settings; unknown keys are refused.")]
 
 
@@ -48,6 +58,8 @@ def identify(
     ] = False,
     overlay: Annotated[Path | None, typer.Option(help="PNG of the image with its stars named.")] = None,
     out: Annotated[Path | None, typer.Option(help="Parquet file for the stars that were named.")] = None,
+    times: Times = None,
+    orbit: OrbitFile = None,
     settings: SettingsFile = None,
 ) -> None:
     """Name the stars of single images, with no idea where they look."""
@@ -63,7 +75,7 @@ def identify(
     if as_csv:
         table.writeheader()
     named = 0
-    request = Request(camera, fov, dark, out, overlay)
+    request = Request(camera, fov, dark, times, orbit, out, overlay)
     for path, line in zip(images, identify_images(images, request, read_settings(settings).stars)):
         named += line.identified
         if as_json:

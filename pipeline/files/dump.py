@@ -42,7 +42,9 @@ __all__ = [
     "Strip",
     "TargetHeights",
     "TerrainFile",
+    "bundled_table",
     "open_dump",
+    "orbit_of",
     "star_camera_of",
     "surface_of",
 ]
@@ -164,7 +166,9 @@ def open_dump(root: Path, *, allow_stale_eop: bool = False) -> Dump:
     installation = read_toml(paths["installation"], schema.InstallationFile, head.files.installation)
     line_camera = _line_camera(remote, head.files.remote_camera)
     ephemeris = read_oem(paths["orbit"], head.files.orbit)
-    orbit = _orbit(ephemeris, head, _earth_orientation(), allow_stale_eop)
+    orbit = orbit_of(
+        ephemeris, head.files.orbit, head.errors.position_m, bundled_table(), allow_stale_eop=allow_stale_eop
+    )
     strips, omitted = _strips(root, paths["strips"], head.files.strips, ephemeris.epoch, remote)
     rows = _target_rows(paths["targets"], head.files.targets)
     targets, heights = _targets(rows)
@@ -190,8 +194,8 @@ def open_dump(root: Path, *, allow_stale_eop: bool = False) -> Dump:
 
 
 @lru_cache(maxsize=1)
-def _earth_orientation() -> EarthOrientationTable:
-    """The bundled table, parsed once in each process."""
+def bundled_table() -> EarthOrientationTable:
+    """The bundled Earth orientation, parsed once in each process."""
     return bundled_earth_orientation()
 
 
@@ -239,9 +243,15 @@ def _line_camera(file: schema.RemoteCameraFile, name: str) -> LineCamera:
     return LineCamera(file.focal_length_m, tuple(ccds), file.tdi_stages, file.time_of_row)
 
 
-def _orbit(
-    ephemeris: Ephemeris, head: schema.DumpFile, table: EarthOrientationTable, allow_stale_eop: bool
+def orbit_of(
+    ephemeris: Ephemeris,
+    file: str,
+    sigma_position_m: float | tuple[float, float, float],
+    table: EarthOrientationTable,
+    *,
+    allow_stale_eop: bool,
 ) -> Orbit:
+    """The orbit that an ephemeris describes; `RawDataError` for times and states that cannot be."""
     t = ephemeris.t_s
     try:
         earth = EarthRotation.over(
@@ -250,7 +260,7 @@ def _orbit(
     except ValueError as error:  # before 1972, or EarthOrientationError
         found = f"{ephemeris.first_time} to {ephemeris.last_time}"
         expected = f"dates within the Earth-orientation table ({error})"
-        raise RawDataError(head.files.orbit, "time of the states", found, expected) from error
+        raise RawDataError(file, "time of the states", found, expected) from error
     try:
         return Orbit(
             ephemeris.epoch,
@@ -260,13 +270,11 @@ def _orbit(
             ephemeris.frame,
             ephemeris.interpolation_degree,
             earth,
-            head.errors.position_m,
+            sigma_position_m,
             ephemeris.method,
         )
     except ValueError as error:
-        raise RawDataError(
-            head.files.orbit, "states", str(error), "an orbit that can be interpolated"
-        ) from error
+        raise RawDataError(file, "states", str(error), "an orbit that can be interpolated") from error
 
 
 def _seconds(epoch: Epoch, utc: Sequence[str], file: str, field: str) -> Array:

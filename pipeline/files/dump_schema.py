@@ -170,6 +170,13 @@ class ExposureRow(_Row):
     exposure_s: Annotated[float, Field(gt=0, le=10)]
 
 
+class SkyImageRow(_Row):
+    """Times of single images: `--times` of identify and star-camera-calibrate"""
+
+    file: Annotated[str, StringConstraints(min_length=1, max_length=255)]
+    utc_mid: Utc
+
+
 class StripRow(_Row):
     """strips.csv: one row for each CCD of a strip"""
 

@@ -1,0 +1,88 @@
+"""A camera on the ground that looks at the night sky: where the Earth's rotation carries it, and how the air
+above it lifts the stars.
+
+Refraction is ERFA's: dz = A tan z + B tan^3 z, z the zenith distance as observed, A and B from the weather.
+The vertical is the ellipsoid's normal; its deflection, some 10 arc-seconds, changes refraction by 0.006.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import erfa
+import numpy as np
+from numpy.typing import NDArray
+
+from geometry.constants import WGS84
+from geometry.earth_rotation import EarthRotation
+from geometry.geodesy import ecef_from_geodetic, ellipsoid_normals
+
+__all__ = ["Air", "GroundSite", "SiteState", "lifted_by_air"]
+
+Array = NDArray[np.float64]
+
+_WAVELENGTH_UM = 0.55
+_LOWEST_COSINE = 0.05  # of the zenith distance: 3 degrees above the horizon, where the formula's use ends
+
+
+@dataclass(frozen=True, slots=True)
+class GroundSite:
+    """A place on the Earth and its weather."""
+
+    lat_rad: float  # geodetic, WGS84
+    lon_rad: float
+    height_m: float  # above the ellipsoid
+    pressure_hpa: float
+    temperature_c: float
+
+    @staticmethod
+    def in_standard_weather(lat_rad: float, lon_rad: float, height_m: float) -> GroundSite:
+        """Pressure and temperature of the US Standard Atmosphere 1976 below 11 km."""
+        kelvin = 288.15 - 6.5e-3 * height_m
+        pressure = 1013.25 * (kelvin / 288.15) ** 5.25588
+        return GroundSite(lat_rad, lon_rad, height_m, pressure, kelvin - 273.15)
+
+    def at(self, earth: EarthRotation, t_s: float) -> SiteState:
+        """Where the site is at `t_s` (TAI seconds since `earth.epoch`) and how its air bends light."""
+        matrix_ie = earth.matrices_ie([t_s])[0]
+        p_e = ecef_from_geodetic(self.lat_rad, self.lon_rad, self.height_m, WGS84)
+        up_e = ellipsoid_normals(self.lat_rad, self.lon_rad)
+        a, b = erfa.refco(self.pressure_hpa, self.temperature_c, 0.0, _WAVELENGTH_UM)
+        air = Air(matrix_ie @ up_e, float(a), float(b))
+        return SiteState(matrix_ie @ p_e, matrix_ie @ np.cross(earth.omega_e, p_e), air)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Air:
+    """How the air above a site bends light."""
+
+    zenith_i: Array  # (3,)
+    a_rad: float
+    b_rad: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SiteState:
+    """A site at one instant."""
+
+    p_i: Array  # (3,) m, GCRS
+    v_i: Array  # (3,) m/s
+    air: Air
+
+
+def lifted_by_air(u_i: Array, air: Air) -> Array:
+    """Unit vectors (N, 3) as they are seen through the air, from those outside it.
+
+    As ERFA's `atioq`: one step of Newton's method from the zenith distance outside; what is lower than 3
+    degrees is bent as if it stood there.
+    """
+    cosine = u_i @ air.zenith_i
+    level = u_i - cosine[:, None] * air.zenith_i
+    sine = np.maximum(np.linalg.norm(level, axis=1), 1e-12)
+    z = np.maximum(cosine, _LOWEST_COSINE)
+    tangent = sine / z
+    w = air.b_rad * tangent**2
+    lift = (air.a_rad + w) * tangent / (1.0 + (air.a_rad + 3.0 * w) / z**2)
+    along = np.cos(lift) * sine - np.sin(lift) * cosine
+    up = np.cos(lift) * cosine + np.sin(lift) * sine
+    return np.asarray(level * (along / sine)[:, None] + up[:, None] * air.zenith_i)
