@@ -10,20 +10,19 @@ import platform
 import sys
 import time
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from importlib import metadata
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 from pipeline import __version__
 from pipeline.commands.drift import add_drift_commands
 from pipeline.commands.match import add_match_commands
+from pipeline.commands.progress import progress_bar, progress_bars, remarks
 from pipeline.commands.report import add_report_commands
 from pipeline.commands.star import add_star_commands
 from pipeline.errors import DataNotSufficientError, RawDataError, WorkerError
@@ -37,7 +36,6 @@ app = typer.Typer(
     add_completion=False,
     pretty_exceptions_enable=False,
 )
-remarks = Console(stderr=True, highlight=False)
 
 DONE, DATA_DID_NOT_ALLOW, WRONG_USAGE = 0, 1, 2
 REPORTED_PACKAGES = (
@@ -79,13 +77,6 @@ def _say(text: str) -> None:
     remarks.print(text, markup=False, soft_wrap=True)
 
 
-@contextmanager
-def _bar() -> Iterator[Progress]:
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=remarks, transient=True) as bar:
-        yield bar
-
-
 def _wrong_usage(text: str) -> typer.Exit:
     _say(f"error: {text}")
     return typer.Exit(WRONG_USAGE)
@@ -124,7 +115,7 @@ def simulate(
     mission = fly(chosen, seed)
     changes = "".join(f" --set {item}" for item in set_ or [])
     command = f"boresight {__version__}: simulate {chosen.name} --seed {seed}{changes}"
-    with _bar() as bar:
+    with progress_bar() as bar:
         task = bar.add_task("rendering", total=images_in(mission))
         write_dump(mission, out, created_by=command[:500], on_image=lambda name: bar.advance(task))
     strips = len({strip.strip_id for strip in mission.strips})
@@ -175,29 +166,17 @@ def calibrate(
     if len(dumps) == 1:
         with _warnings_told():
             one = open_dump(dumps[0].resolve(), allow_stale_eop=allow_stale_eop)
-        with _bar() as bar, executor_for(workers, scheduler, one.pixels) as executor:
-            text = run_dump(out, one, str(dumps[0]), request, executor, _shown_on(bar))
+        with progress_bars() as told, executor_for(workers, scheduler, one.pixels) as executor:
+            text = run_dump(out, one, str(dumps[0]), request, executor, told)
     else:
         with _warnings_told():
             several = open_dumps(dumps, request.settings, allow_stale_eop=allow_stale_eop)
         pixels = sum(named.dump.pixels for named in several)
-        with _bar() as bar, executor_for(workers, scheduler, pixels) as executor:
-            text = run_dumps(out, several, request, executor, _shown_on(bar))
+        with progress_bars() as told, executor_for(workers, scheduler, pixels) as executor:
+            text = run_dumps(out, several, request, executor, told)
     typer.echo(text)
     page = ", report.html" if report else ""
     typer.echo(f"{time.perf_counter() - begun_s:.1f} s -> {out / 'installation.json'}{page}")
-
-
-def _shown_on(bar: Progress) -> Callable[[str, int, int], None]:
-    """A listener to a run's progress: one bar a stage."""
-    bars: dict[str, Any] = {}
-
-    def told(stage: str, done: int, total: int) -> None:
-        if stage not in bars:
-            bars[stage] = bar.add_task(stage, total=total)
-        bar.update(bars[stage], completed=done)
-
-    return told
 
 
 @contextmanager
@@ -259,7 +238,7 @@ def experiment(
     chosen = ExperimentSettings(seed=seed, from_zenith_deg=star_from_zenith_deg)
     if runs is not None:
         chosen = replace(chosen, runs=runs, wang_runs=runs, table5_runs=runs)
-    with _bar() as bar:
+    with progress_bar() as bar:
         task = bar.add_task(name, total=None)
 
         def progress(done: int, total: int) -> None:

@@ -26,7 +26,7 @@ from pipeline.files.dump import star_camera_of
 from pipeline.files.dump_schema import StarCameraFile
 from pipeline.files.image_files import read_star_image
 from pipeline.files.index_cache import cached_index
-from pipeline.files.sky_images import observers_of
+from pipeline.files.sky_images import NOWHERE, Whereabouts, observers_of
 from pipeline.files.text_files import read_toml
 from pipeline.work.unit_store import fixed_list, write_whole
 from star_id.catalogue import hipparcos_stars
@@ -57,8 +57,7 @@ class Request:
     camera_file: Path | None = None
     fov_deg: float | None = None
     dark_file: Path | None = None
-    times: Path | None = None  # CSV: file, utc_mid
-    orbit: Path | None = None  # OEM
+    known: Whereabouts = NOWHERE
     out: Path | None = None  # Parquet, at the end
     overlay: Path | None = None  # PNG; with several images each adds its own name
 
@@ -70,7 +69,7 @@ def identify_images(images: Sequence[Path], request: Request, settings: StarSett
         raise RawDataError("--fov", "value", f"{request.fov_deg}", "between 0.5 and 90 degrees")
     dark = None if request.dark_file is None else read_star_image(request.dark_file, str(request.dark_file))
     fov = None if request.fov_deg is None else float(np.radians(request.fov_deg))
-    observers = observers_of(images, request.times, request.orbit)
+    observers = observers_of(images, request.known)
     index = sky_index(camera, request.fov_deg, settings)
     width = max(len(str(path)) for path in images)
     tables = []

@@ -59,6 +59,7 @@ class CameraCalibration:
     frame: NDArray[np.int64]  # (N,) which frame a star belongs to
     xy_px: Array  # (N, 2)
     residual_px: Array  # (N, 2) measured minus predicted
+    sigma_px: Array  # (N,) the centroid's own error along one axis
     rotations: Rotation  # (K,) R_si of the identified frames
     frames_used: tuple[str, ...]
     frames_refused: tuple[tuple[str, str], ...]  # (frame, reason)
@@ -89,8 +90,8 @@ class CameraCalibration:
 class ResidualMap:
     """Mean residual in the cells of a grid over the detector."""
 
-    mean_px: Array  # (rows, columns, 2) NaN where no star fell
-    error_px: Array  # (rows, columns) standard error of the mean along one axis
+    mean_px: Array  # (rows, columns, 2) weighted by the stars' errors; NaN where no star fell
+    error_px: Array  # (rows, columns) standard error of the mean along one axis, infinite where no star fell
     count: NDArray[np.int64]  # (rows, columns)
 
 
@@ -128,13 +129,13 @@ def residual_map(calibration: CameraCalibration, rows: int = 6, columns: int = 8
     )
     flat = cell[:, 1] * columns + cell[:, 0]
     count = np.bincount(flat, minlength=rows * columns)
+    weight = calibration.sigma_px**-2.0
+    larger = max(1.0, calibration.chi2 / max(calibration.dof, 1))
     with np.errstate(invalid="ignore", divide="ignore"):
-        mean = np.stack(
-            [np.bincount(flat, r, minlength=rows * columns) / count for r in calibration.residual_px.T],
-            axis=1,
-        )
-        square = np.bincount(flat, 0.5 * (calibration.residual_px**2).sum(axis=1), minlength=rows * columns)
-        error = np.sqrt(square / count / count)
+        whole = np.bincount(flat, weight, minlength=rows * columns)
+        sums = [np.bincount(flat, weight * r, minlength=rows * columns) for r in calibration.residual_px.T]
+        mean = np.stack(sums, axis=1) / whole[:, None]
+        error = np.sqrt(larger / whole)
     return ResidualMap(
         mean.reshape(rows, columns, 2), error.reshape(rows, columns), count.reshape(rows, columns)
     )
@@ -181,7 +182,7 @@ def _adjusted(
         cov.append(frames[k].stars.cov_px[solution.detections[safe]])
         u_i.append(star_directions(index, rows[safe], observer))
         frame.append(np.full(int(safe.sum()), number))
-        times.append(0.0 if observer is None else observer.t_s)
+        times.append(0.0 if observer is None else observer.tai_s)
         rotations.append(solution.R_si)
     stars = NamedStars(
         np.vstack(xy), np.concatenate(cov), np.vstack(u_i), np.concatenate(frame), np.array(times)
@@ -198,6 +199,7 @@ def _adjusted(
         frame=stars.frame[fit.keep],
         xy_px=stars.xy_px[fit.keep],
         residual_px=fit.residual_px[fit.keep],
+        sigma_px=np.sqrt(0.5 * np.trace(stars.cov_px[fit.keep], axis1=1, axis2=2)),
         rotations=fit.rotations,
         frames_used=tuple(frames[k].frame_id for k, _ in named),
         frames_refused=(),

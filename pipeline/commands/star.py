@@ -11,6 +11,7 @@ from typing import Annotated
 
 import typer
 
+from pipeline.commands.progress import progress_bars
 from star_id.settings import CentroidMethod
 
 __all__ = ["add_star_commands"]
@@ -36,6 +37,14 @@ Times = Annotated[
 OrbitFile = Annotated[
     Path | None, typer.Option(help="OEM of the satellite, with --times: its aberration is taken out as well.")
 ]
+Site = Annotated[
+    tuple[float, float, float] | None,
+    typer.Option(
+        help="Latitude, longitude (deg) and height (m) of a camera on the ground, with --times: refraction is"
+        " taken out as well.",
+        metavar="LAT LON HEIGHT",
+    ),
+]
 SettingsFile = Annotated[Path | None, typer.Option(help="TOML file of settings; unknown keys are refused.")]
 
 
@@ -60,9 +69,11 @@ def identify(
     out: Annotated[Path | None, typer.Option(help="Parquet file for the stars that were named.")] = None,
     times: Times = None,
     orbit: OrbitFile = None,
+    site: Site = None,
     settings: SettingsFile = None,
 ) -> None:
     """Name the stars of single images, with no idea where they look."""
+    from pipeline.files.sky_images import Whereabouts
     from pipeline.files.star_files import write_wcs
     from pipeline.identify import Request, identify_images
     from pipeline.settings import read_settings
@@ -75,7 +86,7 @@ def identify(
     if as_csv:
         table.writeheader()
     named = 0
-    request = Request(camera, fov, dark, times, orbit, out, overlay)
+    request = Request(camera, fov, dark, Whereabouts(times, orbit, site), out, overlay)
     for path, line in zip(images, identify_images(images, request, read_settings(settings).stars)):
         named += line.identified
         if as_json:
@@ -127,7 +138,9 @@ def centroids(
 
 
 def star_camera_calibrate(
-    images: Images,
+    sources: Annotated[
+        list[Path], typer.Argument(help="Star images, or folders with a dump.toml: their exposures.")
+    ],
     camera: CameraFile = None,
     fov: Fov = None,
     out: Annotated[Path, typer.Option(help="The calibrated star_camera.toml.")] = Path("star_camera.toml"),
@@ -135,17 +148,24 @@ def star_camera_calibrate(
         Path | None, typer.Option(help="JSON file: covariance, OpenCV form, residual map, stars used.")
     ] = None,
     plot: Annotated[Path | None, typer.Option(help="PNG of the residual map.")] = None,
+    times: Times = None,
+    orbit: OrbitFile = None,
+    site: Site = None,
+    drift: Annotated[
+        bool, typer.Option("--drift", help="Fit a drift of the focal length with time as well.")
+    ] = False,
     settings: SettingsFile = None,
 ) -> None:
     """Calibrate a star camera from images of the sky: focal length, principal point, distortion."""
-    from pipeline.report.star_camera_report import calibrate_from_images
+    from pipeline.files.sky_images import Whereabouts
+    from pipeline.report.star_camera_report import CameraRequest, calibrate_from_images
     from pipeline.settings import read_settings
 
     if camera is not None and fov is not None:
         raise _wrong_usage("--camera and --fov exclude one another")
-    lines, done = calibrate_from_images(
-        images, camera, fov, read_settings(settings).stars, out=out, report=report, plot=plot
-    )
+    request = CameraRequest(camera, fov, Whereabouts(times, orbit, site), drift, out, report, plot)
+    with progress_bars() as told:
+        lines, done = calibrate_from_images(sources, request, read_settings(settings).stars, told)
     for line in lines:
         typer.echo(line)
     if not done:

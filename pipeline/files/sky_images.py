@@ -1,17 +1,20 @@
 """Images of the sky and what is known of each: where it lies, when it was taken, and from where.
 
-Loose images may come with a table of their times and an orbit; the exposures of a dump come with both.
+Loose images may come with a table of their times and an orbit, or a place on the ground; the exposures of a
+dump come with times and orbit.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from geometry.earth_rotation import EarthRotation
 from geometry.epoch import Epoch
+from geometry.ground_site import GroundSite
 from geometry.orbit import Orbit, OrbitGapError
 from geometry.star_camera import StarCamera
 from pipeline.errors import RawDataError
@@ -21,7 +24,19 @@ from pipeline.files.orbit_file import read_oem
 from pipeline.files.text_files import read_table
 from star_id.observer import Observer
 
-__all__ = ["SkyImage", "SkyImages", "observers_of", "open_sky_images"]
+__all__ = ["NOWHERE", "SkyImage", "SkyImages", "Whereabouts", "observers_of", "open_sky_images"]
+
+
+@dataclass(frozen=True, slots=True)
+class Whereabouts:
+    """What is known of when and from where loose images were taken."""
+
+    times: Path | None = None  # CSV: file, utc_mid
+    orbit: Path | None = None  # OEM of a satellite
+    site_deg_m: tuple[float, float, float] | None = None  # latitude, longitude, ellipsoidal height
+
+
+NOWHERE = Whereabouts()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -43,11 +58,9 @@ class SkyImages:
     omitted: tuple[tuple[str, str], ...]  # (image, reason)
 
 
-def open_sky_images(
-    sources: Sequence[Path], times: Path | None = None, orbit: Path | None = None
-) -> SkyImages:
-    """Images, and folders that are dumps; `times` and `orbit` as in `observers_of`, for the images."""
-    observers = observers_of([source for source in sources if not source.is_dir()], times, orbit)
+def open_sky_images(sources: Sequence[Path], known: Whereabouts) -> SkyImages:
+    """Images, and folders that are dumps; what is `known` holds for the images."""
+    observers = observers_of([source for source in sources if not source.is_dir()], known)
     images: list[SkyImage] = []
     omitted: list[tuple[str, str]] = []
     camera = None
@@ -78,46 +91,64 @@ def _of_dump(dump: Dump) -> Iterator[tuple[SkyImage, str | None]]:
         yield SkyImage(name, exposure.path, observer, full), reason
 
 
-def observers_of(images: Sequence[Path], times: Path | None, orbit_file: Path | None) -> dict[str, Observer]:
-    """By the images' file names: `times` is a CSV file (file, utc_mid), `orbit_file` an OEM of the satellite.
+def observers_of(images: Sequence[Path], known: Whereabouts) -> dict[str, Observer]:
+    """By the images' file names.
 
-    Without an orbit an image with a time is taken from the Earth's centre: the aberration of the Earth's
-    motion about the Sun (20 arc-seconds) is known then, that of a satellite's own (5) is not.
+    With times alone an image is taken from the Earth's centre: the aberration of the Earth's motion about
+    the Sun (20 arc-seconds) is known then, that of a satellite's own (5) is not.
     """
-    if times is None:
-        if orbit_file is not None:
-            raise RawDataError(
-                str(orbit_file), "use", "--orbit alone", "--times, the times of the images, too"
-            )
-        return {}
+    where = known.orbit or known.site_deg_m
+    if known.times is None:
+        if where is None:
+            return {}
+        found = f"{where} and no times"
+        raise RawDataError("--orbit or --site", "use", found, "--times, the times of the images, too")
+    if known.orbit is not None and known.site_deg_m is not None:
+        raise RawDataError("--orbit", "use", "--site as well", "a satellite or a place on the ground")
+    utc = _times(images, known.times)
+    path = _path_of(known, utc)
+    return {name: _observer(path, known.times, name, time) for name, time in utc.items()}
+
+
+def _times(images: Sequence[Path], times: Path) -> dict[str, str]:
+    """UTC by file name, one for each image."""
     rows = read_table(times, SkyImageRow, str(times))
     by_name = {row.file: row.utc_mid for row in rows}
     if len(by_name) < len(rows):
         raise RawDataError(str(times), "file", f"{len(rows) - len(by_name)} names again", "each file once")
     if missing := [image.name for image in images if image.name not in by_name]:
         raise RawDataError(str(times), "file", f"no row for {missing[0]}", "a row for each image")
-    orbit = None
-    if orbit_file is not None:
-        ephemeris = read_oem(orbit_file, str(orbit_file))
-        orbit = orbit_of(ephemeris, str(orbit_file), 0.0, bundled_table(), allow_stale_eop=True)
-    observers = {}
-    for image in images:
-        utc = by_name[image.name]
-        try:
-            epoch = orbit.epoch if orbit is not None else Epoch.from_utc(utc)
-            t_s = float(epoch.seconds_from_utc([utc])[0])
-            observers[image.name] = (
-                Observer(epoch, t_s, np.zeros(3), np.zeros(3)) if orbit is None else _aboard(orbit, t_s)
-            )
-        except OrbitGapError as error:
-            raise RawDataError(
-                str(times), f"utc_mid of {image.name}", str(error), "a time of the orbit"
-            ) from error
-        except ValueError as error:
-            raise RawDataError(
-                str(times), f"utc_mid of {image.name}", str(error), "a UTC time that exists"
-            ) from error
-    return observers
+    return {image.name: by_name[image.name] for image in images}
+
+
+def _path_of(known: Whereabouts, utc: Mapping[str, str]) -> Orbit | GroundSite | None:
+    if known.orbit is not None:
+        ephemeris = read_oem(known.orbit, str(known.orbit))
+        return orbit_of(ephemeris, str(known.orbit), 0.0, bundled_table(), allow_stale_eop=True)
+    if known.site_deg_m is None:
+        return None
+    lat, lon, height = known.site_deg_m
+    if not (abs(lat) <= 90.0 and abs(lon) <= 360.0 and -500.0 <= height <= 9000.0):
+        expected = "latitude and longitude in degrees, height in metres from -500 to 9000"
+        raise RawDataError("--site", "value", f"{lat}, {lon}, {height}", expected)
+    return GroundSite.in_standard_weather(float(np.radians(lat)), float(np.radians(lon)), height)
+
+
+def _observer(path: Orbit | GroundSite | None, times: Path, name: str, utc: str) -> Observer:
+    try:
+        if isinstance(path, Orbit):
+            return _aboard(path, float(path.epoch.seconds_from_utc([utc])[0]))
+        epoch = Epoch.from_utc(utc)
+        t_s = float(epoch.seconds_from_utc([utc])[0])
+        if path is None:
+            return Observer(epoch, t_s, np.zeros(3), np.zeros(3))
+        earth = EarthRotation.over(epoch, t_s, t_s, bundled_table(), allow_stale_eop=True)
+        state = path.at(earth, t_s)
+        return Observer(epoch, t_s, state.p_i, state.v_i, state.air)
+    except ValueError as error:  # no such time, a gap of the orbit, a date before 1972
+        raise RawDataError(
+            str(times), f"utc_mid of {name}", f"{utc}: {error}", "a time that is covered"
+        ) from error
 
 
 def _aboard(orbit: Orbit, t_s: float) -> Observer:

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from geometry.star_camera import StarCamera
 from pipeline.errors import RawDataError
+from pipeline.files.sky_images import NOWHERE, SkyImage, Whereabouts, open_sky_images
 from pipeline.files.toml_writer import toml_text
 from pipeline.identify import read_camera, read_sky_image, sky_index
 from pipeline.work.unit_store import write_whole
@@ -27,51 +30,88 @@ from star_id.finding.star_list import find_stars
 from star_id.naming.identify import NotIdentified
 from star_id.settings import StarSettings
 
-__all__ = ["calibrate_from_images"]
+__all__ = ["CameraRequest", "calibrate_from_images"]
+
+
+@dataclass(frozen=True, slots=True)
+class CameraRequest:
+    """What is known of the camera and of its images, what is wanted, and where it goes."""
+
+    camera_file: Path | None = None
+    fov_deg: float | None = None
+    known: Whereabouts = NOWHERE
+    drift: bool = False  # of the focal length with time
+    out: Path = Path("star_camera.toml")
+    report: Path | None = None
+    plot: Path | None = None
 
 
 def calibrate_from_images(
-    images: Sequence[Path],
-    camera_file: Path | None,
-    fov_deg: float | None,
+    sources: Sequence[Path],
+    request: CameraRequest,
     settings: StarSettings,
-    *,
-    out: Path,
-    report: Path | None,
-    plot: Path | None,
+    progress: Callable[[str, int, int], None] = lambda stage, done, total: None,
 ) -> tuple[list[str], bool]:
-    """Lines to print, and whether a camera came out and was written to `out`."""
-    camera = read_camera(camera_file)
-    frames, bits, size = [], 8, None
-    for path in images:
-        image = read_sky_image(path, camera, camera_file)
-        size = size or image.shape
-        if image.shape != size:
-            found, expected = (f"{s[1]} x {s[0]} px" for s in (image.shape, size))
-            raise RawDataError(str(path), "image size", found, f"{expected}, as in {images[0]}")
-        bits = 8 * image.dtype.itemsize if image.dtype.kind == "u" else 16
-        frames.append(SkyFrame(path.name, find_stars(image, settings)))
-    assert size is not None  # the command line asks for one image at least
-    lines: list[str] = []
-    index = sky_index(None, _fov_deg(camera) if camera is not None else fov_deg, settings)
+    """Lines to print, and whether a camera came out and was written to `request.out`.
+
+    `sources` are images, and dumps, whose exposures are taken. An image that cannot be read is left out.
+    """
+    given = read_camera(request.camera_file)
+    sky = open_sky_images(sources, request.known)
+    camera = given or (sky.camera if request.fov_deg is None else None)
+    if request.drift and (timeless := [one.name for one in sky.images if one.observer is None]):
+        raise RawDataError(
+            timeless[0], "time", "none", "a time of each image: --times, or a dump's exposures"
+        )
+    frames, read, unread = [], None, list(sky.omitted)
+    for number, one in enumerate(sky.images):
+        progress("star images", number, len(sky.images))
+        try:
+            image = _image(one, given, request.camera_file, read)
+        except RawDataError as error:
+            unread.append((one.name, str(error)))
+            continue
+        read = read or (one.name, image)
+        full = replace(settings, saturation_dn=settings.saturation_dn or one.saturation_dn)
+        frames.append(SkyFrame(one.name, find_stars(image, full), one.observer))
+    progress("star images", len(sky.images), len(sky.images))
+    left_out = [f"{name} not used: {reason}" for name, reason in unread]
+    if read is None:
+        return [*left_out, "not calibrated: no image could be read"], False
+    height, width = read[1].shape
+    index = sky_index(None, _fov_deg(camera) if camera is not None else request.fov_deg, settings)
     if camera is None:
-        first = _first_camera(frames, (size[1], size[0]), fov_deg, settings, index)
+        first = _first_camera(frames, (width, height), request.fov_deg, settings, index)
         if isinstance(first, NotIdentified):
-            return [f"no image was identified: {first.reason}"], False
+            return [*left_out, f"no image was identified: {first.reason}"], False
         camera = first
-    result = calibrate_camera(frames, camera, index, settings)
+    result = calibrate_camera(frames, camera, index, settings, drift=request.drift)
     if isinstance(result, NotIdentified):
-        return [f"not calibrated: {result.reason}"], False
-    write_whole(out, lambda target: target.write_text(toml_text(_camera_table(result.camera, bits)), "utf-8"))
+        return [*left_out, f"not calibrated: {result.reason}"], False
+    result = replace(result, frames_refused=(*unread, *result.frames_refused))
+    bits = 8 * read[1].dtype.itemsize if read[1].dtype.kind == "u" else 16
+    table = toml_text(_camera_table(result.camera, bits))
+    write_whole(request.out, lambda target: target.write_text(table, "utf-8"))
     cells = residual_map(result)
-    if report is not None:
+    if request.report is not None:
         content = json.dumps(_report(result, cells), indent=1)
-        write_whole(report, lambda target: target.write_text(content + "\n", "utf-8"))
-    if plot is not None:
-        _draw(result, cells, plot)
-    lines += _lines(result)
-    lines.append(f"-> {out}")
-    return lines, True
+        write_whole(request.report, lambda target: target.write_text(content + "\n", "utf-8"))
+    if request.plot is not None:
+        _draw(result, cells, request.plot)
+    times = [frame.observer.tai_s for frame in frames if frame.observer is not None]
+    span_s = max(times) - min(times) if times else 0.0
+    return [*_lines(result, span_s), f"-> {request.out}"], True
+
+
+def _image(
+    one: SkyImage, given: StarCamera | None, camera_file: Path | None, first: tuple[str, NDArray[Any]] | None
+) -> NDArray[Any]:
+    """An image of the size of the first."""
+    image = read_sky_image(one.path, given, camera_file)
+    if first is not None and image.shape != first[1].shape:
+        found, expected = (f"{s[1]} x {s[0]} px" for s in (image.shape, first[1].shape))
+        raise RawDataError(one.name, "image size", found, f"{expected}, as in {first[0]}")
+    return image
 
 
 def _first_camera(
@@ -114,7 +154,8 @@ def _camera_table(camera: StarCamera, bits: int) -> dict[str, Any]:
     }
 
 
-def _lines(result: CameraCalibration) -> list[str]:
+def _lines(result: CameraCalibration, span_s: float) -> list[str]:
+    """`span_s`: from the first image to the last."""
     camera, sigma = result.camera, np.sqrt(np.diag(result.covariance))
     corner = np.array([[0.0, 0.0], [0.5 * camera.width_px, 0.5 * camera.height_px]])
     model = result.model_sigma_px(corner)
@@ -131,6 +172,12 @@ def _lines(result: CameraCalibration) -> list[str]:
         ),
         f"error of the model  {model[1]:.4f} px in the middle, {model[0]:.4f} px in a corner (1 sigma)",
     ]
+    if result.focal_drift_sigma_per_s > 0.0:
+        drift, error = (
+            1e6 * span_s * per_s for per_s in (result.focal_drift_per_s, result.focal_drift_sigma_per_s)
+        )
+        span = f"{span_s:.0f} s" if span_s < 86_400.0 else f"{span_s / 86_400.0:.1f} days"
+        lines.append(f"drift of the focal length  {drift:+.2f} +- {error:.2f} ppm in {span}")
     return lines + [f"{frame} not used: {reason}" for frame, reason in result.frames_refused]
 
 
@@ -145,6 +192,8 @@ def _report(result: CameraCalibration, cells: ResidualMap) -> dict[str, Any]:
         ],
         "units": ["m", "px", "px", "1/mm", "1/mm", "1/mm^2", "1/mm^4"],
         "covariance": result.covariance.tolist(),
+        "focal_drift_per_s": result.focal_drift_per_s,
+        "focal_drift_sigma_per_s": result.focal_drift_sigma_per_s,
         "chi2": result.chi2,
         "dof": result.dof,
         "rms_px": result.rms_px,
@@ -158,30 +207,60 @@ def _report(result: CameraCalibration, cells: ResidualMap) -> dict[str, Any]:
         },
         "residual_map": {
             "mean_px": np.nan_to_num(cells.mean_px).tolist(),
-            "error_px": np.nan_to_num(cells.error_px).tolist(),
+            "error_px": np.nan_to_num(cells.error_px, posinf=0.0).tolist(),
             "count": cells.count.tolist(),
         },
     }
 
 
 def _draw(result: CameraCalibration, cells: ResidualMap, path: Path) -> None:
-    """Mean residual of each cell of the detector as an arrow, and the scale beside it."""
+    """Mean residual of each cell of the detector as an arrow, its 1-sigma error as a circle at its foot."""
+    from matplotlib.collections import EllipseCollection
     from matplotlib.figure import Figure
+    from matplotlib.patches import Rectangle
 
     camera = result.camera
     rows, columns = cells.count.shape
-    x, y = np.meshgrid(
-        (np.arange(columns) + 0.5) * camera.width_px / columns,
-        (np.arange(rows) + 0.5) * camera.height_px / rows,
-    )
-    figure = Figure(figsize=(6.0, 4.6), layout="constrained")
+    width, height = camera.width_px / columns, camera.height_px / rows
+    x, y = np.meshgrid((np.arange(columns) + 0.5) * width, (np.arange(rows) + 0.5) * height)
+    longest = float(np.nanmax(np.hypot(*np.moveaxis(cells.mean_px, 2, 0))))
+    scale = longest / (0.9 * min(width, height))  # px of residual a px of the picture
+    figure = Figure(figsize=(6.4, 4.9), layout="constrained")
     axes = figure.subplots()
-    arrows = axes.quiver(x, y, cells.mean_px[..., 0], cells.mean_px[..., 1], angles="xy")
-    axes.quiverkey(arrows, 0.9, 1.03, 0.01, "0.01 px", labelpos="W")
-    axes.set_xlim(0, camera.width_px)
-    axes.set_ylim(camera.height_px, 0)
+    size = 2.0 * cells.error_px[cells.count > 0] / scale
+    axes.add_collection(
+        EllipseCollection(
+            size,
+            size,
+            0.0 * size,
+            units="xy",
+            offsets=np.column_stack([x[cells.count > 0], y[cells.count > 0]]),
+            offset_transform=axes.transData,
+            facecolors="0.88",
+            edgecolors="0.6",
+            linewidths=0.6,
+        )
+    )
+    arrows = axes.quiver(
+        x,
+        y,
+        cells.mean_px[..., 0],
+        cells.mean_px[..., 1],
+        angles="xy",
+        scale_units="xy",
+        scale=scale,
+        width=0.004,
+    )
+    key = 10.0 ** np.floor(np.log10(longest))
+    axes.quiverkey(arrows, 0.9, 1.03, key, f"{key:g} px", labelpos="W")
+    axes.set_xlim(-0.5 * width, camera.width_px + 0.5 * width)
+    axes.set_ylim(camera.height_px + 0.5 * height, -0.5 * height)
+    axes.add_patch(
+        Rectangle((0, 0), camera.width_px, camera.height_px, fill=False, edgecolor="0.5", linewidth=0.8)
+    )
     axes.set_aspect("equal")
     axes.set_xlabel("column, px")
     axes.set_ylabel("row, px")
-    axes.set_title(f"mean residuals, rms of all stars {result.rms_px:.4f} px", loc="left", fontsize=10)
+    title = f"mean residuals, 1 sigma grey; rms of all stars {result.rms_px:.4f} px"
+    axes.set_title(title, loc="left", fontsize=10)
     write_whole(path, lambda target: figure.savefig(target, format="png", dpi=120))

@@ -13,6 +13,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 from scipy.special import ndtr
 
+from geometry.ground_site import lifted_by_air
 from geometry.star_camera import StarCamera
 from geometry.starlight import apparent_star_directions
 from star_id.finding.background import Background
@@ -77,7 +78,8 @@ def listed_stars(camera, R_si, places, rng):
 
 def as_seen(places, observer):
     """The catalogue with each star where its light comes from for an observer."""
-    x, y, z = apparent_star_directions(places, observer.epoch, observer.t_s, observer.p_i, observer.v_i).T
+    u = apparent_star_directions(places, observer.epoch, observer.t_s, observer.p_i, observer.v_i)
+    x, y, z = (u if observer.air is None else lifted_by_air(u, observer.air)).T
     return replace(places, ra_rad=np.arctan2(y, x), dec_rad=np.arcsin(np.clip(z, -1.0, 1.0)))
 
 

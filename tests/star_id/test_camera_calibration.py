@@ -91,8 +91,11 @@ def test_the_error_that_is_foretold_is_the_error_that_comes(calibrations):
 def test_the_residual_map_shows_what_the_model_leaves(calibrations):
     cells = residual_map(calibrations[0])
     assert cells.count.sum() == len(calibrations[0].frame)
-    good = cells.count > 3
-    assert (np.abs(cells.mean_px[good]) < 5.0 * cells.error_px[good][:, None]).all()
+    good = cells.count > 0
+    off = cells.mean_px[good] / cells.error_px[good][:, None]
+    assert np.abs(off).max() < 4.5  # of some 96 numbers one in 1500 maps
+    # less than one by what the fit takes up, 37 numbers of 3000: the cells' errors are those that come
+    assert 0.7 < (off**2).mean() < 1.3
 
 
 def months_of_frames(rng, drift_per_s):

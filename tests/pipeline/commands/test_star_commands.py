@@ -6,21 +6,31 @@ import json
 import sys
 from pathlib import Path
 
+import astropy.units as units
 import cv2
 import numpy as np
 import pandas as pd
 import pytest
+from astropy.coordinates import GCRS, SkyCoord
+from astropy.time import Time
 from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "star_id"))
 
-from frames import Sensor, star_frame
+from frames import Sensor, as_seen, star_frame
 
+from geometry.earth_orientation import bundled_earth_orientation
+from geometry.earth_rotation import EarthRotation
+from geometry.epoch import Epoch
+from geometry.ground_site import GroundSite
 from geometry.star_camera import StarCamera
 from pipeline.cli import app
+from pipeline.errors import RawDataError
 from star_id.catalogue import hipparcos_stars
+from star_id.observer import Observer
 
+MINI = Path(__file__).resolve().parents[3] / "fixtures" / "mini"
 CAMERA = StarCamera(
     0.1, 25.6e-6, 1280, 960, (641.3, 477.2), p1=2.29e-5, p2=-2.96e-5, q1=-9.30e-7, q2=-4.25e-9
 )
@@ -62,6 +72,8 @@ def test_identify_prints_one_json_object_a_line(folder):
     assert first["identified"] and first["matches"] > 15 and first["false_alarm_probability"] < 1e-9
     assert set(first) >= {"file", "ra_deg", "dec_deg", "roll_deg", "fov_x_deg", "rms_arcsec", "cpu_ms"}
     assert first["fov_x_deg"] == pytest.approx(18.6, rel=0.01)
+    assert 0.0 < first["pointing_sigma_arcsec"] < first["roll_sigma_arcsec"] < 100.0
+    assert 0.0 < first["fov_x_sigma_deg"] < 1e-3 * first["fov_x_deg"]
     assert not second["identified"] and "not identified" in second["reason"]
 
 
@@ -123,3 +135,105 @@ def test_a_camera_is_calibrated_and_then_known(folder, tmp_path):
     assert scale == pytest.approx(1.0, abs=4.0 * np.sqrt(content["covariance"][0][0]) / content["values"][0])
     again = run("identify", "--json", "--camera", out, images[0])
     assert json.loads(again.stdout.splitlines()[0])["identified"]
+
+
+def pointing(*arguments):
+    """Direction of an image's middle as `identify` states it."""
+    done = run("identify", "--json", "--fov", 18.6, *arguments)
+    assert done.exit_code == 0, done.output
+    line = json.loads(done.stdout.splitlines()[0])
+    return SkyCoord(line["ra_deg"] * units.deg, line["dec_deg"] * units.deg)
+
+
+def times_of(path, *names, utc="2020-01-01T00:00:00Z"):
+    path.write_text("file,utc_mid\n" + "".join(f"{name},{utc}\n" for name in names))
+    return path
+
+
+def test_times_take_out_the_aberration_that_astropy_knows(folder, tmp_path):
+    """The image's middle is where the light comes from; the star there stands elsewhere in the catalogue."""
+    times = times_of(tmp_path / "times.csv", "sky0.png")
+    plain, moved = pointing(folder / "sky0.png"), pointing(folder / "sky0.png", "--times", times)
+    utc = Time("2020-01-01T00:00:00", scale="utc")
+    theirs = plain.transform_to(GCRS(obstime=utc))
+    expected = SkyCoord(theirs.ra, theirs.dec)
+    assert moved.separation(plain).arcsec > 1.0
+    assert moved.separation(expected).arcsec < 0.05  # of 20; the stars' parallaxes make a hundredth
+
+
+def test_a_place_on_the_ground_takes_out_the_air(tmp_path):
+    """A sky 40 degrees high, seen from the ground: the minute of arc by which air lifts it, and the lens that
+    its uneven lift imitates, are gone when the place is told."""
+    epoch = Epoch.from_utc("2020-01-01T00:00:00Z")
+    site = GroundSite.in_standard_weather(np.radians(-31.0), np.radians(149.0), 1165.0)
+    state = site.at(EarthRotation.over(epoch, 0.0, 1.0, bundled_earth_orientation()), 0.0)
+    observer = Observer(epoch, 0.0, state.p_i, state.v_i, state.air)
+    sky = as_seen(hipparcos_stars(8.0).places, observer)
+    level = np.cross(state.air.zenith_i, [0.6, 0.0, 0.8])
+    turn = Rotation.from_rotvec(np.radians(50.0) * level / np.linalg.norm(level))
+    R_si = Rotation.align_vectors([[0.0, 0.0, 1.0]], [turn.apply(state.air.zenith_i)])[0]
+    image, _ = star_frame(CAMERA, R_si, sky, Sensor(), np.random.default_rng(5))
+    cv2.imwrite(str(tmp_path / "low.png"), image)
+    times = times_of(tmp_path / "times.csv", "low.png")
+    x, y, z = R_si.inv().apply(CAMERA.directions_from_pixels([[639.5, 479.5]]))[0]
+    truth = SkyCoord(x=x, y=y, z=z, representation_type="cartesian")
+    truth = SkyCoord(truth.spherical.lon, truth.spherical.lat)
+    place = ("--times", times, "--site", -31.0, 149.0, 1165.0)
+    on_the_ground, in_space = (
+        pointing(tmp_path / "low.png", *place),
+        pointing(tmp_path / "low.png", *place[:2]),
+    )
+    assert on_the_ground.separation(truth).arcsec < 4.0  # 0.05 px, five of the errors stated
+    assert in_space.separation(truth).arcsec > 50.0
+
+
+def test_what_is_said_of_times_and_places_must_be_whole(folder, tmp_path):
+    image, times = folder / "sky0.png", times_of(tmp_path / "times.csv", "another.png")
+    for arguments, says in (
+        (("--times", times), "no row for sky0.png"),
+        (("--site", 50.0, 8.0, 100.0), "--times, the times of the images, too"),
+        (("--orbit", MINI / "orbit.oem"), "--times, the times of the images, too"),
+        (
+            ("--times", times_of(tmp_path / "b.csv", "sky0.png"), "--site", 95.0, 8.0, 100.0),
+            "95.0, 8.0, 100.0",
+        ),
+        (("--times", times_of(tmp_path / "c.csv", "sky0.png", utc="2020-02-30T00:00:00Z")), "2020-02-30"),
+        (("--times", times_of(tmp_path / "d.csv", "sky0.png", "sky0.png")), "each file once"),
+    ):
+        for command in ("identify", "star-camera-calibrate"):
+            done = run(command, image, *arguments)
+            assert isinstance(done.exception, RawDataError) and says in str(done.exception), (command, says)
+    done = run("star-camera-calibrate", image, "--drift")
+    assert isinstance(done.exception, RawDataError) and "--times" in str(done.exception)
+
+
+def test_a_star_camera_is_calibrated_by_the_exposures_of_a_dump(tmp_path):
+    report = tmp_path / "report.json"
+    files = ("--out", tmp_path / "camera.toml", "--report", report)
+    done = run("star-camera-calibrate", MINI, "--drift", *files)
+    assert done.exit_code == 0, done.output
+    content = json.loads(report.read_text())
+    # rendered with 0.1 m, the principal point (512, 384), and Table 2's distortion
+    truth = np.array([0.1, 512.0, 384.0, 2.29e-5, -2.96e-5, -9.30e-7, -4.25e-9])
+    error = np.array(content["values"]) - truth
+    squared = error @ np.linalg.solve(np.array(content["covariance"]), error)
+    assert 0.4 < squared < 27.0  # chi2 of 7 degrees: 2e-4 on either side
+    assert abs(content["focal_drift_per_s"]) < 4.0 * content["focal_drift_sigma_per_s"]
+    assert len(content["frames_used"]) == 42 and "drift of the focal length" in done.stdout
+
+
+def test_an_image_that_cannot_be_read_is_left_out_and_told(folder, tmp_path):
+    (tmp_path / "torn.png").write_bytes((folder / "sky0.png").read_bytes()[:2000])
+    cv2.imwrite(str(tmp_path / "small.png"), np.zeros((64, 64), np.uint8))
+    images = [*sorted(folder.glob("sky*.png")), tmp_path / "torn.png", tmp_path / "small.png"]
+    report = tmp_path / "report.json"
+    files = ("--out", tmp_path / "camera.toml", "--report", report)
+    done = run("star-camera-calibrate", *images, "--fov", 19.0, *files)
+    assert done.exit_code == 0, done.output
+    refused = {
+        Path(row["file"]).name: row["reason"] for row in json.loads(report.read_text())["frames_refused"]
+    }
+    assert set(refused) == {"torn.png", "small.png"} and "64 x 64 px" in refused["small.png"]
+    assert all(f"{name} not used" in done.stdout.replace(str(tmp_path) + "/", "") for name in refused)
+    alone = run("star-camera-calibrate", tmp_path / "torn.png", "--fov", 19.0)
+    assert alone.exit_code == 1 and "no image could be read" in alone.stdout
