@@ -33,15 +33,14 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "star_id"
 from frames import PAPER_CAMERA, Sensor, render, star_frame
 
 from pipeline.report.centroid_report import score_lines
-from star_id.attitude import Attitude, solve_attitude
 from star_id.catalogue import hipparcos_stars
+from star_id.field import FieldSolution, solve_list
 from star_id.finding.psf import Psf
 from star_id.finding.star_list import StarList, find_stars
-from star_id.naming.identify import NotIdentified, identify
+from star_id.naming.identify import NotIdentified
 from star_id.naming.triangles import StarIndex, build_index, equivalent_fov
 from star_id.score import SNR_EDGES, score_centroids
 from star_id.settings import CentroidMethod, StarSettings
-from star_id.sight import field_of_camera, fit_for_calibration, plane_coordinates
 
 RUNS = 5  # of each frame: on a shared machine the least tells what the work costs
 
@@ -73,17 +72,17 @@ def _skies(frames: int, seed: int, sensor: Sensor, settings: StarSettings) -> No
         image, truth = star_frame(camera, R_si, places, sensor, rng)
         find_stars(image, settings)  # the first call of a process pays for memory
         runs = [_chain(image, camera, index, settings) for _ in range(RUNS)]
-        stars, attitude = runs[0][:2]
+        stars, field = runs[0][:2]
         find_ms.append([run[2] for run in runs])
         whole_ms.append([run[3] for run in runs])
         lists.append(stars)
         truths.append((truth.xy_px, truth.flux_dn))
         hot += _hot_taken(stars, image, truth.xy_px)
-        if isinstance(attitude, NotIdentified):
-            print(f"frame {k}: {attitude.reason}")
+        if isinstance(field, NotIdentified):
+            print(f"frame {k}: {field.reason}")
             continue
-        delta = (attitude.R_si * R_si.inv()).as_rotvec()
-        nees.append(delta @ np.linalg.solve(attitude.cov_s, delta) / 3.0)
+        delta = (field.R_si * R_si.inv()).as_rotvec()
+        nees.append(delta @ np.linalg.solve(field.cov_s, delta) / 3.0)
     print(f"{frames} frames of the sky, {len(nees)} identified")
     print(f"CPU ms of {RUNS} runs a frame; load of the machine, mean of a minute, {os.getloadavg()[0]:.1f}")
     for name, spent in (("find and place", find_ms), ("raw image to attitude", whole_ms)):
@@ -99,24 +98,14 @@ def _skies(frames: int, seed: int, sensor: Sensor, settings: StarSettings) -> No
 
 def _chain(
     image: NDArray, camera: StarCamera, index: StarIndex, settings: StarSettings
-) -> tuple[StarList, Attitude | NotIdentified, float, float]:
+) -> tuple[StarList, FieldSolution | NotIdentified, float, float]:
     """Stars and attitude of a raw image, and CPU ms for the stars and for all."""
     start = time.process_time()
     stars = find_stars(image, settings)
     found_at = time.process_time()
-    plane, field = plane_coordinates(camera, stars.xy_px), field_of_camera(camera, settings)
-    named = identify(plane, field, index, settings)
-    if isinstance(named, NotIdentified):
-        attitude: Attitude | NotIdentified = named
-    else:
-        safe = fit_for_calibration(stars, named.detections, named.stars, camera, index, settings)
-        rows = named.detections[safe]
-        J = camera.pixel_jacobian(stars.xy_px[rows])
-        cov_s = J @ stars.cov_px[rows] @ J.transpose(0, 2, 1)
-        u_s = camera.directions_from_pixels(stars.xy_px[rows])
-        attitude = solve_attitude(u_s, index.u_i[named.stars[safe]], cov_s)
+    field = solve_list(stars, (camera.width_px, camera.height_px), index, settings, camera=camera)
     ended = time.process_time()
-    return stars, attitude, 1e3 * (found_at - start), 1e3 * (ended - start)
+    return stars, field, 1e3 * (found_at - start), 1e3 * (ended - start)
 
 
 def _filled(frames: int, seed: int, sensor: Sensor, settings: StarSettings) -> None:

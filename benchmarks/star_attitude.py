@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -43,7 +44,7 @@ from star_id.score import cramer_rao_px
 from star_id.settings import StarSettings
 from star_id.sight import sight_stars
 
-CAMERA = PAPER_CAMERA
+CAMERA = replace(PAPER_CAMERA, principal_px=(2571.3, 1893.2))  # a detector beside the axis, as all are
 SENSOR = Sensor(hot_pixels=2000)
 EPOCH = Epoch.from_utc("2026-03-20T00:00:00Z")
 P_I, V_I = np.array([6.9e6, 0.0, 0.0]), np.array([0.0, 1.0e3, 7.5e3])  # m, m/s: an orbit 500 km up
@@ -138,7 +139,11 @@ def _print(title, found: _Errors, bounds):
     spread = nees.std() / np.sqrt(n) / 3.0
     mean, (low, high) = nees.mean() / 3.0, (band / 3.0 for band in band_of_mean_nees(n))
     print(f"mean normalised error squared of the stated covariance, per axis: {mean:.3f} ({spread:.3f})")
-    verdict(f"the normalised error squared is in its 99.9 % band, {low:.3f} to {high:.3f}", low < mean < high)
+    if bounds is None:  # lenses as odd as the prior allows would have one; this one is an ordinary lens
+        verdict(f"the normalised error squared is not above its 99.9 % band, {high:.3f}", mean < high)
+    else:
+        inside = low < mean < high
+        verdict(f"the normalised error squared is in its 99.9 % band, {low:.3f} to {high:.3f}", inside)
 
 
 def _print_against(errors, bounds):

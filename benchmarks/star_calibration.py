@@ -77,7 +77,7 @@ def _rendered(seeds: range) -> None:
     bounds: dict[int, list[float]] = {10: [], 30: []}
     largest, maps, luck = [], [], []
     for seed in seeds:
-        seen = [_sky_frame(places, np.random.default_rng([seed, k]), k, settings) for k in range(30)]
+        seen = [sky_frame(places, np.random.default_rng([seed, k]), k, settings) for k in range(30)]
         for chosen in (seen[:10], seen[10:20], seen[20:], seen):
             found = calibrate_camera([frame for frame, _ in chosen], NOMINAL, index, settings)
             assert isinstance(found, CameraCalibration), found
@@ -114,23 +114,27 @@ def _rendered(seeds: range) -> None:
         print(f"{n} frames: rms error over its bound {ratio:.2f}")
 
 
-def _sky_frame(places, rng, k, settings) -> tuple[SkyFrame, FrameTruth]:
+def sky_frame(places, rng, k, settings) -> tuple[SkyFrame, FrameTruth]:
     image, truth = star_frame(TRUTH, Rotation.random(random_state=rng), places, SENSOR, rng)
     return SkyFrame(str(k), find_stars(image, settings)), truth
 
 
 def _map_error(found: CameraCalibration):
     """Error of the pixel map (N, 2) over the detector, and the rms that the calibration foretells."""
-    xy = _detector()
-    true, got = TRUTH.directions_from_pixels(xy), found.camera.directions_from_pixels(xy)
-    turn, _ = Rotation.align_vectors(true, got)
-    error = TRUTH.pixels_from_directions(turn.apply(got)) - xy
-    return error, _rms_sigma(found)
+    return errors_of_map(found.camera.directions_from_pixels(detector())), _rms_sigma(found)
+
+
+def errors_of_map(u_s):
+    """(N, 2) px, of the directions (N, 3) that a camera has for the points of `detector`, in axes of its
+    own."""
+    xy = detector()
+    turn, _ = Rotation.align_vectors(TRUTH.directions_from_pixels(xy), u_s)
+    return TRUTH.pixels_from_directions(turn.apply(u_s)) - xy
 
 
 def _largest_errors(found: CameraCalibration, draws: int = 2000):
     """(draws,) largest errors of the pixel map over the detector, px, of estimates with this covariance."""
-    J, A = _slopes(TRUTH.directions_from_pixels(_detector()))
+    J, A = _slopes(TRUTH.directions_from_pixels(detector()))
     J = J - A @ np.linalg.lstsq(A, J, rcond=None)[0]
     unit = np.sqrt(np.diag(found.covariance))
     error = np.random.default_rng(1).multivariate_normal(
@@ -141,10 +145,10 @@ def _largest_errors(found: CameraCalibration, draws: int = 2000):
 
 def _rms_sigma(found: CameraCalibration) -> float:
     """What its covariance says of the pixel map's error, px rms an axis over the detector."""
-    return float(np.sqrt((found.model_sigma_px(_detector()) ** 2).mean()))
+    return float(np.sqrt((found.model_sigma_px(detector()) ** 2).mean()))
 
 
-def _detector():
+def detector():
     x, y = np.meshgrid(np.linspace(0, 5119, 41), np.linspace(0, 3839, 31))
     return np.column_stack([x.ravel(), y.ravel()])
 

@@ -1,11 +1,14 @@
-"""Finding, placing and naming stars beside its peers: same images, in turn, one thread, CPU time.
+"""Finding, placing and naming stars and calibrating a camera by them, beside its peers: same images, in turn,
+one thread, CPU time.
 
-    python benchmarks/star_peers.py --peers-python PYTHON [--frames 8] [--attitudes 150]
+    python benchmarks/star_peers.py --peers-python PYTHON [--frames 8] [--attitudes 150] [--cameras 5]
 
 The peers (the extra `peers`: seiza, tetra3rs, cedar-solve, sep, photutils; and plain OpenCV) pin other
 versions than this project, so they run in an interpreter of their own, PYTHON, which this script drives; both
 sides read the same files. Frames are those of star_accuracy.py. Scores are for isolated, unsaturated stars of
-SNR 8 and more.
+SNR 8 and more. The calibrations are of ten and thirty frames of star_calibration.py: tetra3rs is given the
+stars that boresight found in them, whose places are better than its own, and three rounds of solving and
+calibrating, each with the camera of the one before.
 """
 
 from __future__ import annotations
@@ -90,8 +93,7 @@ def _peer_tools() -> dict:
         "sep + winpos": (run_sep, metadata.version("sep")),
         "photutils DAO": (run_photutils, metadata.version("photutils")),
     }
-    tools |= _peer_solvers()
-    return tools
+    return tools | _peer_solvers() | _peer_calibrations()
 
 
 def _plain_opencv(image):
@@ -156,6 +158,37 @@ def _peer_solvers() -> dict:
     }
 
 
+def _peer_calibrations() -> dict:
+    """Each takes the stars of several frames and gives the tangents that its camera has for points of a
+    grid."""
+    import tetra3rs
+
+    database = tetra3rs.SolverDatabase.generate_from_gaia(
+        None, max_fov_deg=19.0, star_max_magnitude=8.5, epoch_proper_motion_year=1991.25
+    )
+    middle, shape = np.array([(SIZE[0] - 1) / 2, (SIZE[1] - 1) / 2]), (SIZE[1], SIZE[0])
+
+    def calibrate(data, **model):
+        frames = [data[name] - [*middle, 0.0] for name in data.files if name != "grid"]
+        stars = [[tetra3rs.Centroid(x=x, y=y, brightness=flux) for x, y, flux in frame] for frame in frames]
+        known = {"fov_estimate_deg": 17.7, "fov_max_error_deg": 2.0}  # the nominal camera's, 5 % wrong
+        for _ in range(3):
+            solved = [database.solve_from_centroids(frame, image_shape=shape, **known) for frame in frames]
+            camera = database.calibrate_camera(solved, stars, image_shape=shape, **model).camera_model
+            known = {"camera_model": camera}
+        return [camera.pixel_to_tanplane(*point) for point in data["grid"] - middle]
+
+    models: dict = {"radial": {"model": "radial"}}
+    models |= {f"order {n}": {"model": "polynomial", "order": n} for n in (3, 4, 5)}
+    return {
+        f"tetra3rs calibrate, {name}": (
+            lambda data, model=model: calibrate(data, **model),
+            metadata.version("tetra3rs"),
+        )
+        for name, model in models.items()
+    }
+
+
 class Peers:
     """The worker, as this side sees it."""
 
@@ -192,6 +225,7 @@ def main() -> None:
     parser.add_argument("--peers-python", required=True)
     parser.add_argument("--frames", type=int, default=8)
     parser.add_argument("--attitudes", type=int, default=150)
+    parser.add_argument("--cameras", type=int, default=5)
     arguments = parser.parse_args()
     sys.path[:0] = [str(HERE.parent), str(HERE.parent / "tests" / "star_id"), str(HERE)]
     import cv2
@@ -203,8 +237,12 @@ def main() -> None:
         peers = Peers(arguments.peers_python, folder)
         head("star_id beside its peers")
         print("peers: " + ", ".join(f"{tool} {version}" for tool, version in peers.versions.items()))
-        _finding(peers, folder, arguments.frames)
-        _naming(peers, folder, arguments.attitudes)
+        if arguments.frames:
+            _finding(peers, folder, arguments.frames)
+        if arguments.attitudes:
+            _naming(peers, folder, arguments.attitudes)
+        if arguments.cameras:
+            _calibrating(peers, folder, arguments.cameras)
         peers.process.terminate()
 
 
@@ -218,7 +256,7 @@ def _finding(peers: Peers, folder: Path, frames: int) -> None:
     from star_id.settings import StarSettings
 
     places, settings, sensor = hipparcos_stars(8.0).places, StarSettings(), Sensor(hot_pixels=2000)
-    tools = [tool for tool in peers.versions if "solve" not in tool]
+    tools = [tool for tool in peers.versions if not ("solve" in tool or "calibrate" in tool)]
     found: dict[str, list] = {"boresight": [], **{tool: [] for tool in tools}}
     spent: dict[str, list[float]] = {name: [] for name in found}
     truths = []
@@ -376,6 +414,49 @@ def _named(camera, field, index, settings, xy, sigma):
     cov = J @ (sigma[d, None, None] ** 2 * np.eye(2)) @ J.transpose(0, 2, 1)
     fit = solve_attitude(u_s, index.u_i[found.stars], cov)
     return fit.R_si.inv().apply([0.0, 0.0, 1.0]), cost
+
+
+def _calibrating(peers: Peers, folder: Path, cameras: int) -> None:
+    from star_calibration import NOMINAL, detector, errors_of_map, sky_frame
+
+    from star_id.camera_calibration import calibrate_camera
+    from star_id.catalogue import hipparcos_stars
+    from star_id.naming.triangles import build_index
+    from star_id.settings import StarSettings
+
+    places, settings = hipparcos_stars(8.0).places, StarSettings()
+    index = build_index(places, places.epoch_jyear, (np.radians(15.0), np.radians(24.0)))
+    tools = ["boresight", *(tool for tool in peers.versions if "calibrate" in tool)]
+    score: dict = {(tool, count): [] for tool in tools for count in (10, 30)}
+    for seed in range(1, cameras + 1):
+        seen = [sky_frame(places, np.random.default_rng([seed, k]), k, settings)[0] for k in range(30)]
+        for frames in (seen[:10], seen[10:20], seen[20:], seen):
+            stars = {
+                f"{k:02d}": np.column_stack([f.stars.xy_px, f.stars.flux_dn]) for k, f in enumerate(frames)
+            }
+            np.savez(folder / "stars.npz", grid=detector(), **stars)
+            for tool in tools:
+                if tool == "boresight":
+                    start = time.process_time()
+                    camera = calibrate_camera(frames, NOMINAL, index, settings).camera
+                    cost = 1e3 * (time.process_time() - start)
+                    u_s = camera.directions_from_pixels(detector())
+                else:
+                    tangents, cost = peers.run(tool, folder / "stars.npz")
+                    u_s = np.column_stack([-tangents, np.ones(len(tangents))])
+                    u_s /= np.linalg.norm(u_s, axis=1)[:, None]
+                error = errors_of_map(u_s)
+                largest = np.hypot(*error.T).max()
+                score[tool, len(frames)].append((np.sqrt((error**2).mean()), largest, cost))
+    print(
+        f"\ncalibrating, {3 * cameras} sets of 10 frames and {cameras} of 30; median error of the pixel map, px"
+    )
+    print(f"{'':30s} 10 frames: rms  largest  CPU ms   30 frames: rms  largest  CPU ms")
+    for tool in tools:
+        ten, thirty = (
+            "{:14.4f}  {:7.3f}  {:6.0f}".format(*np.median(score[tool, count], axis=0)) for count in (10, 30)
+        )
+        print(f"{tool:30s} {ten}   {thirty}", flush=True)
 
 
 if __name__ == "__main__":
