@@ -449,7 +449,7 @@ def _calibrating(peers: Peers, folder: Path, cameras: int) -> None:
                 largest = np.hypot(*error.T).max()
                 score[tool, len(frames)].append((np.sqrt((error**2).mean()), largest, cost))
     print(
-        f"\ncalibrating, {3 * cameras} sets of 10 frames and {cameras} of 30; median error of the pixel map, px"
+        f"\ncalibrating, {3 * cameras} sets of 10 frames, {cameras} of 30; median error of the pixel map, px"
     )
     print(f"{'':30s} 10 frames: rms  largest  CPU ms   30 frames: rms  largest  CPU ms")
     for tool in tools:
