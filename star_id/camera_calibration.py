@@ -19,8 +19,7 @@ from star_id.camera_fit import (
     PARAMETERS,
     NamedStars,
     fit_camera,
-    pixel_derivatives,
-    turn_derivatives,
+    visible_derivatives,
 )
 from star_id.field import FieldSolution, solve_stars
 from star_id.finding.star_list import StarList
@@ -72,18 +71,9 @@ class CameraCalibration:
 
     def model_sigma_px(self, xy_px: Array) -> Array:
         """(N,) 1-sigma error of the model at points (N, 2), along one axis, a rotation of the camera taken
-        out.
-
-        Attitude is found anew in every image, so a part of the error that looks like a rotation does no harm.
-        """
-        camera = self.camera
-        u_s = camera.directions_from_pixels(np.vstack([xy_px, _grid(camera)]))
-        J, A = pixel_derivatives(camera, u_s), turn_derivatives(camera, u_s)
-        grid = slice(len(xy_px), None)
-        absorbed = np.linalg.lstsq(A[grid].reshape(-1, 3), J[grid].reshape(-1, 7), rcond=None)[0]
-        J = J - A @ absorbed
-        variance = np.einsum("nip,pq,niq->ni", J, self.covariance, J)
-        return np.asarray(np.sqrt(0.5 * variance[: len(xy_px)].sum(axis=1)))
+        out."""
+        J = visible_derivatives(self.camera, xy_px)
+        return np.asarray(np.sqrt(0.5 * np.einsum("nip,pq,niq->n", J, self.covariance, J)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -214,8 +204,3 @@ def _shape_of(camera: StarCamera, named: list[tuple[int, FieldSolution]]) -> Sta
         camera.focal_m / camera.pixel_m
     )
     return replace(camera, focal_m=float(camera.focal_m * scale))
-
-
-def _grid(camera: StarCamera) -> Array:
-    x, y = np.meshgrid(np.linspace(0, camera.width_px - 1, 9), np.linspace(0, camera.height_px - 1, 7))
-    return np.column_stack([x.ravel(), y.ravel()])

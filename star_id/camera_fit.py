@@ -23,10 +23,12 @@ __all__ = [
     "PARAMETERS",
     "CameraFit",
     "NamedStars",
+    "detector_grid",
     "fit_camera",
     "moved",
     "pixel_derivatives",
     "turn_derivatives",
+    "visible_derivatives",
 ]
 
 Array = NDArray[np.float64]
@@ -136,6 +138,22 @@ def pixel_derivatives(camera: StarCamera, u_s: Array) -> Array:
 def turn_derivatives(camera: StarCamera, u_s: Array) -> Array:
     """(N, 2, 3) derivatives of the pixels of directions (N, 3) by a right-handed turn about the axes of s."""
     return _turn_columns(_vector(camera), camera, u_s, 0.0)
+
+
+def visible_derivatives(camera: StarCamera, xy_px: Array) -> Array:
+    """(N, 2, 7) derivatives of the pixel map at points (N, 2) by PARAMETERS, less the turn of the whole
+    detector that is most like them: attitude is found anew in every image, so such a part does no harm."""
+    u_s = camera.directions_from_pixels(np.vstack([xy_px, detector_grid(camera)]))
+    J, A = pixel_derivatives(camera, u_s), turn_derivatives(camera, u_s)
+    grid = slice(len(xy_px), None)
+    absorbed = np.linalg.lstsq(A[grid].reshape(-1, 3), J[grid].reshape(-1, len(PARAMETERS)), rcond=None)[0]
+    return np.asarray((J - A @ absorbed)[: len(xy_px)])
+
+
+def detector_grid(camera: StarCamera) -> Array:
+    """(63, 2) points from corner to corner."""
+    x, y = np.meshgrid(np.linspace(0, camera.width_px - 1, 9), np.linspace(0, camera.height_px - 1, 7))
+    return np.column_stack([x.ravel(), y.ravel()])
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -25,6 +25,7 @@ from star_id.naming.triangles import StarIndex, equivalent_fov
 from star_id.settings import StarSettings
 
 __all__ = [
+    "beyond_doubt",
     "field_of_camera",
     "fit_for_calibration",
     "plane_coordinates",
@@ -132,14 +133,24 @@ def fit_for_calibration(
     settings: StarSettings,
 ) -> NDArray[np.bool_]:
     """The same for detections named by rows of the index."""
+    safe = beyond_doubt(index, rows, camera, stars.psf.sigma_px, settings)
+    return np.asarray(safe & ~stars.blended[detections])
+
+
+def beyond_doubt(
+    index: StarIndex,
+    rows: NDArray[np.int64],
+    camera: StarCamera,
+    psf_sigma_px: float,
+    settings: StarSettings,
+) -> NDArray[np.bool_]:
+    """(N,) which stars `rows` (N,) of the index the catalogue does not doubt and no other displaces in this
+    camera."""
     arcsec_per_px = camera.pixel_m / camera.focal_m / ARCSEC
-    sigma_rad = stars.psf.sigma_px * arcsec_per_px * ARCSEC
-    trusted = _is_in(
-        index.stars.hip[rows], _trusted_hip(round(settings.max_photocentre_shift_px * arcsec_per_px, 6))
-    )
-    measured = ~stars.blended[detections]
-    displaced = _displaced(index, sigma_rad, settings.max_photocentre_shift_px * arcsec_per_px * ARCSEC)
-    return np.asarray(trusted & measured & ~displaced[rows])
+    limit_arcsec = settings.max_photocentre_shift_px * arcsec_per_px
+    trusted = _is_in(index.stars.hip[rows], _trusted_hip(round(limit_arcsec, 6)))
+    displaced = _displaced(index, psf_sigma_px * arcsec_per_px * ARCSEC, limit_arcsec * ARCSEC)
+    return np.asarray(trusted & ~displaced[rows])
 
 
 @lru_cache(maxsize=4)

@@ -1,4 +1,4 @@
-"""Commands for those who only have a star camera: identify, centroids, star-camera-calibrate."""
+"""Commands for those who only have a star camera: identify, centroids, star-camera-plan and -calibrate."""
 
 from __future__ import annotations
 
@@ -52,6 +52,7 @@ def add_star_commands(app: typer.Typer) -> None:
     """Plug the commands into the program."""
     app.command()(identify)
     app.command()(centroids)
+    app.command("star-camera-plan")(star_camera_plan)
     app.command("star-camera-calibrate")(star_camera_calibrate)
 
 
@@ -135,6 +136,37 @@ def centroids(
         images, truth, stars, psf_sigma_px=psf_sigma_px, gain=gain, dark=dark, out=out, plot=plot
     ):
         typer.echo(line)
+
+
+def star_camera_plan(
+    image: Annotated[Path, typer.Argument(help="An image of the sky by this camera, any stars.")],
+    camera: CameraFile = None,
+    fov: Fov = None,
+    frames: Annotated[int, typer.Option(help="Images that are to be taken.", min=1, max=200)] = 10,
+    candidates: Annotated[
+        int, typer.Option(help="Random pointings to choose from.", min=1, max=20_000)
+    ] = 500,
+    utc: Annotated[str | None, typer.Option(help="When: keeps away from the Sun.")] = None,
+    sun_deg: Annotated[
+        float, typer.Option(help="Least angle between the image's middle and the Sun.", min=0.0, max=180.0)
+    ] = 60.0,
+    seed: Annotated[int, typer.Option(help="Of the random pointings.", min=0)] = 1,
+    out: Annotated[Path | None, typer.Option(help="CSV file of the pointings.")] = None,
+    plot: Annotated[Path | None, typer.Option(help="PNG: the fields, and what will be known.")] = None,
+    settings: SettingsFile = None,
+) -> None:
+    """Choose the fields of the sky that calibrate a star camera best."""
+    from pipeline.settings import read_settings
+    from pipeline.sky_plan import SkyPlanRequest, plan_sky
+
+    if camera is not None and fov is not None:
+        raise _wrong_usage("--camera and --fov exclude one another")
+    request = SkyPlanRequest(camera, fov, frames, candidates, utc, sun_deg, seed, out, plot)
+    lines, done = plan_sky(image, request, read_settings(settings).stars)
+    for line in lines:
+        typer.echo(line)
+    if not done:
+        raise typer.Exit(DATA_DID_NOT_ALLOW)
 
 
 def star_camera_calibrate(

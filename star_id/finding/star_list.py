@@ -50,6 +50,7 @@ class StarList:
     threshold: float  # sigmas of the matched filter
     hot_pixels: int  # refused
     misshapen: int  # refused: cosmic rays, trails, arms of blooms
+    saturation_dn: float  # raw value from which a pixel counts as full; infinite if none does
 
     def take(self, index: NDArray) -> StarList:
         names = ("xy_px", "cov_px", "flux_dn", "snr", "saturated", "blended")
@@ -92,6 +93,7 @@ def find_stars(image: NDArray, settings: StarSettings, dark: NDArray | None = No
         threshold,
         found.hot_pixels,
         int((~good).sum()),
+        saturation,
     )
 
 

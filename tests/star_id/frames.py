@@ -73,7 +73,7 @@ def listed_stars(camera, R_si, places, rng):
     psf = Psf(1.25, 1.25, (0.0, 0.0), camera.width_px, camera.height_px)
     ground = Background(np.full((8, 10), 20.0), np.full((8, 10), 2.0), camera.width_px, camera.height_px)
     cov = sigma[:, None, None] ** 2 * np.eye(2)
-    return StarList(xy, cov, snr[keep], snr[keep], no, no, psf, 50, ground, 40.0, 5.5, 0, 0)
+    return StarList(xy, cov, snr[keep], snr[keep], no, no, psf, 50, ground, 40.0, 5.5, 0, 0, 255.0)
 
 
 def as_seen(places, observer):
