@@ -61,11 +61,11 @@ def stars_in_view(camera, R_si, places):
     return near[inside], xy[inside]
 
 
-def listed_stars(camera, R_si, places, rng):
-    """Stars of SNR 6 to 260 as `find_stars` hands them over, their errors those of the bound."""
+def listed_stars(camera, R_si, places, rng, *, brightest=260.0):
+    """Stars of SNR 6 to `brightest` as `find_stars` hands them over, their errors those of the bound."""
     rows, xy = stars_in_view(camera, R_si, places)
     snr = 8.0 * 10 ** (-0.4 * (places.v_mag[rows] - 7.0))
-    keep = np.flatnonzero((snr > 6) & (snr < 260))
+    keep = np.flatnonzero((snr > 6) & (snr < brightest))
     keep = keep[np.argsort(-snr[keep])]
     sigma, n = 1.8 / snr[keep], len(keep)
     xy = xy[keep] + rng.normal(size=(n, 2)) * sigma[:, None]

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 import pandas as pd
 import pytest
-from astropy.coordinates import GCRS, SkyCoord
+from astropy.coordinates import GCRS, SkyCoord, get_sun
 from astropy.time import Time
 from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
@@ -237,3 +237,29 @@ def test_an_image_that_cannot_be_read_is_left_out_and_told(folder, tmp_path):
     assert all(f"{name} not used" in done.stdout.replace(str(tmp_path) + "/", "") for name in refused)
     alone = run("star-camera-calibrate", tmp_path / "torn.png", "--fov", 19.0)
     assert alone.exit_code == 1 and "no image could be read" in alone.stdout
+
+
+def test_fields_are_planned_away_from_the_sun(folder, tmp_path):
+    out, plot = tmp_path / "plan.csv", tmp_path / "plan.png"
+    utc = "2026-03-01T12:00:00Z"
+    given = ("--fov", 18.6, "--frames", 5, "--candidates", 120, "--utc", utc, "--sun-deg", 80)
+    done = run("star-camera-plan", folder / "sky0.png", *given, "--out", out, "--plot", plot)
+    assert done.exit_code == 0, done.output
+    table = pd.read_csv(out)
+    assert table["image"].tolist() == [1, 2, 3, 4, 5] and plot.stat().st_size > 20_000
+    assert (table["largest_sigma_px"] < table["random_sigma_px"]).all()
+    middle = SkyCoord(table["ra_deg"].to_numpy() * units.deg, table["dec_deg"].to_numpy() * units.deg)
+    sun = get_sun(Time(utc.removesuffix("Z"), scale="utc"))
+    assert middle.separation(SkyCoord(sun.ra, sun.dec)).deg.min() > 80.0
+    # the attitudes beside them look the same way: the optical axis is near the image's middle
+    axes = Rotation.from_quat(table[["qx_si", "qy_si", "qz_si", "qw_si"]]).inv().apply([0.0, 0.0, 1.0])
+    assert np.degrees(np.arccos((axes * middle.cartesian.xyz.value.T).sum(axis=1))).max() < 1.0
+
+
+def test_no_plan_is_an_answer(folder):
+    done = run("star-camera-plan", folder / "dark.png", "--fov", 18.6)
+    assert done.exit_code == 1 and "no plan" in done.stdout
+    few = run("star-camera-plan", folder / "sky0.png", "--fov", 18.6, "--frames", 9, "--candidates", 5)
+    assert few.exit_code == 1 and "5 pointings to choose 9 from" in few.stdout
+    wrong = run("star-camera-plan", folder / "sky0.png", "--fov", 18.6, "--utc", "tomorrow")
+    assert isinstance(wrong.exception, RawDataError) and "tomorrow" in str(wrong.exception)

@@ -1,0 +1,91 @@
+"""Fields chosen to calibrate a camera: what they foretell comes, and no other choice is much better."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import combinations
+
+import numpy as np
+import pytest
+from frames import PAPER_CAMERA, Sensor, listed_stars, star_frame
+from scipy.spatial.transform import Rotation
+
+from star_id.camera_calibration import CameraCalibration, SkyFrame, calibrate_camera
+from star_id.camera_fit import detector_grid
+from star_id.catalogue import hipparcos_stars
+from star_id.field import solve_field, solve_stars
+from star_id.finding.psf import Psf
+from star_id.naming.triangles import build_index
+from star_id.settings import StarSettings
+from star_id.sky_plan import StarImages, plan_pointings
+
+TRUTH = replace(PAPER_CAMERA, principal_px=(2571.3, 1893.2))
+ROUGH = replace(PAPER_CAMERA, focal_m=0.101, p1=0.0, p2=0.0, q1=0.0, q2=0.0)  # what a plan may know
+SETTINGS = StarSettings()
+# as in `listed_stars`: errors of 1.8 px over the SNR, no star saturated
+LISTED = StarImages(Psf(1.25, 1.25, (0.0, 0.0), 5120, 3840), 2.0, 1e9, np.inf, 71.0 * 10**2.8, 53.0)
+
+
+@pytest.fixture(scope="module")
+def index():
+    places = hipparcos_stars(8.0).places
+    return build_index(places, places.epoch_jyear, (np.radians(15.0), np.radians(24.0)))
+
+
+@pytest.fixture(scope="module")
+def plan(index):
+    candidates = Rotation.random(150, random_state=np.random.default_rng(31))
+    return plan_pointings(ROUGH, LISTED, index, SETTINGS, candidates, 10)
+
+
+def test_each_pointing_adds_and_ten_are_worth_many_at_random(plan):
+    sigma = np.array([pointing.sigma_px for pointing in plan.pointings])
+    assert (np.diff(sigma) < 0.0).all()
+    assert sigma[-1] < 0.6 * plan.random_sigma_px[-1]  # three times as many frames at random
+    assert min(pointing.stars for pointing in plan.pointings) > 50
+
+
+def test_the_error_that_is_foretold_is_the_error_that_comes(plan, index):
+    rng, places = np.random.default_rng(32), hipparcos_stars(8.0).places
+    frames = [
+        SkyFrame(str(k), listed_stars(TRUTH, pointing.R_si, places, rng, brightest=np.inf))
+        for k, pointing in enumerate(plan.pointings)
+    ]
+    found = calibrate_camera(frames, ROUGH, index, SETTINGS)
+    assert isinstance(found, CameraCalibration)
+    stated = found.model_sigma_px(detector_grid(found.camera)).max()
+    # a tenth: the plan's camera is 1 % off, so stars near the edges come and go
+    assert plan.pointings[-1].sigma_px == pytest.approx(stated, rel=0.1)
+
+
+def test_a_choice_is_nearly_the_best_there_is(index):
+    candidates = Rotation.random(14, random_state=np.random.default_rng(33))
+    best = min(
+        plan_pointings(ROUGH, LISTED, index, SETTINGS, candidates[list(three)], 3).pointings[-1].sigma_px
+        for three in combinations(range(14), 3)
+    )
+    chosen = plan_pointings(ROUGH, LISTED, index, SETTINGS, candidates, 3)
+    assert best <= chosen.pointings[-1].sigma_px * (1.0 + 1e-9)
+    assert chosen.pointings[-1].sigma_px < 1.1 * best
+
+
+def test_one_image_tells_how_a_camera_sees_stars(index):
+    rng, sensor = np.random.default_rng(34), Sensor(e_per_dn=5.0)
+    R_si = Rotation.random(random_state=rng)
+    image, _ = star_frame(TRUTH, R_si, hipparcos_stars(8.0).places, sensor, rng)
+    seen = StarImages.of(solve_field(image, index, SETTINGS, camera=TRUTH), index)
+    assert seen.psf.sigma_px == pytest.approx(sensor.sigma_px, rel=0.02)
+    assert seen.noise_dn == pytest.approx(np.hypot(sensor.read_noise_dn, 12**-0.5), rel=0.03)
+    assert seen.gain_e_per_dn == pytest.approx(sensor.e_per_dn, rel=0.3)  # of 40 stars' residuals
+    assert seen.flux_of_v0_dn == pytest.approx(sensor.flux_at_v7_dn * 10**2.8, rel=0.05)
+    assert seen.full_dn == pytest.approx(255.0 - sensor.background_dn, abs=1.0)
+
+
+def test_what_cannot_be_planned_is_refused(index):
+    with pytest.raises(ValueError, match="frames must be 1 to the number of candidates, 2, got 3"):
+        plan_pointings(ROUGH, LISTED, index, SETTINGS, Rotation.random(2, random_state=1), 3)
+    rng = np.random.default_rng(1)
+    stars = listed_stars(TRUTH, Rotation.random(random_state=rng), hipparcos_stars(8.0).places, rng)
+    bare = solve_stars(stars.xy_px, (5120, 3840), index, SETTINGS, camera=TRUTH)
+    with pytest.raises(ValueError, match="solved from an image"):
+        StarImages.of(bare, index)
