@@ -56,7 +56,10 @@ def plan_sky(path: Path, request: SkyPlanRequest, settings: StarSettings) -> tup
         lines.append(line)
     if len(candidates) < request.frames:
         return [*lines, f"no plan: {len(candidates)} pointings to choose {request.frames} from"], False
-    images = StarImages.of(seen, index)
+    try:
+        images = StarImages.of(seen, index)
+    except ValueError as error:
+        return [*lines, f"no plan: {path}: {error}"], False
     plan = plan_pointings(seen.camera, images, index, settings, candidates, request.frames)
     table = _table(seen.camera, plan)
     lines.append(
@@ -119,7 +122,7 @@ def _table(camera: StarCamera, plan: SkyPlan) -> pd.DataFrame:
 def _draw(camera: StarCamera, plan: SkyPlan, table: pd.DataFrame, index: StarIndex, path: Path) -> None:
     """The fields on the sky, numbered, and how the camera becomes known with them."""
     from matplotlib.figure import Figure
-    from matplotlib.ticker import FuncFormatter
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
     figure = Figure(figsize=(10.5, 4.2), layout="constrained")
     sky, error = figure.subplots(1, 2, width_ratios=(1.7, 1.0))
@@ -143,8 +146,9 @@ def _draw(camera: StarCamera, plan: SkyPlan, table: pd.DataFrame, index: StarInd
     error.set(xlabel="images taken", ylabel="largest 1 sigma of the model, px an axis")
     error.set_title("what will be known", loc="left", fontsize=10)
     error.grid(True, which="both", color="0.9")
-    for axis in (error.yaxis.set_major_formatter, error.yaxis.set_minor_formatter):
-        axis(FuncFormatter(lambda value, _: f"{value:g}"))
+    error.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    error.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    error.yaxis.set_minor_formatter(NullFormatter())
     error.legend(frameon=False)
     write_whole(path, lambda target: figure.savefig(target, format="png", dpi=110))
 

@@ -100,6 +100,8 @@ def fit_camera(
         if k < _FIRST_STEPS:
             continue
         fits = chi2 < _OUTLIER_CHI2 * max(1.0, float(np.median(chi2[keep])) / 0.693)
+        if 2 * fits.sum() <= len(free) + 3 * len(stars.t_s):  # too few would be left to tell
+            fits = keep
         if np.array_equal(fits, keep) and step.in_sigmas < _SMALL_STEP:
             break
         keep = fits
@@ -131,13 +133,13 @@ def moved(camera: StarCamera, name: str, step: float) -> StarCamera:
 
 def pixel_derivatives(camera: StarCamera, u_s: Array) -> Array:
     """(N, 2, 7) derivatives of the pixels of directions (N, 3) by PARAMETERS, in their own units."""
-    columns = _camera_columns(_vector(camera), camera, u_s, 0.0, range(len(PARAMETERS)))
-    return np.asarray(columns / _units(camera)[: len(PARAMETERS)])
+    seen = _imaged(_vector(camera), camera, u_s, 0.0)
+    return _camera_columns(seen, camera, 0.0, range(len(PARAMETERS))) / _units(camera)[: len(PARAMETERS)]
 
 
 def turn_derivatives(camera: StarCamera, u_s: Array) -> Array:
     """(N, 2, 3) derivatives of the pixels of directions (N, 3) by a right-handed turn about the axes of s."""
-    return _turn_columns(_vector(camera), camera, u_s, 0.0)
+    return _turn_columns(_imaged(_vector(camera), camera, u_s, 0.0))
 
 
 def visible_derivatives(camera: StarCamera, xy_px: Array) -> Array:
@@ -187,8 +189,9 @@ def _step(
     """`belief` (F,) and `pull` (F,) are what the prior adds to the camera's normal equations."""
     u_s = np.einsum("nij,nj->ni", R.as_matrix()[stars.frame], stars.u_i)
     time = stars.t_s[stars.frame]
-    residual = stars.xy_px - _project(theta, camera, u_s, time)
-    J, A = _camera_columns(theta, camera, u_s, time, columns), _turn_columns(theta, camera, u_s, time)
+    seen = _imaged(theta, camera, u_s, time)
+    residual = stars.xy_px - seen.pixels
+    J, A = _camera_columns(seen, camera, time, columns), _turn_columns(seen)
     W = np.linalg.inv(stars.cov_px) * keep[:, None, None]
     JW, AW = J.transpose(0, 2, 1) @ W, A.transpose(0, 2, 1) @ W
     images = len(stars.t_s)
@@ -212,45 +215,62 @@ def _summed(values: Array, group: NDArray[np.int64], groups: int) -> Array:
     return total
 
 
-def _project(theta: Array, camera: StarCamera, u_s: Array, time: Array | float) -> Array:
-    """Pixels (N, 2) of directions; theta: log f, x0, y0 (px), then p1 f, p2 f, q1 f^2, q2 f^4, log-f drift
-    (1/s).
+@dataclass(frozen=True, slots=True, eq=False)
+class _Imaged:
+    """Directions as a lens with numbers theta shows them: log f, x0, y0 (px), then p1 f, p2 f, q1 f^2,
+    q2 f^4, log-f drift (1/s). Distortion is that of coordinates divided by the nominal focal length, all of
+    order one."""
 
-    Distortion numbers are those for coordinates divided by the nominal focal length: all of order one.
-    """
+    pixels: Array  # (N, 2)
+    t: Array  # (2, N) ideal coordinates, those of the tangent plane times the relative focal length
+    scale: Array  # (N,) this factor
+    stretch: Array  # (2, 2, N) d(pixels) / d(t)
+
+
+def _imaged(theta: Array, camera: StarCamera, u_s: Array, time: Array | float) -> _Imaged:
     f0 = camera.focal_m / camera.pixel_m
-    scale = np.exp(theta[0] + theta[7] * np.asarray(time))
-    t = -u_s[:, :2] / u_s[:, 2:] * np.reshape(scale, (-1, 1))
-    x, y = t.T
+    scale = np.broadcast_to(np.exp(theta[0] + theta[7] * np.asarray(time)), len(u_s))
+    x, y = t = -u_s[:, :2].T / u_s[:, 2] * scale
     r2 = x * x + y * y
     p1, p2, q1, q2 = theta[3:7]
-    radial = r2 * (q1 + r2 * q2)
-    dx = x * radial + p1 * (r2 + 2 * x * x) + 2 * p2 * x * y
-    dy = y * radial + p2 * (r2 + 2 * y * y) + 2 * p1 * x * y
-    return np.asarray(theta[1:3] + f0 * (t + np.column_stack([dx, dy])))
+    radial, steep = r2 * (q1 + r2 * q2), 2.0 * (q1 + 2.0 * r2 * q2)
+    dx = x * radial + p1 * (r2 + 2.0 * x * x) + 2.0 * p2 * x * y
+    dy = y * radial + p2 * (r2 + 2.0 * y * y) + 2.0 * p1 * x * y
+    across = steep * x * y + 2.0 * (p1 * y + p2 * x)
+    along_x = 1.0 + radial + steep * x * x + 6.0 * p1 * x + 2.0 * p2 * y
+    along_y = 1.0 + radial + steep * y * y + 6.0 * p2 * y + 2.0 * p1 * x
+    stretch = f0 * np.array([[along_x, across], [across, along_y]])
+    return _Imaged(theta[1:3] + f0 * (t + np.array([dx, dy])).T, t, scale, stretch)
 
 
 def _camera_columns(
-    theta: Array, camera: StarCamera, u_s: Array, time: Array | float, columns: list[int] | range
+    seen: _Imaged, camera: StarCamera, time: Array | float, columns: list[int] | range
 ) -> Array:
-    """(N, 2, F) derivatives of the pixels by theta: central differences, exact to 1e-9 for so smooth a
-    model."""
-    derivatives = np.empty((len(u_s), 2, len(columns)))
-    for place, k in enumerate(columns):
-        h = 1e-4 if k < 7 else 1e-4 / max(float(np.max(np.abs(time))), 1.0)
-        up, down = theta.copy(), theta.copy()
-        up[k] += h
-        down[k] -= h
-        difference = _project(up, camera, u_s, time) - _project(down, camera, u_s, time)
-        derivatives[:, :, place] = difference / (2 * h)
-    return derivatives
+    """(N, 2, F) derivatives of the pixels by theta."""
+    f0 = camera.focal_m / camera.pixel_m
+    x, y = seen.t
+    r2, one, zero = x * x + y * y, np.ones_like(x), np.zeros_like(x)
+    by_scale = np.einsum("ijn,jn->in", seen.stretch, seen.t)
+    by_all = (
+        by_scale,
+        (one, zero),
+        (zero, one),
+        f0 * np.array([r2 + 2.0 * x * x, 2.0 * x * y]),
+        f0 * np.array([2.0 * x * y, r2 + 2.0 * y * y]),
+        f0 * r2 * seen.t,
+        f0 * r2 * r2 * seen.t,
+        by_scale * time,
+    )
+    return (
+        np.stack([np.asarray(by_all[k]).T for k in columns], axis=2) if columns else np.empty((len(x), 2, 0))
+    )
 
 
-def _turn_columns(theta: Array, camera: StarCamera, u_s: Array, time: Array | float) -> Array:
-    h = 1e-5
-    turned = [Rotation.from_rotvec(s * h * e).apply(u_s) for e in np.eye(3) for s in (1.0, -1.0)]
-    points = [_project(theta, camera, u, time) for u in turned]
-    return np.stack([(points[2 * k] - points[2 * k + 1]) / (2 * h) for k in range(3)], axis=2)
+def _turn_columns(seen: _Imaged) -> Array:
+    """(N, 2, 3) derivatives of the pixels by a right-handed turn about the axes of s: du = e x u."""
+    (x, y), s = seen.t, seen.scale
+    by_t = np.array([[x * y / s, s + y * y / s], [-s - x * x / s, -x * y / s], [-y, x]])  # (3, 2, N)
+    return np.einsum("ijn,kjn->nik", seen.stretch, by_t)
 
 
 def _vector(camera: StarCamera) -> Array:

@@ -53,9 +53,7 @@ class FieldSolution:
     """An image identified. Row n of `hip`, `xy_px` and `residual_px` speaks of the same star."""
 
     R_si: Rotation
-    cov_s: (
-        Array | None
-    )  # (3, 3) rad^2, of a turn of the image's centre about the axes of s; None: bare places
+    cov_s: Array | None  # (3, 3) rad^2, of a turn of the image's centre about axes s; None for bare places
     camera: StarCamera  # as given, or fitted to this image
     fov_x_sigma_rad: float  # of a fitted camera; 0 for one that was given, NaN for bare places
     hip: NDArray[np.int64]

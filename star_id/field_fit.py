@@ -29,6 +29,7 @@ __all__ = ["FieldFit", "field_of_view_x", "fit_attitude", "fit_attitude_and_lens
 
 Array = NDArray[np.float64]
 
+_ENDLESS = 1e12  # px^2: no degree of freedom is left
 _ROUNDS = 8  # of the lens and of what it leaves unexplained
 
 
@@ -72,7 +73,7 @@ def fit_attitude_and_lens(
         cov = cov_px + unexplained * np.eye(2)
         fit = fit_camera(replace(stars, cov_px=cov), plain, R, free, _usual(plain))
         unexplained, before = _unexplained(fit, stars, unexplained, free), unexplained
-        if abs(unexplained - before) <= 0.02 * before:
+        if abs(unexplained - before) <= 0.1 * before:
             break
     sigma = np.sqrt(np.diag(fit.covariance))
     slopes = [_slope(fit.camera, name, step) for name, step in zip(free, sigma)]
@@ -136,7 +137,8 @@ def _unexplained(fit: CameraFit, stars: NamedStars, before: float, free: tuple[s
     )
     whole = np.block([[fit.covariance, fit.cross[0].T], [fit.cross[0], fit.cov_s[0]]])
     own = 0.5 * np.trace(stars.cov_px[rows], axis1=1, axis2=2)
-    share = np.einsum("nip,pq,niq->n", A, whole, A) / (own + before)
+    larger = max(1.0, fit.chi2 / max(fit.dof, 1))  # which the fit's covariances are
+    share = np.einsum("nip,pq,niq->n", A, whole, A) / (own + before) / larger
     square = (fit.residual_px[rows] ** 2).sum(axis=1)
 
     def excess(variance: float) -> float:
@@ -145,4 +147,7 @@ def _unexplained(fit: CameraFit, stars: NamedStars, before: float, free: tuple[s
 
     if excess(0.0) <= 0.0:
         return 0.0
-    return float(brentq(excess, 0.0, float(square.max())))
+    most = float(square.sum() + own.max())
+    while excess(most) > 0.0 and most < _ENDLESS:  # from somewhere on it falls as -dof / variance
+        most *= 2.0
+    return float(brentq(excess, 0.0, most)) if most < _ENDLESS else before

@@ -148,7 +148,7 @@ def beyond_doubt(
     camera."""
     arcsec_per_px = camera.pixel_m / camera.focal_m / ARCSEC
     limit_arcsec = settings.max_photocentre_shift_px * arcsec_per_px
-    trusted = _is_in(index.stars.hip[rows], _trusted_hip(round(limit_arcsec, 6)))
+    trusted = _is_in(index.stars.hip[rows], _trusted_hip(float(f"{limit_arcsec:.3g}")))
     displaced = _displaced(index, psf_sigma_px * arcsec_per_px * ARCSEC, limit_arcsec * ARCSEC)
     return np.asarray(trusted & ~displaced[rows])
 

@@ -105,6 +105,25 @@ def angle_between_edges(camera):
     return float(np.arctan2(np.linalg.norm(np.cross(left, right)), left @ right))
 
 
+@pytest.mark.parametrize("count", [4, 5, 8, 12, 16, 25])
+def test_few_stars_bear_few_numbers(index, images, count):
+    """However few stars are named, the attitude has an error, and the middle is where it says."""
+    true_width = angle_between_edges(TRUTH)
+    squares, solved = [], 0
+    for R_si, stars in images[:20]:
+        bright = stars.take(np.arange(count))
+        found = solve_list(bright, SIZE, index, SETTINGS, fov_x_rad=0.98 * true_width)
+        if not isinstance(found, FieldSolution):
+            continue
+        solved += 1
+        turn = Rotation.from_matrix(middle_axes(found.R_si, found.camera) @ middle_axes(R_si, TRUTH).T)
+        squares.append(np.sum((turn.as_rotvec() @ middle_axes(R_si, TRUTH))[:2] ** 2))
+        assert np.isfinite(found.cov_s).all() and (np.linalg.eigvalsh(found.cov_s) > 0.0).all()
+        # of a lens that bends by 15 px in the corners, with so few stars that one parameter must do
+        assert squares[-1] < (8.0 * found.pointing_sigma_rad) ** 2 + (30.0 * ARCSEC) ** 2
+    assert solved >= (0 if count < 8 else 15)
+
+
 def test_an_observer_has_aberration_removed(index):
     """Light comes from up to 20 arc-seconds off because the Earth moves, and 5 because the satellite does."""
     epoch = Epoch.from_utc("2026-03-20T00:00:00Z")

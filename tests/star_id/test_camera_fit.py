@@ -1,0 +1,70 @@
+"""Derivatives that the camera's fit uses, against differences of the camera model itself."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from frames import PAPER_CAMERA
+from scipy.spatial.transform import Rotation
+
+from star_id.camera_fit import (
+    DRIFT,
+    PARAMETERS,
+    NamedStars,
+    detector_grid,
+    fit_camera,
+    moved,
+    pixel_derivatives,
+    turn_derivatives,
+    visible_derivatives,
+)
+
+# bolder than the paper's lens: every term of the distortion shows
+CAMERA = replace(
+    PAPER_CAMERA, principal_px=(2611.3, 1790.2), p1=9e-5, p2=-7e-5, q1=-6e-6, q2=-2.3e-8, focal_m=0.07
+)
+
+
+def test_derivatives_are_those_of_the_camera():
+    xy = detector_grid(CAMERA)
+    u_s = CAMERA.directions_from_pixels(xy)
+    steps = dict(zip(PARAMETERS, (1e-6, 1e-2, 1e-2, 1e-7, 1e-7, 1e-9, 1e-11)))
+    for k, (name, h) in enumerate(steps.items()):
+        more, less = moved(CAMERA, name, h), moved(CAMERA, name, -h)
+        difference = (more.pixels_from_directions(u_s) - less.pixels_from_directions(u_s)) / (2.0 * h)
+        given = pixel_derivatives(CAMERA, u_s)[:, :, k]
+        assert np.abs(given - difference).max() < 1e-6 * np.abs(difference).max()
+    turns = turn_derivatives(CAMERA, u_s)
+    for k, axis in enumerate(np.eye(3)):
+        turn = Rotation.from_rotvec(1e-6 * axis)
+        forth, back = (CAMERA.pixels_from_directions(R.apply(u_s)) for R in (turn, turn.inv()))
+        difference = (forth - back) / 2e-6
+        assert np.abs(turns[:, :, k] - difference).max() < 1e-6 * np.abs(difference).max()
+
+
+def test_what_is_visible_of_a_number_is_less_than_any_turn_leaves():
+    xy = detector_grid(CAMERA)
+    visible = visible_derivatives(CAMERA, xy).reshape(-1, 7)
+    turns = turn_derivatives(CAMERA, CAMERA.directions_from_pixels(xy)).reshape(-1, 3)
+    assert np.abs(turns.T @ visible).max() < 1e-8 * np.abs(turns).max() * np.abs(visible).max() * len(xy)
+
+
+def test_a_drift_and_a_prior_do_what_they_say():
+    """Two images half a year apart, no noise: the drift between them is found; a firm prior holds its
+    number."""
+    rng, half_year_s = np.random.default_rng(6), 1.58e7
+    drift_per_s = 3e-12
+    xy = rng.uniform([0, 0], [5119, 3839], (200, 2))
+    frame, t_s = np.repeat([0, 1], 100), np.array([0.0, half_year_s])
+    R = Rotation.random(2, random_state=rng)
+    cameras = [replace(CAMERA, focal_m=CAMERA.focal_m * np.exp(drift_per_s * (t - t_s.mean()))) for t in t_s]
+    u_s = np.vstack([camera.directions_from_pixels(xy[frame == k]) for k, camera in enumerate(cameras)])
+    u_i = np.einsum("nji,nj->ni", R.as_matrix()[frame], u_s)
+    stars = NamedStars(xy, np.tile(1e-4 * np.eye(2), (200, 1, 1)), u_i, frame, t_s)
+    start = replace(CAMERA, focal_m=1.0002 * CAMERA.focal_m, q2=0.0)
+    found = fit_camera(stars, start, R, (*PARAMETERS, DRIFT))
+    assert abs(found.focal_drift_per_s / drift_per_s - 1.0) < 1e-6
+    assert abs(found.camera.focal_m / CAMERA.focal_m - 1.0) < 1e-10
+    held = fit_camera(stars, start, R, (*PARAMETERS, DRIFT), {"q2": 1e-16})
+    assert abs(held.camera.q2) < 1e-12 < abs(found.camera.q2)
