@@ -61,8 +61,7 @@ class CameraFit:
     focal_drift_per_s: float  # relative; the camera's own focal length being that of the mean time
     rotations: Rotation  # (K,) R_si
     covariance: Array  # (F, F) of the free numbers, in their own units
-    cov_s: Array  # (K, 3, 3) rad^2, of right-handed turns of the rotations about the axes of s
-    cross: Array  # (K, 3, F) covariance of these turns with the free numbers
+    larger: float  # by which factor it is larger than the stars' own covariances make it
     residual_px: Array  # (N, 2) measured minus predicted, of all stars
     keep: NDArray[np.bool_]  # (N,) those that fit
     chi2: float  # of these
@@ -114,8 +113,7 @@ def fit_camera(
         focal_drift_per_s=float(theta[7]),
         rotations=R,
         covariance=np.asarray(larger * step.cov_camera * units[:, None] * units),
-        cov_s=larger * step.cov_turn,
-        cross=larger * step.cross * units,
+        larger=larger,
         residual_px=step.residual,
         keep=keep,
         chi2=total,
@@ -166,7 +164,6 @@ class _Step:
     d_turn: Array  # (K, 3)
     cov_camera: Array  # (F, F)
     cov_turn: Array  # (K, 3, 3)
-    cross: Array  # (K, 3, F) covariance of turns and camera
     residual: Array  # (N, 2)
 
     @property
@@ -204,9 +201,9 @@ def _step(
     d_camera = np.linalg.solve(normal, g)
     d_turn = np.linalg.solve(Naa, (ga - np.einsum("kpa,p->ka", Nca, d_camera))[:, :, None])[:, :, 0]
     cov_camera = np.linalg.inv(normal)
-    cross = np.asarray(-gain @ cov_camera)
-    cov_turn = np.asarray(np.linalg.inv(Naa) - cross @ gain.transpose(0, 2, 1))
-    return _Step(d_camera, d_turn, cov_camera, cov_turn, cross, residual)
+    cov_camera = 0.5 * (cov_camera + cov_camera.T)  # one image hardly tells x0 from p1: rounding is seen
+    cov_turn = np.asarray(np.linalg.inv(Naa) + gain @ cov_camera @ gain.transpose(0, 2, 1))
+    return _Step(d_camera, d_turn, cov_camera, cov_turn, residual)
 
 
 def _summed(values: Array, group: NDArray[np.int64], groups: int) -> Array:

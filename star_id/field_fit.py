@@ -72,16 +72,13 @@ def fit_attitude_and_lens(
     for _ in range(_ROUNDS):
         cov = cov_px + unexplained * np.eye(2)
         fit = fit_camera(replace(stars, cov_px=cov), plain, R, free, _usual(plain))
-        unexplained, before = _unexplained(fit, stars, unexplained, free), unexplained
+        seen = _Seen.of(fit, stars, cov, free)
+        unexplained, before = _unexplained(fit, seen, cov_px, unexplained), unexplained
         if abs(unexplained - before) <= 0.1 * before:
             break
-    sigma = np.sqrt(np.diag(fit.covariance))
-    slopes = [_slope(fit.camera, name, step) for name, step in zip(free, sigma)]
-    turn = np.stack([slope[:3] for slope in slopes], axis=1)  # (3, F)
-    fov_x = np.array([slope[3] for slope in slopes])
-    mixed = turn @ fit.cross[0].T
-    cov_s = fit.cov_s[0] + turn @ fit.covariance @ turn.T - mixed - mixed.T
-    return FieldFit(fit.rotations[0], cov_s, fit.camera, float(np.sqrt(fov_x @ fit.covariance @ fov_x)))
+    fov_x = float(np.sqrt(seen.widening @ fit.covariance @ seen.widening))
+    cov_s = fit.larger * seen.cov_turn + seen.share @ fit.covariance @ seen.share.T
+    return FieldFit(fit.rotations[0], cov_s, fit.camera, fov_x)
 
 
 def field_of_view_x(camera: StarCamera) -> float:
@@ -114,6 +111,41 @@ def _usual(camera: StarCamera) -> dict[str, float]:
     return {"x0_px": off, "y0_px": off, "p1": 5e-3 / f_mm, "p2": 5e-3 / f_mm, "q2": 1.0 / f_mm**4}
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Seen:
+    """How the pixels of the stars that fit follow the camera's numbers, the image's middle held where it
+    is, and turns of the image about it.
+
+    Seen from the middle a turn is nearly independent of all numbers; seen from the axis, which may lie
+    anywhere, it is the small difference of large ones.
+    """
+
+    cov_turn: Array  # (3, 3) rad^2, of a turn of the middle, were the camera known
+    share: Array  # (3, F) what it takes of an error of the camera's numbers
+    leverage: Array  # (N,) trace of a star's part in the fit
+    widening: Array  # (F,) derivatives of the field's width, rad
+
+    @staticmethod
+    def of(fit: CameraFit, stars: NamedStars, cov_px: Array, free: tuple[str, ...]) -> _Seen:
+        rows = fit.keep.nonzero()[0]
+        u_s = fit.rotations[0].apply(stars.u_i[rows])
+        slopes = np.array(
+            [_slope(fit.camera, name, step) for name, step in zip(free, np.sqrt(np.diag(fit.covariance)))]
+        )
+        A = turn_derivatives(fit.camera, u_s)
+        J = pixel_derivatives(fit.camera, u_s)[:, :, [PARAMETERS.index(name) for name in free]]
+        J = J + A @ slopes[:, :3].T
+        W = np.linalg.inv(cov_px[rows])
+        AW = A.transpose(0, 2, 1) @ W
+        cov_turn = np.linalg.inv((AW @ A).sum(axis=0))
+        share = cov_turn @ (AW @ J).sum(axis=0)
+        left = J - A @ share
+        known = fit.covariance / fit.larger
+        leverage = np.einsum("nij,nip,pq,njq->n", W, A, cov_turn, A, optimize=True)
+        leverage += np.einsum("nij,nip,pq,njq->n", W, left, known, left, optimize=True)
+        return _Seen(cov_turn, share, leverage, slopes[:, 3])
+
+
 def _slope(camera: StarCamera, name: str, step: float) -> Array:
     """(4,) how far one of the camera's numbers turns the image's middle, about the axes of s, and widens the
     field."""
@@ -122,28 +154,19 @@ def _slope(camera: StarCamera, name: str, step: float) -> Array:
     return np.append(turn, field_of_view_x(more) - field_of_view_x(less)) / step
 
 
-def _unexplained(fit: CameraFit, stars: NamedStars, before: float, free: tuple[str, ...]) -> float:
+def _unexplained(fit: CameraFit, seen: _Seen, cov_px: Array, before: float) -> float:
     """Variance, px^2, that each star has beside its own, where likelihood restricted to the residuals is
     largest: the bright stars tell it, whose own is small.
 
     At the maximum  sum (2 - h) / v = sum r^2 / v^2,  v the variance of a star along one axis, r its residual,
-    h its share in the numbers fitted (with the variance `before`).
+    h its leverage (with the variance `before`).
     """
-    rows = fit.keep.nonzero()[0]
-    u_s = fit.rotations[0].apply(stars.u_i[rows])
-    columns = [PARAMETERS.index(name) for name in free]
-    A = np.concatenate(
-        [pixel_derivatives(fit.camera, u_s)[:, :, columns], turn_derivatives(fit.camera, u_s)], axis=2
-    )
-    whole = np.block([[fit.covariance, fit.cross[0].T], [fit.cross[0], fit.cov_s[0]]])
-    own = 0.5 * np.trace(stars.cov_px[rows], axis1=1, axis2=2)
-    larger = max(1.0, fit.chi2 / max(fit.dof, 1))  # which the fit's covariances are
-    share = np.einsum("nip,pq,niq->n", A, whole, A) / (own + before) / larger
-    square = (fit.residual_px[rows] ** 2).sum(axis=1)
+    own = 0.5 * np.trace(cov_px[fit.keep], axis1=1, axis2=2)
+    square = (fit.residual_px[fit.keep] ** 2).sum(axis=1)
 
     def excess(variance: float) -> float:
         v = own + variance
-        return float((square / v**2).sum() - ((2.0 - share) / v).sum())
+        return float((square / v**2).sum() - ((2.0 - seen.leverage) / v).sum())
 
     if excess(0.0) <= 0.0:
         return 0.0

@@ -75,13 +75,15 @@ def information(stars, rows):
 def test_an_unknown_lens_leaves_the_middle_and_the_width_of_the_image_as_sure_as_stated(index, images):
     """Nothing is known but the field of view to 5 %: principal point and decentring are as good as unknown,
     and yet the direction of the image's middle, its roll and the field's width are what the errors say."""
-    pointing, roll, width = [], [], []
+    pointing, roll, width, together = [], [], [], []
     true_width = angle_between_edges(TRUTH)
     for R_si, stars in images:
         found = solve_list(stars, SIZE, index, SETTINGS, fov_x_rad=1.05 * true_width)
         assert isinstance(found, FieldSolution)
         turn = Rotation.from_matrix(middle_axes(found.R_si, found.camera) @ middle_axes(R_si, TRUTH).T)
         right, down, along = turn.as_rotvec() @ middle_axes(R_si, TRUTH)
+        in_s = R_si.apply(turn.as_rotvec())
+        together.append(in_s @ np.linalg.solve(found.cov_s, in_s))
         pointing += [(right / found.pointing_sigma_rad) ** 2, (down / found.pointing_sigma_rad) ** 2]
         roll.append((along / found.roll_sigma_rad) ** 2)
         width.append(((found.fov_x_rad - true_width) / found.fov_x_sigma_rad) ** 2)
@@ -89,6 +91,7 @@ def test_an_unknown_lens_leaves_the_middle_and_the_width_of_the_image_as_sure_as
     assert within_three_in_ten_thousand(pointing, 1)
     assert within_three_in_ten_thousand(roll, 1)
     assert within_three_in_ten_thousand(width, 1)
+    assert within_three_in_ten_thousand(together, 3)
 
 
 def middle_axes(R_si, camera):
