@@ -36,6 +36,7 @@ from pipeline.files.dump import ChipFile, TerrainFile, _read_terrain, open_dump
 from pipeline.files.image_files import StripFiles, check_strip_file, read_exposure, read_star_image
 from pipeline.files.orbit_file import read_oem
 from pipeline.files.scenario_file import named_scenario
+from pipeline.files.sky_images import Whereabouts, observers_of
 from pipeline.geolocate import read_pixels
 from pipeline.plan import forecast_plan, read_plan
 from pipeline.report.centroid_report import _read_truth
@@ -83,6 +84,9 @@ def write_sound_files(folder: Path) -> Path:
     (folder / "settings.toml").write_text(SETTINGS)
     (folder / "scenario.toml").write_text(SCENARIO)
     (folder / "truth.csv").write_text("file,x_px,y_px,flux_dn\nsky.png,10.5,20.25,300\nsky.png,1,2,3\n")
+    (folder / "times.csv").write_text(
+        "file,utc_mid\nsky.png,2024-11-20T03:40:20.5Z\na.png,2016-12-31T23:59:60\n"
+    )
     (folder / "pixels.csv").write_text("ccd,sample,line\n0,1.5,2.5\n1,3,4\n")
     (folder / "dimap.xml").write_text(dimap_text())
     _write_result(folder / "result")
@@ -152,6 +156,15 @@ def _pixels(folder: Path) -> Any:
     return read_pixels(folder / "pixels.csv", calibrated)
 
 
+def _times(folder: Path, **where: Any) -> Any:
+    return observers_of([folder / "sky.png"], Whereabouts(folder / "times.csv", **where))
+
+
+def _times_aboard(folder: Path) -> Any:
+    orbit = folder / "dump/orbit.oem"
+    return observers_of([folder / "sky.png"], Whereabouts(folder / "times.csv", orbit))
+
+
 def _exposure(name: str) -> Callable[[Path], Any]:
     return lambda folder: read_exposure(folder / name, name, width=WIDTH, height=HEIGHT, bit_depth=8)
 
@@ -216,6 +229,12 @@ READERS = (
     Reader("plan", "plan.toml", lambda folder: read_plan(folder / "plan.toml")),
     Reader("plan, forecast", "plan.toml", _plan),
     Reader("centroids --truth", "truth.csv", lambda folder: _read_truth(folder / "truth.csv")),
+    Reader("identify --times", "times.csv", _times),
+    Reader(
+        "identify --times --site", "times.csv", lambda folder: _times(folder, site_deg_m=(50.0, 8.0, 100.0))
+    ),
+    Reader("identify --times --orbit", "times.csv", _times_aboard),
+    Reader("identify --orbit", "dump/orbit.oem", _times_aboard),
     Reader("geolocate --pixels", "pixels.csv", _pixels),
     Reader("exposure, PNG", "sky.png", _exposure("sky.png")),
     Reader("exposure, TIFF", "sky.tif", _exposure("sky.tif")),
