@@ -39,10 +39,33 @@ def solve_attitude(u_s: Array, u_i: Array, cov_s: Array) -> Attitude:
 
     Raises `ValueError` for fewer than two directions, or directions that fix no rotation.
     """
-    if len(u_s) < 2:
-        raise ValueError(f"two directions at least are needed to fix an attitude, got {len(u_s)}")
+    return _solved(u_s, u_i, information_of_directions(u_s, cov_s), 2.0 / np.trace(cov_s, axis1=1, axis2=2))
+
+
+def attitude_of_most(u_s: Array, u_i: Array, cov_s: Array) -> tuple[NDArray[np.int64], Attitude]:
+    """The same with rows left out that do not agree with the others, and the rows that do.
+
+    The worst go first; the fit's own scatter is the measure where it is larger than the covariances say.
+    """
     information = information_of_directions(u_s, cov_s)
     weight = 2.0 / np.trace(cov_s, axis1=1, axis2=2)
+    keep = np.arange(len(u_s))
+    attitude = _solved(u_s, u_i, information, weight)
+    for _ in range(10):
+        chi2 = (attitude.residuals_s**2).sum(axis=1) * weight[keep]
+        limit = _OUTLIER_CHI2 * max(1.0, float(np.median(chi2)) / 1.386)
+        bad = chi2 > limit
+        if not bad.any() or len(keep) - bad.sum() < 3:
+            break
+        keep = keep[chi2 < max(limit, 0.5 * chi2.max())]
+        attitude = _solved(u_s[keep], u_i[keep], information[keep], weight[keep])
+    return keep, attitude
+
+
+def _solved(u_s: Array, u_i: Array, information: Array, weight: Array) -> Attitude:
+    """`weight` (N,) is the reciprocal variance along one axis."""
+    if len(u_s) < 2:
+        raise ValueError(f"two directions at least are needed to fix an attitude, got {len(u_s)}")
     R_si = wahba(u_s, u_i, weight)
     for _ in range(3):
         predicted = u_i @ R_si.as_matrix().T
@@ -58,25 +81,6 @@ def solve_attitude(u_s: Array, u_i: Array, cov_s: Array) -> Attitude:
     residual = u_s - u_i @ R_si.as_matrix().T
     chi2 = float(np.einsum("ni,nij,nj->", residual, information, residual))
     return Attitude(R_si, cov, chi2, 2 * len(u_s) - 3, residual)
-
-
-def attitude_of_most(u_s: Array, u_i: Array, cov_s: Array) -> tuple[NDArray[np.int64], Attitude]:
-    """The same with rows left out that do not agree with the others, and the rows that do.
-
-    The worst go first; the fit's own scatter is the measure where it is larger than the covariances say.
-    """
-    keep = np.arange(len(u_s))
-    attitude = solve_attitude(u_s, u_i, cov_s)
-    for _ in range(10):
-        variance = 0.5 * np.trace(cov_s[keep], axis1=1, axis2=2)
-        chi2 = (attitude.residuals_s**2).sum(axis=1) / variance
-        limit = _OUTLIER_CHI2 * max(1.0, float(np.median(chi2)) / 1.386)
-        bad = chi2 > limit
-        if not bad.any() or len(keep) - bad.sum() < 3:
-            break
-        keep = keep[chi2 < max(limit, 0.5 * chi2.max())]
-        attitude = solve_attitude(u_s[keep], u_i[keep], cov_s[keep])
-    return keep, attitude
 
 
 def wahba(u_s: Array, u_i: Array, weight: Array) -> Rotation:
