@@ -57,10 +57,11 @@ def test_a_frame_with_stars_is_identified(row, index):
     if row["roll_convention"].startswith("anet"):
         # That solver states the angle not in the middle of the image but at the tangent point of its
         # solution, where the pattern lies that it recognised, anywhere in the image; meridians turn from
-        # there to here, by 5 deg in the widest of these. So somewhere the angles agree, to 0.005 deg but in
-        # two frames that have their point in a corner, where a lens of 27 deg bends by tenths: 0.04, and
-        # 0.13 of a trailed frame (0.085 with the lens of the four others).
-        assert np.abs(difference).min() < 0.15
+        # there to here, by 5 deg in the widest of these. So somewhere the angles agree, to 0.005 deg, but
+        # where that is a corner only as well as the reference knows how lenses bend there: 0.04 in one frame,
+        # and 0.13 in a trailed one, whose own lens is not that of the four others (with theirs 0.085).
+        trailed = row["file"].endswith("pleyades_8sec.jpg")
+        assert np.abs(difference).min() < (0.15 if trailed else 0.1)
     else:
         # Stated in the middle: 0.003 deg apart; but of two frames, 13 stars of a 34 deg lens and a sky so low
         # that the air leaves residuals of 1.5 px, the errors stated here are 0.036 and 0.037 deg.
