@@ -83,6 +83,8 @@ def identify(
         raise _wrong_usage("--camera and --fov exclude one another")
     if as_json + as_csv + as_fits > 1:
         raise _wrong_usage("--json, --csv and --fits exclude one another")
+    if as_fits and times is not None:
+        raise _wrong_usage("--fits and --times exclude one another: a header states places of the catalogue")
     table = csv.DictWriter(sys.stdout, FIELDS, lineterminator="\n")
     if as_csv:
         table.writeheader()

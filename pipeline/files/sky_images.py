@@ -6,6 +6,7 @@ dump come with times and orbit.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -46,7 +47,7 @@ class SkyImage:
     name: str
     path: Path
     observer: Observer | None
-    saturation_dn: float | None  # where a pixel is full; None: to be seen from the image
+    bit_depth: int | None  # of its counts, as a dump states it; None: to be seen from the image
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -80,7 +81,6 @@ def open_sky_images(sources: Sequence[Path], known: Whereabouts) -> SkyImages:
 
 def _of_dump(dump: Dump) -> Iterator[tuple[SkyImage, str | None]]:
     """Its exposures, each with the reason why it cannot be used if the orbit does not reach it."""
-    full = float(2**dump.star_bit_depth - 1)
     for exposure in dump.exposures:
         name = f"{dump.root.name}/{exposure.file}"
         observer, reason = None, None
@@ -88,7 +88,7 @@ def _of_dump(dump: Dump) -> Iterator[tuple[SkyImage, str | None]]:
             observer = _aboard(dump.orbit, exposure.t_s)
         except OrbitGapError as error:
             reason = str(error)
-        yield SkyImage(name, exposure.path, observer, full), reason
+        yield SkyImage(name, exposure.path, observer, dump.star_bit_depth), reason
 
 
 def observers_of(images: Sequence[Path], known: Whereabouts) -> dict[str, Observer]:
@@ -112,6 +112,9 @@ def observers_of(images: Sequence[Path], known: Whereabouts) -> dict[str, Observ
 
 def _times(images: Sequence[Path], times: Path) -> dict[str, str]:
     """UTC by file name, one for each image."""
+    if twice := [name for name, n in Counter(image.name for image in images).items() if n > 1]:
+        found = f"images of the name {twice[0]} in several folders"
+        raise RawDataError(str(times), "file", found, "images whose names differ: they are known by them")
     rows = read_table(times, SkyImageRow, str(times))
     by_name = {row.file: row.utc_mid for row in rows}
     if len(by_name) < len(rows):

@@ -72,8 +72,9 @@ def calibrate_from_images(
             unread.append((one.name, str(error)))
             continue
         read = read or (one.name, image)
-        full = replace(settings, saturation_dn=settings.saturation_dn or one.saturation_dn)
-        frames.append(SkyFrame(one.name, find_stars(image, full), one.observer))
+        full = settings.saturation_dn or (None if one.bit_depth is None else 2.0**one.bit_depth - 1.0)
+        stars = find_stars(image, replace(settings, saturation_dn=full))
+        frames.append(SkyFrame(one.name, stars, one.observer))
     progress("star images", len(sky.images), len(sky.images))
     left_out = [f"{name} not used: {reason}" for name, reason in unread]
     if read is None:
@@ -89,7 +90,8 @@ def calibrate_from_images(
     if isinstance(result, NotIdentified):
         return [*left_out, f"not calibrated: {result.reason}"], False
     result = replace(result, frames_refused=(*unread, *result.frames_refused))
-    bits = 8 * read[1].dtype.itemsize if read[1].dtype.kind == "u" else 16
+    stated = next((one.bit_depth for one in sky.images if one.bit_depth is not None), None)
+    bits = stated or (8 * read[1].dtype.itemsize if read[1].dtype.kind == "u" else 16)
     table = toml_text(_camera_table(result.camera, bits))
     write_whole(request.out, lambda target: target.write_text(table, "utf-8"))
     cells = residual_map(result)

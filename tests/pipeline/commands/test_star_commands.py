@@ -203,6 +203,12 @@ def test_what_is_said_of_times_and_places_must_be_whole(folder, tmp_path):
         for command in ("identify", "star-camera-calibrate"):
             done = run(command, image, *arguments)
             assert isinstance(done.exception, RawDataError) and says in str(done.exception), (command, says)
+    (tmp_path / "again").mkdir()
+    (tmp_path / "again" / "sky0.png").write_bytes(image.read_bytes())
+    times = times_of(tmp_path / "e.csv", "sky0.png")
+    done = run("identify", image, tmp_path / "again" / "sky0.png", "--times", times)
+    assert isinstance(done.exception, RawDataError) and "in several folders" in str(done.exception)
+    assert run("identify", "--fits", image, "--times", times).exit_code == 2
     done = run("star-camera-calibrate", image, "--drift")
     assert isinstance(done.exception, RawDataError) and "--times" in str(done.exception)
 
