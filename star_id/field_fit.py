@@ -57,13 +57,12 @@ def fit_attitude_and_lens(
 ) -> FieldFit:
     """Attitude and lens of a camera that is not calibrated, from a first idea of both.
 
-    Fitted are focal length and q1, or, if the stars are many, all seven numbers, which one image does not
-    tell apart: a shifted detector looks like a turned and decentred one. So they are believed to be such as
-    lenses have (`_usual`), and the error is stated of what can be seen, the direction of the image's middle.
+    Fitted are all seven numbers, which one image does not tell apart: a shifted detector looks like a turned
+    and decentred one. So they are believed to be such as lenses have (`_usual`), the firmer the fewer stars
+    there are, and the error is stated of what can be seen, the direction of the image's middle.
     What the lens cannot explain, such as the air, is an error of all stars alike (`_unexplained`): otherwise
     the brightest few would bend the lens their way.
     """
-    free = _numbers_for(len(xy_px))
     one = np.zeros(len(xy_px), dtype=np.int64)
     stars = NamedStars(xy_px, cov_px, u_i, one, np.zeros(1))
     plain, R = replace(camera, p1=0.0, p2=0.0), Rotation.concatenate([R_si])
@@ -71,8 +70,8 @@ def fit_attitude_and_lens(
     unexplained = float(np.median((miss**2).sum(axis=1))) / 1.386  # of two axes
     for _ in range(_ROUNDS):
         cov = cov_px + unexplained * np.eye(2)
-        fit = fit_camera(replace(stars, cov_px=cov), plain, R, free, _usual(plain))
-        seen = _Seen.of(fit, stars, cov, free)
+        fit = fit_camera(replace(stars, cov_px=cov), plain, R, prior=_usual(plain))
+        seen = _Seen.of(fit, stars, cov)
         unexplained, before = _unexplained(fit, seen, cov_px, unexplained), unexplained
         if abs(unexplained - before) <= 0.1 * before:
             break
@@ -98,17 +97,20 @@ def middle_of(camera: StarCamera) -> Array:
     return np.stack([np.cross(middle, up), -up, middle], axis=1)
 
 
-def _numbers_for(stars: int) -> tuple[str, ...]:
-    if stars < 8:
-        return ("focal_m",)
-    return ("focal_m", "q1") if stars < 16 else PARAMETERS
-
-
 def _usual(camera: StarCamera) -> dict[str, float]:
-    """How far from ideal lenses are: 1 sigma about a detector centred on the axis, and decentring."""
-    f_mm = 1e3 * camera.focal_m
-    off = 0.01 * camera.width_px
-    return {"x0_px": off, "y0_px": off, "p1": 5e-3 / f_mm, "p2": 5e-3 / f_mm, "q2": 1.0 / f_mm**4}
+    """How far from ideal lenses are, 1 sigma: the axis from the detector's middle, and in corners the shares
+    of the radius by which q1, q2 and decentring displace a star."""
+    f_mm, off = 1e3 * camera.focal_m, 0.01 * camera.width_px
+    corner = 0.5 * np.hypot(camera.width_px, camera.height_px) * camera.pixel_m / camera.focal_m
+    decentred = 0.002 / (corner * f_mm)
+    return {
+        "x0_px": off,
+        "y0_px": off,
+        "p1": decentred,
+        "p2": decentred,
+        "q1": 0.03 / (corner * f_mm) ** 2,
+        "q2": 0.01 / (corner * f_mm) ** 4,
+    }
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -121,20 +123,22 @@ class _Seen:
     """
 
     cov_turn: Array  # (3, 3) rad^2, of a turn of the middle, were the camera known
-    share: Array  # (3, F) what it takes of an error of the camera's numbers
+    share: Array  # (3, 7) what it takes of an error of the camera's numbers
     leverage: Array  # (N,) trace of a star's part in the fit
-    widening: Array  # (F,) derivatives of the field's width, rad
+    widening: Array  # (7,) derivatives of the field's width, rad
 
     @staticmethod
-    def of(fit: CameraFit, stars: NamedStars, cov_px: Array, free: tuple[str, ...]) -> _Seen:
+    def of(fit: CameraFit, stars: NamedStars, cov_px: Array) -> _Seen:
         rows = fit.keep.nonzero()[0]
         u_s = fit.rotations[0].apply(stars.u_i[rows])
         slopes = np.array(
-            [_slope(fit.camera, name, step) for name, step in zip(free, np.sqrt(np.diag(fit.covariance)))]
+            [
+                _slope(fit.camera, name, step)
+                for name, step in zip(PARAMETERS, np.sqrt(np.diag(fit.covariance)))
+            ]
         )
         A = turn_derivatives(fit.camera, u_s)
-        J = pixel_derivatives(fit.camera, u_s)[:, :, [PARAMETERS.index(name) for name in free]]
-        J = J + A @ slopes[:, :3].T
+        J = pixel_derivatives(fit.camera, u_s) + A @ slopes[:, :3].T
         W = np.linalg.inv(cov_px[rows])
         AW = A.transpose(0, 2, 1) @ W
         cov_turn = np.linalg.inv((AW @ A).sum(axis=0))

@@ -12,8 +12,10 @@ from scipy.stats import chi2
 
 from geometry.epoch import Epoch
 from geometry.sightings import information_of_directions
+from geometry.star_camera import StarCamera
 from star_id.catalogue import hipparcos_stars
 from star_id.field import FieldSolution, solve_list, solve_stars
+from star_id.field_fit import field_of_view_x, middle_of
 from star_id.naming.triangles import build_index
 from star_id.observer import Observer
 from star_id.settings import StarSettings
@@ -144,3 +146,36 @@ def test_an_observer_has_aberration_removed(index):
         ignored.append((without.R_si * R_si.inv()).magnitude())
     assert within_three_in_ten_thousand(squares, 3)
     assert 5.0 * ARCSEC < np.max(ignored) < 30.0 * ARCSEC
+
+
+@pytest.mark.parametrize(("fov_deg", "fewest"), [(6.0, 6), (14.0, 30), (45.0, 400)])
+def test_the_error_stated_is_true_of_narrow_and_wide_lenses_alike(fov_deg, fewest):
+    """Lenses that displace a corner by 1 % and more, their axes 20 px off: from a dozen stars to hundreds."""
+    focal_m = 0.5 * 2048 * 1e-5 / np.tan(0.5 * np.radians(fov_deg))
+    f_mm, corner = 1e3 * focal_m, 1280e-5 / focal_m
+    lens = {"q1": -0.01 / (corner * f_mm) ** 2, "q2": 0.003 / (corner * f_mm) ** 4}
+    lens |= {"p1": 1e-3 / f_mm, "p2": -1.5e-3 / f_mm}
+    camera = StarCamera(focal_m, 1e-5, 2048, 1536, (1038.5, 755.5), **lens)
+    places = hipparcos_stars(8.0).places
+    sky = build_index(places, places.epoch_jyear, (np.radians(0.75 * fov_deg), np.radians(1.2 * fov_deg)))
+    rng, together, width, counts = np.random.default_rng(40), [], [], []
+    true_width = field_of_view_x(camera)
+    for _ in range(30):
+        R_si = Rotation.random(random_state=rng)
+        stars = listed_stars(camera, R_si, places, rng, brightest=1000.0)
+        found = solve_list(stars, (2048, 1536), sky, SETTINGS, fov_x_rad=0.97 * true_width)
+        if not isinstance(found, FieldSolution):  # six stars are few
+            continue
+        turn = Rotation.from_matrix(
+            (found.R_si.inv().as_matrix() @ middle_of(found.camera))
+            @ (R_si.inv().as_matrix() @ middle_of(camera)).T
+        )
+        in_s = R_si.apply(turn.as_rotvec())
+        together.append(in_s @ np.linalg.solve(found.cov_s, in_s))
+        width.append(((found.fov_x_rad - true_width) / found.fov_x_sigma_rad) ** 2)
+        counts.append(found.matches)
+    assert len(counts) > 15 and min(counts) >= fewest
+    # a belief about lenses makes errors smaller than stated for a lens that is better than believed
+    assert np.mean(together) / 3.0 < chi2.ppf(1.0 - 1.5e-4, 3 * len(together)) / (3 * len(together))
+    assert np.mean(width) < chi2.ppf(1.0 - 1.5e-4, len(width)) / len(width)
+    assert np.mean(together) / 3.0 > 0.4 and np.mean(width) > 0.3
