@@ -65,7 +65,7 @@ def fit_attitude_and_lens(
     """
     one = np.zeros(len(xy_px), dtype=np.int64)
     stars = NamedStars(xy_px, cov_px, u_i, one, np.zeros(1))
-    plain, R = replace(camera, p1=0.0, p2=0.0), Rotation.concatenate([R_si])
+    plain, R = replace(camera, p1=0.0, p2=0.0, q1=0.0), Rotation.concatenate([R_si])
     miss = xy_px - camera.pixels_from_directions(R_si.apply(u_i))
     unexplained = float(np.median((miss**2).sum(axis=1))) / 1.386  # of two axes
     for _ in range(_ROUNDS):
