@@ -35,7 +35,6 @@ from geometry.star_camera import StarCamera
 from star_id.attitude import solve_attitude
 from star_id.catalogue import hipparcos_stars
 from star_id.field import solve_field
-from star_id.field_fit import field_of_view_x, middle_of
 from star_id.finding.psf import Psf
 from star_id.naming.identify import NotIdentified
 from star_id.naming.triangles import build_index, equivalent_fov
@@ -60,7 +59,7 @@ def main() -> None:
     places, settings = hipparcos_stars(8.0).places, StarSettings()
     fov = equivalent_fov(CAMERA.width_px, CAMERA.height_px, CAMERA.focal_m / CAMERA.pixel_m)
     index = build_index(places, 2026.2, fov)
-    fov_x = field_of_view_x(CAMERA)
+    fov_x = CAMERA.fov_x_rad
     wide = build_index(places, 2026.2, (np.radians(15.0), np.radians(24.0)))
     mission, camera_known, lens_unknown = _Errors(), _Errors(), _Errors()
     bounds, chi2, dof, stars = [], 0.0, 0, 0
@@ -106,7 +105,7 @@ class _Errors:
         self.squares: list[float] = []  # normalised
 
     def add(self, found: Rotation, truth: Rotation, camera: StarCamera, cov_s) -> None:
-        turn = (truth * found.inv()).as_matrix() @ middle_of(camera) @ middle_of(CAMERA).T
+        turn = (truth * found.inv()).as_matrix() @ camera.middle_axes() @ CAMERA.middle_axes().T
         delta = -Rotation.from_matrix(turn).as_rotvec()
         self.turns.append(delta)
         self.squares.append(delta @ np.linalg.solve(cov_s, delta))

@@ -39,7 +39,7 @@ from frames import PAPER_CAMERA, FrameTruth, Sensor, star_frame
 from geometry.epoch import Epoch
 from geometry.star_camera import StarCamera
 from star_id.camera_calibration import CameraCalibration, SkyFrame, calibrate_camera
-from star_id.camera_fit import PARAMETERS
+from star_id.camera_fit import PARAMETERS, moved
 from star_id.catalogue import hipparcos_stars
 from star_id.field import FieldSolution, nominal_camera, solve_field
 from star_id.finding.psf import Psf
@@ -214,11 +214,7 @@ def _slopes(u_s):
     turn."""
 
     def pixels(name, step):
-        if name in ("x0_px", "y0_px"):
-            x0, y0 = TRUTH.principal_px
-            moved = (x0 + step, y0) if name == "x0_px" else (x0, y0 + step)
-            return replace(TRUTH, principal_px=moved).pixels_from_directions(u_s)
-        return replace(TRUTH, **{name: getattr(TRUTH, name) + step}).pixels_from_directions(u_s)
+        return moved(TRUTH, name, step).pixels_from_directions(u_s)
 
     steps = dict(zip(PARAMETERS, (1e-6, 1e-2, 1e-2, 1e-6, 1e-6, 1e-8, 1e-10)))
     camera = [(pixels(name, h) - pixels(name, -h)).ravel() / (2.0 * h) for name, h in steps.items()]

@@ -69,6 +69,22 @@ class StarCamera:
         corners = np.array([[-0.5, -0.5], [x, -0.5], [-0.5, y], [x, y]])
         return float(np.arccos(self.directions_from_pixels(corners)[:, 2].min()))
 
+    @property
+    def fov_x_rad(self) -> float:
+        """Angle between the middles of the detector's left and right edges."""
+        row = 0.5 * (self.height_px - 1)
+        left, right = self.directions_from_pixels([[-0.5, row], [self.width_px - 0.5, row]])
+        return float(2.0 * np.arcsin(0.5 * np.linalg.norm(right - left)))
+
+    def middle_axes(self) -> Array:
+        """Rotation matrix whose columns, in axes of s, are right, down and the direction to the image's
+        middle; down is that of the image there, away from row 0."""
+        x, y = 0.5 * (self.width_px - 1), 0.5 * (self.height_px - 1)
+        middle, above = self.directions_from_pixels([[x, y], [x, y - 1.0]])
+        up = above - middle * (above @ middle)
+        up /= np.linalg.norm(up)
+        return np.stack([np.cross(middle, up), -up, middle], axis=1)
+
     def contains(self, xy_px: ArrayLike) -> NDArray[np.bool_]:
         """Whether points (N, 2) fall on the detector; pixels reach half a pixel beyond their centres."""
         xy = _points(xy_px)

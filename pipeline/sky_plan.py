@@ -15,8 +15,7 @@ from geometry.star_camera import StarCamera
 from pipeline.errors import RawDataError
 from pipeline.identify import read_camera, read_sky_image, sky_index
 from pipeline.work.unit_store import write_whole
-from star_id.field import solve_field
-from star_id.field_fit import middle_of
+from star_id.field import middle_on_sky, solve_field
 from star_id.naming.identify import NotIdentified
 from star_id.naming.triangles import StarIndex
 from star_id.settings import StarSettings
@@ -90,7 +89,7 @@ def _away_from_the_sun(
         sun = get_sun(Time(utc.removesuffix("Z"), scale="utc", format="isot")).cartesian.xyz.value
     except ValueError as error:
         raise RawDataError("--utc", "value", utc, "a time such as 2026-11-22T00:00:00Z") from error
-    middles = candidates.inv().apply(middle_of(camera)[:, 2])
+    middles = candidates.inv().apply(camera.middle_axes()[:, 2])
     angle = np.degrees(np.arccos(np.clip(middles @ (sun / np.linalg.norm(sun)), -1.0, 1.0)))
     away = angle >= least_deg
     line = f"{int(away.sum())} of {len(candidates)} pointings are {least_deg:g} deg and more from the Sun"
@@ -100,16 +99,14 @@ def _away_from_the_sun(
 def _table(camera: StarCamera, plan: SkyPlan) -> pd.DataFrame:
     rows = []
     for number, (pointing, at_random) in enumerate(zip(plan.pointings, plan.random_sigma_px), start=1):
-        _, down, middle = (pointing.R_si.inv().as_matrix() @ middle_of(camera)).T
-        east = np.cross([0.0, 0.0, 1.0], middle)
-        north = np.cross(middle, east)
+        ra, dec, roll = np.degrees(middle_on_sky(camera, pointing.R_si))
         quaternion = dict(zip(("qx_si", "qy_si", "qz_si", "qw_si"), pointing.R_si.as_quat(canonical=True)))
         rows.append(
             {
                 "image": number,
-                "ra_deg": np.degrees(np.arctan2(middle[1], middle[0])) % 360.0,
-                "dec_deg": np.degrees(np.arcsin(middle[2])),
-                "roll_deg": np.degrees(np.arctan2(-down @ east, -down @ north)),
+                "ra_deg": ra,
+                "dec_deg": dec,
+                "roll_deg": roll,
                 **quaternion,
                 "stars": pointing.stars,
                 "largest_sigma_px": pointing.sigma_px,

@@ -134,7 +134,6 @@ def residual_map(calibration: CameraCalibration, rows: int = 6, columns: int = 8
 def _named(
     frames: Sequence[SkyFrame], camera: StarCamera, index: StarIndex, settings: StarSettings, *, known: bool
 ) -> tuple[list[tuple[int, FieldSolution]], list[tuple[str, str]]]:
-    fov = 2.0 * np.arctan(0.5 * camera.width_px * camera.pixel_m / camera.focal_m)
     named, refused = [], []
     for k, frame in enumerate(frames):
         solution = solve_stars(
@@ -143,7 +142,7 @@ def _named(
             index,
             settings,
             camera=camera if known else None,
-            fov_x_rad=None if known else float(fov),
+            fov_x_rad=None if known else camera.fov_x_rad,
         )
         if isinstance(solution, NotIdentified):
             refused.append((frame.frame_id, solution.reason))
@@ -162,23 +161,22 @@ def _adjusted(
     drift: bool,
 ) -> CameraCalibration:
     """All named stars that are beyond doubt, and the camera and rotations that fit them."""
-    row_of = {int(hip): row for row, hip in enumerate(index.stars.hip)}
     xy, cov, u_i, frame, times, rotations = [], [], [], [], [], []
     for number, (k, solution) in enumerate(named):
-        rows = np.array([row_of[int(h)] for h in solution.hip], dtype=np.int64)
-        safe = fit_for_calibration(frames[k].stars, solution.detections, rows, camera, index, settings)
+        stars, rows = frames[k].stars, solution.rows
+        safe = fit_for_calibration(stars, solution.detections, rows, camera, index, settings)
         observer = frames[k].observer
         xy.append(solution.xy_px[safe])
-        cov.append(frames[k].stars.cov_px[solution.detections[safe]])
+        cov.append(stars.cov_px[solution.detections[safe]])
         u_i.append(star_directions(index, rows[safe], observer))
         frame.append(np.full(int(safe.sum()), number))
         times.append(0.0 if observer is None else observer.tai_s)
         rotations.append(solution.R_si)
-    stars = NamedStars(
+    seen = NamedStars(
         np.vstack(xy), np.concatenate(cov), np.vstack(u_i), np.concatenate(frame), np.array(times)
     )
     free = (*PARAMETERS, DRIFT) if drift else PARAMETERS
-    fit = fit_camera(stars, _shape_of(camera, named), Rotation.concatenate(rotations), free)
+    fit = fit_camera(seen, _shape_of(camera, named), Rotation.concatenate(rotations), free)
     return CameraCalibration(
         camera=fit.camera,
         covariance=fit.covariance[:7, :7],
@@ -186,10 +184,10 @@ def _adjusted(
         focal_drift_sigma_per_s=float(np.sqrt(fit.covariance[7, 7])) if drift else 0.0,
         chi2=fit.chi2,
         dof=fit.dof,
-        frame=stars.frame[fit.keep],
-        xy_px=stars.xy_px[fit.keep],
+        frame=seen.frame[fit.keep],
+        xy_px=seen.xy_px[fit.keep],
         residual_px=fit.residual_px[fit.keep],
-        sigma_px=np.sqrt(0.5 * np.trace(stars.cov_px[fit.keep], axis1=1, axis2=2)),
+        sigma_px=np.sqrt(0.5 * np.trace(seen.cov_px[fit.keep], axis1=1, axis2=2)),
         rotations=fit.rotations,
         frames_used=tuple(frames[k].frame_id for k, _ in named),
         frames_refused=(),

@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 
 from geometry.constants import ARCSEC
 from geometry.star_camera import StarCamera
-from star_id.field_fit import field_of_view_x, fit_attitude, fit_attitude_and_lens, middle_of
+from star_id.field_fit import fit_attitude, fit_attitude_and_lens
 from star_id.finding.star_list import StarList, find_stars
 from star_id.naming.identify import Identification, NotIdentified, identify
 from star_id.naming.plane import FieldOfView
@@ -31,6 +31,7 @@ __all__ = [
     "LARGEST_FOV_RAD",
     "SMALLEST_FOV_RAD",
     "FieldSolution",
+    "middle_on_sky",
     "nominal_camera",
     "solve_field",
     "solve_list",
@@ -57,6 +58,7 @@ class FieldSolution:
     camera: StarCamera  # as given, or fitted to this image
     fov_x_sigma_rad: float  # of a fitted camera; 0 for one that was given, NaN for bare places
     hip: NDArray[np.int64]
+    rows: NDArray[np.int64]  # (M,) of the index's stars
     detections: NDArray[np.int64]  # (M,) rows of the centroids handed over
     xy_px: Array  # (M, 2)
     u_i: Array  # (M, 3) where they stand, as the observer sees it if there is one
@@ -77,26 +79,22 @@ class FieldSolution:
     def ra_rad(self) -> float:
         """Right ascension of the image's centre, GCRS axes; light effects are removed if there was an
         observer."""
-        x, y, _ = self._middle_i()[:, 2]
-        return float(np.arctan2(y, x) % (2 * np.pi))
+        return middle_on_sky(self.camera, self.R_si)[0]
 
     @property
     def dec_rad(self) -> float:
         """Declination of the image's centre."""
-        return float(np.arcsin(self._middle_i()[2, 2]))
+        return middle_on_sky(self.camera, self.R_si)[1]
 
     @property
     def roll_rad(self) -> float:
         """Position angle, east of north, of the image's up direction (towards row 0) at its centre."""
-        _, down, centre = self._middle_i().T
-        east = np.cross([0.0, 0.0, 1.0], centre)
-        north = np.cross(centre, east)
-        return float(np.arctan2(-down @ east, -down @ north))
+        return middle_on_sky(self.camera, self.R_si)[2]
 
     @property
     def fov_x_rad(self) -> float:
         """Angle between the middles of the left and right edges."""
-        return field_of_view_x(self.camera)
+        return self.camera.fov_x_rad
 
     @property
     def pointing_sigma_rad(self) -> float:
@@ -108,15 +106,11 @@ class FieldSolution:
         """1-sigma error of the turn about the direction to the image's centre; NaN for bare places."""
         return float(np.sqrt(self._middle_covariance()[2, 2]))
 
-    def _middle_i(self) -> Array:
-        """(3, 3) right, down and towards the image's centre, in columns."""
-        return np.asarray(self.R_si.inv().as_matrix() @ middle_of(self.camera))
-
     def _middle_covariance(self) -> Array:
-        """(3, 3) rad^2, of a turn about the axes of `_middle_i`."""
+        """(3, 3) rad^2, of a turn about right, down and the direction of the image's centre."""
         if self.cov_s is None:
             return np.full((3, 3), np.nan)
-        axes = middle_of(self.camera)
+        axes = self.camera.middle_axes()
         return np.asarray(axes.T @ self.cov_s @ axes)
 
     @property
@@ -124,6 +118,16 @@ class FieldSolution:
         """Root mean square distance of the matched stars."""
         scale = self.camera.pixel_m / self.camera.focal_m / ARCSEC
         return float(np.sqrt((self.residual_px**2).sum(axis=1).mean()) * scale)
+
+
+def middle_on_sky(camera: StarCamera, R_si: Rotation) -> tuple[float, float, float]:
+    """Right ascension and declination of an image's middle, and the position angle, east of north, of its up
+    direction (towards row 0) there; rad."""
+    _, down, middle = (R_si.inv().as_matrix() @ camera.middle_axes()).T
+    east = np.cross([0.0, 0.0, 1.0], middle)
+    north = np.cross(middle, east)
+    ra, dec = np.arctan2(middle[1], middle[0]) % (2.0 * np.pi), np.arcsin(middle[2])
+    return float(ra), float(dec), float(np.arctan2(-down @ east, -down @ north))
 
 
 def solve_field(
@@ -284,6 +288,7 @@ def _solution(found: Identification, xy_px: Array, camera: StarCamera, index: St
         camera=camera,
         fov_x_sigma_rad=np.nan,
         hip=index.stars.hip.take(found.stars),
+        rows=found.stars,
         detections=found.detections,
         xy_px=xy_px.take(found.detections, axis=0),
         u_i=index.u_i.take(found.stars, axis=0),

@@ -25,7 +25,7 @@ from star_id.camera_fit import (
     turn_derivatives,
 )
 
-__all__ = ["FieldFit", "field_of_view_x", "fit_attitude", "fit_attitude_and_lens", "middle_of"]
+__all__ = ["FieldFit", "fit_attitude", "fit_attitude_and_lens"]
 
 Array = NDArray[np.float64]
 
@@ -78,23 +78,6 @@ def fit_attitude_and_lens(
     fov_x = float(np.sqrt(seen.widening @ fit.covariance @ seen.widening))
     cov_s = fit.larger * seen.cov_turn + seen.share @ fit.covariance @ seen.share.T
     return FieldFit(fit.rotations[0], cov_s, fit.camera, fov_x)
-
-
-def field_of_view_x(camera: StarCamera) -> float:
-    """Angle between the middles of the left and right edges, rad."""
-    row = 0.5 * (camera.height_px - 1)
-    left, right = camera.directions_from_pixels([[-0.5, row], [camera.width_px - 0.5, row]])
-    return float(2.0 * np.arcsin(0.5 * np.linalg.norm(right - left)))
-
-
-def middle_of(camera: StarCamera) -> Array:
-    """Rotation matrix whose columns are right, down and the direction to the image's middle, in axes of
-    s."""
-    x, y = 0.5 * (camera.width_px - 1), 0.5 * (camera.height_px - 1)
-    middle, above = camera.directions_from_pixels([[x, y], [x, y - 1.0]])
-    up = above - middle * (above @ middle)
-    up /= np.linalg.norm(up)
-    return np.stack([np.cross(middle, up), -up, middle], axis=1)
 
 
 def _usual(camera: StarCamera) -> dict[str, float]:
@@ -154,8 +137,8 @@ def _slope(camera: StarCamera, name: str, step: float) -> Array:
     """(4,) how far one of the camera's numbers turns the image's middle, about the axes of s, and widens the
     field."""
     more, less = moved(camera, name, 0.5 * step), moved(camera, name, -0.5 * step)
-    turn = Rotation.from_matrix(middle_of(more) @ middle_of(less).T).as_rotvec()
-    return np.append(turn, field_of_view_x(more) - field_of_view_x(less)) / step
+    turn = Rotation.from_matrix(more.middle_axes() @ less.middle_axes().T).as_rotvec()
+    return np.append(turn, more.fov_x_rad - less.fov_x_rad) / step
 
 
 def _unexplained(fit: CameraFit, seen: _Seen, cov_px: Array, before: float) -> float:

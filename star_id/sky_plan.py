@@ -57,8 +57,7 @@ class StarImages:
         stars = seen.stars
         if stars is None:
             raise ValueError("StarImages.of needs a field that was solved from an image")
-        row_of = {int(hip): row for row, hip in enumerate(index.stars.hip)}
-        v_mag = index.stars.v_mag[[row_of[int(hip)] for hip in seen.hip]]
+        v_mag = index.stars.v_mag[seen.rows]
         flux = stars.flux_dn[seen.detections]
         whole = ~stars.saturated[seen.detections]
         if not whole.any():

@@ -7,7 +7,7 @@ dump come with times and orbit.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -106,7 +106,7 @@ def observers_of(images: Sequence[Path], known: Whereabouts) -> dict[str, Observ
     if known.orbit is not None and known.site_deg_m is not None:
         raise RawDataError("--orbit", "use", "--site as well", "a satellite or a place on the ground")
     utc = _times(images, known.times)
-    path = _path_of(known, utc)
+    path = _path_of(known)
     return {name: _observer(path, known.times, name, time) for name, time in utc.items()}
 
 
@@ -124,7 +124,7 @@ def _times(images: Sequence[Path], times: Path) -> dict[str, str]:
     return {image.name: by_name[image.name] for image in images}
 
 
-def _path_of(known: Whereabouts, utc: Mapping[str, str]) -> Orbit | GroundSite | None:
+def _path_of(known: Whereabouts) -> Orbit | GroundSite | None:
     if known.orbit is not None:
         ephemeris = read_oem(known.orbit, str(known.orbit))
         return orbit_of(ephemeris, str(known.orbit), 0.0, bundled_table(), allow_stale_eop=True)

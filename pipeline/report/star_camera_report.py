@@ -80,7 +80,9 @@ def calibrate_from_images(
     if read is None:
         return [*left_out, "not calibrated: no image could be read"], False
     height, width = read[1].shape
-    index = sky_index(None, _fov_deg(camera) if camera is not None else request.fov_deg, settings)
+    index = sky_index(
+        None, float(np.degrees(camera.fov_x_rad)) if camera is not None else request.fov_deg, settings
+    )
     if camera is None:
         first = _first_camera(frames, (width, height), request.fov_deg, settings, index)
         if isinstance(first, NotIdentified):
@@ -133,10 +135,6 @@ def _first_camera(
             return nominal_camera(size, found.fov_x_rad)
         answer = found
     return answer
-
-
-def _fov_deg(camera: StarCamera) -> float:
-    return float(np.degrees(2.0 * np.arctan(0.5 * camera.width_px * camera.pixel_m / camera.focal_m)))
 
 
 def _camera_table(camera: StarCamera, bits: int) -> dict[str, Any]:

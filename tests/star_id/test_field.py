@@ -15,7 +15,6 @@ from geometry.sightings import information_of_directions
 from geometry.star_camera import StarCamera
 from star_id.catalogue import hipparcos_stars
 from star_id.field import FieldSolution, solve_list, solve_stars
-from star_id.field_fit import field_of_view_x, middle_of
 from star_id.naming.triangles import build_index
 from star_id.observer import Observer
 from star_id.settings import StarSettings
@@ -159,7 +158,7 @@ def test_the_error_stated_is_true_of_narrow_and_wide_lenses_alike(fov_deg, fewes
     places = hipparcos_stars(8.0).places
     sky = build_index(places, places.epoch_jyear, (np.radians(0.75 * fov_deg), np.radians(1.2 * fov_deg)))
     rng, together, width, counts = np.random.default_rng(40), [], [], []
-    true_width = field_of_view_x(camera)
+    true_width = camera.fov_x_rad
     for _ in range(30):
         R_si = Rotation.random(random_state=rng)
         stars = listed_stars(camera, R_si, places, rng, brightest=1000.0)
@@ -167,8 +166,8 @@ def test_the_error_stated_is_true_of_narrow_and_wide_lenses_alike(fov_deg, fewes
         if not isinstance(found, FieldSolution):  # six stars are few
             continue
         turn = Rotation.from_matrix(
-            (found.R_si.inv().as_matrix() @ middle_of(found.camera))
-            @ (R_si.inv().as_matrix() @ middle_of(camera)).T
+            (found.R_si.inv().as_matrix() @ found.camera.middle_axes())
+            @ (R_si.inv().as_matrix() @ camera.middle_axes()).T
         )
         in_s = R_si.apply(turn.as_rotvec())
         together.append(in_s @ np.linalg.solve(found.cov_s, in_s))
