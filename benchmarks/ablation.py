@@ -22,26 +22,26 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from calib.calibration import calibrate
-from calib.estimate import InstallationEstimate
-from calib.settings import CalibrationSettings
-from geometry.attitude import AttitudeTrack
-from geometry.constants import ARCSEC, GM_EARTH, SPEED_OF_LIGHT, WGS84
-from geometry.earth_orientation import EarthOrientationTable, bundled_earth_orientation
-from geometry.earth_rotation import EarthRotation
-from geometry.epoch import Epoch
-from geometry.geodesy import ecef_from_geodetic, geodetic_from_ecef
-from geometry.geoid import egm96
-from geometry.groundlight import LightEffects, apparent_ground_directions
-from geometry.installation import deviation_from_theta, theta_between
-from geometry.line_camera import Ccd, LineCamera
-from geometry.orbit import Orbit
-from geometry.pushbroom import Pushbroom, RowClock
-from geometry.sightings import GroundSightings, StarSightings, StripSightings, isotropic_covariance
-from geometry.star_camera import StarCamera
-from geometry.starlight import StarPlaces, apparent_star_directions_at
-from geometry.terrain import ConstantHeight
-from star_id.catalogue import hipparcos_stars
+from boresight.calib.calibration import calibrate
+from boresight.calib.estimate import InstallationEstimate
+from boresight.calib.settings import CalibrationSettings
+from boresight.geometry.attitude import AttitudeTrack
+from boresight.geometry.constants import ARCSEC, GM_EARTH, SPEED_OF_LIGHT, WGS84
+from boresight.geometry.earth_orientation import EarthOrientationTable, bundled_earth_orientation
+from boresight.geometry.earth_rotation import EarthRotation
+from boresight.geometry.epoch import Epoch
+from boresight.geometry.geodesy import ecef_from_geodetic, geodetic_from_ecef
+from boresight.geometry.geoid import egm96
+from boresight.geometry.groundlight import LightEffects, apparent_ground_directions
+from boresight.geometry.installation import deviation_from_theta, theta_between
+from boresight.geometry.line_camera import Ccd, LineCamera
+from boresight.geometry.orbit import Orbit
+from boresight.geometry.pushbroom import Pushbroom, RowClock
+from boresight.geometry.sightings import GroundSightings, StarSightings, StripSightings, isotropic_covariance
+from boresight.geometry.star_camera import StarCamera
+from boresight.geometry.starlight import StarPlaces, apparent_star_directions_at
+from boresight.geometry.terrain import ConstantHeight
+from boresight.star_id.catalogue import hipparcos_stars
 
 Array = NDArray[np.float64]
 

@@ -22,7 +22,7 @@ from pathlib import Path
 
 from end_to_end import machine
 
-from pipeline.files.dump import open_dump
+from boresight.pipeline.files.dump import open_dump
 
 COMMAND = (sys.executable, "-c", "from pipeline.cli import main; main()", "calibrate")
 EVERY_S = 0.1

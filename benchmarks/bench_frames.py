@@ -21,15 +21,25 @@ from astropy.time import Time
 from astropy.utils import iers
 from pyproj import Transformer
 
-from geometry.constants import ARCSEC, GM_EARTH, WGS84
-from geometry.earth_orientation import bundled_earth_orientation
-from geometry.earth_rotation import EarthRotation
-from geometry.epoch import MJD_ZERO_JD, Epoch, tai_minus_utc_s
-from geometry.geodesy import ecef_from_geodetic, geodetic_from_ecef, local_axes_e, ray_ellipsoid_intersection
-from geometry.geoid import egm96
-from geometry.groundlight import LightEffects, apparent_directions_e, emission_points_e, emission_rays_e
-from geometry.starlight import apparent_star_directions
-from geometry.terrain import TerrainGrid, intersect
+from boresight.geometry.constants import ARCSEC, GM_EARTH, WGS84
+from boresight.geometry.earth_orientation import bundled_earth_orientation
+from boresight.geometry.earth_rotation import EarthRotation
+from boresight.geometry.epoch import MJD_ZERO_JD, Epoch, tai_minus_utc_s
+from boresight.geometry.geodesy import (
+    ecef_from_geodetic,
+    geodetic_from_ecef,
+    local_axes_e,
+    ray_ellipsoid_intersection,
+)
+from boresight.geometry.geoid import egm96
+from boresight.geometry.groundlight import (
+    LightEffects,
+    apparent_directions_e,
+    emission_points_e,
+    emission_rays_e,
+)
+from boresight.geometry.starlight import apparent_star_directions
+from boresight.geometry.terrain import TerrainGrid, intersect
 
 TESTS = Path(__file__).parents[1] / "tests" / "geometry"
 TABLE = bundled_earth_orientation()

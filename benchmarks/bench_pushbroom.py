@@ -22,19 +22,19 @@ from numpy.typing import NDArray
 from pyproj import Transformer
 from scipy.spatial.transform import Rotation
 
-from geometry.attitude import AttitudeTrack
-from geometry.constants import GM_EARTH, WGS84
-from geometry.earth_orientation import bundled_earth_orientation
-from geometry.earth_rotation import EarthRotation
-from geometry.epoch import Epoch
-from geometry.geodesy import ecef_from_geodetic, geodetic_from_ecef
-from geometry.groundlight import LightEffects
-from geometry.line_camera import Ccd, LineCamera
-from geometry.orbit import Orbit
-from geometry.pushbroom import Pushbroom, RowClock
-from geometry.terrain import ConstantHeight, TerrainGrid
-from geometry.virtual_ccd import VirtualStrip
-from pipeline.files.dimap import read_dimap
+from boresight.geometry.attitude import AttitudeTrack
+from boresight.geometry.constants import GM_EARTH, WGS84
+from boresight.geometry.earth_orientation import bundled_earth_orientation
+from boresight.geometry.earth_rotation import EarthRotation
+from boresight.geometry.epoch import Epoch
+from boresight.geometry.geodesy import ecef_from_geodetic, geodetic_from_ecef
+from boresight.geometry.groundlight import LightEffects
+from boresight.geometry.line_camera import Ccd, LineCamera
+from boresight.geometry.orbit import Orbit
+from boresight.geometry.pushbroom import Pushbroom, RowClock
+from boresight.geometry.terrain import ConstantHeight, TerrainGrid
+from boresight.geometry.virtual_ccd import VirtualStrip
+from boresight.pipeline.files.dimap import read_dimap
 
 Array = NDArray[np.float64]
 N, LINES, SAMPLES = 1_000_000, 26_000, 6144

@@ -22,18 +22,18 @@ import erfa
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from geometry.atmosphere import layered_atmosphere, standard_atmosphere
-from geometry.attitude import AttitudeTrack
-from geometry.constants import GM_EARTH, WGS84
-from geometry.earth_orientation import bundled_earth_orientation
-from geometry.earth_rotation import EarthRotation
-from geometry.epoch import Epoch
-from geometry.geodesy import ecef_from_geodetic, geodetic_from_ecef
-from geometry.groundlight import LightEffects
-from geometry.line_camera import Ccd, LineCamera
-from geometry.orbit import Orbit
-from geometry.pushbroom import Pushbroom, RowClock
-from geometry.terrain import ConstantHeight, Surface, TerrainGrid
+from boresight.geometry.atmosphere import layered_atmosphere, standard_atmosphere
+from boresight.geometry.attitude import AttitudeTrack
+from boresight.geometry.constants import GM_EARTH, WGS84
+from boresight.geometry.earth_orientation import bundled_earth_orientation
+from boresight.geometry.earth_rotation import EarthRotation
+from boresight.geometry.epoch import Epoch
+from boresight.geometry.geodesy import ecef_from_geodetic, geodetic_from_ecef
+from boresight.geometry.groundlight import LightEffects
+from boresight.geometry.line_camera import Ccd, LineCamera
+from boresight.geometry.orbit import Orbit
+from boresight.geometry.pushbroom import Pushbroom, RowClock
+from boresight.geometry.terrain import ConstantHeight, Surface, TerrainGrid
 
 UTC = "2026-10-08T10:31:00"  # measured values of finals2000A, after the end of EOP 20 C04
 N_PX, PIXEL_M, FOCAL_M = 24_576, 8.75e-6, 10.0

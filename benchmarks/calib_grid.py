@@ -14,8 +14,8 @@ import pandas as pd
 from calib_report import band_of_mean_nees, head, verdict
 from scipy.stats import chi2, norm
 
-from calib.experiments import ExperimentSettings
-from pipeline.experiments.tables import run_experiment
+from boresight.pipeline.experiments.tables import run_experiment
+from boresight.pipeline.experiments.vectors import ExperimentSettings
 
 OUT = Path(__file__).parent / "results"
 

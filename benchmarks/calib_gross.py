@@ -11,13 +11,13 @@ from dataclasses import replace
 import numpy as np
 from calib_report import band_of_mean_nees, head, verdict
 
-from calib.calibration import calibrate
-from calib.campaign import CameraPair, StripPlan, draw_strips, installation_by_tilt
-from calib.estimate import InstallationEstimate
-from calib.experiments import MATRIX_28, NO_NUISANCES, TABLE_1
-from calib.settings import CalibrationSettings
-from geometry.constants import ARCSEC
-from geometry.installation import deviation_from_theta, theta_between
+from boresight.calib.calibration import calibrate
+from boresight.calib.estimate import InstallationEstimate
+from boresight.calib.settings import CalibrationSettings
+from boresight.geometry.constants import ARCSEC
+from boresight.geometry.installation import deviation_from_theta, theta_between
+from boresight.pipeline.experiments.vectors import MATRIX_28, NO_NUISANCES, TABLE_1
+from boresight.simulator.campaign import CameraPair, StripPlan, draw_strips, installation_by_tilt
 
 CAMERAS = CameraPair(installation_by_tilt(np.radians(15.0)))
 

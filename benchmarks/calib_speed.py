@@ -14,11 +14,12 @@ import numpy as np
 from calib_report import head, peak_mib, verdict
 from scipy.spatial.transform import Rotation
 
-from calib.campaign import CameraPair, draw_frames, installation_by_tilt
-from calib.frames import Frames, calibrate_frames, calibrate_stream, frame_pairs, prepare_frames
-from calib.ten_steps import frame_information_literally
-from geometry.constants import ARCSEC
-from geometry.installation import deviation_from_theta, theta_between
+from boresight.calib.frames import calibrate_frames, calibrate_stream, frame_pairs, prepare_frames
+from boresight.calib.ten_steps import frame_information_literally
+from boresight.geometry.constants import ARCSEC
+from boresight.geometry.installation import deviation_from_theta, theta_between
+from boresight.geometry.vector_sets import VectorSets
+from boresight.simulator.campaign import CameraPair, draw_frames, installation_by_tilt
 
 CAMERAS = CameraPair(installation_by_tilt(np.radians(15.0)))
 R_CS0 = deviation_from_theta(np.array([0.003, 0.002, 0.001])).inv() * CAMERAS.R_cs
@@ -35,7 +36,7 @@ def seconds(work: Callable[[], object], repeats: int) -> float:
     return best
 
 
-def one_pass(frames: Frames, R_cs: Rotation) -> tuple[np.ndarray, np.ndarray]:
+def one_pass(frames: VectorSets, R_cs: Rotation) -> tuple[np.ndarray, np.ndarray]:
     return frame_pairs(prepare_frames(frames), R_cs)
 
 
@@ -90,7 +91,7 @@ def growth() -> None:
     verdict(f"memory flat: {more:.0f} MiB more for 100 times the frames (<= 20)", more <= 20)
 
 
-def chunks(pool: list[Frames], n_frames: int) -> Iterator[Frames]:
+def chunks(pool: list[VectorSets], n_frames: int) -> Iterator[VectorSets]:
     """`n_frames` frames in chunks; the same few chunks come round again."""
     if n_frames < CHUNK:
         yield draw_frames(n_frames, 60, 20, 0.06, 0.3, CAMERAS, np.random.default_rng(9))

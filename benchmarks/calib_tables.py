@@ -13,8 +13,8 @@ import numpy as np
 import pandas as pd
 from calib_report import head, verdict
 
-from calib.experiments import ExperimentSettings
-from pipeline.experiments.tables import run_experiment
+from boresight.pipeline.experiments.tables import run_experiment
+from boresight.pipeline.experiments.vectors import ExperimentSettings
 
 OUT = Path(__file__).parent / "results"
 

@@ -31,14 +31,14 @@ from end_to_end import machine
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from calib.calibration import calibrate, strip_pairs
-from calib.campaign import CameraPair, StripPlan, draw_strips, installation_by_tilt
-from calib.distortion import prior_information
-from calib.drift import DriftSettings, MountingSeries, estimate_drift
-from calib.forecast import settings_of_plan
-from calib.information import InformationPairs, solve_total
-from geometry.constants import ARCSEC, DAY_S
-from geometry.installation import deviation_from_theta, theta_between
+from boresight.calib.calibration import calibrate, strip_pairs
+from boresight.calib.distortion import prior_information
+from boresight.calib.information import InformationPairs, solve_total
+from boresight.calib.mounting.drift import DriftSettings, MountingSeries, estimate_drift
+from boresight.geometry.constants import ARCSEC, DAY_S
+from boresight.geometry.installation import deviation_from_theta, theta_between
+from boresight.pipeline.stages.forecast import settings_of_plan
+from boresight.simulator.campaign import CameraPair, StripPlan, draw_strips, installation_by_tilt
 
 Array = NDArray[np.float64]
 

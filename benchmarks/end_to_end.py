@@ -26,10 +26,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from geometry.constants import ARCSEC
-from pipeline.files.dump import open_dump
-from pipeline.result import read_result
-from pipeline.validate import Validation, validate
+from boresight.geometry.constants import ARCSEC
+from boresight.pipeline.files.dump import open_dump
+from boresight.pipeline.results.folder import read_result
+from boresight.pipeline.results.validate import Validation, validate
 
 COMMAND = (sys.executable, "-c", "from pipeline.cli import main; main()")
 

@@ -165,7 +165,14 @@ def follow_coverage(name: str, inputs: int, seed: int) -> None:
     """libFuzzer's mutations, steered by the branches that they reach in the readers' Python code."""
     import atheris
 
-    with atheris.instrument_imports(include=["pipeline.files", "pipeline.settings", "pipeline.plan", "oem"]):
+    with atheris.instrument_imports(
+        include=[
+            "boresight.pipeline.files",
+            "boresight.pipeline.settings",
+            "boresight.pipeline.stages.plan",
+            "oem",
+        ]
+    ):
         from readers import DOCUMENTED, READERS, write_sound_files
     warnings.simplefilter("ignore")
     reader = next(reader for reader in READERS if reader.name == name)

@@ -29,17 +29,17 @@ from calib_report import head, peak_mib, verdict
 from end_to_end import run_command
 from numpy.typing import NDArray
 
-from gct_match.bootstrap import bootstrap, plan_search
-from gct_match.match import match_strip
-from gct_match.paths import target_paths
-from gct_match.records import Chip, StripImage, StripMatches
-from pipeline.calibrate import strips_to_match
-from pipeline.chains.ground_chain import StripTask, pushbroom_of
-from pipeline.files.dump import open_dump, surface_of
-from pipeline.files.image_files import read_grid
-from pipeline.result import store_of
-from pipeline.settings import read_settings
-from pipeline.work.executor import InOrder
+from boresight.gct_match.match import match_strip
+from boresight.gct_match.predict.trajectories import target_paths
+from boresight.gct_match.records import Chip, StripImage, StripMatches
+from boresight.gct_match.search.bootstrap import bootstrap, plan_search
+from boresight.pipeline.files.dump import open_dump, surface_of
+from boresight.pipeline.files.image_files import read_grid
+from boresight.pipeline.results.folder import store_of
+from boresight.pipeline.settings import read_settings
+from boresight.pipeline.stages.calibrate import strips_to_match
+from boresight.pipeline.stages.strip import StripTask, pushbroom_of
+from boresight.pipeline.work.executor import InOrder
 
 TARGETS = 40
 WRONG_PX = 1.0

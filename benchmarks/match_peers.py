@@ -29,13 +29,13 @@ sys.path[:0] = [str(ROOT), str(ROOT / "tests" / "gct_match")]
 
 from rendered_pairs import Pair, load_picture, make_pair  # noqa: E402
 
-from gct_match.correlation import (  # noqa: E402
+from boresight.gct_match.locate import Located, locate  # noqa: E402
+from boresight.gct_match.search.correlation import (  # noqa: E402
     correlation_surface,
     normalised,
     peaks_of,
 )
-from gct_match.locate import Located, locate  # noqa: E402
-from gct_match.settings import MatchSettings  # noqa: E402
+from boresight.gct_match.settings import MatchSettings  # noqa: E402
 
 Array = NDArray[np.float64]
 Outcome = tuple[Array | None, Array | None]  # place (2,) and covariance (2, 2), None where there is none

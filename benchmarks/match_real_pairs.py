@@ -21,11 +21,11 @@ from match_peers import MARGIN, METHODS, SETTINGS, Array, Outcome, located, peak
 from numpy.typing import NDArray
 from rendered_pairs import DATA, Pair
 
-from gct_match.bootstrap import pyramid_factor, vote_tolerance_px
-from gct_match.correlation import correlation_surface, normalised
-from gct_match.edge_search import best_places, search_picture, search_template
-from gct_match.suggest import suggest_targets
-from gct_match.vote import Candidates, Vote, log_chance_of_ranks, vote
+from boresight.gct_match.search.bootstrap import pyramid_factor, vote_tolerance_px
+from boresight.gct_match.search.correlation import correlation_surface, normalised
+from boresight.gct_match.search.edge_search import best_places, search_picture, search_template
+from boresight.gct_match.search.vote import Candidates, Vote, log_chance_of_ranks, vote
+from boresight.gct_match.suggest import suggest_targets
 
 SIZE, REACH = 96, 120  # of a NAIP chip and of the search to each side, px
 FAR_PX = 3.0  # the files' georeferencing is good to a pixel

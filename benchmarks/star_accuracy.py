@@ -26,21 +26,21 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 from scipy.special import ndtr
 
-from geometry.star_camera import StarCamera
+from boresight.geometry.star_camera import StarCamera
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "star_id"))
 
 from frames import PAPER_CAMERA, Sensor, render, star_frame
 
-from pipeline.report.centroid_report import score_lines
-from star_id.catalogue import hipparcos_stars
-from star_id.field import FieldSolution, solve_list
-from star_id.finding.psf import Psf
-from star_id.finding.star_list import StarList, find_stars
-from star_id.naming.identify import NotIdentified
-from star_id.naming.triangles import StarIndex, build_index, equivalent_fov
-from star_id.score import SNR_EDGES, score_centroids
-from star_id.settings import CentroidMethod, StarSettings
+from boresight.pipeline.report.centroid_report import score_lines
+from boresight.star_id.catalogue import hipparcos_stars
+from boresight.star_id.field import FieldSolution, solve_list
+from boresight.star_id.finding.psf import Psf
+from boresight.star_id.finding.star_list import StarList, find_stars
+from boresight.star_id.naming.identify import NotIdentified
+from boresight.star_id.naming.triangles import StarIndex, build_index, equivalent_fov
+from boresight.star_id.score import SNR_EDGES, score_centroids
+from boresight.star_id.settings import CentroidMethod, StarSettings
 
 RUNS = 5  # of each frame: on a shared machine the least tells what the work costs
 

@@ -28,20 +28,20 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "star_id"
 
 from frames import PAPER_CAMERA, Sensor, as_seen, star_frame
 
-from geometry.constants import ARCSEC
-from geometry.epoch import Epoch
-from geometry.sightings import information_of_directions
-from geometry.star_camera import StarCamera
-from star_id.attitude import solve_attitude
-from star_id.catalogue import hipparcos_stars
-from star_id.field import solve_field
-from star_id.finding.psf import Psf
-from star_id.naming.identify import NotIdentified
-from star_id.naming.triangles import build_index, equivalent_fov
-from star_id.observer import Observer
-from star_id.score import cramer_rao_px
-from star_id.settings import StarSettings
-from star_id.sight import sight_stars
+from boresight.geometry.constants import ARCSEC
+from boresight.geometry.epoch import Epoch
+from boresight.geometry.sightings import information_of_directions
+from boresight.geometry.star_camera import StarCamera
+from boresight.star_id.attitude import solve_attitude
+from boresight.star_id.catalogue import hipparcos_stars
+from boresight.star_id.field import solve_field
+from boresight.star_id.finding.psf import Psf
+from boresight.star_id.naming.identify import NotIdentified
+from boresight.star_id.naming.triangles import build_index, equivalent_fov
+from boresight.star_id.observer import Observer
+from boresight.star_id.score import cramer_rao_px
+from boresight.star_id.settings import StarSettings
+from boresight.star_id.sight import sight_stars
 
 CAMERA = replace(PAPER_CAMERA, principal_px=(2571.3, 1893.2))  # a detector beside the axis, as all are
 SENSOR = Sensor(hot_pixels=2000)

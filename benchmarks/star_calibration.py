@@ -36,19 +36,19 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "star_id"
 
 from frames import PAPER_CAMERA, FrameTruth, Sensor, star_frame
 
-from geometry.epoch import Epoch
-from geometry.star_camera import StarCamera
-from star_id.camera_calibration import CameraCalibration, SkyFrame, calibrate_camera
-from star_id.camera_fit import PARAMETERS, moved
-from star_id.catalogue import hipparcos_stars
-from star_id.field import FieldSolution, nominal_camera, solve_field
-from star_id.finding.psf import Psf
-from star_id.finding.star_list import find_stars
-from star_id.naming.triangles import build_index
-from star_id.observer import Observer
-from star_id.score import cramer_rao_px
-from star_id.settings import StarSettings
-from star_id.sky_plan import StarImages, plan_pointings
+from boresight.geometry.epoch import Epoch
+from boresight.geometry.star_camera import StarCamera
+from boresight.star_id.camera_calibration import CameraCalibration, SkyFrame, calibrate_camera
+from boresight.star_id.camera_fit import PARAMETERS, moved
+from boresight.star_id.catalogue import hipparcos_stars
+from boresight.star_id.field import FieldSolution, nominal_camera, solve_field
+from boresight.star_id.finding.psf import Psf
+from boresight.star_id.finding.star_list import find_stars
+from boresight.star_id.naming.triangles import build_index
+from boresight.star_id.observer import Observer
+from boresight.star_id.score import cramer_rao_px
+from boresight.star_id.settings import StarSettings
+from boresight.star_id.sky_plan import StarImages, plan_pointings
 
 TRUTH = replace(PAPER_CAMERA, principal_px=(2571.3, 1911.2))
 NOMINAL = StarCamera(0.105, 6.4e-6, 5120, 3840, (2559.5, 1919.5))

@@ -23,10 +23,10 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "star_id"
 
 from frames import PAPER_CAMERA, stars_in_view
 
-from star_id.catalogue import hipparcos_stars
-from star_id.field import FieldSolution, solve_stars
-from star_id.naming.triangles import build_index, equivalent_fov
-from star_id.settings import StarSettings
+from boresight.star_id.catalogue import hipparcos_stars
+from boresight.star_id.field import FieldSolution, solve_stars
+from boresight.star_id.naming.triangles import build_index, equivalent_fov
+from boresight.star_id.settings import StarSettings
 
 SIZE = (5120, 3840)
 # title, stars, false stars, error of the field of view (None: unknown)

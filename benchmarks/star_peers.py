@@ -250,10 +250,10 @@ def _finding(peers: Peers, folder: Path, frames: int) -> None:
     from frames import PAPER_CAMERA, Sensor, star_frame
     from scipy.spatial.transform import Rotation
 
-    from star_id.catalogue import hipparcos_stars
-    from star_id.finding.psf import Psf
-    from star_id.finding.star_list import find_stars
-    from star_id.settings import StarSettings
+    from boresight.star_id.catalogue import hipparcos_stars
+    from boresight.star_id.finding.psf import Psf
+    from boresight.star_id.finding.star_list import find_stars
+    from boresight.star_id.settings import StarSettings
 
     places, settings, sensor = hipparcos_stars(8.0).places, StarSettings(), Sensor(hot_pixels=2000)
     tools = [tool for tool in peers.versions if not ("solve" in tool or "calibrate" in tool)]
@@ -287,7 +287,7 @@ def _finding(peers: Peers, folder: Path, frames: int) -> None:
 def _score_line(tool, found, truths, spent, psf, sensor) -> str:
     from scipy.spatial import cKDTree
 
-    from star_id.score import cramer_rao_px
+    from boresight.star_id.score import cramer_rao_px
 
     seen = total = false = hot = 0
     errors, bounds = [], []
@@ -349,10 +349,10 @@ def _naming(peers: Peers, folder: Path, attitudes: int) -> None:
     from frames import PAPER_CAMERA
     from scipy.spatial.transform import Rotation
 
-    from star_id.catalogue import hipparcos_stars
-    from star_id.naming.triangles import build_index, equivalent_fov
-    from star_id.settings import StarSettings
-    from star_id.sight import field_of_camera
+    from boresight.star_id.catalogue import hipparcos_stars
+    from boresight.star_id.naming.triangles import build_index, equivalent_fov
+    from boresight.star_id.settings import StarSettings
+    from boresight.star_id.sight import field_of_camera
 
     camera = replace(PAPER_CAMERA, p1=0.0, p2=0.0, q1=0.0, q2=0.0, principal_px=(2559.5, 1919.5))
     places, settings = hipparcos_stars(8.0).places, StarSettings()
@@ -400,9 +400,9 @@ def _naming(peers: Peers, folder: Path, attitudes: int) -> None:
 
 def _named(camera, field, index, settings, xy, sigma):
     """Direction of the axis, empty where not identified, and the CPU time of naming alone, ms."""
-    from star_id.attitude import solve_attitude
-    from star_id.naming.identify import NotIdentified, identify
-    from star_id.sight import plane_coordinates
+    from boresight.star_id.attitude import solve_attitude
+    from boresight.star_id.naming.identify import NotIdentified, identify
+    from boresight.star_id.sight import plane_coordinates
 
     start = time.process_time()
     found = identify(plane_coordinates(camera, xy), field, index, settings)
@@ -419,10 +419,10 @@ def _named(camera, field, index, settings, xy, sigma):
 def _calibrating(peers: Peers, folder: Path, cameras: int) -> None:
     from star_calibration import NOMINAL, detector, errors_of_map, sky_frame
 
-    from star_id.camera_calibration import calibrate_camera
-    from star_id.catalogue import hipparcos_stars
-    from star_id.naming.triangles import build_index
-    from star_id.settings import StarSettings
+    from boresight.star_id.camera_calibration import calibrate_camera
+    from boresight.star_id.catalogue import hipparcos_stars
+    from boresight.star_id.naming.triangles import build_index
+    from boresight.star_id.settings import StarSettings
 
     places, settings = hipparcos_stars(8.0).places, StarSettings()
     index = build_index(places, places.epoch_jyear, (np.radians(15.0), np.radians(24.0)))

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from calib.frames import sums_over
-from geometry.sightings import information_of_directions
+from boresight.calib.frames import sums_over
+from boresight.geometry.sightings import information_of_directions
 
 __all__ = ["GROSS", "ExposureAttitudes", "cross_matrices", "fit_attitudes"]
 

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from calib.attitudes import GROSS
-from calib.estimate import (
+from boresight.calib.attitudes import GROSS
+from boresight.calib.estimate import (
     InstallationEstimate,
     Iteration,
     NoiseScale,
@@ -27,14 +27,20 @@ from calib.estimate import (
     Rejected,
     TargetResiduals,
 )
-from calib.gross_errors import down_to_the_noise, most_shared_matrix
-from calib.information import InformationPairs, Solution
-from calib.joint_solution import Problem, Step, iteration_record, linear_solution, normalised_residuals
-from calib.rejection import left_out
-from calib.settings import CalibrationSettings
-from calib.strips import PreparedStrip, prepare_strip
-from geometry.installation import deviation_from_theta, theta_between
-from geometry.sightings import StripSightings
+from boresight.calib.gross_errors import down_to_the_noise, most_shared_matrix
+from boresight.calib.information import InformationPairs, Solution
+from boresight.calib.joint_solution import (
+    Problem,
+    Step,
+    iteration_record,
+    linear_solution,
+    normalised_residuals,
+)
+from boresight.calib.rejection import left_out
+from boresight.calib.settings import CalibrationSettings
+from boresight.calib.strips import PreparedStrip, prepare_strip
+from boresight.geometry.installation import deviation_from_theta, theta_between
+from boresight.geometry.sightings import StripSightings
 
 __all__ = ["calibrate", "strip_pairs"]
 

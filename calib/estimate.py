@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from calib.information import InformationPairs
+from boresight.calib.information import InformationPairs
 
 __all__ = [
     "InstallationEstimate",

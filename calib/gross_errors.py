@@ -6,10 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from calib.attitudes import cross_matrices
-from calib.estimate import Iteration
-from calib.joint_solution import Problem, iteration_record, linear_solution, residuals_about
-from geometry.installation import deviation_from_theta
+from boresight.calib.attitudes import cross_matrices
+from boresight.calib.estimate import Iteration
+from boresight.calib.joint_solution import Problem, iteration_record, linear_solution, residuals_about
+from boresight.geometry.installation import deviation_from_theta
 
 __all__ = ["down_to_the_noise", "most_shared_matrix"]
 

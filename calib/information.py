@@ -17,7 +17,7 @@ import pandas as pd
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from geometry.installation import theta_between
+from boresight.geometry.installation import theta_between
 
 __all__ = ["ExactSum", "InformationPairs", "InformationTotal", "Solution", "solve_total"]
 

@@ -13,11 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from calib.estimate import Iteration
-from calib.information import InformationPairs, Solution, solve_total
-from calib.settings import CalibrationSettings
-from calib.shared_unknowns import SharedUnknowns, find_shared
-from calib.strips import LinearStrips, PreparedStrip, StripGroup, group_strips, linearise
+from boresight.calib.estimate import Iteration
+from boresight.calib.information import InformationPairs, Solution, solve_total
+from boresight.calib.settings import CalibrationSettings
+from boresight.calib.shared_unknowns import SharedUnknowns, find_shared
+from boresight.calib.strips import LinearStrips, PreparedStrip, StripGroup, group_strips, linearise
 
 __all__ = [
     "Problem",

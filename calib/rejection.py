@@ -6,9 +6,9 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from calib.estimate import Rejected, TargetResiduals
-from calib.strips import PreparedStrip
-from geometry.sightings import StripSightings
+from boresight.calib.estimate import Rejected, TargetResiduals
+from boresight.calib.strips import PreparedStrip
+from boresight.geometry.sightings import StripSightings
 
 __all__ = ["left_out"]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-from geometry.constants import ARCSEC
+from boresight.geometry.constants import ARCSEC
 
 __all__ = ["CalibrationSettings"]
 

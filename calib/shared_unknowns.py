@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
 
-from calib.distortion import Knot, knots_touched, prior_information, unknown_names
-from calib.settings import CalibrationSettings
-from geometry.constants import EARTH_ROTATION_RATE
+from boresight.calib.distortion import Knot, knots_touched, prior_information, unknown_names
+from boresight.calib.settings import CalibrationSettings
+from boresight.geometry.constants import EARTH_ROTATION_RATE
 
 __all__ = ["SeenTargets", "SharedUnknowns", "coordinate_names", "find_shared", "turning_axes"]
 

@@ -22,12 +22,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from calib.attitudes import ExposureAttitudes, cross_matrices, fit_attitudes
-from calib.distortion import Knot, correlation, knot_weights, knots_touched
-from calib.settings import CalibrationSettings
-from calib.shared_unknowns import SeenTargets, SharedUnknowns, turning_axes
-from geometry.attitude import lagrange_weights
-from geometry.sightings import GroundSightings, StripSightings
+from boresight.calib.attitudes import ExposureAttitudes, cross_matrices, fit_attitudes
+from boresight.calib.distortion import Knot, correlation, knot_weights, knots_touched
+from boresight.calib.settings import CalibrationSettings
+from boresight.calib.shared_unknowns import SeenTargets, SharedUnknowns, turning_axes
+from boresight.geometry.attitude import lagrange_weights
+from boresight.geometry.sightings import GroundSightings, StripSightings
 
 __all__ = ["LinearStrips", "PreparedStrip", "StripGroup", "group_strips", "linearise", "prepare_strip"]
 

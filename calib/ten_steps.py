@@ -14,7 +14,7 @@ import scipy.linalg
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from geometry.installation import deviation_from_theta
+from boresight.geometry.installation import deviation_from_theta
 
 __all__ = ["calibrate_literally", "frame_information_literally"]
 

@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gct_match.correlation import (
+from boresight.gct_match.refine.least_squares import Placement, place
+from boresight.gct_match.search.correlation import (
     correlation_surface,
     independent_values,
     likeness_to_itself,
@@ -20,8 +21,7 @@ from gct_match.correlation import (
     probability_wrong,
     view_of,
 )
-from gct_match.least_squares import Placement, place
-from gct_match.settings import MatchSettings
+from boresight.gct_match.settings import MatchSettings
 
 __all__ = ["Located", "NotLocated", "locate"]
 

@@ -15,18 +15,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from gct_match.bootstrap import SearchPlan, bootstrap, plan_search
-from gct_match.coarse import read_window
-from gct_match.locate import NotLocated, locate
-from gct_match.paths import Paths, displacements, target_paths
-from gct_match.records import Chip, Evidence, Refusal, StripImage, StripMatches, Target, TargetMatch
-from gct_match.settings import MatchSettings
-from gct_match.template import Template, chip_side_px, predict_template
-from gct_match.texture import expected_sigma_px
-from gct_match.vote import Vote
-from geometry.installation import deviation_from_theta, theta_from_deviation
-from geometry.pushbroom import Pushbroom
-from geometry.terrain import Surface
+from boresight.gct_match.locate import NotLocated, locate
+from boresight.gct_match.predict.template import Template, chip_side_px, predict_template
+from boresight.gct_match.predict.trajectories import Paths, displacements, target_paths
+from boresight.gct_match.records import Chip, Evidence, Refusal, StripImage, StripMatches, Target, TargetMatch
+from boresight.gct_match.search.bootstrap import SearchPlan, bootstrap, plan_search
+from boresight.gct_match.search.coarse import read_window
+from boresight.gct_match.search.vote import Vote
+from boresight.gct_match.settings import MatchSettings
+from boresight.gct_match.texture import expected_sigma_px
+from boresight.geometry.installation import deviation_from_theta, theta_from_deviation
+from boresight.geometry.pushbroom import Pushbroom
+from boresight.geometry.terrain import Surface
 
 __all__ = ["match_strip"]
 

@@ -16,8 +16,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from gct_match.correlation import correlation_surface, normalised
-from gct_match.texture import noise_of, sigma_from_gradients, smooth_gradients
+from boresight.gct_match.search.correlation import correlation_surface, normalised
+from boresight.gct_match.texture import noise_of, sigma_from_gradients, smooth_gradients
 
 __all__ = ["SuggestedTarget", "suggest_targets"]
 

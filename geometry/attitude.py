@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
-from geometry.earth_rotation import EarthRotation
+from boresight.geometry.earth_rotation import EarthRotation
 
 __all__ = ["Attitude", "AttitudeTrack", "EarthFixedAttitude", "NominalMotion", "lagrange_weights"]
 

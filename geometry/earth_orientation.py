@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from geometry.constants import ARCSEC
-from geometry.epoch import tai_minus_utc_s
+from boresight.geometry.constants import ARCSEC
+from boresight.geometry.epoch import tai_minus_utc_s
 
 __all__ = [
     "EarthOrientationError",

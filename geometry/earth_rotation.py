@@ -16,15 +16,15 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
-from geometry.constants import DAY_S, EARTH_ROTATION_RATE
-from geometry.earth_orientation import (
+from boresight.geometry.constants import DAY_S, EARTH_ROTATION_RATE
+from boresight.geometry.earth_orientation import (
     EarthOrientationError,
     EarthOrientationTable,
     EarthOrientationWarning,
     expected_extrapolation_error_m,
     expected_prediction_error_m,
 )
-from geometry.epoch import MJD_ZERO_JD, Epoch, tai_minus_utc_s
+from boresight.geometry.epoch import MJD_ZERO_JD, Epoch, tai_minus_utc_s
 
 __all__ = ["EarthRotation"]
 

@@ -22,7 +22,7 @@ import erfa
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from geometry.constants import DAY_S
+from boresight.geometry.constants import DAY_S
 
 __all__ = ["GPS_MINUS_TAI_S", "TT_MINUS_TAI_S", "Epoch", "tai_minus_utc_s"]
 

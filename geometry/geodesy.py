@@ -10,7 +10,7 @@ import erfa
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from geometry.constants import Ellipsoid
+from boresight.geometry.constants import Ellipsoid
 
 __all__ = [
     "columns_at_height",

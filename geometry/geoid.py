@@ -129,7 +129,7 @@ class Geoid:
 @cache
 def egm96() -> Geoid:
     """EGM96 (NIMA/NASA 1998) on the 5' grid that ships with the package; values are whole centimetres."""
-    path = importlib.resources.files("geometry") / "data" / "egm96-5.npz"
+    path = importlib.resources.files("boresight.geometry") / "data" / "egm96-5.npz"
     with path.open("rb") as file, np.load(file) as stored:
         # Second differences in centimetres along longitude, then latitude: two running sums give the values
         # back.

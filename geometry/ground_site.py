@@ -13,9 +13,9 @@ import erfa
 import numpy as np
 from numpy.typing import NDArray
 
-from geometry.constants import WGS84
-from geometry.earth_rotation import EarthRotation
-from geometry.geodesy import ecef_from_geodetic, ellipsoid_normals
+from boresight.geometry.constants import WGS84
+from boresight.geometry.earth_rotation import EarthRotation
+from boresight.geometry.geodesy import ecef_from_geodetic, ellipsoid_normals
 
 __all__ = ["Air", "GroundSite", "SiteState", "lifted_by_air"]
 

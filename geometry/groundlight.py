@@ -17,10 +17,10 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from geometry.atmosphere import Atmosphere, standard_atmosphere
-from geometry.constants import SPEED_OF_LIGHT, WGS84
-from geometry.earth_rotation import EarthRotation
-from geometry.geodesy import columns_at_height, geodetic_from_ecef, vertical_at
+from boresight.geometry.atmosphere import Atmosphere, standard_atmosphere
+from boresight.geometry.constants import SPEED_OF_LIGHT, WGS84
+from boresight.geometry.earth_rotation import EarthRotation
+from boresight.geometry.geodesy import columns_at_height, geodetic_from_ecef, vertical_at
 
 __all__ = [
     "LightEffects",

@@ -17,8 +17,8 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 if TYPE_CHECKING:
-    from geometry.earth_rotation import EarthRotation
-    from geometry.epoch import Epoch
+    from boresight.geometry.earth_rotation import EarthRotation
+    from boresight.geometry.epoch import Epoch
 
 __all__ = [
     "Orbit",

@@ -17,21 +17,21 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
-from geometry.attitude import Attitude, AttitudeTrack
-from geometry.constants import WGS84
-from geometry.earth_rotation import EarthRotation
-from geometry.geodesy import geodetic_from_ecef
-from geometry.groundlight import (
+from boresight.geometry.attitude import Attitude, AttitudeTrack
+from boresight.geometry.constants import WGS84
+from boresight.geometry.earth_rotation import EarthRotation
+from boresight.geometry.geodesy import geodetic_from_ecef
+from boresight.geometry.groundlight import (
     LightEffects,
     OrbitLike,
     apparent_directions_e,
     emission_points_e,
     emission_rays_e,
 )
-from geometry.line_camera import LineSensor
-from geometry.row_table import RowTable, tabulated
-from geometry.terrain import ConstantHeight, Surface, intersect
-from geometry.terrain_rays import bilinear
+from boresight.geometry.line_camera import LineSensor
+from boresight.geometry.row_table import RowTable, tabulated
+from boresight.geometry.terrain import ConstantHeight, Surface, intersect
+from boresight.geometry.terrain_rays import bilinear
 
 __all__ = ["OrbitOverTime", "Pushbroom", "RowClock"]
 

@@ -14,7 +14,7 @@ import erfa
 import numpy as np
 from numpy.typing import NDArray
 
-from geometry.epoch import Epoch
+from boresight.geometry.epoch import Epoch
 
 __all__ = ["StarPlaces", "apparent_star_directions", "apparent_star_directions_at"]
 

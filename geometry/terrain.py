@@ -16,11 +16,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pyproj import CRS, Transformer
 
-from geometry.constants import WGS84
-from geometry.geodesy import geodetic_from_ecef, ray_ellipsoid_intersection, ray_shell_intersection
-from geometry.geoid import Geoid
-from geometry.local_map import LocalMap, fit_local_map
-from geometry.terrain_rays import (
+from boresight.geometry.constants import WGS84
+from boresight.geometry.geodesy import geodetic_from_ecef, ray_ellipsoid_intersection, ray_shell_intersection
+from boresight.geometry.geoid import Geoid
+from boresight.geometry.local_map import LocalMap, fit_local_map
+from boresight.geometry.terrain_rays import (
     HeightBounds,
     bilinear,
     bounds_of_heights,

@@ -16,10 +16,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from geometry.attitude import lagrange_weights
-from geometry.line_camera import Ccd, LineCamera
-from geometry.pushbroom import Pushbroom
-from geometry.terrain import Surface
+from boresight.geometry.attitude import lagrange_weights
+from boresight.geometry.line_camera import Ccd, LineCamera
+from boresight.geometry.pushbroom import Pushbroom
+from boresight.geometry.terrain import Surface
 
 __all__ = ["ReadStrip", "VirtualStrip", "virtual_camera"]
 

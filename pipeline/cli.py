@@ -19,13 +19,13 @@ from typing import Annotated
 
 import typer
 
-from pipeline import __version__
-from pipeline.commands.drift import add_drift_commands
-from pipeline.commands.match import add_match_commands
-from pipeline.commands.progress import progress_bar, progress_bars, remarks
-from pipeline.commands.report import add_report_commands
-from pipeline.commands.star import add_star_commands
-from pipeline.errors import DataNotSufficientError, RawDataError, WorkerError
+from boresight.pipeline import __version__
+from boresight.pipeline.commands.drift import add_drift_commands
+from boresight.pipeline.commands.match import add_match_commands
+from boresight.pipeline.commands.progress import progress_bar, progress_bars, remarks
+from boresight.pipeline.commands.report import add_report_commands
+from boresight.pipeline.commands.star import add_star_commands
+from boresight.pipeline.errors import DataNotSufficientError, RawDataError, WorkerError
 
 __all__ = ["app", "main"]
 
@@ -101,9 +101,9 @@ def simulate(
     ] = None,
 ) -> None:
     """Render a mission with known truth: raw star images and strips, written as a dump."""
-    from pipeline.files.dump_writer import images_in, write_dump
-    from pipeline.files.scenario_file import fly, named_scenario
-    from simulator.scenario import ScenarioError
+    from boresight.pipeline.files.dump_writer import images_in, write_dump
+    from boresight.pipeline.files.scenario_file import fly, named_scenario
+    from boresight.simulator.scenario import ScenarioError
 
     try:
         chosen = named_scenario(scenario, set_ or [])
@@ -145,11 +145,11 @@ def calibrate(
     report: Annotated[bool, typer.Option(help="Write report.html at the end.")] = True,
 ) -> None:
     """Find the installation matrix of a dump, from raw pixels; of several dumps, that of each and of all."""
-    from pipeline.calibrate_run import RunRequest, run_dump, run_dumps
-    from pipeline.files.dump import open_dump
-    from pipeline.joint import open_dumps
-    from pipeline.settings import read_settings
-    from pipeline.work.workers import executor_for
+    from boresight.pipeline.commands.calibrate import RunRequest, run_dump, run_dumps
+    from boresight.pipeline.files.dump import open_dump
+    from boresight.pipeline.settings import read_settings
+    from boresight.pipeline.stages.joint import open_dumps
+    from boresight.pipeline.work.workers import executor_for
 
     if workers is not None and scheduler is not None:
         raise _wrong_usage("--workers and --scheduler exclude one another")
@@ -195,10 +195,10 @@ def validate(
     dump: Annotated[Path, typer.Option(help="The simulated dump it was made from, with its truth/ folder.")],
 ) -> None:
     """Hold a result against the truth of a simulated dump."""
-    from pipeline.files.dump import open_dump
-    from pipeline.result import read_for_dump
-    from pipeline.summary import validation_summary
-    from pipeline.validate import validate as held_against_truth
+    from boresight.pipeline.files.dump import open_dump
+    from boresight.pipeline.results.folder import read_for_dump
+    from boresight.pipeline.results.summary import validation_summary
+    from boresight.pipeline.results.validate import validate as held_against_truth
 
     _, saved = read_for_dump(result, dump)
     typer.echo(validation_summary(held_against_truth(saved, open_dump(dump))))
@@ -207,7 +207,7 @@ def validate(
 @app.command()
 def status(result: Annotated[Path, typer.Argument(help="Folder of a run, finished or not.")]) -> None:
     """What of a run is done, what was left out and why."""
-    from pipeline.summary import status_summary
+    from boresight.pipeline.results.summary import status_summary
 
     typer.echo(status_summary(result))
 
@@ -228,9 +228,14 @@ def experiment(
     ] = False,
 ) -> None:
     """Run a simulation of the paper from scratch, its figures beside ours."""
-    from calib.experiments import ExperimentSettings
-    from pipeline.experiments.pixels import PixelSettings
-    from pipeline.experiments.tables import EXPERIMENTS, FROM_PIXELS, run_experiment, run_from_pixels
+    from boresight.pipeline.experiments.pixels import PixelSettings
+    from boresight.pipeline.experiments.tables import (
+        EXPERIMENTS,
+        FROM_PIXELS,
+        run_experiment,
+        run_from_pixels,
+    )
+    from boresight.pipeline.experiments.vectors import ExperimentSettings
 
     known = FROM_PIXELS if pixels else EXPERIMENTS
     if name not in known:
@@ -261,7 +266,7 @@ def plan(
     out: Annotated[Path | None, typer.Option(help="Folder for plan.csv and plan.png.")] = None,
 ) -> None:
     """Tell, before any data, how well a campaign will fix the installation matrix."""
-    from pipeline.plan import forecast_plan, read_plan, write_forecast
+    from boresight.pipeline.stages.plan import forecast_plan, read_plan, write_forecast
 
     found = forecast_plan(read_plan(plan_file), target)
     typer.echo(found.text)

@@ -14,14 +14,14 @@ from typing import Any, TypeVar, get_type_hints
 
 from pydantic import ConfigDict, TypeAdapter, ValidationError
 
-from calib.settings import CalibrationSettings
-from gct_match.settings import MatchSettings
-from geometry.constants import ARCSEC
-from geometry.line_camera import LineCamera
-from pipeline.errors import RawDataError
-from pipeline.files.dump_schema import Errors
-from pipeline.files.text_files import toml_tables
-from star_id.settings import StarSettings
+from boresight.calib.settings import CalibrationSettings
+from boresight.gct_match.settings import MatchSettings
+from boresight.geometry.constants import ARCSEC
+from boresight.geometry.line_camera import LineCamera
+from boresight.pipeline.errors import RawDataError
+from boresight.pipeline.files.dump_schema import Errors
+from boresight.pipeline.files.text_files import toml_tables
+from boresight.star_id.settings import StarSettings
 
 __all__ = ["RunSettings", "Settings", "calibration_settings", "read_settings", "settings_from_tables"]
 

@@ -17,7 +17,7 @@ from accuracy_tables import table4_markdown
 
 ROOT = Path(__file__).parents[1]
 RECORDS = ROOT / "benchmarks" / "results"
-NAME = re.compile(r"`((?:geometry|star_id|gct_match|calib|simulator|pipeline)(?:\.\w+)+)`")
+NAME = re.compile(r"`(boresight\.(?:geometry|star_id|gct_match|calib|simulator|pipeline)(?:\.\w+)+)`")
 PACKAGES = {
     "geometry": "Constants, time, frames, light, the Earth, cameras, orbit and attitude, and the records"
     " that stages exchange. Imports nothing of ours.",
@@ -77,4 +77,6 @@ def modules_of(package: str) -> list[str]:
     """Dotted names of a package's modules, packages within it included, private ones not."""
     paths = sorted((ROOT / package).rglob("*.py"))
     names = [path.relative_to(ROOT).with_suffix("").as_posix().replace("/", ".") for path in paths]
-    return [name for name in names if not any(part.startswith("_") for part in name.split("."))]
+    return [
+        f"boresight.{name}" for name in names if not any(part.startswith("_") for part in name.split("."))
+    ]

@@ -8,10 +8,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from geometry.installation import deviation_from_theta
-from geometry.line_camera import Ccd, LineCamera
-from geometry.star_camera import StarCamera
-from simulator.scenario import ErrorSettings, InstallationSettings, LineCameraSettings, StarCameraSettings
+from boresight.geometry.installation import deviation_from_theta
+from boresight.geometry.line_camera import Ccd, LineCamera
+from boresight.geometry.star_camera import StarCamera
+from boresight.simulator.scenario import (
+    ErrorSettings,
+    InstallationSettings,
+    LineCameraSettings,
+    StarCameraSettings,
+)
 
 __all__ = [
     "calibrated_line_camera",

@@ -18,10 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 from pyproj import CRS, Transformer
 
-from geometry.attitude import lagrange_weights
-from simulator.landscape import Landscape
-from simulator.lattice_noise import fractal, smooth_noise
-from simulator.scenario import GroundSettings
+from boresight.geometry.attitude import lagrange_weights
+from boresight.simulator.landscape import Landscape
+from boresight.simulator.lattice_noise import fractal, smooth_noise
+from boresight.simulator.scenario import GroundSettings
 
 __all__ = ["BlurredGround", "Ground", "GroundImage", "ImageGround", "ProceduralGround", "gaussian_sigma_px"]
 

@@ -10,13 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 from pyproj import Transformer
 
-from geometry.constants import WGS84
-from geometry.geodesy import ecef_from_geodetic, geodetic_from_ecef
-from geometry.geoid import Geoid
-from simulator.ground import BlurredGround
-from simulator.records import ChipImage, GroundTarget, TruePoint
-from simulator.scan import Scene, read_ground
-from simulator.scenario import TargetSettings
+from boresight.geometry.constants import WGS84
+from boresight.geometry.geodesy import ecef_from_geodetic, geodetic_from_ecef
+from boresight.geometry.geoid import Geoid
+from boresight.simulator.ground import BlurredGround
+from boresight.simulator.records import ChipImage, GroundTarget, TruePoint
+from boresight.simulator.scan import Scene, read_ground
+from boresight.simulator.scenario import TargetSettings
 
 __all__ = ["Placed", "check_points", "place_targets"]
 

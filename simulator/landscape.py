@@ -15,8 +15,8 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from simulator.lattice_noise import smooth_noise, white_at
-from simulator.scenario import GroundSettings
+from boresight.simulator.lattice_noise import smooth_noise, white_at
+from boresight.simulator.scenario import GroundSettings
 
 __all__ = ["Landscape", "Shapes"]
 

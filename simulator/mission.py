@@ -16,26 +16,26 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from geometry.constants import WGS84
-from geometry.earth_orientation import EarthOrientationTable
-from geometry.earth_rotation import EarthRotation
-from geometry.epoch import Epoch
-from geometry.geodesy import geodetic_from_ecef
-from geometry.geoid import Geoid
-from geometry.groundlight import LightEffects
-from geometry.line_camera import LineCamera
-from geometry.orbit import Orbit
-from geometry.pushbroom import Pushbroom, RowClock
-from geometry.starlight import StarPlaces
-from geometry.terrain import ConstantHeight, TerrainGrid
-from simulator.cameras import (
+from boresight.geometry.constants import WGS84
+from boresight.geometry.earth_orientation import EarthOrientationTable
+from boresight.geometry.earth_rotation import EarthRotation
+from boresight.geometry.epoch import Epoch
+from boresight.geometry.geodesy import geodetic_from_ecef
+from boresight.geometry.geoid import Geoid
+from boresight.geometry.groundlight import LightEffects
+from boresight.geometry.line_camera import LineCamera
+from boresight.geometry.orbit import Orbit
+from boresight.geometry.pushbroom import Pushbroom, RowClock
+from boresight.geometry.starlight import StarPlaces
+from boresight.geometry.terrain import ConstantHeight, TerrainGrid
+from boresight.simulator.cameras import (
     calibrated_line_camera,
     distorted_line_camera,
     measured_installation,
     star_camera,
     true_installation,
 )
-from simulator.ground import (
+from boresight.simulator.ground import (
     BlurredGround,
     Ground,
     GroundImage,
@@ -43,9 +43,9 @@ from simulator.ground import (
     ProceduralGround,
     gaussian_sigma_px,
 )
-from simulator.ground_targets import Placed, check_points, place_targets
-from simulator.motion import TrueAttitude, flown_orbit, reported_orbit, true_attitude
-from simulator.records import (
+from boresight.simulator.ground_targets import Placed, check_points, place_targets
+from boresight.simulator.motion import TrueAttitude, flown_orbit, reported_orbit, true_attitude
+from boresight.simulator.records import (
     Exposure,
     Installation,
     Mission,
@@ -58,11 +58,11 @@ from simulator.records import (
     TrueStrip,
     Truth,
 )
-from simulator.relief import Affine, relief_grid
-from simulator.scan import Scene, needed_sample_step, panels, panels_near, scan
-from simulator.scenario import Scenario
-from simulator.sky import hot_pixels
-from simulator.star_images import StarField, with_invented_stars
+from boresight.simulator.relief import Affine, relief_grid
+from boresight.simulator.scan import Scene, needed_sample_step, panels, panels_near, scan
+from boresight.simulator.scenario import Scenario
+from boresight.simulator.sky import hot_pixels
+from boresight.simulator.star_images import StarField, with_invented_stars
 
 __all__ = ["simulate"]
 

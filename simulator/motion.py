@@ -14,11 +14,11 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
-from geometry.constants import ARCSEC, GM_EARTH, J2_EARTH, WGS84
-from geometry.earth_rotation import EarthRotation
-from geometry.orbit import Orbit, orbital_frame
-from simulator.records import OrbitReport
-from simulator.scenario import AttitudeSettings, ErrorSettings, OrbitSettings
+from boresight.geometry.constants import ARCSEC, GM_EARTH, J2_EARTH, WGS84
+from boresight.geometry.earth_rotation import EarthRotation
+from boresight.geometry.orbit import Orbit, orbital_frame
+from boresight.simulator.records import OrbitReport
+from boresight.simulator.scenario import AttitudeSettings, ErrorSettings, OrbitSettings
 
 __all__ = ["TrueAttitude", "flown_orbit", "reported_orbit", "true_attitude"]
 

@@ -15,10 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from geometry.epoch import Epoch
-from geometry.line_camera import LineCamera
-from geometry.star_camera import StarCamera
-from simulator.scenario import Scenario
+from boresight.geometry.epoch import Epoch
+from boresight.geometry.line_camera import LineCamera
+from boresight.geometry.star_camera import StarCamera
+from boresight.simulator.scenario import Scenario
 
 __all__ = [
     "ChipImage",

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from simulator.lattice_noise import smooth_noise
-from simulator.scenario import TerrainSettings
+from boresight.simulator.lattice_noise import smooth_noise
+from boresight.simulator.scenario import TerrainSettings
 
 __all__ = ["relief_grid"]
 

@@ -16,12 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 from pyproj import Transformer
 
-from geometry.attitude import lagrange_weights
-from geometry.constants import WGS84
-from geometry.pushbroom import Pushbroom
-from geometry.terrain import ConstantHeight, Surface, TerrainGrid
-from simulator.ground import BlurredGround
-from simulator.scenario import GroundSettings
+from boresight.geometry.attitude import lagrange_weights
+from boresight.geometry.constants import WGS84
+from boresight.geometry.pushbroom import Pushbroom
+from boresight.geometry.terrain import ConstantHeight, Surface, TerrainGrid
+from boresight.simulator.ground import BlurredGround
+from boresight.simulator.scenario import GroundSettings
 
 __all__ = ["Scene", "needed_sample_step", "panels", "panels_near", "read_ground", "row_places", "scan"]
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
-from simulator.scenario import SkySettings
+from boresight.simulator.scenario import SkySettings
 
 __all__ = ["expose", "hot_pixels", "star_charge"]
 

@@ -8,14 +8,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from geometry.epoch import Epoch
-from geometry.orbit import Orbit
-from geometry.star_camera import StarCamera
-from geometry.starlight import StarPlaces, apparent_star_directions
-from simulator.motion import TrueAttitude
-from simulator.records import TrueExposure
-from simulator.scenario import SkySettings
-from simulator.sky import expose, star_charge
+from boresight.geometry.epoch import Epoch
+from boresight.geometry.orbit import Orbit
+from boresight.geometry.star_camera import StarCamera
+from boresight.geometry.starlight import StarPlaces, apparent_star_directions
+from boresight.simulator.motion import TrueAttitude
+from boresight.simulator.records import TrueExposure
+from boresight.simulator.scenario import SkySettings
+from boresight.simulator.sky import expose, star_charge
 
 __all__ = ["StarField", "with_invented_stars"]
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.linalg.lapack import dsyev
 from scipy.spatial.transform import Rotation
 
-from geometry.sightings import information_of_directions
+from boresight.geometry.sightings import information_of_directions
 
 __all__ = ["Attitude", "attitude_of_most", "solve_attitude", "wahba"]
 

@@ -13,21 +13,21 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from geometry.star_camera import StarCamera
-from star_id.camera_fit import (
+from boresight.geometry.star_camera import StarCamera
+from boresight.star_id.camera_fit import (
     DRIFT,
     PARAMETERS,
     NamedStars,
     fit_camera,
     visible_derivatives,
 )
-from star_id.field import FieldSolution, solve_stars
-from star_id.finding.star_list import StarList
-from star_id.naming.identify import NotIdentified
-from star_id.naming.triangles import StarIndex
-from star_id.observer import Observer, star_directions
-from star_id.settings import StarSettings
-from star_id.sight import fit_for_calibration
+from boresight.star_id.field import FieldSolution, solve_stars
+from boresight.star_id.finding.star_list import StarList
+from boresight.star_id.naming.identify import NotIdentified
+from boresight.star_id.naming.triangles import StarIndex
+from boresight.star_id.observer import Observer, star_directions
+from boresight.star_id.settings import StarSettings
+from boresight.star_id.sight import fit_for_calibration
 
 __all__ = ["CameraCalibration", "ResidualMap", "SkyFrame", "calibrate_camera", "residual_map"]
 

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from geometry.star_camera import StarCamera
+from boresight.geometry.star_camera import StarCamera
 
 __all__ = [
     "DRIFT",

@@ -17,11 +17,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from geometry.constants import ARCSEC
-from geometry.starlight import StarPlaces
+from boresight.geometry.constants import ARCSEC
+from boresight.geometry.starlight import StarPlaces
 
 __all__ = ["DISAGREEMENT_LIMIT_MAS", "CatalogueStars", "catalogue_provenance", "hipparcos_stars"]
 
+_FILE = files("boresight.star_id") / "data" / "hipparcos_v8.npz"
 Array = NDArray[np.float64]
 
 DISAGREEMENT_LIMIT_MAS = 200.0  # two solutions of one star, carried to 2026: beyond it neither is believed
@@ -88,14 +89,14 @@ def hipparcos_stars(max_v_mag: float = 8.0) -> CatalogueStars:
 
 def catalogue_provenance() -> dict[str, Any]:
     """Where the file comes from: packages, checksums, citations, epoch, meaning of the columns."""
-    with (files("star_id") / "data" / "hipparcos_v8.npz").open("rb") as stream, np.load(stream) as data:
+    with _FILE.open("rb") as stream, np.load(stream) as data:
         record: dict[str, Any] = json.loads(str(data["provenance"]))
     return record
 
 
 @lru_cache(maxsize=1)
 def _columns() -> dict[str, NDArray]:
-    with (files("star_id") / "data" / "hipparcos_v8.npz").open("rb") as stream, np.load(stream) as data:
+    with _FILE.open("rb") as stream, np.load(stream) as data:
         return {name: data[name] for name in data.files if name != "provenance"}
 
 

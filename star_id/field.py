@@ -16,16 +16,16 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from geometry.constants import ARCSEC
-from geometry.star_camera import StarCamera
-from star_id.field_fit import fit_attitude, fit_attitude_and_lens
-from star_id.finding.star_list import StarList, find_stars
-from star_id.naming.identify import Identification, NotIdentified, identify
-from star_id.naming.plane import FieldOfView
-from star_id.naming.triangles import StarIndex, equivalent_fov
-from star_id.observer import Observer, star_directions
-from star_id.settings import StarSettings
-from star_id.sight import field_of_camera, fit_for_calibration, plane_coordinates
+from boresight.geometry.constants import ARCSEC
+from boresight.geometry.star_camera import StarCamera
+from boresight.star_id.field_fit import fit_attitude, fit_attitude_and_lens
+from boresight.star_id.finding.star_list import StarList, find_stars
+from boresight.star_id.naming.identify import Identification, NotIdentified, identify
+from boresight.star_id.naming.plane import FieldOfView
+from boresight.star_id.naming.triangles import StarIndex, equivalent_fov
+from boresight.star_id.observer import Observer, star_directions
+from boresight.star_id.settings import StarSettings
+from boresight.star_id.sight import field_of_camera, fit_for_calibration, plane_coordinates
 
 __all__ = [
     "LARGEST_FOV_RAD",

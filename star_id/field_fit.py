@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 
-from geometry.star_camera import StarCamera
-from star_id.attitude import Attitude, attitude_of_most
-from star_id.camera_fit import (
+from boresight.geometry.star_camera import StarCamera
+from boresight.star_id.attitude import Attitude, attitude_of_most
+from boresight.star_id.camera_fit import (
     PARAMETERS,
     CameraFit,
     NamedStars,

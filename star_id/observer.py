@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from geometry.epoch import Epoch
-from geometry.ground_site import Air, lifted_by_air
-from geometry.starlight import apparent_star_directions
-from star_id.naming.triangles import StarIndex
+from boresight.geometry.epoch import Epoch
+from boresight.geometry.ground_site import Air, lifted_by_air
+from boresight.geometry.starlight import apparent_star_directions
+from boresight.star_id.naming.triangles import StarIndex
 
 __all__ = ["Observer", "star_directions"]
 

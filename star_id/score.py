@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from star_id.finding.psf import Psf, psf_images
-from star_id.finding.star_list import StarList
+from boresight.star_id.finding.psf import Psf, psf_images
+from boresight.star_id.finding.star_list import StarList
 
 __all__ = ["SNR_EDGES", "CentroidScore", "cramer_rao_px", "score_centroids"]
 

@@ -11,18 +11,18 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from geometry.constants import ARCSEC
-from geometry.epoch import Epoch
-from geometry.sightings import StarSightings
-from geometry.star_camera import StarCamera
-from geometry.starlight import apparent_star_directions
-from star_id.attitude import attitude_of_most
-from star_id.catalogue import hipparcos_stars
-from star_id.finding.star_list import StarList, find_stars
-from star_id.naming.identify import AttitudePrior, Identification, NotIdentified, identify
-from star_id.naming.plane import FieldOfView
-from star_id.naming.triangles import StarIndex, equivalent_fov
-from star_id.settings import StarSettings
+from boresight.geometry.constants import ARCSEC
+from boresight.geometry.epoch import Epoch
+from boresight.geometry.sightings import StarSightings
+from boresight.geometry.star_camera import StarCamera
+from boresight.geometry.starlight import apparent_star_directions
+from boresight.star_id.attitude import attitude_of_most
+from boresight.star_id.catalogue import hipparcos_stars
+from boresight.star_id.finding.star_list import StarList, find_stars
+from boresight.star_id.naming.identify import AttitudePrior, Identification, NotIdentified, identify
+from boresight.star_id.naming.plane import FieldOfView
+from boresight.star_id.naming.triangles import StarIndex, equivalent_fov
+from boresight.star_id.settings import StarSettings
 
 __all__ = [
     "beyond_doubt",

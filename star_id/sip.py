@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from geometry.star_camera import StarCamera
+from boresight.geometry.star_camera import StarCamera
 
 __all__ = ["TanSip", "tan_sip"]
 

@@ -17,20 +17,20 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from geometry.star_camera import StarCamera
-from star_id.camera_fit import (
+from boresight.geometry.star_camera import StarCamera
+from boresight.star_id.camera_fit import (
     PARAMETERS,
     detector_grid,
     pixel_derivatives,
     turn_derivatives,
     visible_derivatives,
 )
-from star_id.field import FieldSolution
-from star_id.finding.psf import Psf
-from star_id.naming.triangles import StarIndex
-from star_id.score import cramer_rao_px
-from star_id.settings import StarSettings
-from star_id.sight import beyond_doubt
+from boresight.star_id.field import FieldSolution
+from boresight.star_id.finding.psf import Psf
+from boresight.star_id.naming.triangles import StarIndex
+from boresight.star_id.score import cramer_rao_px
+from boresight.star_id.settings import StarSettings
+from boresight.star_id.sight import beyond_doubt
 
 __all__ = ["Pointing", "SkyPlan", "StarImages", "plan_pointings"]
 

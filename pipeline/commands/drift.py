@@ -33,9 +33,9 @@ def drift(
     ] = False,
 ) -> None:
     """Merge several results into one matrix, and tell whether, how and when the mounting has moved."""
-    from calib.drift import DriftSettings
-    from geometry.constants import ARCSEC, DAY_S
-    from pipeline.drift import drift_of_results, drift_summary, named_results, write_drift
+    from boresight.calib.mounting.drift import DriftSettings
+    from boresight.geometry.constants import ARCSEC, DAY_S
+    from boresight.pipeline.results.drift import drift_of_results, drift_summary, named_results, write_drift
 
     settings = DriftSettings(
         probability_false_alarm=false_alarm,

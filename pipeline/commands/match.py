@@ -34,13 +34,13 @@ def match(
     workers: Annotated[int | None, typer.Option(help="Processes for the star images.", min=1)] = None,
 ) -> None:
     """Find a dump's targets in its strips, from the installation matrix measured on the ground."""
-    from pipeline.calibrate import strips_to_match
-    from pipeline.errors import DataNotSufficientError
-    from pipeline.files.dump import open_dump
-    from pipeline.match_run import match_strips, write_matches
-    from pipeline.result import store_of
-    from pipeline.settings import read_settings
-    from pipeline.work.workers import executor_for
+    from boresight.pipeline.errors import DataNotSufficientError
+    from boresight.pipeline.files.dump import open_dump
+    from boresight.pipeline.results.folder import store_of
+    from boresight.pipeline.settings import read_settings
+    from boresight.pipeline.stages.calibrate import strips_to_match
+    from boresight.pipeline.stages.match import match_strips, write_matches
+    from boresight.pipeline.work.workers import executor_for
 
     chosen, opened = read_settings(settings), open_dump(dump)
     if unknown := set(strip or []) - {s.strip_id for s in opened.strips}:
@@ -76,7 +76,7 @@ def suggest(
     sigma_m: Annotated[float, typer.Option(help="1-sigma of the image's georeferencing.", min=0.0)] = 1.0,
 ) -> None:
     """Tell where in an ortho-image good targets are; cut their chips and write the list that a dump wants."""
-    from pipeline.match_run import suggest as suggest_from
+    from boresight.pipeline.stages.match import suggest as suggest_from
 
     found = suggest_from(ortho, out, size_px=size_px, most=most, height_m=height_m, sigma_m=sigma_m)
     for n, target in enumerate(found, start=1):

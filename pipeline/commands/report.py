@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from pipeline.work.unit_store import write_whole
+from boresight.pipeline.files.whole_file import write_whole
 
 __all__ = ["add_report_commands"]
 
@@ -33,9 +33,9 @@ def report(
     matches: Annotated[int, typer.Option(help="Show the pictures of at most so many targets.", min=0)] = 400,
 ) -> None:
     """Draw one HTML page about a result, from what was saved, readable without a network."""
-    from pipeline.report.dumps_page import write_dumps_report
-    from pipeline.report.page import write_report
-    from pipeline.result import dumps_in
+    from boresight.pipeline.report.dumps_page import write_dumps_report
+    from boresight.pipeline.report.page import write_report
+    from boresight.pipeline.results.folder import dumps_in
 
     path = write_dumps_report(result) if dumps_in(result) else write_report(result, most_matches=matches)
     typer.echo(f"{path.stat().st_size / 1e6:.1f} MB -> {path}")
@@ -66,9 +66,9 @@ def export(
     ] = False,
 ) -> None:
     """Write a result in formats that other tools read."""
-    from pipeline.export import FORMATS, ExportRequest
-    from pipeline.export import export as made
-    from pipeline.exports.spice_frame import SpiceFrames
+    from boresight.pipeline.exports.export import FORMATS, ExportRequest
+    from boresight.pipeline.exports.export import export as made
+    from boresight.pipeline.exports.spice_frame import SpiceFrames
 
     names = [name.strip() for name in format_.split(",")]
     if unknown := [name for name in names if name not in FORMATS]:
@@ -107,11 +107,11 @@ def geolocate(
     allow_stale_eop: StaleOption = False,
 ) -> None:
     """Image points of a strip to latitude, longitude and height, with 1-sigma along and across the track."""
-    from geometry.terrain import ConstantHeight
-    from pipeline.files.dump import surface_of
-    from pipeline.geolocate import geolocate as places_of
-    from pipeline.geolocate import places_csv, read_pixels
-    from pipeline.strip_model import open_calibrated, strip_model
+    from boresight.geometry.terrain import ConstantHeight
+    from boresight.pipeline.files.dump import surface_of
+    from boresight.pipeline.results.geolocate import geolocate as places_of
+    from boresight.pipeline.results.geolocate import places_csv, read_pixels
+    from boresight.pipeline.results.strip_model import open_calibrated, strip_model
 
     calibrated = open_calibrated(result, dump, allow_stale_eop=allow_stale_eop)
     model = strip_model(calibrated, strip)

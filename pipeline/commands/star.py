@@ -11,8 +11,8 @@ from typing import Annotated
 
 import typer
 
-from pipeline.commands.progress import progress_bars
-from star_id.settings import CentroidMethod
+from boresight.pipeline.commands.progress import progress_bars
+from boresight.star_id.settings import CentroidMethod
 
 __all__ = ["add_star_commands"]
 
@@ -74,10 +74,10 @@ def identify(
     settings: SettingsFile = None,
 ) -> None:
     """Name the stars of single images, with no idea where they look."""
-    from pipeline.files.sky_images import Whereabouts
-    from pipeline.files.star_files import write_wcs
-    from pipeline.identify import Request, identify_images
-    from pipeline.settings import read_settings
+    from boresight.pipeline.files.sky_images import Whereabouts
+    from boresight.pipeline.files.star_files import write_wcs
+    from boresight.pipeline.settings import read_settings
+    from boresight.pipeline.stages.identify import Request, identify_images
 
     if camera is not None and fov is not None:
         raise _wrong_usage("--camera and --fov exclude one another")
@@ -126,8 +126,8 @@ def centroids(
 ) -> None:
     """Find the stars of images and place them; with a truth, say how well: completeness, error, bound,
     bias."""
-    from pipeline.report.centroid_report import centroid_lines
-    from pipeline.settings import read_settings
+    from boresight.pipeline.report.centroid_report import centroid_lines
+    from boresight.pipeline.settings import read_settings
 
     if plot is not None and truth is None:
         raise _wrong_usage("--plot needs --truth")
@@ -158,8 +158,8 @@ def star_camera_plan(
     settings: SettingsFile = None,
 ) -> None:
     """Choose the fields of the sky that calibrate a star camera best."""
-    from pipeline.settings import read_settings
-    from pipeline.sky_plan import SkyPlanRequest, plan_sky
+    from boresight.pipeline.settings import read_settings
+    from boresight.pipeline.stages.sky_plan import SkyPlanRequest, plan_sky
 
     if camera is not None and fov is not None:
         raise _wrong_usage("--camera and --fov exclude one another")
@@ -191,9 +191,9 @@ def star_camera_calibrate(
     settings: SettingsFile = None,
 ) -> None:
     """Calibrate a star camera from images of the sky: focal length, principal point, distortion."""
-    from pipeline.files.sky_images import Whereabouts
-    from pipeline.report.star_camera_report import CameraRequest, calibrate_from_images
-    from pipeline.settings import read_settings
+    from boresight.pipeline.files.sky_images import Whereabouts
+    from boresight.pipeline.report.star_camera_report import CameraRequest, calibrate_from_images
+    from boresight.pipeline.settings import read_settings
 
     if camera is not None and fov is not None:
         raise _wrong_usage("--camera and --fov exclude one another")

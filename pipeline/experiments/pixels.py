@@ -16,16 +16,16 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from calib.paper_tables import TABLE_5
-from geometry.constants import ARCSEC
-from pipeline.calibrate import Calibration, calibrate_dump
-from pipeline.files.dump import Dump, open_dump
-from pipeline.files.dump_writer import write_dump
-from pipeline.files.scenario_file import fly, named_scenario
-from pipeline.result import begin_result, read_result, store_of, write_result
-from pipeline.settings import Settings
-from pipeline.validate import Validation, validate
-from pipeline.work.executor import InOrder
+from boresight.geometry.constants import ARCSEC
+from boresight.pipeline.experiments.paper_tables import TABLE_5
+from boresight.pipeline.files.dump import Dump, open_dump
+from boresight.pipeline.files.dump_writer import write_dump
+from boresight.pipeline.files.scenario_file import fly, named_scenario
+from boresight.pipeline.results.folder import begin_result, read_result, store_of, write_result
+from boresight.pipeline.results.validate import Validation, validate
+from boresight.pipeline.settings import Settings
+from boresight.pipeline.stages.calibrate import Calibration, calibrate_dump
+from boresight.pipeline.work.executor import InOrder
 
 __all__ = ["PixelRuns", "PixelSettings", "grid_from_pixels", "run_missions", "table5_from_pixels"]
 

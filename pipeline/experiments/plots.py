@@ -9,7 +9,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from calib.paper_tables import TABLE_4
+from boresight.pipeline.experiments.paper_tables import TABLE_4
 
 __all__ = ["PLOTS", "plot_forecast"]
 

@@ -1,7 +1,7 @@
 """`boresight experiment NAME`: a simulation of the paper run from scratch, as a CSV in long form and a plot.
 
-The simulations are `calib.experiments`; here they get real stars where the paper had them, a file and a
-figure.
+The simulations are `boresight.pipeline.experiments.vectors`; here they get real stars where the paper had
+them, a file and a figure.
 """
 
 from __future__ import annotations
@@ -14,11 +14,18 @@ import pandas as pd
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from calib.campaign import CameraPair
-from calib.experiments import ExperimentSettings, convergence, figure8, grid, table4, table5
-from pipeline.experiments.pixels import PixelSettings, grid_from_pixels, table5_from_pixels
-from pipeline.experiments.plots import PLOTS
-from star_id.catalogue import hipparcos_stars
+from boresight.pipeline.experiments.pixels import PixelSettings, grid_from_pixels, table5_from_pixels
+from boresight.pipeline.experiments.plots import PLOTS
+from boresight.pipeline.experiments.vectors import (
+    ExperimentSettings,
+    convergence,
+    figure8,
+    grid,
+    table4,
+    table5,
+)
+from boresight.simulator.campaign import CameraPair
+from boresight.star_id.catalogue import hipparcos_stars
 
 __all__ = [
     "EXPERIMENTS",

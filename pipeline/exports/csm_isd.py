@@ -26,12 +26,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from geometry.constants import WGS84
-from geometry.epoch import TT_MINUS_TAI_S, Epoch
-from geometry.geodesy import ray_ellipsoid_intersection
-from geometry.groundlight import lines_of_sight_e
-from geometry.line_camera import Ccd, LineCamera
-from geometry.pushbroom import Pushbroom
+from boresight.geometry.constants import WGS84
+from boresight.geometry.epoch import TT_MINUS_TAI_S, Epoch
+from boresight.geometry.geodesy import ray_ellipsoid_intersection
+from boresight.geometry.groundlight import lines_of_sight_e
+from boresight.geometry.line_camera import Ccd, LineCamera
+from boresight.geometry.pushbroom import Pushbroom
 
 __all__ = ["IsdNames", "IsdPiece", "line_scanner_isds"]
 

@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from geometry.geoid import Geoid
-from pipeline.exports.ground_points import GroundPoints
+from boresight.geometry.geoid import Geoid
+from boresight.pipeline.exports.ground_points import GroundPoints
 
 __all__ = ["points_envi"]
 

@@ -6,7 +6,7 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 
-from pipeline.exports.ground_points import GroundPoints
+from boresight.pipeline.exports.ground_points import GroundPoints
 
 __all__ = ["points_geojson"]
 

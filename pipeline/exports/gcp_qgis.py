@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from pyproj import CRS
 
-from pipeline.exports.ground_points import GroundPoints
+from boresight.pipeline.exports.ground_points import GroundPoints
 
 __all__ = ["points_qgis"]
 

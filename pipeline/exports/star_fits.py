@@ -8,8 +8,8 @@ from collections.abc import Sequence
 import numpy as np
 from astropy.io import fits
 
-from geometry.epoch import Epoch
-from geometry.sightings import StarSightings
+from boresight.geometry.epoch import Epoch
+from boresight.geometry.sightings import StarSightings
 
 __all__ = ["centroids_fits"]
 

@@ -29,17 +29,17 @@ from defusedxml.common import DefusedXmlException
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from geometry.attitude import EarthFixedAttitude
-from geometry.constants import DAY_S
-from geometry.earth_orientation import EarthOrientationTable
-from geometry.earth_rotation import EarthRotation
-from geometry.epoch import Epoch
-from geometry.groundlight import LightEffects
-from geometry.line_camera import LookAngleCamera
-from geometry.orbit import Orbit
-from geometry.pushbroom import Pushbroom, RowClock
-from pipeline.errors import RawDataError
-from pipeline.files.text_files import read_text
+from boresight.geometry.attitude import EarthFixedAttitude
+from boresight.geometry.constants import DAY_S
+from boresight.geometry.earth_orientation import EarthOrientationTable
+from boresight.geometry.earth_rotation import EarthRotation
+from boresight.geometry.epoch import Epoch
+from boresight.geometry.groundlight import LightEffects
+from boresight.geometry.line_camera import LookAngleCamera
+from boresight.geometry.orbit import Orbit
+from boresight.geometry.pushbroom import Pushbroom, RowClock
+from boresight.pipeline.errors import RawDataError
+from boresight.pipeline.files.text_files import read_text
 
 __all__ = ["DimapStrip", "read_dimap"]
 

@@ -18,22 +18,22 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from gct_match.records import Target
-from geometry.constants import WGS84
-from geometry.earth_orientation import EarthOrientationTable, bundled_earth_orientation
-from geometry.earth_rotation import EarthRotation
-from geometry.epoch import Epoch
-from geometry.geodesy import ecef_from_geodetic
-from geometry.geoid import egm96
-from geometry.line_camera import Ccd, LineCamera
-from geometry.orbit import Orbit
-from geometry.star_camera import StarCamera
-from geometry.terrain import Surface, TerrainGrid
-from pipeline.errors import Omission, RawDataError
-from pipeline.files import dump_schema as schema
-from pipeline.files.image_files import StripFiles, check_strip_file, read_grid
-from pipeline.files.orbit_file import Ephemeris, read_oem
-from pipeline.files.text_files import path_inside, read_table, read_toml
+from boresight.gct_match.records import Target
+from boresight.geometry.constants import WGS84
+from boresight.geometry.earth_orientation import EarthOrientationTable, bundled_earth_orientation
+from boresight.geometry.earth_rotation import EarthRotation
+from boresight.geometry.epoch import Epoch
+from boresight.geometry.geodesy import ecef_from_geodetic
+from boresight.geometry.geoid import egm96
+from boresight.geometry.line_camera import Ccd, LineCamera
+from boresight.geometry.orbit import Orbit
+from boresight.geometry.star_camera import StarCamera
+from boresight.geometry.terrain import Surface, TerrainGrid
+from boresight.pipeline.errors import Omission, RawDataError
+from boresight.pipeline.files import dump_schema as schema
+from boresight.pipeline.files.image_files import StripFiles, check_strip_file, read_grid
+from boresight.pipeline.files.orbit_file import Ephemeris, read_oem
+from boresight.pipeline.files.text_files import path_inside, read_table, read_toml
 
 __all__ = [
     "ChipFile",

@@ -17,11 +17,11 @@ from rasterio.errors import NotGeoreferencedWarning
 from rasterio.transform import Affine
 from rasterio.windows import Window
 
-from geometry.line_camera import LineCamera
-from geometry.star_camera import StarCamera
-from pipeline.files.toml_writer import toml_text
-from simulator.records import ChipImage, Mission, OrbitReport, Strip, TerrainReport, Truth
-from simulator.scenario import scenario_to_dict
+from boresight.geometry.line_camera import LineCamera
+from boresight.geometry.star_camera import StarCamera
+from boresight.pipeline.files.toml_writer import toml_text
+from boresight.simulator.records import ChipImage, Mission, OrbitReport, Strip, TerrainReport, Truth
+from boresight.simulator.scenario import scenario_to_dict
 
 __all__ = ["images_in", "write_dump"]
 

@@ -26,7 +26,7 @@ from pyproj.exceptions import ProjError
 from rasterio.errors import RasterioError, RasterioIOError
 from rasterio.windows import Window
 
-from pipeline.errors import RawDataError
+from boresight.pipeline.errors import RawDataError
 
 __all__ = ["GridImage", "StripFiles", "open_geotiff", "read_exposure", "read_grid", "read_star_image"]
 

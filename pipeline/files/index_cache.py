@@ -17,9 +17,10 @@ from typing import Any
 
 import numpy as np
 
-from geometry.starlight import StarPlaces
-from pipeline.work.unit_store import digest, program, write_whole
-from star_id.naming.triangles import StarIndex, build_index
+from boresight.geometry.starlight import StarPlaces
+from boresight.pipeline.files.whole_file import write_whole
+from boresight.pipeline.work.unit_store import digest, program
+from boresight.star_id.naming.triangles import StarIndex, build_index
 
 __all__ = ["cache_folder", "cached_index"]
 
@@ -28,7 +29,7 @@ _KEPT = 6  # files; the largest, for all fields of view, takes 60 MB
 
 def cached_index(stars: StarPlaces, epoch_jyear: float, fov_rad: float | tuple[float, float]) -> StarIndex:
     """`build_index`, or what it gave before."""
-    key = digest(stars, float(epoch_jyear), fov_rad, program("star_id"))
+    key = digest(stars, float(epoch_jyear), fov_rad, program("boresight.star_id"))
     path = cache_folder() / f"triangles-{key}.npz"
     try:
         with np.load(path, allow_pickle=False) as file:

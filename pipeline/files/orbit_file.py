@@ -10,9 +10,9 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from geometry.epoch import Epoch
-from pipeline.errors import RawDataError
-from pipeline.files.text_files import read_text
+from boresight.geometry.epoch import Epoch
+from boresight.pipeline.errors import RawDataError
+from boresight.pipeline.files.text_files import read_text
 
 __all__ = ["Ephemeris", "read_oem"]
 

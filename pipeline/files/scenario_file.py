@@ -12,20 +12,20 @@ from typing import Any
 
 import numpy as np
 
-from geometry.earth_orientation import bundled_earth_orientation
-from geometry.geoid import egm96
-from pipeline.files.image_files import read_grid
-from pipeline.files.text_files import toml_tables
-from simulator.ground import GroundImage
-from simulator.mission import simulate
-from simulator.records import Mission
-from simulator.scenario import (
+from boresight.geometry.earth_orientation import bundled_earth_orientation
+from boresight.geometry.geoid import egm96
+from boresight.pipeline.files.image_files import read_grid
+from boresight.pipeline.files.text_files import toml_tables
+from boresight.simulator.ground import GroundImage
+from boresight.simulator.mission import simulate
+from boresight.simulator.records import Mission
+from boresight.simulator.scenario import (
     Scenario,
     ScenarioError,
     builtin_scenario_names,
     scenario_from_dict,
 )
-from star_id.catalogue import hipparcos_stars
+from boresight.star_id.catalogue import hipparcos_stars
 
 __all__ = ["fly", "named_scenario"]
 

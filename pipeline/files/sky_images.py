@@ -13,17 +13,17 @@ from pathlib import Path
 
 import numpy as np
 
-from geometry.earth_rotation import EarthRotation
-from geometry.epoch import Epoch
-from geometry.ground_site import GroundSite
-from geometry.orbit import Orbit, OrbitGapError
-from geometry.star_camera import StarCamera
-from pipeline.errors import RawDataError
-from pipeline.files.dump import Dump, bundled_table, open_dump, orbit_of
-from pipeline.files.dump_schema import SkyImageRow
-from pipeline.files.orbit_file import read_oem
-from pipeline.files.text_files import read_table
-from star_id.observer import Observer
+from boresight.geometry.earth_rotation import EarthRotation
+from boresight.geometry.epoch import Epoch
+from boresight.geometry.ground_site import GroundSite
+from boresight.geometry.orbit import Orbit, OrbitGapError
+from boresight.geometry.star_camera import StarCamera
+from boresight.pipeline.errors import RawDataError
+from boresight.pipeline.files.dump import Dump, bundled_table, open_dump, orbit_of
+from boresight.pipeline.files.dump_schema import SkyImageRow
+from boresight.pipeline.files.orbit_file import read_oem
+from boresight.pipeline.files.text_files import read_table
+from boresight.star_id.observer import Observer
 
 __all__ = ["NOWHERE", "SkyImage", "SkyImages", "Whereabouts", "observers_of", "open_sky_images"]
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from pipeline.work.unit_store import write_whole
-from star_id.field import FieldSolution
-from star_id.sip import tan_sip
+from boresight.pipeline.files.whole_file import write_whole
+from boresight.star_id.field import FieldSolution
+from boresight.star_id.sip import tan_sip
 
 __all__ = ["write_wcs"]
 

@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
+import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from pipeline.errors import RawDataError
+from boresight.pipeline.errors import RawDataError
 
-__all__ = ["fixed", "read_parquet"]
+__all__ = ["column", "fixed", "fixed_list", "list_values", "read_parquet"]
 
 EXPECTED = "the table that `calibrate` wrote"
 
@@ -41,3 +42,22 @@ def read_parquet(path: Path, columns: Mapping[str, pa.DataType] | None = None) -
             found = f"{column.type} with {column.null_count} empty cells"
             raise RawDataError(file, f"column {name}", found, f"{kind} without empty cells")
     return table
+
+
+def fixed_list(values: np.ndarray) -> pa.Array:
+    """An array (N, ...) as N lists of fixed length."""
+    width = int(np.prod(values.shape[1:]))
+    flat = np.ascontiguousarray(values, dtype=float).ravel()
+    return pa.FixedSizeListArray.from_arrays(pa.array(flat, pa.float64()), width)
+
+
+def list_values(table: pa.Table, name: str, *shape: int) -> np.ndarray:
+    """The inverse of `fixed_list`: (N, *shape)."""
+    flat = table.column(name).combine_chunks()
+    values = flat.flatten().to_numpy(zero_copy_only=False) if len(table) else np.zeros(0)
+    return np.array(values, dtype=float).reshape(len(table), *shape)
+
+
+def column(table: pa.Table, name: str) -> np.ndarray:
+    """A plain column as a NumPy array."""
+    return np.array(table.column(name).to_numpy())

@@ -17,7 +17,7 @@ from typing import Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
-from pipeline.errors import RawDataError
+from boresight.pipeline.errors import RawDataError
 
 __all__ = ["path_inside", "read_json", "read_table", "read_text", "read_toml", "toml_tables"]
 

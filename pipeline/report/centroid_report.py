@@ -12,13 +12,13 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from pipeline.errors import RawDataError
-from pipeline.files.image_files import read_star_image
-from pipeline.files.text_files import read_text
-from pipeline.work.unit_store import write_whole
-from star_id.finding.star_list import StarList, find_stars
-from star_id.score import CentroidScore, score_centroids
-from star_id.settings import StarSettings
+from boresight.pipeline.errors import RawDataError
+from boresight.pipeline.files.image_files import read_star_image
+from boresight.pipeline.files.text_files import read_text
+from boresight.pipeline.files.whole_file import write_whole
+from boresight.star_id.finding.star_list import StarList, find_stars
+from boresight.star_id.score import CentroidScore, score_centroids
+from boresight.star_id.settings import StarSettings
 
 __all__ = ["centroid_lines", "draw_score", "score_lines"]
 

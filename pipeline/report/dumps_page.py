@@ -8,13 +8,13 @@ from typing import Any
 
 import pyarrow as pa
 
-from geometry.constants import ARCSEC
-from pipeline.files.table_files import read_parquet
-from pipeline.files.text_files import read_json
-from pipeline.report.page import data_uri, template
-from pipeline.report.saved import Number, number_at
-from pipeline.result import dumps_in
-from pipeline.work.unit_store import write_whole
+from boresight.geometry.constants import ARCSEC
+from boresight.pipeline.files.table_files import read_parquet
+from boresight.pipeline.files.text_files import read_json
+from boresight.pipeline.files.whole_file import write_whole
+from boresight.pipeline.report.page import data_uri, template
+from boresight.pipeline.report.saved import Number, number_at
+from boresight.pipeline.results.folder import dumps_in
 
 __all__ = ["write_dumps_report"]
 

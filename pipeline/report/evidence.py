@@ -25,18 +25,20 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from calib.information import solve_total
-from pipeline.angles import StripMotion, cross_angles
-from pipeline.calibrate import Calibration
-from pipeline.chains.star_chain import exposure_image
-from pipeline.errors import RawDataError
-from pipeline.files.dump import Dump
-from pipeline.files.dump_schema import DumpFile
-from pipeline.files.text_files import read_toml
-from pipeline.report.match_pictures import pictures_columns
-from pipeline.report.star_preview import StarPreview, star_preview
-from pipeline.settings import Settings
-from pipeline.work.unit_store import END_BYTES, WHOLE_FILE_BYTES, fixed_list, write_whole
+from boresight.calib.information import solve_total
+from boresight.pipeline.errors import RawDataError
+from boresight.pipeline.files.dump import Dump
+from boresight.pipeline.files.dump_schema import DumpFile
+from boresight.pipeline.files.table_files import fixed_list
+from boresight.pipeline.files.text_files import read_toml
+from boresight.pipeline.files.whole_file import write_whole
+from boresight.pipeline.report.star_preview import StarPreview, star_preview
+from boresight.pipeline.results.angles import StripMotion, cross_angles
+from boresight.pipeline.settings import Settings
+from boresight.pipeline.stages.calibrate import Calibration
+from boresight.pipeline.stages.exposure import exposure_image
+from boresight.pipeline.stages.match_pictures import pictures_columns
+from boresight.pipeline.work.unit_store import END_BYTES, WHOLE_FILE_BYTES
 
 __all__ = ["write_evidence"]
 

@@ -12,8 +12,9 @@ from matplotlib.patches import Ellipse
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 from numpy.typing import NDArray
 
-from geometry.constants import ARCSEC
-from pipeline.report.drawing import (
+from boresight.geometry.constants import ARCSEC
+from boresight.pipeline.files.table_files import column, list_values
+from boresight.pipeline.report.drawing import (
     AXES,
     FILL,
     INK,
@@ -23,8 +24,7 @@ from pipeline.report.drawing import (
     drawn,
     new_figure,
 )
-from pipeline.report.saved import Saved
-from pipeline.work.unit_store import column, list_values
+from boresight.pipeline.report.saved import Saved
 
 __all__ = [
     "angle_histogram",

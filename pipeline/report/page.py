@@ -15,11 +15,12 @@ import jinja2
 import numpy as np
 from markupsafe import Markup
 
-from geometry.constants import ARCSEC
-from pipeline.report import figures
-from pipeline.report.saved import Number, Saved, read_saved
-from pipeline.report.star_preview import STATES
-from pipeline.work.unit_store import column, list_values, write_whole
+from boresight.geometry.constants import ARCSEC
+from boresight.pipeline.files.table_files import column, list_values
+from boresight.pipeline.files.whole_file import write_whole
+from boresight.pipeline.report import figures
+from boresight.pipeline.report.saved import Number, Saved, read_saved
+from boresight.pipeline.report.star_preview import STATES
 
 __all__ = ["data_uri", "report_html", "template", "write_report"]
 
@@ -99,7 +100,7 @@ def report_html(saved: Saved, *, most_matches: int = MOST_MATCHES) -> str:
 def template(name: str) -> jinja2.Template:
     """A page's template, with the filter `number` that shows where a number comes from."""
     environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("pipeline.report", "templates"),
+        loader=jinja2.PackageLoader("boresight.pipeline.report", "templates"),
         autoescape=True,
         undefined=jinja2.StrictUndefined,
         trim_blocks=True,

@@ -10,9 +10,9 @@ from typing import Any
 
 import pyarrow as pa
 
-from pipeline.errors import RawDataError
-from pipeline.files.table_files import fixed, read_parquet
-from pipeline.files.text_files import read_json
+from boresight.pipeline.errors import RawDataError
+from boresight.pipeline.files.table_files import fixed, read_parquet
+from boresight.pipeline.files.text_files import read_json
 
 __all__ = ["Number", "Saved", "number_at", "read_saved"]
 

@@ -11,24 +11,24 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from geometry.star_camera import StarCamera
-from pipeline.errors import RawDataError
-from pipeline.files.sky_images import NOWHERE, SkyImage, Whereabouts, open_sky_images
-from pipeline.files.toml_writer import toml_text
-from pipeline.identify import read_camera, read_sky_image, sky_index
-from pipeline.work.unit_store import write_whole
-from star_id.camera_calibration import (
+from boresight.geometry.star_camera import StarCamera
+from boresight.pipeline.errors import RawDataError
+from boresight.pipeline.files.sky_images import NOWHERE, SkyImage, Whereabouts, open_sky_images
+from boresight.pipeline.files.toml_writer import toml_text
+from boresight.pipeline.files.whole_file import write_whole
+from boresight.pipeline.stages.identify import read_camera, read_sky_image, sky_index
+from boresight.star_id.camera_calibration import (
     CameraCalibration,
     ResidualMap,
     SkyFrame,
     calibrate_camera,
     residual_map,
 )
-from star_id.camera_fit import PARAMETERS
-from star_id.field import nominal_camera, solve_stars
-from star_id.finding.star_list import find_stars
-from star_id.naming.identify import NotIdentified
-from star_id.settings import StarSettings
+from boresight.star_id.camera_fit import PARAMETERS
+from boresight.star_id.field import nominal_camera, solve_stars
+from boresight.star_id.finding.star_list import find_stars
+from boresight.star_id.naming.identify import NotIdentified
+from boresight.star_id.settings import StarSettings
 
 __all__ = ["CameraRequest", "calibrate_from_images"]
 

@@ -8,9 +8,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from geometry.sightings import StarSightings
-from star_id.finding.star_list import find_stars
-from star_id.settings import StarSettings
+from boresight.geometry.sightings import StarSightings
+from boresight.star_id.finding.star_list import find_stars
+from boresight.star_id.settings import StarSettings
 
 __all__ = ["STATES", "StarPreview", "star_preview"]
 

@@ -21,7 +21,7 @@ from multiprocessing.connection import Connection, wait
 from multiprocessing.context import ForkContext, SpawnContext
 from typing import Any, TypeVar
 
-from pipeline.errors import WorkerError
+from boresight.pipeline.errors import WorkerError
 
 __all__ = ["Processes"]
 

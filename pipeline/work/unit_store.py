@@ -9,12 +9,9 @@ whatever happens.
 from __future__ import annotations
 
 import dataclasses
-import errno
 import hashlib
 import importlib.resources
 import json
-import os
-import uuid
 from collections.abc import Mapping
 from enum import Enum
 from functools import cache
@@ -27,20 +24,17 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from scipy.spatial.transform import Rotation
 
-from pipeline import __version__
-from pipeline.errors import RawDataError
-from pipeline.files.table_files import read_parquet
+from boresight.pipeline import __version__
+from boresight.pipeline.errors import RawDataError
+from boresight.pipeline.files.table_files import read_parquet
+from boresight.pipeline.files.whole_file import write_whole
 
 __all__ = [
     "UnitStore",
-    "column",
     "digest",
-    "fixed_list",
-    "list_values",
     "program",
     "read_meta",
     "read_unit",
-    "write_whole",
 ]
 
 META, SEAL = b"boresight", b"seal"
@@ -180,43 +174,7 @@ def _seal(table: pa.Table, remarks: bytes) -> bytes:
     return hashlib.blake2b(facts + remarks, digest_size=16).hexdigest().encode()
 
 
-def write_whole(path: Path, write: Any) -> None:
-    """Have `write(temporary path)` make a file beside `path`, flush it to the disk and give it its name.
-
-    An `OSError` names `path`, whatever library it comes from.
-    """
-    temporary = path.with_name(f".{path.name}.{uuid.uuid4().hex}.tmp")
-    try:
-        write(temporary)
-        with temporary.open("rb+") as stream:
-            os.fsync(stream.fileno())
-        temporary.replace(path)
-    except OSError as error:
-        raise OSError(error.errno or errno.EIO, error.strerror or str(error), str(path)) from error
-    finally:
-        temporary.unlink(missing_ok=True)
-
-
 def read_meta(table: pa.Table) -> dict[str, Any]:
     """What `UnitStore.write` was given as `meta`."""
     content: dict[str, Any] = json.loads((table.schema.metadata or {})[META])
     return content
-
-
-def fixed_list(values: np.ndarray) -> pa.Array:
-    """An array (N, ...) as N lists of fixed length."""
-    width = int(np.prod(values.shape[1:]))
-    flat = np.ascontiguousarray(values, dtype=float).ravel()
-    return pa.FixedSizeListArray.from_arrays(pa.array(flat, pa.float64()), width)
-
-
-def list_values(table: pa.Table, name: str, *shape: int) -> np.ndarray:
-    """The inverse of `fixed_list`: (N, *shape)."""
-    flat = table.column(name).combine_chunks()
-    values = flat.flatten().to_numpy(zero_copy_only=False) if len(table) else np.zeros(0)
-    return np.array(values, dtype=float).reshape(len(table), *shape)
-
-
-def column(table: pa.Table, name: str) -> np.ndarray:
-    """A plain column as a NumPy array."""
-    return np.array(table.column(name).to_numpy())

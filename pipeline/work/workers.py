@@ -12,9 +12,9 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
-from pipeline.errors import WorkerError
-from pipeline.work.executor import Executor, InOrder
-from pipeline.work.processes import Processes
+from boresight.pipeline.errors import WorkerError
+from boresight.pipeline.work.executor import Executor, InOrder
+from boresight.pipeline.work.processes import Processes
 
 __all__ = ["executor_for"]
 

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from scipy.special import erf
 
-from star_id.finding.background import Background
-from star_id.finding.windows import windows_at
+from boresight.star_id.finding.background import Background
+from boresight.star_id.finding.windows import windows_at
 
 __all__ = ["Detections", "detect", "detection_threshold"]
 

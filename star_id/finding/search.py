@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from star_id.finding.background import Background, extended
+from boresight.star_id.finding.background import Background, extended
 
 __all__ = ["candidate_places"]
 

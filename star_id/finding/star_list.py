@@ -9,14 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from star_id.finding.background import Background, estimate_background
-from star_id.finding.centroid import StarFits, fit_stars
-from star_id.finding.detect import Detections, detect, detection_threshold
-from star_id.finding.psf import Psf
-from star_id.finding.search import candidate_places
-from star_id.finding.star_shape import WidthFits, fit_widths, gain_of, psf_of
-from star_id.finding.windowed_centroid import windowed_centroids
-from star_id.settings import StarSettings
+from boresight.star_id.finding.background import Background, estimate_background
+from boresight.star_id.finding.centroid import StarFits, fit_stars
+from boresight.star_id.finding.detect import Detections, detect, detection_threshold
+from boresight.star_id.finding.psf import Psf
+from boresight.star_id.finding.search import candidate_places
+from boresight.star_id.finding.star_shape import WidthFits, fit_widths, gain_of, psf_of
+from boresight.star_id.finding.windowed_centroid import windowed_centroids
+from boresight.star_id.settings import StarSettings
 
 __all__ = ["StarList", "find_stars"]
 

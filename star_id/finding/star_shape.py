@@ -11,10 +11,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from star_id.finding.background import Background
-from star_id.finding.psf import Psf, PsfImages, psf_images
-from star_id.finding.window_fit import by_parameter, newton_step, start_state
-from star_id.finding.windows import StarWindows, star_windows
+from boresight.star_id.finding.background import Background
+from boresight.star_id.finding.psf import Psf, PsfImages, psf_images
+from boresight.star_id.finding.window_fit import by_parameter, newton_step, start_state
+from boresight.star_id.finding.windows import StarWindows, star_windows
 
 __all__ = ["WidthFits", "fit_widths", "gain_of", "psf_of"]
 

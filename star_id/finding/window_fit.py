@@ -10,8 +10,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from star_id.finding.psf import PsfImages
-from star_id.finding.windows import StarWindows
+from boresight.star_id.finding.psf import PsfImages
+from boresight.star_id.finding.windows import StarWindows
 
 __all__ = ["by_parameter", "newton_step", "start_state"]
 

@@ -13,11 +13,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from star_id.finding.background import Background
-from star_id.finding.centroid import StarFits, faint_star_inflation
-from star_id.finding.psf import Psf, psf_images
-from star_id.finding.window_fit import start_state
-from star_id.finding.windows import star_windows
+from boresight.star_id.finding.background import Background
+from boresight.star_id.finding.centroid import StarFits, faint_star_inflation
+from boresight.star_id.finding.psf import Psf, psf_images
+from boresight.star_id.finding.window_fit import start_state
+from boresight.star_id.finding.windows import star_windows
 
 __all__ = ["windowed_centroids"]
 

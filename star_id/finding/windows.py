@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from star_id.finding.background import Background
+from boresight.star_id.finding.background import Background
 
 __all__ = ["StarWindows", "star_windows", "windows_at"]
 

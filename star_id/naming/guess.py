@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from star_id.attitude import wahba
-from star_id.naming.plane import PlaneImage, directions_of_plane, plane_of_directions
-from star_id.naming.triangles import StarIndex
+from boresight.star_id.attitude import wahba
+from boresight.star_id.naming.plane import PlaneImage, directions_of_plane, plane_of_directions
+from boresight.star_id.naming.triangles import StarIndex
 
 __all__ = ["Guess", "guess_at", "refined", "seen_with"]
 

@@ -19,8 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from geometry.starlight import StarPlaces
-from star_id.naming.ranges import ranges
+from boresight.geometry.starlight import StarPlaces
+from boresight.star_id.naming.ranges import ranges
 
 __all__ = ["CLOSE_RAD", "StarIndex", "TriangleTable", "build_index", "equivalent_fov", "triangle_shapes"]
 

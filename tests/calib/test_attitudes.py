@@ -5,8 +5,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from calib.attitudes import fit_attitudes
-from geometry.sightings import isotropic_covariance
+from boresight.calib.attitudes import fit_attitudes
+from boresight.geometry.sightings import isotropic_covariance
 
 SIGMA = 4e-6  # rad
 

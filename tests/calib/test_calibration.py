@@ -7,13 +7,13 @@ import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from calib.calibration import calibrate
-from calib.campaign import CameraPair, StripPlan, draw_strips
-from calib.estimate import InstallationEstimate, NotObservable
-from calib.information import solve_total
-from calib.settings import CalibrationSettings
-from geometry.constants import ARCSEC
-from geometry.installation import deviation_from_theta, theta_between
+from boresight.calib.calibration import calibrate
+from boresight.calib.estimate import InstallationEstimate, NotObservable
+from boresight.calib.information import solve_total
+from boresight.calib.settings import CalibrationSettings
+from boresight.geometry.constants import ARCSEC
+from boresight.geometry.installation import deviation_from_theta, theta_between
+from boresight.simulator.campaign import CameraPair, StripPlan, draw_strips
 
 BOLD = Rotation.from_euler("xyz", [40, -65, 110], degrees=True)
 CAMERAS = CameraPair(BOLD)

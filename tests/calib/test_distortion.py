@@ -2,8 +2,14 @@
 
 import numpy as np
 
-from calib.campaign import CameraPair, StripPlan, _Curve, installation_by_tilt
-from calib.distortion import correlation, knot_weights, knots_touched, prior_information, unknown_names
+from boresight.calib.distortion import (
+    correlation,
+    knot_weights,
+    knots_touched,
+    prior_information,
+    unknown_names,
+)
+from boresight.simulator.campaign import CameraPair, StripPlan, _Curve, installation_by_tilt
 
 CAMERAS = CameraPair(installation_by_tilt(np.radians(15.0)))
 

@@ -12,10 +12,10 @@ from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 from scipy.stats import binom, chi2
 
-from calib.drift import DriftSettings, MountingSeries, estimate_drift
-from calib.information import InformationPairs
-from geometry.constants import ARCSEC
-from geometry.installation import deviation_from_theta, theta_between
+from boresight.calib.information import InformationPairs
+from boresight.calib.mounting.drift import DriftSettings, MountingSeries, estimate_drift
+from boresight.geometry.constants import ARCSEC
+from boresight.geometry.installation import deviation_from_theta, theta_between
 
 R_CS = Rotation.from_euler("xyz", [40, -65, 110], degrees=True)
 DAY_S = 86400.0

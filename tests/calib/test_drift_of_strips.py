@@ -8,14 +8,14 @@ from numpy.testing import assert_allclose
 from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
 
-from calib.calibration import calibrate
-from calib.campaign import CameraPair, StripPlan, draw_strips, remounted
-from calib.distortion import prior_information
-from calib.drift import DriftSettings, MountingSeries, estimate_drift
-from calib.information import InformationPairs
-from calib.settings import CalibrationSettings
-from geometry.constants import ARCSEC, DAY_S
-from geometry.installation import deviation_from_theta, theta_between
+from boresight.calib.calibration import calibrate
+from boresight.calib.distortion import prior_information
+from boresight.calib.information import InformationPairs
+from boresight.calib.mounting.drift import DriftSettings, MountingSeries, estimate_drift
+from boresight.calib.settings import CalibrationSettings
+from boresight.geometry.constants import ARCSEC, DAY_S
+from boresight.geometry.installation import deviation_from_theta, theta_between
+from boresight.simulator.campaign import CameraPair, StripPlan, draw_strips, remounted
 
 BOLD = Rotation.from_euler("xyz", [40, -65, 110], degrees=True)
 SETTINGS = CalibrationSettings(robust=False)  # the same targets in months and in all

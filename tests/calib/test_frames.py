@@ -7,10 +7,11 @@ import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from calib.campaign import CameraPair, draw_frames, noisy_frames
-from calib.frames import Frames, calibrate_frames, calibrate_stream, frame_pairs, prepare_frames
-from geometry.constants import ARCSEC
-from geometry.installation import deviation_from_theta, theta_between
+from boresight.calib.frames import calibrate_frames, calibrate_stream, frame_pairs, prepare_frames
+from boresight.geometry.constants import ARCSEC
+from boresight.geometry.installation import deviation_from_theta, theta_between
+from boresight.geometry.vector_sets import VectorSets
+from boresight.simulator.campaign import CameraPair, draw_frames, noisy_frames
 
 BOLD = Rotation.from_euler("xyz", [40, -65, 110], degrees=True)
 CAMERAS = CameraPair(BOLD)
@@ -21,7 +22,7 @@ def drawn(n, seed, stars=30, targets=10):
     return draw_frames(n, stars, targets, 0.06, 0.3, CAMERAS, np.random.default_rng(seed))
 
 
-def cut(frames: Frames, stars: list[int], targets: list[int]) -> Frames:
+def cut(frames: VectorSets, stars: list[int], targets: list[int]) -> VectorSets:
     """The frames with only the first so many stars and targets each."""
     s = np.concatenate([np.arange(a, a + n) for a, n in zip(frames.star_start, stars)])
     c = np.concatenate([np.arange(a, a + n) for a, n in zip(frames.target_start, targets)])
@@ -40,7 +41,7 @@ def test_ragged_frames_give_what_each_gives_alone():
     for k in (0, 1, 5):
         s, c = (np.array([0, len(part)]) for part in (frames.frame(k)[0], frames.frame(k)[3]))
         u_s, v_s, sigma_s, w_c, v_c, sigma_c = frames.frame(k)
-        alone = Frames(s, u_s, v_s, sigma_s, c, w_c, v_c, sigma_c)
+        alone = VectorSets(s, u_s, v_s, sigma_s, c, w_c, v_c, sigma_c)
         one_F, one_F_theta = frame_pairs(prepare_frames(alone), BOLD)
         np.testing.assert_allclose(F[k], one_F[0], rtol=0, atol=1e-12 * np.abs(F[k]).max())
         np.testing.assert_allclose(F_theta[k], one_F_theta[0], rtol=0, atol=1e-9 * np.abs(F_theta[k]).max())
@@ -50,12 +51,12 @@ def test_ragged_frames_give_what_each_gives_alone():
 def test_chunks_give_what_the_whole_gives_whatever_their_size():
     parts = [drawn(n, seed) for n, seed in ((40, 1), (7, 2), (100, 3))]
     R_cs, solution, total = calibrate_stream(iter(parts), R_CS0)
-    whole = Frames(
+    whole = VectorSets(
         *(
             np.concatenate([[0], np.cumsum(np.concatenate([np.diff(getattr(p, name)) for p in parts]))])
             if name.endswith("start")
             else np.concatenate([getattr(p, name) for p in parts])
-            for name in Frames.__dataclass_fields__
+            for name in VectorSets.__dataclass_fields__
         )
     )
     at_once = calibrate_frames(whole, R_CS0)

@@ -6,8 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from calib.information import ExactSum, InformationPairs, solve_total
-from geometry.installation import deviation_from_theta, theta_between
+from boresight.calib.information import ExactSum, InformationPairs, solve_total
+from boresight.geometry.installation import deviation_from_theta, theta_between
 
 REFERENCE = Rotation.from_euler("xyz", [40, -65, 110], degrees=True)
 

@@ -6,16 +6,17 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from calib.calibration import calibrate
-from calib.campaign import CameraPair, StripPlan, draw_strips
-from calib.estimate import InstallationEstimate
-from calib.frames import Frames, calibrate_frames
-from calib.settings import CalibrationSettings
-from calib.shared_unknowns import SharedUnknowns
-from calib.strips import group_strips, linearise, prepare_strip
-from geometry.constants import ARCSEC
-from geometry.installation import deviation_from_theta, theta_between
-from geometry.sightings import StripSightings
+from boresight.calib.calibration import calibrate
+from boresight.calib.estimate import InstallationEstimate
+from boresight.calib.frames import calibrate_frames
+from boresight.calib.settings import CalibrationSettings
+from boresight.calib.shared_unknowns import SharedUnknowns
+from boresight.calib.strips import group_strips, linearise, prepare_strip
+from boresight.geometry.constants import ARCSEC
+from boresight.geometry.installation import deviation_from_theta, theta_between
+from boresight.geometry.sightings import StripSightings
+from boresight.geometry.vector_sets import VectorSets
+from boresight.simulator.campaign import CameraPair, StripPlan, draw_strips
 
 BOLD = Rotation.from_euler("xyz", [40, -65, 110], degrees=True)
 CAMERAS = CameraPair(BOLD)
@@ -49,7 +50,7 @@ def test_with_one_exposure_at_the_targets_instant_it_is_the_papers_frame():
     still = replace(StripPlan(), duration_s=0.0, exposures=1, strips=5, targets=15)
     strips = [one_instant(strip) for strip in strips_of(still)]
     grounds, exposures = [s.ground for s in strips], [s.exposures[0] for s in strips]
-    frames = Frames(
+    frames = VectorSets(
         np.arange(6) * 40,
         np.concatenate([e.u_s for e in exposures]),
         np.concatenate([e.u_i for e in exposures]),

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from calib.campaign import CameraPair, draw_frames
-from calib.frames import calibrate_frames, frame_pairs, prepare_frames
-from calib.ten_steps import calibrate_literally, frame_information_literally
-from geometry.constants import ARCSEC
-from geometry.installation import deviation_from_theta, theta_between
+from boresight.calib.frames import calibrate_frames, frame_pairs, prepare_frames
+from boresight.calib.ten_steps import calibrate_literally, frame_information_literally
+from boresight.geometry.constants import ARCSEC
+from boresight.geometry.installation import deviation_from_theta, theta_between
+from boresight.simulator.campaign import CameraPair, draw_frames
 
 MATRIX_28 = np.array([0.003, 0.002, 0.001])  # the paper's deviation (28) under its own (12), (13)
 BOLD = Rotation.from_euler("xyz", [40, -65, 110], degrees=True)

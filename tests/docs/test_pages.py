@@ -15,7 +15,7 @@ import pytest
 ROOT = Path(__file__).parents[2]
 METHOD = (ROOT / "docs" / "method.md").read_text()
 ROW = re.compile(r"^\| \((A?\d+)\) \|[^|]*\| ([^|]*) \|", re.MULTILINE)
-NAME = re.compile(r"`((?:geometry|star_id|gct_match|calib|simulator|pipeline)(?:\.\w+)+)`")
+NAME = re.compile(r"`(boresight\.(?:geometry|star_id|gct_match|calib|simulator|pipeline)(?:\.\w+)+)`")
 LINK = re.compile(r"\]\(([^)#\s]+)(#[\w-]+)?\)")
 
 
@@ -59,14 +59,14 @@ def test_links_of_readme_and_pages_lead_to_files():
 
 
 def test_all_formats_of_the_program_are_described():
-    from pipeline.export import FORMATS
+    from boresight.pipeline.exports.export import FORMATS
 
     text = (ROOT / "docs" / "exports.md").read_text()
     assert all(f"`{name}`" in text for name in FORMATS)
 
 
 def test_all_commands_of_the_program_are_in_the_readme():
-    from pipeline.cli import app
+    from boresight.pipeline.cli import app
 
     text = (ROOT / "README.md").read_text()
     names = [c.name or c.callback.__name__.replace("_", "-") for c in app.registered_commands]

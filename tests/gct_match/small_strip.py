@@ -18,18 +18,18 @@ from scipy import ndimage
 from scipy.interpolate import RectBivariateSpline
 from scipy.spatial.transform import Rotation
 
-from gct_match.records import Chip, Target
-from geometry.attitude import AttitudeTrack
-from geometry.constants import ARCSEC, GM_EARTH
-from geometry.earth_orientation import bundled_earth_orientation
-from geometry.earth_rotation import EarthRotation
-from geometry.epoch import Epoch
-from geometry.groundlight import LightEffects
-from geometry.installation import deviation_from_theta
-from geometry.line_camera import Ccd, LineCamera
-from geometry.orbit import Orbit
-from geometry.pushbroom import Pushbroom, RowClock
-from geometry.terrain import ConstantHeight
+from boresight.gct_match.records import Chip, Target
+from boresight.geometry.attitude import AttitudeTrack
+from boresight.geometry.constants import ARCSEC, GM_EARTH
+from boresight.geometry.earth_orientation import bundled_earth_orientation
+from boresight.geometry.earth_rotation import EarthRotation
+from boresight.geometry.epoch import Epoch
+from boresight.geometry.groundlight import LightEffects
+from boresight.geometry.installation import deviation_from_theta
+from boresight.geometry.line_camera import Ccd, LineCamera
+from boresight.geometry.orbit import Orbit
+from boresight.geometry.pushbroom import Pushbroom, RowClock
+from boresight.geometry.terrain import ConstantHeight
 
 LINES, SAMPLES, OVERLAP = 700, 420, 60
 PIXEL_M = 120e-6

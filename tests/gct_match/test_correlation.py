@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from gct_match.correlation import (
+from boresight.gct_match.search.correlation import (
     correlation_surface,
     independent_values,
     normalised,

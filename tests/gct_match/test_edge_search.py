@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from gct_match.edge_search import best_places, search_picture, search_template
-from gct_match.edges import edge_field, edge_similarity
+from boresight.gct_match.search.edge_search import best_places, search_picture, search_template
+from boresight.gct_match.search.edges import edge_field, edge_similarity
 
 
 @pytest.fixture(scope="module")

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from gct_match.correlation import peaks_of
-from gct_match.edges import FULL, coarse_edge_fields, edge_field, edge_similarity, halved
+from boresight.gct_match.search.correlation import peaks_of
+from boresight.gct_match.search.edges import FULL, coarse_edge_fields, edge_field, edge_similarity, halved
 
 
 def parcels(rng: np.random.Generator, tones: NDArray) -> NDArray:

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from rendered_pairs import Pair
 from scipy.stats import chi2
 
-from gct_match.correlation import view_of
-from gct_match.least_squares import Placement, place
+from boresight.gct_match.refine.least_squares import Placement, place
+from boresight.gct_match.search.correlation import view_of
 
 Pairs = dict[tuple[str, int], list[Pair]]
 

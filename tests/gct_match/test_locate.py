@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 from rendered_pairs import Pair, make_pair
 from scipy import ndimage
 
-from gct_match.correlation import likeness_to_itself, normalised
-from gct_match.locate import Located, NotLocated, locate
-from gct_match.settings import MatchSettings
+from boresight.gct_match.locate import Located, NotLocated, locate
+from boresight.gct_match.search.correlation import likeness_to_itself, normalised
+from boresight.gct_match.settings import MatchSettings
 
 MARGIN = 16
 SETTINGS = MatchSettings()

@@ -11,15 +11,15 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 from small_strip import LINES, SURFACE, Case, SmallStrip, make_case
 
-from gct_match.bootstrap import plan_search
-from gct_match.coarse import read_coarse
-from gct_match.match import match_strip
-from gct_match.paths import displacements, target_paths
-from gct_match.records import Chip, StripMatches, Target
-from gct_match.settings import MatchSettings
-from gct_match.template import predict_template
-from geometry.installation import deviation_from_theta, theta_between
-from geometry.virtual_ccd import VirtualStrip
+from boresight.gct_match.match import match_strip
+from boresight.gct_match.predict.template import predict_template
+from boresight.gct_match.predict.trajectories import displacements, target_paths
+from boresight.gct_match.records import Chip, StripMatches, Target
+from boresight.gct_match.search.bootstrap import plan_search
+from boresight.gct_match.search.coarse import read_coarse
+from boresight.gct_match.settings import MatchSettings
+from boresight.geometry.installation import deviation_from_theta, theta_between
+from boresight.geometry.virtual_ccd import VirtualStrip
 
 SIGMA = np.full(3, 0.003)  # rad: what a mission says of a matrix that is wrong by (28)
 

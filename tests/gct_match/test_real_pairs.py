@@ -8,8 +8,8 @@ import rasterio
 from numpy.typing import NDArray
 from rendered_pairs import DATA
 
-from gct_match.locate import Located, locate
-from gct_match.settings import MatchSettings
+from boresight.gct_match.locate import Located, locate
+from boresight.gct_match.settings import MatchSettings
 
 SIZE, MARGIN = 128, 16
 

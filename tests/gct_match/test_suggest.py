@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from gct_match.suggest import suggest_targets
+from boresight.gct_match.suggest import suggest_targets
 
 TRANSFORM = (0.5, 0.0, 4000.0, 0.0, -0.5, 9000.0)
 

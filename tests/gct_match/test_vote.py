@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from gct_match.vote import Candidates, fit_common, log_chance_of_ranks, vote
+from boresight.gct_match.search.vote import Candidates, fit_common, log_chance_of_ranks, vote
 
 SIGMA = np.full(3, 0.003)  # rad
 PX_PER_RAD = 1e6  # the paper's camera

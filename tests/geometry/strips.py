@@ -3,15 +3,15 @@
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from geometry.attitude import AttitudeTrack
-from geometry.constants import GM_EARTH
-from geometry.earth_orientation import bundled_earth_orientation
-from geometry.earth_rotation import EarthRotation
-from geometry.epoch import Epoch
-from geometry.groundlight import LightEffects
-from geometry.line_camera import Ccd, LineCamera
-from geometry.orbit import Orbit
-from geometry.pushbroom import Pushbroom, RowClock
+from boresight.geometry.attitude import AttitudeTrack
+from boresight.geometry.constants import GM_EARTH
+from boresight.geometry.earth_orientation import bundled_earth_orientation
+from boresight.geometry.earth_rotation import EarthRotation
+from boresight.geometry.epoch import Epoch
+from boresight.geometry.groundlight import LightEffects
+from boresight.geometry.line_camera import Ccd, LineCamera
+from boresight.geometry.orbit import Orbit
+from boresight.geometry.pushbroom import Pushbroom, RowClock
 
 EPOCH = Epoch.from_utc("2024-03-05T10:20:30Z")
 EARTH = EarthRotation.over(EPOCH, -40.0, 60.0, bundled_earth_orientation())

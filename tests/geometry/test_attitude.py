@@ -6,8 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from geometry.attitude import AttitudeTrack, EarthFixedAttitude, lagrange_weights
-from geometry.constants import ARCSEC
+from boresight.geometry.attitude import AttitudeTrack, EarthFixedAttitude, lagrange_weights
+from boresight.geometry.constants import ARCSEC
 
 MOUNTING = Rotation.from_euler("xyz", [40.0, -65.0, 110.0], degrees=True)
 

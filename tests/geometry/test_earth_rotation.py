@@ -12,16 +12,16 @@ from astropy.time import Time
 from astropy.utils import iers
 from scipy.interpolate import CubicSpline
 
-from geometry.constants import ARCSEC
-from geometry.earth_orientation import (
+from boresight.geometry.constants import ARCSEC
+from boresight.geometry.earth_orientation import (
     EarthOrientationError,
     EarthOrientationTable,
     EarthOrientationWarning,
     bundled_earth_orientation,
     expected_prediction_error_m,
 )
-from geometry.earth_rotation import EarthRotation
-from geometry.epoch import MJD_ZERO_JD, Epoch, tai_minus_utc_s
+from boresight.geometry.earth_rotation import EarthRotation
+from boresight.geometry.epoch import MJD_ZERO_JD, Epoch, tai_minus_utc_s
 
 TABLE = bundled_earth_orientation()
 EARTH_RADIUS_M = 6_378_137.0

@@ -7,7 +7,7 @@ from astropy.time import Time
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from geometry.epoch import Epoch, tai_minus_utc_s
+from boresight.geometry.epoch import Epoch, tai_minus_utc_s
 
 # From 1972 to 2035, in nanoseconds since 1972-01-01T00:00:10 TAI
 NANOSECONDS = st.integers(0, 63 * 365 * 86_400 * 10**9)

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from pyproj import Transformer
 
-from geometry.constants import WGS84
-from geometry.geodesy import (
+from boresight.geometry.constants import WGS84
+from boresight.geometry.geodesy import (
     ecef_from_geodetic,
     geodetic_from_ecef,
     local_axes_e,

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import rasterio
 
-from geometry.geoid import Geoid, egm96
+from boresight.geometry.geoid import Geoid, egm96
 
 # INPUT.DAT and OUTINTPT.DAT of NGA's EGM96 interpolation program F477 (readme.txt of the WGS 84 EGM96 15'
 # geoid): latitude, longitude (deg), geoid height (m).

@@ -6,12 +6,12 @@ from astropy.coordinates import AltAz, EarthLocation, SkyCoord
 from astropy.time import Time
 from astropy.utils import iers
 
-from geometry.constants import ARCSEC
-from geometry.earth_orientation import bundled_earth_orientation
-from geometry.earth_rotation import EarthRotation
-from geometry.epoch import Epoch
-from geometry.ground_site import GroundSite, lifted_by_air
-from geometry.starlight import StarPlaces, apparent_star_directions
+from boresight.geometry.constants import ARCSEC
+from boresight.geometry.earth_orientation import bundled_earth_orientation
+from boresight.geometry.earth_rotation import EarthRotation
+from boresight.geometry.epoch import Epoch
+from boresight.geometry.ground_site import GroundSite, lifted_by_air
+from boresight.geometry.starlight import StarPlaces, apparent_star_directions
 
 UTC = "2019-07-29T20:47:26"
 SITE = GroundSite(np.radians(52.2), np.radians(4.4), 30.0, 1009.0, 17.5)

@@ -12,18 +12,23 @@ from hypothesis import strategies as st
 from scipy.integrate import quad
 from scipy.optimize import brentq
 
-from geometry.atmosphere import Atmosphere, layered_atmosphere, refractivity_of_air, standard_atmosphere
-from geometry.constants import GM_EARTH, SPEED_OF_LIGHT, WGS84
-from geometry.earth_orientation import bundled_earth_orientation
-from geometry.earth_rotation import EarthRotation
-from geometry.epoch import Epoch
-from geometry.geodesy import (
+from boresight.geometry.atmosphere import (
+    Atmosphere,
+    layered_atmosphere,
+    refractivity_of_air,
+    standard_atmosphere,
+)
+from boresight.geometry.constants import GM_EARTH, SPEED_OF_LIGHT, WGS84
+from boresight.geometry.earth_orientation import bundled_earth_orientation
+from boresight.geometry.earth_rotation import EarthRotation
+from boresight.geometry.epoch import Epoch
+from boresight.geometry.geodesy import (
     ecef_from_geodetic,
     geodetic_from_ecef,
     local_axes_e,
     ray_ellipsoid_intersection,
 )
-from geometry.groundlight import (
+from boresight.geometry.groundlight import (
     LightEffects,
     apparent_directions_e,
     apparent_ground_directions,

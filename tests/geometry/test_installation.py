@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from pytest import approx
 from scipy.spatial.transform import Rotation
 
-from geometry.installation import (
+from boresight.geometry.installation import (
     deviation_from_theta,
     euler_zxy_from_theta,
     theta_between,

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from geometry.line_camera import Ccd, LineCamera, LookAngleCamera
+from boresight.geometry.line_camera import Ccd, LineCamera, LookAngleCamera
 
 # Ends of Table 3 and its principal sample; the values in between are not printed in the paper.
 TABLE_3 = np.array([[56.0, 1077.2e-6], [203.0, 866.3e-6], [1500.0, 160e-6], [3067.0, 0.0], [5784.0, -930e-6]])

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from pyproj import Transformer
 
-from geometry.local_map import fit_local_map
-from geometry.terrain import TerrainGrid
+from boresight.geometry.local_map import fit_local_map
+from boresight.geometry.terrain import TerrainGrid
 
 
 def projection(crs, pixel_m=30.0):

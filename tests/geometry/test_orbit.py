@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from geometry.constants import EARTH_ROTATION_RATE, GM_EARTH
-from geometry.epoch import Epoch
-from geometry.orbit import Orbit, OrbitGapError, argument_of_latitude, fit_polynomial, orbital_frame
+from boresight.geometry.constants import EARTH_ROTATION_RATE, GM_EARTH
+from boresight.geometry.epoch import Epoch
+from boresight.geometry.orbit import Orbit, OrbitGapError, argument_of_latitude, fit_polynomial, orbital_frame
 
 EPOCH = Epoch.from_utc("2024-03-05T10:20:30Z")
 RADIUS = 6_908e3  # m

@@ -6,12 +6,12 @@ import pytest
 from scipy.spatial.transform import Rotation
 from strips import EARTH, LINES, PERIOD_S, R_CS, attitude, orbit, states, strip
 
-from geometry.constants import SPEED_OF_LIGHT, WGS84
-from geometry.geodesy import geodetic_from_ecef
-from geometry.groundlight import LightEffects, apparent_ground_directions
-from geometry.orbit import OrbitGapError
-from geometry.pushbroom import RowClock
-from geometry.terrain import ConstantHeight, TerrainGrid
+from boresight.geometry.constants import SPEED_OF_LIGHT, WGS84
+from boresight.geometry.geodesy import geodetic_from_ecef
+from boresight.geometry.groundlight import LightEffects, apparent_ground_directions
+from boresight.geometry.orbit import OrbitGapError
+from boresight.geometry.pushbroom import RowClock
+from boresight.geometry.terrain import ConstantHeight, TerrainGrid
 
 NO_AIR = LightEffects(light_time=True, aberration=True, refraction=False)
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from geometry.row_table import tabulated
+from boresight.geometry.row_table import tabulated
 
 LINES = np.random.default_rng(1).uniform(0.0, 26_000.0, 20_000)
 

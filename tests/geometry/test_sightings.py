@@ -5,7 +5,7 @@ import pytest
 from pytest import approx
 from scipy.spatial.transform import Rotation
 
-from geometry.sightings import (
+from boresight.geometry.sightings import (
     StarSightings,
     StripSightings,
     information_of_directions,

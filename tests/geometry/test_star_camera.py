@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from geometry.star_camera import OpenCVParameters, StarCamera
+from boresight.geometry.star_camera import OpenCVParameters, StarCamera
 
 # Table 2 of the paper: f = 100 mm, 6.4 um, (p1, p2, q1, q2) for millimetres.
 PAPER = StarCamera(0.1, 6.4e-6, 5120, 3840, (2560.0, 1920.0), 2.29e-5, -2.96e-5, -9.30e-7, -4.25e-9)

@@ -10,9 +10,9 @@ import pytest
 from skyfield.api import Star, load, load_file
 from skyfield.vectorlib import VectorFunction
 
-from geometry.constants import ARCSEC, GM_EARTH
-from geometry.epoch import Epoch
-from geometry.starlight import StarPlaces, apparent_star_directions, apparent_star_directions_at
+from boresight.geometry.constants import ARCSEC, GM_EARTH
+from boresight.geometry.epoch import Epoch
+from boresight.geometry.starlight import StarPlaces, apparent_star_directions, apparent_star_directions_at
 
 EPHEMERIS = Path(__file__).parents[2] / "fixtures" / "ephemeris" / "de421_1995_2027.bsp"
 MAS = 1e-3 * ARCSEC

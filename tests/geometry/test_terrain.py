@@ -8,11 +8,16 @@ import numpy as np
 import pytest
 from pyproj import Transformer
 
-from geometry.constants import WGS84
-from geometry.geodesy import ecef_from_geodetic, geodetic_from_ecef, local_axes_e, ray_ellipsoid_intersection
-from geometry.geoid import Geoid, egm96
-from geometry.terrain import ConstantHeight, TerrainGrid, intersect
-from geometry.terrain_rays import bilinear, bounds_of_heights
+from boresight.geometry.constants import WGS84
+from boresight.geometry.geodesy import (
+    ecef_from_geodetic,
+    geodetic_from_ecef,
+    local_axes_e,
+    ray_ellipsoid_intersection,
+)
+from boresight.geometry.geoid import Geoid, egm96
+from boresight.geometry.terrain import ConstantHeight, TerrainGrid, intersect
+from boresight.geometry.terrain_rays import bilinear, bounds_of_heights
 
 UTM33 = "EPSG:32633"
 CELL_DEG = 1.0 / 3600.0  # 31 m
@@ -87,7 +92,7 @@ def test_found_points_lie_on_the_ground_and_on_the_ray(make, zenith_deg):
 def test_the_first_crossing_is_the_one_that_a_plain_search_finds(zenith_deg, monkeypatch):
     # A search in 4000 steps (0.4 m of height): the same point, but for rays that graze a crest (at 65 deg, 1
     # %).
-    monkeypatch.setattr("geometry.terrain._STEPS", 4000)
+    monkeypatch.setattr("boresight.geometry.terrain._STEPS", 4000)
     grid = degrees_grid(fractal(200, 1500.0, seed=4))
     origin, direction = rays_over(grid, 400, zenith_deg, seed=2, margin=50.0)
     fast, plain = intersect(origin, direction, grid), intersect(origin, direction, Plain(grid))

@@ -9,7 +9,7 @@ from fixture_strips import strip_of_fixture
 from handmade import write_handmade_dump
 from typer.testing import CliRunner
 
-from pipeline.cli import app
+from boresight.pipeline.cli import app
 
 
 @pytest.fixture

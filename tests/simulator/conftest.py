@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from geometry.earth_orientation import bundled_earth_orientation
-from geometry.geoid import egm96
-from geometry.starlight import StarPlaces
-from simulator.mission import simulate
-from simulator.scenario import scenario_from_dict, scenario_to_dict
+from boresight.geometry.earth_orientation import bundled_earth_orientation
+from boresight.geometry.geoid import egm96
+from boresight.geometry.starlight import StarPlaces
+from boresight.simulator.mission import simulate
+from boresight.simulator.scenario import scenario_from_dict, scenario_to_dict
 
 SMALL = {
     "based_on": "mini",

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from simulator.ground import BlurredGround, GroundImage, ImageGround, ProceduralGround
-from simulator.lattice_noise import fractal, smooth_noise, white, white_at
-from simulator.relief import relief_grid
-from simulator.scenario import CloudSettings, GroundSettings, OtherDateSettings, TerrainSettings
+from boresight.simulator.ground import BlurredGround, GroundImage, ImageGround, ProceduralGround
+from boresight.simulator.lattice_noise import fractal, smooth_noise, white, white_at
+from boresight.simulator.relief import relief_grid
+from boresight.simulator.scenario import CloudSettings, GroundSettings, OtherDateSettings, TerrainSettings
 
 SETTINGS = GroundSettings()
 COLUMN, ROW = 200_000, -7_900_000  # somewhere in a UTM zone, texels of 0.5 m

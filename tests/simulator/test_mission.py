@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from geometry.constants import ARCSEC
-from geometry.earth_rotation import EarthRotation
-from geometry.installation import theta_between
-from geometry.orbit import Orbit
-from simulator.mission import simulate
-from simulator.records import Mission
-from simulator.scenario import scenario_from_dict
+from boresight.geometry.constants import ARCSEC
+from boresight.geometry.earth_rotation import EarthRotation
+from boresight.geometry.installation import theta_between
+from boresight.geometry.orbit import Orbit
+from boresight.simulator.mission import simulate
+from boresight.simulator.records import Mission
+from boresight.simulator.scenario import scenario_from_dict
 
 
 def values_in(record, seen=()):

@@ -4,19 +4,27 @@ import numpy as np
 import pytest
 from pyproj import Transformer
 
-from geometry.attitude import lagrange_weights
-from geometry.constants import WGS84
-from geometry.earth_rotation import EarthRotation
-from geometry.epoch import Epoch
-from geometry.geodesy import geodetic_from_ecef
-from geometry.groundlight import LightEffects
-from geometry.pushbroom import Pushbroom, RowClock
-from geometry.terrain import ConstantHeight, TerrainGrid
-from simulator.cameras import calibrated_line_camera, distorted_line_camera, true_installation
-from simulator.ground import BlurredGround, gaussian_sigma_px
-from simulator.motion import flown_orbit, true_attitude
-from simulator.scan import Scene, needed_sample_step, panels, panels_near, read_ground, row_places, scan
-from simulator.scenario import scenario_from_dict
+from boresight.geometry.attitude import lagrange_weights
+from boresight.geometry.constants import WGS84
+from boresight.geometry.earth_rotation import EarthRotation
+from boresight.geometry.epoch import Epoch
+from boresight.geometry.geodesy import geodetic_from_ecef
+from boresight.geometry.groundlight import LightEffects
+from boresight.geometry.pushbroom import Pushbroom, RowClock
+from boresight.geometry.terrain import ConstantHeight, TerrainGrid
+from boresight.simulator.cameras import calibrated_line_camera, distorted_line_camera, true_installation
+from boresight.simulator.ground import BlurredGround, gaussian_sigma_px
+from boresight.simulator.motion import flown_orbit, true_attitude
+from boresight.simulator.scan import (
+    Scene,
+    needed_sample_step,
+    panels,
+    panels_near,
+    read_ground,
+    row_places,
+    scan,
+)
+from boresight.simulator.scenario import scenario_from_dict
 
 LINES, EPSG = 900, 32648
 SCENARIO = scenario_from_dict(

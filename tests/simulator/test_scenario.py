@@ -4,7 +4,7 @@ import dataclasses
 
 import pytest
 
-from simulator.scenario import (
+from boresight.simulator.scenario import (
     ScenarioError,
     builtin_scenario,
     builtin_scenario_names,

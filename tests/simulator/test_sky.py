@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from simulator.scenario import SkySettings
-from simulator.sky import expose, hot_pixels, star_charge
+from boresight.simulator.scenario import SkySettings
+from boresight.simulator.sky import expose, hot_pixels, star_charge
 
 DARK = SkySettings(
     background_dn=0.0,

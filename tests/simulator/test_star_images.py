@@ -8,7 +8,7 @@ from astropy.coordinates import GCRS, ITRS, CartesianRepresentation, Distance, S
 from astropy.time import Time
 from scipy.optimize import least_squares
 
-from geometry.earth_rotation import EarthRotation
+from boresight.geometry.earth_rotation import EarthRotation
 
 
 def opencv_pixels(u_i, R_si, camera):

@@ -13,12 +13,12 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 from scipy.special import ndtr
 
-from geometry.ground_site import lifted_by_air
-from geometry.star_camera import StarCamera
-from geometry.starlight import apparent_star_directions
-from star_id.finding.background import Background
-from star_id.finding.psf import Psf
-from star_id.finding.star_list import StarList
+from boresight.geometry.ground_site import lifted_by_air
+from boresight.geometry.star_camera import StarCamera
+from boresight.geometry.starlight import apparent_star_directions
+from boresight.star_id.finding.background import Background
+from boresight.star_id.finding.psf import Psf
+from boresight.star_id.finding.star_list import StarList
 
 PAPER_CAMERA = StarCamera(
     0.1, 6.4e-6, 5120, 3840, (2560.0, 1920.0), p1=2.29e-5, p2=-2.96e-5, q1=-9.30e-7, q2=-4.25e-9

@@ -10,15 +10,15 @@ from astropy.wcs import WCS
 from frames import PAPER_CAMERA, as_seen, listed_stars
 from scipy.spatial.transform import Rotation
 
-from geometry.epoch import Epoch
-from geometry.star_camera import StarCamera
-from star_id.camera_calibration import CameraCalibration, SkyFrame, calibrate_camera, residual_map
-from star_id.catalogue import hipparcos_stars
-from star_id.naming.identify import NotIdentified
-from star_id.naming.triangles import build_index
-from star_id.observer import Observer
-from star_id.settings import StarSettings
-from star_id.sip import tan_sip
+from boresight.geometry.epoch import Epoch
+from boresight.geometry.star_camera import StarCamera
+from boresight.star_id.camera_calibration import CameraCalibration, SkyFrame, calibrate_camera, residual_map
+from boresight.star_id.catalogue import hipparcos_stars
+from boresight.star_id.naming.identify import NotIdentified
+from boresight.star_id.naming.triangles import build_index
+from boresight.star_id.observer import Observer
+from boresight.star_id.settings import StarSettings
+from boresight.star_id.sip import tan_sip
 
 TRUTH = replace(PAPER_CAMERA, principal_px=(2571.3, 1911.2))
 NOMINAL = StarCamera(0.105, 6.4e-6, 5120, 3840, (2559.5, 1919.5))  # focal length 5 % wrong, no distortion

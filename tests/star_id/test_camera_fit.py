@@ -8,7 +8,7 @@ import numpy as np
 from frames import PAPER_CAMERA
 from scipy.spatial.transform import Rotation
 
-from star_id.camera_fit import (
+from boresight.star_id.camera_fit import (
     DRIFT,
     PARAMETERS,
     NamedStars,

@@ -7,8 +7,13 @@ import numpy as np
 import pytest
 from pytest import approx
 
-from geometry.constants import ARCSEC
-from star_id.catalogue import DISAGREEMENT_LIMIT_MAS, CatalogueStars, catalogue_provenance, hipparcos_stars
+from boresight.geometry.constants import ARCSEC
+from boresight.star_id.catalogue import (
+    DISAGREEMENT_LIMIT_MAS,
+    CatalogueStars,
+    catalogue_provenance,
+    hipparcos_stars,
+)
 
 SIRIUS, VEGA, POLARIS, BARNARD = 32349, 91262, 11767, 87937
 

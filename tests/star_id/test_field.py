@@ -10,14 +10,14 @@ from frames import PAPER_CAMERA, as_seen, listed_stars
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from geometry.epoch import Epoch
-from geometry.sightings import information_of_directions
-from geometry.star_camera import StarCamera
-from star_id.catalogue import hipparcos_stars
-from star_id.field import FieldSolution, solve_list, solve_stars
-from star_id.naming.triangles import build_index
-from star_id.observer import Observer
-from star_id.settings import StarSettings
+from boresight.geometry.epoch import Epoch
+from boresight.geometry.sightings import information_of_directions
+from boresight.geometry.star_camera import StarCamera
+from boresight.star_id.catalogue import hipparcos_stars
+from boresight.star_id.field import FieldSolution, solve_list, solve_stars
+from boresight.star_id.naming.triangles import build_index
+from boresight.star_id.observer import Observer
+from boresight.star_id.settings import StarSettings
 
 TRUTH = replace(PAPER_CAMERA, principal_px=(2571.3, 1893.2))  # the detector is not centred on the axis
 SIZE, MIDDLE = (5120, 3840), [[2559.5, 1919.5]]

@@ -7,15 +7,21 @@ import pytest
 from frames import PAPER_CAMERA, stars_in_view
 from scipy.spatial.transform import Rotation
 
-from star_id.attitude import solve_attitude
-from star_id.catalogue import hipparcos_stars
-from star_id.field import LARGEST_FOV_RAD, SMALLEST_FOV_RAD, FieldSolution, nominal_camera, solve_stars
-from star_id.naming.identify import AttitudePrior, Identification, NotIdentified, identify
-from star_id.naming.plane import PlaneImage
-from star_id.naming.triangles import CLOSE_RAD, build_index, equivalent_fov, triangle_shapes
-from star_id.naming.verify import log_evidence
-from star_id.settings import StarSettings
-from star_id.sight import field_of_camera, plane_coordinates
+from boresight.star_id.attitude import solve_attitude
+from boresight.star_id.catalogue import hipparcos_stars
+from boresight.star_id.field import (
+    LARGEST_FOV_RAD,
+    SMALLEST_FOV_RAD,
+    FieldSolution,
+    nominal_camera,
+    solve_stars,
+)
+from boresight.star_id.naming.identify import AttitudePrior, Identification, NotIdentified, identify
+from boresight.star_id.naming.plane import PlaneImage
+from boresight.star_id.naming.triangles import CLOSE_RAD, build_index, equivalent_fov, triangle_shapes
+from boresight.star_id.naming.verify import log_evidence
+from boresight.star_id.settings import StarSettings
+from boresight.star_id.sight import field_of_camera, plane_coordinates
 
 SETTINGS = StarSettings()
 SIZE = (PAPER_CAMERA.width_px, PAPER_CAMERA.height_px)

@@ -12,16 +12,16 @@ import cv2
 import numpy as np
 import pytest
 
-from geometry.earth_orientation import bundled_earth_orientation
-from geometry.earth_rotation import EarthRotation
-from geometry.epoch import Epoch
-from geometry.ground_site import GroundSite
-from star_id.catalogue import hipparcos_stars
-from star_id.field import LARGEST_FOV_RAD, SMALLEST_FOV_RAD, FieldSolution, solve_field, solve_stars
-from star_id.naming.identify import NotIdentified
-from star_id.naming.triangles import build_index
-from star_id.observer import Observer
-from star_id.settings import StarSettings
+from boresight.geometry.earth_orientation import bundled_earth_orientation
+from boresight.geometry.earth_rotation import EarthRotation
+from boresight.geometry.epoch import Epoch
+from boresight.geometry.ground_site import GroundSite
+from boresight.star_id.catalogue import hipparcos_stars
+from boresight.star_id.field import LARGEST_FOV_RAD, SMALLEST_FOV_RAD, FieldSolution, solve_field, solve_stars
+from boresight.star_id.naming.identify import NotIdentified
+from boresight.star_id.naming.triangles import build_index
+from boresight.star_id.observer import Observer
+from boresight.star_id.settings import StarSettings
 
 FOLDER = Path(__file__).resolve().parents[3] / "shared" / "data" / "star_images"
 ROWS = list(csv.DictReader((FOLDER / "manifest.csv").open())) if FOLDER.is_dir() else []

@@ -8,16 +8,16 @@ from frames import PAPER_CAMERA, Sensor, render, star_frame
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from geometry.epoch import Epoch
-from geometry.sightings import StarSightings
-from geometry.star_camera import StarCamera
-from geometry.starlight import apparent_star_directions
-from star_id.attitude import solve_attitude
-from star_id.catalogue import hipparcos_stars
-from star_id.naming.identify import NotIdentified
-from star_id.naming.triangles import build_index, equivalent_fov
-from star_id.settings import StarSettings
-from star_id.sight import sight_stars
+from boresight.geometry.epoch import Epoch
+from boresight.geometry.sightings import StarSightings
+from boresight.geometry.star_camera import StarCamera
+from boresight.geometry.starlight import apparent_star_directions
+from boresight.star_id.attitude import solve_attitude
+from boresight.star_id.catalogue import hipparcos_stars
+from boresight.star_id.naming.identify import NotIdentified
+from boresight.star_id.naming.triangles import build_index, equivalent_fov
+from boresight.star_id.settings import StarSettings
+from boresight.star_id.sight import sight_stars
 
 CAMERA = StarCamera(
     0.1, 25.6e-6, 1280, 960, (641.3, 477.2), p1=2.29e-5, p2=-2.96e-5, q1=-9.30e-7, q2=-4.25e-9

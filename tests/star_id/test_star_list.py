@@ -12,15 +12,15 @@ from scipy.spatial import cKDTree
 from scipy.special import ndtr
 from scipy.stats import chi2, poisson
 
-from simulator.scenario import SkySettings
-from simulator.sky import expose
-from star_id.finding.background import estimate_background
-from star_id.finding.detect import detection_threshold
-from star_id.finding.psf import Psf
-from star_id.finding.search import candidate_places
-from star_id.finding.star_list import find_stars
-from star_id.score import cramer_rao_px, score_centroids
-from star_id.settings import StarSettings
+from boresight.simulator.scenario import SkySettings
+from boresight.simulator.sky import expose
+from boresight.star_id.finding.background import estimate_background
+from boresight.star_id.finding.detect import detection_threshold
+from boresight.star_id.finding.psf import Psf
+from boresight.star_id.finding.search import candidate_places
+from boresight.star_id.finding.star_list import find_stars
+from boresight.star_id.score import cramer_rao_px, score_centroids
+from boresight.star_id.settings import StarSettings
 
 TOLD_GAIN = StarSettings(gain_e_per_dn=40.0)
 

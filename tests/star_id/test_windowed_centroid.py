@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from frames import Sensor, render
 
-from star_id.finding.background import estimate_background
-from star_id.finding.centroid import fit_stars
-from star_id.finding.psf import Psf
-from star_id.finding.star_list import find_stars
-from star_id.finding.windowed_centroid import windowed_centroids
-from star_id.score import cramer_rao_px
-from star_id.settings import StarSettings
+from boresight.star_id.finding.background import estimate_background
+from boresight.star_id.finding.centroid import fit_stars
+from boresight.star_id.finding.psf import Psf
+from boresight.star_id.finding.star_list import find_stars
+from boresight.star_id.finding.windowed_centroid import windowed_centroids
+from boresight.star_id.score import cramer_rao_px
+from boresight.star_id.settings import StarSettings
 
 SIZE = 1500
 PSF = Psf(1.25, 1.25, (0.0, 0.0), SIZE, SIZE)

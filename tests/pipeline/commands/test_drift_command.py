@@ -12,20 +12,20 @@ from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
-from calib.calibration import calibrate
-from calib.campaign import CameraPair, StripPlan, draw_strips
-from calib.distortion import prior_information
-from calib.drift import DriftSettings
-from calib.forecast import settings_of_plan
-from calib.information import InformationPairs, solve_total
-from geometry.constants import ARCSEC, DAY_S
-from geometry.epoch import Epoch
-from geometry.installation import deviation_from_theta, theta_between
-from pipeline.cli import app
-from pipeline.drift import drift_of_results, named_results
-from pipeline.errors import DataNotSufficientError, RawDataError
-from pipeline.result import read_mounting
-from pipeline.work.unit_store import fixed_list
+from boresight.calib.calibration import calibrate
+from boresight.calib.distortion import prior_information
+from boresight.calib.information import InformationPairs, solve_total
+from boresight.calib.mounting.drift import DriftSettings
+from boresight.geometry.constants import ARCSEC, DAY_S
+from boresight.geometry.epoch import Epoch
+from boresight.geometry.installation import deviation_from_theta, theta_between
+from boresight.pipeline.cli import app
+from boresight.pipeline.errors import DataNotSufficientError, RawDataError
+from boresight.pipeline.files.table_files import fixed_list
+from boresight.pipeline.results.drift import drift_of_results, named_results
+from boresight.pipeline.results.folder import read_mounting
+from boresight.pipeline.stages.forecast import settings_of_plan
+from boresight.simulator.campaign import CameraPair, StripPlan, draw_strips
 
 runner = CliRunner()
 EPOCH = Epoch.from_utc("2024-01-10T03:00:00Z")

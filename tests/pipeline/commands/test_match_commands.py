@@ -10,7 +10,7 @@ import rasterio
 import rasterio.warp
 from typer.testing import CliRunner
 
-from pipeline.cli import app
+from boresight.pipeline.cli import app
 
 MINI = Path(__file__).resolve().parents[3] / "fixtures" / "mini"
 

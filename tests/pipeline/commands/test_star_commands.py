@@ -20,15 +20,15 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "star_id"))
 
 from frames import Sensor, as_seen, star_frame
 
-from geometry.earth_orientation import bundled_earth_orientation
-from geometry.earth_rotation import EarthRotation
-from geometry.epoch import Epoch
-from geometry.ground_site import GroundSite
-from geometry.star_camera import StarCamera
-from pipeline.cli import app
-from pipeline.errors import RawDataError
-from star_id.catalogue import hipparcos_stars
-from star_id.observer import Observer
+from boresight.geometry.earth_orientation import bundled_earth_orientation
+from boresight.geometry.earth_rotation import EarthRotation
+from boresight.geometry.epoch import Epoch
+from boresight.geometry.ground_site import GroundSite
+from boresight.geometry.star_camera import StarCamera
+from boresight.pipeline.cli import app
+from boresight.pipeline.errors import RawDataError
+from boresight.star_id.catalogue import hipparcos_stars
+from boresight.star_id.observer import Observer
 
 MINI = Path(__file__).resolve().parents[3] / "fixtures" / "mini"
 CAMERA = StarCamera(

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from pipeline.exports.ccsds_aem import AemHeader, attitude_message
+from boresight.pipeline.exports.ccsds_aem import AemHeader, attitude_message
 
 R_CI = Rotation.from_rotvec(np.outer(np.linspace(2.9, 3.4, 7), [0.48, -0.6, 0.64]))  # through half a turn
 UTC = [f"2025-03-20T02:31:0{n}.250000000" for n in range(7)]

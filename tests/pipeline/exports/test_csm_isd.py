@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from orbiting_camera import EPOCH, LINES, strip
 
-from geometry.terrain import ConstantHeight
-from pipeline.exports.csm_isd import IsdNames, line_scanner_isds
+from boresight.geometry.terrain import ConstantHeight
+from boresight.pipeline.exports.csm_isd import IsdNames, line_scanner_isds
 
 NAMES = IsdNames("strip.tif", "TESTSAT", "TESTCAM")
 HEIGHT_M = 400.0

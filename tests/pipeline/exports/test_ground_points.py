@@ -7,11 +7,11 @@ import json
 import numpy as np
 import pytest
 
-from geometry.geoid import egm96
-from pipeline.exports.gcp_envi import points_envi
-from pipeline.exports.gcp_geojson import points_geojson
-from pipeline.exports.gcp_qgis import points_qgis
-from pipeline.exports.ground_points import GroundPoints
+from boresight.geometry.geoid import egm96
+from boresight.pipeline.exports.gcp_envi import points_envi
+from boresight.pipeline.exports.gcp_geojson import points_geojson
+from boresight.pipeline.exports.gcp_qgis import points_qgis
+from boresight.pipeline.exports.ground_points import GroundPoints
 
 POINTS = GroundPoints(
     "S01",

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from pipeline.exports.matrix_csv import matrix_csv
-from pipeline.exports.matrix_json import KEYS, matrix_json
+from boresight.pipeline.exports.matrix_csv import matrix_csv
+from boresight.pipeline.exports.matrix_json import KEYS, matrix_json
 
 R_CS = Rotation.from_euler("xyz", [40.0, -65.0, 110.0], degrees=True)
 INSTALLATION = {

@@ -3,9 +3,9 @@
 import numpy as np
 from pytest import approx
 
-from geometry.epoch import Epoch
-from geometry.sightings import StarSightings, isotropic_covariance
-from pipeline.exports.star_fits import centroids_fits
+from boresight.geometry.epoch import Epoch
+from boresight.geometry.sightings import StarSightings, isotropic_covariance
+from boresight.pipeline.exports.star_fits import centroids_fits
 
 EPOCH = Epoch.from_utc("2025-03-20T02:31:07Z")
 

@@ -24,27 +24,28 @@ from astropy.io import fits
 from handmade import write_handmade_dump, write_strip
 from scipy.spatial.transform import Rotation
 
-from calib.information import InformationPairs
-from geometry.earth_orientation import bundled_earth_orientation
-from geometry.groundlight import LightEffects
-from geometry.sightings import StarSightings
-from pipeline.chains.ground_chain import Placings, _chip, placings_from_table, placings_table
-from pipeline.chains.star_chain import sightings_from_table, stars_table
-from pipeline.errors import DataNotSufficientError, RawDataError
-from pipeline.files.dimap import read_dimap
-from pipeline.files.dump import ChipFile, TerrainFile, _read_terrain, open_dump
-from pipeline.files.image_files import StripFiles, check_strip_file, read_exposure, read_star_image
-from pipeline.files.orbit_file import read_oem
-from pipeline.files.scenario_file import named_scenario
-from pipeline.files.sky_images import Whereabouts, observers_of
-from pipeline.geolocate import read_pixels
-from pipeline.plan import forecast_plan, read_plan
-from pipeline.report.centroid_report import _read_truth
-from pipeline.result import read_pairs, read_result
-from pipeline.settings import read_settings
-from pipeline.summary import status_summary
-from pipeline.work.unit_store import UnitStore, fixed_list
-from simulator.scenario import ScenarioError
+from boresight.calib.information import InformationPairs
+from boresight.geometry.earth_orientation import bundled_earth_orientation
+from boresight.geometry.groundlight import LightEffects
+from boresight.geometry.sightings import StarSightings
+from boresight.pipeline.errors import DataNotSufficientError, RawDataError
+from boresight.pipeline.files.dimap import read_dimap
+from boresight.pipeline.files.dump import ChipFile, TerrainFile, _read_terrain, open_dump
+from boresight.pipeline.files.image_files import StripFiles, check_strip_file, read_exposure, read_star_image
+from boresight.pipeline.files.orbit_file import read_oem
+from boresight.pipeline.files.scenario_file import named_scenario
+from boresight.pipeline.files.sky_images import Whereabouts, observers_of
+from boresight.pipeline.files.table_files import fixed_list
+from boresight.pipeline.report.centroid_report import _read_truth
+from boresight.pipeline.results.folder import read_pairs, read_result
+from boresight.pipeline.results.geolocate import read_pixels
+from boresight.pipeline.results.summary import status_summary
+from boresight.pipeline.settings import read_settings
+from boresight.pipeline.stages.exposure import sightings_from_table, stars_table
+from boresight.pipeline.stages.plan import forecast_plan, read_plan
+from boresight.pipeline.stages.strip import Placings, _chip, placings_from_table, placings_table
+from boresight.pipeline.work.unit_store import UnitStore
+from boresight.simulator.scenario import ScenarioError
 
 __all__ = ["DOCUMENTED", "READERS", "Reader", "mutated", "write_sound_files"]
 

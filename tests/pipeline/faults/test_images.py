@@ -13,9 +13,9 @@ import rasterio
 from astropy.io import fits
 from handmade import write_chip, write_strip
 
-from pipeline.errors import RawDataError
-from pipeline.files.dump import TerrainFile, _read_terrain, open_dump, surface_of
-from pipeline.files.image_files import check_strip_file, read_exposure, read_grid, read_star_image
+from boresight.pipeline.errors import RawDataError
+from boresight.pipeline.files.dump import TerrainFile, _read_terrain, open_dump, surface_of
+from boresight.pipeline.files.image_files import check_strip_file, read_exposure, read_grid, read_star_image
 
 
 def exposure(path: Path) -> object:

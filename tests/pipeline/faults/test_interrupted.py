@@ -16,10 +16,11 @@ import pyarrow.parquet as pq
 import pytest
 from readers import write_sound_files
 
-from pipeline.cli import main
-from pipeline.errors import RawDataError
-from pipeline.files.table_files import read_parquet
-from pipeline.work.unit_store import UnitStore, write_whole
+from boresight.pipeline.cli import main
+from boresight.pipeline.errors import RawDataError
+from boresight.pipeline.files.table_files import read_parquet
+from boresight.pipeline.files.whole_file import write_whole
+from boresight.pipeline.work.unit_store import UnitStore
 
 # One process after another goes on with a run; each kills itself a little later than the one before, at a
 # moment after a file was written under its temporary name, after it was flushed, or after it got its own.
@@ -28,11 +29,11 @@ import os, signal, sys
 from pathlib import Path
 import cv2
 cv2.setNumThreads(1)
-from pipeline.calibrate import calibrate_dump
-from pipeline.files.dump import open_dump
-from pipeline.result import begin_result, store_of, write_result
-from pipeline.settings import Settings
-from pipeline.work.executor import InOrder
+from boresight.pipeline.stages.calibrate import calibrate_dump
+from boresight.pipeline.files.dump import open_dump
+from boresight.pipeline.results.folder import begin_result, store_of, write_result
+from boresight.pipeline.settings import Settings
+from boresight.pipeline.work.executor import InOrder
 
 dump, result = open_dump(Path(sys.argv[1])), Path(sys.argv[2])
 
@@ -74,7 +75,7 @@ KILLED_AT = """
 import os, signal, sys
 from pathlib import Path
 import pyarrow as pa
-from pipeline.work.unit_store import UnitStore
+from boresight.pipeline.work.unit_store import UnitStore
 
 def die(*arguments, **named):
     os.kill(os.getpid(), signal.SIGKILL)
@@ -179,7 +180,7 @@ def test_full_disk_is_told_with_the_file_and_the_run_goes_on_when_there_is_room(
 
 def test_unit_damaged_on_the_disk_is_made_anew_and_counted_by_status(tmp_path: Path) -> None:
     """Any single byte of a unit's data changed: it is not believed."""
-    from pipeline.summary import status_summary
+    from boresight.pipeline.results.summary import status_summary
 
     root = write_sound_files(tmp_path)
     store = UnitStore(root / "run/work")

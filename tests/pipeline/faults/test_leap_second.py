@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 from astropy.time import Time
 
-from geometry.installation import theta_between
-from pipeline.calibrate import calibrate_dump
-from pipeline.files.dump import Dump, open_dump
-from pipeline.files.dump_writer import write_dump
-from pipeline.files.scenario_file import fly, named_scenario
-from pipeline.result import store_of
-from pipeline.settings import Settings
-from pipeline.work.executor import InOrder
-from simulator.records import Mission
+from boresight.geometry.installation import theta_between
+from boresight.pipeline.files.dump import Dump, open_dump
+from boresight.pipeline.files.dump_writer import write_dump
+from boresight.pipeline.files.scenario_file import fly, named_scenario
+from boresight.pipeline.results.folder import store_of
+from boresight.pipeline.settings import Settings
+from boresight.pipeline.stages.calibrate import calibrate_dump
+from boresight.pipeline.work.executor import InOrder
+from boresight.simulator.records import Mission
 
 # 1200 rows of 0.9 ms from 23:59:59.95 on, over 23:59:60, to 00:00:00.03 of the next year.
 SCENARIO = [

@@ -11,7 +11,7 @@ import pytest
 from test_images import claiming
 from typer.testing import CliRunner
 
-from pipeline.cli import app
+from boresight.pipeline.cli import app
 
 
 @pytest.fixture(scope="module")

@@ -10,20 +10,20 @@ import pytest
 import rasterio
 import rasterio.warp
 
-import simulator.mission
-from geometry.constants import WGS84
-from geometry.geodesy import ecef_from_geodetic, geodetic_from_ecef
-from geometry.groundlight import LightEffects
-from geometry.terrain import TerrainGrid
-from pipeline.chains.ground_chain import StripTask, pushbroom_of, strip_matches, targets_near
-from pipeline.files.dump import Dump, TerrainFile, open_dump, surface_of
-from pipeline.files.dump_writer import write_dump
-from pipeline.files.scenario_file import fly, named_scenario
-from pipeline.geolocate import Pixels, geolocate
-from pipeline.result import SavedResult
-from pipeline.settings import Settings
-from pipeline.strip_model import Calibrated, StripModel
-from simulator.records import Mission
+from boresight.geometry.constants import WGS84
+from boresight.geometry.geodesy import ecef_from_geodetic, geodetic_from_ecef
+from boresight.geometry.groundlight import LightEffects
+from boresight.geometry.terrain import TerrainGrid
+from boresight.pipeline.files.dump import Dump, TerrainFile, open_dump, surface_of
+from boresight.pipeline.files.dump_writer import write_dump
+from boresight.pipeline.files.scenario_file import fly, named_scenario
+from boresight.pipeline.results.folder import SavedResult
+from boresight.pipeline.results.geolocate import Pixels, geolocate
+from boresight.pipeline.results.strip_model import Calibrated, StripModel
+from boresight.pipeline.settings import Settings
+from boresight.pipeline.stages.strip import StripTask, pushbroom_of, strip_matches, targets_near
+from boresight.simulator import mission as rendering
+from boresight.simulator.records import Mission
 
 SMALL = [
     *("strips.count=1", "strips.lines=600", "line_camera.ccds=1", "line_camera.rotation_urad=[12.0]"),
@@ -64,8 +64,8 @@ def flown(request, tmp_path_factory) -> tuple[str, Mission, Dump]:
     if request.param == "pole":
         with pytest.MonkeyPatch.context() as patch:
             # Degrees are no grid at the pole: the ground is a polar one, for the strip and for the user.
-            patch.setattr(simulator.mission, "relief_grid", lambda *arguments: (np.zeros((2, 2)), (1.0,) * 6))
-            patch.setattr(simulator.mission, "TerrainGrid", PolarGround)
+            patch.setattr(rendering, "relief_grid", lambda *arguments: (np.zeros((2, 2)), (1.0,) * 6))
+            patch.setattr(rendering, "TerrainGrid", PolarGround)
             mission = fly(scenario, 3)
         write_dump(mission, root, created_by="a test")
         write_grid(root / "terrain/dem.tif", POLAR_HEIGHTS, 3995, rasterio.Affine(*POLAR_AFFINE))

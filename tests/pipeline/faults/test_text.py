@@ -10,16 +10,16 @@ from pathlib import Path
 
 import pytest
 
-from pipeline.errors import RawDataError
-from pipeline.files import text_files
-from pipeline.files.dump import open_dump
-from pipeline.files.orbit_file import read_oem
-from pipeline.files.scenario_file import named_scenario
-from pipeline.files.text_files import read_json, read_text, toml_tables
-from pipeline.plan import read_plan
-from pipeline.report.centroid_report import _read_truth
-from pipeline.settings import read_settings
-from simulator.scenario import ScenarioError
+from boresight.pipeline.errors import RawDataError
+from boresight.pipeline.files import text_files
+from boresight.pipeline.files.dump import open_dump
+from boresight.pipeline.files.orbit_file import read_oem
+from boresight.pipeline.files.scenario_file import named_scenario
+from boresight.pipeline.files.text_files import read_json, read_text, toml_tables
+from boresight.pipeline.report.centroid_report import _read_truth
+from boresight.pipeline.settings import read_settings
+from boresight.pipeline.stages.plan import read_plan
+from boresight.simulator.scenario import ScenarioError
 
 ROOT = Path(__file__).parents[3]
 PACKAGES = ("geometry", "star_id", "gct_match", "calib", "simulator", "pipeline")

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 import rasterio
 
-from geometry.constants import WGS84
-from geometry.earth_orientation import bundled_earth_orientation
-from geometry.geodesy import ecef_from_geodetic
-from geometry.groundlight import LightEffects
-from geometry.terrain import ConstantHeight
-from pipeline.errors import RawDataError
-from pipeline.files.dimap import read_dimap
+from boresight.geometry.constants import WGS84
+from boresight.geometry.earth_orientation import bundled_earth_orientation
+from boresight.geometry.geodesy import ecef_from_geodetic
+from boresight.geometry.groundlight import LightEffects
+from boresight.geometry.terrain import ConstantHeight
+from boresight.pipeline.errors import RawDataError
+from boresight.pipeline.files.dimap import read_dimap
 
 REAL = Path(__file__).parents[3] / ".." / "shared" / "data" / "pleiades"
 DIMAP = REAL / "PHRDIMAP_P1BP--2018122638935449CP.XML"

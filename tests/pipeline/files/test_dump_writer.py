@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from geometry.constants import ARCSEC
-from pipeline.files.dump import Dump, open_dump
-from pipeline.files.dump_writer import write_dump
-from pipeline.files.image_files import read_exposure
-from pipeline.files.scenario_file import fly, named_scenario
-from simulator.records import Mission
+from boresight.geometry.constants import ARCSEC
+from boresight.pipeline.files.dump import Dump, open_dump
+from boresight.pipeline.files.dump_writer import write_dump
+from boresight.pipeline.files.image_files import read_exposure
+from boresight.pipeline.files.scenario_file import fly, named_scenario
+from boresight.simulator.records import Mission
 
 SMALL = (
     "strips.count=1",

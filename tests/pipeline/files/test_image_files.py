@@ -12,8 +12,8 @@ from handmade import write_strip
 from hypothesis import HealthCheck, given, seed, settings
 from hypothesis import strategies as st
 
-from pipeline.errors import RawDataError
-from pipeline.files.image_files import read_exposure, read_grid, read_star_image
+from boresight.pipeline.errors import RawDataError
+from boresight.pipeline.files.image_files import read_exposure, read_grid, read_star_image
 
 WIDTH, HEIGHT = 48, 40
 

@@ -8,10 +8,10 @@ from dataclasses import fields
 import numpy as np
 import pytest
 
-from pipeline.files import index_cache
-from pipeline.files.index_cache import cache_folder, cached_index
-from star_id.catalogue import hipparcos_stars
-from star_id.naming.triangles import StarIndex, TriangleTable, build_index
+from boresight.pipeline.files import index_cache
+from boresight.pipeline.files.index_cache import cache_folder, cached_index
+from boresight.star_id.catalogue import hipparcos_stars
+from boresight.star_id.naming.triangles import StarIndex, TriangleTable, build_index
 
 FOV = 0.6  # rad: a small index
 

@@ -10,10 +10,10 @@ from handmade import write_handmade_dump
 from hypothesis import given, seed, settings
 from hypothesis import strategies as st
 
-from pipeline.errors import RawDataError
-from pipeline.files.dump import open_dump
-from pipeline.files.text_files import path_inside
-from pipeline.settings import read_settings
+from boresight.pipeline.errors import RawDataError
+from boresight.pipeline.files.dump import open_dump
+from boresight.pipeline.files.text_files import path_inside
+from boresight.pipeline.settings import read_settings
 
 FILES = (
     "dump.toml",

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from handmade import write_chip, write_handmade_dump, write_strip
 
-from pipeline.errors import RawDataError
-from pipeline.files.dump import open_dump
+from boresight.pipeline.errors import RawDataError
+from boresight.pipeline.files.dump import open_dump
 
 
 def change(name: str, old: str, new: str) -> Callable[[Path], None]:
@@ -196,7 +196,7 @@ def test_leap_second_inside_a_strip_is_time_like_any_other(tmp_path: Path) -> No
 
 
 def test_damaged_chip_is_named_when_it_is_read(handmade: Path) -> None:
-    from pipeline.files.image_files import read_grid
+    from boresight.pipeline.files.image_files import read_grid
 
     truncated("chips/0.tif", 0.3)(handmade)
     with pytest.raises(RawDataError) as caught:

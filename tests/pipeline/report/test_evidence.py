@@ -12,12 +12,12 @@ import pytest
 from pytest import approx
 from scipy.spatial.transform import Rotation
 
-from calib.campaign import CameraPair, StripPlan, draw_strips, installation_by_tilt
-from calib.settings import CalibrationSettings
-from geometry.sightings import StarSightings, isotropic_covariance
-from pipeline.angles import StripMotion, cross_angles
-from pipeline.report.star_preview import star_preview
-from star_id.settings import StarSettings
+from boresight.calib.settings import CalibrationSettings
+from boresight.geometry.sightings import StarSightings, isotropic_covariance
+from boresight.pipeline.report.star_preview import star_preview
+from boresight.pipeline.results.angles import StripMotion, cross_angles
+from boresight.simulator.campaign import CameraPair, StripPlan, draw_strips, installation_by_tilt
+from boresight.star_id.settings import StarSettings
 
 
 def table(finished, name):

@@ -14,9 +14,9 @@ import pyarrow.parquet as pq
 import pytest
 from typer.testing import CliRunner
 
-from pipeline.cli import app
-from pipeline.report.page import report_html
-from pipeline.report.saved import read_saved
+from boresight.pipeline.cli import app
+from boresight.pipeline.report.page import report_html
+from boresight.pipeline.report.saved import read_saved
 
 SECTIONS = {
     "matrix",

@@ -10,7 +10,10 @@ import pyarrow as pa
 import pytest
 from scipy.spatial.transform import Rotation
 
-from pipeline.work.unit_store import UnitStore, digest, fixed_list, list_values, program, read_meta
+from boresight.pipeline.files.table_files import fixed_list, list_values
+from boresight.pipeline.work.unit_store import UnitStore, digest, program, read_meta
+
+GEOMETRY, STARS, MATCH = "boresight.geometry", "boresight.star_id", "boresight.gct_match"
 
 
 @dataclass(frozen=True)
@@ -63,8 +66,8 @@ def test_what_has_no_digest_is_refused() -> None:
 
 
 def test_program_is_its_version_and_the_source_that_a_stage_rests_on() -> None:
-    assert program("geometry", "star_id") != program("geometry", "gct_match")
-    assert program("geometry", "star_id") == program("geometry", "star_id")
+    assert program(GEOMETRY, STARS) != program(GEOMETRY, MATCH)
+    assert program(GEOMETRY, STARS) == program(GEOMETRY, STARS)
 
 
 def test_program_knows_the_folders_within_a_package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

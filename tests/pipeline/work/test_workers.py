@@ -12,9 +12,9 @@ from pathlib import Path
 
 import pytest
 
-from pipeline.errors import WorkerError
-from pipeline.work.executor import InOrder
-from pipeline.work.workers import executor_for
+from boresight.pipeline.errors import WorkerError
+from boresight.pipeline.work.executor import InOrder
+from boresight.pipeline.work.workers import executor_for
 
 BORESIGHT = (sys.executable, "-c", "from pipeline.cli import main; main()")
 
@@ -143,7 +143,7 @@ def test_workers_of_a_killed_run_end_by_themselves(tmp_path: Path) -> None:
     program = """
 import os, sys, time
 from pathlib import Path
-from pipeline.work.processes import Processes
+from boresight.pipeline.work.processes import Processes
 
 def slow(number):
     Path(sys.argv[1], str(os.getpid())).touch()

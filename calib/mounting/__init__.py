@@ -1,0 +1,1 @@
+"""The mounting against time: does it move, how, and since when."""

@@ -1,0 +1,338 @@
+"""Does the mounting move? Calibrations of one pair of cameras at several times: their mean, their course.
+
+Each calibration k, made at t_k, speaks of theta_k (frame c, rad, the paper's sign: R_cs = exp[[theta]]
+R_cs_ref) and of what all of them share, such as the remote-sensing camera's distortion, which is one unknown
+for all. Eliminated, it leaves the theta_k with one information matrix L over all of them together:
+
+    theta_k = theta(t_k) + a cos(u_k) + b sin(u_k) + e_k,    e = (e_1, ..., e_K) ~ N(0, L⁻¹)
+
+with u the argument of latitude (the thermal change around the orbit; only when asked for), and theta(t)
+either a value of its own at each k, or constant, or constant but for one step, or a random walk of density
+q (rad²/s on each axis). What is shared moves all theta_k nearly alike: it makes no drift and hardly blurs
+one, and the mean over calibrations does not average it away.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import block_diag
+from scipy.spatial.transform import Rotation
+from scipy.stats import chi2 as chi2_distribution
+
+from boresight.calib.information import InformationPairs
+from boresight.calib.mounting.random_walk import WalkProblem, likely_density
+from boresight.geometry.installation import deviation_from_theta, theta_between
+
+__all__ = [
+    "Drift",
+    "DriftSettings",
+    "LinearFit",
+    "MergedMounting",
+    "MountingSeries",
+    "OrbitPhaseTerm",
+    "RandomWalk",
+    "StepFit",
+    "estimate_drift",
+]
+
+Array = NDArray[np.float64]
+
+# Between two calibrations of one mounting; beyond, the axes of their covariances are not the same.
+MOST_TURN_RAD = 0.02
+
+
+@dataclass(frozen=True, slots=True)
+class DriftSettings:
+    """What is asked of a series of calibrations."""
+
+    probability_false_alarm: float = 0.01  # of calling a mounting at rest moved, both tests together
+    confidence: float = 0.95  # of the intervals of the step's date and of the walk's density
+    density_rad2_s: float | None = None  # of the random walk, rad²/s on each axis; None: estimated
+    orbit_phase: bool = False  # fit a term of the argument of latitude
+
+    def __post_init__(self) -> None:
+        for name in ("probability_false_alarm", "confidence"):
+            if not 0.0 < (value := getattr(self, name)) < 1.0:
+                raise ValueError(f"{name} must lie between 0 and 1, got {value}")
+        if self.density_rad2_s is not None and not 0.0 <= self.density_rad2_s < np.inf:
+            raise ValueError(f"density_rad2_s must be 0 or more, got {self.density_rad2_s}")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MountingSeries:
+    """Calibrations of one mounting in the order of time, about one reference: constant over each, free
+    between.
+    """
+
+    names: tuple[str, ...]  # K
+    t_s: Array  # (K,) increasing
+    theta: Array  # (K, 3) rad, frame c, against R_cs_ref
+    information: Array  # (3 K, 3 K) rad⁻² on all theta together, frame c
+    cos_sin: Array  # (K, 2) of the argument of latitude, means over the strips of each; NaN where not known
+    R_cs_ref: Rotation
+
+    @classmethod
+    def of(
+        cls,
+        pairs: InformationPairs,
+        prior_shared: Array,
+        t_s: Array,
+        cos_sin: Array | None = None,
+    ) -> MountingSeries:
+        """A series from one information pair a calibration (K of them, in any order). What the pairs share is
+        one unknown for all, with the information `prior_shared` (n - 3, n - 3) on it before any calibration.
+
+        Raises
+        ------
+        ValueError
+            For fewer than two calibrations, a name or an instant that occurs twice, matrices more than 0.02
+            rad apart (another mounting, or other frames), a pair that does not fix all three turns.
+        """
+        K = len(pairs.names)
+        t = np.asarray(t_s, dtype=float)
+        phase = np.full((K, 2), np.nan) if cos_sin is None else np.asarray(cos_sin, dtype=float)
+        if K < 2:
+            raise ValueError(f"{K} calibrations show no course of time, 2 are needed")
+        if t.shape != (K,) or phase.shape != (K, 2):
+            raise ValueError(f"{K} pairs need t_s {(K,)}, cos_sin {(K, 2)}; got {t.shape}, {phase.shape}")
+        order = np.argsort(t, kind="stable")
+        ids = tuple(pairs.names[order].tolist())
+        t, F, right = t[order], pairs.F[order], pairs.F_theta[order]
+        if len(set(ids)) < K:
+            raise ValueError(f"calibration {next(n for n in ids if ids.count(n) > 1)!r} is given twice")
+        if not np.all(np.isfinite(t)):
+            raise ValueError("every calibration needs a time")
+        for k in np.flatnonzero(np.diff(t) <= 0.0):
+            raise ValueError(f"calibrations {ids[k]!r} and {ids[k + 1]!r} speak of one and the same time")
+        for k in range(K):
+            if not np.all(np.isfinite(F[k])) or np.linalg.eigvalsh(F[k, :3, :3])[0] <= 0.0:
+                raise ValueError(f"calibration {ids[k]!r}: its information is not positive definite")
+        theta, information = _without_shared(F, right, prior_shared)
+        for k in np.flatnonzero(np.linalg.norm(theta - theta[0], axis=1) > MOST_TURN_RAD):
+            raise ValueError(
+                f"calibrations {ids[0]!r} and {ids[k]!r} are {np.linalg.norm(theta[k] - theta[0]):.3g} rad "
+                f"apart, more than {MOST_TURN_RAD} rad: not one mounting, or not the same frames"
+            )
+        return cls(ids, t, theta, information, phase[order], pairs.R_cs_ref)
+
+    @property
+    def R_cs(self) -> Rotation:
+        """(K,) the matrices."""
+        return deviation_from_theta(self.theta) * self.R_cs_ref
+
+    @property
+    def covariance(self) -> Array:
+        """(K, 3, 3) rad² of each theta, what is shared included."""
+        K = len(self.names)
+        blocks = np.linalg.inv(self.information).reshape(K, 3, K, 3)
+        return np.ascontiguousarray(np.einsum("kikj->kij", blocks))
+
+    def about(self, R_cs_ref: Rotation) -> MountingSeries:
+        """The same matrices about another reference near by (the information stays, to first order)."""
+        theta = theta_between(self.R_cs, R_cs_ref)
+        return MountingSeries(self.names, self.t_s, theta, self.information, self.cos_sin, R_cs_ref)
+
+    def merged(self) -> MergedMounting:
+        """One matrix from all, as if the mounting had never moved. The reference is first moved to a mean, so
+        that turns are added where they are small.
+        """
+        series, ones = self, np.ones((len(self.names), 1))
+        for _ in range(2):
+            fit = _fit(series, ones)
+            series = series.about(deviation_from_theta(fit.coefficients[0]) * series.R_cs_ref)
+        return MergedMounting(series.R_cs_ref, fit.covariance, len(self.names))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MergedMounting:
+    """One matrix from several calibrations."""
+
+    R_cs: Rotation
+    covariance: Array  # (3, 3) rad², of theta, frame c
+    calibrations: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LinearFit:
+    """Weighted least squares of theta on m regressors, the same regressors on each axis."""
+
+    coefficients: Array  # (m, 3) rad
+    covariance: Array  # (3 m, 3 m) rad², ordered regressor by regressor
+    chi2: float
+    dof: int
+    log_information: float  # of the determinant of the information
+
+    @property
+    def p_value(self) -> float:
+        """Probability of a chi2 as large or larger, if the model holds and the covariances are honest."""
+        return float(chi2_distribution.sf(self.chi2, self.dof)) if self.dof > 0 else 1.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OrbitPhaseTerm:
+    """theta's part a cos(u) + b sin(u), u the argument of latitude, fitted beside the random walk: so a
+    mounting that moves is not taken for one that breathes.
+    """
+
+    cosine: Array  # (3,) a, rad
+    sine: Array  # (3,) b, rad
+    covariance: Array  # (6, 6) rad², of a, then b
+    p_value: float  # of a term as large, if there is none
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StepFit:
+    """The best single step: constant before it, constant after it, at a time between two calibrations."""
+
+    after: str  # the last calibration before the step
+    before: str  # the first one after it
+    t_s: float  # middle of the most likely gap; within a gap the data know no better
+    interval_s: tuple[float, float]  # holds the date with the stated confidence, if there was one step
+    theta_step: Array  # (3,) rad, after minus before
+    covariance: Array  # (3, 3) rad²
+    gain: float  # by which the step lowers chi2
+    p_value: float  # of a gain as large at any of the gaps (Bonferroni), if there was none
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RandomWalk:
+    """theta as a random walk, given all calibrations before and after."""
+
+    theta: Array  # (K, 3) rad at the times of the series
+    covariance: Array  # (K, 3, 3) rad²
+    density_rad2_s: float  # variance a second, each axis
+    density_interval: tuple[float, float]  # rad²/s, by the likelihood; NaN for a given density
+    estimated: bool
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Drift:
+    """What a series of calibrations says of the mounting's course. theta is about series.R_cs_ref."""
+
+    series: MountingSeries  # a constant of its own at each calibration, about the merged matrix
+    merged: MergedMounting
+    constant: LinearFit  # one constant, and the orbit's term where it was asked for
+    step: StepFit
+    walk: RandomWalk
+    orbit_phase: OrbitPhaseTerm | None  # None: not asked for
+    moved: bool
+    settings: DriftSettings
+
+
+def estimate_drift(series: MountingSeries, settings: DriftSettings) -> Drift:
+    """Mean, course and tests of a series.
+
+    The mounting has moved when the chi2 against one constant, or the gain of the best step, is beyond what
+    half of `probability_false_alarm` each allows. Raises `ValueError` for an orbit term that cannot be told
+    from a constant (phases unknown, or all alike).
+    """
+    merged = series.merged()
+    series = series.about(merged.R_cs)
+    ones = np.ones((len(series.names), 1))
+    phase = _phase_regressors(series) if settings.orbit_phase else np.empty((len(series.names), 0))
+    constant = _fit(series, np.hstack([ones, phase]))
+    step = _best_step(series, phase, constant.chi2, settings.confidence)
+    walk, term = _random_walk(series, phase, settings)
+    share = 0.5 * settings.probability_false_alarm
+    moved = constant.p_value < share or step.p_value < share
+    return Drift(series, merged, constant, step, walk, term, moved, settings)
+
+
+def _without_shared(F: Array, right: Array, prior_shared: Array) -> tuple[Array, Array]:
+    """theta (K, 3) and its information (3 K, 3 K) from pairs (K, n, n), (K, n), the shared unknowns
+    eliminated.
+    """
+    K = len(F)
+    shared = prior_shared + F[:, 3:, 3:].sum(axis=0)
+    cross = F[:, :3, 3:].reshape(3 * K, -1)
+    gain = np.linalg.solve(shared, cross.T)
+    information = block_diag(*F[:, :3, :3]) - cross @ gain
+    information = 0.5 * (information + information.T)
+    own = right[:, :3].ravel() - gain.T @ right[:, 3:].sum(axis=0)
+    return np.linalg.solve(information, own).reshape(K, 3), information
+
+
+def _fit(series: MountingSeries, regressors: Array) -> LinearFit:
+    """theta_k = sum over j of regressors[k, j] coefficients[j]; regressors (K, m)."""
+    X = np.kron(regressors, np.eye(3))
+    weighted = series.information @ X
+    normal = X.T @ weighted
+    covariance = np.linalg.inv(normal)
+    covariance = 0.5 * (covariance + covariance.T)
+    coefficients = covariance @ (weighted.T @ series.theta.ravel())
+    residual = series.theta.ravel() - X @ coefficients
+    chi2 = float(residual @ series.information @ residual)
+    log_information = float(np.linalg.slogdet(normal)[1])
+    return LinearFit(coefficients.reshape(-1, 3), covariance, chi2, len(X) - X.shape[1], log_information)
+
+
+def _phase_regressors(series: MountingSeries) -> Array:
+    if unknown := [n for n, row in zip(series.names, series.cos_sin) if not np.all(np.isfinite(row))]:
+        raise ValueError(f"the orbit phase of {len(unknown)} calibrations is not known, first {unknown[0]!r}")
+    spread = np.linalg.svd(series.cos_sin - series.cos_sin.mean(axis=0), compute_uv=False)
+    if len(series.names) < 5 or spread[1] < 0.05 * np.sqrt(len(series.names)):
+        raise ValueError(
+            f"{len(series.names)} calibrations at orbit phases so much alike do not tell an orbit term from "
+            "a constant: at least 5, at three or more well separated arguments of latitude, are needed"
+        )
+    return series.cos_sin
+
+
+def _phase_term(coefficients: Array, covariance: Array) -> OrbitPhaseTerm | None:
+    """From coefficients (2, 3) with covariance (6, 6); None from none of them."""
+    if not len(coefficients):
+        return None
+    values = coefficients.ravel()
+    size = float(values @ np.linalg.solve(covariance, values))
+    p_value = float(chi2_distribution.sf(size, 6))
+    return OrbitPhaseTerm(coefficients[0], coefficients[1], covariance, p_value)
+
+
+def _best_step(series: MountingSeries, phase: Array, chi2_constant: float, confidence: float) -> StepFit:
+    """Every gap between two calibrations in turn. The date's posterior is flat within a gap; a gap has its
+    length times the likelihood with the levels before and after integrated out.
+    """
+    K = len(series.names)
+    fits = []
+    for gap in range(K - 1):
+        later = (np.arange(K) > gap).astype(float)[:, None]
+        regressors = np.hstack([np.ones((K, 1)), later, phase])
+        if np.linalg.svd(regressors, compute_uv=False)[-1] < 1e-6:
+            raise ValueError(
+                f"a step after {series.names[gap]!r} cannot be told from an orbit term at these orbit phases"
+            )
+        fits.append(_fit(series, regressors))
+    best = int(np.argmin([fit.chi2 for fit in fits]))
+    gain = max(chi2_constant - fits[best].chi2, 0.0)
+    log_likelihood = np.array([-0.5 * (fit.chi2 + fit.log_information) for fit in fits])
+    weight = np.diff(series.t_s) * np.exp(log_likelihood - log_likelihood.max())
+    cumulative = np.concatenate([[0.0], np.cumsum(weight) / weight.sum()])
+    tail = 0.5 * (1.0 - confidence)
+    low, high = np.interp([tail, 1.0 - tail], cumulative, series.t_s)
+    return StepFit(
+        series.names[best],
+        series.names[best + 1],
+        float(0.5 * (series.t_s[best] + series.t_s[best + 1])),
+        (float(low), float(high)),
+        fits[best].coefficients[1],
+        fits[best].covariance[3:6, 3:6],
+        gain,
+        min(1.0, (K - 1) * float(chi2_distribution.sf(gain, 3))),
+    )
+
+
+def _random_walk(
+    series: MountingSeries, phase: Array, settings: DriftSettings
+) -> tuple[RandomWalk, OrbitPhaseTerm | None]:
+    problem = WalkProblem.of(series.theta, series.information, series.t_s, phase)
+    given = settings.density_rad2_s
+    if given is None:
+        density, interval = likely_density(problem, settings.confidence)
+    else:
+        density, interval = given, (float("nan"), float("nan"))
+    course = problem.course(density)
+    walk = RandomWalk(course.theta, course.covariance, density, interval, estimated=given is None)
+    return walk, _phase_term(course.coefficients, course.coefficients_covariance)

@@ -1,0 +1,1 @@
+"""What a strip should show of a target, and where."""

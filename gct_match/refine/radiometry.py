@@ -1,0 +1,78 @@
+"""What may differ between the grey values of a template T and of a picture I that shows the same scene:
+
+    I  =  o + o_u u + o_v v + (g + g_u u + g_v v) T + b lap(T) + (q S² + r S³) * camera
+
+with u and v from -1 to 1 along the longer side of the template, and S the scene that the camera blurred to
+T. That is offset and gain with their ramps, another blur, and another tone curve, which acts before the
+camera's blur. Both pictures pass a filter k first. Then k * (u T) is not u (k * T): with s² the second
+moment of the kernel, a ramp of the gain adds s² times the ramp's slope times the derivative of k * T, which
+would pass for a shift of thousandths of a pixel.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from boresight.gct_match.predict.resample import gradient
+from boresight.gct_match.refine.spectra import (
+    frequency,
+    padded_picture,
+    padded_shape,
+    padded_spectrum,
+    picture_of,
+)
+from boresight.gct_match.refine.weighting import Weighting
+
+__all__ = ["TERMS", "TONES", "fill_columns"]
+
+Image = NDArray[Any]  # single precision
+
+TERMS = 9
+TONES = 2  # the last of them
+_BLUR_PX = 0.62  # of the camera: MTF 0.15 at the Nyquist frequency
+_REGULAR = 0.005
+
+
+def fill_columns(out: Image, template: Image, weighting: Weighting) -> None:
+    """Write the derivatives of the filtered `template` (h, w) by column and row, then its TERMS, T first, to
+    `out` (2 + TERMS, h, w).
+    """
+    shape = h, w = template.shape
+    spectrum = padded_spectrum(template)
+    u, v = _ramps(h, w)
+    t = out[2]
+    t[...] = picture_of(spectrum * weighting.amplitude, shape)
+    out[0], out[1] = gradient(t)
+    out[3], out[4], out[5] = 1.0, u, v
+    slope = np.float32(weighting.spread_px2 * 2.0 / max(h, w))
+    for column, ramp, derivative in ((out[6], u, out[0]), (out[7], v, out[1])):
+        np.multiply(ramp, t, out=column)
+        column += slope * derivative
+    cv2.Laplacian(t, cv2.CV_32F, dst=out[8], borderType=cv2.BORDER_REFLECT)
+    blur, sharpen = _camera(padded_shape(shape))
+    scene = padded_picture(spectrum * sharpen)
+    scene *= np.float32(1.0 / (np.sqrt(float(np.vdot(scene, scene)) / scene.size) + 1e-12))
+    blur = blur * weighting.amplitude
+    tone = scene * scene
+    out[9] = picture_of(cv2.dft(tone) * blur, shape)
+    out[10] = picture_of(cv2.dft(tone * scene) * blur, shape)
+
+
+@lru_cache(maxsize=16)
+def _ramps(h: int, w: int) -> tuple[Image, Image]:
+    row, column = np.mgrid[0:h, 0:w]
+    half = max(h, w) / 2.0
+    u, v = (column - (w - 1) / 2.0) / half, (row - (h - 1) / 2.0) / half
+    return u.astype(np.float32), v.astype(np.float32)
+
+
+@lru_cache(maxsize=32)
+def _camera(shape: tuple[int, int]) -> tuple[Image, Image]:
+    """Packed multipliers of a Gaussian camera and of its regularised inverse."""
+    blur = np.exp(-2.0 * np.pi**2 * _BLUR_PX**2 * frequency(shape) ** 2)
+    return blur.astype(np.float32), (blur / (blur**2 + _REGULAR)).astype(np.float32)

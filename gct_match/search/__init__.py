@@ -1,0 +1,1 @@
+"""Where in a strip a target may lie, to about a pixel."""

@@ -1,0 +1,123 @@
+"""From dumps to finished result folders: what `boresight calibrate` does once everything has been opened.
+
+One dump fills the folder. Of several, each fills a folder of its own in it, by its name, and the folder
+itself gets what is joint: the matrix from all of them, and the drift between them.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from boresight.pipeline.errors import DataNotSufficientError, Omission
+from boresight.pipeline.files.dump import Dump
+from boresight.pipeline.results.folder import (
+    begin_result,
+    store_of,
+    write_dumps,
+    write_joint_result,
+    write_result,
+    write_run,
+)
+from boresight.pipeline.results.summary import calibration_summary, joint_summary
+from boresight.pipeline.settings import Settings
+from boresight.pipeline.stages.calibrate import Calibration, Progress, calibrate_dump
+from boresight.pipeline.stages.joint import NamedDump, calibrate_jointly
+from boresight.pipeline.work.executor import Executor
+
+__all__ = ["RunRequest", "run_dump", "run_dumps"]
+
+
+@dataclass(frozen=True, slots=True)
+class RunRequest:
+    """How a run is to be done, and what its notes are to say of it."""
+
+    settings: Settings
+    report: bool  # write evidence and report.html
+    begun_s: float  # time.perf_counter() at its start
+    facts: dict[str, Any]  # for run.json: workers, machine, versions
+
+
+def run_dump(
+    out: Path, dump: Dump, named: str, request: RunRequest, executor: Executor, progress: Progress
+) -> str:
+    """Calibrate one dump, `named` so by the user, into `out`. What there is to tell at the end."""
+    return calibration_summary(_calibrated(out, dump, named, request, executor, progress))
+
+
+def run_dumps(
+    out: Path, dumps: Sequence[NamedDump], request: RunRequest, executor: Executor, progress: Progress
+) -> str:
+    """Calibrate dumps of one mission, each and jointly, into `out`. One that does not suffice is counted, and
+    the others go on. What there is to tell at the end.
+    """
+    begin_result(out)
+    write_dumps(out, [named.name for named in dumps])
+    calibrated: list[tuple[NamedDump, Calibration]] = []
+    failed: list[Omission] = []
+    for named in dumps:
+
+        def told(stage: str, done: int, total: int, name: str = named.name) -> None:
+            progress(f"{name}: {stage}", done, total)
+
+        try:
+            found = _calibrated(out / named.name, named.dump, str(named.dump.root), request, executor, told)
+        except DataNotSufficientError as error:
+            failed.append(Omission("dump", named.name, "", str(error)))
+        else:
+            calibrated.append((named, found))
+    joint = calibrate_jointly(calibrated, failed)
+    of_dumps = {named.name: found for named, found in calibrated}
+    text = joint_summary(of_dumps, joint)
+    if len(calibrated) > 1:
+        text += "\n" + _drift(out, list(of_dumps))
+    write_joint_result(out, joint, of_dumps, request.settings)
+    _note(out, request, {"dumps": {named.name: str(named.dump.root) for named in dumps}})
+    if request.report:
+        from boresight.pipeline.report.dumps_page import write_dumps_report
+
+        write_dumps_report(out)
+    return text
+
+
+def _calibrated(
+    out: Path, dump: Dump, named: str, request: RunRequest, executor: Executor, progress: Progress
+) -> Calibration:
+    begin_result(out)
+    (out / "work").mkdir(exist_ok=True)
+    found = calibrate_dump(dump, request.settings, store_of(out.resolve()), executor, progress)
+    if request.report:
+        from boresight.pipeline.report.evidence import write_evidence
+
+        write_evidence(out, dump, found, request.settings)
+    write_result(out, found, request.settings)
+    counts = {"units_made": found.units_made, "units_found": found.units_found}
+    _note(out, request, {"dump": named}, counts)
+    if request.report:
+        from boresight.pipeline.report.page import write_report
+
+        write_report(out)
+    return found
+
+
+def _note(
+    out: Path, request: RunRequest, dumps: dict[str, Any], counts: dict[str, int] | None = None
+) -> None:
+    elapsed = {"elapsed_s": time.perf_counter() - request.begun_s}
+    write_run(out, dumps | elapsed | (counts or {}) | request.facts)
+
+
+def _drift(out: Path, names: list[str]) -> str:
+    """Whether the mounting moved between the dumps, written into `out`."""
+    from boresight.calib.mounting.drift import DriftSettings
+    from boresight.pipeline.results.drift import drift_of_results, drift_summary, write_drift
+
+    try:
+        dated = drift_of_results({name: out / name for name in names}, DriftSettings())
+    except DataNotSufficientError as error:
+        return f"no drift: {error}"
+    write_drift(dated, out)
+    return drift_summary(dated)

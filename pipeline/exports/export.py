@@ -1,0 +1,229 @@
+"""Which exports there are, and the files that each makes of a finished result."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from boresight.geometry.constants import WGS84
+from boresight.geometry.geodesy import geodetic_from_ecef
+from boresight.geometry.geoid import egm96
+from boresight.geometry.sightings import StarSightings
+from boresight.pipeline import __version__
+from boresight.pipeline.errors import DataNotSufficientError, RawDataError
+from boresight.pipeline.exports.ccsds_aem import AemHeader, attitude_message
+from boresight.pipeline.exports.csm_isd import IsdNames, line_scanner_isds
+from boresight.pipeline.exports.gcp_envi import points_envi
+from boresight.pipeline.exports.gcp_geojson import points_geojson
+from boresight.pipeline.exports.gcp_qgis import points_qgis
+from boresight.pipeline.exports.ground_points import GroundPoints
+from boresight.pipeline.exports.matrix_csv import matrix_csv
+from boresight.pipeline.exports.matrix_json import matrix_json
+from boresight.pipeline.exports.spice_frame import SpiceFrames, frame_kernel
+from boresight.pipeline.exports.star_fits import centroids_fits
+from boresight.pipeline.files.dump import surface_of
+from boresight.pipeline.files.table_files import column, fixed, list_values, read_parquet
+from boresight.pipeline.results.folder import read_for_dump, read_result
+from boresight.pipeline.results.strip_model import Calibrated, StripModel, open_calibrated, strip_model
+
+__all__ = ["FORMATS", "ExportRequest", "export"]
+
+AEM_STEP_S = 0.05
+Made = Iterator[tuple[str, str | bytes]]  # file name and content
+
+
+@dataclass(frozen=True, slots=True)
+class ExportRequest:
+    """What is asked for. `strips` empty: all strips that the result covers."""
+
+    result: Path
+    dump: Path | None
+    strips: tuple[str, ...]
+    frames: SpiceFrames
+    creation_utc: str  # for formats that want to know when they were made
+    allow_stale_eop: bool = False
+
+
+def export(name: str, request: ExportRequest) -> Made:
+    """File names and contents of one format. Errors as those of the modules that it calls."""
+    return FORMATS[name](request)
+
+
+def _spice(request: ExportRequest) -> Made:
+    result = read_result(request.result)
+    sigma = ", ".join(f"{value:.3e}" for value in np.sqrt(np.diag(result.cov_theta)))
+    comment = (
+        f"Installation matrix between star camera and remote-sensing camera, boresight {__version__}.\n"
+        f"1-sigma of a small turn about the axes of {request.frames.remote_camera_name}: {sigma} rad."
+    )
+    yield "installation.tf", frame_kernel(result.R_cs, comment, request.frames)
+
+
+def _json(request: ExportRequest) -> Made:
+    yield "matrix.json", matrix_json(read_result(request.result).installation)
+
+
+def _csv(request: ExportRequest) -> Made:
+    yield "matrix.csv", matrix_csv(read_result(request.result).installation)
+
+
+def _aem(request: ExportRequest) -> Made:
+    calibrated = _opened(request)
+    dump = calibrated.dump
+    for model in _models(calibrated, request.strips):
+        first, last = model.pushbroom.instants(np.array([-0.5, model.strip.lines - 0.5]))
+        steps = int(np.ceil((last - first) / AEM_STEP_S)) + 1
+        t_s = np.clip(np.linspace(first, last, max(steps, 8)), *model.track.span_s)
+        R_ci = calibrated.result.R_cs * model.track.R_si(t_s)
+        name = model.strip.strip_id
+        header = AemHeader(request.creation_utc, dump.mission)
+        comments = [f"Strip {name}: attitude of the remote-sensing camera as calibrated, GCRS axes"]
+        text = attitude_message(header, comments, dump.epoch.utc_from_seconds(t_s), R_ci)
+        yield f"{name}.aem", text
+
+
+def _csm_isd(request: ExportRequest) -> Made:
+    calibrated = _opened(request)
+    dump = calibrated.dump
+    height_m = float(np.mean(surface_of(dump.terrain).height_range_m()))
+    for model in _models(calibrated, request.strips):
+        for ccd in model.strip.images.ccds:
+            image = model.strip.images.names[ccd]
+            names = IsdNames(image, dump.mission, f"remote-sensing camera, CCD {ccd}")
+            lines = model.strip.lines
+            for piece in line_scanner_isds(model.pushbroom, dump.epoch, ccd, lines, height_m, names):
+                yield f"{model.strip.strip_id}.{piece.suffix}.json", piece.text()
+
+
+def _geojson(request: ExportRequest) -> Made:
+    yield "targets.geojson", points_geojson(_ground_points(request))
+
+
+def _envi(request: ExportRequest) -> Made:
+    for points in _ground_points(request):
+        yield f"{points.strip_id}.ccd{points.ccd}.pts", points_envi(points, egm96())
+
+
+def _qgis(request: ExportRequest) -> Made:
+    for points in _ground_points(request):
+        yield f"{points.strip_id}.ccd{points.ccd}.points", points_qgis(points)
+
+
+def _fits(request: ExportRequest) -> Made:
+    calibrated = _opened(request)
+    path = read_for_dump(request.result, request.dump)[0] / "sightings" / "stars.parquet"
+    read_parquet(path, STARS)  # damage is told; the groups are read one by one
+    file = pq.ParquetFile(path)
+    exposures = [_exposure(file, group) for group in range(file.num_row_groups)]
+    found = [exposure for exposure in exposures if exposure is not None]
+    yield "centroids.fits", centroids_fits(found, calibrated.dump.epoch, calibrated.dump.mission)
+
+
+TARGETS = {
+    "strip_id": pa.string(),
+    "target_id": pa.string(),
+    "ccd": pa.int64(),
+    "kept": pa.bool_(),
+    "xy_px": fixed(2),
+    "cov_px": fixed(4),
+}
+STARS = {
+    "exposure_id": pa.string(),
+    "t_s": pa.float64(),
+    "hip": pa.int64(),
+    "xy_px": fixed(2),
+    "u_s": fixed(3),
+    "u_i": fixed(3),
+    "cov_s": fixed(9),
+}
+FORMATS: dict[str, Callable[[ExportRequest], Made]] = {
+    "spice": _spice,
+    "aem": _aem,
+    "json": _json,
+    "csv": _csv,
+    "csm-isd": _csm_isd,
+    "geojson": _geojson,
+    "envi": _envi,
+    "qgis": _qgis,
+    "fits": _fits,
+}
+
+
+def _opened(request: ExportRequest) -> Calibrated:
+    return open_calibrated(request.result, request.dump, allow_stale_eop=request.allow_stale_eop)
+
+
+def _models(calibrated: Calibrated, wanted: tuple[str, ...]) -> Iterator[StripModel]:
+    """Models of the strips asked for; of all, those that star exposures cover."""
+    if wanted:
+        yield from (strip_model(calibrated, name) for name in wanted)
+        return
+    none = True
+    for strip in calibrated.dump.strips:
+        try:
+            model = strip_model(calibrated, strip.strip_id)
+        except DataNotSufficientError:
+            continue
+        none = False
+        yield model
+    if none:
+        raise DataNotSufficientError("no strip has star exposures around it")
+
+
+def _exposure(file: pq.ParquetFile, group: int) -> StarSightings | None:
+    table = file.read_row_group(group)
+    if not len(table):
+        return None
+    return StarSightings(
+        str(table.column("exposure_id")[0]),
+        float(table.column("t_s")[0].as_py()),
+        column(table, "hip"),
+        list_values(table, "xy_px", 2),
+        list_values(table, "u_s", 3),
+        list_values(table, "u_i", 3),
+        list_values(table, "cov_s", 3, 3),
+    )
+
+
+def _ground_points(request: ExportRequest) -> list[GroundPoints]:
+    """Placed targets, one record for each CCD of each strip."""
+    calibrated = _opened(request)
+    folder, _ = read_for_dump(request.result, request.dump)
+    table = read_parquet(folder / "sightings" / "targets.parquet", TARGETS)
+    strips = np.array(table.column("strip_id").to_pylist(), dtype=str)
+    names = np.array(table.column("target_id").to_pylist(), dtype=str)
+    ccd, kept = column(table, "ccd"), column(table, "kept").astype(bool)
+    xy, covariance = list_values(table, "xy_px", 2), list_values(table, "cov_px", 2, 2)
+    places = {target.target_id: target.p_e for target in calibrated.dump.targets}
+    if unknown := sorted(set(names.tolist()) - set(places)):
+        raise RawDataError("targets.csv", "id", "not there", f"target {unknown[0]} of the result")
+    images = {strip.strip_id: strip.images.names for strip in calibrated.dump.strips}
+    chosen = [
+        (strip, one)
+        for strip, one in sorted(set(zip(strips.tolist(), ccd.tolist())))
+        if not request.strips or strip in request.strips
+    ]
+    points = []
+    for strip, one in chosen:
+        rows = np.flatnonzero((strips == strip) & (ccd == one))
+        lat, lon, height = geodetic_from_ecef(np.array([places[name] for name in names[rows]]), WGS84)
+        points.append(
+            GroundPoints(
+                strip,
+                one,
+                images.get(strip, {}).get(one, ""),
+                tuple(names[rows].tolist()),
+                np.degrees(lat),
+                np.degrees(lon),
+                height,
+                xy[rows],
+                np.sqrt(np.einsum("naa->na", covariance[rows])),
+                kept[rows],
+            )
+        )
+    return points

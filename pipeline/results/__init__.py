@@ -1,0 +1,1 @@
+"""A finished result: its folder, and everything that is computed from it."""

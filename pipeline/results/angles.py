@@ -1,0 +1,112 @@
+"""Cross angles of stars and targets against what they should be: the paper's z_ij (21) at the final matrix,
+and its predicted spread (A6), (A15).
+
+A target's row lies between star exposures, so the star vectors of the nearest exposure are first carried to
+the row's instant by the measured motion of the star camera. What is left is noise: of the star's place, of
+the target's place, of the motion between the two, and what the mission states of its own errors.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from boresight.calib.settings import CalibrationSettings
+from boresight.geometry.attitude import AttitudeTrack, lagrange_weights
+from boresight.geometry.orbit import Orbit
+from boresight.geometry.sightings import StripSightings
+
+__all__ = ["CrossAngles", "StripMotion", "cross_angles"]
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StripMotion:
+    """A strip with its measured motion and what of its sightings is good. Exposures in the strip's order."""
+
+    strip: StripSightings
+    orbit: Orbit
+    R_si: Rotation  # (K,)
+    covariance_s: Array  # (K, 3, 3) of each attitude, frame s, rad²
+    stars_kept: tuple[NDArray[np.bool_], ...]  # (K) arrays (N,)
+    targets_kept: NDArray[np.bool_]  # (J,)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CrossAngles:
+    """Row n of every array speaks of one pair of star and target."""
+
+    strip_id: NDArray[np.str_]
+    target_id: NDArray[np.str_]
+    exposure_id: NDArray[np.str_]
+    hip: NDArray[np.int64]
+    z: Array  # cosine measured minus cosine known
+    sigma: Array  # predicted
+
+
+def cross_angles(motions: list[StripMotion], R_cs: Rotation, settings: CalibrationSettings) -> CrossAngles:
+    """All pairs of kept targets and kept stars of the exposure nearest in time."""
+    parts = [part for motion in motions for part in _of_strip(motion, R_cs, settings)]
+    return CrossAngles(
+        np.array([p[0] for p in parts for _ in p[3]], dtype=str),
+        np.array([p[1] for p in parts for _ in p[3]], dtype=str),
+        np.array([p[2] for p in parts for _ in p[3]], dtype=str),
+        np.concatenate([np.zeros(0, dtype=np.int64), *(p[3] for p in parts)]),
+        np.concatenate([np.zeros(0), *(p[4] for p in parts)]),
+        np.concatenate([np.zeros(0), *(p[5] for p in parts)]),
+    )
+
+
+def _of_strip(
+    motion: StripMotion, R_cs: Rotation, settings: CalibrationSettings
+) -> Iterator[tuple[str, str, str, NDArray[np.int64], Array, Array]]:
+    strip, ground = motion.strip, motion.strip.ground
+    times = np.array([exposure.t_s for exposure in strip.exposures])
+    if len(times) < 2:
+        return
+    track = AttitudeTrack(times, motion.R_si, motion.orbit)
+    own = _target_covariances(motion, R_cs, track, settings)
+    inside = (ground.t_s >= times[0]) & (ground.t_s <= times[-1])
+    for j in np.flatnonzero(motion.targets_kept & inside):
+        k = int(np.argmin(np.abs(times - ground.t_s[j])))
+        stars, kept = strip.exposures[k], motion.stars_kept[k]
+        carry = R_cs * track.R_si(ground.t_s[j : j + 1])[0] * motion.R_si[k].inv()
+        w_i = carry.apply(stars.u_s[kept])
+        w_j = ground.u_c[j]
+        z = w_i @ w_j - stars.u_i[kept] @ ground.u_i[j]  # (21)
+        weights = lagrange_weights(times, ground.t_s[j : j + 1])[0]
+        weights[k] -= 1.0
+        C = R_cs.as_matrix()
+        motion_c = C @ np.einsum("k,kab->ab", weights**2, motion.covariance_s) @ C.T
+        moved = C @ stars.cov_s[kept] @ C.T
+        cross = np.cross(w_i, w_j)
+        variance = np.einsum("a,nab,b->n", w_j, moved, w_j)  # (A6): the star's part
+        variance += np.einsum("na,ab,nb->n", w_i, own[j], w_i)  # the target's part
+        variance += np.einsum("na,ab,nb->n", cross, motion_c, cross)
+        names = str(strip.strip_id), str(ground.target_id[j]), stars.exposure_id
+        yield (*names, stars.hip[kept], z, np.sqrt(variance))
+
+
+def _target_covariances(
+    motion: StripMotion, R_cs: Rotation, track: AttitudeTrack, settings: CalibrationSettings
+) -> Array:
+    """Covariance (J, 3, 3) of each target's direction, frame c, rad²: placing and the stated errors."""
+    ground = motion.strip.ground
+    w = ground.u_c
+    across = np.eye(3) - w[:, :, None] * w[:, None, :]
+    R_ci = (R_cs * track.R_si(ground.t_s)).as_matrix()
+    distance = ground.range_m[:, None, None]
+    white = settings.sigma_vibration_rad**2 + settings.sigma_distortion_rad**2
+    covariance = white + (settings.sigma_position_m / distance) ** 2
+    covariance = covariance * across
+    v = np.einsum("jab,jbc,jc->ja", across, R_ci, ground.v_rel_i) * settings.sigma_clock_s
+    covariance = covariance + v[:, :, None] * v[:, None, :] / distance**2
+    if settings.use_target_sigma:
+        own = R_ci @ ground.cov_target_i @ np.swapaxes(R_ci, 1, 2)
+        covariance = covariance + across @ own @ across / distance**2
+    return np.asarray(covariance + ground.cov_c)

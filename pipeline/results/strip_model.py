@@ -1,0 +1,112 @@
+"""The rigorous model of a strip as a finished result knows it: the attitude that its star exposures gave, its
+installation matrix, the dump's camera and orbit. For everything that uses a calibration: geolocation,
+exports.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from boresight.geometry.attitude import AttitudeTrack
+from boresight.geometry.groundlight import LightEffects
+from boresight.geometry.pushbroom import Pushbroom, RowClock
+from boresight.pipeline.errors import DataNotSufficientError, RawDataError
+from boresight.pipeline.files.dump import Dump, Strip, open_dump
+from boresight.pipeline.files.dump_schema import DumpFile
+from boresight.pipeline.files.table_files import fixed, list_values, read_parquet
+from boresight.pipeline.files.text_files import read_json, read_toml
+from boresight.pipeline.results.folder import SavedResult, read_for_dump
+from boresight.pipeline.settings import RunSettings, filled
+
+__all__ = ["Calibrated", "StripModel", "open_calibrated", "strip_model"]
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Calibrated:
+    """A result and the dump that it was made from."""
+
+    result: SavedResult
+    dump: Dump
+    attitude_covariance_s: Array  # (K, 3, 3) of the result's exposures, rad², frame s
+    effects: LightEffects  # those that the calibration took into account
+    sigma_terrain_m: float  # of the heights; 0 without a terrain model, where it is not known
+    exposure_margin_s: float  # exposures so far around a strip belong to it
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StripModel:
+    """One strip: pixel <-> ground."""
+
+    strip: Strip
+    pushbroom: Pushbroom
+    track: AttitudeTrack
+
+
+def open_calibrated(result: Path, dump: Path | None, *, allow_stale_eop: bool = False) -> Calibrated:
+    """A finished result with its dump: the one given, or else the one that the run's notes name. Of several
+    dumps, one must be given; it comes with the joint matrix.
+    """
+    folder, saved = read_for_dump(result, dump)
+    table = read_parquet(folder / "sightings" / "exposures.parquet", {"covariance_s": fixed(9)})
+    run = _run_settings(saved, result)
+    effects = LightEffects(run.geometric_light_time, run.aberration, run.refraction)
+    root = dump if dump is not None else _noted_dump(result)
+    opened = open_dump(root, allow_stale_eop=allow_stale_eop)
+    terrain = read_toml(opened.root / "dump.toml", DumpFile, "dump.toml").terrain
+    sigma_m = terrain.sigma_m if terrain is not None else 0.0
+    covariance = list_values(table, "covariance_s", 3, 3)
+    return Calibrated(saved, opened, covariance, effects, sigma_m, run.exposure_margin_s)
+
+
+def strip_model(calibrated: Calibrated, strip_id: str) -> StripModel:
+    """The model of one strip. `RawDataError` for a strip that is not in the dump, `DataNotSufficientError`
+    for one whose rows the result's star exposures do not cover.
+    """
+    dump, result = calibrated.dump, calibrated.result
+    strips = {strip.strip_id: strip for strip in dump.strips}
+    if strip_id not in strips:
+        raise RawDataError("strips.csv", "id", strip_id, f"one of {', '.join(sorted(strips))}")
+    strip = strips[strip_id]
+    margin_s = calibrated.exposure_margin_s
+    first = strip.t_first_row_s + dump.line_camera.delay_to_middle_s(strip.row_period_s)
+    last = first + (strip.lines - 1) * strip.row_period_s
+    t = result.t_exposures_s
+    near = np.flatnonzero(result.usable & (t >= first - margin_s) & (t <= last + margin_s))
+    if len(near) < 2:
+        reason = f"strip {strip_id}: {len(near)} usable star exposures around it, 2 are needed"
+        raise DataNotSufficientError(reason)
+    covariance = calibrated.attitude_covariance_s[near]
+    track = AttitudeTrack(t[near], result.R_si[near], dump.orbit, covariance)
+    clock = RowClock(strip.t_first_row_s, strip.row_period_s)
+    model = Pushbroom(
+        dump.line_camera, clock, dump.orbit, dump.orbit.earth, track, result.R_cs, calibrated.effects
+    )
+    return StripModel(strip, model, track)
+
+
+def _run_settings(saved: SavedResult, result: Path) -> RunSettings:
+    """Those that the result was made with."""
+    settings = saved.installation.get("settings")
+    run = settings.get("run") if isinstance(settings, dict) else None
+    file = str(result / "installation.json")
+    if not isinstance(run, dict):
+        raise RawDataError(file, "settings.run", type(run).__name__, "an object, as `calibrate` wrote it")
+    return filled(RunSettings, run, file, "settings.run")
+
+
+def _noted_dump(result: Path) -> Path:
+    path = result / "run.json"
+    try:
+        noted = Path(read_json(path, str(path))["dump"])
+    except (KeyError, TypeError) as error:
+        raise RawDataError(str(path), "dump", str(error), "the dump's folder; or give --dump") from error
+    if not noted.is_dir():
+        expected = "the folder that the result was made from; give it with --dump"
+        raise RawDataError(str(path), "dump", f"{noted}, which is no folder", expected)
+    return noted

@@ -1,0 +1,153 @@
+"""A result held against a simulated dump's truth: the matrix, and where on the ground pixels really look.
+
+This is the only module that opens a dump's `truth/` folder.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field
+from scipy.spatial.transform import Rotation
+
+from boresight.geometry.attitude import AttitudeTrack
+from boresight.geometry.constants import WGS84
+from boresight.geometry.geodesy import ecef_from_geodetic, ellipsoid_normals
+from boresight.geometry.groundlight import LightEffects
+from boresight.geometry.installation import theta_between
+from boresight.geometry.pushbroom import Pushbroom, RowClock
+from boresight.pipeline.errors import RawDataError
+from boresight.pipeline.files.dump import Dump, Strip, surface_of
+from boresight.pipeline.files.text_files import read_table, read_toml
+from boresight.pipeline.results.folder import SavedResult
+
+__all__ = ["CheckPoints", "Validation", "validate"]
+
+Array = NDArray[np.float64]
+
+
+class TrueInstallationFile(BaseModel):
+    """truth/installation.toml"""
+
+    model_config = ConfigDict(extra="ignore", strict=True, allow_inf_nan=False, frozen=True)
+    quaternion_cs: Annotated[list[float], Field(min_length=4, max_length=4)]
+
+
+class CheckPointRow(BaseModel):
+    """truth/check_points.csv: where on the ground a pixel really looks (height above WGS84)."""
+
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False, frozen=True)
+    id: str
+    strip: str
+    ccd: int
+    sample: float
+    line: float
+    lat_deg: float
+    lon_deg: float
+    height_m: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CheckPoints:
+    """Geo-positioning error, computed minus true, at N check points, in the horizontal plane."""
+
+    strip_id: NDArray[np.str_]  # (N,)
+    along_m: Array  # (N,) along the motion of the satellite over the ground
+    across_m: Array  # (N,) to the right of it
+    up_m: Array  # (N,)
+
+    @property
+    def rms_m(self) -> tuple[float, float]:
+        """Root mean square along and across track."""
+        return float(np.sqrt(np.mean(self.along_m**2))), float(np.sqrt(np.mean(self.across_m**2)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Validation:
+    """Errors of the result and of the matrix that it started from."""
+
+    error_rad: Array  # (3,) theta by which the result is wrong: R_result = exp[[error]] R_true
+    sigma_rad: Array  # (3,) what the result says of itself
+    nees: float  # normalised error squared of theta, expected 3
+    before_rad: Array  # (3,) the same error of the matrix measured on the ground
+    after: CheckPoints
+    before: CheckPoints
+    without: int  # check points that no result can be given for (no attitude, no ground)
+
+
+def validate(result: SavedResult, dump: Dump) -> Validation:
+    """`RawDataError` when the dump has no truth."""
+    truth = dump.root / "truth"
+    true = read_toml(truth / "installation.toml", TrueInstallationFile, "truth/installation.toml")
+    R_true = Rotation.from_quat(true.quaternion_cs)
+    points = read_table(truth / "check_points.csv", CheckPointRow, "truth/check_points.csv")
+    error = theta_between(result.R_cs, R_true)
+    after, without = _check(points, result, dump, result.R_cs)
+    before, _ = _check(points, result, dump, dump.R_cs0)
+    return Validation(
+        error,
+        np.sqrt(np.diag(result.cov_theta)),
+        float(error @ np.linalg.solve(result.cov_theta, error)),
+        theta_between(dump.R_cs0, R_true),
+        after,
+        before,
+        without,
+    )
+
+
+def _check(
+    points: list[CheckPointRow], result: SavedResult, dump: Dump, R_cs: Rotation
+) -> tuple[CheckPoints, int]:
+    strips = {strip.strip_id: strip for strip in dump.strips}
+    for point in points:
+        if not 0 <= point.ccd < dump.line_camera.n_ccds:
+            raise RawDataError("truth/check_points.csv", "ccd", str(point.ccd), "a CCD of the camera")
+    names, errors, without = [], [], 0
+    for strip_id in sorted({point.strip for point in points}):
+        here = [point for point in points if point.strip == strip_id]
+        model = _pushbroom(strips[strip_id], result, dump, R_cs) if strip_id in strips else None
+        if model is None:
+            without += len(here)
+            continue
+        error = np.vstack([_error(here, ccd, model, dump) for ccd in sorted({p.ccd for p in here})])
+        good = np.isfinite(error).all(axis=1)
+        without += int((~good).sum())
+        errors.append(error[good])
+        names += [strip_id] * int(good.sum())
+    along, across, up = np.vstack([np.zeros((0, 3)), *errors]).T
+    return CheckPoints(np.array(names, dtype=str), along, across, up), without
+
+
+def _pushbroom(strip: Strip, result: SavedResult, dump: Dump, R_cs: Rotation) -> Pushbroom | None:
+    """The strip's model with the attitude that the run's star exposures gave."""
+    camera = dump.line_camera
+    first = strip.t_first_row_s + camera.delay_to_middle_s(strip.row_period_s)
+    last = first + (strip.lines - 1) * strip.row_period_s
+    t = result.t_exposures_s
+    near = np.flatnonzero(result.usable & (t >= first - 1.0) & (t <= last + 1.0))
+    if len(near) < 2:
+        return None
+    track = AttitudeTrack(t[near], result.R_si[near], dump.orbit)
+    clock = RowClock(strip.t_first_row_s, strip.row_period_s)
+    return Pushbroom(camera, clock, dump.orbit, dump.orbit.earth, track, R_cs, LightEffects())
+
+
+def _error(points: list[CheckPointRow], ccd: int, model: Pushbroom, dump: Dump) -> Array:
+    """Computed minus true (N, 3): along track, across track, up, m."""
+    points = [point for point in points if point.ccd == ccd]
+    sample = np.array([point.sample for point in points])
+    line = np.array([point.line for point in points])
+    lat = np.radians([point.lat_deg for point in points])
+    lon = np.radians([point.lon_deg for point in points])
+    true_e = ecef_from_geodetic(lat, lon, np.array([point.height_m for point in points]), WGS84)
+    computed_e = model.ground_points(ccd, sample, line, surface_of(dump.terrain))
+    up = ellipsoid_normals(lat, lon)
+    motion = dump.orbit.velocities_e(model.instants(line))
+    along = motion - up * np.einsum("ni,ni->n", motion, up)[:, None]
+    along = along / np.linalg.norm(along, axis=1, keepdims=True)
+    right = np.cross(along, up)
+    difference = computed_e - true_e
+    return np.column_stack([np.einsum("ni,ni->n", difference, axis) for axis in (along, right, up)])

@@ -1,0 +1,222 @@
+"""Single star images named: file -> stars found -> which they are, with the camera known, roughly known
+or unknown.
+
+One image's fault is one line of the outcome; the others go on.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from numpy.typing import NDArray
+
+from boresight.geometry.constants import ARCSEC
+from boresight.geometry.star_camera import StarCamera
+from boresight.pipeline.errors import RawDataError
+from boresight.pipeline.files.dump import star_camera_of
+from boresight.pipeline.files.dump_schema import StarCameraFile
+from boresight.pipeline.files.image_files import read_star_image
+from boresight.pipeline.files.index_cache import cached_index
+from boresight.pipeline.files.sky_images import NOWHERE, Whereabouts, observers_of
+from boresight.pipeline.files.table_files import fixed_list
+from boresight.pipeline.files.text_files import read_toml
+from boresight.pipeline.files.whole_file import write_whole
+from boresight.star_id.catalogue import hipparcos_stars
+from boresight.star_id.field import LARGEST_FOV_RAD, SMALLEST_FOV_RAD, FieldSolution, solve_field
+from boresight.star_id.naming.identify import NotIdentified
+from boresight.star_id.naming.triangles import StarIndex, equivalent_fov
+from boresight.star_id.settings import StarSettings
+
+__all__ = ["Line", "Request", "identify_images", "read_camera", "read_sky_image", "sky_index"]
+
+CATALOGUE_YEAR = 2020.0  # proper motion since then is far below a pixel of any camera with so wide a field
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    """What there is to say about one image."""
+
+    text: str
+    identified: bool
+    record: dict[str, Any]  # file, identified, ra_deg, dec_deg, roll_deg, fov_x_deg, matches, rms_arcsec, ...
+    found: FieldSolution | None
+
+
+@dataclass(frozen=True, slots=True)
+class Request:
+    """What is known of the camera, and where the named stars go."""
+
+    camera_file: Path | None = None
+    fov_deg: float | None = None
+    dark_file: Path | None = None
+    known: Whereabouts = NOWHERE
+    out: Path | None = None  # Parquet, at the end
+    overlay: Path | None = None  # PNG; with several images each adds its own name
+
+
+def identify_images(images: Sequence[Path], request: Request, settings: StarSettings) -> Iterator[Line]:
+    """One line an image, as it is done; the named stars go to `request.out` at the end."""
+    camera = read_camera(request.camera_file)
+    if request.fov_deg is not None and not 0.5 < request.fov_deg < 90.0:
+        raise RawDataError("--fov", "value", f"{request.fov_deg}", "between 0.5 and 90 degrees")
+    dark = None if request.dark_file is None else read_star_image(request.dark_file, str(request.dark_file))
+    fov = None if request.fov_deg is None else float(np.radians(request.fov_deg))
+    observers = observers_of(images, request.known)
+    index = sky_index(camera, request.fov_deg, settings)
+    width = max(len(str(path)) for path in images)
+    tables = []
+    for path in images:
+        started = time.process_time()
+        try:
+            image = read_sky_image(path, camera, request.camera_file)
+            if dark is not None and dark.shape != image.shape:
+                shapes = (f"{d.shape[1]} x {d.shape[0]} px" for d in (dark, image))
+                raise RawDataError(str(request.dark_file), "image size", *shapes)
+            observer = observers.get(path.name)
+            outcome = solve_field(
+                image, index, settings, camera=camera, fov_x_rad=fov, dark=dark, observer=observer
+            )
+        except RawDataError as error:
+            yield _unnamed(path, width, "not read", str(error), started)
+            continue
+        if isinstance(outcome, NotIdentified):
+            yield _unnamed(path, width, "not identified", outcome.reason, started)
+            continue
+        spent_ms = 1e3 * (time.process_time() - started)
+        tables.append(_table(path, outcome))
+        if request.overlay is not None:
+            _draw(image, outcome, _own_name(request.overlay, path, len(images)))
+        yield Line(f"{path!s:{width}s}   {_facts(outcome)}", True, _record(path, outcome, spent_ms), outcome)
+    if request.out is not None:
+        whole = pa.concat_tables(tables) if tables else _table_of_nothing()
+        write_whole(request.out, lambda target: pq.write_table(whole, target, compression="zstd"))
+
+
+def read_camera(file: Path | None) -> StarCamera | None:
+    """The camera of a star_camera.toml."""
+    return None if file is None else star_camera_of(read_toml(file, StarCameraFile, str(file)), str(file))
+
+
+def read_sky_image(path: Path, camera: StarCamera | None, camera_file: Path | None) -> NDArray[Any]:
+    """An image, held to the camera's size where a camera is given."""
+    image = read_star_image(path, str(path))
+    if camera is not None and image.shape != (camera.height_px, camera.width_px):
+        found = f"{image.shape[1]} x {image.shape[0]} px"
+        expected = f"{camera.width_px} x {camera.height_px} px, as in {camera_file}"
+        raise RawDataError(str(path), "image size", found, expected)
+    return image
+
+
+def _unnamed(path: Path, width: int, what: str, reason: str, started: float) -> Line:
+    record = {
+        "file": str(path),
+        "identified": False,
+        "cpu_ms": _spent(started),
+        "reason": f"{what}: {reason}",
+    }
+    return Line(f"{path!s:{width}s}   {what}: {reason}", False, record, None)
+
+
+def _spent(started: float) -> float:
+    return round(1e3 * (time.process_time() - started), 2)
+
+
+def _record(path: Path, found: FieldSolution, spent_ms: float) -> dict[str, Any]:
+    return {
+        "file": str(path),
+        "identified": True,
+        "ra_deg": float(np.degrees(found.ra_rad)),
+        "dec_deg": float(np.degrees(found.dec_rad)),
+        "roll_deg": float(np.degrees(found.roll_rad)),
+        "fov_x_deg": float(np.degrees(found.fov_x_rad)),
+        "matches": found.matches,
+        "rms_arcsec": found.rms_arcsec,
+        "false_alarm_probability": found.false_alarm_probability,
+        "cpu_ms": round(spent_ms, 2),
+        "pointing_sigma_arcsec": found.pointing_sigma_rad / ARCSEC,
+        "roll_sigma_arcsec": found.roll_sigma_rad / ARCSEC,
+        "fov_x_sigma_deg": float(np.degrees(found.fov_x_sigma_rad)),
+    }
+
+
+def _own_name(path: Path, image: Path, count: int) -> Path:
+    return path if count == 1 else path.with_name(f"{path.stem}-{image.stem}{path.suffix}")
+
+
+def _draw(image: NDArray[Any], found: FieldSolution, path: Path) -> None:
+    """The image with the named stars ringed and numbered, faint detections marked."""
+    low, high = np.percentile(image, (1.0, 99.7))
+    grey = np.clip((image.astype(np.float32) - low) * (255.0 / max(high - low, 1.0)), 0, 255).astype(np.uint8)
+    picture = cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR)
+    radius = max(5, image.shape[1] // 200)
+    if found.stars is not None:
+        for x, y in np.rint(found.stars.xy_px).astype(int).tolist():
+            cv2.circle(picture, (x, y), radius // 2, (0, 120, 255), 1, cv2.LINE_AA)
+    for (x, y), hip in zip(np.rint(found.xy_px).astype(int).tolist(), found.hip.tolist()):
+        cv2.circle(picture, (x, y), radius, (0, 255, 0), 1, cv2.LINE_AA)
+        place = (x + radius + 2, y - 2)
+        cv2.putText(picture, str(hip), place, cv2.FONT_HERSHEY_SIMPLEX, 0.4, (0, 255, 0), 1, cv2.LINE_AA)
+    if not cv2.imwrite(str(path), picture):
+        raise RawDataError(str(path), "overlay", "could not be written", "the name of a PNG file in a folder")
+
+
+def _facts(found: FieldSolution) -> str:
+    return (
+        f"{found.matches:4d} stars   rms {found.rms_arcsec:.1f} arcsec   "
+        f"RA {np.degrees(found.ra_rad):.5f}  Dec {np.degrees(found.dec_rad):+.5f} deg"
+        f" +- {found.pointing_sigma_rad / ARCSEC:.2f} arcsec   "
+        f"roll {np.degrees(found.roll_rad):.4f} deg +- {found.roll_sigma_rad / ARCSEC:.1f} arcsec   "
+        f"FOV {np.degrees(found.fov_x_rad):.4f} deg   "
+        f"wrong with probability < 1e{found.log_false_alarm_probability / np.log(10.0):.0f}"
+    )
+
+
+def sky_index(camera: StarCamera | None, fov_deg: float | None, settings: StarSettings) -> StarIndex:
+    """Catalogue triangles for what is known of the camera."""
+    if camera is not None:
+        return _built(equivalent_fov(camera.width_px, camera.height_px, camera.focal_m / camera.pixel_m))
+    if fov_deg is None:
+        return _built((float(SMALLEST_FOV_RAD), float(LARGEST_FOV_RAD)))
+    spread = 1.0 + 2.0 * settings.fov_tolerance
+    fov = float(np.radians(fov_deg))
+    return _built((0.5 * fov / spread, 1.2 * fov * spread))  # the area may be that of a tall or a wide image
+
+
+@lru_cache(maxsize=1)
+def _built(fov_rad: float | tuple[float, float]) -> StarIndex:
+    return cached_index(hipparcos_stars().places, CATALOGUE_YEAR, fov_rad)
+
+
+def _table(path: Path, found: FieldSolution) -> pa.Table:
+    n = found.matches
+    return pa.table(
+        {
+            "file": pa.array([str(path)] * n, pa.string()),
+            "hip": pa.array(found.hip),
+            "xy_px": fixed_list(found.xy_px),
+            "residual_px": fixed_list(found.residual_px),
+            "quaternion_si": fixed_list(np.tile(found.R_si.as_quat(canonical=True), (n, 1))),
+        }
+    )
+
+
+def _table_of_nothing() -> pa.Table:
+    pairs = fixed_list(np.zeros((0, 2)))
+    return pa.table(
+        {
+            "file": pa.array([], pa.string()),
+            "hip": pa.array([], pa.int64()),
+            "xy_px": pairs,
+            "residual_px": pairs,
+            "quaternion_si": fixed_list(np.zeros((0, 4))),
+        }
+    )

@@ -1,0 +1,199 @@
+"""Several dumps of one mission, months apart: each calibrated by itself, and all of them together.
+
+The joint matrix is `calib.calibrate` over the strips of all dumps at once. What they share is one unknown:
+the camera's distortion, and the coordinates of targets that several dumps list with one id, place and sigma.
+Ids get the name of their dump before them, times count from the earliest dump's epoch, and everything is done
+in the order of time: the same bits in whatever order dumps are named.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from boresight.calib.calibration import calibrate
+from boresight.calib.estimate import InstallationEstimate, NotObservable
+from boresight.calib.settings import CalibrationSettings
+from boresight.geometry.epoch import Epoch
+from boresight.geometry.sightings import StarSightings, StripSightings
+from boresight.pipeline.errors import DataNotSufficientError, Omission, RawDataError
+from boresight.pipeline.files.dump import Dump, open_dump
+from boresight.pipeline.files.dump_schema import DumpFile
+from boresight.pipeline.files.text_files import read_toml
+from boresight.pipeline.settings import Settings, calibration_settings
+from boresight.pipeline.stages.calibrate import Calibration, left_out_of
+
+__all__ = ["JointCalibration", "NamedDump", "calibrate_jointly", "dump_names", "open_dumps"]
+
+OF_RESULTS = ("sightings", "evidence", "work", "exports")  # folders of a result: names that no dump gets
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NamedDump:
+    """A dump and the name that its result's folder and its strips get."""
+
+    name: str
+    dump: Dump
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class JointCalibration:
+    """One matrix from all dumps that could be calibrated."""
+
+    estimate: InstallationEstimate
+    strips: tuple[StripSightings, ...]  # of all dumps, ids "dump/strip", t_s since the first one's epoch
+    settings: CalibrationSettings
+    omissions: tuple[Omission, ...]  # dumps that could not be calibrated, and what the joint fit left out
+
+
+def open_dumps(
+    folders: Sequence[Path], settings: Settings, *, allow_stale_eop: bool = False
+) -> tuple[NamedDump, ...]:
+    """The dumps in the order of time. `RawDataError` for one that is given twice, as a copy or in parts too,
+    and for one that is not of the same cameras, ground matrix and stated errors as the first.
+    """
+    roots = [folder.resolve() for folder in folders]
+    if twice := [root for root, n in Counter(roots).items() if n > 1]:
+        raise RawDataError(str(twice[0]), "DUMP", "named twice", "each dump once")
+    names = dump_names(roots)
+    dumps = [NamedDump(n, open_dump(root, allow_stale_eop=allow_stale_eop)) for n, root in zip(names, roots)]
+    dumps.sort(key=lambda one: (min(_instants(one)[0], default=0), one.name))
+    for other in dumps[1:]:
+        _check_one_mission(dumps[0], other, settings)
+    _check_nothing_twice(dumps)
+    return tuple(dumps)
+
+
+def dump_names(roots: Sequence[Path]) -> list[str]:
+    """A name for each folder: its own, with as many of the folders above it as tell it from the others."""
+    depth = [1] * len(roots)
+    while True:
+        names = ["-".join(root.parts[1:][-d:]) or "dump" for root, d in zip(roots, depth)]
+        count = Counter(name.casefold() for name in names)
+        unclear = [n for n, name in enumerate(names) if count[name.casefold()] > 1 or name in OF_RESULTS]
+        if not unclear:
+            return names
+        if all(depth[n] >= len(roots[n].parts) for n in unclear):
+            raise RawDataError(str(roots[unclear[0]]), "DUMP", names[unclear[0]], "a name of its own")
+        for n in unclear:
+            depth[n] += 1
+
+
+def calibrate_jointly(
+    calibrated: Sequence[tuple[NamedDump, Calibration]], failed: Sequence[Omission]
+) -> JointCalibration:
+    """One matrix from the strips of all dumps that have one of their own, in the order of time.
+
+    `DataNotSufficientError` when there is none.
+    """
+    if not calibrated:
+        reasons = "; ".join(f"{omission.name}: {omission.reason}" for omission in failed)
+        raise DataNotSufficientError(f"none of {len(failed)} dumps could be calibrated: {reasons}")
+    first, one = calibrated[0]
+    epoch = first.dump.epoch
+    target_names = _names_of_targets([named for named, _ in calibrated])
+    strips = tuple(
+        _renamed(strip, named, epoch, target_names) for named, found in calibrated for strip in found.strips
+    )
+    estimate = calibrate(strips, first.dump.R_cs0, one.settings)
+    if isinstance(estimate, NotObservable):
+        raise DataNotSufficientError(f"all dumps together: {estimate.reason}")
+    return JointCalibration(estimate, strips, one.settings, (*failed, *left_out_of(estimate)))
+
+
+Place = tuple[str, bytes, bytes]
+
+
+def _place(target: Any) -> Place:
+    return target.target_id, target.p_e.tobytes(), target.sigma_m.tobytes()
+
+
+def _names_of_targets(dumps: Iterable[NamedDump]) -> dict[Place, str]:
+    """A target is known by its id, place and sigma, and named after the first dump that lists it."""
+    names: dict[Place, str] = {}
+    for named in dumps:
+        for target in named.dump.targets:
+            names.setdefault(_place(target), f"{named.name}/{target.target_id}")
+    return names
+
+
+def _renamed(
+    strip: StripSightings, named: NamedDump, epoch: Epoch, target_names: dict[Place, str]
+) -> StripSightings:
+    """The strip as one of many dumps: ids with the dump's name, seconds since `epoch`."""
+    later_s = float(named.dump.epoch.tai_s - epoch.tai_s)
+    own = {target.target_id: target_names[_place(target)] for target in named.dump.targets}
+    targets = np.array([own[name] for name in strip.ground.target_id.tolist()], dtype=str)
+
+    def seen(exposure: StarSightings) -> StarSightings:
+        exposure_id = f"{named.name}/{exposure.exposure_id}"
+        return replace(exposure, exposure_id=exposure_id, t_s=exposure.t_s + later_s)
+
+    return replace(
+        strip,
+        strip_id=f"{named.name}/{strip.strip_id}",
+        exposures=tuple(map(seen, strip.exposures)),
+        ground=replace(strip.ground, target_id=targets, t_s=strip.ground.t_s + later_s),
+    )
+
+
+def _instants(named: NamedDump) -> tuple[list[int], list[str]]:
+    """When each strip and each exposure was taken, TAI nanoseconds, and what they are called."""
+    dump = named.dump
+    t_s = [(s.t_first_row_s, f"strip {s.strip_id}") for s in dump.strips]
+    t_s += [(e.t_s, f"exposure {e.exposure_id}") for e in dump.exposures]
+    tai_ns = [dump.epoch.tai_s * 10**9 + round(t * 1e9) for t, _ in t_s]
+    return tai_ns, [name for _, name in t_s]
+
+
+def _check_nothing_twice(dumps: Sequence[NamedDump]) -> None:
+    """One camera takes one image at a time: what two dumps say of the same instant is the same image."""
+    seen: dict[tuple[str, int], tuple[NamedDump, str]] = {}
+    for named in dumps:
+        for tai_ns, name in zip(*_instants(named)):
+            kind = name.split()[0]
+            other, its_name = seen.setdefault((kind, tai_ns), (named, name))
+            if other is not named:
+                found = f"the same instant as {its_name} of {other.dump.root}"
+                raise RawDataError(str(named.dump.root), name, found, "each image in one dump only")
+
+
+def _check_one_mission(first: NamedDump, other: NamedDump, settings: Settings) -> None:
+    """`RawDataError` with file and field where a dump is not of the first one's cameras."""
+    files = read_toml(other.dump.root / "dump.toml", DumpFile, "dump.toml").files
+    a, b = first.dump, other.dump
+    of_a, of_b = (calibration_settings(settings, dump.errors, dump.line_camera) for dump in (a, b))
+    compared: tuple[tuple[str, str, Any, Any, str], ...] = (
+        ("dump.toml", "mission", a.mission, b.mission, ""),
+        (files.star_camera, "star camera", a.star_camera, b.star_camera, ""),
+        (files.remote_camera, "remote camera", a.line_camera, b.line_camera, ""),
+        (files.installation, "ground matrix", a.R_cs0, b.R_cs0, ""),
+        ("dump.toml", "errors", of_a, of_b, "; [calibration] in a file of --settings states them for all"),
+    )
+    for file, what, mine, theirs, hint in compared:
+        if (difference := _first_difference(mine, theirs, what)) is not None:
+            field, expected, found = difference
+            raise RawDataError(str(b.root / file), field, found, f"{expected}, as in {a.root}{hint}")
+
+
+def _first_difference(a: Any, b: Any, path: str) -> tuple[str, Any, Any] | None:
+    """Where two records differ first: path of fields, and both values."""
+    if dataclasses.is_dataclass(a) and type(a) is type(b):
+        parts = [
+            (f".{f.name}", getattr(a, f.name), getattr(b, f.name)) for f in dataclasses.fields(a) if f.init
+        ]
+    elif isinstance(a, tuple) and isinstance(b, tuple) and len(a) == len(b):
+        parts = [(f".{n}", *both) for n, both in enumerate(zip(a, b))]
+    elif isinstance(a, Rotation):
+        return _first_difference(a.as_matrix(), b.as_matrix(), path)
+    else:
+        same = np.array_equal(a, b) if isinstance(a, np.ndarray) else bool(a == b)
+        return None if same else (path, a, b)
+    return next((d for name, x, y in parts if (d := _first_difference(x, y, path + name)) is not None), None)

@@ -1,0 +1,81 @@
+"""What a person needs to see to believe a match, small enough to be kept: pictures of 8 bits, PNG."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+
+import cv2
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+
+from boresight.gct_match.records import Evidence
+
+__all__ = ["MatchPictures", "match_pictures", "pictures_columns", "pictures_from_columns"]
+
+MOST_PX = 160  # a side longer than this is cut about its middle
+SURFACE_PX = 96
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MatchPictures:
+    """Pictures of one match on the strip's own pixel grid."""
+
+    template_png: bytes  # the chip as the strip should show it
+    found_png: bytes  # the strip where it was found
+    surface_png: bytes  # surface of the search around the place
+    surface_low: float  # value of its black
+    surface_high: float  # value of its white
+
+
+def match_pictures(evidence: Evidence) -> MatchPictures:
+    """Template and strip share black and white points after gain and offset, so that they can be compared."""
+    surface = _middle(evidence.correlation, SURFACE_PX)
+    finite = surface[np.isfinite(surface)]
+    low, high = (float(finite.min()), float(finite.max())) if finite.size else (0.0, 1.0)
+    template, found = _middle(evidence.template, MOST_PX), _middle(evidence.found, MOST_PX)
+    return MatchPictures(
+        _png(template, *_stretch(template)),
+        _png(found, *_stretch(found)),
+        _png(surface, low, high),
+        low,
+        high,
+    )
+
+
+def pictures_columns(pictures: Sequence[MatchPictures]) -> dict[str, pa.Array]:
+    """Columns of a table, one row a match."""
+    kinds = {"bytes": pa.binary(), "float": pa.float64()}
+    return {
+        field.name: pa.array([getattr(p, field.name) for p in pictures], kinds[str(field.type)])
+        for field in fields(MatchPictures)
+    }
+
+
+def pictures_from_columns(table: pa.Table) -> tuple[MatchPictures, ...]:
+    """The inverse of `pictures_columns`."""
+    columns = [table.column(field.name).to_pylist() for field in fields(MatchPictures)]
+    return tuple(MatchPictures(*row) for row in zip(*columns))
+
+
+def _stretch(image: NDArray) -> tuple[float, float]:
+    good = image[np.isfinite(image)]
+    if not good.size:
+        return 0.0, 1.0
+    low, high = np.percentile(good, [1.0, 99.0])
+    return float(low), float(high)
+
+
+def _middle(image: NDArray, most: int) -> NDArray:
+    h, w = image.shape
+    top, left = max((h - most) // 2, 0), max((w - most) // 2, 0)
+    return np.asarray(image[top : top + most, left : left + most], dtype=np.float64)
+
+
+def _png(image: NDArray, low: float, high: float) -> bytes:
+    scaled = (np.nan_to_num(image, nan=low) - low) / max(high - low, 1e-12)
+    done, encoded = cv2.imencode(".png", np.round(255.0 * np.clip(scaled, 0.0, 1.0)).astype(np.uint8))
+    if not done:
+        raise OSError("a picture of a match could not be encoded")
+    return encoded.tobytes()

@@ -1,0 +1,196 @@
+"""`boresight plan PLAN.toml`: what a calibration campaign will reach, from its information alone."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from boresight.geometry.constants import ARCSEC
+from boresight.pipeline.errors import DataNotSufficientError
+from boresight.pipeline.experiments.plots import plot_forecast
+from boresight.pipeline.files.text_files import toml_tables
+from boresight.pipeline.settings import filled
+from boresight.pipeline.stages.forecast import Forecast, forecast
+from boresight.simulator.campaign import CameraPair, StripPlan, installation_by_tilt
+
+__all__ = ["Plan", "PlanForecast", "forecast_plan", "read_plan", "write_forecast"]
+
+
+@dataclass(frozen=True, slots=True)
+class PlannedCameras:
+    """`[cameras]`: where the star camera looks, and the pixels of both."""
+
+    star_from_zenith_deg: float = 15.0  # in the Y-Z plane of the remote-sensing camera, Z to nadir
+    star_focal_mm: float = 100.0
+    star_pixel_um: float = 6.4
+    star_width_px: int = 5120
+    star_height_px: int = 3840
+    focal_m: float = 10.0
+    pixel_um: float = 10.0
+    ccd_px: int = 6144
+    n_ccds: int = 4
+
+    def __post_init__(self) -> None:
+        _check_counts(self, 65_536, "star_width_px", "star_height_px", "ccd_px")
+        _check_counts(self, 64, "n_ccds")
+
+
+@dataclass(frozen=True, slots=True)
+class PlannedStrips:
+    """`[strips]`: how many, how long, and the star exposures of each."""
+
+    count: int = 8
+    duration_s: float = 1.8
+    exposures: int = 10
+    exposure_margin_s: float = 0.0
+    stars: int = 40  # used in each exposure
+    star_sigma_px: float = 0.06
+    height_km: float = 530.0
+
+    def __post_init__(self) -> None:
+        _check_counts(self, 1_000_000, "count")
+        _check_counts(self, 1000, "exposures", "stars")
+
+
+@dataclass(frozen=True, slots=True)
+class PlannedTargets:
+    """`[targets]`: how many a strip, where, and how well they are placed and known."""
+
+    count: int = 12
+    sigma_px: float = 0.3
+    across: tuple[float, float] = (-1.0, 1.0)  # part of the field's half width
+    along: tuple[float, float] = (0.0, 1.0)  # part of the strip's length
+    sigma_m: float = 0.0
+
+    def __post_init__(self) -> None:
+        _check_counts(self, 10_000, "count")
+
+
+@dataclass(frozen=True, slots=True)
+class PlannedErrors:
+    """`[errors]`: 1-sigma of what is common to a strip or a camera (defaults: the paper's Table 1)."""
+
+    position_m: float = 2.0
+    clock_s: float = 1e-4
+    vibration_arcsec: float = 0.1
+    distortion_px: float = 0.3
+    distortion_length_px: float = 2000.0
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """A campaign as its file describes it; every section and key may be left out."""
+
+    cameras: PlannedCameras = field(default_factory=PlannedCameras)
+    strips: PlannedStrips = field(default_factory=PlannedStrips)
+    targets: PlannedTargets = field(default_factory=PlannedTargets)
+    errors: PlannedErrors = field(default_factory=PlannedErrors)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PlanForecast:
+    """1-sigma against the number of strips (long form), a summary, and the strips that a target needs."""
+
+    table: pd.DataFrame
+    text: str
+    strips_needed: int | None
+
+
+def read_plan(path: Path) -> Plan:
+    """The plan of a TOML file; `RawDataError` names what it does not know."""
+    return filled(Plan, toml_tables(path, str(path)), str(path), "plan")
+
+
+def forecast_plan(plan: Plan, target_arcsec: float | None = None) -> PlanForecast:
+    """Predicted 1-sigma of theta for 1 to 1000 strips and the plan's own number."""
+    try:
+        campaign, cameras = _campaign(plan)
+        with np.errstate(over="raise", invalid="raise"):
+            found = forecast(campaign, cameras)
+    except (ValueError, ArithmeticError) as error:
+        raise DataNotSufficientError(f"this campaign cannot be forecast: {error}") from error
+    counts = np.unique(np.append(np.geomspace(1, 1000, 31).astype(int), plan.strips.count))
+    floor = found.floor() / ARCSEC
+    rows = [
+        (int(n), "XYZ"[axis], sigma / ARCSEC, floor[axis])
+        for n in counts
+        for axis, sigma in enumerate(found.sigma(int(n)))
+    ]
+    table = pd.DataFrame(rows, columns=["strips", "axis", "sigma_arcsec", "floor_arcsec"])
+    needed = None if target_arcsec is None else found.strips_for(target_arcsec * ARCSEC)
+    return PlanForecast(table, _text(plan, found, target_arcsec, needed), needed)
+
+
+def write_forecast(found: PlanForecast, out: Path, target_arcsec: float | None) -> list[Path]:
+    """`plan.csv` and `plan.png` in `out`."""
+    out.mkdir(parents=True, exist_ok=True)
+    found.table.to_csv(out / "plan.csv", index=False, float_format="%.6g")
+    plot_forecast(found.table, target_arcsec).savefig(out / "plan.png", dpi=110, bbox_inches="tight")
+    return [out / "plan.csv", out / "plan.png"]
+
+
+def _check_counts(record: object, most: int, *names: str) -> None:
+    for name in names:
+        if not 1 <= getattr(record, name) <= most:
+            raise ValueError(f"{name} must be 1 to {most}, got {getattr(record, name)}")
+
+
+def _campaign(plan: Plan) -> tuple[StripPlan, CameraPair]:
+    c, s, t, e = plan.cameras, plan.strips, plan.targets, plan.errors
+    pixel_rad = c.pixel_um * 1e-6 / c.focal_m
+    cameras = CameraPair(
+        R_cs=installation_by_tilt(np.radians(c.star_from_zenith_deg)),
+        star_pixel_rad=c.star_pixel_um / c.star_focal_mm * 1e-3,
+        star_half_width_px=0.5 * c.star_width_px,
+        star_half_height_px=0.5 * c.star_height_px,
+        pixel_rad=pixel_rad,
+        ccd_px=c.ccd_px,
+        n_ccds=c.n_ccds,
+    )
+    campaign = StripPlan(
+        strips=s.count,
+        duration_s=s.duration_s,
+        exposures=s.exposures,
+        exposure_margin_s=s.exposure_margin_s,
+        stars=s.stars,
+        targets=t.count,
+        across=t.across,
+        along=t.along,
+        sigma_s_px=s.star_sigma_px,
+        sigma_c_px=t.sigma_px,
+        height_m=s.height_km * 1e3,
+        sigma_position_m=e.position_m,
+        sigma_clock_s=e.clock_s,
+        sigma_vibration_rad=e.vibration_arcsec * ARCSEC,
+        sigma_distortion_rad=e.distortion_px * pixel_rad,
+        distortion_length_px=e.distortion_length_px,
+        sigma_target_m=t.sigma_m,
+    )
+    return campaign, cameras
+
+
+def _text(plan: Plan, found: Forecast, target_arcsec: float | None, needed: int | None) -> str:
+    def angles(sigma: np.ndarray) -> str:
+        shown = [
+            f"{axis} {s:.4g}″" if np.isfinite(s) else f"{axis} not observable"
+            for axis, s in zip("XYZ", sigma)
+        ]
+        return "  ".join(shown)
+
+    lines = [
+        f"{plan.strips.count} strips: 1-sigma  {angles(found.sigma(plan.strips.count) / ARCSEC)}",
+        f"never below:  {angles(found.floor() / ARCSEC)}",
+    ]
+    for d in found.after(plan.strips.count).unobservable:
+        lines.append(f"the turn about [{d[0]:+.3f} {d[1]:+.3f} {d[2]:+.3f}] (frame c) is not observable")
+    if target_arcsec is not None and needed is not None:
+        lines.append(f"{needed} strips bring every axis to {target_arcsec:g}″")
+    elif target_arcsec is not None:
+        lines.append(
+            f"no number of strips brings every axis to {target_arcsec:g}″: what strips share, the camera's "
+            f"distortion, does not average; calibrate it better, or spread the targets wider"
+        )
+    return "\n".join(lines)

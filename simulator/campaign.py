@@ -1,0 +1,360 @@
+"""A calibration campaign at the level of vectors: what the cameras would see, with the errors of the
+paper's Table 1.
+
+From a plan to `StripSightings` and their truth, or to `VectorSets`; no images. A circular orbit over an Earth
+at rest, nadir pointing with waves on all three axes, a line scanner whose rows have their own times.
+Frames: i inertial, o orbital (x along the velocity, z to nadir), c = o but for the waves, s by the
+installation matrix. SI units, radians.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from boresight.geometry.constants import ARCSEC, GM_EARTH, WGS84
+from boresight.geometry.sightings import GroundSightings, StarSightings, StripSightings, isotropic_covariance
+from boresight.geometry.vector_sets import VectorSets
+
+__all__ = [
+    "CameraPair",
+    "StripPlan",
+    "StripTruth",
+    "draw_frames",
+    "draw_strips",
+    "installation_by_tilt",
+    "noisy_frames",
+    "remounted",
+]
+
+Array = NDArray[np.float64]
+
+
+def installation_by_tilt(from_zenith_rad: float, about_boresight_rad: float = 0.0) -> Rotation:
+    """`R_cs` of a star camera that looks `from_zenith_rad` off the zenith in the Y-Z plane of c (Z to
+    nadir).
+    """
+    return Rotation.from_rotvec([np.pi - from_zenith_rad, 0.0, 0.0]) * Rotation.from_rotvec(
+        [0.0, 0.0, about_boresight_rad]
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CameraPair:
+    """Both cameras as far as vectors need them. Defaults are the paper's Tables 2 and 3."""
+
+    R_cs: Rotation  # the true installation matrix
+    star_pixel_rad: float = 6.4e-5  # 6.4 µm behind 100 mm
+    star_half_width_px: float = 2560.0
+    star_half_height_px: float = 1920.0
+    pixel_rad: float = 1e-6  # 10 µm behind 10 m
+    ccd_px: int = 6144
+    n_ccds: int = 4
+
+    @property
+    def half_field_rad(self) -> float:
+        return 0.5 * self.n_ccds * self.ccd_px * self.pixel_rad
+
+
+@dataclass(frozen=True, slots=True)
+class StripPlan:
+    """What a campaign does and what goes wrong in it. Every sigma may be zero."""
+
+    strips: int = 8
+    duration_s: float = 1.8  # of a strip: 26 000 rows of 0.07 ms
+    exposures: int = 10  # a strip, evenly over its duration
+    stars: int = 40  # an exposure
+    exposure_margin_s: float = 0.0  # exposures start before, and end after, the strip by this much
+    targets: int = 12  # a strip
+    across: tuple[float, float] = (-1.0, 1.0)  # where targets lie across the field, its half width being 1
+    along: tuple[float, float] = (0.0, 1.0)  # and along the strip, its length being 1
+    sigma_s_px: float = 0.06
+    sigma_c_px: float = 0.3
+    height_m: float = 530e3
+    wave_rad: tuple[float, float] = (3 * ARCSEC, 12 * ARCSEC)  # amplitudes, drawn per strip and axis
+    wave_s: tuple[float, float] = (3.0, 7.0)  # periods
+    sigma_position_m: float = 0.0  # per axis, constant over a strip (Table 1: 2 m)
+    sigma_clock_s: float = 0.0  # of the rows, constant over a strip (Table 1: 0.1 ms)
+    sigma_vibration_rad: float = 0.0  # per axis, white from target to target (Table 1: 0.1 arcsec)
+    vibration_hz: float = 0.0  # if not 0: a wave of this frequency with that rms instead of white noise
+    sigma_distortion_rad: float = 0.0  # per axis (Table 1: 0.3 px)
+    distortion_length_px: float = 2000.0
+    distortion_scope: str = "camera"  # one curve for all strips, or "strip"
+    sigma_target_m: float = 0.0  # per axis, of the targets' own coordinates
+    same_targets: bool = False  # all strips see the same ones on one and the same track: one error each
+    gross_stars: float = 0.0  # share of stars with a wrong identity: anywhere in the field
+    gross_targets: float = 0.0  # share of targets matched at a wrong place: anywhere within gross_reach_px
+    gross_reach_px: float = 500.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StripTruth:
+    """What was true in a drawn campaign, for judging estimates only."""
+
+    R_cs: Rotation
+    wrong_stars: frozenset[tuple[str, str, int]]  # strip, exposure, row
+    wrong_targets: frozenset[tuple[str, int]]  # strip, row
+    R_ci: tuple[Rotation, ...]  # a strip, (J,) at the rows' recorded instants, vibration left out
+    look_c: tuple[
+        Array, ...
+    ]  # a strip, (J, 3) where the targets' images fall, distortion in, placing's error not
+
+
+def draw_strips(
+    plan: StripPlan, cameras: CameraPair, rng: np.random.Generator
+) -> tuple[list[StripSightings], StripTruth]:
+    """Strips of one campaign with noise drawn from `rng`."""
+    curve = _Curve.draw(plan, cameras, rng)
+    survey_i = rng.normal(0.0, plan.sigma_target_m, (plan.targets, 3)) if plan.same_targets else None
+    drawn = []
+    for n in range(plan.strips):
+        if plan.distortion_scope == "strip":
+            curve = _Curve.draw(plan, cameras, rng)
+        drawn.append(_draw_strip(f"strip{n:04d}", plan, cameras, curve, survey_i, rng))
+    return [strip for strip, _ in drawn], StripTruth(
+        cameras.R_cs,
+        frozenset().union(*(truth.wrong_stars for _, truth in drawn)),
+        frozenset().union(*(truth.wrong_targets for _, truth in drawn)),
+        tuple(R_ci for _, truth in drawn for R_ci in truth.R_ci),
+        tuple(look_c for _, truth in drawn for look_c in truth.look_c),
+    )
+
+
+def remounted(strips: list[StripSightings], R_before: Rotation, R_after: Rotation) -> list[StripSightings]:
+    """The same strips, seen by a star camera whose mounting is `R_after` instead of `R_before`."""
+    turn = R_after.inv() * R_before
+    T = turn.as_matrix()
+
+    def seen(exposure: StarSightings) -> StarSightings:
+        return replace(exposure, u_s=turn.apply(exposure.u_s), cov_s=T @ exposure.cov_s @ T.T)
+
+    return [replace(strip, exposures=tuple(map(seen, strip.exposures))) for strip in strips]
+
+
+def draw_frames(
+    n_frames: int,
+    stars: int | list[Array],
+    targets: int,
+    sigma_s_px: float,
+    sigma_c_px: float,
+    cameras: CameraPair,
+    rng: np.random.Generator,
+    *,
+    noise: bool = True,
+) -> VectorSets:
+    """The paper's frames: one attitude each, stars and targets over the whole fields, white noise (or none
+    yet).
+
+    `stars` is their number a frame, drawn over the field, or one (n, 3) array of true directions u_s a frame.
+    """
+    if isinstance(stars, int):
+        star_start: NDArray[np.int64] = np.arange(n_frames + 1) * stars
+        u_s = _star_field(n_frames * stars, cameras, rng)
+    else:
+        star_start = np.concatenate([[0], np.cumsum([len(field) for field in stars])])
+        u_s = np.concatenate(stars)
+    target_start = np.arange(n_frames + 1) * targets
+    half = cameras.half_field_rad
+    w_c = _unit(
+        np.column_stack([*rng.uniform(-half, half, (2, n_frames * targets)), np.ones(n_frames * targets)])
+    )
+    R_ic = Rotation.random(n_frames, rng=rng)
+    v_stars = R_ic[np.repeat(np.arange(n_frames), np.diff(star_start))].apply(cameras.R_cs.apply(u_s))
+    v_targets = R_ic[np.repeat(np.arange(n_frames), targets)].apply(w_c)
+    sigma_s, sigma_c = sigma_s_px * cameras.star_pixel_rad, sigma_c_px * cameras.pixel_rad
+    exact = VectorSets(
+        star_start.astype(np.int64),
+        u_s,
+        v_stars,
+        np.full(len(u_s), sigma_s),
+        target_start.astype(np.int64),
+        w_c,
+        v_targets,
+        np.full(len(w_c), sigma_c),
+    )
+    return noisy_frames(exact, rng) if noise else exact
+
+
+def noisy_frames(frames: VectorSets, rng: np.random.Generator) -> VectorSets:
+    """The same frames, measured anew: noise of their own sigmas on both cameras' vectors."""
+    return replace(
+        frames,
+        u_s=_noisy(frames.u_s, frames.sigma_s[:, None], rng),
+        w_c=_noisy(frames.w_c, frames.sigma_c[:, None], rng),
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Motion:
+    """Circular orbit and waves of one strip."""
+
+    radius_m: float
+    rate: float  # rad/s
+    R_ie: Rotation  # orbit's axes (x to the node, z along the orbit's normal) to i
+    amplitude: Array  # (3,)
+    omega: Array  # (3,)
+    phase: Array  # (3,)
+
+    @classmethod
+    def draw(cls, plan: StripPlan, rng: np.random.Generator) -> _Motion:
+        radius = WGS84.semi_major_m + plan.height_m
+        return cls(
+            radius,
+            float(np.sqrt(GM_EARTH / radius**3)),
+            Rotation.identity() if plan.same_targets else Rotation.random(rng=rng),
+            rng.uniform(*plan.wave_rad, 3),
+            2 * np.pi / rng.uniform(*plan.wave_s, 3),
+            rng.uniform(0, 2 * np.pi, 3),
+        )
+
+    def position_i(self, t: Array) -> Array:
+        angle = self.rate * t
+        return self.R_ie.apply(self.radius_m * np.column_stack([np.cos(angle), np.sin(angle), 0 * t]))
+
+    def velocity_i(self, t: Array) -> Array:
+        angle = self.rate * t
+        speed = self.radius_m * self.rate
+        return self.R_ie.apply(speed * np.column_stack([-np.sin(angle), np.cos(angle), 0 * t]))
+
+    def R_oi(self, t: Array) -> Rotation:
+        x, z = _unit(self.velocity_i(t)), -_unit(self.position_i(t))
+        return Rotation.from_matrix(np.stack([x, np.cross(z, x), z], axis=1))
+
+    def R_ci(self, t: Array) -> Rotation:
+        waves = self.amplitude * np.sin(self.omega * t[:, None] + self.phase)
+        return Rotation.from_rotvec(waves) * self.R_oi(t)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Curve:
+    """A smooth random residual of the distortion along the detector, by Fourier waves of its own
+    correlation.
+    """
+
+    wave: Array  # (2, n_ccds, M) 1/px
+    phase: Array  # (2, n_ccds, M)
+    sigma_rad: float
+
+    @classmethod
+    def draw(cls, plan: StripPlan, cameras: CameraPair, rng: np.random.Generator) -> _Curve:
+        # Matérn 3/2 has the spectral density of Student's t with 3 degrees of freedom over sqrt(3) / length.
+        shape = (2, cameras.n_ccds, 200)
+        wave = rng.standard_t(3, shape) / plan.distortion_length_px
+        return cls(wave, rng.uniform(0, 2 * np.pi, shape), plan.sigma_distortion_rad)
+
+    def at(self, ccd: NDArray[np.int64], sample: Array) -> Array:
+        """(J, 2) rad along x and y of c."""
+        waves = np.cos(self.wave[:, ccd] * sample[:, None] + self.phase[:, ccd])
+        return self.sigma_rad * np.sqrt(2.0 / waves.shape[2]) * waves.sum(axis=2).T
+
+
+def _draw_strip(
+    name: str,
+    plan: StripPlan,
+    cameras: CameraPair,
+    curve: _Curve,
+    survey_i: Array | None,
+    rng: np.random.Generator,
+) -> tuple[StripSightings, StripTruth]:
+    motion, margin = _Motion.draw(plan, rng), plan.exposure_margin_s
+    t_stars = np.asarray(np.linspace(-margin, plan.duration_s + margin, plan.exposures), dtype=np.float64)
+    exposures, wrong_stars = _draw_exposures(name, t_stars, plan, cameras, motion.R_ci(t_stars), rng)
+    t_targets = plan.duration_s * np.sort(rng.uniform(*plan.along, plan.targets))
+    ground, wrong_rows, look_c = _draw_targets(name, t_targets, plan, cameras, motion, (curve, survey_i), rng)
+    strip = StripSightings(name, exposures, ground, motion.R_oi(t_stars), motion.R_oi(t_targets))
+    wrong_targets = frozenset((name, row) for row in wrong_rows)
+    R_ci = (motion.R_ci(t_targets),)
+    return strip, StripTruth(cameras.R_cs, frozenset(wrong_stars), wrong_targets, R_ci, (look_c,))
+
+
+def _draw_exposures(
+    name: str, t: Array, plan: StripPlan, cameras: CameraPair, R_ci: Rotation, rng: np.random.Generator
+) -> tuple[tuple[StarSightings, ...], set[tuple[str, str, int]]]:
+    K, n = len(t), plan.stars
+    R_is = (R_ci.inv() * cameras.R_cs).as_matrix()
+    sigma = plan.sigma_s_px * cameras.star_pixel_rad
+    truth = _star_field(K * n, cameras, rng).reshape(K, n, 3)
+    wrong = rng.random((K, n)) < plan.gross_stars
+    named = np.where(wrong[:, :, None], _star_field(K * n, cameras, rng).reshape(K, n, 3), truth)
+    u_i = named @ np.swapaxes(R_is, 1, 2)
+    u_s = _noisy(truth, sigma, rng)
+    xy_px = -u_s[..., :2] / u_s[..., 2:] / cameras.star_pixel_rad
+    covariance = isotropic_covariance(u_s.reshape(-1, 3), sigma).reshape(K, n, 3, 3)
+    hip = np.arange(1, n + 1, dtype=np.int64)
+    ids = [f"{name}/{k:03d}" for k in range(K)]
+    exposures = tuple(
+        StarSightings(ids[k], float(t[k]), hip, xy_px[k], u_s[k], u_i[k], covariance[k]) for k in range(K)
+    )
+    return exposures, {(name, ids[k], row) for k, row in np.argwhere(wrong).tolist()}
+
+
+def _draw_targets(
+    name: str,
+    t: Array,
+    plan: StripPlan,
+    cameras: CameraPair,
+    motion: _Motion,
+    shared: tuple[_Curve, Array | None],
+    rng: np.random.Generator,
+) -> tuple[GroundSightings, list[int], Array]:
+    J, px = len(t), cameras.pixel_rad
+    curve, survey_i = shared
+    y = cameras.half_field_rad * rng.uniform(*plan.across, J)
+    pixel = np.clip((y + cameras.half_field_rad) / px, 0.0, cameras.n_ccds * cameras.ccd_px * (1.0 - 1e-12))
+    ccd = np.floor(pixel / cameras.ccd_px).astype(np.int64)
+    sample = pixel - ccd * cameras.ccd_px
+    u_c = _unit(np.column_stack([0 * y, y, np.ones(J)]))
+    t_true = t + rng.normal(0.0, plan.sigma_clock_s)
+    R_ic = (Rotation.from_rotvec(_vibration(t, plan, rng)) * motion.R_ci(t_true)).inv()
+    truth_i = motion.position_i(t_true)
+    ground_i = truth_i + plan.height_m / u_c[:, 2:] * R_ic.apply(u_c)
+    recorded_i = motion.position_i(t) - rng.normal(0.0, plan.sigma_position_m, 3)
+    own_i = rng.normal(0.0, plan.sigma_target_m, (J, 3)) if survey_i is None else survey_i
+    known_i = ground_i + own_i
+    range_m = np.linalg.norm(known_i - recorded_i, axis=1)
+    seen = u_c + np.pad(curve.at(ccd, sample), ((0, 0), (0, 1)))
+    wrong = np.flatnonzero(rng.random(J) < plan.gross_targets)
+    seen[wrong, :2] += px * rng.uniform(-plan.gross_reach_px, plan.gross_reach_px, (len(wrong), 2))
+    prefix = name if survey_i is None else "site"
+    sigma = plan.sigma_c_px * px
+    look_c = _unit(seen)
+    measured = _noisy(look_c, sigma, rng)
+    ground = GroundSightings(
+        np.array([f"{prefix}/{j:03d}" for j in range(J)], dtype=str),
+        ccd,
+        np.column_stack([sample, t]),
+        t,
+        measured,
+        (known_i - recorded_i) / range_m[:, None],
+        isotropic_covariance(measured, sigma),
+        range_m,
+        motion.velocity_i(t),
+        np.tile(plan.sigma_target_m**2 * np.eye(3), (J, 1, 1)),
+    )
+    return ground, wrong.tolist(), look_c
+
+
+def _vibration(t: Array, plan: StripPlan, rng: np.random.Generator) -> Array:
+    """Turns (J, 3) that the exposures do not follow."""
+    if plan.vibration_hz == 0.0:
+        return rng.normal(0.0, plan.sigma_vibration_rad, (len(t), 3))
+    phase = rng.uniform(0, 2 * np.pi, 3)
+    return (
+        plan.sigma_vibration_rad * np.sqrt(2.0) * np.sin(2 * np.pi * plan.vibration_hz * t[:, None] + phase)
+    )
+
+
+def _star_field(n: int, cameras: CameraPair, rng: np.random.Generator) -> Array:
+    xy = rng.uniform(-1.0, 1.0, (n, 2)) * [cameras.star_half_width_px, cameras.star_half_height_px]
+    return _unit(np.column_stack([-cameras.star_pixel_rad * xy, np.ones(n)]))
+
+
+def _noisy(u: Array, sigma: float | Array, rng: np.random.Generator) -> Array:
+    return _unit(u + sigma * rng.standard_normal(u.shape))
+
+
+def _unit(v: Array) -> Array:
+    return np.asarray(v / np.linalg.norm(v, axis=-1, keepdims=True))

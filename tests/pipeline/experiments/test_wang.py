@@ -1,0 +1,61 @@
+"""Wang's way: right without noise, worse than ours with it."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from boresight.geometry.constants import ARCSEC
+from boresight.geometry.installation import deviation_from_theta, theta_between
+from boresight.pipeline.experiments.vectors import NO_NUISANCES, run_strips
+from boresight.pipeline.experiments.wang import polynomial_residuals, wang_calibrate
+from boresight.simulator.campaign import CameraPair, StripPlan, draw_strips
+
+BOLD = Rotation.from_euler("xyz", [40, -65, 110], degrees=True)
+CAMERAS = CameraPair(BOLD)
+R_CS0 = deviation_from_theta(np.array([0.003, 0.002, 0.001])).inv() * BOLD
+
+
+def test_without_noise_and_waves_the_matrix_is_found():
+    plan = StripPlan(strips=3, targets=20, sigma_s_px=1e-6, sigma_c_px=1e-6, wave_rad=(0.0, 0.0))
+    strips, _ = draw_strips(plan, CAMERAS, np.random.default_rng(1))
+    found = wang_calibrate(strips, R_CS0)
+    assert len(found.R_cs_strips) == 3
+    assert np.linalg.norm(theta_between(found.R_cs, BOLD)) < 1e-3 * ARCSEC
+
+
+def test_with_noise_it_is_worse_than_ours_on_the_weak_axis():
+    plan = StripPlan(strips=7, targets=20, sigma_c_px=0.5)
+    rng = np.random.default_rng(2)
+    theirs = []
+    for _ in range(12):
+        strips, _ = draw_strips(plan, CAMERAS, rng)
+        theirs.append(theta_between(wang_calibrate(strips, R_CS0).R_cs, BOLD)[2])
+    ours, _ = run_strips(plan, CAMERAS, NO_NUISANCES, 12, np.random.default_rng(2))
+    assert np.std(theirs) > 1.5 * np.std(ours[:, 2])  # about 3 times; 12 runs scatter by a fifth
+
+
+def test_a_strip_with_too_few_targets_is_left_out_and_said_so():
+    strips, _ = draw_strips(StripPlan(strips=2, targets=20), CAMERAS, np.random.default_rng(3))
+    few, _ = draw_strips(StripPlan(strips=3, targets=5), CAMERAS, np.random.default_rng(3))
+    found = wang_calibrate([*strips, few[2]], R_CS0)
+    assert found.left_out == (("strip0002", "5 targets and 10 exposures, 7 and 2 needed"),)
+    with pytest.raises(ValueError, match="none of 3 strips"):
+        wang_calibrate(few, R_CS0)
+
+
+def test_polynomials_take_out_polynomials_and_nothing_else():
+    t = np.linspace(0.0, 24.0, 200)
+    cubic = np.column_stack([t**3, 1 - t, 0.5 * t**2])
+    np.testing.assert_allclose(polynomial_residuals(t, cubic, 3), 0.0, atol=1e-9)
+    wave = np.sin(2 * np.pi * t / 4.0)[:, None] * np.ones(3)
+    assert np.std(polynomial_residuals(t, wave, 7)) > 0.6  # of 0.71: six waves are beyond order 7
+
+
+def test_wang_s_way_needs_two_exposures():
+    strips, _ = draw_strips(
+        replace(StripPlan(strips=1, targets=20), exposures=1), CAMERAS, np.random.default_rng(3)
+    )
+    with pytest.raises(ValueError, match="none of 1 strips"):
+        wang_calibrate(strips, R_CS0)

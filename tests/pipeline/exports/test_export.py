@@ -1,0 +1,112 @@
+"""`boresight export` on a real result: every format is made, and each says what the result says."""
+
+from __future__ import annotations
+
+import csv
+import json
+
+import numpy as np
+import pytest
+import spiceypy
+from pytest import approx
+from scipy.spatial.transform import Rotation
+from typer.testing import CliRunner
+
+from boresight.geometry.epoch import Epoch
+from boresight.pipeline.cli import app
+from boresight.pipeline.exports.export import FORMATS
+from boresight.pipeline.results.strip_model import open_calibrated, strip_model
+
+runner = CliRunner()
+
+
+@pytest.fixture(scope="module")
+def exported(finished, tmp_path_factory):
+    """All formats at once, and what the command told."""
+    folder = tmp_path_factory.mktemp("exports")
+    asked = ["export", str(finished[1]), "--format", ",".join(FORMATS), "--out", str(folder)]
+    ran = runner.invoke(app, asked)
+    assert ran.exit_code == 0, ran.output
+    return folder, ran.stdout
+
+
+@pytest.fixture(scope="module")
+def installation(finished):
+    return json.loads((finished[1] / "installation.json").read_text())
+
+
+def test_every_file_is_told_with_its_size(exported):
+    folder, told = exported
+    files = {path.name: path.stat().st_size for path in folder.iterdir()}
+    assert len(told.splitlines()) == len(files)
+    for name, size in files.items():
+        assert any(line.endswith(f"/{name}") and f" {size} bytes" in line for line in told.splitlines())
+    assert {line.split()[0] for line in told.splitlines()} == set(FORMATS)
+
+
+def test_spice_turns_as_installation_json_says(exported, installation):
+    spiceypy.furnsh(str(exported[0] / "installation.tf"))
+    got = spiceypy.pxform("BORESIGHT_STAR_CAMERA", "BORESIGHT_REMOTE_CAMERA", 0.0)
+    spiceypy.kclear()
+    assert np.abs(got - np.array(installation["R_cs"])).max() < 1e-12
+
+
+def test_matrix_files_hold_the_same_numbers(exported, installation):
+    assert json.loads((exported[0] / "matrix.json").read_text())["R_cs"] == installation["R_cs"]
+    rows = {row["name"]: float(row["value"]) for row in csv.DictReader((exported[0] / "matrix.csv").open())}
+    assert [rows[f"q_{k}"] for k in "xyzw"] == installation["quaternion"]
+
+
+def test_the_attitude_message_holds_the_cameras_attitude(exported, finished):
+    calibrated = open_calibrated(finished[1], finished[0])
+    name = calibrated.dump.strips[0].strip_id
+    model = strip_model(calibrated, name)
+    lines = (exported[0] / f"{name}.aem").read_text().splitlines()
+    rows = [line.split() for line in lines[lines.index("DATA_START") + 1 : lines.index("DATA_STOP")]]
+    t_s = calibrated.dump.epoch.seconds_from_utc([row[0] for row in rows])
+    # Written to the nanosecond, in which the camera turns by 1e-12 rad; quaternions to 1e-15.
+    u_c = np.array([0.0, 0.01, 0.99995])
+    for row, t in zip(rows, t_s):
+        u_i = Rotation.from_quat([float(value) for value in row[1:]]).apply(u_c)
+        expected = (calibrated.result.R_cs * model.track.R_si(np.array([t]))[0]).inv().apply(u_c)
+        assert u_i == approx(expected, abs=3e-12)
+    assert t_s[0] == approx(model.strip.t_first_row_s, abs=model.strip.row_period_s)
+    assert isinstance(calibrated.dump.epoch, Epoch)
+
+
+def test_isds_cover_all_samples_of_all_ccds(exported, finished):
+    calibrated = open_calibrated(finished[1], finished[0])
+    strip = calibrated.dump.strips[0]
+    seen: dict[int, list[int]] = {}
+    for path in exported[0].glob(f"{strip.strip_id}.ccd*.json"):
+        isd = json.loads(path.read_text())
+        about = isd["boresight"]
+        seen.setdefault(about["ccd"], []).extend(range(about["first_sample"], about["stop_sample"]))
+        assert about["left_out_px"] < 0.01 and isd["image_lines"] == strip.lines
+    assert {ccd: sorted(samples) for ccd, samples in seen.items()} == {
+        ccd: list(range(strip.images.shapes[ccd][1])) for ccd in strip.images.ccds
+    }
+
+
+def test_ground_points_are_the_targets_of_the_dump(exported, finished):
+    rows = {row["id"]: row for row in csv.DictReader((finished[0] / "targets.csv").open())}
+    features = json.loads((exported[0] / "targets.geojson").read_text())["features"]
+    assert features
+    for feature in features:
+        row = rows[feature["properties"]["target"]]
+        lon, lat, _ = feature["geometry"]["coordinates"]
+        assert (lon, lat) == approx((float(row["lon_deg"]), float(row["lat_deg"])), abs=1e-10)
+    points = sum(len(path.read_text().splitlines()) - 2 for path in exported[0].glob("*.points"))
+    assert points == len(features)
+    used = sum(feature["properties"]["used"] for feature in features)
+    lines = [line for path in exported[0].glob("*.pts") for line in path.read_text().splitlines()]
+    assert sum(not line.startswith(";") for line in lines) == used
+
+
+def test_an_unknown_format_or_frame_name_is_wrong_usage(finished, tmp_path):
+    ran = runner.invoke(app, ["export", str(finished[1]), "--format", "docx", "--out", str(tmp_path)])
+    assert ran.exit_code == 2 and "docx" in ran.output
+    ran = runner.invoke(
+        app, ["export", str(finished[1]), "--format", "spice", "--spice-star-camera", "lower case"]
+    )
+    assert ran.exit_code == 2

@@ -1,0 +1,183 @@
+"""From pixels to the matrix on `fixtures/mini`: what the result must be, and what must not matter to it."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from fixture_strips import FIXTURE
+from typer.testing import CliRunner
+
+from boresight.geometry.installation import theta_between
+from boresight.pipeline.cli import app
+from boresight.pipeline.errors import DataNotSufficientError
+from boresight.pipeline.files.dump import open_dump
+from boresight.pipeline.results.folder import FIELDS, begin_result, read_result, store_of, write_result
+from boresight.pipeline.results.validate import validate
+from boresight.pipeline.settings import Settings
+from boresight.pipeline.stages.calibrate import calibrate_dump
+from boresight.pipeline.work.executor import InOrder
+
+runner = CliRunner()
+
+
+def run(dump: Path, out: Path) -> dict:
+    """Calibrate in this process; the content of installation.json."""
+    begin_result(out)
+    found = calibrate_dump(open_dump(dump), Settings(), store_of(out), InOrder())
+    write_result(out, found, Settings())
+    return json.loads((out / "installation.json").read_text())
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The result of the whole fixture; `truth/` is not there while it is made."""
+    folder = tmp_path_factory.mktemp("whole")
+    shutil.copytree(FIXTURE, folder / "dump", ignore=shutil.ignore_patterns("truth"))
+    run(folder / "dump", folder / "result")
+    return folder / "result"
+
+
+@pytest.fixture
+def small(finished: tuple[Path, Path]) -> tuple[Path, bytes]:
+    """One strip of the fixture, calibrated: the dump and the bytes of installation.json."""
+    dump, result = finished
+    return dump, (result / "installation.json").read_bytes()
+
+
+def test_fixture_is_calibrated_within_its_own_covariance(whole: Path) -> None:
+    # Normalised error squared of three angles: chi-square of 3, below 16.27 in 999 of 1000 runs; each axis
+    # within 4 of its own sigmas. The ground's matrix was wrong by 770 arcsec.
+    outcome = validate(read_result(whole), open_dump(FIXTURE))
+    assert outcome.nees < 16.27
+    assert np.all(np.abs(outcome.error_rad) < 4.0 * outcome.sigma_rad)
+    assert np.linalg.norm(outcome.before_rad) > 100 * np.linalg.norm(outcome.error_rad)
+
+
+def test_check_points_come_to_within_the_errors_of_position_and_clock(whole: Path) -> None:
+    # 2 m of position, 0.75 m of clock (1 sigma), three strips: 8 m is three sigma; before it was a kilometre.
+    outcome = validate(read_result(whole), open_dump(FIXTURE))
+    assert max(outcome.after.rms_m) < 8.0
+    assert min(outcome.before.rms_m) > 500.0
+    assert (
+        len(outcome.after.along_m) + outcome.without
+        == sum(1 for _ in (FIXTURE / "truth/check_points.csv").open()) - 1
+    )
+
+
+def test_installation_json_has_exactly_the_fields_of_the_format(whole: Path) -> None:
+    content = json.loads((whole / "installation.json").read_text())
+    assert tuple(content) == FIELDS
+    R = np.array(content["R_cs"])
+    # Double precision: an orthonormal matrix, the same rotation in all notations.
+    assert np.allclose(R @ R.T, np.eye(3), atol=1e-14)
+    saved = read_result(whole)
+    assert np.allclose(saved.R_cs.as_matrix(), R, atol=1e-14)
+    assert np.allclose(theta_between(saved.R_cs, open_dump(FIXTURE).R_cs0), content["theta_rad"], atol=1e-12)
+
+
+def test_tables_hold_what_the_summary_counts(whole: Path) -> None:
+    content = json.loads((whole / "installation.json").read_text())
+    stars = pq.ParquetFile(whole / "sightings/stars.parquet")
+    targets = pq.read_table(whole / "sightings/targets.parquet")
+    exposures = pq.read_table(whole / "sightings/exposures.parquet")
+    assert stars.num_row_groups == len(exposures)
+    assert sum(targets.column("kept").to_pylist()) == content["targets"]
+    assert sum(stars.read().column("kept").to_pylist()) == content["stars"]
+
+
+def test_result_does_not_depend_on_truth_or_place_of_the_dump(
+    small: tuple[Path, bytes], tmp_path: Path
+) -> None:
+    dump, expected = small
+    moved = tmp_path / "moved"
+    shutil.copytree(dump, moved)
+    (moved / "truth").mkdir()
+    (moved / "truth" / "installation.toml").write_text("this is not even TOML [[[")
+    run(moved, tmp_path / "result")
+    assert (tmp_path / "result" / "installation.json").read_bytes() == expected
+
+
+def test_run_started_again_makes_nothing_twice_and_gives_the_same(
+    small: tuple[Path, bytes], tmp_path: Path
+) -> None:
+    dump, expected = small
+    opened, store = open_dump(dump), store_of(tmp_path)
+    first = calibrate_dump(opened, Settings(), store, InOrder())
+    again = calibrate_dump(opened, Settings(), store, InOrder())
+    assert (first.units_found, again.units_made) == (0, 0)
+    units = sorted((tmp_path / "work").rglob("*.parquet"))
+    units[0].write_bytes(units[0].read_bytes()[:100])  # a damaged unit is made anew
+    units[1].unlink()
+    third = calibrate_dump(opened, Settings(), store, InOrder())
+    assert third.units_made == 2
+    write_result(tmp_path, third, Settings())
+    assert (tmp_path / "installation.json").read_bytes() == expected
+
+
+def test_bad_exposure_is_left_out_with_its_reason_and_only_it_is_made_again(
+    one_strip: Path, tmp_path: Path
+) -> None:
+    store = store_of(tmp_path / "result")
+    before = calibrate_dump(open_dump(one_strip), Settings(), store, InOrder())
+    names = sorted(path.name for path in (one_strip / "exposures").iterdir())[3:12:3]
+    for name in names:
+        (one_strip / "exposures" / name).unlink()
+    (one_strip / "exposures" / names[0]).write_bytes((FIXTURE / "exposures" / names[0]).read_bytes()[:20_000])
+    black = np.random.default_rng(5).normal(12, 2, (768, 1024)).clip(0, 255).astype(np.uint8)
+    cv2.imwrite(str(one_strip / "exposures" / names[1]), black)
+    cv2.imwrite(str(one_strip / "exposures" / names[2]), black[:100])
+    after = calibrate_dump(open_dump(one_strip), Settings(), store, InOrder())
+    left_out = {o.name: o.reason for o in after.omissions if o.kind == "exposure"}
+    ids = [name.removesuffix(".png") for name in names]
+    assert "byte 20000: found end of file, expected the rest of the PNG chunk" in left_out[ids[0]]
+    assert "stars" in left_out[ids[1]] and "needed" in left_out[ids[1]]
+    assert "image size: found 1024 x 100 px, expected 1024 x 768 px" in left_out[ids[2]]
+    assert len(after.stars) == len(before.stars) - 3
+    assert after.units_made <= 3 + 2  # the three exposures, and both matchings of the strip they belong to
+
+
+def test_strip_without_targets_is_named_and_the_lack_is_told(one_strip: Path, tmp_path: Path) -> None:
+    lines = (one_strip / "targets.csv").read_text().splitlines()
+    far = lines[1].split(",")
+    far[1], far[2] = "-60.0", "10.0"
+    (one_strip / "targets.csv").write_text("\n".join([lines[0], ",".join(far)]) + "\n")
+    with pytest.raises(
+        DataNotSufficientError, match=r"14 exposures identified, 0 targets placed in 1 strips"
+    ):
+        calibrate_dump(open_dump(one_strip), Settings(), store_of(tmp_path), InOrder())
+
+
+def test_fault_in_one_exposure_is_that_exposures_own(
+    one_strip: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import boresight.pipeline.stages.exposure
+
+    sound = boresight.pipeline.stages.exposure.sight_stars
+
+    def fragile(exposure_id: str, *arguments: object, **more: object) -> object:
+        if exposure_id.endswith("5"):
+            raise ValueError("a matrix that nobody thought of")
+        return sound(exposure_id, *arguments, **more)
+
+    monkeypatch.setattr(boresight.pipeline.stages.exposure, "sight_stars", fragile)
+    found = calibrate_dump(open_dump(one_strip), Settings(), store_of(tmp_path), InOrder())
+    (left_out,) = [o for o in found.omissions if o.kind == "exposure"]
+    assert left_out.name.endswith("5")
+    assert "please report this: ValueError: a matrix that nobody thought of" in left_out.reason
+
+
+def test_commands_exit_as_promised(one_strip: Path, tmp_path: Path) -> None:
+    def exit_code(*arguments: str) -> int:
+        outcome = runner.invoke(app, list(arguments))
+        return outcome.exit_code
+
+    assert exit_code("calibrate", str(one_strip)) == 2  # --out is missing
+    assert exit_code("simulate", "no-such-scenario", str(tmp_path / "x")) == 2
+    assert exit_code("simulate", "mini", str(tmp_path / "x"), "--set", "strips.cuont=3") == 2
+    assert exit_code("--version") == 0

@@ -1,0 +1,44 @@
+"""A plan's accuracy, told before any data, is what the data then give."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from boresight.geometry.constants import ARCSEC
+from boresight.pipeline.experiments.vectors import TABLE_1, run_strips
+from boresight.pipeline.stages.forecast import forecast, settings_of_plan
+from boresight.simulator.campaign import CameraPair, StripPlan, installation_by_tilt
+
+CAMERAS = CameraPair(installation_by_tilt(np.radians(15.0)))
+
+
+def test_forecast_is_the_covariance_that_the_calibration_states():
+    found = forecast(TABLE_1, CAMERAS, draws=60)
+    _, stated = run_strips(TABLE_1, CAMERAS, settings_of_plan(TABLE_1), 10, np.random.default_rng(1))
+    sigma = np.sqrt(np.mean(np.diagonal(stated, axis1=1, axis2=2), axis=0))
+    np.testing.assert_allclose(
+        found.sigma(TABLE_1.strips), sigma, rtol=0.12
+    )  # where targets fall: 96 of them
+
+
+def test_strips_needed_is_the_least_number_that_reaches_the_target():
+    found = forecast(replace(TABLE_1, sigma_distortion_rad=0.0), CAMERAS, draws=30)
+    target = 1.0 * ARCSEC
+    n = found.strips_for(target)
+    assert n is not None
+    assert np.all(found.sigma(n) <= target) and not np.all(found.sigma(n - 1) <= target)
+    np.testing.assert_array_equal(found.floor(), 0.0)
+
+
+def test_what_the_strips_share_sets_a_floor_that_no_number_of_strips_breaks():
+    found = forecast(TABLE_1, CAMERAS, draws=30)
+    assert found.floor()[2] > 0.3 * ARCSEC
+    assert found.strips_for(0.1 * ARCSEC) is None
+
+
+def test_targets_in_one_spot_give_no_number_about_the_line_of_sight():
+    found = forecast(replace(StripPlan(), across=(0.3, 0.3), along=(0.5, 0.5)), CAMERAS, draws=5)
+    sigma = found.sigma(8)
+    assert np.isnan(sigma[2])
+    assert len(found.after(8).unobservable) == 1
+    assert found.strips_for(ARCSEC) is None

@@ -1,0 +1,329 @@
+"""Several dumps of one mission: each with its own result, and one matrix from all of them together."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import re
+import shutil
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from fixture_strips import strip_of_fixture
+from scipy.spatial.transform import Rotation
+from typer.testing import CliRunner
+
+from boresight.calib.calibration import calibrate
+from boresight.calib.settings import CalibrationSettings
+from boresight.geometry.constants import ARCSEC, EARTH_ROTATION_RATE, WGS84
+from boresight.geometry.epoch import Epoch
+from boresight.geometry.geodesy import ecef_from_geodetic
+from boresight.geometry.installation import theta_between
+from boresight.pipeline.cli import app
+from boresight.pipeline.errors import DataNotSufficientError, Omission, RawDataError
+from boresight.pipeline.files.dump import open_dump
+from boresight.pipeline.results.folder import read_result, store_of
+from boresight.pipeline.results.strip_model import open_calibrated, strip_model
+from boresight.pipeline.settings import Settings
+from boresight.pipeline.stages.calibrate import calibrate_dump
+from boresight.pipeline.stages.joint import calibrate_jointly, dump_names, open_dumps
+from boresight.pipeline.work.executor import InOrder
+from boresight.simulator.campaign import CameraPair, StripPlan, draw_strips
+
+runner = CliRunner()
+NAMES = ["november", "a-little-later", "january"]  # in the order of time; not that of the alphabet
+
+
+def ran(*arguments: object) -> str:
+    outcome = runner.invoke(app, [str(argument) for argument in arguments])
+    assert outcome.exit_code == 0, outcome.output
+    return outcome.stdout
+
+
+@pytest.fixture(scope="module")
+def dumps(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    """Two strips of the fixture as two dumps, and one that another mission of the cameras took two months
+    later: other ground, other stars, another draw of every error.
+    """
+    folder = tmp_path_factory.mktemp("dumps")
+    november, later = (strip_of_fixture(folder / name, n + 1) for n, name in enumerate(NAMES[:2]))
+    changes = ["strips.count=1", "strips.lines=1000", "strips.only_around_targets_px=60.0"]
+    changes += ["targets.per_strip=12", 'epoch_utc="2025-01-15T03:40:00"']
+    options = [part for change in changes for part in ("--set", change)]
+    ran("simulate", "mini", folder / NAMES[2], "--seed", 2, *options)
+    return [november, later, folder / NAMES[2]]
+
+
+@pytest.fixture(scope="module")
+def joint(dumps: list[Path], finished: tuple[Path, Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The result of the three, named out of order. Units of the first, which `finished` is, are found."""
+    out = tmp_path_factory.mktemp("joint") / "result"
+    shutil.copytree(finished[1] / "work", out / NAMES[0] / "work")
+    ran("calibrate", dumps[2], dumps[0], dumps[1], "--out", out, "--workers", 1)
+    return out
+
+
+def matrix(result: Path) -> dict:
+    return json.loads((result / "installation.json").read_text())
+
+
+def test_joint_matrix_is_the_calibration_of_all_strips_at_once(dumps: list[Path], joint: Path) -> None:
+    # The union is made here by hand, from the units that the run left.
+    opened = [open_dump(dump) for dump in dumps]
+    strips = []
+    for name, dump in zip(NAMES, opened):
+        found = calibrate_dump(dump, Settings(), store_of(joint / name), InOrder())
+        assert found.units_made == 0
+        later_s = float(dump.epoch.tai_s - opened[0].epoch.tai_s)
+        for strip in found.strips:
+            exposures = tuple(replace(e, t_s=e.t_s + later_s) for e in strip.exposures)
+            ids = np.array([f"{name}/{target}" for target in strip.ground.target_id])
+            ground = replace(strip.ground, t_s=strip.ground.t_s + later_s, target_id=ids)
+            strips.append(
+                replace(strip, strip_id=f"{name}/{strip.strip_id}", exposures=exposures, ground=ground)
+            )
+    whole = calibrate(strips, opened[0].R_cs0, found.settings)
+    content = matrix(joint)
+    assert content["R_cs"] == whole.R_cs.as_matrix().tolist()
+    assert content["covariance_rad2"] == whole.cov_theta.tolist()
+    assert content["targets"] == whole.n_targets == sum(matrix(joint / name)["targets"] for name in NAMES)
+
+
+def test_joint_covariance_is_not_below_that_of_an_independent_average(joint: Path) -> None:
+    own = [np.array(matrix(joint / name)["covariance_rad2"]) for name in NAMES]
+    averaged = np.linalg.inv(sum(np.linalg.inv(C) for C in own))
+    shared = np.array(matrix(joint)["covariance_rad2"])
+    # 1e-3: the dumps are linearised about matrices of their own.
+    assert np.linalg.eigvalsh(shared - averaged)[0] > -1e-3 * np.linalg.eigvalsh(averaged)[0]
+    assert np.trace(shared) > 1.01 * np.trace(averaged)
+    assert all(np.all(np.diag(shared) < np.diag(C)) for C in own)
+
+
+def test_joint_matrix_is_the_merged_one_of_the_drift(joint: Path) -> None:
+    # Two ways to one answer: all strips at once, and information pairs of each dump with shared unknowns.
+    drift, content = json.loads((joint / "drift.json").read_text()), matrix(joint)
+    assert drift["results"] == NAMES and not drift["moved"]
+    covariance = np.array(content["covariance_rad2"])
+    np.testing.assert_allclose(
+        drift["merged"]["covariance_rad2"], covariance, atol=2e-3 * np.diag(covariance).min(), rtol=0
+    )
+    turn = theta_between(Rotation.from_matrix(drift["merged"]["R_cs"]), read_result(joint).R_cs)
+    assert np.all(np.abs(turn) < 0.01 * np.sqrt(np.diag(covariance)))
+
+
+def test_every_dump_has_the_result_that_it_has_alone(joint: Path, finished: tuple[Path, Path]) -> None:
+    # `finished` is the first of the dumps, calibrated on its own, from another folder.
+    alone, names = finished[1], []
+    for path in sorted(path for path in alone.rglob("*") if path.is_file() and "work" not in path.parts):
+        if path.name not in ("run.json", "report.html"):  # times
+            names.append(path.name)
+            assert (joint / NAMES[0] / path.relative_to(alone)).read_bytes() == path.read_bytes(), path
+    assert {"installation.json", "strips.parquet", "matches.parquet"} <= set(names)
+
+
+def test_the_same_bytes_in_whatever_order_and_by_whatever_workers(
+    dumps: list[Path], joint: Path, tmp_path: Path
+) -> None:
+    again = tmp_path / "again"
+    for name in NAMES:
+        shutil.copytree(joint / name / "work", again / name / "work")
+    for unit in (again / NAMES[0] / "work/exposures").iterdir():
+        unit.unlink()  # made anew, by two processes
+    ran("calibrate", *dumps, "--out", again, "--workers", 2, "--no-report")
+    compared = set()
+    for path in sorted(path for path in again.rglob("*") if path.is_file() and path.name != "run.json"):
+        compared.add(str(path.relative_to(again)))
+        assert (joint / path.relative_to(again)).read_bytes() == path.read_bytes(), path
+    assert {"installation.json", "dumps.json", "drift.json", "drift.csv", "drift.png"} <= compared
+    assert {"sightings/targets.parquet", *(f"{name}/sightings/stars.parquet" for name in NAMES)} <= compared
+
+
+def test_status_report_and_drift_know_a_folder_of_dumps(joint: Path, tmp_path: Path) -> None:
+    told = ran("status", joint)
+    assert [line for line in told.splitlines() if line.startswith("dump")] == [f"dump {n}" for n in NAMES]
+    assert told.rstrip().endswith("all dumps together: finished: installation.json is there")
+    page = joint / "report.html"
+    before = page.read_text()
+    ran("report", joint)
+    assert page.read_text() == before
+    assert all(f'<a href="{name}/report.html">{name}</a>' in before for name in NAMES)
+    shown = re.search(r'<data value="([^"]+)" data-source="installation.json" data-key="R_cs.0.1"', before)
+    assert shown is not None and float(shown[1]) == matrix(joint)["R_cs"][0][1]
+    assert "no sign that the mounting has moved" in ran("drift", joint, "--out", tmp_path)
+    alone = json.loads((tmp_path / "drift.json").read_text())
+    assert alone["merged"] == json.loads((joint / "drift.json").read_text())["merged"]
+
+
+def test_joint_matrix_serves_each_of_its_dumps(dumps: list[Path], joint: Path, tmp_path: Path) -> None:
+    ran("export", joint, "--format", "json", "--out", tmp_path)
+    exported = json.loads((tmp_path / "matrix.json").read_text())
+    assert exported["covariance_rad2"] == matrix(joint)["covariance_rad2"]
+    ran("export", joint, "--format", "aem,geojson,fits", "--dump", dumps[2], "--out", tmp_path)
+    assert (tmp_path / "s01.aem").is_file()
+    with pytest.raises(RawDataError, match=r"--dump: found nothing, expected one of .*november.* of 3 dumps"):
+        open_calibrated(joint, None)
+    # The exposures' attitudes are the dump's own, the matrix is the joint one, and better: one dump of one
+    # strip leaves 10 arcsec about Z.
+    told = ran("validate", joint, "--dump", dumps[2]).splitlines()
+    sigma = next(line.split()[-3:] for line in told if "stated 1 sigma" in line)
+    joint_sigma = np.sqrt(np.diag(matrix(joint)["covariance_rad2"])) / ARCSEC
+    np.testing.assert_allclose(np.array(sigma, dtype=float), joint_sigma, atol=6e-5)  # as printed
+    nees = next(float(line.split()[-1]) for line in told if "NEES" in line)
+    assert nees < 16.27  # chi-square of 3: 999 of 1000
+    assert any(line.startswith("geo-positioning at 2") for line in told)  # 20, or more seen by two CCDs
+    assert not any("no position" in line for line in told)
+
+
+def test_image_points_of_each_dump_are_placed_with_the_joint_matrix(
+    dumps: list[Path], joint: Path, tmp_path: Path
+) -> None:
+    calibrated = open_calibrated(joint, dumps[2])
+    strip = calibrated.dump.strips[0].strip_id
+    (tmp_path / "pixels.csv").write_text("ccd,sample,line\n1,300.25,500.5\n")
+    told = ran("geolocate", joint, "--dump", dumps[2], "--strip", strip, "--pixels", tmp_path / "pixels.csv")
+    (place,) = csv.DictReader(io.StringIO(told))
+    lat, lon, height = (float(place[name]) for name in ("lat_deg", "lon_deg", "height_m"))
+    p_e = ecef_from_geodetic(np.radians([lat]), np.radians([lon]), np.array([height]), WGS84)
+    model = strip_model(calibrated, strip).pushbroom
+    assert (model.R_cs.as_matrix() == np.reshape(matrix(joint)["R_cs"], (3, 3))).all()
+    sample, line = model.pixels_from_ground(1, p_e)
+    # Heights are written to the millimetre, 1/6000 of a pixel of the fixture.
+    assert (sample[0], line[0]) == pytest.approx((300.25, 500.5), abs=1e-3)
+
+
+def test_a_dump_that_does_not_suffice_is_counted_and_the_others_go_on(
+    dumps: list[Path], joint: Path, tmp_path: Path
+) -> None:
+    blind, out = tmp_path / "blind", tmp_path / "result"
+    shutil.copytree(dumps[1], blind)
+    lines = (blind / "targets.csv").read_text().splitlines()
+    far = lines[1].split(",")
+    far[1], far[2] = "-60.0", "10.0"
+    (blind / "targets.csv").write_text("\n".join([lines[0], ",".join(far)]) + "\n")
+    for name in (NAMES[0], NAMES[2]):
+        shutil.copytree(joint / name / "work", out / name / "work")
+    shutil.copytree(joint / NAMES[1] / "work", out / "blind/work")
+    told = ran("calibrate", dumps[0], blind, dumps[2], "--out", out, "--workers", 1, "--no-report")
+    assert "jointly from 2 dumps" in told and "0 targets placed in 1 strips" in told
+    omissions = pq.read_table(out / "sightings/omissions.parquet").to_pylist()
+    assert [(row["kind"], row["name"]) for row in omissions if row["kind"] == "dump"] == [("dump", "blind")]
+    assert not (out / "blind/installation.json").exists()
+    assert json.loads((out / "drift.json").read_text())["results"] == [NAMES[0], NAMES[2]]
+    ran("report", out)
+    page = (out / "report.html").read_text()
+    assert '<th scope="row">blind</th>' in page and "not calibrated: 0 strips" in page
+    of_blind = ran("status", out).partition("dump blind")[2].partition("dump january")[0]
+    assert of_blind.rstrip().endswith("not finished: no installation.json yet")
+
+
+def test_no_dump_that_suffices_is_no_result() -> None:
+    failed = [Omission("dump", "a", "", "0 strips"), Omission("dump", "b", "", "no stars")]
+    with pytest.raises(DataNotSufficientError, match=r"none of 2 dumps .* a: 0 strips; b: no stars"):
+        calibrate_jointly([], failed)
+
+
+@pytest.mark.parametrize(
+    ("file", "old", "new", "says"),
+    [
+        (
+            "dump.toml",
+            'mission = "mini"',
+            'mission = "maxi"',
+            "dump.toml: mission: found maxi, expected mini",
+        ),
+        ("dump.toml", "position_m = 2.0", "position_m = 1.0", "errors.sigma_position_m: found 1.0, .* 2.0"),
+        ("star_camera.toml", "512.0", "512.5", r"star_camera.toml: star camera.principal_px.0: found 512.5"),
+        (
+            "remote_camera.toml",
+            "focal_length_m = 10.0",
+            "focal_length_m = 10.1",
+            "camera.focal_m: found 10.1",
+        ),
+        (
+            "installation.toml",
+            "quaternion_cs = [",
+            "quaternion_cs = [1.0, 0, 0, 0] #",
+            "ground matrix: found",
+        ),
+    ],
+)
+def test_dumps_of_other_cameras_are_refused_with_file_and_field(
+    dumps: list[Path], tmp_path: Path, file: str, old: str, new: str, says: str
+) -> None:
+    other = tmp_path / "other"
+    shutil.copytree(dumps[2], other)
+    text = (other / file).read_text()
+    assert old in text
+    (other / file).write_text(text.replace(old, new))
+    for order in ([dumps[0], other], [other, dumps[0]]):
+        with pytest.raises(RawDataError, match=says):
+            open_dumps(order, Settings())
+    if "position" in old:  # what the user states holds for all
+        open_dumps([dumps[0], other], Settings(calibration=(("sigma_position_m", 2.0),)))
+
+
+def test_a_dump_named_twice_or_copied_is_refused(dumps: list[Path], tmp_path: Path) -> None:
+    with pytest.raises(RawDataError, match="november: DUMP: found named twice"):
+        open_dumps([dumps[0], dumps[1], dumps[0] / ".." / NAMES[0]], Settings())
+    copy = tmp_path / "copy"
+    shutil.copytree(dumps[0], copy)
+    with pytest.raises(RawDataError, match="strip s01: found the same instant as strip s01 of"):
+        open_dumps([dumps[0], copy], Settings())
+
+
+def test_names_tell_dumps_apart_in_whatever_order_they_stand() -> None:
+    roots = [Path("/data/2024/may"), Path("/data/2025/may"), Path("/data/2025/june"), Path("/data/work")]
+    names = dump_names(roots)
+    assert names == ["2024-may", "2025-may", "june", "data-work"]  # `work` is a folder of every result
+    assert dump_names(roots[::-1]) == names[::-1]
+    assert dump_names([Path("/A/May"), Path("/b/may")]) == ["A-May", "b-may"]  # one file to some systems
+
+
+def visits(place: np.ndarray) -> list:
+    """Two dumps of four strips each over one calibration site, as far as a joint calibration looks at them.
+    The campaign's Earth is at rest, so a whole number of its turns lies between the dumps.
+    """
+    plan = StripPlan(strips=8, sigma_position_m=1.0, sigma_target_m=3.0, same_targets=True)
+    strips, _ = draw_strips(plan, CameraPair(BOLD), np.random.default_rng(21))
+    days = Epoch(0), Epoch(round(60 * 2.0 * np.pi / EARTH_ROTATION_RATE))
+    sites = [np.zeros(3), place]
+    out = []
+    for n, (epoch, site) in enumerate(zip(days, sites)):
+        targets = [
+            SimpleNamespace(target_id=name, p_e=site, sigma_m=np.full(3, 3.0))
+            for name in strips[0].ground.target_id.tolist()
+        ]
+        dump = SimpleNamespace(epoch=epoch, targets=targets, R_cs0=BOLD)
+        found = SimpleNamespace(strips=strips[4 * n : 4 * n + 4], settings=BELIEVED)
+        out.append((SimpleNamespace(name=f"d{n}", dump=dump), found))
+    return [out, strips]
+
+
+BOLD = Rotation.from_euler("xyz", [40, -65, 110], degrees=True)
+BELIEVED = CalibrationSettings(
+    sigma_position_m=1.0, sigma_clock_s=0.0, sigma_vibration_rad=0.0, sigma_distortion_rad=0.0, robust=False
+)
+
+
+def test_targets_that_two_dumps_list_alike_are_one_point_each() -> None:
+    calibrated, strips = visits(np.zeros(3))
+    found = calibrate_jointly(calibrated, []).estimate
+    whole = calibrate(strips, BOLD, BELIEVED)
+    # A whole turn is known to half a second, 4e-5 rad of an error of 3 m in 530 km: 1e-5 arcsec.
+    assert np.all(np.abs(theta_between(found.R_cs, whole.R_cs)) < 1e-4 * ARCSEC)
+    np.testing.assert_allclose(found.cov_theta, whole.cov_theta, rtol=1e-3, atol=1e-3 * found.cov_theta[0, 0])
+    assert len(found.pairs.shared) == len(whole.pairs.shared) == 3 * 12
+
+
+def test_targets_of_one_name_at_two_places_are_two_points() -> None:
+    one = calibrate_jointly(visits(np.zeros(3))[0], []).estimate
+    two = calibrate_jointly(visits(np.array([10.0, 0.0, 0.0]))[0], []).estimate
+    assert len(two.pairs.shared) == 2 * len(one.pairs.shared)
+    assert {name.split("/")[1] for name in two.pairs.shared} == {"d0", "d1"}
+    # The survey's error, 3 m, rules: shared by all it does not average, by halves it does.
+    assert two.cov_theta[1, 1] < 0.8 * one.cov_theta[1, 1]

@@ -1,0 +1,87 @@
+"""`boresight plan` and `boresight experiment` from file to file."""
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from typer.testing import CliRunner
+
+from boresight.pipeline.cli import app
+from boresight.pipeline.errors import DataNotSufficientError, RawDataError
+from boresight.pipeline.experiments.tables import hipparcos_fields, run_experiment
+from boresight.pipeline.experiments.vectors import ExperimentSettings
+from boresight.pipeline.stages.plan import forecast_plan, read_plan
+
+runner = CliRunner()
+
+
+def test_a_plan_is_told_with_its_table_and_plot(tmp_path: Path):
+    path = tmp_path / "plan.toml"
+    path.write_text("[strips]\ncount = 12\n[errors]\ndistortion_px = 0.0\n", encoding="utf-8")
+    told = runner.invoke(app, ["plan", str(path), "--target", "2", "--out", str(tmp_path / "out")])
+    assert told.exit_code == 0
+    assert "12 strips: 1-sigma" in told.stdout and "strips bring every axis to 2″" in told.stdout
+    table = pd.read_csv(tmp_path / "out" / "plan.csv")
+    twelve = table[(table["strips"] == 12) & (table["axis"] == "X")]["sigma_arcsec"].iloc[0]
+    assert 0.15 < twelve < 0.35  # 2 m of GPS error seen from 530 km, over the root of 12
+    assert (tmp_path / "out" / "plan.png").stat().st_size > 10_000
+
+
+def test_a_target_out_of_reach_is_said_to_be_so(tmp_path: Path):
+    path = tmp_path / "plan.toml"
+    path.write_text("", encoding="utf-8")
+    told = runner.invoke(app, ["plan", str(path), "--target", "0.01"])
+    assert told.exit_code == 1
+    assert "no number of strips" in told.stdout
+
+
+def test_an_unknown_key_of_a_plan_is_refused_by_name(tmp_path: Path):
+    path = tmp_path / "plan.toml"
+    path.write_text("[targets]\ncout = 3\n", encoding="utf-8")
+    with pytest.raises(RawDataError, match="cout"):
+        read_plan(path)
+
+
+@pytest.mark.parametrize("name", ["convergence", "figure8", "table4"])
+def test_an_experiment_leaves_a_table_and_a_plot(tmp_path: Path, name: str):
+    settings = ExperimentSettings(runs=2, wang_runs=2, frames=(5, 20), table4_frames=20)
+    table, written = run_experiment(name, tmp_path, settings)
+    assert [path.name for path in written] == [f"{name}.csv", f"{name}.png"]
+    assert len(pd.read_csv(written[0])) == len(table)
+    assert written[1].stat().st_size > 10_000
+
+
+def test_stars_of_a_field_are_the_skys():
+    cameras = ExperimentSettings().cameras
+    fields = hipparcos_fields(cameras, 300, seed=1)
+    counts = np.array([len(field) for field in fields])
+    assert 40 < counts.mean() < 70  # 18.6 x 14 degrees are 1/160 of the sky; 9 000 stars to V 6.5
+    assert counts.std() > 8  # more along the Milky Way
+    np.testing.assert_allclose(np.linalg.norm(np.concatenate(fields), axis=1), 1.0, atol=1e-12)
+
+
+def test_an_unknown_experiment_is_wrong_usage():
+    assert runner.invoke(app, ["experiment", "table9", "--out", "nowhere"]).exit_code == 2
+
+
+def test_only_some_experiments_go_through_pixels():
+    told = runner.invoke(app, ["experiment", "table4", "--out", "nowhere", "--pixels"])
+    assert told.exit_code == 2
+
+
+@pytest.mark.parametrize("text", ["[strips]\nduration_s = 1e-300", "[errors]\nclock_s = 1e300"])
+def test_campaign_whose_information_has_no_number_is_told_and_ends(tmp_path, text):
+    (tmp_path / "plan.toml").write_text(text)
+    with pytest.raises(DataNotSufficientError, match="cannot be forecast"):
+        forecast_plan(read_plan(tmp_path / "plan.toml"))
+
+
+@pytest.mark.parametrize(
+    ("section", "key", "value"),
+    [("strips", "stars", 10**12), ("strips", "count", 0), ("cameras", "n_ccds", 0), ("targets", "count", -1)],
+)
+def test_count_that_no_campaign_has_is_told_with_its_range(tmp_path, section, key, value):
+    (tmp_path / "plan.toml").write_text(f"[{section}]\n{key} = {value}\n")
+    with pytest.raises(RawDataError, match=f"plan.{section}: found {key} must be 1 to .*, got {value}"):
+        read_plan(tmp_path / "plan.toml")
