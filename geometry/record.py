@@ -1,0 +1,147 @@
+"""Records: frozen dataclasses whose fields state shape, unit, frame and meaning once.
+
+    @record
+    class Detections:
+        "Stars found in one image. Row n of every array is the same star."
+
+        xy_px: Floats = array("N, 2", "centroids as (column, row)")
+        flux_dn: Floats = array("N", "total above the background, DN")
+        threshold: float = scalar("detection limit, sigmas of the background", default=5.0)
+
+From this one declaration come the shape check at construction, the "Attributes" section of the docstring that
+`help()` and the API pages show, and the columns of the tables on disk (`pipeline.files.record_tables`).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from collections.abc import Callable
+from typing import Any, TypeVar, dataclass_transform, overload
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["Bools", "Floats", "Ints", "Texts", "array", "record", "scalar", "shape_of"]
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Bools = NDArray[np.bool_]
+Texts = NDArray[np.str_]
+
+Record = TypeVar("Record")
+Dimension = int | tuple[str, int]  # a number, or a shared length plus an offset
+_DIMENSION = re.compile(r"(\d+)|([A-Z])(?:\s*([+-])\s*(\d+))?")
+
+
+def array(shape: str, meaning: str, **options: Any) -> Any:
+    """Declare an array field; `shape` is a list such as "N, 3", "K + 1" or "2, 2".
+
+    A capital letter is a length that all fields of the record share; a number is that length. Rotations and
+    tuples are arrays of one dimension. `meaning` states unit and frame; `options` are those of
+    `dataclasses.field` (`default`, `default_factory`, `init`, `repr`).
+    """
+    dimensions = tuple(_dimension(part.strip()) for part in shape.split(",") if part.strip())
+    options["metadata"] = {"shape": dimensions, "shape_text": f"({shape})", "meaning": meaning}
+    return dataclasses.field(**options)
+
+
+def scalar(meaning: str, **options: Any) -> Any:
+    """Declare a field that is no array. `meaning` states unit and frame; `options` as in `array`."""
+    options["metadata"] = {"meaning": meaning}
+    return dataclasses.field(**options)
+
+
+@overload
+def record(cls: type[Record], /) -> type[Record]: ...
+
+
+@overload
+def record(*, kw_only: bool) -> Callable[[type[Record]], type[Record]]: ...
+
+
+@dataclass_transform(frozen_default=True, field_specifiers=(array, scalar, dataclasses.field))
+def record(cls: Any = None, /, *, kw_only: bool = False) -> Any:
+    """Make a class a frozen dataclass with slots, compared by identity, that checks its arrays' shapes.
+
+    Construction raises `ValueError` naming the field, its expected shape and the shape found. A
+    `__post_init__` of the class runs after that check. Records of more than five fields take `kw_only=True`.
+    """
+
+    def decorate(cls: type[Record]) -> type[Record]:
+        own = cls.__dict__.get("__post_init__")
+        declared = [(name, f) for name, f in cls.__dict__.items() if isinstance(f, dataclasses.Field)]
+        checked = tuple((name, f.metadata["shape"]) for name, f in declared if "shape" in f.metadata)
+        if checked:
+            cls.__post_init__ = _post_init(cls.__name__, checked, own)  # type: ignore[attr-defined]
+        made = dataclasses.dataclass(frozen=True, slots=True, eq=False, kw_only=kw_only)(cls)
+        made.__doc__ = _documented(made)
+        return made
+
+    return decorate if cls is None else decorate(cls)
+
+
+def shape_of(field: dataclasses.Field[Any]) -> tuple[int | str, ...] | None:
+    """Declared shape of a record's field: numbers and letters ("K+1" for a sum); None if it is no array."""
+    shape = field.metadata.get("shape")
+    if shape is None:
+        return None
+    return tuple(d if isinstance(d, int) else d[0] + (f"{d[1]:+d}" if d[1] else "") for d in shape)
+
+
+def _dimension(text: str) -> Dimension:
+    if not (match := _DIMENSION.fullmatch(text)):
+        raise TypeError(f"a dimension is a number, a capital letter or such a letter + number, got {text!r}")
+    number, letter, sign, offset = match.groups()
+    return int(number) if number else (letter, int(f"{sign or '+'}{offset or 0}"))
+
+
+def _post_init(
+    name: str, checked: tuple[tuple[str, tuple[Dimension, ...]], ...], own: Callable[[Any], None] | None
+) -> Callable[[Any], None]:
+    def __post_init__(self: Any) -> None:
+        lengths: dict[str, int] = {}
+        for field, shape in checked:
+            value = getattr(self, field)
+            found = value.shape if isinstance(value, np.ndarray) else _lengths(value)
+            if len(found) != len(shape) or not all(_fits(*pair, lengths) for pair in zip(found, shape)):
+                expected = ", ".join(_shown(dimension, lengths) for dimension in shape)
+                raise ValueError(f"{name}.{field} must have shape ({expected}), got {found}")
+        if own is not None:
+            own(self)
+
+    return __post_init__
+
+
+def _fits(found: int, dimension: Dimension, lengths: dict[str, int]) -> bool:
+    """Whether a length is the declared one; the first field that uses a letter sets that letter's length."""
+    if isinstance(dimension, int):
+        return found == dimension
+    letter, offset = dimension
+    return found == lengths.setdefault(letter, found - offset) + offset
+
+
+def _lengths(value: Any) -> tuple[int, ...]:
+    """(n,) of a tuple or of n rotations, () of one rotation and of anything without a length."""
+    try:
+        return (len(value),)
+    except TypeError:
+        return ()
+
+
+def _shown(dimension: Dimension, lengths: dict[str, int]) -> str:
+    if isinstance(dimension, int):
+        return str(dimension)
+    letter, offset = dimension
+    return str(lengths[letter] + offset) if letter in lengths else letter
+
+
+def _documented(cls: type) -> str:
+    """The class's docstring with a NumPy "Attributes" section made from its fields."""
+    lines = [(cls.__doc__ or "").strip(), "", "Attributes", "----------"]
+    for field in dataclasses.fields(cls):  # type: ignore[arg-type]
+        kind = field.type if isinstance(field.type, str) else getattr(field.type, "__name__", str(field.type))
+        shape = field.metadata.get("shape_text", "")
+        lines.append(f"{field.name} : {f'{shape} ' if shape else ''}{kind}")
+        lines.append(f"    {field.metadata.get('meaning', '')}".rstrip())
+    return "\n".join(lines) + "\n"
