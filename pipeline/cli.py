@@ -22,6 +22,7 @@ import typer
 from boresight.pipeline import __version__
 from boresight.pipeline.commands.drift import add_drift_commands
 from boresight.pipeline.commands.match import add_match_commands
+from boresight.pipeline.commands.plan import add_plan_commands
 from boresight.pipeline.commands.progress import progress_bar, progress_bars, remarks
 from boresight.pipeline.commands.report import add_report_commands
 from boresight.pipeline.commands.star import add_star_commands
@@ -257,26 +258,8 @@ def experiment(
     typer.echo(f"{name}: {len(table)} rows -> {', '.join(str(path) for path in written)}")
 
 
-@app.command()
-def plan(
-    plan_file: Annotated[Path, typer.Argument(metavar="PLAN", help="TOML file that describes the campaign.")],
-    target: Annotated[
-        float | None, typer.Option(help="Arcsec on every axis: how many strips are needed?", min=1e-9)
-    ] = None,
-    out: Annotated[Path | None, typer.Option(help="Folder for plan.csv and plan.png.")] = None,
-) -> None:
-    """Tell, before any data, how well a campaign will fix the installation matrix."""
-    from boresight.pipeline.stages.plan import forecast_plan, read_plan, write_forecast
-
-    found = forecast_plan(read_plan(plan_file), target)
-    typer.echo(found.text)
-    if out is not None:
-        typer.echo(f"-> {', '.join(str(path) for path in write_forecast(found, out, target))}")
-    if target is not None and found.strips_needed is None:
-        raise typer.Exit(DATA_DID_NOT_ALLOW)
-
-
 add_star_commands(app)
 add_match_commands(app)
 add_report_commands(app)
 add_drift_commands(app)
+add_plan_commands(app)

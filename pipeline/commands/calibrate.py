@@ -113,7 +113,8 @@ def _note(
 def _drift(out: Path, names: list[str]) -> str:
     """Whether the mounting moved between the dumps, written into `out`."""
     from boresight.calib.mounting.drift import DriftSettings
-    from boresight.pipeline.results.drift import drift_of_results, drift_summary, write_drift
+    from boresight.pipeline.report.drift import write_drift
+    from boresight.pipeline.results.drift import drift_of_results, drift_summary
 
     try:
         dated = drift_of_results({name: out / name for name in names}, DriftSettings())

@@ -35,7 +35,8 @@ def drift(
     """Merge several results into one matrix, and tell whether, how and when the mounting has moved."""
     from boresight.calib.mounting.drift import DriftSettings
     from boresight.geometry.constants import ARCSEC, DAY_S
-    from boresight.pipeline.results.drift import drift_of_results, drift_summary, named_results, write_drift
+    from boresight.pipeline.report.drift import write_drift
+    from boresight.pipeline.results.drift import drift_of_results, drift_summary, named_results
 
     settings = DriftSettings(
         probability_false_alarm=false_alarm,

@@ -1,13 +1,9 @@
-"""Results of several dumps to the mounting's course: read, checked to be of one mounting, estimated, written.
-
-drift.json   merged matrix with covariance, tests, step and its date, random walk, orbit term
-drift.csv    theta of each result and the smoothed course, long form
-drift.png    both, against the date
+"""Motion of the installation matrix between the results of several dumps: read, checked to be of one pair of
+cameras, estimated. `report.drift` writes the files.
 """
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -31,11 +27,18 @@ from boresight.pipeline import __version__
 from boresight.pipeline.errors import DataNotSufficientError, RawDataError
 from boresight.pipeline.files.table_files import column, read_parquet
 from boresight.pipeline.files.text_files import read_json
-from boresight.pipeline.files.whole_file import write_whole
-from boresight.pipeline.report.drift_plot import plot_drift
 from boresight.pipeline.results.folder import read_mounting, read_result, results_in
 
-__all__ = ["DatedDrift", "drift_of_results", "drift_summary", "named_results", "write_drift"]
+__all__ = [
+    "DatedDrift",
+    "drift_json",
+    "drift_of_results",
+    "drift_summary",
+    "drift_table",
+    "drift_verdict",
+    "named_results",
+    "step_dates",
+]
 
 Array = NDArray[np.float64]
 AXES = ("X", "Y", "Z")
@@ -105,19 +108,6 @@ def drift_of_results(results: Mapping[str, Path], settings: DriftSettings) -> Da
     return DatedDrift(found, epoch, dated[0][1].R_cs0)
 
 
-def write_drift(dated: DatedDrift, out: Path) -> list[Path]:
-    """`drift.json`, `drift.csv` and `drift.png` in `out`."""
-    out.mkdir(parents=True, exist_ok=True)
-    table = drift_table(dated)
-    text = json.dumps(_content(dated), indent=2, allow_nan=False) + "\n"
-    figure = plot_drift(table, _step_dates(dated) if dated.drift.moved else None, _verdict(dated))
-    written = [out / f"drift.{ending}" for ending in ("json", "csv", "png")]
-    write_whole(written[0], lambda path: path.write_text(text, encoding="utf-8"))
-    write_whole(written[1], lambda path: table.to_csv(path, index=False, float_format="%.9g"))
-    write_whole(written[2], lambda path: figure.savefig(path, dpi=120, format="png"))
-    return written
-
-
 def drift_table(dated: DatedDrift) -> pd.DataFrame:
     """One row a result and axis; angles in arcsec against the merged matrix, frame c, with their 1-sigma as
     such: what all results share is in both and falls out.
@@ -165,9 +155,9 @@ def drift_summary(dated: DatedDrift) -> str:
         lines.append(
             "orbit term, arcsec        " + "".join(f"{s:14.4f}" for s in size) + f"   p {term.p_value:.3g}"
         )
-    lines.append(_verdict(dated))
+    lines.append(drift_verdict(dated))
     if drift.moved:
-        date, low, high = _step_dates(dated)
+        date, low, high = step_dates(dated)
         step = drift.step.theta_step / ARCSEC
         step_sigma = np.sqrt(np.diag(drift.step.covariance)) / ARCSEC
         lines += [
@@ -232,9 +222,9 @@ def _check_alike(first: _DatedResult, other: _DatedResult) -> None:
             raise RawDataError(other.name, key, str(other.alike[key]), expected)
 
 
-def _content(dated: DatedDrift) -> dict[str, Any]:
+def drift_json(dated: DatedDrift) -> dict[str, Any]:
     drift, step, walk, term = dated.drift, dated.drift.step, dated.drift.walk, dated.drift.orbit_phase
-    date, low, high = _step_dates(dated)
+    date, low, high = step_dates(dated)
     merged = drift.merged
     return {
         "results": list(drift.series.names),
@@ -282,7 +272,7 @@ def _content(dated: DatedDrift) -> dict[str, Any]:
     }
 
 
-def _verdict(dated: DatedDrift) -> str:
+def drift_verdict(dated: DatedDrift) -> str:
     said = "the mounting has moved" if dated.drift.moved else "no sign that the mounting has moved"
     return f"{said}, at a false-alarm probability of {dated.drift.settings.probability_false_alarm:.2g}"
 
@@ -296,7 +286,7 @@ def _per_root_day(density_rad2_s: float) -> float:
     return math.sqrt(density_rad2_s * DAY_S) / ARCSEC
 
 
-def _step_dates(dated: DatedDrift) -> tuple[str, str, str]:
+def step_dates(dated: DatedDrift) -> tuple[str, str, str]:
     """Most likely date of the step and the ends of its interval, UTC."""
     step = dated.drift.step
     date, low, high = _dates(dated.epoch, np.array([step.t_s, *step.interval_s]))

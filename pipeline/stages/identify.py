@@ -25,11 +25,11 @@ from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.dump import star_camera_of
 from boresight.pipeline.files.dump_schema import StarCameraFile
 from boresight.pipeline.files.image_files import read_star_image
-from boresight.pipeline.files.index_cache import cached_index
 from boresight.pipeline.files.sky_images import NOWHERE, Whereabouts, observers_of
 from boresight.pipeline.files.table_files import fixed_list
 from boresight.pipeline.files.text_files import read_toml
 from boresight.pipeline.files.whole_file import write_whole
+from boresight.pipeline.work.index_cache import cached_index
 from boresight.star_id.catalogue import hipparcos_stars
 from boresight.star_id.field import LARGEST_FOV_RAD, SMALLEST_FOV_RAD, FieldSolution, solve_field
 from boresight.star_id.naming.identify import NotIdentified

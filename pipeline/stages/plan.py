@@ -10,13 +10,12 @@ import pandas as pd
 
 from boresight.geometry.constants import ARCSEC
 from boresight.pipeline.errors import DataNotSufficientError
-from boresight.pipeline.experiments.plots import plot_forecast
 from boresight.pipeline.files.text_files import toml_tables
 from boresight.pipeline.settings import filled
 from boresight.pipeline.stages.forecast import Forecast, forecast
 from boresight.simulator.campaign import CameraPair, StripPlan, installation_by_tilt
 
-__all__ = ["Plan", "PlanForecast", "forecast_plan", "read_plan", "write_forecast"]
+__all__ = ["Plan", "PlanForecast", "forecast_plan", "read_plan"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,14 +121,6 @@ def forecast_plan(plan: Plan, target_arcsec: float | None = None) -> PlanForecas
     table = pd.DataFrame(rows, columns=["strips", "axis", "sigma_arcsec", "floor_arcsec"])
     needed = None if target_arcsec is None else found.strips_for(target_arcsec * ARCSEC)
     return PlanForecast(table, _text(plan, found, target_arcsec, needed), needed)
-
-
-def write_forecast(found: PlanForecast, out: Path, target_arcsec: float | None) -> list[Path]:
-    """`plan.csv` and `plan.png` in `out`."""
-    out.mkdir(parents=True, exist_ok=True)
-    found.table.to_csv(out / "plan.csv", index=False, float_format="%.6g")
-    plot_forecast(found.table, target_arcsec).savefig(out / "plan.png", dpi=110, bbox_inches="tight")
-    return [out / "plan.csv", out / "plan.png"]
 
 
 def _check_counts(record: object, most: int, *names: str) -> None:

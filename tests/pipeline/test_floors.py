@@ -16,16 +16,24 @@ def room_of(module: str) -> str:
     return module.removeprefix("boresight.").split(".")[0]
 
 
+def imported_modules(path: Path) -> list[tuple[int, str]]:
+    """Line and name of every absolute import in a source file, at whatever depth of its code.
+
+    Of `from package import name` the name is `package.name`, for it may be a module.
+    """
+    found = []
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            found += [(node.lineno, alias.name) for alias in node.names]
+        elif isinstance(node, ast.ImportFrom) and node.module and node.level == 0:
+            found += [(node.lineno, f"{node.module}.{alias.name}") for alias in node.names]
+    return found
+
+
 def our_imports(package: str) -> set[str]:
-    """The packages of ours that any module of `package` imports, at whatever depth of its code."""
-    found = set()
-    for path in (ROOT / package).rglob("*.py"):
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            if isinstance(node, ast.Import):
-                found |= {room_of(alias.name) for alias in node.names}
-            elif isinstance(node, ast.ImportFrom) and node.module and node.level == 0:
-                found.add(room_of(node.module))
-    return found & ROOMS
+    """Those of our rooms that any module of `package` imports."""
+    sources = (ROOT / package).rglob("*.py")
+    return {room_of(module) for path in sources for _, module in imported_modules(path)} & ROOMS
 
 
 @pytest.mark.parametrize("package", ["geometry", "star_id", "gct_match", "calib", "simulator"])
@@ -71,3 +79,43 @@ def test_rooms_are_imported_by_the_name_of_the_package() -> None:
         or (isinstance(node, ast.Import) and {alias.name.split(".")[0] for alias in node.names} & ROOMS)
     ]
     assert bare == []
+
+
+# Rooms within `pipeline`: each may import itself and those after it; rooms on one line not one another.
+PIPELINE_FLOORS = (
+    ("cli",),
+    ("commands",),
+    ("report", "exports", "experiments"),
+    ("results",),
+    ("stages",),
+    ("settings",),
+    ("work",),
+    ("files",),
+    ("errors",),
+)
+
+
+@pytest.mark.parametrize(
+    "room, below",
+    [
+        (room, {other for lower in PIPELINE_FLOORS[n + 1 :] for other in lower})
+        for n, floor in enumerate(PIPELINE_FLOORS)
+        for room in floor
+    ],
+)
+def test_rooms_of_the_pipeline_import_only_what_is_below_them(room: str, below: set[str]) -> None:
+    folder = ROOT / "pipeline" / room
+    sources = [*folder.rglob("*.py")] if folder.is_dir() else [folder.with_suffix(".py")]
+    upward = [
+        f"{path.relative_to(ROOT)}:{line} imports {module}"
+        for path in sources
+        for line, module in imported_modules(path)
+        if module.startswith("boresight.pipeline.")
+        and module.split(".")[2] not in {room, "__version__", *below}
+    ]
+    assert sources and upward == []
+
+
+def test_every_room_of_the_pipeline_has_its_floor() -> None:
+    found = {path.stem for path in (ROOT / "pipeline").iterdir() if path.name[:2] != "__"}
+    assert found == {room for floor in PIPELINE_FLOORS for room in floor}

@@ -8,8 +8,8 @@ from dataclasses import fields
 import numpy as np
 import pytest
 
-from boresight.pipeline.files import index_cache
-from boresight.pipeline.files.index_cache import cache_folder, cached_index
+from boresight.pipeline.work import index_cache
+from boresight.pipeline.work.index_cache import cache_folder, cached_index
 from boresight.star_id.catalogue import hipparcos_stars
 from boresight.star_id.naming.triangles import StarIndex, TriangleTable, build_index
 
