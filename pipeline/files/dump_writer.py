@@ -13,13 +13,13 @@ from typing import Any
 import cv2
 import numpy as np
 import rasterio
+import tomli_w
 from rasterio.errors import NotGeoreferencedWarning
 from rasterio.transform import Affine
 from rasterio.windows import Window
 
 from boresight.geometry.line_camera import LineCamera
 from boresight.geometry.star_camera import StarCamera
-from boresight.pipeline.files.toml_writer import toml_text
 from boresight.simulator.records import ChipImage, Mission, OrbitReport, Strip, TerrainReport, Truth
 from boresight.simulator.scenario import scenario_to_dict
 
@@ -290,7 +290,7 @@ def _write_truth(root: Path, mission: Mission, truth: Truth) -> None:
 
 
 def _write_toml(path: Path, tables: dict[str, Any]) -> None:
-    path.write_text(toml_text(tables), encoding="utf-8")
+    path.write_text(tomli_w.dumps(tables), encoding="utf-8")
 
 
 def _write_csv(path: Path, columns: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:

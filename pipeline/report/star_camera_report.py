@@ -9,12 +9,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import tomli_w
 from numpy.typing import NDArray
 
 from boresight.geometry.star_camera import StarCamera
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.sky_images import NOWHERE, SkyImage, Whereabouts, open_sky_images
-from boresight.pipeline.files.toml_writer import toml_text
 from boresight.pipeline.files.whole_file import write_whole
 from boresight.pipeline.stages.identify import read_camera, read_sky_image, sky_index
 from boresight.star_id.camera_calibration import (
@@ -94,7 +94,7 @@ def calibrate_from_images(
     result = replace(result, frames_refused=(*unread, *result.frames_refused))
     stated = next((one.bit_depth for one in sky.images if one.bit_depth is not None), None)
     bits = stated or (8 * read[1].dtype.itemsize if read[1].dtype.kind == "u" else 16)
-    table = toml_text(_camera_table(result.camera, bits))
+    table = tomli_w.dumps(_camera_table(result.camera, bits))
     write_whole(request.out, lambda target: target.write_text(table, "utf-8"))
     cells = residual_map(result)
     if request.report is not None:

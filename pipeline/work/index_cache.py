@@ -7,8 +7,6 @@ be written costs time and nothing else; a damaged file is made anew, with a warn
 
 from __future__ import annotations
 
-import os
-import sys
 import warnings
 import zipfile
 from contextlib import suppress
@@ -16,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import platformdirs
 
 from boresight.geometry.starlight import StarPlaces
 from boresight.pipeline.files.whole_file import write_whole
@@ -47,16 +46,8 @@ def cached_index(stars: StarPlaces, epoch_jyear: float, fov_rad: float | tuple[f
 
 
 def cache_folder() -> Path:
-    """Where this platform keeps a user's cache: XDG_CACHE_HOME if set, else the custom of the system."""
-    if stated := os.environ.get("XDG_CACHE_HOME"):
-        base = Path(stated)
-    elif sys.platform == "win32":
-        base = Path(os.environ.get("LOCALAPPDATA", Path.home() / "AppData" / "Local"))
-    elif sys.platform == "darwin":
-        base = Path.home() / "Library" / "Caches"
-    else:
-        base = Path.home() / ".cache"
-    return base / "boresight"
+    """The folder in which this platform keeps a user's cached files of `boresight` (it need not exist)."""
+    return platformdirs.user_cache_path("boresight", appauthor=False)
 
 
 def _keep(path: Path, index: StarIndex) -> None:
