@@ -36,6 +36,8 @@ app = typer.Typer(
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
+    context_settings={"max_content_width": 110},
+    rich_markup_mode=None,  # plain help: 0.3 s of CPU less
 )
 
 DONE, DATA_DID_NOT_ALLOW, WRONG_USAGE = 0, 1, 2
@@ -75,7 +77,7 @@ def _errors_told() -> Iterator[None]:
 
 
 def _say(text: str) -> None:
-    remarks.print(text, markup=False, soft_wrap=True)
+    remarks().print(text, markup=False, soft_wrap=True)
 
 
 def _wrong_usage(text: str) -> typer.Exit:

@@ -4,21 +4,31 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Any
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any
 
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+if TYPE_CHECKING:  # rich takes 0.15 s to import, and most commands print one line
+    from rich.console import Console
+    from rich.progress import Progress
 
 __all__ = ["progress_bar", "progress_bars", "remarks"]
 
-remarks = Console(stderr=True, highlight=False)
+
+@lru_cache(maxsize=1)
+def remarks() -> Console:
+    """The console of progress bars and remarks: stderr."""
+    from rich.console import Console
+
+    return Console(stderr=True, highlight=False)
 
 
 @contextmanager
 def progress_bar() -> Iterator[Progress]:
     """A bar that vanishes when the work is done."""
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=remarks, transient=True) as bar:
+    with Progress(*columns, console=remarks(), transient=True) as bar:
         yield bar
 
 

@@ -61,7 +61,9 @@ def estimate_background(image: NDArray) -> Background:
     edges_y = np.linspace(0, sample.shape[0], rows + 1).round().astype(int)
     edges_x = np.linspace(0, sample.shape[1], columns + 1).round().astype(int)
     blocks = (sample[y0:y1, x0:x1] for y0, y1 in pairwise(edges_y) for x0, x1 in pairwise(edges_x))
-    counts = np.hstack([cv2.calcHist([block], [0], None, [bins], [low, high]) for block in blocks])
+    counts = np.stack(
+        [cv2.calcHist([block], [0], None, [bins], [low, high]).ravel() for block in blocks], axis=1
+    )
     width_bin = (high - low) / bins
     offset = 0.0 if np.issubdtype(sample.dtype, np.integer) and width_bin == 1.0 else 0.5
     level, noise = _clipped_moments(
