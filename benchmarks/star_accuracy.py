@@ -37,8 +37,8 @@ from boresight.star_id.catalogue import hipparcos_stars
 from boresight.star_id.field import FieldSolution, solve_list
 from boresight.star_id.finding.psf import Psf
 from boresight.star_id.finding.star_list import StarList, find_stars
-from boresight.star_id.naming.identify import NotIdentified
-from boresight.star_id.naming.triangles import StarIndex, build_index, equivalent_fov
+from boresight.star_id.identification.identify import NotIdentified
+from boresight.star_id.identification.triangle_index import StarIndex, build_index, equivalent_fov
 from boresight.star_id.score import SNR_EDGES, score_centroids
 from boresight.star_id.settings import CentroidMethod, StarSettings
 

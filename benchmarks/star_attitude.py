@@ -36,8 +36,8 @@ from boresight.star_id.attitude import solve_attitude
 from boresight.star_id.catalogue import hipparcos_stars
 from boresight.star_id.field import solve_field
 from boresight.star_id.finding.psf import Psf
-from boresight.star_id.naming.identify import NotIdentified
-from boresight.star_id.naming.triangles import build_index, equivalent_fov
+from boresight.star_id.identification.identify import NotIdentified
+from boresight.star_id.identification.triangle_index import build_index, equivalent_fov
 from boresight.star_id.observer import Observer
 from boresight.star_id.score import cramer_rao_px
 from boresight.star_id.settings import StarSettings

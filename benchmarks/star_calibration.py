@@ -39,16 +39,16 @@ from frames import PAPER_CAMERA, FrameTruth, Sensor, star_frame
 from boresight.geometry.epoch import Epoch
 from boresight.geometry.star_camera import StarCamera
 from boresight.star_id.camera_calibration import CameraCalibration, SkyFrame, calibrate_camera
-from boresight.star_id.camera_fit import PARAMETERS, moved
+from boresight.star_id.camera_fit import PARAMETERS, perturbed
 from boresight.star_id.catalogue import hipparcos_stars
 from boresight.star_id.field import FieldSolution, nominal_camera, solve_field
 from boresight.star_id.finding.psf import Psf
 from boresight.star_id.finding.star_list import find_stars
-from boresight.star_id.naming.triangles import build_index
+from boresight.star_id.identification.triangle_index import build_index
 from boresight.star_id.observer import Observer
 from boresight.star_id.score import cramer_rao_px
 from boresight.star_id.settings import StarSettings
-from boresight.star_id.sky_plan import StarImages, plan_pointings
+from boresight.star_id.sky_plan import StarImageModel, plan_pointings
 
 TRUTH = replace(PAPER_CAMERA, principal_px=(2571.3, 1911.2))
 NOMINAL = StarCamera(0.105, 6.4e-6, 5120, 3840, (2559.5, 1919.5))
@@ -144,7 +144,7 @@ def _as_planned(rng, places, index, settings) -> list[tuple[SkyFrame, FrameTruth
     shown = solve_field(image, index, settings, fov_x_rad=nominal_fov)
     assert isinstance(shown, FieldSolution), shown
     pool = Rotation.random(400, random_state=rng)
-    plan = plan_pointings(shown.camera, StarImages.of(shown, index), index, settings, pool, 10)
+    plan = plan_pointings(shown.camera, StarImageModel.of(shown, index), index, settings, pool, 10)
     frames = []
     for k, pointing in enumerate(plan.pointings):
         missed = Rotation.from_rotvec(np.radians(0.2) * rng.standard_normal(3))
@@ -214,7 +214,7 @@ def _slopes(u_s):
     turn."""
 
     def pixels(name, step):
-        return moved(TRUTH, name, step).pixels_from_directions(u_s)
+        return perturbed(TRUTH, name, step).pixels_from_directions(u_s)
 
     steps = dict(zip(PARAMETERS, (1e-6, 1e-2, 1e-2, 1e-6, 1e-6, 1e-8, 1e-10)))
     camera = [(pixels(name, h) - pixels(name, -h)).ravel() / (2.0 * h) for name, h in steps.items()]

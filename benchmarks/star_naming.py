@@ -25,7 +25,7 @@ from frames import PAPER_CAMERA, stars_in_view
 
 from boresight.star_id.catalogue import hipparcos_stars
 from boresight.star_id.field import FieldSolution, solve_stars
-from boresight.star_id.naming.triangles import build_index, equivalent_fov
+from boresight.star_id.identification.triangle_index import build_index, equivalent_fov
 from boresight.star_id.settings import StarSettings
 
 SIZE = (5120, 3840)

@@ -350,7 +350,7 @@ def _naming(peers: Peers, folder: Path, attitudes: int) -> None:
     from scipy.spatial.transform import Rotation
 
     from boresight.star_id.catalogue import hipparcos_stars
-    from boresight.star_id.naming.triangles import build_index, equivalent_fov
+    from boresight.star_id.identification.triangle_index import build_index, equivalent_fov
     from boresight.star_id.settings import StarSettings
     from boresight.star_id.sight import field_of_camera
 
@@ -401,11 +401,11 @@ def _naming(peers: Peers, folder: Path, attitudes: int) -> None:
 def _named(camera, field, index, settings, xy, sigma):
     """Direction of the axis, empty where not identified, and the CPU time of naming alone, ms."""
     from boresight.star_id.attitude import solve_attitude
-    from boresight.star_id.naming.identify import NotIdentified, identify
-    from boresight.star_id.sight import plane_coordinates
+    from boresight.star_id.identification.identify import NotIdentified, identify
+    from boresight.star_id.sight import tangent_coordinates
 
     start = time.process_time()
-    found = identify(plane_coordinates(camera, xy), field, index, settings)
+    found = identify(tangent_coordinates(camera, xy), field, index, settings)
     cost = 1e3 * (time.process_time() - start)
     if isinstance(found, NotIdentified):
         return np.empty(0), cost
@@ -421,7 +421,7 @@ def _calibrating(peers: Peers, folder: Path, cameras: int) -> None:
 
     from boresight.star_id.camera_calibration import calibrate_camera
     from boresight.star_id.catalogue import hipparcos_stars
-    from boresight.star_id.naming.triangles import build_index
+    from boresight.star_id.identification.triangle_index import build_index
     from boresight.star_id.settings import StarSettings
 
     places, settings = hipparcos_stars(8.0).places, StarSettings()

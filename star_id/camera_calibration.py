@@ -17,17 +17,17 @@ from boresight.geometry.star_camera import StarCamera
 from boresight.star_id.camera_fit import (
     DRIFT,
     PARAMETERS,
-    NamedStars,
+    IdentifiedStars,
     fit_camera,
     visible_derivatives,
 )
 from boresight.star_id.field import FieldSolution, solve_stars
 from boresight.star_id.finding.star_list import StarList
-from boresight.star_id.naming.identify import NotIdentified
-from boresight.star_id.naming.triangles import StarIndex
+from boresight.star_id.identification.identify import NotIdentified
+from boresight.star_id.identification.triangle_index import StarIndex
 from boresight.star_id.observer import Observer, star_directions
 from boresight.star_id.settings import StarSettings
-from boresight.star_id.sight import fit_for_calibration
+from boresight.star_id.sight import select_for_calibration
 
 __all__ = ["CameraCalibration", "ResidualMap", "SkyFrame", "calibrate_camera", "residual_map"]
 
@@ -164,7 +164,7 @@ def _adjusted(
     xy, cov, u_i, frame, times, rotations = [], [], [], [], [], []
     for number, (k, solution) in enumerate(named):
         stars, rows = frames[k].stars, solution.rows
-        safe = fit_for_calibration(stars, solution.detections, rows, camera, index, settings)
+        safe = select_for_calibration(stars, solution.detections, rows, camera, index, settings)
         observer = frames[k].observer
         xy.append(solution.xy_px[safe])
         cov.append(stars.cov_px[solution.detections[safe]])
@@ -172,7 +172,7 @@ def _adjusted(
         frame.append(np.full(int(safe.sum()), number))
         times.append(0.0 if observer is None else observer.tai_s)
         rotations.append(solution.R_si)
-    seen = NamedStars(
+    seen = IdentifiedStars(
         np.vstack(xy), np.concatenate(cov), np.vstack(u_i), np.concatenate(frame), np.array(times)
     )
     free = (*PARAMETERS, DRIFT) if drift else PARAMETERS

@@ -22,12 +22,12 @@ __all__ = [
     "DRIFT",
     "PARAMETERS",
     "CameraFit",
-    "NamedStars",
+    "IdentifiedStars",
     "detector_grid",
     "fit_camera",
-    "moved",
+    "perturbed",
     "pixel_derivatives",
-    "turn_derivatives",
+    "rotation_derivatives",
     "visible_derivatives",
 ]
 
@@ -43,7 +43,7 @@ _SMALL_STEP = 1e-3  # of a number's own error
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class NamedStars:
+class IdentifiedStars:
     """Stars of K images. Row n of the star arrays speaks of the same star."""
 
     xy_px: Array  # (N, 2)
@@ -69,7 +69,7 @@ class CameraFit:
 
 
 def fit_camera(
-    stars: NamedStars,
+    stars: IdentifiedStars,
     camera: StarCamera,
     rotations: Rotation,
     free: tuple[str, ...] = PARAMETERS,
@@ -121,7 +121,7 @@ def fit_camera(
     )
 
 
-def moved(camera: StarCamera, name: str, step: float) -> StarCamera:
+def perturbed(camera: StarCamera, name: str, step: float) -> StarCamera:
     """The camera with one of PARAMETERS changed by `step`."""
     if name in ("x0_px", "y0_px"):
         x0, y0 = camera.principal_px
@@ -135,7 +135,7 @@ def pixel_derivatives(camera: StarCamera, u_s: Array) -> Array:
     return _camera_columns(seen, camera, 0.0, range(len(PARAMETERS))) / _units(camera)[: len(PARAMETERS)]
 
 
-def turn_derivatives(camera: StarCamera, u_s: Array) -> Array:
+def rotation_derivatives(camera: StarCamera, u_s: Array) -> Array:
     """(N, 2, 3) derivatives of the pixels of directions (N, 3) by a right-handed turn about the axes of s."""
     return _turn_columns(_imaged(_vector(camera), camera, u_s, 0.0))
 
@@ -144,7 +144,7 @@ def visible_derivatives(camera: StarCamera, xy_px: Array) -> Array:
     """(N, 2, 7) derivatives of the pixel map at points (N, 2) by PARAMETERS, less the turn of the whole
     detector that is most like them: attitude is found anew in every image, so such a part does no harm."""
     u_s = camera.directions_from_pixels(np.vstack([xy_px, detector_grid(camera)]))
-    J, A = pixel_derivatives(camera, u_s), turn_derivatives(camera, u_s)
+    J, A = pixel_derivatives(camera, u_s), rotation_derivatives(camera, u_s)
     grid = slice(len(xy_px), None)
     absorbed = np.linalg.lstsq(A[grid].reshape(-1, 3), J[grid].reshape(-1, len(PARAMETERS)), rcond=None)[0]
     return np.asarray((J - A @ absorbed)[: len(xy_px)])
@@ -177,7 +177,7 @@ def _step(
     theta: Array,
     R: Rotation,
     camera: StarCamera,
-    stars: NamedStars,
+    stars: IdentifiedStars,
     keep: NDArray[np.bool_],
     columns: list[int],
     belief: Array,

@@ -20,19 +20,19 @@ from boresight.geometry.constants import ARCSEC
 from boresight.geometry.star_camera import StarCamera
 from boresight.star_id.field_fit import fit_attitude, fit_attitude_and_lens
 from boresight.star_id.finding.star_list import StarList, find_stars
-from boresight.star_id.naming.identify import Identification, NotIdentified, identify
-from boresight.star_id.naming.plane import FieldOfView
-from boresight.star_id.naming.triangles import StarIndex, equivalent_fov
+from boresight.star_id.identification.identify import Identification, NotIdentified, identify
+from boresight.star_id.identification.tangent_plane import FieldOfView
+from boresight.star_id.identification.triangle_index import StarIndex, equivalent_fov
 from boresight.star_id.observer import Observer, star_directions
 from boresight.star_id.settings import StarSettings
-from boresight.star_id.sight import field_of_camera, fit_for_calibration, plane_coordinates
+from boresight.star_id.sight import field_of_camera, select_for_calibration, tangent_coordinates
 
 __all__ = [
     "LARGEST_FOV_RAD",
     "SMALLEST_FOV_RAD",
     "FieldSolution",
-    "middle_on_sky",
     "nominal_camera",
+    "ra_dec_roll",
     "solve_field",
     "solve_list",
     "solve_stars",
@@ -79,17 +79,17 @@ class FieldSolution:
     def ra_rad(self) -> float:
         """Right ascension of the image's centre, GCRS axes; light effects are removed if there was an
         observer."""
-        return middle_on_sky(self.camera, self.R_si)[0]
+        return ra_dec_roll(self.camera, self.R_si)[0]
 
     @property
     def dec_rad(self) -> float:
         """Declination of the image's centre."""
-        return middle_on_sky(self.camera, self.R_si)[1]
+        return ra_dec_roll(self.camera, self.R_si)[1]
 
     @property
     def roll_rad(self) -> float:
         """Position angle, east of north, of the image's up direction (towards row 0) at its centre."""
-        return middle_on_sky(self.camera, self.R_si)[2]
+        return ra_dec_roll(self.camera, self.R_si)[2]
 
     @property
     def fov_x_rad(self) -> float:
@@ -120,7 +120,7 @@ class FieldSolution:
         return float(np.sqrt((self.residual_px**2).sum(axis=1).mean()) * scale)
 
 
-def middle_on_sky(camera: StarCamera, R_si: Rotation) -> tuple[float, float, float]:
+def ra_dec_roll(camera: StarCamera, R_si: Rotation) -> tuple[float, float, float]:
     """Right ascension and declination of an image's middle, and the position angle, east of north, of its up
     direction (towards row 0) there; rad."""
     _, down, middle = (R_si.inv().as_matrix() @ camera.middle_axes()).T
@@ -164,7 +164,7 @@ def solve_list(
     found, guess = named
     rows = found.detections
     xy, cov, u_i = stars.xy_px[rows], stars.cov_px[rows], star_directions(index, found.stars, observer)
-    safe = fit_for_calibration(stars, rows, found.stars, guess, index, settings)
+    safe = select_for_calibration(stars, rows, found.stars, guess, index, settings)
     if safe.sum() < _LEAST_SAFE:
         safe[:] = True
     if camera is not None:
@@ -201,7 +201,9 @@ def _named(
 ) -> tuple[Identification, StarCamera] | NotIdentified:
     """The names, and the camera, given or guessed, that they were found with."""
     if camera is not None:
-        found = identify(plane_coordinates(camera, xy_px), field_of_camera(camera, settings), index, settings)
+        found = identify(
+            tangent_coordinates(camera, xy_px), field_of_camera(camera, settings), index, settings
+        )
         return found if isinstance(found, NotIdentified) else (found, camera)
     tried, best, count = 0, -np.inf, 0
     guesses = _guesses(fov_x_rad, settings)
@@ -209,7 +211,7 @@ def _named(
         for fov, error in guesses:
             guess = nominal_camera(size, fov)
             found = identify(
-                plane_coordinates(guess, xy_px),
+                tangent_coordinates(guess, xy_px),
                 _loose_field(guess, error, fov, settings),
                 index,
                 settings,

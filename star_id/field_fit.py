@@ -18,11 +18,11 @@ from boresight.star_id.attitude import Attitude, attitude_of_most
 from boresight.star_id.camera_fit import (
     PARAMETERS,
     CameraFit,
-    NamedStars,
+    IdentifiedStars,
     fit_camera,
-    moved,
+    perturbed,
     pixel_derivatives,
-    turn_derivatives,
+    rotation_derivatives,
 )
 
 __all__ = ["FieldFit", "fit_attitude", "fit_attitude_and_lens"]
@@ -64,7 +64,7 @@ def fit_attitude_and_lens(
     the brightest few would bend the lens their way.
     """
     one = np.zeros(len(xy_px), dtype=np.int64)
-    stars = NamedStars(xy_px, cov_px, u_i, one, np.zeros(1))
+    stars = IdentifiedStars(xy_px, cov_px, u_i, one, np.zeros(1))
     plain, R = replace(camera, p1=0.0, p2=0.0, q1=0.0), Rotation.concatenate([R_si])
     miss = xy_px - camera.pixels_from_directions(R_si.apply(u_i))
     unexplained = float(np.median((miss**2).sum(axis=1))) / 1.386  # of two axes
@@ -111,7 +111,7 @@ class _Seen:
     widening: Array  # (7,) derivatives of the field's width, rad
 
     @staticmethod
-    def of(fit: CameraFit, stars: NamedStars, cov_px: Array) -> _Seen:
+    def of(fit: CameraFit, stars: IdentifiedStars, cov_px: Array) -> _Seen:
         rows = fit.keep.nonzero()[0]
         u_s = fit.rotations[0].apply(stars.u_i[rows])
         slopes = np.array(
@@ -120,7 +120,7 @@ class _Seen:
                 for name, step in zip(PARAMETERS, np.sqrt(np.diag(fit.covariance)))
             ]
         )
-        A = turn_derivatives(fit.camera, u_s)
+        A = rotation_derivatives(fit.camera, u_s)
         J = pixel_derivatives(fit.camera, u_s) + A @ slopes[:, :3].T
         W = np.linalg.inv(cov_px[rows])
         AW = A.transpose(0, 2, 1) @ W
@@ -136,7 +136,7 @@ class _Seen:
 def _slope(camera: StarCamera, name: str, step: float) -> Array:
     """(4,) how far one of the camera's numbers turns the image's middle, about the axes of s, and widens the
     field."""
-    more, less = moved(camera, name, 0.5 * step), moved(camera, name, -0.5 * step)
+    more, less = perturbed(camera, name, 0.5 * step), perturbed(camera, name, -0.5 * step)
     turn = Rotation.from_matrix(more.middle_axes() @ less.middle_axes().T).as_rotvec()
     return np.append(turn, more.fov_x_rad - less.fov_x_rad) / step
 

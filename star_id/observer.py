@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from boresight.geometry.epoch import Epoch
 from boresight.geometry.ground_site import Air, lifted_by_air
 from boresight.geometry.starlight import apparent_star_directions
-from boresight.star_id.naming.triangles import StarIndex
+from boresight.star_id.identification.triangle_index import StarIndex
 
 __all__ = ["Observer", "star_directions"]
 

@@ -19,19 +19,18 @@ from boresight.geometry.starlight import apparent_star_directions
 from boresight.star_id.attitude import attitude_of_most
 from boresight.star_id.catalogue import hipparcos_stars
 from boresight.star_id.finding.star_list import StarList, find_stars
-from boresight.star_id.naming.identify import AttitudePrior, Identification, NotIdentified, identify
-from boresight.star_id.naming.plane import FieldOfView
-from boresight.star_id.naming.triangles import StarIndex, equivalent_fov
+from boresight.star_id.identification.identify import AttitudePrior, NotIdentified, identify
+from boresight.star_id.identification.tangent_plane import FieldOfView
+from boresight.star_id.identification.triangle_index import StarIndex, equivalent_fov
 from boresight.star_id.settings import StarSettings
 
 __all__ = [
-    "beyond_doubt",
     "field_of_camera",
-    "fit_for_calibration",
-    "plane_coordinates",
+    "has_reliable_position",
+    "select_for_calibration",
     "sight_stars",
     "smear_of_rate",
-    "without_doubt",
+    "tangent_coordinates",
 ]
 
 Array = NDArray[np.float64]
@@ -61,7 +60,7 @@ def sight_stars(
     """
     stars = find_stars(image, settings, dark)
     found = identify(
-        plane_coordinates(camera, stars.xy_px),
+        tangent_coordinates(camera, stars.xy_px),
         field_of_camera(camera, settings),
         index,
         settings,
@@ -69,7 +68,7 @@ def sight_stars(
     )
     if isinstance(found, NotIdentified):
         return NotIdentified(f"exposure {exposure_id}: {found.reason}", found.numbers)
-    safe = without_doubt(stars, found, camera, index, settings)
+    safe = select_for_calibration(stars, found.detections, found.stars, camera, index, settings)
     rows, names = found.detections[safe], found.stars[safe]
     if len(rows) < 3:
         return NotIdentified(
@@ -88,7 +87,7 @@ def sight_stars(
     )
 
 
-def plane_coordinates(camera: StarCamera, xy_px: Array) -> Array:
+def tangent_coordinates(camera: StarCamera, xy_px: Array) -> Array:
     """Tangent-plane coordinates (u_x, u_y) / u_z of image points, distortion removed well enough for
     naming."""
     return camera.tangents_from_pixels(xy_px, error_px=_NAMING_PX)
@@ -117,14 +116,7 @@ def smear_of_rate(camera: StarCamera, rate_s: Array, exposure_s: float) -> tuple
     return float(scale * rate_s[1]), float(-scale * rate_s[0])
 
 
-def without_doubt(
-    stars: StarList, found: Identification, camera: StarCamera, index: StarIndex, settings: StarSettings
-) -> NDArray[np.bool_]:
-    """Which matches may serve calibration, as a mask over `found.detections`."""
-    return fit_for_calibration(stars, found.detections, found.stars, camera, index, settings)
-
-
-def fit_for_calibration(
+def select_for_calibration(
     stars: StarList,
     detections: NDArray[np.int64],
     rows: NDArray[np.int64],
@@ -133,11 +125,11 @@ def fit_for_calibration(
     settings: StarSettings,
 ) -> NDArray[np.bool_]:
     """The same for detections named by rows of the index."""
-    safe = beyond_doubt(index, rows, camera, stars.psf.sigma_px, settings)
+    safe = has_reliable_position(index, rows, camera, stars.psf.sigma_px, settings)
     return np.asarray(safe & ~stars.blended[detections])
 
 
-def beyond_doubt(
+def has_reliable_position(
     index: StarIndex,
     rows: NDArray[np.int64],
     camera: StarCamera,

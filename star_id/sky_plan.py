@@ -22,17 +22,17 @@ from boresight.star_id.camera_fit import (
     PARAMETERS,
     detector_grid,
     pixel_derivatives,
-    turn_derivatives,
+    rotation_derivatives,
     visible_derivatives,
 )
 from boresight.star_id.field import FieldSolution
 from boresight.star_id.finding.psf import Psf
-from boresight.star_id.naming.triangles import StarIndex
+from boresight.star_id.identification.triangle_index import StarIndex
 from boresight.star_id.score import cramer_rao_px
 from boresight.star_id.settings import StarSettings
-from boresight.star_id.sight import beyond_doubt
+from boresight.star_id.sight import has_reliable_position
 
-__all__ = ["Pointing", "SkyPlan", "StarImages", "plan_pointings"]
+__all__ = ["Pointing", "SkyPlan", "StarImageModel", "plan_pointings"]
 
 Array = NDArray[np.float64]
 
@@ -41,7 +41,7 @@ _EXCHANGES = 3  # rounds in which each pointing may be exchanged for a better on
 
 
 @dataclass(frozen=True, slots=True)
-class StarImages:
+class StarImageModel:
     """What the image of a star is like in a camera, as one image of the sky shows it."""
 
     psf: Psf
@@ -52,11 +52,11 @@ class StarImages:
     faintest_dn: float  # that is found
 
     @staticmethod
-    def of(seen: FieldSolution, index: StarIndex) -> StarImages:
+    def of(seen: FieldSolution, index: StarIndex) -> StarImageModel:
         """From an identified image: brightness by the median of its named stars that are not saturated."""
         stars = seen.stars
         if stars is None:
-            raise ValueError("StarImages.of needs a field that was solved from an image")
+            raise ValueError("StarImageModel.of needs a field that was solved from an image")
         v_mag = index.stars.v_mag[seen.rows]
         flux = stars.flux_dn[seen.detections]
         whole = ~stars.saturated[seen.detections]
@@ -67,7 +67,7 @@ class StarImages:
         # flux of SNR 1 in a matched filter: noise times the root of the PSF's effective area
         one = noise * np.sqrt(4.0 * np.pi) * stars.psf.sigma_px
         sky = float(np.median(stars.background.level_dn))
-        return StarImages(
+        return StarImageModel(
             stars.psf, noise, stars.gain_e_per_dn, stars.saturation_dn - sky, zero, one * stars.threshold
         )
 
@@ -92,7 +92,7 @@ class SkyPlan:
 
 def plan_pointings(
     camera: StarCamera,
-    images: StarImages,
+    images: StarImageModel,
     index: StarIndex,
     settings: StarSettings,
     candidates: Rotation,
@@ -105,7 +105,7 @@ def plan_pointings(
     if not 1 <= frames <= len(candidates):
         raise ValueError(f"frames must be 1 to the number of candidates, {len(candidates)}, got {frames}")
     every = np.arange(len(index.u_i))
-    safe = beyond_doubt(index, every, camera, images.psf.sigma_px, settings)
+    safe = has_reliable_position(index, every, camera, images.psf.sigma_px, settings)
     told = [_told(camera, images, index, safe, R_si) for R_si in candidates]
     information, stars = np.array([one[0] for one in told]), np.array([one[1] for one in told])
     seen = visible_derivatives(camera, detector_grid(camera))
@@ -121,7 +121,7 @@ def plan_pointings(
 
 
 def _told(
-    camera: StarCamera, images: StarImages, index: StarIndex, safe: NDArray[np.bool_], R_si: Rotation
+    camera: StarCamera, images: StarImageModel, index: StarIndex, safe: NDArray[np.bool_], R_si: Rotation
 ) -> tuple[Array, int]:
     """(7, 7) Fisher information of one image about the camera, its rotation unknown; and its stars."""
     rows = index.near(R_si.inv().apply([0.0, 0.0, 1.0]), camera.field_radius_rad)
@@ -138,7 +138,7 @@ def _told(
     noise = np.full(len(flux), images.noise_dn)
     sigma = cramer_rao_px(xy, flux, noise, images.psf, images.gain_e_per_dn, full_dn=images.full_dn)
     J = (pixel_derivatives(camera, u_s) / sigma[:, None, None]).reshape(-1, len(PARAMETERS))
-    A = (turn_derivatives(camera, u_s) / sigma[:, None, None]).reshape(-1, 3)
+    A = (rotation_derivatives(camera, u_s) / sigma[:, None, None]).reshape(-1, 3)
     return J.T @ J - J.T @ A @ np.linalg.solve(A.T @ A, A.T @ J), len(flux)
 
 

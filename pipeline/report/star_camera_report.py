@@ -27,7 +27,7 @@ from boresight.star_id.camera_calibration import (
 from boresight.star_id.camera_fit import PARAMETERS
 from boresight.star_id.field import nominal_camera, solve_stars
 from boresight.star_id.finding.star_list import find_stars
-from boresight.star_id.naming.identify import NotIdentified
+from boresight.star_id.identification.identify import NotIdentified
 from boresight.star_id.settings import StarSettings
 
 __all__ = ["CameraRequest", "calibrate_from_images"]

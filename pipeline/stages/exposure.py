@@ -27,8 +27,8 @@ from boresight.pipeline.files.image_files import read_exposure
 from boresight.pipeline.files.table_files import column, fixed_list, list_values
 from boresight.pipeline.work.unit_store import read_meta
 from boresight.star_id.catalogue import hipparcos_stars
-from boresight.star_id.naming.identify import NotIdentified
-from boresight.star_id.naming.triangles import StarIndex, build_index, equivalent_fov
+from boresight.star_id.identification.identify import NotIdentified
+from boresight.star_id.identification.triangle_index import StarIndex, build_index, equivalent_fov
 from boresight.star_id.settings import StarSettings
 from boresight.star_id.sight import sight_stars
 

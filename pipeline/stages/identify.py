@@ -32,8 +32,8 @@ from boresight.pipeline.files.whole_file import write_whole
 from boresight.pipeline.work.index_cache import cached_index
 from boresight.star_id.catalogue import hipparcos_stars
 from boresight.star_id.field import LARGEST_FOV_RAD, SMALLEST_FOV_RAD, FieldSolution, solve_field
-from boresight.star_id.naming.identify import NotIdentified
-from boresight.star_id.naming.triangles import StarIndex, equivalent_fov
+from boresight.star_id.identification.identify import NotIdentified
+from boresight.star_id.identification.triangle_index import StarIndex, equivalent_fov
 from boresight.star_id.settings import StarSettings
 
 __all__ = ["Line", "Request", "identify_images", "read_camera", "read_sky_image", "sky_index"]

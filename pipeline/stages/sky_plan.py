@@ -15,11 +15,11 @@ from boresight.geometry.star_camera import StarCamera
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.whole_file import write_whole
 from boresight.pipeline.stages.identify import read_camera, read_sky_image, sky_index
-from boresight.star_id.field import middle_on_sky, solve_field
-from boresight.star_id.naming.identify import NotIdentified
-from boresight.star_id.naming.triangles import StarIndex
+from boresight.star_id.field import ra_dec_roll, solve_field
+from boresight.star_id.identification.identify import NotIdentified
+from boresight.star_id.identification.triangle_index import StarIndex
 from boresight.star_id.settings import StarSettings
-from boresight.star_id.sky_plan import SkyPlan, StarImages, plan_pointings
+from boresight.star_id.sky_plan import SkyPlan, StarImageModel, plan_pointings
 
 __all__ = ["SkyPlanRequest", "plan_sky"]
 
@@ -56,7 +56,7 @@ def plan_sky(path: Path, request: SkyPlanRequest, settings: StarSettings) -> tup
     if len(candidates) < request.frames:
         return [*lines, f"no plan: {len(candidates)} pointings to choose {request.frames} from"], False
     try:
-        images = StarImages.of(seen, index)
+        images = StarImageModel.of(seen, index)
     except ValueError as error:
         return [*lines, f"no plan: {path}: {error}"], False
     plan = plan_pointings(seen.camera, images, index, settings, candidates, request.frames)
@@ -99,7 +99,7 @@ def _away_from_the_sun(
 def _table(camera: StarCamera, plan: SkyPlan) -> pd.DataFrame:
     rows = []
     for number, (pointing, at_random) in enumerate(zip(plan.pointings, plan.random_sigma_px), start=1):
-        ra, dec, roll = np.degrees(middle_on_sky(camera, pointing.R_si))
+        ra, dec, roll = np.degrees(ra_dec_roll(camera, pointing.R_si))
         quaternion = dict(zip(("qx_si", "qy_si", "qz_si", "qw_si"), pointing.R_si.as_quat(canonical=True)))
         rows.append(
             {

@@ -19,7 +19,7 @@ import platformdirs
 from boresight.geometry.starlight import StarPlaces
 from boresight.pipeline.files.whole_file import write_whole
 from boresight.pipeline.work.unit_store import digest, program
-from boresight.star_id.naming.triangles import StarIndex, build_index
+from boresight.star_id.identification.triangle_index import StarIndex, build_index
 
 __all__ = ["cache_folder", "cached_index"]
 

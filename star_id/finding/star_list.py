@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from boresight.star_id.finding.background import Background, estimate_background
+from boresight.star_id.finding.candidates import find_candidates
 from boresight.star_id.finding.centroid import StarFits, fit_stars
 from boresight.star_id.finding.detect import Detections, detect, detection_threshold
 from boresight.star_id.finding.psf import Psf
-from boresight.star_id.finding.search import candidate_places
 from boresight.star_id.finding.star_shape import WidthFits, fit_widths, gain_of, psf_of
 from boresight.star_id.finding.windowed_centroid import windowed_centroids
 from boresight.star_id.settings import StarSettings
@@ -125,7 +125,7 @@ def _detections(
     halvings, places = 0, np.array([], np.int64)
     for _ in range(_ROUNDS):
         if halvings < (needed := 1 if psf.sigma_px <= _LARGEST_SIGMA_AT_HALF else 2):
-            halvings, places = needed, candidate_places(image, background, halvings=needed)
+            halvings, places = needed, find_candidates(image, background, halvings=needed)
         threshold = detection_threshold(image.size, psf.sigma_px, settings.false_alarms_per_frame)
         found = detect(
             image,

@@ -14,8 +14,8 @@ from boresight.geometry.epoch import Epoch
 from boresight.geometry.star_camera import StarCamera
 from boresight.star_id.camera_calibration import CameraCalibration, SkyFrame, calibrate_camera, residual_map
 from boresight.star_id.catalogue import hipparcos_stars
-from boresight.star_id.naming.identify import NotIdentified
-from boresight.star_id.naming.triangles import build_index
+from boresight.star_id.identification.identify import NotIdentified
+from boresight.star_id.identification.triangle_index import build_index
 from boresight.star_id.observer import Observer
 from boresight.star_id.settings import StarSettings
 from boresight.star_id.sip import tan_sip

@@ -11,12 +11,12 @@ from scipy.spatial.transform import Rotation
 from boresight.star_id.camera_fit import (
     DRIFT,
     PARAMETERS,
-    NamedStars,
+    IdentifiedStars,
     detector_grid,
     fit_camera,
     moved,
     pixel_derivatives,
-    turn_derivatives,
+    rotation_derivatives,
     visible_derivatives,
 )
 
@@ -35,7 +35,7 @@ def test_derivatives_are_those_of_the_camera():
         difference = (more.pixels_from_directions(u_s) - less.pixels_from_directions(u_s)) / (2.0 * h)
         given = pixel_derivatives(CAMERA, u_s)[:, :, k]
         assert np.abs(given - difference).max() < 1e-6 * np.abs(difference).max()
-    turns = turn_derivatives(CAMERA, u_s)
+    turns = rotation_derivatives(CAMERA, u_s)
     for k, axis in enumerate(np.eye(3)):
         turn = Rotation.from_rotvec(1e-6 * axis)
         forth, back = (CAMERA.pixels_from_directions(R.apply(u_s)) for R in (turn, turn.inv()))
@@ -46,7 +46,7 @@ def test_derivatives_are_those_of_the_camera():
 def test_what_is_visible_of_a_number_is_less_than_any_turn_leaves():
     xy = detector_grid(CAMERA)
     visible = visible_derivatives(CAMERA, xy).reshape(-1, 7)
-    turns = turn_derivatives(CAMERA, CAMERA.directions_from_pixels(xy)).reshape(-1, 3)
+    turns = rotation_derivatives(CAMERA, CAMERA.directions_from_pixels(xy)).reshape(-1, 3)
     assert np.abs(turns.T @ visible).max() < 1e-8 * np.abs(turns).max() * np.abs(visible).max() * len(xy)
 
 
@@ -61,7 +61,7 @@ def test_a_drift_and_a_prior_do_what_they_say():
     cameras = [replace(CAMERA, focal_m=CAMERA.focal_m * np.exp(drift_per_s * (t - t_s.mean()))) for t in t_s]
     u_s = np.vstack([camera.directions_from_pixels(xy[frame == k]) for k, camera in enumerate(cameras)])
     u_i = np.einsum("nji,nj->ni", R.as_matrix()[frame], u_s)
-    stars = NamedStars(xy, np.tile(1e-4 * np.eye(2), (200, 1, 1)), u_i, frame, t_s)
+    stars = IdentifiedStars(xy, np.tile(1e-4 * np.eye(2), (200, 1, 1)), u_i, frame, t_s)
     start = replace(CAMERA, focal_m=1.0002 * CAMERA.focal_m, q2=0.0)
     found = fit_camera(stars, start, R, (*PARAMETERS, DRIFT))
     assert abs(found.focal_drift_per_s / drift_per_s - 1.0) < 1e-6

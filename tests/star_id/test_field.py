@@ -15,7 +15,7 @@ from boresight.geometry.sightings import information_of_directions
 from boresight.geometry.star_camera import StarCamera
 from boresight.star_id.catalogue import hipparcos_stars
 from boresight.star_id.field import FieldSolution, solve_list, solve_stars
-from boresight.star_id.naming.triangles import build_index
+from boresight.star_id.identification.triangle_index import build_index
 from boresight.star_id.observer import Observer
 from boresight.star_id.settings import StarSettings
 

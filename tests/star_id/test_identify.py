@@ -16,12 +16,17 @@ from boresight.star_id.field import (
     nominal_camera,
     solve_stars,
 )
-from boresight.star_id.naming.identify import AttitudePrior, Identification, NotIdentified, identify
-from boresight.star_id.naming.plane import PlaneImage
-from boresight.star_id.naming.triangles import CLOSE_RAD, build_index, equivalent_fov, triangle_shapes
-from boresight.star_id.naming.verify import log_evidence
+from boresight.star_id.identification.identify import AttitudePrior, Identification, NotIdentified, identify
+from boresight.star_id.identification.likelihood import log_evidence
+from boresight.star_id.identification.tangent_plane import PlaneImage
+from boresight.star_id.identification.triangle_index import (
+    CLOSE_RAD,
+    build_index,
+    equivalent_fov,
+    triangle_shapes,
+)
 from boresight.star_id.settings import StarSettings
-from boresight.star_id.sight import field_of_camera, plane_coordinates
+from boresight.star_id.sight import field_of_camera, tangent_coordinates
 
 SETTINGS = StarSettings()
 SIZE = (PAPER_CAMERA.width_px, PAPER_CAMERA.height_px)
@@ -70,7 +75,7 @@ def test_a_known_camera_is_identified_among_false_stars(index, places, stars, fa
         R_si = Rotation.random(random_state=rng)
         xy, hip = detections(PAPER_CAMERA, R_si, places, rng, stars=stars, false=false)
         found = identify(
-            plane_coordinates(PAPER_CAMERA, xy), field_of_camera(PAPER_CAMERA, SETTINGS), index, SETTINGS
+            tangent_coordinates(PAPER_CAMERA, xy), field_of_camera(PAPER_CAMERA, SETTINGS), index, SETTINGS
         )
         if isinstance(found, Identification):
             named += 1
@@ -85,7 +90,7 @@ def test_stars_in_two_far_clusters_are_identified_by_wider_triangles(index, plac
     # Two of 600 attitudes: the eight brightest make no triangle between 0.06 and 0.62 fields of view.
     rng = np.random.default_rng(seed)
     xy, hip = detections(PAPER_CAMERA, Rotation.random(random_state=rng), places, rng, stars=8, false=3)
-    plane, field = plane_coordinates(PAPER_CAMERA, xy), field_of_camera(PAPER_CAMERA, SETTINGS)
+    plane, field = tangent_coordinates(PAPER_CAMERA, xy), field_of_camera(PAPER_CAMERA, SETTINGS)
     assert isinstance(identify(plane, field, index, SETTINGS, stages=((0, 0, 18),)), NotIdentified)
     found = identify(plane, field, index, SETTINGS)
     assert isinstance(found, Identification)
@@ -136,7 +141,7 @@ def test_noise_is_never_identified(index, wide_index):
     field, best = field_of_camera(PAPER_CAMERA, SETTINGS), -np.inf
     for _ in range(150):
         xy = rng.uniform([0, 0], SIZE, (int(rng.integers(4, 350)), 2))
-        answer = identify(plane_coordinates(PAPER_CAMERA, xy), field, index, SETTINGS)
+        answer = identify(tangent_coordinates(PAPER_CAMERA, xy), field, index, SETTINGS)
         assert isinstance(answer, NotIdentified)
         best = max(best, answer.numbers["best_log_odds"])
     assert best < 6.0  # 20.7 is asked for; 150 images of noise should come to ln 150 at most
@@ -149,7 +154,7 @@ def test_stars_of_one_sky_mirrored_are_not_identified(index, places):
     for _ in range(10):
         xy, _ = detections(PAPER_CAMERA, Rotation.random(random_state=rng), places, rng)
         mirrored = np.column_stack([PAPER_CAMERA.width_px - 1 - xy[:, 0], xy[:, 1]])
-        plane = plane_coordinates(PAPER_CAMERA, mirrored)
+        plane = tangent_coordinates(PAPER_CAMERA, mirrored)
         assert isinstance(
             identify(plane, field_of_camera(PAPER_CAMERA, SETTINGS), index, SETTINGS), NotIdentified
         )
@@ -164,7 +169,7 @@ def test_a_prior_attitude_is_followed_and_a_wrong_one_does_no_harm(index, places
         xy, hip = detections(PAPER_CAMERA, R_si, places, rng, false=50)
         believed = Rotation.from_rotvec(rng.normal(0, sigma_rad, 3)) * R_si
         prior = AttitudePrior(Rotation.random(random_state=rng) if wrong else believed, sigma_rad)
-        found = identify(plane_coordinates(PAPER_CAMERA, xy), field, index, SETTINGS, prior=prior)
+        found = identify(tangent_coordinates(PAPER_CAMERA, xy), field, index, SETTINGS, prior=prior)
         assert isinstance(found, Identification)
         assert share_right(index.stars.hip[found.stars], found.detections, hip) > 0.9
 
@@ -177,7 +182,7 @@ def test_faint_stars_are_named_though_bright_ones_are_better_placed(index, place
     angle = rng.uniform(0.0, 2.0 * np.pi, len(faint))
     xy[faint] += 0.7 * np.column_stack([np.cos(angle), np.sin(angle)])
     found = identify(
-        plane_coordinates(PAPER_CAMERA, xy), field_of_camera(PAPER_CAMERA, SETTINGS), index, SETTINGS
+        tangent_coordinates(PAPER_CAMERA, xy), field_of_camera(PAPER_CAMERA, SETTINGS), index, SETTINGS
     )
     assert isinstance(found, Identification)
     named = dict(zip(found.detections.tolist(), index.stars.hip[found.stars].tolist()))
@@ -196,7 +201,7 @@ def test_a_star_next_to_a_brighter_one_is_not_named(index, places):
         xy, hip = xy[hip != fainter], hip[hip != fainter]
         xy[hip == brighter] += rng.normal(0, 0.7, 2)
         found = identify(
-            plane_coordinates(PAPER_CAMERA, xy), field_of_camera(PAPER_CAMERA, SETTINGS), index, SETTINGS
+            tangent_coordinates(PAPER_CAMERA, xy), field_of_camera(PAPER_CAMERA, SETTINGS), index, SETTINGS
         )
         assert isinstance(found, Identification)
         assert fainter not in index.stars.hip[found.stars]

@@ -18,8 +18,8 @@ from boresight.geometry.epoch import Epoch
 from boresight.geometry.ground_site import GroundSite
 from boresight.star_id.catalogue import hipparcos_stars
 from boresight.star_id.field import LARGEST_FOV_RAD, SMALLEST_FOV_RAD, FieldSolution, solve_field, solve_stars
-from boresight.star_id.naming.identify import NotIdentified
-from boresight.star_id.naming.triangles import build_index
+from boresight.star_id.identification.identify import NotIdentified
+from boresight.star_id.identification.triangle_index import build_index
 from boresight.star_id.observer import Observer
 from boresight.star_id.settings import StarSettings
 

@@ -14,8 +14,8 @@ from boresight.geometry.star_camera import StarCamera
 from boresight.geometry.starlight import apparent_star_directions
 from boresight.star_id.attitude import solve_attitude
 from boresight.star_id.catalogue import hipparcos_stars
-from boresight.star_id.naming.identify import NotIdentified
-from boresight.star_id.naming.triangles import build_index, equivalent_fov
+from boresight.star_id.identification.identify import NotIdentified
+from boresight.star_id.identification.triangle_index import build_index, equivalent_fov
 from boresight.star_id.settings import StarSettings
 from boresight.star_id.sight import sight_stars
 

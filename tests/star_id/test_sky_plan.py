@@ -15,15 +15,15 @@ from boresight.star_id.camera_fit import detector_grid
 from boresight.star_id.catalogue import hipparcos_stars
 from boresight.star_id.field import solve_field, solve_stars
 from boresight.star_id.finding.psf import Psf
-from boresight.star_id.naming.triangles import build_index
+from boresight.star_id.identification.triangle_index import build_index
 from boresight.star_id.settings import StarSettings
-from boresight.star_id.sky_plan import StarImages, plan_pointings
+from boresight.star_id.sky_plan import StarImageModel, plan_pointings
 
 TRUTH = replace(PAPER_CAMERA, principal_px=(2571.3, 1893.2))
 ROUGH = replace(PAPER_CAMERA, focal_m=0.101, p1=0.0, p2=0.0, q1=0.0, q2=0.0)  # what a plan may know
 SETTINGS = StarSettings()
 # as in `listed_stars`: errors of 1.8 px over the SNR, no star saturated
-LISTED = StarImages(Psf(1.25, 1.25, (0.0, 0.0), 5120, 3840), 2.0, 1e9, np.inf, 71.0 * 10**2.8, 53.0)
+LISTED = StarImageModel(Psf(1.25, 1.25, (0.0, 0.0), 5120, 3840), 2.0, 1e9, np.inf, 71.0 * 10**2.8, 53.0)
 
 
 @pytest.fixture(scope="module")
@@ -73,7 +73,7 @@ def test_one_image_tells_how_a_camera_sees_stars(index):
     rng, sensor = np.random.default_rng(34), Sensor(e_per_dn=5.0)
     R_si = Rotation.random(random_state=rng)
     image, _ = star_frame(TRUTH, R_si, hipparcos_stars(8.0).places, sensor, rng)
-    seen = StarImages.of(solve_field(image, index, SETTINGS, camera=TRUTH), index)
+    seen = StarImageModel.of(solve_field(image, index, SETTINGS, camera=TRUTH), index)
     assert seen.psf.sigma_px == pytest.approx(sensor.sigma_px, rel=0.02)
     assert seen.noise_dn == pytest.approx(np.hypot(sensor.read_noise_dn, 12**-0.5), rel=0.03)
     assert seen.gain_e_per_dn == pytest.approx(sensor.e_per_dn, rel=0.3)  # of 40 stars' residuals
@@ -88,4 +88,4 @@ def test_what_cannot_be_planned_is_refused(index):
     stars = listed_stars(TRUTH, Rotation.random(random_state=rng), hipparcos_stars(8.0).places, rng)
     bare = solve_stars(stars.xy_px, (5120, 3840), index, SETTINGS, camera=TRUTH)
     with pytest.raises(ValueError, match="solved from an image"):
-        StarImages.of(bare, index)
+        StarImageModel.of(bare, index)

@@ -15,9 +15,9 @@ from scipy.stats import chi2, poisson
 from boresight.simulator.scenario import SkySettings
 from boresight.simulator.sky import expose
 from boresight.star_id.finding.background import estimate_background
+from boresight.star_id.finding.candidates import find_candidates
 from boresight.star_id.finding.detect import detection_threshold
 from boresight.star_id.finding.psf import Psf
-from boresight.star_id.finding.search import candidate_places
 from boresight.star_id.finding.star_list import find_stars
 from boresight.star_id.score import cramer_rao_px, score_centroids
 from boresight.star_id.settings import StarSettings
@@ -96,7 +96,7 @@ def test_the_search_misses_few_stars_of_snr_8_in_any_sky(sky):
     image, xy = grid_of_stars(rng, 8.0 * noise / (share**2).sum(), size=1000, sensor=sensor)
     image = image.astype(np.float32) if sky == "floating" else image
     halvings = 1 if sensor.sigma_px < 1.8 else 2
-    places = candidate_places(image, estimate_background(image), halvings=halvings)
+    places = find_candidates(image, estimate_background(image), halvings=halvings)
     distance = cKDTree(places + 0.5).query(xy, p=np.inf)[0]
     assert (distance < 2**halvings).mean() > 0.985  # that far `detect` looks about a place
     false = (cKDTree(xy).query(places)[0] > 6.0).sum()

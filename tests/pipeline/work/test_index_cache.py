@@ -12,7 +12,7 @@ import pytest
 from boresight.pipeline.work import index_cache
 from boresight.pipeline.work.index_cache import cache_folder, cached_index
 from boresight.star_id.catalogue import hipparcos_stars
-from boresight.star_id.naming.triangles import StarIndex, TriangleTable, build_index
+from boresight.star_id.identification.triangle_index import StarIndex, TriangleTable, build_index
 
 FOV = 0.6  # rad: a small index
 

@@ -17,12 +17,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from boresight.star_id.naming.guess import Guess, guess_at, refined, seen_with
-from boresight.star_id.naming.pairing import Match, kept, near_pairs, paired, scatter
-from boresight.star_id.naming.plane import FieldOfView, PlaneImage
-from boresight.star_id.naming.proposals import MOST_DETECTIONS, propose
-from boresight.star_id.naming.triangles import StarIndex
-from boresight.star_id.naming.verify import log_evidence
+from boresight.star_id.identification.hypothesis import Guess, guess_at, refined, seen_with
+from boresight.star_id.identification.likelihood import log_evidence
+from boresight.star_id.identification.pairing import Match, kept, near_pairs, paired, scatter
+from boresight.star_id.identification.proposals import MOST_DETECTIONS, propose
+from boresight.star_id.identification.tangent_plane import FieldOfView, PlaneImage
+from boresight.star_id.identification.triangle_index import StarIndex
 from boresight.star_id.settings import StarSettings
 
 __all__ = ["STAGES", "AttitudePrior", "Identification", "NotIdentified", "identify"]

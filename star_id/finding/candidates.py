@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from boresight.star_id.finding.background import Background, extended
 
-__all__ = ["candidate_places"]
+__all__ = ["find_candidates"]
 
 Array = NDArray[np.float64]
 
@@ -46,7 +46,7 @@ class _Stretch:
     threshold: NDArray[np.uint8]  # that sums of four must exceed: (1,), or as large as the coarse image
 
 
-def candidate_places(image: NDArray, background: Background, *, halvings: int = 1) -> NDArray[np.int64]:
+def find_candidates(image: NDArray, background: Background, *, halvings: int = 1) -> NDArray[np.int64]:
     """Full-resolution places (N, 2) near the local maxima of the image halved `halvings` times and summed
     over 2 x 2 of its pixels: a star's middle lies within 2^halvings - 1 pixels of one, or one more towards
     +x or +y.

@@ -15,8 +15,12 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from boresight.star_id.attitude import wahba
-from boresight.star_id.naming.plane import PlaneImage, directions_of_plane, plane_of_directions
-from boresight.star_id.naming.triangles import StarIndex
+from boresight.star_id.identification.tangent_plane import (
+    PlaneImage,
+    directions_of_plane,
+    plane_of_directions,
+)
+from boresight.star_id.identification.triangle_index import StarIndex
 
 __all__ = ["Guess", "guess_at", "refined", "seen_with"]
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from boresight.star_id.naming.ranges import ranges
+from boresight.star_id.identification.ranges import ranges
 
 __all__ = [
     "FieldOfView",

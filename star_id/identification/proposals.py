@@ -16,8 +16,8 @@ from math import comb
 import numpy as np
 from numpy.typing import NDArray
 
-from boresight.star_id.naming.plane import FieldOfView, PlaneImage, directions_of_plane
-from boresight.star_id.naming.triangles import (
+from boresight.star_id.identification.tangent_plane import FieldOfView, PlaneImage, directions_of_plane
+from boresight.star_id.identification.triangle_index import (
     LONGEST_SIDE,
     SHORTEST_SIDE,
     STARS_A_FIELD,

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from boresight.geometry.starlight import StarPlaces
-from boresight.star_id.naming.ranges import ranges
+from boresight.star_id.identification.ranges import ranges
 
 __all__ = ["CLOSE_RAD", "StarIndex", "TriangleTable", "build_index", "equivalent_fov", "triangle_shapes"]
 

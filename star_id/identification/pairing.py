@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from boresight.star_id.naming.guess import Guess
-from boresight.star_id.naming.plane import PlaneImage
-from boresight.star_id.naming.ranges import least_of_each
+from boresight.star_id.identification.hypothesis import Guess
+from boresight.star_id.identification.ranges import least_of_each
+from boresight.star_id.identification.tangent_plane import PlaneImage
 
 __all__ = ["Match", "Near", "Pairs", "kept", "near_pairs", "paired", "scatter"]
 
