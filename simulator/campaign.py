@@ -286,7 +286,16 @@ def _draw_exposures(
     hip = np.arange(1, n + 1, dtype=np.int64)
     ids = [f"{name}/{k:03d}" for k in range(K)]
     exposures = tuple(
-        StarSightings(ids[k], float(t[k]), hip, xy_px[k], u_s[k], u_i[k], covariance[k]) for k in range(K)
+        StarSightings(
+            exposure_id=ids[k],
+            t_s=float(t[k]),
+            hip=hip,
+            xy_px=xy_px[k],
+            u_s=u_s[k],
+            u_i=u_i[k],
+            cov_s=covariance[k],
+        )
+        for k in range(K)
     )
     return exposures, {(name, ids[k], row) for k, row in np.argwhere(wrong).tolist()}
 
@@ -323,16 +332,16 @@ def _draw_targets(
     look_c = _unit(seen)
     measured = _noisy(look_c, sigma, rng)
     ground = GroundSightings(
-        np.array([f"{prefix}/{j:03d}" for j in range(J)], dtype=str),
-        ccd,
-        np.column_stack([sample, t]),
-        t,
-        measured,
-        (known_i - recorded_i) / range_m[:, None],
-        isotropic_covariance(measured, sigma),
-        range_m,
-        motion.velocity_i(t),
-        np.tile(plan.sigma_target_m**2 * np.eye(3), (J, 1, 1)),
+        target_id=np.array([f"{prefix}/{j:03d}" for j in range(J)], dtype=str),
+        ccd=ccd,
+        xy_px=np.column_stack([sample, t]),
+        t_s=t,
+        u_c=measured,
+        u_i=(known_i - recorded_i) / range_m[:, None],
+        cov_c=isotropic_covariance(measured, sigma),
+        range_m=range_m,
+        v_rel_i=motion.velocity_i(t),
+        cov_target_i=np.tile(plan.sigma_target_m**2 * np.eye(3), (J, 1, 1)),
     )
     return ground, wrong.tolist(), look_c
 

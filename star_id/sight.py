@@ -83,7 +83,13 @@ def sight_stars(
     u_i = apparent_star_directions(index.stars.take(names), epoch, t_s, p_i, v_i)
     keep, _ = attitude_of_most(u_s, u_i, cov_s)
     return StarSightings(
-        exposure_id, t_s, index.stars.hip[names][keep], xy[keep], u_s[keep], u_i[keep], cov_s[keep]
+        exposure_id=exposure_id,
+        t_s=t_s,
+        hip=index.stars.hip[names][keep],
+        xy_px=xy[keep],
+        u_s=u_s[keep],
+        u_i=u_i[keep],
+        cov_s=cov_s[keep],
     )
 
 

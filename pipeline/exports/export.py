@@ -180,13 +180,13 @@ def _exposure(file: pq.ParquetFile, group: int) -> StarSightings | None:
     if not len(table):
         return None
     return StarSightings(
-        str(table.column("exposure_id")[0]),
-        float(table.column("t_s")[0].as_py()),
-        column(table, "hip"),
-        list_values(table, "xy_px", 2),
-        list_values(table, "u_s", 3),
-        list_values(table, "u_i", 3),
-        list_values(table, "cov_s", 3, 3),
+        exposure_id=str(table.column("exposure_id")[0]),
+        t_s=float(table.column("t_s")[0].as_py()),
+        hip=column(table, "hip"),
+        xy_px=list_values(table, "xy_px", 2),
+        u_s=list_values(table, "u_s", 3),
+        u_i=list_values(table, "u_i", 3),
+        cov_s=list_values(table, "cov_s", 3, 3),
     )
 
 

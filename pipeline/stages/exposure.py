@@ -147,13 +147,13 @@ def sightings_from_table(table: pa.Table) -> StarSightings | Omission:
     if meta["outcome"] == "omitted":
         return Omission("exposure", meta["id"], meta["file"], meta["reason"])
     return StarSightings(
-        meta["id"],
-        meta["t_s"],
-        column(table, "hip"),
-        list_values(table, "xy_px", 2),
-        list_values(table, "u_s", 3),
-        list_values(table, "u_i", 3),
-        list_values(table, "cov_s", 3, 3),
+        exposure_id=meta["id"],
+        t_s=meta["t_s"],
+        hip=column(table, "hip"),
+        xy_px=list_values(table, "xy_px", 2),
+        u_s=list_values(table, "u_s", 3),
+        u_i=list_values(table, "u_i", 3),
+        cov_s=list_values(table, "cov_s", 3, 3),
     )
 
 

@@ -131,7 +131,9 @@ def _write_units(folder: Path) -> None:
     u = rng.normal(size=(9, 3))
     u /= np.linalg.norm(u, axis=1, keepdims=True)
     hip, cov = np.arange(9) + 1, np.tile(1e-10 * np.eye(3), (9, 1, 1))
-    stars = StarSightings("e1", 1.0, hip, rng.uniform(0, 99, (9, 2)), u, u, cov)
+    stars = StarSightings(
+        exposure_id="e1", t_s=1.0, hip=hip, xy_px=rng.uniform(0, 99, (9, 2)), u_s=u, u_i=u, cov_s=cov
+    )
     task: Any = SimpleNamespace(exposure=SimpleNamespace(exposure_id="e1", t_s=1.0))
     store.write("exposures", "e1", "0" * 32, *stars_table(task, stars))
     none, pairs = np.zeros(0), np.zeros((0, 2))

@@ -122,7 +122,15 @@ def test_detections_of_the_star_image_are_told_apart():
 def sighted_at(xy_px):
     n = len(xy_px)
     u = np.tile([0.0, 0.0, 1.0], (n, 1))
-    return StarSightings("E1", 0.0, 101 + np.arange(n), xy_px, u, u, isotropic_covariance(u, 1e-6))
+    return StarSightings(
+        exposure_id="E1",
+        t_s=0.0,
+        hip=101 + np.arange(n),
+        xy_px=xy_px,
+        u_s=u,
+        u_i=u,
+        cov_s=isotropic_covariance(u, 1e-6),
+    )
 
 
 @pytest.mark.parametrize("side", [3000, 5000])
