@@ -1,6 +1,6 @@
 """The strip form as a block matrix: `python scripts/figures/strip_form.py`.
 
-Rows are residuals of targets (two each), columns the unknowns; a cell is drawn where a residual depends on one.
+Rows are residuals of targets (two each), columns the unknowns; a filled cell is a dependence.
 """
 
 from __future__ import annotations
