@@ -1,4 +1,4 @@
-"""A crop of one exposure on its way from raw pixels to identified stars: `python scripts/figures/star_path.py`."""
+"""A crop of an exposure from raw pixels to identified stars: `python scripts/figures/star_path.py`."""
 
 from __future__ import annotations
 
