@@ -1,21 +1,5 @@
-"""The command `boresight`, also as `python -m boresight`."""
+"""`python -m boresight`: the command line."""
 
-import sys
+from boresight.pipeline.cli import main
 
-__all__ = ["main"]
-
-
-def main() -> None:
-    """Run the command line; `--version` alone is answered without importing it."""
-    if sys.argv[1:] == ["--version"]:
-        from boresight.version import version_text
-
-        print(version_text())
-        return
-    from boresight.pipeline.cli import main as command_line
-
-    command_line()
-
-
-if __name__ == "__main__":
-    main()
+main()

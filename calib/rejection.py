@@ -1,4 +1,4 @@
-"""Observations that take no part in an estimate, each with the cause and the numbers of its test."""
+"""What a calibration left out, one line a thing, with the reason."""
 
 from __future__ import annotations
 
@@ -6,73 +6,57 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from boresight.calib.estimate import Rejected, TargetResiduals, WhyRejected
+from boresight.calib.estimate import Rejected, TargetResiduals
 from boresight.calib.strips import PreparedStrip
 from boresight.geometry.sightings import StripSightings
 
-__all__ = ["rejected_observations"]
+__all__ = ["left_out"]
 
 
-def rejected_observations(
+def left_out(
     strips: Sequence[StripSightings],
     prepared: Sequence[PreparedStrip],
-    limit: float,
     residuals: TargetResiduals | None = None,
 ) -> tuple[Rejected, ...]:
-    """Rejected stars, exposures, targets and strips, strip by strip.
-
-    `limit` is that of the tests of stars and targets; without `residuals` no target has been tested.
-    """
+    """Stars, exposures, targets and strips that do not take part, strip by strip."""
     out: list[Rejected] = []
     for strip, ready in zip(strips, prepared):
-        out += _stars_and_exposures(strip, ready, limit)
-        out += _targets(ready, limit, residuals)
+        out += _stars_and_exposures(strip, ready)
+        out += _targets(ready, residuals)
     return tuple(out)
 
 
-def _stars_and_exposures(strip: StripSightings, ready: PreparedStrip, limit: float) -> Iterator[Rejected]:
-    first = 0
+def _stars_and_exposures(strip: StripSightings, ready: PreparedStrip) -> Iterator[Rejected]:
+    at = 0
     for k, exposure in enumerate(strip.exposures):
-        rows = slice(first, first := first + len(exposure.hip))
-        kept, statistic = ready.attitudes.kept[rows], ready.attitudes.normalised[rows]
-        n_good, n_all = int(kept.sum()), len(kept)
+        n = len(exposure.hip)
+        rows = slice(at, at + n)
+        kept, normalised = ready.attitudes.kept[rows], ready.attitudes.normalised[rows]
+        at += n
+        where = (strip.strip_id, exposure.exposure_id)
         if not ready.used[k]:
-            yield Rejected(
-                strip_id=strip.strip_id,
-                exposure_id=exposure.exposure_id,
-                kind="exposure",
-                name=exposure.exposure_id,
-                why=WhyRejected.ATTITUDE_NOT_FIXED,
-                n_good=n_good,
-                n_all=n_all,
-            )
+            reason = f"{int(kept.sum())} good stars of {n} do not fix the attitude"
+            yield Rejected(*where, "exposure", exposure.exposure_id, reason, float("nan"))
             continue
         for star in np.flatnonzero(~kept):
-            yield Rejected(
-                strip_id=strip.strip_id,
-                exposure_id=exposure.exposure_id,
-                kind="star",
-                name=str(exposure.hip[star]),
-                why=WhyRejected.STAR_RESIDUAL,
-                statistic=float(statistic[star]),
-                limit=limit,
-                n_good=n_good,
-                n_all=n_all,
-            )
+            size = np.sqrt(normalised[star])
+            reason = f"{size:.1f} sigma from the attitude of the other {int(kept.sum())} stars"
+            yield Rejected(*where, "star", str(exposure.hip[star]), reason, float(normalised[star]))
 
 
-def _targets(ready: PreparedStrip, limit: float, residuals: TargetResiduals | None) -> Iterator[Rejected]:
-    name = ready.strip_id
+def _targets(ready: PreparedStrip, residuals: TargetResiduals | None) -> Iterator[Rejected]:
+    where = (ready.strip_id, "")
     if not ready.inside.any():
-        why, n = WhyRejected.NO_TARGET_COVERED, int(ready.used.sum())
-        yield Rejected(strip_id=name, kind="strip", name=name, why=why, n_good=n, n_all=len(ready.inside))
+        reason = f"{int(ready.used.sum())} usable exposures cover none of {len(ready.inside)} targets"
+        yield Rejected(*where, "strip", ready.strip_id, reason, float("nan"))
         return
-    for target in ready.target_id[~ready.inside]:
-        yield Rejected(strip_id=name, kind="target", name=str(target), why=WhyRejected.NOT_COVERED)
+    for name in ready.target_id[~ready.inside]:
+        reason = "its instant lies more than half a step outside the usable exposures"
+        yield Rejected(*where, "target", str(name), reason, float("nan"))
     if residuals is None:
         return
-    own = np.flatnonzero(residuals.strip_id == name)
-    for j in own[ready.inside & ~residuals.kept[own]]:
-        target, size = str(residuals.target_id[j]), float(residuals.statistic[j])
-        why = WhyRejected.TARGET_RESIDUAL
-        yield Rejected(strip_id=name, kind="target", name=target, why=why, statistic=size, limit=limit)
+    mine = np.flatnonzero(residuals.strip_id == ready.strip_id)
+    for j in mine[ready.inside & ~residuals.kept[mine]]:
+        size = np.sqrt(residuals.normalised[j])
+        reason = f"{size:.1f} sigma from where the other targets put it"
+        yield Rejected(*where, "target", str(residuals.target_id[j]), reason, float(residuals.normalised[j]))

@@ -1,37 +1,37 @@
-"""What can be wrong with a file, and how it is told: which file, which field, what was found, what was
-expected.
-"""
+"""Errors that a user can act on, and the record of what a calibration does not use."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-__all__ = ["DataNotSufficientError", "Omission", "RawDataError", "WorkerError"]
+__all__ = ["DataNotSufficientError", "Omission", "RawDataError", "WorkerError", "printable"]
 
 
 class RawDataError(Exception):
-    """A file is missing, damaged or says something that cannot be. Four facts, always all four.
+    """A file is missing, damaged or out of range.
 
     `file` is the path as the user knows it (relative to the dump where there is one), `field` the key,
-    column, row or byte offset concerned, `found` what stands there, `expected` what would have been right.
+    column, row or byte offset concerned, `found` its content, `expected` what is allowed. Characters that are
+    not printable are escaped in all of them.
     """
 
     def __init__(self, file: str, field: str, found: object, expected: str) -> None:
         super().__init__(file, field, found, expected)
-        self.file, self.field, self.found, self.expected = file, field, _short(found), expected
+        self.file, self.field = printable(file), _short(field)
+        self.found, self.expected = _short(found), printable(expected)
 
     def __str__(self) -> str:
         return f"{self.file}: {self.field}: found {self.found}, expected {self.expected}"
 
 
 class DataNotSufficientError(Exception):
-    """Everything could be read, and still there is no answer in it (exit status 1). The message says what
-    lacks.
+    """All files could be read, but their data do not fix the result (exit status 1). The message says what is
+    missing.
     """
 
 
 class WorkerError(Exception):
-    """A unit could not be done: its process died again and again, or no worker can be reached."""
+    """A unit could not be computed: its process died repeatedly, or no worker can compute it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,11 +48,16 @@ class Omission:
     reason: str
 
 
+def printable(text: str) -> str:
+    """`text` as one line: control, escape and direction characters are written as escapes (`\\x1b`)."""
+    return text if text.isprintable() else "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
+
+
 def _short(found: object) -> str:
-    """What was found, as one printable line of bounded length: a hostile file must not flood a terminal."""
+    """`found` as one printable line of at most 160 characters: a hostile file must not flood a terminal."""
     try:
         text = found if isinstance(found, str) else repr(found)
     except (ValueError, RecursionError):  # an integer of thousands of digits
         text = f"a {type(found).__name__} too long to be shown"
-    text = "".join(c if c.isprintable() else repr(c)[1:-1] for c in text[:200])
+    text = printable(text[:200])
     return text if len(text) <= 160 else text[:157] + "..."

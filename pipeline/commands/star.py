@@ -197,15 +197,7 @@ def star_camera_calibrate(
 
     if camera is not None and fov is not None:
         raise _wrong_usage("--camera and --fov exclude one another")
-    request = CameraRequest(
-        camera_file=camera,
-        fov_deg=fov,
-        known=Whereabouts(times, orbit, site),
-        drift=drift,
-        out=out,
-        report=report,
-        plot=plot,
-    )
+    request = CameraRequest(camera, fov, Whereabouts(times, orbit, site), drift, out, report, plot)
     with progress_bars() as told:
         lines, done = calibrate_from_images(sources, request, read_settings(settings).stars, told)
     for line in lines:

@@ -1,1 +1,1 @@
-"""Simulations of the paper's section 3, with its printed values beside ours, as tables and figures."""
+"""The simulations of the paper, run from scratch, as tables and as figures."""

@@ -12,7 +12,7 @@ __all__ = ["points_geojson"]
 
 
 def points_geojson(parts: Sequence[GroundPoints]) -> str:
-    """GeoJSON text: one feature collection of the targets of all `parts`."""
+    """One feature collection of the targets of any number of strips and CCDs."""
     features = [
         {
             "type": "Feature",

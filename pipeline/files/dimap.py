@@ -1,32 +1,26 @@
-"""The metadata of a Pleiades primary product (DIMAP V1 of the ground segment): ephemeris, attitude, look
-angles, times.
+"""Read the metadata of a Pleiades primary product (DIMAP V1): ephemeris, attitude, look angles and times.
 
-The file is XML from outside: it is parsed without DTD, entities or references, and every number is checked.
-What comes out is a rigorous model of the strip in the operator's own convention, checked against the
-operator's location grid:
+The XML is parsed without DTD, entities or references, and every number is checked. The result is a rigorous
+model of the strip in the operator's convention, verified against the operator's location grid:
 
-* line 0 is taken at START, and the look angles are polynomials of the column counted from the first one; *
-the look vector of angles psi is `[psi_y, -psi_x, 1]`, without tangents, turned into ITRS axes by the
-quaternion Q0 (scalar)
-  ... Q3, polynomials in (UTC second of the day - OFFSET) / SCALE;
-* positions are ITRS, interpolated through all points from positions alone; the velocities listed beside them
-are
-  relative to inertial axes, so the Earth's rotation is taken out of them here;
-* the operator left out aberration and light time, so `LightEffects` with all effects off reproduces the
-operator's places.
+* line 0 is taken at START, and the look angles are polynomials of the column counted from the first one;
+* the look vector of angles psi is `[psi_y, -psi_x, 1]`, without tangents, rotated into ITRS axes by the
+  quaternion Q0 (scalar) ... Q3, polynomials in (UTC second of the day - OFFSET) / SCALE;
+* positions are ITRS, interpolated through all points from positions alone; the velocities of the file are
+  relative to inertial axes, so the Earth's rotation is subtracted here;
+* the operator's model has no aberration and no light time, so `LightEffects` with all effects off reproduces
+  the operator's ground coordinates.
 """
 
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
 from pathlib import Path
 from xml.etree.ElementTree import Element, ParseError
 
 import defusedxml.ElementTree
 import numpy as np
 from defusedxml.common import DefusedXmlException
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from boresight.geometry.attitude import EarthFixedAttitude
@@ -38,36 +32,35 @@ from boresight.geometry.groundlight import LightEffects
 from boresight.geometry.line_camera import LookAngleCamera
 from boresight.geometry.orbit import Orbit
 from boresight.geometry.pushbroom import Pushbroom, RowClock
+from boresight.geometry.record import Floats, record, scalar
 from boresight.pipeline.errors import RawDataError
-from boresight.pipeline.files.text_files import read_text
+from boresight.pipeline.files.text_files import NUMBER, read_text
 
 __all__ = ["DimapStrip", "read_dimap"]
-
-Array = NDArray[np.float64]
 
 _MODEL = "Geometric_Data/Sensor_Model_Characteristics"
 _EPHEMERIS = f"{_MODEL}/Sensor_Ephemeris/Point_List/Point"
 _ATTITUDE = f"{_MODEL}/Sensor_Attitudes"
 _VIEWING = f"{_MODEL}/Sensor_Viewing_Model"
-_MAX_ITEMS = 10_000  # ephemeris points, polynomial coefficients: more is no such product
+_MAX_ITEMS = 10_000  # points of the ephemeris
 _MAX_PIXELS = 10_000_000  # rows or columns
 _LOOK_SAMPLES = 201  # a cubic spline through them holds a polynomial of degree 5 to 1e-13 rad
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record
 class DimapStrip:
     """One panchromatic strip as its operator describes it; frames s and c are the same."""
 
-    pushbroom: Pushbroom
-    width_px: int
-    height_px: int  # lines
-    dataset: str
+    pushbroom: Pushbroom = scalar("model of the strip: pixel and row to ground")
+    width_px: int = scalar("columns")
+    height_px: int = scalar("lines")
+    dataset: str = scalar("name of the data set, at most 128 characters")
 
 
 def read_dimap(
     path: Path, eop: EarthOrientationTable, effects: LightEffects, *, allow_stale_eop: bool = False
 ) -> DimapStrip:
-    """Read a Pleiades DIMAP file. `RawDataError` for anything that is missing, damaged or out of range."""
+    """The strip of a Pleiades DIMAP file; `RawDataError` for anything missing, damaged or out of range."""
     file = path.name
     root = _parsed(read_text(path, file), file)
     if root.tag != "PHR_Dimap_Document":
@@ -105,14 +98,14 @@ def read_dimap(
             R_cs=Rotation.identity(),
             effects=effects,
         )
-    except ValueError as error:  # dates without Earth orientation, states that are no orbit
-        raise RawDataError(file, _MODEL, str(error), "a strip that a satellite can have taken") from error
+    except ValueError as error:  # dates without Earth orientation, states that cannot be interpolated
+        raise RawDataError(file, _MODEL, str(error), "a strip that a satellite can take") from error
     return DimapStrip(
         pushbroom, width, height, _text(root, "Dataset_Identification/DATASET_NAME", file)[:128]
     )
 
 
-def _ephemeris(root: Element, epoch: Epoch, file: str) -> tuple[Array, Array, Array]:
+def _ephemeris(root: Element, epoch: Epoch, file: str) -> tuple[Floats, Floats, Floats]:
     points = root.findall(_EPHEMERIS)
     if not 2 <= len(points) <= _MAX_ITEMS:
         raise RawDataError(file, _EPHEMERIS, f"{len(points)} points", f"2 to {_MAX_ITEMS} points")
@@ -159,7 +152,7 @@ def _camera(root: Element, width: int, file: str) -> LookAngleCamera:
     if last - first + 1 != width:
         raise RawDataError(file, f"{_VIEWING}/Position_In_Retina", f"{first} ... {last}", f"{width} columns")
     psi_x, psi_y = (_polynomial(root, f"{_VIEWING}/Viewing_Directions/Psi{a}_Model", file) for a in "XY")
-    samples: Array = np.linspace(0.0, max(width - 1.0, 1.0), _LOOK_SAMPLES, dtype=np.float64)
+    samples: Floats = np.linspace(0.0, max(width - 1.0, 1.0), _LOOK_SAMPLES, dtype=np.float64)
     powers = samples[:, None] ** np.arange(21)
     tan_x, tan_y = powers[:, : len(psi_y)] @ psi_y, -powers[:, : len(psi_x)] @ psi_x
     try:
@@ -202,13 +195,9 @@ def _numbers(root: Element, where: str, file: str, number: int) -> list[float]:
     expected = f"{number} finite number{'s' if number > 1 else ''}"
     if len(words) != number:
         raise RawDataError(file, where, f"{len(words)} words", expected)
-    try:
-        values = [float(word) for word in words]
-    except ValueError as error:
-        raise RawDataError(file, where, str(error), expected) from error
-    if not np.all(np.isfinite(values)):
-        raise RawDataError(file, where, values, expected)
-    return values
+    if wrong := [word for word in words if not re.fullmatch(NUMBER, word) or not np.isfinite(float(word))]:
+        raise RawDataError(file, where, wrong[0], expected)
+    return [float(word) for word in words]
 
 
 def _whole(root: Element, where: str, file: str, largest: int) -> int:

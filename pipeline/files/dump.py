@@ -1,8 +1,7 @@
-"""A dump opened: every text file read and checked, cameras, orbit, Earth and terrain ready to be used.
+"""Open a dump: read and check every text file; build cameras, orbit, Earth rotation and terrain.
 
-Images are not decoded here; what their headers reveal to be unusable is on the list of omissions. Nothing
-under `truth/` is opened. The record is made of arrays and paths, so that a worker process can be handed parts
-of it.
+Images are not decoded here; one whose header cannot be used becomes an `Omission`. Nothing under `truth/` is
+opened. The records hold arrays and paths, so that parts of them can be sent to worker processes.
 """
 
 from __future__ import annotations
@@ -14,7 +13,6 @@ from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
@@ -27,6 +25,7 @@ from boresight.geometry.geodesy import ecef_from_geodetic
 from boresight.geometry.geoid import egm96
 from boresight.geometry.line_camera import Ccd, LineCamera
 from boresight.geometry.orbit import Orbit
+from boresight.geometry.record import Floats, array, record, scalar
 from boresight.geometry.star_camera import StarCamera
 from boresight.geometry.terrain import Surface, TerrainGrid
 from boresight.pipeline.errors import Omission, RawDataError
@@ -49,56 +48,55 @@ __all__ = [
     "surface_of",
 ]
 
-Array = NDArray[np.float64]
 MAX_TERRAIN_PIXELS = 8192 * 8192
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class Exposure:
-    """One line of exposures.csv. `file` is the path as the dump names it."""
+    """One line of exposures.csv."""
 
-    exposure_id: str
-    file: str
-    path: Path
-    t_s: float  # middle of the exposure
-    exposure_s: float
+    exposure_id: str = scalar("id of the table")
+    file: str = scalar("path as the table gives it")
+    path: Path = scalar("path of the image")
+    t_s: float = scalar("middle of the exposure, TAI seconds since the dump's epoch")
+    exposure_s: float = scalar("exposure time, s")
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class Strip:
-    """One strip of strips.csv with the CCDs whose files have a good header."""
+    """One strip of strips.csv, with the CCDs whose files have a valid header."""
 
-    strip_id: str
-    images: StripFiles
-    t_first_row_s: float  # as labelled (see the camera's time_of_row)
-    row_period_s: float
-    lines: int
+    strip_id: str = scalar("id of the table")
+    images: StripFiles = scalar("image files by CCD")
+    t_first_row_s: float = scalar(
+        "label of row 0, TAI seconds since the epoch (see the camera's `time_of_row`)"
+    )
+    row_period_s: float = scalar("s")
+    lines: int = scalar("number of rows")
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class ChipFile:
-    """Where the chip of a target lies."""
+    """Image file of a target's chip."""
 
-    target_id: str
-    file: str
-    path: Path
+    target_id: str = scalar("id of the target")
+    file: str = scalar("path as targets.csv gives it")
+    path: Path = scalar("path of the image")
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record
 class TargetHeights:
-    """The surface of a dump without terrain model: each point has the ellipsoidal height of the nearest
-    target.
-    """
+    """The surface of a dump without terrain model: a point has the height of the nearest target."""
 
-    directions: Array  # (N, 3) of the targets from the centre of a sphere, unit vectors
-    heights_m: Array  # (N,)
+    directions: Floats = array("N, 3", "unit vectors to the targets from the centre of a sphere")
+    heights_m: Floats = array("N", "ellipsoidal heights of the targets, m")
     _tree: cKDTree = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "_tree", cKDTree(self.directions))
 
-    def height_m(self, lat_rad: Array, lon_rad: Array) -> Array:
-        """Ellipsoidal height (m) of points (...), latitude and longitude in radians; NaN for NaN."""
+    def height_m(self, lat_rad: Floats, lon_rad: Floats) -> Floats:
+        """Ellipsoidal heights (m) at points (...), latitude and longitude in radians; NaN for NaN."""
         lat, lon = np.broadcast_arrays(np.asarray(lat_rad, dtype=float), np.asarray(lon_rad, dtype=float))
         points = _on_unit_sphere(lat.ravel(), lon.ravel())
         good = np.isfinite(points).all(axis=1)
@@ -108,51 +106,67 @@ class TargetHeights:
         return heights.reshape(lat.shape)
 
     def height_range_m(self) -> tuple[float, float]:
-        """Lowest and highest target."""
+        """Heights (m) of the lowest and the highest target."""
         return float(self.heights_m.min()), float(self.heights_m.max())
 
 
 @dataclass(frozen=True, slots=True)
 class TerrainFile:
-    """A terrain model that is read where it is needed."""
+    """A terrain model that is read where it is needed. Equal files are read once (`surface_of`)."""
 
     file: str
     path: Path
     height_kind: str
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record(kw_only=True)
 class Dump:
-    """Everything that `calibrate` knows, in SI units and `t_s` = TAI seconds since `epoch`."""
+    """All inputs of `calibrate`. Units are SI, times are TAI seconds since `epoch`."""
 
-    root: Path
-    mission: str
-    epoch: Epoch
-    star_camera: StarCamera
-    star_bit_depth: int
-    line_camera: LineCamera
-    remote_bit_depth: int
-    R_cs0: Rotation  # as measured on the ground
-    sigma_installation_rad: Array  # (3,) 1-sigma of the turn about the axes of c by which R_cs0 may be wrong
-    errors: schema.Errors
-    orbit: Orbit
-    exposures: tuple[Exposure, ...]  # in order of time
-    strips: tuple[Strip, ...]  # in order of time
-    targets: tuple[Target, ...]  # in the file's order
-    chips: tuple[ChipFile, ...]  # of the same targets
-    terrain: TerrainFile | TargetHeights
-    omissions: tuple[Omission, ...]
+    root: Path = scalar("folder of the dump")
+    mission: str = scalar("name of the mission")
+    epoch: Epoch = scalar("zero of all times")
+    star_camera: StarCamera = scalar("camera of frame s")
+    star_bit_depth: int = scalar("bits of a count of the exposures")
+    line_camera: LineCamera = scalar("camera of frame c")
+    remote_bit_depth: int = scalar("bits of a count of the strips")
+    R_cs0: Rotation = scalar("installation rotation measured before launch, frame s to frame c")
+    sigma_installation_rad: Floats = array("3", "1-sigma error of `R_cs0`: rotation about the axes of c")
+    errors: schema.Errors = scalar("errors of the mission's data as it states them")
+    orbit: Orbit = scalar("trajectory of the satellite")
+    exposures: tuple[Exposure, ...] = scalar("in order of time")
+    strips: tuple[Strip, ...] = scalar("in order of time")
+    targets: tuple[Target, ...] = scalar("in the order of targets.csv")
+    chips: tuple[ChipFile, ...] = scalar("of the same targets")
+    terrain: TerrainFile | TargetHeights = scalar("the surface of the Earth")
+    omissions: tuple[Omission, ...] = scalar("images that are not used, with the reasons")
 
     @property
     def pixels(self) -> int:
-        """Pixels of all images."""
+        """Number of pixels of all images."""
         star = self.star_camera.width_px * self.star_camera.height_px * len(self.exposures)
         return star + sum(a * b for strip in self.strips for a, b in strip.images.shapes.values())
 
 
 def open_dump(root: Path, *, allow_stale_eop: bool = False) -> Dump:
-    """Read a dump (docs/dump-format.md). `RawDataError` for anything wrong that is not one image's own
-    matter.
+    """Read a dump and check it.
+
+    Parameters
+    ----------
+    root : Path
+        Folder with a dump.toml (docs/dump-format.md).
+    allow_stale_eop : bool
+        Accept dates after the end of the Earth-orientation table, with a warning.
+
+    Returns
+    -------
+    Dump
+        Images whose header is not usable are in `Dump.omissions`.
+
+    Raises
+    ------
+    RawDataError
+        A file is missing or invalid; the error names file, field, found and expected.
     """
     if not root.is_dir():
         raise RawDataError(str(root), "dump", "no such folder", "a folder with a dump.toml")
@@ -195,12 +209,12 @@ def open_dump(root: Path, *, allow_stale_eop: bool = False) -> Dump:
 
 @lru_cache(maxsize=1)
 def bundled_table() -> EarthOrientationTable:
-    """The bundled Earth orientation, parsed once in each process."""
+    """The Earth-orientation table of the installed package, parsed once in each process."""
     return bundled_earth_orientation()
 
 
 def star_camera_of(file: schema.StarCameraFile, name: str) -> StarCamera:
-    """The camera that a star_camera.toml describes; `RawDataError` for a lens that cannot be."""
+    """The camera of a star_camera.toml; `RawDataError` if its distortion cannot be inverted."""
     x0, y0 = file.principal_point_px
     d = file.distortion
     camera = StarCamera(
@@ -217,7 +231,7 @@ def star_camera_of(file: schema.StarCameraFile, name: str) -> StarCamera:
     right, low = file.width_px - 0.5, file.height_px - 0.5
     corners = np.array([[-0.5, -0.5], [right, -0.5], [-0.5, low], [right, low]])
     if not np.isfinite(camera.directions_from_pixels(corners)).all():
-        found = "a distortion that folds the image within the detector"
+        found = "a distortion that is not invertible within the detector"
         raise RawDataError(name, "distortion", found, "p1, p2 in 1/mm, q1 in 1/mm^2, q2 in 1/mm^4")
     return camera
 
@@ -239,7 +253,7 @@ def _line_camera(file: schema.RemoteCameraFile, name: str) -> LineCamera:
                 )
             )
         except ValueError as error:
-            raise RawDataError(name, f"ccds.{n}", str(error), "a detector that can be") from error
+            raise RawDataError(name, f"ccds.{n}", str(error), "a possible detector") from error
     return LineCamera(file.focal_length_m, tuple(ccds), file.tdi_stages, file.time_of_row)
 
 
@@ -251,7 +265,10 @@ def orbit_of(
     *,
     allow_stale_eop: bool,
 ) -> Orbit:
-    """The orbit that an ephemeris describes; `RawDataError` for times and states that cannot be."""
+    """The orbit through the states of an ephemeris.
+
+    `RawDataError` for dates without Earth orientation and states that cannot be interpolated.
+    """
     t = ephemeris.t_s
     try:
         earth = EarthRotation.over(
@@ -263,21 +280,21 @@ def orbit_of(
         raise RawDataError(file, "time of the states", found, expected) from error
     try:
         return Orbit(
-            ephemeris.epoch,
-            t,
-            ephemeris.positions_m,
-            ephemeris.velocities_m_s,
-            ephemeris.frame,
-            ephemeris.interpolation_degree,
-            earth,
-            sigma_position_m,
-            ephemeris.method,
+            epoch=ephemeris.epoch,
+            t_s=t,
+            positions_m=ephemeris.positions_m,
+            velocities_m_s=ephemeris.velocities_m_s,
+            frame=ephemeris.frame,
+            degree=ephemeris.interpolation_degree,
+            earth=earth,
+            sigma_position_m=sigma_position_m,
+            method=ephemeris.method,
         )
     except ValueError as error:
         raise RawDataError(file, "states", str(error), "an orbit that can be interpolated") from error
 
 
-def _seconds(epoch: Epoch, utc: Sequence[str], file: str, field: str) -> Array:
+def _seconds(epoch: Epoch, utc: Sequence[str], file: str, field: str) -> Floats:
     try:
         return epoch.seconds_from_utc(utc)
     except ValueError as error:
@@ -366,8 +383,8 @@ def _target_rows(path: Path, file: str) -> list[schema.TargetRow]:
     return rows
 
 
-def _targets(rows: Sequence[schema.TargetRow]) -> tuple[tuple[Target, ...], Array]:
-    """The targets in ITRS, and their ellipsoidal heights (m)."""
+def _targets(rows: Sequence[schema.TargetRow]) -> tuple[tuple[Target, ...], Floats]:
+    """The targets with ITRS positions, and their ellipsoidal heights (m)."""
     lat = np.radians([row.lat_deg for row in rows])
     lon = np.radians([row.lon_deg for row in rows])
     height = np.array([row.height_m for row in rows], dtype=float)
@@ -389,19 +406,19 @@ def _chips(root: Path, rows: Sequence[schema.TargetRow], file: str) -> tuple[Chi
 
 
 def _terrain(
-    path: Path | None, head: schema.DumpFile, rows: Sequence[schema.TargetRow], heights: Array
+    path: Path | None, head: schema.DumpFile, rows: Sequence[schema.TargetRow], heights: Floats
 ) -> TerrainFile | TargetHeights:
     if path is None or head.terrain is None:
         lat = np.radians([row.lat_deg for row in rows])
         lon = np.radians([row.lon_deg for row in rows])
         return TargetHeights(_on_unit_sphere(lat, lon), heights)
     terrain = TerrainFile(str(head.files.terrain), path, head.terrain.height_kind)
-    surface_of(terrain)  # what is wrong with it shall be known before hours of work
+    surface_of(terrain)  # an invalid file is reported before hours of work
     return terrain
 
 
 def surface_of(terrain: TerrainFile | TargetHeights) -> Surface:
-    """The ground. A file is read once in each process."""
+    """The surface of the Earth. A terrain file is read once in each process."""
     return terrain if isinstance(terrain, TargetHeights) else _read_terrain(terrain)
 
 
@@ -415,7 +432,7 @@ def _read_terrain(terrain: TerrainFile) -> TerrainGrid:
         raise RawDataError(terrain.file, "heights", str(error), "a grid of heights") from error
 
 
-def _on_unit_sphere(lat_rad: Array, lon_rad: Array) -> Array:
+def _on_unit_sphere(lat_rad: Floats, lon_rad: Floats) -> Floats:
     return np.column_stack(
         [np.cos(lat_rad) * np.cos(lon_rad), np.cos(lat_rad) * np.sin(lon_rad), np.sin(lat_rad)]
     )

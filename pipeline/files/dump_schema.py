@@ -1,14 +1,15 @@
-"""The shape of every text file of a dump: keys, types, ranges (docs/dump-format.md says the same in prose).
+"""The text files of a dump: keys, types and ranges (docs/dump-format.md gives them with examples).
 
-Units are those of the files, and stand in the names. Unknown keys are refused; numbers must be finite.
+Units are those of the files and part of the names. Unknown keys are refused, numbers must be finite. The
+ranges are wider than any instrument's; they exclude what can only be a wrong unit or a damaged file.
 """
 
 from __future__ import annotations
 
 from itertools import pairwise
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, StringConstraints, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, StringConstraints, model_validator
 
 __all__ = [
     "CcdFile",
@@ -21,13 +22,29 @@ __all__ = [
     "TargetRow",
 ]
 
+
+def _one_line(text: str) -> str:
+    if not text.isprintable():
+        raise ValueError("text must be one line without control characters")
+    return text
+
+
+def within(low: float, high: float, meaning: str) -> Any:
+    """A number from `low` to `high`; `meaning` says what it is, and why it cannot be larger."""
+    return Field(ge=low, le=high, description=meaning)
+
+
 Id = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$")]
+Line = Annotated[str, AfterValidator(_one_line)]  # it is copied into files of other formats
 RelativePath = Annotated[str, StringConstraints(min_length=1, max_length=255)]
-Positive = Annotated[float, Field(gt=0)]
-NotNegative = Annotated[float, Field(ge=0)]
 Utc = Annotated[str, StringConstraints(pattern=r"^\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d(\.\d{1,12})?Z?$")]
-BitDepth = Annotated[int, Field(ge=8, le=16)]
-Samples = Annotated[int, Field(ge=16, le=65536)]
+BitDepth = Annotated[int, within(8, 16, "bits of a count")]
+Samples = Annotated[int, within(16, 65536, "pixels along one side of a detector")]
+PixelPitch = Annotated[float, within(0.1, 1000.0, "side of a pixel, µm")]
+# A focal plane and its tables are smaller than 10 m; a sample number has at most seven digits.
+FocalPlane = Annotated[float, within(-1e4, 1e4, "coordinate in the focal plane, mm")]
+Sample = Annotated[float, within(-1e6, 1e6, "coordinate along the detector, samples")]
+TargetSigma = Annotated[float, within(0.0, 1e5, "1-sigma error of a target's coordinate, m")]
 HeightKind = Literal["ellipsoidal", "egm96"]
 
 
@@ -36,13 +53,13 @@ class _Strict(BaseModel):
 
 
 class _Row(BaseModel):
-    """A row of a CSV file: all cells are text, numbers are read out of them."""
+    """A row of a CSV file: all cells are text from which numbers are read."""
 
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False, frozen=True, str_strip_whitespace=True)
 
 
 class Conventions(_Strict):
-    """Stated, so that a writer has to think of them; nothing else is accepted."""
+    """The conventions of the format, stated in the file; no others are accepted."""
 
     inertial_frame: Literal["GCRS"]
     earth_fixed_frame: Literal["ITRS"]
@@ -52,6 +69,8 @@ class Conventions(_Strict):
 
 
 class Files(_Strict):
+    """Paths of the other files, relative to the dump."""
+
     star_camera: RelativePath
     remote_camera: RelativePath
     installation: RelativePath
@@ -63,18 +82,20 @@ class Files(_Strict):
 
 
 class Errors(_Strict):
-    """What the mission knows about its own errors, each as 1-sigma of a zero-mean error."""
+    """Errors of the mission's own data, each as 1-sigma of a zero-mean error."""
 
-    position_m: NotNegative
-    clock_s: NotNegative
-    vibration_arcsec: NotNegative
-    look_distortion_px: NotNegative
-    look_distortion_length_px: Positive
+    position_m: float = within(0.0, 1e5, "orbit, per axis and strip, m; a two-line element set has some km")
+    clock_s: float = within(0.0, 10.0, "time tags of the strips against those of the exposures, s")
+    vibration_arcsec: float = within(0.0, 3600.0, "attitude between exposures, per axis, arc-seconds")
+    look_distortion_px: float = within(0.0, 1e3, "look vectors of the remote-sensing camera, pixels")
+    look_distortion_length_px: float = within(1.0, 1e6, "correlation length of that error, pixels")
 
 
 class TerrainHeights(_Strict):
+    """What the heights of the terrain model are."""
+
     height_kind: HeightKind
-    sigma_m: NotNegative
+    sigma_m: float = within(0.0, 1e4, "1-sigma error of a height, m; no mountain is higher")
 
 
 class DumpFile(_Strict):
@@ -82,8 +103,8 @@ class DumpFile(_Strict):
 
     format: Literal["boresight-dump"]
     format_version: Literal[1]
-    mission: Annotated[str, StringConstraints(min_length=1, max_length=200)]
-    created_by: Annotated[str, StringConstraints(max_length=500)] = ""
+    mission: Annotated[Line, StringConstraints(min_length=1, max_length=200)]
+    created_by: Annotated[Line, StringConstraints(max_length=500)] = ""
     conventions: Conventions
     files: Files
     errors: Errors
@@ -97,20 +118,27 @@ class DumpFile(_Strict):
 
 
 class StarDistortion(_Strict):
-    p1_per_mm: float
-    p2_per_mm: float
-    q1_per_mm2: float
-    q2_per_mm4: float
+    """Coefficients of the lens distortion; 100 would double the distance from the axis at 0.1 mm."""
+
+    p1_per_mm: float = within(-100.0, 100.0, "decentring along x, 1/mm")
+    p2_per_mm: float = within(-100.0, 100.0, "decentring along y, 1/mm")
+    q1_per_mm2: float = within(-100.0, 100.0, "radial, second order, 1/mm²")
+    q2_per_mm4: float = within(-100.0, 100.0, "radial, fourth order, 1/mm⁴")
 
 
 class StarCameraFile(_Strict):
     """star_camera.toml"""
 
-    focal_length_mm: Positive
-    pixel_pitch_um: Positive
+    focal_length_mm: float = within(1.0, 1e5, "focal length, mm; at most 100 m")
+    pixel_pitch_um: PixelPitch
     width_px: Samples
     height_px: Samples
-    principal_point_px: Annotated[list[float], Field(min_length=2, max_length=2)]
+    principal_point_px: Annotated[
+        list[Sample],
+        Field(
+            min_length=2, max_length=2, description="column and row where the optical axis meets the detector"
+        ),
+    ]
     bit_depth: BitDepth
     distortion: StarDistortion
 
@@ -119,13 +147,16 @@ class CcdFile(_Strict):
     """One table of [[ccds]] in remote_camera.toml"""
 
     n_px: Samples
-    pixel_pitch_um: Positive
-    y_first_mm: float
-    x_offset_mm: float
-    rotation_mrad: float
-    principal_sample: float
-    distortion_samples: Annotated[list[float], Field(max_length=10_000)]
-    distortion_offsets_um: Annotated[list[float], Field(max_length=10_000)]
+    pixel_pitch_um: PixelPitch
+    y_first_mm: FocalPlane
+    x_offset_mm: FocalPlane
+    rotation_mrad: float = within(-1600.0, 1600.0, "rotation of the line in the focal plane, at most 90°")
+    principal_sample: Sample
+    distortion_samples: Annotated[list[Sample], Field(max_length=10_000, description="nodes of the table")]
+    distortion_offsets_um: Annotated[
+        list[Annotated[float, Field(ge=-1e5, le=1e5)]],
+        Field(max_length=10_000, description="offsets along the line at the nodes, µm, at most 10 cm"),
+    ]
 
     @model_validator(mode="after")
     def _table_is_a_table(self) -> Self:
@@ -140,7 +171,7 @@ class CcdFile(_Strict):
 class RemoteCameraFile(_Strict):
     """remote_camera.toml"""
 
-    focal_length_m: Positive
+    focal_length_m: float = within(0.001, 1000.0, "focal length, m")
     tdi_stages: Annotated[int, Field(ge=1, le=1024)]
     time_of_row: Literal["start", "middle", "end"]
     bit_depth: BitDepth
@@ -150,8 +181,14 @@ class RemoteCameraFile(_Strict):
 class InstallationFile(_Strict):
     """installation.toml"""
 
-    quaternion_cs: Annotated[list[float], Field(min_length=4, max_length=4)]
-    sigma_rad: Annotated[list[Positive], Field(min_length=3, max_length=3)]
+    quaternion_cs: Annotated[
+        list[Annotated[float, Field(ge=-2.0, le=2.0)]],
+        Field(min_length=4, max_length=4, description="R_cs measured before launch, scalar last"),
+    ]
+    sigma_rad: Annotated[
+        list[Annotated[float, Field(ge=1e-9, le=3.15)]],
+        Field(min_length=3, max_length=3, description="1-sigma rotation about the axes of c, at most 180°"),
+    ]
 
     @model_validator(mode="after")
     def _of_unit_length(self) -> Self:
@@ -167,7 +204,7 @@ class ExposureRow(_Row):
     id: Id
     file: RelativePath
     utc_mid: Utc
-    exposure_s: Annotated[float, Field(gt=0, le=10)]
+    exposure_s: float = within(1e-9, 10.0, "exposure time, s; beyond 10 s stars are trails")
 
 
 class SkyImageRow(_Row):
@@ -184,7 +221,7 @@ class StripRow(_Row):
     ccd: Annotated[int, Field(ge=0, le=63)]
     file: RelativePath
     utc_first_row: Utc
-    row_period_s: Annotated[float, Field(gt=0, le=1)]
+    row_period_s: float = within(1e-9, 1.0, "from row to row, s; in 1 s a satellite moves 7 km")
     lines: Annotated[int, Field(ge=1, le=10_000_000)]
 
 
@@ -192,11 +229,11 @@ class TargetRow(_Row):
     """targets.csv"""
 
     id: Id
-    lat_deg: Annotated[float, Field(ge=-90, le=90)]
-    lon_deg: Annotated[float, Field(ge=-180, le=360)]
-    height_m: Annotated[float, Field(ge=-500, le=10_000)]
+    lat_deg: float = within(-90.0, 90.0, "geodetic latitude, degrees")
+    lon_deg: float = within(-180.0, 360.0, "longitude, degrees, positive to the east")
+    height_m: float = within(-500.0, 1e4, "height, m, from the Dead Sea to above Everest")
     height_kind: HeightKind
-    sigma_east_m: NotNegative
-    sigma_north_m: NotNegative
-    sigma_up_m: NotNegative
+    sigma_east_m: TargetSigma
+    sigma_north_m: TargetSigma
+    sigma_up_m: TargetSigma
     chip: RelativePath

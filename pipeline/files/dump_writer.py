@@ -1,6 +1,4 @@
-"""A simulated mission written as a dump (docs/dump-format.md). The truth goes to `truth/` and nowhere
-else.
-"""
+"""Write a simulated mission as a dump (docs/dump-format.md); its truth goes to `truth/` only."""
 
 from __future__ import annotations
 
@@ -26,9 +24,8 @@ from boresight.simulator.scenario import scenario_to_dict
 __all__ = ["images_in", "write_dump"]
 
 INTERPOLATION_DEGREE = 7
-SMALL_PIXELS = 4_000_000  # an exposure below this is packed as small as may be: it may become a fixture
-# In a sky of noise no string of bytes comes twice: coding single bytes is smaller by a tenth, and eight
-# times faster.
+SMALL_PIXELS = 4_000_000  # smaller images are compressed as far as possible: they may become fixtures
+# Noise has no repeated strings of bytes: Huffman coding alone is smaller by a tenth and eight times faster.
 PNG_OF_NOISE = (
     *(cv2.IMWRITE_PNG_COMPRESSION, 1),
     *(cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_HUFFMAN_ONLY),
@@ -36,18 +33,16 @@ PNG_OF_NOISE = (
 
 
 def images_in(mission: Mission) -> int:
-    """How many images `write_dump` will render."""
+    """Number of images that `write_dump` renders."""
     return len(mission.exposures) + len(mission.strips)
 
 
 def write_dump(
     mission: Mission, root: Path, *, created_by: str, on_image: Callable[[str], None] = lambda name: None
 ) -> None:
-    """Write the whole dump into `root`, which must be empty or absent. `on_image` hears of each image
-    rendered.
-    """
+    """Write the dump into `root`, which must be empty or absent; call `on_image(file)` after each image."""
     if root.exists() and (not root.is_dir() or any(root.iterdir())):
-        raise FileExistsError(f"{root} is there already and is not an empty folder")
+        raise FileExistsError(f"{root} exists and is not an empty folder")
     for folder in ("exposures", "strips", "chips", "terrain", "truth"):
         (root / folder).mkdir(parents=True, exist_ok=True)
     _write_toml(root / "star_camera.toml", _star_camera(mission.star_camera, mission.scenario.sky.bits))
@@ -65,7 +60,7 @@ def write_dump(
     _write_targets(root, mission)
     _write_terrain(root / "terrain" / "dem.tif", mission.terrain)
     _write_truth(root / "truth", mission, mission.truth)
-    _write_toml(root / "dump.toml", _head(mission, created_by))  # last: a dump with a head is a whole dump
+    _write_toml(root / "dump.toml", _head(mission, created_by))  # last: a dump with a dump.toml is complete
 
 
 def _head(mission: Mission, created_by: str) -> dict[str, Any]:
@@ -143,7 +138,7 @@ def _remote_camera(camera: LineCamera, bits: int) -> dict[str, Any]:
 
 
 def _rounded(value: float) -> float:
-    """Fourteen digits: what a change of units adds in the last place is no information."""
+    """The value to 14 digits, without the rounding error of a change of units."""
     return float(f"{value:.14g}")
 
 
@@ -229,8 +224,8 @@ def _write_targets(root: Path, mission: Mission) -> None:
     for target in mission.targets:
         file = f"chips/{target.target_id}.tif"
         _write_chip(root / file, chips[target.target_id])
-        place = [f"{target.lat_deg:.10f}", f"{target.lon_deg:.10f}", f"{target.height_m:.4f}"]
-        rows.append([target.target_id, *place, target.height_kind, *target.sigma_m, file])
+        position = [f"{target.lat_deg:.10f}", f"{target.lon_deg:.10f}", f"{target.height_m:.4f}"]
+        rows.append([target.target_id, *position, target.height_kind, *target.sigma_m, file])
     columns = ["id", "lat_deg", "lon_deg", "height_m", "height_kind"]
     columns += ["sigma_east_m", "sigma_north_m", "sigma_up_m", "chip"]
     _write_csv(root / "targets.csv", columns, rows)

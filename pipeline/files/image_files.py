@@ -1,9 +1,8 @@
-"""Image files read: exposures whole, strips and terrain by window, chips whole. Size and depth are checked in
-the header before a single pixel is decoded, so that a file that claims to be huge costs nothing.
+"""Read image files: exposures and chips whole, strips and terrain by window.
 
-An image that cannot be used raises `RawDataError`; whether that stops the run or is an omission is the
-caller's choice. TIFF files are opened by GDAL's GeoTIFF driver alone, without sidecar files and without
-network.
+Size and bit depth are checked in the header before a pixel is decoded. An image that cannot be used raises
+`RawDataError`; the caller decides whether that stops the run. TIFF files are opened by GDAL's GeoTIFF driver
+only, without sidecar files and without network.
 """
 
 from __future__ import annotations
@@ -13,7 +12,6 @@ import warnings
 import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +24,9 @@ from pyproj.exceptions import ProjError
 from rasterio.errors import RasterioError, RasterioIOError
 from rasterio.windows import Window
 
+from boresight.geometry.record import array, record, scalar
 from boresight.pipeline.errors import RawDataError
+from boresight.pipeline.files.text_files import check_regular
 
 __all__ = ["GridImage", "StripFiles", "open_geotiff", "read_exposure", "read_grid", "read_star_image"]
 
@@ -35,14 +35,14 @@ TIFF_MAGICS = (b"II*\x00", b"MM\x00*", b"II+\x00", b"MM\x00+")
 FITS_MAGIC = b"SIMPLE  ="
 JPEG_MAGIC = b"\xff\xd8\xff"
 BMP_MAGIC = b"BM"
-MAX_BLOCK_BYTES = 2**29  # of a row of tiles, or a strip of a TIFF: they are decoded as a whole
+MAX_BLOCK_BYTES = 2**29  # a row of tiles or a strip of a TIFF is decoded as a whole
 MAX_FITS_HEADER_BYTES = 100 * 2880
-ENCODED_SPARE_BYTES = 2**20  # what an image's file may be larger than twice its pixels: tables, remarks
-MAX_STAR_PIXELS = 2**28  # a free image of `identify`; those of a dump are held to the camera's own size
+ENCODED_SPARE_BYTES = 2**20  # for tables and comments of a file, beyond twice its pixels
+MAX_STAR_PIXELS = 2**28  # an image of `identify`; those of a dump must have the camera's size
 
 
 def read_exposure(path: Path, file: str, *, width: int, height: int, bit_depth: int) -> NDArray[np.uint16]:
-    """One star exposure of a dump, (height, width), raw counts. PNG, TIFF or FITS; 8 or 16 bits a pixel."""
+    """Raw counts (height, width) of a dump's exposure: PNG, TIFF or FITS of 8 or 16 bits a pixel."""
     image = _read_star_image(path, file, (width, height), 8 if bit_depth <= 8 else 16)
     if bit_depth not in (8, 16) and int(image.max()) >> bit_depth:
         raise RawDataError(file, "pixels", f"a value of {image.max()}", f"values of {bit_depth} bits")
@@ -50,9 +50,7 @@ def read_exposure(path: Path, file: str, *, width: int, height: int, bit_depth: 
 
 
 def read_star_image(path: Path, file: str) -> NDArray[Any]:
-    """Any single star image of up to 2^28 pixels, JPEG and BMP too, colours made grey: for `boresight
-    identify`.
-    """
+    """Counts (height, width) of any star image of up to 2^28 px, also JPEG and BMP; colours become grey."""
     return _read_star_image(path, file, None, None)
 
 
@@ -72,8 +70,7 @@ def _read_star_image(path: Path, file: str, size: tuple[int, int] | None, bits: 
 
 
 def _first_bytes(path: Path, file: str, n: int) -> bytes:
-    if not path.is_file():
-        raise RawDataError(file, "file", "no such file", "an image")
+    check_regular(path, file, "an image")
     try:
         with path.open("rb") as stream:
             return stream.read(n)
@@ -109,10 +106,10 @@ def _read_png(path: Path, file: str, size: tuple[int, int] | None, bits: int | N
 
 
 def _encoded(path: Path, file: str, pixel_bytes: int) -> bytes:
-    """A compressed file of a size that its pixels can account for."""
-    most = 2 * pixel_bytes + ENCODED_SPARE_BYTES
-    if (length := path.stat().st_size) > most:
-        raise RawDataError(file, "file", f"{length} bytes", f"at most {most} bytes for so many pixels")
+    """The bytes of a compressed file, whose size must agree with its number of pixels."""
+    limit = 2 * pixel_bytes + ENCODED_SPARE_BYTES
+    if (length := path.stat().st_size) > limit:
+        raise RawDataError(file, "file", f"{length} bytes", f"at most {limit} bytes for so many pixels")
     return path.read_bytes()
 
 
@@ -128,9 +125,7 @@ def _decoded(raw: bytes, flag: int, file: str, width: int, height: int) -> NDArr
 
 
 def _check_png_chunks(raw: bytes, file: str) -> None:
-    """Every chunk complete and with the right checksum: decoders fill what is missing with black in
-    silence.
-    """
+    """`RawDataError` unless every chunk is complete and its checksum right; decoders fill gaps with black."""
     at = 8
     while at + 12 <= len(raw):
         (length,) = struct.unpack_from(">I", raw, at)
@@ -205,7 +200,7 @@ def _read_fits(path: Path, file: str, size: tuple[int, int] | None, bits: int | 
                 pixels = np.asarray(hdus[0].data)
     except RawDataError:
         raise
-    except Exception as error:  # astropy raises many kinds for damaged headers; each is the same fact for us
+    except Exception as error:  # astropy raises many kinds for damaged headers
         raise RawDataError(file, "FITS header", f"{type(error).__name__}: {error}", "a FITS image") from error
     if bitpix == 8:
         return pixels
@@ -226,7 +221,7 @@ def _read_tiff_whole(path: Path, file: str, size: tuple[int, int] | None, bits: 
 
 @contextmanager
 def open_geotiff(path: Path, file: str) -> Iterator[Any]:
-    """A TIFF opened for reading by window. Its header is parsed, nothing is decoded."""
+    """A TIFF opened for reading by window; only its header is parsed."""
     magic = _first_bytes(path, file, 4)
     if magic not in TIFF_MAGICS:
         raise RawDataError(file, "byte 0", magic.hex(" ") or "an empty file", "a TIFF (II or MM, 42 or 43)")
@@ -265,16 +260,17 @@ def _read_window(image: Any, file: str, window: Window) -> NDArray[Any]:
         raise RawDataError(file, where, str(error), "pixels that decode") from error
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class StripFiles:
     """The raw images of one strip, one file for each CCD, read by window (`gct_match`'s StripImage)."""
 
-    paths: dict[int, Path]  # by CCD
-    names: dict[int, str]  # the same files as the user knows them
-    shapes: dict[int, tuple[int, int]]  # (lines, samples)
+    paths: dict[int, Path] = scalar("image files by CCD")
+    names: dict[int, str] = scalar("paths as the user knows them, by CCD")
+    shapes: dict[int, tuple[int, int]] = scalar("(lines, samples) by CCD")
 
     @property
     def ccds(self) -> tuple[int, ...]:
+        """Numbers of the CCDs in increasing order."""
         return tuple(sorted(self.paths))
 
     def shape(self, ccd: int) -> tuple[int, int]:
@@ -282,9 +278,7 @@ class StripFiles:
         return self.shapes[ccd]
 
     def read(self, ccd: int, line0: int, line1: int, sample0: int, sample1: int) -> NDArray[Any]:
-        """Rows line0..line1-1, columns sample0..sample1-1, raw counts. The window must lie inside the
-        image.
-        """
+        """Raw counts of rows line0..line1-1, columns sample0..sample1-1, a window inside the image."""
         lines, samples = self.shapes[ccd]
         if not (0 <= line0 < line1 <= lines and 0 <= sample0 < sample1 <= samples):
             raise ValueError(f"window {line0}:{line1}, {sample0}:{sample1} is not inside {lines} x {samples}")
@@ -295,9 +289,7 @@ class StripFiles:
 
 
 def check_strip_file(path: Path, file: str, *, lines: int, samples: int, bit_depth: int) -> None:
-    """The header of a strip's image against what the dump says, and its last row decoded (a file cut
-    short).
-    """
+    """`RawDataError` if a strip's image has not the stated size and depth, or its last row is missing."""
     with open_geotiff(path, file) as image:
         depth = _bits(image, file)
         _check_size(file, (image.width, image.height), (samples, lines), depth, 8 if bit_depth <= 8 else 16)
@@ -306,21 +298,21 @@ def check_strip_file(path: Path, file: str, *, lines: int, samples: int, bit_dep
         _read_window(image, file, Window(0, lines - 1, samples, 1))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record
 class GridImage:
-    """A georeferenced raster: values (H, W) float32 with NaN where there are none, affine transform, CRS as
-    WKT.
-    """
+    """A georeferenced raster."""
 
-    values: NDArray[np.float32]
-    transform: tuple[float, float, float, float, float, float]
-    crs: str
+    values: NDArray[np.float32] = array("H, W", "NaN where the file has no data")
+    transform: tuple[float, float, float, float, float, float] = scalar(
+        "(a, b, c, d, e, f): x = a column + b row + c"
+    )
+    crs: str = scalar("coordinate reference system as WKT")
 
 
 def read_grid(path: Path, file: str, *, max_pixels: int, first_band: bool = False) -> GridImage:
-    """A GeoTIFF of one band: a chip or a terrain model. It must have a CRS and a transform.
+    """A GeoTIFF with CRS and transform: a chip or a terrain model.
 
-    With `first_band` it may have more bands than the first, which is read.
+    It must have one band; with `first_band` the first of several is read.
     """
     with open_geotiff(path, file) as image:
         if image.width * image.height > max_pixels:
@@ -351,11 +343,11 @@ def read_grid(path: Path, file: str, *, max_pixels: int, first_band: bool = Fals
 
 
 def _map_of(image: Any, file: str) -> str:
-    """The WKT of a map in which places on the Earth have coordinates."""
+    """WKT of an image's CRS, which must convert from latitude and longitude."""
     try:
         wkt = str(image.crs.to_wkt())
         Transformer.from_crs(CRS.from_epsg(4326), CRS.from_user_input(wkt), always_xy=True)
     except (RasterioError, ProjError) as error:
-        expected = "one into which latitude and longitude can be turned"
+        expected = "one to which latitude and longitude can be converted"
         raise RawDataError(file, "coordinate reference system", str(error), expected) from error
     return wkt

@@ -1,78 +1,113 @@
-"""The orbit of a dump: a CCSDS Orbit Ephemeris Message (OEM, CCSDS 502.0-B) in its keyword = value form."""
+"""Read the orbit of a dump: a CCSDS Orbit Ephemeris Message (OEM, CCSDS 502.0-B), keyword = value."""
 
 from __future__ import annotations
 
+import io
+import re
 import warnings
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from boresight.geometry.epoch import Epoch
+from boresight.geometry.record import Floats, array, record, scalar
 from boresight.pipeline.errors import RawDataError
-from boresight.pipeline.files.text_files import read_text
+from boresight.pipeline.files.text_files import NUMBER, read_text
 
 __all__ = ["Ephemeris", "read_oem"]
 
-Array = NDArray[np.float64]
 INERTIAL = ("GCRF", "ICRF")  # with CENTER_NAME EARTH both have the axes of GCRS
-SECOND_OF_TIME_SYSTEM = {"UTC": "utc", "TAI": "tai", "TT": "tt", "GPS": "gps"}
+TIME_SCALES = {"UTC": "utc", "TAI": "tai", "TT": "tt", "GPS": "gps"}  # names of astropy, but for GPS
 GPS_BEHIND_TAI_S = 19.0  # GPS time = TAI - 19 s (IS-GPS-200)
+EXPECTED = "an OEM that follows CCSDS 502.0-B"
+# A state line without acceleration; a message may hold comments, covariances and other notations of time too.
+_STATE = re.compile(
+    rf"(\d{{4}}-\d\d-\d\dT\d\d:\d\d:\d\d(?:\.\d{{1,12}})?)Z?((?:[ \t]+{NUMBER}){{6}})[ \t]*", re.ASCII
+)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record(kw_only=True)
 class Ephemeris:
-    """States of one OEM segment, as the file gives them but in metres and TAI seconds since `epoch`."""
+    """States of the one segment of an OEM."""
 
-    epoch: Epoch
-    t_s: Array  # (N,) strictly increasing
-    positions_m: Array  # (N, 3)
-    velocities_m_s: Array  # (N, 3)
-    frame: Literal["GCRF", "ITRF"]
-    method: Literal["lagrange", "hermite"]
-    interpolation_degree: int
-    object_name: str
-    first_time: str  # of the states, as the file has it, in its own time system
-    last_time: str
+    epoch: Epoch = scalar("zero of `t_s`: the whole TAI second at or before the first state")
+    t_s: Floats = array("N", "TAI seconds since `epoch`, strictly increasing")
+    positions_m: Floats = array("N, 3", "m, axes of `frame`")
+    velocities_m_s: Floats = array("N, 3", "m/s, axes of `frame`")
+    frame: Literal["GCRF", "ITRF"] = scalar("GCRF (inertial) or ITRF (Earth-fixed)")
+    method: Literal["lagrange", "hermite"] = scalar("interpolation that the file asks for")
+    interpolation_degree: int = scalar("degree of the interpolating polynomial, 1 to 15")
+    object_name: str = scalar("OBJECT_NAME, at most 64 characters")
+    first_time: str = scalar("time of the first state, in the file's own time system")
+    last_time: str = scalar("time of the last state, likewise")
 
 
 def read_oem(path: Path, file: str) -> Ephemeris:
-    """The one segment of an OEM. The dump's epoch is the whole TAI second at or before the first state."""
-    from oem import OrbitEphemerisMessage  # with astropy 0.6 s to load, which workers need not
+    """The states of an OEM of one segment; `file` names it in errors.
 
-    if not read_text(path, file).startswith("CCSDS_OEM_VERS"):
+    The library `oem` checks header and metadata. State lines of the plain form (calendar date, position,
+    velocity) are parsed here, a hundred times faster; a message with anything else goes through the library
+    as a whole. Raises `RawDataError`.
+    """
+    text = read_text(path, file)
+    if not text.startswith("CCSDS_OEM_VERS"):
         raise RawDataError(file, "line 1", "another text", "CCSDS_OEM_VERS = ..., an OEM in KVN form")
+    lines = text.splitlines()
+    begin = 1 + next((n for n, line in enumerate(lines) if line.strip() == "META_STOP"), len(lines))
+    data = [line for line in lines[begin:] if line.strip()]
+    if plain := [match.groups() for line in data if (match := _STATE.fullmatch(line.strip()))]:
+        lines = lines[:begin] + (data[:1] if len(plain) == len(data) else lines[begin:])
+    meta, states = _library_reading("\n".join(lines), file)
+    if plain and len(plain) == len(data):
+        times = [time for time, _ in plain]
+        words = " ".join(numbers for _, numbers in plain).split()
+        values: Floats = np.array(words, dtype=float).reshape(-1, 6)
+    else:
+        _check_numbers(data, file)
+        times = [state.epoch for state in states]
+        values = np.array([[*state.position, *state.velocity] for state in states], dtype=float)
+    epoch, t_s = _tai_seconds(times, str(meta["TIME_SYSTEM"]), file)
+    positions, velocities = 1e3 * values[:, :3], 1e3 * values[:, 3:]
+    _check_states(t_s, positions, velocities, file)
+    return Ephemeris(
+        epoch=epoch,
+        t_s=t_s,
+        positions_m=positions,
+        velocities_m_s=velocities,
+        frame=_frame(meta, file),
+        method=_method(meta, file),
+        interpolation_degree=_degree(meta, file),
+        object_name=str(meta["OBJECT_NAME"])[:64],
+        first_time=f"{times[0]}",
+        last_time=f"{times[-1]}",
+    )
+
+
+def _library_reading(text: str, file: str) -> tuple[Any, list[Any]]:
+    """Metadata and states of the one segment of an OEM, as the library reads it."""
+    from oem import OrbitEphemerisMessage  # with astropy 0.6 s to load, which worker processes do not need
+    from oem.parsers import parse_kvn_oem
+
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            message: Any = OrbitEphemerisMessage.open(path)
+            # Its `open` takes paths only, and unpacks archives.
+            message: Any = OrbitEphemerisMessage._from_raw_data(parse_kvn_oem(io.StringIO(text + "\n")))
             segments = message.segments
-            if len(segments) != 1:
-                raise RawDataError(file, "META_START", f"{len(segments)} segments", "one segment")
-            states = list(segments[0].states)
-    except RawDataError:
-        raise
-    except Exception as error:  # the library raises many kinds; what it says names the line
-        raise RawDataError(file, "OEM text", f"{error}", "an OEM that follows CCSDS 502.0-B") from error
-    meta = segments[0].metadata
-    epoch, t_s = _tai_seconds([state.epoch for state in states], str(meta["TIME_SYSTEM"]), file)
-    positions = 1e3 * np.array([state.position for state in states], dtype=float)
-    velocities = 1e3 * np.array([state.velocity for state in states], dtype=float)
-    _check_states(t_s, positions, velocities, file)
-    return Ephemeris(
-        epoch,
-        t_s,
-        positions,
-        velocities,
-        _frame(meta, file),
-        _method(meta, file),
-        _degree(meta, file),
-        str(meta["OBJECT_NAME"])[:64],
-        f"{states[0].epoch}",
-        f"{states[-1].epoch}",
-    )
+            if len(segments) == 1:
+                return segments[0].metadata, list(segments[0].states)
+    except Exception as error:  # the library raises many kinds; the message names the line
+        raise RawDataError(file, "OEM text", f"{error}", EXPECTED) from error
+    raise RawDataError(file, "META_START", f"{len(segments)} segments", "one segment")
+
+
+def _check_numbers(data: list[str], file: str) -> None:
+    """Refuse what Python alone reads as a number: `2_000`, digits of other scripts."""
+    for line in data:
+        keyword = "=" in line or line.strip().startswith(("COMMENT", "META_", "COVARIANCE_"))
+        if not keyword and ("_" in line or not line.isascii()):
+            raise RawDataError(file, "OEM text", line, "numbers of ASCII digits, without _")
 
 
 def _frame(meta: Any, file: str) -> Literal["GCRF", "ITRF"]:
@@ -104,23 +139,25 @@ def _degree(meta: Any, file: str) -> int:
     return degree
 
 
-def _tai_seconds(epochs: list[Any], time_system: str, file: str) -> tuple[Epoch, Array]:
+def _tai_seconds(times: list[Any], time_system: str, file: str) -> tuple[Epoch, Floats]:
+    """Epoch, and TAI seconds since it, of times given as text or as the library's `Time`."""
     from astropy.time import Time
 
-    scale = SECOND_OF_TIME_SYSTEM.get(time_system.strip().upper())
+    scale = TIME_SCALES.get(time_system.strip().upper())
     if scale is None:
         raise RawDataError(file, "TIME_SYSTEM", time_system, "UTC, TAI, TT or GPS")
-    if scale == "gps":
-        times, behind = Time(epochs, scale="tai"), GPS_BEHIND_TAI_S
-    else:
-        times, behind = Time(epochs).tai, 0.0
-    whole, fraction = np.atleast_1d(times.jd1) - 2_451_545.0, np.atleast_1d(times.jd2)
+    behind = GPS_BEHIND_TAI_S if scale == "gps" else 0.0
+    try:
+        tai = Time(times, scale="tai" if scale == "gps" else scale).tai
+    except ValueError as error:
+        raise RawDataError(file, "time of the states", str(error), "times that exist") from error
+    whole, fraction = np.atleast_1d(tai.jd1) - 2_451_545.0, np.atleast_1d(tai.jd2)
     tai_s = int(np.floor(whole[0] * 86_400.0 + fraction[0] * 86_400.0 + behind))
     t_s = (whole * 86_400.0 - tai_s) + fraction * 86_400.0 + behind
     return Epoch(tai_s), np.round(t_s, 12)
 
 
-def _check_states(t_s: Array, positions: Array, velocities: Array, file: str) -> None:
+def _check_states(t_s: Floats, positions: Floats, velocities: Floats, file: str) -> None:
     for name, values in (("time", t_s[:, None]), ("position", positions), ("velocity", velocities)):
         if len(bad := np.flatnonzero(~np.isfinite(values).all(axis=1))):
             raise RawDataError(file, f"state {bad[0] + 1}, {name}", str(values[bad[0]]), "finite numbers")

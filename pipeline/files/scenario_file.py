@@ -1,6 +1,6 @@
-"""The scenario that a command line names, and the mission flown from it.
+"""Read the scenario that a command line names, and simulate its mission.
 
-The catalogue, the Earth's tables and a user's own ground image are read here and handed to the simulator.
+Star catalogue, Earth-orientation table, geoid and ground image are read here and passed to the simulator.
 """
 
 from __future__ import annotations
@@ -33,9 +33,10 @@ MAX_GROUND_PIXELS = 2**30
 
 
 def named_scenario(name: str, changes: Sequence[str]) -> Scenario:
-    """`name` is built in or the path of a TOML file; each change is `section.key=value` with a TOML value.
+    """The scenario of that name with some settings replaced.
 
-    `ScenarioError` for what no scenario has, `RawDataError` for a file that cannot be read.
+    `name` is a built-in scenario or the path of a TOML file; each change is `section.key=value` with a TOML
+    value. Raises `ScenarioError` for an unknown setting or value, `RawDataError` for an unreadable file.
     """
     if name in builtin_scenario_names():
         values: dict[str, Any] = {"based_on": name}
@@ -50,7 +51,7 @@ def named_scenario(name: str, changes: Sequence[str]) -> Scenario:
 
 
 def fly(scenario: Scenario, seed: int) -> Mission:
-    """The mission of a scenario under the real sky and on the real Earth."""
+    """The simulated mission of a scenario, with the bundled catalogue, Earth orientation and geoid."""
     ground = _ground_image(scenario.ground.image) if scenario.ground.image else None
     stars = hipparcos_stars().places
     return simulate(scenario, stars, bundled_earth_orientation(), egm96(), seed, ground)

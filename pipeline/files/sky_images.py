@@ -1,14 +1,12 @@
-"""Images of the sky and what is known of each: where it lies, when it was taken, and from where.
+"""Star images of files and dumps, each with the observer's position and velocity where they are known.
 
-Loose images may come with a table of their times and an orbit, or a place on the ground; the exposures of a
-dump come with times and orbit.
+Single images may have a table of times and an orbit or a ground site; a dump has times and orbit.
 """
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +15,7 @@ from boresight.geometry.earth_rotation import EarthRotation
 from boresight.geometry.epoch import Epoch
 from boresight.geometry.ground_site import GroundSite
 from boresight.geometry.orbit import Orbit, OrbitGapError
+from boresight.geometry.record import record, scalar
 from boresight.geometry.star_camera import StarCamera
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.dump import Dump, bundled_table, open_dump, orbit_of
@@ -28,39 +27,41 @@ from boresight.star_id.observer import Observer
 __all__ = ["NOWHERE", "SkyImage", "SkyImages", "Whereabouts", "observers_of", "open_sky_images"]
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class Whereabouts:
-    """What is known of when and from where loose images were taken."""
+    """Times and position of single images, as far as the user states them."""
 
-    times: Path | None = None  # CSV: file, utc_mid
-    orbit: Path | None = None  # OEM of a satellite
-    site_deg_m: tuple[float, float, float] | None = None  # latitude, longitude, ellipsoidal height
+    times: Path | None = scalar("CSV with columns file, utc_mid", default=None)
+    orbit: Path | None = scalar("OEM of a satellite", default=None)
+    site_deg_m: tuple[float, float, float] | None = scalar(
+        "latitude, longitude (degrees), ellipsoidal height (m)", default=None
+    )
 
 
 NOWHERE = Whereabouts()
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record
 class SkyImage:
     """One image that has not been read yet."""
 
-    name: str
-    path: Path
-    observer: Observer | None
-    bit_depth: int | None  # of its counts, as a dump states it; None: to be seen from the image
+    name: str = scalar("path as the user knows it")
+    path: Path = scalar("image file")
+    observer: Observer | None = scalar("time, position and velocity; None if unknown")
+    bit_depth: int | None = scalar("bits of a count as a dump states them; None: estimated from the image")
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record
 class SkyImages:
-    """Images in the order in which they were named."""
+    """Images in the order of the command line."""
 
-    images: tuple[SkyImage, ...]
-    camera: StarCamera | None  # of the first dump, if there is one
-    omitted: tuple[tuple[str, str], ...]  # (image, reason)
+    images: tuple[SkyImage, ...] = scalar("images that can be used")
+    camera: StarCamera | None = scalar("star camera of the first dump, if there is one")
+    omitted: tuple[tuple[str, str], ...] = scalar("(image, reason) of those outside the orbit")
 
 
 def open_sky_images(sources: Sequence[Path], known: Whereabouts) -> SkyImages:
-    """Images, and folders that are dumps; what is `known` holds for the images."""
+    """The images of files and of dumps (folders); `known` applies to the files. Raises `RawDataError`."""
     observers = observers_of([source for source in sources if not source.is_dir()], known)
     images: list[SkyImage] = []
     omitted: list[tuple[str, str]] = []
@@ -69,7 +70,7 @@ def open_sky_images(sources: Sequence[Path], known: Whereabouts) -> SkyImages:
         if not source.is_dir():
             images.append(SkyImage(str(source), source, observers.get(source.name), None))
             continue
-        dump = open_dump(source, allow_stale_eop=True)  # the Earth's rotation moves no star by 1e-6 arcsec
+        dump = open_dump(source, allow_stale_eop=True)  # Earth rotation moves no star by 1e-6 arcsec
         camera = camera or dump.star_camera
         for image, reason in _of_dump(dump):
             if reason is None:
@@ -80,51 +81,50 @@ def open_sky_images(sources: Sequence[Path], known: Whereabouts) -> SkyImages:
 
 
 def _of_dump(dump: Dump) -> Iterator[tuple[SkyImage, str | None]]:
-    """Its exposures, each with the reason why it cannot be used if the orbit does not reach it."""
+    """A dump's exposures, each with the reason if the orbit does not cover it, else None."""
     for exposure in dump.exposures:
         name = f"{dump.root.name}/{exposure.file}"
         observer, reason = None, None
         try:
-            observer = _aboard(dump.orbit, exposure.t_s)
+            observer = _on_orbit(dump.orbit, exposure.t_s)
         except OrbitGapError as error:
             reason = str(error)
         yield SkyImage(name, exposure.path, observer, dump.star_bit_depth), reason
 
 
 def observers_of(images: Sequence[Path], known: Whereabouts) -> dict[str, Observer]:
-    """By the images' file names.
+    """The observer of each image by its file name; `RawDataError` for contradicting or incomplete input.
 
-    With times alone an image is taken from the Earth's centre: the aberration of the Earth's motion about
-    the Sun (20 arc-seconds) is known then, that of a satellite's own (5) is not.
+    With times alone the observer is at the Earth's centre: this accounts for the annual aberration (20
+    arc-seconds), not for that of a satellite's orbital velocity (5).
     """
     where = known.orbit or known.site_deg_m
     if known.times is None:
         if where is None:
             return {}
-        found = f"{where} and no times"
-        raise RawDataError("--orbit or --site", "use", found, "--times, the times of the images, too")
+        raise RawDataError("--orbit or --site", "use", f"{where} without times", "--times as well")
     if known.orbit is not None and known.site_deg_m is not None:
-        raise RawDataError("--orbit", "use", "--site as well", "a satellite or a place on the ground")
+        raise RawDataError("--orbit", "use", "--site as well", "an orbit or a ground site")
     utc = _times(images, known.times)
-    path = _path_of(known)
-    return {name: _observer(path, known.times, name, time) for name, time in utc.items()}
+    trajectory = _trajectory_of(known)
+    return {name: _observer(trajectory, known.times, name, time) for name, time in utc.items()}
 
 
 def _times(images: Sequence[Path], times: Path) -> dict[str, str]:
     """UTC by file name, one for each image."""
     if twice := [name for name, n in Counter(image.name for image in images).items() if n > 1]:
         found = f"images of the name {twice[0]} in several folders"
-        raise RawDataError(str(times), "file", found, "images whose names differ: they are known by them")
+        raise RawDataError(str(times), "file", found, "images of different names")
     rows = read_table(times, SkyImageRow, str(times))
     by_name = {row.file: row.utc_mid for row in rows}
     if len(by_name) < len(rows):
-        raise RawDataError(str(times), "file", f"{len(rows) - len(by_name)} names again", "each file once")
+        raise RawDataError(str(times), "file", f"{len(rows) - len(by_name)} repeated names", "each file once")
     if missing := [image.name for image in images if image.name not in by_name]:
         raise RawDataError(str(times), "file", f"no row for {missing[0]}", "a row for each image")
     return {image.name: by_name[image.name] for image in images}
 
 
-def _path_of(known: Whereabouts) -> Orbit | GroundSite | None:
+def _trajectory_of(known: Whereabouts) -> Orbit | GroundSite | None:
     if known.orbit is not None:
         ephemeris = read_oem(known.orbit, str(known.orbit))
         return orbit_of(ephemeris, str(known.orbit), 0.0, bundled_table(), allow_stale_eop=True)
@@ -137,23 +137,26 @@ def _path_of(known: Whereabouts) -> Orbit | GroundSite | None:
     return GroundSite.in_standard_weather(float(np.radians(lat)), float(np.radians(lon)), height)
 
 
-def _observer(path: Orbit | GroundSite | None, times: Path, name: str, utc: str) -> Observer:
+def _observer(trajectory: Orbit | GroundSite | None, times: Path, name: str, utc: str) -> Observer:
     try:
-        if isinstance(path, Orbit):
-            return _aboard(path, float(path.epoch.seconds_from_utc([utc])[0]))
+        if isinstance(trajectory, Orbit):
+            return _on_orbit(trajectory, float(trajectory.epoch.seconds_from_utc([utc])[0]))
         epoch = Epoch.from_utc(utc)
         t_s = float(epoch.seconds_from_utc([utc])[0])
-        if path is None:
+        if trajectory is None:
             return Observer(epoch, t_s, np.zeros(3), np.zeros(3))
         earth = EarthRotation.over(epoch, t_s, t_s, bundled_table(), allow_stale_eop=True)
-        state = path.at(earth, t_s)
+        state = trajectory.at(earth, t_s)
         return Observer(epoch, t_s, state.p_i, state.v_i, state.air)
     except ValueError as error:  # no such time, a gap of the orbit, a date before 1972
         raise RawDataError(
-            str(times), f"utc_mid of {name}", f"{utc}: {error}", "a time that is covered"
+            str(times),
+            f"utc_mid of {name}",
+            f"{utc}: {error}",
+            "a time within the orbit and the Earth-orientation table",
         ) from error
 
 
-def _aboard(orbit: Orbit, t_s: float) -> Observer:
+def _on_orbit(orbit: Orbit, t_s: float) -> Observer:
     p_i, v_i = orbit.states_i(np.array([t_s]))
     return Observer(orbit.epoch, t_s, p_i[0], v_i[0])

@@ -1,4 +1,4 @@
-"""Files that other astronomy software reads: a TAN-SIP header with the named stars."""
+"""Write the FITS file that astronomy software reads: a TAN-SIP header and the identified stars."""
 
 from __future__ import annotations
 
@@ -12,10 +12,9 @@ __all__ = ["write_wcs"]
 
 
 def write_wcs(path: Path, image: str, found: FieldSolution) -> None:
-    """FITS file whose primary header is the image's world coordinates and whose table lists the named stars.
+    """Write world coordinates of an image as a FITS header, and its identified stars as a table.
 
-    Row 0 of the image is FITS row 1; a program that shows FITS images from the bottom up shows it upside
-    down.
+    Row 0 of the image is FITS row 1, so that viewers that draw row 1 at the bottom flip the image.
     """
     from astropy.io import fits
 
@@ -27,7 +26,7 @@ def write_wcs(path: Path, image: str, found: FieldSolution) -> None:
     header["IMAGEW"], header["IMAGEH"] = found.camera.width_px, found.camera.height_px
     header["RADESYS"] = "ICRS"
     header["SIPERR"] = (wcs.largest_misfit_px, "largest misfit of the polynomials, px")
-    header["HISTORY"] = f"stars of {Path(image).name} named by boresight"
+    header["HISTORY"] = f"stars of {_ascii(Path(image).name)} identified by boresight"
     columns = [
         fits.Column("HIP", "J", array=found.hip),
         fits.Column("X_PX", "D", unit="pixel", array=found.xy_px[:, 0]),
@@ -39,3 +38,8 @@ def write_wcs(path: Path, image: str, found: FieldSolution) -> None:
         [fits.PrimaryHDU(header=header), fits.BinTableHDU.from_columns(columns, name="STARS")]
     )
     write_whole(path, lambda target: units.writeto(target, overwrite=True))
+
+
+def _ascii(text: str) -> str:
+    """`text` with the characters that a FITS header cannot hold as escapes, at most 60 characters."""
+    return ascii(text)[1:-1][:60]

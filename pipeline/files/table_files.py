@@ -1,4 +1,4 @@
-"""Parquet tables that the program itself has written, read back. What is damaged is told, never believed."""
+"""Read the Parquet tables of a result; a damaged file is an error."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from boresight.pipeline.errors import RawDataError
+from boresight.pipeline.files.text_files import check_regular
 
 __all__ = ["column", "fixed", "fixed_list", "list_values", "read_parquet"]
 
@@ -17,17 +18,17 @@ EXPECTED = "the table that `calibrate` wrote"
 
 
 def fixed(width: int) -> pa.DataType:
-    """The type of a column of lists of `width` numbers."""
+    """The Arrow type of a column of lists of `width` numbers."""
     return pa.list_(pa.float64(), width)
 
 
 def read_parquet(path: Path, columns: Mapping[str, pa.DataType] | None = None) -> pa.Table:
-    """A table, or those of its columns that are named with their types. Its own checksums are verified, where
-    it has some. `RawDataError` for a file that is missing, damaged or another one.
+    """A table, or its columns of the given names and types. The file's checksums are verified if it has any.
+
+    `RawDataError` for a file that is missing or damaged, and for columns that are missing or of other types.
     """
     file = str(path)
-    if not path.is_file():
-        raise RawDataError(file, "file", "nothing", EXPECTED)
+    check_regular(path, file, EXPECTED)
     names = None if columns is None else list(columns)
     try:
         with pq.ParquetFile(path, page_checksum_verification=True) as stored:
@@ -52,12 +53,12 @@ def fixed_list(values: np.ndarray) -> pa.Array:
 
 
 def list_values(table: pa.Table, name: str, *shape: int) -> np.ndarray:
-    """The inverse of `fixed_list`: (N, *shape)."""
+    """A column written by `fixed_list` as an array (N, *shape)."""
     flat = table.column(name).combine_chunks()
     values = flat.flatten().to_numpy(zero_copy_only=False) if len(table) else np.zeros(0)
     return np.array(values, dtype=float).reshape(len(table), *shape)
 
 
 def column(table: pa.Table, name: str) -> np.ndarray:
-    """A plain column as a NumPy array."""
+    """A column of single values as a NumPy array."""
     return np.array(table.column(name).to_numpy())

@@ -1,7 +1,8 @@
-"""Matplotlib figures as SVG with colours and fonts of the page: one drawing for light, dark and print.
+"""Matplotlib figures as SVG that takes its colours and fonts from the page: one drawing for light, dark and
+paper.
 
-Figures are drawn in placeholder colours that are then replaced by CSS variables. Curves also differ in dash
-and marker, so they remain distinct in grey.
+Colours are drawn as marks that no figure uses by chance and are replaced by CSS variables afterwards. Curves
+differ in dash and marker too, so that they can be told apart in grey.
 """
 
 from __future__ import annotations
@@ -9,27 +10,14 @@ from __future__ import annotations
 import html
 import io
 import re
+from dataclasses import dataclass
 
 import matplotlib
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
-from boresight.geometry.record import record, scalar
-
-__all__ = [
-    "AXES",
-    "FILL",
-    "GRID",
-    "INK",
-    "MUTED",
-    "WIDTH_IN",
-    "Curve",
-    "Drawing",
-    "axes_of",
-    "drawn",
-    "new_figure",
-]
+__all__ = ["AXES", "FILL", "GRID", "INK", "MUTED", "Curve", "Drawing", "axes_of", "drawn", "new_figure"]
 
 INK, MUTED, GRID, FILL = "#010203", "#040506", "#070809", "#0a0b0c"
 _X, _Y, _Z = "#0d0e0f", "#101112", "#131415"
@@ -45,30 +33,30 @@ _VARIABLES = {
 WIDTH_IN = 4.6
 
 
-@record
+@dataclass(frozen=True, slots=True)
 class Curve:
-    """Style of one axis of frame c in every plot."""
+    """How one axis of frame c is drawn everywhere."""
 
-    name: str = scalar("X, Y or Z")
-    colour: str = scalar("placeholder colour")
-    dash: str = scalar("matplotlib line style")
-    marker: str = scalar("matplotlib marker")
+    name: str
+    colour: str
+    dash: str
+    marker: str
 
 
 AXES = (Curve("X", _X, "-", "o"), Curve("Y", _Y, "--", "s"), Curve("Z", _Z, ":", "^"))
 
 
-@record
+@dataclass(frozen=True, slots=True)
 class Drawing:
-    """One figure of a page."""
+    """A figure of the page: SVG for the body of an HTML document, caption, and what it shows in words."""
 
-    svg: str = scalar("SVG element for the body of an HTML document")
-    caption: str = scalar("text below the figure")
-    words: str = scalar("description for screen readers")
+    svg: str
+    caption: str
+    words: str
 
 
 def new_figure(height_in: float) -> Figure:
-    """An empty figure of the common width, `WIDTH_IN`."""
+    """An empty figure as wide as all others."""
     figure = Figure(figsize=(WIDTH_IN, height_in), layout="constrained")
     FigureCanvasSVG(figure)
     figure.patch.set_visible(False)
@@ -76,7 +64,7 @@ def new_figure(height_in: float) -> Figure:
 
 
 def axes_of(figure: Figure, x_label: str, y_label: str) -> Axes:
-    """The single axes of a figure, with labels, grid and placeholder colours."""
+    """The figure's one set of axes, dressed."""
     axes = figure.add_subplot()
     axes.patch.set_visible(False)
     axes.set_xlabel(x_label, color=INK, fontsize=9)
@@ -91,7 +79,7 @@ def axes_of(figure: Figure, x_label: str, y_label: str) -> Axes:
 
 
 def drawn(figure: Figure, name: str, caption: str, words: str) -> Drawing:
-    """The figure as a `Drawing`. `name` prefixes the SVG ids and must be unique on the page."""
+    """The finished drawing. `name` must be the page's only figure of that name."""
     out = io.StringIO()
     with matplotlib.rc_context({"svg.fonttype": "none", "svg.hashsalt": name}):
         figure.savefig(out, format="svg", metadata={"Date": None, "Creator": None})
@@ -113,7 +101,7 @@ def _for_html(svg: str, name: str, words: str) -> str:
 
 
 def _only_own_ids(body: str, name: str) -> str:
-    """The SVG body with referenced ids prefixed by `name` and all other ids removed."""
+    """Ids that something refers to, made the page's only ones of that name; the others go."""
     wanted = set(re.findall(r'(?:url\(#|href="#)([^)"]+)', body))
     body = re.sub(r' id="([^"]*)"', lambda m: f' id="{name}-{m[1]}"' if m[1] in wanted else "", body)
     return re.sub(r'(url\(#|href="#)([^)"]+)', rf"\g<1>{name}-\g<2>", body)

@@ -201,5 +201,5 @@ def test_unit_damaged_on_the_disk_is_made_anew_and_counted_by_status(tmp_path: P
 def test_error_of_a_file_names_the_file(tmp_path: Path) -> None:
     with pytest.raises(OSError, match=r"No space left on device.*table.csv"):
         write_whole(tmp_path / "table.csv", no_space)
-    with pytest.raises(RawDataError, match=r"table.parquet: file: found nothing, expected the table"):
+    with pytest.raises(RawDataError, match=r"table.parquet: file: found no such file, expected the table"):
         read_parquet(tmp_path / "table.parquet")

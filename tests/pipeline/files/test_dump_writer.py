@@ -85,5 +85,5 @@ def test_truth_is_in_its_folder_and_nowhere_else(flown: tuple[Mission, Path, Dum
 
 def test_folder_with_something_in_it_is_not_written_over(flown: tuple[Mission, Path, Dump]) -> None:
     mission, root, _ = flown
-    with pytest.raises(FileExistsError, match="is there already"):
+    with pytest.raises(FileExistsError, match="exists and is not an empty folder"):
         write_dump(mission, root, created_by="a test")

@@ -52,8 +52,8 @@ WRONG = {
     "another frame": (change("dump.toml", '"GCRS"', '"J2000"'), "dump.toml", "conventions.inertial_frame", "J2000", "GCRS"),  # noqa: E501
     "NaN in TOML": (change("dump.toml", "position_m = 2", "position_m = nan"), "dump.toml", "errors.position_m", "nan", "finite"),  # noqa: E501
     "text for a number": (change("star_camera.toml", "100.0", '"100"'), "star_camera.toml", "focal_length_mm", "100", "number"),  # noqa: E501
-    "no focal length": (change("remote_camera.toml", "= 10.0", "= 0"), "remote_camera.toml", "focal_length_m", "0", "greater than 0"),  # noqa: E501
-    "folded lens": (change("star_camera.toml", "-9.30e-7", "-9.30"), "star_camera.toml", "distortion", "folds", "1/mm"),  # noqa: E501
+    "no focal length": (change("remote_camera.toml", "= 10.0", "= 0"), "remote_camera.toml", "focal_length_m", "0", "greater than or equal to 0.001"),  # noqa: E501
+    "folded lens": (change("star_camera.toml", "-9.30e-7", "-9.30"), "star_camera.toml", "distortion", "not invertible", "1/mm"),  # noqa: E501
     "long quaternion": (change("installation.toml", "0.5, -0.5", "0.6, -0.5"), "installation.toml", "file", "quaternion_cs", "length 1"),  # noqa: E501
     "path upwards": (change("dump.toml", '"orbit.oem"', '"../orbit.oem"'), "dump.toml", "files.orbit", r"\.\./orbit", "inside the dump"),  # noqa: E501
     "absolute path": (change("exposures.csv", "exposures/1.png", "/etc/passwd"), "exposures.csv", "line 3, file", "/etc/passwd", "inside the dump"),  # noqa: E501

@@ -1,1 +1,0 @@
-"""Pictures as arrays: masked, normalised, read between their pixels, and their spectra."""
