@@ -85,7 +85,7 @@ def main() -> None:
         xy = rng.uniform([0, 0], np.array(SIZE) - 1, (int(rng.integers(4, 350)), 2))
         answer = solve_stars(xy, SIZE, own, settings, camera=PAPER_CAMERA)
         named += isinstance(answer, FieldSolution)
-        best = max(best, getattr(answer, "numbers", {}).get("best_log_odds", -np.inf))
+        best = max(best, getattr(answer, "best_log_odds", -np.inf))
     needed = -np.log(settings.max_false_alarm_probability)
     print(f"best log odds of noise {best:.1f}; {needed:.1f} are asked for")
     verdict(f"0 of {arguments.noise} frames of noise identified", named == 0)

@@ -101,10 +101,8 @@ def calibrate_camera(
         stars = sum(len(solution.hip) for _, solution in named)
         if stars < 20:
             reasons = "; ".join(reason for _, reason in refused[:3])
-            return NotIdentified(
-                f"{stars} stars identified in {len(named)} of {len(frames)} images, 20 are needed: {reasons}",
-                {"stars": float(stars), "frames": float(len(named))},
-            )
+            found = f"{stars} stars identified in {len(named)} of {len(frames)} images"
+            return NotIdentified(f"{found}, 20 are needed: {reasons}", stars)
         result = _adjusted(frames, named, camera, index, settings, drift=drift)
         camera, known = result.camera, True
     return replace(result, frames_refused=tuple(refused))

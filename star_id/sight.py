@@ -1,7 +1,8 @@
-"""A raw image of a known camera becomes the sightings that calibration uses: named stars with covariances.
+"""Star sightings for calibration from a raw image of a calibrated camera: identified stars with covariances.
 
-Only stars whose place is beyond doubt pass on: not displaced by a neighbour, a companion or, if saturated, a
-skirt that is not the PSF's, not marked in the catalogue, not an outlier of the attitude fit.
+A star is used only if its measured and its catalogue position are reliable: not displaced by a neighbour or a
+companion, not doubtful in the catalogue, its image consistent with the PSF (saturated stars: the wings), and
+no outlier of the attitude fit.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from numpy.typing import NDArray
 
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.epoch import Epoch
+from boresight.geometry.record import Bools, Floats, Ints
 from boresight.geometry.sightings import StarSightings
 from boresight.geometry.star_camera import StarCamera
 from boresight.geometry.starlight import apparent_star_directions
@@ -33,10 +35,8 @@ __all__ = [
     "tangent_coordinates",
 ]
 
-Array = NDArray[np.float64]
-
-_NAMING_PX = 0.02  # a tenth of a faint star's centroid error
-_REACH_SIGMA = 8.0  # no star displaces another from so far
+_IDENTIFICATION_ERROR_PX = 0.02  # a tenth of a faint star's centroid error
+_REACH_SIGMA = 8.0  # widths of the PSF beyond which no star displaces another
 
 
 def sight_stars(
@@ -46,46 +46,67 @@ def sight_stars(
     index: StarIndex,
     epoch: Epoch,
     t_s: float,
-    p_i: Array,
-    v_i: Array,
+    p_i: Floats,
+    v_i: Floats,
     settings: StarSettings,
     *,
     dark: NDArray | None = None,
     prior: AttitudePrior | None = None,
 ) -> StarSightings | NotIdentified:
-    """Named stars of one exposure taken at `t_s` (its middle) from `p_i` (m) with velocity `v_i` (m/s), GCRS.
+    """Identified stars of one exposure, fit for calibration.
 
-    A `prior` attitude (GCRS to s, aberration left in) saves time. A satellite's turning during the exposure
-    goes in as `settings.smear_px` (`smear_of_rate`).
+    Parameters
+    ----------
+    exposure_id : str
+        Name, used in the result and in messages.
+    image : (H, W) array
+        Raw image, 8 or 16 bits or floating.
+    camera : StarCamera
+        Calibrated camera that took it.
+    index : StarIndex
+        Star index for the camera's field of view (`build_index`).
+    epoch, t_s : Epoch, float
+        Middle of the exposure: seconds after the epoch.
+    p_i, v_i : (3,) arrays
+        Position (m) and velocity (m/s) of the satellite, GCRS.
+    settings : StarSettings
+        A rotation of the satellite during the exposure is stated by `settings.smear_px` (`smear_of_rate`).
+    dark : (H, W) array, optional
+        Dark frame of the camera.
+    prior : AttitudePrior, optional
+        Expected attitude, aberration not removed; saves time.
+
+    Returns
+    -------
+    StarSightings or NotIdentified
+        Measured directions in frame s with covariances, and apparent catalogue directions, GCRS.
+
+    Raises
+    ------
+    ValueError
+        If the image is not (H, W) of at least 32 pixels, or the dark frame has another size.
     """
     stars = find_stars(image, settings, dark)
-    found = identify(
-        tangent_coordinates(camera, stars.xy_px),
-        field_of_camera(camera, settings),
-        index,
-        settings,
-        prior=prior,
-    )
+    plane, field = tangent_coordinates(camera, stars.xy_px), field_of_camera(camera, settings)
+    found = identify(plane, field, index, settings, prior=prior)
     if isinstance(found, NotIdentified):
-        return NotIdentified(f"exposure {exposure_id}: {found.reason}", found.numbers)
-    safe = select_for_calibration(stars, found.detections, found.stars, camera, index, settings)
-    rows, names = found.detections[safe], found.stars[safe]
+        reason = f"exposure {exposure_id}: {found.reason}"
+        return NotIdentified(reason, found.n_stars, found.proposals, found.best_log_odds)
+    usable = select_for_calibration(stars, found.detections, found.stars, camera, index, settings)
+    rows, index_rows = found.detections[usable], found.stars[usable]
     if len(rows) < 3:
-        return NotIdentified(
-            f"exposure {exposure_id}: {len(found.detections)} stars identified, only {len(rows)} fit for"
-            " calibration, 3 are needed",
-            {"identified": float(len(found.detections)), "usable": float(len(rows))},
-        )
+        reason = f"{len(usable)} stars identified, only {len(rows)} fit for calibration, 3 are needed"
+        return NotIdentified(f"exposure {exposure_id}: {reason}", len(usable), found.proposals)
     xy = stars.xy_px[rows]
     u_s = camera.directions_from_pixels(xy)
     J = camera.pixel_jacobian(xy)
     cov_s = J @ stars.cov_px[rows] @ J.transpose(0, 2, 1)
-    u_i = apparent_star_directions(index.stars.take(names), epoch, t_s, p_i, v_i)
+    u_i = apparent_star_directions(index.stars.take(index_rows), epoch, t_s, p_i, v_i)
     keep, _ = attitude_of_most(u_s, u_i, cov_s)
     return StarSightings(
         exposure_id=exposure_id,
         t_s=t_s,
-        hip=index.stars.hip[names][keep],
+        hip=index.stars.hip[index_rows][keep],
         xy_px=xy[keep],
         u_s=u_s[keep],
         u_i=u_i[keep],
@@ -93,30 +114,29 @@ def sight_stars(
     )
 
 
-def tangent_coordinates(camera: StarCamera, xy_px: Array) -> Array:
-    """Tangent-plane coordinates (u_x, u_y) / u_z of image points, distortion removed well enough for
-    naming."""
-    return camera.tangents_from_pixels(xy_px, error_px=_NAMING_PX)
+def tangent_coordinates(camera: StarCamera, xy_px: Floats) -> Floats:
+    """Tangent-plane coordinates (u_x, u_y) / u_z (N, 2), frame s, of pixels (N, 2), good to 0.02 px."""
+    return camera.tangents_from_pixels(xy_px, error_px=_IDENTIFICATION_ERROR_PX)
 
 
 def field_of_camera(camera: StarCamera, settings: StarSettings) -> FieldOfView:
-    """What identification has to know of a calibrated camera."""
+    """Field of view of a calibrated camera, for `identify`."""
     focal_px = camera.focal_m / camera.pixel_m
     return FieldOfView(
-        0.5 * camera.width_px / focal_px,
-        0.5 * camera.height_px / focal_px,
-        equivalent_fov(camera.width_px, camera.height_px, focal_px),
-        1.0 / focal_px,
-        0.0,
-        settings.camera_error,
+        half_x=0.5 * camera.width_px / focal_px,
+        half_y=0.5 * camera.height_px / focal_px,
+        equivalent_fov_rad=equivalent_fov(camera.width_px, camera.height_px, focal_px),
+        pixel=1.0 / focal_px,
+        scale_error=0.0,
+        shape_error=settings.camera_error,
     )
 
 
-def smear_of_rate(camera: StarCamera, rate_s: Array, exposure_s: float) -> tuple[float, float]:
-    """How far (columns, rows) stars near the axis move while the camera turns at `rate_s` (3,) rad/s, in axes
-    of s.
+def smear_of_rate(camera: StarCamera, rate_s: Floats, exposure_s: float) -> tuple[float, float]:
+    """Motion (columns, rows), px, of star images near the axis while the camera rotates.
 
-    Stars turn against the camera, du/dt = -rate x u; the image is the reverse of u.
+    The camera rotates at `rate_s` (3,) rad/s, axes of s, for `exposure_s`. Stars move in the opposite sense,
+    du/dt = -rate x u, and pixel axes are opposite to those of s.
     """
     scale = camera.focal_m / camera.pixel_m * exposure_s
     return float(scale * rate_s[1]), float(-scale * rate_s[0])
@@ -124,48 +144,47 @@ def smear_of_rate(camera: StarCamera, rate_s: Array, exposure_s: float) -> tuple
 
 def select_for_calibration(
     stars: StarList,
-    detections: NDArray[np.int64],
-    rows: NDArray[np.int64],
+    detections: Ints,
+    rows: Ints,
     camera: StarCamera,
     index: StarIndex,
     settings: StarSettings,
-) -> NDArray[np.bool_]:
-    """The same for detections named by rows of the index."""
-    safe = has_reliable_position(index, rows, camera, stars.psf.sigma_px, settings)
-    return np.asarray(safe & ~stars.blended[detections])
+) -> Bools:
+    """(N,) whether identified stars may be used for calibration: reliable position, not blended.
+
+    Row `detections[n]` of `stars` is identified as row `rows[n]` of the index.
+    """
+    reliable = has_reliable_position(index, rows, camera, stars.psf.sigma_px, settings)
+    return np.asarray(reliable & ~stars.blended[detections])
 
 
 def has_reliable_position(
-    index: StarIndex,
-    rows: NDArray[np.int64],
-    camera: StarCamera,
-    psf_sigma_px: float,
-    settings: StarSettings,
-) -> NDArray[np.bool_]:
-    """(N,) which stars `rows` (N,) of the index the catalogue does not doubt and no other displaces in this
-    camera."""
+    index: StarIndex, rows: Ints, camera: StarCamera, psf_sigma_px: float, settings: StarSettings
+) -> Bools:
+    """(N,) whether stars `rows` (N,) of the index have a sound catalogue position and no neighbour in the
+    index displaces their images, of Gaussian width `psf_sigma_px`, in this camera."""
     arcsec_per_px = camera.pixel_m / camera.focal_m / ARCSEC
     limit_arcsec = settings.max_photocentre_shift_px * arcsec_per_px
-    trusted = _is_in(index.stars.hip[rows], _trusted_hip(float(f"{limit_arcsec:.3g}")))
+    reliable = _contains(_reliable_hip(float(f"{limit_arcsec:.3g}")), index.stars.hip[rows])
     displaced = _displaced(index, psf_sigma_px * arcsec_per_px * ARCSEC, limit_arcsec * ARCSEC)
-    return np.asarray(trusted & ~displaced[rows])
+    return np.asarray(reliable & ~displaced[rows])
 
 
 @lru_cache(maxsize=4)
-def _trusted_hip(limit_arcsec: float) -> NDArray[np.int64]:
-    """Hipparcos numbers, ascending, of stars that the catalogue does not doubt and no companion displaces."""
+def _reliable_hip(limit_arcsec: float) -> Ints:
+    """Hipparcos numbers, ascending, of stars with a sound solution and no companion that displaces them."""
     catalogue = hipparcos_stars(8.0)
     return catalogue.places.hip[catalogue.usable_for_calibration & catalogue.point_like(limit_arcsec)]
 
 
-def _is_in(values: NDArray[np.int64], ascending: NDArray[np.int64]) -> NDArray[np.bool_]:
-    place = np.minimum(np.searchsorted(ascending, values), len(ascending) - 1)
-    return np.asarray(ascending[place] == values)
+def _contains(ascending: Ints, values: Ints) -> Bools:
+    at = np.minimum(np.searchsorted(ascending, values), len(ascending) - 1)
+    return np.asarray(ascending[at] == values)
 
 
-def _displaced(index: StarIndex, sigma_rad: float, limit_rad: float) -> NDArray[np.bool_]:
-    """(N,) which stars of the index another one displaces by more than `limit_rad` (Gaussian images of
-    `sigma_rad`)."""
+def _displaced(index: StarIndex, sigma_rad: float, limit_rad: float) -> Bools:
+    """(N,) which stars of the index a neighbour displaces by more than `limit_rad`, for Gaussian images of
+    `sigma_rad`."""
     near = (index.close_rad < _REACH_SIGMA * sigma_rad).nonzero()[0]
     pair, d = index.close.take(near, axis=0), index.close_rad.take(near)
     v_mag = index.stars.v_mag.take(pair)

@@ -128,7 +128,7 @@ def _first_camera(
     """A camera of the field of view that is given, or of the first image that can be named without it."""
     if fov_deg is not None:
         return nominal_camera(size, float(np.radians(fov_deg)))
-    answer: NotIdentified = NotIdentified("there is no image", {})
+    answer: NotIdentified = NotIdentified("there is no image")
     for frame in frames:
         found = solve_stars(frame.stars.xy_px, size, index, settings)
         if not isinstance(found, NotIdentified):

@@ -1,8 +1,8 @@
-"""An attitude and a lens that are believed in, the catalogue as it is seen with them, and a better belief
-from stars that were found there.
+"""An attitude and distortion hypothesis: which stars it predicts where, which detections match them, and its
+refinement by these matches.
 
-The lens of a camera that is not calibrated is four numbers, log scale, k1, p1, p2: measured = (1 + s)(t +
-distortion), t being where the tangent plane would show the star.
+The distortion of an uncalibrated camera is four numbers, log scale s, k1, p1 and p2: a star at the ideal
+tangent-plane point t is measured at e^s (t + k1 r^2 t + decentring terms).
 """
 
 from __future__ import annotations
@@ -11,94 +11,181 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from boresight.geometry.record import Floats, Ints
 from boresight.star_id.attitude import wahba
 from boresight.star_id.identification.tangent_plane import (
-    PlaneImage,
-    directions_of_plane,
-    plane_of_directions,
+    Complex,
+    PlaneDetections,
+    directions_of_tangents,
+    tangents_of_directions,
 )
 from boresight.star_id.identification.triangle_index import StarIndex
 
-__all__ = ["Guess", "guess_at", "refined", "seen_with"]
+__all__ = [
+    "Hypothesis",
+    "Match",
+    "match_within",
+    "nearby_pairs",
+    "one_to_one_pairs",
+    "predict_field",
+    "predict_stars",
+    "refine",
+    "robust_sigma",
+]
 
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
-
-_APART = 3.0  # pixels: a star nearer to a brighter one is not seen apart from it
+_RESOLVED_PX = 3.0  # a star closer than this to a brighter one is not detected separately
+_STARS_PER_DETECTION = 1.6  # predicted stars considered, brightest first, per detection
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Guess:
-    """An attitude and a lens, and catalogue stars as they are seen with them."""
+class Hypothesis:
+    """An attitude, a distortion, and the catalogue stars that they predict in the image."""
 
-    R: Array
-    lens: Array
-    rows: NDArray[np.int64]  # (M,) brightest first, all that may be in view
-    predicted: Complex  # (M,)
+    R: Floats  # (3, 3) R_si
+    distortion: Floats  # (4,) log scale, k1, p1, p2
+    rows: Ints  # (M,) rows of the index, brightest first
+    predicted: Complex  # (M,) tangent-plane points, distorted
 
 
-def guess_at(image: PlaneImage, index: StarIndex, R: Array, lens: Array) -> Guess:
-    """All stars of the index that may be in view."""
+@dataclass(frozen=True, slots=True, eq=False)
+class NearbyPairs:
+    """All pairs of a predicted star and a detection near it."""
+
+    stars: Ints  # (K,) rows of the hypothesis
+    detections: Ints  # (K,)
+    n_predicted: int  # predicted stars that were searched for
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OneToOnePairs:
+    """Pairs in which each predicted star and each detection occurs at most once."""
+
+    detections: Ints  # (K,)
+    stars: Ints  # (K,) rows of the hypothesis
+    distance: Floats  # (K,) tangent plane
+    sigma: Floats  # (K,) expected distance along one axis
+    n_predicted: int  # predicted stars that were searched for
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Match:
+    """Accepted pairs of detections and catalogue stars."""
+
+    detections: Ints  # (K,)
+    stars: Ints  # (K,) rows of the index
+    distance: Floats  # (K,) tangent plane
+
+
+def predict_field(image: PlaneDetections, index: StarIndex, R: Floats, distortion: Floats) -> Hypothesis:
+    """Hypothesis with all index stars that may lie in the image, for attitude `R` (3, 3) and `distortion`
+    (4,)."""
     field = image.field
     corner = math.hypot(field.half_x, field.half_y) * (1.03 + 0.5 * field.shape_error)
-    rows = index.near(R[2], math.atan(corner * math.exp(-lens[0])))
-    apart = index.to_brighter_rad.take(rows) > _APART * field.pixel
-    return seen_with(index, rows.take(apart.nonzero()[0]), R, lens)
+    rows = index.near(R[2], math.atan(corner * math.exp(-distortion[0])))
+    resolved = index.to_brighter_rad.take(rows) > _RESOLVED_PX * field.pixel
+    return predict_stars(index, rows.take(resolved.nonzero()[0]), R, distortion)
 
 
-def seen_with(index: StarIndex, rows: NDArray[np.int64], R: Array, lens: Array) -> Guess:
-    """The index's stars `rows` as they are seen with an attitude and a lens."""
-    return Guess(R, lens, rows, _distorted(plane_of_directions(index.u_i.take(rows, axis=0) @ R.T), lens))
+def predict_stars(index: StarIndex, rows: Ints, R: Floats, distortion: Floats) -> Hypothesis:
+    """Hypothesis with the index stars `rows` (M,)."""
+    ideal = tangents_of_directions(index.u_i.take(rows, axis=0) @ R.T)
+    return Hypothesis(R, distortion, rows, _distorted(ideal, distortion))
 
 
-def refined(
-    image: PlaneImage,
-    index: StarIndex,
-    guess: Guess,
-    detections: NDArray[np.int64],
-    stars: NDArray[np.int64],
-) -> tuple[Rotation, Array, int]:
-    """Attitude, and what detections (N,) that are stars (N,) of the index allow to be said of an unknown
-    lens; also the number of parameters."""
-    measured = image.plane.take(detections)
-    u_i = index.u_i.take(stars, axis=0)
-    if image.field.known:
-        return wahba(directions_of_plane(measured), u_i, np.ones(len(u_i))), guess.lens, 3
+def nearby_pairs(image: PlaneDetections, hypothesis: Hypothesis, sigma: Floats) -> NearbyPairs:
+    """Pairs within five `sigma` (M,), of the brightest predicted stars that so many detections can show."""
+    most = int(_STARS_PER_DETECTION * len(image.points)) + 12
+    inside = image.field.contains(hypothesis.predicted).nonzero()[0][:most]
+    star, detection = image.within(hypothesis.predicted.take(inside), 5.0 * sigma.take(inside))
+    return NearbyPairs(inside.take(star), detection, len(inside))
+
+
+def one_to_one_pairs(
+    image: PlaneDetections, hypothesis: Hypothesis, near: NearbyPairs, sigma: Floats
+) -> OneToOnePairs:
+    """For each star the nearest detection, and for each of these the star at the least distance in `sigma`
+    (M,)."""
+    distance = np.abs(hypothesis.predicted.take(near.stars) - image.points.take(near.detections))
+    nearest = _row_of_least(near.stars, distance, len(hypothesis.rows))
+    star, detection = near.stars.take(nearest), near.detections.take(nearest)
+    distance, own = distance.take(nearest), sigma.take(star)
+    best = _row_of_least(detection, distance / own, len(image.points))
+    return OneToOnePairs(
+        detection.take(best), star.take(best), distance.take(best), own.take(best), near.n_predicted
+    )
+
+
+def match_within(hypothesis: Hypothesis, pairs: OneToOnePairs, limit: Floats | float) -> Match | None:
+    """The pairs closer than `limit`, scalar or (K,); None if there are fewer than four."""
+    close = (pairs.distance < limit).nonzero()[0]
+    if len(close) < 4:
+        return None
+    stars = hypothesis.rows.take(pairs.stars.take(close))
+    return Match(pairs.detections.take(close), stars, pairs.distance.take(close))
+
+
+def robust_sigma(distance: Floats, pixel: float) -> float:
+    """One-axis standard deviation from the median of distances (K,), limited to 0.15 to 3 pixels."""
+    if len(distance) == 0:
+        return pixel
+    median = float(distance[distance.argsort()[len(distance) // 2]])
+    return min(max(median / 1.1774, 0.15 * pixel), 3.0 * pixel)
+
+
+def refine(
+    image: PlaneDetections, index: StarIndex, hypothesis: Hypothesis, match: Match
+) -> tuple[Rotation, Floats, int]:
+    """R_si, distortion (4,) and number of fitted parameters, from the matched stars with equal weights.
+
+    An uncalibrated camera gets as many distortion parameters as the number of stars allows: scale, k1, p1,
+    p2.
+    """
+    measured = image.points.take(match.detections)
+    u_i = index.u_i.take(match.stars, axis=0)
+    if image.field.is_calibrated:
+        return wahba(directions_of_tangents(measured), u_i, np.ones(len(u_i))), hypothesis.distortion, 3
     n = len(measured)
     free = 2 if n < 16 else 4
     if image.field.scale_error > 0 and n < 8:
         free = 1
-    R, lens = guess.R, guess.lens.copy()
+    R, distortion = hypothesis.R, hypothesis.distortion.copy()
     for _ in range(3):
-        ideal = plane_of_directions(u_i @ R.T)
-        residual = measured - _distorted(ideal, lens)
+        ideal = tangents_of_directions(u_i @ R.T)
+        residual = measured - _distorted(ideal, distortion)
         size = np.abs(residual) / math.sqrt(2.0)
         weight = 1.0 / np.hypot(1.0, size / (2.0 * np.median(size) + 0.05 * image.field.pixel))
-        A = np.column_stack([*_turn_columns(ideal), *_lens_columns(ideal)[:free]]) * weight[:, None]
-        b = residual * weight
+        columns = [*_rotation_derivatives(ideal), *_distortion_derivatives(ideal)[:free]]
+        A, b = np.column_stack(columns) * weight[:, None], residual * weight
         step = np.linalg.lstsq(np.vstack([A.real, A.imag]), np.append(b.real, b.imag), rcond=1e-10)[0]
         R = Rotation.from_rotvec(step[:3]).as_matrix() @ R
-        lens[:free] += step[3:]
-    return Rotation.from_matrix(R), lens, 3 + free
+        distortion[:free] += step[3:]
+    return Rotation.from_matrix(R), distortion, 3 + free
 
 
-def _turn_columns(t: Complex) -> tuple[Complex, Complex, Complex]:
-    """d(tangent coordinates) / d(right-handed turn about the axes of s), (N,) each."""
+def _rotation_derivatives(t: Complex) -> tuple[Complex, Complex, Complex]:
+    """d(tangent-plane point) / d(right-handed rotation about the axes of s), (N,) each."""
     return -1j - t.imag * t, 1.0 + t.real * t, 1j * t
 
 
-def _lens_columns(t: Complex) -> tuple[Complex, Complex, Complex, Complex]:
-    """d(distorted) / d(log scale, k1, p1, p2), (N,) each."""
+def _distortion_derivatives(t: Complex) -> tuple[Complex, Complex, Complex, Complex]:
+    """d(distorted point) / d(log scale, k1, p1, p2), (N,) each."""
     r2 = np.abs(t) ** 2
     return t, r2 * t, r2 + 2.0 * t.real * t, 1j * r2 + 2.0 * t.imag * t
 
 
-def _distorted(t: Complex, lens: Array) -> Complex:
-    if not lens.any():
+def _distorted(t: Complex, distortion: Floats) -> Complex:
+    if not distortion.any():
         return t
-    scale, k1, p1, p2 = lens
-    _, radial, along, across = _lens_columns(t)
-    return np.asarray((t + k1 * radial + p1 * along + p2 * across) * math.exp(scale))
+    log_scale, k1, p1, p2 = distortion
+    _, radial, along_x, along_y = _distortion_derivatives(t)
+    return np.asarray((t + k1 * radial + p1 * along_x + p2 * along_y) * math.exp(log_scale))
+
+
+def _row_of_least(group: Ints, value: Floats, groups: int) -> Ints:
+    """The row of the least `value` (N,) in each non-empty `group` (N,) of 0 to `groups` - 1, in order."""
+    greatest_first = (-value).argsort()
+    least = np.full(groups, -1)
+    least[group.take(greatest_first)] = greatest_first  # later assignments overwrite: the least remains
+    return least[least >= 0]

@@ -1,11 +1,9 @@
-"""Names for the stars of an image: triangles looked up on the sky, their neighbours to vote, the whole image
-to decide.
+"""Star identification without a known attitude: triangles propose attitudes, the whole image decides.
 
-Triangles of the brightest detections are looked up by shape (`proposals`), and the few that the neighbouring
-index stars speak for are tried. A trial predicts all catalogue stars of the field, improves attitude and lens
-by those it finds, and asks `verify` how much likelier that makes the image. No attitude need be known.
-
-Coordinates are those of the tangent plane of frame s, x + iy = (u_x + i u_y) / u_z.
+Triangles of the brightest detections are looked up by shape (`proposals`). Each of the likelier ones becomes
+a hypothesis: all catalogue stars of the field are predicted, attitude and distortion are refined by the
+detections that match (`hypothesis`), and the likelihood ratio of the image with and without it decides
+(`likelihood`).
 """
 
 from __future__ import annotations
@@ -14,62 +12,72 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from boresight.star_id.identification.hypothesis import Guess, guess_at, refined, seen_with
-from boresight.star_id.identification.likelihood import log_evidence
-from boresight.star_id.identification.pairing import Match, kept, near_pairs, paired, scatter
+from boresight.geometry.record import Floats, Ints, array, record, scalar
+from boresight.star_id.identification.hypothesis import (
+    Hypothesis,
+    Match,
+    match_within,
+    nearby_pairs,
+    one_to_one_pairs,
+    predict_field,
+    predict_stars,
+    refine,
+    robust_sigma,
+)
+from boresight.star_id.identification.likelihood import log_likelihood_ratio
 from boresight.star_id.identification.proposals import MOST_DETECTIONS, propose
-from boresight.star_id.identification.tangent_plane import FieldOfView, PlaneImage
+from boresight.star_id.identification.tangent_plane import Complex, FieldOfView, PlaneDetections
 from boresight.star_id.identification.triangle_index import StarIndex
 from boresight.star_id.settings import StarSettings
 
 __all__ = ["STAGES", "AttitudePrior", "Identification", "NotIdentified", "identify"]
 
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
-
-# (table, from, to): triangles of the brightest detections, less those of the stage before; table 1 holds
-# wider triangles of brighter stars, which are rarer, but less often hidden among false stars
+# (table, from, to): triangles of the brightest `to` detections that are not all among the brightest `from`;
+# table 1 holds larger triangles of brighter stars, which are fewer, but more robust to false detections
 STAGES = ((0, 0, 8), (1, 0, 10), (0, 8, 14), (0, 14, MOST_DETECTIONS), (1, 10, 18))
-_TRACKED_STARS = 30  # bright stars that vote on how far a prior attitude is off
-_SURE = 0.05  # of the detections' spacing: a star predicted so well is nearest to its own detection
+_STARS_FOR_SHIFT = 30  # brightest stars that determine the error of a prior attitude
+_UNAMBIGUOUS = 0.05  # of the detections' spacing: stars predicted so well are nearest to their own detections
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record
 class AttitudePrior:
-    """Where the camera is believed to look, each axis good to `sigma_rad`: the last image's attitude and a
-    rate."""
+    """Expected attitude of the camera, such as the last image's, propagated."""
 
-    R_si: Rotation
-    sigma_rad: float
+    R_si: Rotation = scalar("rotation GCRS to star-camera frame s")
+    sigma_rad: float = scalar("1-sigma error about each axis, rad")
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record(kw_only=True)
 class Identification:
-    """Named stars of an image. Row n of `detections`, `stars` belong together."""
+    """Identified stars of an image. Row n of `detections` and `stars` belong together."""
 
-    detections: NDArray[np.int64]  # (M,) rows of the detections handed over
-    stars: NDArray[np.int64]  # (M,) rows of the index's stars
-    R_si: Rotation
-    lens: Array  # (4,) log scale, k1, p1, p2: measured = (1 + s)(t + distortion); zero for a known camera
-    false_alarm_probability: float  # bound, over all proposals tried
-    log_false_alarm_probability: float
-    proposals: int
-    rms: float  # residual of the matched stars per axis, tangent plane
+    detections: Ints = array("M", "rows of the detections handed over")
+    stars: Ints = array("M", "rows of the index's stars")
+    R_si: Rotation = scalar("rotation GCRS to star-camera frame s")
+    distortion: Floats = array("4", "log scale, k1, p1, p2, tangent plane; zero for a calibrated camera")
+    false_alarm_probability: float = scalar("upper bound, over all proposals tried")
+    log_false_alarm_probability: float = scalar("its natural logarithm")
+    proposals: int = scalar("triangles that agreed with the catalogue")
+    rms: float = scalar("residual of the matched stars along one axis, tangent-plane units")
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class NotIdentified:
-    """Why no name was given; `numbers` holds what the sentence counts."""
+    """Outcome of an image that could not be identified; false in a condition."""
 
-    reason: str
-    numbers: dict[str, float]
+    reason: str = scalar("what was found, what is needed and what may help, in words")
+    n_stars: int = scalar("detections or identified stars that there were", default=0)
+    proposals: int = scalar("triangles that agreed with the catalogue", default=0)
+    best_log_odds: float = scalar("largest log likelihood ratio less log(proposals)", default=-math.inf)
+
+    def __bool__(self) -> bool:
+        return False
 
 
 def identify(
-    plane: Array,
+    xy: Floats,
     field: FieldOfView,
     index: StarIndex,
     settings: StarSettings,
@@ -78,20 +86,42 @@ def identify(
     tried: int = 0,
     prior: AttitudePrior | None = None,
 ) -> Identification | NotIdentified:
-    """Identifies detections `plane` (N, 2), x and y of the tangent plane, brightest first, distortion removed
-    as far as it is known.
+    """Catalogue stars and attitude of detections given in the tangent plane.
 
-    `stages` are such as STAGES; `tried` proposals were examined elsewhere (earlier stages, other fields of
-    view) and count towards the false-alarm probability.
+    Parameters
+    ----------
+    xy : (N, 2) array
+        Tangent-plane coordinates (u_x, u_y) / u_z in frame s, brightest first, distortion removed as far as
+        it is known (`star_id.sight.tangent_coordinates`).
+    field : FieldOfView
+        Size of the image and the errors to expect of the camera's model.
+    index : StarIndex
+        Stars and triangle tables for that field of view (`build_index`).
+    settings : StarSettings
+        `max_false_alarm_probability` and `max_identification_stars` are used.
+    stages : tuple of (table, from, to)
+        Order of the search, as in STAGES.
+    tried : int
+        Proposals examined elsewhere (earlier stages, other fields of view); they count in the false-alarm
+        probability.
+    prior : AttitudePrior, optional
+        Expected attitude, tried first.
+
+    Returns
+    -------
+    Identification or NotIdentified
+
+    Raises
+    ------
+    ValueError
+        If a coordinate is not finite.
     """
-    n = len(plane)
+    n = len(xy)
     if n < 4:
-        return NotIdentified(
-            f"{n} stars found, 4 are needed; lower the threshold or expose longer", {"stars": float(n)}
-        )
-    image = PlaneImage.of(plane, field)
+        return NotIdentified(f"{n} stars found, 4 are needed; lower the threshold or expose longer", n)
+    image = PlaneDetections.from_xy(xy, field)
     if prior is not None:
-        tracked, tried = _tracked(image, index, prior, settings)
+        tracked, tried = _track(image, index, prior, settings)
         if tracked is not None:
             return tracked
     tables = index.tables_for(field.equivalent_fov_rad)
@@ -104,113 +134,128 @@ def identify(
         proposals = propose(image, tables[number], index.u_i, done, size)
         examined += proposals.examined
         for triangle, R, log_scale in zip(proposals.detections, proposals.R, proposals.log_scale):
-            trial = _try(image, index, image.plane[triangle], R, float(log_scale))
+            trial = _try_proposal(image, index, image.points[triangle], R, float(log_scale))
             if trial is None:
                 continue
-            best = max(best, trial.evidence - math.log(examined))
-            if math.log(examined) - trial.evidence < limit:
-                return _answer(trial, examined)
+            best = max(best, trial.log_ratio - math.log(examined))
+            if math.log(examined) - trial.log_ratio < limit:
+                return _identification(trial, examined)
     return NotIdentified(
         f"{n} stars found, {examined} triangles agree with the catalogue, none explains the image"
         f" (best log odds {best:.1f}, {-limit:.1f} needed)",
-        {"stars": float(n), "proposals": float(examined), "best_log_odds": float(best)},
+        n,
+        examined,
+        best,
     )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Trial:
-    """What became of a proposal."""
+    """A refined hypothesis with its matches and its log likelihood ratio."""
 
     match: Match
     R_si: Rotation
-    lens: Array
-    evidence: float  # logarithm of the likelihood ratio
+    distortion: Floats
+    log_ratio: float
 
 
-def _tracked(
-    image: PlaneImage, index: StarIndex, prior: AttitudePrior, settings: StarSettings
+def _track(
+    image: PlaneDetections, index: StarIndex, prior: AttitudePrior, settings: StarSettings
 ) -> tuple[Identification | None, int]:
-    """The field that the prior attitude predicts, shifted to where most bright stars agree; and shifts
-    tried."""
+    """The identification near a prior attitude, if there is one, and the number of shifts tried.
+
+    The predicted field is shifted by the offset that most pairs of bright stars and detections have in
+    common.
+    """
     field = image.field
     reach = 4.0 * prior.sigma_rad * (1.0 + field.half_x**2 + field.half_y**2)
-    guess = guess_at(image, index, prior.R_si.as_matrix(), np.zeros(4))
+    hypothesis = predict_field(image, index, prior.R_si.as_matrix(), np.zeros(4))
     shifts = 1
     if reach > 4.0 * field.pixel:
-        bright = guess.predicted[:_TRACKED_STARS]
-        pairs = (image.plane[None, :_TRACKED_STARS] - bright[:, None]).ravel()
-        offset = pairs[(np.abs(pairs.real) < reach) & (np.abs(pairs.imag) < reach)]
+        bright = hypothesis.predicted[:_STARS_FOR_SHIFT]
+        every = (image.points[None, :_STARS_FOR_SHIFT] - bright[:, None]).ravel()
+        offsets = every[(np.abs(every.real) < reach) & (np.abs(every.imag) < reach)]
         cell = max(4.0 * field.pixel, 0.5 * prior.sigma_rad)
         cells = int(np.ceil(2.0 * reach / cell))
         shifts = cells * cells
-        if len(offset) == 0:
+        if len(offsets) == 0:
             return None, shifts
-        column, row = (((part + reach) / cell).astype(np.int64) for part in (offset.real, offset.imag))
+        column, row = (((part + reach) / cell).astype(np.int64) for part in (offsets.real, offsets.imag))
         bins = column * cells + row
-        shift = offset[bins == np.bincount(bins).argmax()].mean()
-        turn = Rotation.from_rotvec([-shift.imag, shift.real, 0.0])  # moves stars by the shift
-        guess = seen_with(index, guess.rows, (turn * prior.R_si).as_matrix(), guess.lens)
-    sigma = np.hypot(2.0 * field.pixel, prior.sigma_rad * np.abs(guess.predicted))
-    trial = _improved(image, index, guess, sigma, chosen=2)
-    if trial is None or np.log(shifts) - trial.evidence >= np.log(settings.max_false_alarm_probability):
+        shift = offsets[bins == np.bincount(bins).argmax()].mean()
+        rotation = Rotation.from_rotvec([-shift.imag, shift.real, 0.0])  # moves stars by the shift
+        R = (rotation * prior.R_si).as_matrix()
+        hypothesis = predict_stars(index, hypothesis.rows, R, hypothesis.distortion)
+    sigma = np.hypot(2.0 * field.pixel, prior.sigma_rad * np.abs(hypothesis.predicted))
+    trial = _refined_trial(image, index, hypothesis, sigma, chosen=2)
+    if trial is None or np.log(shifts) - trial.log_ratio >= np.log(settings.max_false_alarm_probability):
         return None, shifts
-    return _answer(trial, shifts), shifts
+    return _identification(trial, shifts), shifts
 
 
-def _try(image: PlaneImage, index: StarIndex, corners: Complex, R: Array, log_scale: float) -> _Trial | None:
-    """One proposal, from the triangle of `corners` (3,)."""
+def _try_proposal(
+    image: PlaneDetections, index: StarIndex, corners: Complex, R: Floats, log_scale: float
+) -> _Trial | None:
+    """Trial of one proposal, made from the triangle of detections at `corners` (3,)."""
     field = image.field
-    guess = guess_at(image, index, R, np.array([log_scale, 0.0, 0.0, 0.0]))
+    hypothesis = predict_field(image, index, R, np.array([log_scale, 0.0, 0.0, 0.0]))
     # the triangle fixes the field near it; errors grow with the distance in units of its size
     a, b, c = corners.tolist()
     centre = (a + b + c) / 3.0
     size = math.hypot(abs(a - centre), abs(b - centre), abs(c - centre)) / math.sqrt(3.0)
-    reach = np.abs(guess.predicted - centre)
+    reach = np.abs(hypothesis.predicted - centre)
     sigma = np.sqrt(field.pixel**2 + (0.5 * field.shape_error * reach) ** 2) * (1.0 + 0.7 / size * reach)
-    return _improved(image, index, guess, sigma, chosen=3)
+    return _refined_trial(image, index, hypothesis, sigma, chosen=3)
 
 
-def _improved(
-    image: PlaneImage, index: StarIndex, guess: Guess, sigma: Array, *, chosen: int
+def _refined_trial(
+    image: PlaneDetections, index: StarIndex, hypothesis: Hypothesis, sigma: Floats, *, chosen: int
 ) -> _Trial | None:
-    """The guess, each star of it good to `sigma` (M,), improved by the detections that it predicts; None if
-    they are fewer than four.
+    """The hypothesis refined by the detections that match it; None if they are fewer than four.
 
-    The guess was made to fit `chosen` detections: they do not vote.
+    Its predictions are good to `sigma` (M,); it was made to fit `chosen` detections, which do not count in
+    the likelihood ratio.
     """
     field = image.field
-    near = near_pairs(image, guess, sigma)
-    pairs = paired(image, guess, near, sigma)
-    match = kept(guess, pairs, 3.0 * pairs.sigma)
-    sure = field.known and sigma.max(initial=0.0) < _SURE * math.sqrt(image.area / len(image.plane))
-    for _ in range(1 if field.known else 4):  # what a lens bends comes near step by step
+    near = nearby_pairs(image, hypothesis, sigma)
+    pairs = one_to_one_pairs(image, hypothesis, near, sigma)
+    match = match_within(hypothesis, pairs, 3.0 * pairs.sigma)
+    spacing = math.sqrt(image.area / len(image.points))
+    unambiguous = field.is_calibrated and sigma.max(initial=0.0) < _UNAMBIGUOUS * spacing
+    for _ in range(1 if field.is_calibrated else 4):  # each fit of the distortion lets further stars match
         if match is None:
             return None
-        R_si, lens, fitted = refined(image, index, guess, match.detections, match.stars)
-        guess = seen_with(index, guess.rows, R_si.as_matrix(), lens)
-        sigma = np.full(len(guess.rows), field.pixel)
-        if not sure:
-            near = near_pairs(image, guess, sigma)
-        pairs = paired(image, guess, near, sigma)
-        match = kept(guess, pairs, max(3.0 * scatter(pairs.distance, field.pixel), field.pixel))
+        R_si, distortion, fitted = refine(image, index, hypothesis, match)
+        hypothesis = predict_stars(index, hypothesis.rows, R_si.as_matrix(), distortion)
+        sigma = np.full(len(hypothesis.rows), field.pixel)
+        if not unambiguous:
+            near = nearby_pairs(image, hypothesis, sigma)
+        pairs = one_to_one_pairs(image, hypothesis, near, sigma)
+        limit = max(3.0 * robust_sigma(pairs.distance, field.pixel), field.pixel)
+        match = match_within(hypothesis, pairs, limit)
     if match is None:
         return None
-    unpaired, voiceless = len(image.plane) - len(pairs.detections), chosen + (fitted - 2) // 2
-    evidence = log_evidence(
-        pairs.distance, pairs.sigma, unpaired, pairs.predicted, image.area, voiceless=voiceless
+    log_ratio = log_likelihood_ratio(
+        pairs.distance,
+        pairs.sigma,
+        len(image.points) - len(pairs.detections),
+        pairs.n_predicted,
+        image.area,
+        n_excluded=chosen + (fitted - 2) // 2,
     )
-    return _Trial(match, R_si, lens, evidence)
+    return _Trial(match, R_si, distortion, log_ratio)
 
 
-def _answer(trial: _Trial, proposals: int) -> Identification:
-    log_probability = min(math.log(max(proposals, 1)) - trial.evidence, 0.0)
+def _identification(trial: _Trial, proposals: int) -> Identification:
+    log_probability = min(math.log(max(proposals, 1)) - trial.log_ratio, 0.0)
+    distance = trial.match.distance
     return Identification(
-        trial.match.detections,
-        trial.match.stars,
-        trial.R_si,
-        trial.lens,
-        math.exp(max(log_probability, -700.0)),
-        log_probability,
-        proposals,
-        math.sqrt(0.5 * (trial.match.distance @ trial.match.distance) / len(trial.match.distance)),
+        detections=trial.match.detections,
+        stars=trial.match.stars,
+        R_si=trial.R_si,
+        distortion=trial.distortion,
+        false_alarm_probability=math.exp(max(log_probability, -700.0)),
+        log_false_alarm_probability=log_probability,
+        proposals=proposals,
+        rms=math.sqrt(0.5 * (distance @ distance) / len(distance)),
     )

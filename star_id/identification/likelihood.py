@@ -1,13 +1,12 @@
-"""How much likelier an image is with a proposed attitude than without: the test that an identification has to
-pass.
+"""Likelihood ratio of an image with and without a hypothesis: the acceptance test of an identification.
 
-Under the proposal each detection is, with probability 1 - e, one of the M predicted stars with a Gaussian
-error, and with probability e something else, anywhere in the image; without it every detection is something
-else. The ratio of the two likelihoods, averaged over a few values of e and of the error's size, has mean one
-over images without the proposed stars. So (Markov) it passes the value K there with probability 1/K at most,
-and with n proposals tried n/K bounds the probability of a false identification; no count of inliers is
-chosen. The three detections that made the proposal and fix its attitude do not vote, nor do as many more as
-the lens parameters fitted since could have bent.
+Under the hypothesis each detection is, with probability 1 - e, one of the M predicted stars with a Gaussian
+position error, and with probability e clutter, anywhere in the image; without it every detection is clutter.
+The ratio of the two likelihoods, averaged over a few values of e and of the error's size, has mean one over
+images that do not show the predicted stars. By Markov's inequality it exceeds K there with probability 1/K at
+most, so n/K bounds the probability of a false identification after n proposals; no number of inliers has to
+be chosen. The three detections that made the proposal and fix its attitude are excluded, and as many more as
+the distortion parameters fitted since could have moved onto stars.
 """
 
 from __future__ import annotations
@@ -15,48 +14,47 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
-__all__ = ["log_evidence"]
+from boresight.geometry.record import Floats
 
-Array = NDArray[np.float64]
+__all__ = ["log_likelihood_ratio"]
 
-# e, the share of detections that are none of the predicted stars; the error in units of the expected one
-_OTHERS = np.array([0.1, 0.3, 0.6, 0.9])[:, None, None]
-_ODDS = _OTHERS / (1.0 - _OTHERS)
-_LOG_OTHERS, _LOG_STARS = np.log(_OTHERS[:, :, 0]), np.log(1.0 - _OTHERS[:, :, 0])
-_NARROWER = np.array([0.25, 0.5, 1.0, 2.0, 4.0])[:, None] ** -2.0
+# e, the fraction of clutter among the detections, and the position error in units of the expected one
+_CLUTTER = np.array([0.1, 0.3, 0.6, 0.9])[:, None, None]
+_ODDS = _CLUTTER / (1.0 - _CLUTTER)
+_LOG_CLUTTER, _LOG_STARS = np.log(_CLUTTER[:, :, 0]), np.log(1.0 - _CLUTTER[:, :, 0])
+_INVERSE_VARIANCE = np.array([0.25, 0.5, 1.0, 2.0, 4.0])[:, None] ** -2.0
 
 
-def log_evidence(
-    distance: Array, sigma: Array, others: int, predicted: int, area: float, *, voiceless: int = 0
+def log_likelihood_ratio(
+    distance: Floats, sigma: Floats, n_clutter: int, n_predicted: int, area: float, *, n_excluded: int = 0
 ) -> float:
-    """Natural logarithm of the likelihood ratio of an image with a proposal to one without.
+    """Natural logarithm of the likelihood ratio of an image with a hypothesis to one without.
 
     Parameters
     ----------
-    distance, sigma : (K,), (K,)
-        From each of K detections to the predicted star it is paired with, and the expected error along one
-        axis.
-    others : int
+    distance, sigma : (K,), (K,) arrays
+        Distance of each paired detection from its predicted star, and the expected error along one axis, in
+        the same unit.
+    n_clutter : int
         Detections without a predicted star near them.
-    predicted : int
+    n_predicted : int
         Number of predicted stars in the image.
     area : float
-        Of the image, in squared units of `distance`.
-    voiceless : int
-        How many of the strongest votes are left out.
+        Area of the image, in squared units of `distance`.
+    n_excluded : int
+        Detections used to form the hypothesis: so many of the best-fitting pairs do not count.
     """
-    if predicted == 0:
+    if n_predicted == 0:
         return -np.inf
-    weight = area / (predicted * 2.0 * np.pi * sigma**2)
+    weight = area / (n_predicted * 2.0 * np.pi * sigma**2)
     half_square = 0.5 * np.minimum(distance / sigma, 37.0) ** 2
-    if voiceless:
-        spoken = (half_square - np.log(weight)).argsort()[voiceless:]
-        weight, half_square = weight.take(spoken), half_square.take(spoken)
-    density = weight * _NARROWER * np.exp(-half_square * _NARROWER)
-    # log(e + (1 - e) density), the log(1 - e) taken out of the sum
-    votes = np.log(_ODDS + density).sum(axis=2) + len(weight) * _LOG_STARS
-    total = votes + others * _LOG_OTHERS
-    top = float(total.max())
-    return top + math.log(np.exp(total - top).sum() / total.size)
+    if n_excluded:
+        counted = (half_square - np.log(weight)).argsort()[n_excluded:]
+        weight, half_square = weight.take(counted), half_square.take(counted)
+    density = weight * _INVERSE_VARIANCE * np.exp(-half_square * _INVERSE_VARIANCE)
+    # log(e + (1 - e) density), with log(1 - e) taken out of the sum
+    of_pairs = np.log(_ODDS + density).sum(axis=2) + len(weight) * _LOG_STARS
+    total = of_pairs + n_clutter * _LOG_CLUTTER
+    largest = float(total.max())
+    return largest + math.log(np.exp(total - largest).sum() / total.size)

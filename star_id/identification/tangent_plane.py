@@ -1,5 +1,5 @@
-"""An image's detections in the tangent plane of frame s, x + iy = (u_x + i u_y) / u_z, and what is known of
-the camera there."""
+"""Detections in the tangent plane of frame s, as complex numbers x + iy = (u_x + i u_y) / u_z, and the
+camera's field of view there."""
 
 from __future__ import annotations
 
@@ -9,81 +9,76 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from boresight.star_id.identification.ranges import ranges
+from boresight.geometry.record import Bools, Floats, Ints, record, scalar
+from boresight.star_id.identification.triangle_index import concatenated_ranges
 
-__all__ = [
-    "FieldOfView",
-    "PlaneImage",
-    "directions_of_plane",
-    "plane_of_directions",
-]
+__all__ = ["Complex", "FieldOfView", "PlaneDetections", "directions_of_tangents", "tangents_of_directions"]
 
-Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-_CALIBRATED = 2e-3  # relative error of angles below which a lens counts as known
+_CALIBRATED = 2e-3  # relative error of angles below which distortion counts as known
 
 
-@dataclass(frozen=True, slots=True)
+@record(kw_only=True)
 class FieldOfView:
-    """What is known of the camera, as half sizes of the image in the tangent plane and errors to be
-    expected."""
+    """Size of an image in the tangent plane, and the errors to expect of the camera's model."""
 
-    half_x: float
-    half_y: float
-    equivalent_fov_rad: float
-    pixel: float  # size of a pixel in the tangent plane
-    scale_error: float  # the focal length is good to this fraction; 0: known
-    shape_error: float  # ratios of a triangle's sides are good to this
+    half_x: float = scalar("half width of the image, tangent-plane units")
+    half_y: float = scalar("half height of the image, tangent-plane units")
+    equivalent_fov_rad: float = scalar("width of a 4:3 field of the same area (`equivalent_fov`), rad")
+    pixel: float = scalar("size of a pixel, tangent-plane units")
+    scale_error: float = scalar("relative error of the focal length; 0: known")
+    shape_error: float = scalar("relative error of the side ratios of a triangle, due to distortion")
 
     @property
-    def known(self) -> bool:
-        """The camera is calibrated: nothing about its lens is left to be found."""
+    def is_calibrated(self) -> bool:
+        """True if neither the focal length nor the distortion has to be fitted."""
         return self.scale_error == 0.0 and self.shape_error < _CALIBRATED
 
-    def contains(self, plane: Complex) -> NDArray[np.bool_]:
-        """(N,) whether points (N,) of the tangent plane are in the image."""
-        return np.asarray((np.abs(plane.real) < self.half_x) & (np.abs(plane.imag) < self.half_y))
+    def contains(self, points: Complex) -> Bools:
+        """(N,) whether tangent-plane points (N,) lie in the image."""
+        return np.asarray((np.abs(points.real) < self.half_x) & (np.abs(points.imag) < self.half_y))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class PlaneImage:
-    """Detections, brightest first, and their order along x to find them by place."""
+class PlaneDetections:
+    """Detections of one image in the tangent plane, brightest first, with a search index along x."""
 
-    plane: Complex  # (N,)
+    points: Complex  # (N,)
     field: FieldOfView
-    along_x: NDArray[np.int64]  # (N,) rows of `plane`, ascending in x
+    along_x: Ints  # (N,) rows of `points`, ascending in x
 
     @classmethod
-    def of(cls, plane: Array, field: FieldOfView) -> PlaneImage:
-        """Detections from their coordinates (N, 2). Raises `ValueError` for places that are not known."""
-        if not math.isfinite(plane.sum()):
-            raise ValueError("detections must have finite places in the tangent plane, got NaN or infinity")
-        return cls(np.ascontiguousarray(plane).view(np.complex128)[:, 0], field, plane[:, 0].argsort())
+    def from_xy(cls, xy: Floats, field: FieldOfView) -> PlaneDetections:
+        """Detections at tangent-plane coordinates (N, 2). Raises `ValueError` for NaN or infinite ones."""
+        if not math.isfinite(xy.sum()):
+            raise ValueError("detections must have finite tangent-plane coordinates, got NaN or infinity")
+        return cls(np.ascontiguousarray(xy).view(np.complex128)[:, 0], field, xy[:, 0].argsort())
 
     @property
     def area(self) -> float:
+        """Area of the image, squared tangent-plane units."""
         return 4.0 * self.field.half_x * self.field.half_y
 
-    def within(self, points: Complex, reach: Array) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """All pairs of points (M,) and detections nearer to them than `reach` (M,): rows of both."""
+    def within(self, points: Complex, radius: Floats) -> tuple[Ints, Ints]:
+        """Rows (K,) of `points` (M,) and rows (K,) of the detections closer to them than `radius` (M,)."""
         x = points.real
-        window = self.plane.real.take(self.along_x).searchsorted([x - reach, x + reach])
-        point, place = ranges(*window)
-        detection = self.along_x.take(place)
-        distance = np.abs(points.take(point) - self.plane.take(detection))
-        close = (distance < reach.take(point)).nonzero()[0]
+        window = self.points.real.take(self.along_x).searchsorted([x - radius, x + radius])
+        point, position = concatenated_ranges(*window)
+        detection = self.along_x.take(position)
+        distance = np.abs(points.take(point) - self.points.take(detection))
+        close = (distance < radius.take(point)).nonzero()[0]
         return point.take(close), detection.take(close)
 
 
-def directions_of_plane(plane: Complex) -> Array:
-    """Unit vectors (..., 3) of points (...)."""
-    u = np.empty((*plane.shape, 3))
-    u[..., 2] = z = 1.0 / np.sqrt(1.0 + np.abs(plane) ** 2)
-    u[..., 0], u[..., 1] = plane.real * z, plane.imag * z
+def directions_of_tangents(points: Complex) -> Floats:
+    """Unit vectors (..., 3), frame s, of tangent-plane points (...)."""
+    u = np.empty((*points.shape, 3))
+    u[..., 2] = z = 1.0 / np.sqrt(1.0 + np.abs(points) ** 2)
+    u[..., 0], u[..., 1] = points.real * z, points.imag * z
     return u
 
 
-def plane_of_directions(u: Array) -> Complex:
-    """Points (N,) of directions (N, 3) ahead of the camera."""
-    return np.asarray((u[:, 0] + 1j * u[:, 1]) / u[:, 2])
+def tangents_of_directions(u_s: Floats) -> Complex:
+    """Tangent-plane points (N,) of directions (N, 3), frame s, in front of the camera."""
+    return np.asarray((u_s[:, 0] + 1j * u_s[:, 1]) / u_s[:, 2])
