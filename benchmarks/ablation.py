@@ -270,7 +270,7 @@ def _error(strips: list[StripSightings]) -> tuple[Array, float]:
 def report(rows: dict[str, tuple[Array, Array, float]]) -> str:
     """The table of docs/ablation.md: what each effect adds to what is left when nothing is left out."""
     text = _TEXT.format(passes=PASSES, targets=TARGETS, exposures=len(EXPOSURES_S))
-    lines = [text, "| left out | one pass, rms: X | Y | Z | all passes: X | Y | Z |"]
+    lines = [text, "| neglected | one pass, rms: X | Y | Z | all passes: X | Y | Z |"]
     lines.append("| --- | --: | --: | --: | --: | --: | --: |")
     base_alone, base_together, _ = rows["nothing"]
     for name, (alone, together, _) in rows.items():
@@ -289,7 +289,7 @@ def _figure(value: float) -> str:
 _TEXT = """# What each effect is worth
 
 Error of the installation matrix, in arc-seconds about the axes of the remote-sensing camera, that comes from
-leaving one effect out of the processing of strips in which all are present. No noise was added: the table
+neglecting one effect in the processing of strips in which all are present. No noise was added: the table
 shows the effects themselves. The paper reports 0.01″.
 
 Made by `python benchmarks/ablation.py --out docs/ablation.md`: {passes} passes over all of 2024, anywhere on
@@ -300,7 +300,7 @@ estimate, in which effects that change sign from place to place partly cancel. T
 a receiver gives it, and the estimator carries its usual unknowns (position 2 m, clock 0.1 ms, vibration 0.1″,
 distortion 0.3 px), which take up a little of each effect.
 
-The first line is what is left with nothing left out, the cubic through the star exposures; it has been taken
+The first line is what is left with nothing neglected, the cubic through the star exposures; it has been taken
 off the other lines.
 """
 
@@ -308,14 +308,14 @@ _NOTES = """
 How to read it:
 
 * The aberration of the stars by the orbital velocity and that of the ground are one velocity seen by two
-  cameras. With the star camera near the zenith both turn the matrix the same way, and a program without
+  cameras. With the star camera near the zenith both rotate the matrix the same way, and a program without
   either is wrong by their sum, 10″ in pitch, the same in every pass: no amount of data averages it out.
 * The aberration by the Earth's velocity changes with the season and with the place on the orbit. A campaign
   spread over a year averages some of it out; a campaign of a week does not.
-* Earth orientation matters although the orbit is Earth-fixed: satellite and targets turn together against
+* Earth orientation matters although the orbit is Earth-fixed: satellite and targets rotate together against
   the stars, 15″ for each second of UT1 - UTC, which was within 0.06 s in 2024. dX and dY were 0.6 mas at
   most.
-* Each row has its own instant: the attitude turns by 0.22″ a millisecond, and what the nearest exposure
+* Each row has its own instant: the attitude rotates by 0.22″ a millisecond, and what the nearest exposure
   says is up to 100 ms old. Z, which only the spread of the targets in the field tells, suffers most. Half a
   TDI exposure is 8 m along the track.
 * A missing geoid hardly shows at nadir and grows with the tangent of the roll angle, as refraction does.

@@ -29,12 +29,10 @@ sys.path[:0] = [str(ROOT), str(ROOT / "tests" / "gct_match")]
 
 from rendered_pairs import Pair, load_picture, make_pair  # noqa: E402
 
-from boresight.gct_match.locate import Located, locate  # noqa: E402
-from boresight.gct_match.search.correlation import (  # noqa: E402
-    correlation_surface,
-    normalised,
-    peaks_of,
-)
+from boresight.gct_match.imaging.views import normalised, view_of  # noqa: E402
+from boresight.gct_match.locate import locate  # noqa: E402
+from boresight.gct_match.records import Refusal  # noqa: E402
+from boresight.gct_match.search.correlation import correlation_surface, peaks_of  # noqa: E402
 from boresight.gct_match.settings import MatchSettings  # noqa: E402
 
 Array = NDArray[np.float64]
@@ -200,12 +198,11 @@ def boresight(pair: Pair) -> Outcome:
 
 def located(template: NDArray, window: NDArray, radius: int) -> Outcome:
     middle = (np.array(template.shape[::-1]) - 1.0) / 2.0
-    outcome = locate(
-        template, template > 0.0, window, window > 0.0, (MARGIN, MARGIN), radius, middle, SETTINGS
-    )
-    if not isinstance(outcome, Located):
+    views = (view_of(image, image > 0.0) for image in (template, window))
+    outcome = locate(*views, (MARGIN, MARGIN), radius, middle, SETTINGS)
+    if isinstance(outcome, Refusal):
         return None, None
-    return outcome.placement.xy_px - middle, outcome.placement.cov_px
+    return outcome.xy_px - middle, outcome.cov_px
 
 
 METHODS: dict[str, Callable[[Pair], Outcome]] = {

@@ -21,8 +21,9 @@ from match_peers import MARGIN, METHODS, SETTINGS, Array, Outcome, located, peak
 from numpy.typing import NDArray
 from rendered_pairs import DATA, Pair
 
+from boresight.gct_match.imaging.views import normalised
 from boresight.gct_match.search.bootstrap import pyramid_factor, vote_tolerance_px
-from boresight.gct_match.search.correlation import correlation_surface, normalised
+from boresight.gct_match.search.correlation import correlation_surface
 from boresight.gct_match.search.edge_search import best_places, search_picture, search_template
 from boresight.gct_match.search.vote import Candidates, Vote, log_chance_of_ranks, vote
 from boresight.gct_match.suggest import suggest_targets

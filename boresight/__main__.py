@@ -1,5 +1,21 @@
-"""`python -m boresight`: the command line."""
+"""The command `boresight`, also as `python -m boresight`."""
 
-from boresight.pipeline.cli import main
+import sys
 
-main()
+__all__ = ["main"]
+
+
+def main() -> None:
+    """Run the command line; `--version` alone is answered without importing it."""
+    if sys.argv[1:] == ["--version"]:
+        from boresight.version import version_text
+
+        print(version_text())
+        return
+    from boresight.pipeline.cli import main as command_line
+
+    command_line()
+
+
+if __name__ == "__main__":
+    main()

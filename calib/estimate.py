@@ -1,14 +1,14 @@
-"""What a calibration gives: the installation matrix with its covariance, or the turns that cannot be seen."""
+"""Results of a calibration: the installation matrix with its covariance, or the undetermined rotations."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from enum import Enum
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from boresight.calib.information import InformationPairs
+from boresight.geometry.record import Bools, Floats, Ints, Texts, array, record, scalar
 
 __all__ = [
     "InstallationEstimate",
@@ -16,102 +16,136 @@ __all__ = [
     "NoiseScale",
     "NotObservable",
     "Rejected",
+    "RejectionTest",
     "TargetResiduals",
+    "WhyRejected",
 ]
 
-Array = NDArray[np.float64]
+
+class WhyRejected(Enum):
+    """Why an observation takes no part in the estimate."""
+
+    ATTITUDE_NOT_FIXED = "attitude not fixed"  # exposure: too few good stars, or all in one direction
+    STAR_RESIDUAL = "star residual"  # star: fails the chi-square test against the exposure's other stars
+    TARGET_RESIDUAL = "target residual"  # target: fails data snooping against all other targets
+    NOT_COVERED = "not covered"  # target: no usable exposures around its instant
+    NO_TARGET_COVERED = "no target covered"  # strip: none of its targets has usable exposures around it
 
 
-@dataclass(frozen=True, slots=True)
+@record(kw_only=True)
 class Rejected:
-    """One thing left out. `normalised` is its squared residual over its variance (NaN where it has none)."""
+    """One observation that takes no part in the estimate."""
 
-    strip_id: str
-    exposure_id: str  # empty for targets and strips
-    kind: str  # "star", "target", "exposure" or "strip"
-    name: str  # Hipparcos number, target id, exposure id, strip id
-    reason: str
-    normalised: float
+    strip_id: str = scalar("strip")
+    exposure_id: str = scalar("exposure; empty for targets and strips", default="")
+    kind: str = scalar('"star", "target", "exposure" or "strip"')
+    name: str = scalar("Hipparcos number, target id, exposure id or strip id")
+    why: WhyRejected = scalar("cause")
+    statistic: float = scalar(
+        "test statistic, chi-square of 2 degrees of freedom; NaN where none was tested", default=float("nan")
+    )
+    limit: float = scalar("limit that `statistic` exceeds; NaN where none was tested", default=float("nan"))
+    n_good: int = scalar("stars of the exposure that pass, or usable exposures of the strip", default=0)
+    n_all: int = scalar("stars of the exposure, or targets of the strip", default=0)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record
 class Iteration:
-    """One step towards M = I."""
+    """One Gauss-Newton step."""
 
-    theta_step: Array  # (3,) rad
-    sigma: Array  # (3,) rad, predicted from the information at this step
-    chi2: float
-    targets: float  # sum of the targets' weights
+    theta_step: Floats = array("3", "rad, frame c")
+    sigma: Floats = array("3", "1-sigma predicted at this step, rad, frame c")
+    chi2: float = scalar("weighted sum of squares after the step, priors included")
+    targets: float = scalar("sum of the targets' weights")
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record(kw_only=True)
 class TargetResiduals:
-    """Every target of every strip, in the order given. Residuals after all unknowns were taken out."""
+    """Residuals of all targets, all unknowns estimated. Row n of every array is the same sighting."""
 
-    strip_id: NDArray[np.str_]  # (J,)
-    target_id: NDArray[np.str_]  # (J,)
-    ccd: NDArray[np.int64]  # (J,)
-    sample: Array  # (J,) px
-    residual_c: Array  # (J, 2) rad along x and y of frame c
-    normalised: Array  # (J,) squared residual over its own variance, 2 degrees of freedom
-    kept: NDArray[np.bool_]  # (J,)
+    strip_id: Texts = array("J", "strip")
+    target_id: Texts = array("J", "target")
+    ccd: Ints = array("J", "CCD of the camera, from 0")
+    sample: Floats = array("J", "position along the CCD, px")
+    residual_c: Floats = array("J, 2", "measured minus fitted direction along x and y of frame c, rad")
+    statistic: Floats = array("J", "squared residual over its own covariance, chi-square of 2 dof")
+    kept: Bools = array("J", "whether the sighting takes part")
+    detectable_rad: Floats = array(
+        "J",
+        "minimal detectable bias: smallest error of the direction, along its least controlled axis, that the "
+        "test finds with the power of `RejectionTest`; inf where nothing controls it",
+    )
+    detectable_m: Floats = array("J", "`detectable_rad` times the distance to the target, m")
 
 
-@dataclass(frozen=True, slots=True)
+@record
+class RejectionTest:
+    """Test by which targets are rejected (data snooping, Baarda 1968), one per sighting."""
+
+    limit: float = scalar("rejected above this statistic, chi-square of 2 degrees of freedom")
+    probability_each: float = scalar("probability that one good sighting is rejected")
+    probability_any: float = scalar("probability that any of all good sightings is rejected, at most")
+    power: float = scalar("probability with which a bias of the stated minimal size is found")
+    noncentrality: float = scalar("of the chi-square distribution that has this power")
+
+
+@record
 class NoiseScale:
-    """What the residuals say of the sigmas that came with the sightings: factors, each with its own
-    1-sigma.
-    """
+    """Factors by which residuals exceed the stated standard deviations (1, with 1-sigma 0: not asked for)."""
 
-    stars: float
-    stars_sigma: float
-    targets: float
-    targets_sigma: float
+    stars: float = scalar("factor of the stars' standard deviations")
+    stars_sigma: float = scalar("1-sigma of `stars`")
+    targets: float = scalar("factor of the image measurements' standard deviations")
+    targets_sigma: float = scalar("1-sigma of `targets`")
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record(kw_only=True)
 class InstallationEstimate:
-    """The installation matrix. Covariances are of a small turn about the axes of frame c, rad²."""
+    """The installation matrix with covariance and fit statistics."""
 
-    R_cs: Rotation
-    R_cs0: Rotation
-    theta: Array  # (3,) rad: R_cs = exp[[theta]] R_cs0, the whole deviation
-    cov_theta: Array  # (3, 3)
-    chi2: float  # of the targets' residuals
-    dof: int
-    chi2_stars: float
-    dof_stars: int
-    n_strips: int
-    n_exposures: int
-    n_stars: int
-    n_targets: int  # sightings kept
-    iterations: tuple[Iteration, ...]
-    converged_matrix: bool  # the last M was the unit matrix to the tolerance
-    converged_covariance: bool  # the last step was a small part of the predicted sigma on every axis
-    rejected: tuple[Rejected, ...]
-    pairs: InformationPairs  # one a strip, about the matrix of the last iteration
-    prior_shared: Array  # (n - 3, n - 3) information of the pairs' shared unknowns before any strip
-    targets_taken_apart: int  # targets in several strips whose coordinates were taken as drawn anew in each
-    targets: TargetResiduals
-    noise: NoiseScale
+    R_cs: Rotation = scalar("installation matrix, star camera to remote-sensing camera")
+    R_cs0: Rotation = scalar("matrix at the start")
+    theta: Floats = array("3", "whole deviation, R_cs = exp[[theta]] R_cs0, rad, frame c")
+    cov_theta: Floats = array("3, 3", "covariance of a small rotation about the axes of c, rad²")
+    chi2: float = scalar("of the targets' residuals, priors included")
+    dof: int = scalar("degrees of freedom of `chi2`: two a target kept, less three")
+    chi2_stars: float = scalar("of the stars' residuals about the attitudes of their exposures")
+    dof_stars: int = scalar("degrees of freedom of `chi2_stars`")
+    n_strips: int = scalar("strips that take part")
+    n_exposures: int = scalar("exposures that take part")
+    n_stars: int = scalar("stars that take part")
+    n_targets: int = scalar("target sightings that take part")
+    iterations: tuple[Iteration, ...] = scalar("all Gauss-Newton steps, in order")
+    converged_matrix: bool = scalar("the last correction is within `tolerance_rad` of zero")
+    converged_covariance: bool = scalar("... and within `tolerance_sigma` times the predicted 1-sigma")
+    rejected: tuple[Rejected, ...] = scalar("observations that take no part")
+    pairs: InformationPairs = scalar("normal equations of each strip about the last iteration's matrix")
+    prior_shared: Floats = array("G, G", "prior information of the pairs' shared unknowns")
+    n_targets_treated_independent: int = scalar(
+        "targets seen in several strips whose coordinate errors were taken as independent in each"
+    )
+    targets: TargetResiduals = scalar("residuals of all targets")
+    rejection: RejectionTest = scalar("how targets were tested")
+    noise: NoiseScale = scalar("noise as the residuals show it")
 
     @property
     def converged(self) -> bool:
+        """Whether the last correction was negligible, absolutely and against the predicted 1-sigma."""
         return self.converged_matrix and self.converged_covariance
 
     @property
-    def sigma_theta(self) -> Array:
-        """(3,) rad."""
+    def sigma_theta(self) -> Floats:
+        """1-sigma (3,) about the axes of frame c, rad."""
         return np.sqrt(np.diag(self.cov_theta))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record(kw_only=True)
 class NotObservable:
-    """The data do not fix all three turns. No number is given along the directions that they leave open."""
+    """Result where the data do not fix all three angles; no number is given along the undetermined axes."""
 
-    reason: str
-    directions_c: Array  # (m, 3) unit vectors: the turns about them are not observable
-    observable_c: Array  # (3 - m, 3) unit vectors that are
-    theta_along: Array  # (3 - m,) rad, the deviation's part along each observable direction, from R_cs0
-    sigma_along: Array  # (3 - m,) rad
-    rejected: tuple[Rejected, ...]
+    reason: str = scalar("what is lacking, in words")
+    directions_c: Floats = array("M, 3", "unit vectors: rotations about them are not observable")
+    observable_c: Floats = array("L, 3", "unit vectors, the 3 - M observable ones")
+    theta_along: Floats = array("L", "deviation from R_cs0 about each observable axis, rad")
+    sigma_along: Floats = array("L", "its 1-sigma, rad")
+    rejected: tuple[Rejected, ...] = scalar("observations that take no part")

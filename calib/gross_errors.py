@@ -1,36 +1,113 @@
-"""The matrix that most targets share, whatever the rest say: where to start when some matches are wrong."""
+"""Search for gross errors among the targets: a robust start, then data snooping.
+
+Data snooping (Baarda 1968; Teunissen, Testing Theory, 2006) tests one target at a time. For target j, with
+residual e_j and covariance Q_j of that residual,
+
+    T_j = e_jᵀ Q_j⁻¹ e_j,    chi-square of 2 degrees of freedom if its measurement is good,
+
+is the decrease of chi2 when the target is rejected and, computed without it, the increase when it is
+re-admitted. Rejecting where T_j exceeds the limit k and re-admitting where it does not therefore minimises
+
+    chi2(kept targets) + k * (number of rejected targets)                                           (1)
+
+one step at a time. Only steps that decrease (1) are taken, so no set of targets occurs twice and the search
+ends, whatever the order of the targets and the iteration limits of the estimate.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
-from numpy.typing import NDArray
+from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
+from scipy.stats import chi2, ncx2
 
 from boresight.calib.attitudes import cross_matrices
-from boresight.calib.estimate import Iteration
-from boresight.calib.joint_solution import Problem, iteration_record, linear_solution, residuals_about
+from boresight.calib.estimate import Iteration, RejectionTest
+from boresight.calib.joint_solution import (
+    Linearised,
+    Problem,
+    Step,
+    iteration_record,
+    linear_solution,
+    linearised,
+    solve_weighted,
+    squared_mahalanobis,
+)
 from boresight.geometry.installation import deviation_from_theta
+from boresight.geometry.record import Bools, Floats, Ints
 
-__all__ = ["down_to_the_noise", "most_shared_matrix"]
+__all__ = ["detectable_bias", "l1_start", "refine_geman_mcclure", "rejection_test", "snoop"]
 
-Array = NDArray[np.float64]
+POWER = 0.8  # of the test, for the minimal detectable bias: the value usual in geodesy
+SMALLEST_GAIN = 1e-6  # of the limit: (1) must fall by more than rounding
 
 
-def most_shared_matrix(problem: Problem, R_cs: Rotation) -> Rotation:
-    """The matrix with the least sum of absolute residuals: what most targets share, whatever the others
-    say.
+def rejection_test(probability_false_alarm: float, n_tests: int) -> RejectionTest:
+    """Limit, family-wise false-alarm rate of `n_tests` tests, and noncentrality of the stated power."""
+    limit = float(chi2.isf(probability_false_alarm, 2))
+    noncentrality = float(brentq(lambda size: ncx2.sf(limit, 2, size) - POWER, 1e-3, 1e3))
+    of_any = -float(np.expm1(n_tests * np.log1p(-probability_false_alarm)))
+    return RejectionTest(limit, probability_false_alarm, of_any, POWER, noncentrality)
+
+
+def snoop(problem: Problem, about: Linearised, kept: Bools, limit: float) -> Bools:
+    """The targets (J,) to keep, searched from `kept`: no single rejection or re-admission decreases (1)."""
+    step = solve_weighted(problem, about, kept.astype(float))
+    while True:
+        for other in _moves(squared_mahalanobis(step), kept, problem, limit):
+            moved = solve_weighted(problem, about, other.astype(float))
+            rejected = int(kept.sum()) - int(other.sum())
+            if moved.chi2 + limit * rejected < step.chi2 - SMALLEST_GAIN * limit:
+                step, kept = moved, other
+                break
+        else:
+            return kept
+
+
+def _moves(statistic: Floats, kept: Bools, problem: Problem, limit: float) -> Iterator[Bools]:
+    """Sets of targets to try: without the largest residual, with all that pass, with the best of them."""
+    over, back = kept & (statistic > limit), problem.inside & ~kept & (statistic < limit)
+    if over.any():
+        yield kept & (np.arange(len(kept)) != _largest(statistic, over, problem.rank))
+    if back.any():
+        yield kept | back
+        yield kept | (np.arange(len(kept)) == _largest(-statistic, back, problem.rank))
+
+
+def _largest(values: Floats, among: Bools, rank: Ints) -> int:
+    """Index of the largest value; of values equal but for rounding, the first in rank."""
+    rows = np.flatnonzero(among)
+    top = np.max(values[rows])
+    rows = rows[values[rows] >= top - 1e-9 * abs(top)]
+    return int(rows[np.argmin(rank[rows])])
+
+
+def detectable_bias(step: Step, kept: Bools, noncentrality: float) -> Floats:
+    """Minimal detectable bias (J,) of each target's direction along its least controlled axis, rad.
+
+    A bias b (rad along the tangent axes) gives T_j the noncentrality bᵀ Wᵀ Q⁻¹ W b, with W the whitener and Q
+    the covariance of the whitened residual predicted by all other targets; inf where none controls it.
     """
+    information = step.variance.copy()  # of a target in the fit, I - leverage is that inverse
+    information[~kept] = np.linalg.inv(information[~kept])
+    weakest = np.linalg.eigvalsh(np.swapaxes(step.whitener, 1, 2) @ information @ step.whitener)[:, 0]
+    controlled = np.linalg.eigvalsh(information)[:, 0] > 1e-9
+    return np.sqrt(np.divide(noncentrality, weakest, out=np.full(len(weakest), np.inf), where=controlled))
+
+
+def l1_start(problem: Problem, R_cs: Rotation) -> Rotation:
+    """The matrix with the least sum of absolute residuals, by iterative re-weighting from `R_cs`."""
     u_c = np.concatenate([group.u_c[group.inside] for group in problem.groups])
     v_s = np.concatenate([group.v_s[group.inside] for group in problem.groups])
     for _ in range(50):
         w = R_cs.apply(v_s)
         difference = u_c - w
-        weight = 1.0 / np.maximum(
-            np.linalg.norm(difference, axis=1), 1e-6
-        )  # 0.2 arcsec: below this all is equal
-        turn = cross_matrices(w)
-        N = np.einsum("n,nia,nib->ab", weight, turn, turn)
-        right = np.einsum("n,nia,ni->a", weight, turn, difference)
+        weight = 1.0 / np.maximum(np.linalg.norm(difference, axis=1), 1e-6)  # 1e-6 rad: 0.2 arcsec
+        cross = cross_matrices(w)
+        N = np.einsum("n,nia,nib->ab", weight, cross, cross)
+        right = np.einsum("n,nia,ni->a", weight, cross, difference)
         values, vectors = np.linalg.eigh(N)
         known = values > 1e-10 * values[-1]
         theta = (vectors[:, known] / values[known]) @ (vectors[:, known].T @ right)
@@ -40,24 +117,23 @@ def most_shared_matrix(problem: Problem, R_cs: Rotation) -> Rotation:
     return R_cs
 
 
-def down_to_the_noise(
+def refine_geman_mcclure(
     problem: Problem, R_cs: Rotation, iterations: list[Iteration], scale_c: float
-) -> tuple[Rotation, Array]:
-    """Geman and McClure's weights with a limit that halves until it is three sigma."""
-    weight = problem.inside.astype(float)
-    limit = np.inf
+) -> tuple[Rotation, Bools]:
+    """Matrix by Geman and McClure's weights, and the targets (J,) of more than a quarter of full weight.
+
+    The weights' scale halves until it is three sigma, so that the minimum found is that near `R_cs`.
+    """
+    about = linearised(problem, R_cs, scale_c)
+    at_start = np.linalg.norm(np.concatenate([line.r.reshape(-1, 2) for line in about.strips]), axis=1)
+    scale = max(3.0, 3.0 * float(np.median(at_start[problem.inside])))
+    weight = problem.inside * (1.0 + (at_start / scale) ** 2) ** -2.0
     for _ in range(40):
         step = linear_solution(problem, R_cs, weight, scale_c)
-        if np.isinf(limit):  # nothing may move yet: residuals about the starting matrix
-            distance = np.linalg.norm(residuals_about(problem, R_cs, scale_c), axis=1)
-            limit = max(3.0, 3.0 * float(np.median(distance[problem.inside])))
-        else:
-            iterations.append(iteration_record(step, weight))
-            R_cs = deviation_from_theta(step.solution.theta) * R_cs
-            distance = np.linalg.norm(step.whitened, axis=1)
-            limit = max(3.0, 0.5 * limit)
-        before = weight
-        weight = problem.inside * (1.0 + (distance / limit) ** 2) ** -2.0
-        if limit == 3.0 and np.max(np.abs(weight - before)) < 1e-2:
+        iterations.append(iteration_record(step, weight))
+        R_cs = deviation_from_theta(step.solution.theta) * R_cs
+        scale, before = max(3.0, 0.5 * scale), weight
+        weight = problem.inside * (1.0 + (np.linalg.norm(step.whitened, axis=1) / scale) ** 2) ** -2.0
+        if scale == 3.0 and np.max(np.abs(weight - before)) < 1e-2:
             break
-    return R_cs, weight
+    return R_cs, weight > 0.25

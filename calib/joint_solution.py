@@ -1,8 +1,7 @@
-"""All strips together: one linear solution for theta, with every strip's own unknowns eliminated and put
-back.
+"""All strips together: one linear solution for theta and the shared unknowns, and its residuals.
 
-What `strips` says of one strip is added here, exactly, and solved; every target then gets its residual with
-that residual's own variance, by which a gross error is told from noise.
+The normal equations of each strip (`strips`), its own unknowns eliminated, are added exactly and solved.
+Every target then gets its residual and the covariance of that residual, by which gross errors are tested.
 """
 
 from __future__ import annotations
@@ -10,7 +9,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from boresight.calib.estimate import Iteration
@@ -18,99 +16,135 @@ from boresight.calib.information import InformationPairs, Solution, solve_total
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.shared_unknowns import SharedUnknowns, find_shared
 from boresight.calib.strips import LinearStrips, PreparedStrip, StripGroup, group_strips, linearise
+from boresight.geometry.record import Bools, Floats, Ints, Texts, array, record, scalar
 
 __all__ = [
+    "Linearised",
     "Problem",
     "Step",
     "iteration_record",
     "linear_solution",
-    "normalised_residuals",
-    "residuals_about",
+    "linearised",
+    "solve_weighted",
+    "squared_mahalanobis",
 ]
 
-Array = NDArray[np.float64]
 
-
-@dataclass(frozen=True, slots=True, eq=False)
+@record(kw_only=True)
 class Problem:
-    """All strips in groups of equal shape. Targets of all groups stand one after another: group, strip,
-    target.
-    """
+    """All strips in groups of equal shape. The J targets of all are in the order group, strip, target."""
 
-    groups: list[StripGroup]
-    names: NDArray[np.str_]  # (S,) strip ids, group after group
-    shared: SharedUnknowns
-    prior_shared: Array
-    inside: NDArray[np.bool_]  # (J,)
-    settings: CalibrationSettings
+    groups: list[StripGroup] = scalar("strips of equal shape")
+    names: Texts = array("S", "strip ids, group after group")
+    shared: SharedUnknowns = scalar("unknowns beside theta that several strips share")
+    prior_shared: Floats = array("G, G", "prior information of the shared unknowns")
+    inside: Bools = array("J", "whether exposures cover the target's instant")
+    rank: Ints = array("J", "place of each sighting in the order of strip, target and CCD")
+    settings: CalibrationSettings = scalar("priors and limits")
 
     @classmethod
     def of(cls, prepared: list[PreparedStrip], settings: CalibrationSettings) -> Problem:
+        """The problem that these strips pose; without groups where no target is covered."""
         shared = find_shared([strip.seen() for strip in prepared if strip.inside.any()], settings)
         groups = group_strips(prepared, shared, settings)
-        none = np.zeros(0, dtype=bool)
-        inside = np.concatenate([none, *(group.inside.ravel() for group in groups)])
-        names = np.concatenate([[prepared[n].strip_id for n in group.place] for group in groups] or [[]])
-        return cls(groups, names.astype(str), shared, shared.prior_information(), inside, settings)
+        members = [prepared[n] for group in groups for n in group.place]
+        keys = [
+            (strip.strip_id, target, ccd)
+            for strip in members
+            for target, ccd in zip(strip.target_id.tolist(), strip.ccd.tolist())
+        ]
+        rank = np.empty(len(keys), dtype=np.int64)
+        rank[sorted(range(len(keys)), key=keys.__getitem__)] = np.arange(len(keys))
+        return cls(
+            groups=groups,
+            names=np.array([strip.strip_id for strip in members], dtype=str),
+            shared=shared,
+            prior_shared=shared.prior_information(),
+            inside=np.concatenate([np.zeros(0, dtype=bool), *(group.inside.ravel() for group in groups)]),
+            rank=rank,
+            settings=settings,
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Step:
-    """One linear solution about `R_cs`, all weights given."""
+class Linearised:
+    """Whitened residuals of all groups and their derivatives about `R_cs`."""
 
     R_cs: Rotation
-    pairs: InformationPairs
-    solution: Solution
-    chi2: float
-    whitened: Array  # (J, 2) residuals after all unknowns were taken out
-    variance: Array  # (J, 2, 2) of `whitened` of a good target: I - leverage, or I + it if left out
-    residual_c: Array  # (J, 2) rad, along x and y of frame c
-    share: Array  # (J, 2, 2) the placing's part of the whitened noise
+    strips: list[LinearStrips]  # one a group
+
+
+@record(kw_only=True)
+class Step:
+    """One linear solution about `R_cs` with given weights."""
+
+    R_cs: Rotation = scalar("matrix about which the problem is linearised")
+    pairs: InformationPairs = scalar("normal equations of each strip")
+    solution: Solution = scalar("theta and the shared unknowns")
+    chi2: float = scalar("weighted sum of squares, priors included")
+    whitened: Floats = array("J, 2", "residuals, all unknowns estimated, in units of the noise")
+    variance: Floats = array("J, 2, 2", "of `whitened`: I - leverage, or I + leverage for weight zero")
+    residual_c: Floats = array("J, 2", "residuals along x and y of frame c, rad")
+    whitener: Floats = array("J, 2, 2", "takes residuals in rad along the two tangent axes to `whitened`")
+    measured: Floats = array("J, 2, 2", "part of the whitened noise that the image measurement makes")
 
     @property
-    def sigma(self) -> Array:
+    def sigma(self) -> Floats:
+        """1-sigma (3,) of theta, rad."""
         return np.sqrt(np.diag(self.solution.covariance))
 
 
-def linear_solution(problem: Problem, R_cs: Rotation, weight: Array, scale_c: float) -> Step:
-    """Reduce every strip, add, solve, and put the solution back into every strip."""
-    lines, reduced, at = [], [], 0
-    for group in problem.groups:
-        line = linearise(group, R_cs, problem.settings, scale_c)
-        J = group.inside.size
-        reduced.append(_reduced(line, weight[at : at + J].reshape(group.inside.shape)))
-        lines.append(line)
-        at += J
+def linearised(problem: Problem, R_cs: Rotation, scale_c: float) -> Linearised:
+    """The problem about `R_cs`; `scale_c` is a factor of the image measurements' standard deviations."""
+    strips = [linearise(group, R_cs, problem.settings, scale_c) for group in problem.groups]
+    return Linearised(R_cs, strips)
+
+
+def linear_solution(problem: Problem, R_cs: Rotation, weight: Floats, scale_c: float) -> Step:
+    """The weighted least-squares solution about `R_cs`; `weight` (J,) between 0 and 1."""
+    return solve_weighted(problem, linearised(problem, R_cs, scale_c), weight)
+
+
+def solve_weighted(problem: Problem, about: Linearised, weight: Floats) -> Step:
+    """Eliminate each strip's own unknowns, add, solve, and compute all residuals; `weight` (J,)."""
+    reduced, first = [], 0
+    for group, line in zip(problem.groups, about.strips):
+        last = first + group.inside.size
+        reduced.append(_reduced(line, weight[first:last].reshape(group.inside.shape)))
+        first = last
     N = np.concatenate([part.N for part in reduced])
-    pairs = InformationPairs(problem.names, N[:, :-1, :-1], N[:, :-1, -1], R_cs, problem.shared.names)
+    pairs = InformationPairs(problem.names, N[:, :-1, :-1], N[:, :-1, -1], about.R_cs, problem.shared.names)
     total = pairs.total()
-    solution = solve_total(
-        total.F,
-        total.F_theta,
-        problem.prior_shared,
-        sigma_observable_rad=problem.settings.sigma_observable_rad,
-    )
+    limit = problem.settings.sigma_observable_rad
+    solution = solve_total(total.F, total.F_theta, problem.prior_shared, sigma_observable_rad=limit)
     x = np.concatenate([solution.theta, solution.shared])
-    fitted = [_fitted(line, part, x, solution.covariance_all) for line, part in zip(lines, reduced)]
-    whitened, variance, along = (np.concatenate(part) for part in zip(*fitted))
+    fitted = [_fitted(line, part, x, solution.covariance_all) for line, part in zip(about.strips, reduced)]
+    whitened, leverage, along = (np.concatenate(part) for part in zip(*fitted))
     used = (weight > 0.0)[:, None, None]
-    variance = np.where(used, np.eye(2) - variance, np.eye(2) + variance)
-    share = np.concatenate([line.share.reshape(-1, 2, 2) for line in lines])
-    chi2_sum = float(np.sum(N[:, -1, -1]) - x @ total.F_theta)
-    return Step(R_cs, pairs, solution, chi2_sum, whitened, variance, along, share)
+    return Step(
+        R_cs=about.R_cs,
+        pairs=pairs,
+        solution=solution,
+        chi2=float(np.sum(N[:, -1, -1]) - x @ total.F_theta),
+        whitened=whitened,
+        variance=np.where(used, np.eye(2) - leverage, np.eye(2) + leverage),
+        residual_c=along,
+        whitener=np.concatenate([line.whitener.reshape(-1, 2, 2) for line in about.strips]),
+        measured=np.concatenate([line.measured.reshape(-1, 2, 2) for line in about.strips]),
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Reduced:
     """A group with its strips' own unknowns eliminated."""
 
-    N: Array  # (S, n + 1, n + 1) normal matrix of theta, the shared unknowns and, last, the residual
-    back: Array  # (S, n_q, n + 1) what each of those puts into the strip's own unknowns
-    cov_q: Array  # (S, n_q, n_q) of the strip's own unknowns, the others given
+    N: Floats  # (S, n + 1, n + 1) normal matrix of theta, the shared unknowns and, last, the residual
+    back: Floats  # (S, n_q, n + 1) change of the strip's own unknowns by each of those
+    cov_q: Floats  # (S, n_q, n_q) covariance of the strip's own unknowns, the others given
 
 
-def _reduced(line: LinearStrips, weight: Array) -> _Reduced:
-    root: Array = np.repeat(np.sqrt(weight), 2, axis=1)[:, :, None]
+def _reduced(line: LinearStrips, weight: Floats) -> _Reduced:
+    root: Floats = np.repeat(np.sqrt(weight), 2, axis=1)[:, :, None]
     X_q = root * line.X_q
     Y = root * np.concatenate([line.X_theta, line.X_shared, line.r[:, :, None]], axis=2)
     X_qT = np.swapaxes(X_q, 1, 2)
@@ -121,10 +155,8 @@ def _reduced(line: LinearStrips, weight: Array) -> _Reduced:
     return _Reduced(np.asarray(0.5 * (N + np.swapaxes(N, 1, 2))), back, cov_q)
 
 
-def _fitted(line: LinearStrips, part: _Reduced, x: Array, cov_x: Array) -> tuple[Array, Array, Array]:
-    """Residuals (J, 2) after all unknowns, their leverage (J, 2, 2), and the residuals in rad along x and
-    y of c.
-    """
+def _fitted(line: LinearStrips, part: _Reduced, x: Floats, cov_x: Floats) -> tuple[Floats, Floats, Floats]:
+    """Whitened residuals (J, 2), their leverage (J, 2, 2), and the residuals in rad along x and y of c."""
     S, rows, _ = line.X_theta.shape
     X = np.concatenate([line.X_theta, line.X_shared], axis=2)
     q = part.back[:, :, -1] - part.back[:, :, :-1] @ x
@@ -132,7 +164,7 @@ def _fitted(line: LinearStrips, part: _Reduced, x: Array, cov_x: Array) -> tuple
     Z = X - line.X_q @ part.back[:, :, :-1]
     J = S * rows // 2
 
-    def blocks(left: Array, middle: Array) -> Array:
+    def blocks(left: Floats, middle: Floats) -> Floats:
         root = left.reshape(S, rows // 2, 2, -1)
         return ((root @ middle) @ np.swapaxes(root, 2, 3)).reshape(J, 2, 2)
 
@@ -141,8 +173,12 @@ def _fitted(line: LinearStrips, part: _Reduced, x: Array, cov_x: Array) -> tuple
     return e.reshape(J, 2), leverage, np.asarray(along, dtype=np.float64)
 
 
-def normalised_residuals(step: Step) -> Array:
-    """Squared residual over its variance (J,). A residual that nothing checks gives zero."""
+def squared_mahalanobis(step: Step) -> Floats:
+    """(J,) squared residual over its covariance; 0 for a residual that no other observation controls.
+
+    For a target in the fit it is the decrease of chi2 if the target is rejected; for one of weight zero, the
+    increase if it is added.
+    """
     v = step.variance
     det = v[:, 0, 0] * v[:, 1, 1] - v[:, 0, 1] ** 2
     e = step.whitened
@@ -150,10 +186,6 @@ def normalised_residuals(step: Step) -> Array:
     return np.divide(inside, det, out=np.zeros(len(det)), where=det > 1e-9)
 
 
-def residuals_about(problem: Problem, R_cs: Rotation, scale_c: float) -> Array:
-    lines = [linearise(group, R_cs, problem.settings, scale_c) for group in problem.groups]
-    return np.concatenate([line.r.reshape(-1, 2) for line in lines])
-
-
-def iteration_record(step: Step, weight: Array) -> Iteration:
+def iteration_record(step: Step, weight: Floats) -> Iteration:
+    """The step as `InstallationEstimate.iterations` keeps it."""
     return Iteration(step.solution.theta, step.sigma, step.chi2, float(np.sum(weight)))

@@ -1,4 +1,4 @@
-"""What a calibration left out, one line a thing, with the reason."""
+"""Observations that take no part in an estimate, each with the cause and the numbers of its test."""
 
 from __future__ import annotations
 
@@ -6,57 +6,73 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from boresight.calib.estimate import Rejected, TargetResiduals
+from boresight.calib.estimate import Rejected, TargetResiduals, WhyRejected
 from boresight.calib.strips import PreparedStrip
 from boresight.geometry.sightings import StripSightings
 
-__all__ = ["left_out"]
+__all__ = ["rejected_observations"]
 
 
-def left_out(
+def rejected_observations(
     strips: Sequence[StripSightings],
     prepared: Sequence[PreparedStrip],
+    limit: float,
     residuals: TargetResiduals | None = None,
 ) -> tuple[Rejected, ...]:
-    """Stars, exposures, targets and strips that do not take part, strip by strip."""
+    """Rejected stars, exposures, targets and strips, strip by strip.
+
+    `limit` is that of the tests of stars and targets; without `residuals` no target has been tested.
+    """
     out: list[Rejected] = []
     for strip, ready in zip(strips, prepared):
-        out += _stars_and_exposures(strip, ready)
-        out += _targets(ready, residuals)
+        out += _stars_and_exposures(strip, ready, limit)
+        out += _targets(ready, limit, residuals)
     return tuple(out)
 
 
-def _stars_and_exposures(strip: StripSightings, ready: PreparedStrip) -> Iterator[Rejected]:
-    at = 0
+def _stars_and_exposures(strip: StripSightings, ready: PreparedStrip, limit: float) -> Iterator[Rejected]:
+    first = 0
     for k, exposure in enumerate(strip.exposures):
-        n = len(exposure.hip)
-        rows = slice(at, at + n)
-        kept, normalised = ready.attitudes.kept[rows], ready.attitudes.normalised[rows]
-        at += n
-        where = (strip.strip_id, exposure.exposure_id)
+        rows = slice(first, first := first + len(exposure.hip))
+        kept, statistic = ready.attitudes.kept[rows], ready.attitudes.normalised[rows]
+        n_good, n_all = int(kept.sum()), len(kept)
         if not ready.used[k]:
-            reason = f"{int(kept.sum())} good stars of {n} do not fix the attitude"
-            yield Rejected(*where, "exposure", exposure.exposure_id, reason, float("nan"))
+            yield Rejected(
+                strip_id=strip.strip_id,
+                exposure_id=exposure.exposure_id,
+                kind="exposure",
+                name=exposure.exposure_id,
+                why=WhyRejected.ATTITUDE_NOT_FIXED,
+                n_good=n_good,
+                n_all=n_all,
+            )
             continue
         for star in np.flatnonzero(~kept):
-            size = np.sqrt(normalised[star])
-            reason = f"{size:.1f} sigma from the attitude of the other {int(kept.sum())} stars"
-            yield Rejected(*where, "star", str(exposure.hip[star]), reason, float(normalised[star]))
+            yield Rejected(
+                strip_id=strip.strip_id,
+                exposure_id=exposure.exposure_id,
+                kind="star",
+                name=str(exposure.hip[star]),
+                why=WhyRejected.STAR_RESIDUAL,
+                statistic=float(statistic[star]),
+                limit=limit,
+                n_good=n_good,
+                n_all=n_all,
+            )
 
 
-def _targets(ready: PreparedStrip, residuals: TargetResiduals | None) -> Iterator[Rejected]:
-    where = (ready.strip_id, "")
+def _targets(ready: PreparedStrip, limit: float, residuals: TargetResiduals | None) -> Iterator[Rejected]:
+    name = ready.strip_id
     if not ready.inside.any():
-        reason = f"{int(ready.used.sum())} usable exposures cover none of {len(ready.inside)} targets"
-        yield Rejected(*where, "strip", ready.strip_id, reason, float("nan"))
+        why, n = WhyRejected.NO_TARGET_COVERED, int(ready.used.sum())
+        yield Rejected(strip_id=name, kind="strip", name=name, why=why, n_good=n, n_all=len(ready.inside))
         return
-    for name in ready.target_id[~ready.inside]:
-        reason = "its instant lies more than half a step outside the usable exposures"
-        yield Rejected(*where, "target", str(name), reason, float("nan"))
+    for target in ready.target_id[~ready.inside]:
+        yield Rejected(strip_id=name, kind="target", name=str(target), why=WhyRejected.NOT_COVERED)
     if residuals is None:
         return
-    mine = np.flatnonzero(residuals.strip_id == ready.strip_id)
-    for j in mine[ready.inside & ~residuals.kept[mine]]:
-        size = np.sqrt(residuals.normalised[j])
-        reason = f"{size:.1f} sigma from where the other targets put it"
-        yield Rejected(*where, "target", str(residuals.target_id[j]), reason, float(residuals.normalised[j]))
+    own = np.flatnonzero(residuals.strip_id == name)
+    for j in own[ready.inside & ~residuals.kept[own]]:
+        target, size = str(residuals.target_id[j]), float(residuals.statistic[j])
+        why = WhyRejected.TARGET_RESIDUAL
+        yield Rejected(strip_id=name, kind="target", name=target, why=why, statistic=size, limit=limit)

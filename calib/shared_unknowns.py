@@ -41,7 +41,7 @@ class SharedUnknowns:
     knots: tuple[Knot, ...]  # of the camera's distortion: along x, then along y
     targets: tuple[str, ...]  # three each
     cov_targets: Array  # (t, 3, 3) m²
-    taken_apart: int  # targets in several strips beyond the limit
+    n_treated_independent: int  # targets in several strips beyond the limit
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -85,7 +85,7 @@ class LinearStrips:
     X_shared: Array  # (S, 2 J, g) change of r by what strips share: the distortion's knots, targets
     X_q: Array  # (S, 2 J, n) change of r by the strip's own unknowns, units of their prior sigma
     whitener: Array  # (S, J, 2, 2) takes residuals along the two tangent axes to rows of r
-    share: Array  # (S, J, 2, 2) the placing's part of the whitened noise
+    measured: Array  # (S, J, 2, 2) part of the whitened noise that the image measurement makes
 
 
 def prepare_strip(
@@ -174,8 +174,8 @@ def linearise(
         rows @ np.concatenate([turned @ group.shared_s, own], axis=3),
     )
     r, X_theta, X_shared, X_q = (part.reshape(S, 2 * w.shape[1], part.shape[-1]) for part in parts)
-    share = whitener @ placing @ np.swapaxes(whitener, 2, 3)
-    return LinearStrips(r[:, :, 0], X_theta, X_shared, X_q, whitener, share)
+    measured = whitener @ placing @ np.swapaxes(whitener, 2, 3)
+    return LinearStrips(r[:, :, 0], X_theta, X_shared, X_q, whitener, measured)
 
 
 def _group(

@@ -1,138 +1,194 @@
-"""One template in one window: found by correlation, placed by least squares, judged.
+"""Position of one template in one picture: search by correlation, fit by least squares, tests of the result.
 
-Several peaks of the correlation are tried where they are of like height; the least-squares fit with the
-highest robust correlation wins. What cannot be believed comes back as the reason why not.
+Every correlation peak of nearly the highest value is refined; the fit with the highest robust correlation is
+kept. A result that fails a test is returned as a `Refusal`.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from boresight.gct_match.refine.least_squares import Placement, place
+from boresight.gct_match.imaging.views import View, filled, view_of, window
+from boresight.gct_match.records import Reason, Refusal, TemplateMatch
+from boresight.gct_match.refine.least_squares import PositionFit, fit_position
 from boresight.gct_match.search.correlation import (
     correlation_surface,
     independent_values,
-    likeness_to_itself,
     peaks_of,
     probability_wrong,
-    view_of,
+    self_similarity,
 )
 from boresight.gct_match.settings import MatchSettings
+from boresight.geometry.record import Floats
 
-__all__ = ["Located", "NotLocated", "locate"]
+__all__ = ["locate", "match_template"]
 
-Array = NDArray[np.float64]
 Image = NDArray[Any]  # single precision
-Mask = NDArray[np.bool_]
 
-_ABSENT = 0.05  # prior probability that a target cannot be seen where it should be
-_SECOND_PEAK = 0.7  # peaks this high, against the best, are tried too
-_ALIKE = 0.4  # of 441 look-alikes that passed every other test, one came from a template less like itself
-_LEAST_USABLE = 0.4  # share of the template that clouds and the strip's edges must leave
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Located:
-    """A place that can be believed."""
-
-    placement: Placement
-    probability_wrong: float
-    surface: Image  # (2 r + 1, 2 r + 1) correlation at whole pixels around the start
+_PRIOR_ABSENT = 0.05  # prior probability that the target is not visible where it should be
+_SECOND_PEAK = 0.7  # peaks of at least this share of the highest are refined too
+_SELF_SIMILAR = 0.4  # of 441 false matches that passed every other test, one had a template below this
+_LEAST_VALID = 0.4  # share of the template that clouds and the picture's edges must leave
+_LEAST_RADIUS_PX = 4  # smaller windows hold too few values to estimate how probable a false match is
+_DEFAULTS = MatchSettings()
 
 
-@dataclass(frozen=True, slots=True)
-class NotLocated:
-    """Why no place can be believed."""
+def match_template(
+    template: ArrayLike,
+    picture: ArrayLike,
+    start_px: tuple[float, float],
+    radius_px: int = 8,
+    *,
+    settings: MatchSettings = _DEFAULTS,
+) -> TemplateMatch | Refusal:
+    """Position of a template in a picture, to a few thousandths of a pixel, with its covariance.
 
-    reason: str
+    Both arrays show the same scene at the same scale and orientation (an affine difference of up to 5 % is
+    estimated); illumination, blur and part of the content may differ. Points are (x, y) = (column, row),
+    (0, 0) is the centre of the first pixel. The position is that of the template's centre,
+    ((w - 1) / 2, (h - 1) / 2) in its own pixels.
+
+    Parameters
+    ----------
+    template : (h, w) array
+        Grey values, at least `settings.smallest_template_px` (32) a side; NaN marks pixels not to be used.
+    picture : (H, W) array
+        Grey values of any scale; NaN marks pixels not to be used. It should show the template and
+        `radius_px` + 8 px on every side of it.
+    start_px : (x, y)
+        Expected position of the template's centre in the picture, px.
+    radius_px : int
+        Half-width of the square search window around `start_px`, at least 4 px.
+    settings : MatchSettings
+        Limits of the tests.
+
+    Returns
+    -------
+    TemplateMatch
+        `xy_px` (2,) and `cov_px` (2, 2) of the centre in the picture, `correlation`, `probability_wrong`.
+    Refusal
+        False in a condition; `.reason` names the failed test, `.sentence` gives its numbers.
+
+    Raises
+    ------
+    ValueError
+        If an array is not two-dimensional, the template is too small, or `radius_px` is below 4.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from scipy.ndimage import gaussian_filter
+    >>> noise = np.random.default_rng(1).normal(size=(200, 240))
+    >>> picture = 100 + 400 * gaussian_filter(noise, 1.5)
+    >>> template = picture[60:124, 80:144]  # its centre is at (111.5, 91.5)
+    >>> match = match_template(template, picture, start_px=(114, 90))
+    >>> bool(match), np.round(match.xy_px, 3).tolist()
+    (True, [111.5, 91.5])
+    """
+    one, two = _view(np.asarray(template), "template"), _view(np.asarray(picture), "picture")
+    shape, least = one.grey.shape, settings.smallest_template_px
+    if min(shape) < least:
+        raise ValueError(f"template has shape {shape}, at least {least} px are needed on each side")
+    if radius_px < _LEAST_RADIUS_PX:
+        raise ValueError(f"radius_px is {radius_px}, at least {_LEAST_RADIUS_PX} px are needed")
+    centre = (np.array(shape[::-1]) - 1.0) / 2.0
+    x, y = np.round(np.asarray(start_px, dtype=float) - centre).astype(int).tolist()
+    return locate(one, two, (x, y), radius_px, centre, settings)
 
 
 def locate(
-    template: Image,
-    template_valid: Mask,
-    picture: Image,
-    picture_valid: Mask,
+    template: View,
+    picture: View,
     start_px: tuple[int, int],
-    radius: int,
-    reference_px: Array,
+    radius_px: int,
+    reference_px: Floats,
     settings: MatchSettings,
-) -> Located | NotLocated:
-    """Look for `template` (h, w) in `picture` (H, W) within `radius` px of `start_px`.
+) -> TemplateMatch | Refusal:
+    """Position of a template's point in a picture, or the test that refused it.
 
-    `start_px` (x, y) is the expected place of the template's first pixel in the picture, which should show
-    `radius` and 8 px more on every side; what is missing counts as not valid. `reference_px` (x, y) is the
-    point of the template whose place is wanted.
+    Parameters
+    ----------
+    template, picture : View
+        Template (h, w) and picture (H, W), which should show `radius_px` + 8 px on every side of the
+        template; what is missing counts as not valid.
+    start_px : (x, y)
+        Expected position of the template's first pixel in the picture, whole px.
+    radius_px : int
+        Half-width of the search window, px.
+    reference_px : (2,) array
+        (x, y) of the template's point whose position is wanted, px of the template.
+    settings : MatchSettings
+        Limits of the tests.
+
+    Returns
+    -------
+    TemplateMatch or Refusal
     """
-    h, w = template.shape
+    h, w = template.grey.shape
     x, y = start_px
-    here = _cut(picture_valid, x, y, w, h) & template_valid
-    if here.mean() < _LEAST_USABLE:
-        return NotLocated(
-            f"{100.0 * here.mean():.0f} % of the template can be used (cloud, no data, saturation, edge), "
-            f"{100.0 * _LEAST_USABLE:.0f} % are needed"
-        )
-    one, two = view_of(template, template_valid), view_of(picture, picture_valid)
-    a = one.normalised
-    b = _cut(two.normalised, x - radius, y - radius, w + 2 * radius, h + 2 * radius)
-    surface = correlation_surface(a, b)
+    share = float((window(picture.valid, x, y, w, h) & template.valid).mean())
+    if share < _LEAST_VALID:
+        return Refusal(Reason.FEW_VALID_PIXELS, share, _LEAST_VALID)
+    searched = window(picture.normalised, x - radius_px, y - radius_px, w + 2 * radius_px, h + 2 * radius_px)
+    surface = correlation_surface(template.normalised, searched)
     peaks = peaks_of(surface, 3, 3)
     if len(peaks.value) == 0:
-        return NotLocated("correlates nowhere in its window")
+        return Refusal(Reason.NO_CORRELATION)
     best, best_peak = None, peaks.xy[0]
     for peak, value in zip(peaks.xy, peaks.value, strict=True):
         if value < _SECOND_PEAK * peaks.value[0]:
             break
-        trial = place(one, two, peak + start_px - radius, reference_px)
-        if trial.converged and (best is None or trial.correlation > best.correlation):
-            best, best_peak = trial, np.round(peak)
+        fit = fit_position(
+            template, picture, peak + start_px - radius_px, reference_px, settings.mtf_at_nyquist
+        )
+        if fit.converged and (best is None or fit.correlation > best.correlation):
+            best, best_peak = fit, np.round(peak)
     if best is None:
-        return NotLocated(f"least squares did not converge from its {len(peaks.value)} best peak(s)")
-    wrong = probability_wrong(surface, best_peak, independent_values(a), _ABSENT)
-    reason = _why_not(best, best_peak, wrong, float(peaks.value[0]), radius, a, settings)
-    return NotLocated(reason) if reason else Located(best, wrong, surface)
+        return Refusal(Reason.NOT_CONVERGED, more=(float(len(peaks.value)),))
+    wrong = probability_wrong(surface, best_peak, independent_values(template.normalised), _PRIOR_ABSENT)
+    at_edge = bool(np.abs(best_peak - radius_px).max() >= radius_px)
+    edge_px, highest = radius_px if at_edge else 0, float(peaks.value[0])
+    refusal = _failed_test(best, wrong, highest, edge_px, template, settings)
+    if refusal is not None:
+        return refusal
+    return TemplateMatch(
+        xy_px=best.xy_px,
+        cov_px=best.cov_px,
+        correlation=best.correlation,
+        probability_wrong=wrong,
+        affine=best.affine,
+        found=best.found,
+        residual=best.residual,
+        surface=surface,
+    )
 
 
-def _why_not(
-    best: Placement,
-    peak: Array,
-    wrong: float,
-    highest: float,
-    radius: int,
-    normalised: Image,
-    settings: MatchSettings,
-) -> str:
-    """Why a place is not to be believed; empty if it is."""
-    sigma = float(np.sqrt(max(best.cov_px[0, 0], best.cov_px[1, 1])))
+def _failed_test(
+    fit: PositionFit, wrong: float, highest: float, edge_px: int, template: View, settings: MatchSettings
+) -> Refusal | None:
+    """The first test that a fit fails; `edge_px` is the window's half-width if the peak lies at its edge."""
+    sigma = float(np.sqrt(max(fit.cov_px[0, 0], fit.cov_px[1, 1])))
     if not sigma <= settings.sigma_px:
-        return f"its texture places it to {sigma:.2g} px only, {settings.sigma_px} px are needed"
+        return Refusal(Reason.UNCERTAIN_POSITION, sigma, settings.sigma_px)
     if wrong > settings.probability_wrong:
-        return (
-            f"is another place with probability {wrong:.1g} (highest correlation {highest:.2f}), "
-            f"{settings.probability_wrong:.1g} is allowed"
-        )
-    if np.abs(peak - radius).max() >= radius:
-        return f"lies at the edge of its search window of {radius} px"
-    if sigma > settings.sigma_alike_px and (likeness := likeness_to_itself(normalised)) > _ALIKE:
-        return (
-            f"holds things alike (it correlates to {likeness:.2f} with itself elsewhere) and is placed to "
-            f"{sigma:.2g} px only, {settings.sigma_alike_px} px are needed to tell them apart"
-        )
-    if best.correlation < settings.least_correlation:
-        return f"correlates to {best.correlation:.2f} only, {settings.least_correlation} is needed"
-    return ""
+        return Refusal(Reason.PROBABLY_WRONG, wrong, settings.probability_wrong, (highest,))
+    if edge_px:
+        return Refusal(Reason.AT_WINDOW_EDGE, limit=edge_px)
+    if sigma > settings.sigma_self_similar_px:
+        similarity = self_similarity(template.normalised)
+        if similarity > _SELF_SIMILAR:
+            return Refusal(Reason.SELF_SIMILAR, sigma, settings.sigma_self_similar_px, (similarity,))
+    if fit.correlation < settings.least_correlation:
+        return Refusal(Reason.LOW_CORRELATION, fit.correlation, settings.least_correlation)
+    return None
 
 
-def _cut(image: NDArray, x: int, y: int, w: int, h: int) -> NDArray:
-    """A window of a picture; zero beyond its edges."""
-    rows, columns = image.shape
-    a, b, c, d = max(0, y), min(rows, y + h), max(0, x), min(columns, x + w)
-    if (a, b, c, d) == (y, y + h, x, x + w):
-        return image[a:b, c:d]
-    out = np.zeros((h, w), dtype=image.dtype)
-    if a < b and c < d:
-        out[a - y : b - y, c - x : d - x] = image[a:b, c:d]
-    return out
+def _view(image: NDArray, name: str) -> View:
+    """View of a caller's array; NaN is not valid."""
+    if image.ndim != 2 or not image.size:
+        raise ValueError(f"{name} must be a two-dimensional array, got shape {image.shape}")
+    valid = np.isfinite(image)
+    return view_of(filled(image, valid), valid)

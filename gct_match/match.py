@@ -15,10 +15,20 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from boresight.gct_match.locate import NotLocated, locate
+from boresight.gct_match.imaging.views import view_of
+from boresight.gct_match.locate import locate
 from boresight.gct_match.predict.template import Template, chip_side_px, predict_template
 from boresight.gct_match.predict.trajectories import Paths, displacements, target_paths
-from boresight.gct_match.records import Chip, Evidence, Refusal, StripImage, StripMatches, Target, TargetMatch
+from boresight.gct_match.records import (
+    Chip,
+    Evidence,
+    Reason,
+    Refusal,
+    StripImage,
+    StripMatches,
+    Target,
+    TargetMatch,
+)
 from boresight.gct_match.search.bootstrap import SearchPlan, bootstrap, plan_search
 from boresight.gct_match.search.coarse import read_window
 from boresight.gct_match.search.vote import Vote
@@ -82,7 +92,7 @@ def match_strip(
         )
     sigma = np.asarray(sigma_installation_rad, dtype=float)
     if not targets or not strip.ccds:
-        return StripMatches((), (), np.full(3, np.nan), np.full((3, 3), np.nan), 1.0, 0)
+        return _nothing((), 1.0, 0)
     lines = max(strip.shape(ccd)[0] for ccd in strip.ccds)
     pushbroom = pushbroom.tabulated(-0.5, lines - 0.5)
     paths = target_paths(pushbroom, np.array([t.p_e for t in targets]), lines)
@@ -103,7 +113,12 @@ def match_strip(
         return _no_vote(scene, within, refused, outcome, len(matches), log_chance, read + pixels)
     refused = [*refused, *more, *inconsistent]
     return StripMatches(
-        tuple(matches), tuple(refused), theta, covariance, float(np.exp(log_chance)), read + pixels
+        matches=tuple(matches),
+        refused=tuple(refused),
+        theta_vote=theta,
+        cov_theta_vote=covariance,
+        probability_chance=float(np.exp(log_chance)),
+        pixels_read=read + pixels,
     )
 
 
@@ -113,16 +128,14 @@ def _worth_a_search(scene: _Scene, plan: SearchPlan) -> tuple[SearchPlan, list[R
     within = {window.target for window in plan.windows}
     for n, target in enumerate(scene.targets):
         if n not in within:
-            reason = "lies outside the strip for any installation matrix within reach"
-            refused.append(Refusal(target.target_id, -1, reason))
+            refused.append(Refusal(Reason.OUTSIDE_REACH, target_id=target.target_id))
             continue
         chip, limit = scene.chips[n], scene.settings.sigma_px
         per_px = min(chip.image.shape) / max(plan.sides_px[n], 1.0)  # pixels of the chip in one of the strip
         expected = expected_sigma_px(chip.image.astype(np.float32), chip.valid) / max(per_px, 1e-6)
         if not expected <= limit:
             bland.add(n)
-            reason = f"its chip has too little texture: good to {expected:.2g} px, {limit} px are needed"
-            refused.append(Refusal(target.target_id, -1, reason))
+            refused.append(Refusal(Reason.TOO_LITTLE_TEXTURE, expected, limit, target_id=target.target_id))
     return replace(plan, windows=tuple(w for w in plan.windows if w.target not in bland)), refused
 
 
@@ -143,12 +156,22 @@ def _no_vote(
 ) -> StripMatches:
     """A strip whose targets agree on nothing."""
     chance, allowed = np.exp(log_chance), scene.settings.probability_chance
-    reason = (
-        f"{len(within)} targets agree on no common rotation: {len(outcome.supporters)} at best, {placed} of "
-        f"them placed, which chance gives with probability {chance:.1g}, {allowed:.1g} is allowed"
+    more = (float(len(within)), float(len(outcome.supporters)), float(placed))
+    refusal = Refusal(Reason.NO_COMMON_ROTATION, float(chance), allowed, more)
+    every = [*refused, *(replace(refusal, target_id=scene.targets[n].target_id) for n in within)]
+    return _nothing(tuple(every), float(chance), read)
+
+
+def _nothing(refused: tuple[Refusal, ...], chance: float, read: int) -> StripMatches:
+    nan = np.full(3, np.nan)
+    return StripMatches(
+        matches=(),
+        refused=refused,
+        theta_vote=nan,
+        cov_theta_vote=np.diag(nan) + np.nan,
+        probability_chance=chance,
+        pixels_read=read,
     )
-    every = [*refused, *(Refusal(scene.targets[n].target_id, -1, reason) for n in within)]
-    return StripMatches((), tuple(every), np.full(3, np.nan), np.full((3, 3), np.nan), float(chance), read)
 
 
 def _fine(
@@ -174,9 +197,7 @@ def _fine(
             else:
                 found.append((n, outcome))
     refused += [
-        Refusal(scene.targets[n].target_id, -1, "lies outside every CCD at the common rotation")
-        for n in within
-        if n not in seen
+        Refusal(Reason.OUTSIDE_CCDS, target_id=scene.targets[n].target_id) for n in within if n not in seen
     ]
     return found, refused, pixels
 
@@ -204,12 +225,16 @@ def _one(
     right, bottom = min(samples, x0 + w + radius + 8), min(lines, y0 + h + radius + 8)
     picture, valid = read_window(scene.strip, ccd, top, bottom, left, right, settings)
     reference = xy_px - template.origin_px
-    outcome = locate(
-        template.image, template.valid, picture, valid, (x0 - left, y0 - top), radius, reference, settings
+    placed = locate(
+        view_of(template.image, template.valid),
+        view_of(picture, valid),
+        (x0 - left, y0 - top),
+        radius,
+        reference,
+        settings,
     )
-    if isinstance(outcome, NotLocated):
-        return Refusal(name, ccd, outcome.reason), picture.size
-    placed = outcome.placement
+    if isinstance(placed, Refusal):
+        return replace(placed, target_id=name, ccd=ccd), picture.size
     found = placed.xy_px + np.array([left, top])
     match = TargetMatch(
         target_id=name,
@@ -217,7 +242,7 @@ def _one(
         xy_px=found,
         cov_px=placed.cov_px,
         correlation=placed.correlation,
-        probability_wrong=outcome.probability_wrong,
+        probability_wrong=placed.probability_wrong,
         model="affine" if placed.affine.any() else "translation",
         predicted_px=before_px,
         residual_px=found - xy_px,
@@ -225,7 +250,7 @@ def _one(
             template.image,
             placed.found,
             placed.residual,
-            outcome.surface,
+            placed.surface,
             np.array(template.origin_px, dtype=float),
         ),
     )
@@ -244,11 +269,8 @@ def _template(
     x1 = int(min(round(xy_px[0] + half), samples))
     y1 = int(min(round(xy_px[1] + half), lines))
     if min(x1 - x0, y1 - y0) < settings.smallest_template_px:
-        reason = (
-            f"{x1 - x0} x {y1 - y0} px of its chip lie within the strip's image, "
-            f"{settings.smallest_template_px} are needed"
-        )
-        return Refusal(name, ccd, reason)
+        needed, shape = settings.smallest_template_px, (float(x1 - x0), float(y1 - y0))
+        return Refusal(Reason.TEMPLATE_CUT, min(shape), needed, shape, name, ccd)
     return predict_template(
         scene.chips[n], model, ccd, (int(x0), int(y0)), (y1 - y0, x1 - x0), scene.surface, settings
     )
@@ -276,11 +298,8 @@ def _consistent(
         if distance[worst] <= _GATE or len(keep) <= 2:
             break
         match = found[keep[worst]][1]
-        reason = (
-            f"lies {distance[worst]:.1f} standard errors ({miss[worst][0]:+.2f}, {miss[worst][1]:+.2f} px) "
-            f"from where the strip's other targets put it, {_GATE:.0f} are allowed"
-        )
-        refused.append(Refusal(match.target_id, match.ccd, reason))
+        by, off = float(distance[worst]), (float(miss[worst][0]), float(miss[worst][1]))
+        refused.append(Refusal(Reason.INCONSISTENT, by, _GATE, off, match.target_id, match.ccd))
         keep = np.delete(keep, worst)
     p, covariance = _common_rotation(d[keep], design[keep], scatter[np.ix_(keep, keep)], sigma_rad)
     total = deviation_from_theta(p) * deviation_from_theta(theta)

@@ -1,4 +1,4 @@
-"""What goes into the ground half and what comes out: chips, targets, strips, places and refusals.
+"""Input and output records of target matching: chips, targets, strips, matches and refusals.
 
 Image points are (x, y) = (sample, line); (0, 0) is the centre of the first pixel of a CCD's raw image.
 """
@@ -6,59 +6,62 @@ Image points are (x, y) = (sample, line); (0, 0) is the centre of the first pixe
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from enum import StrEnum
 from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Chip", "Evidence", "Refusal", "StripImage", "StripMatches", "Target", "TargetMatch"]
+from boresight.geometry.record import Bools, Floats, array, record, scalar
 
-Array = NDArray[np.float64]
+__all__ = [
+    "Chip",
+    "Evidence",
+    "Reason",
+    "Refusal",
+    "StripImage",
+    "StripMatches",
+    "Target",
+    "TargetMatch",
+    "TemplateMatch",
+]
+
 Image = NDArray[Any]  # single precision
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record
 class Chip:
     """A geo-referenced picture of the ground around a target.
 
     `transform` (a, b, c, d, e, f) takes a point (column, row) of the chip to map coordinates of `crs`,
     X = a col + b row + c, Y = d col + e row + f, where (0, 0) is the **outer corner** of the first pixel,
-    as in a GeoTIFF; the centre of the first pixel is (0.5, 0.5).
+    as in a GeoTIFF; the centre of the first pixel is (0.5, 0.5). Construction raises `ValueError` where the
+    transform has no inverse.
     """
 
-    target_id: str
-    image: Image  # (H, W) grey values of any radiometric scale
-    transform: tuple[float, float, float, float, float, float]
-    crs: str  # anything PROJ understands: "EPSG:32633", WKT
-    valid: NDArray[np.bool_]  # (H, W) false where the chip holds no data or a cloud
+    target_id: str = scalar("identifier of the target that the chip shows")
+    image: Image = array("H, W", "grey values, any radiometric scale")
+    transform: tuple[float, float, float, float, float, float] = scalar("pixel corners to map coordinates")
+    crs: str = scalar('coordinate reference system as PROJ understands it: "EPSG:32633", WKT')
+    valid: Bools = array("H, W", "false where the chip holds no data or a cloud")
 
     def __post_init__(self) -> None:
-        if self.image.ndim != 2 or self.valid.shape != self.image.shape:
-            raise ValueError(
-                f"chip {self.target_id}: image and valid must be one (H, W), "
-                f"got {self.image.shape} and {self.valid.shape}"
-            )
         a, b, _, d, e, _ = self.transform
         if a * e - b * d == 0.0:
             raise ValueError(f"chip {self.target_id}: its transform {self.transform} has no inverse")
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record
 class Target:
     """A ground calibration target: a surveyed point, best near the middle of its chip."""
 
-    target_id: str
-    p_e: Array  # (3,) ITRS, m
-    sigma_m: Array  # (3,) standard error east, north, up, m
-
-    def __post_init__(self) -> None:
-        if np.shape(self.p_e) != (3,) or np.shape(self.sigma_m) != (3,):
-            raise ValueError(f"target {self.target_id}: p_e and sigma_m must have shape (3,)")
+    target_id: str = scalar("identifier")
+    p_e: Floats = array("3", "position, ITRS, m")
+    sigma_m: Floats = array("3", "standard error east, north, up, m")
 
 
 class StripImage(Protocol):
-    """A strip's raw pixels, read by window; the four CCDs, or the one image of the virtual CCD."""
+    """A strip's raw pixels, read by window: the CCDs of a camera, or the single image of the virtual CCD."""
 
     @property
     def ccds(self) -> Sequence[int]:
@@ -68,61 +71,150 @@ class StripImage(Protocol):
         """(lines, samples) of one CCD's image."""
 
     def read(self, ccd: int, line0: int, line1: int, sample0: int, sample1: int) -> NDArray:
-        """Rows line0..line1 and columns sample0..sample1 (ends excluded, all inside the image), any real
-        type.
-
-        NaN marks what must not be used: no data, cloud, saturation.
+        """Pixels of rows line0..line1 and columns sample0..sample1 (ends excluded, all inside the image), any
+        real type; NaN marks what must not be used: no data, cloud, saturation.
         """
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Evidence:
-    """What a person needs to see to believe a match; all pictures are on the strip's own pixel grid."""
+class Reason(StrEnum):
+    """Why a target or a template was not matched."""
 
-    template: Image  # (h, w) the chip as the strip should show it
-    found: Image  # (h, w) the strip, resampled to where the template was found
-    residual: Image  # (h, w) found minus template after gain and offset, in grey values of the strip
-    correlation: Image  # correlation surface of the search around the place
-    origin_px: Array  # (2,) (sample, line) of the template's first pixel as predicted
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class TargetMatch:
-    """A target placed in one CCD of a strip."""
-
-    target_id: str
-    ccd: int
-    xy_px: Array  # (2,) (sample, line) of the target's own point
-    cov_px: Array  # (2, 2) its covariance, px²
-    correlation: float  # of template and strip, both filtered, at the place found
-    probability_wrong: float  # that this is another place than the target's
-    model: str  # "translation" or "affine"
-    predicted_px: Array  # (2,) where the model at the present installation matrix put it
-    residual_px: Array  # (2,) place found minus place after the common rotation
-    evidence: Evidence
+    OUTSIDE_REACH = "outside_reach"
+    OUTSIDE_CCDS = "outside_ccds"
+    CHIP_TOO_SMALL = "chip_too_small"
+    TOO_LITTLE_TEXTURE = "too_little_texture"
+    NO_COMMON_ROTATION = "no_common_rotation"
+    TEMPLATE_CUT = "template_cut"
+    FEW_VALID_PIXELS = "few_valid_pixels"
+    NO_CORRELATION = "no_correlation"
+    NOT_CONVERGED = "not_converged"
+    UNCERTAIN_POSITION = "uncertain_position"
+    PROBABLY_WRONG = "probably_wrong"
+    AT_WINDOW_EDGE = "at_window_edge"
+    SELF_SIMILAR = "self_similar"
+    LOW_CORRELATION = "low_correlation"
+    INCONSISTENT = "inconsistent"
 
 
-@dataclass(frozen=True, slots=True)
+_SENTENCES = {
+    Reason.OUTSIDE_REACH: "outside the strip for every installation matrix within the stated uncertainty",
+    Reason.OUTSIDE_CCDS: "outside every CCD's image at the common rotation",
+    Reason.CHIP_TOO_SMALL: "its chip is {value:.3g} px wide in the strip, at least {limit:.0f} px are "
+    "needed; check the pixel size in its geo-reference",
+    Reason.TOO_LITTLE_TEXTURE: "its chip has too little texture: expected standard error {value:.2g} px, "
+    "at most {limit} px is allowed",
+    Reason.NO_COMMON_ROTATION: "no common rotation: of {more[0]:.0f} targets {more[1]:.0f} agree and "
+    "{more[2]:.0f} of these were matched, which happens by chance with probability {value:.1g}, "
+    "{limit:.1g} is allowed",
+    Reason.TEMPLATE_CUT: "{more[0]:.0f} x {more[1]:.0f} px of its chip lie within the strip's image, "
+    "{limit:.0f} are needed",
+    Reason.FEW_VALID_PIXELS: "{value:.0%} of the template's pixels are valid (cloud, no data, saturation, "
+    "image edge), {limit:.0%} are needed",
+    Reason.NO_CORRELATION: "no positive correlation in the search window",
+    Reason.NOT_CONVERGED: "least squares did not converge from the {more[0]:.0f} highest correlation peak(s)",
+    Reason.UNCERTAIN_POSITION: "standard error {value:.2g} px, at most {limit} px is allowed",
+    Reason.PROBABLY_WRONG: "wrong with probability {value:.1g} (highest correlation {more[0]:.2f}), at most "
+    "{limit:.1g} is allowed",
+    Reason.AT_WINDOW_EDGE: "at the edge of its search window of ±{limit:.0f} px",
+    Reason.SELF_SIMILAR: "self-similar template (correlation {more[0]:.2f} with a displaced copy of itself) "
+    "with standard error {value:.2g} px, at most {limit} px is allowed to exclude a false match",
+    Reason.LOW_CORRELATION: "correlation {value:.2f}, at least {limit} is needed",
+    Reason.INCONSISTENT: "{value:.1f} standard errors ({more[0]:+.2f}, {more[1]:+.2f} px) from the position "
+    "that the strip's other targets predict, at most {limit:.0f} are allowed",
+}
+_NONE = float("nan")
+
+
+@record
 class Refusal:
-    """A target that was not placed in a CCD, and why. `ccd` is -1 when it concerns the whole strip."""
+    """A target that was not matched in a CCD, or a template that was not found; false in a condition."""
 
-    target_id: str
-    ccd: int
-    reason: str
+    reason: Reason = scalar("which test failed")
+    value: float = scalar("value that failed the test, NaN if the test has none", default=_NONE)
+    limit: float = scalar("limit of the test in the unit of `value`, NaN if none", default=_NONE)
+    more: tuple[float, ...] = scalar("further numbers of the sentence", default=())
+    target_id: str = scalar("refused target; empty for a template without a target", default="")
+    ccd: int = scalar("CCD; -1 if the refusal concerns the whole strip", default=-1)
+
+    @property
+    def sentence(self) -> str:
+        """What was measured and what is needed, in plain English."""
+        return _SENTENCES[self.reason].format(value=self.value, limit=self.limit, more=self.more)
+
+    @property
+    def is_out_of_view(self) -> bool:
+        """Whether the target lies outside the strip's footprint."""
+        return self.reason in (Reason.OUTSIDE_REACH, Reason.OUTSIDE_CCDS)
+
+    def __bool__(self) -> bool:
+        return False
+
+    def __str__(self) -> str:
+        return self.sentence
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record(kw_only=True)
+class TemplateMatch:
+    """Position of a template in a picture, accepted by all tests."""
+
+    xy_px: Floats = array("2", "(x, y) of the template's reference point in the picture, px")
+    cov_px: Floats = array("2, 2", "its covariance, px²")
+    correlation: float = scalar("of template and picture at that position, both filtered")
+    probability_wrong: float = scalar("probability that the true position is another one")
+    affine: Floats = array("2, 2", "A - I of the affine map template to picture; zero for a translation")
+    found: Image = array("H, W", "picture resampled to the template's pixels")
+    residual: Image = array("H, W", "found minus template after gain and offset, filtered, grey values")
+    surface: Image = array("R, C", "correlation at whole pixels of the search window")
+
+    def __repr__(self) -> str:
+        x, y, sigma = *self.xy_px, np.sqrt(np.diag(self.cov_px))
+        return (
+            f"TemplateMatch: x {x:.4f} ± {sigma[0]:.4f} px, y {y:.4f} ± {sigma[1]:.4f} px\n"
+            f"  correlation {self.correlation:.3f}, wrong with probability {self.probability_wrong:.1g}\n"
+            f"  {'affine map' if self.affine.any() else 'translation'} of {self.found.shape[1]} x "
+            f"{self.found.shape[0]} px"
+        )
+
+
+@record
+class Evidence:
+    """Pictures that let a person judge a match, all on the strip's own pixel grid."""
+
+    template: Image = array("H, W", "chip as the strip should show it")
+    found: Image = array("H, W", "strip resampled to the template's pixels at the position found")
+    residual: Image = array("H, W", "found minus template after gain and offset, filtered, grey values")
+    correlation: Image = array("R, C", "correlation surface of the search window")
+    origin_px: Floats = array("2", "predicted (sample, line) of the template's first pixel")
+
+
+@record(kw_only=True)
+class TargetMatch:
+    """A target matched in one CCD of a strip."""
+
+    target_id: str = scalar("identifier of the target")
+    ccd: int = scalar("CCD as numbered in the camera model")
+    xy_px: Floats = array("2", "(sample, line) of the target's surveyed point")
+    cov_px: Floats = array("2, 2", "covariance of xy_px, px²")
+    correlation: float = scalar("of template and strip at that position, both filtered")
+    probability_wrong: float = scalar("probability that the true position is another one")
+    model: str = scalar('"translation" or "affine"')
+    predicted_px: Floats = array("2", "(sample, line) predicted with the initial installation matrix")
+    residual_px: Floats = array("2", "xy_px minus the position predicted with the common rotation")
+    evidence: Evidence = scalar("pictures of the match")
+
+
+@record(kw_only=True)
 class StripMatches:
-    """All targets of a strip: placed, or refused with the reason.
+    """All targets of a strip: matched, or refused with the reason.
 
-    `theta_vote` is the one small rotation on which the targets agree, against the installation matrix that
-    the search started from: R_cs = exp[[theta]] R_cs0 (geometry/installation.py), rad, axes of frame c. It
-    is a by-product for the search; the calibration estimates its own. NaN when the targets agreed on nothing.
+    `theta_vote` is the small rotation on which the targets agree, relative to the installation matrix that
+    the search started from: R_cs = exp[[theta]] R_cs0 (geometry/installation.py). It serves the search only;
+    the calibration estimates its own.
     """
 
-    matches: tuple[TargetMatch, ...]
-    refused: tuple[Refusal, ...]
-    theta_vote: Array  # (3,) rad
-    cov_theta_vote: Array  # (3, 3) rad²
-    probability_chance: float  # that so many targets agree by chance
-    pixels_read: int
+    matches: tuple[TargetMatch, ...] = scalar("accepted matches, one for each target and CCD")
+    refused: tuple[Refusal, ...] = scalar("refused targets")
+    theta_vote: Floats = array("3", "common rotation, rad, axes of frame c; NaN if the targets agree on none")
+    cov_theta_vote: Floats = array("3, 3", "its covariance, rad²")
+    probability_chance: float = scalar("probability that as many targets agree by chance")
+    pixels_read: int = scalar("pixels read from the strip")

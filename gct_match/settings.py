@@ -35,7 +35,7 @@ class MatchSettings:
     sigma_px: float = (
         0.1  # placed worse than this is refused: what merely looks alike is seldom placed better
     )
-    sigma_alike_px: float = (
+    sigma_self_similar_px: float = (
         0.05  # the same, where the chip holds things alike: their parts disagree by a pixel, which leaves
         # 0.16 px in the median, below 0.05 in 1e-4 (log-normal, 441 look-alikes in invented estates)
     )

@@ -16,7 +16,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from boresight.gct_match.search.correlation import correlation_surface, normalised
+from boresight.gct_match.imaging.views import normalised
+from boresight.gct_match.search.correlation import correlation_surface
 from boresight.gct_match.texture import noise_of, sigma_from_gradients, smooth_gradients
 
 __all__ = ["SuggestedTarget", "suggest_targets"]

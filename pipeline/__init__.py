@@ -5,14 +5,10 @@ otherwise: work is spread over processes, and sums are then rounded in the same 
 """
 
 import os
-from importlib.metadata import PackageNotFoundError, version
+
+from boresight.version import __version__
 
 for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OPENCV_FOR_THREADS_NUM"):
     os.environ.setdefault(_name, "1")
-
-try:
-    __version__ = version("boresight")
-except PackageNotFoundError:  # used from a source tree that was not installed
-    __version__ = "0+source"
 
 __all__ = ["__version__"]

@@ -27,6 +27,7 @@ from boresight.pipeline.commands.progress import progress_bar, progress_bars, re
 from boresight.pipeline.commands.report import add_report_commands
 from boresight.pipeline.commands.star import add_star_commands
 from boresight.pipeline.errors import DataNotSufficientError, RawDataError, WorkerError
+from boresight.version import version_text
 
 __all__ = ["app", "main"]
 
@@ -90,7 +91,7 @@ def _global(
     version: Annotated[bool, typer.Option("--version", help="Print the version and stop.")] = False,
 ) -> None:
     if version:
-        typer.echo(f"boresight {__version__}")
+        typer.echo(version_text())
         raise typer.Exit(DONE)
 
 

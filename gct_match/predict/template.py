@@ -17,7 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pyproj import CRS, Transformer
 
-from boresight.gct_match.predict.resample import sample
+from boresight.gct_match.imaging.resample import sample
+from boresight.gct_match.imaging.spectra import gaussian_sigma_px
 from boresight.gct_match.records import Chip
 from boresight.gct_match.settings import MatchSettings
 from boresight.geometry.constants import WGS84
@@ -76,8 +77,8 @@ def predict_template(
     # what the camera adds to the chip's own blur, and the block's own width, in pixels of the chip
     sigma = np.sqrt(
         max(
-            (_sigma(settings.mtf_at_nyquist) * scale / stride) ** 2
-            - _sigma(settings.chip_mtf_at_nyquist) ** 2,
+            (gaussian_sigma_px(settings.mtf_at_nyquist) * scale / stride) ** 2
+            - gaussian_sigma_px(settings.chip_mtf_at_nyquist) ** 2,
             0.0,
         )
         + (stride**2 - 1.0) / 12.0 * (scale / stride) ** 2
@@ -115,11 +116,6 @@ def chip_side_px(chip: Chip, pushbroom: Pushbroom, ccd: int, xy_px: Array, surfa
     points = chip_points(chip, p_e)
     per_px = np.sqrt(abs(np.linalg.det((points[1:] - points[0]) / 16.0)))
     return float(min(chip.image.shape) / per_px) if np.isfinite(per_px) and per_px > 0.0 else 0.0
-
-
-def _sigma(mtf_at_nyquist: float) -> float:
-    """Width, in pixels, of the Gaussian whose transfer function has this value at half a cycle a pixel."""
-    return float(np.sqrt(-2.0 * np.log(mtf_at_nyquist)) / np.pi)
 
 
 def _pixels_per_template_pixel(x: Array, y: Array) -> float:

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from boresight.gct_match.predict.resample import change, composed, gradient, largest_px
+from boresight.gct_match.imaging.resample import change, composed, gradient, largest_px
 from boresight.gct_match.refine.blocks import blocks_of
 
 __all__ = ["approach", "robust_weights"]

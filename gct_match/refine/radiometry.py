@@ -18,9 +18,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from boresight.gct_match.predict.resample import gradient
-from boresight.gct_match.refine.spectra import (
+from boresight.gct_match.imaging.resample import gradient
+from boresight.gct_match.imaging.spectra import (
     frequency,
+    gaussian_sigma_px,
     padded_picture,
     padded_shape,
     padded_spectrum,
@@ -34,13 +35,12 @@ Image = NDArray[Any]  # single precision
 
 TERMS = 9
 TONES = 2  # the last of them
-_BLUR_PX = 0.62  # of the camera: MTF 0.15 at the Nyquist frequency
 _REGULAR = 0.005
 
 
-def fill_columns(out: Image, template: Image, weighting: Weighting) -> None:
-    """Write the derivatives of the filtered `template` (h, w) by column and row, then its TERMS, T first, to
-    `out` (2 + TERMS, h, w).
+def fill_columns(out: Image, template: Image, weighting: Weighting, mtf_at_nyquist: float) -> None:
+    """Write the columns of the design matrix to `out` (2 + TERMS, h, w): the derivatives of the filtered
+    `template` (h, w) by column and row, then the terms of the equation above, T first.
     """
     shape = h, w = template.shape
     spectrum = padded_spectrum(template)
@@ -54,7 +54,7 @@ def fill_columns(out: Image, template: Image, weighting: Weighting) -> None:
         np.multiply(ramp, t, out=column)
         column += slope * derivative
     cv2.Laplacian(t, cv2.CV_32F, dst=out[8], borderType=cv2.BORDER_REFLECT)
-    blur, sharpen = _camera(padded_shape(shape))
+    blur, sharpen = _camera(padded_shape(shape), round(gaussian_sigma_px(mtf_at_nyquist), 2))
     scene = padded_picture(spectrum * sharpen)
     scene *= np.float32(1.0 / (np.sqrt(float(np.vdot(scene, scene)) / scene.size) + 1e-12))
     blur = blur * weighting.amplitude
@@ -72,7 +72,7 @@ def _ramps(h: int, w: int) -> tuple[Image, Image]:
 
 
 @lru_cache(maxsize=32)
-def _camera(shape: tuple[int, int]) -> tuple[Image, Image]:
-    """Packed multipliers of a Gaussian camera and of its regularised inverse."""
-    blur = np.exp(-2.0 * np.pi**2 * _BLUR_PX**2 * frequency(shape) ** 2)
+def _camera(shape: tuple[int, int], sigma_px: float) -> tuple[Image, Image]:
+    """Packed multipliers of a Gaussian camera of `sigma_px` and of its regularised inverse."""
+    blur = np.exp(-2.0 * np.pi**2 * sigma_px**2 * frequency(shape) ** 2)
     return blur.astype(np.float32), (blur / (blur**2 + _REGULAR)).astype(np.float32)

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from boresight.gct_match.refine.spectra import frequency, padded_shape, ring_means, rings
+from boresight.gct_match.imaging.spectra import frequency, padded_shape, ring_means, rings
 
 __all__ = ["Weighting", "weighting"]
 

@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from boresight.gct_match.imaging.views import filled
 from boresight.gct_match.records import StripImage
 from boresight.gct_match.settings import MatchSettings
 
@@ -38,7 +39,7 @@ def read_window(
     """Grey values, and where they can be used: not NaN, not the no-data value, not saturated."""
     image = np.asarray(strip.read(ccd, line0, line1, sample0, sample1))
     valid = _usable(image, settings)
-    return _filled(image, valid), valid
+    return filled(image, valid), valid
 
 
 def read_coarse(
@@ -70,7 +71,7 @@ def _means_of_usable(block: NDArray, factor: int, settings: MatchSettings) -> ND
     if _sets_nothing_aside(block, settings):
         return _block_means(block, factor)
     good = _usable(block, settings)
-    means = _block_means(_filled(block, good), factor)
+    means = _block_means(filled(block, good), factor)
     if not good.all():
         means[_block_means(good.astype(np.float32), factor) <= _LEAST_VALID] = np.nan
     return means
@@ -89,13 +90,6 @@ def _usable(image: NDArray, settings: MatchSettings) -> NDArray[np.bool_]:
     if np.isfinite(settings.no_data):
         usable &= image != settings.no_data
     return usable
-
-
-def _filled(image: NDArray, valid: NDArray[np.bool_]) -> Image:
-    """In single precision, the mean where it is not valid."""
-    if valid.all():
-        return image.astype(np.float32)
-    return np.where(valid, image, image[valid].mean() if valid.any() else 0.0).astype(np.float32)
 
 
 def _block_means(image: NDArray, factor: int) -> NDArray:

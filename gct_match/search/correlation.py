@@ -18,21 +18,16 @@ from numpy.typing import NDArray
 
 __all__ = [
     "Peaks",
-    "View",
     "correlation_surface",
     "independent_values",
-    "likeness_to_itself",
-    "normalised",
     "peaks_of",
     "probability_wrong",
-    "view_of",
+    "self_similarity",
 ]
 
 Array = NDArray[np.float64]
 Image = NDArray[Any]  # single precision
 
-_FINE_PX, _LOCAL_PX, _CONTRAST_PX = 0.8, 4.0, 6.0  # pass band and the neighbourhood of the contrast
-_FLOOR = 0.15  # of the usual contrast: flat ground is not blown up to texture
 _FAR, _SHARED = 0.25, 0.25  # of a template's side and area, where it is compared with itself
 
 
@@ -42,54 +37,6 @@ class Peaks:
 
     xy: Array  # (K, 2) column, row of the surface, to a fraction of a pixel
     value: Array  # (K,)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class View:
-    """A picture (h, w) and what search and fit need of it."""
-
-    grey: Image
-    valid: NDArray[np.bool_]
-    normalised: Image
-
-
-def view_of(grey: Image, valid: NDArray[np.bool_]) -> View:
-    """`grey` (h, w), of which only pixels that are `valid` may be used."""
-    return View(grey, valid, normalised(grey, valid))
-
-
-def normalised(image: Image, valid: NDArray[np.bool_]) -> Image:
-    """Band-passed, divided by the local contrast, limited to ±3; zero where not valid."""
-    if valid.all():
-        fine = _fine(image)
-        fine -= _wide_mean(fine, _LOCAL_PX)
-        power = _wide_mean(fine * fine, _CONTRAST_PX)
-    elif not valid.any():
-        return np.zeros_like(image)
-    else:
-        weight = valid.astype(np.float32)
-        image = np.where(valid, image, image[valid].mean()).astype(np.float32)
-        fine = _fine(image)
-        fine -= _wide_mean(image * weight, _LOCAL_PX) / (_wide_mean(weight, _LOCAL_PX) + np.float32(1e-6))
-        fine *= weight
-        part = _wide_mean(weight, _CONTRAST_PX) + np.float32(1e-6)
-        power = _wide_mean(fine * fine, _CONTRAST_PX) / part
-    some = power[tuple(slice(None, None, max(1, n // 64)) for n in power.shape)]
-    usual = np.partition(some.ravel(), some.size // 2)[some.size // 2]
-    floor = np.float32(_FLOOR**2 * float(usual) + 1e-12)
-    fine /= cv2.sqrt(np.maximum(power, 0.0) + floor)
-    return np.clip(fine, -3.0, 3.0, out=fine)
-
-
-def _fine(image: Image) -> Image:
-    return cv2.GaussianBlur(image, (0, 0), _FINE_PX)
-
-
-def _wide_mean(image: Image, sigma_px: float) -> Image:
-    """Mean over a wide Gaussian, formed from means of 2 x 2 pixels."""
-    h, w = image.shape
-    small = cv2.resize(image, (max(1, w // 2), max(1, h // 2)), interpolation=cv2.INTER_AREA)
-    return cv2.resize(cv2.GaussianBlur(small, (0, 0), sigma_px / 2.0), (w, h), interpolation=cv2.INTER_LINEAR)
 
 
 def correlation_surface(template: Image, picture: Image) -> Image:
@@ -159,7 +106,7 @@ def independent_values(template: Image) -> float:
     return total**2 / square if square else 1.0
 
 
-def likeness_to_itself(template: Image) -> float:
+def self_similarity(template: Image) -> float:
     """Highest correlation of a normalised template with itself, displaced by a quarter of its side or more
     so that a quarter of its area is still shared: high if it holds several things of one kind.
     """

@@ -15,6 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from boresight.gct_match.imaging.views import window
 from boresight.gct_match.search.edges import (
     FULL,
     centred,
@@ -111,7 +112,7 @@ def _cells(
     y1 = min(-(-box[3] // _POOLED) + h, rows + h // 2)
     if x1 - x0 < w or y1 - y0 < h:
         return np.zeros((0, 2), dtype=np.int64), np.zeros(0, dtype=np.float32)
-    surface = edge_similarity(template, _cut(field, x0, y0, x1, y1))
+    surface = edge_similarity(template, window(field, x0, y0, x1 - x0, y1 - y0))
     maximum = surface == cv2.dilate(surface, np.ones((3, 3), np.uint8))
     score = (surface + maximum).ravel()
     cells = np.flatnonzero(maximum)
@@ -178,14 +179,3 @@ def _best(places: Places, count: int) -> Places:
     _, once = np.unique(number, return_index=True)
     keep = once[np.argsort(-places.value[once], kind="stable")[:count]]
     return Places(places.picture[keep], places.xy[keep], places.value[keep])
-
-
-def _cut(field: Image, x0: int, y0: int, x1: int, y1: int) -> Image:
-    """A window of a field; zero beyond its edges."""
-    _, rows, columns = field.shape
-    a, b, c, d = max(0, y0), min(rows, y1), max(0, x0), min(columns, x1)
-    if (a, b, c, d) == (y0, y1, x0, x1):
-        return field[:, a:b, c:d]
-    out = np.zeros((2, y1 - y0, x1 - x0), dtype=np.float32)
-    out[:, a - y0 : b - y0, c - x0 : d - x0] = field[:, a:b, c:d]
-    return out

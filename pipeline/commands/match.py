@@ -56,7 +56,7 @@ def match(
         typer.echo(line.text)
         for refusal in line.refused:
             where = f", CCD {refusal.ccd}" if refusal.ccd >= 0 else ""
-            typer.echo(f"refused: {line.strip_id}/{refusal.target_id}{where}: {refusal.reason}", err=True)
+            typer.echo(f"refused: {line.strip_id}/{refusal.target_id}{where}: {refusal.sentence}", err=True)
     write_matches(out, lines)
     placed = sum(len(line.matches) for line in lines)
     typer.echo(f"placed {placed} in {len(lines)} strips -> {out}")

@@ -75,17 +75,24 @@ def export(
         raise typer.BadParameter(f"there is no format {unknown[0]!r}, only {', '.join(FORMATS)}")
     try:
         frames = SpiceFrames(
-            spice_spacecraft,
-            spice_spacecraft * 1000 - 1,
-            spice_star_camera,
-            spice_spacecraft * 1000 - 2,
-            spice_remote_camera,
-            not spice_known_star_camera,
+            spacecraft_id=spice_spacecraft,
+            star_camera_id=spice_spacecraft * 1000 - 1,
+            star_camera_name=spice_star_camera,
+            remote_camera_id=spice_spacecraft * 1000 - 2,
+            remote_camera_name=spice_remote_camera,
+            define_star_camera=not spice_known_star_camera,
         )
     except ValueError as error:
         raise typer.BadParameter(str(error)) from error
     now = datetime.datetime.now(datetime.UTC).strftime("%Y-%m-%dT%H:%M:%S")
-    request = ExportRequest(result, dump, tuple(strip or ()), frames, now, allow_stale_eop)
+    request = ExportRequest(
+        result=result,
+        dump=dump,
+        strips=tuple(strip or ()),
+        frames=frames,
+        creation_utc=now,
+        allow_stale_eop=allow_stale_eop,
+    )
     folder = out if out is not None else result / "exports"
     folder.mkdir(parents=True, exist_ok=True)
     for name in names:

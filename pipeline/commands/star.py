@@ -197,7 +197,15 @@ def star_camera_calibrate(
 
     if camera is not None and fov is not None:
         raise _wrong_usage("--camera and --fov exclude one another")
-    request = CameraRequest(camera, fov, Whereabouts(times, orbit, site), drift, out, report, plot)
+    request = CameraRequest(
+        camera_file=camera,
+        fov_deg=fov,
+        known=Whereabouts(times, orbit, site),
+        drift=drift,
+        out=out,
+        report=report,
+        plot=plot,
+    )
     with progress_bars() as told:
         lines, done = calibrate_from_images(sources, request, read_settings(settings).stars, told)
     for line in lines:

@@ -1,1 +1,1 @@
-"""The simulations of the paper, run from scratch, as tables and as figures."""
+"""Simulations of the paper's section 3, with its printed values beside ours, as tables and figures."""

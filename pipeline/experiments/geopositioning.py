@@ -1,59 +1,52 @@
-"""Where a calibrated pair of cameras puts points of the ground, and how far off along and across the track.
+"""Geo-positioning errors of a calibrated camera pair at check points, along and across the track.
 
 Frames: i inertial, c remote-sensing camera, s star camera. Metres, radians. The attitude at a row's instant
-is that of the star camera's exposures around it, smoothed: what the nominal motion leaves is a Gaussian
-process in time, so that exposures help one another where the motion is slower than their rate.
+is smoothed from the star exposures: its deviation from the nominal motion is a Gaussian process in time.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from boresight.geometry.constants import ARCSEC
+from boresight.geometry.record import Floats, array, record, scalar
 from boresight.geometry.sightings import StripSightings
 from boresight.pipeline.experiments.wang import attitudes_of
 
 __all__ = ["GroundErrors", "MotionPrior", "ground_errors", "smoothed_attitude"]
 
-Array = NDArray[np.float64]
 
-
-@dataclass(frozen=True, slots=True)
+@record
 class MotionPrior:
-    """What is believed of the attitude beside the nominal motion: size and time over which it keeps its
-    value.
-    """
+    """Squared-exponential prior of the attitude's deviation from the nominal motion."""
 
-    sigma_rad: float = 10.0 * ARCSEC  # waves of 3 to 12 arcsec (paper, Fig. 4)
-    length_s: float = (
-        1.0  # of a squared-exponential: shorter waves still come through, at a little more noise
+    sigma_rad: float = scalar(
+        "standard deviation per axis, rad; waves are 3 to 12 arcsec", default=10.0 * ARCSEC
     )
+    length_s: float = scalar("correlation length, s", default=1.0)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record
 class GroundErrors:
-    """Errors at J check points, metres."""
+    """Errors at J check points."""
 
-    along_m: Array  # (J,)
-    across_m: Array  # (J,)
+    along_m: Floats = array("J", "along the track, positive ahead, m")
+    across_m: Floats = array("J", "across the track, positive to the right seen from above, m")
 
     @property
     def rms_m(self) -> tuple[float, float]:
-        """Along and across the track."""
+        """Root mean square along and across the track, m."""
         return float(np.sqrt(np.mean(self.along_m**2))), float(np.sqrt(np.mean(self.across_m**2)))
 
 
 def smoothed_attitude(strip: StripSightings, prior: MotionPrior) -> Rotation:
-    """R_si (J,) at the targets' instants from all exposures of the strip."""
+    """R_si (J,) at the targets' instants, smoothed from all exposures of the strip."""
     R_si, covariance = attitudes_of(strip.exposures)
     times = np.array([exposure.t_s for exposure in strip.exposures])
     D = R_si * strip.R_oi_exposures.inv()
     middle = D.mean()
-    turns = (D * middle.inv()).as_rotvec()  # (K, 3)
+    angles = (D * middle.inv()).as_rotvec()  # (K, 3)
     K = len(times)
     noise = np.zeros((K, 3, K, 3))
     noise[np.arange(K), :, np.arange(K)] = covariance
@@ -61,18 +54,17 @@ def smoothed_attitude(strip: StripSightings, prior: MotionPrior) -> Rotation:
     prior_tt = _kernel(times, times, prior) + constant
     prior_jt = _kernel(strip.ground.t_s, times, prior) + constant
     whole = np.kron(prior_tt, np.eye(3)) + noise.reshape(3 * K, 3 * K)
-    smooth = (np.kron(prior_jt, np.eye(3)) @ np.linalg.solve(whole, turns.ravel())).reshape(-1, 3)
+    smooth = (np.kron(prior_jt, np.eye(3)) @ np.linalg.solve(whole, angles.ravel())).reshape(-1, 3)
     return Rotation.from_rotvec(smooth) * middle * strip.R_oi_targets
 
 
 def ground_errors(
-    position_i: Array, look_i: Array, ground_i: Array, up_i: Array, velocity_i: Array
+    position_i: Floats, look_i: Floats, ground_i: Floats, up_i: Floats, velocity_i: Floats
 ) -> GroundErrors:
-    """Errors at check points (J, 3) of rays from `position_i` along `look_i`, met with the level of each
-    point.
+    """Errors at check points `ground_i` (J, 3) of rays from `position_i` along `look_i`, intersected with the
+    horizontal plane of each point.
 
-    `up_i` is the local vertical, `velocity_i` gives the direction of the track. Along is positive ahead,
-    across positive to the right of the track seen from above.
+    `up_i` (J, 3) is the local vertical, `velocity_i` (J, 3) gives the direction of the track. m, frame i.
     """
     level = np.einsum("ja,ja->j", ground_i - position_i, up_i)
     reach = level / np.einsum("ja,ja->j", look_i, up_i)
@@ -83,5 +75,5 @@ def ground_errors(
     return GroundErrors(np.einsum("ja,ja->j", off, along), np.einsum("ja,ja->j", off, across))
 
 
-def _kernel(a: Array, b: Array, prior: MotionPrior) -> Array:
+def _kernel(a: Floats, b: Floats, prior: MotionPrior) -> Floats:
     return np.asarray(prior.sigma_rad**2 * np.exp(-0.5 * ((a[:, None] - b[None, :]) / prior.length_s) ** 2))

@@ -1,22 +1,20 @@
-"""The grid and table 5 through rendered images: raw pixels of the mini scenario, all the way to the matrix.
+"""The grid and Table 5 from rendered images: raw pixels of the mini scenario through the whole calibration.
 
-The noise of both cameras' detectors is what is varied; the sigmas in the tables are those that the
-sightings state, since from pixels they are a result and no setting. Every mission is rendered, calibrated
-and held against its truth in a folder of its own, which is removed.
+The detector noise of both cameras is varied; the sigmas in the tables are those stated by the measurements.
+Every mission is rendered, calibrated and compared with its truth in a temporary folder.
 """
 
 from __future__ import annotations
 
 import tempfile
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from boresight.geometry.constants import ARCSEC
+from boresight.geometry.record import Floats, array, record, scalar
 from boresight.pipeline.experiments.paper_tables import TABLE_5
 from boresight.pipeline.files.dump import Dump, open_dump
 from boresight.pipeline.files.dump_writer import write_dump
@@ -29,34 +27,35 @@ from boresight.pipeline.work.executor import InOrder
 
 __all__ = ["PixelRuns", "PixelSettings", "grid_from_pixels", "run_missions", "table5_from_pixels"]
 
-Array = NDArray[np.float64]
 Progress = Callable[[int, int], None]
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class PixelSettings:
-    """A reduced grid: detector noise of both cameras, in grey values."""
+    """A reduced grid of detector noise."""
 
-    star_noise_dn: tuple[float, ...] = (2.0, 6.0)
-    strip_noise_dn: tuple[float, ...] = (0.8, 6.0)
-    runs: int = 2
-    seed: int = 2020
+    star_noise_dn: tuple[float, ...] = scalar("read noise of the star camera, DN", default=(2.0, 6.0))
+    strip_noise_dn: tuple[float, ...] = scalar(
+        "read noise of the remote-sensing camera, DN", default=(0.8, 6.0)
+    )
+    runs: int = scalar("missions per cell", default=2)
+    seed: int = scalar("seed of the first mission", default=2020)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record(kw_only=True)
 class PixelRuns:
-    """What one cell of the grid gave: R missions."""
+    """Results of R missions of one cell with N check points."""
 
-    sigma_s_px: float
-    sigma_c_px: float
-    errors: Array  # (R, 3) rad
-    covariances: Array  # (R, 3, 3) rad²
-    along_m: Array  # all check points of all missions
-    across_m: Array
+    sigma_s_px: float = scalar("stated 1-sigma of stars per axis, px")
+    sigma_c_px: float = scalar("stated 1-sigma of targets per axis, px")
+    errors: Floats = array("R, 3", "theta minus truth, rad, axes of c")
+    covariances: Floats = array("R, 3, 3", "stated covariance of theta, rad²")
+    along_m: Floats = array("N", "error of check points along the track, m")
+    across_m: Floats = array("N", "and across, m")
 
 
 def grid_from_pixels(settings: PixelSettings, progress: Progress | None = None) -> pd.DataFrame:
-    """The grid's long form, method "pixels"."""
+    """Long-form table of the grid, method "pixels"; the paper prints no value for this camera pair."""
     rows = []
     for cell in run_missions(settings, progress):
         off = cell.errors / ARCSEC
@@ -66,16 +65,15 @@ def grid_from_pixels(settings: PixelSettings, progress: Progress | None = None) 
             rms, mean = np.sqrt(np.mean(off[:, axis] ** 2)), off[:, axis].mean()
             bound = np.sqrt(sigma2[:, axis].mean()) / ARCSEC
             head = (cell.sigma_s_px, cell.sigma_c_px, "pixels", "XYZ"[axis])
-            rows.append((*head, rms, mean, bound, nees, settings.runs, np.nan))
+            rows.append((*head, rms, mean, bound, nees, settings.runs))
     columns = ["sigma_s_px", "sigma_c_px", "method", "axis", "rms_arcsec", "mean_arcsec", "bound_arcsec"]
-    return pd.DataFrame(rows, columns=[*columns, "nees", "runs", "paper_arcsec"])
+    return pd.DataFrame(rows, columns=[*columns, "nees", "runs"])
 
 
 def table5_from_pixels(settings: PixelSettings, progress: Progress | None = None) -> pd.DataFrame:
-    """Table 5's long form, method "pixels", at the mission's own check points.
+    """Long-form table of Table 5, method "pixels", at the check points of the missions.
 
-    The floor is unknown here (NaN), and the paper's figure is that of its row nearest in sigma_s: a camera
-    pair of another size, given for orientation.
+    `paper_m` is the paper's row nearest in sigma_s, of a larger camera pair; no floor is known.
     """
     rows = []
     for cell in run_missions(settings, progress):
@@ -83,13 +81,13 @@ def table5_from_pixels(settings: PixelSettings, progress: Progress | None = None
         for direction, off, own in (("along", cell.along_m, paper[1]), ("across", cell.across_m, paper[3])):
             rms = float(np.sqrt(np.mean(off**2)))
             head = (cell.sigma_c_px, cell.sigma_s_px, "pixels", direction)
-            rows.append((*head, rms, np.nan, own, settings.runs))
-    columns = ["sigma_c_px", "sigma_s_px", "method", "direction", "rms_m", "floor_m", "paper_m", "runs"]
+            rows.append((*head, rms, own, settings.runs))
+    columns = ["sigma_c_px", "sigma_s_px", "method", "direction", "rms_m", "paper_m", "runs"]
     return pd.DataFrame(rows, columns=columns)
 
 
 def run_missions(settings: PixelSettings, progress: Progress | None = None) -> list[PixelRuns]:
-    """Render, calibrate and validate every cell of the reduced grid."""
+    """Results of all cells of the reduced grid, rendered, calibrated and compared with the truth."""
     cells = [(s, c) for s in settings.star_noise_dn for c in settings.strip_noise_dn]
     found = []
     for n, (star_noise, strip_noise) in enumerate(cells):
@@ -102,12 +100,12 @@ def run_missions(settings: PixelSettings, progress: Progress | None = None) -> l
         sigma_s, sigma_c = np.mean(sigmas, axis=0)
         found.append(
             PixelRuns(
-                float(sigma_s),
-                float(sigma_c),
-                np.array([v.error_rad for v, _ in validations]),
-                np.array([covariance for _, covariance in validations]),
-                np.concatenate([v.after.along_m for v, _ in validations]),
-                np.concatenate([v.after.across_m for v, _ in validations]),
+                sigma_s_px=float(sigma_s),
+                sigma_c_px=float(sigma_c),
+                errors=np.array([v.error_rad for v, _ in validations]),
+                covariances=np.array([covariance for _, covariance in validations]),
+                along_m=np.concatenate([v.after.along_m for v, _ in validations]),
+                across_m=np.concatenate([v.after.across_m for v, _ in validations]),
             )
         )
     return found
@@ -115,7 +113,7 @@ def run_missions(settings: PixelSettings, progress: Progress | None = None) -> l
 
 def _mission(
     star_noise_dn: float, strip_noise_dn: float, seed: int
-) -> tuple[tuple[float, float], tuple[Validation, Array]]:
+) -> tuple[tuple[float, float], tuple[Validation, Floats]]:
     changes = [f"sky.read_noise_dn={star_noise_dn}", f"ground.read_noise_dn={strip_noise_dn}"]
     with tempfile.TemporaryDirectory(prefix="boresight-") as folder:
         dump_folder, result = Path(folder) / "dump", Path(folder) / "result"
@@ -128,12 +126,12 @@ def _mission(
         begin_result(result)
         calibration = calibrate_dump(dump, Settings(), store_of(result), InOrder())
         write_result(result, calibration, Settings())
-        held = validate(read_result(result), dump)
-    return _sigmas_px(calibration, dump), (held, calibration.estimate.cov_theta)
+        compared = validate(read_result(result), dump)
+    return _sigmas_px(calibration, dump), (compared, calibration.estimate.cov_theta)
 
 
 def _sigmas_px(calibration: Calibration, dump: Dump) -> tuple[float, float]:
-    """Root mean square of what the sightings state, per axis, in pixels of either camera."""
+    """Root mean square of the stated 1-sigma of stars and of targets per axis, px."""
     stars = np.concatenate([np.trace(s.cov_s, axis1=1, axis2=2) for s in calibration.stars])
     targets = np.concatenate([np.trace(s.ground.cov_c, axis1=1, axis2=2) for s in calibration.strips])
     star_pixel = dump.star_camera.pixel_m / dump.star_camera.focal_m

@@ -1,63 +1,62 @@
-"""The conventional way, as the paper describes Wang's (section 3.3.2): the yardstick, not a recommendation.
+"""Wang's calibration as the paper describes it (section 3.3.2), for comparison.
 
-Strip by strip, the targets alone give the remote-sensing camera's attitude as a polynomial in time (third
-order) on top of the nominal motion; the star camera's attitudes at its exposures then give an installation
-matrix each, their mean the strip's, and the rotation nearest to all strips' the result. Attitude and
-installation are solved apart, every strip with the same weight, so the weak directions of one strip stay in
-the result.
+For each strip the targets alone give the attitude of the remote-sensing camera as a polynomial in time (third
+order) added to the nominal motion. The star camera's attitude at each exposure then gives an installation
+matrix; their mean is the strip's, and the mean over strips the result. Attitude and installation are solved
+separately and all strips weigh the same, so the poorly determined directions of a strip remain in the result.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from boresight.calib.attitudes import cross_matrices, fit_attitudes
+from boresight.geometry.record import Floats, array, record, scalar
 from boresight.geometry.sightings import StarSightings, StripSightings
 
 __all__ = ["WangEstimate", "attitudes_of", "polynomial_residuals", "wang_calibrate"]
 
-Array = NDArray[np.float64]
 
-
-@dataclass(frozen=True, slots=True, eq=False)
+@record
 class WangEstimate:
-    """`R_cs` over all strips, each strip's own, and the strips that had too little to fit, with the
-    reason.
-    """
+    """Installation matrix by Wang's method."""
 
-    R_cs: Rotation
-    R_cs_strips: Rotation  # (S,)
-    strip_ids: tuple[str, ...]  # (S,)
-    left_out: tuple[tuple[str, str], ...]  # strip, reason
+    R_cs: Rotation = scalar("mean over the strips, s to c")
+    R_cs_strips: Rotation = array("S", "matrix of each strip")
+    strip_ids: tuple[str, ...] = array("S", "ids of the strips used")
+    rejected: tuple[tuple[str, str], ...] = scalar(
+        "(strip, reason) of strips with too few targets or exposures"
+    )
 
 
 def wang_calibrate(strips: Sequence[StripSightings], R_cs0: Rotation, order: int = 3) -> WangEstimate:
-    """The installation matrix by Wang's way. Raises `ValueError` when no strip can be fitted."""
-    found, ids, left_out = [], [], []
+    """The installation matrix by Wang's method with polynomials of `order`.
+
+    Raises `ValueError` when no strip has enough targets and exposures.
+    """
+    found, ids, rejected = [], [], []
     for strip in strips:
         enough = 3 * (order + 1) // 2 + 1
         if len(strip.ground.t_s) < enough or len(strip.exposures) < 2:
             reason = (
                 f"{len(strip.ground.t_s)} targets and {len(strip.exposures)} exposures, {enough} and 2 needed"
             )
-            left_out.append((strip.strip_id, reason))
+            rejected.append((strip.strip_id, reason))
             continue
         found.append(_strip_matrix(strip, R_cs0, order))
         ids.append(strip.strip_id)
     if not found:
         raise ValueError(f"none of {len(strips)} strips has enough targets and exposures for order {order}")
     R_cs_strips = Rotation.concatenate(found)
-    return WangEstimate(R_cs_strips.mean(), R_cs_strips, tuple(ids), tuple(left_out))
+    return WangEstimate(R_cs_strips.mean(), R_cs_strips, tuple(ids), tuple(rejected))
 
 
-def attitudes_of(exposures: Sequence[StarSightings]) -> tuple[Rotation, Array]:
-    """R_si of every exposure from its stars, and the covariance (K, 3, 3) of a small turn about the axes
-    of s.
+def attitudes_of(exposures: Sequence[StarSightings]) -> tuple[Rotation, Floats]:
+    """R_si of every exposure from its stars, and the covariance (K, 3, 3) of a small rotation about the
+    axes of s, rad². Raises `ValueError` when an exposure has none.
     """
     start = np.concatenate([[0], np.cumsum([len(exposure.hip) for exposure in exposures])]).astype(np.int64)
     fit = fit_attitudes(
@@ -71,8 +70,8 @@ def attitudes_of(exposures: Sequence[StarSightings]) -> tuple[Rotation, Array]:
     return Rotation.from_matrix(fit.R_si), fit.covariance_s
 
 
-def polynomial_residuals(t_s: Array, angles: Array, order: int) -> Array:
-    """What a polynomial of this order leaves of angles (N, 3) against time: the paper's Fig. 8."""
+def polynomial_residuals(t_s: Floats, angles: Floats, order: int) -> Floats:
+    """Residuals (N, 3) of angles (N, 3) from a least-squares polynomial in time: the paper's Fig. 8."""
     powers = _powers(t_s, float(t_s[0]), float(t_s[-1]), order)
     return np.asarray(angles - powers @ np.linalg.lstsq(powers, angles, rcond=None)[0], dtype=np.float64)
 
@@ -87,16 +86,14 @@ def _strip_matrix(strip: StripSightings, R_cs0: Rotation, order: int) -> Rotatio
     coefficients = np.zeros((order + 1, 3))
     for _ in range(5):
         w = Rotation.from_rotvec(powers @ coefficients).apply(nominal)
-        turn = -cross_matrices(w)[
-            :, :2
-        ]  # x and y of u_c - w by a right-handed turn: two collinearity equations
-        A = (turn[:, :, None, :] * powers[:, None, :, None]).reshape(2 * len(w), -1)
+        jacobian = -cross_matrices(w)[:, :2]  # of x and y of u_c - w: two collinearity equations
+        A = (jacobian[:, :, None, :] * powers[:, None, :, None]).reshape(2 * len(w), -1)
         step = np.linalg.lstsq(A, (strip.ground.u_c - w)[:, :2].ravel(), rcond=None)[0]
         coefficients += step.reshape(order + 1, 3)
-    turned = Rotation.from_rotvec(_powers(times, first, last, order) @ coefficients)
-    return (turned * R_co * strip.R_oi_exposures * R_si.inv()).mean()
+    fitted = Rotation.from_rotvec(_powers(times, first, last, order) @ coefficients)
+    return (fitted * R_co * strip.R_oi_exposures * R_si.inv()).mean()
 
 
-def _powers(t: Array, first: float, last: float, order: int) -> Array:
+def _powers(t: Floats, first: float, last: float, order: int) -> Floats:
     scaled = (2.0 * t - first - last) / max(last - first, 1e-9)
     return np.asarray(scaled[:, None] ** np.arange(order + 1), dtype=np.float64)

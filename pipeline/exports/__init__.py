@@ -1,2 +1,2 @@
-"""Results in the formats that other tools read, one module a format. Each turns records into text or bytes;
-writing files is left to `pipeline.commands.report`."""
+"""Results in formats of other tools, one module per format: records in, text or bytes out.
+`pipeline.commands.report` writes the files."""

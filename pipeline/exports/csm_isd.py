@@ -5,25 +5,23 @@ Written for `USGS_ASTRO_LINE_SCANNER_SENSOR_MODEL` and the reader of the Abstrac
 (ALE). That model knows straight rays from a moving camera in the Earth-fixed frame, an affine detector, and a
 cubic distortion. So
 
-* its camera frame is frame c turned by 180 degrees about x (its z axis points away from the ground);
-* aberration, light time and refraction are folded into position and attitude at a stated height: at each node
+* its camera frame is frame c rotated by 180 degrees about x (its z axis points away from the ground);
+* aberration, light time and refraction are included in position and attitude at a stated height: at each node
   the rotation is the one that best takes the camera's look directions to the true lines of sight;
-* positions and attitudes are those of ITRS, and the body's rotation is the unit rotation;
-* where a cubic cannot follow the distortion table, the detector is cut into pieces that are images of their
-  own.
+* positions and attitudes are in ITRS, and the body's rotation is the identity;
+* where a cubic does not fit the distortion table, the detector is cut into pieces, each an image of its own.
 
-What is left out is computed and written into each file, under "boresight": `left_out_px`.
+The approximation error is written into each file as `boresight.model_error_px`.
 """
 
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import erfa
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from boresight.geometry.constants import WGS84
@@ -32,60 +30,60 @@ from boresight.geometry.geodesy import ray_ellipsoid_intersection
 from boresight.geometry.groundlight import lines_of_sight_e
 from boresight.geometry.line_camera import Ccd, LineCamera
 from boresight.geometry.pushbroom import Pushbroom
+from boresight.geometry.record import Floats, array, record, scalar
 
 __all__ = ["IsdNames", "IsdPiece", "line_scanner_isds"]
 
-Array = NDArray[np.float64]
-
 NODE_STEP_S = 2.0**-7  # node times are then exact in ephemeris seconds, which resolve only 1e-7 s
 MARGIN_NODES = 8  # on either side: the model interpolates with eight points
-FOLD_SAMPLES = 9  # look directions per node, to which the rotation is fitted
-DISTORTION_PX = 3e-3  # what the cubic may leave over
+FIT_SAMPLES = 9  # look directions per node, to which the rotation is fitted
+DISTORTION_PX = 3e-3  # largest misfit of the cubic
 SMALLEST_PIECE_PX = 32
-_TURN = Rotation.from_quat([1.0, 0.0, 0.0, 0.0])  # c' <- c: half a turn about x
+_HALF_TURN = Rotation.from_quat([1.0, 0.0, 0.0, 0.0])  # c' <- c: half a turn about x
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class IsdNames:
-    """What an ISD calls things."""
+    """Names in an ISD."""
 
-    image: str  # file name of the raw image
-    platform: str
-    sensor: str
+    image: str = scalar("file name of the raw image")
+    platform: str = scalar("satellite or mission")
+    sensor: str = scalar("camera and CCD")
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class IsdPiece:
-    """One ISD and the samples of the raw image that it is for: first_sample <= sample < stop_sample."""
+    """One ISD, valid for first_sample <= sample < stop_sample of the raw image."""
 
-    ccd: int
-    first_sample: int
-    stop_sample: int
-    isd: dict[str, Any]
-    whole_detector: bool
+    ccd: int = scalar("index of the CCD")
+    first_sample: int = scalar("first sample")
+    stop_sample: int = scalar("one after the last sample")
+    isd: dict[str, Any] = scalar("content of the JSON file")
+    whole_detector: bool = scalar("the ISD covers all samples of the CCD")
 
     @property
     def suffix(self) -> str:
-        """Distinguishes files of one strip: `ccd0`, or `ccd0.samples-0512-1023` for a piece."""
+        """Part of the file name: `ccd0`, or `ccd0.samples-00512-01023` for a piece."""
         if self.whole_detector:
             return f"ccd{self.ccd}"
         return f"ccd{self.ccd}.samples-{self.first_sample:05d}-{self.stop_sample - 1:05d}"
 
     def text(self) -> str:
+        """The ISD as JSON text."""
         return json.dumps(self.isd, indent=1, allow_nan=False) + "\n"
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record(kw_only=True)
 class _Path:
-    """Camera centre and attitude at equally spaced nodes, with the light's effects folded in."""
+    """Camera centre and attitude at N equally spaced nodes; aberration, light time, refraction included."""
 
-    et_s: Array  # (N,) ephemeris seconds: TDB since J2000
-    centre_et_s: float
-    t_s: Array  # (N,) the same instants, TAI seconds since the epoch
-    p_e: Array  # (N, 3)
-    v_e: Array  # (N, 3)
-    R_ec: Rotation  # (N,)
-    misfit_rad: float  # largest angle that one rotation for all samples leaves over
+    et_s: Floats = array("N", "ephemeris seconds: TDB since J2000")
+    centre_et_s: float = scalar("ephemeris seconds of the middle node")
+    t_s: Floats = array("N", "the same instants, TAI seconds since the epoch")
+    p_e: Floats = array("N, 3", "camera centre, m, ITRS")
+    v_e: Floats = array("N, 3", "its velocity, m/s, ITRS")
+    R_ec: Rotation = array("N", "camera to ITRS")
+    misfit_rad: float = scalar("largest angle between the true lines of sight and those of one rotation")
 
 
 def line_scanner_isds(
@@ -98,26 +96,26 @@ def line_scanner_isds(
     camera = pushbroom.camera
     if not isinstance(camera, LineCamera):
         raise ValueError("only a camera with focal length and focal plane has an ISD")
-    path = _folded_path(pushbroom, epoch, ccd, lines, height_m)
+    path = _path(pushbroom, epoch, ccd, lines, height_m)
     common = _common(path, pushbroom, lines, height_m, names, camera.focal_m)
     detector = camera.ccds[ccd]
     pieces = _pieces(detector)
     made = []
     for first, stop, coefficients, residual_px in pieces:
-        left_out = residual_px + path.misfit_rad * camera.focal_m / detector.pixel_m
+        error_px = residual_px + path.misfit_rad * camera.focal_m / detector.pixel_m
         content = common | _detector(detector, first, stop, coefficients)
         content["boresight"] = common["boresight"] | {
             "ccd": ccd,
             "first_sample": first,
             "stop_sample": stop,
-            "left_out_px": left_out,
+            "model_error_px": error_px,
         }
         made.append(IsdPiece(ccd, first, stop, content, len(pieces) == 1))
     return made
 
 
-def _folded_path(pushbroom: Pushbroom, epoch: Epoch, ccd: int, lines: int, height_m: float) -> _Path:
-    """Nodes over a strip. Those beyond the attitude's or orbit's end repeat the motion, extrapolated."""
+def _path(pushbroom: Pushbroom, epoch: Epoch, ccd: int, lines: int, height_m: float) -> _Path:
+    """Nodes over a strip and as much of its margins as attitude and orbit cover; else `ValueError`."""
     t_first, t_last = pushbroom.instants(np.array([-0.5, lines - 0.5]))
     et_minus_t = _ephemeris_seconds(epoch, 0.5 * (t_first + t_last)) - 0.5 * (t_first + t_last)
     low = np.floor((t_first + et_minus_t) / NODE_STEP_S) - MARGIN_NODES
@@ -129,26 +127,25 @@ def _folded_path(pushbroom: Pushbroom, epoch: Epoch, ccd: int, lines: int, heigh
     if not (t[inside][0] <= t_first + NODE_STEP_S and t[inside][-1] >= t_last - NODE_STEP_S):
         raise ValueError("orbit or attitude do not cover the strip")
     et, t = et[inside], t[inside]
-    p_e, R_ec, misfit = _folded_states(pushbroom, ccd, t, height_m)
+    p_e, R_ec, misfit = _states(pushbroom, ccd, t, height_m)
     v_e = np.gradient(p_e, NODE_STEP_S, axis=0, edge_order=2)
-    return _Path(et, float(et[len(et) // 2]), t, p_e, v_e, R_ec, misfit)
+    centre = float(et[len(et) // 2])
+    return _Path(et_s=et, centre_et_s=centre, t_s=t, p_e=p_e, v_e=v_e, R_ec=R_ec, misfit_rad=misfit)
 
 
-def _folded_states(
-    pushbroom: Pushbroom, ccd: int, t_s: Array, height_m: float
-) -> tuple[Array, Rotation, float]:
-    """Origins (N, 3) and rotations c -> e whose straight rays meet the ground where the light comes from."""
+def _states(pushbroom: Pushbroom, ccd: int, t_s: Floats, height_m: float) -> tuple[Floats, Rotation, float]:
+    """Origins (N, 3), rotations c -> e whose straight rays meet the ground seen, and the largest misfit."""
     n_px = pushbroom.camera.n_px(ccd)
-    samples = np.linspace(0.0, n_px - 1.0, FOLD_SAMPLES)
+    samples = np.linspace(0.0, n_px - 1.0, FIT_SAMPLES)
     u_c = pushbroom.camera.directions_from_pixels(ccd, samples)
     R_ic = (pushbroom.R_cs * pushbroom.attitude.R_si(t_s)).inv()
     u_i = np.einsum("nij,kj->nki", R_ic.as_matrix(), u_c).reshape(-1, 3)
-    t_each = np.repeat(t_s, FOLD_SAMPLES)
+    t_each = np.repeat(t_s, FIT_SAMPLES)
     rays = lines_of_sight_e(u_i, t_each, pushbroom.orbit, pushbroom.earth, pushbroom.effects, height_m)
-    ground = ray_ellipsoid_intersection(*rays, height_m, WGS84).reshape(len(t_s), FOLD_SAMPLES, 3)
+    ground = ray_ellipsoid_intersection(*rays, height_m, WGS84).reshape(len(t_s), FIT_SAMPLES, 3)
     if not np.isfinite(ground).all():
         raise ValueError(f"a line of sight does not meet the height of {height_m:.0f} m")
-    p_e = rays[0].reshape(len(t_s), FOLD_SAMPLES, 3)[:, FOLD_SAMPLES // 2]
+    p_e = rays[0].reshape(len(t_s), FIT_SAMPLES, 3)[:, FIT_SAMPLES // 2]
     wanted = ground - p_e[:, None, :]
     wanted /= np.linalg.norm(wanted, axis=2, keepdims=True)
     quaternions, misfit = np.empty((len(t_s), 4)), 0.0
@@ -163,13 +160,13 @@ def _folded_states(
 def _common(
     path: _Path, pushbroom: Pushbroom, lines: int, height_m: float, names: IsdNames, focal_m: float
 ) -> dict[str, Any]:
-    """Everything that the pieces of a detector share."""
+    """The part of the ISD common to all pieces of a detector."""
     start_t_s = float(pushbroom.instants(np.array([-0.5]))[0])
     start_from_centre_s = start_t_s - float(path.t_s[len(path.t_s) // 2])
     times = path.et_s.tolist()
     ends = [times[0], times[-1]]
     unit = np.tile([1.0, 0.0, 0.0, 0.0], (2, 1))
-    sensor_from_e = _scalar_first((path.R_ec * _TURN.inv()).inv())
+    sensor_from_e = _scalar_first((path.R_ec * _HALF_TURN.inv()).inv())
     rate_e = _angular_velocities(path.R_ec)
     sun_km = _sun_e(pushbroom, path) / 1e3
     return {
@@ -205,8 +202,8 @@ def _common(
             "reference_frame": 1,
         },
         "boresight": {
-            "frame": "positions, attitudes and Sun are those of ITRS, the body rotation is the unit rotation",
-            "folded_in": "aberration, light time and refraction, exact at height_m",
+            "frame": "positions, attitudes and Sun in ITRS; the body rotation is the identity",
+            "included": "aberration, light time and refraction, exact at height_m",
             "height_m": height_m,
         },
     }
@@ -215,7 +212,7 @@ def _common(
 def _orientation(
     times: list[float], quaternions: list[list[float]], rates: list[list[float]]
 ) -> dict[str, Any]:
-    """Rotations against time as the ISD's reader takes them: all between the frames of number 1."""
+    """Rotations against time in the layout of the ISD, all between frames numbered 1."""
     return {
         "time_dependent_frames": [1],
         "ephemeris_times": times,
@@ -227,8 +224,8 @@ def _orientation(
     }
 
 
-def _detector(detector: Ccd, first: int, stop: int, coefficients: tuple[Array, Array]) -> dict[str, Any]:
-    """Affine detector in the turned frame, millimetres: y' = -y. CSM's sample is ours + 0.5."""
+def _detector(detector: Ccd, first: int, stop: int, coefficients: tuple[Floats, Floats]) -> dict[str, Any]:
+    """Affine detector in the rotated frame, millimetres: y' = -y. CSM's sample is ours + 0.5."""
     per_mm = 1e-3 / detector.pixel_m
     cos, sin = np.cos(detector.rotation_rad), np.sin(detector.rotation_rad)
     centre_mm = np.array([detector.x_offset_m, -_principal_y(detector)]) * 1e3
@@ -247,11 +244,9 @@ def _detector(detector: Ccd, first: int, stop: int, coefficients: tuple[Array, A
     }
 
 
-def _pieces(detector: Ccd) -> list[tuple[int, int, tuple[Array, Array], float]]:
-    """The detector cut from its beginning, each piece as long as a cubic follows the distortion to
-    `DISTORTION_PX`.
-    """
-    pieces: list[tuple[int, int, tuple[Array, Array], float]] = []
+def _pieces(detector: Ccd) -> list[tuple[int, int, tuple[Floats, Floats], float]]:
+    """(first, stop, cubic coefficients, misfit in px) of each piece of a detector."""
+    pieces: list[tuple[int, int, tuple[Floats, Floats], float]] = []
     first = 0
     while first < detector.n_px:
         stop = _longest(detector, first)
@@ -263,7 +258,7 @@ def _pieces(detector: Ccd) -> list[tuple[int, int, tuple[Array, Array], float]]:
 
 
 def _longest(detector: Ccd, first: int) -> int:
-    """Where the longest good piece from `first` on ends, by bisection."""
+    """End of the longest piece from `first` on whose cubic fits, by bisection."""
     good, bad = min(first + SMALLEST_PIECE_PX, detector.n_px), detector.n_px + 1
     while bad - good > 1:
         middle = (good + bad) // 2
@@ -274,7 +269,7 @@ def _longest(detector: Ccd, first: int) -> int:
     return good
 
 
-def _cubic(detector: Ccd, first: int, stop: int) -> tuple[tuple[Array, Array], float]:
+def _cubic(detector: Ccd, first: int, stop: int) -> tuple[tuple[Floats, Floats], float]:
     """Coefficients (mm) of CSM's transverse model, from ideal to real image points, and the largest misfit,
     px.
     """
@@ -302,13 +297,13 @@ def _principal_y(detector: Ccd) -> float:
     return detector.y_first_m + detector.principal_sample * detector.pixel_m
 
 
-def _scalar_first(rotations: Rotation) -> Array:
+def _scalar_first(rotations: Rotation) -> Floats:
     q = rotations.as_quat()[:, [3, 0, 1, 2]]
     flips = np.where(np.einsum("ni,ni->n", q[1:], q[:-1]) < 0.0, -1.0, 1.0)
     return np.asarray(q * np.concatenate([[1.0], np.cumprod(flips)])[:, None])
 
 
-def _angular_velocities(R_ec: Rotation) -> Array:
+def _angular_velocities(R_ec: Rotation) -> Floats:
     """Of the camera in axes e, rad/s, from neighbouring nodes."""
     steps = (R_ec[1:] * R_ec[:-1].inv()).as_rotvec() / NODE_STEP_S
     return np.concatenate([steps[:1], 0.5 * (steps[1:] + steps[:-1]), steps[-1:]])
@@ -321,8 +316,8 @@ def _ephemeris_seconds(epoch: Epoch, t_s: float) -> float:
     return epoch.tai_s + t_s + TT_MINUS_TAI_S + tdb_minus_tt
 
 
-def _sun_e(pushbroom: Pushbroom, path: _Path) -> Array:
-    """Geocentric Sun in ITRS axes at the middle, m."""
+def _sun_e(pushbroom: Pushbroom, path: _Path) -> Floats:
+    """Geocentric Sun at the middle node, m, ITRS."""
     t = path.t_s[len(path.t_s) // 2]
     earth = pushbroom.earth
     day, since = earth.epoch.tt_jd(t)

@@ -1,9 +1,8 @@
-"""Which exports there are, and the files that each makes of a finished result."""
+"""Export formats by name, and the files that each writes of a finished result."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +12,7 @@ import pyarrow.parquet as pq
 from boresight.geometry.constants import WGS84
 from boresight.geometry.geodesy import geodetic_from_ecef
 from boresight.geometry.geoid import egm96
+from boresight.geometry.record import record, scalar
 from boresight.geometry.sightings import StarSightings
 from boresight.pipeline import __version__
 from boresight.pipeline.errors import DataNotSufficientError, RawDataError
@@ -37,20 +37,23 @@ AEM_STEP_S = 0.05
 Made = Iterator[tuple[str, str | bytes]]  # file name and content
 
 
-@dataclass(frozen=True, slots=True)
+@record(kw_only=True)
 class ExportRequest:
-    """What is asked for. `strips` empty: all strips that the result covers."""
+    """What to export."""
 
-    result: Path
-    dump: Path | None
-    strips: tuple[str, ...]
-    frames: SpiceFrames
-    creation_utc: str  # for formats that want to know when they were made
-    allow_stale_eop: bool = False
+    result: Path = scalar("folder that `calibrate` wrote")
+    dump: Path | None = scalar("its dump; None: where it was")
+    strips: tuple[str, ...] = scalar("ids of strips; empty: all that star exposures cover")
+    frames: SpiceFrames = scalar("names and ids for SPICE")
+    creation_utc: str = scalar("date written into the files, ISO 8601")
+    allow_stale_eop: bool = scalar("accept dates after the Earth-orientation table", default=False)
 
 
 def export(name: str, request: ExportRequest) -> Made:
-    """File names and contents of one format. Errors as those of the modules that it calls."""
+    """File names and contents of one of `FORMATS`.
+
+    Raises `RawDataError` for a damaged or missing file, `DataNotSufficientError` without star exposures.
+    """
     return FORMATS[name](request)
 
 
@@ -59,7 +62,7 @@ def _spice(request: ExportRequest) -> Made:
     sigma = ", ".join(f"{value:.3e}" for value in np.sqrt(np.diag(result.cov_theta)))
     comment = (
         f"Installation matrix between star camera and remote-sensing camera, boresight {__version__}.\n"
-        f"1-sigma of a small turn about the axes of {request.frames.remote_camera_name}: {sigma} rad."
+        f"1-sigma of a small rotation about the axes of {request.frames.remote_camera_name}: {sigma} rad."
     )
     yield "installation.tf", frame_kernel(result.R_cs, comment, request.frames)
 
@@ -81,8 +84,8 @@ def _aem(request: ExportRequest) -> Made:
         t_s = np.clip(np.linspace(first, last, max(steps, 8)), *model.track.span_s)
         R_ci = calibrated.result.R_cs * model.track.R_si(t_s)
         name = model.strip.strip_id
-        header = AemHeader(request.creation_utc, dump.mission)
-        comments = [f"Strip {name}: attitude of the remote-sensing camera as calibrated, GCRS axes"]
+        header = AemHeader(creation_utc=request.creation_utc, object_name=dump.mission)
+        comments = [f"Strip {name}: calibrated attitude of the remote-sensing camera, GCRS axes"]
         text = attitude_message(header, comments, dump.epoch.utc_from_seconds(t_s), R_ci)
         yield f"{name}.aem", text
 
@@ -117,7 +120,7 @@ def _qgis(request: ExportRequest) -> Made:
 def _fits(request: ExportRequest) -> Made:
     calibrated = _opened(request)
     path = read_for_dump(request.result, request.dump)[0] / "sightings" / "stars.parquet"
-    read_parquet(path, STARS)  # damage is told; the groups are read one by one
+    read_parquet(path, STARS)  # names damage; the groups are then read one by one
     file = pq.ParquetFile(path)
     exposures = [_exposure(file, group) for group in range(file.num_row_groups)]
     found = [exposure for exposure in exposures if exposure is not None]
@@ -159,7 +162,7 @@ def _opened(request: ExportRequest) -> Calibrated:
 
 
 def _models(calibrated: Calibrated, wanted: tuple[str, ...]) -> Iterator[StripModel]:
-    """Models of the strips asked for; of all, those that star exposures cover."""
+    """Models of the strips requested, or of all strips that star exposures cover."""
     if wanted:
         yield from (strip_model(calibrated, name) for name in wanted)
         return
@@ -191,7 +194,7 @@ def _exposure(file: pq.ParquetFile, group: int) -> StarSightings | None:
 
 
 def _ground_points(request: ExportRequest) -> list[GroundPoints]:
-    """Placed targets, one record for each CCD of each strip."""
+    """Matched targets, one record per CCD of each strip."""
     calibrated = _opened(request)
     folder, _ = read_for_dump(request.result, request.dump)
     table = read_parquet(folder / "sightings" / "targets.parquet", TARGETS)
@@ -201,7 +204,7 @@ def _ground_points(request: ExportRequest) -> list[GroundPoints]:
     xy, covariance = list_values(table, "xy_px", 2), list_values(table, "cov_px", 2, 2)
     places = {target.target_id: target.p_e for target in calibrated.dump.targets}
     if unknown := sorted(set(names.tolist()) - set(places)):
-        raise RawDataError("targets.csv", "id", "not there", f"target {unknown[0]} of the result")
+        raise RawDataError("targets.csv", "id", "missing", f"target {unknown[0]} of the result")
     images = {strip.strip_id: strip.images.names for strip in calibrated.dump.strips}
     chosen = [
         (strip, one)
@@ -214,16 +217,16 @@ def _ground_points(request: ExportRequest) -> list[GroundPoints]:
         lat, lon, height = geodetic_from_ecef(np.array([places[name] for name in names[rows]]), WGS84)
         points.append(
             GroundPoints(
-                strip,
-                one,
-                images.get(strip, {}).get(one, ""),
-                tuple(names[rows].tolist()),
-                np.degrees(lat),
-                np.degrees(lon),
-                height,
-                xy[rows],
-                np.sqrt(np.einsum("naa->na", covariance[rows])),
-                kept[rows],
+                strip_id=strip,
+                ccd=one,
+                image=images.get(strip, {}).get(one, ""),
+                target_id=tuple(names[rows].tolist()),
+                lat_deg=np.degrees(lat),
+                lon_deg=np.degrees(lon),
+                height_m=height,
+                xy_px=xy[rows],
+                sigma_px=np.sqrt(np.einsum("naa->na", covariance[rows])),
+                used=kept[rows],
             )
         )
     return points

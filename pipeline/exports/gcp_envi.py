@@ -1,8 +1,8 @@
 """Ground control points of one image for ENVI: its orthorectification .pts file.
 
 ENVI counts image points from (1, 1) at the outer corner of the first pixel, so its centre is (1.5, 1.5), and
-its heights are above the geoid (EGM96 here). Points that the calibration rejected are left out: the format
-has no mark for them.
+its heights are above the geoid (EGM96 here). Points that the calibration rejected are not written, since
+the format cannot mark them.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ import numpy as np
 
 from boresight.geometry.geoid import Geoid
 from boresight.pipeline.exports.ground_points import GroundPoints
+from boresight.pipeline.exports.one_line import one_line
 
 __all__ = ["points_envi"]
 
@@ -18,11 +19,11 @@ _CENTRE_OF_FIRST_PIXEL = 1.5
 
 
 def points_envi(points: GroundPoints, geoid: Geoid) -> str:
-    """Text of the file: longitude, latitude, orthometric height, image x, image y, tab-separated."""
+    """Text of the file: longitude, latitude, orthometric height, image x and y of each used point."""
     undulation = geoid.undulation_m(np.radians(points.lat_deg), np.radians(points.lon_deg))
     lines = [
         "; ENVI Orthorectification Ground Control Points File",
-        f"; warp file: {points.image}",
+        f"; warp file: {one_line(points.image)}",
         "; projection info = {Geographic Lat/Lon, WGS-84, units=Degrees}",
         "; Map (x,y,elev), Image (x,y)",
         ";",

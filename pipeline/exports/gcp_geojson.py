@@ -12,7 +12,7 @@ __all__ = ["points_geojson"]
 
 
 def points_geojson(parts: Sequence[GroundPoints]) -> str:
-    """One feature collection of the targets of any number of strips and CCDs."""
+    """GeoJSON text: one feature collection of the targets of all `parts`."""
     features = [
         {
             "type": "Feature",

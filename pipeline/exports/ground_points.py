@@ -1,42 +1,23 @@
-"""Targets as they were found in a strip: the record that the three formats of ground control points share."""
+"""Matched targets in one raw image: the record that all formats of ground control points write."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
-import numpy as np
-from numpy.typing import NDArray
+from boresight.geometry.record import Bools, Floats, array, record, scalar
 
 __all__ = ["GroundPoints"]
 
-Array = NDArray[np.float64]
 
-
-@dataclass(frozen=True, slots=True, eq=False)
+@record(kw_only=True)
 class GroundPoints:
-    """Targets in the raw image of one CCD of one strip. Row n of every array speaks of the same sighting."""
+    """Targets in the raw image of one CCD of one strip. Row n of every array is the same target."""
 
-    strip_id: str
-    ccd: int
-    image: str  # file name of the raw image
-    target_id: tuple[str, ...]
-    lat_deg: Array  # (N,) WGS84
-    lon_deg: Array  # (N,)
-    height_m: Array  # (N,) above the WGS84 ellipsoid
-    xy_px: Array  # (N, 2) (sample, line), (0, 0) is the centre of the first pixel
-    sigma_px: Array  # (N, 2) 1-sigma of xy_px
-    used: NDArray[np.bool_]  # (N,) False: rejected by the calibration
-
-    def __post_init__(self) -> None:
-        n = len(self.target_id)
-        shapes = {
-            "lat_deg": (n,),
-            "lon_deg": (n,),
-            "height_m": (n,),
-            "xy_px": (n, 2),
-            "sigma_px": (n, 2),
-            "used": (n,),
-        }
-        for name, shape in shapes.items():
-            if (got := np.shape(getattr(self, name))) != shape:
-                raise ValueError(f"GroundPoints.{name} must have shape {shape}, got {got}")
+    strip_id: str = scalar("id of the strip")
+    ccd: int = scalar("index of the CCD")
+    image: str = scalar("file name of the raw image")
+    target_id: tuple[str, ...] = array("N", "ids of the targets")
+    lat_deg: Floats = array("N", "WGS84 latitude, degrees")
+    lon_deg: Floats = array("N", "longitude, degrees")
+    height_m: Floats = array("N", "height above the WGS84 ellipsoid, m")
+    xy_px: Floats = array("N, 2", "(sample, line); (0, 0) is the centre of the first pixel")
+    sigma_px: Floats = array("N, 2", "1-sigma of xy_px")
+    used: Bools = array("N", "False: rejected by the calibration")

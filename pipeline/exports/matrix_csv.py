@@ -1,6 +1,4 @@
-"""The installation matrix as CSV with two columns, `name` and `value`: for spreadsheets and for scripts
-without JSON.
-"""
+"""The installation matrix as CSV with the columns `name` and `value`, for spreadsheets."""
 
 from __future__ import annotations
 
@@ -14,8 +12,8 @@ _AXES = "xyz"
 
 
 def matrix_csv(installation: dict[str, Any]) -> str:
-    """Rows `R_cs_xx` ... `R_cs_zz` (row, column), `q_x` ... `q_w`, `theta_*_rad`, `euler_*_deg`,
-    `cov_**_rad2`.
+    """CSV text of installation.json: rows `R_cs_xx` ... `R_cs_zz` (row, column), `q_x` ... `q_w`,
+    `theta_*_rad`, `euler_*_deg`, `cov_**_rad2`.
     """
     rows = [
         (f"R_cs_{_AXES[i]}{_AXES[j]}", v) for i, r in enumerate(installation["R_cs"]) for j, v in enumerate(r)

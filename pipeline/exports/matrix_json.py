@@ -13,10 +13,10 @@ KEYS = ("R_cs", "quaternion", "theta_rad", "euler_zxy_deg", "covariance_rad2")
 
 
 def matrix_json(installation: dict[str, Any]) -> str:
-    """The numbers of `installation.json` that describe the rotation, and nothing else."""
+    """JSON text with the keys `KEYS` of the content of installation.json and their conventions."""
     content = {
         "rotation": "R_cs takes star-camera vectors to the remote-sensing camera: u_c = R_cs u_s",
         "quaternion_order": "x y z w",
-        "covariance_of": "theta: R_cs = exp[[theta]] R_cs0, a right-handed turn by -theta",
+        "covariance_of": "theta: R_cs = exp[[theta]] R_cs0, a right-handed rotation by -theta",
     }
-    return json.dumps(content | {key: installation[key] for key in KEYS}, indent=2) + "\n"
+    return json.dumps(content | {key: installation[key] for key in KEYS}, indent=2, allow_nan=False) + "\n"

@@ -7,23 +7,27 @@ frame to the one it is relative to, and is listed column by column (Frames Requi
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 from scipy.spatial.transform import Rotation
+
+from boresight.geometry.record import record, scalar
+from boresight.pipeline.exports.one_line import one_line
 
 __all__ = ["SpiceFrames", "frame_kernel"]
 
 
-@dataclass(frozen=True, slots=True)
+@record(kw_only=True)
 class SpiceFrames:
-    """Names and ids under which the two cameras are known. The defaults belong to no real mission."""
+    """SPICE names and ids of the two cameras. The defaults belong to no real mission.
 
-    spacecraft_id: int = -999
-    star_camera_id: int = -999001
-    star_camera_name: str = "BORESIGHT_STAR_CAMERA"
-    remote_camera_id: int = -999002
-    remote_camera_name: str = "BORESIGHT_REMOTE_CAMERA"
-    define_star_camera: bool = True  # False where the mission's own kernels define it
+    Construction raises `ValueError` for an invalid frame name or equal ids.
+    """
+
+    spacecraft_id: int = scalar("NAIF id of the spacecraft", default=-999)
+    star_camera_id: int = scalar("NAIF id of the star camera's frame", default=-999001)
+    star_camera_name: str = scalar("name of that frame", default="BORESIGHT_STAR_CAMERA")
+    remote_camera_id: int = scalar("NAIF id of the remote-sensing camera's frame", default=-999002)
+    remote_camera_name: str = scalar("name of that frame", default="BORESIGHT_REMOTE_CAMERA")
+    define_star_camera: bool = scalar("False: another kernel defines the star camera's frame", default=True)
 
     def __post_init__(self) -> None:
         for name in (self.star_camera_name, self.remote_camera_name):
@@ -34,9 +38,9 @@ class SpiceFrames:
 
 
 def frame_kernel(R_cs: Rotation, comment: str, frames: SpiceFrames) -> str:
-    """Text of the kernel. `comment` is free text for its head, any number of lines."""
+    """Text of the kernel; `comment` (any number of lines) becomes its heading."""
     star, remote = frames.star_camera_id, frames.remote_camera_id
-    lines = ["KPL/FK", "", *(line.rstrip() for line in comment.splitlines()), "", "\\begindata", ""]
+    lines = ["KPL/FK", "", *(one_line(line).rstrip() for line in comment.splitlines()), "", "\\begindata", ""]
     if frames.define_star_camera:
         lines += [
             f"FRAME_{frames.star_camera_name} = {star}",

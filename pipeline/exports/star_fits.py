@@ -1,4 +1,4 @@
-"""Star centroids as a FITS binary table: one row a star of an exposure, as measured and as known."""
+"""Identified stars as a FITS binary table: one row per star of an exposure."""
 
 from __future__ import annotations
 
@@ -10,13 +10,15 @@ from astropy.io import fits
 
 from boresight.geometry.epoch import Epoch
 from boresight.geometry.sightings import StarSightings
+from boresight.pipeline.exports.one_line import one_line
 
 __all__ = ["centroids_fits"]
 
 
 def centroids_fits(exposures: Sequence[StarSightings], epoch: Epoch, mission: str) -> bytes:
-    """Bytes of the file. Column units stand in TUNIT; (0, 0) is the centre of the first pixel, not FITS's (1,
-    1).
+    """Bytes of the file, units in TUNIT. (0, 0) is the centre of the first pixel (FITS itself counts from 1).
+
+    Characters that FITS cannot hold are replaced: control characters by a space, others by "?".
     """
     utc = epoch.utc_from_seconds([e.t_s for e in exposures]) if exposures else []
     counts = [len(e.hip) for e in exposures]
@@ -28,7 +30,7 @@ def centroids_fits(exposures: Sequence[StarSightings], epoch: Epoch, mission: st
     sigma = np.sqrt(0.5 * np.einsum("naa->n", joined("cov_s", 3, 3)))
     hip = np.concatenate([np.zeros(0, dtype=np.int32), *(e.hip for e in exposures)]).astype(np.int32)
     columns = [
-        fits.Column("EXPOSURE", "64A", array=np.repeat([e.exposure_id for e in exposures], counts)),
+        fits.Column("EXPOSURE", "64A", array=np.repeat([_ascii(e.exposure_id) for e in exposures], counts)),
         fits.Column("UTC", "29A", array=np.repeat(utc, counts)),
         fits.Column("HIP", "J", array=hip),
         fits.Column("XY", "2D", unit="pixel", array=joined("xy_px", 2)),
@@ -39,7 +41,7 @@ def centroids_fits(exposures: Sequence[StarSightings], epoch: Epoch, mission: st
         fits.Column("SIGMA", "D", unit="rad", array=sigma),
     ]
     table = fits.BinTableHDU.from_columns(columns, name="CENTROIDS")
-    table.header["MISSION"] = mission.encode("ascii", "replace").decode()[:68]
+    table.header["MISSION"] = _ascii(mission)[:68]
     table.header["TIMESYS"] = "UTC"
     for text in (
         "XY: column and row as measured, (0, 0) is the centre of the first pixel; distortion not removed.",
@@ -50,3 +52,7 @@ def centroids_fits(exposures: Sequence[StarSightings], epoch: Epoch, mission: st
     out = io.BytesIO()
     fits.HDUList([fits.PrimaryHDU(), table]).writeto(out)
     return out.getvalue()
+
+
+def _ascii(text: str) -> str:
+    return one_line(text).encode("ascii", "replace").decode()

@@ -1,1 +1,1 @@
-"""A self-contained HTML page about a result, drawn from what `calibrate` saved, and the pictures for it."""
+"""Self-contained HTML pages and plots of a result, made from the files that `calibrate` saved."""

@@ -1,4 +1,4 @@
-"""Centroids of images, written and, where the truth is known, scored: the figures and the two plots of it."""
+"""Centroids of images as a CSV table, and their score against a list of true stars as text and plot."""
 
 from __future__ import annotations
 
@@ -36,7 +36,10 @@ def centroid_lines(
     out: Path | None,
     plot: Path | None,
 ) -> Iterator[str]:
-    """One line an image; then, with a truth, the table of figures."""
+    """Lines to print: one per image, then the score where `truth` is given.
+
+    Writes the CSV table to `out` and the plot to `plot`. `RawDataError` for a damaged file or unequal sizes.
+    """
     if gain is not None:
         settings = replace(settings, gain_e_per_dn=gain)
     true_stars = None if truth is None else _read_truth(truth)
@@ -53,7 +56,7 @@ def centroid_lines(
         yield (
             f"{path}   {len(stars.xy_px)} stars above {stars.threshold:.2f} sigma   "
             f"PSF sigma {stars.psf.sigma_px:.3f} px from {stars.psf_stars} stars   "
-            f"{stars.hot_pixels} hot pixels, {stars.misshapen} misshapen left out"
+            f"{stars.hot_pixels} hot pixels, {stars.misshapen} trails or cosmic rays rejected"
         )
         if true_stars is not None:
             lists.append(stars)
@@ -76,7 +79,7 @@ def centroid_lines(
 
 
 def score_lines(score: CentroidScore, frames: int) -> list[str]:
-    """The table of figures, one line a bin of signal-to-noise ratio, with standard errors."""
+    """The score as text: one line per bin of signal-to-noise ratio, with standard errors."""
     lines = ["   SNR          stars  complete   rms px   bound px   x bound            chi2"]
     for k, (low, high) in enumerate(zip(score.snr_edges[:-1], score.snr_edges[1:])):
         if score.stars[k]:
@@ -94,7 +97,7 @@ def score_lines(score: CentroidScore, frames: int) -> list[str]:
 
 
 def draw_score(score: CentroidScore, path: Path) -> None:
-    """Error and bound against SNR, bias against pixel phase."""
+    """Write a PNG: error and Cramér-Rao bound against SNR, mean error against pixel phase."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(9.0, 3.6), layout="constrained")

@@ -1,8 +1,7 @@
-"""Matplotlib figures as SVG that takes its colours and fonts from the page: one drawing for light, dark and
-paper.
+"""Matplotlib figures as SVG with colours and fonts of the page: one drawing for light, dark and print.
 
-Colours are drawn as marks that no figure uses by chance and are replaced by CSS variables afterwards. Curves
-differ in dash and marker too, so that they can be told apart in grey.
+Figures are drawn in placeholder colours that are then replaced by CSS variables. Curves also differ in dash
+and marker, so they remain distinct in grey.
 """
 
 from __future__ import annotations
@@ -10,14 +9,27 @@ from __future__ import annotations
 import html
 import io
 import re
-from dataclasses import dataclass
 
 import matplotlib
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
-__all__ = ["AXES", "FILL", "GRID", "INK", "MUTED", "Curve", "Drawing", "axes_of", "drawn", "new_figure"]
+from boresight.geometry.record import record, scalar
+
+__all__ = [
+    "AXES",
+    "FILL",
+    "GRID",
+    "INK",
+    "MUTED",
+    "WIDTH_IN",
+    "Curve",
+    "Drawing",
+    "axes_of",
+    "drawn",
+    "new_figure",
+]
 
 INK, MUTED, GRID, FILL = "#010203", "#040506", "#070809", "#0a0b0c"
 _X, _Y, _Z = "#0d0e0f", "#101112", "#131415"
@@ -33,30 +45,30 @@ _VARIABLES = {
 WIDTH_IN = 4.6
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class Curve:
-    """How one axis of frame c is drawn everywhere."""
+    """Style of one axis of frame c in every plot."""
 
-    name: str
-    colour: str
-    dash: str
-    marker: str
+    name: str = scalar("X, Y or Z")
+    colour: str = scalar("placeholder colour")
+    dash: str = scalar("matplotlib line style")
+    marker: str = scalar("matplotlib marker")
 
 
 AXES = (Curve("X", _X, "-", "o"), Curve("Y", _Y, "--", "s"), Curve("Z", _Z, ":", "^"))
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class Drawing:
-    """A figure of the page: SVG for the body of an HTML document, caption, and what it shows in words."""
+    """One figure of a page."""
 
-    svg: str
-    caption: str
-    words: str
+    svg: str = scalar("SVG element for the body of an HTML document")
+    caption: str = scalar("text below the figure")
+    words: str = scalar("description for screen readers")
 
 
 def new_figure(height_in: float) -> Figure:
-    """An empty figure as wide as all others."""
+    """An empty figure of the common width, `WIDTH_IN`."""
     figure = Figure(figsize=(WIDTH_IN, height_in), layout="constrained")
     FigureCanvasSVG(figure)
     figure.patch.set_visible(False)
@@ -64,7 +76,7 @@ def new_figure(height_in: float) -> Figure:
 
 
 def axes_of(figure: Figure, x_label: str, y_label: str) -> Axes:
-    """The figure's one set of axes, dressed."""
+    """The single axes of a figure, with labels, grid and placeholder colours."""
     axes = figure.add_subplot()
     axes.patch.set_visible(False)
     axes.set_xlabel(x_label, color=INK, fontsize=9)
@@ -79,7 +91,7 @@ def axes_of(figure: Figure, x_label: str, y_label: str) -> Axes:
 
 
 def drawn(figure: Figure, name: str, caption: str, words: str) -> Drawing:
-    """The finished drawing. `name` must be the page's only figure of that name."""
+    """The figure as a `Drawing`. `name` prefixes the SVG ids and must be unique on the page."""
     out = io.StringIO()
     with matplotlib.rc_context({"svg.fonttype": "none", "svg.hashsalt": name}):
         figure.savefig(out, format="svg", metadata={"Date": None, "Creator": None})
@@ -101,7 +113,7 @@ def _for_html(svg: str, name: str, words: str) -> str:
 
 
 def _only_own_ids(body: str, name: str) -> str:
-    """Ids that something refers to, made the page's only ones of that name; the others go."""
+    """The SVG body with referenced ids prefixed by `name` and all other ids removed."""
     wanted = set(re.findall(r'(?:url\(#|href="#)([^)"]+)', body))
     body = re.sub(r' id="([^"]*)"', lambda m: f' id="{name}-{m[1]}"' if m[1] in wanted else "", body)
     return re.sub(r'(url\(#|href="#)([^)"]+)', rf"\g<1>{name}-\g<2>", body)

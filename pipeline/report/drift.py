@@ -1,4 +1,4 @@
-"""Files of a drift between results: the estimate, its table and its picture.
+"""Files of a drift between results: the estimate, its table and its plot.
 
 drift.json   merged matrix with covariance, tests, step and its date, random walk, orbit term
 drift.csv    theta of each result and the smoothed drift, long form
@@ -19,7 +19,7 @@ from boresight.pipeline.results.drift import DatedDrift, drift_json, drift_table
 
 __all__ = ["plot_drift", "write_drift"]
 
-COURSE, BAND, STEP = "#1b6ca8", "#9cc3df", "#c8553d"
+LINE, BAND, STEP = "#1b6ca8", "#9cc3df", "#c8553d"
 
 
 def write_drift(dated: DatedDrift, out: Path) -> list[Path]:
@@ -41,10 +41,10 @@ def plot_drift(table: pd.DataFrame, step: tuple[str, str, str] | None, title: st
     axes = figure.subplots(3, 1, sharex=True)
     for ax, (axis, part) in zip(axes, table.groupby("axis", sort=True)):
         when = _naive(part["utc"])
-        course, sigma = part["smoothed_arcsec"], part["smoothed_sigma_arcsec"]
+        smoothed, sigma = part["smoothed_arcsec"], part["smoothed_sigma_arcsec"]
         ax.axhline(0.0, color="#888888", lw=0.8, label="merged matrix")
-        ax.fill_between(when, course - sigma, course + sigma, color=BAND, lw=0, alpha=0.6)
-        ax.plot(when, course, color=COURSE, lw=1.8, label="smoothed (random walk), 1σ")
+        ax.fill_between(when, smoothed - sigma, smoothed + sigma, color=BAND, lw=0, alpha=0.6)
+        ax.plot(when, smoothed, color=LINE, lw=1.8, label="smoothed (random walk), 1σ")
         ax.errorbar(
             when,
             part["theta_arcsec"],

@@ -1,8 +1,7 @@
-"""The page of several dumps: the joint matrix, each dump's own, and the drift between them."""
+"""Report page of several dumps: joint matrix, matrix of each dump, and drift of the mounting."""
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +12,7 @@ from boresight.pipeline.files.table_files import read_parquet
 from boresight.pipeline.files.text_files import read_json
 from boresight.pipeline.files.whole_file import write_whole
 from boresight.pipeline.report.page import data_uri, template
-from boresight.pipeline.report.saved import Number, number_at
+from boresight.pipeline.report.saved import Number, number_from
 from boresight.pipeline.results.folder import dumps_in
 
 __all__ = ["write_dumps_report"]
@@ -22,13 +21,13 @@ PASSES = {"strip_id": pa.string(), "utc_middle": pa.string()}
 
 
 def write_dumps_report(result: Path) -> Path:
-    """Draw `report.html` of a folder of several dumps. `RawDataError` when something of it is missing."""
+    """Write `report.html` of a result of several dumps; its path. `RawDataError` names a missing file."""
     installation = read_json(result / "installation.json", str(result / "installation.json"))
     omissions = read_parquet(result / "sightings" / "omissions.parquet").to_pylist()
     joint = _matrix(installation, "installation.json")
     text = template("dumps.html.j2").render(
         joint=joint,
-        counts={name: _number(installation, "installation.json", name, ".0f") for name in COUNTS},
+        counts={name: number_from(installation, "installation.json", name, ".0f") for name in COUNTS},
         dumps=_dumps(result, {row["name"]: row["reason"] for row in omissions if row["kind"] == "dump"}),
         drift=_drift(result),
         omissions=omissions,
@@ -44,30 +43,27 @@ COUNTS = ("frames", "stars", "targets", "chi2", "dof")
 
 def _matrix(content: dict[str, Any], source: str) -> dict[str, Any]:
     return {
-        "R_cs": [[_number(content, source, f"R_cs.{i}.{j}", "+.12f") for j in range(3)] for i in range(3)],
-        "quaternion": [_number(content, source, f"quaternion.{i}", "+.12f") for i in range(4)],
+        "R_cs": [
+            [number_from(content, source, f"R_cs.{i}.{j}", "+.12f") for j in range(3)] for i in range(3)
+        ],
+        "quaternion": [number_from(content, source, f"quaternion.{i}", "+.12f") for i in range(4)],
         "theta": _theta(content, source, "theta_rad"),
         "sigma": _sigma(content, source, "covariance_rad2"),
     }
 
 
 def _theta(content: dict[str, Any], source: str, key: str) -> list[Number]:
-    return [_number(content, source, f"{key}.{i}", "+.4f", 1 / ARCSEC) for i in range(3)]
+    return [number_from(content, source, f"{key}.{i}", "+.4f", scale=1 / ARCSEC) for i in range(3)]
 
 
 def _sigma(content: dict[str, Any], source: str, key: str) -> list[Number]:
-    return [_number(content, source, f"{key}.{i}.{i}", ".4f", 1 / ARCSEC, root=True) for i in range(3)]
-
-
-def _number(
-    content: dict[str, Any], source: str, key: str, form: str, scale: float = 1.0, *, root: bool = False
-) -> Number:
-    value = number_at(content, key)
-    return Number(math.sqrt(value) if root else value, source, key, form, scale, root)
+    return [
+        number_from(content, source, f"{key}.{i}.{i}", ".4f", scale=1 / ARCSEC, root=True) for i in range(3)
+    ]
 
 
 def _dumps(result: Path, reasons: dict[str, str]) -> list[dict[str, Any]]:
-    """Each dump by its name, with its date and matrix, or with the reason why it has none."""
+    """One row per dump: name, date and matrix, or the reason why it has none."""
     passes = read_parquet(result / "sightings" / "passes.parquet", PASSES).to_pylist()
     rows: list[dict[str, Any]] = []
     for name in dumps_in(result):
@@ -86,21 +82,24 @@ def _dumps(result: Path, reasons: dict[str, str]) -> list[dict[str, Any]]:
 
 
 def _drift(result: Path) -> dict[str, Any] | None:
-    """None where the dumps make no series."""
+    """Contents of the drift section; None where the result has no drift.json."""
     path = result / "drift.json"
     if not path.is_file():
         return None
     content = read_json(path, str(path))
     return {
         "moved": bool(content["moved"]),
-        "constant": [_number(content, "drift.json", f"constant.{k}", ".3g") for k in CONSTANT],
-        "step": _number(content, "drift.json", "step.p_value", ".3g"),
+        "constant": [number_from(content, "drift.json", f"constant.{k}", ".3g") for k in CONSTANT],
+        "step": number_from(content, "drift.json", "step.p_value", ".3g"),
         "between": [str(utc)[:10] for utc in content["step"]["utc_interval"]],
         "theta": [
-            _number(content, "drift.json", f"step.theta_rad.{i}", "+.4f", 1 / ARCSEC) for i in range(3)
+            number_from(content, "drift.json", f"step.theta_rad.{i}", "+.4f", scale=1 / ARCSEC)
+            for i in range(3)
         ],
         "sigma": [
-            _number(content, "drift.json", f"step.covariance_rad2.{i}.{i}", ".4f", 1 / ARCSEC, root=True)
+            number_from(
+                content, "drift.json", f"step.covariance_rad2.{i}.{i}", ".4f", scale=1 / ARCSEC, root=True
+            )
             for i in range(3)
         ],
         "picture": data_uri("image/png", (result / "drift.png").read_bytes()),

@@ -1,19 +1,20 @@
-"""What a report is drawn from and the estimate itself does not need, saved beside it in `RESULT/evidence/`.
+"""Files in `RESULT/evidence/`: what a report shows beyond the estimate and its tables.
 
     context.json          mission, epoch, cameras, counts, noise scales, iterations
     inputs.parquet        every file of the dump that was read: bytes and SHA-256
     convergence.parquet   theta and its 1-sigma after each further strip
     angles.parquet        cross angles z_ij and their predicted spread
-    matches.parquet       pictures of every placed target
-    exposure.parquet      detections in the star image that is shown, and the image itself
+    matches.parquet       pictures of every matched target
+    exposure.parquet      detections in the star image shown, and its picture
 
-Like the tables under `sightings/`, all of it is the same for the same inputs, settings and version.
+The same inputs, settings and version give identical files.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
+import math
 from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
@@ -46,7 +47,7 @@ Array = NDArray[np.float64]
 
 
 def write_evidence(result: Path, dump: Dump, calibration: Calibration, settings: Settings) -> None:
-    """Write the folder. Nothing in it is read by a later calibration."""
+    """Write the folder `RESULT/evidence/`. A later calibration reads nothing from it."""
     folder = result / "evidence"
     folder.mkdir(parents=True, exist_ok=True)
     tables: dict[str, pa.Table] = {
@@ -60,7 +61,7 @@ def write_evidence(result: Path, dump: Dump, calibration: Calibration, settings:
         write_whole(
             folder / f"{name}.parquet", lambda path, t=table: pq.write_table(t, path, compression="zstd")
         )
-    text = json.dumps(_context(dump, calibration), indent=2) + "\n"
+    text = json.dumps(_finite(_context(dump, calibration)), indent=2, allow_nan=False) + "\n"
     write_whole(folder / "context.json", lambda path: path.write_text(text, encoding="utf-8"))
 
 
@@ -102,9 +103,18 @@ def _context(dump: Dump, calibration: Calibration) -> dict[str, Any]:
     }
 
 
+def _finite(value: Any) -> Any:
+    """The same content with null for NaN and infinity, which JSON lacks."""
+    if isinstance(value, dict):
+        return {key: _finite(item) for key, item in value.items()}
+    if isinstance(value, list):
+        return [_finite(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
 def _inputs(dump: Dump) -> pa.Table:
-    """Files that the calibration may read, in the order of their names. Of a large file only both ends and
-    the size are taken, as when units of work are told apart; `whole` says which.
+    """Input files by name with size and SHA-256; `whole` is False where only both ends of a large file are
+    hashed, as in the keys of the cache.
     """
     rows = [_fingerprint(dump.root / name, name) for name in sorted(set(_files(dump)))]
     names = ("file", "bytes", "sha256", "whole")
@@ -121,7 +131,7 @@ def _files(dump: Dump) -> Iterator[str]:
 
 
 def _fingerprint(path: Path, name: str) -> tuple[str, int, str, bool]:
-    """Name, bytes, SHA-256 (empty where it cannot be read), and whether that is of the whole file."""
+    """Name, bytes, SHA-256 (empty if unreadable), and whether the hash covers the whole file."""
     state = hashlib.sha256()
     try:
         size = path.stat().st_size
@@ -139,9 +149,8 @@ def _fingerprint(path: Path, name: str) -> tuple[str, int, str, bool]:
 
 
 def _convergence(calibration: Calibration) -> pa.Table:
-    """theta against the final matrix after each further strip, in the order of time.
-
-    NaN with infinite 1-sigma while it is not observable.
+    """theta (rad, relative to the final matrix) and 1-sigma after each further strip in time order; NaN and
+    infinity while theta is not observable.
     """
     estimate = calibration.estimate
     pairs = estimate.pairs
@@ -215,7 +224,7 @@ def _motions(calibration: Calibration) -> list[StripMotion]:
 
 
 def _matches(calibration: Calibration) -> pa.Table:
-    """Pictures of every placed target; the correlation surface runs from `surface_low` to `_high`."""
+    """Pictures of every matched target; the correlation surface spans `surface_low` to `surface_high`."""
     rows = [(p, n) for p in calibration.placings for n in range(len(p.target_id))]
     return pa.table(
         {
@@ -228,7 +237,7 @@ def _matches(calibration: Calibration) -> pa.Table:
 
 
 def _preview(dump: Dump, calibration: Calibration, settings: Settings) -> StarPreview | None:
-    """The exposure with the most left out of those named; of equals the one in the middle of the mission."""
+    """The exposure with the most rejected stars; among equals the one nearest the middle of the mission."""
     start = np.concatenate([[0], np.cumsum([len(s.hip) for s in calibration.stars])])
     kept = [calibration.attitudes.kept[a:b].astype(bool) for a, b in pairwise(start)]
     middle = len(kept) // 2
@@ -239,14 +248,14 @@ def _preview(dump: Dump, calibration: Calibration, settings: Settings) -> StarPr
         exposure, camera = files[sighted.exposure_id], dump.star_camera
         try:
             image = exposure_image(exposure, camera, dump.star_bit_depth)
-        except RawDataError:  # gone since it was read: another will do
+        except RawDataError:  # deleted since it was read: take another
             continue
         return star_preview(image, sighted, kept[k], settings.stars)
     return None
 
 
 def _exposure(preview: StarPreview | None) -> pa.Table:
-    """One row a detection; the picture and what there is to say once stand in the schema's metadata."""
+    """One row per detection; the schema's metadata holds the picture (JPEG) and the facts of the exposure."""
     if preview is None:
         return pa.table({"xy_px": fixed_list(np.zeros((0, 2))), "snr": [], "state": [], "hip": []})
     about = {

@@ -1,4 +1,4 @@
-"""The plots of a report, each from saved tables alone."""
+"""Plots of a report, each a function from the saved files to a `Drawing`."""
 
 from __future__ import annotations
 
@@ -10,15 +10,16 @@ import pyarrow as pa
 from matplotlib.axes import Axes
 from matplotlib.patches import Ellipse
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
-from numpy.typing import NDArray
 
 from boresight.geometry.constants import ARCSEC
+from boresight.geometry.record import Floats
 from boresight.pipeline.files.table_files import column, list_values
 from boresight.pipeline.report.drawing import (
     AXES,
     FILL,
     INK,
     MUTED,
+    WIDTH_IN,
     Drawing,
     axes_of,
     drawn,
@@ -32,19 +33,18 @@ __all__ = [
     "convergence",
     "covariance_ellipses",
     "exposure_chi2",
-    "normalised_histogram",
+    "squared_residual_histogram",
     "star_residual_map",
     "target_residual_map",
 ]
 
-Array = NDArray[np.float64]
 CELLS = 14  # of the star map along its longer side
 FEWEST_IN_CELL = 5
 ELLIPSE_SIGMAS = (1.0, 2.4477)  # 39 and 95 per cent of a plane normal distribution
 
 
 def convergence(saved: Saved) -> Drawing:
-    """1-sigma of theta and its distance from the end, after each further strip."""
+    """1-sigma of theta and distance of theta from its final value after each further strip, arcsec."""
     table = saved.convergence
     frames = column(table, "frames")
     theta, sigma = (list_values(table, name, 3) / ARCSEC for name in ("theta_rad", "sigma_rad"))
@@ -70,7 +70,7 @@ def convergence(saved: Saved) -> Drawing:
             color=curve.colour,
             markersize=4,
             fillstyle="none",
-            label=f"{curve.name}: |θ − end|",
+            label=f"{curve.name}: |θ − final|",
         )
     _logarithmic(axes, "y")
     axes.legend(
@@ -80,17 +80,17 @@ def convergence(saved: Saved) -> Drawing:
     return drawn(
         figure,
         "convergence",
-        "Lines: predicted 1σ after each further strip. Marks: distance of θ from its value at the end.",
-        f"Convergence over {len(frames)} strips; 1-sigma at the end: {last}.",
+        "Lines: predicted 1σ after each further strip. Marks: distance of θ from its final value.",
+        f"Convergence over {len(frames)} strips; final 1-sigma: {last}.",
     )
 
 
 def angle_histogram(saved: Saved) -> Drawing:
-    """Cross-angle residuals over their own predicted spread."""
+    """Histogram of cross-angle residuals divided by their predicted standard deviation."""
     ratio = column(saved.angles, "z") / column(saved.angles, "sigma")
     text = f"{len(ratio)} pairs of star and target; standard deviation of z/σ {_rms(ratio):.3f}, expected 1."
     figure = new_figure(2.6)
-    axes = axes_of(figure, "z / predicted σ", "share per unit")
+    axes = axes_of(figure, "z / predicted σ", "fraction per unit")
     edges = np.linspace(-4.5, 4.5, 46)
     _histogram(axes, ratio, edges)
     x = np.linspace(-4.5, 4.5, 181)
@@ -100,7 +100,7 @@ def angle_histogram(saved: Saved) -> Drawing:
 
 
 def angle_spread(saved: Saved) -> Drawing:
-    """Measured against predicted spread, in groups of equal prediction."""
+    """Measured against predicted standard deviation of cross angles, in groups of similar prediction."""
     z, sigma = column(saved.angles, "z"), column(saved.angles, "sigma")
     figure = new_figure(2.6)
     axes = axes_of(figure, "predicted σ of z, arc-seconds", "measured rms of z, arc-seconds")
@@ -128,7 +128,7 @@ def angle_spread(saved: Saved) -> Drawing:
 
 
 def star_residual_map(saved: Saved) -> Drawing:
-    """Mean residual of stars in cells of the detector."""
+    """Mean residual of the stars used, in cells of the star camera's detector, px."""
     camera = saved.context["star_camera"]
     kept = column(saved.stars, "kept").astype(bool)
     xy = list_values(saved.stars, "xy_px", 2)[kept]
@@ -136,7 +136,7 @@ def star_residual_map(saved: Saved) -> Drawing:
     width, height = camera["width_px"], camera["height_px"]
     cell = max(width, height) / CELLS
     place, mean = _cell_means(xy, residual, cell, width)
-    figure = new_figure(0.6 + 0.9 * 4.6 * height / width)
+    figure = new_figure(0.6 + 0.9 * WIDTH_IN * height / width)
     axes = axes_of(figure, "column, px", "row, px")
     axes.set_xlim(-0.5, width - 0.5)
     axes.set_ylim(height - 0.5, -0.5)
@@ -153,7 +153,7 @@ def star_residual_map(saved: Saved) -> Drawing:
 
 
 def target_residual_map(saved: Saved) -> Drawing:
-    """Residuals of targets where they were seen: across the swath and along the strip."""
+    """Residuals of targets over the swath angle and the line of the strip, px."""
     camera = saved.context["remote_camera"]
     table = saved.targets
     kept = column(table, "kept").astype(bool)
@@ -186,14 +186,14 @@ def target_residual_map(saved: Saved) -> Drawing:
     axes.set_ylim(high + margin, low - margin)
     text = (
         f"{len(rows)} sightings of targets from all strips; arrows along x and y of the camera, the one "
-        f"in the corner is {scale:g} px (crosses: left out, {int((~kept).sum())}). "
+        f"in the corner is {scale:g} px (crosses: {int((~kept).sum())} rejected). "
         f"Rms {_rms(residual[rows].ravel()):.3f} px per axis."
     )
     return drawn(figure, "target-map", text, f"Target residuals over the swath. {text}")
 
 
 def covariance_ellipses(saved: Saved) -> list[Drawing]:
-    """One drawing for each pair of axes."""
+    """Covariance ellipses of theta, one drawing per pair of axes, arcsec."""
     covariance = np.array(saved.installation["covariance_rad2"]) / ARCSEC**2
     drawings = []
     for a, b in ((0, 1), (0, 2), (1, 2)):
@@ -228,14 +228,16 @@ def covariance_ellipses(saved: Saved) -> list[Drawing]:
     return drawings
 
 
-def normalised_histogram(saved: Saved, table_name: str, what: str) -> Drawing:
-    """Squared residuals over their variance, two degrees of freedom each."""
+def squared_residual_histogram(saved: Saved, table_name: str, what: str) -> Drawing:
+    """Histogram of squared residuals over their variance (two degrees of freedom) of `saved.stars` or
+    `saved.targets`.
+    """
     table: pa.Table = getattr(saved, table_name)
     values = column(table, "normalised")
     kept = column(table, "kept").astype(bool)
     good = values[kept & np.isfinite(values)]
     figure = new_figure(2.6)
-    axes = axes_of(figure, "squared residual over its variance", "share per unit")
+    axes = axes_of(figure, "squared residual over its variance", "fraction per unit")
     edges = np.linspace(0.0, 16.0, 41)
     _histogram(axes, np.minimum(good, 15.99), edges)
     x = np.linspace(0.0, 16.0, 161)
@@ -244,12 +246,17 @@ def normalised_histogram(saved: Saved, table_name: str, what: str) -> Drawing:
     axes.set_ylim(1e-4, 1.0)
     _legend(axes)
     mean = float(good.mean()) if len(good) else float("nan")
-    text = f"{len(good)} {what} kept, mean {mean:.3f} (2 expected); {int((~kept).sum())} left out."
-    return drawn(figure, f"normalised-{table_name}", text, f"Histogram of normalised residuals. {text}")
+    text = f"{len(good)} {what} used, mean {mean:.3f} (2 expected); {int((~kept).sum())} rejected."
+    return drawn(
+        figure,
+        f"normalised-{table_name}",
+        text,
+        f"Histogram of squared residuals over their variance. {text}",
+    )
 
 
 def exposure_chi2(saved: Saved) -> Drawing:
-    """Chi-square over degrees of freedom of every exposure's attitude, in time."""
+    """Chi-square over degrees of freedom of every exposure's attitude fit against time."""
     table = saved.exposures
     usable = column(table, "usable").astype(bool)
     dof = column(table, "dof").astype(float)
@@ -270,7 +277,7 @@ def exposure_chi2(saved: Saved) -> Drawing:
 
 
 def preview_about(saved: Saved) -> dict[str, object] | None:
-    """What the star image's table says of the whole; None where there is no image."""
+    """Facts of the exposure whose picture was saved; None where there is none."""
     metadata = saved.detections.schema.metadata or {}
     return json.loads(metadata[b"about"]) if b"about" in metadata else None
 
@@ -288,13 +295,13 @@ def _legend(axes: Axes, **where: Any) -> None:
     axes.legend(fontsize=8, labelcolor=INK, frameon=False, **where)
 
 
-def _histogram(axes: Axes, values: Array, edges: Any) -> None:
+def _histogram(axes: Axes, values: Floats, edges: Any) -> None:
     counts, _ = np.histogram(values, edges)
     density = counts / max(len(values), 1) / np.diff(edges)
     axes.stairs(density, edges, fill=True, facecolor=FILL, edgecolor=MUTED, linewidth=0.8)
 
 
-def _cell_means(xy: Array, residual: Array, cell: float, width: float) -> tuple[Array, Array]:
+def _cell_means(xy: Floats, residual: Floats, cell: float, width: float) -> tuple[Floats, Floats]:
     columns = int(np.ceil(width / cell))
     index = (xy[:, 1] // cell).astype(int) * columns + (xy[:, 0] // cell).astype(int)
     place, mean = [], []
@@ -306,7 +313,7 @@ def _cell_means(xy: Array, residual: Array, cell: float, width: float) -> tuple[
     return np.array(place).reshape(-1, 2), np.array(mean).reshape(-1, 2)
 
 
-def _arrows(axes: Axes, place: Array, vector: Array, scale: float, length: float) -> None:
+def _arrows(axes: Axes, place: Floats, vector: Floats, scale: float, length: float) -> None:
     if not len(place):
         return
     axes.plot(*place.T, ".", color=MUTED, markersize=2, linestyle="none")
@@ -351,5 +358,5 @@ def _nice(value: float) -> float:
     return float(power * min((1.0, 2.0, 5.0, 10.0), key=lambda step: abs(step - value / power)))
 
 
-def _rms(values: Array) -> float:
+def _rms(values: Floats) -> float:
     return float(np.sqrt(np.mean(np.square(values)))) if len(values) else float("nan")

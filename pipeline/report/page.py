@@ -1,4 +1,4 @@
-"""The page: figures, tables and pictures put into one HTML file that needs nothing else."""
+"""Report page of one dump: figures, tables and pictures in one HTML file without external resources."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ import html
 import json
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +15,7 @@ import numpy as np
 from markupsafe import Markup
 
 from boresight.geometry.constants import ARCSEC
+from boresight.geometry.record import record, scalar
 from boresight.pipeline.files.table_files import column, list_values
 from boresight.pipeline.files.whole_file import write_whole
 from boresight.pipeline.report import figures
@@ -24,41 +24,45 @@ from boresight.pipeline.report.star_preview import STATES
 
 __all__ = ["data_uri", "report_html", "template", "write_report"]
 
-MOST_MATCHES = 400  # pictures of more would make the page heavier than a browser likes
-MOST_ROWS = 300  # of a long table
+MOST_MATCHES = 400  # pictures of more make the page too large for a browser
+MOST_ROWS = 300  # shown of a long table
 TO_ARCSEC = 1.0 / ARCSEC
 
 
-@dataclass(frozen=True, slots=True)
+@record(kw_only=True)
 class MatchCard:
-    """One placed target as the page shows it."""
+    """One matched target as the page shows it."""
 
-    name: str
-    kept: bool
-    template: str  # data URI
-    found: str
-    surface: str
-    correlation: Number
-    wrong: Number
-    normalised: Number
-    low: Number
-    high: Number
+    name: str = scalar("strip, target and CCD")
+    kept: bool = scalar("False: rejected as a gross error")
+    template: str = scalar("predicted chip, data URI")
+    found: str = scalar("strip where the chip was matched, data URI")
+    surface: str = scalar("correlation around the match, data URI")
+    correlation: Number = scalar("highest correlation")
+    wrong: Number = scalar("probability of a false match")
+    squared: Number = scalar("squared residual over its variance")
+    low: Number = scalar("lowest value of the surface")
+    high: Number = scalar("highest value of the surface")
 
 
-@dataclass(frozen=True, slots=True)
+@record(kw_only=True)
 class Detection:
     """One mark on the star image."""
 
-    x: float
-    y: float
-    r: float  # size, about 1
-    state: str
-    words: str
-    name: str  # of the star; empty where it was not named
+    x: float = scalar("column, px of the image")
+    y: float = scalar("row, px of the image")
+    r: float = scalar("size of the mark, about 1")
+    state: str = scalar("key of `STATES`")
+    words: str = scalar("hover text")
+    name: str = scalar("HIP number; empty where not identified")
 
 
 def write_report(result: Path, *, most_matches: int = MOST_MATCHES) -> Path:
-    """Draw `report.html` into a result's folder. `RawDataError` when something of the result is missing."""
+    """Write `report.html` into the folder of a result and return its path.
+
+    At most `most_matches` targets are shown with pictures, those with the largest residuals first. Raises
+    `RawDataError` naming a file of the result that is missing or damaged.
+    """
     text = report_html(read_saved(result), most_matches=most_matches)
     path = result / "report.html"
     write_whole(path, lambda target: target.write_text(text, encoding="utf-8"))
@@ -66,7 +70,7 @@ def write_report(result: Path, *, most_matches: int = MOST_MATCHES) -> Path:
 
 
 def report_html(saved: Saved, *, most_matches: int = MOST_MATCHES) -> str:
-    """The whole page."""
+    """The report as HTML text; `write_report` writes it."""
     cards, matches_in_all = _matches(saved, most_matches)
     return template("page.html.j2").render(
         saved=saved,
@@ -78,15 +82,15 @@ def report_html(saved: Saved, *, most_matches: int = MOST_MATCHES) -> str:
         target_map=figures.target_residual_map(saved),
         ellipses=figures.covariance_ellipses(saved),
         statistics=[
-            figures.normalised_histogram(saved, "stars", "stars"),
-            figures.normalised_histogram(saved, "targets", "targets"),
+            figures.squared_residual_histogram(saved, "stars", "stars"),
+            figures.squared_residual_histogram(saved, "targets", "targets"),
             figures.exposure_chi2(saved),
         ],
         image=_star_image(saved),
         states=STATES,
         matches=cards,
         matches_in_all=matches_in_all,
-        omissions=_omissions(saved),
+        omissions=saved.omissions.slice(0, MOST_ROWS).to_pylist(),
         omissions_in_all=len(saved.omissions),
         kinds=sorted(Counter(saved.omissions.column("kind").to_pylist()).items()),
         settings=list(_flat(saved.installation["settings"])),
@@ -98,7 +102,7 @@ def report_html(saved: Saved, *, most_matches: int = MOST_MATCHES) -> str:
 
 
 def template(name: str) -> jinja2.Template:
-    """A page's template, with the filter `number` that shows where a number comes from."""
+    """A Jinja template that escapes all text, with the filter `number` for `Number`."""
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("boresight.pipeline.report", "templates"),
         autoescape=True,
@@ -111,7 +115,7 @@ def template(name: str) -> jinja2.Template:
 
 
 def _number(value: Number) -> Markup:
-    """A number with what it was made from, so that it can be checked."""
+    """HTML `data` element: the formatted number, with its source as attributes for verification."""
     parts = {"value": repr(value.exact), "data-source": value.source, "data-key": value.key}
     parts["data-form"] = value.form
     if value.scale != 1.0:
@@ -164,13 +168,13 @@ def _iterations(saved: Saved) -> list[dict[str, Any]]:
 
 
 def _matches(saved: Saved, most: int) -> tuple[list[MatchCard], int]:
-    """Cards of placed targets, the least believable first when there are too many for the page."""
+    """Cards of matched targets, at most `most` (the largest residuals), and the number of all."""
     rows = {_key(row): n for n, row in enumerate(_keys(saved.targets))}
     found = [(rows.get(_key(row)), n) for n, row in enumerate(_keys(saved.matches))]
     shown = [(row, n) for row, n in found if row is not None]
     if len(shown) > most:
-        normalised = column(saved.targets, "normalised")
-        worst = np.argsort([-np.nan_to_num(normalised[row], nan=np.inf) for row, _ in shown], kind="stable")
+        squared = column(saved.targets, "normalised")
+        worst = np.argsort([-np.nan_to_num(squared[row], nan=np.inf) for row, _ in shown], kind="stable")
         shown = [shown[k] for k in sorted(worst[:most].tolist())]
     return [_card(saved, row, n) for row, n in shown], len(found)
 
@@ -188,16 +192,16 @@ def _card(saved: Saved, row: int, n: int) -> MatchCard:
     match = saved.matches.slice(n, 1).to_pylist()[0]
     targets, pictures = "sightings/targets", "evidence/matches"
     return MatchCard(
-        f"{match['strip_id']} / {match['target_id']}, CCD {match['ccd']}",
-        bool(saved.targets.column("kept")[row].as_py()),
-        data_uri("image/png", match["template_png"]),
-        data_uri("image/png", match["found_png"]),
-        data_uri("image/png", match["surface_png"]),
-        saved.cell(targets, "correlation", row, ".3f"),
-        saved.cell(targets, "probability_wrong", row, ".1e"),
-        saved.cell(targets, "normalised", row, ".2f"),
-        saved.cell(pictures, "surface_low", n, "+.2f"),
-        saved.cell(pictures, "surface_high", n, "+.2f"),
+        name=f"{match['strip_id']} / {match['target_id']}, CCD {match['ccd']}",
+        kept=bool(saved.targets.column("kept")[row].as_py()),
+        template=data_uri("image/png", match["template_png"]),
+        found=data_uri("image/png", match["found_png"]),
+        surface=data_uri("image/png", match["surface_png"]),
+        correlation=saved.cell(targets, "correlation", row, ".3f"),
+        wrong=saved.cell(targets, "probability_wrong", row, ".1e"),
+        squared=saved.cell(targets, "normalised", row, ".2f"),
+        low=saved.cell(pictures, "surface_low", n, "+.2f"),
+        high=saved.cell(pictures, "surface_high", n, "+.2f"),
     )
 
 
@@ -210,12 +214,12 @@ def _star_image(saved: Saved) -> dict[str, Any] | None:
     state, hip = table.column("state").to_pylist(), column(table, "hip")
     marks = [
         Detection(
-            round(float(xy[n, 0]), 3),
-            round(float(xy[n, 1]), 3),
-            round(0.6 + min(0.3 * float(np.log10(max(snr[n], 1.0))), 0.9), 2),
-            state[n],
-            (f"HIP {hip[n]}, " if hip[n] else "") + f"signal to noise {snr[n]:.1f}: {STATES[state[n]]}",
-            f"HIP {hip[n]}" if hip[n] else "",
+            x=round(float(xy[n, 0]), 3),
+            y=round(float(xy[n, 1]), 3),
+            r=round(0.6 + min(0.3 * float(np.log10(max(snr[n], 1.0))), 0.9), 2),
+            state=state[n],
+            words=(f"HIP {hip[n]}, " if hip[n] else "") + f"signal to noise {snr[n]:.1f}: {STATES[state[n]]}",
+            name=f"HIP {hip[n]}" if hip[n] else "",
         )
         for n in range(len(table))
     ]
@@ -233,13 +237,8 @@ def _star_image(saved: Saved) -> dict[str, Any] | None:
     }
 
 
-def _omissions(saved: Saved) -> list[dict[str, str]]:
-    rows: list[dict[str, str]] = saved.omissions.slice(0, MOST_ROWS).to_pylist()
-    return rows
-
-
 def _flat(values: Any, path: str = "") -> Iterator[tuple[str, str]]:
-    """Nested settings as dotted names and values: text as it is, the rest as JSON."""
+    """Nested settings as (dotted name, value): text unchanged, all else as JSON."""
     if isinstance(values, dict) and values:
         for name, value in values.items():
             yield from _flat(value, f"{path}.{name}" if path else str(name))
@@ -248,5 +247,5 @@ def _flat(values: Any, path: str = "") -> Iterator[tuple[str, str]]:
 
 
 def data_uri(kind: str, content: bytes) -> str:
-    """What a page holds of a file, so that it needs no other."""
+    """Bytes as a `data:` URI of the media type `kind`, so that a page needs no other file."""
     return f"data:{kind};base64,{base64.b64encode(content).decode('ascii')}"

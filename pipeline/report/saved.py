@@ -1,90 +1,91 @@
-"""Everything that a report needs, read back from a result's folder; and numbers that remember where they come
-from."""
+"""Saved files of a result that a report is made from, and numbers that carry their source."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
 
+from boresight.geometry.record import record, scalar
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.table_files import fixed, read_parquet
 from boresight.pipeline.files.text_files import read_json
 
-__all__ = ["Number", "Saved", "number_at", "read_saved"]
+__all__ = ["Number", "Saved", "number_from", "read_saved"]
 
 
-@dataclass(frozen=True, slots=True)
+@record(kw_only=True)
 class Number:
-    """A number of the page: what is shown, and what it was made from.
+    """A number of a page with the file and key that it comes from; shown as `exact * scale` in `form`."""
 
-    `text` is `exact * scale` in the format `form`; `exact` stands in the file `source` under `key` (a path of
-    keys and indices), or is the square root of what stands there when `root` is set.
-    """
-
-    exact: float
-    source: str
-    key: str
-    form: str
-    scale: float = 1.0
-    root: bool = False
+    exact: float = scalar("unscaled value")
+    source: str = scalar("file in the result folder")
+    key: str = scalar("path of keys and indices in that file, separated by dots")
+    form: str = scalar("format specification of the shown text")
+    scale: float = scalar("factor before formatting, such as rad to arcsec", default=1.0)
+    root: bool = scalar("`exact` is the square root of the saved value", default=False)
 
     @property
     def text(self) -> str:
+        """Shown text: "not known" for NaN, "no limit" for infinity."""
         value = self.exact * self.scale
         if not math.isfinite(value):
             return "not known" if math.isnan(value) else "no limit"
         return format(value, self.form).replace("-", "\N{MINUS SIGN}")
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record(kw_only=True)
 class Saved:
-    """A result's files: three of JSON and the tables by name."""
+    """Files of a finished result (formats: docs/result-format.md)."""
 
-    installation: dict[str, Any]
-    context: dict[str, Any]
-    run: dict[str, Any]  # empty where the run left none
-    stars: pa.Table
-    exposures: pa.Table
-    targets: pa.Table
-    omissions: pa.Table
-    inputs: pa.Table
-    convergence: pa.Table
-    angles: pa.Table
-    matches: pa.Table
-    detections: pa.Table
+    installation: dict[str, Any] = scalar("installation.json")
+    context: dict[str, Any] = scalar("evidence/context.json")
+    run: dict[str, Any] = scalar("run.json; empty where there is none")
+    stars: pa.Table = scalar("sightings/stars.parquet, plotted columns")
+    exposures: pa.Table = scalar("sightings/exposures.parquet, plotted columns")
+    targets: pa.Table = scalar("sightings/targets.parquet")
+    omissions: pa.Table = scalar("sightings/omissions.parquet")
+    inputs: pa.Table = scalar("evidence/inputs.parquet")
+    convergence: pa.Table = scalar("evidence/convergence.parquet")
+    angles: pa.Table = scalar("evidence/angles.parquet")
+    matches: pa.Table = scalar("evidence/matches.parquet")
+    detections: pa.Table = scalar("evidence/exposure.parquet")
 
     def number(self, key: str, form: str, *, scale: float = 1.0, root: bool = False) -> Number:
         """The number of installation.json under `key`, a path such as `covariance_rad2.0.1`."""
-        value = number_at(self.installation, key)
-        return Number(math.sqrt(value) if root else value, "installation.json", key, form, scale, root)
+        return number_from(self.installation, "installation.json", key, form, scale=scale, root=root)
 
     def context_number(self, key: str, form: str, *, scale: float = 1.0) -> Number:
         """The number of evidence/context.json under `key`."""
-        return Number(number_at(self.context, key), "evidence/context.json", key, form, scale)
+        return number_from(self.context, "evidence/context.json", key, form, scale=scale)
 
     def cell(self, table: str, column: str, row: int, form: str, *, scale: float = 1.0) -> Number:
         """One cell of a table; `table` is its path without `.parquet`."""
         value = getattr(self, table.rpartition("/")[2]).column(column)[row].as_py()
-        return Number(float(value), f"{table}.parquet", f"{column}.{row}", form, scale)
+        source, key = f"{table}.parquet", f"{column}.{row}"
+        return Number(exact=float(value), source=source, key=key, form=form, scale=scale)
 
 
-def number_at(content: Any, key: str) -> float:
-    """What stands under a path of keys and indices."""
+def number_from(
+    content: Any, source: str, key: str, form: str, *, scale: float = 1.0, root: bool = False
+) -> Number:
+    """The number that the JSON `content` of the file `source` holds under `key`; null is NaN."""
+    value = content
     for part in key.split("."):
-        content = content[int(part)] if isinstance(content, list) else content[part]
-    return float(content)
+        value = value[int(part)] if isinstance(value, list) else value[part]
+    exact = math.nan if value is None else float(value)
+    exact = math.sqrt(exact) if root else exact
+    return Number(exact=exact, source=source, key=key, form=form, scale=scale, root=root)
 
 
 def read_saved(result: Path) -> Saved:
-    """Read a finished result. `RawDataError` names what is missing."""
+    """The saved files of a finished result. `RawDataError` names a file that is missing or damaged."""
     installation = read_json(result / "installation.json", str(result / "installation.json"))
     if not (result / "evidence" / "context.json").is_file():
         again = "what `calibrate` writes unless --no-report is given; run it again, finished work is kept"
-        raise RawDataError(str(result / "evidence"), "folder", "not there, or not whole", again)
+        raise RawDataError(str(result / "evidence"), "folder", "missing or incomplete", again)
     tables = {
         name: read_parquet(result / "sightings" / f"{name}.parquet", names)
         for name, names in _SIGHTINGS.items()
@@ -93,14 +94,14 @@ def read_saved(result: Path) -> Saved:
     tables["detections"] = read_parquet(result / "evidence" / "exposure.parquet")
     run = result / "run.json"
     return Saved(
-        installation,
-        read_json(result / "evidence" / "context.json", str(result / "evidence" / "context.json")),
-        read_json(run, str(run)) if run.is_file() else {},
+        installation=installation,
+        context=read_json(result / "evidence" / "context.json", str(result / "evidence" / "context.json")),
+        run=read_json(run, str(run)) if run.is_file() else {},
         **tables,
     )
 
 
-_SIGHTINGS: dict[str, dict[str, pa.DataType] | None] = {  # of a long archive only the columns that are drawn
+_SIGHTINGS: dict[str, dict[str, pa.DataType] | None] = {  # only the plotted columns of long tables
     "stars": {"xy_px": fixed(2), "residual_s": fixed(3), "normalised": pa.float64(), "kept": pa.bool_()},
     "exposures": {"t_s": pa.float64(), "usable": pa.bool_(), "chi2": pa.float64(), "dof": pa.int64()},
     "targets": None,

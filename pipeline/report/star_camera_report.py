@@ -1,10 +1,10 @@
-"""A star camera calibrated from image files: what is read, what is written, what is said."""
+"""Star-camera calibration from image files: read the images, fit the camera, write TOML, report and plot."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +12,7 @@ import numpy as np
 import tomli_w
 from numpy.typing import NDArray
 
+from boresight.geometry.record import record, scalar
 from boresight.geometry.star_camera import StarCamera
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.sky_images import NOWHERE, SkyImage, Whereabouts, open_sky_images
@@ -33,17 +34,17 @@ from boresight.star_id.settings import StarSettings
 __all__ = ["CameraRequest", "calibrate_from_images"]
 
 
-@dataclass(frozen=True, slots=True)
+@record(kw_only=True)
 class CameraRequest:
-    """What is known of the camera and of its images, what is wanted, and where it goes."""
+    """Inputs and output files of one star-camera calibration."""
 
-    camera_file: Path | None = None
-    fov_deg: float | None = None
-    known: Whereabouts = NOWHERE
-    drift: bool = False  # of the focal length with time
-    out: Path = Path("star_camera.toml")
-    report: Path | None = None
-    plot: Path | None = None
+    camera_file: Path | None = scalar("TOML file of an approximate camera", default=None)
+    fov_deg: float | None = scalar("horizontal field of view, degrees", default=None)
+    known: Whereabouts = scalar("times and sites of the images", default=NOWHERE)
+    drift: bool = scalar("estimate a linear drift of the focal length", default=False)
+    out: Path = scalar("calibrated camera, TOML", default=Path("star_camera.toml"))
+    report: Path | None = scalar("report, JSON", default=None)
+    plot: Path | None = scalar("residual map, PNG", default=None)
 
 
 def calibrate_from_images(
@@ -52,9 +53,9 @@ def calibrate_from_images(
     settings: StarSettings,
     progress: Callable[[str, int, int], None] = lambda stage, done, total: None,
 ) -> tuple[list[str], bool]:
-    """Lines to print, and whether a camera came out and was written to `request.out`.
+    """Lines to print, and whether a camera was calibrated and written to `request.out`.
 
-    `sources` are images, and dumps, whose exposures are taken. An image that cannot be read is left out.
+    `sources` are image files and dumps (their exposures). An unreadable image is reported and not used.
     """
     given = read_camera(request.camera_file)
     sky = open_sky_images(sources, request.known)
@@ -76,9 +77,9 @@ def calibrate_from_images(
         stars = find_stars(image, replace(settings, saturation_dn=full))
         frames.append(SkyFrame(one.name, stars, one.observer))
     progress("star images", len(sky.images), len(sky.images))
-    left_out = [f"{name} not used: {reason}" for name, reason in unread]
+    unused = [f"{name} not used: {reason}" for name, reason in unread]
     if read is None:
-        return [*left_out, "not calibrated: no image could be read"], False
+        return [*unused, "not calibrated: no image could be read"], False
     height, width = read[1].shape
     index = sky_index(
         None, float(np.degrees(camera.fov_x_rad)) if camera is not None else request.fov_deg, settings
@@ -86,11 +87,11 @@ def calibrate_from_images(
     if camera is None:
         first = _first_camera(frames, (width, height), request.fov_deg, settings, index)
         if isinstance(first, NotIdentified):
-            return [*left_out, f"no image was identified: {first.reason}"], False
+            return [*unused, f"no image was identified: {first.reason}"], False
         camera = first
     result = calibrate_camera(frames, camera, index, settings, drift=request.drift)
     if isinstance(result, NotIdentified):
-        return [*left_out, f"not calibrated: {result.reason}"], False
+        return [*unused, f"not calibrated: {result.reason}"], False
     result = replace(result, frames_refused=(*unread, *result.frames_refused))
     stated = next((one.bit_depth for one in sky.images if one.bit_depth is not None), None)
     bits = stated or (8 * read[1].dtype.itemsize if read[1].dtype.kind == "u" else 16)
@@ -110,7 +111,7 @@ def calibrate_from_images(
 def _image(
     one: SkyImage, given: StarCamera | None, camera_file: Path | None, first: tuple[str, NDArray[Any]] | None
 ) -> NDArray[Any]:
-    """An image of the size of the first."""
+    """The image; `RawDataError` when its size differs from that of the first."""
     image = read_sky_image(one.path, given, camera_file)
     if first is not None and image.shape != first[1].shape:
         found, expected = (f"{s[1]} x {s[0]} px" for s in (image.shape, first[1].shape))
@@ -125,7 +126,7 @@ def _first_camera(
     settings: StarSettings,
     index: Any,
 ) -> StarCamera | NotIdentified:
-    """A camera of the field of view that is given, or of the first image that can be named without it."""
+    """Nominal camera with the given field of view, or with that of the first image that is identified."""
     if fov_deg is not None:
         return nominal_camera(size, float(np.radians(fov_deg)))
     answer: NotIdentified = NotIdentified("there is no image")
@@ -155,12 +156,12 @@ def _camera_table(camera: StarCamera, bits: int) -> dict[str, Any]:
 
 
 def _lines(result: CameraCalibration, span_s: float) -> list[str]:
-    """`span_s`: from the first image to the last."""
+    """The result as text; `span_s` is the time from the first image to the last."""
     camera, sigma = result.camera, np.sqrt(np.diag(result.covariance))
     corner = np.array([[0.0, 0.0], [0.5 * camera.width_px, 0.5 * camera.height_px]])
     model = result.model_sigma_px(corner)
     lines = [
-        f"{len(result.frame)} stars in {len(result.frames_used)} images, {result.outliers} left out"
+        f"{len(result.frame)} stars in {len(result.frames_used)} images, {result.outliers} rejected"
         f"   rms {result.rms_px:.4f} px   chi2/dof {result.chi2 / max(result.dof, 1):.2f}",
         f"focal length  {camera.focal_m * 1e3:.6f} mm  +- {sigma[0] * 1e3:.6f}"
         f"  (pixel pitch taken as {camera.pixel_m * 1e6:g} um)",

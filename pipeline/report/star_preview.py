@@ -1,52 +1,48 @@
-"""A star image made fit to be looked at, and what was found in it."""
+"""Stretched picture of one star image with the detections in it and how each was used."""
 
 from __future__ import annotations
-
-from dataclasses import dataclass
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from boresight.geometry.record import Floats, Ints, Texts, array, record, scalar
 from boresight.geometry.sightings import StarSightings
 from boresight.star_id.finding.star_list import find_stars
 from boresight.star_id.settings import StarSettings
 
 __all__ = ["STATES", "StarPreview", "star_preview"]
 
-Array = NDArray[np.float64]
-
 STATES = {
-    "used": "named and used",
-    "rejected": "named, left out by the calibration",
-    "saturated": "saturated, its skirt not that of a star: not used",
-    "blended": "displaced by a neighbour: not used",
-    "unused": "not named, or marked in the catalogue: not used",
+    "used": "identified and used",
+    "rejected": "identified, rejected as an outlier",
+    "saturated": "saturated, wings not consistent with the PSF: not used",
+    "blended": "blended with a neighbour: not used",
+    "unused": "not identified, or flagged in the catalogue: not used",
 }
-LONG_SIDE_PX = 2048  # of the picture; a larger image is halved until it fits
+LONG_SIDE_PX = 2048  # of the picture; a larger image is reduced by powers of two
 SKY_SIGMAS = (-1.5, 25.0)  # black and white of the picture, about the median of the image
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record(kw_only=True)
 class StarPreview:
-    """Picture and detections of one exposure. Row n of every array speaks of one detection."""
+    """Picture and detections of one exposure. Row n of every array is the same detection."""
 
-    exposure_id: str
-    jpeg: bytes
-    shrunk: int  # pixels of the image a pixel of the picture, each way
-    xy_px: Array  # (N, 2) in pixels of the image
-    snr: Array  # (N,)
-    state: NDArray[np.str_]  # (N,) a key of STATES
-    hip: NDArray[np.int64]  # (N,) 0 where not named
-    hot_pixels: int  # refused as such
-    misshapen: int  # refused: cosmic rays, trails
+    exposure_id: str = scalar("id of the exposure")
+    jpeg: bytes = scalar("stretched picture, JPEG")
+    shrunk: int = scalar("reduction: image pixels per picture pixel along each axis")
+    xy_px: Floats = array("N, 2", "(column, row) in pixels of the image")
+    snr: Floats = array("N", "signal-to-noise ratio")
+    state: Texts = array("N", "key of `STATES`")
+    hip: Ints = array("N", "Hipparcos number, 0 where not identified")
+    hot_pixels: int = scalar("detections rejected as hot pixels")
+    misshapen: int = scalar("detections rejected as cosmic rays or trails")
 
 
 def star_preview(
     image: NDArray[np.uint16], sighted: StarSightings, kept: NDArray[np.bool_], settings: StarSettings
 ) -> StarPreview:
-    """`image` (H, W) is the raw exposure, `sighted` what identification made of it, `kept` (N,) what of that
-    the calibration used."""
+    """Preview of a raw exposure `image` (H, W) with its identified stars; `kept` (N,) marks those used."""
     found = find_stars(image, settings)
     displaced = np.where(found.saturated, "saturated", "blended")
     state = np.where(found.blended, displaced, "unused").astype("U9")
@@ -59,20 +55,22 @@ def star_preview(
         state[nearest[same]] = np.where(kept[same], "used", "rejected")
     jpeg, shrunk = _picture(image)
     return StarPreview(
-        sighted.exposure_id,
-        jpeg,
-        shrunk,
-        found.xy_px,
-        found.snr,
-        state,
-        hip,
-        found.hot_pixels,
-        found.misshapen,
+        exposure_id=sighted.exposure_id,
+        jpeg=jpeg,
+        shrunk=shrunk,
+        xy_px=found.xy_px,
+        snr=found.snr,
+        state=state,
+        hip=hip,
+        hot_pixels=found.hot_pixels,
+        misshapen=found.misshapen,
     )
 
 
 def _picture(image: NDArray[np.uint16]) -> tuple[bytes, int]:
-    """JPEG of the image, stretched; of pixels put together the brightest is shown, so no star is lost."""
+    """Stretched JPEG and its reduction factor; a reduced pixel is the brightest of its block."""
+    from skimage.exposure import rescale_intensity
+
     shrunk = 1
     while max(image.shape) / shrunk > LONG_SIDE_PX:
         shrunk *= 2
@@ -83,7 +81,7 @@ def _picture(image: NDArray[np.uint16]) -> tuple[bytes, int]:
     sky = float(np.median(small))
     sigma = max(1.4826 * float(np.median(np.abs(small - sky))), 0.5)
     low, high = (sky + s * sigma for s in SKY_SIGMAS)
-    grey = np.clip((small - low) / (high - low), 0.0, 1.0) ** 0.6
+    grey = rescale_intensity(small, in_range=(low, high), out_range=(0.0, 1.0)) ** 0.6
     done, encoded = cv2.imencode(".jpg", (255.0 * grey).astype(np.uint8), [cv2.IMWRITE_JPEG_QUALITY, 72])
     if not done:
         raise OSError("the star image could not be encoded")

@@ -349,7 +349,7 @@ def _target_groups(
                     "v_rel_i": fixed_list(ground.v_rel_i),
                     "cov_target_i": fixed_list(ground.cov_target_i),
                     "residual_c": fixed_list(found.residual_c[rows]),
-                    "normalised": pa.array(found.normalised[rows]),
+                    "normalised": pa.array(found.statistic[rows]),
                     "kept": pa.array(found.kept[rows]),
                 }
             )

@@ -32,6 +32,7 @@ from boresight.pipeline.stages.exposure import (
     sightings_from_table,
     star_tasks,
 )
+from boresight.pipeline.stages.reasons import rejection_reason
 from boresight.pipeline.stages.strip import (
     Placings,
     StripTask,
@@ -119,7 +120,7 @@ def calibrate_dump(
 def left_out_of(estimate: InstallationEstimate) -> list[Omission]:
     """What the estimate itself left out: gross errors, and what exposures do not cover."""
     return [
-        Omission(r.kind, _full_name(r.exposure_id or r.strip_id, r.name), "", r.reason)
+        Omission(r.kind, _full_name(r.exposure_id or r.strip_id, r.name), "", rejection_reason(r))
         for r in estimate.rejected
     ]
 

@@ -60,7 +60,7 @@ def match_strips(tasks: Sequence[StripTask], overlay: Path | None) -> Iterator[S
         if result is None:
             yield StripLine(task.strip.strip_id, (), (), f"{task.strip.strip_id}   {omitted[-1].reason}")
             continue
-        told = tuple(r for r in result.refused if not r.reason.startswith("lies outside"))
+        told = tuple(r for r in result.refused if not r.is_out_of_view)
         if overlay is not None:
             overlay.mkdir(parents=True, exist_ok=True)
             for match in result.matches:
@@ -105,7 +105,7 @@ def write_matches(path: Path, lines: Sequence[StripLine]) -> None:
                 "target_id": r.target_id,
                 "ccd": r.ccd,
                 "outcome": "refused",
-                "reason": r.reason,
+                "reason": r.sentence,
             }
             for r in line.refused
         ]

@@ -144,7 +144,7 @@ def _chip(file: ChipFile) -> Chip:
 
 def _placings(strip: Strip, result: StripMatches | None, omitted: Sequence[Omission]) -> Placings:
     matches = sorted(result.matches, key=lambda m: (m.target_id, m.ccd)) if result else []
-    refused = [r for r in result.refused if not _out_of_view(r)] if result else []
+    refused = [r for r in result.refused if not r.is_out_of_view] if result else []
     n = len(matches)
     return Placings(
         strip.strip_id,
@@ -165,17 +165,12 @@ def nothing_placed(strip: Strip, omission: Omission) -> Placings:
     return _placings(strip, None, [omission])
 
 
-def _out_of_view(refusal: Refusal) -> bool:
-    """Whether the strip never saw the target: nothing that anybody has to be told."""
-    return refusal.ccd < 0 and refusal.reason.startswith("lies outside")
-
-
 def _omission(strip: Strip, refusal: Refusal) -> Omission:
     if refusal.ccd >= 0:
         file, where = strip.images.names.get(refusal.ccd, ""), f", CCD {refusal.ccd}"
     else:
         file, where = "", ""
-    return Omission("target", f"{strip.strip_id}/{refusal.target_id}{where}", file, refusal.reason)
+    return Omission("target", f"{strip.strip_id}/{refusal.target_id}{where}", file, refusal.sentence)
 
 
 def ground_sightings(placings: Placings, task: StripTask) -> GroundSightings:

@@ -50,6 +50,20 @@ def found(name: str) -> object:
     raise AssertionError(f"{name} is not there")
 
 
+@pytest.mark.parametrize("page", ["star-half.md", "ground-half.md", "estimation.md"])
+def test_a_guide_carries_few_figures(page):
+    """Figures of runs belong on the generated pages; three in a hundred words of running text are enough."""
+    text = (ROOT / "docs" / page).read_text()
+    text = re.sub(
+        r"```.*?```|^    .*?$|^\|.*?$|^#.*?$|`[^`]*`|\]\([^)]*\)|^\d+\. ",
+        "",
+        text,
+        flags=re.DOTALL | re.MULTILINE,
+    )
+    figures = re.findall(r"(?<![\w(])\d[\d.,]*", text)
+    assert len(figures) <= 0.03 * len(text.split()), figures
+
+
 def test_links_of_readme_and_pages_lead_to_files():
     for page in [ROOT / "README.md", *(ROOT / "docs").glob("*.md")]:
         for target, _ in LINK.findall(page.read_text()):

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from boresight.gct_match.imaging.views import normalised
 from boresight.gct_match.search.correlation import (
     correlation_surface,
     independent_values,
-    normalised,
     peaks_of,
     probability_wrong,
 )

@@ -7,21 +7,21 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from rendered_pairs import Pair
+from rendered_pairs import MTF_AT_NYQUIST, Pair
 from scipy.stats import chi2
 
-from boresight.gct_match.refine.least_squares import Placement, place
-from boresight.gct_match.search.correlation import view_of
+from boresight.gct_match.imaging.views import view_of
+from boresight.gct_match.refine.least_squares import PositionFit, fit_position
 
 Pairs = dict[tuple[str, int], list[Pair]]
 
 
-def placed(pair: Pair, *, extra: NDArray | None = None) -> Placement:
+def placed(pair: Pair, *, extra: NDArray | None = None) -> PositionFit:
     start = np.round(pair.offset_px).astype(int)
     middle = (np.array(pair.template.shape[::-1]) - 1.0) / 2.0
     template = view_of(pair.template, np.ones(pair.template.shape, dtype=bool))
     window = view_of(pair.window, np.ones(pair.window.shape, dtype=bool) if extra is None else extra)
-    return place(template, window, (int(start[0]), int(start[1])), middle)
+    return fit_position(template, window, start, middle, MTF_AT_NYQUIST)
 
 
 def errors(pairs: list[Pair]) -> tuple[NDArray, NDArray]:
@@ -109,10 +109,10 @@ def test_place_does_not_depend_on_grey_scale(invented_pairs: Pairs):
 
 def test_reference_point_moves_with_the_affine_map(invented_pairs: Pairs):
     pair = invented_pairs["affine", 128][1]
-    start = (round(pair.offset_px[0]), round(pair.offset_px[1]))
+    start = np.round(pair.offset_px).astype(int)
     views = [view_of(image, np.ones(image.shape, dtype=bool)) for image in (pair.template, pair.window)]
     middle, corner = np.array([63.5, 63.5]), np.array([20.0, 100.0])
-    one, two = (place(*views, start, at) for at in (middle, corner))
+    one, two = (fit_position(*views, start, at, MTF_AT_NYQUIST) for at in (middle, corner))
     A = np.eye(2) + one.affine
     assert two.xy_px == pytest.approx(
         one.xy_px + A @ (corner - middle), abs=2e-3

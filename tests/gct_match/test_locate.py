@@ -5,17 +5,20 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from numpy.typing import NDArray
 from rendered_pairs import Pair, make_pair
 from scipy import ndimage
 
-from boresight.gct_match.locate import Located, NotLocated, locate
-from boresight.gct_match.search.correlation import likeness_to_itself, normalised
+from boresight.gct_match.imaging.views import normalised, view_of
+from boresight.gct_match.locate import locate, match_template
+from boresight.gct_match.records import Reason, Refusal, TemplateMatch
+from boresight.gct_match.search.correlation import self_similarity
 from boresight.gct_match.settings import MatchSettings
 
 MARGIN = 16
 SETTINGS = MatchSettings()
-TRUSTING = replace(SETTINGS, sigma_alike_px=SETTINGS.sigma_px)
+TRUSTING = replace(SETTINGS, sigma_self_similar_px=SETTINGS.sigma_px)
 
 
 def estate(rng: np.random.Generator, side: int) -> NDArray:
@@ -32,10 +35,11 @@ def estate(rng: np.random.Generator, side: int) -> NDArray:
     return np.clip(out + 5.0 / grain.std() * grain, 0.0, 255.0).astype(np.float32)
 
 
-def looked_for(template: NDArray, window: NDArray, settings: MatchSettings) -> Located | NotLocated:
+def looked_for(template: NDArray, window: NDArray, settings: MatchSettings) -> TemplateMatch | Refusal:
     middle = (np.array(template.shape[::-1]) - 1.0) / 2.0
     here = MARGIN, MARGIN
-    return locate(template, template > 0.0, window, window > 0.0, here, MARGIN, middle, settings)
+    views = (view_of(image, image > 0.0) for image in (template, window))
+    return locate(*views, here, MARGIN, middle, settings)
 
 
 def pair_of(half: NDArray, seed: int) -> Pair:
@@ -46,21 +50,65 @@ def test_look_alikes_of_an_estate_are_told_apart_by_how_well_they_can_be_placed(
     one, two = np.array_split(estate(np.random.default_rng(3), 1200), 2)
     for here, there in ((7, 20), (14, 14), (20, 6)):
         template, window = pair_of(one, here).template, pair_of(two, there).window
-        assert isinstance(looked_for(template, window, TRUSTING), Located)  # all else speaks for it
+        assert isinstance(looked_for(template, window, TRUSTING), TemplateMatch)  # all else speaks for it
         outcome = looked_for(template, window, SETTINGS)
-        assert isinstance(outcome, NotLocated)
-        assert "things alike" in outcome.reason
+        assert isinstance(outcome, Refusal)
+        assert outcome.reason is Reason.SELF_SIMILAR
         right = looked_for(template, pair_of(one, here).window, SETTINGS)
-        assert isinstance(right, Located)
+        assert isinstance(right, TemplateMatch)
         # 0.05 px is asked for where things are alike; the very same houses leave noise alone, 0.01 px
-        assert np.sqrt(right.placement.cov_px.max()) < 0.02
+        assert np.sqrt(right.cov_px.max()) < 0.02
 
 
 def test_picture_is_like_itself_where_it_holds_things_of_one_kind(invented: NDArray):
     every = np.ones((128, 128), dtype=bool)
     houses = estate(np.random.default_rng(5), 700)[::4, ::4][:128, :128]
     ground = np.ascontiguousarray(invented[:512:4, :512:4])
-    assert likeness_to_itself(normalised(np.ascontiguousarray(houses), every)) > 0.5
-    assert likeness_to_itself(normalised(ground, every)) < 0.4
+    assert self_similarity(normalised(np.ascontiguousarray(houses), every)) > 0.5
+    assert self_similarity(normalised(ground, every)) < 0.4
     tile = ground[:32, :32]
-    assert likeness_to_itself(normalised(np.tile(tile, (4, 4)), every)) > 0.95  # a copy, but for its frame
+    assert self_similarity(normalised(np.tile(tile, (4, 4)), every)) > 0.95  # a copy, but for its frame
+
+
+def test_two_arrays_give_the_position_of_the_templates_centre(invented: NDArray):
+    pair = make_pair(invented, np.random.default_rng(8), size_px=64, margin_px=MARGIN, condition="clean")
+    true = pair.offset_px + 31.5  # px: centre of 64
+    match = match_template(pair.template, pair.window, (true[0] + 3.2, true[1] - 2.7), 8)
+    assert isinstance(match, TemplateMatch)
+    assert np.abs(match.xy_px - true).max() < 0.02  # px: 4 times the bound of this chip
+    assert match.cov_px.shape == (2, 2) and match.correlation > 0.9
+    assert "correlation" in repr(match)
+
+
+def test_pixels_that_are_nan_are_not_used(invented: NDArray):
+    pair = make_pair(invented, np.random.default_rng(8), size_px=64, margin_px=MARGIN, condition="clean")
+    template = pair.template.copy()
+    template[:20] = np.nan
+    match = match_template(template, pair.window, tuple(pair.offset_px + 31.5))
+    assert isinstance(match, TemplateMatch)
+    assert np.abs(match.xy_px - pair.offset_px - 31.5).max() < 0.02  # px
+
+
+def test_a_template_that_is_not_found_is_refused_with_reason_and_numbers(invented: NDArray):
+    pair = make_pair(invented, np.random.default_rng(8), size_px=64, margin_px=MARGIN, condition="clean")
+    outside = match_template(pair.template, pair.window, (400.0, 20.0))
+    assert not outside and isinstance(outside, Refusal)
+    assert outside.reason is Reason.FEW_VALID_PIXELS
+    assert str(outside).startswith("0% of the template's pixels are valid") and "40% are needed" in str(
+        outside
+    )
+
+
+@pytest.mark.parametrize(
+    ("shape", "radius", "says"),
+    [((20, 64), 8, "32 px"), ((64,), 8, "two-dimensional"), ((64, 64), 3, "radius_px")],
+)
+def test_arrays_that_cannot_be_matched_are_named(shape: tuple[int, ...], radius: int, says: str):
+    with pytest.raises(ValueError, match=says):
+        match_template(np.zeros(shape), np.zeros((128, 128)), (64.0, 64.0), radius)
+
+
+def test_every_reason_has_a_sentence():
+    for reason in Reason:
+        said = Refusal(reason, 0.5, 0.25, (3.0, 4.0, 5.0)).sentence
+        assert said and "nan" not in said

@@ -8,7 +8,8 @@ import rasterio
 from numpy.typing import NDArray
 from rendered_pairs import DATA
 
-from boresight.gct_match.locate import Located, locate
+from boresight.gct_match.imaging.views import view_of
+from boresight.gct_match.locate import locate
 from boresight.gct_match.settings import MatchSettings
 
 SIZE, MARGIN = 128, 16
@@ -33,19 +34,11 @@ def test_sentinel_dates_agree_to_a_twentieth_of_a_pixel():
                 continue
             template = a[y + down : y + down + SIZE, x + left : x + left + SIZE]
             window = b[y - MARGIN : y + SIZE + MARGIN, x - MARGIN : x + SIZE + MARGIN]
-            outcome = locate(
-                template,
-                template > 0.0,
-                window,
-                window > 0.0,
-                (MARGIN, MARGIN),
-                MARGIN,
-                middle,
-                MatchSettings(),
-            )
-            if isinstance(outcome, Located):
+            views = (view_of(image, image > 0.0) for image in (template, window))
+            outcome = locate(*views, (MARGIN, MARGIN), MARGIN, middle, MatchSettings())
+            if outcome:
                 places.append((x, y))
-                shifts.append(outcome.placement.xy_px - middle - MARGIN)
+                shifts.append(outcome.xy_px - middle - MARGIN)
     design = np.column_stack([np.ones(len(places)), np.array(places) / 1000.0])
     model, *_ = np.linalg.lstsq(design, np.array(shifts), rcond=None)
     miss = np.array(shifts) - design @ model

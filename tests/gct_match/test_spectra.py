@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from boresight.gct_match.refine.spectra import filtered, frequency, padded_shape, ring_means, rings
+from boresight.gct_match.imaging.spectra import filtered, frequency, padded_shape, ring_means, rings
 
 SHAPES = [(64, 64), (75, 54), (60, 81), (45, 75)]  # what OpenCV transforms without padding
 

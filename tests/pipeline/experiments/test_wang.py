@@ -36,11 +36,11 @@ def test_with_noise_it_is_worse_than_ours_on_the_weak_axis():
     assert np.std(theirs) > 1.5 * np.std(ours[:, 2])  # about 3 times; 12 runs scatter by a fifth
 
 
-def test_a_strip_with_too_few_targets_is_left_out_and_said_so():
+def test_a_strip_with_too_few_targets_is_rejected_with_the_reason():
     strips, _ = draw_strips(StripPlan(strips=2, targets=20), CAMERAS, np.random.default_rng(3))
     few, _ = draw_strips(StripPlan(strips=3, targets=5), CAMERAS, np.random.default_rng(3))
     found = wang_calibrate([*strips, few[2]], R_CS0)
-    assert found.left_out == (("strip0002", "5 targets and 10 exposures, 7 and 2 needed"),)
+    assert found.rejected == (("strip0002", "5 targets and 10 exposures, 7 and 2 needed"),)
     with pytest.raises(ValueError, match="none of 3 strips"):
         wang_calibrate(few, R_CS0)
 

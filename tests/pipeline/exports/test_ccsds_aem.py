@@ -8,7 +8,7 @@ from boresight.pipeline.exports.ccsds_aem import AemHeader, attitude_message
 
 R_CI = Rotation.from_rotvec(np.outer(np.linspace(2.9, 3.4, 7), [0.48, -0.6, 0.64]))  # through half a turn
 UTC = [f"2025-03-20T02:31:0{n}.250000000" for n in range(7)]
-HEADER = AemHeader("2025-03-21T00:00:00", "TESTSAT", "2025-001A")
+HEADER = AemHeader(creation_utc="2025-03-21T00:00:00", object_name="TESTSAT", object_id="2025-001A")
 
 
 def matrix_a_to_b(q1, q2, q3, qc):

@@ -106,7 +106,7 @@ def test_ground_points_are_those_of_the_usgs_line_scanner(pieces, ccd):
         ray = model.ray(line[n] + 0.5, sample[n] - piece.first_sample + 0.5)
         worst = max(worst, nearest_px(p_e[n], *ray))
     assert worst < 0.01  # px, what users of the file are promised
-    assert worst < 2.0 * max(p.isd["boresight"]["left_out_px"] for p in pieces[ccd]) + 1e-3
+    assert worst < 2.0 * max(p.isd["boresight"]["model_error_px"] for p in pieces[ccd]) + 1e-3
 
 
 def test_ground_500_m_higher_moves_by_less_than_a_hundredth_of_a_pixel(pieces):
@@ -126,7 +126,7 @@ def test_a_detector_with_strong_distortion_is_cut_and_one_without_is_not(pieces)
     assert len(pieces[1]) == 1 and pieces[1][0].suffix == "ccd1"
     covered = [n for p in pieces[0] for n in range(p.first_sample, p.stop_sample)]
     assert covered == list(range(2048))
-    assert all(p.isd["boresight"]["left_out_px"] < 0.01 for p in pieces[0])
+    assert all(p.isd["boresight"]["model_error_px"] < 0.01 for p in pieces[0])
 
 
 def test_what_an_isd_reader_asks_for_is_there(pieces):

@@ -82,7 +82,7 @@ def test_isds_cover_all_samples_of_all_ccds(exported, finished):
         isd = json.loads(path.read_text())
         about = isd["boresight"]
         seen.setdefault(about["ccd"], []).extend(range(about["first_sample"], about["stop_sample"]))
-        assert about["left_out_px"] < 0.01 and isd["image_lines"] == strip.lines
+        assert about["model_error_px"] < 0.01 and isd["image_lines"] == strip.lines
     assert {ccd: sorted(samples) for ccd, samples in seen.items()} == {
         ccd: list(range(strip.images.shapes[ccd][1])) for ccd in strip.images.ccds
     }

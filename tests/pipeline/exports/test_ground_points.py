@@ -3,6 +3,7 @@
 import csv
 import io
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,16 +15,16 @@ from boresight.pipeline.exports.gcp_qgis import points_qgis
 from boresight.pipeline.exports.ground_points import GroundPoints
 
 POINTS = GroundPoints(
-    "S01",
-    2,
-    "strips/S01-2.tif",
-    ("T1", "T2", "T3"),
-    np.array([36.1, 46.874319, 80.5]),
-    np.array([103.2, 102.448729, 179.999]),
-    np.array([1500.25, 3800.0, -20.5]),
-    np.array([[0.0, 0.0], [100.25, 2000.5], [511.0, 7.125]]),
-    np.full((3, 2), 0.05),
-    np.array([True, True, False]),
+    strip_id="S01",
+    ccd=2,
+    image="strips/S01-2.tif",
+    target_id=("T1", "T2", "T3"),
+    lat_deg=np.array([36.1, 46.874319, 80.5]),
+    lon_deg=np.array([103.2, 102.448729, 179.999]),
+    height_m=np.array([1500.25, 3800.0, -20.5]),
+    xy_px=np.array([[0.0, 0.0], [100.25, 2000.5], [511.0, 7.125]]),
+    sigma_px=np.full((3, 2), 0.05),
+    used=np.array([True, True, False]),
 )
 
 
@@ -74,6 +75,4 @@ def test_qgis_crs_is_one_that_proj_understands():
 
 def test_arrays_of_unequal_length_are_refused():
     with pytest.raises(ValueError, match="sigma_px"):
-        GroundPoints(
-            "S", 0, "f", ("T",), *np.ones((3, 1)), np.ones((1, 2)), np.ones((2, 2)), np.array([True])
-        )
+        replace(POINTS, sigma_px=np.ones((2, 2)))

@@ -155,7 +155,7 @@ def test_captions_tell_what_the_tables_hold(html: str, finished):
     assert f"{len(angles)} pairs of star and target; standard deviation of z/σ {spread:.3f}" in html
     for table, what in ((stars, "stars"), (targets, "targets")):
         mean = table.normalised[table.kept].mean()
-        text = f"{table.kept.sum()} {what} kept, mean {mean:.3f} (2 expected); {(~table.kept).sum()} left out"
+        text = f"{table.kept.sum()} {what} used, mean {mean:.3f} (2 expected); {(~table.kept).sum()} rejected"
         assert text in html
 
 
@@ -176,10 +176,10 @@ def test_every_detection_is_marked_by_its_state(page: Page, finished):
     names = [page.texts[n] for n, a in page.all("text") if a.get("class", "").startswith("name ")]
     assert sorted(names) == sorted(f"HIP {hip}" for hip in detections.hip if hip)
     legend = " ".join(page.texts[n] for n, _ in page.all("li"))
-    assert f"{(detections.state == 'used').sum()} named and used" in legend
+    assert f"{(detections.state == 'used').sum()} identified and used" in legend
 
 
-def test_what_was_left_out_is_listed_with_its_reason(html: str, page: Page, finished):
+def test_what_was_rejected_is_listed_with_its_reason(html: str, page: Page, finished):
     omissions = pq.read_table(finished[1] / "sightings/omissions.parquet").to_pylist()
     listed = " ".join(page.texts[n] for n, a in page.all("section") if a.get("id") == "omitted")
     for omission in omissions:
@@ -222,8 +222,8 @@ def test_a_result_with_next_to_nothing_in_it_gets_a_whole_page_too(finished):
     )
     page = Page(report_html(bare))
     assert {attributes.get("id") for _, attributes in page.all("section")} == SECTIONS
-    assert "No star image was kept" in page.texts[0] and "No target was placed" in page.texts[0]
-    assert "Nothing was left out" in page.texts[0]
+    assert "No star image was kept" in page.texts[0] and "No target was matched" in page.texts[0]
+    assert "Nothing was rejected" in page.texts[0]
 
 
 def test_names_of_a_mission_cannot_become_markup(finished):

@@ -46,7 +46,7 @@ def change(slopes: tuple[Image, Image], P: Array, reference_px: Array, pitch_px:
     return slopes[0] * (along + across) + slopes[1] * (down + below)
 
 
-def warped(picture: Image, warp: Array, shape: tuple[int, int]) -> Image:
+def warped(picture: Image, warp: Array, shape: tuple[int, ...]) -> Image:
     """The picture as seen from the pixels of another one of `shape`; mirrored beyond its edges."""
     h, w = shape
     if (warp[:2, :2] == np.eye(2)).all():

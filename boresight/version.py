@@ -1,0 +1,38 @@
+"""Version of the program, and the git commit that it was made from."""
+
+from __future__ import annotations
+
+import subprocess
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+__all__ = ["__version__", "commit", "version_text"]
+
+try:
+    __version__ = version("boresight")
+except PackageNotFoundError:  # used from a source tree that was not installed
+    __version__ = "0+source"
+
+
+def commit() -> str | None:
+    """Git commit of a source checkout, or the one that a wheel or sdist was built from; None if not known.
+
+    `-dirty` follows where files of the checkout differ from the commit.
+    """
+    here = Path(__file__).resolve().parent
+    if (here.parent / ".git").exists():
+        command = ["git", "-C", str(here), "describe", "--always", "--dirty", "--exclude=*", "--abbrev=12"]
+        try:
+            return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
+        except (OSError, subprocess.CalledProcessError):
+            return None
+    try:
+        return (here / "COMMIT").read_text(encoding="ascii").strip()
+    except OSError:
+        return None
+
+
+def version_text() -> str:
+    """One line: the version, and the commit where it is known."""
+    made_from = commit()
+    return f"boresight {__version__}" + (f" (commit {made_from})" if made_from else "")

@@ -1,0 +1,1 @@
+"""Pictures as arrays: masked, normalised, read between their pixels, and their spectra."""

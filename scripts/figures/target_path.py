@@ -1,0 +1,86 @@
+"""A target on its way from the chip to its measured position: `python scripts/figures/target_path.py`."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import numpy as np
+import rasterio
+from matplotlib.figure import Figure
+from style import Ink, draw
+
+from boresight.gct_match.records import TargetMatch
+from boresight.pipeline.files.dump import open_dump
+from boresight.pipeline.settings import Settings
+from boresight.pipeline.stages.calibrate import strips_to_match
+from boresight.pipeline.stages.strip import StripTask, strip_matches
+from boresight.pipeline.work.executor import InOrder
+from boresight.pipeline.work.unit_store import UnitStore
+
+FIXTURE = Path(__file__).parents[2] / "fixtures" / "mini"
+ERROR_SCALE = 1000.0
+
+
+def best_match() -> tuple[StripTask, TargetMatch, np.ndarray]:
+    """A strip's most precise target, starting from the pre-launch matrix, and its chip."""
+    with tempfile.TemporaryDirectory() as folder:
+        store = UnitStore(Path(folder))
+        tasks, _ = strips_to_match(open_dump(FIXTURE), Settings(), store, InOrder())
+    task = tasks[0]
+    found, _ = strip_matches(task)
+    assert found is not None
+    match = min(found.matches, key=lambda m: float(np.trace(m.cov_px)))
+    (chip,) = [c for t, c in zip(task.targets, task.chips) if t.target_id == match.target_id]
+    with rasterio.open(chip.path) as stored:
+        return task, match, stored.read(1)
+
+
+def paint(ink: Ink) -> Figure:
+    task, match, chip = best_match()
+    template, found, surface = match.evidence.template, match.evidence.found, match.evidence.correlation
+    h, w = template.shape
+    x, y = np.round(match.xy_px).astype(int)
+    reach = max(h, w)
+    y0, y1 = max(y - reach, 0), min(y + reach, task.strip.lines)
+    x0, x1 = max(x - reach, 0), min(x + reach, task.camera.n_px(match.ccd))
+    window = task.strip.images.read(match.ccd, y0, y1, x0, x1)
+    figure, panels = plt.subplots(1, 5, figsize=(13.5, 3.1), gridspec_kw={"wspace": 0.08})
+    panels[0].imshow(chip, cmap="gray")
+    panels[1].imshow(template, cmap="gray")
+    panels[2].imshow(window, cmap="gray", extent=(x0 - 0.5, x1 - 0.5, y1 - 0.5, y0 - 0.5))
+    corner = match.xy_px - 0.5 * np.array([w, h])
+    panels[2].add_patch(plt.Rectangle(corner, w, h, fill=False, ec="#ffb27a", lw=1.6))
+    panels[3].imshow(surface, cmap="viridis")
+    row, column = np.unravel_index(np.argmax(surface), surface.shape)
+    panels[3].plot(column, row, "o", mfc="none", mec="white", ms=12)
+    panels[4].imshow(found, cmap="gray")
+    sx, sy = ERROR_SCALE * np.sqrt(np.diag(match.cov_px))
+    panels[4].errorbar(0.5 * (w - 1), 0.5 * (h - 1), xerr=sx, yerr=sy, fmt="+", color="#ffb27a", lw=1.6, ms=9)
+    titles = (
+        "chip (ortho-image)",
+        "template in strip geometry",
+        "window of the raw strip",
+        "correlation surface",
+        f"measured, σ × {ERROR_SCALE:.0f}",
+    )
+    for panel, title in zip(panels, titles):
+        panel.set_title(title, color=ink.text, fontsize=11)
+        panel.set_xticks([])
+        panel.set_yticks([])
+    for panel, width in (
+        (panels[0], chip.shape[1]),
+        (panels[1], w),
+        (panels[2], x1 - x0),
+        (panels[3], surface.shape[1]),
+    ):
+        panel.set_xlabel(f"{width} px", color=ink.text)
+    panels[4].set_xlabel(
+        f"σ = {np.sqrt(match.cov_px[0, 0]):.4f}, {np.sqrt(match.cov_px[1, 1]):.4f} px", color=ink.text
+    )
+    return figure
+
+
+if __name__ == "__main__":
+    draw("target_path", paint)

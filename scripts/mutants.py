@@ -1,0 +1,198 @@
+"""Physical mutations, one line each, against the nearest tests: `python scripts/mutants.py`.
+
+`scripts/mutants/ROOM.toml` lists them:
+
+    [[mutant]]
+    what = "sign of refraction"             # what is broken, in words
+    file = "geometry/groundlight.py"
+    old = "bent = +angle"                   # must occur exactly once in the file
+    new = "bent = -angle"
+    tests = ["tests/geometry/test_groundlight.py"]   # files, or nodes (file::test)
+    equivalent = ""                         # why no test can tell, for a mutation that changes nothing
+
+Each mutation is made in a copy of the working tree, and its tests run there until the first failure. One that
+survives is a gap in the tests, or a line that does nothing. The record goes to benchmarks/results/mutants.md;
+the exit status is 1 if a mutation without `equivalent` survives.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import platform
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+import tomllib
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from pathlib import Path
+from queue import Queue
+
+ROOT = Path(__file__).parents[1]
+LISTS = ROOT / "scripts" / "mutants"
+RECORD = ROOT / "benchmarks" / "results" / "mutants.md"
+LONGEST_S = 240.0  # a mutation that makes its tests hang counts as killed
+
+
+@dataclass(frozen=True)
+class Mutant:
+    """One line changed, and the tests that ought to notice."""
+
+    room: str
+    what: str
+    file: str
+    old: str
+    new: str
+    tests: tuple[str, ...] = field(default=())
+    equivalent: str = ""
+
+
+def mutants() -> list[Mutant]:
+    """All mutations of all lists, in the order of rooms."""
+    found = []
+    for path in sorted(LISTS.glob("*.toml")):
+        for entry in tomllib.loads(path.read_text(encoding="utf-8"))["mutant"]:
+            found.append(Mutant(path.stem, **(entry | {"tests": tuple(entry["tests"])})))
+    return found
+
+
+def faults(mutant: Mutant, root: Path = ROOT) -> list[str]:
+    """What is wrong with an entry of the lists: a line that is no longer there, a test that is gone."""
+    wrong = []
+    path = root / mutant.file
+    count = path.read_text(encoding="utf-8").count(mutant.old) if path.is_file() else 0
+    if count != 1:
+        wrong.append(f"{mutant.file}: {mutant.old!r} occurs {count} times, expected once")
+    if mutant.old == mutant.new or not mutant.tests:
+        wrong.append(f"{mutant.what}: changes nothing or names no test")
+    for test in mutant.tests:
+        file, _, name = test.partition("::")
+        if not (root / file).is_file() or (
+            name and name.split("[")[0] not in (root / file).read_text(encoding="utf-8")
+        ):
+            wrong.append(f"{mutant.what}: there is no test {test}")
+    return wrong
+
+
+def copy_of_tree(folder: Path) -> Path:
+    """A copy of the tracked and new files of the working tree."""
+    listed = subprocess.run(
+        ["git", "ls-files", "-co", "--exclude-standard", "-z"],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    for name in filter(None, listed.stdout.split("\0")):
+        source, target = ROOT / name, folder / name
+        if source.is_symlink() or source.is_file():
+            target.parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy2(source, target, follow_symlinks=False)
+    return folder
+
+
+def is_killed(mutant: Mutant, tree: Path) -> bool:
+    """Whether the nearest tests fail with the mutation made in `tree`, which is restored afterwards."""
+    path = tree / mutant.file
+    sound = path.read_text(encoding="utf-8")
+    path.write_text(sound.replace(mutant.old, mutant.new, 1), encoding="utf-8")
+    command = [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", *mutant.tests]
+    environment = os.environ | {"PYTHONPATH": str(tree), "PYTHONDONTWRITEBYTECODE": "1"}
+    try:
+        done = subprocess.run(command, cwd=tree, env=environment, capture_output=True, timeout=LONGEST_S)
+        return done.returncode != 0
+    except subprocess.TimeoutExpired:
+        return True
+    finally:
+        path.write_text(sound, encoding="utf-8")
+
+
+def tried(chosen: Sequence[Mutant], jobs: int) -> Iterator[tuple[Mutant, bool, float]]:
+    """Each mutation with whether it was killed and the seconds that took, as they finish."""
+    with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(jobs) as pool:
+        trees: Queue[Path] = Queue()
+        for n in range(jobs):
+            trees.put(copy_of_tree(Path(folder) / str(n)))
+
+        def one(mutant: Mutant) -> tuple[Mutant, bool, float]:
+            tree, begun = trees.get(), time.perf_counter()
+            try:
+                return mutant, is_killed(mutant, tree), time.perf_counter() - begun
+            finally:
+                trees.put(tree)
+
+        yield from pool.map(one, chosen)
+
+
+def record(rows: Sequence[tuple[Mutant, bool, float]], seconds: float) -> str:
+    """The record as Markdown."""
+    commit = subprocess.run(
+        ["git", "rev-parse", "--short", "HEAD"], cwd=ROOT, capture_output=True, text=True
+    ).stdout
+    rooms = Counter(m.room for m, _, _ in rows)
+    killed = Counter(m.room for m, dead, _ in rows if dead)
+    equal = Counter(m.room for m, dead, _ in rows if not dead and m.equivalent)
+    lines = [
+        "# Mutations of physical statements",
+        "",
+        f"`python scripts/mutants.py`, commit {commit.strip()}, {time.strftime('%Y-%m-%d')}, Python "
+        f"{platform.python_version()}, {platform.machine()}, {os.cpu_count()} cores, {seconds:.0f} s.",
+        "",
+        "| room | mutations | killed | equivalent | survive |",
+        "| --- | --: | --: | --: | --: |",
+    ]
+    for room in rooms:
+        left = rooms[room] - killed[room] - equal[room]
+        lines.append(f"| {room} | {rooms[room]} | {killed[room]} | {equal[room]} | {left} |")
+    total, dead, same = len(rows), sum(killed.values()), sum(equal.values())
+    lines += [
+        f"| all | {total} | {dead} | {same} | {total - dead - same} |",
+        "",
+        "| room | file | what | outcome |",
+    ]
+    lines.append("| --- | --- | --- | --- |")
+    for mutant, was_killed, _ in rows:
+        outcome = (
+            "killed"
+            if was_killed
+            else f"equivalent: {mutant.equivalent}"
+            if mutant.equivalent
+            else "**survives**"
+        )
+        lines.append(f"| {mutant.room} | `{mutant.file}` | {mutant.what} | {outcome} |")
+    return "\n".join(lines) + "\n"
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "--only", default="", help="mutations whose room, file or description contains this text"
+    )
+    parser.add_argument("--jobs", type=int, default=os.cpu_count(), help="copies of the tree to work in")
+    options = parser.parse_args()
+    chosen = [m for m in mutants() if options.only in f"{m.room} {m.file} {m.what}"]
+    if wrong := [text for mutant in chosen for text in faults(mutant)]:
+        print("\n".join(wrong))
+        return 2
+    begun, rows = time.perf_counter(), []
+    for mutant, was_killed, seconds in tried(chosen, options.jobs):
+        rows.append((mutant, was_killed, seconds))
+        outcome = "killed" if was_killed else "equivalent" if mutant.equivalent else "SURVIVES"
+        print(
+            f"{len(rows):4d}/{len(chosen)} {outcome:10s} {seconds:6.1f} s  {mutant.file}: {mutant.what}",
+            flush=True,
+        )
+    if not options.only:
+        RECORD.write_text(record(rows, time.perf_counter() - begun), encoding="utf-8")
+    return int(any(not was_killed and not mutant.equivalent for mutant, was_killed, _ in rows))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

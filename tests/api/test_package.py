@@ -1,0 +1,147 @@
+"""The distribution: what wheel and sdist hold, what an installation adds, how soon the command answers."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+import sysconfig
+import tarfile
+import venv
+import zipfile
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+MINI = ROOT / "fixtures" / "mini"
+RESOURCE_USE = """
+import resource, subprocess, sys
+subprocess.run(sys.argv[1:], check=True, capture_output=True)
+used = resource.getrusage(resource.RUSAGE_CHILDREN)
+print(used.ru_utime + used.ru_stime)
+"""
+
+
+def run(*command: str | Path, cwd: Path) -> str:
+    """Standard output of a command that must succeed, run without this process's search path."""
+    environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+    done = subprocess.run(
+        [str(part) for part in command], cwd=cwd, env=environment, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+@pytest.fixture(scope="module")
+def built(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """Wheel and sdist of the working tree."""
+    folder = tmp_path_factory.mktemp("dist")
+    run(sys.executable, "-m", "hatchling", "build", "-d", folder, cwd=ROOT)
+    return next(folder.glob("*.whl")), next(folder.glob("*.tar.gz"))
+
+
+@pytest.fixture(scope="module")
+def installed(built: tuple[Path, Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Python of an environment that holds the wheel alone; the dependencies come from the present one."""
+    folder = tmp_path_factory.mktemp("environment") / "venv"
+    venv.create(folder, with_pip=False)
+    python = folder / "bin" / "python"
+    pip = (sys.executable, "-m", "pip", "--python", python, "install", "--quiet", "--no-deps", "--no-index")
+    run(*pip, built[0], cwd=folder)
+    (site_packages(folder) / "dependencies.pth").write_text(sysconfig.get_path("purelib") + "\n")
+    return python
+
+
+def site_packages(environment: Path) -> Path:
+    return next((environment / "lib").glob("python*/site-packages"))
+
+
+def names_in(wheel: Path) -> set[str]:
+    with zipfile.ZipFile(wheel) as archive:
+        return set(archive.namelist())
+
+
+def test_installation_adds_one_name_to_site_packages(installed: Path) -> None:
+    entries = {path.name for path in site_packages(installed.parents[1]).iterdir()} - {"dependencies.pth"}
+    assert {name for name in entries if not name.endswith(".dist-info")} == {"boresight"}
+    assert len(entries) == 2
+
+
+def test_wheel_holds_every_tracked_source_and_the_notices(built: tuple[Path, Path]) -> None:
+    tracked = run("git", "ls-files", *(f"{path.name}/" for path in (ROOT / "boresight").iterdir()), cwd=ROOT)
+    rooms = {path.name for path in (ROOT / "boresight").iterdir() if path.is_symlink()}
+    sources = {f"boresight/{name}" for name in tracked.split() if name.split("/")[0] in rooms}
+    names = names_in(built[0])
+    assert len(sources) > 150
+    assert not sources - names
+    assert {name.rsplit("/", 1)[-1] for name in names if "/licenses/" in name} == {"LICENSE", "NOTICE"}
+    assert "boresight/py.typed" in names
+
+
+def test_notice_names_every_data_file_of_the_wheel(built: tuple[Path, Path]) -> None:
+    notice = (ROOT / "NOTICE").read_text(encoding="utf-8")
+    data = [name for name in names_in(built[0]) if "/data/" in name and not name.endswith(".md")]
+    assert data
+    assert not [name for name in data if name not in notice]
+
+
+def test_wheel_from_the_sdist_is_the_same(built: tuple[Path, Path], tmp_path: Path) -> None:
+    wheel, sdist = built
+    with tarfile.open(sdist) as archive:
+        archive.extractall(tmp_path, filter="data")
+    source = next(path for path in tmp_path.iterdir() if path.is_dir())
+    run(sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", tmp_path, cwd=source)
+    again = next(tmp_path.glob("*.whl"))
+    with zipfile.ZipFile(wheel) as first, zipfile.ZipFile(again) as second:
+        assert set(first.namelist()) == set(second.namelist())
+        assert not [
+            name
+            for name in first.namelist()
+            if "RECORD" not in name and first.read(name) != second.read(name)
+        ]
+
+
+def test_version_names_the_commit(installed: Path, tmp_path: Path) -> None:
+    commit = run("git", "rev-parse", "HEAD", cwd=ROOT)[:12]
+    for command in ([installed, "-m", "boresight"], [installed.with_name("boresight")]):
+        assert f"(commit {commit}" in run(*command, "--version", cwd=tmp_path)
+
+
+def test_version_needs_neither_git_nor_an_installation(tmp_path: Path) -> None:
+    for name in ("__init__.py", "__main__.py", "version.py"):
+        (tmp_path / "boresight").mkdir(exist_ok=True)
+        shutil.copy(ROOT / "boresight" / name, tmp_path / "boresight" / name)
+    assert run(sys.executable, "-S", "-m", "boresight", "--version", cwd=tmp_path) == "boresight 0+source\n"
+
+
+def test_installed_wheel_runs_the_demo_outside_the_repository(installed: Path, tmp_path: Path) -> None:
+    shutil.copytree(MINI, tmp_path / "mini")
+    where = run(installed, "-c", "import boresight; print(boresight.__file__)", cwd=tmp_path)
+    assert Path(where.strip()).is_relative_to(installed.parents[1])
+    boresight = (installed, "-m", "boresight")
+    run(*boresight, "calibrate", "mini", "--out", "result", "--workers", "1", "--no-report", cwd=tmp_path)
+    told = run(*boresight, "validate", "result", "--dump", "mini", cwd=tmp_path)
+    nees = next(float(line.split()[-1]) for line in told.splitlines() if line.startswith("NEES"))
+    assert nees < 11.3  # chi-square, 3 degrees of freedom, 99 %
+    result = json.loads((tmp_path / "result" / "installation.json").read_text())
+    variance = [row[n] for n, row in enumerate(result["covariance_rad2"])]
+    assert max(variance) ** 0.5 < 10.0 / 206265.0  # rad: 10 arcsec bound the weakest axis of the demo
+
+
+@pytest.mark.parametrize(
+    ("arguments", "limit_s"),
+    [
+        (["-c", "import boresight"], 0.2),
+        (["-m", "boresight", "--version"], 0.25),
+        (["-m", "boresight", "--help"], 0.35),
+    ],
+)
+def test_start_costs_little_cpu(
+    installed: Path, tmp_path: Path, arguments: list[str], limit_s: float
+) -> None:
+    measure = [sys.executable, "-c", RESOURCE_USE, str(installed), *arguments]
+    spent_s = min(float(run(*measure, cwd=tmp_path)) for _ in range(4))  # first run compiles
+    assert spent_s <= limit_s
