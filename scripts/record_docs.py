@@ -1,4 +1,4 @@
-"""API pages of records: the docstring that `@record` makes from the fields takes the place of the written one."""
+"""API pages of records: shows the docstring that `@record` makes from the fields."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import griffe
 
 
 class RecordDocs(griffe.Extension):
-    """Reads the docstring of a record from the imported class, since a field's meaning stands in its declaration."""
+    """Reads a record's docstring from the imported class: a field's meaning is in its declaration."""
 
     def on_class_instance(self, *, cls: griffe.Class, **_: Any) -> None:
         """Take over the docstring with its "Attributes" section."""
