@@ -28,11 +28,11 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "star_id"
 
 from frames import PAPER_CAMERA, Sensor, as_seen, star_frame
 
+from boresight.geometry.attitude_estimate import fit_attitude
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.epoch import Epoch
 from boresight.geometry.sightings import information_of_directions
 from boresight.geometry.star_camera import StarCamera
-from boresight.star_id.attitude import solve_attitude
 from boresight.star_id.catalogue import hipparcos_stars
 from boresight.star_id.field import solve_field
 from boresight.star_id.finding.psf import Psf
@@ -73,7 +73,7 @@ def main() -> None:
         if isinstance(seen, NotIdentified):
             print(seen.reason)
             continue
-        attitude = solve_attitude(seen.u_s, seen.u_i, seen.cov_s)
+        attitude = fit_attitude(seen.u_s, seen.u_i, seen.cov_s)
         mission.add(attitude.R_si, R_si, CAMERA, attitude.cov_s)
         bounds.append(np.linalg.inv(_information(seen.u_s, seen.xy_px, truth)))
         chi2, dof, stars = chi2 + attitude.chi2, dof + attitude.dof, stars + len(seen.u_s)

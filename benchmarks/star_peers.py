@@ -400,7 +400,7 @@ def _naming(peers: Peers, folder: Path, attitudes: int) -> None:
 
 def _named(camera, field, index, settings, xy, sigma):
     """Direction of the axis, empty where not identified, and the CPU time of naming alone, ms."""
-    from boresight.star_id.attitude import solve_attitude
+    from boresight.geometry.attitude_estimate import AttitudeSettings, fit_attitude
     from boresight.star_id.identification.identify import NotIdentified, identify
     from boresight.star_id.sight import tangent_coordinates
 
@@ -412,7 +412,7 @@ def _named(camera, field, index, settings, xy, sigma):
     d = found.detections
     u_s, J = camera.directions_from_pixels(xy[d]), camera.pixel_jacobian(xy[d])
     cov = J @ (sigma[d, None, None] ** 2 * np.eye(2)) @ J.transpose(0, 2, 1)
-    fit = solve_attitude(u_s, index.u_i[found.stars], cov)
+    fit = fit_attitude(u_s, index.u_i[found.stars], cov, AttitudeSettings(robust=False))
     return fit.R_si.inv().apply([0.0, 0.0, 1.0]), cost
 
 

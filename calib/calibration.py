@@ -13,9 +13,7 @@ from itertools import pairwise
 
 import numpy as np
 from scipy.spatial.transform import Rotation
-from scipy.stats import chi2
 
-from boresight.calib.attitudes import GROSS
 from boresight.calib.estimate import (
     InstallationEstimate,
     Iteration,
@@ -44,6 +42,7 @@ from boresight.calib.joint_solution import (
 from boresight.calib.rejection import rejected_observations
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.strips import PreparedStrip, prepare_strip
+from boresight.geometry.attitude_estimate import GROSS, trimmed_mean, with_attitudes
 from boresight.geometry.installation import deviation_from_theta, theta_between
 from boresight.geometry.record import Bools, Floats
 from boresight.geometry.sightings import StripSightings
@@ -89,7 +88,8 @@ def calibrate(
     if len(set(ids)) != len(ids):
         twice = next(a for a, b in pairwise(ids) if a == b)
         raise ValueError(f"two strips have the id {twice!r}")
-    scale_s, prepared = _prepared(strips, settings)
+    strips = with_attitudes(strips, settings.attitudes)
+    prepared = [prepare_strip(strip, settings) for strip in strips]
     problem = Problem.of(prepared, settings)
     test = rejection_test(settings.probability_false_alarm, int(problem.inside.sum()))
     if not problem.groups:
@@ -108,7 +108,7 @@ def calibrate(
     R_cs = deviation_from_theta(fit.step.solution.theta) * fit.step.R_cs
     if len(fit.step.solution.unobservable):
         return _not_observable(fit.step.solution, theta_between(R_cs, R_cs0), rejected, settings)
-    return _estimate(prepared, problem, fit, (R_cs, R_cs0), residuals, rejected, test, scale_s)
+    return _estimate(prepared, problem, fit, (R_cs, R_cs0), residuals, rejected, test, _star_noise(strips))
 
 
 def strip_pairs(
@@ -131,23 +131,13 @@ class _Fit:
     scale_c: tuple[float, float]  # factor of the image measurements' sigma, and its 1-sigma
 
 
-def _prepared(
-    strips: Sequence[StripSightings], settings: CalibrationSettings
-) -> tuple[tuple[float, float], list[PreparedStrip]]:
-    """Strips prepared, and the factor of the stars' sigma with its own 1-sigma (1 and 0 unless asked for)."""
-    prepared = [prepare_strip(strip, settings) for strip in strips]
-    scale, sigma = 1.0, 0.0
-    if not settings.estimate_noise or not strips:
-        return (scale, sigma), prepared
-    normalised = np.concatenate([strip.attitudes.normalised for strip in prepared])
-    scale = float(np.sqrt(np.median(normalised) / chi2.median(2)))  # robust start
-    for _ in range(4):
-        prepared = [prepare_strip(strip, settings, scale) for strip in strips]
-        total = float(sum(strip.attitudes.chi2[strip.used].sum() for strip in prepared))
-        dof = int(sum(strip.attitudes.dof[strip.used].sum() for strip in prepared))
-        scale *= float(np.sqrt(total / (dof * _trimmed_mean(settings))))
-        sigma = scale / np.sqrt(2.0 * dof)
-    return (scale, sigma), prepared
+def _star_noise(strips: Sequence[StripSightings]) -> tuple[float, float]:
+    """Scale of the stars' sigma with its 1-sigma (1 and 0 unless estimated), the mean over separate fits."""
+    found = {(a.sigma_scale, a.sigma_scale_error) for a in (strip.attitudes for strip in strips) if a}
+    scale, sigma = np.array(sorted(found)).T if found else np.array([[1.0], [0.0]])
+    if len(scale) == 1 or not np.all(sigma > 0.0):
+        return float(scale[0]), float(sigma[0])
+    return float(np.average(scale, weights=sigma**-2)), float((sigma**-2).sum() ** -0.5)
 
 
 def _solve(problem: Problem, R_cs0: Rotation, test: RejectionTest) -> _Fit:
@@ -187,18 +177,13 @@ def _noise_scale(step: Step, kept: Bools, scale: float, settings: CalibrationSet
     """Factor of the image measurements' sigma by one step of restricted maximum likelihood; its 1-sigma."""
     measured = scale**2 * step.measured[kept]
     e = step.whitened[kept]
+    mean = trimmed_mean(settings.probability_false_alarm) if settings.robust else 1.0
     found = np.einsum("na,nab,nb->", e, measured, e)
-    expected = np.einsum("nab,nba->", step.variance[kept], measured) * _trimmed_mean(settings)
+    expected = np.einsum("nab,nba->", step.variance[kept], measured) * mean
     product = step.variance[kept] @ measured
     information = 0.5 * np.einsum("nab,nba->", product, product)
     new = scale * float(np.sqrt(found / expected))
     return new, new * 0.5 / float(np.sqrt(information))
-
-
-def _trimmed_mean(settings: CalibrationSettings) -> float:
-    """Half the mean of a chi-square of two degrees of freedom whose tail is cut off at the test's limit."""
-    p = settings.probability_false_alarm
-    return 1.0 + p * np.log(p) / (1.0 - p) if settings.robust else 1.0
 
 
 def _residuals(

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from boresight.calib.information import ExactSum, InformationPairs, InformationTotal, Solution, solve_total
+from boresight.geometry.attitude_estimate import sums_over, wahba_matrices
 from boresight.geometry.installation import deviation_from_theta
 from boresight.geometry.vector_sets import VectorSets
 
@@ -30,7 +31,6 @@ __all__ = [
     "calibrate_stream",
     "frame_pairs",
     "prepare_frames",
-    "sums_over",
 ]
 
 Array = NDArray[np.float64]
@@ -64,26 +64,13 @@ class FrameCalibration:
     pairs: InformationPairs  # about the last iteration's matrix
 
 
-def sums_over(start: Index, values: Array) -> Array:
-    """Sums of `values` (N, ...) over the groups start[k]:start[k+1]; an empty group gives 0. Shape (K,
-    ...).
-    """
-    full = np.flatnonzero(np.diff(start))
-    if len(full) == len(start) - 1:
-        return np.add.reduceat(values, start[:-1], axis=0)
-    out = np.zeros((len(start) - 1, *values.shape[1:]))
-    if len(full):
-        out[full] = np.add.reduceat(values, start[full], axis=0)
-    return out
-
-
 def prepare_frames(frames: VectorSets) -> PreparedFrames:
     """Attitude of each frame from its stars (Wahba's problem, Markley's SVD) and the sums that the iteration
     needs.
     """
     weight = frames.sigma_s**-2.0
     weighted = weight[:, None] * frames.u_s
-    R_is = _wahba(_profile(frames.star_start, frames.v_stars, weighted))
+    R_is = wahba_matrices(_profile(frames.star_start, frames.v_stars, weighted))
     F_s = _information(
         sums_over(frames.star_start, weight), _profile(frames.star_start, frames.u_s, weighted)
     )
@@ -179,11 +166,3 @@ def _profile(start: Index, a: Array, b: Array) -> Array:
 def _information(weight: Array, profile: Array) -> Array:
     """sum (I - u uᵀ)/σ², from sum 1/σ² and sum u uᵀ/σ²."""
     return weight[:, None, None] * np.eye(3) - profile
-
-
-def _wahba(profile: Array) -> Array:
-    """Rotations a <- b that maximise tr(Rᵀ sum a bᵀ) (Markley 1988): (K, 3, 3)."""
-    U, _, Vt = np.linalg.svd(profile)
-    sign = np.linalg.det(U) * np.linalg.det(Vt)
-    U[:, :, 2] *= np.sign(sign)[:, None]
-    return U @ Vt

@@ -23,7 +23,6 @@ from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2, ncx2
 
-from boresight.calib.attitudes import cross_matrices
 from boresight.calib.estimate import Iteration, RejectionTest
 from boresight.calib.joint_solution import (
     Linearised,
@@ -35,6 +34,7 @@ from boresight.calib.joint_solution import (
     solve_weighted,
     squared_mahalanobis,
 )
+from boresight.geometry.attitude_estimate import cross_matrices
 from boresight.geometry.installation import deviation_from_theta
 from boresight.geometry.record import Bools, Floats, Ints
 

@@ -31,10 +31,9 @@ def rejected_observations(
 
 
 def _stars_and_exposures(strip: StripSightings, ready: PreparedStrip, limit: float) -> Iterator[Rejected]:
-    first = 0
     for k, exposure in enumerate(strip.exposures):
-        rows = slice(first, first := first + len(exposure.hip))
-        kept, statistic = ready.attitudes.kept[rows], ready.attitudes.normalised[rows]
+        rows = ready.attitudes.stars(k)
+        kept, statistic = ready.attitudes.kept[rows], ready.attitudes.squared_mahalanobis[rows]
         n_good, n_all = int(kept.sum()), len(kept)
         if not ready.used[k]:
             yield Rejected(

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+from boresight.geometry.attitude_estimate import AttitudeSettings
 from boresight.geometry.constants import ARCSEC
 
 __all__ = ["CalibrationSettings"]
@@ -44,6 +45,16 @@ class CalibrationSettings:
     tolerance_rad: float = 1e-11  # M -> I: 2e-6 arcsec
     tolerance_sigma: float = 0.01  # M -> I in units of the predicted sigma
     most_iterations: int = 20
+
+    @property
+    def attitudes(self) -> AttitudeSettings:
+        """How the attitudes of the star exposures are fitted."""
+        return AttitudeSettings(
+            robust=self.robust,
+            probability_false_alarm=self.probability_false_alarm,
+            fewest_stars=self.fewest_stars,
+            estimate_noise=self.estimate_noise,
+        )
 
     def __post_init__(self) -> None:
         for name in (

@@ -22,12 +22,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from boresight.calib.attitudes import ExposureAttitudes, cross_matrices, fit_attitudes
 from boresight.calib.distortion import Knot, correlation, knot_weights, knots_touched
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.shared_unknowns import SeenTargets, SharedUnknowns, turning_axes
 from boresight.geometry.attitude import lagrange_weights
-from boresight.geometry.sightings import GroundSightings, StripSightings
+from boresight.geometry.attitude_estimate import cross_matrices, with_attitudes
+from boresight.geometry.sightings import ExposureAttitudes, GroundSightings, StripSightings
 
 __all__ = ["LinearStrips", "PreparedStrip", "StripGroup", "group_strips", "linearise", "prepare_strip"]
 
@@ -88,14 +88,12 @@ class LinearStrips:
     measured: Array  # (S, J, 2, 2) part of the whitened noise that the image measurement makes
 
 
-def prepare_strip(
-    strip: StripSightings, settings: CalibrationSettings, scale_s: float = 1.0
-) -> PreparedStrip:
-    """Fit the exposures' attitudes and bring every target into frame s at its own instant.
-
-    `scale_s` scales the sigma of the stars.
+def prepare_strip(strip: StripSightings, settings: CalibrationSettings) -> PreparedStrip:
+    """Bring every target into frame s at its own instant, by the exposures' attitudes, which are fitted where
+    the strip has none.
     """
-    attitudes = _attitudes(strip, settings, scale_s)
+    attitudes = with_attitudes([strip], settings.attitudes)[0].attitudes
+    assert attitudes is not None
     ground = strip.ground
     used = attitudes.usable
     times = np.array([exposure.t_s for exposure in strip.exposures])
@@ -199,21 +197,6 @@ def _group(
         own=np.stack(own),
         missed=np.stack(missed),
         **{name: np.stack([getattr(strip, name) for strip in members]) for name in fields},
-    )
-
-
-def _attitudes(strip: StripSightings, settings: CalibrationSettings, scale_s: float) -> ExposureAttitudes:
-    counts = [len(exposure.hip) for exposure in strip.exposures]
-    start = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
-    none = np.zeros((0, 3))
-    return fit_attitudes(
-        np.concatenate([none, *(exposure.u_s for exposure in strip.exposures)]),
-        np.concatenate([none, *(exposure.u_i for exposure in strip.exposures)]),
-        scale_s**2 * np.concatenate([np.zeros((0, 3, 3)), *(exposure.cov_s for exposure in strip.exposures)]),
-        start,
-        robust=settings.robust,
-        probability_false_alarm=settings.probability_false_alarm,
-        fewest_stars=settings.fewest_stars,
     )
 
 

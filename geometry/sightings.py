@@ -7,14 +7,16 @@ the direction itself (paper, A3): `covariance @ u = 0`. The QUEST model of the p
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from boresight.geometry.record import Floats, Ints, Texts, array, record, scalar
+from boresight.geometry.record import Bools, Floats, Ints, Texts, array, record, scalar
 
 __all__ = [
+    "ExposureAttitudes",
     "GroundSightings",
     "StarSightings",
     "StripSightings",
@@ -34,6 +36,38 @@ class StarSightings:
     u_s: Floats = array("N, 3", "measured unit vectors, star-camera frame, distortion removed")
     u_i: Floats = array("N, 3", "apparent catalogue directions as seen from the moving satellite, GCRS")
     cov_s: Floats = array("N, 3, 3", "covariance of u_s, rad²")
+
+
+@record(kw_only=True)
+class ExposureAttitudes:
+    """Attitudes of K exposures with N stars in all; `usable` is False where the kept stars do not fix one."""
+
+    start: Ints = array("K + 1", "exposure k has the stars start[k]:start[k+1]")
+    R_si: Floats = array("K, 3, 3", "GCRS to star camera")
+    covariance_s: Floats = array("K, 3, 3", "rad², of psi, axes of s; zero where not usable")
+    usable: Bools = array("K", "enough stars kept, and not all in one direction")
+    kept: Bools = array("N", "stars that were not rejected")
+    squared_mahalanobis: Floats = array("N", "squared residual over its variance, two degrees of freedom")
+    chi2: Floats = array("K", "sum of `squared_mahalanobis` over kept stars")
+    dof: Ints = array("K", "2 kept stars - 3")
+    sigma_scale: float = scalar("factor by which the stated sigmas of all stars were multiplied", default=1.0)
+    sigma_scale_error: float = scalar("1-sigma of that factor; 0 where it was not estimated", default=0.0)
+
+    def stars(self, k: int) -> slice:
+        """Rows of the stars of exposure k."""
+        return slice(int(self.start[k]), int(self.start[k + 1]))
+
+    def take(self, exposures: Ints) -> ExposureAttitudes:
+        """The attitudes of some exposures (indices, in the order given)."""
+        counts = np.diff(self.start)[exposures]
+        rows = np.concatenate([np.arange(0), *(np.arange(*self.start[k : k + 2]) for k in exposures)])
+        return replace(
+            self,
+            start=np.concatenate([[0], np.cumsum(counts)]).astype(np.int64),
+            kept=self.kept[rows],
+            squared_mahalanobis=self.squared_mahalanobis[rows],
+            **{n: getattr(self, n)[exposures] for n in ("R_si", "covariance_s", "usable", "chi2", "dof")},
+        )
 
 
 @record(kw_only=True)
@@ -70,6 +104,9 @@ class StripSightings:
     ground: GroundSightings = scalar("J measured targets")
     R_oi_exposures: Rotation = array("K", "GCRS to the orbital frame at the exposures")
     R_oi_targets: Rotation = scalar("(J,) GCRS to the orbital frame at the targets' rows")
+    attitudes: ExposureAttitudes | None = scalar(
+        "attitudes of the exposures; None: fitted by the estimate", default=None
+    )
 
     def __post_init__(self) -> None:
         times = [exposure.t_s for exposure in self.exposures]
@@ -77,6 +114,10 @@ class StripSightings:
             raise ValueError(f"strip {self.strip_id}: exposures must be in strictly increasing order of time")
         if (got := len(self.R_oi_targets)) != (expected := len(self.ground.target_id)):
             raise ValueError(f"strip {self.strip_id}: R_oi_targets must hold {expected} rotations, got {got}")
+        if self.attitudes is not None:
+            counts = np.diff(self.attitudes.start).tolist()
+            if counts != [len(exposure.hip) for exposure in self.exposures]:
+                raise ValueError(f"strip {self.strip_id}: `attitudes` are not those of its exposures")
 
 
 def isotropic_covariance(u: Floats, sigma_rad: Floats | float) -> Floats:

@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.record import Floats, Ints, array, record, scalar
 from boresight.geometry.star_camera import StarCamera
-from boresight.star_id.field_fit import fit_attitude, fit_attitude_and_lens
+from boresight.star_id.field_fit import fit_attitude_and_lens, fit_known_camera
 from boresight.star_id.finding.star_list import StarList, find_stars
 from boresight.star_id.identification.identify import Identification, NotIdentified, identify
 from boresight.star_id.identification.tangent_plane import FieldOfView
@@ -200,7 +200,7 @@ def solve_list(
     if reliable.sum() < _LEAST_RELIABLE:
         reliable[:] = True
     if camera is not None:
-        fit = fit_attitude(camera, xy[reliable], cov[reliable], u_i[reliable])
+        fit = fit_known_camera(camera, xy[reliable], cov[reliable], u_i[reliable])
     else:
         fit = fit_attitude_and_lens(start, found.R_si, xy[reliable], cov[reliable], u_i[reliable])
     return replace(

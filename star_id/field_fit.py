@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 
+from boresight.geometry.attitude_estimate import AttitudeSettings, fit_attitude
 from boresight.geometry.star_camera import StarCamera
-from boresight.star_id.attitude import Attitude, attitude_of_most
 from boresight.star_id.camera_fit import (
     PARAMETERS,
     CameraFit,
@@ -25,11 +25,13 @@ from boresight.star_id.camera_fit import (
     rotation_derivatives,
 )
 
-__all__ = ["FieldFit", "fit_attitude", "fit_attitude_and_lens"]
+__all__ = ["FieldFit", "fit_attitude_and_lens", "fit_known_camera"]
 
 Array = NDArray[np.float64]
 
 _ENDLESS = 1e12  # px^2: no degree of freedom is left
+# Stars of an image are many and its camera is only roughly known: see `limit_from_scatter`.
+_REJECTION = AttitudeSettings(probability_false_alarm=1e-4, limit_from_scatter=True)
 _ROUNDS = 8  # of the lens and of what it leaves unexplained
 
 
@@ -43,11 +45,11 @@ class FieldFit:
     fov_x_sigma_rad: float  # 0 for a camera that was given
 
 
-def fit_attitude(camera: StarCamera, xy_px: Array, cov_px: Array, u_i: Array) -> FieldFit:
+def fit_known_camera(camera: StarCamera, xy_px: Array, cov_px: Array, u_i: Array) -> FieldFit:
     """Attitude of a calibrated camera from centroids (N, 2), their covariances and the stars' directions."""
     J = camera.pixel_jacobian(xy_px)
     cov_s = J @ cov_px @ J.transpose(0, 2, 1)
-    attitude: Attitude = attitude_of_most(camera.directions_from_pixels(xy_px), u_i, cov_s)[1]
+    attitude = fit_attitude(camera.directions_from_pixels(xy_px), u_i, cov_s, _REJECTION)
     larger = max(1.0, attitude.chi2 / max(attitude.dof, 1))
     return FieldFit(attitude.R_si, larger * attitude.cov_s, camera, 0.0)
 

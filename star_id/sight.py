@@ -1,8 +1,8 @@
 """Star sightings for calibration from a raw image of a calibrated camera: identified stars with covariances.
 
 A star is used only if its measured and its catalogue position are reliable: not displaced by a neighbour or a
-companion, not doubtful in the catalogue, its image consistent with the PSF (saturated stars: the wings), and
-no outlier of the attitude fit.
+companion, not doubtful in the catalogue, its image consistent with the PSF (saturated stars: the wings).
+Outliers are rejected later and once, by the attitude fit of the exposures (`geometry.attitude_estimate`).
 """
 
 from __future__ import annotations
@@ -18,7 +18,6 @@ from boresight.geometry.record import Bools, Floats, Ints
 from boresight.geometry.sightings import StarSightings
 from boresight.geometry.star_camera import StarCamera
 from boresight.geometry.starlight import apparent_star_directions
-from boresight.star_id.attitude import attitude_of_most
 from boresight.star_id.catalogue import hipparcos_stars
 from boresight.star_id.finding.star_list import StarList, find_stars
 from boresight.star_id.identification.identify import AttitudePrior, NotIdentified, identify
@@ -102,15 +101,14 @@ def sight_stars(
     J = camera.pixel_jacobian(xy)
     cov_s = J @ stars.cov_px[rows] @ J.transpose(0, 2, 1)
     u_i = apparent_star_directions(index.stars.take(index_rows), epoch, t_s, p_i, v_i)
-    keep, _ = attitude_of_most(u_s, u_i, cov_s)
     return StarSightings(
         exposure_id=exposure_id,
         t_s=t_s,
-        hip=index.stars.hip[index_rows][keep],
-        xy_px=xy[keep],
-        u_s=u_s[keep],
-        u_i=u_i[keep],
-        cov_s=cov_s[keep],
+        hip=index.stars.hip[index_rows],
+        xy_px=xy,
+        u_s=u_s,
+        u_i=u_i,
+        cov_s=cov_s,
     )
 
 

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from boresight.geometry.attitude_estimate import cross_matrices
 from boresight.geometry.installation import deviation_from_theta
 from boresight.geometry.pushbroom import Pushbroom
 
@@ -81,11 +82,4 @@ def displacements(
         measured[here] = pushbroom.camera.directions_from_pixels(int(n), sample)
         jacobian[here] = pushbroom.pixel_jacobian(int(n), sample, line)
     inverse = np.linalg.pinv(jacobian)
-    return np.einsum("nij,nj->ni", inverse, measured - predicted), inverse @ _cross_matrix(predicted)
-
-
-def _cross_matrix(u: Array) -> Array:
-    """(N, 3, 3) with matrix @ v = u x v."""
-    out = np.zeros((len(u), 3, 3))
-    out[:, 0, 1], out[:, 0, 2], out[:, 1, 2] = -u[:, 2], u[:, 1], -u[:, 0]
-    return out - np.swapaxes(out, 1, 2)
+    return np.einsum("nij,nj->ni", inverse, measured - predicted), inverse @ cross_matrices(predicted)

@@ -13,9 +13,9 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from boresight.calib.attitudes import cross_matrices, fit_attitudes
+from boresight.geometry.attitude_estimate import cross_matrices, with_attitudes
 from boresight.geometry.record import Floats, array, record, scalar
-from boresight.geometry.sightings import StarSightings, StripSightings
+from boresight.geometry.sightings import StripSightings
 
 __all__ = ["WangEstimate", "attitudes_of", "polynomial_residuals", "wang_calibrate"]
 
@@ -54,19 +54,14 @@ def wang_calibrate(strips: Sequence[StripSightings], R_cs0: Rotation, order: int
     return WangEstimate(R_cs_strips.mean(), R_cs_strips, tuple(ids), tuple(rejected))
 
 
-def attitudes_of(exposures: Sequence[StarSightings]) -> tuple[Rotation, Floats]:
-    """R_si of every exposure from its stars, and the covariance (K, 3, 3) of a small rotation about the
-    axes of s, rad². Raises `ValueError` when an exposure has none.
+def attitudes_of(strip: StripSightings) -> tuple[Rotation, Floats]:
+    """R_si of every exposure of a strip, and covariances (K, 3, 3), rad², of a small rotation about the axes
+    of s. Raises `ValueError` where an exposure has no attitude.
     """
-    start = np.concatenate([[0], np.cumsum([len(exposure.hip) for exposure in exposures])]).astype(np.int64)
-    fit = fit_attitudes(
-        np.concatenate([exposure.u_s for exposure in exposures]),
-        np.concatenate([exposure.u_i for exposure in exposures]),
-        np.concatenate([exposure.cov_s for exposure in exposures]),
-        start,
-    )
-    if not fit.usable.all():
-        raise ValueError(f"{int((~fit.usable).sum())} of {len(exposures)} exposures have no attitude")
+    fit = with_attitudes([strip])[0].attitudes
+    if fit is None or not fit.usable.all():
+        n = int(fit.usable.sum()) if fit is not None else 0
+        raise ValueError(f"strip {strip.strip_id}: {n} of {len(strip.exposures)} exposures have an attitude")
     return Rotation.from_matrix(fit.R_si), fit.covariance_s
 
 
@@ -77,7 +72,7 @@ def polynomial_residuals(t_s: Floats, angles: Floats, order: int) -> Floats:
 
 
 def _strip_matrix(strip: StripSightings, R_cs0: Rotation, order: int) -> Rotation:
-    R_si, _ = attitudes_of(strip.exposures)
+    R_si, _ = attitudes_of(strip)
     times = np.array([exposure.t_s for exposure in strip.exposures])
     first, last = times[0], times[-1]
     R_co = (R_cs0 * R_si * strip.R_oi_exposures.inv())[len(times) // 2]

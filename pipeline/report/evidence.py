@@ -16,7 +16,6 @@ import hashlib
 import json
 import math
 from collections.abc import Iterator
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -197,7 +196,6 @@ def _angles(calibration: Calibration) -> pa.Table:
 
 def _motions(calibration: Calibration) -> list[StripMotion]:
     attitudes, found = calibration.attitudes, calibration.estimate.targets
-    start = np.concatenate([[0], np.cumsum([len(s.hip) for s in calibration.stars])])
     index = {exposure.t_s: k for k, exposure in enumerate(calibration.stars)}
     kept = {
         key: bool(good)
@@ -216,7 +214,7 @@ def _motions(calibration: Calibration) -> list[StripMotion]:
                 orbits[strip.strip_id],
                 Rotation.from_matrix(attitudes.R_si[rows]),
                 attitudes.covariance_s[rows],
-                tuple(attitudes.kept[start[k] : start[k + 1]].astype(bool) for k in rows),
+                tuple(attitudes.kept[attitudes.stars(k)] for k in rows),
                 np.array([kept.get((strip.strip_id, name, ccd), False) for name, ccd in ground], dtype=bool),
             )
         )
@@ -238,8 +236,8 @@ def _matches(calibration: Calibration) -> pa.Table:
 
 def _preview(dump: Dump, calibration: Calibration, settings: Settings) -> StarPreview | None:
     """The exposure with the most rejected stars; among equals the one nearest the middle of the mission."""
-    start = np.concatenate([[0], np.cumsum([len(s.hip) for s in calibration.stars])])
-    kept = [calibration.attitudes.kept[a:b].astype(bool) for a, b in pairwise(start)]
+    attitudes = calibration.attitudes
+    kept = [attitudes.kept[attitudes.stars(k)] for k in range(len(calibration.stars))]
     middle = len(kept) // 2
     order = sorted(range(len(kept)), key=lambda k: (-int((~kept[k]).sum()), abs(k - middle)))
     files = {exposure.exposure_id: exposure for exposure in dump.exposures}

@@ -274,13 +274,12 @@ def _installation(
 
 def _star_groups(calibration: Calibration) -> list[pa.Table]:
     attitudes = calibration.attitudes
-    groups, at = [], 0
+    groups = []
     for k, exposure in enumerate(calibration.stars):
-        n = len(exposure.hip)
-        rows = slice(at, at + n)
+        rows = attitudes.stars(k)
         residual = exposure.u_s - exposure.u_i @ attitudes.R_si[k].T
-        groups.append(_star_table(exposure, residual, attitudes.normalised[rows], attitudes.kept[rows]))
-        at += n
+        squared, kept = attitudes.squared_mahalanobis[rows], attitudes.kept[rows]
+        groups.append(_star_table(exposure, residual, squared, kept))
     return groups
 
 

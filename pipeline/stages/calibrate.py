@@ -17,15 +17,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from boresight.calib.attitudes import ExposureAttitudes, fit_attitudes
 from boresight.calib.calibration import calibrate
 from boresight.calib.estimate import InstallationEstimate, NotObservable
 from boresight.calib.settings import CalibrationSettings
+from boresight.geometry.attitude_estimate import fit_exposures
 from boresight.geometry.groundlight import LightEffects
-from boresight.geometry.sightings import StarSightings, StripSightings
+from boresight.geometry.sightings import ExposureAttitudes, StarSightings, StripSightings
 from boresight.pipeline.errors import DataNotSufficientError, Omission
 from boresight.pipeline.files.dump import Dump, Strip, surface_of
-from boresight.pipeline.settings import RunSettings, Settings, calibration_settings
+from boresight.pipeline.settings import Settings, calibration_settings
 from boresight.pipeline.stages.cached import Made, StarUnit, StripUnit
 from boresight.pipeline.stages.exposure import (
     in_order,
@@ -84,7 +84,7 @@ def calibrate_dump(
     counts = [unit.redone for unit in made]
     stars, failed = _exposures(store, made)
     omissions += [*uncovered, *failed]
-    attitudes = _attitudes(stars, believed)
+    attitudes = fit_exposures(stars, believed.attitudes)
     surface_of(dump.terrain)  # of several dumps the last one's is in memory: processes forked here share this
     R_cs, sigma = dump.R_cs0, dump.sigma_installation_rad
     for number in range(1, settings.run.passes + 1):
@@ -94,7 +94,7 @@ def calibrate_dump(
         made = executor.map(unit, strip_tasks, _told(progress, stage, len(strip_tasks)))
         counts += [unit.redone for unit in made]
         placings = [_placings(store, f"places-{number}", unit) for unit in made]
-        strips = _strips(strip_tasks, placings, stars, settings.run)
+        strips = _strips(strip_tasks, placings, stars, attitudes)
         estimate = calibrate(strips, dump.R_cs0, believed)
         if isinstance(estimate, NotObservable):
             raise DataNotSufficientError(_what_lacks(estimate, stars, placings, left_out, omissions))
@@ -136,7 +136,8 @@ def strips_to_match(
     tasks, uncovered = star_tasks(dump, settings.stars)
     made = executor.map(StarUnit(store), tasks, _told(progress, "exposures", len(tasks)))
     stars, failed = _exposures(store, made)
-    attitudes = _attitudes(stars, calibration_settings(settings, dump.errors, dump.line_camera))
+    believed = calibration_settings(settings, dump.errors, dump.line_camera)
+    attitudes = fit_exposures(stars, believed.attitudes)
     strip_tasks, left_out = _strip_tasks(
         dump, stars, attitudes, dump.R_cs0, dump.sigma_installation_rad, settings
     )
@@ -168,20 +169,6 @@ def _finished(store: UnitStore, stage: str, unit: Made):  # type: ignore[no-unty
     if table is None:
         raise OSError(f"{store.path(stage, unit.name, unit.key)} was written and cannot be read")
     return table
-
-
-def _attitudes(stars: Sequence[StarSightings], settings: CalibrationSettings) -> ExposureAttitudes:
-    """Attitude of every exposure from its stars alone."""
-    start = np.concatenate([[0], np.cumsum([len(s.hip) for s in stars])]).astype(np.int64)
-    return fit_attitudes(
-        np.concatenate([np.zeros((0, 3)), *(s.u_s for s in stars)]),
-        np.concatenate([np.zeros((0, 3)), *(s.u_i for s in stars)]),
-        np.concatenate([np.zeros((0, 3, 3)), *(s.cov_s for s in stars)]),
-        start,
-        robust=settings.robust,
-        probability_false_alarm=settings.probability_false_alarm,
-        fewest_stars=settings.fewest_stars,
-    )
 
 
 def _strip_tasks(
@@ -249,22 +236,27 @@ def _not_covered(times: Array, first: float, last: float) -> str:
 
 
 def _strips(
-    tasks: Sequence[StripTask], placings: Sequence[Placings], stars: Sequence[StarSightings], run: RunSettings
+    tasks: Sequence[StripTask],
+    placings: Sequence[Placings],
+    stars: Sequence[StarSightings],
+    attitudes: ExposureAttitudes,
 ) -> list[StripSightings]:
-    """Strips with at least one placed target, with the exposures around them."""
-    by_time = {s.t_s: s for s in stars}
+    """Strips with at least one placed target, with the exposures around them and their attitudes."""
+    by_time = {s.t_s: k for k, s in enumerate(stars)}
     strips = []
     for task, placed in zip(tasks, placings):
         if not len(placed.target_id):
             continue
         ground = ground_sightings(placed, task)
+        rows = np.array([by_time[t] for t in task.t_attitude_s.tolist()])
         strips.append(
             StripSightings(
                 task.strip.strip_id,
-                tuple(by_time[t] for t in task.t_attitude_s.tolist()),
+                tuple(stars[k] for k in rows),
                 ground,
                 task.orbit.R_oi(task.t_attitude_s),
                 task.orbit.R_oi(ground.t_s),
+                attitudes.take(rows),
             )
         )
     return strips

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from boresight.geometry.attitude_estimate import wahba_matrices
 from boresight.geometry.record import Floats, Ints
-from boresight.star_id.attitude import wahba
 from boresight.star_id.identification.tangent_plane import (
     Complex,
     PlaneDetections,
@@ -145,7 +145,8 @@ def refine(
     measured = image.points.take(match.detections)
     u_i = index.u_i.take(match.stars, axis=0)
     if image.field.is_calibrated:
-        return wahba(directions_of_tangents(measured), u_i, np.ones(len(u_i))), hypothesis.distortion, 3
+        profile = directions_of_tangents(measured).T @ u_i
+        return Rotation.from_matrix(wahba_matrices(profile[None])[0]), hypothesis.distortion, 3
     n = len(measured)
     free = 2 if n < 16 else 4
     if image.field.scale_error > 0 and n < 8:

@@ -8,11 +8,11 @@ from frames import PAPER_CAMERA, Sensor, render, star_frame
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
+from boresight.geometry.attitude_estimate import fit_attitude
 from boresight.geometry.epoch import Epoch
 from boresight.geometry.sightings import StarSightings
 from boresight.geometry.star_camera import StarCamera
 from boresight.geometry.starlight import apparent_star_directions
-from boresight.star_id.attitude import solve_attitude
 from boresight.star_id.catalogue import hipparcos_stars
 from boresight.star_id.identification.identify import NotIdentified
 from boresight.star_id.identification.triangle_index import build_index, equivalent_fov
@@ -52,7 +52,7 @@ def test_an_exposure_gives_the_attitude_within_its_covariance(index):
         sightings = sight_stars("0001", image, CAMERA, index, EPOCH, 12.5, P_I, V_I, SETTINGS)
         assert isinstance(sightings, StarSightings), sightings
         assert len(sightings.hip) > 20
-        attitude = solve_attitude(sightings.u_s, sightings.u_i, sightings.cov_s)
+        attitude = fit_attitude(sightings.u_s, sightings.u_i, sightings.cov_s)
         delta_s = (attitude.R_si * R_si.inv()).as_rotvec()
         total += delta_s @ np.linalg.solve(attitude.cov_s, delta_s)
         dof += 3

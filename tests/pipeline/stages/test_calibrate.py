@@ -13,6 +13,8 @@ import pytest
 from fixture_strips import FIXTURE
 from typer.testing import CliRunner
 
+from boresight.geometry import attitude_estimate
+from boresight.geometry.attitude_estimate import fit_attitudes
 from boresight.geometry.installation import theta_between
 from boresight.pipeline.cli import app
 from boresight.pipeline.errors import DataNotSufficientError
@@ -68,6 +70,25 @@ def test_check_points_come_to_within_the_errors_of_position_and_clock(whole: Pat
         len(outcome.after.along_m) + outcome.without
         == sum(1 for _ in (FIXTURE / "truth/check_points.csv").open()) - 1
     )
+
+
+def test_attitudes_are_fitted_once_and_the_saved_ones_are_those_of_the_estimate(
+    finished: tuple[Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shutil.copytree(finished[1], tmp_path / "result")
+    fits = []
+    counted = lambda *given: fits.append(fit_attitudes(*given)) or fits[-1]  # noqa: E731
+    monkeypatch.setattr(attitude_estimate, "fit_attitudes", counted)
+    found = calibrate_dump(open_dump(finished[0]), Settings(), store_of(tmp_path / "result"), InOrder())
+    assert len(fits) == 1
+    saved = pq.read_table(finished[1] / "sightings/exposures.parquet").to_pydict()
+    row = {name: k for k, name in enumerate(saved["exposure_id"])}
+    strip = found.strips[0]
+    used = strip.attitudes
+    assert used is not None
+    for exposure, R_si, covariance in zip(strip.exposures, used.R_si, used.covariance_s):
+        assert saved["R_si"][row[exposure.exposure_id]] == R_si.ravel().tolist()
+        assert saved["covariance_s"][row[exposure.exposure_id]] == covariance.ravel().tolist()
 
 
 def test_installation_json_has_exactly_the_fields_of_the_format(whole: Path) -> None:

@@ -1,0 +1,306 @@
+"""Attitude of star exposures: Wahba's problem, weighted least squares, rejection of outlying stars.
+
+`R_si` takes GCRS to the star camera s. Its error is a small right-handed rotation psi about the axes of s:
+true R_si = exp(psi) R_si; the covariance is the inverse of the Fisher information
+sum -[u x] C^-1 [u x], each star with its own covariance C (Shuster & Oh 1981). Angles in radians. Arrays of
+several exposures are concatenated: exposure k has the rows start[k]:start[k+1].
+
+Every attitude of the project comes from here. A star is rejected when its squared residual over its variance
+(chi-square, two degrees of freedom) exceeds the limit of the stated false-alarm probability.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+from scipy.stats import chi2
+
+from boresight.geometry.record import Bools, Floats, Ints, array, record, scalar
+from boresight.geometry.sightings import (
+    ExposureAttitudes,
+    StarSightings,
+    StripSightings,
+    information_of_directions,
+)
+
+__all__ = [
+    "GROSS",
+    "Attitude",
+    "AttitudeSettings",
+    "cross_matrices",
+    "fit_attitude",
+    "fit_attitudes",
+    "fit_exposures",
+    "sums_over",
+    "trimmed_mean",
+    "wahba_matrices",
+    "with_attitudes",
+]
+
+GROSS = 40.0  # squared residual over variance that may bias a least-squares fit: a robust start is needed
+
+
+@dataclass(frozen=True, slots=True)
+class AttitudeSettings:
+    """Rejection of outlying stars, the same for all exposures."""
+
+    robust: bool = True  # reject outliers at all
+    probability_false_alarm: float = 1e-3  # of rejecting a star whose stated covariance holds
+    fewest_stars: int = 3  # an exposure with fewer kept stars is not usable: nothing checks its attitude
+    estimate_noise: bool = False  # scale the stars' sigmas by what the residuals of all exposures show
+    # Raise an exposure's limit where the median residual exceeds the stated covariances (single images whose
+    # camera model is only roughly known); a calibration must state its covariances.
+    limit_from_scatter: bool = False
+
+
+@record
+class Attitude:
+    """Attitude of one star camera at one instant."""
+
+    R_si: Rotation = scalar("GCRS to star camera")
+    cov_s: Floats = array("3, 3", "rad², of a small right-handed rotation about the axes of s")
+    chi2: float = scalar("sum of squared residuals over their variances, kept stars")
+    dof: int = scalar("degrees of freedom of chi2")
+    kept: Bools = array("N", "stars that were not rejected")
+
+
+def fit_exposures(
+    exposures: Sequence[StarSightings], settings: AttitudeSettings = AttitudeSettings()
+) -> ExposureAttitudes:
+    """Attitudes of K exposures from their stars; with `estimate_noise` also the scale of the stars' sigmas.
+
+    Parameters
+    ----------
+    exposures : sequence of StarSightings
+        K exposures; `u_s` and `cov_s` in star-camera axes, `u_i` in GCRS axes.
+    settings : AttitudeSettings
+        Rejection of outlying stars.
+
+    Returns
+    -------
+    ExposureAttitudes
+        R_si (K, 3, 3), covariances (K, 3, 3) in rad² about the axes of s, and the stars that were kept. An
+        exposure whose stars do not fix its attitude has `usable` False; nothing is raised.
+    """
+    start = np.cumsum([0, *(len(exposure.hip) for exposure in exposures)])
+    none = np.zeros((0, 3))
+    u_s = np.concatenate([none, *(exposure.u_s for exposure in exposures)])
+    u_i = np.concatenate([none, *(exposure.u_i for exposure in exposures)])
+    cov_s = np.concatenate([np.zeros((0, 3, 3)), *(exposure.cov_s for exposure in exposures)])
+    fit = fit_attitudes(u_s, u_i, cov_s, start, settings)
+    if not settings.estimate_noise or not len(u_s):
+        return fit
+    scale = float(np.sqrt(np.median(fit.squared_mahalanobis) / chi2.median(2)))  # robust start
+    mean = trimmed_mean(settings.probability_false_alarm) if settings.robust else 1.0
+    for _ in range(4):
+        fit = fit_attitudes(u_s, u_i, scale**2 * cov_s, start, settings)
+        dof = int(fit.dof[fit.usable].sum())
+        scale *= float(np.sqrt(fit.chi2[fit.usable].sum() / (dof * mean)))
+    fit = fit_attitudes(u_s, u_i, scale**2 * cov_s, start, settings)
+    return replace(fit, sigma_scale=scale, sigma_scale_error=scale / np.sqrt(2.0 * dof))
+
+
+def with_attitudes(
+    strips: Sequence[StripSightings], settings: AttitudeSettings = AttitudeSettings()
+) -> list[StripSightings]:
+    """The strips, with attitudes fitted for those that have none (`attitudes` is None), all in one fit."""
+    bare = [n for n, strip in enumerate(strips) if strip.attitudes is None]
+    if not bare:
+        return list(strips)
+    fit = fit_exposures([exposure for n in bare for exposure in strips[n].exposures], settings)
+    out, at = list(strips), 0
+    for n in bare:
+        here = np.arange(at, at + len(strips[n].exposures))
+        out[n], at = replace(strips[n], attitudes=fit.take(here)), at + len(here)
+    return out
+
+
+def fit_attitude(
+    u_s: Floats, u_i: Floats, cov_s: Floats, settings: AttitudeSettings = AttitudeSettings()
+) -> Attitude:
+    """Attitude of one exposure from measured `u_s` (N, 3), rad² covariances (N, 3, 3) and true `u_i` (N, 3).
+
+    Where rejection would leave fewer than `fewest_stars`, all stars are kept. Raises `ValueError` for fewer
+    than two stars, or stars that are too close together to fix all three angles.
+    """
+    start = np.array([0, len(u_s)])
+    fit = fit_attitudes(u_s, u_i, cov_s, start, settings)
+    if not fit.usable[0]:
+        fit = fit_attitudes(u_s, u_i, cov_s, start, replace(settings, robust=False, fewest_stars=2))
+    if not fit.usable[0]:
+        raise ValueError(f"{len(u_s)} directions, too few or too close together to fix all three angles")
+    R_si = Rotation.from_matrix(fit.R_si[0])
+    return Attitude(R_si, fit.covariance_s[0], float(fit.chi2[0]), int(fit.dof[0]), fit.kept)
+
+
+def fit_attitudes(
+    u_s: Floats,
+    u_i: Floats,
+    cov_s: Floats,
+    start: Ints,
+    settings: AttitudeSettings = AttitudeSettings(),
+) -> ExposureAttitudes:
+    """Maximum-likelihood attitude of each exposure, outlying stars rejected.
+
+    Exposures with gross outliers start from least absolute residuals and then Geman-McClure weights. Stars
+    beyond the chi-square limit are rejected, and the others are fitted with their full weight until the set
+    of kept stars no longer changes, so that the covariance is that of least squares.
+
+    Parameters
+    ----------
+    u_s, u_i : (N, 3) array
+        Measured unit vectors, star-camera axes, and apparent catalogue directions, GCRS axes.
+    cov_s : (N, 3, 3) array
+        Covariance of `u_s`, rad², star-camera axes.
+    start : (K + 1,) array of int
+        Exposure k has the rows start[k]:start[k+1]; it may have none.
+
+    Returns
+    -------
+    ExposureAttitudes
+        An exposure whose kept stars do not fix its attitude has `usable` False; nothing is raised.
+    """
+    information = information_of_directions(u_s, cov_s)
+    variance = 0.5 * np.trace(cov_s, axis1=1, axis2=2)
+    group = np.repeat(np.arange(len(start) - 1), np.diff(start))
+    R_si = _refined(_wahba(u_s, u_i, 1.0 / variance, start), u_s, u_i, information, start, group)
+    kept: Bools = np.ones(len(u_s), dtype=bool)
+    squared = _squared_mahalanobis(R_si, u_s, u_i, information, group)
+    factor = _scatter(squared, start)[group] if settings.limit_from_scatter else np.ones(len(u_s))
+    limit = factor * float(chi2.isf(settings.probability_false_alarm, 2))
+    if settings.robust and np.any(squared > limit):
+        gross = np.zeros(len(start) - 1, dtype=bool)
+        gross[group[squared > GROSS * factor]] = True
+        if gross.any():
+            rows = gross[group]
+            part = np.concatenate([[0], np.cumsum(np.diff(start)[gross])]).astype(np.int64)
+            R_si[gross] = _robust_start(u_s[rows], u_i[rows], variance[rows], part)
+        for _ in range(10):
+            before, kept = kept, _squared_mahalanobis(R_si, u_s, u_i, information, group) <= limit
+            R_si = _refined(R_si, u_s, u_i, information * kept[:, None, None], start, group)
+            if np.array_equal(before, kept):
+                break
+    squared = _squared_mahalanobis(R_si, u_s, u_i, information, group)
+    F_s = _normal(R_si, u_s, u_i, information * kept[:, None, None], start, group)[0]
+    n_kept = np.round(sums_over(start, kept.astype(float))).astype(np.int64)
+    values = np.linalg.eigvalsh(F_s)
+    usable = (n_kept >= settings.fewest_stars) & (values[:, 0] > 1e-10 * values[:, 2]) & (values[:, 2] > 0.0)
+    covariance = np.zeros_like(F_s)
+    covariance[usable] = np.linalg.inv(F_s[usable])
+    return ExposureAttitudes(
+        start=np.asarray(start, dtype=np.int64),
+        R_si=R_si,
+        covariance_s=covariance,
+        usable=usable,
+        kept=kept,
+        squared_mahalanobis=squared,
+        chi2=sums_over(start, squared * kept),
+        dof=2 * n_kept - 3,
+    )
+
+
+def wahba_matrices(profile: Floats) -> Floats:
+    """Rotation matrices R (K, 3, 3) that maximise tr(Rᵀ profile), profile = sum w a bᵀ: a = R b (Markley
+    1988).
+    """
+    U, _, Vt = np.linalg.svd(profile)
+    U[:, :, 2] *= np.sign(np.linalg.det(U) * np.linalg.det(Vt))[:, None]
+    return U @ Vt
+
+
+def cross_matrices(v: Floats) -> Floats:
+    """Matrices [v]x (..., 3, 3) with [v]x a = v x a, for vectors (..., 3)."""
+    out = np.zeros((*v.shape, 3))
+    out[..., 0, 1], out[..., 0, 2], out[..., 1, 2] = -v[..., 2], v[..., 1], -v[..., 0]
+    out[..., 1, 0], out[..., 2, 0], out[..., 2, 1] = v[..., 2], -v[..., 1], v[..., 0]
+    return out
+
+
+def sums_over(start: Ints, values: NDArray) -> NDArray:
+    """Sums (K, ...) of `values` (N, ...) over the groups start[k]:start[k+1]; an empty group gives 0."""
+    full = np.flatnonzero(np.diff(start))
+    if len(full) == len(start) - 1:
+        return np.add.reduceat(values, start[:-1], axis=0)
+    out = np.zeros((len(start) - 1, *values.shape[1:]))
+    if len(full):
+        out[full] = np.add.reduceat(values, start[full], axis=0)
+    return out
+
+
+def trimmed_mean(probability: float) -> float:
+    """Mean of a chi-square of two degrees of freedom, over 2, without its upper tail of this probability."""
+    return float(1.0 + probability * np.log(probability) / (1.0 - probability))
+
+
+def _scatter(squared: Floats, start: Ints) -> Floats:
+    """Variance factor (K,) of each exposure by its median squared residual, at least 1."""
+    parts = [squared[a:b] for a, b in pairwise(start)]
+    return np.array([max(1.0, float(np.median(p) / chi2.median(2))) if len(p) else 1.0 for p in parts])
+
+
+def _robust_start(u_s: Floats, u_i: Floats, variance: Floats, start: Ints) -> Floats:
+    """Least absolute residuals, then Geman-McClure weights whose limit decreases to 4 sigma: (K, 3, 3)."""
+    sigma = np.sqrt(variance)
+    weight = np.ones(len(u_s))
+    group = np.repeat(np.arange(len(start) - 1), np.diff(start))
+    for _ in range(25):
+        R_si = _wahba(u_s, u_i, weight, start)
+        distance = np.linalg.norm(u_s - _rotated(R_si, u_i, group), axis=1)
+        weight = 1.0 / np.maximum(distance, sigma)
+    for limit in (100.0, 30.0, 10.0, 5.0, 4.0, 4.0, 4.0):
+        R_si = _wahba(u_s, u_i, weight, start)
+        distance = np.linalg.norm(u_s - _rotated(R_si, u_i, group), axis=1) / sigma
+        weight = np.maximum((1.0 + (distance / limit) ** 2) ** -2.0, 1e-12) / variance
+    return _wahba(u_s, u_i, weight, start)
+
+
+def _refined(R_si: Floats, u_s: Floats, u_i: Floats, information: Floats, start: Ints, group: Ints) -> Floats:
+    """Gauss-Newton with the full covariances; an exposure that its stars do not fix is not changed."""
+    for _ in range(3):
+        N, right = _normal(R_si, u_s, u_i, information, start, group)
+        size = np.trace(N, axis1=1, axis2=2) + 1e-300
+        psi = np.linalg.solve(N + 1e-14 * size[:, None, None] * np.eye(3), right[:, :, None])[:, :, 0]
+        psi[np.linalg.norm(psi, axis=1) > 0.1] = 0.0
+        R_si = _rotation_matrices(psi) @ R_si
+    return R_si
+
+
+def _normal(
+    R_si: Floats, u_s: Floats, u_i: Floats, information: Floats, start: Ints, group: Ints
+) -> tuple[Floats, Floats]:
+    """Normal matrices (K, 3, 3) and right-hand sides (K, 3) of psi."""
+    w_s = _rotated(R_si, u_i, group)
+    A = -cross_matrices(w_s)  # u_s - w_s = psi x w_s
+    weighted = np.swapaxes(A, 1, 2) @ information
+    N = sums_over(start, (weighted @ A).reshape(-1, 9)).reshape(-1, 3, 3)
+    return N, sums_over(start, (weighted @ (u_s - w_s)[:, :, None])[:, :, 0])
+
+
+def _squared_mahalanobis(R_si: Floats, u_s: Floats, u_i: Floats, information: Floats, group: Ints) -> Floats:
+    """Squared residual over its variance (N,); infinite beyond 0.5 rad, where the linear measure fails."""
+    residual = u_s - _rotated(R_si, u_i, group)
+    squared = np.einsum("ni,nij,nj->n", residual, information, residual)
+    return np.where(np.einsum("ni,ni->n", residual, residual) > 0.25, np.inf, squared)
+
+
+def _rotated(R_si: Floats, u_i: Floats, group: Ints) -> Floats:
+    return np.einsum("nij,nj->ni", R_si[group], u_i)
+
+
+def _rotation_matrices(psi: Floats) -> Floats:
+    """Rotation matrices exp(psi) (K, 3, 3) of rotation vectors (K, 3) by Rodrigues' formula."""
+    angle = np.linalg.norm(psi, axis=1)[:, None, None]
+    K = cross_matrices(psi)
+    return np.asarray(
+        np.eye(3) + np.sinc(angle / np.pi) * K + 0.5 * np.sinc(angle / (2 * np.pi)) ** 2 * K @ K
+    )
+
+
+def _wahba(u_s: Floats, u_i: Floats, weight: Floats, start: Ints) -> Floats:
+    profile = sums_over(start, ((weight[:, None] * u_s)[:, :, None] * u_i[:, None, :]).reshape(-1, 9))
+    return wahba_matrices(profile.reshape(-1, 3, 3))
