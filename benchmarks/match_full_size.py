@@ -15,7 +15,6 @@ from __future__ import annotations
 
 import argparse
 import multiprocessing
-import tempfile
 import time
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -35,11 +34,9 @@ from boresight.gct_match.records import Chip, StripImage, StripMatches
 from boresight.gct_match.search.bootstrap import bootstrap, plan_search
 from boresight.pipeline.files.dump import open_dump, surface_of
 from boresight.pipeline.files.image_files import read_grid
-from boresight.pipeline.results.folder import store_of
 from boresight.pipeline.settings import read_settings
 from boresight.pipeline.stages.calibrate import strips_to_match
 from boresight.pipeline.stages.strip import StripTask, pushbroom_of
-from boresight.pipeline.work.executor import InOrder
 
 TARGETS = 40
 WRONG_PX = 1.0
@@ -144,8 +141,7 @@ def date(name: str, settings: Sequence[str], dump: Path) -> list[tuple[int, floa
 
 def task_of(dump: Path) -> StripTask:
     """The strip and its attitudes, from the star images."""
-    with tempfile.TemporaryDirectory() as scratch:
-        tasks, _ = strips_to_match(open_dump(dump), read_settings(None), store_of(Path(scratch)), InOrder())
+    tasks, _ = strips_to_match(open_dump(dump), read_settings(None))
     return tasks[0]
 
 

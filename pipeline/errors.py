@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import dataclasses
+from enum import StrEnum
 
-__all__ = ["DataNotSufficientError", "Omission", "RawDataError", "WorkerError", "printable"]
+from boresight.geometry.record import record, scalar
+
+__all__ = ["Cause", "DataNotSufficientError", "Omission", "RawDataError", "WorkerError", "printable"]
 
 
 class RawDataError(Exception):
@@ -34,18 +37,30 @@ class WorkerError(Exception):
     """A unit could not be computed: its process died repeatedly, or no worker can compute it."""
 
 
-@dataclass(frozen=True, slots=True)
+class Cause(StrEnum):
+    """Why something is not used. A target that was not matched has the matcher's reason instead."""
+
+    UNREADABLE = "file not usable"
+    NOT_IDENTIFIED = "not identified"
+    NOT_COVERED = "not covered by orbit or star exposures"
+    NO_TARGET = "no target matched"
+    NOT_CALIBRATED = "no result"
+    INTERNAL_ERROR = "internal error"
+
+
+@record
 class Omission:
-    """Something that was left out of the calibration, counted and reported.
+    """Something that the calibration does not use, counted and reported."""
 
-    `kind` is one of exposure, strip, ccd, chip, target; `name` its id in the dump (a strip's target is
-    "strip/target"); `file` the file concerned or ""; `reason` one sentence with the numbers in it.
-    """
+    kind: str = scalar("exposure, strip, ccd, chip, target, star or dump")
+    name: str = scalar('id in the dump; a target of a strip is "strip/target"')
+    file: str = scalar("file concerned, or empty", default="")
+    reason: str = scalar("one sentence with the numbers", default="")
+    cause: str = scalar("a `Cause`, or the matcher's reason", default=Cause.UNREADABLE)
 
-    kind: str
-    name: str
-    file: str
-    reason: str
+    def because(self, reason: str, cause: str = Cause.UNREADABLE) -> Omission:
+        """This item with a reason."""
+        return dataclasses.replace(self, reason=reason, cause=str(cause))
 
 
 def printable(text: str) -> str:

@@ -24,7 +24,8 @@ from boresight.pipeline.results.folder import (
 )
 from boresight.pipeline.results.summary import calibration_summary, joint_summary
 from boresight.pipeline.settings import Settings
-from boresight.pipeline.stages.calibrate import Calibration, Progress, calibrate_dump
+from boresight.pipeline.stages.cached import Progress
+from boresight.pipeline.stages.calibrate import Calibration, calibrate_dump
 from boresight.pipeline.stages.joint import NamedDump, calibrate_jointly
 from boresight.pipeline.work.executor import Executor
 
@@ -94,7 +95,7 @@ def _calibrated(
 
         write_evidence(out, dump, found, request.settings)
     write_result(out, found, request.settings)
-    counts = {"units_made": found.units_made, "units_found": found.units_found}
+    counts = {"units_made": found.n_computed, "units_found": found.n_reused}
     _note(out, request, {"dump": named}, counts)
     if request.report:
         from boresight.pipeline.report.page import write_report

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tempfile
 from pathlib import Path
 from typing import Annotated
 
@@ -36,7 +35,6 @@ def match(
     """Find a dump's targets in its strips, from the installation matrix measured on the ground."""
     from boresight.pipeline.errors import DataNotSufficientError
     from boresight.pipeline.files.dump import open_dump
-    from boresight.pipeline.results.folder import store_of
     from boresight.pipeline.settings import read_settings
     from boresight.pipeline.stages.calibrate import strips_to_match
     from boresight.pipeline.stages.match import match_strips, write_matches
@@ -45,8 +43,8 @@ def match(
     chosen, opened = read_settings(settings), open_dump(dump)
     if unknown := set(strip or []) - {s.strip_id for s in opened.strips}:
         raise DataNotSufficientError(f"{dump} has no strip {', '.join(sorted(unknown))}")
-    with tempfile.TemporaryDirectory() as scratch, executor_for(workers, None, opened.pixels) as executor:
-        tasks, omissions = strips_to_match(opened, chosen, store_of(Path(scratch)), executor)
+    with executor_for(workers, None, opened.pixels) as executor:
+        tasks, omissions = strips_to_match(opened, chosen, executor)
     wanted = [task for task in tasks if not strip or task.strip.strip_id in strip]
     for omission in omissions:
         typer.echo(f"left out: {omission.kind} {omission.name}: {omission.reason}", err=True)

@@ -17,7 +17,7 @@ import json
 import math
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, get_type_hints
 
 import numpy as np
 import pyarrow as pa
@@ -29,6 +29,7 @@ from boresight.calib.information import solve_total
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.dump import Dump
 from boresight.pipeline.files.dump_schema import DumpFile
+from boresight.pipeline.files.record_tables import columns_of
 from boresight.pipeline.files.table_files import fixed_list
 from boresight.pipeline.files.text_files import read_toml
 from boresight.pipeline.files.whole_file import write_whole
@@ -37,7 +38,7 @@ from boresight.pipeline.results.angles import StripMotion, cross_angles
 from boresight.pipeline.settings import Settings
 from boresight.pipeline.stages.calibrate import Calibration
 from boresight.pipeline.stages.exposure import exposure_image
-from boresight.pipeline.stages.match_pictures import pictures_columns
+from boresight.pipeline.stages.match_pictures import MatchPictures
 from boresight.pipeline.work.unit_store import END_BYTES, WHOLE_FILE_BYTES
 
 __all__ = ["write_evidence"]
@@ -222,16 +223,13 @@ def _motions(calibration: Calibration) -> list[StripMotion]:
 
 
 def _matches(calibration: Calibration) -> pa.Table:
-    """Pictures of every matched target; the correlation surface spans `surface_low` to `surface_high`."""
-    rows = [(p, n) for p in calibration.placings for n in range(len(p.target_id))]
-    return pa.table(
-        {
-            "strip_id": pa.array([p.strip_id for p, _ in rows], pa.string()),
-            "target_id": pa.array([str(p.target_id[n]) for p, n in rows], pa.string()),
-            "ccd": pa.array([int(p.ccd[n]) for p, n in rows], pa.int64()),
-            **pictures_columns([p.pictures[n] for p, n in rows]),
-        }
-    )
+    """Pictures of every matched target; the correlation surface runs from `surface_low` to `_high`."""
+    names = ["strip_id", "target_id", "ccd", *get_type_hints(MatchPictures)]
+    tables = [
+        pa.table({"strip_id": pa.array([one.strip_id] * len(one.ccd), pa.string())} | columns_of(one))
+        for one in calibration.matched
+    ]
+    return pa.concat_tables(tables).select(names)
 
 
 def _preview(dump: Dump, calibration: Calibration, settings: Settings) -> StarPreview | None:

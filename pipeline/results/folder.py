@@ -48,7 +48,7 @@ from boresight.pipeline.files.whole_file import write_whole
 from boresight.pipeline.settings import Settings
 from boresight.pipeline.stages.calibrate import Calibration
 from boresight.pipeline.stages.joint import JointCalibration
-from boresight.pipeline.stages.strip import Placings
+from boresight.pipeline.stages.strip import MatchedTargets
 from boresight.pipeline.work.unit_store import UnitStore, digest
 
 __all__ = [
@@ -130,7 +130,7 @@ def write_result(result: Path, calibration: Calibration, settings: Settings) -> 
     tables.mkdir(parents=True, exist_ok=True)
     _write_groups(tables / "stars.parquet", _star_groups(calibration))
     _write_groups(tables / "exposures.parquet", [_exposures_table(calibration)])
-    placed = {places.strip_id: places for places in calibration.placings}
+    placed = {places.strip_id: places for places in calibration.matched}
     estimate = calibration.estimate
     _write_groups(tables / "targets.parquet", _target_groups(estimate.targets, calibration.strips, placed))
     _write_groups(tables / "strips.parquet", [_pairs_table(estimate)])
@@ -146,7 +146,7 @@ def write_joint_result(
     tables = result / "sightings"
     tables.mkdir(parents=True, exist_ok=True)
     placed = {
-        f"{name}/{places.strip_id}": places for name, found in of_dumps.items() for places in found.placings
+        f"{name}/{places.strip_id}": places for name, found in of_dumps.items() for places in found.matched
     }
     estimate = joint.estimate
     _write_groups(tables / "targets.parquet", _target_groups(estimate.targets, joint.strips, placed))
@@ -318,7 +318,7 @@ def _exposures_table(calibration: Calibration) -> pa.Table:
 
 
 def _target_groups(
-    found: TargetResiduals, strips: Sequence[StripSightings], placed: Mapping[str, Placings]
+    found: TargetResiduals, strips: Sequence[StripSightings], placed: Mapping[str, MatchedTargets]
 ) -> list[pa.Table]:
     """One row group a strip. Residuals are matched by strip, target and CCD."""
     row_of = {

@@ -12,11 +12,14 @@ from numpy.typing import NDArray
 from boresight.calib.estimate import InstallationEstimate
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.installation import euler_zxy_from_theta
+from boresight.geometry.sightings import StarSightings
 from boresight.pipeline.errors import Omission, RawDataError
+from boresight.pipeline.files.record_tables import record_from_table
 from boresight.pipeline.results.folder import dumps_in
 from boresight.pipeline.results.validate import Validation
 from boresight.pipeline.stages.calibrate import Calibration
 from boresight.pipeline.stages.joint import JointCalibration
+from boresight.pipeline.stages.strip import MatchedTargets
 from boresight.pipeline.work.unit_store import read_meta, read_unit
 
 __all__ = ["calibration_summary", "joint_summary", "status_summary", "validation_summary"]
@@ -92,15 +95,18 @@ def status_summary(result: Path) -> str:
         raise RawDataError(str(result), "folder", "no run", "a folder that `boresight calibrate` wrote")
     lines = []
     for stage in sorted(path for path in work.iterdir() if path.is_dir()) if work.is_dir() else []:
-        metas, damaged = [], 0
+        done, damaged, failed = 0, 0, []
         for path in sorted(stage.glob("*.parquet")):
             if (unit := read_unit(path)) is None:
                 damaged += 1
             else:
-                metas.append(read_meta(unit))
-        failed = [Omission("exposure", m["id"], m["file"], m["reason"]) for m in metas if m.get("reason")]
-        failed += [Omission(*parts) for m in metas for parts in m.get("omitted", [])]
-        text = f"{stage.name:14s}{len(metas)} done" + (f", {damaged} damaged files" if damaged else "")
+                done += 1
+                outcome = record_from_table((StarSightings, MatchedTargets, Omission), unit, read_meta(unit))
+                if isinstance(outcome, Omission):
+                    failed.append(outcome)
+                elif isinstance(outcome, MatchedTargets):
+                    failed += outcome.omissions
+        text = f"{stage.name:14s}{done} done" + (f", {damaged} damaged files" if damaged else "")
         lines.append(text + (f", {len(failed)} left out" if failed else ""))
         lines += ["  " + line for line in _omission_lines(failed)[1:]]
     return "\n".join([*lines, _finished(result)])

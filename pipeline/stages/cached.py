@@ -1,85 +1,86 @@
-"""The units of work that can be done anywhere: one exposure, one strip. What is on disk is not made again.
+"""Stages run over many tasks, with finished work kept on disk where there is a store.
 
-Kept apart from the rest so that a worker process loads only what it needs.
+A stage is a function from a task to a record. Its entry in the store is known by a digest of the task and of
+the source code that the outcome depends on. What is there already is read instead of computed again.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Protocol, get_args, get_type_hints
 
 import cv2
 
-from boresight.pipeline.errors import Omission
-from boresight.pipeline.stages.exposure import StarTask, sight_exposure, stars_table
-from boresight.pipeline.stages.strip import StripTask, match_targets, nothing_placed, placings_table
-from boresight.pipeline.work.unit_store import UnitStore, digest, program
+from boresight.pipeline.errors import Cause, Omission
+from boresight.pipeline.files.record_tables import record_from_table, table_from_record
+from boresight.pipeline.work.executor import Executor, InOrder
+from boresight.pipeline.work.unit_store import UnitStore, digest, program, read_meta
 
-__all__ = ["Made", "StarUnit", "StripUnit"]
+__all__ = ["Progress", "StageRunner", "Task"]
 
-# What numerical code may raise on data that nobody thought of. One image's misfortune is not the run's; it is
-# counted and its text points to the fault.
+# What numerical code may raise on data that it was not written for. One failure does not abort the run: it is
+# counted, and its text names the exception.
 UNFORESEEN = (ValueError, ArithmeticError, cv2.error)
+SHARED_CODE = ("boresight.geometry", "boresight.pipeline.stages")
 
-# What a unit rests on: it is made again when the source of one of these has changed.
-STAR_CODE = ("boresight.geometry", "boresight.star_id", "boresight.pipeline.stages")
-STRIP_CODE = ("boresight.geometry", "boresight.gct_match", "boresight.pipeline.stages")
+Progress = Callable[[str, int, int], None]  # name of the stage, tasks done, tasks in all
 
 
-@dataclass(frozen=True, slots=True)
-class Made:
-    """A unit that is on disk now. `redone` tells whether it had to be made in this run."""
+class Task(Protocol):
+    """Everything that one outcome of a stage depends on. `item` names what is processed, without a reason."""
 
-    name: str
-    key: str
-    redone: bool
+    @property
+    def item(self) -> Omission: ...
 
 
 @dataclass(frozen=True, slots=True)
-class StarUnit:
-    """Makes one exposure's unit unless the store has it."""
+class StageRunner:
+    """Runs stages: where finished work is kept (None: nowhere), who computes, who is told how far it is."""
 
-    store: UnitStore
+    store: UnitStore | None = None
+    executor: Executor = field(default_factory=InOrder)
+    progress: Progress = lambda stage, done, total: None
 
-    def __call__(self, task: StarTask) -> Made:
-        name, key = (
-            task.exposure.exposure_id,
-            digest("stars", program(*STAR_CODE), task),
-        )
-        if self.store.read("exposures", name, key) is not None:
-            return Made(name, key, False)
+    def run(
+        self, stage: Callable[[Any], Any], tasks: Sequence[Task], *, folder: str, code: str
+    ) -> tuple[list[Any], list[bool]]:
+        """Outcomes of the function `stage` in the order of its tasks, and which had to be computed.
+
+        An outcome is of a type that `stage` is declared to return, `Omission` among them: this is also what
+        an unforeseen error becomes. `folder` is that of the entries in the store, `code` the package whose
+        source the outcome depends on beside the shared ones.
+        """
+        self.progress(folder, 0, len(tasks))
+        cached = Cached(stage, self.store, folder, (*SHARED_CODE, code))
+        done = self.executor.map(cached, tasks, lambda n: self.progress(folder, n, len(tasks)))
+        return [outcome for outcome, _ in done], [computed for _, computed in done]
+
+
+@dataclass(frozen=True, slots=True)
+class Cached:
+    """A stage with a store around it: returns the outcome, and whether it was computed now."""
+
+    stage: Callable[[Any], Any]
+    store: UnitStore | None
+    folder: str
+    code: tuple[str, ...]
+
+    def __call__(self, task: Task) -> tuple[Any, bool]:
+        if self.store is None:
+            return self._computed(task), True
+        name, key = task.item.name, digest(self.stage.__name__, program(*self.code), task)
+        records = get_args(get_type_hints(self.stage)["return"])
+        if (kept := self.store.read(self.folder, name, key)) is not None:
+            return record_from_table(records, kept, read_meta(kept)), False
+        table, values = table_from_record(self._computed(task))
+        self.store.write(self.folder, name, key, table, values)
+        return record_from_table(records, table, values), True
+
+    def _computed(self, task: Task) -> Any:
         try:
-            outcome = sight_exposure(task)
+            return self.stage(task)
         except UNFORESEEN as error:
-            outcome = Omission("exposure", name, task.exposure.file, _told(error))
-        self.store.write("exposures", name, key, *stars_table(task, outcome))
-        return Made(name, key, True)
-
-
-@dataclass(frozen=True, slots=True)
-class StripUnit:
-    """Makes one strip's unit of one matching unless the store has it."""
-
-    store: UnitStore
-    stage: str
-
-    def __call__(self, task: StripTask) -> Made:
-        name, key = (
-            task.strip.strip_id,
-            digest(
-                "places",
-                program(*STRIP_CODE),
-                task,
-            ),
-        )
-        if self.store.read(self.stage, name, key) is not None:
-            return Made(name, key, False)
-        try:
-            placings = match_targets(task)
-        except UNFORESEEN as error:
-            placings = nothing_placed(task.strip, Omission("strip", name, "", _told(error)))
-        self.store.write(self.stage, name, key, *placings_table(placings))
-        return Made(name, key, True)
-
-
-def _told(error: Exception) -> str:
-    return f"could not be worked on, please report this: {type(error).__name__}: {str(error)[:300]}"
+            told = f"{type(error).__name__}: {str(error)[:300]}"
+            reason = f"internal error in {self.stage.__name__}: {told}; please report"
+            return task.item.because(reason, Cause.INTERNAL_ERROR)

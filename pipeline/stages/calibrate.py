@@ -1,17 +1,17 @@
 """From an open dump to the installation matrix: the whole calculation on one screen.
 
-    every exposure -> stars (in any process)          every strip -> targets placed, with R_cs as known so far
-    exposures + placed targets -> StripSightings -> calib -> R_cs
-    once more from there, since the first places were found with a matrix that is wrong by thousands of pixels
+    each exposure -> identified stars (`sight_exposure`)     each strip -> matched targets (`match_targets`)
+    stars + matched targets -> StripSightings -> calib.calibrate -> R_cs
+    matching and estimation once more with that R_cs: the first prediction is wrong by thousands of pixels
 
-What is finished is on disk; whatever order units finish in, everything below is done in the order of time and
+With a store, finished work is on disk. In whatever order tasks finish, sums are made in the order of time and
 id, so the result is the same bit for bit.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,153 +22,149 @@ from boresight.calib.estimate import InstallationEstimate, NotObservable
 from boresight.calib.settings import CalibrationSettings
 from boresight.geometry.attitude_estimate import fit_exposures
 from boresight.geometry.groundlight import LightEffects
+from boresight.geometry.record import array, record, scalar
 from boresight.geometry.sightings import ExposureAttitudes, StarSightings, StripSightings
-from boresight.pipeline.errors import DataNotSufficientError, Omission
+from boresight.pipeline.errors import Cause, DataNotSufficientError, Omission
 from boresight.pipeline.files.dump import Dump, Strip, surface_of
 from boresight.pipeline.settings import Settings, calibration_settings
-from boresight.pipeline.stages.cached import Made, StarUnit, StripUnit
-from boresight.pipeline.stages.exposure import (
-    in_order,
-    sightings_from_table,
-    star_tasks,
-)
+from boresight.pipeline.stages.cached import Progress, StageRunner
+from boresight.pipeline.stages.exposure import in_order, sight_exposure, star_tasks
 from boresight.pipeline.stages.reasons import rejection_reason
 from boresight.pipeline.stages.strip import (
-    Placings,
+    MatchedTargets,
     StripTask,
     covers,
     ground_sightings,
+    match_targets,
+    no_matches,
     orbit_around,
-    placings_from_table,
     targets_near,
 )
-from boresight.pipeline.work.executor import Executor
+from boresight.pipeline.work.executor import Executor, InOrder
 from boresight.pipeline.work.unit_store import UnitStore
 
-__all__ = ["Calibration", "Progress", "calibrate_dump", "left_out_of", "strips_to_match"]
+__all__ = ["Calibration", "calibrate_dump", "rejections_of", "strips_to_match"]
 
 Array = NDArray[np.float64]
-Progress = Callable[[str, int, int], None]  # stage, units done, units in all
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record(kw_only=True)
 class Calibration:
-    """Everything that a run found, ready to be written."""
+    """Everything that a calibration found, ready to be written or drawn."""
 
-    estimate: InstallationEstimate
-    stars: tuple[StarSightings, ...]  # all identified exposures, in order of time
-    attitudes: ExposureAttitudes  # of the same exposures
-    tasks: tuple[StripTask, ...]  # of the last matching
-    placings: tuple[Placings, ...]  # of the same strips
-    strips: tuple[StripSightings, ...]  # that went into the estimate
-    settings: CalibrationSettings
-    omissions: tuple[Omission, ...]
-    units_made: int
-    units_found: int
+    estimate: InstallationEstimate = scalar("installation matrix with covariance and statistics")
+    stars: tuple[StarSightings, ...] = array("K", "all identified exposures, in order of time")
+    attitudes: ExposureAttitudes = scalar("attitudes of the same exposures")
+    tasks: tuple[StripTask, ...] = array("S", "strips of the last matching")
+    matched: tuple[MatchedTargets, ...] = array("S", "targets matched in the same strips")
+    strips: tuple[StripSightings, ...] = scalar("those that the estimate is made from")
+    settings: CalibrationSettings = scalar("of the estimate, with the dump's stated errors")
+    omissions: tuple[Omission, ...] = scalar("everything that is not used, with reasons")
+    n_computed: int = scalar("exposures and strips that were computed in this run")
+    n_reused: int = scalar("those that were read from the store")
 
 
 def calibrate_dump(
     dump: Dump,
-    settings: Settings,
-    store: UnitStore,
-    executor: Executor,
+    settings: Settings | None = None,
+    store: UnitStore | None = None,
+    executor: Executor | None = None,
     progress: Progress = lambda stage, done, total: None,
 ) -> Calibration:
-    """The installation matrix of a dump. `DataNotSufficientError` when its data do not fix all three
-    angles.
+    """Installation matrix of a dump, estimated from its raw images.
+
+    Parameters
+    ----------
+    dump : Dump
+        An open dump (`open_dump`).
+    settings : Settings, optional
+        Thresholds and error model; default: `Settings()`, the dump's stated errors.
+    store : UnitStore, optional
+        Where finished exposures and strips are kept and looked for; default: all in memory.
+    executor : Executor, optional
+        Who computes; default: this process, one task after another.
+    progress : callable, optional
+        Called with the stage's name, the tasks done and all tasks.
+
+    Returns
+    -------
+    Calibration
+        Estimate, sightings, attitudes, matched targets, omissions.
+
+    Raises
+    ------
+    DataNotSufficientError
+        If the data do not determine all three angles.
     """
-    believed = calibration_settings(settings, dump.errors, dump.line_camera)
-    omissions = list(dump.omissions)
-    tasks, uncovered = star_tasks(dump, settings.stars)
-    made = executor.map(StarUnit(store), tasks, _told(progress, "exposures", len(tasks)))
-    counts = [unit.redone for unit in made]
-    stars, failed = _exposures(store, made)
-    omissions += [*uncovered, *failed]
-    attitudes = fit_exposures(stars, believed.attitudes)
+    settings = settings or Settings()
+    runner = StageRunner(store, executor or InOrder(), progress)
+    error_model = calibration_settings(settings, dump.errors, dump.line_camera)
+    stars, omissions, computed = _sight_exposures(dump, settings, runner)
+    attitudes = fit_exposures(stars, error_model.attitudes)
     surface_of(dump.terrain)  # of several dumps the last one's is in memory: processes forked here share this
     R_cs, sigma = dump.R_cs0, dump.sigma_installation_rad
     for number in range(1, settings.run.passes + 1):
-        strip_tasks, left_out = _strip_tasks(dump, stars, attitudes, R_cs, sigma, settings)
-        stage = f"strips, matching {number}"
-        unit = StripUnit(store, f"places-{number}")
-        made = executor.map(unit, strip_tasks, _told(progress, stage, len(strip_tasks)))
-        counts += [unit.redone for unit in made]
-        placings = [_placings(store, f"places-{number}", unit) for unit in made]
-        strips = _strips(strip_tasks, placings, stars, attitudes)
-        estimate = calibrate(strips, dump.R_cs0, believed)
+        tasks, uncovered = _strip_tasks(dump, stars, attitudes, R_cs, sigma, settings)
+        outcomes, flags = runner.run(
+            match_targets, tasks, folder=f"matching-{number}", code="boresight.gct_match"
+        )
+        computed += flags
+        matched = [no_matches(one) if isinstance(one, Omission) else one for one in outcomes]
+        strips = _strips(tasks, matched, stars, attitudes)
+        estimate = calibrate(strips, dump.R_cs0, error_model)
         if isinstance(estimate, NotObservable):
-            raise DataNotSufficientError(_what_lacks(estimate, stars, placings, left_out, omissions))
-        found = estimate
-        R_cs = estimate.R_cs
+            raise DataNotSufficientError(_what_is_missing(estimate, stars, matched, uncovered, omissions))
+        found, R_cs = estimate, estimate.R_cs
         sigma = np.sqrt(np.diag(estimate.cov_theta) + settings.run.rematch_sigma_rad**2)
-    omissions += left_out + [o for p in placings for o in p.omissions] + _without_targets(placings)
-    omissions += left_out_of(found)
+    omissions += uncovered + [o for m in matched for o in m.omissions] + _without_targets(matched)
     return Calibration(
-        found,
-        tuple(stars),
-        attitudes,
-        tuple(strip_tasks),
-        tuple(placings),
-        tuple(strips),
-        believed,
-        tuple(omissions),
-        sum(counts),
-        len(counts) - sum(counts),
+        estimate=found,
+        stars=tuple(stars),
+        attitudes=attitudes,
+        tasks=tuple(tasks),
+        matched=tuple(matched),
+        strips=tuple(strips),
+        settings=error_model,
+        omissions=(*omissions, *rejections_of(found)),
+        n_computed=sum(computed),
+        n_reused=len(computed) - sum(computed),
     )
 
 
-def left_out_of(estimate: InstallationEstimate) -> list[Omission]:
-    """What the estimate itself left out: gross errors, and what exposures do not cover."""
+def rejections_of(estimate: InstallationEstimate) -> list[Omission]:
+    """Omissions for what the estimate itself rejects: outliers, and what exposures do not cover."""
     return [
-        Omission(r.kind, _full_name(r.exposure_id or r.strip_id, r.name), "", rejection_reason(r))
+        Omission(
+            r.kind,
+            _full_name(r.exposure_id or r.strip_id, r.name),
+            reason=rejection_reason(r),
+            cause=r.why.value,
+        )
         for r in estimate.rejected
     ]
 
 
 def strips_to_match(
-    dump: Dump,
-    settings: Settings,
-    store: UnitStore,
-    executor: Executor,
-    progress: Progress = lambda stage, done, total: None,
+    dump: Dump, settings: Settings, executor: Executor | None = None
 ) -> tuple[list[StripTask], list[Omission]]:
-    """The beginning alone: stars and attitudes, and a task for each strip with the ground's matrix."""
+    """Tasks of a dump's strips with the pre-launch installation matrix, and what cannot be used."""
+    stars, omissions, _ = _sight_exposures(dump, settings, StageRunner(None, executor or InOrder()))
+    error_model = calibration_settings(settings, dump.errors, dump.line_camera)
+    attitudes = fit_exposures(stars, error_model.attitudes)
+    sigma = dump.sigma_installation_rad
+    tasks, uncovered = _strip_tasks(dump, stars, attitudes, dump.R_cs0, sigma, settings)
+    return tasks, [*omissions, *uncovered]
+
+
+def _sight_exposures(
+    dump: Dump, settings: Settings, runner: StageRunner
+) -> tuple[list[StarSightings], list[Omission], list[bool]]:
+    """Sightings in order of time, what cannot be used so far, and which exposures were computed."""
     tasks, uncovered = star_tasks(dump, settings.stars)
-    made = executor.map(StarUnit(store), tasks, _told(progress, "exposures", len(tasks)))
-    stars, failed = _exposures(store, made)
-    believed = calibration_settings(settings, dump.errors, dump.line_camera)
-    attitudes = fit_exposures(stars, believed.attitudes)
-    strip_tasks, left_out = _strip_tasks(
-        dump, stars, attitudes, dump.R_cs0, dump.sigma_installation_rad, settings
-    )
-    return strip_tasks, [*dump.omissions, *uncovered, *failed, *left_out]
-
-
-def _told(progress: Progress, stage: str, total: int) -> Callable[[int], None]:
-    progress(stage, 0, total)
-    return lambda done: progress(stage, done, total)
-
-
-def _exposures(store: UnitStore, made: Sequence[Made]) -> tuple[list[StarSightings], list[Omission]]:
-    found, omitted = [], []
-    for unit in made:
-        outcome = sightings_from_table(_finished(store, "exposures", unit))
-        if isinstance(outcome, Omission):
-            omitted.append(outcome)
-        else:
-            found.append(outcome)
-    return in_order(found), omitted
-
-
-def _placings(store: UnitStore, stage: str, unit: Made) -> Placings:
-    return placings_from_table(_finished(store, stage, unit))
-
-
-def _finished(store: UnitStore, stage: str, unit: Made):  # type: ignore[no-untyped-def]
-    table = store.read(stage, unit.name, unit.key)
-    if table is None:
-        raise OSError(f"{store.path(stage, unit.name, unit.key)} was written and cannot be read")
-    return table
+    outcomes, computed = runner.run(sight_exposure, tasks, folder="exposures", code="boresight.star_id")
+    stars = in_order([one for one in outcomes if isinstance(one, StarSightings)])
+    failed = [one for one in outcomes if isinstance(one, Omission)]
+    return stars, [*dump.omissions, *uncovered, *failed], computed
 
 
 def _strip_tasks(
@@ -179,39 +175,34 @@ def _strip_tasks(
     sigma_rad: Array,
     settings: Settings,
 ) -> tuple[list[StripTask], list[Omission]]:
-    """A task for each strip that orbit and star exposures cover; the others are named."""
+    """A task for each strip that orbit and star exposures cover, and an omission for each other one."""
     tasks, omitted = [], []
     times = np.array([s.t_s for s in stars])
     run = settings.run
-    effects = LightEffects(run.geometric_light_time, run.aberration, run.refraction)
     for strip in dump.strips:
         first, last = _span(dump, strip)
-        near = np.flatnonzero(
-            attitudes.usable
-            & (times >= first - run.exposure_margin_s)
-            & (times <= last + run.exposure_margin_s)
-        )
+        begin, end = first - run.exposure_margin_s, last + run.exposure_margin_s
+        near = np.flatnonzero(attitudes.usable & (times >= begin) & (times <= end))
         if not covers(dump, strip):
-            omitted.append(
-                Omission("strip", strip.strip_id, "", "the orbit has no states for all of its rows")
-            )
-            continue
-        if reason := _not_covered(times[near], first, last):
-            omitted.append(Omission("strip", strip.strip_id, "", reason))
+            reason = "the orbit has no states for all of its rows"
+        else:
+            reason = _not_covered(times[near], first, last)
+        if reason:
+            omitted.append(Omission("strip", strip.strip_id, "", reason, Cause.NOT_COVERED))
             continue
         task = StripTask(
-            strip,
-            dump.line_camera,
-            orbit_around(dump.orbit, first - run.exposure_margin_s, last + run.exposure_margin_s),
-            times[near],
-            Rotation.from_matrix(attitudes.R_si[near]),
-            R_cs,
-            np.asarray(sigma_rad, dtype=float),
-            effects,
-            (),
-            (),
-            dump.terrain,
-            settings.match,
+            strip=strip,
+            camera=dump.line_camera,
+            orbit=orbit_around(dump.orbit, begin, end),
+            t_attitude_s=times[near],
+            R_si=Rotation.from_matrix(attitudes.R_si[near]),
+            R_cs=R_cs,
+            sigma_installation_rad=np.asarray(sigma_rad, dtype=float),
+            effects=LightEffects(run.geometric_light_time, run.aberration, run.refraction),
+            targets=(),
+            chips=(),
+            terrain=dump.terrain,
+            settings=settings.match,
         )
         targets, chips = targets_near(task, dump.targets, dump.chips)
         tasks.append(replace(task, targets=targets, chips=chips))
@@ -230,24 +221,24 @@ def _not_covered(times: Array, first: float, last: float) -> str:
     early = times[0] - 0.5 * (times[1] - times[0]) - first
     late = last - times[-1] - 0.5 * (times[-1] - times[-2])
     if early > 0.0 or late > 0.0:
-        gaps = f"{max(early, 0.0):.2f} s are missing at their begin, {max(late, 0.0):.2f} s at their end"
-        return f"star exposures do not reach over all of its rows: {gaps}"
+        gaps = f"{max(early, 0.0):.2f} s are missing at the beginning, {max(late, 0.0):.2f} s at the end"
+        return f"star exposures do not cover all of its rows: {gaps}"
     return ""
 
 
 def _strips(
     tasks: Sequence[StripTask],
-    placings: Sequence[Placings],
+    matched: Sequence[MatchedTargets],
     stars: Sequence[StarSightings],
     attitudes: ExposureAttitudes,
 ) -> list[StripSightings]:
-    """Strips with at least one placed target, with the exposures around them and their attitudes."""
+    """Strips with at least one matched target, with the exposures around them and their attitudes."""
     by_time = {s.t_s: k for k, s in enumerate(stars)}
     strips = []
-    for task, placed in zip(tasks, placings):
-        if not len(placed.target_id):
+    for task, of_strip in zip(tasks, matched):
+        if not len(of_strip.target_id):
             continue
-        ground = ground_sightings(placed, task)
+        ground = ground_sightings(of_strip, task)
         rows = np.array([by_time[t] for t in task.t_attitude_s.tolist()])
         strips.append(
             StripSightings(
@@ -262,26 +253,26 @@ def _strips(
     return strips
 
 
-def _without_targets(placings: Iterable[Placings]) -> list[Omission]:
+def _without_targets(matched: Iterable[MatchedTargets]) -> list[Omission]:
     return [
-        Omission("strip", p.strip_id, "", "no target was placed in it")
-        for p in placings
-        if not len(p.target_id)
+        Omission("strip", m.strip_id, reason="no target was matched in it", cause=Cause.NO_TARGET)
+        for m in matched
+        if not len(m.target_id)
     ]
 
 
-def _what_lacks(
+def _what_is_missing(
     outcome: NotObservable,
     stars: Sequence[StarSightings],
-    placings: Sequence[Placings],
-    left_out: Sequence[Omission],
+    matched: Sequence[MatchedTargets],
+    uncovered: Sequence[Omission],
     omissions: Sequence[Omission],
 ) -> str:
-    placed = sum(len(p.target_id) for p in placings)
+    n_targets = sum(len(m.target_id) for m in matched)
     text = f"{outcome.reason}; {len(stars)} exposures identified, "
-    text += f"{placed} targets placed in {len(placings)} strips"
-    every = [*omissions, *left_out, *(o for p in placings for o in p.omissions)]
-    return text + (f"; left out: {every[0].kind} {every[0].name}: {every[0].reason}" if every else "")
+    text += f"{n_targets} targets matched in {len(matched)} strips"
+    every = [*omissions, *uncovered, *(o for m in matched for o in m.omissions)]
+    return text + (f"; not used: {every[0].kind} {every[0].name}: {every[0].reason}" if every else "")
 
 
 def _full_name(of: str, name: str) -> str:

@@ -1,64 +1,56 @@
-"""One exposure's way: image file -> stars found, named and turned into directions (`StarSightings`).
+"""From one image file to `StarSightings`: stars found, identified and converted to directions.
 
-    raw image -> background -> detection -> centroids -> u_s -> names (HIP) -> apparent directions u_i
+    raw image -> background -> detection -> centroids -> u_s -> identification (HIP) -> apparent u_i
 
-A task holds all that one exposure needs and nothing else, so it can be sent to any process; what comes out is
-a table for the disk. A night without stars is an outcome, not an error.
+A task holds all that the outcome of one exposure depends on, so it can be sent to any process.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
-import pyarrow as pa
 from numpy.typing import NDArray
 
 from boresight.geometry.epoch import Epoch
 from boresight.geometry.orbit import OrbitGapError
+from boresight.geometry.record import Floats, array, record, scalar
 from boresight.geometry.sightings import StarSightings
 from boresight.geometry.star_camera import StarCamera
-from boresight.pipeline.errors import Omission, RawDataError
+from boresight.pipeline.errors import Cause, Omission, RawDataError
 from boresight.pipeline.files.dump import Dump, Exposure
 from boresight.pipeline.files.image_files import read_exposure
-from boresight.pipeline.files.table_files import column, fixed_list, list_values
-from boresight.pipeline.work.unit_store import read_meta
 from boresight.star_id.catalogue import hipparcos_stars
 from boresight.star_id.identification.identify import NotIdentified
 from boresight.star_id.identification.triangle_index import StarIndex, build_index, equivalent_fov
 from boresight.star_id.settings import StarSettings
 from boresight.star_id.sight import sight_stars
 
-__all__ = [
-    "StarTask",
-    "exposure_image",
-    "sight_exposure",
-    "sightings_from_table",
-    "star_tasks",
-    "stars_table",
-]
-
-Array = NDArray[np.float64]
+__all__ = ["StarTask", "exposure_image", "in_order", "sight_exposure", "star_tasks"]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record(kw_only=True)
 class StarTask:
-    """One exposure and everything its result depends on."""
+    """One exposure and everything that its sightings depend on."""
 
-    exposure: Exposure
-    camera: StarCamera
-    bit_depth: int
-    epoch: Epoch
-    p_i: Array  # (3,) satellite at mid-exposure, GCRS, m
-    v_i: Array  # (3,) m/s
-    settings: StarSettings
+    exposure: Exposure = scalar("file and time of the exposure")
+    camera: StarCamera = scalar("model of the star camera")
+    bit_depth: int = scalar("of the raw image")
+    epoch: Epoch = scalar("origin of the dump's seconds")
+    p_i: Floats = array("3", "satellite at mid-exposure, GCRS, m")
+    v_i: Floats = array("3", "its velocity, GCRS, m/s")
+    settings: StarSettings = scalar("thresholds of detection and identification")
+
+    @property
+    def item(self) -> Omission:
+        """What is processed, for the case that it cannot be used."""
+        return Omission("exposure", self.exposure.exposure_id, self.exposure.file)
 
 
 def star_tasks(dump: Dump, settings: StarSettings) -> tuple[list[StarTask], list[Omission]]:
-    """A task for each exposure of a dump that the orbit covers; the others are named."""
+    """A task for each exposure of a dump that the orbit covers, and an omission for each other one."""
     if settings.saturation_dn is None:
         settings = replace(settings, saturation_dn=float(2**dump.star_bit_depth - 1))
     tasks, omitted = [], []
@@ -66,16 +58,25 @@ def star_tasks(dump: Dump, settings: StarSettings) -> tuple[list[StarTask], list
         try:
             p_i, v_i = dump.orbit.states_i(np.array([exposure.t_s]))
         except OrbitGapError as error:
-            omitted.append(Omission("exposure", exposure.exposure_id, exposure.file, str(error)))
+            item = Omission("exposure", exposure.exposure_id, exposure.file)
+            omitted.append(item.because(str(error), Cause.NOT_COVERED))
             continue
         tasks.append(
-            StarTask(exposure, dump.star_camera, dump.star_bit_depth, dump.epoch, p_i[0], v_i[0], settings)
+            StarTask(
+                exposure=exposure,
+                camera=dump.star_camera,
+                bit_depth=dump.star_bit_depth,
+                epoch=dump.epoch,
+                p_i=p_i[0],
+                v_i=v_i[0],
+                settings=settings,
+            )
         )
     return tasks, omitted
 
 
 def exposure_image(exposure: Exposure, camera: StarCamera, bit_depth: int) -> NDArray:
-    """The raw image of an exposure, of the size and depth that the camera says, or `RawDataError`."""
+    """Raw image (H, W) of an exposure, counts. `RawDataError` where size or depth are not the camera's."""
     return read_exposure(
         exposure.path,
         exposure.file,
@@ -86,12 +87,14 @@ def exposure_image(exposure: Exposure, camera: StarCamera, bit_depth: int) -> ND
 
 
 def sight_exposure(task: StarTask) -> StarSightings | Omission:
-    """The whole chain for one exposure."""
+    """Directions of the identified stars of one exposure; an omission where the image cannot be read or its
+    stars are not identified.
+    """
     exposure, camera = task.exposure, task.camera
     try:
         image = exposure_image(exposure, camera, task.bit_depth)
     except RawDataError as error:
-        return Omission("exposure", exposure.exposure_id, exposure.file, str(error))
+        return task.item.because(str(error))
     year = round(float(task.epoch.julian_year(exposure.t_s)))
     index = star_index(_field_of_view(camera), year)
     sightings = sight_stars(
@@ -106,15 +109,13 @@ def sight_exposure(task: StarTask) -> StarSightings | Omission:
         task.settings,
     )
     if isinstance(sightings, NotIdentified):
-        return Omission(
-            "exposure", exposure.exposure_id, exposure.file, f"not identified: {sightings.reason}"
-        )
+        return task.item.because(f"not identified: {sightings.reason}", Cause.NOT_IDENTIFIED)
     return sightings
 
 
 @lru_cache(maxsize=2)
 def star_index(fov_rad: float, year: int) -> StarIndex:
-    """The index of catalogue triangles for a field of view, built once in each process."""
+    """Index of catalogue triangles for a field of view (rad), built once in each process."""
     return build_index(hipparcos_stars().places, float(year), fov_rad)
 
 
@@ -122,41 +123,6 @@ def _field_of_view(camera: StarCamera) -> float:
     return equivalent_fov(camera.width_px, camera.height_px, camera.focal_m / camera.pixel_m)
 
 
-def stars_table(task: StarTask, outcome: StarSightings | Omission) -> tuple[pa.Table, dict[str, Any]]:
-    """An exposure's outcome as a table, one row a star, and what there is to say about the whole of it."""
-    meta = {"kind": "exposure", "id": task.exposure.exposure_id, "t_s": task.exposure.t_s}
-    if isinstance(outcome, Omission):
-        return pa.table({}), meta | {"outcome": "omitted", "file": outcome.file, "reason": outcome.reason}
-    table = pa.table(
-        {
-            "exposure_id": pa.array([outcome.exposure_id] * len(outcome.hip), pa.string()),
-            "t_s": pa.array(np.full(len(outcome.hip), outcome.t_s)),
-            "hip": pa.array(outcome.hip),
-            "xy_px": fixed_list(outcome.xy_px),
-            "u_s": fixed_list(outcome.u_s),
-            "u_i": fixed_list(outcome.u_i),
-            "cov_s": fixed_list(outcome.cov_s),
-        }
-    )
-    return table, meta | {"outcome": "sighted", "stars": len(outcome.hip)}
-
-
-def sightings_from_table(table: pa.Table) -> StarSightings | Omission:
-    """The inverse of `stars_table`, bit for bit."""
-    meta = read_meta(table)
-    if meta["outcome"] == "omitted":
-        return Omission("exposure", meta["id"], meta["file"], meta["reason"])
-    return StarSightings(
-        exposure_id=meta["id"],
-        t_s=meta["t_s"],
-        hip=column(table, "hip"),
-        xy_px=list_values(table, "xy_px", 2),
-        u_s=list_values(table, "u_s", 3),
-        u_i=list_values(table, "u_i", 3),
-        cov_s=list_values(table, "cov_s", 3, 3),
-    )
-
-
 def in_order(sightings: Sequence[StarSightings]) -> list[StarSightings]:
-    """By time, then by id: the order in which sums are made."""
+    """Sightings sorted by time, then by id: the order in which sums are made."""
     return sorted(sightings, key=lambda s: (s.t_s, s.exposure_id))

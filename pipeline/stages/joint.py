@@ -28,7 +28,7 @@ from boresight.pipeline.files.dump import Dump, open_dump
 from boresight.pipeline.files.dump_schema import DumpFile
 from boresight.pipeline.files.text_files import read_toml
 from boresight.pipeline.settings import Settings, calibration_settings
-from boresight.pipeline.stages.calibrate import Calibration, left_out_of
+from boresight.pipeline.stages.calibrate import Calibration, rejections_of
 
 __all__ = ["JointCalibration", "NamedDump", "calibrate_jointly", "dump_names", "open_dumps"]
 
@@ -105,7 +105,7 @@ def calibrate_jointly(
     estimate = calibrate(strips, first.dump.R_cs0, one.settings)
     if isinstance(estimate, NotObservable):
         raise DataNotSufficientError(f"all dumps together: {estimate.reason}")
-    return JointCalibration(estimate, strips, one.settings, (*failed, *left_out_of(estimate)))
+    return JointCalibration(estimate, strips, one.settings, (*failed, *rejections_of(estimate)))
 
 
 Place = tuple[str, bytes, bytes]

@@ -1,32 +1,29 @@
-"""What a person needs to see to believe a match, small enough to be kept: pictures of 8 bits, PNG."""
+"""Pictures that let a person judge a match, small enough to be kept: 8 bits, PNG."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, fields
-
 import cv2
 import numpy as np
-import pyarrow as pa
 from numpy.typing import NDArray
 
 from boresight.gct_match.records import Evidence
+from boresight.geometry.record import record, scalar
 
-__all__ = ["MatchPictures", "match_pictures", "pictures_columns", "pictures_from_columns"]
+__all__ = ["MatchPictures", "match_pictures"]
 
 MOST_PX = 160  # a side longer than this is cut about its middle
 SURFACE_PX = 96
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record
 class MatchPictures:
     """Pictures of one match on the strip's own pixel grid."""
 
-    template_png: bytes  # the chip as the strip should show it
-    found_png: bytes  # the strip where it was found
-    surface_png: bytes  # surface of the search around the place
-    surface_low: float  # value of its black
-    surface_high: float  # value of its white
+    template_png: bytes = scalar("chip as the strip should show it")
+    found_png: bytes = scalar("strip at the matched position")
+    surface_png: bytes = scalar("correlation surface of the search around that position")
+    surface_low: float = scalar("correlation shown black")
+    surface_high: float = scalar("correlation shown white")
 
 
 def match_pictures(evidence: Evidence) -> MatchPictures:
@@ -42,21 +39,6 @@ def match_pictures(evidence: Evidence) -> MatchPictures:
         low,
         high,
     )
-
-
-def pictures_columns(pictures: Sequence[MatchPictures]) -> dict[str, pa.Array]:
-    """Columns of a table, one row a match."""
-    kinds = {"bytes": pa.binary(), "float": pa.float64()}
-    return {
-        field.name: pa.array([getattr(p, field.name) for p in pictures], kinds[str(field.type)])
-        for field in fields(MatchPictures)
-    }
-
-
-def pictures_from_columns(table: pa.Table) -> tuple[MatchPictures, ...]:
-    """The inverse of `pictures_columns`."""
-    columns = [table.column(field.name).to_pylist() for field in fields(MatchPictures)]
-    return tuple(MatchPictures(*row) for row in zip(*columns))
 
 
 def _stretch(image: NDArray) -> tuple[float, float]:

@@ -33,6 +33,7 @@ from boresight.pipeline.files.dimap import read_dimap
 from boresight.pipeline.files.dump import ChipFile, TerrainFile, _read_terrain, open_dump
 from boresight.pipeline.files.image_files import StripFiles, check_strip_file, read_exposure, read_star_image
 from boresight.pipeline.files.orbit_file import read_oem
+from boresight.pipeline.files.record_tables import record_from_table, table_from_record
 from boresight.pipeline.files.scenario_file import named_scenario
 from boresight.pipeline.files.sky_images import Whereabouts, observers_of
 from boresight.pipeline.files.table_files import fixed_list
@@ -41,10 +42,9 @@ from boresight.pipeline.results.folder import read_pairs, read_result
 from boresight.pipeline.results.geolocate import read_pixels
 from boresight.pipeline.results.summary import status_summary
 from boresight.pipeline.settings import read_settings
-from boresight.pipeline.stages.exposure import sightings_from_table, stars_table
 from boresight.pipeline.stages.plan import forecast_plan, read_plan
-from boresight.pipeline.stages.strip import Placings, _chip, placings_from_table, placings_table
-from boresight.pipeline.work.unit_store import UnitStore
+from boresight.pipeline.stages.strip import MatchedTargets, _chip
+from boresight.pipeline.work.unit_store import UnitStore, read_meta
 from boresight.simulator.scenario import ScenarioError
 
 __all__ = ["DOCUMENTED", "READERS", "Reader", "mutated", "write_sound_files"]
@@ -134,12 +134,22 @@ def _write_units(folder: Path) -> None:
     stars = StarSightings(
         exposure_id="e1", t_s=1.0, hip=hip, xy_px=rng.uniform(0, 99, (9, 2)), u_s=u, u_i=u, cov_s=cov
     )
-    task: Any = SimpleNamespace(exposure=SimpleNamespace(exposure_id="e1", t_s=1.0))
-    store.write("exposures", "e1", "0" * 32, *stars_table(task, stars))
+    store.write("exposures", "e1", "0" * 32, *table_from_record(stars))
     none, pairs = np.zeros(0), np.zeros((0, 2))
     names, ccd = np.array([], dtype=str), np.zeros(0, dtype=np.int64)
-    placings = Placings("s1", names, ccd, pairs, np.zeros((0, 2, 2)), none, none, pairs, (), ())
-    store.write("places-1", "s1", "0" * 32, *placings_table(placings))
+    matched = MatchedTargets(
+        strip_id="s1",
+        target_id=names,
+        ccd=ccd,
+        xy_px=pairs,
+        cov_px=np.zeros((0, 2, 2)),
+        correlation=none,
+        probability_wrong=none,
+        predicted_px=pairs,
+        pictures=(),
+        omissions=(),
+    )
+    store.write("matching-1", "s1", "0" * 32, *table_from_record(matched))
 
 
 def _orbit(folder: Path) -> Any:
@@ -201,17 +211,17 @@ def _dimap(folder: Path) -> Any:
 
 def _star_unit(folder: Path) -> Any:
     table = UnitStore(folder / "run/work").read("exposures", "e1", "0" * 32)
-    return None if table is None else sightings_from_table(table)
+    return None if table is None else record_from_table((StarSightings,), table, read_meta(table))
 
 
 def _strip_unit(folder: Path) -> Any:
-    table = UnitStore(folder / "run/work").read("places-1", "s1", "0" * 32)
-    return None if table is None else placings_from_table(table)
+    table = UnitStore(folder / "run/work").read("matching-1", "s1", "0" * 32)
+    return None if table is None else record_from_table((MatchedTargets,), table, read_meta(table))
 
 
 EARTH = bundled_earth_orientation()
 STAR_UNIT = PurePosixPath("run", "work", "exposures", f"e1.{'0' * 32}.parquet").as_posix()
-STRIP_UNIT = PurePosixPath("run", "work", "places-1", f"s1.{'0' * 32}.parquet").as_posix()
+STRIP_UNIT = PurePosixPath("run", "work", "matching-1", f"s1.{'0' * 32}.parquet").as_posix()
 
 READERS = (
     *(

@@ -62,6 +62,6 @@ def test_the_command_and_status_count_what_was_left_out(damaged: tuple[Path, dic
     assert "2 chips" in line and "4 exposures" in line
     status = CliRunner().invoke(app, ["status", str(folder / "result")]).output
     assert re.search(r"exposures +14 done, 4 left out", status), status
-    assert re.search(r"places-2 +1 done, [0-9]+ left out", status), status
+    assert re.search(r"matching-2 +1 done, [0-9]+ left out", status), status
     assert status.count("file: found no such file, expected an image") >= 3
     assert len(said) == 6

@@ -131,12 +131,12 @@ def test_run_started_again_makes_nothing_twice_and_gives_the_same(
     opened, store = open_dump(dump), store_of(tmp_path)
     first = calibrate_dump(opened, Settings(), store, InOrder())
     again = calibrate_dump(opened, Settings(), store, InOrder())
-    assert (first.units_found, again.units_made) == (0, 0)
+    assert (first.n_reused, again.n_computed) == (0, 0)
     units = sorted((tmp_path / "work").rglob("*.parquet"))
     units[0].write_bytes(units[0].read_bytes()[:100])  # a damaged unit is made anew
     units[1].unlink()
     third = calibrate_dump(opened, Settings(), store, InOrder())
-    assert third.units_made == 2
+    assert third.n_computed == 2
     write_result(tmp_path, third, Settings())
     assert (tmp_path / "installation.json").read_bytes() == expected
 
@@ -160,7 +160,7 @@ def test_bad_exposure_is_left_out_with_its_reason_and_only_it_is_made_again(
     assert "stars" in left_out[ids[1]] and "needed" in left_out[ids[1]]
     assert "image size: found 1024 x 100 px, expected 1024 x 768 px" in left_out[ids[2]]
     assert len(after.stars) == len(before.stars) - 3
-    assert after.units_made <= 3 + 2  # the three exposures, and both matchings of the strip they belong to
+    assert after.n_computed <= 3 + 2  # the three exposures, and both matchings of the strip they belong to
 
 
 def test_strip_without_targets_is_named_and_the_lack_is_told(one_strip: Path, tmp_path: Path) -> None:
@@ -169,7 +169,7 @@ def test_strip_without_targets_is_named_and_the_lack_is_told(one_strip: Path, tm
     far[1], far[2] = "-60.0", "10.0"
     (one_strip / "targets.csv").write_text("\n".join([lines[0], ",".join(far)]) + "\n")
     with pytest.raises(
-        DataNotSufficientError, match=r"14 exposures identified, 0 targets placed in 1 strips"
+        DataNotSufficientError, match=r"14 exposures identified, 0 targets matched in 1 strips"
     ):
         calibrate_dump(open_dump(one_strip), Settings(), store_of(tmp_path), InOrder())
 
@@ -190,7 +190,10 @@ def test_fault_in_one_exposure_is_that_exposures_own(
     found = calibrate_dump(open_dump(one_strip), Settings(), store_of(tmp_path), InOrder())
     (left_out,) = [o for o in found.omissions if o.kind == "exposure"]
     assert left_out.name.endswith("5")
-    assert "please report this: ValueError: a matrix that nobody thought of" in left_out.reason
+    assert (
+        "internal error in sight_exposure: ValueError: a matrix that nobody thought of; please report"
+        in left_out.reason
+    )
 
 
 def test_commands_exit_as_promised(one_strip: Path, tmp_path: Path) -> None:

@@ -78,7 +78,7 @@ def test_joint_matrix_is_the_calibration_of_all_strips_at_once(dumps: list[Path]
     strips = []
     for name, dump in zip(NAMES, opened):
         found = calibrate_dump(dump, Settings(), store_of(joint / name), InOrder())
-        assert found.units_made == 0
+        assert found.n_computed == 0
         later_s = float(dump.epoch.tai_s - opened[0].epoch.tai_s)
         for strip in found.strips:
             exposures = tuple(replace(e, t_s=e.t_s + later_s) for e in strip.exposures)

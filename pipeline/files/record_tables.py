@@ -1,0 +1,126 @@
+"""Records as Arrow tables, by the declaration of a `@record` alone.
+
+An array field whose shape begins with the letter of the rows ("N, 3, 3") is a column, with a list of fixed
+length in each row where it has more dimensions. A tuple of records with that shape gives one column for each
+field of theirs. All other fields are values of the record as a whole, kept as JSON. Values come back bit for
+bit.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Hashable, Sequence
+from enum import Enum
+from functools import cache
+from typing import Any, get_args, get_origin, get_type_hints
+
+import numpy as np
+import pyarrow as pa
+
+from boresight.geometry.record import Bools, Floats, Ints, Texts, shape_of
+from boresight.pipeline.files.table_files import column, fixed, fixed_list, list_values
+
+__all__ = ["columns_of", "record_from_columns", "record_from_table", "schema_of", "table_from_record"]
+
+ITEMS: dict[Any, pa.DataType] = {
+    Floats: pa.float64(),
+    Ints: pa.int64(),
+    Bools: pa.bool_(),
+    Texts: pa.string(),
+    float: pa.float64(),
+    bytes: pa.binary(),
+}
+
+
+def schema_of(kind: Hashable, rows: str = "N") -> dict[str, pa.DataType]:
+    """Names and types of a record type's columns; `rows` is the letter of the shapes' first dimension."""
+    columns: dict[str, pa.DataType] = {}
+    for name, hint, inner in _row_fields(kind, rows):
+        if get_origin(hint) is tuple:
+            columns |= {n: ITEMS[h] for n, h in _items(hint)}
+        else:
+            columns[name] = fixed(math.prod(inner)) if inner else ITEMS[hint]
+    return columns
+
+
+def columns_of(record: Any, rows: str = "N") -> dict[str, pa.Array]:
+    """Columns of a record by their names."""
+    columns: dict[str, pa.Array] = {}
+    for name, hint, inner in _row_fields(record.__class__, rows):
+        value = getattr(record, name)
+        if get_origin(hint) is tuple:
+            columns |= {n: pa.array([getattr(one, n) for one in value], ITEMS[h]) for n, h in _items(hint)}
+        elif inner:
+            columns[name] = fixed_list(value)
+        else:
+            columns[name] = pa.array(value.tolist() if hint == Texts else np.asarray(value), ITEMS[hint])
+    return columns
+
+
+def record_from_columns(kind: Any, table: pa.Table, rows: str = "N", /, **values: Any) -> Any:
+    """The record of type `kind` with the columns of a table; `values` are its other fields."""
+    for name, hint, inner in _row_fields(kind, rows):
+        if get_origin(hint) is tuple:
+            cells = [table.column(n).to_pylist() for n, _ in _items(hint)]
+            values[name] = tuple(get_args(hint)[0](*row) for row in zip(*cells))
+        elif inner:
+            values[name] = list_values(table, name, *inner)
+        else:
+            value = column(table, name)
+            values[name] = np.array(value.tolist(), dtype=str) if hint == Texts else value
+    return kind(**values)
+
+
+def table_from_record(record: Any, rows: str = "N") -> tuple[pa.Table, dict[str, Any]]:
+    """A record's columns, and its other values under the names of their fields, ready for JSON."""
+    table = pa.table(columns_of(record, rows))
+    of_rows = {name for name, _, _ in _row_fields(record.__class__, rows)}
+    values = {
+        f.name: _plain(getattr(record, f.name)) for f in dataclasses.fields(record) if f.name not in of_rows
+    }
+    return table, {"record": type(record).__name__} | values
+
+
+def record_from_table(kinds: Sequence[type], table: pa.Table, values: dict[str, Any]) -> Any:
+    """The inverse of `table_from_record`, for a record of one of `kinds`. `ValueError` for any other."""
+    by_name = {kind.__name__: kind for kind in kinds}
+    if (kind := by_name.get(values.get("record", ""))) is None:
+        raise ValueError(f"expected a table of {' or '.join(by_name)}, found {values.get('record')!r}")
+    hints = get_type_hints(kind)
+    own = {name: _restored(hints[name], value) for name, value in values.items() if name in hints}
+    return record_from_columns(kind, table, **own)
+
+
+@cache
+def _row_fields(kind: Any, rows: str) -> tuple[tuple[str, Any, tuple[int, ...]], ...]:
+    """Name, annotation and shape of one entry, of the fields with one entry for each row."""
+    hints = get_type_hints(kind)
+    shapes = {field.name: shape_of(field) for field in dataclasses.fields(kind)}
+    return tuple(
+        (name, hints[name], tuple(int(length) for length in shape[1:]))
+        for name, shape in shapes.items()
+        if shape and shape[0] == rows
+    )
+
+
+def _items(hint: Any) -> list[tuple[str, Any]]:
+    """Fields of the records in a tuple of them."""
+    return list(get_type_hints(get_args(hint)[0]).items())
+
+
+def _plain(value: Any) -> Any:
+    if dataclasses.is_dataclass(value):
+        return {field.name: _plain(getattr(value, field.name)) for field in dataclasses.fields(value)}
+    if isinstance(value, tuple):
+        return [_plain(item) for item in value]
+    return value.value if isinstance(value, Enum) else value
+
+
+def _restored(hint: Any, value: Any) -> Any:
+    if get_origin(hint) is tuple:
+        return tuple(_restored(get_args(hint)[0], item) for item in value)
+    if dataclasses.is_dataclass(hint):
+        hints = get_type_hints(hint)
+        return hint(**{name: _restored(hints[name], item) for name, item in value.items()})  # type: ignore
+    return hint(value) if isinstance(hint, type) and issubclass(hint, Enum) else value

@@ -1,0 +1,104 @@
+"""Records come back from tables bit for bit, in the types that they declare."""
+
+from __future__ import annotations
+
+import json
+from enum import StrEnum
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from boresight.geometry.record import Bools, Floats, Ints, Texts, array, record, scalar
+from boresight.geometry.sightings import GroundSightings, StarSightings
+from boresight.pipeline.files.record_tables import (
+    columns_of,
+    record_from_columns,
+    record_from_table,
+    schema_of,
+    table_from_record,
+)
+
+
+class Colour(StrEnum):
+    RED = "red"
+
+
+@record
+class Note:
+    text: str = scalar("a text")
+    colour: Colour = scalar("an enum", default=Colour.RED)
+
+
+@record
+class Picture:
+    png: bytes = scalar("a picture")
+    low: float = scalar("a value")
+
+
+@record(kw_only=True)
+class Everything:
+    names: Texts = array("N", "texts")
+    flags: Bools = array("N", "flags")
+    numbers: Ints = array("N", "whole numbers")
+    matrices: Floats = array("N, 2, 3", "matrices")
+    pictures: tuple[Picture, ...] = array("N", "records")
+    t_s: float = scalar("a number")
+    notes: tuple[Note, ...] = scalar("records")
+
+
+def everything(n: int) -> Everything:
+    rng = np.random.default_rng(3)
+    matrices = rng.normal(size=(n, 2, 3))
+    matrices[:1, 0, 0] = np.nan
+    return Everything(
+        names=np.array([f"t{k}µ" for k in range(n)], dtype=str),
+        flags=rng.random(n) < 0.5,
+        numbers=rng.integers(-(2**60), 2**60, n),
+        matrices=matrices,
+        pictures=tuple(Picture(bytes([k, 255]), 0.1 * k) for k in range(n)),
+        t_s=0.1 + 1e-17,
+        notes=(Note("cloud"), Note("edge")),
+    )
+
+
+@pytest.mark.parametrize("n", [0, 1, 5])
+def test_record_comes_back_bit_for_bit_from_a_file(n: int, tmp_path: Path) -> None:
+    given = everything(n)
+    table, values = table_from_record(given)
+    pq.write_table(table, tmp_path / "one.parquet")
+    back = record_from_table(
+        (Note, Everything), pq.read_table(tmp_path / "one.parquet"), json.loads(json.dumps(values))
+    )
+    for name in ("names", "flags", "numbers", "matrices"):
+        a, b = getattr(given, name), getattr(back, name)
+        assert a.shape == b.shape and a.dtype.kind == b.dtype.kind and a.tobytes() == b.tobytes(), name
+    assert [(p.png, p.low) for p in back.pictures] == [(p.png, p.low) for p in given.pictures]
+    assert back.t_s == given.t_s
+    assert [(note.text, note.colour) for note in back.notes] == [("cloud", Colour.RED), ("edge", Colour.RED)]
+    assert type(back.notes[0].colour) is Colour
+
+
+def test_schema_is_that_of_the_columns() -> None:
+    table = pa.table(columns_of(everything(2)))
+    assert {field.name: field.type for field in table.schema} == schema_of(Everything)
+
+
+def test_table_of_another_record_is_refused_by_name() -> None:
+    with pytest.raises(ValueError, match="expected a table of StarSightings, found 'Note'"):
+        record_from_table((StarSightings,), *table_from_record(Note("cloud")))
+
+
+def test_values_of_the_whole_are_given_where_only_columns_are_kept() -> None:
+    given = everything(3)
+    back = record_from_columns(Everything, pa.table(columns_of(given)), t_s=7.0, notes=())
+    assert (back.t_s, back.numbers.tolist()) == (7.0, given.numbers.tolist())
+
+
+def test_columns_of_sightings_are_those_of_the_format() -> None:
+    # docs/result-format.md
+    assert list(schema_of(StarSightings)) == ["hip", "xy_px", "u_s", "u_i", "cov_s"]
+    expected = "target_id ccd xy_px t_s u_c u_i cov_c range_m v_rel_i cov_target_i"
+    assert list(schema_of(GroundSightings)) == expected.split()
