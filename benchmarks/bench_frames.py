@@ -10,6 +10,7 @@ plain search. Times are CPU time of one thread, best of three.
 import platform
 import sys
 import time
+from datetime import date
 from importlib.metadata import version
 from pathlib import Path
 
@@ -20,6 +21,7 @@ from astropy.coordinates import GCRS, ITRS, CartesianRepresentation
 from astropy.time import Time
 from astropy.utils import iers
 from pyproj import Transformer
+from record import commit
 
 from boresight.geometry.constants import ARCSEC, GM_EARTH, WGS84
 from boresight.geometry.earth_orientation import bundled_earth_orientation
@@ -187,6 +189,7 @@ def main():
     names = [line.split(":")[1].strip() for line in info.splitlines() if line.startswith("model name")]
     packages = ("numpy", "pyerfa", "astropy", "skyfield", "pyproj", "astropy-iers-data")
     report("Frames and light: accuracy and speed, one thread")
+    report(f"commit {commit()}, {date.today()}, command: python {' '.join(sys.argv)}")
     report(f"{(names or [platform.machine()])[0]}, Python {platform.python_version()}")
     report(", ".join(f"{name} {version(name)}" for name in packages))
 

@@ -17,9 +17,9 @@ from typing import Any
 
 import numpy as np
 import rasterio
-from calib_report import head, verdict
 from numpy.typing import NDArray
 from pyproj import Transformer
+from record import exit_status, head, verdict
 from scipy.spatial.transform import Rotation
 
 from boresight.geometry.attitude import AttitudeTrack
@@ -202,3 +202,4 @@ def main() -> None:
 
 if __name__ == "__main__":
     main()
+    raise SystemExit(exit_status())

@@ -16,10 +16,12 @@ import subprocess
 import sys
 import tempfile
 import time
+from datetime import date
 from pathlib import Path
 
 import erfa
 import numpy as np
+from record import commit
 from scipy.spatial.transform import Rotation
 
 from boresight.geometry.atmosphere import layered_atmosphere, standard_atmosphere
@@ -224,6 +226,7 @@ def main():
             print(text, file=target)
 
     report("Direct location: boresight against Rugged (Orekit), one thread each")
+    report(f"commit {commit()}, {date.today()}, command: python {' '.join(sys.argv)}")
     report(f"{cpu()}, Python {platform.python_version()}, numpy {np.__version__}")
     report(f"{N_PX} px x 26 000 rows of {1e6 * ROW_PERIOD_S:g} us, f = {FOCAL_M:g} m, 530 km, {UTC}")
     for roll_deg in (0.0, 25.0):

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from calib_report import band_of_mean_nees, head, verdict
+from record import band_of_mean_nees, exit_status, head, verdict
 from scipy.stats import chi2, norm
 
 from boresight.pipeline.experiments.tables import run_experiment
@@ -74,3 +74,4 @@ if __name__ == "__main__":
     head(f"calib: the grid of Fig. 7, {runs} runs a cell, 150 and 400 frames of 30 stars and 10 targets")
     table, _ = run_experiment("grid", OUT, settings)
     report(table)
+    raise SystemExit(exit_status())

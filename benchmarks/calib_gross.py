@@ -9,7 +9,7 @@ import sys
 from dataclasses import replace
 
 import numpy as np
-from calib_report import band_of_mean_nees, head, verdict
+from record import band_of_mean_nees, exit_status, head, verdict
 
 from boresight.calib.calibration import calibrate
 from boresight.calib.estimate import InstallationEstimate
@@ -67,3 +67,4 @@ if __name__ == "__main__":
         )
     near = {"gross_stars": 0.2, "gross_targets": 0.2, "gross_reach_px": 15.0}
     report(" 20% gross, wrong matches within 15 px", replace(TABLE_1, **near), CalibrationSettings(), runs)
+    raise SystemExit(exit_status())

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator
 from functools import partial
 
 import numpy as np
-from calib_report import head, peak_mib, verdict
+from record import exit_status, head, peak_mib, verdict
 from scipy.spatial.transform import Rotation
 
 from boresight.calib.frames import calibrate_frames, calibrate_stream, frame_pairs, prepare_frames
@@ -103,3 +103,4 @@ if __name__ == "__main__":
     head("calib: speed of the information form")
     against_the_svd()
     growth()
+    raise SystemExit(exit_status())

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-from calib_report import band_of_mean_nees, head, verdict
+from record import band_of_mean_nees, exit_status, head, verdict
 from scipy.spatial.transform import Rotation
 
 from boresight.calib.calibration import calibrate
@@ -146,3 +146,4 @@ if __name__ == "__main__":
     ablation(60)
     at_the_bound(1600)
     with_table_1(400)
+    raise SystemExit(exit_status())

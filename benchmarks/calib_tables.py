@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from calib_report import head, verdict
+from record import exit_status, head, verdict
 
 from boresight.pipeline.experiments.tables import run_experiment
 from boresight.pipeline.experiments.vectors import ExperimentSettings
@@ -79,3 +79,4 @@ if __name__ == "__main__":
     report_table5(run_experiment("table5", OUT, settings)[0])
     run_experiment("convergence", OUT, replace(settings, runs=100))
     run_experiment("figure8", OUT, settings)
+    raise SystemExit(exit_status())

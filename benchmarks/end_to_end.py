@@ -143,8 +143,10 @@ def table(runs: list[Run]) -> list[str]:
 
 
 def machine() -> list[str]:
-    """Date, machine, versions and the command."""
+    """Commit, date, machine, versions and the command."""
     from importlib.metadata import version
+
+    from record import commit
 
     cpu = platform.processor() or platform.machine()
     if Path("/proc/cpuinfo").is_file():
@@ -152,7 +154,7 @@ def machine() -> list[str]:
         cpu = names[0].split(":", 1)[1].strip() if names else cpu
     packages = ", ".join(f"{name} {version(name)}" for name in ("boresight", "numpy", "scipy", "pyerfa"))
     return [
-        f"{datetime.date.today().isoformat()}, {os.cpu_count()} cores of {cpu}, "
+        f"Commit {commit()}, {datetime.date.today().isoformat()}, {os.cpu_count()} cores of {cpu}, "
         f"Python {platform.python_version()}, {packages}",
         "",
         f"    python benchmarks/{Path(sys.argv[0]).name} {' '.join(sys.argv[1:])}",

@@ -56,11 +56,13 @@ def main() -> None:
         follow_coverage(options.coverage, options.inputs, options.seed)
         return
     from readers import READERS
+    from record import commit
 
     chosen = [reader.name for reader in READERS if not options.only or reader.name in options.only]
     whole = {reader.name for reader in READERS if reader.read is READERS[0].read}
     weights = [SLOW.get(name, WHOLE_DUMP if name in whole else 1.0) for name in chosen]
     shares = [max(1, round(options.inputs * weight / sum(weights))) for weight in weights]
+    print(f"commit {commit()}, {time.strftime('%Y-%m-%d')}, command: python {' '.join(sys.argv)}")
     print(f"Python {platform.python_version()}, {platform.platform()}, seed {options.seed}\n")
     titles = ("inputs", "read", "refused", "findings", "longest ms", "s")
     print(f"{'reader':24s}" + "".join(f"{title:>11s}" for title in titles))

@@ -24,9 +24,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pandas as pd
-from calib_report import head, peak_mib, verdict
 from end_to_end import run_command
 from numpy.typing import NDArray
+from record import exit_status, head, peak_mib, verdict
 
 from boresight.gct_match.match import match_strip
 from boresight.gct_match.predict.trajectories import target_paths
@@ -193,3 +193,4 @@ def judged(result: StripMatches, true: dict[tuple[str, int], NDArray]) -> tuple[
 
 if __name__ == "__main__":
     main()
+    raise SystemExit(exit_status())

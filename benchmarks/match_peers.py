@@ -19,8 +19,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 import skimage
-from calib_report import head, verdict
 from numpy.typing import NDArray
+from record import exit_status, head, verdict
 from scipy import ndimage
 from skimage.registration import phase_cross_correlation
 
@@ -218,3 +218,4 @@ METHODS: dict[str, Callable[[Pair], Outcome]] = {
 
 if __name__ == "__main__":
     main()
+    raise SystemExit(exit_status())

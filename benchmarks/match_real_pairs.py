@@ -16,9 +16,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 import rasterio
-from calib_report import head, verdict
 from match_peers import MARGIN, METHODS, SETTINGS, Array, Outcome, located, peak
 from numpy.typing import NDArray
+from record import exit_status, head, verdict
 from rendered_pairs import DATA, Pair
 
 from boresight.gct_match.imaging.views import normalised
@@ -267,3 +267,4 @@ def _band(path: Path) -> NDArray:
 
 if __name__ == "__main__":
     main()
+    raise SystemExit(exit_status())

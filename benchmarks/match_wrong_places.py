@@ -19,9 +19,9 @@ from itertools import product
 
 import cv2
 import numpy as np
-from calib_report import head, verdict
 from match_peers import MARGIN, located
 from numpy.typing import NDArray
+from record import exit_status, head, verdict
 from rendered_pairs import RATIO, load_picture, make_pair
 from scipy import ndimage
 
@@ -143,3 +143,4 @@ def grained(image: NDArray, rng: np.random.Generator) -> NDArray:
 
 if __name__ == "__main__":
     main()
+    raise SystemExit(exit_status())

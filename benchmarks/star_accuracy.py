@@ -20,8 +20,8 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from calib_report import head
 from numpy.typing import NDArray
+from record import head
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 from scipy.special import ndtr

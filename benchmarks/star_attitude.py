@@ -20,7 +20,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from calib_report import band_of_mean_nees, head, verdict
+from record import band_of_mean_nees, exit_status, head, verdict
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
@@ -164,3 +164,4 @@ def _print_against(errors, bounds):
 
 if __name__ == "__main__":
     main()
+    raise SystemExit(exit_status())

@@ -27,7 +27,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from calib_report import head, verdict
+from record import exit_status, head, verdict
 from scipy.optimize import least_squares
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
@@ -333,3 +333,4 @@ def _focal_lengths(found: CameraCalibration, sights):
 
 if __name__ == "__main__":
     main()
+    raise SystemExit(exit_status())

@@ -16,7 +16,7 @@ import time
 from pathlib import Path
 
 import numpy as np
-from calib_report import head, verdict
+from record import exit_status, head, verdict
 from scipy.spatial.transform import Rotation
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "star_id"))
@@ -128,3 +128,4 @@ def _detections(R_si, places, rng, stars, false):
 
 if __name__ == "__main__":
     main()
+    raise SystemExit(exit_status())

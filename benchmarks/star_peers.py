@@ -229,7 +229,7 @@ def main() -> None:
     arguments = parser.parse_args()
     sys.path[:0] = [str(HERE.parent), str(HERE.parent / "tests" / "star_id"), str(HERE)]
     import cv2
-    from calib_report import head
+    from record import head
 
     cv2.setNumThreads(1)
     with tempfile.TemporaryDirectory() as name:
@@ -345,8 +345,8 @@ def _centroids(camera, R_si, places, rng, stars: int, false: int):
 def _naming(peers: Peers, folder: Path, attitudes: int) -> None:
     from dataclasses import replace
 
-    from calib_report import verdict
     from frames import PAPER_CAMERA
+    from record import verdict
     from scipy.spatial.transform import Rotation
 
     from boresight.star_id.catalogue import hipparcos_stars
@@ -461,3 +461,6 @@ def _calibrating(peers: Peers, folder: Path, cameras: int) -> None:
 
 if __name__ == "__main__":
     worker() if "--worker" in sys.argv else main()
+    from record import exit_status
+
+    raise SystemExit(exit_status())

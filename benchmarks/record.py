@@ -1,4 +1,4 @@
-"""Head of a benchmark's report: when, on what, with what, by which command."""
+"""Head of a benchmark's record (commit, date, machine, versions, command) and its verdicts."""
 
 from __future__ import annotations
 
@@ -6,13 +6,15 @@ import datetime
 import os
 import platform
 import resource
+import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import scipy
 from scipy.stats import chi2
 
-__all__ = ["band_of_mean_nees", "head", "peak_mib", "verdict"]
+__all__ = ["band_of_mean_nees", "commit", "exit_status", "head", "peak_mib", "verdict"]
 
 # NumPy asks but once how many threads to use, when it is loaded; waiting threads count as CPU time. So a
 # benchmark that was not told starts anew with one.
@@ -21,8 +23,24 @@ if "OPENBLAS_NUM_THREADS" not in os.environ:
     os.execve(sys.executable, [sys.executable, *sys.orig_argv[1:]], os.environ | one_thread)
 
 
+_FAILED: list[str] = []  # verdicts of this process that do not hold
+
+
+def commit() -> str:
+    """The commit of the checkout, "+ changes" where tracked files differ from it; "unknown" without git."""
+    where = {"cwd": Path(__file__).parent, "capture_output": True, "text": True}
+    try:
+        name = subprocess.run(["git", "rev-parse", "--short", "HEAD"], **where, check=True).stdout.strip()
+        changed = subprocess.run(["git", "status", "--porcelain", "-uno"], **where, check=True).stdout.strip()
+    except (OSError, subprocess.CalledProcessError):
+        return "unknown"
+    # A record that is being written does not count as a change.
+    lines = [line for line in changed.splitlines() if "benchmarks/results/" not in line]
+    return f"{name} + changes" if lines else name
+
+
 def head(title: str) -> None:
-    """Print title, date, machine, versions and command."""
+    """Print title, commit, date, machine, versions and command."""
     cpu = platform.processor() or platform.machine()
     try:
         with open("/proc/cpuinfo") as file:
@@ -31,6 +49,7 @@ def head(title: str) -> None:
         pass
     threads = os.environ.get("OPENBLAS_NUM_THREADS", "unset")
     print(title)
+    print(f"commit    {commit()}")
     print(f"date      {datetime.datetime.now(datetime.UTC):%Y-%m-%d %H:%M} UTC")
     print(f"machine   {cpu}, {os.cpu_count()} cores, {platform.system()}; OPENBLAS_NUM_THREADS {threads}")
     print(f"versions  Python {platform.python_version()}, NumPy {np.__version__}, SciPy {scipy.__version__}")
@@ -50,5 +69,12 @@ def peak_mib() -> float:
 
 
 def verdict(text: str, holds: bool) -> None:
-    """One line: what was asked for, and whether it holds."""
+    """Print one line: what was asked for, and whether it holds. `exit_status` counts those that fail."""
+    if not holds:
+        _FAILED.append(text)
     print(f"{'holds' if holds else 'FAILS'}  {text}", flush=True)
+
+
+def exit_status() -> int:
+    """1 if a verdict of this process fails, else 0."""
+    return int(bool(_FAILED))
