@@ -29,9 +29,10 @@ from numpy.typing import NDArray
 from record import exit_status, head, peak_mib, verdict
 
 from boresight.gct_match.match import match_strip
-from boresight.gct_match.predict.trajectories import target_paths
+from boresight.gct_match.predict.scene import scene_of
 from boresight.gct_match.records import Chip, StripImage, StripMatches
-from boresight.gct_match.search.bootstrap import bootstrap, plan_search
+from boresight.gct_match.search.common_rotation import search_common_rotation
+from boresight.gct_match.search.plan import plan_search
 from boresight.pipeline.files.dump import open_dump, surface_of
 from boresight.pipeline.files.image_files import read_grid
 from boresight.pipeline.settings import read_settings
@@ -168,16 +169,13 @@ def measured(task: StripTask, chips: Sequence[Chip], chosen: Sequence[int]) -> t
 
 
 def searched(task: StripTask, chips: Sequence[Chip], chosen: Sequence[int]) -> float:
-    """CPU of the matcher up to the vote, without reading, s."""
+    """CPU of the search up to the vote, without reading, s."""
     strip = Timed(task.strip.images)
     targets, own = [task.targets[n] for n in chosen], [chips[n] for n in chosen]
-    sigma, surface = np.asarray(task.sigma_installation_rad, dtype=float), surface_of(task.terrain)
     start = time.process_time()
-    lines = max(strip.shape(ccd)[0] for ccd in strip.ccds)
-    pushbroom = pushbroom_of(task).tabulated(-0.5, lines - 0.5)
-    paths = target_paths(pushbroom, np.array([target.p_e for target in targets]), lines)
-    plan = plan_search(strip, paths, own, surface, sigma, task.settings)
-    bootstrap(strip, pushbroom, targets, own, surface, sigma, plan, task.settings)
+    model, surface = pushbroom_of(task), surface_of(task.terrain)
+    scene = scene_of(strip, model, targets, own, surface, task.sigma_installation_rad, task.settings)
+    search_common_rotation(scene, plan_search(scene))
     return time.process_time() - start - strip.read_s
 
 

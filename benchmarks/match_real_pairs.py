@@ -22,9 +22,10 @@ from record import exit_status, head, verdict
 from rendered_pairs import DATA, Pair
 
 from boresight.gct_match.imaging.views import normalised
-from boresight.gct_match.search.bootstrap import pyramid_factor, vote_tolerance_px
+from boresight.gct_match.search.common_rotation import vote_tolerance_px
 from boresight.gct_match.search.correlation import correlation_surface
-from boresight.gct_match.search.edge_search import best_places, search_picture, search_template
+from boresight.gct_match.search.edge_search import best_positions, search_picture, search_template
+from boresight.gct_match.search.plan import pyramid_factor
 from boresight.gct_match.search.vote import Candidates, Vote, log_chance_of_ranks, vote
 from boresight.gct_match.suggest import suggest_targets
 
@@ -233,7 +234,7 @@ def _common_offset(a: NDArray, b: NDArray, places: list[Place], aside: Array | i
         window, at = _window(b, np.array([x, y]) + aside)
         template, picture = (_coarse(image, factor) for image in (a[y : y + SIZE, x : x + SIZE], window))
         width, height = np.subtract(picture.shape, template.shape)[::-1].tolist()
-        found = best_places(
+        found = best_positions(
             search_template(template), [search_picture(picture)], [(0, 0, width, height)], SETTINGS.candidates
         )
         owner.append(np.full(len(found.xy), k))

@@ -1,14 +1,13 @@
-"""A chip's best places in large pictures, by its edges: from coarse to fine.
+"""Best positions of a chip in large pictures by its edges, from coarse to fine.
 
-A picture is held at one scale. On its pooled edge field, four pixels to one, the whole window is searched;
-around the best places edges of the picture's means over 2 x 2 px are compared, then, around the best of
-those, the picture's own. What is far too many places for the last step costs little in the first.
+The whole window is searched on the picture's pooled edge field, four pixels to one. Around the best positions
+the edges of means over 2 x 2 px are compared, then, around the best of those, the picture's own edges. The
+early steps keep many more positions than the last one, at little cost.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import cv2
@@ -25,52 +24,63 @@ from boresight.gct_match.search.edges import (
     halved,
     normalised,
 )
+from boresight.geometry.record import Ints, array, record
 
-__all__ = ["Places", "SearchPicture", "SearchTemplate", "best_places", "search_picture", "search_template"]
+__all__ = [
+    "Positions",
+    "SearchPicture",
+    "SearchTemplate",
+    "best_positions",
+    "search_picture",
+    "search_template",
+]
 
 Image = NDArray[Any]  # whole numbers or single precision
 
 _POOLED = 4  # pixels of a picture to one of its pooled edge field
-_KEPT = 16, 4  # times as many places as are wanted in the end are looked at in the next finer picture
-_REACH = 2  # pixels by which the next finer picture may move a place
+_KEPT = 16, 4  # times as many positions as are wanted in the end are looked at in the next finer picture
+_REACH = 2  # pixels by which the next finer picture may move a position
 _RING = 1  # pixel around them: the outermost edges of a window are those of a cut
 _SPARE = _REACH + _RING
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record
 class SearchPicture:
-    """A picture and its edges on the grid that is searched."""
+    """A picture and its edges on the grids that are searched."""
 
-    image: Image  # (H, W)
-    halved: Image  # (2, H // 4 * 2, W // 4 * 2) edges of means over 2 x 2 px, 8 bit
-    pooled: Image  # (2, H // 4, W // 4) their means over 2 x 2
+    image: Image = array("H, W", "grey values; NaN where there are none")
+    halved: Image = array("2, A, B", "edges of means over 2 x 2 px, H // 4 * 2 rows, 8 bit in parts of FULL")
+    pooled: Image = array("2, C, D", "means over 2 x 2 of `halved`, H // 4 rows")
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record
 class SearchTemplate:
-    """A template's edges on the grids of three pictures."""
+    """Edges of a template on the grids of three pictures."""
 
-    own: Image  # (2, h, w), h and w multiples of four
-    halved: Image  # (2, h / 2, w / 2)
-    pooled: Image  # (2, h / 4, w / 4)
+    own: Image = array("2, H, W", "on the picture's grid; H and W are multiples of four")
+    halved: Image = array("2, A, B", "of means over 2 x 2 px")
+    pooled: Image = array("2, C, D", "means over 2 x 2 of `halved`")
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Places:
-    """Where a template's first pixel may lie, best first. Row n of every array speaks of the same place."""
+@record
+class Positions:
+    """Positions of a template's first pixel, best first. Row n of every array refers to the same position."""
 
-    picture: NDArray[np.int64]  # (K,) index into the pictures
-    xy: NDArray[np.int64]  # (K, 2) column, row; up to half a template outside
-    value: Image  # (K,) correlation of the edges
+    picture: Ints = array("K", "index of the picture")
+    xy: Ints = array("K, 2", "column, row; up to half a template outside the picture")
+    value: Image = array("K", "correlation of the edges")
 
 
 def search_picture(image: Image) -> SearchPicture:
-    """A picture (H, W) made ready for a search; NaN where it shows nothing."""
+    """A picture (H, W) prepared for a search; NaN marks missing pixels."""
     return SearchPicture(image, *coarse_edge_fields(image))
 
 
 def search_template(image: Image) -> SearchTemplate:
-    """A template (h, w) made ready for a search; NaN where it shows nothing."""
+    """A template (h, w) prepared for a search; `ValueError` if a side is not a multiple of four.
+
+    NaN marks missing pixels.
+    """
     h, w = image.shape
     if h % _POOLED or w % _POOLED:
         raise ValueError(f"a template's sides must be multiples of {_POOLED}, got {h} x {w}")
@@ -78,25 +88,25 @@ def search_template(image: Image) -> SearchTemplate:
     return SearchTemplate(edge_field(image), half, np.stack([halved(plane) for plane in half]))
 
 
-def best_places(
+def best_positions(
     template: SearchTemplate,
     pictures: Sequence[SearchPicture],
     boxes: Sequence[tuple[int, int, int, int]],
     count: int,
-) -> Places:
-    """The best places of a template whose first pixel lies within a box (x0, y0, x1, y1) of each picture."""
+) -> Positions:
+    """The best positions of a template whose first pixel lies in the box (x0, y0, x1, y1) of a picture."""
     first, second = (times * count for times in _KEPT)
     found = [_cells(template.pooled, p.pooled, box, first) for p, box in zip(pictures, boxes, strict=True)]
-    everywhere = Places(
+    everywhere = Positions(
         np.repeat(np.arange(len(found)), [len(value) for _, value in found]),
         np.concatenate([xy for xy, _ in found]),
         np.concatenate([value for _, value in found]),
     )
-    places = _best(everywhere, first)
-    fields = _windows([p.halved for p in pictures], places, template.halved.shape, 2) / FULL
-    places = _best(_moved(template.halved, fields, places, 2), second)
-    windows = _windows([p.image[None] for p in pictures], places, (1, *template.own.shape[1:]), 1)
-    return _best(_moved(template.own, _edges_of(windows[:, 0]), places, 1), count)
+    positions = _best(everywhere, first)
+    fields = _windows([p.halved for p in pictures], positions, template.halved.shape, 2) / FULL
+    positions = _best(_moved(template.halved, fields, positions, 2), second)
+    windows = _windows([p.image[None] for p in pictures], positions, (1, *template.own.shape[1:]), 1)
+    return _best(_moved(template.own, _edges_of(windows[:, 0]), positions, 1), count)
 
 
 def _cells(
@@ -124,15 +134,15 @@ def _cells(
     return _POOLED * np.column_stack([column + x0, row + y0]), score[cells]
 
 
-def _windows(planes: Sequence[Image], places: Places, shape: tuple[int, ...], scale: int) -> Image:
-    """What planes (N, H, W) of the pictures, `scale` px to one, show of a template (N, h, w) at its places
+def _windows(planes: Sequence[Image], positions: Positions, shape: tuple[int, ...], scale: int) -> Image:
+    """What planes (N, H, W) of the pictures, `scale` px to one, show of a template (N, h, w) at its positions
     and `_SPARE` around: (K, N, h + 2 _SPARE, w + 2 _SPARE). Beyond a picture's edges they show the edge.
     """
     n, h, w = shape[0], shape[1] + 2 * _SPARE, shape[2] + 2 * _SPARE
-    out = np.empty((len(places.xy), n, h, w), dtype=planes[0].dtype)
+    out = np.empty((len(positions.xy), n, h, w), dtype=planes[0].dtype)
     for k, plane in enumerate(planes):
-        here = np.flatnonzero(places.picture == k)
-        x, y = (places.xy[here] // scale - _SPARE).T
+        here = np.flatnonzero(positions.picture == k)
+        x, y = (positions.xy[here] // scale - _SPARE).T
         inside = (x >= 0) & (y >= 0) & (x <= plane.shape[2] - w) & (y <= plane.shape[1] - h)
         view = np.lib.stride_tricks.sliding_window_view(plane, (n, h, w))[0]
         out[here[inside]] = view[y[inside], x[inside]]
@@ -148,8 +158,8 @@ def _edges_of(windows: Image) -> Image:
     return edge_field(windows.reshape(k * h, w)).reshape(2, k, h, w).swapaxes(0, 1)
 
 
-def _moved(template: Image, fields: Image, places: Places, scale: int) -> Places:
-    """Each place moved by up to `_REACH` to where the template (2, h, w) agrees best with the edges there,
+def _moved(template: Image, fields: Image, positions: Positions, scale: int) -> Positions:
+    """Each position moved by up to `_REACH` to where the template (2, h, w) agrees best with the edges there,
     fields (K, 2, h + 2 _SPARE, w + 2 _SPARE) of means over scale² px.
     """
     values = np.ascontiguousarray(fields[:, :, _RING:-_RING, _RING:-_RING]).reshape(len(fields), -1)
@@ -158,11 +168,11 @@ def _moved(template: Image, fields: Image, places: Places, scale: int) -> Places
     best = similar.argmax(axis=1)
     row, column = np.divmod(best, 2 * _REACH + 1)
     move = np.column_stack([column, row]) - _REACH
-    return Places(places.picture, places.xy + scale * move, similar[np.arange(len(best)), best])
+    return Positions(positions.picture, positions.xy + scale * move, similar[np.arange(len(best)), best])
 
 
 def _shifted(template: Image) -> Image:
-    """A template (2, h, w) at each place of a field that is `_REACH` wider on every side, one a row."""
+    """A template (2, h, w) at each position of a field that is `_REACH` wider on every side, one a row."""
     _, h, w = template.shape
     n = 2 * _REACH + 1
     out = np.zeros((n, n, 2, h + n - 1, w + n - 1), dtype=np.float32)
@@ -173,9 +183,9 @@ def _shifted(template: Image) -> Image:
     return out.reshape(n * n, -1)
 
 
-def _best(places: Places, count: int) -> Places:
+def _best(positions: Positions, count: int) -> Positions:
     """The best, each once."""
-    number = (places.picture << 50) + (places.xy[:, 1] << 25) + places.xy[:, 0]
+    number = (positions.picture << 50) + (positions.xy[:, 1] << 25) + positions.xy[:, 0]
     _, once = np.unique(number, return_index=True)
-    keep = once[np.argsort(-places.value[once], kind="stable")[:count]]
-    return Places(places.picture[keep], places.xy[keep], places.value[keep])
+    keep = once[np.argsort(-positions.value[once], kind="stable")[:count]]
+    return Positions(positions.picture[keep], positions.xy[keep], positions.value[keep])

@@ -1,97 +1,96 @@
-"""The one small motion on which candidate places of many targets agree, and how likely chance would agree
-so well.
+"""Vote of candidate positions on one common motion, and the probability of such an agreement by chance.
 
-Every target offers several candidate places, of which at most one is right. A candidate's displacement
-from where the model put it is d = D p for the common parameters p (three small angles for a strip, two
-shifts for a picture). Each candidate proposes the p that explains it; the other targets' candidates nearby
-support it, the more the less likely chance would give such a correlation there.
+Every target has several candidate positions, of which at most one is right. The displacement of a candidate
+from where the model predicts its target is d = D p for the common parameters p (three small angles for a
+strip, two shifts for a picture). Each candidate proposes the p that explains it; candidates of the other
+targets near that proposal support it, with a weight that grows as their correlation is rarer by chance.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
-
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from scipy.special import logsumexp
 
+from boresight.geometry.record import Floats, Ints, array, record, scalar
+
 __all__ = ["Candidates", "Vote", "fit_common", "log_chance_of_ranks", "vote"]
 
-Array = NDArray[np.float64]
-
-_ORDERS = np.linspace(
-    0.05, 0.95, 19
-)  # of the moments that bound a chance; between them the bound hardly changes
+_ORDERS = np.linspace(0.05, 0.95, 19)  # of the moments that bound a chance; finer steps hardly change it
+_REFINEMENTS = 4
+_MOST_THIRD_VALUES = 61
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record
 class Candidates:
-    """Places where targets may lie. Row n of every array speaks of the same candidate."""
+    """Candidate positions of targets. Row n of every array refers to the same candidate."""
 
-    owner: NDArray[np.int64]  # (C,) which target, 0..T-1
-    displacement_px: Array  # (C, 2) from where the model put the target
-    design: Array  # (C, 2, P) its derivative by the common parameters
-    log_chance: Array  # (C,) of such a correlation, or a higher one, within the tolerance, by chance
+    owner: Ints = array("C", "index of the target")
+    displacement_px: Floats = array("C, 2", "displacement from the predicted position, px")
+    design: Floats = array("C, 2, P", "its derivative by the common parameters")
+    log_chance: Floats = array(
+        "C", "log probability of such a rank or a better one within the tolerance by chance"
+    )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record
 class Vote:
-    """What the candidates agree on."""
+    """The common parameters on which the candidates agree."""
 
-    parameters: Array  # (P,)
-    covariance: Array  # (P, P)
-    supporters: NDArray[np.int64]  # one candidate of each target that agrees
-    log_probability_chance: float
+    parameters: Floats = array("P", "common parameters; rad for a strip")
+    covariance: Floats = array("P, P", "their covariance")
+    supporters: Ints = array("S", "rows of the supporting candidates, one for each target that agrees")
+    log_probability_chance: float = scalar("log of a bound of the probability of this agreement by chance")
 
 
 def vote(
-    candidates: Candidates, prior_sigma: Array, reach: float, tolerance_px: float, sigma_px: float
+    candidates: Candidates, prior_sigma: Floats, reach: float, tolerance_px: float, sigma_px: float
 ) -> Vote:
-    """The best supported parameters within `reach` standard errors of zero.
+    """The best supported parameters within `reach` standard errors `prior_sigma` (P,) of zero.
 
-    `tolerance_px` is how far a supporting candidate may lie from the common motion, `sigma_px` its
-    standard error.
+    `tolerance_px` is the largest distance of a supporting candidate from the common motion, `sigma_px` the
+    standard error of a candidate. Without candidates the parameters are zero and chance is certain.
     """
     if len(candidates.owner) == 0:
         return Vote(np.zeros(len(prior_sigma)), np.diag(prior_sigma**2), np.zeros(0, dtype=np.int64), 0.0)
     n_targets = int(candidates.owner.max()) + 1
-    third = _third_parameters(candidates, prior_sigma, reach, tolerance_px)
+    third_values = _third_values(candidates, prior_sigma, reach, tolerance_px)
+    proposal, per_third = _proposals(candidates)
+    px_per_unit = np.abs(candidates.design[:, :, :2]).sum(axis=2).mean()
     best, start = 0.0, np.zeros(len(prior_sigma))
-    scale = np.abs(candidates.design[:, :, :2]).sum(axis=2).mean()
-    q_of = _proposals(candidates)
-    for value in third:
-        q = q_of(value)
+    for third in third_values:
+        q = proposal - per_third * third
         inside = (np.abs(q) <= reach * prior_sigma[:2] * 1.05).all(axis=1)
         if not inside.any():
             continue
-        owner, chance = candidates.owner[inside], candidates.log_chance[inside]
-        score = _support(q[inside] * scale, owner, chance, n_targets, tolerance_px)
+        owner, log_chance = candidates.owner[inside], candidates.log_chance[inside]
+        score = _support(q[inside] * px_per_unit, owner, log_chance, n_targets, tolerance_px)
         n = int(np.argmin(score))
         if score[n] < best:
             best = float(score[n])
-            start = np.concatenate([q[inside][n], [value]])[: len(prior_sigma)]
-    log_chance = log_chance_of_score(candidates, -best) + np.log(len(third))
-    return _polished(candidates, start, min(log_chance, 0.0), prior_sigma, tolerance_px, sigma_px)
+            start = np.concatenate([q[inside][n], [third]])[: len(prior_sigma)]
+    # every value of the third parameter is one more opportunity for chance
+    log_bound = min(log_chance_of_score(candidates, -best) + float(np.log(len(third_values))), 0.0)
+    p, covariance, supporters = _refined(candidates, start, prior_sigma, tolerance_px, sigma_px)
+    return Vote(p, covariance, supporters, log_bound)
 
 
-def log_chance_of_ranks(count: int, share: float) -> Array:
-    """Log of the chance that one of a target's k + 1 best places lies in a given spot by accident, k =
-    0..count-1.
+def log_chance_of_ranks(count: int, share: float) -> Floats:
+    """(count,) log of the probability that one of a target's k + 1 best positions lies in a given area by
+    chance, k = 0..count - 1: (k + 1) share, where `share` is that area's part of the searched area.
 
-    `share` is that of the spot in the area that was searched. High correlations are no rarer for chips of
-    repeated patterns than ranks say: the picture itself shows how often a place looks like the chip.
+    Ranks are valid for chips of repeated patterns, too: the picture itself shows how often it resembles the
+    chip, whereas a high correlation may be frequent.
     """
     return np.minimum(np.log(np.arange(1.0, count + 1.0)) + np.log(share), 0.0)
 
 
 def log_chance_of_score(candidates: Candidates, score: float) -> float:
-    """Log of a bound of the chance that somewhere the targets' log chances add up to -score, by accident.
+    """Log of a bound of the probability that somewhere the targets' log chances add up to -score by chance.
 
-    If target t's places lie anywhere, its share -log p of the score has the moments M_t(s) = E[p^-s], where
-    p is the chance of its best place within the tolerance, or 1. Some candidate of some target must be part
-    of the agreement:
+    If the positions of target t are random, its share -log p of the score has the moments M_t(s) = E[p^-s],
+    where p is the chance of its best position within the tolerance, or 1. Some candidate of some target must
+    be part of the agreement:
 
         P  <=  sum_t sum_k p_tk^-s  prod_(other targets u) M_u(s)  exp(-s score)     for every s in (0, 1)
 
@@ -109,9 +108,11 @@ def log_chance_of_score(candidates: Candidates, score: float) -> float:
 
 
 def fit_common(
-    displacement_px: Array, design: Array, cov_px: Array, prior_sigma: Array
-) -> tuple[Array, Array]:
-    """Least squares for the common parameters and their covariance; (N, 2), (N, 2, P), (N, 2, 2), (P,)."""
+    displacement_px: Floats, design: Floats, cov_px: Floats, prior_sigma: Floats
+) -> tuple[Floats, Floats]:
+    """Least-squares parameters (P,) and covariance (P, P) from displacements (N, 2), their design matrices
+    (N, 2, P) and covariances (N, 2, 2), with a Gaussian prior of `prior_sigma` (P,) about zero.
+    """
     weight = np.linalg.inv(cov_px)
     normal = np.einsum("nai,nab,nbj->ij", design, weight, design) + np.diag(prior_sigma**-2.0)
     right = np.einsum("nai,nab,nb->i", design, weight, displacement_px)
@@ -119,28 +120,27 @@ def fit_common(
     return covariance @ right, covariance
 
 
-def _third_parameters(candidates: Candidates, prior_sigma: Array, reach: float, tolerance_px: float) -> Array:
-    """Values of the third parameter to try, so close that none is missed; one zero where there is no
-    third.
-    """
+def _third_values(candidates: Candidates, prior_sigma: Floats, reach: float, tolerance_px: float) -> Floats:
+    """Values of the third parameter at steps of the tolerance; a single zero if there are two parameters."""
     if len(prior_sigma) < 3:
         return np.zeros(1)
     design = candidates.design[:, :, 2]
     lever = float(np.abs(design - design.mean(axis=0)).max()) + 1e-9
     half = reach * prior_sigma[2]
-    count = min(2 * int(np.ceil(half * lever / tolerance_px)) + 1, 61)
+    count = min(2 * int(np.ceil(half * lever / tolerance_px)) + 1, _MOST_THIRD_VALUES)
     return np.array([half * k / max(count // 2, 1) for k in range(-(count // 2), count // 2 + 1)])
 
 
-def _proposals(candidates: Candidates) -> Callable[[float], Array]:
-    """The first two parameters (C, 2) that explain each candidate, as a function of the third."""
+def _proposals(candidates: Candidates) -> tuple[Floats, Floats]:
+    """(C, 2) first two parameters that explain each candidate if the third is zero, and (C, 2) their decrease
+    per unit of the third.
+    """
     inverse = np.linalg.inv(candidates.design[:, :, :2])
-    alone = np.einsum("cij,cj->ci", inverse, candidates.displacement_px)
-    by_third = np.einsum("cij,cjk->cik", inverse, candidates.design[:, :, 2:]).sum(axis=2)
-    return lambda third: alone - by_third * third
+    proposal = np.einsum("cij,cj->ci", inverse, candidates.displacement_px)
+    return proposal, np.einsum("cij,cjk->cik", inverse, candidates.design[:, :, 2:]).sum(axis=2)
 
 
-def _support(q_px: Array, owner: NDArray, log_chance: Array, n_targets: int, tolerance_px: float) -> Array:
+def _support(q_px: Floats, owner: Ints, log_chance: Floats, n_targets: int, tolerance_px: float) -> Floats:
     """(C,) sum over targets of the lowest log chance among their candidates near each proposal."""
     pairs = cKDTree(q_px).query_pairs(tolerance_px, output_type="ndarray")
     lowest = np.zeros((len(owner), n_targets))
@@ -151,19 +151,17 @@ def _support(q_px: Array, owner: NDArray, log_chance: Array, n_targets: int, tol
     return lowest.sum(axis=1)
 
 
-def _polished(
-    candidates: Candidates,
-    start: Array,
-    log_chance: float,
-    prior_sigma: Array,
-    tolerance_px: float,
-    sigma_px: float,
-) -> Vote:
+def _refined(
+    candidates: Candidates, start: Floats, prior_sigma: Floats, tolerance_px: float, sigma_px: float
+) -> tuple[Floats, Floats, Ints]:
+    """Least-squares parameters from the candidates near the common motion, their covariance, and the rows of
+    these candidates: of each target the one with the lowest log chance.
+    """
     p, covariance = start, np.diag(prior_sigma**2)
     chosen = np.zeros(0, dtype=np.int64)
-    for _ in range(4):
-        miss = candidates.displacement_px - candidates.design @ p
-        distance = np.hypot(miss[:, 0], miss[:, 1])
+    for _ in range(_REFINEMENTS):
+        off = candidates.displacement_px - candidates.design @ p
+        distance = np.hypot(off[:, 0], off[:, 1])
         near = np.nonzero(distance <= tolerance_px)[0]
         near = near[np.lexsort((distance[near], candidates.log_chance[near]))]
         _, first = np.unique(candidates.owner[near], return_index=True)
@@ -174,4 +172,4 @@ def _polished(
         p, covariance = fit_common(
             candidates.displacement_px[chosen], candidates.design[chosen], cov_px, prior_sigma
         )
-    return Vote(p, covariance, chosen, log_chance)
+    return p, covariance, chosen

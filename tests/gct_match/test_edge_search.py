@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from boresight.gct_match.search.edge_search import best_places, search_picture, search_template
+from boresight.gct_match.search.edge_search import best_positions, search_picture, search_template
 from boresight.gct_match.search.edges import edge_field, edge_similarity
 
 
@@ -23,7 +23,7 @@ def ground() -> NDArray:
 def test_chip_is_found_at_any_place_of_the_coarse_grid(ground: NDArray, x: int, y: int):
     noise = np.random.default_rng(1).normal(0.0, 8.0, (32, 32))
     chip = (255.0 - ground[y : y + 32, x : x + 32] + noise).astype(np.float32)  # its negative, with noise
-    places = best_places(search_template(chip), [search_picture(ground)], [(0, 0, 468, 668)], 20)
+    places = best_positions(search_template(chip), [search_picture(ground)], [(0, 0, 468, 668)], 20)
     assert places.xy[0].tolist() == [x, y]
     assert (np.diff(places.value) <= 0.0).all() and len(places.xy) == 20
 
@@ -38,14 +38,14 @@ def test_the_best_place_is_that_of_the_full_search(ground: NDArray):
         surface = edge_similarity(edge_field(chip.astype(np.float32)), field)
         row, column = np.unravel_index(surface.argmax(), surface.shape)
         box = (0, 0, surface.shape[1] - 1, surface.shape[0] - 1)
-        found = best_places(search_template(chip.astype(np.float32)), [search_picture(ground)], [box], 5)
+        found = best_positions(search_template(chip.astype(np.float32)), [search_picture(ground)], [box], 5)
         assert found.xy[0].tolist() == [column, row]
 
 
 def test_of_two_pictures_the_right_one_is_named(ground: NDArray):
     left, right = (search_picture(np.ascontiguousarray(part)) for part in (ground[:, :240], ground[:, 240:]))
     chip = search_template(ground[300:332, 300:332].astype(np.float32))
-    places = best_places(chip, [left, right], [(0, 0, 208, 668)] * 2, 10)
+    places = best_positions(chip, [left, right], [(0, 0, 208, 668)] * 2, 10)
     assert places.picture[0] == 1
     assert places.xy[0].tolist() == [60, 300]
 
@@ -53,13 +53,13 @@ def test_of_two_pictures_the_right_one_is_named(ground: NDArray):
 def test_chip_that_reaches_beyond_the_picture_is_found_by_the_rest_of_it(ground: NDArray):
     chip = search_template(ground[100:132, 0:32].astype(np.float32))
     cut = search_picture(np.ascontiguousarray(ground[:, 12:]))
-    places = best_places(chip, [cut], [(-16, 0, 440, 668)], 10)
+    places = best_positions(chip, [cut], [(-16, 0, 440, 668)], 10)
     assert places.xy[0].tolist() == [-12, 100]
 
 
 def test_places_lie_within_the_box_and_what_it_is_rounded_to(ground: NDArray):
     chip = search_template(ground[300:332, 300:332].astype(np.float32))
-    places = best_places(chip, [search_picture(ground)], [(40, 60, 140, 220)], 50)
+    places = best_positions(chip, [search_picture(ground)], [(40, 60, 140, 220)], 50)
     low, high = places.xy.min(axis=0), places.xy.max(axis=0)
     assert (low >= [40 - 9, 60 - 9]).all() and (high <= [140 + 9, 220 + 9]).all()  # px: 3 + 4 + 2
 
@@ -68,7 +68,7 @@ def test_hidden_ground_is_no_place(ground: NDArray):
     image = ground.astype(np.float32)
     image[200:260, 100:180] = np.nan
     chip = search_template(ground[215:247, 120:152].astype(np.float32))
-    places = best_places(chip, [search_picture(image)], [(0, 0, 468, 668)], 10)
+    places = best_positions(chip, [search_picture(image)], [(0, 0, 468, 668)], 10)
     assert np.isfinite(places.value).all()
     assert np.abs(places.xy - [120, 215]).max(axis=1).min() > 16
 

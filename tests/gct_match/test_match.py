@@ -12,11 +12,12 @@ from scipy.stats import chi2
 from small_strip import LINES, SURFACE, Case, SmallStrip, make_case
 
 from boresight.gct_match.match import match_strip
+from boresight.gct_match.predict.scene import scene_of
 from boresight.gct_match.predict.template import predict_template
-from boresight.gct_match.predict.trajectories import displacements, target_paths
+from boresight.gct_match.predict.trajectories import displacements
 from boresight.gct_match.records import Chip, Reason, StripMatches, Target
-from boresight.gct_match.search.bootstrap import plan_search
 from boresight.gct_match.search.coarse import read_coarse
+from boresight.gct_match.search.plan import plan_search
 from boresight.gct_match.settings import MatchSettings
 from boresight.geometry.installation import deviation_from_theta, theta_between
 from boresight.geometry.virtual_ccd import VirtualStrip
@@ -97,8 +98,8 @@ def test_small_uncertainty_needs_no_bootstrap(case: Case):
 
 
 def test_cost_is_known_before_the_search_starts(case: Case):
-    paths = target_paths(case.pushbroom, np.array([t.p_e for t in case.targets]), LINES)
-    plan = plan_search(case.strip, paths, case.chips, SURFACE, SIGMA, MatchSettings())
+    scene = scene_of(case.strip, case.pushbroom, case.targets, case.chips, SURFACE, SIGMA, MatchSettings())
+    plan = plan_search(scene)
     case.strip.pixels_read = 0
     outcome = matched(case)
     windows = outcome.pixels_read - plan.pixels_to_read

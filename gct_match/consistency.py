@@ -1,0 +1,98 @@
+"""Consistency of a strip's matches: they share one rotation and, between star exposures, the attitude error.
+
+Each match is compared with what the others predict; the worst is refused first, until all agree.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from boresight.gct_match.predict.scene import Scene
+from boresight.gct_match.predict.trajectories import displacements
+from boresight.gct_match.records import Reason, Refusal, TargetMatch
+from boresight.geometry.installation import deviation_from_theta, theta_from_deviation
+from boresight.geometry.record import Floats
+
+__all__ = ["consistent_matches"]
+
+_GATE = 4.0  # standard errors by which a match may differ from the prediction of the others
+
+
+def consistent_matches(
+    scene: Scene, found: Sequence[TargetMatch], theta: Floats
+) -> tuple[list[TargetMatch], list[Refusal], Floats, Floats]:
+    """Matches that agree with one another, refusals of the others, and their common rotation.
+
+    The last two are theta (3,), rad, axes of c, against the scene's initial installation matrix, and its
+    covariance (3, 3), rad²; `theta` is the rotation with which the matches were predicted. Two matches that
+    contradict one another are both kept.
+    """
+    sigma_rad = scene.sigma_installation_rad
+    if not found:
+        return [], [], theta, np.diag(sigma_rad**2)
+    positions = {target.target_id: target.p_e for target in scene.targets}
+    p_e = np.array([positions[match.target_id] for match in found])
+    xy = np.array([match.xy_px for match in found])
+    model = scene.pushbroom.with_installation(deviation_from_theta(theta) * scene.pushbroom.R_cs)
+    d, design = displacements(model, p_e, np.array([match.ccd for match in found]), xy)
+    scatter = _scatter(scene, np.array([match.cov_px for match in found]), xy[:, 1])
+    keep, refused = list(range(len(found))), []
+    while True:
+        off, distance = _from_the_others(d[keep], design[keep], scatter[np.ix_(keep, keep)], sigma_rad)
+        worst = int(np.argmax(distance))
+        if distance[worst] <= _GATE or len(keep) <= 2:
+            break
+        match, more = found[keep[worst]], (float(off[worst][0]), float(off[worst][1]))
+        refused.append(
+            Refusal(Reason.INCONSISTENT, float(distance[worst]), _GATE, more, match.target_id, match.ccd)
+        )
+        keep.pop(worst)
+    p, covariance = _common_rotation(d[keep], design[keep], scatter[np.ix_(keep, keep)], sigma_rad)
+    total = deviation_from_theta(p) * deviation_from_theta(theta)
+    matches = [replace(found[k], residual_px=d[k] - design[k] @ p) for k in keep]
+    return matches, refused, theta_from_deviation(total), covariance
+
+
+def _scatter(scene: Scene, cov_px: Floats, line: Floats) -> Floats:
+    """(N, N, 2, 2) covariance of displacements about the common rotation: that of each match, (N, 2, 2), and
+    the attitude error, common to matches seen between the same star exposures.
+    """
+    settings = scene.settings
+    t_s = scene.pushbroom.instants(line)
+    correlated = np.maximum(1.0 - np.abs(t_s[:, None] - t_s) / settings.attitude_step_s, 0.0)
+    out = np.asarray(settings.attitude_sigma_px**2 * correlated[:, :, None, None] * np.eye(2))
+    every = np.arange(len(line))
+    out[every, every] += cov_px + settings.consistency_sigma_px**2 * np.eye(2)
+    return out
+
+
+def _from_the_others(d: Floats, design: Floats, scatter: Floats, sigma_rad: Floats) -> tuple[Floats, Floats]:
+    """Difference of each displacement (N, 2) from what the others predict: (N, 2) px and (N,) in sigmas.
+
+    With S the covariance of all displacements, the rotation's own included, and Q its inverse, the others
+    leave of displacement n  e_n = Q_nn^-1 (Q d)_n,  with covariance Q_nn^-1.
+    """
+    n = len(d)
+    prior = np.einsum("nap,p,mbp->nmab", design, sigma_rad**2, design)
+    Q = np.linalg.inv(_flat(scatter + prior)).reshape(n, 2, n, 2)
+    pull = np.einsum("namb,mb->na", Q, d)
+    own = np.einsum("nanb->nab", Q)
+    off = np.linalg.solve(own, pull[:, :, None])[:, :, 0]
+    return off, np.sqrt(np.einsum("na,na->n", off, pull))
+
+
+def _common_rotation(d: Floats, design: Floats, scatter: Floats, sigma_rad: Floats) -> tuple[Floats, Floats]:
+    """Least-squares rotation (3,), rad, of the displacements, and its covariance."""
+    D = design.reshape(-1, 3)
+    weighted = np.linalg.solve(_flat(scatter), D)
+    covariance = np.linalg.inv(D.T @ weighted + np.diag(sigma_rad**-2.0))
+    return covariance @ (weighted.T @ d.ravel()), covariance
+
+
+def _flat(blocks: Floats) -> Floats:
+    """(N, N, 2, 2) as one matrix (2 N, 2 N)."""
+    n = len(blocks)
+    return blocks.transpose(0, 2, 1, 3).reshape(2 * n, 2 * n)

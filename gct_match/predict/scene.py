@@ -1,0 +1,56 @@
+"""A strip with everything known about it before a search."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from boresight.gct_match.predict.trajectories import Trajectories, trajectories_of
+from boresight.gct_match.records import Chip, StripImage, Target
+from boresight.gct_match.settings import MatchSettings
+from boresight.geometry.pushbroom import Pushbroom
+from boresight.geometry.record import Floats, array, record, scalar
+from boresight.geometry.terrain import Surface
+
+__all__ = ["Scene", "scene_of"]
+
+
+@record(kw_only=True)
+class Scene:
+    """A strip, its targets and the models that predict where the strip shows them."""
+
+    strip: StripImage = scalar("raw pixels")
+    pushbroom: Pushbroom = scalar("rigorous model at the initial installation matrix R_cs0")
+    targets: Sequence[Target] = scalar("T targets")
+    chips: Sequence[Chip] = scalar("T chips, in the order of the targets")
+    surface: Surface = scalar("ellipsoidal heights of the ground between the targets")
+    sigma_installation_rad: Floats = array(
+        "3", "1-sigma of the rotation by which R_cs0 may be wrong, axes of c"
+    )
+    settings: MatchSettings = scalar("settings of target matching")
+    trajectories: Trajectories = scalar("image trajectories of the targets")
+
+
+def scene_of(
+    strip: StripImage,
+    pushbroom: Pushbroom,
+    targets: Sequence[Target],
+    chips: Sequence[Chip],
+    surface: Surface,
+    sigma_installation_rad: Floats,
+    settings: MatchSettings,
+) -> Scene:
+    """The scene of a strip with at least one CCD and one target."""
+    lines = max(strip.shape(ccd)[0] for ccd in strip.ccds)
+    pushbroom = pushbroom.tabulated(-0.5, lines - 0.5)
+    return Scene(
+        strip=strip,
+        pushbroom=pushbroom,
+        targets=targets,
+        chips=chips,
+        surface=surface,
+        sigma_installation_rad=np.asarray(sigma_installation_rad, dtype=float),
+        settings=settings,
+        trajectories=trajectories_of(pushbroom, np.array([t.p_e for t in targets]), lines),
+    )

@@ -1,0 +1,182 @@
+"""Common rotation of a strip whose installation matrix is wrong by up to thousands of pixels.
+
+The error of the installation matrix is one small rotation for the whole strip.
+
+    strip -> coarse edge pictures, read once
+    target -> template on the coarse grid -> its best positions in the search windows: candidates
+    candidates of a few targets -> vote on the rotation; more targets, until the vote is beyond chance
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from boresight.gct_match.predict.scene import Scene
+from boresight.gct_match.predict.template import predict_template
+from boresight.gct_match.predict.trajectories import displacements
+from boresight.gct_match.search.coarse import read_coarse
+from boresight.gct_match.search.edge_search import (
+    SearchPicture,
+    SearchTemplate,
+    best_positions,
+    search_picture,
+    search_template,
+)
+from boresight.gct_match.search.plan import SearchPlan, Window, extents
+from boresight.gct_match.search.vote import Candidates, Vote, log_chance_of_ranks, vote
+from boresight.gct_match.settings import MatchSettings
+from boresight.geometry.installation import deviation_from_theta
+from boresight.geometry.pushbroom import Pushbroom
+from boresight.geometry.record import Floats
+
+__all__ = ["search_common_rotation", "vote_tolerance_px"]
+
+_SUPPORTERS = 4  # targets that determine a rotation even if one of them agrees by accident
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Picture:
+    """The part of a CCD that is searched, from `origin_px` (sample, line) on."""
+
+    search: SearchPicture
+    origin_px: tuple[int, int]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Template:
+    """A target's template on the coarse grid, and its search windows."""
+
+    search: SearchTemplate
+    point_px: Floats  # (2,) target's surveyed point, strip pixels from the template's first one
+    windows: tuple[Window, ...]
+
+
+def vote_tolerance_px(factor: int, settings: MatchSettings) -> float:
+    """Largest distance, px, of a supporting candidate from the common motion, on a picture of `factor`."""
+    return factor + 2.0 * float(np.hypot(settings.consistency_sigma_px, settings.attitude_sigma_px))
+
+
+def search_common_rotation(scene: Scene, plan: SearchPlan) -> Vote:
+    """The rotation theta (3,), rad, on which most targets agree: R_cs = exp[[theta]] R_cs0.
+
+    Its covariance, the supporting targets and the probability of so good an agreement by chance come with it.
+    """
+    settings, sigma = scene.settings, scene.sigma_installation_rad
+    pictures = _coarse_pictures(scene, plan)
+    templates = {n: _template(scene, plan, n) for n in sorted({w.target for w in plan.windows})}
+    texture = {n: float(np.sum(template.search.own**2)) for n, template in templates.items()}
+    order = sorted(texture, key=lambda n: -texture[n])
+    tolerance_px = vote_tolerance_px(plan.factor, settings)
+    sizes = _vote_sizes(len(order))
+    found: list[Candidates] = []
+    for first, last in zip([0, *sizes], sizes):
+        chosen = {n: templates[n] for n in order[first:last]}
+        found.append(_candidates(scene, plan.factor, chosen, pictures, tolerance_px))
+        outcome = vote(_joined(found), sigma, settings.sigmas, tolerance_px, 0.5 * plan.factor)
+        # each vote may end the search: chance has as many opportunities
+        log_chance = min(outcome.log_probability_chance + np.log(len(sizes)), 0.0)
+        outcome = replace(outcome, log_probability_chance=log_chance)
+        if log_chance < np.log(settings.probability_chance) and len(outcome.supporters) >= _SUPPORTERS:
+            break
+    return outcome
+
+
+def _coarse_pictures(scene: Scene, plan: SearchPlan) -> dict[int, _Picture]:
+    """The searched part of each CCD, read once."""
+    out = {}
+    for ccd, (lines, samples) in extents(scene.strip, plan.windows, max(plan.sides_px.values())).items():
+        coarse = read_coarse(scene.strip, ccd, lines, samples, plan.factor, scene.settings)
+        out[ccd] = _Picture(search_picture(coarse.image), coarse.origin_px)
+    return out
+
+
+def _template(scene: Scene, plan: SearchPlan, target: int) -> _Template:
+    """A target's template as seen in the middle of its largest window."""
+    windows = tuple(w for w in plan.windows if w.target == target)
+    largest = max(windows, key=lambda w: w.area_px2)
+    factor, middle, ccd = plan.factor, largest.middle_px, largest.ccd
+    model = _seeing_at(scene.pushbroom, scene.targets[target].p_e, ccd, middle)
+    side = 4 * int(np.clip(plan.sides_px[target] / (4 * factor), 4, 24))
+    origin = np.round(middle - 0.5 * side * factor).astype(int)
+    x, y = origin.tolist()
+    template = predict_template(
+        scene.chips[target], model, ccd, (x, y), (side, side), scene.surface, scene.settings, stride=factor
+    )
+    image = np.where(template.valid, template.image, np.nan)
+    return _Template(search_template(image), middle - origin, windows)
+
+
+def _candidates(
+    scene: Scene,
+    factor: int,
+    templates: dict[int, _Template],
+    pictures: dict[int, _Picture],
+    tolerance_px: float,
+) -> Candidates:
+    """Candidate positions of some targets over all CCDs in which they may lie."""
+    ccds, positions, owners, chances = [], [], [], []
+    for target, template in templates.items():
+        ccd, xy_px = _best_positions(template, pictures, factor, scene.settings.candidates)
+        area = sum(w.area_px2 for w in template.windows)
+        ccds.append(ccd)
+        positions.append(xy_px)
+        owners.append(np.full(len(xy_px), target))
+        chances.append(log_chance_of_ranks(len(xy_px), np.pi * tolerance_px**2 / max(area, 1)))
+    owner = np.concatenate(owners)
+    p_e = np.array([target.p_e for target in scene.targets])[owner]
+    displacement, design = displacements(
+        scene.pushbroom, p_e, np.concatenate(ccds), np.concatenate(positions)
+    )
+    return Candidates(owner, displacement, design, np.concatenate(chances))
+
+
+def _best_positions(
+    template: _Template, pictures: dict[int, _Picture], factor: int, count: int
+) -> tuple[NDArray[np.int64], Floats]:
+    """CCDs (K,) and pixels (K, 2) of a target's surveyed point at its best positions, best first."""
+    shown = [pictures[w.ccd] for w in template.windows]
+    shifts = np.array([p.origin_px for p in shown]) + template.point_px
+    boxes = [_box(w, shift, factor) for w, shift in zip(template.windows, shifts)]
+    found = best_positions(template.search, [p.search for p in shown], boxes, count)
+    ccd = np.array([w.ccd for w in template.windows])
+    return ccd[found.picture], found.xy * float(factor) + shifts[found.picture]
+
+
+def _box(window: Window, shift_px: Floats, factor: int) -> tuple[int, int, int, int]:
+    """Pixels of the coarse picture where the template's first pixel lies if its point lies in the window."""
+    corners = np.array([window.samples, window.lines]).T - shift_px
+    (x0, y0), (x1, y1) = np.floor(corners / factor).astype(int).tolist()
+    return x0, y0, x1 + 1, y1 + 1
+
+
+def _vote_sizes(targets: int) -> list[int]:
+    """Numbers of targets after which to vote: the fewest that may decide, then half as many more, to all."""
+    sizes = [min(_SUPPORTERS, targets)]
+    while sizes[-1] < targets:
+        sizes.append(min(sizes[-1] + sizes[-1] // 2, targets))
+    return sizes
+
+
+def _seeing_at(pushbroom: Pushbroom, p_e: Floats, ccd: int, xy_px: Floats) -> Pushbroom:
+    """The model with its installation matrix rotated, about an axis normal to the view, so that a point is
+    seen at a pixel.
+    """
+    measured = pushbroom.camera.directions_from_pixels(ccd, xy_px[:1])[0]
+    predicted = pushbroom.directions_c(p_e[None], xy_px[1:])[0]
+    axis = np.cross(predicted, measured)
+    angle = np.arctan2(np.linalg.norm(axis), predicted @ measured)
+    theta = -axis / (np.linalg.norm(axis) + 1e-300) * angle
+    return pushbroom.with_installation(deviation_from_theta(theta) * pushbroom.R_cs)
+
+
+def _joined(parts: Sequence[Candidates]) -> Candidates:
+    return Candidates(
+        np.concatenate([p.owner for p in parts]),
+        np.concatenate([p.displacement_px for p in parts]),
+        np.concatenate([p.design for p in parts]),
+        np.concatenate([p.log_chance for p in parts]),
+    )

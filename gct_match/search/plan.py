@@ -1,0 +1,137 @@
+"""Search plan: where in each CCD a target may lie, and how coarse a picture the search takes.
+
+Both follow from the uncertainty of the installation matrix, before any pixel of the strip is read.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from boresight.gct_match.predict.scene import Scene
+from boresight.gct_match.predict.template import chip_side_px
+from boresight.gct_match.records import StripImage
+from boresight.gct_match.settings import MatchSettings
+from boresight.geometry.record import Floats, record, scalar
+
+__all__ = ["SearchPlan", "Window", "extents", "plan_search", "pyramid_factor"]
+
+Range = tuple[int, int]  # first, and one past the last
+
+_NODES = 65  # samples along a CCD at which the search range is computed
+
+
+@record
+class Window:
+    """Where a target's surveyed point may lie in one CCD."""
+
+    target: int = scalar("index into the strip's targets")
+    ccd: int = scalar("CCD")
+    lines: Range = scalar("first line, and one past the last")
+    samples: Range = scalar("first sample, and one past the last")
+
+    @property
+    def radius_px(self) -> float:
+        """Half of the longer side."""
+        return 0.5 * max(self.lines[1] - self.lines[0], self.samples[1] - self.samples[0])
+
+    @property
+    def area_px2(self) -> int:
+        """Lines times samples."""
+        return (self.lines[1] - self.lines[0]) * (self.samples[1] - self.samples[0])
+
+    @property
+    def middle_px(self) -> Floats:
+        """(2,) (sample, line) of its middle."""
+        return np.array([0.5 * sum(self.samples), 0.5 * sum(self.lines)])
+
+
+@record
+class SearchPlan:
+    """What a search reads and holds in memory, known before it starts."""
+
+    windows: tuple[Window, ...] = scalar("search windows of all targets in all CCDs")
+    sides_px: dict[int, float] = scalar("side of each target's chip in pixels of the strip")
+    factor: int = scalar("pixels of the strip to one of the coarse picture, along a side")
+    pixels_to_read: int = scalar("pixels of the strip that the search reads")
+
+
+def plan_search(scene: Scene) -> SearchPlan:
+    """Search windows of all targets, and the coarsest picture in which their chips still show edges."""
+    strip, settings = scene.strip, scene.settings
+    windows = tuple(window for ccd in strip.ccds for window in _windows(scene, ccd))
+    sides: dict[int, float] = {}
+    for w in windows:
+        if w.target not in sides:
+            chip = scene.chips[w.target]
+            sides[w.target] = chip_side_px(chip, scene.pushbroom, w.ccd, w.middle_px, scene.surface)
+    usable = [side for side in sides.values() if side >= settings.smallest_template_px]
+    if not usable:
+        return SearchPlan(windows, sides, 1, 0)
+    side = float(np.median(usable))
+    factor = pyramid_factor(side, max(w.radius_px for w in windows), settings)
+    read = sum((b - a) * (d - c) for (a, b), (c, d) in extents(strip, windows, side).values())
+    while read / factor**2 > settings.coarse_pixels:
+        factor *= 2
+    return SearchPlan(windows, sides, factor, read)
+
+
+def pyramid_factor(side_px: float, radius_px: float, settings: MatchSettings) -> int:
+    """Pixels to one of the coarsest picture in which a chip of `side_px` is large enough and the search over
+    ±`radius_px` wide enough; a power of two.
+    """
+    factor = 1
+    while (
+        side_px / (2 * factor) >= settings.coarse_template_px
+        and radius_px / (2 * factor) >= 2 * settings.margin_px
+    ):
+        factor *= 2
+    return factor
+
+
+def extents(strip: StripImage, windows: Sequence[Window], side_px: float) -> dict[int, tuple[Range, Range]]:
+    """(lines, samples) of each CCD that hold all its windows and half a chip of `side_px` around them."""
+    spare = int(0.75 * side_px) + 8
+    out = {}
+    for ccd in sorted({w.ccd for w in windows}):
+        lines, samples = strip.shape(ccd)
+        own = [w for w in windows if w.ccd == ccd]
+        out[ccd] = (
+            _around([w.lines for w in own], spare, lines),
+            _around([w.samples for w in own], spare, samples),
+        )
+    return out
+
+
+def _around(ranges: Sequence[Range], spare: int, length: int) -> Range:
+    """The range 0..length cut to what holds all ranges with `spare` around them."""
+    return max(0, min(a for a, _ in ranges) - spare), min(length, max(b for _, b in ranges) + spare)
+
+
+def _windows(scene: Scene, ccd: int) -> list[Window]:
+    """Windows in one CCD: boxes around the pixels that a rotation within `sigmas` standard errors reaches."""
+    lines, samples = scene.strip.shape(ccd)
+    trajectories, sigma = scene.trajectories, scene.sigma_installation_rad
+    line, sample = np.clip(trajectories.lines, 0.0, lines - 1.0), np.linspace(0.0, samples - 1.0, _NODES)
+    measured = scene.pushbroom.camera.directions_from_pixels(ccd, sample)
+    out = []
+    for n, predicted in enumerate(trajectories.u_c):
+        off = np.abs(measured[None, :, :2] - predicted[:, None, :2])  # (line, sample, 2)
+        about_z = np.abs(predicted[:, None, :2]).max(axis=2) * sigma[2]
+        reach_x = scene.settings.sigmas * np.hypot(sigma[1], about_z) + 1e-9
+        reach_y = scene.settings.sigmas * np.hypot(sigma[0], about_z) + 1e-9
+        step = np.abs(np.diff(predicted[:, 0])).max(), np.abs(np.diff(measured[:, 1])).max()
+        inside = (off[:, :, 0] <= reach_x + step[0]) & (off[:, :, 1] <= reach_y + step[1])
+        if not inside.any():
+            continue
+        rows, columns = np.nonzero(inside.any(axis=1))[0], np.nonzero(inside.any(axis=0))[0]
+        out.append(Window(n, ccd, _bounds(line, rows), _bounds(sample, columns)))
+    return out
+
+
+def _bounds(nodes: NDArray[Any], inside: NDArray[np.int64]) -> Range:
+    """Range between the nodes before the first and after the last one inside."""
+    return int(nodes[max(inside[0] - 1, 0)]), int(nodes[min(inside[-1] + 1, len(nodes) - 1)]) + 1
