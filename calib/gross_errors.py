@@ -10,13 +10,14 @@ re-admitted. Rejecting where T_j exceeds the limit k and re-admitting where it d
 
     chi2(kept targets) + k * (number of rejected targets)                                           (1)
 
-one step at a time. Only steps that decrease (1) are taken, so no set of targets occurs twice and the search
-ends, whatever the order of the targets and the iteration limits of the estimate.
+one step at a time; a rejected target may also be exchanged for another. Only steps that decrease (1) are
+taken, so no set of targets occurs twice and the search ends, whatever the order of the targets and the
+iteration limits of the estimate.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import numpy as np
 from scipy.optimize import brentq
@@ -53,27 +54,46 @@ def rejection_test(probability_false_alarm: float, n_tests: int) -> RejectionTes
 
 
 def snoop(problem: Problem, about: Linearised, kept: Bools, limit: float) -> Bools:
-    """The targets (J,) to keep, searched from `kept`: no single rejection or re-admission decreases (1)."""
-    step = solve_weighted(problem, about, kept.astype(float))
+    """The targets (J,) to keep, searched from `kept`: no rejection, re-admission, exchange decreases (1)."""
+
+    def solved(kept: Bools) -> tuple[Floats, float]:
+        step = solve_weighted(problem, about, kept.astype(float))
+        return squared_mahalanobis(step), step.chi2 + limit * int(np.sum(problem.inside & ~kept))
+
+    statistic, criterion = solved(kept)
     while True:
-        for other in _moves(squared_mahalanobis(step), kept, problem, limit):
-            moved = solve_weighted(problem, about, other.astype(float))
-            rejected = int(kept.sum()) - int(other.sum())
-            if moved.chi2 + limit * rejected < step.chi2 - SMALLEST_GAIN * limit:
-                step, kept = moved, other
+        for other in _moves(solved, statistic, kept, problem, limit):
+            moved, value = solved(other)
+            if value < criterion - SMALLEST_GAIN * limit:
+                kept, statistic, criterion = other, moved, value
                 break
         else:
             return kept
 
 
-def _moves(statistic: Floats, kept: Bools, problem: Problem, limit: float) -> Iterator[Bools]:
-    """Sets of targets to try: without the largest residual, with all that pass, with the best of them."""
-    over, back = kept & (statistic > limit), problem.inside & ~kept & (statistic < limit)
+def _moves(
+    solved: Callable[[Bools], tuple[Floats, float]],
+    statistic: Floats,
+    kept: Bools,
+    problem: Problem,
+    limit: float,
+) -> Iterator[Bools]:
+    """Sets of targets to try: one less, all that pass re-admitted, the best of them; at last, exchanges.
+
+    For an exchange a rejected target is re-admitted and the one with the largest residual then is rejected.
+    """
+    rows, rejected = np.arange(len(kept)), problem.inside & ~kept
+    over, back = kept & (statistic > limit), rejected & (statistic < limit)
     if over.any():
-        yield kept & (np.arange(len(kept)) != _largest(statistic, over, problem.rank))
+        yield kept & (rows != _largest(statistic, over, problem.rank))
     if back.any():
         yield kept | back
-        yield kept | (np.arange(len(kept)) == _largest(-statistic, back, problem.rank))
+        yield kept | (rows == _largest(-statistic, back, problem.rank))
+    while rejected.any():
+        first = _largest(-statistic, rejected, problem.rank)
+        more = kept | (rows == first)
+        yield more & (rows != _largest(solved(more)[0], more, problem.rank))
+        rejected = rejected & (rows != first)
 
 
 def _largest(values: Floats, among: Bools, rank: Ints) -> int:

@@ -1,0 +1,128 @@
+"""Data snooping: it ends, whatever the order; its limit, power and minimal detectable bias are as stated."""
+
+import dataclasses
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from boresight.calib.calibration import calibrate
+from boresight.calib.estimate import InstallationEstimate, WhyRejected
+from boresight.calib.gross_errors import rejection_test, snoop
+from boresight.calib.joint_solution import Problem, linearised, solve_weighted, squared_mahalanobis
+from boresight.calib.settings import CalibrationSettings
+from boresight.calib.strips import prepare_strip
+from boresight.geometry.constants import ARCSEC
+from boresight.simulator.campaign import CameraPair, StripPlan, draw_strips
+
+BOLD = Rotation.from_euler("xyz", [40, -65, 110], degrees=True)
+CAMERAS = CameraPair(BOLD)
+PIXEL_RAD = CAMERAS.pixel_rad
+TABLE_1 = StripPlan(
+    strips=3,
+    sigma_position_m=2.0,
+    sigma_clock_s=1e-4,
+    sigma_vibration_rad=0.1 * ARCSEC,
+    sigma_distortion_rad=3e-7,
+)
+SETTINGS = CalibrationSettings()
+
+
+def shifted(strips, s, j, shift_rad):
+    """The strips with the measured direction of target j of strip s moved along x and y of frame c."""
+    u_c = strips[s].ground.u_c.copy()
+    u_c[j, :2] += shift_rad
+    u_c[j] /= np.linalg.norm(u_c[j])
+    return [replace(p, ground=replace(p.ground, u_c=u_c)) if n == s else p for n, p in enumerate(strips)]
+
+
+def reordered(strip, order):
+    fields = {f.name: getattr(strip.ground, f.name)[order] for f in dataclasses.fields(strip.ground)}
+    return replace(strip, ground=replace(strip.ground, **fields), R_oi_targets=strip.R_oi_targets[order])
+
+
+def rejected(estimate):
+    assert isinstance(estimate, InstallationEstimate)
+    return {(r.strip_id, r.name) for r in estimate.rejected if r.why is WhyRejected.TARGET_RESIDUAL}
+
+
+def test_rejected_targets_depend_neither_on_order_nor_on_the_iteration_limit():
+    rng, found = np.random.default_rng(6), 0
+    for trial in range(12):
+        strips = draw_strips(replace(TABLE_1, gross_targets=0.06, gross_reach_px=4.0), CAMERAS, rng)[0]
+        strips = shifted(strips, 1, trial, PIXEL_RAD * rng.uniform(-1.5, 1.5, 2))
+        one = rejected(calibrate(strips, BOLD, SETTINGS))
+        found += len(one)
+        other = [reordered(strip, rng.permutation(12)) for strip in strips]
+        assert rejected(calibrate(other, BOLD, SETTINGS)) == one
+        for most in (6, 7, 21):
+            assert rejected(calibrate(strips, BOLD, replace(SETTINGS, most_iterations=most))) == one
+    assert found > 15  # of 12 shifted ones and 26 drawn
+
+
+def criterion(problem, about, kept, limit):
+    return solve_weighted(problem, about, kept.astype(float)).chi2 + limit * np.sum(problem.inside & ~kept)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_search_ends_where_no_single_change_is_better_from_any_start(seed):
+    rng = np.random.default_rng(seed)
+    plan = replace(TABLE_1, gross_targets=0.1, gross_reach_px=3.0)
+    strips, _ = draw_strips(plan, CAMERAS, rng)
+    problem = Problem.of([prepare_strip(strip, SETTINGS) for strip in strips], SETTINGS)
+    about, limit = linearised(problem, BOLD, 1.0), rejection_test(1e-3, 36).limit
+    for start in (problem.inside, rng.random(36) < 0.5, rng.random(36) < 0.8):
+        kept = snoop(problem, about, start, limit)
+        best = criterion(problem, about, kept, limit)
+        assert best <= criterion(problem, about, start, limit)
+        statistic = squared_mahalanobis(solve_weighted(problem, about, kept.astype(float)))
+        assert np.all(statistic[kept] < limit * (1 + 1e-5)) and np.all(statistic[~kept] > limit * (1 - 1e-5))
+        for j in range(36):
+            other = kept.copy()
+            other[j] = not kept[j]
+            assert criterion(problem, about, other, limit) > best - 1e-5 * limit
+
+
+def test_a_good_target_rejected_in_place_of_its_neighbour_is_exchanged():
+    strips, _ = draw_strips(TABLE_1, CAMERAS, np.random.default_rng(3))
+    # Two targets at nearly one place and instant: their tests are correlated by more than 0.5.
+    strips = [reordered(s, np.array([0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 10])) for s in strips]
+    ids = strips[1].ground.target_id.copy()
+    ids[11] = "neighbour"
+    strips[1] = replace(strips[1], ground=replace(strips[1].ground, target_id=ids))
+    strips = [strips[1]]
+    settings = replace(SETTINGS, sigma_vibration_rad=3e-6)
+    shift = np.array([4e-5, 0.0])
+    problem = Problem.of([prepare_strip(s, settings) for s in shifted(strips, 0, 10, shift)], settings)
+    about, start = linearised(problem, BOLD, 1.0), problem.inside.copy()
+    start[11] = False
+    kept = snoop(problem, about, start, rejection_test(1e-3, 12).limit)
+    assert np.flatnonzero(~kept).tolist() == [10]
+
+
+def test_minimal_detectable_bias_has_the_stated_power():
+    strips, _ = draw_strips(TABLE_1, CAMERAS, np.random.default_rng(8))
+    plain = replace(SETTINGS, robust=False)
+    at = calibrate(strips, BOLD, plain)
+    test = rejection_test(SETTINGS.probability_false_alarm, 36)
+    for row in (0, 17, 30):
+        s, j, size = row // 12, row % 12, at.targets.detectable_rad[row]
+        gains = []
+        for axis in ([1.0, 0.0], [0.0, 1.0], [np.sqrt(0.5), np.sqrt(0.5)]):
+            both = [shifted(strips, s, j, sign * size * np.array(axis)) for sign in (1.0, -1.0)]
+            statistic = [calibrate(data, BOLD, plain).targets.statistic[row] for data in both]
+            gains.append(np.mean(statistic) - at.targets.statistic[row])  # the odd part, noise, cancels
+        x, y, both = gains
+        least = np.linalg.eigvalsh([[x, both - 0.5 * (x + y)], [both - 0.5 * (x + y), y]])[0]
+        assert least == pytest.approx(test.noncentrality, rel=1e-3)  # second order in 1e-5 rad
+        assert at.targets.detectable_m[row] == pytest.approx(size * strips[s].ground.range_m[j])
+
+
+def test_power_and_false_alarm_rate_of_the_test_are_those_of_the_chi_square():
+    test, rng = rejection_test(1e-3, 36), np.random.default_rng(1)
+    shift = np.array([np.sqrt(test.noncentrality), 0.0])
+    draws = np.sum((rng.standard_normal((400_000, 2)) + shift) ** 2, axis=1)
+    assert np.mean(draws > test.limit) == pytest.approx(0.8, abs=0.003)  # 4 sigma of 400 000 draws
+    good = np.max(np.sum(rng.standard_normal((20_000, 36, 2)) ** 2, axis=2), axis=1)
+    assert np.mean(good > test.limit) == pytest.approx(test.probability_any, abs=0.0055)  # 4 sigma
