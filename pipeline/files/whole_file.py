@@ -1,22 +1,30 @@
-"""A file that is on the disk as a whole or not at all, whatever happens while it is written."""
+"""Write a file so that it is on disk as a whole or not at all, whatever happens while it is written."""
 
 from __future__ import annotations
 
 import errno
 import os
+import platform
+import re
+import time
 import uuid
+import zlib
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
-__all__ = ["write_whole"]
+__all__ = ["remove_abandoned", "write_whole"]
+
+_TEMPORARY = re.compile(r"\..+\.boresight-([0-9a-f]{8})-([0-9]+)-[0-9a-f]{8}\.tmp")
+_OTHER_HOST_S = 86_400.0  # after a day another machine's temporary file counts as abandoned
 
 
-def write_whole(path: Path, write: Any) -> None:
-    """Have `write(temporary path)` make a file beside `path`, flush it to the disk and give it its name.
+def write_whole(path: Path, write: Callable[[Path], object]) -> None:
+    """Have `write(temporary path)` make a file beside `path`, flush it to the disk and rename it to `path`.
 
-    An `OSError` names `path`, whatever library it comes from.
+    Any `OSError` names `path`. If the process is killed, `remove_abandoned` finds what is left.
     """
-    temporary = path.with_name(f".{path.name}.{uuid.uuid4().hex}.tmp")
+    owner = f"{_host()}-{os.getpid()}-{uuid.uuid4().hex[:8]}"
+    temporary = path.with_name(f".{path.name}.boresight-{owner}.tmp")
     try:
         write(temporary)
         with temporary.open("rb+") as stream:
@@ -26,3 +34,26 @@ def write_whole(path: Path, write: Any) -> None:
         raise OSError(error.errno or errno.EIO, error.strerror or str(error), str(path)) from error
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def remove_abandoned(folder: Path) -> None:
+    """Remove the temporary files below `folder` that `write_whole` left in processes that no longer run."""
+    for path in folder.rglob(".*.tmp"):
+        if (match := _TEMPORARY.fullmatch(path.name)) and _abandoned(path, match[1], int(match[2])):
+            path.unlink(missing_ok=True)
+
+
+def _abandoned(path: Path, host: str, process: int) -> bool:
+    if host != _host() or os.name != "posix":  # elsewhere signal 0 ends a process
+        return path.is_file() and time.time() - path.stat().st_mtime > _OTHER_HOST_S
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return True
+    except OSError:
+        return False
+    return False
+
+
+def _host() -> str:
+    return f"{zlib.crc32(platform.node().encode()):08x}"

@@ -12,7 +12,6 @@ The same inputs, settings and version give identical files.
 
 from __future__ import annotations
 
-import hashlib
 import json
 import math
 from collections.abc import Iterator
@@ -39,7 +38,7 @@ from boresight.pipeline.settings import Settings
 from boresight.pipeline.stages.calibrate import Calibration
 from boresight.pipeline.stages.exposure import exposure_image
 from boresight.pipeline.stages.match_pictures import MatchPictures
-from boresight.pipeline.work.unit_store import END_BYTES, WHOLE_FILE_BYTES
+from boresight.pipeline.work.unit_store import content_digest
 
 __all__ = ["write_evidence"]
 
@@ -132,20 +131,10 @@ def _files(dump: Dump) -> Iterator[str]:
 
 def _fingerprint(path: Path, name: str) -> tuple[str, int, str, bool]:
     """Name, bytes, SHA-256 (empty if unreadable), and whether the hash covers the whole file."""
-    state = hashlib.sha256()
     try:
-        size = path.stat().st_size
-        with path.open("rb") as stream:
-            if size <= WHOLE_FILE_BYTES:
-                while block := stream.read(END_BYTES):
-                    state.update(block)
-            else:
-                state.update(stream.read(END_BYTES))
-                stream.seek(size - END_BYTES)
-                state.update(stream.read(END_BYTES))
+        return name, path.stat().st_size, content_digest(path), True
     except OSError:
         return name, -1, "", False
-    return name, size, state.hexdigest(), size <= WHOLE_FILE_BYTES
 
 
 def _convergence(calibration: Calibration) -> pa.Table:

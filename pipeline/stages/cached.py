@@ -1,7 +1,7 @@
 """Stages run over many tasks, with finished work kept on disk where there is a store.
 
 A stage is a function from a task to a record. Its entry in the store is known by a digest of the task and of
-the source code that the outcome depends on. What is there already is read instead of computed again.
+everything installed that the outcome depends on (`program`). An entry that exists is read, not computed again.
 """
 
 from __future__ import annotations
@@ -22,7 +22,6 @@ __all__ = ["Progress", "StageRunner", "Task"]
 # What numerical code may raise on data that it was not written for. One failure does not abort the run: it is
 # counted, and its text names the exception.
 UNFORESEEN = (ValueError, ArithmeticError, cv2.error)
-SHARED_CODE = ("boresight.geometry", "boresight.pipeline.stages")
 
 Progress = Callable[[str, int, int], None]  # name of the stage, tasks done, tasks in all
 
@@ -43,16 +42,15 @@ class StageRunner:
     progress: Progress = lambda stage, done, total: None
 
     def run(
-        self, stage: Callable[[Any], Any], tasks: Sequence[Task], *, folder: str, code: str
+        self, stage: Callable[[Any], Any], tasks: Sequence[Task], *, folder: str
     ) -> tuple[list[Any], list[bool]]:
         """Outcomes of the function `stage` in the order of its tasks, and which had to be computed.
 
         An outcome is of a type that `stage` is declared to return, `Omission` among them: this is also what
-        an unforeseen error becomes. `folder` is that of the entries in the store, `code` the package whose
-        source the outcome depends on beside the shared ones.
+        an unforeseen error becomes. `folder` is that of the entries in the store.
         """
         self.progress(folder, 0, len(tasks))
-        cached = Cached(stage, self.store, folder, (*SHARED_CODE, code))
+        cached = Cached(stage, self.store, folder)
         done = self.executor.map(cached, tasks, lambda n: self.progress(folder, n, len(tasks)))
         return [outcome for outcome, _ in done], [computed for _, computed in done]
 
@@ -64,12 +62,12 @@ class Cached:
     stage: Callable[[Any], Any]
     store: UnitStore | None
     folder: str
-    code: tuple[str, ...]
 
     def __call__(self, task: Task) -> tuple[Any, bool]:
         if self.store is None:
             return self._computed(task), True
-        name, key = task.item.name, digest(self.stage.__name__, program(*self.code), task)
+        code = program(self.stage.__module__, __name__)
+        name, key = task.item.name, digest(self.stage.__name__, code, task)
         records = get_args(get_type_hints(self.stage)["return"])
         if (kept := self.store.read(self.folder, name, key)) is not None:
             return record_from_table(records, kept, read_meta(kept)), False

@@ -105,9 +105,7 @@ def calibrate_dump(
     R_cs, sigma = dump.R_cs0, dump.sigma_installation_rad
     for number in range(1, settings.run.passes + 1):
         tasks, uncovered = _strip_tasks(dump, stars, attitudes, R_cs, sigma, settings)
-        outcomes, flags = runner.run(
-            match_targets, tasks, folder=f"matching-{number}", code="boresight.gct_match"
-        )
+        outcomes, flags = runner.run(match_targets, tasks, folder=f"matching-{number}")
         computed += flags
         matched = [no_matches(one) if isinstance(one, Omission) else one for one in outcomes]
         strips = _strips(tasks, matched, stars, attitudes)
@@ -161,7 +159,7 @@ def _sight_exposures(
 ) -> tuple[list[StarSightings], list[Omission], list[bool]]:
     """Sightings in order of time, what cannot be used so far, and which exposures were computed."""
     tasks, uncovered = star_tasks(dump, settings.stars)
-    outcomes, computed = runner.run(sight_exposure, tasks, folder="exposures", code="boresight.star_id")
+    outcomes, computed = runner.run(sight_exposure, tasks, folder="exposures")
     stars = in_order([one for one in outcomes if isinstance(one, StarSightings)])
     failed = [one for one in outcomes if isinstance(one, Omission)]
     return stars, [*dump.omissions, *uncovered, *failed], computed

@@ -1,29 +1,37 @@
-"""Units of finished work on disk: one Parquet file each, found again by what it was made from.
+"""Results of finished units on disk: one Parquet file each, found again by a key of everything it depends on.
 
-A unit (one exposure, one strip) is known by a digest of everything that its result depends on: the records it
-was called with, the content of the files they name, the settings and the program itself. A file is
-written under another name, flushed and renamed, so that a unit is either there as a whole or not at all,
-whatever happens.
+A unit (one exposure, one strip) has as its key the digest of the records it is computed from, the content of
+the files that they name, the settings, the source of the program and the versions of the libraries. A file is
+written under another name, flushed and renamed, so that it is on disk as a whole or not at all.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import errno
 import hashlib
-import importlib.resources
+import importlib.util
 import json
-from collections.abc import Mapping
+import platform
+import re
+import stat
+from collections.abc import Iterator, Mapping
 from enum import Enum
-from functools import cache
-from importlib.resources.abc import Traversable
+from functools import cache, lru_cache
+from importlib import metadata
+from importlib.machinery import ModuleSpec
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
+import pyproj
+import rasterio
 from scipy.spatial.transform import Rotation
 
+from boresight.geometry.record import record, scalar
 from boresight.pipeline import __version__
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.table_files import read_parquet
@@ -31,20 +39,23 @@ from boresight.pipeline.files.whole_file import write_whole
 
 __all__ = [
     "UnitStore",
+    "content_digest",
     "digest",
+    "library_versions",
     "program",
     "read_meta",
     "read_unit",
 ]
 
 META, SEAL = b"boresight", b"seal"
-WHOLE_FILE_BYTES = 64 * 2**20  # larger files are known by size, time of change and both ends
-END_BYTES = 2**20
+_IMPORT = re.compile(r"^\s*(?:from\s+([\w.]+)\s+import\s+(\([^)]*\)|[^\n]*)|import\s+([\w.]+))", re.MULTILINE)
+DISTRIBUTIONS = ("numpy", "scipy", "astropy", "astropy-iers-data", "pyerfa", "scikit-image")
 
 
 def digest(*values: Any) -> str:
-    """32 hexadecimal digits that change when anything in `values` does; a `Path` stands for its file's
-    content.
+    """32 hexadecimal digits that change when anything in `values` does.
+
+    A `Path` stands for the content of its file; its name and times do not matter.
     """
     state = hashlib.blake2b(digest_size=16)
     for value in values:
@@ -87,62 +98,108 @@ def _feed(state: Any, value: Any) -> None:
 
 def _feed_file(state: Any, path: Path) -> None:
     try:
-        size = path.stat().st_size
-        with path.open("rb") as stream:
-            if size <= WHOLE_FILE_BYTES:
-                state.update(f"file:{size};".encode())
-                while block := stream.read(2**20):
-                    state.update(block)
-            else:
-                state.update(f"large file:{size}:{path.stat().st_mtime_ns};".encode())
-                state.update(stream.read(END_BYTES))
-                stream.seek(size - END_BYTES)
-                state.update(stream.read(END_BYTES))
+        state.update(f"file:{content_digest(path)};".encode())
     except OSError as error:
         state.update(f"no file:{error.errno};".encode())
 
 
-@cache
-def program(*packages: str) -> str:
-    """The version of the program, and a digest of the source of those packages that a stage rests on.
+def content_digest(path: Path) -> str:
+    """SHA-256 of all bytes of a regular file as hexadecimal digits; `OSError` for anything else.
 
-    So a unit is made again when the code behind it has changed, also where nobody has raised a version
-    number.
+    A process reads a file once, unless its size, its place on the disk or one of its times changes.
     """
-    sources: dict[str, bytes] = {}
-    for package in packages:
-        sources |= _sources(importlib.resources.files(package), package)
-    return f"{__version__} {digest(sources)}"
+    status = path.stat()
+    if not stat.S_ISREG(status.st_mode):  # opening a FIFO would block
+        raise OSError(errno.EINVAL, "not a regular file", str(path))
+    identity = (status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns, status.st_ctime_ns)
+    return _content_digest(str(path), identity)
 
 
-def _sources(folder: Traversable, name: str) -> dict[str, bytes]:
-    """Python files of a folder and of those within it."""
-    sources: dict[str, bytes] = {}
-    for entry in sorted(folder.iterdir(), key=lambda entry: entry.name):
-        if entry.is_dir():
-            sources |= _sources(entry, f"{name}/{entry.name}")
-        elif entry.name.endswith(".py"):
-            sources[f"{name}/{entry.name}"] = entry.read_bytes()
+@lru_cache(maxsize=100_000)
+def _content_digest(path: str, identity: tuple[int, ...]) -> str:
+    with open(path, "rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
+
+
+@cache
+def program(*modules: str) -> str:
+    """Version of the program, and a digest of everything installed that results of `modules` depend on.
+
+    These are the sources of the modules and of all that they import from the same package, the data files
+    beside these, and the versions of the libraries. A package's name stands for all modules in it.
+    """
+    sources = {name: source for root in modules for name, source in _sources(root).items()}
+    return f"{__version__} {digest(sources, library_versions())}"
+
+
+def _sources(root: str) -> dict[str, Any]:
+    """Source of a module (or of all in a package) and of its imports; paths of the data files beside them."""
+    sources: dict[str, Any] = {}
+    todo = _with_submodules(root)
+    while todo:
+        name = todo.pop()
+        if name in sources or (spec := _spec(name)) is None or spec.origin is None:
+            continue
+        sources[name] = Path(spec.origin).read_bytes()
+        if "." in name:  # what the top-level package imports is for its users
+            todo += [name.rpartition(".")[0], *_imports(sources[name], name.partition(".")[0])]
+        for folder in spec.submodule_search_locations or ():
+            sources[f"data of {name}"] = sorted(
+                path for path in Path(folder, "data").glob("*") if path.is_file()
+            )
     return sources
 
 
-@dataclasses.dataclass(frozen=True, slots=True)
-class UnitStore:
-    """A folder of units, one sub-folder a stage. Safe to be used by many processes at once."""
+@cache
+def library_versions() -> dict[str, str]:
+    """Versions of Python and of the libraries whose numbers enter the results."""
+    versions = {name: metadata.version(name) for name in DISTRIBUTIONS}
+    named = {"opencv": cv2.__version__, "rasterio": rasterio.__version__, "gdal": rasterio.__gdal_version__}
+    proj = {"pyproj": pyproj.__version__, "proj": pyproj.proj_version_str}
+    return {"python": platform.python_version()} | versions | named | proj
 
-    root: Path
+
+def _with_submodules(name: str) -> list[str]:
+    spec = _spec(name)
+    folders = [Path(folder) for folder in (spec.submodule_search_locations or ())] if spec else []
+    inner = [path.relative_to(folder).with_suffix("") for folder in folders for path in folder.rglob("*.py")]
+    return [name, *(".".join((name, *path.parts)) for path in inner if path.name != "__init__")]
+
+
+def _spec(name: str) -> ModuleSpec | None:
+    """How a module is found; None for a name that is no module."""
+    try:
+        return importlib.util.find_spec(name)
+    except ModuleNotFoundError:
+        return None
+
+
+def _imports(source: bytes, package: str) -> Iterator[str]:
+    """Names below `package` that a source imports, at its top or within functions; some may be no modules."""
+    for match in _IMPORT.finditer(source.decode("utf-8")):
+        module, names, plain = match.groups()
+        if (module or plain).partition(".")[0] == package:
+            yield from (
+                [plain] if plain else [module, *(f"{module}.{name}" for name in re.findall(r"\w+", names))]
+            )
+
+
+@record
+class UnitStore:
+    """A folder of units with one sub-folder for each stage. Many processes may use it at once."""
+
+    root: Path = scalar("the folder")
 
     def path(self, stage: str, name: str, key: str) -> Path:
+        """The file of a unit, which need not exist."""
         return self.root / stage / f"{name}.{key}.parquet"
 
     def read(self, stage: str, name: str, key: str) -> pa.Table | None:
-        """The finished unit, or None when it has to be made. A file that cannot be read counts as not
-        made.
-        """
+        """The table of a finished unit; None if it is missing or damaged, so that it has to be computed."""
         return read_unit(self.path(stage, name, key))
 
     def write(self, stage: str, name: str, key: str, table: pa.Table, meta: Mapping[str, Any]) -> Path:
-        """Write a finished unit; results of the same unit that were made from something else are removed."""
+        """Write a finished unit, remove older results of the same unit, and return the file's path."""
         path = self.path(stage, name, key)
         path.parent.mkdir(parents=True, exist_ok=True)
         remarks = json.dumps(dict(meta), sort_keys=True).encode()
@@ -157,7 +214,7 @@ class UnitStore:
 
 
 def read_unit(path: Path) -> pa.Table | None:
-    """A finished unit; None for a file that is not there or is not whole."""
+    """The table of a finished unit; None for a file that is missing or damaged."""
     try:
         table = read_parquet(path)
     except RawDataError:
@@ -167,7 +224,7 @@ def read_unit(path: Path) -> pa.Table | None:
 
 
 def _seal(table: pa.Table, remarks: bytes) -> bytes:
-    """Digest of what a Parquet file's own checksums do not cover: names, types, rows, remarks."""
+    """Digest of what a Parquet file's own checksums do not cover: names, types, number of rows, metadata."""
     # Parquet calls the items of a list elements.
     columns = [(field.name, str(field.type).replace("<item:", "<element:")) for field in table.schema]
     facts = json.dumps([columns, len(table)]).encode()
@@ -175,6 +232,6 @@ def _seal(table: pa.Table, remarks: bytes) -> bytes:
 
 
 def read_meta(table: pa.Table) -> dict[str, Any]:
-    """What `UnitStore.write` was given as `meta`."""
+    """The `meta` that `UnitStore.write` stored in a table."""
     content: dict[str, Any] = json.loads((table.schema.metadata or {})[META])
     return content

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import shutil
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,6 +13,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from boresight.pipeline.files.table_files import fixed_list, list_values
+from boresight.pipeline.stages.exposure import sight_exposure
+from boresight.pipeline.stages.strip import match_targets
+from boresight.pipeline.work import unit_store
 from boresight.pipeline.work.unit_store import UnitStore, digest, program, read_meta
 
 GEOMETRY, STARS, MATCH = "boresight.geometry", "boresight.star_id", "boresight.gct_match"
@@ -81,6 +86,79 @@ def test_program_knows_the_folders_within_a_package(tmp_path: Path, monkeypatch:
     (inner / "module.py").write_text("A = 2\n")
     program.cache_clear()
     assert program("outer_package") != before
+
+
+def test_program_follows_imports_and_knows_data_and_libraries(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    root = tmp_path / "made_package"
+    (root / "data").mkdir(parents=True)
+    for name, text in {
+        "__init__": "",
+        "stage": "from made_package import reader\ndef f():\n    from made_package.late import g",
+        "reader": "A = 1",
+        "late": "from made_package.deeper import (\n    h,\n)",
+        "deeper": "h = 1",
+        "other": "B = 1",
+    }.items():
+        (root / f"{name}.py").write_text(text + "\n")
+    (root / "data" / "table.bin").write_bytes(b"1")
+    monkeypatch.syspath_prepend(tmp_path)
+
+    def key() -> str:
+        program.cache_clear()
+        return program("made_package.stage")
+
+    keys = [key()]
+    for file in ("stage.py", "reader.py", "late.py", "deeper.py", "data/table.bin"):
+        (root / file).write_text((root / file).read_text() + "# changed\n")
+        keys.append(key())
+    assert len(set(keys)) == 6
+    (root / "other.py").write_text("B = 2\n")
+    assert key() == keys[-1]
+    versions = unit_store.library_versions()
+    assert {"python", "numpy", "scipy", "opencv", "rasterio", "gdal", "astropy", "pyerfa"} <= set(versions)
+    for name in versions:
+        changed = versions | {name: "0"}
+        monkeypatch.setattr(unit_store, "library_versions", lambda changed=changed: changed)
+        keys.append(key())
+    assert len(set(keys)) == 6 + len(versions)
+    program.cache_clear()
+
+
+def test_program_of_a_stage_includes_the_readers_of_files() -> None:
+    for stage in (sight_exposure, match_targets):
+        modules = set(unit_store._sources(stage.__module__))
+        assert {
+            "boresight.pipeline.files.image_files",
+            "boresight.pipeline.files.dump",
+            "boresight.geometry.orbit",
+            "data of boresight.geometry",
+        } <= modules
+    assert "boresight.star_id.sight" in unit_store._sources(sight_exposure.__module__)
+    assert "boresight.gct_match.match" in unit_store._sources(match_targets.__module__)
+
+
+def test_digest_reads_all_bytes_of_a_large_file_and_nothing_else(tmp_path: Path) -> None:
+    """10 MiB changed amid 100 MiB with times kept: another digest; a copy with other times: the same."""
+    path, copy = tmp_path / "large", tmp_path / "copy"
+    with path.open("wb") as stream:
+        stream.truncate(100 * 2**20)
+    times = (path.stat().st_atime_ns, path.stat().st_mtime_ns)
+    before = digest(path)
+    shutil.copyfile(path, copy)
+    os.utime(copy, ns=(1, 1))
+    assert digest(copy) == before
+    with path.open("r+b") as stream:
+        stream.seek(45 * 2**20)
+        stream.write(b"x" * 10 * 2**20)
+    os.utime(path, ns=times)
+    assert digest(path) != before
+
+
+def test_what_is_no_regular_file_has_a_digest_at_once(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "fifo")
+    assert digest(tmp_path / "fifo") != digest(tmp_path / "missing") != digest(Path("/dev/zero"))
 
 
 def test_unit_is_read_back_bit_for_bit_and_replaces_its_predecessor(tmp_path: Path) -> None:
