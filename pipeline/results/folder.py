@@ -44,7 +44,7 @@ from boresight.pipeline import __version__
 from boresight.pipeline.errors import Omission, RawDataError
 from boresight.pipeline.files.table_files import column, fixed, fixed_list, list_values, read_parquet
 from boresight.pipeline.files.text_files import read_json
-from boresight.pipeline.files.whole_file import write_whole
+from boresight.pipeline.files.whole_file import remove_abandoned, write_whole
 from boresight.pipeline.settings import Settings
 from boresight.pipeline.stages.calibrate import Calibration
 from boresight.pipeline.stages.joint import JointCalibration
@@ -118,8 +118,7 @@ def begin_result(result: Path) -> None:
     What a killed run left half-written goes too: it has no name that anything is looked for under.
     """
     result.mkdir(parents=True, exist_ok=True)
-    for left in result.rglob(".*.tmp"):
-        left.unlink(missing_ok=True)
+    remove_abandoned(result)
     for name in ("installation.json", DUMPS, "drift.json"):
         (result / name).unlink(missing_ok=True)
 
@@ -182,6 +181,7 @@ def results_in(result: Path) -> list[Path]:
 def write_run(result: Path, facts: dict[str, Any]) -> None:
     """Times, counts and machine of a run: what may differ between two runs with the same result."""
     _write_json(result / "run.json", facts)
+    remove_abandoned(result)  # of worker processes that were killed during the run
 
 
 def read_result(result: Path) -> SavedResult:

@@ -1,7 +1,7 @@
 """Stages run over many tasks, with finished work kept on disk where there is a store.
 
 A stage is a function from a task to a record. Its entry in the store is known by a digest of the task and of
-everything installed that the outcome depends on (`program`). An entry that exists is read, not computed again.
+everything installed that the outcome depends on (`program`). An entry that exists is read, not computed.
 """
 
 from __future__ import annotations

@@ -13,7 +13,6 @@ import pytest
 from boresight.pipeline.files.dump import open_dump
 from boresight.pipeline.results.folder import store_of
 from boresight.pipeline.settings import settings_from_tables
-from boresight.pipeline.stages.cached import StageRunner
 from boresight.pipeline.stages.calibrate import calibrate_dump
 from boresight.pipeline.work.unit_store import program
 
@@ -31,7 +30,7 @@ def copied(finished: tuple[Path, Path], tmp_path: Path) -> tuple[Path, Path]:
 
 def units_made(dump: Path, result: Path, settings: dict | None = None) -> int:
     chosen = settings_from_tables(settings or {}, "settings.toml")
-    found = calibrate_dump(open_dump(dump), chosen, StageRunner(store_of(result)))
+    found = calibrate_dump(open_dump(dump), chosen, store_of(result))
     assert found.n_computed + found.n_reused == EXPOSURES + STRIPS
     return found.n_computed
 

@@ -1,0 +1,65 @@
+"""Temporary files of killed processes are removed, those of others are not."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from boresight.pipeline.files import whole_file
+from boresight.pipeline.files.whole_file import remove_abandoned, write_whole
+
+KILLED = """
+import os, signal, sys
+from pathlib import Path
+from boresight.pipeline.files.whole_file import write_whole
+
+def write(path):
+    path.write_bytes(b"half")
+    os.kill(os.getpid(), signal.SIGKILL)
+
+write_whole(Path(sys.argv[1]), write)
+"""
+
+
+def killed_while_writing(path: Path) -> Path:
+    ran = subprocess.run([sys.executable, "-c", KILLED, str(path)], timeout=60)
+    assert ran.returncode == -signal.SIGKILL
+    (left,) = path.parent.glob(f".{path.name}.*.tmp")
+    return left
+
+
+def test_only_temporary_files_of_dead_processes_of_ours_are_removed(tmp_path: Path) -> None:
+    (tmp_path / "work").mkdir()
+    left = killed_while_writing(tmp_path / "work" / "unit.parquet")
+    others = [tmp_path / ".users.tmp", tmp_path / "work" / "plain.tmp", tmp_path / ".x.boresight-1-2-3.tmp"]
+    for other in others:
+        other.write_text("not ours")
+    during: list[bool] = []
+
+    def write(path: Path) -> None:
+        path.write_text("whole")
+        remove_abandoned(tmp_path)
+        during.append(path.exists())
+
+    write_whole(tmp_path / "file", write)
+    assert during == [True]  # this process lives: its own temporary file stays
+    assert not left.exists()
+    assert all(other.read_text() == "not ours" for other in others)
+    assert (tmp_path / "file").read_text() == "whole"
+
+
+def test_temporary_file_of_another_machine_stays_for_a_day(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    left = killed_while_writing(tmp_path / "unit")
+    monkeypatch.setattr(whole_file.platform, "node", lambda: "another")
+    remove_abandoned(tmp_path)
+    assert left.exists()
+    now = whole_file.time.time()
+    monkeypatch.setattr(whole_file.time, "time", lambda: now + 86_401.0)
+    remove_abandoned(tmp_path)
+    assert not left.exists()
