@@ -9,8 +9,8 @@ import re
 import time
 import uuid
 import zlib
-from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 __all__ = ["remove_abandoned", "write_whole"]
 
@@ -18,7 +18,7 @@ _TEMPORARY = re.compile(r"\..+\.boresight-([0-9a-f]{8})-([0-9]+)-[0-9a-f]{8}\.tm
 _OTHER_HOST_S = 86_400.0  # after a day another machine's temporary file counts as abandoned
 
 
-def write_whole(path: Path, write: Callable[[Path], object]) -> None:
+def write_whole(path: Path, write: Any) -> None:
     """Have `write(temporary path)` make a file beside `path`, flush it to the disk and rename it to `path`.
 
     Any `OSError` names `path`. If the process is killed, `remove_abandoned` finds what is left.
