@@ -48,7 +48,17 @@ Array = NDArray[np.float64]
 PASSES, TARGETS, LINES, PERIOD_S, TDI = 16, 24, 26_000, 6.6e-5, 32
 EXPOSURES_S = -0.5 + 0.2 * np.arange(14)  # around a strip from 0 to 1.72 s
 SIGMA_S, SIGMA_C_PX = 0.06 * 6.4e-6 / 0.1, 0.3
-STAR_CAMERA = StarCamera(0.1, 6.4e-6, 5120, 3840, (2560.0, 1920.0), 2.29e-5, -2.96e-5, -9.30e-7, -4.25e-9)
+STAR_CAMERA = StarCamera(
+    focal_m=0.1,
+    pixel_m=6.4e-6,
+    width_px=5120,
+    height_px=3840,
+    principal_px=(2560.0, 1920.0),
+    p1=2.29e-5,
+    p2=-2.96e-5,
+    q1=-9.30e-7,
+    q2=-4.25e-9,
+)
 R_CS = Rotation.from_euler("zx", [37.0, 165.0], degrees=True)  # the star camera looks 15 deg off the zenith
 R_CS0 = deviation_from_theta(np.array([0.003, 0.002, 0.001])).inv() * R_CS  # the paper's (28) away
 SETTINGS = CalibrationSettings(robust=False)
@@ -107,7 +117,15 @@ def make_pass(number: int, rng: np.random.Generator) -> Pass:
     roll = rng.uniform(-25.0, 25.0)
     R_co = Rotation.from_rotvec(wave) * Rotation.from_euler("x", roll, degrees=True)
     attitude = AttitudeTrack(t_s, R_CS.inv() * R_co * orbit.R_oi(t_s), orbit)
-    model = Pushbroom(_camera(), RowClock(0.0, PERIOD_S), orbit, earth, attitude, R_CS, LightEffects())
+    model = Pushbroom(
+        camera=_camera(),
+        rows=RowClock(0.0, PERIOD_S),
+        orbit=orbit,
+        earth=earth,
+        attitude=attitude,
+        R_cs=R_CS,
+        effects=LightEffects(),
+    )
     ccd = rng.integers(0, 4, TARGETS)
     xy = np.column_stack([rng.uniform(0.0, 6143.0, TARGETS), rng.uniform(0.0, LINES, TARGETS)])
     heights = rng.uniform(0.0, 1500.0, TARGETS)
@@ -129,12 +147,33 @@ def _orbit(epoch: Epoch, earth: EarthRotation, node: float, along: float) -> Orb
     turn = Rotation.from_euler("xz", [tilt, node])
     p = turn.apply(radius * np.stack([c, s, zero], axis=-1))
     v = turn.apply(radius * rate * np.stack([-s, c, zero], axis=-1))
-    inertial = Orbit(epoch, t_s, p, v, "GCRF", 7, earth)
-    return Orbit(epoch, t_s, inertial.positions_e(t_s), inertial.velocities_e(t_s), "ITRF", 7, earth, 2.0)
+    inertial = Orbit(
+        epoch=epoch, t_s=t_s, positions_m=p, velocities_m_s=v, frame="GCRF", degree=7, earth=earth
+    )
+    return Orbit(
+        epoch=epoch,
+        t_s=t_s,
+        positions_m=inertial.positions_e(t_s),
+        velocities_m_s=inertial.velocities_e(t_s),
+        frame="ITRF",
+        degree=7,
+        earth=earth,
+        sigma_position_m=2.0,
+    )
 
 
 def _camera() -> LineCamera:
-    ccds = [Ccd(6144, -0.122 + k * 0.0604, 0.001 * (-1) ** k, 0.0, 1e-5, 3067.0) for k in range(4)]
+    ccds = [
+        Ccd(
+            n_px=6144,
+            y_first_m=-0.122 + k * 0.0604,
+            x_offset_m=0.001 * (-1) ** k,
+            rotation_rad=0.0,
+            pixel_m=1e-5,
+            principal_sample=3067.0,
+        )
+        for k in range(4)
+    ]
     return LineCamera(10.0, tuple(ccds), TDI)
 
 
@@ -171,7 +210,13 @@ def sightings(one: Pass, how: Processing, stars: StarPlaces) -> StripSightings:
         v_rel_i=np.einsum("nij,nj->ni", R_ie, orbit.velocities_e(t_row)),
         cov_target_i=np.tile(0.01 * np.eye(3), (TARGETS, 1, 1)),
     )
-    return StripSightings(one.name, exposures, ground, orbit.R_oi(EXPOSURES_S), R_oi)
+    return StripSightings(
+        strip_id=one.name,
+        exposures=exposures,
+        ground=ground,
+        R_oi_exposures=orbit.R_oi(EXPOSURES_S),
+        R_oi_targets=R_oi,
+    )
 
 
 def _exposure(one: Pass, orbit: Orbit, how: Processing, stars: StarPlaces, k: int, t: float) -> StarSightings:

@@ -50,10 +50,19 @@ def strip(roll_deg: float, pitch_deg: float) -> Pushbroom:
     c, s = np.cos(rate * t_s + 0.7), np.sin(rate * t_s + 0.7)
     p = radius * np.stack([c, s * np.cos(tilt), s * np.sin(tilt)], axis=-1)
     v = radius * rate * np.stack([-s, c * np.cos(tilt), c * np.sin(tilt)], axis=-1)
-    orbit = Orbit(epoch, t_s, p, v, "GCRF", 7, earth)
+    orbit = Orbit(epoch=epoch, t_s=t_s, positions_m=p, velocities_m_s=v, frame="GCRF", degree=7, earth=earth)
     knots, offsets = np.array([0.0, 1500, 3067, 4600, 6143]), np.array([18e-6, 6e-6, 0, -5e-6, -17e-6])
     ccds = [
-        Ccd(SAMPLES, -0.122 + k * 0.0604, 0.001 * (-1) ** k, 1e-4 * (k - 1.5), 1e-5, 3067.0, knots, offsets)
+        Ccd(
+            n_px=SAMPLES,
+            y_first_m=-0.122 + k * 0.0604,
+            x_offset_m=0.001 * (-1) ** k,
+            rotation_rad=1e-4 * (k - 1.5),
+            pixel_m=1e-5,
+            principal_sample=3067.0,
+            distortion_samples=knots,
+            distortion_offsets_m=offsets,
+        )
         for k in range(4)
     ]
     t_star = np.arange(-0.4, 2.6, 0.2)
@@ -61,7 +70,15 @@ def strip(roll_deg: float, pitch_deg: float) -> Pushbroom:
     R_co = Rotation.from_euler("xy", [roll_deg, pitch_deg], degrees=True) * Rotation.from_rotvec(wave)
     attitude = AttitudeTrack(t_star, R_CS.inv() * R_co * orbit.R_oi(t_star), orbit)
     camera = LineCamera(10.0, tuple(ccds), tdi_stages=32)
-    return Pushbroom(camera, RowClock(0.013, 6.6e-5), orbit, earth, attitude, R_CS, LightEffects())
+    return Pushbroom(
+        camera=camera,
+        rows=RowClock(0.013, 6.6e-5),
+        orbit=orbit,
+        earth=earth,
+        attitude=attitude,
+        R_cs=R_CS,
+        effects=LightEffects(),
+    )
 
 
 def relief(model: Pushbroom, amplitude_m: float, utm: bool) -> TerrainGrid:

@@ -65,16 +65,46 @@ def scene_of(roll_deg):
     epoch = Epoch.from_utc(UTC)
     earth = EarthRotation.over(epoch, -10.0, 20.0, bundled_earth_orientation())
     t_nodes = np.arange(-8.0, 18.0)
-    orbit = Orbit(epoch, t_nodes, *CircularOrbit().state(t_nodes), "GCRF", 7, earth, method="hermite")
+    p, v = CircularOrbit().state(t_nodes)
+    orbit = Orbit(
+        epoch=epoch,
+        t_s=t_nodes,
+        positions_m=p,
+        velocities_m_s=v,
+        frame="GCRF",
+        degree=7,
+        earth=earth,
+        method="hermite",
+    )
     t_att = np.arange(-2.0, 6.0, 0.05)
     wave = 5.0 * np.pi / 648_000.0 * np.sin(2 * np.pi * t_att[:, None] / [5.0, 7.0, 11.0] + [0.3, 1.0, 2.0])
     R_bo = Rotation.from_rotvec(wave) * Rotation.from_euler("x", np.radians(roll_deg))
     attitude = AttitudeTrack(t_att, R_bo * orbit.R_oi(t_att), orbit, points=6)
     half = 0.5 * (N_PX - 1) * PIXEL_M
-    camera = LineCamera(FOCAL_M, (Ccd(N_PX, -half, 0.0, 0.0, PIXEL_M, 0.5 * (N_PX - 1)),))
+    camera = LineCamera(
+        FOCAL_M,
+        (
+            Ccd(
+                n_px=N_PX,
+                y_first_m=-half,
+                x_offset_m=0.0,
+                rotation_rad=0.0,
+                pixel_m=PIXEL_M,
+                principal_sample=0.5 * (N_PX - 1),
+            ),
+        ),
+    )
     clock = RowClock(0.5, ROW_PERIOD_S)
     off = LightEffects(light_time=False, aberration=False, refraction=False)
-    strip = Pushbroom(camera, clock, orbit, earth, attitude, Rotation.identity(), off)
+    strip = Pushbroom(
+        camera=camera,
+        rows=clock,
+        orbit=orbit,
+        earth=earth,
+        attitude=attitude,
+        R_cs=Rotation.identity(),
+        effects=off,
+    )
     return epoch, strip, t_att
 
 
@@ -135,13 +165,13 @@ def effects_of(case, atmosphere):
 
 def ours(strip, case, surface, atmosphere):
     model = Pushbroom(
-        strip.camera,
-        strip.rows,
-        strip.orbit,
-        strip.earth,
-        strip.attitude,
-        strip.R_cs,
-        effects_of(case, atmosphere),
+        camera=strip.camera,
+        rows=strip.rows,
+        orbit=strip.orbit,
+        earth=strip.earth,
+        attitude=strip.attitude,
+        R_cs=strip.R_cs,
+        effects=effects_of(case, atmosphere),
     )
     samples = np.arange(0.0, N_PX, EVERY)
     sample, line = (a.ravel() for a in np.meshgrid(samples, LINES))

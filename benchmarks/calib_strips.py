@@ -76,7 +76,15 @@ def nearest_exposure(strip: StripSightings, still: bool) -> list[StripSightings]
         )
         R_oi = strip.R_oi_exposures[int(k) : int(k) + 1]
         targets = Rotation.concatenate([R_oi[0]] * len(rows)) if still else strip.R_oi_targets[rows]
-        parts.append(StripSightings(f"{strip.strip_id}/{k}", (strip.exposures[k],), ground, R_oi, targets))
+        parts.append(
+            StripSightings(
+                strip_id=f"{strip.strip_id}/{k}",
+                exposures=(strip.exposures[k],),
+                ground=ground,
+                R_oi_exposures=R_oi,
+                R_oi_targets=targets,
+            )
+        )
     return parts
 
 

@@ -51,7 +51,9 @@ from boresight.star_id.settings import StarSettings
 from boresight.star_id.sky_plan import StarImageModel, plan_pointings
 
 TRUTH = replace(PAPER_CAMERA, principal_px=(2571.3, 1911.2))
-NOMINAL = StarCamera(0.105, 6.4e-6, 5120, 3840, (2559.5, 1919.5))
+NOMINAL = StarCamera(
+    focal_m=0.105, pixel_m=6.4e-6, width_px=5120, height_px=3840, principal_px=(2559.5, 1919.5)
+)
 SENSOR = Sensor(hot_pixels=2000)
 LIMIT_PX = 0.03  # of the pixel map, anywhere on the detector
 REFRACTIVITY = 2.77e-4  # n - 1 of air at 15 C, 1013 hPa, 550 nm

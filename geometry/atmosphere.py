@@ -22,11 +22,12 @@ Appl. Opt. 35, 1566, eq. 1) at 0.6 um. Weather changes the displacement by a few
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+from boresight.geometry.record import Floats, array, record
 
 __all__ = ["Atmosphere", "layered_atmosphere", "refractivity_of_air", "standard_atmosphere"]
 
@@ -39,13 +40,13 @@ _STEP_M = 20.0
 _STEEPEST = np.cos(np.radians(80.0))  # beyond 80 deg the expansion fails
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record
 class Atmosphere:
     """Refractivity against height and its integrals to the top. Made by the functions of this module."""
 
-    height_m: Array  # (K,) ellipsoidal heights in even steps
-    refractivity: Array  # (K,) n - 1
-    integrals: Array  # (K, 4): I0 (m), I1 (m^2), I2 (m^3), J (m), from each height upwards
+    height_m: Floats = array("K", "heights above the ellipsoid, evenly spaced")
+    refractivity: Floats = array("K", "n - 1")
+    integrals: Floats = array("K, 4", "I0 (m), I1 (m²), I2 (m³), J (m) from each height upwards")
 
     def bending(self, cos_z: ArrayLike, height_m: ArrayLike) -> tuple[Array, Array]:
         """Displacement (m, >= 0) and change of zenith distance (rad, >= 0) where the straight line meets the

@@ -10,7 +10,7 @@ radians.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import Protocol
 
 import numpy as np
@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 from boresight.geometry.earth_rotation import EarthRotation
+from boresight.geometry.record import Floats, array, record, scalar
 
 __all__ = ["Attitude", "AttitudeTrack", "EarthFixedAttitude", "NominalMotion", "lagrange_weights"]
 
@@ -56,15 +57,17 @@ def lagrange_weights(t_nodes: ArrayLike, t: ArrayLike, points: int = 4) -> Array
     return weights
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record
 class AttitudeTrack:
     """Attitudes at K exposures, and what lies between them."""
 
-    t_s: Array  # (K,) increasing
-    R_si_nodes: Rotation  # (K,)
-    nominal: NominalMotion
-    cov_s: Array | None = None  # (K, 3, 3) of a small rotation of each attitude about the axes of s, rad^2
-    points: int = 4
+    t_s: Floats = array("K", "instants of the exposures, increasing, TAI seconds since the epoch")
+    R_si_nodes: Rotation = array("K", "GCRS to frame s at the exposures")
+    nominal: NominalMotion = scalar("reference attitude; the difference from it is interpolated")
+    cov_s: Floats | None = array(
+        "K, 3, 3", "covariance of a small rotation of each attitude about the axes of s, rad²", default=None
+    )
+    points: int = scalar("exposures that one polynomial passes through", default=4)
     _R_so_middle: Rotation = field(init=False, repr=False)
     _turn_s: Array = field(init=False, repr=False)  # (K, 3) D_k relative to the middle one, rotation vectors
 
@@ -72,10 +75,6 @@ class AttitudeTrack:
         k = len(self.t_s)
         if k < 2 or np.any(np.diff(self.t_s) <= 0.0):
             raise ValueError(f"AttitudeTrack needs two or more instants in increasing order, got {k}")
-        if len(self.R_si_nodes) != k:
-            raise ValueError(f"AttitudeTrack needs {k} attitudes, got {len(self.R_si_nodes)}")
-        if self.cov_s is not None and np.shape(self.cov_s) != (k, 3, 3):
-            raise ValueError(f"AttitudeTrack.cov_s must have shape ({k}, 3, 3), got {np.shape(self.cov_s)}")
         R_so = self.R_si_nodes * self.nominal.R_oi(self.t_s).inv()
         object.__setattr__(self, "_R_so_middle", R_so[k // 2])
         object.__setattr__(self, "_turn_s", (R_so * R_so[k // 2].inv()).as_rotvec())
@@ -132,22 +131,20 @@ class AttitudeTrack:
         return np.abs(product)[:, None] * np.sqrt(size2)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record
 class EarthFixedAttitude:
     """Attitude as an operator's polynomials in time: a quaternion that takes frame s to ITRS axes.
 
     `q(t) = sum_n coefficients[:, n] ((t - t_offset_s) / scale_s)^n`, scalar last, normalised after.
     """
 
-    coefficients: Array  # (4, D + 1), lowest power first
-    t_offset_s: float
-    scale_s: float
-    earth: EarthRotation
-    span_s: tuple[float, float]
+    coefficients: Floats = array("4, D + 1", "of the quaternion's components, lowest power first")
+    t_offset_s: float = scalar("origin of the polynomials, TAI seconds since the epoch")
+    scale_s: float = scalar("unit of time of the polynomials, s")
+    earth: EarthRotation = scalar("rotation between ITRS and GCRS")
+    span_s: tuple[float, float] = array("2", "first and last instant, TAI seconds since the epoch")
 
     def __post_init__(self) -> None:
-        if np.ndim(self.coefficients) != 2 or len(self.coefficients) != 4:
-            raise ValueError(f"coefficients must have shape (4, D + 1), got {np.shape(self.coefficients)}")
         if not self.scale_s > 0.0:
             raise ValueError(f"scale_s must be positive, got {self.scale_s}")
 

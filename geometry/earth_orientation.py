@@ -8,13 +8,13 @@ celestial pole offsets refer to IAU 2006/2000A precession-nutation.
 from __future__ import annotations
 
 import importlib.resources
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.epoch import tai_minus_utc_s
+from boresight.geometry.record import Floats, array, record, scalar
 
 __all__ = [
     "EarthOrientationError",
@@ -40,27 +40,25 @@ class EarthOrientationWarning(UserWarning):
     """Earth orientation is extrapolated, or predicted so far ahead that it shows on the ground."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record(kw_only=True)
 class EarthOrientationTable:
     """One row a day, at 0h UTC. Values after `mjd_last_measured` are predictions."""
 
-    mjd_utc: Array  # (N,) whole days, increasing by one
-    ut1_utc_s: Array  # (N,) UT1 - UTC, s
-    xp_rad: Array  # (N,) pole coordinates, rad
-    yp_rad: Array
-    dx_rad: Array  # (N,) celestial pole offsets to IAU 2006/2000A, rad
-    dy_rad: Array
-    source: str
-    mjd_last_measured: float
+    mjd_utc: Floats = array("N", "whole days (UTC), increasing by one")
+    ut1_utc_s: Floats = array("N", "UT1 - UTC, s")
+    xp_rad: Floats = array("N", "pole coordinate x, rad")
+    yp_rad: Floats = array("N", "pole coordinate y, rad")
+    dx_rad: Floats = array("N", "celestial pole offset dX to IAU 2006/2000A, rad")
+    dy_rad: Floats = array("N", "celestial pole offset dY to IAU 2006/2000A, rad")
+    source: str = scalar("name of the series")
+    mjd_last_measured: float = scalar("modified Julian date (UTC) of the last measured UT1")
 
     def __post_init__(self) -> None:
         n = len(self.mjd_utc)
         for name in ("mjd_utc", "ut1_utc_s", "xp_rad", "yp_rad", "dx_rad", "dy_rad"):
             values = getattr(self, name)
-            if values.shape != (n,) or not np.all(np.isfinite(values)):
-                raise ValueError(
-                    f"EarthOrientationTable.{name} must be {n} finite numbers, got {values.shape}"
-                )
+            if not np.all(np.isfinite(values)):
+                raise ValueError(f"EarthOrientationTable.{name} must be finite")
         if n < 4 or not np.all(np.diff(self.mjd_utc) == 1.0) or np.any(self.mjd_utc % 1.0):
             raise ValueError("EarthOrientationTable.mjd_utc must be at least 4 consecutive whole days")
 
@@ -76,12 +74,12 @@ def bundled_earth_orientation() -> EarthOrientationTable:
     table = np.vstack([final, rapid[rapid[:, 0] > final[-1, 0]]])
     mjd, ut1_utc, xp, yp, dx, dy = np.ascontiguousarray(table.T)
     return EarthOrientationTable(
-        mjd,
-        ut1_utc,
-        xp,
-        yp,
-        dx,
-        dy,
+        mjd_utc=mjd,
+        ut1_utc_s=ut1_utc,
+        xp_rad=xp,
+        yp_rad=yp,
+        dx_rad=dx,
+        dy_rad=dy,
         source="astropy-iers-data: EOP 20 C04, then finals2000A",
         mjd_last_measured=max(final[-1, 0], last_measured),
     )

@@ -9,7 +9,6 @@ on the ground).
 from __future__ import annotations
 
 import warnings
-from dataclasses import dataclass
 
 import erfa
 import numpy as np
@@ -25,6 +24,7 @@ from boresight.geometry.earth_orientation import (
     expected_prediction_error_m,
 )
 from boresight.geometry.epoch import MJD_ZERO_JD, Epoch, tai_minus_utc_s
+from boresight.geometry.record import Floats, array, record, scalar
 
 __all__ = ["EarthRotation"]
 
@@ -35,21 +35,19 @@ _YEAR_DAYS = 365
 _NOTICEABLE_M = 0.1  # predictions whose stated error is larger than this are spoken of
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record(kw_only=True)
 class EarthRotation:
     """Rotation between ITRS (e) and GCRS (i) over a stretch of time. Made by `EarthRotation.over`."""
 
-    epoch: Epoch
-    t_start_s: float  # the stretch that was asked for, TAI seconds since `epoch`
-    t_stop_s: float
-    node_mjd_tai: Array  # (K,) nodes of precession-nutation
-    node_xys_rad: Array  # (K, 3) X and Y without offsets, s
-    day_mjd_tai: Array  # (D,) days of the IERS table
-    day_values: Array  # (D, 5) UT1 - TAI (s), xp, yp, dX, dY (rad)
-    omega_e: Array  # (3,) angular velocity of e relative to i, axes of e, rad/s, at the middle of the stretch
-    expected_error_m: (
-        float  # 1-sigma on the equator where the table holds predictions or is extrapolated, else 0
-    )
+    epoch: Epoch = scalar("origin of t_s")
+    t_start_s: float = scalar("begin of the interval, TAI seconds since the epoch")
+    t_stop_s: float = scalar("end of the interval, TAI seconds since the epoch")
+    node_mjd_tai: Floats = array("K", "nodes of precession-nutation, MJD (TAI)")
+    node_xys_rad: Floats = array("K, 3", "X and Y without offsets, and s, rad")
+    day_mjd_tai: Floats = array("D", "days of the IERS table, MJD (TAI)")
+    day_values: Floats = array("D, 5", "UT1 - TAI (s), xp, yp, dX, dY (rad)")
+    omega_e: Floats = array("3", "angular velocity of e relative to i at mid-interval, axes of e, rad/s")
+    expected_error_m: float = scalar("1-sigma on the equator of predicted or extrapolated values, else 0")
 
     @staticmethod
     def over(
@@ -76,7 +74,15 @@ class EarthRotation:
         xys = np.stack(erfa.xys06a(MJD_ZERO_JD, nodes + (32.184 / DAY_S)), axis=-1)
         omega_e = _angular_velocity(days, values, 0.5 * (start + stop))
         return EarthRotation(
-            epoch, float(t_start_s), float(t_stop_s), nodes, xys, days, values, omega_e, error_m
+            epoch=epoch,
+            t_start_s=float(t_start_s),
+            t_stop_s=float(t_stop_s),
+            node_mjd_tai=nodes,
+            node_xys_rad=xys,
+            day_mjd_tai=days,
+            day_values=values,
+            omega_e=omega_e,
+            expected_error_m=error_m,
         )
 
     def matrices_ie(self, t_s: ArrayLike) -> Array:

@@ -8,18 +8,19 @@ the package; `geometry/data/README.md` says where it is from. Between grid point
 from __future__ import annotations
 
 import importlib.resources
-from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+from boresight.geometry.record import array, record, scalar
 
 __all__ = ["Geoid", "egm96"]
 
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record
 class Geoid:
     """Undulations on a regular grid of latitude and longitude.
 
@@ -28,14 +29,14 @@ class Geoid:
     on itself, with or without a repeated last column.
     """
 
-    undulations_m: NDArray[np.float32]  # (rows, columns)
-    lat_first_rad: float
-    lon_first_rad: float
-    step_lat_rad: float
-    step_lon_rad: float
+    undulations_m: NDArray[np.float32] = array("R, C", "geoid above the ellipsoid, m")
+    lat_first_rad: float = scalar("latitude of the first row")
+    lon_first_rad: float = scalar("longitude of the first column")
+    step_lat_rad: float = scalar("from row to row; negative in north-up rasters")
+    step_lon_rad: float = scalar("from column to column")
 
     def __post_init__(self) -> None:
-        if self.undulations_m.ndim != 2 or min(self.undulations_m.shape) < 2:
+        if min(self.undulations_m.shape) < 2:
             raise ValueError(f"a geoid grid needs at least 2 x 2 points, got {self.undulations_m.shape}")
         if not np.all(np.isfinite(self.undulations_m)):
             raise ValueError("a geoid grid must not have missing values")

@@ -7,8 +7,6 @@ The vertical is the ellipsoid's normal; its deflection, some 10 arc-seconds, cha
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import erfa
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +14,7 @@ from numpy.typing import NDArray
 from boresight.geometry.constants import WGS84
 from boresight.geometry.earth_rotation import EarthRotation
 from boresight.geometry.geodesy import ecef_from_geodetic, ellipsoid_normals
+from boresight.geometry.record import Floats, array, record, scalar
 
 __all__ = ["Air", "GroundSite", "SiteState", "lifted_by_air"]
 
@@ -25,15 +24,15 @@ _WAVELENGTH_UM = 0.55
 _LOWEST_COSINE = 0.05  # of the zenith distance: 3 degrees above the horizon, where the formula's use ends
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class GroundSite:
     """A place on the Earth and its weather."""
 
-    lat_rad: float  # geodetic, WGS84
-    lon_rad: float
-    height_m: float  # above the ellipsoid
-    pressure_hpa: float
-    temperature_c: float
+    lat_rad: float = scalar("geodetic latitude, WGS84")
+    lon_rad: float = scalar("geodetic longitude, WGS84")
+    height_m: float = scalar("above the ellipsoid")
+    pressure_hpa: float = scalar("air pressure at the site")
+    temperature_c: float = scalar("air temperature at the site, °C")
 
     @staticmethod
     def in_standard_weather(lat_rad: float, lon_rad: float, height_m: float) -> GroundSite:
@@ -52,22 +51,22 @@ class GroundSite:
         return SiteState(matrix_ie @ p_e, matrix_ie @ np.cross(earth.omega_e, p_e), air)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record
 class Air:
     """How the air above a site bends light."""
 
-    zenith_i: Array  # (3,)
-    a_rad: float
-    b_rad: float
+    zenith_i: Floats = array("3", "unit vector upwards, GCRS")
+    a_rad: float = scalar("coefficient of tan z")
+    b_rad: float = scalar("coefficient of tan³ z")
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record
 class SiteState:
     """A site at one instant."""
 
-    p_i: Array  # (3,) m, GCRS
-    v_i: Array  # (3,) m/s
-    air: Air
+    p_i: Floats = array("3", "geocentric position, GCRS, m")
+    v_i: Floats = array("3", "geocentric velocity, GCRS, m/s")
+    air: Air = scalar("refraction above the site")
 
 
 def lifted_by_air(u_i: Array, air: Air) -> Array:

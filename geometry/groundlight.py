@@ -11,7 +11,7 @@ Frame e is that of the instant of emission, in which the ground is at rest.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
@@ -21,6 +21,7 @@ from boresight.geometry.atmosphere import Atmosphere, standard_atmosphere
 from boresight.geometry.constants import SPEED_OF_LIGHT, WGS84
 from boresight.geometry.earth_rotation import EarthRotation
 from boresight.geometry.geodesy import columns_at_height, geodetic_from_ecef, vertical_at
+from boresight.geometry.record import record, scalar
 
 __all__ = [
     "LightEffects",
@@ -44,14 +45,14 @@ class OrbitLike(Protocol):
     def velocities_i(self, t_s: Array) -> Array: ...
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class LightEffects:
     """Which effects on the light from the ground are taken into account, and the atmosphere that bends it."""
 
-    light_time: bool = True
-    aberration: bool = True
-    refraction: bool = True
-    atmosphere: Atmosphere = field(default_factory=standard_atmosphere)
+    light_time: bool = scalar("Earth rotation between emission and reception", default=True)
+    aberration: bool = scalar("by the satellite's geocentric inertial velocity", default=True)
+    refraction: bool = scalar("bending of light in the atmosphere", default=True)
+    atmosphere: Atmosphere = scalar("refractivity against height", default_factory=standard_atmosphere)
 
 
 def boosted(u: Array, velocity: Array) -> Array:

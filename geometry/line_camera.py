@@ -10,12 +10,14 @@ all that the pushbroom model needs.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import Literal, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import CubicSpline
+
+from boresight.geometry.record import Floats, array, record, scalar
 
 __all__ = ["Ccd", "LineCamera", "LineSensor", "LookAngleCamera", "TimeOfRow"]
 
@@ -49,7 +51,7 @@ class LineSensor(Protocol):
         """Seconds from the instant by which a row is labelled to the middle of its exposure."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record(kw_only=True)
 class Ccd:
     """One line detector in the focal plane (paper, Table 3).
 
@@ -60,21 +62,23 @@ class Ccd:
     its ends it goes on straight. With TDI, `x_offset_m` is the middle of the block of stages.
     """
 
-    n_px: int
-    y_first_m: float
-    x_offset_m: float
-    rotation_rad: float
-    pixel_m: float
-    principal_sample: float
-    distortion_samples: Array = field(default_factory=lambda: np.zeros(0))
-    distortion_offsets_m: Array = field(default_factory=lambda: np.zeros(0))
+    n_px: int = scalar("number of samples")
+    y_first_m: float = scalar("y_f of sample 0")
+    x_offset_m: float = scalar("x_f of the detector; with TDI of the middle of the block of stages")
+    rotation_rad: float = scalar("about the principal sample, from +x_f towards +y_f")
+    pixel_m: float = scalar("pitch of the samples")
+    principal_sample: float = scalar("sample about which the detector is rotated; its distortion is zero")
+    distortion_samples: Floats = array(
+        "D", "samples of the distortion table, increasing", default_factory=lambda: np.zeros(0)
+    )
+    distortion_offsets_m: Floats = array(
+        "D", "offset of the image along the detector there", default_factory=lambda: np.zeros(0)
+    )
     _spline: CubicSpline | None = field(init=False, repr=False, default=None)
 
     def __post_init__(self) -> None:
         samples = np.asarray(self.distortion_samples, dtype=float)
         offsets = np.asarray(self.distortion_offsets_m, dtype=float)
-        if samples.ndim != 1 or samples.shape != offsets.shape:
-            raise ValueError(f"distortion table: {samples.shape} samples, {offsets.shape} offsets")
         if len(samples) == 1 or np.any(np.diff(samples) <= 0.0):
             raise ValueError(f"distortion_samples must be two or more in increasing order, got {samples}")
         if not (self.n_px > 0 and self.pixel_m > 0.0):
@@ -147,7 +151,7 @@ class Ccd:
         return np.asarray(self.pixel_m - self._spline(inside, 1))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record
 class LineCamera:
     """A camera of one or more staggered CCDs behind one lens (paper, section 3.1 and Table 3).
 
@@ -155,10 +159,10 @@ class LineCamera:
     them a row's time label means. The rigorous model always works with the middle.
     """
 
-    focal_m: float
-    ccds: tuple[Ccd, ...]
-    tdi_stages: int = 1
-    time_of_row: TimeOfRow = "middle"
+    focal_m: float = scalar("focal length")
+    ccds: tuple[Ccd, ...] = array("C", "detectors")
+    tdi_stages: int = scalar("rows over which one row's light is accumulated", default=1)
+    time_of_row: TimeOfRow = scalar("instant of the exposure that a row's time label means", default="middle")
 
     def __post_init__(self) -> None:
         if not self.focal_m > 0.0:
@@ -213,23 +217,23 @@ class LineCamera:
         return np.column_stack([-xy_f, np.full(len(xy_f), self.focal_m)])
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record
 class LookAngleCamera:
     """A single detector given by tangents at some samples: `u_c ~ [tan_x, tan_y, 1]`.
 
     Between the samples a cubic spline holds (a straight line between two); beyond them it goes on straight.
     """
 
-    width_px: int
-    samples: Array  # (K,) increasing
-    tan_x: Array  # (K,)
-    tan_y: Array  # (K,) strictly monotone
+    width_px: int = scalar("number of samples of the detector")
+    samples: Floats = array("K", "samples at which the tangents are given, increasing")
+    tan_x: Floats = array("K", "u_x / u_z")
+    tan_y: Floats = array("K", "u_y / u_z, strictly monotone")
     _spline: CubicSpline = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         samples = np.asarray(self.samples, dtype=float)
         tangents = np.column_stack([self.tan_x, self.tan_y])
-        if len(samples) < 2 or np.any(np.diff(samples) <= 0.0) or len(tangents) != len(samples):
+        if len(samples) < 2 or np.any(np.diff(samples) <= 0.0) or len(samples) != len(tangents):
             raise ValueError(
                 "LookAngleCamera needs two or more samples in increasing order, each with tangents"
             )

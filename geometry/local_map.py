@@ -9,10 +9,11 @@ polynomial is good enough there is none.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+
+from boresight.geometry.record import Floats, array, record
 
 __all__ = ["LocalMap", "fit_local_map"]
 
@@ -22,13 +23,13 @@ Map = Callable[[Array, Array], tuple[Array, Array]]
 _DEGREES = (3, 5, 7, 9)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record
 class LocalMap:
     """Polynomials of total degree D in (u - u0) / u_half, (v - v0) / v_half. Made by `fit_local_map`."""
 
-    middle: tuple[float, float]
-    half: tuple[float, float]
-    coefficients: Array  # (2, D + 1, D + 1): power of u, power of v; zero above the total degree
+    middle: tuple[float, float] = array("2", "(u0, v0), rad")
+    half: tuple[float, float] = array("2", "half widths of the region, rad")
+    coefficients: Floats = array("2, D + 1, D + 1", "by power of u and of v; zero above the total degree")
 
     def covers(self, u: Array, v: Array) -> NDArray[np.bool_]:
         """Which points lie in the region of the fit."""

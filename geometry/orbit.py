@@ -9,12 +9,14 @@ orbit's normal, x completing them, about along the velocity.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
+
+from boresight.geometry.record import Floats, array, record, scalar
 
 if TYPE_CHECKING:
     from boresight.geometry.earth_rotation import EarthRotation
@@ -41,7 +43,7 @@ class OrbitGapError(ValueError):
     """An instant outside the ephemeris, or in a stretch where nodes are missing or too few."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record(kw_only=True)
 class Orbit:
     """An ephemeris and the way to read between its lines.
 
@@ -49,26 +51,26 @@ class Orbit:
     rounded up. Without velocities only Lagrange is possible, and the velocity is the polynomial's derivative.
     """
 
-    epoch: Epoch
-    t_s: Array  # (K,) nodes, increasing
-    positions_m: Array  # (K, 3) in `frame`
-    velocities_m_s: Array | None  # (K, 3), rate of change of the coordinates in `frame`
-    frame: OrbitFrame
-    degree: int
-    earth: EarthRotation
-    sigma_position_m: float | tuple[float, float, float] = 0.0  # 1-sigma; three: along x, y, z of frame o
-    method: OrbitMethod = "lagrange"
-    max_step_s: float | None = None  # a longer step is a gap; None: 1.5 times the usual step
+    epoch: Epoch = scalar("origin of t_s")
+    t_s: Floats = array("K", "instants of the nodes, increasing, TAI seconds since the epoch")
+    positions_m: Floats = array("K, 3", "in `frame`, m")
+    velocities_m_s: Floats | None = array("K, 3", "rate of change of the coordinates in `frame`, m/s")
+    frame: OrbitFrame = scalar("frame of the nodes: GCRF (= GCRS) or ITRF")
+    degree: int = scalar("degree of the interpolating polynomial")
+    earth: EarthRotation = scalar("rotation between ITRS and GCRS")
+    sigma_position_m: float | tuple[float, float, float] = scalar(
+        "1-sigma of the positions, m; three numbers: along x, y, z of frame o", default=0.0
+    )
+    method: OrbitMethod = scalar(
+        "lagrange (positions) or hermite (positions and velocities)", default="lagrange"
+    )
+    max_step_s: float | None = scalar("longer steps are gaps; None: 1.5 times the median step", default=None)
     _segment: NDArray[np.int64] = field(init=False, repr=False)  # (K,) number of the gap-free stretch
     _scale: Array = field(init=False, repr=False)  # (windows, nodes_needed), of Lagrange's polynomials
     _slope_at_node: Array = field(init=False, repr=False)  # the same, their slope at their own node
 
     def __post_init__(self) -> None:
         k = len(self.t_s)
-        for name in ("positions_m", "velocities_m_s"):
-            value = getattr(self, name)
-            if value is not None and np.shape(value) != (k, 3):
-                raise ValueError(f"Orbit.{name} must have shape ({k}, 3), got {np.shape(value)}")
         if self.frame not in ("GCRF", "ITRF"):
             raise ValueError(f"Orbit.frame must be GCRF or ITRF, got {self.frame!r}")
         if self.method not in ("lagrange", "hermite"):
@@ -203,13 +205,13 @@ class Orbit:
         return np.asarray(np.clip(begin, start, stop - k), dtype=np.int64)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record
 class OrbitFit:
     """A polynomial through a stretch of an ephemeris, and what it left over."""
 
-    orbit: Orbit  # nodes on the polynomial, positions and velocities
-    residuals_m: Array  # (K, 3) ephemeris minus polynomial
-    sigma_m: float  # of one coordinate of one node, from the residuals; NaN when nothing is left over
+    orbit: Orbit = scalar("nodes on the polynomial, positions and velocities")
+    residuals_m: Floats = array("K, 3", "ephemeris minus polynomial")
+    sigma_m: float = scalar("1-sigma of one coordinate of one node; NaN without redundancy")
 
 
 def fit_polynomial(orbit: Orbit, t_start_s: float, t_stop_s: float, degree: int = 2) -> OrbitFit:

@@ -29,6 +29,7 @@ from boresight.geometry.groundlight import (
     emission_rays_e,
 )
 from boresight.geometry.line_camera import LineSensor
+from boresight.geometry.record import record, scalar
 from boresight.geometry.row_table import RowTable, tabulated
 from boresight.geometry.terrain import ConstantHeight, Surface, intersect
 from boresight.geometry.terrain_rays import bilinear
@@ -63,12 +64,12 @@ class OrbitOverTime(OrbitLike, Protocol):
     def span_s(self) -> tuple[float, float]: ...
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class RowClock:
     """When rows were taken: line 0 at `t_first_row_s`, each next one `row_period_s` later. TAI seconds."""
 
-    t_first_row_s: float
-    row_period_s: float
+    t_first_row_s: float = scalar("time label of line 0, TAI seconds since the epoch")
+    row_period_s: float = scalar("from line to line")
 
     def __post_init__(self) -> None:
         if not self.row_period_s > 0.0:
@@ -115,18 +116,18 @@ class _States:
         return _States(self.packed[:, index])
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record(kw_only=True)
 class Pushbroom:
     """One strip of a pushbroom camera on a satellite."""
 
-    camera: LineSensor
-    rows: RowClock
-    orbit: OrbitOverTime
-    earth: EarthRotation
-    attitude: Attitude
-    R_cs: Rotation
-    effects: LightEffects
-    table: RowTable | None = None  # made by `tabulated`
+    camera: LineSensor = scalar("directions of the samples in frame c")
+    rows: RowClock = scalar("time labels of the lines")
+    orbit: OrbitOverTime = scalar("positions and velocities of the satellite")
+    earth: EarthRotation = scalar("rotation between ITRS and GCRS")
+    attitude: Attitude = scalar("GCRS to star camera against time")
+    R_cs: Rotation = scalar("installation matrix, star camera to remote-sensing camera")
+    effects: LightEffects = scalar("effects on light that are modelled")
+    table: RowTable | None = scalar("states tabulated over the lines, made by `tabulated`", default=None)
 
     def with_installation(self, R_cs: Rotation) -> Pushbroom:
         """The same strip with another installation matrix; a table over its rows turns along."""

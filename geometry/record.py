@@ -39,10 +39,14 @@ def array(shape: str, meaning: str, **options: Any) -> Any:
 
     A capital letter is a length that all fields of the record share; a number is that length. Rotations and
     tuples are arrays of one dimension. `meaning` states unit and frame; `options` are those of
-    `dataclasses.field` (`default`, `default_factory`, `init`, `repr`).
+    `dataclasses.field` (`default`, `default_factory`, `repr`). A field annotated `... | None` may be None.
     """
     dimensions = tuple(_dimension(part.strip()) for part in shape.split(",") if part.strip())
-    options["metadata"] = {"shape": dimensions, "shape_text": f"({shape})", "meaning": meaning}
+    options["metadata"] = {
+        "shape": dimensions,
+        "shape_text": f"({shape}{chr(44) * (len(dimensions) == 1)})",
+        "meaning": meaning,
+    }
     return dataclasses.field(**options)
 
 
@@ -71,7 +75,10 @@ def record(cls: Any = None, /, *, kw_only: bool = False) -> Any:
     def decorate(cls: type[Record]) -> type[Record]:
         own = cls.__dict__.get("__post_init__")
         declared = [(name, f) for name, f in cls.__dict__.items() if isinstance(f, dataclasses.Field)]
-        checked = tuple((name, f.metadata["shape"]) for name, f in declared if "shape" in f.metadata)
+        optional = {name for name, _ in declared if str(cls.__annotations__[name]).endswith("| None")}
+        checked = tuple(
+            (name, f.metadata["shape"], name in optional) for name, f in declared if "shape" in f.metadata
+        )
         if checked:
             cls.__post_init__ = _post_init(cls.__name__, checked, own)  # type: ignore[attr-defined]
         made = dataclasses.dataclass(frozen=True, slots=True, eq=False, kw_only=kw_only)(cls)
@@ -97,15 +104,21 @@ def _dimension(text: str) -> Dimension:
 
 
 def _post_init(
-    name: str, checked: tuple[tuple[str, tuple[Dimension, ...]], ...], own: Callable[[Any], None] | None
+    name: str,
+    checked: tuple[tuple[str, tuple[Dimension, ...], bool], ...],
+    own: Callable[[Any], None] | None,
 ) -> Callable[[Any], None]:
     def __post_init__(self: Any) -> None:
         lengths: dict[str, int] = {}
-        for field, shape in checked:
+        for field, shape, optional in checked:
             value = getattr(self, field)
+            if value is None and optional:
+                continue
             found = value.shape if isinstance(value, np.ndarray) else _lengths(value)
             if len(found) != len(shape) or not all(_fits(*pair, lengths) for pair in zip(found, shape)):
-                expected = ", ".join(_shown(dimension, lengths) for dimension in shape)
+                expected = ", ".join(_shown(dimension, lengths) for dimension in shape) + "," * (
+                    len(shape) == 1
+                )
                 raise ValueError(f"{name}.{field} must have shape ({expected}), got {found}")
         if own is not None:
             own(self)
@@ -140,6 +153,8 @@ def _documented(cls: type) -> str:
     """The class's docstring with a NumPy "Attributes" section made from its fields."""
     lines = [(cls.__doc__ or "").strip(), "", "Attributes", "----------"]
     for field in dataclasses.fields(cls):  # type: ignore[arg-type]
+        if field.name.startswith("_"):
+            continue
         kind = field.type if isinstance(field.type, str) else getattr(field.type, "__name__", str(field.type))
         shape = field.metadata.get("shape_text", "")
         lines.append(f"{field.name} : {f'{shape} ' if shape else ''}{kind}")

@@ -10,10 +10,12 @@ function itself is called there.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+from boresight.geometry.record import Bools, Floats, Ints, array, record, scalar
 
 __all__ = ["RowTable", "tabulated"]
 
@@ -26,15 +28,15 @@ _RUN = 4  # pixels of one line in a row, on the average, from which the run is w
 _ROUGH_SHARE = 0.005  # share of cells which may be left to the function itself
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record
 class RowTable:
     """Values of C quantities at lines, in P pieces of evenly spaced nodes. Made by `tabulated`."""
 
-    function: Callable[[Array], Array]  # (N,) lines -> (C, N)
-    edges: Array  # (P + 1,) lines where pieces begin and end
-    cells: Index  # (P,) number of cells of each piece
-    values: Array  # (C, K) at the nodes, piece after piece
-    rough: NDArray[np.bool_]  # (K,) whether the cell that begins at a node is not good enough
+    function: Callable[[Floats], Floats] = scalar("the tabulated function, lines (N,) to values (C, N)")
+    edges: Floats = array("P + 1", "lines where pieces begin and end")
+    cells: Ints = array("P", "number of cells of each piece")
+    values: Floats = array("C, K", "at the nodes, piece after piece")
+    rough: Bools = array("K", "cells, by their first node, where the function itself is evaluated")
 
     def covers(self, line: Array) -> NDArray[np.bool_]:
         """Which lines lie between the first and the last node."""

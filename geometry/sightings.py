@@ -90,7 +90,7 @@ class GroundSightings:
     cov_target_i: Floats = array("N, 3, 3", "covariance of the target's own coordinates, GCRS axes, m²")
 
 
-@record
+@record(kw_only=True)
 class StripSightings:
     """One strip: its targets, the star exposures around it, and the nominal motion between their instants.
 

@@ -10,10 +10,11 @@ never a pixel.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+from boresight.geometry.record import Floats, array, record, scalar
 
 __all__ = ["OpenCVParameters", "StarCamera"]
 
@@ -26,18 +27,18 @@ _EXACT_MM = 2e-13
 _BEND_PER_MM = 0.02  # of a lens, at most: a step of Newton's method leaves its own square times this
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record
 class OpenCVParameters:
     """The same lens as OpenCV writes it: in pixels, distortion for coordinates divided by f.
 
     OpenCV's camera frame has x and y along the image's column and row axes: `v_cv = [-u_x, -u_y, u_z]`.
     """
 
-    camera_matrix: Array  # (3, 3)
-    distortion: Array  # (4,) k1, k2, p1, p2
+    camera_matrix: Floats = array("3, 3", "focal length and principal point, px")
+    distortion: Floats = array("D", "k1, k2, p1, p2 (and further coefficients, which must be zero)")
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record(kw_only=True)
 class StarCamera:
     """A frame camera with radial and tangential distortion, in the paper's form (Table 2, eqs. 4-6).
 
@@ -45,22 +46,20 @@ class StarCamera:
     its four numbers in the order p1, p2, q1, q2.
     """
 
-    focal_m: float
-    pixel_m: float  # pitch, the same along columns and rows
-    width_px: int
-    height_px: int
-    principal_px: tuple[float, float]  # (x0, y0); (0, 0) is the centre of the first pixel
-    p1: float = 0.0
-    p2: float = 0.0
-    q1: float = 0.0
-    q2: float = 0.0
+    focal_m: float = scalar("focal length")
+    pixel_m: float = scalar("pixel pitch, the same along columns and rows")
+    width_px: int = scalar("columns of the detector")
+    height_px: int = scalar("rows of the detector")
+    principal_px: tuple[float, float] = array("2", "(x0, y0); (0, 0) is the centre of the first pixel")
+    p1: float = scalar("tangential distortion, 1/mm", default=0.0)
+    p2: float = scalar("tangential distortion, 1/mm", default=0.0)
+    q1: float = scalar("radial distortion, 1/mm²", default=0.0)
+    q2: float = scalar("radial distortion, 1/mm⁴", default=0.0)
 
     def __post_init__(self) -> None:
         for name in ("focal_m", "pixel_m", "width_px", "height_px"):
             if not getattr(self, name) > 0:
                 raise ValueError(f"StarCamera.{name} must be positive, got {getattr(self, name)}")
-        if len(self.principal_px) != 2:
-            raise ValueError(f"StarCamera.principal_px must be (x0, y0), got {self.principal_px}")
 
     @property
     def field_radius_rad(self) -> float:

@@ -8,40 +8,34 @@ limb) and by the Earth (0.0006" at its limb) is left out.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import fields
 
 import erfa
 import numpy as np
 from numpy.typing import NDArray
 
 from boresight.geometry.epoch import Epoch
+from boresight.geometry.record import Floats, Ints, array, record, scalar
 
 __all__ = ["StarPlaces", "apparent_star_directions", "apparent_star_directions_at"]
 
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record(kw_only=True)
 class StarPlaces:
     """Catalogue places of stars, ICRS at `epoch_jyear`. Row n of every array speaks of the same star."""
 
-    hip: NDArray[np.int64]  # (N,) Hipparcos numbers
-    ra_rad: Array  # (N,) right ascension and declination
-    dec_rad: Array
-    pm_ra_rad_yr: Array  # (N,) d(alpha)/dt, without the factor cos(delta), rad per Julian year
-    pm_dec_rad_yr: Array  # (N,) rad per Julian year
-    parallax_arcsec: Array  # (N,) one below zero, which only noise makes, is taken as zero
-    radial_velocity_km_s: Array  # (N,) positive when receding; 0 where unknown
-    v_mag: Array  # (N,)
-    b_v: Array  # (N,) colour index B - V
-    epoch_jyear: float  # Julian epoch of the places, 1991.25 for Hipparcos
-
-    def __post_init__(self) -> None:
-        n = len(self.hip)
-        for field in fields(self):
-            shape = np.shape(getattr(self, field.name))
-            if field.name != "epoch_jyear" and shape != (n,):
-                raise ValueError(f"StarPlaces.{field.name} must have shape ({n},), got {shape}")
+    hip: Ints = array("N", "Hipparcos numbers")
+    ra_rad: Floats = array("N", "right ascension")
+    dec_rad: Floats = array("N", "declination")
+    pm_ra_rad_yr: Floats = array("N", "d(alpha)/dt, without the factor cos(delta), rad per Julian year")
+    pm_dec_rad_yr: Floats = array("N", "d(delta)/dt, rad per Julian year")
+    parallax_arcsec: Floats = array("N", "negative values (noise) count as zero")
+    radial_velocity_km_s: Floats = array("N", "positive when receding; 0 where unknown")
+    v_mag: Floats = array("N", "V magnitude")
+    b_v: Floats = array("N", "colour index B - V")
+    epoch_jyear: float = scalar("Julian epoch of the positions, 1991.25 for Hipparcos")
 
     def take(self, index: NDArray[np.int64] | NDArray[np.bool_]) -> StarPlaces:
         """The stars that an index array or a mask picks."""

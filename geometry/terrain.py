@@ -20,6 +20,7 @@ from boresight.geometry.constants import WGS84
 from boresight.geometry.geodesy import geodetic_from_ecef, ray_ellipsoid_intersection, ray_shell_intersection
 from boresight.geometry.geoid import Geoid
 from boresight.geometry.local_map import LocalMap, fit_local_map
+from boresight.geometry.record import array, record, scalar
 from boresight.geometry.terrain_rays import (
     HeightBounds,
     bilinear,
@@ -35,7 +36,7 @@ Array = NDArray[np.float64]
 _FLAT_M = 1e-6  # relief below this is a constant height
 _CHUNK = 32_768  # rays at a time: their arrays stay in the cache
 _MARGIN_M = 0.1  # a shell is so near to equal height
-_QUICK_MAP_PX = 1e-7  # what a polynomial in the place of a map projection may be wrong by
+_LOCAL_MAP_PX = 1e-7  # what a polynomial in the place of a map projection may be wrong by
 _STEPS = 64  # on the way from the highest to the lowest height of a surface that is not a grid
 _LONGEST_WAY_M = (200.0, 2e3, 1e4, 2.5e4)  # on the map, for polynomials of degree 2, 3, ...: L^(n+1) / R^n
 
@@ -52,11 +53,11 @@ class Surface(Protocol):
         ...
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class ConstantHeight:
     """Ground at one height above the ellipsoid everywhere, m."""
 
-    height: float
+    height: float = scalar("above the ellipsoid, m")
 
     def height_m(self, lat_rad: Array, lon_rad: Array) -> Array:
         return np.full(np.broadcast_shapes(np.shape(lat_rad), np.shape(lon_rad)), self.height)
@@ -65,15 +66,17 @@ class ConstantHeight:
         return self.height, self.height
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record
 class TerrainGrid:
     """A raster of ellipsoidal heights. Made by `TerrainGrid.from_raster`."""
 
-    heights_m: NDArray[np.float32]  # (rows, columns) above the ellipsoid at pixel centres, NaN = no data
-    transform: tuple[float, float, float, float, float, float]  # x = a col + b row + c, y = d col + e row + f
-    crs: str
-    bounds: HeightBounds
-    quick_map: LocalMap | None  # latitude and longitude to column and row, 1e-7 pixel, where there is one
+    heights_m: NDArray[np.float32] = array("R, C", "above the ellipsoid at pixel centres, NaN = no data")
+    transform: tuple[float, float, float, float, float, float] = array(
+        "6", "(a, b, c, d, e, f): x = a column + b row + c, y = d column + e row + f, pixel corners"
+    )
+    crs: str = scalar("horizontal CRS of x and y, as PROJ understands it")
+    bounds: HeightBounds = scalar("lowest and highest ground by tiles")
+    local_map: LocalMap | None = scalar("latitude and longitude to column and row, 1e-7 px, if one exists")
 
     @staticmethod
     def from_raster(
@@ -110,8 +113,8 @@ class TerrainGrid:
             raise ValueError(f"terrain transform cannot be inverted: {(a, b, c, d, e, f)}")
         if geoid is not None:
             _add_undulations(heights, (a, b, c, d, e, f), crs, geoid)
-        quick_map = _quick_map((a, b, c, d, e, f), heights.shape, crs)
-        return TerrainGrid(heights, (a, b, c, d, e, f), crs, bounds_of_heights(heights), quick_map)
+        local_map = _local_map((a, b, c, d, e, f), heights.shape, crs)
+        return TerrainGrid(heights, (a, b, c, d, e, f), crs, bounds_of_heights(heights), local_map)
 
     def height_m(self, lat_rad: ArrayLike, lon_rad: ArrayLike) -> Array:
         """Bilinear between the four pixel centres around; NaN if one of them has no data, or past the
@@ -124,8 +127,8 @@ class TerrainGrid:
     def pixels_from_geodetic(self, lat_rad: ArrayLike, lon_rad: ArrayLike) -> tuple[Array, Array]:
         """Column and row, (0, 0) at the centre of the first pixel."""
         lat, lon = np.asarray(lat_rad, dtype=float), np.asarray(lon_rad, dtype=float)
-        if self.quick_map is not None and self.quick_map.covers(lat, lon).all():
-            return self.quick_map.at(lat, lon)
+        if self.local_map is not None and self.local_map.covers(lat, lon).all():
+            return self.local_map.at(lat, lon)
         a, b, c, _, _, _ = self.transform
         to_map = _to_map(self.crs)
         if to_map is not None:
@@ -235,7 +238,7 @@ def _pixels_from_map(transform: tuple[float, ...], x: ArrayLike, y: ArrayLike) -
     return (e * dx - b * dy) / determinant - 0.5, (a * dy - d * dx) / determinant - 0.5
 
 
-def _quick_map(transform: tuple[float, ...], shape: tuple[int, ...], crs: str) -> LocalMap | None:
+def _local_map(transform: tuple[float, ...], shape: tuple[int, ...], crs: str) -> LocalMap | None:
     """A polynomial in the place of a map projection over a raster; None in degrees, or if none is good."""
     to_map = _to_map(crs)
     if to_map is None:
@@ -256,7 +259,7 @@ def _quick_map(transform: tuple[float, ...], shape: tuple[int, ...], crs: str) -
         return _pixels_from_map(transform, *to_map.transform(np.degrees(v), np.degrees(u)))
 
     return fit_local_map(
-        true, (low_u - edge_u, high_u + edge_u), (low_v - edge_v, high_v + edge_v), _QUICK_MAP_PX
+        true, (low_u - edge_u, high_u + edge_u), (low_v - edge_v, high_v + edge_v), _LOCAL_MAP_PX
     )
 
 

@@ -15,6 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter, minimum_filter
 
+from boresight.geometry.record import Floats, record, scalar
+
 __all__ = [
     "Clearance",
     "HeightBounds",
@@ -48,16 +50,19 @@ class Clearance(Protocol):
         ...
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record(kw_only=True)
 class HeightBounds:
     """Lowest and highest ground in and around square tiles, on several levels of tile size."""
 
-    lowest_m: float
-    highest_m: float
-    sizes: tuple[int, ...]  # pixels a side, from fine to coarse
-    low_m: tuple[Array, ...]  # (tile rows + 4, tile columns + 4): tile and its 8 neighbours; +inf where there
-    high_m: tuple[Array, ...]  # is no data, -inf here. Two rings of tiles beyond the edge.
-    rise_m: tuple[Array, ...]  # most that the ground rises over a pixel along row and column
+    lowest_m: float = scalar("lowest ground of the grid")
+    highest_m: float = scalar("highest ground of the grid")
+    sizes: tuple[int, ...] = scalar("tile sizes in pixels, fine to coarse, one per level")
+    low_m: tuple[Floats, ...] = scalar(
+        "per level, (tile rows + 4, tile columns + 4): lowest ground of a tile and its 8 neighbours, +inf"
+        " without data; two rings of tiles surround the grid"
+    )
+    high_m: tuple[Floats, ...] = scalar("per level: highest ground likewise, -inf without data")
+    rise_m: tuple[Floats, ...] = scalar("per level: greatest rise of the ground over one pixel likewise")
 
 
 def bounds_of_heights(heights: NDArray[np.float32]) -> HeightBounds:
@@ -77,7 +82,9 @@ def bounds_of_heights(heights: NDArray[np.float32]) -> HeightBounds:
         )
         if max(low.shape) == 1:
             sizes, lows, highs, rises = zip(*levels)
-            return HeightBounds(lowest, highest, sizes, lows, highs, rises)
+            return HeightBounds(
+                lowest_m=lowest, highest_m=highest, sizes=sizes, low_m=lows, high_m=highs, rise_m=rises
+            )
         low = _tiles(low, _GROWTH, np.inf).min(axis=(1, 3))
         high = _tiles(high, _GROWTH, -np.inf).max(axis=(1, 3))
         rise = _tiles(rise, _GROWTH, _UNKNOWN_RISE_M).max(axis=(1, 3))

@@ -2,54 +2,34 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
-import numpy as np
-from numpy.typing import NDArray
+from boresight.geometry.record import Floats, Ints, array, record
 
 __all__ = ["VectorSets"]
 
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
 
-
-@dataclass(frozen=True, slots=True, eq=False)
+@record(kw_only=True)
 class VectorSets:
-    """Vectors of K frames, one after another. Frame k has stars star_start[k]:star_start[k+1], and likewise
-    targets.
-    """
+    """Vectors of K frames, concatenated: N stars and J targets in all."""
 
-    star_start: Index  # (K + 1,)
-    u_s: Array  # (N, 3) measured star vectors, star-camera frame
-    v_stars: Array  # (N, 3) their known directions, GCRS
-    sigma_s: Array  # (N,) rad per axis (QUEST model)
-    target_start: Index  # (K + 1,)
-    w_c: Array  # (J, 3) measured target vectors, remote-sensing-camera frame
-    v_targets: Array  # (J, 3) their known directions, GCRS
-    sigma_c: Array  # (J,) rad per axis
+    star_start: Ints = array("K + 1", "frame k has the stars star_start[k]:star_start[k+1]")
+    u_s: Floats = array("N, 3", "measured star vectors, star-camera frame")
+    v_stars: Floats = array("N, 3", "their known directions, GCRS")
+    sigma_s: Floats = array("N", "1-sigma per axis of u_s, rad (QUEST model)")
+    target_start: Ints = array("K + 1", "frame k has the targets target_start[k]:target_start[k+1]")
+    w_c: Floats = array("J, 3", "measured target vectors, remote-sensing-camera frame")
+    v_targets: Floats = array("J, 3", "their known directions, GCRS")
+    sigma_c: Floats = array("J", "1-sigma per axis of w_c, rad")
 
     def __post_init__(self) -> None:
-        N, J = int(self.star_start[-1]), int(self.target_start[-1])
-        if len(self.star_start) != len(self.target_start):
-            raise ValueError(
-                f"{len(self.star_start) - 1} frames of stars, {len(self.target_start) - 1} of targets"
-            )
-        for name, n, width in (
-            ("u_s", N, (3,)),
-            ("v_stars", N, (3,)),
-            ("sigma_s", N, ()),
-            ("w_c", J, (3,)),
-            ("v_targets", J, (3,)),
-            ("sigma_c", J, ()),
-        ):
-            if (got := getattr(self, name).shape) != (n, *width):
-                raise ValueError(f"{name} must have shape {(n, *width)}, got {got}")
+        for start, values in ((self.star_start, self.u_s), (self.target_start, self.w_c)):
+            if int(start[-1]) != len(values):
+                raise ValueError(f"the frames hold {int(start[-1])} vectors, {len(values)} are given")
 
     def __len__(self) -> int:
         return len(self.star_start) - 1
 
-    def frame(self, k: int) -> tuple[Array, Array, Array, Array, Array, Array]:
-        """The six arrays of frame k, as the literal form takes them."""
+    def frame(self, k: int) -> tuple[Floats, Floats, Floats, Floats, Floats, Floats]:
+        """u_s, v_stars, sigma_s, w_c, v_targets and sigma_c of frame k."""
         s = slice(self.star_start[k], self.star_start[k + 1])
         c = slice(self.target_start[k], self.target_start[k + 1])
         return self.u_s[s], self.v_stars[s], self.sigma_s[s], self.w_c[c], self.v_targets[c], self.sigma_c[c]

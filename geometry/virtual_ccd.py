@@ -10,7 +10,7 @@ plane's place it is not.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 
 import cv2
 import numpy as np
@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from boresight.geometry.attitude import lagrange_weights
 from boresight.geometry.line_camera import Ccd, LineCamera
 from boresight.geometry.pushbroom import Pushbroom
+from boresight.geometry.record import record, scalar
 from boresight.geometry.terrain import Surface
 
 __all__ = ["ReadStrip", "VirtualStrip", "virtual_camera"]
@@ -58,16 +59,16 @@ def virtual_camera(camera: LineCamera, pixel_m: float | None = None) -> LineCame
     return LineCamera(camera.focal_m, (ideal,))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record
 class VirtualStrip:
     """A strip of several CCDs, and the same strip as the virtual CCD would have taken it.
 
     Line n of the virtual image is taken at the same instant as line n of the real ones.
     """
 
-    real: Pushbroom
-    surface: Surface  # the mean elevation plane, or the terrain
-    pixel_m: float | None = None
+    real: Pushbroom = scalar("the strip with its real CCDs; its camera is a `LineCamera`")
+    surface: Surface = scalar("the mean elevation plane, or the terrain")
+    pixel_m: float | None = scalar("pitch of the virtual pixels; None: mean of the real ones", default=None)
     virtual: Pushbroom = field(init=False)
 
     def __post_init__(self) -> None:

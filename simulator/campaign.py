@@ -166,14 +166,14 @@ def draw_frames(
     v_targets = R_ic[np.repeat(np.arange(n_frames), targets)].apply(w_c)
     sigma_s, sigma_c = sigma_s_px * cameras.star_pixel_rad, sigma_c_px * cameras.pixel_rad
     exact = VectorSets(
-        star_start.astype(np.int64),
-        u_s,
-        v_stars,
-        np.full(len(u_s), sigma_s),
-        target_start.astype(np.int64),
-        w_c,
-        v_targets,
-        np.full(len(w_c), sigma_c),
+        star_start=star_start.astype(np.int64),
+        u_s=u_s,
+        v_stars=v_stars,
+        sigma_s=np.full(len(u_s), sigma_s),
+        target_start=target_start.astype(np.int64),
+        w_c=w_c,
+        v_targets=v_targets,
+        sigma_c=np.full(len(w_c), sigma_c),
     )
     return noisy_frames(exact, rng) if noise else exact
 
@@ -264,7 +264,13 @@ def _draw_strip(
     exposures, wrong_stars = _draw_exposures(name, t_stars, plan, cameras, motion.R_ci(t_stars), rng)
     t_targets = plan.duration_s * np.sort(rng.uniform(*plan.along, plan.targets))
     ground, wrong_rows, look_c = _draw_targets(name, t_targets, plan, cameras, motion, (curve, survey_i), rng)
-    strip = StripSightings(name, exposures, ground, motion.R_oi(t_stars), motion.R_oi(t_targets))
+    strip = StripSightings(
+        strip_id=name,
+        exposures=exposures,
+        ground=ground,
+        R_oi_exposures=motion.R_oi(t_stars),
+        R_oi_targets=motion.R_oi(t_targets),
+    )
     wrong_targets = frozenset((name, row) for row in wrong_rows)
     R_ci = (motion.R_ci(t_targets),)
     return strip, StripTruth(cameras.R_cs, frozenset(wrong_stars), wrong_targets, R_ci, (look_c,))

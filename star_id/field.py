@@ -269,7 +269,13 @@ def nominal_camera(size: tuple[int, int], fov_x_rad: float) -> StarCamera:
     width, height = size
     focal_px = 0.5 * width / np.tan(0.5 * fov_x_rad)
     middle = (0.5 * (width - 1), 0.5 * (height - 1))
-    return StarCamera(float(focal_px * _NOMINAL_PIXEL_M), _NOMINAL_PIXEL_M, width, height, middle)
+    return StarCamera(
+        focal_m=float(focal_px * _NOMINAL_PIXEL_M),
+        pixel_m=_NOMINAL_PIXEL_M,
+        width_px=width,
+        height_px=height,
+        principal_px=middle,
+    )
 
 
 def _fields_to_try(fov_x_rad: float | None, settings: StarSettings) -> list[tuple[float, float]]:

@@ -85,7 +85,13 @@ def strip_model(calibrated: Calibrated, strip_id: str) -> StripModel:
     track = AttitudeTrack(t[near], result.R_si[near], dump.orbit, covariance)
     clock = RowClock(strip.t_first_row_s, strip.row_period_s)
     model = Pushbroom(
-        dump.line_camera, clock, dump.orbit, dump.orbit.earth, track, result.R_cs, calibrated.effects
+        camera=dump.line_camera,
+        rows=clock,
+        orbit=dump.orbit,
+        earth=dump.orbit.earth,
+        attitude=track,
+        R_cs=result.R_cs,
+        effects=calibrated.effects,
     )
     return StripModel(strip, model, track)
 

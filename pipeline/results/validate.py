@@ -132,7 +132,15 @@ def _pushbroom(strip: Strip, result: SavedResult, dump: Dump, R_cs: Rotation) ->
         return None
     track = AttitudeTrack(t[near], result.R_si[near], dump.orbit)
     clock = RowClock(strip.t_first_row_s, strip.row_period_s)
-    return Pushbroom(camera, clock, dump.orbit, dump.orbit.earth, track, R_cs, LightEffects())
+    return Pushbroom(
+        camera=camera,
+        rows=clock,
+        orbit=dump.orbit,
+        earth=dump.orbit.earth,
+        attitude=track,
+        R_cs=R_cs,
+        effects=LightEffects(),
+    )
 
 
 def _error(points: list[CheckPointRow], ccd: int, model: Pushbroom, dump: Dump) -> Array:

@@ -240,12 +240,12 @@ def _strips(
         rows = np.array([by_time[t] for t in task.t_attitude_s.tolist()])
         strips.append(
             StripSightings(
-                task.strip.strip_id,
-                tuple(stars[k] for k in rows),
-                ground,
-                task.orbit.R_oi(task.t_attitude_s),
-                task.orbit.R_oi(ground.t_s),
-                attitudes.take(rows),
+                strip_id=task.strip.strip_id,
+                exposures=tuple(stars[k] for k in rows),
+                ground=ground,
+                R_oi_exposures=task.orbit.R_oi(task.t_attitude_s),
+                R_oi_targets=task.orbit.R_oi(ground.t_s),
+                attitudes=attitudes.take(rows),
             )
         )
     return strips

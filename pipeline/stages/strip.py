@@ -90,13 +90,13 @@ class MatchedTargets:
 def pushbroom_of(task: StripTask) -> Pushbroom:
     """Rigorous model of the strip with the installation matrix of the task."""
     return Pushbroom(
-        task.camera,
-        RowClock(task.strip.t_first_row_s, task.strip.row_period_s),
-        task.orbit,
-        task.orbit.earth,
-        AttitudeTrack(task.t_attitude_s, task.R_si, task.orbit),
-        task.R_cs,
-        task.effects,
+        camera=task.camera,
+        rows=RowClock(task.strip.t_first_row_s, task.strip.row_period_s),
+        orbit=task.orbit,
+        earth=task.orbit.earth,
+        attitude=AttitudeTrack(task.t_attitude_s, task.R_si, task.orbit),
+        R_cs=task.R_cs,
+        effects=task.effects,
     )
 
 
@@ -231,16 +231,16 @@ def orbit_around(orbit: Orbit, t_first_s: float, t_last_s: float) -> Orbit:
     velocities = None if orbit.velocities_m_s is None else orbit.velocities_m_s[first:last]
     usual_step = float(np.median(np.diff(orbit.t_s)))
     return Orbit(
-        orbit.epoch,
-        orbit.t_s[first:last],
-        orbit.positions_m[first:last],
-        velocities,
-        orbit.frame,
-        orbit.degree,
-        orbit.earth,
-        orbit.sigma_position_m,
-        orbit.method,
-        orbit.max_step_s if orbit.max_step_s is not None else 1.5 * usual_step,
+        epoch=orbit.epoch,
+        t_s=orbit.t_s[first:last],
+        positions_m=orbit.positions_m[first:last],
+        velocities_m_s=velocities,
+        frame=orbit.frame,
+        degree=orbit.degree,
+        earth=orbit.earth,
+        sigma_position_m=orbit.sigma_position_m,
+        method=orbit.method,
+        max_step_s=orbit.max_step_s if orbit.max_step_s is not None else 1.5 * usual_step,
     )
 
 

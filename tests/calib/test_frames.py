@@ -41,7 +41,16 @@ def test_ragged_frames_give_what_each_gives_alone():
     for k in (0, 1, 5):
         s, c = (np.array([0, len(part)]) for part in (frames.frame(k)[0], frames.frame(k)[3]))
         u_s, v_s, sigma_s, w_c, v_c, sigma_c = frames.frame(k)
-        alone = VectorSets(s, u_s, v_s, sigma_s, c, w_c, v_c, sigma_c)
+        alone = VectorSets(
+            star_start=s,
+            u_s=u_s,
+            v_stars=v_s,
+            sigma_s=sigma_s,
+            target_start=c,
+            w_c=w_c,
+            v_targets=v_c,
+            sigma_c=sigma_c,
+        )
         one_F, one_F_theta = frame_pairs(prepare_frames(alone), BOLD)
         np.testing.assert_allclose(F[k], one_F[0], rtol=0, atol=1e-12 * np.abs(F[k]).max())
         np.testing.assert_allclose(F_theta[k], one_F_theta[0], rtol=0, atol=1e-9 * np.abs(F_theta[k]).max())
@@ -52,12 +61,12 @@ def test_chunks_give_what_the_whole_gives_whatever_their_size():
     parts = [drawn(n, seed) for n, seed in ((40, 1), (7, 2), (100, 3))]
     R_cs, solution, total = calibrate_stream(iter(parts), R_CS0)
     whole = VectorSets(
-        *(
-            np.concatenate([[0], np.cumsum(np.concatenate([np.diff(getattr(p, name)) for p in parts]))])
+        **{
+            name: np.concatenate([[0], np.cumsum(np.concatenate([np.diff(getattr(p, name)) for p in parts]))])
             if name.endswith("start")
             else np.concatenate([getattr(p, name) for p in parts])
             for name in VectorSets.__dataclass_fields__
-        )
+        }
     )
     at_once = calibrate_frames(whole, R_CS0)
     assert np.linalg.norm(theta_between(R_cs, at_once.R_cs)) < 1e-6 * ARCSEC  # second order in 0.5 arcsec
@@ -91,5 +100,5 @@ def test_a_matrix_far_away_is_reached_and_a_hopeless_one_refused():
 
 def test_shapes_are_checked_at_birth():
     frames = drawn(2, 1)
-    with pytest.raises(ValueError, match="w_c must have shape"):
+    with pytest.raises(ValueError, match="v_targets must have shape"):
         replace(frames, w_c=frames.w_c[:-1])

@@ -51,14 +51,14 @@ def test_with_one_exposure_at_the_targets_instant_it_is_the_papers_frame():
     strips = [one_instant(strip) for strip in strips_of(still)]
     grounds, exposures = [s.ground for s in strips], [s.exposures[0] for s in strips]
     frames = VectorSets(
-        np.arange(6) * 40,
-        np.concatenate([e.u_s for e in exposures]),
-        np.concatenate([e.u_i for e in exposures]),
-        np.full(200, 0.06 * 6.4e-5),
-        np.arange(6) * 15,
-        np.concatenate([g.u_c for g in grounds]),
-        np.concatenate([g.u_i for g in grounds]),
-        np.full(75, 0.3e-6),
+        star_start=np.arange(6) * 40,
+        u_s=np.concatenate([e.u_s for e in exposures]),
+        v_stars=np.concatenate([e.u_i for e in exposures]),
+        sigma_s=np.full(200, 0.06 * 6.4e-5),
+        target_start=np.arange(6) * 15,
+        w_c=np.concatenate([g.u_c for g in grounds]),
+        v_targets=np.concatenate([g.u_i for g in grounds]),
+        sigma_c=np.full(75, 0.3e-6),
     )
     by_frames = calibrate_frames(frames, BOLD)
     by_strips = calibrate(strips, BOLD, replace(NONE, robust=False))

@@ -80,23 +80,40 @@ def true_pushbroom() -> Pushbroom:
     angle = np.radians(42.0) + rate * t
     position = radius * np.column_stack([np.cos(angle), np.sin(angle), 0.0 * t])
     velocity = radius * rate * np.column_stack([-np.sin(angle), np.cos(angle), 0.0 * t])
-    orbit = Orbit(epoch, t, plane.apply(position), plane.apply(velocity), "GCRF", 7, earth, 0.0, "hermite")
+    orbit = Orbit(
+        epoch=epoch,
+        t_s=t,
+        positions_m=plane.apply(position),
+        velocities_m_s=plane.apply(velocity),
+        frame="GCRF",
+        degree=7,
+        earth=earth,
+        sigma_position_m=0.0,
+        method="hermite",
+    )
     exposures = np.arange(-0.6, 1.6, 0.2)
     wave = np.sin(2.0 * np.pi * (exposures[:, None] / [4.0, 5.5, 6.5] + [0.1, 0.4, 0.7]))
     R_co = Rotation.from_rotvec(8.0 * ARCSEC * wave)
     R_si = MOUNTING.inv() * R_co * orbit.R_oi(exposures)
     ccds = tuple(
-        Ccd(SAMPLES, (k - 1.0) * (SAMPLES - OVERLAP) * PIXEL_M, x, turn, PIXEL_M, SAMPLES / 2.0)
+        Ccd(
+            n_px=SAMPLES,
+            y_first_m=(k - 1.0) * (SAMPLES - OVERLAP) * PIXEL_M,
+            x_offset_m=x,
+            rotation_rad=turn,
+            pixel_m=PIXEL_M,
+            principal_sample=SAMPLES / 2.0,
+        )
         for k, (x, turn) in enumerate(((4e-3, 1.5e-5), (-5e-3, -1e-5)))
     )
     return Pushbroom(
-        LineCamera(10.0, ccds),
-        RowClock(0.0, 0.9e-3),
-        orbit,
-        earth,
-        AttitudeTrack(exposures, R_si, orbit),
-        MOUNTING,
-        LightEffects(),
+        camera=LineCamera(10.0, ccds),
+        rows=RowClock(0.0, 0.9e-3),
+        orbit=orbit,
+        earth=earth,
+        attitude=AttitudeTrack(exposures, R_si, orbit),
+        R_cs=MOUNTING,
+        effects=LightEffects(),
     )
 
 

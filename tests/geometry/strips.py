@@ -32,7 +32,8 @@ def states(t_s):
 
 def orbit():
     t_s = np.arange(-30.0, 50.0)
-    return Orbit(EPOCH, t_s, *states(t_s), "GCRF", 7, EARTH)
+    p, v = states(t_s)
+    return Orbit(epoch=EPOCH, t_s=t_s, positions_m=p, velocities_m_s=v, frame="GCRF", degree=7, earth=EARTH)
 
 
 def camera(tdi_stages=1, time_of_row="middle"):
@@ -43,14 +44,14 @@ def camera(tdi_stages=1, time_of_row="middle"):
     offsets = np.array([18e-6, 6e-6, 0.0, -5e-6, -17e-6])
     ccds = [
         Ccd(
-            6144,
-            -0.122 + k * 0.06044,
-            0.004 * (-1) ** k,
-            1e-4 * (k - 1.5),
-            1e-5,
-            3067.0,
-            samples,
-            offsets * (1 - k / 2),
+            n_px=6144,
+            y_first_m=-0.122 + k * 0.06044,
+            x_offset_m=0.004 * (-1) ** k,
+            rotation_rad=1e-4 * (k - 1.5),
+            pixel_m=1e-5,
+            principal_sample=3067.0,
+            distortion_samples=samples,
+            distortion_offsets_m=offsets * (1 - k / 2),
         )
         for k in range(4)
     ]

@@ -1,6 +1,7 @@
 """GCRS <-> ITRS against published matrices, a direct evaluation by ERFA, and astropy."""
 
 import time
+from dataclasses import replace
 from fractions import Fraction
 
 import erfa
@@ -29,8 +30,16 @@ EARTH_RADIUS_M = 6_378_137.0
 
 def constant_table(mjd, ut1_utc_s, xp_arcsec, yp_arcsec, dx_arcsec=0.0, dy_arcsec=0.0):
     one = np.ones(20)
-    angles = [value * ARCSEC * one for value in (xp_arcsec, yp_arcsec, dx_arcsec, dy_arcsec)]
-    return EarthOrientationTable(mjd - 10.0 + np.arange(20), ut1_utc_s * one, *angles, "constant", mjd + 9.0)
+    return EarthOrientationTable(
+        mjd_utc=mjd - 10.0 + np.arange(20),
+        ut1_utc_s=ut1_utc_s * one,
+        xp_rad=xp_arcsec * ARCSEC * one,
+        yp_rad=yp_arcsec * ARCSEC * one,
+        dx_rad=dx_arcsec * ARCSEC * one,
+        dy_rad=dy_arcsec * ARCSEC * one,
+        source="constant",
+        mjd_last_measured=mjd + 9.0,
+    )
 
 
 def direct_matrix_ie(mjd_utc):
@@ -161,10 +170,9 @@ def test_a_stale_table_warns_with_metres_that_hold():
     ratios = []
     for k in range(100):
         end = 8_000 + 117 * k
-        fields = (TABLE.ut1_utc_s, TABLE.xp_rad, TABLE.yp_rad, TABLE.dx_rad, TABLE.dy_rad)
-        cut = EarthOrientationTable(
-            TABLE.mjd_utc[:end], *(f[:end] for f in fields), "cut", TABLE.mjd_utc[end - 1]
-        )
+        fields = ("mjd_utc", "ut1_utc_s", "xp_rad", "yp_rad", "dx_rad", "dy_rad")
+        columns = {name: getattr(TABLE, name)[:end] for name in fields}
+        cut = EarthOrientationTable(**columns, source="cut", mjd_last_measured=TABLE.mjd_utc[end - 1])
         year, month, day, _ = erfa.jd2cal(MJD_ZERO_JD, TABLE.mjd_utc[end - 1] + 60)
         epoch = Epoch.from_utc(f"{year:04d}-{month:02d}-{day:02d}")
         with pytest.warns(EarthOrientationWarning, match=r"extrapolated: expected error \d+\.\d\d m"):
@@ -193,6 +201,5 @@ def test_the_tables_meet_without_a_step():
 
 
 def test_a_table_with_a_missing_day_is_refused():
-    days = np.array([54000.0, 54001.0, 54003.0, 54004.0])
     with pytest.raises(ValueError, match="consecutive whole days"):
-        EarthOrientationTable(days, *(np.zeros(4) for _ in range(5)), "gap", 54004.0)
+        replace(constant_table(54002.0, 0.0, 0.0, 0.0), mjd_utc=54000.0 + np.array([*range(19), 20]))

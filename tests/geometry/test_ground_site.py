@@ -21,7 +21,18 @@ def sky(n, rng):
     """Stars without motion at random places of the catalogue frame."""
     zero = np.zeros(n)
     ra, dec = rng.uniform(0, 2 * np.pi, n), np.arcsin(rng.uniform(-1, 1, n))
-    return StarPlaces(np.arange(n), ra, dec, zero, zero, zero, zero, zero, zero, 2000.0)
+    return StarPlaces(
+        hip=np.arange(n),
+        ra_rad=ra,
+        dec_rad=dec,
+        pm_ra_rad_yr=zero,
+        pm_dec_rad_yr=zero,
+        parallax_arcsec=zero,
+        radial_velocity_km_s=zero,
+        v_mag=zero,
+        b_v=zero,
+        epoch_jyear=2000.0,
+    )
 
 
 def test_stars_stand_over_the_horizon_where_astropy_sees_them():

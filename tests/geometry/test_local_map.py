@@ -44,7 +44,7 @@ def test_a_terrain_answers_alike_inside_and_outside_the_region_of_its_polynomial
         "EPSG:32633",
         None,
     )
-    assert grid.quick_map is not None
+    assert grid.local_map is not None
     lat, lon = np.radians(np.linspace(49.55, 49.65, 500)), np.radians(np.linspace(14.75, 14.85, 500))
     inside = grid.pixels_from_geodetic(lat, lon)
     with_one_outside = grid.pixels_from_geodetic(np.append(lat, 0.5), np.append(lon, 0.2))  # all by PROJ

@@ -48,8 +48,8 @@ def test_record_of_matching_shapes_is_accepted(n: int) -> None:
         ("cov_px", np.zeros((4, 2, 2)), r"Points.cov_px must have shape \(3, 2, 2\), got \(4, 2, 2\)"),
         ("cov_px", np.zeros((3, 2)), r"Points.cov_px must have shape \(3, 2, 2\), got \(3, 2\)"),
         ("xy_px", np.zeros((3, 3)), r"Points.xy_px must have shape \(3, 2\), got \(3, 3\)"),
-        ("edges", np.zeros(3), r"Points.edges must have shape \(4\), got \(3,\)"),
-        ("R_ab", Rotation.identity(), r"Points.R_ab must have shape \(3\), got \(\)"),
+        ("edges", np.zeros(3), r"Points.edges must have shape \(4,\), got \(3,\)"),
+        ("R_ab", Rotation.identity(), r"Points.R_ab must have shape \(3,\), got \(\)"),
     ],
 )
 def test_record_refuses_an_array_of_another_shape(field: str, value: object, expected: str) -> None:

@@ -56,4 +56,10 @@ def test_information_is_the_pseudo_inverse_for_lopsided_covariances():
 def test_exposures_out_of_order_are_refused():
     late, early = star_sightings(t_s=2.0), star_sightings(t_s=1.0)
     with pytest.raises(ValueError, match="increasing order of time"):
-        StripSightings("7", (late, early), None, Rotation.identity(2), Rotation.identity(0))  # type: ignore[arg-type]
+        StripSightings(
+            strip_id="7",
+            exposures=(late, early),
+            ground=None,
+            R_oi_exposures=Rotation.identity(2),
+            R_oi_targets=Rotation.identity(0),
+        )  # type: ignore[arg-type]

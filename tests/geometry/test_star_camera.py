@@ -9,9 +9,29 @@ from hypothesis import strategies as st
 from boresight.geometry.star_camera import OpenCVParameters, StarCamera
 
 # Table 2 of the paper: f = 100 mm, 6.4 um, (p1, p2, q1, q2) for millimetres.
-PAPER = StarCamera(0.1, 6.4e-6, 5120, 3840, (2560.0, 1920.0), 2.29e-5, -2.96e-5, -9.30e-7, -4.25e-9)
+PAPER = StarCamera(
+    focal_m=0.1,
+    pixel_m=6.4e-6,
+    width_px=5120,
+    height_px=3840,
+    principal_px=(2560.0, 1920.0),
+    p1=2.29e-5,
+    p2=-2.96e-5,
+    q1=-9.30e-7,
+    q2=-4.25e-9,
+)
 # A lens nobody would build: 60 px of distortion in the corner, principal point far from the middle.
-BOLD = StarCamera(0.03, 5e-6, 2000, 1400, (777.3, 912.8), -9e-5, 2.1e-4, -2.5e-4, 3e-6)
+BOLD = StarCamera(
+    focal_m=0.03,
+    pixel_m=5e-6,
+    width_px=2000,
+    height_px=1400,
+    principal_px=(777.3, 912.8),
+    p1=-9e-5,
+    p2=2.1e-4,
+    q1=-2.5e-4,
+    q2=3e-6,
+)
 CAMERAS = [PAPER, BOLD]
 
 
@@ -67,14 +87,26 @@ def test_quick_tangents_err_by_no_more_than_they_may(camera, error_px):
 
 def test_the_lens_turns_the_image_round():
     # Equation (3): a star right of the centre in the image (larger column) has a negative x in frame s.
-    u_s = StarCamera(0.1, 6.4e-6, 5120, 3840, (2560.0, 1920.0)).directions_from_pixels([[3060.0, 1920.0]])
+    u_s = StarCamera(
+        focal_m=0.1, pixel_m=6.4e-6, width_px=5120, height_px=3840, principal_px=(2560.0, 1920.0)
+    ).directions_from_pixels([[3060.0, 1920.0]])
     assert u_s[0, 0] == pytest.approx(-np.sin(np.arctan(500 * 6.4e-6 / 0.1)), abs=1e-15)
     assert u_s[0, 1] == pytest.approx(0.0, abs=1e-15) and u_s[0, 2] > 0.0
 
 
 def test_equation_5_term_by_term():
     # dx = x (q1 r^2 + q2 r^4) + p1 (r^2 + 2 x^2) + 2 p2 x y, written out by hand at x = 3 mm, y = -2 mm.
-    camera = StarCamera(0.1, 1e-3, 100, 100, (50.0, 50.0), p1=1e-3, p2=2e-3, q1=3e-4, q2=4e-6)
+    camera = StarCamera(
+        focal_m=0.1,
+        pixel_m=1e-3,
+        width_px=100,
+        height_px=100,
+        principal_px=(50.0, 50.0),
+        p1=1e-3,
+        p2=2e-3,
+        q1=3e-4,
+        q2=4e-6,
+    )
     ideal = np.array([[3.0, -2.0]])
     u_s = np.array([[-3.0, 2.0, 100.0]]) / np.linalg.norm([3.0, 2.0, 100.0])
     dx = 3.0 * (3e-4 * 13 + 4e-6 * 169) + 1e-3 * (13 + 18) + 2 * 2e-3 * 3.0 * -2.0
@@ -86,7 +118,9 @@ def test_equation_5_term_by_term():
 def test_the_corner_of_table_2_moves_by_a_few_pixels():
     # The only order and unit of Table 2's numbers in which it does (in the wrong ones: 0.05 px, or 85 mm).
     corner = np.array([[0.0, 0.0]])
-    ideal = StarCamera(0.1, 6.4e-6, 5120, 3840, (2560.0, 1920.0))
+    ideal = StarCamera(
+        focal_m=0.1, pixel_m=6.4e-6, width_px=5120, height_px=3840, principal_px=(2560.0, 1920.0)
+    )
     moved = PAPER.pixels_from_directions(ideal.directions_from_pixels(corner)) - corner
     assert 3.0 < np.linalg.norm(moved) < 12.0
 
@@ -144,7 +178,7 @@ def test_lenses_that_the_model_cannot_hold_are_refused():
     with pytest.raises(ValueError, match="square pixels"):
         StarCamera.from_opencv(OpenCVParameters(K * [[1], [1.01], [1]], np.zeros(4)), **size)
     with pytest.raises(ValueError, match="focal_m"):
-        StarCamera(-0.1, 6.4e-6, 10, 10, (5.0, 5.0))
+        StarCamera(focal_m=-0.1, pixel_m=6.4e-6, width_px=10, height_px=10, principal_px=(5.0, 5.0))
     with pytest.raises(ValueError, match=r"\(N, 2\)"):
         PAPER.directions_from_pixels(np.zeros(2))
 
@@ -162,6 +196,16 @@ def test_pixels_reach_half_a_pixel_beyond_their_centres():
     q=st.floats(-2e-4, 2e-4),
 )
 def test_any_moderate_lens_is_inverted(x, y, p, q):
-    camera = StarCamera(0.03, 5e-6, 2000, 1400, (1100.0, 650.0), p, -0.7 * p, q, 0.0)
+    camera = StarCamera(
+        focal_m=0.03,
+        pixel_m=5e-6,
+        width_px=2000,
+        height_px=1400,
+        principal_px=(1100.0, 650.0),
+        p1=p,
+        p2=-0.7 * p,
+        q1=q,
+        q2=0.0,
+    )
     back = camera.pixels_from_directions(camera.directions_from_pixels([[x, y]]))
     assert np.abs(back - [[x, y]]).max() < 1e-9  # px

@@ -47,7 +47,15 @@ def small_camera():
 def small_strip():
     path = orbit()
     track = attitude(path, 4.0, -3.0, wave_rad=1.5e-4)
-    return Pushbroom(small_camera(), RowClock(0.5, PERIOD_S), path, EARTH, track, R_CS, LightEffects())
+    return Pushbroom(
+        camera=small_camera(),
+        rows=RowClock(0.5, PERIOD_S),
+        orbit=path,
+        earth=EARTH,
+        attitude=track,
+        R_cs=R_CS,
+        effects=LightEffects(),
+    )
 
 
 class Ground:
@@ -128,7 +136,19 @@ def test_the_virtual_line_is_the_least_squares_line_through_all_pixels():
 
 
 def test_a_plain_detector_is_its_own_virtual_ccd():
-    plain = LineCamera(10.0, (Ccd(500, -0.01, 0.003, 0.02, 1e-5, 250.0),))
+    plain = LineCamera(
+        10.0,
+        (
+            Ccd(
+                n_px=500,
+                y_first_m=-0.01,
+                x_offset_m=0.003,
+                rotation_rad=0.02,
+                pixel_m=1e-5,
+                principal_sample=250.0,
+            ),
+        ),
+    )
     ideal = virtual_camera(plain)
     n = np.array([0.0, 123.0, 498.0])
     difference = ideal.directions_from_pixels(0, n) - plain.directions_from_pixels(0, n)
@@ -218,6 +238,14 @@ def test_what_no_detector_saw_stays_unknown(scene):
     assert np.isnan(strip.stitched(reader(raw), LINES, (-400, -300))).all()
     with pytest.raises(TypeError, match="LineCamera"):
         VirtualStrip(
-            Pushbroom(None, model.rows, model.orbit, EARTH, model.attitude, R_CS, model.effects),
+            Pushbroom(
+                camera=None,
+                rows=model.rows,
+                orbit=model.orbit,
+                earth=EARTH,
+                attitude=model.attitude,
+                R_cs=R_CS,
+                effects=model.effects,
+            ),
             ConstantHeight(0.0),
         )

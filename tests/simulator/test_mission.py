@@ -84,7 +84,15 @@ def test_reported_positions_are_wrong_by_one_draw_for_each_strip(mission, tables
     epoch, times = mission.epoch, mission.orbit.t_s
     earth = EarthRotation.over(epoch, times[0], times[-1], tables[0])
     told, true = (
-        Orbit(epoch, o.t_s, o.positions_m, o.velocities_m_s, "ITRF", 7, earth)
+        Orbit(
+            epoch=epoch,
+            t_s=o.t_s,
+            positions_m=o.positions_m,
+            velocities_m_s=o.velocities_m_s,
+            frame="ITRF",
+            degree=7,
+            earth=earth,
+        )
         for o in (mission.orbit, mission.truth.orbit)
     )
     for strip, truth in zip(mission.strips[::4], mission.truth.strips):

@@ -86,7 +86,15 @@ def model(tables):
     attitude = true_attitude(SCENARIO.attitude, SCENARIO.errors, R_cs, orbit, earth, rng)
     camera = distorted_line_camera(calibrated_line_camera(SCENARIO.line_camera), SCENARIO.errors, rng)
     rows = RowClock(2.0, SCENARIO.strips.row_period_s)
-    return Pushbroom(camera, rows, orbit, earth, attitude.during(1.0, 5.0), R_cs, LightEffects())
+    return Pushbroom(
+        camera=camera,
+        rows=rows,
+        orbit=orbit,
+        earth=earth,
+        attitude=attitude.during(1.0, 5.0),
+        R_cs=R_cs,
+        effects=LightEffects(),
+    )
 
 
 @pytest.fixture(scope="module")

@@ -21,7 +21,15 @@ from boresight.star_id.finding.psf import Psf
 from boresight.star_id.finding.star_list import StarList
 
 PAPER_CAMERA = StarCamera(
-    0.1, 6.4e-6, 5120, 3840, (2560.0, 1920.0), p1=2.29e-5, p2=-2.96e-5, q1=-9.30e-7, q2=-4.25e-9
+    focal_m=0.1,
+    pixel_m=6.4e-6,
+    width_px=5120,
+    height_px=3840,
+    principal_px=(2560.0, 1920.0),
+    p1=2.29e-5,
+    p2=-2.96e-5,
+    q1=-9.30e-7,
+    q2=-4.25e-9,
 )
 
 

@@ -21,7 +21,9 @@ from boresight.star_id.settings import StarSettings
 from boresight.star_id.sip import tan_sip
 
 TRUTH = replace(PAPER_CAMERA, principal_px=(2571.3, 1911.2))
-NOMINAL = StarCamera(0.105, 6.4e-6, 5120, 3840, (2559.5, 1919.5))  # focal length 5 % wrong, no distortion
+NOMINAL = StarCamera(
+    focal_m=0.105, pixel_m=6.4e-6, width_px=5120, height_px=3840, principal_px=(2559.5, 1919.5)
+)  # focal length 5 % wrong, no distortion
 SETTINGS = StarSettings()
 EPOCH = Epoch.from_utc("2026-01-01T00:00:00Z")
 P_I, V_I = np.array([6.9e6, 0.0, 0.0]), np.array([0.0, 1.0e3, 7.5e3])  # m, m/s

@@ -154,7 +154,9 @@ def test_the_error_stated_is_true_of_narrow_and_wide_lenses_alike(fov_deg, fewes
     f_mm, corner = 1e3 * focal_m, 1280e-5 / focal_m
     lens = {"q1": -0.01 / (corner * f_mm) ** 2, "q2": 0.003 / (corner * f_mm) ** 4}
     lens |= {"p1": 1e-3 / f_mm, "p2": -1.5e-3 / f_mm}
-    camera = StarCamera(focal_m, 1e-5, 2048, 1536, (1038.5, 755.5), **lens)
+    camera = StarCamera(
+        focal_m=focal_m, pixel_m=1e-5, width_px=2048, height_px=1536, principal_px=(1038.5, 755.5), **lens
+    )
     places = hipparcos_stars(8.0).places
     sky = build_index(places, places.epoch_jyear, (np.radians(0.75 * fov_deg), np.radians(1.2 * fov_deg)))
     rng, together, width, counts = np.random.default_rng(40), [], [], []

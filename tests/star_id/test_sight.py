@@ -20,7 +20,15 @@ from boresight.star_id.settings import StarSettings
 from boresight.star_id.sight import sight_stars
 
 CAMERA = StarCamera(
-    0.1, 25.6e-6, 1280, 960, (641.3, 477.2), p1=2.29e-5, p2=-2.96e-5, q1=-9.30e-7, q2=-4.25e-9
+    focal_m=0.1,
+    pixel_m=25.6e-6,
+    width_px=1280,
+    height_px=960,
+    principal_px=(641.3, 477.2),
+    p1=2.29e-5,
+    p2=-2.96e-5,
+    q1=-9.30e-7,
+    q2=-4.25e-9,
 )
 EPOCH = Epoch.from_utc("2026-03-01T00:00:00Z")
 P_I, V_I = np.array([6.9e6, 0.0, 0.0]), np.array([0.0, 1000.0, 7500.0])

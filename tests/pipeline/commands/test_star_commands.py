@@ -32,7 +32,15 @@ from boresight.star_id.observer import Observer
 
 MINI = Path(__file__).resolve().parents[3] / "fixtures" / "mini"
 CAMERA = StarCamera(
-    0.1, 25.6e-6, 1280, 960, (641.3, 477.2), p1=2.29e-5, p2=-2.96e-5, q1=-9.30e-7, q2=-4.25e-9
+    focal_m=0.1,
+    pixel_m=25.6e-6,
+    width_px=1280,
+    height_px=960,
+    principal_px=(641.3, 477.2),
+    p1=2.29e-5,
+    p2=-2.96e-5,
+    q1=-9.30e-7,
+    q2=-4.25e-9,
 )
 
 

@@ -36,14 +36,20 @@ def strip() -> Pushbroom:
     across = across + np.array([0.0, 0.0, np.sin(inclination)])
     p = radius * (np.outer(np.cos(u), node) + np.outer(np.sin(u), across))
     v = radius * rate * (np.outer(-np.sin(u), node) + np.outer(np.cos(u), across))
-    orbit = Orbit(EPOCH, t, p, v, "GCRF", 7, earth)
+    orbit = Orbit(epoch=EPOCH, t_s=t, positions_m=p, velocities_m_s=v, frame="GCRF", degree=7, earth=earth)
     t_star = 18.0 + 0.2 * np.arange(20)
     wave = 1e-5 * np.column_stack([np.sin(t_star), np.cos(1.7 * t_star), 0.3 * np.sin(2.1 * t_star)])
     tilt = Rotation.from_euler("xy", [0.028, 0.012])
     R_ci = Rotation.from_rotvec(wave) * tilt * orbit.R_oi(t_star)
     attitude = AttitudeTrack(t_star, R_CS.inv() * R_ci, orbit)
     return Pushbroom(
-        camera(), RowClock(19.0 + 1e-3 / 3.0, 7e-5), orbit, earth, attitude, R_CS, LightEffects()
+        camera=camera(),
+        rows=RowClock(19.0 + 1e-3 / 3.0, 7e-5),
+        orbit=orbit,
+        earth=earth,
+        attitude=attitude,
+        R_cs=R_CS,
+        effects=LightEffects(),
     )
 
 
@@ -54,7 +60,23 @@ def camera() -> LineCamera:
     return LineCamera(
         10.0,
         (
-            Ccd(2048, -0.03, 0.002, 1.2e-3, 1e-5, 1000.0, samples, strong),
-            Ccd(2048, -0.0115, -0.003, -8e-4, 1e-5, 1023.0),
+            Ccd(
+                n_px=2048,
+                y_first_m=-0.03,
+                x_offset_m=0.002,
+                rotation_rad=1.2e-3,
+                pixel_m=1e-5,
+                principal_sample=1000.0,
+                distortion_samples=samples,
+                distortion_offsets_m=strong,
+            ),
+            Ccd(
+                n_px=2048,
+                y_first_m=-0.0115,
+                x_offset_m=-0.003,
+                rotation_rad=-8e-4,
+                pixel_m=1e-5,
+                principal_sample=1023.0,
+            ),
         ),
     )
