@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 
 from boresight.geometry.constants import ARCSEC
 from boresight.pipeline.files.dump import open_dump
-from boresight.pipeline.results.folder import read_result
+from boresight.pipeline.results.reading import read_result
 from boresight.pipeline.results.validate import Validation, validate
 
 COMMAND = (sys.executable, "-c", "from pipeline.cli import main; main()")

@@ -200,7 +200,7 @@ def validate(
 ) -> None:
     """Hold a result against the truth of a simulated dump."""
     from boresight.pipeline.files.dump import open_dump
-    from boresight.pipeline.results.folder import read_for_dump
+    from boresight.pipeline.results.reading import read_for_dump
     from boresight.pipeline.results.summary import validation_summary
     from boresight.pipeline.results.validate import validate as held_against_truth
 

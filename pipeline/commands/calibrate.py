@@ -14,15 +14,9 @@ from typing import Any
 
 from boresight.pipeline.errors import DataNotSufficientError, Omission
 from boresight.pipeline.files.dump import Dump
-from boresight.pipeline.results.folder import (
-    begin_result,
-    store_of,
-    write_dumps,
-    write_joint_result,
-    write_result,
-    write_run,
-)
+from boresight.pipeline.results.folder import begin_result, store_of
 from boresight.pipeline.results.summary import calibration_summary, joint_summary
+from boresight.pipeline.results.writing import write_dumps, write_joint_result, write_result, write_run
 from boresight.pipeline.settings import Settings
 from boresight.pipeline.stages.cached import Progress
 from boresight.pipeline.stages.calibrate import Calibration, calibrate_dump

@@ -19,8 +19,10 @@ from boresight.pipeline.experiments.paper_tables import TABLE_5
 from boresight.pipeline.files.dump import Dump, open_dump
 from boresight.pipeline.files.dump_writer import write_dump
 from boresight.pipeline.files.scenario_file import fly, named_scenario
-from boresight.pipeline.results.folder import begin_result, read_result, store_of, write_result
+from boresight.pipeline.results.folder import begin_result, store_of
+from boresight.pipeline.results.reading import read_result
 from boresight.pipeline.results.validate import Validation, validate
+from boresight.pipeline.results.writing import write_result
 from boresight.pipeline.settings import Settings
 from boresight.pipeline.stages.calibrate import Calibration, calibrate_dump
 from boresight.pipeline.work.executor import InOrder

@@ -28,7 +28,7 @@ from boresight.pipeline.exports.spice_frame import SpiceFrames, frame_kernel
 from boresight.pipeline.exports.star_fits import centroids_fits
 from boresight.pipeline.files.dump import surface_of
 from boresight.pipeline.files.table_files import column, fixed, list_values, read_parquet
-from boresight.pipeline.results.folder import read_for_dump, read_result
+from boresight.pipeline.results.reading import read_for_dump, read_result
 from boresight.pipeline.results.strip_model import Calibrated, StripModel, open_calibrated, strip_model
 
 __all__ = ["FORMATS", "ExportRequest", "export"]

@@ -27,7 +27,8 @@ from boresight.pipeline import __version__
 from boresight.pipeline.errors import DataNotSufficientError, RawDataError
 from boresight.pipeline.files.table_files import column, read_parquet
 from boresight.pipeline.files.text_files import read_json
-from boresight.pipeline.results.folder import read_mounting, read_result, results_in
+from boresight.pipeline.results.folder import results_in
+from boresight.pipeline.results.reading import read_mounting, read_result
 
 __all__ = [
     "DatedDrift",

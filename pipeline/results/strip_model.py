@@ -19,7 +19,7 @@ from boresight.pipeline.files.dump import Dump, Strip, open_dump
 from boresight.pipeline.files.dump_schema import DumpFile
 from boresight.pipeline.files.table_files import fixed, list_values, read_parquet
 from boresight.pipeline.files.text_files import read_json, read_toml
-from boresight.pipeline.results.folder import SavedResult, read_for_dump
+from boresight.pipeline.results.reading import SavedResult, read_for_dump
 from boresight.pipeline.settings import RunSettings, filled
 
 __all__ = ["Calibrated", "StripModel", "open_calibrated", "strip_model"]

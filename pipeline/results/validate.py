@@ -22,7 +22,7 @@ from boresight.geometry.pushbroom import Pushbroom, RowClock
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.dump import Dump, Strip, surface_of
 from boresight.pipeline.files.text_files import read_table, read_toml
-from boresight.pipeline.results.folder import SavedResult
+from boresight.pipeline.results.reading import SavedResult
 
 __all__ = ["CheckPoints", "Validation", "validate"]
 

@@ -23,7 +23,7 @@ from boresight.pipeline.cli import app
 from boresight.pipeline.errors import DataNotSufficientError, RawDataError
 from boresight.pipeline.files.table_files import fixed_list
 from boresight.pipeline.results.drift import drift_of_results, named_results
-from boresight.pipeline.results.folder import read_mounting
+from boresight.pipeline.results.reading import read_mounting
 from boresight.pipeline.stages.forecast import settings_of_plan
 from boresight.simulator.campaign import CameraPair, StripPlan, draw_strips
 

@@ -38,8 +38,8 @@ from boresight.pipeline.files.scenario_file import named_scenario
 from boresight.pipeline.files.sky_images import Whereabouts, observers_of
 from boresight.pipeline.files.table_files import fixed_list
 from boresight.pipeline.report.centroid_report import _read_truth
-from boresight.pipeline.results.folder import read_pairs, read_result
 from boresight.pipeline.results.geolocate import read_pixels
+from boresight.pipeline.results.reading import read_pairs, read_result
 from boresight.pipeline.results.summary import status_summary
 from boresight.pipeline.settings import read_settings
 from boresight.pipeline.stages.plan import forecast_plan, read_plan

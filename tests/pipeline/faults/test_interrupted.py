@@ -31,7 +31,8 @@ import cv2
 cv2.setNumThreads(1)
 from boresight.pipeline.stages.calibrate import calibrate_dump
 from boresight.pipeline.files.dump import open_dump
-from boresight.pipeline.results.folder import begin_result, store_of, write_result
+from boresight.pipeline.results.folder import begin_result, store_of
+from boresight.pipeline.results.writing import write_result
 from boresight.pipeline.settings import Settings
 from boresight.pipeline.work.executor import InOrder
 

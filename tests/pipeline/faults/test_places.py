@@ -17,8 +17,8 @@ from boresight.geometry.terrain import TerrainGrid
 from boresight.pipeline.files.dump import Dump, TerrainFile, open_dump, surface_of
 from boresight.pipeline.files.dump_writer import write_dump
 from boresight.pipeline.files.scenario_file import fly, named_scenario
-from boresight.pipeline.results.folder import SavedResult
 from boresight.pipeline.results.geolocate import Pixels, geolocate
+from boresight.pipeline.results.reading import SavedResult
 from boresight.pipeline.results.strip_model import Calibrated, StripModel
 from boresight.pipeline.settings import Settings
 from boresight.pipeline.stages.strip import StripTask, pushbroom_of, strip_matches, targets_near
@@ -84,8 +84,18 @@ def task_of(mission: Mission, dump: Dump) -> StripTask:
     t_s = truth.t_attitude_s[::49] + (mission.epoch.tai_s - dump.epoch.tai_s)
     R_si = truth.R_cs.inv() * truth.R_ci[::49]
     task = StripTask(
-        *(strip, dump.line_camera, dump.orbit, t_s, R_si, dump.R_cs0, dump.sigma_installation_rad),
-        *(LightEffects(), dump.targets, dump.chips, dump.terrain, Settings().match),
+        strip=strip,
+        camera=dump.line_camera,
+        orbit=dump.orbit,
+        t_attitude_s=t_s,
+        R_si=R_si,
+        R_cs=dump.R_cs0,
+        sigma_installation_rad=dump.sigma_installation_rad,
+        effects=LightEffects(),
+        targets=dump.targets,
+        chips=dump.chips,
+        terrain=dump.terrain,
+        settings=Settings().match,
     )
     targets, _ = targets_near(task, dump.targets, dump.chips)
     assert len(targets) == len(dump.targets)
@@ -115,7 +125,16 @@ def test_pixels_are_placed_on_the_ground_and_found_again(flown) -> None:
     push = pushbroom_of(task)
     track = replace(push.attitude, cov_s=np.tile(1e-12 * np.eye(3), (len(task.t_attitude_s), 1, 1)))
     none = np.zeros(0)
-    saved = SavedResult(truth.R_cs, none, 1e-12 * np.eye(3), {}, [], none, task.R_si, none.astype(bool))
+    saved = SavedResult(
+        R_cs=truth.R_cs,
+        theta=np.zeros(3),
+        cov_theta=1e-12 * np.eye(3),
+        installation={},
+        exposure_id=[],
+        t_exposures_s=none,
+        R_si=task.R_si[:0],
+        usable=none.astype(bool),
+    )
     calibrated = Calibrated(saved, dump, track.cov_s, LightEffects(), 0.0, 1.0)
     points = truth.check_points
     pixels = Pixels(

@@ -19,8 +19,10 @@ from boresight.geometry.installation import theta_between
 from boresight.pipeline.cli import app
 from boresight.pipeline.errors import DataNotSufficientError
 from boresight.pipeline.files.dump import open_dump
-from boresight.pipeline.results.folder import FIELDS, begin_result, read_result, store_of, write_result
+from boresight.pipeline.results.folder import begin_result, store_of
+from boresight.pipeline.results.reading import read_result
 from boresight.pipeline.results.validate import validate
+from boresight.pipeline.results.writing import FIELDS, write_result
 from boresight.pipeline.settings import Settings
 from boresight.pipeline.stages.calibrate import calibrate_dump
 from boresight.pipeline.work.executor import InOrder

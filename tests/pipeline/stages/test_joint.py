@@ -27,7 +27,8 @@ from boresight.geometry.installation import theta_between
 from boresight.pipeline.cli import app
 from boresight.pipeline.errors import DataNotSufficientError, Omission, RawDataError
 from boresight.pipeline.files.dump import open_dump
-from boresight.pipeline.results.folder import read_result, store_of
+from boresight.pipeline.results.folder import store_of
+from boresight.pipeline.results.reading import read_result
 from boresight.pipeline.results.strip_model import open_calibrated, strip_model
 from boresight.pipeline.settings import Settings
 from boresight.pipeline.stages.calibrate import calibrate_dump

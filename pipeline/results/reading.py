@@ -1,0 +1,144 @@
+"""A finished result read back: matrix, attitudes, information of the strips."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+from scipy.linalg import block_diag
+from scipy.spatial.transform import Rotation
+
+from boresight.calib.information import InformationPairs
+from boresight.calib.shared_unknowns import coordinate_names, turning_axes
+from boresight.geometry.record import Bools, Floats, array, record, scalar
+from boresight.pipeline.errors import RawDataError
+from boresight.pipeline.files.table_files import column, fixed, list_values, read_parquet
+from boresight.pipeline.files.text_files import read_json
+from boresight.pipeline.results.folder import dumps_in
+
+__all__ = ["SavedResult", "read_for_dump", "read_mounting", "read_pairs", "read_result"]
+
+EXPOSURES = {"exposure_id": pa.string(), "t_s": pa.float64(), "R_si": fixed(9), "usable": pa.bool_()}
+COORDINATES = {"target_id": pa.string(), "t_s": pa.float64(), "cov_target_i": fixed(9)}
+DISTORTION = re.compile(r"distortion/[xy]/\d{1,6}/-?\d{1,6}")
+
+
+@record(kw_only=True)
+class SavedResult:
+    """A finished result, read back."""
+
+    R_cs: Rotation = scalar("installation matrix, star camera to remote-sensing camera")
+    theta: Floats = array("3", "deviation from the pre-launch matrix, rad")
+    cov_theta: Floats = array("3, 3", "its covariance, rad², a small rotation about the axes of c")
+    installation: dict[str, Any] = scalar("content of installation.json")
+    exposure_id: list[str] = array("K", "ids of the identified exposures")
+    t_exposures_s: Floats = array("K", "their times, TAI seconds since the dump's epoch")
+    R_si: Rotation = array("K", "their attitudes, GCRS to star camera")
+    usable: Bools = array("K", "whether enough stars were kept to determine the attitude")
+
+
+def read_result(result: Path) -> SavedResult:
+    """The result in a folder; of several dumps, the joint matrix without any exposures.
+
+    `RawDataError` when it is not there or damaged.
+    """
+    name = str(result / "installation.json")
+    content = read_json(result / "installation.json", name)
+    quaternion = _numbers(content, "quaternion", (4,), name)
+    if abs(np.linalg.norm(quaternion) - 1.0) > 1e-6:
+        raise RawDataError(name, "quaternion", quaternion.tolist(), "length 1")
+    path = result / "sightings" / "exposures.parquet"
+    no_rows = pa.schema(list(EXPOSURES.items())).empty_table()
+    table = read_parquet(path, EXPOSURES) if not dumps_in(result) else no_rows
+    try:
+        R_si = Rotation.from_matrix(list_values(table, "R_si", 3, 3)) if len(table) else Rotation.identity(0)
+    except ValueError as error:
+        raise RawDataError(str(path), "column R_si", str(error), "rotations") from error
+    return SavedResult(
+        R_cs=Rotation.from_quat(quaternion),
+        theta=_numbers(content, "theta_rad", (3,), name),
+        cov_theta=_numbers(content, "covariance_rad2", (3, 3), name),
+        installation=content,
+        exposure_id=[str(name) for name in table.column("exposure_id").to_pylist()],
+        t_exposures_s=column(table, "t_s"),
+        R_si=R_si,
+        usable=column(table, "usable").astype(bool),
+    )
+
+
+def read_for_dump(result: Path, dump: Path | None) -> tuple[Path, SavedResult]:
+    """The folder with a dump's own sightings, and its result; where `result` is of several dumps, with the
+    joint matrix instead of its own.
+
+    `RawDataError` where `result` is of several dumps and `dump` is none of them.
+    """
+    if not dumps_in(result):
+        return result, read_result(result)
+    path = result / "run.json"
+    roots = read_json(path, str(path)).get("dumps")
+    if not isinstance(roots, dict):
+        raise RawDataError(str(path), "dumps", type(roots).__name__, "folders of dumps by their names")
+    for name, root in roots.items():
+        if dump is not None and dump.resolve() == Path(str(root)):
+            joint, own = read_result(result), read_result(result / name)
+            matrix = {key: getattr(joint, key) for key in ("R_cs", "theta", "cov_theta", "installation")}
+            return result / name, dataclasses.replace(own, **matrix)
+    expected = f"one of {', '.join(map(str, roots.values()))}: the result is of {len(roots)} dumps"
+    raise RawDataError(str(result), "--dump", "nothing" if dump is None else str(dump), expected)
+
+
+def _numbers(content: dict[str, Any], key: str, shape: tuple[int, ...], file: str) -> Floats:
+    """An array of finite numbers under a key of installation.json."""
+    expected = f"{' x '.join(map(str, shape))} finite numbers"
+    try:
+        values = np.array(content.get(key), dtype=float)
+    except (ValueError, TypeError, OverflowError) as error:
+        raise RawDataError(file, key, str(error), expected) from error
+    if values.shape != shape or not np.isfinite(values).all():
+        raise RawDataError(file, key, content.get(key), expected)
+    return values
+
+
+def read_pairs(result: Path) -> InformationPairs:
+    """Normal equations (F, F theta) of each strip of a finished result."""
+    path = result / "sightings" / "strips.parquet"
+    try:
+        return InformationPairs.from_table(read_parquet(path).to_pandas())
+    except (ValueError, KeyError, IndexError, TypeError) as error:
+        raise RawDataError(str(path), "columns", str(error), "the table that `calibrate` wrote") from error
+
+
+def read_mounting(result: Path, name: str) -> InformationPairs:
+    """Normal equations of a finished result as one: its strips added, coordinates of targets that several of
+    them see eliminated. The camera's distortion stays, since other results share it.
+    """
+    pairs = read_pairs(result)
+    path = result / "sightings" / "strips.parquet"
+    coordinates = [unknown for unknown in pairs.shared if not DISTORTION.fullmatch(unknown)]
+    targets = tuple(dict.fromkeys(unknown.removeprefix("target/")[:-2] for unknown in coordinates))
+    if tuple(coordinates) != coordinate_names(targets):
+        raise RawDataError(str(path), "columns", coordinates[0], "unknowns of the camera and of targets")
+    try:
+        return pairs.as_one(name, coordinate_names(targets), _prior_of_targets(result, targets))
+    except np.linalg.LinAlgError as error:
+        raise RawDataError(str(path), "F", str(error), "information pairs of strips") from error
+
+
+def _prior_of_targets(result: Path, targets: Sequence[str]) -> Floats:
+    """Information (3 t, 3 t) on the coordinates of targets before any strip, 1/m²."""
+    if not targets:
+        return np.zeros((0, 0))
+    path = result / "sightings" / "targets.parquet"
+    table = read_parquet(path, COORDINATES)
+    names = table.column("target_id").to_pylist()
+    if unknown := sorted(set(targets) - set(names)):
+        raise RawDataError(str(path), "target_id", "not there", f"target {unknown[0]} of strips.parquet")
+    rows = [names.index(target) for target in targets]
+    axes = turning_axes(column(table, "t_s")[rows])
+    covariance = np.swapaxes(axes, 1, 2) @ list_values(table, "cov_target_i", 3, 3)[rows] @ axes
+    return np.asarray(block_diag(*np.linalg.inv(covariance)))

@@ -1,0 +1,220 @@
+"""A result written: `installation.json` for the reader, Parquet tables for reports and later calibrations.
+
+Everything but run.json is identical, bit for bit, for the same inputs, settings and version.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from boresight.calib.estimate import InstallationEstimate, TargetResiduals
+from boresight.calib.settings import CalibrationSettings
+from boresight.geometry.installation import euler_zxy_from_theta
+from boresight.geometry.orbit import argument_of_latitude
+from boresight.geometry.sightings import StripSightings
+from boresight.pipeline import __version__
+from boresight.pipeline.errors import Omission
+from boresight.pipeline.files.record_tables import columns_of
+from boresight.pipeline.files.table_files import fixed_list
+from boresight.pipeline.files.whole_file import remove_abandoned, write_whole
+from boresight.pipeline.results.folder import DUMPS
+from boresight.pipeline.settings import Settings
+from boresight.pipeline.stages.calibrate import Calibration
+from boresight.pipeline.stages.joint import JointCalibration
+from boresight.pipeline.stages.strip import MatchedTargets
+from boresight.pipeline.work.unit_store import digest
+
+__all__ = ["write_dumps", "write_joint_result", "write_json", "write_result", "write_run"]
+
+FIELDS = (
+    "R_cs",
+    "quaternion",
+    "theta_rad",
+    "euler_zxy_deg",
+    "covariance_rad2",
+    "frames",
+    "stars",
+    "targets",
+    "chi2",
+    "dof",
+    "settings",
+    "version",
+)
+STARS = "exposure_id t_s hip xy_px u_s u_i cov_s residual_s normalised kept".split()
+EXPOSURES = "exposure_id t_s stars R_si covariance_s usable chi2 dof".split()
+TARGETS = (
+    "strip_id target_id ccd t_s xy_px cov_px predicted_px correlation probability_wrong u_c u_i cov_c"
+    " range_m v_rel_i cov_target_i residual_c normalised kept detectable_rad detectable_m"
+).split()
+
+
+def write_result(result: Path, calibration: Calibration, settings: Settings) -> None:
+    """Write everything but run.json; `installation.json` comes last, so that where it is, all is."""
+    tables = result / "sightings"
+    tables.mkdir(parents=True, exist_ok=True)
+    _write_groups(tables / "stars.parquet", _star_groups(calibration))
+    _write_groups(tables / "exposures.parquet", [_exposures_table(calibration)])
+    matched = {one.strip_id: one for one in calibration.matched}
+    estimate = calibration.estimate
+    _write_groups(tables / "targets.parquet", _target_groups(estimate.targets, calibration.strips, matched))
+    _write_groups(tables / "strips.parquet", [_pairs_table(estimate)])
+    _write_groups(tables / "passes.parquet", [_passes_table(calibration)])
+    _write_groups(tables / "omissions.parquet", [_omissions_table(calibration.omissions)])
+    write_json(result / "installation.json", _installation(estimate, calibration.settings, settings))
+
+
+def write_joint_result(
+    result: Path, joint: JointCalibration, of_dumps: Mapping[str, Calibration], settings: Settings
+) -> None:
+    """Write the joint result of several dumps; their own stand in its folders. `installation.json` last."""
+    tables = result / "sightings"
+    tables.mkdir(parents=True, exist_ok=True)
+    matched = {f"{name}/{one.strip_id}": one for name, found in of_dumps.items() for one in found.matched}
+    estimate = joint.estimate
+    _write_groups(tables / "targets.parquet", _target_groups(estimate.targets, joint.strips, matched))
+    _write_groups(tables / "strips.parquet", [_pairs_table(estimate)])
+    passes = [_passes_table(found, f"{name}/") for name, found in of_dumps.items()]
+    _write_groups(tables / "passes.parquet", [pa.concat_tables(passes)])
+    _write_groups(tables / "omissions.parquet", [_omissions_table(joint.omissions)])
+    write_json(result / "installation.json", _installation(estimate, joint.settings, settings))
+
+
+def write_dumps(result: Path, names: Sequence[str]) -> None:
+    """Note that the folder is of several dumps, whose own results lie in its folders `names`."""
+    write_json(result / DUMPS, {"dumps": list(names)})
+
+
+def write_run(result: Path, facts: dict[str, Any]) -> None:
+    """Times, counts and machine of a run: what may differ between two runs with the same result."""
+    write_json(result / "run.json", facts)
+    remove_abandoned(result)  # of worker processes that were killed during the run
+
+
+def write_json(path: Path, content: dict[str, Any]) -> None:
+    """Write `content` as JSON, whole or not at all."""
+    text = json.dumps(content, indent=2, allow_nan=True) + "\n"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_whole(path, lambda target: target.write_text(text, encoding="utf-8"))
+
+
+def _installation(
+    estimate: InstallationEstimate, error_model: CalibrationSettings, settings: Settings
+) -> dict[str, Any]:
+    used = dataclasses.asdict(dataclasses.replace(settings, calibration=())) | {
+        "calibration": dataclasses.asdict(error_model)
+    }
+    values = {
+        "R_cs": estimate.R_cs.as_matrix().tolist(),
+        "quaternion": estimate.R_cs.as_quat(canonical=True).tolist(),
+        "theta_rad": estimate.theta.tolist(),
+        "euler_zxy_deg": np.degrees(euler_zxy_from_theta(estimate.theta)).tolist(),
+        "covariance_rad2": estimate.cov_theta.tolist(),
+        "frames": estimate.n_exposures,
+        "stars": estimate.n_stars,
+        "targets": estimate.n_targets,
+        "chi2": estimate.chi2,
+        "dof": estimate.dof,
+        "settings": used,
+        "version": __version__,
+    }
+    return {field: values[field] for field in FIELDS}
+
+
+def _star_groups(calibration: Calibration) -> list[pa.Table]:
+    """Stars of each exposure, one row group an exposure."""
+    attitudes, groups = calibration.attitudes, []
+    for k, exposure in enumerate(calibration.stars):
+        rows = attitudes.stars(k)
+        own = {
+            "exposure_id": pa.repeat(exposure.exposure_id, len(exposure.hip)),
+            "t_s": pa.repeat(exposure.t_s, len(exposure.hip)),
+            "residual_s": fixed_list(exposure.u_s - exposure.u_i @ attitudes.R_si[k].T),
+            "normalised": pa.array(attitudes.squared_mahalanobis[rows]),
+            "kept": pa.array(attitudes.kept[rows]),
+        }
+        groups.append(pa.table(columns_of(exposure) | own).select(STARS))
+    return groups
+
+
+def _exposures_table(calibration: Calibration) -> pa.Table:
+    stars = calibration.stars
+    own = {
+        "exposure_id": pa.array([s.exposure_id for s in stars], pa.string()),
+        "t_s": pa.array([s.t_s for s in stars], pa.float64()),
+        "stars": pa.array([len(s.hip) for s in stars], pa.int64()),
+    }
+    return pa.table(own | columns_of(calibration.attitudes, "K")).select(EXPOSURES)
+
+
+def _target_groups(
+    found: TargetResiduals, strips: Sequence[StripSightings], matched: Mapping[str, MatchedTargets]
+) -> list[pa.Table]:
+    """Targets of each strip, one row group a strip. Residuals are found by strip, target and CCD."""
+    keys = zip(found.strip_id.tolist(), found.target_id.tolist(), found.ccd.tolist())
+    row_of = {key: n for n, key in enumerate(keys)}
+    groups = []
+    for strip in strips:
+        ground = strip.ground
+        rows = [row_of[strip.strip_id, t, c] for t, c in zip(ground.target_id.tolist(), ground.ccd.tolist())]
+        own = {
+            "strip_id": pa.repeat(strip.strip_id, len(rows)),
+            "residual_c": fixed_list(found.residual_c[rows]),
+            "normalised": pa.array(found.statistic[rows]),
+            "kept": pa.array(found.kept[rows]),
+            "detectable_rad": pa.array(found.detectable_rad[rows]),
+            "detectable_m": pa.array(found.detectable_m[rows]),
+        }
+        columns = columns_of(matched[strip.strip_id]) | columns_of(ground) | own
+        groups.append(pa.table(columns).select(TARGETS))
+    return groups
+
+
+def _pairs_table(estimate: InstallationEstimate) -> pa.Table:
+    return pa.Table.from_pandas(estimate.pairs.table(), preserve_index=False)
+
+
+def _passes_table(calibration: Calibration, prefix: str = "") -> pa.Table:
+    """One row for each strip of the estimate, at its middle: time, position in the orbit, camera."""
+    used = {strip.strip_id for strip in calibration.strips}
+    tasks = [task for task in calibration.tasks if task.strip.strip_id in used]
+    rows: list[dict[str, object]] = []
+    for task in tasks:
+        t_s = np.array([task.strip.t_first_row_s + 0.5 * task.strip.lines * task.strip.row_period_s])
+        rows.append(
+            {
+                "strip_id": prefix + task.strip.strip_id,
+                "utc_middle": task.orbit.epoch.utc_from_seconds(t_s)[0],
+                "argument_of_latitude_rad": float(argument_of_latitude(*task.orbit.states_i(t_s))[0]),
+                "camera": digest(task.camera),
+            }
+        )
+    types = (pa.string(), pa.string(), pa.float64(), pa.string())
+    names = ("strip_id", "utc_middle", "argument_of_latitude_rad", "camera")
+    return pa.Table.from_pylist(rows, schema=pa.schema(list(zip(names, types))))
+
+
+def _omissions_table(omissions: Sequence[Omission]) -> pa.Table:
+    names = ("kind", "name", "file", "reason", "cause")
+    return pa.table(
+        {name: pa.array([str(getattr(o, name)) for o in omissions], pa.string()) for name in names}
+    )
+
+
+def _write_groups(path: Path, groups: Sequence[pa.Table]) -> None:
+    """One Parquet file, one row group a table."""
+
+    def write(target: Path) -> None:
+        with pq.ParquetWriter(target, groups[0].schema, compression="zstd", write_page_checksum=True) as file:
+            for group in groups:
+                file.write_table(group, row_group_size=max(len(group), 1))
+
+    if groups:
+        write_whole(path, write)
