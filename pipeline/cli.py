@@ -99,7 +99,7 @@ def _global(
 def simulate(
     scenario: Annotated[str, typer.Argument(help="mini, paper, or the path of a TOML file.")],
     out: Annotated[Path, typer.Argument(help="Folder to be made; must not exist or be empty.")],
-    seed: Annotated[int, typer.Option(help="Everything random comes from this number.", min=0)] = 1,
+    seed: Annotated[int, typer.Option(help="Seed of all random numbers.", min=0)] = 1,
     set_: Annotated[
         list[str] | None, typer.Option("--set", help="Change one setting: strips.count=5. May be repeated.")
     ] = None,
@@ -218,20 +218,26 @@ def status(result: Annotated[Path, typer.Argument(help="Folder of a run, finishe
 
 @app.command()
 def experiment(
-    name: Annotated[str, typer.Argument(help="convergence, grid, table4, table5 or figure8.")],
-    out: Annotated[Path, typer.Option(help="Folder for NAME.csv and NAME.png.")],
+    name: Annotated[
+        str, typer.Argument(help="figure4, convergence, grid, figure8, table4, table5 or geometry.")
+    ],
+    out: Annotated[Path, typer.Option(help="Folder for NAME.csv, NAME.png and NAME.txt.")],
     runs: Annotated[
-        int | None, typer.Option(help="Runs a cell; default 200 (Wang 40, table5 20).", min=2)
+        int | None, typer.Option(help="Runs per cell; default 200 (Wang 40, table5 20).", min=2)
     ] = None,
-    seed: Annotated[int, typer.Option(help="Everything random comes from this number.", min=0)] = 2020,
+    seed: Annotated[int, typer.Option(help="Seed of all random numbers.", min=0)] = 2020,
     star_from_zenith_deg: Annotated[
-        float, typer.Option(help="Where the star camera looks, in the Y-Z plane.")
+        float, typer.Option(help="Star camera's axis from the zenith in the Y-Z plane, degrees.")
     ] = 15.0,
     pixels: Annotated[
-        bool, typer.Option("--pixels", help="Through rendered images, at a reduced grid: grid and table5.")
+        bool, typer.Option("--pixels", help="From rendered images on a reduced grid: grid and table5.")
     ] = False,
 ) -> None:
-    """Run a simulation of the paper from scratch, its figures beside ours."""
+    """Run a simulation of the paper from scratch, with its printed values beside ours.
+
+    Example: boresight experiment geometry --out paper
+    """
+    from boresight.pipeline.experiments.comparison import COMPARISONS
     from boresight.pipeline.experiments.pixels import PixelSettings
     from boresight.pipeline.experiments.tables import (
         EXPERIMENTS,
@@ -258,6 +264,8 @@ def experiment(
             table, written = run_from_pixels(name, out, rendered, progress)
         else:
             table, written = run_experiment(name, out, chosen, progress)
+    if not pixels:
+        typer.echo("\n".join(COMPARISONS[name](table)))
     typer.echo(f"{name}: {len(table)} rows -> {', '.join(str(path) for path in written)}")
 
 

@@ -1,10 +1,18 @@
-"""The paper's own figures, to stand beside ours: Table 4 and Table 5 (errors of single draws), Fig. 7's
-summary.
-"""
+"""Values printed in the paper's section 3: Tables 4 and 5 (single draws), the text about Figs. 5 to 7."""
 
 from __future__ import annotations
 
-__all__ = ["FIGURE_7_MEAN_ARCSEC", "FIGURE_7_SIGMA_ARCSEC", "TABLE_4", "TABLE_5"]
+from math import sqrt
+
+__all__ = [
+    "FIGURES_5_6_Z_ARCSEC",
+    "FIGURE_7_CELLS",
+    "FIGURE_7_MEAN_ARCSEC",
+    "FIGURE_7_SIGMA_ARCSEC",
+    "TABLE_4",
+    "TABLE_4_RMS_ARCSEC",
+    "TABLE_5",
+]
 
 # (sigma_s px, sigma_c px): Wang's X, Y, Z and the paper's X, Y, Z, arcsec
 TABLE_4: dict[tuple[float, float], tuple[tuple[float, float, float], tuple[float, float, float]]] = {
@@ -13,6 +21,11 @@ TABLE_4: dict[tuple[float, float], tuple[tuple[float, float, float], tuple[float
     (0.08, 0.5): ((0.1656, -0.7332, 4.7857), (-0.0809, -0.0441, -0.1987)),
     (0.09, 0.7): ((0.5519, -0.6898, -8.4521), (-0.0064, 0.0038, -0.6839)),
     (0.10, 1.0): ((0.1837, -0.7338, -9.6278), (0.0121, 0.0135, 0.6246)),
+}
+
+TABLE_4_RMS_ARCSEC = {  # over its five rows, X, Y, Z
+    who: tuple(sqrt(sum(row[n][axis] ** 2 for row in TABLE_4.values()) / len(TABLE_4)) for axis in range(3))
+    for n, who in enumerate(("wang", "paper"))
 }
 
 # sigma_s px (sigma_c is 0.3 px; the last is printed as 0.010): along Wang, paper; across Wang, paper, metres
@@ -30,5 +43,10 @@ TABLE_5: dict[float, tuple[float, float, float, float]] = {
     0.100: (9.23, 5.29, 8.11, 4.48),
 }
 
-FIGURE_7_MEAN_ARCSEC = (-0.0018, -0.0001, -0.2602)  # over the grid, X, Y, Z
-FIGURE_7_SIGMA_ARCSEC = (0.0159, 0.0105, 0.0927)
+# text on Figs. 5 and 6, (sigma_s px, sigma_c px): Z error after convergence; X and Y "tend to 0" by 150
+# frames
+FIGURES_5_6_Z_ARCSEC = {(0.06, 0.1): 0.2, (0.10, 1.0): 0.5}
+
+FIGURE_7_CELLS = tuple((s / 100.0, c / 10.0) for s in range(5, 11) for c in range(1, 11))  # of our grid, px
+FIGURE_7_MEAN_ARCSEC = (-0.0018, -0.0001, -0.2602)  # over the paper's grid, X, Y, Z
+FIGURE_7_SIGMA_ARCSEC = (0.0159, 0.0105, 0.0927)  # standard deviation over the paper's grid

@@ -1,209 +1,268 @@
-"""Figures of the experiments: the paper's figures beside ours, drawn from the long-form tables alone."""
+"""Figures of the experiments from their long-form tables: ours, the bound, and the paper's printed values.
+
+All are 7.3 inches wide (legible at 800 px). Series differ in marker and dash, so they remain distinct in
+grey.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from boresight.pipeline.experiments.paper_tables import TABLE_4
+from boresight.pipeline.experiments.paper_tables import (
+    FIGURE_7_SIGMA_ARCSEC,
+    FIGURES_5_6_Z_ARCSEC,
+    TABLE_4,
+)
 
 __all__ = ["PLOTS", "plot_forecast"]
 
 AXES = ("X", "Y", "Z")
-OURS, WANG, PAPER, BOUND = "#1b6ca8", "#c8553d", "#6b6b6b", "#111111"
+WIDTH_IN = 7.3
+OURS, WANG, GREY, INK = "#124a86", "#e08a5b", "#7a7a7a", "#111111"  # dark, light, middle and black in grey
+BOUND = {"color": INK, "ls": "--", "lw": 1.0}
+PAPER = {"color": INK, "ls": "none", "marker": "x", "ms": 6, "mew": 1.5}
 
 
-def plot_convergence(table: pd.DataFrame) -> Figure:
-    """Figs. 5 and 6: one draw, the rms of many and the bound against the number of frames."""
-    cells = list(table.groupby(["sigma_s_px", "sigma_c_px"]))
-    figure, axes = _panels(len(cells), 3, 3.7, 2.9)
-    for row, ((sigma_s, sigma_c), cell) in enumerate(cells):
-        for column, axis in enumerate(AXES):
-            part, ax = cell[cell["axis"] == axis], axes[row, column]
-            ax.plot(
-                part["frames"],
-                np.abs(part["error_arcsec"]),
-                color=OURS,
-                alpha=0.35,
-                lw=1,
-                label="one run, |error|",
-            )
-            ax.plot(
-                part["frames"],
-                part["rms_arcsec"],
-                color=OURS,
-                lw=1.8,
-                label=f"rms of {part['runs'].iloc[0]} runs",
-            )
-            ax.plot(
-                part["frames"], part["bound_arcsec"], color=BOUND, ls="--", lw=1, label="Cramér-Rao bound"
-            )
-            ax.set(
-                xscale="log",
-                yscale="log",
-                title=f"{axis},  σs {sigma_s:g} px, σc {sigma_c:g} px",
-                xlabel="frames",
-            )
-            low = part["bound_arcsec"].min()
-            ax.set_ylim(low / 30, part["bound_arcsec"].max() * 3)
-        axes[row, 0].set_ylabel("error, arcsec")
-    axes[0, 0].legend(fontsize=7, loc="lower left")
-    figure.suptitle("Deviation angle against the number of frames (paper, Figs. 5 and 6)")
-    return figure
-
-
-def plot_grid(table: pd.DataFrame) -> Figure:
-    """Figs. 7 and 9: rms error over the grid; solid ours, dashed the bound, dotted Wang's way."""
-    ours = table[table["method"] == "information"]
-    frames = int(ours["frames"].max())
-    ours, wang = ours[ours["frames"] == frames], table[table["method"] == "wang"]
-    figure, axes = _panels(1, 3, 4.2, 3.8)
-    levels = sorted(ours["sigma_s_px"].unique())
-    shades = [(0.1 + 0.12 * k, 0.42 + 0.07 * k, 0.66 + 0.04 * k) for k in range(len(levels))]
-    for column, axis in enumerate(AXES):
-        ax = axes[0, column]
-        for sigma_s, shade in zip(levels, shades):
-            a = _at(ours, axis, sigma_s)
-            ax.plot(
-                a["sigma_c_px"], a["rms_arcsec"], color=shade, marker="o", ms=3, label=f"σs {sigma_s:.2f} px"
-            )
-            ax.plot(a["sigma_c_px"], a["bound_arcsec"], color=BOUND, ls="--", lw=0.7)
-        for sigma_s in (levels[0], levels[-1]):
-            w = _at(wang, axis, sigma_s)
-            ax.plot(
-                w["sigma_c_px"],
-                w["rms_arcsec"],
-                color=WANG,
-                ls=":",
-                marker="s",
-                ms=2.5,
-                label=f"Wang, σs {sigma_s:.2f}",
-            )
-        ax.set(yscale="log", title=f"{axis}", xlabel="σc, px")
-    axes[0, 0].set_ylabel("rms error, arcsec")
-    axes[0, 2].legend(fontsize=7, loc="upper left", bbox_to_anchor=(1.0, 1.0))
+def plot_figure4(table: pd.DataFrame) -> Figure:
+    """Fig. 4: the attitude over 24 s and what single exposures measure of it."""
+    figure, axes = _panels(3, 1, 1.7, sharex=True)
+    for ax, (axis, part) in zip(axes[:, 0], table.groupby("axis", sort=False)):
+        ax.axvspan(0.0, 1.8, color="#e4e4e4", label="duration of one strip, 1.8 s")
+        ax.plot(part["t_s"], part["attitude_arcsec"], color=OURS, lw=1.6, label="attitude about its mean")
+        noise = f"{axis}: 1σ of an exposure {part['sigma_arcsec'].iloc[0]:.2f}″"
+        ax.plot(part["t_s"], part["measured_arcsec"], ".", color=WANG, ms=4, label="exposures at 5 Hz")
+        ax.set_ylabel("arcsec")
+        ax.set_title(noise, fontsize=9, loc="left")
+    axes[-1, 0].set_xlabel("s")
+    _legend(figure, axes[0, 0])
     figure.suptitle(
-        f"Error over the grid, {frames} frames; black dashed: bound; Wang: 7 strips (paper, Figs. 7 and 9)"
+        "Attitude of the remote-sensing camera (paper: Fig. 4, without printed values)", fontsize=10
     )
     return figure
 
 
+def plot_convergence(table: pd.DataFrame) -> Figure:
+    """Figs. 5 and 6: one run, the rms of many and the bound against the number of frames."""
+    cells = list(table.groupby(["sigma_s_px", "sigma_c_px"]))
+    figure, axes = _panels(len(cells), 3, 2.5)
+    for row, (_, cell) in enumerate(cells):
+        sigma_s, sigma_c = (float(cell[name].iloc[0]) for name in ("sigma_s_px", "sigma_c_px"))
+        for column, axis in enumerate(AXES):
+            part, ax = cell[cell["axis"] == axis], axes[row, column]
+            one, runs = np.abs(part["error_arcsec"]), part["runs"].iloc[0]
+            ax.plot(part["frames"], one, color=WANG, lw=0.8, label="one run, |error|")
+            ax.plot(part["frames"], part["rms_arcsec"], color=OURS, lw=2.0, label=f"rms of {runs} runs")
+            ax.plot(part["frames"], part["bound_arcsec"], label="Cramér-Rao bound", **BOUND)
+            if axis == "Z":
+                ax.plot([150.0], [FIGURES_5_6_Z_ARCSEC[sigma_s, sigma_c]], **PAPER)
+            ax.axvline(150.0, color=GREY, ls=":", lw=1.2, label="paper: X and Y have converged")
+            ax.plot([], [], label="paper: error of Z", **PAPER)
+            ax.set(xscale="log", yscale="log", title=f"{axis},  σs {sigma_s:g}, σc {sigma_c:g} px")
+            ax.set_ylim(part["bound_arcsec"].min() / 30, part["bound_arcsec"].max() * 3)
+        axes[row, 0].set_ylabel("error, arcsec")
+    for ax in axes[-1]:
+        ax.set_xlabel("frames")
+    _legend(figure, axes[0, 0])
+    figure.suptitle("Error against the number of frames (paper: Figs. 5 and 6)", fontsize=10)
+    return figure
+
+
+def plot_grid(table: pd.DataFrame) -> Figure:
+    """Figs. 7 and 9: rms over the grid at the least and the largest star noise, bounds, and the paper's
+    scatter.
+    """
+    ours = table[table["method"] == "information"]
+    frames = int(ours["frames"].max())
+    wang = table[table["method"] == "wang"]
+    series = (
+        (ours[ours["frames"] == frames], f"ours, {frames} frames", OURS, "o"),
+        (wang, "Wang's method, 7 strips", WANG, "s"),
+    )
+    figure, axes = _panels(1, 3, 3.6)
+    levels = sorted(ours["sigma_s_px"].unique())
+    for n, axis in enumerate(AXES):
+        ax = axes[0, n]
+        for part, name, colour, marker in series:
+            for sigma_s, fill in ((levels[0], "none"), (levels[-1], "full")):
+                a = _at(part, axis, sigma_s)
+                style: dict[str, Any] = {"color": colour, "marker": marker, "ms": 4, "fillstyle": fill}
+                ax.plot(a["sigma_c_px"], a["rms_arcsec"], lw=1.2, label=f"{name}, σs {sigma_s:.2f}", **style)
+                ax.plot(a["sigma_c_px"], a["bound_arcsec"], label="bound", **BOUND)
+        ax.axhline(
+            FIGURE_7_SIGMA_ARCSEC[n], color=INK, ls="-.", lw=1.6, label="paper, Fig. 7: scatter over its grid"
+        )
+        for (_, sigma_c), (values, _) in TABLE_4.items():
+            ax.plot([sigma_c], [abs(values[n])], label="paper's Wang (Table 4)", **PAPER)
+        ax.set(yscale="log", title=axis, xlabel="σc, px")
+    axes[0, 0].set_ylabel("rms error, arcsec")
+    _legend(figure, axes[0, 0])
+    figure.suptitle("Error over the grid of both cameras' noise (paper: Figs. 7 and 9)", fontsize=10)
+    return figure
+
+
 def plot_table4(table: pd.DataFrame) -> Figure:
-    """Table 4: ours and Wang's way, each beside the paper's figure."""
-    figure, axes = _panels(1, 3, 4.2, 3.6)
-    cells = list(TABLE_4)
-    place = np.arange(len(cells))
-    for column, axis in enumerate(AXES):
-        ax = axes[0, column]
-        for method, colour, shift in (("wang", WANG, -0.2), ("information", OURS, 0.2)):
+    """Table 4: three series of ours with their bounds, beside the paper's two."""
+    figure, axes = _panels(1, 3, 3.8)
+    at = np.arange(len(TABLE_4))
+    frames = int(table[table["method"] == "information"]["frames"].iloc[0])
+    methods = (
+        ("wang", -0.27, WANG, None, "Wang's method, 7 strips"),
+        ("strips", 0.0, "#9db9d8", "//", "ours, the same 7 strips"),
+        ("information", 0.27, OURS, None, f"ours, {frames} frames"),
+    )
+    for n, axis in enumerate(AXES):
+        ax = axes[0, n]
+        for method, shift, colour, hatch, label in methods:
             part = table[(table["method"] == method) & (table["axis"] == axis)]
-            label = "Wang's way" if method == "wang" else "ours"
-            ax.bar(place + shift, part["rms_arcsec"], 0.36, color=colour, label=f"{label}, rms")
-            ax.plot(
-                place + shift,
-                part["paper_arcsec"],
-                "_",
-                color=BOUND,
-                ms=14,
-                mew=2,
-                label="the paper's figure for it" if shift > 0 else None,
+            ax.bar(
+                at + shift,
+                part["rms_arcsec"],
+                0.25,
+                color=colour,
+                hatch=hatch,
+                edgecolor=INK,
+                lw=0.5,
+                label=label,
             )
-        ax.set_xticks(place, [f"{s:g}\n{c:g}" for s, c in cells])
+            ax.plot(at + shift, part["bound_arcsec"], "_", color="#ffffff", ms=8, mew=4)
+            ax.plot(at + shift, part["bound_arcsec"], "_", color=INK, ms=8, mew=1.5, label="bound")
+        for who, shift, marker in (("wang", -0.27, "x"), ("paper", 0.27, "D")):
+            values = [abs(row[who == "paper"][n]) for row in TABLE_4.values()]
+            label = "paper's Wang, one run" if who == "wang" else "paper, one run"
+            style: dict[str, Any] = PAPER | {"marker": marker, "ms": 5, "mfc": "#ffffff"}
+            ax.plot(at + shift, values, label=label, **style)
+        ax.set_xticks(at, [f"{s:g}\n{c:g}" for s, c in TABLE_4], fontsize=8)
         ax.set(yscale="log", title=axis, xlabel="σs, σc, px")
-    axes[0, 0].set_ylabel("error, arcsec")
-    axes[0, 2].legend(fontsize=7, loc="upper left", bbox_to_anchor=(1.0, 1.0))
-    figure.suptitle("Table 4: rms over runs (bars) and the paper's single draws (dashes)")
+    axes[0, 0].set_ylabel("error, arcsec (rms of runs)")
+    _legend(figure, axes[0, 0])
+    figure.suptitle("Table 4: ours and Wang's method, on equal data and as in the paper", fontsize=10)
     return figure
 
 
 def plot_table5(table: pd.DataFrame) -> Figure:
     """Table 5 and Fig. 10."""
-    figure, axes = _panels(1, 2, 4.6, 3.6)
+    figure, axes = _panels(1, 2, 3.6, sharey=True)
+    styles: dict[str, dict[str, Any]] = {
+        "wang": {"color": WANG, "marker": "s", "ms": 8, "mfc": "none", "lw": 3.0},
+        "information": {"color": OURS, "marker": "o", "ms": 3, "lw": 1.2},
+    }
     for ax, direction in zip(axes[0], ("along", "across")):
-        for method, colour, name in (("wang", WANG, "Wang's way"), ("information", OURS, "ours")):
+        for method, paper, marker in (("wang", "paper's Wang", "x"), ("information", "paper", "D")):
             part = table[(table["method"] == method) & (table["direction"] == direction)]
-            marker = (
-                {"marker": "s", "ms": 8, "mfc": "none", "lw": 3}
-                if method == "wang"
-                else {"marker": "o", "ms": 3}
-            )
-            ax.plot(part["sigma_s_px"], part["rms_m"], color=colour, label=name, **marker)
-            paper = "the paper's Wang" if method == "wang" else "the paper"
-            ax.plot(part["sigma_s_px"], part["paper_m"], color=colour, ls=":", marker="x", ms=4, label=paper)
+            name = "Wang's method" if method == "wang" else "ours"
+            ax.plot(part["sigma_s_px"], part["rms_m"], label=name, **styles[method])
+            style: dict[str, Any] = PAPER | {
+                "marker": marker,
+                "ms": 5,
+                "mfc": "#ffffff",
+                "ls": ":",
+                "lw": 0.8,
+            }
+            ax.plot(part["sigma_s_px"], part["paper_m"], label=paper, **style)
         ax.plot(
-            part["sigma_s_px"],
-            part["floor_m"],
-            color=BOUND,
-            ls="--",
-            lw=1,
-            label="floor: GPS, vibration, clock, distortion",
+            part["sigma_s_px"], part["floor_m"], label="floor: GPS, vibration, clock, distortion", **BOUND
         )
-        ax.set(title=f"{direction} track", xlabel="σs, px", ylim=(0, None))
+        ax.set(title=f"{direction} the track", xlabel="σs, px", ylim=(0, None))
     axes[0, 0].set_ylabel("rms at check points, m")
-    axes[0, 1].legend(fontsize=7, loc="upper left", bbox_to_anchor=(1.0, 1.0))
-    figure.suptitle("Table 5: geo-positioning with every error of Table 1")
+    _legend(figure, axes[0, 0])
+    figure.suptitle("Geo-positioning with every error of Table 1 (paper: Table 5 and Fig. 10)", fontsize=10)
     return figure
 
 
 def plot_figure8(table: pd.DataFrame) -> Figure:
-    """Fig. 8: what polynomials leave of the attitude's waves."""
+    """Fig. 8: residuals of polynomials fitted to the attitude's waves."""
     spans = sorted(table["span_s"].unique(), reverse=True)
-    figure, axes = _panels(len(spans), 3, 3.9, 2.6)
+    figure, axes = _panels(len(spans), 3, 2.5)
+    orders = ((3, WANG, "-"), (5, GREY, "--"), (7, OURS, "-"))
     for row, span in enumerate(spans):
         for column, axis in enumerate(("roll", "pitch", "yaw")):
             part, ax = table[(table["span_s"] == span) & (table["axis"] == axis)], axes[row, column]
-            one = part[part["order"] == part["order"].min()]
-            ax.plot(
-                one["t_s"],
-                one["wave_arcsec"] - one["wave_arcsec"].mean(),
-                color=PAPER,
-                lw=0.8,
-                label="attitude",
-            )
-            for order, colour in zip((3, 5, 7), (WANG, "#d9a441", OURS)):
+            one = part[part["order"] == 3]
+            wave = one["wave_arcsec"] - one["wave_arcsec"].mean()
+            ax.plot(one["t_s"], wave, color=INK, ls=":", lw=0.9, label="attitude")
+            rms = []
+            for order, colour, dash in orders:
                 fit = part[part["order"] == order]
-                rms = np.sqrt(np.mean(fit["residual_arcsec"] ** 2))
                 ax.plot(
                     fit["t_s"],
                     fit["residual_arcsec"],
+                    dash,
                     color=colour,
-                    lw=1.2,
-                    label=f"order {order}: {rms:.2g}″",
+                    lw=1.3,
+                    label=f"residual, order {order}",
                 )
-            ax.set(title=f"{axis}, {span:g} s", xlabel="s")
-            low, high = ax.get_ylim()
-            ax.set_ylim(low, high + 0.55 * (high - low))
-            ax.legend(fontsize=6.5, loc="upper center", ncols=2)
+                rms.append(f"{np.sqrt(np.mean(fit['residual_arcsec'] ** 2)):.2g}")
+            ax.set_title(f"{axis}, {span:g} s\nrms {', '.join(rms)}″", fontsize=8.5)
         axes[row, 0].set_ylabel("arcsec")
-    figure.suptitle("Residuals of polynomials fitted to the attitude (paper, Fig. 8)")
+    for ax in axes[-1]:
+        ax.set_xlabel("s")
+    _legend(figure, axes[0, 0])
+    figure.suptitle(
+        "Polynomials fitted to the attitude (paper: Fig. 8, no gain from order 5 to 7)", fontsize=10
+    )
+    return figure
+
+
+def plot_geometry(table: pd.DataFrame) -> Figure:
+    """Search for the geometry: best misfit over the direction of the star camera's axis, for three goals."""
+    goals = (
+        ("figure7", "Fig. 7 alone,\nany numbers"),
+        ("figure7-few", "Fig. 7 alone, 400 frames of\n60 stars, 20 targets at most"),
+        ("table4-few", "Table 4 alone, 400 frames of\n60 stars, 20 targets at most"),
+        ("both", "Fig. 7 and Table 4,\nany numbers"),
+    )
+    figure, axes = _panels(2, 2, 3.0, sharex=True, sharey=True)
+    for ax, (goal, title) in zip(axes.ravel(), goals):
+        part = table[table["goal"] == goal].pivot(
+            index="from_zenith_deg", columns="azimuth_deg", values="misfit"
+        )
+        x, y = part.columns.to_numpy(), part.index.to_numpy()
+        shown = ax.pcolormesh(
+            x, y, np.log10(part.to_numpy()), cmap="Greys", vmin=0.0, vmax=1.0, shading="nearest"
+        )
+        if part.to_numpy().min() <= 1.2:
+            ax.contour(x, y, part.to_numpy(), levels=[1.2], colors=[INK], linewidths=1.8)
+        ax.set_title(f"{title}: best {part.to_numpy().min():.2f}", fontsize=9)
+    for ax in axes[:, 0]:
+        ax.set_ylabel("from the zenith, deg")
+    for ax in axes[-1]:
+        ax.set_xlabel("azimuth (0: flight, 90: across), deg")
+    bar = figure.colorbar(shown, ax=axes, shrink=0.7)
+    bar.set_ticks(
+        [0.0, np.log10(1.2), np.log10(2.0), np.log10(5.0), 1.0], labels=["1", "1.2", "2", "5", "10"]
+    )
+    bar.set_label("largest ratio to the paper's X, Y, Z (line: 1.2)")
+    figure.suptitle("Direction of the star camera's axis that gives the paper's scatter", fontsize=10)
     return figure
 
 
 def plot_grid_pixels(table: pd.DataFrame) -> Figure:
-    """The grid from rendered images: rms of a few missions beside what they state of themselves."""
-    figure, axes = _panels(1, 3, 3.6, 3.2)
+    """The grid from rendered images: rms of a few missions beside their stated 1-sigma."""
+    figure, axes = _panels(1, 3, 3.2)
     for column, axis in enumerate(AXES):
         ax, part = axes[0, column], table[table["axis"] == axis]
         place = np.arange(len(part))
         ax.bar(
             place - 0.2, part["rms_arcsec"], 0.36, color=OURS, label=f"rms of {part['runs'].iloc[0]} missions"
         )
-        ax.bar(place + 0.2, part["bound_arcsec"], 0.36, color=PAPER, label="stated 1σ")
+        ax.bar(place + 0.2, part["bound_arcsec"], 0.36, color=GREY, label="stated 1σ")
         ax.set_xticks(place, [f"{s:.3f}\n{c:.2f}" for s, c in zip(part["sigma_s_px"], part["sigma_c_px"])])
         ax.set(yscale="log", title=axis, xlabel="σs, σc of the sightings, px")
     axes[0, 0].set_ylabel("arcsec")
-    axes[0, 2].legend(fontsize=7, loc="upper left", bbox_to_anchor=(1.0, 1.0))
+    _legend(figure, axes[0, 0])
     figure.suptitle("From pixels (mini scenario, every error of Table 1)")
     return figure
 
 
 def plot_table5_pixels(table: pd.DataFrame) -> Figure:
     """Geo-positioning from rendered images."""
-    figure, axes = _panels(1, 1, 5.0, 3.4)
+    figure, axes = _panels(1, 1, 3.4)
     ax = axes[0, 0]
     for direction, colour, shift in (("along", OURS, -0.2), ("across", WANG, 0.2)):
         part = table[table["direction"] == direction]
@@ -211,51 +270,61 @@ def plot_table5_pixels(table: pd.DataFrame) -> Figure:
         ax.bar(place + shift, part["rms_m"], 0.36, color=colour, label=f"{direction} track")
         ax.set_xticks(place, [f"{s:.3f}\n{c:.2f}" for s, c in zip(part["sigma_s_px"], part["sigma_c_px"])])
     ax.set(xlabel="σs, σc of the sightings, px", ylabel="rms at check points, m")
-    ax.legend(fontsize=7)
+    _legend(figure, ax)
     ax.set_title("Geo-positioning from pixels (mini scenario)", fontsize=10)
     return figure
 
 
 def plot_forecast(table: pd.DataFrame, target_arcsec: float | None) -> Figure:
     """1-sigma of a plan against the number of strips."""
-    figure, axes = _panels(1, 1, 6.0, 4.2)
+    figure, axes = _panels(1, 1, 4.2)
     ax = axes[0, 0]
-    for axis, colour in zip(AXES, (OURS, "#d9a441", WANG)):
+    for axis, colour in zip(AXES, (OURS, GREY, WANG)):
         part = table[table["axis"] == axis]
         ax.plot(part["strips"], part["sigma_arcsec"], color=colour, lw=1.8, label=axis)
         floor = part["floor_arcsec"].iloc[0]
         if floor > 0.0:
             ax.axhline(floor, color=colour, ls=":", lw=1)
     if target_arcsec is not None:
-        ax.axhline(target_arcsec, color=BOUND, ls="--", lw=1, label=f"target {target_arcsec:g}″")
+        ax.axhline(target_arcsec, label=f"target {target_arcsec:g}″", **BOUND)
     ax.set(xscale="log", yscale="log", xlabel="strips", ylabel="predicted 1σ of θ, arcsec")
     ax.legend()
-    ax.set_title("What the plan will reach (dotted: what no number of strips falls below)")
+    ax.set_title("Forecast of the plan (dotted: limit for any number of strips)")
     return figure
 
 
 PLOTS: dict[str, Callable[[pd.DataFrame], Figure]] = {
+    "figure4": plot_figure4,
     "convergence": plot_convergence,
     "grid": plot_grid,
+    "figure8": plot_figure8,
     "table4": plot_table4,
     "table5": plot_table5,
-    "figure8": plot_figure8,
+    "geometry": plot_geometry,
     "grid-pixels": plot_grid_pixels,
     "table5-pixels": plot_table5_pixels,
 }
 
 
-def _panels(rows: int, columns: int, width: float, height: float) -> tuple[Figure, np.ndarray]:
-    figure = Figure(figsize=(width * columns, height * rows), layout="constrained")
-    axes: np.ndarray = figure.subplots(rows, columns, squeeze=False)
+def _panels(
+    rows: int, columns: int, height: float, *, sharex: bool = False, sharey: bool = False
+) -> tuple[Figure, np.ndarray]:
+    figure = Figure(figsize=(WIDTH_IN, height * rows + 0.6), layout="constrained")
+    axes: np.ndarray = figure.subplots(rows, columns, squeeze=False, sharex=sharex, sharey=sharey)
     for ax in axes.ravel():
-        _quiet(ax)
+        ax.grid(True, which="major", color="#dddddd", lw=0.6)
+        ax.spines[["top", "right"]].set_visible(False)
+        ax.set_axisbelow(True)
     return figure, axes
 
 
-def _quiet(ax: Axes) -> None:
-    ax.grid(True, which="major", color="#dddddd", lw=0.6)
-    ax.spines[["top", "right"]].set_visible(False)
+def _legend(figure: Figure, ax: Axes) -> None:
+    """One legend below all panels, each label once."""
+    entries = dict(zip(*reversed(ax.get_legend_handles_labels())))
+    columns = min(len(entries), 3)
+    figure.legend(
+        list(entries.values()), list(entries), loc="outside lower center", ncols=columns, fontsize=8
+    )
 
 
 def _at(table: pd.DataFrame, axis: str, sigma_s: float) -> pd.DataFrame:

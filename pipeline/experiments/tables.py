@@ -1,7 +1,7 @@
-"""`boresight experiment NAME`: a simulation of the paper run from scratch, as a CSV in long form and a plot.
+"""`boresight experiment NAME`: a simulation of the paper from scratch, as long-form CSV, plot and text
+record.
 
-The simulations are `boresight.pipeline.experiments.vectors`; here they get real stars where the paper had
-them, a file and a figure.
+The simulations are in `vectors`, `geometry_search` and `pixels`; stars of Table 4 are those of Hipparcos.
 """
 
 from __future__ import annotations
@@ -11,14 +11,18 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from boresight.geometry.record import Floats
+from boresight.pipeline.experiments.comparison import COMPARISONS
+from boresight.pipeline.experiments.geometry_search import geometry_map
 from boresight.pipeline.experiments.pixels import PixelSettings, grid_from_pixels, table5_from_pixels
 from boresight.pipeline.experiments.plots import PLOTS
+from boresight.pipeline.experiments.provenance import record_head
 from boresight.pipeline.experiments.vectors import (
     ExperimentSettings,
     convergence,
+    figure4,
     figure8,
     grid,
     table4,
@@ -36,37 +40,45 @@ __all__ = [
     "run_from_pixels",
 ]
 
-Array = NDArray[np.float64]
 Progress = Callable[[int, int], None]
 
-FAINTEST_V = 6.5  # about 55 stars in the field, as many as the paper's spread asks for (docs/estimation.md)
+FAINTEST_V = 6.5  # about 55 stars in the field (docs/paper.md)
 
-EXPERIMENTS = ("convergence", "grid", "table4", "table5", "figure8")
+EXPERIMENTS = ("figure4", "convergence", "grid", "figure8", "table4", "table5", "geometry")
 FROM_PIXELS = ("grid", "table5")
 
 
 def run_experiment(
     name: str, out: Path, settings: ExperimentSettings, progress: Progress | None = None
 ) -> tuple[pd.DataFrame, list[Path]]:
-    """Run one experiment; its table, and the files written: `NAME.csv` and `NAME.png` in `out`."""
-    return _written(name, experiment_table(name, settings, progress), out)
+    """Run one of `EXPERIMENTS`; its table, and the files written: `NAME.csv`, `NAME.png` and `NAME.txt` in
+    `out`.
+
+    The text holds the paper's values beside ours, and commit, date, machine, versions and command.
+    """
+    table = experiment_table(name, settings, progress)
+    written = _written(name, table, out)
+    record = out / f"{name}.txt"
+    lines = [*record_head(name), *COMPARISONS[name](table)]
+    record.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return table, [*written, record]
 
 
 def run_from_pixels(
     name: str, out: Path, settings: PixelSettings, progress: Progress | None = None
 ) -> tuple[pd.DataFrame, list[Path]]:
-    """One of `FROM_PIXELS` through rendered images: `NAME-pixels.csv` and `NAME-pixels.png` in `out`."""
+    """Run one of `FROM_PIXELS` through rendered images; writes `NAME-pixels.csv` and `NAME-pixels.png`."""
     table = {"grid": grid_from_pixels, "table5": table5_from_pixels}[name](settings, progress)
-    return _written(f"{name}-pixels", table, out)
+    return table, _written(f"{name}-pixels", table, out)
 
 
-def _written(name: str, table: pd.DataFrame, out: Path) -> tuple[pd.DataFrame, list[Path]]:
+def _written(name: str, table: pd.DataFrame, out: Path) -> list[Path]:
     out.mkdir(parents=True, exist_ok=True)
     written = [out / f"{name}.csv", out / f"{name}.png"]
     table.to_csv(written[0], index=False, float_format="%.6g")
     figure = PLOTS[name](table)
-    figure.savefig(written[1], dpi=110, bbox_inches="tight")
-    return table, written
+    figure.savefig(written[1], dpi=160)
+    return written
 
 
 def experiment_table(
@@ -75,14 +87,14 @@ def experiment_table(
     """The long-form table of one of `EXPERIMENTS`; `KeyError` for another name."""
     if name == "table4":
         return table4(settings, hipparcos_fields(settings.cameras, 400, settings.seed), progress)
-    if name == "grid":
-        return grid(settings, progress)
-    if name == "table5":
-        return table5(settings, progress)
-    return {"convergence": convergence, "figure8": figure8}[name](settings)
+    if name in ("grid", "table5"):
+        return {"grid": grid, "table5": table5}[name](settings, progress)
+    if name == "geometry":
+        return geometry_map(settings.cameras)
+    return {"convergence": convergence, "figure4": figure4, "figure8": figure8}[name](settings)
 
 
-def hipparcos_fields(cameras: CameraPair, fields: int, seed: int) -> list[Array]:
+def hipparcos_fields(cameras: CameraPair, fields: int, seed: int) -> list[Floats]:
     """Directions (n, 3) in frame s of the Hipparcos stars in the star camera's field, pointed at random."""
     stars = hipparcos_stars(FAINTEST_V)
     places = stars.places.take(stars.usable_for_calibration)

@@ -40,7 +40,14 @@ class SpiceFrames:
 def frame_kernel(R_cs: Rotation, comment: str, frames: SpiceFrames) -> str:
     """Text of the kernel; `comment` (any number of lines) becomes its heading."""
     star, remote = frames.star_camera_id, frames.remote_camera_id
-    lines = ["KPL/FK", "", *(one_line(line).rstrip() for line in comment.splitlines()), "", "\\begindata", ""]
+    lines = [
+        "KPL/FK",
+        "",
+        *(one_line(line).replace("\\begin", "begin").rstrip() for line in comment.splitlines()),
+        "",
+        "\\begindata",
+        "",
+    ]
     if frames.define_star_camera:
         lines += [
             f"FRAME_{frames.star_camera_name} = {star}",

@@ -1,4 +1,4 @@
-"""Wang's way: right without noise, worse than ours with it."""
+"""Wang's method: exact without noise, less accurate than `calibrate` with it."""
 
 from dataclasses import replace
 
@@ -8,7 +8,8 @@ from scipy.spatial.transform import Rotation
 
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.installation import deviation_from_theta, theta_between
-from boresight.pipeline.experiments.vectors import NO_NUISANCES, run_strips
+from boresight.pipeline.experiments.comparison import compare_grid
+from boresight.pipeline.experiments.vectors import NO_NUISANCES, ExperimentSettings, grid, run_strips
 from boresight.pipeline.experiments.wang import polynomial_residuals, wang_calibrate
 from boresight.simulator.campaign import CameraPair, StripPlan, draw_strips
 
@@ -53,9 +54,35 @@ def test_polynomials_take_out_polynomials_and_nothing_else():
     assert np.std(polynomial_residuals(t, wave, 7)) > 0.6  # of 0.71: six waves are beyond order 7
 
 
-def test_wang_s_way_needs_two_exposures():
+def test_wang_s_method_needs_two_exposures():
     strips, _ = draw_strips(
         replace(StripPlan(strips=1, targets=20), exposures=1), CAMERAS, np.random.default_rng(3)
     )
     with pytest.raises(ValueError, match="none of 1 strips"):
         wang_calibrate(strips, R_CS0)
+
+
+def test_the_result_is_the_mean_over_all_strips_not_the_first_one():
+    strips, _ = draw_strips(StripPlan(strips=4, targets=20), CAMERAS, np.random.default_rng(6))
+    found = wang_calibrate(strips, R_CS0)
+    assert (found.R_cs * found.R_cs_strips.mean().inv()).magnitude() < 1e-12
+    assert (
+        found.R_cs * found.R_cs_strips[0].inv()
+    ).magnitude() > 0.05 * ARCSEC  # strips scatter by arcseconds
+    alone = wang_calibrate(strips[2:3], R_CS0).R_cs
+    assert (found.R_cs_strips[2] * alone.inv()).magnitude() < 1e-12
+
+
+def test_the_grid_has_the_paper_s_scatter_and_a_bound_in_every_row():
+    settings = ExperimentSettings(
+        runs=10, wang_runs=2, frames=(20,), grid_sigma_s_px=(0.06,), grid_sigma_c_px=(0.3, 0.5)
+    )
+    table = grid(settings)
+    assert not table.isna().any().any()
+    ours = table[table["method"] == "information"]
+    assert ours["paper_arcsec"].tolist() == [0.0159, 0.0105, 0.0927] * 2  # Fig. 7, text below it
+    wang, strips = (table[table["method"] == name].reset_index() for name in ("wang", "strips"))
+    assert wang["bound_arcsec"].tolist() == strips["bound_arcsec"].tolist()  # the same strips
+    text = "\n".join(compare_grid(table))
+    assert "21.7 standard errors" not in text  # 60 cells; here there are two
+    assert "0.0927" in text and "-0.2602" in text

@@ -43,13 +43,17 @@ def test_an_unknown_key_of_a_plan_is_refused_by_name(tmp_path: Path):
         read_plan(path)
 
 
-@pytest.mark.parametrize("name", ["convergence", "figure8", "table4"])
-def test_an_experiment_leaves_a_table_and_a_plot(tmp_path: Path, name: str):
+@pytest.mark.parametrize("name", ["convergence", "figure4", "figure8", "table4"])
+def test_an_experiment_leaves_a_table_a_plot_and_a_record(tmp_path: Path, name: str):
     settings = ExperimentSettings(runs=2, wang_runs=2, frames=(5, 20), table4_frames=20)
     table, written = run_experiment(name, tmp_path, settings)
-    assert [path.name for path in written] == [f"{name}.csv", f"{name}.png"]
+    assert [path.name for path in written] == [f"{name}.csv", f"{name}.png", f"{name}.txt"]
     assert len(pd.read_csv(written[0])) == len(table)
     assert written[1].stat().st_size > 10_000
+    record = written[2].read_text(encoding="utf-8")
+    assert all(f"\n{word} " in record for word in ("commit", "date", "machine", "versions", "command"))
+    assert "paper" in record
+    assert not table.isna().any().any()
 
 
 def test_stars_of_a_field_are_the_skys():

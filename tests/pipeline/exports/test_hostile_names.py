@@ -1,0 +1,68 @@
+"""Names with control characters, newlines or other scripts: no export fails, no message gains a line."""
+
+import io
+
+import numpy as np
+import pytest
+from astropy.io import fits
+from scipy.spatial.transform import Rotation
+
+from boresight.geometry.epoch import Epoch
+from boresight.geometry.geoid import egm96
+from boresight.geometry.sightings import StarSightings, isotropic_covariance
+from boresight.pipeline.exports.ccsds_aem import AemHeader, attitude_message
+from boresight.pipeline.exports.gcp_envi import points_envi
+from boresight.pipeline.exports.ground_points import GroundPoints
+from boresight.pipeline.exports.spice_frame import SpiceFrames, frame_kernel
+from boresight.pipeline.exports.star_fits import centroids_fits
+
+HOSTILE = ["a\nMETA_STOP\nb", "\x1b[31mred\x07", "tab\tnul\x00", "\u2028line \u202ertl", "卫星", "x" * 500]
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_fits_of_a_hostile_mission_is_read_back(name):
+    u = np.tile([[0.0, 0.0, 1.0]], (2, 1))
+    star = StarSightings(
+        exposure_id=name,
+        t_s=1.0,
+        hip=np.array([1, 2]),
+        xy_px=np.zeros((2, 2)),
+        u_s=u,
+        u_i=u,
+        cov_s=isotropic_covariance(u, 1e-6),
+    )
+    raw = centroids_fits([star], Epoch.from_utc("2025-03-20T02:31:07Z"), name)
+    with fits.open(io.BytesIO(raw)) as file:
+        file.verify("exception")
+        assert file[1].header["MISSION"].isprintable()
+        assert len(file[1].data) == 2
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_an_attitude_message_keeps_its_lines(name):
+    def lines(text):
+        header = AemHeader(creation_utc="2025-03-21T00:00:00", object_name=text)
+        utc = ["2025-03-20T02:31:00", "2025-03-20T02:31:01"]
+        return attitude_message(header, [text], utc, Rotation.identity(2)).splitlines()
+
+    assert len(lines(name)) == len(lines("TESTSAT"))
+    assert lines(name).count("META_STOP") == 1
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_other_texts_keep_their_lines(name):
+    points = GroundPoints(
+        strip_id="S",
+        ccd=0,
+        image=name,
+        target_id=("T",),
+        lat_deg=np.array([46.0]),
+        lon_deg=np.array([102.0]),
+        height_m=np.array([10.0]),
+        xy_px=np.zeros((1, 2)),
+        sigma_px=np.ones((1, 2)),
+        used=np.array([True]),
+    )
+    assert len(points_envi(points, egm96()).splitlines()) == 6
+    kernel = frame_kernel(Rotation.identity(), f"{name}\n\\begindata", SpiceFrames())
+    assert kernel.count("\n\\begindata\n") == 1
