@@ -14,13 +14,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from boresight.geometry.star_camera import StarCamera
-from boresight.star_id.camera_fit import (
-    DRIFT,
-    PARAMETERS,
-    IdentifiedStars,
-    fit_camera,
-    visible_derivatives,
-)
+from boresight.star_id.camera_fit import DRIFT, PARAMETERS, IdentifiedStars, fit_camera, visible_derivatives
 from boresight.star_id.field import FieldSolution, solve_stars
 from boresight.star_id.finding.star_list import StarList
 from boresight.star_id.identification.identify import NotIdentified

@@ -56,13 +56,7 @@ class CentroidScore:
 
 
 def cramer_rao_px(
-    xy_px: Array,
-    flux_dn: Array,
-    noise_dn: Array,
-    psf: Psf,
-    gain_e_per_dn: float,
-    *,
-    full_dn: float = np.inf,
+    xy_px: Array, flux_dn: Array, noise_dn: Array, psf: Psf, gain_e_per_dn: float, *, full_dn: float = np.inf
 ) -> Array:
     """(N,) smallest possible rms error along one axis (mean of both), and so the bound's pixel phase is the
     true one.

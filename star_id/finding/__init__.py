@@ -1,1 +1,2 @@
-"""From a raw image to its stars: where they are, how bright, how well placed."""
+"""Stars of a raw image: detection, width of the PSF, centroids with covariances. `star_list.find_stars` runs
+it."""

@@ -1,59 +1,58 @@
-"""Level and noise of the sky, block by block: what an image would show without stars.
+"""Sky background of an image: level and noise by blocks.
 
-A sparse sample of each block gives a histogram; its mean and standard deviation within three sigmas, repeated
-until nothing changes, are the block's level and noise (DN). Between block centres both are interpolated
-linearly and beyond the outermost ones continued, so gradients of stray light and vignetting leave no step.
+A sparse sample of each block gives a histogram; its sigma-clipped mean and standard deviation (three sigmas,
+iterated) are the block's level and noise, DN. Between block centres both are interpolated linearly and beyond
+the outermost ones extrapolated, so gradients of stray light and vignetting leave no step.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from itertools import pairwise
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from boresight.geometry.record import Floats, array, record, scalar
+
 __all__ = ["Background", "estimate_background"]
 
-Array = NDArray[np.float64]
 
 _SAMPLES_ACROSS_BLOCK = 64  # 4096 values a block: the level is known to 1/50 of a sigma
 _CLIP_SIGMA = 3.0
 _CLIPPED_VARIANCE = 0.973337  # variance of a unit normal within 3 sigma of its mean
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record
 class Background:
-    """Sky level and noise on a grid of blocks that divides the image evenly."""
+    """Sky level and noise on a grid of R x C blocks that divides the image evenly."""
 
-    level_dn: Array  # (rows of blocks, columns of blocks)
-    noise_dn: Array  # (rows of blocks, columns of blocks), standard deviation of a pixel
-    width_px: int
-    height_px: int
+    level_dn: Floats = array("R, C", "mean of the sky, DN")
+    noise_dn: Floats = array("R, C", "standard deviation of a pixel, DN")
+    width_px: int = scalar("columns of the image")
+    height_px: int = scalar("rows of the image")
 
-    def at(self, xy_px: Array) -> tuple[Array, Array]:
-        """Level and noise (N,), (N,) at points (N, 2), interpolated between block centres."""
+    def at(self, xy_px: Floats) -> tuple[Floats, Floats]:
+        """Level and noise (N,), (N,) in DN at pixels (N, 2), interpolated between block centres."""
         rows, columns = self.level_dn.shape
         x = np.clip((xy_px[:, 0] + 0.5) * (columns / self.width_px) + 0.5, 0.0, columns + 1.0)
         y = np.clip((xy_px[:, 1] + 0.5) * (rows / self.height_px) + 0.5, 0.0, rows + 1.0)
         i, j = np.minimum(y.astype(int), rows), np.minimum(x.astype(int), columns)
         corner, a, b = i * (columns + 2) + j, y - i, x - j
-        shares = ((1 - a) * (1 - b), (1 - a) * b, a * (1 - b), a * b)
+        weights = ((1 - a) * (1 - b), (1 - a) * b, a * (1 - b), a * b)
         steps = (0, 1, columns + 2, columns + 3)
         grids = extended(self.level_dn).ravel(), extended(self.noise_dn, continued=False).ravel()
-        level, noise = (sum(grid[corner + k] * share for k, share in zip(steps, shares)) for grid in grids)
+        level, noise = (sum(grid[corner + k] * w for k, w in zip(steps, weights)) for grid in grids)
         return level, noise
 
 
 def estimate_background(image: NDArray) -> Background:
-    """Background of a raw image (H, W) of any integer or floating type; stars may cover a third of a
-    block."""
+    """Background of a raw image (H, W), integer or floating; stars may cover a third of a block."""
     height, width = image.shape
     side = float(np.clip(min(height, width) / 7.0, 48.0, 512.0))
     rows, columns = max(1, round(height / side)), max(1, round(width / side))
     step = max(1, int(min(height / rows, width / columns) // _SAMPLES_ACROSS_BLOCK))
-    step_x, step_y = (step // 2, 2 * step) if step >= 4 else (step, step)  # memory comes in lines of pixels
+    step_x, step_y = (step // 2, 2 * step) if step >= 4 else (step, step)  # whole cache lines are read
     sample = np.ascontiguousarray(image[step_y // 2 :: step_y, step_x // 2 :: step_x])
     if sample.dtype not in (np.uint8, np.uint16, np.float32):
         sample = sample.astype(np.float32)
@@ -79,9 +78,9 @@ def estimate_background(image: NDArray) -> Background:
     )
 
 
-def extended(grid: Array, *, continued: bool = True) -> Array:
-    """The grid with one more ring of blocks: continued linearly, or repeated (noise must not turn
-    negative)."""
+def extended(grid: Floats, *, continued: bool = True) -> Floats:
+    """Grid (R + 2, C + 2) with a ring of blocks added: extrapolated linearly if `continued`, else repeated
+    (noise must not become negative)."""
     padded = np.empty((grid.shape[0] + 2, grid.shape[1] + 2))
     padded[1:-1, 1:-1] = grid
     padded[0, 1:-1], padded[-1, 1:-1] = grid[0], grid[-1]
@@ -106,13 +105,13 @@ def _histogram_range(sample: NDArray) -> tuple[float, float, int]:
     return low, max(high, np.nextafter(low, np.inf)), bins
 
 
-def _clipped_moments(counts: Array, value: Array, width: float) -> tuple[Array, Array]:
-    """Mean and standard deviation within three sigmas of it, per row of `counts`; bins are cut where they
-    lie."""
+def _clipped_moments(counts: Floats, value: Floats, width: float) -> tuple[Floats, Floats]:
+    """Sigma-clipped mean and standard deviation (B,), (B,) of histograms (B, bins); bins at the limits count
+    in part."""
     total = np.cumsum(counts, axis=1)
     n = np.maximum(total[:, -1:], 1.0)
 
-    def quantile(q: float) -> Array:
+    def quantile(q: float) -> Floats:
         k = np.minimum((total < q * n).sum(axis=1), len(value) - 1)
         inside = np.maximum(np.take_along_axis(counts, k[:, None], 1)[:, 0], 1e-9)
         before = np.take_along_axis(total, k[:, None], 1)[:, 0] - inside
@@ -135,15 +134,14 @@ def _clipped_moments(counts: Array, value: Array, width: float) -> tuple[Array, 
     return level, sigma
 
 
-def _bins_within(value: Array, level: Array, reach: Array) -> slice:
-    """The bins that lie within `reach` of the level of some block."""
+def _bins_within(value: Floats, level: Floats, reach: Floats) -> slice:
+    """The bins within `reach` of the level of any block."""
     low, high = np.searchsorted(value, [(level - reach).min(), (level + reach).max()])
     return slice(max(int(low) - 1, 0), int(high) + 1)
 
 
-def _without_outliers(grid: Array) -> Array:
-    """Blocks covered by a bloom or the Moon take the median of their neighbours; all others keep their
-    value."""
+def _without_outliers(grid: Floats) -> Floats:
+    """The grid with outlying blocks (a bloom, the Moon) replaced by the median of their neighbours."""
     if min(grid.shape) < 3:
         return grid
     median = cv2.medianBlur(extended(grid).astype(np.float32), 3).astype(float)[1:-1, 1:-1]

@@ -1,155 +1,161 @@
-"""Places of stars to a hundredth of a pixel: a maximum-likelihood fit of the PSF, each with its covariance.
+"""Centroids of stars to a hundredth of a pixel, with covariances: maximum-likelihood fit of the PSF.
 
 All stars of an image are fitted at once, each in its own window, by Gauss-Newton steps on column, row, flux
-and local sky. A pixel's variance is the sky's own plus the photon noise of the fitted star; the covariance is
-the inverse of the Fisher information (Winick 1986 for the bound). Saturated pixels carry no weight. Where the
-residuals are larger than noise allows - a lens is not a Gaussian - the covariance grows with them.
+and local background. The variance of a pixel is the background's plus the photon noise of the fitted star;
+the covariance is the inverse of the Fisher information (Winick 1986 for the bound). Saturated pixels have no
+weight. Where the residuals exceed the noise, because the PSF is not a Gaussian, the covariance is scaled by
+chi2 / dof.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from boresight.geometry.record import Bools, Floats, Ints, array, record
 from boresight.star_id.finding.background import Background
 from boresight.star_id.finding.psf import Psf, PsfImages, psf_images
 from boresight.star_id.finding.window_fit import newton_step, start_state
 from boresight.star_id.finding.windows import StarWindows, star_windows
 
-__all__ = ["StarFits", "faint_star_inflation", "fit_stars"]
+__all__ = ["StarFits", "covariance_inflation", "fit_stars"]
 
-Array = NDArray[np.float64]
 
-_SMALL_STEP = 0.1  # of the standard error: the steps after one so small add less than a twentieth of it
+_SMALL_STEP = 0.1  # of the standard error: steps after one so small add less than a twentieth of it
 _STEPS = 2  # for all stars
-_MORE_STEPS = 5  # for those still on their way
+_MORE_STEPS = 5  # for those not yet converged
 _LARGEST_STEP_PX = 0.8
-_GOOD_SHARE = 0.75  # of a window's pixels; where more are full, light is found further out
+_UNSATURATED = 0.75  # fraction of a window's pixels; with fewer, the window is enlarged
 _SATURATED_WINDOW_SIGMA = 9.0
-_WINDOW_SIGMA = 3.0  # and half a pixel or more: 99 % of the information even on a photon-limited star
+_WINDOW_SIGMA = 3.0  # plus half a pixel or more: 99 % of the information even on a photon-limited star
+_MISFIT_SIGMA = 3.5  # chi2 beyond which the covariance is scaled by chi2 / dof
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record(kw_only=True)
 class StarFits:
-    """One row a star, in the order of the places that were handed over."""
+    """Fitted stars, in the order of the pixels handed over. Row n of every array is the same star."""
 
-    xy_px: Array  # (N, 2)
-    cov_px: Array  # (N, 2, 2) px^2
-    flux_dn: Array  # (N,)
-    flux_sigma_dn: Array  # (N,)
-    chi2: Array  # (N,) of the window's pixels
-    dof: Array  # (N,)
-    saturated: NDArray[np.bool_]  # (N,) some pixel of the window is at the top of the range
-    converged: NDArray[
-        np.bool_
-    ]  # (N,) the last step was small, the star within two pixels of where it was seen
+    xy_px: Floats = array("N, 2", "centroids as (column, row)")
+    cov_px: Floats = array("N, 2, 2", "covariances of the centroids, px^2")
+    flux_dn: Floats = array("N", "total above the background, DN")
+    flux_sigma_dn: Floats = array("N", "standard error of the flux by background noise alone, DN")
+    chi2: Floats = array("N", "of the window's pixels")
+    dof: Floats = array("N", "degrees of freedom of chi2")
+    saturated: Bools = array("N", "whether some pixel of the window is saturated")
+    converged: Bools = array("N", "whether the last step was small and the star is near its pixel")
 
     @property
-    def snr(self) -> Array:
-        """(N,) flux over its own standard error against the sky alone."""
+    def snr(self) -> Floats:
+        """(N,) flux over its standard error by background noise alone."""
         return self.flux_dn / self.flux_sigma_dn
 
     def take(self, index: NDArray) -> StarFits:
-        return StarFits(*(getattr(self, name)[index] for name in self.__slots__))
+        """The fits `index`."""
+        return StarFits(**{name: getattr(self, name)[index] for name in _COLUMNS})
 
-    def with_rows(self, index: NDArray[np.int64], rows: StarFits) -> StarFits:
-        """The same fits, those at `index` replaced by `rows`."""
-        arrays = {name: getattr(self, name).copy() for name in self.__slots__}
-        for name, array in arrays.items():
-            array[index] = getattr(rows, name)
-        return StarFits(**arrays)
+    def with_rows(self, index: Ints, rows: StarFits) -> StarFits:
+        """The fits with those at `index` replaced by `rows`."""
+        columns = {name: getattr(self, name).copy() for name in _COLUMNS}
+        for name, values in columns.items():
+            values[index] = getattr(rows, name)
+        return StarFits(**columns)
+
+
+_COLUMNS = tuple(field.name for field in fields(StarFits))
 
 
 def fit_stars(
     image: NDArray,
-    places: NDArray[np.int64],
-    offset: Array,
+    pixels: Ints,
+    offset: Floats,
     background: Background,
     psf: Psf,
     *,
     gain_e_per_dn: float,
     saturation_dn: float,
 ) -> StarFits:
-    """Fits stars near `places` + `offset` (N, 2), whole pixels and what to add to them to begin with.
+    """Fits of stars near `pixels` + `offset` (N, 2), whole pixels and starting offsets, as (column, row).
 
-    `gain_e_per_dn` may be infinite: no photon noise.
+    `gain_e_per_dn` may be infinite (no photon noise). Pixels of `saturation_dn` and above have no weight.
     """
-    n = len(places)
-    if n == 0:
+    if len(pixels) == 0:
         return _no_fits()
     smear = 0.5 * float(np.hypot(*psf.smear_px))
-    sigma = psf.sigma_at(places.astype(float))
+    sigma = psf.sigma_at(pixels.astype(float))
     radius = max(3, int(np.ceil(_WINDOW_SIGMA * sigma.mean() + smear)))
-    windows = star_windows(image, places, background, radius, saturation_dn)
-    full = windows.saturated & (windows.good.mean(axis=1) < _GOOD_SHARE)
+    windows = star_windows(image, pixels, background, radius, saturation_dn)
+    full = windows.saturated & (windows.good.mean(axis=1) < _UNSATURATED)
     if not full.any():
-        return _fit(windows, places, offset, sigma, psf, gain_e_per_dn)
+        return _fit(windows, pixels, offset, sigma, psf, gain_e_per_dn)
     large = int(np.ceil(_SATURATED_WINDOW_SIGMA * sigma.mean() + smear))
-    wide = star_windows(image, places[full], background, large, saturation_dn)
+    wide = star_windows(image, pixels[full], background, large, saturation_dn)
     parts = [
-        _fit(windows.take(~full), places[~full], offset[~full], sigma[~full], psf, gain_e_per_dn),
-        _fit(wide, places[full], offset[full], sigma[full], psf, gain_e_per_dn),
+        _fit(windows.take(~full), pixels[~full], offset[~full], sigma[~full], psf, gain_e_per_dn),
+        _fit(wide, pixels[full], offset[full], sigma[full], psf, gain_e_per_dn),
     ]
     order = np.argsort(np.concatenate([np.flatnonzero(~full), np.flatnonzero(full)]))
-    joined = [np.concatenate([getattr(fit, name) for fit in parts]) for name in StarFits.__slots__]
-    return StarFits(*joined).take(order)
+    joined = {name: np.concatenate([getattr(fit, name) for fit in parts]) for name in _COLUMNS}
+    return StarFits(**joined).take(order)
 
 
-def faint_star_inflation(snr: Array) -> Array:
-    """(N,) scatter of faint stars' places over the linear covariance at the flux that was measured.
+def covariance_inflation(chi2: Floats, dof: Floats, snr: Floats) -> Floats:
+    """Factors (N,) by which the covariances of centroids exceed the linearised ones of the noise.
 
-    1 + 3 / SNR^2 is what curvature adds to a fit of noise. Near the threshold stars are seen when noise makes
-    them brighter than they are, so that their covariance comes out too small; 230 / SNR^4 is what rendered
-    skies show between SNR 5 and 8.
+    The first is chi2 / dof if the misfit is significant. The second is for faint stars: 1 + 3 / SNR^2 is the
+    effect of curvature on a fit of noise. Near the threshold stars are detected when noise makes them
+    brighter than they are, so that their covariance is too small; 230 / SNR^4 is found on rendered skies
+    between SNR 5 and 8.
     """
-    return np.asarray(1.0 + 3.0 / snr**2 + 230.0 / snr**4)
+    ratio = chi2 / dof
+    misfit = np.where(ratio > 1.0 + _MISFIT_SIGMA * np.sqrt(2.0 / dof), ratio, 1.0)
+    return np.asarray(misfit * (1.0 + 3.0 / snr**2 + 230.0 / snr**4))
 
 
-def _fit(
-    windows: StarWindows, places: NDArray[np.int64], start: Array, sigma: Array, psf: Psf, gain: float
-) -> StarFits:
-    if len(places) == 0:
+def _fit(windows: StarWindows, pixels: Ints, start: Floats, sigma: Floats, psf: Psf, gain: float) -> StarFits:
+    if len(pixels) == 0:
         return _no_fits()
-    offset = windows.offsets(places + start)
+    offset = windows.offsets(pixels + start)
     images = psf_images(offset, sigma, psf.smear_px, windows.radius)
     state = start_state(windows, offset, images)
     fit = _iterate(windows, state, images, sigma, psf, gain, steps=_STEPS)
-    sound = _without_outliers(fit)
-    slow = np.flatnonzero((fit.last > _SMALL_STEP) | (sound != fit.good).any(axis=1))
+    good = _without_outliers(fit)
+    slow = np.flatnonzero((fit.last > _SMALL_STEP) | (good != fit.good).any(axis=1))
     if len(slow):
-        rest = replace(windows.take(slow), good=sound[slow])
+        rest = replace(windows.take(slow), good=good[slow])
         images = psf_images(fit.state[slow, :2], sigma[slow], psf.smear_px, windows.radius)
         more = _iterate(rest, fit.state[slow], images, sigma[slow], psf, gain, steps=_MORE_STEPS)
         for name in _Fit.__slots__:
             getattr(fit, name)[slow] = getattr(more, name)
-    return _stars_of(fit, windows, places)
+    return _stars_of(fit, windows, pixels)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Fit:
-    state: Array  # (N, 4) after the last step
-    normal: Array  # (N, 4, 4)
+    """State of all fits after the last step, and what it was computed from."""
+
+    state: Floats  # (N, 4) after the last step
+    normal: Floats  # (N, 4, 4)
     residual: NDArray[np.float32]  # (N, M)
     weight: NDArray[np.float32]  # (N, M)
     good: NDArray[np.float32]  # (N, M)
     value: NDArray[np.float32]  # (N, M) unit images
-    last: Array  # (N,) largest component of the last step, in standard errors
-    last_px: Array  # (N,) the same in pixels
+    last: Floats  # (N,) largest component of the last step, in standard errors
+    last_px: Floats  # (N,) largest component of the last step, px
 
 
 def _iterate(
     windows: StarWindows,
-    state: Array,
+    state: Floats,
     images: PsfImages,
-    sigma: Array,
+    sigma: Floats,
     psf: Psf,
     gain: float,
     *,
     steps: int,
 ) -> _Fit:
-    """Gauss-Newton steps on all stars from a state and its images."""
+    """Up to `steps` Gauss-Newton steps on all stars from a state (N, 4) and its images."""
     for k in range(steps):
         if k > 0:
             images = psf_images(state[:, :2], sigma, psf.smear_px, windows.radius)
@@ -163,18 +169,15 @@ def _iterate(
     return _Fit(state, normal, residual, weight, windows.good, images.value, last, moved.max(axis=1))
 
 
-def _stars_of(fit: _Fit, windows: StarWindows, places: NDArray[np.int64]) -> StarFits:
+def _stars_of(fit: _Fit, windows: StarWindows, pixels: Ints) -> StarFits:
     cov = _safe_inverse(fit.normal)
     chi2 = np.einsum("nm,nm,nm->n", fit.residual, fit.residual, fit.weight).astype(float)
     dof = np.maximum(np.count_nonzero(fit.weight, axis=1) - 4.0, 1.0)
-    ratio = chi2 / dof
-    inflation = np.where(ratio > 1.0 + 3.5 * np.sqrt(2.0 / dof), ratio, 1.0)
     sky_information = np.einsum("nm,nm,nm->n", fit.value, fit.value, fit.good) / windows.noise2
     flux_sigma = 1.0 / np.sqrt(np.maximum(sky_information, 1e-30))
-    snr = np.maximum(fit.state[:, 2] / flux_sigma, 1.0)
-    inflation = inflation * faint_star_inflation(snr)
+    inflation = covariance_inflation(chi2, dof, np.maximum(fit.state[:, 2] / flux_sigma, 1.0))
     xy = fit.state[:, :2] + windows.corner + windows.radius
-    near = np.abs(xy - places).max(axis=1) < 2.0 + windows.saturated * 4.0
+    near = np.abs(xy - pixels).max(axis=1) < 2.0 + windows.saturated * 4.0
     return StarFits(
         xy_px=xy,
         cov_px=cov[:, :2, :2] * inflation[:, None, None],
@@ -188,14 +191,15 @@ def _stars_of(fit: _Fit, windows: StarWindows, places: NDArray[np.int64]) -> Sta
 
 
 def _without_outliers(fit: _Fit) -> NDArray[np.float32]:
-    """`good` less up to four pixels that stand 6 sigma above an otherwise good fit: a hot pixel, a
-    neighbour's edge."""
+    """`good` (N, M) without up to four pixels 6 sigma above the fit (a hot pixel, the edge of a
+    neighbour)."""
     high = (fit.residual > 0) & (fit.residual**2 * fit.weight > 36.0)
     count = np.count_nonzero(high, axis=1)
     return np.where(high & (count <= 4)[:, None], np.float32(0.0), fit.good)
 
 
-def _safe_inverse(normal: Array) -> Array:
+def _safe_inverse(normal: Floats) -> Floats:
+    """Inverses (N, P, P) of normal matrices, scaled to unit diagonals first."""
     scale = 1.0 / np.sqrt(np.maximum(np.einsum("npp->np", normal), 1e-30))
     both = scale[:, :, None] * scale[:, None, :]
     return np.asarray(np.linalg.inv(normal * both) * both)
@@ -203,4 +207,13 @@ def _safe_inverse(normal: Array) -> Array:
 
 def _no_fits() -> StarFits:
     none, flags = np.empty(0), np.empty(0, dtype=bool)
-    return StarFits(np.empty((0, 2)), np.empty((0, 2, 2)), none, none, none, none, flags, flags)
+    return StarFits(
+        xy_px=np.empty((0, 2)),
+        cov_px=np.empty((0, 2, 2)),
+        flux_dn=none,
+        flux_sigma_dn=none,
+        chi2=none,
+        dof=none,
+        saturated=flags,
+        converged=flags,
+    )

@@ -1,9 +1,8 @@
-"""Which of the places where a star may be hold one: the matched filter at full resolution.
+"""Detection of stars at candidate pixels by the matched filter at full resolution.
 
-The filter is a Gaussian integrated over pixels; its noise is known, so the threshold follows from the number
-of false alarms wished for. A place where one bright pixel explains more than a star would is a hot pixel, one
-whose light is that of its surroundings a roof or a cloud, and one that a brighter star's skirt explains is
-nothing.
+The filter is a Gaussian integrated over pixels; its noise is known, so the threshold follows from the
+accepted number of false alarms. Rejected are: peaks that a single bright pixel explains (hot pixels), peaks
+on a plateau as bright as their surroundings (a roof, a cloud), and peaks in the wings of a brighter star.
 """
 
 from __future__ import annotations
@@ -15,40 +14,61 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from scipy.special import erf
 
+from boresight.geometry.record import Bools, Floats, Ints, array, record, scalar
 from boresight.star_id.finding.background import Background
 from boresight.star_id.finding.windows import windows_at
 
 __all__ = ["Detections", "detect", "detection_threshold"]
 
-Array = NDArray[np.float64]
 Pixels = NDArray[np.float32]
 
-_TAPS_SIGMA = 1.8  # reach of the filter in widths: 99 % of the signal-to-noise ratio
-_CROSS_OF_PEAK = 0.35
-_LEAST_LONE_SIGMA = 4.0
-_AT_ONCE = 128  # windows
-_LEAST_ABOVE_FRAME = 0.5  # share of a peak that must remain when the level around it is taken away
-_FRAME_SIGMA = 3.5  # distance, in widths, of the pixels that tell that level
-_SKIRT = 1.3  # a lesser peak may stand so much above a brighter star's skirt and still be part of it
+_TAPS_SIGMA = 1.8  # radius of the filter in widths: 99 % of the signal-to-noise ratio
+_CROSS_OF_PEAK = 0.35  # four neighbours together over the pixel: less is a hot pixel
+_LEAST_HOT_SIGMA = 4.0
+_CHUNK = 128  # windows
+_LEAST_ABOVE_RING = 0.5  # fraction of a peak that must remain above the level around it
+_RING_SIGMA = 3.5  # distance, in widths, of the pixels that measure that level
+_WINGS = 1.3  # a peak lower than so much of a brighter star's wings is part of them
+
+
+@record
+class Detections:
+    """Peaks of the matched filter above its threshold, the highest above their surroundings first."""
+
+    xy_px: Ints = array("N, 2", "pixel of the peak as (column, row)")
+    offset_px: Floats = array("N, 2", "from there to the vertex of a parabola, px")
+    snr: Floats = array("N", "height of the peak over the filter's noise")
+    flux_dn: Floats = array("N", "flux of a star of the assumed width, DN")
+    hot_pixels: int = scalar("peaks rejected because a single pixel explains them")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Detections:
-    """Peaks of the matched filter above its threshold, the ones that stand out most from their surroundings
-    first."""
+class _Filtered:
+    """Windows around candidates, and their filtered values at `shifts` x `shifts` positions each."""
 
-    xy_px: NDArray[np.int64]  # (N, 2) whole pixel of the peak
-    offset_px: Array  # (N, 2) from there to the peak of a parabola
-    snr: Array  # (N,) height of the peak over the filter's noise
-    flux_dn: Array  # (N,) flux of a star of the assumed width
-    hot_pixels: int  # peaks refused because a single pixel explains them better
+    windows: Pixels  # (N, side^2) DN above the background
+    flux: Pixels  # (N, shifts^2) DN, least squares
+    kernel: Pixels  # (side^2, shifts^2)
+    noise: Floats  # (N,) of a pixel
+    shifts: int
+
+    @property
+    def side(self) -> int:
+        return round(float(np.sqrt(self.windows.shape[1])))
+
+    def peaks(self, rows: Ints | slice) -> tuple[Ints, Pixels]:
+        """Position and value of the maximum in each of `rows`."""
+        flux = self.flux[rows]
+        best = flux.argmax(axis=1)
+        return best, flux[np.arange(len(flux)), best]
 
 
 def detection_threshold(n_px: int, psf_sigma_px: float, false_alarms: float) -> float:
-    """Height, in sigmas of the matched filter, that `false_alarms` peaks of pure noise pass in `n_px` pixels.
+    """Height, in sigmas of the matched filter, that `false_alarms` peaks of pure noise exceed in `n_px`
+    pixels.
 
     White noise filtered by a Gaussian of width s has peaks above v with density v exp(-v^2/2) / (2 s^2 (2
-    pi)^1.5) a pixel (Adler 1981, The Geometry of Random Fields, expected Euler characteristic).
+    pi)^1.5) per pixel (Adler 1981, The Geometry of Random Fields, expected Euler characteristic).
     """
     density = false_alarms / n_px * 2.0 * psf_sigma_px**2 * (2.0 * np.pi) ** 1.5
     v = 5.0
@@ -60,147 +80,125 @@ def detection_threshold(n_px: int, psf_sigma_px: float, false_alarms: float) -> 
 def detect(
     image: NDArray,
     background: Background,
-    places: NDArray[np.int64],
+    candidates: Ints,
     *,
     psf_sigma_px: float,
     threshold: float,
     reach_px: int = 1,
 ) -> Detections:
-    """Peaks of the matched filter within `reach_px` of the places (and one more pixel towards +x, +y).
+    """Peaks of the matched filter within `reach_px` of `candidates` (N, 2), or one more towards +x or +y.
 
-    `psf_sigma_px` is the width of a Gaussian star integrated over pixels; noise is the background's.
+    `psf_sigma_px` is the width of a Gaussian star integrated over pixels; the noise is the background's, and
+    `threshold` in its sigmas.
     """
     taps = _pixel_gaussian(psf_sigma_px)
     first, shifts = len(taps) // 2 + reach_px, 2 * reach_px + 2
     side = len(taps) + shifts - 1
-    places = places[_inside(places, image, first, side - first)]
-    level, noise = background.at(places.astype(float))
-    windows: Pixels = windows_at(image, places - first, side).reshape(len(places), side**2).astype(np.float32)
+    candidates = candidates[_inside(candidates, image, first, side - first)]
+    level, noise = background.at(candidates.astype(float))
+    windows: Pixels = windows_at(image, candidates - first, side).reshape(-1, side**2).astype(np.float32)
     windows -= level[:, None].astype(np.float32)
     kernel = _shifted_kernels(taps, shifts)
-    unit = float((taps**2).sum())  # flux over this and the noise is the signal-to-noise ratio
-    flux = _filtered(windows, kernel)
-    best, peak = _peaks(flux)
+    filtered = _Filtered(windows, _product(windows, kernel), kernel, noise, shifts)
+    unit = float((taps**2).sum())  # flux times this over the noise is the signal-to-noise ratio
+    best, peak = filtered.peaks(slice(None))
     high = np.flatnonzero(peak * unit > threshold * noise)
-    lone = high[_without_lone_pixels(windows, flux, noise, kernel, high, best[high])]
-    best[lone], peak[lone] = _peaks(flux[lone])
+    hot = high[_repair_hot_pixels(filtered, high, best[high])]
+    best[hot], peak[hot] = filtered.peaks(hot)
     keep = high[peak[high] * unit > threshold * noise[high]]
-    flux, level, noise, best, peak = flux[keep], level[keep], noise[keep], best[keep], peak[keep]
-    snr = peak * unit / noise
+    repaired = np.isin(keep, hot)
+    best, peak = best[keep], peak[keep]
+    snr = peak * unit / noise[keep]
     row, column = np.divmod(best, shifts)
-    xy = places[keep] + np.column_stack([column, row]) - reach_px
-    frame = _frame_dn(image, xy, psf_sigma_px) - level
-    above_frame = snr - frame * (taps.sum() ** 2 / unit) / noise
-    sound = above_frame > _LEAST_ABOVE_FRAME * snr
-    held_lone = np.zeros(len(places), dtype=bool)
-    held_lone[lone] = True
-    spared = held_lone[keep]
-    sound &= ~(spared & _lone_pixels(windows, noise, shifts, keep, best)[0])
-    order = np.flatnonzero(sound)
-    order = order[np.argsort(-above_frame[order], kind="stable")]
-    order = order[_apart(xy[order], snr[order], psf_sigma_px)]
+    xy = candidates[keep] + np.column_stack([column, row]) - reach_px
+    around = _ring_dn(image, xy, psf_sigma_px) - level[keep]
+    above_ring = snr - around * (taps.sum() ** 2 / unit) / noise[keep]
+    good = (above_ring > _LEAST_ABOVE_RING * snr) & ~(repaired & _hot_pixels(filtered, keep, best)[0])
+    order = np.flatnonzero(good)
+    order = order[np.argsort(-above_ring[order], kind="stable")]
+    order = order[_outside_wings(xy[order], snr[order], psf_sigma_px)]
     return Detections(
         xy[order],
-        _parabola(flux[order].reshape(-1, shifts, shifts), row[order], column[order]),
+        _parabola(filtered.flux[keep[order]].reshape(-1, shifts, shifts), row[order], column[order]),
         snr[order].astype(float),
         peak[order].astype(float),
-        len(lone) - int(np.count_nonzero(sound & spared)),
+        len(hot) - int(np.count_nonzero(good & repaired)),
     )
 
 
-def _inside(places: NDArray[np.int64], image: NDArray, before: int, after: int) -> NDArray[np.bool_]:
-    """Places with so many pixels of the image before and from them on, along both axes."""
-    x, y = places.T
+def _inside(xy: Ints, image: NDArray, before: int, after: int) -> Bools:
+    """(N,) whether the image has so many pixels before and from each pixel on, along both axes."""
+    x, y = xy.T
     height, width = image.shape
     return np.asarray((x >= before) & (y >= before) & (x <= width - after) & (y <= height - after))
 
 
-def _filtered(windows: Pixels, kernel: Pixels) -> Pixels:
-    """Their product, a few rows at a time: these stay in the cache, and are too few for BLAS to wake
+def _product(windows: Pixels, kernel: Pixels) -> Pixels:
+    """Matrix product a few rows at a time: they stay in the cache, and are too few for BLAS to start
     threads."""
     flux = np.empty((len(windows), kernel.shape[1]), dtype=np.float32)
-    for k in range(0, len(windows), _AT_ONCE):
-        np.matmul(windows[k : k + _AT_ONCE], kernel, out=flux[k : k + _AT_ONCE])
+    for k in range(0, len(windows), _CHUNK):
+        np.matmul(windows[k : k + _CHUNK], kernel, out=flux[k : k + _CHUNK])
     return flux
 
 
-def _peaks(flux: Pixels) -> tuple[NDArray[np.int64], Pixels]:
-    """Place in its row, and value, of each row's maximum."""
-    best = flux.argmax(axis=1)
-    return best, flux[np.arange(len(flux)), best]
+def _repair_hot_pixels(filtered: _Filtered, rows: Ints, best: Ints) -> Bools:
+    """Which of the peaks at `best` of `rows` a hot pixel makes; it is replaced, in place, by the mean of its
+    neighbours in the windows and so in the filtered values."""
+    hot, pixel, mean = _hot_pixels(filtered, rows, best)
+    rows, pixel, mean = rows[hot], pixel[hot], mean[hot]
+    excess = filtered.windows[rows, pixel] - mean
+    filtered.windows[rows, pixel] = mean
+    filtered.flux[rows] -= excess[:, None] * filtered.kernel[pixel]
+    return hot
 
 
-def _without_lone_pixels(
-    windows: Pixels,
-    flux: Pixels,
-    noise: Array,
-    kernel: Pixels,
-    rows: NDArray[np.int64],
-    best: NDArray[np.int64],
-) -> NDArray[np.bool_]:
-    """Which of the peaks at `best` of the windows `rows` one pixel makes; there the mean of its neighbours is
-    put in its place, in `windows` and so in `flux`."""
-    lone, pixel, mean = _lone_pixels(windows, noise[rows], _side(flux), rows, best)
-    rows, pixel, mean = rows[lone], pixel[lone], mean[lone]
-    excess = windows[rows, pixel] - mean
-    windows[rows, pixel] = mean
-    flux[rows] -= excess[:, None] * kernel[pixel]
-    return lone
-
-
-def _lone_pixels(
-    windows: Pixels, noise: Array, shifts: int, rows: NDArray[np.int64], best: NDArray[np.int64]
-) -> tuple[NDArray[np.bool_], NDArray[np.int64], Pixels]:
-    """Whether one pixel makes each peak, the brightest of the nine about it; that pixel's place in the
-    window; the mean of its four neighbours.
+def _hot_pixels(filtered: _Filtered, rows: Ints, best: Ints) -> tuple[Bools, Ints, Pixels]:
+    """Whether one pixel makes each peak, the brightest of the nine around it; its position in the window; the
+    mean of its four neighbours.
 
     A star of width 0.4 px in the middle of a pixel puts half of its peak into the four neighbours together, a
     wide star three times its peak.
     """
-    side = _side(windows)
-    flat, start = windows.ravel(), rows * side**2
-    row, column = np.divmod(best, shifts)
-    middle = (side - shifts) // 2
+    side = filtered.side
+    flat, start = filtered.windows.ravel(), rows * side**2
+    row, column = np.divmod(best, filtered.shifts)
+    middle = (side - filtered.shifts) // 2
     near = (np.arange(-1, 2)[:, None] * side + np.arange(-1, 2)).ravel()
     pixel = (row + middle) * side + column + middle
     pixel += near[flat[(start + pixel)[:, None] + near].argmax(axis=1)]
     at = start + pixel
     peak, cross = flat[at], flat[at + 1] + flat[at - 1] + flat[at + side] + flat[at - side]
-    lone = (cross < _CROSS_OF_PEAK * peak) & (peak > _LEAST_LONE_SIGMA * noise)
-    return lone, pixel, np.float32(0.25) * cross
+    hot = (cross < _CROSS_OF_PEAK * peak) & (peak > _LEAST_HOT_SIGMA * filtered.noise[rows])
+    return hot, pixel, np.float32(0.25) * cross
 
 
-def _frame_dn(image: NDArray, xy: NDArray[np.int64], sigma: float) -> Array:
-    """(N,) median of a square frame of pixels about each place: what a star stands on, be it sky, cloud or a
-    roof."""
-    radius = int(np.ceil(_FRAME_SIGMA * sigma))
+def _ring_dn(image: NDArray, xy: Ints, sigma: float) -> Floats:
+    """(N,) median of a square ring of pixels around each pixel: the level that a star stands on."""
+    radius = int(np.ceil(_RING_SIGMA * sigma))
     side = 2 * radius + 1
     cut = windows_at(image, np.clip(xy - radius, 0, np.array(image.shape[::-1]) - side), side)
-    frame = np.concatenate([cut[:, 0], cut[:, -1], cut[:, 1:-1, 0], cut[:, 1:-1, -1]], axis=1)
-    frame.sort(axis=1)
-    return frame[:, frame.shape[1] // 2].astype(float)
+    ring = np.concatenate([cut[:, 0], cut[:, -1], cut[:, 1:-1, 0], cut[:, 1:-1, -1]], axis=1)
+    ring.sort(axis=1)
+    return ring[:, ring.shape[1] // 2].astype(float)
 
 
-def _apart(xy: NDArray[np.int64], snr: Array, sigma: float) -> NDArray[np.int64]:
-    """Rows of peaks that no higher one's skirt explains: the filtered image of a star falls as
+def _outside_wings(xy: Ints, snr: Floats, sigma: float) -> Ints:
+    """Rows of the peaks that the wings of no higher one explain: the filtered image of a star falls as
     exp(-d^2 / 4 s^2)."""
     if len(xy) < 2:
         return np.arange(len(xy))
     pairs = cKDTree(xy).query_pairs(4.0 * sigma, output_type="ndarray")
     low = np.where(snr[pairs[:, 0]] < snr[pairs[:, 1]], pairs[:, 0], pairs[:, 1])
     d2 = ((xy[pairs[:, 0]] - xy[pairs[:, 1]]) ** 2).sum(axis=1)
-    skirt = snr[pairs].max(axis=1) * np.exp(-d2 / (4.0 * sigma**2))
+    wings = snr[pairs].max(axis=1) * np.exp(-d2 / (4.0 * sigma**2))
     drop = np.zeros(len(xy), dtype=bool)
-    drop[low[snr[low] < _SKIRT * skirt]] = True
+    drop[low[snr[low] < _WINGS * wings]] = True
     return np.flatnonzero(~drop)
 
 
-def _side(windows: NDArray) -> int:
-    return round(float(np.sqrt(windows.shape[1])))
-
-
-def _parabola(flux: NDArray, row: NDArray, column: NDArray) -> Array:
-    """(N, 2) place of the peak between pixels, from the filter's values beside it; 0 where one is missing."""
+def _parabola(flux: NDArray, row: NDArray, column: NDArray) -> Floats:
+    """(N, 2) offset of the peak from the filter's values beside it; 0 if one of them is missing."""
     n, shifts = len(flux), flux.shape[1]
     offset = np.zeros((n, 2))
     k = np.arange(n)
@@ -215,15 +213,15 @@ def _parabola(flux: NDArray, row: NDArray, column: NDArray) -> Array:
     return offset
 
 
-def _pixel_gaussian(sigma: float) -> Array:
+def _pixel_gaussian(sigma: float) -> Floats:
     """A Gaussian centred on a pixel, integrated over pixels."""
     radius = max(2, round(_TAPS_SIGMA * sigma))
     edges = (np.arange(2 * radius + 2) - radius - 0.5) / (np.sqrt(2.0) * sigma)
     return np.asarray(0.5 * np.diff(erf(edges)))
 
 
-def _shifted_kernels(taps: Array, shifts: int) -> Pixels:
-    """(side^2, shifts^2): flux of a star at each of shifts x shifts places of a window, least squares."""
+def _shifted_kernels(taps: Floats, shifts: int) -> Pixels:
+    """(side^2, shifts^2): flux of a star at each of shifts x shifts positions in a window, least squares."""
     side = len(taps) + shifts - 1
     one = np.zeros((side, shifts))
     for k in range(shifts):

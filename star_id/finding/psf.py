@@ -1,72 +1,72 @@
-"""The image of a point: a Gaussian integrated over pixels, drawn out along a line when the camera turned
-meanwhile.
+"""Point spread function: a Gaussian integrated over pixels, smeared along a line if the camera rotates.
 
-The width may grow with the square of the distance from the middle of the image, as lenses do. A smear is the
-mean of Gaussians along its line; its nodes and weights are Gauss-Legendre's, so a smear of a few sigmas costs
-a few evaluations.
+The width may grow with the square of the distance from the image's centre. A smear is the mean of Gaussians
+along its line, by Gauss-Legendre quadrature, so that a smear of a few sigmas costs a few evaluations.
 """
 
 from __future__ import annotations
-
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import erf
 
+from boresight.geometry.record import Floats, array, record, scalar
+
 __all__ = ["Psf", "PsfImages", "psf_images"]
 
-Array = NDArray[np.float64]
 
-
-@dataclass(frozen=True, slots=True)
+@record
 class Psf:
-    """Width of a star's image in a given camera."""
+    """Point spread function over the images of a camera."""
 
-    sigma_px: float  # in the middle of the image
-    sigma_corner_px: float  # in its corners
-    smear_px: tuple[float, float]  # (column, row) motion during the exposure
-    width_px: int
-    height_px: int
+    sigma_px: float = scalar("standard deviation in the centre of the image, px")
+    sigma_corner_px: float = scalar("standard deviation in its corners, px")
+    smear_px: tuple[float, float] = scalar("motion (column, row) during the exposure, px")
+    width_px: int = scalar("columns of the image")
+    height_px: int = scalar("rows of the image")
 
-    def sigma_at(self, xy_px: Array) -> Array:
-        """(N,) width at points (N, 2)."""
+    def sigma_at(self, xy_px: Floats) -> Floats:
+        """Standard deviation (N,) at pixels (N, 2)."""
         size = np.array([self.width_px, self.height_px])
         radius2 = 2.0 * (((xy_px + 0.5) / size - 0.5) ** 2).sum(axis=1)
         return np.asarray(self.sigma_px + (self.sigma_corner_px - self.sigma_px) * radius2)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record
 class PsfImages:
-    """Unit-flux images of N stars in square windows of M pixels, and what moves them.
+    """Unit-flux images of N stars in square windows of M pixels, with derivatives."""
 
-    The rows of `columns` are the derivatives by column and row, the image, ones, and with widths the
-    derivative by the logarithm of the width.
-    """
-
-    columns: NDArray[np.float32]  # (N, 4 or 5, M)
-    d_stretch: NDArray[np.float32] | None  # (2, N, M): by (Cxx - Cyy) / 2 and by Cxy of the second moments
+    columns: NDArray[np.float32] = array(
+        "N, P, M", "derivatives by column and row, the image, ones and, if P is 5, derivative by log width"
+    )
+    d_stretch: NDArray[np.float32] | None = scalar(
+        "(2, N, M) derivatives by (Cxx - Cyy) / 2 and by Cxy of the second moments; None if P is 4"
+    )
 
     @property
     def d_x(self) -> NDArray[np.float32]:
-        """(N, M)"""
+        """(N, M) derivative by column."""
         return self.columns[:, 0]
 
     @property
     def d_y(self) -> NDArray[np.float32]:
-        """(N, M)"""
+        """(N, M) derivative by row."""
         return self.columns[:, 1]
 
     @property
     def value(self) -> NDArray[np.float32]:
-        """(N, M)"""
+        """(N, M) unit-flux image."""
         return self.columns[:, 2]
 
 
 def psf_images(
-    offset: Array, sigma: Array, smear_px: tuple[float, float], radius: int, *, widths: bool = False
+    offset: Floats, sigma: Floats, smear_px: tuple[float, float], radius: int, *, widths: bool = False
 ) -> PsfImages:
-    """Images of stars at `offset` (N, 2) from the central pixel of windows of side 2 radius + 1."""
+    """Images of stars of width `sigma` (N,) at `offset` (N, 2) from the middle of windows of side 2 radius +
+    1, px.
+
+    `widths` adds the derivatives by width and by second moments.
+    """
     nodes, weights = _smear_nodes(smear_px, float(sigma.min()) if len(sigma) else 1.0)
     edges = np.arange(2 * radius + 2, dtype=np.float32) - np.float32(radius + 0.5)
     n, side = len(offset), 2 * radius + 1
@@ -95,7 +95,7 @@ def psf_images(
     if widths:
         wide = z[..., :-1] * density[..., :-1] - z[..., 1:] * density[..., 1:]
         wide_y = wide[:, :, 1] * weights[:, None]
-        # widening by heat: dE/dC = E''/2, and sigma^2 E'' is the derivative by log sigma
+        # heat equation: dE/dC = E''/2, and sigma^2 E'' is the derivative by log sigma
         by_x, by_y = product(y, wide[:, :, 0]), product(wide_y, x)
         np.add(by_x, by_y, out=columns[:, 4])
         half = np.float32(0.5) * (by_x - by_y) / sigma[:, None, None] ** 2
@@ -103,8 +103,8 @@ def psf_images(
     return PsfImages(columns.reshape(n, columns.shape[1], side * side), d_stretch)
 
 
-def _smear_nodes(smear_px: tuple[float, float], sigma: float) -> tuple[Array, Array]:
-    """Places along the smear in [-1/2, 1/2] and their weights, summing to 1."""
+def _smear_nodes(smear_px: tuple[float, float], sigma: float) -> tuple[Floats, Floats]:
+    """Nodes along the smear in [-1/2, 1/2] and their weights, which sum to 1."""
     length = float(np.hypot(*smear_px)) / sigma
     if length < 1e-3:
         return np.zeros(1), np.ones(1)

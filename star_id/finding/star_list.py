@@ -1,14 +1,17 @@
-"""One raw image in, its stars out: background, detection, width of the PSF, centroids, and what is not a
+"""Stars of a raw image: background, candidates, detection, PSF, centroids, and rejection of what is not a
 star."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
+from boresight.geometry.record import Bools, Floats, Ints, array, record, scalar
 from boresight.star_id.finding.background import Background, estimate_background
 from boresight.star_id.finding.candidates import find_candidates
 from boresight.star_id.finding.centroid import StarFits, fit_stars
@@ -20,117 +23,137 @@ from boresight.star_id.settings import StarSettings
 
 __all__ = ["StarList", "find_stars"]
 
-Array = NDArray[np.float64]
-
 _START_SIGMA_PX = 1.2
 _STARS_FOR_PSF = 40
 _FEW_STARS = 8
-_LEAST_STARS = 3  # fewer tell nothing of the width
+_LEAST_STARS = 3  # with fewer the width is not estimated
 _ROUNDS = 6  # of detection and width
 _LARGEST_SIGMA_AT_HALF = 1.8  # wider stars are searched at a quarter of the resolution
-_SMALL_CHANGE = 0.2  # of the width: a filter that far off still sees 98 % of the signal-to-noise ratio
-_SKIRT_MISFIT = 4.0  # standard deviations of chi2: one sound saturated star in 10 000 is lost
-_MISFIT_LIMIT = 0.3  # residual energy over the star's own: more is a cosmic ray, a trail, a bloom's arm
+_SMALL_CHANGE = 0.2  # of the width: a filter that far off still has 98 % of the signal-to-noise ratio
+_WINGS_MISFIT = 4.0  # standard deviations of chi2: one good saturated star in 10 000 is lost
+_MISFIT_LIMIT = 0.3  # residual over star energy: more is a cosmic ray, a trail, the arm of a bloom
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record(kw_only=True)
 class StarList:
-    """Stars of one image, brightest first. Row n of every array speaks of the same star."""
+    """Stars of one image, brightest first. Row n of every array is the same star."""
 
-    xy_px: Array  # (N, 2) centroid
-    cov_px: Array  # (N, 2, 2) px^2
-    flux_dn: Array  # (N,)
-    snr: Array  # (N,) flux over the error that the sky alone gives it
-    saturated: NDArray[np.bool_]  # (N,)
-    blended: NDArray[np.bool_]  # (N,) displaced by a neighbour, more than a fifth of its error, or by a bloom
-    psf: Psf
-    psf_stars: int  # stars that the width rests on; 0: it was assumed
-    background: Background
-    gain_e_per_dn: float
-    threshold: float  # sigmas of the matched filter
-    hot_pixels: int  # refused
-    misshapen: int  # refused: cosmic rays, trails, arms of blooms
-    saturation_dn: float  # raw value from which a pixel counts as full; infinite if none does
+    xy_px: Floats = array("N, 2", "centroids as (column, row)")
+    cov_px: Floats = array("N, 2, 2", "covariances of the centroids, px^2")
+    flux_dn: Floats = array("N", "total above the background, DN")
+    snr: Floats = array("N", "flux over its standard error by background noise alone")
+    saturated: Bools = array("N", "whether a pixel of the star is saturated")
+    blended: Bools = array("N", "whether a neighbour or a bloom displaces it by over a fifth of its error")
+    psf: Psf = scalar("point spread function")
+    psf_stars: int = scalar("stars that the PSF was estimated from; 0: it was assumed")
+    background: Background = scalar("level and noise of the sky")
+    gain_e_per_dn: float = scalar("as set, or estimated; infinite if photon noise is not seen")
+    threshold: float = scalar("detection limit, sigmas of the matched filter")
+    hot_pixels: int = scalar("detections rejected as hot pixels")
+    misshapen: int = scalar("detections rejected as cosmic rays, trails, arms of blooms")
+    saturation_dn: float = scalar("raw value from which a pixel counts as saturated; infinite if none does")
 
     def take(self, index: NDArray) -> StarList:
+        """List of the stars `index`, everything else unchanged."""
         names = ("xy_px", "cov_px", "flux_dn", "snr", "saturated", "blended")
-        picked = {name: getattr(self, name)[index] for name in names}
-        rest = {name: getattr(self, name) for name in self.__slots__ if name not in names}
-        return StarList(**picked, **rest)
+        return replace(self, **{name: getattr(self, name)[index] for name in names})
 
 
 def find_stars(image: NDArray, settings: StarSettings, dark: NDArray | None = None) -> StarList:
-    """Stars of a raw image (H, W), 8 or 16 bits or floating, with the dark frame of the camera if there is
-    one.
+    """Stars of a raw image with centroids, covariances and fluxes.
 
-    Raises `ValueError` for an image that is not two-dimensional or smaller than 32 pixels.
+    Parameters
+    ----------
+    image : (H, W) array
+        Raw image, 8 or 16 bits or floating, DN.
+    settings : StarSettings
+        Detection limit, saturation, gain, PSF and method, where they are not to be estimated.
+    dark : (H, W) array, optional
+        Dark frame of the camera, subtracted first.
+
+    Returns
+    -------
+    StarList
+        Brightest first; pixel (0, 0) is the centre of the first pixel.
+
+    Raises
+    ------
+    ValueError
+        If the image is not two-dimensional or smaller than 32 pixels, or the dark frame has another size.
+
+    Examples
+    --------
+    >>> stars = find_stars(image, StarSettings(gain_e_per_dn=40.0))
+    >>> stars.xy_px[0], stars.cov_px[0]  # the brightest star
     """
     if image.ndim != 2 or min(image.shape) < 32:
         raise ValueError(f"image must be (H, W), both at least 32, got {image.shape}")
-    saturation = settings.saturation_dn or _top_of_range(image)
+    saturation = settings.saturation_dn or _saturation_level(image)
     if dark is not None:
-        image, saturation = _minus_dark(image, dark, saturation)
+        image = _subtract_dark(image, dark, saturation)
     background = estimate_background(image)
     found, psf, psf_stars, gain, threshold = _detections(image, background, settings, saturation)
-    places, offset = found.xy_px[: settings.max_stars], found.offset_px[: settings.max_stars]
-    places, offset = _once_per_saturated_star(image, places, offset, saturation)
-    place = fit_stars if settings.centroid_method == "fit" else _windowed_or_fitted
-    fits = place(image, places, offset, background, psf, gain_e_per_dn=gain, saturation_dn=saturation)
+    pixels, offset = found.xy_px[: settings.max_stars], found.offset_px[: settings.max_stars]
+    pixels, offset = _merge_saturated_peaks(image, pixels, offset, saturation)
+    centroids = fit_stars if settings.centroid_method == "fit" else _windowed_or_fitted
+    fits = centroids(image, pixels, offset, background, psf, gain_e_per_dn=gain, saturation_dn=saturation)
     star_like = fits.chi2 - fits.dof < np.maximum(_MISFIT_LIMIT * fits.snr**2, 6.0 * np.sqrt(2 * fits.dof))
     good = fits.converged & (star_like | fits.saturated) & (fits.snr > 0.75 * threshold)
     fits = fits.take(_distinct(fits, np.flatnonzero(good), psf))
     return StarList(
-        fits.xy_px,
-        fits.cov_px,
-        fits.flux_dn,
-        fits.snr,
-        fits.saturated,
-        _blended(fits, psf),
-        psf,
-        psf_stars,
-        background,
-        gain,
-        threshold,
-        found.hot_pixels,
-        int((~good).sum()),
-        saturation,
+        xy_px=fits.xy_px,
+        cov_px=fits.cov_px,
+        flux_dn=fits.flux_dn,
+        snr=fits.snr,
+        saturated=fits.saturated,
+        blended=_blended(fits, psf),
+        psf=psf,
+        psf_stars=psf_stars,
+        background=background,
+        gain_e_per_dn=gain,
+        threshold=threshold,
+        hot_pixels=found.hot_pixels,
+        misshapen=int((~good).sum()),
+        saturation_dn=saturation,
     )
 
 
 def _windowed_or_fitted(
     image: NDArray,
-    places: NDArray[np.int64],
-    offset: Array,
+    pixels: Ints,
+    offset: Floats,
     background: Background,
     psf: Psf,
     *,
     gain_e_per_dn: float,
     saturation_dn: float,
 ) -> StarFits:
-    """Windowed centroids, but of saturated stars, whose middles are lost, fits."""
+    """Windowed centroids; PSF fits for saturated stars, whose middle pixels are lost."""
     camera = {"gain_e_per_dn": gain_e_per_dn, "saturation_dn": saturation_dn}
-    stars = windowed_centroids(image, places, offset, background, psf, **camera)
+    stars = windowed_centroids(image, pixels, offset, background, psf, **camera)
     full = np.flatnonzero(stars.saturated)
-    return stars.with_rows(full, fit_stars(image, places[full], offset[full], background, psf, **camera))
+    return stars.with_rows(full, fit_stars(image, pixels[full], offset[full], background, psf, **camera))
 
 
 def _detections(
     image: NDArray, background: Background, settings: StarSettings, saturation: float
 ) -> tuple[Detections, Psf, int, float, float]:
-    """Detections; the PSF and the number of stars it rests on, 0 if it was given or there are too few; gain;
-    threshold."""
+    """Detections, PSF, number of stars it was estimated from (0: given, or too few), gain, threshold.
+
+    Detection and PSF are repeated until the filter is as wide as the stars.
+    """
     height, width = image.shape
     sigma = settings.psf_sigma_px or _START_SIGMA_PX
     psf, psf_stars = Psf(sigma, sigma, settings.smear_px or (0.0, 0.0), width, height), 0
-    halvings, places = 0, np.array([], np.int64)
+    halvings, candidates = 0, np.array([], np.int64)
     for _ in range(_ROUNDS):
         if halvings < (needed := 1 if psf.sigma_px <= _LARGEST_SIGMA_AT_HALF else 2):
-            halvings, places = needed, find_candidates(image, background, halvings=needed)
+            halvings, candidates = needed, find_candidates(image, background, halvings=needed)
         threshold = detection_threshold(image.size, psf.sigma_px, settings.false_alarms_per_frame)
         found = detect(
             image,
             background,
-            places,
+            candidates,
             psf_sigma_px=psf.sigma_px,
             threshold=threshold,
             reach_px=2**halvings - 1,
@@ -140,8 +163,8 @@ def _detections(
             break
         before, psf_stars = psf, shapes.stars
         psf = psf_of(shapes, before, find_smear=settings.smear_px is None)
-        moved = np.hypot(psf.smear_px[0] - before.smear_px[0], psf.smear_px[1] - before.smear_px[1])
-        if abs(np.log(psf.sigma_px / before.sigma_px)) < _SMALL_CHANGE and moved < 0.5 * psf.sigma_px:
+        change = np.hypot(psf.smear_px[0] - before.smear_px[0], psf.smear_px[1] - before.smear_px[1])
+        if abs(np.log(psf.sigma_px / before.sigma_px)) < _SMALL_CHANGE and change < 0.5 * psf.sigma_px:
             break
     return found, psf, psf_stars, settings.gain_e_per_dn or gain_of(shapes), threshold
 
@@ -149,66 +172,60 @@ def _detections(
 def _shapes(
     image: NDArray, found: Detections, background: Background, psf: Psf, saturation: float
 ) -> WidthFits:
-    """The brightest detections, or, where they are trails or roofs, the ones that come after them."""
+    """Width fits of the 40 brightest unsaturated detections; if fewer than 8 are point-like, of the next
+    200."""
     column, row = found.xy_px.T
     below = np.flatnonzero(image[row, column] < saturation)[: 6 * _STARS_FOR_PSF]
     for some in (below[:_STARS_FOR_PSF], below[_STARS_FOR_PSF:]):
-        places, offset = found.xy_px[some], found.offset_px[some]
-        shapes = fit_widths(image, places, offset, background, psf, saturation_dn=saturation)
+        pixels, offset = found.xy_px[some], found.offset_px[some]
+        shapes = fit_widths(image, pixels, offset, background, psf, saturation_dn=saturation)
         if shapes.stars >= _FEW_STARS:
             break
     return shapes
 
 
-def _top_of_range(image: NDArray) -> float:
-    """Grey value from which a pixel counts as full: the top of the type, or a plateau of the brightest
-    value."""
+def _saturation_level(image: NDArray) -> float:
+    """Value from which a pixel counts as saturated: the top of the bit depth that the brightest value
+    suggests."""
     if not np.issubdtype(image.dtype, np.integer):
         return np.inf
     top = int(np.iinfo(image.dtype).max)
     if image.dtype == np.uint8:
         return float(top)
     brightest = int(image.max())
-    for bits in (8, 10, 12, 14, 16):
+    for bits in (8, 10, 12, 14):
         if brightest <= 2**bits - 1:
-            return float(0.995 * (2**bits - 1)) if bits < 16 else float(0.98 * top)
-    return float(top)
+            return float(0.995 * (2**bits - 1))
+    return float(0.98 * top) if brightest <= 2**16 - 1 else float(top)
 
 
-def _minus_dark(image: NDArray, dark: NDArray, saturation: float) -> tuple[NDArray, float]:
-    """The image less its dark frame; a pixel that was full stays full."""
+def _subtract_dark(image: NDArray, dark: NDArray, saturation: float) -> NDArray:
+    """The image less its dark frame, plus the dark frame's median; saturated pixels stay saturated."""
     if dark.shape != image.shape:
         raise ValueError(f"dark frame is {dark.shape}, image is {image.shape}")
     corrected = image.astype(np.float32) - dark.astype(np.float32) + np.float32(np.median(dark))
     corrected[image >= saturation] = saturation
-    return corrected, saturation
+    return corrected
 
 
-def _once_per_saturated_star(
-    image: NDArray, places: NDArray[np.int64], offset: Array, saturation: float
-) -> tuple[NDArray[np.int64], Array]:
-    """Peaks on one plateau of full pixels are one star, placed in the plateau's middle."""
-    full = image[places[:, 1], places[:, 0]] >= saturation if len(places) else np.empty(0, dtype=bool)
+def _merge_saturated_peaks(
+    image: NDArray, pixels: Ints, offset: Floats, saturation: float
+) -> tuple[Ints, Floats]:
+    """Pixels and offsets with the peaks on one plateau of saturated pixels replaced by its middle."""
+    full = image[pixels[:, 1], pixels[:, 0]] >= saturation if len(pixels) else np.empty(0, dtype=bool)
     if full.sum() < 2:
-        return places, offset
-    plateau = places[full]
+        return pixels, offset
+    plateau = pixels[full]
     pairs = cKDTree(plateau).query_pairs(4.5, output_type="ndarray")
-    label = np.arange(len(plateau))
-    for _ in range(len(plateau)):
-        low = np.minimum(label[pairs[:, 0]], label[pairs[:, 1]])
-        new = label.copy()
-        np.minimum.at(new, pairs[:, 0], low)
-        np.minimum.at(new, pairs[:, 1], low)
-        if np.array_equal(new, label):
-            break
-        label = new
-    middles = [np.rint(plateau[label == k].mean(axis=0)).astype(np.int64) for k in np.unique(label)]
+    links = coo_array((np.ones(len(pairs)), pairs.T), shape=(len(plateau), len(plateau)))
+    count, label = connected_components(links, directed=False)
+    middles = [np.rint(plateau[label == k].mean(axis=0)).astype(np.int64) for k in range(count)]
     offset = np.vstack([np.zeros((len(middles), 2)), offset[~full]])
-    return np.vstack([np.array(middles), places[~full]]), offset
+    return np.vstack([np.array(middles), pixels[~full]]), offset
 
 
-def _distinct(fits: StarFits, good: NDArray[np.int64], psf: Psf) -> NDArray[np.int64]:
-    """Indices of good fits, brightest first; of two that ended on one spot the brighter stays."""
+def _distinct(fits: StarFits, good: Ints, psf: Psf) -> Ints:
+    """Rows of good fits, brightest first; of two that converged to the same position the brighter one."""
     order = good[np.argsort(-fits.flux_dn[good], kind="stable")]
     if len(order) < 2:
         return order
@@ -219,20 +236,21 @@ def _distinct(fits: StarFits, good: NDArray[np.int64], psf: Psf) -> NDArray[np.i
     return np.asarray(order[~drop])
 
 
-def _blended(fits: StarFits, psf: Psf) -> NDArray[np.bool_]:
-    """A neighbour of flux F2 at distance d displaces a Gaussian fit by about (F2 / F1) d exp(-d^2 / 4 s^2).
+def _blended(fits: StarFits, psf: Psf) -> Bools:
+    """(N,) which stars are displaced by a neighbour, detected or not.
 
-    One too close to be found by itself shows as a misfit that the other stars do not have. Of a saturated
-    star only the skirt is seen, on one side more than on the other: any misfit displaces it.
+    A neighbour of flux F2 at distance d displaces a Gaussian fit by about (F2 / F1) d exp(-d^2 / 4 s^2). One
+    too close to be detected shows as a misfit larger than that of the other stars. Of a saturated star only
+    the wings are measured, on one side more than on the other, so any misfit displaces it.
     """
     if len(fits.xy_px) < 2:
         return np.zeros(len(fits.xy_px), dtype=bool)
     misfit = (fits.chi2 - fits.dof) / np.maximum(fits.snr**2, 1.0)
-    plain = np.sort(misfit[~fits.saturated])
-    usual = float(plain[len(plain) // 4]) if len(plain) else 0.0
+    unsaturated = np.sort(misfit[~fits.saturated])
+    usual = float(unsaturated[len(unsaturated) // 4]) if len(unsaturated) else 0.0
     blended = ~fits.saturated & (fits.chi2 > fits.dof + 6.0 * np.sqrt(2.0 * fits.dof))
     blended &= misfit > 3.0 * max(usual, 0.0) + 0.003
-    blended |= fits.saturated & (fits.chi2 > fits.dof + _SKIRT_MISFIT * np.sqrt(2.0 * fits.dof))
+    blended |= fits.saturated & (fits.chi2 > fits.dof + _WINGS_MISFIT * np.sqrt(2.0 * fits.dof))
     sigma = float(psf.sigma_at(fits.xy_px).mean())
     pairs = cKDTree(fits.xy_px).query_pairs(10.0 * sigma, output_type="ndarray")
     for a, b in (pairs.T, pairs.T[::-1]):

@@ -1,16 +1,17 @@
-"""What the bright stars of an image have in common: width and smear of their images, and the camera's gain.
+"""Width and smear of the PSF, and the camera's gain, from the bright stars of an image.
 
-Each is fitted with a width of its own, without photon noise. The widths give the PSF's, residuals that all
-stars share about a round image its smear, and residuals that grow with the signal the gain.
+Each star is fitted with a width of its own, without photon noise. The widths give the PSF's, residuals common
+to all stars about a round image its smear, and residuals that grow with the signal the gain.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from boresight.geometry.record import Bools, Floats, Ints, array, record, scalar
 from boresight.star_id.finding.background import Background
 from boresight.star_id.finding.psf import Psf, PsfImages, psf_images
 from boresight.star_id.finding.window_fit import by_parameter, newton_step, start_state
@@ -18,51 +19,44 @@ from boresight.star_id.finding.windows import StarWindows, star_windows
 
 __all__ = ["WidthFits", "fit_widths", "gain_of", "psf_of"]
 
-Array = NDArray[np.float64]
 
 _STEPS = 3
 _WINDOW_SIGMA = 4.0
-_PSF_MISFIT = 0.15  # residual energy over a star's own that a lens may leave on a Gaussian of free width
+_PSF_MISFIT = 0.15  # residual over star energy that a real PSF may leave on a Gaussian of free width
 _STARS_FOR_GAIN = 5
-_LARGEST_STRETCH = 0.6  # of the width's square, in one round of looking for a smear
-_UNUSUAL = 40.0  # squared deviation of a star's 1 / gain over half its variance: 4.5 sigma, being skew
+_LARGEST_STRETCH = 0.6  # of the squared width, per round
+_OUTLIER = 40.0  # squared deviation of a star's 1 / gain over half its variance: 4.5 sigma, skewed
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record(kw_only=True)
 class WidthFits:
-    """Unsaturated stars, each fitted with a width of its own, and what the fits leave over."""
+    """Unsaturated stars, each fitted with a width of its own, with the residuals."""
 
-    places: NDArray[np.int64]  # (N, 2)
-    windows: StarWindows
-    images: PsfImages
-    state: Array  # (N, 4) column and row in the window, flux, sky
-    sigma_px: Array  # (N,)
-    error_px: Array  # (N,) standard error of sigma_px
-    normal: Array  # (N, 5, 5)
-    residual: NDArray[np.float32]  # (N, M)
-    sound: NDArray[np.bool_]  # (N,) a star, as far as one can see
+    pixels: Ints = array("N, 2", "pixels as (column, row)")
+    windows: StarWindows = scalar("windows of M pixels")
+    images: PsfImages = scalar("unit-flux images of the fits")
+    state: Floats = array("N, 4", "column and row in the window, flux, background")
+    sigma_px: Floats = array("N", "fitted widths, px")
+    error_px: Floats = array("N", "standard errors of the widths, px")
+    normal: Floats = array("N, 5, 5", "normal matrices of the fits")
+    residual: NDArray[np.float32] = array("N, M", "measured minus fitted, DN")
+    good: Bools = array("N", "whether the fit is consistent with a star")
 
     @property
     def stars(self) -> int:
-        """How many of the fits are sound."""
-        return int(np.count_nonzero(self.sound))
+        """Number of good fits."""
+        return int(np.count_nonzero(self.good))
 
 
 def fit_widths(
-    image: NDArray,
-    places: NDArray[np.int64],
-    start: Array,
-    background: Background,
-    psf: Psf,
-    *,
-    saturation_dn: float,
+    image: NDArray, pixels: Ints, start: Floats, background: Background, psf: Psf, *, saturation_dn: float
 ) -> WidthFits:
-    """Fits stars at `places` + `start` (N, 2), beginning with the width of `psf`, whose smear is kept."""
+    """Fits of stars near `pixels` + `start` (N, 2), from the width of `psf`, whose smear is kept."""
     radius = max(3, int(np.ceil(_WINDOW_SIGMA * psf.sigma_px + 0.5 * np.hypot(*psf.smear_px))))
-    windows = star_windows(image, places, background, radius, saturation_dn)
+    windows = star_windows(image, pixels, background, radius, saturation_dn)
     use = np.flatnonzero(~windows.saturated)
-    windows, places = windows.take(use), places[use]
-    offset = windows.offsets(places + start[use])
+    windows, pixels = windows.take(use), pixels[use]
+    offset = windows.offsets(pixels + start[use])
     sigma = np.full(len(use), psf.sigma_px)
     state = np.column_stack([offset, np.zeros((len(use), 2))])
     for k in range(_STEPS):
@@ -74,43 +68,50 @@ def fit_widths(
         state = state + np.column_stack([np.clip(step[:, :2], -0.8, 0.8), step[:, 2:4]])
         sigma = np.clip(sigma * np.exp(np.clip(step[:, 4], -0.3, 0.3)), 0.25, 4.0 * psf.sigma_px)
     error = sigma * np.sqrt(np.linalg.inv(normal)[:, 4, 4])
-    moved = state[:, :2] - windows.offsets(places.astype(float))
-    sound = (np.abs(moved) < 1.5).all(axis=1) & (state[:, 2] > 0) & (sigma > 0.27) & (error < 0.15 * sigma)
-    sound &= sigma < 3.9 * psf.sigma_px
+    moved = state[:, :2] - windows.offsets(pixels.astype(float))
+    good = (np.abs(moved) < 1.5).all(axis=1) & (state[:, 2] > 0) & (sigma > 0.27) & (error < 0.15 * sigma)
+    good &= sigma < 3.9 * psf.sigma_px
     misfit = (residual**2 * weight).sum(axis=1) - residual.shape[1]
     energy = ((flux[:, None] * images.value) ** 2 * weight).sum(axis=1)
-    sound &= misfit < np.maximum(_PSF_MISFIT * energy, 5.0 * np.sqrt(2.0 * residual.shape[1]))
+    good &= misfit < np.maximum(_PSF_MISFIT * energy, 5.0 * np.sqrt(2.0 * residual.shape[1]))
     state = np.column_stack([state[:, :2], flux, state[:, 3]])
-    return WidthFits(places, windows, images, state, sigma, error, normal, residual, sound)
+    return WidthFits(
+        pixels=pixels,
+        windows=windows,
+        images=images,
+        state=state,
+        sigma_px=sigma,
+        error_px=error,
+        normal=normal,
+        residual=residual,
+        good=good,
+    )
 
 
 def psf_of(fits: WidthFits, start: Psf, *, find_smear: bool) -> Psf:
-    """Width of the PSF from three sound stars or more, and smear.
-
-    With `find_smear` the start's smear is improved: stars longer one way than the other, all alike.
-    """
-    sound = fits.sound
+    """PSF with the width of three good stars or more, and with `find_smear` the smear they have in common."""
+    good = fits.good
     middle, corner = _width_over_field(
-        start, fits.places[sound].astype(float), fits.sigma_px[sound], fits.error_px[sound]
+        start, fits.pixels[good].astype(float), fits.sigma_px[good], fits.error_px[good]
     )
     psf = replace(start, sigma_px=middle, sigma_corner_px=corner)
     return _with_smear(psf, fits) if find_smear else psf
 
 
 def gain_of(fits: WidthFits) -> float:
-    """Electrons a DN, from how the residuals of the stars grow with their signal; infinite if they do not.
+    """Electrons per DN, from the growth of residuals with the signal; infinite if they do not grow.
 
-    Misfit of the PSF enters too, which makes the stated covariance larger, never smaller.
+    Misfit of the PSF contributes too, which makes the stated covariance larger, never smaller.
     """
     if fits.stars < _STARS_FOR_GAIN:
         return np.inf
-    unit, noise2 = fits.images.columns[fits.sound], fits.windows.noise2[fits.sound, None]
-    scale = by_parameter(fits.state[fits.sound], 5)
-    covariance = np.linalg.inv(fits.normal[fits.sound]) * scale[:, :, None] * scale[:, None, :]
+    unit, noise2 = fits.images.columns[fits.good], fits.windows.noise2[fits.good, None]
+    scale = by_parameter(fits.state[fits.good], 5)
+    covariance = np.linalg.inv(fits.normal[fits.good]) * scale[:, :, None] * scale[:, None, :]
     leverage = (np.matmul(covariance.astype(np.float32), unit) * unit).sum(axis=1) / noise2
-    model = np.maximum(fits.state[fits.sound, 2:3] * fits.images.value[fits.sound], 0.0)
+    model = np.maximum(fits.state[fits.good, 2:3] * fits.images.value[fits.good], 0.0)
     freedom = np.clip(1.0 - leverage, 0.1, 1.0)
-    residual2 = fits.residual[fits.sound].astype(float) ** 2
+    residual2 = fits.residual[fits.good].astype(float) ** 2
     excess = residual2 - noise2 * freedom
     slope = model * freedom
     per_dn = 0.0  # variance per DN of signal, 1 / gain
@@ -120,19 +121,19 @@ def gain_of(fits: WidthFits) -> float:
         weight = np.maximum((weighted * slope).sum(axis=1), 1e-30)
         each = (weighted * excess).sum(axis=1) / weight
         middle = _weighted_median(each, weight)
-        usual = (each - middle) ** 2 * weight < _UNUSUAL
-        per_dn = max(float((each * weight)[usual].sum() / weight[usual].sum()), 0.0)
+        inlier = (each - middle) ** 2 * weight < _OUTLIER
+        per_dn = max(float((each * weight)[inlier].sum() / weight[inlier].sum()), 0.0)
     return 1.0 / per_dn if per_dn > 0 else np.inf
 
 
 def _with_smear(psf: Psf, fits: WidthFits) -> Psf:
-    """The PSF with the smear that the stars' residuals about a round image show, if it is sure.
+    """PSF with the smear that the residuals about a round image show, if it is significant.
 
-    A smear s adds s sT / 12 to the second moments; the round width that was fitted holds half of its trace.
+    A smear s adds s sT / 12 to the second moments; the fitted round width contains half of its trace.
     """
     assert fits.images.d_stretch is not None
-    template, residual = fits.images.d_stretch[:, fits.sound], fits.residual[fits.sound]
-    flux, noise2 = fits.state[fits.sound, 2], fits.windows.noise2[fits.sound]
+    template, residual = fits.images.d_stretch[:, fits.good], fits.residual[fits.good]
+    flux, noise2 = fits.state[fits.good, 2], fits.windows.noise2[fits.good]
     energy = np.einsum("anm,anm->an", template, template) * flux**2 / noise2
     each = np.einsum("anm,nm->an", template, residual) * flux / noise2 / np.maximum(energy, 1e-30)
     plus, cross = (_weighted_median(values, weights) for values, weights in zip(each, energy))
@@ -141,10 +142,10 @@ def _with_smear(psf: Psf, fits: WidthFits) -> Psf:
     found = float(np.hypot(plus, cross))
     if found < 6.0 * spread or found < 0.02 * psf.sigma_px**2:
         return psf
-    share = min(1.0, _LARGEST_STRETCH * psf.sigma_px**2 / found)  # the rest is left to the next round
+    step = min(1.0, _LARGEST_STRETCH * psf.sigma_px**2 / found)  # the next round finds the rest
     sx, sy = psf.smear_px
     before = (sx**2 + sy**2) / 24.0
-    plus, cross = (sx**2 - sy**2) / 24.0 + share * plus, sx * sy / 12.0 + share * cross
+    plus, cross = (sx**2 - sy**2) / 24.0 + step * plus, sx * sy / 12.0 + step * cross
     stretch = float(np.hypot(plus, cross))
     length, angle = np.sqrt(24.0 * stretch), 0.5 * np.arctan2(cross, plus)
     factor = float(np.sqrt(max(psf.sigma_px**2 + before - stretch, 0.2 * psf.sigma_px**2))) / psf.sigma_px
@@ -156,19 +157,18 @@ def _with_smear(psf: Psf, fits: WidthFits) -> Psf:
     )
 
 
-def _median(values: Array) -> float:
+def _median(values: Floats) -> float:
     return float(np.sort(values)[len(values) // 2])
 
 
-def _weighted_median(values: Array, weights: Array) -> float:
+def _weighted_median(values: Floats, weights: Floats) -> float:
     order = np.argsort(values)
     below = np.cumsum(weights[order])
     return float(values[order[int(np.searchsorted(below, 0.5 * below[-1]))]])
 
 
-def _width_over_field(psf: Psf, xy: Array, sigma: Array, error: Array) -> tuple[float, float]:
-    """Width in the middle and in the corners; equal unless the stars say otherwise by three standard
-    errors."""
+def _width_over_field(psf: Psf, xy: Floats, sigma: Floats, error: Floats) -> tuple[float, float]:
+    """Width in the centre and in the corners, px; equal unless they differ by three standard errors."""
     size = np.array([psf.width_px, psf.height_px])
     radius2 = 2.0 * (((xy + 0.5) / size - 0.5) ** 2).sum(axis=1)
     error = np.maximum(error, 0.01 * sigma)

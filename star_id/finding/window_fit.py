@@ -1,8 +1,8 @@
-"""Gauss-Newton steps of a PSF's parameters in the windows of many stars at once.
+"""Gauss-Newton steps of the PSF parameters of many stars at once, each in its own window.
 
-A star's state is column and row from its window's middle, flux and local sky (px, px, DN, DN); its
-logarithmic width may be a fifth parameter. A pixel's variance is the sky's own plus the photon noise of the
-star.
+The state of a star is column and row from the middle of its window, flux and local background (px, px, DN,
+DN); its logarithmic width may be a fifth parameter. The variance of a pixel is the background's plus the
+photon noise of the star.
 """
 
 from __future__ import annotations
@@ -10,17 +10,17 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from boresight.geometry.record import Floats
 from boresight.star_id.finding.psf import PsfImages
 from boresight.star_id.finding.windows import StarWindows
 
 __all__ = ["by_parameter", "newton_step", "start_state"]
 
-Array = NDArray[np.float64]
 Pixels = NDArray[np.float32]
 
 
-def start_state(windows: StarWindows, offset: Array, images: PsfImages) -> Array:
-    """(N, 4) state at `offset` (N, 2), flux and sky by unweighted least squares."""
+def start_state(windows: StarWindows, offset: Floats, images: PsfImages) -> Floats:
+    """State (N, 4) at `offset` (N, 2), flux and background by unweighted least squares."""
     p, g, d = images.value, windows.good, windows.data
     gp, gd = g * p, g * d
     n, sp, spp = (np.asarray(v, dtype=float) for v in (g.sum(1), gp.sum(1), np.einsum("nm,nm->n", gp, p)))
@@ -31,11 +31,11 @@ def start_state(windows: StarWindows, offset: Array, images: PsfImages) -> Array
 
 
 def newton_step(
-    windows: StarWindows, images: PsfImages, state: Array, gain_e_per_dn: float
-) -> tuple[Array, Array, Pixels, Pixels]:
+    windows: StarWindows, images: PsfImages, state: Floats, gain_e_per_dn: float
+) -> tuple[Floats, Floats, Pixels, Pixels]:
     """One Gauss-Newton step: (N, P) step, (N, P, P) normal matrix, (N, M) residuals, (N, M) weights.
 
-    P is 4, or 5 where the images have widths.
+    P is 4, or 5 if the images include the derivative by width.
     """
     signal = images.value * state[:, 2:3].astype(np.float32)
     variance: NDArray = windows.noise2[:, None].astype(np.float32)
@@ -55,8 +55,8 @@ def newton_step(
     return np.linalg.solve(normal, gradient[:, :, None])[:, :, 0], normal, residual, weight
 
 
-def by_parameter(state: Array, parameters: int) -> Array:
-    """(N, P) what turns the columns of unit images into derivatives of the model: flux, or 1."""
+def by_parameter(state: Floats, parameters: int) -> Floats:
+    """(N, P) factors of the columns of unit-flux images in the derivatives of the model: flux, or 1."""
     scale = np.ones((len(state), parameters))
     scale[:, [0, 1, *range(4, parameters)]] = state[:, 2:3]
     return scale

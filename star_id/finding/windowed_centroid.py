@@ -1,9 +1,10 @@
-"""Places of stars without a fit: the first moment of their light under a Gaussian window as wide as the PSF.
+"""Windowed centroids: the first moment of a star under a Gaussian window as wide as the PSF, iterated.
 
-The window is moved to the moment until it stays (Bertin & Arnouts 1996; SExtractor's XWIN_IMAGE). An image
-that is symmetrical gives no bias, whatever its shape. Where the sky's noise rules this is as good as the fit,
-where the star's own rules somewhat worse. The covariance is the pixels' noise propagated: with g the window's
-weights, d the pixels' distances from the centre, I and v their light and its variance, s the window's width,
+The window moves to the moment until it is stationary (Bertin & Arnouts 1996; SExtractor's XWIN_IMAGE). A
+symmetric image gives no bias, whatever its shape. Where background noise dominates this is as precise as the
+fit, where photon noise dominates somewhat less. The covariance is the propagated noise of the pixels: with g
+the window's weights, d the pixels' offsets from the centre, I and v their signal and its variance, s the
+window's width,
 
     A = sum g I (1 - d dT / s^2),   C = A^-1 [sum g^2 v d dT] A^-T
 """
@@ -13,47 +14,47 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from boresight.geometry.record import Floats, Ints
 from boresight.star_id.finding.background import Background
-from boresight.star_id.finding.centroid import StarFits, faint_star_inflation
+from boresight.star_id.finding.centroid import StarFits, covariance_inflation
 from boresight.star_id.finding.psf import Psf, psf_images
 from boresight.star_id.finding.window_fit import start_state
 from boresight.star_id.finding.windows import star_windows
 
 __all__ = ["windowed_centroids"]
 
-Array = NDArray[np.float64]
 
-_LEAST_WIDTH_PX = 1.1  # a narrower window on a narrow star would feel the pixels
-_WINDOW_SIGMA = 3.0  # the window's weight there is 1 %, of light that is 1 % of the peak
+_LEAST_WIDTH_PX = 1.1  # a narrower window on a narrow star would be biased by pixel phase
+_WINDOW_SIGMA = 3.0  # where the window's weight is 1 %, and the signal 1 % of the peak
 _STEPS = 20
 _SMALL_STEP = 0.002  # of the window's width
 
 
 def windowed_centroids(
     image: NDArray,
-    places: NDArray[np.int64],
-    offset: Array,
+    pixels: Ints,
+    offset: Floats,
     background: Background,
     psf: Psf,
     *,
     gain_e_per_dn: float,
     saturation_dn: float,
 ) -> StarFits:
-    """Centroids near `places` + `offset` (N, 2), as `star_id.finding.centroid.fit_stars` gives them.
+    """Centroids of stars near `pixels` + `offset` (N, 2), with the arguments of `centroid.fit_stars`.
 
-    Full pixels count as they are, so the covariances of saturated stars are too small.
+    Saturated pixels are used as they are, so the covariances of saturated stars are too small.
     """
-    sigma = psf.sigma_at(places.astype(float))
+    sigma = psf.sigma_at(pixels.astype(float))
     width = np.maximum(sigma, _LEAST_WIDTH_PX)
     smear = 0.5 * float(np.hypot(*psf.smear_px))
     radius = max(3, int(np.ceil(_WINDOW_SIGMA * float(width.mean() if len(width) else 1.0) + smear)))
-    windows = star_windows(image, places, background, radius, saturation_dn)
-    centre = windows.offsets(places + offset)
-    moved = np.full(len(places), np.inf)
+    windows = star_windows(image, pixels, background, radius, saturation_dn)
+    centre = windows.offsets(pixels + offset)
+    moved = np.full(len(pixels), np.inf)
     for _ in range(_STEPS):
         weight, d = _window(centre, width, radius)
         light = weight * windows.data
-        step = 2.0 * (light[:, None] * d).sum(axis=2) / _not_zero(light.sum(axis=1))[:, None]
+        step = 2.0 * (light[:, None] * d).sum(axis=2) / _nonzero(light.sum(axis=1))[:, None]
         step = np.clip(step, -0.5, 0.5)
         moved = np.abs(step).max(axis=1, initial=0.0)
         centre = centre + step
@@ -67,11 +68,9 @@ def windowed_centroids(
     chi2 = ((windows.data - sky[:, None] - signal) ** 2 / variance).sum(axis=1)
     dof = np.full(len(flux), unit.shape[1] - 4.0)
     flux_sigma = np.sqrt(1.0 / np.maximum((unit**2 / noise2).sum(axis=1), 1e-30))
-    ratio = chi2 / dof
-    inflation = np.where(ratio > 1.0 + 3.5 * np.sqrt(2.0 / dof), ratio, 1.0)
-    inflation = inflation * faint_star_inflation(np.maximum(flux / flux_sigma, 1.0))
+    inflation = covariance_inflation(chi2, dof, np.maximum(flux / flux_sigma, 1.0))
     xy = centre + windows.corner + windows.radius
-    near = np.abs(xy - places).max(axis=1, initial=0.0) < 2.0
+    near = np.abs(xy - pixels).max(axis=1, initial=0.0) < 2.0
     return StarFits(
         xy_px=xy,
         cov_px=_covariance(centre, signal, variance, width, radius) * inflation[:, None, None],
@@ -84,7 +83,7 @@ def windowed_centroids(
     )
 
 
-def _covariance(centre: Array, signal: Array, variance: Array, width: Array, radius: int) -> Array:
+def _covariance(centre: Floats, signal: Floats, variance: Floats, width: Floats, radius: int) -> Floats:
     weight, d = _window(centre, width, radius)
     light = weight * signal
     slope = light.sum(axis=1)[:, None, None] * np.eye(2)
@@ -95,12 +94,12 @@ def _covariance(centre: Array, signal: Array, variance: Array, width: Array, rad
     return np.asarray(inverse @ noise @ inverse.transpose(0, 2, 1))
 
 
-def _window(centre: Array, width: Array, radius: int) -> tuple[Array, Array]:
-    """Weights (N, M) of a window's pixels, 1 in the middle, and their distances (N, 2, M) from it."""
+def _window(centre: Floats, width: Floats, radius: int) -> tuple[Floats, Floats]:
+    """Weights (N, M) of a window's pixels, 1 in the middle, and their offsets (N, 2, M) from it."""
     y, x = np.mgrid[-radius : radius + 1, -radius : radius + 1]
     d = np.stack([x.ravel(), y.ravel()]) - centre[:, :, None]
     return np.exp(-0.5 * (d**2).sum(axis=1) / width[:, None] ** 2), d
 
 
-def _not_zero(light: Array) -> Array:
+def _nonzero(light: Floats) -> Floats:
     return np.where(np.abs(light) > 1e-9, light, 1e-9)

@@ -1,42 +1,42 @@
-"""Square cut-outs of an image around stars, with the sky's level taken away and full pixels marked."""
+"""Square windows of an image around stars, background subtracted and saturated pixels masked."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from boresight.geometry.record import Bools, Floats, Ints, array, record, scalar
 from boresight.star_id.finding.background import Background
 
 __all__ = ["StarWindows", "star_windows", "windows_at"]
 
-Array = NDArray[np.float64]
 
-
-@dataclass(frozen=True, slots=True, eq=False)
+@record(kw_only=True)
 class StarWindows:
-    """Windows of side 2 radius + 1, their pixels in one row of M."""
+    """Windows of side 2 radius + 1 around N stars, each as one row of M pixels."""
 
-    corner: NDArray[np.int64]  # (N, 2) first pixel, column and row
-    radius: int
-    data: NDArray[np.float32]  # (N, M) DN above the sky's level
-    good: NDArray[np.float32]  # (N, M) 1, or 0 for pixels that must not count
-    noise2: Array  # (N,) variance of a pixel of sky
-    saturated: NDArray[np.bool_]  # (N,) some pixel is at the top of the range
+    corner: Ints = array("N, 2", "first pixel as (column, row)")
+    radius: int = scalar("pixels from the middle to the edge")
+    data: NDArray[np.float32] = array("N, M", "above the background, DN")
+    good: NDArray[np.float32] = array("N, M", "1, or 0 for masked pixels")
+    noise2: Floats = array("N", "variance of a background pixel, DN^2")
+    saturated: Bools = array("N", "whether some pixel is saturated")
 
     def take(self, index: NDArray) -> StarWindows:
+        """The windows `index`."""
         names = ("corner", "data", "good", "noise2", "saturated")
         return replace(self, **{name: getattr(self, name)[index] for name in names})
 
-    def offsets(self, xy_px: Array) -> Array:
-        """(N, 2) places in the image as seen from the windows' middles."""
+    def offsets(self, xy_px: Floats) -> Floats:
+        """Pixels (N, 2) of the image relative to the middles of the windows."""
         return np.asarray(xy_px - self.corner - self.radius, dtype=np.float64)
 
 
-def windows_at(image: NDArray, corners: NDArray[np.int64], side: int) -> NDArray:
-    """Square cut-outs (N, side, side) whose first pixels (column, row) are `corners`, which must lie
-    inside."""
+def windows_at(image: NDArray, corners: Ints, side: int) -> NDArray:
+    """Cut-outs (N, side, side) whose first pixels (column, row) are `corners` (N, 2), all inside the
+    image."""
     height, width = image.shape
     image = np.ascontiguousarray(image)
     row, pixel = image.strides
@@ -46,28 +46,34 @@ def windows_at(image: NDArray, corners: NDArray[np.int64], side: int) -> NDArray
 
 
 def star_windows(
-    image: NDArray, places: NDArray[np.int64], background: Background, radius: int, saturation_dn: float
+    image: NDArray, pixels: Ints, background: Background, radius: int, saturation_dn: float
 ) -> StarWindows:
-    """Windows with `places` (N, 2) in their middles, or beside them at the image's edge."""
+    """Windows centred on `pixels` (N, 2), shifted inwards at the image's edges."""
     height, width = image.shape
     side = 2 * radius + 1
-    corner = np.clip(places - radius, 0, [width - side, height - side])
+    corner = np.clip(pixels - radius, 0, [width - side, height - side])
     raw = windows_at(image, corner, side)
-    level, noise = background.at(places.astype(float))
+    level, noise = background.at(pixels.astype(float))
     full = raw >= saturation_dn
     saturated = np.asarray(full.any(axis=(1, 2)))
     good = np.ones(raw.shape, dtype=np.float32)
     if saturated.any():
         good[full] = 0.0
         arms = full & _bloomed(full)[:, None, None]
-        good[:, 1:][arms[:, :-1]] = 0.0  # a bloom ends in a pixel that is not full, and not the star's alone
+        good[:, 1:][arms[:, :-1]] = 0.0  # the end of a bloom is not saturated, but not only the star
         good[:, :-1][arms[:, 1:]] = 0.0
     n = len(raw)
     data = raw.reshape(n, side * side) - level[:, None].astype(np.float32)
-    return StarWindows(corner, radius, data, good.reshape(n, side * side), noise**2, saturated)
+    return StarWindows(
+        corner=corner,
+        radius=radius,
+        data=data,
+        good=good.reshape(n, side * side),
+        noise2=noise**2,
+        saturated=saturated,
+    )
 
 
-def _bloomed(full: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """(N,) whether the full pixels (N, side, side) stand more than one row higher than they are wide: charge
-    ran over."""
+def _bloomed(full: Bools) -> Bools:
+    """(N,) whether the saturated pixels (N, side, side) are at least two pixels higher than wide."""
     return np.asarray(full.any(axis=2).sum(axis=1) > full.any(axis=1).sum(axis=1) + 1)

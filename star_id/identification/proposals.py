@@ -144,12 +144,7 @@ class _DetectionMap:
         return cls(image, cell, occupied)
 
     def log_ratios(
-        self,
-        table: TriangleTable,
-        u_i: Floats,
-        vertices: NDArray[np.int32],
-        R: Floats,
-        log_scale: Floats,
+        self, table: TriangleTable, u_i: Floats, vertices: NDArray[np.int32], R: Floats, log_scale: Floats
     ) -> Floats:
         """(P,) log likelihood ratios by the neighbours of each first vertex, detected or missed."""
         field = self.image.field

@@ -81,7 +81,22 @@ def listed_stars(camera, R_si, places, rng, *, brightest=260.0):
     psf = Psf(1.25, 1.25, (0.0, 0.0), camera.width_px, camera.height_px)
     ground = Background(np.full((8, 10), 20.0), np.full((8, 10), 2.0), camera.width_px, camera.height_px)
     cov = sigma[:, None, None] ** 2 * np.eye(2)
-    return StarList(xy, cov, snr[keep], snr[keep], no, no, psf, 50, ground, 40.0, 5.5, 0, 0, 255.0)
+    return StarList(
+        xy_px=xy,
+        cov_px=cov,
+        flux_dn=snr[keep],
+        snr=snr[keep],
+        saturated=no,
+        blended=no,
+        psf=psf,
+        psf_stars=50,
+        background=ground,
+        gain_e_per_dn=40.0,
+        threshold=5.5,
+        hot_pixels=0,
+        misshapen=0,
+        saturation_dn=255.0,
+    )
 
 
 def as_seen(places, observer):
