@@ -6,7 +6,13 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from boresight.geometry.attitude_estimate import AttitudeSettings, fit_attitude, fit_attitudes
+from boresight.geometry.attitude_estimate import (
+    AttitudeSettings,
+    fit_attitude,
+    fit_attitudes,
+    wahba_matrices,
+    wahba_rotation,
+)
 from boresight.geometry.sightings import isotropic_covariance
 
 SIGMA = 4e-6  # rad
@@ -123,3 +129,13 @@ def test_directions_too_close_together_fix_no_attitude():
     u_s, u_i, cov_s, _, _, _ = stars([4], seed=3)
     with pytest.raises(ValueError, match="too close together"):
         fit_attitude(u_s[[0, 0, 0]], u_i[[0, 0, 0]], cov_s[[0, 0, 0]])
+
+
+def test_one_wahba_problem_has_the_rotation_of_many():
+    rng = np.random.default_rng(17)
+    for n in (2, 3, 50):
+        R, b = Rotation.random(random_state=rng), rng.normal(size=(n, 3))
+        profile = (R.apply(b) + 1e-3 * rng.normal(size=(n, 3))).T @ b
+        difference = wahba_rotation(profile) * Rotation.from_matrix(wahba_matrices(profile[None])[0]).inv()
+        assert difference.magnitude() < 1e-12  # rad: rounding
+        assert (wahba_rotation(profile) * R.inv()).magnitude() < 0.02  # rad: errors of 1e-3 on few vectors
