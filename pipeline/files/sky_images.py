@@ -24,7 +24,15 @@ from boresight.pipeline.files.orbit_file import read_oem
 from boresight.pipeline.files.text_files import read_table
 from boresight.star_id.observer import Observer
 
-__all__ = ["NOWHERE", "SkyImage", "SkyImages", "Whereabouts", "observers_of", "open_sky_images"]
+__all__ = [
+    "NOWHERE",
+    "SkyImage",
+    "SkyImages",
+    "Whereabouts",
+    "observer_at",
+    "observers_of",
+    "open_sky_images",
+]
 
 
 @record
@@ -108,6 +116,12 @@ def observers_of(images: Sequence[Path], known: Whereabouts) -> dict[str, Observ
     utc = _times(images, known.times)
     trajectory = _trajectory_of(known)
     return {name: _observer(trajectory, known.times, name, time) for name, time in utc.items()}
+
+
+def observer_at(utc: str, site_deg_m: tuple[float, float, float] | None = None) -> Observer:
+    """The observer of one image: at the Earth's centre, or at (latitude, longitude, height) on the ground."""
+    known = Whereabouts(Path("time"), None, site_deg_m)
+    return _observer(_trajectory_of(known), Path("time"), "the image", utc)
 
 
 def _times(images: Sequence[Path], times: Path) -> dict[str, str]:

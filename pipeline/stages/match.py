@@ -25,7 +25,7 @@ from boresight.pipeline.errors import DataNotSufficientError, RawDataError
 from boresight.pipeline.files.image_files import read_grid
 from boresight.pipeline.stages.strip import StripTask, strip_matches
 
-__all__ = ["StripLine", "match_strips", "overlay_picture", "suggest", "write_matches"]
+__all__ = ["StripLine", "match_strips", "matches_table", "overlay_picture", "suggest", "write_matches"]
 
 MAX_ORTHO_PIXELS = 20_000 * 20_000
 _PANEL_PX = 256
@@ -74,7 +74,16 @@ def match_strips(tasks: Sequence[StripTask], overlay: Path | None) -> Iterator[S
 
 
 def write_matches(path: Path, lines: Sequence[StripLine]) -> None:
-    """One row a place and one a refusal; Parquet if the file's name says so, else CSV."""
+    """Write `matches_table`: Parquet if the file's name says so, else CSV."""
+    table = matches_table(lines)
+    if path.suffix == ".parquet":
+        table.to_parquet(path, index=False)
+    else:
+        table.to_csv(path, index=False, lineterminator="\n")
+
+
+def matches_table(lines: Sequence[StripLine]) -> pd.DataFrame:
+    """One row a measurement and one a rejection, with its reason."""
     rows: list[dict[str, object]] = []
     for line in lines:
         for m in line.matches:
@@ -109,11 +118,7 @@ def write_matches(path: Path, lines: Sequence[StripLine]) -> None:
             }
             for r in line.refused
         ]
-    table = pd.DataFrame(rows)
-    if path.suffix == ".parquet":
-        table.to_parquet(path, index=False)
-    else:
-        table.to_csv(path, index=False, lineterminator="\n")
+    return pd.DataFrame(rows)
 
 
 def overlay_picture(match: TargetMatch) -> NDArray[np.uint8]:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -72,7 +73,7 @@ class NotIdentified:
     proposals: int = scalar("triangles that agreed with the catalogue", default=0)
     best_log_odds: float = scalar("largest log likelihood ratio less log(proposals)", default=-math.inf)
 
-    def __bool__(self) -> bool:
+    def __bool__(self) -> Literal[False]:
         return False
 
 

@@ -1,0 +1,58 @@
+"""What every result of the package's functions can do: a summary of three lines, HTML, a table and a plot."""
+
+from __future__ import annotations
+
+import html
+from typing import TYPE_CHECKING, Literal
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.axes import Axes
+
+__all__ = ["Outcome", "Result", "axes_or_new"]
+
+
+class Result:
+    """Base of all results. `repr()` gives `summary()`; a notebook shows it with the head of `table()`."""
+
+    __slots__ = ()
+
+    def summary(self) -> str:
+        """Three lines: what was found, its values with 1-sigma errors, what they rest on."""
+        raise NotImplementedError
+
+    def table(self) -> pd.DataFrame:
+        """The result's rows as a pandas table; column names end with the unit."""
+        raise NotImplementedError
+
+    def plot(self, ax: Axes | None = None) -> Axes:
+        """Draw the result into `ax`, or into axes of a new figure, and return the axes."""
+        raise NotImplementedError
+
+    def __repr__(self) -> str:
+        return self.summary()
+
+    def _repr_html_(self) -> str:
+        head = self.table().head(8).to_html(border=0, float_format="{:.6g}".format)
+        return f"<pre>{html.escape(self.summary())}</pre>{head}"
+
+
+class Outcome(Result):
+    """Base of results of what may fail: true in a condition, where the reason of a failure is false."""
+
+    __slots__ = ()
+
+    def __bool__(self) -> Literal[True]:
+        return True
+
+
+def axes_or_new(ax: Axes | None) -> Axes:
+    """The given axes, or those of a new figure."""
+    if ax is not None:
+        return ax
+    from matplotlib.figure import Figure
+    from matplotlib.pyplot import subplots
+
+    figure, new = subplots(layout="constrained")
+    assert isinstance(figure, Figure)
+    return new

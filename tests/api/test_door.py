@@ -1,0 +1,290 @@
+"""`import boresight`: its names, types, documentation and results."""
+
+from __future__ import annotations
+
+import ast
+import doctest
+import importlib
+import inspect
+import json
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from matplotlib.axes import Axes
+from scipy.ndimage import gaussian_filter
+from scipy.spatial.transform import Rotation
+
+import boresight as bs
+from boresight.display import Result
+
+ROOT = Path(__file__).parents[2]
+MINI = ROOT / "fixtures" / "mini"
+EXPOSURE = MINI / "exposures" / "e0001.png"
+FUNCTIONS = [name for name in bs.__all__ if inspect.isfunction(getattr(bs, name))]
+RESULTS = [
+    name
+    for name in bs.__all__
+    if inspect.isclass(getattr(bs, name)) and issubclass(getattr(bs, name), Result)
+]
+
+
+@pytest.fixture(scope="module")
+def estimate() -> bs.Calibration:
+    return bs.calibrate(MINI)
+
+
+@pytest.fixture(scope="module")
+def ground() -> np.ndarray:
+    return 500.0 + 400.0 * gaussian_filter(np.random.default_rng(5).normal(size=(220, 240)), 1.5)
+
+
+def test_type_checkers_and_run_time_see_the_same_names() -> None:
+    tree = ast.parse((ROOT / "boresight" / "__init__.py").read_text(encoding="utf-8"))
+    block = next(node for node in tree.body if isinstance(node, ast.If))
+    imported = {
+        alias.name: node.module
+        for node in block.body
+        if isinstance(node, ast.ImportFrom)
+        for alias in node.names
+    }
+    assert sorted(imported) == sorted(bs.__all__)
+    for name, module in imported.items():
+        assert getattr(bs, name) is getattr(importlib.import_module(str(module)), name)
+        assert name in dir(bs)
+    with pytest.raises(AttributeError, match="no attribute 'nothing'"):
+        bs.nothing  # noqa: B018
+
+
+def test_import_alone_loads_no_numpy() -> None:
+    code = "import boresight, sys; print('numpy' in sys.modules, 'typer' in sys.modules)"
+    assert subprocess.check_output([sys.executable, "-c", code], text=True).split() == ["False", "False"]
+
+
+@pytest.mark.parametrize("module", ["stars", "matching", "calibration"])
+def test_examples_of_the_docstrings_run(module: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(ROOT)
+    done = doctest.testmod(importlib.import_module(f"boresight.{module}"))
+    assert done.failed == 0
+    assert done.attempted > 5
+
+
+@pytest.mark.parametrize("name", FUNCTIONS)
+def test_every_function_documents_parameters_result_and_errors(name: str) -> None:
+    function = getattr(bs, name)
+    text = inspect.getdoc(function) or ""
+    for section in ("Parameters", "Returns", "Raises"):
+        assert f"{section}\n{'-' * len(section)}\n" in text, section
+    head = text.split("Parameters\n---")[1].split("Returns\n---")[0]
+    documented = {one for line in re.findall(r"(?m)^([a-z_A-Z0-9, ]+) : ", head) for one in line.split(", ")}
+    assert documented == set(inspect.signature(function).parameters)
+
+
+@pytest.mark.parametrize("name", RESULTS)
+def test_help_of_every_result_shows_shapes_units_and_meaning(name: str) -> None:
+    text = inspect.getdoc(getattr(bs, name)) or ""
+    fields = [line for line in text.split("Attributes")[1].splitlines() if " : " in line]
+    for line in fields:
+        field, kind = line.strip().split(" : ")
+        assert not kind.startswith("Floats"), f"{name}.{field} states no shape"
+        assert f"{field} : {kind}\n    " in text, f"{name}.{field} states no meaning"
+
+
+def test_every_result_shows_itself(estimate: bs.Calibration, ground: np.ndarray) -> None:
+    stars = bs.find_stars(EXPOSURE)
+    camera = bs.open_dump(MINI).star_camera
+    solution = bs.identify(stars, camera=camera)
+    match = bs.match_template(ground[60:124, 50:114], ground, start_px=(84, 88))
+    lens = bs.calibrate_star_camera([MINI / "exposures" / f"e{n:04d}.png" for n in (1, 15)], camera=camera)
+    vectors = estimate_from_vectors(np.random.default_rng(1))
+    for result in (estimate, stars, solution, match, lens, vectors):
+        assert isinstance(result, Result)
+        assert len(repr(result).splitlines()) == 3
+        assert isinstance(result.table(), pd.DataFrame)
+        assert "<table" in result._repr_html_()
+        axes = result.plot()
+        assert isinstance(axes, Axes)
+        assert result.plot(axes) is axes
+
+
+def test_identified_image_points_where_the_dump_says(estimate: bs.Calibration) -> None:
+    solution = bs.identify(EXPOSURE, camera=bs.open_dump(MINI).star_camera)
+    assert solution
+    assert estimate.saved is not None
+    R_si = estimate.saved.R_si[estimate.saved.exposure_id.index("e0001")]
+    # without a time the annual and orbital aberration remain: 30 arcsec at most
+    assert (solution.R_si * R_si.inv()).magnitude() * 206265 < 30.0
+    assert solution.fov_deg == pytest.approx(np.degrees(solution.camera.fov_x_rad))
+
+
+def test_no_answer_is_false_and_says_why(ground: np.ndarray) -> None:
+    image = np.random.default_rng(3).normal(100.0, 5.0, (200, 200)).astype(np.float32)
+    unknown = bs.identify(image, fov_deg=10)
+    assert isinstance(unknown, bs.NotIdentified)
+    assert not unknown
+    assert "0 stars found" in unknown.reason
+    elsewhere = bs.match_template(ground[60:124, 50:114], ground[::-1], start_px=(84, 88))
+    assert isinstance(elsewhere, bs.NotMatched)
+    assert not elsewhere
+    assert elsewhere.sentence
+    assert not bs.calibrate_star_camera([image])
+
+
+def test_callers_mistakes_are_named() -> None:
+    camera = bs.open_dump(MINI).star_camera
+    with pytest.raises(ValueError, match="exclude one another"):
+        bs.identify(EXPOSURE, camera=camera, fov_deg=20)
+    with pytest.raises(ValueError, match=r"between 0\.5 and 90"):
+        bs.identify(EXPOSURE, fov_deg=120)
+    with pytest.raises(ValueError, match="one size"):
+        bs.calibrate_star_camera([np.ones((64, 64)), np.ones((64, 65))])
+    with pytest.raises(ValueError, match="no strip nine"):
+        bs.match_targets(MINI, strips=["nine"])
+    with pytest.raises(bs.RawDataError, match=r"dump\.toml"):
+        bs.calibrate(ROOT / "docs")
+
+
+def test_a_dump_gives_the_same_matrix_in_memory_and_in_a_folder(
+    estimate: bs.Calibration, tmp_path: Path
+) -> None:
+    in_folder = bs.calibrate(MINI, out=tmp_path / "result")
+    again = bs.read_result(tmp_path / "result")
+    for other in (in_folder, again):
+        assert np.array_equal(estimate.R_cs.as_quat(), other.R_cs.as_quat())
+        assert np.array_equal(estimate.cov_theta, other.cov_theta)
+        pd.testing.assert_frame_equal(estimate.targets, other.targets)
+    written = json.loads((tmp_path / "result" / "installation.json").read_text())
+    assert np.array_equal(written["covariance_rad2"], estimate.cov_theta)
+    assert bs.validate(again, MINI).nees == bs.validate(estimate, MINI).nees
+    assert bs.validate(estimate, MINI).nees < 11.3  # chi-square, 3 degrees of freedom, 99 %
+    page = estimate.report(tmp_path / "memory.html")
+    assert "<html" in page.read_text()[:500]
+    ground = bs.geolocate(tmp_path / "result", "s01", 1, [10.0, 500.0], 1000.0)
+    assert np.isfinite(ground.to_numpy()).all()
+    assert (ground["sigma_across_m"] < 30.0).all()  # m: 10 arcsec from 530 km
+
+
+def draw_vectors(rng: np.random.Generator, R_cs: Rotation, frames: int) -> list[tuple[np.ndarray, ...]]:
+    """Vectors of `frames` attitudes with errors of 1e-5 (stars) and 1e-6 rad (targets)."""
+    drawn = []
+    for R_si in Rotation.random(frames, random_state=rng):
+        u_s = unit(np.column_stack([rng.uniform(-0.15, 0.15, (30, 2)), np.ones(30)]))
+        w_c = unit(np.column_stack([rng.uniform(-0.02, 0.02, (10, 2)), np.ones(10)]))
+        v_targets = (R_cs * R_si).inv().apply(w_c)
+        noisy = unit(u_s + rng.normal(0, 1e-5, u_s.shape)), unit(w_c + rng.normal(0, 1e-6, w_c.shape))
+        drawn.append((noisy[0], R_si.inv().apply(u_s), noisy[1], v_targets))
+    return drawn
+
+
+def unit(v: np.ndarray) -> np.ndarray:
+    return v / np.linalg.norm(v, axis=1, keepdims=True)
+
+
+R_TRUE = Rotation.from_euler("xyz", [160.0, 8.0, -50.0], degrees=True)
+
+
+def estimate_from_vectors(rng: np.random.Generator, frames: int = 20) -> bs.Calibration:
+    u_s, v_stars, w_c, v_targets = (list(part) for part in zip(*draw_vectors(rng, R_TRUE, frames)))
+    R_cs0 = Rotation.from_rotvec([1e-3, -2e-3, 3e-3]) * R_TRUE
+    return bs.calibrate_vectors(u_s, v_stars, 1e-5, w_c, v_targets, 1e-6, R_cs0)
+
+
+def test_vectors_give_the_true_matrix_within_the_stated_covariance() -> None:
+    nees = []
+    for seed in range(40):
+        est = estimate_from_vectors(np.random.default_rng(seed), 4)
+        error = -(est.R_cs * R_TRUE.inv()).as_rotvec()
+        nees.append(error @ np.linalg.solve(est.cov_theta, error))
+    assert 80.9 < sum(nees) < 167.3  # chi-square, 120 degrees of freedom, 0.2 to 99.8 %
+
+
+def test_one_frame_may_be_given_as_arrays_and_sigmas_one_by_one() -> None:
+    u_s, v_stars, w_c, v_targets = draw_vectors(np.random.default_rng(2), R_TRUE, 1)[0]
+    one = bs.calibrate_vectors(u_s, v_stars, 1e-5, w_c, v_targets, 1e-6, R_TRUE)
+    sigmas = np.full(30, 1e-5), np.full(10, 1e-6)
+    same = bs.calibrate_vectors([u_s], [v_stars], [sigmas[0]], [w_c], [v_targets], [sigmas[1]], R_TRUE)
+    assert np.array_equal(one.R_cs.as_quat(), same.R_cs.as_quat())
+    with pytest.raises(ValueError, match=r"u_s .* must be \(N, 3\)"):
+        bs.calibrate_vectors(u_s, v_stars[:-1], 1e-5, w_c, v_targets, 1e-6, R_TRUE)
+    with pytest.raises(ValueError, match="from vectors"):
+        one.report("report.html")
+
+
+def test_a_simulated_dump_opens(tmp_path: Path) -> None:
+    changes = ["strips.count=1", "targets.per_strip=1"]
+    with pytest.raises(ValueError, match="not an empty folder"):
+        bs.simulate("mini", MINI, changes=changes)
+    with pytest.raises(ValueError, match="scenario 'nowhere'"):
+        bs.simulate("nowhere", tmp_path / "dump")
+
+
+USER_SCRIPT = """
+import boresight as bs
+import numpy as np
+
+image = np.zeros((64, 64), dtype=np.uint16)
+stars = bs.find_stars(image)
+reveal_type(stars)
+reveal_type(stars.xy_px)
+reveal_type(stars.table())
+reveal_type(stars.plot())
+solution = bs.identify(stars, fov_deg=20)
+reveal_type(solution)
+if solution:
+    reveal_type(solution)
+    reveal_type(solution.ra_deg)
+    reveal_type(solution.sigma_arcsec)
+    reveal_type(solution.R_si)
+    reveal_type(solution.camera.focal_m)
+else:
+    reveal_type(solution)
+    reveal_type(solution.reason)
+camera = bs.calibrate_star_camera([image, "image.png"], fov_deg=20)
+if camera:
+    reveal_type(camera.camera)
+match = bs.match_template(image, image, start_px=(3, 4))
+if match:
+    reveal_type(match.xy_px)
+    reveal_type(match.correlation)
+else:
+    reveal_type(match.sentence)
+matches = bs.match_targets("dump")
+reveal_type(matches.table())
+estimate = bs.calibrate("dump", workers=2)
+reveal_type(estimate)
+reveal_type(estimate.R_cs)
+reveal_type(estimate.cov_theta)
+reveal_type(estimate.chi2)
+reveal_type(estimate.targets)
+reveal_type(estimate.report("report.html"))
+vectors = bs.calibrate_vectors(np.eye(3), np.eye(3), 1e-5, np.eye(3), np.eye(3), 1e-6, estimate.R_cs)
+reveal_type(vectors.sigma_arcsec)
+reveal_type(bs.read_result("result"))
+validation = bs.validate(estimate, "dump")
+reveal_type(validation)
+reveal_type(validation.nees)
+reveal_type(bs.geolocate("result", "s01", 0, 1.0, 2.0))
+reveal_type(bs.open_dump("dump").star_camera)
+reveal_type(bs.simulate("mini", "out"))
+reveal_type(bs.forecast("plan.toml").table)
+reveal_type(bs.forecast("plan.toml").strips_needed)
+"""
+
+
+def test_a_users_strict_script_sees_no_any(tmp_path: Path) -> None:
+    script = tmp_path / "script.py"
+    script.write_text(USER_SCRIPT)
+    strict = ["--strict", "--config-file=", f"--cache-dir={ROOT / '.mypy_cache' / 'users_script'}"]
+    command = [sys.executable, "-m", "mypy", *strict, str(script)]
+    environment = {"PATH": "/usr/bin:/bin", "MYPYPATH": str(ROOT), "HOME": str(tmp_path)}
+    done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, env=environment)
+    lines = [line for line in done.stdout.splitlines() if line.startswith("script.py")]
+    revealed = [line.split("Revealed type is ")[1] for line in lines if "Revealed type is" in line]
+    assert len(revealed) == USER_SCRIPT.count("reveal_type")
+    assert not [line for line in lines if ": error:" in line]
+    shapes_aside = [text.replace("tuple[Any, ...]", "tuple[int, ...]") for text in revealed]  # NumPy's own
+    assert not [text for text in shapes_aside if re.search(r"\bAny\b", text)]
