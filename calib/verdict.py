@@ -1,0 +1,297 @@
+"""Whether the data of a calibration contradict themselves: tests of the estimate's own statistics.
+
+A wrong camera model, orbit or target list leaves traces that do not depend on the truth: residuals larger
+than the stated standard deviations, strips that disagree, many rejected observations, coordinates that occur
+twice. Each test has a p-value; the verdict is `refuted` if one falls below its share of the overall
+false-alarm rate (Bonferroni). Stated standard deviations are never exact, so those of chi-square tests may be
+off by a stated factor before the test counts it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from enum import Enum
+
+import numpy as np
+from scipy.spatial import KDTree
+from scipy.stats import binom, chi2
+
+from boresight.calib.estimate import InstallationEstimate, WhyRejected
+from boresight.geometry.record import Floats, array, record, scalar
+from boresight.geometry.sightings import GroundSightings, StripSightings
+
+__all__ = ["Check", "CheckKind", "Outcome", "Suspect", "Verdict", "VerdictSettings", "assess"]
+
+SAME_PLACE_M = 0.05  # two surveyed targets are never nearer; rounding of coordinates is far smaller
+NEARLY_SAME_PLACE_M = 10.0  # candidates: along a straight path of the satellite instead of its curved one
+
+
+class Outcome(Enum):
+    """What the statistics say of the data as a whole."""
+
+    CONSISTENT = "consistent"
+    REFUTED = "refuted"
+
+
+class CheckKind(Enum):
+    """What a check tests."""
+
+    STAR_RESIDUALS = "residuals of stars"
+    STARS_REJECTED = "share of stars rejected"
+    TARGET_RESIDUALS = "residuals of targets"
+    TARGETS_REJECTED = "share of targets rejected"
+    BETWEEN_STRIPS = "agreement between strips"
+    START_MATRIX = "distance from the matrix measured on the ground"
+    DUPLICATED_TARGETS = "equal coordinates of targets"
+    CONVERGENCE = "convergence"
+
+
+class Suspect(Enum):
+    """Inputs to look at if a check fails."""
+
+    STAR_CAMERA_MODEL = "focal length, principal point and distortion of the star camera"
+    STAR_SIGMA = "stated noise of star positions"
+    LINE_CAMERA_MODEL = "look directions of the remote-sensing camera"
+    ORBIT = "positions and velocities of the satellite"
+    CLOCKS = "times of rows, exposures and orbit"
+    STATED_ERRORS = "stated errors of position, clock, vibration and distortion"
+    TARGET_COORDINATES = "coordinates of targets, their height system and stated errors"
+    TARGET_LIST = "targets listed more than once"
+    GROUND_MATRIX = "installation matrix measured on the ground and its stated error"
+
+
+LOOK_AT = {
+    CheckKind.STAR_RESIDUALS: (Suspect.STAR_CAMERA_MODEL, Suspect.STAR_SIGMA),
+    CheckKind.STARS_REJECTED: (Suspect.STAR_CAMERA_MODEL, Suspect.STAR_SIGMA),
+    CheckKind.TARGET_RESIDUALS: (
+        Suspect.ORBIT,
+        Suspect.TARGET_COORDINATES,
+        Suspect.LINE_CAMERA_MODEL,
+        Suspect.CLOCKS,
+        Suspect.STATED_ERRORS,
+    ),
+    CheckKind.TARGETS_REJECTED: (Suspect.TARGET_COORDINATES, Suspect.LINE_CAMERA_MODEL),
+    CheckKind.BETWEEN_STRIPS: (Suspect.ORBIT, Suspect.CLOCKS, Suspect.STATED_ERRORS),
+    CheckKind.START_MATRIX: (Suspect.STAR_CAMERA_MODEL, Suspect.GROUND_MATRIX),
+    CheckKind.DUPLICATED_TARGETS: (Suspect.TARGET_LIST,),
+    CheckKind.CONVERGENCE: (Suspect.GROUND_MATRIX,),
+}
+
+
+@record
+class VerdictSettings:
+    """Limits of the verdict. They allow for what honest data show, not for what is desirable."""
+
+    probability_false_alarm: float = scalar(
+        "that consistent data are refuted, all checks together", default=1e-4
+    )
+    sigma_understated: float = scalar("tolerated factor of true over stated standard deviations", default=1.1)
+    sigma_overstated: float = scalar("tolerated factor of stated over true standard deviations", default=2.0)
+    share_stars_rejected: float = scalar("tolerated share of stars with gross errors", default=0.02)
+    share_targets_rejected: float = scalar("tolerated share of targets with gross errors", default=0.3)
+
+
+@record(kw_only=True)
+class Check:
+    """One test of the estimate's statistics."""
+
+    kind: CheckKind = scalar("what is tested")
+    statistic: float = scalar("chi-square, or a count")
+    expected: float = scalar("value expected of consistent data: degrees of freedom, or the tolerated count")
+    n: int = scalar("degrees of freedom, or number of observations counted")
+    p_value: float = scalar("probability of a statistic as unlikely as this, if the data are consistent")
+    limit: float = scalar("p-value below which the check fails")
+    names: tuple[tuple[str, ...], ...] = scalar("groups of targets with equal coordinates", default=())
+
+    @property
+    def holds(self) -> bool:
+        """Whether the check finds no contradiction."""
+        return self.p_value >= self.limit
+
+    @property
+    def look_at(self) -> tuple[Suspect, ...]:
+        """Inputs to look at if the check fails, the likeliest first."""
+        return LOOK_AT[self.kind]
+
+
+@record(kw_only=True)
+class Verdict:
+    """Outcome of all checks, and the axis that the data determine worst."""
+
+    outcome: Outcome = scalar("`REFUTED` if any check fails")
+    checks: tuple[Check, ...] = scalar("all checks, in a fixed order")
+    probability_false_alarm: float = scalar("that consistent data are refuted, at most")
+    weakest_axis_c: Floats = array("3", "unit vector, frame c: the rotation with the largest 1-sigma")
+    weakest_sigma_rad: float = scalar("its 1-sigma, rad")
+
+    @property
+    def refuted_by(self) -> tuple[Check, ...]:
+        """Checks that fail, the least likely first."""
+        return tuple(sorted((c for c in self.checks if not c.holds), key=lambda c: c.p_value))
+
+
+def assess(
+    estimate: InstallationEstimate,
+    strips: Sequence[StripSightings],
+    settings: VerdictSettings | None = None,
+    *,
+    sigma_installation_rad: Floats | None = None,
+) -> Verdict:
+    """The verdict on an estimate and the sightings that it was made from.
+
+    Parameters
+    ----------
+    estimate : InstallationEstimate
+        Result of `calibrate`.
+    strips : sequence of StripSightings
+        The strips given to `calibrate`; only their targets' directions and ids are used.
+    settings : VerdictSettings, optional
+        False-alarm rate and tolerances.
+    sigma_installation_rad : (3,) array, optional
+        1-sigma of the starting matrix about the axes of frame c, rad; without it that check is left out.
+
+    Returns
+    -------
+    Verdict
+        `consistent`, or `refuted` with the checks that fail, their numbers and the inputs to look at.
+    """
+    settings = settings or VerdictSettings()
+    residuals = (
+        (CheckKind.STAR_RESIDUALS, estimate.chi2_stars, estimate.dof_stars),
+        (CheckKind.TARGET_RESIDUALS, estimate.chi2, estimate.dof),
+    )
+    found = [_residuals(*one, settings) for one in residuals]
+    found += _shares(estimate, settings)
+    found.append(_between_strips(estimate, settings))
+    if sigma_installation_rad is not None:
+        found.append(_from_start(estimate, sigma_installation_rad, settings))
+    found += [_duplicates(strips, settings), _convergence(estimate, settings)]
+    values, vectors = np.linalg.eigh(estimate.cov_theta)
+    return Verdict(
+        outcome=Outcome.CONSISTENT if all(check.holds for check in found) else Outcome.REFUTED,
+        checks=tuple(found),
+        probability_false_alarm=settings.probability_false_alarm,
+        weakest_axis_c=vectors[:, -1],
+        weakest_sigma_rad=float(np.sqrt(values[-1])),
+    )
+
+
+def _check(
+    kind: CheckKind,
+    statistic: float,
+    expected: float,
+    n: int,
+    p_value: float,
+    settings: VerdictSettings,
+    names: tuple[tuple[str, ...], ...] = (),
+) -> Check:
+    limit = settings.probability_false_alarm / len(CheckKind)
+    return Check(
+        kind=kind, statistic=statistic, expected=expected, n=n, p_value=p_value, limit=limit, names=names
+    )
+
+
+def _residuals(kind: CheckKind, statistic: float, dof: int, settings: VerdictSettings) -> Check:
+    """Two-sided: small residuals, too, contradict the stated errors (one measurement counted many times)."""
+    if dof <= 0:
+        return _check(kind, statistic, dof, dof, 1.0, settings)
+    above = float(chi2.sf(statistic / settings.sigma_understated**2, dof))
+    below = float(chi2.cdf(statistic * settings.sigma_overstated**2, dof))
+    return _check(kind, statistic, dof, dof, min(1.0, 2.0 * min(above, below)), settings)
+
+
+def _shares(estimate: InstallationEstimate, settings: VerdictSettings) -> list[Check]:
+    """Counts of rejected stars and targets against the tolerated shares."""
+    checks = []
+    for kind, why, kept, share in (
+        (
+            CheckKind.STARS_REJECTED,
+            WhyRejected.STAR_RESIDUAL,
+            estimate.n_stars,
+            settings.share_stars_rejected,
+        ),
+        (
+            CheckKind.TARGETS_REJECTED,
+            WhyRejected.TARGET_RESIDUAL,
+            estimate.n_targets,
+            settings.share_targets_rejected,
+        ),
+    ):
+        rejected = sum(one.why is why for one in estimate.rejected)
+        n = kept + rejected
+        p_value = float(binom.sf(rejected - 1, n, share))
+        checks.append(_check(kind, rejected, share * n, n, p_value, settings))
+    return checks
+
+
+def _between_strips(estimate: InstallationEstimate, settings: VerdictSettings) -> Check:
+    """Decrease of chi2 if each strip had a matrix of its own: chi-square of 3 (strips - 1) if one serves all.
+
+    Axes that a strip alone does not determine are not counted.
+    """
+    F, right, prior = estimate.pairs.F, estimate.pairs.F_theta, estimate.prior_shared
+    S, n = right.shape
+    apart = np.zeros((3 * S + n - 3, 3 * S + n - 3))
+    b = np.concatenate([right[:, :3].ravel(), right[:, 3:].sum(axis=0)])
+    apart[3 * S :, 3 * S :] = F[:, 3:, 3:].sum(axis=0) + prior
+    for k in range(S):
+        own = slice(3 * k, 3 * k + 3)
+        apart[own, own], apart[own, 3 * S :], apart[3 * S :, own] = F[k, :3, :3], F[k, :3, 3:], F[k, 3:, :3]
+    together = np.zeros((n, 3 * S + n - 3))  # one theta for all strips
+    together[:3, : 3 * S] = np.tile(np.eye(3), S)
+    together[3:, 3 * S :] = np.eye(n - 3)
+    free, dof_free = _explained(apart, b)
+    one, dof_one = _explained(together @ apart @ together.T, together @ b)
+    dof, gain = dof_free - dof_one, max(free - one, 0.0)
+    p_value = float(chi2.sf(gain / settings.sigma_understated**2, dof)) if dof > 0 else 1.0
+    return _check(CheckKind.BETWEEN_STRIPS, gain, dof, dof, p_value, settings)
+
+
+def _explained(N: Floats, b: Floats) -> tuple[float, int]:
+    """bᵀ N⁻¹ b over the directions that N determines, and their number."""
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(N), np.finfo(float).tiny))
+    values, vectors = np.linalg.eigh(scale[:, None] * N * scale)
+    seen = values > 1e-10 * max(values[-1], 0.0)
+    along = vectors.T[seen] @ (scale * b)
+    return float(along @ (along / values[seen])), int(seen.sum())
+
+
+def _from_start(estimate: InstallationEstimate, sigma_rad: Floats, settings: VerdictSettings) -> Check:
+    covariance = estimate.cov_theta + np.diag(np.asarray(sigma_rad, dtype=float) ** 2)
+    statistic = float(estimate.theta @ np.linalg.solve(covariance, estimate.theta))
+    p_value = float(chi2.sf(statistic / settings.sigma_overstated**2, 3))
+    return _check(CheckKind.START_MATRIX, statistic, 3, 3, p_value, settings)
+
+
+def _duplicates(strips: Sequence[StripSightings], settings: VerdictSettings) -> Check:
+    """Targets of different ids at one place on the ground; a single pair refutes the list."""
+    groups: dict[str, set[str]] = {}
+    for strip in strips:
+        names = strip.ground.target_id.tolist()
+        for a, b in _same_place(strip.ground):
+            if names[a] != names[b]:
+                both = groups.get(names[a], {names[a]}) | groups.get(names[b], {names[b]})
+                groups.update(dict.fromkeys(both, both))
+    found = tuple(sorted({tuple(sorted(group)) for group in groups.values()}))
+    n = len({name for strip in strips for name in strip.ground.target_id.tolist()})
+    p_value = 0.0 if found else 1.0
+    return _check(CheckKind.DUPLICATED_TARGETS, len(groups), 0, n, p_value, settings, found)
+
+
+def _same_place(ground: GroundSightings) -> list[tuple[int, int]]:
+    """Pairs of rows that see one point of the ground, at instants that are at most tens of rows apart."""
+    if not len(ground.t_s):
+        return []
+    t, v, seen = ground.t_s[:, None], ground.v_rel_i, ground.range_m[:, None] * ground.u_i
+    near = KDTree(seen + (t - t[0]) * v).query_pairs(NEARLY_SAME_PLACE_M, output_type="ndarray")
+    first, second = near[:, 0], near[:, 1]
+    moved = 0.5 * (v[first] + v[second]) * (t[second] - t[first])
+    same = np.linalg.norm(seen[second] - seen[first] + moved, axis=1) < SAME_PLACE_M
+    return [(int(a), int(b)) for a, b in near[same]]
+
+
+def _convergence(estimate: InstallationEstimate, settings: VerdictSettings) -> Check:
+    """Statistic: the last correction in units of its predicted 1-sigma, the largest of three axes."""
+    size = float(np.max(np.abs(estimate.iterations[-1].theta_step) / estimate.sigma_theta))
+    p_value = 1.0 if estimate.converged else 0.0
+    return _check(CheckKind.CONVERGENCE, size, 0, 3, p_value, settings)

@@ -1,0 +1,182 @@
+"""The verdict: consistent campaigns pass, each input error that refutes itself is named."""
+
+import dataclasses
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from scipy.stats import chi2, kstest
+
+from boresight.calib.calibration import calibrate
+from boresight.calib.estimate import InstallationEstimate
+from boresight.calib.settings import CalibrationSettings
+from boresight.calib.verdict import CheckKind, Outcome, Suspect, VerdictSettings, assess
+from boresight.geometry.constants import ARCSEC
+from boresight.simulator.campaign import CameraPair, StripPlan, draw_strips
+
+BOLD = Rotation.from_euler("xyz", [40, -65, 110], degrees=True)
+CAMERAS = CameraPair(BOLD)
+PLAN = StripPlan(
+    strips=3,
+    exposures=8,
+    sigma_position_m=2.0,
+    sigma_clock_s=1e-4,
+    sigma_vibration_rad=0.1 * ARCSEC,
+    sigma_distortion_rad=3e-7,
+    sigma_target_m=0.5,
+)
+SIGMA_START = np.full(3, 3e-3)
+
+
+def drawn(seed, **changes):
+    return draw_strips(replace(PLAN, **changes), CAMERAS, np.random.default_rng(seed))[0]
+
+
+def verdict_on(strips, settings=None, R_cs0=BOLD, limits=None):
+    estimate = calibrate(strips, R_cs0, settings or CalibrationSettings())
+    assert isinstance(estimate, InstallationEstimate)
+    return assess(estimate, strips, limits, sigma_installation_rad=SIGMA_START)
+
+
+def check(verdict, kind):
+    return next(c for c in verdict.checks if c.kind is kind)
+
+
+def test_consistent_campaigns_are_consistent_and_their_p_values_uniform():
+    exact = VerdictSettings(sigma_understated=1.0, sigma_overstated=1.0)
+    p_values = {CheckKind.STAR_RESIDUALS: [], CheckKind.TARGET_RESIDUALS: [], CheckKind.BETWEEN_STRIPS: []}
+    for seed in range(150):
+        strips = drawn(seed)
+        estimate = calibrate(strips, BOLD, CalibrationSettings(robust=False))
+        assert assess(estimate, strips, sigma_installation_rad=SIGMA_START).outcome is Outcome.CONSISTENT
+        verdict = assess(estimate, strips, exact)
+        for kind, values in p_values.items():
+            values.append(check(verdict, kind).p_value)
+    for kind, values in p_values.items():
+        assert kstest(values, "uniform").pvalue > 1e-3, kind  # one in 300 for three kinds
+
+
+@pytest.mark.parametrize("share", [0.0, 0.15])
+def test_gross_target_errors_that_are_rejected_do_not_refute(share):
+    for seed in range(10):
+        assert verdict_on(drawn(seed, gross_targets=share, strips=6)).outcome is Outcome.CONSISTENT
+
+
+def seen_by(strips, directions):
+    """The strips with star directions computed from the centroids by another camera model."""
+
+    def wrong(exposure):
+        v = directions(exposure.xy_px)
+        return replace(exposure, u_s=v / np.linalg.norm(v, axis=1, keepdims=True))
+
+    return [replace(strip, exposures=tuple(map(wrong, strip.exposures))) for strip in strips]
+
+
+def pinhole(focal=1.0, x0=0.0, y0=0.0, p1=0.0, p2=0.0):
+    """Directions from pixels, with an error of focal length (factor), principal point (px) or distortion."""
+
+    def directions(xy_px):
+        x, y = ((xy_px - [x0, y0]) * CAMERAS.star_pixel_rad / focal).T
+        r2 = x * x + y * y
+        dx, dy = 2 * p1 * x * y + p2 * (r2 + 2 * x * x), p1 * (r2 + 2 * y * y) + 2 * p2 * x * y
+        return np.column_stack([-(x + dx), -(y + dy), np.ones(len(x))])
+
+    return directions
+
+
+@pytest.mark.parametrize(
+    "error", [{}, {"p1": 2e-4}, {"p2": -2e-4}, {"focal": 1.0005}, {"x0": 24.0}, {"y0": -24.0}]
+)
+def test_a_wrong_star_camera_is_refuted_by_its_stars(error):
+    for seed in range(3):
+        verdict = verdict_on(seen_by(drawn(seed), pinhole(**error)))
+        if not error:
+            assert verdict.outcome is Outcome.CONSISTENT  # the pinhole model is that of the draws
+            continue
+        assert verdict.outcome is Outcome.REFUTED
+        assert verdict.refuted_by[0].look_at[0] is Suspect.STAR_CAMERA_MODEL
+        failed = {c.kind for c in verdict.refuted_by}
+        assert CheckKind.STAR_RESIDUALS in failed or CheckKind.STARS_REJECTED in failed
+
+
+def test_position_errors_five_times_the_stated_ones_are_refuted():
+    found = [verdict_on(drawn(seed, sigma_position_m=10.0, strips=6)) for seed in range(20)]
+    refuted = [v for v in found if v.outcome is Outcome.REFUTED]
+    assert len(refuted) >= 19
+    for verdict in refuted:
+        assert Suspect.ORBIT in verdict.refuted_by[0].look_at
+    between = [check(v, CheckKind.BETWEEN_STRIPS) for v in found]
+    assert np.mean([not c.holds for c in between]) >= 0.9
+    assert {c.n for c in between} == {15}
+
+
+def repeated(strip, times):
+    """Each target listed `times` times under other ids, with the same measurements."""
+    rows = np.tile(np.arange(len(strip.ground.t_s)), times)
+    fields = {f.name: getattr(strip.ground, f.name)[rows] for f in dataclasses.fields(strip.ground)}
+    fields["target_id"] = np.array([f"{i}-{n}" for n, i in enumerate(fields["target_id"])])
+    return replace(strip, ground=type(strip.ground)(**fields), R_oi_targets=strip.R_oi_targets[rows])
+
+
+def test_targets_listed_many_times_are_named():
+    verdict = verdict_on([repeated(strip, 21) for strip in drawn(4)])
+    assert verdict.refuted_by[0].kind is CheckKind.DUPLICATED_TARGETS
+    names = verdict.refuted_by[0].names
+    assert len(names) == 36 and {len(group) for group in names} == {21}
+    assert verdict.refuted_by[0].look_at == (Suspect.TARGET_LIST,)
+
+
+def test_residuals_much_smaller_than_stated_refute():
+    strips = drawn(4, strips=6, sigma_target_m=0.0, sigma_vibration_rad=0.0)
+    stated = [replace(s, ground=replace(s.ground, cov_c=25.0 * s.ground.cov_c)) for s in strips]
+    (failed,) = verdict_on(stated, CalibrationSettings(sigma_vibration_rad=0.0)).refuted_by
+    assert failed.kind is CheckKind.TARGET_RESIDUALS and failed.statistic < 0.2 * failed.n
+
+
+def test_one_target_listed_twice_is_found_where_its_two_matches_differ_by_rows():
+    strips = drawn(4)
+    ground = strips[1].ground
+    later = 3e-4  # s: four rows; the satellite moves 2 m
+    place = ground.range_m[2] * ground.u_i[2] - later * ground.v_rel_i[2]
+    fields = {f.name: getattr(ground, f.name).copy() for f in dataclasses.fields(ground)}
+    fields["t_s"][3], fields["range_m"][3] = ground.t_s[2] + later, np.linalg.norm(place)
+    fields["u_i"][3], fields["v_rel_i"][3] = place / np.linalg.norm(place), ground.v_rel_i[2]
+    strips[1] = replace(strips[1], ground=type(ground)(**fields))
+    estimate = calibrate(strips, BOLD, CalibrationSettings())
+    (names,) = check(assess(estimate, strips), CheckKind.DUPLICATED_TARGETS).names
+    assert names == ("strip0001/002", "strip0001/003")
+
+
+def test_a_matrix_far_from_the_one_of_the_ground_is_refuted():
+    far = Rotation.from_rotvec([0.06, 0.0, 0.0]) * BOLD
+    verdict = verdict_on(drawn(5), R_cs0=far)
+    assert [c.kind for c in verdict.refuted_by] == [CheckKind.START_MATRIX]
+    assert verdict.refuted_by[0].statistic == pytest.approx(400.0, rel=0.01)  # (60 mrad / 3 mrad)²
+
+
+def test_an_estimate_that_has_not_converged_is_refuted():
+    strips = drawn(6)
+    far = Rotation.from_rotvec([0.004, 0.0, 0.0]) * BOLD
+    settings = CalibrationSettings(most_iterations=1, robust=False)
+    assert CheckKind.CONVERGENCE in {c.kind for c in verdict_on(strips, settings, far).refuted_by}
+
+
+def test_agreement_between_strips_is_what_separate_matrices_gain():
+    strips = drawn(7, strips=2)
+    settings = CalibrationSettings(distortion_scope="strip", robust=False)
+    both = calibrate(strips, BOLD, settings)
+    alone = [calibrate([strip], BOLD, settings) for strip in strips]
+    gain = both.chi2 - sum(one.chi2 for one in alone)
+    found = check(assess(both, strips), CheckKind.BETWEEN_STRIPS)
+    assert found.n == 3 and found.statistic == pytest.approx(gain, rel=1e-2)  # second order in arcseconds
+    assert found.p_value == pytest.approx(chi2.sf(found.statistic / 1.21, 3))
+
+
+def test_weakest_axis_is_that_of_the_largest_variance():
+    strips = drawn(8)
+    estimate = calibrate(strips, BOLD, CalibrationSettings())
+    verdict = assess(estimate, strips)
+    axis = verdict.weakest_axis_c
+    assert verdict.weakest_sigma_rad == pytest.approx(np.sqrt(axis @ estimate.cov_theta @ axis))
+    assert verdict.weakest_sigma_rad >= estimate.sigma_theta.max()
