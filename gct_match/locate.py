@@ -6,8 +6,6 @@ kept. A result that fails a test is returned as a `Refusal`.
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -26,7 +24,6 @@ from boresight.geometry.record import Floats
 
 __all__ = ["locate", "match_template"]
 
-Image = NDArray[Any]  # single precision
 
 _PRIOR_ABSENT = 0.05  # prior probability that the target is not visible where it should be
 _SECOND_PEAK = 0.7  # peaks of at least this share of the highest are refined too

@@ -17,6 +17,7 @@ from boresight.geometry.record import Bools, Floats, array, record, scalar
 __all__ = [
     "Chip",
     "Evidence",
+    "Image",
     "Reason",
     "Refusal",
     "StripImage",

@@ -10,20 +10,18 @@ cover the image.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from boresight.gct_match.imaging.views import normalised
+from boresight.gct_match.records import Image
 from boresight.gct_match.search.correlation import correlation_surface
 from boresight.gct_match.texture import noise_of, sigma_from_gradients, smooth_gradients
+from boresight.geometry.record import Bools
 
 __all__ = ["SuggestedTarget", "suggest_targets"]
 
-Array = NDArray[np.float64]
-Image = NDArray[Any]  # single precision
 
 _COARSE_PIXELS = 2.5e5  # of the picture in which rivals are looked for
 _RIVAL = 0.7  # a rival this high, out of 1, makes a chip worthless
@@ -50,7 +48,7 @@ class SuggestedTarget:
 def suggest_targets(
     image: Image,
     transform: tuple[float, float, float, float, float, float],
-    valid: NDArray[np.bool_],
+    valid: Bools,
     *,
     size_px: int,
     most: int,
@@ -86,7 +84,7 @@ def suggest_targets(
     return tuple(_spread(found, most, image.shape))
 
 
-def _expected_sigma(image: Image, valid: NDArray[np.bool_], size_px: int) -> Image:
+def _expected_sigma(image: Image, valid: Bools, size_px: int) -> Image:
     """(H, W) standard error of the place of a chip around each pixel, its worse direction; infinite near
     what is not valid.
     """

@@ -2,22 +2,21 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import cv2
 import numpy as np
-from numpy.typing import NDArray
+
+from boresight.gct_match.records import Image
+from boresight.geometry.record import Bools
 
 __all__ = ["expected_sigma_px", "noise_of", "sigma_from_gradients", "smooth_gradients"]
 
-Image = NDArray[Any]  # single precision
 
 _NOISE_SHARE = (
     0.04  # of white noise's variance that its smoothed derivative keeps (of both columns and rows each)
 )
 
 
-def expected_sigma_px(image: Image, valid: NDArray[np.bool_]) -> float:
+def expected_sigma_px(image: Image, valid: Bools) -> float:
     """Standard error of the place of a whole picture (h, w) against another as noisy: Cramér-Rao, the
     worse direction.
     """

@@ -1,43 +1,40 @@
-"""Pictures read between their pixels, exactly enough that the reading leaves no trace at a thousandth of a
-pixel.
+"""Resampling of pictures, with errors far below a thousandth of a pixel.
 
-A warp (3, 3) takes (x, y, 1) of one picture to those of another.
+A warp (3, 3) takes (x, y, 1) of one picture to those of another; P (2, 3) is the displacement P (x, y, 1).
 """
 
 from __future__ import annotations
 
-from typing import Any
-
 import cv2
 import numpy as np
-from numpy.typing import NDArray
+
+from boresight.gct_match.records import Image
+from boresight.geometry.record import Floats
 
 __all__ = ["change", "composed", "gradient", "largest_px", "sample", "shifted", "warped"]
 
-Array = NDArray[np.float64]
-Image = NDArray[Any]  # single precision
 
 _GRID = 32.0  # OpenCV's remap rounds every point to this part of a pixel
 _REACH = 5  # half length of the interpolating kernel
 _TAP = np.arange(-_REACH, _REACH + 1)
 
 
-def composed(warp: Array, P: Array) -> Array:
-    """warp o (identity + P)^-1, with P (2, 3) the displacement P (x, y, 1) of the points it starts from."""
+def composed(warp: Floats, P: Floats) -> Floats:
+    """warp o (identity + P)^-1, a warp (3, 3): P (2, 3) displaces the points from which the warp starts."""
     (a, b, x), (c, d, y) = P
     return warp @ np.linalg.inv(np.array([[1.0 + a, b, x], [c, 1.0 + d, y], [0.0, 0.0, 1.0]]))
 
 
-def largest_px(P: Array, shape: tuple[int, ...]) -> float:
-    """How far P (2, 3) displaces the points of a picture (h, w), about its middle, at most."""
+def largest_px(P: Floats, shape: tuple[int, ...]) -> float:
+    """Largest displacement, px, of the points of a picture (h, w) by P (2, 3) about its middle."""
     return float(np.abs(P[:, 2]).max() + 0.5 * max(shape) * np.abs(P[:, :2]).max())
 
 
-def change(slopes: tuple[Image, Image], P: Array, reference_px: Array, pitch_px: float) -> Image:
-    """What P (2, 3), a displacement of a picture's points by far less than a pixel, changes in the picture.
+def change(slopes: tuple[Image, Image], P: Floats, reference_px: Floats, pitch_px: float) -> Image:
+    """First-order change (h, w) of a picture whose points are displaced by P (2, 3), far less than a pixel.
 
-    `slopes` (h, w) each are its derivatives per px at every `pitch_px`-th pixel, `reference_px` (x, y) is
-    the pixel from which P counts.
+    `slopes` (h, w) are its derivatives by x and y at every `pitch_px`-th pixel; P is relative to the pixel
+    `reference_px` (x, y).
     """
     y, x = (pitch_px * np.arange(n) - at for n, at in zip(slopes[0].shape, reference_px[::-1], strict=True))
     (along, across), (down, below) = (
@@ -46,8 +43,8 @@ def change(slopes: tuple[Image, Image], P: Array, reference_px: Array, pitch_px:
     return slopes[0] * (along + across) + slopes[1] * (down + below)
 
 
-def warped(picture: Image, warp: Array, shape: tuple[int, ...]) -> Image:
-    """The picture as seen from the pixels of another one of `shape`; mirrored beyond its edges."""
+def warped(picture: Image, warp: Floats, shape: tuple[int, ...]) -> Image:
+    """The picture at the warped pixels of another one of `shape` (h, w); mirrored beyond its edges."""
     h, w = shape
     if (warp[:2, :2] == np.eye(2)).all():
         whole = np.round(warp[:2, 2]).astype(int)
@@ -60,15 +57,15 @@ def warped(picture: Image, warp: Array, shape: tuple[int, ...]) -> Image:
 
 
 def shifted(image: Image, dx: float, dy: float) -> Image:
-    """The picture read at (x + dx, y + dy), each within half a pixel; mirrored beyond its edges."""
+    """The picture at (x + dx, y + dy), |dx| and |dy| up to half a pixel; mirrored beyond its edges."""
     return cv2.sepFilter2D(image, -1, _kernel(dx), _kernel(dy), borderType=cv2.BORDER_REFLECT)
 
 
 def sample(image: Image, x: Image, y: Image) -> Image:
-    """The picture at points (x, y) (h, w), by Lanczos interpolation; mirrored beyond its edges.
+    """The picture at points x, y (h, w each), by Lanczos interpolation; mirrored beyond its edges.
 
-    The points must form a smooth map of unit-like scale or finer. OpenCV reads at points rounded to 1/32
-    px; the rest is brought in to first order, with the map's own derivatives of the picture that was read.
+    The points must form a smooth map with steps of about a pixel or less. OpenCV rounds points to 1/32 px;
+    the remainder is added to first order, with derivatives of the resampled picture.
     """
     qx, qy = np.round(x * _GRID) / _GRID, np.round(y * _GRID) / _GRID
     out = cv2.remap(image, qx, qy, cv2.INTER_LANCZOS4, borderMode=cv2.BORDER_REFLECT)
@@ -86,21 +83,21 @@ def sample(image: Image, x: Image, y: Image) -> Image:
 
 
 def gradient(image: Image) -> tuple[Image, Image]:
-    """Derivatives by column and row, of the windowed sinc that `shifted` reads with."""
+    """Derivatives by column and row, (h, w) each, of the windowed sinc that `shifted` uses."""
     gx = cv2.filter2D(image, -1, _SLOPE[None, :], borderType=cv2.BORDER_REFLECT)
     return gx, cv2.filter2D(image, -1, _SLOPE[:, None], borderType=cv2.BORDER_REFLECT)
 
 
-def _kernel(fraction: float) -> NDArray[np.float32]:
-    """Windowed sinc that reads a picture at `fraction` (-0.5..0.5) of a pixel from its grid."""
+def _kernel(fraction: float) -> Image:
+    """Taps of the windowed sinc for a shift by `fraction` (-0.5..0.5) of a pixel."""
     t = np.pi * (_TAP - fraction)
     t[_REACH] = t[_REACH] or 1e-9
     taps = np.sin(t) * np.sin(t / (_REACH + 0.5)) / (t * t)
     return (taps / taps.sum()).astype(np.float32)
 
 
-def _slope() -> NDArray[np.float32]:
-    """Derivative of the windowed sinc at the taps, scaled so that a ramp comes out exactly."""
+def _slope() -> Image:
+    """Derivative of the windowed sinc at the taps, scaled to be exact for a ramp."""
     taps = -np.where(_TAP % 2, -1.0, 1.0) * np.sinc(_TAP / (_REACH + 0.5)) / np.where(_TAP, _TAP, np.inf)
     return (taps / np.sum(taps * _TAP)).astype(np.float32)
 

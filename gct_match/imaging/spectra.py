@@ -1,8 +1,7 @@
-"""Spectra of pictures, and filters that do not shift them.
+"""Spectra of pictures, and filters without phase.
 
-Spectra are packed as OpenCV packs them: as many real numbers as pixels, the real and the imaginary part
-of each coefficient in places of their own. Powers and filters without phase work number by number.
-Frequencies are in cycles per pixel.
+Spectra are packed as by OpenCV: as many real numbers as pixels, real and imaginary parts separate, so that
+powers and filters without phase are element-wise products. Frequencies are in cycles per pixel.
 """
 
 from __future__ import annotations
@@ -13,6 +12,9 @@ from typing import Any
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+
+from boresight.gct_match.records import Image
+from boresight.geometry.record import Floats
 
 __all__ = [
     "filtered",
@@ -26,7 +28,6 @@ __all__ = [
     "rings",
 ]
 
-Image = NDArray[Any]  # single precision
 Shape = tuple[int, int]
 
 _PAD = 8  # mirrored pixels around a picture that is filtered
@@ -44,31 +45,31 @@ def filtered(image: Image, amplitude: Image) -> Image:
 
 
 def padded_spectrum(image: Image) -> Image:
-    """Packed spectrum of a picture with mirrored edges."""
+    """Packed spectrum, of `padded_shape`, of a picture (h, w) with mirrored edges."""
     (h, w), (rows, columns) = image.shape, padded_shape(image.shape)
     bottom, right = rows - h - _PAD, columns - w - _PAD
     return cv2.dft(cv2.copyMakeBorder(image, _PAD, bottom, _PAD, right, borderType=cv2.BORDER_REFLECT))
 
 
 def picture_of(packed: Image, shape: tuple[int, ...]) -> Image:
-    """The picture of `shape` within the padded one of a packed spectrum."""
+    """The picture of `shape` (h, w) within the padded one of a packed spectrum."""
     return padded_picture(packed)[_PAD : _PAD + shape[0], _PAD : _PAD + shape[1]]
 
 
 def padded_picture(packed: Image) -> Image:
-    """The whole picture of a packed spectrum."""
+    """The padded picture of a packed spectrum, of the same shape."""
     return cv2.idft(packed, flags=cv2.DFT_SCALE)
 
 
 @lru_cache(maxsize=32)
 def padded_shape(shape: tuple[int, ...]) -> Shape:
-    """A shape that is quickly transformed, with room for _PAD pixels around `shape`."""
+    """A shape of fast transforms with at least _PAD pixels around `shape` (h, w)."""
     return cv2.getOptimalDFTSize(shape[0] + 2 * _PAD), cv2.getOptimalDFTSize(shape[1] + 2 * _PAD)
 
 
 @lru_cache(maxsize=32)
 def frequency(shape: Shape) -> Image:
-    """Absolute frequency of each number of a packed spectrum."""
+    """Absolute frequency, cycles per px, of each number of a packed spectrum of `shape`."""
     rows, columns = shape
     fx = (np.arange(columns) + 1) // 2 / columns
     fy = np.repeat(np.abs(np.fft.fftfreq(rows))[:, None], columns, axis=1)
@@ -77,15 +78,13 @@ def frequency(shape: Shape) -> Image:
     return np.hypot(fx[None, :], fy).astype(np.float32)
 
 
-def rings(shape: tuple[int, ...]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Middle frequency (R,) of the rings of a picture's spectrum, and how many numbers each holds."""
+def rings(shape: tuple[int, ...]) -> tuple[Floats, Floats]:
+    """Mid frequencies (R,) of the rings of a spectrum for pictures of `shape`, and their sizes (R,)."""
     return _sorted(_quick(shape))[2:]
 
 
-def ring_means(a: Image, b: Image) -> tuple[NDArray[np.float64], ...]:
-    """Means (R,) over rings of the power of a, of the power of b, and of the real cross power of two tapered
-    pictures.
-    """
+def ring_means(a: Image, b: Image) -> tuple[Floats, ...]:
+    """Means (R,) over rings: powers of two tapered pictures a, b (h, w), and their real cross power."""
     (h, w), (rows, columns) = a.shape, _quick(a.shape)
     if (rows, columns) != (h, w):
         a, b = (
@@ -102,7 +101,7 @@ def _quick(shape: tuple[int, ...]) -> Shape:
 
 @lru_cache(maxsize=32)
 def _sorted(shape: Shape) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any], NDArray[Any]]:
-    """Order that sorts a packed spectrum by ring; where each starts in it; the rings' middles, sizes."""
+    """Order that sorts a packed spectrum by ring; start, mid frequency and size of each ring."""
     ring = (frequency(shape) / _RING).astype(np.int64).ravel()
     count = np.bincount(ring)
     starts = np.concatenate([[0], np.cumsum(count)[:-1]])

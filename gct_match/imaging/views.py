@@ -6,17 +6,15 @@ subtraction of its local mean and division by its local contrast.
 
 from __future__ import annotations
 
-from typing import Any
-
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from boresight.gct_match.records import Image
 from boresight.geometry.record import Bools, array, record
 
 __all__ = ["View", "filled", "normalised", "view_of", "window"]
 
-Image = NDArray[Any]  # single precision
 
 _FINE_PX, _LOCAL_PX, _CONTRAST_PX = 0.8, 4.0, 6.0  # pass band and the neighbourhood of the contrast
 _FLOOR = 0.15  # of the median contrast: noise on flat ground is not amplified to texture

@@ -1,49 +1,43 @@
-"""What a strip should show of a chip: the chip in the strip's own geometry, blurred as the camera blurs.
+"""Predicted template: a chip in the geometry of the strip, with the blur of the camera.
 
 Pixel of the strip -> point on the ground, through the rigorous model, every row at its own instant -> map
-coordinates -> chip. The map is computed on nodes a few pixels apart and is linear in between: attitude,
-orbit and terrain models are smooth on that scale. What is left between template and strip is a translation
-and a small affine map.
+coordinates -> chip. The map is computed at nodes a few pixels apart and interpolated linearly, since
+attitude, orbit and terrain models are smooth on that scale. Template and strip differ by a translation and a
+small affine map.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 from pyproj import CRS, Transformer
 
 from boresight.gct_match.imaging.resample import sample
 from boresight.gct_match.imaging.spectra import gaussian_sigma_px
-from boresight.gct_match.records import Chip
+from boresight.gct_match.records import Chip, Image
 from boresight.gct_match.settings import MatchSettings
 from boresight.geometry.constants import WGS84
 from boresight.geometry.geodesy import geodetic_from_ecef
 from boresight.geometry.pushbroom import Pushbroom
+from boresight.geometry.record import Bools, Floats, array, record, scalar
 from boresight.geometry.terrain import Surface
 
 __all__ = ["Template", "chip_points", "chip_side_px", "predict_template"]
 
-Array = NDArray[np.float64]
-Image = NDArray[Any]  # single precision
 
 _NODE_PX = 8  # between nodes of the map, in pixels of the template
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record
 class Template:
-    """A chip on the grid of a strip: pixel (0, 0) covers `stride`² pixels from `origin_px` (sample, line)
-    on.
-    """
+    """A chip on the grid of a strip."""
 
-    image: Image  # (h, w)
-    valid: NDArray[np.bool_]  # (h, w)
-    origin_px: tuple[int, int]
-    stride: int
+    image: Image = array("H, W", "grey values; each pixel covers `stride`² pixels of the strip")
+    valid: Bools = array("H, W", "false where the chip ends, is not valid, or the ground is not known")
+    origin_px: tuple[int, int] = scalar("(sample, line) of the first pixel")
+    stride: int = scalar("pixels of the strip to one of the template, along a side")
 
 
 def predict_template(
@@ -57,50 +51,65 @@ def predict_template(
     *,
     stride: int = 1,
 ) -> Template:
-    """The chip as (h, w) blocks of stride² pixels of a CCD's image, from pixel `origin_px` (sample, line) on.
+    """The chip as a CCD should show it.
 
-    Where the chip ends, or the model knows no ground, the template is not valid.
+    Parameters
+    ----------
+    chip : Chip
+        Geo-referenced picture of the ground.
+    pushbroom : Pushbroom
+        Rigorous model of the strip.
+    ccd : int
+        CCD as numbered in the camera model.
+    origin_px : (sample, line)
+        First pixel of the CCD's image that the template covers.
+    shape : (h, w)
+        Pixels of the template, each a block of `stride`² pixels of the CCD's image.
+    surface : Surface
+        Ellipsoidal heights of the ground.
+    settings : MatchSettings
+        MTF of camera and chip.
+
+    Returns
+    -------
+    Template
+        Not valid where the chip ends or the model finds no ground.
     """
     h, w = shape
     rows, columns = _nodes(h), _nodes(w)
-    middle = 0.5 * (stride - 1)
-    line, at = np.meshgrid(
-        origin_px[1] + middle + stride * rows, origin_px[0] + middle + stride * columns, indexing="ij"
-    )
-    p_e = pushbroom.ground_points(ccd, at.ravel(), line.ravel(), surface)
-    xy = chip_points(chip, p_e)
+    by_row, by_column = _weights(rows, h), _weights(columns, w)
+    first = np.array(origin_px) + 0.5 * (stride - 1)
+    line, sample_px = np.meshgrid(first[1] + stride * rows, first[0] + stride * columns, indexing="ij")
+    xy = chip_points(chip, pushbroom.ground_points(ccd, sample_px.ravel(), line.ravel(), surface))
     known = np.isfinite(xy).all(axis=1).reshape(line.shape)
     xy[~np.isfinite(xy)] = -1e6
-    by_row, by_column = _weights(rows, h), _weights(columns, w)
     x, y = (np.ascontiguousarray(by_row @ part.reshape(line.shape) @ by_column.T) for part in xy.T)
-    scale = _pixels_per_template_pixel(x, y)
-    # what the camera adds to the chip's own blur, and the block's own width, in pixels of the chip
-    sigma = np.sqrt(
-        max(
-            (gaussian_sigma_px(settings.mtf_at_nyquist) * scale / stride) ** 2
-            - gaussian_sigma_px(settings.chip_mtf_at_nyquist) ** 2,
-            0.0,
-        )
-        + (stride**2 - 1.0) / 12.0 * (scale / stride) ** 2
-    )
-    blurred = _blurred(chip, sigma)
-    image = sample(blurred, x.astype(np.float32), y.astype(np.float32))
-    edge = 1.0 + 2.0 * sigma
-    rows_chip, columns_chip = chip.image.shape
+    sigma = _blur_sigma_px(_pixels_per_template_pixel(x, y), stride, settings)
+    # a Gaussian wider than the chip is its mean: bounds memory for chips of absurdly small pixels
+    blurred = _blurred(chip, min(sigma, float(max(chip.image.shape))))
+    x32, y32 = x.astype(np.float32), y.astype(np.float32)
+    edge, (rows_chip, columns_chip) = 1.0 + 2.0 * sigma, chip.image.shape
     valid = (x > edge) & (x < columns_chip - 1 - edge) & (y > edge) & (y < rows_chip - 1 - edge)
     if not chip.valid.all():
-        bad = cv2.remap(
-            (~chip.valid).astype(np.float32), x.astype(np.float32), y.astype(np.float32), cv2.INTER_LINEAR
-        )
-        valid &= bad < 0.01
+        valid &= cv2.remap((~chip.valid).astype(np.float32), x32, y32, cv2.INTER_LINEAR) < 0.01
     if not known.all():
         valid &= (by_row @ known @ by_column.T) > 0.999
-    return Template(image, valid, origin_px, stride)
+    return Template(sample(blurred, x32, y32), valid, origin_px, stride)
 
 
-def chip_points(chip: Chip, p_e: Array) -> Array:
-    """Points of the chip (N, 2), (column, row) with (0, 0) at the centre of its first pixel, of ground
-    points (N, 3).
+def _blur_sigma_px(scale: float, stride: int, settings: MatchSettings) -> float:
+    """Blur to add to a chip, in its pixels: what the camera adds to the chip's own, and the block's width.
+
+    `scale` is the number of chip pixels to one of the template.
+    """
+    camera_px = gaussian_sigma_px(settings.mtf_at_nyquist) * scale / stride
+    added_px2 = max(camera_px**2 - gaussian_sigma_px(settings.chip_mtf_at_nyquist) ** 2, 0.0)
+    return float(np.sqrt(added_px2 + (stride**2 - 1.0) / 12.0 * (scale / stride) ** 2))
+
+
+def chip_points(chip: Chip, p_e: Floats) -> Floats:
+    """(N, 2) points (column, row) of the chip, (0, 0) at the centre of its first pixel, that show the ground
+    points p_e (N, 3), ITRS in m.
     """
     lat, lon, _ = geodetic_from_ecef(p_e, WGS84)
     east, north = _to_map(chip.crs).transform(np.degrees(lon), np.degrees(lat))
@@ -109,8 +118,8 @@ def chip_points(chip: Chip, p_e: Array) -> Array:
     return np.column_stack([np.asarray(east) - c, np.asarray(north) - f]) @ inverse.T - 0.5
 
 
-def chip_side_px(chip: Chip, pushbroom: Pushbroom, ccd: int, xy_px: Array, surface: Surface) -> float:
-    """Side of the chip in pixels of the strip around `xy_px`."""
+def chip_side_px(chip: Chip, pushbroom: Pushbroom, ccd: int, xy_px: Floats, surface: Surface) -> float:
+    """Shorter side of the chip in pixels of the strip around `xy_px` (sample, line); 0 if it is not known."""
     x, y = xy_px
     p_e = pushbroom.ground_points(ccd, np.array([x, x + 16.0, x]), np.array([y, y, y + 16.0]), surface)
     points = chip_points(chip, p_e)
@@ -118,19 +127,16 @@ def chip_side_px(chip: Chip, pushbroom: Pushbroom, ccd: int, xy_px: Array, surfa
     return float(min(chip.image.shape) / per_px) if np.isfinite(per_px) and per_px > 0.0 else 0.0
 
 
-def _pixels_per_template_pixel(x: Array, y: Array) -> float:
+def _pixels_per_template_pixel(x: Floats, y: Floats) -> float:
+    """Pixels of the chip to one of the template, along a side, from the map x, y (h, w) in its middle."""
     h, w = x.shape
-    jacobian = np.array(
-        [
-            [(x[h // 2, -1] - x[h // 2, 0]) / (w - 1), (x[-1, w // 2] - x[0, w // 2]) / (h - 1)],
-            [(y[h // 2, -1] - y[h // 2, 0]) / (w - 1), (y[-1, w // 2] - y[0, w // 2]) / (h - 1)],
-        ]
-    )
-    return float(np.sqrt(abs(np.linalg.det(jacobian))))
+    by_column = [(part[h // 2, -1] - part[h // 2, 0]) / (w - 1) for part in (x, y)]
+    by_row = [(part[-1, w // 2] - part[0, w // 2]) / (h - 1) for part in (x, y)]
+    return float(np.sqrt(abs(np.linalg.det(np.array([by_column, by_row]).T))))
 
 
 def _blurred(chip: Chip, sigma: float) -> Image:
-    """The chip through a Gaussian; what is not valid takes the value of what is around it."""
+    """The chip after a Gaussian of `sigma` px; pixels that are not valid take the values around them."""
     image = chip.image.astype(np.float32)
     if not chip.valid.all():
         weight = chip.valid.astype(np.float32)
@@ -144,11 +150,11 @@ def _blurred(chip: Chip, sigma: float) -> Image:
     return cv2.GaussianBlur(image, (0, 0), sigma, borderType=cv2.BORDER_REFLECT)
 
 
-def _nodes(n: int) -> Array:
+def _nodes(n: int) -> Floats:
     return np.asarray(np.linspace(0.0, n - 1.0, max(2, -(-(n - 1) // _NODE_PX) + 1)), dtype=float)
 
 
-def _weights(nodes: Array, n: int) -> Array:
+def _weights(nodes: Floats, n: int) -> Floats:
     """(n, K) weights of linear interpolation between nodes at 0..n-1."""
     at = np.arange(n, dtype=float)
     k = np.clip(np.searchsorted(nodes, at, side="right") - 1, 0, len(nodes) - 2)

@@ -8,12 +8,11 @@ lines of the strip only, where the attitude is known.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from boresight.geometry.attitude_estimate import cross_matrices
 from boresight.geometry.installation import deviation_from_theta
 from boresight.geometry.pushbroom import Pushbroom
-from boresight.geometry.record import Floats, array, record, scalar
+from boresight.geometry.record import Floats, Ints, array, record, scalar
 
 __all__ = ["Trajectories", "displacements", "trajectories_of"]
 
@@ -63,9 +62,7 @@ def trajectories_of(pushbroom: Pushbroom, p_e: Floats, lines: int) -> Trajectori
     return Trajectories(pushbroom, p_e, nodes, u_c.reshape(len(p_e), _NODES, 3))
 
 
-def displacements(
-    pushbroom: Pushbroom, p_e: Floats, ccd: NDArray[np.int64], xy_px: Floats
-) -> tuple[Floats, Floats]:
+def displacements(pushbroom: Pushbroom, p_e: Floats, ccd: Ints, xy_px: Floats) -> tuple[Floats, Floats]:
     """Displacement of pixels xy_px (N, 2) from where the model sees points p_e (N, 3), and its derivative.
 
     Returns (N, 2) px and, by theta, (N, 2, 3) px/rad. A rotation of the installation matrix by theta changes

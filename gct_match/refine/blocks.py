@@ -1,51 +1,48 @@
-"""How far a template is displaced, as its blocks see it: translation or affine map, and how well it is known.
+"""Displacement of a template from its blocks: translation or affine map, with jackknife covariance.
 
-A block b of pixels with gradients J, weights w and residuals r says of its own displacement a score
-g_b = Σ w J r and an information N_b = Σ w J J^T, no more. A displacement d(x) = P (x, y, 1) of the whole
-follows from them by weighted least squares. Leaving out one block moves P by (N - N_b)^-1 g_b. The scatter
-of these moves is the covariance (jackknife): it honours a residual that is correlated within a block, and
-a few edges that carry most of the weight. Gradients must be free of all that the radiometry could explain.
+A block b of pixels with gradients J, weights w and residuals r contributes a score g_b = Σ w J r and an
+information N_b = Σ w J J^T. A displacement d(x) = P (x, y, 1) of the whole template follows by weighted least
+squares. Leaving out block b changes P by (N - N_b)^-1 g_b; the scatter of these changes is the covariance
+(jackknife), which accounts for residuals correlated within a block and for a few edges that carry most of
+the weight. Gradients must be orthogonal to the radiometric terms.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
+
+from boresight.gct_match.records import Image
+from boresight.geometry.record import Floats
 
 __all__ = ["Blocks", "blocks_of"]
 
-Array = NDArray[np.float64]
-Image = NDArray[Any]  # single precision
 
 _ALONG_SIDE = 8
-_AFFINE_CHI2 = 18.5  # four parameters more have to earn this: chi² of 4 at 0.1 %
-_LARGEST_AFFINE = 0.05  # beyond, the template was predicted with another model than the strip's
-_SMALLEST = 8  # pixels along a block's side: more than the residual is correlated over
+_AFFINE_CHI2 = 18.5  # chi² of the four affine parameters at 0.1 %
+_LARGEST_AFFINE = 0.05  # a larger map means that the template was predicted with a wrong model
+_SMALLEST = 8  # pixels along a block's side: more than the correlation length of the residual
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False)  # built at every step: the shape check would cost
 class Blocks:
-    """What the B blocks of a template say of its displacement."""
+    """Scores and information of the B blocks of a template on its displacement."""
 
-    lever: Array  # (B, 3) x, y of each block's middle, from the reference point, px, and one
-    score: Array  # (B, 2)
-    information: Array  # (B, 2, 2)
+    lever: Floats  # (B, 3) x, y of each block's middle, from the reference point, px, and one
+    score: Floats  # (B, 2)
+    information: Floats  # (B, 2, 2)
 
-    def displacement(self, *, affine: bool) -> Array:
-        """P (2, 3), px: the displacement of the reference point is its last column; the others are zero
-        unless `affine`.
-        """
+    def displacement(self, *, affine: bool) -> Floats:
+        """P (2, 3), px: its last column displaces the reference point; the others are 0 unless `affine`."""
         n, g = self._sums(affine)
         P = np.zeros((2, 3))
         P[:, -g.size // 2 :] = np.linalg.solve(n, g).reshape(-1, 2).T
         return P
 
-    def covariance(self, *, affine: bool) -> Array:
+    def covariance(self, *, affine: bool) -> Floats:
         """Covariance (2, 2) of the reference point's displacement, px², from the residuals that it leaves."""
         n, g = self._sums(affine)
         n_b = self.information
@@ -56,46 +53,45 @@ class Blocks:
         moved = np.linalg.solve(n - n_b, left[:, :, None])[:, -2:, 0]
         moved -= moved.mean(axis=0)
         count = len(moved)
-        # a covariance from so many blocks is itself uncertain: 4 less keeps the mean of the normalised error
-        # squared
+        # 4 less than the count: keeps the mean of normalised squared errors, as the covariance is uncertain
         return (count - 1.0) / (count - 4.0) * moved.T @ moved
 
-    def ask_for_affine(self, response: float) -> bool:
-        """Whether four affine parameters beside a translation are more than noise, and still a small map.
+    def show_affine(self, response: float) -> bool:
+        """Whether four affine parameters in addition to a translation are significant, and a small map.
 
-        A score test of the residuals that the translation left. Its covariance is the blocks' own scatter,
-        with n - 4 degrees of freedom of n (Hotelling's T²). `response` is the picture's gain.
+        A score test of the residuals of the translation, with the scatter of the blocks as covariance (n - 4
+        degrees of freedom of n, Hotelling's T²). `response` is the gain of the picture.
         """
         n, _ = self._sums(True)
         score = self._scores(True)
         free = score[:, :4] - score[:, 4:] @ np.linalg.solve(n[4:, 4:], n[4:, :4])
         total = free.sum(axis=0)
         free -= total / len(free)
-        chi2 = total @ np.linalg.solve(_firm(free.T @ free), total) * (len(free) - 4.0) / len(free)
+        chi2 = total @ np.linalg.solve(_regularised(free.T @ free), total) * (len(free) - 4.0) / len(free)
         return bool(
             chi2 > _AFFINE_CHI2
             and np.abs(self.displacement(affine=True)[:, :2]).max() < _LARGEST_AFFINE * response
         )
 
-    def _scores(self, affine: bool) -> Array:
+    def _scores(self, affine: bool) -> Floats:
         """Right sides (B, P) of the parameters, column after column of P."""
         return (self.lever[:, :, None] * self.score[:, None, :]).reshape(-1, 6) if affine else self.score
 
-    def _sums(self, affine: bool) -> tuple[Array, Array]:
+    def _sums(self, affine: bool) -> tuple[Floats, Floats]:
         """Normal matrix (P, P), solvable, and right side (P,) of all blocks."""
         if not affine:
-            return _firm(self.information.sum(axis=0)), self.score.sum(axis=0)
+            return _regularised(self.information.sum(axis=0)), self.score.sum(axis=0)
         by_lever = (self.lever[:, :, None] * self.lever[:, None, :]).reshape(-1, 9)
         n = (by_lever.T @ self.information.reshape(-1, 4)).reshape(3, 3, 2, 2)
-        return _firm(n.transpose(0, 2, 1, 3).reshape(6, 6)), (self.lever.T @ self.score).ravel()
+        return _regularised(n.transpose(0, 2, 1, 3).reshape(6, 6)), (self.lever.T @ self.score).ravel()
 
 
 def blocks_of(
-    gx: Image, gy: Image, residual: Image, weight: Image, reference_px: Array, pitch_px: float
+    gx: Image, gy: Image, residual: Image, weight: Image, reference_px: Floats, pitch_px: float
 ) -> Blocks:
-    """Blocks of a template (h, w): its gradients per px, residual and weight at every `pitch_px`-th pixel.
+    """Blocks of a template from gradients per px, residual and weight at every `pitch_px`-th pixel (h, w).
 
-    `reference_px` (x, y) is the point, in pixels of the template, whose displacement is wanted.
+    `reference_px` (x, y), in pixels of the template, is the point whose displacement is wanted.
     """
     h, w = residual.shape
     side = max(_SMALLEST, min(h, w) // _ALONG_SIDE)
@@ -113,15 +109,15 @@ def blocks_of(
 
 
 @lru_cache(maxsize=32)
-def _middles(h: int, w: int, columns: int, rows: int) -> Array:
+def _middles(h: int, w: int, columns: int, rows: int) -> Floats:
     """Middle (x, y) of each block of a template (h, w), its pixels."""
     x = (np.arange(columns) + 0.5) * w / columns - 0.5
     y = (np.arange(rows) + 0.5) * h / rows - 0.5
     return np.stack([np.tile(x, rows), np.repeat(y, columns)], axis=1)
 
 
-def _firm(normal: Array) -> Array:
-    """A normal matrix that can be solved even where there is no texture."""
+def _regularised(normal: Floats) -> Floats:
+    """A normal matrix regularised so that it can be solved without texture."""
     out = normal.copy()
     out.flat[:: len(out) + 1] += 1e-6 * np.diagonal(normal) + 1e-30
     return out

@@ -16,15 +16,14 @@ another crop) does not shift the result. The covariance is that of the template'
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from boresight.gct_match.imaging.resample import change, composed, gradient, largest_px, warped
 from boresight.gct_match.imaging.spectra import filtered
 from boresight.gct_match.imaging.views import View
+from boresight.gct_match.records import Image
 from boresight.gct_match.refine.approach import approach, robust_weights
 from boresight.gct_match.refine.blocks import Blocks, blocks_of
 from boresight.gct_match.refine.radiometry import TERMS, TONES, fill_columns
@@ -33,7 +32,6 @@ from boresight.geometry.record import Bools, Floats, array, record, scalar
 
 __all__ = ["PositionFit", "fit_position"]
 
-Image = NDArray[Any]  # single precision
 
 _FARTHEST_PX = 2.5  # from the start
 _RIM = 3  # the filters reach this far over the template's edge, and over a hole's
@@ -126,7 +124,7 @@ def fit_position(
         if last.near:
             break
     response = last.equations.response
-    if not warp.affine and last.blocks.ask_for_affine(response):
+    if not warp.affine and last.blocks.show_affine(response):
         warp = _stepped(pair, warp, last.blocks.displacement(affine=True) / response)
         last = _round(pair, warp, weight)
     return _fit_of(pair, last)

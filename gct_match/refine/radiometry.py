@@ -1,22 +1,20 @@
-"""What may differ between the grey values of a template T and of a picture I that shows the same scene:
+"""Radiometric model of a picture I that shows the scene of a template T:
 
     I  =  o + o_u u + o_v v + (g + g_u u + g_v v) T + b lap(T) + (q S² + r S³) * camera
 
-with u and v from -1 to 1 along the longer side of the template, and S the scene that the camera blurred to
-T. That is offset and gain with their ramps, another blur, and another tone curve, which acts before the
-camera's blur. Both pictures pass a filter k first. Then k * (u T) is not u (k * T): with s² the second
-moment of the kernel, a ramp of the gain adds s² times the ramp's slope times the derivative of k * T, which
-would pass for a shift of thousandths of a pixel.
+with u and v from -1 to 1 along the longer side of the template, and S the scene before the camera's blur.
+The terms are offset and gain with their ramps, a difference of blur, and a tone curve, which acts before the
+blur. Both pictures are filtered with a kernel k first. Then k * (u T) differs from u (k * T): with s² the
+second moment of the kernel, a ramp of the gain adds s² times its slope times the derivative of k * T, which
+would appear as a shift of thousandths of a pixel.
 """
 
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from boresight.gct_match.imaging.resample import gradient
 from boresight.gct_match.imaging.spectra import (
@@ -27,11 +25,11 @@ from boresight.gct_match.imaging.spectra import (
     padded_spectrum,
     picture_of,
 )
+from boresight.gct_match.records import Image
 from boresight.gct_match.refine.weighting import Weighting
 
 __all__ = ["TERMS", "TONES", "fill_columns"]
 
-Image = NDArray[Any]  # single precision
 
 TERMS = 9
 TONES = 2  # the last of them
@@ -54,7 +52,8 @@ def fill_columns(out: Image, template: Image, weighting: Weighting, mtf_at_nyqui
         np.multiply(ramp, t, out=column)
         column += slope * derivative
     cv2.Laplacian(t, cv2.CV_32F, dst=out[8], borderType=cv2.BORDER_REFLECT)
-    blur, sharpen = _camera(padded_shape(shape), round(gaussian_sigma_px(mtf_at_nyquist), 2))
+    sigma_px = round(gaussian_sigma_px(mtf_at_nyquist), 2)  # an MTF is not known more accurately
+    blur, sharpen = _camera(padded_shape(shape), sigma_px)
     scene = padded_picture(spectrum * sharpen)
     scene *= np.float32(1.0 / (np.sqrt(float(np.vdot(scene, scene)) / scene.size) + 1e-12))
     blur = blur * weighting.amplitude

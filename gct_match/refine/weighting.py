@@ -1,42 +1,40 @@
-"""Which spatial frequencies of two pictures of one scene say where they lie: the weighting filter.
+"""Weighting filter for the offset of two pictures of one scene, from their coherence.
 
-Two sensors see one scene, each with noise, aliasing and changes of its own. The maximum-likelihood
-estimate of their offset filters both by |H|² = g² / (1 - g²) / |P_ab| with g² the squared coherence at
-each frequency (Hannan & Thomson 1973; Knapp & Carter 1976, for two microphones). Where only white noise
-separates them that is a mild low-pass; where light, season or haze changed the low frequencies, it turns
-into a band-pass on its own. Coherence is measured from the pair itself, in rings of equal frequency.
+Each picture has noise, aliasing and changes of its own. The maximum-likelihood estimate of the offset
+filters both by |H|² = g² / (1 - g²) / |P_ab| with g² the squared coherence at each frequency (Hannan &
+Thomson 1973; Knapp & Carter 1976, for two microphones): a mild low-pass for white noise, a band-pass where
+light, season or haze changed the low frequencies. Coherence is estimated from the pair, in rings of equal
+frequency.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from boresight.gct_match.imaging.spectra import frequency, padded_shape, ring_means, rings
+from boresight.gct_match.records import Image
+from boresight.geometry.record import Floats, array, record, scalar
 
 __all__ = ["Weighting", "weighting"]
 
-Array = NDArray[np.float64]
-Image = NDArray[Any]  # single precision
 
 _STEPS = 512  # of the table from which a filter is read
 _HIGHEST = 0.75  # cycles per pixel, beyond the corner of a spectrum
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record
 class Weighting:
     """The weighting filter of a pair."""
 
-    amplitude: Image  # packed, for the pair's padded shape; its scale is arbitrary, the largest is one
-    spread_px2: float  # second moment of its kernel along an axis, mean over what the pair has in common
+    amplitude: Image = array("H, W", "packed, for the pair's padded shape; the largest is one")
+    spread_px2: float = scalar("second moment of its kernel along an axis, weighted with the common power")
 
 
 def weighting(template: Image, picture: Image, weight: Image) -> Weighting:
-    """From an aligned pair (h, w), at least 8 px a side, where `weight` (h, w) lets it count."""
+    """Filter of an aligned pair (h, w), at least 8 px a side, with pixel weights `weight` (h, w)."""
     taper = _taper(*template.shape) * np.sqrt(weight)
     total = taper.sum() + np.float32(1e-12)
     a, b = ((image - np.vdot(image, taper) / total) * taper for image in (template, picture))
@@ -56,16 +54,16 @@ def weighting(template: Image, picture: Image, weight: Image) -> Weighting:
     return Weighting(table.take(_step(padded_shape(template.shape))), float(spread))
 
 
-def _most_likely(power_a: Array, power_b: Array, common: Array, count: Array) -> Array:
+def _most_likely(power_a: Floats, power_b: Floats, common: Floats, count: Floats) -> Floats:
     """|H|² in each ring, from the mean powers of two pictures and their real cross power."""
     floor = 1e-9 * power_a.max() + 1e-30
     power = (power_a + floor) * (power_b + 1e-9 * power_b.max() + 1e-30)
-    chance = 1.0 / count  # what nothing but chance would give
+    chance = 1.0 / count  # squared coherence of unrelated pictures
     g2 = np.clip((common**2 / power - chance) / (1.0 - chance), 0.0, 0.999)
     g2[common <= 0.0] = 0.0
     weight = g2 / (1.0 - g2) / (np.abs(common) + floor)
     weight[0] = min(weight[0], weight[1])
-    smooth: Array = 0.5 * weight
+    smooth: Floats = 0.5 * weight
     smooth[1:] += 0.25 * weight[:-1]
     smooth[:-1] += 0.25 * weight[1:]
     smooth[[0, -1]] += 0.25 * weight[[0, -1]]

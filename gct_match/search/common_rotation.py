@@ -13,7 +13,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from boresight.gct_match.predict.scene import Scene
 from boresight.gct_match.predict.template import predict_template
@@ -31,7 +30,7 @@ from boresight.gct_match.search.vote import Candidates, Vote, log_chance_of_rank
 from boresight.gct_match.settings import MatchSettings
 from boresight.geometry.installation import deviation_from_theta
 from boresight.geometry.pushbroom import Pushbroom
-from boresight.geometry.record import Floats
+from boresight.geometry.record import Floats, Ints
 
 __all__ = ["search_common_rotation", "vote_tolerance_px"]
 
@@ -136,7 +135,7 @@ def _candidates(
 
 def _best_positions(
     template: _Template, pictures: dict[int, _Picture], factor: int, count: int
-) -> tuple[NDArray[np.int64], Floats]:
+) -> tuple[Ints, Floats]:
     """CCDs (K,) and pixels (K, 2) of a target's surveyed point at its best positions, best first."""
     shown = [pictures[w.ccd] for w in template.windows]
     shifts = np.array([p.origin_px for p in shown]) + template.point_px

@@ -1,20 +1,19 @@
-"""Where in a picture a template may lie: correlation of band-passed, locally normalised pictures, and its
-peaks.
+"""Correlation of normalised pictures, its peaks, and the probability that a peak is a false match.
 
-Light, season and haze change a scene's grey values but leave most of its edges: both pictures lose their
-local mean and are divided by their local contrast before they are compared. How likely a peak is chance
-follows from the number of independent values in the template, measured where it surely does not lie.
+That probability follows from the number of independent values in the template and from the correlation
+away from the peak. Pictures are normalised with `imaging.views`.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+
+from boresight.gct_match.records import Image
+from boresight.geometry.record import Bools, Floats, array, record
 
 __all__ = [
     "Peaks",
@@ -25,23 +24,21 @@ __all__ = [
     "self_similarity",
 ]
 
-Array = NDArray[np.float64]
-Image = NDArray[Any]  # single precision
 
-_FAR, _SHARED = 0.25, 0.25  # of a template's side and area, where it is compared with itself
+_FAR, _SHARED = 0.25, 0.25  # least displacement and overlap of the two copies, of side and area
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record
 class Peaks:
     """The highest maxima of a correlation surface, best first."""
 
-    xy: Array  # (K, 2) column, row of the surface, to a fraction of a pixel
-    value: Array  # (K,)
+    xy: Floats = array("K, 2", "column, row of the surface, to a fraction of a pixel")
+    value: Floats = array("K", "correlation")
 
 
 def correlation_surface(template: Image, picture: Image) -> Image:
-    """Normalised correlation of a normalised template at every place where it lies within a normalised
-    picture.
+    """(H - h + 1, W - w + 1) correlation of a normalised template (h, w) at all positions in a normalised
+    picture (H, W).
     """
     template = template - np.float32(cv2.mean(template)[0])
     out = cv2.matchTemplate(picture, template, cv2.TM_CCORR)
@@ -49,12 +46,12 @@ def correlation_surface(template: Image, picture: Image) -> Image:
     below = cv2.integral(picture * picture)
     energy = below[h:, w:] - below[:-h, w:] - below[h:, :-w] + below[:-h, :-w]
     total = float(np.vdot(template, template))
-    floor = 0.05 * total  # a window that is mostly empty has no correlation
+    floor = 0.05 * total  # lowers the correlation of windows with few valid pixels
     return out / np.sqrt(total * np.maximum(energy, floor) + 1e-12).astype(np.float32)
 
 
 def peaks_of(surface: Image, most: int, apart: int) -> Peaks:
-    """The `most` highest maxima that lie at least `apart` from one another."""
+    """The `most` highest positive maxima, more than `apart` px from one another."""
     size = 2 * apart + 1
     highest = cv2.dilate(surface, np.ones((size, size), np.uint8))
     row, column = np.nonzero((surface == highest) & (surface > 0.0))
@@ -68,15 +65,14 @@ def peaks_of(surface: Image, most: int, apart: int) -> Peaks:
     return Peaks(xy.astype(float), value.astype(float))
 
 
-def probability_wrong(surface: Image, peak_xy: Array, independent: float, absent: float) -> float:
-    """That the true place is not under the peak, given the whole correlation surface.
+def probability_wrong(surface: Image, peak_xy: Floats, independent: float, absent: float) -> float:
+    """Probability that the true position is not under the peak, given the whole correlation surface.
 
-    Each place of the surface has the likelihood (1 - r²)^(-n/2) of explaining the pair, against 1 for
-    chance. n is the geometric mean of the template's number of independent values and of one over the
-    variance of r away from the peak: the first overrates scenes of repeated pattern, the second takes the
-    peak's own side lobes for chance. Under the peak is what is joined to it at more than half its height:
-    from there least squares climbs to the same place. `absent` is the prior probability that the surface
-    does not hold the target at all.
+    Each position has the likelihood (1 - r²)^(-n/2) of being the true one, against 1 for chance. n is the
+    geometric mean of the template's number of independent values, `independent`, and of one over the variance
+    of r away from the peak: the first is too large for repeated patterns, the second counts the peak's side
+    lobes as chance. Under the peak are positions joined to it at more than half its height, from which least
+    squares converges to it. `absent` is the prior probability that the surface does not contain the target.
     """
     column, row = np.clip(np.round(peak_xy).astype(int), 0, np.array(surface.shape[::-1]) - 1)
     _, labels = cv2.connectedComponents((surface > 0.5 * surface[row, column]).astype(np.uint8))
@@ -97,7 +93,7 @@ def probability_wrong(surface: Image, peak_xy: Array, independent: float, absent
 
 
 def independent_values(template: Image) -> float:
-    """How many independent values a normalised template holds, from the evenness of its spectrum."""
+    """Number of independent values in a normalised template (h, w), from the flatness of its spectrum."""
     template = template - np.float32(cv2.mean(template)[0])
     spectrum = cv2.dft(template)
     power: Image = cv2.mulSpectrums(spectrum, spectrum, 0, conjB=True)
@@ -107,8 +103,8 @@ def independent_values(template: Image) -> float:
 
 
 def self_similarity(template: Image) -> float:
-    """Highest correlation of a normalised template with itself, displaced by a quarter of its side or more
-    so that a quarter of its area is still shared: high if it holds several things of one kind.
+    """Highest correlation of a normalised template (h, w) with a copy displaced by at least a quarter of its
+    side and overlapping by at least a quarter of its area: high if it shows similar objects.
     """
     h, w = (n // 2 for n in template.shape)
     small: Image = cv2.resize(template, (w, h), interpolation=cv2.INTER_AREA)
@@ -125,9 +121,9 @@ def self_similarity(template: Image) -> float:
 
 
 @lru_cache(maxsize=16)
-def _displaced(h: int, w: int) -> tuple[Image, NDArray[np.bool_]]:
-    """Packed spectrum of a picture (h, w) of ones amid zeros, and which displacements of such a picture
-    against itself are a quarter of its side or more and leave it a quarter of its area.
+def _displaced(h: int, w: int) -> tuple[Image, Bools]:
+    """Packed spectrum of ones (h, w) padded with zeros, and the mask of displacements of at least a quarter
+    of the side that leave an overlap of at least a quarter of the area.
     """
     down, along = (np.minimum(np.arange(2 * n), 2 * n - np.arange(2 * n)) / n for n in (h, w))
     shared = np.outer(1.0 - down, 1.0 - along)
@@ -136,12 +132,12 @@ def _displaced(h: int, w: int) -> tuple[Image, NDArray[np.bool_]]:
 
 
 def _twice(image: Image) -> Image:
-    """A picture and as much again of zeros in both directions, where it may be displaced to."""
+    """A picture padded with zeros to twice its size."""
     h, w = image.shape
     return cv2.copyMakeBorder(image, 0, h, 0, w, borderType=cv2.BORDER_CONSTANT)
 
 
-def _vertex(surface: Image, row: NDArray, column: NDArray, axis: int) -> Array:
+def _vertex(surface: Image, row: NDArray, column: NDArray, axis: int) -> Floats:
     """Offset of the parabola through three values from the middle one; zero at the surface's edge."""
     n = surface.shape[axis]
     at = row if axis == 0 else column
@@ -149,6 +145,6 @@ def _vertex(surface: Image, row: NDArray, column: NDArray, axis: int) -> Array:
     step = np.where(inner, 1, 0)
     before = surface[row - step, column] if axis == 0 else surface[row, column - step]
     after = surface[row + step, column] if axis == 0 else surface[row, column + step]
-    bend = 2.0 * surface[row, column] - before - after
-    offset = np.where(bend > 1e-9, 0.5 * (after - before) / np.maximum(bend, 1e-9), 0.0)
+    curvature = 2.0 * surface[row, column] - before - after
+    offset = np.where(curvature > 1e-9, 0.5 * (after - before) / np.maximum(curvature, 1e-9), 0.0)
     return np.clip(np.where(inner, offset, 0.0), -0.5, 0.5)

@@ -8,13 +8,12 @@ early steps keep many more positions than the last one, at little cost.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from boresight.gct_match.imaging.views import window
+from boresight.gct_match.records import Image
 from boresight.gct_match.search.edges import (
     FULL,
     centred,
@@ -35,7 +34,6 @@ __all__ = [
     "search_template",
 ]
 
-Image = NDArray[Any]  # whole numbers or single precision
 
 _POOLED = 4  # pixels of a picture to one of its pooled edge field
 _KEPT = 16, 4  # times as many positions as are wanted in the end are looked at in the next finer picture
@@ -109,9 +107,7 @@ def best_positions(
     return _best(_moved(template.own, _edges_of(windows[:, 0]), positions, 1), count)
 
 
-def _cells(
-    template: Image, field: Image, box: tuple[int, int, int, int], most: int
-) -> tuple[NDArray[np.int64], Image]:
+def _cells(template: Image, field: Image, box: tuple[int, int, int, int], most: int) -> tuple[Ints, Image]:
     """The best cells of the pooled fields, local maxima before any others: (K, 2) pixels of the picture, and
     their correlation (K,), with 1 added to that of a maximum.
     """

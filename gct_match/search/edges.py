@@ -1,56 +1,52 @@
-"""How alike two pictures of one ground are by the directions of their edges, whatever has changed between
-them.
+"""Similarity of two pictures by the directions of their edges, insensitive to changed grey values.
 
-A field that was darker than the track beside it is brighter in another year: grey values and the signs of
-their differences come and go, the line between two parcels stays. The square of the complex gradient
-g = g_x + i g_y has twice its angle and forgets which side is the brighter (Kass & Witkin 1987); divided by
-its length it counts every edge alike (orientation correlation, Fitch et al. 2002):
+A field that was darker than the track beside it may be brighter in another year; the boundary stays. The
+square of the complex gradient g = g_x + i g_y has twice its angle and does not depend on which side is the
+brighter (Kass & Witkin 1987); divided by its length it weights all edges equally (orientation correlation,
+Fitch et al. 2002):
 
     z = g² / (|g|² + median of |g|²)
 
-The median keeps noise on flat ground from counting as edges. A picture holds whole numbers, or single
-precision with NaN where it shows nothing: there z is zero.
+The median suppresses noise on flat ground. A picture holds integers, or single precision with NaN where it
+is not valid: there z is zero.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
+
+from boresight.gct_match.records import Image
 
 __all__ = ["FULL", "centred", "coarse_edge_fields", "edge_field", "edge_similarity", "halved", "normalised"]
 
-Image = NDArray[Any]  # whole numbers or single precision
 
-FULL = np.float32(127.0)  # what |z| = 1 is in 8 bit
+FULL = np.float32(127.0)  # 8 bit value of |z| = 1
 
-_FLOOR = np.float32(0.1)  # of the template's power: ground with fewer edges is taken to have so many
+_FLOOR = np.float32(0.1)  # of the template's power: least power of the edges under it
 _BAND = 64  # rows of the field at a time: they stay in the cache
-_STRIPS, _ROWS = 24, 16  # strips of so many rows tell a large picture's median
+_STRIPS, _ROWS = 24, 16  # strips of so many rows from which a large picture's median is estimated
 
 
 def edge_field(image: Image) -> Image:
-    """(2, H, W) real and imaginary part of z at each pixel of a picture (H, W), float32."""
-    return _field(image, _usual_power(_strips(image)))
+    """(2, H, W) real and imaginary part of z at each pixel of a picture (H, W), single precision."""
+    return _field(image, _median_power(_strips(image)))
 
 
 def coarse_edge_fields(image: Image) -> tuple[Image, Image]:
-    """z of a picture's means over 2 x 2 px, (2, H // 4 * 2, W // 4 * 2), in parts of `FULL`, 8 bit; and its
-    means over 2 x 2 of these, (2, H // 4, W // 4), float32.
-
-    The mean of directions remembers edges that the mean of as many grey values has lost.
+    """z of means over 2 x 2 px, (2, H // 4 * 2, W // 4 * 2), 8 bit in parts of `FULL`; and means over 2 x 2
+    of z, (2, H // 4, W // 4), single precision, which keep edges that means of grey values lose.
     """
     h, w = (n // 4 for n in image.shape)
     image = image[: 4 * h, : 4 * w]
-    usual = _usual_power([halved(strip) for strip in _strips(image)])
+    median = _median_power([halved(strip) for strip in _strips(image)])
     fine, pooled = np.empty((2, 2 * h, 2 * w), dtype=np.int8), np.empty((2, h, w), dtype=np.float32)
     for top in range(0, h, _BAND // 2):
         stop = min(top + _BAND // 2, h)
         first, last = max(0, 4 * top - 2), min(4 * stop + 2, 4 * h)
-        field = _field(halved(image[first:last]), usual)[:, (4 * top - first) // 2 :][:, : 2 * (stop - top)]
+        field = _field(halved(image[first:last]), median)[:, (4 * top - first) // 2 :][:, : 2 * (stop - top)]
         for k in (0, 1):
             pooled[k, top:stop] = halved(field[k])
         np.multiply(field, FULL, out=fine[:, 2 * top : 2 * stop], casting="unsafe")
@@ -64,8 +60,8 @@ def halved(image: Image) -> Image:
 
 
 def edge_similarity(template: Image, field: Image) -> Image:
-    """Normalised correlation of a template's edges (2, h, w) with a picture's (2, H, W) wherever the template
-    lies within it, (H - h + 1, W - w + 1): ground that is full of edges is no likelier for that.
+    """(H - h + 1, W - w + 1) normalised correlation of a template's edges (2, h, w) with a picture's
+    (2, H, W); normalisation removes the preference for ground full of edges.
     """
     h, w = template.shape[1:]
     inner = slice(0, field.shape[1] - h + 1), slice(0, field.shape[2] - w + 1)
@@ -80,9 +76,7 @@ def edge_similarity(template: Image, field: Image) -> Image:
 
 
 def normalised(product: Image, template: Image, power: Image) -> Image:
-    """A template's products with fields of mean `power` as correlations; those that are all but empty have
-    next to none.
-    """
+    """Correlations from a template's products with fields of mean `power`, small for nearly empty fields."""
     own = np.float32(2.0 * np.mean(np.square(template)))
     scale = np.maximum(power, _FLOOR * own)
     np.sqrt(scale, out=scale)
@@ -95,7 +89,7 @@ def centred(template: Image) -> Image:
     return template - template.mean(axis=(1, 2), keepdims=True)
 
 
-def _field(image: Image, usual_power: np.float32) -> Image:
+def _field(image: Image, median_power: np.float32) -> Image:
     gx: Image = cv2.Sobel(image, cv2.CV_32F, 1, 0)
     gy: Image = cv2.Sobel(image, cv2.CV_32F, 0, 1)
     field: Image = np.empty((2, *image.shape), dtype=np.float32)
@@ -105,7 +99,7 @@ def _field(image: Image, usual_power: np.float32) -> Image:
     gy *= gy
     np.subtract(gx, gy, out=field[0])
     gx += gy
-    gx += usual_power
+    gx += median_power
     field /= gx
     if image.dtype.kind == "f":
         cv2.patchNaNs(field.reshape(-1, image.shape[1]), 0.0)
@@ -120,7 +114,7 @@ def _strips(image: Image) -> list[Image]:
     return [image[first : first + _ROWS] for first in np.linspace(0, rows - _ROWS, _STRIPS).astype(int)]
 
 
-def _usual_power(strips: Sequence[Image]) -> np.float32:
+def _median_power(strips: Sequence[Image]) -> np.float32:
     """Median of |g|² over strips of a picture."""
     power = []
     for strip in strips:

@@ -15,7 +15,7 @@ from boresight.gct_match.predict.scene import Scene
 from boresight.gct_match.predict.template import chip_side_px
 from boresight.gct_match.records import StripImage
 from boresight.gct_match.settings import MatchSettings
-from boresight.geometry.record import Floats, record, scalar
+from boresight.geometry.record import Floats, Ints, record, scalar
 
 __all__ = ["SearchPlan", "Window", "extents", "plan_search", "pyramid_factor"]
 
@@ -132,6 +132,6 @@ def _windows(scene: Scene, ccd: int) -> list[Window]:
     return out
 
 
-def _bounds(nodes: NDArray[Any], inside: NDArray[np.int64]) -> Range:
+def _bounds(nodes: NDArray[Any], inside: Ints) -> Range:
     """Range between the nodes before the first and after the last one inside."""
     return int(nodes[max(inside[0] - 1, 0)]), int(nodes[min(inside[-1] + 1, len(nodes) - 1)]) + 1

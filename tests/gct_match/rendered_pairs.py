@@ -75,6 +75,8 @@ def make_pair(
     if condition == "affine":
         angle, scale = rng.choice([-1, 1]) * np.radians(0.5), 1.0 + rng.choice([-1, 1]) * 0.005
         turn = scale * np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    if condition == "tone":
+        other = _seen(255.0 * (scene / 255.0) ** 2.5)
     if condition == "date":
         other = _seen(255.0 * (scene / 255.0) ** np.exp(rng.uniform(-0.5, 0.5)))
     # window pixel v sees scene centre + RATIO (turn (v - middle) - turn shift): the template's middle is

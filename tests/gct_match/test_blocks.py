@@ -45,11 +45,11 @@ def test_affine_map_is_found_but_for_what_turns_within_a_block():
 def test_map_is_asked_for_only_where_there_is_one():
     still = np.zeros((2, 3))
     turned = np.array([[0.0, -2e-3, 0.0], [2e-3, 0.0, 0.0]])  # ten standard errors: noise 1, gradients 1
-    assert all(seen(turned, seed, 1.0).ask_for_affine(1.0) for seed in range(10))
+    assert all(seen(turned, seed, 1.0).show_affine(1.0) for seed in range(10))
     assert (
-        sum(seen(still, seed, 1.0).ask_for_affine(1.0) for seed in range(200)) <= 3
+        sum(seen(still, seed, 1.0).show_affine(1.0) for seed in range(200)) <= 3
     )  # 0.1 % of 200; P(> 3) = 4e-5
-    assert not seen(50.0 * turned, 0, 1.0).ask_for_affine(1.0)  # no small map any more
+    assert not seen(50.0 * turned, 0, 1.0).show_affine(1.0)  # no small map any more
 
 
 def test_covariance_is_the_scatter_of_translations():
@@ -58,3 +58,21 @@ def test_covariance_is_the_scatter_of_translations():
     stated = np.mean([np.trace(b.covariance(affine=False)) / 2.0 for b in blocks])
     # 400 squares of a normal variable have a mean good to 7 %; 63 / 60 allow for a covariance from 64 blocks
     assert stated == pytest.approx(63.0 / 60.0 * scatter, rel=0.25)
+
+
+def test_covariance_of_a_slanted_texture_is_slanted():
+    # Edges along one diagonal: displacements along it are less certain than across, by 3 : 1.
+    normalised, product, stated = [], [], []
+    for seed in range(300):
+        a, b, noise, weight = texture(seed)
+        gx, gy = (a + 0.5 * b).astype(np.float32), (a - 0.5 * b).astype(np.float32)
+        blocks = blocks_of(gx, gy, noise, weight, MIDDLE, 1.0)
+        d, cov = blocks.displacement(affine=False)[:, 2], blocks.covariance(affine=False)
+        normalised.append(d @ np.linalg.solve(cov, d) / 2.0)
+        product.append(d[0] * d[1])
+        stated.append(cov)
+    mean = np.mean(stated, axis=0)
+    # gradients (1, 1) and (0.5, -0.5): variances 1/2 and 2 along (1, 1) and (1, -1), correlation -0.6
+    assert mean[0, 1] / np.sqrt(mean[0, 0] * mean[1, 1]) == pytest.approx(-0.6, abs=0.05)
+    assert np.mean(product) == pytest.approx(mean[0, 1], rel=0.35)  # of 300 products: 11 % standard error
+    assert np.mean(normalised) == pytest.approx(1.0, abs=0.25)  # 600 degrees of freedom: 6 % standard error

@@ -112,3 +112,37 @@ def test_every_reason_has_a_sentence():
     for reason in Reason:
         said = Refusal(reason, 0.5, 0.25, (3.0, 4.0, 5.0)).sentence
         assert said and "nan" not in said
+
+
+def test_of_two_peaks_the_one_with_the_higher_correlation_is_accepted(invented: NDArray):
+    # A window of 64 + 2 * 80 px that holds the template and, 72 px away, a blend of it with other ground.
+    rng = np.random.default_rng(12)
+    chip, other = (np.array(invented[k : k + 256 : 4, k : k + 256 : 4]) for k in (100, 600))
+    window = np.array(invented[800 : 800 + 4 * 224 : 4, : 4 * 224 : 4])[:144, :224]
+    window = np.pad(window, ((0, 80), (0, 0)), mode="reflect") + rng.normal(0.0, 2.0, (224, 224))
+    window[80:144, 80:144] = chip
+    window[80:144, 152:216] = 0.8 * chip + 0.5 * other
+    views = [view_of(p.astype(np.float32), np.ones(p.shape, dtype=bool)) for p in (chip, window)]
+    match = locate(*views, (80, 80), 80, np.array([31.5, 31.5]), SETTINGS)
+    assert isinstance(match, TemplateMatch)
+    assert match.xy_px == pytest.approx([111.5, 111.5], abs=0.05)  # px: other noise in template and window
+    assert np.sum(match.surface > 0.7 * match.surface.max()) >= 2  # both peaks were tried
+
+
+@pytest.mark.parametrize(
+    ("limits", "reason"),
+    [
+        ({"least_correlation": 0.999}, Reason.LOW_CORRELATION),
+        ({"sigma_px": 1e-4}, Reason.UNCERTAIN_POSITION),
+        ({"probability_wrong": 0.0}, Reason.PROBABLY_WRONG),
+    ],
+)
+def test_a_position_beyond_a_limit_is_refused_with_value_and_limit(
+    invented: NDArray, limits: dict, reason: Reason
+):
+    pair = make_pair(invented, np.random.default_rng(8), size_px=64, margin_px=MARGIN, condition="clean")
+    start = (pair.offset_px[0] + 31.5, pair.offset_px[1] + 31.5)
+    refused = match_template(pair.template, pair.window, start, settings=replace(SETTINGS, **limits))
+    assert isinstance(refused, Refusal) and refused.reason is reason
+    assert refused.limit == next(iter(limits.values()))
+    assert np.isfinite(refused.value)

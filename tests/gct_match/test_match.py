@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+import tracemalloc
 from dataclasses import replace
 
 import numpy as np
@@ -131,6 +133,31 @@ def test_target_on_a_lake_is_refused_with_the_reason(case: Case):
     chips[3] = replace(chips[3], image=water.astype(np.float32))
     refused = {refusal.target_id: refusal.reason for refusal in matched(case, chips=chips).refused}
     assert refused["t03"] is Reason.TOO_LITTLE_TEXTURE
+
+
+@pytest.mark.parametrize("shrunk", [1e-4, 3e-6])  # 0.3 mm and 10 um a pixel
+def test_chip_of_an_absurd_pixel_size_is_refused_by_name_and_the_others_kept(case: Case, shrunk: float):
+    chips = list(case.chips)
+    a, b, c, d, e, f = chips[3].transform
+    chips[3] = replace(chips[3], transform=(shrunk * a, b, c, d, shrunk * e, f))
+    tracemalloc.start()
+    outcome = matched(case, chips=chips)
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    refused = {refusal.target_id: refusal for refusal in outcome.refused}
+    assert refused["t03"].reason is Reason.CHIP_TOO_SMALL and "pixel size" in refused["t03"].sentence
+    assert len({match.target_id for match in outcome.matches}) == len(case.targets) - 1
+    assert peak < 100e6  # bytes: the strip's coarse pictures and candidates
+
+
+def test_template_of_a_chip_with_tiny_pixels_is_bounded_in_memory_and_time(case: Case):
+    chip = case.chips[0]
+    a, b, c, d, e, f = chip.transform
+    tiny = replace(chip, transform=(3e-6 * a, b, c, d, 3e-6 * e, f))
+    start = time.process_time()
+    template = predict_template(tiny, case.true, 0, (100, 100), (64, 64), SURFACE, MatchSettings())
+    assert not template.valid.any()
+    assert time.process_time() - start < 2.0  # s: a kernel as wide as the blur would take minutes
 
 
 def test_cloud_and_saturation_are_kept_out(case: Case):

@@ -74,6 +74,39 @@ def test_chance_of_rank_one_in_every_target_is_the_share_to_their_number():
     assert outcome.log_probability_chance < np.log(1e-5)
 
 
+def test_ranks_of_random_positions_are_as_rare_as_stated():
+    # 20 000 sets of 5 random positions: share of sets of which one of the first k + 1 lies in 2 % of the area
+    inside = np.random.default_rng(6).uniform(size=(20_000, 5)) < 0.02
+    seen = np.logical_or.accumulate(inside, axis=1).mean(axis=0)
+    stated = np.exp(log_chance_of_ranks(5, 0.02))
+    assert (
+        seen <= stated + 4.0 * np.sqrt(stated / 20_000)
+    ).all()  # 4 standard errors: never rarer than stated
+    assert (
+        seen > 0.9 * stated
+    ).all()  # Boole's bound is 1 - 0.98^5 / 0.1 = 4 % too high at most, scatter 3 %
+    assert log_chance_of_ranks(60, 0.02).max() == 0.0
+
+
+def test_every_value_of_the_third_parameter_is_one_more_opportunity_for_chance():
+    # Five targets agree on zero. The third parameter has a lever of at most 50 px per unit and is searched
+    # over ±1.5 in steps of 2 px: 2 * ceil(1.5 * 50 / 2) + 1 = 77 values, cut to 61.
+    rng = np.random.default_rng(9)
+    lever = np.array([[-50.0, 20.0], [50.0, -20.0], [10.0, 30.0], [-10.0, -30.0], [0.0, 0.0]])
+    for steps, reach in ((61, 3.0), (39, 1.5)):
+        d = rng.uniform(-900.0, 900.0, (5, 20, 2))
+        d[:, 0] = 0.0
+        design = np.concatenate([np.broadcast_to(np.eye(2), (5, 2, 2)), lever[:, :, None]], axis=2)
+        chance = np.tile(log_chance_of_ranks(20, 1e-4), 5)
+        owner = np.repeat(np.arange(5), 20)
+        two = Candidates(owner, d.reshape(-1, 2), np.repeat(design[:, :, :2], 20, axis=0), chance)
+        three = Candidates(owner, d.reshape(-1, 2), np.repeat(design, 20, axis=0), chance)
+        sigma = np.array([400.0, 400.0, 0.5])
+        plain = vote(two, sigma[:2], reach, 2.0, 1.0).log_probability_chance
+        searched = vote(three, sigma, reach, 2.0, 1.0).log_probability_chance
+        assert searched - plain == pytest.approx(np.log(steps), abs=1e-9)
+
+
 def test_no_candidates_elect_nothing():
     none = Candidates(np.zeros(0, dtype=np.int64), np.zeros((0, 2)), np.zeros((0, 2, 3)), np.zeros(0))
     outcome = vote(none, SIGMA, 3.0, 14.0, 4.0)
