@@ -25,6 +25,7 @@ from boresight.pipeline.commands.match import add_match_commands
 from boresight.pipeline.commands.plan import add_plan_commands
 from boresight.pipeline.commands.progress import progress_bar, progress_bars, remarks
 from boresight.pipeline.commands.report import add_report_commands
+from boresight.pipeline.commands.sensor import add_sensor_commands
 from boresight.pipeline.commands.star import add_star_commands
 from boresight.pipeline.errors import DataNotSufficientError, RawDataError, WorkerError, printable
 from boresight.version import version_text
@@ -276,3 +277,4 @@ add_match_commands(app)
 add_report_commands(app)
 add_drift_commands(app)
 add_plan_commands(app)
+add_sensor_commands(app)

@@ -1,0 +1,64 @@
+"""Commands about the rigorous model of one strip: dimap, virtual-ccd."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+__all__ = ["add_sensor_commands"]
+
+
+def add_sensor_commands(app: typer.Typer) -> None:
+    """Add the commands to the program."""
+    app.command()(dimap)
+    app.command("virtual-ccd")(virtual_ccd)
+
+
+def dimap(
+    product: Annotated[Path, typer.Argument(metavar="FILE", help="Pleiades metadata: DIM or PHRDIMAP XML.")],
+    pixels: Annotated[Path | None, typer.Option(help="CSV file with the columns ccd, sample, line.")] = None,
+    height_m: Annotated[float, typer.Option(help="Ellipsoidal height of the ground for --pixels.")] = 0.0,
+    grid: Annotated[
+        Path | None, typer.Option(help="Operator's location grid, GRID_*.tif, to compare.")
+    ] = None,
+) -> None:
+    """Geolocate pixels of a Pleiades strip, or compare its model with the operator's location grid.
+
+    Example: boresight dimap PHRDIMAP.XML --grid GRID.tif
+    """
+    from boresight.pipeline.results.dimap_places import grid_differences, operator_model, places_of_pixels
+
+    strip = operator_model(product)
+    typer.echo(f"{strip.dataset}: {strip.width_px} x {strip.height_px} px", err=True)
+    if pixels is not None:
+        typer.echo("".join(places_of_pixels(strip, pixels, height_m)), nl=False)
+    if grid is not None:
+        for altitude, rms, largest in grid_differences(strip, grid):
+            typer.echo(f"altitude {altitude:7.1f} m   rms {rms:.5f} m   largest {largest:.5f} m")
+
+
+def virtual_ccd(
+    result: Annotated[Path, typer.Argument(help="Folder that `calibrate` wrote.")],
+    strip: Annotated[str, typer.Option(help="Id of the strip.")],
+    out: Annotated[Path, typer.Option(help="GeoTIFF to write: float32 counts, NaN where no CCD looked.")],
+    dump: Annotated[Path | None, typer.Option(help="The result's dump, if it was moved.")] = None,
+    height_m: Annotated[
+        float | None, typer.Option(help="Ellipsoidal height to stitch at instead of the terrain model.")
+    ] = None,
+) -> None:
+    """Stitch the CCDs of one strip to one ideal line (paper, section 3.1).
+
+    Example: boresight virtual-ccd result --strip S01 --out S01.tif
+    """
+    from boresight.geometry.terrain import ConstantHeight
+    from boresight.pipeline.files.dump import surface_of
+    from boresight.pipeline.results.strip_model import open_calibrated, strip_model
+    from boresight.pipeline.results.virtual_strip import write_virtual_strip
+
+    calibrated = open_calibrated(result, dump)
+    model = strip_model(calibrated, strip)
+    surface = ConstantHeight(height_m) if height_m is not None else surface_of(calibrated.dump.terrain)
+    lines, samples = write_virtual_strip(model, surface, out)
+    typer.echo(f"{strip}: {lines} lines, {samples} samples -> {out}")
