@@ -1,9 +1,8 @@
-"""Bending of light in the atmosphere between the ground and a satellite, for an atmosphere in spherical
-layers.
+"""Refraction between the ground and a satellite in an atmosphere of spherical layers.
 
-A ray keeps n(r) r sin z (Snell). Against the straight line that it follows in space, it comes down nearer to
-the point below the satellite, and steeper. With z the zenith distance of the straight line at the ground of
-height h, N = n - 1, and integrals over height from h upwards
+Along a ray n(r) r sin z is constant (Snell). Compared with the straight line that it follows in space, the
+ray meets the ground nearer to the nadir, and steeper. With z the zenith distance of the straight line at the
+ground of height h, N = n - 1, and integrals over height from h upwards
 
     I0 = int N,   I1 = int N (h' - h),   I2 = int N (h' - h)^2,   J = int N^2,
 
@@ -42,7 +41,9 @@ _STEEPEST = np.cos(np.radians(80.0))  # beyond 80 deg the expansion fails
 
 @record
 class Atmosphere:
-    """Refractivity against height and its integrals to the top. Made by the functions of this module."""
+    """Refractivity against height and its integrals; built by `standard_atmosphere` or
+    `layered_atmosphere`.
+    """
 
     height_m: Floats = array("K", "heights above the ellipsoid, evenly spaced")
     refractivity: Floats = array("K", "n - 1")
@@ -52,9 +53,8 @@ class Atmosphere:
         """Displacement (m, >= 0) and change of zenith distance (rad, >= 0) where the straight line meets the
         ground.
 
-        `cos_z` is the cosine of the straight line's zenith distance at ground of height `height_m`; broadcast
-        together. Below 1000 m under the ellipsoid the lowest layer goes on; beyond 80 deg of zenith distance:
-        NaN.
+        `cos_z` is the cosine of the straight line's zenith distance at ground of height `height_m`; the two
+        are broadcast. Below -1000 m the lowest layer is extended; beyond 80 deg the result is NaN.
         """
         c = np.asarray(cos_z, dtype=float)
         c = np.where(c > _STEEPEST, c, np.nan)
@@ -90,11 +90,10 @@ def standard_atmosphere() -> Atmosphere:
 
 
 def layered_atmosphere(lowest_m: ArrayLike, refractive_index: ArrayLike) -> Atmosphere:
-    """An atmosphere of homogeneous layers, each from its lowest height up to the next (the last without end,
-    n = 1).
+    """Atmosphere of homogeneous layers, each from its lowest height (L,), m, to the next; indices n (L,).
 
-    Parameters are (L,), in increasing order of height. This is how some geo-location software states its
-    atmosphere.
+    The last layer has no upper end, so its n must be 1. Raises `ValueError` unless heights increase and both
+    lengths agree. Some geolocation software (Rugged) states its atmosphere in this form.
     """
     lowest, index = np.asarray(lowest_m, dtype=float), np.asarray(refractive_index, dtype=float)
     if lowest.ndim != 1 or lowest.shape != index.shape or np.any(np.diff(lowest) <= 0.0):
@@ -139,6 +138,6 @@ def _layer(
     above: Array, temperature: float, rate: float, g_over_r: float, pressure: Array | float
 ) -> tuple[Array, Array]:
     """Pressure and density over their sea-level values at a height `above` the layer's base."""
-    here = np.maximum(temperature + rate * above, 100.0)  # outside its layer the formula is not used
+    here = np.maximum(temperature + rate * above, 100.0)  # outside its layer the value is discarded
     ratio = (temperature / here) ** (g_over_r / rate) if rate else np.exp(-g_over_r * above / temperature)
     return pressure * ratio, pressure * ratio * 288.15 / here

@@ -1,11 +1,9 @@
-"""Attitude against time, from the star camera's exposures: interpolated relative to the nominal orbital
-motion.
+"""Attitude against time, from the star camera's exposures, interpolated relative to the nominal motion.
 
-A satellite that keeps pointing at the Earth turns by four degrees a minute; what is left after that turn is
-taken out is slow and small, and only this is interpolated, by Lagrange's polynomial through four exposures.
-The weights are linear in the exposures' corrections, so an estimator can use the same ones. Rotations R_si
-take GCRS to the star camera; any other frame in the place of s serves as well. TAI seconds since the epoch,
-radians.
+An Earth-pointing satellite rotates by four degrees a minute. The attitude relative to that nominal motion is
+slow and small; only this is interpolated, by Lagrange polynomials through four exposures. The result is
+linear in corrections of the exposures' attitudes, so an estimator can use the same weights. Rotations R_si
+take GCRS to the star camera, or any other frame s. TAI seconds since the epoch, radians.
 """
 
 from __future__ import annotations
@@ -44,11 +42,10 @@ class NominalMotion(Protocol):
 
 
 def lagrange_weights(t_nodes: ArrayLike, t: ArrayLike, points: int = 4) -> Array:
-    """Weights (J, K) with which values at nodes (K,) give the value at instants (J,); each row sums to 1.
+    """Weights (J, K) by which values at nodes (K,) give values at instants (J,); each row sums to 1.
 
-    Lagrange's polynomial through the `points` nodes around each instant (all nodes where there are fewer); at
-    the ends the stencil stays with the outermost nodes. An instant up to half a step outside is taken; beyond
-    that `ValueError`.
+    Lagrange polynomials through the `points` nodes around each instant (all nodes if fewer), at the ends
+    through the outermost ones. Raises `ValueError` for an instant more than half a step outside the nodes.
     """
     nodes, instants = np.asarray(t_nodes, dtype=float), np.asarray(t, dtype=float)
     start, local = _stencil_weights(nodes, instants, points)
@@ -59,7 +56,10 @@ def lagrange_weights(t_nodes: ArrayLike, t: ArrayLike, points: int = 4) -> Array
 
 @record
 class AttitudeTrack:
-    """Attitudes at K exposures, and what lies between them."""
+    """Attitudes at K exposures, interpolated between them.
+
+    Raises `ValueError` for fewer than two exposures or instants that do not increase.
+    """
 
     t_s: Floats = array("K", "instants of the exposures, increasing, TAI seconds since the epoch")
     R_si_nodes: Rotation = array("K", "GCRS to frame s at the exposures")
@@ -69,7 +69,9 @@ class AttitudeTrack:
     )
     points: int = scalar("exposures that one polynomial passes through", default=4)
     _R_so_middle: Rotation = field(init=False, repr=False)
-    _turn_s: Array = field(init=False, repr=False)  # (K, 3) D_k relative to the middle one, rotation vectors
+    _rotvec_s: Array = field(
+        init=False, repr=False
+    )  # (K, 3) D_k relative to the middle one, rotation vectors
 
     def __post_init__(self) -> None:
         k = len(self.t_s)
@@ -77,7 +79,7 @@ class AttitudeTrack:
             raise ValueError(f"AttitudeTrack needs two or more instants in increasing order, got {k}")
         R_so = self.R_si_nodes * self.nominal.R_oi(self.t_s).inv()
         object.__setattr__(self, "_R_so_middle", R_so[k // 2])
-        object.__setattr__(self, "_turn_s", (R_so * R_so[k // 2].inv()).as_rotvec())
+        object.__setattr__(self, "_rotvec_s", (R_so * R_so[k // 2].inv()).as_rotvec())
 
     @property
     def span_s(self) -> tuple[float, float]:
@@ -86,18 +88,18 @@ class AttitudeTrack:
         return float(t[0] - 0.5 * (t[1] - t[0])), float(t[-1] + 0.5 * (t[-1] - t[-2]))
 
     def R_si(self, t_s: ArrayLike) -> Rotation:
-        """Attitudes at instants (N,); `ValueError` more than half a step outside the exposures."""
+        """GCRS to frame s at instants (N,); `ValueError` more than half a step outside the exposures."""
         t = np.asarray(t_s, dtype=float)
         start, weights = _stencil_weights(self.t_s, t, self.points)
-        turn = np.zeros((len(t), 3))
+        rotvec = np.zeros((len(t), 3))
         for m in range(weights.shape[1]):
-            turn += weights[:, m, None] * self._turn_s[start + m]
-        return Rotation.from_rotvec(turn) * self._R_so_middle * self.nominal.R_oi(t)
+            rotvec += weights[:, m, None] * self._rotvec_s[start + m]
+        return Rotation.from_rotvec(rotvec) * self._R_so_middle * self.nominal.R_oi(t)
 
     def covariance_s(self, t_s: ArrayLike) -> Array:
         """Covariance (N, 3, 3), rad^2, of a small rotation of `R_si(t_s)` about the axes of s.
 
-        The exposures' own errors, carried through the weights, and the interpolation's error on top.
+        The exposures' errors, propagated through the weights, plus the interpolation error.
         """
         t = np.asarray(t_s, dtype=float)
         covariance = self.interpolation_sigma_rad(t)[:, :, None] ** 2 * np.eye(3)
@@ -107,19 +109,19 @@ class AttitudeTrack:
         return covariance
 
     def interpolation_sigma_rad(self, t_s: ArrayLike) -> Array:
-        """1-sigma (N, 3), about the axes of s, of what the polynomial misses between the exposures.
+        """1-sigma (N, 3), about the axes of s, of the interpolation error between the exposures, rad.
 
-        The remainder of Lagrange's formula, `f'''' (t - t_1)...(t - t_4) / 4!` for four points, with the size
-        of the derivative taken from divided differences of one order more than the polynomial uses; what the
-        exposures' own errors put into those is taken off. Motion faster than the exposures (vibration) does
-        not show here. NaN with too few exposures to tell.
+        The remainder of Lagrange's formula, `f'''' (t - t_1)...(t - t_4) / 4!` for four points, with the
+        derivative estimated from divided differences of one order more than the polynomial's, less the
+        contribution of the exposures' errors. Motion faster than the exposures (vibration) is not included.
+        NaN with too few exposures.
         """
         t = np.asarray(t_s, dtype=float)
         points = min(self.points, len(self.t_s))
         if len(self.t_s) <= points:
             return np.full((len(t), 3), np.nan)
         coefficients = _divided_difference_weights(self.t_s, points)
-        differences = coefficients @ self._turn_s
+        differences = coefficients @ self._rotvec_s
         size2 = (differences**2).mean(axis=0)
         if self.cov_s is not None:
             variance = np.einsum("kaa->ka", self.cov_s)
@@ -133,9 +135,9 @@ class AttitudeTrack:
 
 @record
 class EarthFixedAttitude:
-    """Attitude as an operator's polynomials in time: a quaternion that takes frame s to ITRS axes.
+    """Attitude as polynomials in time: a quaternion that takes frame s to ITRS axes, as operators publish it.
 
-    `q(t) = sum_n coefficients[:, n] ((t - t_offset_s) / scale_s)^n`, scalar last, normalised after.
+    `q(t) = sum_n coefficients[:, n] ((t - t_offset_s) / scale_s)^n`, scalar last, then normalised.
     """
 
     coefficients: Floats = array("4, D + 1", "of the quaternion's components, lowest power first")

@@ -1,7 +1,7 @@
 """Earth orientation parameters of the IERS, day by day: UT1, polar motion and celestial pole offsets.
 
-The bundled tables come with the package astropy-iers-data, so nothing is fetched at run time: the final
-series EOP 20 C04 as far as it goes, then the rapid values and predictions of finals2000A (Bulletin A). The
+The bundled tables come with the package astropy-iers-data, so nothing is downloaded at run time: the final
+series EOP 20 C04 to its end, then the rapid values and predictions of finals2000A (Bulletin A). The
 celestial pole offsets refer to IAU 2006/2000A precession-nutation.
 """
 
@@ -28,7 +28,7 @@ __all__ = [
 Array = NDArray[np.float64]
 
 _MJD_1972 = 41317.0
-_EQUATOR_SPEED = 465.1  # m/s, what one second of UT1 moves on the equator
+_EQUATOR_SPEED = 465.1  # m/s on the equator: displacement per second of UT1
 _METRES_PER_ARCSEC = 6_371_000.0 * ARCSEC
 
 
@@ -42,7 +42,10 @@ class EarthOrientationWarning(UserWarning):
 
 @record(kw_only=True)
 class EarthOrientationTable:
-    """One row a day, at 0h UTC. Values after `mjd_last_measured` are predictions."""
+    """Daily values at 0h UTC (N rows, N >= 4). Values after `mjd_last_measured` are predictions.
+
+    Raises `ValueError` for values that are not finite or days that are not consecutive.
+    """
 
     mjd_utc: Floats = array("N", "whole days (UTC), increasing by one")
     ut1_utc_s: Floats = array("N", "UT1 - UTC, s")
@@ -64,8 +67,10 @@ class EarthOrientationTable:
 
 
 def bundled_earth_orientation() -> EarthOrientationTable:
-    """The tables of the installed astropy-iers-data: EOP 20 C04 from 1972, then finals2000A with its
-    predictions."""
+    """Table of the installed astropy-iers-data: EOP 20 C04 from 1972, then finals2000A with predictions.
+
+    Raises `EarthOrientationError` where its leap seconds are not those of ERFA.
+    """
     package = importlib.resources.files("astropy_iers_data")
     final = _parse_c04((package / "data" / "eopc04.1962-now").read_text(encoding="utf-8"))
     rapid, last_measured = _parse_finals((package / "data" / "finals2000A.all").read_text(encoding="ascii"))
@@ -86,8 +91,7 @@ def bundled_earth_orientation() -> EarthOrientationTable:
 
 
 def expected_prediction_error_m(days_ahead: float) -> float:
-    """1-sigma displacement on the equator of a prediction that reaches so many days past the last
-    measurement.
+    """1-sigma displacement on the equator, m, of a prediction so many days past the last measurement.
 
     IERS Bulletin A states 0.00025 s D^0.75 for UT1 and 0.00068" D^0.80 for each pole coordinate.
     """
@@ -98,8 +102,8 @@ def expected_prediction_error_m(days_ahead: float) -> float:
 
 
 def expected_extrapolation_error_m(days_past: float) -> float:
-    """1-sigma displacement on the equator of UT1 going on at its mean rate of a year, and of a pole held
-    still.
+    """1-sigma displacement on the equator, m, of UT1 extrapolated at its mean rate of a year and a fixed
+    pole.
 
     Rms over the tables since 1990: UT1 0.25 m D^0.9 (10 m after 60 days), pole 0.05 m D, at most 6 m.
     """
@@ -115,9 +119,10 @@ def _parse_c04(text: str) -> Array:
 
 
 def _parse_finals(text: str) -> tuple[Array, float]:
-    """The same of finals2000A.all (fixed columns), and the MJD of its last measured UT1.
+    """Rows of MJD, UT1 - UTC, xp, yp, dX, dY (s, rad) of finals2000A.all, and the MJD of its last measured
+    UT1.
 
-    Days without a celestial pole offset (the far end of the predictions) take the last one given.
+    Days without a celestial pole offset (late predictions) take the last one given.
     """
     rows, last_measured, pole_offset = [], -np.inf, (0.0, 0.0)
     for line in text.splitlines():
@@ -135,8 +140,7 @@ def _parse_finals(text: str) -> tuple[Array, float]:
 
 
 def _check_leap_seconds(text: str) -> None:
-    """The leap seconds that the IERS tables were made with must be those that ERFA knows, or UT1 is off by a
-    second."""
+    """Raise `EarthOrientationError` unless the tables' leap seconds are ERFA's (else UT1 is wrong by 1 s)."""
     for line in text.splitlines():
         if line.strip() and not line.lstrip().startswith("#"):
             mjd, *_, offset = line.split()

@@ -1,9 +1,8 @@
 """GCRS <-> ITRS for many epochs: IAU 2006/2000A precession-nutation, Earth rotation angle, polar motion.
 
-The slow parts are taken at nodes and interpolated by cubics: X, Y and s every six hours, the
-IERS parameters between their daily values (UT1 as UT1 - TAI, which has no leap seconds). The Earth rotation
-angle is exact at each epoch. Left out: the diurnal and semi-diurnal tides in UT1 and polar motion (<= 0.03 m
-on the ground).
+Slow parts are interpolated by cubics: X, Y and s from nodes every six hours, the IERS parameters from their
+daily values (UT1 as UT1 - TAI, which has no leap seconds). The Earth rotation angle is exact at each epoch.
+Not modelled: diurnal and semi-diurnal tides in UT1 and polar motion (<= 0.03 m on the ground).
 """
 
 from __future__ import annotations
@@ -32,12 +31,12 @@ Array = NDArray[np.float64]
 
 _NODE_DAYS = 0.25  # nutation of 9 days and 50 mas is interpolated to 1e-9 rad and better
 _YEAR_DAYS = 365
-_NOTICEABLE_M = 0.1  # predictions whose stated error is larger than this are spoken of
+_NOTICEABLE_M = 0.1  # predictions with a larger stated error give a warning
 
 
 @record(kw_only=True)
 class EarthRotation:
-    """Rotation between ITRS (e) and GCRS (i) over a stretch of time. Made by `EarthRotation.over`."""
+    """Rotation between ITRS (e) and GCRS (i) over a time interval; built by `EarthRotation.over`."""
 
     epoch: Epoch = scalar("origin of t_s")
     t_start_s: float = scalar("begin of the interval, TAI seconds since the epoch")
@@ -58,11 +57,11 @@ class EarthRotation:
         *,
         allow_stale_eop: bool = False,
     ) -> EarthRotation:
-        """Prepare the rotation for `t_start_s` <= t_s <= `t_stop_s` (TAI seconds since `epoch`).
+        """Earth rotation for `t_start_s` <= t_s <= `t_stop_s` (TAI seconds since `epoch`).
 
-        Raises `EarthOrientationError` for a date outside the table, naming both. With `allow_stale_eop` a
-        date past its end is served by its last values (UT1 going on at its mean rate of a year), with a
-        warning that states the size of the effect.
+        Raises `EarthOrientationError` for a date outside the table. With `allow_stale_eop` a date past its
+        end uses the last values (UT1 extrapolated at its mean rate of a year), with an
+        `EarthOrientationWarning` that states the size of the effect.
         """
         start, stop = (float(epoch.mjd_tai(t)) for t in (t_start_s, t_stop_s))
         if not start <= stop:
@@ -86,7 +85,7 @@ class EarthRotation:
         )
 
     def matrices_ie(self, t_s: ArrayLike) -> Array:
-        """Matrices that take ITRS to GCRS, (N, 3, 3), at `t_s` (N,). `ValueError` outside the stretch."""
+        """Matrices `R_ie` (N, 3, 3), ITRS to GCRS, at `t_s` (N,). `ValueError` outside the interval."""
         t = np.atleast_1d(np.asarray(t_s, dtype=float))
         self._check_inside(t)
         mjd = self.epoch.mjd_tai(t)
@@ -100,7 +99,7 @@ class EarthRotation:
         return np.asarray(np.swapaxes(erfa.c2tcio(celestial, era, polar_motion), -1, -2))
 
     def rotations_ie(self, t_s: ArrayLike) -> Rotation:
-        """`R_ie`, ITRS to GCRS, at `t_s` (N,)."""
+        """Rotations `R_ie` (N,), ITRS to GCRS, at `t_s` (N,). `ValueError` outside the interval."""
         return Rotation.from_matrix(self.matrices_ie(t_s))
 
     def _check_inside(self, t: Array) -> None:
@@ -115,8 +114,7 @@ class EarthRotation:
 def _check_dates(
     epoch: Epoch, t_start_s: float, t_stop_s: float, table: EarthOrientationTable, allow_stale: bool
 ) -> float:
-    """Refuse dates outside the table; return the expected error on the equator, m, of what is not
-    measured."""
+    """Expected error on the equator, m, of predicted or extrapolated values; raises for dates not covered."""
     first, last = table.mjd_utc[0], table.mjd_utc[-1]
     start, stop = (float(epoch.mjd_tai(t)) - 37.0 / DAY_S for t in (t_start_s, t_stop_s))
     span = f"the Earth-orientation table ({table.source}) holds {_date(first)} to {_date(last)}"
@@ -152,8 +150,7 @@ def _date(mjd: float) -> str:
 
 
 def _daily_values(table: EarthOrientationTable, start: float, stop: float) -> tuple[Array, Array]:
-    """Table rows around a stretch, on TAI, with UT1 - TAI; past the end the last row goes on (UT1 at its last
-    rate)."""
+    """Days (TAI) and values (D, 5) around an interval, with UT1 - TAI; extrapolated past the table's end."""
     tai_utc = tai_minus_utc_s(table.mjd_utc)
     days = table.mjd_utc + tai_utc / DAY_S
     values = np.column_stack(
@@ -162,9 +159,7 @@ def _daily_values(table: EarthOrientationTable, start: float, stop: float) -> tu
     if (missing := int(np.ceil(stop - days[-1])) + 2) > 0:
         step = np.arange(1, missing + 1)
         more = np.repeat(values[-1:], missing, axis=0)
-        back = min(
-            _YEAR_DAYS, len(values) - 1
-        )  # over less than a year, tides and seasons make the rate worse
+        back = min(_YEAR_DAYS, len(values) - 1)  # a shorter baseline is biased by tides and seasons
         more[:, 0] += (values[-1, 0] - values[-1 - back, 0]) / back * step
         days, values = np.concatenate([days, days[-1] + step]), np.vstack([values, more])
     low = max(int(np.searchsorted(days, start)) - 3, 0)
@@ -173,8 +168,7 @@ def _daily_values(table: EarthOrientationTable, start: float, stop: float) -> tu
 
 
 def _angular_velocity(days: Array, values: Array, mjd: float) -> Array:
-    """Angular velocity of the ITRS in its own axes: the pole of rotation, and the rate with the length of
-    day."""
+    """Angular velocity (3,) of the ITRS in its own axes, rad/s: pole of rotation, rate by length of day."""
     about = np.array([mjd - 0.5, mjd, mjd + 0.5])
     before, middle, after = _cubic(days, values, np.clip(about, days[0], days[-1]))
     ut1_rate = (after[0] - before[0]) / (np.ptp(np.clip(about[[0, 2]], days[0], days[-1])) * DAY_S)
@@ -183,8 +177,7 @@ def _angular_velocity(days: Array, values: Array, mjd: float) -> Array:
 
 
 def _cubic(nodes: Array, values: Array, at: Array) -> Array:
-    """Lagrange polynomials through the four nodes around each point: nodes (K,), values (K, M), at (N,); (N,
-    M)."""
+    """Values (N, M) at `at` (N,) by cubic Lagrange interpolation of values (K, M) at nodes (K,)."""
     first = np.clip(np.searchsorted(nodes, at) - 2, 0, len(nodes) - 4)
     result = np.zeros((len(at), values.shape[1]))
     away = [at - nodes[first + k] for k in range(4)]

@@ -1,10 +1,9 @@
-"""Instants: seconds of International Atomic Time (TAI) from a stated epoch, and their names in UTC, TT and
-GPS time.
+"""Instants: seconds of International Atomic Time (TAI) since a stated epoch; conversion to UTC, TT, GPS time.
 
 Inside the program an instant is `t_s`, a float of TAI seconds since an `Epoch`. An `Epoch` is a whole TAI
-second near the observations, so that `t_s` stays small and keeps better than a nanosecond. UTC, with its leap
-seconds, is met only where text comes in or goes out. UTC before 1972 (when it was not whole seconds from TAI)
-is refused.
+second near the observations, so that `t_s` stays small and resolves less than a nanosecond. UTC, with its
+leap seconds, occurs only in text. UTC before 1972 (not a whole number of seconds from TAI) raises
+`ValueError`.
 
 Scales: TT = TAI + 32.184 s; GPS time = TAI - 19 s; UTC = TAI - (10 ... 37 s) by the table of leap seconds in
 ERFA.
@@ -91,30 +90,29 @@ class Epoch:
         return week, seconds + (offset - week * (7 * _DAY))
 
     def tai_jd(self, t_s: ArrayLike) -> tuple[Array, Array]:
-        """Two-part Julian date (TAI): the date of the epoch's noon, and the days since then (1e-11 s
-        kept)."""
+        """Two-part Julian date (TAI): the date of the epoch's noon, and days since then; exact to 1e-11 s."""
         day, second = divmod(self.tai_s, _DAY)
         t = np.asarray(t_s, dtype=float)
         return np.full(t.shape, J2000_JD + day), (t + second) / DAY_S
 
     def tt_jd(self, t_s: ArrayLike) -> tuple[Array, Array]:
-        """Two-part Julian date in Terrestrial Time; as `tai_jd`."""
+        """Two-part Julian date (Terrestrial Time) of TAI seconds since this epoch, split as in `tai_jd`."""
         day, days_since = self.tai_jd(t_s)
         return day, days_since + TT_MINUS_TAI_S / DAY_S
 
     def julian_year(self, t_s: ArrayLike) -> Array:
-        """Julian epoch (TT), as in J1991.25."""
+        """Julian epoch (TT, years, e.g. 1991.25) of TAI seconds since this epoch."""
         day, days_since = self.tt_jd(t_s)
         return np.asarray(2000.0 + ((day - J2000_JD) + days_since) / 365.25)
 
     def mjd_tai(self, t_s: ArrayLike) -> Array:
-        """Modified Julian date (TAI) as one float, good to a microsecond: for looking up slow tables."""
+        """Modified Julian date (TAI) as one float, exact to a microsecond: for slowly varying tables."""
         day, days_since = self.tai_jd(t_s)
         return np.asarray((day - MJD_ZERO_JD) + days_since)
 
 
 def tai_minus_utc_s(mjd_utc: ArrayLike) -> Array:
-    """TAI - UTC, whole seconds, that holds on UTC days given as modified Julian dates; 1972 and later."""
+    """TAI - UTC, whole seconds, on UTC days given as modified Julian dates. `ValueError` before 1972."""
     days, offsets = _leap_seconds()
     index = np.searchsorted(days, np.floor(np.asarray(mjd_utc, dtype=float)), side="right") - 1
     if np.any(index < 0):
@@ -161,7 +159,7 @@ def _tai_from_utc(text: str) -> tuple[int, float]:
 
 def _utc_from_tai(tai_s: int, nanosecond: int) -> str:
     days, offsets = _leap_seconds()
-    starts = (days - MJD_OF_ORIGIN) * _DAY - _NOON + offsets  # TAI at which each offset begins to hold
+    starts = (days - MJD_OF_ORIGIN) * _DAY - _NOON + offsets  # TAI at which each offset becomes valid
     index = int(np.searchsorted(starts, tai_s, side="right")) - 1
     if index < 0:
         raise ValueError("UTC before 1972-01-01 is not supported")

@@ -1,7 +1,6 @@
-"""Points on and about the Earth's ellipsoid: geodetic latitude, longitude and height, and Earth-fixed
-coordinates.
+"""Geodetic coordinates (latitude, longitude, height above the ellipsoid) and Earth-fixed coordinates.
 
-Frame e (ITRS/WGS84), metres, radians; heights are above the ellipsoid. Terrain is left to `geometry.terrain`.
+Frame e (ITRS/WGS84), metres, radians. Terrain is in `geometry.terrain`.
 """
 
 from __future__ import annotations
@@ -28,8 +27,26 @@ Array = NDArray[np.float64]
 
 
 def geodetic_from_ecef(p_e: ArrayLike, ellipsoid: Ellipsoid) -> tuple[Array, Array, Array]:
-    """Geodetic latitude, longitude (rad, -pi to pi) and height (m) of points (..., 3) (Fukushima 2006, by
-    ERFA)."""
+    """Geodetic coordinates of Earth-fixed points (Fukushima 2006, by ERFA).
+
+    Parameters
+    ----------
+    p_e : (..., 3) array
+        Points in frame e, m. NaN gives NaN.
+    ellipsoid : Ellipsoid
+        Reference ellipsoid, usually `WGS84`.
+
+    Returns
+    -------
+    lat_rad, lon_rad, height_m : (...) arrays
+        Geodetic latitude, longitude (-pi to pi), and height above the ellipsoid.
+
+    Examples
+    --------
+    >>> lat, lon, height = geodetic_from_ecef([6378237.0, 0.0, 0.0], WGS84)
+    >>> round(float(height), 6)
+    100.0
+    """
     with np.errstate(invalid="ignore"):  # NaN gives NaN
         lon, lat, height = erfa.gc2gde(
             ellipsoid.semi_major_m, ellipsoid.flattening, np.asarray(p_e, dtype=float)
@@ -40,7 +57,10 @@ def geodetic_from_ecef(p_e: ArrayLike, ellipsoid: Ellipsoid) -> tuple[Array, Arr
 def ecef_from_geodetic(
     lat_rad: ArrayLike, lon_rad: ArrayLike, height_m: ArrayLike, ellipsoid: Ellipsoid
 ) -> Array:
-    """Earth-fixed coordinates (..., 3), m, of geodetic latitude, longitude and height above the ellipsoid."""
+    """Earth-fixed coordinates (..., 3), m, of geodetic latitude, longitude and height above the ellipsoid.
+
+    The arguments are broadcast. Inverse of `geodetic_from_ecef`.
+    """
     lat, lon, height = np.broadcast_arrays(
         np.asarray(lat_rad, float), np.asarray(lon_rad, float), np.asarray(height_m, float)
     )
@@ -48,13 +68,13 @@ def ecef_from_geodetic(
 
 
 def ellipsoid_normals(lat_rad: ArrayLike, lon_rad: ArrayLike) -> Array:
-    """Unit vectors upwards, (..., 3), frame e."""
+    """Unit normals (..., 3) of the ellipsoid, upwards, frame e, at geodetic latitude and longitude."""
     lat, lon = np.asarray(lat_rad, float), np.asarray(lon_rad, float)
     return np.stack([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)], axis=-1)
 
 
 def local_axes_e(lat_rad: ArrayLike, lon_rad: ArrayLike) -> Array:
-    """(..., 3, 3): columns are the unit vectors east, north and up at a place, in frame e."""
+    """Matrices (..., 3, 3) whose columns are the unit vectors east, north and up, in frame e."""
     lat, lon = np.asarray(lat_rad, float), np.asarray(lon_rad, float)
     east = np.stack([-np.sin(lon), np.cos(lon), np.zeros_like(lon + lat)], axis=-1)
     up = ellipsoid_normals(lat, lon)
@@ -66,10 +86,9 @@ def ray_ellipsoid_intersection(
 ) -> Array:
     """First point of each ray at geodetic height `height_m`; rays that miss it, or start below, give NaN.
 
-    Points of equal height do not form an ellipsoid, so the one with semi-axes a + h and b + h is met first.
-    Of the heights in question it lies lower by h (p - a cos^2 - b sin^2) / (p + h), with p^2 = a^2 cos^2 +
-    b^2 sin^2 of the latitude (distances of tangent planes from the centre): 0.013 m at 9 km, taken off along
-    the ray. To 1e-8 m.
+    Points of equal height do not form an ellipsoid, so the ray is first intersected with the ellipsoid of
+    semi-axes a + h and b + h. That lies below height h by h (p - a cos^2 - b sin^2) / (p + h), with p^2 = a^2
+    cos^2 + b^2 sin^2 of the latitude: 0.013 m at 9 km, corrected along the ray. Accurate to 1e-8 m.
 
     Parameters
     ----------
@@ -81,6 +100,7 @@ def ray_ellipsoid_intersection(
     Returns
     -------
     p_e : (N, 3) array
+        Points in frame e, m.
     """
     origin, direction = np.ascontiguousarray(origin_e.T), np.ascontiguousarray(direction_e.T)
     return np.ascontiguousarray(columns_at_height(origin, direction, height_m, ellipsoid)[0].T)
@@ -89,19 +109,19 @@ def ray_ellipsoid_intersection(
 def columns_at_height(
     origin: Array, direction: Array, height_m: ArrayLike, ellipsoid: Ellipsoid
 ) -> tuple[Array, Array]:
-    """`ray_ellipsoid_intersection` on columns, (3, N): points and the vertical there (to 3e-8 rad)."""
+    """Points of `ray_ellipsoid_intersection` and unit verticals there (to 3e-8 rad); vectors are (3, N)."""
     height = np.asarray(height_m, dtype=float)
-    met = _columns_on_shell(origin, direction, height, ellipsoid)
-    up = _vertical_columns(met, height, ellipsoid)
+    point = _columns_on_shell(origin, direction, height, ellipsoid)
+    up = _vertical_columns(point, height, ellipsoid)
     if np.any(height):
         slope = up[0] * direction[0] + up[1] * direction[1] + up[2] * direction[2]
         lower = shell_depth_m(up[2] ** 2, height, ellipsoid)
-        met += (lower / np.where(slope < 0.0, slope, np.nan)) * direction
-    return met, up
+        point += (lower / np.where(slope < 0.0, slope, np.nan)) * direction
+    return point, up
 
 
 def shell_depth_m(sin2_lat: Array, height_m: Array, ellipsoid: Ellipsoid) -> Array:
-    """By how much the ellipsoid of semi-axes a + h and b + h lies below height h (m, >= 0 for h >= 0)."""
+    """Depth of the ellipsoid of semi-axes a + h and b + h below geodetic height h, m (>= 0 for h >= 0)."""
     a, b = ellipsoid.semi_major_m, ellipsoid.semi_minor_m
     tangent = np.sqrt(a * a - (a * a - b * b) * sin2_lat)
     return np.asarray(height_m * (tangent - a + (a - b) * sin2_lat) / (tangent + height_m))
@@ -110,12 +130,12 @@ def shell_depth_m(sin2_lat: Array, height_m: Array, ellipsoid: Ellipsoid) -> Arr
 def ray_shell_intersection(
     origin_e: Array, direction_e: Array, height_m: ArrayLike, ellipsoid: Ellipsoid
 ) -> Array:
-    """The same for the ellipsoid with semi-axes a + h, b + h: it lies under height h by h f^2 sin^2(2 lat) /
-    8, 0.013 m at 9 km.
+    """First points (N, 3) of rays on the ellipsoid with semi-axes a + h, b + h; NaN as in
+    `ray_ellipsoid_intersection`. It lies below height h by h f^2 sin^2(2 lat) / 8, 0.013 m at 9 km.
     """
     origin, direction = np.ascontiguousarray(origin_e.T), np.ascontiguousarray(direction_e.T)
-    met = _columns_on_shell(origin, direction, np.asarray(height_m, dtype=float), ellipsoid)
-    return np.ascontiguousarray(met.T)
+    point = _columns_on_shell(origin, direction, np.asarray(height_m, dtype=float), ellipsoid)
+    return np.ascontiguousarray(point.T)
 
 
 def _columns_on_shell(origin: Array, direction: Array, height: Array, ellipsoid: Ellipsoid) -> Array:
@@ -131,11 +151,10 @@ def _columns_on_shell(origin: Array, direction: Array, height: Array, ellipsoid:
 
 
 def vertical_at(p_e: Array, height_m: ArrayLike, ellipsoid: Ellipsoid) -> Array:
-    """Unit vectors upwards, (N, 3), at points (N, 3) whose height is known to some metres; good to 3e-8 rad
-    up to 9 km.
+    """Unit verticals (N, 3) at points (N, 3), frame e, of approximately known height; to 3e-8 rad up to 9 km.
 
-    Quicker than going through latitude and longitude: x : z = (N + h) cos(lat) : (N (1 - e^2) + h) sin(lat),
-    where the mean of the radius N serves, as it matters only by h / N.
+    Faster than by latitude and longitude: x : z = (N + h) cos(lat) : (N (1 - e^2) + h) sin(lat), with the
+    mean of the radius N, whose variation matters only by h / N.
     """
     return _vertical_columns(p_e.T, np.asarray(height_m, dtype=float), ellipsoid).T
 

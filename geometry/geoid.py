@@ -1,8 +1,7 @@
 """Height of the geoid above the WGS84 ellipsoid, from a global or regional grid of latitude and longitude.
 
-Orthometric height H (above mean sea level) + undulation = ellipsoidal height. EGM96 on its 5' grid is part of
-the package; `geometry/data/README.md` says where it is from. Between grid points a bicubic convolution serves
-(Keys 1981).
+Ellipsoidal height = orthometric height (above mean sea level) + undulation. EGM96 on its 5' grid is part of
+the package (source: `geometry/data/README.md`). Interpolation is bicubic convolution (Keys 1981).
 """
 
 from __future__ import annotations
@@ -24,9 +23,9 @@ Array = NDArray[np.float64]
 class Geoid:
     """Undulations on a regular grid of latitude and longitude.
 
-    `undulations_m[r, c]` holds at latitude `lat_first_rad + r step_lat_rad` and longitude `lon_first_rad +
-    c step_lon_rad`; a step may be negative (north-up rasters). A grid that goes around the whole Earth closes
-    on itself, with or without a repeated last column.
+    `undulations_m[r, c]` is the value at latitude `lat_first_rad + r step_lat_rad` and longitude
+    `lon_first_rad + c step_lon_rad`. A grid around the whole Earth is periodic in longitude, with or without
+    a repeated last column. Raises `ValueError` for less than 2 x 2 points or missing values.
     """
 
     undulations_m: NDArray[np.float32] = array("R, C", "geoid above the ellipsoid, m")
@@ -43,11 +42,11 @@ class Geoid:
 
     @staticmethod
     def from_raster(undulations_m: ArrayLike, transform: ArrayLike) -> Geoid:
-        """A geoid from a north-up raster in degrees, as GeoTIFF and GTX files of EGM2008 or national geoids
-        are.
+        """Geoid from a raster in degrees (GeoTIFF or GTX files of EGM2008 and national geoids).
 
-        `undulations_m` (rows, columns) holds at the centres of pixels; `transform` is the six numbers (a, 0,
-        c, 0, e, f) of rasterio's Affine, whose origin is the corner of the first pixel.
+        `undulations_m` (rows, columns) are values at pixel centres, m; `transform` is the six numbers (a, 0,
+        c, 0, e, f) of rasterio's Affine, whose origin is the corner of the first pixel. Raises `ValueError`
+        for a rotated raster.
         """
         a, b, c, d, e, f = (float(value) for value in np.ravel(np.asarray(transform, dtype=float))[:6])
         if b or d or not (a and e):
@@ -57,12 +56,12 @@ class Geoid:
         return Geoid(grid, float(first_lat), float(first_lon), float(np.radians(e)), float(np.radians(a)))
 
     def undulation_m(self, lat_rad: ArrayLike, lon_rad: ArrayLike) -> Array:
-        """Height of the geoid above the ellipsoid, m, same shape as the arguments broadcast together.
+        """Height of the geoid above the ellipsoid, m, in the broadcast shape of the arguments.
 
-        Longitude may be given in any turn. Raises `ValueError` for a place outside the grid.
+        Longitude may exceed +-pi. Raises `ValueError` for a point outside the grid.
         """
         lat, lon = np.broadcast_arrays(np.asarray(lat_rad, float), np.asarray(lon_rad, float))
-        row, column = self._place(lat, lon)
+        row, column = self._row_and_column(lat, lon)
         near, row_weights = self._four_rows(row)
         result = np.zeros(row.shape)
         for i in range(4):
@@ -70,34 +69,35 @@ class Geoid:
         return result
 
     def undulation_on_grid_m(self, lat_rad: ArrayLike, lon_rad: ArrayLike) -> Array:
-        """The same where parallels (R,) and meridians (C,) cross, (R, C), bit for bit and some ten times
-        sooner: each row of the geoid is interpolated along the parallel once.
+        """Undulations (R, C), m, on a grid of latitudes (R,) and longitudes (C,).
+
+        Equal to `undulation_m` bit for bit, about ten times faster: each row is interpolated once.
         """
         lat, lon = np.asarray(lat_rad, float)[:, None], np.asarray(lon_rad, float)[None, :]
-        row, column = self._place(lat, lon)
+        row, column = self._row_and_column(lat, lon)
         near, row_weights = self._four_rows(row[:, 0])
-        needed, place = np.unique(np.stack(near), return_inverse=True)
+        needed, index = np.unique(np.stack(near), return_inverse=True)
         lines = self._along_rows(needed[:, None], column)
         result = np.zeros((len(row), column.shape[1]))
-        for weight, at in zip(row_weights, place.reshape(4, -1)):
+        for weight, at in zip(row_weights, index.reshape(4, -1)):
             result += weight[:, None] * lines[at]
         return result
 
     @property
-    def _turn(self) -> int:
-        """Columns of a grid that goes around the whole Earth, 0 for one that does not."""
-        turn = round(2.0 * np.pi / abs(self.step_lon_rad))
-        return turn if self.undulations_m.shape[1] >= turn else 0
+    def _period(self) -> int:
+        """Columns of 360 degrees for a grid around the whole Earth, else 0."""
+        period = round(2.0 * np.pi / abs(self.step_lon_rad))
+        return period if self.undulations_m.shape[1] >= period else 0
 
-    def _place(self, lat: Array, lon: Array) -> tuple[Array, Array]:
-        """Row and column of places that broadcast against each other."""
+    def _row_and_column(self, lat: Array, lon: Array) -> tuple[Array, Array]:
+        """Fractional row and column of points; `ValueError` outside the grid."""
         rows, columns = self.undulations_m.shape
         row = (lat - self.lat_first_rad) / self.step_lat_rad
         column = (lon - self.lon_first_rad) / self.step_lon_rad
         column = np.mod(column, 2.0 * np.pi / abs(self.step_lon_rad))
         slack = 1e-6
         outside = (row < -slack) | (row > rows - 1 + slack)
-        if not self._turn:
+        if not self._period:
             outside = outside | (column > columns - 1 + slack)
         if np.any(outside):
             lat, lon, outside = (np.ravel(each) for each in np.broadcast_arrays(lat, lon, outside))
@@ -109,31 +109,30 @@ class Geoid:
         return np.clip(row, 0.0, rows - 1.0), column
 
     def _four_rows(self, row: Array) -> tuple[list[NDArray[np.int64]], tuple[Array, ...]]:
-        """The grid's rows around places between them, and their weights."""
+        """The four grid rows around fractional rows, and their weights."""
         rows = self.undulations_m.shape[0]
         r0 = np.clip(np.floor(row).astype(np.int64), 0, rows - 2)
         return [np.clip(r0 + i, 0, rows - 1) for i in (-1, 0, 1, 2)], _keys_weights(row - r0)
 
     def _along_rows(self, r: NDArray[np.int64], column: Array) -> Array:
-        """Values between the columns of the grid's rows `r`."""
-        columns, turn = self.undulations_m.shape[1], self._turn
+        """Values at fractional columns of the grid rows `r`."""
+        columns, period = self.undulations_m.shape[1], self._period
         c0 = np.floor(column).astype(np.int64)
-        c0 = c0 if turn else np.clip(c0, 0, columns - 2)
+        c0 = c0 if period else np.clip(c0, 0, columns - 2)
         column_weights = _keys_weights(column - c0)
         line = np.zeros(np.broadcast_shapes(r.shape, column.shape))
         for j in range(4):
-            c = np.mod(c0 + (j - 1), turn) if turn else np.clip(c0 + (j - 1), 0, columns - 1)
+            c = np.mod(c0 + (j - 1), period) if period else np.clip(c0 + (j - 1), 0, columns - 1)
             line += column_weights[j] * self.undulations_m[r, c]
         return line
 
 
 @cache
 def egm96() -> Geoid:
-    """EGM96 (NIMA/NASA 1998) on the 5' grid that ships with the package; values are whole centimetres."""
+    """EGM96 (NIMA/NASA 1998) on the 5' grid of the package, rounded to centimetres; read once per process."""
     path = importlib.resources.files("boresight.geometry") / "data" / "egm96-5.npz"
     with path.open("rb") as file, np.load(file) as stored:
-        # Second differences in centimetres along longitude, then latitude: two running sums give the values
-        # back.
+        # Stored: second differences in centimetres along longitude and latitude; two cumulative sums invert.
         centimetres = np.cumsum(stored["undulation_d2"], axis=0, dtype=np.int32)
     np.cumsum(centimetres, axis=1, out=centimetres)
     step = np.radians(1.0 / 12.0)

@@ -1,5 +1,4 @@
-"""A camera on the ground that looks at the night sky: where the Earth's rotation carries it, and how the air
-above it lifts the stars.
+"""A camera on the ground that observes stars: its position and velocity in GCRS, and astronomical refraction.
 
 Refraction is ERFA's: dz = A tan z + B tan^3 z, z the zenith distance as observed, A and B from the weather.
 The vertical is the ellipsoid's normal; its deflection, some 10 arc-seconds, changes refraction by 0.006.
@@ -16,7 +15,7 @@ from boresight.geometry.earth_rotation import EarthRotation
 from boresight.geometry.geodesy import ecef_from_geodetic, ellipsoid_normals
 from boresight.geometry.record import Floats, array, record, scalar
 
-__all__ = ["Air", "GroundSite", "SiteState", "lifted_by_air"]
+__all__ = ["Air", "GroundSite", "SiteState", "refract_by_air"]
 
 Array = NDArray[np.float64]
 
@@ -26,7 +25,7 @@ _LOWEST_COSINE = 0.05  # of the zenith distance: 3 degrees above the horizon, wh
 
 @record
 class GroundSite:
-    """A place on the Earth and its weather."""
+    """Position and weather of an observing site."""
 
     lat_rad: float = scalar("geodetic latitude, WGS84")
     lon_rad: float = scalar("geodetic longitude, WGS84")
@@ -36,13 +35,13 @@ class GroundSite:
 
     @staticmethod
     def in_standard_weather(lat_rad: float, lon_rad: float, height_m: float) -> GroundSite:
-        """Pressure and temperature of the US Standard Atmosphere 1976 below 11 km."""
+        """Site with pressure and temperature of the US Standard Atmosphere 1976 (below 11 km)."""
         kelvin = 288.15 - 6.5e-3 * height_m
         pressure = 1013.25 * (kelvin / 288.15) ** 5.25588
         return GroundSite(lat_rad, lon_rad, height_m, pressure, kelvin - 273.15)
 
     def at(self, earth: EarthRotation, t_s: float) -> SiteState:
-        """Where the site is at `t_s` (TAI seconds since `earth.epoch`) and how its air bends light."""
+        """Position, velocity and refraction of the site at `t_s` (TAI seconds since `earth.epoch`)."""
         matrix_ie = earth.matrices_ie([t_s])[0]
         p_e = ecef_from_geodetic(self.lat_rad, self.lon_rad, self.height_m, WGS84)
         up_e = ellipsoid_normals(self.lat_rad, self.lon_rad)
@@ -53,7 +52,7 @@ class GroundSite:
 
 @record
 class Air:
-    """How the air above a site bends light."""
+    """Refraction above a site: dz = A tan z + B tan³ z."""
 
     zenith_i: Floats = array("3", "unit vector upwards, GCRS")
     a_rad: float = scalar("coefficient of tan z")
@@ -69,11 +68,11 @@ class SiteState:
     air: Air = scalar("refraction above the site")
 
 
-def lifted_by_air(u_i: Array, air: Air) -> Array:
-    """Unit vectors (N, 3) as they are seen through the air, from those outside it.
+def refract_by_air(u_i: Array, air: Air) -> Array:
+    """Unit vectors (N, 3), GCRS, as observed through the air, from unit vectors `u_i` (N, 3) outside it.
 
-    As ERFA's `atioq`: one step of Newton's method from the zenith distance outside; what is lower than 3
-    degrees is bent as if it stood there.
+    As ERFA's `atioq`: one Newton step from the zenith distance outside the atmosphere; below 3 degrees of
+    altitude the refraction is that at 3 degrees.
     """
     cosine = u_i @ air.zenith_i
     level = u_i - cosine[:, None] * air.zenith_i

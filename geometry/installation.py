@@ -1,4 +1,4 @@
-"""The installation matrix, its deviation and the angles they are spoken of in (paper, eqs. 11-13).
+"""The installation matrix, its deviation from a reference, and their angles (paper, eqs. 11-13).
 
 `R_cs` takes star-camera vectors to the remote-sensing camera. Its deviation from a reference `R_cs0` is
 `R_cs = M R_cs0` with `M = exp[[theta]]`; the paper's `[[theta]]` is minus the cross-product matrix, so M is
@@ -34,9 +34,9 @@ def theta_between(R_cs: Rotation, R_cs0: Rotation) -> Array:
 def euler_zxy_from_theta(theta: Array) -> Array:
     """Deviation angles in the order Z-X-Y (paper, section 3.3), rad, returned as (..., 3) = about x, y, z.
 
-    M is the matrix of a change of axes, so it is the *axes* that are turned, first about Z, then about the
-    new X, then about the new Y. For small deviations the three angles are theta itself.
+    M changes axes, so the *axes* are rotated, first about Z, then about the new X, then about the new Y.
+    Small angles equal theta.
     """
-    turn_of_axes = deviation_from_theta(theta).inv()
-    z, x, y = np.moveaxis(turn_of_axes.as_euler("ZXY"), -1, 0)
+    rotation_of_axes = deviation_from_theta(theta).inv()
+    z, x, y = np.moveaxis(rotation_of_axes.as_euler("ZXY"), -1, 0)
     return np.stack([x, y, z], axis=-1)

@@ -1,11 +1,10 @@
-"""Pushbroom cameras: samples of their CCDs <-> directions in the remote-sensing camera's frame c (paper, eq.
-1).
+"""Pushbroom cameras: samples of a CCD <-> directions in the remote-sensing camera's frame c (paper, eq. 1).
 
 Frame c has z along the optical axis towards the ground, x along the direction of flight, y along the
 detectors. An image point `(x_f, y_f)` of the focal plane (metres) is seen in the direction `[-x_f, -y_f, f]`,
-normalised: the same sign habit as the star camera's. `LineCamera` is described by its hardware (paper, Table
-3); `LookAngleCamera` by tabulated look angles, as operators publish them. Both are a `LineSensor`, which is
-all that the pushbroom model needs.
+normalised: the star camera's sign convention. `LineCamera` is described by its hardware (paper, Table 3),
+`LookAngleCamera` by tabulated look angles, as operators publish them. Both are a `LineSensor`, the interface
+that the pushbroom model uses.
 """
 
 from __future__ import annotations
@@ -28,7 +27,7 @@ _NEWTON_STEPS = 20
 
 
 class LineSensor(Protocol):
-    """What a pushbroom model must know of its camera. `ccd` is an index from 0."""
+    """Interface of a pushbroom model to its camera. `ccd` is an index from 0."""
 
     @property
     def n_ccds(self) -> int: ...
@@ -42,13 +41,13 @@ class LineSensor(Protocol):
         """d u_c / d sample, (N, 3), rad/px."""
 
     def samples_from_directions(self, ccd: int, u_c: ArrayLike) -> tuple[Array, Array]:
-        """The sample (N,) beside each direction (N, 3), and its miss across the detector, px (N,).
+        """The nearest sample (N,) to each direction (N, 3), and its distance across the detector, px (N,).
 
-        The miss is counted positive towards +x of frame c. NaN for directions behind the camera.
+        The distance is positive towards +x of frame c. NaN for directions behind the camera.
         """
 
     def delay_to_middle_s(self, row_period_s: float) -> float:
-        """Seconds from the instant by which a row is labelled to the middle of its exposure."""
+        """Seconds from a row's time label to the middle of its exposure."""
 
 
 @record(kw_only=True)
@@ -56,10 +55,10 @@ class Ccd:
     """One line detector in the focal plane (paper, Table 3).
 
     Without rotation and distortion sample n lies at `x_f = x_offset_m`, `y_f = y_first_m + n pixel_m`. The
-    detector is turned by `rotation_rad` about its principal sample, from +x_f towards +y_f. The distortion
-    table lists at real samples the offset of the image along the detector, as eq. (4) has it (real = ideal +
-    offset), and zero at the principal sample; between its entries a cubic spline (not-a-knot) holds, beyond
-    its ends it goes on straight. With TDI, `x_offset_m` is the middle of the block of stages.
+    distortion table gives, at measured samples, the offset of the image along the detector as in eq. (4)
+    (measured = ideal + offset), zero at the principal sample: a cubic spline (not-a-knot) between its
+    entries, linear beyond its ends. Raises `ValueError` for sizes that are not positive, a table that is not
+    increasing, or one that reverses the order of the samples.
     """
 
     n_px: int = scalar("number of samples")
@@ -90,10 +89,10 @@ class Ccd:
         ends = np.array([0.0, self.n_px - 1.0])
         along, slope = self._along(ends), self._along_slope(ends)
         if np.any(slope <= 0.0) or along[1] <= along[0]:
-            raise ValueError("the distortion table turns the order of the samples round")
+            raise ValueError("the distortion table reverses the order of the samples")
 
     def focal_plane(self, sample: ArrayLike) -> Array:
-        """Ideal image points (N, 2), `(x_f, y_f)` in metres, distortion removed."""
+        """Ideal image points (N, 2), `(x_f, y_f)`, m, of samples (N,), distortion removed."""
         along = self._along(np.asarray(sample, dtype=float))
         (dx, dy), (x, y) = self._axis, self._axis_point
         points = np.empty((2, len(along)))
@@ -104,11 +103,11 @@ class Ccd:
         return points.T
 
     def focal_plane_slope(self, sample: ArrayLike) -> Array:
-        """d(x_f, y_f) / d sample, (N, 2), m/px."""
+        """Derivative d(x_f, y_f) / d sample (N, 2), m/px, at samples (N,)."""
         return self._along_slope(np.asarray(sample, dtype=float))[:, None] * self._axis
 
     def samples(self, xy_f: Array) -> tuple[Array, Array]:
-        """The sample (N,) at the foot of focal-plane points (N, 2), and their distance across the detector
+        """The nearest sample (N,) of focal-plane points (N, 2), m, and their distance across the detector
         (N,), m.
 
         The distance is positive towards +x_f.
@@ -144,7 +143,7 @@ class Ccd:
         return along
 
     def _along_slope(self, sample: Array) -> Array:
-        """Its derivative, m/px."""
+        """Derivative of `_along`, m/px."""
         if self._spline is None:
             return np.full(len(sample), self.pixel_m)
         inside = np.clip(sample, self.distortion_samples[0], self.distortion_samples[-1])
@@ -155,8 +154,9 @@ class Ccd:
 class LineCamera:
     """A camera of one or more staggered CCDs behind one lens (paper, section 3.1 and Table 3).
 
-    A row of a TDI image gathers light during `tdi_stages` row periods; `time_of_row` says which instant of
-    them a row's time label means. The rigorous model always works with the middle.
+    A row of a TDI image is exposed during `tdi_stages` row periods; `time_of_row` says which instant of them
+    a row's time label means. The pushbroom model uses the middle. Raises `ValueError` for a focal length that
+    is not positive, no CCD, fewer than one stage or an unknown `time_of_row`.
     """
 
     focal_m: float = scalar("focal length")
@@ -182,7 +182,20 @@ class LineCamera:
         return self.ccds[ccd].n_px
 
     def directions_from_pixels(self, ccd: int, sample: ArrayLike) -> Array:
-        """Unit look vectors (N, 3) in frame c of samples (N,) of one CCD (paper, eq. 1, with lambda < 0)."""
+        """Unit look vectors of samples of one CCD (paper, eq. 1, with lambda < 0).
+
+        Parameters
+        ----------
+        ccd : int
+            Index of the CCD, from 0.
+        sample : (N,) array
+            Fractional samples; they may lie beyond the ends of the detector.
+
+        Returns
+        -------
+        u_c : (N, 3) array
+            Unit vectors, frame c.
+        """
         x_f, y_f = self.ccds[ccd].focal_plane(sample).T
         u_c = np.empty((3, len(x_f)))  # components lie together in memory
         np.negative(x_f, out=u_c[0])
@@ -192,7 +205,7 @@ class LineCamera:
         return u_c.T
 
     def sample_jacobian(self, ccd: int, sample: ArrayLike) -> Array:
-        """d u_c / d sample, (N, 3), rad/px."""
+        """Derivative d u_c / d sample (N, 3), rad/px, at samples (N,)."""
         v_c = self._rays(ccd, sample)
         slope = np.zeros_like(v_c)
         slope[:, :2] = -self.ccds[ccd].focal_plane_slope(sample)
@@ -201,14 +214,16 @@ class LineCamera:
         return (slope - u_c * np.einsum("ni,ni->n", u_c, slope)[:, None]) / norm
 
     def samples_from_directions(self, ccd: int, u_c: ArrayLike) -> tuple[Array, Array]:
-        """The sample beside each direction (N, 3), and its miss across the detector, px, towards +x_c."""
+        """The nearest sample (N,) to directions (N, 3), frame c, and their distance (N,) across the detector,
+        px, positive towards +x_c. NaN behind the camera.
+        """
         u = np.asarray(u_c, dtype=float)
         xy_f = -u[:, :2] * (self.focal_m / np.where(u[:, 2] > 0.0, u[:, 2], np.nan))[:, None]
         sample, across = self.ccds[ccd].samples(xy_f)
         return sample, -across / self.ccds[ccd].pixel_m
 
     def delay_to_middle_s(self, row_period_s: float) -> float:
-        """Seconds from a row's time label to the middle of its exposure over all TDI stages."""
+        """Seconds from a row's time label to the middle of its exposure, all TDI stages included."""
         half = 0.5 * self.tdi_stages * row_period_s
         return {"start": half, "middle": 0.0, "end": -half}[self.time_of_row]
 
@@ -219,9 +234,10 @@ class LineCamera:
 
 @record
 class LookAngleCamera:
-    """A single detector given by tangents at some samples: `u_c ~ [tan_x, tan_y, 1]`.
+    """One detector given by tangents at some samples: `u_c ~ [tan_x, tan_y, 1]`.
 
-    Between the samples a cubic spline holds (a straight line between two); beyond them it goes on straight.
+    Interpolated by a cubic spline (linearly between two samples), extrapolated linearly. Raises `ValueError`
+    for fewer than two samples, samples not increasing, or `tan_y` not strictly monotone.
     """
 
     width_px: int = scalar("number of samples of the detector")
@@ -250,11 +266,13 @@ class LookAngleCamera:
         return self.width_px
 
     def directions_from_pixels(self, ccd: int, sample: ArrayLike) -> Array:
+        """Unit look vectors (N, 3), frame c, of samples (N,); `ccd` is 0."""
         tangents, _ = self._tangents(sample)
         v_c = np.column_stack([tangents, np.ones(len(tangents))])
         return v_c / np.linalg.norm(v_c, axis=1, keepdims=True)
 
     def sample_jacobian(self, ccd: int, sample: ArrayLike) -> Array:
+        """Derivative d u_c / d sample (N, 3), rad/px."""
         tangents, slope = self._tangents(sample)
         v_c = np.column_stack([tangents, np.ones(len(tangents))])
         dv = np.column_stack([slope, np.zeros(len(slope))])
@@ -263,6 +281,7 @@ class LookAngleCamera:
         return (dv - u_c * np.einsum("ni,ni->n", u_c, dv)[:, None]) / norm
 
     def samples_from_directions(self, ccd: int, u_c: ArrayLike) -> tuple[Array, Array]:
+        """The nearest sample (N,) to directions (N, 3), and their distance across, px, towards +x_c."""
         u = np.asarray(u_c, dtype=float)
         wanted = u[:, :2] / np.where(u[:, 2] > 0.0, u[:, 2], np.nan)[:, None]
         ends = self._spline(self.samples[[0, -1]])
@@ -283,6 +302,7 @@ class LookAngleCamera:
         return sample, across * np.sign(slope[:, 1])
 
     def delay_to_middle_s(self, row_period_s: float) -> float:
+        """Zero: time labels are those of the middle of the exposure."""
         return 0.0
 
     def _tangents(self, sample: ArrayLike) -> tuple[Array, Array]:

@@ -1,9 +1,7 @@
-"""A smooth map of two angles to two coordinates, as one polynomial over a small region: quicker than the map
-itself.
+"""Polynomial approximation of a smooth map of two angles to two coordinates over a small region.
 
-A map projection costs a third of a microsecond a point. Over a raster of a degree or so it is a polynomial of
-degree five to nine to less than a micrometre, and that costs a tenth. The fit is checked; where no such
-polynomial is good enough there is none.
+Over a raster of about a degree a polynomial of degree five to nine agrees with a map projection to less than
+a micrometre at a tenth of its cost. The fit is verified; there is none where no degree is accurate enough.
 """
 
 from __future__ import annotations
@@ -25,20 +23,20 @@ _DEGREES = (3, 5, 7, 9)
 
 @record
 class LocalMap:
-    """Polynomials of total degree D in (u - u0) / u_half, (v - v0) / v_half. Made by `fit_local_map`."""
+    """Polynomials of total degree D in (u - u0) / u_half, (v - v0) / v_half; built by `fit_local_map`."""
 
     middle: tuple[float, float] = array("2", "(u0, v0), rad")
     half: tuple[float, float] = array("2", "half widths of the region, rad")
     coefficients: Floats = array("2, D + 1, D + 1", "by power of u and of v; zero above the total degree")
 
     def covers(self, u: Array, v: Array) -> NDArray[np.bool_]:
-        """Which points lie in the region of the fit."""
+        """Mask (N,) of the points (u, v), rad, inside the region of the fit."""
         inside = np.abs(u - self.middle[0]) <= self.half[0]
         inside &= np.abs(v - self.middle[1]) <= self.half[1]
         return np.asarray(inside)
 
     def at(self, u: Array, v: Array) -> tuple[Array, Array]:
-        """Both coordinates (N,) of points (N,)."""
+        """Both coordinates (N,) of points (u, v), rad."""
         x = (u - self.middle[0]) * (1.0 / self.half[0])
         y = (v - self.middle[1]) * (1.0 / self.half[1])
         first, second = (_horner(coefficients, x, y) for coefficients in self.coefficients)
@@ -48,7 +46,10 @@ class LocalMap:
 def fit_local_map(
     true: Map, u: tuple[float, float], v: tuple[float, float], tolerance: float
 ) -> LocalMap | None:
-    """The polynomial of least degree that agrees with `true` to `tolerance` in the region u x v, or None."""
+    """Polynomial of least degree that agrees with `true` to `tolerance` (its units) in the region u x v, rad.
+
+    None where no degree up to 9 does, or `true` is not finite there.
+    """
     middle = 0.5 * (u[0] + u[1]), 0.5 * (v[0] + v[1])
     half = 0.5 * (u[1] - u[0]), 0.5 * (v[1] - v[0])
     if not (half[0] > 0.0 and half[1] > 0.0):
@@ -66,7 +67,7 @@ def fit_local_map(
         for (i, j), pair in zip(powers, solution):
             coefficients[:, i, j] = pair
         fitted = LocalMap(middle, half, coefficients)
-        edge = np.linspace(-1.0, 1.0, 4 * degree + 1)  # the ends included, where a fit is worst
+        edge = np.linspace(-1.0, 1.0, 4 * degree + 1)  # with the ends, where the error is largest
         u_check, v_check = (m + h * g.ravel() for m, h, g in zip(middle, half, np.meshgrid(edge, edge)))
         apart = np.abs(np.stack(fitted.at(u_check, v_check)) - np.stack(true(u_check, v_check)))
         if apart.max() <= tolerance:
@@ -75,7 +76,7 @@ def fit_local_map(
 
 
 def _horner(coefficients: Array, x: Array, y: Array) -> Array:
-    """Horner's scheme in x over Horner's scheme in y, powers above the total degree left out."""
+    """Horner's scheme in x over Horner's scheme in y, without powers above the total degree."""
     degree = len(coefficients) - 1
     result = np.full(x.shape, coefficients[degree, 0])
     for i in range(degree - 1, -1, -1):

@@ -1,10 +1,10 @@
-"""Where the satellite is and how fast it moves, between the nodes of an ephemeris.
+"""Position and velocity of the satellite, interpolated between the nodes of an ephemeris.
 
-Positions and velocities are interpolated in the frame of the ephemeris itself (GCRF = GCRS, or the
-Earth-fixed ITRF), by Lagrange's polynomial through positions or by Hermite's through positions and
-velocities, of the degree that the ephemeris asks for. A stretch without nodes is refused, never bridged.
-Metres, seconds, TAI seconds since the epoch. The orbital frame o has z to the Earth's centre, y against the
-orbit's normal, x completing them, about along the velocity.
+Interpolation is done in the frame of the ephemeris (GCRF = GCRS, or the Earth-fixed ITRF), by Lagrange
+polynomials through positions or Hermite polynomials through positions and velocities, of the degree that the
+ephemeris states. Interpolation across a data gap raises `OrbitGapError`. Metres, seconds, TAI seconds since
+the epoch. The orbital frame o has z to the Earth's centre, y against the orbit's normal, x completing them,
+approximately along the velocity.
 """
 
 from __future__ import annotations
@@ -40,15 +40,16 @@ _GAP_FACTOR = 1.5  # a step this much longer than the usual one is a gap
 
 
 class OrbitGapError(ValueError):
-    """An instant outside the ephemeris, or in a stretch where nodes are missing or too few."""
+    """An instant lies outside the ephemeris, in a gap of it, or among too few nodes between gaps."""
 
 
 @record(kw_only=True)
 class Orbit:
-    """An ephemeris and the way to read between its lines.
+    """An ephemeris with its interpolation.
 
-    `degree` is that of the polynomial in time: Lagrange's needs degree + 1 nodes, Hermite's (degree + 1) / 2,
-    rounded up. Without velocities only Lagrange is possible, and the velocity is the polynomial's derivative.
+    A Lagrange polynomial needs degree + 1 nodes, a Hermite polynomial (degree + 1) / 2, rounded up. Without
+    velocities only Lagrange is possible, and the velocity is the polynomial's derivative. Raises `ValueError`
+    for instants that do not increase, too few nodes, an unknown frame or method.
     """
 
     epoch: Epoch = scalar("origin of t_s")
@@ -65,9 +66,11 @@ class Orbit:
         "lagrange (positions) or hermite (positions and velocities)", default="lagrange"
     )
     max_step_s: float | None = scalar("longer steps are gaps; None: 1.5 times the median step", default=None)
-    _segment: NDArray[np.int64] = field(init=False, repr=False)  # (K,) number of the gap-free stretch
+    _segment: NDArray[np.int64] = field(init=False, repr=False)  # (K,) number of the gap-free segment
     _scale: Array = field(init=False, repr=False)  # (windows, nodes_needed), of Lagrange's polynomials
-    _slope_at_node: Array = field(init=False, repr=False)  # the same, their slope at their own node
+    _slope_at_node: Array = field(
+        init=False, repr=False
+    )  # (windows, nodes_needed), their derivative at their own node
 
     def __post_init__(self) -> None:
         k = len(self.t_s)
@@ -94,16 +97,16 @@ class Orbit:
 
     @property
     def nodes_needed(self) -> int:
-        """How many nodes one polynomial runs through."""
+        """Number of nodes of one polynomial."""
         return self.degree + 1 if self.method == "lagrange" else (self.degree + 2) // 2
 
     @property
     def span_s(self) -> tuple[float, float]:
-        """First and last node; there may be gaps between them."""
+        """Instants of the first and the last node; there may be gaps between them."""
         return float(self.t_s[0]), float(self.t_s[-1])
 
     def positions_i(self, t_s: ArrayLike) -> Array:
-        """Positions (N, 3) in GCRS, m, at instants (N,)."""
+        """Positions (N, 3) in GCRS, m, at instants (N,). `OrbitGapError` where not covered."""
         t = _instants(t_s)
         position, _ = self._state(t)
         return position if self.frame == "GCRF" else _to_i(self.earth.matrices_ie(t), position)
@@ -129,7 +132,7 @@ class Orbit:
         return position if self.frame == "ITRF" else _to_e(self.earth.matrices_ie(t), position)
 
     def velocities_e(self, t_s: ArrayLike) -> Array:
-        """Velocities (N, 3) relative to the turning Earth, in ITRS axes, m/s."""
+        """Velocities (N, 3) relative to the rotating Earth, in ITRS axes, m/s."""
         t = _instants(t_s)
         position, velocity = self._state(t)
         if self.frame == "ITRF":
@@ -142,7 +145,9 @@ class Orbit:
         return orbital_frame(*self.states_i(t_s))
 
     def position_covariance_i(self, t_s: ArrayLike) -> Array:
-        """Covariance (N, 3, 3) of the positions in GCRS axes, m^2. Common to instants close together."""
+        """Covariance (N, 3, 3) of the positions in GCRS axes, m²; an error common to neighbouring
+        instants.
+        """
         t = _instants(t_s)
         variance = np.broadcast_to(np.asarray(self.sigma_position_m, dtype=float) ** 2, (3,))
         if np.ptp(variance) == 0.0:
@@ -168,7 +173,7 @@ class Orbit:
         return position, np.einsum("nk,nkj->nj", basis, self.velocities_m_s[nodes])
 
     def _stencils(self, t: Array) -> NDArray[np.int64]:
-        """First (N,) of the nodes around each instant, all of them in one gap-free stretch."""
+        """First (N,) of the nodes around each instant, all in one gap-free segment."""
         if len(t) == 0:
             return np.zeros(0, dtype=np.int64)
         first, last = self.t_s[0], self.t_s[-1]
@@ -195,7 +200,7 @@ class Orbit:
         if np.any(stop - start < k):
             raise OrbitGapError(
                 f"{self.method} of degree {self.degree} needs {k} nodes without a gap; "
-                f"only {int((stop - start).min())} stand around {t[stop - start < k][0]:.3f} s"
+                f"only {int((stop - start).min())} are around {t[stop - start < k][0]:.3f} s"
             )
         if k % 2:  # an odd stencil is centred on the nearest node
             nearer_right = t - self.t_s[left] > self.t_s[left + 1] - t
@@ -207,7 +212,7 @@ class Orbit:
 
 @record
 class OrbitFit:
-    """A polynomial through a stretch of an ephemeris, and what it left over."""
+    """A polynomial fitted to a part of an ephemeris, with its residuals."""
 
     orbit: Orbit = scalar("nodes on the polynomial, positions and velocities")
     residuals_m: Floats = array("K, 3", "ephemeris minus polynomial")
@@ -215,13 +220,13 @@ class OrbitFit:
 
 
 def fit_polynomial(orbit: Orbit, t_start_s: float, t_stop_s: float, degree: int = 2) -> OrbitFit:
-    """Least-squares polynomial in time through the nodes of a stretch (paper, section 3.2).
+    """Least-squares polynomial in time through the nodes of an interval (paper, section 3.2).
 
-    The paper's choice is degree 2: over a strip it follows the motion and averages the receiver's noise. How
-    far it departs from the true orbit grows with the stretch, `r n^3 T^3 / 192` for a length T and a mean
+    The paper's choice is degree 2: over a strip it follows the motion and averages the receiver's noise. Its
+    error against the true orbit grows with the interval, `r n^3 T^3 / 192` for a length T and a mean
     motion n: 0.4 mm in 2 s, 6 mm in 5 s, 0.05 m in 10 s at 530 km.
 
-    Raises `OrbitGapError` when the stretch is not covered, or holds fewer than degree + 1 nodes.
+    Raises `OrbitGapError` when the interval is not covered, or holds fewer than degree + 1 nodes.
     """
     t_nodes = orbit.t_s
     first = int(np.searchsorted(t_nodes, t_start_s + _CLOCK_SLACK_S, side="right")) - 1
@@ -239,7 +244,7 @@ def fit_polynomial(orbit: Orbit, t_start_s: float, t_stop_s: float, degree: int 
     slopes = np.polynomial.chebyshev.chebder(coefficients, axis=0) / half
     positions = basis @ coefficients
     residuals = orbit.positions_m[nodes] - positions
-    spare = 3 * (len(t) - degree - 1)
+    redundancy = 3 * (len(t) - degree - 1)
     fitted = Orbit(
         epoch=orbit.epoch,
         t_s=t,
@@ -251,12 +256,12 @@ def fit_polynomial(orbit: Orbit, t_start_s: float, t_stop_s: float, degree: int 
         sigma_position_m=orbit.sigma_position_m,
         max_step_s=orbit.max_step_s,
     )
-    sigma = float(np.sqrt((residuals**2).sum() / spare)) if spare else float("nan")
+    sigma = float(np.sqrt((residuals**2).sum() / redundancy)) if redundancy else float("nan")
     return OrbitFit(fitted, residuals, sigma)
 
 
 def orbital_frame(p_i: ArrayLike, v_i: ArrayLike) -> Rotation:
-    """R_oi from positions and velocities (N, 3): z to the centre, y against the orbit's normal, x = y x z."""
+    """R_oi (N,), GCRS to the orbital frame, from positions and velocities (N, 3), GCRS; see the module."""
     p, v = np.atleast_2d(p_i).astype(float), np.atleast_2d(v_i).astype(float)
     z = -p / np.linalg.norm(p, axis=1, keepdims=True)
     y = -np.cross(p, v)
@@ -265,10 +270,9 @@ def orbital_frame(p_i: ArrayLike, v_i: ArrayLike) -> Rotation:
 
 
 def argument_of_latitude(p_i: ArrayLike, v_i: ArrayLike) -> Array:
-    """Angle in the orbit's plane from the ascending node on the equator of GCRS, (N,), 0 to 2 pi.
+    """Angle (N,), 0 to 2 pi, in the orbital plane from the ascending node on the equator of GCRS.
 
-    Positions and velocities (N, 3) in GCRS. Where the orbit lies in the equator there is no node, and the
-    angle counts from the x axis.
+    Positions and velocities (N, 3) in GCRS. For an equatorial orbit the angle is from the x axis.
     """
     p, v = np.asarray(p_i, dtype=float), np.asarray(v_i, dtype=float)
     normal = np.cross(p, v)
@@ -319,9 +323,9 @@ def _hermite(
 ) -> tuple[Array, Array]:
     """Hermite's polynomial through positions and velocities (N, K, 3), and its derivative."""
     square, square_slope = basis**2, 2.0 * basis * slope
-    lean = 1.0 - 2.0 * slope_at_node * away
-    a, b = lean * square, away * square
-    da = -2.0 * slope_at_node * square + lean * square_slope
+    factor = 1.0 - 2.0 * slope_at_node * away
+    a, b = factor * square, away * square
+    da = -2.0 * slope_at_node * square + factor * square_slope
     db = square + away * square_slope
     position = np.einsum("nk,nkj->nj", a, p) + np.einsum("nk,nkj->nj", b, v)
     return position, np.einsum("nk,nkj->nj", da, p) + np.einsum("nk,nkj->nj", db, v)

@@ -1,11 +1,16 @@
-"""The rigorous model of a pushbroom strip: pixel of a CCD and row <-> direction in space <-> point on the
-ground.
+"""The rigorous model of a pushbroom strip: pixel of a CCD <-> direction in space <-> point on the ground.
 
-A row is an instant: orbit, Earth rotation and attitude are those of the middle of its exposure. Directions
-are as seen from the moving satellite (`geometry.groundlight`), frames i = GCRS, e = ITRS, s = star camera, c
-= remote-sensing camera; image points are (sample, line) in a CCD's raw image. Everything takes arrays of
-points and works through them together; orbit and attitude are read from a table over the rows
-(`geometry.row_table`) when the points are many.
+A row has one instant: orbit, Earth rotation and attitude are those of the middle of its exposure. Directions
+are apparent ones from the moving satellite (`geometry.groundlight`). Frames: i = GCRS, e = ITRS, s = star
+camera, c = remote-sensing camera; image points are (sample, line) in a CCD's raw image. All functions take
+arrays of points; for many points orbit and attitude are interpolated from a table over the rows
+(`geometry.row_table`).
+
+From ground to pixel (`pixels_from_ground`) the line is found by the secant method on the distance of the
+point across the detector: a few points start from a scan of all lines, the others from a plane fitted to
+those. From pixel to ground (`ground_points`) the apparent direction becomes a straight ray, the tangent of
+the light path at the expected height, which is intersected with the surface; rays whose intersection is too
+far from that height are computed again at the height found.
 """
 
 from __future__ import annotations
@@ -38,35 +43,38 @@ __all__ = ["OrbitOverTime", "Pushbroom", "RowClock"]
 
 Array = NDArray[np.float64]
 
-_POSITION_M = 1e-7  # what the table over the rows may be wrong by
+_POSITION_M = 1e-7  # tolerances of the table over the rows
 _VELOCITY_M_S = 1e-6
 _ROTATION = 1e-13
 _TOLERANCE = np.repeat([_POSITION_M, _VELOCITY_M_S, _ROTATION], [3, 3, 9])
 _CHUNK = 32_768  # points at a time: their arrays stay in the cache
-_MANY = 1_500  # points from which on a table over the rows is worth making
-_MARGIN_LINES = 256.0  # what a guess of a line may be wrong by without leaving the table
-_FEW = 16  # points that are looked for without a guess, to give the others one
-_SCAN = 65  # lines at which such points are looked for
+_MANY = 1_500  # number of points from which a table over the rows saves time
+_MARGIN_LINES = 256.0  # error of a predicted line that the table still covers
+_FEW = 16  # points found by a scan, from which the lines of the others are predicted
+_SCAN = 65  # lines of the scan
 _SECANT_STEPS = 12
-_MOVED_PX = 1e-2
-_FOUND_PX = 1e-7
-_BENT_M = 2e-5  # a bend so small is left in a line of sight
-_BEND_LIGHT_TIME = 3e-13  # 1/m: bend of the path over a way d in height is this times d^2
-_BEND_AIR = 3e-8  # 1/m, times tan z sec^2 z: refractivity of 2.8e-4 with a scale height of 8 km
-_LATTICE = (65, 33)  # lines and samples from which the height of the ground is guessed
-_LATTICE_M = 20.0  # less relief needs no guess
+_MIN_STEP_PX = 1e-2  # a slope from a shorter step would be noise
+_CONVERGED_PX = 1e-7
+_CURVATURE_M = 2e-5  # curvature of a light path that its tangent may neglect
+_CURVATURE_LIGHT_TIME = 3e-13  # 1/m: deviation of the path over a height difference d is this times d^2
+_CURVATURE_AIR = 3e-8  # 1/m, times tan z sec^2 z: refractivity of 2.8e-4 with a scale height of 8 km
+_LATTICE = (65, 33)  # lines and samples at which the height of the ground is computed first
+_LATTICE_M = 20.0  # for less relief the mean height is used
 
 
 class OrbitOverTime(OrbitLike, Protocol):
-    """Geocentric inertial states, and the instants between which they are known."""
+    """An orbit (see `OrbitLike`) with the interval in which it is known."""
 
     @property
-    def span_s(self) -> tuple[float, float]: ...
+    def span_s(self) -> tuple[float, float]:
+        """First and last instant, TAI seconds since the epoch."""
 
 
 @record
 class RowClock:
-    """When rows were taken: line 0 at `t_first_row_s`, each next one `row_period_s` later. TAI seconds."""
+    """Time labels of rows: line n at `t_first_row_s + n row_period_s`. `ValueError` unless that is
+    positive.
+    """
 
     t_first_row_s: float = scalar("time label of line 0, TAI seconds since the epoch")
     row_period_s: float = scalar("from line to line")
@@ -76,17 +84,17 @@ class RowClock:
             raise ValueError(f"RowClock.row_period_s must be positive, got {self.row_period_s}")
 
     def instant(self, line: ArrayLike) -> Array:
-        """The time label of lines (fractional ones included), TAI seconds since the epoch."""
+        """Time labels of (fractional) lines, TAI seconds since the epoch."""
         return self.t_first_row_s + np.asarray(line, dtype=float) * self.row_period_s
 
     def line(self, t_s: ArrayLike) -> Array:
-        """The fractional line of instants: inverse of `instant`."""
+        """Fractional lines of time labels: inverse of `instant`."""
         return (np.asarray(t_s, dtype=float) - self.t_first_row_s) / self.row_period_s
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _States:
-    """Satellite and camera at N instants, in axes e of each instant."""
+    """Satellite and camera at N instants, in axes e of each instant; stored by component for speed."""
 
     packed: Array  # (15, N): position, m; velocity in the inertial frame, m/s; R_ec row by row
 
@@ -130,21 +138,23 @@ class Pushbroom:
     table: RowTable | None = scalar("states tabulated over the lines, made by `tabulated`", default=None)
 
     def with_installation(self, R_cs: Rotation) -> Pushbroom:
-        """The same strip with another installation matrix; a table over its rows turns along."""
+        """The strip with another installation matrix; a table over its rows is transformed, not
+        recomputed.
+        """
         M = (self.R_cs * R_cs.inv()).as_matrix()  # R_ec R_cs = R_ec' R_cs'
 
-        def turned(packed: Array) -> Array:
+        def transformed(packed: Array) -> Array:
             R_ec = np.einsum("ijn,jk->ikn", packed[6:].reshape(3, 3, -1), M)
             return np.concatenate([packed[:6], R_ec.reshape(9, -1)])
 
-        return replace(self, R_cs=R_cs, table=self.table and self.table.mapped(turned))
+        return replace(self, R_cs=R_cs, table=self.table and self.table.mapped(transformed))
 
     def tabulated(self, first_line: float, last_line: float) -> Pushbroom:
-        """The same strip with its rows tabulated between two lines: worth it before many small calls."""
-        bends: ArrayLike = ()
+        """The strip with its states tabulated between two lines; saves time before many small calls."""
+        breaks: ArrayLike = ()
         if isinstance(self.attitude, AttitudeTrack):
-            bends = self.rows.line(self.attitude.t_s - self._delay_s)
-        table = tabulated(self._exact_states, first_line, last_line, _TOLERANCE, bends)
+            breaks = self.rows.line(self.attitude.t_s - self._delay_s)
+        table = tabulated(self._exact_states, first_line, last_line, _TOLERANCE, breaks)
         return replace(self, table=table)
 
     def instants(self, line: ArrayLike) -> Array:
@@ -156,31 +166,66 @@ class Pushbroom:
         return self.camera.delay_to_middle_s(self.rows.row_period_s)
 
     def look_i(self, ccd: int, sample: ArrayLike, line: ArrayLike) -> tuple[Array, Array]:
-        """Apparent directions u_i (N, 3) of pixels, and their instants (N,)."""
+        """Apparent directions u_i (N, 3), GCRS, of pixels (N,) of one CCD, and their instants (N,)."""
         sample, line = _pixels(sample, line)
         t_s = self.instants(line)
         u_s = self.R_cs.inv().apply(self.camera.directions_from_pixels(ccd, sample))
         return self.attitude.R_si(t_s).inv().apply(u_s), t_s
 
     def directions_c(self, p_e: Array, line: ArrayLike) -> Array:
-        """Directions (N, 3), frame c, in which the camera sees ground points (N, 3) at lines (N,)."""
+        """Apparent directions (N, 3), frame c, of ground points (N, 3), frame e, m, at lines (N,)."""
         return self._apparent_c(p_e, self._states(np.asarray(line, dtype=float)))[0]
 
     def ground_points(self, ccd: int, sample: ArrayLike, line: ArrayLike, surface: Surface) -> Array:
-        """Where pixels look at the ground: p_e (N, 3), m; NaN where the line of sight meets no surface."""
+        """Ground points seen by pixels.
+
+        Parameters
+        ----------
+        ccd : int
+            Index of the CCD, from 0.
+        sample, line : (N,) array
+            Image points in the raw image of that CCD; broadcast together.
+        surface : Surface
+            Ground surface.
+
+        Returns
+        -------
+        p_e : (N, 3) array
+            Points in frame e, m; NaN where the line of sight does not intersect the surface.
+
+        Raises
+        ------
+        ValueError
+            If orbit, attitude or Earth rotation do not cover a line.
+        """
         sample, line = _pixels(sample, line)
         model = self._for_many(line)
         height = model._expected_heights(ccd, sample, line, surface)
         p_e = np.empty((len(line), 3))
         for part in _chunks(len(line)):
-            p_e[part] = model._meet(ccd, sample[part], line[part], surface, height[part])
+            p_e[part] = model._intersections(ccd, sample[part], line[part], surface, height[part])
         return p_e
 
     def pixels_from_ground(self, ccd: int, p_e: ArrayLike) -> tuple[Array, Array]:
-        """The pixels (sample (N,), line (N,)) in which ground points (N, 3) appear, to 1e-6 px.
+        """Pixels in which ground points appear, to 1e-6 px.
 
-        They may lie off the detector's ends (the caller compares with `camera.n_px`); NaN where a point is
-        never seen while orbit and attitude are known, or stands behind the horizon.
+        Parameters
+        ----------
+        ccd : int
+            Index of the CCD, from 0.
+        p_e : (N, 3) array
+            Ground points, frame e, m.
+
+        Returns
+        -------
+        sample, line : (N,) arrays
+            They may lie beyond the detector's ends (compare with `camera.n_px`). NaN for a point that is not
+            seen while orbit and attitude are known, or is beyond the horizon.
+
+        Raises
+        ------
+        ValueError
+            If `p_e` is not (N, 3), or orbit, attitude and Earth rotation have no interval in common.
         """
         p = np.asarray(p_e, dtype=float)
         if p.ndim != 2 or p.shape[1] != 3:
@@ -190,131 +235,136 @@ class Pushbroom:
         if len(good) == 0:
             return sample, line
         few = good[:: max(1, len(good) // _FEW)]
-        sample[few], line[few] = self._found_from_scan(ccd, p[few])
+        sample[few], line[few] = self._pixels_by_scan(ccd, p[few])
         rest = np.setdiff1d(good, few)
         if len(rest):
-            guess = np.clip(_affine_guess(p[few], line[few], p[rest]), *self._span_lines())
-            model = self._for_many(np.concatenate([guess, line[few]]), margin=_MARGIN_LINES)
+            start = np.clip(_predicted_lines(p[few], line[few], p[rest]), *self._span_lines())
+            model = self._for_many(np.concatenate([start, line[few]]), margin=_MARGIN_LINES)
             for part in _chunks(len(rest)):
                 into = rest[part]
-                sample[into], line[into] = model._found(ccd, p[into], guess[part])
-            lost = rest[np.isnan(line[rest])]
-            sample[lost], line[lost] = self._found_from_scan(ccd, p[lost])
+                sample[into], line[into] = model._pixels_by_secant(ccd, p[into], start[part])
+            missing = rest[np.isnan(line[rest])]
+            sample[missing], line[missing] = self._pixels_by_scan(ccd, p[missing])
         return sample, line
 
     def pixel_jacobian(self, ccd: int, sample: ArrayLike, line: ArrayLike, *, height_m: float = 0.0) -> Array:
-        """d u_c / d(sample, line), (N, 3, 2), rad/px: what a shift of a pixel means for its look direction.
+        """Derivative d u_c / d(sample, line) (N, 3, 2), rad/px, of the look directions of pixels (N,).
 
         Along the line it is the motion, in frame c, of the ground that the pixel looks at (orbit, Earth
-        rotation and attitude together), for ground at `height_m` above the ellipsoid. A covariance of a place
-        in the image (2, 2) px^2 becomes that of its direction: `J C J^T` (3, 3) rad^2.
+        rotation and attitude together), for ground at `height_m` above the ellipsoid. A covariance C (2, 2)
+        px² of an image point gives that of its direction: `J C J^T` (3, 3) rad².
         """
         sample, line = _pixels(sample, line)
         ground = self.ground_points(ccd, sample, line, ConstantHeight(height_m))
         before, after = (self._apparent_c(ground, self._states(line + half))[0] for half in (-0.5, 0.5))
         return np.stack([self.camera.sample_jacobian(ccd, sample), before - after], axis=-1)
 
-    def _found_from_scan(self, ccd: int, p_e: Array) -> tuple[Array, Array]:
-        """Pixels of points about which nothing is known: search the whole span, then close in."""
+    def _pixels_by_scan(self, ccd: int, p_e: Array) -> tuple[Array, Array]:
+        """Pixels (N,) of ground points (N, 3): nearest line of a coarse scan, refined by the secant
+        method.
+        """
         at: Array = np.linspace(*self._span_lines(), _SCAN, dtype=np.float64)
         states = self._states(at)
-        best = np.full(len(p_e), np.nan)
+        start = np.full(len(p_e), np.nan)
         for part in _chunks(len(p_e), _CHUNK // _SCAN):
             points = np.repeat(p_e[part], _SCAN, axis=0)
             there = states.take(np.tile(np.arange(_SCAN), len(points) // _SCAN))
             u_c, seen = self._apparent_c(points, there)
-            _, miss = self.camera.samples_from_directions(ccd, u_c)
-            miss = np.where(seen & np.isfinite(miss), np.abs(miss), np.inf).reshape(-1, _SCAN)
-            best[part] = np.where(np.isfinite(miss.min(axis=1)), at[miss.argmin(axis=1)], np.nan)
+            _, across = self.camera.samples_from_directions(ccd, u_c)
+            across = np.where(seen & np.isfinite(across), np.abs(across), np.inf).reshape(-1, _SCAN)
+            start[part] = np.where(np.isfinite(across.min(axis=1)), at[across.argmin(axis=1)], np.nan)
         sample, line = np.full(len(p_e), np.nan), np.full(len(p_e), np.nan)
-        hopeful = np.flatnonzero(np.isfinite(best))
-        if len(hopeful):
-            sample[hopeful], line[hopeful] = self._found(ccd, p_e[hopeful], best[hopeful])
+        rows = np.flatnonzero(np.isfinite(start))
+        if len(rows):
+            sample[rows], line[rows] = self._pixels_by_secant(ccd, p_e[rows], start[rows])
         return sample, line
 
-    def _found(self, ccd: int, p_e: Array, guess: Array) -> tuple[Array, Array]:
-        """Pixels of points by the secant method on the line, from a guess (N,); NaN where it fails."""
+    def _pixels_by_secant(self, ccd: int, p_e: Array, start: Array) -> tuple[Array, Array]:
+        """Pixels (N,) by the secant method from lines `start` (N,); NaN where it does not converge."""
         first, last = self._span_lines()
-        old = np.clip(guess, first, last)
-        _, miss_old, _ = self._missed(ccd, p_e, old)
+        old = np.clip(start, first, last)
+        _, across_old, _ = self._pixels_at(ccd, p_e, old)
         line = np.clip(old + np.where(old < 0.5 * (first + last), 1.0, -1.0), first, last)
-        rate = np.full(len(p_e), np.nan)  # d(miss) / d(line), about one pixel per line
+        slope = np.full(len(p_e), np.nan)  # d(across) / d(line), about one pixel per line
         for _ in range(_SECANT_STEPS):
-            sample, miss, seen = self._missed(ccd, p_e, line)
-            moved = np.abs(line - old) > _MOVED_PX  # a rate from a shorter way would be noise
-            rate[moved] = (miss[moved] - miss_old[moved]) / (line[moved] - old[moved])
-            old, miss_old = line, miss
+            sample, across, seen = self._pixels_at(ccd, p_e, line)
+            moved = np.abs(line - old) > _MIN_STEP_PX
+            slope[moved] = (across[moved] - across_old[moved]) / (line[moved] - old[moved])
+            old, across_old = line, across
             with np.errstate(divide="ignore", invalid="ignore"):
-                step = -miss / rate
+                step = -across / slope
             line = np.clip(line + step, first, last)
-            if np.nanmax(np.abs(line - old), initial=0.0) < _FOUND_PX:
+            if np.nanmax(np.abs(line - old), initial=0.0) < _CONVERGED_PX:
                 break
-        found = seen & (
-            np.abs(step) < _FOUND_PX
-        )  # at the end of the span the line may stand still, not found
+        found = seen & (np.abs(step) < _CONVERGED_PX)  # at an end of the span `line` stops without solution
         return np.where(found, sample, np.nan), np.where(found, line, np.nan)
 
-    def _missed(self, ccd: int, p_e: Array, line: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
-        """At given lines: the sample beside each point, its miss across (px), and whether it is seen."""
+    def _pixels_at(self, ccd: int, p_e: Array, line: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
+        """At given lines: nearest sample (N,) of each point, its distance across, px, whether it is seen."""
         known = np.isfinite(line)
         if not known.all():
             line = np.where(known, line, self._span_lines()[0] if self.table is None else self.table.edges[0])
         states = self._states(line)
         u_c, above_horizon = self._apparent_c(p_e, states)
-        sample, miss = self.camera.samples_from_directions(ccd, u_c)
-        return sample, np.where(known, miss, np.nan), known & above_horizon & np.isfinite(miss)
+        sample, across = self.camera.samples_from_directions(ccd, u_c)
+        return sample, np.where(known, across, np.nan), known & above_horizon & np.isfinite(across)
 
     def _apparent_c(self, p_e: Array, states: _States) -> tuple[Array, NDArray[np.bool_]]:
-        """Apparent directions (N, 3) of ground points in frame c, and whether they face the satellite."""
+        """Apparent directions (N, 3), frame c, of ground points, and whether the satellite is above
+        their horizon.
+        """
         u_e, _ = apparent_directions_e(p_e, states.p_e, states.v_e, self.earth.omega_e, self.effects)
         above = np.einsum("ni,ni->n", states.p_e - p_e, p_e) > 0.0
         return states.to_c(u_e), above
 
     def _span_lines(self) -> tuple[float, float]:
-        """Lines between which orbit and attitude are known."""
+        """First and last line at which orbit, attitude and Earth rotation are known."""
         spans = self.attitude.span_s, self.orbit.span_s, (self.earth.t_start_s, self.earth.t_stop_s)
         delay = self.camera.delay_to_middle_s(self.rows.row_period_s)
         first, last = max(span[0] for span in spans) - delay, min(span[1] for span in spans) - delay
         if not last > first:
-            raise ValueError("orbit, attitude and Earth rotation have no time in common")
+            raise ValueError("orbit, attitude and Earth rotation have no interval in common")
         ends = self.rows.line(np.array([first, last]))
-        slack = 1e-6 / self.rows.row_period_s  # rounding must not lead outside
+        slack = 1e-6 / self.rows.row_period_s  # stay inside despite rounding
         return float(ends[0]) + slack, float(ends[1]) - slack
 
-    def _meet(self, ccd: int, sample: Array, line: Array, surface: Surface, height_m: Array) -> Array:
-        """Lines of sight down to the surface. Each is straight, and exact at the height it is made for: where
-        it meets the surface too far from there for that, it is made anew.
-        """
+    def _intersections(
+        self, ccd: int, sample: Array, line: Array, surface: Surface, height_m: Array
+    ) -> Array:
+        """Ground points (N, 3) of pixels, from rays exact at expected heights (N,); see the module."""
         states = self._states(line)
         u_e = states.to_e(self.camera.directions_from_pixels(ccd, sample))
         if isinstance(surface, ConstantHeight):
             return emission_points_e(
                 u_e, states.p_e, states.v_e, self.earth.omega_e, self.effects, surface.height
             )
-        p_e = self._met(u_e, states, surface, height_m)
-        far = np.flatnonzero(self._bent_m(p_e, u_e, height_m) > _BENT_M)
+        p_e = self._ray_intersections(u_e, states, surface, height_m)
+        far = np.flatnonzero(self._path_curvature_m(p_e, u_e, height_m) > _CURVATURE_M)
         if len(far):
             height = geodetic_from_ecef(p_e[far], WGS84)[2]
-            p_e[far] = self._met(u_e[far], states.take(far), surface, height)
+            p_e[far] = self._ray_intersections(u_e[far], states.take(far), surface, height)
         return p_e
 
-    def _met(self, u_e: Array, states: _States, surface: Surface, height_m: Array) -> Array:
+    def _ray_intersections(self, u_e: Array, states: _States, surface: Surface, height_m: Array) -> Array:
+        """Surface points of the rays that are exact at `height_m`."""
         rays = emission_rays_e(u_e, states.p_e, states.v_e, self.earth.omega_e, self.effects, height_m)
         return intersect(*rays, surface)
 
-    def _bent_m(self, p_e: Array, u_e: Array, height_m: Array) -> Array:
-        """How far (N,), m, the path of light bends at most from its tangent on the way to p_e."""
+    def _path_curvature_m(self, p_e: Array, u_e: Array, height_m: Array) -> Array:
+        """Upper bound (N,), m, of the distance at p_e between the light path and its tangent at
+        `height_m`.
+        """
         if not (self.effects.light_time or self.effects.refraction):
             return np.zeros(len(p_e))
-        away = _above_shell(p_e, height_m)
+        above = _above_shell(p_e, height_m)
         radius2 = np.einsum("ni,ni->n", p_e, p_e)
         cos2 = np.einsum("ni,ni->n", p_e, u_e) ** 2 / radius2
         with np.errstate(divide="ignore", invalid="ignore"):
             tan = np.sqrt(np.maximum(1.0 / cos2 - 1.0, 0.0))
-        return away**2 * (_BEND_LIGHT_TIME + _BEND_AIR * tan * (1.0 + tan**2))
+        return above**2 * (_CURVATURE_LIGHT_TIME + _CURVATURE_AIR * tan * (1.0 + tan**2))
 
     def _expected_heights(self, ccd: int, sample: Array, line: Array, surface: Surface) -> Array:
-        """Roughly the height (N,) at which pixels meet the ground, from a lattice when they are many."""
+        """Approximate ground heights (N,), m, of pixels: for many pixels interpolated from a lattice."""
         low, high = surface.height_range_m()
         middle = 0.5 * (low + high)
         if len(line) < _MANY or high - low < _LATTICE_M:
@@ -326,7 +376,7 @@ class Pushbroom:
         if np.ptp(axes[0]) < 1.0 or np.ptp(axes[1]) < 1.0:
             return np.full(len(line), middle)
         at_line, at_sample = (grid.ravel() for grid in np.meshgrid(*axes, indexing="ij"))
-        p_e = self._meet(ccd, at_sample, at_line, surface, np.full(len(at_line), middle))
+        p_e = self._intersections(ccd, at_sample, at_line, surface, np.full(len(at_line), middle))
         heights = np.nan_to_num(geodetic_from_ecef(p_e, WGS84)[2], nan=middle).reshape(_LATTICE)
         row, column = (
             (a - axis[0]) * ((len(axis) - 1) / (axis[-1] - axis[0]))
@@ -346,7 +396,7 @@ class Pushbroom:
         return _States(packed)
 
     def _exact_states(self, line: Array) -> Array:
-        """What `_States` holds, (15, N), at lines (N,)."""
+        """Array (15, N) of `_States` at lines (N,), computed without the table."""
         t_s = self.instants(line)
         R_ei = np.swapaxes(self.earth.matrices_ie(t_s), 1, 2)
         R_ic = (self.R_cs * self.attitude.R_si(t_s)).inv().as_matrix()
@@ -357,7 +407,7 @@ class Pushbroom:
         return np.ascontiguousarray(packed.T)
 
     def _for_many(self, line: Array, margin: float = 0.0) -> Pushbroom:
-        """This strip, tabulated if the lines are many."""
+        """This strip, tabulated over lines (N,) if they are many."""
         line = line[np.isfinite(line)]
         if len(line) < _MANY or (self.table is not None and self.table.covers(line).all()):
             return self
@@ -367,7 +417,7 @@ class Pushbroom:
 
 
 def _above_shell(p_e: Array, height_m: Array) -> Array:
-    """Height of points above the ellipsoid with semi-axes a + h, b + h, m, to a per cent."""
+    """Height (N,), m, of points above the ellipsoid with semi-axes a + h, b + h, to one per cent."""
     a, b = WGS84.semi_major_m + height_m, WGS84.semi_minor_m + height_m
     x, y, z = p_e.T
     return np.asarray(0.5 * a * ((x * x + y * y) / (a * a) + (z / b) ** 2 - 1.0))
@@ -380,8 +430,8 @@ def _pixels(sample: ArrayLike, line: ArrayLike) -> tuple[Array, Array]:
     return a, b
 
 
-def _affine_guess(p_known: Array, line_known: Array, p_e: Array) -> Array:
-    """Lines of points from a plane through the lines of others; NaN where there are none."""
+def _predicted_lines(p_known: Array, line_known: Array, p_e: Array) -> Array:
+    """Lines (N,) of points (N, 3) by an affine fit to the lines of known points; NaN if none is known."""
     known = np.isfinite(line_known)
     if not known.any():
         return np.full(len(p_e), np.nan)

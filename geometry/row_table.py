@@ -1,10 +1,10 @@
-"""A quantity of the rows of a strip, tabulated finely enough that reading it between the nodes costs nothing.
+"""Quantities of the rows of a strip, tabulated and interpolated by cubics to a stated tolerance.
 
-Orbit, Earth rotation and attitude are slow functions of the row, but dear to evaluate a million times. They
-are evaluated at evenly spaced nodes, halving the spacing until cubics through four nodes agree with the true
-function at every midpoint. Where the function is known to bend (an attitude track does at each exposure), the
-table is broken and no cubic reaches across; a cell where the cubic is still not good enough is marked and the
-function itself is called there.
+Orbit, Earth rotation and attitude vary slowly with the row but are expensive to evaluate a million times.
+They are evaluated at evenly spaced nodes, whose spacing is halved until cubics through four nodes agree with
+the function at all midpoints. At breaks, where derivatives jump (an attitude track's exposures), the table is
+split into pieces and no cubic extends across. In a cell where the cubic is not accurate enough (`rough`) the
+function itself is evaluated.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ Index = NDArray[np.int64]
 
 _FIRST_STEP = 64.0  # lines
 _LAST_STEP = 1.0
-_RUN = 4  # pixels of one line in a row, on the average, from which the run is worth finding
-_ROUGH_SHARE = 0.005  # share of cells which may be left to the function itself
+_RUN = 4  # mean number of successive equal lines from which each is looked up only once
+_ROUGH_SHARE = 0.005  # share of cells in which the function itself may be evaluated
 
 
 @record
 class RowTable:
-    """Values of C quantities at lines, in P pieces of evenly spaced nodes. Made by `tabulated`."""
+    """Values of C quantities at lines, in P pieces of evenly spaced nodes; built by `tabulated`."""
 
     function: Callable[[Floats], Floats] = scalar("the tabulated function, lines (N,) to values (C, N)")
     edges: Floats = array("P + 1", "lines where pieces begin and end")
@@ -39,11 +39,11 @@ class RowTable:
     rough: Bools = array("K", "cells, by their first node, where the function itself is evaluated")
 
     def covers(self, line: Array) -> NDArray[np.bool_]:
-        """Which lines lie between the first and the last node."""
+        """Mask (N,) of the lines between the first and the last node."""
         return (line >= self.edges[0]) & (line <= self.edges[-1])
 
     def at(self, line: Array) -> Array:
-        """The quantities (C, N) at lines (N,) inside the table; lines that repeat are looked up once."""
+        """Quantities (C, N) at lines (N,) inside the table; successive equal lines are looked up once."""
         new = np.flatnonzero(np.diff(line)) + 1
         if len(new) * _RUN < len(line):
             runs = np.concatenate([[0], new, [len(line)]])
@@ -51,7 +51,7 @@ class RowTable:
         return self._at_each(line)
 
     def mapped(self, linear: Callable[[Array], Array]) -> RowTable:
-        """The table of a linear map, (C, N) -> (C, N), of the quantities."""
+        """Table of the quantities after a linear map (C, N) -> (C, N)."""
         return replace(self, function=lambda line: linear(self.function(line)), values=linear(self.values))
 
     def _at_each(self, line: Array) -> Array:
@@ -77,9 +77,10 @@ def tabulated(
     tolerance: Array | float,
     breaks: ArrayLike = (),
 ) -> RowTable:
-    """Tabulate `function`, lines (N,) -> (C, N), between two lines, to `tolerance` (C,) or a number.
+    """Table of `function`, lines (N,) -> (C, N), between two lines, accurate to `tolerance` (C,) or a number.
 
-    It is called at lines from `first` to `last` only. `breaks` are lines at which it is continuous but bends.
+    The function is evaluated from `first` to `last` only. `breaks` are lines at which its derivatives jump.
+    Raises `ValueError` unless `last` > `first`.
     """
     if not last > first:
         raise ValueError(f"the last line must lie after the first, got {first} and {last}")
@@ -90,19 +91,19 @@ def tabulated(
     values = function(_nodes(edges, cells))
     while True:
         middles, before = _middles(edges, cells)
-        true = function(middles)
+        exact = function(middles)
         where = before - np.repeat(np.cumsum(cells + 1) - cells - 1, cells)  # cell within its piece
         start = np.clip(where - 1, 0, np.repeat(cells, cells) - 3)
-        guess = _cubic(values, where + 0.5 - start, before - where + start)
-        rough = np.asarray((np.abs(guess - true) > np.reshape(tolerance, (-1, 1))).any(axis=0))
+        interpolated = _cubic(values, where + 0.5 - start, before - where + start)
+        rough = np.asarray((np.abs(interpolated - exact) > np.reshape(tolerance, (-1, 1))).any(axis=0))
         step = np.max(np.diff(edges) / cells)
-        values, rough_nodes, cells = _merged(values, true, before, rough, cells)
+        values, rough_nodes, cells = _merged(values, exact, before, rough, cells)
         if rough.mean() <= _ROUGH_SHARE or step <= _LAST_STEP:
             return RowTable(function, edges, cells, values, rough_nodes)
 
 
 def _nodes(edges: Array, cells: Index) -> Array:
-    """Evenly spaced lines, both ends included, of every piece in turn."""
+    """Nodes: evenly spaced lines, both ends included, piece after piece."""
     pieces = [np.linspace(a, b, n + 1) for a, b, n in zip(edges[:-1], edges[1:], cells)]
     return np.concatenate(pieces)
 
@@ -116,21 +117,23 @@ def _middles(edges: Array, cells: Index) -> tuple[Array, Index]:
 
 
 def _merged(
-    values: Array, true: Array, before: Index, rough: NDArray[np.bool_], cells: Index
+    values: Array, exact: Array, before: Index, rough: NDArray[np.bool_], cells: Index
 ) -> tuple[Array, NDArray[np.bool_], Index]:
-    """Nodes and middles in one table of twice as many cells; both halves of a rough cell are rough."""
+    """Values, rough flags and cell numbers of the table with nodes and middles: twice as many cells."""
     nodes = np.arange(values.shape[1])
-    place = nodes + np.searchsorted(before, nodes)  # of the old nodes
-    both = np.empty((len(values), values.shape[1] + true.shape[1]))
-    both[:, place] = values
-    both[:, place[before] + 1] = true
+    column = nodes + np.searchsorted(before, nodes)  # of the old nodes
+    both = np.empty((len(values), values.shape[1] + exact.shape[1]))
+    both[:, column] = values
+    both[:, column[before] + 1] = exact
     rough_nodes = np.zeros(both.shape[1], dtype=np.bool_)
-    rough_nodes[place[before]] = rough_nodes[place[before] + 1] = rough
+    rough_nodes[column[before]] = rough_nodes[column[before] + 1] = rough
     return both, rough_nodes, 2 * cells
 
 
 def _cubic(values: Array, x: Array, start: Index) -> Array:
-    """Cubics (C, N) through four columns of `values` (C, K) from `start` (N,) on, x (N,) columns after it."""
+    """Cubics (C, N) through four columns of `values` (C, K) from `start` (N,) on, at x (N,) columns after
+    it.
+    """
     a, b, c, d = x, x - 1.0, x - 2.0, x - 3.0
     ab, cd = a * b, c * d
     result = values.take(start, axis=1)

@@ -1,7 +1,7 @@
-"""What the stages hand to one another: directions as a camera measured them, and as they are known to be.
+"""Records that the stages exchange: measured directions, the known directions of the same points, attitudes.
 
-A covariance of a direction is (3, 3), rad², in the axes of the camera that measured it, and has no part along
-the direction itself (paper, A3): `covariance @ u = 0`. The QUEST model of the paper's (A14) is
+A covariance of a direction is (3, 3), rad², in the axes of the camera that measured it, and has no component
+along the direction itself (paper, A3): `covariance @ u = 0`. The QUEST model of the paper's (A14) is
 `isotropic_covariance(u, sigma)`.
 """
 
@@ -129,7 +129,7 @@ def isotropic_covariance(u: Floats, sigma_rad: Floats | float) -> Floats:
 def information_of_directions(u: Floats, covariance: Floats) -> Floats:
     """Pseudo-inverse of covariances that vanish along `u`: (N, 3, 3), rad⁻², also zero along `u`.
 
-    The direction along u is lent a variance of ordinary size for the inversion, and it is taken back after.
+    The null direction u is regularised with the mean variance; its contribution is subtracted afterwards.
     """
     along = u[:, :, None] * u[:, None, :]
     size = 0.5 * np.trace(covariance, axis1=1, axis2=2)[:, None, None]

@@ -1,10 +1,9 @@
 """The star camera: pixels of its detector <-> directions in its own frame s (paper, eqs. 3-6).
 
 Frame s has z along the optical axis, outward; x and y are *opposite* to the image's column and row axes,
-because the lens turns the image round. Distortion takes an ideal image point to where it is really formed, so
-the way from direction to pixel is explicit and the way back is solved by Newton's method. What a lens does
-outside its own fold (where the distortion polynomial turns back) is not an image: such directions give NaN,
-never a pixel.
+because the lens inverts the image. Distortion maps an ideal image point to the measured one, so the
+projection from direction to pixel is explicit and its inverse is solved by Newton's method. Beyond the
+turning point of the distortion polynomial the projection is undefined: NaN.
 """
 
 from __future__ import annotations
@@ -24,12 +23,12 @@ Complex = NDArray[np.complex128]
 _MM = 1e3  # mm per metre: the paper's distortion numbers are for coordinates in millimetres
 _NEWTON_STEPS = 25
 _EXACT_MM = 2e-13
-_BEND_PER_MM = 0.02  # of a lens, at most: a step of Newton's method leaves its own square times this
+_CURVATURE_PER_MM = 0.02  # of a lens, at most: the error after a Newton step is its square times this
 
 
 @record
 class OpenCVParameters:
-    """The same lens as OpenCV writes it: in pixels, distortion for coordinates divided by f.
+    """Camera parameters in OpenCV's convention: pixels, distortion of coordinates divided by f.
 
     OpenCV's camera frame has x and y along the image's column and row axes: `v_cv = [-u_x, -u_y, u_z]`.
     """
@@ -76,8 +75,8 @@ class StarCamera:
         return float(2.0 * np.arcsin(0.5 * np.linalg.norm(right - left)))
 
     def middle_axes(self) -> Array:
-        """Rotation matrix whose columns, in axes of s, are right, down and the direction to the image's
-        middle; down is that of the image there, away from row 0."""
+        """Rotation matrix (3, 3) whose columns, in frame s, are right, down and the direction of the image's
+        middle; down points away from row 0."""
         x, y = 0.5 * (self.width_px - 1), 0.5 * (self.height_px - 1)
         middle, above = self.directions_from_pixels([[x, y], [x, y - 1.0]])
         up = above - middle * (above @ middle)
@@ -85,7 +84,9 @@ class StarCamera:
         return np.stack([np.cross(middle, up), -up, middle], axis=1)
 
     def contains(self, xy_px: ArrayLike) -> NDArray[np.bool_]:
-        """Whether points (N, 2) fall on the detector; pixels reach half a pixel beyond their centres."""
+        """Mask (N,) of points (N, 2), px, on the detector; its edge is half a pixel beyond the outer
+        centres.
+        """
         xy = _points(xy_px)
         upper = np.array([self.width_px, self.height_px]) - 0.5
         return np.asarray(((xy >= -0.5) & (xy <= upper)).all(axis=1))
@@ -101,40 +102,65 @@ class StarCamera:
         Returns
         -------
         u_s : (N, 3)
-            `[-x, -y, f]` normalised, x and y the ideal image coordinates; NaN for NaN, and for a point which
-            lies so far outside that no ideal point is imaged on it.
+            `[-x, -y, f]` normalised, x and y the ideal image coordinates; NaN for NaN, and for a point so far
+            outside the detector that it is the image of no direction.
+
+        Raises
+        ------
+        ValueError
+            If `xy_px` is not (N, 2).
+
+        Examples
+        --------
+        >>> camera = StarCamera(
+        ...     focal_m=0.1, pixel_m=1e-5, width_px=1001, height_px=1001, principal_px=(500.0, 500.0)
+        ... )
+        >>> camera.directions_from_pixels([[500.0, 500.0]])
+        array([[0., 0., 1.]])
         """
         return _normalised(self.tangents_from_pixels(xy_px))
 
     def tangents_from_pixels(self, xy_px: ArrayLike, *, error_px: float = 0.0) -> Array:
-        """The same directions as points (N, 2) of the tangent plane, `(u_x, u_y) / u_z`; quicker if they may
-        be wrong by `error_px`."""
+        """Tangent-plane points (N, 2), `(u_x, u_y) / u_z`, of image points (N, 2), px; NaN as in
+        `directions_from_pixels`. An allowed error `error_px` saves iterations."""
         ideal = self._ideal_mm(_points(xy_px), max(error_px * self.pixel_m * _MM, _EXACT_MM))
         return _pairs(ideal * (-1.0 / (self.focal_m * _MM)))
 
     def pixels_from_directions(self, u_s: ArrayLike) -> Array:
-        """Image points (N, 2) of directions (N, 3) in frame s, distortion included.
+        """Image points of directions, distortion included.
 
-        The points may lie outside the detector (`contains` tells). NaN behind the camera, and beyond the fold
-        of the distortion polynomial, where it would lead a direction far outside the field back into the
-        image.
+        Parameters
+        ----------
+        u_s : (N, 3)
+            Directions of any length, frame s.
+
+        Returns
+        -------
+        xy_px : (N, 2)
+            Points (column, row); they may lie outside the detector (see `contains`). NaN behind the camera
+            and beyond the turning point of the distortion polynomial, where the projection is undefined.
+
+        Raises
+        ------
+        ValueError
+            If `u_s` is not (N, 3).
         """
         u = np.asarray(u_s, dtype=float)
         if u.ndim != 2 or u.shape[1] != 3:
             raise ValueError(f"u_s must have shape (N, 3), got {u.shape}")
         ahead = np.where(u[:, 2] > 0.0, u[:, 2], np.nan)
         ideal = _complex(u[:, :2]) * (-self.focal_m * _MM / ahead)
-        actual, own, other = self._bent(ideal)
-        actual[~self._upright(ideal, own, other)] = complex(np.nan, np.nan)
+        actual, own, other = self._distorted(ideal)
+        actual[~self._is_valid(ideal, own, other)] = complex(np.nan, np.nan)
         return np.asarray(self.principal_px) + _pairs(actual) / (self.pixel_m * _MM)
 
     def pixel_jacobian(self, xy_px: ArrayLike) -> Array:
         """Derivative of the unit vectors, (N, 3, 2): `d u_s / d(column, row)`, rad/px.
 
-        A covariance of a centroid (2, 2) px^2 becomes that of its direction: `J C J^T` (3, 3) rad^2.
+        A covariance C (2, 2) px² of a centroid gives that of its direction: `J C J^T` (3, 3) rad².
         """
         ideal = self._ideal_mm(_points(xy_px))
-        _, own, other = self._bent(ideal)
+        _, own, other = self._distorted(ideal)
         dactual_dideal = np.empty((len(ideal), 2, 2))
         dactual_dideal[:, 0, 0], dactual_dideal[:, 1, 1] = own + other.real, own - other.real
         dactual_dideal[:, 0, 1] = dactual_dideal[:, 1, 0] = other.imag
@@ -144,7 +170,9 @@ class StarCamera:
         return -across[:, :, :2] @ _inverse_2x2(dactual_dideal) * (self.pixel_m * _MM)
 
     def opencv_parameters(self) -> OpenCVParameters:
-        """This lens in OpenCV's terms: k1 = q1 f^2, k2 = q2 f^4, p1cv = p2 f, p2cv = p1 f with f in mm."""
+        """Parameters in OpenCV's convention: k1 = q1 f^2, k2 = q2 f^4, p1cv = p2 f, p2cv = p1 f with
+        f in mm.
+        """
         f = self.focal_m * _MM
         f_px = self.focal_m / self.pixel_m
         x0, y0 = self.principal_px
@@ -157,10 +185,10 @@ class StarCamera:
     def from_opencv(
         cls, parameters: OpenCVParameters, *, pixel_m: float, width_px: int, height_px: int
     ) -> StarCamera:
-        """The camera that OpenCV describes by `parameters`, its pixels being squares of `pixel_m`.
+        """Star camera of OpenCV's `parameters`, with square pixels of `pixel_m`.
 
-        Raises `ValueError` for what this model cannot hold: pixels that are not square, skew, more than four
-        distortion coefficients other than zero.
+        Raises `ValueError` for what this model cannot represent: pixels that are not square, skew, more than
+        four nonzero distortion coefficients.
         """
         K = np.asarray(parameters.camera_matrix, dtype=float)
         d = np.zeros(max(4, np.size(parameters.distortion)))
@@ -170,7 +198,7 @@ class StarCamera:
                 f"square pixels without skew expected, got fx={K[0, 0]}, fy={K[1, 1]}, skew={K[0, 1]}"
             )
         if np.any(d[4:] != 0.0):
-            raise ValueError(f"only k1, k2, p1, p2 can be taken over, got further coefficients {d[4:]}")
+            raise ValueError(f"only k1, k2, p1, p2 can be represented, got further coefficients {d[4:]}")
         f = K[0, 0] * pixel_m * _MM
         return cls(
             focal_m=K[0, 0] * pixel_m,
@@ -184,11 +212,12 @@ class StarCamera:
             q2=float(d[1] / f**4),
         )
 
-    def _bent(self, z: Complex) -> tuple[Complex, Array, Complex]:
-        """Real places of ideal points z = x + iy, mm (eq. 4), their derivatives by z and by its conjugate.
+    def _distorted(self, z: Complex) -> tuple[Complex, Array, Complex]:
+        """Distorted points of ideal points z = x + iy, mm (eq. 4); derivatives by z and by its conjugate.
 
         With t = p1 + i p2 eq. (5) is  z + d = s z + r^2 t, where s = 1 + q1 r^2 + q2 r^4 + 2 t.z. A small dz
-        moves the real place by  own dz + other conj(dz), own being real; areas grow by own^2 - |other|^2.
+        moves the distorted point by  own dz + other conj(dz), own being real; areas grow by own^2 -
+        |other|^2.
         """
         t = complex(self.p1, self.p2)
         r2 = z.real * z.real + z.imag * z.imag
@@ -197,35 +226,39 @@ class StarCamera:
         slope = self.q1 + r2 * (2.0 * self.q2)
         return s * z + r2 * t, s + (r2 * slope + sideways), z * (slope * z + 2.0 * t)
 
-    def _upright(self, z: Complex, own: Array, other: Complex) -> NDArray[np.bool_]:
-        """(N,) where the image still grows outward and is not turned over; arguments as in `_bent`."""
-        return np.asarray((np.abs(z) < self._fold_mm) & (own > np.abs(other)))
+    def _is_valid(self, z: Complex, own: Array, other: Complex) -> NDArray[np.bool_]:
+        """Mask (N,) of points where the distortion is monotone and keeps orientation; arguments of
+        `_distorted`.
+        """
+        return np.asarray((np.abs(z) < self._turning_point_mm) & (own > np.abs(other)))
 
     @property
-    def _fold_mm(self) -> float:
-        """The smallest r at which the radial image stops growing, 1 + 3 q1 r^2 + 5 q2 r^4 = 0."""
+    def _turning_point_mm(self) -> float:
+        """Smallest radius where the distorted radius stops growing, 1 + 3 q1 r^2 + 5 q2 r^4 = 0; inf
+        if none.
+        """
         discriminant = 9.0 * self.q1**2 - 20.0 * self.q2
         reciprocal = -3.0 * self.q1 + math.sqrt(max(discriminant, 0.0))  # of half of r^2
         return math.sqrt(2.0 / reciprocal) if discriminant >= 0.0 and reciprocal > 1e-30 else math.inf
 
     def _ideal_mm(self, xy_px: Array, error_mm: float = _EXACT_MM) -> Complex:
-        """Inverse of eq. (4): (N,) ideal points x + iy whose real places are the pixels; NaN where none is.
+        """Ideal points x + iy (N,), mm, of pixels (N, 2): inverse of eq. (4); NaN where there is none.
 
-        Newton's method: the step that takes away a miss m is  (own m - other conj(m)) / (own^2 - |other|^2).
+        Newton's step for a residual m is  (own m - other conj(m)) / (own^2 - |other|^2).
         """
-        last_mm = math.sqrt(error_mm / _BEND_PER_MM)
+        last_mm = math.sqrt(error_mm / _CURVATURE_PER_MM)
         goal = (_complex(xy_px) - complex(*self.principal_px)) * (self.pixel_m * _MM)
         z = goal
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             for _ in range(_NEWTON_STEPS):
-                real, own, other = self._bent(z)
-                miss = goal - real
-                step = (own * miss - other * miss.conj()) / (own * own - np.abs(other) ** 2)
+                distorted, own, other = self._distorted(z)
+                residual = goal - distorted
+                step = (own * residual - other * residual.conj()) / (own * own - np.abs(other) ** 2)
                 z = z + step
                 size = np.abs(step)
                 if not (size >= last_mm).any():
                     break
-            found = (size < last_mm) & self._upright(z, own, other)
+            found = (size < last_mm) & self._is_valid(z, own, other)
         z[~found] = complex(np.nan, np.nan)
         return z
 

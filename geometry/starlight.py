@@ -1,9 +1,9 @@
-"""Where stars are seen from a moving satellite: from catalogue places to apparent directions in the GCRS.
+"""Apparent directions of stars from a moving satellite, GCRS axes, from catalogue positions.
 
-Space motion from the catalogue's epoch (a straight line in space, radial velocity included), parallax,
-bending of light by the Sun, and aberration by the satellite's barycentric velocity: the Earth's (ERFA's
-`epv00`) plus its own. All through ERFA's routines for astrometry. Bending by planets (0.02" at Jupiter's
-limb) and by the Earth (0.0006" at its limb) is left out.
+Space motion since the catalogue's epoch (a straight line in space, radial velocity included), parallax, light
+deflection by the Sun, and aberration by the satellite's barycentric velocity: the Earth's (ERFA's `epv00`)
+plus its own. All by ERFA's astrometry routines. Not modelled: deflection by planets (0.02" at Jupiter's limb)
+and by the Earth (0.0006" at its limb).
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 
 @record(kw_only=True)
 class StarPlaces:
-    """Catalogue places of stars, ICRS at `epoch_jyear`. Row n of every array speaks of the same star."""
+    """Catalogue positions of N stars, ICRS at `epoch_jyear`. Row n of every array is the same star."""
 
     hip: Ints = array("N", "Hipparcos numbers")
     ra_rad: Floats = array("N", "right ascension")
@@ -38,18 +38,18 @@ class StarPlaces:
     epoch_jyear: float = scalar("Julian epoch of the positions, 1991.25 for Hipparcos")
 
     def take(self, index: NDArray[np.int64] | NDArray[np.bool_]) -> StarPlaces:
-        """The stars that an index array or a mask picks."""
+        """The stars selected by an index array or a mask."""
         arrays = {f.name: getattr(self, f.name)[index] for f in fields(self) if f.name != "epoch_jyear"}
         return StarPlaces(**arrays, epoch_jyear=self.epoch_jyear)
 
 
 def apparent_star_directions(stars: StarPlaces, epoch: Epoch, t_s: float, p_i: Array, v_i: Array) -> Array:
-    """Unit vectors, GCRS axes, towards stars as a satellite sees them.
+    """Apparent unit vectors towards stars from a moving satellite, GCRS axes.
 
     Parameters
     ----------
     stars : StarPlaces
-        N stars.
+        Catalogue positions of N stars.
     epoch, t_s : Epoch, float
         Instant of observation, TAI seconds since `epoch`.
     p_i, v_i : (3,) arrays
@@ -58,15 +58,14 @@ def apparent_star_directions(stars: StarPlaces, epoch: Epoch, t_s: float, p_i: A
     Returns
     -------
     u_i : (N, 3) array
+        With proper motion, parallax, light deflection by the Sun and aberration.
     """
-    times = np.array([t_s], dtype=float)
-    return apparent_star_directions_at(stars, epoch, times, np.reshape(p_i, (1, 3)), np.reshape(v_i, (1, 3)))[
-        0
-    ]
+    p, v = np.reshape(p_i, (1, 3)), np.reshape(v_i, (1, 3))
+    return apparent_star_directions_at(stars, epoch, np.array([t_s], dtype=float), p, v)[0]
 
 
 def apparent_star_directions_at(stars: StarPlaces, epoch: Epoch, t_s: Array, p_i: Array, v_i: Array) -> Array:
-    """The same for T instants `t_s` (T,), positions and velocities (T, 3); returns (T, N, 3)."""
+    """Apparent unit vectors (T, N, 3) as `apparent_star_directions`, at T instants, from states (T, 3)."""
     astrom = _observer(epoch, t_s, p_i, v_i)
     years = epoch.julian_year(t_s) - stars.epoch_jyear
     parallax = np.maximum(stars.parallax_arcsec, 0.0)
@@ -88,7 +87,7 @@ def apparent_star_directions_at(stars: StarPlaces, epoch: Epoch, t_s: Array, p_i
 
 
 def _observer(epoch: Epoch, t_s: Array, p_i: Array, v_i: Array) -> NDArray[np.void]:
-    """ERFA's star-independent parameters for a satellite (TT serves for TDB: 2 ms at most)."""
+    """ERFA's star-independent parameters (T,) of a satellite (TT in place of TDB: at most 2 ms)."""
     pv = np.zeros(len(t_s), dtype=erfa.dt_pv)
     pv["p"], pv["v"] = p_i, v_i
     return np.asarray(erfa.apcs13(*epoch.tt_jd(np.asarray(t_s, dtype=float)), pv))

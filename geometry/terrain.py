@@ -1,9 +1,8 @@
-"""The shape of the ground: surfaces that give ellipsoidal heights, and where a line of sight meets them
-first.
+"""Ground surfaces with heights above the ellipsoid, and the first intersection of a line of sight with them.
 
-`TerrainGrid` is a raster in any map projection or in degrees, bilinear between the centres of its pixels;
-heights above mean sea level are brought to the ellipsoid once, at birth. How a ray is followed over it is in
-`geometry.terrain_rays`.
+`TerrainGrid` is a raster in any map projection or in degrees, bilinear between pixel centres; heights above
+mean sea level are converted to ellipsoidal heights when it is built. `geometry.terrain_rays` holds the
+intersection of rays with a grid.
 """
 
 from __future__ import annotations
@@ -25,7 +24,7 @@ from boresight.geometry.terrain_rays import (
     HeightBounds,
     bilinear,
     bounds_of_heights,
-    crossing_by_steps,
+    crossings_by_steps,
     first_crossings,
 )
 
@@ -35,27 +34,27 @@ Array = NDArray[np.float64]
 
 _FLAT_M = 1e-6  # relief below this is a constant height
 _CHUNK = 32_768  # rays at a time: their arrays stay in the cache
-_MARGIN_M = 0.1  # a shell is so near to equal height
-_LOCAL_MAP_PX = 1e-7  # what a polynomial in the place of a map projection may be wrong by
-_STEPS = 64  # on the way from the highest to the lowest height of a surface that is not a grid
-_LONGEST_WAY_M = (200.0, 2e3, 1e4, 2.5e4)  # on the map, for polynomials of degree 2, 3, ...: L^(n+1) / R^n
+_MARGIN_M = 0.1  # deviation of a shell from equal height, at most
+_LOCAL_MAP_PX = 1e-7  # error of a polynomial in place of a map projection
+_STEPS = 64  # between the highest and the lowest height of a surface that is not a grid
+_LONGEST_PATH_M = (200.0, 2e3, 1e4, 2.5e4)  # on the map, for degree 2, 3, ...: error L^(n+1) / R^n
 
 
 class Surface(Protocol):
-    """Ground of any kind."""
+    """A ground surface."""
 
     def height_m(self, lat_rad: Array, lon_rad: Array) -> Array:
-        """Height above the ellipsoid, m, at geodetic places (N,); NaN where there is no data."""
+        """Height above the ellipsoid, m, at geodetic latitudes and longitudes (N,); NaN without data."""
         ...
 
     def height_range_m(self) -> tuple[float, float]:
-        """Lowest and highest ground of the surface."""
+        """Lowest and highest height of the surface, m."""
         ...
 
 
 @record
 class ConstantHeight:
-    """Ground at one height above the ellipsoid everywhere, m."""
+    """Ground of one height above the ellipsoid everywhere."""
 
     height: float = scalar("above the ellipsoid, m")
 
@@ -68,7 +67,7 @@ class ConstantHeight:
 
 @record
 class TerrainGrid:
-    """A raster of ellipsoidal heights. Made by `TerrainGrid.from_raster`."""
+    """A raster of heights above the ellipsoid; built by `TerrainGrid.from_raster`."""
 
     heights_m: NDArray[np.float32] = array("R, C", "above the ellipsoid at pixel centres, NaN = no data")
     transform: tuple[float, float, float, float, float, float] = array(
@@ -87,12 +86,12 @@ class TerrainGrid:
         *,
         no_data: float | None = None,
     ) -> TerrainGrid:
-        """A surface from a raster of heights.
+        """Surface from a raster of heights.
 
         Parameters
         ----------
         heights_m : (rows, columns) array
-            Heights at the centres of pixels, m. NaN and `no_data` mean that there is none.
+            Heights at the centres of pixels, m; NaN and `no_data` mark pixels without data.
         transform : six numbers
             (a, b, c, d, e, f) of rasterio's Affine: the corner of pixel (column, row) is at x = a column + b
             row + c, y = d column + e row + f, in the CRS (x east, y north; degrees if geographic).
@@ -100,6 +99,13 @@ class TerrainGrid:
             Any horizontal CRS that PROJ understands, as WKT or "EPSG:32650".
         geoid : Geoid or None
             Geoid that the heights refer to (`egm96()` for SRTM); None if they are above the ellipsoid.
+        no_data : float, optional
+            Value of pixels without data.
+
+        Raises
+        ------
+        ValueError
+            For less than 2 x 2 heights, no height at all, or a transform that cannot be inverted.
         """
         heights = np.array(heights_m, dtype=np.float32)
         if heights.ndim != 2 or min(heights.shape) < 2:
@@ -117,15 +123,14 @@ class TerrainGrid:
         return TerrainGrid(heights, (a, b, c, d, e, f), crs, bounds_of_heights(heights), local_map)
 
     def height_m(self, lat_rad: ArrayLike, lon_rad: ArrayLike) -> Array:
-        """Bilinear between the four pixel centres around; NaN if one of them has no data, or past the
-        edge."""
+        """Height above the ellipsoid, m, bilinear; NaN next to a pixel without data or outside the grid."""
         return bilinear(self.heights_m, *self.pixels_from_geodetic(lat_rad, lon_rad))
 
     def height_range_m(self) -> tuple[float, float]:
         return self.bounds.lowest_m, self.bounds.highest_m
 
     def pixels_from_geodetic(self, lat_rad: ArrayLike, lon_rad: ArrayLike) -> tuple[Array, Array]:
-        """Column and row, (0, 0) at the centre of the first pixel."""
+        """Fractional columns and rows of geodetic points, (0, 0) at the centre of the first pixel."""
         lat, lon = np.asarray(lat_rad, dtype=float), np.asarray(lon_rad, dtype=float)
         if self.local_map is not None and self.local_map.covers(lat, lon).all():
             return self.local_map.at(lat, lon)
@@ -133,18 +138,18 @@ class TerrainGrid:
         to_map = _to_map(self.crs)
         if to_map is not None:
             return _pixels_from_map(self.transform, *to_map.transform(np.degrees(lon), np.degrees(lat)))
-        # degrees; take the turn of longitude that the raster is written in
+        # degrees; shift longitudes by 360 degrees to those of the raster
         middle = c + 0.5 * (a * self.heights_m.shape[1] + b * self.heights_m.shape[0])
         x = np.degrees(lon)
         return _pixels_from_map(self.transform, x + 360.0 * np.round((middle - x) / 360.0), np.degrees(lat))
 
 
 def intersect(origin_e: Array, direction_e: Array, surface: Surface) -> Array:
-    """First point where each ray, from above all ground downwards, meets the surface.
+    """First intersection of each ray, from above all ground downwards, with the surface.
 
-    Found to 1e-6 m in height. On a grid the ray is looked at once a pixel, so that a crest which it cuts for
-    less than that may be passed. A ray whose first ground may lie where there is no data, or past the edge of
-    the surface, gives NaN, and so does one that misses.
+    Accurate to 1e-6 m in height. On a grid the ray is sampled once per pixel, so a crest that it crosses over
+    less than a pixel may be missed. NaN for a ray without intersection, and where the first one may lie
+    outside the surface or in pixels without data.
 
     Parameters
     ----------
@@ -154,6 +159,7 @@ def intersect(origin_e: Array, direction_e: Array, surface: Surface) -> Array:
     Returns
     -------
     p_e : (N, 3) array
+        Points in frame e, m.
     """
     low, high = surface.height_range_m()
     p_e = np.empty((len(origin_e), 3))
@@ -168,52 +174,52 @@ def intersect(origin_e: Array, direction_e: Array, surface: Surface) -> Array:
 
 
 def _on_flat(origin_e: Array, direction_e: Array, surface: Surface, height: float) -> Array:
-    met = ray_ellipsoid_intersection(origin_e, direction_e, height, WGS84)
+    p_e = ray_ellipsoid_intersection(origin_e, direction_e, height, WGS84)
     if isinstance(surface, ConstantHeight):
-        return met
-    lat, lon, _ = geodetic_from_ecef(met, WGS84)
-    return np.where(np.isfinite(surface.height_m(lat, lon))[:, None], met, np.nan)
+        return p_e
+    lat, lon, _ = geodetic_from_ecef(p_e, WGS84)
+    return np.where(np.isfinite(surface.height_m(lat, lon))[:, None], p_e, np.nan)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _RaysOverSurface:
-    """Rays from `top` along `way`, both (N, 3), and any surface."""
+    """Rays from `top` to `top + path`, both (N, 3), frame e, m, over any surface."""
 
     surface: Surface
     top: Array
-    way: Array
+    path: Array
 
     def above_ground(self, share: Array) -> Array:
-        lat, lon, height = geodetic_from_ecef(self.top + share[:, None] * self.way, WGS84)
+        lat, lon, height = geodetic_from_ecef(self.top + share[:, None] * self.path, WGS84)
         return height - self.surface.height_m(lat, lon)
 
     def of(self, rays: NDArray[np.int64]) -> _RaysOverSurface:
-        return _RaysOverSurface(self.surface, self.top[rays], self.way[rays])
+        return _RaysOverSurface(self.surface, self.top[rays], self.path[rays])
 
 
 def _on_relief(origin_e: Array, direction_e: Array, surface: Surface, low: float, high: float) -> Array:
-    """Follow each ray from just above the highest ground to just below the lowest."""
+    """First intersections (N, 3) on each ray from just above the highest ground to just below the lowest."""
     top = ray_shell_intersection(origin_e, direction_e, high + _MARGIN_M, WGS84)
-    way = ray_shell_intersection(origin_e, direction_e, low - _MARGIN_M, WGS84) - top
-    rays = _RaysOverSurface(surface, top, way)
+    path = ray_shell_intersection(origin_e, direction_e, low - _MARGIN_M, WGS84) - top
+    rays = _RaysOverSurface(surface, top, path)
     if not isinstance(surface, TerrainGrid):
-        share = crossing_by_steps(rays, len(top), _STEPS)
-        return np.asarray(top + share[:, None] * way)
-    level2 = np.einsum("ni,ni->n", way, way) - (high - low) ** 2
-    longest = float(np.nanmax(level2, initial=0.0)) ** 0.5
-    degree = 2 + int(np.searchsorted(_LONGEST_WAY_M, longest))
+        share = crossings_by_steps(rays, len(top), _STEPS)
+        return np.asarray(top + share[:, None] * path)
+    horizontal2 = np.einsum("ni,ni->n", path, path) - (high - low) ** 2
+    longest = float(np.nanmax(horizontal2, initial=0.0)) ** 0.5
+    degree = 2 + int(np.searchsorted(_LONGEST_PATH_M, longest))
     tracks = np.empty((degree + 1, 3, len(top)))
     for k, track in enumerate(tracks):
-        lat, lon, track[2] = geodetic_from_ecef(top + (k / degree) * way, WGS84)
+        lat, lon, track[2] = geodetic_from_ecef(top + (k / degree) * path, WGS84)
         track[0], track[1] = surface.pixels_from_geodetic(lat, lon)
     share = first_crossings(surface.heights_m, surface.bounds, tracks)
-    return np.asarray(top + share[:, None] * way)
+    return np.asarray(top + share[:, None] * path)
 
 
 def _add_undulations(
     heights: NDArray[np.float32], transform: tuple[float, ...], crs: str, geoid: Geoid
 ) -> None:
-    """Raise heights above mean sea level to heights above the ellipsoid, in place, some rows at a time."""
+    """Convert heights above mean sea level to heights above the ellipsoid, in place, in blocks of rows."""
     a, b, c, d, e, f = transform
     rows, columns = heights.shape
     to_map = _to_map(crs)
@@ -239,7 +245,7 @@ def _pixels_from_map(transform: tuple[float, ...], x: ArrayLike, y: ArrayLike) -
 
 
 def _local_map(transform: tuple[float, ...], shape: tuple[int, ...], crs: str) -> LocalMap | None:
-    """A polynomial in the place of a map projection over a raster; None in degrees, or if none is good."""
+    """Polynomial in place of a map projection over a raster; None in degrees, or if none is accurate."""
     to_map = _to_map(crs)
     if to_map is None:
         return None
@@ -265,7 +271,7 @@ def _local_map(transform: tuple[float, ...], shape: tuple[int, ...], crs: str) -
 
 @lru_cache(maxsize=16)
 def _to_map(crs: str) -> Transformer | None:
-    """From longitude and latitude (WGS84, degrees) to a map; None if the map is just that."""
+    """Transformer from longitude and latitude (WGS84, degrees) to a CRS; None if the CRS is EPSG:4326."""
     target = CRS.from_user_input(crs)
     if target.is_geographic and target.to_epsg(min_confidence=20) == 4326:
         return None

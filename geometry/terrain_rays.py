@@ -1,9 +1,9 @@
-"""Rays over a grid of heights, in the grid's own pixels: where each first comes down to the ground.
+"""First intersection of rays with a grid of heights, in the grid's pixel coordinates.
 
-A ray is given by a few points (column, row, height) from its beginning above all ground to its end below it,
-and is the polynomial through them in the share u of its way, 0 to 1. It is first shortened by the highest and
-lowest ground of the tiles around it, coarse to fine; then looked at once a pixel until it is below ground;
-then the crossing is narrowed.
+A ray is the polynomial through a few points (column, row, height), in the parameter u from 0 (above all
+ground) to 1 (below all ground). Three steps: the interval of u is reduced by the highest and lowest ground of
+the tiles around the ray, coarse to fine (`_possible_interval`); the ray is sampled once per pixel until it is
+below ground (`_first`); the crossing is refined by regula falsi (`_refined`).
 """
 
 from __future__ import annotations
@@ -22,37 +22,37 @@ __all__ = [
     "HeightBounds",
     "bilinear",
     "bounds_of_heights",
-    "crossing_by_steps",
+    "crossings_by_steps",
     "first_crossings",
 ]
 
 Array = NDArray[np.float64]
 
 _TILE = 8  # pixels a side of the finest tiles
-_GROWTH = 4
-_BAND = 64 * _TILE  # rows at a time when the bounds are made
-_MARGIN_M = 1e-4  # beyond the bounds of tiles
-_CLEARANCE_M = 1e-7
-_NARROWINGS = 60
-_UNKNOWN_RISE_M = 1e9  # at holes and past the edge
-_SURELY = 0.8  # height falls by a few per cent less at the end of a long way than at its beginning
+_GROWTH = 4  # tile size from level to level
+_BAND = 64 * _TILE  # rows per block in `bounds_of_heights`
+_MARGIN_M = 1e-4  # added to the bounds of tiles
+_CONVERGED_M = 1e-7
+_REFINEMENTS = 60
+_UNKNOWN_RISE_M = 1e9  # at pixels without data and outside the grid
+_SAFETY = 0.8  # on a long path height decreases a few per cent more slowly at the end
 
 
 class Clearance(Protocol):
-    """Rays over ground."""
+    """Height of rays above ground, as a function of their parameter."""
 
     def above_ground(self, share: Array) -> Array:
-        """Height of each ray above the ground at shares (N,) of its way; NaN where there is no data."""
+        """Height of each ray above ground, m, at parameters (N,), 0 to 1; NaN without data."""
         ...
 
     def of(self, rays: NDArray[np.int64]) -> Clearance:
-        """Some of the rays."""
+        """The same function for some of the rays (indices)."""
         ...
 
 
 @record(kw_only=True)
 class HeightBounds:
-    """Lowest and highest ground in and around square tiles, on several levels of tile size."""
+    """Lowest and highest ground of square tiles with their neighbours, on several levels of tile size."""
 
     lowest_m: float = scalar("lowest ground of the grid")
     highest_m: float = scalar("highest ground of the grid")
@@ -66,7 +66,7 @@ class HeightBounds:
 
 
 def bounds_of_heights(heights: NDArray[np.float32]) -> HeightBounds:
-    """Bounds of a grid of heights, NaN = no data."""
+    """Bounds of a grid of heights (rows, columns), m, NaN = no data."""
     bands = [_finest_bounds(heights, first) for first in range(0, len(heights), _BAND)]
     low, high, rise = (np.concatenate(parts) for parts in zip(*bands))
     lowest, highest = float(low.min()), float(high.max())
@@ -92,12 +92,12 @@ def bounds_of_heights(heights: NDArray[np.float32]) -> HeightBounds:
 
 
 def _finest_bounds(heights: NDArray[np.float32], first: int) -> tuple[Array, Array, Array]:
-    """Lowest and highest ground and greatest rise a pixel in the finest tiles of a band of rows."""
+    """Lowest and highest ground and greatest rise per pixel in the finest tiles of a block of rows."""
     band = heights[first : first + _BAND]
     unknown = np.isnan(band)
     low = _tiles(np.where(unknown, np.inf, band), _TILE, np.inf).min(axis=(1, 3))
     high = _tiles(np.where(unknown, -np.inf, band), _TILE, -np.inf).max(axis=(1, 3))
-    # |d height / d column| + |d height / d row| in each cell; the last row and column of pixels begin none
+    # |d height / d column| + |d height / d row| in each cell; none begins at the last row or column
     cells = heights[first : first + _BAND + 1]
     along_row, along_column = np.abs(np.diff(cells, axis=1)), np.abs(np.diff(cells, axis=0))
     rise = np.maximum(along_row[1:], along_row[:-1]) + np.maximum(along_column[:, 1:], along_column[:, :-1])
@@ -108,8 +108,7 @@ def _finest_bounds(heights: NDArray[np.float32], first: int) -> tuple[Array, Arr
 
 
 def bilinear(heights: NDArray[np.float32], column: Array, row: Array) -> Array:
-    """Heights at fractional pixels, (0, 0) at the centre of the first; NaN past the edge or beside no
-    data."""
+    """Heights (N,), m, at fractional pixels, (0, 0) at the first centre; NaN outside or next to no data."""
     rows, columns = heights.shape
     inside = (column >= 0.0) & (column <= columns - 1.0) & (row >= 0.0) & (row <= rows - 1.0)
     x, y = np.where(inside, column, 0.0), np.where(inside, row, 0.0)
@@ -124,33 +123,33 @@ def bilinear(heights: NDArray[np.float32], column: Array, row: Array) -> Array:
 
 
 def first_crossings(heights: NDArray[np.float32], bounds: HeightBounds, tracks: Array) -> Array:
-    """Share of the way, (N,), at which rays first meet the ground; NaN where they do not, or it is not known.
+    """Parameters (N,) of the first intersections of rays with the ground; NaN without one or without data.
 
     Parameters
     ----------
     heights : (rows, columns) array
     bounds : HeightBounds
-        Of these heights.
+        Bounds of these heights.
     tracks : (K, 3, N) array
-        Column, row and height at K >= 3 even steps from the beginning to the end of the way.
+        Column, row and height at K >= 3 evenly spaced parameters from 0 to 1.
     """
     curve = _Polynomials.through(heights, tracks)
-    start, stop, rise = _shortened(curve, bounds)
+    start, stop, rise = _possible_interval(curve, bounds)
     pixels = curve.pixels()
-    # A ray that falls faster than any ground here can fall meets it once: nothing to look for on the way.
-    once = rise * pixels < -np.sum(curve.coefficients[1:, 2], axis=0) * _SURELY
+    # A ray steeper than any slope of the ground here has one intersection: no sampling is needed.
+    once = rise * pixels < -np.sum(curve.coefficients[1:, 2], axis=0) * _SAFETY
     steps = np.where(once, 1.0, np.maximum(np.ceil((stop - start) * pixels), 1.0))
     return _first(curve, start, stop, np.nan_to_num(np.where(stop >= start, steps, 0.0)))
 
 
-def crossing_by_steps(clearance: Clearance, n: int, steps: int) -> Array:
-    """The share for any surface and N rays, whose height above ground is looked at in so many even steps."""
+def crossings_by_steps(clearance: Clearance, n: int, steps: int) -> Array:
+    """Parameters (n,) of the first intersections of n rays with any surface, sampled in even steps."""
     return _first(clearance, np.zeros(n), np.ones(n), np.full(n, float(steps)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Polynomials:
-    """Rays in pixels: column, row and height as polynomials in the share of the way."""
+    """Rays in pixels: column, row and height as polynomials in the parameter."""
 
     heights: NDArray[np.float32]
     coefficients: Array  # (K, 3, N), constant first
@@ -177,19 +176,19 @@ class _Polynomials:
         return value
 
     def pixels(self) -> Array:
-        """Pixels that the whole way goes over at most, along the row or the column, whichever is more."""
+        """Upper bound (N,) of the pixels crossed, along rows or columns, whichever is more."""
         return np.max(np.sum(np.abs(self.coefficients[1:, :2]), axis=0), axis=0)
 
     def share_at_height(self, height: Array) -> Array:
-        """Height falls along the way, and hardly faster at its beginning than at its end: Newton's method."""
+        """Parameters (N,) at heights (N,), by one Newton step (height is nearly linear in the parameter)."""
         share = (self.coefficients[0, 2] - height) / np.sum(-self.coefficients[1:, 2], axis=0)
         slope = self.coefficients[1, 2] + 2.0 * share * self.coefficients[2, 2]
         return share - (self.at(share)[2] - height) / slope
 
 
-def _shortened(curve: _Polynomials, bounds: HeightBounds) -> tuple[Array, Array, Array]:
-    """Shares between which each ray can meet ground, by the tiles it is over; start > stop if it cannot. Also
-    the most that ground rises there over a pixel.
+def _possible_interval(curve: _Polynomials, bounds: HeightBounds) -> tuple[Array, Array, Array]:
+    """Parameters between which each ray can intersect the ground, start > stop if it cannot, and the greatest
+    rise of the ground over a pixel there: three arrays (N,).
     """
     pixels = curve.pixels()
     start: Array = np.zeros(len(pixels))
@@ -220,7 +219,7 @@ def _tile_index(pixel: Array, size: int, count: int) -> NDArray[np.int64]:
 
 
 def _tiles(values: Array, size: int, fill: float) -> Array:
-    """(rows, columns) as (tile rows, size, tile columns, size), filled up at the end."""
+    """(rows, columns) reshaped to (tile rows, size, tile columns, size), padded with `fill`."""
     rows, columns = (-(-length // size) * size for length in values.shape)
     padded = np.pad(
         values, ((0, rows - values.shape[0]), (0, columns - values.shape[1])), constant_values=fill
@@ -229,42 +228,42 @@ def _tiles(values: Array, size: int, fill: float) -> Array:
 
 
 def _first(clearance: Clearance, start: Array, stop: Array, steps: Array) -> Array:
-    """First change from above ground to below it between `start` and `stop`, looked at in so many steps."""
+    """First parameter (N,) where a ray changes from above to below ground, sampled in `steps` (N,) steps."""
     share = np.full(len(start), np.nan)
     rays: NDArray[np.int64] = np.flatnonzero(steps > 0.0)
-    going = clearance if len(rays) == len(start) else clearance.of(rays)
+    active = clearance if len(rays) == len(start) else clearance.of(rays)
     step = (stop[rays] - start[rays]) / steps[rays]
     left = start[rays]
-    above = going.above_ground(left)
+    above = active.above_ground(left)
     k = 0
     while len(rays):
         k += 1
         right = left + step
-        below = going.above_ground(right)
+        below = active.above_ground(right)
         crossed = below <= 0.0
         done: NDArray[np.int64] = np.flatnonzero(crossed)
         if len(done):
-            here = going if len(done) == len(rays) else going.of(done)
-            share[rays[done]] = _narrowed(here, left[done], right[done], above[done], below[done])
+            here = active if len(done) == len(rays) else active.of(done)
+            share[rays[done]] = _refined(here, left[done], right[done], above[done], below[done])
         kept: NDArray[np.int64] = np.flatnonzero(~crossed & (k < steps[rays]))
         left, above = right, below
         if len(kept) < len(rays):
-            going = going.of(kept)
+            active = active.of(kept)
             rays, step, left, above = rays[kept], step[kept], left[kept], above[kept]
     return share
 
 
-def _narrowed(clearance: Clearance, left: Array, right: Array, above: Array, below: Array) -> Array:
-    """Root between `left` (above ground) and `right` (below) by regula falsi with halved weights (Illinois).
+def _refined(clearance: Clearance, left: Array, right: Array, above: Array, below: Array) -> Array:
+    """Root (N,) between `left` (above ground) and `right` (below) by regula falsi (Illinois variant).
 
-    NaN where the ground is not known at `left`, or at any point that is looked at.
+    NaN where a sampled point has no data.
     """
     known = above >= 0.0
     root = np.where(known, right, np.nan)
-    active: NDArray[np.int64] = np.flatnonzero(known & (below < -_CLEARANCE_M))
+    active: NDArray[np.int64] = np.flatnonzero(known & (below < -_CONVERGED_M))
     a, b, fa, fb = left[active], right[active], above[active], below[active]
     here = clearance.of(active) if len(active) < len(left) else clearance
-    for iteration in range(_NARROWINGS):
+    for iteration in range(_REFINEMENTS):
         if len(active) == 0:
             break
         c = b - fb * (b - a) / (fb - fa) if iteration % 8 != 7 else 0.5 * (a + b)
@@ -273,7 +272,7 @@ def _narrowed(clearance: Clearance, left: Array, right: Array, above: Array, bel
         other_side = fc * fb < 0.0
         a, fa = np.where(other_side, b, a), np.where(other_side, fb, 0.5 * fa)
         b, fb = c, fc
-        more: NDArray[np.int64] = np.flatnonzero(np.abs(fc) > _CLEARANCE_M)
+        more: NDArray[np.int64] = np.flatnonzero(np.abs(fc) > _CONVERGED_M)
         if len(more) < len(active):
             active, a, b, fa, fb, here = active[more], a[more], b[more], fa[more], fb[more], here.of(more)
     return root

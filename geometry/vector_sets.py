@@ -1,4 +1,4 @@
-"""Star and target vectors of many attitudes, one instant each, as in the paper's simulations."""
+"""Star and target vectors of many frames, each with one attitude, as in the paper's simulations."""
 
 from __future__ import annotations
 

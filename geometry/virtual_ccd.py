@@ -1,10 +1,10 @@
-"""One ideal line in the place of several staggered detectors (paper, section 3.1).
+"""The virtual CCD: one ideal line in place of several staggered detectors (paper, section 3.1).
 
-The virtual CCD is the straight line through the focal plane that fits the look directions of all real pixels
-best (paper, eqs. 26-27), divided into equal pixels of an ideal pinhole camera. Raw images are brought to it
-over the ground: where a virtual pixel meets the mean elevation plane, which pixel of the real CCD saw that
-place? Ground d metres off that plane is shifted by stagger / focal length times d; with a terrain in the
-plane's place it is not.
+The virtual CCD is the straight line in the focal plane that best fits the look directions of all real pixels
+(paper, eqs. 26-27), divided into equal pixels of an ideal pinhole camera. Raw images are resampled to it by
+way of the ground: the ground point of a virtual pixel on the mean elevation plane is projected into the real
+CCD. Ground d metres off that plane is displaced by stagger / focal length times d; with a terrain in place of
+the plane there is no displacement.
 """
 
 from __future__ import annotations
@@ -30,17 +30,17 @@ ReadStrip = Callable[
     [int, int, int, int, int], NDArray
 ]  # ccd, line0, line1, sample0, sample1 -> (lines, samples)
 
-_NODE_LINES = 16  # lattice on which the way between the images is worked out, cubics between:
+_NODE_LINES = 16  # lattice of the mapping between the images, cubics between:
 _NODE_SAMPLES = 96  # 1 ms of motion and 50 m of ground
-_MARGIN_PX = 5  # what the interpolation needs around
+_MARGIN_PX = 5  # support of the interpolation
 _BLOCK_LINES = 512
 
 
 def virtual_camera(camera: LineCamera, pixel_m: float | None = None) -> LineCamera:
-    """The virtual CCD of a camera, as a camera with one ideal detector (paper, eqs. 26-27).
+    """Camera with one ideal detector, the virtual CCD of `camera` (paper, eqs. 26-27).
 
-    `pixel_m` is the virtual pixel; without it the mean of the real ones. The virtual line begins and ends
-    where the real detectors do. Its rows bear the middle of their exposure as their time.
+    `pixel_m` is the pitch of the virtual pixels, by default the mean of the real ones. The virtual line has
+    the ends of the real detectors; time labels of its rows are those of the middle of their exposure.
     """
     points = np.vstack([ccd.focal_plane(np.arange(ccd.n_px)) for ccd in camera.ccds])
     along, across = points[:, 1], points[:, 0]
@@ -61,9 +61,10 @@ def virtual_camera(camera: LineCamera, pixel_m: float | None = None) -> LineCame
 
 @record
 class VirtualStrip:
-    """A strip of several CCDs, and the same strip as the virtual CCD would have taken it.
+    """A strip of several CCDs, and the strip as the virtual CCD would image it (`virtual`).
 
-    Line n of the virtual image is taken at the same instant as line n of the real ones.
+    Line n of the virtual image has the instant of line n of the real ones. Raises `TypeError` unless the
+    camera is a `LineCamera`.
     """
 
     real: Pushbroom = scalar("the strip with its real CCDs; its camera is a `LineCamera`")
@@ -89,12 +90,11 @@ class VirtualStrip:
         return self.virtual.camera.n_px(0)
 
     def seams(self, line: float) -> list[tuple[int, float, float]]:
-        """For each CCD in order along the line: its index, and the virtual samples at which its part begins
-        and ends, about a line of the virtual image.
+        """Index, first and last virtual sample of each CCD's part of the virtual line, in order, near `line`.
 
-        A seam runs in the middle of what two neighbours both saw, or of the gap between them. The ground
-        moves across between the instants at which staggered detectors pass it, so this is not quite the
-        middle of their overlap in the focal plane.
+        A seam is in the middle of the overlap of two neighbours on the ground, or of the gap between them.
+        The ground moves across between the instants of staggered detectors, so this is not exactly the middle
+        of their overlap in the focal plane.
         """
         ends = []
         for k in range(self._camera.n_ccds):
@@ -111,17 +111,17 @@ class VirtualStrip:
         return parts
 
     def source_pixels(self, ccd: int, sample: Array, line: Array) -> tuple[Array, Array]:
-        """Which pixels (sample, line) of a real CCD see the ground that virtual pixels (N,) see."""
+        """Pixels (sample (N,), line (N,)) of a real CCD that see the ground points of virtual pixels (N,)."""
         ground = self.virtual.ground_points(0, sample, line, self.surface)
         return self.real.pixels_from_ground(ccd, ground)
 
     def resampled(
         self, ccd: int, read: ReadStrip, n_lines: int, lines: tuple[int, int], samples: tuple[int, int]
     ) -> Image:
-        """A window of the virtual image as seen by one CCD: (lines, samples), NaN where that CCD saw nothing.
+        """Window (lines, samples) of the virtual image resampled from one CCD, NaN outside that CCD's image.
 
-        Lanczos over 8 x 8 px, at places rounded to 1/32 px. `read` gives windows of the raw images, which
-        have `n_lines` lines.
+        Lanczos interpolation over 8 x 8 px, at positions rounded to 1/32 px. `read` returns windows of the
+        raw images, which have `n_lines` lines.
         """
         at_line, at_sample = np.arange(*lines, dtype=float), np.arange(*samples, dtype=float)
         node_lines = _nodes(at_line, _NODE_LINES)
@@ -156,7 +156,7 @@ class VirtualStrip:
         return np.asarray(image, dtype=np.float32)
 
     def stitched(self, read: ReadStrip, n_lines: int, lines: tuple[int, int]) -> Image:
-        """Lines of the virtual image from all CCDs: (lines, `width_px`), NaN where none saw the ground."""
+        """Lines (lines, `width_px`) of the virtual image from all CCDs, NaN where none imaged the ground."""
         image: Image = np.full((lines[1] - lines[0], self.width_px), np.nan, dtype=np.float32)
         for ccd, begin, end in self.seams(0.5 * (lines[0] + lines[1])):
             first, last = max(0, int(np.ceil(begin))), min(self.width_px, int(np.ceil(end)))
@@ -175,12 +175,14 @@ class VirtualStrip:
 
 
 def _nodes(at: Array, step: int) -> Array:
-    """Evenly spaced nodes, five or more, from the first to the last of `at`, about `step` apart."""
+    """Evenly spaced nodes, five or more, from the first to the last of `at`, at most `step` apart."""
     count = max(4, int(np.ceil((at[-1] - at[0]) / step)))
     return np.asarray(at[0] + np.arange(count + 1) * (max(at[-1] - at[0], 1.0) / count), dtype=np.float64)
 
 
 def _window(pixel: Array, size: int) -> tuple[int, int]:
-    """The part of a raw image's axis that holds some places, with what interpolation needs around."""
+    """Range of pixels along one axis of a raw image that holds positions, with the interpolation's
+    support.
+    """
     low, high = float(np.nanmin(pixel)), float(np.nanmax(pixel))
     return max(0, int(np.floor(low)) - _MARGIN_PX), min(size, int(np.ceil(high)) + _MARGIN_PX + 1)

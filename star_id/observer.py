@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from boresight.geometry.epoch import Epoch
-from boresight.geometry.ground_site import Air, lifted_by_air
+from boresight.geometry.ground_site import Air, refract_by_air
 from boresight.geometry.record import Floats, Ints, array, record, scalar
 from boresight.geometry.starlight import apparent_star_directions
 from boresight.star_id.identification.triangle_index import StarIndex
@@ -39,4 +39,4 @@ def star_directions(index: StarIndex, rows: Ints, observer: Observer | None) -> 
     u_i = apparent_star_directions(
         index.stars.take(rows), observer.epoch, observer.t_s, observer.p_i, observer.v_i
     )
-    return u_i if observer.air is None else lifted_by_air(u_i, observer.air)
+    return u_i if observer.air is None else refract_by_air(u_i, observer.air)

@@ -10,7 +10,7 @@ from boresight.geometry.constants import ARCSEC
 from boresight.geometry.earth_orientation import bundled_earth_orientation
 from boresight.geometry.earth_rotation import EarthRotation
 from boresight.geometry.epoch import Epoch
-from boresight.geometry.ground_site import GroundSite, lifted_by_air
+from boresight.geometry.ground_site import GroundSite, refract_by_air
 from boresight.geometry.starlight import StarPlaces, apparent_star_directions
 
 UTC = "2019-07-29T20:47:26"
@@ -41,7 +41,7 @@ def test_stars_stand_over_the_horizon_where_astropy_sees_them():
     earth = EarthRotation.over(epoch, 0.0, 1.0, bundled_earth_orientation())
     state = SITE.at(earth, 0.0)
     outside = apparent_star_directions(stars, epoch, 0.0, state.p_i, state.v_i)
-    seen = lifted_by_air(outside, state.air)
+    seen = refract_by_air(outside, state.air)
     iers.conf.auto_download = False
     frame = AltAz(
         obstime=Time(UTC, scale="utc"),
@@ -66,7 +66,7 @@ def test_refraction_keeps_the_vertical_plane_and_the_length():
     u /= np.linalg.norm(u, axis=1)[:, None]
     epoch = Epoch.from_utc(UTC + "Z")
     air = SITE.at(EarthRotation.over(epoch, 0.0, 1.0, bundled_earth_orientation()), 0.0).air
-    seen = lifted_by_air(u, air)
+    seen = refract_by_air(u, air)
     assert np.abs(np.linalg.norm(seen, axis=1) - 1.0).max() < 1e-14
     across = np.cross(u, air.zenith_i)
     assert np.abs(np.einsum("ni,ni->n", across, seen)).max() < 1e-14

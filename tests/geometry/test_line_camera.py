@@ -117,7 +117,7 @@ def test_impossible_detectors_are_refused():
         plain(distortion_samples=[5.0, 3.0], distortion_offsets_m=[0.0, 0.0])
     with pytest.raises(ValueError, match="offsets"):
         plain(distortion_samples=[3.0, 5.0], distortion_offsets_m=[0.0])
-    with pytest.raises(ValueError, match="turns the order"):
+    with pytest.raises(ValueError, match="reverses the order"):
         plain(distortion_samples=[0.0, 6000.0], distortion_offsets_m=[0.0, 0.1])
     with pytest.raises(ValueError, match="at least one"):
         LineCamera(10.0, ())
