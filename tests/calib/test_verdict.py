@@ -128,7 +128,7 @@ def test_targets_listed_many_times_are_named():
 
 
 def test_residuals_much_smaller_than_stated_refute():
-    strips = drawn(4, strips=6, sigma_target_m=0.0, sigma_vibration_rad=0.0)
+    strips = drawn(4, targets=60, sigma_target_m=0.0, sigma_vibration_rad=0.0)
     stated = [replace(s, ground=replace(s.ground, cov_c=25.0 * s.ground.cov_c)) for s in strips]
     (failed,) = verdict_on(stated, CalibrationSettings(sigma_vibration_rad=0.0)).refuted_by
     assert failed.kind is CheckKind.TARGET_RESIDUALS and failed.statistic < 0.2 * failed.n
