@@ -12,7 +12,6 @@ target still counts.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -28,7 +27,6 @@ __all__ = [
     "FrameCalibration",
     "PreparedFrames",
     "calibrate_frames",
-    "calibrate_stream",
     "frame_pairs",
     "prepare_frames",
 ]
@@ -47,7 +45,7 @@ class PreparedFrames:
     F_s: Array  # (K, 3, 3) its information, frame s
     F_c: Array  # (K, 3, 3) the targets' attitude information, frame c
     profile: Array  # (K, 3, 3) sum w (R_si v)ᵀ / σ²: c by s
-    telling: NDArray[
+    is_informative: NDArray[
         np.bool_
     ]  # (K,) two stars and a target at least: a frame with less says nothing of theta
 
@@ -80,8 +78,8 @@ def prepare_frames(frames: VectorSets) -> PreparedFrames:
         sums_over(frames.target_start, weight), _profile(frames.target_start, frames.w_c, weighted)
     )
     profile = _profile(frames.target_start, weighted, frames.v_targets) @ R_is
-    telling = (np.diff(frames.star_start) >= 2) & (np.diff(frames.target_start) >= 1)
-    return PreparedFrames(R_is, F_s, F_c, profile, telling)
+    is_informative = (np.diff(frames.star_start) >= 2) & (np.diff(frames.target_start) >= 1)
+    return PreparedFrames(R_is, F_s, F_c, profile, is_informative)
 
 
 def frame_pairs(prepared: PreparedFrames, R_cs: Rotation) -> tuple[Array, Array]:
@@ -91,12 +89,12 @@ def frame_pairs(prepared: PreparedFrames, R_cs: Rotation) -> tuple[Array, Array]
     T = prepared.profile @ C.T  # sum w (R_cs R_si v)ᵀ / σ²
     b = np.stack([T[:, 1, 2] - T[:, 2, 1], T[:, 2, 0] - T[:, 0, 2], T[:, 0, 1] - T[:, 1, 0]], axis=1)
     both = F_s + prepared.F_c
-    both[~prepared.telling] = np.eye(3)
+    both[~prepared.is_informative] = np.eye(3)
     shared = np.linalg.solve(both, np.concatenate([F_s, b[:, :, None]], axis=2))
     left = F_s @ shared
     F = F_s - left[:, :, :3]
     F, F_theta = 0.5 * (F + F.transpose(0, 2, 1)), left[:, :, 3]
-    F[~prepared.telling], F_theta[~prepared.telling] = 0.0, 0.0
+    F[~prepared.is_informative], F_theta[~prepared.is_informative] = 0.0, 0.0
     return F, F_theta
 
 
@@ -127,28 +125,6 @@ def calibrate_frames(
     raise ValueError(
         f"M is {np.linalg.norm(steps[-1]):.2g} rad from the unit matrix after {most_iterations} iterations"
     )
-
-
-def calibrate_stream(
-    chunks: Iterable[VectorSets], R_cs0: Rotation, *, sigma_observable_rad: float = 1e-3
-) -> tuple[Rotation, Solution, InformationTotal]:
-    """The installation matrix from any number of frames in chunks, of which only one is held at a time.
-
-    The first chunk alone brings M to the unit matrix; all are then summed, exactly, about its matrix. The
-    last step is as small as the first chunk's own error, and what it leaves out is the square of that: for
-    0.1 arcsec, 1e-8 arcsec. Returns R_cs, the solution about the first chunk's matrix, and the total, which
-    merges with others.
-    """
-    total: InformationTotal | None = None
-    for chunk in chunks:
-        if total is None:
-            reference = calibrate_frames(chunk, R_cs0, sigma_observable_rad=sigma_observable_rad).R_cs
-        more = _total(*frame_pairs(prepare_frames(chunk), reference), reference)
-        total = more if total is None else total.merged(more)
-    if total is None:
-        raise ValueError("no frames were given")
-    solution = solve_total(total.F, total.F_theta, sigma_observable_rad=sigma_observable_rad)
-    return deviation_from_theta(solution.theta) * reference, solution, total
 
 
 _ROWS, _COLUMNS = np.triu_indices(3)

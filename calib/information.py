@@ -39,11 +39,6 @@ class ExactSum:
         """The exact sum over the first axis of `rows` (K, m)."""
         return cls(tuple(_expansion(column) for column in np.asarray(rows, dtype=float).T.tolist()))
 
-    def merged(self, other: ExactSum) -> ExactSum:
-        if len(self.parts) != len(other.parts):
-            raise ValueError(f"sums of {len(self.parts)} and {len(other.parts)} columns cannot be merged")
-        return ExactSum(tuple(_expansion([*a, *b]) for a, b in zip(self.parts, other.parts)))
-
     def rounded(self) -> Array:
         """(m,) the sums, rounded to double precision once."""
         return np.array([part[0] if part else 0.0 for part in self.parts])
@@ -164,11 +159,6 @@ class InformationTotal:
     sums: ExactSum  # upper triangle of F, row by row, then F_theta
     R_cs_ref: Rotation
     shared: tuple[str, ...] = field(default=())
-
-    def merged(self, other: InformationTotal) -> InformationTotal:
-        if self.shared != other.shared or not _same_reference(self.R_cs_ref, other.R_cs_ref):
-            raise ValueError("totals merge exactly only about one reference and with the same unknowns")
-        return InformationTotal(self.sums.merged(other.sums), self.R_cs_ref, self.shared)
 
     @property
     def n(self) -> int:

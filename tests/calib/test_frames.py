@@ -1,4 +1,4 @@
-"""Many frames at once: ragged, in chunks, and at the bound."""
+"""Many frames at once: ragged, and at the bound."""
 
 from dataclasses import replace
 
@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from boresight.calib.frames import calibrate_frames, calibrate_stream, frame_pairs, prepare_frames
+from boresight.calib.frames import calibrate_frames, frame_pairs, prepare_frames
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.installation import deviation_from_theta, theta_between
 from boresight.geometry.vector_sets import VectorSets
@@ -55,27 +55,6 @@ def test_ragged_frames_give_what_each_gives_alone():
         np.testing.assert_allclose(F[k], one_F[0], rtol=0, atol=1e-12 * np.abs(F[k]).max())
         np.testing.assert_allclose(F_theta[k], one_F_theta[0], rtol=0, atol=1e-9 * np.abs(F_theta[k]).max())
     assert not np.any(F[[2, 3, 4]]) and not np.any(F_theta[[2, 3, 4]])  # no stars, no targets, one star
-
-
-def test_chunks_give_what_the_whole_gives_whatever_their_size():
-    parts = [drawn(n, seed) for n, seed in ((40, 1), (7, 2), (100, 3))]
-    R_cs, solution, total = calibrate_stream(iter(parts), R_CS0)
-    whole = VectorSets(
-        **{
-            name: np.concatenate([[0], np.cumsum(np.concatenate([np.diff(getattr(p, name)) for p in parts]))])
-            if name.endswith("start")
-            else np.concatenate([getattr(p, name) for p in parts])
-            for name in VectorSets.__dataclass_fields__
-        }
-    )
-    at_once = calibrate_frames(whole, R_CS0)
-    assert np.linalg.norm(theta_between(R_cs, at_once.R_cs)) < 1e-6 * ARCSEC  # second order in 0.5 arcsec
-    np.testing.assert_allclose(
-        solution.covariance, at_once.solution.covariance, rtol=1e-5
-    )  # half an arcsec apart
-    assert total.n == 3
-    with pytest.raises(ValueError, match="no frames"):
-        calibrate_stream(iter([]), R_CS0)
 
 
 def test_errors_are_at_the_bound_and_unbiased():

@@ -1,5 +1,7 @@
 """Sums that do not depend on their order, and what may be concluded from them."""
 
+from fractions import Fraction
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -26,24 +28,21 @@ def pairs_of(n, seed=0, prefix="p", shared=()):
 @given(
     st.lists(st.floats(-1e30, 1e30, allow_subnormal=False), min_size=1, max_size=30),
     st.randoms(use_true_random=False),
-    st.integers(0, 30),
 )
-def test_exact_sum_is_one_and_the_same_in_any_order_and_any_groups(numbers, random, cut):
-    column = np.array(numbers)[:, None]
+def test_exact_sum_is_that_of_fractions_in_any_order(numbers, random):
     shuffled = list(numbers)
     random.shuffle(shuffled)
-    other = np.array(shuffled)[:, None]
-    whole = ExactSum.of(column)
-    assert ExactSum.of(other[cut:]).merged(ExactSum.of(other[:cut])) == whole
+    whole = ExactSum.of(np.array(numbers)[:, None])
+    assert ExactSum.of(np.array(shuffled)[:, None]) == whole
+    assert sum(map(Fraction, whole.parts[0])) == sum(map(Fraction, numbers))
+    assert whole.rounded()[0] == float(sum(map(Fraction, numbers)))
 
 
 def test_pairs_merge_to_the_same_bits_in_any_order():
     a, b = pairs_of(7, 1, "a"), pairs_of(5, 2, "b")
     one, two = a.merged(b).total(), b.merged(a).total()
-    three = b.total().merged(a.total())
-    for total in (two, three):
-        assert total.F.tobytes() == one.F.tobytes()
-        assert total.F_theta.tobytes() == one.F_theta.tobytes()
+    assert two.F.tobytes() == one.F.tobytes()
+    assert two.F_theta.tobytes() == one.F_theta.tobytes()
 
 
 def test_nothing_is_counted_twice():
