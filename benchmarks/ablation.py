@@ -38,9 +38,10 @@ from boresight.geometry.line_camera import Ccd, LineCamera
 from boresight.geometry.orbit import Orbit
 from boresight.geometry.pushbroom import Pushbroom, RowClock
 from boresight.geometry.sightings import GroundSightings, StarSightings, StripSightings, isotropic_covariance
-from boresight.geometry.star_camera import StarCamera
 from boresight.geometry.starlight import StarPlaces, apparent_star_directions_at
 from boresight.geometry.terrain import ConstantHeight
+from boresight.simulator.cameras import star_camera
+from boresight.simulator.scenario import StarCameraSettings
 from boresight.star_id.catalogue import hipparcos_stars
 
 Array = NDArray[np.float64]
@@ -48,17 +49,7 @@ Array = NDArray[np.float64]
 PASSES, TARGETS, LINES, PERIOD_S, TDI = 16, 24, 26_000, 6.6e-5, 32
 EXPOSURES_S = -0.5 + 0.2 * np.arange(14)  # around a strip from 0 to 1.72 s
 SIGMA_S, SIGMA_C_PX = 0.06 * 6.4e-6 / 0.1, 0.3
-STAR_CAMERA = StarCamera(
-    focal_m=0.1,
-    pixel_m=6.4e-6,
-    width_px=5120,
-    height_px=3840,
-    principal_px=(2560.0, 1920.0),
-    p1=2.29e-5,
-    p2=-2.96e-5,
-    q1=-9.30e-7,
-    q2=-4.25e-9,
-)
+STAR_CAMERA = star_camera(StarCameraSettings())  # Table 2
 R_CS = Rotation.from_euler("zx", [37.0, 165.0], degrees=True)  # the star camera looks 15 deg off the zenith
 R_CS0 = deviation_from_theta(np.array([0.003, 0.002, 0.001])).inv() * R_CS  # the paper's (28) away
 SETTINGS = CalibrationSettings(robust=False)

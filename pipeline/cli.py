@@ -27,7 +27,7 @@ from boresight.pipeline.commands.progress import progress_bar, progress_bars, re
 from boresight.pipeline.commands.report import add_report_commands
 from boresight.pipeline.commands.sensor import add_sensor_commands
 from boresight.pipeline.commands.star import add_star_commands
-from boresight.pipeline.errors import DataNotSufficientError, RawDataError, WorkerError
+from boresight.pipeline.errors import DataNotSufficientError, RawDataError, WorkerError, printable
 from boresight.version import version_text
 
 __all__ = ["app", "main"]
@@ -79,7 +79,9 @@ def _errors_told() -> Iterator[None]:
 
 
 def _say(text: str) -> None:
-    remarks().print(text, markup=False, soft_wrap=True)
+    """One remark on stderr as it is: no markup, no emoji, control characters as escapes."""
+    lines = "\n".join(printable(line) for line in text.split("\n"))
+    remarks().print(lines, soft_wrap=True)
 
 
 def _wrong_usage(text: str) -> typer.Exit:

@@ -19,7 +19,7 @@ def remarks() -> Console:
     """The console of progress bars and remarks: stderr."""
     from rich.console import Console
 
-    return Console(stderr=True, highlight=False)
+    return Console(stderr=True, highlight=False, emoji=False, markup=False)
 
 
 @contextmanager
@@ -27,7 +27,12 @@ def progress_bar() -> Iterator[Progress]:
     """A bar that vanishes when the work is done."""
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+    columns = (
+        TextColumn("{task.description}", markup=False),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+    )
     with Progress(*columns, console=remarks(), transient=True) as bar:
         yield bar
 

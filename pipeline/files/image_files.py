@@ -36,6 +36,9 @@ FITS_MAGIC = b"SIMPLE  ="
 JPEG_MAGIC = b"\xff\xd8\xff"
 BMP_MAGIC = b"BM"
 MAX_BLOCK_BYTES = 2**29  # a row of tiles or a strip of a TIFF is decoded as a whole
+PIXEL_SIDE_M = (0.01, 1e5)  # of a chip, terrain model or ground image; 1e-5 m would be a wrong unit
+EARTH_RADIUS_M = 6.371e6
+MAX_COORDINATE = 1e9  # of a map, in its unit
 MAX_FITS_HEADER_BYTES = 100 * 2880
 ENCODED_SPARE_BYTES = 2**20  # for tables and comments of a file, beyond twice its pixels
 MAX_STAR_PIXELS = 2**28  # an image of `identify`; those of a dump must have the camera's size
@@ -332,14 +335,27 @@ def read_grid(path: Path, file: str, *, max_pixels: int, first_band: bool = Fals
         ):
             raise RawDataError(file, "transform", "none", "a GeoTIFF with an affine transform")
         raw = _read_window(image, file, Window(0, 0, image.width, image.height))
-        values = raw.astype(np.float32)
+        with np.errstate(over="ignore"):  # beyond 3e38 becomes infinite, which is no value
+            values = raw.astype(np.float32)
         if image.nodata is not None and np.isfinite(image.nodata):
             values[raw == image.nodata] = np.nan
         values[~np.isfinite(values)] = np.nan
         if not np.isfinite(values).any():
             raise RawDataError(file, "pixels", "none that is valid", "at least one valid pixel")
+        wkt = _map_of(image, file)
+        _check_transform(image.transform, CRS.from_user_input(wkt), file)
         a, b, c, d, e, f = (float(v) for v in tuple(image.transform)[:6])
-        return GridImage(values, (a, b, c, d, e, f), _map_of(image, file))
+        return GridImage(values, (a, b, c, d, e, f), wkt)
+
+
+def _check_transform(transform: Any, crs: CRS, file: str) -> None:
+    """`RawDataError` unless a pixel's side lies within `PIXEL_SIDE_M` and its coordinates on any map."""
+    unit = crs.axis_info[0].unit_conversion_factor * (EARTH_RADIUS_M if crs.is_geographic else 1.0)
+    if not PIXEL_SIDE_M[0] <= (side := abs(transform.determinant) ** 0.5 * unit) <= PIXEL_SIDE_M[1]:
+        expected = f"{PIXEL_SIDE_M[0]:g} m to {PIXEL_SIDE_M[1]:g} m"
+        raise RawDataError(file, "transform", f"pixels of {side:.3g} m", expected)
+    if (largest := max(map(abs, transform))) > MAX_COORDINATE:
+        raise RawDataError(file, "transform", f"{largest:g}", f"coordinates below {MAX_COORDINATE:g}")
 
 
 def _map_of(image: Any, file: str) -> str:

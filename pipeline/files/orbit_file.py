@@ -19,6 +19,7 @@ __all__ = ["Ephemeris", "read_oem"]
 
 INERTIAL = ("GCRF", "ICRF")  # with CENTER_NAME EARTH both have the axes of GCRS
 TIME_SCALES = {"UTC": "utc", "TAI": "tai", "TT": "tt", "GPS": "gps"}  # names of astropy, but for GPS
+LIMIT_KM = 1e9  # of a coordinate and of a velocity in km/s, far beyond those of any orbit
 GPS_BEHIND_TAI_S = 19.0  # GPS time = TAI - 19 s (IS-GPS-200)
 EXPECTED = "an OEM that follows CCSDS 502.0-B"
 # A state line without acceleration; a message may hold comments, covariances and other notations of time too.
@@ -67,6 +68,10 @@ def read_oem(path: Path, file: str) -> Ephemeris:
         _check_numbers(data, file)
         times = [state.epoch for state in states]
         values = np.array([[*state.position, *state.velocity] for state in states], dtype=float)
+    for name, numbers in (("position", values[:, :3]), ("velocity", values[:, 3:])):
+        if len(bad := np.flatnonzero(~(np.abs(numbers) < LIMIT_KM).all(axis=1))):
+            expected = f"finite numbers below {LIMIT_KM:g} (unit km)"
+            raise RawDataError(file, f"state {bad[0] + 1}, {name}", str(numbers[bad[0]]), expected)
     epoch, t_s = _tai_seconds(times, str(meta["TIME_SYSTEM"]), file)
     positions, velocities = 1e3 * values[:, :3], 1e3 * values[:, 3:]
     _check_states(t_s, positions, velocities, file)
@@ -158,9 +163,6 @@ def _tai_seconds(times: list[Any], time_system: str, file: str) -> tuple[Epoch, 
 
 
 def _check_states(t_s: Floats, positions: Floats, velocities: Floats, file: str) -> None:
-    for name, values in (("time", t_s[:, None]), ("position", positions), ("velocity", velocities)):
-        if len(bad := np.flatnonzero(~np.isfinite(values).all(axis=1))):
-            raise RawDataError(file, f"state {bad[0] + 1}, {name}", str(values[bad[0]]), "finite numbers")
     if len(t_s) < 8:
         raise RawDataError(file, "states", str(len(t_s)), "at least 8")
     if len(bad := np.flatnonzero(np.diff(t_s) <= 0)):

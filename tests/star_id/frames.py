@@ -14,22 +14,17 @@ from scipy.spatial.transform import Rotation
 from scipy.special import ndtr
 
 from boresight.geometry.ground_site import refract_by_air
-from boresight.geometry.star_camera import StarCamera
 from boresight.geometry.starlight import apparent_star_directions
+from boresight.simulator.cameras import star_camera
+from boresight.simulator.scenario import StarCameraSettings
 from boresight.star_id.finding.background import Background
 from boresight.star_id.finding.psf import Psf
 from boresight.star_id.finding.star_list import StarList
 
-PAPER_CAMERA = StarCamera(
-    focal_m=0.1,
-    pixel_m=6.4e-6,
-    width_px=5120,
-    height_px=3840,
-    principal_px=(2560.0, 1920.0),
-    p1=2.29e-5,
-    p2=-2.96e-5,
-    q1=-9.30e-7,
-    q2=-4.25e-9,
+PAPER_CAMERA = star_camera(StarCameraSettings())  # Table 2
+# The same lens before a detector of a sixteenth of the pixels, its axis off the middle.
+SMALL_CAMERA = replace(
+    PAPER_CAMERA, pixel_m=25.6e-6, width_px=1280, height_px=960, principal_px=(641.3, 477.2)
 )
 
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from frames import PAPER_CAMERA, Sensor, render, star_frame
+from frames import SMALL_CAMERA as CAMERA
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from boresight.geometry.attitude_estimate import fit_attitude
 from boresight.geometry.epoch import Epoch
 from boresight.geometry.sightings import StarSightings
-from boresight.geometry.star_camera import StarCamera
 from boresight.geometry.starlight import apparent_star_directions
 from boresight.star_id.catalogue import hipparcos_stars
 from boresight.star_id.identification.identify import NotIdentified
@@ -19,17 +19,6 @@ from boresight.star_id.identification.triangle_index import build_index, equival
 from boresight.star_id.settings import StarSettings
 from boresight.star_id.sight import sight_stars
 
-CAMERA = StarCamera(
-    focal_m=0.1,
-    pixel_m=25.6e-6,
-    width_px=1280,
-    height_px=960,
-    principal_px=(641.3, 477.2),
-    p1=2.29e-5,
-    p2=-2.96e-5,
-    q1=-9.30e-7,
-    q2=-4.25e-9,
-)
 EPOCH = Epoch.from_utc("2026-03-01T00:00:00Z")
 P_I, V_I = np.array([6.9e6, 0.0, 0.0]), np.array([0.0, 1000.0, 7500.0])
 SETTINGS = StarSettings(gain_e_per_dn=40.0)

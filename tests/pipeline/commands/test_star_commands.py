@@ -18,30 +18,19 @@ from typer.testing import CliRunner
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "star_id"))
 
+from frames import SMALL_CAMERA as CAMERA
 from frames import Sensor, as_seen, star_frame
 
 from boresight.geometry.earth_orientation import bundled_earth_orientation
 from boresight.geometry.earth_rotation import EarthRotation
 from boresight.geometry.epoch import Epoch
 from boresight.geometry.ground_site import GroundSite
-from boresight.geometry.star_camera import StarCamera
 from boresight.pipeline.cli import app
 from boresight.pipeline.errors import RawDataError
 from boresight.star_id.catalogue import hipparcos_stars
 from boresight.star_id.observer import Observer
 
 MINI = Path(__file__).resolve().parents[3] / "fixtures" / "mini"
-CAMERA = StarCamera(
-    focal_m=0.1,
-    pixel_m=25.6e-6,
-    width_px=1280,
-    height_px=960,
-    principal_px=(641.3, 477.2),
-    p1=2.29e-5,
-    p2=-2.96e-5,
-    q1=-9.30e-7,
-    q2=-4.25e-9,
-)
 
 
 @pytest.fixture(scope="module")

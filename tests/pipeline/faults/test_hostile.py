@@ -1,0 +1,224 @@
+"""Hostile files: devices and FIFOs, extreme numbers, escape characters, markup. Refused by name, at once."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shutil
+import signal
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rasterio
+from rasterio.transform import Affine
+from typer.testing import CliRunner
+
+from boresight.pipeline.cli import _say, app
+from boresight.pipeline.errors import DataNotSufficientError, RawDataError
+from boresight.pipeline.files.dump import open_dump
+from boresight.pipeline.files.text_files import read_text
+from boresight.pipeline.stages.calibrate import calibrate_dump
+
+NUMBER = re.compile(r"(?<![\w.-])[+-]?\d+\.?\d*(?:[eE][+-]?\d+)?(?![\w.])")
+TEXTS = ("dump.toml", "star_camera.toml", "remote_camera.toml", "installation.toml")
+TABLES = ("exposures.csv", "strips.csv", "targets.csv")
+IMAGES = ("exposures/0.png", "strips/0.tif", "chips/0.tif")
+runner = CliRunner()
+
+
+@pytest.fixture(autouse=True)
+def ends_within_a_minute() -> Iterator[None]:
+    """A read that blocks is an error of the test, not a hang."""
+
+    def expired(*_: object) -> None:
+        raise TimeoutError("60 s")
+
+    before = signal.signal(signal.SIGALRM, expired)
+    signal.alarm(60)
+    yield
+    signal.alarm(0)
+    signal.signal(signal.SIGALRM, before)
+
+
+def replaced(path: Path, kind: str) -> None:
+    path.unlink()
+    if kind == "fifo":
+        os.mkfifo(path)
+    else:
+        path.symlink_to("/dev/zero")
+
+
+@pytest.mark.parametrize("kind", ["fifo", "device"])
+@pytest.mark.parametrize("file", [*TEXTS, *TABLES, "orbit.oem", *IMAGES])
+def test_fifo_or_device_in_the_place_of_a_file_is_named(
+    file: str, kind: str, handmade: Path, tmp_path: Path
+) -> None:
+    replaced(handmade / file, kind)
+    ran = runner.invoke(app, ["calibrate", str(handmade), "--out", str(tmp_path / "out"), "--workers", "1"])
+    assert ran.exit_code == 1
+    assert isinstance(ran.exception, (RawDataError, DataNotSufficientError)), ran.output
+    if file not in IMAGES:
+        assert file in str(ran.exception)
+        assert re.search("found .*(link to a place outside|device, FIFO)", str(ran.exception))
+
+
+@pytest.mark.parametrize("command", ["identify", "centroids", "star-camera-calibrate"])
+def test_fifo_is_no_star_image(command: str, tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "sky.png")
+    options = ["--out", str(tmp_path / "camera.toml")] if command == "star-camera-calibrate" else []
+    ran = runner.invoke(app, [command, str(tmp_path / "sky.png"), *options])
+    assert ran.exit_code != 0
+    assert "FIFO" in ran.output + str(ran.exception)
+
+
+@pytest.mark.parametrize("value", ["1e308", "-1e308", "9e15", "5e-324", "9223372036854775808"])
+@pytest.mark.parametrize("file", [*TEXTS, *TABLES, "orbit.oem"])
+def test_extreme_value_of_any_number_is_refused_by_name_or_calibrated(
+    file: str, value: str, handmade: Path
+) -> None:
+    """Every number of the file in turn. What is within range goes on until too few stars are found."""
+    text = (handmade / file).read_text()
+    spans = [match.span() for match in NUMBER.finditer(text)]
+    if file == "orbit.oem":
+        spans = spans[:24]  # metadata and the first states; the others are alike
+    refused = 0
+    for begin, end in spans:
+        (handmade / file).write_text(text[:begin] + value + text[end:])
+        try:
+            calibrate_dump(open_dump(handmade))
+        except RawDataError as error:
+            refused += 1
+            assert error.file == file and len(str(error)) < 700
+        except DataNotSufficientError:
+            pass
+    # Ids may be any digits; 5e-324 stands for zero, which many numbers may be.
+    assert refused >= (0.7 * len(spans) if value != "5e-324" else 0)
+
+
+@pytest.mark.parametrize(
+    ("file", "old", "new", "field", "says"),
+    [
+        (
+            "dump.toml",
+            "position_m = 2",
+            "position_m = 1e6",
+            "errors.position_m",
+            r"less than .* 100000 \(orbit",
+        ),
+        ("star_camera.toml", "= 100.0", "= 1e308", "focal_length_mm", "at most 100 m"),
+        ("remote_camera.toml", "= -0.64", "= 9e15", "ccds.0.y_first_mm", r"focal plane, mm\)"),
+        ("installation.toml", "0.003,", "9e15,", "sigma_rad.0", "at most 180°"),
+        ("exposures.csv", ",0.03", ",1e308", "line 2, exposure_s", "trails"),
+        ("strips.csv", "0.001", "9e15", "line 2, row_period_s", "moves 7 km"),
+        ("targets.csv", ",0.1,", ",1e308,", "line 2, sigma_east_m", "target's coordinate"),
+    ],
+)
+def test_range_of_a_number_is_told_with_its_reason(
+    file: str, old: str, new: str, field: str, says: str, handmade: Path
+) -> None:
+    text = (handmade / file).read_text()
+    assert old in text
+    (handmade / file).write_text(text.replace(old, new, 1))
+    with pytest.raises(RawDataError, match=says) as caught:
+        open_dump(handmade)
+    assert (caught.value.file, caught.value.field) == (file, field), str(caught.value)
+
+
+@pytest.mark.parametrize("number", ["2_0", "２", "٢", "0x10", "1e", "", "+", "1,5"])
+def test_number_of_a_table_is_ascii_digits(number: str, handmade: Path) -> None:
+    text = (handmade / "strips.csv").read_text()
+    (handmade / "strips.csv").write_text(text.replace(",200", f',"{number}"', 1), encoding="utf-8")
+    with pytest.raises(RawDataError, match=r"strips.csv: line 2, lines: found .*ASCII digits"):
+        open_dump(handmade)
+
+
+@pytest.mark.parametrize("mission", ["a\\nATTITUDE_TYPE = SPIN", "a\\u001b[2J", "\\u202eevil", "tab\\there"])
+def test_name_of_a_mission_is_one_printable_line(mission: str, handmade: Path) -> None:
+    text = (handmade / "dump.toml").read_text().replace('"by hand"', f'"{mission}"')
+    (handmade / "dump.toml").write_text(text)
+    with pytest.raises(RawDataError, match=r"mission: .*one line without control characters") as caught:
+        open_dump(handmade)
+    assert str(caught.value).isprintable()
+
+
+@pytest.mark.parametrize(
+    ("file", "old", "new"),
+    [
+        ("dump.toml", "[errors]", '[errors]\n"a\\u001b[2J\\nb" = 1'),
+        ("dump.toml", "[files]", '["\\u001b]0;title\\u0007"]\na = 1\n[files]'),
+        ("exposures.csv", "exposure_s", "exposure_s,\x1b[2J"),
+        ("exposures.csv", "0000,", "\x1b[31m,"),
+        ("targets.csv", "chips/0.tif", "chips/\x1b[2J.tif"),
+    ],
+)
+def test_escape_character_never_reaches_the_terminal(file: str, old: str, new: str, handmade: Path) -> None:
+    text = (handmade / file).read_text()
+    assert old in text
+    (handmade / file).write_text(text.replace(old, new, 1))
+    with pytest.raises(RawDataError) as caught:
+        open_dump(handmade)
+    assert str(caught.value).isprintable(), repr(str(caught.value))
+
+
+def test_remark_is_printed_as_it_is(capsys: pytest.CaptureFixture[str]) -> None:
+    for text in ("10:1234", "a :smile: b", "[red]x[/red]", "[/nothing]", "x" * 300):
+        _say(text)
+        assert capsys.readouterr().err == text + "\n"
+    _say("a\x1b[2J\x07\u202e\udce9\nb")
+    assert capsys.readouterr().err == "a\\x1b[2J\\x07\\u202e\\udce9\nb\n"
+
+
+def test_scenario_key_with_escape_characters_is_escaped(tmp_path: Path, capfd: pytest.CaptureFixture) -> None:
+    (tmp_path / "s.toml").write_text('based_on = "mini"\n["\\u001b[2J"]\na = 1\n')
+    ran = runner.invoke(app, ["simulate", str(tmp_path / "s.toml"), str(tmp_path / "out")])
+    assert ran.exit_code == 2
+    assert "\x1b" not in ran.output + capfd.readouterr().err
+
+
+def test_chip_with_an_absurd_transform_loses_its_target_only(
+    finished: tuple[Path, Path], tmp_path: Path
+) -> None:
+    dump, result = finished
+    shutil.copytree(dump, tmp_path / "dump")
+    shutil.copytree(result / "work" / "exposures", tmp_path / "out" / "work" / "exposures")
+    chips = sorted((tmp_path / "dump" / "chips").iterdir())
+    transforms = [
+        Affine(1e-5, 0, 277_000, 0, -1e-5, 1000),
+        Affine(1e308, 0, 277_000, 0, -1e308, 1000),
+        Affine(0.5, 0, 9e15, 0, -0.5, 1e308),
+    ]
+    for path, transform in zip(chips, transforms):
+        with rasterio.open(path) as image:
+            profile, pixels = image.profile, image.read(1)
+        path.unlink()  # a hard link into the fixture
+        with rasterio.open(path, "w", **(profile | {"transform": transform})) as image:
+            image.write(pixels, 1)
+    command = ["calibrate", str(tmp_path / "dump"), "--out", str(tmp_path / "out"), "--workers", "1"]
+    ran = runner.invoke(app, [*command, "--no-report"])
+    assert ran.exit_code == 0, (ran.output, ran.exception)
+    content = json.loads((tmp_path / "out" / "installation.json").read_text())
+    before = json.loads((result / "installation.json").read_text())
+    assert before["targets"] - 3 <= content["targets"] <= before["targets"]
+    status = runner.invoke(app, ["status", str(tmp_path / "out")]).output
+    assert "pixels of 1e-05 m" in status and "pixels of inf m" in status and "below 1e+09" in status
+
+
+def test_raster_with_values_beyond_single_precision_has_no_value_there(handmade: Path) -> None:
+    from boresight.pipeline.files.image_files import read_grid
+
+    path = handmade / "grid.tif"
+    profile = {"driver": "GTiff", "width": 4, "height": 4, "count": 1, "dtype": "float64"}
+    values = np.full((4, 4), 1e308)
+    values[0, 0] = 5.0
+    with rasterio.open(path, "w", **profile, crs="EPSG:32648", transform=Affine(1, 0, 0, 0, -1, 0)) as image:
+        image.write(values, 1)
+    grid = read_grid(path, "grid.tif", max_pixels=100)
+    assert grid.values[0, 0] == 5.0 and np.isnan(grid.values).sum() == 15
+
+
+def test_text_that_is_a_folder_is_named(handmade: Path) -> None:
+    with pytest.raises(RawDataError, match="exposures: file: found a folder, expected a readable file"):
+        read_text(handmade / "exposures", "exposures")
