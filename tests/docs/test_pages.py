@@ -29,7 +29,7 @@ def test_every_equation_names_a_function():
 
 
 @pytest.mark.parametrize(
-    "page", ["method.md", "design.md", "conventions.md", "exports.md", "bring-your-own-mission.md"]
+    "page", ["method.md", "architecture.md", "design.md", "conventions.md", "exports.md", "glossary.md"]
 )
 def test_every_name_of_the_code_exists(page):
     for name in NAME.findall((ROOT / "docs" / page).read_text()):
