@@ -1,1 +1,1 @@
-"""Finds ground calibration targets in raw strips and places them to a few thousandths of a pixel."""
+"""Ground calibration targets found in raw strips and measured to a few thousandths of a pixel."""

@@ -24,7 +24,6 @@ from boresight.geometry.record import Floats
 
 __all__ = ["locate", "match_template"]
 
-
 _PRIOR_ABSENT = 0.05  # prior probability that the target is not visible where it should be
 _SECOND_PEAK = 0.7  # peaks of at least this share of the highest are refined too
 _SELF_SIMILAR = 0.4  # of 441 false matches that passed every other test, one had a template below this

@@ -11,66 +11,30 @@ __all__ = ["MatchSettings"]
 class MatchSettings:
     """Settings of target matching; the defaults serve every sensor."""
 
-    template_px: int = scalar(
-        "side of the predicted template: the error bound falls as 1/side, the cost grows as side²",
-        default=128,
-    )
-    smallest_template_px: int = scalar(
-        "smallest side of a template: below, a texture is seldom unique in a search window", default=32
-    )
-    margin_px: int = scalar(
-        "search radius after the common rotation is known: three times its usual error", default=12
-    )
-    mtf_at_nyquist: float = scalar(
-        "MTF of the camera with optics, detector and smear (usual design value 0.1 to 0.2)", default=0.15
-    )
-    chip_mtf_at_nyquist: float = scalar(
-        "MTF of a chip at its own grid: an ortho-image that was resampled once", default=0.3
-    )
-    sigmas: float = scalar(
-        "half-width of the search, standard errors of the installation matrix", default=3.0
-    )
-    candidates: int = scalar(
-        "candidate positions of a target in the vote; the weight falls with the rank", default=100
-    )
-    coarse_template_px: int = scalar(
-        "side of a chip in the coarse picture: a smaller one loses too many of its edges", default=32
-    )
-    coarse_pixels: float = scalar(
-        "largest coarse picture of a strip, pixels: 48 MB of 8 bit, 192 MB with invalid pixels", default=48e6
-    )
-    read_block_px: int = scalar(
-        "pixels read at once: few tiles of a file are decoded twice", default=16_000_000
-    )
-    probability_chance: float = scalar(
-        "largest probability that a vote and its matches happen by chance", default=1e-6
-    )
+    template_px: int = scalar("side of the template: error falls as 1/side, cost grows as side²", default=128)
+    smallest_template_px: int = scalar("smallest side: below, textures are seldom unique", default=32)
+    margin_px: int = scalar("search radius at the common rotation: three times its usual error", default=12)
+    mtf_at_nyquist: float = scalar("MTF of camera: optics, detector, smear (usual 0.1 to 0.2)", default=0.15)
+    chip_mtf_at_nyquist: float = scalar("MTF of a chip at its grid: an ortho-image, resampled", default=0.3)
+    sigmas: float = scalar("half-width of the search, sigmas of the installation matrix", default=3.0)
+    candidates: int = scalar("candidate positions of a target in the vote, by falling weight", default=100)
+    coarse_template_px: int = scalar("side of a chip in the coarse picture: less loses its edges", default=32)
+    coarse_pixels: float = scalar("size of a coarse strip: 48 MB of 8 bit, 192 MB with gaps", default=48e6)
+    read_block_px: int = scalar("pixels read at once: few tiles are decoded twice", default=16_000_000)
+    probability_chance: float = scalar("largest probability of vote and matches by chance", default=1e-6)
     probability_chance_match: float = scalar(
-        "that a target is matched at a false position consistent with the others: 0 of 6120 were",
-        default=1e-2,
+        "of a match at a false position consistent with the others: 0 of 6120 were", default=1e-2
     )
     probability_wrong: float = scalar("largest probability that a match is false", default=1e-4)
-    sigma_px: float = scalar(
-        "largest standard error of a match: false matches seldom have a smaller one", default=0.1
-    )
-    sigma_self_similar_px: float = scalar(
-        "the same for self-similar chips: their parts differ by a pixel, which leaves 0.16 px in the median "
-        "and less than 0.05 px in 1e-4 of cases (log-normal, 441 false matches in synthetic housing estates)",
-        default=0.05,
-    )
+    sigma_px: float = scalar("largest standard error: false matches seldom have a smaller one", default=0.1)
+    # Parts of a self-similar chip differ by a pixel, which leaves 0.16 px in the median and less than 0.05 px
+    # in 1e-4 of cases (log-normal, 441 false matches in synthetic housing estates).
+    sigma_self_similar_px: float = scalar("largest standard error with a self-similar chip", default=0.05)
     consistency_sigma_px: float = scalar(
-        "displacement of single targets by vibration, distortion and terrain", default=0.75
+        "error of single targets: vibration, distortion, terrain", default=0.75
     )
-    attitude_sigma_px: float = scalar(
-        "displacement by the attitude error of a star exposure (0.3 arcsec), common to targets seen near it",
-        default=1.5,
-    )
-    attitude_step_s: float = scalar(
-        "interval of the star exposures, s: the attitude error is correlated over it", default=0.2
-    )
-    least_correlation: float = scalar(
-        "smallest correlation, filtered and robustly weighted: below, most of the chip has changed",
-        default=0.4,
-    )
+    attitude_sigma_px: float = scalar("error of a star exposure's attitude (0.3 arcsec)", default=1.5)
+    attitude_step_s: float = scalar("interval of star exposures, s: attitude errors correlate", default=0.2)
+    least_correlation: float = scalar("filtered, robust: below, most of the chip has changed", default=0.4)
     saturation: float = scalar("grey values from here on are not used", default=float("inf"))
     no_data: float = scalar("grey value that marks missing data", default=float("nan"))

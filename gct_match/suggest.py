@@ -1,15 +1,11 @@
-"""Where in an ortho-image good targets are: texture that fixes a place in both directions, and that is
-found only once.
+"""Suggested targets: positions in an ortho-image whose texture is distinct and unique.
 
-The expected standard error of a chip's place follows from its gradients and the image's noise (Cramér-Rao,
-both pictures as noisy as this one). A chip whose like is found again elsewhere, rows of crops or a grid of
-streets, is worth little, however sharp. Of what remains the best are taken, far enough from one another to
-cover the image.
+The expected standard error of a match follows from the chip's gradients and the image's noise (Cramér-Rao). A
+chip that correlates with another part of the image, such as rows of crops or a grid of streets, is excluded,
+however sharp it is. Of the others the best are taken, far enough from one another to cover the image.
 """
 
 from __future__ import annotations
-
-from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -18,30 +14,29 @@ from boresight.gct_match.imaging.views import normalised
 from boresight.gct_match.records import Image
 from boresight.gct_match.search.correlation import correlation_surface
 from boresight.gct_match.texture import noise_of, sigma_from_gradients, smooth_gradients
-from boresight.geometry.record import Bools
+from boresight.geometry.record import Bools, record, scalar
 
 __all__ = ["SuggestedTarget", "suggest_targets"]
 
+_COARSE_PIXELS = 2.5e5  # size of the picture in which rivals are searched
+_RIVAL = 0.7  # chips with a rival of at least this correlation are excluded
+_TRIED = 40  # positions tried for each one wanted, until three times as many qualify
 
-_COARSE_PIXELS = 2.5e5  # of the picture in which rivals are looked for
-_RIVAL = 0.7  # a rival this high, out of 1, makes a chip worthless
-_TRIED = 40  # places looked at for each one wanted, until three times as many are good
 
-
-@dataclass(frozen=True, slots=True)
+@record(kw_only=True)
 class SuggestedTarget:
-    """A good place for a chip of `size_px`² pixels, best first."""
+    """A position for a target with a chip of `size_px`² pixels around it."""
 
-    column: float  # of its middle, (0, 0) at the centre of the image's first pixel
-    row: float
-    x: float  # of its middle, map coordinates
-    y: float
-    sigma_px: float  # expected standard error of its place, the worse direction, in pixels of this image
-    rival: float  # highest correlation of the chip elsewhere in the image, 0 to 1
+    column: float = scalar("of the chip's middle, (0, 0) at the centre of the image's first pixel")
+    row: float = scalar("of the chip's middle")
+    x: float = scalar("of the chip's middle, map coordinates")
+    y: float = scalar("of the chip's middle, map coordinates")
+    sigma_px: float = scalar("expected standard error of a match in the worse direction, px of this image")
+    rival: float = scalar("highest correlation of the chip elsewhere in the image, 0 to 1")
 
     @property
     def score(self) -> float:
-        """Larger is better: information, less what a rival takes away."""
+        """Larger is better: 1 / sigma_px, reduced by the rival's share of the variance."""
         return (1.0 - self.rival**2) / self.sigma_px
 
 
@@ -54,17 +49,39 @@ def suggest_targets(
     most: int,
     largest_sigma_px: float = 0.02,
 ) -> tuple[SuggestedTarget, ...]:
-    """The best places for chips in an ortho-image (H, W); fewer than `most` if no more are good.
+    """The best positions for targets in an ortho-image, best first.
 
-    `transform` is that of the image's pixel corners (as in `Chip`), `valid` (H, W) false where it has no
-    data or cloud. `ValueError` if the image is smaller than two chips.
+    Parameters
+    ----------
+    image : (H, W) array
+        Grey values.
+    transform : (a, b, c, d, e, f)
+        Pixel corners to map coordinates, as in `Chip`.
+    valid : (H, W) array
+        False where the image has no data or a cloud.
+    size_px : int
+        Side of a chip, pixels of the image.
+    most : int
+        Largest number of targets.
+    largest_sigma_px : float
+        Largest expected standard error of a match, pixels of the image.
+
+    Returns
+    -------
+    tuple of SuggestedTarget
+        Fewer than `most` if no more positions qualify.
+
+    Raises
+    ------
+    ValueError
+        If the image is smaller than two chips.
     """
     if min(image.shape) < 2 * size_px:
         raise ValueError(
             f"the image of {image.shape[1]} x {image.shape[0]} px is smaller than two chips of {size_px} px"
         )
     sigma = _expected_sigma(image.astype(np.float32), valid, size_px)
-    places = _best_places(sigma, size_px, _TRIED * most, largest_sigma_px)
+    positions = _peaks(sigma, size_px // 2, _TRIED * most, largest_sigma_px)
     factor = int(np.clip(np.sqrt(image.size / _COARSE_PIXELS), 1, max(1, size_px // 12)))
     coarse = cv2.resize(
         image.astype(np.float32), None, fx=1.0 / factor, fy=1.0 / factor, interpolation=cv2.INTER_AREA
@@ -72,12 +89,20 @@ def suggest_targets(
     seen = normalised(coarse, np.ones(coarse.shape, dtype=bool))
     a, b, c, d, e, f = transform
     found: list[SuggestedTarget] = []
-    for column, row in places:
+    for column, row in positions:
         rival = _rival(seen, column // factor, row // factor, size_px // (2 * factor))
         if rival < _RIVAL:
             u, v = column + 0.5, row + 0.5
-            place = (float(column), float(row), a * u + b * v + c, d * u + e * v + f)
-            found.append(SuggestedTarget(*place, float(sigma[row, column]), rival))
+            found.append(
+                SuggestedTarget(
+                    column=float(column),
+                    row=float(row),
+                    x=a * u + b * v + c,
+                    y=d * u + e * v + f,
+                    sigma_px=float(sigma[row, column]),
+                    rival=rival,
+                )
+            )
         if len(found) >= 3 * most:
             break
     found.sort(key=lambda target: -target.score)
@@ -85,11 +110,13 @@ def suggest_targets(
 
 
 def _expected_sigma(image: Image, valid: Bools, size_px: int) -> Image:
-    """(H, W) standard error of the place of a chip around each pixel, its worse direction; infinite near
-    what is not valid.
+    """(H, W) expected standard error, px, of a chip around each pixel, in the worse direction; infinite where
+    the chip leaves the image or contains invalid pixels.
     """
     gx, gy = smooth_gradients(image)
-    most = 3.0 * np.float32(np.percentile(np.abs(gx[::5, ::5]), 90.0) + 1e-6)  # one bright edge is no texture
+    most = 3.0 * np.float32(
+        np.percentile(np.abs(gx[::5, ::5]), 90.0) + 1e-6
+    )  # limits the weight of single bright edges
     gx, gy = np.clip(gx, -most, most), np.clip(gy, -most, most)
     window = (size_px, size_px)
     xx, xy, yy = (
@@ -104,17 +131,18 @@ def _expected_sigma(image: Image, valid: Bools, size_px: int) -> Image:
     return sigma
 
 
-def _best_places(sigma: Image, size_px: int, most: int, largest: float) -> list[tuple[int, int]]:
-    """(column, row) of the lowest standard errors that are lowest within half a chip."""
-    side = size_px // 2 * 2 + 1
-    lowest = cv2.erode(sigma, np.ones((side, side), np.uint8))
-    row, column = np.nonzero((sigma <= lowest) & (sigma < largest))
-    order = np.argsort(sigma[row, column])[:most]
-    return list(zip(column[order].tolist(), row[order].tolist()))
+def _peaks(sigma: Image, apart: int, most: int, largest: float) -> list[tuple[int, int]]:
+    """(column, row) of the minima below `largest` that are lowest within `apart` px, lowest first."""
+    from skimage.feature import peak_local_max  # here: `import boresight` need not load it
+
+    peaks = peak_local_max(
+        1.0 / sigma, min_distance=apart, threshold_abs=1.0 / largest, exclude_border=False, num_peaks=most
+    )
+    return [(column, row) for row, column in peaks.tolist()]
 
 
 def _rival(seen: Image, x: int, y: int, half: int) -> float:
-    """The highest correlation of a chip with the coarse picture, except at the chip's own place."""
+    """Highest correlation, 0 to 1, of the chip around (x, y) with the coarse picture outside the chip."""
     left, top = (
         min(max(0, x - half), seen.shape[1] - 2 * half),
         min(max(0, y - half), seen.shape[0] - 2 * half),
@@ -125,7 +153,7 @@ def _rival(seen: Image, x: int, y: int, half: int) -> float:
 
 
 def _spread(found: list[SuggestedTarget], most: int, shape: tuple[int, ...]) -> list[SuggestedTarget]:
-    """The best, leaving out what lies too near a better one; the distance shrinks until enough are there."""
+    """The best, without those too near a better one; the least distance shrinks until enough remain."""
     distance = 0.7 * float(np.sqrt(shape[0] * shape[1] / max(most, 1)))
     chosen: list[SuggestedTarget] = []
     while found and len(chosen) < min(most, len(found)):

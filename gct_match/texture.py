@@ -1,4 +1,4 @@
-"""How well a picture's texture can fix a place: the standard error that its gradients and its noise allow."""
+"""Smallest standard error of a position that a picture's gradients and noise allow (Cramér-Rao)."""
 
 from __future__ import annotations
 
@@ -10,15 +10,12 @@ from boresight.geometry.record import Bools
 
 __all__ = ["expected_sigma_px", "noise_of", "sigma_from_gradients", "smooth_gradients"]
 
-
-_NOISE_SHARE = (
-    0.04  # of white noise's variance that its smoothed derivative keeps (of both columns and rows each)
-)
+_NOISE_SHARE = 0.04  # of the variance of white noise that each smoothed derivative keeps
 
 
 def expected_sigma_px(image: Image, valid: Bools) -> float:
-    """Standard error of the place of a whole picture (h, w) against another as noisy: Cramér-Rao, the
-    worse direction.
+    """Cramér-Rao standard error, px, of the position of a picture (h, w) in another of equal noise, in the
+    worse direction; `valid` (h, w) marks the pixels that count.
     """
     weight = valid.astype(np.float32)
     gx, gy = smooth_gradients(image)
@@ -28,7 +25,7 @@ def expected_sigma_px(image: Image, valid: Bools) -> float:
 
 
 def smooth_gradients(image: Image) -> tuple[Image, Image]:
-    """Derivatives by column and row after a Gaussian of 0.8 px, grey values per pixel."""
+    """Derivatives by column and row, (h, w) each, after a Gaussian of 0.8 px; grey values per px."""
     smooth = cv2.GaussianBlur(image, (0, 0), 0.8)
     return (
         cv2.Sobel(smooth, cv2.CV_32F, 1, 0, scale=0.125),
@@ -37,7 +34,7 @@ def smooth_gradients(image: Image) -> tuple[Image, Image]:
 
 
 def sigma_from_gradients(xx: Image, xy: Image, yy: Image, noise: float, pixels: float) -> Image:
-    """The worse standard error, px, from sums of products of `smooth_gradients` over so many pixels."""
+    """Standard error, px, in the worse direction, from sums over `pixels` of of gradient products."""
     own = np.float32(_NOISE_SHARE * pixels * noise**2)
     least = 0.5 * (xx + yy) - np.sqrt(0.25 * (xx - yy) ** 2 + xy**2) - 1.5 * own
     sigma: Image = np.sqrt(np.float32(2.0 * noise**2) / np.maximum(least, 1e-9))
@@ -45,9 +42,8 @@ def sigma_from_gradients(xx: Image, xy: Image, yy: Image, noise: float, pixels: 
 
 
 def noise_of(image: Image) -> float:
-    """Standard deviation of a picture's noise, from its quietest tenth (Immerkær's difference of Laplacians).
-
-    Not less than 0.3, which rounding to whole values gives.
+    """Standard deviation of a picture's noise from its tenth of least variance (Immerkær's difference of
+    Laplacians), at least 0.3, the noise of rounding to integers.
     """
     mask = np.array([[1.0, -2.0, 1.0], [-2.0, 4.0, -2.0], [1.0, -2.0, 1.0]], dtype=np.float32)
     power: Image = cv2.blur(np.asarray(cv2.filter2D(image, -1, mask) ** 2 / 36.0, dtype=np.float32), (15, 15))

@@ -13,7 +13,6 @@ from boresight.geometry.record import Floats
 
 __all__ = ["change", "composed", "gradient", "largest_px", "sample", "shifted", "warped"]
 
-
 _GRID = 32.0  # OpenCV's remap rounds every point to this part of a pixel
 _REACH = 5  # half length of the interpolating kernel
 _TAP = np.arange(-_REACH, _REACH + 1)

@@ -15,7 +15,6 @@ from boresight.geometry.record import Bools, array, record
 
 __all__ = ["View", "filled", "normalised", "view_of", "window"]
 
-
 _FINE_PX, _LOCAL_PX, _CONTRAST_PX = 0.8, 4.0, 6.0  # pass band and the neighbourhood of the contrast
 _FLOOR = 0.15  # of the median contrast: noise on flat ground is not amplified to texture
 

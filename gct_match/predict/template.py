@@ -26,7 +26,6 @@ from boresight.geometry.terrain import Surface
 
 __all__ = ["Template", "chip_points", "chip_side_px", "predict_template"]
 
-
 _NODE_PX = 8  # between nodes of the map, in pixels of the template
 
 

@@ -32,7 +32,6 @@ from boresight.geometry.record import Bools, Floats, array, record, scalar
 
 __all__ = ["PositionFit", "fit_position"]
 
-
 _FARTHEST_PX = 2.5  # from the start
 _RIM = 3  # the filters reach this far over the template's edge, and over a hole's
 _COLUMNS = 2 + TERMS  # of the design matrix: the two derivatives and the radiometry
@@ -76,7 +75,7 @@ class _Pair:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Warp:
-    """Map from the template to the picture, and what the step that led to it says of convergence."""
+    """Map from the template to the picture, and whether the step that led to it was small."""
 
     matrix: Floats  # (3, 3) template point minus reference point -> picture
     affine: bool

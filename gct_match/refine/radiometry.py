@@ -30,7 +30,6 @@ from boresight.gct_match.refine.weighting import Weighting
 
 __all__ = ["TERMS", "TONES", "fill_columns"]
 
-
 TERMS = 9
 TONES = 2  # the last of them
 _REGULAR = 0.005

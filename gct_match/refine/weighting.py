@@ -20,7 +20,6 @@ from boresight.geometry.record import Floats, array, record, scalar
 
 __all__ = ["Weighting", "weighting"]
 
-
 _STEPS = 512  # of the table from which a filter is read
 _HIGHEST = 0.75  # cycles per pixel, beyond the corner of a spectrum
 

@@ -24,7 +24,6 @@ __all__ = [
     "self_similarity",
 ]
 
-
 _FAR, _SHARED = 0.25, 0.25  # least displacement and overlap of the two copies, of side and area
 
 

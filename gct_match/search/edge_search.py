@@ -34,7 +34,6 @@ __all__ = [
     "search_template",
 ]
 
-
 _POOLED = 4  # pixels of a picture to one of its pooled edge field
 _KEPT = 16, 4  # times as many positions as are wanted in the end are looked at in the next finer picture
 _REACH = 2  # pixels by which the next finer picture may move a position

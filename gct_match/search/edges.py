@@ -22,7 +22,6 @@ from boresight.gct_match.records import Image
 
 __all__ = ["FULL", "centred", "coarse_edge_fields", "edge_field", "edge_similarity", "halved", "normalised"]
 
-
 FULL = np.float32(127.0)  # 8 bit value of |z| = 1
 
 _FLOOR = np.float32(0.1)  # of the template's power: least power of the edges under it
