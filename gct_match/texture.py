@@ -34,7 +34,7 @@ def smooth_gradients(image: Image) -> tuple[Image, Image]:
 
 
 def sigma_from_gradients(xx: Image, xy: Image, yy: Image, noise: float, pixels: float) -> Image:
-    """Standard error, px, in the worse direction, from sums over `pixels` of of gradient products."""
+    """Standard error, px, in the worse direction, from sums over `pixels` of gradient products."""
     own = np.float32(_NOISE_SHARE * pixels * noise**2)
     least = 0.5 * (xx + yy) - np.sqrt(0.25 * (xx - yy) ** 2 + xy**2) - 1.5 * own
     sigma: Image = np.sqrt(np.float32(2.0 * noise**2) / np.maximum(least, 1e-9))
