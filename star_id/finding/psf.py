@@ -6,11 +6,13 @@ along its line, by Gauss-Legendre quadrature, so that a smear of a few sigmas co
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import erf
 
-from boresight.geometry.record import Floats, array, record, scalar
+from boresight.geometry.record import Floats, record, scalar
 
 __all__ = ["Psf", "PsfImages", "psf_images"]
 
@@ -32,16 +34,14 @@ class Psf:
         return np.asarray(self.sigma_px + (self.sigma_corner_px - self.sigma_px) * radius2)
 
 
-@record
+@dataclass(frozen=True, slots=True, eq=False)
 class PsfImages:
     """Unit-flux images of N stars in square windows of M pixels, with derivatives."""
 
-    columns: NDArray[np.float32] = array(
-        "N, P, M", "derivatives by column and row, the image, ones and, if P is 5, derivative by log width"
-    )
-    d_stretch: NDArray[np.float32] | None = scalar(
-        "(2, N, M) derivatives by (Cxx - Cyy) / 2 and by Cxy of the second moments; None if P is 4"
-    )
+    # (N, P, M): derivatives by column and row, the image, ones and, if P is 5, the derivative by log width
+    columns: NDArray[np.float32]
+    # (2, N, M) derivatives by (Cxx - Cyy) / 2 and by Cxy of the second moments; None if P is 4
+    d_stretch: NDArray[np.float32] | None
 
     @property
     def d_x(self) -> NDArray[np.float32]:

@@ -7,8 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from boresight.geometry.record import Bools, Floats, Ints, array, record, scalar
@@ -217,9 +215,12 @@ def _merge_saturated_peaks(
         return pixels, offset
     plateau = pixels[full]
     pairs = cKDTree(plateau).query_pairs(4.5, output_type="ndarray")
-    links = coo_array((np.ones(len(pairs)), pairs.T), shape=(len(plateau), len(plateau)))
-    count, label = connected_components(links, directed=False)
-    middles = [np.rint(plateau[label == k].mean(axis=0)).astype(np.int64) for k in range(count)]
+    label, before = np.arange(len(plateau)), np.empty(0)
+    while not np.array_equal(label, before):  # connected peaks take the lowest row among them
+        before, low = label, label[pairs].min(axis=1)
+        label = label.copy()
+        np.minimum.at(label, pairs, low[:, None])
+    middles = [np.rint(plateau[label == k].mean(axis=0)).astype(np.int64) for k in np.unique(label)]
     offset = np.vstack([np.zeros((len(middles), 2)), offset[~full]])
     return np.vstack([np.array(middles), pixels[~full]]), offset
 
