@@ -1,18 +1,18 @@
-"""A star camera calibrated by the sky: focal length, principal point and distortion from named stars of many
+"""Calibration of a star camera: focal length, principal point and distortion from identified stars of many
 images.
 
-A wrong nominal camera is enough to begin with: the first identification takes it for an uncalibrated one.
+An approximate nominal camera is enough: the first identification treats it as uncalibrated.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from boresight.geometry.record import Floats, Ints, array, record, scalar
 from boresight.geometry.star_camera import StarCamera
 from boresight.star_id.camera_fit import DRIFT, PARAMETERS, IdentifiedStars, fit_camera, visible_derivatives
 from boresight.star_id.field import FieldSolution, solve_stars
@@ -25,58 +25,56 @@ from boresight.star_id.sight import select_for_calibration
 
 __all__ = ["CameraCalibration", "ResidualMap", "SkyFrame", "calibrate_camera", "residual_map"]
 
-Array = NDArray[np.float64]
 
 _ROUNDS = 3
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record
 class SkyFrame:
     """Stars found in one image, and its observer if known."""
 
-    frame_id: str
-    stars: StarList
-    observer: Observer | None = None
+    frame_id: str = scalar("name of the image")
+    stars: StarList = scalar("stars found")
+    observer: Observer | None = scalar("place and time of the image", default=None)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record(kw_only=True)
 class CameraCalibration:
-    """What the sky says of a camera. Row n of the star arrays speaks of the same star."""
+    """Calibrated camera, with residuals. Row n of the (N,) arrays is the same star."""
 
-    camera: StarCamera
-    covariance: Array  # (7, 7) of PARAMETERS, in their own units
-    focal_drift_per_s: float  # relative; 0 when not asked for
-    focal_drift_sigma_per_s: float
-    chi2: float
-    dof: int
-    frame: NDArray[np.int64]  # (N,) which frame a star belongs to
-    xy_px: Array  # (N, 2)
-    residual_px: Array  # (N, 2) measured minus predicted
-    sigma_px: Array  # (N,) the centroid's own error along one axis
-    rotations: Rotation  # (K,) R_si of the identified frames
-    frames_used: tuple[str, ...]
-    frames_refused: tuple[tuple[str, str], ...]  # (frame, reason)
-    outliers: int
+    camera: StarCamera = scalar("calibrated camera")
+    covariance: Floats = array("7, 7", "of PARAMETERS (f, x0, y0, p1, p2, q1, q2), in their own units")
+    focal_drift_per_s: float = scalar("relative drift of the focal length, 1/s; 0 if not fitted")
+    focal_drift_sigma_per_s: float = scalar("its 1-sigma error, 1/s")
+    chi2: float = scalar("sum of squared normalised residuals")
+    dof: int = scalar("degrees of freedom of chi2")
+    frame: Ints = array("N", "identified image of each star, 0 to K - 1")
+    xy_px: Floats = array("N, 2", "centroids as (column, row)")
+    residual_px: Floats = array("N, 2", "measured minus predicted, px")
+    sigma_px: Floats = array("N", "1-sigma error of the centroid along one axis, px")
+    rotations: Rotation = array("K", "R_si of the identified images")
+    frames_used: tuple[str, ...] = array("K", "names of the identified images")
+    frames_refused: tuple[tuple[str, str], ...] = scalar("(name, reason) of each other image")
+    outliers: int = scalar("stars rejected")
 
     @property
     def rms_px(self) -> float:
         """Root mean square residual along one axis."""
         return float(np.sqrt((self.residual_px**2).mean()))
 
-    def model_sigma_px(self, xy_px: Array) -> Array:
-        """(N,) 1-sigma error of the model at points (N, 2), along one axis, a rotation of the camera taken
-        out."""
+    def model_sigma_px(self, xy_px: Floats) -> Floats:
+        """1-sigma error (N,) of the pixel map at pixels (N, 2), px along one axis, apart from a rotation."""
         J = visible_derivatives(self.camera, xy_px)
         return np.asarray(np.sqrt(0.5 * np.einsum("nip,pq,niq->n", J, self.covariance, J)))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record
 class ResidualMap:
-    """Mean residual in the cells of a grid over the detector."""
+    """Mean residuals in R x C cells of the detector."""
 
-    mean_px: Array  # (rows, columns, 2) weighted by the stars' errors; NaN where no star fell
-    error_px: Array  # (rows, columns) standard error of the mean along one axis, infinite where no star fell
-    count: NDArray[np.int64]  # (rows, columns)
+    mean_px: Floats = array("R, C, 2", "weighted mean (column, row), px; NaN in a cell without stars")
+    error_px: Floats = array("R, C", "standard error of the mean along one axis, px; inf without stars")
+    count: Ints = array("R, C", "number of stars")
 
 
 def calibrate_camera(
@@ -87,23 +85,42 @@ def calibrate_camera(
     *,
     drift: bool = False,
 ) -> CameraCalibration | NotIdentified:
-    """Calibrates a camera of which `nominal` is a first idea (focal length good to
-    settings.fov_tolerance)."""
+    """Camera parameters and their covariance from images of the sky.
+
+    Parameters
+    ----------
+    frames : sequence of SkyFrame
+        Stars found in images of the same camera; any pointing.
+    nominal : StarCamera
+        Approximate camera, focal length good to `settings.fov_tolerance`.
+    index : StarIndex
+        Star index that covers its field of view (`build_index`).
+    settings : StarSettings
+        Identification and limits of reliable stars.
+    drift : bool
+        Fit a drift of the focal length too; needs observers of different times.
+
+    Returns
+    -------
+    CameraCalibration or NotIdentified
+        The latter if fewer than 20 stars are identified in all images together.
+    """
     camera, known = nominal, False
     for _ in range(_ROUNDS):
-        named, refused = _named(frames, camera, index, settings, known=known)
-        stars = sum(len(solution.hip) for _, solution in named)
+        identified, refused = _identify_frames(frames, camera, index, settings, known=known)
+        stars = sum(len(solution.hip) for _, solution in identified)
         if stars < 20:
             reasons = "; ".join(reason for _, reason in refused[:3])
-            found = f"{stars} stars identified in {len(named)} of {len(frames)} images"
+            found = f"{stars} stars identified in {len(identified)} of {len(frames)} images"
             return NotIdentified(f"{found}, 20 are needed: {reasons}", stars)
-        result = _adjusted(frames, named, camera, index, settings, drift=drift)
+        result = _adjusted(frames, identified, camera, index, settings, drift=drift)
         camera, known = result.camera, True
     return replace(result, frames_refused=tuple(refused))
 
 
 def residual_map(calibration: CameraCalibration, rows: int = 6, columns: int = 8) -> ResidualMap:
-    """Residuals averaged over cells: what the model leaves unexplained, by place on the detector."""
+    """Weighted mean residuals in a grid of cells over the detector: what the camera model leaves
+    unexplained."""
     camera = calibration.camera
     size = np.array([camera.width_px, camera.height_px])
     cell = np.clip(
@@ -112,21 +129,20 @@ def residual_map(calibration: CameraCalibration, rows: int = 6, columns: int = 8
     flat = cell[:, 1] * columns + cell[:, 0]
     count = np.bincount(flat, minlength=rows * columns)
     weight = calibration.sigma_px**-2.0
-    larger = max(1.0, calibration.chi2 / max(calibration.dof, 1))
+    variance_factor = max(1.0, calibration.chi2 / max(calibration.dof, 1))
     with np.errstate(invalid="ignore", divide="ignore"):
         whole = np.bincount(flat, weight, minlength=rows * columns)
         sums = [np.bincount(flat, weight * r, minlength=rows * columns) for r in calibration.residual_px.T]
         mean = np.stack(sums, axis=1) / whole[:, None]
-        error = np.sqrt(larger / whole)
-    return ResidualMap(
-        mean.reshape(rows, columns, 2), error.reshape(rows, columns), count.reshape(rows, columns)
-    )
+        error = np.sqrt(variance_factor / whole)
+    grid = (rows, columns)
+    return ResidualMap(mean.reshape(*grid, 2), error.reshape(grid), count.reshape(grid))
 
 
-def _named(
+def _identify_frames(
     frames: Sequence[SkyFrame], camera: StarCamera, index: StarIndex, settings: StarSettings, *, known: bool
 ) -> tuple[list[tuple[int, FieldSolution]], list[tuple[str, str]]]:
-    named, refused = [], []
+    identified, refused = [], []
     for k, frame in enumerate(frames):
         solution = solve_stars(
             frame.stars.xy_px,
@@ -139,36 +155,36 @@ def _named(
         if isinstance(solution, NotIdentified):
             refused.append((frame.frame_id, solution.reason))
         else:
-            named.append((k, solution))
-    return named, refused
+            identified.append((k, solution))
+    return identified, refused
 
 
 def _adjusted(
     frames: Sequence[SkyFrame],
-    named: list[tuple[int, FieldSolution]],
+    identified: list[tuple[int, FieldSolution]],
     camera: StarCamera,
     index: StarIndex,
     settings: StarSettings,
     *,
     drift: bool,
 ) -> CameraCalibration:
-    """All named stars that are beyond doubt, and the camera and rotations that fit them."""
+    """Calibration from all reliable identified stars."""
     xy, cov, u_i, frame, times, rotations = [], [], [], [], [], []
-    for number, (k, solution) in enumerate(named):
+    for number, (k, solution) in enumerate(identified):
         stars, rows = frames[k].stars, solution.rows
-        safe = select_for_calibration(stars, solution.detections, rows, camera, index, settings)
+        reliable = select_for_calibration(stars, solution.detections, rows, camera, index, settings)
         observer = frames[k].observer
-        xy.append(solution.xy_px[safe])
-        cov.append(stars.cov_px[solution.detections[safe]])
-        u_i.append(star_directions(index, rows[safe], observer))
-        frame.append(np.full(int(safe.sum()), number))
+        xy.append(solution.xy_px[reliable])
+        cov.append(stars.cov_px[solution.detections[reliable]])
+        u_i.append(star_directions(index, rows[reliable], observer))
+        frame.append(np.full(int(reliable.sum()), number))
         times.append(0.0 if observer is None else observer.tai_s)
         rotations.append(solution.R_si)
-    seen = IdentifiedStars(
+    used = IdentifiedStars(
         np.vstack(xy), np.concatenate(cov), np.vstack(u_i), np.concatenate(frame), np.array(times)
     )
     free = (*PARAMETERS, DRIFT) if drift else PARAMETERS
-    fit = fit_camera(seen, _shape_of(camera, named), Rotation.concatenate(rotations), free)
+    fit = fit_camera(used, _with_identified_focal(camera, identified), Rotation.concatenate(rotations), free)
     return CameraCalibration(
         camera=fit.camera,
         covariance=fit.covariance[:7, :7],
@@ -176,21 +192,20 @@ def _adjusted(
         focal_drift_sigma_per_s=float(np.sqrt(fit.covariance[7, 7])) if drift else 0.0,
         chi2=fit.chi2,
         dof=fit.dof,
-        frame=seen.frame[fit.keep],
-        xy_px=seen.xy_px[fit.keep],
+        frame=used.frame[fit.keep],
+        xy_px=used.xy_px[fit.keep],
         residual_px=fit.residual_px[fit.keep],
-        sigma_px=np.sqrt(0.5 * np.trace(seen.cov_px[fit.keep], axis1=1, axis2=2)),
+        sigma_px=np.sqrt(0.5 * np.trace(used.cov_px[fit.keep], axis1=1, axis2=2)),
         rotations=fit.rotations,
-        frames_used=tuple(frames[k].frame_id for k, _ in named),
+        frames_used=tuple(frames[k].frame_id for k, _ in identified),
         frames_refused=(),
         outliers=int((~fit.keep).sum()),
     )
 
 
-def _shape_of(camera: StarCamera, named: list[tuple[int, FieldSolution]]) -> StarCamera:
-    """The camera with the focal length that the images were identified with; same pixel, same nominal
-    scale."""
-    scale = np.median([s.camera.focal_m / s.camera.pixel_m for _, s in named]) / (
+def _with_identified_focal(camera: StarCamera, identified: list[tuple[int, FieldSolution]]) -> StarCamera:
+    """The camera with the median focal length of the identifications."""
+    scale = np.median([s.camera.focal_m / s.camera.pixel_m for _, s in identified]) / (
         camera.focal_m / camera.pixel_m
     )
     return replace(camera, focal_m=float(camera.focal_m * scale))

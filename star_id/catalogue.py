@@ -1,15 +1,13 @@
-"""The stars that are looked for: Hipparcos to V = 8, and which of them may be trusted to a fraction of an
-arc-second.
+"""Star catalogue: Hipparcos to V = 8, with the reliability of each position to a fraction of an arc-second.
 
-Places and motions are van Leeuwen's (2007) where he gives any, magnitudes and the notes on multiplicity are
-those of the ESA catalogue (1997); scripts/build_star_catalogue.py made the file and `catalogue_provenance`
-returns its origin. Directions are left to `geometry.starlight`.
+Positions and proper motions are van Leeuwen's (2007) where available; magnitudes and multiplicity flags are
+those of the ESA catalogue (1997). scripts/build_star_catalogue.py made the file and `catalogue_provenance`
+returns its origin. Directions are computed by `geometry.starlight`.
 """
 
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
 from functools import lru_cache
 from importlib.resources import files
 from typing import Any
@@ -18,40 +16,38 @@ import numpy as np
 from numpy.typing import NDArray
 
 from boresight.geometry.constants import ARCSEC
+from boresight.geometry.record import Bools, Floats, Texts, array, record, scalar
 from boresight.geometry.starlight import StarPlaces
 
 __all__ = ["DISAGREEMENT_LIMIT_MAS", "CatalogueStars", "catalogue_provenance", "hipparcos_stars"]
 
 _FILE = files("boresight.star_id") / "data" / "hipparcos_v8.npz"
-Array = NDArray[np.float64]
 
-DISAGREEMENT_LIMIT_MAS = 200.0  # two solutions of one star, carried to 2026: beyond it neither is believed
+DISAGREEMENT_LIMIT_MAS = 200.0  # between two solutions of one star, in 2026: beyond it neither is used
 _EPOCH_JYEAR = 1991.25
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record
 class CatalogueStars:
-    """Stars of the catalogue in ascending order of HIP. Row n of every array speaks of the same star."""
+    """Stars of the catalogue in ascending order of HIP. Row n of every array is the same star."""
 
-    places: StarPlaces
-    solved: NDArray[
-        np.bool_
-    ]  # (N,) van Leeuwen gives a solution; without one the place is good to about 0.1"
-    disagreement_mas: Array  # (N,) between the two solutions, in 2026; NaN where one is missing
-    multiplicity: NDArray[np.str_]  # (N,) ESA flag: C components, G acceleration, O orbit, V, X, or ''
-    photocentre_shift_arcsec: Array  # (N,) from the catalogue's place to the light of an unresolved pair
+    places: StarPlaces = scalar("positions, proper motions and magnitudes")
+    solved: Bools = array("N", "whether van Leeuwen gives a solution; else the error is about 0.1 arcsec")
+    disagreement_mas: Floats = array("N", "between the two solutions in 2026, mas; NaN if one is missing")
+    multiplicity: Texts = array("N", "ESA flag: C components, G acceleration, O orbit, V, X, or ''")
+    photocentre_shift_arcsec: Floats = array("N", "from the position to an unresolved pair's photocentre")
 
     @property
-    def usable_for_calibration(self) -> NDArray[np.bool_]:
-        """(N,) the catalogue itself raises no doubt: solved, and both solutions agree."""
+    def usable_for_calibration(self) -> Bools:
+        """(N,) whether the star is solved and both solutions agree."""
         return np.asarray(self.solved & (self.disagreement_mas <= DISAGREEMENT_LIMIT_MAS))
 
-    def point_like(self, limit_arcsec: float) -> NDArray[np.bool_]:
-        """(N,) the light of the star and its known companions stays within `limit_arcsec` of the place
-        given."""
+    def point_like(self, limit_arcsec: float) -> Bools:
+        """(N,) whether the photocentre with known companions is within `limit_arcsec` of the position."""
         return np.asarray(self.photocentre_shift_arcsec <= limit_arcsec)
 
     def take(self, index: NDArray) -> CatalogueStars:
+        """The stars `index`."""
         return CatalogueStars(
             self.places.take(index),
             self.solved[index],
@@ -62,9 +58,9 @@ class CatalogueStars:
 
 
 def hipparcos_stars(max_v_mag: float = 8.0) -> CatalogueStars:
-    """Stars no fainter than `max_v_mag` (Johnson V). The catalogue is complete to about 7.3 and ends at 8.0.
+    """Catalogue stars up to magnitude `max_v_mag` (Johnson V); complete to about 7.3, ends at 8.0.
 
-    A limit beyond 8 adds the one check star that the file carries (Barnard's star, V 9.54) and no other.
+    A limit beyond 8 adds only the check star of the file (Barnard's star, V 9.54).
     """
     columns = _columns()
     keep = np.flatnonzero(columns["v_mag"].astype(float) <= max_v_mag + 1e-6)
@@ -88,7 +84,7 @@ def hipparcos_stars(max_v_mag: float = 8.0) -> CatalogueStars:
 
 
 def catalogue_provenance() -> dict[str, Any]:
-    """Where the file comes from: packages, checksums, citations, epoch, meaning of the columns."""
+    """Origin of the catalogue file: packages, checksums, citations, epoch, meaning of the columns."""
     with _FILE.open("rb") as stream, np.load(stream) as data:
         record: dict[str, Any] = json.loads(str(data["provenance"]))
     return record
@@ -100,12 +96,11 @@ def _columns() -> dict[str, NDArray]:
         return {name: data[name] for name in data.files if name != "provenance"}
 
 
-def _photocentre_shift(columns: dict[str, NDArray]) -> Array:
-    """How far the light of a pair lies from the component that the place speaks of, arc-seconds.
+def _photocentre_shift(columns: dict[str, NDArray]) -> Floats:
+    """(N,) distance of a pair's photocentre from the component that the position refers to, arcsec.
 
-    A component at separation s and fainter by d magnitudes pulls by s / (1 + 10^(0.4 d)). Where the
-    catalogue's place is the photocentre already (reference point '*') nothing is left but what the pair
-    itself may move.
+    A component at separation s and fainter by d magnitudes shifts it by s / (1 + 10^(0.4 d)). If the position
+    is the photocentre (reference point '*') the shift is zero.
     """
     separation = columns["separation_arcsec"].astype(float)
     with np.errstate(invalid="ignore", over="ignore"):

@@ -1,67 +1,70 @@
-"""Centroids held against a known truth: completeness, false detections, error over the Cramer-Rao bound, bias
-by phase.
+"""Comparison of centroids with truth: completeness, false detections, error over the Cramer-Rao bound,
+pixel-phase bias.
 
-The bound is that of an unbiased estimate of column, row, flux and sky from independent pixels of known
-variance (Winick 1986): the inverse of the Fisher information at the true place.
+The bound is that of an unbiased estimate of column, row, flux and background from independent pixels of known
+variance (Winick 1986): the inverse of the Fisher information at the true position.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from boresight.geometry.record import Bools, Floats, Ints, array, record, scalar
 from boresight.star_id.finding.psf import Psf, psf_images
 from boresight.star_id.finding.star_list import StarList
 
 __all__ = ["SNR_EDGES", "CentroidScore", "cramer_rao_px", "score_centroids"]
 
-Array = NDArray[np.float64]
 
 SNR_EDGES = (5.0, 7.0, 8.0, 10.0, 14.0, 20.0, 40.0, 80.0, 160.0, 1e4)
 PHASES = 10
-_ISOLATED_SIGMA = 10.0  # no other star that matters within so many PSF widths
-_MATTERS = 0.002  # flux of a neighbour in units of the star's own that counts
-_MATCH_SIGMA = 2.5  # a detection within so many PSF widths of a true star is that star
-_BRIGHT_SNR = 15.0  # of stars that the bias over pixel phase is taken from
+_ISOLATED_SIGMA = 10.0  # PSF widths to the nearest relevant neighbour
+_RELEVANT_FLUX = 0.002  # flux of a neighbour over the star's own
+_MATCH_SIGMA = 2.5  # PSF widths between a detection and its true star
+_BRIGHT_SNR = 15.0  # of the stars for the pixel-phase bias
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record(kw_only=True)
 class CentroidScore:
-    """Figures by signal-to-noise ratio, B bins between SNR_EDGES, isolated unsaturated stars only."""
+    """Figures of isolated, unsaturated stars in B bins of signal-to-noise ratio and P bins of pixel phase."""
 
-    snr_edges: Array  # (B + 1,)
-    stars: NDArray[np.int64]  # (B,) true stars
-    found: NDArray[np.int64]  # (B,)
-    rms_px: Array  # (B,) one axis
-    bound_px: Array  # (B,) root mean square of the bound, the same stars
-    rms_error_px: Array  # (B,) standard error of rms_px
-    chi2: Array  # (B,) mean normalised square error, one axis
-    chi2_error: Array  # (B,) standard error of chi2
-    false: int  # detections without a true star
-    phase_bias_px: Array  # (PHASES, 2) mean error by pixel phase (column, row), weighted
-    phase_error_px: Array  # (PHASES, 2) its standard error
+    snr_edges: Floats = array("B + 1", "limits of the bins, SNR_EDGES")
+    stars: Ints = array("B", "true stars")
+    found: Ints = array("B", "true stars detected")
+    rms_px: Floats = array("B", "root mean square error along one axis, px")
+    bound_px: Floats = array("B", "root mean square of the bound for the detected stars, px")
+    rms_error_px: Floats = array("B", "standard error of rms_px")
+    chi2: Floats = array("B", "mean squared normalised error along one axis")
+    chi2_error: Floats = array("B", "standard error of chi2")
+    false: int = scalar("detections without a true star")
+    phase_bias_px: Floats = array("P, 2", "weighted mean error by pixel phase (column, row), px")
+    phase_error_px: Floats = array("P, 2", "standard error of phase_bias_px")
 
     @property
-    def over_bound(self) -> Array:
-        """(B,) rms error over the bound."""
+    def over_bound(self) -> Floats:
+        """(B,) rms_px over bound_px."""
         return self.rms_px / self.bound_px
 
     @property
-    def over_bound_error(self) -> Array:
-        """(B,) standard error of that."""
+    def over_bound_error(self) -> Floats:
+        """(B,) standard error of over_bound."""
         return self.rms_error_px / self.bound_px
 
 
 def cramer_rao_px(
-    xy_px: Array, flux_dn: Array, noise_dn: Array, psf: Psf, gain_e_per_dn: float, *, full_dn: float = np.inf
-) -> Array:
-    """(N,) smallest possible rms error along one axis (mean of both), and so the bound's pixel phase is the
-    true one.
+    xy_px: Floats,
+    flux_dn: Floats,
+    noise_dn: Floats,
+    psf: Psf,
+    gain_e_per_dn: float,
+    *,
+    full_dn: float = np.inf,
+) -> Floats:
+    """Cramer-Rao bound (N,) of the centroid error, px, root mean square of both axes.
 
-    Pixels that a star lifts by `full_dn` above the sky are saturated and tell nothing.
+    Stars of `flux_dn` (N,) stand at the true positions `xy_px` (N, 2), with background noise `noise_dn` (N,).
+    Pixels that a star raises by `full_dn` or more above the background are saturated and have no weight.
     """
     sigma = psf.sigma_at(xy_px)
     radius = int(np.ceil(5.0 * sigma.max() + 0.5 * np.hypot(*psf.smear_px)))
@@ -76,15 +79,15 @@ def cramer_rao_px(
 
 def score_centroids(
     lists: list[StarList],
-    truths: list[tuple[Array, Array]],
+    truths: list[tuple[Floats, Floats]],
     *,
     saturation_dn: float,
     psf: Psf | None = None,
     gain_e_per_dn: float | None = None,
 ) -> CentroidScore:
-    """Scores the star lists of images whose true places (N, 2) and fluxes (N,) DN are known.
+    """Score of star lists of images whose true positions (N, 2), px, and fluxes (N,), DN, are known.
 
-    `psf` and the gain are the true ones where they are known; otherwise those that each list was made with.
+    `psf` and the gain are the true ones where known; otherwise those that each list was made with.
     """
     parts = [
         _matched(stars, xy, flux, saturation_dn, psf or stars.psf, gain_e_per_dn or stars.gain_e_per_dn)
@@ -97,13 +100,13 @@ def score_centroids(
     bins = len(edges) - 1
     seen = cell[found]
 
-    def mean(values: Array, cells: Array) -> Array:
+    def mean(values: Floats, cells: Floats) -> Floats:
         count = np.bincount(cells[(cells >= 0) & (cells < bins)], minlength=bins)
         total = np.bincount(cells[(cells >= 0) & (cells < bins)], values[(cells >= 0) & (cells < bins)], bins)
         with np.errstate(invalid="ignore", divide="ignore"):
             return np.asarray(total / count)
 
-    def mean_and_error(values: Array) -> tuple[Array, Array]:
+    def mean_and_error(values: Floats) -> tuple[Floats, Floats]:
         average = mean(values, seen)
         count = np.maximum(np.bincount(seen[(seen >= 0) & (seen < bins)], minlength=bins), 1)
         return average, np.sqrt(np.maximum(mean(values**2, seen) - average**2, 0.0) / count)
@@ -113,25 +116,25 @@ def score_centroids(
     chi2, chi2_error = mean_and_error(0.5 * (error**2 / variance).sum(axis=1))
     bias, bias_error = _by_phase(error, variance, phase, snr[found] > _BRIGHT_SNR)
     return CentroidScore(
-        edges,
-        np.bincount(cell[inside], minlength=bins),
-        np.bincount(cell[inside & found], minlength=bins),
-        np.sqrt(square),
-        np.sqrt(mean(bound[found] ** 2, seen)),
-        0.5 * square_error / np.sqrt(square),
-        chi2,
-        chi2_error,
-        sum(part[6] for part in parts),
-        bias,
-        bias_error,
+        snr_edges=edges,
+        stars=np.bincount(cell[inside], minlength=bins),
+        found=np.bincount(cell[inside & found], minlength=bins),
+        rms_px=np.sqrt(square),
+        bound_px=np.sqrt(mean(bound[found] ** 2, seen)),
+        rms_error_px=0.5 * square_error / np.sqrt(square),
+        chi2=chi2,
+        chi2_error=chi2_error,
+        false=sum(part[6] for part in parts),
+        phase_bias_px=bias,
+        phase_error_px=bias_error,
     )
 
 
 def _matched(
-    stars: StarList, xy: Array, flux: Array, saturation: float, psf: Psf, gain: float
-) -> tuple[Array, NDArray[np.bool_], Array, Array, Array, Array, int]:
-    """Of isolated, unsaturated true stars: SNR, whether found, bound; of the found ones error, variance,
-    phase; false."""
+    stars: StarList, xy: Floats, flux: Floats, saturation: float, psf: Psf, gain: float
+) -> tuple[Floats, Bools, Floats, Floats, Floats, Floats, int]:
+    """SNR, whether found, and bound of isolated, unsaturated true stars; error, variance and phase of the
+    found ones; number of false detections."""
     sigma = float(psf.sigma_px)
     level, noise = stars.background.at(xy)
     images = psf_images(np.zeros((1, 2)), np.array([sigma]), psf.smear_px, 5 + int(3 * sigma))
@@ -143,15 +146,14 @@ def _matched(
     tree = cKDTree(xy)
     pairs = tree.query_pairs(_ISOLATED_SIGMA * sigma, output_type="ndarray")
     for a, b in (pairs.T, pairs.T[::-1]):
-        usable[a[flux[b] > _MATTERS * flux[a]]] = False
+        usable[a[flux[b] > _RELEVANT_FLUX * flux[a]]] = False
     reach = _MATCH_SIGMA * sigma
-    near, nearest = tree.query(stars.xy_px, distance_upper_bound=reach)
+    near, _ = tree.query(stars.xy_px, distance_upper_bound=reach)
     false = int(np.count_nonzero(~np.isfinite(near)))
     back, detection = cKDTree(stars.xy_px).query(xy, distance_upper_bound=reach)
     found = np.isfinite(back)
     rows = np.flatnonzero(usable)
     seen = rows[found[rows]]
-    del nearest
     error = stars.xy_px[detection[seen]] - xy[seen]
     variance = np.einsum("nii->ni", stars.cov_px[detection[seen]])
     bound = cramer_rao_px(xy[rows], flux[rows], noise[rows], psf, gain)
@@ -159,7 +161,7 @@ def _matched(
     return snr[rows], found[rows], bound, error, variance, phase, false
 
 
-def _by_phase(error: Array, variance: Array, phase: Array, bright: NDArray[np.bool_]) -> tuple[Array, Array]:
+def _by_phase(error: Floats, variance: Floats, phase: Floats, bright: Bools) -> tuple[Floats, Floats]:
     bias, bias_error = np.full((PHASES, 2), np.nan), np.full((PHASES, 2), np.nan)
     cell = np.clip(((phase + 0.5) * PHASES).astype(int), 0, PHASES - 1)
     for k in range(PHASES):

@@ -1,43 +1,51 @@
-"""What a user may set about finding and naming stars. Every default has its reason beside it."""
+"""Settings of star detection, centroids and identification, with the reason for each default."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Literal, get_args
+
+from boresight.geometry.record import record, scalar
 
 __all__ = ["CentroidMethod", "StarSettings"]
 
 CentroidMethod = Literal["fit", "window"]
 
 
-@dataclass(frozen=True, slots=True)
+@record(kw_only=True)
 class StarSettings:
     """Settings of detection, centroids and identification."""
 
     # Detection
-    false_alarms_per_frame: float = 0.5  # expected peaks of pure noise a frame; sets the threshold
-    saturation_dn: float | None = None  # None: the top of the image's own range of values
-    gain_e_per_dn: float | None = (
-        None  # None: photon noise is judged from the residuals of the stars themselves
+    false_alarms_per_frame: float = scalar(
+        "expected peaks of pure noise per image; sets the detection threshold", default=0.5
     )
-    psf_sigma_px: float | None = None  # None: estimated from the image
-    smear_px: tuple[float, float] | None = (
-        None  # blur by motion in the exposure, (column, row); None: looked for
+    saturation_dn: float | None = scalar("None: the top of the image's own range of values", default=None)
+    gain_e_per_dn: float | None = scalar("None: from the residuals of the stars themselves", default=None)
+    psf_sigma_px: float | None = scalar("None: estimated from the image", default=None)
+    smear_px: tuple[float, float] | None = scalar(
+        "motion during the exposure (column, row), px; None: estimated from the image", default=None
     )
-    centroid_method: CentroidMethod = (
-        "fit"  # "window": first moments; nearly as good, and ask for symmetry alone
+    centroid_method: CentroidMethod = scalar(
+        '"fit" of the PSF, or "window": first moments, slightly less precise, needs only a symmetric PSF',
+        default="fit",
     )
-    max_stars: int = 600  # brightest detections kept; beyond it more stars only cost time
+    max_stars: int = scalar("brightest detections kept; more stars only cost time", default=600)
 
     # Identification
-    max_false_alarm_probability: float = 1e-9  # an identification less sure than this is "not identified"
-    camera_error: float = 5e-4  # relative error of angles by a known camera: half a pixel in 1000
-    uncalibrated_error: float = 0.02  # the same for a camera of which only the field of view is known
-    fov_tolerance: float = 0.1  # a stated field of view is good to this fraction
-    max_identification_stars: int = 24  # brightest detections of which triangles are made
+    max_false_alarm_probability: float = scalar("an identification less certain is rejected", default=1e-9)
+    camera_error: float = scalar(
+        "relative error of angles by a calibrated camera: half a pixel in 1000", default=5e-4
+    )
+    uncalibrated_error: float = scalar(
+        "relative error of angles if only the field of view is known", default=0.02
+    )
+    fov_tolerance: float = scalar("relative error of a stated field of view", default=0.1)
+    max_identification_stars: int = scalar("brightest detections of which triangles are made", default=24)
 
     # Sightings for calibration
-    max_photocentre_shift_px: float = 0.02  # catalogue pairs that displace the light further are left out
+    max_photocentre_shift_px: float = scalar(
+        "stars displaced further by a catalogue companion are not used, px", default=0.02
+    )
 
     def __post_init__(self) -> None:
         if self.centroid_method not in get_args(CentroidMethod):

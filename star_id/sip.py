@@ -1,37 +1,34 @@
-"""A star camera as FITS writes it: tangent-plane projection with SIP polynomials (Shupe et al. 2005).
+"""World coordinates of FITS for a star image: tangent-plane projection with SIP polynomials (Shupe et al.
+2005).
 
 The principal point is the reference pixel and the optical axis the reference direction, so the linear part is
-a rotation and a scale, and the polynomials hold the lens alone.
+a rotation and a scale, and the polynomials are the distortion alone.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from boresight.geometry.record import Floats, array, record, scalar
 from boresight.geometry.star_camera import StarCamera
 
 __all__ = ["TanSip", "tan_sip"]
 
-Array = NDArray[np.float64]
 
-
-@dataclass(frozen=True, slots=True, eq=False)
+@record(kw_only=True)
 class TanSip:
-    """Numbers of a TAN-SIP header. Pixels of FITS: the first pixel's centre is (1, 1)."""
+    """Keywords of a TAN-SIP header. In FITS the centre of the first pixel is (1, 1)."""
 
-    crval_deg: tuple[float, float]
-    crpix: tuple[float, float]
-    cd: Array  # (2, 2) deg per pixel
-    a: Array  # (order + 1, order + 1) A_p_q in a[p, q]: corrected u = u + sum A_p_q u^p v^q
-    b: Array
-    largest_misfit_px: float  # of the polynomials against the camera, over the detector
+    crval_deg: tuple[float, float] = scalar("right ascension and declination of the reference pixel, deg")
+    crpix: tuple[float, float] = scalar("reference pixel")
+    cd: Floats = array("2, 2", "deg per pixel")
+    a: Floats = array("P, P", "A_p_q in a[p, q]: corrected u = u + sum A_p_q u^p v^q")
+    b: Floats = array("P, P", "B_p_q in b[p, q]: corrected v = v + sum B_p_q u^p v^q")
+    largest_misfit_px: float = scalar("of the polynomials against the camera, over the detector, px")
 
     def cards(self) -> dict[str, float | int | str]:
-        """Header cards, in order."""
+        """Header keywords and values, in order."""
         order = len(self.a) - 1
         cards: dict[str, float | int | str] = {
             "CTYPE1": "RA---TAN-SIP",
@@ -54,7 +51,7 @@ class TanSip:
 
 
 def tan_sip(camera: StarCamera, R_si: Rotation, order: int = 7) -> TanSip:
-    """TAN-SIP header of an image taken by `camera` with attitude `R_si`."""
+    """TAN-SIP header, polynomials of `order`, of an image taken by `camera` with attitude `R_si`."""
     x, y = np.meshgrid(np.linspace(0, camera.width_px - 1, 41), np.linspace(0, camera.height_px - 1, 31))
     xy = np.column_stack([x.ravel(), y.ravel()])
     u_s = camera.directions_from_pixels(xy)
@@ -76,6 +73,5 @@ def tan_sip(camera: StarCamera, R_si: Rotation, order: int = 7) -> TanSip:
     north = np.array([-np.sin(dec) * np.cos(ra), -np.sin(dec) * np.sin(ra), np.cos(dec)])
     cd = -np.degrees(np.array([axes_i[:2] @ east, axes_i[:2] @ north]) / focal_px)
     x0, y0 = camera.principal_px
-    return TanSip(
-        (float(np.degrees(ra) % 360.0), float(np.degrees(dec))), (x0 + 1.0, y0 + 1.0), cd, a, b, misfit
-    )
+    crval = (float(np.degrees(ra) % 360.0), float(np.degrees(dec)))
+    return TanSip(crval_deg=crval, crpix=(x0 + 1.0, y0 + 1.0), cd=cd, a=a, b=b, largest_misfit_px=misfit)

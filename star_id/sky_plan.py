@@ -1,22 +1,19 @@
-"""Where to look to calibrate a star camera: of many pointings those whose stars, between them, tell most
-about the lens where least is known of it.
+"""Pointings that calibrate a star camera best, chosen from candidates by G-optimal design.
 
-What an image will tell is known before it is taken: the catalogue says which stars will be on the detector,
-and one earlier image how well this camera places a star of a given brightness. Each candidate's Fisher
-information about the camera's seven numbers, its own rotation unknown, adds to that of the others, and the
-one that lowers the largest error of the model over the detector most is taken next (greedy G-optimal design;
-Fedorov 1972, Theory of Optimal Experiments, ch. 3). Ten fields so chosen tell as much as sixty or ninety at
-random: bright stars are few, and it matters where on the detector they fall.
+The information of an image is known before it is taken: the catalogue states which stars will be on the
+detector, and one earlier image how precisely this camera measures a star of a given brightness. The Fisher
+information of each candidate about the seven camera parameters, its attitude unknown, adds to that of the
+others, and the one that lowers the largest error of the camera model over the detector most is taken next
+(greedy; Fedorov 1972, Theory of Optimal Experiments, ch. 3). Ten fields so chosen have the information of
+sixty to ninety random ones, because bright stars are few and their positions on the detector matter.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from boresight.geometry.record import Bools, Floats, array, record, scalar
 from boresight.geometry.star_camera import StarCamera
 from boresight.star_id.camera_fit import (
     PARAMETERS,
@@ -34,60 +31,67 @@ from boresight.star_id.sight import has_reliable_position
 
 __all__ = ["Pointing", "SkyPlan", "StarImageModel", "plan_pointings"]
 
-Array = NDArray[np.float64]
 
-_MARGIN_PX = 4.0  # a star nearer to the edge is not placed
-_EXCHANGES = 3  # rounds in which each pointing may be exchanged for a better one
+_MARGIN_PX = 4.0  # a star closer to the edge is not measured
+_EXCHANGES = 3  # rounds of exchanging each pointing for a better one
 
 
-@dataclass(frozen=True, slots=True)
+@record(kw_only=True)
 class StarImageModel:
-    """What the image of a star is like in a camera, as one image of the sky shows it."""
+    """Images of stars in a camera: PSF, noise and photometric zero point."""
 
-    psf: Psf
-    noise_dn: float
-    gain_e_per_dn: float
-    full_dn: float  # above the sky
-    flux_of_v0_dn: float
-    faintest_dn: float  # that is found
+    psf: Psf = scalar("point spread function")
+    noise_dn: float = scalar("standard deviation of a background pixel, DN")
+    gain_e_per_dn: float = scalar("electrons per DN; infinite: no photon noise")
+    full_dn: float = scalar("saturation above the background, DN")
+    flux_of_v0_dn: float = scalar("flux of a star of V = 0, DN")
+    faintest_dn: float = scalar("flux of the faintest star detected, DN")
 
     @staticmethod
-    def of(seen: FieldSolution, index: StarIndex) -> StarImageModel:
-        """From an identified image: brightness by the median of its named stars that are not saturated."""
-        stars = seen.stars
+    def of(solution: FieldSolution, index: StarIndex) -> StarImageModel:
+        """Model from an identified image; the zero point is the median of its unsaturated identified stars.
+
+        Raises `ValueError` for a solution without star list, or if all identified stars are saturated.
+        """
+        stars = solution.stars
         if stars is None:
             raise ValueError("StarImageModel.of needs a field that was solved from an image")
-        v_mag = index.stars.v_mag[seen.rows]
-        flux = stars.flux_dn[seen.detections]
-        whole = ~stars.saturated[seen.detections]
-        if not whole.any():
-            raise ValueError("all named stars are saturated: their brightness is not known")
+        v_mag = index.stars.v_mag[solution.rows]
+        flux = stars.flux_dn[solution.detections]
+        unsaturated = ~stars.saturated[solution.detections]
+        if not unsaturated.any():
+            raise ValueError("all identified stars are saturated: the photometric zero point is unknown")
         noise = float(np.median(stars.background.noise_dn))
-        zero = float(np.median(flux[whole] * 10.0 ** (0.4 * v_mag[whole])))
+        zero = float(np.median(flux[unsaturated] * 10.0 ** (0.4 * v_mag[unsaturated])))
         # flux of SNR 1 in a matched filter: noise times the root of the PSF's effective area
         one = noise * np.sqrt(4.0 * np.pi) * stars.psf.sigma_px
         sky = float(np.median(stars.background.level_dn))
         return StarImageModel(
-            stars.psf, noise, stars.gain_e_per_dn, stars.saturation_dn - sky, zero, one * stars.threshold
+            psf=stars.psf,
+            noise_dn=noise,
+            gain_e_per_dn=stars.gain_e_per_dn,
+            full_dn=stars.saturation_dn - sky,
+            flux_of_v0_dn=zero,
+            faintest_dn=one * stars.threshold,
         )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record
 class Pointing:
     """One image to take."""
 
-    R_si: Rotation
-    stars: int  # that will serve
-    sigma_px: float  # largest 1-sigma error of the model over the detector after it, along one axis
+    R_si: Rotation = scalar("rotation GCRS to star-camera frame s")
+    stars: int = scalar("usable stars")
+    sigma_px: float = scalar("largest 1-sigma error of the camera model after it, one axis, px")
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record
 class SkyPlan:
-    """Images to take, in the order of what they add, and what the camera will be known to after them."""
+    """Images to take, those that add most first, and the errors of the camera after them."""
 
-    pointings: tuple[Pointing, ...]
-    covariance: Array  # (7, 7) of PARAMETERS
-    random_sigma_px: Array  # (F,) the same largest error after as many candidates at random, median of draws
+    pointings: tuple[Pointing, ...] = array("F", "images in order")
+    covariance: Floats = array("7, 7", "of PARAMETERS after all images, in their own units")
+    random_sigma_px: Floats = array("F", "largest error after as many random candidates, median of draws, px")
 
 
 def plan_pointings(
@@ -98,41 +102,64 @@ def plan_pointings(
     candidates: Rotation,
     frames: int,
 ) -> SkyPlan:
-    """The best `frames` of the attitudes `candidates` (R_si) for a camera that is roughly known.
+    """The best pointings for the calibration of an approximately known camera.
 
-    Raises `ValueError` for fewer candidates than frames.
+    Parameters
+    ----------
+    camera : StarCamera
+        Approximate camera.
+    images : StarImageModel
+        Brightness and noise of star images in it.
+    index : StarIndex
+        Catalogue stars.
+    settings : StarSettings
+        Limits of reliable stars.
+    candidates : Rotation
+        Attitudes R_si (N,) to choose from.
+    frames : int
+        Number of pointings.
+
+    Returns
+    -------
+    SkyPlan
+
+    Raises
+    ------
+    ValueError
+        For fewer candidates than frames.
     """
     if not 1 <= frames <= len(candidates):
         raise ValueError(f"frames must be 1 to the number of candidates, {len(candidates)}, got {frames}")
     every = np.arange(len(index.u_i))
-    safe = has_reliable_position(index, every, camera, images.psf.sigma_px, settings)
-    told = [_told(camera, images, index, safe, R_si) for R_si in candidates]
-    information, stars = np.array([one[0] for one in told]), np.array([one[1] for one in told])
-    seen = visible_derivatives(camera, detector_grid(camera))
-    scale = _loosely_known(camera)
-    information, seen = information * scale[:, None] * scale, seen * scale
-    chosen = _exchanged(information, seen, _greedy(information, seen, frames))
-    order = _in_order(information, seen, chosen)
+    reliable = has_reliable_position(index, every, camera, images.psf.sigma_px, settings)
+    each = [_information(camera, images, index, reliable, R_si) for R_si in candidates]
+    information, stars = np.array([one[0] for one in each]), np.array([one[1] for one in each])
+    J = visible_derivatives(camera, detector_grid(camera))
+    scale = _wide_prior(camera)
+    information, J = information * scale[:, None] * scale, J * scale
+    chosen = _exchange(information, J, _greedy(information, J, frames))
+    order = [chosen[k] for k in _greedy(information[chosen], J, frames)]  # best first
     sums = np.eye(len(PARAMETERS)) + np.cumsum(information[order], axis=0)
-    sigmas = _largest_sigma(sums, seen)
+    sigmas = _largest_sigma(sums, J)
     pointings = tuple(Pointing(candidates[k], int(stars[k]), float(sigma)) for k, sigma in zip(order, sigmas))
     covariance = np.linalg.inv(sums[-1]) * scale[:, None] * scale
-    return SkyPlan(pointings, covariance, _at_random(information, seen, frames))
+    return SkyPlan(pointings, covariance, _random_sigma(information, J, frames))
 
 
-def _told(
-    camera: StarCamera, images: StarImageModel, index: StarIndex, safe: NDArray[np.bool_], R_si: Rotation
-) -> tuple[Array, int]:
-    """(7, 7) Fisher information of one image about the camera, its rotation unknown; and its stars."""
+def _information(
+    camera: StarCamera, images: StarImageModel, index: StarIndex, reliable: Bools, R_si: Rotation
+) -> tuple[Floats, int]:
+    """Fisher information (7, 7) of one image about the camera, its attitude unknown; number of usable
+    stars."""
     rows = index.near(R_si.inv().apply([0.0, 0.0, 1.0]), camera.field_radius_rad)
-    rows = rows[safe[rows]]
+    rows = rows[reliable[rows]]
     flux = images.flux_of_v0_dn * 10.0 ** (-0.4 * index.stars.v_mag[rows])
     u_s = R_si.apply(index.u_i[rows])
     xy = camera.pixels_from_directions(u_s)
     far = np.array([camera.width_px, camera.height_px]) - 1.0 - _MARGIN_PX
     with np.errstate(invalid="ignore"):
         found = (flux > images.faintest_dn) & ((xy > _MARGIN_PX) & (xy < far)).all(axis=1)
-    if found.sum() < 3:  # no rotation
+    if found.sum() < 3:  # no attitude
         return np.zeros((7, 7)), int(found.sum())
     u_s, xy, flux = u_s[found], xy[found], flux[found]
     noise = np.full(len(flux), images.noise_dn)
@@ -142,64 +169,54 @@ def _told(
     return J.T @ J - J.T @ A @ np.linalg.solve(A.T @ A, A.T @ J), len(flux)
 
 
-def _loosely_known(camera: StarCamera) -> Array:
-    """(7,) 1-sigma beliefs of before any image: 5 % of the focal length, 5 % of the width, distortions of
+def _wide_prior(camera: StarCamera) -> Floats:
+    """(7,) 1-sigma prior errors of PARAMETERS: 5 % of the focal length, 5 % of the width, distortions of
     order one."""
     f_mm, off = 1e3 * camera.focal_m, 0.05 * camera.width_px
     distortion = [0.1 / f_mm, 0.1 / f_mm, 1.0 / f_mm**2, 10.0 / f_mm**4]
     return np.array([0.05 * camera.focal_m, off, off, *distortion])
 
 
-def _largest_sigma(information: Array, seen: Array) -> Array:
+def _largest_sigma(information: Floats, J: Floats) -> Floats:
     """(...,) largest 1-sigma error over the detector along one axis, of informations (..., 7, 7)."""
     covariance = np.linalg.inv(information)
-    variance = 0.5 * np.einsum("nip,...pq,niq->...n", seen, covariance, seen, optimize=True)
+    variance = 0.5 * np.einsum("nip,...pq,niq->...n", J, covariance, J, optimize=True)
     return np.asarray(np.sqrt(variance.max(axis=-1)))
 
 
-def _greedy(information: Array, seen: Array, frames: int) -> list[int]:
-    whole = np.eye(information.shape[1])
+def _greedy(information: Floats, J: Floats, frames: int) -> list[int]:
+    """Candidates in the order in which they lower the largest error most."""
+    total = np.eye(information.shape[1])
     chosen: list[int] = []
     for _ in range(frames):
-        k = _best(information, seen, whole, chosen)
+        k = _best(information, J, total, chosen)
         chosen.append(k)
-        whole = whole + information[k]
+        total = total + information[k]
     return chosen
 
 
-def _best(information: Array, seen: Array, whole: Array, taken: list[int]) -> int:
+def _best(information: Floats, J: Floats, total: Floats, taken: list[int]) -> int:
     """The candidate that lowers the largest error most, of those not taken."""
-    sigma = _largest_sigma(whole + information, seen)
+    sigma = _largest_sigma(total + information, J)
     sigma[taken] = np.inf
     return int(sigma.argmin())
 
 
-def _exchanged(information: Array, seen: Array, chosen: list[int]) -> list[int]:
+def _exchange(information: Floats, J: Floats, chosen: list[int]) -> list[int]:
     chosen = list(chosen)
     for _ in range(_EXCHANGES):
         before = list(chosen)
         for n in range(len(chosen)):
             others = chosen[:n] + chosen[n + 1 :]
             rest = np.eye(information.shape[1]) + information[others].sum(axis=0)
-            chosen[n] = _best(information, seen, rest, others)
+            chosen[n] = _best(information, J, rest, others)
         if chosen == before:
             break
     return chosen
 
 
-def _in_order(information: Array, seen: Array, chosen: list[int]) -> list[int]:
-    """The same pointings, each time the one that adds most: a campaign that is cut short has the best."""
-    left, order, whole = list(chosen), [], np.eye(information.shape[1])
-    while left:
-        k = left[int(_largest_sigma(whole + information[left], seen).argmin())]
-        left.remove(k)
-        order.append(k)
-        whole = whole + information[k]
-    return order
-
-
-def _at_random(information: Array, seen: Array, frames: int, draws: int = 100) -> Array:
+def _random_sigma(information: Floats, J: Floats, frames: int, draws: int = 100) -> Floats:
     rng = np.random.default_rng(0)
     sets = [rng.permutation(len(information))[:frames] for _ in range(draws)]
     sums = np.eye(information.shape[1]) + np.cumsum(information[sets], axis=1)  # (draws, frames, 7, 7)
-    return np.asarray(np.median(_largest_sigma(sums, seen), axis=0))
+    return np.asarray(np.median(_largest_sigma(sums, J), axis=0))

@@ -106,9 +106,9 @@ def detect(
     hot = high[_repair_hot_pixels(filtered, high, best[high])]
     best[hot], peak[hot] = filtered.peaks(hot)
     keep = high[peak[high] * unit > threshold * noise[high]]
-    repaired = np.zeros(len(candidates), dtype=bool)
-    repaired[hot] = True
-    repaired = repaired[keep]
+    is_hot = np.zeros(len(candidates), dtype=bool)
+    is_hot[hot] = True
+    repaired = is_hot[keep]
     best, peak = best[keep], peak[keep]
     snr = peak * unit / noise[keep]
     row, column = np.divmod(best, shifts)

@@ -215,7 +215,7 @@ def _merge_saturated_peaks(
         return pixels, offset
     plateau = pixels[full]
     pairs = cKDTree(plateau).query_pairs(4.5, output_type="ndarray")
-    label, before = np.arange(len(plateau)), np.empty(0)
+    label, before = np.arange(len(plateau)), np.empty(0, dtype=np.int64)
     while not np.array_equal(label, before):  # connected peaks take the lowest row among them
         before, low = label, label[pairs].min(axis=1)
         label = label.copy()

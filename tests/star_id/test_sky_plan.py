@@ -23,7 +23,14 @@ TRUTH = replace(PAPER_CAMERA, principal_px=(2571.3, 1893.2))
 ROUGH = replace(PAPER_CAMERA, focal_m=0.101, p1=0.0, p2=0.0, q1=0.0, q2=0.0)  # what a plan may know
 SETTINGS = StarSettings()
 # as in `listed_stars`: errors of 1.8 px over the SNR, no star saturated
-LISTED = StarImageModel(Psf(1.25, 1.25, (0.0, 0.0), 5120, 3840), 2.0, 1e9, np.inf, 71.0 * 10**2.8, 53.0)
+LISTED = StarImageModel(
+    psf=Psf(1.25, 1.25, (0.0, 0.0), 5120, 3840),
+    noise_dn=2.0,
+    gain_e_per_dn=1e9,
+    full_dn=np.inf,
+    flux_of_v0_dn=71.0 * 10**2.8,
+    faintest_dn=53.0,
+)
 
 
 @pytest.fixture(scope="module")
