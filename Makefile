@@ -5,15 +5,22 @@ BIN := $(VENV)/bin
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: demo test lint types docs install clean
+.PHONY: demo test lint types docs install lock clean
 
 install: $(VENV)/.installed
 
 $(VENV)/.installed: pyproject.toml constraints.txt
 	$(PYTHON) -c 'import sys; sys.exit("boresight needs Python 3.11 or newer, found %d.%d" % sys.version_info[:2] if sys.version_info < (3, 11) else 0)'
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --no-compile --editable '.[dev]' --constraint constraints.txt
+	$(BIN)/python -m pip install --quiet --no-compile --require-hashes --requirement constraints.txt
+	$(BIN)/python -m pip install --quiet --no-compile --no-deps --no-build-isolation --editable .
 	touch $@
+
+# The pinned versions anew, after a change of pyproject.toml; `make lock UPGRADE=--upgrade` takes the newest.
+lock: install
+	$(BIN)/python -m pip install --quiet uv
+	$(BIN)/uv pip compile --quiet --universal --python-version 3.11 --generate-hashes --no-annotate $(UPGRADE) \
+	  --custom-compile-command 'make lock' --extra dev --extra docs pyproject.toml --output-file constraints.txt
 
 demo: install
 	$(BIN)/boresight calibrate fixtures/mini --out demo-result
@@ -30,8 +37,7 @@ test: lint types
 	$(BIN)/pytest -n 2
 
 docs: install
-	$(BIN)/python -m pip install --quiet --no-compile --editable '.[docs]' --constraint constraints.txt
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 
 clean:
-	rm -rf $(VENV) demo-result site
+	rm -rf $(VENV) build demo-result site
