@@ -93,7 +93,8 @@ class TargetMatches(Result):
             ax.plot(
                 rows["residual_sample_px"], rows["residual_line_px"], "o", fillstyle="none", label=str(strip)
             )
-        ax.set(xlabel="residual along samples, px", ylabel="residual along lines, px", aspect="equal")
+        ax.set(xlabel="residual along samples, px", ylabel="residual along lines, px")
+        ax.grid(color="0.9")
         ax.legend(title="strip")
         return ax
 

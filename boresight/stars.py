@@ -119,11 +119,14 @@ class StarSolution(Outcome):
         )
 
     def plot(self, ax: Axes | None = None, *, image: NDArray[np.generic] | None = None) -> Axes:
-        """Identified stars with their Hipparcos numbers, over the image if it is given."""
+        """Identified stars, the brightest 30 with Hipparcos numbers, over the image if it is given."""
         ax = _sky_axes(ax, self.stars.size_px, image)
-        ax.scatter(self.xy_px[:, 0], self.xy_px[:, 1], s=60, facecolors="none", edgecolors="tab:orange")
+        color = "black" if image is None else "yellow"
+        ax.scatter(self.xy_px[:, 0], self.xy_px[:, 1], s=60, facecolors="none", edgecolors=color)
         for hip, (x, y) in zip(self.hip[:30].tolist(), self.xy_px[:30].tolist()):
-            ax.annotate(str(hip), (x, y), (4, 4), textcoords="offset points", fontsize=7, color="tab:orange")
+            ax.annotate(
+                str(hip), (x, y), (5, 5), textcoords="offset points", color=color, annotation_clip=True
+            )
         return ax
 
 
@@ -167,7 +170,7 @@ class CameraSolution(Outcome):
         residuals = {"residual_x_px": fit.residual_px[:, 0], "residual_y_px": fit.residual_px[:, 1]}
         return pd.DataFrame(columns | residuals | {"sigma_px": fit.sigma_px})
 
-    def plot(self, ax: Axes | None = None, *, magnified: float = 500.0) -> Axes:
+    def plot(self, ax: Axes | None = None, *, magnified: float = 100.0) -> Axes:
         """Residuals over the detector as arrows, drawn `magnified` times."""
         ax = _sky_axes(ax, (self.camera.width_px, self.camera.height_px), None)
         (x, y), (u, v) = self.fit.xy_px.T, magnified * self.fit.residual_px.T
@@ -297,6 +300,8 @@ def calibrate_star_camera(
     *,
     camera: StarCamera | None = None,
     fov_deg: float | None = None,
+    times: Sequence[str] | None = None,
+    site: tuple[float, float, float] | None = None,
     settings: StarSettings = StarSettings(),  # noqa: B008
 ) -> CameraSolution | NotIdentified:
     """Focal length, principal point and distortion of a star camera from images of the sky.
@@ -311,6 +316,11 @@ def calibrate_star_camera(
     fov_deg : float, optional
         Width of the field of view, deg, good to 10 %. Without either, the first image that can be identified
         without them gives it, and pixels are taken to be 5 µm wide.
+    times : sequence of str, optional
+        Middle of each exposure, UTC. Without them the Earth's aberration changes the focal length, by up to
+        1e-4 of it.
+    site : (latitude deg, longitude deg, height m), optional
+        Of a camera on the ground, with `times`: refraction is removed, too.
     settings : StarSettings
         Limits of detection and identification.
 
@@ -322,7 +332,7 @@ def calibrate_star_camera(
     Raises
     ------
     ValueError
-        If there are no images or they differ in size.
+        If there are no images, they differ in size, or there is not one time for each.
     RawDataError
         If a file cannot be read.
 
@@ -334,12 +344,15 @@ def calibrate_star_camera(
     >>> found.rms_px < 0.2
     True
     """
+    from boresight.pipeline.files.sky_images import observer_at
     from boresight.pipeline.stages.identify import sky_index
 
     names = [str(image) if isinstance(image, str | Path) else f"image {n}" for n, image in enumerate(images)]
     every = [one if isinstance(one, Stars) else find_stars(one, settings=settings) for one in images]
     if len(sizes := {stars.size_px for stars in every}) != 1:
         raise ValueError(f"images must be of one size, got {sorted(sizes)}")
+    if times is not None and len(times) != len(every):
+        raise ValueError(f"{len(times)} times given for {len(every)} images")
     if camera is None:
         for stars in every if fov_deg is None else ():
             if first := identify(stars, settings=settings):
@@ -349,7 +362,8 @@ def calibrate_star_camera(
             return NotIdentified(f"none of {len(every)} images can be identified without fov_deg")
         camera = nominal_camera(every[0].size_px, float(np.radians(fov_deg)))
     index = sky_index(None, float(np.degrees(camera.fov_x_rad)), settings)
-    frames = [SkyFrame(name, stars.star_list) for name, stars in zip(names, every)]
+    observers = [None] * len(every) if times is None else [observer_at(time, site) for time in times]
+    frames = [SkyFrame(*one) for one in zip(names, (stars.star_list for stars in every), observers)]
     found = calibrate_camera(frames, camera, index, settings)
     if isinstance(found, NotIdentified):
         return found

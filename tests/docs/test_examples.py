@@ -1,0 +1,38 @@
+"""The worked examples run, and print what the documentation site shows."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+EXAMPLES = sorted((ROOT / "docs" / "examples").glob("*.py"))
+NUMBER = re.compile(r"[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
+
+
+def test_there_are_three_examples_with_their_output_and_pictures() -> None:
+    assert len(EXAMPLES) == 3
+    for path in EXAMPLES:
+        assert path.with_suffix(".txt").is_file()
+        assert list((ROOT / "docs" / "images").glob(f"example_{path.stem}.*"))
+
+
+@pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
+def test_example_prints_what_the_site_shows(path: Path, tmp_path: Path) -> None:
+    environment = os.environ | {"MPLBACKEND": "Agg"}
+    command = [sys.executable, str(path), str(tmp_path)]
+    done = subprocess.run(command, capture_output=True, text=True, env=environment, cwd=ROOT, timeout=300)
+    assert done.returncode == 0, done.stderr
+    shown = path.with_suffix(".txt").read_text(encoding="utf-8")
+    assert NUMBER.sub("#", done.stdout).split() == NUMBER.sub("#", shown).split()
+    printed, expected = (list(map(float, NUMBER.findall(text))) for text in (done.stdout, shown))
+    # the last digit may differ between versions of NumPy and OpenCV; probabilities by their exponents
+    assert printed == pytest.approx(expected, rel=0.02, abs=2e-3)
+    assert [file.name for file in tmp_path.iterdir()] == [
+        file.name for file in (ROOT / "docs" / "images").glob(f"example_{path.stem}.*")
+    ]
