@@ -18,6 +18,12 @@ from accuracy_tables import table4_markdown
 ROOT = Path(__file__).parents[1]
 RECORDS = ROOT / "benchmarks" / "results"
 NAME = re.compile(r"`(boresight\.(?:geometry|star_id|gct_match|calib|simulator|pipeline)(?:\.\w+)+)`")
+EXAMPLES = {
+    "star_tracker": "Find, identify, calibrate a lens",
+    "matching": "Match two arrays, and a strip",
+    "vectors": "From vectors to the matrix",
+}
+DOOR = ("boresight.stars", "boresight.matching", "boresight.calibration", "boresight.display")
 PACKAGES = {
     "geometry": "Constants, time, frames, light, the Earth, cameras, orbit and attitude, and the records"
     " that stages exchange. Imports nothing of ours.",
@@ -39,7 +45,13 @@ def on_config(config: Any) -> Any:
 
 
 def on_files(files: Files, *, config: Any) -> Files:
-    """Add `api/PACKAGE.md` for each package."""
+    """Add `api/PACKAGE.md` for each package, `api/boresight.md` for the names of `boresight` itself, and a
+    page for each example: its docstring, code, output and picture."""
+    head = "# boresight\n\nThe names of `import boresight as bs`.\n"
+    content = "\n".join([head, *(f"::: {module}\n" for module in DOOR)])
+    files.append(File.generated(config, "api/boresight.md", content=content))
+    for name, title in EXAMPLES.items():
+        files.append(File.generated(config, f"examples/{name}.md", content=_example(name, title)))
     for package, text in PACKAGES.items():
         parts = [f"# {package}\n\n{text}\n"]
         parts += [f"::: {module}\n" for module in modules_of(package)]
@@ -59,6 +71,19 @@ def on_page_markdown(markdown: str, *, page: Any, config: Any, files: Files) -> 
     if "<!-- table 4 -->" in markdown:
         markdown = markdown.replace("<!-- table 4 -->", table4_markdown())
     return markdown.replace("<!-- benchmark records -->", "\n".join(_records()))
+
+
+def _example(name: str, title: str) -> str:
+    folder = ROOT / "docs" / "examples"
+    text, code = (folder / f"{name}.py").read_text(encoding="utf-8").removeprefix('"""').split('"""\n', 1)
+    output = (folder / f"{name}.txt").read_text(encoding="utf-8")
+    picture = next((ROOT / "docs" / "images").glob(f"example_{name}.*")).name
+    return (
+        f"# {title}\n\n{text}\n```python\n{code.strip()}\n```\n\n"
+        f"It prints\n\n```text\n{output.rstrip()}\n```\n\n"
+        f"![The picture that the example draws](../images/{picture})\n\n"
+        f"The file is `docs/examples/{name}.py`.\n"
+    )
 
 
 def _records() -> Iterator[str]:

@@ -46,4 +46,4 @@ for axis, name in enumerate("XYZ"):
     )
 axes[0].set_ylabel("arcsec")
 axes[2].legend()
-figure.savefig(PICTURES / "example_vectors.svg")
+figure.savefig(PICTURES / "example_vectors.png", dpi=110)
