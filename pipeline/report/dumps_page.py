@@ -13,6 +13,7 @@ from boresight.pipeline.files.text_files import read_json
 from boresight.pipeline.files.whole_file import write_whole
 from boresight.pipeline.report.page import data_uri, template
 from boresight.pipeline.report.saved import Number, number_from
+from boresight.pipeline.report.verdict import verdict_view
 from boresight.pipeline.results.folder import dumps_in
 
 __all__ = ["write_dumps_report"]
@@ -27,6 +28,7 @@ def write_dumps_report(result: Path) -> Path:
     joint = _matrix(installation, "installation.json")
     text = template("dumps.html.j2").render(
         joint=joint,
+        verdict=verdict_view(installation),
         counts={name: number_from(installation, "installation.json", name, ".0f") for name in COUNTS},
         dumps=_dumps(result, {row["name"]: row["reason"] for row in omissions if row["kind"] == "dump"}),
         drift=_drift(result),
@@ -73,9 +75,10 @@ def _dumps(result: Path, reasons: dict[str, str]) -> list[dict[str, Any]]:
         source = f"{name}/installation.json"
         utc = min((p["utc_middle"] for p in passes if p["strip_id"].startswith(f"{name}/")), default="")
         page = f"{name}/report.html"
-        matrix = _matrix(read_json(result / source, str(result / source)), source)
+        installation = read_json(result / source, str(result / source))
+        matrix, verdict = _matrix(installation, source), verdict_view(installation, source)
         rows.append(
-            {"name": name, "reason": "", "utc": utc[:10], "matrix": matrix, "page": page}
+            {"name": name, "reason": "", "utc": utc[:10], "matrix": matrix, "page": page, "verdict": verdict}
             | {"has_page": (result / page).is_file()}
         )
     return rows

@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from boresight.calib.information import solve_total
+from boresight.geometry.line_camera import LineCamera
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.dump import Dump
 from boresight.pipeline.files.dump_schema import DumpFile
@@ -95,6 +96,10 @@ def _context(dump: Dump, calibration: Calibration) -> dict[str, Any]:
             "height_px": star.height_px,
             "pixel_rad": star.pixel_m / star.focal_m,
         },
+        "ground": {
+            "range_m": _mean_range_m(calibration),
+            "edge_tan": _edge_tan(camera),
+        },
         "remote_camera": {
             "pixel_rad": camera.ccds[0].pixel_m / camera.focal_m,
             "samples": [ccd.n_px for ccd in camera.ccds],
@@ -109,6 +114,20 @@ def _finite(value: Any) -> Any:
     if isinstance(value, list):
         return [_finite(item) for item in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _mean_range_m(calibration: Calibration) -> float:
+    """Mean distance from the satellite to the targets, m."""
+    return float(np.mean(np.concatenate([strip.ground.range_m for strip in calibration.strips])))
+
+
+def _edge_tan(camera: LineCamera) -> float:
+    """Largest tangent of the angle between a pixel's look direction and the camera's axis."""
+    ends = [
+        camera.directions_from_pixels(k, np.array([0.0, ccd.n_px - 1.0])) for k, ccd in enumerate(camera.ccds)
+    ]
+    u_c = np.concatenate(ends)
+    return float(np.max(np.hypot(u_c[:, 0], u_c[:, 1]) / u_c[:, 2]))
 
 
 def _inputs(dump: Dump) -> pa.Table:

@@ -21,6 +21,7 @@ from boresight.pipeline.files.whole_file import write_whole
 from boresight.pipeline.report import figures
 from boresight.pipeline.report.saved import Number, Saved, read_saved
 from boresight.pipeline.report.star_preview import STATES
+from boresight.pipeline.report.verdict import verdict_view
 
 __all__ = ["data_uri", "report_html", "template", "write_report"]
 
@@ -75,6 +76,7 @@ def report_html(saved: Saved, *, most_matches: int = MOST_MATCHES) -> str:
     return template("page.html.j2").render(
         saved=saved,
         summary=_summary(saved),
+        verdict=verdict_view(saved.installation),
         iterations=_iterations(saved),
         convergence=figures.convergence(saved),
         angles=[figures.angle_histogram(saved), figures.angle_spread(saved)],
@@ -149,8 +151,20 @@ def _summary(saved: Saved) -> dict[str, Any]:
             name: (context(f"noise.{name}", ".3f"), context(f"noise.{name}_sigma", ".3f"))
             for name in ("stars", "targets")
         },
-        "converged": saved.context["converged_matrix"] and saved.context["converged_covariance"],
+        "ground_m": _ground_m(saved),
     }
+
+
+def _ground_m(saved: Saved) -> list[Number]:
+    """1-sigma on the ground, m: across and along the track for X and Y, at the edge of the swath for Z."""
+    if "ground" not in saved.context:  # written by an older version
+        return []
+    ground = saved.context["ground"]
+    levers = (ground["range_m"], ground["range_m"], ground["range_m"] * ground["edge_tan"])
+    return [
+        saved.number(f"covariance_rad2.{i}.{i}", ".2f", scale=lever, root=True)
+        for i, lever in enumerate(levers)
+    ]
 
 
 def _iterations(saved: Saved) -> list[dict[str, Any]]:

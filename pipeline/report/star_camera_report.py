@@ -99,7 +99,7 @@ def calibrate_from_images(
     write_whole(request.out, lambda target: target.write_text(table, "utf-8"))
     cells = residual_map(result)
     if request.report is not None:
-        content = json.dumps(_report(result, cells), indent=1)
+        content = json.dumps(_report(result, cells), indent=1, allow_nan=False)
         write_whole(request.report, lambda target: target.write_text(content + "\n", "utf-8"))
     if request.plot is not None:
         _draw(result, cells, request.plot)

@@ -1,0 +1,95 @@
+"""The saved verdict as a report shows it: outcome, checks with p-values, inputs to look at, weakest axis."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from boresight.geometry.constants import ARCSEC
+from boresight.geometry.record import record, scalar
+from boresight.pipeline.report.saved import Number, number_from
+
+__all__ = ["CheckRow", "VerdictView", "verdict_view"]
+
+REMEDIES = {
+    "X": "more strips average errors of position across the track; a position with a smaller error",
+    "Y": "more strips average errors of position along the track and of the clock; a better clock",
+    "Z": "targets near both ends of the swath, and more strips",
+}
+
+
+@record(kw_only=True)
+class CheckRow:
+    """One check of the verdict."""
+
+    kind: str = scalar("what was tested")
+    statistic: Number = scalar("chi-square or count")
+    expected: Number = scalar("expected of consistent data")
+    n: Number = scalar("degrees of freedom or number of observations")
+    p_value: Number = scalar("probability if the data are consistent")
+    limit: Number = scalar("p-value below which the check fails")
+    holds: bool = scalar("no contradiction found")
+    look_at: tuple[str, ...] = scalar("inputs to look at if the check fails")
+    names: tuple[str, ...] = scalar("items concerned, one text per group")
+
+
+@record(kw_only=True)
+class VerdictView:
+    """The verdict of installation.json; `outcome` is "not assessed" where it has none (older versions)."""
+
+    outcome: str = scalar('"consistent", "refuted" or "not assessed"')
+    checks: tuple[CheckRow, ...] = scalar("all checks")
+    false_alarm: Number | None = scalar("probability that consistent data are refuted")
+    weakest_axis: str = scalar("X, Y or Z: the axis of c nearest to the direction with the largest 1-sigma")
+    weakest_arcsec: Number | None = scalar("that 1-sigma")
+    direction: tuple[Number, ...] = scalar("unit vector of that direction, frame c")
+
+    @property
+    def failed(self) -> tuple[CheckRow, ...]:
+        """Checks that fail, the smallest p-value first."""
+        return tuple(sorted((c for c in self.checks if not c.holds), key=lambda c: c.p_value.exact))
+
+    @property
+    def remedy(self) -> str:
+        """What reduces the largest 1-sigma."""
+        return REMEDIES.get(self.weakest_axis, "")
+
+
+def verdict_view(installation: dict[str, Any], source: str = "installation.json") -> VerdictView:
+    """The verdict in the content of the file `source`."""
+    verdict = installation.get("verdict")
+    if verdict is None:
+        return VerdictView(
+            outcome="not assessed",
+            checks=(),
+            false_alarm=None,
+            weakest_axis="",
+            weakest_arcsec=None,
+            direction=(),
+        )
+
+    def number(key: str, form: str, scale: float = 1.0) -> Number:
+        return number_from(installation, source, f"verdict.{key}", form, scale=scale)
+
+    return VerdictView(
+        outcome=str(verdict["outcome"]),
+        checks=tuple(
+            CheckRow(
+                kind=str(check["kind"]),
+                statistic=number(f"checks.{n}.statistic", ".4g"),
+                expected=number(f"checks.{n}.expected", ".4g"),
+                n=number(f"checks.{n}.n", ".0f"),
+                p_value=number(f"checks.{n}.p_value", ".2g"),
+                limit=number(f"checks.{n}.limit", ".2g"),
+                holds=bool(check["holds"]),
+                look_at=tuple(map(str, check["look_at"])),
+                names=tuple(" = ".join(map(str, group)) for group in check["names"]),
+            )
+            for n, check in enumerate(verdict["checks"])
+        ),
+        false_alarm=number("probability_false_alarm", ".1g"),
+        weakest_axis="XYZ"[int(np.argmax(np.abs(verdict["weakest_axis_c"])))],
+        weakest_arcsec=number("weakest_sigma_rad", ".4f", 1.0 / ARCSEC),
+        direction=tuple(number(f"weakest_axis_c.{axis}", "+.3f") for axis in range(3)),
+    )

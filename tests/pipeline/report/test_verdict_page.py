@@ -1,0 +1,89 @@
+"""First screen of the report: consistent, refuted with causes, or not assessed; 1-sigma in metres, too."""
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from boresight.geometry.constants import ARCSEC
+from boresight.pipeline.report.page import report_html
+from boresight.pipeline.report.saved import read_saved
+from boresight.pipeline.report.verdict import verdict_view
+
+
+def check(kind, p_value, holds, *, look_at=("look here",), names=()):
+    return {
+        "kind": kind,
+        "statistic": 3745.0,
+        "expected": 2130.0,
+        "n": 2130,
+        "p_value": p_value,
+        "limit": 1.25e-5,
+        "holds": holds,
+        "look_at": list(look_at),
+        "names": [list(group) for group in names],
+    }
+
+
+def verdict(*checks):
+    return {
+        "outcome": "consistent" if all(one["holds"] for one in checks) else "refuted",
+        "checks": list(checks),
+        "probability_false_alarm": 1e-4,
+        "weakest_axis_c": [0.01, -0.02, 0.99],
+        "weakest_sigma_rad": 10.4 * ARCSEC,
+    }
+
+
+def first_screen(finished, **changes):
+    saved = read_saved(finished[1])
+    installation = {k: v for k, v in saved.installation.items() if k != "verdict"} | changes
+    html = report_html(replace(saved, installation=installation))
+    return re.sub(r"<[^>]*>", "", html[html.index("<header>") : html.index("<nav")]), html
+
+
+def test_consistent_data_are_called_so_with_the_weakest_axis(finished):
+    text, html = first_screen(finished, verdict=verdict(check("residuals of stars", 0.4, True)))
+    assert "Consistent." in text and "Refuted" not in text and "Converged" not in html
+    assert "refuted with probability 0.0001 at most" in text
+    assert "Largest 1σ: 10.4000″" in text and "nearest to Z" in text and "swath" in text
+    assert 'class="verdict good"' in html and 'class="verdict bad"' not in html
+
+
+def test_refuted_data_say_by_what_and_where_to_look_the_least_likely_first(finished):
+    failing = (
+        check("residuals of targets", 1e-9, False, look_at=("positions and velocities of the satellite",)),
+        check("convergence", 0.5, True),
+        check("equal coordinates of targets", 0.0, False, names=(("t1", "t1<b>"), ("t2", "t3"))),
+    )
+    text, html = first_screen(finished, verdict=verdict(*failing))
+    assert "Refuted by equal coordinates of targets, residuals of targets." in text
+    assert "Look at: positions and velocities of the satellite." in text
+    assert "p 1e-09" in text.replace("\N{MINUS SIGN}", "-") and "3745 where 2130 is expected" in text
+    assert "t1 = t1&lt;b&gt;" in html and "<b>" not in html
+    assert 'class="verdict good"' not in html and "1σ of the matrix" not in text
+
+
+def test_a_result_without_a_verdict_is_not_called_good(finished):
+    text, html = first_screen(finished)
+    assert "Not assessed." in text and 'class="verdict good"' not in html
+
+
+def test_one_sigma_is_given_in_metres_on_the_ground(finished):
+    saved = read_saved(finished[1])
+    text, _ = first_screen(finished)
+    ground = saved.context["ground"]
+    sigma = np.sqrt(np.diag(saved.installation["covariance_rad2"]))
+    levers = ground["range_m"] * np.array([1.0, 1.0, ground["edge_tan"]])
+    for axis, arcsec, metres in zip("XYZ", sigma / ARCSEC, sigma * levers):
+        assert f"{axis} {arcsec:.4f}″ ({metres:.2f} m)" in text
+    assert 4e5 < ground["range_m"] < 8e5  # the mini scenario flies at 530 km
+    assert verdict_view(saved.installation).outcome in ("consistent", "refuted", "not assessed")
+
+
+@pytest.mark.parametrize("name", ["\x1b[31m", "{{ 7 * 7 }}", "</style><script>x</script>", "a\nb\u2028c"])
+def test_hostile_names_stay_text(finished, name):
+    saved = read_saved(finished[1])
+    html = report_html(replace(saved, context=saved.context | {"mission": name}))
+    assert html.count("<script>") == 1 and "49" not in html[html.index("<h1>") : html.index("</h1>")]
