@@ -89,6 +89,12 @@ def _wrong_usage(text: str) -> typer.Exit:
     return typer.Exit(WRONG_USAGE)
 
 
+def _folder(text: str) -> Path:
+    if not text.strip():
+        raise typer.BadParameter("is empty; name a folder")
+    return Path(text)
+
+
 @app.callback(invoke_without_command=True)
 def _global(
     version: Annotated[bool, typer.Option("--version", help="Print the version and stop.")] = False,
@@ -139,7 +145,14 @@ def calibrate(
         list[Path],
         typer.Argument(metavar="DUMP", help="Folder with a dump.toml; several of one mission, in any order."),
     ],
-    out: Annotated[Path, typer.Option(help="Folder of the result; a run that was stopped goes on in it.")],
+    out: Annotated[
+        Path,
+        typer.Option(
+            help="Folder of the result: new, empty, or that of a run to be resumed.",
+            parser=_folder,
+            metavar="PATH",
+        ),
+    ],
     settings: SettingsFile = None,
     workers: Annotated[
         int | None,
@@ -150,6 +163,9 @@ def calibrate(
         bool, typer.Option(help="Go on past the end of the Earth-orientation table, with a warning.")
     ] = False,
     report: Annotated[bool, typer.Option(help="Write report.html at the end.")] = True,
+    overwrite: Annotated[
+        bool, typer.Option("--overwrite", help="Replace a result of another dump or of other settings.")
+    ] = False,
 ) -> None:
     """Find the installation matrix of a dump, from raw pixels; of several dumps, that of each and of all."""
     from boresight.pipeline.commands.calibrate import RunRequest, run_dump, run_dumps
@@ -169,7 +185,7 @@ def calibrate(
         "packages": {name: metadata.version(name) for name in REPORTED_PACKAGES},
     }
     begun_s = time.perf_counter()
-    request = RunRequest(read_settings(settings), report, begun_s, facts)
+    request = RunRequest(read_settings(settings), report, begun_s, overwrite, facts)
     if len(dumps) == 1:
         with _warnings_told():
             one = open_dump(dumps[0].resolve(), allow_stale_eop=allow_stale_eop)

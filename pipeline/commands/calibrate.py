@@ -8,13 +8,16 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
-from boresight.pipeline.errors import DataNotSufficientError, Omission
+from boresight.pipeline.errors import Cause, DataNotSufficientError, Omission, RawDataError
 from boresight.pipeline.files.dump import Dump
+from boresight.pipeline.files.text_files import read_json
 from boresight.pipeline.results.folder import begin_result, store_of
+from boresight.pipeline.results.ownership import claimed
 from boresight.pipeline.results.summary import calibration_summary, joint_summary
 from boresight.pipeline.results.writing import write_dumps, write_joint_result, write_result, write_run
 from boresight.pipeline.settings import Settings
@@ -22,8 +25,11 @@ from boresight.pipeline.stages.cached import Progress
 from boresight.pipeline.stages.calibrate import Calibration, calibrate_dump
 from boresight.pipeline.stages.joint import NamedDump, calibrate_jointly
 from boresight.pipeline.work.executor import Executor
+from boresight.pipeline.work.unit_store import digest, program
 
 __all__ = ["RunRequest", "run_dump", "run_dumps"]
+
+NOTHING_TO_DO = "nothing to do: {} holds the finished result of these inputs and settings"
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,22 +39,42 @@ class RunRequest:
     settings: Settings
     report: bool  # write evidence and report.html
     begun_s: float  # time.perf_counter() at its start
+    overwrite: bool  # replace a result of another dump or of other settings
     facts: dict[str, Any]  # for run.json: workers, machine, versions
 
 
 def run_dump(
     out: Path, dump: Dump, named: str, request: RunRequest, executor: Executor, progress: Progress
 ) -> str:
-    """Calibrate one dump, `named` so by the user, into `out`. What there is to tell at the end."""
-    return calibration_summary(_calibrated(out, dump, named, request, executor, progress))
+    """Calibrate one dump, `named` so by the user, into `out`; the summary for the user."""
+    with claimed(out, [dump.root], request.settings, overwrite=request.overwrite):
+        inputs = _inputs([dump], request)
+        if _is_finished(out, inputs, request):
+            return NOTHING_TO_DO.format(out)
+        return calibration_summary(_calibrated(out, dump, named, inputs, request, executor, progress))
 
 
 def run_dumps(
     out: Path, dumps: Sequence[NamedDump], request: RunRequest, executor: Executor, progress: Progress
 ) -> str:
-    """Calibrate dumps of one mission, each and jointly, into `out`. One that does not suffice is counted, and
-    the others go on. What there is to tell at the end.
+    """Calibrate dumps of one mission, each and jointly, into `out`; the summary for the user. A dump whose
+    data do not suffice is counted and does not stop the others.
     """
+    with claimed(out, [one.dump.root for one in dumps], request.settings, overwrite=request.overwrite):
+        inputs = _inputs([named.dump for named in dumps], request)
+        if _is_finished(out, inputs, request):
+            return NOTHING_TO_DO.format(out)
+        return _jointly_calibrated(out, dumps, inputs, request, executor, progress)
+
+
+def _jointly_calibrated(
+    out: Path,
+    dumps: Sequence[NamedDump],
+    inputs: str,
+    request: RunRequest,
+    executor: Executor,
+    progress: Progress,
+) -> str:
     begin_result(out)
     write_dumps(out, [named.name for named in dumps])
     calibrated: list[tuple[NamedDump, Calibration]] = []
@@ -59,9 +85,12 @@ def run_dumps(
             progress(f"{name}: {stage}", done, total)
 
         try:
-            found = _calibrated(out / named.name, named.dump, str(named.dump.root), request, executor, told)
+            folder, root = out / named.name, named.dump.root
+            with claimed(folder, [root], request.settings, overwrite=request.overwrite):
+                own = _inputs([named.dump], request)
+                found = _calibrated(folder, named.dump, str(root), own, request, executor, told)
         except DataNotSufficientError as error:
-            failed.append(Omission("dump", named.name, "", str(error)))
+            failed.append(Omission("dump", named.name, "", str(error), Cause.NOT_CALIBRATED))
         else:
             calibrated.append((named, found))
     joint = calibrate_jointly(calibrated, failed)
@@ -70,7 +99,8 @@ def run_dumps(
     if len(calibrated) > 1:
         text += "\n" + _drift(out, list(of_dumps))
     write_joint_result(out, joint, of_dumps, request.settings)
-    _note(out, request, {"dumps": {named.name: str(named.dump.root) for named in dumps}})
+    roots = {named.name: str(named.dump.root) for named in dumps}
+    _note(out, request, {"dumps": roots, "inputs": inputs})
     if request.report:
         from boresight.pipeline.report.dumps_page import write_dumps_report
 
@@ -79,7 +109,13 @@ def run_dumps(
 
 
 def _calibrated(
-    out: Path, dump: Dump, named: str, request: RunRequest, executor: Executor, progress: Progress
+    out: Path,
+    dump: Dump,
+    named: str,
+    inputs: str,
+    request: RunRequest,
+    executor: Executor,
+    progress: Progress,
 ) -> Calibration:
     begin_result(out)
     (out / "work").mkdir(exist_ok=True)
@@ -90,12 +126,32 @@ def _calibrated(
         write_evidence(out, dump, found, request.settings)
     write_result(out, found, request.settings)
     counts = {"units_made": found.n_computed, "units_found": found.n_reused}
-    _note(out, request, {"dump": named}, counts)
+    _note(out, request, {"dump": named, "inputs": inputs}, counts)
     if request.report:
         from boresight.pipeline.report.page import write_report
 
         write_report(out)
     return found
+
+
+def _inputs(dumps: Sequence[Dump], request: RunRequest) -> str:
+    """Digest of everything that a result depends on: files of the dumps, settings, program, libraries."""
+    contents = [
+        {f.name: getattr(dump, f.name) for f in fields(dump) if f.name not in ("root", "errors")}
+        | {"errors": dump.errors.model_dump()}
+        for dump in dumps
+    ]
+    return digest(contents, request.settings, program(__name__))
+
+
+def _is_finished(out: Path, inputs: str, request: RunRequest) -> bool:
+    """Whether the folder holds the finished result of the same inputs, with a report where one is wanted."""
+    needed = ("installation.json", "run.json", *(("report.html",) if request.report else ()))
+    if not all((out / name).is_file() for name in needed):
+        return False
+    with suppress(RawDataError):
+        return bool(read_json(out / "run.json", "run.json").get("inputs") == inputs)
+    return False
 
 
 def _note(

@@ -20,6 +20,7 @@ from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.table_files import column, fixed, list_values, read_parquet
 from boresight.pipeline.files.text_files import read_json
 from boresight.pipeline.results.folder import dumps_in
+from boresight.pipeline.results.ownership import check_dump_of, dump_identity, origin_of
 
 __all__ = ["SavedResult", "read_for_dump", "read_mounting", "read_pairs", "read_result"]
 
@@ -72,23 +73,23 @@ def read_result(result: Path) -> SavedResult:
 
 
 def read_for_dump(result: Path, dump: Path | None) -> tuple[Path, SavedResult]:
-    """The folder with a dump's own sightings, and its result; where `result` is of several dumps, with the
+    """The folder with the sightings of `dump`, and its result; where `result` is of several dumps, with the
     joint matrix instead of its own.
 
-    `RawDataError` where `result` is of several dumps and `dump` is none of them.
+    `RawDataError` where the result is not made from `dump`, or is of several dumps and none is given.
     """
-    if not dumps_in(result):
+    if not (names := dumps_in(result)):
+        if dump is not None:
+            check_dump_of(result, dump)
         return result, read_result(result)
-    path = result / "run.json"
-    roots = read_json(path, str(path)).get("dumps")
-    if not isinstance(roots, dict):
-        raise RawDataError(str(path), "dumps", type(roots).__name__, "folders of dumps by their names")
-    for name, root in roots.items():
-        if dump is not None and dump.resolve() == Path(str(root)):
+    identity = None if dump is None else dump_identity(dump)
+    for name in names:
+        origin = origin_of(result / name)
+        if origin is not None and origin.dump == identity:
             joint, own = read_result(result), read_result(result / name)
             matrix = {key: getattr(joint, key) for key in ("R_cs", "theta", "cov_theta", "installation")}
             return result / name, dataclasses.replace(own, **matrix)
-    expected = f"one of {', '.join(map(str, roots.values()))}: the result is of {len(roots)} dumps"
+    expected = f"one of the {len(names)} dumps of that result: {', '.join(names)}"
     raise RawDataError(str(result), "--dump", "nothing" if dump is None else str(dump), expected)
 
 

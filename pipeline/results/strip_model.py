@@ -19,6 +19,7 @@ from boresight.pipeline.files.dump import Dump, Strip, open_dump
 from boresight.pipeline.files.dump_schema import DumpFile
 from boresight.pipeline.files.table_files import fixed, list_values, read_parquet
 from boresight.pipeline.files.text_files import read_json, read_toml
+from boresight.pipeline.results.ownership import check_dump_of
 from boresight.pipeline.results.reading import SavedResult, read_for_dump
 from boresight.pipeline.settings import RunSettings, filled
 
@@ -57,6 +58,7 @@ def open_calibrated(result: Path, dump: Path | None, *, allow_stale_eop: bool = 
     run = _run_settings(saved, result)
     effects = LightEffects(run.geometric_light_time, run.aberration, run.refraction)
     root = dump if dump is not None else _noted_dump(result)
+    check_dump_of(folder, root)
     opened = open_dump(root, allow_stale_eop=allow_stale_eop)
     terrain = read_toml(opened.root / "dump.toml", DumpFile, "dump.toml").terrain
     sigma_m = terrain.sigma_m if terrain is not None else 0.0

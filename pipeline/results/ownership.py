@@ -1,0 +1,177 @@
+"""Whose a result folder is: marked by us, made from one dump with one set of settings, used by one run.
+
+    boresight-result.json   marks the folder; states what dump and settings the result is made from
+    .boresight-lock         process and host of the run that uses the folder
+
+Only files that a run itself writes are ever removed.
+"""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+import re
+import socket
+import warnings
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+from boresight.geometry.record import record, scalar
+from boresight.pipeline import __version__
+from boresight.pipeline.errors import RawDataError
+from boresight.pipeline.files.dump_schema import DumpFile
+from boresight.pipeline.files.text_files import read_json, read_toml
+from boresight.pipeline.files.whole_file import write_whole
+from boresight.pipeline.results.folder import dumps_in
+from boresight.pipeline.settings import Settings
+from boresight.pipeline.work.unit_store import digest
+
+__all__ = ["Origin", "check_dump_of", "claimed", "dump_identity", "origin_of"]
+
+MARKER, LOCK = "boresight-result.json", ".boresight-lock"
+OWN_FILES = (
+    "installation.json run.json report.html dumps.json drift.json drift.csv drift.png".split()
+    + [f"sightings/{n}.parquet" for n in "stars exposures targets strips passes omissions".split()]
+    + [f"evidence/{n}.parquet" for n in "inputs convergence angles matches exposure".split()]
+    + ["evidence/context.json"]
+)
+OWN_WORK = re.compile(r"(exposures|matching-\d+)/.+\.[0-9a-f]{32}\.parquet")
+
+
+@record
+class Origin:
+    """What a result is made from, as digests that other places of the same files do not change."""
+
+    dump: str = scalar("of dump.toml and the tables that it names; of several dumps, of all of these")
+    settings: str = scalar("of the settings that were given")
+
+
+def dump_identity(root: Path) -> str:
+    """Digest of dump.toml and of the files of cameras, orbit and tables that it names, without images."""
+    files = read_toml(root / "dump.toml", DumpFile, "dump.toml").files
+    names = [name for field, name in files.model_dump().items() if name and field != "terrain"]
+    return digest([root / "dump.toml", *(root / name for name in names)])
+
+
+def origin_of(result: Path) -> Origin | None:
+    """What the marker of a result folder states; None where there is none (earlier versions wrote none)."""
+    path = result / MARKER
+    if not path.is_file():
+        return None
+    content = read_json(path, str(path))
+    values = [content.get(key) for key in ("dump", "settings")]
+    if not all(isinstance(value, str) for value in values):
+        raise RawDataError(str(path), "dump, settings", values, "two digests")
+    return Origin(*map(str, values))
+
+
+def check_dump_of(result: Path, dump: Path) -> None:
+    """`RawDataError` where `dump` is not the one that a result is made from."""
+    origin = origin_of(result)
+    if origin is not None and origin.dump != dump_identity(dump):
+        expected = f"the dump that {result} is made from (dump.toml and the tables that it names differ)"
+        raise RawDataError(str(dump), "dump", "another dump", expected)
+
+
+@contextmanager
+def claimed(
+    result: Path, dumps: Sequence[Path], settings: Settings, *, overwrite: bool = False
+) -> Iterator[None]:
+    """Own a result folder while a run writes into it. The folder is made, marked and locked.
+
+    `RawDataError` where the folder is a dump or lies in one, holds files that are not a result's, holds the
+    result of another dump or of other settings (unless `overwrite`), or is used by another run.
+    """
+    _check_place(result, dumps)
+    identities = sorted(dump_identity(dump) for dump in dumps)
+    origin = Origin(identities[0] if len(dumps) == 1 else digest(identities), digest(settings))
+    result.mkdir(parents=True, exist_ok=True)
+    with _locked(result):
+        _take_over(result, origin, overwrite)
+        yield
+
+
+def _check_place(result: Path, dumps: Sequence[Path]) -> None:
+    if result.exists() and not result.is_dir():
+        raise RawDataError("--out", str(result), "a file", "a folder")
+    for dump in dumps:
+        if result.resolve().is_relative_to(dump.resolve()):
+            raise RawDataError("--out", str(result), f"a folder of the dump {dump}", "a folder outside of it")
+
+
+def _take_over(result: Path, origin: Origin, overwrite: bool) -> None:
+    before = origin_of(result)
+    if before is None:
+        ours = re.compile(rf"{re.escape(LOCK)}|\.{re.escape(MARKER)}\..*\.tmp")
+        others = sorted(entry.name for entry in result.iterdir() if not ours.fullmatch(entry.name))
+        if others:
+            found = f"{', '.join(others[:3])}{' ...' if len(others) > 3 else ''}"
+            raise RawDataError(
+                "--out", str(result), found, "a new or empty folder, or one that boresight made"
+            )
+    elif (before.dump, before.settings) != (origin.dump, origin.settings):
+        another = "another dump" if before.dump != origin.dump else "other settings"
+        if not overwrite:
+            expected = "another folder, or --overwrite to replace that result"
+            raise RawDataError("--out", str(result), f"a result of {another}", expected)
+        _remove_own(result, work=before.dump != origin.dump)
+    content = {"program": f"boresight {__version__}", "dump": origin.dump, "settings": origin.settings}
+    text = json.dumps(content, indent=2) + "\n"
+    write_whole(result / MARKER, lambda path: path.write_text(text, encoding="utf-8"))
+
+
+def _remove_own(result: Path, *, work: bool) -> None:
+    """Remove what runs wrote into a result folder and into those of its dumps; `work`: finished units too."""
+    for name in dumps_in(result):
+        if origin_of(result / name) is not None:
+            _remove_own(result / name, work=True)
+            (result / name / MARKER).unlink()
+            (result / name / LOCK).unlink(missing_ok=True)
+            _remove_empty(result / name)
+    own = [result / name for name in OWN_FILES]
+    if work:
+        units = (result / "work").glob("*/*.parquet")
+        own += [path for path in units if OWN_WORK.fullmatch("/".join(path.parts[-2:]))]
+    for path in own:
+        path.unlink(missing_ok=True)
+    for folder in (*sorted({path.parent for path in own} - {result}), result / "work"):
+        _remove_empty(folder)
+
+
+def _remove_empty(folder: Path) -> None:
+    with suppress(OSError):  # not there, or not empty
+        folder.rmdir()
+
+
+@contextmanager
+def _locked(result: Path) -> Iterator[None]:
+    """Lock the folder; the system releases the lock of a process that ends in whatever way."""
+    path = result / LOCK
+    with path.open("a+", encoding="utf-8") as stream:
+        if not _lock(stream):
+            stream.seek(0)
+            owner = stream.read(200).strip() or "another run"
+            raise RawDataError("--out", str(result), f"in use by {owner}", "a folder that no other run uses")
+        stream.truncate(0)
+        stream.write(f"process {os.getpid()} on {socket.gethostname()}")
+        stream.flush()
+        yield
+        stream.truncate(0)
+
+
+def _lock(stream: Any) -> bool:
+    """Lock an open file for this process; false where another process, also of another host, has it."""
+    try:
+        import fcntl
+    except ImportError:  # not a POSIX system
+        return True
+    try:
+        fcntl.lockf(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as error:
+        if error.errno in (errno.EACCES, errno.EAGAIN):
+            return False
+        warnings.warn(f"{stream.name}: this file system has no locks ({error.strerror})", stacklevel=2)
+    return True

@@ -1,0 +1,181 @@
+"""`--out` is the user's folder: what is refused, what is replaced, and that nothing of others is touched."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from fixture_strips import FIXTURE, strip_of_fixture
+from typer.testing import CliRunner
+
+from boresight.pipeline.cli import app, main
+from boresight.pipeline.errors import DataNotSufficientError, RawDataError
+from boresight.pipeline.results.ownership import LOCK, MARKER, claimed, dump_identity
+from boresight.pipeline.settings import RunSettings, Settings
+
+runner = CliRunner()
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    """All files below a folder but the lock."""
+    return {
+        path.relative_to(folder).as_posix(): path.read_bytes()
+        for path in folder.rglob("*")
+        if path.is_file() and path.name != LOCK
+    }
+
+
+def told(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], *arguments: str
+) -> tuple[int, str]:
+    """Exit status and text of the command as a user runs it."""
+    monkeypatch.setattr(sys, "argv", ["boresight", *arguments])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    said = capsys.readouterr()
+    return int(ended.value.code or 0), said.out + said.err
+
+
+@pytest.fixture
+def mine(finished: tuple[Path, Path], tmp_path: Path) -> tuple[Path, Path]:
+    """A dump and its finished result, to be changed at will."""
+    for source, name in zip(finished, ("dump", "result")):
+        shutil.copytree(source, tmp_path / name)
+    return tmp_path / "dump", tmp_path / "result"
+
+
+def test_folder_with_files_of_others_is_refused_and_left_as_it_is(tmp_path: Path) -> None:
+    out = tmp_path / "mine"
+    (out / "notes").mkdir(parents=True)
+    for name in ("installation.json", "draft.tmp", "notes/.letter.txt.tmp", "dumps.json"):
+        (out / name).write_text("precious")
+    before = contents(out)
+    with pytest.raises(RawDataError, match="a new or empty folder"), claimed(out, [FIXTURE], Settings()):
+        pass
+    assert contents(out) == before
+
+
+def test_no_file_of_others_is_removed_from_a_result(mine: tuple[Path, Path]) -> None:
+    dump, out = mine
+    others = {"draft.tmp": b"a", "sightings/.letter.txt.tmp": b"b", "work/exposures/my.parquet": b"c"}
+    for name, content in others.items():
+        (out / name).write_bytes(content)
+    shutil.rmtree(dump)
+    strip_of_fixture(dump, 2)
+    with claimed(out, [dump], Settings(), overwrite=True):
+        pass
+    left = contents(out)
+    assert {name: left[name] for name in others} == others
+    assert set(left) == {*others, MARKER}
+
+
+@pytest.mark.parametrize("place", ["", "exposures", "results/first"])
+def test_dump_and_folders_in_it_are_refused(one_strip: Path, place: str) -> None:
+    before = contents(one_strip)
+    with (
+        pytest.raises(RawDataError, match="outside of it"),
+        claimed(one_strip / place, [one_strip], Settings()),
+    ):
+        pass
+    assert contents(one_strip) == before
+
+
+def test_empty_name_is_wrong_usage() -> None:
+    ran = runner.invoke(app, ["calibrate", str(FIXTURE), "--out", ""])
+    assert ran.exit_code == 2 and "empty" in ran.output
+
+
+def test_another_dump_or_other_settings_need_overwrite(mine: tuple[Path, Path]) -> None:
+    dump, out = mine
+    before = contents(out)
+    with pytest.raises(RawDataError, match=r"a result of another dump.*--overwrite"):
+        with claimed(out, [FIXTURE], Settings()):
+            pass
+    other = Settings(run=RunSettings(passes=3))
+    with pytest.raises(RawDataError, match=r"a result of other settings.*--overwrite"):
+        with claimed(out, [dump], other):
+            pass
+    assert contents(out) == before
+    with claimed(out, [dump], other, overwrite=True):
+        pass
+    after = contents(out)
+    assert "installation.json" not in after and not any(name.startswith("sightings/") for name in after)
+    assert any(name.startswith("work/exposures/") for name in after)  # the same dump's: may be used again
+
+
+def test_finished_run_asked_again_says_so_at_once_and_changes_nothing(
+    mine: tuple[Path, Path], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    dump, out = mine
+    before = contents(out)
+    calibrating = "boresight.pipeline.commands.calibrate.calibrate_dump"
+    monkeypatch.setattr(calibrating, None)
+    status, said = told(monkeypatch, capsys, "calibrate", str(dump), "--out", str(out))
+    assert (status, contents(out) == before) == (0, True) and "nothing to do" in said
+    image = sorted((dump / "exposures").iterdir())[0]
+    image.write_bytes(image.read_bytes() + b"\0")  # any change of an input is work again
+
+    def begun(*arguments: object) -> None:
+        raise DataNotSufficientError("it calibrates again")
+
+    monkeypatch.setattr(calibrating, begun)
+    status, said = told(monkeypatch, capsys, "calibrate", str(dump), "--out", str(out), "--workers", "1")
+    assert status == 1 and "it calibrates again" in said
+
+
+def test_second_run_in_one_folder_is_refused_with_the_owner(tmp_path: Path) -> None:
+    program = (
+        "import sys; from pathlib import Path\n"
+        "from boresight.pipeline.results.ownership import claimed\n"
+        "from boresight.pipeline.settings import Settings\n"
+        "with claimed(Path(sys.argv[1]), [Path(sys.argv[2])], Settings()):\n"
+        "    print('owned', flush=True); sys.stdin.readline()\n"
+    )
+    command = [sys.executable, "-c", program, str(tmp_path / "out"), str(FIXTURE)]
+    first = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+    try:
+        assert first.stdout is not None and first.stdout.readline() == "owned\n"
+        with pytest.raises(RawDataError, match=rf"in use by process {first.pid} on \S+"):
+            with claimed(tmp_path / "out", [FIXTURE], Settings()):
+                pass
+    finally:
+        first.kill()
+        first.wait()
+    with claimed(tmp_path / "out", [FIXTURE], Settings()):  # the lock of a killed run is released
+        pass
+
+
+@pytest.mark.parametrize("command", ["validate", "geolocate", "export"])
+def test_result_is_not_used_with_another_dump(
+    command: str, mine: tuple[Path, Path], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    _, out = mine
+    (out.parent / "pixels.csv").write_text("ccd,sample,line\n0,1,1\n")
+    more = {
+        "validate": [],
+        "geolocate": ["--strip", "1", "--pixels", str(out.parent / "pixels.csv")],
+        "export": ["--format", "csm-isd", "--out", str(out.parent / "exports")],
+    }[command]
+    status, said = told(monkeypatch, capsys, command, str(out), "--dump", str(FIXTURE), *more)
+    assert status == 1 and "found another dump" in said
+
+
+def test_identity_of_a_dump_is_that_of_its_tables_wherever_it_lies(one_strip: Path, tmp_path: Path) -> None:
+    moved = tmp_path / "elsewhere"
+    shutil.copytree(one_strip, moved)
+    assert dump_identity(moved) == dump_identity(one_strip)
+    with (moved / "targets.csv").open("a") as file:
+        file.write("\n")
+    assert dump_identity(moved) != dump_identity(one_strip)
+
+
+def test_json_of_a_result_is_json(finished: tuple[Path, Path]) -> None:
+    def refuse(name: str) -> None:
+        raise ValueError(name)
+
+    for path in finished[1].rglob("*.json"):
+        json.loads(path.read_text(), parse_constant=refuse)
