@@ -277,9 +277,8 @@ def calibrate(
     opened = open_dump(dump, allow_stale_eop=allow_stale_eop)
     with executor_for(workers, None, opened.pixels) as executor, tempfile.TemporaryDirectory() as scratch:
         if out is not None:
-            request = RunRequest(
-                chosen, True, time.perf_counter(), {"version": __version__, "workers": workers}
-            )
+            facts = {"version": __version__, "workers": workers}
+            request = RunRequest(settings=chosen, begun_s=time.perf_counter(), facts=facts)
             run_dump(Path(out), opened, str(opened.root), request, executor, lambda stage, done, total: None)
             return read_result(out)
         found = calibrate_dump(opened, chosen, None, executor)

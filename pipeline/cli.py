@@ -185,7 +185,9 @@ def calibrate(
         "packages": {name: metadata.version(name) for name in REPORTED_PACKAGES},
     }
     begun_s = time.perf_counter()
-    request = RunRequest(read_settings(settings), report, begun_s, overwrite, facts)
+    request = RunRequest(
+        settings=read_settings(settings), report=report, begun_s=begun_s, overwrite=overwrite, facts=facts
+    )
     if len(dumps) == 1:
         with _warnings_told():
             one = open_dump(dumps[0].resolve(), allow_stale_eop=allow_stale_eop)

@@ -9,10 +9,11 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
+from boresight.geometry.record import record, scalar
 from boresight.pipeline.errors import Cause, DataNotSufficientError, Omission, RawDataError
 from boresight.pipeline.files.dump import Dump
 from boresight.pipeline.files.text_files import read_json
@@ -32,15 +33,15 @@ __all__ = ["RunRequest", "run_dump", "run_dumps"]
 NOTHING_TO_DO = "nothing to do: {} holds the finished result of these inputs and settings"
 
 
-@dataclass(frozen=True, slots=True)
+@record(kw_only=True)
 class RunRequest:
-    """How a run is to be done, and what its notes are to say of it."""
+    """How a run is to be done, and what run.json is to say of it."""
 
-    settings: Settings
-    report: bool  # write evidence and report.html
-    begun_s: float  # time.perf_counter() at its start
-    overwrite: bool  # replace a result of another dump or of other settings
-    facts: dict[str, Any]  # for run.json: workers, machine, versions
+    settings: Settings = scalar("of all stages")
+    report: bool = scalar("write evidence and report.html", default=True)
+    begun_s: float = scalar("time.perf_counter() at its start")
+    overwrite: bool = scalar("replace a result of another dump or of other settings", default=False)
+    facts: dict[str, Any] = scalar("for run.json: workers, machine, versions")
 
 
 def run_dump(

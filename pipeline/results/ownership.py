@@ -104,6 +104,7 @@ def _check_place(result: Path, dumps: Sequence[Path]) -> None:
 
 def _take_over(result: Path, origin: Origin, overwrite: bool) -> None:
     before = origin_of(result)
+    same = before is not None and (before.dump, before.settings) == (origin.dump, origin.settings)
     if before is None:
         ours = re.compile(rf"{re.escape(LOCK)}|\.{re.escape(MARKER)}\..*\.tmp")
         others = sorted(entry.name for entry in result.iterdir() if not ours.fullmatch(entry.name))
@@ -112,12 +113,14 @@ def _take_over(result: Path, origin: Origin, overwrite: bool) -> None:
             raise RawDataError(
                 "--out", str(result), found, "a new or empty folder, or one that boresight made"
             )
-    elif (before.dump, before.settings) != (origin.dump, origin.settings):
+    elif not same:
         another = "another dump" if before.dump != origin.dump else "other settings"
         if not overwrite:
             expected = "another folder, or --overwrite to replace that result"
             raise RawDataError("--out", str(result), f"a result of {another}", expected)
         _remove_own(result, work=before.dump != origin.dump)
+    if same:
+        return
     content = {"program": f"boresight {__version__}", "dump": origin.dump, "settings": origin.settings}
     text = json.dumps(content, indent=2) + "\n"
     write_whole(result / MARKER, lambda path: path.write_text(text, encoding="utf-8"))

@@ -8,7 +8,18 @@ import os
 import shutil
 from pathlib import Path
 
+from boresight.pipeline.results.ownership import claimed
+from boresight.pipeline.settings import Settings
+
 FIXTURE = Path(__file__).parents[2] / "fixtures" / "mini"
+
+
+def stopped_run(out: Path, dumps: list[Path], finished: Path | None = None) -> None:
+    """Make `out` the folder of a run over `dumps` that was stopped, with the units of a finished result."""
+    with claimed(out, dumps, Settings()):
+        pass
+    if finished is not None:
+        shutil.copytree(finished / "work", out / "work")
 
 
 def strip_of_fixture(root: Path, number: int) -> Path:

@@ -14,6 +14,7 @@ from pathlib import Path
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+from fixture_strips import stopped_run
 from readers import write_sound_files
 
 from boresight.pipeline.cli import main
@@ -92,7 +93,7 @@ def begun(finished: tuple[Path, Path], tmp_path: Path) -> tuple[Path, Path, byte
     """A dump, a folder where the last matching is missing, and the installation.json that must come out."""
     dump, result = finished
     out = tmp_path / "result"
-    shutil.copytree(result / "work", out / "work")
+    stopped_run(out, [dump], result)
     for unit in (out / "work" / "matching-2").iterdir():
         unit.unlink()
     return dump, out, (result / "installation.json").read_bytes()

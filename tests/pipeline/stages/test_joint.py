@@ -14,7 +14,7 @@ from types import SimpleNamespace
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from fixture_strips import strip_of_fixture
+from fixture_strips import stopped_run, strip_of_fixture
 from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
@@ -64,7 +64,8 @@ def dumps(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
 def joint(dumps: list[Path], finished: tuple[Path, Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The result of the three, named out of order. Units of the first, which `finished` is, are found."""
     out = tmp_path_factory.mktemp("joint") / "result"
-    shutil.copytree(finished[1] / "work", out / NAMES[0] / "work")
+    stopped_run(out, dumps)
+    stopped_run(out / NAMES[0], dumps[:1], finished[1])
     ran("calibrate", dumps[2], dumps[0], dumps[1], "--out", out, "--workers", 1)
     return out
 
@@ -131,8 +132,9 @@ def test_the_same_bytes_in_whatever_order_and_by_whatever_workers(
     dumps: list[Path], joint: Path, tmp_path: Path
 ) -> None:
     again = tmp_path / "again"
-    for name in NAMES:
-        shutil.copytree(joint / name / "work", again / name / "work")
+    stopped_run(again, dumps)
+    for name, dump in zip(NAMES, dumps):
+        stopped_run(again / name, [dump], joint / name)
     for unit in (again / NAMES[0] / "work/exposures").iterdir():
         unit.unlink()  # made anew, by two processes
     ran("calibrate", *dumps, "--out", again, "--workers", 2, "--no-report")
@@ -206,11 +208,11 @@ def test_a_dump_that_does_not_suffice_is_counted_and_the_others_go_on(
     far = lines[1].split(",")
     far[1], far[2] = "-60.0", "10.0"
     (blind / "targets.csv").write_text("\n".join([lines[0], ",".join(far)]) + "\n")
-    for name in (NAMES[0], NAMES[2]):
-        shutil.copytree(joint / name / "work", out / name / "work")
-    shutil.copytree(joint / NAMES[1] / "work", out / "blind/work")
+    stopped_run(out, [dumps[0], blind, dumps[2]])
+    for folder, dump, name in zip((NAMES[0], "blind", NAMES[2]), (dumps[0], blind, dumps[2]), NAMES):
+        stopped_run(out / folder, [dump], joint / name)
     told = ran("calibrate", dumps[0], blind, dumps[2], "--out", out, "--workers", 1, "--no-report")
-    assert "jointly from 2 dumps" in told and "0 targets placed in 1 strips" in told
+    assert "jointly from 2 dumps" in told and "0 targets matched in 1 strips" in told
     omissions = pq.read_table(out / "sightings/omissions.parquet").to_pylist()
     assert [(row["kind"], row["name"]) for row in omissions if row["kind"] == "dump"] == [("dump", "blind")]
     assert not (out / "blind/installation.json").exists()
