@@ -1,7 +1,7 @@
 """The command line: each command loads, calls one function and saves.
 
 Results go to the named folder, one line per input or a summary to stdout, progress and remarks to stderr.
-Exit status 0: done; 1: the data did not allow it; 2: wrong usage.
+Exit status 0: done; 1: the data do not allow it; 2: wrong usage; 3: the data contradict themselves.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ app = typer.Typer(
     rich_markup_mode=None,  # plain help: 0.3 s of CPU less
 )
 
-DONE, DATA_DID_NOT_ALLOW, WRONG_USAGE = 0, 1, 2
+DONE, DATA_DID_NOT_ALLOW, WRONG_USAGE, REFUTED = 0, 1, 2, 3
 REPORTED_PACKAGES = (
     "numpy",
     "scipy",
@@ -58,13 +58,13 @@ SettingsFile = Annotated[Path | None, typer.Option(help="TOML file of settings; 
 
 def main() -> None:
     """Entry point of the command `boresight`."""
-    with _errors_told():
+    with _errors_reported():
         app(standalone_mode=True)
 
 
 @contextmanager
-def _errors_told() -> Iterator[None]:
-    """Errors that the user can do something about, as one line; anything else is a fault of the program."""
+def _errors_reported() -> Iterator[None]:
+    """Report errors that a user can act on as one line; anything else is a fault of the program."""
     try:
         yield
     except (RawDataError, DataNotSufficientError, WorkerError) as error:
@@ -74,7 +74,7 @@ def _errors_told() -> Iterator[None]:
         _say(f"error: {error.filename or 'file'}: {error.strerror or error}")
         sys.exit(DATA_DID_NOT_ALLOW)
     except KeyboardInterrupt:
-        _say("interrupted; what is finished is kept, the same command goes on from there")
+        _say("interrupted; finished work is kept, the same command continues from there")
         sys.exit(130)
 
 
@@ -160,14 +160,17 @@ def calibrate(
     ] = None,
     scheduler: Annotated[str | None, typer.Option(help="Address of a dask scheduler instead.")] = None,
     allow_stale_eop: Annotated[
-        bool, typer.Option(help="Go on past the end of the Earth-orientation table, with a warning.")
+        bool, typer.Option(help="Continue past the end of the Earth-orientation table, with a warning.")
     ] = False,
     report: Annotated[bool, typer.Option(help="Write report.html at the end.")] = True,
+    accept_inconsistent: Annotated[
+        bool, typer.Option("--accept-inconsistent", help="Exit with 0 where the verdict is refuted.")
+    ] = False,
     overwrite: Annotated[
         bool, typer.Option("--overwrite", help="Replace a result of another dump or of other settings.")
     ] = False,
 ) -> None:
-    """Find the installation matrix of a dump, from raw pixels; of several dumps, that of each and of all."""
+    """Estimate the installation matrix of a dump from raw images; of several dumps, of each and of all."""
     from boresight.pipeline.commands.calibrate import RunRequest, run_dump, run_dumps
     from boresight.pipeline.files.dump import open_dump
     from boresight.pipeline.settings import read_settings
@@ -189,23 +192,25 @@ def calibrate(
         settings=read_settings(settings), report=report, begun_s=begun_s, overwrite=overwrite, facts=facts
     )
     if len(dumps) == 1:
-        with _warnings_told():
+        with _warnings_reported():
             one = open_dump(dumps[0].resolve(), allow_stale_eop=allow_stale_eop)
-        with progress_bars() as told, executor_for(workers, scheduler, one.pixels) as executor:
-            text = run_dump(out, one, str(dumps[0]), request, executor, told)
+        with progress_bars() as progress, executor_for(workers, scheduler, one.pixels) as executor:
+            outcome = run_dump(out, one, str(dumps[0]), request, executor, progress)
     else:
-        with _warnings_told():
+        with _warnings_reported():
             several = open_dumps(dumps, request.settings, allow_stale_eop=allow_stale_eop)
         pixels = sum(named.dump.pixels for named in several)
-        with progress_bars() as told, executor_for(workers, scheduler, pixels) as executor:
-            text = run_dumps(out, several, request, executor, told)
-    typer.echo(text)
+        with progress_bars() as progress, executor_for(workers, scheduler, pixels) as executor:
+            outcome = run_dumps(out, several, request, executor, progress)
+    typer.echo(outcome.text)
     page = ", report.html" if report else ""
     typer.echo(f"{time.perf_counter() - begun_s:.1f} s -> {out / 'installation.json'}{page}")
+    if outcome.refuted and not accept_inconsistent:
+        raise typer.Exit(REFUTED)
 
 
 @contextmanager
-def _warnings_told() -> Iterator[None]:
+def _warnings_reported() -> Iterator[None]:
     """Warnings of the library as one line each on stderr."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
@@ -219,7 +224,7 @@ def validate(
     result: Annotated[Path, typer.Argument(help="Folder that `calibrate` wrote.")],
     dump: Annotated[Path, typer.Option(help="The simulated dump it was made from, with its truth/ folder.")],
 ) -> None:
-    """Hold a result against the truth of a simulated dump."""
+    """Compare a result with the truth of a simulated dump."""
     from boresight.pipeline.files.dump import open_dump
     from boresight.pipeline.results.reading import read_for_dump
     from boresight.pipeline.results.summary import validation_summary
@@ -231,7 +236,7 @@ def validate(
 
 @app.command()
 def status(result: Annotated[Path, typer.Argument(help="Folder of a run, finished or not.")]) -> None:
-    """What of a run is done, what was left out and why."""
+    """Show which exposures and strips of a run are finished, and what is not used and why."""
     from boresight.pipeline.results.summary import status_summary
 
     typer.echo(status_summary(result))

@@ -15,6 +15,7 @@ from typing import Any, TypeVar, get_type_hints
 from pydantic import ConfigDict, TypeAdapter, ValidationError
 
 from boresight.calib.settings import CalibrationSettings
+from boresight.calib.verdict import VerdictSettings
 from boresight.gct_match.settings import MatchSettings
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.line_camera import LineCamera
@@ -59,6 +60,7 @@ class Settings:
     match: MatchSettings = field(default_factory=MatchSettings)
     calibration: tuple[tuple[str, Any], ...] = ()
     run: RunSettings = field(default_factory=RunSettings)
+    verdict: VerdictSettings = field(default_factory=VerdictSettings)
 
 
 def read_settings(path: Path | None) -> Settings:
@@ -85,6 +87,7 @@ def settings_from_tables(tables: dict[str, Any], file: str) -> Settings:
         match=filled(MatchSettings, tables.get("match", {}), file, "match"),
         calibration=tuple(sorted(calibration.items())),
         run=filled(RunSettings, tables.get("run", {}), file, "run"),
+        verdict=filled(VerdictSettings, tables.get("verdict", {}), file, "verdict"),
     )
 
 

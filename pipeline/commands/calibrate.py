@@ -13,13 +13,15 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
+from boresight.calib.verdict import Outcome
 from boresight.geometry.record import record, scalar
 from boresight.pipeline.errors import Cause, DataNotSufficientError, Omission, RawDataError
 from boresight.pipeline.files.dump import Dump
 from boresight.pipeline.files.text_files import read_json
-from boresight.pipeline.results.folder import begin_result, store_of
+from boresight.pipeline.results.folder import begin_result, results_in, store_of
 from boresight.pipeline.results.ownership import claimed
-from boresight.pipeline.results.summary import calibration_summary, joint_summary
+from boresight.pipeline.results.reading import read_result
+from boresight.pipeline.results.summary import calibration_summary, joint_summary, verdict_lines
 from boresight.pipeline.results.writing import write_dumps, write_joint_result, write_result, write_run
 from boresight.pipeline.settings import Settings
 from boresight.pipeline.stages.cached import Progress
@@ -28,9 +30,7 @@ from boresight.pipeline.stages.joint import NamedDump, calibrate_jointly
 from boresight.pipeline.work.executor import Executor
 from boresight.pipeline.work.unit_store import digest, program
 
-__all__ = ["RunRequest", "run_dump", "run_dumps"]
-
-NOTHING_TO_DO = "nothing to do: {} holds the finished result of these inputs and settings"
+__all__ = ["RunOutcome", "RunRequest", "run_dump", "run_dumps"]
 
 
 @record(kw_only=True)
@@ -44,27 +44,36 @@ class RunRequest:
     facts: dict[str, Any] = scalar("for run.json: workers, machine, versions")
 
 
+@record
+class RunOutcome:
+    """What a run is to tell at its end."""
+
+    text: str = scalar("summary for the terminal")
+    refuted: bool = scalar("whether the data of the result, or of one of its dumps, contradict themselves")
+
+
 def run_dump(
     out: Path, dump: Dump, named: str, request: RunRequest, executor: Executor, progress: Progress
-) -> str:
-    """Calibrate one dump, `named` so by the user, into `out`; the summary for the user."""
+) -> RunOutcome:
+    """Calibrate one dump, `named` so by the user, into `out`."""
     with claimed(out, [dump.root], request.settings, overwrite=request.overwrite):
         inputs = _inputs([dump], request)
         if _is_finished(out, inputs, request):
-            return NOTHING_TO_DO.format(out)
-        return calibration_summary(_calibrated(out, dump, named, inputs, request, executor, progress))
+            return _finished(out)
+        found = _calibrated(out, dump, named, inputs, request, executor, progress)
+        return RunOutcome(calibration_summary(found), found.verdict.outcome is Outcome.REFUTED)
 
 
 def run_dumps(
     out: Path, dumps: Sequence[NamedDump], request: RunRequest, executor: Executor, progress: Progress
-) -> str:
-    """Calibrate dumps of one mission, each and jointly, into `out`; the summary for the user. A dump whose
-    data do not suffice is counted and does not stop the others.
+) -> RunOutcome:
+    """Calibrate dumps of one mission, each and jointly, into `out`. A dump whose data do not suffice is
+    counted and does not stop the others.
     """
     with claimed(out, [one.dump.root for one in dumps], request.settings, overwrite=request.overwrite):
         inputs = _inputs([named.dump for named in dumps], request)
         if _is_finished(out, inputs, request):
-            return NOTHING_TO_DO.format(out)
+            return _finished(out)
         return _jointly_calibrated(out, dumps, inputs, request, executor, progress)
 
 
@@ -75,7 +84,7 @@ def _jointly_calibrated(
     request: RunRequest,
     executor: Executor,
     progress: Progress,
-) -> str:
+) -> RunOutcome:
     begin_result(out)
     write_dumps(out, [named.name for named in dumps])
     calibrated: list[tuple[NamedDump, Calibration]] = []
@@ -94,7 +103,7 @@ def _jointly_calibrated(
             failed.append(Omission("dump", named.name, "", str(error), Cause.NOT_CALIBRATED))
         else:
             calibrated.append((named, found))
-    joint = calibrate_jointly(calibrated, failed)
+    joint = calibrate_jointly(calibrated, failed, request.settings)
     of_dumps = {named.name: found for named, found in calibrated}
     text = joint_summary(of_dumps, joint)
     if len(calibrated) > 1:
@@ -106,7 +115,8 @@ def _jointly_calibrated(
         from boresight.pipeline.report.dumps_page import write_dumps_report
 
         write_dumps_report(out)
-    return text
+    verdicts = [joint.verdict, *(found.verdict for _, found in calibrated)]
+    return RunOutcome(text, any(verdict.outcome is Outcome.REFUTED for verdict in verdicts))
 
 
 def _calibrated(
@@ -153,6 +163,16 @@ def _is_finished(out: Path, inputs: str, request: RunRequest) -> bool:
     with suppress(RawDataError):
         return bool(read_json(out / "run.json", "run.json").get("inputs") == inputs)
     return False
+
+
+def _finished(out: Path) -> RunOutcome:
+    """The outcome of the run that made a finished result."""
+    lines, refuted = [f"nothing to do: {out} holds the finished result of these inputs and settings"], False
+    for result in {out, *results_in(out)}:
+        verdict = read_result(result).installation.get("verdict")
+        if isinstance(verdict, dict) and verdict.get("outcome") == Outcome.REFUTED.value:
+            lines, refuted = [*lines, *verdict_lines(verdict)], True
+    return RunOutcome("\n".join(lines), refuted)
 
 
 def _note(

@@ -21,7 +21,14 @@ import pyarrow as pa
 from boresight.geometry.record import Bools, Floats, Ints, Texts, shape_of
 from boresight.pipeline.files.table_files import column, fixed, fixed_list, list_values
 
-__all__ = ["columns_of", "record_from_columns", "record_from_table", "schema_of", "table_from_record"]
+__all__ = [
+    "columns_of",
+    "plain",
+    "record_from_columns",
+    "record_from_table",
+    "schema_of",
+    "table_from_record",
+]
 
 ITEMS: dict[Any, pa.DataType] = {
     Floats: pa.float64(),
@@ -77,7 +84,7 @@ def table_from_record(record: Any, rows: str = "N") -> tuple[pa.Table, dict[str,
     table = pa.table(columns_of(record, rows))
     of_rows = {name for name, _, _ in _row_fields(record.__class__, rows)}
     values = {
-        f.name: _plain(getattr(record, f.name)) for f in dataclasses.fields(record) if f.name not in of_rows
+        f.name: plain(getattr(record, f.name)) for f in dataclasses.fields(record) if f.name not in of_rows
     }
     return table, {"record": type(record).__name__} | values
 
@@ -109,11 +116,14 @@ def _items(hint: Any) -> list[tuple[str, Any]]:
     return list(get_type_hints(get_args(hint)[0]).items())
 
 
-def _plain(value: Any) -> Any:
+def plain(value: Any) -> Any:
+    """`value` as JSON has it: a record as an object, arrays and tuples as lists, an enum as its value."""
     if dataclasses.is_dataclass(value):
-        return {field.name: _plain(getattr(value, field.name)) for field in dataclasses.fields(value)}
+        return {field.name: plain(getattr(value, field.name)) for field in dataclasses.fields(value)}
     if isinstance(value, tuple):
-        return [_plain(item) for item in value]
+        return [plain(item) for item in value]
+    if isinstance(value, np.ndarray):
+        return value.tolist()
     return value.value if isinstance(value, Enum) else value
 
 

@@ -1,44 +1,72 @@
-"""What a command tells at its end, as text."""
+"""Summaries of a calibration, a validation and a running calibration, as text for the terminal."""
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from boresight.calib.estimate import InstallationEstimate
+from boresight.calib.verdict import Outcome
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.installation import euler_zxy_from_theta
 from boresight.geometry.sightings import StarSightings
 from boresight.pipeline.errors import Omission, RawDataError
 from boresight.pipeline.files.record_tables import record_from_table
+from boresight.pipeline.files.text_files import read_json
 from boresight.pipeline.results.folder import dumps_in
 from boresight.pipeline.results.validate import Validation
+from boresight.pipeline.results.writing import verdict_json
 from boresight.pipeline.stages.calibrate import Calibration
 from boresight.pipeline.stages.joint import JointCalibration
 from boresight.pipeline.stages.strip import MatchedTargets
 from boresight.pipeline.work.unit_store import read_meta, read_unit
 
-__all__ = ["calibration_summary", "joint_summary", "status_summary", "validation_summary"]
+__all__ = ["calibration_summary", "joint_summary", "status_summary", "validation_summary", "verdict_lines"]
 
 Array = NDArray[np.float64]
 MOST_REASONS = 8
 
 
 def calibration_summary(found: Calibration) -> str:
-    """Matrix, deviation, 1-sigma, what it rests on, what was left out."""
-    return "\n".join(_estimate_lines(found.estimate) + _omission_lines(found.omissions))
+    """Verdict, matrix, deviation, 1-sigma, counts, and what is not used."""
+    lines = verdict_lines(verdict_json(found.verdict)) + _estimate_lines(found.estimate)
+    return "\n".join(lines + _omission_lines(found.omissions))
 
 
 def joint_summary(of_dumps: Mapping[str, Calibration], joint: JointCalibration) -> str:
-    """A line a dump, then the joint matrix as that of one dump."""
-    lines = [f"{'1 sigma, arcsec, of':26s}" + "".join(f"{axis:>14s}" for axis in "XYZ")]
+    """A line for each dump, then the joint result as that of one dump."""
+    lines = verdict_lines(verdict_json(joint.verdict))
+    for name, one in of_dumps.items():
+        if one.verdict.outcome is Outcome.REFUTED:
+            lines += [f"dump {name}", *("  " + line for line in verdict_lines(verdict_json(one.verdict)))]
+    lines.append(f"{'1 sigma, arcsec, of':26s}" + "".join(f"{axis:>14s}" for axis in "XYZ"))
     lines += [_row(f"  {name}", one.estimate.sigma_theta / ARCSEC, ".4f") for name, one in of_dumps.items()]
     lines.append(f"jointly from {len(of_dumps)} dumps:")
     return "\n".join(lines + _estimate_lines(joint.estimate) + _omission_lines(joint.omissions))
+
+
+def verdict_lines(verdict: Mapping[str, Any]) -> list[str]:
+    """The verdict of an installation.json: consistent, or refuted by which checks, and what to look at."""
+    checks = verdict["checks"]
+    failed = sorted((check for check in checks if not check["holds"]), key=lambda check: check["p_value"])
+    if not failed:
+        return [f"{'verdict':26s}consistent: {len(checks)} of {len(checks)} checks hold"]
+    lines = [f"{'verdict':26s}refuted by {len(failed)} of {len(checks)} checks; do not use this matrix"]
+    for check in failed:
+        found, expected = f"{check['statistic']:.6g}", f"{check['expected']:.6g}"
+        lines.append(f"  {check['kind']}: {found}, expected {expected} (p {check['p_value']:.1e})")
+        groups = [" = ".join(group) for group in check["names"]]
+        if groups:
+            lines.append(
+                f"    {', '.join(groups[:MOST_REASONS])}" + (" ..." if groups[MOST_REASONS:] else "")
+            )
+        lines.append(f"    look at: {'; '.join(check['look_at'])}")
+    return lines
 
 
 def _estimate_lines(estimate: InstallationEstimate) -> list[str]:
@@ -55,7 +83,7 @@ def _estimate_lines(estimate: InstallationEstimate) -> list[str]:
         f"{'chi2 / dof':26s}{estimate.chi2:.1f} / {estimate.dof}",
     ]
     if not estimate.converged:
-        lines.append("not converged: M is not the unit matrix to the tolerance; do not use this matrix")
+        lines.append("not converged: the last correction is not negligible; do not use this matrix")
     return lines
 
 
@@ -77,12 +105,12 @@ def validation_summary(validation: Validation) -> str:
             along, across = points.rms_m
             lines.append(f"  {name:24s}{along:36.2f}{across:10.2f}")
     if validation.without:
-        lines.append(f"no position for {validation.without} check points (no attitude or no ground there)")
+        lines.append(f"no position for {validation.without} check points: no attitude or no ground there")
     return "\n".join(lines)
 
 
 def status_summary(result: Path) -> str:
-    """Counts of finished units by stage, and what they left out; of several dumps, of each."""
+    """Counts of finished exposures and strips, and what is not used of them; of several dumps, of each."""
     if names := dumps_in(result):
         lines = []
         for name in names:
@@ -107,14 +135,15 @@ def status_summary(result: Path) -> str:
                 elif isinstance(outcome, MatchedTargets):
                     failed += outcome.omissions
         text = f"{stage.name:14s}{done} done" + (f", {damaged} damaged files" if damaged else "")
-        lines.append(text + (f", {len(failed)} left out" if failed else ""))
-        lines += ["  " + line for line in _omission_lines(failed)[1:]]
+        lines.append(text + (f", {len(failed)} not used" if failed else ""))
+        lines += ["  " + line.strip() for line in _omission_lines(failed)] if failed else []
     return "\n".join([*lines, _finished(result)])
 
 
 def _finished(result: Path) -> str:
     if (result / "installation.json").is_file():
-        return "finished: installation.json is there"
+        verdict = read_json(result / "installation.json", str(result / "installation.json")).get("verdict")
+        return f"finished, verdict {verdict['outcome']}" if isinstance(verdict, dict) else "finished"
     return "not finished: no installation.json yet"
 
 
@@ -123,11 +152,18 @@ def _row(name: str, values: Array, form: str) -> str:
 
 
 def _omission_lines(omissions: Sequence[Omission]) -> list[str]:
+    """What is not used: counts by kind and cause, and the reasons of the first, targets and stars last."""
     if not omissions:
-        return [f"{'left out':26s}nothing"]
-    kinds = Counter(omission.kind for omission in omissions)
-    total = ", ".join(f"{n} {kind}{'s' if n > 1 else ''}" for kind, n in sorted(kinds.items()))
-    lines = [f"{'left out':26s}{total}"]
-    for omission in [o for o in omissions if o.kind not in ("star", "target")][:MOST_REASONS]:
-        lines.append(f"  {omission.kind} {omission.name}: {omission.reason}")
+        return [f"{'not used':26s}nothing"]
+    by_kind = {kind: [o for o in omissions if o.kind == kind] for kind in sorted({o.kind for o in omissions})}
+    lines: list[str] = []
+    for kind, those in by_kind.items():
+        causes = Counter(str(o.cause) for o in those).most_common()
+        text = ", ".join(f"{n} {cause}" for cause, n in causes)
+        name = "" if lines else "not used"
+        lines.append(f"{name:26s}{len(those)} {kind}{'s' if len(those) > 1 else ''}: {text}")
+    told = [o for o in omissions if o.kind not in ("star", "target")] + by_kind.get("target", [])
+    lines += [f"  {o.kind} {o.name}: {o.reason}" for o in told[:MOST_REASONS]]
+    if told[MOST_REASONS:]:
+        lines.append(f"  and {len(told) - MOST_REASONS} more: see report.html or sightings/omissions.parquet")
     return lines

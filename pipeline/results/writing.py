@@ -18,12 +18,13 @@ import pyarrow.parquet as pq
 
 from boresight.calib.estimate import InstallationEstimate, TargetResiduals
 from boresight.calib.settings import CalibrationSettings
+from boresight.calib.verdict import Verdict
 from boresight.geometry.installation import euler_zxy_from_theta
 from boresight.geometry.orbit import argument_of_latitude
 from boresight.geometry.sightings import StripSightings
 from boresight.pipeline import __version__
 from boresight.pipeline.errors import Omission
-from boresight.pipeline.files.record_tables import columns_of
+from boresight.pipeline.files.record_tables import columns_of, plain
 from boresight.pipeline.files.table_files import fixed_list
 from boresight.pipeline.files.whole_file import remove_abandoned, write_whole
 from boresight.pipeline.results.folder import DUMPS
@@ -33,9 +34,10 @@ from boresight.pipeline.stages.joint import JointCalibration
 from boresight.pipeline.stages.strip import MatchedTargets
 from boresight.pipeline.work.unit_store import digest
 
-__all__ = ["write_dumps", "write_joint_result", "write_json", "write_result", "write_run"]
+__all__ = ["verdict_json", "write_dumps", "write_joint_result", "write_json", "write_result", "write_run"]
 
 FIELDS = (
+    "verdict",
     "R_cs",
     "quaternion",
     "theta_rad",
@@ -69,7 +71,10 @@ def write_result(result: Path, calibration: Calibration, settings: Settings) -> 
     _write_groups(tables / "strips.parquet", [_pairs_table(estimate)])
     _write_groups(tables / "passes.parquet", [_passes_table(calibration)])
     _write_groups(tables / "omissions.parquet", [_omissions_table(calibration.omissions)])
-    write_json(result / "installation.json", _installation(estimate, calibration.settings, settings))
+    write_json(
+        result / "installation.json",
+        _installation(estimate, calibration.verdict, calibration.settings, settings),
+    )
 
 
 def write_joint_result(
@@ -85,7 +90,7 @@ def write_joint_result(
     passes = [_passes_table(found, f"{name}/") for name, found in of_dumps.items()]
     _write_groups(tables / "passes.parquet", [pa.concat_tables(passes)])
     _write_groups(tables / "omissions.parquet", [_omissions_table(joint.omissions)])
-    write_json(result / "installation.json", _installation(estimate, joint.settings, settings))
+    write_json(result / "installation.json", _installation(estimate, joint.verdict, joint.settings, settings))
 
 
 def write_dumps(result: Path, names: Sequence[str]) -> None:
@@ -114,13 +119,23 @@ def _finite(content: Any) -> Any:
     return None if isinstance(content, float) and not math.isfinite(content) else content
 
 
+def verdict_json(verdict: Verdict) -> dict[str, Any]:
+    """A verdict as installation.json has it: for each check also whether it holds, and what to look at."""
+    checks = [
+        plain(check) | {"holds": check.holds, "look_at": [suspect.value for suspect in check.look_at]}
+        for check in verdict.checks
+    ]
+    return plain(verdict) | {"checks": checks}
+
+
 def _installation(
-    estimate: InstallationEstimate, error_model: CalibrationSettings, settings: Settings
+    estimate: InstallationEstimate, verdict: Verdict, error_model: CalibrationSettings, settings: Settings
 ) -> dict[str, Any]:
     used = dataclasses.asdict(dataclasses.replace(settings, calibration=())) | {
         "calibration": dataclasses.asdict(error_model)
     }
     values = {
+        "verdict": verdict_json(verdict),
         "R_cs": estimate.R_cs.as_matrix().tolist(),
         "quaternion": estimate.R_cs.as_quat(canonical=True).tolist(),
         "theta_rad": estimate.theta.tolist(),

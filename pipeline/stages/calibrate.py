@@ -20,6 +20,7 @@ from scipy.spatial.transform import Rotation
 from boresight.calib.calibration import calibrate
 from boresight.calib.estimate import InstallationEstimate, NotObservable
 from boresight.calib.settings import CalibrationSettings
+from boresight.calib.verdict import Verdict, assess
 from boresight.geometry.attitude_estimate import fit_exposures
 from boresight.geometry.groundlight import LightEffects
 from boresight.geometry.record import array, record, scalar
@@ -29,6 +30,7 @@ from boresight.pipeline.files.dump import Dump, Strip, surface_of
 from boresight.pipeline.settings import Settings, calibration_settings
 from boresight.pipeline.stages.cached import Progress, StageRunner
 from boresight.pipeline.stages.exposure import in_order, sight_exposure, star_tasks
+from boresight.pipeline.stages.missing import what_is_missing
 from boresight.pipeline.stages.reasons import rejection_reason
 from boresight.pipeline.stages.strip import (
     MatchedTargets,
@@ -53,6 +55,7 @@ class Calibration:
     """Everything that a calibration found, ready to be written or drawn."""
 
     estimate: InstallationEstimate = scalar("installation matrix with covariance and statistics")
+    verdict: Verdict = scalar("whether the data contradict themselves")
     stars: tuple[StarSightings, ...] = array("K", "all identified exposures, in order of time")
     attitudes: ExposureAttitudes = scalar("attitudes of the same exposures")
     tasks: tuple[StripTask, ...] = array("S", "strips of the last matching")
@@ -89,7 +92,7 @@ def calibrate_dump(
     Returns
     -------
     Calibration
-        Estimate, sightings, attitudes, matched targets, omissions.
+        Estimate, verdict, sightings, attitudes, matched targets, omissions.
 
     Raises
     ------
@@ -111,12 +114,15 @@ def calibrate_dump(
         strips = _strips(tasks, matched, stars, attitudes)
         estimate = calibrate(strips, dump.R_cs0, error_model)
         if isinstance(estimate, NotObservable):
-            raise DataNotSufficientError(_what_is_missing(estimate, stars, matched, uncovered, omissions))
+            known = [*omissions, *uncovered]
+            text = what_is_missing(estimate, dump, settings, len(stars), tasks, matched, known)
+            raise DataNotSufficientError(text)
         found, R_cs = estimate, estimate.R_cs
         sigma = np.sqrt(np.diag(estimate.cov_theta) + settings.run.rematch_sigma_rad**2)
     omissions += uncovered + [o for m in matched for o in m.omissions] + _without_targets(matched)
     return Calibration(
         estimate=found,
+        verdict=assess(found, strips, settings.verdict, sigma_installation_rad=dump.sigma_installation_rad),
         stars=tuple(stars),
         attitudes=attitudes,
         tasks=tuple(tasks),
@@ -257,20 +263,6 @@ def _without_targets(matched: Iterable[MatchedTargets]) -> list[Omission]:
         for m in matched
         if not len(m.target_id)
     ]
-
-
-def _what_is_missing(
-    outcome: NotObservable,
-    stars: Sequence[StarSightings],
-    matched: Sequence[MatchedTargets],
-    uncovered: Sequence[Omission],
-    omissions: Sequence[Omission],
-) -> str:
-    n_targets = sum(len(m.target_id) for m in matched)
-    text = f"{outcome.reason}; {len(stars)} exposures identified, "
-    text += f"{n_targets} targets matched in {len(matched)} strips"
-    every = [*omissions, *uncovered, *(o for m in matched for o in m.omissions)]
-    return text + (f"; not used: {every[0].kind} {every[0].name}: {every[0].reason}" if every else "")
 
 
 def _full_name(of: str, name: str) -> str:

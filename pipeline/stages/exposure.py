@@ -28,7 +28,7 @@ from boresight.star_id.identification.triangle_index import StarIndex, build_ind
 from boresight.star_id.settings import StarSettings
 from boresight.star_id.sight import sight_stars
 
-__all__ = ["StarTask", "exposure_image", "in_order", "sight_exposure", "star_tasks"]
+__all__ = ["StarTask", "exposure_image", "in_order", "is_mirrored", "sight_exposure", "star_tasks"]
 
 
 @record(kw_only=True)
@@ -90,14 +90,21 @@ def sight_exposure(task: StarTask) -> StarSightings | Omission:
     """Directions of the identified stars of one exposure; an omission where the image cannot be read or its
     stars are not identified.
     """
-    exposure, camera = task.exposure, task.camera
     try:
-        image = exposure_image(exposure, camera, task.bit_depth)
+        image = exposure_image(task.exposure, task.camera, task.bit_depth)
     except RawDataError as error:
         return task.item.because(str(error))
+    sightings = _sighted(task, image)
+    if isinstance(sightings, NotIdentified):
+        return task.item.because(f"not identified: {sightings.reason}", Cause.NOT_IDENTIFIED)
+    return sightings
+
+
+def _sighted(task: StarTask, image: NDArray) -> StarSightings | NotIdentified:
+    exposure, camera = task.exposure, task.camera
     year = round(float(task.epoch.julian_year(exposure.t_s)))
     index = star_index(_field_of_view(camera), year)
-    sightings = sight_stars(
+    return sight_stars(
         exposure.exposure_id,
         image,
         camera,
@@ -108,9 +115,17 @@ def sight_exposure(task: StarTask) -> StarSightings | Omission:
         task.v_i,
         task.settings,
     )
-    if isinstance(sightings, NotIdentified):
-        return task.item.because(f"not identified: {sightings.reason}", Cause.NOT_IDENTIFIED)
-    return sightings
+
+
+def is_mirrored(task: StarTask) -> bool:
+    """Whether the stars of an exposure are identified in its mirror image: for the user of a dump of which no
+    exposure is.
+    """
+    try:
+        image = exposure_image(task.exposure, task.camera, task.bit_depth)
+    except RawDataError:
+        return False
+    return not isinstance(_sighted(task, image[:, ::-1].copy()), NotIdentified)
 
 
 @lru_cache(maxsize=2)

@@ -1,7 +1,7 @@
 """Several dumps of one mission, months apart: each calibrated by itself, and all of them together.
 
-The joint matrix is `calib.calibrate` over the strips of all dumps at once. What they share is one unknown:
-the camera's distortion, and the coordinates of targets that several dumps list with one id, place and sigma.
+The joint matrix is `calib.calibrate` over the strips of all dumps at once. They have unknowns in common: the
+camera's distortion, and the coordinates of targets that several dumps list with one id, place and sigma.
 Ids get the name of their dump before them, times count from the earliest dump's epoch, and everything is done
 in the order of time: the same bits in whatever order dumps are named.
 """
@@ -11,7 +11,7 @@ from __future__ import annotations
 import dataclasses
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +21,9 @@ from scipy.spatial.transform import Rotation
 from boresight.calib.calibration import calibrate
 from boresight.calib.estimate import InstallationEstimate, NotObservable
 from boresight.calib.settings import CalibrationSettings
+from boresight.calib.verdict import Verdict, assess
 from boresight.geometry.epoch import Epoch
+from boresight.geometry.record import record, scalar
 from boresight.geometry.sightings import StarSightings, StripSightings
 from boresight.pipeline.errors import DataNotSufficientError, Omission, RawDataError
 from boresight.pipeline.files.dump import Dump, open_dump
@@ -35,29 +37,30 @@ __all__ = ["JointCalibration", "NamedDump", "calibrate_jointly", "dump_names", "
 OF_RESULTS = ("sightings", "evidence", "work", "exports")  # folders of a result: names that no dump gets
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record
 class NamedDump:
-    """A dump and the name that its result's folder and its strips get."""
+    """A dump with a name."""
 
-    name: str
-    dump: Dump
+    name: str = scalar("of its result's folder, and prefix of its strips' ids")
+    dump: Dump = scalar("the open dump")
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record
 class JointCalibration:
     """One matrix from all dumps that could be calibrated."""
 
-    estimate: InstallationEstimate
-    strips: tuple[StripSightings, ...]  # of all dumps, ids "dump/strip", t_s since the first one's epoch
-    settings: CalibrationSettings
-    omissions: tuple[Omission, ...]  # dumps that could not be calibrated, and what the joint fit left out
+    estimate: InstallationEstimate = scalar("joint matrix with covariance and statistics")
+    verdict: Verdict = scalar("whether the data contradict themselves")
+    strips: tuple[StripSightings, ...] = scalar('of all dumps, ids "dump/strip", t_s since the first epoch')
+    settings: CalibrationSettings = scalar("of the estimate")
+    omissions: tuple[Omission, ...] = scalar("dumps without a result, observations that the fit rejects")
 
 
 def open_dumps(
     folders: Sequence[Path], settings: Settings, *, allow_stale_eop: bool = False
 ) -> tuple[NamedDump, ...]:
     """The dumps in the order of time. `RawDataError` for one that is given twice, as a copy or in parts too,
-    and for one that is not of the same cameras, ground matrix and stated errors as the first.
+    and for one that is not of the cameras, pre-launch matrix and stated errors of the first.
     """
     roots = [folder.resolve() for folder in folders]
     if twice := [root for root, n in Counter(roots).items() if n > 1]:
@@ -87,7 +90,7 @@ def dump_names(roots: Sequence[Path]) -> list[str]:
 
 
 def calibrate_jointly(
-    calibrated: Sequence[tuple[NamedDump, Calibration]], failed: Sequence[Omission]
+    calibrated: Sequence[tuple[NamedDump, Calibration]], failed: Sequence[Omission], settings: Settings
 ) -> JointCalibration:
     """One matrix from the strips of all dumps that have one of their own, in the order of time.
 
@@ -105,7 +108,9 @@ def calibrate_jointly(
     estimate = calibrate(strips, first.dump.R_cs0, one.settings)
     if isinstance(estimate, NotObservable):
         raise DataNotSufficientError(f"all dumps together: {estimate.reason}")
-    return JointCalibration(estimate, strips, one.settings, (*failed, *rejections_of(estimate)))
+    sigma = first.dump.sigma_installation_rad
+    verdict = assess(estimate, strips, settings.verdict, sigma_installation_rad=sigma)
+    return JointCalibration(estimate, verdict, strips, one.settings, (*failed, *rejections_of(estimate)))
 
 
 Place = tuple[str, bytes, bytes]
@@ -116,7 +121,7 @@ def _place(target: Any) -> Place:
 
 
 def _names_of_targets(dumps: Iterable[NamedDump]) -> dict[Place, str]:
-    """A target is known by its id, place and sigma, and named after the first dump that lists it."""
+    """Names of targets by id, coordinates and sigma: after the first dump that lists them."""
     names: dict[Place, str] = {}
     for named in dumps:
         for target in named.dump.targets:
@@ -154,7 +159,7 @@ def _instants(named: NamedDump) -> tuple[list[int], list[str]]:
 
 
 def _check_nothing_twice(dumps: Sequence[NamedDump]) -> None:
-    """One camera takes one image at a time: what two dumps say of the same instant is the same image."""
+    """`RawDataError` where two dumps hold the same image: a camera takes one image at a time."""
     seen: dict[tuple[str, int], tuple[NamedDump, str]] = {}
     for named in dumps:
         for tai_ns, name in zip(*_instants(named)):
@@ -174,7 +179,7 @@ def _check_one_mission(first: NamedDump, other: NamedDump, settings: Settings) -
         ("dump.toml", "mission", a.mission, b.mission, ""),
         (files.star_camera, "star camera", a.star_camera, b.star_camera, ""),
         (files.remote_camera, "remote camera", a.line_camera, b.line_camera, ""),
-        (files.installation, "ground matrix", a.R_cs0, b.R_cs0, ""),
+        (files.installation, "pre-launch installation matrix", a.R_cs0, b.R_cs0, ""),
         ("dump.toml", "errors", of_a, of_b, "; [calibration] in a file of --settings states them for all"),
     )
     for file, what, mine, theirs, hint in compared:

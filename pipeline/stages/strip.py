@@ -36,6 +36,7 @@ __all__ = [
     "MatchedTargets",
     "StripTask",
     "covers",
+    "footprint_e",
     "ground_sightings",
     "match_targets",
     "no_matches",
@@ -204,23 +205,29 @@ def targets_near(
     task: StripTask, targets: Sequence[Target], chips: Sequence[ChipFile]
 ) -> tuple[tuple[Target, ...], tuple[ChipFile, ...]]:
     """Targets and chips that the strip might show, with a margin: all that its outcome depends on."""
-    model, lines = pushbroom_of(task), np.linspace(0.0, task.strip.lines - 1.0, 9)
-    seen = []
-    for ccd in range(task.camera.n_ccds):
-        for sample in (0.0, task.camera.n_px(ccd) - 1.0):
-            seen.append(model.ground_points(ccd, np.full(9, sample), lines, ConstantHeight(0.0)))
-    ground_e = np.vstack(seen)
-    ground_e = ground_e[np.isfinite(ground_e).all(axis=1)]
+    model = pushbroom_of(task)
+    corners_e = footprint_e(task).reshape(-1, 3)
+    ground_e = corners_e[np.isfinite(corners_e).all(axis=1)]
     if not len(ground_e):
         return (), ()
     middle = ground_e.mean(axis=0)
     reach = float(np.linalg.norm(ground_e - middle, axis=1).max())
-    satellite = task.orbit.positions_e(model.instants(lines[4:5]))[0]
+    satellite = task.orbit.positions_e(model.instants(np.array([0.5 * (task.strip.lines - 1.0)])))[0]
     distance = float(np.linalg.norm(satellite - middle))
     shift = 2.0 * task.settings.sigmas * float(task.sigma_installation_rad.max())
     reach = 1.2 * reach + distance * shift + 2e4
     near = [n for n, target in enumerate(targets) if np.linalg.norm(target.p_e - middle) <= reach]
     return tuple(targets[n] for n in near), tuple(chips[n] for n in near)
+
+
+def footprint_e(task: StripTask) -> Floats:
+    """Points on the ellipsoid (2 C, 9, 3), ITRS, m: both ends of each of the C CCDs at 9 rows."""
+    model, lines = pushbroom_of(task), np.linspace(0.0, task.strip.lines - 1.0, 9)
+    seen = []
+    for ccd in range(task.camera.n_ccds):
+        for sample in (0.0, task.camera.n_px(ccd) - 1.0):
+            seen.append(model.ground_points(ccd, np.full(9, sample), lines, ConstantHeight(0.0)))
+    return np.array(seen)
 
 
 def orbit_around(orbit: Orbit, t_first_s: float, t_last_s: float) -> Orbit:

@@ -56,13 +56,13 @@ def test_each_damaged_image_is_an_omission_with_its_reason(damaged: tuple[Path, 
         assert re.search(reason, rows[file]["reason"]), rows[file]
 
 
-def test_the_command_and_status_count_what_was_left_out(damaged: tuple[Path, dict]) -> None:
+def test_the_command_and_status_count_what_is_not_used(damaged: tuple[Path, dict]) -> None:
     folder, said = damaged
     told = (folder / "told.txt").read_text()
-    (line,) = [line for line in told.splitlines() if line.startswith("left out")]
-    assert "2 chips" in line and "4 exposures" in line
+    counts = told[told.index("not used") :]
+    assert "2 chips: 2 file not usable" in counts and "4 exposures: 4 file not usable" in counts
     status = CliRunner().invoke(app, ["status", str(folder / "result")]).output
-    assert re.search(r"exposures +14 done, 4 left out", status), status
-    assert re.search(r"matching-2 +1 done, [0-9]+ left out", status), status
+    assert re.search(r"exposures +14 done, 4 not used", status), status
+    assert re.search(r"matching-2 +1 done, [0-9]+ not used", status), status
     assert status.count("file: found no such file, expected an image") >= 3
     assert len(said) == 6

@@ -1,0 +1,86 @@
+"""Why a dump gives no result: the first thing that is missing, with numbers and what to check."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+
+import numpy as np
+
+from boresight.calib.estimate import NotObservable
+from boresight.gct_match.records import Target
+from boresight.pipeline.errors import Cause, Omission
+from boresight.pipeline.files.dump import Dump
+from boresight.pipeline.settings import Settings
+from boresight.pipeline.stages.exposure import is_mirrored, star_tasks
+from boresight.pipeline.stages.strip import MatchedTargets, StripTask, footprint_e, pushbroom_of
+
+__all__ = ["nearest_miss", "what_is_missing"]
+
+MIRROR_TRIALS = 3  # exposures
+
+
+def what_is_missing(
+    outcome: NotObservable,
+    dump: Dump,
+    settings: Settings,
+    n_stars: int,
+    tasks: Sequence[StripTask],
+    matched: Sequence[MatchedTargets],
+    omissions: Sequence[Omission],
+) -> str:
+    """One sentence for the user, the cause first; `n_stars` is the number of identified exposures."""
+    n_targets = sum(len(one.target_id) for one in matched)
+    counts = f"{n_stars} exposures identified, {n_targets} targets matched in {len(matched)} strips"
+    failed = [o for o in omissions if o.kind == "exposure"]
+    if failed and n_stars == 0:
+        return f"{_no_exposure(dump, settings, failed)}; {counts}"
+    every = [*omissions, *(o for one in matched for o in one.omissions)]
+    if tasks and n_targets == 0 and not any(o.kind == "target" for o in every):
+        return f"{_no_target(dump, tasks)}; {counts}"
+    first = f"; not used: {every[0].kind} {every[0].name}: {every[0].reason}" if every else ""
+    return f"{outcome.reason}; {counts}{first}"
+
+
+def _no_exposure(dump: Dump, settings: Settings, failed: Sequence[Omission]) -> str:
+    causes = ", ".join(f"{n} {cause}" for cause, n in Counter(o.cause for o in failed).most_common())
+    text = f"none of {len(failed)} exposures can be used ({causes}); {failed[0].name}: {failed[0].reason}"
+    names = {o.name for o in failed if o.cause == Cause.NOT_IDENTIFIED}
+    tried = [t for t in star_tasks(dump, settings.stars)[0] if t.item.name in names][:MIRROR_TRIALS]
+    if any(map(is_mirrored, tried)):
+        return f"{text}; mirrored left to right its stars are identified: the images are mirrored"
+    if names:
+        text += "; check focal_length_mm and pixel_size_um of the star camera (`boresight identify IMAGE` "
+        text += "measures the focal length), its distortion, the bit depth, and that images are not mirrored"
+    return text
+
+
+def _no_target(dump: Dump, tasks: Sequence[StripTask]) -> str:
+    misses = [(nearest_miss(task, dump.targets), task.strip.strip_id) for task in tasks]
+    (across_m, along_m, along_s, target_id), strip_id = min(misses, key=lambda m: float(np.hypot(*m[0][:2])))
+    return (
+        f"no target comes into view: the nearest, {target_id}, misses strip {strip_id} by "
+        f"{across_m / 1e3:.1f} km across the track and {along_m / 1e3:.1f} km along it ({along_s:.1f} s); "
+        "check the targets' latitude and longitude, the strips' times and the pre-launch installation matrix"
+    )
+
+
+def nearest_miss(task: StripTask, targets: Sequence[Target]) -> tuple[float, float, float, str]:
+    """How far the nearest target lies outside a strip's footprint, across and along the track (m, 0 where
+    inside), the second as time (s), and its id.
+    """
+    seen_e = footprint_e(task)
+    first, last = np.nanmean(seen_e[:, 0], axis=0), np.nanmean(seen_e[:, -1], axis=0)
+    middle = 0.5 * (first + last)
+    along = (last - first) / np.linalg.norm(last - first)
+    across = np.cross(along, middle / np.linalg.norm(middle))
+    axes = np.stack([across, along])
+    inside = (seen_e.reshape(-1, 3) - middle) @ axes.T
+    points = (np.array([target.p_e for target in targets]) - middle) @ axes.T
+    low, high = np.nanmin(inside, axis=0), np.nanmax(inside, axis=0)
+    outside = np.maximum(np.maximum(low - points, points - high), 0.0)
+    n = int(np.argmin(np.linalg.norm(np.array([target.p_e for target in targets]) - middle, axis=1)))
+    lines = pushbroom_of(task).instants(np.array([0.0, task.strip.lines - 1.0]))
+    speed_m_s = np.linalg.norm(last - first) / float(lines[1] - lines[0])
+    across_m, along_m = outside[n].tolist()
+    return across_m, along_m, along_m / float(speed_m_s), targets[n].target_id
