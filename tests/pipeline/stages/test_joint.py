@@ -149,7 +149,7 @@ def test_the_same_bytes_in_whatever_order_and_by_whatever_workers(
 def test_status_report_and_drift_know_a_folder_of_dumps(joint: Path, tmp_path: Path) -> None:
     told = ran("status", joint)
     assert [line for line in told.splitlines() if line.startswith("dump")] == [f"dump {n}" for n in NAMES]
-    assert told.rstrip().endswith("all dumps together: finished: installation.json is there")
+    assert told.rstrip().endswith("all dumps together: finished, verdict consistent")
     page = joint / "report.html"
     before = page.read_text()
     ran("report", joint)
