@@ -14,7 +14,7 @@ from boresight.star_id.camera_fit import (
     IdentifiedStars,
     detector_grid,
     fit_camera,
-    moved,
+    perturbed,
     pixel_derivatives,
     rotation_derivatives,
     visible_derivatives,
@@ -31,7 +31,7 @@ def test_derivatives_are_those_of_the_camera():
     u_s = CAMERA.directions_from_pixels(xy)
     steps = dict(zip(PARAMETERS, (1e-6, 1e-2, 1e-2, 1e-7, 1e-7, 1e-9, 1e-11)))
     for k, (name, h) in enumerate(steps.items()):
-        more, less = moved(CAMERA, name, h), moved(CAMERA, name, -h)
+        more, less = perturbed(CAMERA, name, h), perturbed(CAMERA, name, -h)
         difference = (more.pixels_from_directions(u_s) - less.pixels_from_directions(u_s)) / (2.0 * h)
         given = pixel_derivatives(CAMERA, u_s)[:, :, k]
         assert np.abs(given - difference).max() < 1e-6 * np.abs(difference).max()
