@@ -25,6 +25,7 @@ from boresight.geometry.geodesy import ecef_from_geodetic
 from boresight.geometry.geoid import egm96
 from boresight.geometry.line_camera import Ccd, LineCamera
 from boresight.geometry.orbit import Orbit
+from boresight.geometry.orbit_consistency import find_orbit_fault
 from boresight.geometry.record import Floats, array, record, scalar
 from boresight.geometry.star_camera import StarCamera
 from boresight.geometry.terrain import Surface, TerrainGrid
@@ -269,7 +270,10 @@ def orbit_of(
 
     `RawDataError` for dates without Earth orientation and states that cannot be interpolated.
     """
-    t = ephemeris.t_s
+    t, frame = ephemeris.t_s, ephemeris.frame
+    if fault := find_orbit_fault(t, ephemeris.positions_m, ephemeris.velocities_m_s, frame):
+        expected = f"{frame} velocities in km/s that are the rate of change of the positions, and no jumps"
+        raise RawDataError(file, f"state {fault.state + 1}", str(fault), expected)
     try:
         earth = EarthRotation.over(
             ephemeris.epoch, float(t[0]), float(t[-1]), table, allow_stale_eop=allow_stale_eop
@@ -284,7 +288,7 @@ def orbit_of(
             t_s=t,
             positions_m=ephemeris.positions_m,
             velocities_m_s=ephemeris.velocities_m_s,
-            frame=ephemeris.frame,
+            frame=frame,
             degree=ephemeris.interpolation_degree,
             earth=earth,
             sigma_position_m=sigma_position_m,

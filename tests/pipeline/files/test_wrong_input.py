@@ -101,6 +101,30 @@ def test_hand_written_dump_is_read_without_complaint(handmade: Path) -> None:
     assert dump.exposures[0].t_s == pytest.approx(19.6, abs=1e-12)
 
 
+@pytest.mark.parametrize(
+    ("wrong", "cause"),
+    [
+        (lambda values: 0.0 * values, "velocities are zero"),
+        (lambda values: -values, "velocities are reversed"),
+        (lambda values: 5.0 * values, r"multiplied by a factor \(units\?\): 5"),
+        (lambda values: values[[1, 2, 0]], "not the rate of change"),
+    ],
+)
+def test_orbit_that_contradicts_itself_is_refused_with_its_cause(
+    wrong: Callable[[np.ndarray], np.ndarray], cause: str, handmade: Path
+) -> None:
+    lines = (handmade / "orbit.oem").read_text().splitlines()
+    first = lines.index("META_STOP") + 1
+    for n in range(first, len(lines)):
+        if words := lines[n].split():
+            numbers = wrong(np.array(words[4:7], dtype=float))
+            lines[n] = " ".join([*words[:4], *(f"{value:.12f}" for value in numbers)])
+    (handmade / "orbit.oem").write_text("\n".join(lines) + "\n")
+    with pytest.raises(RawDataError, match=cause) as caught:
+        open_dump(handmade)
+    assert caught.value.file == "orbit.oem"
+
+
 @pytest.mark.parametrize(("day", "where"), [("1971-11-20", "1972"), ("2031-11-20", "2027|2026")])
 def test_date_outside_the_earth_orientation_table_names_its_limit(
     tmp_path: Path, day: str, where: str

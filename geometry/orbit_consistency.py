@@ -1,0 +1,167 @@
+"""Consistency of an ephemeris with itself: its velocities against its positions, order of time, jumps.
+
+Over a step h the positions give the mean of the velocities at its ends, with the acceleration a of a point
+mass Earth in the axes of the ephemeris,
+
+    u = (p2 - p1) / h + h (a2 - a1) / 12,
+
+and a consistent file has v = (v1 + v2) / 2 = u. Otherwise the likely cause is that frequent mistake whose
+model fits v best: zero, reversed, multiplied by a factor (units), inertial velocities in a rotating frame (v
+= u + omega x p) or the opposite. Metres, seconds.
+"""
+
+from __future__ import annotations
+
+from enum import Enum
+from typing import Literal
+
+import numpy as np
+
+from boresight.geometry.constants import EARTH_ROTATION_RATE, GM_EARTH
+from boresight.geometry.record import Bools, Floats, record, scalar
+
+__all__ = ["OrbitFault", "OrbitFinding", "find_orbit_fault"]
+
+_BASELINE_S = 10.0  # noise of the positions averages out over intervals of this length
+_GAP_FACTOR = 1.5  # steps longer than this times the median are gaps and not compared
+_EFFECT_M_S = 2.0  # smallest error of the velocities that is reported: 0.0014 arcsec of aberration
+_MISFIT_M_S = 20.0  # largest unexplained difference
+_JUMP_M = 20.0  # smallest jump of the positions that is reported
+_JUMP_SIGMAS = 12.0  # of the steps' scatter
+_JUMP_RELATIVE = 2e-4  # of a step's length: error of the quadrature for steps of minutes
+
+
+class OrbitFault(Enum):
+    """What is inconsistent, and the likely cause."""
+
+    NOT_ORDERED = "the times of the states do not increase"
+    ZERO = "the velocities are zero"
+    REVERSED = "the velocities are reversed (sign or order of time)"
+    SCALED = "the velocities are multiplied by a factor (units?)"
+    INERTIAL_IN_ROTATING_FRAME = "the velocities are inertial, the frame rotates with the Earth"
+    ROTATING_IN_INERTIAL_FRAME = "the velocities are relative to the rotating Earth, the frame is inertial"
+    UNRELATED = "the velocities are not the rate of change of the positions (axes? another object?)"
+    JUMP = "the positions jump"
+
+
+@record(kw_only=True)
+class OrbitFinding:
+    """An inconsistency of an ephemeris."""
+
+    fault: OrbitFault = scalar("what is inconsistent, and the likely cause")
+    state: int = scalar("index of the state concerned, from 0 (jumps and order; else 0)")
+    size: float = scalar("m/s: rms error of the velocities; m: jump; s: step back in time")
+    factor: float = scalar("velocities over rate of change of the positions")
+
+    def __str__(self) -> str:
+        at = f" at state {self.state + 1}"
+        return self.fault.value + {
+            OrbitFault.NOT_ORDERED: f"{at}: {self.size:.6g} s back",
+            OrbitFault.JUMP: f"{at}: {self.size:.4g} m against the velocities",
+            OrbitFault.SCALED: f": {self.factor:.4g}",
+        }.get(self.fault, f": they differ from the positions' rate of change by {self.size:.4g} m/s rms")
+
+
+def find_orbit_fault(
+    t_s: Floats, positions_m: Floats, velocities_m_s: Floats, frame: Literal["GCRF", "ITRF"]
+) -> OrbitFinding | None:
+    """The first inconsistency of an ephemeris, or None.
+
+    Parameters
+    ----------
+    t_s : (K,) array
+        Instants, s.
+    positions_m, velocities_m_s : (K, 3) arrays
+        States in the axes of `frame`; in ITRF the velocity is the rate of change of the ITRF coordinates.
+    frame : "GCRF" or "ITRF"
+        Inertial or Earth-fixed axes.
+
+    Returns
+    -------
+    OrbitFinding or None
+        None also for fewer than two states without a gap between them. Errors of the velocities below 2 m/s,
+        jumps of the positions below 20 m or within their scatter, and gaps are no inconsistencies.
+    """
+    step = np.diff(t_s)
+    if np.any(step <= 0.0):
+        k = int(np.argmax(step <= 0.0))
+        return OrbitFinding(fault=OrbitFault.NOT_ORDERED, state=k + 1, size=-float(step[k]), factor=np.nan)
+    if not len(step):
+        return None
+    by_positions = step[:, None] * _mean_velocities(t_s, positions_m, frame)
+    by_velocities = 0.5 * step[:, None] * (velocities_m_s[1:] + velocities_m_s[:-1])
+    compared = step <= _GAP_FACTOR * np.median(step)
+    middle = 0.5 * (positions_m[1:] + positions_m[:-1])
+    if frame == "ITRF":
+        other, rotation = OrbitFault.INERTIAL_IN_ROTATING_FRAME, EARTH_ROTATION_RATE
+    else:
+        other, rotation = OrbitFault.ROTATING_IN_INERTIAL_FRAME, -EARTH_ROTATION_RATE
+    carried = step[:, None] * np.cross([0.0, 0.0, rotation], middle)
+    return _velocity_fault(step, by_positions, by_velocities, (other, carried), compared) or _jump(
+        by_positions, by_velocities, compared
+    )
+
+
+def _mean_velocities(t: Floats, p: Floats, frame: str) -> Floats:
+    """Means (K - 1, 3) of the velocities at the ends of each step, m/s, by the positions."""
+    a = -GM_EARTH * p / np.linalg.norm(p, axis=1, keepdims=True) ** 3
+    if frame == "ITRF":
+        omega = np.array([0.0, 0.0, EARTH_ROTATION_RATE])
+        v = np.gradient(p, t, axis=0, edge_order=2 if len(t) > 2 else 1)
+        a = a - np.cross(omega, 2.0 * v + np.cross(omega, p))
+    h = np.diff(t)[:, None]
+    return np.asarray(np.diff(p, axis=0) / h + h / 12.0 * np.diff(a, axis=0))
+
+
+def _velocity_fault(
+    step: Floats,
+    by_positions: Floats,
+    by_velocities: Floats,
+    other: tuple[OrbitFault, Floats],
+    compared: Bools,
+) -> OrbitFinding | None:
+    """Compare mean velocities over intervals of about 10 s with the hypotheses of the module."""
+    block = np.cumsum(~compared) * len(step) + np.floor(np.cumsum(step) / max(_BASELINE_S, step.min()))
+    start = np.flatnonzero(np.diff(block[compared], prepend=-1.0))
+    h, *displacements = (
+        np.add.reduceat(values[compared], start, axis=0)
+        for values in (step[:, None], by_positions, by_velocities, other[1])
+    )
+    u, v, w = (displacement / h for displacement in displacements)
+    factor = float((u * v).sum() / max((u * u).sum(), 1e-30))
+    models = {
+        None: u,
+        other[0]: u + w,
+        OrbitFault.ZERO: 0.0 * u,
+        OrbitFault.REVERSED: -u,
+        OrbitFault.SCALED: factor * u,
+    }
+    rms = {name: float(np.sqrt(np.mean(np.sum((v - model) ** 2, axis=1)))) for name, model in models.items()}
+    best = min(rms, key=lambda fault: rms[fault] + 0.5 * (fault is OrbitFault.SCALED))  # m/s: simpler first
+    effect = np.sqrt(max(rms[None] ** 2 - rms[best] ** 2, 0.0))
+    if effect > max(_EFFECT_M_S, 3.0 * rms[best] / np.sqrt(len(u))):
+        unrelated = rms[best] > max(_MISFIT_M_S, 0.1 * rms[None])
+        return OrbitFinding(
+            fault=OrbitFault.UNRELATED if unrelated or best is None else best,
+            state=0,
+            size=rms[None],
+            factor=factor,
+        )
+    differences = np.linalg.norm(v - u, axis=1)
+    if np.median(differences) > _MISFIT_M_S:
+        return OrbitFinding(fault=OrbitFault.UNRELATED, state=0, size=rms[None], factor=factor)
+    return None
+
+
+def _jump(by_positions: Floats, by_velocities: Floats, compared: Bools) -> OrbitFinding | None:
+    """The largest difference of a step from its velocities beyond the scatter of all steps."""
+    difference = np.where(compared, np.linalg.norm(by_positions - by_velocities, axis=1), 0.0)
+    scatter = 1.4826 * float(np.median(difference[compared]))
+    limit = np.maximum(
+        max(_JUMP_M, _JUMP_SIGMAS * scatter), _JUMP_RELATIVE * np.linalg.norm(by_positions, axis=1)
+    )
+    beyond = difference > np.maximum(limit, 0.5 * difference.max())
+    if not beyond.any():
+        return None
+    k = int(np.argmax(beyond))
+    return OrbitFinding(fault=OrbitFault.JUMP, state=k + 1, size=float(difference[k]), factor=1.0)
