@@ -103,25 +103,11 @@ def locate(
     reference_px: Floats,
     settings: MatchSettings,
 ) -> TemplateMatch | Refusal:
-    """Position of a template's point in a picture, or the test that refused it.
+    """Position of the template's point `reference_px` (x, y) in a picture, or the test that refused it.
 
-    Parameters
-    ----------
-    template, picture : View
-        Template (h, w) and picture (H, W), which should show `radius_px` + 8 px on every side of the
-        template; what is missing counts as not valid.
-    start_px : (x, y)
-        Expected position of the template's first pixel in the picture, whole px.
-    radius_px : int
-        Half-width of the search window, px.
-    reference_px : (2,) array
-        (x, y) of the template's point whose position is wanted, px of the template.
-    settings : MatchSettings
-        Limits of the tests.
-
-    Returns
-    -------
-    TemplateMatch or Refusal
+    `template` is (h, w), `picture` (H, W) should show `radius_px` + 8 px on every side of it; what is missing
+    counts as not valid. `start_px` (x, y) is the expected position of the template's first pixel in the
+    picture, whole px, and `radius_px` the half-width of the search window.
     """
     h, w = template.grey.shape
     x, y = start_px

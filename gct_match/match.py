@@ -222,7 +222,7 @@ def _match(
     name: str, ccd: int, template: Template, found: TemplateMatch, origin_px: Floats, predicted_px: Floats
 ) -> TargetMatch:
     """A target's match from that of its template in a window of the strip that begins at `origin_px`."""
-    xy_px = found.xy_px + origin_px
+    xy_px, first_px = found.xy_px + origin_px, np.array(template.origin_px, dtype=float)
     return TargetMatch(
         target_id=name,
         ccd=ccd,
@@ -233,13 +233,7 @@ def _match(
         model="affine" if found.affine.any() else "translation",
         predicted_px=predicted_px,
         residual_px=xy_px - predicted_px,
-        evidence=Evidence(
-            template.image,
-            found.found,
-            found.residual,
-            found.surface,
-            np.array(template.origin_px, dtype=float),
-        ),
+        evidence=Evidence(template.image, found.found, found.residual, found.surface, first_px),
     )
 
 

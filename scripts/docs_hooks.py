@@ -28,7 +28,7 @@ PACKAGES = {
     "geometry": "Constants, time, frames, light, the Earth, cameras, orbit and attitude, and the records"
     " that stages exchange. Imports nothing of ours.",
     "star_id": "A star image becomes named stars with directions and covariances.",
-    "gct_match": "Ground targets are found in a strip and placed to a few hundredths of a pixel.",
+    "gct_match": "Ground targets found in a strip and measured to a few hundredths of a pixel.",
     "calib": "Directions and covariances become the installation matrix, with a covariance that holds.",
     "simulator": "Missions with known truth, as raw pixels.",
     "pipeline": "Files, settings, command line, reports and exports: the only input and output.",

@@ -10,7 +10,7 @@ The error of the installation matrix is one small rotation for the whole strip.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
@@ -173,9 +173,4 @@ def _seeing_at(pushbroom: Pushbroom, p_e: Floats, ccd: int, xy_px: Floats) -> Pu
 
 
 def _joined(parts: Sequence[Candidates]) -> Candidates:
-    return Candidates(
-        np.concatenate([p.owner for p in parts]),
-        np.concatenate([p.displacement_px for p in parts]),
-        np.concatenate([p.design for p in parts]),
-        np.concatenate([p.log_chance for p in parts]),
-    )
+    return Candidates(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(Candidates)))
