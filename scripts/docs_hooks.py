@@ -24,6 +24,7 @@ EXAMPLES = {
     "vectors": "From vectors to the matrix",
 }
 DOOR = ("boresight.stars", "boresight.matching", "boresight.calibration", "boresight.display")
+PLOT = re.compile(r"<!-- plot (\w+): (.*?) -->")
 PACKAGES = {
     "geometry": "Constants, time, frames, light, the Earth, cameras, orbit and attitude, and the records"
     " that stages exchange. Imports nothing of ours.",
@@ -68,6 +69,7 @@ def on_page_markdown(markdown: str, *, page: Any, config: Any, files: Files) -> 
     """
     if page.file.src_uri == "method.md":
         markdown = NAME.sub(r"[`\1`][\1]", markdown)
+    markdown = PLOT.sub(r"![\2](results/\1.png)", markdown)
     if "<!-- table 4 -->" in markdown:
         markdown = markdown.replace("<!-- table 4 -->", table4_markdown())
     return markdown.replace("<!-- benchmark records -->", "\n".join(_records()))

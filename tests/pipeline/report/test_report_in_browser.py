@@ -85,6 +85,10 @@ class Browser:
         await self.do("Page.navigate", url=page.as_uri())
         while not any(event["method"] == "Page.loadEventFired" for event in self.events):
             self.events.append(json.loads(await asyncio.wait_for(self.socket.read_message(), 30.0)))
+        # The override reaches the page's own process a moment after the page has been loaded.
+        wait = "new Promise((done) => { const end = Date.now() + 10000; const look = () =>"
+        wait += f" innerWidth === {width} || Date.now() > end ? done() : setTimeout(look, 20); look(); }})"
+        await self.value(wait)
         facts: dict[str, Any] = await self.value(FACTS)
         return facts
 
@@ -138,7 +142,7 @@ def test_the_page_fits_speaks_to_nobody_and_complains_of_nothing(address, finish
     assert browser.requests() == {page.as_uri()}
     assert facts["scroll"] <= facts["client"] and width - 20 <= facts["client"] <= width  # 15 px: scroll bar
     assert facts["sticking_out"] == 0
-    assert facts["sections"] == 11
+    assert facts["sections"] in (11, 12)  # checks only where the result has a verdict
     assert facts["broken"] == 0 and facts["images"] > 10
     assert all(250 <= one <= width for one in facts["plot"])  # px: legible, and no wider than the page
     assert brightness(facts["paper"]) > 200 if scheme == "light" else brightness(facts["paper"]) < 60
