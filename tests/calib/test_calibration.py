@@ -7,10 +7,12 @@ import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from boresight.calib.calibration import calibrate
+from boresight.calib.calibration import _noise_scale, calibrate
 from boresight.calib.estimate import InstallationEstimate, NotObservable, WhyRejected
 from boresight.calib.information import solve_total
+from boresight.calib.joint_solution import Problem, linear_solution
 from boresight.calib.settings import CalibrationSettings
+from boresight.calib.strips import prepare_strip
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.installation import deviation_from_theta, theta_between
 from boresight.simulator.campaign import CameraPair, StripPlan, draw_strips
@@ -37,10 +39,12 @@ def normalised_errors(plan, settings, runs, seed):
 
 @pytest.mark.parametrize("scope", ["camera", "strip"])
 def test_stated_covariance_holds_with_every_error_of_table_1(scope):
-    plan, settings = replace(TABLE_1, distortion_scope=scope), CalibrationSettings(distortion_scope=scope)
-    nees = normalised_errors(plan, settings, 40, seed=11)
-    low, high = chi2(df=3 * 40).ppf([0.0005, 0.9995])
-    assert low < nees.sum() < high
+    small = {"strips": 3, "exposures": 5, "stars": 15, "targets": 8, "distortion_scope": scope}
+    plan, settings = replace(TABLE_1, **small), CalibrationSettings(distortion_scope=scope)
+    nees = normalised_errors(plan, settings, 200, seed=11)
+    low, high = chi2(df=3 * 200).ppf([0.0005, 0.9995]) / 200
+    assert low < nees.mean() < high  # 2.46 to 3.60
+    assert np.mean(nees > chi2(3).ppf(0.9)) == pytest.approx(0.1, abs=0.07)  # 3.3 sigma of 200 runs
 
 
 def test_without_the_position_nuisance_the_covariance_is_many_times_too_small():
@@ -181,3 +185,53 @@ def test_two_strips_of_one_name_are_a_mistake():
     strips, _ = draw_strips(StripPlan(strips=2), CAMERAS, np.random.default_rng(8))
     with pytest.raises(ValueError, match="two strips have the id 'strip0000'"):
         calibrate([strips[0], strips[0]], R_CS0, CalibrationSettings())
+
+
+def test_degrees_of_freedom_are_two_a_target_less_the_three_angles():
+    plan = replace(TABLE_1, strips=2, exposures=8, stars=15, targets=4)
+    rng, found = np.random.default_rng(14), []
+    for _ in range(60):
+        estimate = calibrate(draw_strips(plan, CAMERAS, rng)[0], BOLD, CalibrationSettings(robust=False))
+        assert estimate.dof == 13 and estimate.dof_stars == 2 * 8 * (2 * 15 - 3)
+        found.append(estimate.chi2)
+    low, high = chi2(df=13 * 60).ppf([0.0005, 0.9995]) / 60
+    assert low < np.mean(found) < high  # 10.9 to 15.3; without the three angles 16 would be expected
+
+
+def test_one_step_from_far_away_has_not_converged():
+    strips, _ = draw_strips(replace(TABLE_1, strips=2), CAMERAS, np.random.default_rng(8))
+    one_step = CalibrationSettings(most_iterations=1, robust=False)
+    estimate = calibrate(strips, R_CS0, one_step)
+    assert not estimate.converged_matrix and not estimate.converged_covariance and not estimate.converged
+    near = (
+        deviation_from_theta(np.array([0.0, 0.0, 1e-9]))
+        * calibrate(strips, R_CS0, CalibrationSettings()).R_cs
+    )
+    estimate = calibrate(strips, near, one_step)
+    assert not estimate.converged_matrix and estimate.converged_covariance and not estimate.converged
+
+
+def test_factor_of_the_noise_allows_for_the_tail_that_is_rejected():
+    strips, _ = draw_strips(replace(TABLE_1, strips=2), CAMERAS, np.random.default_rng(9))
+    settings = CalibrationSettings(probability_false_alarm=0.05)
+    problem = Problem.of([prepare_strip(strip, settings) for strip in strips], settings)
+    step = linear_solution(problem, BOLD, np.ones(24), 1.0)
+    robust, _ = _noise_scale(step, problem.inside, 1.0, settings)
+    plain, _ = _noise_scale(step, problem.inside, 1.0, replace(settings, robust=False))
+    draws = np.random.default_rng(1).chisquare(2, 1_000_000)
+    cut = draws[draws < chi2(2).isf(0.05)].mean() / 2.0
+    assert robust / plain == pytest.approx(cut**-0.5, rel=2e-3)  # 4 sigma of a million draws
+
+
+def test_nearly_half_of_the_targets_wrong_in_one_direction_do_not_decide():
+    rng = np.random.default_rng(4)
+    wrong = []
+    for strip in draw_strips(TABLE_1, CAMERAS, rng)[0]:
+        u_c = strip.ground.u_c.copy()
+        u_c[rng.random(len(u_c)) < 0.45, :2] += 1e-6 * np.array([30.0, 20.0])
+        u_c /= np.linalg.norm(u_c, axis=1, keepdims=True)
+        wrong.append(replace(strip, ground=replace(strip.ground, u_c=u_c)))
+    estimate = calibrate(wrong, R_CS0, CalibrationSettings())
+    error = theta_between(estimate.R_cs, BOLD)
+    # 12 without the start by least absolute residuals, which leaves two more of the wrong ones in.
+    assert error @ np.linalg.solve(estimate.cov_theta, error) < 8.0

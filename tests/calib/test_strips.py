@@ -12,6 +12,7 @@ from boresight.calib.frames import calibrate_frames
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.shared_unknowns import SharedUnknowns
 from boresight.calib.strips import group_strips, linearise, prepare_strip
+from boresight.geometry.attitude import lagrange_weights
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.installation import deviation_from_theta, theta_between
 from boresight.geometry.sightings import StripSightings
@@ -138,3 +139,39 @@ def test_targets_outside_the_exposures_are_not_extrapolated():
     short = replace(strip, exposures=strip.exposures[:5], R_oi_exposures=strip.R_oi_exposures[:5])
     prepared = prepare_strip(short, NONE)
     assert prepared.inside.tolist() == (strip.ground.t_s <= 0.9).tolist()  # 0.8 s and half a step of 0.2 s
+
+
+def test_vibration_seen_by_the_exposures_adds_to_the_covariance_of_their_attitudes():
+    strip = strips_of(StripPlan(strips=1))[0]
+    sigma = 2e-6  # rad; the attitudes' own are some 1e-6
+    still, shaken = (
+        prepare_strip(strip, replace(NONE, sigma_vibration_exposure_rad=size)) for size in (0.0, sigma)
+    )
+    weights = lagrange_weights(np.array([e.t_s for e in strip.exposures]), strip.ground.t_s, points=4)
+    phi = slice(0, 3 * len(strip.exposures))
+    added = [np.einsum("jan,jbn->jab", p.shared_s[:, :, phi], p.shared_s[:, :, phi]) for p in (shaken, still)]
+    across = np.eye(3) - still.v_s[:, :, None] * still.v_s[:, None, :]
+    expected = sigma**2 * np.sum(weights**2, axis=1)[:, None, None] * across
+    np.testing.assert_allclose(added[0] - added[1], expected, rtol=0, atol=1e-6 * sigma**2)
+
+
+def test_coordinates_of_targets_are_in_axes_that_rotate_with_the_earth():
+    quarter_s = 86164.0905 / 4  # of a sidereal day
+    strip = strips_of(StripPlan(strips=1))[0]
+    ground = replace(strip.ground, cov_target_i=np.tile(np.diag([1.0, 4.0, 9.0]), (12, 1, 1)))
+    now = replace(strip, ground=replace(ground, t_s=ground.t_s - ground.t_s))
+    exposures = [replace(e, t_s=e.t_s - ground.t_s.mean()) for e in strip.exposures]
+    now = replace(now, exposures=tuple(exposures))
+    later = replace(
+        now,
+        ground=replace(now.ground, t_s=now.ground.t_s + quarter_s),
+        exposures=tuple(replace(e, t_s=e.t_s + quarter_s) for e in exposures),
+    )
+    first, second = prepare_strip(now, NONE), prepare_strip(later, NONE)
+    # Six hours later the target's x axis points where y pointed, and its y axis against x.
+    scale = np.abs(first.coordinates_s).max()
+    np.testing.assert_allclose(
+        second.coordinates_s, first.coordinates_s[:, :, [1, 0, 2]] * [1, -1, 1], rtol=0, atol=1e-6 * scale
+    )
+    np.testing.assert_allclose(first.cov_coordinates[0], np.diag([1.0, 4.0, 9.0]), atol=1e-6)
+    np.testing.assert_allclose(second.cov_coordinates[0], np.diag([4.0, 1.0, 9.0]), atol=1e-6)

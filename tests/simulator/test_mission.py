@@ -10,9 +10,10 @@ from boresight.geometry.constants import ARCSEC
 from boresight.geometry.earth_rotation import EarthRotation
 from boresight.geometry.installation import theta_between
 from boresight.geometry.orbit import Orbit
+from boresight.geometry.terrain import TerrainGrid
 from boresight.simulator.mission import simulate
 from boresight.simulator.records import Mission
-from boresight.simulator.scenario import scenario_from_dict
+from boresight.simulator.scenario import scenario_from_dict, scenario_to_dict
 
 
 def values_in(record, seen=()):
@@ -166,3 +167,31 @@ def test_targets_and_check_points_are_seen_by_some_ccd(mission):
     for point in (*mission.truth.targets, *mission.truth.check_points):
         assert -0.5 <= point.sample <= 511.5
         assert -0.5 <= point.line <= 299.5
+
+
+def test_the_terrain_that_the_user_gets_is_wrong_by_its_stated_error(mission, small, stars, tables):
+    values = scenario_to_dict(small)
+    values["terrain"].update(error_m=0.0)
+    exact = simulate(scenario_from_dict(values), stars, *tables, seed=11).terrain
+    error = mission.terrain.heights_m.astype(float) - exact.heights_m
+    sigma, n = small.terrain.error_m, error.size
+    assert sigma > 0.5 and mission.terrain.sigma_m == sigma and exact.sigma_m == 0.0
+    assert error.std() == pytest.approx(sigma, rel=4.0 / np.sqrt(2 * n))  # 4 sigma of n draws
+    assert abs(error.mean()) < 4.0 * sigma / np.sqrt(n)
+
+
+def test_points_lie_on_the_true_terrain_and_not_on_the_one_of_the_user(mission, tables):
+    grid = TerrainGrid.from_raster(mission.terrain.heights_m, mission.terrain.affine, "EPSG:4326", tables[1])
+    points = mission.truth.check_points
+    lat, lon = np.array([(p.lat_deg, p.lon_deg) for p in points]).T
+    off = grid.height_m(np.radians(lat), np.radians(lon)) - [p.height_ellipsoidal_m for p in points]
+    assert 0.2 * mission.terrain.sigma_m < off.std() < 1.5 * mission.terrain.sigma_m  # interpolation averages
+
+
+def test_stated_errors_are_those_of_the_draws(mission):
+    errors, stated = mission.scenario.errors, mission.errors
+    assert stated.position_m == mission.orbit.sigma_position_m == errors.gps_m == 2.0
+    assert stated.clock_s == errors.clock_s == 1e-4
+    assert stated.vibration_arcsec == errors.vibration_arcsec
+    assert stated.look_distortion_px == errors.distortion_px
+    assert stated.terrain_m == mission.scenario.terrain.error_m == mission.terrain.sigma_m
