@@ -8,11 +8,12 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from boresight.calib.forecast import Forecast
 from boresight.geometry.constants import ARCSEC
 from boresight.pipeline.errors import DataNotSufficientError
 from boresight.pipeline.files.text_files import toml_tables
 from boresight.pipeline.settings import filled
-from boresight.pipeline.stages.forecast import Forecast, forecast
+from boresight.pipeline.stages.forecast import forecast
 from boresight.simulator.campaign import CameraPair, StripPlan, installation_by_tilt
 
 __all__ = ["Plan", "PlanForecast", "forecast_plan", "read_plan"]

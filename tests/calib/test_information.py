@@ -99,7 +99,10 @@ def test_a_turn_without_information_is_named_and_gets_no_number():
 
 def test_pairs_made_one_say_the_same_of_what_is_left():
     pairs = pairs_of(6, 3, shared=("a", "b", "c", "d"))
-    prior_bd, prior_ac = 1e16 * np.array([[2.0, 0.5], [0.5, 1.0]]), 1e16 * np.array([[1.0, -0.3], [-0.3, 1.5]])
+    prior_bd, prior_ac = (
+        1e16 * np.array([[2.0, 0.5], [0.5, 1.0]]),
+        1e16 * np.array([[1.0, -0.3], [-0.3, 1.5]]),
+    )
     prior = np.zeros((4, 4))
     prior[np.ix_([1, 3], [1, 3])], prior[np.ix_([0, 2], [0, 2])] = prior_bd, prior_ac
     total = pairs.total()

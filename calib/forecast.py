@@ -1,0 +1,87 @@
+"""Accuracy that a campaign will reach, before any data: the information of strips of a planned geometry.
+
+The information of a strip does not depend on what is measured, so the mean over example strips, times their
+number, is that of the campaign, and its inverse the covariance (the Cramér-Rao bound). The distortion of the
+camera, which all strips share, does not average: it sets a floor.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from boresight.calib.calibration import strip_pairs
+from boresight.calib.information import Solution, solve_total
+from boresight.calib.settings import CalibrationSettings
+from boresight.geometry.record import Floats, array, record, scalar
+from boresight.geometry.sightings import StripSightings
+
+__all__ = ["Forecast", "forecast_from_strips"]
+
+
+@record
+class Forecast:
+    """Mean information of one strip of a plan, and the prior information of shared unknowns."""
+
+    F_strip: Floats = array("N, N", "information of one strip, theta first, rad⁻²")
+    prior_shared: Floats = array("G, G", "prior information of the N - 3 unknowns that strips share")
+    sigma_observable_rad: float = scalar("1-sigma beyond which a rotation counts as not observable")
+
+    def after(self, strips: float) -> Solution:
+        """Covariance of theta after so many strips, and the axes that are not observable."""
+        F = strips * self.F_strip
+        limit = self.sigma_observable_rad
+        return solve_total(F, np.zeros(len(F)), self.prior_shared, sigma_observable_rad=limit)
+
+    def sigma(self, strips: float) -> Floats:
+        """1-sigma (3,) about the axes of c, rad; NaN about an axis that is not observable."""
+        solution = self.after(strips)
+        sigma = np.sqrt(np.diag(solution.covariance))
+        blind = np.any(np.abs(solution.unobservable) > 1e-3, axis=0)
+        return np.where(blind, np.nan, sigma)
+
+    def floor(self) -> Floats:
+        """1-sigma (3,) that no number of strips falls below, rad; 0 where everything averages."""
+        one, many = self.sigma(1.0), self.sigma(1e9)
+        return np.where(many < 1e-3 * one, 0.0, many)
+
+    def strips_for(self, target_rad: float) -> int | None:
+        """The least number of strips with which every axis is known to `target_rad`; None if none does."""
+        if not np.all(self.floor() <= target_rad):
+            return None
+        low, high = 0, 1
+        while not np.all(self.sigma(high) <= target_rad):
+            low, high = high, 2 * high
+        while high - low > 1:
+            middle = (low + high) // 2
+            low, high = (low, middle) if np.all(self.sigma(middle) <= target_rad) else (middle, high)
+        return high
+
+
+def forecast_from_strips(
+    strips: Sequence[StripSightings], R_cs: Rotation, settings: CalibrationSettings
+) -> Forecast:
+    """The forecast from example strips of a plan.
+
+    Parameters
+    ----------
+    strips : sequence of StripSightings
+        Example strips; the more, the nearer their mean is to that of all strips of the plan.
+    R_cs : Rotation
+        Installation matrix with which they were made, star camera to remote-sensing camera.
+    settings : CalibrationSettings
+        Priors of the errors to be expected.
+
+    Returns
+    -------
+    Forecast
+
+    Raises
+    ------
+    ValueError
+        If no strip has a target between usable star exposures.
+    """
+    pairs, prior_shared = strip_pairs(strips, R_cs, settings)
+    return Forecast(pairs.total().F / len(strips), prior_shared, settings.sigma_observable_rad)
