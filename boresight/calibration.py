@@ -81,10 +81,20 @@ class Calibration(Result):
         """(3,) 1-sigma about the axes of c, arcsec."""
         return np.sqrt(np.diag(self.cov_theta)) / ARCSEC
 
+    @property
+    def verdict(self) -> str:
+        """`consistent` or `refuted`, by the statistics of the result itself; `not assessed` from vectors."""
+        stated = None if self.saved is None else self.saved.installation.get("verdict")
+        return str(stated["outcome"]) if isinstance(stated, dict) else "not assessed"
+
     def summary(self) -> str:
         theta, sigma = self.theta / ARCSEC, self.sigma_arcsec
         angles = ", ".join(f"{name} {t:+.3f} +- {s:.3f}" for name, t, s in zip("XYZ", theta, sigma))
-        fit = "from vectors" if self.chi2 is None else f"chi2 / dof {self.chi2:.1f} / {self.dof}"
+        fit = (
+            "from vectors"
+            if self.chi2 is None
+            else f"{self.verdict}, chi2 / dof {self.chi2:.1f} / {self.dof}"
+        )
         return f"R_cs: theta {angles} arcsec\n{fit}\n{self.counts}"
 
     def table(self) -> pd.DataFrame:

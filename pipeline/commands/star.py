@@ -7,12 +7,11 @@ import json
 import sys
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
 from boresight.pipeline.commands.progress import progress_bars
-from boresight.star_id.settings import CentroidMethod
 
 __all__ = ["add_star_commands"]
 
@@ -115,7 +114,7 @@ def centroids(
     psf_sigma_px: Annotated[float | None, typer.Option(help="True width of the PSF, if known.")] = None,
     gain: Annotated[float | None, typer.Option(help="Electrons per DN, if known.")] = None,
     method: Annotated[
-        CentroidMethod | None, typer.Option(help="A fit of the PSF, or first moments in a window.")
+        Literal["fit", "window"] | None, typer.Option(help="A fit of the PSF, or first moments in a window.")
     ] = None,
     dark: Dark = None,
     out: Annotated[Path | None, typer.Option(help="CSV file for all centroids with their errors.")] = None,
