@@ -17,17 +17,31 @@ from __future__ import annotations
 import dataclasses
 import re
 from collections.abc import Callable
-from typing import Any, TypeVar, dataclass_transform, overload
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import TYPE_CHECKING, Any, TypeVar, dataclass_transform, overload
 
 __all__ = ["Bools", "Floats", "Ints", "Texts", "array", "record", "scalar", "shape_of"]
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
-Bools = NDArray[np.bool_]
-Texts = NDArray[np.str_]
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    Floats = NDArray[np.float64]
+    Ints = NDArray[np.int64]
+    Bools = NDArray[np.bool_]
+    Texts = NDArray[np.str_]
+else:
+
+    def __getattr__(name: str) -> Any:
+        """An alias of array types, made when it is imported: records without arrays do not load NumPy."""
+        kinds = {"Floats": "float64", "Ints": "int64", "Bools": "bool_", "Texts": "str_"}
+        if name not in kinds:
+            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        import numpy as np
+        from numpy.typing import NDArray
+
+        globals()[name] = alias = NDArray[getattr(np, kinds[name])]
+        return alias
+
 
 Record = TypeVar("Record")
 Dimension = int | tuple[str, int]  # a number, or a shared length plus an offset
@@ -108,6 +122,8 @@ def _post_init(
     checked: tuple[tuple[str, tuple[Dimension, ...], bool], ...],
     own: Callable[[Any], None] | None,
 ) -> Callable[[Any], None]:
+    import numpy as np
+
     def __post_init__(self: Any) -> None:
         lengths: dict[str, int] = {}
         for field, shape, optional in checked:
