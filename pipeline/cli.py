@@ -245,7 +245,7 @@ def status(result: Annotated[Path, typer.Argument(help="Folder of a run, finishe
 @app.command()
 def experiment(
     name: Annotated[
-        str, typer.Argument(help="figure4, convergence, grid, figure8, table4, table5 or geometry.")
+        str, typer.Argument(help="figure4, convergence, grid, figure8, table4, table5, readings, geometry.")
     ],
     out: Annotated[Path, typer.Option(help="Folder for NAME.csv, NAME.png and NAME.txt.")],
     runs: Annotated[

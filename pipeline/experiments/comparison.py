@@ -8,7 +8,13 @@ import numpy as np
 import pandas as pd
 from scipy.stats import chi2
 
+from boresight.geometry.constants import ARCSEC
 from boresight.geometry.record import Floats
+from boresight.pipeline.experiments.geometry_search import (
+    covariance_shapes,
+    predicted_sigma,
+    star_camera_rotation,
+)
 from boresight.pipeline.experiments.paper_tables import (
     FIGURE_7_CELLS,
     FIGURE_7_MEAN_ARCSEC,
@@ -18,11 +24,13 @@ from boresight.pipeline.experiments.paper_tables import (
     TABLE_4_RMS_ARCSEC,
     TABLE_5,
 )
+from boresight.simulator.campaign import CameraPair
 
 __all__ = ["COMPARISONS", "noise_law"]
 
 AXES = ("X", "Y", "Z")
-STAR_PIXEL_M = 6.4e-5 * 530e3  # one pixel of the star camera on the ground (Table 2, 530 km)
+HEIGHT_M = 530e3
+STAR_PIXEL_M = 6.4e-5 * HEIGHT_M  # one pixel of the star camera on the ground (Table 2)
 
 
 def compare_convergence(table: pd.DataFrame) -> Iterator[str]:
@@ -102,10 +110,45 @@ def compare_table5(table: pd.DataFrame) -> Iterator[str]:
         )
     yield "The paper's columns as rms² = a² + (b sigma_s)²; one star camera's pixel is"
     yield f"{STAR_PIXEL_M:.1f} m on the ground, divided by the square root of the number of stars averaged"
-    sigma_s = np.array(list(TABLE_5))
+    sigma_s, slopes = np.array(list(TABLE_5)), []
     for n, name in enumerate(("along, Wang", "along, paper", "across, Wang", "across, paper")):
         a, b = noise_law(sigma_s, np.array([row[n] for row in TABLE_5.values()]))
         yield f"  {name:13s}  a {a:5.2f} m   b {b:5.1f} m/px: as of {(STAR_PIXEL_M / b) ** 2:5.2f} stars"
+        slopes.append(b)
+    yield "Stars of a single exposure that gives both slopes of the paper, by the star camera's axis"
+    for from_zenith, azimuth, stars in exposures_of_slopes(slopes[1], slopes[3]):
+        yield f"  {from_zenith:3.0f} deg from the zenith, azimuth {azimuth:3.0f} deg: {stars:5.1f} stars"
+
+
+def exposures_of_slopes(along_m: float, across_m: float) -> Iterator[tuple[float, float, float]]:
+    """(from zenith, azimuth, stars), degrees, of single exposures with these ground errors per pixel."""
+    nadir = CameraPair(star_camera_rotation(0.0, 0.0, 0.0))
+    shapes, none, one = covariance_shapes(nadir), np.full(1, np.inf), np.ones(1)
+    for from_zenith in range(0, 91, 15):
+        found = []
+        for azimuth in range(91):
+            R_cs = star_camera_rotation(from_zenith, azimuth, 0.0)
+            x, y, _ = predicted_sigma(R_cs, shapes, (1.0, 0.0), one, none)[0] * ARCSEC * HEIGHT_M
+            found.append((abs(np.log(y / x * across_m / along_m)), azimuth, (x**2 + y**2)))
+        misfit, azimuth, size = min(found)
+        if misfit < 0.02:
+            yield from_zenith, azimuth, float(size) / (along_m**2 + across_m**2)
+
+
+def compare_readings(table: pd.DataFrame) -> Iterator[str]:
+    """Table 5 with Wang's matrices of single images: rms over all strips, by what the paper leaves open."""
+    yield "Table 5 with one matrix per image (Wang) against the estimate from all images (ours): rms, m"
+    yield "axis       GPS error  attitude   sigma_s | ours: along, across | Wang, order 3      5            7"
+    keys = ["axis", "gps", "attitude", "sigma_s_px"]
+    for (axis, gps, attitude, sigma_s), part in table.groupby(keys, sort=False):
+        rms = part.set_index(["method", "order", "direction"])["rms_m"].to_dict()
+        cells = [("ours", 0), ("wang", 3), ("wang", 5), ("wang", 7)]
+        texts = [f"{rms[*cell, 'along']:5.2f}, {rms[*cell, 'across']:5.2f}" for cell in cells]
+        head = f"{axis:9s}  {gps:9s}  {attitude:9s}  {sigma_s:7.3f}"
+        yield f"{head} | {texts[0]:19s} | {'  '.join(texts[1:])}"
+    for sigma_s, row in TABLE_5.items():
+        if sigma_s in (0.05, 0.075, 0.1):
+            yield f"paper, {sigma_s:.3f}: ours {row[1]:.2f}, {row[3]:.2f}; Wang {row[0]:.2f}, {row[2]:.2f}"
 
 
 def compare_figure4(table: pd.DataFrame) -> Iterator[str]:
@@ -164,6 +207,7 @@ COMPARISONS: dict[str, Callable[[pd.DataFrame], Iterator[str]]] = {
     "grid": compare_grid,
     "table4": compare_table4,
     "table5": compare_table5,
+    "readings": compare_readings,
 }
 
 

@@ -18,6 +18,7 @@ from boresight.pipeline.experiments.paper_tables import (
     FIGURE_7_SIGMA_ARCSEC,
     FIGURES_5_6_Z_ARCSEC,
     TABLE_4,
+    TABLE_5,
 )
 
 __all__ = ["PLOTS", "plot_forecast"]
@@ -175,6 +176,39 @@ def plot_table5(table: pd.DataFrame) -> Figure:
     return figure
 
 
+def plot_readings(table: pd.DataFrame) -> Figure:
+    """Table 5 with one matrix per image: ours and Wang's against sigma_s, by what the paper leaves open."""
+    figure, axes = _panels(2, 2, 2.6, sharex=True, sharey=True)
+    for row, direction in enumerate(("along", "across")):
+        for column, axis in enumerate(table["axis"].unique()):
+            ax, part = axes[row, column], table[(table["direction"] == direction) & (table["axis"] == axis)]
+            for (gps, attitude), cell in part.groupby(["gps", "attitude"]):
+                dash, marker = "-" if attitude == "smoothed" else "--", "o" if gps == "constant" else "s"
+                for method, order, colour in (("ours", 0, OURS), ("wang", 3, WANG)):
+                    line = cell[(cell["method"] == method) & (cell["order"] == order)]
+                    name = "ours" if method == "ours" else "Wang, order 3"
+                    label = f"{name}, {attitude}, GPS {gps}"
+                    ax.plot(
+                        line["sigma_s_px"],
+                        line["rms_m"],
+                        dash,
+                        marker=marker,
+                        ms=4,
+                        color=colour,
+                        label=label,
+                    )
+            for n, who, marker in ((0, "paper's Wang", "x"), (1, "paper", "D")):
+                style: dict[str, Any] = PAPER | {"marker": marker, "ms": 5, "mfc": "#ffffff", "label": who}
+                ax.plot(list(TABLE_5), [values[n + 2 * row] for values in TABLE_5.values()], **style)
+            ax.set_title(f"{direction}, star camera {axis} off the zenith", fontsize=9)
+        axes[row, 0].set_ylabel("rms, m")
+    for ax in axes[-1]:
+        ax.set_xlabel("σs, px")
+    _legend(figure, axes[0, 0])
+    figure.suptitle("Table 5 with Wang's matrix of each single image", fontsize=10)
+    return figure
+
+
 def plot_figure8(table: pd.DataFrame) -> Figure:
     """Fig. 8: residuals of polynomials fitted to the attitude's waves."""
     spans = sorted(table["span_s"].unique(), reverse=True)
@@ -300,6 +334,7 @@ PLOTS: dict[str, Callable[[pd.DataFrame], Figure]] = {
     "figure8": plot_figure8,
     "table4": plot_table4,
     "table5": plot_table5,
+    "readings": plot_readings,
     "geometry": plot_geometry,
     "grid-pixels": plot_grid_pixels,
     "table5-pixels": plot_table5_pixels,

@@ -27,6 +27,7 @@ from boresight.pipeline.experiments.vectors import (
     grid,
     table4,
     table5,
+    table5_readings,
 )
 from boresight.simulator.campaign import CameraPair
 from boresight.star_id.catalogue import hipparcos_stars
@@ -44,7 +45,7 @@ Progress = Callable[[int, int], None]
 
 FAINTEST_V = 6.5  # about 55 stars in the field (docs/paper.md)
 
-EXPERIMENTS = ("figure4", "convergence", "grid", "figure8", "table4", "table5", "geometry")
+EXPERIMENTS = ("figure4", "convergence", "grid", "figure8", "table4", "table5", "readings", "geometry")
 FROM_PIXELS = ("grid", "table5")
 
 
@@ -87,8 +88,8 @@ def experiment_table(
     """The long-form table of one of `EXPERIMENTS`; `KeyError` for another name."""
     if name == "table4":
         return table4(settings, hipparcos_fields(settings.cameras, 400, settings.seed), progress)
-    if name in ("grid", "table5"):
-        return {"grid": grid, "table5": table5}[name](settings, progress)
+    if name in ("grid", "table5", "readings"):
+        return {"grid": grid, "table5": table5, "readings": table5_readings}[name](settings, progress)
     if name == "geometry":
         return geometry_map(settings.cameras)
     return {"convergence": convergence, "figure4": figure4, "figure8": figure8}[name](settings)

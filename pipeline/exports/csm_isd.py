@@ -39,7 +39,7 @@ MARGIN_NODES = 8  # on either side: the model interpolates with eight points
 FIT_SAMPLES = 9  # look directions per node, to which the rotation is fitted
 DISTORTION_PX = 3e-3  # largest misfit of the cubic
 SMALLEST_PIECE_PX = 32
-_HALF_TURN = Rotation.from_quat([1.0, 0.0, 0.0, 0.0])  # c' <- c: half a turn about x
+_HALF_TURN = Rotation.from_quat([1.0, 0.0, 0.0, 0.0])  # c' <- c: 180 degrees about x
 
 
 @record

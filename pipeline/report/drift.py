@@ -73,6 +73,6 @@ def plot_drift(table: pd.DataFrame, step: tuple[str, str, str] | None, title: st
 
 
 def _naive(utc: pd.Series) -> pd.Series:
-    """Dates as matplotlib likes them; second 60 is drawn as second 59."""
+    """Dates without time zone for matplotlib; second 60 is drawn as second 59."""
     text = utc.str.rstrip("Z").str.replace(":60", ":59")
     return pd.to_datetime(text, format="%Y-%m-%dT%H:%M:%S")
