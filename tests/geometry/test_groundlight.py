@@ -33,6 +33,7 @@ from boresight.geometry.groundlight import (
     aberrate,
     apparent_directions_e,
     apparent_ground_directions,
+    emission_points_e,
     emission_rays_e,
     lines_of_sight_e,
 )
@@ -199,6 +200,30 @@ def test_refraction_agrees_with_a_ray_through_shells(zenith_deg, height_m):
     assert got == pytest.approx(
         displacement_by_quadrature(standard_atmosphere(), zenith, height_m), rel=1e-4, abs=1e-6
     )
+
+
+@pytest.mark.parametrize("zenith_deg", [10.0, 25.0, 45.0, 60.0])
+def test_rays_are_refracted_towards_the_nadir_as_erfa_refracts_starlight(zenith_deg):
+    """By reversibility a ray that reaches space at the true zenith distance z + R leaves the ground at z,
+    with ERFA's R of an observer there. As n r sin z is constant, the straight line meets the ground at
+    sin z' = n sin z, farther from the nadir by the central angle z' - (z + R).
+    """
+    A, B = erfa.refco(1013.25, 15.0, 0.0, 0.6)
+    z = np.radians(zenith_deg)
+    R = A * np.tan(z) + B * np.tan(z) ** 3
+    up, away = np.array([1.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0])  # on the equator, eastwards
+    u = -np.cos(z + R) * up + np.sin(z + R) * away
+    foot = WGS84.semi_major_m * up
+    origin, still, none = (foot - 8e5 * u)[None], np.zeros((1, 3)), np.zeros(3)
+    effects = LightEffects(light_time=False, aberration=False, refraction=True)
+    _, direction = emission_rays_e(u[None], origin, still, none, effects, 0.0)
+    bend = np.arctan2(direction[0] @ away, -direction[0] @ up) - (z + R)
+    assert bend == pytest.approx(-R, rel=0.01)  # ERFA's own accuracy, and the vertical 1e-6 rad farther on
+    seen_from = emission_points_e(u[None], origin, still, none, effects, 0.0)[0]
+    shift = (foot - seen_from) @ away
+    n = 2.0 - np.sqrt(1.0 - 2.0 * (A - B))  # ERFA's: A = g (1 - b), B = -g (b - g / 2), g = n - 1
+    expected = WGS84.semi_major_m * (np.arcsin(n * np.sin(z)) - (z + R))
+    assert shift == pytest.approx(expected, rel=0.05)  # ERFA's scale height (b): 8.2 km for 8.4 km here
 
 
 def test_refraction_bends_by_snell():

@@ -11,6 +11,8 @@ import numpy as np
 import pytest
 from handmade import write_chip, write_handmade_dump, write_strip
 
+from boresight.geometry.constants import WGS84
+from boresight.geometry.geodesy import geodetic_from_ecef
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.dump import open_dump
 
@@ -92,6 +94,15 @@ def test_wrong_file_is_named_with_field_found_and_expected(name: str, handmade: 
     assert re.search(expected, error.expected), str(error)
     for part in (error.file, error.field, error.found, error.expected):
         assert part in str(error)
+
+
+def test_orthometric_height_of_a_target_is_raised_by_the_geoid(handmade: Path) -> None:
+    # Test point of NGA's EGM96 program F477: the geoid lies 43.575 m below the ellipsoid (its grid: 0.3 m).
+    text = (handmade / "targets.csv").read_text().splitlines()
+    text[1] = text[1].replace("t0,0.00,103.0,100,ellipsoidal", "t0,46.8743190,102.4487290,100,egm96")
+    (handmade / "targets.csv").write_text("\n".join(text) + "\n")
+    _, _, height = geodetic_from_ecef(open_dump(handmade).targets[0].p_e, WGS84)
+    assert height == pytest.approx(100.0 - 43.575, abs=0.3)
 
 
 def test_hand_written_dump_is_read_without_complaint(handmade: Path) -> None:

@@ -15,6 +15,9 @@ from typer.testing import CliRunner
 
 from boresight.geometry import attitude_estimate
 from boresight.geometry.attitude_estimate import fit_attitudes
+from boresight.geometry.constants import WGS84
+from boresight.geometry.geodesy import ellipsoid_normals, geodetic_from_ecef
+from boresight.geometry.groundlight import LightEffects, apparent_ground_directions
 from boresight.geometry.installation import theta_between
 from boresight.pipeline.cli import app
 from boresight.pipeline.errors import DataNotSufficientError
@@ -91,6 +94,36 @@ def test_attitudes_are_fitted_once_and_the_saved_ones_are_those_of_the_estimate(
     for exposure, R_si, covariance in zip(strip.exposures, used.R_si, used.covariance_s):
         assert saved["R_si"][row[exposure.exposure_id]] == R_si.ravel().tolist()
         assert saved["covariance_s"][row[exposure.exposure_id]] == covariance.ravel().tolist()
+
+
+def test_targets_are_seen_through_the_air_and_from_an_orbit_over_rotating_ground(
+    finished: tuple[Path, Path], tmp_path: Path
+) -> None:
+    shutil.copytree(finished[1], tmp_path / "result")
+    dump = open_dump(finished[0])
+    found = calibrate_dump(dump, Settings(), store_of(tmp_path / "result"), InOrder())
+    ground, orbit, earth = found.strips[0].ground, dump.orbit, dump.orbit.earth
+    p_e = {target.target_id: target.p_e for target in dump.targets}
+    targets_e = np.array([p_e[name] for name in ground.target_id.tolist()])
+    # Zenith path delay of dry air 2.3 m (Saastamoinen): the apparent point is 2.3 m tan z sec^2 z farther.
+    without, _ = apparent_ground_directions(
+        targets_e, ground.t_s, orbit, earth, LightEffects(refraction=False)
+    )
+    lat, lon, height = geodetic_from_ecef(targets_e, WGS84)
+    R_ie = earth.matrices_ie(ground.t_s)
+    up = np.einsum("nij,nj->ni", R_ie, ellipsoid_normals(lat, lon))
+    cos_z = -np.einsum("ni,ni->n", up, without)[:, None]
+    away = without + cos_z * up  # horizontal, of length sin z
+    shift_m = 2.3 * np.exp(-height / 8400.0)[:, None] * away / cos_z**3
+    across = shift_m - np.einsum("ni,ni->n", shift_m, without)[:, None] * without
+    size = np.linalg.norm(across, axis=1, keepdims=True) / ground.range_m[:, None]
+    assert size.max() > 5e-8  # rad: 1.3 deg from the zenith
+    error = np.abs((ground.u_i - without) - across / ground.range_m[:, None])
+    assert np.all(error < 0.05 * size)  # scale height of the air, and its density that day
+    # Rate of change of the satellite's ITRS coordinates over 1 s; the Earth's rotation makes 400 m/s of it.
+    v_e = orbit.positions_e(ground.t_s + 0.5) - orbit.positions_e(ground.t_s - 0.5)
+    v_i = np.einsum("nij,nj->ni", R_ie, v_e)
+    np.testing.assert_allclose(ground.v_rel_i, v_i, rtol=0, atol=1.0)
 
 
 def test_installation_json_has_exactly_the_fields_of_the_format(whole: Path) -> None:
