@@ -1,8 +1,8 @@
-"""What several strips share: the camera's distortion, and the coordinates of targets that they all see.
+"""Unknowns that several strips share: the distortion of the camera, and coordinates of targets.
 
-Each of these is one unknown for the whole calibration, with a name; strips cannot average it away. A
-target's coordinates are three unknowns in metres, in axes that turn with the Earth about the pole of GCRS:
-near enough to ITRS for an error of metres.
+Each is one named unknown of the whole calibration and does not average over strips. A target's coordinates
+are three unknowns in metres, in axes that rotate with the Earth about the pole of GCRS, which agree with ITRS
+closely enough for errors of metres.
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ from boresight.calib.distortion import Knot, knots_touched, prior_information, u
 from boresight.calib.settings import CalibrationSettings
 from boresight.geometry.constants import EARTH_ROTATION_RATE
 
-__all__ = ["SeenTargets", "SharedUnknowns", "coordinate_names", "find_shared", "turning_axes"]
+__all__ = ["SeenTargets", "SharedUnknowns", "coordinate_names", "earth_axes", "find_shared"]
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SeenTargets:
-    """What one strip has seen, as far as sharing goes."""
+    """The targets of one strip, as far as other strips may share unknowns with them."""
 
     target_id: NDArray[np.str_]  # (J,)
     ccd: NDArray[np.int64]  # (J,)
@@ -59,7 +59,7 @@ def coordinate_names(targets: Sequence[str]) -> tuple[str, ...]:
     return tuple(f"target/{name}/{axis}" for name in targets for axis in range(3))
 
 
-def turning_axes(t_s: Array) -> Array:
+def earth_axes(t_s: Array) -> Array:
     """(J, 3, 3), from the axes in which targets' coordinates are unknown to GCRS at t_s (J,)."""
     return Rotation.from_rotvec(np.outer(EARTH_ROTATION_RATE * t_s, [0.0, 0.0, 1.0])).as_matrix()
 

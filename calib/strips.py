@@ -19,124 +19,127 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from boresight.calib.distortion import Knot, correlation, knot_weights, knots_touched
 from boresight.calib.settings import CalibrationSettings
-from boresight.calib.shared_unknowns import SeenTargets, SharedUnknowns, turning_axes
+from boresight.calib.shared_unknowns import SeenTargets, SharedUnknowns, earth_axes
 from boresight.geometry.attitude import lagrange_weights
 from boresight.geometry.attitude_estimate import cross_matrices, with_attitudes
+from boresight.geometry.record import Bools, Floats, Ints, Texts, array, record, scalar
 from boresight.geometry.sightings import ExposureAttitudes, GroundSightings, StripSightings
 
 __all__ = ["LinearStrips", "PreparedStrip", "StripGroup", "group_strips", "linearise", "prepare_strip"]
 
-Array = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 
-
-@dataclass(frozen=True, slots=True, eq=False)
+@record(kw_only=True)
 class PreparedStrip:
-    """A strip before the installation matrix is known. J targets, n unknowns that its targets share."""
+    """A strip before the installation matrix is known: K exposures, J targets, N unknowns common to them."""
 
-    strip_id: str
-    attitudes: ExposureAttitudes  # of all exposures
-    used: Flags  # (K,) exposures that carry targets' attitudes
-    inside: Flags  # (J,) targets whose instant the exposures cover
-    target_id: NDArray[np.str_]  # (J,)
-    ccd: NDArray[np.int64]  # (J,)
-    sample: Array  # (J,) px along the CCD
-    u_c: Array  # (J, 3) measured look vectors
-    cov_c: Array  # (J, 3, 3) of their placing, rad²
-    v_s: Array  # (J, 3) the targets' known directions as the star camera's attitude puts them into frame s
-    shared_s: Array  # (J, 3, n) change of v_s by each shared unknown in units of its prior sigma
-    unknowns: tuple[str, ...]  # (n,) names of the columns of shared_s
-    coordinates_s: Array  # (J, 3, 3) 1/m, change of v_s by its coordinates, axes turning with the Earth
-    cov_coordinates: Array  # (J, 3, 3) m², the same axes
+    strip_id: str = scalar("strip")
+    attitudes: ExposureAttitudes = scalar("of all exposures")
+    used: Bools = array("K", "exposures whose attitudes are interpolated")
+    inside: Bools = array("J", "whether exposures cover the target's instant")
+    target_id: Texts = array("J", "target")
+    ccd: Ints = array("J", "CCD of the camera, from 0")
+    sample: Floats = array("J", "position along the CCD, px")
+    u_c: Floats = array("J, 3", "measured look directions, frame c")
+    cov_c: Floats = array("J, 3, 3", "covariance of their image measurement, rad²")
+    v_s: Floats = array("J, 3", "known directions of the targets, frame s by the interpolated attitude")
+    shared_s: Floats = array("J, 3, N", "change of v_s by each unknown in units of its prior sigma, rad")
+    unknowns: tuple[str, ...] = array("N", "names of the columns of shared_s")
+    coordinates_s: Floats = array("J, 3, 3", "change of v_s by the target's coordinates, Earth axes, 1/m")
+    cov_coordinates: Floats = array("J, 3, 3", "covariance of the coordinates, the same axes, m²")
 
     def seen(self) -> SeenTargets:
-        """What other strips may share with this one."""
+        """The strip's targets, as far as other strips may share unknowns with them."""
         return SeenTargets(self.target_id, self.ccd, self.sample, self.cov_coordinates)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record(kw_only=True)
 class StripGroup:
-    """S prepared strips of equal shape, one after another, with the knots of the distortion."""
+    """S prepared strips of equal shape, stacked, with their distortion and coordinate unknowns."""
 
-    place: NDArray[np.int64]  # (S,) which strips of the calibration these are
-    inside: Flags  # (S, J)
-    u_c: Array  # (S, J, 3)
-    cov_c: Array  # (S, J, 3, 3)
-    v_s: Array  # (S, J, 3)
-    shared_s: Array  # (S, J, 3, n + 3 m) with the coordinates of m targets seen twice in the strip
-    white_s: Array  # (S, J, 3, 3) rad², coordinates of targets seen once
-    targets_s: Array  # (S, J, 3, 3 t) 1/m, coordinates of targets that other strips see, too
-    camera: Array  # (S, J, g/2) rad, change of the look vector along x (or y) by each of the knots
-    own: Array  # (S, J, m) the same for the strip's own distortion, whitened
-    missed: Array  # (S, J) rad², variance of the distortion that straight lines between knots miss
+    place: Ints = array("S", "which strips of the calibration these are")
+    inside: Bools = array("S, J", "as in `PreparedStrip`")
+    u_c: Floats = array("S, J, 3", "as in `PreparedStrip`")
+    cov_c: Floats = array("S, J, 3, 3", "as in `PreparedStrip`")
+    v_s: Floats = array("S, J, 3", "as in `PreparedStrip`")
+    shared_s: Floats = array("S, J, 3, N", "... and the coordinates of targets seen twice in the strip")
+    white_s: Floats = array("S, J, 3, 3", "noise by the coordinates of targets seen once, rad²")
+    targets_s: Floats = array("S, J, 3, T", "change of v_s by coordinates that other strips share, 1/m")
+    camera: Floats = array("S, J, C", "change of the look direction by each knot of the camera, rad")
+    own: Floats = array("S, J, M", "the same for the strip's own distortion, whitened")
+    missed: Floats = array("S, J", "variance of the distortion between knots, rad²")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LinearStrips:
     """S strips of equal shape, linearised about one installation matrix. Rows are whitened, two a target."""
 
-    r: Array  # (S, 2 J)
-    X_theta: Array  # (S, 2 J, 3) change of r by theta
-    X_shared: Array  # (S, 2 J, g) change of r by what strips share: the distortion's knots, targets
-    X_q: Array  # (S, 2 J, n) change of r by the strip's own unknowns, units of their prior sigma
-    whitener: Array  # (S, J, 2, 2) takes residuals along the two tangent axes to rows of r
-    measured: Array  # (S, J, 2, 2) part of the whitened noise that the image measurement makes
+    r: Floats  # (S, 2 J) residuals
+    X_theta: Floats  # (S, 2 J, 3) change of r by theta
+    X_shared: Floats  # (S, 2 J, g) change of r by unknowns of the calibration: knots, coordinates
+    X_q: Floats  # (S, 2 J, n) change of r by the strip's own unknowns, units of their prior sigma
+    whitener: Floats  # (S, J, 2, 2) takes residuals along the two tangent axes, rad, to rows of r
+    measured: Floats  # (S, J, 2, 2) part of the whitened noise that the image measurement makes
 
 
 def prepare_strip(strip: StripSightings, settings: CalibrationSettings) -> PreparedStrip:
-    """Bring every target into frame s at its own instant, by the exposures' attitudes, which are fitted where
-    the strip has none.
+    """The strip with every target in frame s at its own instant, and the unknowns common to its targets.
+
+    Attitudes of exposures are fitted where the strip has none.
     """
     attitudes = with_attitudes([strip], settings.attitudes)[0].attitudes
     assert attitudes is not None
-    ground = strip.ground
-    used = attitudes.usable
-    times = np.array([exposure.t_s for exposure in strip.exposures])
-    inside, weights = _weights(times[used], ground.t_s)
-    J, K = len(ground.t_s), int(used.sum())
+    ground, used = strip.ground, attitudes.usable
+    times = np.array([exposure.t_s for exposure in strip.exposures])[used]
+    inside, weights = _weights(times, ground.t_s)
     R_si = _interpolated(
         attitudes.R_si[used], strip.R_oi_exposures, used, strip.R_oi_targets, weights, inside
     )
     v_s = np.einsum("jab,jb->ja", R_si, ground.u_i)
-    covariance = attitudes.covariance_s[used] + settings.sigma_vibration_exposure_rad**2 * np.eye(3)
-    turn = -cross_matrices(v_s)[:, None] @ np.linalg.cholesky(covariance)[None]  # (J, K, 3, 3)
-    phi = (weights[:, :, None, None] * turn).transpose(0, 2, 1, 3).reshape(J, 3, 3 * K)
     move_s = R_si @ _direction_by_position(ground)  # (J, 3, 3) per metre
+    phi = _by_attitude_errors(attitudes.covariance_s[used], v_s, weights, settings)
     position = move_s * settings.sigma_position_m
-    rate_s = _turning_rate(times[used], attitudes.R_si[used])
+    rate_s = _rotation_rate(times, attitudes.R_si[used])
     clock = (move_s @ ground.v_rel_i[:, :, None] + np.cross(rate_s, v_s)[:, :, None]) * settings.sigma_clock_s
-    R_ie = turning_axes(ground.t_s)
-    names = [f"phi/{k}/{axis}" for k in range(K) for axis in "xyz"] + [f"position/{axis}" for axis in "xyz"]
+    R_ie = earth_axes(ground.t_s)
+    names = [f"phi/{k}/{axis}" for k in range(len(times)) for axis in "xyz"]
     return PreparedStrip(
-        strip.strip_id,
-        attitudes,
-        used,
-        inside,
-        ground.target_id,
-        ground.ccd,
-        ground.xy_px[:, 0],
-        ground.u_c,
-        ground.cov_c,
-        v_s,
-        np.concatenate([phi, position, clock], axis=2),
-        (*names, "clock"),
-        -move_s @ R_ie,
-        np.swapaxes(R_ie, 1, 2) @ ground.cov_target_i @ R_ie * settings.use_target_sigma,
+        strip_id=strip.strip_id,
+        attitudes=attitudes,
+        used=used,
+        inside=inside,
+        target_id=ground.target_id,
+        ccd=ground.ccd,
+        sample=ground.xy_px[:, 0],
+        u_c=ground.u_c,
+        cov_c=ground.cov_c,
+        v_s=v_s,
+        shared_s=np.concatenate([phi, position, clock], axis=2),
+        unknowns=(*names, "position/x", "position/y", "position/z", "clock"),
+        coordinates_s=-move_s @ R_ie,
+        cov_coordinates=np.swapaxes(R_ie, 1, 2) @ ground.cov_target_i @ R_ie * settings.use_target_sigma,
     )
+
+
+def _by_attitude_errors(
+    covariance_s: Floats, v_s: Floats, weights: Floats, settings: CalibrationSettings
+) -> Floats:
+    """Change of v_s (J, 3, 3 K) by the attitude errors of K exposures in units of their sigma; with the
+    vibration that an exposure sees.
+    """
+    J, K = weights.shape
+    covariance = covariance_s + settings.sigma_vibration_exposure_rad**2 * np.eye(3)
+    columns = -cross_matrices(v_s)[:, None] @ np.linalg.cholesky(covariance)[None]  # (J, K, 3, 3)
+    return (weights[:, :, None, None] * columns).transpose(0, 2, 1, 3).reshape(J, 3, 3 * K)
 
 
 def group_strips(
     strips: list[PreparedStrip], shared: SharedUnknowns, settings: CalibrationSettings
 ) -> list[StripGroup]:
-    """Strips of equal shape put together, in the order in which their shapes first come.
-
-    A strip none of whose targets the exposures cover is in no group.
-    """
+    """Groups of strips of equal shape, in order of first occurrence, without strips of no covered target."""
     shapes: dict[tuple[int, int, int], list[int]] = {}
     for place, strip in enumerate(strips):
         if not strip.inside.any():
@@ -149,18 +152,18 @@ def group_strips(
 def linearise(
     group: StripGroup, R_cs: Rotation, settings: CalibrationSettings, scale_c: float = 1.0
 ) -> LinearStrips:
-    """Whitened residuals and their derivatives about `R_cs`; `scale_c` scales the sigma of the placings.
+    """Whitened residuals and their derivatives about `R_cs`; rows of zeros for targets not covered.
 
-    Targets that the exposures do not cover have rows of zeros.
+    `scale_c` is a factor of the image measurements' standard deviations.
     """
     C = R_cs.as_matrix()
     S = len(group.place)
     w = group.v_s @ C.T  # (S, J, 3)
     tangent = _tangent_axes(w)  # (S, J, 2, 3)
     difference = group.u_c - w
-    placing = tangent @ group.cov_c @ np.swapaxes(tangent, 2, 3)
-    turned = tangent @ C
-    white = scale_c**2 * placing + turned @ group.white_s @ np.swapaxes(turned, 2, 3)
+    measurement = tangent @ group.cov_c @ np.swapaxes(tangent, 2, 3)
+    tangent_s = tangent @ C
+    white = scale_c**2 * measurement + tangent_s @ group.white_s @ np.swapaxes(tangent_s, 2, 3)
     white = white + (settings.sigma_vibration_rad**2 + group.missed)[:, :, None, None] * np.eye(2)
     whitener = _inverse_cholesky_2x2(white)
     rows = whitener * group.inside[:, :, None, None]
@@ -168,17 +171,23 @@ def linearise(
     parts = (
         rows @ (tangent @ difference[..., None]),
         rows @ (tangent @ cross_matrices(w)),
-        rows @ np.concatenate([_along_axes(tangent, group.camera), turned @ group.targets_s], axis=3),
-        rows @ np.concatenate([turned @ group.shared_s, own], axis=3),
+        rows @ np.concatenate([_along_axes(tangent, group.camera), tangent_s @ group.targets_s], axis=3),
+        rows @ np.concatenate([tangent_s @ group.shared_s, own], axis=3),
     )
     r, X_theta, X_shared, X_q = (part.reshape(S, 2 * w.shape[1], part.shape[-1]) for part in parts)
-    measured = whitener @ placing @ np.swapaxes(whitener, 2, 3)
-    return LinearStrips(r[:, :, 0], X_theta, X_shared, X_q, whitener, measured)
+    return LinearStrips(
+        r=r[:, :, 0],
+        X_theta=X_theta,
+        X_shared=X_shared,
+        X_q=X_q,
+        whitener=whitener,
+        measured=whitener @ measurement @ np.swapaxes(whitener, 2, 3),
+    )
 
 
 def _group(
     strips: list[PreparedStrip],
-    place: NDArray[np.int64],
+    place: Ints,
     shared: SharedUnknowns,
     settings: CalibrationSettings,
 ) -> StripGroup:
@@ -200,7 +209,7 @@ def _group(
     )
 
 
-def _weights(times: Array, t_s: Array) -> tuple[Flags, Array]:
+def _weights(times: Floats, t_s: Floats) -> tuple[Bools, Floats]:
     """Which instants the exposures cover, and the weights (J, K) of the exposures there, zero where not
     covered.
 
@@ -219,29 +228,34 @@ def _weights(times: Array, t_s: Array) -> tuple[Flags, Array]:
 
 
 def _interpolated(
-    R_si: Array, R_oi_exposures: Rotation, used: Flags, R_oi_targets: Rotation, weights: Array, inside: Flags
-) -> Array:
+    R_si: Floats,
+    R_oi_exposures: Rotation,
+    used: Bools,
+    R_oi_targets: Rotation,
+    weights: Floats,
+    inside: Bools,
+) -> Floats:
     """Attitudes (J, 3, 3) at the targets' instants; the unit matrix where the exposures do not cover them."""
     R_si_targets = np.tile(np.eye(3), (len(weights), 1, 1))
     if not inside.any():
         return R_si_targets
     D = Rotation.from_matrix(R_si) * R_oi_exposures[used].inv()
     middle = D[len(D) // 2]
-    turned = Rotation.from_rotvec(weights[inside] @ (D * middle.inv()).as_rotvec())
-    R_si_targets[inside] = (turned * middle * R_oi_targets[inside]).as_matrix()
+    from_middle = Rotation.from_rotvec(weights[inside] @ (D * middle.inv()).as_rotvec())
+    R_si_targets[inside] = (from_middle * middle * R_oi_targets[inside]).as_matrix()
     return R_si_targets
 
 
-def _turning_rate(times: Array, R_si: Array) -> Array:
-    """Mean rate (3,) at which frame s sees the sky turn about it, rad/s; zero for one exposure alone."""
+def _rotation_rate(times: Floats, R_si: Floats) -> Floats:
+    """Mean rotation rate (3,) of the sky in frame s, rad/s; zero for one exposure alone."""
     if len(times) < 2:
         return np.zeros(3)
-    turn = Rotation.from_matrix(R_si[-1] @ R_si[0].T).as_rotvec()
-    return np.asarray(turn / (times[-1] - times[0]))
+    rotvec = Rotation.from_matrix(R_si[-1] @ R_si[0].T).as_rotvec()
+    return np.asarray(rotvec / (times[-1] - times[0]))
 
 
-def _direction_by_position(ground: GroundSightings) -> Array:
-    """d u_i / d p_i = -(I - u uᵀ) / range, (J, 3, 3) 1/m: the satellite is not where it was said to be."""
+def _direction_by_position(ground: GroundSightings) -> Floats:
+    """d u_i / d p_i = -(I - u uᵀ) / range, (J, 3, 3) 1/m: direction by the satellite's position."""
     u = ground.u_i
     return -(np.eye(3) - u[:, :, None] * u[:, None, :]) / ground.range_m[:, None, None]
 
@@ -252,7 +266,7 @@ def _seen_again(strip: PreparedStrip, shared: SharedUnknowns) -> list[str]:
     return [str(name) for name in ids[count > 1] if str(name) not in shared.targets]
 
 
-def _coordinates(strip: PreparedStrip, shared: SharedUnknowns) -> tuple[Array, Array, Array]:
+def _coordinates(strip: PreparedStrip, shared: SharedUnknowns) -> tuple[Floats, Floats, Floats]:
     """Targets' own coordinates: columns (J, 3, 3 t) of the shared ones, (J, 3, 3 m) of those seen again in
     this strip, whitened, and the white noise (J, 3, 3) of the rest, rad².
     """
@@ -281,15 +295,15 @@ def _own_knots(strip: PreparedStrip, settings: CalibrationSettings) -> tuple[Kno
 
 def _distortion(
     strip: PreparedStrip, camera_knots: tuple[Knot, ...], settings: CalibrationSettings
-) -> tuple[Array, Array, Array]:
+) -> tuple[Floats, Floats, Floats]:
     """Weights of the camera's knots (J, g/2), whitened weights of the strip's own (J, m), white variance
     (J,), rad².
     """
     sigma, length = settings.sigma_distortion_rad, settings.distortion_length_px
     J, knots = len(strip.ccd), _own_knots(strip, settings)
-    camera: Array = np.zeros((J, len(camera_knots)))
-    own: Array = np.zeros((J, len(knots)))
-    missed: Array = np.full(J, sigma**2)
+    camera: Floats = np.zeros((J, len(camera_knots)))
+    own: Floats = np.zeros((J, len(knots)))
+    missed: Floats = np.full(J, sigma**2)
     if camera_knots:
         camera = knot_weights(strip.ccd, strip.sample, camera_knots, length)
         missed = sigma**2 * (1.0 - np.einsum("jk,kl,jl->j", camera, correlation(camera_knots), camera))
@@ -299,13 +313,13 @@ def _distortion(
     return sigma * camera, sigma * own, missed
 
 
-def _along_axes(tangent: Array, weights: Array) -> Array:
+def _along_axes(tangent: Floats, weights: Floats) -> Floats:
     """Columns (S, J, 2, 2 K) of curves along x and along y of frame c."""
     x, y = (tangent[:, :, :, axis, None] * weights[:, :, None, :] for axis in (0, 1))
     return np.concatenate([x, y], axis=3)
 
 
-def _tangent_axes(w: Array) -> Array:
+def _tangent_axes(w: Floats) -> Floats:
     """Two unit vectors (..., 2, 3) across each direction: the camera's x axis as nearly as may be, and w
     x that.
     """
@@ -316,7 +330,7 @@ def _tangent_axes(w: Array) -> Array:
     return np.stack([x, np.cross(w, x)], axis=-2)
 
 
-def _inverse_cholesky_2x2(matrix: Array) -> Array:
+def _inverse_cholesky_2x2(matrix: Floats) -> Floats:
     """L⁻¹ of matrix = L Lᵀ, (..., 2, 2)."""
     a = np.sqrt(matrix[..., 0, 0])
     b = matrix[..., 1, 0] / a

@@ -14,7 +14,7 @@ from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
 
 from boresight.calib.information import InformationPairs
-from boresight.calib.shared_unknowns import coordinate_names, turning_axes
+from boresight.calib.shared_unknowns import coordinate_names, earth_axes
 from boresight.geometry.record import Bools, Floats, array, record, scalar
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.table_files import column, fixed, list_values, read_parquet
@@ -140,6 +140,6 @@ def _prior_of_targets(result: Path, targets: Sequence[str]) -> Floats:
     if unknown := sorted(set(targets) - set(names)):
         raise RawDataError(str(path), "target_id", "not there", f"target {unknown[0]} of strips.parquet")
     rows = [names.index(target) for target in targets]
-    axes = turning_axes(column(table, "t_s")[rows])
+    axes = earth_axes(column(table, "t_s")[rows])
     covariance = np.swapaxes(axes, 1, 2) @ list_values(table, "cov_target_i", 3, 3)[rows] @ axes
     return np.asarray(block_diag(*np.linalg.inv(covariance)))
