@@ -1,0 +1,47 @@
+"""What pyproject.toml declares and what constraints.txt pins belong together."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from pathlib import Path
+
+import pytest
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
+from packaging.version import Version
+
+ROOT = Path(__file__).parents[2]
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+EXTRAS = PROJECT["optional-dependencies"]
+DECLARED = [Requirement(text) for text in [*PROJECT["dependencies"], *EXTRAS["dev"], *EXTRAS["docs"]]]
+PIN = re.compile(r"^([\w.\-]+)==([^\s;]+)[^\\]*\\\n((?:    --hash=sha256:[0-9a-f]{64}(?: \\)?\n?)+)", re.M)
+
+
+def pins() -> dict[str, list[Version]]:
+    """Pinned versions by name; several where they depend on the version of Python."""
+    text = (ROOT / "constraints.txt").read_text(encoding="utf-8")
+    found = PIN.findall(text)
+    assert len(found) == len(re.findall(r"^\w", text, re.M)), "a requirement without pin and hashes"
+    versions: dict[str, list[Version]] = {}
+    for name, version, _ in found:
+        versions.setdefault(canonicalize_name(name), []).append(Version(version))
+    return versions
+
+
+@pytest.mark.parametrize("requirement", DECLARED, ids=lambda requirement: requirement.name)
+def test_every_dependency_is_pinned_with_hashes_to_what_is_declared(requirement: Requirement) -> None:
+    pinned = pins().get(canonicalize_name(requirement.name))
+    assert pinned, "not in constraints.txt: run `make lock`"
+    assert all(requirement.specifier.contains(version) for version in pinned)
+
+
+def test_every_runtime_dependency_declares_a_minimum_that_can_be_installed() -> None:
+    for text in PROJECT["dependencies"]:
+        assert re.fullmatch(r"[\w\-]+>=[\d.]+", text), f"{text}: .ci/run replaces >= by =="
+
+
+def test_stated_python_versions_begin_with_the_required_one() -> None:
+    stated = [c.split(" :: ")[-1] for c in PROJECT["classifiers"] if re.search(r":: 3\.\d+$", c)]
+    assert stated == ["3.11", "3.12", "3.13"]
+    assert PROJECT["requires-python"] == f">={stated[0]}"
