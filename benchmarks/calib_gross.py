@@ -22,14 +22,14 @@ from boresight.simulator.campaign import CameraPair, StripPlan, draw_strips, ins
 CAMERAS = CameraPair(installation_by_tilt(np.radians(15.0)))
 
 
-def report(name: str, plan: StripPlan, believed: CalibrationSettings, runs: int) -> None:
+def report(name: str, plan: StripPlan, settings: CalibrationSettings, runs: int) -> None:
     rng = np.random.default_rng(7)
     R_cs0 = deviation_from_theta(np.array(MATRIX_28)).inv() * CAMERAS.R_cs
     errors, covariances = [], []
     wrong = missed = good = lost = 0
     for _ in range(runs):
         strips, truth = draw_strips(plan, CAMERAS, rng)
-        estimate = calibrate(strips, R_cs0, believed)
+        estimate = calibrate(strips, R_cs0, settings)
         assert isinstance(estimate, InstallationEstimate)
         errors.append(theta_between(estimate.R_cs, CAMERAS.R_cs))
         covariances.append(estimate.cov_theta)

@@ -27,7 +27,7 @@ Way = Callable[[StripSightings], list[StripSightings]]
 
 
 def campaign(
-    plan: StripPlan, believed: CalibrationSettings, runs: int, seed: int, way: Way | None = None
+    plan: StripPlan, settings: CalibrationSettings, runs: int, seed: int, way: Way | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
     """Errors (runs, 3) and covariances, rad, of campaigns drawn anew; `way` changes what the estimator is
     given.
@@ -39,7 +39,7 @@ def campaign(
         strips, _ = draw_strips(plan, CAMERAS, rng)
         if way is not None:
             strips = [part for strip in strips for part in way(strip)]
-        estimate = calibrate(strips, R_cs0, believed)
+        estimate = calibrate(strips, R_cs0, settings)
         assert isinstance(estimate, InstallationEstimate)
         errors.append(theta_between(estimate.R_cs, CAMERAS.R_cs))
         covariances.append(estimate.cov_theta)
@@ -132,8 +132,8 @@ def with_table_1(runs: int) -> None:
     low, high = band_of_mean_nees(runs)
     for scope in ("camera", "strip"):
         plan = replace(TABLE_1, distortion_scope=scope)
-        believed = CalibrationSettings(distortion_scope=scope)  # type: ignore[arg-type]
-        rms, bound, nees = figures(campaign(plan, believed, runs, seed=3))
+        settings = CalibrationSettings(distortion_scope=scope)  # type: ignore[arg-type]
+        rms, bound, nees = figures(campaign(plan, settings, runs, seed=3))
         line(f"all nuisances on, distortion of the {scope}", rms, bound, nees)
         verdict(f"NEES {nees:.3f}, 99.9 % band {low:.3f} to {high:.3f}", low < nees < high)
     for name, off in (

@@ -5,9 +5,9 @@
 
 A run is a year: twelve calibrations at uneven dates, drawn at the level of vectors with every error of the
 paper's Table 1 and one distortion of the camera for the whole year; the star camera looks 15 deg off the
-zenith and is turned by 37 deg. The estimator does not know the matrix: information is taken about one that is
+zenith and is rotated by 37 deg. The estimator does not know the matrix: information refers to one that is
 2" (1 sigma, each axis) wrong. `--rest` years of four strips a month show the alarms at rest, `--steps` years
-of ten strips a month show steps: a moved mounting is the same year seen by a star camera that is turned from
+of ten strips a month show steps: a moved mounting is the same year seen by a star camera that is rotated from
 a date on. `--calibrated` more go through `calib.calibrate` month by month, look for gross errors and iterate.
 `--series` are Gaussian draws from given covariances, for the tests alone. `--pixels` renders dumps of four
 months, the mounting moved by 1" in the middle, and runs the program on them.
@@ -96,13 +96,13 @@ def months_of(job: Job) -> tuple[list[InformationPairs], float]:
     rng = np.random.default_rng(job.seed)
     strips, _ = draw_strips(replace(PLAN, strips=job.strips * len(DAYS)), CameraPair(R_CS), rng)
     day = rng.uniform(DAYS[2], DAYS[9])
-    believed = settings_of_plan(PLAN)
+    settings = settings_of_plan(PLAN)
     start = deviation_from_theta(2.0 * ARCSEC * rng.normal(size=3)) * R_CS
     months = [strips[job.strips * k : job.strips * (k + 1)] for k in range(len(DAYS))]
     if job.calibrated:
-        pairs = [calibrate(month, start, believed).pairs for month in months]
+        pairs = [calibrate(month, start, settings).pairs for month in months]
     else:
-        whole, _ = strip_pairs(strips, start, replace(believed, robust=False))
+        whole, _ = strip_pairs(strips, start, replace(settings, robust=False))
         rows = [np.isin(whole.names, [strip.strip_id for strip in month]) for month in months]
         pairs = [
             InformationPairs(whole.names[r], whole.F[r], whole.F_theta[r], start, whole.shared) for r in rows

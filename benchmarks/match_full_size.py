@@ -98,7 +98,7 @@ def main() -> None:
     for name, n, searching, median in cost:
         limit = f"<= 0.1 s CPU a target beyond reading (median), {name}, {n} targets"
         verdict(f"{limit}: bootstrap {searching:.3f}", searching <= 0.1)
-        verdict(f"{limit}: and placing {median:.3f}", median <= 0.1)
+        verdict(f"{limit}: and refinement {median:.3f}", median <= 0.1)
 
 
 def date(name: str, settings: Sequence[str], dump: Path) -> list[tuple[int, float, float]]:
@@ -113,7 +113,7 @@ def date(name: str, settings: Sequence[str], dump: Path) -> list[tuple[int, floa
     chips = [chip_of(task, n) for n in range(len(task.targets))]
     print(
         "  targets  sets  found   placed / in view  wrong   rms px   NEES  worst chance   CPU a target, s:"
-        "  bootstrap  and placing  least  most"
+        "  bootstrap  refinement   least  most"
     )
     out = []
     for size in (TARGETS, 12, 6):

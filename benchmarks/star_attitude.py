@@ -1,13 +1,13 @@
-"""How well one image of the sky tells where the camera looks: raw frames of the paper's camera, known truth.
+"""Accuracy of the attitude from one image of the sky: raw frames of the paper's camera, known truth.
 
     python benchmarks/star_attitude.py [--frames 300] [--seed 1]
 
 5120 x 3840 px, 8 bit, PSF sigma 1.25 px, read noise 2 DN, 40 e-/DN, 2000 hot pixels, SNR 8 at V = 7; the
 Hipparcos sky as a satellite sees it in 2026 (proper motion, parallax, aberration, deflection) and below it
-random stars to V = 11. Each frame goes the whole way: found, placed, named, sifted, attitude with covariance;
+random stars to V = 11. Each frame passes detection, identification, outlier rejection and the attitude fit;
 as a mission's exposure, as an image that `boresight identify` is given with its camera, and as one of which
-nothing is known but a field of view 5 % wrong. Saturated stars count by their skirts, in the bound too.
-Printed beside the attitude's error is its Cramér-Rao bound, from the true places, fluxes and noise of the
+nothing is known but a field of view 5 % wrong. Saturated stars are measured by their wings, in the bound too.
+Printed beside the attitude's error is its Cramér-Rao bound, from the true positions, fluxes and noise of the
 stars used, and the mean normalised error squared of the stated covariance.
 """
 

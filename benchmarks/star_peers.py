@@ -1,5 +1,5 @@
-"""Finding, placing and naming stars and calibrating a camera by them, beside its peers: same images, in turn,
-one thread, CPU time.
+"""Star detection, centroids, identification and camera calibration, compared with other packages: same
+images, in turn, one thread, CPU time.
 
     python benchmarks/star_peers.py --peers-python PYTHON [--frames 8] [--attitudes 150] [--cameras 5]
 
@@ -7,7 +7,7 @@ The peers (the extra `peers`: seiza, tetra3rs, cedar-solve, sep, photutils; and 
 versions than this project, so they run in an interpreter of their own, PYTHON, which this script drives; both
 sides read the same files. Frames are those of star_accuracy.py. Scores are for isolated, unsaturated stars of
 SNR 8 and more. The calibrations are of ten and thirty frames of star_calibration.py: tetra3rs is given the
-stars that boresight found in them, whose places are better than its own, and three rounds of solving and
+stars that boresight found in them, whose positions are better than its own, and three rounds of solving and
 calibrating, each with the camera of the one before.
 """
 
@@ -278,7 +278,7 @@ def _finding(peers: Peers, folder: Path, frames: int) -> None:
             found[tool].append(xy.reshape(-1, 2))
             spent[tool].append(cost)
     psf = Psf(sensor.sigma_px, sensor.sigma_px, (0.0, 0.0), *SIZE)
-    print(f"\nfinding and placing, {frames} frames; false and hot pixels taken are per frame")
+    print(f"\ndetection and centroids, {frames} frames; false and hot pixels taken are per frame")
     print(f"{'':30s} CPU ms  complete  x bound   false     hot")
     for tool, places_found in found.items():
         print(_score_line(tool, places_found, truths, spent[tool], psf, sensor))

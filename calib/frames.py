@@ -52,8 +52,8 @@ class PreparedFrames:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FrameCalibration:
-    """Installation matrix from frames: `R_cs = exp[[theta]] R_cs0`, covariance of a small turn about the axes
-    of c.
+    """Installation matrix from frames: `R_cs = exp[[theta]] R_cs0`, covariance of a small rotation about the
+    axes of c.
     """
 
     R_cs: Rotation
@@ -106,7 +106,7 @@ def calibrate_frames(
     tolerance_rad: float = 1e-12,
     most_iterations: int = 10,
 ) -> FrameCalibration:
-    """The installation matrix from frames, repeated until M is the unit matrix to `tolerance_rad`.
+    """The installation matrix from frames, iterated until the correction vanishes to `tolerance_rad`.
 
     Raises `ValueError` when it is not after `most_iterations`.
     """
@@ -123,7 +123,7 @@ def calibrate_frames(
             pairs = InformationPairs(names, F, F_theta, reference)
             return FrameCalibration(R_cs, solution, tuple(steps), pairs)
     raise ValueError(
-        f"M is {np.linalg.norm(steps[-1]):.2g} rad from the unit matrix after {most_iterations} iterations"
+        f"M is {np.linalg.norm(steps[-1]):.2g} rad from the identity after {most_iterations} iterations"
     )
 
 

@@ -196,8 +196,7 @@ def solve_total(
     information.
 
     A direction (eigenvector of the information on theta) whose 1-sigma would exceed `sigma_observable_rad`,
-    or whose eigenvalue drowns in the rounding of the largest, is not observable: it is named, and gets no
-    number.
+    or whose eigenvalue is below the rounding error of the largest, is reported as unobservable.
     """
     prior = np.zeros((0, 0)) if prior_shared is None else prior_shared
     shared_F = F[3:, 3:] + prior

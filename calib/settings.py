@@ -1,4 +1,4 @@
-"""What the estimator believes and how far it goes: one record, every field with its unit and its reason."""
+"""Settings of the estimator: prior sigmas, robustness and convergence limits, with units and reasons."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class CalibrationSettings:
     probability_false_alarm: float = 1e-3  # of a good star or target being left out
     robust: bool = True  # look for gross errors at all
     fewest_stars: int = 3  # an exposure with fewer is left out: nothing checks its attitude
-    estimate_noise: bool = False  # scale the stars' and the placings' sigmas by what the residuals show
+    estimate_noise: bool = False  # scale the sigmas of star and target positions by what the residuals show
     sigma_observable_rad: float = (
         1e-3  # a ground measurement is better than this; a weaker direction gets no number
     )

@@ -68,11 +68,11 @@ def calibrate_literally(
     tolerance_rad: float = 1e-12,
     most_iterations: int = 10,
 ) -> tuple[Rotation, Array, int]:
-    """All ten steps over frames (u_s, v_stars, sigma_s, w_c, v_targets, sigma_c), repeated until M is the
-    unit matrix.
+    """All ten steps over frames (u_s, v_stars, sigma_s, w_c, v_targets, sigma_c), iterated until M is the
+    identity.
 
     Returns R_cs, its covariance P_theta_theta (3, 3) rad² in frame c, and the number of iterations. Raises
-    `ValueError` when M has not come to within `tolerance_rad` of the unit matrix.
+    `ValueError` when M has not come to within `tolerance_rad` of the identity.
     """
     R_cs = R_cs0
     for iteration in range(1, most_iterations + 1):
@@ -83,5 +83,5 @@ def calibrate_literally(
         if np.linalg.norm(theta) < tolerance_rad:
             return R_cs, np.linalg.inv(F), iteration
     raise ValueError(
-        f"M is still {np.linalg.norm(theta):.2g} rad from the unit matrix after {most_iterations} iterations"
+        f"M is still {np.linalg.norm(theta):.2g} rad from the identity after {most_iterations} iterations"
     )

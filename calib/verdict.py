@@ -41,7 +41,7 @@ class CheckKind(Enum):
     TARGET_RESIDUALS = "residuals of targets"
     TARGETS_REJECTED = "share of targets rejected"
     BETWEEN_STRIPS = "agreement between strips"
-    START_MATRIX = "distance from the matrix measured on the ground"
+    START_MATRIX = "distance from the pre-launch matrix"
     DUPLICATED_TARGETS = "equal coordinates of targets"
     CONVERGENCE = "convergence"
 
@@ -57,7 +57,7 @@ class Suspect(Enum):
     STATED_ERRORS = "stated errors of position, clock, vibration and distortion"
     TARGET_COORDINATES = "coordinates of targets, their height system and stated errors"
     TARGET_LIST = "targets listed more than once"
-    GROUND_MATRIX = "installation matrix measured on the ground and its stated error"
+    GROUND_MATRIX = "pre-launch installation matrix and its stated error"
 
 
 LOOK_AT = {

@@ -39,7 +39,7 @@ class RunSettings:
     )
     rematch_sigma_rad: float = 5e-6  # 1-sigma of the search in the second matching: position and clock errors
     passes: int = (
-        2  # matchings: the first starts from the ground's matrix, each later one from the last result
+        2  # matchings: the first starts from the pre-launch matrix, each later one from the last result
     )
     geometric_light_time: bool = True  # light time from ground to satellite
     aberration: bool = True  # by the satellite's velocity

@@ -5,8 +5,8 @@
     [[mutant]]
     what = "sign of refraction"             # what is broken, in words
     file = "geometry/groundlight.py"
-    old = "bent = +angle"                   # must occur exactly once in the file
-    new = "bent = -angle"
+    old = "apparent = zenith - angle"       # must occur exactly once in the file
+    new = "apparent = zenith + angle"
     tests = ["tests/geometry/test_groundlight.py"]   # files, or nodes (file::test)
     equivalent = ""                         # why no test can tell, for a mutation that changes nothing
 

@@ -100,7 +100,7 @@ class StripTruth:
     R_ci: tuple[Rotation, ...]  # a strip, (J,) at the rows' recorded instants, vibration left out
     look_c: tuple[
         Array, ...
-    ]  # a strip, (J, 3) where the targets' images fall, distortion in, placing's error not
+    ]  # a strip, (J, 3) true look vectors of the targets' images, with distortion, without measurement error
 
 
 def draw_strips(

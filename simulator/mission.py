@@ -1,7 +1,7 @@
 """One simulated mission, from a scenario and a seed: everything that goes into a dump, and the truth apart.
 
 The order is that of cause and effect: orbit, attitude, ground, then what the cameras see of it, and last
-what the mission believes about itself. Images are made when they are asked for. Every kind of chance draws
+the reported values and stated errors. Images are made when they are asked for. Every random process draws
 from its own stream of random numbers, so that a setting which is changed leaves the others' draws alone.
 """
 

@@ -138,7 +138,7 @@ class TerrainReport:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrueExposure:
-    """Where the stars of an exposure are. Row n of every array speaks of the same star."""
+    """True positions of an exposure's stars. Row n of every array refers to the same star."""
 
     exposure_id: str
     t_s: float
@@ -176,7 +176,7 @@ class TruePoint:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Truth:
-    """What nobody but `validate` and the tests may know."""
+    """True values of what a mission measures, for `validate` and tests only."""
 
     seed: int
     R_cs: Rotation

@@ -32,7 +32,7 @@ def match(
     ] = None,
     workers: Annotated[int | None, typer.Option(help="Processes for the star images.", min=1)] = None,
 ) -> None:
-    """Find a dump's targets in its strips, from the installation matrix measured on the ground."""
+    """Find a dump's targets in its strips, from the pre-launch installation matrix."""
     from boresight.pipeline.errors import DataNotSufficientError
     from boresight.pipeline.files.dump import open_dump
     from boresight.pipeline.settings import read_settings

@@ -95,7 +95,7 @@ def _of_strip(
 def _target_covariances(
     motion: StripMotion, R_cs: Rotation, track: AttitudeTrack, settings: CalibrationSettings
 ) -> Array:
-    """Covariance (J, 3, 3) of each target's direction, frame c, rad²: placing and the stated errors."""
+    """Covariance (J, 3, 3) of each target's direction, frame c, rad²: image measurement and stated errors."""
     ground = motion.strip.ground
     w = ground.u_c
     across = np.eye(3) - w[:, :, None] * w[:, None, :]

@@ -50,7 +50,7 @@ BY_CAMERA = ("mission", "star_camera", "remote_camera")  # of evidence/context.j
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DatedDrift:
-    """A drift with what turns its times into dates and its angles into those against the ground's matrix."""
+    """A drift, with the epoch of its times and the pre-launch matrix to which its angles refer."""
 
     drift: Drift
     epoch: Epoch  # of the series' t_s
@@ -177,8 +177,8 @@ def _read(name: str, path: Path) -> _DatedResult:
     context = _context(path)
     alike |= {key: context[key] for key in BY_CAMERA if key in context}
     if pair.shared:
-        believed = saved.installation.get("settings", {}).get("calibration", {})
-        alike |= {f"settings.calibration.{key}": believed.get(key) for key in OF_DISTORTION}
+        stated = saved.installation.get("settings", {}).get("calibration", {})
+        alike |= {f"settings.calibration.{key}": stated.get(key) for key in OF_DISTORTION}
     passes = path / "sightings" / "passes.parquet"
     if passes.is_file():
         table = read_parquet(passes, PASSES)

@@ -158,7 +158,7 @@ def _attitude_covariance(model: StripModel, t_s: Array) -> Array:
 
 
 def _turn_variance(calibrated: Calibrated) -> Array:
-    """Vibration and look distortion as turns about the axes of c, (3, 3) rad²."""
+    """Vibration and look distortion as rotations about the axes of c, (3, 3) rad²."""
     errors, camera = calibrated.dump.errors, calibrated.dump.line_camera
     distortion = errors.look_distortion_px * camera.ccds[0].pixel_m / camera.focal_m
     return np.asarray(((errors.vibration_arcsec * ARCSEC) ** 2 + distortion**2) * np.eye(3))

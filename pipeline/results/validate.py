@@ -72,7 +72,7 @@ class Validation:
     error_rad: Array  # (3,) theta by which the result is wrong: R_result = exp[[error]] R_true
     sigma_rad: Array  # (3,) what the result says of itself
     nees: float  # normalised error squared of theta, expected 3
-    before_rad: Array  # (3,) the same error of the matrix measured on the ground
+    before_rad: Array  # (3,) error of the pre-launch matrix
     after: CheckPoints
     before: CheckPoints
     without: int  # check points that no result can be given for (no attitude, no ground)

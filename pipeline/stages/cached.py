@@ -35,7 +35,7 @@ class Task(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class StageRunner:
-    """Runs stages: where finished work is kept (None: nowhere), who computes, who is told how far it is."""
+    """Runs stages: store of finished units (None: none is kept), executor, progress callback."""
 
     store: UnitStore | None = None
     executor: Executor = field(default_factory=InOrder)

@@ -177,7 +177,7 @@ def _text(plan: Plan, found: Forecast, target_arcsec: float | None, needed: int 
         f"never below:  {angles(found.floor() / ARCSEC)}",
     ]
     for d in found.after(plan.strips.count).unobservable:
-        lines.append(f"the turn about [{d[0]:+.3f} {d[1]:+.3f} {d[2]:+.3f}] (frame c) is not observable")
+        lines.append(f"the rotation about [{d[0]:+.3f} {d[1]:+.3f} {d[2]:+.3f}] (frame c) is not observable")
     if target_arcsec is not None and needed is not None:
         lines.append(f"{needed} strips bring every axis to {target_arcsec:g}″")
     elif target_arcsec is not None:

@@ -18,7 +18,7 @@ class Executor(Protocol):
     def map(
         self, function: Callable[[Item], Outcome], items: Sequence[Item], done: Callable[[int], None]
     ) -> list[Outcome]:
-        """Outcomes in the order of the items; `done(n)` is told how many are finished."""
+        """Outcomes in the order of the items; calls `done(n)` with the number finished."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -113,7 +113,7 @@ class _Process:
 def _serve(
     line: Connection, far_end: Connection, function: Callable[[Any], Any], items: Sequence[Any]
 ) -> None:
-    """Do the units that the line names, until nobody is there any more."""
+    """Compute the units received over the connection, until the other end closes."""
     far_end.close()  # or this very process would keep the line open
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the first process hears it too and stops the others
     sys.stdout, sys.stderr = sys.__stdout__, sys.__stderr__  # a progress bar's may be locked for ever

@@ -124,7 +124,7 @@ def test_stored_pairs_are_all_that_a_later_calibration_needs():
 def test_noise_that_was_stated_wrong_is_found_with_its_own_sigma():
     plan = StripPlan(strips=30, sigma_s_px=0.12, sigma_c_px=0.6)
     strips, _ = draw_strips(plan, CAMERAS, np.random.default_rng(6))
-    believed = [
+    stated = [
         replace(
             strip,
             exposures=tuple(replace(e, cov_s=e.cov_s / 4.0) for e in strip.exposures),
@@ -139,7 +139,7 @@ def test_noise_that_was_stated_wrong_is_found_with_its_own_sigma():
         sigma_distortion_rad=0,
         estimate_noise=True,
     )
-    estimate = calibrate(believed, R_CS0, settings)
+    estimate = calibrate(stated, R_CS0, settings)
     assert isinstance(estimate, InstallationEstimate)
     noise = estimate.noise
     assert abs(noise.stars - 2.0) < 4 * noise.stars_sigma < 0.1
@@ -162,7 +162,7 @@ def test_targets_in_one_spot_leave_one_turn_open_and_it_is_named():
     assert isinstance(result, NotObservable)
     assert len(result.directions_c) == 1
     along = spot[0].ground.u_c[0]
-    assert abs(result.directions_c[0] @ along) > 0.999  # the turn about the line of sight to the spot
+    assert abs(result.directions_c[0] @ along) > 0.999  # the rotation about the line of sight to the spot
     assert "is not observable" in result.reason
     truth = theta_between(BOLD, R_CS0)
     off = result.theta_along - result.observable_c @ truth

@@ -73,7 +73,7 @@ def test_averaging_months_as_independent_makes_the_covariance_too_small(strips):
     shared = series_of(in_months(strips)).merged().covariance
     averaged = series_taken_as_independent(in_months(strips)).merged().covariance
     assert np.linalg.eigvalsh(shared - averaged)[0] > -1e-3 * np.linalg.eigvalsh(averaged)[0]
-    # The turn about Z hangs on the distortion: 24 strips are near its floor, and months do not lower it.
+    # The rotation about Z depends on the distortion: 24 strips are near its floor; months do not lower it.
     assert shared[2, 2] > 2.0 * averaged[2, 2]
 
 

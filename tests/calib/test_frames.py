@@ -73,7 +73,7 @@ def test_a_matrix_far_away_is_reached_and_a_hopeless_one_refused():
     frames = drawn(20, 6)
     far = Rotation.from_rotvec([0.2, -0.1, 0.15]) * BOLD
     assert np.linalg.norm(theta_between(calibrate_frames(frames, far).R_cs, BOLD)) < 5 * ARCSEC
-    with pytest.raises(ValueError, match="from the unit matrix after 1 iterations"):
+    with pytest.raises(ValueError, match="from the identity after 1 iterations"):
         calibrate_frames(frames, far, most_iterations=1)
 
 

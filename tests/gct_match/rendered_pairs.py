@@ -6,7 +6,7 @@ known fractions of a pixel; both members of a pair get noise of their own. `cond
 
     clean   noise alone
     date    the window's scene with another gamma, an illumination ramp and 15 % of the chip hidden by
-    other texture affine  the window turned by 0.5 degree and scaled by 0.5 %
+    other texture affine  the window rotated by 0.5 degree and scaled by 0.5 %
 """
 
 from __future__ import annotations

@@ -58,7 +58,7 @@ def test_all_targets_are_found_and_placed_to_a_hundredth_of_a_pixel(case: Case, 
     error, nees = errors(case, outcome)
     assert {match.target_id for match in outcome.matches} == {target.target_id for target in case.targets}
     assert outcome.probability_chance < 1e-6
-    assert np.abs(error).max() < 0.015  # px: 0.003 px of noise, and 1/2 m of rounding in nobody's survey
+    assert np.abs(error).max() < 0.015  # px: 0.003 px of noise; the survey is exact
     assert np.mean(nees) / 2.0 < 2.5  # 12 sightings: the 99.9 % point of chi² of 24 is 2.1 of its mean
 
 

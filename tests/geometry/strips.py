@@ -15,7 +15,8 @@ from boresight.geometry.pushbroom import Pushbroom, RowClock
 
 EPOCH = Epoch.from_utc("2024-03-05T10:20:30Z")
 EARTH = EarthRotation.over(EPOCH, -40.0, 60.0, bundled_earth_orientation())
-R_CS = Rotation.from_euler("xyz", [150.0, -25.0, 70.0], degrees=True)  # a mounting nobody could mistake
+# All axes far from one another: a wrong order or sign shows.
+R_CS = Rotation.from_euler("xyz", [150.0, -25.0, 70.0], degrees=True)
 PERIOD_S = 6.6e-5
 LINES = 26_000
 

@@ -13,7 +13,7 @@ MOUNTING = Rotation.from_euler("xyz", [40.0, -65.0, 110.0], degrees=True)
 
 
 class Nominal:
-    """Orbital motion: 95 minutes a turn about an axis that is not one of the frames'."""
+    """Orbital motion: one revolution in 95 minutes about an axis that is not one of the frames'."""
 
     def R_oi(self, t_s):
         axis = np.array([0.3, -0.8, 0.52])

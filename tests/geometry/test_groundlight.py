@@ -167,7 +167,7 @@ def test_each_effect_has_its_known_size():
 
 
 def displacement_by_quadrature(atmosphere, zenith_rad, height_m):
-    """The displacement by the central angles of the bent ray and of the straight one, both integrated
+    """The displacement by the central angles of the refracted ray and of the straight one, both integrated
     exactly.
 
     Spheres about the Earth's centre, n(r) r sin z constant along the ray, the same in space for both.
@@ -180,11 +180,13 @@ def displacement_by_quadrature(atmosphere, zenith_rad, height_m):
     impact = (radius + height_m) * np.sin(zenith_rad)
 
     def difference(h):
-        # central angle per metre of height: a / (r sqrt(n^2 r^2 - a^2)), straight minus bent
+        # central angle per metre of height: a / (r sqrt(n^2 r^2 - a^2)), straight minus refracted
         r = radius + h
         n = 1.0 + refractivity(h)
-        straight, bent = np.sqrt(r * r - impact**2), np.sqrt(n * n * r * r - impact**2)
-        return impact / r * (bent * bent - straight * straight) / (straight * bent * (straight + bent))
+        straight, curved = np.sqrt(r * r - impact**2), np.sqrt(n * n * r * r - impact**2)
+        return (
+            impact / r * (curved * curved - straight * straight) / (straight * curved * (straight + curved))
+        )
 
     edges = np.concatenate([[height_m], np.arange(500.0 * np.ceil(height_m / 500.0 + 0.01), 80_001.0, 500.0)])
     pieces = [quad(difference, a, b, epsabs=1e-14, limit=200)[0] for a, b in pairwise(edges)]
@@ -289,7 +291,7 @@ def test_a_line_of_sight_past_the_earth_gives_nan():
 
 def test_ground_and_sky_share_one_observer():
     # A ground point seen by GCRS velocity, a star by barycentric velocity: seen from a satellite that stands
-    # above a place, light straight up from the nadir is turned by v/c towards the motion.
+    # above a place, light straight up from the nadir is deflected by v/c towards the motion.
     t_s = np.array([100.0])
     nadir = ground_below(t_s, np.zeros(1), np.zeros(1), 0.0)
     u_i, _ = apparent_ground_directions(nadir, t_s, ORBIT, EARTH, LightEffects())

@@ -54,8 +54,8 @@ def test_a_detector_ahead_in_the_focal_plane_looks_back():
 
 
 def test_distortion_is_what_the_table_says_at_its_samples_and_smooth_between():
-    straight, bent = plain(), plain(distortion_samples=TABLE_3[:, 0], distortion_offsets_m=TABLE_3[:, 1])
-    shift = straight.focal_plane(TABLE_3[:, 0]) - bent.focal_plane(TABLE_3[:, 0])
+    straight, distorted = plain(), plain(distortion_samples=TABLE_3[:, 0], distortion_offsets_m=TABLE_3[:, 1])
+    shift = straight.focal_plane(TABLE_3[:, 0]) - distorted.focal_plane(TABLE_3[:, 0])
     assert shift[:, 1] == pytest.approx(TABLE_3[:, 1], abs=1e-15)  # m; real = ideal + offset
     assert np.abs(shift[:, 0]).max() == 0.0
     # a cubic polynomial is reproduced between its samples to rounding: 1e-12 m is 1e-7 px
@@ -68,10 +68,10 @@ def test_distortion_is_what_the_table_says_at_its_samples_and_smooth_between():
 
 
 def test_beyond_its_ends_the_table_goes_on_straight():
-    bent = plain(distortion_samples=TABLE_3[:, 0], distortion_offsets_m=TABLE_3[:, 1])
-    beyond = bent.focal_plane(np.array([5784.0, 5984.0, 6184.0]))[:, 1]
+    distorted = plain(distortion_samples=TABLE_3[:, 0], distortion_offsets_m=TABLE_3[:, 1])
+    beyond = distorted.focal_plane(np.array([5784.0, 5984.0, 6184.0]))[:, 1]
     assert np.diff(beyond, 2) == pytest.approx(0.0, abs=1e-15)
-    slope = bent.focal_plane_slope(np.array([5784.0 - 1e-6, 5784.0 + 1e-6]))[:, 1]
+    slope = distorted.focal_plane_slope(np.array([5784.0 - 1e-6, 5784.0 + 1e-6]))[:, 1]
     assert slope[0] == pytest.approx(slope[1], abs=1e-14)  # m/px; no corner at the end
 
 

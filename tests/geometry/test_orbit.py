@@ -17,7 +17,7 @@ TILT = Rotation.from_euler("xz", [1.7, 0.4])
 
 
 class TurningEarth:
-    """An Earth that only turns about z: enough to tell the frames apart, and known in closed form."""
+    """An Earth that only rotates, about z: the frames differ, in closed form."""
 
     omega_e = np.array([0.0, 0.0, EARTH_ROTATION_RATE])
 

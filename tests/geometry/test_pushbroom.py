@@ -68,7 +68,7 @@ def test_ground_leads_back_to_the_pixel_it_is_seen_in(roll, pitch, ccd):
 
 @pytest.mark.parametrize(("roll", "pitch"), [(0, 0), (30, 0), (0, -30)])
 def test_terrain_leads_back_to_the_pixel_it_is_seen_in(roll, pitch):
-    # 5000 pixels go through the table over the rows and the guessed heights; measured 3e-5 px.
+    # 5000 pixels go through the table over the rows and the assumed heights; measured 3e-5 px.
     model = strip(roll, pitch)
     surface = relief(model, 2500.0)
     sample, line = pixels(5000)

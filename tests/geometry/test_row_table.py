@@ -23,7 +23,7 @@ def smooth(line):
     return np.stack([np.sin(line / 7000.0), 1e3 + line, np.exp(-line / 9000.0)])
 
 
-def bent(line):
+def kinked(line):
     """A kink every 3000 lines, like an attitude between exposures."""
     return np.abs(np.mod(line + 100.0, 6000.0) - 3000.0)[None] / 3000.0 + np.sin(line / 7000.0)[None]
 
@@ -42,19 +42,19 @@ def test_a_smooth_function_takes_few_nodes_and_keeps_its_tolerance():
 
 
 def test_known_bends_are_not_smoothed_over():
-    function = Counted(bent)
+    function = Counted(kinked)
     table = tabulated(function, 0.0, 26_000.0, 1e-11, BENDS)
     function.calls.clear()
-    assert np.abs(table.at(LINES) - bent(LINES)).max() < 1e-11
+    assert np.abs(table.at(LINES) - kinked(LINES)).max() < 1e-11
     at_bends = BENDS[1:] + np.array([[-1e-3], [0.0], [1e-3]])
-    assert np.abs(table.at(at_bends.ravel()) - bent(at_bends.ravel())).max() < 1e-11
+    assert np.abs(table.at(at_bends.ravel()) - kinked(at_bends.ravel())).max() < 1e-11
     assert not function.calls
 
 
 def test_unknown_bends_are_found_and_left_to_the_function():
-    table = tabulated(bent, 0.0, 26_000.0, 1e-9)
+    table = tabulated(kinked, 0.0, 26_000.0, 1e-9)
     assert 0 < table.rough.mean() < 0.05
-    assert np.abs(table.at(LINES) - bent(LINES)).max() < 1e-9
+    assert np.abs(table.at(LINES) - kinked(LINES)).max() < 1e-9
 
 
 def test_each_quantity_has_its_own_tolerance():

@@ -20,7 +20,7 @@ PAPER = StarCamera(
     q1=-9.30e-7,
     q2=-4.25e-9,
 )
-# A lens nobody would build: 60 px of distortion in the corner, principal point far from the middle.
+# Stronger distortion than any real lens's: 60 px in the corner, principal point far from the middle.
 BOLD = StarCamera(
     focal_m=0.03,
     pixel_m=5e-6,
@@ -56,7 +56,7 @@ def test_projection_agrees_with_opencv(camera):
 
 @pytest.mark.parametrize("camera", CAMERAS)
 def test_removal_of_distortion_agrees_with_opencv(camera):
-    # OpenCV iterates; it is told to go on to 1e-13. 1e-6 px, as asked.
+    # OpenCV iterates; its limit is set to 1e-13. 1e-6 px, as asked.
     xy_px = detector_points(camera)
     lens = camera.opencv_parameters()
     until = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 500, 1e-13)

@@ -229,7 +229,7 @@ def test_ccds_overlap_by_what_was_asked_for():
     for left, right in zip(camera.ccds, camera.ccds[1:]):
         first_of_right = right.focal_plane(np.array([0.0]))[0, 1]
         sample, _ = left.samples(np.array([[left.x_offset_m, first_of_right]]))
-        assert settings.samples - sample[0] == pytest.approx(settings.overlap_px, abs=0.05)  # turned by urads
+        assert settings.samples - sample[0] == pytest.approx(settings.overlap_px, abs=0.05)  # rotated: µrad
     ends = [
         camera.ccds[0].focal_plane(np.array([0.0]))[0, 1],
         camera.ccds[-1].focal_plane(np.array([511.0]))[0, 1],

@@ -69,7 +69,7 @@ def information(stars, rows):
     """(3, 3) Fisher information of the attitude by the stars, each row of the derivative -[u x]."""
     u, J = TRUTH.directions_from_pixels(stars.xy_px[rows]), TRUTH.pixel_jacobian(stars.xy_px[rows])
     W = information_of_directions(u, J @ stars.cov_px[rows] @ J.transpose(0, 2, 1))
-    A = np.stack([-np.cross(u, axis) for axis in np.eye(3)], axis=2)  # d(turn x u) for a turn about each
+    A = np.stack([-np.cross(u, axis) for axis in np.eye(3)], axis=2)  # d(rotation x u), rotation about each
     return (A.transpose(0, 2, 1) @ W @ A).sum(axis=0)
 
 
@@ -176,7 +176,7 @@ def test_the_error_stated_is_true_of_narrow_and_wide_lenses_alike(fov_deg, fewes
         width.append(((found.fov_x_rad - true_width) / found.fov_x_sigma_rad) ** 2)
         counts.append(found.matches)
     assert len(counts) > 15 and min(counts) >= fewest
-    # a belief about lenses makes errors smaller than stated for a lens that is better than believed
+    # the prior of lens parameters makes errors smaller than stated where the lens is better than the prior
     assert np.mean(together) / 3.0 < chi2.ppf(1.0 - 1.5e-4, 3 * len(together)) / (3 * len(together))
     assert np.mean(width) < chi2.ppf(1.0 - 1.5e-4, len(width)) / len(width)
     assert np.mean(together) / 3.0 > 0.4 and np.mean(width) > 0.3

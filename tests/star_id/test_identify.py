@@ -126,8 +126,8 @@ def test_an_uncalibrated_camera_is_identified(wide_index, places, fov_given):
         )
         R_si = Rotation.random(random_state=rng)
         xy, hip = detections(camera, R_si, places, rng, stars=90, false=10)
-        guess = fov * rng.uniform(0.93, 1.07) if fov_given else None
-        found = solve_stars(xy, (1600, 1200), wide_index, SETTINGS, fov_x_rad=guess)
+        stated = fov * rng.uniform(0.93, 1.07) if fov_given else None
+        found = solve_stars(xy, (1600, 1200), wide_index, SETTINGS, fov_x_rad=stated)
         assert isinstance(found, FieldSolution), (k, np.degrees(fov), found)
         assert share_right(found.hip, found.detections, hip) > 0.9
         assert found.fov_x_rad == pytest.approx(fov, rel=0.02)
@@ -167,8 +167,8 @@ def test_a_prior_attitude_is_followed_and_a_wrong_one_does_no_harm(index, places
     for wrong in (False, False, False, True):
         R_si = Rotation.random(random_state=rng)
         xy, hip = detections(PAPER_CAMERA, R_si, places, rng, false=50)
-        believed = Rotation.from_rotvec(rng.normal(0, sigma_rad, 3)) * R_si
-        prior = AttitudePrior(Rotation.random(random_state=rng) if wrong else believed, sigma_rad)
+        expected = Rotation.from_rotvec(rng.normal(0, sigma_rad, 3)) * R_si
+        prior = AttitudePrior(Rotation.random(random_state=rng) if wrong else expected, sigma_rad)
         found = identify(tangent_coordinates(PAPER_CAMERA, xy), field, index, SETTINGS, prior=prior)
         assert isinstance(found, Identification)
         assert share_right(index.stars.hip[found.stars], found.detections, hip) > 0.9

@@ -95,9 +95,9 @@ def test_a_dark_frame_is_not_identified(row, index):
 
 def test_the_field_of_view_of_one_lens_repeats_within_50_ppm(index):
     """Four frames of one lens, each by itself, nothing known of the camera: what is left of their differences
-    when the motion of the Earth and the air above it are told is noise, 30 to 115 ppm a frame as stated.
+    when the motion of the Earth and the refraction are corrected is noise, 30 to 115 ppm a frame as stated.
 
-    The frames' names tell time and altitudes; the place is the one from which their middles stand so high.
+    The frames' names state time and altitudes; the site is the one from which their middles stand so high.
     """
     rows = [row for row in ROWS if row["file"].startswith("tetra3/")]
     epoch = Epoch.from_utc("2019-07-29T20:47:26Z")

@@ -87,4 +87,4 @@ def test_the_method_is_chosen_by_the_settings_and_saturated_stars_are_fitted():
     assert np.array_equal(full_fit, full_window)
     assert not np.array_equal(fit.xy_px, window.xy_px)
     with pytest.raises(ValueError, match="fit or window"):
-        StarSettings(centroid_method="guess")
+        StarSettings(centroid_method="unknown")

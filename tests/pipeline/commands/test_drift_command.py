@@ -36,7 +36,7 @@ REST = DriftSettings(density_rad2_s=0.0)
 
 
 def write_result(folder, t_s, theta, *, phase=0.0, camera="c0", mission="m", version="0.1.0"):
-    """A finished result, as far as a drift looks at it; theta (3,) rad against the ground's matrix."""
+    """A finished result, as far as a drift looks at it; theta (3,) rad against the pre-launch matrix."""
     R_cs = deviation_from_theta(theta) * R_CS0
     content = {
         "quaternion": R_cs.as_quat().tolist(),
@@ -199,10 +199,8 @@ def test_results_that_believe_another_distortion_are_refused(tmp_path):
     for k, length in enumerate((2000.0, 1500.0)):
         folder = write_result(tmp_path / f"m{k}", 30 * DAY_S * k, THETA)
         content = json.loads((folder / "installation.json").read_text())
-        believed = {"sigma_distortion_rad": 3e-7, "distortion_length_px": length}
-        (folder / "installation.json").write_text(
-            json.dumps(content | {"settings": {"calibration": believed}})
-        )
+        stated = {"sigma_distortion_rad": 3e-7, "distortion_length_px": length}
+        (folder / "installation.json").write_text(json.dumps(content | {"settings": {"calibration": stated}}))
         F = np.diag([*SIGMA**-2.0, 1.0])[None]
         R_cs = deviation_from_theta(THETA) * R_CS0
         pair = InformationPairs(np.array(["s1"]), F, np.zeros((1, 4)), R_cs, ("distortion/x/0/1",))

@@ -110,7 +110,7 @@ def test_the_method_of_the_centroids_may_be_chosen(folder, tmp_path):
     assert len(both) > 0.9 * len(fit)
     shift = (both["x_px"] - both["x_px_window"]) / both["sigma_x_px"]
     assert 0.0 < np.median(np.abs(shift)) < 0.3  # standard errors: other sums of the same noise
-    assert run("centroids", folder / "sky0.png", "--method", "guess").exit_code == 2
+    assert run("centroids", folder / "sky0.png", "--method", "unknown").exit_code == 2
 
 
 def test_a_truth_without_its_columns_is_named(folder, tmp_path):
@@ -160,7 +160,7 @@ def test_times_take_out_the_aberration_that_astropy_knows(folder, tmp_path):
 
 def test_a_place_on_the_ground_takes_out_the_air(tmp_path):
     """A sky 40 degrees high, seen from the ground: the minute of arc by which air lifts it, and the lens that
-    its uneven lift imitates, are gone when the place is told."""
+    its uneven lift imitates, are gone when the site is given."""
     epoch = Epoch.from_utc("2020-01-01T00:00:00Z")
     site = GroundSite.in_standard_weather(np.radians(-31.0), np.radians(149.0), 1165.0)
     state = site.at(EarthRotation.over(epoch, 0.0, 1.0, bundled_earth_orientation()), 0.0)

@@ -181,7 +181,7 @@ def test_full_disk_is_told_with_the_file_and_the_run_goes_on_when_there_is_room(
 
 
 def test_unit_damaged_on_the_disk_is_made_anew_and_counted_by_status(tmp_path: Path) -> None:
-    """Any single byte of a unit's data changed: it is not believed."""
+    """Any single byte of a unit's data changed: it is rejected."""
     from boresight.pipeline.results.summary import status_summary
 
     root = write_sound_files(tmp_path)

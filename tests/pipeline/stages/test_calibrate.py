@@ -59,7 +59,7 @@ def small(finished: tuple[Path, Path]) -> tuple[Path, bytes]:
 
 def test_fixture_is_calibrated_within_its_own_covariance(whole: Path) -> None:
     # Normalised error squared of three angles: chi-square of 3, below 16.27 in 999 of 1000 runs; each axis
-    # within 4 of its own sigmas. The ground's matrix was wrong by 770 arcsec.
+    # within 4 of its own sigmas. The pre-launch matrix was wrong by 770 arcsec.
     outcome = validate(read_result(whole), open_dump(FIXTURE))
     assert outcome.nees < 16.27
     assert np.all(np.abs(outcome.error_rad) < 4.0 * outcome.sigma_rad)
@@ -218,7 +218,7 @@ def test_fault_in_one_exposure_is_that_exposures_own(
 
     def fragile(exposure_id: str, *arguments: object, **more: object) -> object:
         if exposure_id.endswith("5"):
-            raise ValueError("a matrix that nobody thought of")
+            raise ValueError("an unforeseen matrix")
         return sound(exposure_id, *arguments, **more)
 
     monkeypatch.setattr(boresight.pipeline.stages.exposure, "sight_stars", fragile)
@@ -226,8 +226,7 @@ def test_fault_in_one_exposure_is_that_exposures_own(
     (left_out,) = [o for o in found.omissions if o.kind == "exposure"]
     assert left_out.name.endswith("5")
     assert (
-        "internal error in sight_exposure: ValueError: a matrix that nobody thought of; please report"
-        in left_out.reason
+        "internal error in sight_exposure: ValueError: an unforeseen matrix; please report" in left_out.reason
     )
 
 

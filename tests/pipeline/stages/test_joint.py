@@ -303,13 +303,13 @@ def visits(place: np.ndarray) -> list:
             for name in strips[0].ground.target_id.tolist()
         ]
         dump = SimpleNamespace(epoch=epoch, targets=targets, R_cs0=BOLD)
-        found = SimpleNamespace(strips=strips[4 * n : 4 * n + 4], settings=BELIEVED)
+        found = SimpleNamespace(strips=strips[4 * n : 4 * n + 4], settings=SETTINGS_USED)
         out.append((SimpleNamespace(name=f"d{n}", dump=dump), found))
     return [out, strips]
 
 
 BOLD = Rotation.from_euler("xyz", [40, -65, 110], degrees=True)
-BELIEVED = CalibrationSettings(
+SETTINGS_USED = CalibrationSettings(
     sigma_position_m=1.0, sigma_clock_s=0.0, sigma_vibration_rad=0.0, sigma_distortion_rad=0.0, robust=False
 )
 
@@ -317,8 +317,8 @@ BELIEVED = CalibrationSettings(
 def test_targets_that_two_dumps_list_alike_are_one_point_each() -> None:
     calibrated, strips = visits(np.zeros(3))
     found = calibrate_jointly(calibrated, []).estimate
-    whole = calibrate(strips, BOLD, BELIEVED)
-    # A whole turn is known to half a second, 4e-5 rad of an error of 3 m in 530 km: 1e-5 arcsec.
+    whole = calibrate(strips, BOLD, SETTINGS_USED)
+    # The Earth's rotation is known to half a second, 4e-5 rad of an error of 3 m in 530 km: 1e-5 arcsec.
     assert np.all(np.abs(theta_between(found.R_cs, whole.R_cs)) < 1e-4 * ARCSEC)
     np.testing.assert_allclose(found.cov_theta, whole.cov_theta, rtol=1e-3, atol=1e-3 * found.cov_theta[0, 0])
     assert len(found.pairs.shared) == len(whole.pairs.shared) == 3 * 12
