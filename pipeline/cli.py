@@ -158,7 +158,12 @@ def calibrate(
         int | None,
         typer.Option(help="Processes on this machine; default: one a core, one for a small dump.", min=1),
     ] = None,
-    scheduler: Annotated[str | None, typer.Option(help="Address of a dask scheduler instead.")] = None,
+    scheduler: Annotated[
+        str | None, typer.Option(help="Address of a dask scheduler instead (docs/cluster.md).")
+    ] = None,
+    worker_timeout: Annotated[
+        float | None, typer.Option(help="Longest wait for a usable worker of the scheduler, s.", min=0.0)
+    ] = None,
     allow_stale_eop: Annotated[
         bool, typer.Option(help="Continue past the end of the Earth-orientation table, with a warning.")
     ] = False,
@@ -187,6 +192,12 @@ def calibrate(
         "version": __version__,
         "packages": {name: metadata.version(name) for name in REPORTED_PACKAGES},
     }
+
+    def executor_on(opened: list[Dump]) -> AbstractContextManager[Executor]:
+        probes = [dump.root / "dump.toml" for dump in opened]
+        pixels = sum(dump.pixels for dump in opened)
+        return executor_for(workers, scheduler, pixels, probes=probes, wait_s=worker_timeout, say=_say)
+
     begun_s = time.perf_counter()
     request = RunRequest(
         settings=read_settings(settings), report=report, begun_s=begun_s, overwrite=overwrite, facts=facts
@@ -194,13 +205,12 @@ def calibrate(
     if len(dumps) == 1:
         with _warnings_reported():
             one = open_dump(dumps[0].resolve(), allow_stale_eop=allow_stale_eop)
-        with progress_bars() as progress, executor_for(workers, scheduler, one.pixels) as executor:
+        with progress_bars() as progress, executor_on([one]) as executor:
             outcome = run_dump(out, one, str(dumps[0]), request, executor, progress)
     else:
         with _warnings_reported():
             several = open_dumps(dumps, request.settings, allow_stale_eop=allow_stale_eop)
-        pixels = sum(named.dump.pixels for named in several)
-        with progress_bars() as progress, executor_for(workers, scheduler, pixels) as executor:
+        with progress_bars() as progress, executor_on([named.dump for named in several]) as executor:
             outcome = run_dumps(out, several, request, executor, progress)
     typer.echo(outcome.text)
     page = ", report.html" if report else ""
