@@ -11,11 +11,11 @@ import sys
 import time
 import warnings
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import replace
 from importlib import metadata
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -29,6 +29,10 @@ from boresight.pipeline.commands.sensor import add_sensor_commands
 from boresight.pipeline.commands.star import add_star_commands
 from boresight.pipeline.errors import DataNotSufficientError, RawDataError, WorkerError, printable
 from boresight.version import version_text
+
+if TYPE_CHECKING:
+    from boresight.pipeline.files.dump import Dump
+    from boresight.pipeline.work.executor import Executor
 
 __all__ = ["app", "main"]
 

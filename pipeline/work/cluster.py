@@ -41,7 +41,9 @@ class Fingerprint:
 
     versions: dict[str, str] = scalar("of Python and of the libraries")
     code: str = scalar("digest of the program's source and data files")
-    files: dict[str, str] = scalar("SHA-256 of the probe files by path; a sentence for one that is not readable")
+    files: dict[str, str] = scalar(
+        "SHA-256 of the probe files by path; a sentence for one that is not readable"
+    )
 
     def difference(self, other: Fingerprint) -> str:
         """In what `other` differs, as one sentence; empty if in nothing."""
@@ -114,11 +116,17 @@ class _Run:
     """One list of units on its way through the cluster."""
 
     def __init__(
-        self, cluster: OnCluster, call: Callable[[Any], Any], items: Sequence[Any], done: Callable[[int], None]
+        self,
+        cluster: OnCluster,
+        call: Callable[[Any], Any],
+        items: Sequence[Any],
+        done: Callable[[int], None],
     ) -> None:
         self.cluster, self.call, self.items, self.done = cluster, call, items, done
         self.waiting = deque(range(len(items)))
-        self.running: dict[Any, tuple[int, frozenset[str] | None]] = {}  # unit, and the workers it is bound to
+        self.running: dict[
+            Any, tuple[int, frozenset[str] | None]
+        ] = {}  # unit, and the workers it is bound to
         self.outcomes: dict[int, Any] = {}
         self.failures: Counter[int] = Counter()
         self.threads: dict[str, int] = {}  # of accepted workers
@@ -196,7 +204,10 @@ class _Run:
             self._again(n, f"worker {address} cannot do it: {reason}")
         except KilledWorker as error:
             raise WorkerError(f"unit {n + 1} of {len(self.items)}: {error}") from error
-        except (ImportError, CancelledError) as error:  # a worker without boresight; a scheduler that restarts
+        except (
+            ImportError,
+            CancelledError,
+        ) as error:  # a worker without boresight; a scheduler that restarts
             self._again(n, f"{type(error).__name__}: {error}")
         else:
             future.release()
@@ -211,7 +222,9 @@ class _Run:
     def _again(self, n: int, reason: str) -> None:
         self.failures[n] += 1
         if self.failures[n] == MAX_FAILURES:
-            raise WorkerError(f"unit {n + 1} of {len(self.items)} failed {MAX_FAILURES} times; last: {reason}")
+            raise WorkerError(
+                f"unit {n + 1} of {len(self.items)} failed {MAX_FAILURES} times; last: {reason}"
+            )
         self.waiting.appendleft(n)
 
 
