@@ -1,8 +1,8 @@
 """Units of work spread over a dask cluster that is known by the address of its scheduler (docs/cluster.md).
 
-A worker gets units only if it has the same code and library versions as this process and reads the same probe
-files (the dump's head). Twice as many units as the workers have threads are in flight; workers that join later
-are used. A unit whose worker fails is given to another one; what no worker can do ends the run by name.
+A worker gets units only if it has the code and library versions of this process and reads the same probe
+files (the dump's head). In flight are twice as many units as the workers have threads; later workers are used.
+A unit whose worker fails is given to another one; what no worker can do ends the run by name.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from __future__ import annotations
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import CancelledError
+from concurrent.futures import CancelledError, ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from functools import lru_cache, partial
 from pathlib import Path
@@ -25,7 +25,6 @@ __all__ = ["Fingerprint", "OnCluster", "UnfitWorkerError", "fingerprint", "on_cl
 PER_THREAD = 2  # units in flight for each thread of the workers: one at work, one waiting there
 POLL_S = 0.5
 MAX_FAILURES = 3  # of one unit: workers that died under it or could not do it
-CHECK_S = 60.0  # for the answer of a worker that joins
 
 Item = TypeVar("Item")
 Outcome = TypeVar("Outcome")
@@ -76,15 +75,18 @@ def _code() -> str:
 
 
 def guarded(expected: Fingerprint, function: Callable[[Item], Outcome], item: Item) -> Outcome:
-    """`function(item)` on a worker; `UnfitWorkerError` if the worker does not see the dump before and after."""
+    """`function(item)` on a worker; `UnfitWorkerError` if its fingerprint differs before or after."""
+    _require(expected)
+    outcome = function(item)
+    _require(expected)  # a file system that was unmounted meanwhile looks like missing images
+    return outcome
+
+
+def _require(expected: Fingerprint) -> None:
     from distributed import get_worker
 
-    for call in (lambda: function(item), None):
-        if difference := expected.difference(fingerprint(list(expected.files))):
-            raise UnfitWorkerError(get_worker().address, difference)
-        if call is not None:
-            outcome = call()
-    return outcome
+    if difference := expected.difference(fingerprint(list(expected.files))):
+        raise UnfitWorkerError(get_worker().address, difference)
 
 
 @record
@@ -107,6 +109,7 @@ class OnCluster:
             while len(run.outcomes) < len(items):
                 run.step()
         finally:
+            run.checker.shutdown(wait=False, cancel_futures=True)
             with suppress(Exception):  # of a scheduler that is gone
                 self.client.cancel(list(run.running), force=True)
         return [run.outcomes[n] for n in range(len(items))]
@@ -123,13 +126,16 @@ class _Run:
         done: Callable[[int], None],
     ) -> None:
         self.cluster, self.call, self.items, self.done = cluster, call, items, done
+        self.checker = ThreadPoolExecutor(max_workers=8)  # a worker may take seconds to load the libraries
         self.waiting = deque(range(len(items)))
         self.running: dict[
             Any, tuple[int, frozenset[str] | None]
         ] = {}  # unit, and the workers it is bound to
         self.outcomes: dict[int, Any] = {}
         self.failures: Counter[int] = Counter()
+        self.checks: dict[str, Any] = {}  # of workers that have joined: futures of the reason to refuse them
         self.threads: dict[str, int] = {}  # of accepted workers
+        self.all_accepted = True
         self.idle_since: float | None = None
         self.said = ""
 
@@ -145,11 +151,17 @@ class _Run:
     def _look_at_workers(self) -> None:
         client, refused = self.cluster.client, self.cluster.refused
         present: dict[str, int] = client.nthreads()
-        for address in present:
-            if address not in self.threads and address not in refused:
-                if reason := _unfit(client, address, self.cluster.expected):
-                    self._refuse(address, reason)
-        self.threads = {a: threads for a, threads in present.items() if a not in refused}
+        for address in present.keys() - self.checks.keys() - refused.keys():
+            self.checks[address] = self.checker.submit(_unfit, client, address, self.cluster.expected)
+        for address, check in self.checks.items():
+            if check.done() and (reason := check.result()):
+                self._refuse(address, reason)
+        self.threads = {
+            address: threads
+            for address, threads in present.items()
+            if address not in refused and self.checks[address].done()
+        }
+        self.all_accepted = len(self.threads) == len(present)
         for future, (n, bound) in list(self.running.items()):
             if bound is not None and not bound & self.threads.keys():
                 future.cancel()
@@ -165,6 +177,8 @@ class _Run:
         refused = [f"{a} ({reason})" for a, reason in self.cluster.refused.items() if a in present]
         missing = f"refused: {'; '.join(refused)}" if refused else "none is connected"
         self.idle_since = self.idle_since or time.monotonic()
+        if len(refused) < len(present):  # some are being checked
+            return
         if missing != self.said:
             self.cluster.say(f"waiting for workers at {self.cluster.address}: {missing}")
             self.said = missing
@@ -174,7 +188,7 @@ class _Run:
             )
 
     def _submit(self) -> None:
-        bound = frozenset(self.threads) if self.cluster.refused else None
+        bound = None if self.all_accepted else frozenset(self.threads)
         while self.waiting and len(self.running) < PER_THREAD * sum(self.threads.values()):
             n = self.waiting.popleft()
             only = {"workers": sorted(bound), "allow_other_workers": False} if bound else {}
@@ -232,8 +246,6 @@ def _unfit(client: Any, address: str, expected: Fingerprint) -> str:
     """Why a worker cannot be used; empty if it can."""
     try:
         answers = client.run(fingerprint, list(expected.files), workers=[address], on_error="return")
-    except (OSError, TimeoutError):
-        raise
     except Exception as error:
         return f"{type(error).__name__}: {error}"
     answer = answers.get(address)
