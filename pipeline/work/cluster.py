@@ -1,7 +1,7 @@
 """Units of work spread over a dask cluster that is known by the address of its scheduler (docs/cluster.md).
 
 A worker gets units only if it has the code and library versions of this process and reads the same probe
-files (the dump's head). In flight are twice as many units as the workers have threads; later workers are used.
+files (the dump's head). Twice as many units as they have threads are in flight; later workers are used.
 A unit whose worker fails is given to another one; what no worker can do ends the run by name.
 """
 
