@@ -13,7 +13,6 @@ The same inputs, settings and version give identical files.
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, get_type_hints
@@ -35,6 +34,7 @@ from boresight.pipeline.files.text_files import read_toml
 from boresight.pipeline.files.whole_file import write_whole
 from boresight.pipeline.report.star_preview import StarPreview, star_preview
 from boresight.pipeline.results.angles import StripMotion, cross_angles
+from boresight.pipeline.results.writing import write_json
 from boresight.pipeline.settings import Settings
 from boresight.pipeline.stages.calibrate import Calibration
 from boresight.pipeline.stages.exposure import exposure_image
@@ -61,8 +61,7 @@ def write_evidence(result: Path, dump: Dump, calibration: Calibration, settings:
         write_whole(
             folder / f"{name}.parquet", lambda path, t=table: pq.write_table(t, path, compression="zstd")
         )
-    text = json.dumps(_finite(_context(dump, calibration)), indent=2, allow_nan=False) + "\n"
-    write_whole(folder / "context.json", lambda path: path.write_text(text, encoding="utf-8"))
+    write_json(folder / "context.json", _context(dump, calibration))
 
 
 def _context(dump: Dump, calibration: Calibration) -> dict[str, Any]:
@@ -105,15 +104,6 @@ def _context(dump: Dump, calibration: Calibration) -> dict[str, Any]:
             "samples": [ccd.n_px for ccd in camera.ccds],
         },
     }
-
-
-def _finite(value: Any) -> Any:
-    """The same content with null for NaN and infinity, which JSON lacks."""
-    if isinstance(value, dict):
-        return {key: _finite(item) for key, item in value.items()}
-    if isinstance(value, list):
-        return [_finite(item) for item in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def _mean_range_m(calibration: Calibration) -> float:
