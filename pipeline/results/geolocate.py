@@ -1,37 +1,34 @@
-"""Image points to latitude, longitude and height, with what they may be wrong by along and across the track.
+"""Image points to latitude, longitude and height, with 1-sigma errors along and across the track.
 
-The 1-sigma takes in the installation matrix, the star exposures' attitudes and their interpolation, and what
-the mission states of its own errors: position, clock, vibration, look distortion, terrain heights. To first
-order each moves the foot of the line of sight over the ground:
+The 1-sigma includes the errors of the installation matrix, of the star exposures' attitudes and of their
+interpolation, and those that the mission states: position, clock, vibration, look distortion, heights of the
+terrain. To first order each moves the ground point of the line of sight:
 
-    turn delta:  r (I - u nᵀ / uᵀn) (delta x u)      satellite moved by d:  (I - u nᵀ / uᵀn) d
+    rotation delta:  r (I - u nᵀ / uᵀn) (delta x u)      satellite moved by d:  (I - u nᵀ / uᵀn) d
     ground higher by h:  h (u / uᵀn - n)
 
-with the line of sight u, its length r and the vertical n (a turn of the camera by delta turns u with it).
+with the line of sight u, its length r and the vertical n; a rotation of the camera by delta rotates u too.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
 from boresight.geometry.attitude import lagrange_weights
 from boresight.geometry.constants import ARCSEC, WGS84
 from boresight.geometry.geodesy import ellipsoid_normals, geodetic_from_ecef
+from boresight.geometry.record import Floats, Ints, array, record
 from boresight.geometry.terrain import Surface
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.text_files import read_table
 from boresight.pipeline.results.strip_model import Calibrated, StripModel
 
 __all__ = ["GroundPlaces", "Pixels", "geolocate", "places_csv", "read_pixels"]
-
-Array = NDArray[np.float64]
 
 
 class PixelRow(BaseModel):
@@ -43,28 +40,28 @@ class PixelRow(BaseModel):
     line: float
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record
 class Pixels:
-    """N image points of one strip."""
+    """N image points of one strip; (0, 0) is the centre of the first pixel."""
 
-    ccd: NDArray[np.int64]
-    sample: Array
-    line: Array
+    ccd: Ints = array("N", "CCD of the camera, from 0")
+    sample: Floats = array("N", "column")
+    line: Floats = array("N", "row")
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record
 class GroundPlaces:
-    """Where N pixels look; NaN where the line of sight meets no known ground or the row has no attitude."""
+    """Ground points of N pixels; NaN without attitude, or where the line of sight meets no known ground."""
 
-    lat_deg: Array
-    lon_deg: Array
-    height_m: Array  # above the WGS84 ellipsoid
-    sigma_along_m: Array
-    sigma_across_m: Array
+    lat_deg: Floats = array("N", "geodetic latitude")
+    lon_deg: Floats = array("N", "longitude")
+    height_m: Floats = array("N", "height above the WGS84 ellipsoid")
+    sigma_along_m: Floats = array("N", "1-sigma along the track")
+    sigma_across_m: Floats = array("N", "1-sigma across the track")
 
 
 def read_pixels(path: Path, calibrated: Calibrated) -> Pixels:
-    """A CSV file with the columns ccd, sample, line. `RawDataError` names the line of what cannot be."""
+    """Image points of a CSV file with the columns ccd, sample, line. `RawDataError` names line and column."""
     rows = read_table(path, PixelRow, str(path))
     n_ccds = calibrated.dump.line_camera.n_ccds
     for n, row in enumerate(rows):
@@ -78,7 +75,8 @@ def read_pixels(path: Path, calibrated: Calibrated) -> Pixels:
 
 
 def geolocate(calibrated: Calibrated, model: StripModel, pixels: Pixels, surface: Surface) -> GroundPlaces:
-    """Places and their 1-sigma."""
+    """Ground points and their 1-sigma. `RawDataError` for a pixel outside its CCD's image."""
+    _check_inside(calibrated, model, pixels)
     n = len(pixels.line)
     p_e, sigma = np.full((n, 3), np.nan), np.full((n, 2), np.nan)
     first, last = model.pushbroom.rows.line(model.track.t_s[[0, -1]])
@@ -95,8 +93,21 @@ def geolocate(calibrated: Calibrated, model: StripModel, pixels: Pixels, surface
     return GroundPlaces(np.degrees(lat), np.degrees(lon), height, sigma[:, 0], sigma[:, 1])
 
 
+def _check_inside(calibrated: Calibrated, model: StripModel, pixels: Pixels) -> None:
+    samples = np.array([ccd.n_px for ccd in calibrated.dump.line_camera.ccds])[pixels.ccd]
+    for name, values, counts in (
+        ("sample", pixels.sample, samples),
+        ("line", pixels.line, np.full(len(pixels.line), model.strip.lines)),
+    ):
+        outside = np.flatnonzero(~((values >= -0.5) & (values <= counts - 0.5)))
+        if len(outside):
+            n = int(outside[0])
+            expected = f"-0.5 to {counts[n] - 0.5}, inside the image of CCD {pixels.ccd[n]}"
+            raise RawDataError("pixels", f"point {n + 1}, {name}", f"{values[n]:g}", expected)
+
+
 def places_csv(pixels: Pixels, places: GroundPlaces) -> Iterator[str]:
-    """Lines of a CSV file: the pixels and where they look; empty cells where nothing is known."""
+    """Lines of a CSV file: pixels and their ground points; cells are empty where a value is not known."""
     yield "ccd,sample,line,lat_deg,lon_deg,height_m,sigma_along_m,sigma_across_m\n"
     for n in range(len(pixels.line)):
         cells = [str(pixels.ccd[n]), repr(float(pixels.sample[n])), repr(float(pixels.line[n]))]
@@ -111,7 +122,7 @@ def places_csv(pixels: Pixels, places: GroundPlaces) -> Iterator[str]:
         yield ",".join(cells) + "\n"
 
 
-def _sigma(calibrated: Calibrated, model: StripModel, line: Array, p_e: Array) -> Array:
+def _sigma(calibrated: Calibrated, model: StripModel, line: Floats, p_e: Floats) -> Floats:
     """1-sigma (N, 2) along and across the track, m."""
     dump, push = calibrated.dump, model.pushbroom
     t_s = push.instants(line)
@@ -128,26 +139,26 @@ def _sigma(calibrated: Calibrated, model: StripModel, line: Array, p_e: Array) -
     foot = np.eye(3) - fall[:, :, None] * up[:, None, :]
     R_ci = (push.R_cs * model.track.R_si(t_s)).as_matrix()
     R_ec = np.swapaxes(dump.orbit.earth.matrices_ie(t_s), 1, 2) @ np.swapaxes(R_ci, 1, 2)
-    by_turn = distance[:, None, None] * to_track @ foot @ _turned_by(u) @ R_ec  # (N, 2, 3): m per rad about c
+    by_rotation = distance[:, None, None] * to_track @ foot @ _cross_matrices(u) @ R_ec  # (N, 2, 3), m/rad
     by_shift = to_track @ foot
-    turn = calibrated.result.cov_theta + _attitude_covariance(model, t_s) + _turn_variance(calibrated)
-    variance = np.einsum("nia,nab,nib->ni", by_turn, turn, by_turn)
+    rotation = calibrated.result.cov_theta + _attitude_covariance(model, t_s) + _rotation_variance(calibrated)
+    variance = np.einsum("nia,nab,nib->ni", by_rotation, rotation, by_rotation)
     variance += dump.errors.position_m**2 * np.einsum("nia,nia->ni", by_shift, by_shift)
     variance += (dump.errors.clock_s * np.einsum("nia,na->ni", by_shift, motion_e)) ** 2
     variance += (calibrated.sigma_terrain_m * np.einsum("nia,na->ni", to_track, fall - up)) ** 2
     return np.sqrt(variance)
 
 
-def _turned_by(u: Array) -> Array:
-    """(N, 3, 3): what takes a small turn delta to the change delta x u of a direction."""
+def _cross_matrices(u: Floats) -> Floats:
+    """(N, 3, 3): matrices that map a small rotation delta to the change delta x u of a direction."""
     x, y, z = u.T
     o = np.zeros_like(x)
     return np.array([[o, z, -y], [-z, o, x], [y, -x, o]]).transpose(2, 0, 1)
 
 
-def _attitude_covariance(model: StripModel, t_s: Array) -> Array:
-    """Covariance (N, 3, 3) of the star camera's attitude, turned into frame c. Where too few exposures tell
-    what the interpolation misses, the exposures' own errors stand alone.
+def _attitude_covariance(model: StripModel, t_s: Floats) -> Floats:
+    """Covariance (N, 3, 3) of the star camera's attitude, rad², axes of c: of the exposures, and of the
+    interpolation between them where enough exposures determine it.
     """
     track, C = model.track, model.pushbroom.R_cs.as_matrix()
     missed = np.nan_to_num(track.interpolation_sigma_rad(t_s))[:, :, None] ** 2 * np.eye(3)
@@ -157,7 +168,7 @@ def _attitude_covariance(model: StripModel, t_s: Array) -> Array:
     return np.asarray(C @ (own + missed) @ C.T)
 
 
-def _turn_variance(calibrated: Calibrated) -> Array:
+def _rotation_variance(calibrated: Calibrated) -> Floats:
     """Vibration and look distortion as rotations about the axes of c, (3, 3) rad²."""
     errors, camera = calibrated.dump.errors, calibrated.dump.line_camera
     distortion = errors.look_distortion_px * camera.ccds[0].pixel_m / camera.focal_m

@@ -1,15 +1,13 @@
-"""A result held against a simulated dump's truth: the matrix, and where on the ground pixels really look.
+"""Errors of a result against the truth of a simulated dump: of the matrix, and of ground points.
 
 This is the only module that opens a dump's `truth/` folder.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 from scipy.spatial.transform import Rotation
 
@@ -19,14 +17,13 @@ from boresight.geometry.geodesy import ecef_from_geodetic, ellipsoid_normals
 from boresight.geometry.groundlight import LightEffects
 from boresight.geometry.installation import theta_between
 from boresight.geometry.pushbroom import Pushbroom, RowClock
+from boresight.geometry.record import Floats, Texts, array, record, scalar
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.dump import Dump, Strip, surface_of
 from boresight.pipeline.files.text_files import read_table, read_toml
 from boresight.pipeline.results.reading import SavedResult
 
-__all__ = ["CheckPoints", "Validation", "validate"]
-
-Array = NDArray[np.float64]
+__all__ = ["CheckPoints", "Validation", "true_installation", "validate"]
 
 
 class TrueInstallationFile(BaseModel):
@@ -37,7 +34,7 @@ class TrueInstallationFile(BaseModel):
 
 
 class CheckPointRow(BaseModel):
-    """truth/check_points.csv: where on the ground a pixel really looks (height above WGS84)."""
+    """truth/check_points.csv: true ground point of a pixel (height above WGS84)."""
 
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False, frozen=True)
     id: str
@@ -50,14 +47,14 @@ class CheckPointRow(BaseModel):
     height_m: float
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record
 class CheckPoints:
-    """Geo-positioning error, computed minus true, at N check points, in the horizontal plane."""
+    """Geo-positioning errors, computed minus true, at N check points, in the horizontal plane."""
 
-    strip_id: NDArray[np.str_]  # (N,)
-    along_m: Array  # (N,) along the motion of the satellite over the ground
-    across_m: Array  # (N,) to the right of it
-    up_m: Array  # (N,)
+    strip_id: Texts = array("N", "strip of each check point")
+    along_m: Floats = array("N", "along the satellite's motion relative to the ground")
+    across_m: Floats = array("N", "to the right of it")
+    up_m: Floats = array("N", "along the ellipsoid's normal")
 
     @property
     def rms_m(self) -> tuple[float, float]:
@@ -65,37 +62,42 @@ class CheckPoints:
         return float(np.sqrt(np.mean(self.along_m**2))), float(np.sqrt(np.mean(self.across_m**2)))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record(kw_only=True)
 class Validation:
-    """Errors of the result and of the matrix that it started from."""
+    """Errors of a result, and of the matrix that it started from."""
 
-    error_rad: Array  # (3,) theta by which the result is wrong: R_result = exp[[error]] R_true
-    sigma_rad: Array  # (3,) what the result says of itself
-    nees: float  # normalised error squared of theta, expected 3
-    before_rad: Array  # (3,) error of the pre-launch matrix
-    after: CheckPoints
-    before: CheckPoints
-    without: int  # check points that no result can be given for (no attitude, no ground)
+    error_rad: Floats = array("3", "theta of the result's error: R_result = exp[[error]] R_true")
+    sigma_rad: Floats = array("3", "1-sigma that the result states")
+    nees: float = scalar("error_rad squared in the stated covariance: chi-square of 3 dof")
+    before_rad: Floats = array("3", "error of the pre-launch matrix")
+    after: CheckPoints = scalar("with the result's matrix")
+    before: CheckPoints = scalar("with the pre-launch matrix")
+    without: int = scalar("check points without attitude or ground, for which no error can be given")
 
 
 def validate(result: SavedResult, dump: Dump) -> Validation:
-    """`RawDataError` when the dump has no truth."""
+    """Errors of `result` against the truth of `dump`. `RawDataError` when the dump has no truth."""
     truth = dump.root / "truth"
-    true = read_toml(truth / "installation.toml", TrueInstallationFile, "truth/installation.toml")
-    R_true = Rotation.from_quat(true.quaternion_cs)
+    R_true = true_installation(dump)
     points = read_table(truth / "check_points.csv", CheckPointRow, "truth/check_points.csv")
     error = theta_between(result.R_cs, R_true)
     after, without = _check(points, result, dump, result.R_cs)
     before, _ = _check(points, result, dump, dump.R_cs0)
     return Validation(
-        error,
-        np.sqrt(np.diag(result.cov_theta)),
-        float(error @ np.linalg.solve(result.cov_theta, error)),
-        theta_between(dump.R_cs0, R_true),
-        after,
-        before,
-        without,
+        error_rad=error,
+        sigma_rad=np.sqrt(np.diag(result.cov_theta)),
+        nees=float(error @ np.linalg.solve(result.cov_theta, error)),
+        before_rad=theta_between(dump.R_cs0, R_true),
+        after=after,
+        before=before,
+        without=without,
     )
+
+
+def true_installation(dump: Dump) -> Rotation:
+    """True installation matrix of a simulated dump, star camera to remote-sensing camera."""
+    path = dump.root / "truth" / "installation.toml"
+    return Rotation.from_quat(read_toml(path, TrueInstallationFile, "truth/installation.toml").quaternion_cs)
 
 
 def _check(
@@ -122,7 +124,7 @@ def _check(
 
 
 def _pushbroom(strip: Strip, result: SavedResult, dump: Dump, R_cs: Rotation) -> Pushbroom | None:
-    """The strip's model with the attitude that the run's star exposures gave."""
+    """The strip's model with the attitudes of the result's star exposures."""
     camera = dump.line_camera
     first = strip.t_first_row_s + camera.delay_to_middle_s(strip.row_period_s)
     last = first + (strip.lines - 1) * strip.row_period_s
@@ -143,7 +145,7 @@ def _pushbroom(strip: Strip, result: SavedResult, dump: Dump, R_cs: Rotation) ->
     )
 
 
-def _error(points: list[CheckPointRow], ccd: int, model: Pushbroom, dump: Dump) -> Array:
+def _error(points: list[CheckPointRow], ccd: int, model: Pushbroom, dump: Dump) -> Floats:
     """Computed minus true (N, 3): along track, across track, up, m."""
     points = [point for point in points if point.ccd == ccd]
     sample = np.array([point.sample for point in points])

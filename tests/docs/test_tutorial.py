@@ -64,14 +64,13 @@ def test_the_first_screen_of_the_readme_is_the_tutorials_run():
 
 
 def assert_same(printed: str, shown: str, command: str) -> None:
-    """Words exactly; numbers to 15 % or three units of their last digit: rounding on another processor and a
-    small gain in some stage move them by less, a wrong unit, sign or count by more. How long it took is not
-    compared.
+    """Words exactly; numbers to one unit of their last printed digit, for rounding on another processor. How
+    long it took is not compared.
     """
     printed, shown = TIMES.sub("some time", printed), TIMES.sub("some time", shown)
     where = f"{command}: printed\n{printed}\nthe page shows\n{shown}\nrun scripts/refresh_tutorial.py"
     assert NUMBER.sub("#", printed).split() == NUMBER.sub("#", shown).split(), where
     for got, expected in zip(NUMBER.findall(printed), NUMBER.findall(shown)):
-        digits = len(expected.partition(".")[2]) if "e" not in expected.lower() else 0
-        unit = 10.0**-digits if "e" not in expected.lower() else 0.0
-        assert abs(float(got) - float(expected)) <= max(0.15 * abs(float(expected)), 3.0 * unit), where
+        mantissa, _, exponent = expected.lower().partition("e")
+        unit = 10.0 ** (int(exponent or 0) - len(mantissa.partition(".")[2]))
+        assert abs(float(got) - float(expected)) <= 1.01 * unit, where

@@ -125,6 +125,7 @@ def test_finished_run_asked_again_says_so_at_once_and_changes_nothing(
     monkeypatch.setattr(calibrating, begun)
     status, said = told(monkeypatch, capsys, "calibrate", str(dump), "--out", str(out), "--workers", "1")
     assert status == 1 and "it calibrates again" in said
+    assert not (out / "installation.json").exists()  # no longer the result of these inputs
 
 
 def test_second_run_in_one_folder_is_refused_with_the_owner(tmp_path: Path) -> None:

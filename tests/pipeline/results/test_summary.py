@@ -1,0 +1,103 @@
+"""What the terminal shows of a calibration, to the last printed digit."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from boresight.calib.estimate import Rejected, WhyRejected
+from boresight.geometry.constants import ARCSEC
+from boresight.pipeline.errors import Cause, Omission
+from boresight.pipeline.results.summary import calibration_summary, verdict_lines
+from boresight.pipeline.stages.calibrate import rejections_of
+
+EQUAL = (("t1", "t2"), ("t5", "t6", "t7"))
+
+
+def calibration(**changed: Any) -> Any:
+    """A calibration with numbers that no two rows have in common."""
+    estimate = {
+        "R_cs": Rotation.from_euler("xyz", [40, -65, 110], degrees=True),
+        "theta": np.array([1e-3, -2e-3, 3.5e-3]),
+        "sigma_theta": np.array([0.4541, 0.5153, 8.2676]) * ARCSEC,
+        "n_exposures": 42,
+        "n_stars": 3719,
+        "n_strips": 3,
+        "n_targets": 36,
+        "chi2": 57.64,
+        "dof": 69,
+        "converged": True,
+    } | changed
+    verdict = SimpleNamespace(checks=())
+    return SimpleNamespace(estimate=SimpleNamespace(**estimate), verdict=verdict, omissions=())
+
+
+@pytest.fixture(autouse=True)
+def plain_verdict(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("boresight.pipeline.results.summary.verdict_json", lambda verdict: {"checks": []})
+
+
+def test_numbers_of_the_summary_are_those_of_the_estimate() -> None:
+    rows = {line[:26].strip(): line[26:].split() for line in calibration_summary(calibration()).splitlines()}
+    assert rows["1 sigma, arcsec"] == ["0.4541", "0.5153", "8.2676"]
+    assert rows["theta, rad"] == ["+0.001000000", "-0.002000000", "+0.003500000"]
+    assert rows["from"] == "42 exposures with 3719 stars, 3 strips with 36 targets".split()
+    assert rows["chi2 / dof"] == ["57.6", "/", "69"]
+    assert rows["not used"] == ["nothing"]
+
+
+def test_matrix_that_did_not_converge_is_not_to_be_used() -> None:
+    assert "do not use this matrix" in calibration_summary(calibration(converged=False))
+    assert "do not use" not in calibration_summary(calibration())
+
+
+def test_what_is_not_used_is_counted_by_cause_and_named() -> None:
+    rejected = [
+        Rejected(strip_id="s1", kind="target", name="t3", why=WhyRejected.TARGET_RESIDUAL, statistic=26.0),
+        Rejected(strip_id="s1", exposure_id="e4", kind="star", name="71683", why=WhyRejected.STAR_RESIDUAL),
+    ]
+    found = calibration()
+    found.omissions = (
+        *rejections_of(SimpleNamespace(rejected=rejected)),  # type: ignore[arg-type]
+        Omission("target", "s1/t7", "", "correlation 0.31, at least 0.6 is needed", "low correlation"),
+        Omission("exposure", "e9", "e9.png", "e9.png: file: found no such file, expected an image"),
+    )
+    text = calibration_summary(found)
+    assert "not used                  1 exposure: 1 file not usable" in text
+    assert "1 star: 1 star residual" in text
+    assert "2 targets: 1 target residual, 1 low correlation" in text
+    assert "  exposure e9: e9.png: file: found no such file, expected an image" in text
+    assert "  target s1/t3: 5.1 sigma from the position that the other targets predict" in text
+    assert {o.cause for o in found.omissions} == {
+        "target residual",
+        "star residual",
+        "low correlation",
+        Cause.UNREADABLE,
+    }
+
+
+def test_refuting_checks_are_named_the_least_likely_first_with_what_to_look_at() -> None:
+    def check(kind: str, p_value: float, *, holds: bool, names: tuple = ()) -> dict[str, Any]:
+        given = {"kind": kind, "p_value": p_value, "holds": holds, "names": names}
+        return given | {"statistic": 3745.25, "expected": 2130, "look_at": ["the orbit", "the clocks"]}
+
+    lines = verdict_lines(
+        {
+            "checks": [
+                check("residuals of targets", 1e-9, holds=False),
+                check("residuals of stars", 0.5, holds=True),
+                check(
+                    "equal coordinates of targets", 0.0, holds=False, names=(("t1", "t2"), ("t5", "t6", "t7"))
+                ),
+            ]
+        }
+    )
+    assert lines[0].split() == "verdict refuted by 2 of 3 checks; do not use this matrix".split()
+    assert lines[1].startswith("  equal coordinates of targets: 3745.25, expected 2130")
+    assert lines[2].strip() == "t1 = t2, t5 = t6 = t7"
+    assert lines[3].strip() == "look at: the orbit; the clocks"
+    assert lines[4] == "  residuals of targets: 3745.25, expected 2130 (p 1.0e-09)"

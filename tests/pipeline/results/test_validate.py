@@ -1,0 +1,52 @@
+"""Errors against a known truth: of the matrix in its covariance, of ground points along and across track."""
+
+from __future__ import annotations
+
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from fixture_strips import FIXTURE
+from scipy.spatial.transform import Rotation
+
+from boresight.geometry.installation import deviation_from_theta
+from boresight.pipeline.files.dump import Dump, open_dump
+from boresight.pipeline.results.reading import SavedResult, read_result
+from boresight.pipeline.results.validate import true_installation, validate
+
+
+@pytest.fixture(scope="module")
+def known(finished: tuple[Path, Path], tmp_path_factory: pytest.TempPathFactory) -> tuple[Dump, SavedResult]:
+    """The one-strip dump with its truth, and its result with the true matrix in place of the estimate."""
+    root = tmp_path_factory.mktemp("known") / "dump"
+    shutil.copytree(finished[0], root)
+    shutil.copytree(FIXTURE / "truth", root / "truth", dirs_exist_ok=True)
+    dump = open_dump(root)
+    return dump, replace(read_result(finished[1]), R_cs=true_installation(dump))
+
+
+def test_nees_is_in_the_whole_covariance(known: tuple[Dump, SavedResult]) -> None:
+    # A correlation of 0.9 makes it 21; the diagonal alone would make it 3.
+    dump, true = known
+    sigma = np.array([1e-6, 2e-6, 4e-5])
+    C = sigma[:, None] * np.array([[1.0, 0.9, 0.0], [0.9, 1.0, 0.0], [0.0, 0.0, 1.0]]) * sigma
+    theta = sigma * np.array([1.0, -1.0, 1.0])
+    found = validate(replace(true, R_cs=deviation_from_theta(theta) * true.R_cs, cov_theta=C), dump)
+    np.testing.assert_allclose(found.error_rad, theta, rtol=1e-6)  # second order of 4e-5 rad
+    assert found.nees == pytest.approx(2.0 / (1.0 - 0.9) + 1.0, rel=1e-5)
+    np.testing.assert_allclose(found.sigma_rad, sigma, rtol=1e-12)
+
+
+@pytest.mark.parametrize(("axis", "along"), [("y", True), ("x", False)])
+def test_errors_on_the_ground_are_told_along_and_across_the_track(
+    axis: str, along: bool, known: tuple[Dump, SavedResult]
+) -> None:
+    # Frame c: x along the motion, y along the CCDs. 1e-4 rad at 530 km or more is above 50 m; yaw of the
+    # Earth's rotation puts less than a tenth of it into the other direction.
+    dump, true = known
+    wrong = replace(true, R_cs=Rotation.from_euler(axis, 1e-4) * true.R_cs)
+    rms = validate(wrong, dump).after.rms_m
+    mine, other = rms if along else rms[::-1]
+    assert mine > 45.0 and other < 0.15 * mine

@@ -1,0 +1,51 @@
+"""Dumps without a result: the cause comes first, with numbers and what to check."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import pytest
+
+from boresight.pipeline.errors import DataNotSufficientError
+from boresight.pipeline.files.dump import open_dump
+from boresight.pipeline.stages.calibrate import calibrate_dump
+
+
+def reason(dump: Path) -> str:
+    with pytest.raises(DataNotSufficientError) as told:
+        calibrate_dump(open_dump(dump))
+    return str(told.value)
+
+
+def test_mirrored_images_are_recognised(one_strip: Path) -> None:
+    for path in (one_strip / "exposures").iterdir():
+        image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+        path.unlink()  # it is a link to the fixture
+        cv2.imwrite(str(path), image[:, ::-1])
+    told = reason(one_strip)
+    assert told.startswith("none of 14 exposures can be used (14 not identified)")
+    assert "the images are mirrored" in told
+
+
+def test_wrong_focal_length_is_among_the_hints(one_strip: Path) -> None:
+    camera = (one_strip / "star_camera.toml").read_text()
+    focal = next(line for line in camera.splitlines() if line.startswith("focal_length"))
+    (one_strip / "star_camera.toml").write_text(
+        camera.replace(focal, f"{focal.split('=')[0]}= {1.3 * float(focal.split('=')[1])}")
+    )
+    told = reason(one_strip)
+    assert told.startswith("none of 14 exposures can be used (14 not identified)")
+    assert "measures the focal length" in told and "mirrored left" not in told
+
+
+def test_targets_that_a_strip_misses_are_told_by_distance_and_time(one_strip: Path) -> None:
+    lines = (one_strip / "targets.csv").read_text().splitlines()
+    rows = [line.split(",") for line in lines]
+    column = rows[0].index("lon_deg")
+    for row in rows[1:]:
+        row[column] = str(float(row[column]) + 1.0)
+    (one_strip / "targets.csv").write_text("\n".join(",".join(row) for row in rows) + "\n")
+    told = reason(one_strip)
+    assert told.startswith("no target comes into view: the nearest, ")
+    assert "km across the track and " in told and "14 exposures identified" in told

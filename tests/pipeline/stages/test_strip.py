@@ -1,0 +1,71 @@
+"""Directions of matched targets, and the target that misses a strip."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from boresight.geometry.constants import WGS84
+from boresight.pipeline.files.dump import open_dump
+from boresight.pipeline.results.folder import store_of
+from boresight.pipeline.stages.calibrate import Calibration, calibrate_dump
+from boresight.pipeline.stages.missing import nearest_miss
+from boresight.pipeline.stages.strip import footprint_e, ground_sightings, pushbroom_of
+
+
+@pytest.fixture(scope="module")
+def calibration(finished: tuple[Path, Path]) -> Calibration:
+    """The one-strip dump from its finished units."""
+    found = calibrate_dump(open_dump(finished[0]), store=store_of(finished[1]))
+    assert found.n_computed == 0
+    return found
+
+
+def test_covariance_of_a_target_is_turned_from_east_north_up_to_the_inertial_axes(
+    calibration: Calibration,
+) -> None:
+    task, matched = calibration.tasks[0], calibration.matched[0]
+    sigma_m = np.array([1.0, 2.0, 3.0])
+    targets = tuple(replace(target, sigma_m=sigma_m) for target in task.targets)
+    ground = ground_sightings(matched, replace(task, targets=targets))
+    p_e = {target.target_id: target.p_e for target in targets}
+    for name, t_s, cov_i in zip(ground.target_id.tolist(), ground.t_s, ground.cov_target_i):
+        R_ie = task.orbit.earth.matrices_ie(np.array([t_s]))[0]
+        up = p_e[name] / np.array([WGS84.semi_major_m, WGS84.semi_major_m, WGS84.semi_minor_m]) ** 2
+        up /= np.linalg.norm(up)
+        east = np.cross([0.0, 0.0, 1.0], up)
+        east /= np.linalg.norm(east)
+        for axis, sigma in zip((east, np.cross(up, east), up), sigma_m):
+            assert (R_ie @ axis) @ cov_i @ (R_ie @ axis) == pytest.approx(sigma**2, rel=1e-9)
+
+
+def test_velocity_is_that_relative_to_the_ground(calibration: Calibration) -> None:
+    # Differences of Earth-fixed positions over 0.2 s; their curvature leaves 1e-5 m/s, the Earth's rotation
+    # is 500 m/s of the velocity.
+    task = calibration.tasks[0]
+    ground = ground_sightings(calibration.matched[0], task)
+    steps = [task.orbit.positions_e(ground.t_s + dt) for dt in (-0.1, 0.1)]
+    R_ie = task.orbit.earth.matrices_ie(ground.t_s)
+    v_i = np.einsum("nij,nj->ni", R_ie, (steps[1] - steps[0]) / 0.2)
+    np.testing.assert_allclose(ground.v_rel_i, v_i, atol=0.05, rtol=0)
+
+
+def test_nearest_miss_is_told_across_and_along_the_track(calibration: Calibration) -> None:
+    task = calibration.tasks[0]
+    seen_e = footprint_e(task)
+    first, last = seen_e[:, 0].mean(axis=0), seen_e[:, -1].mean(axis=0)
+    duration_s = float(np.ptp(pushbroom_of(task).instants(np.array([0.0, task.strip.lines - 1.0]))))
+    along = (last - first) / np.linalg.norm(last - first)
+    across = np.cross(along, first / np.linalg.norm(first))
+    far, near = task.targets[0], task.targets[1]
+    half_m = np.ptp(seen_e.reshape(-1, 3) @ across) / 2
+    near = replace(near, p_e=last + 7e3 * along + (half_m + 20e3) * across)
+    far = replace(far, p_e=last + 900e3 * along)
+    across_m, along_m, along_s, name = nearest_miss(task, (far, near))
+    assert name == near.target_id
+    # 2 % of the distance: the footprint is a trapezoid on a curved Earth.
+    assert (across_m, along_m) == pytest.approx((20e3, 7e3), abs=600.0)
+    assert along_s == pytest.approx(along_m / np.linalg.norm(last - first) * duration_s, rel=1e-6)
