@@ -26,7 +26,7 @@ def test_targets_listed_under_several_ids_refute_the_result(doubled: Path, tmp_p
     command = ["calibrate", str(doubled), "--out", str(tmp_path / "out"), "--workers", "1", "--no-report"]
     ran = runner.invoke(app, command)
     assert ran.exit_code == 3, ran.output
-    assert ran.output.splitlines()[0].startswith("verdict                   refuted by ")
+    assert ran.stdout.splitlines()[0].startswith("verdict                   refuted by "), ran.stdout
     assert "targets listed more than once" in ran.output
     content = json.loads((tmp_path / "out/installation.json").read_text())
     (check,) = [c for c in content["verdict"]["checks"] if c["kind"] == "equal coordinates of targets"]
