@@ -60,9 +60,9 @@ def test_removal_of_distortion_agrees_with_opencv(camera):
     xy_px = detector_points(camera)
     lens = camera.opencv_parameters()
     until = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 500, 1e-13)
-    ideal = cv2.undistortPointsIter(
-        xy_px.reshape(-1, 1, 2), lens.camera_matrix, lens.distortion, None, None, until
-    )[:, 0]
+    named = {"R": None, "P": None, "criteria": until}
+    undistort = getattr(cv2, "undistortPointsIter", cv2.undistortPoints)  # one function from OpenCV 5 on
+    ideal = undistort(xy_px.reshape(-1, 1, 2), lens.camera_matrix, lens.distortion, **named)[:, 0]
     u_s = camera.directions_from_pixels(xy_px)
     ours = -u_s[:, :2] / u_s[:, 2:]
     assert np.abs(ours - ideal).max() * camera.focal_m / camera.pixel_m < 1e-6

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from frames import PAPER_CAMERA, stars_in_view
@@ -115,15 +117,7 @@ def test_an_uncalibrated_camera_is_identified(wide_index, places, fov_given):
         plain = nominal_camera((1600, 1200), fov)
         f_mm = plain.focal_m * 1e3
         bend = rng.uniform(-0.08, 0.08) / (0.6 * fov) ** 2 * 0.15  # up to 1.2 % at the corner
-        camera = type(plain)(
-            plain.focal_m,
-            plain.pixel_m,
-            1600,
-            1200,
-            (801.0, 597.0),
-            q1=bend / f_mm**2,
-            p1=2e-3 * bend / f_mm,
-        )
+        camera = replace(plain, principal_px=(801.0, 597.0), q1=bend / f_mm**2, p1=2e-3 * bend / f_mm)
         R_si = Rotation.random(random_state=rng)
         xy, hip = detections(camera, R_si, places, rng, stars=90, false=10)
         stated = fov * rng.uniform(0.93, 1.07) if fov_given else None
