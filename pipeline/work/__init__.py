@@ -1,1 +1,1 @@
-"""How work is spread over processes and kept on disk when finished; what the work is, is not known here."""
+"""Where units of work are computed, and how finished ones are kept; what a unit is, is defined elsewhere."""

@@ -1,4 +1,4 @@
-"""Something that applies a function to many items: this process, or others (`pipeline.work.workers`)."""
+"""Executors apply a function to many items: in this process, or in others (`pipeline.work.workers`)."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ Outcome = TypeVar("Outcome")
 
 
 class Executor(Protocol):
-    """Something that applies a function to many items, here or elsewhere."""
+    """Applies a function to many items, in this process or in others."""
 
     def map(
         self, function: Callable[[Item], Outcome], items: Sequence[Item], done: Callable[[int], None]
@@ -23,7 +23,7 @@ class Executor(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class InOrder:
-    """The executor that works in this process, one item after another."""
+    """Applies the function in this process, one item after another."""
 
     def map(
         self, function: Callable[[Item], Outcome], items: Sequence[Item], done: Callable[[int], None]

@@ -1,8 +1,8 @@
 """The index of catalogue triangles, kept between runs in the user's cache folder.
 
-A file is known by the catalogue, the epoch, the field of view and the program that makes it; when any of them
-changes another is made, and those beyond a few that were used least lately are removed. A folder that cannot
-be written costs time and nothing else; a damaged file is made anew, with a warning.
+The key of a file is the digest of catalogue, epoch, field of view and program. The few files used last are
+kept. If the folder cannot be written, the index is built in every run; a damaged file is replaced with a
+warning.
 """
 
 from __future__ import annotations
@@ -27,19 +27,19 @@ _KEPT = 6  # files; the largest, for all fields of view, takes 60 MB
 
 
 def cached_index(stars: StarPlaces, epoch_jyear: float, fov_rad: float | tuple[float, float]) -> StarIndex:
-    """`build_index`, or what it gave before."""
+    """The index that `build_index` returns, read from the cache if it is there."""
     key = digest(stars, float(epoch_jyear), fov_rad, program("boresight.star_id"))
     path = cache_folder() / f"triangles-{key}.npz"
     try:
         with np.load(path, allow_pickle=False) as file:
             index = StarIndex.from_arrays(stars, epoch_jyear, dict(file))
         with suppress(OSError):
-            path.touch()  # used: not the next to be removed
+            path.touch()  # the time of the last use
         return index
     except OSError:
-        pass  # none there, or not ours to read
+        pass  # missing or not readable
     except (ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
-        warnings.warn(f"{path}: damaged ({error}); the index is made anew", stacklevel=2)
+        warnings.warn(f"{path}: damaged ({error}); the index is built again", stacklevel=2)
     index = build_index(stars, epoch_jyear, fov_rad)
     _keep(path, index)
     return index
@@ -57,7 +57,7 @@ def _keep(path: Path, index: StarIndex) -> None:
         with target.open("wb") as stream:
             np.savez(stream, **arrays)
 
-    with suppress(OSError):  # read-only or full: the next run makes the index again
+    with suppress(OSError):  # read-only or full: the next run builds the index again
         path.parent.mkdir(parents=True, exist_ok=True)
         write_whole(path, write)
         files = sorted(path.parent.glob("triangles-*.npz"), key=lambda file: file.stat().st_mtime_ns)

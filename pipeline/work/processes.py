@@ -1,10 +1,9 @@
 """Units of work spread over processes of this machine.
 
-Where the system can fork, a process starts in milliseconds and shares what this one has in memory:
-libraries, terrain, the items themselves. All that travels is the number of an item and its outcome. Each
-process works on one unit at a time, so the number of images in memory is the number of processes, whatever
-the size of the dump. A unit whose process dies is given to another one; a unit that kills three processes is
-an error that names it.
+Where the system can fork, a process starts in milliseconds and shares this one's memory: libraries, terrain,
+the items themselves. Only the number of an item and its outcome are transferred. Each process computes one
+unit at a time, so the number of images in memory is the number of processes. A unit whose process dies is
+given to another one; a unit that kills three processes is an error that names it.
 """
 
 from __future__ import annotations
@@ -28,9 +27,9 @@ __all__ = ["Processes"]
 Item = TypeVar("Item")
 Outcome = TypeVar("Outcome")
 
-MOST_DEATHS = 3
-DIED = (EOFError, ConnectionError)  # what a line says whose other end is gone
-# Elsewhere a system has no fork, or has libraries that do not survive one.
+MAX_DEATHS = 3
+DIED = (EOFError, ConnectionError)  # of a pipe whose other end is closed
+# Other systems have no fork, or have libraries that do not survive one.
 START: ForkContext | SpawnContext = (
     multiprocessing.get_context("fork") if sys.platform == "linux" else multiprocessing.get_context("spawn")
 )
@@ -38,7 +37,7 @@ START: ForkContext | SpawnContext = (
 
 @dataclass(frozen=True, slots=True)
 class Processes:
-    """An executor of so many processes, started anew for each list of items."""
+    """An executor of `count` processes, which are started for each list of items."""
 
     count: int
 
@@ -49,11 +48,11 @@ class Processes:
         outcomes: dict[int, Outcome] = {}
         deaths: Counter[int] = Counter()
         started: list[_Process] = []
-        at_work: dict[Any, _Process] = {}
+        busy: dict[Any, _Process] = {}
 
         def begin(process: _Process) -> None:
             process.begin(waiting.pop())
-            at_work[process.line] = process
+            busy[process.pipe] = process
 
         def start() -> None:
             started.append(_Process(function, items))
@@ -62,17 +61,17 @@ class Processes:
         try:
             for _ in range(min(self.count, len(items))):
                 start()
-            while at_work:
-                for line in wait(list(at_work)):
-                    process = at_work.pop(line)
+            while busy:
+                for pipe in wait(list(busy)):
+                    process = busy.pop(pipe)
                     n = process.unit
                     try:
-                        outcome, error = process.line.recv()
+                        outcome, error = process.pipe.recv()
                     except DIED as error:
                         deaths[n] += 1
-                        if deaths[n] == MOST_DEATHS:
-                            told = f"unit {n + 1} of {len(items)}: its process died {MOST_DEATHS} times"
-                            raise WorkerError(told) from error
+                        if deaths[n] == MAX_DEATHS:
+                            message = f"unit {n + 1} of {len(items)}: its process died {MAX_DEATHS} times"
+                            raise WorkerError(message) from error
                         waiting.append(n)
                         start()
                         continue
@@ -89,11 +88,11 @@ class Processes:
 
 
 class _Process:
-    """A process that does one unit after another, and the line to it."""
+    """A process that computes one unit after another, and the pipe to it."""
 
     def __init__(self, function: Callable[[Any], Any], items: Sequence[Any]) -> None:
-        self.line, other_end = multiprocessing.Pipe()
-        ends = other_end, self.line
+        self.pipe, other_end = multiprocessing.Pipe()
+        ends = other_end, self.pipe
         self.process = START.Process(target=_serve, args=(*ends, function, items), daemon=True)
         self.process.start()
         other_end.close()
@@ -101,29 +100,29 @@ class _Process:
 
     def begin(self, unit: int) -> None:
         self.unit = unit
-        with suppress(ConnectionError):  # a process that died idle is noticed where its answer is awaited
-            self.line.send(unit)
+        with suppress(ConnectionError):  # a dead process is noticed when its answer is awaited
+            self.pipe.send(unit)
 
     def stop(self) -> None:
         self.process.kill()
         self.process.join()
-        self.line.close()
+        self.pipe.close()
 
 
 def _serve(
-    line: Connection, far_end: Connection, function: Callable[[Any], Any], items: Sequence[Any]
+    pipe: Connection, far_end: Connection, function: Callable[[Any], Any], items: Sequence[Any]
 ) -> None:
     """Compute the units received over the connection, until the other end closes."""
-    far_end.close()  # or this very process would keep the line open
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the first process hears it too and stops the others
-    sys.stdout, sys.stderr = sys.__stdout__, sys.__stderr__  # a progress bar's may be locked for ever
+    far_end.close()  # or this process itself would keep the pipe open
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the first process receives it too and stops the others
+    sys.stdout, sys.stderr = sys.__stdout__, sys.__stderr__  # those of a progress bar may stay locked
     with suppress(*DIED):
         while True:
-            unit = line.recv()
+            unit = pipe.recv()
             answer: tuple[Any, Exception | None]
             try:
                 answer = function(items[unit]), None
             except Exception as error:
                 error.add_note(traceback.format_exc())
                 answer = None, error
-            line.send(answer)
+            pipe.send(answer)

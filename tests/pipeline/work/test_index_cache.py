@@ -86,7 +86,7 @@ def test_a_damaged_file_is_made_anew_with_a_warning(places, builds, cache, damag
         np.savez(file, **{"0.vertices": np.array([{}], dtype=object)})
     else:
         np.savez(file, **(built.arrays | {"0.vertices": built.arrays["0.vertices"] + 10**6}))
-    with pytest.warns(UserWarning, match="made anew"):
+    with pytest.warns(UserWarning, match="built again"):
         again = cached_index(places, 2020.0, FOV)
     assert same(again, built) and len(builds) == 2
     with warnings.catch_warnings():
