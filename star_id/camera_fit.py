@@ -76,21 +76,8 @@ def fit_camera(
 ) -> CameraFit:
     """Camera with the parameters `free` (of PARAMETERS and DRIFT) fitted by Gauss-Newton steps.
 
-    Parameters
-    ----------
-    stars : IdentifiedStars
-        Stars of K images.
-    camera, rotations : StarCamera, Rotation
-        Starting camera and attitudes R_si (K,).
-    free : tuple of str
-        Parameters to fit.
-    prior : mapping of str to float
-        Gaussian prior: 1-sigma deviations from the parameters of `camera`, in their own units.
-
-    Returns
-    -------
-    CameraFit
-        The covariance is scaled by the reduced chi2 if that exceeds 1.
+    `camera` and `rotations` (K,) are the start. `prior` holds 1-sigma deviations from the parameters of
+    `camera`, in their own units. The covariance is scaled by the reduced chi2 if that exceeds 1.
     """
     columns = [(*PARAMETERS, DRIFT).index(name) for name in free]
     units = _units(camera)[columns]

@@ -16,36 +16,23 @@ class StarSettings:
     """Settings of detection, centroids and identification."""
 
     # Detection
-    false_alarms_per_frame: float = scalar(
-        "expected peaks of pure noise per image; sets the detection threshold", default=0.5
-    )
+    false_alarms_per_frame: float = scalar("expected noise peaks per image; sets the threshold", default=0.5)
     saturation_dn: float | None = scalar("None: the top of the image's own range of values", default=None)
     gain_e_per_dn: float | None = scalar("None: from the residuals of the stars themselves", default=None)
     psf_sigma_px: float | None = scalar("None: estimated from the image", default=None)
-    smear_px: tuple[float, float] | None = scalar(
-        "motion during the exposure (column, row), px; None: estimated from the image", default=None
-    )
-    centroid_method: CentroidMethod = scalar(
-        '"fit" of the PSF, or "window": first moments, slightly less precise, needs only a symmetric PSF',
-        default="fit",
-    )
+    smear_px: tuple[float, float] | None = scalar("motion (column, row), px; None: estimated", default=None)
+    centroid_method: CentroidMethod = scalar('"fit" of the PSF, or "window": first moments', default="fit")
     max_stars: int = scalar("brightest detections kept; more stars only cost time", default=600)
 
     # Identification
     max_false_alarm_probability: float = scalar("an identification less certain is rejected", default=1e-9)
-    camera_error: float = scalar(
-        "relative error of angles by a calibrated camera: half a pixel in 1000", default=5e-4
-    )
-    uncalibrated_error: float = scalar(
-        "relative error of angles if only the field of view is known", default=0.02
-    )
+    camera_error: float = scalar("relative error of angles, calibrated camera", default=5e-4)
+    uncalibrated_error: float = scalar("relative error of angles, other cameras", default=0.02)
     fov_tolerance: float = scalar("relative error of a stated field of view", default=0.1)
     max_identification_stars: int = scalar("brightest detections of which triangles are made", default=24)
 
     # Sightings for calibration
-    max_photocentre_shift_px: float = scalar(
-        "stars displaced further by a catalogue companion are not used, px", default=0.02
-    )
+    max_photocentre_shift_px: float = scalar("limit for displaced stars, px", default=0.02)
 
     def __post_init__(self) -> None:
         if self.centroid_method not in get_args(CentroidMethod):

@@ -30,20 +30,10 @@ class TanSip:
     def cards(self) -> dict[str, float | int | str]:
         """Header keywords and values, in order."""
         order = len(self.a) - 1
-        cards: dict[str, float | int | str] = {
-            "CTYPE1": "RA---TAN-SIP",
-            "CTYPE2": "DEC--TAN-SIP",
-            "CRVAL1": self.crval_deg[0],
-            "CRVAL2": self.crval_deg[1],
-            "CRPIX1": self.crpix[0],
-            "CRPIX2": self.crpix[1],
-            "CD1_1": float(self.cd[0, 0]),
-            "CD1_2": float(self.cd[0, 1]),
-            "CD2_1": float(self.cd[1, 0]),
-            "CD2_2": float(self.cd[1, 1]),
-            "A_ORDER": order,
-            "B_ORDER": order,
-        }
+        cards: dict[str, float | int | str] = {"CTYPE1": "RA---TAN-SIP", "CTYPE2": "DEC--TAN-SIP"}
+        cards |= zip(("CRVAL1", "CRVAL2", "CRPIX1", "CRPIX2"), (*self.crval_deg, *self.crpix))
+        cards |= zip(("CD1_1", "CD1_2", "CD2_1", "CD2_2"), map(float, self.cd.ravel()))
+        cards |= {"A_ORDER": order, "B_ORDER": order}
         for name, table in (("A", self.a), ("B", self.b)):
             for p, q in zip(*np.nonzero(table)):
                 cards[f"{name}_{p}_{q}"] = float(table[p, q])

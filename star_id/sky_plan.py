@@ -119,10 +119,6 @@ def plan_pointings(
     frames : int
         Number of pointings.
 
-    Returns
-    -------
-    SkyPlan
-
     Raises
     ------
     ValueError

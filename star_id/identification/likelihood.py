@@ -31,19 +31,10 @@ def log_likelihood_ratio(
 ) -> float:
     """Natural logarithm of the likelihood ratio of an image with a hypothesis to one without.
 
-    Parameters
-    ----------
-    distance, sigma : (K,), (K,) arrays
-        Distance of each paired detection from its predicted star, and the expected error along one axis, in
-        the same unit.
-    n_clutter : int
-        Detections without a predicted star near them.
-    n_predicted : int
-        Number of predicted stars in the image.
-    area : float
-        Area of the image, in squared units of `distance`.
-    n_excluded : int
-        Detections used to form the hypothesis: so many of the best-fitting pairs do not count.
+    `distance` (K,) is that of paired detections from their predicted stars, `sigma` (K,) its expected size
+    along one axis, `area` the image's, in the same units. Of all detections `n_clutter` are not paired;
+    `n_predicted` stars are predicted in the image. The `n_excluded` best pairs, which formed the hypothesis,
+    do not count.
     """
     if n_predicted == 0:
         return -np.inf

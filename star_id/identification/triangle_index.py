@@ -4,8 +4,8 @@ For a field of view the index takes the stars that are among the brightest of th
 triangles of them that fit into a good part of the field, and sorts the triangles into cells of (middle side /
 longest side, shortest side / longest side). The sign of the stored longest side is the handedness, seen from
 inside the sphere. The vertices stand in the order: longest-and-middle side, longest-and-shortest side,
-middle-and-shortest side. A table also holds the nearest index stars of each of its stars, by which
-false proposals are rejected.
+middle-and-shortest side. A table also holds the nearest index stars of each of its stars, by which true
+proposals are distinguished from false ones.
 """
 
 from __future__ import annotations

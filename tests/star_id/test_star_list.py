@@ -203,7 +203,7 @@ def bright_and_full_stars(rng):
     return render(xy, flux, 1800, 1800, Sensor(), rng), xy[::4], flux[::4]
 
 
-def test_saturated_stars_are_placed_by_their_skirts_nearly_to_the_bound():
+def test_wings_of_saturated_stars_give_centroids_near_the_bound():
     image, xy, flux = bright_and_full_stars(np.random.default_rng(12))
     stars = find_stars(image, StarSettings())
     row = cKDTree(stars.xy_px).query(xy)[1]
