@@ -356,7 +356,7 @@ def _panels(
 def _legend(figure: Figure, ax: Axes) -> None:
     """One legend below all panels, each label once."""
     entries = dict(zip(*reversed(ax.get_legend_handles_labels())))
-    columns = min(len(entries), 3)
+    columns = 2 if max(map(len, entries)) > 30 else min(len(entries), 3)
     figure.legend(
         list(entries.values()), list(entries), loc="outside lower center", ncols=columns, fontsize=8
     )
