@@ -43,6 +43,10 @@ TEXTS = {  # file: weight
     "targets.csv": 3,
 }
 NUMBER = re.compile(r"(?<![\w.])[+-]?\d+(?:\.\d+)?(?:[eE][+-]?\d+)?(?![A-Za-z_])")
+# Errors that no data of one dump reveal, with the reason: they are rotations of what is estimated.
+NOT_REVEALED = {
+    ("star_camera.toml", "principal_point_px"): "a small shift is a rotation of the star camera",
+}
 LIMIT_BYTES, LIMIT_S, LIMIT_NEES = 4 * 2**30, 60, 30.0
 
 
@@ -205,17 +209,21 @@ def summarise(lines: list[dict[str, Any]]) -> None:
     for kind in ("traceback", "hang", "died"):
         for line in (line for line in lines if line["outcome"] == kind):
             print(f"{kind}: {_shown(line)}: {line['says']}")
-    hidden = [line for line in lines if line["outcome"] == "consistent" and line["nees"] > LIMIT_NEES]
-    refuted = [line["nees"] for line in lines if line["outcome"] == "refuted"]
-    print(
-        f"NEES above {LIMIT_NEES:g}: {sum(n > LIMIT_NEES for n in refuted)} refuted, {len(hidden)} consistent"
-    )
-    for line in sorted(hidden, key=lambda line: -line["nees"]):
-        print(f"  not revealed: {_shown(line)}: NEES {line['nees']:.0f}")
+    high = [line for line in lines if line.get("nees", 0.0) > LIMIT_NEES]
+    consistent = [line for line in high if line["outcome"] == "consistent"]
+    print(f"NEES above {LIMIT_NEES:g}: {len(high) - len(consistent)} refuted, {len(consistent)} consistent")
+    unexplained = 0
+    for line in sorted(consistent, key=lambda line: -line["nees"]):
+        reason = NOT_REVEALED.get((line["file"], line["field"]), "")
+        unexplained += not reason
+        print(f"  {_shown(line)}: NEES {line['nees']:.0f}; {reason or 'UNEXPLAINED'}")
     print()
     verdict("no traceback", count["traceback"] == 0)
     verdict("no hang, no process that died", count["hang"] + count["died"] == 0)
-    verdict(f"no result of NEES above {LIMIT_NEES:g} with the verdict consistent", not hidden)
+    verdict(
+        f"no result of NEES above {LIMIT_NEES:g} with the verdict consistent, but those listed",
+        not unexplained,
+    )
 
 
 def _shown(line: dict[str, Any]) -> str:
