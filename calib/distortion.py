@@ -19,7 +19,7 @@ Knot = tuple[int, int]  # CCD, number of the knot along it
 
 
 def knots_touched(ccd: Index, sample: Array, length_px: float) -> tuple[Knot, ...]:
-    """The knots that targets at (ccd, sample) lie between, in order."""
+    """The knots between which targets at CCDs and samples (J,) lie, in order."""
     left = np.floor(sample / (0.5 * length_px)).astype(np.int64)
     both = {(int(c), int(k)) for c, k in zip(ccd, left)} | {(int(c), int(k) + 1) for c, k in zip(ccd, left)}
     return tuple(sorted(both))

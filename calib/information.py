@@ -63,9 +63,7 @@ class InformationPairs:
             )
 
     def merged(self, other: InformationPairs) -> InformationPairs:
-        """Both sets together, about this one's reference. A name in both is an error: nothing counts
-        twice.
-        """
+        """Both sets together, about this one's reference. `ValueError` for a name in both."""
         if twice := sorted(set(self.names.tolist()) & set(other.names.tolist())):
             raise ValueError(f"{len(twice)} names are in both sets of pairs, first {twice[0]!r}")
         shared = tuple(sorted(set(self.shared) | set(other.shared)))
@@ -79,7 +77,7 @@ class InformationPairs:
         )
 
     def about(self, R_cs_ref: Rotation) -> InformationPairs:
-        """The same information about another reference, to first order in its distance from this one."""
+        """The information about another reference, to first order in its distance from this one."""
         if _same_reference(self.R_cs_ref, R_cs_ref):
             return self
         shift = np.zeros(self.F.shape[-1])
@@ -87,7 +85,7 @@ class InformationPairs:
         return InformationPairs(self.names, self.F, self.F_theta + self.F @ shift, R_cs_ref, self.shared)
 
     def widened(self, shared: tuple[str, ...]) -> InformationPairs:
-        """The same pairs with zeros for the shared unknowns that they know nothing of."""
+        """The pairs extended to the unknowns `shared`: zeros for those that they do not contain."""
         if shared == self.shared:
             return self
         place = np.array([0, 1, 2, *(3 + shared.index(name) for name in self.shared)], dtype=np.int64)
@@ -104,8 +102,8 @@ class InformationPairs:
         return InformationTotal(sums, self.R_cs_ref, self.shared)
 
     def as_one(self, name: str, eliminated: tuple[str, ...], prior: Array) -> InformationPairs:
-        """All pairs as a single one, added exactly. The shared unknowns `eliminated`, with the information
-        `prior` on them before any pair, are taken out; theta and the others stay.
+        """All pairs as a single one, added exactly. The shared unknowns `eliminated`, with the prior
+        information `prior` (m, m), are marginalised; theta and the others stay.
         """
         total = self.total()
         out = 3 + np.array([self.shared.index(unknown) for unknown in eliminated], dtype=np.int64)
@@ -162,6 +160,7 @@ class InformationTotal:
 
     @property
     def n(self) -> int:
+        """Number of unknowns."""
         return 3 + len(self.shared)
 
     @property

@@ -45,6 +45,7 @@ class SharedUnknowns:
 
     @property
     def names(self) -> tuple[str, ...]:
+        """Names of the unknowns, in the order of the matrices."""
         return unknown_names(self.knots) + coordinate_names(self.targets)
 
     def prior_information(self) -> Array:

@@ -235,7 +235,7 @@ def _interpolated(
     weights: Floats,
     inside: Bools,
 ) -> Floats:
-    """Attitudes (J, 3, 3) at the targets' instants; the unit matrix where the exposures do not cover them."""
+    """Attitudes (J, 3, 3) at the targets' instants; the identity where the exposures do not cover them."""
     R_si_targets = np.tile(np.eye(3), (len(weights), 1, 1))
     if not inside.any():
         return R_si_targets

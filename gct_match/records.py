@@ -72,8 +72,8 @@ class StripImage(Protocol):
         """(lines, samples) of one CCD's image."""
 
     def read(self, ccd: int, line0: int, line1: int, sample0: int, sample1: int) -> NDArray:
-        """Pixels of rows line0..line1 and columns sample0..sample1 (ends excluded, all inside the image), any
-        real type; NaN marks what must not be used: no data, cloud, saturation.
+        """Pixels (rows, columns) line0..line1, sample0..sample1 (ends excluded, inside the image), any real
+        type; NaN marks what must not be used: no data, cloud, saturation.
         """
 
 

@@ -34,7 +34,7 @@ def smooth_gradients(image: Image) -> tuple[Image, Image]:
 
 
 def sigma_from_gradients(xx: Image, xy: Image, yy: Image, noise: float, pixels: float) -> Image:
-    """Standard error, px, in the worse direction, from sums over `pixels` of gradient products."""
+    """Standard error, px, in the worse direction, elementwise; sums of gradient products over `pixels`."""
     own = np.float32(_NOISE_SHARE * pixels * noise**2)
     least = 0.5 * (xx + yy) - np.sqrt(0.25 * (xx - yy) ** 2 + xy**2) - 1.5 * own
     sigma: Image = np.sqrt(np.float32(2.0 * noise**2) / np.maximum(least, 1e-9))
@@ -42,7 +42,7 @@ def sigma_from_gradients(xx: Image, xy: Image, yy: Image, noise: float, pixels: 
 
 
 def noise_of(image: Image) -> float:
-    """Standard deviation of a picture's noise from its tenth of least variance (Immerkær's difference of
+    """Noise (1 sigma) of a picture (h, w), from its tenth of least variance (Immerkær's difference of
     Laplacians), at least 0.3, the noise of rounding to integers.
     """
     mask = np.array([[1.0, -2.0, 1.0], [-2.0, 4.0, -2.0], [1.0, -2.0, 1.0]], dtype=np.float32)

@@ -35,10 +35,12 @@ class Ellipsoid:
 
     @property
     def semi_minor_m(self) -> float:
+        """Semi-minor axis, m."""
         return self.semi_major_m * (1.0 - self.flattening)
 
     @property
     def eccentricity_squared(self) -> float:
+        """Square of the first eccentricity."""
         return self.flattening * (2.0 - self.flattening)
 
 

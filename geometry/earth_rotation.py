@@ -59,9 +59,9 @@ class EarthRotation:
     ) -> EarthRotation:
         """Earth rotation for `t_start_s` <= t_s <= `t_stop_s` (TAI seconds since `epoch`).
 
-        Raises `EarthOrientationError` for a date outside the table. With `allow_stale_eop` a date past its
-        end uses the last values (UT1 extrapolated at its mean rate of a year), with an
-        `EarthOrientationWarning` that states the size of the effect.
+        Raises `EarthOrientationError` for a date outside the table, `ValueError` for an inverted interval.
+        With `allow_stale_eop`, later dates use the last values (UT1 extrapolated at its mean rate of a year),
+        with an `EarthOrientationWarning` that states the size of the effect.
         """
         start, stop = (float(epoch.mjd_tai(t)) for t in (t_start_s, t_stop_s))
         if not start <= stop:

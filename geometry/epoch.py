@@ -78,41 +78,41 @@ class Epoch:
         ]
 
     def seconds_from_gps(self, week: ArrayLike, seconds_of_week: ArrayLike) -> Array:
-        """TAI seconds since this epoch of GPS weeks (full count) and seconds of week."""
+        """TAI seconds since this epoch of GPS weeks (full count) and seconds of week, elementwise."""
         whole = np.asarray(week, dtype=np.int64) * (7 * _DAY) + (_GPS_ORIGIN_TAI_S - self.tai_s)
         return whole + np.asarray(seconds_of_week, dtype=float)
 
     def gps_from_seconds(self, t_s: ArrayLike) -> tuple[NDArray[np.int64], Array]:
-        """GPS week (full count) and seconds of week of TAI seconds since this epoch."""
+        """GPS week (full count) and seconds of week of TAI seconds since this epoch, elementwise."""
         seconds = np.asarray(t_s, dtype=float)
         offset = self.tai_s - _GPS_ORIGIN_TAI_S
         week = np.floor_divide(seconds + offset, 7 * _DAY).astype(np.int64)
         return week, seconds + (offset - week * (7 * _DAY))
 
     def tai_jd(self, t_s: ArrayLike) -> tuple[Array, Array]:
-        """Two-part Julian date (TAI): the date of the epoch's noon, and days since then; exact to 1e-11 s."""
+        """Two-part Julian date (TAI), elementwise: the epoch's noon and days since then, exact to 1e-11 s."""
         day, second = divmod(self.tai_s, _DAY)
         t = np.asarray(t_s, dtype=float)
         return np.full(t.shape, J2000_JD + day), (t + second) / DAY_S
 
     def tt_jd(self, t_s: ArrayLike) -> tuple[Array, Array]:
-        """Two-part Julian date (Terrestrial Time) of TAI seconds since this epoch, split as in `tai_jd`."""
+        """Two-part Julian date (TT) of TAI seconds since this epoch, elementwise, split as in `tai_jd`."""
         day, days_since = self.tai_jd(t_s)
         return day, days_since + TT_MINUS_TAI_S / DAY_S
 
     def julian_year(self, t_s: ArrayLike) -> Array:
-        """Julian epoch (TT, years, e.g. 1991.25) of TAI seconds since this epoch."""
+        """Julian epoch (TT, years, e.g. 1991.25) of TAI seconds since this epoch, elementwise."""
         day, days_since = self.tt_jd(t_s)
         return np.asarray(2000.0 + ((day - J2000_JD) + days_since) / 365.25)
 
     def mjd_tai(self, t_s: ArrayLike) -> Array:
-        """Modified Julian date (TAI) as one float, exact to a microsecond: for slowly varying tables."""
+        """Modified Julian date (TAI) as floats, elementwise, exact to 1 µs: for slowly varying tables."""
         day, days_since = self.tai_jd(t_s)
         return np.asarray((day - MJD_ZERO_JD) + days_since)
 
 
 def tai_minus_utc_s(mjd_utc: ArrayLike) -> Array:
-    """TAI - UTC, whole seconds, on UTC days given as modified Julian dates. `ValueError` before 1972."""
+    """TAI - UTC, whole seconds, elementwise, on UTC days given as MJD. `ValueError` before 1972."""
     days, offsets = _leap_seconds()
     index = np.searchsorted(days, np.floor(np.asarray(mjd_utc, dtype=float)), side="right") - 1
     if np.any(index < 0):

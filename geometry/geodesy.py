@@ -121,7 +121,7 @@ def columns_at_height(
 
 
 def shell_depth_m(sin2_lat: Array, height_m: Array, ellipsoid: Ellipsoid) -> Array:
-    """Depth of the ellipsoid of semi-axes a + h and b + h below geodetic height h, m (>= 0 for h >= 0)."""
+    """Depth (elementwise) of the ellipsoid of semi-axes a + h, b + h below height h, m; >= 0 for h >= 0."""
     a, b = ellipsoid.semi_major_m, ellipsoid.semi_minor_m
     tangent = np.sqrt(a * a - (a * a - b * b) * sin2_lat)
     return np.asarray(height_m * (tangent - a + (a - b) * sin2_lat) / (tangent + height_m))

@@ -39,9 +39,11 @@ Array = NDArray[np.float64]
 class OrbitLike(Protocol):
     """An orbit: geocentric inertial positions (N, 3), m, and velocities (N, 3), m/s, at TAI seconds (N,)."""
 
-    def positions_i(self, t_s: Array) -> Array: ...
+    def positions_i(self, t_s: Array) -> Array:
+        """Positions (N, 3), m."""
 
-    def velocities_i(self, t_s: Array) -> Array: ...
+    def velocities_i(self, t_s: Array) -> Array:
+        """Velocities (N, 3), m/s."""
 
 
 @record

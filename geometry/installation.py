@@ -22,12 +22,12 @@ def deviation_from_theta(theta: Array) -> Rotation:
 
 
 def theta_from_deviation(M: Rotation) -> Array:
-    """The theta of `M = exp[[theta]]`, |theta| <= pi: inverse of `deviation_from_theta`."""
+    """The theta (3,), rad, of `M = exp[[theta]]`, |theta| <= pi: inverse of `deviation_from_theta`."""
     return -M.as_rotvec()
 
 
 def theta_between(R_cs: Rotation, R_cs0: Rotation) -> Array:
-    """The theta that takes the reference `R_cs0` to `R_cs` (paper, eq. 11): R_cs = exp[[theta]] R_cs0."""
+    """The theta (3,), rad, from reference `R_cs0` to `R_cs` (paper, eq. 11): R_cs = exp[[theta]] R_cs0."""
     return theta_from_deviation(R_cs * R_cs0.inv())
 
 

@@ -30,9 +30,11 @@ class LineSensor(Protocol):
     """Interface of a pushbroom model to its camera. `ccd` is an index from 0."""
 
     @property
-    def n_ccds(self) -> int: ...
+    def n_ccds(self) -> int:
+        """Number of CCDs."""
 
-    def n_px(self, ccd: int) -> int: ...
+    def n_px(self, ccd: int) -> int:
+        """Number of pixels of a CCD."""
 
     def directions_from_pixels(self, ccd: int, sample: ArrayLike) -> Array:
         """Unit vectors (N, 3) in frame c towards samples (N,), fractional ones included."""
@@ -176,9 +178,11 @@ class LineCamera:
 
     @property
     def n_ccds(self) -> int:
+        """Number of CCDs."""
         return len(self.ccds)
 
     def n_px(self, ccd: int) -> int:
+        """Number of pixels of a CCD."""
         return self.ccds[ccd].n_px
 
     def directions_from_pixels(self, ccd: int, sample: ArrayLike) -> Array:
@@ -260,9 +264,11 @@ class LookAngleCamera:
 
     @property
     def n_ccds(self) -> int:
+        """Number of CCDs."""
         return 1
 
     def n_px(self, ccd: int) -> int:
+        """Number of pixels of a CCD."""
         return self.width_px
 
     def directions_from_pixels(self, ccd: int, sample: ArrayLike) -> Array:

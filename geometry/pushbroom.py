@@ -84,11 +84,11 @@ class RowClock:
             raise ValueError(f"RowClock.row_period_s must be positive, got {self.row_period_s}")
 
     def instant(self, line: ArrayLike) -> Array:
-        """Time labels of (fractional) lines, TAI seconds since the epoch."""
+        """Time labels of (fractional) lines, elementwise, TAI seconds since the epoch."""
         return self.t_first_row_s + np.asarray(line, dtype=float) * self.row_period_s
 
     def line(self, t_s: ArrayLike) -> Array:
-        """Fractional lines of time labels: inverse of `instant`."""
+        """Fractional lines of time labels, elementwise: inverse of `instant`."""
         return (np.asarray(t_s, dtype=float) - self.t_first_row_s) / self.row_period_s
 
 

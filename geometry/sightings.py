@@ -58,7 +58,7 @@ class ExposureAttitudes:
         return slice(int(self.start[k]), int(self.start[k + 1]))
 
     def take(self, exposures: Ints) -> ExposureAttitudes:
-        """The attitudes of some exposures (indices, in the order given)."""
+        """The attitudes of the exposures with indices (M,), in that order."""
         counts = np.diff(self.start)[exposures]
         rows = np.concatenate([np.arange(0), *(np.arange(*self.start[k : k + 2]) for k in exposures)])
         return replace(

@@ -38,7 +38,7 @@ class StarPlaces:
     epoch_jyear: float = scalar("Julian epoch of the positions, 1991.25 for Hipparcos")
 
     def take(self, index: NDArray[np.int64] | NDArray[np.bool_]) -> StarPlaces:
-        """The stars selected by an index array or a mask."""
+        """The stars selected by indices (M,) or a mask (N,)."""
         arrays = {f.name: getattr(self, f.name)[index] for f in fields(self) if f.name != "epoch_jyear"}
         return StarPlaces(**arrays, epoch_jyear=self.epoch_jyear)
 

@@ -59,9 +59,11 @@ class ConstantHeight:
     height: float = scalar("above the ellipsoid, m")
 
     def height_m(self, lat_rad: Array, lon_rad: Array) -> Array:
+        """Height above the ellipsoid, m, in the broadcast shape of the arguments."""
         return np.full(np.broadcast_shapes(np.shape(lat_rad), np.shape(lon_rad)), self.height)
 
     def height_range_m(self) -> tuple[float, float]:
+        """Lowest and highest height of the surface, m."""
         return self.height, self.height
 
 
@@ -123,10 +125,11 @@ class TerrainGrid:
         return TerrainGrid(heights, (a, b, c, d, e, f), crs, bounds_of_heights(heights), local_map)
 
     def height_m(self, lat_rad: ArrayLike, lon_rad: ArrayLike) -> Array:
-        """Height above the ellipsoid, m, bilinear; NaN next to a pixel without data or outside the grid."""
+        """Height above the ellipsoid, m, bilinear, elementwise; NaN at missing data or outside."""
         return bilinear(self.heights_m, *self.pixels_from_geodetic(lat_rad, lon_rad))
 
     def height_range_m(self) -> tuple[float, float]:
+        """Lowest and highest height of the surface, m."""
         return self.bounds.lowest_m, self.bounds.highest_m
 
     def pixels_from_geodetic(self, lat_rad: ArrayLike, lon_rad: ArrayLike) -> tuple[Array, Array]:

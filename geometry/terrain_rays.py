@@ -46,7 +46,7 @@ class Clearance(Protocol):
         ...
 
     def of(self, rays: NDArray[np.int64]) -> Clearance:
-        """The same function for some of the rays (indices)."""
+        """The function restricted to the rays with indices (M,)."""
         ...
 
 

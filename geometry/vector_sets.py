@@ -29,7 +29,7 @@ class VectorSets:
         return len(self.star_start) - 1
 
     def frame(self, k: int) -> tuple[Floats, Floats, Floats, Floats, Floats, Floats]:
-        """u_s, v_stars, sigma_s, w_c, v_targets and sigma_c of frame k."""
+        """u_s (N, 3), v_stars, sigma_s (N,), w_c (J, 3), v_targets and sigma_c (J,) of frame k."""
         s = slice(self.star_start[k], self.star_start[k + 1])
         c = slice(self.target_start[k], self.target_start[k + 1])
         return self.u_s[s], self.v_stars[s], self.sigma_s[s], self.w_c[c], self.v_targets[c], self.sigma_c[c]

@@ -73,7 +73,7 @@ def read_settings(path: Path | None) -> Settings:
 
 
 def settings_from_tables(tables: dict[str, Any], file: str) -> Settings:
-    """The same from tables already parsed; `file` is named in complaints."""
+    """Settings from parsed tables of `file`; `RawDataError` names an unknown section or key."""
     expected = [f.name for f in dataclasses.fields(Settings)]
     for section, content in tables.items():
         if section not in expected:
@@ -105,7 +105,7 @@ def calibration_settings(settings: Settings, errors: Errors, camera: LineCamera)
 
 
 def filled(kind: type[Record], values: dict[str, Any], file: str, section: str) -> Record:
-    """A settings record of type `kind` with some values replaced."""
+    """A settings record of type `kind` with `values`; `RawDataError` names a wrong key or value."""
     hints = get_type_hints(kind)
     taken: dict[str, Any] = {}
     for key, value in values.items():

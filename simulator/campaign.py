@@ -56,6 +56,7 @@ class CameraPair:
 
     @property
     def half_field_rad(self) -> float:
+        """Half of the field of view across the track, rad."""
         return 0.5 * self.n_ccds * self.ccd_px * self.pixel_rad
 
 
@@ -124,7 +125,7 @@ def draw_strips(
 
 
 def remounted(strips: list[StripSightings], R_before: Rotation, R_after: Rotation) -> list[StripSightings]:
-    """The same strips, seen by a star camera whose mounting is `R_after` instead of `R_before`."""
+    """Strips as seen by a star camera with the mounting `R_after` instead of `R_before`."""
     turn = R_after.inv() * R_before
     T = turn.as_matrix()
 
@@ -179,7 +180,7 @@ def draw_frames(
 
 
 def noisy_frames(frames: VectorSets, rng: np.random.Generator) -> VectorSets:
-    """The same frames, measured anew: noise of their own sigmas on both cameras' vectors."""
+    """Frames with new noise, of their own sigmas, on both cameras' vectors."""
     return replace(
         frames,
         u_s=_noisy(frames.u_s, frames.sigma_s[:, None], rng),

@@ -36,7 +36,8 @@ class Ground(Protocol):
     """A map of reflectance, 0 to 1."""
 
     @property
-    def texel_m(self) -> float: ...
+    def texel_m(self) -> float:
+        """Side of a texel, m."""
 
     def patch(self, column: int, row: int, width: int, height: int) -> Patch:
         """Reflectance of the texels of a window, (height, width)."""
@@ -110,6 +111,7 @@ class ProceduralGround:
         self._cloud_level = self._cloud_threshold()
 
     def patch(self, column: int, row: int, width: int, height: int) -> Patch:
+        """Reflectance of the texels of a window, (height, width)."""
         base, rough = self._painted(column, row, width, height)
         octaves = max(3, int(np.log2(48.0 / self.texel_m)) + 1)  # texture from a texel to 50 m
         detail = fractal(column, row, width, height, self._key + 7, octaves, 0.8)
@@ -190,6 +192,7 @@ class ImageGround:
         self._pixels_from_map = np.linalg.inv(np.array([[a, b, c], [d, e, f], [0.0, 0.0, 1.0]]))
 
     def patch(self, column: int, row: int, width: int, height: int) -> Patch:
+        """Reflectance of the texels of a window, (height, width); `ValueError` outside the image."""
         step = 64  # a map projection is straight over 64 texels to far below a texel
         columns, rows = np.arange(0, width + step, step), np.arange(0, height + step, step)
         east, north = np.meshgrid((column + columns + 0.5) * self.texel_m, -(row + rows + 0.5) * self.texel_m)

@@ -23,12 +23,12 @@ def white(column: int, row: int, width: int, height: int, key: int) -> NDArray[n
 
 
 def white_at(i: NDArray[np.int64], j: NDArray[np.int64], key: int) -> NDArray[np.float32]:
-    """The same numbers at any lattice points."""
+    """Numbers of `white` at lattice points i, j, elementwise."""
     return _unit(_hashed(i, j, key))
 
 
 def smooth_noise(x: NDArray[np.float64], y: NDArray[np.float64], key: int) -> NDArray[np.float64]:
-    """Value noise of unit wavelength at any points: bicubic-like fade between lattice numbers, in (-1, 1)."""
+    """Value noise of unit wavelength at points x, y, elementwise: smooth fade between lattice numbers."""
     ix, iy = np.floor(x).astype(np.int64), np.floor(y).astype(np.int64)
     fx, fy = _fade(x - ix), _fade(y - iy)
     corners = [_unit(_hashed(ix + dx, iy + dy, key)).astype(float) for dy in (0, 1) for dx in (0, 1)]

@@ -81,16 +81,16 @@ def simulate(
     seed: int,
     ground_image: GroundImage | None = None,
 ) -> Mission:
-    """A mission flown as the scenario says.
+    """A mission simulated from a scenario. `ValueError` if it is inconsistent.
 
     Parameters
     ----------
     stars : StarPlaces
-        Every star that shall shine, those unfit for calibration included.
+        All stars to be rendered, those unfit for calibration included.
     table, geoid : EarthOrientationTable, Geoid
-        The Earth's rotation and the zero of heights.
+        Earth orientation, and the geoid to which heights refer.
     seed : int
-        Of everything that is left to chance. The same seed gives the same bytes.
+        Seed of all random numbers. Equal seeds give equal bytes.
     ground_image : GroundImage, optional
         The ortho-image that `scenario.ground.image` names; the caller reads it.
     """

@@ -89,7 +89,7 @@ class TrueAttitude:
     span_s: tuple[float, float]  # from when to when it is to be used
 
     def during(self, t_start_s: float, t_stop_s: float) -> TrueAttitude:
-        """The same attitude, to be used over a shorter stretch."""
+        """The attitude for a shorter time span."""
         return replace(self, span_s=(t_start_s, t_stop_s))
 
     def R_ci(self, t_s: ArrayLike) -> Rotation:

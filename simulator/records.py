@@ -80,6 +80,7 @@ class Exposure:
     _render: Callable[[], Image]
 
     def image(self) -> Image:
+        """The rendered image (height, width)."""
         return self._render()
 
 

@@ -46,7 +46,7 @@ class Scene:
     sample_step: int  # between nodes along the detector, from `needed_sample_step`
 
     def texels(self, ccd: int, samples: Array, lines: Array) -> tuple[Array, Array]:
-        """Where the pixels of a grid of lines and samples look: texel column and row, (lines, samples)."""
+        """Texel columns, rows (lines, samples) of a grid's pixels; `ValueError` if rays miss terrain."""
         line, sample = (axis.ravel() for axis in np.meshgrid(lines, samples, indexing="ij"))
         p_e = self.model.ground_points(ccd, sample, line, self.surface)
         if not np.all(np.isfinite(p_e)):
@@ -109,7 +109,7 @@ def scan(
     rows: int,
     wanted: NDArray[np.bool_],
 ) -> Iterator[NDArray[Any]]:
-    """One CCD's image in blocks of `rows` rows, uint8 up to 8 bits and uint16 above.
+    """One CCD's image in blocks (rows, samples), uint8 up to 8 bits and uint16 above.
 
     `gain` (samples,) is each pixel's own sensitivity; of `panels` those that are not `wanted` are zeros. The
     image does not depend on `rows`.

@@ -284,7 +284,7 @@ def paper_scenario() -> Scenario:
 
 
 def mini_scenario() -> Scenario:
-    """The same two fields of view with a fifth and a twelfth of the pixels across: a dump of some 20 MB."""
+    """Two fields of view as in the paper, with 1/5 and 1/12 of the pixels across: a dump of some 20 MB."""
     return Scenario(
         name="mini",
         star_camera=StarCameraSettings(

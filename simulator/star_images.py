@@ -47,6 +47,7 @@ class StarField:
         attitude: TrueAttitude,
         hot: Array,
     ) -> StarField:
+        """The stars seen along an orbit; `hot` (M, 3) from `simulator.sky.hot_pixels`."""
         ra, dec = stars.ra_rad, stars.dec_rad
         unit = np.column_stack([np.cos(dec) * np.cos(ra), np.cos(dec) * np.sin(ra), np.sin(dec)])
         return StarField(camera, sky, stars, orbit.epoch, orbit, attitude, hot, unit)
@@ -69,7 +70,7 @@ class StarField:
         return stars.take(near), paths[near]
 
     def image(self, t_s: float, exposure_s: float, rng: np.random.Generator) -> NDArray[Any]:
-        """The raw image of an exposure whose middle is `t_s`."""
+        """The raw image (height, width) of an exposure whose middle is `t_s`."""
         stars, paths = self.paths(t_s, exposure_s)
         charge = star_charge(stars.v_mag, stars.b_v, exposure_s, self.sky)
         size = (self.camera.width_px, self.camera.height_px)

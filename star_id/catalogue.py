@@ -47,7 +47,7 @@ class CatalogueStars:
         return np.asarray(self.photocentre_shift_arcsec <= limit_arcsec)
 
     def take(self, index: NDArray) -> CatalogueStars:
-        """The stars `index`."""
+        """The stars at indices (M,) or of a mask (N,)."""
         return CatalogueStars(
             self.places.take(index),
             self.solved[index],

@@ -131,7 +131,7 @@ class MountingSeries:
         return np.ascontiguousarray(np.einsum("kikj->kij", blocks))
 
     def about(self, R_cs_ref: Rotation) -> MountingSeries:
-        """The same matrices about another reference near by (the information stays, to first order)."""
+        """The matrices about another, close reference (the information stays, to first order)."""
         theta = theta_between(self.R_cs, R_cs_ref)
         return MountingSeries(self.names, self.t_s, theta, self.information, self.cos_sin, R_cs_ref)
 

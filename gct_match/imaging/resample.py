@@ -56,7 +56,7 @@ def warped(picture: Image, warp: Floats, shape: tuple[int, ...]) -> Image:
 
 
 def shifted(image: Image, dx: float, dy: float) -> Image:
-    """The picture at (x + dx, y + dy), |dx| and |dy| up to half a pixel; mirrored beyond its edges."""
+    """The picture (h, w) at (x + dx, y + dy), |dx| and |dy| up to half a pixel; mirrored beyond its edges."""
     return cv2.sepFilter2D(image, -1, _kernel(dx), _kernel(dy), borderType=cv2.BORDER_REFLECT)
 
 

@@ -57,7 +57,7 @@ def picture_of(packed: Image, shape: tuple[int, ...]) -> Image:
 
 
 def padded_picture(packed: Image) -> Image:
-    """The padded picture of a packed spectrum, of the same shape."""
+    """The padded picture (h, w) of a packed spectrum (h, w)."""
     return cv2.idft(packed, flags=cv2.DFT_SCALE)
 
 
@@ -69,7 +69,7 @@ def padded_shape(shape: tuple[int, ...]) -> Shape:
 
 @lru_cache(maxsize=32)
 def frequency(shape: Shape) -> Image:
-    """Absolute frequency, cycles per px, of each number of a packed spectrum of `shape`."""
+    """Absolute frequency, cycles per px, of each number of a packed spectrum of `shape` (h, w)."""
     rows, columns = shape
     fx = (np.arange(columns) + 1) // 2 / columns
     fy = np.repeat(np.abs(np.fft.fftfreq(rows))[:, None], columns, axis=1)

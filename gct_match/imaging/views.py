@@ -64,7 +64,7 @@ def normalised(image: Image, valid: Bools) -> Image:
 
 
 def window(image: NDArray, x: int, y: int, w: int, h: int) -> NDArray:
-    """Columns x..x + w and rows y..y + h of the last two axes of `image`; zero beyond its edges."""
+    """Columns x..x + w, rows y..y + h of the last two axes of `image` (..., H, W); zero beyond its edges."""
     rows, columns = image.shape[-2:]
     a, b, c, d = max(0, y), min(rows, y + h), max(0, x), min(columns, x + w)
     if (a, b, c, d) == (y, y + h, x, x + w):

@@ -41,7 +41,7 @@ def scene_of(
     sigma_installation_rad: Floats,
     settings: MatchSettings,
 ) -> Scene:
-    """The scene of a strip with at least one CCD and one target."""
+    """The scene of a strip with at least one CCD and one target; `sigma_installation_rad` (3,) in frame c."""
     lines = max(strip.shape(ccd)[0] for ccd in strip.ccds)
     pushbroom = pushbroom.tabulated(-0.5, lines - 0.5)
     return Scene(

@@ -118,7 +118,7 @@ def chip_points(chip: Chip, p_e: Floats) -> Floats:
 
 
 def chip_side_px(chip: Chip, pushbroom: Pushbroom, ccd: int, xy_px: Floats, surface: Surface) -> float:
-    """Shorter side of the chip in pixels of the strip around `xy_px` (sample, line); 0 if it is not known."""
+    """Shorter side of the chip in pixels of the strip around `xy_px` (sample, line) (2,); 0 if unknown."""
     x, y = xy_px
     p_e = pushbroom.ground_points(ccd, np.array([x, x + 16.0, x]), np.array([y, y, y + 16.0]), surface)
     points = chip_points(chip, p_e)

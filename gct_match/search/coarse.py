@@ -29,8 +29,8 @@ class CoarseStrip:
 def read_window(
     strip: StripImage, ccd: int, line0: int, line1: int, sample0: int, sample1: int, settings: MatchSettings
 ) -> tuple[Image, Bools]:
-    """Grey values of a window of the strip (ends excluded), and which of them are valid: not NaN, not the
-    no-data value, not saturated.
+    """Grey values (lines, samples) of a strip's window (ends excluded), and which are valid: not NaN, not
+    the no-data value, not saturated.
     """
     image = np.asarray(strip.read(ccd, line0, line1, sample0, sample1))
     valid = _usable(image, settings)

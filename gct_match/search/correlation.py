@@ -50,7 +50,7 @@ def correlation_surface(template: Image, picture: Image) -> Image:
 
 
 def peaks_of(surface: Image, most: int, apart: int) -> Peaks:
-    """The `most` highest positive maxima, more than `apart` px from one another."""
+    """The `most` highest positive maxima of a surface (h, w), more than `apart` px from one another."""
     size = 2 * apart + 1
     highest = cv2.dilate(surface, np.ones((size, size), np.uint8))
     row, column = np.nonzero((surface == highest) & (surface > 0.0))

@@ -75,7 +75,7 @@ def edge_similarity(template: Image, field: Image) -> Image:
 
 
 def normalised(product: Image, template: Image, power: Image) -> Image:
-    """Correlations from a template's products with fields of mean `power`, small for nearly empty fields."""
+    """Correlations (h, w) from a template's products with fields of mean `power`; small for empty fields."""
     own = np.float32(2.0 * np.mean(np.square(template)))
     scale = np.maximum(power, _FLOOR * own)
     np.sqrt(scale, out=scale)

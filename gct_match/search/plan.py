@@ -93,7 +93,7 @@ def pyramid_factor(side_px: float, radius_px: float, settings: MatchSettings) ->
 
 
 def extents(strip: StripImage, windows: Sequence[Window], side_px: float) -> dict[int, tuple[Range, Range]]:
-    """(lines, samples) of each CCD that hold all its windows and half a chip of `side_px` around them."""
+    """Ranges (lines, samples) of each CCD that hold its windows and half a chip of `side_px` around them."""
     spare = int(0.75 * side_px) + 8
     out = {}
     for ccd in sorted({w.ccd for w in windows}):

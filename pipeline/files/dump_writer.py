@@ -40,7 +40,7 @@ def images_in(mission: Mission) -> int:
 def write_dump(
     mission: Mission, root: Path, *, created_by: str, on_image: Callable[[str], None] = lambda name: None
 ) -> None:
-    """Write the dump into `root`, which must be empty or absent; call `on_image(file)` after each image."""
+    """Write the dump to `root`; call `on_image(file)` after each image. `FileExistsError` if not empty."""
     if root.exists() and (not root.is_dir() or any(root.iterdir())):
         raise FileExistsError(f"{root} exists and is not an empty folder")
     for folder in ("exposures", "strips", "chips", "terrain", "truth"):

@@ -45,7 +45,7 @@ MAX_STAR_PIXELS = 2**28  # an image of `identify`; those of a dump must have the
 
 
 def read_exposure(path: Path, file: str, *, width: int, height: int, bit_depth: int) -> NDArray[np.uint16]:
-    """Raw counts (height, width) of a dump's exposure: PNG, TIFF or FITS of 8 or 16 bits a pixel."""
+    """Raw counts (height, width) of an exposure: PNG, TIFF or FITS, 8 or 16 bits, else `RawDataError`."""
     image = _read_star_image(path, file, (width, height), 8 if bit_depth <= 8 else 16)
     if bit_depth not in (8, 16) and int(image.max()) >> bit_depth:
         raise RawDataError(file, "pixels", f"a value of {image.max()}", f"values of {bit_depth} bits")
@@ -224,7 +224,7 @@ def _read_tiff_whole(path: Path, file: str, size: tuple[int, int] | None, bits: 
 
 @contextmanager
 def open_geotiff(path: Path, file: str) -> Iterator[Any]:
-    """A TIFF opened for reading by window; only its header is parsed."""
+    """A TIFF opened for reading by window; only its header is parsed. `RawDataError` if it is none."""
     magic = _first_bytes(path, file, 4)
     if magic not in TIFF_MAGICS:
         raise RawDataError(file, "byte 0", magic.hex(" ") or "an empty file", "a TIFF (II or MM, 42 or 43)")
@@ -281,7 +281,7 @@ class StripFiles:
         return self.shapes[ccd]
 
     def read(self, ccd: int, line0: int, line1: int, sample0: int, sample1: int) -> NDArray[Any]:
-        """Raw counts of rows line0..line1-1, columns sample0..sample1-1, a window inside the image."""
+        """Raw counts (rows, columns) line0..line1-1, sample0..sample1-1; `ValueError` outside the image."""
         lines, samples = self.shapes[ccd]
         if not (0 <= line0 < line1 <= lines and 0 <= sample0 < sample1 <= samples):
             raise ValueError(f"window {line0}:{line1}, {sample0}:{sample1} is not inside {lines} x {samples}")
@@ -313,7 +313,7 @@ class GridImage:
 
 
 def read_grid(path: Path, file: str, *, max_pixels: int, first_band: bool = False) -> GridImage:
-    """A GeoTIFF with CRS and transform: a chip or a terrain model.
+    """A GeoTIFF with CRS and transform: a chip or a terrain model. `RawDataError` if it is none.
 
     It must have one band; with `first_band` the first of several is read.
     """

@@ -52,7 +52,7 @@ def schema_of(kind: Hashable, rows: str = "N") -> dict[str, pa.DataType]:
 
 
 def columns_of(record: Any, rows: str = "N") -> dict[str, pa.Array]:
-    """Columns of a record by their names."""
+    """Columns of a record by their names, one entry per row of its arrays (N, ...)."""
     columns: dict[str, pa.Array] = {}
     for name, hint, inner in _row_fields(record.__class__, rows):
         value = getattr(record, name)

@@ -80,7 +80,7 @@ def check_regular(path: Path, file: str, expected: str) -> int:
 
 
 def read_text(path: Path, file: str, max_bytes: int = MAX_TEXT_BYTES) -> str:
-    """The text of a UTF-8 file of bounded size, without its byte-order mark."""
+    """The text of a UTF-8 file without byte-order mark; `RawDataError` if it is too large or not UTF-8."""
     if (size := check_regular(path, file, "a readable file")) > max_bytes:
         raise RawDataError(file, "file", f"{size} bytes", f"at most {max_bytes} bytes of text")
     try:
@@ -95,7 +95,7 @@ def read_text(path: Path, file: str, max_bytes: int = MAX_TEXT_BYTES) -> str:
 
 
 def toml_tables(path: Path, file: str) -> dict[str, Any]:
-    """The tables of a TOML file."""
+    """The tables of a TOML file; `RawDataError` if it is not TOML."""
     text = read_text(path, file, MAX_TOML_BYTES)
     pieces = re.split(r"[,=\[\]{}\n]", _STRING_OR_COMMENT.sub("", text))
     if (parts := 1 + max(piece.count(".") for piece in pieces)) > MAX_KEY_PARTS:
@@ -109,7 +109,7 @@ def toml_tables(path: Path, file: str) -> dict[str, Any]:
 
 
 def read_json(path: Path, file: str) -> dict[str, Any]:
-    """The object in a JSON file of a result."""
+    """The object in a JSON file of a result; `RawDataError` if there is none."""
     text = read_text(path, file)
     try:
         content = json.loads(text)
@@ -121,7 +121,7 @@ def read_json(path: Path, file: str) -> dict[str, Any]:
 
 
 def read_toml(path: Path, model: type[Model], file: str) -> Model:
-    """A TOML file as a record of type `model`."""
+    """A TOML file as a record of type `model`; `RawDataError` if it does not agree."""
     content = toml_tables(path, file)
     try:
         return model.model_validate(content)
@@ -130,7 +130,7 @@ def read_toml(path: Path, model: type[Model], file: str) -> Model:
 
 
 def read_table(path: Path, model: type[Model], file: str) -> list[Model]:
-    """The rows of a CSV file (RFC 4180: commas, a header line) as records of type `model`, in their order."""
+    """The rows of a CSV file (RFC 4180, header line) as records of `model`; `RawDataError` if not valid."""
     text = read_text(path, file)
     expected = list(model.model_fields)
     numeric = [name for name, field in model.model_fields.items() if field.annotation in (int, float)]

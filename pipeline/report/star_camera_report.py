@@ -55,7 +55,8 @@ def calibrate_from_images(
 ) -> tuple[list[str], bool]:
     """Lines to print, and whether a camera was calibrated and written to `request.out`.
 
-    `sources` are image files and dumps (their exposures). An unreadable image is reported and not used.
+    `sources` are image files and dumps (their exposures). An unreadable image is reported and not used;
+    `RawDataError` for a drift of images without time.
     """
     given = read_camera(request.camera_file)
     sky = open_sky_images(sources, request.known)

@@ -224,6 +224,7 @@ def _check_alike(first: _DatedResult, other: _DatedResult) -> None:
 
 
 def drift_json(dated: DatedDrift) -> dict[str, Any]:
+    """Content of drift.json."""
     drift, step, walk, term = dated.drift, dated.drift.step, dated.drift.walk, dated.drift.orbit_phase
     date, low, high = step_dates(dated)
     merged = drift.merged
@@ -274,6 +275,7 @@ def drift_json(dated: DatedDrift) -> dict[str, Any]:
 
 
 def drift_verdict(dated: DatedDrift) -> str:
+    """Sentence that says whether the mounting has moved."""
     said = "the mounting has moved" if dated.drift.moved else "no sign that the mounting has moved"
     return f"{said}, at a false-alarm probability of {dated.drift.settings.probability_false_alarm:.2g}"
 

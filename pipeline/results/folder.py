@@ -45,7 +45,7 @@ def begin_result(result: Path) -> None:
 
 
 def dumps_in(result: Path) -> tuple[str, ...]:
-    """Names of the dumps whose results lie in this one's folders; none for the result of one dump."""
+    """Names of the dumps of a joint result, none for one dump; `RawDataError` if damaged."""
     if not (path := result / DUMPS).is_file():
         return ()
     names = read_json(path, str(path)).get("dumps")

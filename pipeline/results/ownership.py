@@ -57,7 +57,7 @@ def dump_identity(root: Path) -> str:
 
 
 def origin_of(result: Path) -> Origin | None:
-    """What the marker of a result folder states; None where there is none (earlier versions wrote none)."""
+    """What the marker of a result folder states; None where there is none; `RawDataError` if damaged."""
     path = result / MARKER
     if not path.is_file():
         return None

@@ -106,7 +106,7 @@ def _numbers(content: dict[str, Any], key: str, shape: tuple[int, ...], file: st
 
 
 def read_pairs(result: Path) -> InformationPairs:
-    """Normal equations (F, F theta) of each strip of a finished result."""
+    """Normal equations (F, F theta) of each strip of a finished result; `RawDataError` if not readable."""
     path = result / "sightings" / "strips.parquet"
     try:
         return InformationPairs.from_table(read_parquet(path).to_pandas())
@@ -117,6 +117,7 @@ def read_pairs(result: Path) -> InformationPairs:
 def read_mounting(result: Path, name: str) -> InformationPairs:
     """Normal equations of a finished result as one: its strips added, coordinates of targets that several of
     them see eliminated. The camera's distortion stays, since other results share it.
+    `RawDataError` if not readable.
     """
     pairs = read_pairs(result)
     path = result / "sightings" / "strips.parquet"

@@ -110,7 +110,7 @@ def validation_summary(validation: Validation) -> str:
 
 
 def status_summary(result: Path) -> str:
-    """Counts of finished exposures and strips, and what is not used of them; of several dumps, of each."""
+    """Counts of finished and unused exposures and strips of each dump; `RawDataError` for another folder."""
     if names := dumps_in(result):
         lines = []
         for name in names:

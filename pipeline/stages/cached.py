@@ -30,7 +30,8 @@ class Task(Protocol):
     """Everything that one outcome of a stage depends on. `item` names what is processed, without a reason."""
 
     @property
-    def item(self) -> Omission: ...
+    def item(self) -> Omission:
+        """What is processed."""
 
 
 @dataclass(frozen=True, slots=True)

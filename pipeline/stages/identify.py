@@ -64,7 +64,7 @@ class Request:
 
 
 def identify_images(images: Sequence[Path], request: Request, settings: StarSettings) -> Iterator[Line]:
-    """One line an image, as it is done; the named stars go to `request.out` at the end."""
+    """One line per image; the stars go to `request.out` at the end. `RawDataError` for wrong options."""
     camera = read_camera(request.camera_file)
     if request.fov_deg is not None and not 0.5 < request.fov_deg < 90.0:
         raise RawDataError("--fov", "value", f"{request.fov_deg}", "between 0.5 and 90 degrees")
@@ -107,7 +107,7 @@ def read_camera(file: Path | None) -> StarCamera | None:
 
 
 def read_sky_image(path: Path, camera: StarCamera | None, camera_file: Path | None) -> NDArray[Any]:
-    """An image, held to the camera's size where a camera is given."""
+    """An image (height, width); `RawDataError` if its size is not the camera's."""
     image = read_star_image(path, str(path))
     if camera is not None and image.shape != (camera.height_px, camera.width_px):
         found = f"{image.shape[1]} x {image.shape[0]} px"

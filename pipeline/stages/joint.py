@@ -75,7 +75,7 @@ def open_dumps(
 
 
 def dump_names(roots: Sequence[Path]) -> list[str]:
-    """A name for each folder: its own, with as many of the folders above it as tell it from the others."""
+    """Unique names of the folders, with as many parent folders as needed; `RawDataError` for equal ones."""
     depth = [1] * len(roots)
     while True:
         names = ["-".join(root.parts[1:][-d:]) or "dump" for root, d in zip(roots, depth)]

@@ -122,9 +122,7 @@ def matches_table(lines: Sequence[StripLine]) -> pd.DataFrame:
 
 
 def overlay_picture(match: TargetMatch) -> NDArray[np.uint8]:
-    """Template, strip where it was found, residual and correlation surface side by side, with the figures
-    below.
-    """
+    """Picture (h, w): template, strip at the match, residual, correlation surface; figures below."""
     e = match.evidence
     low, high = np.percentile(e.found, [1.0, 99.0])
     span = max(float(high - low), 1e-6)
@@ -153,10 +151,10 @@ def overlay_picture(match: TargetMatch) -> NDArray[np.uint8]:
 def suggest(
     ortho: Path, out: Path, *, size_px: int, most: int, height_m: float | None, sigma_m: float
 ) -> tuple[SuggestedTarget, ...]:
-    """Good places in an ortho-image; their chips and a targets.csv as a dump has it go to `out`.
+    """Good target positions in an ortho-image; their chips and a targets.csv for a dump go to `out`.
 
     Without `height_m` (ellipsoidal) the heights are left empty for the user, who has a terrain model or a
-    survey.
+    survey. `RawDataError` for an unusable file, `DataNotSufficientError` if no target is found.
     """
     grid = read_grid(ortho, str(ortho), max_pixels=MAX_ORTHO_PIXELS)
     valid = np.isfinite(grid.values)

@@ -105,7 +105,7 @@ def read_plan(path: Path) -> Plan:
 
 
 def forecast_plan(plan: Plan, target_arcsec: float | None = None) -> PlanForecast:
-    """Predicted 1-sigma of theta for 1 to 1000 strips and the plan's own number."""
+    """Predicted 1-sigma of theta by number of strips; `DataNotSufficientError` if it fails."""
     try:
         campaign, cameras = _campaign(plan)
         with np.errstate(over="raise", invalid="raise"):

@@ -28,6 +28,7 @@ class InOrder:
     def map(
         self, function: Callable[[Item], Outcome], items: Sequence[Item], done: Callable[[int], None]
     ) -> list[Outcome]:
+        """Outcomes in the order of the items."""
         outcomes = []
         for n, item in enumerate(items):
             outcomes.append(function(item))

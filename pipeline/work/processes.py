@@ -44,6 +44,7 @@ class Processes:
     def map(
         self, function: Callable[[Item], Outcome], items: Sequence[Item], done: Callable[[int], None]
     ) -> list[Outcome]:
+        """Outcomes in the order of the items; `WorkerError` if an item stops its process again and again."""
         waiting = [*range(len(items))][::-1]
         outcomes: dict[int, Outcome] = {}
         deaths: Counter[int] = Counter()

@@ -52,11 +52,11 @@ class StarFits:
         return self.flux_dn / self.flux_sigma_dn
 
     def take(self, index: NDArray) -> StarFits:
-        """The fits `index`."""
+        """The fits at indices (M,) or of a mask (N,)."""
         return StarFits(**{name: getattr(self, name)[index] for name in _COLUMNS})
 
     def with_rows(self, index: Ints, rows: StarFits) -> StarFits:
-        """The fits with those at `index` replaced by `rows`."""
+        """The fits with those at `index` (M,) replaced by `rows`."""
         columns = {name: getattr(self, name).copy() for name in _COLUMNS}
         for name, values in columns.items():
             values[index] = getattr(rows, name)

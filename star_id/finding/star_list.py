@@ -52,7 +52,7 @@ class StarList:
     saturation_dn: float = scalar("raw value from which a pixel counts as saturated; infinite if none does")
 
     def take(self, index: NDArray) -> StarList:
-        """List of the stars `index`, everything else unchanged."""
+        """List of the stars at indices (M,) or of a mask (N,), everything else unchanged."""
         names = ("xy_px", "cov_px", "flux_dn", "snr", "saturated", "blended")
         return replace(self, **{name: getattr(self, name)[index] for name in names})
 

@@ -25,7 +25,7 @@ class StarWindows:
     saturated: Bools = array("N", "whether some pixel is saturated")
 
     def take(self, index: NDArray) -> StarWindows:
-        """The windows `index`."""
+        """The windows at indices (M,) or of a mask (N,)."""
         names = ("corner", "data", "good", "noise2", "saturated")
         return replace(self, **{name: getattr(self, name)[index] for name in names})
 

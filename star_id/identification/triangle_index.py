@@ -98,7 +98,7 @@ class StarIndex:
 
     @property
     def arrays(self) -> dict[str, NDArray]:
-        """The tables as named arrays, for saving; `from_arrays` is the inverse."""
+        """The tables as named arrays, one row per triangle or star (N, ...), for `from_arrays`."""
         return {
             f"{k}.{field.name}": np.asarray(getattr(table, field.name))
             for k, table in enumerate(self.tables)
@@ -107,7 +107,7 @@ class StarIndex:
 
     @classmethod
     def from_arrays(cls, stars: StarPlaces, epoch_jyear: float, arrays: Mapping[str, NDArray]) -> StarIndex:
-        """Index from saved `arrays`, for the same stars and epoch.
+        """Index from `arrays` saved by `arrays()`, rows (N, ...), for the same stars and epoch.
 
         Raises `ValueError` naming the array if one is missing or inconsistent.
         """
