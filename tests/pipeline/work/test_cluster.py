@@ -167,7 +167,7 @@ def test_unit_of_a_killed_worker_is_done_by_another_and_a_deadly_one_is_named(
         wait_until(lambda: len(on.client.nthreads()) == 2)
         assert on.map(fragile, range(6), counts.append) == [0, 1, 4, 9, 16, 25]
         assert marker.exists() and counts == [1, 2, 3, 4, 5, 6]
-        with pytest.raises(OSError, match="no space left"):  # an error of the unit itself is told as it is
+        with pytest.raises(OSError, match="no space left"):  # an error of the unit itself is raised unchanged
             on.map(full, [0], counts.append)
 
 
