@@ -46,7 +46,7 @@ class RunRequest:
 
 @record
 class RunOutcome:
-    """What a run is to tell at its end."""
+    """Outcome of a run, for the terminal and the exit status."""
 
     text: str = scalar("summary for the terminal")
     refuted: bool = scalar("whether the data of the result, or of one of its dumps, contradict themselves")
@@ -91,14 +91,14 @@ def _jointly_calibrated(
     failed: list[Omission] = []
     for named in dumps:
 
-        def told(stage: str, done: int, total: int, name: str = named.name) -> None:
+        def report_progress(stage: str, done: int, total: int, name: str = named.name) -> None:
             progress(f"{name}: {stage}", done, total)
 
         try:
             folder, root = out / named.name, named.dump.root
             with claimed(folder, [root], request.settings, overwrite=request.overwrite):
                 own = _inputs([named.dump], request)
-                found = _calibrated(folder, named.dump, str(root), own, request, executor, told)
+                found = _calibrated(folder, named.dump, str(root), own, request, executor, report_progress)
         except DataNotSufficientError as error:
             failed.append(Omission("dump", named.name, "", str(error), Cause.NOT_CALIBRATED))
         else:

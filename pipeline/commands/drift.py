@@ -32,7 +32,7 @@ def drift(
         bool, typer.Option("--orbit-phase", help="Fit a term of the argument of latitude (thermal change).")
     ] = False,
 ) -> None:
-    """Merge several results into one matrix, and tell whether, how and when the mounting has moved."""
+    """Merge several results into one matrix, and test whether, how and when the mounting has moved."""
     from boresight.calib.mounting.drift import DriftSettings
     from boresight.geometry.constants import ARCSEC, DAY_S
     from boresight.pipeline.report.drift import write_drift

@@ -1,4 +1,4 @@
-"""Commands for those who want the ground half alone: match, targets suggest."""
+"""Commands of the ground half alone: match, targets suggest."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def add_match_commands(app: typer.Typer) -> None:
 
 def match(
     dump: Annotated[Path, typer.Argument(help="Folder with a dump.toml.")],
-    out: Annotated[Path, typer.Option(help="File for places and refusals: .csv or .parquet.")],
+    out: Annotated[Path, typer.Option(help="File for matches and refusals: .csv or .parquet.")],
     strip: Annotated[list[str] | None, typer.Option(help="Only this strip. May be repeated.")] = None,
     overlay: Annotated[
         Path | None, typer.Option(help="Folder for a picture of each place: predicted, found, residual.")
@@ -47,7 +47,7 @@ def match(
         tasks, omissions = strips_to_match(opened, chosen, executor)
     wanted = [task for task in tasks if not strip or task.strip.strip_id in strip]
     for omission in omissions:
-        typer.echo(f"left out: {omission.kind} {omission.name}: {omission.reason}", err=True)
+        typer.echo(f"not used: {omission.kind} {omission.name}: {omission.reason}", err=True)
     lines = []
     for line in match_strips(wanted, overlay):
         lines.append(line)
@@ -56,9 +56,9 @@ def match(
             where = f", CCD {refusal.ccd}" if refusal.ccd >= 0 else ""
             typer.echo(f"refused: {line.strip_id}/{refusal.target_id}{where}: {refusal.sentence}", err=True)
     write_matches(out, lines)
-    placed = sum(len(line.matches) for line in lines)
-    typer.echo(f"placed {placed} in {len(lines)} strips -> {out}")
-    if not placed:
+    matched = sum(len(line.matches) for line in lines)
+    typer.echo(f"matched {matched} in {len(lines)} strips -> {out}")
+    if not matched:
         raise typer.Exit(DATA_DID_NOT_ALLOW)
 
 

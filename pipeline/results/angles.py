@@ -39,7 +39,7 @@ class StripMotion:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CrossAngles:
-    """Row n of every array speaks of one pair of star and target."""
+    """Cross angles of N pairs of a star and a target. Row n of every array is the same pair."""
 
     strip_id: NDArray[np.str_]
     target_id: NDArray[np.str_]

@@ -29,14 +29,13 @@ DUMPS = "dumps.json"
 
 
 def store_of(result: Path) -> UnitStore:
-    """Where finished units of a result lie."""
+    """The store of a result's finished exposures and strips."""
     return UnitStore(result / "work")
 
 
 def begin_result(result: Path) -> None:
-    """Make the folder; what says of an earlier run that it is finished goes, since it is true no more.
-
-    What a killed run left half-written goes too: it has no name that anything is looked for under.
+    """Make the folder; remove the files that mark an earlier run as finished, and incomplete ones of killed
+    processes.
     """
     result.mkdir(parents=True, exist_ok=True)
     remove_abandoned(result)

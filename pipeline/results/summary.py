@@ -162,8 +162,8 @@ def _omission_lines(omissions: Sequence[Omission]) -> list[str]:
         text = ", ".join(f"{n} {cause}" for cause, n in causes)
         name = "" if lines else "not used"
         lines.append(f"{name:26s}{len(those)} {kind}{'s' if len(those) > 1 else ''}: {text}")
-    told = [o for o in omissions if o.kind not in ("star", "target")] + by_kind.get("target", [])
-    lines += [f"  {o.kind} {o.name}: {o.reason}" for o in told[:MOST_REASONS]]
-    if told[MOST_REASONS:]:
-        lines.append(f"  and {len(told) - MOST_REASONS} more: see report.html or sightings/omissions.parquet")
+    shown = [o for o in omissions if o.kind not in ("star", "target")] + by_kind.get("target", [])
+    lines += [f"  {o.kind} {o.name}: {o.reason}" for o in shown[:MOST_REASONS]]
+    if shown[MOST_REASONS:]:
+        lines.append(f"  and {len(shown) - MOST_REASONS} more, see report.html")
     return lines

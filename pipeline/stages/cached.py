@@ -80,6 +80,6 @@ class Cached:
         try:
             return self.stage(task)
         except UNFORESEEN as error:
-            told = f"{type(error).__name__}: {str(error)[:300]}"
-            reason = f"internal error in {self.stage.__name__}: {told}; please report"
+            what = f"{type(error).__name__}: {str(error)[:300]}"
+            reason = f"internal error in {self.stage.__name__}: {what}; please report"
             return task.item.because(reason, Cause.INTERNAL_ERROR)

@@ -1,8 +1,8 @@
 """Targets matched without a calibration, and good targets suggested: what the commands `match` and `targets
 suggest` do.
 
-    dump -> stars, attitudes -> each strip: places, refusals -> table (CSV or Parquet), pictures of each place
-    ortho-image -> good places -> chips (GeoTIFF) and targets.csv as a dump has them
+    dump -> stars, attitudes -> each strip: matches, refusals -> table (CSV or Parquet), pictures of matches
+    ortho-image -> suggested targets -> chips (GeoTIFF) and targets.csv as a dump has them
 """
 
 from __future__ import annotations
@@ -60,17 +60,15 @@ def match_strips(tasks: Sequence[StripTask], overlay: Path | None) -> Iterator[S
         if result is None:
             yield StripLine(task.strip.strip_id, (), (), f"{task.strip.strip_id}   {omitted[-1].reason}")
             continue
-        told = tuple(r for r in result.refused if not r.is_out_of_view)
+        in_view = tuple(r for r in result.refused if not r.is_out_of_view)
         if overlay is not None:
             overlay.mkdir(parents=True, exist_ok=True)
             for match in result.matches:
                 name = f"{task.strip.strip_id}_{match.target_id}_ccd{match.ccd}.png"
                 _save(overlay / name, overlay_picture(match))
         theta = ", ".join(f"{value:+.6f}" for value in result.theta_vote)
-        text = (
-            f"{task.strip.strip_id}   {len(result.matches)} placed, {len(told)} refused, theta ({theta}) rad"
-        )
-        yield StripLine(task.strip.strip_id, result.matches, told, text)
+        text = f"{task.strip.strip_id}   {len(result.matches)} placed, {len(in_view)} refused, theta ({theta}) rad"
+        yield StripLine(task.strip.strip_id, result.matches, in_view, text)
 
 
 def write_matches(path: Path, lines: Sequence[StripLine]) -> None:

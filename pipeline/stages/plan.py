@@ -57,7 +57,7 @@ class PlannedStrips:
 
 @dataclass(frozen=True, slots=True)
 class PlannedTargets:
-    """`[targets]`: how many a strip, where, and how well they are placed and known."""
+    """`[targets]`: how many a strip, where, and how well their positions are measured and known."""
 
     count: int = 12
     sigma_px: float = 0.3
@@ -82,7 +82,7 @@ class PlannedErrors:
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """A campaign as its file describes it; every section and key may be left out."""
+    """A campaign as its file describes it; every section and key is optional."""
 
     cameras: PlannedCameras = field(default_factory=PlannedCameras)
     strips: PlannedStrips = field(default_factory=PlannedStrips)

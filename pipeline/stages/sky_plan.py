@@ -49,7 +49,7 @@ def plan_sky(path: Path, request: SkyPlanRequest, settings: StarSettings) -> tup
     if isinstance(seen, NotIdentified):
         return [f"no plan: {path}: {seen.reason}"], False
     candidates = Rotation.random(request.candidates, random_state=np.random.default_rng(request.seed))
-    lines = [f"{seen.matches} stars of {path} tell how this camera sees stars"]
+    lines = [f"{seen.matches} stars of {path} give the noise and detection limit of this camera"]
     if request.utc is not None:
         candidates, line = _away_from_the_sun(seen.camera, candidates, request.utc, request.sun_deg)
         lines.append(line)
