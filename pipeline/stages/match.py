@@ -67,7 +67,8 @@ def match_strips(tasks: Sequence[StripTask], overlay: Path | None) -> Iterator[S
                 name = f"{task.strip.strip_id}_{match.target_id}_ccd{match.ccd}.png"
                 _save(overlay / name, overlay_picture(match))
         theta = ", ".join(f"{value:+.6f}" for value in result.theta_vote)
-        text = f"{task.strip.strip_id}   {len(result.matches)} placed, {len(in_view)} refused, theta ({theta}) rad"
+        counts = f"{len(result.matches)} matched, {len(in_view)} refused"
+        text = f"{task.strip.strip_id}   {counts}, theta ({theta}) rad"
         yield StripLine(task.strip.strip_id, result.matches, in_view, text)
 
 
