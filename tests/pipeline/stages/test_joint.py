@@ -221,7 +221,7 @@ def test_a_dump_that_does_not_suffice_is_counted_and_the_others_go_on(
     assert json.loads((out / "drift.json").read_text())["results"] == [NAMES[0], NAMES[2]]
     ran("report", out)
     page = (out / "report.html").read_text()
-    assert '<th scope="row">blind</th>' in page and "not calibrated: 0 strips" in page
+    assert '<th scope="row">blind</th>' in page and "not calibrated: no target comes into view" in page
     of_blind = ran("status", out).partition("dump blind")[2].partition("dump january")[0]
     assert of_blind.rstrip().endswith("not finished: no installation.json yet")
 
