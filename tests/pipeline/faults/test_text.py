@@ -250,7 +250,7 @@ def test_nothing_that_is_read_can_be_run_or_unpacked() -> None:
                     seen += 1
                     name = getattr(node.func, "attr", getattr(node.func, "id", ""))
                     owner = getattr(getattr(node.func, "value", None), "id", "")
-                    assert name not in calls or owner == "re", f"{path}:{node.lineno}"
+                    assert name not in calls or owner in ("re", "platform"), f"{path}:{node.lineno}"
                     pickled = [k.value for k in node.keywords if k.arg == "allow_pickle"]
                     assert all(isinstance(value, ast.Constant) and not value.value for value in pickled), path
     assert seen > 1000
