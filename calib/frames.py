@@ -12,8 +12,6 @@ target still counts.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
@@ -21,6 +19,7 @@ from scipy.spatial.transform import Rotation
 from boresight.calib.information import ExactSum, InformationPairs, InformationTotal, Solution, solve_total
 from boresight.geometry.attitude_estimate import sums_over, wahba_matrices
 from boresight.geometry.installation import deviation_from_theta
+from boresight.geometry.record import array, record, scalar
 from boresight.geometry.vector_sets import VectorSets
 
 __all__ = [
@@ -35,31 +34,29 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record
 class PreparedFrames:
     """What does not depend on the installation matrix: one pass over the vectors, then 3 x 3 matrices
     only.
     """
 
-    R_is: Array  # (K, 3, 3) star camera's own attitude, s to i
-    F_s: Array  # (K, 3, 3) its information, frame s
-    F_c: Array  # (K, 3, 3) the targets' attitude information, frame c
-    profile: Array  # (K, 3, 3) sum w (R_si v)ᵀ / σ²: c by s
-    is_informative: NDArray[
-        np.bool_
-    ]  # (K,) two stars and a target at least: a frame with less says nothing of theta
+    R_is: Array = array("K, 3, 3", "attitude of the star camera, s to i")
+    F_s: Array = array("K, 3, 3", "information on that attitude, frame s")
+    F_c: Array = array("K, 3, 3", "information of the targets on the attitude, frame c")
+    profile: Array = array("K, 3, 3", "sum w (R_si v)ᵀ / σ²: c by s")
+    is_informative: NDArray[np.bool_] = array("K", "at least two stars and one target")
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record
 class FrameCalibration:
     """Installation matrix from frames: `R_cs = exp[[theta]] R_cs0`, covariance of a small rotation about the
     axes of c.
     """
 
-    R_cs: Rotation
-    solution: Solution
-    theta_steps: tuple[Array, ...]  # rad, one an iteration; the last is the M -> I rule's
-    pairs: InformationPairs  # about the last iteration's matrix
+    R_cs: Rotation = scalar("installation matrix")
+    solution: Solution = scalar("last solution")
+    theta_steps: tuple[Array, ...] = scalar("(3,) rad, one per iteration; the last is below the tolerance")
+    pairs: InformationPairs = scalar("about the matrix of the last iteration")
 
 
 def prepare_frames(frames: VectorSets) -> PreparedFrames:

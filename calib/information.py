@@ -1,6 +1,6 @@
 """Information about the installation matrix: pairs (F, F theta), their exact sum and what it says.
 
-A pair speaks of the deviation theta (frame c, rad, the paper's sign: R_cs = exp[[theta]] R_cs_ref) from a
+A pair determines the deviation theta (frame c, rad, the paper's sign: R_cs = exp[[theta]] R_cs_ref) from a
 stated reference. Pairs of independent frames or strips about one reference add. The sum is exact and rounded
 once, so it is the same, bit for bit, in whatever order and groups it is made. Unknowns that several strips
 share (a camera's distortion) stand after theta in the pair, each by its name; they get their prior, and are
@@ -10,7 +10,7 @@ eliminated, after the sum.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from boresight.geometry.installation import theta_between
+from boresight.geometry.record import array, record, scalar
 
 __all__ = ["ExactSum", "InformationPairs", "InformationTotal", "Solution", "solve_total"]
 
@@ -44,23 +45,19 @@ class ExactSum:
         return np.array([part[0] if part else 0.0 for part in self.parts])
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record
 class InformationPairs:
     """Pairs of K frames or strips about one reference, n = 3 + number of unknowns shared between strips."""
 
-    names: NDArray[np.str_]  # (K,) frame or strip ids
-    F: Array  # (K, n, n) information; the block of theta in rad⁻²
-    F_theta: Array  # (K, n) F times the best (theta, shared unknowns)
-    R_cs_ref: Rotation  # the reference: theta is the deviation from it
-    shared: tuple[str, ...] = ()  # names of the shared unknowns, in the order of the rows after theta
+    names: NDArray[np.str_] = array("K", "frame or strip ids")
+    F: Array = array("K, N, N", "information, N = 3 + shared unknowns; block of theta in rad⁻²")
+    F_theta: Array = array("K, N", "F times the best (theta, shared unknowns)")
+    R_cs_ref: Rotation = scalar("reference: theta is the deviation from it")
+    shared: tuple[str, ...] = scalar("names of the unknowns after theta, in order", default=())
 
     def __post_init__(self) -> None:
-        K, n = len(self.names), 3 + len(self.shared)
-        if self.F.shape != (K, n, n) or self.F_theta.shape != (K, n):
-            raise ValueError(
-                f"{K} names and {n - 3} shared unknowns need F {(K, n, n)} and F_theta {(K, n)}, "
-                f"got {self.F.shape} and {self.F_theta.shape}"
-            )
+        if self.F.shape[1] != (n := 3 + len(self.shared)):
+            raise ValueError(f"{n - 3} shared unknowns need F of {n} rows, got {self.F.shape[1]}")
 
     def merged(self, other: InformationPairs) -> InformationPairs:
         """Both sets together, about this one's reference. `ValueError` for a name in both."""
@@ -150,13 +147,13 @@ class InformationPairs:
         return cls(table["name"].to_numpy(dtype=str), F, F_theta, R_cs_ref, tuple(unknowns[3:]))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record
 class InformationTotal:
     """The exact sum of many pairs. Totals about one reference merge exactly, in any order."""
 
-    sums: ExactSum  # upper triangle of F, row by row, then F_theta
-    R_cs_ref: Rotation
-    shared: tuple[str, ...] = field(default=())
+    sums: ExactSum = scalar("upper triangle of F, row by row, then F_theta")
+    R_cs_ref: Rotation = scalar("reference of theta")
+    shared: tuple[str, ...] = scalar("names of the shared unknowns", default=())
 
     @property
     def n(self) -> int:
@@ -176,16 +173,16 @@ class InformationTotal:
         return self.sums.rounded()[-self.n :]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record(kw_only=True)
 class Solution:
-    """The best theta of a total, with what could not be seen left out and named."""
+    """The best theta of a total, and the directions that are not observable."""
 
-    theta: Array  # (3,) rad, about the reference; nothing along unobservable directions
-    covariance: Array  # (3, 3) rad², frame c; zero along unobservable directions, where no number is given
-    information: Array  # (3, 3) rad⁻², shared unknowns eliminated
-    shared: Array  # (n - 3,) the best shared unknowns
-    covariance_all: Array  # (n, n) of theta and the shared unknowns
-    unobservable: Array  # (m, 3) unit vectors, frame c, about which the turn is not observable
+    theta: Array = array("3", "about the reference, rad; zero along unobservable directions")
+    covariance: Array = array("3, 3", "of theta, frame c, rad²; zero along unobservable directions")
+    information: Array = array("3, 3", "shared unknowns eliminated, rad⁻²")
+    shared: Array = array("N", "best shared unknowns")
+    covariance_all: Array = array("N + 3, N + 3", "of theta and the shared unknowns")
+    unobservable: Array = array("M, 3", "unit vectors, frame c: rotation about them is not observable")
 
 
 def solve_total(
@@ -212,7 +209,14 @@ def solve_total(
     lift = np.vstack([np.eye(3), -gain])
     covariance_all = lift @ covariance @ lift.T
     covariance_all[3:, 3:] += np.linalg.inv(shared_F)
-    return Solution(theta, covariance, information, shared_0 - gain @ theta, covariance_all, vectors.T[~seen])
+    return Solution(
+        theta=theta,
+        covariance=covariance,
+        information=information,
+        shared=shared_0 - gain @ theta,
+        covariance_all=covariance_all,
+        unobservable=vectors.T[~seen],
+    )
 
 
 def _same_reference(a: Rotation, b: Rotation) -> bool:

@@ -8,7 +8,6 @@ closely enough for errors of metres.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,30 +17,31 @@ from scipy.spatial.transform import Rotation
 from boresight.calib.distortion import Knot, knots_touched, prior_information, unknown_names
 from boresight.calib.settings import CalibrationSettings
 from boresight.geometry.constants import EARTH_ROTATION_RATE
+from boresight.geometry.record import array, record, scalar
 
 __all__ = ["SeenTargets", "SharedUnknowns", "coordinate_names", "earth_axes", "find_shared"]
 
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record
 class SeenTargets:
     """The targets of one strip, as far as other strips may share unknowns with them."""
 
-    target_id: NDArray[np.str_]  # (J,)
-    ccd: NDArray[np.int64]  # (J,)
-    sample: Array  # (J,) px
-    cov_coordinates: Array  # (J, 3, 3) m²
+    target_id: NDArray[np.str_] = array("J", "ids of the targets")
+    ccd: NDArray[np.int64] = array("J", "CCD of each sighting")
+    sample: Array = array("J", "along the CCD, px")
+    cov_coordinates: Array = array("J, 3, 3", "of the coordinates, m²")
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record
 class SharedUnknowns:
     """The unknowns of a calibration beside theta, in the order of the information pairs' rows."""
 
-    knots: tuple[Knot, ...]  # of the camera's distortion: along x, then along y
-    targets: tuple[str, ...]  # three each
-    cov_targets: Array  # (t, 3, 3) m²
-    n_treated_independent: int  # targets in several strips beyond the limit
+    knots: tuple[Knot, ...] = scalar("of the camera's distortion: along x, then along y")
+    targets: tuple[str, ...] = array("T", "ids of the targets, three unknowns each")
+    cov_targets: Array = array("T, 3, 3", "prior covariance of their coordinates, m²")
+    n_treated_independent: int = scalar("targets in several strips beyond the limit")
 
     @property
     def names(self) -> tuple[str, ...]:

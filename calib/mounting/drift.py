@@ -1,8 +1,8 @@
 """Does the mounting move? Calibrations of one pair of cameras at several times: their mean, their course.
 
-Each calibration k, made at t_k, speaks of theta_k (frame c, rad, the paper's sign: R_cs = exp[[theta]]
-R_cs_ref) and of what all of them share, such as the remote-sensing camera's distortion, which is one unknown
-for all. Eliminated, it leaves the theta_k with one information matrix L over all of them together:
+Each calibration k, made at t_k, determines theta_k (frame c, rad, the paper's sign: R_cs = exp[[theta]]
+R_cs_ref) and unknowns that all of them share, such as the remote-sensing camera's distortion. These are
+eliminated, which leaves the theta_k with one information matrix L over all of them together:
 
     theta_k = theta(t_k) + a cos(u_k) + b sin(u_k) + e_k,    e = (e_1, ..., e_K) ~ N(0, L⁻¹)
 
@@ -14,7 +14,7 @@ one, and the mean over calibrations does not average it away.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +25,7 @@ from scipy.stats import chi2 as chi2_distribution
 from boresight.calib.information import InformationPairs
 from boresight.calib.mounting.random_walk import WalkProblem, likely_density
 from boresight.geometry.installation import deviation_from_theta, theta_between
+from boresight.geometry.record import array, record, scalar
 
 __all__ = [
     "Drift",
@@ -61,18 +62,18 @@ class DriftSettings:
             raise ValueError(f"density_rad2_s must be 0 or more, got {self.density_rad2_s}")
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record(kw_only=True)
 class MountingSeries:
     """Calibrations of one mounting in the order of time, about one reference: constant over each, free
     between.
     """
 
-    names: tuple[str, ...]  # K
-    t_s: Array  # (K,) increasing
-    theta: Array  # (K, 3) rad, frame c, against R_cs_ref
-    information: Array  # (3 K, 3 K) rad⁻² on all theta together, frame c
-    cos_sin: Array  # (K, 2) of the argument of latitude, means over the strips of each; NaN where not known
-    R_cs_ref: Rotation
+    names: tuple[str, ...] = array("K", "names of the calibrations")
+    t_s: Array = array("K", "times, increasing, s")
+    theta: Array = array("K, 3", "deviation from R_cs_ref, frame c, rad")
+    information: Array = array("M, M", "of all theta together, M = 3 K, frame c, rad⁻²")
+    cos_sin: Array = array("K, 2", "of the argument of latitude, means over the strips; NaN where unknown")
+    R_cs_ref: Rotation = scalar("reference matrix")
 
     @classmethod
     def of(
@@ -106,7 +107,7 @@ class MountingSeries:
         if not np.all(np.isfinite(t)):
             raise ValueError("every calibration needs a time")
         for k in np.flatnonzero(np.diff(t) <= 0.0):
-            raise ValueError(f"calibrations {ids[k]!r} and {ids[k + 1]!r} speak of one and the same time")
+            raise ValueError(f"calibrations {ids[k]!r} and {ids[k + 1]!r} have the same time")
         for k in range(K):
             if not np.all(np.isfinite(F[k])) or np.linalg.eigvalsh(F[k, :3, :3])[0] <= 0.0:
                 raise ValueError(f"calibration {ids[k]!r}: its information is not positive definite")
@@ -116,7 +117,14 @@ class MountingSeries:
                 f"calibrations {ids[0]!r} and {ids[k]!r} are {np.linalg.norm(theta[k] - theta[0]):.3g} rad "
                 f"apart, more than {MOST_TURN_RAD} rad: not one mounting, or not the same frames"
             )
-        return cls(ids, t, theta, information, phase[order], pairs.R_cs_ref)
+        return cls(
+            names=ids,
+            t_s=t,
+            theta=theta,
+            information=information,
+            cos_sin=phase[order],
+            R_cs_ref=pairs.R_cs_ref,
+        )
 
     @property
     def R_cs(self) -> Rotation:
@@ -132,12 +140,11 @@ class MountingSeries:
 
     def about(self, R_cs_ref: Rotation) -> MountingSeries:
         """The matrices about another, close reference (the information stays, to first order)."""
-        theta = theta_between(self.R_cs, R_cs_ref)
-        return MountingSeries(self.names, self.t_s, theta, self.information, self.cos_sin, R_cs_ref)
+        return replace(self, theta=theta_between(self.R_cs, R_cs_ref), R_cs_ref=R_cs_ref)
 
     def merged(self) -> MergedMounting:
         """One matrix from all, as if the mounting had never moved. The reference is first moved to a mean, so
-        that turns are added where they are small.
+        that rotations are added where they are small.
         """
         series, ones = self, np.ones((len(self.names), 1))
         for _ in range(2):
@@ -146,80 +153,80 @@ class MountingSeries:
         return MergedMounting(series.R_cs_ref, fit.covariance, len(self.names))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record
 class MergedMounting:
     """One matrix from several calibrations."""
 
-    R_cs: Rotation
-    covariance: Array  # (3, 3) rad², of theta, frame c
-    calibrations: int
+    R_cs: Rotation = scalar("installation matrix")
+    covariance: Array = array("3, 3", "of theta, frame c, rad²")
+    calibrations: int = scalar("number of calibrations")
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record
 class LinearFit:
     """Weighted least squares of theta on m regressors, the same regressors on each axis."""
 
-    coefficients: Array  # (m, 3) rad
-    covariance: Array  # (3 m, 3 m) rad², ordered regressor by regressor
-    chi2: float
-    dof: int
-    log_information: float  # of the determinant of the information
+    coefficients: Array = array("M, 3", "of the regressors, rad")
+    covariance: Array = array("N, N", "N = 3 M, ordered regressor by regressor, rad²")
+    chi2: float = scalar("weighted sum of squared residuals")
+    dof: int = scalar("degrees of freedom")
+    log_information: float = scalar("logarithm of the determinant of the information")
 
     @property
     def p_value(self) -> float:
-        """Probability of a chi2 as large or larger, if the model holds and the covariances are honest."""
+        """Probability of a chi2 as large or larger, if the model and the covariances hold."""
         return float(chi2_distribution.sf(self.chi2, self.dof)) if self.dof > 0 else 1.0
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record
 class OrbitPhaseTerm:
     """theta's part a cos(u) + b sin(u), u the argument of latitude, fitted beside the random walk: so a
-    mounting that moves is not taken for one that breathes.
+    drift is not attributed to the orbit.
     """
 
-    cosine: Array  # (3,) a, rad
-    sine: Array  # (3,) b, rad
-    covariance: Array  # (6, 6) rad², of a, then b
-    p_value: float  # of a term as large, if there is none
+    cosine: Array = array("3", "a, rad")
+    sine: Array = array("3", "b, rad")
+    covariance: Array = array("6, 6", "of a, then b, rad²")
+    p_value: float = scalar("probability of a term at least as large without any effect")
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record(kw_only=True)
 class StepFit:
     """The best single step: constant before it, constant after it, at a time between two calibrations."""
 
-    after: str  # the last calibration before the step
-    before: str  # the first one after it
-    t_s: float  # middle of the most likely gap; within a gap the data know no better
-    interval_s: tuple[float, float]  # holds the date with the stated confidence, if there was one step
-    theta_step: Array  # (3,) rad, after minus before
-    covariance: Array  # (3, 3) rad²
-    gain: float  # by which the step lowers chi2
-    p_value: float  # of a gain as large at any of the gaps (Bonferroni), if there was none
+    after: str = scalar("last calibration before the step")
+    before: str = scalar("first calibration after the step")
+    t_s: float = scalar("middle of the most likely gap, s; the data do not resolve times within a gap")
+    interval_s: tuple[float, float] = array("2", "confidence interval of the date, if there was one step, s")
+    theta_step: Array = array("3", "after minus before, rad")
+    covariance: Array = array("3, 3", "of theta_step, rad²")
+    gain: float = scalar("decrease of chi2 by the step")
+    p_value: float = scalar("probability of this gain at any gap without a step (Bonferroni)")
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record
 class RandomWalk:
     """theta as a random walk, given all calibrations before and after."""
 
-    theta: Array  # (K, 3) rad at the times of the series
-    covariance: Array  # (K, 3, 3) rad²
-    density_rad2_s: float  # variance a second, each axis
-    density_interval: tuple[float, float]  # rad²/s, by the likelihood; NaN for a given density
-    estimated: bool
+    theta: Array = array("K, 3", "at the times of the series, rad")
+    covariance: Array = array("K, 3, 3", "of each theta, rad²")
+    density_rad2_s: float = scalar("variance per second on each axis, rad²/s")
+    density_interval: tuple[float, float] = array("2", "by the likelihood, rad²/s; NaN for a given density")
+    estimated: bool = scalar("whether the density is estimated")
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record(kw_only=True)
 class Drift:
     """What a series of calibrations says of the mounting's course. theta is about series.R_cs_ref."""
 
-    series: MountingSeries  # a constant of its own at each calibration, about the merged matrix
-    merged: MergedMounting
-    constant: LinearFit  # one constant, and the orbit's term where it was asked for
-    step: StepFit
-    walk: RandomWalk
-    orbit_phase: OrbitPhaseTerm | None  # None: not asked for
-    moved: bool
-    settings: DriftSettings
+    series: MountingSeries = scalar("one free theta per calibration, about the merged matrix")
+    merged: MergedMounting = scalar("one matrix from all calibrations")
+    constant: LinearFit = scalar("fit of one constant and, if requested, the orbit term")
+    step: StepFit = scalar("best single step")
+    walk: RandomWalk = scalar("random walk")
+    orbit_phase: OrbitPhaseTerm | None = scalar("None: not requested")
+    moved: bool = scalar("whether a test finds that the mounting has moved")
+    settings: DriftSettings = scalar("settings of the estimate")
 
 
 def estimate_drift(series: MountingSeries, settings: DriftSettings) -> Drift:
@@ -238,7 +245,16 @@ def estimate_drift(series: MountingSeries, settings: DriftSettings) -> Drift:
     walk, term = _random_walk(series, phase, settings)
     share = 0.5 * settings.probability_false_alarm
     moved = constant.p_value < share or step.p_value < share
-    return Drift(series, merged, constant, step, walk, term, moved, settings)
+    return Drift(
+        series=series,
+        merged=merged,
+        constant=constant,
+        step=step,
+        walk=walk,
+        orbit_phase=term,
+        moved=moved,
+        settings=settings,
+    )
 
 
 def _without_shared(F: Array, right: Array, prior_shared: Array) -> tuple[Array, Array]:
@@ -313,14 +329,14 @@ def _best_step(series: MountingSeries, phase: Array, chi2_constant: float, confi
     tail = 0.5 * (1.0 - confidence)
     low, high = np.interp([tail, 1.0 - tail], cumulative, series.t_s)
     return StepFit(
-        series.names[best],
-        series.names[best + 1],
-        float(0.5 * (series.t_s[best] + series.t_s[best + 1])),
-        (float(low), float(high)),
-        fits[best].coefficients[1],
-        fits[best].covariance[3:6, 3:6],
-        gain,
-        min(1.0, (K - 1) * float(chi2_distribution.sf(gain, 3))),
+        after=series.names[best],
+        before=series.names[best + 1],
+        t_s=float(0.5 * (series.t_s[best] + series.t_s[best + 1])),
+        interval_s=(float(low), float(high)),
+        theta_step=fits[best].coefficients[1],
+        covariance=fits[best].covariance[3:6, 3:6],
+        gain=gain,
+        p_value=min(1.0, (K - 1) * float(chi2_distribution.sf(gain, 3))),
     )
 
 

@@ -12,37 +12,37 @@ variance q / mu in them, or any size at all along the three axes of mu = 0, whic
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import eigh
 from scipy.optimize import brentq, minimize_scalar
 from scipy.stats import chi2
 
+from boresight.geometry.record import array, record
+
 __all__ = ["Course", "WalkProblem", "likely_density"]
 
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record
 class Course:
     """theta at every calibration, given all of them, and what the regressors take."""
 
-    theta: Array  # (K, 3) rad, the regressors' part taken out
-    covariance: Array  # (K, 3, 3) rad²
-    coefficients: Array  # (m, 3) rad
-    coefficients_covariance: Array  # (3 m, 3 m) rad², ordered regressor by regressor
+    theta: Array = array("K, 3", "without the regressors' part, rad")
+    covariance: Array = array("K, 3, 3", "of each theta, rad²")
+    coefficients: Array = array("M, 3", "of the regressors, rad")
+    coefficients_covariance: Array = array("N, N", "N = 3 M, ordered regressor by regressor, rad²")
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record
 class WalkProblem:
     """A series of K calibrations in the axes in which both they and the walk's steps are independent."""
 
-    axes: Array  # (3 K, 3 K) V
-    stiffness: Array  # (3 K,) mu, rad²/s; the first three are zero
-    z: Array  # (3 K,)
-    Z: Array  # (3 K, 3 m) change of z by the regressors' coefficients
+    axes: Array = array("N, N", "V, N = 3 K")
+    stiffness: Array = array("N", "mu, rad²/s; the first three are zero")
+    z: Array = array("N", "data along the axes, unit variance")
+    Z: Array = array("N, M", "change of z by the regressors' coefficients")
 
     @classmethod
     def of(cls, theta: Array, information: Array, t_s: Array, regressors: Array) -> WalkProblem:

@@ -212,7 +212,7 @@ def test_the_merged_matrix_and_its_covariance_are_honest():
     ("change", "says"),
     [
         ({"names": ["a", "a", "c"]}, "'a' is given twice"),
-        ({"t_s": np.array([0.0, 5.0, 5.0])}, "one and the same time"),
+        ({"t_s": np.array([0.0, 5.0, 5.0])}, "have the same time"),
         ({"t_s": np.array([0.0, 5.0, np.nan])}, "needs a time"),
         ({"theta": np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, 0.03]])}, "not one mounting"),
         ({"C": np.tile(np.diag([1.0, 1.0, -1.0]), (3, 1, 1))}, "not positive definite"),
