@@ -35,9 +35,9 @@ class CalibrationSettings:
     most_shared_targets: int = (
         100  # seen in several strips and kept as one point each; the rest, as many points
     )
-    probability_false_alarm: float = 1e-3  # of a good star or target being left out
+    probability_false_alarm: float = 1e-3  # of rejecting a good star or target
     robust: bool = True  # look for gross errors at all
-    fewest_stars: int = 3  # an exposure with fewer is left out: nothing checks its attitude
+    fewest_stars: int = 3  # an exposure with fewer is not used: nothing checks its attitude
     estimate_noise: bool = False  # scale the sigmas of star and target positions by what the residuals show
     sigma_observable_rad: float = (
         1e-3  # a ground measurement is better than this; a weaker direction gets no number

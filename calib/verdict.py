@@ -27,7 +27,7 @@ NEARLY_SAME_PLACE_M = 10.0  # candidates: along a straight path of the satellite
 
 
 class Outcome(Enum):
-    """What the statistics say of the data as a whole."""
+    """Result of the consistency tests."""
 
     CONSISTENT = "consistent"
     REFUTED = "refuted"
@@ -80,7 +80,7 @@ LOOK_AT = {
 
 @record
 class VerdictSettings:
-    """Limits of the verdict. They allow for what honest data show, not for what is desirable."""
+    """Limits of the verdict. They admit what correct data show."""
 
     probability_false_alarm: float = scalar(
         "that consistent data are refuted, all checks together", default=1e-4
@@ -148,7 +148,7 @@ def assess(
     settings : VerdictSettings, optional
         False-alarm rate and tolerances.
     sigma_installation_rad : (3,) array, optional
-        1-sigma of the starting matrix about the axes of frame c, rad; without it that check is left out.
+        1-sigma of the starting matrix about the axes of frame c, rad; without it that check is not made.
 
     Returns
     -------

@@ -98,7 +98,7 @@ class StripTruth:
     R_cs: Rotation
     wrong_stars: frozenset[tuple[str, str, int]]  # strip, exposure, row
     wrong_targets: frozenset[tuple[str, int]]  # strip, row
-    R_ci: tuple[Rotation, ...]  # a strip, (J,) at the rows' recorded instants, vibration left out
+    R_ci: tuple[Rotation, ...]  # a strip, (J,) at the rows' recorded instants, without vibration
     look_c: tuple[
         Array, ...
     ]  # a strip, (J, 3) true look vectors of the targets' images, with distortion, without measurement error

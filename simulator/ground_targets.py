@@ -139,13 +139,13 @@ def _surveyed(
     height = scene.surface.height_m(lat, lon)
     p_e = ecef_from_geodetic(lat, lon, height, WGS84)
     error = rng.standard_normal(3) * settings.sigma_m
-    told_east, told_north = east + error[0], north + error[1]
-    told_lon, told_lat = to_map.transform(told_east, told_north, direction="INVERSE")
-    told_height = height[0] + error[2] - geoid.undulation_m(lat, lon)[0]
+    reported_east, reported_north = east + error[0], north + error[1]
+    reported_lon, reported_lat = to_map.transform(reported_east, reported_north, direction="INVERSE")
+    reported_height = height[0] + error[2] - geoid.undulation_m(lat, lon)[0]
     half = len(image) / 2 * chip_m
-    affine = (chip_m, 0.0, told_east - half, 0.0, -chip_m, told_north + half)
-    told = (float(told_lat), float(told_lon), float(told_height))
-    target = GroundTarget(target_id, *told, "egm96", settings.sigma_m)
+    affine = (chip_m, 0.0, reported_east - half, 0.0, -chip_m, reported_north + half)
+    reported = (float(reported_lat), float(reported_lon), float(reported_height))
+    target = GroundTarget(target_id, *reported, "egm96", settings.sigma_m)
     return target, ChipImage(target_id, image, affine, scene.epsg), p_e
 
 

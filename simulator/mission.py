@@ -145,7 +145,7 @@ class _Plan:
     strip_s: float  # duration of a strip
     exposures_s: Array  # (K,) middles of the exposures
     oem_s: Array  # nodes of the reported orbit
-    attitude_s: Array  # instants of the attitudes that the truth tells
+    attitude_s: Array  # instants of the true attitudes
 
     @staticmethod
     def of(scenario: Scenario) -> _Plan:
@@ -253,8 +253,8 @@ def _terrain_report(
     scenario: Scenario, heights: NDArray[np.float32], affine: Affine, seed: int
 ) -> TerrainReport:
     error = scenario.terrain.error_m * _rng(seed, "terrain error").standard_normal(heights.shape)
-    told = (heights + error).astype(np.float32)
-    return TerrainReport(told, affine, 4326, "egm96", scenario.terrain.error_m)
+    reported = (heights + error).astype(np.float32)
+    return TerrainReport(reported, affine, 4326, "egm96", scenario.terrain.error_m)
 
 
 def _seen_ground(
@@ -307,7 +307,7 @@ def _exposure_id(n: int) -> str:
 def _strips(
     scenario: Scenario, plan: _Plan, scenes: list[Scene], targets: list[Placed], clock_s: Array, seed: int
 ) -> tuple[Strip, ...]:
-    """Every CCD of every strip; the time of the first row as the camera's clock says it."""
+    """Every CCD of every strip; the time of the first row on the camera's clock."""
     camera, s, ground = scenario.line_camera, scenario.strips, scenario.ground
     spread = [_rng(seed, "gain", ccd).standard_normal(camera.samples) for ccd in range(camera.ccds)]
     gains = [(1.0 + ground.pixel_gain_sigma * each).astype(np.float32) for each in spread]

@@ -7,7 +7,7 @@ table: every row has its own.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,6 +17,7 @@ from scipy.spatial.transform import Rotation
 from boresight.geometry.constants import ARCSEC, GM_EARTH, J2_EARTH, WGS84
 from boresight.geometry.earth_rotation import EarthRotation
 from boresight.geometry.orbit import Orbit, orbital_frame
+from boresight.geometry.record import array, record, scalar
 from boresight.simulator.records import OrbitReport
 from boresight.simulator.scenario import AttitudeSettings, ErrorSettings, OrbitSettings
 
@@ -73,20 +74,20 @@ def reported_orbit(
     return OrbitReport("ITRF", t_s, positions + error, velocities + rate, sigma_m)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record(kw_only=True)
 class TrueAttitude:
     """Attitude of the satellite's cameras at any instant."""
 
-    orbit: Orbit
-    earth: EarthRotation
-    R_cs: Rotation
-    offset: Rotation  # nominal frame -> c, without the waves
-    yaw_steering: bool
-    axis: NDArray[np.int64]  # (W,) of frame c, about which each wave turns
-    amplitude_rad: Array  # (W,)
-    frequency_rad_s: Array  # (W,)
-    phase_rad: Array  # (W,)
-    span_s: tuple[float, float]  # from when to when it is to be used
+    orbit: Orbit = scalar("true orbit")
+    earth: EarthRotation = scalar("rotation of the Earth")
+    R_cs: Rotation = scalar("star camera -> remote-sensing camera")
+    offset: Rotation = scalar("nominal frame -> c, without the waves")
+    yaw_steering: bool = scalar("whether yaw follows the ground's motion")
+    axis: NDArray[np.int64] = array("W", "axis of frame c about which each wave rotates")
+    amplitude_rad: Array = array("W", "of each wave, rad")
+    frequency_rad_s: Array = array("W", "of each wave, rad/s")
+    phase_rad: Array = array("W", "of each wave, rad")
+    span_s: tuple[float, float] = array("2", "first and last instant of validity, s")
 
     def during(self, t_start_s: float, t_stop_s: float) -> TrueAttitude:
         """The attitude for a shorter time span."""

@@ -2,7 +2,7 @@
 
 `Mission` holds what goes into a dump; `Truth` goes to the dump's `truth/` folder alone. Images are made
 when they are asked for, and each has random numbers of its own, so that the order of asking does not
-matter. All instants are seconds since `Mission.epoch`, as the mission's own clocks say them.
+matter. All instants are seconds since `Mission.epoch` on the mission's clocks.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from boresight.geometry.epoch import Epoch
 from boresight.geometry.line_camera import LineCamera
+from boresight.geometry.record import array, record, scalar
 from boresight.geometry.star_camera import StarCamera
 from boresight.simulator.scenario import Scenario
 
@@ -40,28 +41,28 @@ Array = NDArray[np.float64]
 Image = NDArray[Any]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record
 class OrbitReport:
-    """What the satellite's receiver says: positions and velocities at even steps, its error included."""
+    """Reported positions and velocities at even steps, with the receiver's error."""
 
-    frame: str  # "ITRF", as a CCSDS OEM names it
-    t_s: Array  # (K,)
-    positions_m: Array  # (K, 3)
-    velocities_m_s: Array  # (K, 3)
-    sigma_position_m: float  # 1 sigma of each axis, common to a strip
+    frame: str = scalar('"ITRF", as in a CCSDS OEM')
+    t_s: Array = array("K", "instants, s")
+    positions_m: Array = array("K, 3", "in `frame`, m")
+    velocities_m_s: Array = array("K, 3", "in `frame`, m/s")
+    sigma_position_m: float = scalar("1 sigma of each axis, common to a strip, m")
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record
 class Installation:
-    """The installation matrix as measured on the ground, star camera -> remote-sensing camera."""
+    """The pre-launch installation matrix."""
 
-    R_cs: Rotation
-    sigma_rad: Array  # (3,) about the axes of frame c
+    R_cs: Rotation = scalar("star camera -> remote-sensing camera")
+    sigma_rad: Array = array("3", "1 sigma about the axes of frame c, rad")
 
 
 @dataclass(frozen=True, slots=True)
 class StatedErrors:
-    """1 sigma of what the mission knows to be wrong with its data."""
+    """Stated 1-sigma errors of the mission's data."""
 
     position_m: float  # each axis, common to a strip
     clock_s: float  # row times against orbit and star camera, common to a strip
@@ -102,16 +103,16 @@ class Strip:
         return self._render(rows)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record
 class ChipImage:
     """An ortho-rectified piece of reference image. `affine` as GDAL and rasterio write it: (a, b, c, d, e,
     f) takes (column, row) of a pixel's upper left corner to map coordinates.
     """
 
-    target_id: str
-    image: NDArray[np.uint8]  # (height, width)
-    affine: tuple[float, float, float, float, float, float]
-    epsg: int  # a UTM zone on WGS84
+    target_id: str = scalar("target in the middle of the chip")
+    image: NDArray[np.uint8] = array("H, W", "grey values")
+    affine: tuple[float, float, float, float, float, float] = array("6", "(a, b, c, d, e, f), m")
+    epsg: int = scalar("a UTM zone on WGS84")
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,37 +127,37 @@ class GroundTarget:
     sigma_m: tuple[float, float, float]  # east, north, up
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record
 class TerrainReport:
     """The grid of heights that the user gets. `affine` as in `ChipImage`, in degrees."""
 
-    heights_m: NDArray[np.float32]  # (rows, columns)
-    affine: tuple[float, float, float, float, float, float]
-    epsg: int  # 4326: columns run along longitude
-    height_kind: str  # "egm96"
-    sigma_m: float
+    heights_m: NDArray[np.float32] = array("H, W", "heights, rows from north to south, m")
+    affine: tuple[float, float, float, float, float, float] = array("6", "as in `ChipImage`, degrees")
+    epsg: int = scalar("4326: columns run along longitude")
+    height_kind: str = scalar('"egm96": above the geoid')
+    sigma_m: float = scalar("1 sigma of the heights, m")
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record(kw_only=True)
 class TrueExposure:
     """True positions of an exposure's stars. Row n of every array refers to the same star."""
 
-    exposure_id: str
-    t_s: float
-    R_si: Rotation  # at the middle of the exposure
-    hip: NDArray[np.int64]  # (N,) 0 for an invented star
-    xy_px: Array  # (N, 2) mean place over the exposure
-    flux_e: Array  # (N,) electrons in the whole image of the star
-    v_mag: Array  # (N,)
+    exposure_id: str = scalar("id of the exposure")
+    t_s: float = scalar("middle of the exposure, s")
+    R_si: Rotation = scalar("at the middle of the exposure, GCRS -> star camera")
+    hip: NDArray[np.int64] = array("N", "catalogue number; 0 for an invented star")
+    xy_px: Array = array("N, 2", "mean position over the exposure, (column, row)")
+    flux_e: Array = array("N", "electrons in the whole image of the star")
+    v_mag: Array = array("N", "magnitude")
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record
 class TrueStrip:
-    """What was wrong with a strip's reported times and positions."""
+    """Errors of a strip's reported times and positions."""
 
-    strip_id: str
-    clock_offset_s: float  # reported row time minus true
-    position_error_m: Array  # (3,) reported minus true, ITRS
+    strip_id: str = scalar("id of the strip")
+    clock_offset_s: float = scalar("reported row time minus true, s")
+    position_error_m: Array = array("3", "reported minus true, ITRS, m")
 
 
 @dataclass(frozen=True, slots=True)
@@ -175,21 +176,21 @@ class TruePoint:
     height_ellipsoidal_m: float
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record(kw_only=True)
 class Truth:
     """True values of what a mission measures, for `validate` and tests only."""
 
-    seed: int
-    R_cs: Rotation
-    theta_rad: Array  # (3,) R_cs = exp[[theta]] R_cs0
-    line_camera: LineCamera  # with what the distortion table leaves
-    orbit: OrbitReport  # without error (sigma 0)
-    t_attitude_s: Array  # (K,) instants of the attitudes: 1 kHz over every strip
-    R_ci: Rotation  # (K,) attitude of the remote-sensing camera
-    strips: tuple[TrueStrip, ...]
-    targets: tuple[TruePoint, ...]
-    check_points: tuple[TruePoint, ...]
-    _exposure: Callable[[str], TrueExposure]
+    seed: int = scalar("seed of all random numbers")
+    R_cs: Rotation = scalar("star camera -> remote-sensing camera")
+    theta_rad: Array = array("3", "R_cs = exp[[theta]] R_cs0")
+    line_camera: LineCamera = scalar("with the residual of the distortion table")
+    orbit: OrbitReport = scalar("without error (sigma 0)")
+    t_attitude_s: Array = array("K", "instants of the attitudes: 1 kHz over every strip, s")
+    R_ci: Rotation = array("K", "attitude of the remote-sensing camera")
+    strips: tuple[TrueStrip, ...] = scalar("clock and position errors of each strip")
+    targets: tuple[TruePoint, ...] = scalar("sightings of the targets")
+    check_points: tuple[TruePoint, ...] = scalar("sightings of the check points")
+    _exposure: Callable[[str], TrueExposure] = scalar("computes the stars of an exposure")
 
     def exposure(self, exposure_id: str) -> TrueExposure:
         """The stars of one exposure; `KeyError` for an id that the mission does not have."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from typing import Any
 
 import numpy as np
@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from boresight.geometry.epoch import Epoch
 from boresight.geometry.orbit import Orbit
+from boresight.geometry.record import array, record, scalar
 from boresight.geometry.star_camera import StarCamera
 from boresight.geometry.starlight import StarPlaces, apparent_star_directions
 from boresight.simulator.motion import TrueAttitude
@@ -25,18 +26,18 @@ _SPHERE_DEG2 = 4.0 * np.pi * np.degrees(1.0) ** 2
 _MARGIN_PX = 40.0  # stars so far outside still shed light on the detector's edge
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record(kw_only=True)
 class StarField:
-    """The sky before a star camera: everything that its exposures are made from."""
+    """The sky in front of a star camera: everything needed to render its exposures."""
 
-    camera: StarCamera
-    sky: SkySettings
-    stars: StarPlaces
-    epoch: Epoch
-    orbit: Orbit
-    attitude: TrueAttitude
-    hot: Array  # (M, 3) from `simulator.sky.hot_pixels`
-    catalogue_i: Array  # (N, 3) catalogue places as unit vectors, for a first look
+    camera: StarCamera = scalar("star camera")
+    sky: SkySettings = scalar("settings of the sky and the detector")
+    stars: StarPlaces = scalar("catalogue stars and invented ones")
+    epoch: Epoch = scalar("zero of instants")
+    orbit: Orbit = scalar("true orbit")
+    attitude: TrueAttitude = scalar("true attitude")
+    hot: Array = array("M, 3", "from `simulator.sky.hot_pixels`")
+    catalogue_i: Array = array("N, 3", "catalogue positions as unit vectors, for a coarse selection")
 
     @staticmethod
     def of(
@@ -50,7 +51,16 @@ class StarField:
         """The stars seen along an orbit; `hot` (M, 3) from `simulator.sky.hot_pixels`."""
         ra, dec = stars.ra_rad, stars.dec_rad
         unit = np.column_stack([np.cos(dec) * np.cos(ra), np.cos(dec) * np.sin(ra), np.sin(dec)])
-        return StarField(camera, sky, stars, orbit.epoch, orbit, attitude, hot, unit)
+        return StarField(
+            camera=camera,
+            sky=sky,
+            stars=stars,
+            epoch=orbit.epoch,
+            orbit=orbit,
+            attitude=attitude,
+            hot=hot,
+            catalogue_i=unit,
+        )
 
     def paths(self, t_s: float, exposure_s: float) -> tuple[StarPlaces, Array]:
         """The stars that reach the detector, and where they stand at evenly shared instants: (N, K, 2) px."""
@@ -77,7 +87,7 @@ class StarField:
         return expose(paths, charge, size, self.sky, self.hot, rng)
 
     def truth(self, exposure_id: str, t_s: float, exposure_s: float) -> TrueExposure:
-        """What is true about that image."""
+        """True positions and fluxes of that image's stars."""
         stars, paths = self.paths(t_s, exposure_s)
         inside = self.camera.contains(paths.mean(axis=1))
         stars, paths = stars.take(inside), paths[inside]

@@ -217,7 +217,7 @@ class RandomWalk:
 
 @record(kw_only=True)
 class Drift:
-    """What a series of calibrations says of the mounting's course. theta is about series.R_cs_ref."""
+    """Results of a series of calibrations. theta is about series.R_cs_ref."""
 
     series: MountingSeries = scalar("one free theta per calibration, about the merged matrix")
     merged: MergedMounting = scalar("one matrix from all calibrations")
