@@ -24,7 +24,7 @@ from end_to_end import machine
 
 from boresight.pipeline.files.dump import open_dump
 
-COMMAND = (sys.executable, "-c", "from pipeline.cli import main; main()", "calibrate")
+COMMAND = (sys.executable, "-m", "boresight", "calibrate")
 EVERY_S = 0.1
 
 

@@ -284,7 +284,7 @@ STEP = np.array([0.6, -0.8, 0.0]) * ARCSEC  # 1 arcsec
 
 def pixels_report(folder: Path) -> str:
     """Dumps of four months rendered, the mounting moved after the second; `calibrate` finds it by itself."""
-    program = [sys.executable, "-c", "from pipeline.cli import main; main()"]
+    program = [sys.executable, "-m", "boresight"]
     turned = theta_between(deviation_from_theta(STEP) * deviation_from_theta(THETA), Rotation.identity())
     common = ["errors.gps_m=0.2", "errors.distortion_px=0.0", "strips.only_around_targets_px=60.0"]
     dumps = []

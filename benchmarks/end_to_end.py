@@ -31,7 +31,7 @@ from boresight.pipeline.files.dump import open_dump
 from boresight.pipeline.results.reading import read_result
 from boresight.pipeline.results.validate import Validation, validate
 
-COMMAND = (sys.executable, "-c", "from pipeline.cli import main; main()")
+COMMAND = (sys.executable, "-m", "boresight")
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,7 @@ from pathlib import Path
 
 from end_to_end import machine
 
-COMMAND = (sys.executable, "-c", "from pipeline.cli import main; main()", "calibrate")
+COMMAND = (sys.executable, "-m", "boresight", "calibrate")
 
 
 def start(dump: Path, out: Path, workers: int) -> subprocess.Popen:

@@ -22,7 +22,7 @@ from statistics import median
 
 from end_to_end import machine
 
-COMMAND = (sys.executable, "-c", "from pipeline.cli import main; main()", "calibrate")
+COMMAND = (sys.executable, "-m", "boresight", "calibrate")
 
 
 @dataclass(frozen=True)

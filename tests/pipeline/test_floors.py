@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import re
 from pathlib import Path
 
 import pytest
@@ -77,6 +78,20 @@ def test_rooms_are_imported_by_the_name_of_the_package() -> None:
             and node.level == 0
         )
         or (isinstance(node, ast.Import) and {alias.name.split(".")[0] for alias in node.names} & ROOMS)
+    ]
+    assert bare == []
+
+
+def test_no_program_in_a_string_imports_a_bare_room() -> None:
+    """Such a program runs in the repository's root only, beside the modules that everything else uses."""
+    bare = [
+        f"{path}:{node.lineno}"
+        for folder in ("tests", "benchmarks", "scripts")
+        for path in (ROOT / folder).rglob("*.py")
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.Constant)
+        and isinstance(node.value, str)
+        and re.search(rf"^(?:from|import) (?:{'|'.join(ROOMS)})\.", node.value, re.MULTILINE)
     ]
     assert bare == []
 

@@ -16,7 +16,7 @@ from boresight.pipeline.errors import WorkerError
 from boresight.pipeline.work.executor import InOrder
 from boresight.pipeline.work.workers import executor_for
 
-BORESIGHT = (sys.executable, "-c", "from pipeline.cli import main; main()")
+BORESIGHT = (sys.executable, "-m", "boresight")
 
 
 def calibrate(dump: Path, out: Path, *more: str, limit: str = "") -> subprocess.CompletedProcess:
