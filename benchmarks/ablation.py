@@ -1,10 +1,10 @@
-"""What each physical effect is worth: the installation matrix's error with the effect left out of the
+"""Contribution of each physical effect: the installation matrix's error with the effect omitted from the
 processing.
 
     python benchmarks/ablation.py [--out docs/ablation.md]
 
 Strips are made at the level of vectors with every effect present and without noise; then they are calibrated
-with one effect left out at a time. What is left is the error that a program without this effect makes. The
+with one effect omitted at a time. The result is the error that a program without this effect makes. The
 star sky is Hipparcos to V = 6.5, the Earth's orientation the IERS tables', the geoid EGM96, the estimator
 `calib.calibration.calibrate` with its defaults.
 """

@@ -7,7 +7,7 @@ same IERS series (finals2000A). Refraction is compared with Rugged's own layers 
 what its standard atmosphere makes of it is printed beside. Points a second are CPU time of one thread.
 
 On terrain with refraction Rugged refines its point within one cell of the grid and may leave it: such points
-hover over or under its own terrain by metres. They are counted and left out of the comparison.
+hover over or under its own terrain by metres. They are counted and excluded from the comparison.
 """
 
 import importlib.resources

@@ -1,4 +1,4 @@
-"""Targets found and placed in a strip of full size, from a matrix as wrong as the paper's (28) has it.
+"""Targets found and measured in a strip of full size, from a matrix as wrong as the paper's (28) has it.
 
     OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 python benchmarks/match_full_size.py --dumps FOLDER
 
@@ -7,7 +7,7 @@ with 40 targets, three times: as the chips show the ground, at another date, and
 with a part of the fields changed. A dump that FOLDER does not hold is rendered (some minutes, 450 MB each).
 All 40 targets are looked for, then disjoint sets of 12 and of 6. A place is wrong if it lies over 1 px from
 the truth. CPU is that of the matcher without the strip's own `read`, and of the bootstrap alone, which ends
-with the vote; targets are placed after it. Memory is the process's largest resident size, imports included;
+with the vote; targets are measured after it. Memory is the process's largest resident size, imports included;
 the star images are read by another process.
 """
 

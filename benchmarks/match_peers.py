@@ -1,11 +1,11 @@
-"""Sub-pixel matching beside its peers, on rendered pairs with known truth (real ones: match_real_pairs.py).
+"""Sub-pixel matching and other packages: rendered pairs, known truth (real ones: match_real_pairs.py).
 
     OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 python benchmarks/match_peers.py [pairs per condition, 200]
 
 Rendered: 10 cm aerial pictures blurred to MTF 0.15 at Nyquist and sampled every fourth pixel at known
 fractions, noise of 2 grey values on both members of a pair (tests/gct_match/rendered_pairs.py). The bound
 is Cramér-Rao's for the two noises, everything else known. Every method gets the same window, ± 16 px
-around the template; errors of more than 0.5 px are gross, they are counted and left out of the rms.
+around the template; errors of more than 0.5 px are gross, they are counted and excluded from the rms.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""How often a window of another place is taken for the target's, and how often the right one is refused.
+"""How often a window elsewhere is accepted as the target's, and how often the right one is rejected.
 
     OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 python benchmarks/match_wrong_places.py [pairs a row, 100]
 

@@ -1,4 +1,4 @@
-"""How well stars are found, placed and named: full frames of the paper's camera, known truth.
+"""Accuracy of star detection, centroids and identification: full frames of the paper's camera, known truth.
 
     python benchmarks/star_accuracy.py [--frames 24] [--filled 20] [--told-gain]
 
@@ -6,7 +6,7 @@
 Hipparcos sky and below it random stars to V = 11. Prints CPU time (one thread), completeness, error over the
 Cramér-Rao bound and chi2 by SNR, bias over pixel phase, false detections, and the attitude's error over its
 bound. A sky holds few bright stars, so other frames are filled with stars of all SNR alike, on the same
-faint background and hot pixels: these are placed by both methods.
+faint background and hot pixels: these are measured by both methods.
 """
 
 from __future__ import annotations

@@ -209,12 +209,14 @@ def _motions(calibration: Calibration) -> list[StripMotion]:
         ground = zip(strip.ground.target_id.tolist(), strip.ground.ccd.tolist())
         motions.append(
             StripMotion(
-                strip,
-                orbits[strip.strip_id],
-                Rotation.from_matrix(attitudes.R_si[rows]),
-                attitudes.covariance_s[rows],
-                tuple(attitudes.kept[attitudes.stars(k)] for k in rows),
-                np.array([kept.get((strip.strip_id, name, ccd), False) for name, ccd in ground], dtype=bool),
+                strip=strip,
+                orbit=orbits[strip.strip_id],
+                R_si=Rotation.from_matrix(attitudes.R_si[rows]),
+                covariance_s=attitudes.covariance_s[rows],
+                stars_kept=tuple(attitudes.kept[attitudes.stars(k)] for k in rows),
+                targets_kept=np.array(
+                    [kept.get((strip.strip_id, name, ccd), False) for name, ccd in ground], dtype=bool
+                ),
             )
         )
     return motions

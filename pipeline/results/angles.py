@@ -9,7 +9,6 @@ the target's place, of the motion between the two, and what the mission states o
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +17,7 @@ from scipy.spatial.transform import Rotation
 from boresight.calib.settings import CalibrationSettings
 from boresight.geometry.attitude import AttitudeTrack, lagrange_weights
 from boresight.geometry.orbit import Orbit
+from boresight.geometry.record import array, record, scalar
 from boresight.geometry.sightings import StripSightings
 
 __all__ = ["CrossAngles", "StripMotion", "cross_angles"]
@@ -25,40 +25,40 @@ __all__ = ["CrossAngles", "StripMotion", "cross_angles"]
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record(kw_only=True)
 class StripMotion:
-    """A strip with its measured motion and what of its sightings is good. Exposures in the strip's order."""
+    """A strip, its measured attitudes and which sightings are used. Exposures in the strip's order."""
 
-    strip: StripSightings
-    orbit: Orbit
-    R_si: Rotation  # (K,)
-    covariance_s: Array  # (K, 3, 3) of each attitude, frame s, rad²
-    stars_kept: tuple[NDArray[np.bool_], ...]  # (K) arrays (N,)
-    targets_kept: NDArray[np.bool_]  # (J,)
+    strip: StripSightings = scalar("sightings of the strip")
+    orbit: Orbit = scalar("orbit of the dump")
+    R_si: Rotation = array("K", "attitude at each exposure, GCRS -> star camera")
+    covariance_s: Array = array("K, 3, 3", "of each attitude, frame s, rad²")
+    stars_kept: tuple[NDArray[np.bool_], ...] = array("K", "arrays (N,): the stars used of each exposure")
+    targets_kept: NDArray[np.bool_] = array("J", "the targets used")
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record(kw_only=True)
 class CrossAngles:
     """Cross angles of N pairs of a star and a target. Row n of every array is the same pair."""
 
-    strip_id: NDArray[np.str_]
-    target_id: NDArray[np.str_]
-    exposure_id: NDArray[np.str_]
-    hip: NDArray[np.int64]
-    z: Array  # cosine measured minus cosine known
-    sigma: Array  # predicted
+    strip_id: NDArray[np.str_] = array("N", "strip")
+    target_id: NDArray[np.str_] = array("N", "target")
+    exposure_id: NDArray[np.str_] = array("N", "exposure")
+    hip: NDArray[np.int64] = array("N", "catalogue number of the star")
+    z: Array = array("N", "cosine measured minus cosine known")
+    sigma: Array = array("N", "predicted 1 sigma of z")
 
 
 def cross_angles(motions: list[StripMotion], R_cs: Rotation, settings: CalibrationSettings) -> CrossAngles:
     """All pairs of kept targets and kept stars of the exposure nearest in time."""
     parts = [part for motion in motions for part in _of_strip(motion, R_cs, settings)]
     return CrossAngles(
-        np.array([p[0] for p in parts for _ in p[3]], dtype=str),
-        np.array([p[1] for p in parts for _ in p[3]], dtype=str),
-        np.array([p[2] for p in parts for _ in p[3]], dtype=str),
-        np.concatenate([np.zeros(0, dtype=np.int64), *(p[3] for p in parts)]),
-        np.concatenate([np.zeros(0), *(p[4] for p in parts)]),
-        np.concatenate([np.zeros(0), *(p[5] for p in parts)]),
+        strip_id=np.array([p[0] for p in parts for _ in p[3]], dtype=str),
+        target_id=np.array([p[1] for p in parts for _ in p[3]], dtype=str),
+        exposure_id=np.array([p[2] for p in parts for _ in p[3]], dtype=str),
+        hip=np.concatenate([np.zeros(0, dtype=np.int64), *(p[3] for p in parts)]),
+        z=np.concatenate([np.zeros(0), *(p[4] for p in parts)]),
+        sigma=np.concatenate([np.zeros(0), *(p[5] for p in parts)]),
     )
 
 

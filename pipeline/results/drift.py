@@ -23,6 +23,7 @@ from boresight.calib.mounting.drift import Drift, DriftSettings, MountingSeries,
 from boresight.geometry.constants import ARCSEC, DAY_S
 from boresight.geometry.epoch import Epoch
 from boresight.geometry.installation import deviation_from_theta, theta_between
+from boresight.geometry.record import record, scalar
 from boresight.pipeline import __version__
 from boresight.pipeline.errors import DataNotSufficientError, RawDataError
 from boresight.pipeline.files.table_files import column, read_parquet
@@ -48,13 +49,13 @@ OF_DISTORTION = ("sigma_distortion_rad", "distortion_length_px")  # by which its
 BY_CAMERA = ("mission", "star_camera", "remote_camera")  # of evidence/context.json: alike in all results
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record
 class DatedDrift:
     """A drift, with the epoch of its times and the pre-launch matrix to which its angles refer."""
 
-    drift: Drift
-    epoch: Epoch  # of the series' t_s
-    R_cs0: Rotation  # of the earliest result: measured on the ground
+    drift: Drift = scalar("estimate of the drift")
+    epoch: Epoch = scalar("zero of the series' t_s")
+    R_cs0: Rotation = scalar("pre-launch matrix of the earliest result")
 
 
 @dataclass(frozen=True, slots=True, eq=False)

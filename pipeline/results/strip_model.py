@@ -5,7 +5,6 @@ exports.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +13,7 @@ from numpy.typing import NDArray
 from boresight.geometry.attitude import AttitudeTrack
 from boresight.geometry.groundlight import LightEffects
 from boresight.geometry.pushbroom import Pushbroom, RowClock
+from boresight.geometry.record import array, record, scalar
 from boresight.pipeline.errors import DataNotSufficientError, RawDataError
 from boresight.pipeline.files.dump import Dump, Strip, open_dump
 from boresight.pipeline.files.dump_schema import DumpFile
@@ -28,25 +28,25 @@ __all__ = ["Calibrated", "StripModel", "open_calibrated", "strip_model"]
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record(kw_only=True)
 class Calibrated:
     """A result and the dump that it was made from."""
 
-    result: SavedResult
-    dump: Dump
-    attitude_covariance_s: Array  # (K, 3, 3) of the result's exposures, rad², frame s
-    effects: LightEffects  # those that the calibration took into account
-    sigma_terrain_m: float  # of the heights; 0 without a terrain model, where it is not known
-    exposure_margin_s: float  # exposures so far around a strip belong to it
+    result: SavedResult = scalar("finished result")
+    dump: Dump = scalar("dump from which it was made")
+    attitude_covariance_s: Array = array("K, 3, 3", "of the result's exposures, frame s, rad²")
+    effects: LightEffects = scalar("effects that the calibration took into account")
+    sigma_terrain_m: float = scalar("1 sigma of the heights, m; 0 without a terrain model (unknown)")
+    exposure_margin_s: float = scalar("exposures within this time of a strip belong to it, s")
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record
 class StripModel:
     """One strip: pixel <-> ground."""
 
-    strip: Strip
-    pushbroom: Pushbroom
-    track: AttitudeTrack
+    strip: Strip = scalar("strip of the dump")
+    pushbroom: Pushbroom = scalar("rigorous model: pixel <-> ground")
+    track: AttitudeTrack = scalar("attitudes of the strip's exposures")
 
 
 def open_calibrated(result: Path, dump: Path | None, *, allow_stale_eop: bool = False) -> Calibrated:
@@ -63,7 +63,14 @@ def open_calibrated(result: Path, dump: Path | None, *, allow_stale_eop: bool = 
     terrain = read_toml(opened.root / "dump.toml", DumpFile, "dump.toml").terrain
     sigma_m = terrain.sigma_m if terrain is not None else 0.0
     covariance = list_values(table, "covariance_s", 3, 3)
-    return Calibrated(saved, opened, covariance, effects, sigma_m, run.exposure_margin_s)
+    return Calibrated(
+        result=saved,
+        dump=opened,
+        attitude_covariance_s=covariance,
+        effects=effects,
+        sigma_terrain_m=sigma_m,
+        exposure_margin_s=run.exposure_margin_s,
+    )
 
 
 def strip_model(calibrated: Calibrated, strip_id: str) -> StripModel:

@@ -183,7 +183,7 @@ def test_a_result_of_an_earlier_version_is_dated_by_its_reports_notes(tmp_path):
         ({"camera": "c1"}, RawDataError, "camera of version .*one mounting has one pair"),
         ({"mission": "other"}, RawDataError, "mission: found other"),
         ({"theta": THETA + 0.1}, DataNotSufficientError, "not one mounting, or not the same frames"),
-        ({"t_s": 0.0}, DataNotSufficientError, "one and the same time"),
+        ({"t_s": 0.0}, DataNotSufficientError, "have the same time"),
     ],
 )
 def test_results_that_are_not_of_one_mounting_are_refused(tmp_path, change, error, says):

@@ -135,7 +135,14 @@ def test_pixels_are_placed_on_the_ground_and_found_again(flown) -> None:
         R_si=task.R_si[:0],
         usable=none.astype(bool),
     )
-    calibrated = Calibrated(saved, dump, track.cov_s, LightEffects(), 0.0, 1.0)
+    calibrated = Calibrated(
+        result=saved,
+        dump=dump,
+        attitude_covariance_s=track.cov_s,
+        effects=LightEffects(),
+        sigma_terrain_m=0.0,
+        exposure_margin_s=1.0,
+    )
     points = truth.check_points
     pixels = Pixels(
         np.zeros(len(points), dtype=np.int64),

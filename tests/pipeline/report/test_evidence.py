@@ -90,12 +90,12 @@ def motion_of(strip):
         information = ((np.eye(3) - u[:, :, None] * u[:, None, :]) / weight[:, None, None]).sum(axis=0)
         covariances.append(np.linalg.inv(information))
     return StripMotion(
-        strip,
-        Still(strip),
-        Rotation.concatenate(attitudes),
-        np.array(covariances),
-        tuple(np.ones(len(e.hip), dtype=bool) for e in strip.exposures),
-        np.ones(len(strip.ground.target_id), dtype=bool),
+        strip=strip,
+        orbit=Still(strip),
+        R_si=Rotation.concatenate(attitudes),
+        covariance_s=np.array(covariances),
+        stars_kept=tuple(np.ones(len(e.hip), dtype=bool) for e in strip.exposures),
+        targets_kept=np.ones(len(strip.ground.target_id), dtype=bool),
     )
 
 
