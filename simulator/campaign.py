@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from boresight.geometry.constants import ARCSEC, GM_EARTH, WGS84
+from boresight.geometry.record import array, record, scalar
 from boresight.geometry.sightings import GroundSightings, StarSightings, StripSightings, isotropic_covariance
 from boresight.geometry.vector_sets import VectorSets
 
@@ -91,17 +92,15 @@ class StripPlan:
     gross_reach_px: float = 500.0
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record
 class StripTruth:
-    """What was true in a drawn campaign, for judging estimates only."""
+    """True values of a drawn campaign of S strips, to test estimates."""
 
-    R_cs: Rotation
-    wrong_stars: frozenset[tuple[str, str, int]]  # strip, exposure, row
-    wrong_targets: frozenset[tuple[str, int]]  # strip, row
-    R_ci: tuple[Rotation, ...]  # a strip, (J,) at the rows' recorded instants, without vibration
-    look_c: tuple[
-        Array, ...
-    ]  # a strip, (J, 3) true look vectors of the targets' images, with distortion, without measurement error
+    R_cs: Rotation = scalar("true installation matrix")
+    wrong_stars: frozenset[tuple[str, str, int]] = scalar("gross errors: strip, exposure, row")
+    wrong_targets: frozenset[tuple[str, int]] = scalar("gross errors: strip, row")
+    R_ci: tuple[Rotation, ...] = array("S", "(J,) at the rows' recorded times, without vibration")
+    look_c: tuple[Array, ...] = array("S", "(J, 3) true look vectors, with distortion, without noise")
 
 
 def draw_strips(

@@ -10,7 +10,6 @@ gave. Both are deterministic, and the same wherever a patch begins. What the opt
 from __future__ import annotations
 
 from collections import OrderedDict
-from dataclasses import dataclass
 from typing import Any, Protocol
 
 import cv2
@@ -19,6 +18,7 @@ from numpy.typing import NDArray
 from pyproj import CRS, Transformer
 
 from boresight.geometry.attitude import lagrange_weights
+from boresight.geometry.record import array, record, scalar
 from boresight.simulator.landscape import Landscape
 from boresight.simulator.lattice_noise import fractal, smooth_noise
 from boresight.simulator.scenario import GroundSettings
@@ -43,13 +43,13 @@ class Ground(Protocol):
         """Reflectance of the texels of a window, (height, width)."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record
 class GroundImage:
     """An ortho-image: grey values, affine (a, b, c, d, e, f) of pixel corners as in rasterio, and its CRS."""
 
-    image: NDArray[Any]  # (rows, columns)
-    affine: tuple[float, float, float, float, float, float]
-    crs: str
+    image: NDArray[Any] = array("H, W", "grey values")
+    affine: tuple[float, float, float, float, float, float] = array("6", "of pixel corners, as in rasterio")
+    crs: str = scalar("coordinate reference system")
 
 
 def gaussian_sigma_px(mtf_nyquist: float) -> float:
