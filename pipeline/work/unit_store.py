@@ -19,7 +19,6 @@ from collections.abc import Iterator, Mapping
 from enum import Enum
 from functools import cache, lru_cache
 from importlib import metadata
-from importlib.machinery import ModuleSpec
 from pathlib import Path
 from typing import Any
 
@@ -138,15 +137,14 @@ def _sources(root: str) -> dict[str, Any]:
     todo = _with_submodules(root)
     while todo:
         name = todo.pop()
-        if name in sources or (spec := _spec(name)) is None or spec.origin is None:
+        if name in sources or (file := _file_of(name)) is None:
             continue
-        sources[name] = Path(spec.origin).read_bytes()
+        sources[name] = file.read_bytes()
         if "." in name:  # what the top-level package imports is for its users
             todo += [name.rpartition(".")[0], *_imports(sources[name], name.partition(".")[0])]
-        for folder in spec.submodule_search_locations or ():
-            sources[f"data of {name}"] = sorted(
-                path for path in Path(folder, "data").glob("*") if path.is_file()
-            )
+        if file.name == "__init__.py":
+            data = file.parent.joinpath("data").glob("*")
+            sources[f"data of {name}"] = sorted(path for path in data if path.is_file())
     return sources
 
 
@@ -160,18 +158,28 @@ def library_versions() -> dict[str, str]:
 
 
 def _with_submodules(name: str) -> list[str]:
-    spec = _spec(name)
-    folders = [Path(folder) for folder in (spec.submodule_search_locations or ())] if spec else []
-    inner = [path.relative_to(folder).with_suffix("") for folder in folders for path in folder.rglob("*.py")]
+    file = _file_of(name)
+    if file is None or file.name != "__init__.py":
+        return [name]
+    inner = [path.relative_to(file.parent).with_suffix("") for path in file.parent.rglob("*.py")]
     return [name, *(".".join((name, *path.parts)) for path in inner if path.name != "__init__")]
 
 
-def _spec(name: str) -> ModuleSpec | None:
-    """How a module is found; None for a name that is no module."""
-    try:
-        return importlib.util.find_spec(name)
-    except ModuleNotFoundError:
+def _file_of(name: str) -> Path | None:
+    """Source file of a module, by its place below the top-level package; None if there is none."""
+    top, *parts = name.split(".")
+    folder = _folder_of(top)
+    if folder is None:
         return None
+    candidates = folder.joinpath(*parts, "__init__.py"), folder.joinpath(*parts).with_suffix(".py")
+    return next((file for file in candidates if file.is_file()), None)
+
+
+@cache
+def _folder_of(top: str) -> Path | None:
+    """Folder of a top-level package."""
+    spec = importlib.util.find_spec(top)
+    return Path(spec.submodule_search_locations[0]) if spec and spec.submodule_search_locations else None
 
 
 def _imports(source: bytes, package: str) -> Iterator[str]:
