@@ -188,8 +188,8 @@ def test_what_is_said_of_times_and_places_must_be_whole(folder, tmp_path):
     image, times = folder / "sky0.png", times_of(tmp_path / "times.csv", "another.png")
     for arguments, says in (
         (("--times", times), "no row for sky0.png"),
-        (("--site", 50.0, 8.0, 100.0), "--times, the times of the images, too"),
-        (("--orbit", MINI / "orbit.oem"), "--times, the times of the images, too"),
+        (("--site", 50.0, 8.0, 100.0), "expected --times as well"),
+        (("--orbit", MINI / "orbit.oem"), "expected --times as well"),
         (
             ("--times", times_of(tmp_path / "b.csv", "sky0.png"), "--site", 95.0, 8.0, 100.0),
             "95.0, 8.0, 100.0",

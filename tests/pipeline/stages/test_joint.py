@@ -318,7 +318,7 @@ SETTINGS_USED = CalibrationSettings(
 
 def test_targets_that_two_dumps_list_alike_are_one_point_each() -> None:
     calibrated, strips = visits(np.zeros(3))
-    found = calibrate_jointly(calibrated, []).estimate
+    found = calibrate_jointly(calibrated, [], Settings()).estimate
     whole = calibrate(strips, BOLD, SETTINGS_USED)
     # The Earth's rotation is known to half a second, 4e-5 rad of an error of 3 m in 530 km: 1e-5 arcsec.
     assert np.all(np.abs(theta_between(found.R_cs, whole.R_cs)) < 1e-4 * ARCSEC)
@@ -327,8 +327,8 @@ def test_targets_that_two_dumps_list_alike_are_one_point_each() -> None:
 
 
 def test_targets_of_one_name_at_two_places_are_two_points() -> None:
-    one = calibrate_jointly(visits(np.zeros(3))[0], []).estimate
-    two = calibrate_jointly(visits(np.array([10.0, 0.0, 0.0]))[0], []).estimate
+    one = calibrate_jointly(visits(np.zeros(3))[0], [], Settings()).estimate
+    two = calibrate_jointly(visits(np.array([10.0, 0.0, 0.0]))[0], [], Settings()).estimate
     assert len(two.pairs.shared) == 2 * len(one.pairs.shared)
     assert {name.split("/")[1] for name in two.pairs.shared} == {"d0", "d1"}
     # The survey's error, 3 m, rules: shared by all it does not average, by halves it does.
