@@ -304,7 +304,8 @@ def visits(place: np.ndarray) -> list:
             SimpleNamespace(target_id=name, p_e=site, sigma_m=np.full(3, 3.0))
             for name in strips[0].ground.target_id.tolist()
         ]
-        dump = SimpleNamespace(epoch=epoch, targets=targets, R_cs0=BOLD)
+        sigma = np.full(3, 3e-3)
+        dump = SimpleNamespace(epoch=epoch, targets=targets, R_cs0=BOLD, sigma_installation_rad=sigma)
         found = SimpleNamespace(strips=strips[4 * n : 4 * n + 4], settings=SETTINGS_USED)
         out.append((SimpleNamespace(name=f"d{n}", dump=dump), found))
     return [out, strips]
