@@ -112,6 +112,17 @@ def is_killed(mutant: Mutant, tree: Path) -> bool:
         path.write_text(sound, encoding="utf-8")
 
 
+def failures_without_mutation(chosen: Sequence[Mutant], jobs: int) -> str:
+    """The end of what pytest prints if the named tests do not pass on the unchanged tree, else ""."""
+    tests = sorted({test for mutant in chosen for test in mutant.tests})
+    with tempfile.TemporaryDirectory() as folder:
+        tree = copy_of_tree(Path(folder))
+        command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-n", str(jobs), *tests]
+        environment = os.environ | {"PYTHONPATH": str(tree), "PYTHONDONTWRITEBYTECODE": "1"}
+        done = subprocess.run(command, cwd=tree, env=environment, capture_output=True, text=True)
+    return done.stdout[-2000:] if done.returncode else ""
+
+
 def tried(chosen: Sequence[Mutant], jobs: int) -> Iterator[tuple[Mutant, bool, float]]:
     """Each mutation with whether it was killed and the seconds that took, as they finish."""
     with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(jobs) as pool:
@@ -180,6 +191,9 @@ def main() -> int:
     chosen = [m for m in mutants() if options.only in f"{m.room} {m.file} {m.what}"]
     if wrong := [text for mutant in chosen for text in faults(mutant)]:
         print("\n".join(wrong))
+        return 2
+    if printed := failures_without_mutation(chosen, options.jobs):
+        print(printed + "\nthe tests must pass before a mutation is made")
         return 2
     begun, rows = time.perf_counter(), []
     for mutant, was_killed, seconds in tried(chosen, options.jobs):
