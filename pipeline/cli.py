@@ -270,7 +270,7 @@ def experiment(
         float, typer.Option(help="Star camera's axis from the zenith in the Y-Z plane, degrees.")
     ] = 15.0,
     pixels: Annotated[
-        bool, typer.Option("--pixels", help="From rendered images on a reduced grid: grid and table5.")
+        bool, typer.Option("--pixels", help="From rendered images: grid (reduced), table4, table5.")
     ] = False,
 ) -> None:
     """Run a simulation of the paper from scratch, with its printed values beside ours.
@@ -300,12 +300,11 @@ def experiment(
             bar.update(task, completed=done, total=total)
 
         if pixels:
-            rendered = PixelSettings(seed=seed, runs=runs or 2)
+            rendered = PixelSettings(seed=seed, runs=runs or 2, table4_runs=runs or 20)
             table, written = run_from_pixels(name, out, rendered, progress)
         else:
             table, written = run_experiment(name, out, chosen, progress)
-    if not pixels:
-        typer.echo("\n".join(COMPARISONS[name](table)))
+    typer.echo("\n".join(COMPARISONS[f"{name}-pixels" if pixels else name](table)))
     typer.echo(f"{name}: {len(table)} rows -> {', '.join(str(path) for path in written)}")
 
 

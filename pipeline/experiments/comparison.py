@@ -98,6 +98,32 @@ def compare_table4(table: pd.DataFrame) -> Iterator[str]:
         yield f"  {axis}  {value:6.1f} (5 expected, p {p:.1e}; our grid has {len(FIGURE_7_CELLS)} cells)"
 
 
+def compare_table4_pixels(table: pd.DataFrame) -> Iterator[str]:
+    """Table 4 from rendered images: rms of the missions beside their stated 1-sigma, per row and pooled."""
+    runs, n = int(table["runs"].iloc[0]), int(table["runs"].sum()) // 3
+    yield f"Table 4 from pixels, {runs} missions a row, arcsec"
+    yield "paper: single draws of its own cameras, of 5 and 24 times as many pixels"
+    yield "row:       stated:     | rms:                   | bound:                 |      | paper:"
+    yield "s, c, px   s, c, px    | X, Y, Z                | X, Y, Z                | NEES | X, Y, Z"
+    for (row_s, row_c), part in table.groupby(["row_s_px", "row_c_px"]):
+        head = f"{row_s:.2f}, {row_c:.1f}  {part['sigma_s_px'].iloc[0]:.3f}, {part['sigma_c_px'].iloc[0]:.2f}"
+        rms, bound = (", ".join(f"{v:6.2f}" for v in part[c]) for c in ("rms_arcsec", "bound_arcsec"))
+        paper = ", ".join(f"{v:.4f}" for v in part["paper_arcsec"])
+        yield f"{head} | {rms} | {bound} | {part['nees'].iloc[0]:4.2f} | {paper}"
+    yield f"Pooled over the {n} missions; expected 1 and 3,"
+    yield f"of which chance alone leaves {np.sqrt(0.5 / n):.2f} and {np.sqrt(6 / n):.2f} (1 sigma)"
+    for axis in AXES:
+        part = table[table["axis"] == axis]
+        yield f"  {axis}  rms / bound {_rms(part['rms_arcsec'] / part['bound_arcsec']):.3f}"
+    yield f"  NEES {table['nees'].mean():.2f}"
+    yield f"CPU {table['cpu_s'].sum() / 3:.0f} s, one core"
+
+
+def compare_plainly(table: pd.DataFrame) -> Iterator[str]:
+    """The table itself."""
+    yield from table.to_string(index=False, float_format="%.4g").splitlines()
+
+
 def compare_table5(table: pd.DataFrame) -> Iterator[str]:
     """Table 5 and Fig. 10: errors at check points, and the law in sigma_s that the paper's columns follow."""
     yield "Table 5: rms at check points, m; floor: all errors of Table 1, attitude and matrix perfect"
@@ -208,6 +234,9 @@ COMPARISONS: dict[str, Callable[[pd.DataFrame], Iterator[str]]] = {
     "table4": compare_table4,
     "table5": compare_table5,
     "readings": compare_readings,
+    "grid-pixels": compare_plainly,
+    "table4-pixels": compare_table4_pixels,
+    "table5-pixels": compare_plainly,
 }
 
 

@@ -294,6 +294,26 @@ def plot_grid_pixels(table: pd.DataFrame) -> Figure:
     return figure
 
 
+def plot_table4_pixels(table: pd.DataFrame) -> Figure:
+    """Table 4 from rendered images: rms and stated 1-sigma, and their ratio with its chance."""
+    figure, axes = _panels(1, 3, 3.4)
+    runs = int(table["runs"].iloc[0])
+    for ax, (axis, part) in zip(axes[0], table.groupby("axis")):
+        at = np.arange(len(part))
+        rms = part["rms_arcsec"]
+        style: dict[str, Any] = {"color": OURS, "ecolor": INK, "capsize": 3, "width": 0.6}
+        ax.bar(at, rms, yerr=rms / np.sqrt(2 * runs), label=f"rms of {runs} missions, ±1σ of chance", **style)
+        ax.plot(at, part["bound_arcsec"], "_", color=WANG, ms=22, mew=3, label="bound: stated 1σ")
+        ax.set_xticks(at, [f"{s:g}\n{c:g}" for s, c in zip(part["row_s_px"], part["row_c_px"])], fontsize=8)
+        ratio = np.sqrt(np.mean((rms / part["bound_arcsec"]) ** 2))
+        ax.set_title(f"{axis}: rms / bound {ratio:.2f}", fontsize=10)
+        ax.set_xlabel("σs, σc, px")
+    axes[0, 0].set_ylabel("error, arcsec")
+    _legend(figure, axes[0, 0])
+    figure.suptitle("Rows of Table 4 from rendered pixels of small cameras", fontsize=10)
+    return figure
+
+
 def plot_table5_pixels(table: pd.DataFrame) -> Figure:
     """Geo-positioning from rendered images."""
     figure, axes = _panels(1, 1, 3.4)
@@ -337,6 +357,7 @@ PLOTS: dict[str, Callable[[pd.DataFrame], Figure]] = {
     "readings": plot_readings,
     "geometry": plot_geometry,
     "grid-pixels": plot_grid_pixels,
+    "table4-pixels": plot_table4_pixels,
     "table5-pixels": plot_table5_pixels,
 }
 

@@ -16,7 +16,12 @@ from scipy.spatial.transform import Rotation
 from boresight.geometry.record import Floats
 from boresight.pipeline.experiments.comparison import COMPARISONS
 from boresight.pipeline.experiments.geometry_search import geometry_map
-from boresight.pipeline.experiments.pixels import PixelSettings, grid_from_pixels, table5_from_pixels
+from boresight.pipeline.experiments.pixels import (
+    PixelSettings,
+    grid_from_pixels,
+    table4_from_pixels,
+    table5_from_pixels,
+)
 from boresight.pipeline.experiments.plots import PLOTS
 from boresight.pipeline.experiments.provenance import record_head
 from boresight.pipeline.experiments.vectors import (
@@ -46,7 +51,7 @@ Progress = Callable[[int, int], None]
 FAINTEST_V = 6.5  # about 55 stars in the field (docs/paper.md)
 
 EXPERIMENTS = ("figure4", "convergence", "grid", "figure8", "table4", "table5", "readings", "geometry")
-FROM_PIXELS = ("grid", "table5")
+FROM_PIXELS = ("grid", "table4", "table5")
 
 
 def run_experiment(
@@ -58,27 +63,26 @@ def run_experiment(
     The text holds the paper's values beside ours, and commit, date, machine, versions and command.
     """
     table = experiment_table(name, settings, progress)
-    written = _written(name, table, out)
-    record = out / f"{name}.txt"
-    lines = [*record_head(name), *COMPARISONS[name](table)]
-    record.write_text("\n".join(lines) + "\n", encoding="utf-8")
-    return table, [*written, record]
+    return table, _written(name, table, out)
 
 
 def run_from_pixels(
     name: str, out: Path, settings: PixelSettings, progress: Progress | None = None
 ) -> tuple[pd.DataFrame, list[Path]]:
-    """Run one of `FROM_PIXELS` through rendered images; writes `NAME-pixels.csv` and `NAME-pixels.png`."""
-    table = {"grid": grid_from_pixels, "table5": table5_from_pixels}[name](settings, progress)
+    """Run one of `FROM_PIXELS` through rendered images; writes `NAME-pixels` as csv, png and txt."""
+    made = {"grid": grid_from_pixels, "table4": table4_from_pixels, "table5": table5_from_pixels}
+    table = made[name](settings, progress)
     return table, _written(f"{name}-pixels", table, out)
 
 
 def _written(name: str, table: pd.DataFrame, out: Path) -> list[Path]:
     out.mkdir(parents=True, exist_ok=True)
-    written = [out / f"{name}.csv", out / f"{name}.png"]
+    written = [out / f"{name}.{kind}" for kind in ("csv", "png", "txt")]
     table.to_csv(written[0], index=False, float_format="%.6g")
     figure = PLOTS[name](table)
     figure.savefig(written[1], dpi=160)
+    lines = [*record_head(name), *COMPARISONS[name](table)]
+    written[2].write_text("\n".join(lines) + "\n", encoding="utf-8")
     return written
 
 
