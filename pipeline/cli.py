@@ -259,9 +259,12 @@ def status(result: Annotated[Path, typer.Argument(help="Folder of a run, finishe
 @app.command()
 def experiment(
     name: Annotated[
-        str, typer.Argument(help="figure4, convergence, grid, figure8, table4, table5, readings, geometry.")
+        str,
+        typer.Argument(
+            help="figure4, convergence, grid, figure8, table4, table5, readings, geometry; or all."
+        ),
     ],
-    out: Annotated[Path, typer.Option(help="Folder for NAME.csv, NAME.png and NAME.txt.")],
+    out: Annotated[Path, typer.Option(help="Folder for NAME.csv, .png and .txt; all: also paper.html.")],
     runs: Annotated[
         int | None, typer.Option(help="Runs per cell; default 200 (Wang 40, table5 20).", min=2)
     ] = None,
@@ -278,6 +281,7 @@ def experiment(
     Example: boresight experiment geometry --out paper
     """
     from boresight.pipeline.experiments.comparison import COMPARISONS
+    from boresight.pipeline.experiments.overview import run_all
     from boresight.pipeline.experiments.pixels import PixelSettings
     from boresight.pipeline.experiments.tables import (
         EXPERIMENTS,
@@ -287,7 +291,7 @@ def experiment(
     )
     from boresight.pipeline.experiments.vectors import ExperimentSettings
 
-    known = FROM_PIXELS if pixels else EXPERIMENTS
+    known = FROM_PIXELS if pixels else (*EXPERIMENTS, "all")
     if name not in known:
         raise _wrong_usage(f"there is no experiment {name!r} of this kind, only {', '.join(known)}")
     chosen = ExperimentSettings(seed=seed, from_zenith_deg=star_from_zenith_deg)
@@ -302,8 +306,13 @@ def experiment(
         if pixels:
             rendered = PixelSettings(seed=seed, runs=runs or 2, table4_runs=runs or 20)
             table, written = run_from_pixels(name, out, rendered, progress)
+        elif name == "all":
+            page = run_all(out, chosen, progress)[1]
         else:
             table, written = run_experiment(name, out, chosen, progress)
+    if name == "all":
+        typer.echo(f"all: {len(EXPERIMENTS)} experiments -> {page}")
+        return
     typer.echo("\n".join(COMPARISONS[f"{name}-pixels" if pixels else name](table)))
     typer.echo(f"{name}: {len(table)} rows -> {', '.join(str(path) for path in written)}")
 

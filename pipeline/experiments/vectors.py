@@ -27,6 +27,7 @@ from boresight.geometry.record import Floats, record, scalar
 from boresight.geometry.sightings import StripSightings
 from boresight.geometry.vector_sets import VectorSets
 from boresight.pipeline.experiments.geometry_search import (
+    GeometrySearch,
     covariance_shapes,
     predicted_sigma,
     star_camera_rotation,
@@ -105,6 +106,7 @@ class ExperimentSettings:
     table5_strips: int = scalar("strips of ten exposures: 400 frames", default=40)
     table5_check_strips: int = scalar("further strips with check points", default=7)
     table5_runs: int = scalar("runs per row of Table 5", default=20)
+    search: GeometrySearch = scalar("directions and numbers of the map", default_factory=GeometrySearch)
 
     @property
     def cameras(self) -> CameraPair:

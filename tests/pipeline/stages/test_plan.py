@@ -70,7 +70,7 @@ def test_an_unknown_experiment_is_wrong_usage():
 
 
 def test_only_some_experiments_go_through_pixels():
-    told = runner.invoke(app, ["experiment", "table4", "--out", "nowhere", "--pixels"])
+    told = runner.invoke(app, ["experiment", "figure8", "--out", "nowhere", "--pixels"])
     assert told.exit_code == 2
 
 
