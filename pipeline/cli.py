@@ -290,6 +290,7 @@ def experiment(
         run_from_pixels,
     )
     from boresight.pipeline.experiments.vectors import ExperimentSettings
+    from boresight.pipeline.report.page import template
 
     known = FROM_PIXELS if pixels else (*EXPERIMENTS, "all")
     if name not in known:
@@ -307,7 +308,7 @@ def experiment(
             rendered = PixelSettings(seed=seed, runs=runs or 2, table4_runs=runs or 20)
             table, written = run_from_pixels(name, out, rendered, progress)
         elif name == "all":
-            page = run_all(out, chosen, progress)[1]
+            page = run_all(out, chosen, template("experiments.html.j2"), progress)[1]
         else:
             table, written = run_experiment(name, out, chosen, progress)
     if name == "all":

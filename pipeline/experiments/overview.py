@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from base64 import b64encode
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+import jinja2
 import numpy as np
 import pandas as pd
 
@@ -21,7 +23,6 @@ from boresight.pipeline.experiments.provenance import record_head
 from boresight.pipeline.experiments.tables import EXPERIMENTS, run_experiment
 from boresight.pipeline.experiments.vectors import ExperimentSettings
 from boresight.pipeline.files.whole_file import write_whole
-from boresight.pipeline.report.page import data_uri, template
 from boresight.simulator.scenario import paper_scenario
 
 __all__ = ["run_all", "verdict_of"]
@@ -47,11 +48,12 @@ class Section:
 
 
 def run_all(
-    out: Path, settings: ExperimentSettings, progress: Progress | None = None
+    out: Path, settings: ExperimentSettings, template: jinja2.Template, progress: Progress | None = None
 ) -> tuple[dict[str, pd.DataFrame], Path]:
     """Run all `EXPERIMENTS` into `out` and write `paper.html` there; tables by name, and the page's path.
 
-    The page holds figures and tables itself and needs no other file.
+    The page is `template`, that of the report's `experiments.html.j2`; it holds figures and tables itself and
+    needs no other file.
     """
     tables, sections = {}, []
     for n, name in enumerate(EXPERIMENTS):
@@ -64,25 +66,25 @@ def run_all(
                 caption=caption,
                 head=head,
                 rows=list(rows(tables[name])),
-                picture=data_uri("image/png", written[1].read_bytes()),
+                picture="data:image/png;base64," + b64encode(written[1].read_bytes()).decode("ascii"),
                 details="\n".join(COMPARISONS[name](tables[name])),
             )
         )
         if progress:
             progress(n + 1, len(EXPERIMENTS))
     facts = [line.split(maxsplit=1) for line in record_head("all")[1:] if line]
-    text = template("experiments.html.j2").render(facts=facts, inputs=list(_inputs()), sections=sections)
+    text = template.render(facts=facts, inputs=list(_inputs()), sections=sections)
     page = out / "paper.html"
     write_whole(page, lambda target: target.write_text(text, encoding="utf-8"))
     return tables, page
 
 
-def verdict_of(ours: float, paper: float) -> str:
-    """Verdict on the error `ours` beside the paper's: reproduced within 25 %, better below, larger above."""
+def verdict_of(ours: float, paper: float, *, larger: str = "larger", smaller: str = "better") -> str:
+    """Verdict on the error `ours` beside the paper's: reproduced within 25 %, else how many times off."""
     ratio = abs(paper) / ours
-    if ratio > 1.25:
-        return f"better, {ratio:.1f} times"
-    return "reproduced" if ratio >= 0.8 else f"larger, {1 / ratio:.1f} times"
+    if 0.8 <= ratio <= 1.25:
+        return "reproduced"
+    return f"{smaller}, {ratio:.1f} times" if ratio > 1.0 else f"{larger}, {1 / ratio:.1f} times"
 
 
 def _inputs() -> Iterator[Row]:
@@ -130,7 +132,10 @@ def _grid(table: pd.DataFrame) -> Iterator[Row]:
         for n, axis in enumerate(AXES):
             cells, paper = part[part["axis"] == axis], FIGURE_7_SIGMA_ARCSEC[n]
             rms, bound = _rms(cells["rms_arcsec"]), _rms(cells["bound_arcsec"])
-            yield f"Fig. 7, scatter in {axis}, {frames} frames", *_beside(paper, rms, bound)
+            yield (
+                f"Fig. 7, scatter in {axis}, {frames} frames",
+                *_beside(paper, rms, bound, smaller="smaller"),
+            )
     last = ours[ours["frames"] == ours["frames"].max()]
     for n, axis in enumerate(AXES):
         mean, cells = FIGURE_7_MEAN_ARCSEC[n], last[last["axis"] == axis]
@@ -142,7 +147,7 @@ def _grid(table: pd.DataFrame) -> Iterator[Row]:
     for n, axis in enumerate(AXES):
         cells, paper = wang[wang["axis"] == axis], TABLE_4_RMS_ARCSEC["wang"][n]
         rms, bound = _rms(cells["rms_arcsec"]), _rms(cells["bound_arcsec"])
-        yield f"Fig. 9, Wang's method in {axis}", *_beside(paper, rms, bound)
+        yield f"Fig. 9, Wang's method in {axis}", *_beside(paper, rms, bound, smaller="smaller")
 
 
 def _table4(table: pd.DataFrame) -> Iterator[Row]:
@@ -156,7 +161,8 @@ def _table4(table: pd.DataFrame) -> Iterator[Row]:
             part = table[(table["method"] == method) & (table["axis"] == axis)]
             rms, bound = _rms(part["rms_arcsec"]), _rms(part["bound_arcsec"])
             head = f"{axis}, {name.format(int(part['frames'].iloc[0]))}"
-            yield head, *_beside(TABLE_4_RMS_ARCSEC[who][n], rms, bound)
+            smaller = "smaller" if method == "wang" else "better"
+            yield head, *_beside(TABLE_4_RMS_ARCSEC[who][n], rms, bound, smaller=smaller)
 
 
 def _table5(table: pd.DataFrame) -> Iterator[Row]:
@@ -207,8 +213,8 @@ def _geometry(table: pd.DataFrame) -> Iterator[Row]:
     yield "paper", *(", ".join(f"{value:.4f}" for value in values) for values in printed), "–", ""
 
 
-def _beside(paper: float, rms: float, bound: float) -> Row:
-    return f"{paper:.4f}", f"{rms:.4f}", f"{bound:.4f}", verdict_of(rms, paper)
+def _beside(paper: float, rms: float, bound: float, *, smaller: str = "better") -> Row:
+    return f"{paper:.4f}", f"{rms:.4f}", f"{bound:.4f}", verdict_of(rms, paper, smaller=smaller)
 
 
 def _rms(values: pd.Series) -> float:
@@ -216,7 +222,7 @@ def _rms(values: pd.Series) -> float:
 
 
 ARCSEC_HEAD = ("", "paper, ″", "ours, ″", "bound, ″", "verdict")
-GROUND_HEAD = ("", "paper, m", "ours, m", "paper's Wang, m", "our Wang, m")
+GROUND_HEAD = ("", "paper, m", "ours, m", "Wang: paper", "ours")
 
 # title, caption, columns, rows
 SECTIONS: dict[str, tuple[str, str, Row, Callable[[pd.DataFrame], Iterator[Row]]]] = {

@@ -10,6 +10,7 @@ from boresight.pipeline.experiments.overview import run_all, verdict_of
 from boresight.pipeline.experiments.paper_tables import TABLE_4_RMS_ARCSEC, TABLE_5
 from boresight.pipeline.experiments.tables import EXPERIMENTS
 from boresight.pipeline.experiments.vectors import ExperimentSettings
+from boresight.pipeline.report.page import template
 
 
 @pytest.fixture(scope="module")
@@ -29,7 +30,7 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> str:
             from_zenith_deg=np.array([0.0, 30.0]), azimuth_deg=np.array([0.0, 45.0]), roll_deg=np.zeros(1)
         ),
     )
-    tables, path = run_all(tmp_path_factory.mktemp("paper"), settings)
+    tables, path = run_all(tmp_path_factory.mktemp("paper"), settings, template("experiments.html.j2"))
     assert set(tables) == set(EXPERIMENTS)
     return path.read_text(encoding="utf-8")
 
