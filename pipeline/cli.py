@@ -10,7 +10,7 @@ import platform
 import sys
 import time
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import replace
 from importlib import metadata
@@ -31,6 +31,8 @@ from boresight.pipeline.errors import DataNotSufficientError, RawDataError, Work
 from boresight.version import version_text
 
 if TYPE_CHECKING:
+    from boresight.pipeline.experiments.pixels import PixelSettings
+    from boresight.pipeline.experiments.vectors import ExperimentSettings
     from boresight.pipeline.files.dump import Dump
     from boresight.pipeline.work.executor import Executor
 
@@ -280,17 +282,9 @@ def experiment(
 
     Example: boresight experiment geometry --out paper
     """
-    from boresight.pipeline.experiments.comparison import COMPARISONS
-    from boresight.pipeline.experiments.overview import run_all
     from boresight.pipeline.experiments.pixels import PixelSettings
-    from boresight.pipeline.experiments.tables import (
-        EXPERIMENTS,
-        FROM_PIXELS,
-        run_experiment,
-        run_from_pixels,
-    )
+    from boresight.pipeline.experiments.tables import EXPERIMENTS, FROM_PIXELS
     from boresight.pipeline.experiments.vectors import ExperimentSettings
-    from boresight.pipeline.report.page import template
 
     known = FROM_PIXELS if pixels else (*EXPERIMENTS, "all")
     if name not in known:
@@ -298,24 +292,38 @@ def experiment(
     chosen = ExperimentSettings(seed=seed, from_zenith_deg=star_from_zenith_deg)
     if runs is not None:
         chosen = replace(chosen, runs=runs, wang_runs=runs, table5_runs=runs)
+    rendered = PixelSettings(seed=seed, runs=runs or 2, table4_runs=runs or 20)
     with progress_bar() as bar:
         task = bar.add_task(name, total=None)
 
         def progress(done: int, total: int) -> None:
             bar.update(task, completed=done, total=total)
 
-        if pixels:
-            rendered = PixelSettings(seed=seed, runs=runs or 2, table4_runs=runs or 20)
-            table, written = run_from_pixels(name, out, rendered, progress)
-        elif name == "all":
-            page = run_all(out, chosen, template("experiments.html.j2"), progress)[1]
-        else:
-            table, written = run_experiment(name, out, chosen, progress)
-    if name == "all":
-        typer.echo(f"all: {len(EXPERIMENTS)} experiments -> {page}")
-        return
-    typer.echo("\n".join(COMPARISONS[f"{name}-pixels" if pixels else name](table)))
-    typer.echo(f"{name}: {len(table)} rows -> {', '.join(str(path) for path in written)}")
+        text = _experiment(name, out, rendered if pixels else chosen, progress)
+    typer.echo(text)
+
+
+def _experiment(
+    name: str, out: Path, settings: ExperimentSettings | PixelSettings, progress: Callable[[int, int], None]
+) -> str:
+    """Run one experiment or all; what to print."""
+    from boresight.pipeline.experiments.comparison import COMPARISONS
+    from boresight.pipeline.experiments.overview import run_all
+    from boresight.pipeline.experiments.pixels import PixelSettings
+    from boresight.pipeline.experiments.tables import run_experiment, run_from_pixels
+    from boresight.pipeline.report.page import template
+
+    if isinstance(settings, PixelSettings):
+        table, written = run_from_pixels(name, out, settings, progress)
+        lines = COMPARISONS[f"{name}-pixels"](table)
+    elif name == "all":
+        tables, page = run_all(out, settings, template("experiments.html.j2"), progress)
+        return f"all: {len(tables)} experiments -> {page}"
+    else:
+        table, written = run_experiment(name, out, settings, progress)
+        lines = COMPARISONS[name](table)
+    files = ", ".join(str(path) for path in written)
+    return "\n".join([*lines, f"{name}: {len(table)} rows -> {files}"])
 
 
 add_star_commands(app)

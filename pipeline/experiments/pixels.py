@@ -100,14 +100,18 @@ def grid_from_pixels(settings: PixelSettings, progress: Progress | None = None) 
     return pd.concat([_long_form(cell) for cell in run_missions(settings, progress)], ignore_index=True)
 
 
-def table4_from_pixels(settings: PixelSettings, progress: Progress | None = None) -> pd.DataFrame:
+def table4_from_pixels(
+    settings: PixelSettings,
+    progress: Progress | None = None,
+    rows: Sequence[tuple[float, float]] = tuple(TABLE_4),
+) -> pd.DataFrame:
     """Long-form table of Table 4, method "pixels": each mission has a sky, a ground and a seed of its own.
 
     `row_s_px` and `row_c_px` are the paper's row, `sigma_s_px` and `sigma_c_px` what the measurements state,
     `paper_arcsec` the size of the paper's single draw, of cameras with 5 and 24 times as many pixels.
     """
     tables, runs = [], settings.table4_runs
-    for n, ((sigma_s, sigma_c), (_, paper)) in enumerate(TABLE_4.items()):
+    for n, (sigma_s, sigma_c) in enumerate(rows):
         noise = (sigma_s - SIGMA_S_PX[0]) / SIGMA_S_PX[1]
         survey = [sigma_c * GROUND_PIXEL_M] * 3
         row = (*TABLE_4_MISSION, f"sky.read_noise_dn={noise:.3f}", f"targets.sigma_m={survey}")
@@ -115,8 +119,12 @@ def table4_from_pixels(settings: PixelSettings, progress: Progress | None = None
             ((*row, f"orbit.longitude_deg={360.0 * k / runs - 180.0}"), settings.seed + n * runs + k)
             for k in range(runs)
         ]
-        table = _long_form(_cell(missions, _counted(progress, n * runs, len(TABLE_4) * runs)))
-        tables.append(table.assign(row_s_px=sigma_s, row_c_px=sigma_c, paper_arcsec=np.abs(paper)))
+        table = _long_form(_cell(missions, _counted(progress, n * runs, len(rows) * runs)))
+        tables.append(
+            table.assign(
+                row_s_px=sigma_s, row_c_px=sigma_c, paper_arcsec=np.abs(TABLE_4[sigma_s, sigma_c][1])
+            )
+        )
     return pd.concat(tables, ignore_index=True)
 
 
