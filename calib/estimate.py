@@ -26,7 +26,7 @@ class WhyRejected(Enum):
     """Why an observation takes no part in the estimate."""
 
     ATTITUDE_NOT_FIXED = "attitude not fixed"  # exposure: too few good stars, or all in one direction
-    STAR_RESIDUAL = "star residual"  # star: fails the chi-square test against the exposure's other stars
+    STAR_RESIDUAL = "large residual"  # star: fails the chi-square test against the exposure's other stars
     TARGET_RESIDUAL = "target residual"  # target: fails data snooping against all other targets
     NOT_COVERED = "not covered"  # target: no usable exposures around its instant
     NO_TARGET_COVERED = "no target covered"  # strip: none of its targets has usable exposures around it
