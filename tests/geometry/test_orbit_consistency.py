@@ -30,7 +30,7 @@ def ephemeris(frame="ITRF", step_s=1.0, n=70, eccentricity=0.02, inclination_deg
     if frame == "GCRF":
         return t, p, v
     angle = EARTH_ROTATION_RATE * t
-    R_ei = Rotation.from_euler("z", -angle).as_matrix()
+    R_ei = Rotation.from_euler("z", -angle[:, None]).as_matrix()
     p, v = (np.einsum("nij,nj->ni", R_ei, x) for x in (p, v - np.cross(OMEGA, p)))
     return t, p, v
 
