@@ -212,3 +212,18 @@ def test_the_track_of_exposures_is_what_the_model_was_given():
     path = orbit()
     track = attitude(path)
     assert track.span_s == pytest.approx((-0.5, 2.5), abs=1e-9)
+
+
+def test_ground_behind_the_horizon_has_no_pixel():
+    # The line of sight goes on through the Earth and leaves it again: that point lies in the same direction.
+    model = strip(20.0, -10.0, LightEffects(light_time=False, aberration=False, refraction=False))
+    sample, line = pixels(20)
+    near_e = model.ground_points(1, sample, line, ConstantHeight(0.0))
+    satellite_e = model.orbit.positions_e(model.instants(line))
+    along = (near_e - satellite_e) / np.linalg.norm(near_e - satellite_e, axis=1, keepdims=True)
+    scale = np.array([WGS84.semi_major_m, WGS84.semi_major_m, WGS84.semi_minor_m])
+    a, p = along / scale, near_e / scale
+    far_e = near_e - along * (2.0 * (a * p).sum(axis=1) / (a * a).sum(axis=1))[:, None]
+    assert np.abs(geodetic_from_ecef(far_e, WGS84)[2]).max() < 1e-3  # m: on the ellipsoid, 12 000 km on
+    assert np.isfinite(model.pixels_from_ground(1, near_e)[0]).all()
+    assert np.isnan(model.pixels_from_ground(1, far_e)[0]).all()
