@@ -128,3 +128,16 @@ def test_covariance_of_the_fit_matches_its_scatter():
         p, covariance = fit_common(d, design, cov, SIGMA)
         nees.append((p - theta) @ np.linalg.solve(covariance, p - theta))
     assert np.mean(nees) == pytest.approx(3.0, abs=0.42)  # 3.4 standard errors of the mean of 400 chi² of 3
+
+
+def test_common_parameters_are_those_of_least_squares_with_their_prior() -> None:
+    rng = np.random.default_rng(9)
+    design, displacement = rng.normal(size=(3, 2, 3)), rng.normal(size=(3, 2))
+    cov_px = np.array([[[0.5, 0.2], [0.2, 0.3]]] * 3)
+    prior = np.array([0.2, 0.3, 0.5])  # as strong as the data
+    p, covariance = fit_common(displacement, design, cov_px, prior)
+    W = np.kron(np.eye(3), np.linalg.inv(cov_px[0]))
+    D = design.reshape(6, 3)
+    expected = np.linalg.inv(D.T @ W @ D + np.diag(prior**-2.0))
+    np.testing.assert_allclose(covariance, expected, rtol=1e-10)
+    np.testing.assert_allclose(p, expected @ D.T @ W @ displacement.ravel(), rtol=1e-10)
