@@ -18,7 +18,9 @@ def test_points_of_a_rotated_chip_are_those_of_its_affine_transform() -> None:
     blank = np.zeros((60, 80))
     chip = Chip("t", blank, tuple(placed)[:6], "EPSG:32633", np.ones(blank.shape, dtype=bool))
     column, row = np.array([0.0, 12.25, 79.0]), np.array([0.0, 40.5, 3.0])
-    east, north = placed * (column + 0.5, row + 0.5)  # the centre of a pixel is half a pixel from its corner
+    a, b, c, d, e, f = tuple(placed)[:6]
+    x, y = column + 0.5, row + 0.5  # the centre of a pixel is half a pixel from its corner
+    east, north = a * x + b * y + c, d * x + e * y + f
     lon, lat = Transformer.from_crs("EPSG:32633", "EPSG:4326", always_xy=True).transform(east, north)
     p_e = ecef_from_geodetic(np.radians(lat), np.radians(lon), np.full(3, 310.0), WGS84)
     np.testing.assert_allclose(chip_points(chip, p_e), np.column_stack([column, row]), atol=1e-6)
