@@ -60,13 +60,16 @@ def verdict_lines(verdict: Mapping[str, Any]) -> list[str]:
     for check in failed:
         found, expected = f"{check['statistic']:.6g}", f"{check['expected']:.6g}"
         lines.append(f"  {check['kind']}: {found}, expected {expected} (p {check['p_value']:.1e})")
-        groups = [" = ".join(group) for group in check["names"]]
+        groups = [_equal_names(group) for group in check["names"]]
         if groups:
-            lines.append(
-                f"    {', '.join(groups[:MOST_REASONS])}" + (" ..." if groups[MOST_REASONS:] else "")
-            )
+            lines.append(f"    {', '.join(groups[:3])}" + (" ..." if groups[3:] else ""))
         lines.append(f"    look at: {'; '.join(check['look_at'])}")
     return lines
+
+
+def _equal_names(group: Sequence[str]) -> str:
+    """Targets with equal coordinates: the first two, and how many there are."""
+    return " = ".join(group[:2]) + (f" = ... ({len(group)} in all)" if len(group) > 2 else "")
 
 
 def _estimate_lines(estimate: InstallationEstimate) -> list[str]:
