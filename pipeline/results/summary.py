@@ -68,8 +68,8 @@ def verdict_lines(verdict: Mapping[str, Any]) -> list[str]:
 
 
 def _equal_names(group: Sequence[str]) -> str:
-    """Targets with equal coordinates: the first two, and how many there are."""
-    return " = ".join(group[:2]) + (f" = ... ({len(group)} in all)" if len(group) > 2 else "")
+    """Targets with equal coordinates: three by name, of more the first three and their number."""
+    return " = ".join(group[:3]) + (f" = ... ({len(group)} in all)" if len(group) > 3 else "")
 
 
 def _estimate_lines(estimate: InstallationEstimate) -> list[str]:
