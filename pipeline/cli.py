@@ -275,7 +275,7 @@ def experiment(
         float, typer.Option(help="Star camera's axis from the zenith in the Y-Z plane, degrees.")
     ] = 15.0,
     pixels: Annotated[
-        bool, typer.Option("--pixels", help="From rendered images: grid (reduced), table4, table5.")
+        bool, typer.Option("--pixels", help="From rendered images: grid, table4, table5.")
     ] = False,
 ) -> None:
     """Run a simulation of the paper from scratch, with its printed values beside ours.

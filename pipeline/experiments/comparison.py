@@ -6,7 +6,8 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 import pandas as pd
-from scipy.stats import chi2
+from scipy.stats import chi2, kstest
+from scipy.stats import f as f_distribution
 
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.record import Floats
@@ -102,13 +103,14 @@ def compare_table4_pixels(table: pd.DataFrame) -> Iterator[str]:
     """Table 4 from rendered images: rms of the missions beside their stated 1-sigma, per row and pooled."""
     runs, n = int(table["runs"].iloc[0]), int(table["runs"].sum()) // 3
     yield f"Table 4 from pixels, {runs} missions a row, arcsec"
-    yield "paper: single draws of its own cameras, of 5 and 24 times as many pixels"
+    yield "paper: single draws of its own cameras, of 5 and 24 times as many pixels (over their bound)"
     yield "row:       stated:     | rms:                   | bound:                 |      | paper:"
     yield "s, c, px   s, c, px    | X, Y, Z                | X, Y, Z                | NEES | X, Y, Z"
     for (row_s, row_c), part in table.groupby(["row_s_px", "row_c_px"]):
         head = f"{row_s:.2f}, {row_c:.1f}  {part['sigma_s_px'].iloc[0]:.3f}, {part['sigma_c_px'].iloc[0]:.2f}"
         rms, bound = (", ".join(f"{v:6.2f}" for v in part[c]) for c in ("rms_arcsec", "bound_arcsec"))
-        paper = ", ".join(f"{v:.4f}" for v in part["paper_arcsec"])
+        values = zip(part["paper_arcsec"], part["paper_arcsec"] / part["paper_bound_arcsec"])
+        paper = ", ".join(f"{value:.4f} ({ratio:.1f})" for value, ratio in values)
         yield f"{head} | {rms} | {bound} | {part['nees'].iloc[0]:4.2f} | {paper}"
     yield f"Pooled over the {n} missions; expected 1 and 3,"
     yield f"of which chance alone leaves {np.sqrt(0.5 / n):.2f} and {np.sqrt(6 / n):.2f} (1 sigma)"
@@ -117,6 +119,47 @@ def compare_table4_pixels(table: pd.DataFrame) -> Iterator[str]:
         yield f"  {axis}  rms / bound {_rms(part['rms_arcsec'] / part['bound_arcsec']):.3f}"
     yield f"  NEES {table['nees'].mean():.2f}"
     yield f"CPU {table['cpu_s'].sum() / 3:.0f} s, one core"
+
+
+def compare_grid_pixels(table: pd.DataFrame) -> Iterator[str]:
+    """The grid from rendered images against the same vectors with new noise, pooled and cell by cell."""
+    pixels, vectors = (table[table["method"] == name] for name in ("pixels", "vectors"))
+    cells, runs, redrawn = len(pixels) // 3, int(pixels["runs"].iloc[0]), int(vectors["runs"].iloc[0])
+    yield f"Grid of Figs. 7 and 9 from pixels: {cells} cells of {runs} missions; vectors: the same stars and"
+    yield f"targets with new noise of the stated covariances, {redrawn} runs a cell. Expected ratio 1, NEES 3"
+    yield "p: F-test, two-sided, that pixels and vectors have one mean square in units of the bound"
+    yield "axis  pixels:  rms    bound  ratio    vectors: rms    bound  ratio     p    paper: scatter / bound"
+    for axis, part in pixels.groupby("axis"):
+        other = vectors[vectors["axis"] == axis]
+        squares = part["mean_square"].mean(), other["mean_square"].mean()
+        p = _f_test(squares[0], cells * runs, squares[1], cells * redrawn)
+        columns = [
+            f"{_rms(t['rms_arcsec']):9.3f} {_rms(t['bound_arcsec']):8.3f} {np.sqrt(square):7.3f}"
+            for t, square in zip((part, other), squares)
+        ]
+        paper = "{:.4f} / {:.4f}".format(*part[["paper_arcsec", "paper_bound_arcsec"]].iloc[0])
+        yield f"{axis}   {columns[0]}   {columns[1]}  {p:6.3f}  {paper}"
+    nees = [t[t["axis"] == "X"]["nees"] for t in (pixels, vectors)]
+    p = _f_test(nees[0].mean(), 3 * cells * runs, nees[1].mean(), 3 * cells * redrawn)
+    yield f"NEES  pixels {nees[0].mean():.3f}, vectors {nees[1].mean():.3f}, p {p:.3f}"
+    whole = kstest(nees[0] * runs, chi2(3 * runs).cdf).pvalue
+    yield f"NEES of the cells against chi-square of {3 * runs} degrees: Kolmogorov-Smirnov p {whole:.3f}"
+    low, high = chi2(3 * runs).ppf([0.005, 0.995]) / runs
+    outside = int((~nees[0].between(low, high)).sum())
+    yield f"cells outside the 99 % band of NEES, {low:.2f} to {high:.2f}: {outside} of {cells}"
+    yield "rms / bound of the pixels over the cells of one sigma_s, then of one sigma_c"
+    for column in ("row_s_px", "row_c_px"):
+        for value, part in pixels.groupby(column):
+            by_axis = part.groupby("axis")["mean_square"].mean()
+            texts = "  ".join(f"{axis} {np.sqrt(square):5.3f}" for axis, square in by_axis.items())
+            yield f"  {column[4:5]} {value:4.2f} px  {texts}  ({len(part) // 3 * runs} missions)"
+    yield f"CPU {pixels['cpu_s'].sum() / 3:.0f} s, one core"
+
+
+def _f_test(square: float, n: int, other: float, m: int) -> float:
+    """Two-sided p-value that mean squares of `n` and `m` degrees of freedom have one expectation."""
+    above = f_distribution(n, m).sf(square / other)
+    return float(2.0 * min(above, 1.0 - above))
 
 
 def compare_plainly(table: pd.DataFrame) -> Iterator[str]:
@@ -234,7 +277,7 @@ COMPARISONS: dict[str, Callable[[pd.DataFrame], Iterator[str]]] = {
     "table4": compare_table4,
     "table5": compare_table5,
     "readings": compare_readings,
-    "grid-pixels": compare_plainly,
+    "grid-pixels": compare_grid_pixels,
     "table4-pixels": compare_table4_pixels,
     "table5-pixels": compare_plainly,
 }

@@ -13,7 +13,7 @@ arcsec in tables.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 import pandas as pd
@@ -28,7 +28,14 @@ from boresight.pipeline.experiments.paper_tables import (
 )
 from boresight.simulator.campaign import CameraPair
 
-__all__ = ["GeometrySearch", "covariance_shapes", "geometry_map", "predicted_sigma", "star_camera_rotation"]
+__all__ = [
+    "GeometrySearch",
+    "bound_of_frames",
+    "covariance_shapes",
+    "geometry_map",
+    "predicted_sigma",
+    "star_camera_rotation",
+]
 
 PAPER = np.array(
     [FIGURE_7_SIGMA_ARCSEC, np.sqrt(np.mean([np.square(own) for _, own in TABLE_4.values()], axis=0))]
@@ -87,6 +94,16 @@ def predicted_sigma(
     C = R_cs.as_matrix()
     of_star, of_target = np.diag(C @ shapes[0] @ C.T) * noise_px2[0], np.diag(shapes[1]) * noise_px2[1]
     return np.sqrt(of_star / stars[..., None] + of_target / targets[..., None]) / ARCSEC
+
+
+def bound_of_frames(
+    cameras: CameraPair, cells: Sequence[tuple[float, float]], stars: float, targets: float
+) -> Floats:
+    """Cramér-Rao bound (3,) of theta, arcsec, rms over cells (sigma_s, sigma_c), px, of `stars` and `targets`
+    in all frames.
+    """
+    shapes, numbers = covariance_shapes(cameras), (np.full(1, stars), np.full(1, targets))
+    return predicted_sigma(cameras.R_cs, shapes, _mean_noise(tuple(cells)), *numbers)[0]
 
 
 def geometry_map(cameras: CameraPair, search: GeometrySearch | None = None) -> pd.DataFrame:

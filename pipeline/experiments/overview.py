@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from base64 import b64encode
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -55,7 +56,7 @@ def run_all(
     The page is `template`, that of the report's `experiments.html.j2`; it holds figures and tables itself and
     needs no other file.
     """
-    tables, sections = {}, []
+    begin, tables, sections = time.process_time(), {}, []
     for n, name in enumerate(EXPERIMENTS):
         tables[name], written = run_experiment(name, out, settings)
         title, caption, head, rows = SECTIONS[name]
@@ -72,7 +73,7 @@ def run_all(
         )
         if progress:
             progress(n + 1, len(EXPERIMENTS))
-    facts = [line.split(maxsplit=1) for line in record_head("all")[1:] if line]
+    facts = [line.split(maxsplit=1) for line in record_head("all", time.process_time() - begin)[1:] if line]
     text = template.render(facts=facts, inputs=list(_inputs()), sections=sections)
     page = out / "paper.html"
     write_whole(page, lambda target: target.write_text(text, encoding="utf-8"))

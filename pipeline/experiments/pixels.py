@@ -1,25 +1,38 @@
 """The grid and Tables 4 and 5 from rendered images: raw pixels of small cameras through calibration.
 
-Grid and Table 5 vary the detector noise of both cameras of the mini scenario. The rows of Table 4 are set
-by the star camera's read noise and by the survey errors of the targets, since matching alone is far better
-than 0.3 px. The sigmas in the tables are those stated by the measurements. Every mission is rendered,
-calibrated and compared with its truth in a temporary folder.
+Table 5 varies the detector noise of both cameras of the mini scenario. The cells of the grid and the rows of
+Table 4 are set by the star camera's read noise and by the survey errors of the targets, since matching alone
+is far better than 0.3 px. The sigmas in the tables are those stated by the measurements. Every mission is
+rendered, calibrated and compared with its truth in a temporary folder.
 """
 
 from __future__ import annotations
 
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
+from scipy.spatial.transform import Rotation
 
+from boresight.calib.calibration import calibrate
+from boresight.calib.estimate import InstallationEstimate
 from boresight.geometry.constants import ARCSEC
+from boresight.geometry.installation import theta_between
 from boresight.geometry.record import Floats, array, record, scalar
 from boresight.geometry.sightings import StripSightings
-from boresight.pipeline.experiments.paper_tables import TABLE_4, TABLE_5
+from boresight.pipeline.experiments.geometry_search import bound_of_frames
+from boresight.pipeline.experiments.paper_tables import (
+    FIGURE_7_CELLS,
+    FIGURE_7_SIGMA_ARCSEC,
+    TABLE_4,
+    TABLE_5,
+)
+from boresight.pipeline.experiments.vectors import ExperimentSettings
+from boresight.pipeline.experiments.wang import attitudes_of
 from boresight.pipeline.files.dump import Dump, open_dump
 from boresight.pipeline.files.dump_writer import write_dump
 from boresight.pipeline.files.scenario_file import fly, named_scenario
@@ -42,9 +55,9 @@ __all__ = [
 
 Progress = Callable[[int, int], None]
 
-# Changes of the mini scenario for Table 4: one strip of 1.1 s with a fourth of its pixels, eight exposures,
-# and none of Table 1's errors, as in the paper. Stars far above the noise, so that sigma_s is low.
-TABLE_4_MISSION = (
+# Changes of the mini scenario for the grid and Table 4: one strip of 1.1 s with a fourth of its pixels, eight
+# exposures, and none of Table 1's errors, as in the paper. Stars far above the noise, so that sigma_s is low.
+ONE_STRIP = (
     "line_camera.pixel_um=240.0",
     "line_camera.samples=256",
     "line_camera.principal_sample=127.0",
@@ -66,18 +79,20 @@ TABLE_4_MISSION = (
     "errors.distortion_px=0.0",
 )
 GROUND_PIXEL_M = 240e-6 / 10.0 * 530e3
+GRID_FRAME, TABLE_4_FRAME = (30, 10), (55, 20)  # stars and targets at the level of vectors
 SIGMA_S_PX = (0.0091, 0.0332)  # mean stated sigma_s over the sky: first + second x read noise, px and px/DN
 
 
 @record
 class PixelSettings:
-    """A reduced grid of detector noise."""
+    """Numbers of missions; for Table 5 also the detectors' noise."""
 
     star_noise_dn: tuple[float, ...] = scalar("read noise of the star camera, DN", default=(2.0, 6.0))
     strip_noise_dn: tuple[float, ...] = scalar(
         "read noise of the remote-sensing camera, DN", default=(0.8, 6.0)
     )
-    runs: int = scalar("missions per cell", default=2)
+    runs: int = scalar("missions per cell of the grid and of Table 5", default=2)
+    redraws: int = scalar("runs at the level of vectors per mission of the grid", default=20)
     table4_runs: int = scalar("missions per row of Table 4", default=20)
     seed: int = scalar("seed of the first mission", default=2020)
 
@@ -93,11 +108,28 @@ class PixelRuns:
     along_m: Floats = array("N", "error of check points along the track, m")
     across_m: Floats = array("N", "and across, m")
     cpu_s: float = scalar("CPU time, s")
+    redrawn_errors: Floats = array("V, 3", "the same of vectors redrawn with the stated covariances")
+    redrawn_covariances: Floats = array("V, 3, 3", "the same of those vectors")
 
 
-def grid_from_pixels(settings: PixelSettings, progress: Progress | None = None) -> pd.DataFrame:
-    """Long-form table of the grid, method "pixels"; the paper prints no value for this camera pair."""
-    return pd.concat([_long_form(cell) for cell in run_missions(settings, progress)], ignore_index=True)
+def grid_from_pixels(
+    settings: PixelSettings,
+    progress: Progress | None = None,
+    cells: Sequence[tuple[float, float]] = FIGURE_7_CELLS,
+) -> pd.DataFrame:
+    """Long-form table of the whole grid, methods "pixels" and "vectors": each mission has a sky, a ground and
+    a seed of its own.
+
+    `row_s_px` and `row_c_px` are the cell. "vectors" are the missions' stars and targets with new noise of
+    the covariances that the measurements state: the same geometry without images. `paper_arcsec` is Fig. 7's
+    standard deviation over the grid, `paper_bound_arcsec` the bound of cameras of that size.
+    """
+    table = _cells_from_pixels(cells, settings, (settings.runs, settings.redraws), progress)
+    bound = _paper_bound(FIGURE_7_CELLS, GRID_FRAME)
+    axes = table["axis"].map("XYZ".index)
+    return table.assign(
+        paper_arcsec=np.take(FIGURE_7_SIGMA_ARCSEC, axes), paper_bound_arcsec=np.take(bound, axes)
+    )
 
 
 def table4_from_pixels(
@@ -105,26 +137,39 @@ def table4_from_pixels(
     progress: Progress | None = None,
     rows: Sequence[tuple[float, float]] = tuple(TABLE_4),
 ) -> pd.DataFrame:
-    """Long-form table of Table 4, method "pixels": each mission has a sky, a ground and a seed of its own.
+    """Long-form table of Table 4, method "pixels", made as the grid is.
 
-    `row_s_px` and `row_c_px` are the paper's row, `sigma_s_px` and `sigma_c_px` what the measurements state,
-    `paper_arcsec` the size of the paper's single draw, of cameras with 5 and 24 times as many pixels.
+    `paper_arcsec` is the size of the paper's single draw, of cameras with 5 and 24 times as many pixels, and
+    `paper_bound_arcsec` the bound of those.
     """
-    tables, runs = [], settings.table4_runs
-    for n, (sigma_s, sigma_c) in enumerate(rows):
+    table = _cells_from_pixels(rows, settings, (settings.table4_runs, 0), progress)
+    paper = np.concatenate([np.abs(TABLE_4[row][1]) for row in rows])
+    bounds = np.concatenate([_paper_bound([row], TABLE_4_FRAME) for row in rows])
+    return table.assign(paper_arcsec=paper, paper_bound_arcsec=bounds)
+
+
+def _paper_bound(cells: Sequence[tuple[float, float]], frame: tuple[int, int]) -> Floats:
+    """Bound (3,) of the paper's cameras over `cells`, arcsec, from 400 frames of (stars, targets)."""
+    return bound_of_frames(ExperimentSettings().cameras, cells, 400.0 * frame[0], 400.0 * frame[1])
+
+
+def _cells_from_pixels(
+    cells: Sequence[tuple[float, float]],
+    settings: PixelSettings,
+    numbers: tuple[int, int],
+    progress: Progress | None,
+) -> pd.DataFrame:
+    tables, (runs, redraws) = [], numbers
+    for n, (sigma_s, sigma_c) in enumerate(cells):
         noise = (sigma_s - SIGMA_S_PX[0]) / SIGMA_S_PX[1]
         survey = [sigma_c * GROUND_PIXEL_M] * 3
-        row = (*TABLE_4_MISSION, f"sky.read_noise_dn={noise:.3f}", f"targets.sigma_m={survey}")
+        row = (*ONE_STRIP, f"sky.read_noise_dn={noise:.3f}", f"targets.sigma_m={survey}")
+        first = settings.seed + n * runs
         missions = [
-            ((*row, f"orbit.longitude_deg={360.0 * k / runs - 180.0}"), settings.seed + n * runs + k)
-            for k in range(runs)
+            ((*row, f"orbit.longitude_deg={360.0 * k / runs - 180.0}"), first + k) for k in range(runs)
         ]
-        table = _long_form(_cell(missions, _counted(progress, n * runs, len(rows) * runs)))
-        tables.append(
-            table.assign(
-                row_s_px=sigma_s, row_c_px=sigma_c, paper_arcsec=np.abs(TABLE_4[sigma_s, sigma_c][1])
-            )
-        )
+        cell = _cell(missions, _counted(progress, n * runs, len(cells) * runs), redraws)
+        tables += [table.assign(row_s_px=sigma_s, row_c_px=sigma_c) for table in _long_form(cell)]
     return pd.concat(tables, ignore_index=True)
 
 
@@ -145,7 +190,7 @@ def table5_from_pixels(settings: PixelSettings, progress: Progress | None = None
 
 
 def run_missions(settings: PixelSettings, progress: Progress | None = None) -> list[PixelRuns]:
-    """Results of all cells of the reduced grid, rendered, calibrated and compared with the truth."""
+    """Results by both cameras' noise, rendered, calibrated and compared with the truth."""
     cells = [(s, c) for s in settings.star_noise_dn for c in settings.strip_noise_dn]
     found = []
     for n, (star_noise, strip_noise) in enumerate(cells):
@@ -159,11 +204,15 @@ def _counted(progress: Progress | None, before: int, total: int) -> Callable[[in
     return lambda done: progress(before + done, total) if progress else None
 
 
-def _cell(missions: Sequence[tuple[Sequence[str], int]], finished: Callable[[int], None]) -> PixelRuns:
+def _cell(
+    missions: Sequence[tuple[Sequence[str], int]], finished: Callable[[int], None], redraws: int = 0
+) -> PixelRuns:
     """Results of missions, each given by its changes of the mini scenario and its seed."""
-    begin, found = time.process_time(), []
+    begin, found, redrawn = time.process_time(), [], list[tuple[Floats, Floats]]()
     for n, (changes, seed) in enumerate(missions):
-        found.append(_mission(changes, seed))
+        sigmas_px, compared, calibration = _mission(changes, seed)
+        found.append((sigmas_px, (compared, calibration.estimate.cov_theta)))
+        redrawn += _redrawn_runs(calibration, redraws, np.random.default_rng(seed))
         finished(n + 1)
     sigmas, validations = zip(*found)
     sigma_s, sigma_c = np.sqrt(np.mean(np.square(sigmas), axis=0))
@@ -175,31 +224,81 @@ def _cell(missions: Sequence[tuple[Sequence[str], int]], finished: Callable[[int
         along_m=np.concatenate([v.after.along_m for v, _ in validations]),
         across_m=np.concatenate([v.after.across_m for v, _ in validations]),
         cpu_s=time.process_time() - begin,
+        redrawn_errors=np.array([error for error, _ in redrawn]).reshape(-1, 3),
+        redrawn_covariances=np.array([covariance for _, covariance in redrawn]).reshape(-1, 3, 3),
     )
 
 
-def _long_form(cell: PixelRuns) -> pd.DataFrame:
-    """One row per axis of a cell."""
-    off = cell.errors / ARCSEC
-    variance = np.diagonal(cell.covariances, axis1=1, axis2=2)
-    squares = np.einsum("ra,rab,rb->r", cell.errors, np.linalg.inv(cell.covariances), cell.errors)
-    return pd.DataFrame(
-        {
-            "sigma_s_px": cell.sigma_s_px,
-            "sigma_c_px": cell.sigma_c_px,
-            "method": "pixels",
-            "axis": list("XYZ"),
-            "rms_arcsec": np.sqrt(np.mean(off**2, axis=0)),
-            "mean_arcsec": off.mean(axis=0),
-            "bound_arcsec": np.sqrt(variance.mean(axis=0)) / ARCSEC,
-            "nees": squares.mean(),
-            "runs": len(off),
-            "cpu_s": cell.cpu_s,
-        }
+def _long_form(cell: PixelRuns) -> Iterator[pd.DataFrame]:
+    """One row per axis of a cell, and where vectors were redrawn the same of those."""
+    methods = [("pixels", cell.errors, cell.covariances)]
+    if len(cell.redrawn_errors):
+        methods.append(("vectors", cell.redrawn_errors, cell.redrawn_covariances))
+    for method, errors, covariances in methods:
+        off, variance = errors / ARCSEC, np.diagonal(covariances, axis1=1, axis2=2)
+        squares = np.einsum("ra,rab,rb->r", errors, np.linalg.inv(covariances), errors)
+        yield pd.DataFrame(
+            {
+                "sigma_s_px": cell.sigma_s_px,
+                "sigma_c_px": cell.sigma_c_px,
+                "method": method,
+                "axis": list("XYZ"),
+                "rms_arcsec": np.sqrt(np.mean(off**2, axis=0)),
+                "mean_arcsec": off.mean(axis=0),
+                "bound_arcsec": np.sqrt(variance.mean(axis=0)) / ARCSEC,
+                "mean_square": np.mean(errors**2 / variance, axis=0),  # in units of the stated variance
+                "nees": squares.mean(),
+                "runs": len(off),
+                "cpu_s": cell.cpu_s,
+            }
+        )
+
+
+def _redrawn_runs(
+    calibration: Calibration, runs: int, rng: np.random.Generator
+) -> Iterator[tuple[Floats, Floats]]:
+    """Error of theta (3,), rad, and stated covariance (3, 3), rad², of `runs` calibrations of the same stars
+    and targets with new noise.
+    """
+    R_cs = calibration.estimate.R_cs
+    for _ in range(runs):
+        strips = [_redrawn(strip, R_cs, rng) for strip in calibration.strips]
+        estimate = calibrate(strips, R_cs, calibration.settings)
+        if not isinstance(estimate, InstallationEstimate):
+            raise ValueError(f"redrawn vectors do not determine the matrix: {estimate.reason}")
+        yield theta_between(estimate.R_cs, R_cs), estimate.cov_theta
+
+
+def _redrawn(strip: StripSightings, R_cs: Rotation, rng: np.random.Generator) -> StripSightings:
+    """The strip as seen by a satellite that keeps to the nominal motion, with noise of its covariances."""
+    R_si, _ = attitudes_of(strip)
+    R_so = (R_si * strip.R_oi_exposures.inv())[0]
+    exposures = tuple(
+        replace(seen, u_s=_unit((R_so * R_oi).apply(seen.u_i) + _normal(seen.cov_s, rng)))
+        for seen, R_oi in zip(strip.exposures, strip.R_oi_exposures)
     )
+    ground = strip.ground
+    _, first, place = np.unique(ground.target_id, return_index=True, return_inverse=True)
+    survey_i = _normal(ground.cov_target_i[first], rng)[place]  # one error of a target on two CCDs
+    seen_i = _unit(ground.u_i + survey_i / ground.range_m[:, None])
+    u_c = (R_cs * R_so * strip.R_oi_targets).apply(seen_i)
+    ground = replace(ground, u_c=_unit(u_c + _normal(ground.cov_c, rng)))
+    return replace(strip, exposures=exposures, ground=ground, attitudes=None)
 
 
-def _mission(changes: Sequence[str], seed: int) -> tuple[tuple[float, float], tuple[Validation, Floats]]:
+def _normal(covariance: Floats, rng: np.random.Generator) -> Floats:
+    """Gaussian vectors (N, 3) of `covariance` (N, 3, 3), which may be singular."""
+    values, vectors = np.linalg.eigh(covariance)
+    size = np.sqrt(np.maximum(values, 0.0)) * rng.standard_normal(values.shape)
+    return np.asarray(np.einsum("nab,nb->na", vectors, size))
+
+
+def _unit(v: Floats) -> Floats:
+    return np.asarray(v / np.linalg.norm(v, axis=1, keepdims=True))
+
+
+def _mission(changes: Sequence[str], seed: int) -> tuple[tuple[float, float], Validation, Calibration]:
+    """Stated sigmas of stars and targets, px; the errors against the truth; the calibration."""
     with tempfile.TemporaryDirectory(prefix="boresight-") as folder:
         dump_folder, result = Path(folder) / "dump", Path(folder) / "result"
         write_dump(
@@ -212,7 +311,7 @@ def _mission(changes: Sequence[str], seed: int) -> tuple[tuple[float, float], tu
         calibration = calibrate_dump(dump, Settings(), store_of(result), InOrder())
         write_result(result, calibration, Settings())
         compared = validate(read_result(result), dump)
-    return _sigmas_px(calibration, dump), (compared, calibration.estimate.cov_theta)
+    return _sigmas_px(calibration, dump), compared, calibration
 
 
 def _sigmas_px(calibration: Calibration, dump: Dump) -> tuple[float, float]:

@@ -277,38 +277,51 @@ def plot_geometry(table: pd.DataFrame) -> Figure:
 
 
 def plot_grid_pixels(table: pd.DataFrame) -> Figure:
-    """The grid from rendered images: rms of a few missions beside their stated 1-sigma."""
-    figure, axes = _panels(1, 3, 3.2)
-    for column, axis in enumerate(AXES):
-        ax, part = axes[0, column], table[table["axis"] == axis]
-        place = np.arange(len(part))
-        ax.bar(
-            place - 0.2, part["rms_arcsec"], 0.36, color=OURS, label=f"rms of {part['runs'].iloc[0]} missions"
-        )
-        ax.bar(place + 0.2, part["bound_arcsec"], 0.36, color=GREY, label="stated 1σ")
-        ax.set_xticks(place, [f"{s:.3f}\n{c:.2f}" for s, c in zip(part["sigma_s_px"], part["sigma_c_px"])])
-        ax.set(yscale="log", title=axis, xlabel="σs, σc of the sightings, px")
-    axes[0, 0].set_ylabel("arcsec")
+    """The grid from rendered images and from the same vectors: rms over bound by either camera's noise."""
+    figure, axes = _panels(2, 3, 2.5, sharey=True)
+    pixels, vectors = (table[table["method"] == name] for name in ("pixels", "vectors"))
+    for row, (column, name) in enumerate((("row_s_px", "σs, px"), ("row_c_px", "σc, px"))):
+        for ax, axis in zip(axes[row], AXES):
+            part = pixels[pixels["axis"] == axis]
+            groups = part.groupby(column)
+            ratio = np.sqrt(groups["mean_square"].mean())
+            chance = ratio / np.sqrt(2 * groups["runs"].sum())
+            ax.errorbar(
+                ratio.index, ratio, chance, fmt="o", color=OURS, capsize=3, label="from pixels, ±1σ of chance"
+            )
+            other = np.sqrt(vectors[vectors["axis"] == axis].groupby(column)["mean_square"].mean())
+            ax.plot(other.index, other, color=WANG, lw=2.5, label="the same vectors, new noise")
+            ax.axhline(1.0, label="bound", **BOUND)
+            paper = part["paper_arcsec"].iloc[0] / part["paper_bound_arcsec"].iloc[0]
+            label = "paper, Fig. 7: scatter over the bound of its cameras"
+            ax.axhline(paper, color=INK, ls="-.", lw=1.6, label=label)
+            ax.set(title=f"{axis}: pooled {np.sqrt(part['mean_square'].mean()):.2f}", xlabel=name)
+            ax.set_ylim(0.0, None)
+        axes[row, 0].set_ylabel("rms error / bound")
     _legend(figure, axes[0, 0])
-    figure.suptitle("From pixels (mini scenario, every error of Table 1)")
+    figure.suptitle("The grid of Figs. 7 and 9 from rendered pixels of small cameras", fontsize=10)
     return figure
 
 
 def plot_table4_pixels(table: pd.DataFrame) -> Figure:
-    """Table 4 from rendered images: rms and stated 1-sigma, and their ratio with its chance."""
-    figure, axes = _panels(1, 3, 3.4)
+    """Table 4 from rendered images: error over the bound with its chance, and the paper's over its own."""
+    figure, axes = _panels(1, 3, 3.4, sharey=True)
     runs = int(table["runs"].iloc[0])
     for ax, (axis, part) in zip(axes[0], table.groupby("axis")):
         at = np.arange(len(part))
-        rms = part["rms_arcsec"]
-        style: dict[str, Any] = {"color": OURS, "ecolor": INK, "capsize": 3, "width": 0.6}
-        ax.bar(at, rms, yerr=rms / np.sqrt(2 * runs), label=f"rms of {runs} missions, ±1σ of chance", **style)
-        ax.plot(at, part["bound_arcsec"], "_", color=WANG, ms=22, mew=3, label="bound: stated 1σ")
+        ratio = part["rms_arcsec"] / part["bound_arcsec"]
+        style: dict[str, Any] = {"color": OURS, "ecolor": GREY, "capsize": 4, "width": 0.6}
+        ax.bar(
+            at, ratio, yerr=ratio / np.sqrt(2 * runs), label=f"rms of {runs} missions, ±1σ of chance", **style
+        )
+        ax.axhline(1.0, label="bound: stated 1σ", **BOUND)
+        paper = part["paper_arcsec"] / part["paper_bound_arcsec"]
+        marks: dict[str, Any] = PAPER | {"marker": "D", "ms": 6, "mfc": "#ffffff"}
+        ax.plot(at, paper, label="paper: one run over the bound of its cameras", **marks)
         ax.set_xticks(at, [f"{s:g}\n{c:g}" for s, c in zip(part["row_s_px"], part["row_c_px"])], fontsize=8)
-        ratio = np.sqrt(np.mean((rms / part["bound_arcsec"]) ** 2))
-        ax.set_title(f"{axis}: rms / bound {ratio:.2f}", fontsize=10)
+        ax.set_title(f"{axis}: rms / bound {np.sqrt(np.mean(ratio**2)):.2f}", fontsize=10)
         ax.set_xlabel("σs, σc, px")
-    axes[0, 0].set_ylabel("error, arcsec")
+    axes[0, 0].set_ylabel("error / bound")
     _legend(figure, axes[0, 0])
     figure.suptitle("Rows of Table 4 from rendered pixels of small cameras", fontsize=10)
     return figure

@@ -15,8 +15,8 @@ from boresight.version import version_text
 __all__ = ["record_head"]
 
 
-def record_head(name: str) -> list[str]:
-    """Lines that say what made a record of the experiment `name`, when, and on what."""
+def record_head(name: str, cpu_s: float) -> list[str]:
+    """Lines that say what made a record of the experiment `name`, when, on what, and in which CPU time."""
     cpu = platform.processor() or platform.machine()
     try:
         with open("/proc/cpuinfo", encoding="utf-8") as file:
@@ -30,5 +30,6 @@ def record_head(name: str) -> list[str]:
         f"machine   {cpu}, {os.cpu_count()} cores, {platform.system()}",
         f"versions  Python {platform.python_version()}, NumPy {np.__version__}, SciPy {scipy.__version__}",
         f"command   boresight {' '.join(sys.argv[1:])}",
+        f"CPU       {cpu_s:.0f} s",
         "",
     ]

@@ -6,6 +6,7 @@ The simulations are in `vectors`, `geometry_search` and `pixels`; stars of Table
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -60,10 +61,11 @@ def run_experiment(
     """Run one of `EXPERIMENTS`; its table, and the files written: `NAME.csv`, `NAME.png` and `NAME.txt` in
     `out`.
 
-    The text holds the paper's values beside ours, and commit, date, machine, versions and command.
+    The text holds the paper's values beside ours, and commit, date, machine, versions, command and CPU time.
     """
+    begin = time.process_time()
     table = experiment_table(name, settings, progress)
-    return table, _written(name, table, out)
+    return table, _written(name, table, out, time.process_time() - begin)
 
 
 def run_from_pixels(
@@ -71,17 +73,18 @@ def run_from_pixels(
 ) -> tuple[pd.DataFrame, list[Path]]:
     """Run one of `FROM_PIXELS` through rendered images; writes `NAME-pixels` as csv, png and txt."""
     made = {"grid": grid_from_pixels, "table4": table4_from_pixels, "table5": table5_from_pixels}
+    begin = time.process_time()
     table = made[name](settings, progress)
-    return table, _written(f"{name}-pixels", table, out)
+    return table, _written(f"{name}-pixels", table, out, time.process_time() - begin)
 
 
-def _written(name: str, table: pd.DataFrame, out: Path) -> list[Path]:
+def _written(name: str, table: pd.DataFrame, out: Path, cpu_s: float) -> list[Path]:
     out.mkdir(parents=True, exist_ok=True)
     written = [out / f"{name}.{kind}" for kind in ("csv", "png", "txt")]
     table.to_csv(written[0], index=False, float_format="%.6g")
     figure = PLOTS[name](table)
     figure.savefig(written[1], dpi=160)
-    lines = [*record_head(name), *COMPARISONS[name](table)]
+    lines = [*record_head(name, cpu_s), *COMPARISONS[name](table)]
     written[2].write_text("\n".join(lines) + "\n", encoding="utf-8")
     return written
 

@@ -1,9 +1,11 @@
-"""A row of Table 4 from rendered images."""
+"""A row of Table 4 and a cell of the grid from rendered images."""
 
+import numpy as np
 import pytest
 
-from boresight.pipeline.experiments.comparison import compare_table4_pixels
-from boresight.pipeline.experiments.pixels import PixelSettings, table4_from_pixels
+from boresight.pipeline.experiments.comparison import compare_grid_pixels, compare_table4_pixels
+from boresight.pipeline.experiments.pixels import PixelSettings, grid_from_pixels, table4_from_pixels
+from boresight.pipeline.experiments.plots import plot_grid_pixels
 
 
 def test_missions_of_a_row_have_its_noise_and_errors_within_their_covariance():
@@ -15,4 +17,18 @@ def test_missions_of_a_row_have_its_noise_and_errors_within_their_covariance():
     assert table["nees"].iloc[0] < 12.0  # twice that is chi-square of six degrees: exceeded once in 2000
     assert table["rms_arcsec"].min() > 0.0
     text = "\n".join(compare_table4_pixels(table))
-    assert "0.0809, 0.0441, 0.1987" in text and "CPU" in text
+    assert "0.0809 (" in text and "0.1987 (" in text and "CPU" in text
+
+
+def test_redrawn_vectors_of_a_mission_have_its_geometry_and_their_own_bound():
+    table = grid_from_pixels(PixelSettings(runs=1, redraws=40), cells=[(0.06, 0.4)])
+    pixels, vectors = (table[table["method"] == name] for name in ("pixels", "vectors"))
+    # one and the same stars and targets, displaced by noise of arcseconds: the bound moves by 1e-3
+    np.testing.assert_allclose(vectors["bound_arcsec"], pixels["bound_arcsec"].to_numpy(), rtol=0.01)
+    # mean of 40 runs of 3 degrees: 3 +- 0.39; five sigma
+    assert vectors["nees"].iloc[0] == pytest.approx(3.0, abs=2.0)
+    assert pixels["nees"].iloc[0] < 21.1  # chi-square of three degrees: exceeded once in 10 000
+    assert table["paper_arcsec"].tolist() == [0.0159, 0.0105, 0.0927] * 2
+    text = "\n".join(compare_grid_pixels(table))
+    assert "0.0927" in text and "F-test" in text
+    assert len(plot_grid_pixels(table).axes) == 6
