@@ -22,7 +22,7 @@ from collections.abc import Callable, Iterator
 import numpy as np
 from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
-from scipy.stats import chi2, ncx2
+from scipy.special import chdtri, chndtr
 
 from boresight.calib.estimate import Iteration, RejectionTest
 from boresight.calib.joint_solution import (
@@ -47,8 +47,8 @@ SMALLEST_GAIN = 1e-6  # of the limit: (1) must fall by more than rounding
 
 def rejection_test(probability_false_alarm: float, n_tests: int) -> RejectionTest:
     """Limit, family-wise false-alarm rate of `n_tests` tests, and noncentrality of the stated power."""
-    limit = float(chi2.isf(probability_false_alarm, 2))
-    noncentrality = float(brentq(lambda size: ncx2.sf(limit, 2, size) - POWER, 1e-3, 1e3))
+    limit = float(chdtri(2, probability_false_alarm))
+    noncentrality = float(brentq(lambda size: 1.0 - chndtr(limit, 2, size) - POWER, 1e-3, 1e3))
     of_any = -float(np.expm1(n_tests * np.log1p(-probability_false_alarm)))
     return RejectionTest(limit, probability_false_alarm, of_any, POWER, noncentrality)
 

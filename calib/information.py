@@ -10,10 +10,10 @@ eliminated, after the sum.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-import pandas as pd
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
@@ -117,34 +117,34 @@ class InformationPairs:
             shared,
         )
 
-    def table(self) -> pd.DataFrame:
-        """One row a pair, for storage: name, upper triangle of F, F_theta, the reference (scalar last).
+    def columns(self) -> dict[str, NDArray]:
+        """Columns of a table, one row a pair: name, upper triangle of F, F_theta, reference (scalar last).
 
-        Columns `F:a:b` and `F_theta:a`, where a and b are x, y, z or the name of a shared unknown.
+        They are `F:a:b` and `F_theta:a`, where a and b are x, y, z or the name of a shared unknown.
         """
         unknowns = ("x", "y", "z", *self.shared)
         rows, columns = np.triu_indices(len(unknowns))
-        data: dict[str, object] = {"name": self.names.astype(object)}
+        data: dict[str, NDArray] = {"name": self.names}
         for i, j in zip(rows.tolist(), columns.tolist()):
             data[f"F:{unknowns[i]}:{unknowns[j]}"] = self.F[:, i, j]
         data |= {f"F_theta:{unknown}": self.F_theta[:, i] for i, unknown in enumerate(unknowns)}
-        data |= {f"q_ref:{i}": q for i, q in enumerate(self.R_cs_ref.as_quat().tolist())}
-        return pd.DataFrame(data)
+        of_all = np.ones(len(self.names))
+        return data | {f"q_ref:{i}": q * of_all for i, q in enumerate(self.R_cs_ref.as_quat())}
 
     @classmethod
-    def from_table(cls, table: pd.DataFrame) -> InformationPairs:
-        """The inverse of `table`; `ValueError` when the rows do not share one reference."""
-        unknowns = [name.removeprefix("F_theta:") for name in table.columns if name.startswith("F_theta:")]
-        quaternions = table[[f"q_ref:{i}" for i in range(4)]].to_numpy()
+    def from_columns(cls, table: Mapping[str, NDArray]) -> InformationPairs:
+        """The inverse of `columns`; `ValueError` when the rows do not share one reference."""
+        unknowns = [name.removeprefix("F_theta:") for name in table if name.startswith("F_theta:")]
+        quaternions = np.column_stack([table[f"q_ref:{i}"] for i in range(4)])
         if np.any(quaternions != quaternions[0]):
             raise ValueError("the pairs of one table must share one reference")
         rows, columns = np.triu_indices(len(unknowns))
-        F = np.empty((len(table), len(unknowns), len(unknowns)))
+        F = np.empty((len(quaternions), len(unknowns), len(unknowns)))
         for i, j in zip(rows.tolist(), columns.tolist()):
             F[:, i, j] = F[:, j, i] = table[f"F:{unknowns[i]}:{unknowns[j]}"]
-        F_theta = table[[f"F_theta:{unknown}" for unknown in unknowns]].to_numpy()
+        F_theta = np.column_stack([table[f"F_theta:{unknown}"] for unknown in unknowns])
         R_cs_ref = Rotation.from_quat(quaternions[0])
-        return cls(table["name"].to_numpy(dtype=str), F, F_theta, R_cs_ref, tuple(unknowns[3:]))
+        return cls(table["name"].astype(str), F, F_theta, R_cs_ref, tuple(unknowns[3:]))
 
 
 @record

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg.lapack import dsyev
 from scipy.spatial.transform import Rotation
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from boresight.geometry.record import Bools, Floats, Ints, array, record, scalar
 from boresight.geometry.sightings import (
@@ -97,7 +97,7 @@ def fit_exposures(
     fit = fit_attitudes(u_s, u_i, cov_s, start, settings)
     if not settings.estimate_noise or not len(u_s):
         return fit
-    scale = float(np.sqrt(np.median(fit.squared_mahalanobis) / chi2.median(2)))  # robust start
+    scale = float(np.sqrt(np.median(fit.squared_mahalanobis) / chdtri(2, 0.5)))  # robust start
     mean = trimmed_mean(settings.probability_false_alarm) if settings.robust else 1.0
     for _ in range(4):
         fit = fit_attitudes(u_s, u_i, scale**2 * cov_s, start, settings)
@@ -174,7 +174,7 @@ def fit_attitudes(
     kept: Bools = np.ones(len(u_s), dtype=bool)
     squared = _squared_mahalanobis(R_si, u_s, u_i, information, group)
     factor = _scatter(squared, start)[group] if settings.limit_from_scatter else np.ones(len(u_s))
-    limit = factor * float(chi2.isf(settings.probability_false_alarm, 2))
+    limit = factor * float(chdtri(2, settings.probability_false_alarm))
     if settings.robust and np.any(squared > limit):
         gross = np.zeros(len(start) - 1, dtype=bool)
         gross[group[squared > GROSS * factor]] = True
@@ -260,7 +260,7 @@ def trimmed_mean(probability: float) -> float:
 def _scatter(squared: Floats, start: Ints) -> Floats:
     """Variance factor (K,) of each exposure by its median squared residual, at least 1."""
     parts = [squared[a:b] for a, b in pairwise(start)]
-    return np.array([max(1.0, float(np.median(p) / chi2.median(2))) if len(p) else 1.0 for p in parts])
+    return np.array([max(1.0, float(np.median(p) / chdtri(2, 0.5))) if len(p) else 1.0 for p in parts])
 
 
 def _robust_start(u_s: Floats, u_i: Floats, variance: Floats, start: Ints) -> Floats:

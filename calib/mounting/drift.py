@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
-from scipy.stats import chi2 as chi2_distribution
+from scipy.special import chdtrc
 
 from boresight.calib.information import InformationPairs
 from boresight.calib.mounting.random_walk import WalkProblem, likely_density
@@ -175,7 +175,7 @@ class LinearFit:
     @property
     def p_value(self) -> float:
         """Probability of a chi2 as large or larger, if the model and the covariances hold."""
-        return float(chi2_distribution.sf(self.chi2, self.dof)) if self.dof > 0 else 1.0
+        return float(chdtrc(self.dof, self.chi2)) if self.dof > 0 else 1.0
 
 
 @record
@@ -303,7 +303,7 @@ def _phase_term(coefficients: Array, covariance: Array) -> OrbitPhaseTerm | None
         return None
     values = coefficients.ravel()
     size = float(values @ np.linalg.solve(covariance, values))
-    p_value = float(chi2_distribution.sf(size, 6))
+    p_value = float(chdtrc(6, size))
     return OrbitPhaseTerm(coefficients[0], coefficients[1], covariance, p_value)
 
 
@@ -336,7 +336,7 @@ def _best_step(series: MountingSeries, phase: Array, chi2_constant: float, confi
         theta_step=fits[best].coefficients[1],
         covariance=fits[best].covariance[3:6, 3:6],
         gain=gain,
-        p_value=min(1.0, (K - 1) * float(chi2_distribution.sf(gain, 3))),
+        p_value=min(1.0, (K - 1) * float(chdtrc(3, gain))),
     )
 
 

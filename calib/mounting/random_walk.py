@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import eigh
 from scipy.optimize import brentq, minimize_scalar
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from boresight.geometry.record import array, record
 
@@ -103,7 +103,7 @@ def likely_density(problem: WalkProblem, confidence: float) -> tuple[float, tupl
     found = minimize_scalar(loss, bounds=window, method="bounded", options={"xatol": 1e-4})
     at_rest = problem.loss(0.0)
     resting = at_rest <= found.fun + 1e-6
-    limit = min(at_rest, float(found.fun)) + float(chi2.ppf(confidence, 1))
+    limit = min(at_rest, float(found.fun)) + float(chdtri(1, 1.0 - confidence))
     centre = grid[0] if resting else float(found.x)
     below, above = grid[(grid < centre) & (losses > limit)], grid[(grid > centre) & (losses > limit)]
     low, high = 0.0, float("inf")

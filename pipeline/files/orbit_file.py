@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import re
 import warnings
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, Literal
 
@@ -26,6 +27,14 @@ EXPECTED = "an OEM that follows CCSDS 502.0-B"
 _STATE = re.compile(
     rf"(\d{{4}}-\d\d-\d\dT\d\d:\d\d:\d\d(?:\.\d{{1,12}})?)Z?((?:[ \t]+{NUMBER}){{6}})[ \t]*", re.ASCII
 )
+_TIME = r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d(?:\.\d+)?"
+_PLAIN_HEAD = re.compile(
+    rf"CCSDS_OEM_VERS = [12]\.0\s+CREATION_DATE = {_TIME}\s+ORIGINATOR = \S[^\n]*\s+META_START\s+"
+    r"((?:[A-Z_]+ = \S[^\n]*\s+)+)META_STOP\s*",
+    re.ASCII,
+)
+_REQUIRED = ("OBJECT_NAME", "OBJECT_ID", "CENTER_NAME", "REF_FRAME", "TIME_SYSTEM", "START_TIME", "STOP_TIME")
+_INTERPOLATION = ("INTERPOLATION", "INTERPOLATION_DEGREE")
 
 
 @record(kw_only=True)
@@ -47,9 +56,9 @@ class Ephemeris:
 def read_oem(path: Path, file: str) -> Ephemeris:
     """The states of an OEM of one segment; `file` names it in errors.
 
-    The library `oem` checks header and metadata. State lines of the plain form (calendar date, position,
-    velocity) are parsed here, a hundred times faster; a message with anything else goes through the library
-    as a whole. Raises `RawDataError`.
+    A message of the plain form (no keyword but the usual ones, UTC, each state a calendar date, position and
+    velocity) is parsed here, a hundred times faster; the library `oem` checks and reads whatever is different,
+    and takes with astropy 0.6 s to load. Raises `RawDataError`.
     """
     text = read_text(path, file)
     if not text.startswith("CCSDS_OEM_VERS"):
@@ -57,10 +66,12 @@ def read_oem(path: Path, file: str) -> Ephemeris:
     lines = text.splitlines()
     begin = 1 + next((n for n, line in enumerate(lines) if line.strip() == "META_STOP"), len(lines))
     data = [line for line in lines[begin:] if line.strip()]
-    if plain := [match.groups() for line in data if (match := _STATE.fullmatch(line.strip()))]:
-        lines = lines[:begin] + (data[:1] if len(plain) == len(data) else lines[begin:])
-    meta, states = _library_reading("\n".join(lines), file)
-    if plain and len(plain) == len(data):
+    plain = [match.groups() for line in data if (match := _STATE.fullmatch(line.strip()))]
+    all_plain = bool(plain) and len(plain) == len(data)
+    head, states = "\n".join(lines[:begin]), []
+    if not all_plain or (meta := _plain_metadata(head)) is None:
+        meta, states = _library_reading("\n".join([head, *(data[:1] if all_plain else lines[begin:])]), file)
+    if all_plain:
         times = [time for time, _ in plain]
         words = " ".join(numbers for _, numbers in plain).split()
         values: Floats = np.array(words, dtype=float).reshape(-1, 6)
@@ -89,9 +100,28 @@ def read_oem(path: Path, file: str) -> Ephemeris:
     )
 
 
+def _plain_metadata(head: str) -> dict[str, str] | None:
+    """Metadata of a message of the plain form; None for any other, which may be right or wrong."""
+    if (match := _PLAIN_HEAD.fullmatch(head)) is None:
+        return None
+    pairs = [line.strip().split(" = ", 1) for line in match[1].splitlines() if line.strip()]
+    meta = {key: value.strip() for key, value in pairs}
+    interpolation = _INTERPOLATION if "INTERPOLATION" in meta else ()
+    if len(meta) < len(pairs) or meta.keys() != {*_REQUIRED, *interpolation} or meta["TIME_SYSTEM"] != "UTC":
+        return None
+    if interpolation and not re.fullmatch(r"\d{1,2}", meta["INTERPOLATION_DEGREE"], re.ASCII):
+        return None
+    span = meta["START_TIME"], meta["STOP_TIME"]
+    with suppress(ValueError):  # of dates that do not exist
+        if all(re.fullmatch(_TIME, time, re.ASCII) for time in span):
+            first, last = Epoch.from_utc(span[0]).seconds_from_utc(span)
+            return meta if first <= last else None
+    return None
+
+
 def _library_reading(text: str, file: str) -> tuple[Any, list[Any]]:
     """Metadata and states of the one segment of an OEM, as the library reads it."""
-    from oem import OrbitEphemerisMessage  # with astropy 0.6 s to load, which worker processes do not need
+    from oem import OrbitEphemerisMessage
     from oem.parsers import parse_kvn_oem
 
     try:
@@ -146,6 +176,12 @@ def _degree(meta: Any, file: str) -> int:
 
 def _tai_seconds(times: list[Any], time_system: str, file: str) -> tuple[Epoch, Floats]:
     """Epoch, and TAI seconds since it, of times given as text or as the library's `Time`."""
+    if time_system == "UTC" and isinstance(times[0], str):
+        try:
+            epoch = Epoch.from_utc(times[0])
+            return epoch, epoch.seconds_from_utc(times)
+        except ValueError as error:
+            raise RawDataError(file, "time of the states", str(error), "times that exist") from error
     from astropy.time import Time
 
     scale = TIME_SCALES.get(time_system.strip().upper())

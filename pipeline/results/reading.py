@@ -109,7 +109,8 @@ def read_pairs(result: Path) -> InformationPairs:
     """Normal equations (F, F theta) of each strip of a finished result; `RawDataError` if not readable."""
     path = result / "sightings" / "strips.parquet"
     try:
-        return InformationPairs.from_table(read_parquet(path).to_pandas())
+        table = read_parquet(path)
+        return InformationPairs.from_columns({name: table[name].to_numpy() for name in table.column_names})
     except (ValueError, KeyError, IndexError, TypeError) as error:
         raise RawDataError(str(path), "columns", str(error), "the table that `calibrate` wrote") from error
 

@@ -68,7 +68,7 @@ def write_result(result: Path, calibration: Calibration, settings: Settings) -> 
     matched = {one.strip_id: one for one in calibration.matched}
     estimate = calibration.estimate
     _write_groups(tables / "targets.parquet", _target_groups(estimate.targets, calibration.strips, matched))
-    _write_groups(tables / "strips.parquet", [_pairs_table(estimate)])
+    _write_groups(tables / "strips.parquet", [pa.table(estimate.pairs.columns())])
     _write_groups(tables / "passes.parquet", [_passes_table(calibration)])
     _write_groups(tables / "omissions.parquet", [_omissions_table(calibration.omissions)])
     write_json(
@@ -86,7 +86,7 @@ def write_joint_result(
     matched = {f"{name}/{one.strip_id}": one for name, found in of_dumps.items() for one in found.matched}
     estimate = joint.estimate
     _write_groups(tables / "targets.parquet", _target_groups(estimate.targets, joint.strips, matched))
-    _write_groups(tables / "strips.parquet", [_pairs_table(estimate)])
+    _write_groups(tables / "strips.parquet", [pa.table(estimate.pairs.columns())])
     passes = [_passes_table(found, f"{name}/") for name, found in of_dumps.items()]
     _write_groups(tables / "passes.parquet", [pa.concat_tables(passes)])
     _write_groups(tables / "omissions.parquet", [_omissions_table(joint.omissions)])
@@ -199,10 +199,6 @@ def _target_groups(
         columns = columns_of(matched[strip.strip_id]) | columns_of(ground) | own
         groups.append(pa.table(columns).select(TARGETS))
     return groups
-
-
-def _pairs_table(estimate: InstallationEstimate) -> pa.Table:
-    return pa.Table.from_pandas(estimate.pairs.table(), preserve_index=False)
 
 
 def _passes_table(calibration: Calibration, prefix: str = "") -> pa.Table:

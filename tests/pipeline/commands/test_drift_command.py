@@ -62,7 +62,7 @@ def write_result(folder, t_s, theta, *, phase=0.0, camera="c0", mission="m", ver
         "camera": [camera, camera],
     }
     pair = InformationPairs(np.array(["s1"]), np.diag(SIGMA**-2.0)[None], np.zeros((1, 3)), R_cs)
-    strips = pa.Table.from_pandas(pair.table(), preserve_index=False)
+    strips = pa.table(pair.columns())
     tables = {"exposures": pa.table(exposures), "passes": pa.table(passes), "strips": strips}
     for name, table in tables.items():
         pq.write_table(table, folder / f"sightings/{name}.parquet")
@@ -131,7 +131,7 @@ def test_a_results_own_targets_are_eliminated_and_its_distortion_is_kept(tmp_pat
     }
     (tmp_path / "sightings").mkdir()
     pq.write_table(pa.table(targets), tmp_path / "sightings/targets.parquet")
-    strips_table = pa.Table.from_pandas(found.pairs.table(), preserve_index=False)
+    strips_table = pa.table(found.pairs.columns())
     pq.write_table(strips_table, tmp_path / "sightings/strips.parquet")
     pair = read_mounting(tmp_path, "one")
     assert pair.names.tolist() == ["one"] and len(found.pairs.shared) == len(pair.shared) + 3 * 12
@@ -204,7 +204,7 @@ def test_results_that_believe_another_distortion_are_refused(tmp_path):
         F = np.diag([*SIGMA**-2.0, 1.0])[None]
         R_cs = deviation_from_theta(THETA) * R_CS0
         pair = InformationPairs(np.array(["s1"]), F, np.zeros((1, 4)), R_cs, ("distortion/x/0/1",))
-        table = pa.Table.from_pandas(pair.table(), preserve_index=False)
+        table = pa.table(pair.columns())
         pq.write_table(table, folder / "sightings/strips.parquet")
         folders.append(folder)
     with pytest.raises(RawDataError, match=r"distortion_length_px: found 1500.0, expected 2000.0"):

@@ -72,8 +72,8 @@ def test_message_with_more_than_states_is_read_by_the_library(changed, tmp_path:
 
 
 def test_byte_order_mark_is_no_part_of_the_text(tmp_path: Path) -> None:
-    plain = read_oem(written(tmp_path, text_of(20)), "orbit.oem")
     for text in (text_of(20), text_of(20).replace("\n\n", "\nCOMMENT é\n\n")):
+        plain = read_oem(written(tmp_path, text), "orbit.oem")
         marked = read_oem(written(tmp_path, "\ufeff" + text), "orbit.oem")
         assert marked.epoch == plain.epoch and np.array_equal(marked.t_s, plain.t_s)
         assert np.array_equal(marked.positions_m, plain.positions_m)
