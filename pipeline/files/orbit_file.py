@@ -56,9 +56,9 @@ class Ephemeris:
 def read_oem(path: Path, file: str) -> Ephemeris:
     """The states of an OEM of one segment; `file` names it in errors.
 
-    A message of the plain form (no keyword but the usual ones, UTC, each state a calendar date, position and
-    velocity) is parsed here, a hundred times faster; the library `oem` checks and reads whatever is different,
-    and takes with astropy 0.6 s to load. Raises `RawDataError`.
+    A message of the plain form (the usual keywords only, UTC, each state a calendar date, position, velocity)
+    is parsed here, a hundred times faster; the library `oem` checks and reads any other. With astropy it takes
+    0.6 s to load. Raises `RawDataError`.
     """
     text = read_text(path, file)
     if not text.startswith("CCSDS_OEM_VERS"):
@@ -68,7 +68,9 @@ def read_oem(path: Path, file: str) -> Ephemeris:
     data = [line for line in lines[begin:] if line.strip()]
     plain = [match.groups() for line in data if (match := _STATE.fullmatch(line.strip()))]
     all_plain = bool(plain) and len(plain) == len(data)
-    head, states = "\n".join(lines[:begin]), []
+    head = "\n".join(lines[:begin])
+    states: list[Any] = []
+    meta: Any
     if not all_plain or (meta := _plain_metadata(head)) is None:
         meta, states = _library_reading("\n".join([head, *(data[:1] if all_plain else lines[begin:])]), file)
     if all_plain:
