@@ -2,14 +2,15 @@
 
 An Earth-pointing satellite rotates by four degrees a minute. The attitude relative to that nominal motion is
 slow and small; only this is interpolated, by Lagrange polynomials through four exposures. The result is
-linear in corrections of the exposures' attitudes, so an estimator can use the same weights. Rotations R_si
-take GCRS to the star camera, or any other frame s. TAI seconds since the epoch, radians.
+linear in corrections of the exposures' attitudes, so an estimator can use the same weights. The way of the
+operator of Sentinel-2, an expansion to second order about the nearest attitude, is offered too.
+Rotations R_si take GCRS to the star camera, or any other frame s. TAI seconds since the epoch, radians.
 """
 
 from __future__ import annotations
 
 from dataclasses import field
-from typing import Protocol
+from typing import Literal, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,9 +19,19 @@ from scipy.spatial.transform import Rotation
 from boresight.geometry.earth_rotation import EarthRotation
 from boresight.geometry.record import Floats, array, record, scalar
 
-__all__ = ["Attitude", "AttitudeTrack", "EarthFixedAttitude", "NominalMotion", "lagrange_weights"]
+__all__ = [
+    "Attitude",
+    "AttitudeTrack",
+    "EarthFixedAttitude",
+    "Interpolation",
+    "NominalMotion",
+    "interpolation_weights",
+    "lagrange_weights",
+]
 
 Array = NDArray[np.float64]
+Interpolation = Literal["lagrange", "taylor"]  # names of the ways between attitudes; see `AttitudeTrack`
+_TAYLOR_POINTS = 8
 
 
 class Attitude(Protocol):
@@ -47,8 +58,20 @@ def lagrange_weights(t_nodes: ArrayLike, t: ArrayLike, points: int = 4) -> Array
     Lagrange polynomials through the `points` nodes around each instant (all nodes if fewer), at the ends
     through the outermost ones. Raises `ValueError` for an instant more than half a step outside the nodes.
     """
+    return interpolation_weights(t_nodes, t, "lagrange", points)
+
+
+def interpolation_weights(
+    t_nodes: ArrayLike, t: ArrayLike, interpolation: Interpolation, points: int = 4
+) -> Array:
+    """Weights (J, K) as those of `lagrange_weights`, for a named way of interpolation.
+
+    "taylor" is that of the reference software of Sentinel-2: value, rate and acceleration, at the nearest
+    node k, of the polynomial of degree 7 through the nodes k - 4 ... k + 3, expanded to second order. The
+    result jumps halfway between nodes. It needs 8 nodes; `points` is for "lagrange".
+    """
     nodes, instants = np.asarray(t_nodes, dtype=float), np.asarray(t, dtype=float)
-    start, local = _stencil_weights(nodes, instants, points)
+    start, local = _stencil_weights(nodes, instants, interpolation, points)
     weights = np.zeros((len(instants), len(nodes)))
     np.put_along_axis(weights, start[:, None] + np.arange(local.shape[1]), local, axis=1)
     return weights
@@ -68,6 +91,10 @@ class AttitudeTrack:
         "K, 3, 3", "covariance of a small rotation of each attitude about the axes of s, rad²", default=None
     )
     points: int = scalar("exposures that one polynomial passes through", default=4)
+    interpolation: Interpolation = scalar(
+        "lagrange, or taylor: to second order about the nearest exposure (`interpolation_weights`)",
+        default="lagrange",
+    )
     _R_so_middle: Rotation = field(init=False, repr=False)
     _rotvec_s: Array = field(
         init=False, repr=False
@@ -87,10 +114,15 @@ class AttitudeTrack:
         t = self.t_s
         return float(t[0] - 0.5 * (t[1] - t[0])), float(t[-1] + 0.5 * (t[-1] - t[-2]))
 
+    @property
+    def breaks_s(self) -> Array:
+        """Instants where the interpolation is not smooth: the exposures, or halfway between them."""
+        return self.t_s if self.interpolation == "lagrange" else 0.5 * (self.t_s[1:] + self.t_s[:-1])
+
     def R_si(self, t_s: ArrayLike) -> Rotation:
         """GCRS to frame s at instants (N,); `ValueError` more than half a step outside the exposures."""
         t = np.asarray(t_s, dtype=float)
-        start, weights = _stencil_weights(self.t_s, t, self.points)
+        start, weights = _stencil_weights(self.t_s, t, self.interpolation, self.points)
         rotvec = np.zeros((len(t), 3))
         for m in range(weights.shape[1]):
             rotvec += weights[:, m, None] * self._rotvec_s[start + m]
@@ -104,7 +136,7 @@ class AttitudeTrack:
         t = np.asarray(t_s, dtype=float)
         covariance = self.interpolation_sigma_rad(t)[:, :, None] ** 2 * np.eye(3)
         if self.cov_s is not None:
-            weights = lagrange_weights(self.t_s, t, self.points)
+            weights = interpolation_weights(self.t_s, t, self.interpolation, self.points)
             covariance += np.einsum("jk,kab->jab", weights**2, self.cov_s)
         return covariance
 
@@ -158,7 +190,8 @@ class EarthFixedAttitude:
         return (self.earth.rotations_ie(t) * Rotation.from_quat(quaternion)).inv()
 
 
-def _stencil_start(nodes: Array, t: Array, points: int) -> NDArray[np.int64]:
+def _inside(nodes: Array, t: Array) -> None:
+    """Raise `ValueError` unless all instants lie within the nodes, or half a step outside."""
     if len(nodes) < 2 or np.any(np.diff(nodes) <= 0.0):
         raise ValueError(f"two or more nodes in increasing order are needed, got {len(nodes)}")
     low = nodes[0] - 0.5 * (nodes[1] - nodes[0])
@@ -169,12 +202,20 @@ def _stencil_start(nodes: Array, t: Array, points: int) -> NDArray[np.int64]:
             f"{outside.sum()} of {len(t)} instants lie outside the exposures by more than half a step: "
             f"{t[outside][0]:.6f} s, exposures {nodes[0]:.6f} ... {nodes[-1]:.6f} s"
         )
+
+
+def _stencil_start(nodes: Array, t: Array, points: int) -> NDArray[np.int64]:
+    _inside(nodes, t)
     interval = np.clip(np.searchsorted(nodes, t, side="right") - 1, 0, len(nodes) - 2)
     return np.clip(interval - (points // 2 - 1), 0, len(nodes) - points)
 
 
-def _stencil_weights(nodes: Array, t: Array, points: int) -> tuple[NDArray[np.int64], Array]:
+def _stencil_weights(
+    nodes: Array, t: Array, interpolation: Interpolation, points: int
+) -> tuple[NDArray[np.int64], Array]:
     """First node (J,) of each stencil and the weights (J, points) of its nodes."""
+    if interpolation == "taylor":
+        return _taylor_weights(nodes, t)
     if points < 2:
         raise ValueError(f"interpolation needs two points or more, got {points}")
     points = min(points, len(nodes))
@@ -186,6 +227,22 @@ def _stencil_weights(nodes: Array, t: Array, points: int) -> tuple[NDArray[np.in
             if m != j:
                 weights[:, j] *= (t - local[:, m]) / (local[:, j] - local[:, m])
     return start, weights
+
+
+def _taylor_weights(nodes: Array, t: Array) -> tuple[NDArray[np.int64], Array]:
+    """`_stencil_weights` of the expansion about the nearest node."""
+    points = _TAYLOR_POINTS
+    if len(nodes) < points:
+        raise ValueError(f"this interpolation needs {points} nodes, got {len(nodes)}")
+    _inside(nodes, t)
+    nearest = np.searchsorted(0.5 * (nodes[1:] + nodes[:-1]), t)
+    start = np.clip(nearest - points // 2, 0, len(nodes) - points)
+    away = nodes[start[:, None] + np.arange(points)] - nodes[nearest][:, None]
+    scale = np.abs(away).max(axis=1)[:, None]
+    powers = (away / scale)[:, :, None] ** np.arange(points)  # values = powers @ coefficients
+    x = (t - nodes[nearest])[:, None] / scale
+    to_second_order = np.concatenate([np.ones_like(x), x, x * x, np.zeros((len(t), points - 3))], axis=1)
+    return start, np.linalg.solve(np.swapaxes(powers, 1, 2), to_second_order[:, :, None])[:, :, 0]
 
 
 def _divided_difference_weights(nodes: Array, order: int) -> Array:

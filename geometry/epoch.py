@@ -35,6 +35,7 @@ MJD_OF_ORIGIN = 51544  # the day whose noon is the origin
 _DAY = 86_400
 _NOON = 43_200
 _GPS_ORIGIN_TAI_S = (44244 - MJD_OF_ORIGIN) * _DAY - _NOON - GPS_MINUS_TAI_S  # 1980-01-06T00:00:00 GPS time
+_NOON_OF_ORIGIN = datetime.datetime(2000, 1, 1, 12)
 _MJD_1972 = 41317
 _DATE_TIME = re.compile(r"(\d{4})-(\d{2})-(\d{2})(?:[T ](\d{2}):(\d{2}):(\d{2})(?:\.(\d{1,18}))?)?Z?")
 _MODIFIED_JULIAN_ZERO = datetime.date(1858, 11, 17).toordinal()
@@ -66,6 +67,26 @@ class Epoch:
         parts = [_tai_from_utc(text) for text in utc]
         whole = np.array([second - self.tai_s for second, _ in parts], dtype=float)
         return whole + np.array([fraction for _, fraction in parts], dtype=float)
+
+    def seconds_from_gps_dates(self, dates: Sequence[str]) -> Array:
+        """TAI seconds since this epoch of calendar dates in GPS time, `2020-08-16T12:02:45.812731`; (N,).
+
+        GPS time has no leap seconds, so such a date is 18 s ahead of UTC in 2020. `ValueError` for text of
+        another form and days that are not in the calendar.
+        """
+        seconds = np.empty(len(dates))
+        for n, text in enumerate(dates):
+            match = _DATE_TIME.fullmatch(text.strip())
+            if match is None or match.group(4) is None:
+                raise ValueError(f"a GPS date must look like 2020-08-16T12:02:45.812731, found {text!r}")
+            try:
+                date = datetime.datetime(*(int(part) for part in match.groups()[:6]))  # type: ignore[arg-type]
+            except ValueError as error:
+                raise ValueError(f"GPS date {text!r}: {error}") from None
+            since = date - _NOON_OF_ORIGIN
+            whole = since.days * _DAY + since.seconds - GPS_MINUS_TAI_S - self.tai_s
+            seconds[n] = whole + float(f"0.{match.group(7) or 0}")
+        return seconds
 
     def utc_from_seconds(self, t_s: ArrayLike) -> list[str]:
         """UTC in ISO form with nine decimals (rounded to the nanosecond) of TAI seconds since this epoch."""

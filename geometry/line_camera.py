@@ -18,7 +18,7 @@ from scipy.interpolate import CubicSpline
 
 from boresight.geometry.record import Floats, array, record, scalar
 
-__all__ = ["Ccd", "LineCamera", "LineSensor", "LookAngleCamera", "TimeOfRow"]
+__all__ = ["Ccd", "LineCamera", "LineSensor", "LookAngleCamera", "LookTable", "TimeOfRow"]
 
 Array = NDArray[np.float64]
 TimeOfRow = Literal["start", "middle", "end"]
@@ -237,14 +237,14 @@ class LineCamera:
 
 
 @record
-class LookAngleCamera:
+class LookTable:
     """One detector given by tangents at some samples: `u_c ~ [tan_x, tan_y, 1]`.
 
     Interpolated by a cubic spline (linearly between two samples), extrapolated linearly. Raises `ValueError`
     for fewer than two samples, samples not increasing, or `tan_y` not strictly monotone.
     """
 
-    width_px: int = scalar("number of samples of the detector")
+    n_px: int = scalar("number of samples of the detector")
     samples: Floats = array("K", "samples at which the tangents are given, increasing")
     tan_x: Floats = array("K", "u_x / u_z")
     tan_y: Floats = array("K", "u_y / u_z, strictly monotone")
@@ -254,32 +254,70 @@ class LookAngleCamera:
         samples = np.asarray(self.samples, dtype=float)
         tangents = np.column_stack([self.tan_x, self.tan_y])
         if len(samples) < 2 or np.any(np.diff(samples) <= 0.0) or len(samples) != len(tangents):
-            raise ValueError(
-                "LookAngleCamera needs two or more samples in increasing order, each with tangents"
-            )
+            raise ValueError("LookTable needs two or more samples in increasing order, each with tangents")
         along = np.diff(tangents[:, 1])
         if not (np.all(along > 0.0) or np.all(along < 0.0)):
-            raise ValueError("LookAngleCamera.tan_y must be strictly monotone along the detector")
+            raise ValueError("LookTable.tan_y must be strictly monotone along the detector")
         object.__setattr__(self, "_spline", CubicSpline(samples, tangents))
+
+    def tangents(self, sample: ArrayLike) -> tuple[Array, Array]:
+        """Tangents (N, 2) of samples (N,), and their slopes (N, 2) per sample."""
+        n = np.asarray(sample, dtype=float)
+        inside = np.clip(n, self.samples[0], self.samples[-1])
+        slope = self._spline(inside, 1)
+        return self._spline(inside) + slope * (n - inside)[:, None], slope
+
+    def nearest(self, wanted: Array) -> tuple[Array, Array]:
+        """The nearest sample (N,) to tangents (N, 2), and their distance across, px, towards +x_c."""
+        ends = self._spline(self.samples[[0, -1]])
+        along = (wanted[:, 1] - ends[0, 1]) / (ends[1, 1] - ends[0, 1])
+        sample = self.samples[0] + along * (self.samples[-1] - self.samples[0])
+        for _ in range(_NEWTON_STEPS):
+            tangents, slope = self.tangents(sample)
+            miss = wanted - tangents
+            pitch = np.hypot(slope[:, 0], slope[:, 1])
+            step = np.einsum("ni,ni->n", miss, slope) / pitch**2
+            sample = sample + step
+            if np.nanmax(np.abs(step), initial=0.0) < 1e-10:
+                break
+        tangents, slope = self.tangents(sample)
+        miss = wanted - tangents
+        pitch = np.hypot(slope[:, 0], slope[:, 1])
+        across = (miss[:, 0] * slope[:, 1] - miss[:, 1] * slope[:, 0]) / pitch**2
+        return sample, across * np.sign(slope[:, 1])
+
+
+@record
+class LookAngleCamera:
+    """A camera given by tables of look directions, one a CCD, as operators publish it.
+
+    Raises `ValueError` without a CCD.
+    """
+
+    ccds: tuple[LookTable, ...] = array("C", "detectors")
+
+    def __post_init__(self) -> None:
+        if not self.ccds:
+            raise ValueError("LookAngleCamera.ccds must hold at least one table")
 
     @property
     def n_ccds(self) -> int:
         """Number of CCDs."""
-        return 1
+        return len(self.ccds)
 
     def n_px(self, ccd: int) -> int:
         """Number of pixels of a CCD."""
-        return self.width_px
+        return self.ccds[ccd].n_px
 
     def directions_from_pixels(self, ccd: int, sample: ArrayLike) -> Array:
-        """Unit look vectors (N, 3), frame c, of samples (N,); `ccd` is 0."""
-        tangents, _ = self._tangents(sample)
+        """Unit look vectors (N, 3), frame c, of samples (N,)."""
+        tangents, _ = self.ccds[ccd].tangents(sample)
         v_c = np.column_stack([tangents, np.ones(len(tangents))])
         return v_c / np.linalg.norm(v_c, axis=1, keepdims=True)
 
     def sample_jacobian(self, ccd: int, sample: ArrayLike) -> Array:
         """Derivative d u_c / d sample (N, 3), rad/px."""
-        tangents, slope = self._tangents(sample)
+        tangents, slope = self.ccds[ccd].tangents(sample)
         v_c = np.column_stack([tangents, np.ones(len(tangents))])
         dv = np.column_stack([slope, np.zeros(len(slope))])
         norm = np.linalg.norm(v_c, axis=1, keepdims=True)
@@ -289,30 +327,8 @@ class LookAngleCamera:
     def samples_from_directions(self, ccd: int, u_c: ArrayLike) -> tuple[Array, Array]:
         """The nearest sample (N,) to directions (N, 3), and their distance across, px, towards +x_c."""
         u = np.asarray(u_c, dtype=float)
-        wanted = u[:, :2] / np.where(u[:, 2] > 0.0, u[:, 2], np.nan)[:, None]
-        ends = self._spline(self.samples[[0, -1]])
-        along = (wanted[:, 1] - ends[0, 1]) / (ends[1, 1] - ends[0, 1])
-        sample = self.samples[0] + along * (self.samples[-1] - self.samples[0])
-        for _ in range(_NEWTON_STEPS):
-            tangents, slope = self._tangents(sample)
-            miss = wanted - tangents
-            pitch = np.hypot(slope[:, 0], slope[:, 1])
-            step = np.einsum("ni,ni->n", miss, slope) / pitch**2
-            sample = sample + step
-            if np.nanmax(np.abs(step), initial=0.0) < 1e-10:
-                break
-        tangents, slope = self._tangents(sample)
-        miss = wanted - tangents
-        pitch = np.hypot(slope[:, 0], slope[:, 1])
-        across = (miss[:, 0] * slope[:, 1] - miss[:, 1] * slope[:, 0]) / pitch**2
-        return sample, across * np.sign(slope[:, 1])
+        return self.ccds[ccd].nearest(u[:, :2] / np.where(u[:, 2] > 0.0, u[:, 2], np.nan)[:, None])
 
     def delay_to_middle_s(self, row_period_s: float) -> float:
         """Zero: time labels are those of the middle of the exposure."""
         return 0.0
-
-    def _tangents(self, sample: ArrayLike) -> tuple[Array, Array]:
-        n = np.asarray(sample, dtype=float)
-        inside = np.clip(n, self.samples[0], self.samples[-1])
-        slope = self._spline(inside, 1)
-        return self._spline(inside) + slope * (n - inside)[:, None], slope

@@ -153,7 +153,7 @@ class Pushbroom:
         """The strip with its states tabulated between two lines; saves time before many small calls."""
         breaks: ArrayLike = ()
         if isinstance(self.attitude, AttitudeTrack):
-            breaks = self.rows.line(self.attitude.t_s - self._delay_s)
+            breaks = self.rows.line(self.attitude.breaks_s - self._delay_s)
         table = tabulated(self._exact_states, first_line, last_line, _TOLERANCE, breaks)
         return replace(self, table=table)
 

@@ -14,13 +14,10 @@ model of the strip in the operator's convention, verified against the operator's
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
-from xml.etree.ElementTree import Element, ParseError
+from xml.etree.ElementTree import Element
 
-import defusedxml.ElementTree
 import numpy as np
-from defusedxml.common import DefusedXmlException
 from scipy.spatial.transform import Rotation
 
 from boresight.geometry.attitude import EarthFixedAttitude
@@ -29,12 +26,12 @@ from boresight.geometry.earth_orientation import EarthOrientationTable
 from boresight.geometry.earth_rotation import EarthRotation
 from boresight.geometry.epoch import Epoch
 from boresight.geometry.groundlight import LightEffects
-from boresight.geometry.line_camera import LookAngleCamera
+from boresight.geometry.line_camera import LookAngleCamera, LookTable
 from boresight.geometry.orbit import Orbit
 from boresight.geometry.pushbroom import Pushbroom, RowClock
 from boresight.geometry.record import Floats, record, scalar
 from boresight.pipeline.errors import RawDataError
-from boresight.pipeline.files.text_files import NUMBER, read_text
+from boresight.pipeline.files.xml_files import numbers_of, read_xml, text_of, whole_of
 
 __all__ = ["DimapStrip", "read_dimap"]
 
@@ -62,16 +59,16 @@ def read_dimap(
 ) -> DimapStrip:
     """The strip of a Pleiades DIMAP file; `RawDataError` for anything missing, damaged or out of range."""
     file = path.name
-    root = _parsed(read_text(path, file), file)
+    root = read_xml(path, file)
     if root.tag != "PHR_Dimap_Document":
         raise RawDataError(file, "root element", root.tag, "PHR_Dimap_Document")
     width, height = (
-        _whole(root, f"Raster_Dimensions/{name}", file, _MAX_PIXELS) for name in ("NCOLS", "NROWS")
+        whole_of(root, f"Raster_Dimensions/{name}", file, _MAX_PIXELS) for name in ("NCOLS", "NROWS")
     )
-    start = _utc(_text(root, f"{_MODEL}/UTC_Sensor_Model_Range/START", file), "START", file)
+    start = _utc(text_of(root, f"{_MODEL}/UTC_Sensor_Model_Range/START", file), "START", file)
     epoch = Epoch.from_utc(start)
     t_first = float(epoch.seconds_from_utc([start])[0])
-    period = 1e-3 * _numbers(root, f"{_MODEL}/SENSOR_LINE_PERIOD", file, 1)[0]
+    period = 1e-3 * numbers_of(root, f"{_MODEL}/SENSOR_LINE_PERIOD", file, 1)[0]
     if not 0.0 < period < 1.0:
         raise RawDataError(file, "SENSOR_LINE_PERIOD", period, "a period in milliseconds, below 1000")
     t_orbit, positions, inertial = _ephemeris(root, epoch, file)
@@ -101,7 +98,7 @@ def read_dimap(
     except ValueError as error:  # dates without Earth orientation, states that cannot be interpolated
         raise RawDataError(file, _MODEL, str(error), "a strip that a satellite can take") from error
     return DimapStrip(
-        pushbroom, width, height, _text(root, "Dataset_Identification/DATASET_NAME", file)[:128]
+        pushbroom, width, height, text_of(root, "Dataset_Identification/DATASET_NAME", file)[:128]
     )
 
 
@@ -109,9 +106,9 @@ def _ephemeris(root: Element, epoch: Epoch, file: str) -> tuple[Floats, Floats, 
     points = root.findall(_EPHEMERIS)
     if not 2 <= len(points) <= _MAX_ITEMS:
         raise RawDataError(file, _EPHEMERIS, f"{len(points)} points", f"2 to {_MAX_ITEMS} points")
-    times = [_utc(_text(point, "UTC_TIME", file), "UTC_TIME", file) for point in points]
-    positions = np.array([_numbers(point, "LOCATION_VALUES", file, 3) for point in points])
-    velocities = np.array([_numbers(point, "VELOCITY_VALUES", file, 3) for point in points])
+    times = [_utc(text_of(point, "UTC_TIME", file), "UTC_TIME", file) for point in points]
+    positions = np.array([numbers_of(point, "LOCATION_VALUES", file, 3) for point in points])
+    velocities = np.array([numbers_of(point, "VELOCITY_VALUES", file, 3) for point in points])
     t_s = epoch.seconds_from_utc(times)
     if np.any(np.diff(t_s) <= 0.0):
         raise RawDataError(file, f"{_EPHEMERIS}/UTC_TIME", "times out of order", "increasing times")
@@ -132,7 +129,7 @@ def _attitude(
     coefficients = np.zeros((4, max(len(p) for p in polynomials)))
     for row, polynomial in zip(coefficients, polynomials):
         row[: len(polynomial)] = polynomial
-    (offset,), (scale,) = (_numbers(root, f"{_ATTITUDE}/{name}", file, 1) for name in ("OFFSET", "SCALE"))
+    (offset,), (scale,) = (numbers_of(root, f"{_ATTITUDE}/{name}", file, 1) for name in ("OFFSET", "SCALE"))
     if not (0.0 <= offset < DAY_S + 1.0 and scale > 0.0):
         raise RawDataError(
             file, f"{_ATTITUDE}/OFFSET, SCALE", (offset, scale), "second of the day, scale > 0"
@@ -147,7 +144,7 @@ def _attitude(
 
 def _camera(root: Element, width: int, file: str) -> LookAngleCamera:
     first, last = (
-        _whole(root, f"{_VIEWING}/Position_In_Retina/{n}", file, 10**9) for n in ("FIRST_COL", "LAST_COL")
+        whole_of(root, f"{_VIEWING}/Position_In_Retina/{n}", file, 10**9) for n in ("FIRST_COL", "LAST_COL")
     )
     if last - first + 1 != width:
         raise RawDataError(file, f"{_VIEWING}/Position_In_Retina", f"{first} ... {last}", f"{width} columns")
@@ -156,7 +153,7 @@ def _camera(root: Element, width: int, file: str) -> LookAngleCamera:
     powers = samples[:, None] ** np.arange(21)
     tan_x, tan_y = powers[:, : len(psi_y)] @ psi_y, -powers[:, : len(psi_x)] @ psi_x
     try:
-        return LookAngleCamera(width, samples, tan_x, tan_y)
+        return LookAngleCamera((LookTable(width, samples, tan_x, tan_y),))
     except ValueError as error:
         raise RawDataError(
             file, f"{_VIEWING}/Viewing_Directions", str(error), "look angles along a line"
@@ -164,47 +161,8 @@ def _camera(root: Element, width: int, file: str) -> LookAngleCamera:
 
 
 def _polynomial(root: Element, where: str, file: str) -> list[float]:
-    degree = _whole(root, f"{where}/DEGREE", file, 20)
-    return _numbers(root, f"{where}/COEFFICIENTS", file, degree + 1)
-
-
-def _parsed(text: str, file: str) -> Element:
-    try:
-        root = defusedxml.ElementTree.fromstring(text, forbid_dtd=True)
-    except DefusedXmlException as error:
-        raise RawDataError(
-            file, "XML", type(error).__name__, "XML without DTD, entities or references"
-        ) from error
-    except (ParseError, ValueError) as error:
-        raise RawDataError(file, "XML", str(error), "well-formed XML") from error
-    assert isinstance(root, Element)
-    return root
-
-
-def _text(root: Element, where: str, file: str) -> str:
-    found = root.findall(where)
-    if len(found) != 1 or not (found[0].text or "").strip():
-        raise RawDataError(
-            file, where, f"{len(found)} such elements, or an empty one", "one element with text"
-        )
-    return (found[0].text or "").strip()
-
-
-def _numbers(root: Element, where: str, file: str, number: int) -> list[float]:
-    words = _text(root, where, file).split()
-    expected = f"{number} finite number{'s' if number > 1 else ''}"
-    if len(words) != number:
-        raise RawDataError(file, where, f"{len(words)} words", expected)
-    if wrong := [word for word in words if not re.fullmatch(NUMBER, word) or not np.isfinite(float(word))]:
-        raise RawDataError(file, where, wrong[0], expected)
-    return [float(word) for word in words]
-
-
-def _whole(root: Element, where: str, file: str, largest: int) -> int:
-    text = _text(root, where, file)
-    if not re.fullmatch(r"[0-9]{1,10}", text) or int(text) > largest:
-        raise RawDataError(file, where, text, f"a whole number from 0 to {largest}")
-    return int(text)
+    degree = whole_of(root, f"{where}/DEGREE", file, 20)
+    return numbers_of(root, f"{where}/COEFFICIENTS", file, degree + 1)
 
 
 def _utc(text: str, field: str, file: str) -> str:

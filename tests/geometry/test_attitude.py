@@ -6,7 +6,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from boresight.geometry.attitude import AttitudeTrack, EarthFixedAttitude, lagrange_weights
+from boresight.geometry.attitude import (
+    AttitudeTrack,
+    EarthFixedAttitude,
+    interpolation_weights,
+    lagrange_weights,
+)
 from boresight.geometry.constants import ARCSEC
 
 MOUNTING = Rotation.from_euler("xyz", [40.0, -65.0, 110.0], degrees=True)
@@ -158,3 +163,27 @@ def test_polynomial_quaternions_are_normalised_and_referred_to_the_turning_earth
     R_es = Rotation.from_quat(q0 + q1 * 0.5)  # t = 102 s, x = 0.5
     expected = (Rotation.from_rotvec([0.0, 0.0, 7.29e-5 * 102.0]) * R_es).inv()
     assert (attitude.R_si(np.array([102.0]))[0] * expected.inv()).magnitude() < 1e-14
+
+
+def test_expansion_about_the_nearest_node_has_the_polynomials_derivatives():
+    # From values of a polynomial of degree 7 comes its Taylor polynomial: numpy's derivatives.
+    rng = np.random.default_rng(8)
+    nodes = 5.0 + 0.1 * np.arange(20) + rng.uniform(-0.01, 0.01, 20)
+    wave = np.polynomial.Polynomial(rng.normal(size=8), domain=[5.0, 7.0])
+    t = np.array([4.98, 5.32, 5.449, 5.951, 6.2, 6.93])
+    near = nodes[np.abs(t[:, None] - nodes).argmin(axis=1)]
+    expected = wave(near) + wave.deriv()(near) * (t - near) + 0.5 * wave.deriv(2)(near) * (t - near) ** 2
+    weights = interpolation_weights(nodes, t, "taylor")
+    assert np.abs(weights @ wave(nodes) - expected).max() < 1e-9
+    assert np.abs(weights.sum(axis=1) - 1.0).max() < 1e-10
+    inner = interpolation_weights(nodes, nodes[8:9] + 0.01, "taylor")
+    assert np.flatnonzero(inner[0]).tolist() == [*range(4, 12)]  # k - 4 ... k + 3
+
+
+def test_expansion_follows_the_attitude_and_needs_eight_exposures():
+    track = AttitudeTrack(EXPOSURES, true_attitude(EXPOSURES), Nominal(), interpolation="taylor")
+    # 12" waves with periods of 3 s and more: the third-order term over 0.1 s is 0.018", of degree 7 less
+    assert np.abs(error_s(track, INSIDE)).max() < 0.03 * ARCSEC
+    assert track.breaks_s == pytest.approx(EXPOSURES[:-1] + 0.1)
+    with pytest.raises(ValueError, match="8 nodes"):
+        interpolation_weights(EXPOSURES[:7], [10.5], "taylor")

@@ -113,3 +113,18 @@ def test_tai_minus_utc_is_that_of_bulletin_c():
     np.testing.assert_array_equal(tai_minus_utc_s([41317, 57203, 57204, 57753, 57754]), [10, 35, 36, 36, 37])
     with pytest.raises(ValueError, match="before 1972"):
         tai_minus_utc_s(41316)
+
+
+def test_gps_dates_are_18_seconds_ahead_of_utc_in_2020_and_agree_with_astropy():
+    epoch = Epoch.from_utc("2020-08-16T12:02:00")
+    dates = ["2020-08-16T12:02:18", "2020-08-16T12:02:45.812731", "2020-08-17T00:00:00.5"]
+    found = epoch.seconds_from_gps_dates(dates)
+    assert found[0] == 0.0
+    expected = (Time(dates, scale="tai") - Time("2020-08-16T12:02:00", scale="utc").tai).to_value("s") + 19.0
+    assert np.abs(found - expected).max() < 1e-9
+
+
+@pytest.mark.parametrize("text", ["2020-08-16", "2020-02-30T00:00:00", "2020-08-16T12:02:60", "noon"])
+def test_gps_dates_that_do_not_exist_are_refused(text):
+    with pytest.raises(ValueError, match="GPS date"):
+        Epoch.from_utc("2020-08-16T12:02:00").seconds_from_gps_dates([text])

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from boresight.geometry.line_camera import Ccd, LineCamera, LookAngleCamera
+from boresight.geometry.line_camera import Ccd, LineCamera, LookAngleCamera, LookTable
 
 # Ends of Table 3 and its principal sample; the values in between are not printed in the paper.
 TABLE_3 = np.array([[56.0, 1077.2e-6], [203.0, 866.3e-6], [1500.0, 160e-6], [3067.0, 0.0], [5784.0, -930e-6]])
@@ -130,7 +130,7 @@ def test_look_angles_are_inverted_in_either_order_along_the_line(sign):
     samples = np.linspace(0.0, 39_999.0, 41)
     tan_x = 8e-5 + 1e-6 * np.sin(samples / 9000.0)
     tan_y = sign * (-0.0142 + 7.11e-7 * samples + 1e-6 * np.cos(samples / 7000.0))
-    camera = LookAngleCamera(40_000, samples, tan_x, tan_y)
+    camera = LookAngleCamera((LookTable(40_000, samples, tan_x, tan_y),))
     at = np.random.default_rng(2).uniform(-50.0, 40_050.0, 2000)
     u_c = camera.directions_from_pixels(0, at)
     found, miss = camera.samples_from_directions(0, u_c)
@@ -146,4 +146,4 @@ def test_look_angles_are_inverted_in_either_order_along_the_line(sign):
 
 def test_look_angles_that_double_back_are_refused():
     with pytest.raises(ValueError, match="monotone"):
-        LookAngleCamera(10, np.arange(3.0), np.zeros(3), np.array([0.0, 1.0, 0.5]))
+        LookTable(10, np.arange(3.0), np.zeros(3), np.array([0.0, 1.0, 0.5]))

@@ -1,0 +1,74 @@
+"""Read values out of an operator's XML metadata; errors name file, element, found and expected.
+
+A text is parsed without DTD, entities or references, and every number is checked. Names of elements lose
+their namespaces.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from xml.etree.ElementTree import Element, ParseError
+
+import defusedxml.ElementTree
+import numpy as np
+from defusedxml.common import DefusedXmlException
+
+from boresight.pipeline.errors import RawDataError
+from boresight.pipeline.files.text_files import NUMBER, read_text
+
+__all__ = ["elements_of", "numbers_of", "read_xml", "text_of", "whole_of"]
+
+
+def read_xml(path: Path, file: str) -> Element:
+    """The root element of an XML file; `RawDataError` for anything else, and for a DTD."""
+    text = read_text(path, file)
+    try:
+        root = defusedxml.ElementTree.fromstring(text, forbid_dtd=True)
+    except DefusedXmlException as error:
+        raise RawDataError(
+            file, "XML", type(error).__name__, "XML without DTD, entities or references"
+        ) from error
+    except (ParseError, ValueError) as error:
+        raise RawDataError(file, "XML", str(error), "well-formed XML") from error
+    assert isinstance(root, Element)
+    for element in root.iter():
+        element.tag = element.tag.rpartition("}")[2]
+    return root
+
+
+def elements_of(root: Element, where: str, file: str, least: int, most: int) -> list[Element]:
+    """All elements at a path; `RawDataError` unless there are `least` to `most`."""
+    found = root.findall(where)
+    if not least <= len(found) <= most:
+        raise RawDataError(file, where, f"{len(found)} elements", f"{least} to {most} elements")
+    return found
+
+
+def text_of(root: Element, where: str, file: str) -> str:
+    """The text of the one element at a path."""
+    found = root.findall(where)
+    if len(found) != 1 or not (found[0].text or "").strip():
+        raise RawDataError(
+            file, where, f"{len(found)} such elements, or an empty one", "one element with text"
+        )
+    return (found[0].text or "").strip()
+
+
+def numbers_of(root: Element, where: str, file: str, number: int) -> list[float]:
+    """The `number` finite numbers of the one element at a path."""
+    words = text_of(root, where, file).split()
+    expected = f"{number} finite number{'s' if number > 1 else ''}"
+    if len(words) != number:
+        raise RawDataError(file, where, f"{len(words)} words", expected)
+    if wrong := [word for word in words if not re.fullmatch(NUMBER, word) or not np.isfinite(float(word))]:
+        raise RawDataError(file, where, wrong[0], expected)
+    return [float(word) for word in words]
+
+
+def whole_of(root: Element, where: str, file: str, largest: int) -> int:
+    """The whole number, 0 to `largest`, of the one element at a path."""
+    text = text_of(root, where, file)
+    if not re.fullmatch(r"[0-9]{1,10}", text) or int(text) > largest:
+        raise RawDataError(file, where, text, f"a whole number from 0 to {largest}")
+    return int(text)
