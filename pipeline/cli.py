@@ -263,7 +263,7 @@ def experiment(
     name: Annotated[
         str,
         typer.Argument(
-            help="figure4, convergence, grid, figure8, table4, table5, readings, geometry; or all."
+            help="inputs, figure4, convergence, grid, figure8, table4, table5, readings, geometry; or all."
         ),
     ],
     out: Annotated[Path, typer.Option(help="Folder for NAME.csv, .png and .txt; all: also paper.html.")],

@@ -220,6 +220,23 @@ def compare_readings(table: pd.DataFrame) -> Iterator[str]:
             yield f"paper, {sigma_s:.3f}: ours {row[1]:.2f}, {row[3]:.2f}; Wang {row[0]:.2f}, {row[2]:.2f}"
 
 
+def compare_inputs(table: pd.DataFrame) -> Iterator[str]:
+    """Tables 1 to 3 and numbers of the text; curves by their largest difference."""
+    yield "Tables 1 to 3 and the text: printed value, ours, and what arithmetic gives"
+    yield "source   item                               unit         paper        ours  arithmetic"
+    for row in table[table["at"].isna()].to_dict("records"):
+        expected = "" if np.isnan(row["expected"]) else f"{row['expected']:11.3f}"
+        head = f"{row['source']:8s} {row['item']:34s} {row['unit']:8s}"
+        yield f"{head} {row['paper']:9.4g} {row['ours']:11.4g} {expected}".rstrip()
+    for (source, unit), curve in table[table["at"].notna()].groupby(["source", "unit"], sort=False):
+        printed = curve[curve["paper"].notna()]
+        off = np.abs(printed["ours"] - printed["paper"]).max()
+        yield (
+            f"{source}, distortion: at {len(printed)} points up to {printed['paper'].max():.6g} {unit},"
+            f" ours differs by at most {off:.1e} {unit}"
+        )
+
+
 def compare_figure4(table: pd.DataFrame) -> Iterator[str]:
     """Fig. 4: size of our waves and the star camera's noise."""
     yield "Fig. 4: attitude over 24 s, arcsec; the paper prints no value, it shows 24 s about the mean"
@@ -270,6 +287,7 @@ def compare_geometry(table: pd.DataFrame) -> Iterator[str]:
 
 COMPARISONS: dict[str, Callable[[pd.DataFrame], Iterator[str]]] = {
     "convergence": compare_convergence,
+    "inputs": compare_inputs,
     "figure4": compare_figure4,
     "figure8": compare_figure8,
     "geometry": compare_geometry,

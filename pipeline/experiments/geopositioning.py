@@ -14,7 +14,7 @@ from boresight.geometry.record import Floats, array, record, scalar
 from boresight.geometry.sightings import StripSightings
 from boresight.pipeline.experiments.wang import attitudes_of
 
-__all__ = ["GroundErrors", "MotionPrior", "ground_errors", "smoothed_attitude"]
+__all__ = ["GroundErrors", "MotionPrior", "check_point_errors", "ground_errors", "smoothed_attitude"]
 
 
 @record
@@ -73,6 +73,14 @@ def ground_errors(
     along /= np.linalg.norm(along, axis=1, keepdims=True)
     across = np.cross(along, up_i)
     return GroundErrors(np.einsum("ja,ja->j", off, along), np.einsum("ja,ja->j", off, across))
+
+
+def check_point_errors(strip: StripSightings, look_i: Floats) -> GroundErrors:
+    """Errors at the targets of a strip, as check points, of look vectors `look_i` (J, 3), frame i."""
+    ground = strip.ground
+    up_i = -strip.R_oi_targets.inv().apply([0.0, 0.0, 1.0])
+    to_target = ground.range_m[:, None] * ground.u_i
+    return ground_errors(np.zeros_like(to_target), look_i, to_target, up_i, ground.v_rel_i)
 
 
 def _kernel(a: Floats, b: Floats, prior: MotionPrior) -> Floats:

@@ -1,4 +1,4 @@
-"""Values printed in the paper's section 3: Tables 4 and 5 (single draws), the text about Figs. 5 to 7."""
+"""Values printed in the paper's section 3: Tables 1 to 5 (4 and 5: single draws) and the text."""
 
 from __future__ import annotations
 
@@ -9,10 +9,43 @@ __all__ = [
     "FIGURE_7_CELLS",
     "FIGURE_7_MEAN_ARCSEC",
     "FIGURE_7_SIGMA_ARCSEC",
+    "TABLE_1_GROUND_M",
+    "TABLE_2",
+    "TABLE_3",
+    "TABLE_3_DISTORTION_UM",
     "TABLE_4",
     "TABLE_4_RMS_ARCSEC",
     "TABLE_5",
+    "TEXT_VALUES",
 ]
+
+# The header of Table 1 is shifted by a row; the clock's acts along the orbit only
+TABLE_1_GROUND_M = {"GPS": 2.0, "vibration": 0.25, "clock": 0.75, "distortion": 0.21}
+
+# mm, degrees, Hz, px, um; the four numbers of the distortion are printed without names and units
+TABLE_2 = {
+    "focal length": 100.0,
+    "field of view in x": 18.0,
+    "field of view in y": 14.0,
+    "data rate": 5.0,
+    "principal point x": 2560.0,
+    "principal point y": 1920.0,
+    "pixel": 6.4,
+    "p1": 2.29e-5,
+    "p2": -2.96e-5,
+    "q1": -9.30e-7,
+    "q2": -4.25e-9,
+}
+
+# m, px; of the distortion three samples are printed with a value: the principal point has none by definition
+TABLE_3 = {"focal length": 10.0, "pixels of a CCD": 6144.0, "pixel": 1e-5, "principal point": 3067.0}
+TABLE_3_DISTORTION_UM = {56.0: 1077.2, 203.0: 866.3, 3067.0: 0.0}  # by sample
+
+TEXT_VALUES = {  # sections 3.1 and 3.3.2
+    "resolution along the orbit": 0.5,
+    "offset by 1250 km of elevation": 0.5,
+    "star camera at 0.05 px, 3 sigma": 0.5,
+}
 
 # (sigma_s px, sigma_c px): Wang's X, Y, Z and the paper's X, Y, Z, arcsec
 TABLE_4: dict[tuple[float, float], tuple[tuple[float, float, float], tuple[float, float, float]]] = {

@@ -30,6 +30,35 @@ BOUND = {"color": INK, "ls": "--", "lw": 1.0}
 PAPER = {"color": INK, "ls": "none", "marker": "x", "ms": 6, "mew": 1.5}
 
 
+def plot_inputs(table: pd.DataFrame) -> Figure:
+    """Tables 1 to 3: error on the ground of each source, and the distortion of both cameras."""
+    figure, axes = _panels(1, 3, 3.4)
+    ax = axes[0, 0]
+    rows = table[table["source"] == "Table 1"]
+    at = np.arange(len(rows))
+    ax.barh(at, rows["ours"], 0.6, color=WANG, label="ours")
+    ax.plot(rows["expected"], at, "|", color=INK, ms=16, mew=2, label="by arithmetic")
+    ax.plot(rows["paper"], at, label="paper", **PAPER)
+    ax.set_yticks(at, rows["item"].str.replace(", ", "\n"), fontsize=8)
+    ax.invert_yaxis()
+    ax.set(xlabel="rms on the ground, m", title="Table 1")
+    for ax, source, label in (
+        (axes[0, 1], "Table 2", "mm from the principal point"),
+        (axes[0, 2], "Table 3", "sample"),
+    ):
+        curve = table[(table["source"] == source) & (table["item"] == "distortion")]
+        ax.plot(curve["at"], curve["ours"], color=OURS, lw=1.8, label="ours, distortion")
+        printed = curve[curve["paper"].notna()].iloc[:: 2 if source == "Table 2" else 1]
+        ax.plot(printed["at"], printed["paper"], label="paper", **PAPER)
+        unit = "px" if source == "Table 2" else "µm"
+        ax.set(xlabel=label, title=f"{source}: distortion, {unit}")
+    handles = [line for ax in axes[0, :2] for line in zip(*ax.get_legend_handles_labels())]
+    entries = {label: handle for handle, label in handles}
+    figure.legend(list(entries.values()), list(entries), loc="outside lower center", ncols=4, fontsize=8)
+    figure.suptitle("Inputs of the simulations (paper: Tables 1 to 3)", fontsize=10)
+    return figure
+
+
 def plot_figure4(table: pd.DataFrame) -> Figure:
     """Fig. 4: the attitude over 24 s and what single exposures measure of it."""
     figure, axes = _panels(3, 1, 1.7, sharex=True)
@@ -361,6 +390,7 @@ def plot_forecast(table: pd.DataFrame, target_arcsec: float | None) -> Figure:
 
 
 PLOTS: dict[str, Callable[[pd.DataFrame], Figure]] = {
+    "inputs": plot_inputs,
     "figure4": plot_figure4,
     "convergence": plot_convergence,
     "grid": plot_grid,

@@ -17,6 +17,7 @@ from scipy.spatial.transform import Rotation
 from boresight.geometry.record import Floats
 from boresight.pipeline.experiments.comparison import COMPARISONS
 from boresight.pipeline.experiments.geometry_search import geometry_map
+from boresight.pipeline.experiments.inputs import inputs
 from boresight.pipeline.experiments.pixels import (
     PixelSettings,
     grid_from_pixels,
@@ -51,7 +52,17 @@ Progress = Callable[[int, int], None]
 
 FAINTEST_V = 6.5  # about 55 stars in the field (docs/paper.md)
 
-EXPERIMENTS = ("figure4", "convergence", "grid", "figure8", "table4", "table5", "readings", "geometry")
+EXPERIMENTS = (
+    "inputs",
+    "figure4",
+    "convergence",
+    "grid",
+    "figure8",
+    "table4",
+    "table5",
+    "readings",
+    "geometry",
+)
 FROM_PIXELS = ("grid", "table4", "table5")
 
 
@@ -97,6 +108,8 @@ def experiment_table(
         return table4(settings, hipparcos_fields(settings.cameras, 400, settings.seed), progress)
     if name in ("grid", "table5", "readings"):
         return {"grid": grid, "table5": table5, "readings": table5_readings}[name](settings, progress)
+    if name == "inputs":
+        return inputs(settings.cameras, settings.seed)
     if name == "geometry":
         return geometry_map(settings.cameras, settings.search)
     return {"convergence": convergence, "figure4": figure4, "figure8": figure8}[name](settings)

@@ -35,7 +35,7 @@ from boresight.pipeline.experiments.geometry_search import (
 from boresight.pipeline.experiments.geopositioning import (
     GroundErrors,
     MotionPrior,
-    ground_errors,
+    check_point_errors,
     smoothed_attitude,
 )
 from boresight.pipeline.experiments.paper_tables import (
@@ -289,10 +289,13 @@ def _one_matrix_per_image(
             ("smoothed", smoothed_attitude(strip, MotionPrior())),
             ("exposure", _nearest(strip)),
         ):
-            yield (attitude, "ours", 0), _strip_errors(strip, (ours * R_si).inv().apply(strip.ground.u_c))
+            yield (
+                (attitude, "ours", 0),
+                check_point_errors(strip, (ours * R_si).inv().apply(strip.ground.u_c)),
+            )
             for (method, order), of_images in matrices.items():
                 look_i = (of_images[k] * R_si).inv().apply(strip.ground.u_c)
-                yield (attitude, method, order), _strip_errors(strip, look_i)
+                yield (attitude, method, order), check_point_errors(strip, look_i)
 
 
 def _nearest(strip: StripSightings) -> Rotation:
@@ -469,19 +472,12 @@ def _check_points(
         strip = strips[place]
         R_si = smoothed_attitude(strip, MotionPrior())
         for method, matrix in R_cs.items():
-            yield method, _strip_errors(strip, (matrix * R_si).inv().apply(strip.ground.u_c))
-        yield "floor", _strip_errors(strip, _true_looks(truth, place))
+            yield method, check_point_errors(strip, (matrix * R_si).inv().apply(strip.ground.u_c))
+        yield "floor", check_point_errors(strip, _true_looks(truth, place))
 
 
 def _true_looks(truth: StripTruth, place: int) -> Floats:
     return np.asarray(truth.R_ci[place].inv().apply(truth.look_c[place]))
-
-
-def _strip_errors(strip: StripSightings, look_i: Floats) -> GroundErrors:
-    ground = strip.ground
-    up_i = -strip.R_oi_targets.inv().apply([0.0, 0.0, 1.0])
-    to_target = ground.range_m[:, None] * ground.u_i
-    return ground_errors(np.zeros_like(to_target), look_i, to_target, up_i, ground.v_rel_i)
 
 
 def _central_exposures(strip: StripSightings, n: int) -> StripSightings:
