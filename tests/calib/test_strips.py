@@ -7,6 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from boresight.calib.calibration import calibrate
+from boresight.calib.distortion import correlation, knots_touched
 from boresight.calib.estimate import InstallationEstimate
 from boresight.calib.frames import calibrate_frames
 from boresight.calib.settings import CalibrationSettings
@@ -175,3 +176,32 @@ def test_coordinates_of_targets_are_in_axes_that_rotate_with_the_earth():
     )
     np.testing.assert_allclose(first.cov_coordinates[0], np.diag([1.0, 4.0, 9.0]), atol=1e-6)
     np.testing.assert_allclose(second.cov_coordinates[0], np.diag([4.0, 1.0, 9.0]), atol=1e-6)
+
+
+@pytest.mark.parametrize("scope", ["camera", "strip"])
+def test_distortion_has_the_stated_variance_between_knots_too(scope):
+    sigma = 3e-7  # rad
+    settings = replace(NONE, sigma_distortion_rad=sigma, distortion_length_px=2000.0, distortion_scope=scope)
+    prepared = prepare_strip(strips_of(StripPlan(strips=1))[0], settings)
+    knots = knots_touched(prepared.ccd, prepared.sample, 2000.0)
+    shared = replace(NOTHING, knots=knots if scope == "camera" else ())
+    group = group_strips([prepared], shared, settings)[0]
+    weights = group.camera[0] @ np.linalg.cholesky(correlation(knots)) if scope == "camera" else group.own[0]
+    from_knots = np.sum(weights**2, axis=1)
+    np.testing.assert_allclose(from_knots + group.missed[0], sigma**2, rtol=1e-9)
+    # Linear interpolation over half a correlation length leaves up to an eighth of the variance.
+    assert 0.05 * sigma**2 < group.missed.max() < 0.3 * sigma**2
+
+
+def test_measurements_of_slanted_covariance_are_whitened_to_unit_variance():
+    strip = strips_of(StripPlan(strips=1))[0]
+    u = strip.ground.u_c
+    x = np.cross(u, [0.0, 1.0, 0.0])
+    x /= np.linalg.norm(x, axis=1, keepdims=True)
+    axes = np.stack([x, np.cross(u, x)], axis=2)  # (J, 3, 2)
+    slanted = 1e-13 * np.array([[9.0, 5.0], [5.0, 4.0]])  # rad2: correlation 0.83
+    ground = replace(strip.ground, cov_c=axes @ slanted @ np.swapaxes(axes, 1, 2))
+    prepared = prepare_strip(replace(strip, ground=ground), NONE)
+    at = linearise(group_strips([prepared], NOTHING, NONE)[0], BOLD, NONE)
+    np.testing.assert_allclose(at.measured[0], np.tile(np.eye(2), (len(u), 1, 1)), atol=1e-3)
+    # 1e-3: the predicted directions, about which it is whitened, differ from the measured by the noise

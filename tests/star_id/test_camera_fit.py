@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 from frames import PAPER_CAMERA
+from pytest import approx
 from scipy.spatial.transform import Rotation
 
 from boresight.star_id.camera_fit import (
@@ -68,3 +69,19 @@ def test_a_drift_and_a_prior_do_what_they_say():
     assert abs(found.camera.focal_m / CAMERA.focal_m - 1.0) < 1e-10
     held = fit_camera(stars, start, R, (*PARAMETERS, DRIFT), {"q2": 1e-16})
     assert abs(held.camera.q2) < 1e-12 < abs(found.camera.q2)
+
+
+def test_a_prior_as_strong_as_the_data_meets_them_halfway():
+    rng = np.random.default_rng(7)
+    xy = rng.uniform([0, 0], [5119, 3839], (200, 2))
+    R = Rotation.random(1, random_state=rng)
+    u_i = R[0].inv().apply(CAMERA.directions_from_pixels(xy))
+    stars = IdentifiedStars(
+        xy, np.tile(1e-2 * np.eye(2), (200, 1, 1)), u_i, np.zeros(200, dtype=np.int64), np.zeros(1)
+    )
+    start = replace(CAMERA, q1=1.01 * CAMERA.q1)
+    by_data = fit_camera(stars, start, R, ("q1",))
+    both = fit_camera(stars, start, R, ("q1",), {"q1": float(np.sqrt(by_data.covariance[0, 0]))})
+    assert by_data.camera.q1 == approx(CAMERA.q1, rel=1e-9)
+    # the model is not quite linear over 1 % of q1
+    assert both.camera.q1 == approx(0.5 * (start.q1 + CAMERA.q1), rel=1e-5)

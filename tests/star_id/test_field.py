@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from astropy.coordinates import SkyCoord, position_angle
 from frames import PAPER_CAMERA, as_seen, listed_stars
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
@@ -14,7 +15,8 @@ from boresight.geometry.epoch import Epoch
 from boresight.geometry.sightings import information_of_directions
 from boresight.geometry.star_camera import StarCamera
 from boresight.star_id.catalogue import hipparcos_stars
-from boresight.star_id.field import FieldSolution, solve_list, solve_stars
+from boresight.star_id.field import FieldSolution, ra_dec_roll, solve_list, solve_stars
+from boresight.star_id.field_fit import fit_attitude_and_lens
 from boresight.star_id.identification.triangle_index import build_index
 from boresight.star_id.observer import Observer
 from boresight.star_id.settings import StarSettings
@@ -180,3 +182,52 @@ def test_the_error_stated_is_true_of_narrow_and_wide_lenses_alike(fov_deg, fewes
     assert np.mean(together) / 3.0 < chi2.ppf(1.0 - 1.5e-4, 3 * len(together)) / (3 * len(together))
     assert np.mean(width) < chi2.ppf(1.0 - 1.5e-4, len(width)) / len(width)
     assert np.mean(together) / 3.0 > 0.4 and np.mean(width) > 0.3
+
+
+@pytest.mark.filterwarnings("ignore:.*distance overridden")
+def test_roll_is_the_position_angle_of_up_as_astropy_has_it():
+    R_si = Rotation.from_euler("xyz", [40.0, -65.0, 110.0], degrees=True)
+    x, y = MIDDLE[0]
+    towards = R_si.inv().apply(TRUTH.directions_from_pixels([[x, y], [x, y - 20.0]]))
+    middle, above = (SkyCoord(*u, representation_type="cartesian") for u in towards)
+    ra, dec, roll = ra_dec_roll(TRUTH, R_si)
+    middle, above = middle.represent_as("unitspherical"), above.represent_as("unitspherical")
+    angle = position_angle(middle.lon, middle.lat, above.lon, above.lat).rad
+    # 1e-5 rad: the lens bends the line over 20 px
+    assert np.angle(np.exp(1j * (roll - angle))) == pytest.approx(0.0, abs=1e-5)
+    assert (ra, dec) == pytest.approx((middle.lon.rad, middle.lat.rad), abs=1e-12)
+
+
+def test_errors_of_the_centre_are_about_its_own_axes(index, images):
+    _, stars = images[0]
+    beside = replace(TRUTH, principal_px=(-2000.0, 6000.0), p1=0.0, p2=0.0, q1=0.0, q2=0.0)
+    found = solve_list(stars, SIZE, index, SETTINGS, camera=TRUTH)
+    assert isinstance(found, FieldSolution)
+    slanted = 1e-12 * np.array([[4.0, 1.0, -3.0], [1.0, 9.0, 5.0], [-3.0, 5.0, 16.0]])  # rad2
+    solution = replace(found, camera=beside, cov_s=slanted)
+    middle = beside.directions_from_pixels(MIDDLE)[0]
+    along = middle @ slanted @ middle
+    assert solution.roll_sigma_rad == pytest.approx(np.sqrt(along), rel=1e-9)
+    across = 0.5 * (np.trace(slanted) - along)
+    assert solution.pointing_sigma_rad == pytest.approx(np.sqrt(across), rel=1e-9)
+
+
+def test_an_error_that_all_stars_share_is_estimated_from_their_residuals():
+    """Five of sixty stars state 0.003 px, but refraction or the like displaces all by 0.5 px: the five must
+    not determine the attitude."""
+    rng, common_px, ratios, stated = np.random.default_rng(8), 0.5, [], []
+    sigma_px = np.repeat([0.003, 0.1], [5, 55])
+    cov = sigma_px[:, None, None] ** 2 * np.eye(2)
+    for _ in range(6):
+        xy = rng.uniform([100, 100], [5000, 3700], (60, 2))
+        R_si = Rotation.random(random_state=rng)
+        u_i = R_si.inv().apply(TRUTH.directions_from_pixels(xy))
+        seen = xy + rng.normal(size=(60, 2)) * np.hypot(sigma_px, common_px)[:, None]
+        found = fit_attitude_and_lens(TRUTH, R_si, seen, cov, u_i)
+        honest = fit_attitude_and_lens(TRUTH, R_si, seen, cov + common_px**2 * np.eye(2), u_i)
+        turn = Rotation.from_matrix(middle_axes(found.R_si, found.camera) @ middle_axes(R_si, TRUTH).T)
+        in_s = R_si.apply(turn.as_rotvec())
+        ratios.append(np.trace(found.cov_s) / np.trace(honest.cov_s))
+        stated.append(in_s @ np.linalg.solve(found.cov_s, in_s))
+    assert np.mean(ratios) == pytest.approx(1.0, abs=0.3)  # 120 residuals: the variance is known to 13 %
+    assert np.mean(stated) / 3.0 < 2.2  # chi-square of 18 degrees of freedom, 99.9 %

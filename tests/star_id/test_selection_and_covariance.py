@@ -21,6 +21,7 @@ from boresight.star_id.finding.centroid import fit_stars
 from boresight.star_id.finding.psf import Psf
 from boresight.star_id.finding.windowed_centroid import windowed_centroids
 from boresight.star_id.identification.triangle_index import build_index, equivalent_fov, triangle_shapes
+from boresight.star_id.score import cramer_rao_px
 from boresight.star_id.settings import StarSettings
 from boresight.star_id.sight import has_reliable_position, select_for_calibration, sight_stars, smear_of_rate
 
@@ -227,3 +228,42 @@ def test_a_lookup_gives_all_triangles_that_agree_and_no_other():
         assert agree[np.arange(len(some)), some].sum() >= least or least == 0
         sign = np.sign(np.linalg.det(index.u_i[table.vertices[row]]))
         assert (sign == np.sign(shapes[query, 2])).all()  # the same handedness, from the stars themselves
+
+
+QUIET = Background(np.full((3, 3), 20.0), np.full((3, 3), 2.0), 200, 200)
+
+
+@pytest.mark.parametrize("flux_dn", [1e5, 3e5])
+def test_a_star_whose_core_is_saturated_is_measured_on_its_wings(flux_dn):
+    """A circle of 7 and 8 px is saturated; part of the information is beyond the window of other stars."""
+    rng, psf = np.random.default_rng(11), Psf(1.25, 1.25, (0.0, 0.0), 200, 200)
+    xy = np.array([[100.3, 99.8]])
+    image = render(xy, np.array([flux_dn]), 200, 200, Sensor(), rng)
+    pixels, start = np.array([[100, 100]]), np.zeros((1, 2))
+    fit = fit_stars(image, pixels, start, QUIET, psf, gain_e_per_dn=40.0, saturation_dn=235.0)
+    bound = cramer_rao_px(xy, np.array([flux_dn]), np.full(1, 2.02), psf, 40.0, full_dn=215.0)
+    error = fit.xy_px[0] - xy[0]
+    assert fit.saturated[0] and fit.converged[0]
+    assert error @ np.linalg.solve(fit.cov_px[0], error) < 18.4  # 1e-4 of two degrees of freedom
+    # 2 %: the bound takes the weights of the true star; the window of other stars loses 5 to 8 %
+    assert np.sqrt(0.5 * np.trace(fit.cov_px[0])) == pytest.approx(bound[0], rel=0.02)
+
+
+def test_charge_at_the_ends_of_a_bloom_is_not_the_star():
+    rng, psf = np.random.default_rng(12), Psf(1.25, 1.25, (0.0, 0.0), 200, 200)
+    xy = np.array([[100.3, 99.8]])
+    image = render(xy, np.array([2e4]), 200, 200, Sensor(), rng)
+    image[93:107, 100] = 255  # charge that ran over along its column
+    fits = []
+    for left in (30, 190):  # DN in the pixels where the charge ends
+        image[[92, 107], 100] = left
+        arguments = image, np.array([[100, 100]]), np.zeros((1, 2)), QUIET, psf
+        fits.append(fit_stars(*arguments, gain_e_per_dn=40.0, saturation_dn=235.0))
+    assert fits[0].saturated[0] and fits[0].converged[0]
+    assert np.array_equal(fits[0].xy_px, fits[1].xy_px)
+
+
+def test_the_width_of_the_psf_grows_with_the_square_of_the_distance_from_the_middle():
+    psf = Psf(1.0, 1.5, (0.0, 0.0), 201, 101)
+    middle, corner, halfway = [100.0, 50.0], [-0.5, -0.5], [49.75, 24.75]
+    assert psf.sigma_at(np.array([middle, corner, halfway])) == pytest.approx([1.0, 1.5, 1.125], abs=1e-12)

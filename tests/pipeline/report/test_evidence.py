@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -67,6 +68,57 @@ def test_spread_of_cross_angles_is_the_predicted_one():
     assert np.std(angles.z / angles.sigma) == approx(1.0, abs=0.21)
     wrong = cross_angles(motions, Rotation.from_rotvec([0.0, 3e-5, 0.0]) * R_cs, settings)
     assert np.std(wrong.z / wrong.sigma) > 2.0  # and it shows a matrix that is off by 6 arcsec
+
+
+def test_variance_of_a_cross_angle_is_that_of_everything_it_depends_on():
+    # The angles are differentiated by differences: each error moved by its own sigma, the squares added.
+    position_m, vibration_rad = 2.0, 4e-7
+    settings = CalibrationSettings(
+        sigma_position_m=position_m,
+        sigma_clock_s=0.0,
+        sigma_vibration_rad=vibration_rad,
+        sigma_distortion_rad=0.0,
+        use_target_sigma=False,
+    )
+    R_cs = installation_by_tilt(np.radians(15.0))
+    plan = StripPlan(strips=1, targets=4, duration_s=1.0, exposures=6, wave_rad=(0.0, 0.0))
+    motion = motion_of(draw_strips(plan, CameraPair(R_cs), np.random.default_rng(5))[0][0])
+    motion = replace(motion, covariance_s=motion.covariance_s * [[1, 1, 2], [1, 1, 2], [2, 2, 4]])
+    at = cross_angles([motion], R_cs, settings)
+    variance = np.zeros(len(at.z))
+    for moved in (*moved_targets(motion, vibration_rad, position_m), *moved_attitudes(motion)):
+        variance += (cross_angles([moved], R_cs, settings).z - at.z) ** 2
+    stars = {e.exposure_id: e for e in motion.strip.exposures}
+    w_j = dict(zip(motion.strip.ground.target_id.tolist(), motion.strip.ground.u_c))
+    for n, (exposure, hip, target) in enumerate(zip(at.exposure_id, at.hip, at.target_id)):
+        C = R_cs.as_matrix() @ stars[exposure].cov_s[stars[exposure].hip == hip][0] @ R_cs.as_matrix().T
+        variance[n] += w_j[target] @ C @ w_j[target]
+    # 1 %: second order of the differences, and the motion by which star vectors are carried
+    np.testing.assert_allclose(at.sigma, np.sqrt(variance), rtol=0.01)
+
+
+def moved_targets(motion, vibration_rad, position_m):
+    """The motion with all targets moved by one sigma of vibration, measurement, or position of the camera."""
+    strip, ground = motion.strip, motion.strip.ground
+    values, vectors = np.linalg.eigh(ground.cov_c)
+    for k in range(3):
+        step = vectors[:, :, k] * np.sqrt(np.maximum(values[:, k], 0.0))[:, None]
+        yield replace(motion, strip=replace(strip, ground=replace(ground, u_c=ground.u_c + step)))
+        if k:  # across the direction: the eigenvector of the least value is along it
+            shaken = ground.u_c + vibration_rad * vectors[:, :, k]
+            yield replace(motion, strip=replace(strip, ground=replace(ground, u_c=shaken)))
+        seen = ground.u_i * ground.range_m[:, None] - position_m * np.eye(3)[k]
+        seen /= np.linalg.norm(seen, axis=1, keepdims=True)
+        yield replace(motion, strip=replace(strip, ground=replace(ground, u_i=seen)))
+
+
+def moved_attitudes(motion):
+    """The motion with the attitude of one exposure rotated by one sigma of one axis."""
+    for k, covariance in enumerate(motion.covariance_s):
+        for step in np.linalg.cholesky(covariance).T:
+            matrices = motion.R_si.as_matrix()
+            matrices[k] = Rotation.from_rotvec(step).as_matrix() @ matrices[k]
+            yield replace(motion, R_si=Rotation.from_matrix(matrices))
 
 
 class Still:

@@ -42,6 +42,21 @@ def test_covariance_of_a_target_is_turned_from_east_north_up_to_the_inertial_axe
             assert (R_ie @ axis) @ cov_i @ (R_ie @ axis) == pytest.approx(sigma**2, rel=1e-9)
 
 
+def test_covariance_of_a_look_vector_is_that_of_sample_and_line(calibration: Calibration) -> None:
+    # An error of the sample alone moves the look vector along its CCD, and not along the track.
+    task, matched = calibration.tasks[0], calibration.matched[0]
+    sigma_px, step_px = 0.2, 0.5
+    along_ccd = np.zeros_like(matched.cov_px)
+    along_ccd[:, 0, 0] = sigma_px**2
+    ground = ground_sightings(replace(matched, cov_px=along_ccd), task)
+    sides = [matched.xy_px + np.array([step, 0.0]) for step in (step_px, -step_px)]
+    more, less = (ground_sightings(replace(matched, xy_px=xy_px), task).u_c for xy_px in sides)
+    moved = (more - less) / (2.0 * step_px) * sigma_px
+    expected = moved[:, :, None] * moved[:, None, :]
+    size = np.trace(expected, axis1=1, axis2=2)[:, None, None]
+    np.testing.assert_allclose(ground.cov_c / size, expected / size, rtol=0, atol=1e-3)
+
+
 def test_velocity_is_that_relative_to_the_ground(calibration: Calibration) -> None:
     # Differences of Earth-fixed positions over 0.2 s; their curvature leaves 1e-5 m/s, the Earth's rotation
     # is 500 m/s of the velocity.
