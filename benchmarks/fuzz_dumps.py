@@ -92,7 +92,8 @@ class Finished(UnitStore):
 
 
 def fuzz(folder: Path, mutations: int, seed: int, out: Path) -> None:
-    """Calibrate mutated copies of the dump; one line of JSON each is added to `out`."""
+    """Calibrate mutated copies of the dump; one line of JSON each is added to `out`, those there are kept."""
+    done = len(out.read_text().splitlines()) if out.exists() else 0
     warnings.simplefilter("ignore")
     root = folder / "dump"
     shutil.copytree(FIXTURE, root)
@@ -100,9 +101,11 @@ def fuzz(folder: Path, mutations: int, seed: int, out: Path) -> None:
     rng = random.Random(seed)
     texts = {name: (root / name).read_text() for name in TEXTS}
     with out.open("a") as stream:
-        for _ in range(mutations):
+        for n in range(mutations):
             (name,) = rng.choices(list(TEXTS), list(TEXTS.values()))
             facts, text = mutated(texts[name], name, rng)
+            if n < done:
+                continue
             (root / name).write_text(text)
             stream.write(json.dumps(facts | in_process(folder, sound)) + "\n")
             stream.flush()

@@ -137,6 +137,7 @@ class _Run:
         self.threads: dict[str, int] = {}  # of accepted workers
         self.all_accepted = True
         self.idle_since: float | None = None
+        self.request: Any = None  # a task that an adaptive cluster starts its first worker for
         self.said = ""
 
     def step(self) -> None:
@@ -172,8 +173,10 @@ class _Run:
     def _wait_for_workers(self, present: dict[str, int]) -> None:
         """Say what is missing while there is no worker; `WorkerError` when that takes too long."""
         if self.threads:
-            self.idle_since, self.said = None, ""
+            self.idle_since, self.request, self.said = None, None, ""
             return
+        if not present and self.request is None:
+            self.request = self.cluster.client.submit(abs, 0, pure=False)
         refused = [f"{a} ({reason})" for a, reason in self.cluster.refused.items() if a in present]
         missing = f"refused: {'; '.join(refused)}" if refused else "none is connected"
         self.idle_since = self.idle_since or time.monotonic()
@@ -277,7 +280,7 @@ def on_cluster(
         raise WorkerError(f"a scheduler needs dask: pip install 'boresight[cluster]' ({error})") from error
     try:
         client = Client(address, timeout=30)
-    except (OSError, TimeoutError, ValueError) as error:
+    except (OSError, TimeoutError, ValueError, TypeError) as error:  # TypeError: TLS is not configured
         raise WorkerError(f"no scheduler at {address}: {error}") from error
     with client:
         expected = fingerprint([str(path.resolve()) for path in probes])
