@@ -1,11 +1,13 @@
 """The command line: each command loads, calls one function and saves.
 
 Results go to the named folder, one line per input or a summary to stdout, progress and remarks to stderr.
-Exit status 0: done; 1: the data do not allow it; 2: wrong usage; 3: the data contradict themselves.
+Exit status 0: done; 1: the data do not allow it; 2: wrong usage; 3: the data contradict themselves; 4: a
+limit that was given is missed.
 """
 
 from __future__ import annotations
 
+import itertools
 import platform
 import sys
 import time
@@ -21,13 +23,24 @@ import typer
 
 from boresight.pipeline import __version__
 from boresight.pipeline.commands.drift import add_drift_commands
+from boresight.pipeline.commands.limits import JunitFile, held
 from boresight.pipeline.commands.match import add_match_commands
+from boresight.pipeline.commands.messages import (
+    DATA_DID_NOT_ALLOW,
+    DONE,
+    REFUTED,
+    Answer,
+    log,
+    say,
+    talks,
+    wrong_usage,
+)
 from boresight.pipeline.commands.plan import add_plan_commands
-from boresight.pipeline.commands.progress import progress_bar, progress_bars, remarks
+from boresight.pipeline.commands.progress import progress_bars
 from boresight.pipeline.commands.report import add_report_commands
 from boresight.pipeline.commands.sensor import add_sensor_commands
 from boresight.pipeline.commands.star import add_star_commands
-from boresight.pipeline.errors import DataNotSufficientError, RawDataError, WorkerError, printable
+from boresight.pipeline.errors import DataNotSufficientError, RawDataError, WorkerError
 from boresight.version import version_text
 
 if TYPE_CHECKING:
@@ -42,13 +55,11 @@ app = typer.Typer(
     name="boresight",
     help="On-orbit calibration of the installation matrix between star camera and remote-sensing camera.",
     no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
     context_settings={"max_content_width": 110},
     rich_markup_mode=None,  # plain help: 0.3 s of CPU less
 )
 
-DONE, DATA_DID_NOT_ALLOW, WRONG_USAGE, REFUTED = 0, 1, 2, 3
 REPORTED_PACKAGES = (
     "numpy",
     "scipy",
@@ -74,25 +85,11 @@ def _errors_reported() -> Iterator[None]:
     try:
         yield
     except (RawDataError, DataNotSufficientError, WorkerError) as error:
-        _say(f"error: {error}")
+        log.error("error: %s", error)
         sys.exit(DATA_DID_NOT_ALLOW)
     except OSError as error:  # disk full, no permission: what is finished is on disk
-        _say(f"error: {error.filename or 'file'}: {error.strerror or error}")
+        log.error("error: %s: %s", error.filename or "file", error.strerror or error)
         sys.exit(DATA_DID_NOT_ALLOW)
-    except KeyboardInterrupt:
-        _say("interrupted; finished work is kept, the same command continues from there")
-        sys.exit(130)
-
-
-def _say(text: str) -> None:
-    """One remark on stderr as it is: no markup, no emoji, control characters as escapes."""
-    lines = "\n".join(printable(line) for line in text.split("\n"))
-    remarks().print(lines, soft_wrap=True)
-
-
-def _wrong_usage(text: str) -> typer.Exit:
-    _say(f"error: {text}")
-    return typer.Exit(WRONG_USAGE)
 
 
 def _folder(text: str) -> Path:
@@ -110,7 +107,6 @@ def _global(
         raise typer.Exit(DONE)
 
 
-@app.command()
 def simulate(
     scenario: Annotated[str, typer.Argument(help="mini, paper, or the path of a TOML file.")],
     out: Annotated[Path, typer.Argument(help="Folder to be made; must not exist or be empty.")],
@@ -118,8 +114,11 @@ def simulate(
     set_: Annotated[
         list[str] | None, typer.Option("--set", help="Change one setting: strips.count=5. May be repeated.")
     ] = None,
-) -> None:
-    """Render a mission with known truth: raw star images and strips, written as a dump."""
+) -> Answer:
+    """Render a mission with known truth: raw star images and strips, written as a dump.
+
+    Example: boresight simulate mini dump --seed 7 --set strips.count=5
+    """
     from boresight.pipeline.files.dump_writer import images_in, write_dump
     from boresight.pipeline.files.scenario_file import fly, named_scenario
     from boresight.simulator.scenario import ScenarioError
@@ -127,25 +126,29 @@ def simulate(
     try:
         chosen = named_scenario(scenario, set_ or [])
     except ScenarioError as error:
-        raise _wrong_usage(str(error)) from error
+        raise wrong_usage(str(error)) from error
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
-        raise _wrong_usage(f"{out} is there already and is not an empty folder")
+        raise wrong_usage(f"{out} is there already and is not an empty folder")
     start = time.perf_counter()
     mission = fly(chosen, seed)
     changes = "".join(f" --set {item}" for item in set_ or [])
     command = f"boresight {__version__}: simulate {chosen.name} --seed {seed}{changes}"
-    with progress_bar() as bar:
-        task = bar.add_task("rendering", total=images_in(mission))
-        write_dump(mission, out, created_by=command[:500], on_image=lambda name: bar.advance(task))
+    images, done = images_in(mission), itertools.count(1)
+    with progress_bars() as progress:
+        write_dump(
+            mission,
+            out,
+            created_by=command[:500],
+            on_image=lambda name: progress("rendering", next(done), images),
+        )
     strips = len({strip.strip_id for strip in mission.strips})
     size = sum(path.stat().st_size for path in out.rglob("*") if path.is_file())
-    typer.echo(
-        f"{len(mission.exposures)} exposures, {strips} strips, {len(mission.targets)} targets, "
+    return Answer(
+        text=f"{len(mission.exposures)} exposures, {strips} strips, {len(mission.targets)} targets, "
         f"{size / 1e6:.1f} MB in {time.perf_counter() - start:.1f} s -> {out}"
     )
 
 
-@app.command()
 def calibrate(
     dumps: Annotated[
         list[Path],
@@ -180,16 +183,19 @@ def calibrate(
     overwrite: Annotated[
         bool, typer.Option("--overwrite", help="Replace a result of another dump or of other settings.")
     ] = False,
-) -> None:
-    """Estimate the installation matrix of a dump from raw images; of several dumps, of each and of all."""
-    from boresight.pipeline.commands.calibrate import RunRequest, run_dump, run_dumps
+) -> Answer:
+    """Estimate the installation matrix of a dump from raw images; of several dumps, of each and of all.
+
+    Example: boresight calibrate dump --out result
+    """
+    from boresight.pipeline.commands.calibrate import RunRequest, going_on, run_dump, run_dumps, saved_content
     from boresight.pipeline.files.dump import open_dump
     from boresight.pipeline.settings import read_settings
     from boresight.pipeline.stages.joint import open_dumps
     from boresight.pipeline.work.workers import executor_for
 
     if workers is not None and scheduler is not None:
-        raise _wrong_usage("--workers and --scheduler exclude one another")
+        raise wrong_usage("--workers and --scheduler exclude one another")
     facts = {
         "workers": workers,
         "scheduler": scheduler,
@@ -202,7 +208,7 @@ def calibrate(
     def executor_on(opened: list[Dump]) -> AbstractContextManager[Executor]:
         probes = [dump.root / "dump.toml" for dump in opened]
         pixels = sum(dump.pixels for dump in opened)
-        return executor_for(workers, scheduler, pixels, probes=probes, wait_s=worker_timeout, say=_say)
+        return executor_for(workers, scheduler, pixels, probes=probes, wait_s=worker_timeout, say=say)
 
     begun_s = time.perf_counter()
     request = RunRequest(
@@ -211,18 +217,22 @@ def calibrate(
     if len(dumps) == 1:
         with _warnings_reported():
             one = open_dump(dumps[0].resolve(), allow_stale_eop=allow_stale_eop)
-        with progress_bars() as progress, executor_on([one]) as executor:
+        with going_on(out), progress_bars() as progress, executor_on([one]) as executor:
             outcome = run_dump(out, one, str(dumps[0]), request, executor, progress)
     else:
         with _warnings_reported():
             several = open_dumps(dumps, request.settings, allow_stale_eop=allow_stale_eop)
-        with progress_bars() as progress, executor_on([named.dump for named in several]) as executor:
+        opened = [named.dump for named in several]
+        with going_on(out), progress_bars() as progress, executor_on(opened) as executor:
             outcome = run_dumps(out, several, request, executor, progress)
-    typer.echo(outcome.text)
-    page = ", report.html" if report else ""
-    typer.echo(f"{time.perf_counter() - begun_s:.1f} s -> {out / 'installation.json'}{page}")
-    if outcome.refuted and not accept_inconsistent:
-        raise typer.Exit(REFUTED)
+    files = (out / "installation.json", *([out / "report.html"] if report else []))
+    took = f"{time.perf_counter() - begun_s:.1f} s -> {files[0]}{', report.html' if report else ''}"
+    return Answer(
+        text=f"{outcome.text}\n{took}",
+        content=saved_content(out),
+        files=files,
+        exit_status=REFUTED if outcome.refuted and not accept_inconsistent else DONE,
+    )
 
 
 @contextmanager
@@ -232,33 +242,55 @@ def _warnings_reported() -> Iterator[None]:
         warnings.simplefilter("always")
         yield
     for text in dict.fromkeys(str(warning.message) for warning in caught):
-        _say(f"warning: {text}")
+        log.warning("warning: %s", text)
 
 
-@app.command()
 def validate(
     result: Annotated[Path, typer.Argument(help="Folder that `calibrate` wrote.")],
     dump: Annotated[Path, typer.Option(help="The simulated dump it was made from, with its truth/ folder.")],
-) -> None:
-    """Compare a result with the truth of a simulated dump."""
+    max_error_sigma: Annotated[
+        float | None, typer.Option(help="Limit: error of each axis over its stated sigma, at most.", min=0.0)
+    ] = None,
+    max_nees: Annotated[
+        float | None, typer.Option(help="Limit: squared error in the stated covariance, at most.", min=0.0)
+    ] = None,
+    max_ground_m: Annotated[
+        float | None, typer.Option(help="Limit: rms error on the ground, each direction, at most.", min=0.0)
+    ] = None,
+    junit: JunitFile = None,
+) -> Answer:
+    """Compare a result with the truth of a simulated dump. Exit status 4 if a limit is missed.
+
+    Example: boresight validate result --dump dump --max-error-sigma 4 --max-nees 16 --max-ground-m 6
+    """
     from boresight.pipeline.files.dump import open_dump
+    from boresight.pipeline.files.record_tables import plain
+    from boresight.pipeline.results.limits import validation_limits
     from boresight.pipeline.results.reading import read_for_dump
     from boresight.pipeline.results.summary import validation_summary
     from boresight.pipeline.results.validate import validate as held_against_truth
 
+    begun_s = time.perf_counter()
     _, saved = read_for_dump(result, dump)
-    typer.echo(validation_summary(held_against_truth(saved, open_dump(dump))))
+    found = held_against_truth(saved, open_dump(dump))
+    limits = validation_limits(found, max_error_sigma, max_nees, max_ground_m)
+    return held(
+        "validate", limits, junit, begun_s, Answer(text=validation_summary(found), content=plain(found))
+    )
 
 
-@app.command()
-def status(result: Annotated[Path, typer.Argument(help="Folder of a run, finished or not.")]) -> None:
-    """Show which exposures and strips of a run are finished, and what is not used and why."""
-    from boresight.pipeline.results.summary import status_summary
+def status(result: Annotated[Path, typer.Argument(help="Folder of a run, finished or not.")]) -> Answer:
+    """Show what of a run is finished, what it still needs, and everything that is not used and why.
 
-    typer.echo(status_summary(result))
+    Example: boresight status result
+    """
+    from boresight.pipeline.files.record_tables import plain
+    from boresight.pipeline.results.status import run_status, status_lines
+
+    found = run_status(result)
+    return Answer(text="\n".join(status_lines(found)), content=plain(found))
 
 
-@app.command()
 def experiment(
     name: Annotated[
         str,
@@ -277,7 +309,7 @@ def experiment(
     pixels: Annotated[
         bool, typer.Option("--pixels", help="From rendered images: grid, table4, table5.")
     ] = False,
-) -> None:
+) -> Answer:
     """Run a simulation of the paper from scratch, with its printed values beside ours.
 
     Example: boresight experiment geometry --out paper
@@ -288,19 +320,15 @@ def experiment(
 
     known = FROM_PIXELS if pixels else (*EXPERIMENTS, "all")
     if name not in known:
-        raise _wrong_usage(f"there is no experiment {name!r} of this kind, only {', '.join(known)}")
+        raise wrong_usage(f"there is no experiment {name!r} of this kind, only {', '.join(known)}")
     chosen = ExperimentSettings(seed=seed, from_zenith_deg=star_from_zenith_deg)
     if runs is not None:
         chosen = replace(chosen, runs=runs, wang_runs=runs, table5_runs=runs)
     rendered = PixelSettings(seed=seed, runs=runs or 2, table4_runs=runs or 20)
-    with progress_bar() as bar:
-        task = bar.add_task(name, total=None)
-
-        def progress(done: int, total: int) -> None:
-            bar.update(task, completed=done, total=total)
-
-        text = _experiment(name, out, rendered if pixels else chosen, progress)
-    typer.echo(text)
+    with progress_bars() as told:
+        given = rendered if pixels else chosen
+        text = _experiment(name, out, given, lambda done, total: told(name, done, total))
+    return Answer(text=text)
 
 
 def _experiment(
@@ -326,6 +354,11 @@ def _experiment(
     return "\n".join([*lines, f"{name}: {len(table)} rows -> {files}"])
 
 
+app.command()(talks(simulate))
+app.command()(talks(calibrate, with_json=True))
+app.command()(talks(validate, with_json=True))
+app.command()(talks(status, with_json=True))
+app.command()(talks(experiment))
 add_star_commands(app)
 add_match_commands(app)
 add_report_commands(app)

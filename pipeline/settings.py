@@ -21,7 +21,7 @@ from boresight.geometry.constants import ARCSEC
 from boresight.geometry.line_camera import LineCamera
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.dump_schema import Errors
-from boresight.pipeline.files.text_files import toml_tables
+from boresight.pipeline.files.text_files import expected_of, toml_tables
 from boresight.star_id.settings import StarSettings
 
 __all__ = ["RunSettings", "Settings", "calibration_settings", "read_settings", "settings_from_tables"]
@@ -123,7 +123,7 @@ def filled(kind: type[Record], values: dict[str, Any], file: str, section: str) 
                 tuple(value) if isinstance(value, list) else value, strict=True
             )
         except ValidationError as error:
-            expected = error.errors(include_url=False)[0]["msg"]
+            expected = expected_of(error.errors(include_url=False)[0])
             raise RawDataError(file, f"{section}.{key}", value, expected) from error
     try:
         return kind(**taken)

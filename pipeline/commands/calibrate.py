@@ -6,21 +6,26 @@ itself gets what is joint: the matrix from all of them, and the drift between th
 
 from __future__ import annotations
 
+import shlex
+import sys
 import time
-from collections.abc import Sequence
-from contextlib import suppress
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
 from boresight.calib.verdict import Outcome
 from boresight.geometry.record import record, scalar
+from boresight.pipeline.commands.messages import say
 from boresight.pipeline.errors import Cause, DataNotSufficientError, Omission, RawDataError
 from boresight.pipeline.files.dump import Dump
+from boresight.pipeline.files.record_tables import plain
 from boresight.pipeline.files.text_files import read_json
 from boresight.pipeline.results.folder import begin_result, results_in, store_of
 from boresight.pipeline.results.ownership import claimed
 from boresight.pipeline.results.reading import read_result
+from boresight.pipeline.results.status import kept_units, run_status
 from boresight.pipeline.results.summary import calibration_summary, joint_summary, verdict_lines
 from boresight.pipeline.results.writing import write_dumps, write_joint_result, write_result, write_run
 from boresight.pipeline.settings import Settings
@@ -30,7 +35,7 @@ from boresight.pipeline.stages.joint import NamedDump, calibrate_jointly
 from boresight.pipeline.work.executor import Executor
 from boresight.pipeline.work.unit_store import digest, program
 
-__all__ = ["RunOutcome", "RunRequest", "run_dump", "run_dumps"]
+__all__ = ["RunOutcome", "RunRequest", "going_on", "run_dump", "run_dumps", "saved_content"]
 
 
 @record(kw_only=True)
@@ -50,6 +55,25 @@ class RunOutcome:
 
     text: str = scalar("summary for the terminal")
     refuted: bool = scalar("whether the data of the result, or of one of its dumps, contradict themselves")
+
+
+@contextmanager
+def going_on(out: Path) -> Iterator[None]:
+    """When the run is interrupted, say what is kept and how to go on."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        command, folder = shlex.join(["boresight", *sys.argv[1:]]), shlex.quote(str(out))
+        say(f"{kept_units(out)}\ngo on with: {command}\nlook at it with: boresight status {folder}")
+        raise
+
+
+def saved_content(out: Path) -> dict[str, Any]:
+    """What a result folder holds, for --json: installation.json, and what is not used."""
+    return {
+        "installation": read_json(out / "installation.json", str(out / "installation.json")),
+        "omitted": [plain(omission) for omission in run_status(out).omissions],
+    }
 
 
 def run_dump(

@@ -7,12 +7,14 @@ from typing import Annotated
 
 import typer
 
+from boresight.pipeline.commands.messages import Answer, talks
+
 __all__ = ["add_drift_commands"]
 
 
 def add_drift_commands(app: typer.Typer) -> None:
     """Plug the command into the program."""
-    app.command()(drift)
+    app.command()(talks(drift, with_json=True))
 
 
 def drift(
@@ -31,12 +33,15 @@ def drift(
     orbit_phase: Annotated[
         bool, typer.Option("--orbit-phase", help="Fit a term of the argument of latitude (thermal change).")
     ] = False,
-) -> None:
-    """Merge several results into one matrix, and test whether, how and when the mounting has moved."""
+) -> Answer:
+    """Merge several results into one matrix, and test whether, how and when the mounting has moved.
+
+    Example: boresight drift results/* --out drift
+    """
     from boresight.calib.mounting.drift import DriftSettings
     from boresight.geometry.constants import ARCSEC, DAY_S
     from boresight.pipeline.report.drift import write_drift
-    from boresight.pipeline.results.drift import drift_of_results, drift_summary, named_results
+    from boresight.pipeline.results.drift import drift_json, drift_of_results, drift_summary, named_results
 
     settings = DriftSettings(
         probability_false_alarm=false_alarm,
@@ -44,5 +49,6 @@ def drift(
         orbit_phase=orbit_phase,
     )
     found = drift_of_results(named_results(results), settings)
-    typer.echo(drift_summary(found))
-    typer.echo(f"-> {', '.join(str(path) for path in write_drift(found, out))}")
+    files = tuple(write_drift(found, out))
+    text = f"{drift_summary(found)}\n-> {', '.join(str(path) for path in files)}"
+    return Answer(text=text, content=drift_json(found), files=files)

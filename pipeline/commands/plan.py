@@ -7,14 +7,14 @@ from typing import Annotated
 
 import typer
 
-__all__ = ["add_plan_commands"]
+from boresight.pipeline.commands.messages import DATA_DID_NOT_ALLOW, DONE, Answer, talks
 
-DATA_DID_NOT_ALLOW = 1
+__all__ = ["add_plan_commands"]
 
 
 def add_plan_commands(app: typer.Typer) -> None:
     """Add the command to the program."""
-    app.command()(plan)
+    app.command()(talks(plan, with_json=True))
 
 
 def plan(
@@ -23,17 +23,26 @@ def plan(
         float | None, typer.Option(help="Arcsec on every axis: how many strips are needed?", min=1e-9)
     ] = None,
     out: Annotated[Path | None, typer.Option(help="Folder for plan.csv and plan.png.")] = None,
-) -> None:
-    """Forecast how well a campaign will determine the installation matrix."""
+) -> Answer:
+    """Forecast how well a campaign will determine the installation matrix.
+
+    Example: boresight plan plan.toml --target 0.5 --out forecast
+    """
     from boresight.pipeline.experiments.plots import plot_forecast
     from boresight.pipeline.stages.plan import forecast_plan, read_plan
 
     found = forecast_plan(read_plan(plan_file), target)
-    typer.echo(found.text)
+    text, files = found.text, tuple[Path, ...]()
     if out is not None:
         out.mkdir(parents=True, exist_ok=True)
         found.table.to_csv(out / "plan.csv", index=False, float_format="%.6g")
         plot_forecast(found.table, target).savefig(out / "plan.png", dpi=110, bbox_inches="tight")
-        typer.echo(f"-> {out / 'plan.csv'}, {out / 'plan.png'}")
-    if target is not None and found.strips_needed is None:
-        raise typer.Exit(DATA_DID_NOT_ALLOW)
+        files = (out / "plan.csv", out / "plan.png")
+        text += f"\n-> {files[0]}, {files[1]}"
+    failed = target is not None and found.strips_needed is None
+    return Answer(
+        text=text,
+        content={"strips_needed": found.strips_needed, "forecast": found.table.to_dict("records")},
+        files=files,
+        exit_status=DATA_DID_NOT_ALLOW if failed else DONE,
+    )

@@ -1,30 +1,32 @@
-"""Progress bars of long work, on stderr."""
+"""Progress of long work: bars on a terminal; elsewhere, and in a log file, a line a stage and each tenth."""
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from functools import lru_cache
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-if TYPE_CHECKING:  # rich takes 0.15 s to import, and most commands print one line
-    from rich.console import Console
-    from rich.progress import Progress
+from boresight.pipeline.commands.messages import log, shows_remarks
 
-__all__ = ["progress_bar", "progress_bars", "remarks"]
-
-
-@lru_cache(maxsize=1)
-def remarks() -> Console:
-    """The console of progress bars and remarks: stderr."""
-    from rich.console import Console
-
-    return Console(stderr=True, highlight=False, emoji=False, markup=False)
+__all__ = ["progress_bars"]
 
 
 @contextmanager
-def progress_bar() -> Iterator[Progress]:
-    """A bar that vanishes when the work is done."""
+def progress_bars() -> Iterator[Callable[[str, int, int | None], None]]:
+    """A listener to a run's progress (stage, done, in all or None): a bar a stage, gone at the end."""
+    tenths: dict[str, int] = {}
+
+    def noted(stage: str, done: int, total: int | None) -> None:
+        tenth = 10 * done // total if total else 0
+        if tenths.get(stage, -1) < tenth:
+            tenths[stage] = tenth
+            log.info("%s: %d of %s", stage, done, "?" if total is None else total, extra={"progress": True})
+
+    if not (sys.stderr.isatty() and shows_remarks()):
+        yield noted
+        return
+    from rich.console import Console  # takes 0.15 s to import, and most commands print one line
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
     columns = (
@@ -33,19 +35,14 @@ def progress_bar() -> Iterator[Progress]:
         MofNCompleteColumn(),
         TimeElapsedColumn(),
     )
-    with Progress(*columns, console=remarks(), transient=True) as bar:
-        yield bar
-
-
-@contextmanager
-def progress_bars() -> Iterator[Callable[[str, int, int], None]]:
-    """A listener to a run's progress (stage, done, in all): one bar a stage."""
-    with progress_bar() as bar:
+    console = Console(stderr=True, highlight=False, emoji=False, markup=False)
+    with Progress(*columns, console=console, transient=True) as bar:
         bars: dict[str, Any] = {}
 
-        def told(stage: str, done: int, total: int) -> None:
+        def told(stage: str, done: int, total: int | None) -> None:
+            noted(stage, done, total)
             if stage not in bars:
                 bars[stage] = bar.add_task(stage, total=total)
-            bar.update(bars[stage], completed=done)
+            bar.update(bars[stage], completed=done, total=total)
 
         yield told

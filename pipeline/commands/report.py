@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from boresight.pipeline.commands.messages import Answer, talks, tell
 from boresight.pipeline.files.whole_file import write_whole
 
 __all__ = ["add_report_commands"]
@@ -23,22 +24,25 @@ StaleOption = Annotated[
 
 def add_report_commands(app: typer.Typer) -> None:
     """Plug the commands into the program."""
-    app.command()(report)
-    app.command()(export)
-    app.command()(geolocate)
+    app.command()(talks(report))
+    app.command()(talks(export))
+    app.command()(talks(geolocate))
 
 
 def report(
     result: Result,
     matches: Annotated[int, typer.Option(help="Show the pictures of at most so many targets.", min=0)] = 400,
-) -> None:
-    """Draw one HTML page about a result, from what was saved, readable without a network."""
+) -> Answer:
+    """Draw one HTML page about a result, from what was saved, readable without a network.
+
+    Example: boresight report result
+    """
     from boresight.pipeline.report.dumps_page import write_dumps_report
     from boresight.pipeline.report.page import write_report
     from boresight.pipeline.results.folder import dumps_in
 
     path = write_dumps_report(result) if dumps_in(result) else write_report(result, most_matches=matches)
-    typer.echo(f"{path.stat().st_size / 1e6:.1f} MB -> {path}")
+    return Answer(text=f"{path.stat().st_size / 1e6:.1f} MB -> {path}")
 
 
 def export(
@@ -65,7 +69,10 @@ def export(
         bool, typer.Option(help="SPICE: the star camera's frame is defined by other kernels.")
     ] = False,
 ) -> None:
-    """Write a result in formats that other tools read."""
+    """Write a result in formats that other tools read.
+
+    Example: boresight export result --format geojson,qgis
+    """
     from boresight.pipeline.exports.export import FORMATS, ExportRequest
     from boresight.pipeline.exports.export import export as made
     from boresight.pipeline.exports.spice_frame import SpiceFrames
@@ -99,7 +106,7 @@ def export(
         for file, content in made(name, request):
             raw = content.encode("utf-8") if isinstance(content, str) else content
             write_whole(folder / file, lambda path, raw=raw: path.write_bytes(raw))
-            typer.echo(f"{name:8s} {len(raw):10d} bytes -> {folder / file}")
+            tell(f"{name:8s} {len(raw):10d} bytes -> {folder / file}")
 
 
 def geolocate(
@@ -113,7 +120,10 @@ def geolocate(
     ] = None,
     allow_stale_eop: StaleOption = False,
 ) -> None:
-    """Image points of a strip to latitude, longitude and height, with 1-sigma along and across the track."""
+    """Image points of a strip to latitude, longitude and height, with 1-sigma along and across the track.
+
+    Example: boresight geolocate result --strip S01 --pixels pixels.csv
+    """
     from boresight.geometry.terrain import ConstantHeight
     from boresight.pipeline.files.dump import surface_of
     from boresight.pipeline.results.geolocate import geolocate as places_of
@@ -131,4 +141,4 @@ def geolocate(
     else:
         write_whole(out, lambda path: path.write_text(text, encoding="utf-8"))
         known = int((places.sigma_along_m == places.sigma_along_m).sum())
-        typer.echo(f"{known} of {len(read.line)} image points have a place -> {out}")
+        tell(f"{known} of {len(read.line)} image points have a place -> {out}")

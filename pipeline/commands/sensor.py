@@ -7,13 +7,15 @@ from typing import Annotated
 
 import typer
 
+from boresight.pipeline.commands.messages import say, talks, tell
+
 __all__ = ["add_sensor_commands"]
 
 
 def add_sensor_commands(app: typer.Typer) -> None:
     """Add the commands to the program."""
-    app.command()(dimap)
-    app.command("virtual-ccd")(virtual_ccd)
+    app.command()(talks(dimap))
+    app.command("virtual-ccd")(talks(virtual_ccd))
 
 
 def dimap(
@@ -31,12 +33,12 @@ def dimap(
     from boresight.pipeline.results.dimap_places import grid_differences, operator_model, places_of_pixels
 
     strip = operator_model(product)
-    typer.echo(f"{strip.dataset}: {strip.width_px} x {strip.height_px} px", err=True)
+    say(f"{strip.dataset}: {strip.width_px} x {strip.height_px} px")
     if pixels is not None:
         typer.echo("".join(places_of_pixels(strip, pixels, height_m)), nl=False)
     if grid is not None:
         for altitude, rms, largest in grid_differences(strip, grid):
-            typer.echo(f"altitude {altitude:7.1f} m   rms {rms:.5f} m   largest {largest:.5f} m")
+            tell(f"altitude {altitude:7.1f} m   rms {rms:.5f} m   largest {largest:.5f} m")
 
 
 def virtual_ccd(
@@ -61,4 +63,4 @@ def virtual_ccd(
     model = strip_model(calibrated, strip)
     surface = ConstantHeight(height_m) if height_m is not None else surface_of(calibrated.dump.terrain)
     lines, samples = write_virtual_strip(model, surface, out)
-    typer.echo(f"{strip}: {lines} lines, {samples} samples -> {out}")
+    tell(f"{strip}: {lines} lines, {samples} samples -> {out}")

@@ -5,17 +5,27 @@ from __future__ import annotations
 import csv
 import json
 import sys
+import time
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Literal
 
 import typer
 
+from boresight.pipeline.commands.limits import JunitFile, held
+from boresight.pipeline.commands.messages import (
+    DATA_DID_NOT_ALLOW,
+    DONE,
+    Answer,
+    say,
+    talks,
+    tell,
+    wrong_usage,
+)
 from boresight.pipeline.commands.progress import progress_bars
 
 __all__ = ["add_star_commands"]
 
-DATA_DID_NOT_ALLOW, WRONG_USAGE = 1, 2
 FIELDS = (
     "file,identified,ra_deg,dec_deg,roll_deg,fov_x_deg,matches,rms_arcsec,false_alarm_probability,cpu_ms,reason,"
     "pointing_sigma_arcsec,roll_sigma_arcsec,fov_x_sigma_deg"
@@ -49,10 +59,10 @@ SettingsFile = Annotated[Path | None, typer.Option(help="TOML file of settings; 
 
 def add_star_commands(app: typer.Typer) -> None:
     """Plug the commands into the program."""
-    app.command()(identify)
-    app.command()(centroids)
-    app.command("star-camera-plan")(star_camera_plan)
-    app.command("star-camera-calibrate")(star_camera_calibrate)
+    app.command()(talks(identify))
+    app.command()(talks(centroids))
+    app.command("star-camera-plan")(talks(star_camera_plan))
+    app.command("star-camera-calibrate")(talks(star_camera_calibrate))
 
 
 def identify(
@@ -71,19 +81,22 @@ def identify(
     orbit: OrbitFile = None,
     site: Site = None,
     settings: SettingsFile = None,
-) -> None:
-    """Name the stars of single images, with no idea where they look."""
+) -> Answer:
+    """Name the stars of single images, with no idea where they look.
+
+    Example: boresight identify sky.png --fov 18.6
+    """
     from boresight.pipeline.files.sky_images import Whereabouts
     from boresight.pipeline.files.star_files import write_wcs
     from boresight.pipeline.settings import read_settings
     from boresight.pipeline.stages.identify import Request, identify_images
 
     if camera is not None and fov is not None:
-        raise _wrong_usage("--camera and --fov exclude one another")
+        raise wrong_usage("--camera and --fov exclude one another")
     if as_json + as_csv + as_fits > 1:
-        raise _wrong_usage("--json, --csv and --fits exclude one another")
+        raise wrong_usage("--json, --csv and --fits exclude one another")
     if as_fits and times is not None:
-        raise _wrong_usage("--fits and --times exclude one another: a header states places of the catalogue")
+        raise wrong_usage("--fits and --times exclude one another: a header states places of the catalogue")
     table = csv.DictWriter(sys.stdout, FIELDS, lineterminator="\n")
     if as_csv:
         table.writeheader()
@@ -96,14 +109,13 @@ def identify(
         elif as_csv:
             table.writerow(line.record)
         else:
-            typer.echo(line.text)
+            tell(line.text)
         if as_fits and line.found is not None:
             write_wcs(Path(f"{path.stem}.wcs.fits"), str(path), line.found)
-    typer.echo(
-        f"identified {named} of {len(images)} images" + (f" -> {out}" if out else ""), err=as_json or as_csv
+    (say if as_json or as_csv else tell)(
+        f"identified {named} of {len(images)} images" + (f" -> {out}" if out else "")
     )
-    if named == 0:
-        raise typer.Exit(DATA_DID_NOT_ALLOW)
+    return Answer(exit_status=DONE if named else DATA_DID_NOT_ALLOW)
 
 
 def centroids(
@@ -121,22 +133,41 @@ def centroids(
     plot: Annotated[
         Path | None, typer.Option(help="PNG of error against SNR and bias against phase.")
     ] = None,
+    max_x_bound: Annotated[
+        float | None, typer.Option(help="Limit: rms error over the Cramér-Rao bound, at most.", min=0.0)
+    ] = None,
+    min_complete: Annotated[
+        float | None, typer.Option(help="Limit: share of the true stars found, at least.", min=0.0, max=1.0)
+    ] = None,
+    from_snr: Annotated[
+        float, typer.Option(help="The limits count stars of this signal-to-noise ratio and more.", min=0.0)
+    ] = 10.0,
+    junit: JunitFile = None,
     settings: SettingsFile = None,
-) -> None:
+) -> Answer:
     """Find the stars of images and place them; with a truth, say how well: completeness, error, bound,
-    bias."""
-    from boresight.pipeline.report.centroid_report import centroid_lines
+    bias. Exit status 4 if a limit is missed.
+
+    Example: boresight centroids sky.png --truth stars.csv --max-x-bound 1.1 --min-complete 0.99
+    """
+    from boresight.pipeline.report.centroid_report import score_images
+    from boresight.pipeline.results.limits import centroid_limits
     from boresight.pipeline.settings import read_settings
 
+    begun_s = time.perf_counter()
+    if truth is None and not (max_x_bound is None and min_complete is None and junit is None):
+        raise wrong_usage("--max-x-bound, --min-complete and --junit need --truth")
     if plot is not None and truth is None:
-        raise _wrong_usage("--plot needs --truth")
+        raise wrong_usage("--plot needs --truth")
     stars = read_settings(settings).stars
     if method is not None:
         stars = replace(stars, centroid_method=method)
-    for line in centroid_lines(
-        images, truth, stars, psf_sigma_px=psf_sigma_px, gain=gain, dark=dark, out=out, plot=plot
-    ):
-        typer.echo(line)
+    score = score_images(
+        images, truth, stars, psf_sigma_px=psf_sigma_px, gain=gain, dark=dark, out=out, plot=plot, say=tell
+    )
+    if score is None:
+        return Answer()
+    return held("centroids", centroid_limits(score, max_x_bound, min_complete, from_snr), junit, begun_s)
 
 
 def star_camera_plan(
@@ -155,19 +186,19 @@ def star_camera_plan(
     out: Annotated[Path | None, typer.Option(help="CSV file of the pointings.")] = None,
     plot: Annotated[Path | None, typer.Option(help="PNG: the fields, and what will be known.")] = None,
     settings: SettingsFile = None,
-) -> None:
-    """Choose the fields of the sky that calibrate a star camera best."""
+) -> Answer:
+    """Choose the fields of the sky that calibrate a star camera best.
+
+    Example: boresight star-camera-plan sky.png --fov 18.6 --frames 10 --out plan.csv
+    """
     from boresight.pipeline.settings import read_settings
     from boresight.pipeline.stages.sky_plan import SkyPlanRequest, plan_sky
 
     if camera is not None and fov is not None:
-        raise _wrong_usage("--camera and --fov exclude one another")
+        raise wrong_usage("--camera and --fov exclude one another")
     request = SkyPlanRequest(camera, fov, frames, candidates, utc, sun_deg, seed, out, plot)
     lines, done = plan_sky(image, request, read_settings(settings).stars)
-    for line in lines:
-        typer.echo(line)
-    if not done:
-        raise typer.Exit(DATA_DID_NOT_ALLOW)
+    return Answer(text="\n".join(lines), exit_status=DONE if done else DATA_DID_NOT_ALLOW)
 
 
 def star_camera_calibrate(
@@ -188,14 +219,17 @@ def star_camera_calibrate(
         bool, typer.Option("--drift", help="Fit a drift of the focal length with time as well.")
     ] = False,
     settings: SettingsFile = None,
-) -> None:
-    """Calibrate a star camera from images of the sky: focal length, principal point, distortion."""
+) -> Answer:
+    """Calibrate a star camera from images of the sky: focal length, principal point, distortion.
+
+    Example: boresight star-camera-calibrate sky*.png --fov 18.6 --out star_camera.toml
+    """
     from boresight.pipeline.files.sky_images import Whereabouts
     from boresight.pipeline.report.star_camera_report import CameraRequest, calibrate_from_images
     from boresight.pipeline.settings import read_settings
 
     if camera is not None and fov is not None:
-        raise _wrong_usage("--camera and --fov exclude one another")
+        raise wrong_usage("--camera and --fov exclude one another")
     request = CameraRequest(
         camera_file=camera,
         fov_deg=fov,
@@ -207,12 +241,4 @@ def star_camera_calibrate(
     )
     with progress_bars() as told:
         lines, done = calibrate_from_images(sources, request, read_settings(settings).stars, told)
-    for line in lines:
-        typer.echo(line)
-    if not done:
-        raise typer.Exit(DATA_DID_NOT_ALLOW)
-
-
-def _wrong_usage(text: str) -> typer.Exit:
-    typer.echo(f"error: {text}", err=True)
-    return typer.Exit(WRONG_USAGE)
+    return Answer(text="\n".join(lines), exit_status=DONE if done else DATA_DID_NOT_ALLOW)

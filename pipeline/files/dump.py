@@ -171,6 +171,9 @@ def open_dump(root: Path, *, allow_stale_eop: bool = False) -> Dump:
     """
     if not root.is_dir():
         raise RawDataError(str(root), "dump", "no such folder", "a folder with a dump.toml")
+    if not (root / "dump.toml").exists():
+        expected = "the folder's dump.toml; `boresight dump init FOLDER` writes one to fill in"
+        raise RawDataError(str(root / "dump.toml"), "file", "no such file", expected)
     head = read_toml(root / "dump.toml", schema.DumpFile, "dump.toml")
     paths = {
         field: path_inside(root, name, file="dump.toml", field=f"files.{field}")

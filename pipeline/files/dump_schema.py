@@ -34,10 +34,18 @@ def within(low: float, high: float, meaning: str) -> Any:
     return Field(ge=low, le=high, description=meaning)
 
 
-Id = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$")]
+Id = Annotated[
+    str,
+    StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$"),
+    Field(description="letters, digits, _ - . after a letter or digit, at most 64"),
+]
 Line = Annotated[str, AfterValidator(_one_line)]  # it is copied into files of other formats
 RelativePath = Annotated[str, StringConstraints(min_length=1, max_length=255)]
-Utc = Annotated[str, StringConstraints(pattern=r"^\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d(\.\d{1,12})?Z?$")]
+Utc = Annotated[
+    str,
+    StringConstraints(pattern=r"^\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d(\.\d{1,12})?Z?$"),
+    Field(description="UTC as 2026-03-20T10:15:30.5Z, with 0 to 12 decimals"),
+]
 BitDepth = Annotated[int, within(8, 16, "bits of a count")]
 Samples = Annotated[int, within(16, 65536, "pixels along one side of a detector")]
 PixelPitch = Annotated[float, within(0.1, 1000.0, "side of a pixel, µm")]

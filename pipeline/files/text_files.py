@@ -8,10 +8,12 @@ from __future__ import annotations
 import csv
 import io
 import json
+import math
 import re
 import stat
 import tomllib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from difflib import get_close_matches
 from pathlib import Path, PureWindowsPath
 from typing import Any, TypeVar, get_args
 
@@ -22,6 +24,8 @@ from boresight.pipeline.errors import RawDataError
 __all__ = [
     "NUMBER",
     "check_regular",
+    "expected_of",
+    "json_text",
     "path_inside",
     "read_json",
     "read_table",
@@ -91,7 +95,9 @@ def read_text(path: Path, file: str, max_bytes: int = MAX_TEXT_BYTES) -> str:
         return raw.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         found = f"byte 0x{raw[error.start]:02x}"
-        raise RawDataError(file, f"byte {error.start}", found, "text in UTF-8") from error
+        raise RawDataError(
+            file, f"byte {error.start}", found, "text in UTF-8 (of a spreadsheet: CSV UTF-8)"
+        ) from error
 
 
 def toml_tables(path: Path, file: str) -> dict[str, Any]:
@@ -103,13 +109,20 @@ def toml_tables(path: Path, file: str) -> dict[str, Any]:
     try:
         return tomllib.loads(text)
     except (ValueError, RecursionError) as error:  # an integer of too many digits is a plain ValueError
-        found = str(error) or type(error).__name__
-        where = re.search(r"line \d+", found)
-        raise RawDataError(file, where.group() if where else "text", found, "TOML 1.0") from error
+        reason = str(error) or type(error).__name__
+        where = re.search(r"line (\d+)", reason)
+        if where is None:
+            raise RawDataError(file, "text", reason, "TOML 1.0: KEY = VALUE, text in quotes") from error
+        line = text.split("\n")[int(where[1]) - 1].strip()
+        expected = f"TOML 1.0: KEY = VALUE, text in quotes ({reason[0].lower()}{reason[1:]})"
+        raise RawDataError(file, where[0], line, expected) from error
 
 
 def read_json(path: Path, file: str) -> dict[str, Any]:
     """The object in a JSON file of a result; `RawDataError` if there is none."""
+    if not path.exists():
+        expected = "the folder of a result that `boresight calibrate` finished; see `boresight status`"
+        raise RawDataError(file, "file", "no such file", expected)
     text = read_text(path, file)
     try:
         content = json.loads(text)
@@ -118,6 +131,21 @@ def read_json(path: Path, file: str) -> dict[str, Any]:
     if not isinstance(content, dict):
         raise RawDataError(file, "JSON", type(content).__name__, "an object, as `calibrate` wrote it")
     return content
+
+
+def json_text(content: Any) -> str:
+    """`content` as JSON text; null stands for what is not finite, and a NumPy array becomes a list."""
+    return json.dumps(_finite(content), indent=2, allow_nan=False)
+
+
+def _finite(content: Any) -> Any:
+    if hasattr(content, "tolist"):  # arrays and numbers of NumPy
+        content = content.tolist()
+    if isinstance(content, dict):
+        return {key: _finite(value) for key, value in content.items()}
+    if isinstance(content, (list, tuple)):
+        return [_finite(value) for value in content]
+    return None if isinstance(content, float) and not math.isfinite(content) else content
 
 
 def read_toml(path: Path, model: type[Model], file: str) -> Model:
@@ -150,7 +178,7 @@ def read_table(path: Path, model: type[Model], file: str) -> list[Model]:
             row = dict(zip(header, cells))
             for name in numeric:
                 if not _PLAIN_NUMBER.fullmatch(row[name].strip(" ")):
-                    raise RawDataError(file, f"{line}, {name}", row[name], PLAIN_NUMBER)
+                    raise RawDataError(file, f"{line}, {name}", row[name] or "nothing", PLAIN_NUMBER)
             try:
                 records.append(model.model_validate(row))
             except ValidationError as error:
@@ -161,6 +189,10 @@ def read_table(path: Path, model: type[Model], file: str) -> list[Model]:
 
 
 def _check_header(header: Sequence[str], expected: Sequence[str], file: str) -> None:
+    if len(header) == 1 and (other := [mark for mark in ";\t|" if mark in header[0]]):
+        raise RawDataError(
+            file, "header", f"columns separated by {other[0]!r}", "columns separated by commas"
+        )
     if missing := [name for name in expected if name not in header]:
         raise RawDataError(file, f"column {missing[0]}", "no such column", f"columns {', '.join(expected)}")
     if unknown := [name for name in header if name not in expected]:
@@ -173,22 +205,71 @@ def _check_header(header: Sequence[str], expected: Sequence[str], file: str) -> 
 
 def _raw_data_error(error: ValidationError, model: type[BaseModel], file: str, prefix: str) -> RawDataError:
     """The first of pydantic's errors as a `RawDataError`, with the field's description."""
-    first: Any = error.errors(include_url=False)[0]
+    every: list[Any] = error.errors(include_url=False)
+    missing = {str(one["loc"][-1]) for one in every if one["type"] == "missing"}
+    unknown = [one for one in every if one["type"] == "extra_forbidden"]
+    typos = [(one, get_close_matches(str(one["loc"][-1]), missing, 1)) for one in unknown]
+    first, meant = next(((one, close[0]) for one, close in typos if close), (every[0], ""))
     field = ".".join(str(part) for part in first["loc"]) or "file"
-    others = f" (and {error.error_count() - 1} more)" if error.error_count() > 1 else ""
-    kind, message = first["type"], first["msg"]
+    n_others = len(every) - (2 if meant else 1)
+    others = f" (and {n_others} more)" if n_others else ""
     found: object
-    if kind == "missing":
-        found, expected = "nothing", "this key"
-    elif kind == "extra_forbidden":
-        found, expected = "an unknown key", "only keys of the format's description"
+    if first["type"] == "value_error" and isinstance(first["input"], dict):
+        found, expected = expected_of(first), "values that are possible together"
+    elif first["type"] == "missing":
+        found, expected = "nothing", f"the key {first['loc'][-1]}"
+        meaning = _description(model, first["loc"])
+        expected += f" ({meaning})" if meaning else ""
+    elif first["type"] == "extra_forbidden":
+        found, expected = "an unknown key", meant or "only keys of the format's description"
     else:
         found = first["input"]
-        if isinstance(first["input"], dict):
-            found = "keys " + ", ".join(map(str, first["input"]))
+        found = f"keys {', '.join(map(str, found))}" if isinstance(found, dict) else found
         meaning = _description(model, first["loc"])
-        expected = message[0].lower() + message[1:] + (f" ({meaning})" if meaning else "")
+        expected = expected_of(first) + (f" ({meaning})" if meaning else "")
     return RawDataError(file, prefix + field, found, expected + others)
+
+
+def expected_of(error: Mapping[str, Any]) -> str:
+    """What one of pydantic's errors asks for, in words of this program."""
+    limits, message = error.get("ctx", {}), str(error["msg"])
+    match error["type"]:
+        case "greater_than_equal":
+            return f"at least {limits['ge']:g}"
+        case "less_than_equal":
+            return f"at most {limits['le']:g}"
+        case "literal_error":
+            return str(limits["expected"]).replace(" or ", ", ").replace("'", '"')
+        case "too_short" | "too_long":
+            some = (
+                f"at least {limits['min_length']}"
+                if "min_length" in limits
+                else f"at most {limits['max_length']}"
+            )
+            return f"{some} values, not {limits['actual_length']}"
+        case "string_too_short":
+            return f"text of at least {limits['min_length']} characters"
+        case "string_too_long":
+            return f"text of at most {limits['max_length']} characters"
+        case "int_type" | "int_parsing" | "int_from_float":
+            return "an integer without quotes"
+        case "float_type" | "float_parsing":
+            return "a number without quotes and unit"
+        case "finite_number":
+            return "a finite number"
+        case "string_type":
+            return "text in quotes"
+        case "bool_type":
+            return "true or false"
+        case "string_pattern_mismatch":
+            return "text of this form"
+        case "value_error":
+            return str(limits.get("error", message))
+        case "list_type" | "tuple_type":
+            return "a list: [.., ..]"
+        case "model_type" | "dict_type" | "model_attributes_type":
+            return "a table"
+    return message[0].lower() + message[1:]
 
 
 def _description(model: type[BaseModel], location: Sequence[int | str]) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -20,12 +20,12 @@ from boresight.star_id.finding.star_list import StarList, find_stars
 from boresight.star_id.score import CentroidScore, score_centroids
 from boresight.star_id.settings import StarSettings
 
-__all__ = ["centroid_lines", "draw_score", "score_lines"]
+__all__ = ["draw_score", "score_images", "score_lines"]
 
 Array = NDArray[np.float64]
 
 
-def centroid_lines(
+def score_images(
     images: Sequence[Path],
     truth: Path | None,
     settings: StarSettings,
@@ -35,8 +35,11 @@ def centroid_lines(
     dark: Path | None,
     out: Path | None,
     plot: Path | None,
-) -> Iterator[str]:
-    """Lines to print: one per image, then the score where `truth` is given.
+    say: Callable[[str], None],
+) -> CentroidScore | None:
+    """The score of the centroids of images, where `truth` is given.
+
+    `say` gets a line for each image, then those of the score.
 
     Writes the CSV table to `out` and the plot to `plot`. `RawDataError` for a damaged file or unequal sizes.
     """
@@ -53,7 +56,7 @@ def centroid_lines(
         stars = find_stars(image, settings, dark_image)
         top = settings.saturation_dn or float(np.iinfo(image.dtype).max)
         tables.append(_table(path, stars))
-        yield (
+        say(
             f"{path}   {len(stars.xy_px)} stars above {stars.threshold:.2f} sigma   "
             f"PSF sigma {stars.psf.sigma_px:.3f} px from {stars.psf_stars} stars   "
             f"{stars.hot_pixels} hot pixels, {stars.misshapen} trails or cosmic rays rejected"
@@ -64,18 +67,18 @@ def centroid_lines(
     if out is not None:
         whole = pd.concat(tables)
         write_whole(out, lambda target: whole.to_csv(target, index=False, lineterminator="\n"))
-    if true_stars is not None:
-        psf = (
-            None
-            if psf_sigma_px is None
-            else replace(
-                lists[0].psf, sigma_px=psf_sigma_px, sigma_corner_px=psf_sigma_px, smear_px=(0.0, 0.0)
-            )
-        )
-        score = score_centroids(lists, truths, saturation_dn=top, psf=psf, gain_e_per_dn=gain)
-        yield from score_lines(score, len(images))
-        if plot is not None:
-            draw_score(score, plot)
+    if true_stars is None:
+        return None
+    psf = (
+        None
+        if psf_sigma_px is None
+        else replace(lists[0].psf, sigma_px=psf_sigma_px, sigma_corner_px=psf_sigma_px, smear_px=(0.0, 0.0))
+    )
+    score = score_centroids(lists, truths, saturation_dn=top, psf=psf, gain_e_per_dn=gain)
+    say("\n".join(score_lines(score, len(images))))
+    if plot is not None:
+        draw_score(score, plot)
+    return score
 
 
 def score_lines(score: CentroidScore, frames: int) -> list[str]:

@@ -29,7 +29,7 @@ from boresight.pipeline.results.folder import dumps_in
 from boresight.pipeline.settings import Settings
 from boresight.pipeline.work.unit_store import digest
 
-__all__ = ["Origin", "check_dump_of", "claimed", "dump_identity", "origin_of"]
+__all__ = ["Origin", "check_dump_of", "claimed", "dump_folder_of", "dump_identity", "origin_of"]
 
 MARKER, LOCK = "boresight-result.json", ".boresight-lock"
 OWN_FILES = (
@@ -76,6 +76,18 @@ def check_dump_of(result: Path, dump: Path) -> None:
         raise RawDataError(str(dump), "dump", "another dump", expected)
 
 
+def dump_folder_of(result: Path) -> Path:
+    """The folder of the dump that a run, finished or not, was started with; `RawDataError` where it is no
+    longer there or holds another dump.
+    """
+    path = result / MARKER
+    folders = read_json(path, str(path)).get("folders")
+    if not isinstance(folders, list) or len(folders) != 1 or not Path(str(folders[0])).is_dir():
+        raise RawDataError(str(path), "folders", folders, "the folder of one dump")
+    check_dump_of(result, Path(str(folders[0])))
+    return Path(str(folders[0]))
+
+
 @contextmanager
 def claimed(
     result: Path, dumps: Sequence[Path], settings: Settings, *, overwrite: bool = False
@@ -90,7 +102,7 @@ def claimed(
     origin = Origin(identities[0] if len(dumps) == 1 else digest(identities), digest(settings))
     result.mkdir(parents=True, exist_ok=True)
     with _locked(result):
-        _take_over(result, origin, overwrite)
+        _take_over(result, origin, dumps, overwrite)
         yield
 
 
@@ -102,7 +114,7 @@ def _check_place(result: Path, dumps: Sequence[Path]) -> None:
             raise RawDataError("--out", str(result), f"a folder of the dump {dump}", "a folder outside of it")
 
 
-def _take_over(result: Path, origin: Origin, overwrite: bool) -> None:
+def _take_over(result: Path, origin: Origin, dumps: Sequence[Path], overwrite: bool) -> None:
     before = origin_of(result)
     same = before is not None and (before.dump, before.settings) == (origin.dump, origin.settings)
     if before is None:
@@ -121,7 +133,12 @@ def _take_over(result: Path, origin: Origin, overwrite: bool) -> None:
         _remove_own(result, work=before.dump != origin.dump)
     if same:
         return
-    content = {"program": f"boresight {__version__}", "dump": origin.dump, "settings": origin.settings}
+    content: dict[str, Any] = {
+        "program": f"boresight {__version__}",
+        "dump": origin.dump,
+        "settings": origin.settings,
+    }
+    content |= {"folders": [str(dump) for dump in dumps]}
     text = json.dumps(content, indent=2) + "\n"
     write_whole(result / MARKER, lambda path: path.write_text(text, encoding="utf-8"))
 

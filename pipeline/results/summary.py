@@ -1,10 +1,10 @@
-"""Summaries of a calibration, a validation and a running calibration, as text for the terminal."""
+"""Summaries of a calibration and a validation as text for the terminal."""
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,28 +14,31 @@ from boresight.calib.estimate import InstallationEstimate
 from boresight.calib.verdict import Outcome
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.installation import euler_zxy_from_theta
-from boresight.geometry.sightings import StarSightings
-from boresight.pipeline.errors import Omission, RawDataError
-from boresight.pipeline.files.record_tables import record_from_table
-from boresight.pipeline.files.text_files import read_json
-from boresight.pipeline.results.folder import dumps_in
+from boresight.pipeline.errors import Omission
 from boresight.pipeline.results.validate import Validation
 from boresight.pipeline.results.writing import verdict_json
 from boresight.pipeline.stages.calibrate import Calibration
 from boresight.pipeline.stages.joint import JointCalibration
-from boresight.pipeline.stages.strip import MatchedTargets
-from boresight.pipeline.work.unit_store import read_meta, read_unit
 
-__all__ = ["calibration_summary", "joint_summary", "status_summary", "validation_summary", "verdict_lines"]
+__all__ = ["calibration_summary", "joint_summary", "omission_lines", "validation_summary", "verdict_lines"]
 
 Array = NDArray[np.float64]
 MOST_REASONS = 8
+SIGMAS = re.compile(r"([0-9.]+) sigma ")
+REASON_WORDS = {  # of causes that counts alone do not explain
+    "target residual": "gross error",
+    "low correlation": "cloud or change",
+    "no correlation": "cloud or change",
+    "few valid pixels": "cloud, no data or image edge",
+    "probably wrong": "not found reliably",
+    "no common rotation": "not found (no common rotation)",
+}
 
 
 def calibration_summary(found: Calibration) -> str:
     """Verdict, matrix, deviation, 1-sigma, counts, and what is not used."""
     lines = verdict_lines(verdict_json(found.verdict)) + _estimate_lines(found.estimate)
-    return "\n".join(lines + _omission_lines(found.omissions))
+    return "\n".join(lines + omission_lines(found.omissions))
 
 
 def joint_summary(of_dumps: Mapping[str, Calibration], joint: JointCalibration) -> str:
@@ -47,7 +50,7 @@ def joint_summary(of_dumps: Mapping[str, Calibration], joint: JointCalibration) 
     lines.append(f"{'1 sigma, arcsec, of':26s}" + "".join(f"{axis:>14s}" for axis in "XYZ"))
     lines += [_row(f"  {name}", one.estimate.sigma_theta / ARCSEC, ".4f") for name, one in of_dumps.items()]
     lines.append(f"jointly from {len(of_dumps)} dumps:")
-    return "\n".join(lines + _estimate_lines(joint.estimate) + _omission_lines(joint.omissions))
+    return "\n".join(lines + _estimate_lines(joint.estimate) + omission_lines(joint.omissions))
 
 
 def verdict_lines(verdict: Mapping[str, Any]) -> list[str]:
@@ -112,61 +115,36 @@ def validation_summary(validation: Validation) -> str:
     return "\n".join(lines)
 
 
-def status_summary(result: Path) -> str:
-    """Counts of finished and unused exposures and strips of each dump; `RawDataError` for another folder."""
-    if names := dumps_in(result):
-        lines = []
-        for name in names:
-            begun = (result / name).is_dir()
-            text = status_summary(result / name) if begun else "not begun"
-            lines += [f"dump {name}", *("  " + line for line in text.splitlines())]
-        return "\n".join([*lines, f"all dumps together: {_finished(result)}"])
-    work = result / "work"
-    if not work.is_dir() and not (result / "installation.json").is_file():
-        raise RawDataError(str(result), "folder", "no run", "a folder that `boresight calibrate` wrote")
-    lines = []
-    for stage in sorted(path for path in work.iterdir() if path.is_dir()) if work.is_dir() else []:
-        done, damaged, failed = 0, 0, []
-        for path in sorted(stage.glob("*.parquet")):
-            if (unit := read_unit(path)) is None:
-                damaged += 1
-            else:
-                done += 1
-                outcome = record_from_table((StarSightings, MatchedTargets, Omission), unit, read_meta(unit))
-                if isinstance(outcome, Omission):
-                    failed.append(outcome)
-                elif isinstance(outcome, MatchedTargets):
-                    failed += outcome.omissions
-        text = f"{stage.name:14s}{done} done" + (f", {damaged} damaged files" if damaged else "")
-        lines.append(text + (f", {len(failed)} not used" if failed else ""))
-        lines += ["  " + line.strip() for line in _omission_lines(failed)] if failed else []
-    return "\n".join([*lines, _finished(result)])
-
-
-def _finished(result: Path) -> str:
-    if (result / "installation.json").is_file():
-        verdict = read_json(result / "installation.json", str(result / "installation.json")).get("verdict")
-        return f"finished, verdict {verdict['outcome']}" if isinstance(verdict, dict) else "finished"
-    return "not finished: no installation.json yet"
-
-
 def _row(name: str, values: Array, form: str) -> str:
     return f"{name:26s}" + "".join(f"{format(value, form):>14s}" for value in values)
 
 
-def _omission_lines(omissions: Sequence[Omission]) -> list[str]:
-    """What is not used: counts by kind and cause, and the reasons of the first, targets and stars last."""
+def omission_lines(omissions: Sequence[Omission], most: int | None = MOST_REASONS) -> list[str]:
+    """What is not used: counts by kind and cause, then the reasons of the first `most` (None: of all),
+    targets and stars last.
+    """
     if not omissions:
         return [f"{'not used':26s}nothing"]
     by_kind = {kind: [o for o in omissions if o.kind == kind] for kind in sorted({o.kind for o in omissions})}
     lines: list[str] = []
     for kind, those in by_kind.items():
-        causes = Counter(str(o.cause) for o in those).most_common()
-        text = ", ".join(f"{n} {cause}" for cause, n in causes)
         name = "" if lines else "not used"
-        lines.append(f"{name:26s}{len(those)} {kind}{'s' if len(those) > 1 else ''}: {text}")
+        lines.append(f"{name:26s}{len(those)} {kind}{'s' if len(those) > 1 else ''}: {_causes(those)}")
     shown = [o for o in omissions if o.kind not in ("star", "target")] + by_kind.get("target", [])
-    lines += [f"  {o.kind} {o.name}: {o.reason}" for o in shown[:MOST_REASONS]]
-    if shown[MOST_REASONS:]:
-        lines.append(f"  and {len(shown) - MOST_REASONS} more, see report.html")
+    shown += by_kind.get("star", []) if most is None else []
+    lines += [f"  {o.kind} {o.name}: {o.reason}" for o in shown[:most]]
+    if most is not None and shown[most:]:
+        lines.append(f"  and {len(shown) - most} more, see report.html or `boresight status`")
     return lines
+
+
+def _causes(omissions: Sequence[Omission]) -> str:
+    """Counts by cause in words; of gross errors also the largest, in sigmas."""
+    counts = Counter(REASON_WORDS.get(o.cause, str(o.cause)) for o in omissions)
+    found = (SIGMAS.match(o.reason) for o in omissions if o.cause == "target residual")
+    largest = max((float(match[1]) for match in found if match), default=None)
+    sized = f" (up to {largest:.1f} sigma)" if largest is not None and counts["gross error"] > 1 else ""
+    sized = f" ({largest:.1f} sigma)" if largest is not None and not sized else sized
+    return ", ".join(
+        f"{n} {cause}{sized if cause == 'gross error' else ''}" for cause, n in counts.most_common()
+    )

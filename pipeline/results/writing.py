@@ -6,8 +6,6 @@ Everything but run.json is identical, bit for bit, for the same inputs, settings
 from __future__ import annotations
 
 import dataclasses
-import json
-import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -26,6 +24,7 @@ from boresight.pipeline import __version__
 from boresight.pipeline.errors import Omission
 from boresight.pipeline.files.record_tables import columns_of, plain
 from boresight.pipeline.files.table_files import fixed_list
+from boresight.pipeline.files.text_files import json_text
 from boresight.pipeline.files.whole_file import remove_abandoned, write_whole
 from boresight.pipeline.results.folder import DUMPS
 from boresight.pipeline.settings import Settings
@@ -106,17 +105,9 @@ def write_run(result: Path, facts: dict[str, Any]) -> None:
 
 def write_json(path: Path, content: dict[str, Any]) -> None:
     """Write `content` as JSON, whole or not at all; null stands for what is not finite."""
-    text = json.dumps(_finite(content), indent=2, allow_nan=False) + "\n"
+    text = json_text(content) + "\n"
     path.parent.mkdir(parents=True, exist_ok=True)
     write_whole(path, lambda target: target.write_text(text, encoding="utf-8"))
-
-
-def _finite(content: Any) -> Any:
-    if isinstance(content, dict):
-        return {key: _finite(value) for key, value in content.items()}
-    if isinstance(content, (list, tuple)):
-        return [_finite(value) for value in content]
-    return None if isinstance(content, float) and not math.isfinite(content) else content
 
 
 def verdict_json(verdict: Verdict) -> dict[str, Any]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import sys
 from pathlib import Path
+from xml.etree import ElementTree
 
 import astropy.units as units
 import cv2
@@ -96,6 +97,18 @@ def test_centroids_are_scored_against_a_truth(folder, tmp_path):
     assert "x bound" in done.stdout and "false detections" in done.stdout
     assert len(pd.read_csv(out)) > 60
     assert plot.stat().st_size > 5000
+
+
+def test_centroids_are_held_to_limits(folder, tmp_path):
+    images, junit = sorted(folder.glob("sky*.png")), tmp_path / "junit.xml"
+    given = ("centroids", *images, "--truth", folder / "truth.csv", "--gain", 40, "--junit", junit)
+    kept = run(*given, "--max-x-bound", 1.3, "--min-complete", 0.99)
+    assert kept.exit_code == 0 and "all 2 limits kept" in kept.stdout, kept.output
+    missed = run(*given, "--max-x-bound", 0.5, "--min-complete", 0.99)
+    assert missed.exit_code == 4 and "MISSED  max-x-bound" in missed.stdout
+    suite = ElementTree.parse(junit).getroot()
+    assert (suite.get("tests"), suite.get("failures")) == ("2", "1")
+    assert run("centroids", images[0], "--max-x-bound", 1.1).exit_code == 2  # without a truth
 
 
 def test_the_method_of_the_centroids_may_be_chosen(folder, tmp_path):

@@ -40,7 +40,7 @@ from boresight.pipeline.files.table_files import fixed_list
 from boresight.pipeline.report.centroid_report import _read_truth
 from boresight.pipeline.results.geolocate import read_pixels
 from boresight.pipeline.results.reading import read_pairs, read_result
-from boresight.pipeline.results.summary import status_summary
+from boresight.pipeline.results.status import run_status, status_lines
 from boresight.pipeline.settings import read_settings
 from boresight.pipeline.stages.plan import forecast_plan, read_plan
 from boresight.pipeline.stages.strip import MatchedTargets, _chip
@@ -271,7 +271,7 @@ READERS = (
     Reader("strips.parquet", "result/sightings/strips.parquet", lambda folder: read_pairs(folder / "result")),
     Reader("unit of an exposure", STAR_UNIT, _star_unit),
     Reader("unit of a strip", STRIP_UNIT, _strip_unit),
-    Reader("status", STAR_UNIT, lambda folder: status_summary(folder / "run")),
+    Reader("status", STAR_UNIT, lambda folder: status_lines(run_status(folder / "run"))),
 )
 
 PLAN = """

@@ -21,6 +21,7 @@ from boresight.pipeline.cli import main
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.table_files import read_parquet
 from boresight.pipeline.files.whole_file import write_whole
+from boresight.pipeline.results.status import run_status, status_lines
 from boresight.pipeline.work.unit_store import UnitStore
 
 # One process after another goes on with a run; each kills itself a little later than the one before, at a
@@ -182,8 +183,6 @@ def test_full_disk_is_told_with_the_file_and_the_run_goes_on_when_there_is_room(
 
 def test_unit_damaged_on_the_disk_is_made_anew_and_counted_by_status(tmp_path: Path) -> None:
     """Any single byte of a unit's data changed: it is rejected."""
-    from boresight.pipeline.results.summary import status_summary
-
     root = write_sound_files(tmp_path)
     store = UnitStore(root / "run/work")
     path = store.path("exposures", "e1", "0" * 32)
@@ -197,7 +196,7 @@ def test_unit_damaged_on_the_disk_is_made_anew_and_counted_by_status(tmp_path: P
         # Some bytes bear no meaning: statistics, the name of the writer.
         assert table is None or table.to_pylist() == content.to_pylist()
     path.write_bytes(sound[:-100])
-    assert "exposures     0 done, 1 damaged files" in status_summary(root / "run")
+    assert "exposures     0 done, 1 damaged files" in status_lines(run_status(root / "run"))
 
 
 def test_error_of_a_file_names_the_file(tmp_path: Path) -> None:
@@ -205,3 +204,28 @@ def test_error_of_a_file_names_the_file(tmp_path: Path) -> None:
         write_whole(tmp_path / "table.csv", no_space)
     with pytest.raises(RawDataError, match=r"table.parquet: file: found no such file, expected the table"):
         read_parquet(tmp_path / "table.parquet")
+
+
+def test_interrupted_run_says_what_is_kept_and_what_it_still_needs(
+    handmade: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def interrupt(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    result = tmp_path / "a result"
+    command = ["calibrate", str(handmade), "--out", str(result), "--workers", "1"]
+    monkeypatch.setattr("boresight.pipeline.stages.calibrate.fit_exposures", interrupt)
+    monkeypatch.setattr(sys, "argv", ["boresight", *command])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert ended.value.code == 130
+    said = capsys.readouterr().err.splitlines()
+    assert f"finished units are kept in {result}: 4 of stage exposures" in said
+    assert f"go on with: boresight calibrate {handmade} --out '{result}' --workers 1" in said
+    assert f"look at it with: boresight status '{result}'" in said and said[-1] == "interrupted"
+    lines = status_lines(run_status(result))
+    assert "exposures     4 done" in lines and "needs         matching-1: 1 more: s1" in lines
+    assert sum(line.startswith("  exposure 000") for line in lines) == 4
+    assert lines[-1] == "not finished: no installation.json yet; the same `boresight calibrate` goes on"
+    shutil.rmtree(handmade)
+    assert any(line.startswith("what is missing is not known: ") for line in status_lines(run_status(result)))

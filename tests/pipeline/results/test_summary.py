@@ -69,7 +69,7 @@ def test_what_is_not_used_is_counted_by_cause_and_named() -> None:
     text = calibration_summary(found)
     assert "not used                  1 exposure: 1 file not usable" in text
     assert "1 star: 1 large residual" in text
-    assert "2 targets: 1 target residual, 1 low correlation" in text
+    assert "2 targets: 1 gross error (5.1 sigma), 1 cloud or change" in text
     assert "  exposure e9: e9.png: file: found no such file, expected an image" in text
     assert "  target s1/t3: 5.1 sigma from the position that the other targets predict" in text
     assert {o.cause for o in found.omissions} == {

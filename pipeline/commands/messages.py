@@ -1,0 +1,243 @@
+"""What commands print: results on stdout, remarks and progress on stderr, and all of it in a log file.
+
+A command returns an `Answer`. `talks` gives it the options --verbose, --quiet, --log-file and, where the
+answer has content for programs, --json; prints the answer; and turns its exit status into the program's.
+"""
+
+from __future__ import annotations
+
+import functools
+import inspect
+import logging
+import re
+import shlex
+import shutil
+import sys
+import textwrap
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated, Any, get_type_hints
+
+import typer
+
+from boresight.geometry.record import record, scalar
+from boresight.pipeline import __version__
+from boresight.pipeline.errors import RawDataError, printable
+
+__all__ = ["DATA_DID_NOT_ALLOW", "DONE", "LIMIT_MISSED", "REFUTED", "WRONG_USAGE"]
+__all__ += ["Answer", "log", "say", "shows_remarks", "talks", "tell", "wrong_usage"]
+
+DONE, DATA_DID_NOT_ALLOW, WRONG_USAGE, REFUTED, LIMIT_MISSED = range(5)
+INTERRUPTED = 130
+RESULT = logging.INFO + 5  # of lines on stdout
+log = logging.getLogger("boresight.commands")
+log.setLevel(logging.DEBUG)
+log.propagate = False
+
+
+@record(kw_only=True)
+class Answer:
+    """What a command found."""
+
+    text: str = scalar("for the reader; empty: nothing more to print", default="")
+    content: Mapping[str, Any] = scalar("for programs: the key `result` of --json", default_factory=dict)
+    files: tuple[Path, ...] = scalar("files written", default=())
+    exit_status: int = scalar("0, or why the command did not succeed", default=DONE)
+
+
+Verbose = Annotated[bool, typer.Option("--verbose", "-v", help="Every reason in full, and times.")]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress and no remarks, only errors.")]
+LogFile = Annotated[
+    Path | None,
+    typer.Option("--log-file", help="Append progress, remarks and results to this file, with times."),
+]
+Json = Annotated[bool, typer.Option("--json", help="One JSON object on stdout instead of text.")]
+
+
+def talks(command: Callable[..., Answer | None], *, with_json: bool = False) -> Callable[..., None]:
+    """`command` with the options of messages; its answer is printed."""
+
+    @functools.wraps(command)
+    def told(
+        *arguments: Any,
+        verbose: bool = False,
+        quiet: bool = False,
+        log_file: Path | None = None,
+        as_json: bool = False,
+        **named: Any,
+    ) -> None:
+        begun_s = time.perf_counter()
+        name = command.__name__.replace("_", "-")
+        with _messages(verbose, quiet, log_file, as_json):
+            try:
+                answer = command(*arguments, **named) or Answer()
+            except KeyboardInterrupt:
+                log.error("interrupted")
+                raise typer.Exit(INTERRUPTED) from None
+            except Exception as error:
+                if as_json and not isinstance(error, (typer.Exit, typer.Abort)):
+                    typer.echo(_document(name, Answer(exit_status=DATA_DID_NOT_ALLOW), error))
+                raise
+            tell(answer.text)
+            if as_json:
+                typer.echo(_document(name, answer))
+            log.debug("%.1f s, exit status %d", time.perf_counter() - begun_s, answer.exit_status)
+        if answer.exit_status:
+            raise typer.Exit(answer.exit_status)
+
+    hints = get_type_hints(command, include_extras=True) | {"return": None}
+    options: dict[str, Any] = {"verbose": Verbose, "quiet": Quiet, "log_file": LogFile}
+    options |= {"as_json": Json} if with_json else {}
+    own = inspect.signature(command).parameters.values()
+    parameters = [one.replace(annotation=hints[one.name]) for one in own]
+    for name, kind in options.items():
+        default = None if name == "log_file" else False
+        parameters.append(
+            inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=kind)
+        )
+    told.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+    told.__annotations__ = hints | options
+    told.__doc__ = _with_example(inspect.getdoc(command) or "")
+    return told
+
+
+def _with_example(text: str) -> str:
+    """The help text of a command with its example on lines of its own, which help does not fill anew."""
+    head, _, example = text.partition("Example: ")
+    glued = re.sub(r"(-[\w-]+) (?=[^-])", "\\1\xa0", example)  # an option stays with its value
+    wrapped = textwrap.wrap(glued, 70, break_long_words=False, break_on_hyphens=False)
+    lines = [line.replace("\xa0", " ") for line in wrapped]
+    return head + "\b\nExample:\n  " + " \\\n    ".join(lines) if lines else head
+
+
+def tell(text: str) -> None:
+    """A line or lines of the result, on stdout (not with --json) and in the log file."""
+    if text:
+        log.log(RESULT, "%s", text)
+
+
+def say(text: str) -> None:
+    """A remark, on stderr and in the log file."""
+    log.info("%s", text)
+
+
+def shows_remarks() -> bool:
+    """Whether remarks and progress go to the terminal: not with --quiet."""
+    return any(isinstance(handler, _Console) and handler.remarks <= logging.INFO for handler in log.handlers)
+
+
+def wrong_usage(text: str) -> typer.Exit:
+    """The exit of a command that was called wrongly; `text` goes to stderr."""
+    log.error("error: %s", text)
+    return typer.Exit(WRONG_USAGE)
+
+
+@contextmanager
+def _messages(verbose: bool, quiet: bool, log_file: Path | None, as_json: bool) -> Iterator[None]:
+    """Send messages where the options want them; a failure is in the log file as well."""
+    level = logging.ERROR if quiet else logging.DEBUG if verbose else logging.INFO
+    handlers: list[logging.Handler] = [_Console(level, results=not as_json)]
+    if log_file is not None:
+        handlers.append(_log_file(log_file))
+    before, log.handlers[:] = list(log.handlers), handlers
+    try:
+        if log_file is not None:
+            handlers[1].handle(_record("boresight %s: %s", __version__, shlex.join(sys.argv)))
+        yield
+    except BaseException as error:
+        if log_file is not None and not isinstance(error, (typer.Exit, typer.Abort)):
+            handlers[1].handle(_record("%s: %s", type(error).__name__, error))
+        raise
+    finally:
+        log.handlers[:] = before
+        for handler in handlers:
+            handler.close()
+
+
+def _record(text: str, *arguments: object) -> logging.LogRecord:
+    return log.makeRecord(log.name, logging.INFO, "", 0, text, arguments, None)
+
+
+def _log_file(path: Path) -> logging.Handler:
+    try:
+        handler = logging.FileHandler(path, encoding="utf-8")
+    except OSError as error:
+        found = error.strerror or str(error)
+        raise RawDataError(str(path), "--log-file", found, "a file that can be written") from error
+    handler.setFormatter(_LogFormat())
+    return handler
+
+
+class _LogFormat(logging.Formatter):
+    """Every line with its UTC time."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        stamp = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime(record.created))
+        return "\n".join(f"{stamp} {printable(line)}" for line in record.getMessage().split("\n"))
+
+
+class _Console(logging.Handler):
+    """Results to stdout, everything else to stderr: on a terminal broken between words, at its width."""
+
+    def __init__(self, remarks: int = logging.INFO, *, results: bool = True) -> None:
+        super().__init__()
+        self.remarks, self.results = remarks, results
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Print one message."""
+        is_result = record.levelno == RESULT
+        if (is_result and not self.results) or (not is_result and record.levelno < self.remarks):
+            return
+        if getattr(record, "progress", False) and sys.stderr.isatty():
+            return  # bars are shown
+        stream = sys.stdout if is_result else sys.stderr
+        text = "\n".join(printable(line) for line in record.getMessage().split("\n"))
+        typer.echo(fitted(text, stream.isatty()), err=not is_result)
+
+
+def fitted(text: str, terminal: bool) -> str:
+    """`text` with lines longer than a terminal broken between words, and what follows indented."""
+    if not terminal:
+        return text
+    width, lines = shutil.get_terminal_size().columns, []
+    for line in text.split("\n"):
+        indent = " " * (len(line) - len(line.lstrip()) + 4)
+        lines += (
+            textwrap.wrap(
+                line,
+                width,
+                subsequent_indent=indent,
+                drop_whitespace=True,
+                replace_whitespace=False,
+                break_long_words=False,
+                break_on_hyphens=False,
+            )
+            if len(line) > width
+            else [line]
+        )
+    return "\n".join(lines)
+
+
+log.addHandler(_Console())
+
+
+def _document(command: str, answer: Answer, error: Exception | None = None) -> str:
+    """The JSON object of docs/json.md."""
+    from boresight.pipeline.files.text_files import json_text
+
+    content: dict[str, Any] = {
+        "format": "boresight-answer",
+        "format_version": 1,
+        "version": __version__,
+        "command": command,
+        "exit_status": answer.exit_status,
+        "result": dict(answer.content),
+        "files": [str(path) for path in answer.files],
+        "error": None,
+    }
+    if error is not None:
+        fields = ("file", "field", "found", "expected")
+        content["error"] = {name: getattr(error, name, None) for name in fields} | {"message": str(error)}
+    return json_text(content)

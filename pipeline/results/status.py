@@ -1,0 +1,168 @@
+"""The state of a run: what is finished, what it still needs, and what is not used, with reasons."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from boresight.geometry.record import record, scalar
+from boresight.geometry.sightings import StarSightings
+from boresight.pipeline.errors import Omission, RawDataError
+from boresight.pipeline.files.dump import Dump, open_dump
+from boresight.pipeline.files.record_tables import record_from_table
+from boresight.pipeline.files.table_files import read_parquet
+from boresight.pipeline.files.text_files import read_json
+from boresight.pipeline.results.folder import dumps_in
+from boresight.pipeline.results.ownership import dump_folder_of
+from boresight.pipeline.results.summary import omission_lines
+from boresight.pipeline.settings import Settings
+from boresight.pipeline.stages.exposure import star_tasks
+from boresight.pipeline.stages.strip import MatchedTargets, covers
+from boresight.pipeline.work.unit_store import read_meta, read_unit
+
+__all__ = ["RunStatus", "StageStatus", "kept_units", "run_status", "status_lines"]
+
+
+@record
+class StageStatus:
+    """One stage of a run: its exposures or strips."""
+
+    stage: str = scalar("exposures, matching-1, matching-2")
+    done: tuple[str, ...] = scalar("names of the finished units")
+    damaged: int = scalar("files that will be made anew")
+    missing: tuple[str, ...] = scalar("names of the units that the run still needs, as far as known")
+
+
+@record(kw_only=True)
+class RunStatus:
+    """A run, finished or not; of several dumps, what is joint and the run of each dump."""
+
+    folder: str = scalar("folder of the run")
+    begun: bool = scalar("whether the folder of the run is there")
+    finished: bool = scalar("whether installation.json is there")
+    outcome: str = scalar("outcome of the verdict; empty where there is none")
+    stages: tuple[StageStatus, ...] = scalar("in the order of the calculation")
+    omissions: tuple[Omission, ...] = scalar("what is not used so far")
+    unknown: str = scalar("why it is not known what is missing; empty where it is known", default="")
+    dumps: tuple[RunStatus, ...] = scalar("of a joint result: the runs of its dumps", default=())
+
+
+def run_status(result: Path) -> RunStatus:
+    """The state of the run in a folder; `RawDataError` for a folder that is not one of a run."""
+    if names := dumps_in(result):
+        dumps = tuple(
+            run_status(result / name) if (result / name).is_dir() else _none(result / name) for name in names
+        )
+        return _status(result, (), _saved_omissions(result), dumps=dumps)
+    work = result / "work"
+    if not work.is_dir() and not (result / "installation.json").is_file():
+        raise RawDataError(str(result), "folder", "no run", "a folder that `boresight calibrate` wrote")
+    stages, omissions = [], list[Omission]()
+    for folder in sorted(path for path in work.iterdir() if path.is_dir()) if work.is_dir() else []:
+        stage, failed = _stage(folder)
+        stages.append(stage)
+        omissions += failed
+    if (result / "installation.json").is_file():
+        saved = _saved_omissions(result)
+        return _status(result, stages, saved if saved is not None else omissions)
+    try:
+        return _status(
+            result, _with_missing(stages, open_dump(dump_folder_of(result), allow_stale_eop=True)), omissions
+        )
+    except (RawDataError, OSError) as error:
+        return _status(result, stages, omissions, unknown=f"what is missing is not known: {error}")
+
+
+def status_lines(status: RunStatus) -> list[str]:
+    """The state as text: counts, every item that is not used with its reason, what is still needed."""
+    lines = []
+    for one in status.dumps:
+        text = status_lines(one) if one.begun else ["not begun"]
+        lines += [f"dump {Path(one.folder).name}", *("  " + line for line in text)]
+    for stage in status.stages:
+        damaged = f", {stage.damaged} damaged files" if stage.damaged else ""
+        lines.append(f"{stage.stage:14s}{len(stage.done)} done{damaged}")
+    if status.omissions or not status.dumps:
+        lines += omission_lines(status.omissions, None)
+    for stage in status.stages:
+        if stage.missing and not status.finished:
+            names = ", ".join(stage.missing[:8]) + (" ..." if len(stage.missing) > 8 else "")
+            lines.append(f"needs         {stage.stage}: {len(stage.missing)} more: {names}")
+    lines += [status.unknown] if status.unknown else []
+    whole = "all dumps together: " if status.dumps else ""
+    if not status.finished:
+        return [
+            *lines,
+            f"{whole}not finished: no installation.json yet; the same `boresight calibrate` goes on",
+        ]
+    return [*lines, f"{whole}finished" + (f", verdict {status.outcome}" if status.outcome else "")]
+
+
+def kept_units(result: Path) -> str:
+    """What a run that is interrupted has finished, for a message."""
+    folders = sorted({*result.glob("work/*"), *result.glob("*/work/*")})
+    counts = [(path.name, len(list(path.glob("*.parquet")))) for path in folders if path.is_dir()]
+    done = ", ".join(f"{n} of stage {name}" for name, n in counts if n)
+    return f"finished units are kept in {result}: {done}" if done else f"no unit is finished yet in {result}"
+
+
+def _none(folder: Path) -> RunStatus:
+    return RunStatus(folder=str(folder), begun=False, finished=False, outcome="", stages=(), omissions=())
+
+
+def _status(
+    result: Path,
+    stages: list[StageStatus] | tuple[()],
+    omissions: list[Omission] | None,
+    *,
+    unknown: str = "",
+    dumps: tuple[RunStatus, ...] = (),
+) -> RunStatus:
+    path = result / "installation.json"
+    verdict = read_json(path, str(path)).get("verdict") if path.is_file() else None
+    return RunStatus(
+        folder=str(result),
+        begun=True,
+        finished=path.is_file(),
+        outcome=str(verdict.get("outcome", "")) if isinstance(verdict, dict) else "",
+        stages=tuple(stages),
+        omissions=tuple(omissions or ()),
+        unknown=unknown,
+        dumps=dumps,
+    )
+
+
+def _stage(folder: Path) -> tuple[StageStatus, list[Omission]]:
+    done, damaged, failed = [], 0, list[Omission]()
+    for path in sorted(folder.glob("*.parquet")):
+        if (unit := read_unit(path)) is None:
+            damaged += 1
+            continue
+        done.append(path.name.rsplit(".", 2)[0])
+        outcome = record_from_table((StarSightings, MatchedTargets, Omission), unit, read_meta(unit))
+        if isinstance(outcome, Omission):
+            failed.append(outcome)
+        elif isinstance(outcome, MatchedTargets):
+            failed += outcome.omissions
+    return StageStatus(folder.name, tuple(done), damaged, ()), failed
+
+
+def _saved_omissions(result: Path) -> list[Omission] | None:
+    path = result / "sightings" / "omissions.parquet"
+    if not path.is_file():
+        return None
+    names = ("kind", "name", "file", "reason", "cause")
+    columns = read_parquet(path).select(names).to_pylist()
+    return [Omission(**{name: str(row[name]) for name in names}) for row in columns]
+
+
+def _with_missing(stages: list[StageStatus], dump: Dump) -> list[StageStatus]:
+    """The stages with the units of the dump that are not finished; at least exposures and both matchings."""
+    found = {stage.stage: stage for stage in stages}
+    exposures = [task.item.name for task in star_tasks(dump, Settings().stars)[0]]
+    strips = [strip.strip_id for strip in dump.strips if covers(dump, strip)]
+    wanted = {"exposures": exposures, "matching-1": strips, "matching-2": strips}
+    return [
+        StageStatus(name, stage.done, stage.damaged, tuple(one for one in names if one not in stage.done))
+        for name, names in wanted.items()
+        for stage in [found.get(name, StageStatus(name, (), 0, ()))]
+    ]
