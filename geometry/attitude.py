@@ -116,7 +116,7 @@ class AttitudeTrack:
 
     @property
     def breaks_s(self) -> Array:
-        """Instants where the interpolation is not smooth: the exposures, or halfway between them."""
+        """Instants (B,) where the interpolation is not smooth: exposures, or halfway between them."""
         return self.t_s if self.interpolation == "lagrange" else 0.5 * (self.t_s[1:] + self.t_s[:-1])
 
     def R_si(self, t_s: ArrayLike) -> Rotation:

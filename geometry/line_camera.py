@@ -48,6 +48,10 @@ class LineSensor(Protocol):
         The distance is positive towards +x of frame c. NaN for directions behind the camera.
         """
 
+    @property
+    def pixel_rad(self) -> float:
+        """Angle of one sample of the first CCD, rad."""
+
     def delay_to_middle_s(self, row_period_s: float) -> float:
         """Seconds from a row's time label to the middle of its exposure."""
 
@@ -226,6 +230,11 @@ class LineCamera:
         sample, across = self.ccds[ccd].samples(xy_f)
         return sample, -across / self.ccds[ccd].pixel_m
 
+    @property
+    def pixel_rad(self) -> float:
+        """Angle of one sample of the first CCD, rad."""
+        return self.ccds[0].pixel_m / self.focal_m
+
     def delay_to_middle_s(self, row_period_s: float) -> float:
         """Seconds from a row's time label to the middle of its exposure, all TDI stages included."""
         half = 0.5 * self.tdi_stages * row_period_s
@@ -328,6 +337,12 @@ class LookAngleCamera:
         """The nearest sample (N,) to directions (N, 3), and their distance across, px, towards +x_c."""
         u = np.asarray(u_c, dtype=float)
         return self.ccds[ccd].nearest(u[:, :2] / np.where(u[:, 2] > 0.0, u[:, 2], np.nan)[:, None])
+
+    @property
+    def pixel_rad(self) -> float:
+        """Angle of one sample in the middle of the first CCD, rad."""
+        middle = 0.5 * (self.ccds[0].n_px - 1.0)
+        return float(np.linalg.norm(self.sample_jacobian(0, np.array([middle]))))
 
     def delay_to_middle_s(self, row_period_s: float) -> float:
         """Zero: time labels are those of the middle of the exposure."""

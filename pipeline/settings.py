@@ -18,13 +18,21 @@ from boresight.calib.settings import CalibrationSettings
 from boresight.calib.verdict import VerdictSettings
 from boresight.gct_match.settings import MatchSettings
 from boresight.geometry.constants import ARCSEC
-from boresight.geometry.line_camera import LineCamera
+from boresight.geometry.groundlight import LightEffects
+from boresight.geometry.line_camera import LineSensor
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.dump_schema import Errors
 from boresight.pipeline.files.text_files import expected_of, toml_tables
 from boresight.star_id.settings import StarSettings
 
-__all__ = ["RunSettings", "Settings", "calibration_settings", "read_settings", "settings_from_tables"]
+__all__ = [
+    "RunSettings",
+    "Settings",
+    "calibration_settings",
+    "effects_of",
+    "read_settings",
+    "settings_from_tables",
+]
 
 Record = TypeVar("Record")
 FINITE = ConfigDict(allow_inf_nan=False)
@@ -91,17 +99,25 @@ def settings_from_tables(tables: dict[str, Any], file: str) -> Settings:
     )
 
 
-def calibration_settings(settings: Settings, errors: Errors, camera: LineCamera) -> CalibrationSettings:
+def calibration_settings(settings: Settings, errors: Errors, camera: LineSensor) -> CalibrationSettings:
     """The error model of a dump, with what the user's settings say instead."""
-    pixel_rad = camera.ccds[0].pixel_m / camera.focal_m
     stated: dict[str, Any] = {
         "sigma_position_m": errors.position_m,
         "sigma_clock_s": errors.clock_s,
         "sigma_vibration_rad": errors.vibration_arcsec * ARCSEC,
-        "sigma_distortion_rad": errors.look_distortion_px * pixel_rad,
+        "sigma_distortion_rad": errors.look_distortion_px * camera.pixel_rad,
         "distortion_length_px": errors.look_distortion_length_px,
     }
     return CalibrationSettings(**(stated | dict(settings.calibration)))
+
+
+def effects_of(run: RunSettings, light: LightEffects) -> LightEffects:
+    """Effects on light to be modelled: those that neither the user's settings nor the dump leave out."""
+    return LightEffects(
+        light_time=run.geometric_light_time and light.light_time,
+        aberration=run.aberration and light.aberration,
+        refraction=run.refraction and light.refraction,
+    )
 
 
 def filled(kind: type[Record], values: dict[str, Any], file: str, section: str) -> Record:

@@ -17,13 +17,14 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from boresight.gct_match.records import Target
-from boresight.geometry.constants import WGS84
+from boresight.geometry.constants import ARCSEC, WGS84
 from boresight.geometry.earth_orientation import EarthOrientationTable, bundled_earth_orientation
 from boresight.geometry.earth_rotation import EarthRotation
 from boresight.geometry.epoch import Epoch
 from boresight.geometry.geodesy import ecef_from_geodetic
 from boresight.geometry.geoid import egm96
-from boresight.geometry.line_camera import Ccd, LineCamera
+from boresight.geometry.groundlight import LightEffects
+from boresight.geometry.line_camera import LineCamera, LookAngleCamera
 from boresight.geometry.orbit import Orbit
 from boresight.geometry.orbit_consistency import find_orbit_fault
 from boresight.geometry.record import Floats, array, record, scalar
@@ -33,6 +34,7 @@ from boresight.pipeline.errors import Omission, RawDataError
 from boresight.pipeline.files import dump_schema as schema
 from boresight.pipeline.files.image_files import StripFiles, check_strip_file, read_grid
 from boresight.pipeline.files.orbit_file import Ephemeris, read_oem
+from boresight.pipeline.files.remote_camera import read_remote_camera
 from boresight.pipeline.files.text_files import path_inside, read_table, read_toml
 
 __all__ = [
@@ -129,11 +131,12 @@ class Dump:
     epoch: Epoch = scalar("zero of all times")
     star_camera: StarCamera = scalar("camera of frame s")
     star_bit_depth: int = scalar("bits of a count of the exposures")
-    line_camera: LineCamera = scalar("camera of frame c")
+    line_camera: LineCamera | LookAngleCamera = scalar("camera of frame c")
     remote_bit_depth: int = scalar("bits of a count of the strips")
     R_cs0: Rotation = scalar("installation rotation measured before launch, frame s to frame c")
     sigma_installation_rad: Floats = array("3", "1-sigma error of `R_cs0`: rotation about the axes of c")
     errors: schema.Errors = scalar("errors of the mission's data as it states them")
+    light: LightEffects = scalar("effects on light that the mission's own software models")
     orbit: Orbit = scalar("trajectory of the satellite")
     exposures: tuple[Exposure, ...] = scalar("in order of time")
     strips: tuple[Strip, ...] = scalar("in order of time")
@@ -180,12 +183,12 @@ def open_dump(root: Path, *, allow_stale_eop: bool = False) -> Dump:
         for field, name in head.files.model_dump(exclude_none=True).items()
     }
     star = read_toml(paths["star_camera"], schema.StarCameraFile, head.files.star_camera)
-    remote = read_toml(paths["remote_camera"], schema.RemoteCameraFile, head.files.remote_camera)
+    line_camera, remote = read_remote_camera(root, paths["remote_camera"], head.files.remote_camera)
     installation = read_toml(paths["installation"], schema.InstallationFile, head.files.installation)
-    line_camera = _line_camera(remote, head.files.remote_camera)
     ephemeris = read_oem(paths["orbit"], head.files.orbit)
+    table = _earth_orientation(paths.get("earth_orientation"), head.files.earth_orientation)
     orbit = orbit_of(
-        ephemeris, head.files.orbit, head.errors.position_m, bundled_table(), allow_stale_eop=allow_stale_eop
+        ephemeris, head.files.orbit, head.errors.position_m, table, allow_stale_eop=allow_stale_eop
     )
     strips, omitted = _strips(root, paths["strips"], head.files.strips, ephemeris.epoch, remote)
     rows = _target_rows(paths["targets"], head.files.targets)
@@ -201,6 +204,7 @@ def open_dump(root: Path, *, allow_stale_eop: bool = False) -> Dump:
         R_cs0=Rotation.from_quat(installation.quaternion_cs),
         sigma_installation_rad=np.array(installation.sigma_rad),
         errors=head.errors,
+        light=LightEffects(**head.light.model_dump()),
         orbit=orbit,
         exposures=_exposures(root, paths["exposures"], head.files.exposures, ephemeris.epoch),
         strips=strips,
@@ -240,25 +244,26 @@ def star_camera_of(file: schema.StarCameraFile, name: str) -> StarCamera:
     return camera
 
 
-def _line_camera(file: schema.RemoteCameraFile, name: str) -> LineCamera:
-    ccds = []
-    for n, ccd in enumerate(file.ccds):
-        try:
-            ccds.append(
-                Ccd(
-                    n_px=ccd.n_px,
-                    y_first_m=ccd.y_first_mm * 1e-3,
-                    x_offset_m=ccd.x_offset_mm * 1e-3,
-                    rotation_rad=ccd.rotation_mrad * 1e-3,
-                    pixel_m=ccd.pixel_pitch_um * 1e-6,
-                    principal_sample=ccd.principal_sample,
-                    distortion_samples=np.array(ccd.distortion_samples, dtype=float),
-                    distortion_offsets_m=np.array(ccd.distortion_offsets_um, dtype=float) * 1e-6,
-                )
-            )
-        except ValueError as error:
-            raise RawDataError(name, f"ccds.{n}", str(error), "a possible detector") from error
-    return LineCamera(file.focal_length_m, tuple(ccds), file.tdi_stages, file.time_of_row)
+def _earth_orientation(path: Path | None, file: str | None) -> EarthOrientationTable:
+    """The mission's own table, or the bundled one."""
+    if path is None or file is None:
+        return bundled_table()
+    rows = read_table(path, schema.EarthOrientationRow, file)
+    columns = np.array([[r.mjd_utc, r.ut1_utc_s, r.x_arcsec, r.y_arcsec] for r in rows], dtype=float)
+    mjd, ut1_utc, x, y = columns.reshape(-1, 4).T
+    try:
+        return EarthOrientationTable(
+            mjd_utc=mjd,
+            ut1_utc_s=ut1_utc,
+            xp_rad=x * ARCSEC,
+            yp_rad=y * ARCSEC,
+            dx_rad=np.zeros(len(mjd)),
+            dy_rad=np.zeros(len(mjd)),
+            source=file,
+            mjd_last_measured=float(mjd[-1]) if len(mjd) else np.nan,
+        )
+    except ValueError as error:
+        raise RawDataError(file, "mjd_utc", str(error), "4 or more consecutive days") from error
 
 
 def orbit_of(
@@ -336,7 +341,7 @@ def _exposures(root: Path, path: Path, file: str, epoch: Epoch) -> tuple[Exposur
 
 
 def _strips(
-    root: Path, path: Path, file: str, epoch: Epoch, remote: schema.RemoteCameraFile
+    root: Path, path: Path, file: str, epoch: Epoch, remote: schema.RemoteCameraFile | schema.LookCameraFile
 ) -> tuple[tuple[Strip, ...], tuple[Omission, ...]]:
     rows = read_table(path, schema.StripRow, file)
     if not rows:

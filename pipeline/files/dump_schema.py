@@ -12,10 +12,14 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, StringConstraints, model_validator
 
 __all__ = [
+    "LOOK_TABLES",
     "CcdFile",
     "DumpFile",
+    "EarthOrientationRow",
     "ExposureRow",
     "InstallationFile",
+    "LookCameraFile",
+    "LookRow",
     "RemoteCameraFile",
     "StarCameraFile",
     "StripRow",
@@ -54,6 +58,7 @@ FocalPlane = Annotated[float, within(-1e4, 1e4, "coordinate in the focal plane, 
 Sample = Annotated[float, within(-1e6, 1e6, "coordinate along the detector, samples")]
 TargetSigma = Annotated[float, within(0.0, 1e5, "1-sigma error of a target's coordinate, m")]
 HeightKind = Literal["ellipsoidal", "egm96"]
+LOOK_TABLES = "look tables"  # `model` of a remote camera
 
 
 class _Strict(BaseModel):
@@ -87,6 +92,7 @@ class Files(_Strict):
     strips: RelativePath
     targets: RelativePath
     terrain: RelativePath | None = None
+    earth_orientation: RelativePath | None = None
 
 
 class Errors(_Strict):
@@ -106,6 +112,14 @@ class TerrainHeights(_Strict):
     sigma_m: float = within(0.0, 1e4, "1-sigma error of a height, m; no mountain is higher")
 
 
+class Light(_Strict):
+    """Which effects on light the mission's own software models, where it leaves some out"""
+
+    light_time: bool = True
+    aberration: bool = True
+    refraction: bool = True
+
+
 class DumpFile(_Strict):
     """dump.toml"""
 
@@ -117,6 +131,7 @@ class DumpFile(_Strict):
     files: Files
     errors: Errors
     terrain: TerrainHeights | None = None
+    light: Light = Light()
 
     @model_validator(mode="after")
     def _terrain_is_described(self) -> Self:
@@ -186,6 +201,22 @@ class RemoteCameraFile(_Strict):
     ccds: Annotated[list[CcdFile], Field(min_length=1, max_length=64)]
 
 
+class LookCcdFile(_Strict):
+    """One table of [[ccds]] in a remote_camera.toml of look tables"""
+
+    n_px: Samples
+
+
+class LookCameraFile(_Strict):
+    """remote_camera.toml with model = "look tables"; the time of a row is that of its middle"""
+
+    model: Literal["look tables"]
+    looks: RelativePath
+    directions: Literal["tangents", "angles"]
+    bit_depth: BitDepth = 16
+    ccds: Annotated[list[LookCcdFile], Field(min_length=1, max_length=64)]
+
+
 class InstallationFile(_Strict):
     """installation.toml"""
 
@@ -204,6 +235,24 @@ class InstallationFile(_Strict):
         if abs(length - 1.0) > 1e-6:
             raise ValueError(f"quaternion_cs must have length 1 within 1e-6, it has {length:.9g}")
         return self
+
+
+class LookRow(_Row):
+    """looks.csv: the direction [x, y, 1] of a sample, as tangents or as angles (their tangents are taken)"""
+
+    ccd: Annotated[int, Field(ge=0, le=63)]
+    sample: Sample
+    x: float = within(-1.5, 1.5, "along x of frame c, tangent or rad, at most 56°")
+    y: float = within(-1.5, 1.5, "along y of frame c, tangent or rad, at most 56°")
+
+
+class EarthOrientationRow(_Row):
+    """earth_orientation.csv: values at 0 h UTC of consecutive days"""
+
+    mjd_utc: Annotated[int, Field(ge=41317, le=100_000)]
+    ut1_utc_s: float = within(-1.0, 1.0, "UT1 - UTC, s, at most 0.9 by the rule of leap seconds")
+    x_arcsec: float = within(-2.0, 2.0, "pole coordinate x, arc-seconds")
+    y_arcsec: float = within(-2.0, 2.0, "pole coordinate y, arc-seconds")
 
 
 class ExposureRow(_Row):

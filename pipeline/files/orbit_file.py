@@ -1,24 +1,28 @@
-"""Read the orbit of a dump: a CCSDS Orbit Ephemeris Message (OEM, CCSDS 502.0-B), keyword = value."""
+"""Read the orbit of a dump: a CCSDS Orbit Ephemeris Message (OEM, CCSDS 502.0-B), keyword = value or XML."""
 
 from __future__ import annotations
 
 import io
 import re
 import warnings
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from boresight.geometry.epoch import Epoch
+from boresight.geometry.inertial_frames import InertialFrame, rotation_to_gcrs
 from boresight.geometry.record import Floats, array, record, scalar
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.text_files import NUMBER, read_text
+from boresight.pipeline.files.xml_files import numbers_of, read_xml
 
 __all__ = ["Ephemeris", "read_oem"]
 
-INERTIAL = ("GCRF", "ICRF")  # with CENTER_NAME EARTH both have the axes of GCRS
+INERTIAL: tuple[InertialFrame, ...] = ("GCRF", "ICRF", "EME2000")
 TIME_SCALES = {"UTC": "utc", "TAI": "tai", "TT": "tt", "GPS": "gps"}  # names of astropy, but for GPS
 LIMIT_KM = 1e9  # of a coordinate and of a velocity in km/s, far beyond those of any orbit
 GPS_BEHIND_TAI_S = 19.0  # GPS time = TAI - 19 s (IS-GPS-200)
@@ -34,6 +38,7 @@ _PLAIN_HEAD = re.compile(
     re.ASCII,
 )
 _REQUIRED = ("OBJECT_NAME", "OBJECT_ID", "CENTER_NAME", "REF_FRAME", "TIME_SYSTEM", "START_TIME", "STOP_TIME")
+_COORDINATES = ("X", "Y", "Z", "X_DOT", "Y_DOT", "Z_DOT")
 _INTERPOLATION = ("INTERPOLATION", "INTERPOLATION_DEGREE")
 
 
@@ -57,12 +62,14 @@ def read_oem(path: Path, file: str) -> Ephemeris:
     """The states of an OEM of one segment; `file` names it in errors.
 
     A message of the plain form (the usual keywords only, UTC, each state a calendar date, position, velocity)
-    is parsed here, a hundred times faster; the library `oem` checks and reads any other. With astropy it takes
-    0.6 s to load. Raises `RawDataError`.
+    is parsed here, a hundred times faster; the library `oem` checks and reads any other, XML too. It takes
+    0.6 s to load, with astropy. States in EME2000 are rotated to GCRF. Raises `RawDataError`.
     """
     text = read_text(path, file)
+    if text.lstrip().startswith("<"):
+        return _ephemeris(*_xml_reading(path, text, file), file)
     if not text.startswith("CCSDS_OEM_VERS"):
-        raise RawDataError(file, "line 1", "another text", "CCSDS_OEM_VERS = ..., an OEM in KVN form")
+        raise RawDataError(file, "line 1", "another text", "CCSDS_OEM_VERS = ..., or an OEM in XML")
     lines = text.splitlines()
     begin = 1 + next((n for n, line in enumerate(lines) if line.strip() == "META_STOP"), len(lines))
     data = [line for line in lines[begin:] if line.strip()]
@@ -79,21 +86,26 @@ def read_oem(path: Path, file: str) -> Ephemeris:
         values: Floats = np.array(words, dtype=float).reshape(-1, 6)
     else:
         _check_numbers(data, file)
-        times = [state.epoch for state in states]
-        values = np.array([[*state.position, *state.velocity] for state in states], dtype=float)
+        times, values = _of_library(states)
+    return _ephemeris(meta, times, values, file)
+
+
+def _ephemeris(meta: Any, times: list[Any], values: Floats, file: str) -> Ephemeris:
+    """The checked states, SI units, in GCRF or ITRF."""
     for name, numbers in (("position", values[:, :3]), ("velocity", values[:, 3:])):
         if len(bad := np.flatnonzero(~(np.abs(numbers) < LIMIT_KM).all(axis=1))):
             expected = f"finite numbers below {LIMIT_KM:g} (unit km)"
             raise RawDataError(file, f"state {bad[0] + 1}, {name}", str(numbers[bad[0]]), expected)
     epoch, t_s = _tai_seconds(times, str(meta["TIME_SYSTEM"]), file)
-    positions, velocities = 1e3 * values[:, :3], 1e3 * values[:, 3:]
+    frame, R = _frame(meta, file)
+    positions, velocities = R.apply(1e3 * values[:, :3]), R.apply(1e3 * values[:, 3:])
     _check_states(t_s, positions, velocities, file)
     return Ephemeris(
         epoch=epoch,
         t_s=t_s,
         positions_m=positions,
         velocities_m_s=velocities,
-        frame=_frame(meta, file),
+        frame=frame,
         method=_method(meta, file),
         interpolation_degree=_degree(meta, file),
         object_name=str(meta["OBJECT_NAME"])[:64],
@@ -121,16 +133,42 @@ def _plain_metadata(head: str) -> dict[str, str] | None:
     return None
 
 
+def _of_library(states: list[Any]) -> tuple[list[Any], Floats]:
+    """Times and values (N, 6), km and km/s, of the library's states."""
+    values = [[*state.position, *state.velocity] for state in states]
+    return [state.epoch for state in states], np.array(values, dtype=float).reshape(-1, 6)
+
+
+def _xml_reading(path: Path, text: str, file: str) -> tuple[Any, list[Any], Floats]:
+    """Metadata, times and values of the one segment of an OEM in XML, as the library reads it."""
+    from oem.parsers import parse_xml_oem
+
+    root = read_xml(path, file)  # well-formed, without DTD
+    if root.tag != "oem":
+        raise RawDataError(file, "root element", root.tag[:64], "oem")
+    for state in root.iter("stateVector"):
+        for name in _COORDINATES:
+            numbers_of(state, name, file, 1)
+    meta, states = _segment_of(lambda: parse_xml_oem(io.StringIO(text)), file)
+    return meta, *_of_library(states)
+
+
 def _library_reading(text: str, file: str) -> tuple[Any, list[Any]]:
     """Metadata and states of the one segment of an OEM, as the library reads it."""
-    from oem import OrbitEphemerisMessage
     from oem.parsers import parse_kvn_oem
+
+    return _segment_of(lambda: parse_kvn_oem(io.StringIO(text + "\n")), file)
+
+
+def _segment_of(parse: Callable[[], Any], file: str) -> tuple[Any, list[Any]]:
+    """Metadata and states of the one segment of what a parser of the library gives."""
+    from oem import OrbitEphemerisMessage
 
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             # Its `open` takes paths only, and unpacks archives.
-            message: Any = OrbitEphemerisMessage._from_raw_data(parse_kvn_oem(io.StringIO(text + "\n")))
+            message: Any = OrbitEphemerisMessage._from_raw_data(parse())
             segments = message.segments
             if len(segments) == 1:
                 return segments[0].metadata, list(segments[0].states)
@@ -147,15 +185,17 @@ def _check_numbers(data: list[str], file: str) -> None:
             raise RawDataError(file, "OEM text", line, "numbers of ASCII digits, without _")
 
 
-def _frame(meta: Any, file: str) -> Literal["GCRF", "ITRF"]:
+def _frame(meta: Any, file: str) -> tuple[Literal["GCRF", "ITRF"], Rotation]:
+    """The frame that the states are kept in, and the rotation to it from that of the file."""
     if (centre := str(meta["CENTER_NAME"]).strip().upper()) != "EARTH":
         raise RawDataError(file, "CENTER_NAME", centre, "EARTH")
     frame = str(meta["REF_FRAME"]).strip().upper()
-    if frame in INERTIAL:
-        return "GCRF"
+    for inertial in INERTIAL:
+        if frame == inertial:
+            return "GCRF", rotation_to_gcrs(inertial)
     if frame.startswith("ITRF"):
-        return "ITRF"
-    raise RawDataError(file, "REF_FRAME", frame, "GCRF, ICRF or ITRF (with or without a year)")
+        return "ITRF", Rotation.identity()
+    raise RawDataError(file, "REF_FRAME", frame, "GCRF, ICRF, EME2000 or ITRF (with or without a year)")
 
 
 def _method(meta: Any, file: str) -> Literal["lagrange", "hermite"]:

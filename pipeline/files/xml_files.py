@@ -46,7 +46,7 @@ def elements_of(root: Element, where: str, file: str, least: int, most: int) -> 
 
 
 def text_of(root: Element, where: str, file: str) -> str:
-    """The text of the one element at a path."""
+    """The text of the one element at a path; `RawDataError` for none, several or an empty one."""
     found = root.findall(where)
     if len(found) != 1 or not (found[0].text or "").strip():
         raise RawDataError(
@@ -56,7 +56,7 @@ def text_of(root: Element, where: str, file: str) -> str:
 
 
 def numbers_of(root: Element, where: str, file: str, number: int) -> list[float]:
-    """The `number` finite numbers of the one element at a path."""
+    """The `number` finite numbers of the one element at a path; `RawDataError` for other text."""
     words = text_of(root, where, file).split()
     expected = f"{number} finite number{'s' if number > 1 else ''}"
     if len(words) != number:
@@ -67,7 +67,7 @@ def numbers_of(root: Element, where: str, file: str, number: int) -> list[float]
 
 
 def whole_of(root: Element, where: str, file: str, largest: int) -> int:
-    """The whole number, 0 to `largest`, of the one element at a path."""
+    """The whole number, 0 to `largest`, of the one element at a path; `RawDataError` otherwise."""
     text = text_of(root, where, file)
     if not re.fullmatch(r"[0-9]{1,10}", text) or int(text) > largest:
         raise RawDataError(file, where, text, f"a whole number from 0 to {largest}")

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from boresight.calib.information import solve_total
-from boresight.geometry.line_camera import LineCamera
+from boresight.geometry.line_camera import LineSensor
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.dump import Dump
 from boresight.pipeline.files.dump_schema import DumpFile
@@ -100,7 +100,7 @@ def _context(dump: Dump, calibration: Calibration) -> dict[str, Any]:
             "edge_tan": _edge_tan(camera),
         },
         "remote_camera": {
-            "pixel_rad": camera.ccds[0].pixel_m / camera.focal_m,
+            "pixel_rad": camera.pixel_rad,
             "samples": [ccd.n_px for ccd in camera.ccds],
         },
     }
@@ -111,10 +111,10 @@ def _mean_range_m(calibration: Calibration) -> float:
     return float(np.mean(np.concatenate([strip.ground.range_m for strip in calibration.strips])))
 
 
-def _edge_tan(camera: LineCamera) -> float:
+def _edge_tan(camera: LineSensor) -> float:
     """Largest tangent of the angle between a pixel's look direction and the camera's axis."""
     ends = [
-        camera.directions_from_pixels(k, np.array([0.0, ccd.n_px - 1.0])) for k, ccd in enumerate(camera.ccds)
+        camera.directions_from_pixels(k, np.array([0.0, camera.n_px(k) - 1.0])) for k in range(camera.n_ccds)
     ]
     u_c = np.concatenate(ends)
     return float(np.max(np.hypot(u_c[:, 0], u_c[:, 1]) / u_c[:, 2]))

@@ -21,7 +21,7 @@ from boresight.pipeline.files.table_files import fixed, list_values, read_parque
 from boresight.pipeline.files.text_files import read_json, read_toml
 from boresight.pipeline.results.ownership import check_dump_of
 from boresight.pipeline.results.reading import SavedResult, read_for_dump
-from boresight.pipeline.settings import RunSettings, filled
+from boresight.pipeline.settings import RunSettings, effects_of, filled
 
 __all__ = ["Calibrated", "StripModel", "open_calibrated", "strip_model"]
 
@@ -56,7 +56,6 @@ def open_calibrated(result: Path, dump: Path | None, *, allow_stale_eop: bool = 
     folder, saved = read_for_dump(result, dump)
     table = read_parquet(folder / "sightings" / "exposures.parquet", {"covariance_s": fixed(9)})
     run = _run_settings(saved, result)
-    effects = LightEffects(run.geometric_light_time, run.aberration, run.refraction)
     root = dump if dump is not None else _noted_dump(result)
     check_dump_of(folder, root)
     opened = open_dump(root, allow_stale_eop=allow_stale_eop)
@@ -67,7 +66,7 @@ def open_calibrated(result: Path, dump: Path | None, *, allow_stale_eop: bool = 
         result=saved,
         dump=opened,
         attitude_covariance_s=covariance,
-        effects=effects,
+        effects=effects_of(run, opened.light),
         sigma_terrain_m=sigma_m,
         exposure_margin_s=run.exposure_margin_s,
     )

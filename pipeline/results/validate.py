@@ -14,7 +14,6 @@ from scipy.spatial.transform import Rotation
 from boresight.geometry.attitude import AttitudeTrack
 from boresight.geometry.constants import WGS84
 from boresight.geometry.geodesy import ecef_from_geodetic, ellipsoid_normals
-from boresight.geometry.groundlight import LightEffects
 from boresight.geometry.installation import theta_between
 from boresight.geometry.pushbroom import Pushbroom, RowClock
 from boresight.geometry.record import Floats, Texts, array, record, scalar
@@ -22,6 +21,7 @@ from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.dump import Dump, Strip, surface_of
 from boresight.pipeline.files.text_files import read_table, read_toml
 from boresight.pipeline.results.reading import SavedResult
+from boresight.pipeline.settings import RunSettings, effects_of
 
 __all__ = ["CheckPoints", "Validation", "true_installation", "validate"]
 
@@ -141,7 +141,7 @@ def _pushbroom(strip: Strip, result: SavedResult, dump: Dump, R_cs: Rotation) ->
         earth=dump.orbit.earth,
         attitude=track,
         R_cs=R_cs,
-        effects=LightEffects(),
+        effects=effects_of(RunSettings(), dump.light),
     )
 
 

@@ -22,12 +22,11 @@ from boresight.calib.estimate import InstallationEstimate, NotObservable
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.verdict import Verdict, assess
 from boresight.geometry.attitude_estimate import fit_exposures
-from boresight.geometry.groundlight import LightEffects
 from boresight.geometry.record import array, record, scalar
 from boresight.geometry.sightings import ExposureAttitudes, StarSightings, StripSightings
 from boresight.pipeline.errors import Cause, DataNotSufficientError, Omission
 from boresight.pipeline.files.dump import Dump, Strip, surface_of
-from boresight.pipeline.settings import Settings, calibration_settings
+from boresight.pipeline.settings import Settings, calibration_settings, effects_of
 from boresight.pipeline.stages.cached import Progress, StageRunner
 from boresight.pipeline.stages.exposure import in_order, sight_exposure, star_tasks
 from boresight.pipeline.stages.missing import what_is_missing
@@ -202,7 +201,7 @@ def _strip_tasks(
             R_si=Rotation.from_matrix(attitudes.R_si[near]),
             R_cs=R_cs,
             sigma_installation_rad=np.asarray(sigma_rad, dtype=float),
-            effects=LightEffects(run.geometric_light_time, run.aberration, run.refraction),
+            effects=effects_of(run, dump.light),
             targets=(),
             chips=(),
             terrain=dump.terrain,

@@ -21,7 +21,7 @@ from boresight.geometry.attitude import AttitudeTrack
 from boresight.geometry.constants import WGS84
 from boresight.geometry.geodesy import geodetic_from_ecef, local_axes_e
 from boresight.geometry.groundlight import LightEffects, apparent_ground_directions
-from boresight.geometry.line_camera import LineCamera
+from boresight.geometry.line_camera import LineSensor
 from boresight.geometry.orbit import Orbit
 from boresight.geometry.pushbroom import Pushbroom, RowClock
 from boresight.geometry.record import Floats, Ints, Texts, array, record, scalar
@@ -54,7 +54,7 @@ class StripTask:
     """One strip and everything that the positions of its targets depend on."""
 
     strip: Strip = scalar("images and times of the strip")
-    camera: LineCamera = scalar("model of the remote-sensing camera")
+    camera: LineSensor = scalar("model of the remote-sensing camera")
     orbit: Orbit = scalar("states around the strip")
     t_attitude_s: Floats = array("K", "exposures around the strip, TAI seconds since the dump's epoch")
     R_si: Rotation = array("K", "their attitudes, GCRS to star camera")

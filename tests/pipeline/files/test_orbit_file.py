@@ -6,6 +6,7 @@ import datetime
 import time
 from pathlib import Path
 
+import erfa
 import numpy as np
 import pytest
 from astropy.time import Time
@@ -106,3 +107,38 @@ def test_day_at_one_hertz_takes_less_than_a_second(tmp_path: Path) -> None:
     found = read_oem(path, "orbit.oem")
     assert time.process_time() - begin < 1.0  # s of CPU time; 0.35 measured, 4 through the library alone
     assert len(found.t_s) == 86_400
+
+
+def test_states_in_eme2000_are_rotated_by_the_frame_bias(tmp_path: Path) -> None:
+    # The precession of IAU 2006 at J2000 is the frame bias alone, 23 mas or 0.8 m; 0.2 µas from that of 2000.
+    text = text_of(10)
+    here = read_oem(written(tmp_path, text), "orbit.oem")
+    there = read_oem(written(tmp_path, text.replace("= GCRF", "= EME2000")), "orbit.oem")
+    bias = erfa.pmat06(2451545.0, 0.0)
+    assert there.frame == "GCRF"
+    assert np.abs(there.positions_m @ bias.T - here.positions_m).max() < 1e-5  # m
+    assert np.abs(there.velocities_m_s @ bias.T - here.velocities_m_s).max() < 1e-8  # m/s
+    assert 0.3 < np.linalg.norm(there.positions_m - here.positions_m, axis=1).max() < 1.0
+
+
+def test_xml_is_read_as_the_keyword_form_is(tmp_path: Path) -> None:
+    # The XML form is written by the library from the keyword form.
+    path = written(tmp_path, text_of(10))
+    as_xml = tmp_path / "orbit.xml"
+    OrbitEphemerisMessage.open(path).save_as(as_xml, file_format="xml")
+    kvn, xml = read_oem(path, "orbit.oem"), read_oem(as_xml, "orbit.xml")
+    assert xml.epoch == kvn.epoch and xml.frame == kvn.frame and xml.method == kvn.method
+    assert np.abs(xml.t_s - kvn.t_s).max() < 1e-9
+    assert np.array_equal(xml.positions_m, kvn.positions_m)
+    assert np.array_equal(xml.velocities_m_s, kvn.velocities_m_s)
+    for old, new, field in (
+        ("</oem>", "", "XML"),
+        ("<X>", "<X>_", "X"),
+        ("<oem", "<!DOCTYPE a [<!ENTITY b 'c'>]><oem", "XML"),
+        ("oem", "opm", "root element"),
+    ):
+        damaged = tmp_path / "damaged.xml"
+        damaged.write_text(as_xml.read_text().replace(old, new))
+        with pytest.raises(RawDataError) as error:
+            read_oem(damaged, "damaged.xml")
+        assert error.value.field == field

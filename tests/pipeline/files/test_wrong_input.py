@@ -76,7 +76,7 @@ WRONG = {
     "not UTF-8": (not_utf8, "targets.csv", "byte 11", "0xff", "UTF-8"),
     "not an OEM": (change("orbit.oem", "CCSDS_OEM_VERS", "OEM"), "orbit.oem", "line 1", "another text", "CCSDS_OEM_VERS"),  # noqa: E501
     "orbit about Mars": (change("orbit.oem", "= EARTH", "= MARS"), "orbit.oem", "CENTER_NAME", "MARS", "EARTH"),  # noqa: E501
-    "orbit in another frame": (change("orbit.oem", "GCRF", "EME2000"), "orbit.oem", "REF_FRAME", "EME2000", "GCRF"),  # noqa: E501
+    "orbit in another frame": (change("orbit.oem", "GCRF", "TEME"), "orbit.oem", "REF_FRAME", "TEME", "GCRF"),
     "orbit in metres": (change("orbit.oem", "6908.000000000 0", "6908000.000 0"), "orbit.oem", "state 1, position", "6908000", "unit km"),  # noqa: E501
     "NaN in the orbit": (change("orbit.oem", "6908.000000000 0", "nan 0"), "orbit.oem", "state 1, position", "nan", "finite"),  # noqa: E501
 }  # fmt: skip

@@ -1,0 +1,63 @@
+"""Read remote_camera.toml: a camera described by its hardware, or by tables of look directions."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from boresight.geometry.line_camera import Ccd, LineCamera, LookAngleCamera, LookTable
+from boresight.pipeline.errors import RawDataError
+from boresight.pipeline.files import dump_schema as schema
+from boresight.pipeline.files.text_files import path_inside, read_table, read_toml, toml_tables
+
+__all__ = ["read_remote_camera"]
+
+RemoteCamera = tuple[LineCamera, schema.RemoteCameraFile] | tuple[LookAngleCamera, schema.LookCameraFile]
+
+
+def read_remote_camera(root: Path, path: Path, file: str) -> RemoteCamera:
+    """The camera of a dump, and what its file says; `RawDataError` for a camera that cannot exist."""
+    if toml_tables(path, file).get("model") == schema.LOOK_TABLES:
+        looks = read_toml(path, schema.LookCameraFile, file)
+        return _from_tables(root, looks, file), looks
+    hardware = read_toml(path, schema.RemoteCameraFile, file)
+    return _from_hardware(hardware, file), hardware
+
+
+def _from_hardware(file: schema.RemoteCameraFile, name: str) -> LineCamera:
+    ccds = []
+    for n, ccd in enumerate(file.ccds):
+        try:
+            ccds.append(
+                Ccd(
+                    n_px=ccd.n_px,
+                    y_first_m=ccd.y_first_mm * 1e-3,
+                    x_offset_m=ccd.x_offset_mm * 1e-3,
+                    rotation_rad=ccd.rotation_mrad * 1e-3,
+                    pixel_m=ccd.pixel_pitch_um * 1e-6,
+                    principal_sample=ccd.principal_sample,
+                    distortion_samples=np.array(ccd.distortion_samples, dtype=float),
+                    distortion_offsets_m=np.array(ccd.distortion_offsets_um, dtype=float) * 1e-6,
+                )
+            )
+        except ValueError as error:
+            raise RawDataError(name, f"ccds.{n}", str(error), "a possible detector") from error
+    return LineCamera(file.focal_length_m, tuple(ccds), file.tdi_stages, file.time_of_row)
+
+
+def _from_tables(root: Path, file: schema.LookCameraFile, name: str) -> LookAngleCamera:
+    path = path_inside(root, file.looks, file=name, field="looks")
+    rows = read_table(path, schema.LookRow, file.looks)
+    table = np.array([[row.ccd, row.sample, row.x, row.y] for row in rows], dtype=float).reshape(-1, 4)
+    if len(rows) and table[:, 0].max() >= len(file.ccds):
+        raise RawDataError(file.looks, "ccd", int(table[:, 0].max()), f"0 to {len(file.ccds) - 1}")
+    ccds = []
+    for n, ccd in enumerate(file.ccds):
+        _, samples, *looks = table[table[:, 0] == n].T
+        x, y = np.tan(looks) if file.directions == "angles" else looks
+        try:
+            ccds.append(LookTable(ccd.n_px, samples, x, y))
+        except ValueError as error:
+            raise RawDataError(file.looks, f"CCD {n}", str(error), "looks along a detector") from error
+    return LookAngleCamera(tuple(ccds))
