@@ -16,9 +16,7 @@ from ci_page import block, steps  # noqa: E402
 
 
 def test_the_workflow_is_yaml_with_the_steps_that_are_run() -> None:
-    yaml = pytest.importorskip(
-        "yaml", reason="PyYAML (extra `docs`) IS NOT INSTALLED: workflow not read"
-    )
+    yaml = pytest.importorskip("yaml", reason="PyYAML (extra `docs`) IS NOT INSTALLED: workflow not read")
     jobs = yaml.safe_load(block("yaml"))["jobs"]
     runs = [step["run"] for job in jobs.values() for step in job["steps"] if "run" in step]
     assert [" ".join(step) for step in steps()] == [run for run in runs if "pip install" not in run]
