@@ -21,6 +21,7 @@ from boresight.calib.calibration import calibrate
 from boresight.calib.estimate import InstallationEstimate
 from boresight.calib.frames import calibrate_frames
 from boresight.calib.settings import CalibrationSettings
+from boresight.geometry.attitude_estimate import with_attitudes
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.installation import deviation_from_theta, theta_between
 from boresight.geometry.record import Floats, record, scalar
@@ -228,10 +229,10 @@ def table5(
             rms = _rms(found[method])
             for axis, direction in enumerate(("along", "across")):
                 row = (0.3, sigma_s, method, direction, rms[axis], floor[axis], paper[places[axis]])
-                out.append((*row, settings.table5_runs))
+                out.append((*row, settings.table5_runs, plan.targets * settings.table5_check_strips))
         if progress:
             progress(cell + 1, len(rows))
-    columns = ["sigma_c_px", "sigma_s_px", "method", "direction", "rms_m", "floor_m", "paper_m", "runs"]
+    columns = "sigma_c_px sigma_s_px method direction rms_m floor_m paper_m runs check_points".split()
     return pd.DataFrame(out, columns=columns)
 
 
@@ -435,7 +436,7 @@ def _strip_tables(
     R_cs0 = _starting_matrix(cameras)
     wang, ours, bounds = [], [], []
     for _ in range(settings.wang_runs):
-        strips, _ = draw_strips(plan, cameras, rng)
+        strips = with_attitudes(draw_strips(plan, cameras, rng)[0])
         estimate = _estimated(strips, R_cs0, NO_NUISANCES)
         wang.append(theta_between(wang_calibrate(strips, R_cs0).R_cs, cameras.R_cs))
         ours.append(theta_between(estimate.R_cs, cameras.R_cs))
@@ -461,7 +462,7 @@ def _check_points(
 ) -> Iterator[tuple[str, GroundErrors]]:
     cameras, n = settings.cameras, settings.table5_strips
     strips, truth = draw_strips(plan, cameras, rng)
-    R_cs0 = _starting_matrix(cameras)
+    strips, R_cs0 = with_attitudes(strips), _starting_matrix(cameras)
     # Calibrate with the ten exposures within each strip, as in the paper's 400 frames.
     used = [_central_exposures(strip, 10) for strip in strips[:n]]
     R_cs = {
@@ -483,7 +484,13 @@ def _true_looks(truth: StripTruth, place: int) -> Floats:
 def _central_exposures(strip: StripSightings, n: int) -> StripSightings:
     first = (len(strip.exposures) - n) // 2
     keep = slice(first, first + n)
-    return replace(strip, exposures=strip.exposures[keep], R_oi_exposures=strip.R_oi_exposures[keep])
+    assert strip.attitudes is not None
+    return replace(
+        strip,
+        exposures=strip.exposures[keep],
+        R_oi_exposures=strip.R_oi_exposures[keep],
+        attitudes=strip.attitudes.take(np.arange(first, first + n)),
+    )
 
 
 def _rms(parts: list[GroundErrors]) -> tuple[float, float]:
