@@ -45,7 +45,7 @@ from boresight.calib.strips import PreparedStrip, prepare_strip
 from boresight.geometry.attitude_estimate import GROSS, trimmed_mean, with_attitudes
 from boresight.geometry.installation import deviation_from_theta, theta_between
 from boresight.geometry.record import Bools, Floats
-from boresight.geometry.sightings import StripSightings
+from boresight.geometry.sightings import ExposureAttitudes, StripSightings
 
 __all__ = ["calibrate", "strip_pairs"]
 
@@ -267,7 +267,7 @@ def _estimate(
         dof_stars=dof_stars,
         n_strips=len(carrying),
         n_exposures=n_exposures,
-        n_stars=(dof_stars + 3 * n_exposures) // 2,
+        n_stars=int(sum(_stars_kept(attitudes, used) for attitudes, used in exposures)),
         n_targets=n_kept,
         iterations=tuple(fit.iterations),
         converged_matrix=bool(np.linalg.norm(last) <= settings.tolerance_rad),
@@ -280,3 +280,8 @@ def _estimate(
         rejection=test,
         noise=NoiseScale(*scale_s, *fit.scale_c),
     )
+
+
+def _stars_kept(attitudes: ExposureAttitudes, used: Bools) -> int:
+    """Stars that were not rejected, of the exposures used."""
+    return sum(int(attitudes.kept[attitudes.stars(k)].sum()) for k in np.flatnonzero(used))

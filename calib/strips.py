@@ -100,7 +100,8 @@ def prepare_strip(strip: StripSightings, settings: CalibrationSettings) -> Prepa
     )
     v_s = np.einsum("jab,jb->ja", R_si, ground.u_i)
     move_s = R_si @ _direction_by_position(ground)  # (J, 3, 3) per metre
-    phi = _by_attitude_errors(attitudes.covariance_s[used], v_s, weights, settings)
+    root = _root_of_attitude_errors(strip, attitudes.covariance_s[used], times, settings)
+    phi = -cross_matrices(v_s) @ np.tensordot(weights, root, axes=1)
     position = move_s * settings.sigma_position_m
     rate_s = _rotation_rate(times, attitudes.R_si[used])
     clock = (move_s @ ground.v_rel_i[:, :, None] + np.cross(rate_s, v_s)[:, :, None]) * settings.sigma_clock_s
@@ -124,16 +125,17 @@ def prepare_strip(strip: StripSightings, settings: CalibrationSettings) -> Prepa
     )
 
 
-def _by_attitude_errors(
-    covariance_s: Floats, v_s: Floats, weights: Floats, settings: CalibrationSettings
+def _root_of_attitude_errors(
+    strip: StripSightings, covariance_s: Floats, times: Floats, settings: CalibrationSettings
 ) -> Floats:
-    """Change of v_s (J, 3, 3 K) by the attitude errors of K exposures in units of their sigma; with the
-    vibration that an exposure sees.
+    """Square root (K, 3, 3 K) of the covariance of the attitude errors phi of K exposures: their own, the
+    vibration that an exposure sees, and what their head's errors have in common.
     """
-    J, K = weights.shape
-    covariance = covariance_s + settings.sigma_vibration_exposure_rad**2 * np.eye(3)
-    columns = -cross_matrices(v_s)[:, None] @ np.linalg.cholesky(covariance)[None]  # (J, K, 3, 3)
-    return (weights[:, :, None, None] * columns).transpose(0, 2, 1, 3).reshape(J, 3, 3 * K)
+    K = len(times)
+    covariance = strip.noise.coloured_covariance_s(times)
+    each = np.arange(K)
+    covariance[each, :, each, :] += covariance_s + settings.sigma_vibration_exposure_rad**2 * np.eye(3)
+    return np.asarray(np.linalg.cholesky(covariance.reshape(3 * K, 3 * K)).reshape(K, 3, 3 * K))
 
 
 def group_strips(

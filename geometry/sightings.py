@@ -13,6 +13,7 @@ from itertools import pairwise
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from boresight.geometry.attitude_noise import NO_NOISE, AttitudeNoise
 from boresight.geometry.record import Bools, Floats, Ints, Texts, array, record, scalar
 
 __all__ = [
@@ -107,6 +108,7 @@ class StripSightings:
     attitudes: ExposureAttitudes | None = scalar(
         "attitudes of the exposures; None: fitted by the estimate", default=None
     )
+    noise: AttitudeNoise = scalar("errors of the attitudes beside their covariances", default=NO_NOISE)
 
     def __post_init__(self) -> None:
         times = [exposure.t_s for exposure in self.exposures]

@@ -45,6 +45,7 @@ class Cause(StrEnum):
     NOT_COVERED = "not covered by orbit or star exposures"
     NO_TARGET = "no target matched"
     NOT_CALIBRATED = "no result"
+    MARKED_INVALID = "marked invalid"
     INTERNAL_ERROR = "internal error"
 
 
@@ -52,7 +53,7 @@ class Cause(StrEnum):
 class Omission:
     """Something that the calibration does not use, counted and reported."""
 
-    kind: str = scalar("exposure, strip, ccd, chip, target, star or dump")
+    kind: str = scalar("exposure, head, strip, ccd, chip, target, star or dump")
     name: str = scalar('id in the dump; a target of a strip is "strip/target"')
     file: str = scalar("file concerned, or empty", default="")
     reason: str = scalar("one sentence with the numbers", default="")

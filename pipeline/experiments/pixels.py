@@ -321,7 +321,8 @@ def _sigmas_px(calibration: Calibration, dump: Dump) -> tuple[float, float]:
     """
     stars = np.concatenate([np.trace(s.cov_s, axis1=1, axis2=2) for s in calibration.stars])
     targets = np.concatenate([_target_variances(s) for s in calibration.strips])
-    star_pixel = dump.star_camera.pixel_m / dump.star_camera.focal_m
+    camera = dump.star_images[0].camera
+    star_pixel = camera.pixel_m / camera.focal_m
     pixel = dump.line_camera.pixel_rad
     return float(np.sqrt(0.5 * stars.mean()) / star_pixel), float(np.sqrt(0.5 * targets.mean()) / pixel)
 

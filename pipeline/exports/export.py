@@ -202,7 +202,7 @@ def _ground_points(request: ExportRequest) -> list[GroundPoints]:
     names = np.array(table.column("target_id").to_pylist(), dtype=str)
     ccd, kept = column(table, "ccd"), column(table, "kept").astype(bool)
     xy, covariance = list_values(table, "xy_px", 2), list_values(table, "cov_px", 2, 2)
-    places = {target.target_id: target.p_e for target in calibrated.dump.targets}
+    places = calibrated.dump.places_e
     if unknown := sorted(set(names.tolist()) - set(places)):
         raise RawDataError("targets.csv", "id", "missing", f"target {unknown[0]} of the result")
     images = {strip.strip_id: strip.images.names for strip in calibrated.dump.strips}

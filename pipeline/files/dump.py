@@ -6,7 +6,6 @@ opened. The records hold arrays and paths, so that parts of them can be sent to 
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
@@ -17,11 +16,10 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from boresight.gct_match.records import Target
-from boresight.geometry.constants import ARCSEC, WGS84
+from boresight.geometry.constants import ARCSEC
 from boresight.geometry.earth_orientation import EarthOrientationTable, bundled_earth_orientation
 from boresight.geometry.earth_rotation import EarthRotation
 from boresight.geometry.epoch import Epoch
-from boresight.geometry.geodesy import ecef_from_geodetic
 from boresight.geometry.geoid import egm96
 from boresight.geometry.groundlight import LightEffects
 from boresight.geometry.line_camera import LineCamera, LookAngleCamera
@@ -32,37 +30,35 @@ from boresight.geometry.star_camera import StarCamera
 from boresight.geometry.terrain import Surface, TerrainGrid
 from boresight.pipeline.errors import Omission, RawDataError
 from boresight.pipeline.files import dump_schema as schema
+from boresight.pipeline.files.ground_points import StripPoints, SurveyedPoints, read_points, targets_of
 from boresight.pipeline.files.image_files import StripFiles, check_strip_file, read_grid
 from boresight.pipeline.files.orbit_file import Ephemeris, read_oem
 from boresight.pipeline.files.remote_camera import read_remote_camera
+from boresight.pipeline.files.star_side import (
+    Exposure,
+    Head,
+    SolvedAttitudes,
+    StarImages,
+    each_once,
+    open_heads,
+    seconds_of,
+)
 from boresight.pipeline.files.text_files import path_inside, read_table, read_toml
 
 __all__ = [
     "ChipFile",
     "Dump",
-    "Exposure",
     "Strip",
     "TargetHeights",
     "TerrainFile",
     "bundled_table",
     "open_dump",
     "orbit_of",
-    "star_camera_of",
     "surface_of",
 ]
 
 MAX_TERRAIN_PIXELS = 8192 * 8192
-
-
-@record
-class Exposure:
-    """One line of exposures.csv."""
-
-    exposure_id: str = scalar("id of the table")
-    file: str = scalar("path as the table gives it")
-    path: Path = scalar("path of the image")
-    t_s: float = scalar("middle of the exposure, TAI seconds since the dump's epoch")
-    exposure_s: float = scalar("exposure time, s")
+PLACE = ("lat_rad", "lon_rad", "height_m")
 
 
 @record
@@ -129,26 +125,55 @@ class Dump:
     root: Path = scalar("folder of the dump")
     mission: str = scalar("name of the mission")
     epoch: Epoch = scalar("zero of all times")
-    star_camera: StarCamera = scalar("camera of frame s")
-    star_bit_depth: int = scalar("bits of a count of the exposures")
+    heads: tuple[Head, ...] = scalar("star cameras; the first is the reference head, of frame s")
     line_camera: LineCamera | LookAngleCamera = scalar("camera of frame c")
-    remote_bit_depth: int = scalar("bits of a count of the strips")
-    R_cs0: Rotation = scalar("installation rotation measured before launch, frame s to frame c")
-    sigma_installation_rad: Floats = array("3", "1-sigma error of `R_cs0`: rotation about the axes of c")
+    remote_bit_depth: int = scalar("bits of a count of the strips; 0 where no strip has an image")
     errors: schema.Errors = scalar("errors of the mission's data as it states them")
     light: LightEffects = scalar("effects on light that the mission's own software models")
     orbit: Orbit = scalar("trajectory of the satellite")
-    exposures: tuple[Exposure, ...] = scalar("in order of time")
     strips: tuple[Strip, ...] = scalar("in order of time")
     targets: tuple[Target, ...] = scalar("in the order of targets.csv")
     chips: tuple[ChipFile, ...] = scalar("of the same targets")
+    points: tuple[StripPoints, ...] = scalar("measured image points, one record a strip")
     terrain: TerrainFile | TargetHeights = scalar("the surface of the Earth")
     omissions: tuple[Omission, ...] = scalar("images that are not used, with the reasons")
 
     @property
+    def R_cs0(self) -> Rotation:
+        """Installation rotation of the reference head measured before launch, frame s to frame c."""
+        return self.heads[0].R_cs0
+
+    @property
+    def sigma_installation_rad(self) -> Floats:
+        """1-sigma error (3,) of `R_cs0`: rotation about the axes of c."""
+        return self.heads[0].sigma_installation_rad
+
+    @property
+    def places_e(self) -> dict[str, Floats]:
+        """ITRS positions (3,), m, of all targets and measured points by their ids."""
+        measured = (target for points in self.points for target in points.targets)
+        return {target.target_id: target.p_e for target in (*self.targets, *measured)}
+
+    @property
+    def star_images(self) -> tuple[StarImages, ...]:
+        """The heads that deliver raw images."""
+        return tuple(head.source for head in self.heads if isinstance(head.source, StarImages))
+
+    @property
+    def star_camera(self) -> StarCamera | None:
+        """Camera model of the reference head; None where it delivers attitudes."""
+        source = self.heads[0].source
+        return None if isinstance(source, SolvedAttitudes) else source.camera
+
+    @property
+    def exposures(self) -> tuple[Exposure, ...]:
+        """Raw images of all heads, head by head in order of time."""
+        return tuple(exposure for images in self.star_images for exposure in images.exposures)
+
+    @property
     def pixels(self) -> int:
         """Number of pixels of all images."""
-        star = self.star_camera.width_px * self.star_camera.height_px * len(self.exposures)
+        star = sum(i.camera.width_px * i.camera.height_px * len(i.exposures) for i in self.star_images)
         return star + sum(a * b for strip in self.strips for a, b in strip.images.shapes.values())
 
 
@@ -182,35 +207,33 @@ def open_dump(root: Path, *, allow_stale_eop: bool = False) -> Dump:
         field: path_inside(root, name, file="dump.toml", field=f"files.{field}")
         for field, name in head.files.model_dump(exclude_none=True).items()
     }
-    star = read_toml(paths["star_camera"], schema.StarCameraFile, head.files.star_camera)
     line_camera, remote = read_remote_camera(root, paths["remote_camera"], head.files.remote_camera)
-    installation = read_toml(paths["installation"], schema.InstallationFile, head.files.installation)
     ephemeris = read_oem(paths["orbit"], head.files.orbit)
     table = _earth_orientation(paths.get("earth_orientation"), head.files.earth_orientation)
     orbit = orbit_of(
         ephemeris, head.files.orbit, head.errors.position_m, table, allow_stale_eop=allow_stale_eop
     )
-    strips, omitted = _strips(root, paths["strips"], head.files.strips, ephemeris.epoch, remote)
-    rows = _target_rows(paths["targets"], head.files.targets)
-    targets, heights = _targets(rows)
+    strips, omitted = _strips(
+        root, paths["strips"], head.files.strips, ephemeris.epoch, remote, head.files.remote_camera
+    )
+    rows = _target_rows(paths["targets"], str(head.files.targets)) if "targets" in paths else []
+    surveyed = targets_of(rows)
+    points, of_points = _points(paths.get("points"), head, strips, line_camera.n_ccds)
     return Dump(
         root=root,
         mission=head.mission,
         epoch=ephemeris.epoch,
-        star_camera=star_camera_of(star, head.files.star_camera),
-        star_bit_depth=star.bit_depth,
+        heads=open_heads(root, head, ephemeris.epoch),
         line_camera=line_camera,
-        remote_bit_depth=remote.bit_depth,
-        R_cs0=Rotation.from_quat(installation.quaternion_cs),
-        sigma_installation_rad=np.array(installation.sigma_rad),
+        remote_bit_depth=remote.bit_depth or 0,
         errors=head.errors,
         light=LightEffects(**head.light.model_dump()),
         orbit=orbit,
-        exposures=_exposures(root, paths["exposures"], head.files.exposures, ephemeris.epoch),
         strips=strips,
-        targets=targets,
-        chips=_chips(root, rows, head.files.targets),
-        terrain=_terrain(paths.get("terrain"), head, rows, heights),
+        targets=surveyed.targets,
+        chips=_chips(root, rows, str(head.files.targets)),
+        points=points,
+        terrain=_terrain(paths.get("terrain"), head, (surveyed, *of_points)),
         omissions=omitted,
     )
 
@@ -219,29 +242,6 @@ def open_dump(root: Path, *, allow_stale_eop: bool = False) -> Dump:
 def bundled_table() -> EarthOrientationTable:
     """The Earth-orientation table of the installed package, parsed once in each process."""
     return bundled_earth_orientation()
-
-
-def star_camera_of(file: schema.StarCameraFile, name: str) -> StarCamera:
-    """The camera of a star_camera.toml; `RawDataError` if its distortion cannot be inverted."""
-    x0, y0 = file.principal_point_px
-    d = file.distortion
-    camera = StarCamera(
-        focal_m=file.focal_length_mm * 1e-3,
-        pixel_m=file.pixel_pitch_um * 1e-6,
-        width_px=file.width_px,
-        height_px=file.height_px,
-        principal_px=(x0, y0),
-        p1=d.p1_per_mm,
-        p2=d.p2_per_mm,
-        q1=d.q1_per_mm2,
-        q2=d.q2_per_mm4,
-    )
-    right, low = file.width_px - 0.5, file.height_px - 0.5
-    corners = np.array([[-0.5, -0.5], [right, -0.5], [-0.5, low], [right, low]])
-    if not np.isfinite(camera.directions_from_pixels(corners)).all():
-        found = "a distortion that is not invertible within the detector"
-        raise RawDataError(name, "distortion", found, "p1, p2 in 1/mm, q1 in 1/mm^2, q2 in 1/mm^4")
-    return camera
 
 
 def _earth_orientation(path: Path | None, file: str | None) -> EarthOrientationTable:
@@ -306,55 +306,26 @@ def orbit_of(
         raise RawDataError(file, "states", str(error), "an orbit that can be interpolated") from error
 
 
-def _seconds(epoch: Epoch, utc: Sequence[str], file: str, field: str) -> Floats:
-    try:
-        return epoch.seconds_from_utc(utc)
-    except ValueError as error:
-        raise RawDataError(file, field, str(error), "UTC times that exist") from error
-
-
-def _once(ids: Sequence[str], file: str) -> None:
-    if twice := [f"{name} {n} times" for name, n in Counter(ids).items() if n > 1]:
-        raise RawDataError(file, "id", ", ".join(twice[:5]), "each id once")
-
-
-def _exposures(root: Path, path: Path, file: str, epoch: Epoch) -> tuple[Exposure, ...]:
-    rows = read_table(path, schema.ExposureRow, file)
-    if not rows:
-        raise RawDataError(file, "rows", "none", "at least one exposure")
-    _once([row.id for row in rows], file)
-    t_s = _seconds(epoch, [row.utc_mid for row in rows], file, "utc_mid")
-    if len(bad := np.flatnonzero(np.diff(t_s) <= 0)):
-        k = int(bad[0])
-        found = f"{rows[k + 1].utc_mid} ({rows[k + 1].id}) after {rows[k].utc_mid} ({rows[k].id})"
-        raise RawDataError(file, f"line {k + 3}, utc_mid", found, "strictly increasing times")
-    return tuple(
-        Exposure(
-            row.id,
-            row.file,
-            path_inside(root, row.file, file=file, field=f"line {n + 2}, file"),
-            float(t),
-            row.exposure_s,
-        )
-        for n, (row, t) in enumerate(zip(rows, t_s))
-    )
-
-
 def _strips(
-    root: Path, path: Path, file: str, epoch: Epoch, remote: schema.RemoteCameraFile | schema.LookCameraFile
+    root: Path,
+    path: Path,
+    file: str,
+    epoch: Epoch,
+    remote: schema.RemoteCameraFile | schema.LookCameraFile,
+    remote_file: str,
 ) -> tuple[tuple[Strip, ...], tuple[Omission, ...]]:
     rows = read_table(path, schema.StripRow, file)
     if not rows:
         raise RawDataError(file, "rows", "none", "at least one strip")
-    _once([f"{row.id}, ccd {row.ccd}" for row in rows], file)
-    t_s = _seconds(epoch, [row.utc_first_row for row in rows], file, "utc_first_row")
+    each_once([f"{row.id}, ccd {row.ccd}" for row in rows], file)
+    t_s = seconds_of(epoch, [row.utc_first_row for row in rows], file, "utc_first_row")
     first: dict[str, tuple[schema.StripRow, float]] = {}
     paths: dict[str, dict[int, Path]] = {}
     names: dict[str, dict[int, str]] = {}
     omitted = []
+    without_image: set[str] = set()
     for n, (row, t) in enumerate(zip(rows, t_s)):
         where = f"line {n + 2}"
-        image = path_inside(root, row.file, file=file, field=f"{where}, file")
         if row.ccd >= len(remote.ccds):
             raise RawDataError(file, f"{where}, ccd", str(row.ccd), f"0 to {len(remote.ccds) - 1}")
         reference, _ = first.setdefault(row.id, (row, float(t)))
@@ -363,6 +334,12 @@ def _strips(
                 raise RawDataError(
                     file, f"{where}, {key}", str(got), f"{expected}, as for CCD {reference.ccd}"
                 )
+        if not row.file:
+            without_image.add(row.id)
+            continue
+        image = path_inside(root, row.file, file=file, field=f"{where}, file")
+        if remote.bit_depth is None:
+            raise RawDataError(remote_file, "bit_depth", "nothing", f"this key, for the image {row.file}")
         try:
             check_strip_file(
                 image,
@@ -378,11 +355,12 @@ def _strips(
         names.setdefault(row.id, {})[row.ccd] = row.file
     strips = []
     for strip_id, (row, t) in sorted(first.items(), key=lambda item: (item[1][1], item[0])):
-        if strip_id not in paths:
+        if strip_id not in paths and strip_id not in without_image:
             omitted.append(Omission("strip", strip_id, row.file, "none of its images can be read"))
             continue
-        shapes = {ccd: (row.lines, remote.ccds[ccd].n_px) for ccd in paths[strip_id]}
-        images = StripFiles(paths[strip_id], names[strip_id], shapes)
+        own = paths.get(strip_id, {})
+        shapes = {ccd: (row.lines, remote.ccds[ccd].n_px) for ccd in own}
+        images = StripFiles(own, names.get(strip_id, {}), shapes)
         strips.append(Strip(strip_id, images, t, row.row_period_s, row.lines))
     return tuple(strips), tuple(omitted)
 
@@ -391,23 +369,24 @@ def _target_rows(path: Path, file: str) -> list[schema.TargetRow]:
     rows = read_table(path, schema.TargetRow, file)
     if not rows:
         raise RawDataError(file, "rows", "none", "at least one target")
-    _once([row.id for row in rows], file)
+    each_once([row.id for row in rows], file)
     return rows
 
 
-def _targets(rows: Sequence[schema.TargetRow]) -> tuple[tuple[Target, ...], Floats]:
-    """The targets with ITRS positions, and their ellipsoidal heights (m)."""
-    lat = np.radians([row.lat_deg for row in rows])
-    lon = np.radians([row.lon_deg for row in rows])
-    height = np.array([row.height_m for row in rows], dtype=float)
-    orthometric = np.array([row.height_kind == "egm96" for row in rows])
-    if orthometric.any():
-        height[orthometric] += egm96().undulation_m(lat[orthometric], lon[orthometric])
-    p_e = ecef_from_geodetic(lat, lon, height, WGS84)
-    return tuple(
-        Target(row.id, p, np.array([row.sigma_east_m, row.sigma_north_m, row.sigma_up_m]))
-        for row, p in zip(rows, p_e)
-    ), height
+def _points(
+    path: Path | None, head: schema.DumpFile, strips: Sequence[Strip], n_ccds: int
+) -> tuple[tuple[StripPoints, ...], tuple[SurveyedPoints, ...]]:
+    """Measured image points of the strips, and the same points as places on the ground."""
+    if path is None:
+        return (), ()
+    points, surveyed = read_points(path, str(head.files.points))
+    known = {strip.strip_id for strip in strips}
+    for one in points:
+        if one.strip_id not in known:
+            raise RawDataError(str(head.files.points), "strip", one.strip_id, "a strip of the dump")
+        if one.ccd.max() >= n_ccds:
+            raise RawDataError(str(head.files.points), "ccd", int(one.ccd.max()), f"0 to {n_ccds - 1}")
+    return points, (surveyed,)
 
 
 def _chips(root: Path, rows: Sequence[schema.TargetRow], file: str) -> tuple[ChipFile, ...]:
@@ -418,11 +397,10 @@ def _chips(root: Path, rows: Sequence[schema.TargetRow], file: str) -> tuple[Chi
 
 
 def _terrain(
-    path: Path | None, head: schema.DumpFile, rows: Sequence[schema.TargetRow], heights: Floats
+    path: Path | None, head: schema.DumpFile, known: Sequence[SurveyedPoints]
 ) -> TerrainFile | TargetHeights:
     if path is None or head.terrain is None:
-        lat = np.radians([row.lat_deg for row in rows])
-        lon = np.radians([row.lon_deg for row in rows])
+        lat, lon, heights = (np.concatenate([getattr(one, name) for one in known]) for name in PLACE)
         return TargetHeights(_on_unit_sphere(lat, lon), heights)
     terrain = TerrainFile(str(head.files.terrain), path, head.terrain.height_kind)
     surface_of(terrain)  # an invalid file is reported before hours of work

@@ -17,9 +17,12 @@ __all__ = [
     "DumpFile",
     "EarthOrientationRow",
     "ExposureRow",
+    "HeadFile",
     "InstallationFile",
     "LookCameraFile",
     "LookRow",
+    "NoiseFile",
+    "PointRow",
     "RemoteCameraFile",
     "StarCameraFile",
     "StripRow",
@@ -57,6 +60,7 @@ PixelPitch = Annotated[float, within(0.1, 1000.0, "side of a pixel, µm")]
 FocalPlane = Annotated[float, within(-1e4, 1e4, "coordinate in the focal plane, mm")]
 Sample = Annotated[float, within(-1e6, 1e6, "coordinate along the detector, samples")]
 TargetSigma = Annotated[float, within(0.0, 1e5, "1-sigma error of a target's coordinate, m")]
+PointSigma = Annotated[float, within(1e-4, 1e4, "1-sigma error of a measured image position, px")]
 HeightKind = Literal["ellipsoidal", "egm96"]
 LOOK_TABLES = "look tables"  # `model` of a remote camera
 
@@ -84,15 +88,16 @@ class Conventions(_Strict):
 class Files(_Strict):
     """Paths of the other files, relative to the dump."""
 
-    star_camera: RelativePath
     remote_camera: RelativePath
-    installation: RelativePath
     orbit: RelativePath
-    exposures: RelativePath
     strips: RelativePath
-    targets: RelativePath
+    targets: RelativePath | None = None
+    points: RelativePath | None = None
     terrain: RelativePath | None = None
     earth_orientation: RelativePath | None = None
+    star_camera: RelativePath | None = None  # with installation and exposures, unless [[star_cameras]] say it
+    installation: RelativePath | None = None
+    exposures: RelativePath | None = None
 
 
 class Errors(_Strict):
@@ -120,6 +125,65 @@ class Light(_Strict):
     refraction: bool = True
 
 
+OfAxes = Annotated[
+    list[Annotated[float, Field(ge=0.0, le=36_000.0)]],
+    Field(min_length=3, max_length=3, description="about x, y, z of frame s, arc-seconds, at most 10°"),
+]
+OfAxesTimes = Annotated[
+    list[Annotated[float, Field(ge=1e-3, le=1e5)]],
+    Field(min_length=3, max_length=3, description="about x, y, z of frame s, seconds"),
+]
+
+
+class NoiseFile(_Strict):
+    """Errors of a head's attitudes: white from row to row, correlated over a time, constant over a strip"""
+
+    white_arcsec: OfAxes | None = None
+    correlated_arcsec: OfAxes | None = None
+    correlation_time_s: OfAxesTimes | None = None
+    constant_arcsec: OfAxes | None = None
+
+    @model_validator(mode="after")
+    def _correlation_is_complete(self) -> Self:
+        if (self.correlated_arcsec is None) != (self.correlation_time_s is None):
+            raise ValueError("correlated_arcsec and correlation_time_s come together or not at all")
+        return self
+
+
+class HeadFile(_Strict):
+    """One table of [[star_cameras]] in dump.toml"""
+
+    name: Id
+    level: Literal["images", "centroids", "attitudes"]
+    installation: RelativePath
+    camera: RelativePath | None = None
+    exposures: RelativePath | None = None
+    centroids: RelativePath | None = None
+    attitudes: RelativePath | None = None
+    frame: Literal["GCRF", "ICRF", "EME2000"] | None = None
+    rotation: Literal["head to inertial", "inertial to head"] | None = None
+    aberration_removed: Literal["none", "annual", "annual and orbital"] | None = None
+    noise: NoiseFile = NoiseFile()
+
+    @model_validator(mode="after")
+    def _keys_are_those_of_the_level(self) -> Self:
+        of_level = {
+            "images": {"camera", "exposures"},
+            "centroids": {"camera", "centroids"},
+            "attitudes": {"attitudes", "aberration_removed"},
+        }
+        needed = of_level[self.level]
+        if missing := sorted(name for name in needed if getattr(self, name) is None):
+            raise ValueError(f"level {self.level!r} needs the key {missing[0]}")
+        allowed = needed | ({"frame", "rotation"} if self.level == "attitudes" else set())
+        for name in set.union(*of_level.values()) | {"frame", "rotation"}:
+            if name not in allowed and getattr(self, name) is not None:
+                raise ValueError(f"level {self.level!r} has no key {name}")
+        if self.level != "attitudes" and self.noise.white_arcsec is not None:
+            raise ValueError(f"level {self.level!r} has no key noise.white_arcsec: its stars give it")
+        return self
+
+
 class DumpFile(_Strict):
     """dump.toml"""
 
@@ -132,6 +196,35 @@ class DumpFile(_Strict):
     errors: Errors
     terrain: TerrainHeights | None = None
     light: Light = Light()
+    star_cameras: Annotated[list[HeadFile], Field(max_length=16)] = []
+
+    @property
+    def paths(self) -> dict[str, str]:
+        """Fields of this file that name another file of the dump, with the names."""
+        files = {f"files.{key}": name for key, name in self.files.model_dump(exclude_none=True).items()}
+        keys = ("installation", "camera", "exposures", "centroids", "attitudes")
+        heads = {
+            f"star_cameras.{n}.{key}": name
+            for n, head in enumerate(self.star_cameras)
+            for key in keys
+            if (name := getattr(head, key)) is not None
+        }
+        return files | heads
+
+    @model_validator(mode="after")
+    def _star_side_is_stated_once(self) -> Self:
+        for name in ("star_camera", "installation", "exposures"):
+            stated = getattr(self.files, name) is not None
+            if stated and self.star_cameras:
+                raise ValueError(f"files.{name} and [[star_cameras]] exclude one another")
+            if not stated and not self.star_cameras:
+                raise ValueError(f"files.{name} is missing (or [[star_cameras]] that say it)")
+        names = [head.name for head in self.star_cameras]
+        if len(set(names)) < len(names):
+            raise ValueError("star_cameras: each name once")
+        if self.files.targets is None and self.files.points is None:
+            raise ValueError("files.targets (chips) or files.points (measured image points) is missing")
+        return self
 
     @model_validator(mode="after")
     def _terrain_is_described(self) -> Self:
@@ -197,7 +290,7 @@ class RemoteCameraFile(_Strict):
     focal_length_m: float = within(0.001, 1000.0, "focal length, m")
     tdi_stages: Annotated[int, Field(ge=1, le=1024)]
     time_of_row: Literal["start", "middle", "end"]
-    bit_depth: BitDepth
+    bit_depth: BitDepth | None = None  # needed where a strip has an image
     ccds: Annotated[list[CcdFile], Field(min_length=1, max_length=64)]
 
 
@@ -276,7 +369,7 @@ class StripRow(_Row):
 
     id: Id
     ccd: Annotated[int, Field(ge=0, le=63)]
-    file: RelativePath
+    file: Annotated[str, StringConstraints(max_length=255)]  # empty: no image, only measured points
     utc_first_row: Utc
     row_period_s: float = within(1e-9, 1.0, "from row to row, s; in 1 s a satellite moves 7 km")
     lines: Annotated[int, Field(ge=1, le=10_000_000)]
@@ -294,3 +387,22 @@ class TargetRow(_Row):
     sigma_north_m: TargetSigma
     sigma_up_m: TargetSigma
     chip: RelativePath
+
+
+class PointRow(_Row):
+    """points.csv: ground points whose image positions are measured"""
+
+    id: Id
+    strip: Id
+    ccd: Annotated[int, Field(ge=0, le=63)]
+    sample: Sample
+    line: float = within(-1e7, 1e7, "row of the strip, px; (0, 0) is the centre of the first pixel")
+    sigma_sample_px: PointSigma
+    sigma_line_px: PointSigma
+    lat_deg: float = within(-90.0, 90.0, "geodetic latitude, degrees")
+    lon_deg: float = within(-180.0, 360.0, "longitude, degrees, positive to the east")
+    height_m: float = within(-500.0, 1e4, "height, m, from the Dead Sea to above Everest")
+    height_kind: HeightKind
+    sigma_east_m: TargetSigma
+    sigma_north_m: TargetSigma
+    sigma_up_m: TargetSigma

@@ -20,7 +20,7 @@ from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.text_files import NUMBER, read_text
 from boresight.pipeline.files.xml_files import numbers_of, read_xml
 
-__all__ = ["Ephemeris", "read_oem"]
+__all__ = ["Ephemeris", "read_oem", "tai_seconds"]
 
 INERTIAL: tuple[InertialFrame, ...] = ("GCRF", "ICRF", "EME2000")
 TIME_SCALES = {"UTC": "utc", "TAI": "tai", "TT": "tt", "GPS": "gps"}  # names of astropy, but for GPS
@@ -96,7 +96,7 @@ def _ephemeris(meta: Any, times: list[Any], values: Floats, file: str) -> Epheme
         if len(bad := np.flatnonzero(~(np.abs(numbers) < LIMIT_KM).all(axis=1))):
             expected = f"finite numbers below {LIMIT_KM:g} (unit km)"
             raise RawDataError(file, f"state {bad[0] + 1}, {name}", str(numbers[bad[0]]), expected)
-    epoch, t_s = _tai_seconds(times, str(meta["TIME_SYSTEM"]), file)
+    epoch, t_s = tai_seconds(times, str(meta["TIME_SYSTEM"]), file)
     frame, R = _frame(meta, file)
     positions, velocities = R.apply(1e3 * values[:, :3]), R.apply(1e3 * values[:, 3:])
     _check_states(t_s, positions, velocities, file)
@@ -216,8 +216,11 @@ def _degree(meta: Any, file: str) -> int:
     return degree
 
 
-def _tai_seconds(times: list[Any], time_system: str, file: str) -> tuple[Epoch, Floats]:
-    """Epoch, and TAI seconds since it, of times given as text or as the library's `Time`."""
+def tai_seconds(times: list[Any], time_system: str, file: str) -> tuple[Epoch, Floats]:
+    """Epoch, and TAI seconds (N,) since it, of times given as text or as the library's `Time`.
+
+    `RawDataError` for another time system and for times that do not exist.
+    """
     if time_system == "UTC" and isinstance(times[0], str):
         try:
             epoch = Epoch.from_utc(times[0])

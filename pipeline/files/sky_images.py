@@ -90,14 +90,15 @@ def open_sky_images(sources: Sequence[Path], known: Whereabouts) -> SkyImages:
 
 def _of_dump(dump: Dump) -> Iterator[tuple[SkyImage, str | None]]:
     """A dump's exposures, each with the reason if the orbit does not cover it, else None."""
-    for exposure in dump.exposures:
+    every = [(images, exposure) for images in dump.star_images for exposure in images.exposures]
+    for images, exposure in every:
         name = f"{dump.root.name}/{exposure.file}"
         observer, reason = None, None
         try:
             observer = _on_orbit(dump.orbit, exposure.t_s)
         except OrbitGapError as error:
             reason = str(error)
-        yield SkyImage(name, exposure.path, observer, dump.star_bit_depth), reason
+        yield SkyImage(name, exposure.path, observer, images.bit_depth), reason
 
 
 def observers_of(images: Sequence[Path], known: Whereabouts) -> dict[str, Observer]:

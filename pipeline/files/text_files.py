@@ -12,7 +12,7 @@ import math
 import re
 import stat
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from difflib import get_close_matches
 from pathlib import Path, PureWindowsPath
 from typing import Any, TypeVar, get_args
@@ -23,7 +23,9 @@ from boresight.pipeline.errors import RawDataError
 
 __all__ = [
     "NUMBER",
+    "check_number",
     "check_regular",
+    "csv_rows",
     "expected_of",
     "json_text",
     "path_inside",
@@ -159,46 +161,61 @@ def read_toml(path: Path, model: type[Model], file: str) -> Model:
 
 def read_table(path: Path, model: type[Model], file: str) -> list[Model]:
     """The rows of a CSV file (RFC 4180, header line) as records of `model`; `RawDataError` if not valid."""
-    text = read_text(path, file)
     expected = list(model.model_fields)
     numeric = [name for name, field in model.model_fields.items() if field.annotation in (int, float)]
-    rows = csv.reader(io.StringIO(text, newline=""), strict=True)
     records: list[Model] = []
+    for line, row in csv_rows(path, expected, (), file):
+        for name in numeric:
+            check_number(row[name], file, f"{line}, {name}")
+        try:
+            records.append(model.model_validate(row))
+        except ValidationError as error:
+            raise _raw_data_error(error, model, file, f"{line}, ") from error
+    return records
+
+
+def csv_rows(
+    path: Path, required: Sequence[str], optional: Sequence[str], file: str
+) -> Iterator[tuple[str, dict[str, str]]]:
+    """Rows of a CSV file as ("line N", cells by column); `RawDataError` for other columns, or other numbers
+    of cells than the header has.
+    """
+    text = read_text(path, file)
+    rows = csv.reader(io.StringIO(text, newline=""), strict=True)
+    count = 0
     try:
         header = [name.strip() for name in next(rows, [])]
-        _check_header(header, expected, file)
+        _check_header(header, required, optional, file)
         for cells in rows:
             if not cells:
                 continue
             line = f"line {rows.line_num}"
-            if len(records) == MAX_ROWS:
+            if (count := count + 1) > MAX_ROWS:
                 raise RawDataError(file, line, f"more than {MAX_ROWS} rows", f"at most {MAX_ROWS} rows")
             if len(cells) != len(header):
                 raise RawDataError(file, line, f"{len(cells)} cells", f"{len(header)} cells")
-            row = dict(zip(header, cells))
-            for name in numeric:
-                if not _PLAIN_NUMBER.fullmatch(row[name].strip(" ")):
-                    raise RawDataError(file, f"{line}, {name}", row[name] or "nothing", PLAIN_NUMBER)
-            try:
-                records.append(model.model_validate(row))
-            except ValidationError as error:
-                raise _raw_data_error(error, model, file, f"{line}, ") from error
+            yield line, dict(zip(header, cells))
     except csv.Error as error:
         raise RawDataError(file, f"line {rows.line_num}", str(error), "comma-separated values") from error
-    return records
 
 
-def _check_header(header: Sequence[str], expected: Sequence[str], file: str) -> None:
+def check_number(cell: str, file: str, field: str) -> float:
+    """The number in a cell; `RawDataError` for anything but a finite number in ASCII digits."""
+    if not _PLAIN_NUMBER.fullmatch(cell.strip(" ")):
+        raise RawDataError(file, field, cell or "nothing", PLAIN_NUMBER)
+    return float(cell)
+
+
+def _check_header(header: Sequence[str], required: Sequence[str], optional: Sequence[str], file: str) -> None:
+    expected = f"columns {', '.join(required)}" + (f" and perhaps {', '.join(optional)}" if optional else "")
     if len(header) == 1 and (other := [mark for mark in ";\t|" if mark in header[0]]):
         raise RawDataError(
             file, "header", f"columns separated by {other[0]!r}", "columns separated by commas"
         )
-    if missing := [name for name in expected if name not in header]:
-        raise RawDataError(file, f"column {missing[0]}", "no such column", f"columns {', '.join(expected)}")
-    if unknown := [name for name in header if name not in expected]:
-        raise RawDataError(
-            file, f"column {unknown[0]}", "an unknown column", f"columns {', '.join(expected)}"
-        )
+    if missing := [name for name in required if name not in header]:
+        raise RawDataError(file, f"column {missing[0]}", "no such column", expected)
+    if unknown := [name for name in header if name not in (*required, *optional)]:
+        raise RawDataError(file, f"column {unknown[0]}", "an unknown column", expected)
     if len(set(header)) != len(header):
         raise RawDataError(file, "header", ", ".join(header), "each column once")
 

@@ -19,6 +19,7 @@ from typing import Any, get_type_hints
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
@@ -29,6 +30,7 @@ from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.dump import Dump
 from boresight.pipeline.files.dump_schema import DumpFile
 from boresight.pipeline.files.record_tables import columns_of
+from boresight.pipeline.files.star_side import StarImages
 from boresight.pipeline.files.table_files import fixed_list
 from boresight.pipeline.files.text_files import read_toml
 from boresight.pipeline.files.whole_file import write_whole
@@ -90,7 +92,9 @@ def _context(dump: Dump, calibration: Calibration) -> dict[str, Any]:
             }
             for step in estimate.iterations
         ],
-        "star_camera": {
+        "star_camera": None
+        if star is None
+        else {
             "width_px": star.width_px,
             "height_px": star.height_px,
             "pixel_rad": star.pixel_m / star.focal_m,
@@ -132,7 +136,7 @@ def _inputs(dump: Dump) -> pa.Table:
 def _files(dump: Dump) -> Iterator[str]:
     head = read_toml(dump.root / "dump.toml", DumpFile, "dump.toml")
     yield "dump.toml"
-    yield from head.files.model_dump(exclude_none=True).values()
+    yield from head.paths.values()
     yield from (exposure.file for exposure in dump.exposures)
     yield from (name for strip in dump.strips for name in strip.images.names.values())
     yield from (chip.file for chip in dump.chips)
@@ -223,13 +227,14 @@ def _motions(calibration: Calibration) -> list[StripMotion]:
 
 
 def _matches(calibration: Calibration) -> pa.Table:
-    """Pictures of every matched target; the correlation surface runs from `surface_low` to `_high`."""
+    """Pictures of targets matched in images; the correlation surface runs from `surface_low` to `_high`."""
     names = ["strip_id", "target_id", "ccd", *get_type_hints(MatchPictures)]
     tables = [
         pa.table({"strip_id": pa.array([one.strip_id] * len(one.ccd), pa.string())} | columns_of(one))
         for one in calibration.matched
     ]
-    return pa.concat_tables(tables).select(names)
+    every = pa.concat_tables(tables).select(names)
+    return every.filter(pa.compute.greater(pa.compute.binary_length(every.column("template_png")), 0))
 
 
 def _preview(dump: Dump, calibration: Calibration, settings: Settings) -> StarPreview | None:
@@ -238,12 +243,14 @@ def _preview(dump: Dump, calibration: Calibration, settings: Settings) -> StarPr
     kept = [attitudes.kept[attitudes.stars(k)] for k in range(len(calibration.stars))]
     middle = len(kept) // 2
     order = sorted(range(len(kept)), key=lambda k: (-int((~kept[k]).sum()), abs(k - middle)))
-    files = {exposure.exposure_id: exposure for exposure in dump.exposures}
+    source = dump.heads[0].source
+    if not isinstance(source, StarImages):
+        return None
+    files = {exposure.exposure_id: exposure for exposure in source.exposures}
     for k in order[:3]:
         sighted = calibration.stars[k]
-        exposure, camera = files[sighted.exposure_id], dump.star_camera
         try:
-            image = exposure_image(exposure, camera, dump.star_bit_depth)
+            image = exposure_image(files[sighted.exposure_id], source.camera, source.bit_depth)
         except RawDataError:  # deleted since it was read: take another
             continue
         return star_preview(image, sighted, kept[k], settings.stars)

@@ -73,21 +73,21 @@ def write_report(result: Path, *, most_matches: int = MOST_MATCHES) -> Path:
 def report_html(saved: Saved, *, most_matches: int = MOST_MATCHES) -> str:
     """The report as HTML text; `write_report` writes it."""
     cards, matches_in_all = _matches(saved, most_matches)
+    has_stars = saved.context["star_camera"] is not None
+    of_targets = figures.squared_residual_histogram(saved, "targets", "targets")
+    of_stars = figures.squared_residual_histogram(saved, "stars", "stars") if has_stars else None
+    of_exposures = figures.exposure_chi2(saved) if has_stars else None
     return template("page.html.j2").render(
         saved=saved,
         summary=_summary(saved),
         verdict=verdict_view(saved.installation),
         iterations=_iterations(saved),
         convergence=figures.convergence(saved),
-        angles=[figures.angle_histogram(saved), figures.angle_spread(saved)],
-        star_map=figures.star_residual_map(saved),
+        angles=[figures.angle_histogram(saved), figures.angle_spread(saved)] if has_stars else [],
+        star_map=figures.star_residual_map(saved) if has_stars else None,
         target_map=figures.target_residual_map(saved),
         ellipses=figures.covariance_ellipses(saved),
-        statistics=[
-            figures.squared_residual_histogram(saved, "stars", "stars"),
-            figures.squared_residual_histogram(saved, "targets", "targets"),
-            figures.exposure_chi2(saved),
-        ],
+        statistics=[drawing for drawing in (of_stars, of_targets, of_exposures) if drawing is not None],
         image=_star_image(saved),
         states=STATES,
         matches=cards,

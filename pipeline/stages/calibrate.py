@@ -21,14 +21,14 @@ from boresight.calib.calibration import calibrate
 from boresight.calib.estimate import InstallationEstimate, NotObservable
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.verdict import Verdict, assess
-from boresight.geometry.attitude_estimate import fit_exposures
 from boresight.geometry.record import array, record, scalar
 from boresight.geometry.sightings import ExposureAttitudes, StarSightings, StripSightings
 from boresight.pipeline.errors import Cause, DataNotSufficientError, Omission
 from boresight.pipeline.files.dump import Dump, Strip, surface_of
+from boresight.pipeline.files.ground_points import NO_POINTS
 from boresight.pipeline.settings import Settings, calibration_settings, effects_of
 from boresight.pipeline.stages.cached import Progress, StageRunner
-from boresight.pipeline.stages.exposure import in_order, sight_exposure, star_tasks
+from boresight.pipeline.stages.head import HeadSightings, sight_head
 from boresight.pipeline.stages.missing import what_is_missing
 from boresight.pipeline.stages.reasons import rejection_reason
 from boresight.pipeline.stages.strip import (
@@ -40,6 +40,7 @@ from boresight.pipeline.stages.strip import (
     no_matches,
     orbit_around,
     targets_near,
+    with_points,
 )
 from boresight.pipeline.work.executor import Executor, InOrder
 from boresight.pipeline.work.unit_store import UnitStore
@@ -101,20 +102,25 @@ def calibrate_dump(
     settings = settings or Settings()
     runner = StageRunner(store, executor or InOrder(), progress)
     error_model = calibration_settings(settings, dump.errors, dump.line_camera)
-    stars, omissions, computed = _sight_exposures(dump, settings, runner)
-    attitudes = fit_exposures(stars, error_model.attitudes)
+    heads = [sight_head(dump, head, settings, error_model.attitudes, runner) for head in dump.heads]
+    reference = heads[0]
+    omissions = [*dump.omissions, *(omission for head in heads for omission in head.omissions)]
+    computed = [flag for head in heads for flag in head.computed]
     surface_of(dump.terrain)  # of several dumps the last one's is in memory: processes forked here share this
     R_cs, sigma = dump.R_cs0, dump.sigma_installation_rad
     for number in range(1, settings.run.passes + 1):
-        tasks, uncovered = _strip_tasks(dump, stars, attitudes, R_cs, sigma, settings)
+        tasks, uncovered = _strip_tasks(dump, reference, R_cs, sigma, settings)
         outcomes, flags = runner.run(match_targets, tasks, folder=f"matching-{number}")
         computed += flags
-        matched = [no_matches(one) if isinstance(one, Omission) else one for one in outcomes]
-        strips = _strips(tasks, matched, stars, attitudes)
+        matched = [
+            with_points(no_matches(one) if isinstance(one, Omission) else one, task.points)
+            for task, one in zip(tasks, outcomes)
+        ]
+        strips = _strips(tasks, matched, heads)
         estimate = calibrate(strips, dump.R_cs0, error_model)
         if isinstance(estimate, NotObservable):
             known = [*omissions, *uncovered]
-            text = what_is_missing(estimate, dump, settings, len(stars), tasks, matched, known)
+            text = what_is_missing(estimate, dump, settings, len(reference.stars), tasks, matched, known)
             raise DataNotSufficientError(text)
         found, R_cs = estimate, estimate.R_cs
         sigma = np.sqrt(np.diag(estimate.cov_theta) + settings.run.rematch_sigma_rad**2)
@@ -122,8 +128,8 @@ def calibrate_dump(
     return Calibration(
         estimate=found,
         verdict=assess(found, strips, settings.verdict, sigma_installation_rad=dump.sigma_installation_rad),
-        stars=tuple(stars),
-        attitudes=attitudes,
+        stars=reference.stars,
+        attitudes=reference.attitudes,
         tasks=tuple(tasks),
         matched=tuple(matched),
         strips=tuple(strips),
@@ -151,36 +157,25 @@ def strips_to_match(
     dump: Dump, settings: Settings, executor: Executor | None = None
 ) -> tuple[list[StripTask], list[Omission]]:
     """Tasks of a dump's strips with the pre-launch installation matrix, and what cannot be used."""
-    stars, omissions, _ = _sight_exposures(dump, settings, StageRunner(None, executor or InOrder()))
     error_model = calibration_settings(settings, dump.errors, dump.line_camera)
-    attitudes = fit_exposures(stars, error_model.attitudes)
+    runner = StageRunner(None, executor or InOrder())
+    reference = sight_head(dump, dump.heads[0], settings, error_model.attitudes, runner)
     sigma = dump.sigma_installation_rad
-    tasks, uncovered = _strip_tasks(dump, stars, attitudes, dump.R_cs0, sigma, settings)
-    return tasks, [*omissions, *uncovered]
-
-
-def _sight_exposures(
-    dump: Dump, settings: Settings, runner: StageRunner
-) -> tuple[list[StarSightings], list[Omission], list[bool]]:
-    """Sightings in order of time, what cannot be used so far, and which exposures were computed."""
-    tasks, uncovered = star_tasks(dump, settings.stars)
-    outcomes, computed = runner.run(sight_exposure, tasks, folder="exposures")
-    stars = in_order([one for one in outcomes if isinstance(one, StarSightings)])
-    failed = [one for one in outcomes if isinstance(one, Omission)]
-    return stars, [*dump.omissions, *uncovered, *failed], computed
+    tasks, uncovered = _strip_tasks(dump, reference, dump.R_cs0, sigma, settings)
+    return tasks, [*dump.omissions, *reference.omissions, *uncovered]
 
 
 def _strip_tasks(
     dump: Dump,
-    stars: Sequence[StarSightings],
-    attitudes: ExposureAttitudes,
+    reference: HeadSightings,
     R_cs: Rotation,
     sigma_rad: Array,
     settings: Settings,
 ) -> tuple[list[StripTask], list[Omission]]:
     """A task for each strip that orbit and star exposures cover, and an omission for each other one."""
     tasks, omitted = [], []
-    times = np.array([s.t_s for s in stars])
+    attitudes, times = reference.attitudes, np.array([s.t_s for s in reference.stars])
+    points = {one.strip_id: one for one in dump.points}
     run = settings.run
     for strip in dump.strips:
         first, last = _span(dump, strip)
@@ -206,6 +201,7 @@ def _strip_tasks(
             chips=(),
             terrain=dump.terrain,
             settings=settings.match,
+            points=points.get(strip.strip_id, NO_POINTS),
         )
         targets, chips = targets_near(task, dump.targets, dump.chips)
         tasks.append(replace(task, targets=targets, chips=chips))
@@ -232,10 +228,11 @@ def _not_covered(times: Array, first: float, last: float) -> str:
 def _strips(
     tasks: Sequence[StripTask],
     matched: Sequence[MatchedTargets],
-    stars: Sequence[StarSightings],
-    attitudes: ExposureAttitudes,
+    heads: Sequence[HeadSightings],
 ) -> list[StripSightings]:
     """Strips with at least one matched target, with the exposures around them and their attitudes."""
+    reference = heads[0]
+    stars, attitudes = reference.stars, reference.attitudes
     by_time = {s.t_s: k for k, s in enumerate(stars)}
     strips = []
     for task, of_strip in zip(tasks, matched):
@@ -251,6 +248,7 @@ def _strips(
                 R_oi_exposures=task.orbit.R_oi(task.t_attitude_s),
                 R_oi_targets=task.orbit.R_oi(ground.t_s),
                 attitudes=attitudes.take(rows),
+                noise=reference.head.noise,
             )
         )
     return strips

@@ -20,8 +20,9 @@ from boresight.geometry.record import Floats, array, record, scalar
 from boresight.geometry.sightings import StarSightings
 from boresight.geometry.star_camera import StarCamera
 from boresight.pipeline.errors import Cause, Omission, RawDataError
-from boresight.pipeline.files.dump import Dump, Exposure
+from boresight.pipeline.files.dump import Dump
 from boresight.pipeline.files.image_files import read_exposure
+from boresight.pipeline.files.star_side import Exposure, StarImages
 from boresight.star_id.catalogue import hipparcos_stars
 from boresight.star_id.identification.identify import NotIdentified
 from boresight.star_id.identification.triangle_index import StarIndex, build_index, equivalent_fov
@@ -49,12 +50,14 @@ class StarTask:
         return Omission("exposure", self.exposure.exposure_id, self.exposure.file)
 
 
-def star_tasks(dump: Dump, settings: StarSettings) -> tuple[list[StarTask], list[Omission]]:
-    """A task for each exposure of a dump that the orbit covers, and an omission for each other one."""
+def star_tasks(
+    dump: Dump, images: StarImages, settings: StarSettings
+) -> tuple[list[StarTask], list[Omission]]:
+    """A task for each exposure of a head that the orbit covers, and an omission for each other one."""
     if settings.saturation_dn is None:
-        settings = replace(settings, saturation_dn=float(2**dump.star_bit_depth - 1))
+        settings = replace(settings, saturation_dn=float(2**images.bit_depth - 1))
     tasks, omitted = [], []
-    for exposure in dump.exposures:
+    for exposure in images.exposures:
         try:
             p_i, v_i = dump.orbit.states_i(np.array([exposure.t_s]))
         except OrbitGapError as error:
@@ -64,8 +67,8 @@ def star_tasks(dump: Dump, settings: StarSettings) -> tuple[list[StarTask], list
         tasks.append(
             StarTask(
                 exposure=exposure,
-                camera=dump.star_camera,
-                bit_depth=dump.star_bit_depth,
+                camera=images.camera,
+                bit_depth=images.bit_depth,
                 epoch=dump.epoch,
                 p_i=p_i[0],
                 v_i=v_i[0],

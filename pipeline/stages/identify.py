@@ -22,10 +22,10 @@ from numpy.typing import NDArray
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.star_camera import StarCamera
 from boresight.pipeline.errors import RawDataError
-from boresight.pipeline.files.dump import star_camera_of
 from boresight.pipeline.files.dump_schema import StarCameraFile
 from boresight.pipeline.files.image_files import read_star_image
 from boresight.pipeline.files.sky_images import NOWHERE, Whereabouts, observers_of
+from boresight.pipeline.files.star_side import star_camera_of
 from boresight.pipeline.files.table_files import fixed_list
 from boresight.pipeline.files.text_files import read_toml
 from boresight.pipeline.files.whole_file import write_whole

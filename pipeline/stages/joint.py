@@ -28,6 +28,7 @@ from boresight.geometry.sightings import StarSightings, StripSightings
 from boresight.pipeline.errors import DataNotSufficientError, Omission, RawDataError
 from boresight.pipeline.files.dump import Dump, open_dump
 from boresight.pipeline.files.dump_schema import DumpFile
+from boresight.pipeline.files.star_side import SolvedAttitudes
 from boresight.pipeline.files.text_files import read_toml
 from boresight.pipeline.settings import Settings, calibration_settings
 from boresight.pipeline.stages.calibrate import Calibration, rejections_of
@@ -177,15 +178,23 @@ def _check_one_mission(first: NamedDump, other: NamedDump, settings: Settings) -
     of_a, of_b = (calibration_settings(settings, dump.errors, dump.line_camera) for dump in (a, b))
     compared: tuple[tuple[str, str, Any, Any, str], ...] = (
         ("dump.toml", "mission", a.mission, b.mission, ""),
-        (files.star_camera, "star camera", a.star_camera, b.star_camera, ""),
+        (files.star_camera or "dump.toml", "star camera", a.star_camera, b.star_camera, ""),
+        ("dump.toml", "star cameras", _of_heads(a), _of_heads(b), ""),
         (files.remote_camera, "remote camera", a.line_camera, b.line_camera, ""),
-        (files.installation, "pre-launch installation matrix", a.R_cs0, b.R_cs0, ""),
+        (files.installation or "dump.toml", "pre-launch installation matrix", a.R_cs0, b.R_cs0, ""),
         ("dump.toml", "errors", of_a, of_b, "; [calibration] in a file of --settings states them for all"),
     )
     for file, what, mine, theirs, hint in compared:
         if (difference := _first_difference(mine, theirs, what)) is not None:
             field, expected, found = difference
             raise RawDataError(str(b.root / file), field, found, f"{expected}, as in {a.root}{hint}")
+
+
+def _of_heads(dump: Dump) -> tuple[tuple[Any, ...], ...]:
+    """What is the mission's of its heads; the reference head's matrix is compared by itself."""
+    cameras = [None if isinstance(h.source, SolvedAttitudes) else h.source.camera for h in dump.heads]
+    matrices = [dump.heads[0].name, *(head.R_cs0 for head in dump.heads[1:])]
+    return tuple((h.name, h.noise, *both) for h, *both in zip(dump.heads, cameras, matrices))
 
 
 def _first_difference(a: Any, b: Any, path: str) -> tuple[str, Any, Any] | None:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from boresight.gct_match.records import Evidence
 from boresight.geometry.record import record, scalar
 
-__all__ = ["MatchPictures", "match_pictures"]
+__all__ = ["NO_PICTURES", "MatchPictures", "match_pictures"]
 
 MOST_PX = 160  # a side longer than this is cut about its middle
 SURFACE_PX = 96
@@ -24,6 +24,9 @@ class MatchPictures:
     surface_png: bytes = scalar("correlation surface of the search around that position")
     surface_low: float = scalar("correlation shown black")
     surface_high: float = scalar("correlation shown white")
+
+
+NO_PICTURES = MatchPictures(b"", b"", b"", 0.0, 1.0)  # of a position that was measured elsewhere
 
 
 def match_pictures(evidence: Evidence) -> MatchPictures:

@@ -36,7 +36,7 @@ def what_is_missing(
     if failed and n_stars == 0:
         return f"{_no_exposure(dump, settings, failed)}; {counts}"
     every = [*omissions, *(o for one in matched for o in one.omissions)]
-    if tasks and n_targets == 0 and not any(o.kind == "target" for o in every):
+    if tasks and dump.targets and n_targets == 0 and not any(o.kind == "target" for o in every):
         return f"{_no_target(dump, tasks)}; {counts}"
     first = f"; not used: {every[0].kind} {every[0].name}: {every[0].reason}" if every else ""
     return f"{outcome.reason}; {counts}{first}"
@@ -46,7 +46,8 @@ def _no_exposure(dump: Dump, settings: Settings, failed: Sequence[Omission]) -> 
     causes = ", ".join(f"{n} {cause}" for cause, n in Counter(o.cause for o in failed).most_common())
     text = f"none of {len(failed)} exposures can be used ({causes}); {failed[0].name}: {failed[0].reason}"
     names = {o.name for o in failed if o.cause == Cause.NOT_IDENTIFIED}
-    tried = [t for t in star_tasks(dump, settings.stars)[0] if t.item.name in names][:MIRROR_TRIALS]
+    tasks = [task for images in dump.star_images for task in star_tasks(dump, images, settings.stars)[0]]
+    tried = [task for task in tasks if task.item.name in names][:MIRROR_TRIALS]
     if any(map(is_mirrored, tried)):
         return f"{text}; mirrored left to right its stars are identified: the images are mirrored"
     if names:

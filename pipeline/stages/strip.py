@@ -10,6 +10,7 @@ disk; the directions are computed from it each time.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import fields, replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -24,13 +25,14 @@ from boresight.geometry.groundlight import LightEffects, apparent_ground_directi
 from boresight.geometry.line_camera import LineSensor
 from boresight.geometry.orbit import Orbit
 from boresight.geometry.pushbroom import Pushbroom, RowClock
-from boresight.geometry.record import Floats, Ints, Texts, array, record, scalar
+from boresight.geometry.record import Floats, Ints, Texts, array, record, scalar, shape_of
 from boresight.geometry.sightings import GroundSightings
 from boresight.geometry.terrain import ConstantHeight
 from boresight.pipeline.errors import Omission, RawDataError
 from boresight.pipeline.files.dump import ChipFile, Dump, Strip, TargetHeights, TerrainFile, surface_of
+from boresight.pipeline.files.ground_points import NO_POINTS, StripPoints
 from boresight.pipeline.files.image_files import read_grid
-from boresight.pipeline.stages.match_pictures import MatchPictures, match_pictures
+from boresight.pipeline.stages.match_pictures import NO_PICTURES, MatchPictures, match_pictures
 
 __all__ = [
     "MatchedTargets",
@@ -44,6 +46,7 @@ __all__ = [
     "pushbroom_of",
     "strip_matches",
     "targets_near",
+    "with_points",
 ]
 
 MAX_CHIP_PIXELS = 4096 * 4096
@@ -61,10 +64,11 @@ class StripTask:
     R_cs: Rotation = scalar("installation matrix to start from")
     sigma_installation_rad: Floats = array("3", "1-sigma of its error, rad, axes of c")
     effects: LightEffects = scalar("effects on the line of sight that are modelled")
-    targets: tuple[Target, ...] = array("N", "targets that the strip may show")
+    targets: tuple[Target, ...] = array("N", "targets that the strip may show in its images")
     chips: tuple[ChipFile, ...] = array("N", "their image chips")
     terrain: TerrainFile | TargetHeights = scalar("heights of the ground")
     settings: MatchSettings = scalar("limits of the matching")
+    points: StripPoints = scalar("ground points measured in it by others", default=NO_POINTS)
 
     @property
     def item(self) -> Omission:
@@ -103,7 +107,7 @@ def pushbroom_of(task: StripTask) -> Pushbroom:
 
 def match_targets(task: StripTask) -> MatchedTargets | Omission:
     """Positions of the targets of one strip; none and an omission where an image of the strip is damaged."""
-    result, omitted = strip_matches(task)
+    result, omitted = strip_matches(task) if task.targets else (None, [])
     if result is None:
         return _matched(task.strip.strip_id, (), omitted)
     rejected = [_omission(task.strip, refusal) for refusal in result.refused if not refusal.is_out_of_view]
@@ -113,6 +117,33 @@ def match_targets(task: StripTask) -> MatchedTargets | Omission:
 def no_matches(omission: Omission) -> MatchedTargets:
     """The outcome for a strip that cannot be used."""
     return _matched(omission.name, (), [omission])
+
+
+def with_points(matched: MatchedTargets, points: StripPoints) -> MatchedTargets:
+    """The matched targets of a strip, and the points measured in it by others: without pictures, with NaN
+    where matching would give a number.
+    """
+    n = len(points.ccd)
+    unknown = np.full(n, np.nan)
+    measured = MatchedTargets(
+        strip_id=matched.strip_id,
+        target_id=np.array([target.target_id for target in points.targets], dtype=str),
+        ccd=points.ccd,
+        xy_px=points.xy_px,
+        cov_px=points.cov_px,
+        correlation=unknown,
+        probability_wrong=unknown,
+        predicted_px=np.full((n, 2), np.nan),
+        pictures=(NO_PICTURES,) * n,
+        omissions=(),
+    )
+    names = [field.name for field in fields(MatchedTargets) if shape_of(field) is not None]
+    rows = {
+        name: np.concatenate([getattr(matched, name), getattr(measured, name)])
+        for name in names
+        if name != "pictures"
+    }
+    return replace(matched, pictures=matched.pictures + measured.pictures, **rows)
 
 
 def _matched(strip_id: str, matches: Sequence[TargetMatch], omissions: Sequence[Omission]) -> MatchedTargets:
@@ -172,10 +203,10 @@ def _omission(strip: Strip, refusal: Refusal) -> Omission:
 def ground_sightings(matched: MatchedTargets, task: StripTask) -> GroundSightings:
     """Directions of the matched targets: measured by the camera, and computed from ground and orbit."""
     model = pushbroom_of(task)
-    order = {target.target_id: n for n, target in enumerate(task.targets)}
-    rows = [order[name] for name in matched.target_id.tolist()]
-    p_e = np.array([task.targets[n].p_e for n in rows], dtype=float).reshape(-1, 3)
-    sigma_m = np.array([task.targets[n].sigma_m for n in rows], dtype=float).reshape(-1, 3)
+    place = {target.target_id: target for target in (*task.targets, *task.points.targets)}
+    rows = [place[name] for name in matched.target_id.tolist()]
+    p_e = np.array([target.p_e for target in rows], dtype=float).reshape(-1, 3)
+    sigma_m = np.array([target.sigma_m for target in rows], dtype=float).reshape(-1, 3)
     sample, line = matched.xy_px.T
     t_s = np.asarray(model.instants(line), dtype=float)
     u_c, jacobian = np.zeros((len(rows), 3)), np.zeros((len(rows), 3, 2))

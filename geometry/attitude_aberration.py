@@ -1,0 +1,57 @@
+"""The aberration that a star camera has left in its attitudes, taken out.
+
+A head that compares measured directions with catalogue directions in which an aberration is missing reports
+the attitude R_rep that takes the incomplete direction b of its line of sight (z of frame s) to z. The
+complete apparent direction there is a, so the attitude in the sense of this package is R_rep times the
+smallest rotation that takes a to b. Stars at an angle ρ from the axis agree with that to ρ²/4 of the effect.
+"""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import erfa
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from boresight.geometry.constants import SPEED_OF_LIGHT
+from boresight.geometry.epoch import Epoch
+from boresight.geometry.record import Floats
+
+__all__ = ["AberrationRemoved", "with_all_aberration"]
+
+AberrationRemoved = Literal["none", "annual", "annual and orbital"]
+_AU_PER_DAY = erfa.DAU / erfa.DAYSEC  # m/s
+
+
+def with_all_aberration(
+    R_si: Rotation, removed: AberrationRemoved, epoch: Epoch, t_s: Floats, v_i: Floats
+) -> Rotation:
+    """Attitudes (N,) as if the head had used apparent directions with annual and orbital aberration.
+
+    Parameters
+    ----------
+    R_si : Rotation
+        (N,) GCRS to star camera as the head reports it; its line of sight is z of frame s.
+    removed : "none", "annual" or "annual and orbital"
+        Aberration that the head has allowed for.
+    epoch, t_s : Epoch, (N,) array
+        Instants, TAI seconds since `epoch`.
+    v_i : (N, 3) array
+        Geocentric velocity of the satellite, GCRS, m/s.
+    """
+    if removed == "annual and orbital":
+        return R_si
+    velocity = v_i
+    if removed == "none":
+        earth = erfa.epv00(*epoch.tt_jd(t_s))[1]["v"] * _AU_PER_DAY
+        velocity = v_i + earth
+    beta = velocity / SPEED_OF_LIGHT
+    b = R_si.inv().apply([0.0, 0.0, 1.0])
+    inverse_gamma = np.sqrt(1.0 - np.einsum("ni,ni->n", beta, beta))
+    a = erfa.ab(b, beta, np.ones(len(b)), inverse_gamma)
+    normal = np.cross(a, b)
+    sine = np.linalg.norm(normal, axis=1, keepdims=True)
+    angle = np.arcsin(np.minimum(sine, 1.0))
+    rotvec = np.divide(normal * angle, sine, out=np.zeros_like(normal), where=sine > 0.0)
+    return R_si * Rotation.from_rotvec(rotvec)

@@ -1,0 +1,62 @@
+"""Errors of a star camera's attitudes as they are: white + correlated + constant, each axis by itself.
+
+Of attitudes at instants t_k, a small right-handed rotation about each axis of the head has the covariance
+
+    w² δ_kl + a² exp(-|t_k - t_l| / τ) + c²,
+
+white noise from row to row, a first-order autoregressive process AR(1) (seconds: stars that cross pixels, the
+filter of the head), and a constant over the record or strip (errors that pass over many minutes). Angles in
+radians, times in seconds.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from boresight.geometry.record import Floats, array, record, scalar
+
+__all__ = ["NO_NOISE", "AttitudeNoise"]
+
+
+@record(kw_only=True)
+class AttitudeNoise:
+    """Errors of one head about its own axes n; `R_sn` takes these to the frame s of the attitudes.
+
+    Raises `ValueError` for a negative standard deviation or a correlation time that is not positive.
+    """
+
+    white_rad: Floats = array("3", "1-sigma, independent from row to row")
+    correlated_rad: Floats = array("3", "1-sigma of the AR(1) process")
+    correlation_time_s: Floats = array("3", "in which its correlation falls to 1/e")
+    constant_rad: Floats = array("3", "1-sigma, constant over a strip")
+    R_sn: Rotation = scalar("axes of the head to frame s", default=Rotation.identity())
+
+    def __post_init__(self) -> None:
+        for name in ("white_rad", "correlated_rad", "constant_rad"):
+            if not np.all(getattr(self, name) >= 0.0):
+                raise ValueError(f"{name} must not be negative, got {getattr(self, name)}")
+        if not np.all(self.correlation_time_s > 0.0):
+            raise ValueError(f"correlation_time_s must be positive, got {self.correlation_time_s}")
+
+    @property
+    def white_covariance_s(self) -> Floats:
+        """(3, 3) covariance of the white part of one attitude, rad², frame s."""
+        R = self.R_sn.as_matrix()
+        return np.asarray((R * self.white_rad**2) @ R.T)
+
+    def coloured_covariance_s(self, t_s: Floats) -> Floats:
+        """(K, 3, K, 3) covariance, rad², frame s, of all but the white part at instants (K,)."""
+        apart = np.abs(t_s[:, None] - t_s[None, :])
+        decay = np.exp(-apart[:, :, None] / self.correlation_time_s)
+        of_axes = self.correlated_rad**2 * decay + self.constant_rad**2  # (K, K, 3)
+        R = self.R_sn.as_matrix()
+        return np.einsum("ka,lma,ba->lkmb", R, of_axes, R, optimize=True)
+
+
+NO_NOISE = AttitudeNoise(
+    white_rad=np.zeros(3),
+    correlated_rad=np.zeros(3),
+    correlation_time_s=np.ones(3),
+    constant_rad=np.zeros(3),
+)

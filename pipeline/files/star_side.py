@@ -1,0 +1,200 @@
+"""The star side of a dump: its star cameras (heads), each at the level that the mission downlinks.
+
+A head's source is a list of raw images, of centroids, or of attitudes that the head itself has solved. A dump
+without `[[star_cameras]]` has one head of images. Images are not decoded here.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from boresight.geometry.attitude_aberration import AberrationRemoved
+from boresight.geometry.attitude_noise import AttitudeNoise
+from boresight.geometry.constants import ARCSEC
+from boresight.geometry.epoch import Epoch
+from boresight.geometry.record import Floats, array, record, scalar
+from boresight.geometry.star_camera import StarCamera
+from boresight.pipeline.errors import RawDataError
+from boresight.pipeline.files import dump_schema as schema
+from boresight.pipeline.files.attitude_files import AttitudeRows, read_attitudes
+from boresight.pipeline.files.text_files import path_inside, read_table, read_toml
+
+__all__ = [
+    "Exposure",
+    "Head",
+    "SolvedAttitudes",
+    "StarImages",
+    "each_once",
+    "open_heads",
+    "seconds_of",
+    "star_camera_of",
+]
+
+ONLY_HEAD = "star_camera"  # name of the head of a dump without [[star_cameras]]
+
+
+@record
+class Exposure:
+    """One line of exposures.csv."""
+
+    exposure_id: str = scalar("id of the table")
+    file: str = scalar("path as the table gives it")
+    path: Path = scalar("path of the image")
+    t_s: float = scalar("middle of the exposure, TAI seconds since the dump's epoch")
+    exposure_s: float = scalar("exposure time, s")
+
+
+@record
+class StarImages:
+    """Raw images of a star camera."""
+
+    camera: StarCamera = scalar("camera of frame s")
+    bit_depth: int = scalar("bits of a count")
+    exposures: tuple[Exposure, ...] = scalar("in order of time")
+
+
+@record
+class SolvedAttitudes:
+    """Attitudes that a head has solved itself."""
+
+    rows: AttitudeRows = scalar("as the file has them")
+    aberration_removed: AberrationRemoved = scalar("by the head")
+
+
+@record(kw_only=True)
+class Head:
+    """One star camera. `R_cs0` and its error are those of its own installation file."""
+
+    name: str = scalar("as dump.toml has it")
+    R_cs0: Rotation = scalar("installation rotation measured before launch, frame s to frame c")
+    sigma_installation_rad: Floats = array("3", "1-sigma error of `R_cs0`: rotation about the axes of c")
+    noise: AttitudeNoise = scalar("errors of its attitudes beside those of its stars")
+    source: StarImages | SolvedAttitudes = scalar("what the head delivers")
+
+
+def open_heads(root: Path, head: schema.DumpFile, epoch: Epoch) -> tuple[Head, ...]:
+    """The heads of a dump, the reference head first. `RawDataError` for a file that is not valid."""
+    if head.star_cameras:
+        return tuple(_head(root, one, f"star_cameras.{n}", epoch) for n, one in enumerate(head.star_cameras))
+    files = head.files
+    only = schema.HeadFile(
+        name=ONLY_HEAD,
+        level="images",
+        installation=str(files.installation),
+        camera=files.star_camera,
+        exposures=files.exposures,
+    )
+    return (_head(root, only, "files", epoch),)
+
+
+def _head(root: Path, head: schema.HeadFile, field: str, epoch: Epoch) -> Head:
+    def inside(name: str | None, key: str) -> tuple[Path, str]:
+        return path_inside(root, str(name), file="dump.toml", field=f"{field}.{key}"), str(name)
+
+    path, file = inside(head.installation, "installation")
+    installation = read_toml(path, schema.InstallationFile, file)
+    source: StarImages | SolvedAttitudes
+    if head.level == "attitudes":
+        source = _attitudes(head, *inside(head.attitudes, "attitudes"), epoch)
+    else:
+        path, file = inside(head.camera, "camera")
+        camera = read_toml(path, schema.StarCameraFile, file)
+        exposures = _exposures(root, *inside(head.exposures, "exposures"), epoch)
+        source = StarImages(star_camera_of(camera, file), camera.bit_depth, exposures)
+    return Head(
+        name=head.name,
+        R_cs0=Rotation.from_quat(installation.quaternion_cs),
+        sigma_installation_rad=np.array(installation.sigma_rad),
+        noise=_noise(head.noise),
+        source=source,
+    )
+
+
+def _noise(stated: schema.NoiseFile) -> AttitudeNoise:
+    def of(values: Sequence[float] | None, unit: float, otherwise: float = 0.0) -> Floats:
+        return np.full(3, otherwise) if values is None else np.array(values, dtype=float) * unit
+
+    return AttitudeNoise(
+        white_rad=of(stated.white_arcsec, ARCSEC),
+        correlated_rad=of(stated.correlated_arcsec, ARCSEC),
+        correlation_time_s=of(stated.correlation_time_s, 1.0, otherwise=1.0),
+        constant_rad=of(stated.constant_arcsec, ARCSEC),
+    )
+
+
+def _attitudes(head: schema.HeadFile, path: Path, file: str, epoch: Epoch) -> SolvedAttitudes:
+    """Attitudes with the one statement of their white noise: of each row, or of the head."""
+    rows = read_attitudes(path, file, epoch, head.frame, head.rotation)
+    stated = head.noise.white_arcsec
+    if (rows.covariance_s is None) == (stated is None):
+        found = "neither in the rows nor here" if stated is None else f"{stated} and in the rows of {file}"
+        expected = "stated once: in the rows (sigma or covariance columns) or as noise.white_arcsec"
+        raise RawDataError("dump.toml", f"noise.white_arcsec of {head.name}", found, expected)
+    if stated is not None and min(stated) <= 0.0:
+        raise RawDataError("dump.toml", f"noise.white_arcsec of {head.name}", stated, "positive values")
+    assert head.aberration_removed is not None  # by the schema
+    return SolvedAttitudes(rows, head.aberration_removed)
+
+
+def star_camera_of(file: schema.StarCameraFile, name: str) -> StarCamera:
+    """The camera of a star_camera.toml; `RawDataError` if its distortion cannot be inverted."""
+    x0, y0 = file.principal_point_px
+    d = file.distortion
+    camera = StarCamera(
+        focal_m=file.focal_length_mm * 1e-3,
+        pixel_m=file.pixel_pitch_um * 1e-6,
+        width_px=file.width_px,
+        height_px=file.height_px,
+        principal_px=(x0, y0),
+        p1=d.p1_per_mm,
+        p2=d.p2_per_mm,
+        q1=d.q1_per_mm2,
+        q2=d.q2_per_mm4,
+    )
+    right, low = file.width_px - 0.5, file.height_px - 0.5
+    corners = np.array([[-0.5, -0.5], [right, -0.5], [-0.5, low], [right, low]])
+    if not np.isfinite(camera.directions_from_pixels(corners)).all():
+        found = "a distortion that is not invertible within the detector"
+        raise RawDataError(name, "distortion", found, "p1, p2 in 1/mm, q1 in 1/mm^2, q2 in 1/mm^4")
+    return camera
+
+
+def seconds_of(epoch: Epoch, utc: Sequence[str], file: str, field: str) -> Floats:
+    """TAI seconds (N,) since `epoch` of N UTC times; `RawDataError` for times that do not exist."""
+    try:
+        return epoch.seconds_from_utc(utc)
+    except ValueError as error:
+        raise RawDataError(file, field, str(error), "UTC times that exist") from error
+
+
+def each_once(ids: Sequence[str], file: str) -> None:
+    """`RawDataError` where an id occurs twice."""
+    if twice := [f"{name} {n} times" for name, n in Counter(ids).items() if n > 1]:
+        raise RawDataError(file, "id", ", ".join(twice[:5]), "each id once")
+
+
+def _exposures(root: Path, path: Path, file: str, epoch: Epoch) -> tuple[Exposure, ...]:
+    rows = read_table(path, schema.ExposureRow, file)
+    if not rows:
+        raise RawDataError(file, "rows", "none", "at least one exposure")
+    each_once([row.id for row in rows], file)
+    t_s = seconds_of(epoch, [row.utc_mid for row in rows], file, "utc_mid")
+    if len(bad := np.flatnonzero(np.diff(t_s) <= 0)):
+        k = int(bad[0])
+        found = f"{rows[k + 1].utc_mid} ({rows[k + 1].id}) after {rows[k].utc_mid} ({rows[k].id})"
+        raise RawDataError(file, f"line {k + 3}, utc_mid", found, "strictly increasing times")
+    return tuple(
+        Exposure(
+            row.id,
+            row.file,
+            path_inside(root, row.file, file=file, field=f"line {n + 2}, file"),
+            float(t),
+            row.exposure_s,
+        )
+        for n, (row, t) in enumerate(zip(rows, t_s))
+    )

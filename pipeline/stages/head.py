@@ -1,0 +1,130 @@
+"""One star camera of a dump: from what it delivers to attitudes of exposures.
+
+    images -> identified stars -> attitudes       attitudes the head has solved -> aberration put right
+
+Attitudes that a head has solved become exposures without stars, so that all levels go the same way from here.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from boresight.geometry.attitude_aberration import with_all_aberration
+from boresight.geometry.attitude_estimate import AttitudeSettings, fit_exposures
+from boresight.geometry.orbit import Orbit, OrbitGapError
+from boresight.geometry.record import Bools, Floats, array, record, scalar
+from boresight.geometry.sightings import ExposureAttitudes, StarSightings
+from boresight.pipeline.errors import Cause, Omission
+from boresight.pipeline.files.dump import Dump
+from boresight.pipeline.files.star_side import Head, SolvedAttitudes
+from boresight.pipeline.settings import Settings
+from boresight.pipeline.stages.cached import StageRunner
+from boresight.pipeline.stages.exposure import in_order, sight_exposure, star_tasks
+
+__all__ = ["HeadSightings", "around_strips", "sight_head"]
+
+
+@record(kw_only=True)
+class HeadSightings:
+    """Exposures of one head with their attitudes."""
+
+    head: Head = scalar("the head")
+    stars: tuple[StarSightings, ...] = array(
+        "K", "in order of time; without stars where the head solved them"
+    )
+    attitudes: ExposureAttitudes = scalar("attitudes of the same exposures")
+    omissions: tuple[Omission, ...] = scalar("what cannot be used, with the reasons")
+    computed: tuple[bool, ...] = scalar("of each unit of work, whether it was computed now or kept")
+
+
+def sight_head(
+    dump: Dump, head: Head, settings: Settings, fit: AttitudeSettings, runner: StageRunner
+) -> HeadSightings:
+    """Exposures of a head around the strips of its dump, and their attitudes."""
+    if isinstance(head.source, SolvedAttitudes):
+        return _solved(dump, head, head.source, settings.run.exposure_margin_s)
+    tasks, uncovered = star_tasks(dump, head.source, settings.stars)
+    folder = "exposures" if head is dump.heads[0] else f"exposures-{head.name}"
+    outcomes, computed = runner.run(sight_exposure, tasks, folder=folder)
+    stars = in_order([one for one in outcomes if isinstance(one, StarSightings)])
+    failed = [one for one in outcomes if isinstance(one, Omission)]
+    return HeadSightings(
+        head=head,
+        stars=tuple(stars),
+        attitudes=fit_exposures(stars, fit),
+        omissions=(*uncovered, *failed),
+        computed=tuple(computed),
+    )
+
+
+def around_strips(dump: Dump, t_s: Floats, margin_s: float) -> Bools:
+    """Which instants (K,) lie within a strip of the dump or at most `margin_s` outside."""
+    near = np.zeros(len(t_s), dtype=bool)
+    for strip in dump.strips:
+        first = strip.t_first_row_s + dump.line_camera.delay_to_middle_s(strip.row_period_s)
+        last = first + (strip.lines - 1) * strip.row_period_s
+        near |= (t_s >= first - margin_s) & (t_s <= last + margin_s)
+    return near
+
+
+def _solved(dump: Dump, head: Head, source: SolvedAttitudes, margin_s: float) -> HeadSightings:
+    rows, omissions = source.rows, []
+    if rows.n_invalid:
+        reason = f"{rows.n_invalid} of {len(rows.t_s) + rows.n_invalid} attitudes are marked invalid"
+        omissions.append(Omission("head", head.name, reason=reason, cause=Cause.MARKED_INVALID))
+    near = around_strips(dump, rows.t_s, margin_s)
+    covered = near & _covered(dump.orbit, rows.t_s, near)
+    if lost := int((near & ~covered).sum()):
+        reason = f"the orbit has no states for {lost} of its {int(near.sum())} attitudes around strips"
+        omissions.append(Omission("head", head.name, reason=reason, cause=Cause.NOT_COVERED))
+    at = np.flatnonzero(covered)
+    t_s = rows.t_s[at]
+    v_i = dump.orbit.states_i(t_s)[1]
+    R_si = with_all_aberration(rows.R_si[at], source.aberration_removed, dump.epoch, t_s, v_i)
+    white = np.tile(head.noise.white_covariance_s, (len(at), 1, 1))
+    return HeadSightings(
+        head=head,
+        stars=tuple(_without_stars(f"{head.name}-{k + 1:06d}", t) for k, t in zip(at.tolist(), t_s.tolist())),
+        attitudes=ExposureAttitudes(
+            start=np.zeros(len(at) + 1, dtype=np.int64),
+            R_si=R_si.as_matrix().reshape(-1, 3, 3),
+            covariance_s=white if rows.covariance_s is None else rows.covariance_s[at],
+            usable=np.ones(len(at), dtype=bool),
+            kept=np.zeros(0, dtype=bool),
+            squared_mahalanobis=np.zeros(0),
+            chi2=np.zeros(len(at)),
+            dof=np.zeros(len(at), dtype=np.int64),
+        ),
+        omissions=tuple(omissions),
+        computed=(),
+    )
+
+
+def _covered(orbit: Orbit, t_s: Floats, wanted: Bools) -> Bools:
+    """Which of the wanted instants (K,) the orbit has states for."""
+    try:
+        orbit.positions_i(t_s[wanted])
+        return wanted
+    except OrbitGapError:
+        pass
+    covered = np.zeros(len(t_s), dtype=bool)
+    for k in np.flatnonzero(wanted):
+        try:
+            orbit.positions_i(t_s[k : k + 1])
+        except OrbitGapError:
+            continue
+        covered[k] = True
+    return covered
+
+
+def _without_stars(exposure_id: str, t_s: float) -> StarSightings:
+    none = np.zeros((0, 3))
+    return StarSightings(
+        exposure_id=exposure_id,
+        t_s=t_s,
+        hip=np.zeros(0, dtype=np.int64),
+        xy_px=np.zeros((0, 2)),
+        u_s=none,
+        u_i=none,
+        cov_s=np.zeros((0, 3, 3)),
+    )

@@ -1,0 +1,209 @@
+"""Attitudes of a star camera from CSV and from CCSDS messages, with every convention that may differ."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import erfa
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from boresight.geometry.epoch import Epoch
+from boresight.pipeline.errors import RawDataError
+from boresight.pipeline.files.attitude_files import AttitudeRows, read_attitudes
+
+EPOCH = Epoch.from_utc("2024-11-20T03:40:00")
+TIMES = ("2024-11-20T03:40:10.0", "2024-11-20T03:40:10.1", "2024-11-20T03:40:10.2")
+R_SI = Rotation.from_euler(
+    "xyz", [[40.0, -65.0, 110.0], [40.1, -65.1, 110.2], [40.2, -65.2, 110.4]], degrees=True
+)
+ARCSEC = np.pi / 648_000.0
+
+
+def csv_text(q: np.ndarray, extra: str = "", cells: tuple[str, ...] = ("", "", "")) -> str:
+    rows = [f"utc,qx,qy,qz,qw{extra}"]
+    rows += [f"{t},{','.join(map(repr, row.tolist()))}{more}" for t, row, more in zip(TIMES, q, cells)]
+    return "\n".join(rows) + "\n"
+
+
+def read(
+    tmp_path: Path, text: str, frame: str | None = "GCRF", rotation: str | None = "head to inertial"
+) -> AttitudeRows:
+    path = tmp_path / "attitudes"
+    path.write_text(text)
+    return read_attitudes(path, "attitudes", EPOCH, frame, rotation)
+
+
+def error_rad(found: AttitudeRows, expected: Rotation = R_SI) -> float:
+    return float((found.R_si * expected.inv()).magnitude().max())
+
+
+def test_csv_is_read_in_both_senses_of_the_rotation(tmp_path: Path) -> None:
+    there = read(tmp_path, csv_text(R_SI.inv().as_quat()))
+    back = read(tmp_path, csv_text(R_SI.as_quat()), rotation="inertial to head")
+    assert max(error_rad(there), error_rad(back)) < 1e-14  # rad: rounding of a quaternion
+    assert np.allclose(there.t_s, [10.0, 10.1, 10.2], atol=1e-12)  # s
+
+
+def test_eme2000_differs_from_gcrf_by_the_frame_bias(tmp_path: Path) -> None:
+    # A vector of the mean equator of J2000 by ERFA's bias matrix: the head sees it where R_si says.
+    bias = erfa.bp00(erfa.DJ00, 0.0)[0]
+    v_i = np.array([0.3, -0.5, 0.81])
+    v_s = R_SI.apply(v_i)
+    to_head = [row @ bias.T for row in R_SI.as_matrix()]  # EME2000 to head: R_si times (GCRS from EME2000)
+    text = csv_text(Rotation.from_matrix(np.array(to_head)).as_quat())
+    found = read(tmp_path, text, "EME2000", "inertial to head")
+    assert np.abs(found.R_si.apply(v_i) - v_s).max() < 1e-14
+    assert 0.01 < error_rad(read(tmp_path, text, "ICRF", "inertial to head")) / ARCSEC < 0.03  # 23 mas
+
+
+def test_rows_marked_invalid_are_counted_and_their_cells_not_read(tmp_path: Path) -> None:
+    q = R_SI.inv().as_quat()
+    text = csv_text(q, ",valid,temperature_c", (",1,20.5", ",0,x", ",1,21")).replace(
+        repr(float(q[1, 0])), "nan"
+    )
+    found = read(tmp_path, text)
+    assert found.n_invalid == 1 and len(found.t_s) == 2
+    assert found.temperature_c is not None and found.temperature_c.tolist() == [20.5, 21.0]
+
+
+def test_covariances_are_about_the_axes_of_the_head_in_arc_seconds(tmp_path: Path) -> None:
+    q = R_SI.inv().as_quat()
+    sigma = read(tmp_path, csv_text(q, ",sigma_x_arcsec,sigma_y_arcsec,sigma_z_arcsec", (",1,2,10",) * 3))
+    assert sigma.covariance_s is not None
+    assert np.allclose(sigma.covariance_s[1], np.diag([1.0, 4.0, 100.0]) * ARCSEC**2)
+    names = "".join(f",cov_{pair}_arcsec2" for pair in ("xx", "xy", "xz", "yy", "yz", "zz"))
+    full = read(tmp_path, csv_text(q, names, (",4,1,-2,9,3,100",) * 3))
+    assert full.covariance_s is not None
+    expected = np.array([[4.0, 1.0, -2.0], [1.0, 9.0, 3.0], [-2.0, 3.0, 100.0]])
+    assert np.allclose(full.covariance_s[2], expected * ARCSEC**2)
+
+
+META = {"OBJECT_NAME": "SAT", "TIME_SYSTEM": "UTC", "ATTITUDE_TYPE": "QUATERNION"}
+
+
+def kvn(meta: dict[str, str], rows: list[str], version: str) -> str:
+    lines = [
+        f"CCSDS_AEM_VERS = {version}",
+        "CREATION_DATE = 2024-11-21T00:00:00",
+        "ORIGINATOR = ELSEWHERE",
+        "",
+    ]
+    lines += ["META_START", "COMMENT by hand", *(f"{k} = {v}" for k, v in (META | meta).items()), "META_STOP"]
+    return "\n".join([*lines, "", "DATA_START", *rows, "DATA_STOP", ""])
+
+
+# The standard's matrix of a quaternion, first row [q1² - q2² - q3² + qc², 2 (q1 q2 + q3 qc), ...], takes
+# components in A to components in B: written out here, not taken from the program.
+def standard_quaternion(matrix_ba: np.ndarray) -> np.ndarray:
+    m = matrix_ba
+    qc = 0.5 * np.sqrt(1.0 + np.trace(m))
+    q = np.array([m[1, 2] - m[2, 1], m[2, 0] - m[0, 2], m[0, 1] - m[1, 0]]) / (4.0 * qc)
+    return np.array([*q, qc])
+
+
+CASES = [
+    (
+        "1.0",
+        {"REF_FRAME_A": "ICRF", "REF_FRAME_B": "ST_1", "ATTITUDE_DIR": "A2B", "QUATERNION_TYPE": "LAST"},
+        False,
+    ),
+    (
+        "1.0",
+        {"REF_FRAME_A": "GCRF", "REF_FRAME_B": "ST_1", "ATTITUDE_DIR": "A2B", "QUATERNION_TYPE": "FIRST"},
+        False,
+    ),
+    (
+        "1.0",
+        {"REF_FRAME_A": "ICRF", "REF_FRAME_B": "ST_1", "ATTITUDE_DIR": "B2A", "QUATERNION_TYPE": "LAST"},
+        True,
+    ),
+    (
+        "1.0",
+        {"REF_FRAME_A": "ST_1", "REF_FRAME_B": "ICRF", "ATTITUDE_DIR": "A2B", "QUATERNION_TYPE": "LAST"},
+        True,
+    ),
+    ("2.0", {"REF_FRAME_A": "GCRF", "REF_FRAME_B": "ST_1"}, False),
+]
+
+
+@pytest.mark.parametrize(("version", "meta", "inverse"), CASES)
+@pytest.mark.parametrize("form", ["kvn", "xml"])
+def test_messages_of_every_form_give_the_attitude(
+    form: str, version: str, meta: dict[str, str], inverse: bool, tmp_path: Path
+) -> None:
+    turned = Rotation.from_euler("xyz", [10.0, 20.0, 30.0], degrees=True) * R_SI  # trace above -1
+    matrices = turned.inv().as_matrix() if inverse else turned.as_matrix()
+    q = [standard_quaternion(matrix) for matrix in matrices]
+    if form == "kvn":
+        first = meta.get("QUATERNION_TYPE") == "FIRST"
+        cells = [[one[3], *one[:3]] if first else one for one in q]
+        rows = [f"{t} {' '.join(f'{v:.16f}' for v in c)}" for t, c in zip(TIMES, cells)]
+        text = kvn(meta, rows, version)
+    else:
+        states = "".join(
+            "<attitudeState><quaternionState><EPOCH>{}</EPOCH><quaternion><Q1>{:.16f}</Q1><Q2>{:.16f}</Q2>"
+            "<Q3>{:.16f}</Q3><QC>{:.16f}</QC></quaternion></quaternionState></attitudeState>".format(t, *one)
+            for t, one in zip(TIMES, q)
+        )
+        head = "".join(f"<{k}>{v}</{k}>" for k, v in (META | meta).items())
+        text = (
+            f'<?xml version="1.0"?><aem id="CCSDS_AEM_VERS" version="{version}"><header/><body><segment>'
+            f"<metadata>{head}</metadata><data>{states}</data></segment></body></aem>"
+        )
+    found = read(tmp_path, text, None, None)
+    assert error_rad(found, turned) < 1e-14  # rad
+    assert np.allclose(found.t_s, [10.0, 10.1, 10.2], atol=1e-9)  # s: the time library's two-part dates
+
+
+def test_message_in_gps_time_is_18_seconds_earlier(tmp_path: Path) -> None:
+    meta = {"REF_FRAME_A": "GCRF", "REF_FRAME_B": "ST_1", "TIME_SYSTEM": "GPS"}
+    rows = [f"{t} 0 0 0 1" for t in TIMES]
+    assert np.allclose(read(tmp_path, kvn(meta, rows, "2.0"), None, None).t_s, [-8.0, -7.9, -7.8], atol=1e-9)
+
+
+Q = "0 0 0 1"
+OK = {"REF_FRAME_A": "GCRF", "REF_FRAME_B": "ST_1"}
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        (
+            kvn(OK | {"REF_FRAME_A": "TEME"}, [f"{t} {Q}" for t in TIMES], "2.0"),
+            "REF_FRAME_A and REF_FRAME_B",
+        ),
+        (kvn(OK | {"ATTITUDE_TYPE": "SPIN"}, [], "2.0"), "ATTITUDE_TYPE: found SPIN"),
+        (kvn(OK, [f"{TIMES[0]} {Q}", f"{TIMES[0]} {Q}"], "2.0"), "attitude 2, time: found 0.000000 s after"),
+        (kvn(OK, [f"{TIMES[0]} {Q}"], "2.0"), "rows: found 1 valid rows"),
+        (kvn(OK, [f"{t} 0 0 1_0 1" for t in TIMES], "2.0"), "state 1: found 1_0"),
+        (kvn(OK, [f"{t} 0 0 1 1" for t in TIMES], "2.0"), "attitude 1: found .* of length 1.41421"),
+        (kvn(OK, [f"{t} {Q}" for t in TIMES], "2.0").replace("DATA_STOP", ""), "end of the file"),
+        ("<aem version='2.0'><body>", "XML"),
+        ("<!DOCTYPE a [<!ENTITY b 'c'>]><aem>&b;</aem>", "XML"),
+        ("<oem/>", "root element: found oem"),
+    ],
+)
+def test_message_that_is_not_sound_is_refused(text: str, complaint: str, tmp_path: Path) -> None:
+    with pytest.raises(RawDataError, match=complaint):
+        read(tmp_path, text, None, None)
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        ("utc,qx,qy,qz\n", "column qw: found no such column"),
+        ("utc,qx,qy,qz,qw,sigma_x_arcsec\n" + f"{TIMES[0]},0,0,0,1,2\n", "header: found sigma_x_arcsec only"),
+        ("utc,qx,qy,qz,qw,valid\n" + f"{TIMES[0]},0,0,0,1,yes\n", "line 2, valid: found yes"),
+        ("utc,qx,qy,qz,qw\n" + f"{TIMES[0]},0,0,0,nan\n", "line 2, qw: found nan"),
+        ("utc,qx,qy,qz,qw\n2024-13-01T00:00:00,0,0,0,1\n", "utc: found"),
+        (
+            csv_text(R_SI.as_quat(), ",sigma_x_arcsec,sigma_y_arcsec,sigma_z_arcsec", (",1,0,1",) * 3),
+            "sigma: found",
+        ),
+    ],
+)
+def test_table_that_is_not_sound_is_refused(text: str, complaint: str, tmp_path: Path) -> None:
+    with pytest.raises(RawDataError, match=complaint):
+        read(tmp_path, text)
