@@ -158,7 +158,8 @@ def _saved_omissions(result: Path) -> list[Omission] | None:
 def _with_missing(stages: list[StageStatus], dump: Dump) -> list[StageStatus]:
     """The stages with the units of the dump that are not finished; at least exposures and both matchings."""
     found = {stage.stage: stage for stage in stages}
-    exposures = [task.item.name for task in star_tasks(dump, Settings().stars)[0]]
+    tasks = [task for images in dump.star_images for task in star_tasks(dump, images, Settings().stars)[0]]
+    exposures = [task.item.name for task in tasks]
     strips = [strip.strip_id for strip in dump.strips if covers(dump, strip)]
     wanted = {"exposures": exposures, "matching-1": strips, "matching-2": strips}
     return [
