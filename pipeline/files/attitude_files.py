@@ -8,28 +8,26 @@ the matrix from components in A to components in B whose first row holds 2 (q1 q
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from xml.etree.ElementTree import Element, ParseError
+from typing import get_args
 
-import defusedxml.ElementTree
-import erfa
 import numpy as np
-from defusedxml.common import DefusedXmlException
 from scipy.spatial.transform import Rotation
 
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.epoch import Epoch
+from boresight.geometry.inertial_frames import InertialFrame, rotation_to_gcrs
 from boresight.geometry.record import Floats, array, record, scalar
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.orbit_file import tai_seconds
 from boresight.pipeline.files.text_files import MAX_ROWS, check_number, csv_rows, read_text
+from boresight.pipeline.files.xml_files import read_xml
 
 __all__ = ["AttitudeRows", "read_attitudes"]
 
-INERTIAL = {"GCRF": False, "ICRF": False, "EME2000": True}  # whether the frame bias separates it from GCRS
+INERTIAL: tuple[InertialFrame, ...] = get_args(InertialFrame)
 COLUMNS = ("utc", "qx", "qy", "qz", "qw")
 SIGMAS = tuple(f"sigma_{axis}_arcsec" for axis in "xyz")
 PAIRS = ("xx", "xy", "xz", "yy", "yz", "zz")
@@ -53,7 +51,7 @@ class AttitudeRows:
 
 
 def read_attitudes(
-    path: Path, file: str, epoch: Epoch, frame: str | None, rotation: str | None
+    path: Path, file: str, epoch: Epoch, frame: InertialFrame | None, rotation: str | None
 ) -> AttitudeRows:
     """Attitudes of a CSV file or of an AEM, told apart by their first line.
 
@@ -80,10 +78,11 @@ def read_attitudes(
             raise RawDataError("dump.toml", f"{key} of {file}", value, "no such key: an AEM states its own")
         if not message and value is None:
             raise RawDataError("dump.toml", f"{key} of {file}", "nothing", "this key, for a CSV file")
-    if message:
-        rows = _from_message(start, file, epoch)
+    if frame is None:
+        segments = _xml_segments(path, file) if start.startswith("<") else _kvn_segments(start, file)
+        rows = _from_message(list(segments), file, epoch)
     else:
-        rows = _from_csv(path, file, epoch, str(frame), str(rotation))
+        rows = _from_csv(path, file, epoch, frame, str(rotation))
     if len(rows.t_s) < 2:
         found = f"{len(rows.t_s)} valid rows, {rows.n_invalid} marked invalid"
         raise RawDataError(file, "rows", found, "at least two valid attitudes")
@@ -93,7 +92,7 @@ def read_attitudes(
     return rows
 
 
-def _from_csv(path: Path, file: str, epoch: Epoch, frame: str, rotation: str) -> AttitudeRows:
+def _from_csv(path: Path, file: str, epoch: Epoch, frame: InertialFrame, rotation: str) -> AttitudeRows:
     optional = (*SIGMAS, *COVARIANCES, "valid", "temperature_c")
     utc: list[str] = []
     values: list[list[float]] = []
@@ -119,7 +118,7 @@ def _from_csv(path: Path, file: str, epoch: Epoch, frame: str, rotation: str) ->
     q = np.column_stack([column[name] for name in COLUMNS[1:]])
     return AttitudeRows(
         t_s=t_s,
-        R_si=_to_gcrs(_rotations(q, file), rotation == "inertial to head", INERTIAL[frame]),
+        R_si=_to_gcrs(_rotations(q, file), rotation == "inertial to head", frame),
         covariance_s=_covariance(column, file),
         temperature_c=column.get("temperature_c"),
         n_invalid=invalid,
@@ -171,17 +170,12 @@ def _rotations(q: Floats, file: str) -> Rotation:
     return Rotation.from_quat(q) if len(q) else Rotation.identity(0)
 
 
-def _to_gcrs(R: Rotation, is_inertial_to_head: bool, biased: bool) -> Rotation:
+def _to_gcrs(R: Rotation, is_inertial_to_head: bool, frame: InertialFrame) -> Rotation:
     """R_si from rotations between the head and its inertial frame."""
-    R_sf = R if is_inertial_to_head else R.inv()
-    if not biased:
-        return R_sf
-    bias = Rotation.from_matrix(erfa.bp00(2_451_545.0, 0.0)[0])  # GCRS to the mean equator of J2000
-    return R_sf * bias
+    return (R if is_inertial_to_head else R.inv()) * rotation_to_gcrs(frame).inv()
 
 
-def _from_message(text: str, file: str, epoch: Epoch) -> AttitudeRows:
-    segments = list(_xml_segments(text, file) if text.startswith("<") else _kvn_segments(text, file))
+def _from_message(segments: list[Segment], file: str, epoch: Epoch) -> AttitudeRows:
     if not segments:
         raise RawDataError(file, "segments", "none", EXPECTED)
     parts = [_segment(meta, states, file, epoch) for meta, states in segments]
@@ -199,7 +193,6 @@ def _kvn_segments(text: str, file: str) -> Iterator[Segment]:
     """Metadata and states of each segment of a message in KVN form."""
     meta: dict[str, str] = {}
     states: list[list[str]] = []
-    version = re.match(r"CCSDS_AEM_VERS\s*=\s*(\S+)", text)
     part = "header"
     for number, raw in enumerate(text.splitlines(), start=1):
         line = raw.strip()
@@ -207,7 +200,7 @@ def _kvn_segments(text: str, file: str) -> Iterator[Segment]:
             continue
         if line in ("META_START", "META_STOP", "DATA_START", "DATA_STOP"):
             if line == "META_START":
-                meta, states = {"VERSION": version.group(1) if version else ""}, []
+                meta, states = {}, []
             if line == "DATA_STOP":
                 yield meta, states
             part = line
@@ -233,32 +226,24 @@ def _ordered(cells: list[str], meta: dict[str, str], file: str, where: str) -> l
     return [cells[0], *q]
 
 
-def _xml_segments(text: str, file: str) -> Iterator[Segment]:
+def _xml_segments(path: Path, file: str) -> Iterator[Segment]:
     """Metadata and states of each segment of a message in XML form."""
-    try:
-        root: Element = defusedxml.ElementTree.fromstring(text.encode(), forbid_dtd=True)
-    except (ParseError, DefusedXmlException, ValueError, LookupError) as error:
-        raise RawDataError(file, "XML", str(error), EXPECTED) from error
-    message = next((element for element in root.iter() if _tag(element) == "aem"), None)
+    root = read_xml(path, file)
+    message = next(root.iter("aem"), None)
     if message is None:
-        raise RawDataError(file, "root element", _tag(root), "aem")
-    for segment in (element for element in message.iter() if _tag(element) == "segment"):
-        meta = {"VERSION": message.get("version", "")}
+        raise RawDataError(file, "root element", root.tag, "aem")
+    for segment in message.iter("segment"):
+        meta: dict[str, str] = {}
         states: list[list[str]] = []
         for element in segment.iter():
-            if _tag(element) == "attitudeState":
-                cells = {_tag(one): (one.text or "").strip() for one in element.iter()}
+            if element.tag == "attitudeState":
+                cells = {one.tag: (one.text or "").strip() for one in element.iter()}
                 if missing := [key for key in ("EPOCH", "Q1", "Q2", "Q3", "QC") if key not in cells]:
                     raise RawDataError(file, f"state {len(states) + 1}", f"no {missing[0]}", EXPECTED)
                 states.append([cells[key] for key in ("EPOCH", "Q1", "Q2", "Q3", "QC")])
             elif not len(element):
-                meta.setdefault(_tag(element), (element.text or "").strip())
+                meta.setdefault(element.tag, (element.text or "").strip())
         yield meta, states
-
-
-def _tag(element: Element) -> str:
-    """Name of an element without its namespace."""
-    return str(element.tag).rpartition("}")[2]
 
 
 def _segment(meta: dict[str, str], states: list[list[str]], file: str, epoch: Epoch) -> AttitudeRows:
@@ -269,8 +254,8 @@ def _segment(meta: dict[str, str], states: list[list[str]], file: str, epoch: Ep
     if not meta["ATTITUDE_TYPE"].upper().startswith("QUATERNION"):
         raise RawDataError(file, "ATTITUDE_TYPE", meta["ATTITUDE_TYPE"], "QUATERNION")
     frames = [meta[key].upper() for key in ("REF_FRAME_A", "REF_FRAME_B")]
-    inertial = [frame for frame in frames if frame in INERTIAL]
-    if len(inertial) != 1:
+    inertial = [frame for frame in INERTIAL if frame in frames]
+    if len(inertial) != 1 or frames[0] == frames[1]:
         expected = f"one of {', '.join(INERTIAL)}, and the head"
         raise RawDataError(file, "REF_FRAME_A and REF_FRAME_B", " and ".join(frames), expected)
     if (direction := meta.get("ATTITUDE_DIR", "A2B").upper()) not in ("A2B", "B2A"):
@@ -284,5 +269,5 @@ def _segment(meta: dict[str, str], states: list[list[str]], file: str, epoch: Ep
     head_is_b = frames[0] in INERTIAL
     return AttitudeRows(
         t_s=t_s + float(since.tai_s - epoch.tai_s),
-        R_si=_to_gcrs(R_ab, from_b_to_a != head_is_b, INERTIAL[inertial[0]]),
+        R_si=_to_gcrs(R_ab, from_b_to_a != head_is_b, inertial[0]),
     )
