@@ -73,16 +73,18 @@ def fit_camera(
     rotations: Rotation,
     free: tuple[str, ...] = PARAMETERS,
     prior: Mapping[str, float] = _NOTHING,
+    expected: StarCamera | None = None,
 ) -> CameraFit:
     """Camera with the parameters `free` (of PARAMETERS and DRIFT) fitted by Gauss-Newton steps.
 
     `camera` and `rotations` (K,) are the start. `prior` holds 1-sigma deviations from the parameters of
-    `camera`, in their own units. The covariance is scaled by the reduced chi2 if that exceeds 1.
+    `expected`, or of `camera`, in their own units. The covariance is scaled by the reduced chi2 if that
+    exceeds 1.
     """
     columns = [(*PARAMETERS, DRIFT).index(name) for name in free]
     units = _units(camera)[columns]
     prior_weight = np.array([unit / prior.get(name, np.inf) for name, unit in zip(free, units)]) ** 2
-    first = _vector(camera)[columns]
+    first = _vector(expected or camera)[columns]
     stars = replace(stars, t_s=stars.t_s - stars.t_s.mean())
     theta, R = _vector(camera), rotations
     keep = np.ones(len(stars.xy_px), dtype=bool)

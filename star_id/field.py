@@ -16,10 +16,12 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from boresight.geometry.constants import ARCSEC
-from boresight.geometry.record import Floats, Ints, array, record, scalar
+from boresight.geometry.record import Bools, Floats, Ints, array, record, scalar
 from boresight.geometry.star_camera import StarCamera
 from boresight.star_id.field_fit import fit_attitude_and_lens, fit_known_camera
+from boresight.star_id.field_match import match_field
 from boresight.star_id.finding.star_list import StarList, find_stars
+from boresight.star_id.identification.hypothesis import RESOLVED_PX, STARS_PER_DETECTION
 from boresight.star_id.identification.identify import Identification, NotIdentified, identify
 from boresight.star_id.identification.tangent_plane import FieldOfView
 from boresight.star_id.identification.triangle_index import StarIndex
@@ -42,6 +44,8 @@ SMALLEST_FOV_RAD, LARGEST_FOV_RAD = np.radians(5.0), np.radians(60.0)  # of an u
 _NOMINAL_PIXEL_M = 5e-6  # only the ratio of focal length and pixel matters
 _FOV_STEP = 0.10  # largest relative error of a nominal field of view
 _SHAPE_STEP = 0.012  # largest relative change of a triangle's shape by an error of the focal length
+_STARS_TO_START = 12  # the brightest: false detections are mostly faint, and bend a lens that few stars hold
+_MATCHINGS = 6  # of stars and lens in turn
 _LEAST_RELIABLE = 4  # stars; of fewer the attitude is not better than that of all stars
 # stages of identification: first a quick search over all fields of view
 _PASSES = (((0, 0, 6), (0, 6, 9)), ((0, 9, 13), (0, 13, 18), (1, 0, 9)))
@@ -194,23 +198,82 @@ def solve_list(
     if isinstance(answer, NotIdentified):
         return answer
     found, start = answer
+    if camera is None:
+        return _fitted(stars, found, start, index, settings, observer)
     rows = found.detections
     xy, cov, u_i = stars.xy_px[rows], stars.cov_px[rows], star_directions(index, found.stars, observer)
-    reliable = select_for_calibration(stars, rows, found.stars, start, index, settings)
-    if reliable.sum() < _LEAST_RELIABLE:
-        reliable[:] = True
-    if camera is not None:
-        fit = fit_known_camera(camera, xy[reliable], cov[reliable], u_i[reliable])
-    else:
-        fit = fit_attitude_and_lens(start, found.R_si, xy[reliable], cov[reliable], u_i[reliable])
+    reliable = _reliable(stars, rows, found.stars, start, index, settings)
+    fit = fit_known_camera(camera, xy[reliable], cov[reliable], u_i[reliable])
     return replace(
-        _solution(found, stars.xy_px, fit.camera, index),
+        _solution(found, stars.xy_px, camera, index),
         R_si=fit.R_si,
         cov_s=fit.cov_s,
-        fov_x_sigma_rad=fit.fov_x_sigma_rad,
+        fov_x_sigma_rad=0.0,
         u_i=u_i,
         stars=stars,
     )
+
+
+def _fitted(
+    stars: StarList,
+    found: Identification,
+    start: StarCamera,
+    index: StarIndex,
+    settings: StarSettings,
+    observer: Observer | None,
+) -> FieldSolution:
+    """Solution with attitude, lens and matches in turn: the brightest stars fit the lens, the lens tells
+    which detections are further stars, until they no longer change."""
+    detections, rows = found.detections[:_STARS_TO_START], found.stars[:_STARS_TO_START]
+    camera, R_si = start, found.R_si
+    expected = _expected_stars(start, R_si, len(stars.xy_px), index)
+    u_i = star_directions(index, expected, observer)
+    for _ in range(_MATCHINGS):
+        reliable = _reliable(stars, detections, rows, start, index, settings)
+        xy, cov = stars.xy_px[detections[reliable]], stars.cov_px[detections[reliable]]
+        fit = fit_attitude_and_lens(camera, R_si, xy, cov, star_directions(index, rows[reliable], observer))
+        camera, R_si = fit.field.camera, fit.field.R_si
+        predicted, cov = fit.predict(u_i)
+        seen = np.flatnonzero(camera.contains(predicted))
+        match = match_field(
+            stars.xy_px, stars.cov_px, predicted[seen], cov[seen], camera.width_px * camera.height_px
+        )
+        if len(match.stars) < _LEAST_RELIABLE:
+            break
+        before, rows, detections = rows, expected[seen[match.stars]], match.detections
+        if np.array_equal(rows, before):
+            break
+    return replace(
+        _solution(replace(found, detections=detections, stars=rows), stars.xy_px, camera, index),
+        R_si=R_si,
+        cov_s=fit.field.cov_s,
+        fov_x_sigma_rad=fit.field.fov_x_sigma_rad,
+        u_i=star_directions(index, rows, observer),
+        stars=stars,
+    )
+
+
+def _expected_stars(camera: StarCamera, R_si: Rotation, detections: int, index: StarIndex) -> Ints:
+    """Rows of the stars that so many detections can show, in the image or just outside, brightest first."""
+    rows = index.near(R_si.inv().apply([0.0, 0.0, 1.0]), 1.05 * camera.field_radius_rad)
+    rows = rows[index.to_brighter_rad[rows] > RESOLVED_PX * camera.pixel_m / camera.focal_m]
+    xy = camera.pixels_from_directions(R_si.apply(index.u_i[rows]))
+    with np.errstate(invalid="ignore"):
+        inside = camera.contains(xy)
+    return np.asarray(rows[inside][: int(STARS_PER_DETECTION * detections) + 12])
+
+
+def _reliable(
+    stars: StarList,
+    detections: Ints,
+    rows: Ints,
+    camera: StarCamera,
+    index: StarIndex,
+    settings: StarSettings,
+) -> Bools:
+    """(N,) whether identified stars are fit to measure by; all, where too few are."""
+    reliable = select_for_calibration(stars, detections, rows, camera, index, settings)
+    return reliable if reliable.sum() >= _LEAST_RELIABLE else np.ones(len(rows), dtype=bool)
 
 
 def solve_stars(

@@ -6,7 +6,7 @@ Identification weights all stars equally; a bright star has the information of a
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from scipy.optimize import brentq
@@ -15,17 +15,10 @@ from scipy.spatial.transform import Rotation
 from boresight.geometry.attitude_estimate import AttitudeSettings, fit_attitude
 from boresight.geometry.record import Floats, array, record, scalar
 from boresight.geometry.star_camera import StarCamera
-from boresight.star_id.camera_fit import (
-    PARAMETERS,
-    CameraFit,
-    IdentifiedStars,
-    fit_camera,
-    perturbed,
-    pixel_derivatives,
-    rotation_derivatives,
-)
+from boresight.star_id.camera_fit import CameraFit, IdentifiedStars, fit_camera
+from boresight.star_id.lens_misfit import LensErrors, lens_errors
 
-__all__ = ["FieldFit", "fit_attitude_and_lens", "fit_known_camera"]
+__all__ = ["FieldFit", "LensFit", "fit_attitude_and_lens", "fit_known_camera"]
 
 
 _LARGEST_VARIANCE = 1e12  # px^2: no degree of freedom is left
@@ -44,6 +37,20 @@ class FieldFit:
     fov_x_sigma_rad: float = scalar("1-sigma error of the field of view, rad; 0 for a camera that was given")
 
 
+@record
+class LensFit:
+    """Attitude and fitted camera of one image, and the places of stars that they predict."""
+
+    field: FieldFit = scalar("attitude and camera")
+    errors: LensErrors = scalar("of attitude, camera and unmodelled distortion")
+
+    def predict(self, u_i: Floats) -> tuple[Floats, Floats]:
+        """Pixels (N, 2) of directions (N, 3), GCRS, and their covariances (N, 2, 2), px^2."""
+        u_s = self.field.R_si.apply(u_i)
+        xy = self.field.camera.pixels_from_directions(u_s)
+        return self.errors.predict(u_s, xy)
+
+
 def fit_known_camera(camera: StarCamera, xy_px: Floats, cov_px: Floats, u_i: Floats) -> FieldFit:
     """Attitude of a calibrated camera from centroids (N, 2), px, covariances (N, 2, 2) and directions (N, 3),
     GCRS.
@@ -59,31 +66,34 @@ def fit_known_camera(camera: StarCamera, xy_px: Floats, cov_px: Floats, u_i: Flo
 
 def fit_attitude_and_lens(
     camera: StarCamera, R_si: Rotation, xy_px: Floats, cov_px: Floats, u_i: Floats
-) -> FieldFit:
+) -> LensFit:
     """Attitude and camera from centroids (N, 2), px, covariances (N, 2, 2) and directions (N, 3), GCRS.
 
     `camera` and `R_si` are approximate. All seven camera parameters are fitted. One image does not separate
     them: a shifted detector looks like a rotated and decentred one. So a Gaussian prior regularises them
     (`_prior_sigmas`), and the covariance is that of the well-determined direction of the image's centre. What
-    the camera model cannot explain, such as refraction, is a position error common to all stars
-    (`_common_variance`); without it the few brightest stars would determine the distortion.
+    the camera model cannot explain is a position error of each star (`_common_variance`; without it the few
+    brightest stars would determine the distortion) and a smooth distortion (`lens_misfit`).
     """
     image = np.zeros(len(xy_px), dtype=np.int64)
     stars = IdentifiedStars(xy_px=xy_px, cov_px=cov_px, u_i=u_i, frame=image, t_s=np.zeros(1))
-    plain, R = replace(camera, p1=0.0, p2=0.0, q1=0.0), Rotation.concatenate([R_si])
+    R = Rotation.concatenate([R_si])
+    middle = (0.5 * (camera.width_px - 1), 0.5 * (camera.height_px - 1))
+    ideal = replace(camera, principal_px=middle, p1=0.0, p2=0.0, q1=0.0, q2=0.0)
+    prior = _prior_sigmas(camera)
     residual = xy_px - camera.pixels_from_directions(R_si.apply(u_i))
     common = float(np.median((residual**2).sum(axis=1))) / 1.386  # median of chi2 with two degrees of freedom
     for _ in range(_ROUNDS):
         cov = cov_px + common * np.eye(2)
-        fit = fit_camera(replace(stars, cov_px=cov), plain, R, prior=_prior_sigmas(plain))
-        centre = _CentreSensitivity.of(fit, stars, cov)
-        common, before = _common_variance(fit, centre.leverage, cov_px, common), common
+        fit = fit_camera(replace(stars, cov_px=cov), camera, R, prior=prior, expected=ideal)
+        errors = lens_errors(fit, fit.rotations[0].apply(u_i), cov, prior)
+        common, before = _common_variance(fit, errors.leverage, cov_px, common), common
         if abs(common - before) <= 0.1 * before:
             break
-    fov_x = float(np.sqrt(centre.d_fov_x @ fit.covariance @ centre.d_fov_x))
-    cov_s = fit.variance_factor * centre.cov_known_camera
-    cov_s = cov_s + centre.d_rotation @ fit.covariance @ centre.d_rotation.T
-    return FieldFit(fit.rotations[0], cov_s, fit.camera, fov_x)
+    if common > 0.0:
+        errors = lens_errors(fit, fit.rotations[0].apply(u_i), cov_px, prior, common_px2=common)
+    cov_s, fov_x_sigma = errors.of_centre()
+    return LensFit(FieldFit(fit.rotations[0], cov_s, fit.camera, fov_x_sigma), errors)
 
 
 def _prior_sigmas(camera: StarCamera) -> dict[str, float]:
@@ -100,46 +110,6 @@ def _prior_sigmas(camera: StarCamera) -> dict[str, float]:
         "q1": 0.03 / (corner * f_mm) ** 2,
         "q2": 0.01 / (corner * f_mm) ** 4,
     }
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _CentreSensitivity:
-    """Errors of the image's centre and width, as functions of the errors of stars and camera parameters.
-
-    A rotation about the image's centre is nearly independent of all parameters; a rotation about the optical
-    axis, which may lie anywhere, would be a small difference of large terms.
-    """
-
-    cov_known_camera: Floats  # (3, 3) rad^2, of a rotation of the centre if the camera were known
-    d_rotation: Floats  # (3, 7) derivatives of that rotation by the camera's parameters
-    leverage: Floats  # (N,) trace of each kept star's part in the fit
-    d_fov_x: Floats  # (7,) derivatives of the field of view, rad
-
-    @staticmethod
-    def of(fit: CameraFit, stars: IdentifiedStars, cov_px: Floats) -> _CentreSensitivity:
-        rows = fit.keep.nonzero()[0]
-        u_s = fit.rotations[0].apply(stars.u_i[rows])
-        sigmas = np.sqrt(np.diag(fit.covariance))
-        slopes = np.array([_centre_slope(fit.camera, name, sigma) for name, sigma in zip(PARAMETERS, sigmas)])
-        A = rotation_derivatives(fit.camera, u_s)
-        J = pixel_derivatives(fit.camera, u_s) + A @ slopes[:, :3].T
-        W = np.linalg.inv(cov_px[rows])
-        AW = A.transpose(0, 2, 1) @ W
-        cov = np.linalg.inv((AW @ A).sum(axis=0))
-        d_rotation = cov @ (AW @ J).sum(axis=0)
-        left = J - A @ d_rotation
-        unscaled = fit.covariance / fit.variance_factor
-        leverage = np.einsum("nij,nip,pq,njq->n", W, A, cov, A, optimize=True)
-        leverage += np.einsum("nij,nip,pq,njq->n", W, left, unscaled, left, optimize=True)
-        return _CentreSensitivity(cov, d_rotation, leverage, slopes[:, 3])
-
-
-def _centre_slope(camera: StarCamera, name: str, step: float) -> Floats:
-    """(4,) derivatives by a camera parameter: rotation of the image's centre about the axes of s (3), and
-    field of view, rad."""
-    more, less = perturbed(camera, name, 0.5 * step), perturbed(camera, name, -0.5 * step)
-    rotation = Rotation.from_matrix(more.middle_axes() @ less.middle_axes().T).as_rotvec()
-    return np.append(rotation, more.fov_x_rad - less.fov_x_rad) / step
 
 
 def _common_variance(fit: CameraFit, leverage: Floats, cov_px: Floats, before: float) -> float:

@@ -24,6 +24,8 @@ from boresight.star_id.identification.tangent_plane import (
 from boresight.star_id.identification.triangle_index import StarIndex
 
 __all__ = [
+    "RESOLVED_PX",
+    "STARS_PER_DETECTION",
     "Hypothesis",
     "Match",
     "match_within",
@@ -35,8 +37,8 @@ __all__ = [
     "robust_sigma",
 ]
 
-_RESOLVED_PX = 3.0  # a star closer than this to a brighter one is not detected separately
-_STARS_PER_DETECTION = 1.6  # predicted stars considered, brightest first, per detection
+RESOLVED_PX = 3.0  # a star closer than this to a brighter one is not detected separately
+STARS_PER_DETECTION = 1.6  # predicted stars considered, brightest first, per detection
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -84,7 +86,7 @@ def predict_field(image: PlaneDetections, index: StarIndex, R: Floats, distortio
     field = image.field
     corner = math.hypot(field.half_x, field.half_y) * (1.03 + 0.5 * field.shape_error)
     rows = index.near(R[2], math.atan(corner * math.exp(-distortion[0])))
-    resolved = index.to_brighter_rad.take(rows) > _RESOLVED_PX * field.pixel
+    resolved = index.to_brighter_rad.take(rows) > RESOLVED_PX * field.pixel
     return predict_stars(index, rows.take(resolved.nonzero()[0]), R, distortion)
 
 
@@ -96,7 +98,7 @@ def predict_stars(index: StarIndex, rows: Ints, R: Floats, distortion: Floats) -
 
 def nearby_pairs(image: PlaneDetections, hypothesis: Hypothesis, sigma: Floats) -> NearbyPairs:
     """Pairs within five `sigma` (M,), of the brightest predicted stars that so many detections can show."""
-    most = int(_STARS_PER_DETECTION * len(image.points)) + 12
+    most = int(STARS_PER_DETECTION * len(image.points)) + 12
     inside = image.field.contains(hypothesis.predicted).nonzero()[0][:most]
     star, detection = image.within(hypothesis.predicted.take(inside), 5.0 * sigma.take(inside))
     return NearbyPairs(inside.take(star), detection, len(inside))

@@ -1,0 +1,76 @@
+"""Which detections are which stars, once camera and attitude are nearly known: probabilities instead of the
+nearest within a radius.
+
+A detection is a predicted star, Gaussian about its place with the covariances of centroid and prediction, or
+clutter, uniform over the image. The density of clutter and the probability that a star is detected, by
+brightness, are those that the image shows (expectation maximisation). A false detection is then taken for a
+star only within the few standard deviations where stars are denser than clutter.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from boresight.geometry.record import Floats, Ints, array, record
+
+__all__ = ["FieldMatch", "match_field"]
+
+_ROUNDS = 12  # of densities and probabilities in turn
+_REACH_SIGMA = 6.0
+_LARGEST_REACH_PX = 40.0  # a prediction worse than that does not tell stars apart
+_STARS_PER_GROUP = 24  # of like brightness, with one probability of detection
+_LEAST_PROBABILITY = 0.5
+
+
+@record(kw_only=True)
+class FieldMatch:
+    """Pairs of detections and predicted stars, each of either at most once."""
+
+    detections: Ints = array("K", "rows of the detections")
+    stars: Ints = array("K", "rows of the predicted stars")
+    probability: Floats = array("K", "that the detection is the star")
+
+
+def match_field(
+    xy_px: Floats, cov_px: Floats, predicted_px: Floats, cov_predicted_px: Floats, area_px: float
+) -> FieldMatch:
+    """Probable pairs of detections (N, 2), px, and predicted stars (M, 2), brightest first.
+
+    `cov_px` (N, 2, 2) and `cov_predicted_px` (M, 2, 2) are their covariances, px^2, `area_px` that of the
+    image, px^2. Pairs of a probability below one half are left out.
+    """
+    detection, star = _near(xy_px, cov_px, predicted_px, cov_predicted_px)
+    if len(detection) == 0:
+        none = np.empty(0, dtype=np.int64)
+        return FieldMatch(detections=none, stars=none, probability=np.empty(0))
+    S = cov_px[detection] + cov_predicted_px[star]
+    d = xy_px[detection] - predicted_px[star]
+    square = np.einsum("ki,ki->k", d, np.linalg.solve(S, d[:, :, None])[:, :, 0])
+    density = np.exp(-0.5 * square) / (2.0 * np.pi * np.sqrt(np.linalg.det(S)))
+    group = np.arange(len(predicted_px)) // _STARS_PER_GROUP
+    size = np.bincount(group)
+    detected, clutter = np.full(len(size), 0.5), len(xy_px) / area_px
+    for _ in range(_ROUNDS):
+        of_star = detected[group[star]] * density
+        of_all = clutter + np.bincount(detection, of_star, minlength=len(xy_px))
+        probability = of_star / of_all[detection]
+        detected = (np.bincount(group[star], probability, minlength=len(size)) + 0.5) / (size + 1.0)
+        clutter = max(len(xy_px) - float(probability.sum()), 1.0) / area_px
+    probable = np.flatnonzero(probability > _LEAST_PROBABILITY)
+    best_last = probable[np.argsort(probability[probable], kind="stable")]
+    row = np.full(len(predicted_px), -1)
+    row[star[best_last]] = best_last
+    kept = np.sort(row[row >= 0])
+    return FieldMatch(detections=detection[kept], stars=star[kept], probability=probability[kept])
+
+
+def _near(xy: Floats, cov: Floats, predicted: Floats, cov_predicted: Floats) -> tuple[Ints, Ints]:
+    """Rows (K,), (K,) of detections and predicted stars within `_REACH_SIGMA` of one another."""
+    own = np.sqrt(np.trace(cov_predicted, axis1=1, axis2=2))
+    largest = float(np.sqrt(np.trace(cov, axis1=1, axis2=2).max(initial=0.0)))
+    reach = np.minimum(_REACH_SIGMA * np.hypot(own, largest), _LARGEST_REACH_PX)
+    near = cKDTree(xy).query_ball_point(predicted, reach)
+    counts = np.array([len(rows) for rows in near], dtype=np.int64)
+    detection = np.concatenate([np.asarray(rows, dtype=np.int64) for rows in near])
+    return detection, np.repeat(np.arange(len(predicted)), counts)

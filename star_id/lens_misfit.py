@@ -1,0 +1,210 @@
+"""Errors of the attitude and camera that were fitted to one image, what the camera model cannot explain
+included.
+
+The pixels of directions are the camera's model plus a smooth distortion, a sum of Legendre polynomials of the
+image's coordinates to the sixth degree, each with a Gaussian coefficient of variance t^2 / 2^degree. The size
+t, and the variance v of an error that each star has for itself, are those of the largest evidence; the
+coefficients are marginalised. So a lens that the model does not explain makes the stated errors of centre and
+field of view as large as a smooth distortion of that size would, however many stars there are: their
+residuals are alike where they are near to one another.
+
+Unknowns are a rotation of the image's centre (3), about the axes of s, the camera's parameters (7) and the
+coefficients. A rotation about the image's centre is nearly independent of all parameters; a rotation about
+the optical axis, which may lie anywhere, would be a small difference of large terms.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.polynomial.legendre import legval
+from scipy.linalg import cho_factor, cho_solve
+from scipy.optimize import minimize
+from scipy.spatial.transform import Rotation
+
+from boresight.geometry.record import Floats, array, record, scalar
+from boresight.geometry.star_camera import StarCamera
+from boresight.star_id.camera_fit import (
+    PARAMETERS,
+    CameraFit,
+    perturbed,
+    pixel_derivatives,
+    rotation_derivatives,
+)
+
+__all__ = ["LensErrors", "lens_errors"]
+
+_DEGREE = 6
+_TERMS = tuple((i, n - i) for n in range(2, _DEGREE + 1) for i in range(n + 1))
+_BENT_LOG_EVIDENCE = 2.0  # more than without a smooth distortion, for it to count as seen
+_STEP_PX = 0.01
+
+
+@record(kw_only=True)
+class LensErrors:
+    """Errors of P = 10 unknowns, and of the coefficients of a smooth distortion if one is seen."""
+
+    camera: StarCamera = scalar("as fitted")
+    slopes: Floats = array("P, 4", "rotation of the image's centre (3) and field of view, rad, by unknown")
+    mean: Floats = array("P", "of the unknowns, about the fit")
+    covariance: Floats = array("P, P", "of the unknowns")
+    leverage: Floats = array("K", "trace of each kept star's part in the fit")
+    common_px2: float = scalar("variance along one axis of an error of each star's own, px^2")
+    bent_px: float = scalar("1-sigma size of the smooth distortion, px; 0 if none is seen")
+
+    def of_centre(self) -> tuple[Floats, float]:
+        """Covariance (3, 3) of a rotation of the image's centre about the axes of s, rad^2, and 1-sigma error
+        of the field of view, rad. A distortion that is seen, but not in the camera, counts as an error."""
+        centre, field = self.mean[:3], self.slopes[:, 3]
+        cov_s = self.covariance[:3, :3] + np.outer(centre, centre)
+        return cov_s, float(np.sqrt(field @ self.covariance @ field + (field @ self.mean) ** 2))
+
+    def predict(self, u_s: Floats, xy_px: Floats) -> tuple[Floats, Floats]:
+        """Places (N, 2), px, and covariances (N, 2, 2), px^2, of stars in directions (N, 3), frame s, that
+        the camera images at `xy_px` (N, 2)."""
+        columns = _columns(self.camera, u_s, xy_px, self.slopes)
+        cov = np.einsum("nip,pq,njq->nij", columns, self.covariance, columns, optimize=True)
+        return xy_px + columns @ self.mean, cov + self.common_px2 * np.eye(2)
+
+
+def lens_errors(
+    fit: CameraFit,
+    u_s: Floats,
+    cov_px: Floats,
+    prior: Mapping[str, float],
+    *,
+    common_px2: float | None = None,
+) -> LensErrors:
+    """Errors of a fit to stars in directions (N, 3), frame s, with centroid covariances (N, 2, 2), px^2.
+
+    `prior` holds the 1-sigma deviations of the camera's parameters. With `common_px2`, a variance along one
+    axis that is not in `cov_px`, a smooth distortion is looked for, and that variance estimated with it.
+    """
+    rows = fit.keep.nonzero()[0]
+    camera, u_s, cov = fit.camera, u_s[rows], cov_px[rows]
+    slopes = _camera_slopes(fit)
+    sigma = np.concatenate([np.full(3, np.inf), [prior.get(name, np.inf) for name in PARAMETERS]])
+    xy = camera.pixels_from_directions(u_s)
+    if common_px2 is None:
+        posterior = _Linear.of(_columns(camera, u_s, xy, slopes), fit.residual_px[rows], cov, sigma)
+        unknown = np.zeros(len(slopes))  # the fit is their most probable value
+        return _errors(fit, slopes, posterior, unknown, 0.0, 0.0)
+    slopes = np.vstack([slopes, _bending_slopes(camera)])
+    columns = _columns(camera, u_s, xy, slopes)
+    decay = np.tile([2.0 ** (-0.5 * (i + j)) for i, j in _TERMS], 2)
+
+    def solved(common: float, bent: float) -> _Linear:
+        with_common = cov + common * np.eye(2)
+        if bent == 0.0:
+            return _Linear.of(columns[:, :, :10], fit.residual_px[rows], with_common, sigma)
+        both = np.append(sigma, bent * decay)
+        return _Linear.of(columns, fit.residual_px[rows], with_common, both)
+
+    floor = 1e-4 * common_px2
+    start = 0.5 * np.log([common_px2, 4.0 * common_px2])
+    best = minimize(
+        lambda p: -solved(float(np.exp(2.0 * p[0])) + floor, float(np.exp(p[1]))).log_evidence,
+        start,
+        method="Nelder-Mead",
+        options={"xatol": 0.1, "fatol": 0.1, "maxfev": 60},
+    )
+    plain = solved(common_px2, 0.0)
+    if -best.fun < plain.log_evidence + _BENT_LOG_EVIDENCE:
+        return _errors(fit, slopes[:10], plain, np.zeros(10), common_px2, 0.0)
+    common, bent = float(np.exp(2.0 * best.x[0])) + floor, float(np.exp(best.x[1]))
+    posterior = solved(common, bent)
+    return _errors(fit, slopes, posterior, posterior.mean, common, bent)
+
+
+def _errors(
+    fit: CameraFit, slopes: Floats, posterior: _Linear, mean: Floats, common: float, bent: float
+) -> LensErrors:
+    scale = fit.variance_factor if bent == 0.0 else 1.0
+    return LensErrors(
+        camera=fit.camera,
+        slopes=slopes,
+        mean=mean,
+        covariance=scale * posterior.covariance,
+        leverage=posterior.leverage,
+        common_px2=common,
+        bent_px=bent,
+    )
+
+
+@record(kw_only=True)
+class _Linear:
+    """Solution of linear equations with Gaussian priors."""
+
+    mean: Floats = array("P", "of the unknowns")
+    covariance: Floats = array("P, P", "of the unknowns")
+    leverage: Floats = array("K", "trace of each observation pair's part in the fit")
+    log_evidence: float = scalar("restricted likelihood: unknowns without prior are marginalised")
+
+    @classmethod
+    def of(cls, columns: Floats, residual: Floats, cov: Floats, sigma: Floats) -> _Linear:
+        """From design (K, 2, P), residuals (K, 2), their covariances (K, 2, 2) and prior sigmas (P,), inf
+        without one."""
+        W = np.linalg.inv(cov)
+        WX = W @ columns
+        flat = columns.reshape(-1, columns.shape[2])
+        weight = np.where(np.isfinite(sigma), sigma, 1.0) ** -2.0 * np.isfinite(sigma)
+        normal = flat.T @ WX.reshape(flat.shape) + np.diag(weight)
+        unit = 1.0 / np.sqrt(np.diag(normal))
+        factor = cho_factor(normal * unit[:, None] * unit, lower=True)
+        right = WX.reshape(flat.shape).T @ residual.ravel()
+        mean = unit * cho_solve(factor, unit * right)
+        covariance = cho_solve(factor, np.eye(len(unit))) * unit[:, None] * unit
+        chi2 = float(np.einsum("ki,kij,kj->", residual, W, residual) - right @ mean)
+        log_det = 2.0 * float(np.log(np.diag(factor[0]) / unit).sum()) - float(np.linalg.slogdet(W)[1].sum())
+        log_det += 2.0 * float(np.log(sigma[np.isfinite(sigma)]).sum())
+        leverage = np.einsum("kip,pq,kiq->k", columns, covariance, WX, optimize=True)
+        return cls(mean=mean, covariance=covariance, leverage=leverage, log_evidence=-0.5 * (chi2 + log_det))
+
+
+def _columns(camera: StarCamera, u_s: Floats, xy_px: Floats, slopes: Floats) -> Floats:
+    """(N, 2, P) derivatives of the pixels of directions (N, 3), frame s, by the unknowns."""
+    A = rotation_derivatives(camera, u_s)
+    parts = [A, pixel_derivatives(camera, u_s) + A @ slopes[3:10, :3].T]
+    if len(slopes) > 10:
+        bent = _bending(camera, xy_px)
+        parts.append(bent + A @ slopes[10:, :3].T)
+    return np.concatenate(parts, axis=2)
+
+
+def _bending(camera: StarCamera, xy_px: Floats) -> Floats:
+    """(N, 2, C) displacement, px, at pixels (N, 2) by coefficient: those of the columns, then of the rows."""
+    half = 0.5 * max(camera.width_px, camera.height_px)
+    middle = 0.5 * np.array([camera.width_px - 1, camera.height_px - 1])
+    x, y = np.clip((xy_px - middle) / half, -1.2, 1.2).T
+    along_x, along_y = (legval(t, np.eye(_DEGREE + 1)) for t in (x, y))
+    terms = np.stack([along_x[i] * along_y[j] for i, j in _TERMS], axis=1)
+    zero = np.zeros_like(terms)
+    return np.stack([np.hstack([terms, zero]), np.hstack([zero, terms])], axis=1)
+
+
+def _camera_slopes(fit: CameraFit) -> Floats:
+    """(10, 4) slopes of a rotation of the centre (the centre's error itself) and of the camera's
+    parameters."""
+    slopes = np.zeros((3 + len(PARAMETERS), 4))
+    for k, (name, step) in enumerate(zip(PARAMETERS, np.sqrt(np.diag(fit.covariance)))):
+        more, less = (perturbed(fit.camera, name, half * step) for half in (0.5, -0.5))
+        rotation = Rotation.from_matrix(more.middle_axes() @ less.middle_axes().T).as_rotvec()
+        slopes[3 + k] = np.append(rotation, more.fov_x_rad - less.fov_x_rad) / step
+    return slopes
+
+
+def _bending_slopes(camera: StarCamera) -> Floats:
+    """(C, 4) slopes of the coefficients: a pixel sees what the camera's model has where the distortion does
+    not reach it."""
+    x, y = 0.5 * (camera.width_px - 1), 0.5 * (camera.height_px - 1)
+    points = np.array([[x, y], [x, y - 1.0], [-0.5, y], [camera.width_px - 0.5, y]])
+    moved = points - _STEP_PX * _bending(camera, points).transpose(2, 0, 1)  # (C, 4, 2)
+    seen = camera.directions_from_pixels(np.vstack([points[None], moved]).reshape(-1, 2)).reshape(-1, 4, 3)
+    middle, above, left, right = seen.transpose(1, 0, 2)
+    up = above - middle * (above * middle).sum(axis=1)[:, None]
+    up /= np.linalg.norm(up, axis=1)[:, None]
+    axes = np.stack([np.cross(middle, up), -up, middle], axis=2)
+    rotation = Rotation.from_matrix(axes[1:] @ axes[0].T).as_rotvec()
+    field = 2.0 * np.arcsin(0.5 * np.linalg.norm(right - left, axis=1))
+    return np.column_stack([rotation, field[1:] - field[0]]) / _STEP_PX

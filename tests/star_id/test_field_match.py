@@ -1,0 +1,107 @@
+"""Detections matched with predicted stars by probability, and what false detections do to a fitted lens."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from frames import direction, listed_stars
+from scipy.spatial.transform import Rotation
+
+from boresight.geometry.star_camera import StarCamera
+from boresight.star_id.catalogue import hipparcos_stars
+from boresight.star_id.field import FieldSolution, solve_list
+from boresight.star_id.field_fit import fit_attitude_and_lens
+from boresight.star_id.field_match import match_field
+from boresight.star_id.identification.triangle_index import build_index
+from boresight.star_id.settings import StarSettings
+
+PLACES = hipparcos_stars(8.0).places
+WIDE = StarCamera(
+    focal_m=0.011, pixel_m=5e-6, width_px=2048, height_px=2048, principal_px=(1030.2, 1019.4), q1=-3e-4
+)
+
+
+def test_a_star_is_matched_as_far_as_its_prediction_is_uncertain():
+    rng = np.random.default_rng(3)
+    predicted = rng.uniform(0, 2048, (200, 2))
+    for sigma in (0.2, 3.0):
+        seen = predicted + sigma * rng.normal(size=predicted.shape)
+        clutter = rng.uniform(0, 2048, (200, 2))
+        xy, each = np.vstack([seen, clutter]), np.array([1e-4 * np.eye(2)])
+        found = match_field(
+            xy, each.repeat(400, axis=0), predicted, (sigma**2 * np.eye(2))[None].repeat(200, 0), 2048.0**2
+        )
+        right = found.detections == found.stars
+        # a false detection within 4 sigma of an own place comes up 200 * 200 * 16 pi sigma^2 / 2048^2 times
+        assert right.sum() >= 196 - 20 * (sigma > 1)
+        assert (~right).sum() <= 0.5 * 200 * 200 * 16 * np.pi * sigma**2 / 2048**2 + 1
+
+
+def test_a_star_that_is_not_seen_is_not_matched_with_clutter():
+    rng = np.random.default_rng(5)
+    clutter, stars = rng.uniform(0, 2048, (400, 2)), rng.uniform(0, 2048, (300, 2))
+    small = np.array([0.04 * np.eye(2)])
+    found = match_field(clutter, small.repeat(400, 0), stars, small.repeat(300, 0), 2048.0**2)
+    assert len(found.stars) <= 2
+
+
+@pytest.fixture(scope="module")
+def index():
+    return build_index(PLACES, PLACES.epoch_jyear, (np.radians(40.0), np.radians(60.0)))
+
+
+def test_false_detections_bend_neither_lens_nor_its_stated_error(index):
+    """120 stars and 300 faint false ones in 50 deg: the field's error was nine times the stated one."""
+    squares, rng = [], np.random.default_rng(11)
+    for _ in range(12):
+        R_si = Rotation.random(random_state=rng)
+        stars = listed_stars(WIDE, R_si, PLACES, rng, brightest=2000.0)
+        stars = stars.take(np.arange(min(120, len(stars.xy_px))))
+        found = solve_list(_with_false(stars, 300, rng), (2048, 2048), index, StarSettings())
+        assert isinstance(found, FieldSolution), found
+        axes, true = found.R_si.inv().as_matrix() @ found.camera.middle_axes(), WIDE.middle_axes()
+        off = Rotation.from_matrix(axes.T @ R_si.inv().as_matrix() @ true).as_rotvec()
+        axes = found.camera.middle_axes()
+        sigma = np.sqrt(np.diag(axes.T @ found.cov_s @ axes))
+        field = (found.fov_x_rad - WIDE.fov_x_rad) / found.fov_x_sigma_rad
+        squares.append([*(off / sigma) ** 2, field**2])
+    mean = np.mean(squares, axis=0)
+    assert mean[:2].mean() < 2.0  # chi-square of 24 degrees of freedom: 2.0 is exceeded once in 500
+    assert mean[2] < 2.7 and mean[3] < 2.7  # of 12: 2.7 is exceeded once in 1000
+
+
+def _with_false(stars, count, rng):
+    """The list with faint false detections among the fainter stars."""
+    rows = rng.integers(len(stars.xy_px) // 2, len(stars.xy_px), count)
+    false = stars.take(rows)
+    false.xy_px[:] = rng.uniform(0, 2047, (count, 2))
+    both = np.append(stars.flux_dn, false.flux_dn)
+    order = np.argsort(-both, kind="stable")
+    everything = stars.take(np.append(np.arange(len(stars.xy_px)), rows))
+    everything.xy_px[len(stars.xy_px) :] = false.xy_px
+    return everything.take(order)
+
+
+def test_a_lens_beyond_the_model_states_an_error_that_holds():
+    """The lens images radius f theta, but for the paper's polynomial: 100 ppm of the field are left over."""
+    rng, ratios = np.random.default_rng(2), []
+    for _ in range(6):
+        R_si = Rotation.random(random_state=rng)
+        u_i = direction(PLACES.ra_rad, PLACES.dec_rad)
+        u_s = R_si.apply(u_i)
+        theta = np.arccos(np.clip(u_s[:, 2], -1, 1))
+        focal_px = 1700.0
+        xy = 1023.5 - focal_px * (theta / np.sin(theta))[:, None] * u_s[:, :2]
+        inside = np.flatnonzero((u_s[:, 2] > 0.5) & ((xy > 0) & (xy < 2047)).all(axis=1))[:200]
+        cov = np.full((len(inside), 1, 1), 0.05**2) * np.eye(2)
+        start = StarCamera(
+            focal_m=focal_px * 5e-6,
+            pixel_m=5e-6,
+            width_px=2048,
+            height_px=2048,
+            principal_px=(1023.5, 1023.5),
+        )
+        measured = xy[inside] + 0.05 * rng.normal(size=(len(inside), 2))
+        fit = fit_attitude_and_lens(start, R_si, measured, cov, u_i[inside])
+        ratios.append((fit.field.camera.fov_x_rad - 2048 / focal_px) / fit.field.fov_x_sigma_rad)
+    assert np.mean(np.square(ratios)) < 3.7  # of 6 degrees of freedom: exceeded once in 1000
