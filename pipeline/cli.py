@@ -31,6 +31,7 @@ from boresight.pipeline.commands.messages import (
     REFUTED,
     Answer,
     log,
+    print_data,
     say,
     talks,
     wrong_usage,
@@ -103,7 +104,7 @@ def _global(
     version: Annotated[bool, typer.Option("--version", help="Print the version and stop.")] = False,
 ) -> None:
     if version:
-        typer.echo(version_text())
+        print_data(version_text())
         raise typer.Exit(DONE)
 
 

@@ -27,7 +27,7 @@ from boresight.pipeline import __version__
 from boresight.pipeline.errors import RawDataError, printable
 
 __all__ = ["DATA_DID_NOT_ALLOW", "DONE", "LIMIT_MISSED", "REFUTED", "WRONG_USAGE"]
-__all__ += ["Answer", "log", "say", "shows_remarks", "talks", "tell", "wrong_usage"]
+__all__ += ["Answer", "log", "print_data", "say", "shows_remarks", "talks", "tell", "wrong_usage"]
 
 DONE, DATA_DID_NOT_ALLOW, WRONG_USAGE, REFUTED, LIMIT_MISSED = range(5)
 INTERRUPTED = 130
@@ -118,6 +118,11 @@ def tell(text: str) -> None:
         log.log(RESULT, "%s", text)
 
 
+def print_data(text: str) -> None:
+    """Lines for programs (CSV, JSON) on stdout, as they are but for characters that a terminal would obey."""
+    typer.echo(_printable(text), nl=not text.endswith("\n"))
+
+
 def say(text: str) -> None:
     """A remark, on stderr and in the log file."""
     log.info("%s", text)
@@ -193,8 +198,12 @@ class _Console(logging.Handler):
         if getattr(record, "progress", False) and sys.stderr.isatty():
             return  # bars are shown
         stream = sys.stdout if is_result else sys.stderr
-        text = "\n".join(printable(line) for line in record.getMessage().split("\n"))
+        text = _printable(record.getMessage())
         typer.echo(fitted(text, stream.isatty()), err=not is_result)
+
+
+def _printable(text: str) -> str:
+    return "\n".join(printable(line) for line in text.split("\n"))
 
 
 def fitted(text: str, terminal: bool) -> str:

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from boresight.pipeline.commands.messages import Answer, talks, tell
+from boresight.pipeline.commands.messages import Answer, print_data, talks, tell
 from boresight.pipeline.files.whole_file import write_whole
 
 __all__ = ["add_report_commands"]
@@ -137,7 +137,7 @@ def geolocate(
     places = places_of(calibrated, model, read, surface)
     text = "".join(places_csv(read, places))
     if out is None:
-        typer.echo(text, nl=False)
+        print_data(text)
     else:
         write_whole(out, lambda path: path.write_text(text, encoding="utf-8"))
         known = int((places.sigma_along_m == places.sigma_along_m).sum())

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from boresight.pipeline.commands.messages import say, talks, tell
+from boresight.pipeline.commands.messages import print_data, say, talks, tell
 
 __all__ = ["add_sensor_commands"]
 
@@ -35,7 +35,7 @@ def dimap(
     strip = operator_model(product)
     say(f"{strip.dataset}: {strip.width_px} x {strip.height_px} px")
     if pixels is not None:
-        typer.echo("".join(places_of_pixels(strip, pixels, height_m)), nl=False)
+        print_data("".join(places_of_pixels(strip, pixels, height_m)))
     if grid is not None:
         for altitude, rms, largest in grid_differences(strip, grid):
             tell(f"altitude {altitude:7.1f} m   rms {rms:.5f} m   largest {largest:.5f} m")

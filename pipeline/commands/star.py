@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import csv
+import io
 import json
-import sys
 import time
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import typer
 
@@ -17,6 +18,7 @@ from boresight.pipeline.commands.messages import (
     DATA_DID_NOT_ALLOW,
     DONE,
     Answer,
+    print_data,
     say,
     talks,
     tell,
@@ -97,17 +99,16 @@ def identify(
         raise wrong_usage("--json, --csv and --fits exclude one another")
     if as_fits and times is not None:
         raise wrong_usage("--fits and --times exclude one another: a header states places of the catalogue")
-    table = csv.DictWriter(sys.stdout, FIELDS, lineterminator="\n")
     if as_csv:
-        table.writeheader()
+        print_data(_csv_line(FIELDS))
     named = 0
     request = Request(camera, fov, dark, Whereabouts(times, orbit, site), out, overlay)
     for path, line in zip(images, identify_images(images, request, read_settings(settings).stars)):
         named += line.identified
         if as_json:
-            typer.echo(json.dumps(line.record))
+            print_data(json.dumps(line.record))
         elif as_csv:
-            table.writerow(line.record)
+            print_data(_csv_line([line.record.get(name, "") for name in FIELDS]))
         else:
             tell(line.text)
         if as_fits and line.found is not None:
@@ -242,3 +243,9 @@ def star_camera_calibrate(
     with progress_bars() as told:
         lines, done = calibrate_from_images(sources, request, read_settings(settings).stars, told)
     return Answer(text="\n".join(lines), exit_status=DONE if done else DATA_DID_NOT_ALLOW)
+
+
+def _csv_line(values: Iterable[Any]) -> str:
+    line = io.StringIO()
+    csv.writer(line, lineterminator="").writerow(values)
+    return line.getvalue()

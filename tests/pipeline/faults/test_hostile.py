@@ -11,12 +11,15 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 import rasterio
 from rasterio.transform import Affine
 from typer.testing import CliRunner
 
-from boresight.pipeline.cli import _say, app
+from boresight.pipeline.cli import app
+from boresight.pipeline.commands.messages import say, tell
 from boresight.pipeline.errors import DataNotSufficientError, RawDataError
 from boresight.pipeline.files.dump import open_dump
 from boresight.pipeline.files.text_files import read_text
@@ -165,10 +168,40 @@ def test_escape_character_never_reaches_the_terminal(file: str, old: str, new: s
 
 def test_remark_is_printed_as_it_is(capsys: pytest.CaptureFixture[str]) -> None:
     for text in ("10:1234", "a :smile: b", "[red]x[/red]", "[/nothing]", "x" * 300):
-        _say(text)
+        say(text)
         assert capsys.readouterr().err == text + "\n"
-    _say("a\x1b[2J\x07\u202e\udce9\nb")
-    assert capsys.readouterr().err == "a\\x1b[2J\\x07\\u202e\\udce9\nb\n"
+    for print_, stream in ((say, "err"), (tell, "out")):
+        print_("a\x1b[2J\x07\u202e\udce9\nb")
+        assert getattr(capsys.readouterr(), stream) == "a\\x1b[2J\\x07\\u202e\\udce9\nb\n"
+
+
+def test_names_in_a_result_of_others_never_reach_the_terminal(
+    finished: tuple[Path, Path], tmp_path: Path
+) -> None:
+    """A result folder that somebody sent, with escape characters in its tables and JSON."""
+    result = tmp_path / "result"
+    shutil.copytree(finished[1], result)
+    path = result / "sightings" / "omissions.parquet"
+    table = pq.read_table(path)
+    row = {name: "\x1b]0;title\x07 \u202e \x1b[2J" for name in table.schema.names}
+    pq.write_table(pa.Table.from_pylist([row], table.schema).replace_schema_metadata(), path)
+    verdict = {"outcome": "\x1b[31mconsistent", "checks": []}
+    installation = json.loads((result / "installation.json").read_text())
+    (result / "installation.json").write_text(json.dumps(installation | {"verdict": verdict}))
+    for command in (["status", str(result)], ["validate", str(result), "--dump", str(finished[0])]):
+        ran = runner.invoke(app, command)
+        assert ran.exception is None or isinstance(ran.exception, (SystemExit, RawDataError))
+        shown = ran.output + str(ran.exception or "")
+        assert shown and all(line.isprintable() for line in shown.split("\n")), repr(shown)
+
+
+def test_image_names_of_a_table_on_stdout_are_escaped(tmp_path: Path) -> None:
+    path = tmp_path / "a\x1b[2J.png"
+    path.write_bytes(b"no image")
+    for form in ("--csv", "--json"):
+        ran = runner.invoke(app, ["identify", form, str(path)])
+        assert ran.exit_code == 1 and "a\\" in ran.output
+        assert all(line.isprintable() for line in ran.output.split("\n")), repr(ran.output)
 
 
 def test_scenario_key_with_escape_characters_is_escaped(tmp_path: Path, capfd: pytest.CaptureFixture) -> None:
