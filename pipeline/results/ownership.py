@@ -121,10 +121,7 @@ def _take_over(result: Path, origin: Origin, dumps: Sequence[Path], overwrite: b
         ours = re.compile(rf"{re.escape(LOCK)}|\.{re.escape(MARKER)}\..*\.tmp")
         others = sorted(entry.name for entry in result.iterdir() if not ours.fullmatch(entry.name))
         if others:
-            found = f"{', '.join(others[:3])}{' ...' if len(others) > 3 else ''}"
-            raise RawDataError(
-                "--out", str(result), found, "a new or empty folder, or one that boresight made"
-            )
+            raise _not_ours(result, others)
     elif not same:
         another = "another dump" if before.dump != origin.dump else "other settings"
         if not overwrite:
@@ -141,6 +138,18 @@ def _take_over(result: Path, origin: Origin, dumps: Sequence[Path], overwrite: b
     content |= {"folders": [str(dump) for dump in dumps]}
     text = json.dumps(content, indent=2) + "\n"
     write_whole(result / MARKER, lambda path: path.write_text(text, encoding="utf-8"))
+
+
+def _not_ours(result: Path, names: list[str]) -> RawDataError:
+    """The error for a folder without marker, which may hold the result of a version that wrote none."""
+    with suppress(RawDataError):
+        version = read_json(result / "installation.json", "installation.json").get("version")
+        if isinstance(version, str):
+            found = f"a result of boresight {version} without {MARKER}, written before there was one"
+            expected = "another folder (report, validate and export still read this one), or delete it first"
+            return RawDataError("--out", str(result), found, expected)
+    found = f"{', '.join(names[:3])}{' ...' if len(names) > 3 else ''}"
+    return RawDataError("--out", str(result), found, "a new or empty folder, or one that boresight made")
 
 
 def _remove_own(result: Path, *, work: bool) -> None:

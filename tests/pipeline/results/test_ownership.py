@@ -59,6 +59,22 @@ def test_folder_with_files_of_others_is_refused_and_left_as_it_is(tmp_path: Path
     assert contents(out) == before
 
 
+def test_result_of_a_version_without_marker_is_refused_with_its_remedy_and_still_read(
+    mine: tuple[Path, Path], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    dump, out = mine
+    (out / MARKER).unlink()
+    before = contents(out)
+    status, text = told(monkeypatch, capsys, "calibrate", str(dump), "--out", str(out), "--overwrite")
+    version = json.loads(before["installation.json"])["version"]
+    assert status == 1 and f"a result of boresight {version} without {MARKER}" in text
+    assert "another folder (report, validate and export still read this one), or delete it first" in text
+    for command in (["status", str(out)], ["export", str(out), "--format", "csv", "--out", str(out.parent)]):
+        ran = runner.invoke(app, command)
+        assert ran.exit_code == 0, (ran.output, ran.exception)
+    assert contents(out) == before
+
+
 def test_no_file_of_others_is_removed_from_a_result(mine: tuple[Path, Path]) -> None:
     dump, out = mine
     others = {"draft.tmp": b"a", "sightings/.letter.txt.tmp": b"b", "work/exposures/my.parquet": b"c"}
