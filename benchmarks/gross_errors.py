@@ -3,7 +3,8 @@
 The sightings that a calibration of `fixtures/mini` makes are taken as they are; the measured direction of one
 target is shifted, along an axis drawn by the seed, and the matrix is estimated again from the sightings. Each
 run is repeated with the targets in reverse order and with another iteration limit: the same targets must be
-rejected.
+rejected. A good target that is rejected in place of the shifted one counts as ambiguous if the rejection
+names the shifted one as its rival, else as an innocent rejected.
 
     OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 python benchmarks/gross_errors.py [seeds]
 
@@ -46,6 +47,8 @@ class Run:
 
     found: bool  # the shifted target was rejected
     innocents: frozenset[tuple[str, str]]  # other targets rejected, but none that is rejected unshifted
+    ambiguous: bool  # a good target was rejected, and the shifted one named as its rival
+    rivals: bool  # the shifted target was rejected, and others named as its rivals
     same: bool  # for any order and iteration limit
     worst_sigma: float  # largest error of theta against the truth, in units of its stated sigma
 
@@ -114,10 +117,14 @@ def _run(
         calibrate(data, R_cs0, replace(settings, most_iterations=settings.most_iterations + 1)),
     )
     assert isinstance(estimate, InstallationEstimate)
-    out = rejected(estimate)
+    out, name = rejected(estimate), "/".join(culprit)
+    rivals = {(r.strip_id, r.name): r.rivals for r in estimate.rejected}
+    wrong = out - without - {culprit}
+    alone = frozenset(one for one in wrong if name not in rivals[one])
     same = all(isinstance(one, InstallationEstimate) and rejected(one) == out for one in others)
     error = np.abs(theta_between(estimate.R_cs, R_true)) / estimate.sigma_theta
-    return Run(culprit in out, out - without - {culprit}, same, float(error.max()))
+    told = bool(rivals.get(culprit))
+    return Run(culprit in out, alone, len(alone) < len(wrong), told, same, float(error.max()))
 
 
 def report(seeds: int) -> None:
@@ -134,11 +141,14 @@ def report(seeds: int) -> None:
     found: dict[float, list[Run]] = {shift: [] for shift in SHIFTS_PX}
     for shift, run in runs_of(seeds, strips, plain, settings, pixel_rad):
         found[shift].append(run)
-    print("shift, px   runs   culprit rejected   innocents rejected   order or limit matters   worst error")
+    print(
+        "shift, px   runs   culprit rejected  it has rivals  ambiguous  innocents  order, limit   worst error"
+    )
     for shift, runs in found.items():
         print(
             f"{shift:9.1f} {len(runs):6d} {np.mean([r.found for r in runs]):18.3f} "
-            f"{np.mean([bool(r.innocents) for r in runs]):20.3f} {sum(not r.same for r in runs):24d} "
+            f"{np.mean([r.rivals for r in runs]):14.3f} {np.mean([r.ambiguous for r in runs]):10.3f} "
+            f"{np.mean([bool(r.innocents) for r in runs]):10.3f} {sum(not r.same for r in runs):14d} "
             f"{max(r.worst_sigma for r in runs):7.2f} sigma"
         )
     _requirements(found, test.probability_any)
@@ -147,12 +157,13 @@ def report(seeds: int) -> None:
 def _requirements(found: dict[float, list[Run]], family_wise: float) -> None:
     every = [run for runs in found.values() for run in runs]
     least = min(float(np.mean([r.found for r in runs])) for shift, runs in found.items() if shift >= 1.0)
-    innocents = float(np.mean([bool(r.innocents) for r in every]))
+    innocents = max(float(np.mean([bool(r.innocents) for r in runs])) for runs in found.values())
     most = family_wise + 0.01
     checks = {
         "0 runs depend on the order of targets or the iteration limit": all(run.same for run in every),
         f"culprit rejected in {least:.3f} of runs from 1 px on (>= 0.95)": least >= 0.95,
-        f"good targets rejected in {innocents:.4f} of all runs (<= {most:.3f})": innocents <= most,
+        f"good targets rejected in {innocents:.4f} of the runs of any shift (<= {most:.3f})": innocents
+        <= most,
         "theta within 4 sigma of the truth in all runs": all(run.worst_sigma <= 4.0 for run in every),
     }
     for text, holds in checks.items():

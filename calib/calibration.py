@@ -28,6 +28,7 @@ from boresight.calib.gross_errors import (
     l1_start,
     refine_geman_mcclure,
     rejection_test,
+    rivals,
     snoop,
 )
 from boresight.calib.information import InformationPairs, Solution
@@ -199,6 +200,9 @@ def _residuals(
         [np.arange(start[s], start[s + 1]) for group in problem.groups for s in group.place]
     )
     covered, kept = rows[problem.inside], np.zeros(start[-1], dtype=bool)
+    about = linearised(problem, fit.step.R_cs, fit.scale_c[0])
+    rejected = np.flatnonzero(problem.inside & ~fit.kept).tolist()
+    found = {int(rows[n]): rows[rivals(problem, about, fit.kept, n)] for n in rejected}
     statistic, detectable = np.full((2, start[-1]), np.nan)
     residual = np.full((start[-1], 2), np.nan)
     kept[rows] = fit.kept
@@ -215,6 +219,7 @@ def _residuals(
         kept=kept,
         detectable_rad=detectable,
         detectable_m=detectable * np.concatenate([strip.ground.range_m for strip in strips]),
+        rivals={row: others for row, others in found.items() if len(others)},
     )
 
 

@@ -45,6 +45,10 @@ class Rejected:
         "test statistic, chi-square of 2 degrees of freedom; NaN where none was tested", default=float("nan")
     )
     limit: float = scalar("limit that `statistic` exceeds; NaN where none was tested", default=float("nan"))
+    rivals: tuple[str, ...] = scalar(
+        '"strip/target" of targets kept that may be the wrong ones instead: the odds are below 19 to 1',
+        default=(),
+    )
     n_good: int = scalar("stars of the exposure that pass, or usable exposures of the strip", default=0)
     n_all: int = scalar("stars of the exposure, or targets of the strip", default=0)
 
@@ -76,6 +80,9 @@ class TargetResiduals:
         "test finds with the power of `RejectionTest`; inf where nothing controls it",
     )
     detectable_m: Floats = array("J", "`detectable_rad` times the distance to the target, m")
+    rivals: dict[int, Ints] = scalar(
+        "rows of the rivals (`Rejected.rivals`) of each rejected row that has any"
+    )
 
 
 @record

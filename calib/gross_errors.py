@@ -1,4 +1,4 @@
-"""Search for gross errors among the targets: a robust start, then data snooping.
+"""Search for gross errors among the targets: a robust start, data snooping, and the rivals of the rejected.
 
 Data snooping (Baarda 1968; Teunissen, Testing Theory, 2006) tests one target at a time. For target j, with
 residual e_j and covariance Q_j of that residual,
@@ -13,6 +13,10 @@ re-admitted. Rejecting where T_j exceeds the limit k and re-admitting where it d
 one step at a time; a rejected target may also be exchanged for another. Only steps that decrease (1) are
 taken, so no set of targets occurs twice and the search ends, whatever the order of the targets and the
 iteration limits of the estimate.
+
+Residuals of targets that rest on the same star exposures are correlated, and an error of one may look like an
+error of the other (Foerstner 1983: separability). With a rejected target re-admitted, T_j - T_i is twice the
+log-likelihood ratio of "j is wrong" to "i is wrong"; targets i that it does not rule out are j's rivals.
 """
 
 from __future__ import annotations
@@ -39,9 +43,10 @@ from boresight.geometry.attitude_estimate import cross_matrices
 from boresight.geometry.installation import deviation_from_theta
 from boresight.geometry.record import Bools, Floats, Ints
 
-__all__ = ["detectable_bias", "l1_start", "refine_geman_mcclure", "rejection_test", "snoop"]
+__all__ = ["detectable_bias", "l1_start", "refine_geman_mcclure", "rejection_test", "rivals", "snoop"]
 
 POWER = 0.8  # of the test, for the minimal detectable bias: the value usual in geodesy
+SEPARABLE_ODDS = 19.0  # likelihood ratio by which one of two targets is the wrong one: 95 %
 SMALLEST_GAIN = 1e-6  # of the limit: (1) must fall by more than rounding
 
 
@@ -102,6 +107,13 @@ def _largest(values: Floats, among: Bools, rank: Ints) -> int:
     top = np.max(values[rows])
     rows = rows[values[rows] >= top - 1e-9 * abs(top)]
     return int(rows[np.argmin(rank[rows])])
+
+
+def rivals(problem: Problem, about: Linearised, kept: Bools, rejected: int) -> Ints:
+    """Targets kept that may be wrong instead of `rejected`, their odds being less than 19 to 1 against."""
+    more = kept | (np.arange(len(kept)) == rejected)
+    statistic = squared_mahalanobis(solve_weighted(problem, about, more.astype(float)))
+    return np.flatnonzero(kept & (statistic[rejected] - statistic < 2.0 * np.log(SEPARABLE_ODDS)))
 
 
 def detectable_bias(step: Step, kept: Bools, noncentrality: float) -> Floats:

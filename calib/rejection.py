@@ -72,6 +72,13 @@ def _targets(ready: PreparedStrip, limit: float, residuals: TargetResiduals | No
         return
     own = np.flatnonzero(residuals.strip_id == name)
     for j in own[ready.inside & ~residuals.kept[own]]:
-        target, size = str(residuals.target_id[j]), float(residuals.statistic[j])
-        why = WhyRejected.TARGET_RESIDUAL
-        yield Rejected(strip_id=name, kind="target", name=target, why=why, statistic=size, limit=limit)
+        others = residuals.rivals.get(int(j), np.zeros(0, dtype=np.int64))
+        yield Rejected(
+            strip_id=name,
+            kind="target",
+            name=str(residuals.target_id[j]),
+            why=WhyRejected.TARGET_RESIDUAL,
+            statistic=float(residuals.statistic[j]),
+            limit=limit,
+            rivals=tuple(sorted(f"{residuals.strip_id[n]}/{residuals.target_id[n]}" for n in others)),
+        )

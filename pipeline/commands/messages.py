@@ -65,9 +65,9 @@ def talks(command: Callable[..., Answer | None], *, with_json: bool = False) -> 
         verbose: bool = False,
         quiet: bool = False,
         log_file: Path | None = None,
-        as_json: bool = False,
         **named: Any,
     ) -> None:
+        as_json = with_json and named.pop("as_json")  # some commands have an option --json of their own
         begun_s = time.perf_counter()
         name = command.__name__.replace("_", "-")
         with _messages(verbose, quiet, log_file, as_json):

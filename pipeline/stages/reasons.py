@@ -21,7 +21,8 @@ def rejection_reason(rejected: Rejected) -> str:
             return f"{sigma} ({tested})"
         case WhyRejected.TARGET_RESIDUAL:
             sigma = f"{np.sqrt(one.statistic):.1f} sigma from the position that the other targets predict"
-            return f"{sigma} ({tested})"
+            instead = f"; it or {' or '.join(one.rivals)}: the data do not tell which" if one.rivals else ""
+            return f"{sigma} ({tested}){instead}"
         case WhyRejected.NOT_COVERED:
             return "its instant lies more than half a step outside the usable exposures"
         case WhyRejected.NO_TARGET_COVERED:

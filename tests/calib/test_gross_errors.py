@@ -125,3 +125,24 @@ def test_power_and_false_alarm_rate_of_the_test_are_those_of_the_chi_square():
     assert np.mean(draws > test.limit) == pytest.approx(0.8, abs=0.003)  # 4 sigma of 400 000 draws
     good = np.max(np.sum(rng.standard_normal((20_000, 36, 2)) ** 2, axis=2), axis=1)
     assert np.mean(good > test.limit) == pytest.approx(test.probability_any, abs=0.0055)  # 4 sigma
+
+
+def test_where_neighbours_look_alike_the_shifted_target_is_rejected_or_named_as_the_rival():
+    """0.6 px is less than twice what is detectable: neighbours that share exposures are then rejected in its
+    place, but never without the shifted target being named. From 4 px on there is no doubt."""
+    strips = draw_strips(TABLE_1, CAMERAS, np.random.default_rng(31))[0]
+    before, swapped = rejected(calibrate(strips, BOLD, SETTINGS)), 0
+    rng = np.random.default_rng(2)
+    for s, j in [(s, j) for s in range(3) for j in range(12)]:
+        angle = rng.uniform(0.0, 2.0 * np.pi)
+        axis = PIXEL_RAD * np.array([np.cos(angle), np.sin(angle)])
+        culprit = (strips[s].strip_id, str(strips[s].ground.target_id[j]))
+        estimate = calibrate(shifted(strips, s, j, 0.6 * axis), BOLD, SETTINGS)
+        others = {(r.strip_id, r.name): r.rivals for r in estimate.rejected}
+        for one in rejected(estimate) - before - {culprit}:
+            assert "/".join(culprit) in others[one]
+            swapped += 1
+    assert swapped >= 1
+    estimate = calibrate(shifted(strips, s, j, 4.0 * axis), BOLD, SETTINGS)
+    assert culprit in rejected(estimate)
+    assert all(not r.rivals for r in estimate.rejected if (r.strip_id, r.name) == culprit)
