@@ -110,7 +110,7 @@ def _largest(values: Floats, among: Bools, rank: Ints) -> int:
 
 
 def rivals(problem: Problem, about: Linearised, kept: Bools, rejected: int) -> Ints:
-    """Targets kept that may be wrong instead of `rejected`, their odds being less than 19 to 1 against."""
+    """Targets kept (N,) that may be wrong instead of `rejected`, the odds being below 19 to 1 against."""
     more = kept | (np.arange(len(kept)) == rejected)
     statistic = squared_mahalanobis(solve_weighted(problem, about, more.astype(float)))
     return np.flatnonzero(kept & (statistic[rejected] - statistic < 2.0 * np.log(SEPARABLE_ODDS)))
