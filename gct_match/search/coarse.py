@@ -15,6 +15,7 @@ from boresight.geometry.record import Bools, array, record, scalar
 
 __all__ = ["CoarseStrip", "read_coarse", "read_window"]
 
+_TILE_LINES = 512  # of a usual TIFF, or a divisor
 _LEAST_VALID = 0.75  # share of a block's pixels that must be usable
 
 
@@ -51,6 +52,8 @@ def read_coarse(
     """
     h, w = (lines[1] - lines[0]) // factor, (samples[1] - samples[0]) // factor
     at_once = max(1, settings.read_block_px // (max(w, 1) * factor * factor))
+    if (tiles := at_once * factor // _TILE_LINES) and lines[0] % _TILE_LINES == 0:
+        at_once = tiles * _TILE_LINES // factor  # no row of tiles is decoded twice
     image: NDArray[Any] = np.empty((h, w), dtype=np.float32)
     for row in range(0, h, at_once):
         line0, line1 = lines[0] + row * factor, lines[0] + min(row + at_once, h) * factor

@@ -11,7 +11,7 @@ import struct
 import warnings
 import zlib
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -22,10 +22,13 @@ from numpy.typing import NDArray
 from pyproj import CRS, Transformer
 from pyproj.exceptions import ProjError
 from rasterio.errors import RasterioError, RasterioIOError
+from rasterio.io import MemoryFile
 from rasterio.windows import Window
 
 from boresight.geometry.record import array, record, scalar
 from boresight.pipeline.errors import RawDataError
+from boresight.pipeline.files.content import content_of, small_content
+from boresight.pipeline.files.deflated_tiles import read_deflated
 from boresight.pipeline.files.text_files import check_regular
 
 __all__ = ["GridImage", "StripFiles", "open_geotiff", "read_exposure", "read_grid", "read_star_image"]
@@ -58,7 +61,7 @@ def read_star_image(path: Path, file: str) -> NDArray[Any]:
 
 
 def _read_star_image(path: Path, file: str, size: tuple[int, int] | None, bits: int | None) -> NDArray[Any]:
-    magic = _first_bytes(path, file, 16)
+    magic = _head(path, file, 16)
     if magic.startswith(PNG_MAGIC):
         return _read_png(path, file, size, bits)
     if magic.startswith(TIFF_MAGICS):
@@ -70,6 +73,16 @@ def _read_star_image(path: Path, file: str, size: tuple[int, int] | None, bits: 
     if not magic:
         raise RawDataError(file, "byte 0", "an empty file", "a PNG, TIFF or FITS image")
     raise RawDataError(file, "byte 0", magic[:8].hex(" "), "a PNG, TIFF or FITS image")
+
+
+def _head(path: Path, file: str, n: int) -> bytes:
+    """The first bytes of a file that is going to be read as a whole."""
+    check_regular(path, file, "an image")
+    try:
+        content = small_content(path)
+        return _first_bytes(path, file, n) if content is None else content[:n]
+    except OSError as error:
+        raise RawDataError(file, "file", error.strerror or str(error), "a readable image") from error
 
 
 def _first_bytes(path: Path, file: str, n: int) -> bytes:
@@ -94,7 +107,7 @@ def _check_size(
 
 
 def _read_png(path: Path, file: str, size: tuple[int, int] | None, bits: int | None) -> NDArray[Any]:
-    head = _first_bytes(path, file, 33)
+    head = _head(path, file, 33)
     if len(head) < 33 or head[12:16] != b"IHDR":
         raise RawDataError(file, "byte 8", f"{len(head)} bytes without a header", "a PNG header (IHDR)")
     width, height, depth, colour = struct.unpack(">IIBB", head[16:26])
@@ -113,7 +126,7 @@ def _encoded(path: Path, file: str, pixel_bytes: int) -> bytes:
     limit = 2 * pixel_bytes + ENCODED_SPARE_BYTES
     if (length := path.stat().st_size) > limit:
         raise RawDataError(file, "file", f"{length} bytes", f"at most {limit} bytes for so many pixels")
-    return path.read_bytes()
+    return content_of(path)
 
 
 def _decoded(raw: bytes, flag: int, file: str, width: int, height: int) -> NDArray[Any]:
@@ -148,7 +161,7 @@ def _check_png_chunks(raw: bytes, file: str) -> None:
 
 
 def _read_jpeg_or_bmp(path: Path, file: str) -> NDArray[Any]:
-    head = _first_bytes(path, file, ENCODED_SPARE_BYTES)
+    head = _head(path, file, ENCODED_SPARE_BYTES)
     width, height = _jpeg_size(head, file) if head.startswith(JPEG_MAGIC) else _bmp_size(head, file)
     _check_size(file, (width, height), None, 8, 8)
     raw = _encoded(path, file, 4 * width * height)
@@ -180,7 +193,7 @@ def _read_fits(path: Path, file: str, size: tuple[int, int] | None, bits: int | 
     from astropy.io import fits
     from astropy.utils.exceptions import AstropyWarning
 
-    if b"END" + b" " * 77 not in _first_bytes(path, file, MAX_FITS_HEADER_BYTES):
+    if b"END" + b" " * 77 not in _head(path, file, MAX_FITS_HEADER_BYTES):
         raise RawDataError(file, "FITS header", "no END", f"END within {MAX_FITS_HEADER_BYTES} bytes")
     try:
         with warnings.catch_warnings():
@@ -214,7 +227,7 @@ def _read_fits(path: Path, file: str, size: tuple[int, int] | None, bits: int | 
 
 
 def _read_tiff_whole(path: Path, file: str, size: tuple[int, int] | None, bits: int | None) -> NDArray[Any]:
-    with open_geotiff(path, file) as image:
+    with open_geotiff(path, file, small_content(path)) as image:
         depth = _bits(image, file)
         _check_size(file, (image.width, image.height), size, depth, bits)
         if image.count != 1:
@@ -223,9 +236,12 @@ def _read_tiff_whole(path: Path, file: str, size: tuple[int, int] | None, bits: 
 
 
 @contextmanager
-def open_geotiff(path: Path, file: str) -> Iterator[Any]:
-    """A TIFF opened for reading by window; only its header is parsed. `RawDataError` if it is none."""
-    magic = _first_bytes(path, file, 4)
+def open_geotiff(path: Path, file: str, content: bytes | None = None) -> Iterator[Any]:
+    """A TIFF opened for reading by window; only its header is parsed. `RawDataError` if it is none.
+
+    With `content`, all bytes of the file, these are read instead of the file.
+    """
+    magic = content[:4] if content is not None else _first_bytes(path, file, 4)
     if magic not in TIFF_MAGICS:
         raise RawDataError(file, "byte 0", magic.hex(" ") or "an empty file", "a TIFF (II or MM, 42 or 43)")
     options = {
@@ -234,10 +250,13 @@ def open_geotiff(path: Path, file: str) -> Iterator[Any]:
         "GDAL_TIFF_INTERNAL_MASK": "YES",
         "CPL_VSIL_CURL_ALLOWED_EXTENSIONS": ".none",
     }
-    with rasterio.Env(**options), warnings.catch_warnings():
+    with rasterio.Env(**options), warnings.catch_warnings(), ExitStack() as memory:
         warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)
         try:
-            image = rasterio.open(path.resolve(), driver="GTiff", sharing=False)
+            if content is None:
+                image = rasterio.open(path.resolve(), driver="GTiff", sharing=False)
+            else:
+                image = memory.enter_context(MemoryFile(content)).open(driver="GTiff", sharing=False)
         except (RasterioError, ValueError, OSError) as error:
             raise RawDataError(file, "TIFF header", str(error), "a TIFF image") from error
         with image:
@@ -285,10 +304,10 @@ class StripFiles:
         lines, samples = self.shapes[ccd]
         if not (0 <= line0 < line1 <= lines and 0 <= sample0 < sample1 <= samples):
             raise ValueError(f"window {line0}:{line1}, {sample0}:{sample1} is not inside {lines} x {samples}")
+        window = Window(sample0, line0, sample1 - sample0, line1 - line0)
         with open_geotiff(self.paths[ccd], self.names[ccd]) as image:
-            return _read_window(
-                image, self.names[ccd], Window(sample0, line0, sample1 - sample0, line1 - line0)
-            )
+            pixels = read_deflated(self.paths[ccd], image, window)
+            return _read_window(image, self.names[ccd], window) if pixels is None else pixels
 
 
 def check_strip_file(path: Path, file: str, *, lines: int, samples: int, bit_depth: int) -> None:

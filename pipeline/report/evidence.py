@@ -27,6 +27,7 @@ from scipy.spatial.transform import Rotation
 from boresight.calib.information import solve_total
 from boresight.geometry.line_camera import LineSensor
 from boresight.pipeline.errors import RawDataError
+from boresight.pipeline.files.content import content_digest
 from boresight.pipeline.files.dump import Dump
 from boresight.pipeline.files.dump_schema import DumpFile
 from boresight.pipeline.files.record_tables import columns_of
@@ -41,7 +42,6 @@ from boresight.pipeline.settings import Settings
 from boresight.pipeline.stages.calibrate import Calibration
 from boresight.pipeline.stages.exposure import exposure_image
 from boresight.pipeline.stages.match_pictures import MatchPictures
-from boresight.pipeline.work.unit_store import content_digest
 
 __all__ = ["write_evidence"]
 

@@ -8,16 +8,14 @@ written under another name, flushed and renamed, so that it is on disk as a whol
 from __future__ import annotations
 
 import dataclasses
-import errno
 import hashlib
 import importlib.util
 import json
 import platform
 import re
-import stat
 from collections.abc import Iterator, Mapping
 from enum import Enum
-from functools import cache, lru_cache
+from functools import cache
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -33,12 +31,12 @@ from scipy.spatial.transform import Rotation
 from boresight.geometry.record import record, scalar
 from boresight.pipeline import __version__
 from boresight.pipeline.errors import RawDataError
+from boresight.pipeline.files.content import content_digest
 from boresight.pipeline.files.table_files import read_parquet
 from boresight.pipeline.files.whole_file import write_whole
 
 __all__ = [
     "UnitStore",
-    "content_digest",
     "digest",
     "library_versions",
     "program",
@@ -100,24 +98,6 @@ def _feed_file(state: Any, path: Path) -> None:
         state.update(f"file:{content_digest(path)};".encode())
     except OSError as error:
         state.update(f"no file:{error.errno};".encode())
-
-
-def content_digest(path: Path) -> str:
-    """SHA-256 of all bytes of a regular file as hexadecimal digits; `OSError` for anything else.
-
-    A process reads a file once, unless its size, its place on the disk or one of its times changes.
-    """
-    status = path.stat()
-    if not stat.S_ISREG(status.st_mode):  # opening a FIFO would block
-        raise OSError(errno.EINVAL, "not a regular file", str(path))
-    identity = (status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns, status.st_ctime_ns)
-    return _content_digest(str(path), identity)
-
-
-@lru_cache(maxsize=100_000)
-def _content_digest(path: str, identity: tuple[int, ...]) -> str:
-    with open(path, "rb") as stream:
-        return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
 @cache

@@ -1,0 +1,58 @@
+"""Content of files: read once, for the digest and for the decoder.
+
+The bytes of the last small file that was read as a whole stay in memory, and are its content as long as its
+size, its place on the disk and its times are the same.
+"""
+
+from __future__ import annotations
+
+import errno
+import hashlib
+import stat
+from functools import lru_cache
+from pathlib import Path
+
+__all__ = ["content_digest", "content_of", "small_content"]
+
+KEPT_BYTES = 2**26  # three raw exposures of 20 million pixels; a strip is read by window
+
+Identity = tuple[int, ...]
+
+
+def content_of(path: Path) -> bytes:
+    """All bytes of a regular file; `OSError` for anything else."""
+    content = small_content(path)
+    return path.read_bytes() if content is None else content
+
+
+def small_content(path: Path) -> bytes | None:
+    """All bytes of a regular file of at most 64 MiB, None for a larger one; `OSError` for anything else."""
+    name, identity = _identified(path)
+    return _content(name, identity) if identity[0] <= KEPT_BYTES else None
+
+
+def content_digest(path: Path) -> str:
+    """SHA-256 of all bytes of a regular file as hexadecimal digits; `OSError` for anything else."""
+    return _digest(*_identified(path))
+
+
+def _identified(path: Path) -> tuple[str, Identity]:
+    """Name and what changes when the content does, the size first."""
+    status = path.stat()
+    if not stat.S_ISREG(status.st_mode):  # opening a FIFO would block
+        raise OSError(errno.EINVAL, "not a regular file", str(path))
+    times = status.st_mtime_ns, status.st_ctime_ns
+    return str(path), (status.st_size, status.st_dev, status.st_ino, *times)
+
+
+@lru_cache(maxsize=1)
+def _content(name: str, identity: Identity) -> bytes:
+    return Path(name).read_bytes()
+
+
+@lru_cache(maxsize=100_000)
+def _digest(name: str, identity: Identity) -> str:
+    if identity[0] <= KEPT_BYTES:
+        return hashlib.sha256(_content(name, identity)).hexdigest()
+    with open(name, "rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()

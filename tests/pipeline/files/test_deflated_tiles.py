@@ -1,0 +1,86 @@
+"""Deflated tiles come out as GDAL reads them; any other form, and damaged tiles, are left to GDAL."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import rasterio
+from rasterio.windows import Window
+
+from boresight.pipeline.errors import RawDataError
+from boresight.pipeline.files.deflated_tiles import read_deflated
+from boresight.pipeline.files.image_files import StripFiles
+
+WINDOWS = [(0, 0, 90, 70), (0, 69, 90, 1), (17, 31, 2, 3), (32, 32, 32, 32), (89, 0, 1, 70)]
+SHAPE = (70, 90)  # neither side is a multiple of the tiles' 16 or 32
+
+
+def written(path: Path, *, kind: str = "uint8", **form: Any) -> Path:
+    """A strip with smooth and rough parts, so that differences wrap around both ways."""
+    rng = np.random.default_rng(5)
+    top = np.iinfo(kind).max
+    image = (top * (0.5 + 0.5 * np.sin(np.arange(90) / 7.0)) * np.ones(SHAPE)).astype(kind)
+    image[20:50, 30:60] = rng.integers(0, top, (30, 30), endpoint=True)
+    profile = {"tiled": True, "blockxsize": 32, "blockysize": 16, "compress": "deflate"} | form
+    with rasterio.open(
+        path, "w", driver="GTiff", width=90, height=70, count=1, dtype=kind, **profile
+    ) as file:
+        file.write(image, 1)
+    return path
+
+
+@pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
+@pytest.mark.parametrize("predictor", [1, 2])
+@pytest.mark.parametrize("kind", ["uint8", "uint16"])
+def test_every_window_is_as_gdal_reads_it(kind: str, predictor: int, tmp_path: Path) -> None:
+    path = written(tmp_path / "s.tif", kind=kind, predictor=predictor)
+    with rasterio.open(path) as image:
+        for window in (Window(*place) for place in WINDOWS):
+            pixels = read_deflated(path, image, window)
+            assert pixels is not None and pixels.dtype == kind
+            assert np.array_equal(pixels, image.read(1, window=window))
+
+
+@pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
+@pytest.mark.parametrize(
+    "form",
+    [
+        {"compress": "zstd"},
+        {"tiled": False, "blockxsize": 90},
+        {"nodata": 0},
+        {"endianness": "big"},
+        {"kind": "uint16", "nbits": 16 - 4},
+        {"kind": "int16"},
+    ],
+    ids=str,
+)
+def test_another_form_is_left_to_gdal(form: dict[str, Any], tmp_path: Path) -> None:
+    path = written(tmp_path / "s.tif", **form)
+    with rasterio.open(path) as image:
+        assert read_deflated(path, image, Window(0, 0, 90, 70)) is None
+
+
+@pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
+def test_damaged_tile_is_an_error_and_a_missing_one_black_as_gdal_has_it(tmp_path: Path) -> None:
+    path = written(tmp_path / "s.tif", predictor=2)
+    with rasterio.open(path) as image:
+        offset = int(image.get_tag_item("BLOCK_OFFSET_1_2", "TIFF", 1))
+    strip = StripFiles({0: path}, {0: "s.tif"}, {0: SHAPE})
+    assert strip.read(0, 30, 50, 30, 60).any()
+    raw = bytearray(path.read_bytes())
+    raw[offset : offset + 12] = b"\xff" * 12
+    path.write_bytes(raw)
+    assert strip.read(0, 0, 30, 0, 90).any()  # other tiles are sound
+    with pytest.raises(RawDataError, match=r"s.tif: rows 30..49: found .* expected pixels that decode"):
+        strip.read(0, 30, 50, 30, 60)
+    sparse = tmp_path / "sparse.tif"
+    form = {"tiled": True, "blockxsize": 32, "blockysize": 16, "compress": "deflate", "sparse_ok": True}
+    with rasterio.open(
+        sparse, "w", driver="GTiff", width=90, height=70, count=1, dtype="uint8", **form
+    ) as file:
+        file.write(np.full((16, 32), 7, np.uint8), 1, window=Window(32, 16, 32, 16))
+    pixels = StripFiles({0: sparse}, {0: "s"}, {0: SHAPE}).read(0, 0, 70, 0, 90)
+    assert pixels.sum() == 7 * 16 * 32 and (pixels[16:32, 32:64] == 7).all()
