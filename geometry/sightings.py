@@ -37,6 +37,7 @@ class StarSightings:
     u_s: Floats = array("N, 3", "measured unit vectors, star-camera frame, distortion removed")
     u_i: Floats = array("N, 3", "apparent catalogue directions as seen from the moving satellite, GCRS")
     cov_s: Floats = array("N, 3, 3", "covariance of u_s, rad²")
+    snr: Floats | None = array("N", "signal-to-noise ratio of the detections; None: not known", default=None)
 
 
 @record(kw_only=True)

@@ -109,6 +109,7 @@ def sight_stars(
         u_s=u_s,
         u_i=u_i,
         cov_s=cov_s,
+        snr=stars.snr[rows],
     )
 
 

@@ -17,6 +17,7 @@ The approximation error is written into each file as `boresight.model_error_px`.
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -60,17 +61,21 @@ class IsdPiece:
     stop_sample: int = scalar("one after the last sample")
     isd: dict[str, Any] = scalar("content of the JSON file")
     whole_detector: bool = scalar("the ISD covers all samples of the CCD")
+    approximate: bool = scalar("one cubic for a CCD that needs several; see model_error_px", default=False)
 
     @property
     def suffix(self) -> str:
         """Part of the file name: `ccd0`, or `ccd0.samples-00512-01023` for a piece."""
+        if self.approximate:
+            return f"ccd{self.ccd}.whole"
         if self.whole_detector:
             return f"ccd{self.ccd}"
         return f"ccd{self.ccd}.samples-{self.first_sample:05d}-{self.stop_sample - 1:05d}"
 
-    def text(self) -> str:
-        """The ISD as JSON text."""
-        return json.dumps(self.isd, indent=1, allow_nan=False) + "\n"
+    def text(self, about: Mapping[str, Any] | None = None) -> str:
+        """The ISD as JSON text, with `about` in its table `boresight`."""
+        content = self.isd | {"boresight": self.isd["boresight"] | dict(about or {})}
+        return json.dumps(content, indent=1, allow_nan=False) + "\n"
 
 
 @record(kw_only=True)
@@ -91,6 +96,9 @@ def line_scanner_isds(
 ) -> list[IsdPiece]:
     """ISDs of one CCD of a strip of `lines` rows, exact for ground at the ellipsoidal height `height_m`.
 
+    Where the CCD is cut into pieces, the last one is of the whole CCD, with the misfit of one cubic in its
+    error.
+
     Raises `ValueError` for a camera that is not a `LineCamera`.
     """
     camera = pushbroom.camera
@@ -100,8 +108,9 @@ def line_scanner_isds(
     common = _common(path, pushbroom, lines, height_m, names, camera.focal_m)
     detector = camera.ccds[ccd]
     pieces = _pieces(detector)
+    whole = [(0, detector.n_px, *_cubic(detector, 0, detector.n_px))] if len(pieces) > 1 else []
     made = []
-    for first, stop, coefficients, residual_px in pieces:
+    for first, stop, coefficients, residual_px in [*pieces, *whole]:
         error_px = residual_px + path.misfit_rad * camera.focal_m / detector.pixel_m
         content = common | _detector(detector, first, stop, coefficients)
         content["boresight"] = common["boresight"] | {
@@ -110,7 +119,8 @@ def line_scanner_isds(
             "stop_sample": stop,
             "model_error_px": error_px,
         }
-        made.append(IsdPiece(ccd, first, stop, content, len(pieces) == 1))
+        covers_all = stop - first == detector.n_px
+        made.append(IsdPiece(ccd, first, stop, content, covers_all, covers_all and len(pieces) > 1))
     return made
 
 

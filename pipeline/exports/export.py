@@ -10,23 +10,30 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from boresight.geometry.constants import WGS84
+from boresight.geometry.footprint import outline_deg
 from boresight.geometry.geodesy import geodetic_from_ecef
 from boresight.geometry.geoid import egm96
-from boresight.geometry.record import record, scalar
+from boresight.geometry.record import Floats, record, scalar
 from boresight.geometry.sightings import StarSightings
+from boresight.geometry.terrain import ConstantHeight
 from boresight.pipeline import __version__
 from boresight.pipeline.errors import DataNotSufficientError, RawDataError
 from boresight.pipeline.exports.ccsds_aem import AemHeader, attitude_message
 from boresight.pipeline.exports.csm_isd import IsdNames, line_scanner_isds
+from boresight.pipeline.exports.gcp_asp import points_asp
 from boresight.pipeline.exports.gcp_envi import points_envi
 from boresight.pipeline.exports.gcp_geojson import points_geojson
 from boresight.pipeline.exports.gcp_qgis import points_qgis
 from boresight.pipeline.exports.ground_points import GroundPoints
+from boresight.pipeline.exports.kml import kml_text
 from boresight.pipeline.exports.matrix_csv import matrix_csv
 from boresight.pipeline.exports.matrix_json import matrix_json
+from boresight.pipeline.exports.notes import Notes, notes_of
+from boresight.pipeline.exports.rpc import fit_rpc, rpc_metadata, rpc_text
 from boresight.pipeline.exports.spice_frame import SpiceFrames, frame_kernel
 from boresight.pipeline.exports.star_fits import centroids_fits
-from boresight.pipeline.files.dump import surface_of
+from boresight.pipeline.exports.vrt import vrt_with_gcps, vrt_with_rpc
+from boresight.pipeline.files.dump import Strip, surface_of
 from boresight.pipeline.files.table_files import column, fixed, list_values, read_parquet
 from boresight.pipeline.results.reading import read_for_dump, read_result
 from boresight.pipeline.results.strip_model import Calibrated, StripModel, open_calibrated, strip_model
@@ -34,6 +41,7 @@ from boresight.pipeline.results.strip_model import Calibrated, StripModel, open_
 __all__ = ["FORMATS", "ExportRequest", "export"]
 
 AEM_STEP_S = 0.05
+RPC_MARGIN_M = 100.0  # heights below and above the terrain for which an RPC is fitted
 Made = Iterator[tuple[str, str | bytes]]  # file name and content
 
 
@@ -64,19 +72,20 @@ def _spice(request: ExportRequest) -> Made:
         f"Installation matrix between star camera and remote-sensing camera, boresight {__version__}.\n"
         f"1-sigma of a small rotation about the axes of {request.frames.remote_camera_name}: {sigma} rad."
     )
+    comment = "\n".join([comment, *_notes(request).lines()])
     yield "installation.tf", frame_kernel(result.R_cs, comment, request.frames)
 
 
 def _json(request: ExportRequest) -> Made:
-    yield "matrix.json", matrix_json(read_result(request.result).installation)
+    yield "matrix.json", matrix_json(read_result(request.result).installation, _notes(request))
 
 
 def _csv(request: ExportRequest) -> Made:
-    yield "matrix.csv", matrix_csv(read_result(request.result).installation)
+    yield "matrix.csv", matrix_csv(read_result(request.result).installation, _notes(request))
 
 
 def _aem(request: ExportRequest) -> Made:
-    calibrated = _opened(request)
+    calibrated, notes = _opened(request), _notes(request)
     dump = calibrated.dump
     for model in _models(calibrated, request.strips):
         first, last = model.pushbroom.instants(np.array([-0.5, model.strip.lines - 0.5]))
@@ -86,13 +95,14 @@ def _aem(request: ExportRequest) -> Made:
         name = model.strip.strip_id
         header = AemHeader(creation_utc=request.creation_utc, object_name=dump.mission)
         comments = [f"Strip {name}: calibrated attitude of the remote-sensing camera, GCRS axes"]
+        comments += notes.lines()
         text = attitude_message(header, comments, dump.epoch.utc_from_seconds(t_s), R_ci)
         yield f"{name}.aem", text
 
 
 def _csm_isd(request: ExportRequest) -> Made:
     calibrated = _opened(request)
-    dump = calibrated.dump
+    dump, about = calibrated.dump, {"notes": _notes(request).items()}
     height_m = float(np.mean(surface_of(dump.terrain).height_range_m()))
     for model in _models(calibrated, request.strips):
         for ccd in model.strip.images.ccds:
@@ -100,21 +110,62 @@ def _csm_isd(request: ExportRequest) -> Made:
             names = IsdNames(image, dump.mission, f"remote-sensing camera, CCD {ccd}")
             lines = model.strip.lines
             for piece in line_scanner_isds(model.pushbroom, dump.epoch, ccd, lines, height_m, names):
-                yield f"{model.strip.strip_id}.{piece.suffix}.json", piece.text()
+                yield f"{model.strip.strip_id}.{piece.suffix}.json", piece.text(about)
+
+
+def _rpc(request: ExportRequest) -> Made:
+    calibrated, notes = _opened(request), _notes(request)
+    low, high = surface_of(calibrated.dump.terrain).height_range_m()
+    heights = low - RPC_MARGIN_M, high + RPC_MARGIN_M
+    for model in _models(calibrated, request.strips):
+        for ccd in model.strip.images.ccds:
+            rpc, error = fit_rpc(model.pushbroom, ccd, model.strip.lines, heights)
+            name = f"{model.strip.strip_id}.ccd{ccd}"
+            yield f"{name}_RPC.TXT", rpc_text(rpc, error)
+            domain = rpc_metadata(rpc, error)
+            yield f"{name}.rpc.vrt", vrt_with_rpc(*_image(calibrated, model.strip, ccd), domain, notes)
+
+
+def _vrt(request: ExportRequest) -> Made:
+    calibrated, notes = _opened(request), _notes(request)
+    strips = {strip.strip_id: strip for strip in calibrated.dump.strips}
+    for points in _ground_points(request):
+        if points.ccd not in strips[points.strip_id].images.ccds:
+            continue  # image points were measured elsewhere, and the dump has no image
+        image = _image(calibrated, strips[points.strip_id], points.ccd)
+        yield f"{points.strip_id}.ccd{points.ccd}.gcp.vrt", vrt_with_gcps(*image, points, notes)
+
+
+def _kml(request: ExportRequest) -> Made:
+    calibrated = _opened(request)
+    height = ConstantHeight(float(np.mean(surface_of(calibrated.dump.terrain).height_range_m())))
+    outlines = {
+        model.strip.strip_id: outline_deg(model.pushbroom, model.strip.lines, height)
+        for model in _models(calibrated, request.strips)
+    }
+    yield "boresight.kml", kml_text(outlines, _ground_points(request), _notes(request))
+
+
+def _asp(request: ExportRequest) -> Made:
+    notes = _notes(request)
+    for points in _ground_points(request):
+        yield f"{points.strip_id}.ccd{points.ccd}.gcp", points_asp(points, notes)
 
 
 def _geojson(request: ExportRequest) -> Made:
-    yield "targets.geojson", points_geojson(_ground_points(request))
+    yield "targets.geojson", points_geojson(_ground_points(request), _notes(request))
 
 
 def _envi(request: ExportRequest) -> Made:
+    notes = _notes(request)
     for points in _ground_points(request):
-        yield f"{points.strip_id}.ccd{points.ccd}.pts", points_envi(points, egm96())
+        yield f"{points.strip_id}.ccd{points.ccd}.pts", points_envi(points, egm96(), notes)
 
 
 def _qgis(request: ExportRequest) -> Made:
+    notes = _notes(request)
     for points in _ground_points(request):
-        yield f"{points.strip_id}.ccd{points.ccd}.points", points_qgis(points)
+        yield f"{points.strip_id}.ccd{points.ccd}.points", points_qgis(points, notes)
 
 
 def _fits(request: ExportRequest) -> Made:
@@ -124,7 +175,7 @@ def _fits(request: ExportRequest) -> Made:
     file = pq.ParquetFile(path)
     exposures = [_exposure(file, group) for group in range(file.num_row_groups)]
     found = [exposure for exposure in exposures if exposure is not None]
-    yield "centroids.fits", centroids_fits(found, calibrated.dump.epoch, calibrated.dump.mission)
+    yield "centroids.fits", centroids_fits(found, calibrated.dump.epoch, _notes(request))
 
 
 TARGETS = {
@@ -150,11 +201,26 @@ FORMATS: dict[str, Callable[[ExportRequest], Made]] = {
     "json": _json,
     "csv": _csv,
     "csm-isd": _csm_isd,
+    "rpc": _rpc,
+    "vrt": _vrt,
+    "kml": _kml,
+    "asp": _asp,
     "geojson": _geojson,
     "envi": _envi,
     "qgis": _qgis,
     "fits": _fits,
 }
+
+
+def _notes(request: ExportRequest) -> Notes:
+    return notes_of(request.result, request.dump, request.creation_utc)
+
+
+def _image(calibrated: Calibrated, strip: Strip, ccd: int) -> tuple[Path, tuple[int, int], str]:
+    """Path, size (samples, lines) and GDAL type of a raw image."""
+    lines, samples = strip.images.shapes[ccd]
+    kind = "Byte" if calibrated.dump.remote_bit_depth == 8 else "UInt16"
+    return strip.images.paths[ccd].resolve(), (samples, lines), kind
 
 
 def _opened(request: ExportRequest) -> Calibrated:
@@ -190,6 +256,7 @@ def _exposure(file: pq.ParquetFile, group: int) -> StarSightings | None:
         u_s=list_values(table, "u_s", 3),
         u_i=list_values(table, "u_i", 3),
         cov_s=list_values(table, "cov_s", 3, 3),
+        snr=column(table, "snr") if "snr" in table.column_names else None,
     )
 
 
@@ -202,8 +269,8 @@ def _ground_points(request: ExportRequest) -> list[GroundPoints]:
     names = np.array(table.column("target_id").to_pylist(), dtype=str)
     ccd, kept = column(table, "ccd"), column(table, "kept").astype(bool)
     xy, covariance = list_values(table, "xy_px", 2), list_values(table, "cov_px", 2, 2)
-    places = calibrated.dump.places_e
-    if unknown := sorted(set(names.tolist()) - set(places)):
+    targets = calibrated.dump.ground_targets
+    if unknown := sorted(set(names.tolist()) - set(targets)):
         raise RawDataError("targets.csv", "id", "missing", f"target {unknown[0]} of the result")
     images = {strip.strip_id: strip.images.names for strip in calibrated.dump.strips}
     chosen = [
@@ -214,7 +281,9 @@ def _ground_points(request: ExportRequest) -> list[GroundPoints]:
     points = []
     for strip, one in chosen:
         rows = np.flatnonzero((strips == strip) & (ccd == one))
-        lat, lon, height = geodetic_from_ecef(np.array([places[name] for name in names[rows]]), WGS84)
+        p_e = np.array([targets[name].p_e for name in names[rows]])
+        lat, lon, height = geodetic_from_ecef(p_e, WGS84)
+        residual_px = xy[rows] - _computed(calibrated, strip, one, p_e)
         points.append(
             GroundPoints(
                 strip_id=strip,
@@ -226,7 +295,18 @@ def _ground_points(request: ExportRequest) -> list[GroundPoints]:
                 height_m=height,
                 xy_px=xy[rows],
                 sigma_px=np.sqrt(np.einsum("naa->na", covariance[rows])),
+                residual_px=residual_px,
+                sigma_m=np.array([targets[name].sigma_m for name in names[rows]]),
                 used=kept[rows],
             )
         )
     return points
+
+
+def _computed(calibrated: Calibrated, strip_id: str, ccd: int, p_e: Floats) -> Floats:
+    """Image points (N, 2) of ground points (N, 3), ITRS, by the result; NaN without star exposures."""
+    try:
+        model = strip_model(calibrated, strip_id)
+    except DataNotSufficientError:
+        return np.full((len(p_e), 2), np.nan)
+    return np.column_stack(model.pushbroom.pixels_from_ground(ccd, p_e))

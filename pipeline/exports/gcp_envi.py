@@ -11,6 +11,7 @@ import numpy as np
 
 from boresight.geometry.geoid import Geoid
 from boresight.pipeline.exports.ground_points import GroundPoints
+from boresight.pipeline.exports.notes import Notes
 from boresight.pipeline.exports.one_line import one_line
 
 __all__ = ["points_envi"]
@@ -18,13 +19,14 @@ __all__ = ["points_envi"]
 _CENTRE_OF_FIRST_PIXEL = 1.5
 
 
-def points_envi(points: GroundPoints, geoid: Geoid) -> str:
+def points_envi(points: GroundPoints, geoid: Geoid, notes: Notes) -> str:
     """Text of the file: longitude, latitude, orthometric height, image x and y of each used point."""
     undulation = geoid.undulation_m(np.radians(points.lat_deg), np.radians(points.lon_deg))
     lines = [
         "; ENVI Orthorectification Ground Control Points File",
         f"; warp file: {one_line(points.image)}",
         "; projection info = {Geographic Lat/Lon, WGS-84, units=Degrees}",
+        *(f"; {line}" for line in notes.lines()),
         "; Map (x,y,elev), Image (x,y)",
         ";",
     ]

@@ -6,12 +6,15 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 
+import numpy as np
+
 from boresight.pipeline.exports.ground_points import GroundPoints
+from boresight.pipeline.exports.notes import Notes
 
 __all__ = ["points_geojson"]
 
 
-def points_geojson(parts: Sequence[GroundPoints]) -> str:
+def points_geojson(parts: Sequence[GroundPoints], notes: Notes) -> str:
     """GeoJSON text: one feature collection of the targets of all `parts`."""
     features = [
         {
@@ -29,10 +32,17 @@ def points_geojson(parts: Sequence[GroundPoints]) -> str:
                 "line": float(part.xy_px[n, 1]),
                 "sigma_sample_px": float(part.sigma_px[n, 0]),
                 "sigma_line_px": float(part.sigma_px[n, 1]),
+                "residual_sample_px": _finite(part.residual_px[n, 0]),
+                "residual_line_px": _finite(part.residual_px[n, 1]),
                 "used": bool(part.used[n]),
             },
         }
         for part in parts
         for n in range(len(part.target_id))
     ]
-    return json.dumps({"type": "FeatureCollection", "features": features}, indent=1, allow_nan=False) + "\n"
+    content = {"type": "FeatureCollection", "boresight": notes.items(), "features": features}
+    return json.dumps(content, indent=1, allow_nan=False) + "\n"
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None

@@ -20,4 +20,6 @@ class GroundPoints:
     height_m: Floats = array("N", "height above the WGS84 ellipsoid, m")
     xy_px: Floats = array("N, 2", "(sample, line); (0, 0) is the centre of the first pixel")
     sigma_px: Floats = array("N, 2", "1-sigma of xy_px")
+    residual_px: Floats = array("N, 2", "measured minus computed with the result's matrix; NaN: not computed")
+    sigma_m: Floats = array("N, 3", "1-sigma of the target's coordinates east, north, up")
     used: Bools = array("N", "False: rejected by the calibration")

@@ -6,14 +6,16 @@ import csv
 import io
 from typing import Any
 
+from boresight.pipeline.exports.notes import Notes
+
 __all__ = ["matrix_csv"]
 
 _AXES = "xyz"
 
 
-def matrix_csv(installation: dict[str, Any]) -> str:
+def matrix_csv(installation: dict[str, Any], notes: Notes) -> str:
     """CSV text of installation.json: rows `R_cs_xx` ... `R_cs_zz` (row, column), `q_x` ... `q_w`,
-    `theta_*_rad`, `euler_*_deg`, `cov_**_rad2`.
+    `theta_*_rad`, `euler_*_deg`, `cov_**_rad2`; then the notes by their names.
     """
     rows = [
         (f"R_cs_{_AXES[i]}{_AXES[j]}", v) for i, r in enumerate(installation["R_cs"]) for j, v in enumerate(r)
@@ -27,4 +29,5 @@ def matrix_csv(installation: dict[str, Any]) -> str:
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(["name", "value"])
     writer.writerows((name, repr(float(value))) for name, value in rows)
+    writer.writerows(notes.items().items())
     return text.getvalue()

@@ -149,10 +149,10 @@ class Dump:
         return self.heads[0].sigma_installation_rad
 
     @property
-    def places_e(self) -> dict[str, Floats]:
-        """ITRS positions (3,), m, of all targets and measured points by their ids."""
+    def ground_targets(self) -> dict[str, Target]:
+        """All targets and measured points by their ids."""
         measured = (target for points in self.points for target in points.targets)
-        return {target.target_id: target.p_e for target in (*self.targets, *measured)}
+        return {target.target_id: target for target in (*self.targets, *measured)}
 
     @property
     def star_images(self) -> tuple[StarImages, ...]:

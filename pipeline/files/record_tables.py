@@ -32,6 +32,7 @@ __all__ = [
 
 ITEMS: dict[Any, pa.DataType] = {
     Floats: pa.float64(),
+    Floats | None: pa.float64(),
     Ints: pa.int64(),
     Bools: pa.bool_(),
     Texts: pa.string(),

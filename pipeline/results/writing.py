@@ -50,7 +50,7 @@ FIELDS = (
     "settings",
     "version",
 )
-STARS = "exposure_id t_s hip xy_px u_s u_i cov_s residual_s normalised kept".split()
+STARS = "exposure_id t_s hip xy_px u_s u_i cov_s snr residual_s normalised kept".split()
 EXPOSURES = "exposure_id t_s stars R_si covariance_s usable chi2 dof".split()
 TARGETS = (
     "strip_id target_id ccd t_s xy_px cov_px predicted_px correlation probability_wrong u_c u_i cov_c"

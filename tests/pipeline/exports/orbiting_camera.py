@@ -18,7 +18,17 @@ from boresight.geometry.groundlight import LightEffects
 from boresight.geometry.line_camera import Ccd, LineCamera
 from boresight.geometry.orbit import Orbit
 from boresight.geometry.pushbroom import Pushbroom, RowClock
+from boresight.pipeline.exports.notes import Notes
 
+NOTES = Notes(
+    created="2026-01-01T00:00:00Z",
+    program="boresight",
+    mission='a "mission"',
+    dump="d1",
+    frames="f",
+    valid="v",
+    verdict="consistent",
+)
 EPOCH = Epoch.from_utc("2025-03-20T02:31:07Z")
 R_CS = Rotation.from_euler("xyz", [40.0, -65.0, 110.0], degrees=True)
 LINES = 3000

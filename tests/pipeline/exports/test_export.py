@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import csv
 import json
+import re
 
 import numpy as np
 import pytest
+import rasterio
 import spiceypy
 from pytest import approx
 from scipy.spatial.transform import Rotation
@@ -53,8 +55,8 @@ def test_spice_turns_as_installation_json_says(exported, installation):
 
 def test_matrix_files_hold_the_same_numbers(exported, installation):
     assert json.loads((exported[0] / "matrix.json").read_text())["R_cs"] == installation["R_cs"]
-    rows = {row["name"]: float(row["value"]) for row in csv.DictReader((exported[0] / "matrix.csv").open())}
-    assert [rows[f"q_{k}"] for k in "xyzw"] == installation["quaternion"]
+    rows = {row["name"]: row["value"] for row in csv.DictReader((exported[0] / "matrix.csv").open())}
+    assert [float(rows[f"q_{k}"]) for k in "xyzw"] == installation["quaternion"]
 
 
 def test_the_attitude_message_holds_the_cameras_attitude(exported, finished):
@@ -81,6 +83,10 @@ def test_isds_cover_all_samples_of_all_ccds(exported, finished):
     for path in exported[0].glob(f"{strip.strip_id}.ccd*.json"):
         isd = json.loads(path.read_text())
         about = isd["boresight"]
+        assert about["notes"]["mission"] == calibrated.dump.mission
+        if path.name.endswith(".whole.json"):
+            assert about["stop_sample"] == isd["image_samples"] == strip.images.shapes[about["ccd"]][1]
+            continue
         seen.setdefault(about["ccd"], []).extend(range(about["first_sample"], about["stop_sample"]))
         assert about["model_error_px"] < 0.01 and isd["image_lines"] == strip.lines
     assert {ccd: sorted(samples) for ccd, samples in seen.items()} == {
@@ -101,6 +107,56 @@ def test_ground_points_are_the_targets_of_the_dump(exported, finished):
     used = sum(feature["properties"]["used"] for feature in features)
     lines = [line for path in exported[0].glob("*.pts") for line in path.read_text().splitlines()]
     assert sum(not line.startswith(";") for line in lines) == used
+
+
+def test_every_text_says_what_it_is_made_from(exported, finished):
+    """Date, mission, dump, frames and validity are in every file; of an RPC in the VRT beside it."""
+    dump = json.loads((finished[1] / "boresight-result.json").read_text())["dump"]
+    mission = open_calibrated(finished[1], finished[0]).dump.mission
+    for path in exported[0].iterdir():
+        if path.name.endswith("_RPC.TXT"):
+            path = path.with_name(path.name.replace("_RPC.TXT", ".rpc.vrt"))
+        text = path.read_bytes().decode("utf-8", "replace").replace("CONTINUE  '", "").replace("HISTORY ", "")
+        text = re.sub(r"\s+", "", text)
+        assert dump in text and mission in text and "u_c=R_csu_s" in text, path.name
+        assert re.search(r"created.{0,20}20\d\d-\d\d-\d\dT", text, re.IGNORECASE), path.name
+
+
+def test_gdal_reads_the_strips_with_their_gcps(exported, finished):
+    """Through the VRT: pixels of the raw image, and the targets in GDAL's pixels."""
+    features = json.loads((exported[0] / "targets.geojson").read_text())["features"]
+    for path in exported[0].glob("*.gcp.vrt"):
+        strip, ccd = path.name.split(".")[0], int(path.name.split(".")[1][3:])
+        here = [f for f in features if (f["properties"]["strip"], f["properties"]["ccd"]) == (strip, ccd)]
+        with rasterio.open(path) as file, rasterio.open(finished[0] / here[0]["properties"]["image"]) as raw:
+            points, crs = file.gcps
+            assert crs.to_epsg() == 4326 and np.array_equal(file.read(1), raw.read(1))
+        by_id = {point.id: point for point in points}
+        assert len(by_id) == sum(f["properties"]["used"] for f in here)
+        for feature in here:
+            if feature["properties"]["used"]:
+                point = by_id[feature["properties"]["target"]]
+                assert (point.x, point.y, point.z) == approx(feature["geometry"]["coordinates"], abs=1e-9)
+                assert point.col == approx(feature["properties"]["sample"] + 0.5, abs=1e-9)
+                assert point.row == approx(feature["properties"]["line"] + 0.5, abs=1e-9)
+
+
+def test_ogr_reads_kml_and_geojson(exported, finished):
+    pyogrio = pytest.importorskip("pyogrio", reason="PYOGRIO IS NOT INSTALLED: KML and GeoJSON were not read")
+    about, _, shapes, fields = pyogrio.raw.read(exported[0] / "boresight.kml")
+    features = json.loads((exported[0] / "targets.geojson").read_text())["features"]
+    assert len(shapes) == 1 + len(features)
+    assert pyogrio.read_info(exported[0] / "targets.geojson")["features"] == len(features)
+    names = fields[[name.lower() for name in about["fields"]].index("name")]
+    assert set(names) == {f["properties"]["target"] for f in features} | {features[0]["properties"]["strip"]}
+
+
+def test_a_used_target_misses_its_computed_place_by_little(exported):
+    """Position and clock of the strip are wrong by some metres, which is less than 2 px of 6.4 m."""
+    features = json.loads((exported[0] / "targets.geojson").read_text())["features"]
+    used = [f["properties"] for f in features if f["properties"]["used"]]
+    residuals = np.array([[f["residual_sample_px"], f["residual_line_px"]] for f in used])
+    assert 0.0 < np.abs(residuals).max() < 2.0
 
 
 def test_an_unknown_format_or_frame_name_is_wrong_usage(finished, tmp_path):

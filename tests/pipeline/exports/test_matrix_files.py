@@ -6,6 +6,7 @@ import json
 
 import numpy as np
 import pytest
+from orbiting_camera import NOTES
 from scipy.spatial.transform import Rotation
 
 from boresight.pipeline.exports.matrix_csv import matrix_csv
@@ -22,14 +23,21 @@ INSTALLATION = {
 }
 
 
+def numbers(text):
+    """Values by name, without the notes at the end."""
+    rows = {row["name"]: row["value"] for row in csv.DictReader(io.StringIO(text))}
+    assert [rows.pop(name) for name in NOTES.items()] == list(NOTES.items().values())
+    return {name: float(value) for name, value in rows.items()}
+
+
 def test_json_holds_the_same_numbers():
-    content = json.loads(matrix_json(INSTALLATION))
+    content = json.loads(matrix_json(INSTALLATION, NOTES))
     assert {key: content[key] for key in KEYS} == {key: INSTALLATION[key] for key in KEYS}
-    assert "settings" not in content
+    assert "settings" not in content and content["boresight"] == NOTES.items()
 
 
 def test_csv_holds_the_same_numbers():
-    rows = {row["name"]: float(row["value"]) for row in csv.DictReader(io.StringIO(matrix_csv(INSTALLATION)))}
+    rows = numbers(matrix_csv(INSTALLATION, NOTES))
     matrix = [[rows[f"R_cs_{i}{j}"] for j in "xyz"] for i in "xyz"]
     assert matrix == INSTALLATION["R_cs"]
     assert [rows[f"q_{k}"] for k in "xyzw"] == INSTALLATION["quaternion"]
@@ -40,6 +48,6 @@ def test_csv_holds_the_same_numbers():
 
 
 def test_the_matrix_in_the_csv_turns_star_vectors_into_the_camera():
-    rows = {row["name"]: float(row["value"]) for row in csv.DictReader(io.StringIO(matrix_csv(INSTALLATION)))}
+    rows = numbers(matrix_csv(INSTALLATION, NOTES))
     u_c = [sum(rows[f"R_cs_{i}{j}"] * u for j, u in zip("xyz", (0.6, 0.0, 0.8))) for i in "xyz"]
     assert u_c == pytest.approx(R_CS.apply([0.6, 0.0, 0.8]), abs=1e-15)
