@@ -301,7 +301,8 @@ def experiment(
     ],
     out: Annotated[Path, typer.Option(help="Folder for NAME.csv, .png and .txt; all: also paper.html.")],
     runs: Annotated[
-        int | None, typer.Option(help="Runs per cell; default 200 (Wang 40, table5 20).", min=2)
+        int | None,
+        typer.Option(help="Runs per cell; default 200 (Wang 40, table5 20, pixels 2 or 20).", min=1),
     ] = None,
     seed: Annotated[int, typer.Option(help="Seed of all random numbers.", min=0)] = 2020,
     star_from_zenith_deg: Annotated[

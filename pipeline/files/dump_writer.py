@@ -17,7 +17,7 @@ from rasterio.transform import Affine
 from rasterio.windows import Window
 
 from boresight.geometry.line_camera import LineCamera
-from boresight.geometry.star_camera import StarCamera
+from boresight.pipeline.files.star_side import star_camera_table
 from boresight.simulator.records import ChipImage, Mission, OrbitReport, Strip, TerrainReport, Truth
 from boresight.simulator.scenario import scenario_to_dict
 
@@ -45,7 +45,7 @@ def write_dump(
         raise FileExistsError(f"{root} exists and is not an empty folder")
     for folder in ("exposures", "strips", "chips", "terrain", "truth"):
         (root / folder).mkdir(parents=True, exist_ok=True)
-    _write_toml(root / "star_camera.toml", _star_camera(mission.star_camera, mission.scenario.sky.bits))
+    _write_toml(root / "star_camera.toml", star_camera_table(mission.star_camera, mission.scenario.sky.bits))
     _write_toml(
         root / "remote_camera.toml", _remote_camera(mission.line_camera, mission.scenario.ground.bits)
     )
@@ -95,23 +95,6 @@ def _head(mission: Mission, created_by: str) -> dict[str, Any]:
             "look_distortion_length_px": mission.scenario.errors.distortion_length_px,
         },
         "terrain": {"height_kind": mission.terrain.height_kind, "sigma_m": mission.terrain.sigma_m},
-    }
-
-
-def _star_camera(camera: StarCamera, bits: int) -> dict[str, Any]:
-    return {
-        "focal_length_mm": _rounded(camera.focal_m * 1e3),
-        "pixel_pitch_um": _rounded(camera.pixel_m * 1e6),
-        "width_px": camera.width_px,
-        "height_px": camera.height_px,
-        "principal_point_px": [float(v) for v in camera.principal_px],
-        "bit_depth": bits,
-        "distortion": {
-            "p1_per_mm": camera.p1,
-            "p2_per_mm": camera.p2,
-            "q1_per_mm2": camera.q1,
-            "q2_per_mm4": camera.q2,
-        },
     }
 
 

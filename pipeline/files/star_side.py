@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -33,6 +34,7 @@ __all__ = [
     "open_heads",
     "seconds_of",
     "star_camera_of",
+    "star_camera_table",
 ]
 
 ONLY_HEAD = "star_camera"  # name of the head of a dump without [[star_cameras]]
@@ -139,6 +141,25 @@ def _attitudes(head: schema.HeadFile, path: Path, file: str, epoch: Epoch) -> So
         raise RawDataError("dump.toml", f"noise.white_arcsec of {head.name}", stated, "positive values")
     assert head.aberration_removed is not None  # by the schema
     return SolvedAttitudes(rows, head.aberration_removed)
+
+
+def star_camera_table(camera: StarCamera, bits: int) -> dict[str, Any]:
+    """The keys and values of a star_camera.toml, lengths to 14 digits: the inverse of `star_camera_of`."""
+    focal_mm, pitch_um = (float(f"{value:.14g}") for value in (camera.focal_m * 1e3, camera.pixel_m * 1e6))
+    return {
+        "focal_length_mm": focal_mm,
+        "pixel_pitch_um": pitch_um,
+        "width_px": camera.width_px,
+        "height_px": camera.height_px,
+        "principal_point_px": [float(v) for v in camera.principal_px],
+        "bit_depth": bits,
+        "distortion": {
+            "p1_per_mm": camera.p1,
+            "p2_per_mm": camera.p2,
+            "q1_per_mm2": camera.q1,
+            "q2_per_mm4": camera.q2,
+        },
+    }
 
 
 def star_camera_of(file: schema.StarCameraFile, name: str) -> StarCamera:

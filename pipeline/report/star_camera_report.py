@@ -16,6 +16,7 @@ from boresight.geometry.record import record, scalar
 from boresight.geometry.star_camera import StarCamera
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.sky_images import NOWHERE, SkyImage, Whereabouts, open_sky_images
+from boresight.pipeline.files.star_side import star_camera_table
 from boresight.pipeline.files.whole_file import write_whole
 from boresight.pipeline.stages.identify import read_camera, read_sky_image, sky_index
 from boresight.star_id.camera_calibration import (
@@ -96,7 +97,7 @@ def calibrate_from_images(
     result = replace(result, frames_refused=(*unread, *result.frames_refused))
     stated = next((one.bit_depth for one in sky.images if one.bit_depth is not None), None)
     bits = stated or (8 * read[1].dtype.itemsize if read[1].dtype.kind == "u" else 16)
-    table = tomli_w.dumps(_camera_table(result.camera, bits))
+    table = tomli_w.dumps(star_camera_table(result.camera, bits))
     write_whole(request.out, lambda target: target.write_text(table, "utf-8"))
     cells = residual_map(result)
     if request.report is not None:
@@ -137,23 +138,6 @@ def _first_camera(
             return nominal_camera(size, found.fov_x_rad)
         answer = found
     return answer
-
-
-def _camera_table(camera: StarCamera, bits: int) -> dict[str, Any]:
-    return {
-        "focal_length_mm": camera.focal_m * 1e3,
-        "pixel_pitch_um": camera.pixel_m * 1e6,
-        "width_px": camera.width_px,
-        "height_px": camera.height_px,
-        "principal_point_px": list(camera.principal_px),
-        "bit_depth": bits,
-        "distortion": {
-            "p1_per_mm": camera.p1,
-            "p2_per_mm": camera.p2,
-            "q1_per_mm2": camera.q1,
-            "q2_per_mm4": camera.q2,
-        },
-    }
 
 
 def _lines(result: CameraCalibration, span_s: float) -> list[str]:
