@@ -8,13 +8,16 @@ noise that is assumed, and rejected for good (`gross_errors`); the covariance is
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
 from scipy.spatial.transform import Rotation
+from scipy.special import chdtrc
 
 from boresight.calib.estimate import (
+    HeadAgreement,
+    HeadInstallation,
     InstallationEstimate,
     Iteration,
     NoiseScale,
@@ -22,6 +25,8 @@ from boresight.calib.estimate import (
     Rejected,
     RejectionTest,
     TargetResiduals,
+    WhyRejected,
+    WithoutHead,
 )
 from boresight.calib.gross_errors import (
     detectable_bias,
@@ -31,6 +36,7 @@ from boresight.calib.gross_errors import (
     rivals,
     snoop,
 )
+from boresight.calib.heads import aligned, measured_alignment, unknown_heads, without_head
 from boresight.calib.information import InformationPairs, Solution
 from boresight.calib.joint_solution import (
     Problem,
@@ -49,6 +55,8 @@ from boresight.geometry.record import Bools, Floats
 from boresight.geometry.sightings import ExposureAttitudes, StripSightings
 
 __all__ = ["calibrate", "strip_pairs"]
+
+HEADS_PROBABILITY = 1e-3  # of looking for a head that contradicts where none does; the verdict decides
 
 
 def calibrate(
@@ -84,12 +92,45 @@ def calibrate(
     >>> np.degrees(estimate.sigma_theta) * 3600  # 1-sigma about X, Y, Z of frame c  # doctest: +SKIP
     array([0.57, 0.64, 10.4])
     """
+    found = _calibrated(strips, R_cs0, settings)
+    if isinstance(found, NotObservable) or not _contradict(found.agreement):
+        return found
+    heads = ("", *unknown_heads(strips))
+    trials = [_without(strips, head, R_cs0, settings) for head in heads]
+    return replace(found, agreement=replace(found.agreement, without=tuple(t for t in trials if t)))
+
+
+def _contradict(agreement: HeadAgreement) -> bool:
+    """Whether the heads differ by more than their stated errors explain: one of them is to be found."""
+    tests = ((agreement.dof, agreement.chi2), (agreement.dof_gain, agreement.gain))
+    return any(dof > 0 and chdtrc(dof, statistic) < HEADS_PROBABILITY for dof, statistic in tests)
+
+
+def _without(
+    strips: Sequence[StripSightings], head: str, R_cs0: Rotation, settings: CalibrationSettings
+) -> WithoutHead | None:
+    """Statistics of the estimate without one head; None where nothing can be estimated without it."""
+    strips = aligned(strips, {name: measured_alignment(strips, name) for name in unknown_heads(strips)})
+    rest = [without_head(strip, head) for strip in strips]
+    found = _calibrated(rest, R_cs0, settings)
+    if isinstance(found, NotObservable):
+        return None
+    rejected = sum(one.why is WhyRejected.TARGET_RESIDUAL for one in found.rejected)
+    total = found.chi2 + found.agreement.chi2 + found.rejection.limit * rejected
+    return WithoutHead(head=head, chi2=total, dof=found.dof + found.agreement.dof)
+
+
+def _calibrated(
+    strips: Sequence[StripSightings], R_cs0: Rotation, settings: CalibrationSettings
+) -> InstallationEstimate | NotObservable:
+    """The estimate from strips in any order."""
     strips = sorted(strips, key=lambda strip: strip.strip_id)
     ids = [strip.strip_id for strip in strips]
     if len(set(ids)) != len(ids):
         twice = next(a for a, b in pairwise(ids) if a == b)
         raise ValueError(f"two strips have the id {twice!r}")
     strips = with_attitudes(strips, settings.attitudes)
+    strips = aligned(strips, {head: measured_alignment(strips, head) for head in unknown_heads(strips)})
     prepared = [prepare_strip(strip, settings) for strip in strips]
     problem = Problem.of(prepared, settings)
     test = rejection_test(settings.probability_false_alarm, int(problem.inside.sum()))
@@ -109,7 +150,9 @@ def calibrate(
     R_cs = deviation_from_theta(fit.step.solution.theta) * fit.step.R_cs
     if len(fit.step.solution.unobservable):
         return _not_observable(fit.step.solution, theta_between(R_cs, R_cs0), rejected, settings)
-    return _estimate(prepared, problem, fit, (R_cs, R_cs0), residuals, rejected, test, _star_noise(strips))
+    matrices, scale_s = (R_cs, R_cs0), _star_noise(strips)
+    estimate = _estimate(prepared, problem, fit, matrices, residuals, rejected, test, scale_s)
+    return _with_heads(estimate, strips, problem, fit.step.solution)
 
 
 def strip_pairs(
@@ -284,7 +327,30 @@ def _estimate(
         targets=residuals,
         rejection=test,
         noise=NoiseScale(*scale_s, *fit.scale_c),
+        agreement=problem.agreement,
+        heads=(HeadInstallation(name="", R_cs=R_cs),),
+        cov_heads=step.solution.covariance,
     )
+
+
+def _with_heads(
+    estimate: InstallationEstimate, strips: Sequence[StripSightings], problem: Problem, solution: Solution
+) -> InstallationEstimate:
+    """The estimate with the matrices of the other heads, R_ch = R_cs exp(alpha) R_sh, and all covariances."""
+    names = problem.shared.heads
+    C = estimate.R_cs.as_matrix()
+    first = solution.covariance_all.shape[0] - 3 * len(names)
+    # theta of head h is that of the reference head less C alpha (theta has the paper's sign).
+    lift = np.zeros((3 + 3 * len(names), solution.covariance_all.shape[0]))
+    lift[:3, :3] = np.eye(3)
+    heads = [estimate.heads[0]]
+    for n, name in enumerate(names):
+        rows, columns = slice(3 + 3 * n, 6 + 3 * n), slice(first + 3 * n, first + 3 * n + 3)
+        lift[rows, :3], lift[rows, columns] = np.eye(3), -C
+        alpha = np.concatenate([solution.theta, solution.shared])[columns]
+        R_sh = next(other.R_sh for strip in strips for other in strip.others if other.head == name)
+        heads.append(HeadInstallation(name=name, R_cs=estimate.R_cs * Rotation.from_rotvec(alpha) * R_sh))
+    return replace(estimate, heads=tuple(heads), cov_heads=lift @ solution.covariance_all @ lift.T)
 
 
 def _stars_kept(attitudes: ExposureAttitudes, used: Bools) -> int:

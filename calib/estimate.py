@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from enum import Enum
 
 import numpy as np
@@ -11,6 +12,8 @@ from boresight.calib.information import InformationPairs
 from boresight.geometry.record import Bools, Floats, Ints, Texts, array, record, scalar
 
 __all__ = [
+    "HeadAgreement",
+    "HeadInstallation",
     "InstallationEstimate",
     "Iteration",
     "NoiseScale",
@@ -19,6 +22,7 @@ __all__ = [
     "RejectionTest",
     "TargetResiduals",
     "WhyRejected",
+    "WithoutHead",
 ]
 
 
@@ -107,6 +111,36 @@ class NoiseScale:
 
 
 @record(kw_only=True)
+class WithoutHead:
+    """What is left of the contradictions if one head is not used."""
+
+    head: str = scalar("name of the head; empty for the reference head")
+    chi2: float = scalar(
+        "of targets and remaining heads, with the limit of the test for each target rejected"
+    )
+    dof: int = scalar("degrees of freedom of `chi2`")
+
+
+@record(kw_only=True)
+class HeadAgreement:
+    """Differences between the attitudes of several heads, one alignment a head estimated."""
+
+    chi2: float = scalar("squared differences over their variances")
+    dof: int = scalar("degrees of freedom of `chi2`; 0 for a single head")
+    gain: float = scalar("decrease of `chi2` if each strip had alignments of its own")
+    dof_gain: int = scalar("degrees of freedom of `gain`")
+    without: tuple[WithoutHead, ...] = scalar("each head left out; only if they differ too much", default=())
+
+
+@record(kw_only=True)
+class HeadInstallation:
+    """The installation matrix of one head."""
+
+    name: str = scalar("name of the head; empty for the only one")
+    R_cs: Rotation = scalar("its frame to the remote-sensing camera")
+
+
+@record(kw_only=True)
 class InstallationEstimate:
     """The installation matrix with covariance and fit statistics."""
 
@@ -134,6 +168,18 @@ class InstallationEstimate:
     targets: TargetResiduals = scalar("residuals of all targets")
     rejection: RejectionTest = scalar("how targets were tested")
     noise: NoiseScale = scalar("noise as the residuals show it")
+    agreement: HeadAgreement = scalar("of the heads with one another")
+    heads: tuple[HeadInstallation, ...] = array("H", "of all heads, the reference head first")
+    cov_heads: Floats = array("D, D", "rad², 3 H: small rotations about the axes of c, head after head")
+
+    def with_reference(self, name: str) -> InstallationEstimate:
+        """The estimate with the reference head's name."""
+        without = tuple(replace(one, head=one.head or name) for one in self.agreement.without)
+        return replace(
+            self,
+            heads=(replace(self.heads[0], name=name), *self.heads[1:]),
+            agreement=replace(self.agreement, without=without),
+        )
 
     @property
     def converged(self) -> bool:

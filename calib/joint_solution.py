@@ -6,15 +6,17 @@ Every target then gets its residual and the covariance of that residual, by whic
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from boresight.calib.estimate import Iteration
+from boresight.calib.estimate import HeadAgreement, Iteration
+from boresight.calib.heads import HeadTie
 from boresight.calib.information import InformationPairs, Solution, solve_total
 from boresight.calib.settings import CalibrationSettings
-from boresight.calib.shared_unknowns import SharedUnknowns, find_shared
+from boresight.calib.shared_unknowns import SIGMA_ALIGNMENT_RAD, SharedUnknowns, find_shared
 from boresight.calib.strips import LinearStrips, PreparedStrip, StripGroup, group_strips, linearise
 from boresight.geometry.record import Bools, Floats, Ints, Texts, array, record, scalar
 
@@ -41,11 +43,14 @@ class Problem:
     inside: Bools = array("J", "whether exposures cover the target's instant")
     rank: Ints = array("J", "place of each sighting in the order of strip, target and CCD")
     settings: CalibrationSettings = scalar("priors and limits")
+    agreement: HeadAgreement = scalar("of the heads with one another, without any target")
 
     @classmethod
     def of(cls, prepared: list[PreparedStrip], settings: CalibrationSettings) -> Problem:
         """The problem that these strips pose; without groups where no target is covered."""
-        shared = find_shared([strip.seen() for strip in prepared if strip.inside.any()], settings)
+        carrying = [strip for strip in prepared if strip.inside.any()]
+        heads = tuple(sorted({tie.head for strip in carrying for tie in strip.ties}))
+        shared = find_shared([strip.seen() for strip in carrying], settings, heads)
         groups = group_strips(prepared, shared, settings)
         members = [prepared[n] for group in groups for n in group.place]
         keys = [
@@ -63,7 +68,42 @@ class Problem:
             inside=np.concatenate([np.zeros(0, dtype=bool), *(group.inside.ravel() for group in groups)]),
             rank=rank,
             settings=settings,
+            agreement=_agreement(carrying, heads),
         )
+
+
+def _agreement(strips: Sequence[PreparedStrip], heads: tuple[str, ...]) -> HeadAgreement:
+    """The heads' own weighted sum of squares, all attitude errors and one alignment a head estimated."""
+    n, tied = 3 * len(heads), [strip for strip in strips if any(len(tie.r) for tie in strip.ties)]
+    parts = np.zeros((len(tied), n + 1, n + 1))
+    for s, strip in enumerate(tied):
+        Y = np.concatenate([_by_alignment(tie, heads) for tie in strip.ties])
+        by_phi = np.concatenate([tie.by_phi for tie in strip.ties])
+        G = by_phi.T @ Y
+        parts[s] = Y.T @ Y - G.T @ np.linalg.solve(np.eye(len(G)) + by_phi.T @ by_phi, G)
+    rows = sum(len(tie.r) for strip in tied for tie in strip.ties)
+    together = _left_by_alignments(parts.sum(axis=0))
+    apart = sum(_left_by_alignments(part) for part in parts)
+    return HeadAgreement(
+        chi2=max(together, 0.0),
+        dof=max(rows - n, 0),
+        gain=max(together - apart, 0.0),
+        dof_gain=sum(3 * sum(len(tie.r) > 0 for tie in strip.ties) for strip in tied) - n if tied else 0,
+    )
+
+
+def _left_by_alignments(N: Floats) -> float:
+    """The sum of squares that the best alignments leave; `N` (3 heads + 1, the same), the residual last."""
+    prior = np.eye(len(N) - 1) / SIGMA_ALIGNMENT_RAD**2
+    return float(N[-1, -1] - N[:-1, -1] @ np.linalg.solve(N[:-1, :-1] + prior, N[:-1, -1]))
+
+
+def _by_alignment(tie: HeadTie, heads: tuple[str, ...]) -> Floats:
+    """Rows (h, 3 heads + 1) of a head: change by each alignment, and the residual."""
+    rows = np.zeros((len(tie.r), 3 * len(heads) + 1))
+    first = 3 * heads.index(tie.head)
+    rows[:, first : first + 3], rows[:, -1] = tie.by_alpha, tie.r
+    return rows
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -81,7 +121,7 @@ class Step:
     R_cs: Rotation = scalar("matrix about which the problem is linearised")
     pairs: InformationPairs = scalar("normal equations of each strip")
     solution: Solution = scalar("theta and the shared unknowns")
-    chi2: float = scalar("weighted sum of squares, priors included")
+    chi2: float = scalar("weighted sum of squares, priors included, less that of the heads by themselves")
     whitened: Floats = array("J, 2", "residuals, all unknowns estimated, in units of the noise")
     variance: Floats = array("J, 2, 2", "of `whitened`: I - leverage, or I + leverage for weight zero")
     residual_c: Floats = array("J, 2", "residuals along x and y of frame c, rad")
@@ -125,7 +165,7 @@ def solve_weighted(problem: Problem, about: Linearised, weight: Floats) -> Step:
         R_cs=about.R_cs,
         pairs=pairs,
         solution=solution,
-        chi2=float(np.sum(N[:, -1, -1]) - x @ total.F_theta),
+        chi2=float(np.sum(N[:, -1, -1]) - x @ total.F_theta) - problem.agreement.chi2,
         whitened=whitened,
         variance=np.where(used, np.eye(2) - leverage, np.eye(2) + leverage),
         residual_c=along,
@@ -145,8 +185,11 @@ class _Reduced:
 
 def _reduced(line: LinearStrips, weight: Floats) -> _Reduced:
     root: Floats = np.repeat(np.sqrt(weight), 2, axis=1)[:, :, None]
-    X_q = root * line.X_q
-    Y = root * np.concatenate([line.X_theta, line.X_shared, line.r[:, :, None]], axis=2)
+    of_targets = root * np.concatenate([line.X_theta, line.X_shared, line.r[:, :, None]], axis=2)
+    by_theta = np.zeros((*line.tie_r.shape, 3))
+    of_heads = np.concatenate([by_theta, line.tie_shared, line.tie_r[:, :, None]], axis=2)
+    X_q = np.concatenate([root * line.X_q, line.tie_q], axis=1)
+    Y = np.concatenate([of_targets, of_heads], axis=1)
     X_qT = np.swapaxes(X_q, 1, 2)
     cov_q = np.asarray(np.linalg.inv(np.eye(X_q.shape[2]) + X_qT @ X_q), dtype=np.float64)
     G = X_qT @ Y

@@ -1,4 +1,4 @@
-"""Unknowns that several strips share: the distortion of the camera, and coordinates of targets.
+"""Unknowns that several strips share: the camera's distortion, targets' coordinates, alignments of heads.
 
 Each is one named unknown of the whole calibration and does not average over strips. A target's coordinates
 are three unknowns in metres, in axes that rotate with the Earth about the pole of GCRS, which agree with ITRS
@@ -15,13 +15,22 @@ from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
 
 from boresight.calib.distortion import Knot, knots_touched, prior_information, unknown_names
+from boresight.calib.heads import head_names
 from boresight.calib.settings import CalibrationSettings
 from boresight.geometry.constants import EARTH_ROTATION_RATE
 from boresight.geometry.record import array, record, scalar
 
-__all__ = ["SeenTargets", "SharedUnknowns", "coordinate_names", "earth_axes", "find_shared"]
+__all__ = [
+    "SIGMA_ALIGNMENT_RAD",
+    "SeenTargets",
+    "SharedUnknowns",
+    "coordinate_names",
+    "earth_axes",
+    "find_shared",
+]
 
 Array = NDArray[np.float64]
+SIGMA_ALIGNMENT_RAD = 0.01  # of alignments between heads: wide, the attitudes themselves give arc-seconds
 
 
 @record
@@ -42,15 +51,19 @@ class SharedUnknowns:
     targets: tuple[str, ...] = array("T", "ids of the targets, three unknowns each")
     cov_targets: Array = array("T, 3, 3", "prior covariance of their coordinates, m²")
     n_treated_independent: int = scalar("targets in several strips beyond the limit")
+    heads: tuple[str, ...] = scalar("heads beside the reference head, three unknowns each", default=())
 
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the unknowns, in the order of the matrices."""
-        return unknown_names(self.knots) + coordinate_names(self.targets)
+        return unknown_names(self.knots) + coordinate_names(self.targets) + head_names(self.heads)
 
     def prior_information(self) -> Array:
-        """Inverse prior covariance (n, n), distortion in units of its prior sigma, coordinates in metres."""
-        parts = [prior_information(unknown_names(self.knots)), *np.linalg.inv(self.cov_targets)]
+        """Inverse prior covariance (n, n), distortion in units of its prior sigma, coordinates in metres,
+        alignments in radians.
+        """
+        alignments = np.eye(3 * len(self.heads)) / SIGMA_ALIGNMENT_RAD**2
+        parts = [prior_information(unknown_names(self.knots)), *np.linalg.inv(self.cov_targets), alignments]
         parts = [part for part in parts if part.size]
         return np.asarray(block_diag(*parts)) if parts else np.zeros((0, 0))
 
@@ -65,9 +78,12 @@ def earth_axes(t_s: Array) -> Array:
     return Rotation.from_rotvec(np.outer(EARTH_ROTATION_RATE * t_s, [0.0, 0.0, 1.0])).as_matrix()
 
 
-def find_shared(strips: Sequence[SeenTargets], settings: CalibrationSettings) -> SharedUnknowns:
-    """The unknowns that these strips share. Of targets in several strips, those seen most often come
-    first.
+def find_shared(
+    strips: Sequence[SeenTargets], settings: CalibrationSettings, heads: tuple[str, ...] = ()
+) -> SharedUnknowns:
+    """The unknowns that these strips share, the alignments of `heads` among them.
+
+    Of targets in several strips, those seen most often come first.
     """
     knots: set[Knot] = set()
     if settings.distortion_scope == "camera" and settings.sigma_distortion_rad > 0.0:
@@ -84,4 +100,4 @@ def find_shared(strips: Sequence[SeenTargets], settings: CalibrationSettings) ->
     often.sort(key=lambda name: (-count[name], name))
     kept = tuple(sorted(often[: settings.most_shared_targets]))
     covariances = np.array([covariance[name] for name in kept]).reshape(-1, 3, 3)
-    return SharedUnknowns(tuple(sorted(knots)), kept, covariances, len(often) - len(kept))
+    return SharedUnknowns(tuple(sorted(knots)), kept, covariances, len(often) - len(kept), heads)

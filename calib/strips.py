@@ -22,6 +22,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from boresight.calib.distortion import Knot, correlation, knot_weights, knots_touched
+from boresight.calib.heads import HeadTie, interpolated, tie_of_head
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.shared_unknowns import SeenTargets, SharedUnknowns, earth_axes
 from boresight.geometry.attitude import lagrange_weights
@@ -50,6 +51,7 @@ class PreparedStrip:
     unknowns: tuple[str, ...] = array("N", "names of the columns of shared_s")
     coordinates_s: Floats = array("J, 3, 3", "change of v_s by the target's coordinates, Earth axes, 1/m")
     cov_coordinates: Floats = array("J, 3, 3", "covariance of the coordinates, the same axes, m²")
+    ties: tuple[HeadTie, ...] = scalar("rows of the other heads")
 
     def seen(self) -> SeenTargets:
         """The strip's targets, as far as other strips may share unknowns with them."""
@@ -71,6 +73,8 @@ class StripGroup:
     camera: Floats = array("S, J, C", "change of the look direction by each knot of the camera, rad")
     own: Floats = array("S, J, M", "the same for the strip's own distortion, whitened")
     missed: Floats = array("S, J", "variance of the distortion between knots, rad²")
+    ties: Floats = array("S, H, V", "rows of other heads: by phi, by their alignments, residual; whitened")
+    n_phi: int = scalar("attitude unknowns, the first of the strip's own")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -83,6 +87,9 @@ class LinearStrips:
     X_q: Floats  # (S, 2 J, n) change of r by the strip's own unknowns, units of their prior sigma
     whitener: Floats  # (S, J, 2, 2) takes residuals along the two tangent axes, rad, to rows of r
     measured: Floats  # (S, J, 2, 2) part of the whitened noise that the image measurement makes
+    tie_r: Floats  # (S, h) residuals of the other heads' rows, and their derivatives; none by theta
+    tie_shared: Floats  # (S, h, g)
+    tie_q: Floats  # (S, h, n)
 
 
 def prepare_strip(strip: StripSightings, settings: CalibrationSettings) -> PreparedStrip:
@@ -106,6 +113,7 @@ def prepare_strip(strip: StripSightings, settings: CalibrationSettings) -> Prepa
     rate_s = _rotation_rate(times, attitudes.R_si[used])
     clock = (move_s @ ground.v_rel_i[:, :, None] + np.cross(rate_s, v_s)[:, :, None]) * settings.sigma_clock_s
     R_ie = earth_axes(ground.t_s)
+    ties = _ties(strip, times, attitudes.R_si[used], used, root, settings)
     names = [f"phi/{k}/{axis}" for k in range(len(times)) for axis in "xyz"]
     return PreparedStrip(
         strip_id=strip.strip_id,
@@ -122,6 +130,26 @@ def prepare_strip(strip: StripSightings, settings: CalibrationSettings) -> Prepa
         unknowns=(*names, "position/x", "position/y", "position/z", "clock"),
         coordinates_s=-move_s @ R_ie,
         cov_coordinates=np.swapaxes(R_ie, 1, 2) @ ground.cov_target_i @ R_ie * settings.use_target_sigma,
+        ties=ties,
+    )
+
+
+def _ties(
+    strip: StripSightings,
+    times: Floats,
+    R_si: Floats,
+    used: Bools,
+    root: Floats,
+    settings: CalibrationSettings,
+) -> tuple[HeadTie, ...]:
+    """Rows of the other heads over the strip, by the names of the heads."""
+    if not len(times):
+        return ()
+    carrier, nominal = Rotation.from_matrix(R_si), strip.R_oi_exposures[used]
+    vibration = settings.sigma_vibration_rad
+    return tuple(
+        tie_of_head(other, times, carrier, nominal, root, vibration)
+        for other in sorted(strip.others, key=lambda one: one.head)
     )
 
 
@@ -142,12 +170,13 @@ def group_strips(
     strips: list[PreparedStrip], shared: SharedUnknowns, settings: CalibrationSettings
 ) -> list[StripGroup]:
     """Groups of strips of equal shape, in order of first occurrence, without strips of no covered target."""
-    shapes: dict[tuple[int, int, int], list[int]] = {}
+    shapes: dict[tuple[int, int, int, int], list[int]] = {}
     for place, strip in enumerate(strips):
         if not strip.inside.any():
             continue
         n = 2 * len(_own_knots(strip, settings)) + 3 * len(_seen_again(strip, shared))
-        shapes.setdefault((int(strip.used.sum()), len(strip.ccd), n), []).append(place)
+        h = sum(len(tie.r) for tie in strip.ties)
+        shapes.setdefault((int(strip.used.sum()), len(strip.ccd), n, h), []).append(place)
     return [_group(strips, np.array(places), shared, settings) for places in shapes.values()]
 
 
@@ -177,6 +206,9 @@ def linearise(
         rows @ np.concatenate([tangent_s @ group.shared_s, own], axis=3),
     )
     r, X_theta, X_shared, X_q = (part.reshape(S, 2 * w.shape[1], part.shape[-1]) for part in parts)
+    by_phi, by_heads = group.ties[:, :, : group.n_phi], group.ties[:, :, group.n_phi : -1]
+    h = group.ties.shape[1]
+    others = X_shared.shape[2] - by_heads.shape[2]  # the alignments of heads are the last shared unknowns
     return LinearStrips(
         r=r[:, :, 0],
         X_theta=X_theta,
@@ -184,6 +216,9 @@ def linearise(
         X_q=X_q,
         whitener=whitener,
         measured=whitener @ measurement @ np.swapaxes(whitener, 2, 3),
+        tie_r=group.ties[:, :, -1],
+        tie_shared=np.concatenate([np.zeros((S, h, others)), by_heads], axis=2),
+        tie_q=np.concatenate([by_phi, np.zeros((S, h, X_q.shape[2] - group.n_phi))], axis=2),
     )
 
 
@@ -197,18 +232,37 @@ def _group(
     camera, own, missed = zip(*(_distortion(strip, shared.knots, settings) for strip in members))
     across, again, white = zip(*(_coordinates(strip, shared) for strip in members))
     fields = ("inside", "u_c", "cov_c", "v_s")
+    n_phi = 3 * int(members[0].used.sum())
     return StripGroup(
         place=place,
         shared_s=np.stack(
             [np.concatenate([strip.shared_s, two], axis=2) for strip, two in zip(members, again)]
         ),
         white_s=np.stack(white),
-        targets_s=np.stack(across),
+        targets_s=np.stack([_with_alignments(columns, shared) for columns in across]),
         camera=np.stack(camera),
         own=np.stack(own),
         missed=np.stack(missed),
+        ties=np.stack([_rows_of_ties(strip, shared, n_phi) for strip in members]),
+        n_phi=n_phi,
         **{name: np.stack([getattr(strip, name) for strip in members]) for name in fields},
     )
+
+
+def _rows_of_ties(strip: PreparedStrip, shared: SharedUnknowns, n_phi: int) -> Floats:
+    """Rows (h, n_phi + 3 heads + 1) of the other heads in a strip."""
+    rows = [np.zeros((0, n_phi + 3 * len(shared.heads) + 1))]
+    for tie in strip.ties:
+        row = np.zeros((len(tie.r), rows[0].shape[1]))
+        first = n_phi + 3 * shared.heads.index(tie.head)
+        row[:, :n_phi], row[:, first : first + 3], row[:, -1] = tie.by_phi, tie.by_alpha, tie.r
+        rows.append(row)
+    return np.concatenate(rows)
+
+
+def _with_alignments(columns: Floats, shared: SharedUnknowns) -> Floats:
+    """Columns (J, 3, T) of shared coordinates, and zeros for alignments, which no target sees."""
+    return np.concatenate([columns, np.zeros((*columns.shape[:2], 3 * len(shared.heads)))], axis=2)
 
 
 def _weights(times: Floats, t_s: Floats) -> tuple[Bools, Floats]:
@@ -241,10 +295,10 @@ def _interpolated(
     R_si_targets = np.tile(np.eye(3), (len(weights), 1, 1))
     if not inside.any():
         return R_si_targets
-    D = Rotation.from_matrix(R_si) * R_oi_exposures[used].inv()
-    middle = D[len(D) // 2]
-    from_middle = Rotation.from_rotvec(weights[inside] @ (D * middle.inv()).as_rotvec())
-    R_si_targets[inside] = (from_middle * middle * R_oi_targets[inside]).as_matrix()
+    here = interpolated(
+        Rotation.from_matrix(R_si), R_oi_exposures[used], weights[inside], R_oi_targets[inside]
+    )
+    R_si_targets[inside] = here.as_matrix()
     return R_si_targets
 
 

@@ -10,13 +10,14 @@ off by a stated factor before the test counts it.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from enum import Enum
 
 import numpy as np
 from scipy.spatial import KDTree
 from scipy.special import bdtrc, chdtr, chdtrc
 
-from boresight.calib.estimate import InstallationEstimate, WhyRejected
+from boresight.calib.estimate import HeadAgreement, InstallationEstimate, WhyRejected, WithoutHead
 from boresight.geometry.record import Floats, array, record, scalar
 from boresight.geometry.sightings import GroundSightings, StripSightings
 
@@ -41,6 +42,8 @@ class CheckKind(Enum):
     TARGET_RESIDUALS = "residuals of targets"
     TARGETS_REJECTED = "share of targets rejected"
     BETWEEN_STRIPS = "agreement between strips"
+    BETWEEN_HEADS = "agreement between heads"
+    STEADY_HEADS = "alignment between heads from strip to strip"
     START_MATRIX = "distance from the pre-launch matrix"
     DUPLICATED_TARGETS = "equal coordinates of targets"
     CONVERGENCE = "convergence"
@@ -57,6 +60,8 @@ class Suspect(Enum):
     STATED_ERRORS = "stated errors of position, clock, vibration and distortion"
     TARGET_COORDINATES = "coordinates of targets, their height system and stated errors"
     TARGET_LIST = "targets listed more than once"
+    HEADS = "attitudes of the head that is named: its times, its mounting, its aberration"
+    HEAD_NOISE = "stated noise of the heads' attitudes"
     GROUND_MATRIX = "pre-launch installation matrix and its stated error"
 
 
@@ -72,10 +77,15 @@ LOOK_AT = {
     ),
     CheckKind.TARGETS_REJECTED: (Suspect.TARGET_COORDINATES, Suspect.LINE_CAMERA_MODEL),
     CheckKind.BETWEEN_STRIPS: (Suspect.ORBIT, Suspect.CLOCKS, Suspect.STATED_ERRORS),
+    CheckKind.BETWEEN_HEADS: (Suspect.HEAD_NOISE, Suspect.HEADS),
+    CheckKind.STEADY_HEADS: (Suspect.HEADS, Suspect.HEAD_NOISE),
     CheckKind.START_MATRIX: (Suspect.STAR_CAMERA_MODEL, Suspect.GROUND_MATRIX),
     CheckKind.DUPLICATED_TARGETS: (Suspect.TARGET_LIST,),
     CheckKind.CONVERGENCE: (Suspect.GROUND_MATRIX,),
 }
+
+
+OF_HEADS = (CheckKind.BETWEEN_HEADS, CheckKind.STEADY_HEADS)  # tested only where there are several
 
 
 @record
@@ -101,7 +111,9 @@ class Check:
     n: int = scalar("degrees of freedom, or number of observations counted")
     p_value: float = scalar("probability of a statistic as unlikely as this, if the data are consistent")
     limit: float = scalar("p-value below which the check fails")
-    names: tuple[tuple[str, ...], ...] = scalar("groups of targets with equal coordinates", default=())
+    names: tuple[tuple[str, ...], ...] = scalar(
+        "groups of targets with equal coordinates; the head that contradicts", default=()
+    )
 
     @property
     def holds(self) -> bool:
@@ -163,9 +175,13 @@ def assess(
     found = [_residuals(*one, settings) for one in residuals]
     found += _shares(estimate, settings)
     found.append(_between_strips(estimate, settings))
+    found += _between_heads(estimate.agreement, settings)
     if sigma_installation_rad is not None:
         found.append(_from_start(estimate, sigma_installation_rad, settings))
     found += [_duplicates(strips, settings), _convergence(estimate, settings)]
+    single = not any(check.kind in OF_HEADS for check in found)
+    limit = settings.probability_false_alarm / (len(CheckKind) - single * len(OF_HEADS))
+    found = [replace(check, limit=limit) for check in found]
     values, vectors = np.linalg.eigh(estimate.cov_theta)
     return Verdict(
         outcome=Outcome.CONSISTENT if all(check.holds for check in found) else Outcome.REFUTED,
@@ -245,6 +261,28 @@ def _between_strips(estimate: InstallationEstimate, settings: VerdictSettings) -
     dof, gain = dof_free - dof_one, max(free - one, 0.0)
     p_value = float(chdtrc(dof, gain / settings.sigma_understated**2)) if dof > 0 else 1.0
     return _check(CheckKind.BETWEEN_STRIPS, gain, dof, dof, p_value, settings)
+
+
+def _between_heads(agreement: HeadAgreement, settings: VerdictSettings) -> list[Check]:
+    """Differences between heads' attitudes, over all rows and from strip to strip; a check that fails names
+    the head without which the rest agrees best.
+    """
+    checks = []
+    if agreement.dof > 0:
+        checks.append(_residuals(CheckKind.BETWEEN_HEADS, agreement.chi2, agreement.dof, settings))
+    if (dof := agreement.dof_gain) > 0:
+        p_value = float(chdtrc(dof, agreement.gain / settings.sigma_understated**2))
+        checks.append(_check(CheckKind.STEADY_HEADS, agreement.gain, dof, dof, p_value, settings))
+    if not agreement.without:
+        return checks
+    name = min(agreement.without, key=_excess).head or "reference head"
+    return [check if check.holds else replace(check, names=((name,),)) for check in checks]
+
+
+def _excess(one: WithoutHead) -> float:
+    """chi2 as a deviate of a normal distribution (Wilson & Hilferty 1931)."""
+    variance = 2.0 / (9.0 * max(one.dof, 1))
+    return float((np.cbrt(one.chi2 / max(one.dof, 1)) - 1.0 + variance) / np.sqrt(variance))
 
 
 def _explained(N: Floats, b: Floats) -> tuple[float, int]:

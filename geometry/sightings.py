@@ -19,10 +19,13 @@ from boresight.geometry.record import Bools, Floats, Ints, Texts, array, record,
 __all__ = [
     "ExposureAttitudes",
     "GroundSightings",
+    "HeadAttitudes",
     "StarSightings",
     "StripSightings",
+    "exposure_without_stars",
     "information_of_directions",
     "isotropic_covariance",
+    "solved_attitudes",
 ]
 
 
@@ -93,6 +96,24 @@ class GroundSightings:
 
 
 @record(kw_only=True)
+class HeadAttitudes:
+    """Attitudes of one more star camera (head) around a strip, in its own frame h."""
+
+    head: str = scalar("name of the head")
+    t_s: Floats = array("K", "instants, TAI seconds since the dump's epoch")
+    R_hi: Rotation = scalar("(K,) GCRS to frame h")
+    covariance_h: Floats = array("K, 3, 3", "of each attitude by itself, axes of h, rad²")
+    noise: AttitudeNoise = scalar("errors that the attitudes have in common, axes of h")
+    R_oi: Rotation = scalar("(K,) GCRS to the orbital frame at the same instants")
+    R_sh: Rotation = scalar("alignment: frame h to that of the reference head, as far as it is known")
+
+    @property
+    def noise_s(self) -> AttitudeNoise:
+        """The errors about the axes of frame s."""
+        return replace(self.noise, R_sn=self.R_sh * self.noise.R_sn)
+
+
+@record(kw_only=True)
 class StripSightings:
     """One strip: its targets, the star exposures around it, and the nominal motion between their instants.
 
@@ -110,6 +131,7 @@ class StripSightings:
         "attitudes of the exposures; None: fitted by the estimate", default=None
     )
     noise: AttitudeNoise = scalar("errors of the attitudes beside their covariances", default=NO_NOISE)
+    others: tuple[HeadAttitudes, ...] = scalar("attitudes of the other heads", default=())
 
     def __post_init__(self) -> None:
         times = [exposure.t_s for exposure in self.exposures]
@@ -121,6 +143,35 @@ class StripSightings:
             counts = np.diff(self.attitudes.start).tolist()
             if counts != [len(exposure.hip) for exposure in self.exposures]:
                 raise ValueError(f"strip {self.strip_id}: `attitudes` are not those of its exposures")
+
+
+def exposure_without_stars(exposure_id: str, t_s: float) -> StarSightings:
+    """An exposure whose attitude the star camera has solved itself."""
+    none = np.zeros((0, 3))
+    return StarSightings(
+        exposure_id=exposure_id,
+        t_s=t_s,
+        hip=np.zeros(0, dtype=np.int64),
+        xy_px=np.zeros((0, 2)),
+        u_s=none,
+        u_i=none,
+        cov_s=np.zeros((0, 3, 3)),
+    )
+
+
+def solved_attitudes(R_si: Rotation, covariance_s: Floats) -> ExposureAttitudes:
+    """Attitudes (K,) that the star camera has solved itself, with covariances (K, 3, 3), rad², axes of s."""
+    K = len(R_si)
+    return ExposureAttitudes(
+        start=np.zeros(K + 1, dtype=np.int64),
+        R_si=R_si.as_matrix().reshape(K, 3, 3),
+        covariance_s=covariance_s,
+        usable=np.ones(K, dtype=bool),
+        kept=np.zeros(0, dtype=bool),
+        squared_mahalanobis=np.zeros(0),
+        chi2=np.zeros(K),
+        dof=np.zeros(K, dtype=np.int64),
+    )
 
 
 def isotropic_covariance(u: Floats, sigma_rad: Floats | float) -> Floats:

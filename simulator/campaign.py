@@ -22,6 +22,7 @@ from boresight.geometry.vector_sets import VectorSets
 
 __all__ = [
     "CameraPair",
+    "StripMotion",
     "StripPlan",
     "StripTruth",
     "draw_frames",
@@ -101,6 +102,7 @@ class StripTruth:
     wrong_targets: frozenset[tuple[str, int]] = scalar("gross errors: strip, row")
     R_ci: tuple[Rotation, ...] = array("S", "(J,) at the rows' recorded times, without vibration")
     look_c: tuple[Array, ...] = array("S", "(J, 3) true look vectors, with distortion, without noise")
+    motion: tuple[StripMotion, ...] = array("S", "orbit and attitude of each strip against time")
 
 
 def draw_strips(
@@ -120,6 +122,7 @@ def draw_strips(
         frozenset().union(*(truth.wrong_targets for _, truth in drawn)),
         tuple(R_ci for _, truth in drawn for R_ci in truth.R_ci),
         tuple(look_c for _, truth in drawn for look_c in truth.look_c),
+        tuple(motion for _, truth in drawn for motion in truth.motion),
     )
 
 
@@ -188,7 +191,7 @@ def noisy_frames(frames: VectorSets, rng: np.random.Generator) -> VectorSets:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Motion:
+class StripMotion:
     """Circular orbit and waves of one strip."""
 
     radius_m: float
@@ -199,7 +202,7 @@ class _Motion:
     phase: Array  # (3,)
 
     @classmethod
-    def draw(cls, plan: StripPlan, rng: np.random.Generator) -> _Motion:
+    def draw(cls, plan: StripPlan, rng: np.random.Generator) -> StripMotion:
         radius = WGS84.semi_major_m + plan.height_m
         return cls(
             radius,
@@ -259,7 +262,7 @@ def _draw_strip(
     survey_i: Array | None,
     rng: np.random.Generator,
 ) -> tuple[StripSightings, StripTruth]:
-    motion, margin = _Motion.draw(plan, rng), plan.exposure_margin_s
+    motion, margin = StripMotion.draw(plan, rng), plan.exposure_margin_s
     t_stars = np.asarray(np.linspace(-margin, plan.duration_s + margin, plan.exposures), dtype=np.float64)
     exposures, wrong_stars = _draw_exposures(name, t_stars, plan, cameras, motion.R_ci(t_stars), rng)
     t_targets = plan.duration_s * np.sort(rng.uniform(*plan.along, plan.targets))
@@ -273,7 +276,7 @@ def _draw_strip(
     )
     wrong_targets = frozenset((name, row) for row in wrong_rows)
     R_ci = (motion.R_ci(t_targets),)
-    return strip, StripTruth(cameras.R_cs, frozenset(wrong_stars), wrong_targets, R_ci, (look_c,))
+    return strip, StripTruth(cameras.R_cs, frozenset(wrong_stars), wrong_targets, R_ci, (look_c,), (motion,))
 
 
 def _draw_exposures(
@@ -311,7 +314,7 @@ def _draw_targets(
     t: Array,
     plan: StripPlan,
     cameras: CameraPair,
-    motion: _Motion,
+    motion: StripMotion,
     shared: tuple[_Curve, Array | None],
     rng: np.random.Generator,
 ) -> tuple[GroundSightings, list[int], Array]:

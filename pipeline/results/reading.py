@@ -14,7 +14,7 @@ from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
 
 from boresight.calib.information import InformationPairs
-from boresight.calib.shared_unknowns import coordinate_names, earth_axes
+from boresight.calib.shared_unknowns import SIGMA_ALIGNMENT_RAD, coordinate_names, earth_axes
 from boresight.geometry.record import Bools, Floats, array, record, scalar
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.table_files import column, fixed, list_values, read_parquet
@@ -26,6 +26,7 @@ __all__ = ["SavedResult", "read_for_dump", "read_mounting", "read_pairs", "read_
 
 EXPOSURES = {"exposure_id": pa.string(), "t_s": pa.float64(), "R_si": fixed(9), "usable": pa.bool_()}
 COORDINATES = {"target_id": pa.string(), "t_s": pa.float64(), "cov_target_i": fixed(9)}
+ALIGNMENT = re.compile(r"head/[A-Za-z0-9_.-]{1,64}/[xyz]")
 DISTORTION = re.compile(r"distortion/[xy]/\d{1,6}/-?\d{1,6}")
 
 
@@ -117,17 +118,21 @@ def read_pairs(result: Path) -> InformationPairs:
 
 def read_mounting(result: Path, name: str) -> InformationPairs:
     """Normal equations of a finished result as one: its strips added, coordinates of targets that several of
-    them see eliminated. The camera's distortion stays, since other results share it.
-    `RawDataError` if not readable.
+    them see and alignments of further heads eliminated. The camera's distortion stays, since other results
+    share it. `RawDataError` if not readable.
     """
     pairs = read_pairs(result)
     path = result / "sightings" / "strips.parquet"
-    coordinates = [unknown for unknown in pairs.shared if not DISTORTION.fullmatch(unknown)]
+    own = [unknown for unknown in pairs.shared if not DISTORTION.fullmatch(unknown)]
+    alignments = tuple(unknown for unknown in own if ALIGNMENT.fullmatch(unknown))
+    coordinates = [unknown for unknown in own if unknown not in alignments]
     targets = tuple(dict.fromkeys(unknown.removeprefix("target/")[:-2] for unknown in coordinates))
     if tuple(coordinates) != coordinate_names(targets):
-        raise RawDataError(str(path), "columns", coordinates[0], "unknowns of the camera and of targets")
+        raise RawDataError(str(path), "columns", coordinates[0], "unknowns of camera, targets and heads")
+    weak = np.eye(len(alignments)) / SIGMA_ALIGNMENT_RAD**2
     try:
-        return pairs.as_one(name, coordinate_names(targets), _prior_of_targets(result, targets))
+        prior = block_diag(_prior_of_targets(result, targets), weak)
+        return pairs.as_one(name, coordinate_names(targets) + alignments, prior)
     except np.linalg.LinAlgError as error:
         raise RawDataError(str(path), "F", str(error), "information pairs of strips") from error
 

@@ -88,6 +88,10 @@ def _estimate_lines(estimate: InstallationEstimate) -> list[str]:
         f"{estimate.n_strips} strips with {estimate.n_targets} targets",
         f"{'chi2 / dof':26s}{estimate.chi2:.1f} / {estimate.dof}",
     ]
+    for n, head in enumerate(estimate.heads if len(estimate.heads) > 1 else ()):
+        sigma = np.sqrt(np.diag(estimate.cov_heads)[3 * n : 3 * n + 3]) / ARCSEC
+        lines.append(_row(f"head {head.name[:20]}", head.R_cs.as_quat(canonical=True), "+.9f"))
+        lines.append(_row("  1 sigma, arcsec", sigma, ".4f"))
     if not estimate.converged:
         lines.append("not converged: the last correction is not negligible; do not use this matrix")
     return lines

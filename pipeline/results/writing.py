@@ -140,7 +140,22 @@ def _installation(
         "settings": used,
         "version": __version__,
     }
-    return {field: values[field] for field in FIELDS}
+    several = _heads(estimate) if len(estimate.heads) > 1 else {}
+    return {field: values[field] for field in FIELDS} | several
+
+
+def _heads(estimate: InstallationEstimate) -> dict[str, Any]:
+    """The matrices of several heads, and the covariance of all of them together."""
+    heads = [
+        {
+            "name": head.name,
+            "R_cs": head.R_cs.as_matrix().tolist(),
+            "quaternion": head.R_cs.as_quat(canonical=True).tolist(),
+            "covariance_rad2": estimate.cov_heads[3 * n : 3 * n + 3, 3 * n : 3 * n + 3].tolist(),
+        }
+        for n, head in enumerate(estimate.heads)
+    ]
+    return {"heads": heads, "heads_covariance_rad2": estimate.cov_heads.tolist()}
 
 
 def _star_groups(calibration: Calibration) -> list[pa.Table]:

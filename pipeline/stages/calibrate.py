@@ -22,7 +22,7 @@ from boresight.calib.estimate import InstallationEstimate, NotObservable
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.verdict import Verdict, assess
 from boresight.geometry.record import array, record, scalar
-from boresight.geometry.sightings import ExposureAttitudes, StarSightings, StripSightings
+from boresight.geometry.sightings import ExposureAttitudes, HeadAttitudes, StarSightings, StripSightings
 from boresight.pipeline.errors import Cause, DataNotSufficientError, Omission
 from boresight.pipeline.files.dump import Dump, Strip, surface_of
 from boresight.pipeline.files.ground_points import NO_POINTS
@@ -122,7 +122,7 @@ def calibrate_dump(
             known = [*omissions, *uncovered]
             text = what_is_missing(estimate, dump, settings, len(reference.stars), tasks, matched, known)
             raise DataNotSufficientError(text)
-        found, R_cs = estimate, estimate.R_cs
+        found, R_cs = estimate.with_reference(reference.head.name), estimate.R_cs
         sigma = np.sqrt(np.diag(estimate.cov_theta) + settings.run.rematch_sigma_rad**2)
     omissions += uncovered + [o for m in matched for o in m.omissions] + _without_targets(matched)
     return Calibration(
@@ -249,9 +249,26 @@ def _strips(
                 R_oi_targets=task.orbit.R_oi(ground.t_s),
                 attitudes=attitudes.take(rows),
                 noise=reference.head.noise,
+                others=tuple(_around(other, reference, task) for other in heads[1:]),
             )
         )
     return strips
+
+
+def _around(other: HeadSightings, reference: HeadSightings, task: StripTask) -> HeadAttitudes:
+    """Attitudes of a further head around a strip."""
+    times = np.array([exposure.t_s for exposure in other.stars])
+    first, last = task.t_attitude_s[0], task.t_attitude_s[-1]
+    rows = np.flatnonzero(other.attitudes.usable & (times >= first) & (times <= last))
+    return HeadAttitudes(
+        head=other.head.name,
+        t_s=times[rows],
+        R_hi=Rotation.from_matrix(other.attitudes.R_si[rows]) if len(rows) else Rotation.identity(0),
+        covariance_h=other.attitudes.covariance_s[rows],
+        noise=other.head.noise,
+        R_oi=task.orbit.R_oi(times[rows]),
+        R_sh=reference.head.R_cs0.inv() * other.head.R_cs0,
+    )
 
 
 def _without_targets(matched: Iterable[MatchedTargets]) -> list[Omission]:

@@ -13,7 +13,12 @@ from boresight.geometry.attitude_aberration import with_all_aberration
 from boresight.geometry.attitude_estimate import AttitudeSettings, fit_exposures
 from boresight.geometry.orbit import Orbit, OrbitGapError
 from boresight.geometry.record import Bools, Floats, array, record, scalar
-from boresight.geometry.sightings import ExposureAttitudes, StarSightings
+from boresight.geometry.sightings import (
+    ExposureAttitudes,
+    StarSightings,
+    exposure_without_stars,
+    solved_attitudes,
+)
 from boresight.pipeline.errors import Cause, Omission
 from boresight.pipeline.files.dump import Dump
 from boresight.pipeline.files.star_side import Head, SolvedAttitudes
@@ -81,20 +86,12 @@ def _solved(dump: Dump, head: Head, source: SolvedAttitudes, margin_s: float) ->
     t_s = rows.t_s[at]
     v_i = dump.orbit.states_i(t_s)[1]
     R_si = with_all_aberration(rows.R_si[at], source.aberration_removed, dump.epoch, t_s, v_i)
+    names = [f"{head.name}-{k + 1:06d}" for k in at.tolist()]
     white = np.tile(head.noise.white_covariance_s, (len(at), 1, 1))
     return HeadSightings(
         head=head,
-        stars=tuple(_without_stars(f"{head.name}-{k + 1:06d}", t) for k, t in zip(at.tolist(), t_s.tolist())),
-        attitudes=ExposureAttitudes(
-            start=np.zeros(len(at) + 1, dtype=np.int64),
-            R_si=R_si.as_matrix().reshape(-1, 3, 3),
-            covariance_s=white if rows.covariance_s is None else rows.covariance_s[at],
-            usable=np.ones(len(at), dtype=bool),
-            kept=np.zeros(0, dtype=bool),
-            squared_mahalanobis=np.zeros(0),
-            chi2=np.zeros(len(at)),
-            dof=np.zeros(len(at), dtype=np.int64),
-        ),
+        stars=tuple(map(exposure_without_stars, names, t_s.tolist())),
+        attitudes=solved_attitudes(R_si, white if rows.covariance_s is None else rows.covariance_s[at]),
         omissions=tuple(omissions),
         computed=(),
     )
@@ -115,16 +112,3 @@ def _covered(orbit: Orbit, t_s: Floats, wanted: Bools) -> Bools:
             continue
         covered[k] = True
     return covered
-
-
-def _without_stars(exposure_id: str, t_s: float) -> StarSightings:
-    none = np.zeros((0, 3))
-    return StarSightings(
-        exposure_id=exposure_id,
-        t_s=t_s,
-        hip=np.zeros(0, dtype=np.int64),
-        xy_px=np.zeros((0, 2)),
-        u_s=none,
-        u_i=none,
-        cov_s=np.zeros((0, 3, 3)),
-    )

@@ -109,6 +109,7 @@ def calibrate_jointly(
     estimate = calibrate(strips, first.dump.R_cs0, one.settings)
     if isinstance(estimate, NotObservable):
         raise DataNotSufficientError(f"all dumps together: {estimate.reason}")
+    estimate = estimate.with_reference(first.dump.heads[0].name)
     sigma = first.dump.sigma_installation_rad
     verdict = assess(estimate, strips, settings.verdict, sigma_installation_rad=sigma)
     return JointCalibration(estimate, verdict, strips, one.settings, (*failed, *rejections_of(estimate)))
@@ -146,6 +147,7 @@ def _renamed(
         strip,
         strip_id=f"{named.name}/{strip.strip_id}",
         exposures=tuple(map(seen, strip.exposures)),
+        others=tuple(replace(other, t_s=other.t_s + later_s) for other in strip.others),
         ground=replace(strip.ground, target_id=targets, t_s=strip.ground.t_s + later_s),
     )
 

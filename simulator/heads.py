@@ -1,0 +1,115 @@
+"""Attitudes that star cameras (heads) solve themselves, with errors as real ones: white, AR(1), constant.
+
+Drawn for the strips of a campaign (`simulator.campaign`), whose motion is known at any instant. The AR(1)
+process is drawn step by step from its own recursion.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from boresight.geometry.attitude_noise import AttitudeNoise
+from boresight.geometry.sightings import (
+    HeadAttitudes,
+    StripSightings,
+    exposure_without_stars,
+    solved_attitudes,
+)
+from boresight.simulator.campaign import StripMotion, StripTruth
+
+__all__ = ["HeadPlan", "correlated_noise", "with_heads"]
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HeadPlan:
+    """One head: how it is mounted, what is stated of its errors, and what is wrong beyond that."""
+
+    name: str
+    R_ch: Rotation  # its true installation matrix, frame h to frame c
+    noise: AttitudeNoise  # axes of h
+    step_s: float = 0.1
+    shift_s: float = 0.0  # of its instants
+    margin_s: float = 0.4  # before and after a strip
+    wrong_rad: float = 0.0  # 1-sigma per axis of a rotation of each strip that nobody states
+
+
+def with_heads(
+    strips: Sequence[StripSightings],
+    truth: StripTruth,
+    heads: Sequence[HeadPlan],
+    alignment: Sequence[Rotation],
+    duration_s: float,
+    rng: np.random.Generator,
+) -> list[StripSightings]:
+    """The strips with attitudes of heads instead of stars; `alignment` are the R_sh assumed for the heads
+    after the first, which is the reference head.
+    """
+    return [_strip(*one, heads, alignment, duration_s, rng) for one in zip(strips, truth.motion)]
+
+
+def _strip(
+    strip: StripSightings,
+    motion: StripMotion,
+    heads: Sequence[HeadPlan],
+    alignment: Sequence[Rotation],
+    duration_s: float,
+    rng: np.random.Generator,
+) -> StripSightings:
+    drawn = [_attitudes(motion, head, duration_s, rng) for head in heads]
+    t_s, R_hi = drawn[0]
+    exposures = tuple(
+        exposure_without_stars(f"{strip.strip_id}/{k:04d}", float(t)) for k, t in enumerate(t_s)
+    )
+    others = tuple(
+        HeadAttitudes(
+            head=head.name,
+            t_s=t,
+            R_hi=R,
+            covariance_h=np.tile(head.noise.white_covariance_s, (len(t), 1, 1)),
+            noise=head.noise,
+            R_oi=motion.R_oi(t),
+            R_sh=R_sh,
+        )
+        for head, (t, R), R_sh in zip(heads[1:], drawn[1:], alignment)
+    )
+    return replace(
+        strip,
+        exposures=exposures,
+        R_oi_exposures=motion.R_oi(t_s),
+        attitudes=solved_attitudes(R_hi, np.tile(heads[0].noise.white_covariance_s, (len(t_s), 1, 1))),
+        noise=heads[0].noise,
+        others=others,
+    )
+
+
+def _attitudes(
+    motion: StripMotion, head: HeadPlan, duration_s: float, rng: np.random.Generator
+) -> tuple[Array, Rotation]:
+    """Instants (K,) and measured attitudes (K,), GCRS to the head."""
+    begin, end = -head.margin_s, duration_s + head.margin_s
+    t_s: Array = np.arange(begin, end + 1e-9, head.step_s, dtype=np.float64) + head.shift_s
+    noise = head.noise
+    error = noise.white_rad * rng.standard_normal((len(t_s), 3)) + noise.constant_rad * rng.standard_normal(3)
+    error += correlated_noise(noise.correlated_rad, noise.correlation_time_s, len(t_s), head.step_s, rng)
+    error += head.wrong_rad * rng.standard_normal(3)
+    return t_s, Rotation.from_rotvec(error) * head.R_ch.inv() * motion.R_ci(t_s)
+
+
+def correlated_noise(
+    sigma: Array, time_s: Array, count: int, step_s: float, rng: np.random.Generator
+) -> Array:
+    """AR(1) noise (count, A) of standard deviations (A,) and correlation times (A,) at equal steps."""
+    keep = np.exp(-step_s / np.asarray(time_s))
+    values = np.empty((count, len(keep)))
+    state = rng.standard_normal(len(keep))
+    for k in range(count):
+        values[k] = state
+        state = keep * state + np.sqrt(1.0 - keep**2) * rng.standard_normal(len(keep))
+    return values * sigma

@@ -1,0 +1,111 @@
+"""Several heads at once, with errors as real star trackers have: honest covariances, the bad one named."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from scipy.stats import chi2
+
+from boresight.calib.calibration import calibrate
+from boresight.calib.estimate import InstallationEstimate
+from boresight.calib.settings import CalibrationSettings
+from boresight.calib.verdict import assess
+from boresight.geometry.attitude_noise import AttitudeNoise
+from boresight.geometry.constants import ARCSEC
+from boresight.geometry.installation import theta_between
+from boresight.geometry.sightings import StripSightings
+from boresight.simulator.campaign import CameraPair, StripPlan, draw_strips
+from boresight.simulator.heads import HeadPlan, with_heads
+
+R_A = Rotation.from_euler("xyz", [40.0, -65.0, 110.0], degrees=True)
+R_B = Rotation.from_euler("xyz", [-75.0, 20.0, 35.0], degrees=True)
+SHAKEN = Rotation.from_rotvec([2e-3, -1e-3, 3e-3])  # by the launch
+PLAN = StripPlan(strips=4, sigma_position_m=2.0, sigma_clock_s=1e-4, sigma_vibration_rad=0.1 * ARCSEC)
+SETTINGS = CalibrationSettings(sigma_distortion_rad=0.0)
+RUNS = 40
+
+
+def noise(
+    white: list[float], correlated: list[float], time_s: list[float], constant: list[float]
+) -> AttitudeNoise:
+    return AttitudeNoise(
+        white_rad=np.array(white) * ARCSEC,
+        correlated_rad=np.array(correlated) * ARCSEC,
+        correlation_time_s=np.array(time_s),
+        constant_rad=np.array(constant) * ARCSEC,
+    )
+
+
+# Arc-seconds and seconds, as of the two trackers of Sentinel-2A (10 Hz, z along the line of sight).
+NOISE_A = noise([0.6, 0.9, 6.0], [0.4, 0.7, 4.7], [0.5, 0.8, 1.2], [0.3, 0.3, 2.3])
+NOISE_B = noise([0.9, 0.7, 6.8], [0.7, 0.35, 4.9], [1.2, 0.4, 0.9], [0.3, 0.4, 2.2])
+
+
+def flown(seed: int, heads: int, wrong_arcsec: tuple[float, float] = (0.0, 0.0)) -> list[StripSightings]:
+    rng = np.random.default_rng(seed)
+    strips, truth = draw_strips(PLAN, CameraPair(R_A), rng)
+    a, b = (wrong * ARCSEC for wrong in wrong_arcsec)
+    plans = [
+        HeadPlan("A", R_A, NOISE_A, wrong_rad=a),
+        HeadPlan("B", R_B, NOISE_B, shift_s=0.033, wrong_rad=b),
+    ]
+    alignment = [SHAKEN * R_A.inv() * R_B]
+    return with_heads(strips, truth, plans[:heads], alignment[: heads - 1], PLAN.duration_s, rng)
+
+
+def estimated(strips: list[StripSightings]) -> InstallationEstimate:
+    estimate = calibrate(strips, SHAKEN * R_A, SETTINGS)
+    assert isinstance(estimate, InstallationEstimate)
+    return estimate
+
+
+@pytest.mark.parametrize("heads", [1, 2])
+def test_covariance_of_all_heads_holds_with_coloured_noise(heads: int) -> None:
+    nees, agreement, dof = 0.0, 0.0, 0
+    for seed in range(RUNS):
+        estimate = estimated(flown(seed, heads))
+        errors = [theta_between(one.R_cs, R) for one, R in zip(estimate.heads, (R_A, R_B))]
+        error = np.concatenate(errors)
+        nees += error @ np.linalg.solve(estimate.cov_heads, error)
+        agreement, dof = agreement + estimate.agreement.chi2, dof + estimate.agreement.dof
+    low, high = chi2(df=3 * heads * RUNS).ppf([0.0005, 0.9995])
+    assert low < nees < high
+    if heads == 2:  # differences of the heads by themselves: 0.1 % two-sided
+        assert chi2(df=dof).ppf(0.0005) < agreement < chi2(df=dof).ppf(0.9995)
+
+
+def test_white_noise_alone_states_too_small_an_error() -> None:
+    nees = 0.0
+    for seed in range(RUNS):
+        white = [StripSightings(**{name: getattr(strip, name) for name in NAMES}) for strip in flown(seed, 1)]
+        estimate = estimated(white)
+        error = theta_between(estimate.R_cs, R_A)
+        nees += error @ np.linalg.solve(estimate.cov_theta, error)
+    assert nees > 1.3 * chi2(df=3 * RUNS).ppf(0.9995)  # 3.8 a run at most if it were honest
+
+
+NAMES = ("strip_id", "exposures", "ground", "R_oi_exposures", "R_oi_targets", "attitudes")
+
+
+def test_second_head_makes_the_estimate_better_by_what_its_own_noise_allows() -> None:
+    one, two = (estimated(flown(3, heads)).sigma_theta for heads in (1, 2))
+    assert np.all(two < one)
+    assert np.linalg.det(np.diag(two / one)) > 0.3  # two like heads: 0.35 if nothing else had errors
+
+
+def test_head_that_moves_from_strip_to_strip_is_named() -> None:
+    named = 0
+    for seed in range(RUNS // 2):
+        for n, name in enumerate(("A", "B")):
+            wrong = (8.0, 0.0) if n == 0 else (0.0, 8.0)  # arcsec, per axis
+            estimate = estimated(flown(1000 + seed, 2, wrong)).with_reference("A")
+            found = {group for check in assess(estimate, []).refuted_by for group in check.names}
+            named += found == {(name,)}
+    assert named >= 0.95 * RUNS
+
+
+def test_heads_that_agree_are_not_suspected() -> None:
+    outcomes = [assess(estimated(flown(seed, 2)), []) for seed in range(10)]
+    kinds = {check.kind.value for verdict in outcomes for check in verdict.refuted_by}
+    assert not kinds & {"agreement between heads", "alignment between heads from strip to strip"}
