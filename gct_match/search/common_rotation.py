@@ -25,7 +25,7 @@ from boresight.gct_match.search.edge_search import (
     search_picture,
     search_template,
 )
-from boresight.gct_match.search.plan import SearchPlan, Window, extents
+from boresight.gct_match.search.plan import Box, SearchPlan, Window, extents
 from boresight.gct_match.search.vote import Candidates, Vote, log_chance_of_ranks, vote
 from boresight.gct_match.settings import MatchSettings
 from boresight.geometry.installation import deviation_from_theta
@@ -39,7 +39,7 @@ _SUPPORTERS = 4  # targets that determine a rotation even if one of them agrees 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Picture:
-    """The part of a CCD that is searched, from `origin_px` (sample, line) on."""
+    """A part of a CCD that is searched, from `origin_px` (sample, line) on."""
 
     search: SearchPicture
     origin_px: tuple[int, int]
@@ -84,13 +84,14 @@ def search_common_rotation(scene: Scene, plan: SearchPlan) -> Vote:
     return outcome
 
 
-def _coarse_pictures(scene: Scene, plan: SearchPlan) -> dict[int, _Picture]:
-    """The searched part of each CCD, read once."""
-    out = {}
-    for ccd, (lines, samples) in extents(scene.strip, plan.windows, max(plan.sides_px.values())).items():
+def _coarse_pictures(scene: Scene, plan: SearchPlan) -> dict[tuple[int, int], _Picture]:
+    """The searched parts of the CCDs, each read once, by target and CCD."""
+    read: dict[Box, _Picture] = {}
+    boxes = extents(scene.strip, plan.windows, max(plan.sides_px.values()))
+    for ccd, lines, samples in dict.fromkeys(boxes):
         coarse = read_coarse(scene.strip, ccd, lines, samples, plan.factor, scene.settings)
-        out[ccd] = _Picture(search_picture(coarse.image), coarse.origin_px)
-    return out
+        read[ccd, lines, samples] = _Picture(search_picture(coarse.image), coarse.origin_px)
+    return {(w.target, w.ccd): read[box] for w, box in zip(plan.windows, boxes)}
 
 
 def _template(scene: Scene, plan: SearchPlan, target: int) -> _Template:
@@ -113,7 +114,7 @@ def _candidates(
     scene: Scene,
     factor: int,
     templates: dict[int, _Template],
-    pictures: dict[int, _Picture],
+    pictures: dict[tuple[int, int], _Picture],
     tolerance_px: float,
 ) -> Candidates:
     """Candidate positions of some targets over all CCDs in which they may lie."""
@@ -134,10 +135,10 @@ def _candidates(
 
 
 def _best_positions(
-    template: _Template, pictures: dict[int, _Picture], factor: int, count: int
+    template: _Template, pictures: dict[tuple[int, int], _Picture], factor: int, count: int
 ) -> tuple[Ints, Floats]:
     """CCDs (K,) and pixels (K, 2) of a target's surveyed point at its best positions, best first."""
-    shown = [pictures[w.ccd] for w in template.windows]
+    shown = [pictures[w.target, w.ccd] for w in template.windows]
     shifts = np.array([p.origin_px for p in shown]) + template.point_px
     boxes = [_box(w, shift, factor) for w, shift in zip(template.windows, shifts)]
     found = best_positions(template.search, [p.search for p in shown], boxes, count)

@@ -17,10 +17,13 @@ from boresight.gct_match.records import StripImage
 from boresight.gct_match.settings import MatchSettings
 from boresight.geometry.record import Floats, Ints, record, scalar
 
-__all__ = ["SearchPlan", "Window", "extents", "plan_search", "pyramid_factor"]
+__all__ = ["Box", "SearchPlan", "Window", "extents", "plan_search", "pyramid_factor"]
 
 Range = tuple[int, int]  # first, and one past the last
 
+Box = tuple[int, Range, Range]  # CCD, lines, samples
+
+_GRID = 64  # px: blocks of all coarse pictures end there
 _NODES = 65  # samples along a CCD at which the search range is computed
 
 
@@ -73,7 +76,7 @@ def plan_search(scene: Scene) -> SearchPlan:
         return SearchPlan(windows, sides, 1, 0)
     side = float(np.median(usable))
     factor = pyramid_factor(side, max(w.radius_px for w in windows), settings)
-    read = sum((b - a) * (d - c) for (a, b), (c, d) in extents(strip, windows, side).values())
+    read = sum(map(_area, set(extents(strip, windows, side))))
     while read / factor**2 > settings.coarse_pixels:
         factor *= 2
     return SearchPlan(windows, sides, factor, read)
@@ -92,18 +95,44 @@ def pyramid_factor(side_px: float, radius_px: float, settings: MatchSettings) ->
     return factor
 
 
-def extents(strip: StripImage, windows: Sequence[Window], side_px: float) -> dict[int, tuple[Range, Range]]:
-    """Ranges (lines, samples) of each CCD that hold its windows and half a chip of `side_px` around them."""
+def extents(strip: StripImage, windows: Sequence[Window], side_px: float) -> list[Box]:
+    """What to read for each window, with half a chip of `side_px` around it: a box for all windows of a CCD,
+    or one for each where these have fewer pixels.
+    """
     spare = int(0.75 * side_px) + 8
-    out = {}
+    out: dict[int, Box] = {}
     for ccd in sorted({w.ccd for w in windows}):
-        lines, samples = strip.shape(ccd)
-        own = [w for w in windows if w.ccd == ccd]
-        out[ccd] = (
-            _around([w.lines for w in own], spare, lines),
-            _around([w.samples for w in own], spare, samples),
-        )
-    return out
+        here = [w for w in windows if w.ccd == ccd]
+        whole = _box_around(here, strip.shape(ccd), spare)
+        own = [_on_grid(_box_around([w], strip.shape(ccd), spare), whole) for w in here]
+        in_parts = sum(map(_area, own)) < _area(whole)
+        out |= {id(w): box if in_parts else whole for w, box in zip(here, own)}
+    return [out[id(w)] for w in windows]
+
+
+def _box_around(windows: Sequence[Window], shape: tuple[int, int], spare: int) -> Box:
+    lines, samples = shape
+    first = windows[0].ccd
+    return (
+        first,
+        _around([w.lines for w in windows], spare, lines),
+        _around([w.samples for w in windows], spare, samples),
+    )
+
+
+def _on_grid(box: Box, whole: Box) -> Box:
+    """The box begun earlier, by whole blocks of `_GRID` px from the beginning of a box around it."""
+    ccd, *ranges = box
+    lines, samples = (
+        (begin + (first - begin) // _GRID * _GRID, last)
+        for (first, last), (begin, _) in zip(ranges, whole[1:])
+    )
+    return ccd, lines, samples
+
+
+def _area(box: Box) -> int:
+    _, (first, last), (left, right) = box
+    return (last - first) * (right - left)
 
 
 def _around(ranges: Sequence[Range], spare: int, length: int) -> Range:
