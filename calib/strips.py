@@ -25,7 +25,7 @@ from boresight.calib.distortion import Knot, correlation, knot_weights, knots_to
 from boresight.calib.heads import HeadTie, interpolated, tie_of_head
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.shared_unknowns import SeenTargets, SharedUnknowns, earth_axes
-from boresight.geometry.attitude import lagrange_weights
+from boresight.geometry.attitude import Interpolation, interpolation_weights
 from boresight.geometry.attitude_estimate import cross_matrices, with_attitudes
 from boresight.geometry.record import Bools, Floats, Ints, Texts, array, record, scalar
 from boresight.geometry.sightings import ExposureAttitudes, GroundSightings, StripSightings
@@ -101,7 +101,7 @@ def prepare_strip(strip: StripSightings, settings: CalibrationSettings) -> Prepa
     assert attitudes is not None
     ground, used = strip.ground, attitudes.usable
     times = np.array([exposure.t_s for exposure in strip.exposures])[used]
-    inside, weights = _weights(times, ground.t_s)
+    inside, weights = _weights(times, ground.t_s, strip.interpolation)
     R_si = _interpolated(
         attitudes.R_si[used], strip.R_oi_exposures, used, strip.R_oi_targets, weights, inside
     )
@@ -265,7 +265,7 @@ def _with_alignments(columns: Floats, shared: SharedUnknowns) -> Floats:
     return np.concatenate([columns, np.zeros((*columns.shape[:2], 3 * len(shared.heads)))], axis=2)
 
 
-def _weights(times: Floats, t_s: Floats) -> tuple[Bools, Floats]:
+def _weights(times: Floats, t_s: Floats, interpolation: Interpolation) -> tuple[Bools, Floats]:
     """Which instants the exposures cover, and the weights (J, K) of the exposures there, zero where not
     covered.
 
@@ -279,7 +279,7 @@ def _weights(times: Floats, t_s: Floats) -> tuple[Bools, Floats]:
     before, after = 0.5 * (times[1] - times[0]), 0.5 * (times[-1] - times[-2])
     inside = (t_s >= times[0] - before) & (t_s <= times[-1] + after)
     weights = np.zeros((len(t_s), len(times)))
-    weights[inside] = lagrange_weights(times, t_s[inside], points=min(4, len(times)))
+    weights[inside] = interpolation_weights(times, t_s[inside], interpolation)
     return inside, weights
 
 

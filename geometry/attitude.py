@@ -68,7 +68,7 @@ def interpolation_weights(
 
     "taylor" is that of the reference software of Sentinel-2: value, rate and acceleration, at the nearest
     node k, of the polynomial of degree 7 through the nodes k - 4 ... k + 3, expanded to second order. The
-    result jumps halfway between nodes. It needs 8 nodes; `points` is for "lagrange".
+    result jumps halfway between nodes. With fewer than 8 nodes it is "lagrange" of `points`.
     """
     nodes, instants = np.asarray(t_nodes, dtype=float), np.asarray(t, dtype=float)
     start, local = _stencil_weights(nodes, instants, interpolation, points)
@@ -214,7 +214,7 @@ def _stencil_weights(
     nodes: Array, t: Array, interpolation: Interpolation, points: int
 ) -> tuple[NDArray[np.int64], Array]:
     """First node (J,) of each stencil and the weights (J, points) of its nodes."""
-    if interpolation == "taylor":
+    if interpolation == "taylor" and len(nodes) >= _TAYLOR_POINTS:
         return _taylor_weights(nodes, t)
     if points < 2:
         raise ValueError(f"interpolation needs two points or more, got {points}")
@@ -232,8 +232,6 @@ def _stencil_weights(
 def _taylor_weights(nodes: Array, t: Array) -> tuple[NDArray[np.int64], Array]:
     """`_stencil_weights` of the expansion about the nearest node."""
     points = _TAYLOR_POINTS
-    if len(nodes) < points:
-        raise ValueError(f"this interpolation needs {points} nodes, got {len(nodes)}")
     _inside(nodes, t)
     nearest = np.searchsorted(0.5 * (nodes[1:] + nodes[:-1]), t)
     start = np.clip(nearest - points // 2, 0, len(nodes) - points)

@@ -13,6 +13,7 @@ from itertools import pairwise
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from boresight.geometry.attitude import Interpolation
 from boresight.geometry.attitude_noise import NO_NOISE, AttitudeNoise
 from boresight.geometry.record import Bools, Floats, Ints, Texts, array, record, scalar
 
@@ -132,6 +133,7 @@ class StripSightings:
     )
     noise: AttitudeNoise = scalar("errors of the attitudes beside their covariances", default=NO_NOISE)
     others: tuple[HeadAttitudes, ...] = scalar("attitudes of the other heads", default=())
+    interpolation: Interpolation = scalar("between the attitudes", default="lagrange")
 
     def __post_init__(self) -> None:
         times = [exposure.t_s for exposure in self.exposures]

@@ -7,7 +7,7 @@ opened. The records hold arrays and paths, so that parts of them can be sent to 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
 
@@ -54,10 +54,12 @@ __all__ = [
     "bundled_table",
     "open_dump",
     "orbit_of",
+    "read_earth_orientation",
     "surface_of",
 ]
 
 MAX_TERRAIN_PIXELS = 8192 * 8192
+StripMember = tuple[str, schema.StripRow, float]  # where in the table, row, its time in TAI seconds
 PLACE = ("lat_rad", "lon_rad", "height_m")
 
 
@@ -71,7 +73,8 @@ class Strip:
         "label of row 0, TAI seconds since the epoch (see the camera's `time_of_row`)"
     )
     row_period_s: float = scalar("s")
-    lines: int = scalar("number of rows")
+    lines: int = scalar("number of rows, from the first of any CCD to the last")
+    first_line: dict[int, float] = scalar("row of the strip at which row 0 of a CCD lies, by CCD")
 
 
 @record
@@ -209,7 +212,8 @@ def open_dump(root: Path, *, allow_stale_eop: bool = False) -> Dump:
     }
     line_camera, remote = read_remote_camera(root, paths["remote_camera"], head.files.remote_camera)
     ephemeris = read_oem(paths["orbit"], head.files.orbit)
-    table = _earth_orientation(paths.get("earth_orientation"), head.files.earth_orientation)
+    own = head.files.earth_orientation
+    table = bundled_table() if own is None else read_earth_orientation(paths["earth_orientation"], own)
     orbit = orbit_of(
         ephemeris, head.files.orbit, head.errors.position_m, table, allow_stale_eop=allow_stale_eop
     )
@@ -218,7 +222,7 @@ def open_dump(root: Path, *, allow_stale_eop: bool = False) -> Dump:
     )
     rows = _target_rows(paths["targets"], str(head.files.targets)) if "targets" in paths else []
     surveyed = targets_of(rows)
-    points, of_points = _points(paths.get("points"), head, strips, line_camera.n_ccds)
+    points, of_points = _points(paths.get("points"), head, strips)
     return Dump(
         root=root,
         mission=head.mission,
@@ -244,10 +248,8 @@ def bundled_table() -> EarthOrientationTable:
     return bundled_earth_orientation()
 
 
-def _earth_orientation(path: Path | None, file: str | None) -> EarthOrientationTable:
-    """The mission's own table, or the bundled one."""
-    if path is None or file is None:
-        return bundled_table()
+def read_earth_orientation(path: Path, file: str) -> EarthOrientationTable:
+    """A mission's own table of Earth orientation; `RawDataError` for fewer than 4 consecutive days."""
     rows = read_table(path, schema.EarthOrientationRow, file)
     columns = np.array([[r.mjd_utc, r.ut1_utc_s, r.x_arcsec, r.y_arcsec] for r in rows], dtype=float)
     mjd, ut1_utc, x, y = columns.reshape(-1, 4).T
@@ -319,50 +321,72 @@ def _strips(
         raise RawDataError(file, "rows", "none", "at least one strip")
     each_once([f"{row.id}, ccd {row.ccd}" for row in rows], file)
     t_s = seconds_of(epoch, [row.utc_first_row for row in rows], file, "utc_first_row")
-    first: dict[str, tuple[schema.StripRow, float]] = {}
-    paths: dict[str, dict[int, Path]] = {}
-    names: dict[str, dict[int, str]] = {}
-    omitted = []
-    without_image: set[str] = set()
+    of_strip: dict[str, list[StripMember]] = {}
     for n, (row, t) in enumerate(zip(rows, t_s)):
         where = f"line {n + 2}"
         if row.ccd >= len(remote.ccds):
             raise RawDataError(file, f"{where}, ccd", str(row.ccd), f"0 to {len(remote.ccds) - 1}")
-        reference, _ = first.setdefault(row.id, (row, float(t)))
-        for key in ("utc_first_row", "row_period_s", "lines"):
+        of_strip.setdefault(row.id, []).append((where, row, float(t)))
+    strips: list[Strip] = []
+    omitted: list[Omission] = []
+    for strip_id, members in of_strip.items():
+        _check_alike(members, file)
+        images, of_images = _strip_images(root, members, file, remote, remote_file)
+        omitted += of_images
+        if not images.paths and all(row.file for _, row, _ in members):
+            name = members[0][1].file
+            omitted.append(Omission("strip", strip_id, name, "none of its images can be read"))
+            continue
+        strips.append(_strip(strip_id, images, members))
+    return tuple(sorted(strips, key=lambda one: (one.t_first_row_s, one.strip_id))), tuple(omitted)
+
+
+def _strip(strip_id: str, images: StripFiles, members: list[StripMember]) -> Strip:
+    """The strip, its rows counted from the earliest row of any CCD."""
+    begin, period = min(t for _, _, t in members), members[0][1].row_period_s
+    first_line = {row.ccd: (t - begin) / period for _, row, t in members}
+    lines = max(row.lines + int(np.ceil(first_line[row.ccd] - 1e-6)) for _, row, _ in members)
+    return Strip(strip_id, images, begin, period, lines, first_line)
+
+
+def _check_alike(members: list[StripMember], file: str) -> None:
+    """Refuse CCDs of a strip whose rows differ in period, or where there are images in begin and number."""
+    _, reference, _ = members[0]
+    images = any(row.file for _, row, _ in members)
+    for where, row, _ in members:
+        for key in ("utc_first_row", "row_period_s", "lines") if images else ("row_period_s",):
             if (got := getattr(row, key)) != (expected := getattr(reference, key)):
                 raise RawDataError(
                     file, f"{where}, {key}", str(got), f"{expected}, as for CCD {reference.ccd}"
                 )
+
+
+def _strip_images(
+    root: Path,
+    members: list[StripMember],
+    file: str,
+    remote: schema.RemoteCameraFile | schema.LookCameraFile,
+    remote_file: str,
+) -> tuple[StripFiles, list[Omission]]:
+    """The images of a strip whose headers are valid, and omissions for the others."""
+    paths: dict[int, Path] = {}
+    names: dict[int, str] = {}
+    shapes: dict[int, tuple[int, int]] = {}
+    omitted = []
+    for where, row, _ in members:
         if not row.file:
-            without_image.add(row.id)
             continue
         image = path_inside(root, row.file, file=file, field=f"{where}, file")
         if remote.bit_depth is None:
             raise RawDataError(remote_file, "bit_depth", "nothing", f"this key, for the image {row.file}")
+        lines, samples = shape = row.lines, remote.ccds[row.ccd].n_px
         try:
-            check_strip_file(
-                image,
-                row.file,
-                lines=row.lines,
-                samples=remote.ccds[row.ccd].n_px,
-                bit_depth=remote.bit_depth,
-            )
+            check_strip_file(image, row.file, lines=lines, samples=samples, bit_depth=remote.bit_depth)
         except RawDataError as error:
             omitted.append(Omission("ccd", f"{row.id}/{row.ccd}", row.file, str(error)))
             continue
-        paths.setdefault(row.id, {})[row.ccd] = image
-        names.setdefault(row.id, {})[row.ccd] = row.file
-    strips = []
-    for strip_id, (row, t) in sorted(first.items(), key=lambda item: (item[1][1], item[0])):
-        if strip_id not in paths and strip_id not in without_image:
-            omitted.append(Omission("strip", strip_id, row.file, "none of its images can be read"))
-            continue
-        own = paths.get(strip_id, {})
-        shapes = {ccd: (row.lines, remote.ccds[ccd].n_px) for ccd in own}
-        images = StripFiles(own, names.get(strip_id, {}), shapes)
-        strips.append(Strip(strip_id, images, t, row.row_period_s, row.lines))
-    return tuple(strips), tuple(omitted)
+        paths[row.ccd], names[row.ccd], shapes[row.ccd] = image, row.file, shape
+    return StripFiles(paths, names, shapes), omitted
 
 
 def _target_rows(path: Path, file: str) -> list[schema.TargetRow]:
@@ -374,19 +398,23 @@ def _target_rows(path: Path, file: str) -> list[schema.TargetRow]:
 
 
 def _points(
-    path: Path | None, head: schema.DumpFile, strips: Sequence[Strip], n_ccds: int
+    path: Path | None, head: schema.DumpFile, strips: Sequence[Strip]
 ) -> tuple[tuple[StripPoints, ...], tuple[SurveyedPoints, ...]]:
     """Measured image points of the strips, and the same points as places on the ground."""
     if path is None:
         return (), ()
     points, surveyed = read_points(path, str(head.files.points))
-    known = {strip.strip_id for strip in strips}
+    known = {strip.strip_id: strip for strip in strips}
+    in_strips = []
     for one in points:
         if one.strip_id not in known:
             raise RawDataError(str(head.files.points), "strip", one.strip_id, "a strip of the dump")
-        if one.ccd.max() >= n_ccds:
-            raise RawDataError(str(head.files.points), "ccd", int(one.ccd.max()), f"0 to {n_ccds - 1}")
-    return points, (surveyed,)
+        first_line = known[one.strip_id].first_line
+        if unknown := sorted(set(one.ccd.tolist()) - set(first_line)):
+            raise RawDataError(str(head.files.points), "ccd", unknown[0], f"a CCD of strip {one.strip_id}")
+        from_first = np.array([first_line[ccd] for ccd in one.ccd.tolist()])
+        in_strips.append(replace(one, xy_px=one.xy_px + np.column_stack([0.0 * from_first, from_first])))
+    return tuple(in_strips), (surveyed,)
 
 
 def _chips(root: Path, rows: Sequence[schema.TargetRow], file: str) -> tuple[ChipFile, ...]:

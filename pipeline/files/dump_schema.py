@@ -163,6 +163,7 @@ class HeadFile(_Strict):
     frame: Literal["GCRF", "ICRF", "EME2000"] | None = None
     rotation: Literal["head to inertial", "inertial to head"] | None = None
     aberration_removed: Literal["none", "annual", "annual and orbital"] | None = None
+    interpolation: Literal["lagrange", "taylor"] = "lagrange"  # geometry.attitude.interpolation_weights
     noise: NoiseFile = NoiseFile()
 
     @model_validator(mode="after")

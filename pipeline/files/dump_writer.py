@@ -17,6 +17,7 @@ from rasterio.transform import Affine
 from rasterio.windows import Window
 
 from boresight.geometry.line_camera import LineCamera
+from boresight.pipeline.files.oem_text import orbit_message
 from boresight.pipeline.files.star_side import star_camera_table
 from boresight.simulator.records import ChipImage, Mission, OrbitReport, Strip, TerrainReport, Truth
 from boresight.simulator.scenario import scenario_to_dict
@@ -126,30 +127,14 @@ def _rounded(value: float) -> float:
 
 
 def _oem(mission: Mission, orbit: OrbitReport) -> str:
-    """CCSDS OEM 2.0, positions to the micrometre, velocities to the nanometre per second."""
-    utc = [text.rstrip("Z") for text in mission.epoch.utc_from_seconds(orbit.t_s)]
-    lines = [
-        "CCSDS_OEM_VERS = 2.0",
-        f"CREATION_DATE = {utc[0][:19]}",
-        "ORIGINATOR = BORESIGHT",
-        "",
-        "META_START",
-        f"OBJECT_NAME = {mission.scenario.name.upper()}",
-        "OBJECT_ID = 2024-000A",
-        "CENTER_NAME = EARTH",
-        f"REF_FRAME = {orbit.frame}",
-        "TIME_SYSTEM = UTC",
-        f"START_TIME = {utc[0]}",
-        f"STOP_TIME = {utc[-1]}",
-        "INTERPOLATION = LAGRANGE",
-        f"INTERPOLATION_DEGREE = {INTERPOLATION_DEGREE}",
-        "META_STOP",
-        "",
-    ]
-    for instant, p, v in zip(utc, orbit.positions_m / 1e3, orbit.velocities_m_s / 1e3):
-        numbers = [f"{x:.9f}" for x in p] + [f"{x:.12f}" for x in v]
-        lines.append(f"{instant} " + " ".join(numbers))
-    return "\n".join(lines) + "\n"
+    return orbit_message(
+        mission.scenario.name,
+        orbit.frame,
+        ("lagrange", INTERPOLATION_DEGREE),
+        mission.epoch.utc_from_seconds(orbit.t_s),
+        orbit.positions_m,
+        orbit.velocities_m_s,
+    )
 
 
 def _write_exposures(root: Path, mission: Mission, on_image: Callable[[str], None]) -> None:

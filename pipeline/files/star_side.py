@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from boresight.geometry.attitude import Interpolation
 from boresight.geometry.attitude_aberration import AberrationRemoved
 from boresight.geometry.attitude_noise import AttitudeNoise
 from boresight.geometry.constants import ARCSEC
@@ -76,6 +77,7 @@ class Head:
     R_cs0: Rotation = scalar("installation rotation measured before launch, frame s to frame c")
     sigma_installation_rad: Floats = array("3", "1-sigma error of `R_cs0`: rotation about the axes of c")
     noise: AttitudeNoise = scalar("errors of its attitudes beside those of its stars")
+    interpolation: Interpolation = scalar("between its attitudes")
     source: StarImages | SolvedAttitudes = scalar("what the head delivers")
 
 
@@ -113,6 +115,7 @@ def _head(root: Path, head: schema.HeadFile, field: str, epoch: Epoch) -> Head:
         R_cs0=Rotation.from_quat(installation.quaternion_cs),
         sigma_installation_rad=np.array(installation.sigma_rad),
         noise=_noise(head.noise),
+        interpolation=head.interpolation,
         source=source,
     )
 

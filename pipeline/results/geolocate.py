@@ -19,7 +19,7 @@ from typing import Annotated
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from boresight.geometry.attitude import lagrange_weights
+from boresight.geometry.attitude import interpolation_weights
 from boresight.geometry.constants import ARCSEC, WGS84
 from boresight.geometry.geodesy import ellipsoid_normals, geodetic_from_ecef
 from boresight.geometry.record import Floats, Ints, array, record
@@ -162,7 +162,7 @@ def _attitude_covariance(model: StripModel, t_s: Floats) -> Floats:
     """
     track, C = model.track, model.pushbroom.R_cs.as_matrix()
     missed = np.nan_to_num(track.interpolation_sigma_rad(t_s))[:, :, None] ** 2 * np.eye(3)
-    weights = lagrange_weights(track.t_s, t_s, track.points)
+    weights = interpolation_weights(track.t_s, t_s, track.interpolation, track.points)
     assert track.cov_s is not None  # `strip_model` gives it
     own = np.einsum("jk,kab->jab", weights**2, track.cov_s)
     return np.asarray(C @ (own + missed) @ C.T)

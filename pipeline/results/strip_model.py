@@ -90,7 +90,9 @@ def strip_model(calibrated: Calibrated, strip_id: str) -> StripModel:
         reason = f"strip {strip_id}: {len(near)} usable star exposures around it, 2 are needed"
         raise DataNotSufficientError(reason)
     covariance = calibrated.attitude_covariance_s[near]
-    track = AttitudeTrack(t[near], result.R_si[near], dump.orbit, covariance)
+    track = AttitudeTrack(
+        t[near], result.R_si[near], dump.orbit, covariance, interpolation=dump.heads[0].interpolation
+    )
     clock = RowClock(strip.t_first_row_s, strip.row_period_s)
     model = Pushbroom(
         camera=dump.line_camera,

@@ -202,6 +202,7 @@ def _strip_tasks(
             terrain=dump.terrain,
             settings=settings.match,
             points=points.get(strip.strip_id, NO_POINTS),
+            interpolation=reference.head.interpolation,
         )
         targets, chips = targets_near(task, dump.targets, dump.chips)
         tasks.append(replace(task, targets=targets, chips=chips))
@@ -250,6 +251,7 @@ def _strips(
                 attitudes=attitudes.take(rows),
                 noise=reference.head.noise,
                 others=tuple(_around(other, reference, task) for other in heads[1:]),
+                interpolation=task.interpolation,
             )
         )
     return strips

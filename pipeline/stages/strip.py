@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 from boresight.gct_match.match import match_strip
 from boresight.gct_match.records import Chip, Refusal, StripMatches, Target, TargetMatch
 from boresight.gct_match.settings import MatchSettings
-from boresight.geometry.attitude import AttitudeTrack
+from boresight.geometry.attitude import AttitudeTrack, Interpolation
 from boresight.geometry.constants import WGS84
 from boresight.geometry.geodesy import geodetic_from_ecef, local_axes_e
 from boresight.geometry.groundlight import LightEffects, apparent_ground_directions
@@ -68,6 +68,7 @@ class StripTask:
     chips: tuple[ChipFile, ...] = array("N", "their image chips")
     terrain: TerrainFile | TargetHeights = scalar("heights of the ground")
     settings: MatchSettings = scalar("limits of the matching")
+    interpolation: Interpolation = scalar("between the attitudes", default="lagrange")
     points: StripPoints = scalar("ground points measured in it by others", default=NO_POINTS)
 
     @property
@@ -99,7 +100,7 @@ def pushbroom_of(task: StripTask) -> Pushbroom:
         rows=RowClock(task.strip.t_first_row_s, task.strip.row_period_s),
         orbit=task.orbit,
         earth=task.orbit.earth,
-        attitude=AttitudeTrack(task.t_attitude_s, task.R_si, task.orbit),
+        attitude=AttitudeTrack(task.t_attitude_s, task.R_si, task.orbit, interpolation=task.interpolation),
         R_cs=task.R_cs,
         effects=task.effects,
     )

@@ -185,5 +185,5 @@ def test_expansion_follows_the_attitude_and_needs_eight_exposures():
     # 12" waves with periods of 3 s and more: the third-order term over 0.1 s is 0.018", of degree 7 less
     assert np.abs(error_s(track, INSIDE)).max() < 0.03 * ARCSEC
     assert track.breaks_s == pytest.approx(EXPOSURES[:-1] + 0.1)
-    with pytest.raises(ValueError, match="8 nodes"):
-        interpolation_weights(EXPOSURES[:7], [10.5], "taylor")
+    few = interpolation_weights(EXPOSURES[:7], [10.5], "taylor")
+    assert np.array_equal(few, lagrange_weights(EXPOSURES[:7], [10.5]))

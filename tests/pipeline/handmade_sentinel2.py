@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import erfa
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -70,10 +71,13 @@ def _datastrip() -> str:
         for at, a, b in zip(t, p, v)
     )
     t = np.arange(-5.0, 25.0, 0.1)
-    # The true inertial attitude is of no matter to the readers; the look along -p is kept to some degrees.
-    nadir = Rotation.from_euler(
-        "ZY", np.column_stack([np.full(len(t), 50.0), -90.0 - np.degrees(rate * t)]), degrees=True
-    )
+    # Earth's rotation angle alone takes ITRS to inertial axes here, within 0.3 degrees of precession.
+    era = erfa.era00(2459078.0, (12.0 * 3600.0 + 120.0 + t) / 86400.0 - 0.5)
+    p, v = np.cos(rate * t), np.sin(rate * t)
+    zero = np.zeros_like(t)
+    x, z = np.stack([-v, zero, p], axis=1), -np.stack([p, zero, v], axis=1)
+    axes = Rotation.from_matrix(np.stack([x, np.cross(z, x), z], axis=2))
+    nadir = Rotation.from_rotvec(np.column_stack([zero, zero, era])) * axes
     corrected = "".join(
         f"<Values><QUATERNION_VALUES>{_row(q)}</QUATERNION_VALUES><QUATERNION_VALIDITY>true</QUATERNION_VALIDITY>"
         f"<GPS_TIME>{_gps(at)}</GPS_TIME></Values>"

@@ -100,7 +100,7 @@ def test_no_program_in_a_string_imports_a_bare_room() -> None:
 PIPELINE_FLOORS = (
     ("cli",),
     ("commands",),
-    ("report", "exports", "experiments"),
+    ("report", "exports", "experiments", "imports"),
     ("results",),
     ("stages",),
     ("settings",),

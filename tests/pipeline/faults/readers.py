@@ -22,6 +22,8 @@ import pyarrow.parquet as pq
 import rasterio
 from astropy.io import fits
 from handmade import write_handmade_dump, write_strip
+from handmade_dimap import dimap_text
+from handmade_sentinel2 import DATASTRIP, SPAMOD, VIEDIR, write_sentinel2
 from scipy.spatial.transform import Rotation
 
 from boresight.calib.information import InformationPairs
@@ -35,6 +37,7 @@ from boresight.pipeline.files.image_files import StripFiles, check_strip_file, r
 from boresight.pipeline.files.orbit_file import read_oem
 from boresight.pipeline.files.record_tables import record_from_table, table_from_record
 from boresight.pipeline.files.scenario_file import named_scenario
+from boresight.pipeline.files.sentinel2 import read_sentinel2
 from boresight.pipeline.files.sky_images import Whereabouts, observers_of
 from boresight.pipeline.files.table_files import fixed_list
 from boresight.pipeline.report.centroid_report import _read_truth
@@ -90,6 +93,7 @@ def write_sound_files(folder: Path) -> Path:
     )
     (folder / "pixels.csv").write_text("ccd,sample,line\n0,1.5,2.5\n1,3,4\n")
     (folder / "dimap.xml").write_text(dimap_text())
+    write_sentinel2(folder)
     _write_result(folder / "result")
     _write_units(folder)
     return folder
@@ -205,6 +209,10 @@ def _terrain(folder: Path) -> Any:
     return surface.height_m(np.zeros(3), np.radians([102.9, 103.0, 103.1]))
 
 
+def _sentinel2(folder: Path) -> Any:
+    return read_sentinel2(folder / DATASTRIP, folder, "B04")
+
+
 def _dimap(folder: Path) -> Any:
     return read_dimap(folder / "dimap.xml", EARTH, LightEffects())
 
@@ -262,6 +270,9 @@ READERS = (
     Reader("chip, GeoTIFF", "dump/chips/0.tif", _chip_image),
     Reader("terrain, GeoTIFF", "dump/dem.tif", _terrain),
     Reader("DIMAP", "dimap.xml", _dimap),
+    Reader("Sentinel-2 datastrip", DATASTRIP, _sentinel2),
+    Reader("Sentinel-2 mounting", f"{SPAMOD}.xml", _sentinel2),
+    Reader("Sentinel-2 looks", f"{VIEDIR}.xml", _sentinel2),
     Reader("installation.json", "result/installation.json", lambda folder: read_result(folder / "result")),
     Reader(
         "exposures.parquet",
@@ -328,44 +339,6 @@ axis = "roll"
 amplitude_arcsec = 8.0
 period_s = 5.3
 """
-
-
-def dimap_text() -> str:
-    """The elements of a Pleiades DIMAP file that are read, over a circular orbit of 40 s."""
-    radius, rate = 7_064_000.0, 1.06e-3
-    points = []
-    for n in range(9):
-        angle = rate * 5.0 * n
-        x, y = radius * np.cos(angle), radius * np.sin(angle)
-        vx, vy = -rate * y, rate * x
-        points.append(
-            f"<Point><LOCATION_VALUES>{x:.3f} 0.0 {y:.3f}</LOCATION_VALUES>"
-            f"<VELOCITY_VALUES>{vx:.6f} 0.0 {vy:.6f}</VELOCITY_VALUES>"
-            f"<UTC_TIME>2018-12-26T10:48:{40 + 5 * n if n < 4 else 0:02d}.000000Z</UTC_TIME></Point>".replace(
-                "10:48:00", f"10:49:{5 * (n - 4):02d}"
-            )
-        )
-    quaternion = "".join(
-        f"<Q{k}><DEGREE>1</DEGREE><COEFFICIENTS>{q} 1e-4</COEFFICIENTS></Q{k}>"
-        for k, q in enumerate((0.5, 0.5, 0.5, 0.5))
-    )
-    look = "".join(
-        f"<Psi{a}_Model><DEGREE>1</DEGREE><COEFFICIENTS>{c}</COEFFICIENTS></Psi{a}_Model>"
-        for a, c in (("X", "-1e-2 1e-6"), ("Y", "1e-3 0.0"))
-    )
-    return (
-        "<PHR_Dimap_Document><Dataset_Identification><DATASET_NAME>D</DATASET_NAME></Dataset_Identification>"
-        "<Raster_Dimensions><NCOLS>20000</NCOLS><NROWS>9000</NROWS></Raster_Dimensions>"
-        "<Geometric_Data><Sensor_Model_Characteristics>"
-        "<UTC_Sensor_Model_Range><START>2018-12-26T10:48:55.4490000Z</START></UTC_Sensor_Model_Range>"
-        "<SENSOR_LINE_PERIOD>0.0735</SENSOR_LINE_PERIOD>"
-        f"<Sensor_Ephemeris><Point_List>{''.join(points)}</Point_List></Sensor_Ephemeris>"
-        f"<Sensor_Attitudes><OFFSET>38935.0</OFFSET><SCALE>1.0</SCALE>"
-        f"<Polynomial_Models>{quaternion}</Polynomial_Models></Sensor_Attitudes>"
-        "<Sensor_Viewing_Model><Position_In_Retina><FIRST_COL>1</FIRST_COL><LAST_COL>20000</LAST_COL>"
-        f"</Position_In_Retina><Viewing_Directions>{look}</Viewing_Directions></Sensor_Viewing_Model>"
-        "</Sensor_Model_Characteristics></Geometric_Data></PHR_Dimap_Document>"
-    )
 
 
 PIECES = [

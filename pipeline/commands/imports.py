@@ -1,0 +1,99 @@
+"""Commands that make a dump of an operator's own files: import sentinel2, import dimap."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import typer
+
+from boresight.pipeline import __version__
+from boresight.pipeline.commands.messages import Answer, say, talks, wrong_usage
+
+if TYPE_CHECKING:
+    from boresight.pipeline.imports.writing import ImportedMission
+
+__all__ = ["add_import_commands"]
+
+Out = Annotated[Path, typer.Argument(help="Folder of the dump; must not exist or be empty.")]
+Points = Annotated[
+    Path | None, typer.Option(help="CSV of measured image points (docs/dump-format.md); default: none yet.")
+]
+
+
+def add_import_commands(app: typer.Typer) -> None:
+    """Add the commands to the program."""
+    imports = typer.Typer(help="Make a dump of an operator's own files.", no_args_is_help=True)
+    imports.command()(talks(sentinel2))
+    imports.command("dimap")(talks(import_dimap))
+    app.add_typer(imports, name="import")
+
+
+def sentinel2(
+    datastrip: Annotated[Path, typer.Argument(help="S2?_OPER_MTD_L1B_DS_*.xml of a L1B datastrip.")],
+    out: Out,
+    gipp: Annotated[Path, typer.Option(help="Folder of the SPAMOD and VIEDIR files that it names.")],
+    band: Annotated[str, typer.Option(help="B01 to B12, B8A.")],
+    attitudes: Annotated[
+        str, typer.Option(help="raw: the star trackers; corrected: the operator's attitude.")
+    ] = "raw",
+    earth_orientation: Annotated[
+        Path | None,
+        typer.Option(help="CSV of mjd_utc, ut1_utc_s, x_arcsec, y_arcsec; else its bulletin."),
+    ] = None,
+    points: Points = None,
+) -> Answer:
+    """Make a dump of one band of a Sentinel-2 datastrip: trackers, orbit, look tables, line times.
+
+    Example: boresight import sentinel2 S2A_OPER_MTD_L1B_DS.xml b04 --gipp GIPP --band B04 --points gcps.csv
+    """
+    from boresight.pipeline.files.dump import read_earth_orientation
+    from boresight.pipeline.files.sentinel2 import read_sentinel2
+    from boresight.pipeline.imports.sentinel2 import sentinel2_mission
+
+    level: Literal["raw", "corrected"] = "corrected" if attitudes == "corrected" else "raw"
+    if level != attitudes:
+        raise wrong_usage(f"--attitudes is raw or corrected, not {attitudes!r}")
+    table = None
+    if earth_orientation is not None:
+        table = read_earth_orientation(earth_orientation, str(earth_orientation))
+    strip = read_sentinel2(datastrip, gipp, band)
+    return _written(
+        out, sentinel2_mission(strip, _creator("sentinel2"), attitudes=level, earth_orientation=table), points
+    )
+
+
+def import_dimap(
+    product: Annotated[Path, typer.Argument(metavar="FILE", help="Pleiades metadata: DIM or PHRDIMAP XML.")],
+    out: Out,
+    points: Points = None,
+) -> Answer:
+    """Make a dump of a Pleiades strip: the operator's attitude as a head, orbit, look table, line times.
+
+    Example: boresight import dimap PHRDIMAP.XML pleiades --points gcps.csv
+    """
+    from boresight.pipeline.imports.dimap import dimap_mission
+    from boresight.pipeline.results.dimap_places import operator_model
+
+    return _written(out, dimap_mission(operator_model(product), _creator("dimap")), points)
+
+
+def _creator(command: str) -> str:
+    return f"boresight {__version__}: import {command}"
+
+
+def _written(out: Path, mission: ImportedMission, points: Path | None) -> Answer:
+    from boresight.pipeline.files.text_files import read_text
+    from boresight.pipeline.imports.writing import write_imported
+
+    if out.exists() and (not out.is_dir() or any(out.iterdir())):
+        raise wrong_usage(f"{out} is there already and is not an empty folder")
+    text = None if points is None else read_text(points, str(points))
+    write_imported(out, mission, text)
+    if text is None:
+        say(f"no measured points: write them to {out / 'points.csv'} before `boresight calibrate`")
+    count = 0 if text is None else sum(1 for _ in csv.reader(text.splitlines())) - 1
+    heads = ", ".join(f"{head.name} ({len(head.t_s)} attitudes)" for head in mission.heads)
+    summary = f"{mission.mission}: {heads}, {len(mission.strips)} CCDs, {count} points -> {out}"
+    return Answer(text=summary, files=(out / "dump.toml",))

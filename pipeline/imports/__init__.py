@@ -1,0 +1,1 @@
+"""Operators' own files to a dump: what a mission has published or downlinked, without images."""

@@ -1,0 +1,188 @@
+"""Write what an operator's files say as a dump (docs/dump-format.md): attitudes, look tables, no images."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import tomli_w
+from scipy.spatial.transform import Rotation
+
+from boresight.geometry.attitude import Interpolation
+from boresight.geometry.constants import ARCSEC
+from boresight.geometry.earth_orientation import EarthOrientationTable
+from boresight.geometry.epoch import Epoch
+from boresight.geometry.line_camera import LookAngleCamera
+from boresight.geometry.orbit import Orbit
+from boresight.geometry.record import Floats, array, record, scalar
+from boresight.pipeline.files.dump_schema import LOOK_TABLES, PointRow
+from boresight.pipeline.files.oem_text import orbit_message
+
+__all__ = ["ImportedHead", "ImportedMission", "ImportedStrip", "white_noise_rad", "write_imported"]
+
+POINTS = "points.csv"
+
+
+@record(kw_only=True)
+class ImportedHead:
+    """One source of attitudes."""
+
+    name: str = scalar("id of the head")
+    t_s: Floats = array("K", "TAI seconds since the epoch")
+    R_is: Rotation = array("K", "frame s to GCRS")
+    R_cs0: Rotation = scalar("installation matrix in the operator's files")
+    sigma_installation_rad: Floats = array("3", "1-sigma error of `R_cs0` about the axes of c")
+    white_rad: Floats = array("3", "1-sigma of the white noise of the attitudes about the axes of s")
+    interpolation: Interpolation = scalar("of the operator's software")
+
+
+@record(kw_only=True)
+class ImportedStrip:
+    """One CCD of a strip."""
+
+    strip_id: str = scalar("id of the strip")
+    ccd: int = scalar("from 0")
+    t_first_row_s: float = scalar("middle of row 0, TAI seconds since the epoch")
+    row_period_s: float = scalar("s")
+    lines: int = scalar("number of rows")
+
+
+@record(kw_only=True)
+class ImportedMission:
+    """All that a dump without images holds, but for the measured points."""
+
+    mission: str = scalar("name of the mission")
+    created_by: str = scalar("program and command")
+    epoch: Epoch = scalar("zero of all times")
+    orbit: Orbit = scalar("nodes and interpolation of the ephemeris")
+    heads: tuple[ImportedHead, ...] = scalar("sources of attitudes")
+    camera: LookAngleCamera = scalar("look directions")
+    strips: tuple[ImportedStrip, ...] = scalar("one record a CCD")
+    errors: dict[str, float] = scalar("table [errors] of dump.toml")
+    earth_orientation: EarthOrientationTable | None = scalar("the operator's own; None: the bundled one")
+
+
+def white_noise_rad(t_s: Floats, R_is: Rotation) -> Floats:
+    """1-sigma (3,) about the axes of s of white noise, from third differences of K attitudes at equal steps.
+
+    Motion slower than a step has none; noise that is correlated from row to row is understated.
+    """
+    step = (R_is[:-1].inv() * R_is[1:]).as_rotvec()
+    third = np.diff(step, 2, axis=0)  # of white noise: variance 1 + 9 + 9 + 1
+    return np.asarray(np.maximum(np.sqrt((third**2).mean(axis=0) / 20.0), 1e-3 * ARCSEC))
+
+
+def write_imported(root: Path, mission: ImportedMission, points: str | None = None) -> None:
+    """Write the dump to `root`; `points` is the text of a table of measured points; None: an empty one.
+
+    Raises `FileExistsError` if `root` is not empty.
+    """
+    if root.exists() and (not root.is_dir() or any(root.iterdir())):
+        raise FileExistsError(f"{root} exists and is not an empty folder")
+    root.mkdir(parents=True, exist_ok=True)
+    utc = mission.epoch.utc_from_seconds
+    orbit = mission.orbit
+    assert orbit.velocities_m_s is not None
+    message = orbit_message(
+        "".join(c if c.isalnum() else "_" for c in mission.mission),
+        orbit.frame,
+        (orbit.method, orbit.degree),
+        utc(orbit.t_s),
+        orbit.positions_m,
+        orbit.velocities_m_s,
+    )
+    (root / "orbit.oem").write_text(message, encoding="utf-8")
+    for head in mission.heads:
+        rows = ([t, *map(float, q)] for t, q in zip(utc(head.t_s), head.R_is.as_quat()))
+        _table(root / f"{head.name}.csv", ["utc", "qx", "qy", "qz", "qw"], rows)
+        installation = {
+            "quaternion_cs": head.R_cs0.as_quat().tolist(),
+            "sigma_rad": head.sigma_installation_rad.tolist(),
+        }
+        _toml(root / f"installation_{head.name}.toml", installation)
+    _camera(root, mission.camera)
+    strips = (
+        [s.strip_id, s.ccd, "", utc([s.t_first_row_s])[0], repr(s.row_period_s), s.lines]
+        for s in mission.strips
+    )
+    _table(root / "strips.csv", ["id", "ccd", "file", "utc_first_row", "row_period_s", "lines"], strips)
+    if mission.earth_orientation is not None:
+        _earth_orientation(root / "earth_orientation.csv", mission.earth_orientation)
+    header = ",".join(PointRow.model_fields) + "\n"
+    (root / POINTS).write_text(points if points is not None else header, encoding="utf-8")
+    _toml(root / "dump.toml", _head(mission))
+
+
+def _head(mission: ImportedMission) -> dict[str, Any]:
+    files = {
+        "remote_camera": "remote_camera.toml",
+        "orbit": "orbit.oem",
+        "strips": "strips.csv",
+        "points": POINTS,
+    }
+    if mission.earth_orientation is not None:
+        files["earth_orientation"] = "earth_orientation.csv"
+    return {
+        "format": "boresight-dump",
+        "format_version": 1,
+        "mission": mission.mission,
+        "created_by": mission.created_by,
+        "conventions": {
+            "inertial_frame": "GCRS",
+            "earth_fixed_frame": "ITRS",
+            "time_scale": "UTC",
+            "quaternions": "scalar-last",
+            "image_origin": "centre of first pixel is (0, 0)",
+        },
+        "files": files,
+        "errors": mission.errors,
+        "light": {"light_time": False, "aberration": False, "refraction": False},
+        "star_cameras": [
+            {
+                "name": head.name,
+                "level": "attitudes",
+                "installation": f"installation_{head.name}.toml",
+                "attitudes": f"{head.name}.csv",
+                "frame": "GCRF",
+                "rotation": "head to inertial",
+                "aberration_removed": "annual and orbital",  # the operator corrects no more, on either side
+                "interpolation": head.interpolation,
+                "noise": {"white_arcsec": [round(v, 4) for v in (head.white_rad / ARCSEC).tolist()]},
+            }
+            for head in mission.heads
+        ],
+    }
+
+
+def _camera(root: Path, camera: LookAngleCamera) -> None:
+    looks = (
+        [ccd, float(n), float(x), float(y)]
+        for ccd, table in enumerate(camera.ccds)
+        for n, x, y in zip(table.samples, table.tan_x, table.tan_y)
+    )
+    _table(root / "looks.csv", ["ccd", "sample", "x", "y"], looks)
+    ccds = [{"n_px": table.n_px} for table in camera.ccds]
+    _toml(
+        root / "remote_camera.toml",
+        {"model": LOOK_TABLES, "looks": "looks.csv", "directions": "tangents", "ccds": ccds},
+    )
+
+
+def _earth_orientation(path: Path, table: EarthOrientationTable) -> None:
+    columns = (table.mjd_utc, table.ut1_utc_s, table.xp_rad / ARCSEC, table.yp_rad / ARCSEC)
+    rows = ([int(day), *map(float, values)] for day, *values in zip(*columns))
+    _table(path, ["mjd_utc", "ut1_utc_s", "x_arcsec", "y_arcsec"], rows)
+
+
+def _toml(path: Path, tables: dict[str, Any]) -> None:
+    path.write_text(tomli_w.dumps(tables), encoding="utf-8")
+
+
+def _table(path: Path, columns: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
+    with path.open("w", newline="", encoding="utf-8") as stream:
+        table = csv.writer(stream, lineterminator="\n")
+        table.writerow(columns)
+        table.writerows(rows)
