@@ -39,6 +39,7 @@ from boresight.pipeline.files.star_side import (
     Head,
     SolvedAttitudes,
     StarImages,
+    check_attitudes,
     each_once,
     open_heads,
     seconds_of,
@@ -222,12 +223,16 @@ def open_dump(root: Path, *, allow_stale_eop: bool = False) -> Dump:
     )
     rows = _target_rows(paths["targets"], str(head.files.targets)) if "targets" in paths else []
     surveyed = targets_of(rows)
+    heads = open_heads(root, head, ephemeris.epoch)
+    during = [(s.t_first_row_s, s.t_first_row_s + s.lines * s.row_period_s) for s in strips]
+    for one in heads:
+        check_attitudes(one, orbit, during)
     points, of_points = _points(paths.get("points"), head, strips)
     return Dump(
         root=root,
         mission=head.mission,
         epoch=ephemeris.epoch,
-        heads=open_heads(root, head, ephemeris.epoch),
+        heads=heads,
         line_camera=line_camera,
         remote_bit_depth=remote.bit_depth or 0,
         errors=head.errors,

@@ -16,9 +16,11 @@ from scipy.spatial.transform import Rotation
 
 from boresight.geometry.attitude import Interpolation
 from boresight.geometry.attitude_aberration import AberrationRemoved
+from boresight.geometry.attitude_consistency import find_attitude_fault
 from boresight.geometry.attitude_noise import AttitudeNoise
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.epoch import Epoch
+from boresight.geometry.orbit import Orbit, OrbitGapError
 from boresight.geometry.record import Floats, array, record, scalar
 from boresight.geometry.star_camera import StarCamera
 from boresight.pipeline.errors import RawDataError
@@ -31,6 +33,7 @@ __all__ = [
     "Head",
     "SolvedAttitudes",
     "StarImages",
+    "check_attitudes",
     "each_once",
     "open_heads",
     "seconds_of",
@@ -66,6 +69,7 @@ class SolvedAttitudes:
     """Attitudes that a head has solved itself."""
 
     rows: AttitudeRows = scalar("as the file has them")
+    file: str = scalar("name of the file")
     aberration_removed: AberrationRemoved = scalar("by the head")
 
 
@@ -120,6 +124,25 @@ def _head(root: Path, head: schema.HeadFile, field: str, epoch: Epoch) -> Head:
     )
 
 
+def check_attitudes(head: Head, orbit: Orbit, strips: Sequence[tuple[float, float]]) -> None:
+    """`RawDataError` where a head's attitudes during strips (first and last instant) contradict the orbit."""
+    if not isinstance(head.source, SolvedAttitudes):
+        return
+    t_s = head.source.rows.t_s
+    begin, end = orbit.span_s
+    during = np.zeros(len(t_s), dtype=bool)
+    for first, last in strips:
+        during |= (t_s >= max(first - 1.0, begin)) & (t_s <= min(last + 1.0, end))
+    try:
+        found = find_attitude_fault(t_s[during], head.source.rows.R_si[during], head.R_cs0, orbit)
+    except OrbitGapError:  # strips that the orbit does not cover are not used, and reported as that
+        return
+    if found is not None:
+        raise RawDataError(
+            head.source.file, "quaternions", str(found), "attitudes with which the camera sees the Earth"
+        )
+
+
 def _noise(stated: schema.NoiseFile) -> AttitudeNoise:
     def of(values: Sequence[float] | None, unit: float, otherwise: float = 0.0) -> Floats:
         return np.full(3, otherwise) if values is None else np.array(values, dtype=float) * unit
@@ -143,7 +166,7 @@ def _attitudes(head: schema.HeadFile, path: Path, file: str, epoch: Epoch) -> So
     if stated is not None and min(stated) <= 0.0:
         raise RawDataError("dump.toml", f"noise.white_arcsec of {head.name}", stated, "positive values")
     assert head.aberration_removed is not None  # by the schema
-    return SolvedAttitudes(rows, head.aberration_removed)
+    return SolvedAttitudes(rows, file, head.aberration_removed)
 
 
 def star_camera_table(camera: StarCamera, bits: int) -> dict[str, Any]:
