@@ -28,6 +28,7 @@ from boresight.pipeline.files.dump import Dump, Strip, surface_of
 from boresight.pipeline.files.ground_points import NO_POINTS
 from boresight.pipeline.settings import Settings, calibration_settings, effects_of
 from boresight.pipeline.stages.cached import Progress, StageRunner
+from boresight.pipeline.stages.first_matching import match_first, match_strips
 from boresight.pipeline.stages.head import HeadSightings, sight_head
 from boresight.pipeline.stages.missing import what_is_missing
 from boresight.pipeline.stages.reasons import rejection_reason
@@ -36,11 +37,8 @@ from boresight.pipeline.stages.strip import (
     StripTask,
     covers,
     ground_sightings,
-    match_targets,
-    no_matches,
     orbit_around,
     targets_near,
-    with_points,
 )
 from boresight.pipeline.work.executor import Executor, InOrder
 from boresight.pipeline.work.unit_store import UnitStore
@@ -108,14 +106,23 @@ def calibrate_dump(
     computed = [flag for head in heads for flag in head.computed]
     surface_of(dump.terrain)  # of several dumps the last one's is in memory: processes forked here share this
     R_cs, sigma = dump.R_cs0, dump.sigma_installation_rad
+
+    def rematch_sigma(estimate: InstallationEstimate) -> Array:
+        return np.sqrt(np.diag(estimate.cov_theta) + settings.run.rematch_sigma_rad**2)
+
+    def start_from(task: StripTask, matched: MatchedTargets) -> tuple[Rotation, Array] | None:
+        strips = _strips([task], [matched], heads)
+        alone = calibrate(strips, dump.R_cs0, error_model) if strips else None
+        return (alone.R_cs, rematch_sigma(alone)) if isinstance(alone, InstallationEstimate) else None
+
     for number in range(1, settings.run.passes + 1):
         tasks, uncovered = _strip_tasks(dump, reference, R_cs, sigma, settings)
-        outcomes, flags = runner.run(match_targets, tasks, folder=f"matching-{number}")
+        if number == 1:
+            search_all_px = settings.run.search_all_px
+            tasks, matched, flags = match_first(tasks, start_from, runner, search_all_px)
+        else:
+            matched, flags = match_strips(tasks, runner, f"matching-{number}")
         computed += flags
-        matched = [
-            with_points(no_matches(one) if isinstance(one, Omission) else one, task.points)
-            for task, one in zip(tasks, outcomes)
-        ]
         strips = _strips(tasks, matched, heads)
         estimate = calibrate(strips, dump.R_cs0, error_model)
         if isinstance(estimate, NotObservable):
@@ -123,7 +130,7 @@ def calibrate_dump(
             text = what_is_missing(estimate, dump, settings, len(reference.stars), tasks, matched, known)
             raise DataNotSufficientError(text)
         found, R_cs = estimate.with_reference(reference.head.name), estimate.R_cs
-        sigma = np.sqrt(np.diag(estimate.cov_theta) + settings.run.rematch_sigma_rad**2)
+        sigma = rematch_sigma(estimate)
     omissions += uncovered + [o for m in matched for o in m.omissions] + _without_targets(matched)
     return Calibration(
         estimate=found,

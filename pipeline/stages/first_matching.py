@@ -1,0 +1,70 @@
+"""The first matching: from the pre-launch matrix, wrong by thousands of pixels, to one good for a second one.
+
+A search as wide as that matrix is uncertain decodes whole strips. All strips have one matrix: large ones are
+searched one after another until one determines it, and the others start from there. A strip in which nothing
+is found that way is searched as widely as the first.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+from scipy.spatial.transform import Rotation
+
+from boresight.geometry.record import Floats
+from boresight.pipeline.errors import Omission
+from boresight.pipeline.stages.cached import StageRunner
+from boresight.pipeline.stages.strip import MatchedTargets, StripTask, match_targets, no_matches, with_points
+
+__all__ = ["match_first", "match_strips"]
+
+Start = tuple[Rotation, Floats]  # a matrix and its 1-sigma (3,), rad, axes of c
+
+
+def match_strips(
+    tasks: Sequence[StripTask], runner: StageRunner, folder: str
+) -> tuple[list[MatchedTargets], list[bool]]:
+    """Targets matched in strips, and which strips were computed now."""
+    outcomes, flags = runner.run(match_targets, tasks, folder=folder)
+    return [
+        with_points(no_matches(one) if isinstance(one, Omission) else one, task.points)
+        for task, one in zip(tasks, outcomes)
+    ], flags
+
+
+def match_first(
+    tasks: Sequence[StripTask],
+    start_from: Callable[[StripTask, MatchedTargets], Start | None],
+    runner: StageRunner,
+    search_all_px: float,
+) -> tuple[list[StripTask], list[MatchedTargets], list[bool]]:
+    """Tasks as they were matched, targets matched in them, and which units of work were computed now.
+
+    `start_from` gives the matrix that one strip determines. Strips of at most `search_all_px` together are
+    all searched.
+    """
+    shapes = [shape for task in tasks for shape in task.strip.images.shapes.values()]
+    if sum(lines * samples for lines, samples in shapes) <= search_all_px:
+        return list(tasks), *match_strips(tasks, runner, "matching-1")
+    matched: list[MatchedTargets] = []
+    computed: list[bool] = []
+    start = None
+    while start is None and len(matched) < len(tasks):
+        task = tasks[len(matched)]
+        found, flags = match_strips([task], runner, "matching-0")
+        matched, computed = matched + found, computed + flags
+        start = start_from(task, found[0])
+    n = len(matched)
+    if start is None or n == len(tasks):
+        return list(tasks), matched, computed
+    R_cs, sigma = start
+    near = [replace(task, R_cs=R_cs, sigma_installation_rad=sigma) for task in tasks[n:]]
+    found, flags = match_strips(near, runner, "matching-1")
+    used, matched, computed = [*tasks[:n], *near], matched + found, computed + flags
+    if missed := [k for k, one in enumerate(matched) if k >= n and not len(one.target_id)]:
+        found, flags = match_strips([tasks[k] for k in missed], runner, "matching-0")
+        computed += flags
+        for k, one in zip(missed, found):
+            used[k], matched[k] = tasks[k], one
+    return used, matched, computed
