@@ -279,7 +279,10 @@ reveal_type(bs.forecast("plan.toml").strips_needed)
 def test_a_users_strict_script_sees_no_any(tmp_path: Path) -> None:
     script = tmp_path / "script.py"
     script.write_text(USER_SCRIPT)
-    strict = ["--strict", "--config-file=", f"--cache-dir={ROOT / '.mypy_cache' / 'users_script'}"]
+    # As an installed package is seen: by its signatures. Bodies are checked by `make types`.
+    (tmp_path / "mypy.ini").write_text("[mypy]\n[mypy-boresight.*]\nignore_errors = True\n")
+    cache = ROOT / ".mypy_cache" / "users_script"
+    strict = ["--strict", f"--config-file={tmp_path / 'mypy.ini'}", f"--cache-dir={cache}"]
     command = [sys.executable, "-m", "mypy", *strict, str(script)]
     environment = {"PATH": "/usr/bin:/bin", "MYPYPATH": str(ROOT), "HOME": str(tmp_path)}
     done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, env=environment)

@@ -20,6 +20,7 @@ from boresight.star_id.field import (
 )
 from boresight.star_id.identification.identify import AttitudePrior, Identification, NotIdentified, identify
 from boresight.star_id.identification.likelihood import log_likelihood_ratio
+from boresight.star_id.identification.proposals import _attitudes
 from boresight.star_id.identification.tangent_plane import PlaneDetections
 from boresight.star_id.identification.triangle_index import (
     CLOSE_RAD,
@@ -107,6 +108,18 @@ def test_one_true_proposal_is_found_among_thousands(wide_index, places, seed, fa
     found = solve_stars(xy, SIZE, wide_index, SETTINGS, fov_x_rad=0.35)
     assert isinstance(found, FieldSolution)
     assert share_right(found.hip, found.detections, hip) > 0.9
+
+
+def test_the_attitude_of_a_proposal_allows_for_the_scale_of_the_camera():
+    rng, log_scale = np.random.default_rng(12), 0.08  # the focal length is 8 % longer than nominal
+    u = np.column_stack([rng.uniform(-0.15, 0.15, (6, 2)), np.ones(6)])
+    seen = u * [np.exp(log_scale), np.exp(log_scale), 1.0]
+    u, seen = (v / np.linalg.norm(v, axis=1, keepdims=True) for v in (u, seen))
+    R_si = Rotation.random(random_state=rng)
+    pairs = np.arange(6).reshape(2, 3)
+    found = _attitudes(seen, R_si.inv().apply(u), pairs, pairs.astype(np.int32), np.full(2, log_scale))
+    # without noise or distortion the ends of the longest side are met exactly
+    assert np.abs(found - R_si.as_matrix()).max() < 1e-12
 
 
 @pytest.mark.parametrize("fov_given", [True, False])
@@ -262,6 +275,9 @@ def test_the_shape_of_a_triangle_does_not_depend_on_where_or_in_which_order():
     assert (vertices == vertices[0]).all()
     # the handedness is the sign of the longest side
     assert np.ptp(shapes[:, 2]) < 1e-15 and np.ptp(shapes, axis=0).max() < 1e-12
+    longest = np.arccos(np.cos(0.1) * np.cos(0.06))  # the right angle is at the third star
+    assert shapes[0, :2] == pytest.approx([0.1 / longest, 0.06 / longest], rel=1e-9)
+    assert abs(shapes[0, 2]) == pytest.approx(longest, rel=1e-9)
 
 
 def test_the_stated_covariance_of_the_attitude_holds():

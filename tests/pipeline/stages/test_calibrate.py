@@ -144,7 +144,10 @@ def test_tables_hold_what_the_summary_counts(whole: Path) -> None:
     exposures = pq.read_table(whole / "sightings/exposures.parquet")
     assert stars.num_row_groups == len(exposures)
     assert sum(targets.column("kept").to_pylist()) == content["targets"]
-    assert sum(stars.read().column("kept").to_pylist()) == content["stars"]
+    kept = stars.read().column("kept").to_pylist()
+    assert sum(kept) == content["stars"]
+    told = pq.read_table(whole / "sightings/omissions.parquet").column("kind").to_pylist()
+    assert told.count("star") == len(kept) - sum(kept) > 0  # stars of usable exposures that were rejected
 
 
 def test_result_does_not_depend_on_truth_or_place_of_the_dump(
