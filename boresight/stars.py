@@ -382,7 +382,7 @@ def calibrate_star_camera(
 def _pixels(image: Image) -> NDArray[np.generic]:
     if not isinstance(image, str | Path):
         return np.asarray(image)
-    from boresight.pipeline.files.image_files import read_star_image
+    from boresight.pipeline.files.star_images import read_star_image
 
     return read_star_image(Path(image), str(image))
 

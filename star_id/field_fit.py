@@ -9,7 +9,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 
 from boresight.geometry.attitude_estimate import AttitudeSettings, fit_attitude
@@ -131,4 +130,6 @@ def _common_variance(fit: CameraFit, leverage: Floats, cov_px: Floats, before: f
     most = float(square.sum() + own.max())
     while excess(most) > 0.0 and most < _LARGEST_VARIANCE:  # from somewhere on it falls as -dof / variance
         most *= 2.0
+    from scipy.optimize import brentq  # 0.1 s to load, and seldom needed
+
     return float(brentq(excess, 0.0, most)) if most < _LARGEST_VARIANCE else before

@@ -32,8 +32,8 @@ from boresight.pipeline.settings import Settings
 from boresight.pipeline.stages.cached import Progress
 from boresight.pipeline.stages.calibrate import Calibration, calibrate_dump
 from boresight.pipeline.stages.joint import NamedDump, calibrate_jointly
+from boresight.pipeline.work.digests import digest, program
 from boresight.pipeline.work.executor import Executor
-from boresight.pipeline.work.unit_store import digest, program
 
 __all__ = ["RunOutcome", "RunRequest", "going_on", "run_dump", "run_dumps", "saved_content"]
 

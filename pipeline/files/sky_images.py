@@ -22,31 +22,16 @@ from boresight.pipeline.files.dump import Dump, bundled_table, open_dump, orbit_
 from boresight.pipeline.files.dump_schema import SkyImageRow
 from boresight.pipeline.files.orbit_file import read_oem
 from boresight.pipeline.files.text_files import read_table
+from boresight.pipeline.files.whereabouts import Whereabouts
 from boresight.star_id.observer import Observer
 
 __all__ = [
-    "NOWHERE",
     "SkyImage",
     "SkyImages",
-    "Whereabouts",
     "observer_at",
     "observers_of",
     "open_sky_images",
 ]
-
-
-@record
-class Whereabouts:
-    """Times and position of single images, as far as the user states them."""
-
-    times: Path | None = scalar("CSV with columns file, utc_mid", default=None)
-    orbit: Path | None = scalar("OEM of a satellite", default=None)
-    site_deg_m: tuple[float, float, float] | None = scalar(
-        "latitude, longitude (degrees), ellipsoidal height (m)", default=None
-    )
-
-
-NOWHERE = Whereabouts()
 
 
 @record

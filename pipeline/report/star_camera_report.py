@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 from boresight.geometry.record import record, scalar
 from boresight.geometry.star_camera import StarCamera
 from boresight.pipeline.errors import RawDataError
-from boresight.pipeline.files.sky_images import NOWHERE, SkyImage, Whereabouts, open_sky_images
+from boresight.pipeline.files.sky_images import SkyImage, open_sky_images
 from boresight.pipeline.files.star_side import star_camera_table
+from boresight.pipeline.files.whereabouts import NOWHERE, Whereabouts
 from boresight.pipeline.files.whole_file import write_whole
 from boresight.pipeline.stages.identify import read_camera, read_sky_image, sky_index
 from boresight.star_id.camera_calibration import (

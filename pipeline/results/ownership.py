@@ -27,7 +27,7 @@ from boresight.pipeline.files.text_files import read_json, read_toml
 from boresight.pipeline.files.whole_file import write_whole
 from boresight.pipeline.results.folder import dumps_in
 from boresight.pipeline.settings import Settings
-from boresight.pipeline.work.unit_store import digest
+from boresight.pipeline.work.digests import digest
 
 __all__ = ["Origin", "check_dump_of", "claimed", "dump_folder_of", "dump_identity", "origin_of"]
 

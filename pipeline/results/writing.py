@@ -31,7 +31,7 @@ from boresight.pipeline.settings import Settings
 from boresight.pipeline.stages.calibrate import Calibration
 from boresight.pipeline.stages.joint import JointCalibration
 from boresight.pipeline.stages.strip import MatchedTargets
-from boresight.pipeline.work.unit_store import digest
+from boresight.pipeline.work.digests import digest
 
 __all__ = ["verdict_json", "write_dumps", "write_joint_result", "write_json", "write_result", "write_run"]
 

@@ -14,8 +14,9 @@ import cv2
 
 from boresight.pipeline.errors import Cause, Omission
 from boresight.pipeline.files.record_tables import record_from_table, table_from_record
+from boresight.pipeline.work.digests import digest, program
 from boresight.pipeline.work.executor import Executor, InOrder
-from boresight.pipeline.work.unit_store import UnitStore, digest, program, read_meta
+from boresight.pipeline.work.unit_store import UnitStore, read_meta
 
 __all__ = ["Progress", "StageRunner", "Task"]
 

@@ -21,7 +21,7 @@ from boresight.geometry.sightings import StarSightings
 from boresight.geometry.star_camera import StarCamera
 from boresight.pipeline.errors import Cause, Omission, RawDataError
 from boresight.pipeline.files.dump import Dump
-from boresight.pipeline.files.image_files import read_exposure
+from boresight.pipeline.files.star_images import read_exposure
 from boresight.pipeline.files.star_side import Exposure, StarImages
 from boresight.star_id.catalogue import hipparcos_stars
 from boresight.star_id.identification.identify import NotIdentified

@@ -15,25 +15,19 @@ from typing import Any
 
 import cv2
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.star_camera import StarCamera
 from boresight.pipeline.errors import RawDataError
-from boresight.pipeline.files.dump_schema import StarCameraFile
-from boresight.pipeline.files.image_files import read_star_image
-from boresight.pipeline.files.sky_images import NOWHERE, Whereabouts, observers_of
-from boresight.pipeline.files.star_side import star_camera_of
-from boresight.pipeline.files.table_files import fixed_list
-from boresight.pipeline.files.text_files import read_toml
-from boresight.pipeline.files.whole_file import write_whole
+from boresight.pipeline.files.star_images import read_star_image
+from boresight.pipeline.files.whereabouts import NOWHERE, Whereabouts
 from boresight.pipeline.work.index_cache import cached_index
 from boresight.star_id.catalogue import hipparcos_stars
 from boresight.star_id.field import LARGEST_FOV_RAD, SMALLEST_FOV_RAD, FieldSolution, solve_field
 from boresight.star_id.identification.identify import NotIdentified
 from boresight.star_id.identification.triangle_index import StarIndex, equivalent_fov
+from boresight.star_id.observer import Observer
 from boresight.star_id.settings import StarSettings
 
 __all__ = ["Line", "Request", "identify_images", "read_camera", "read_sky_image", "sky_index"]
@@ -70,10 +64,10 @@ def identify_images(images: Sequence[Path], request: Request, settings: StarSett
         raise RawDataError("--fov", "value", f"{request.fov_deg}", "between 0.5 and 90 degrees")
     dark = None if request.dark_file is None else read_star_image(request.dark_file, str(request.dark_file))
     fov = None if request.fov_deg is None else float(np.radians(request.fov_deg))
-    observers = observers_of(images, request.known)
+    observers = _observers(images, request.known)
     index = sky_index(camera, request.fov_deg, settings)
     width = max(len(str(path)) for path in images)
-    tables = []
+    named: list[tuple[Path, FieldSolution]] = []
     for path in images:
         started = time.process_time()
         try:
@@ -92,18 +86,34 @@ def identify_images(images: Sequence[Path], request: Request, settings: StarSett
             yield _unnamed(path, width, "not identified", outcome.reason, started)
             continue
         spent_ms = 1e3 * (time.process_time() - started)
-        tables.append(_table(path, outcome))
+        named.append((path, outcome))
         if request.overlay is not None:
             _draw(image, outcome, _own_name(request.overlay, path, len(images)))
         yield Line(f"{path!s:{width}s}   {_facts(outcome)}", True, _record(path, outcome, spent_ms), outcome)
     if request.out is not None:
-        whole = pa.concat_tables(tables) if tables else _table_of_nothing()
-        write_whole(request.out, lambda target: pq.write_table(whole, target, compression="zstd"))
+        from boresight.pipeline.files.named_stars import write_named_stars
+
+        write_named_stars(request.out, named)
 
 
 def read_camera(file: Path | None) -> StarCamera | None:
     """The camera of a star_camera.toml."""
-    return None if file is None else star_camera_of(read_toml(file, StarCameraFile, str(file)), str(file))
+    if file is None:
+        return None
+    from boresight.pipeline.files.dump_schema import StarCameraFile
+    from boresight.pipeline.files.star_side import star_camera_of
+    from boresight.pipeline.files.text_files import read_toml
+
+    return star_camera_of(read_toml(file, StarCameraFile, str(file)), str(file))
+
+
+def _observers(images: Sequence[Path], known: Whereabouts) -> dict[str, Observer]:
+    """The observer of each image by its file name, where the user states anything of it."""
+    if known.times is None and known.orbit is None and known.site_deg_m is None:
+        return {}
+    from boresight.pipeline.files.sky_images import observers_of  # with orbits and terrain 0.3 s to load
+
+    return observers_of(images, known)
 
 
 def read_sky_image(path: Path, camera: StarCamera | None, camera_file: Path | None) -> NDArray[Any]:
@@ -194,29 +204,3 @@ def sky_index(camera: StarCamera | None, fov_deg: float | None, settings: StarSe
 @lru_cache(maxsize=1)
 def _built(fov_rad: float | tuple[float, float]) -> StarIndex:
     return cached_index(hipparcos_stars().places, CATALOGUE_YEAR, fov_rad)
-
-
-def _table(path: Path, found: FieldSolution) -> pa.Table:
-    n = found.matches
-    return pa.table(
-        {
-            "file": pa.array([str(path)] * n, pa.string()),
-            "hip": pa.array(found.hip),
-            "xy_px": fixed_list(found.xy_px),
-            "residual_px": fixed_list(found.residual_px),
-            "quaternion_si": fixed_list(np.tile(found.R_si.as_quat(canonical=True), (n, 1))),
-        }
-    )
-
-
-def _table_of_nothing() -> pa.Table:
-    pairs = fixed_list(np.zeros((0, 2)))
-    return pa.table(
-        {
-            "file": pa.array([], pa.string()),
-            "hip": pa.array([], pa.int64()),
-            "xy_px": pairs,
-            "residual_px": pairs,
-            "quaternion_si": fixed_list(np.zeros((0, 4))),
-        }
-    )

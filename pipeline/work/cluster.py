@@ -19,7 +19,7 @@ from typing import Any, TypeVar
 from boresight.geometry.record import record, scalar
 from boresight.pipeline.errors import WorkerError
 from boresight.pipeline.files.content import content_digest
-from boresight.pipeline.work.unit_store import library_versions, program
+from boresight.pipeline.work.digests import library_versions, program
 
 __all__ = ["Fingerprint", "OnCluster", "UnfitWorkerError", "fingerprint", "on_cluster"]
 

@@ -18,7 +18,7 @@ import platformdirs
 
 from boresight.geometry.starlight import StarPlaces
 from boresight.pipeline.files.whole_file import write_whole
-from boresight.pipeline.work.unit_store import digest, program
+from boresight.pipeline.work.digests import digest, numerical_program
 from boresight.star_id.identification.triangle_index import StarIndex, build_index
 
 __all__ = ["cache_folder", "cached_index"]
@@ -28,7 +28,7 @@ _KEPT = 6  # files; the largest, for all fields of view, takes 60 MB
 
 def cached_index(stars: StarPlaces, epoch_jyear: float, fov_rad: float | tuple[float, float]) -> StarIndex:
     """The index that `build_index` returns, read from the cache if it is there."""
-    key = digest(stars, float(epoch_jyear), fov_rad, program("boresight.star_id"))
+    key = digest(stars, float(epoch_jyear), fov_rad, numerical_program("boresight.star_id"))
     path = cache_folder() / f"triangles-{key}.npz"
     try:
         with np.load(path, allow_pickle=False) as file:

@@ -7,169 +7,23 @@ written under another name, flushed and renamed, so that it is on disk as a whol
 
 from __future__ import annotations
 
-import dataclasses
 import hashlib
-import importlib.util
 import json
-import platform
-import re
-from collections.abc import Iterator, Mapping
-from enum import Enum
-from functools import cache
-from importlib import metadata
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import cv2
-import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
-import pyproj
-import rasterio
-from scipy.spatial.transform import Rotation
 
 from boresight.geometry.record import record, scalar
-from boresight.pipeline import __version__
 from boresight.pipeline.errors import RawDataError
-from boresight.pipeline.files.content import content_digest
 from boresight.pipeline.files.table_files import read_parquet
 from boresight.pipeline.files.whole_file import write_whole
 
-__all__ = [
-    "UnitStore",
-    "digest",
-    "library_versions",
-    "program",
-    "read_meta",
-    "read_unit",
-]
+__all__ = ["UnitStore", "read_meta", "read_unit"]
 
 META, SEAL = b"boresight", b"seal"
-_IMPORT = re.compile(r"^\s*(?:from\s+([\w.]+)\s+import\s+(\([^)]*\)|[^\n]*)|import\s+([\w.]+))", re.MULTILINE)
-DISTRIBUTIONS = ("numpy", "scipy", "astropy", "astropy-iers-data", "pyerfa", "scikit-image")
-
-
-def digest(*values: Any) -> str:
-    """32 hexadecimal digits that change when anything in `values` does.
-
-    A `Path` stands for the content of its file; its name and times do not matter.
-    """
-    state = hashlib.blake2b(digest_size=16)
-    for value in values:
-        _feed(state, value)
-    return state.hexdigest()
-
-
-def _feed(state: Any, value: Any) -> None:
-    if value is None or isinstance(value, (bool, int, float, str, bytes, np.number, np.bool_)):
-        state.update(f"{type(value).__name__}:{value!r};".encode())
-    elif isinstance(value, np.ndarray):
-        array = np.ascontiguousarray(value)
-        state.update(f"array:{array.dtype.str}:{array.shape};".encode())
-        state.update(array.astype(str).tobytes() if array.dtype == object else array.tobytes())
-    elif isinstance(value, Rotation):
-        _feed(state, value.as_quat())
-    elif isinstance(value, Path):
-        _feed_file(state, value)
-    elif isinstance(value, Enum):
-        _feed(state, value.name)
-    elif dataclasses.is_dataclass(value) and not isinstance(value, type):
-        state.update(f"{type(value).__name__}(".encode())
-        for field in dataclasses.fields(value):
-            if field.init:
-                state.update(f"{field.name}=".encode())
-                _feed(state, getattr(value, field.name))
-        state.update(b")")
-    elif isinstance(value, Mapping):
-        state.update(f"map:{len(value)};".encode())
-        for key in sorted(value):
-            _feed(state, key)
-            _feed(state, value[key])
-    elif isinstance(value, (tuple, list)):
-        state.update(f"list:{len(value)};".encode())
-        for item in value:
-            _feed(state, item)
-    else:
-        raise TypeError(f"no digest for a {type(value).__name__}")
-
-
-def _feed_file(state: Any, path: Path) -> None:
-    try:
-        state.update(f"file:{content_digest(path)};".encode())
-    except OSError as error:
-        state.update(f"no file:{error.errno};".encode())
-
-
-@cache
-def program(*modules: str) -> str:
-    """Version of the program, and a digest of everything installed that results of `modules` depend on.
-
-    These are the sources of the modules and of all that they import from the same package, the data files
-    beside these, and the versions of the libraries. A package's name stands for all modules in it.
-    """
-    sources = {name: source for root in modules for name, source in _sources(root).items()}
-    return f"{__version__} {digest(sources, library_versions())}"
-
-
-def _sources(root: str) -> dict[str, Any]:
-    """Source of a module (or of all in a package) and of its imports; paths of the data files beside them."""
-    sources: dict[str, Any] = {}
-    todo = _with_submodules(root)
-    while todo:
-        name = todo.pop()
-        if name in sources or (file := _file_of(name)) is None:
-            continue
-        sources[name] = file.read_bytes()
-        if "." in name:  # what the top-level package imports is for its users
-            todo += [name.rpartition(".")[0], *_imports(sources[name], name.partition(".")[0])]
-        if file.name == "__init__.py":
-            data = file.parent.joinpath("data").glob("*")
-            sources[f"data of {name}"] = sorted(path for path in data if path.is_file())
-    return sources
-
-
-@cache
-def library_versions() -> dict[str, str]:
-    """Versions of Python and of the libraries whose numbers enter the results."""
-    versions = {name: metadata.version(name) for name in DISTRIBUTIONS}
-    named = {"opencv": cv2.__version__, "rasterio": rasterio.__version__, "gdal": rasterio.__gdal_version__}
-    proj = {"pyproj": pyproj.__version__, "proj": pyproj.proj_version_str}
-    return {"python": platform.python_version()} | versions | named | proj
-
-
-def _with_submodules(name: str) -> list[str]:
-    file = _file_of(name)
-    if file is None or file.name != "__init__.py":
-        return [name]
-    inner = [path.relative_to(file.parent).with_suffix("") for path in file.parent.rglob("*.py")]
-    return [name, *(".".join((name, *path.parts)) for path in inner if path.name != "__init__")]
-
-
-def _file_of(name: str) -> Path | None:
-    """Source file of a module, by its place below the top-level package; None if there is none."""
-    top, *parts = name.split(".")
-    folder = _folder_of(top)
-    if folder is None:
-        return None
-    candidates = folder.joinpath(*parts, "__init__.py"), folder.joinpath(*parts).with_suffix(".py")
-    return next((file for file in candidates if file.is_file()), None)
-
-
-@cache
-def _folder_of(top: str) -> Path | None:
-    """Folder of a top-level package."""
-    spec = importlib.util.find_spec(top)
-    return Path(spec.submodule_search_locations[0]) if spec and spec.submodule_search_locations else None
-
-
-def _imports(source: bytes, package: str) -> Iterator[str]:
-    """Names below `package` that a source imports, at its top or within functions; some may be no modules."""
-    for match in _IMPORT.finditer(source.decode("utf-8")):
-        module, names, plain = match.groups()
-        if (module or plain).partition(".")[0] == package:
-            yield from (
-                [plain] if plain else [module, *(f"{module}.{name}" for name in re.findall(r"\w+", names))]
-            )
 
 
 @record

@@ -33,13 +33,15 @@ from boresight.geometry.sightings import StarSightings
 from boresight.pipeline.errors import DataNotSufficientError, RawDataError
 from boresight.pipeline.files.dimap import read_dimap
 from boresight.pipeline.files.dump import ChipFile, TerrainFile, _read_terrain, open_dump
-from boresight.pipeline.files.image_files import StripFiles, check_strip_file, read_exposure, read_star_image
+from boresight.pipeline.files.image_files import StripFiles, check_strip_file
 from boresight.pipeline.files.orbit_file import read_oem
 from boresight.pipeline.files.record_tables import record_from_table, table_from_record
 from boresight.pipeline.files.scenario_file import named_scenario
 from boresight.pipeline.files.sentinel2 import read_sentinel2
-from boresight.pipeline.files.sky_images import Whereabouts, observers_of
+from boresight.pipeline.files.sky_images import observers_of
+from boresight.pipeline.files.star_images import read_exposure, read_star_image
 from boresight.pipeline.files.table_files import fixed_list
+from boresight.pipeline.files.whereabouts import Whereabouts
 from boresight.pipeline.report.centroid_report import _read_truth
 from boresight.pipeline.results.geolocate import read_pixels
 from boresight.pipeline.results.reading import read_pairs, read_result

@@ -15,7 +15,8 @@ from handmade import write_chip, write_strip
 
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.dump import TerrainFile, _read_terrain, open_dump, surface_of
-from boresight.pipeline.files.image_files import check_strip_file, read_exposure, read_grid, read_star_image
+from boresight.pipeline.files.image_files import check_strip_file, read_grid
+from boresight.pipeline.files.star_images import read_exposure, read_star_image
 
 
 def exposure(path: Path) -> object:

@@ -11,8 +11,8 @@ import pytest
 from boresight.geometry.constants import ARCSEC
 from boresight.pipeline.files.dump import Dump, open_dump
 from boresight.pipeline.files.dump_writer import write_dump
-from boresight.pipeline.files.image_files import read_exposure
 from boresight.pipeline.files.scenario_file import fly, named_scenario
+from boresight.pipeline.files.star_images import read_exposure
 from boresight.simulator.records import Mission
 
 SMALL = (

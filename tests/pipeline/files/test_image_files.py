@@ -13,7 +13,8 @@ from hypothesis import HealthCheck, given, seed, settings
 from hypothesis import strategies as st
 
 from boresight.pipeline.errors import RawDataError
-from boresight.pipeline.files.image_files import read_exposure, read_grid, read_star_image
+from boresight.pipeline.files.image_files import read_grid
+from boresight.pipeline.files.star_images import read_exposure, read_star_image
 
 WIDTH, HEIGHT = 48, 40
 

@@ -63,7 +63,7 @@ def test_another_catalogue_epoch_field_or_program_makes_another_index(places, bu
     cached_index(places.take(np.arange(len(places.hip) - 1)), 2020.0, FOV)
     cached_index(places, 2021.0, FOV)
     cached_index(places, 2020.0, 1.01 * FOV)
-    monkeypatch.setattr(index_cache, "program", lambda package: f"another {package}")
+    monkeypatch.setattr(index_cache, "numerical_program", lambda package: f"another {package}")
     cached_index(places, 2020.0, FOV)
     assert len(builds) == 5 == len(list(cache.iterdir()))
 

@@ -14,7 +14,7 @@ from boresight.pipeline.files.dump import open_dump
 from boresight.pipeline.results.folder import store_of
 from boresight.pipeline.settings import settings_from_tables
 from boresight.pipeline.stages.calibrate import calibrate_dump
-from boresight.pipeline.work.unit_store import program
+from boresight.pipeline.work.digests import program
 
 EXPOSURES, STRIPS = 14, 2  # units of the one-strip dump: its exposures, and its strip in two matchings
 

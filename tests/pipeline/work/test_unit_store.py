@@ -15,8 +15,9 @@ from scipy.spatial.transform import Rotation
 from boresight.pipeline.files.table_files import fixed_list, list_values
 from boresight.pipeline.stages.exposure import sight_exposure
 from boresight.pipeline.stages.strip import match_targets
-from boresight.pipeline.work import unit_store
-from boresight.pipeline.work.unit_store import UnitStore, digest, program, read_meta
+from boresight.pipeline.work import digests
+from boresight.pipeline.work.digests import digest, program
+from boresight.pipeline.work.unit_store import UnitStore, read_meta
 
 GEOMETRY, STARS, MATCH = "boresight.geometry", "boresight.star_id", "boresight.gct_match"
 
@@ -116,11 +117,11 @@ def test_program_follows_imports_and_knows_data_and_libraries(
     assert len(set(keys)) == 6
     (root / "other.py").write_text("B = 2\n")
     assert key() == keys[-1]
-    versions = unit_store.library_versions()
+    versions = digests.library_versions()
     assert {"python", "numpy", "scipy", "opencv", "rasterio", "gdal", "astropy", "pyerfa"} <= set(versions)
     for name in versions:
         changed = versions | {name: "0"}
-        monkeypatch.setattr(unit_store, "library_versions", lambda changed=changed: changed)
+        monkeypatch.setattr(digests, "library_versions", lambda changed=changed: changed)
         keys.append(key())
     assert len(set(keys)) == 6 + len(versions)
     program.cache_clear()
@@ -128,15 +129,15 @@ def test_program_follows_imports_and_knows_data_and_libraries(
 
 def test_program_of_a_stage_includes_the_readers_of_files() -> None:
     for stage in (sight_exposure, match_targets):
-        modules = set(unit_store._sources(stage.__module__))
+        modules = set(digests._sources(stage.__module__))
         assert {
             "boresight.pipeline.files.image_files",
             "boresight.pipeline.files.dump",
             "boresight.geometry.orbit",
             "data of boresight.geometry",
         } <= modules
-    assert "boresight.star_id.sight" in unit_store._sources(sight_exposure.__module__)
-    assert "boresight.gct_match.match" in unit_store._sources(match_targets.__module__)
+    assert "boresight.star_id.sight" in digests._sources(sight_exposure.__module__)
+    assert "boresight.gct_match.match" in digests._sources(match_targets.__module__)
 
 
 def test_digest_reads_all_bytes_of_a_large_file_and_nothing_else(tmp_path: Path) -> None:
