@@ -18,7 +18,7 @@ from boresight.gct_match.consistency import consistent_matches
 from boresight.gct_match.imaging.views import view_of
 from boresight.gct_match.locate import locate
 from boresight.gct_match.predict.scene import Scene, scene_of
-from boresight.gct_match.predict.template import Template, chip_side_px, predict_template
+from boresight.gct_match.predict.template import Template, chip_points, chip_side_px, predict_template
 from boresight.gct_match.predict.trajectories import displacements
 from boresight.gct_match.records import (
     Chip,
@@ -118,17 +118,22 @@ def _feasible(scene: Scene, plan: SearchPlan) -> tuple[SearchPlan, list[Refusal]
     """The plan without targets that cannot be matched, and their refusals."""
     refused, dropped = [], set()
     for n, (target, chip) in enumerate(zip(scene.targets, scene.chips)):
-        refusal = _infeasible(chip, plan.sides_px.get(n), scene.settings)
+        refusal = _infeasible(target, chip, plan.sides_px.get(n), scene.settings)
         if refusal is not None:
             dropped.add(n)
             refused.append(replace(refusal, target_id=target.target_id))
     return replace(plan, windows=tuple(w for w in plan.windows if w.target not in dropped)), refused
 
 
-def _infeasible(chip: Chip, side_px: float | None, settings: MatchSettings) -> Refusal | None:
+def _infeasible(target: Target, chip: Chip, side_px: float | None, settings: MatchSettings) -> Refusal | None:
     """Why a chip of `side_px` in the strip (None if outside) cannot be matched; None if it can."""
     if side_px is None:
         return Refusal(Reason.OUTSIDE_REACH)
+    rows, columns = chip.image.shape
+    x, y = chip_points(chip, np.array([target.p_e] * 2))[0]  # of one-element arrays pyproj warns
+    beyond = max(-0.5 - x, x - columns + 0.5, -0.5 - y, y - rows + 0.5)
+    if not beyond <= 0.0:
+        return Refusal(Reason.OUTSIDE_CHIP, beyond, 0.0, (columns, rows))
     if side_px < settings.smallest_template_px:
         return Refusal(Reason.CHIP_TOO_SMALL, side_px, settings.smallest_template_px)
     per_px = min(chip.image.shape) / side_px  # pixels of the chip to one of the strip

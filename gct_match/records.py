@@ -82,6 +82,7 @@ class Reason(StrEnum):
 
     OUTSIDE_REACH = "outside_reach"
     OUTSIDE_CCDS = "outside_ccds"
+    OUTSIDE_CHIP = "outside_chip"
     CHIP_TOO_SMALL = "chip_too_small"
     TOO_LITTLE_TEXTURE = "too_little_texture"
     NO_COMMON_ROTATION = "no_common_rotation"
@@ -100,6 +101,8 @@ class Reason(StrEnum):
 _SENTENCES = {
     Reason.OUTSIDE_REACH: "outside the strip for every installation matrix within the stated uncertainty",
     Reason.OUTSIDE_CCDS: "outside every CCD's image at the common rotation",
+    Reason.OUTSIDE_CHIP: "its coordinates lie {value:.0f} px outside its chip of {more[0]:.0f} x "
+    "{more[1]:.0f} px; check its latitude and longitude, or the chip's geo-reference",
     Reason.CHIP_TOO_SMALL: "its chip is {value:.3g} px wide in the strip, at least {limit:.0f} px are "
     "needed; check the pixel size in its geo-reference",
     Reason.TOO_LITTLE_TEXTURE: "its chip has too little texture: expected standard error {value:.2g} px, "

@@ -39,7 +39,7 @@ from boresight.pipeline.commands.messages import (
 )
 from boresight.pipeline.commands.plan import add_plan_commands
 from boresight.pipeline.commands.progress import progress_bars
-from boresight.pipeline.commands.report import add_report_commands
+from boresight.pipeline.commands.report import RequireArcsec, RequireMetres, add_report_commands
 from boresight.pipeline.commands.sensor import add_sensor_commands
 from boresight.pipeline.commands.star import add_star_commands
 from boresight.pipeline.errors import DataNotSufficientError, RawDataError, WorkerError
@@ -179,6 +179,8 @@ def calibrate(
         bool, typer.Option(help="Continue past the end of the Earth-orientation table, with a warning.")
     ] = False,
     report: Annotated[bool, typer.Option(help="Write report.html at the end.")] = True,
+    require_arcsec: RequireArcsec = None,
+    require_m: RequireMetres = None,
     accept_inconsistent: Annotated[
         bool, typer.Option("--accept-inconsistent", help="Exit with 0 where the verdict is refuted.")
     ] = False,
@@ -192,6 +194,7 @@ def calibrate(
     """
     from boresight.pipeline.commands.calibrate import RunRequest, going_on, run_dump, run_dumps, saved_content
     from boresight.pipeline.files.dump import open_dump
+    from boresight.pipeline.results.requirement import Requirement
     from boresight.pipeline.settings import read_settings
     from boresight.pipeline.stages.joint import open_dumps
     from boresight.pipeline.work.workers import executor_for
@@ -214,7 +217,12 @@ def calibrate(
 
     begun_s = time.perf_counter()
     request = RunRequest(
-        settings=read_settings(settings), report=report, begun_s=begun_s, overwrite=overwrite, facts=facts
+        settings=read_settings(settings),
+        report=report,
+        begun_s=begun_s,
+        overwrite=overwrite,
+        requirement=Requirement(require_arcsec, require_m),
+        facts=facts,
     )
     if len(dumps) == 1:
         with _warnings_reported():

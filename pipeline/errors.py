@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from enum import StrEnum
 
 from boresight.geometry.record import record, scalar
@@ -29,8 +30,12 @@ class RawDataError(Exception):
 
 class DataNotSufficientError(Exception):
     """All files could be read, but their data do not fix the result (exit status 1). The message says what is
-    missing.
+    missing; `omissions` is what was not used until then, with reasons.
     """
+
+    def __init__(self, message: str, omissions: Sequence[Omission] = ()) -> None:
+        super().__init__(message)
+        self.omissions = tuple(omissions)
 
 
 class WorkerError(Exception):

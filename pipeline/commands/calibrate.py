@@ -25,6 +25,7 @@ from boresight.pipeline.files.text_files import read_json
 from boresight.pipeline.results.folder import begin_result, results_in, store_of
 from boresight.pipeline.results.ownership import claimed
 from boresight.pipeline.results.reading import read_result
+from boresight.pipeline.results.requirement import Requirement, write_requirement
 from boresight.pipeline.results.status import kept_units, run_status
 from boresight.pipeline.results.summary import calibration_summary, joint_summary, verdict_lines
 from boresight.pipeline.results.writing import write_dumps, write_joint_result, write_result, write_run
@@ -46,6 +47,7 @@ class RunRequest:
     report: bool = scalar("write evidence and report.html", default=True)
     begun_s: float = scalar("time.perf_counter() at its start")
     overwrite: bool = scalar("replace a result of another dump or of other settings", default=False)
+    requirement: Requirement = scalar("accuracy that the report compares with", default=Requirement())
     facts: dict[str, Any] = scalar("for run.json: workers, machine, versions")
 
 
@@ -82,7 +84,10 @@ def run_dump(
     """Calibrate one dump, `named` so by the user, into `out`."""
     with claimed(out, [dump.root], request.settings, overwrite=request.overwrite):
         inputs = _inputs([dump], request)
+        required = write_requirement(out, request.requirement)
         if _is_finished(out, inputs, request):
+            if required and request.report:
+                _draw(out)
             return _finished(out)
         found = _calibrated(out, dump, named, inputs, request, executor, progress)
         return RunOutcome(calibration_summary(found), found.verdict.outcome is Outcome.REFUTED)
@@ -154,7 +159,14 @@ def _calibrated(
 ) -> Calibration:
     begin_result(out)
     (out / "work").mkdir(exist_ok=True)
-    found = calibrate_dump(dump, request.settings, store_of(out.resolve()), executor, progress)
+    try:
+        found = calibrate_dump(dump, request.settings, store_of(out.resolve()), executor, progress)
+    except DataNotSufficientError as error:
+        if request.report:
+            from boresight.pipeline.report.no_result import write_no_result
+
+            write_no_result(out, dump, error)
+        raise
     if request.report:
         from boresight.pipeline.report.evidence import write_evidence
 
@@ -163,10 +175,14 @@ def _calibrated(
     counts = {"units_made": found.n_computed, "units_found": found.n_reused}
     _note(out, request, {"dump": named, "inputs": inputs}, counts)
     if request.report:
-        from boresight.pipeline.report.page import write_report
-
-        write_report(out)
+        _draw(out)
     return found
+
+
+def _draw(out: Path) -> None:
+    from boresight.pipeline.report.page import write_report
+
+    write_report(out)
 
 
 def _inputs(dumps: Sequence[Dump], request: RunRequest) -> str:

@@ -11,7 +11,7 @@ import typer
 from boresight.pipeline.commands.messages import Answer, print_data, talks, tell
 from boresight.pipeline.files.whole_file import write_whole
 
-__all__ = ["add_report_commands"]
+__all__ = ["RequireArcsec", "RequireMetres", "add_report_commands"]
 
 Result = Annotated[Path, typer.Argument(help="Folder that `calibrate` wrote.")]
 DumpOption = Annotated[
@@ -19,6 +19,12 @@ DumpOption = Annotated[
 ]
 StaleOption = Annotated[
     bool, typer.Option(help="Go on past the end of the Earth-orientation table, with a warning.")
+]
+RequireArcsec = Annotated[
+    float | None, typer.Option(help="Largest 1-sigma about each axis that is enough, arc-seconds.", min=0.0)
+]
+RequireMetres = Annotated[
+    float | None, typer.Option(help="Largest 1-sigma that is enough, metres on the ground.", min=0.0)
 ]
 
 
@@ -31,18 +37,30 @@ def add_report_commands(app: typer.Typer) -> None:
 
 def report(
     result: Result,
-    matches: Annotated[int, typer.Option(help="Show the pictures of at most so many targets.", min=0)] = 400,
+    matches: Annotated[
+        int, typer.Option(help="Show the pictures of at most so many targets that were used.", min=0)
+    ] = 200,
+    pdf: Annotated[bool, typer.Option("--pdf", help="Print the page to report.pdf, too (Chromium).")] = False,
+    require_arcsec: RequireArcsec = None,
+    require_m: RequireMetres = None,
 ) -> Answer:
     """Draw one HTML page about a result, from what was saved, readable without a network.
 
-    Example: boresight report result
+    Example: boresight report demo-result --pdf --require-arcsec 1
     """
     from boresight.pipeline.report.dumps_page import write_dumps_report
     from boresight.pipeline.report.page import write_report
+    from boresight.pipeline.report.pdf import print_page
     from boresight.pipeline.results.folder import dumps_in
+    from boresight.pipeline.results.requirement import Requirement, write_requirement
 
+    write_requirement(result, Requirement(require_arcsec, require_m))
     path = write_dumps_report(result) if dumps_in(result) else write_report(result, most_matches=matches)
-    return Answer(text=f"{path.stat().st_size / 1e6:.1f} MB -> {path}")
+    lines = [f"{path.stat().st_size / 1e6:.1f} MB -> {path}"]
+    if pdf:
+        printed = print_page(path)
+        lines.append(f"{printed.stat().st_size / 1e6:.1f} MB -> {printed}")
+    return Answer(text="\n".join(lines))
 
 
 def export(

@@ -128,6 +128,7 @@ class Dump:
 
     root: Path = scalar("folder of the dump")
     mission: str = scalar("name of the mission")
+    satellite: str = scalar("name of the satellite; may be empty")
     epoch: Epoch = scalar("zero of all times")
     heads: tuple[Head, ...] = scalar("star cameras; the first is the reference head, of frame s")
     line_camera: LineCamera | LookAngleCamera = scalar("camera of frame c")
@@ -231,6 +232,7 @@ def open_dump(root: Path, *, allow_stale_eop: bool = False) -> Dump:
     return Dump(
         root=root,
         mission=head.mission,
+        satellite=head.satellite,
         epoch=ephemeris.epoch,
         heads=heads,
         line_camera=line_camera,

@@ -191,6 +191,7 @@ class DumpFile(_Strict):
     format: Literal["boresight-dump"]
     format_version: Literal[1]
     mission: Annotated[Line, StringConstraints(min_length=1, max_length=200)]
+    satellite: Annotated[Line, StringConstraints(max_length=200)] = ""
     created_by: Annotated[Line, StringConstraints(max_length=500)] = ""
     conventions: Conventions
     files: Files

@@ -9,6 +9,7 @@ from __future__ import annotations
 import html
 import io
 import re
+from collections.abc import Sequence
 
 import matplotlib
 from matplotlib.axes import Axes
@@ -19,16 +20,21 @@ from boresight.geometry.record import record, scalar
 
 __all__ = [
     "AXES",
+    "COLOURS",
     "FILL",
     "GRID",
     "INK",
     "MUTED",
+    "SHAPES",
     "WIDTH_IN",
     "Curve",
     "Drawing",
+    "Spot",
     "axes_of",
     "drawn",
+    "dress_axes",
     "new_figure",
+    "strip_style",
 ]
 
 INK, MUTED, GRID, FILL = "#010203", "#040506", "#070809", "#0a0b0c"
@@ -43,6 +49,16 @@ _VARIABLES = {
     _Z: "var(--z)",
 }
 WIDTH_IN = 4.6
+COLOURS = 8  # of strips: --s0 to --s7 in style.css
+SHAPES = {  # marks of strips, about 20 units wide
+    "circle": "M-9 0A9 9 0 1 1 9 0A9 9 0 1 1-9 0Z",
+    "square": "M-8-8H8V8H-8Z",
+    "triangle": "M0-10.5L10 8H-10Z",
+    "diamond": "M0-11.5L11.5 0L0 11.5L-11.5 0Z",
+    "down": "M0 10.5L10-8H-10Z",
+    "plus": "M-9 0H9M0-9V9",  # of no strip
+    "hexagon": "M-5-9H5L10 0L5 9H-5L-10 0Z",
+}
 
 
 @record
@@ -67,6 +83,24 @@ class Drawing:
     words: str = scalar("description for screen readers")
 
 
+@record(kw_only=True)
+class Spot:
+    """A mark of a figure that leads to the card of an observation."""
+
+    axes: Axes = scalar("where it is drawn")
+    x: float = scalar("in the axes' units")
+    y: float = scalar("in the axes' units")
+    link: str = scalar("id of the card")
+    style: str = scalar("CSS classes: state and colour")
+    shape: str = scalar("key of `SHAPES`")
+
+
+def strip_style(number: int) -> tuple[str, str]:
+    """Shape and CSS class of the colour of a strip, by its number; 24 strips differ in one or the other."""
+    shapes = [shape for shape in SHAPES if shape != "plus"]
+    return shapes[number % len(shapes)], f"s{number % COLOURS}"
+
+
 def new_figure(height_in: float) -> Figure:
     """An empty figure of the common width, `WIDTH_IN`."""
     figure = Figure(figsize=(WIDTH_IN, height_in), layout="constrained")
@@ -78,6 +112,12 @@ def new_figure(height_in: float) -> Figure:
 def axes_of(figure: Figure, x_label: str, y_label: str) -> Axes:
     """The single axes of a figure, with labels, grid and placeholder colours."""
     axes = figure.add_subplot()
+    dress_axes(axes, x_label, y_label)
+    return axes
+
+
+def dress_axes(axes: Axes, x_label: str, y_label: str) -> None:
+    """Labels, grid and placeholder colours of axes."""
     axes.patch.set_visible(False)
     axes.set_xlabel(x_label, color=INK, fontsize=9)
     axes.set_ylabel(y_label, color=INK, fontsize=9)
@@ -87,15 +127,28 @@ def axes_of(figure: Figure, x_label: str, y_label: str) -> Axes:
         spine.set_visible(side in ("left", "bottom"))
     axes.grid(color=GRID, linewidth=0.6)
     axes.set_axisbelow(True)
-    return axes
 
 
-def drawn(figure: Figure, name: str, caption: str, words: str) -> Drawing:
-    """The figure as a `Drawing`. `name` prefixes the SVG ids and must be unique on the page."""
+def drawn(figure: Figure, name: str, caption: str, words: str, spots: Sequence[Spot] = ()) -> Drawing:
+    """The figure as a `Drawing`. `name` prefixes the SVG ids and must be unique on the page; `spots` are
+    drawn above it.
+    """
     out = io.StringIO()
+    figure.draw_without_rendering()
     with matplotlib.rc_context({"svg.fonttype": "none", "svg.hashsalt": name}):
         figure.savefig(out, format="svg", metadata={"Date": None, "Creator": None})
-    return Drawing(_for_html(out.getvalue(), name, words), caption, words)
+    svg = _for_html(out.getvalue(), name, words)
+    if spots:
+        svg = svg.replace("</svg>", "".join(_marked(figure, spot) for spot in spots) + "</svg>")
+    return Drawing(svg, caption, words)
+
+
+def _marked(figure: Figure, spot: Spot) -> str:
+    """A mark in points from the upper left corner of the figure; the page's script makes it a link."""
+    x, y = spot.axes.transData.transform((spot.x, spot.y)) * (72.0 / figure.dpi)
+    place = f"translate({x:.2f} {72.0 * figure.get_figheight() - y:.2f}) scale(0.3)"
+    shape = SHAPES[spot.shape]
+    return f'<path class="dot {spot.style}" data-link="{spot.link}" transform="{place}" d="{shape}"></path>'
 
 
 def _for_html(svg: str, name: str, words: str) -> str:

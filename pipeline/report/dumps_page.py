@@ -11,7 +11,8 @@ from boresight.geometry.constants import ARCSEC
 from boresight.pipeline.files.table_files import read_parquet
 from boresight.pipeline.files.text_files import read_json
 from boresight.pipeline.files.whole_file import write_whole
-from boresight.pipeline.report.page import data_uri, template
+from boresight.pipeline.report.observations import data_uri
+from boresight.pipeline.report.page import template
 from boresight.pipeline.report.saved import Number, number_from
 from boresight.pipeline.report.verdict import verdict_view
 from boresight.pipeline.results.folder import dumps_in

@@ -1,10 +1,13 @@
 """Files in `RESULT/evidence/`: what a report shows beyond the estimate and its tables.
 
-    context.json          mission, epoch, cameras, counts, noise scales, iterations
+    context.json          mission, dates, cameras, counts, noise scales, iterations, accuracy, footprints
     inputs.parquet        every file of the dump that was read: bytes and SHA-256
     convergence.parquet   theta and its 1-sigma after each further strip
     angles.parquet        cross angles z_ij and their predicted spread
     matches.parquet       pictures of every matched target
+    unmatched.parquet     pictures of targets that a strip shows and that were not matched
+    ground.parquet        targets on the ground: used or why not, residuals in metres
+    map.parquet           quicklooks of the strips and shaded terrain
     exposure.parquet      detections in the star image shown, and its picture
 
 The same inputs, settings and version give identical files.
@@ -23,9 +26,10 @@ import pyarrow.compute
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
+from scipy.stats import chi2
 
 from boresight.calib.information import solve_total
-from boresight.geometry.line_camera import LineSensor
+from boresight.geometry.line_camera import LineCamera, LineSensor
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.content import content_digest
 from boresight.pipeline.files.dump import Dump
@@ -35,12 +39,17 @@ from boresight.pipeline.files.star_side import StarImages
 from boresight.pipeline.files.table_files import fixed_list
 from boresight.pipeline.files.text_files import read_toml
 from boresight.pipeline.files.whole_file import write_whole
+from boresight.pipeline.report.findings import findings
+from boresight.pipeline.report.ground_accuracy import accuracy_by_strip, predicted_accuracy
+from boresight.pipeline.report.ground_map import USED, ground_table, scene_json, scene_pictures, scenes_of
 from boresight.pipeline.report.star_preview import StarPreview, star_preview
+from boresight.pipeline.report.unmatched import unmatched_pictures
 from boresight.pipeline.results.angles import StripMotion, cross_angles
 from boresight.pipeline.results.writing import write_json
 from boresight.pipeline.settings import Settings
 from boresight.pipeline.stages.calibrate import Calibration
 from boresight.pipeline.stages.exposure import exposure_image
+from boresight.pipeline.stages.forecast import improvements
 from boresight.pipeline.stages.match_pictures import MatchPictures
 
 __all__ = ["write_evidence"]
@@ -52,24 +61,33 @@ def write_evidence(result: Path, dump: Dump, calibration: Calibration, settings:
     """Write the folder `RESULT/evidence/`. A later calibration reads nothing from it."""
     folder = result / "evidence"
     folder.mkdir(parents=True, exist_ok=True)
+    scenes = scenes_of(dump, calibration)
+    ground = ground_table(scenes, dump, calibration)
     tables: dict[str, pa.Table] = {
         "inputs": _inputs(dump),
         "convergence": _convergence(calibration),
         "angles": _angles(calibration),
         "matches": _matches(calibration),
         "exposure": _exposure(_preview(dump, calibration, settings)),
+        "ground": ground,
+        "unmatched": unmatched_pictures(scenes, ground, dump),
+        "map": scene_pictures(scenes, dump, calibration),
     }
     for name, table in tables.items():
         write_whole(
             folder / f"{name}.parquet", lambda path, t=table: pq.write_table(t, path, compression="zstd")
         )
-    write_json(folder / "context.json", _context(dump, calibration))
+    found = {"findings": findings(dump, calibration, scenes, ground)}
+    context = _context(dump, calibration) | _accuracy(dump, calibration, ground)
+    write_json(folder / "context.json", context | found | {"scenes": [scene_json(scene) for scene in scenes]})
 
 
 def _context(dump: Dump, calibration: Calibration) -> dict[str, Any]:
     estimate, camera, star = calibration.estimate, dump.line_camera, dump.star_camera
     return {
         "mission": dump.mission,
+        "satellite": dump.satellite,
+        "utc": dump.epoch.utc_from_seconds(_span_s(calibration)),
         "epoch_utc": dump.epoch.utc_from_seconds([0.0])[0],
         "quaternion_cs0": dump.R_cs0.as_quat().tolist(),
         "sigma_installation_rad": dump.sigma_installation_rad.tolist(),
@@ -79,6 +97,10 @@ def _context(dump: Dump, calibration: Calibration) -> dict[str, Any]:
         "strips": int(estimate.n_strips),
         "chi2_stars": float(estimate.chi2_stars),
         "dof_stars": int(estimate.dof_stars),
+        "p_value": float(chi2.sf(estimate.chi2, estimate.dof)) if estimate.dof > 0 else None,
+        "p_value_stars": float(chi2.sf(estimate.chi2_stars, estimate.dof_stars))
+        if estimate.dof_stars > 0
+        else None,
         "noise": {
             name: float(getattr(estimate.noise, name))
             for name in ("stars", "stars_sigma", "targets", "targets_sigma")
@@ -98,6 +120,7 @@ def _context(dump: Dump, calibration: Calibration) -> dict[str, Any]:
             "width_px": star.width_px,
             "height_px": star.height_px,
             "pixel_rad": star.pixel_m / star.focal_m,
+            "focal_mm": 1e3 * star.focal_m,
         },
         "ground": {
             "range_m": _mean_range_m(calibration),
@@ -106,7 +129,35 @@ def _context(dump: Dump, calibration: Calibration) -> dict[str, Any]:
         "remote_camera": {
             "pixel_rad": camera.pixel_rad,
             "samples": [ccd.n_px for ccd in camera.ccds],
+            "focal_m": camera.focal_m if isinstance(camera, LineCamera) else None,
         },
+    }
+
+
+def _span_s(calibration: Calibration) -> list[float]:
+    """Instants of the first and the last exposure."""
+    return [calibration.stars[0].t_s, calibration.stars[-1].t_s]
+
+
+def _accuracy(dump: Dump, calibration: Calibration, ground: pa.Table) -> dict[str, Any]:
+    """CE90 and LE90 of residuals and of a new strip, and what more data would change."""
+    estimate, camera = calibration.estimate, dump.line_camera
+    speed = np.concatenate([np.linalg.norm(strip.ground.v_rel_i, axis=1) for strip in calibration.strips])
+    found = improvements(calibration.strips, estimate.R_cs, calibration.settings, camera)
+    u_c = _ends_c(camera)
+    return {
+        "accuracy": accuracy_by_strip(ground, USED),
+        "new_strip": predicted_accuracy(
+            estimate.cov_theta,
+            _mean_range_m(calibration),
+            u_c[:, :2] / u_c[:, 2:],
+            calibration.settings.sigma_position_m,
+            calibration.settings.sigma_clock_s * float(speed.mean()),
+        ),
+        "improvements": [
+            {"change": one.change, "sigma_rad": (estimate.sigma_theta * one.sigma_ratio).tolist()}
+            for one in found
+        ],
     }
 
 
@@ -117,11 +168,16 @@ def _mean_range_m(calibration: Calibration) -> float:
 
 def _edge_tan(camera: LineSensor) -> float:
     """Largest tangent of the angle between a pixel's look direction and the camera's axis."""
+    u_c = _ends_c(camera)
+    return float(np.max(np.hypot(u_c[:, 0], u_c[:, 1]) / u_c[:, 2]))
+
+
+def _ends_c(camera: LineSensor) -> Array:
+    """Look directions (2 C, 3) of both ends of each CCD."""
     ends = [
         camera.directions_from_pixels(k, np.array([0.0, camera.n_px(k) - 1.0])) for k in range(camera.n_ccds)
     ]
-    u_c = np.concatenate(ends)
-    return float(np.max(np.hypot(u_c[:, 0], u_c[:, 1]) / u_c[:, 2]))
+    return np.concatenate(ends)
 
 
 def _inputs(dump: Dump) -> pa.Table:

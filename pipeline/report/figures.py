@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -21,10 +22,14 @@ from boresight.pipeline.report.drawing import (
     MUTED,
     WIDTH_IN,
     Drawing,
+    Spot,
     axes_of,
     drawn,
+    dress_axes,
     new_figure,
 )
+from boresight.pipeline.report.ground_map import REJECTED, USED
+from boresight.pipeline.report.observations import ExposureRow, TargetRow
 from boresight.pipeline.report.saved import Saved
 
 __all__ = [
@@ -33,9 +38,9 @@ __all__ = [
     "convergence",
     "covariance_ellipses",
     "exposure_chi2",
+    "residual_panels",
     "squared_residual_histogram",
     "star_residual_map",
-    "target_residual_map",
 ]
 
 CELLS = 14  # of the star map along its longer side
@@ -152,44 +157,50 @@ def star_residual_map(saved: Saved) -> Drawing:
     return drawn(figure, "star-map", text, f"Star residuals over the detector. {text}")
 
 
-def target_residual_map(saved: Saved) -> Drawing:
-    """Residuals of targets over the swath angle and the line of the strip, px."""
-    camera = saved.context["remote_camera"]
-    table = saved.targets
-    kept = column(table, "kept").astype(bool)
-    u_c, xy = list_values(table, "u_c", 3), list_values(table, "xy_px", 2)
-    residual = list_values(table, "residual_c", 2) / camera["pixel_rad"]
-    across = np.degrees(u_c[:, 1] / u_c[:, 2]) if len(u_c) else np.zeros(0)
+def residual_panels(saved: Saved, rows: Sequence[TargetRow]) -> list[Drawing]:
+    """Residuals of targets on the ground, along and across the track, against sample, line and time."""
+    ground, width = saved.ground, saved.context["remote_camera"]["samples"]
+    start = np.concatenate([[0.0], np.cumsum(width)])
+    ccd = column(ground, "ccd").astype(int)
+    t_s = column(ground, "t_s")
+    known = np.isfinite(column(ground, "residual_m"))
+    first_s = float(np.floor(t_s[known].min())) if known.any() else 0.0
+    against = {
+        "sample": ("sample, CCDs side by side, px", start[np.maximum(ccd, 0)] + column(ground, "sample_px")),
+        "line": ("line of the strip", column(ground, "line_px")),
+        "time": (f"seconds after {first_s:.0f} s since the epoch", t_s - first_s),
+    }
+    shown = [row for row in rows if known[row.row]]
+    return [_residual_panel(saved, shown, name, *of) for name, of in against.items()]
+
+
+def _residual_panel(saved: Saved, rows: Sequence[TargetRow], name: str, label: str, x: Floats) -> Drawing:
     figure = new_figure(3.4)
-    axes = axes_of(figure, "across the swath (y of c), degrees", "line of the strip")
-    good = np.isfinite(residual).all(axis=1)
-    size = np.linalg.norm(residual[kept & good], axis=1)
-    scale = _nice(float(np.percentile(size, 90)) if len(size) else 0.0)
-    for rows, colour, marker in ((kept & good, INK, "."), (~kept & good, MUTED, "x")):
-        axes.plot(across[rows], xy[rows, 1], marker, color=colour, markersize=4, linestyle="none")
-    rows = np.flatnonzero(kept & good)
-    if len(rows):
-        axes.quiver(
-            across[rows],
-            xy[rows, 1],
-            residual[rows, 1],
-            residual[rows, 0],
-            angles="uv",
-            scale_units="inches",
-            scale=scale / 0.28,
-            color=INK,
-            width=0.004,
-        )
-        _key(axes, scale, 0.28)
-    low, high = (xy[:, 1].min(), xy[:, 1].max()) if len(xy) else (0.0, 1.0)
-    margin = 0.08 * max(high - low, 1.0)
-    axes.set_ylim(high + margin, low - margin)
-    text = (
-        f"{len(rows)} sightings of targets from all strips; arrows along x and y of the camera, the one "
-        f"in the corner is {scale:g} px (crosses: {int((~kept).sum())} rejected). "
-        f"Rms {_rms(residual[rows].ravel()):.3f} px per axis."
-    )
-    return drawn(figure, "target-map", text, f"Target residuals over the swath. {text}")
+    upper, lower = figure.subplots(2, 1, sharex=True)
+    spots = []
+    for axes, which in ((upper, "along"), (lower, "across")):
+        y = column(saved.ground, f"residual_{which}_m")
+        dress_axes(axes, label if which == "across" else "", f"{which}, m")
+        used = [row.row for row in rows if row.state == USED]
+        axes.axhline(0.0, color=MUTED, linewidth=1.0)
+        reach = 1.3 * float(np.max(np.abs(y[used]))) if used else 1.0
+        axes.set_ylim(-reach, reach)
+        axes.plot(x[[row.row for row in rows]], np.zeros(len(rows)), linestyle="none")  # limits of x
+        spots += [
+            Spot(
+                axes=axes,
+                x=float(x[row.row]),
+                y=float(np.clip(y[row.row], -0.97 * reach, 0.97 * reach)),
+                link=row.link,
+                style=f"{row.key} {row.colour}",
+                shape=row.shape,
+            )
+            for row in rows
+        ]
+    beyond = sum(1 for row in rows if row.state == REJECTED)
+    text = f"Residuals of {len(rows)} targets on the ground against {name}; marks as on the map."
+    text += f" {beyond} rejected: open marks, at the edge where they lie beyond it." if beyond else ""
+    return drawn(figure, f"residual-{name}", text, text, spots)
 
 
 def covariance_ellipses(saved: Saved) -> list[Drawing]:
@@ -255,7 +266,7 @@ def squared_residual_histogram(saved: Saved, table_name: str, what: str) -> Draw
     )
 
 
-def exposure_chi2(saved: Saved) -> Drawing:
+def exposure_chi2(saved: Saved, rows: Sequence[ExposureRow]) -> Drawing:
     """Chi-square over degrees of freedom of every exposure's attitude fit against time."""
     table = saved.exposures
     usable = column(table, "usable").astype(bool)
@@ -264,8 +275,18 @@ def exposure_chi2(saved: Saved) -> Drawing:
     figure = new_figure(2.6)
     axes = axes_of(figure, "seconds since the epoch", "χ² / degrees of freedom")
     t = column(table, "t_s")
-    axes.plot(t[usable], ratio[usable], ".", color=INK, markersize=5)
-    axes.plot(t[~usable], np.nan_to_num(ratio[~usable], nan=0.0), "x", color=MUTED, markersize=5)
+    axes.plot(t, np.nan_to_num(ratio, nan=0.0), linestyle="none")  # limits
+    spots = [
+        Spot(
+            axes=axes,
+            x=float(t[n]),
+            y=float(np.nan_to_num(ratio[n])),
+            link=row.link,
+            style="used s0" if usable[n] else "rejected s0",
+            shape="circle",
+        )
+        for n, row in enumerate(rows[: len(t)])
+    ]
     axes.axhline(1.0, color=MUTED, linestyle="--", linewidth=1.0)
     if usable.any():
         spread = 2.0 * np.sqrt(2.0 / np.median(dof[usable]))
@@ -273,7 +294,7 @@ def exposure_chi2(saved: Saved) -> Drawing:
     axes.set_ylim(bottom=0.0)
     mean = float(np.nanmean(ratio[usable])) if usable.any() else float("nan")
     text = f"Attitude fits of {usable.sum()} exposures, mean {mean:.3f} (1 expected); band: 2σ."
-    return drawn(figure, "exposure-chi2", text, f"Chi-square of exposures against time. {text}")
+    return drawn(figure, "exposure-chi2", text, f"Chi-square of exposures against time. {text}", spots)
 
 
 def preview_about(saved: Saved) -> dict[str, object] | None:
@@ -331,23 +352,6 @@ def _arrows(axes: Axes, place: Floats, vector: Floats, scale: float, length: flo
     x, y = low + 0.6 * length, high - 0.6 * length
     axes.quiver(x, y, scale, 0.0, angles="xy", scale_units="xy", scale=scale / length, color=INK, width=0.007)
     axes.text(x + 1.25 * length, y, f"{scale:g} px", fontsize=8, color=INK, va="center", bbox=box)
-
-
-def _key(axes: Axes, scale: float, inches: float) -> None:
-    where = axes.transAxes
-    axes.quiver(
-        0.03,
-        0.96,
-        scale,
-        0.0,
-        angles="uv",
-        scale_units="inches",
-        scale=scale / inches,
-        color=INK,
-        width=0.007,
-        transform=where,
-    )
-    axes.text(0.03 + 0.10, 0.96, f"{scale:g} px", fontsize=8, color=INK, va="center", transform=where)
 
 
 def _nice(value: float) -> float:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 import html
 import json
 from collections import Counter
@@ -19,31 +18,19 @@ from boresight.geometry.record import record, scalar
 from boresight.pipeline.files.table_files import column, list_values
 from boresight.pipeline.files.whole_file import write_whole
 from boresight.pipeline.report import figures
+from boresight.pipeline.report.drawing import SHAPES, strip_style
+from boresight.pipeline.report.first_screen import first_screen
+from boresight.pipeline.report.map_view import map_view
+from boresight.pipeline.report.observations import data_uri, exposure_rows, strip_numbers, target_rows
 from boresight.pipeline.report.saved import Number, Saved, read_saved
 from boresight.pipeline.report.star_preview import STATES
 from boresight.pipeline.report.verdict import verdict_view
 
-__all__ = ["data_uri", "report_html", "template", "write_report"]
+__all__ = ["report_html", "template", "write_report"]
 
-MOST_MATCHES = 400  # pictures of more make the page too large for a browser
+MOST_MATCHES = 200  # used targets with pictures: more make the page too large for a browser
 MOST_ROWS = 300  # shown of a long table
 TO_ARCSEC = 1.0 / ARCSEC
-
-
-@record(kw_only=True)
-class MatchCard:
-    """One matched target as the page shows it."""
-
-    name: str = scalar("strip, target and CCD")
-    kept: bool = scalar("False: rejected as a gross error")
-    template: str = scalar("predicted chip, data URI")
-    found: str = scalar("strip where the chip was matched, data URI")
-    surface: str = scalar("correlation around the match, data URI")
-    correlation: Number = scalar("highest correlation")
-    wrong: Number = scalar("probability of a false match")
-    squared: Number = scalar("squared residual over its variance")
-    low: Number = scalar("lowest value of the surface")
-    high: Number = scalar("highest value of the surface")
 
 
 @record(kw_only=True)
@@ -72,26 +59,38 @@ def write_report(result: Path, *, most_matches: int = MOST_MATCHES) -> Path:
 
 def report_html(saved: Saved, *, most_matches: int = MOST_MATCHES) -> str:
     """The report as HTML text; `write_report` writes it."""
-    cards, matches_in_all = _matches(saved, most_matches)
+    targets, exposures = target_rows(saved, most_matches), exposure_rows(saved)
     has_stars = saved.context["star_camera"] is not None
     of_targets = figures.squared_residual_histogram(saved, "targets", "targets")
     of_stars = figures.squared_residual_histogram(saved, "stars", "stars") if has_stars else None
-    of_exposures = figures.exposure_chi2(saved) if has_stars else None
+    of_exposures = figures.exposure_chi2(saved, exposures) if has_stars else None
+    cards: Any = template("observations.html.j2").module
+    more_cards = {row.link: str(cards.target_card(row)) for row in targets if not row.printed}
+    more_cards |= {row.link: str(cards.exposure_card(row)) for row in exposures if not row.printed}
     return template("page.html.j2").render(
         saved=saved,
         summary=_summary(saved),
         verdict=verdict_view(saved.installation),
+        first=first_screen(saved, targets),
+        map=map_view(saved, targets),
+        targets=targets,
+        exposures=exposures,
+        more_cards=more_cards,
+        shapes=SHAPES,
+        accuracy=_accuracy(saved),
+        predicted={
+            part: [saved.context_number(f"new_strip.{part}.{i}", ".2f") for i in (0, 1)]
+            for part in ("sigma_m", "le90_m")
+        },
+        residuals=figures.residual_panels(saved, targets),
         iterations=_iterations(saved),
         convergence=figures.convergence(saved),
         angles=[figures.angle_histogram(saved), figures.angle_spread(saved)] if has_stars else [],
         star_map=figures.star_residual_map(saved) if has_stars else None,
-        target_map=figures.target_residual_map(saved),
         ellipses=figures.covariance_ellipses(saved),
         statistics=[drawing for drawing in (of_stars, of_targets, of_exposures) if drawing is not None],
         image=_star_image(saved),
         states=STATES,
-        matches=cards,
-        matches_in_all=matches_in_all,
         omissions=saved.omissions.slice(0, MOST_ROWS).to_pylist(),
         omissions_in_all=len(saved.omissions),
         kinds=sorted(Counter(saved.omissions.column("kind").to_pylist()).items()),
@@ -132,13 +131,11 @@ def _summary(saved: Saved) -> dict[str, Any]:
     number, context = saved.number, saved.context_number
     return {
         "matrix": [[number(f"R_cs.{i}.{j}", "+.12f") for j in range(3)] for i in range(3)],
+        "matrix_short": [[number(f"R_cs.{i}.{j}", "+.9f") for j in range(3)] for i in range(3)],
         "quaternion": [number(f"quaternion.{i}", "+.12f") for i in range(4)],
         "theta_rad": [number(f"theta_rad.{i}", "+.9f") for i in range(3)],
         "theta_arcsec": [number(f"theta_rad.{i}", "+.4f", scale=TO_ARCSEC) for i in range(3)],
         "euler_deg": [number(f"euler_zxy_deg.{i}", "+.8f") for i in range(3)],
-        "sigma_arcsec": [
-            number(f"covariance_rad2.{i}.{i}", ".4f", scale=TO_ARCSEC, root=True) for i in range(3)
-        ],
         "sigma_rad": [number(f"covariance_rad2.{i}.{i}", ".3e", root=True) for i in range(3)],
         "covariance": [[number(f"covariance_rad2.{i}.{j}", "+.4e") for j in range(3)] for i in range(3)],
         "counts": {name: number(name, ".0f") for name in ("frames", "stars", "targets")},
@@ -147,24 +144,13 @@ def _summary(saved: Saved) -> dict[str, Any]:
         "dof": number("dof", ".0f"),
         "chi2_stars": context("chi2_stars", ".1f"),
         "dof_stars": context("dof_stars", ".0f"),
+        "p_value": context("p_value", ".2g"),
+        "p_value_stars": context("p_value_stars", ".2g"),
         "noise": {
             name: (context(f"noise.{name}", ".3f"), context(f"noise.{name}_sigma", ".3f"))
             for name in ("stars", "targets")
         },
-        "ground_m": _ground_m(saved),
     }
-
-
-def _ground_m(saved: Saved) -> list[Number]:
-    """1-sigma on the ground, m: across and along the track for X and Y, at the edge of the swath for Z."""
-    if "ground" not in saved.context:  # written by an older version
-        return []
-    ground = saved.context["ground"]
-    levers = (ground["range_m"], ground["range_m"], ground["range_m"] * ground["edge_tan"])
-    return [
-        saved.number(f"covariance_rad2.{i}.{i}", ".2f", scale=lever, root=True)
-        for i, lever in enumerate(levers)
-    ]
 
 
 def _iterations(saved: Saved) -> list[dict[str, Any]]:
@@ -181,42 +167,16 @@ def _iterations(saved: Saved) -> list[dict[str, Any]]:
     ]
 
 
-def _matches(saved: Saved, most: int) -> tuple[list[MatchCard], int]:
-    """Cards of matched targets, at most `most` (the largest residuals), and the number of all."""
-    rows = {_key(row): n for n, row in enumerate(_keys(saved.targets))}
-    found = [(rows.get(_key(row)), n) for n, row in enumerate(_keys(saved.matches))]
-    shown = [(row, n) for row, n in found if row is not None]
-    if len(shown) > most:
-        squared = column(saved.targets, "normalised")
-        worst = np.argsort([-np.nan_to_num(squared[row], nan=np.inf) for row, _ in shown], kind="stable")
-        shown = [shown[k] for k in sorted(worst[:most].tolist())]
-    return [_card(saved, row, n) for row, n in shown], len(found)
-
-
-def _keys(table: Any) -> list[dict[str, Any]]:
-    rows: list[dict[str, Any]] = table.select(["strip_id", "target_id", "ccd"]).to_pylist()
+def _accuracy(saved: Saved) -> list[dict[str, Any]]:
+    """Residuals on the ground of all strips (name empty) and of each."""
+    order, number = strip_numbers(saved), saved.context_number
+    rows = []
+    for n, one in enumerate(saved.context["accuracy"]):
+        key, name = f"accuracy.{n}", one["strip_id"]
+        parts = {part: [number(f"{key}.{part}.{i}", ".2f") for i in (0, 1)] for part in ("rms_m", "le90_m")}
+        counts = {"n": number(f"{key}.n", ".0f"), "ce90_m": number(f"{key}.ce90_m", ".2f")}
+        rows.append({"name": name, "style": strip_style(order.get(name, 0))} | parts | counts)
     return rows
-
-
-def _key(row: dict[str, Any]) -> tuple[str, str, int]:
-    return row["strip_id"], row["target_id"], row["ccd"]
-
-
-def _card(saved: Saved, row: int, n: int) -> MatchCard:
-    match = saved.matches.slice(n, 1).to_pylist()[0]
-    targets, pictures = "sightings/targets", "evidence/matches"
-    return MatchCard(
-        name=f"{match['strip_id']} / {match['target_id']}, CCD {match['ccd']}",
-        kept=bool(saved.targets.column("kept")[row].as_py()),
-        template=data_uri("image/png", match["template_png"]),
-        found=data_uri("image/png", match["found_png"]),
-        surface=data_uri("image/png", match["surface_png"]),
-        correlation=saved.cell(targets, "correlation", row, ".3f"),
-        wrong=saved.cell(targets, "probability_wrong", row, ".1e"),
-        squared=saved.cell(targets, "normalised", row, ".2f"),
-        low=saved.cell(pictures, "surface_low", n, "+.2f"),
-        high=saved.cell(pictures, "surface_high", n, "+.2f"),
-    )
 
 
 def _star_image(saved: Saved) -> dict[str, Any] | None:
@@ -258,8 +218,3 @@ def _flat(values: Any, path: str = "") -> Iterator[tuple[str, str]]:
             yield from _flat(value, f"{path}.{name}" if path else str(name))
     else:
         yield path, values if isinstance(values, str) else json.dumps(values, ensure_ascii=False)
-
-
-def data_uri(kind: str, content: bytes) -> str:
-    """Bytes as a `data:` URI of the media type `kind`, so that a page needs no other file."""
-    return f"data:{kind};base64,{base64.b64encode(content).decode('ascii')}"

@@ -52,6 +52,10 @@ class Saved:
     angles: pa.Table = scalar("evidence/angles.parquet")
     matches: pa.Table = scalar("evidence/matches.parquet")
     detections: pa.Table = scalar("evidence/exposure.parquet")
+    ground: pa.Table = scalar("evidence/ground.parquet")
+    unmatched: pa.Table = scalar("evidence/unmatched.parquet")
+    map: pa.Table = scalar("evidence/map.parquet")
+    requirement: dict[str, Any] = scalar("requirement.json; empty where there is none")
 
     def number(self, key: str, form: str, *, scale: float = 1.0, root: bool = False) -> Number:
         """The number of installation.json under `key`, a path such as `covariance_rad2.0.1`."""
@@ -83,7 +87,8 @@ def number_from(
 def read_saved(result: Path) -> Saved:
     """The saved files of a finished result. `RawDataError` names a file that is missing or damaged."""
     installation = read_json(result / "installation.json", str(result / "installation.json"))
-    if not (result / "evidence" / "context.json").is_file():
+    needed = ("context.json", *(f"{name}.parquet" for name in _EVIDENCE))
+    if not all((result / "evidence" / name).is_file() for name in needed):
         again = "what `calibrate` writes unless --no-report is given; run it again, finished work is kept"
         raise RawDataError(str(result / "evidence"), "folder", "missing or incomplete", again)
     tables = {
@@ -92,19 +97,27 @@ def read_saved(result: Path) -> Saved:
     }
     tables |= {name: read_parquet(result / "evidence" / f"{name}.parquet") for name in _EVIDENCE}
     tables["detections"] = read_parquet(result / "evidence" / "exposure.parquet")
-    run = result / "run.json"
+    run, requirement = result / "run.json", result / "requirement.json"
     return Saved(
         installation=installation,
         context=read_json(result / "evidence" / "context.json", str(result / "evidence" / "context.json")),
         run=read_json(run, str(run)) if run.is_file() else {},
+        requirement=read_json(requirement, str(requirement)) if requirement.is_file() else {},
         **tables,
     )
 
 
 _SIGHTINGS: dict[str, dict[str, pa.DataType] | None] = {  # only the plotted columns of long tables
     "stars": {"xy_px": fixed(2), "residual_s": fixed(3), "normalised": pa.float64(), "kept": pa.bool_()},
-    "exposures": {"t_s": pa.float64(), "usable": pa.bool_(), "chi2": pa.float64(), "dof": pa.int64()},
+    "exposures": {
+        "exposure_id": pa.string(),
+        "t_s": pa.float64(),
+        "stars": pa.int64(),
+        "usable": pa.bool_(),
+        "chi2": pa.float64(),
+        "dof": pa.int64(),
+    },
     "targets": None,
     "omissions": None,
 }
-_EVIDENCE = ("inputs", "convergence", "angles", "matches")
+_EVIDENCE = ("inputs", "convergence", "angles", "matches", "ground", "unmatched", "map")

@@ -9,6 +9,7 @@
     sightings/omissions.parquet  what is not used, and why
     work/                        finished exposures and strips, for a run that is started again
     run.json                     times and counts of the run that wrote the rest
+    requirement.json             the accuracy required, where one was given
 
 The result of several dumps has `dumps.json` too, the full result of each dump in a folder of its own, and of
 itself what is joint: no stars, exposures and work.

@@ -33,10 +33,11 @@ __all__ = ["Origin", "check_dump_of", "claimed", "dump_folder_of", "dump_identit
 
 MARKER, LOCK = "boresight-result.json", ".boresight-lock"
 OWN_FILES = (
-    "installation.json run.json report.html dumps.json drift.json drift.csv drift.png".split()
+    "installation.json run.json requirement.json report.html report.pdf dumps.json".split()
+    + [f"drift.{kind}" for kind in ("json", "csv", "png")]
     + [f"sightings/{n}.parquet" for n in "stars exposures targets strips passes omissions".split()]
-    + [f"evidence/{n}.parquet" for n in "inputs convergence angles matches exposure".split()]
-    + ["evidence/context.json"]
+    + [f"evidence/{n}.parquet" for n in "inputs convergence angles matches exposure ground".split()]
+    + ["evidence/unmatched.parquet", "evidence/map.parquet", "evidence/context.json"]
 )
 OWN_WORK = re.compile(r"(exposures|matching-\d+)/.+\.[0-9a-f]{32}\.parquet")
 

@@ -20,7 +20,14 @@ from boresight.pipeline.results.writing import verdict_json
 from boresight.pipeline.stages.calibrate import Calibration
 from boresight.pipeline.stages.joint import JointCalibration
 
-__all__ = ["calibration_summary", "joint_summary", "omission_lines", "validation_summary", "verdict_lines"]
+__all__ = [
+    "REASON_WORDS",
+    "calibration_summary",
+    "joint_summary",
+    "omission_lines",
+    "validation_summary",
+    "verdict_lines",
+]
 
 Array = NDArray[np.float64]
 MOST_REASONS = 8
@@ -29,6 +36,7 @@ REASON_WORDS = {  # of causes that counts alone do not explain
     "target residual": "gross error",
     "low correlation": "cloud or change",
     "no correlation": "cloud or change",
+    "not converged": "cloud or change",
     "few valid pixels": "cloud, no data or image edge",
     "probably wrong": "not found reliably",
     "no common rotation": "not found (no common rotation)",

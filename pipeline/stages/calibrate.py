@@ -128,7 +128,8 @@ def calibrate_dump(
         if isinstance(estimate, NotObservable):
             known = [*omissions, *uncovered]
             text = what_is_missing(estimate, dump, settings, len(reference.stars), tasks, matched, known)
-            raise DataNotSufficientError(text)
+            unmatched = [omission for one in matched for omission in one.omissions]
+            raise DataNotSufficientError(text, [*known, *unmatched])
         found, R_cs = estimate.with_reference(reference.head.name), estimate.R_cs
         sigma = rematch_sigma(estimate)
     omissions += uncovered + [o for m in matched for o in m.omissions] + _without_targets(matched)

@@ -1,16 +1,23 @@
-"""Example strips of a plan, drawn at random, and the accuracy that their information forecasts."""
+"""Forecasts from example strips: of a plan, drawn at random, and of a calibration repeated with changes."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from boresight.calib.forecast import Forecast, forecast_from_strips
 from boresight.calib.settings import CalibrationSettings
+from boresight.geometry.line_camera import LineSensor
+from boresight.geometry.record import Floats, array, record, scalar
+from boresight.geometry.sightings import StripSightings
 from boresight.simulator.campaign import CameraPair, StripPlan, draw_strips
 
-__all__ = ["forecast", "settings_of_plan"]
+__all__ = ["Improvement", "forecast", "improvements", "settings_of_plan"]
+
+OUTER_SHARE = 0.1  # of the swath, at each end: where targets determine the rotation about the boresight best
 
 
 def settings_of_plan(plan: StripPlan) -> CalibrationSettings:
@@ -30,3 +37,100 @@ def forecast(plan: StripPlan, cameras: CameraPair, *, draws: int = 100, seed: in
     settings = replace(settings_of_plan(plan), robust=False)
     strips, truth = draw_strips(replace(plan, strips=draws), cameras, np.random.default_rng(seed))
     return forecast_from_strips(strips, truth.R_cs, settings)
+
+
+@record(kw_only=True)
+class Improvement:
+    """Accuracy if one thing had been different."""
+
+    change: str = scalar("what is different, in words")
+    sigma_ratio: Floats = array("3", "1-sigma about X, Y, Z of c, over that of the data as they are")
+
+
+def improvements(
+    strips: Sequence[StripSightings], R_cs: Rotation, settings: CalibrationSettings, camera: LineSensor
+) -> tuple[Improvement, ...]:
+    """What more or other data would change, from the information of the strips of a calibration.
+
+    Parameters
+    ----------
+    strips : sequence of StripSightings
+        The strips that were calibrated.
+    R_cs : Rotation
+        Their installation matrix.
+    settings : CalibrationSettings
+        Their error model.
+    camera : LineSensor
+        The remote-sensing camera, for the ends of its swath.
+
+    Returns
+    -------
+    tuple of Improvement
+        Twice as many strips, twice as many targets, targets at the ends of the swath, half the error of
+        position, half that of the clock; in this order.
+
+    Raises
+    ------
+    ValueError
+        If no strip has a target between usable star exposures.
+    """
+    model, n = replace(settings, robust=False), len(strips)
+    now = forecast_from_strips(strips, R_cs, model)
+    before = now.sigma(n)
+
+    def sigma(these: Sequence[StripSightings], model: CalibrationSettings) -> Floats:
+        return forecast_from_strips(these, R_cs, model).sigma(n)
+
+    moved = [_with_targets_at_ends(strip, R_cs, camera) for strip in strips]
+    cases = {
+        "twice as many strips": now.sigma(2 * n),
+        "twice as many targets in each strip": sigma([_with_targets_twice(strip) for strip in strips], model),
+        "the same number of targets, all near the ends of the swath": sigma(moved, model),
+        "half the error of position": sigma(
+            strips, replace(model, sigma_position_m=0.5 * model.sigma_position_m)
+        ),
+        "half the error of the clock": sigma(strips, replace(model, sigma_clock_s=0.5 * model.sigma_clock_s)),
+    }
+    return tuple(Improvement(change=text, sigma_ratio=after / before) for text, after in cases.items())
+
+
+def _with_targets_twice(strip: StripSightings) -> StripSightings:
+    """The strip with a second target beside each, as accurate as the first."""
+    ground = strip.ground
+    both = {
+        name: np.concatenate([getattr(ground, name)] * 2)
+        for name in "ccd xy_px t_s u_c u_i cov_c range_m v_rel_i cov_target_i".split()
+    }
+    names = np.concatenate([ground.target_id, np.char.add(ground.target_id, " (second)")])
+    R_oi = Rotation.concatenate([strip.R_oi_targets] * 2)
+    return replace(strip, ground=replace(ground, target_id=names, **both), R_oi_targets=R_oi)
+
+
+def _with_targets_at_ends(strip: StripSightings, R_cs: Rotation, camera: LineSensor) -> StripSightings:
+    """The strip with its targets moved, at their instants, to the two ends of the swath in turn."""
+    ground, attitudes = strip.ground, strip.attitudes
+    assert attitudes is not None
+    pixels = [camera.n_px(k) for k in range(camera.n_ccds)]
+    middle = [camera.directions_from_pixels(k, np.array([0.5 * n]))[0, 1] for k, n in enumerate(pixels)]
+    left, right = int(np.argmin(middle)), int(np.argmax(middle))
+    width = OUTER_SHARE * sum(pixels)
+    share = (np.arange(len(ground.t_s)) // 2 + 0.5) / max(1, (len(ground.t_s) + 1) // 2)
+    at_left = np.arange(len(ground.t_s)) % 2 == 0
+    ccd = np.where(at_left, left, right)
+    sample, u_c = np.zeros(len(ccd)), np.zeros((len(ccd), 3))
+    for k, here, sign in ((left, at_left, -1.0), (right, ~at_left, 1.0)):
+        n_px = pixels[k]
+        ends = camera.directions_from_pixels(k, np.array([0.0, n_px - 1.0]))[:, 1]
+        from_end = share[here] * min(width, n_px - 1.0)
+        sample[here] = from_end if sign * ends[0] > sign * ends[1] else n_px - 1.0 - from_end
+        u_c[here] = camera.directions_from_pixels(k, sample[here])
+    times = np.array([exposure.t_s for exposure in strip.exposures])
+    nearest = np.argmin(np.abs(times[:, None] - ground.t_s), axis=0)
+    R_ci = R_cs * Rotation.from_matrix(attitudes.R_si[nearest])
+    turn = Rotation.concatenate(
+        [Rotation.align_vectors([b], [a])[0] for a, b in zip(ground.u_c, u_c)]
+    ).as_matrix()
+    cov_c = turn @ ground.cov_c @ np.swapaxes(turn, 1, 2)
+    xy_px = np.column_stack([sample, ground.xy_px[:, 1]])
+    moved = replace(ground, ccd=ccd, xy_px=xy_px, u_c=u_c, u_i=R_ci.inv().apply(u_c), cov_c=cov_c)
+    return replace(strip, ground=moved)

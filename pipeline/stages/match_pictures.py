@@ -21,23 +21,31 @@ class MatchPictures:
 
     template_png: bytes = scalar("chip as the strip should show it")
     found_png: bytes = scalar("strip at the matched position")
+    difference_png: bytes = scalar("strip minus template after gain and offset; grey: none")
     surface_png: bytes = scalar("correlation surface of the search around that position")
     surface_low: float = scalar("correlation shown black")
     surface_high: float = scalar("correlation shown white")
 
 
-NO_PICTURES = MatchPictures(b"", b"", b"", 0.0, 1.0)  # of a position that was measured elsewhere
+NO_PICTURES = MatchPictures(b"", b"", b"", b"", 0.0, 1.0)  # of a position that was measured elsewhere
 
 
 def match_pictures(evidence: Evidence) -> MatchPictures:
-    """Template and strip share black and white points after gain and offset, so that they can be compared."""
+    """Template and strip are stretched alike (1 % of the pixels black, 1 % white). The difference spans as
+    many grey values of the strip from black to white as the strip's own picture.
+    """
     surface = _middle(evidence.correlation, SURFACE_PX)
     finite = surface[np.isfinite(surface)]
     low, high = (float(finite.min()), float(finite.max())) if finite.size else (0.0, 1.0)
-    template, found = _middle(evidence.template, MOST_PX), _middle(evidence.found, MOST_PX)
+    template, found, difference = (
+        _middle(image, MOST_PX) for image in (evidence.template, evidence.found, evidence.residual)
+    )
+    black, white = _stretch(found)
+    half = max(0.5 * (white - black), 1e-12)
     return MatchPictures(
         _png(template, *_stretch(template)),
-        _png(found, *_stretch(found)),
+        _png(found, black, white),
+        _png(difference, -half, half),
         _png(surface, low, high),
         low,
         high,

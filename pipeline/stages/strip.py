@@ -44,6 +44,7 @@ __all__ = [
     "no_matches",
     "orbit_around",
     "pushbroom_of",
+    "read_chip",
     "strip_matches",
     "targets_near",
     "with_points",
@@ -168,7 +169,7 @@ def strip_matches(task: StripTask) -> tuple[StripMatches | None, list[Omission]]
     chips, targets, omitted = [], [], []
     for target, file in zip(task.targets, task.chips):
         try:
-            chips.append(_chip(file))
+            chips.append(read_chip(file))
             targets.append(target)
         except RawDataError as error:
             omitted.append(Omission("chip", target.target_id, file.file, str(error)))
@@ -188,7 +189,8 @@ def strip_matches(task: StripTask) -> tuple[StripMatches | None, list[Omission]]
     return result, omitted
 
 
-def _chip(file: ChipFile) -> Chip:
+def read_chip(file: ChipFile) -> Chip:
+    """A chip with its geo-reference; `RawDataError` if it cannot be read."""
     grid = read_grid(file.path, file.file, max_pixels=MAX_CHIP_PIXELS)
     valid = np.isfinite(grid.values)
     return Chip(file.target_id, np.where(valid, grid.values, 0.0), grid.transform, grid.crs, valid)

@@ -17,7 +17,12 @@ for (const box of document.querySelectorAll(".zoom")) {
     svg.setAttribute("viewBox", `${view.x} ${view.y} ${view.w} ${view.h}`);
     svg.classList.toggle("closer", view.w < whole.w * 0.999);
     measure();
+    box.dispatchEvent(new CustomEvent("zoomed", { detail: view }));
   }
+  box.zoomTo = (x, y, w) => { // a view `w` wide about (x, y)
+    const wide = clamp(w, whole.w / most, whole.w);
+    show({ w: wide, x: x - wide / 2, y: y - wide * whole.h / whole.w / 2 });
+  };
   function zoom(factor, at) {
     const centre = at || { x: view.x + view.w / 2, y: view.y + view.h / 2 };
     const w = clamp(view.w / factor, whole.w / most, whole.w);
@@ -30,7 +35,7 @@ for (const box of document.querySelectorAll(".zoom")) {
   }
   box.addEventListener("click", (event) => {
     const button = event.target.closest("button");
-    if (!button) return;
+    if (!button || button.dataset.layer) return;
     if (button.dataset.marks) {
       const bare = box.classList.toggle("bare");
       button.setAttribute("aria-pressed", String(!bare));

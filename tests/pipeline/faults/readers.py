@@ -48,7 +48,7 @@ from boresight.pipeline.results.reading import read_pairs, read_result
 from boresight.pipeline.results.status import run_status, status_lines
 from boresight.pipeline.settings import read_settings
 from boresight.pipeline.stages.plan import forecast_plan, read_plan
-from boresight.pipeline.stages.strip import MatchedTargets, _chip
+from boresight.pipeline.stages.strip import MatchedTargets, read_chip
 from boresight.pipeline.work.unit_store import UnitStore, read_meta
 from boresight.simulator.scenario import ScenarioError
 
@@ -203,7 +203,7 @@ def _strip(folder: Path) -> Any:
 
 
 def _chip_image(folder: Path) -> Any:
-    return _chip(ChipFile("t0", "chips/0.tif", folder / "dump/chips/0.tif"))
+    return read_chip(ChipFile("t0", "chips/0.tif", folder / "dump/chips/0.tif"))
 
 
 def _terrain(folder: Path) -> Any:

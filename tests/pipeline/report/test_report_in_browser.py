@@ -1,20 +1,33 @@
 """The report in a real headless Chromium: no error, no request, no sideways scrolling from 400 to 2560 px,
-light and dark, and the star image can be zoomed."""
+light, dark and printed, no violation that axe finds; table, card, map and plots lead to one another."""
 
 from __future__ import annotations
 
 import asyncio
+import csv
+import importlib.util
 import json
 import shutil
 import subprocess
 import tempfile
 import urllib.request
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
+import rasterio
+from fixture_strips import stopped_run, strip_of_fixture
 from tornado.websocket import websocket_connect
+from typer.testing import CliRunner
+
+from boresight.pipeline.cli import app
+from boresight.pipeline.report.page import report_html
+from boresight.pipeline.report.saved import read_saved
 
 CHROMIUM = next(
     (path for name in ("chromium", "chromium-browser", "google-chrome") if (path := shutil.which(name))), None
@@ -30,6 +43,8 @@ SWITCHES = (
     "--remote-debugging-port=0",
     "--host-resolver-rules=MAP * ~NOTFOUND",
 )
+LONGEST_S = 120.0  # for one answer of the browser, on a machine that does much else
+AXE = importlib.util.find_spec("axe_core_python")
 FACTS = """(() => {
   const wide = document.documentElement;
   const lit = (element) => getComputedStyle(element).color;
@@ -65,7 +80,7 @@ class Browser:
             json.dumps({"id": self.count, "method": method, "params": parameters})
         )
         while True:
-            message = json.loads(await asyncio.wait_for(self.socket.read_message(), 30.0))
+            message = json.loads(await asyncio.wait_for(self.socket.read_message(), LONGEST_S))
             if message.get("id") == self.count:
                 assert "error" not in message, message
                 return message["result"]
@@ -76,21 +91,31 @@ class Browser:
         assert "exceptionDetails" not in got, got
         return got["result"].get("value")
 
-    async def go(self, page: Path, width: int, scheme: str) -> dict[str, Any]:
+    async def go(self, page: Path, width: int, scheme: str, media: str = "screen") -> dict[str, Any]:
         await self.do(
             "Emulation.setDeviceMetricsOverride", width=width, height=900, deviceScaleFactor=1, mobile=False
         )
         features = [{"name": "prefers-color-scheme", "value": scheme}]
-        await self.do("Emulation.setEmulatedMedia", media="screen", features=features)
+        await self.do("Emulation.setEmulatedMedia", media=media, features=features)
+        self.events.clear()
+        await self.do(
+            "Page.navigate", url="about:blank"
+        )  # an address that differs in its #... only loads nothing
+        await self.loaded()
         await self.do("Page.navigate", url=page.as_uri())
-        while not any(event["method"] == "Page.loadEventFired" for event in self.events):
-            self.events.append(json.loads(await asyncio.wait_for(self.socket.read_message(), 30.0)))
+        await self.loaded()
         # The override reaches the page's own process a moment after the page has been loaded.
         wait = "new Promise((done) => { const end = Date.now() + 10000; const look = () =>"
         wait += f" innerWidth === {width} || Date.now() > end ? done() : setTimeout(look, 20); look(); }})"
         await self.value(wait)
         facts: dict[str, Any] = await self.value(FACTS)
         return facts
+
+    async def loaded(self) -> None:
+        """Wait until the page of the last navigation is loaded; forget that it was, for the next one."""
+        while not any(event["method"] == "Page.loadEventFired" for event in self.events):
+            self.events.append(json.loads(await asyncio.wait_for(self.socket.read_message(), LONGEST_S)))
+        self.events = [event for event in self.events if event["method"] != "Page.loadEventFired"]
 
     def complaints(self) -> list[Any]:
         kinds = ("Runtime.exceptionThrown", "Runtime.consoleAPICalled", "Log.entryAdded")
@@ -100,7 +125,7 @@ class Browser:
         sent = [
             e["params"]["request"]["url"] for e in self.events if e["method"] == "Network.requestWillBeSent"
         ]
-        return {url for url in sent if not url.startswith("data:")}
+        return {url for url in sent if not url.startswith(("data:", "about:"))}
 
 
 @pytest.fixture(scope="module")
@@ -128,26 +153,236 @@ async def opened(address: str) -> Browser:
     return browser
 
 
-@pytest.mark.parametrize("scheme", ["light", "dark"])
-@pytest.mark.parametrize("width", [400, 1280, 2560])
-def test_the_page_fits_speaks_to_nobody_and_complains_of_nothing(address, finished, width, scheme):
-    page = finished[1] / "report.html"
+@pytest.fixture(scope="module")
+def faulty(finished, tmp_path_factory) -> Path:
+    """The result of the same strip with the chip of one target 11 m, 1.7 px, beside its place, and that of
+    another one grey. Exposures are those of the finished run.
+    """
+    folder = tmp_path_factory.mktemp("faulty")
+    dump, result = strip_of_fixture(folder / "dump", 1), folder / "result"
+    rows = list(csv.reader((dump / "targets.csv").open(newline="")))
+    for row, change in ((rows[3], shifted), (rows[6], grey)):
+        content = change(dump / row[8])
+        (dump / row[8]).unlink()  # a hard link to the fixture's
+        (dump / row[8]).write_bytes(content)
+    stopped_run(result, [dump], finished[1])
+    ran = CliRunner().invoke(app, ["calibrate", str(dump), "--out", str(result), "--workers", "1"])
+    assert ran.exit_code in (0, 3), ran.output
+    return result
 
-    async def look() -> tuple[dict[str, Any], Browser]:
-        browser = await opened(address)
-        return await browser.go(page, width, scheme), browser
 
-    facts, browser = asyncio.run(look())
-    assert browser.complaints() == []
-    assert browser.requests() == {page.as_uri()}
+def shifted(chip: Path) -> bytes:
+    """The chip with its geo-reference 11 m too far east."""
+    return rewritten(chip, lambda image: image, rasterio.Affine.translation(11.0, 0.0))
+
+
+def grey(chip: Path) -> bytes:
+    """The chip with one grey value everywhere and noise of one count."""
+    noise = np.random.default_rng(1)
+    return rewritten(
+        chip,
+        lambda image: np.round(noise.normal(200.0, 1.0, image.shape)).astype(image.dtype),
+        rasterio.Affine.identity(),
+    )
+
+
+def rewritten(chip: Path, paint: Any, move: rasterio.Affine) -> bytes:
+    with rasterio.open(chip) as file:
+        image, profile = file.read(1), dict(file.profile)
+    profile["transform"] = move @ profile["transform"]
+    with rasterio.MemoryFile() as memory:
+        with memory.open(**profile) as file:
+            file.write(paint(image), 1)
+        return bytes(memory.read())
+
+
+def check_facts(facts: dict[str, Any], width: int, scheme: str) -> None:
     assert facts["scroll"] <= facts["client"] and width - 20 <= facts["client"] <= width  # 15 px: scroll bar
     assert facts["sticking_out"] == 0
-    assert facts["sections"] == 12
+    assert facts["sections"] == 15  # all but that of the cards, which a screen shows one by one
     assert facts["broken"] == 0 and facts["images"] > 10
     assert all(250 <= one <= width for one in facts["plot"])  # px: legible, and no wider than the page
     assert brightness(facts["paper"]) > 200 if scheme == "light" else brightness(facts["paper"]) < 60
     assert abs(brightness(facts["ink"]) - brightness(facts["paper"])) > 150  # of 255
     assert facts["label"] == facts["ink"]
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize("width", [400, 1280, 2560])
+def test_the_page_fits_speaks_to_nobody_and_complains_of_nothing(address, faulty, width, scheme):
+    page = faulty / "report.html"
+
+    async def look() -> tuple[dict[str, Any], Browser, list[str]]:
+        browser = await opened(address)
+        facts = await browser.go(page, width, scheme)
+        await browser.value(
+            "location.hash = document.querySelector('tr.chosen, tbody tr[data-link]').dataset.link"
+        )
+        return facts, browser, await violations(browser)
+
+    facts, browser, found = asyncio.run(look())
+    assert browser.complaints() == []
+    assert browser.requests() == {page.as_uri()}
+    check_facts(facts, width, scheme)
+    assert found == []
+
+
+async def violations(browser: Browser) -> list[str]:
+    """What axe finds wrong: rule, first element, why. Nothing, with a warning, where axe is not installed."""
+    if AXE is None or AXE.origin is None:
+        pytest.skip("AXE NOT INSTALLED (extra dev): the report was not checked for accessibility")
+    script = Path(AXE.origin).with_name("axe.min.js").read_text(encoding="utf-8")
+    await browser.value(script + ";0")
+    told = "`${v.id} ${v.nodes[0].target} ${v.nodes[0].failureSummary}`"
+    found = await browser.value(f"axe.run().then((r) => r.violations.map((v) => {told}))")
+    return list(found)
+
+
+def test_the_print_holds_the_whole_tables_cards_settings_and_checksums(address, faulty):
+    async def look() -> tuple[dict[str, Any], list[int], Browser]:
+        browser = await opened(address)
+        facts = await browser.go(faulty / "report.html", 794, "light", "print")  # 210 mm at 96 px an inch
+        await browser.value("dispatchEvent(new Event('beforeprint'))")
+        shown = "[...document.querySelectorAll('{}')].filter((e) => e.offsetHeight).length"
+        parts = ("#target-table tbody tr", "#cards .card", "#provenance details tr", ".buttons")
+        counts = [await browser.value(shown.format(part)) for part in parts]
+        return facts, counts, browser
+
+    facts, (rows, cards, lines, buttons), browser = asyncio.run(look())
+    ground = pq.read_table(faulty / "evidence/ground.parquet")
+    inputs = pq.read_table(faulty / "evidence/inputs.parquet")
+    assert browser.complaints() == [] and buttons == 0
+    assert facts["scroll"] <= facts["client"] and facts["sticking_out"] == 0
+    assert rows == len(ground) and cards >= 2 and lines > 60 + len(inputs)
+
+
+def test_a_rejected_target_leads_from_table_to_card_map_and_plot_and_back(address, faulty):
+    ground = pq.read_table(faulty / "evidence/ground.parquet").to_pandas()
+    rejected = ground[ground.state == "rejected"]
+    unmatched = ground[ground.state == "not matched"]
+    assert len(rejected) == 1 and len(unmatched) == 1
+    link = f"t{rejected.index[0]}"
+    row = f"document.querySelector('#target-table tr[data-link={link}] a')"
+    panel, mark = "document.querySelector('#panel')", f"document.querySelector('.spot[href=\"#{link}\"]')"
+
+    async def walk() -> dict[str, Any]:
+        browser, seen = await opened(address), {}
+        await browser.go(faulty / "report.html", 1280, "light")
+        await browser.value(f"{row}.click()")
+        await settled(browser)
+        seen["card"] = await browser.value(f"{panel}.hidden ? '' : {panel}.innerText")
+        seen["pictures"] = await browser.value(f"{panel}.querySelectorAll('img').length")
+        await browser.value(f"{panel}.querySelector('[data-to=map]').click()")
+        await settled(browser)
+        seen["view"] = await browser.value("document.querySelector('#map-sheet').getAttribute('viewBox')")
+        seen["spot"] = await browser.value(PLACE % mark)
+        await browser.value(f"{panel}.querySelector('[data-to=plot]').click()")
+        await settled(browser)
+        seen["dots"] = await browser.value("document.querySelectorAll('.dot.chosen').length")
+        await browser.value(f"{panel}.querySelector('[data-to=row]').click()")
+        await settled(browser)
+        seen["back"] = await browser.value("document.activeElement.getAttribute('href')")
+        await browser.value("history.back()")
+        await settled(browser)
+        seen["closed"] = await browser.value(f"{panel}.hidden")
+        other = f"document.querySelector('.spot[href=\"#t{unmatched.index[0]}\"]')"
+        click = "new MouseEvent('click', {bubbles: true, cancelable: true})"
+        await browser.value(f"{other}.dispatchEvent({click})")
+        await settled(browser)
+        seen["unmatched"] = await browser.value(f"{panel}.innerText")
+        assert browser.complaints() == []
+        return seen
+
+    seen = asyncio.run(walk())
+    (one,), (other,) = rejected.to_dict("records"), unmatched.to_dict("records")
+    assert one["target_id"] in seen["card"] and one["reason"] in seen["card"] and seen["pictures"] == 4
+    assert f"{one['residual_m']:.2f} m" in seen["card"] and f"{one['sigmas']:.2f}" in seen["card"]
+    assert float(seen["view"].split()[2]) < 200  # of 1000: it came closer
+    x, y, width, height, top, inner = seen["spot"]
+    assert 0 < x < width and 0 < y < height and 0 < top < inner
+    assert seen["dots"] == 6 and seen["back"] == f"#{link}" and seen["closed"]
+    assert other["target_id"] in seen["unmatched"] and other["reason"] in seen["unmatched"]
+
+
+PLACE = """(() => {
+  const spot = %s.getBoundingClientRect(), map = document.querySelector(".frame").getBoundingClientRect();
+  const x = (spot.left + spot.right) / 2 - map.left, y = (spot.top + spot.bottom) / 2 - map.top;
+  return [x, y, map.width, map.height, spot.top, innerHeight];
+})()"""
+
+
+async def settled(browser: Browser) -> None:
+    """Wait until the page has handled a new address and drawn itself twice."""
+    twice = "requestAnimationFrame(() => requestAnimationFrame(done))"
+    await browser.value(f"new Promise((done) => setTimeout(() => {twice}, 50))")
+
+
+def test_tables_are_sorted_filtered_and_searched(address, faulty):
+    ground = pq.read_table(faulty / "evidence/ground.parquet").to_pandas()
+    rows = "[...document.querySelectorAll('#target-table tbody tr')].map((r) => r.cells[{}].innerText.trim())"
+
+    async def use() -> list[Any]:
+        browser = await opened(address)
+        await browser.go(faulty / "report.html", 1280, "light")
+        seen = []
+        for action, column in (
+            ("document.querySelector('#target-table th:nth-child(5) button').click()", 4),
+            ("document.querySelector('#target-table th:nth-child(5) button').click()", 4),
+            ("document.querySelector('#target-table select').value = 'rejected'", 0),
+            ("document.querySelector('#target-table select').value = ''", 0),
+            ("document.querySelector('#target-table [data-search]').value = 'T07 s01'", 0),
+        ):
+            await browser.value(action)
+            await browser.value(
+                "document.querySelector('#target-table select').dispatchEvent(new Event('change'))"
+            )
+            seen.append(await browser.value(rows.format(column)))
+        assert browser.complaints() == []
+        return seen
+
+    upwards, downwards, rejected, every, searched = asyncio.run(use())
+    known = sorted(ground.residual_m.dropna())
+    assert [text for text in upwards if text != "–"] == [f"{value:.2f}" for value in known]
+    assert [text for text in downwards if text != "–"] == [f"{value:.2f}" for value in known[::-1]]
+    assert upwards[-1] == downwards[-1] == "–"  # the target without a residual comes last
+    assert rejected == ground[ground.state == "rejected"].target_id.tolist()
+    assert len(every) == len(ground) and searched == ["s01-t07"]
+
+
+def test_a_thousand_targets_open_within_a_second(address, finished, tmp_path):
+    # The time that the page's main thread computes, parsing, script and layout together: of what the user
+    # waits it is all but drawing, and it does not grow when the machine does other things.
+    saved = read_saved(finished[1])
+    copies = [saved.ground.set_column(3, "target_id", pa.array(names)) for names in thousand(saved)]
+    page = tmp_path / "many.html"
+    page.write_text(report_html(replace(saved, ground=pa.concat_tables(copies))), encoding="utf-8")
+
+    async def look() -> tuple[float, int, str]:
+        browser = await opened(address)
+        await browser.do("Performance.enable", timeDomain="threadTicks")
+        before = await spent(browser)
+        await browser.go(page, 1280, "light")
+        after = await spent(browser)
+        rows = await browser.value("document.querySelectorAll('#target-table tbody tr').length")
+        assert browser.complaints() == []
+        text = await browser.value("document.querySelector('#target-table output').textContent")
+        return after - before, rows, text
+
+    seconds, rows, text = asyncio.run(look())
+    assert rows == 25 and text.startswith("1 to 25 of 1")
+    assert int(text.split()[-1]) >= 1000
+    assert seconds <= 1.0
+
+
+async def spent(browser: Browser) -> float:
+    """Seconds of CPU time that the tasks of the page's main thread have taken."""
+    metrics = (await browser.do("Performance.getMetrics"))["metrics"]
+    return next(float(metric["value"]) for metric in metrics if metric["name"] == "TaskDuration")
+
+
+def thousand(saved: Any) -> list[list[str]]:
+    names = saved.ground.column("target_id").to_pylist()
+    return [[f"{name}-{n}" for name in names] for n in range(-(-1000 // len(names)))]
 
 
 def test_the_star_image_is_zoomed_by_button_key_and_pointer(address, finished):
@@ -158,10 +393,10 @@ def test_the_star_image_is_zoomed_by_button_key_and_pointer(address, finished):
         seen = [await browser.value(box)]
         image = "document.querySelector('#star-image')"
         for action in (
-            "document.querySelector('[data-zoom=\"2\"]').click()",
+            "document.querySelector('#image [data-zoom=\"2\"]').click()",
             f"{image}.dispatchEvent(new KeyboardEvent('keydown', {{key: 'ArrowRight'}}))",
             f"{image}.dispatchEvent(new MouseEvent('dblclick'))",
-            "document.querySelector('[data-zoom=\"0\"]').click()",
+            "document.querySelector('#image [data-zoom=\"0\"]').click()",
         ):
             await browser.value(action)
             seen.append(await browser.value(box))

@@ -1,0 +1,250 @@
+"""Ten prepared faults in a dump: does the report's first screen, or its first click, name cause and item?
+
+    python benchmarks/prepared_faults.py WORK [--images docs/images/faults] [--only NAME]
+
+Each fault is put into a copy of `fixtures/mini`, calibrated and reported; a headless Chromium takes the
+picture of the first screen, with the card of the item opened where the fault has one. The record states what
+the page says; whether that names cause and item is judged by the words that must occur in it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import html
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import record  # of this folder; sets the number of threads before NumPy is loaded
+
+import cv2  # isort: skip
+import numpy as np  # isort: skip
+import rasterio  # isort: skip
+
+from boresight.pipeline.report.pdf import chromium
+from boresight.pipeline.results.ownership import claimed
+from boresight.pipeline.settings import Settings
+
+FIXTURE = Path(__file__).parents[1] / "fixtures" / "mini"
+CHIP_SHIFT_M, COORDINATE_DEG, CLOCK_S, PRINCIPAL_PX = 60.0, 0.01, 0.02, 12.0
+
+
+@dataclass(frozen=True)
+class Fault:
+    """A fault, how it is made, and the words that must be on the first screen or its first click."""
+
+    name: str
+    made: str
+    make: Callable[[Path], None]
+    words: tuple[str, ...]
+    item: str = ""  # target whose card the first click opens
+
+
+def table(path: Path) -> list[list[str]]:
+    with path.open(newline="") as stream:
+        return list(csv.reader(stream))
+
+
+def write(path: Path, rows: list[list[str]]) -> None:
+    path.unlink()
+    with path.open("w", newline="") as stream:
+        csv.writer(stream, lineterminator="\n").writerows(rows)
+
+
+def change(path: Path, old: str, new: str) -> None:
+    text = re.sub(old, new, path.read_text())
+    path.unlink()
+    path.write_text(text)
+
+
+def repaint(path: Path, paint: Callable[[np.ndarray], np.ndarray], shift_m: float = 0.0) -> None:
+    """The raster with other pixels, its geo-reference moved to the east."""
+    with rasterio.open(path) as file:
+        image, profile = file.read(1), dict(file.profile)
+    if shift_m:
+        profile["transform"] = rasterio.Affine.translation(shift_m, 0.0) @ profile["transform"]
+    path.unlink()
+    with rasterio.open(path, "w", **profile) as file:
+        file.write(paint(image), 1)
+
+
+def shifted_chip(dump: Path) -> None:
+    repaint(dump / "chips/s02-t05.tif", lambda image: image, CHIP_SHIFT_M)
+
+
+def cloud(dump: Path) -> None:
+    rows, columns = np.mgrid[:2000, :512]
+    thick = np.clip(1.6 - np.hypot(rows - 1000.0, columns - 256.0) / 400.0, 0.0, 1.0)
+    for ccd in (1, 2):
+        repaint(
+            dump / f"strips/s01_ccd{ccd}.tif",
+            lambda image: np.round(image * (1.0 - thick) + 245.0 * thick).astype(image.dtype),
+        )
+
+
+def height_kind(dump: Path) -> None:
+    change(dump / "targets.csv", "egm96", "ellipsoidal")
+
+
+def mirrored(dump: Path) -> None:
+    for path in (dump / "exposures").iterdir():
+        image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+        path.unlink()
+        cv2.imwrite(str(path), np.ascontiguousarray(image[:, ::-1]))
+
+
+def clock(dump: Path) -> None:
+    rows = table(dump / "strips.csv")
+    for row in rows[1:]:
+        if row[0] == "s02":
+            second, rest = row[3][:17], float(row[3][17:])
+            row[3] = f"{second}{rest + CLOCK_S:012.9f}"
+    write(dump / "strips.csv", rows)
+
+
+def dead_ccd(dump: Path) -> None:
+    for strip in ("s01", "s02", "s03"):
+        repaint(dump / f"strips/{strip}_ccd2.tif", lambda image: np.full_like(image, 3))
+
+
+def coordinate(dump: Path) -> None:
+    rows = table(dump / "targets.csv")
+    (row,) = [row for row in rows if row[0] == "s03-t06"]
+    row[1] = f"{float(row[1]) + COORDINATE_DEG:.10f}"
+    write(dump / "targets.csv", rows)
+
+
+def principal_point(dump: Path) -> None:
+    text = (dump / "star_camera.toml").read_text()
+    x = float(re.search(r"principal_point_px = \[([\d.]+)", text).group(1))
+    change(
+        dump / "star_camera.toml",
+        r"principal_point_px = \[[\d.]+",
+        f"principal_point_px = [{x + PRINCIPAL_PX}",
+    )
+
+
+def keep(dump: Path, ids: set[str]) -> None:
+    rows = table(dump / "targets.csv")
+    write(dump / "targets.csv", [rows[0], *(row for row in rows[1:] if row[0] in ids)])
+
+
+FAULTS = (
+    Fault(
+        "shifted-chip",
+        f"chip of s02-t05 moved {CHIP_SHIFT_M:.0f} m to the east",
+        shifted_chip,
+        ("s02-t05",),
+        "s02-t05",
+    ),
+    Fault("cloud", "cloud over the middle of CCD 1 and 2 of strip s01", cloud, ("cloud", "s01"), "s01-t06"),
+    Fault("height-kind", "heights of targets above EGM96 declared ellipsoidal", height_kind, ("height",)),
+    Fault("mirrored", "star images mirrored left to right", mirrored, ("mirrored",)),
+    Fault("clock", f"rows of strip s02 dated {1e3 * CLOCK_S:.0f} ms late", clock, ("clock", "s02")),
+    Fault("dead-ccd", "CCD 2 delivers one grey value in all strips", dead_ccd, ("CCD 2",)),
+    Fault(
+        "coordinate", f"latitude of s03-t06 wrong by {COORDINATE_DEG}°", coordinate, ("s03-t06",), "s03-t06"
+    ),
+    Fault(
+        "principal-point",
+        f"principal point wrong by {PRINCIPAL_PX:.0f} px",
+        principal_point,
+        ("principal point",),
+    ),
+    Fault("few-targets", "one target in all", lambda dump: keep(dump, {"s01-t04"}), ("target",)),
+    Fault(
+        "corner",
+        "three targets a strip, all in one corner",
+        lambda dump: keep(dump, {f"s0{s}-t0{t}" for s in (1, 2, 3) for t in (1, 5)}),
+        ("swath",),
+    ),
+)
+
+
+def calibrated(fault: Fault, folder: Path, base: Path | None) -> tuple[Path, str]:
+    """The result's folder and what the program printed."""
+    dump, out = folder / fault.name / "dump", folder / fault.name / "result"
+    shutil.rmtree(folder / fault.name, ignore_errors=True)
+    shutil.copytree(FIXTURE, dump, ignore=shutil.ignore_patterns("truth"))
+    fault.make(dump)
+    if base is not None:  # finished exposures and strips that the fault does not touch
+        with claimed(out, [dump], Settings()):
+            pass
+        shutil.copytree(base / "work", out / "work")
+    command = [sys.executable, "-m", "boresight", "calibrate", str(dump), "--out", str(out), "--workers", "1"]
+    ran = subprocess.run([*command, "--accept-inconsistent"], capture_output=True, text=True)
+    return out, ran.stdout + ran.stderr
+
+
+def screenshot(page: Path, picture: Path, link: str) -> None:
+    """The first 1280 x 900 px, with the card `link` opened."""
+    picture.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory() as profile:
+        command = [str(chromium()), "--headless=new", "--no-sandbox", "--disable-gpu", "--hide-scrollbars"]
+        command += [f"--user-data-dir={profile}", "--window-size=1280,900", f"--screenshot={picture}"]
+        address = page.resolve().as_uri() + (f"#{link}" if link else "")
+        subprocess.run([*command, address], check=True, capture_output=True, timeout=120)
+    image = cv2.imread(str(picture))
+    cv2.imwrite(str(picture), image, [cv2.IMWRITE_PNG_COMPRESSION, 9])
+
+
+def first_screen(page: str) -> str:
+    """Text of the header: everything above the sections."""
+    header = page[page.index("<header>") : page.index("</header>")]
+    header = re.sub(r"<svg.*?</svg>", " ", header, flags=re.DOTALL)
+    return re.sub(r"\s+", " ", html.unescape(re.sub(r"<[^>]+>", " ", header)))
+
+
+def card(page: str, item: str) -> tuple[str, str]:
+    """Id and text of the card of a target, empty where there is none."""
+    for link, text in re.findall(r'<article id="(t\d+)"(.*?)</article>', page, flags=re.DOTALL):
+        plain = re.sub(r"\s+", " ", html.unescape(re.sub(r"<[^>]+>", " ", text)))
+        if item and f" {item}," in plain:
+            return link, plain
+    return "", ""
+
+
+def lines(folder: Path, images: Path | None, only: str | None) -> Iterator[str]:
+    base, _ = calibrated(Fault("none", "", lambda dump: None, ()), folder, None)
+    for fault in FAULTS:
+        if only not in (None, fault.name):
+            continue
+        out, printed = calibrated(fault, folder, base)
+        path = out / "report.html"
+        if not path.is_file():
+            yield f"{fault.name:16s}no page: {printed.strip()}"
+            continue
+        page = path.read_text(encoding="utf-8")
+        link, opened = card(page, fault.item)
+        text = first_screen(page)
+        missing = [word for word in fault.words if word not in text + opened]
+        record.verdict(f"{fault.name}: the page names {', '.join(fault.words)}", not missing)
+        yield f"{fault.name:16s}{fault.made}\n    first screen: {text.strip()}" + (
+            f"\n    card: {opened[:300]}" if opened else ""
+        )
+        if images is not None:
+            screenshot(path, images / f"{fault.name}.png", link)
+
+
+def main() -> None:
+    arguments = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    arguments.add_argument("work", type=Path)
+    arguments.add_argument("--images", type=Path)
+    arguments.add_argument("--only")
+    given = arguments.parse_args()
+    record.head("Ten prepared faults: what the report says")
+    for line in lines(given.work, given.images, given.only):
+        print(line, flush=True)
+    sys.exit(record.exit_status())
+
+
+if __name__ == "__main__":
+    main()

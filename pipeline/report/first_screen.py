@@ -1,0 +1,155 @@
+"""First screen of a report: what was calibrated, how well, whether that is enough, and what would help."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from boresight.geometry.constants import ARCSEC
+from boresight.geometry.record import record, scalar
+from boresight.pipeline.report.ground_map import REJECTED, UNMATCHED
+from boresight.pipeline.report.observations import TargetRow
+from boresight.pipeline.report.saved import Number, Saved, number_from
+from boresight.pipeline.results.summary import REASON_WORDS
+
+__all__ = ["FirstScreen", "Help", "Required", "first_screen"]
+
+MOST_ITEMS = 3
+
+
+@record(kw_only=True)
+class Required:
+    """A required accuracy and whether each axis meets it."""
+
+    words: str = scalar("what is required")
+    limit: Number = scalar("largest 1-sigma allowed")
+    met: tuple[bool, bool, bool] = scalar("about X, Y, Z")
+
+    @property
+    def missed(self) -> str:
+        """Axes that do not meet it."""
+        return ", ".join(axis for axis, met in zip("XYZ", self.met) if not met)
+
+
+@record(kw_only=True)
+class Help:
+    """What one change of the data would do to the weakest axis."""
+
+    change: str = scalar("what is different")
+    sigma_arcsec: tuple[Number, ...] = scalar("1-sigma about X, Y, Z then")
+    gain: float = scalar("by which share the 1-sigma of the weakest axis falls")
+
+
+@record(kw_only=True)
+class FirstScreen:
+    """Everything above the fold but verdict and map."""
+
+    about: tuple[str, ...] = scalar("mission, satellite, dates, cameras; one line each")
+    sigma_arcsec: tuple[Number, ...] = scalar("1-sigma about X, Y, Z")
+    sigma_m: tuple[Number, ...] = scalar("their effect on the ground")
+    required: tuple[Required, ...] = scalar("requirements; empty if none was given")
+    weakest: int = scalar("axis with the largest effect on the ground, 0 to 2")
+    helps: tuple[Help, ...] = scalar("changes of the data, the one that helps the weakest axis most first")
+    new_strip_ce90: Number = scalar("CE90 of a pixel of another strip, m")
+    rejected: tuple[tuple[str, int, tuple[tuple[str, int], ...]], ...] = scalar(
+        "by kind: how many are not used, and how many for which reason"
+    )
+    items: tuple[TargetRow, ...] = scalar("targets in view that were not used, the first of them")
+    more_items: int = scalar("how many more there are")
+
+
+def first_screen(saved: Saved, targets: Sequence[TargetRow]) -> FirstScreen:
+    """The first screen of a saved result with the rows of its targets."""
+    unused = [row for row in targets if row.state in (REJECTED, UNMATCHED)]
+    sigma_arcsec = tuple(
+        saved.number(f"covariance_rad2.{i}.{i}", ".4f", scale=1.0 / ARCSEC, root=True) for i in range(3)
+    )
+    ground = saved.context["ground"]
+    levers = (ground["range_m"], ground["range_m"], ground["range_m"] * ground["edge_tan"])
+    sigma_m = tuple(
+        saved.number(f"covariance_rad2.{i}.{i}", ".2f", scale=lever, root=True)
+        for i, lever in enumerate(levers)
+    )
+    weakest = int(np.argmax([number.exact for number in sigma_arcsec]))
+    return FirstScreen(
+        about=_about(saved),
+        sigma_arcsec=sigma_arcsec,
+        sigma_m=sigma_m,
+        required=_required(saved, sigma_arcsec, sigma_m),
+        weakest=weakest,
+        helps=_helps(saved, sigma_arcsec, weakest),
+        new_strip_ce90=saved.context_number("new_strip.ce90_m", ".1f"),
+        rejected=_rejected(saved),
+        items=tuple(unused[:MOST_ITEMS]),
+        more_items=len(unused[MOST_ITEMS:]),
+    )
+
+
+def _about(saved: Saved) -> tuple[str, ...]:
+    context = saved.context
+    star, remote = context["star_camera"], context["remote_camera"]
+    first, last = (str(utc)[:19].replace("T", " ") for utc in context["utc"])
+    until = last[11:] if last[:10] == first[:10] else last
+    samples = remote["samples"]
+    sizes = f"{len(samples)} × {samples[0]}" if len(set(samples)) == 1 else " + ".join(map(str, samples))
+    pixel_m = context["ground"]["range_m"] * remote["pixel_rad"]
+    satellite = f"{context['satellite']}; " if context["satellite"] else ""
+    focal = f", {remote['focal_m']:.4g} m" if remote["focal_m"] else ""
+    return (
+        f"{satellite}{first} to {until} UTC",
+        f"{_star_camera(star)} "
+        f"Remote-sensing camera {sizes} px{focal}, {pixel_m:.2g} m a pixel on the ground.",
+    )
+
+
+def _star_camera(star: dict[str, Any] | None) -> str:
+    if star is None:
+        return "Star camera that delivers attitudes."
+    width_deg = np.degrees(2.0 * np.arctan(0.5 * star["width_px"] * star["pixel_rad"]))
+    size = f"{star['width_px']} × {star['height_px']} px"
+    return f"Star camera {size}, {star['focal_mm']:.4g} mm, {width_deg:.1f}° wide."
+
+
+def _required(
+    saved: Saved, sigma_arcsec: tuple[Number, ...], sigma_m: tuple[Number, ...]
+) -> tuple[Required, ...]:
+    cases = (("arcsec", "″ about every axis", sigma_arcsec), ("m", " m on the ground", sigma_m))
+    found = []
+    for key, words, values in cases:
+        if saved.requirement.get(key) is None:
+            continue
+        limit = number_from(saved.requirement, "requirement.json", key, ".4g")
+        x, y, z = (value.exact * value.scale <= limit.exact for value in values)
+        found.append(Required(words=words, limit=limit, met=(x, y, z)))
+    return tuple(found)
+
+
+def _helps(saved: Saved, now: tuple[Number, ...], weakest: int) -> tuple[Help, ...]:
+    helps = []
+    for n, one in enumerate(saved.context["improvements"]):
+        key = f"improvements.{n}.sigma_rad"
+        then = tuple(saved.context_number(f"{key}.{i}", ".3g", scale=1.0 / ARCSEC) for i in range(3))
+        gain = 1.0 - then[weakest].exact / now[weakest].exact
+        helps.append(Help(change=one["change"], sigma_arcsec=then, gain=gain))
+    return tuple(sorted(helps, key=lambda one: -one.gain))
+
+
+def _rejected(saved: Saved) -> tuple[tuple[str, int, tuple[tuple[str, int], ...]], ...]:
+    rows: list[dict[str, Any]] = saved.omissions.to_pylist()
+    kinds = Counter(row["kind"] for row in rows)
+    order = ("strip", "ccd", "exposure", "chip", "target", "star")
+    return tuple(
+        (
+            kind,
+            kinds[kind],
+            tuple(
+                Counter(
+                    REASON_WORDS.get(r["cause"], r["cause"]) for r in rows if r["kind"] == kind
+                ).most_common()
+            ),
+        )
+        for kind in sorted(kinds, key=lambda kind: order.index(kind) if kind in order else len(order))
+    )

@@ -1,0 +1,375 @@
+"""Evidence of the report's map: footprints, targets and their residuals on the ground, and pictures of it.
+
+Strips whose footprints touch form a scene. A scene has a plane of its own (azimuthal equidistant projection
+about its middle, metres to the east and north), so that a map of strips on several continents needs no
+projection of the whole Earth. Residuals of targets become metres on the ground through the derivatives of the
+strip's rigorous model.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+from pyproj import Transformer
+from scipy.sparse.csgraph import connected_components
+
+from boresight.calib.estimate import TargetResiduals
+from boresight.gct_match.search.coarse import read_coarse
+from boresight.geometry.constants import WGS84
+from boresight.geometry.geodesy import ecef_from_geodetic, geodetic_from_ecef, local_axes_e
+from boresight.geometry.pushbroom import Pushbroom
+from boresight.geometry.record import Floats, Ints, array, record, scalar
+from boresight.geometry.terrain import ConstantHeight, Surface
+from boresight.pipeline.errors import Omission, RawDataError
+from boresight.pipeline.files.dump import Dump, TargetHeights, surface_of
+from boresight.pipeline.stages.calibrate import Calibration
+from boresight.pipeline.stages.strip import MatchedTargets, StripTask, pushbroom_of
+
+__all__ = ["STATES", "Scene", "StripOnGround", "ground_table", "scene_json", "scene_pictures", "scenes_of"]
+
+USED, REJECTED, UNMATCHED, OUT_OF_VIEW = STATES = ("used", "rejected", "not matched", "not in view")
+MOST_SIDE_PX = 420  # of a picture
+MOST_OUT_OF_VIEW = 500  # targets of a scene
+EDGE_POINTS = 9  # along each edge of a CCD's footprint
+MARGIN = 0.06  # of a scene's size, around the footprints
+TEXTS = ("strip_id", "target_id", "state", "cause", "reason")
+PLACES = ("lat_deg", "lon_deg", "height_m", "east_m", "north_m")
+RESIDUALS = ("east", "north", "along", "across")
+NUMBERS = (
+    *PLACES,
+    *("t_s", "sample_px", "line_px", "residual_m", "sigmas"),
+    *(f"residual_{axis}_m" for axis in RESIDUALS),
+)
+SCHEMA = pa.schema(
+    [("scene", pa.int64()), ("ccd", pa.int64())]
+    + [(name, pa.string()) for name in TEXTS]
+    + [(name, pa.float64()) for name in NUMBERS]
+)
+NODES = 33  # of the lattice that maps ground to pixels, along each side
+SUN = np.array([-0.5, 0.5, np.sqrt(0.5)])  # east, north, up: light from the north-west, as on maps
+RELIEF = 4.0  # slopes are shown so many times steeper
+
+
+@record(kw_only=True)
+class StripOnGround:
+    """A strip with its final model and where its CCDs look."""
+
+    task: StripTask = scalar("strip with the calibrated installation matrix")
+    model: Pushbroom = scalar("its rigorous model")
+    outlines_e: Floats = array("C, P, 3", "outline of each CCD's footprint, ITRS, m; NaN where it sees none")
+
+    @property
+    def strip_id(self) -> str:
+        """Id of the strip."""
+        return self.task.strip.strip_id
+
+    @property
+    def p_e(self) -> dict[str, Floats]:
+        """Positions (3,) ITRS, m, of the targets that were searched in it or measured by others."""
+        return {target.target_id: target.p_e for target in (*self.task.targets, *self.task.points.targets)}
+
+
+@record(kw_only=True)
+class Scene:
+    """Strips whose footprints touch, in a local plane."""
+
+    lat_deg: float = scalar("geodetic latitude of the plane's origin")
+    lon_deg: float = scalar("its longitude, degrees")
+    strips: tuple[StripOnGround, ...] = scalar("in order of time")
+    box_m: tuple[float, float, float, float] = scalar("west, south, east, north end of the map, m")
+
+    def plane(self) -> Transformer:
+        """Longitude, latitude (degrees) to metres east, north."""
+        local = f"+proj=aeqd +lat_0={self.lat_deg} +lon_0={self.lon_deg} +ellps=WGS84 +units=m"
+        return Transformer.from_crs("EPSG:4326", local, always_xy=True)
+
+    def plane_m(self, p_e: Floats) -> Floats:
+        """Points (N, 3) ITRS to metres (N, 2) east, north."""
+        lat, lon, _ = geodetic_from_ecef(p_e, WGS84)
+        degrees = np.degrees(lon).tolist(), np.degrees(lat).tolist()  # of one-element arrays pyproj warns
+        return np.column_stack(self.plane().transform(*degrees))
+
+
+def scenes_of(dump: Dump, calibration: Calibration) -> tuple[Scene, ...]:
+    """The strips of a calibration, grouped by footprints that touch, in order of time."""
+    surface, R_cs = surface_of(dump.terrain), calibration.estimate.R_cs
+    seen = [_on_ground(replace(task, R_cs=R_cs), surface) for task in calibration.tasks]
+    seen = [one for one in seen if np.isfinite(one.outlines_e).any()]
+    if not seen:
+        return ()
+    middles = np.array([np.nanmean(one.outlines_e, axis=(0, 1)) for one in seen])
+    reach = [float(np.nanmax(np.linalg.norm(s.outlines_e - m, axis=2))) for s, m in zip(seen, middles)]
+    distance = np.linalg.norm(middles[:, None] - middles, axis=2)
+    _, groups = connected_components(distance <= np.add.outer(reach, reach))
+    first = {int(group): n for n, group in reversed(list(enumerate(groups)))}
+    ordered = sorted(first, key=lambda group: first[group])
+    return tuple(_scene([one for one, g in zip(seen, groups) if g == group]) for group in ordered)
+
+
+def _on_ground(task: StripTask, surface: Surface) -> StripOnGround:
+    model = pushbroom_of(task)
+    outlines = []
+    for ccd in range(task.camera.n_ccds):
+        s1, l1 = task.camera.n_px(ccd) - 0.5, task.strip.lines - 0.5
+        across, along = np.linspace(-0.5, s1, EDGE_POINTS), np.linspace(-0.5, l1, EDGE_POINTS)
+        sample = np.concatenate([across, np.full(EDGE_POINTS, s1), across[::-1], np.full(EDGE_POINTS, -0.5)])
+        line = np.concatenate([np.full(EDGE_POINTS, -0.5), along, np.full(EDGE_POINTS, l1), along[::-1]])
+        outlines.append(model.ground_points(ccd, sample, line, surface))
+    return StripOnGround(task=task, model=model, outlines_e=np.array(outlines))
+
+
+def _scene(strips: Sequence[StripOnGround]) -> Scene:
+    points = np.concatenate([one.outlines_e.reshape(-1, 3) for one in strips])
+    lat, lon, _ = geodetic_from_ecef(np.nanmean(points, axis=0)[None], WGS84)
+    scene = Scene(
+        lat_deg=round(float(np.degrees(lat[0])), 4),
+        lon_deg=round(float(np.degrees(lon[0])), 4),
+        strips=tuple(strips),
+        box_m=(0.0, 0.0, 0.0, 0.0),
+    )
+    xy = scene.plane_m(points[np.isfinite(points).all(axis=1)])
+    low, high = xy.min(axis=0), xy.max(axis=0)
+    margin = MARGIN * float((high - low).max())
+    (west, south), (east, north) = (low - margin).tolist(), (high + margin).tolist()
+    return replace(scene, box_m=(west, south, east, north))
+
+
+def scene_json(scene: Scene) -> dict[str, object]:
+    """What the map draws of a scene without its targets and pictures."""
+    strips = []
+    for one in scene.strips:
+        outlines = [
+            np.round(scene.plane_m(outline), 1).tolist()
+            for outline in one.outlines_e
+            if np.isfinite(outline).all()
+        ]
+        strips.append({"id": one.strip_id, "outlines_m": outlines})
+    return {"lat_deg": scene.lat_deg, "lon_deg": scene.lon_deg, "box_m": list(scene.box_m), "strips": strips}
+
+
+def ground_table(scenes: Sequence[Scene], dump: Dump, calibration: Calibration) -> pa.Table:
+    """One row for each target and CCD of a strip that was used, rejected or not matched, and for each target
+    beside a scene that no strip shows (`strip_id` empty, `ccd` -1).
+    """
+    parts = []
+    for number, scene in enumerate(scenes):
+        rows = [row for one in scene.strips for row in _rows_of_strip(one, calibration)]
+        named = {str(row["target_id"]) for row in rows}
+        rows += _out_of_view(scene, dump, named)
+        parts.append(_placed(rows, number, scene, dump))
+    rows = [row for part in parts for row in part]
+    return pa.Table.from_pylist(rows, schema=SCHEMA)
+
+
+def _rows_of_strip(one: StripOnGround, calibration: Calibration) -> Iterator[dict[str, object]]:
+    """Rows of the targets that a strip shows, without their places on the ground."""
+    strip_id, found = one.strip_id, calibration.estimate.targets
+    matched = next(m for m in calibration.matched if m.strip_id == strip_id)
+    keys = zip(found.strip_id.tolist(), found.target_id.tolist(), found.ccd.tolist())
+    row_of = {(t, c): n for n, (s, t, c) in enumerate(keys) if s == strip_id}
+    why = {o.name: o for o in calibration.omissions if o.kind == "target"}
+    names = list(zip(matched.target_id.tolist(), matched.ccd.tolist()))
+    rows = np.array([row_of.get(key, -1) for key in names], dtype=np.int64)
+    residuals_m = _residuals_m(one, matched, rows, found)
+    for n, (target, ccd) in enumerate(names):
+        row = int(rows[n])
+        used = row >= 0 and bool(found.kept[row])
+        omission = why.get(f"{strip_id}/{target}", Omission("target", target))
+        state, cause = (USED, "") if used else (REJECTED, str(omission.cause))
+        numbers = dict(zip((f"residual_{axis}_m" for axis in RESIDUALS), residuals_m[n].tolist()))
+        if row >= 0:
+            size = float(np.linalg.norm(residuals_m[n, :2]))
+            numbers |= {"residual_m": size, "sigmas": float(np.sqrt(found.statistic[row]))}
+        reason = "" if used else omission.reason
+        yield _row(one, target, ccd, state, cause, reason, matched.xy_px[n]) | numbers
+    p_e = one.p_e
+    for omission in matched.omissions:
+        if omission.kind not in ("target", "chip"):
+            continue
+        target, _, number = omission.name.removeprefix(f"{strip_id}/").partition(", CCD ")
+        ccd = int(number) if number else -1
+        xy_px: Floats = np.full(2, np.nan)
+        if ccd >= 0:
+            xy_px = np.concatenate(one.model.pixels_from_ground(ccd, p_e[target][None]))
+        yield _row(one, target, ccd, UNMATCHED, str(omission.cause), omission.reason, xy_px)
+
+
+def _row(
+    one: StripOnGround | None,
+    target_id: str,
+    ccd: int = -1,
+    state: str = OUT_OF_VIEW,
+    cause: str = "",
+    reason: str = "",
+    xy_px: Floats | None = None,
+) -> dict[str, object]:
+    texts = (one.strip_id if one else "", target_id, state, cause, reason)
+    row: dict[str, object] = {**dict.fromkeys(NUMBERS, np.nan), **dict(zip(TEXTS, texts)), "ccd": ccd}
+    if one is not None and xy_px is not None and np.isfinite(xy_px).all():
+        t_s = float(one.model.instants(xy_px[1:])[0])
+        row |= {"sample_px": float(xy_px[0]), "line_px": float(xy_px[1]), "t_s": t_s}
+    return row
+
+
+def _residuals_m(one: StripOnGround, matched: MatchedTargets, rows: Ints, found: TargetResiduals) -> Floats:
+    """Residuals (N, 4) of matched targets in metres: east, north, along the track and to the right of it.
+    `rows` (N,) are theirs in `found`, -1 for none.
+    """
+    residuals_m = np.full((len(rows), 4), np.nan)
+    p_of = one.p_e
+    p_all_e = np.array([p_of[name] for name in matched.target_id.tolist()]).reshape(-1, 3)
+    for k in np.unique(matched.ccd).tolist():
+        here = np.flatnonzero((matched.ccd == k) & (rows >= 0))
+        if not len(here):
+            continue
+        lat, lon, height = geodetic_from_ecef(p_all_e[here], WGS84)
+        to_plane = np.swapaxes(local_axes_e(lat, lon)[:, :, :2], 1, 2)  # east, north
+        level_m, xy_px = float(height.mean()), matched.xy_px[here]
+        J_c = one.model.pixel_jacobian(k, *xy_px.T, height_m=level_m)[:, :2]
+        residual_px = np.linalg.solve(J_c, found.residual_c[rows[here], :, None])
+        middle, beside, below = (
+            one.model.ground_points(k, xy_px[:, 0] + right, xy_px[:, 1] + down, ConstantHeight(level_m))
+            for right, down in ((0, 0), (1, 0), (0, 1))
+        )
+        J_e = np.stack([beside - middle, below - middle], axis=2)
+        plane_m = (to_plane @ J_e @ residual_px)[:, :, 0]
+        motion = one.task.orbit.velocities_e(one.model.instants(xy_px[:, 1]))
+        along = np.einsum("nji,ni->nj", to_plane, motion)
+        along /= np.linalg.norm(along, axis=1, keepdims=True)
+        across = along[:, ::-1] * [1.0, -1.0]
+        track_m = [(plane_m * axis).sum(axis=1) for axis in (along, across)]
+        residuals_m[here] = np.column_stack([plane_m, *track_m])
+    return residuals_m
+
+
+def _out_of_view(scene: Scene, dump: Dump, named: set[str]) -> list[dict[str, object]]:
+    """Targets on the map that no strip of the scene shows, at most `MOST_OUT_OF_VIEW`."""
+    targets = [target for target in dump.targets if target.target_id not in named]
+    if not targets:
+        return []
+    middle = np.nanmean(np.concatenate([s.outlines_e.reshape(-1, 3) for s in scene.strips]), axis=0)
+    p_e = np.array([target.p_e for target in targets])
+    west, south, east, north = scene.box_m
+    near = np.flatnonzero(np.linalg.norm(p_e - middle, axis=1) < 0.8 * np.hypot(east - west, north - south))
+    if not len(near):
+        return []
+    x, y = scene.plane_m(p_e[near]).T
+    inside = near[(x > west) & (x < east) & (y > south) & (y < north)]
+    return [_row(None, targets[n].target_id) for n in inside[:MOST_OUT_OF_VIEW]]
+
+
+def _placed(
+    rows: list[dict[str, object]], number: int, scene: Scene, dump: Dump
+) -> Iterator[dict[str, object]]:
+    """The rows with their scene and the places of their targets."""
+    if not rows:
+        return
+    p_of = {target.target_id: target.p_e for target in dump.targets}
+    for one in scene.strips:
+        p_of |= one.p_e
+    p_e = np.array([p_of[str(row["target_id"])] for row in rows])
+    lat, lon, height = geodetic_from_ecef(p_e, WGS84)
+    east, north = scene.plane_m(p_e).T
+    places = np.column_stack([np.degrees(lat), np.degrees(lon), height, east, north])
+    for row, place in zip(rows, places.tolist()):
+        yield row | {"scene": number} | dict(zip(PLACES, place))
+
+
+def scene_pictures(scenes: Sequence[Scene], dump: Dump, calibration: Calibration) -> pa.Table:
+    """Pictures on the scenes' planes, north up: shaded terrain (`strip_id` empty), a quicklook a strip."""
+    rows: list[dict[str, object]] = []
+    surface = surface_of(dump.terrain)
+    for number, scene in enumerate(scenes):
+        if not isinstance(dump.terrain, TargetHeights):
+            rows.append(_picture(number, "", scene.box_m, _shaded(scene, surface)))
+        for one in scene.strips:
+            outline = scene.plane_m(one.outlines_e[np.isfinite(one.outlines_e).all(axis=2)])
+            box = (*outline.min(axis=0).tolist(), *outline.max(axis=0).tolist())
+            if one.task.strip.images.ccds:
+                rows.append(_picture(number, one.strip_id, box, _quicklook(scene, one, box, surface)))
+    types = {"scene": pa.int64(), "strip_id": pa.string(), "box_m": pa.list_(pa.float64(), 4)}
+    return pa.Table.from_pylist(rows, schema=pa.schema([*types.items(), ("jpeg", pa.binary())]))
+
+
+def _picture(
+    scene: int, strip_id: str, box_m: Sequence[float], image: NDArray[np.uint8]
+) -> dict[str, object]:
+    done, encoded = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, 70])
+    if not done:
+        raise OSError("a picture of the map could not be encoded")
+    return {"scene": scene, "strip_id": strip_id, "box_m": list(box_m), "jpeg": encoded.tobytes()}
+
+
+def _grid(
+    scene: Scene, box_m: Sequence[float], nodes: int | None = None
+) -> tuple[Floats, Floats, tuple[int, int]]:
+    """Latitudes and longitudes (rad) of a grid over a box, north up, and the picture's (rows, columns)."""
+    west, south, east, north = box_m
+    scale = MOST_SIDE_PX / max(east - west, north - south)
+    size = max(2, round((north - south) * scale)), max(2, round((east - west) * scale))
+    rows, columns = (nodes, nodes) if nodes else size
+    half = 0.0 if nodes else 0.5
+    x = west + (east - west) * (np.arange(columns) + half) / (columns - 1 + 2 * half)
+    y = north - (north - south) * (np.arange(rows) + half) / (rows - 1 + 2 * half)
+    east_m, north_m = np.meshgrid(x, y)
+    lon, lat = scene.plane().transform(east_m, north_m, direction="INVERSE")
+    return np.radians(lat), np.radians(lon), size
+
+
+def _shaded(scene: Scene, surface: Surface) -> NDArray[np.uint8]:
+    """Hill shading of the terrain."""
+    lat, lon, (rows, columns) = _grid(scene, scene.box_m)
+    height = np.nan_to_num(surface.height_m(lat, lon), nan=0.0)
+    west, south, east, north = scene.box_m
+    down, right = np.gradient(RELIEF * height, (north - south) / rows, (east - west) / columns)
+    normal = np.stack([-right, down, np.ones_like(height)])
+    light = np.tensordot(SUN, normal, axes=1) / np.linalg.norm(normal, axis=0)
+    return np.round(255.0 * np.clip(0.25 + 0.75 * light, 0.0, 1.0)).astype(np.uint8)
+
+
+def _quicklook(
+    scene: Scene, one: StripOnGround, box_m: Sequence[float], surface: Surface
+) -> NDArray[np.uint8]:
+    """The strip resampled to the map; black where no CCD looked or its image cannot be read."""
+    lat, lon, (rows, columns) = _grid(scene, box_m, NODES)
+    height = np.nan_to_num(surface.height_m(lat, lon), nan=0.0)
+    p_e = ecef_from_geodetic(lat.ravel(), lon.ravel(), height.ravel(), WGS84)
+    picture = np.full((rows, columns), np.nan, dtype=np.float32)
+    to_size = _lattice_map(rows, columns)
+    for ccd in one.task.strip.images.ccds:
+        sample, line = one.model.pixels_from_ground(ccd, p_e)
+        maps = [
+            cv2.remap(v.reshape(NODES, NODES).astype(np.float32), *to_size, cv2.INTER_LINEAR)
+            for v in (sample, line)
+        ]
+        lines, samples = one.task.strip.images.shape(ccd)
+        factor = 1
+        while 2 * factor * MOST_SIDE_PX < lines and 2 * factor <= min(lines, samples):
+            factor *= 2
+        try:
+            coarse = read_coarse(
+                one.task.strip.images, ccd, (0, lines), (0, samples), factor, one.task.settings
+            ).image.astype(np.float32)
+        except RawDataError:  # reported as an omission
+            continue
+        x, y = ((value - 0.5 * (factor - 1)) / factor for value in maps)
+        inside = (maps[0] > -0.5) & (maps[0] < samples - 0.5) & (maps[1] > -0.5) & (maps[1] < lines - 0.5)
+        found = cv2.remap(coarse, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        picture[inside] = found[inside]
+    good = picture[np.isfinite(picture)]
+    low, high = np.percentile(good, [1.0, 99.0]) if len(good) else (0.0, 1.0)
+    scaled = np.clip((picture - low) / max(float(high - low), 1e-6), 0.0, 1.0)
+    return np.round(255.0 * np.nan_to_num(scaled, nan=0.0)).astype(np.uint8)
+
+
+def _lattice_map(rows: int, columns: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Places of a picture's pixels on the lattice of `NODES`² nodes that spans it."""
+    x = ((np.arange(columns) + 0.5) / columns * (NODES - 1)).astype(np.float32)
+    y = ((np.arange(rows) + 0.5) / rows * (NODES - 1)).astype(np.float32)
+    grid = np.meshgrid(x, y)
+    return grid[0], grid[1]

@@ -1,0 +1,236 @@
+"""Targets and exposures as the page lists them: one row, one card and one link each."""
+
+from __future__ import annotations
+
+import base64
+from typing import Any
+
+import numpy as np
+from scipy.stats import chi2
+
+from boresight.geometry.record import record, scalar
+from boresight.pipeline.files.table_files import column
+from boresight.pipeline.report.drawing import strip_style
+from boresight.pipeline.report.ground_map import OUT_OF_VIEW, REJECTED, UNMATCHED, USED
+from boresight.pipeline.report.saved import Number, Saved
+from boresight.pipeline.results.summary import REASON_WORDS
+
+__all__ = [
+    "ExposureRow",
+    "Pictures",
+    "TargetRow",
+    "data_uri",
+    "exposure_rows",
+    "strip_numbers",
+    "target_rows",
+]
+
+MOST_PRINTED = 12  # cards of used targets that a print shows; those not used are all printed
+GROUND, TARGETS = "evidence/ground", "sightings/targets"
+
+
+@record(kw_only=True)
+class Pictures:
+    """Pictures of one card as data URIs."""
+
+    template: str = scalar("chip as the strip should show it")
+    found: str = scalar("strip at that place")
+    difference: str = scalar("strip minus chip")
+    surface: str = scalar("correlation around that place")
+    low: Number = scalar("lowest correlation of the surface")
+    high: Number = scalar("highest correlation of the surface")
+
+
+@record(kw_only=True)
+class TargetRow:
+    """One target in one CCD of a strip, or one that no strip shows."""
+
+    link: str = scalar("id of its card on the page")
+    row: int = scalar("row of evidence/ground.parquet")
+    strip_id: str = scalar("strip; empty if none shows it")
+    target_id: str = scalar("target")
+    ccd: int = scalar("CCD, -1 if unknown")
+    state: str = scalar("used, rejected, not matched, not in view")
+    cause: str = scalar("short reason; empty if used")
+    reason: str = scalar("sentence with the numbers of the test")
+    shape: str = scalar("mark of its strip")
+    colour: str = scalar("CSS class of the colour of its strip")
+    numbers: dict[str, Number] = scalar("by column: residual_m, sigmas, correlation ...; those that exist")
+    pictures: Pictures | None = scalar("chip, strip, difference, correlation")
+    printed: bool = scalar("its card is part of a print")
+
+    @property
+    def why(self) -> str:
+        """The cause in plain words, as on the console."""
+        return REASON_WORDS.get(self.cause, self.cause)
+
+    @property
+    def name(self) -> str:
+        """Target, strip and CCD in words."""
+        where = f", strip {self.strip_id}" if self.strip_id else ""
+        return f"{self.target_id}{where}" + (f", CCD {self.ccd}" if self.ccd >= 0 else "")
+
+    @property
+    def key(self) -> str:
+        """CSS class of the state."""
+        return self.state.replace(" ", "-")
+
+    @property
+    def words(self) -> str:
+        """One line: what it is and what became of it."""
+        if "residual_m" not in self.numbers:
+            return f"{self.name}: {self.state}" + (f", {self.why}" if self.cause else "")
+        residual, sigmas = self.numbers["residual_m"], self.numbers["sigmas"]
+        text = f"{self.name}: {self.state}, residual {residual.text} m ({sigmas.text} σ)"
+        return f"{text}, {self.why}" if self.cause else text
+
+
+@record(kw_only=True)
+class ExposureRow:
+    """One star exposure."""
+
+    link: str = scalar("id of its card on the page")
+    exposure_id: str = scalar("exposure")
+    state: str = scalar("used, rejected or not identified")
+    cause: str = scalar("short reason; empty if used")
+    reason: str = scalar("sentence with the numbers")
+    numbers: dict[str, Number] = scalar("t_s, stars, chi2, dof; those that exist")
+    p_value: float = scalar("of chi2; NaN where there is none")
+    rejected: tuple[str, ...] = scalar("stars rejected, one sentence each")
+
+    @property
+    def printed(self) -> bool:
+        """Whether its card is part of a print."""
+        return self.state != "used"
+
+
+def strip_numbers(saved: Saved) -> dict[str, int]:
+    """Strips in the order of the map's scenes, with the numbers of their marks."""
+    names = [strip["id"] for scene in saved.context["scenes"] for strip in scene["strips"]]
+    return {name: n for n, name in enumerate(names)}
+
+
+def target_rows(saved: Saved, most_pictures: int) -> tuple[TargetRow, ...]:
+    """All targets of evidence/ground.parquet in the order: not used, then used; at most `most_pictures` used
+    ones get pictures, those with the largest residuals.
+    """
+    table = saved.ground.to_pylist()
+    number = strip_numbers(saved)
+    matched = {_key(row): n for n, row in enumerate(saved.matches.select(KEYS).to_pylist())}
+    unmatched = {_key(row): n for n, row in enumerate(saved.unmatched.select(KEYS).to_pylist())}
+    sighted = {_key(row): n for n, row in enumerate(saved.targets.select(KEYS).to_pylist())}
+    sigmas = np.nan_to_num(column(saved.ground, "sigmas"), nan=np.inf)
+    order = sorted(range(len(table)), key=lambda n: (RANK[table[n]["state"]], -sigmas[n]))
+    used = [n for n in order if table[n]["state"] == USED]
+    shown, printed = set(used[:most_pictures]), set(used[:MOST_PRINTED])
+    rows = []
+    for n in order:
+        row, key = table[n], _key(table[n])
+        pictures = None
+        if key in matched and (row["state"] != USED or n in shown):
+            pictures = _pictures(saved, "matches", matched[key])
+        elif key in unmatched:
+            pictures = _pictures(saved, "unmatched", unmatched[key])
+        shape, colour = strip_style(number.get(row["strip_id"], 0))
+        rows.append(
+            TargetRow(
+                link=f"t{n}",
+                row=n,
+                **{name: row[name] for name in ("strip_id", "target_id", "ccd", "state", "cause", "reason")},
+                shape=shape,
+                colour=colour,
+                numbers=_numbers(saved, n, sighted.get(key)),
+                pictures=pictures,
+                printed=n in printed or row["state"] in (REJECTED, UNMATCHED),
+            )
+        )
+    return tuple(rows)
+
+
+KEYS = ["strip_id", "target_id", "ccd"]
+RANK = {REJECTED: 0, UNMATCHED: 1, USED: 2, OUT_OF_VIEW: 3}
+FORMS = {
+    "residual_m": ".2f",
+    "sigmas": ".2f",
+    "residual_along_m": "+.2f",
+    "residual_across_m": "+.2f",
+    "sample_px": ".2f",
+    "line_px": ".2f",
+    "t_s": ".4f",
+    "lat_deg": ".6f",
+    "lon_deg": ".6f",
+    "height_m": ".1f",
+}
+SIGHTED = {"correlation": ".3f", "probability_wrong": ".1e", "detectable_m": ".2f"}
+
+
+def _key(row: dict[str, Any]) -> tuple[str, str, int]:
+    return row["strip_id"], row["target_id"], row["ccd"]
+
+
+def _numbers(saved: Saved, row: int, sighted: int | None) -> dict[str, Number]:
+    found = {name: saved.cell(GROUND, name, row, form) for name, form in FORMS.items()}
+    if sighted is not None:
+        found |= {name: saved.cell(TARGETS, name, sighted, form) for name, form in SIGHTED.items()}
+    return {name: number for name, number in found.items() if np.isfinite(number.exact)}
+
+
+def _pictures(saved: Saved, table: str, n: int) -> Pictures | None:
+    row = getattr(saved, table).slice(n, 1).to_pylist()[0]
+    if not row["template_png"]:  # measured elsewhere
+        return None
+    return Pictures(
+        template=data_uri("image/png", row["template_png"]),
+        found=data_uri("image/png", row["found_png"]),
+        difference=data_uri("image/png", row["difference_png"]),
+        surface=data_uri("image/png", row["surface_png"]),
+        low=saved.cell(f"evidence/{table}", "surface_low", n, "+.2f"),
+        high=saved.cell(f"evidence/{table}", "surface_high", n, "+.2f"),
+    )
+
+
+def exposure_rows(saved: Saved) -> tuple[ExposureRow, ...]:
+    """All identified exposures in order of time, then those that could not be used; none where the star
+    camera delivers attitudes.
+    """
+    if saved.context["star_camera"] is None:
+        return ()
+    stars: dict[str, list[str]] = {}
+    reasons: dict[str, tuple[str, str]] = {}
+    for row in saved.omissions.to_pylist():
+        if row["kind"] == "star":
+            exposure, _, star = row["name"].rpartition("/")
+            stars.setdefault(exposure, []).append(f"HIP {star}: {row['reason']}")
+        elif row["kind"] == "exposure":
+            reasons[row["name"]] = (row["cause"], row["reason"])
+    table, names = "sightings/exposures", saved.exposures.column("exposure_id").to_pylist()
+    usable = saved.exposures.column("usable").to_pylist()
+    forms = {"t_s": ".2f", "stars": ".0f", "chi2": ".1f", "dof": ".0f"}
+    rows = []
+    for n, name in enumerate(names):
+        numbers = {key: saved.cell(table, key, n, form) for key, form in forms.items()}
+        cause, reason = reasons.pop(name, ("", ""))
+        size, dof = numbers["chi2"].exact, numbers["dof"].exact
+        rows.append(
+            ExposureRow(
+                link=f"e{n}",
+                exposure_id=name,
+                state="used" if usable[n] else "rejected",
+                cause="" if usable[n] else cause,
+                reason="" if usable[n] else reason,
+                numbers=numbers,
+                p_value=float(chi2.sf(size, dof)) if dof > 0 else float("nan"),
+                rejected=tuple(stars.get(name, ())),
+            )
+        )
+    for n, (name, (cause, reason)) in enumerate(reasons.items(), start=len(names)):
+        none: dict[str, Any] = {"numbers": {}, "p_value": float("nan"), "rejected": ()}
+        rows.append(
+            ExposureRow(link=f"e{n}", exposure_id=name, state="not used", cause=cause, reason=reason, **none)
+        )
+    return tuple(rows)
+
+
+def data_uri(kind: str, content: bytes) -> str:
+    """Bytes as a `data:` URI of the media type `kind`, so that a page needs no other file."""
+    return f"data:{kind};base64,{base64.b64encode(content).decode('ascii')}"

@@ -1,0 +1,78 @@
+"""Pictures of targets that were not matched: what the strip shows where the calibrated model expects them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, get_type_hints
+
+import cv2
+import numpy as np
+import pyarrow as pa
+
+from boresight.gct_match.predict.template import chip_side_px, predict_template
+from boresight.gct_match.records import Evidence
+from boresight.geometry.terrain import Surface
+from boresight.pipeline.errors import RawDataError
+from boresight.pipeline.files.dump import Dump, surface_of
+from boresight.pipeline.files.record_tables import ITEMS
+from boresight.pipeline.report.ground_map import UNMATCHED, Scene, StripOnGround
+from boresight.pipeline.stages.match_pictures import MatchPictures, match_pictures
+from boresight.pipeline.stages.strip import read_chip
+
+__all__ = ["unmatched_pictures"]
+
+MOST = 200  # pictures of more make the page too large
+SIDE_PX, SMALLEST_PX, MARGIN_PX = 96, 8, 16  # of the template, and of the strip around it
+
+
+def unmatched_pictures(scenes: Sequence[Scene], ground: pa.Table, dump: Dump) -> pa.Table:
+    """Pictures as of matched targets (`evidence/matches.parquet`), of at most `MOST` that were not matched
+    although a CCD shows their place. The chip as expected there, the strip at that place, their difference
+    and their correlation within `MARGIN_PX`.
+    """
+    strips = {one.strip_id: one for scene in scenes for one in scene.strips}
+    surface = surface_of(dump.terrain)
+    rows: list[dict[str, Any]] = []
+    for row in ground.to_pylist():
+        if row["state"] != UNMATCHED or row["ccd"] < 0 or len(rows) == MOST:
+            continue
+        evidence = _evidence(strips[row["strip_id"]], row, surface)
+        if evidence is not None:
+            pictures = match_pictures(evidence)
+            own = {name: getattr(pictures, name) for name in get_type_hints(MatchPictures)}
+            rows.append({name: row[name] for name in ("strip_id", "target_id", "ccd")} | own)
+    types = {"strip_id": pa.string(), "target_id": pa.string(), "ccd": pa.int64()}
+    types |= {name: ITEMS[hint] for name, hint in get_type_hints(MatchPictures).items()}
+    return pa.Table.from_pylist(rows, schema=pa.schema(list(types.items())))
+
+
+def _evidence(one: StripOnGround, row: dict[str, Any], surface: Surface) -> Evidence | None:
+    """Template and strip at the expected place; None where the chip or the strip shows nothing of it."""
+    task, ccd, xy_px = one.task, row["ccd"], np.array([row["sample_px"], row["line_px"]])
+    order = [target.target_id for target in task.targets]
+    lines, samples = task.strip.images.shape(ccd)
+    if not np.isfinite(xy_px).all():
+        return None
+    try:
+        chip = read_chip(task.chips[order.index(row["target_id"])])
+        side = chip_side_px(chip, one.model, ccd, xy_px, surface)
+        half = int(min(0.5 * SIDE_PX, 0.5 * side)) if np.isfinite(side) else 0
+        x0, y0 = np.maximum(np.round(xy_px).astype(int) - half, 0).tolist()
+        w, h = min(2 * half, samples - x0), min(2 * half, lines - y0)
+        if min(w, h) < SMALLEST_PX:
+            return None
+        template = predict_template(chip, one.model, ccd, (x0, y0), (h, w), surface, task.settings)
+        left, top = max(0, x0 - MARGIN_PX), max(0, y0 - MARGIN_PX)
+        right, bottom = min(samples, x0 + w + MARGIN_PX), min(lines, y0 + h + MARGIN_PX)
+        around = task.strip.images.read(ccd, top, bottom, left, right).astype(np.float32)
+    except RawDataError:  # its omission says so
+        return None
+    expected = np.where(template.valid, template.image, np.float32(np.mean(template.image))).astype(
+        np.float32
+    )
+    found = around[y0 - top : y0 - top + h, x0 - left : x0 - left + w]
+    surface_px = cv2.matchTemplate(around, expected, cv2.TM_CCOEFF_NORMED)
+    design = np.column_stack([expected.ravel(), np.ones(expected.size)])
+    gain, offset = np.linalg.lstsq(design, found.ravel().astype(float), rcond=None)[0]
+    residual = (found - (gain * expected + offset)).astype(np.float32)
+    return Evidence(expected, found, residual, surface_px, np.array([x0, y0], dtype=float))

@@ -1,0 +1,127 @@
+"""Recordings of the terminal as animated SVG: `python scripts/figures/terminal.py [NAME...]`.
+
+Each command is run in a pseudo-terminal of 80 columns; what it prints appears at the times at which it was
+printed, at most `LONGEST_WAIT_S` apart. Lines that a progress bar writes over are shown as they end. A reader
+who prefers no motion, or a printer, sees the last frame.
+"""
+
+from __future__ import annotations
+
+import html
+import os
+import pty
+import re
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+ROOT = Path(__file__).parents[2]
+IMAGES = ROOT / "docs" / "images"
+COLUMNS, LINE_PX, CHAR_PX, PAD_PX = 80, 19, 8.4, 14
+LONGEST_WAIT_S, TYPING_S = 0.6, 0.7
+ESCAPE = re.compile(r"\x1b\[[0-9;?]*[A-Za-z]|\x1b\][^\x07]*\x07")
+RECORDINGS = {
+    "terminal-calibrate": (
+        "boresight calibrate fixtures/mini --out demo-result",
+        "boresight report demo-result --require-arcsec 1",
+    ),
+    "terminal-validate": (
+        "boresight calibrate fixtures/mini --out demo-result --quiet",
+        "boresight validate demo-result --dump fixtures/mini --max-nees 16 --max-ground-m 6",
+        "boresight validate demo-result --dump fixtures/mini --max-ground-m 2; echo status $?",
+    ),
+}
+
+
+@dataclass(frozen=True)
+class Line:
+    """One line of the recording."""
+
+    at_s: float
+    text: str
+    typed: bool
+
+
+def recorded(commands: tuple[str, ...], folder: Path) -> list[Line]:
+    """Lines of the terminal with the times at which they appear."""
+    (folder / "fixtures").symlink_to(ROOT / "fixtures")
+    now_s, lines = 0.4, []
+    for command in commands:
+        lines.append(Line(now_s, f"$ {command}", True))
+        now_s += TYPING_S
+        for wait_s, text in output(command, folder):
+            now_s += min(wait_s, LONGEST_WAIT_S)
+            lines.append(Line(now_s, text, False))
+    return lines
+
+
+def output(command: str, folder: Path) -> list[tuple[float, str]]:
+    """Lines that a command prints, each with the seconds since the one before."""
+    master, slave = pty.openpty()
+    program = f"{sys.executable} -m boresight"
+    known = {"COLUMNS": str(COLUMNS), "LINES": "40", "TERM": "xterm-256color", "NO_COLOR": "1"}
+    shell = command.replace("boresight ", f"{program} ", 1)
+    process = subprocess.Popen(
+        shell, shell=True, cwd=folder, env=os.environ | known, stdout=slave, stderr=slave, close_fds=True
+    )
+    os.close(slave)
+    parts, last = [], time.perf_counter()
+    rest = b""
+    while True:
+        try:
+            rest += os.read(master, 65536)
+        except OSError:  # the end of a pseudo-terminal on Linux
+            break
+        now = time.perf_counter()
+        *whole, rest = rest.split(b"\n")
+        for raw in whole:
+            shown = raw.decode().rstrip("\r").split("\r")[-1]
+            text = ESCAPE.sub("", shown).rstrip()
+            if text:
+                parts.append((now - last, text))
+                last = now
+    process.wait()
+    os.close(master)
+    return parts
+
+
+def svg(lines: list[Line]) -> str:
+    """The lines as an animated SVG in the colours of the reader's scheme."""
+    width = 2 * PAD_PX + CHAR_PX * max(COLUMNS, *(len(line.text) for line in lines))
+    height = 2 * PAD_PX + LINE_PX * len(lines)
+    rows = "".join(
+        f'<text x="{PAD_PX}" y="{PAD_PX + LINE_PX * (n + 0.75):.1f}"'
+        f' class="{"typed" if line.typed else "said"}" style="animation-delay:{line.at_s:.2f}s"'
+        f' xml:space="preserve">{html.escape(line.text)}</text>\n'
+        for n, line in enumerate(lines)
+    )
+    title = f"Recording of a terminal: {'; '.join(line.text[2:] for line in lines if line.typed)}"
+    return f"""<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width:.0f} {height:.0f}" role="img">
+<title>{html.escape(title)}</title>
+<style>
+svg {{ font: 14px ui-monospace, "DejaVu Sans Mono", Menlo, monospace; }}
+rect {{ fill: #f6f6f2; stroke: #d5d5cf; }} text {{ fill: #1b1d20; }}
+.typed {{ fill: #0b5394; font-weight: 600; }}
+@media (prefers-color-scheme: dark) {{
+rect {{ fill: #14171a; stroke: #33393f; }} text {{ fill: #e6e7e4; }} .typed {{ fill: #8cbdf0; }} }}
+@media screen and (prefers-reduced-motion: no-preference) {{
+text {{ animation: show 0.01s backwards; }} @keyframes show {{ from {{ visibility: hidden; }} }} }}
+</style>
+<rect x="0.5" y="0.5" width="{width - 1:.0f}" height="{height - 1:.0f}" rx="6"></rect>
+{rows}</svg>
+"""
+
+
+def main() -> None:
+    for name in sys.argv[1:] or RECORDINGS:
+        with tempfile.TemporaryDirectory() as folder:
+            lines = recorded(RECORDINGS[name], Path(folder))
+        (IMAGES / f"{name}.svg").write_text(svg(lines), encoding="utf-8")
+        print(f"{name}: {len(lines)} lines, {lines[-1].at_s:.1f} s")
+
+
+if __name__ == "__main__":
+    main()
