@@ -129,13 +129,13 @@ def _infeasible(target: Target, chip: Chip, side_px: float | None, settings: Mat
     """Why a chip of `side_px` in the strip (None if outside) cannot be matched; None if it can."""
     if side_px is None:
         return Refusal(Reason.OUTSIDE_REACH)
+    if side_px < settings.smallest_template_px:
+        return Refusal(Reason.CHIP_TOO_SMALL, side_px, settings.smallest_template_px)
     rows, columns = chip.image.shape
     x, y = chip_points(chip, np.array([target.p_e] * 2))[0]  # of one-element arrays pyproj warns
     beyond = max(-0.5 - x, x - columns + 0.5, -0.5 - y, y - rows + 0.5)
     if not beyond <= 0.0:
         return Refusal(Reason.OUTSIDE_CHIP, beyond, 0.0, (columns, rows))
-    if side_px < settings.smallest_template_px:
-        return Refusal(Reason.CHIP_TOO_SMALL, side_px, settings.smallest_template_px)
     per_px = min(chip.image.shape) / side_px  # pixels of the chip to one of the strip
     expected = expected_sigma_px(chip.image.astype(np.float32), chip.valid) / max(per_px, 1e-6)
     if not expected <= settings.sigma_px:

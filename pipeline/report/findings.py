@@ -28,9 +28,9 @@ from boresight.pipeline.stages.strip import match_targets
 __all__ = ["findings"]
 
 FEWEST = 3  # observations that make a pattern
-SMALLEST_HEIGHT_M = 5.0  # systematic difference of heights that is told
+SMALLEST_HEIGHT_M = 5.0  # systematic difference of heights that is reported
 MOST_STRIPS_AGAIN = 4  # strips without any match that are searched again
-SMALL_SHARE = 0.4  # of the swath: targets within less are told
+SMALL_SHARE = 0.4  # of the swath: targets within less are reported
 MOST_EXPOSURES = 40  # whose stars are held against other cameras
 EXPLAINED = 0.5  # share of the excess of chi-square that an explanation must remove
 FLAT_COUNTS = 2.0  # standard deviation of an image without content

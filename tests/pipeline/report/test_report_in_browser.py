@@ -104,9 +104,10 @@ class Browser:
         await self.loaded()
         await self.do("Page.navigate", url=page.as_uri())
         await self.loaded()
-        # The override reaches the page's own process a moment after the page has been loaded.
+        # The overrides reach the page's own process a moment after the page has been loaded.
         wait = "new Promise((done) => { const end = Date.now() + 10000; const look = () =>"
-        wait += f" innerWidth === {width} || Date.now() > end ? done() : setTimeout(look, 20); look(); }})"
+        wait += f" innerWidth === {width} && matchMedia('(prefers-color-scheme: {scheme})').matches"
+        wait += " || Date.now() > end ? done() : setTimeout(look, 20); look(); })"
         await self.value(wait)
         facts: dict[str, Any] = await self.value(FACTS)
         return facts
