@@ -23,6 +23,7 @@ import typer
 
 from boresight.pipeline import __version__
 from boresight.pipeline.commands.drift import add_drift_commands
+from boresight.pipeline.commands.heads import add_heads_commands
 from boresight.pipeline.commands.imports import add_import_commands
 from boresight.pipeline.commands.limits import JunitFile, held
 from boresight.pipeline.commands.match import add_match_commands
@@ -374,6 +375,7 @@ add_star_commands(app)
 add_match_commands(app)
 add_report_commands(app)
 add_drift_commands(app)
+add_heads_commands(app)
 add_plan_commands(app)
 add_sensor_commands(app)
 add_import_commands(app)

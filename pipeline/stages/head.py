@@ -26,7 +26,7 @@ from boresight.pipeline.settings import Settings
 from boresight.pipeline.stages.cached import StageRunner
 from boresight.pipeline.stages.exposure import in_order, sight_exposure, star_tasks
 
-__all__ = ["HeadSightings", "around_strips", "sight_head"]
+__all__ = ["HeadSightings", "around_strips", "covered_instants", "sight_head"]
 
 
 @record(kw_only=True)
@@ -78,7 +78,7 @@ def _solved(dump: Dump, head: Head, source: SolvedAttitudes, margin_s: float) ->
         reason = f"{rows.n_invalid} of {len(rows.t_s) + rows.n_invalid} attitudes are marked invalid"
         omissions.append(Omission("head", head.name, reason=reason, cause=Cause.MARKED_INVALID))
     near = around_strips(dump, rows.t_s, margin_s)
-    covered = near & _covered(dump.orbit, rows.t_s, near)
+    covered = near & covered_instants(dump.orbit, rows.t_s, near)
     if lost := int((near & ~covered).sum()):
         reason = f"the orbit has no states for {lost} of its {int(near.sum())} attitudes around strips"
         omissions.append(Omission("head", head.name, reason=reason, cause=Cause.NOT_COVERED))
@@ -97,7 +97,7 @@ def _solved(dump: Dump, head: Head, source: SolvedAttitudes, margin_s: float) ->
     )
 
 
-def _covered(orbit: Orbit, t_s: Floats, wanted: Bools) -> Bools:
+def covered_instants(orbit: Orbit, t_s: Floats, wanted: Bools) -> Bools:
     """Which of the wanted instants (K,) the orbit has states for."""
     try:
         orbit.positions_i(t_s[wanted])

@@ -1,0 +1,312 @@
+"""Noise of star cameras' attitudes from the record itself: spectrum, likelihood, scatter of means.
+
+Signals are rotation vectors of attitudes against a reference. With several heads they are the differences of
+each further head from the reference head, in which the motion of the satellite cancels; with one head, its
+attitude against the nominal motion, of which only frequencies above those of the motion are used. Each axis
+of each head has white noise and a first-order autoregressive process, AR(1); in a signal of step dt they have
+the spectral density (per sample, two-sided)
+
+    S(f) = w² + a² (1 - r²) / (1 - 2 r cos(2 pi f dt) + r²),    r = exp(-dt / τ).
+
+Whittle's likelihood, the sum over frequencies of log det S + tr(S⁻¹ I) with the periodogram matrix I, is
+maximised over w, a, τ of all axes at once: heads whose axes lie apart are told apart by their axes (a tracker
+is several times worse about its line of sight), and where that does not tell, heads are taken to be alike.
+What is constant over a piece of the record does not show in it; it is the scatter of means over disjoint
+pieces that white and AR(1) do not explain.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from itertools import pairwise
+
+import numpy as np
+from scipy.optimize import minimize, nnls
+from scipy.spatial.transform import Rotation
+
+from boresight.geometry.attitude_noise import AttitudeNoise
+from boresight.geometry.record import Floats, Ints, array, record, scalar
+
+__all__ = [
+    "AxisSpectrum",
+    "NoiseFit",
+    "Signal",
+    "allan_deviation",
+    "difference_signal",
+    "fit_noise",
+    "pieces_of",
+]
+
+GAP = 1.5  # steps: a longer one ends a piece of the record
+FEWEST_ROWS = 64  # of a piece whose spectrum is used
+ALIKE = 0.3  # scatter of log(w), log(a), log(τ) between heads, and between x and y
+
+
+@record(kw_only=True)
+class Signal:
+    """Evenly spaced differences of heads, and how each head enters: signal = sum of R (3, 3) times errors."""
+
+    values: Floats = array("K, D", "rotation vectors, rad, D = 3 for each difference")
+    pieces: tuple[slice, ...] = scalar("parts of equal step without a gap")
+    step_s: float = scalar("from row to row")
+    enters: Floats = array("H, D, 3", "of each head's axes into the signal")
+    lowest_hz: float = scalar("lower frequencies hold motion of the satellite; 0: none", default=0.0)
+
+
+@record(kw_only=True)
+class AxisSpectrum:
+    """Mean periodogram of one component of the signal, and the model's, rad² a sample."""
+
+    frequency_hz: Floats = array("F", "frequencies")
+    measured: Floats = array("F, D", "of each component")
+    model: Floats = array("F, D", "by the fit")
+    white: Floats = array("F, D", "by the fit of white noise alone")
+
+
+@record(kw_only=True)
+class NoiseFit:
+    """Noise of each head, with errors, and how well it describes the record."""
+
+    heads: tuple[AttitudeNoise, ...] = array("H", "fitted noise; constant part from means of pieces")
+    sigma_log: Floats = array("H, 3, 3", "1-sigma of log(w), log(a), log(τ) of each head and axis")
+    white_statistic: float = scalar("twice the log likelihood lost by white noise alone")
+    white_dof: int = scalar("parameters that white noise alone does without")
+    mean_s: float = scalar("length of the pieces whose means were compared")
+    scatter: Floats = array("D", "rms of these means about their mean, rad; NaN with fewer than two")
+    predicted: Floats = array("D", "the same by white and AR(1) noise")
+    predicted_white: Floats = array("D", "the same by white noise of the same total variance")
+    n_means: int = scalar("number of means")
+    spectrum: AxisSpectrum = scalar("of the components of the signal")
+
+
+def pieces_of(t_s: Floats) -> tuple[float, tuple[slice, ...]]:
+    """The usual step of instants (K,), and the parts without a longer one."""
+    step = float(np.median(np.diff(t_s)))
+    breaks = np.flatnonzero(np.abs(np.diff(t_s) - step) > (GAP - 1.0) * step) + 1
+    return step, tuple(slice(int(a), int(b)) for a, b in pairwise([0, *breaks.tolist(), len(t_s)]))
+
+
+def fit_noise(signal: Signal, mean_s: float) -> NoiseFit:
+    """Noise of H heads from their signal; `ValueError` for a record without a piece of 64 rows.
+
+    Parameters
+    ----------
+    signal : Signal
+        Differences of heads, or one head against the nominal motion.
+    mean_s : float
+        Length of pieces over which a part of the errors counts as constant, such as that of a strip.
+    """
+    parts = [signal.values[piece] for piece in signal.pieces if piece.stop - piece.start >= FEWEST_ROWS]
+    if not parts:
+        longest = max((piece.stop - piece.start for piece in signal.pieces), default=0)
+        raise ValueError(
+            f"the longest part of the record without a gap has {longest} rows, {FEWEST_ROWS} are needed"
+        )
+    omega, periodogram = _periodograms(parts, signal)
+    H = len(signal.enters)
+    variance = _start_variances(signal, parts)
+    start = np.stack([0.5 * np.log(0.7 * variance), 0.5 * np.log(0.3 * variance), np.zeros((H, 3))], axis=-1)
+    start[:, :, 2] = np.log(5.0 * signal.step_s)
+
+    def loss(x: Floats) -> float:
+        p = x.reshape(H, 3, 3)
+        density = _axes_density(p, omega, signal.step_s)
+        return _whittle(density, signal.enters, periodogram) + _unlike(p, start)
+
+    found = minimize(loss, start.ravel())
+    x = np.asarray(found.x, dtype=np.float64).reshape(H, 3, 3)
+
+    def white_loss(y: Floats) -> float:
+        return _whittle(
+            np.tile(np.exp(2.0 * y).reshape(H, 3), (len(omega), 1, 1)), signal.enters, periodogram
+        )
+
+    white = minimize(white_loss, 0.5 * np.log(variance).ravel())
+    white_density = np.exp(2.0 * np.asarray(white.x)).reshape(H, 3)
+    sigma_log = _errors(loss, x.ravel()).reshape(H, 3, 3)
+    return _with_means(
+        signal, x, sigma_log, (float(found.fun), float(white.fun)), white_density, mean_s, parts
+    )
+
+
+def allan_deviation(values: Floats, step_s: float) -> tuple[Floats, Floats]:
+    """Averaging times (M,) and the Allan deviation (M, D) of means over them: of adjacent means, root of
+    half the mean squared difference; overlapping.
+    """
+    sums = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(values, axis=0)])
+    counts: Ints = np.unique(
+        np.round(2.0 ** np.arange(0.0, np.log2(max(len(values) / 3.0, 1.0)), 0.5)).astype(np.int64)
+    )
+    deviations = []
+    for m in counts.tolist():
+        means = (sums[m:] - sums[:-m]) / m
+        deviations.append(np.sqrt(0.5 * np.mean((means[m:] - means[:-m]) ** 2, axis=0)))
+    return counts * step_s, np.array(deviations)
+
+
+def _periodograms(parts: Sequence[Floats], signal: Signal) -> tuple[Floats, Floats]:
+    """Angular frequencies (F,), rad a sample, and periodogram matrices (F, D, D), real part."""
+    omega: list[Floats] = []
+    matrices: list[Floats] = []
+    for part in parts:
+        K = len(part)
+        X = np.fft.rfft(part - part.mean(axis=0), axis=0)[1 : (K + 1) // 2]
+        at: Floats = 2.0 * np.pi * np.arange(1, (K + 1) // 2, dtype=np.float64) / K
+        used = at >= 2.0 * np.pi * signal.lowest_hz * signal.step_s
+        omega.append(at[used])
+        matrices.append((X[used, :, None] * X[used, None, :].conj()).real / K)
+    return np.concatenate(omega).astype(np.float64), np.concatenate(matrices).astype(np.float64)
+
+
+def _axes_density(x: Floats, omega: Floats, step_s: float) -> Floats:
+    """Spectral density (F, H, 3) of each axis for log parameters (H, 3, 3)."""
+    white, correlated, r = np.exp(2 * x[..., 0]), np.exp(2 * x[..., 1]), np.exp(-step_s / np.exp(x[..., 2]))
+    shape = (1.0 - r**2) / (1.0 - 2.0 * r * np.cos(omega)[:, None, None] + r**2)
+    return np.asarray(white + correlated * shape)
+
+
+def _signal_density(axes: Floats, enters: Floats) -> Floats:
+    """Spectral matrices (F, D, D) of the signal."""
+    return np.einsum("hda,fha,hea->fde", enters, axes, enters, optimize=True)
+
+
+def _whittle(axes: Floats, enters: Floats, periodogram: Floats) -> float:
+    S = _signal_density(axes, enters)
+    return float(np.sum(np.linalg.slogdet(S)[1]) + np.einsum("fde,fed->", np.linalg.inv(S), periodogram))
+
+
+def _start_variances(signal: Signal, parts: Sequence[Floats]) -> Floats:
+    """Variances (H, 3) of the heads' axes that explain the signal's covariance best, none negative."""
+    values = np.concatenate([part - part.mean(axis=0) for part in parts])
+    covariance = values.T @ values / len(values)
+    H, D, _ = signal.enters.shape
+    columns = np.einsum("hda,hea->deha", signal.enters, signal.enters).reshape(D * D, 3 * H)
+    found, _ = nnls(columns, covariance.ravel())
+    return np.maximum(found, 0.02 * np.trace(covariance) / (D * H)).reshape(H, 3)
+
+
+def _unlike(x: Floats, start: Floats) -> float:
+    """Minus the logarithm of the prior: heads of one satellite are of one make, so log(w), log(a), log(τ) of
+    all x and y axes scatter by `ALIKE`, those of z likewise; τ is within a factor of some 5 of its start.
+    """
+    across, along = x[:, :2].reshape(-1, 3), x[:, 2]
+    spread = sum(float(np.sum((part - part.mean(axis=0)) ** 2)) for part in (across, along))
+    return 0.5 * spread / ALIKE**2 + 0.5 * float(np.sum((x[..., 2] - start[..., 2]) ** 2)) / 1.5**2
+
+
+def _errors(loss: Callable[[Floats], float], x: Floats) -> Floats:
+    """1-sigma of the parameters by the curvature of minus the logarithm of their probability."""
+    n, h = len(x), 1e-3
+    hessian = np.empty((n, n))
+    steps = h * np.eye(n)
+    for i in range(n):
+        for j in range(i, n):
+            a, b = steps[i], steps[j]
+            value = loss(x + a + b) - loss(x + a - b) - loss(x - a + b) + loss(x - a - b)
+            hessian[i, j] = hessian[j, i] = value / (4.0 * h * h)
+    values, vectors = np.linalg.eigh(hessian)
+    covariance = (vectors / np.maximum(values, 1.0)) @ vectors.T  # the prior's curvature is larger than 1
+    return np.sqrt(np.diag(covariance))
+
+
+def _with_means(
+    signal: Signal,
+    x: Floats,
+    sigma_log: Floats,
+    losses: tuple[float, float],
+    white_density: Floats,
+    mean_s: float,
+    parts: Sequence[Floats],
+) -> NoiseFit:
+    count = max(round(mean_s / signal.step_s), 1)
+    means = np.concatenate([_means(part, count) for part in parts])
+    scatter2 = _scatter(parts, count)
+    by_axis = _variance_of_means(x, count, signal.step_s)
+    predicted2 = np.einsum("hda,ha,hda->d", signal.enters, by_axis, signal.enters)
+    white2 = np.einsum("hda,ha,hda->d", signal.enters, white_density / count, signal.enters)
+    constant = _constant(signal, scatter2 - predicted2) if len(means) > 1 else np.zeros(x.shape[:2])
+    noise = tuple(
+        AttitudeNoise(
+            white_rad=np.exp(one[:, 0]),
+            correlated_rad=np.exp(one[:, 1]),
+            correlation_time_s=np.exp(one[:, 2]),
+            constant_rad=np.sqrt(excess),
+        )
+        for one, excess in zip(x, constant)
+    )
+    omega: Floats = np.pi * (np.arange(48, dtype=np.float64) + 0.5) / 48.0
+    grid = _axes_density(x, omega, signal.step_s)
+    return NoiseFit(
+        heads=noise,
+        sigma_log=sigma_log,
+        white_statistic=2.0 * (losses[1] - losses[0]),
+        white_dof=2 * x.shape[0] * 3,
+        mean_s=count * signal.step_s,
+        scatter=np.sqrt(scatter2),
+        predicted=np.sqrt(predicted2),
+        predicted_white=np.sqrt(white2),
+        n_means=len(means),
+        spectrum=AxisSpectrum(
+            frequency_hz=omega / (2.0 * np.pi * signal.step_s),
+            measured=_binned(parts, signal, omega),
+            model=np.einsum("hda,fha,hda->fd", signal.enters, grid, signal.enters),
+            white=np.tile(np.einsum("hda,ha,hda->d", signal.enters, white_density, signal.enters), (48, 1)),
+        ),
+    )
+
+
+def _means(part: Floats, count: int) -> Floats:
+    whole = len(part) // count
+    return part[: whole * count].reshape(whole, count, -1).mean(axis=1)
+
+
+def _scatter(parts: Sequence[Floats], count: int) -> Floats:
+    """Variance (D,) of means about their mean over the record; NaN with fewer than two."""
+    means = np.concatenate([_means(part, count) for part in parts])
+    return means.var(axis=0, ddof=1) if len(means) > 1 else np.full(parts[0].shape[1], np.nan)
+
+
+def _variance_of_means(x: Floats, count: int, step_s: float) -> Floats:
+    """Variance (H, 3) of a mean over `count` rows."""
+    lag = np.arange(1, count)
+    r = np.exp(-step_s / np.exp(x[..., 2]))
+    series = 1.0 + 2.0 * np.sum((1.0 - lag / count) * r[..., None] ** lag, axis=-1)
+    return np.asarray((np.exp(2.0 * x[..., 0]) + np.exp(2.0 * x[..., 1]) * series) / count)
+
+
+def _constant(signal: Signal, excess2: Floats) -> Floats:
+    """Variances (H, 3) that explain what the scatter of means has beyond the model, none negative."""
+    H, D, _ = signal.enters.shape
+    columns = np.einsum("hda,hda->dha", signal.enters, signal.enters).reshape(D, 3 * H)
+    # Of equally good solutions the smallest: heads share what their axes cannot tell apart.
+    weak = 1e-3 * np.eye(3 * H)
+    found, _ = nnls(np.vstack([columns, weak]), np.concatenate([np.maximum(excess2, 0.0), np.zeros(3 * H)]))
+    return found.reshape(H, 3)
+
+
+def _binned(parts: Sequence[Floats], signal: Signal, centres: Floats) -> Floats:
+    """Mean periodogram (F, D) about each of the centres; NaN where there is none."""
+    omega, periodogram = _periodograms(parts, signal)
+    bins = np.floor(omega / np.pi * len(centres)).astype(np.int64).clip(0, len(centres) - 1)
+    power = np.einsum("fdd->fd", periodogram)
+    total = np.zeros((len(centres), power.shape[1]))
+    np.add.at(total, bins, power)
+    number = np.bincount(bins, minlength=len(centres))[:, None]
+    return np.divide(total, number, out=np.full(total.shape, np.nan), where=number > 0)
+
+
+def difference_signal(
+    R_si: Rotation,
+    others: Sequence[tuple[Rotation, Rotation]],
+    step: tuple[float, tuple[slice, ...]],
+) -> Signal:
+    """Signal of several heads with attitudes at the same K instants: of each (R_hi, R_sh) after the
+    reference head's `R_si`, the rotation from it, axes of s.
+    """
+    values = [(R_sh * R_hi * R_si.inv()).as_rotvec() for R_hi, R_sh in others]
+    D = 3 * len(others)
+    enters = np.zeros((1 + len(others), D, 3))
+    enters[0] = np.tile(-np.eye(3), (len(others), 1))
+    for n, (_, R_sh) in enumerate(others):
+        enters[1 + n, 3 * n : 3 * n + 3] = R_sh.as_matrix()
+    return Signal(values=np.concatenate(values, axis=1), pieces=step[1], step_s=step[0], enters=enters)

@@ -1,0 +1,152 @@
+"""The heads of a dump by themselves: their noise, and their alignment, from the whole record of attitudes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from boresight.calib.alignment import HeadAlignment, HeadTrack, align_heads, carried_to, common_instants
+from boresight.calib.noise_spectrum import NoiseFit, Signal, difference_signal, fit_noise, pieces_of
+from boresight.calib.settings import CalibrationSettings
+from boresight.geometry.attitude_aberration import with_all_aberration
+from boresight.geometry.orbit import argument_of_latitude
+from boresight.geometry.record import Floats, array, record, scalar
+from boresight.pipeline.errors import DataNotSufficientError
+from boresight.pipeline.files.dump import Dump
+from boresight.pipeline.files.star_side import Head, SolvedAttitudes
+from boresight.pipeline.settings import Settings
+from boresight.pipeline.stages.cached import StageRunner
+from boresight.pipeline.stages.head import covered_instants, sight_head
+
+__all__ = ["LOWEST_HZ", "HeadNoise", "HeadsAlone", "heads_alone", "noise_of_heads"]
+
+LOWEST_HZ = 0.5  # of a single head: slower motion is the satellite's
+PIECE_S = 10.0  # length over which errors count as constant, where the dump has no longer strip
+LEAST_ORBIT = 0.25  # of an orbit that a record must span for a term of the position in it
+
+
+@record(kw_only=True)
+class HeadNoise:
+    """Noise of the heads of a dump."""
+
+    names: tuple[str, ...] = array("H", "heads; the first is the reference head")
+    signal: Signal = scalar("what the noise was found from")
+    fit: NoiseFit = scalar("noise with errors")
+
+
+@record(kw_only=True)
+class HeadsAlone:
+    """Alignments of the heads of a dump with its reference head."""
+
+    reference: str = scalar("name of the reference head")
+    noise: HeadNoise = scalar("their noise")
+    alignments: tuple[HeadAlignment, ...] = scalar("of each further head")
+    stated: tuple[Rotation, ...] = scalar("R_sh of the same heads by the pre-launch matrices")
+
+
+def noise_of_heads(dump: Dump, settings: Settings, lowest_hz: float = LOWEST_HZ) -> HeadNoise:
+    """Noise of a dump's heads: by their differences, or of a single one above the motion's frequencies.
+
+    `DataNotSufficientError` for a record that is too short or has too many gaps.
+    """
+    return _noise(dump, [_track(dump, head, settings)[0] for head in dump.heads], lowest_hz)
+
+
+def heads_alone(dump: Dump, settings: Settings) -> HeadsAlone:
+    """Alignment of the further heads of a dump with its reference head.
+
+    `DataNotSufficientError` for a single head, and for heads without attitudes at common instants.
+    """
+    if len(dump.heads) < 2:
+        raise DataNotSufficientError(
+            "the dump has one star camera, an alignment needs two ([[star_cameras]])"
+        )
+    tracks = [_track(dump, head, settings) for head in dump.heads]
+    noise = _noise(dump, [track for track, _ in tracks], LOWEST_HZ)
+    reference, alignments = tracks[0][0], []
+    for n, (track, temperature) in enumerate(tracks[1:], start=1):
+        pair = noise.fit.heads[0], noise.fit.heads[n]
+        try:
+            found = align_heads(reference, track, pair, _terms(dump, track, temperature), noise.fit.mean_s)
+        except ValueError as error:
+            raise DataNotSufficientError(str(error)) from error
+        alignments.append(found)
+    return HeadsAlone(
+        reference=reference.name,
+        noise=noise,
+        alignments=tuple(alignments),
+        stated=tuple(dump.R_cs0.inv() * head.R_cs0 for head in dump.heads[1:]),
+    )
+
+
+def _track(dump: Dump, head: Head, settings: Settings) -> tuple[HeadTrack, Floats | None]:
+    """All attitudes of a head that the orbit covers, and its temperatures."""
+    if isinstance(head.source, SolvedAttitudes):
+        rows = head.source.rows
+        at = np.flatnonzero(covered_instants(dump.orbit, rows.t_s, np.ones(len(rows.t_s), dtype=bool)))
+        t_s, temperature = rows.t_s[at], rows.temperature_c
+        v_i = dump.orbit.states_i(t_s)[1]
+        R_hi = with_all_aberration(rows.R_si[at], head.source.aberration_removed, dump.epoch, t_s, v_i)
+        warm = None if temperature is None else temperature[at]
+        return HeadTrack(name=head.name, t_s=t_s, R_hi=R_hi, R_oi=dump.orbit.R_oi(t_s)), warm
+    sighted = sight_head(dump, head, settings, CalibrationSettings().attitudes, StageRunner())
+    usable = sighted.attitudes.usable
+    t_s = np.array([exposure.t_s for exposure in sighted.stars])[usable]
+    if len(t_s) < 2:
+        raise DataNotSufficientError(f"{head.name}: {len(t_s)} exposures with an attitude, 2 are needed")
+    R_hi = Rotation.from_matrix(sighted.attitudes.R_si[usable])
+    return HeadTrack(name=head.name, t_s=t_s, R_hi=R_hi, R_oi=dump.orbit.R_oi(t_s)), None
+
+
+def _noise(dump: Dump, tracks: Sequence[HeadTrack], lowest_hz: float) -> HeadNoise:
+    longest = max((strip.lines * strip.row_period_s for strip in dump.strips), default=0.0)
+    signal = _single(tracks[0], lowest_hz) if len(tracks) == 1 else _differences(dump, tracks)
+    try:
+        fit = fit_noise(signal, max(longest, PIECE_S))
+    except ValueError as error:
+        raise DataNotSufficientError(f"noise of {', '.join(t.name for t in tracks)}: {error}") from error
+    return HeadNoise(names=tuple(track.name for track in tracks), signal=signal, fit=fit)
+
+
+def _single(track: HeadTrack, lowest_hz: float) -> Signal:
+    """A head against the nominal motion."""
+    D = track.R_hi * track.R_oi.inv()
+    step, pieces = pieces_of(track.t_s)
+    values = (D * D[len(D) // 2].inv()).as_rotvec()
+    return Signal(values=values, pieces=pieces, step_s=step, enters=np.eye(3)[None], lowest_hz=lowest_hz)
+
+
+def _differences(dump: Dump, tracks: Sequence[HeadTrack]) -> Signal:
+    """The further heads against the reference head at the instants that all have in common."""
+    reference, *others = tracks
+    pairs = [common_instants(reference, other) for other in others]
+    rows = pairs[0][0]
+    for first, _ in pairs[1:]:
+        rows = np.intersect1d(rows, first)
+    if len(rows) < 2:
+        raise DataNotSufficientError(f"{', '.join(t.name for t in tracks)}: no attitudes at common instants")
+    R_si = reference.R_hi[rows]
+    moved = []
+    for other, (first, own), head in zip(others, pairs, dump.heads[1:]):
+        take = own[np.searchsorted(first, rows)]
+        R_hi = carried_to(other, take, reference.t_s[rows], reference.R_oi[rows])
+        R_sh = dump.R_cs0.inv() * head.R_cs0
+        mean = (R_si * R_hi.inv() * R_sh.inv()).as_rotvec()
+        moved.append((R_hi, Rotation.from_rotvec(np.median(mean, axis=0)) * R_sh))
+    return difference_signal(R_si, moved, pieces_of(reference.t_s[rows]))
+
+
+def _terms(dump: Dump, track: HeadTrack, temperature: Floats | None) -> dict[str, Floats]:
+    """Quantities that an alignment may change with, where the record spans enough of them."""
+    terms = {"hour": track.t_s / 3600.0}
+    latitude = np.unwrap(argument_of_latitude(*dump.orbit.states_i(track.t_s)))
+    if np.ptp(latitude) > 2.0 * np.pi * LEAST_ORBIT:
+        terms |= {
+            "cos(argument of latitude)": np.cos(latitude),
+            "sin(argument of latitude)": np.sin(latitude),
+        }
+    if temperature is not None and np.ptp(temperature) > 0.1:
+        terms["degree Celsius"] = temperature
+    return terms
