@@ -22,6 +22,7 @@ from itertools import pairwise
 
 import numpy as np
 from scipy.optimize import minimize, nnls
+from scipy.signal.windows import tukey
 from scipy.spatial.transform import Rotation
 
 from boresight.geometry.attitude_noise import AttitudeNoise
@@ -141,16 +142,22 @@ def allan_deviation(values: Floats, step_s: float) -> tuple[Floats, Floats]:
     for m in counts.tolist():
         means = (sums[m:] - sums[:-m]) / m
         deviations.append(np.sqrt(0.5 * np.mean((means[m:] - means[:-m]) ** 2, axis=0)))
-    return counts * step_s, np.array(deviations)
+    times: Floats = counts.astype(np.float64) * step_s
+    return times, np.array(deviations)
 
 
 def _periodograms(parts: Sequence[Floats], signal: Signal) -> tuple[Floats, Floats]:
-    """Angular frequencies (F,), rad a sample, and periodogram matrices (F, D, D), real part."""
+    """Angular frequencies (F,), rad a sample, and periodogram matrices (F, D, D), real part.
+
+    Where slow motion is to be left out, a taper over a tenth at both ends keeps it from leaking upwards.
+    """
     omega: list[Floats] = []
     matrices: list[Floats] = []
     for part in parts:
         K = len(part)
-        X = np.fft.rfft(part - part.mean(axis=0), axis=0)[1 : (K + 1) // 2]
+        taper = tukey(K, 0.2 if signal.lowest_hz > 0.0 else 0.0)[:, None]
+        taper = taper / np.sqrt(np.mean(taper**2))
+        X = np.fft.rfft(taper * (part - part.mean(axis=0)), axis=0)[1 : (K + 1) // 2]
         at: Floats = 2.0 * np.pi * np.arange(1, (K + 1) // 2, dtype=np.float64) / K
         used = at >= 2.0 * np.pi * signal.lowest_hz * signal.step_s
         omega.append(at[used])

@@ -245,7 +245,7 @@ def write_heads(found: HeadsAlone, out: Path) -> tuple[Path, ...]:
         axes = figure.add_subplot(len(found.alignments), 1, row + 1)
         for n, (colour, _, marker) in enumerate(STYLES):
             axes.errorbar(
-                one.block_t_s,
+                one.block_t_s + 0.004 * (n - 1) * np.ptp(one.block_t_s),
                 one.block_s[:, n] / ARCSEC,
                 one.block_sigma[:, n] / ARCSEC,
                 fmt=marker,
