@@ -158,6 +158,7 @@ def exposure_without_stars(exposure_id: str, t_s: float) -> StarSightings:
         u_s=none,
         u_i=none,
         cov_s=np.zeros((0, 3, 3)),
+        snr=np.zeros(0),
     )
 
 

@@ -1,5 +1,7 @@
-"""CCSDS Attitude Ephemeris Message (504.0-B-1, KVN): calibrated attitude of the remote-sensing camera over a
-strip.
+"""CCSDS attitude messages (504.0-B, KVN): calibrated attitude of the remote-sensing camera over a strip.
+
+The Attitude Ephemeris Message 1.0 (AEM) holds attitudes; that with covariances is the Attitude Comprehensive
+Message 2.0 (ACM), whose covariance is the diagonal, deg², about the axes of the camera.
 
 A is the inertial frame (ICRF axes; with the Earth as centre those of GCRS), B the camera. The standard's
 quaternion, scalar last, gives the matrix that takes components in A to components in B with 2 (q1 q2 + q3 qc)
@@ -10,12 +12,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
 from scipy.spatial.transform import Rotation
 
-from boresight.geometry.record import record, scalar
+from boresight.geometry.epoch import Epoch
+from boresight.geometry.record import Floats, record, scalar
 from boresight.pipeline.exports.one_line import one_line
 
-__all__ = ["AemHeader", "attitude_message"]
+__all__ = ["AemHeader", "attitude_message", "comprehensive_message"]
 
 
 @record(kw_only=True)
@@ -65,6 +69,53 @@ def attitude_message(header: AemHeader, comments: Sequence[str], utc: Sequence[s
     for instant, q in zip(utc, _continuous(R_ci.inv())):
         lines.append(" ".join([instant.rstrip("Z"), *(f"{value: .15f}" for value in q)]))
     return "\n".join([*lines, "DATA_STOP", ""])
+
+
+def comprehensive_message(
+    header: AemHeader, comments: Sequence[str], utc: Sequence[str], R_ci: Rotation, variance_c: Floats
+) -> str:
+    """Text of an ACM: `utc` (N,) instants, `R_ci` (N,) from GCRS to the camera, `variance_c` (N, 3) rad²
+    about the axes of the camera.
+
+    Raises `ValueError` for fewer than two states or different lengths.
+    """
+    if not len(utc) == len(R_ci) == len(variance_c) or len(utc) < 2:
+        raise ValueError(f"an attitude message needs two or more states, got {len(utc)} and {len(R_ci)}")
+    zero, frame = utc[0].rstrip("Z"), one_line(header.instrument)
+    t_s = Epoch.from_utc(zero).seconds_from_utc(utc)
+    since = [f"{t:.9f}" for t in t_s - t_s[0]]
+    lines = [
+        "CCSDS_ACM_VERS = 2.0",
+        f"CREATION_DATE = {header.creation_utc.rstrip('Z')}",
+        f"ORIGINATOR = {one_line(header.originator)}",
+        "",
+        "META_START",
+        *(f"COMMENT {one_line(comment)}" for comment in comments),
+        f"OBJECT_NAME = {one_line(header.object_name)}",
+        f"INTERNATIONAL_DESIGNATOR = {one_line(header.object_id)}",
+        "TIME_SYSTEM = UTC",
+        f"EPOCH_TZERO = {zero}",
+        "META_STOP",
+        "",
+        "ATT_START",
+        "REF_FRAME_A = ICRF",
+        f"REF_FRAME_B = {frame}",
+        "NUMBER_STATES = 4",
+        "ATT_TYPE = QUATERNION",
+        *(" ".join([t, *(f"{value: .15f}" for value in q)]) for t, q in zip(since, _continuous(R_ci.inv()))),
+        "ATT_STOP",
+        "",
+        "COV_START",
+        f"COV_REF_FRAME = {frame}",
+        "COV_TYPE = ANGLE",
+        *(
+            " ".join([t, *(f"{value:.9e}" for value in row)])
+            for t, row in zip(since, np.degrees(np.degrees(variance_c)))
+        ),
+        "COV_STOP",
+        "",
+    ]
+    return "\n".join(lines)
 
 
 def _continuous(rotations: Rotation) -> list[list[float]]:

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
+from scipy.spatial.transform import Rotation
 
 from boresight.geometry.constants import WGS84
 from boresight.geometry.footprint import outline_deg
@@ -18,7 +19,7 @@ from boresight.geometry.sightings import StarSightings
 from boresight.geometry.terrain import ConstantHeight
 from boresight.pipeline import __version__
 from boresight.pipeline.errors import DataNotSufficientError, RawDataError
-from boresight.pipeline.exports.ccsds_aem import AemHeader, attitude_message
+from boresight.pipeline.exports.ccsds_aem import AemHeader, attitude_message, comprehensive_message
 from boresight.pipeline.exports.csm_isd import IsdNames, line_scanner_isds
 from boresight.pipeline.exports.gcp_asp import points_asp
 from boresight.pipeline.exports.gcp_envi import points_envi
@@ -30,6 +31,12 @@ from boresight.pipeline.exports.matrix_csv import matrix_csv
 from boresight.pipeline.exports.matrix_json import matrix_json
 from boresight.pipeline.exports.notes import Notes, notes_of
 from boresight.pipeline.exports.rpc import fit_rpc, rpc_metadata, rpc_text
+from boresight.pipeline.exports.spice_attitude import (
+    attitude_kernel,
+    clock_kernel,
+    instants_of_ticks,
+    instrument_kernel,
+)
 from boresight.pipeline.exports.spice_frame import SpiceFrames, frame_kernel
 from boresight.pipeline.exports.star_fits import centroids_fits
 from boresight.pipeline.exports.vrt import vrt_with_gcps, vrt_with_rpc
@@ -41,6 +48,7 @@ from boresight.pipeline.results.strip_model import Calibrated, StripModel, open_
 __all__ = ["FORMATS", "ExportRequest", "export"]
 
 AEM_STEP_S = 0.05
+CK_TICKS = 32  # 1/32 s
 RPC_MARGIN_M = 100.0  # heights below and above the terrain for which an RPC is fitted
 Made = Iterator[tuple[str, str | bytes]]  # file name and content
 
@@ -76,6 +84,19 @@ def _spice(request: ExportRequest) -> Made:
     yield "installation.tf", frame_kernel(result.R_cs, comment, request.frames)
 
 
+def _spice_attitude(request: ExportRequest) -> Made:
+    """Attitudes of the star camera with its clock, and fields of view; the frames are those of `_spice`."""
+    calibrated, frames = _opened(request), request.frames
+    dump, lines = calibrated.dump, _notes(request).lines()
+    yield "clock.tsc", clock_kernel(dump.epoch, frames, "\n".join(["Clock of the attitudes", *lines]))
+    yield "camera.ti", instrument_kernel(dump.line_camera, frames, "\n".join(["Fields of view", *lines]))
+    for model in _models(calibrated, request.strips):
+        ticks, t_s = instants_of_ticks(dump.epoch, *model.track.span_s, CK_TICKS)
+        name = model.strip.strip_id
+        comment = "\n".join([f"Strip {name}: attitude of the star camera, axes of GCRS", *lines])
+        yield f"{name}.bc", attitude_kernel(ticks, model.track.R_si(t_s), frames, f"strip {name}", comment)
+
+
 def _json(request: ExportRequest) -> Made:
     yield "matrix.json", matrix_json(read_result(request.result).installation, _notes(request))
 
@@ -85,19 +106,34 @@ def _csv(request: ExportRequest) -> Made:
 
 
 def _aem(request: ExportRequest) -> Made:
+    for header, comments, utc, R_ci, _, name in _camera_attitudes(request):
+        yield f"{name}.aem", attitude_message(header, comments, utc, R_ci)
+
+
+def _acm(request: ExportRequest) -> Made:
+    for header, comments, utc, R_ci, variance_c, name in _camera_attitudes(request):
+        yield f"{name}.acm", comprehensive_message(header, comments, utc, R_ci, variance_c)
+
+
+def _camera_attitudes(
+    request: ExportRequest,
+) -> Iterator[tuple[AemHeader, list[str], list[str], Rotation, Floats, str]]:
+    """Of each strip: header, comments, instants, attitudes of the camera, their variances, id."""
     calibrated, notes = _opened(request), _notes(request)
-    dump = calibrated.dump
+    dump, R_cs = calibrated.dump, calibrated.result.R_cs
+    C = R_cs.as_matrix()
     for model in _models(calibrated, request.strips):
         first, last = model.pushbroom.instants(np.array([-0.5, model.strip.lines - 0.5]))
         steps = int(np.ceil((last - first) / AEM_STEP_S)) + 1
         t_s = np.clip(np.linspace(first, last, max(steps, 8)), *model.track.span_s)
-        R_ci = calibrated.result.R_cs * model.track.R_si(t_s)
+        own = np.nan_to_num(model.track.covariance_s(t_s))
+        variance_c = np.einsum("ij,njk,ik->ni", C, own, C) + np.diag(calibrated.result.cov_theta)
         name = model.strip.strip_id
         header = AemHeader(creation_utc=request.creation_utc, object_name=dump.mission)
         comments = [f"Strip {name}: calibrated attitude of the remote-sensing camera, GCRS axes"]
         comments += notes.lines()
-        text = attitude_message(header, comments, dump.epoch.utc_from_seconds(t_s), R_ci)
-        yield f"{name}.aem", text
+        utc = dump.epoch.utc_from_seconds(t_s)
+        yield header, comments, utc, R_cs * model.track.R_si(t_s), variance_c, name
 
 
 def _csm_isd(request: ExportRequest) -> Made:
@@ -197,7 +233,9 @@ STARS = {
 }
 FORMATS: dict[str, Callable[[ExportRequest], Made]] = {
     "spice": _spice,
+    "spice-ck": _spice_attitude,
     "aem": _aem,
+    "acm": _acm,
     "json": _json,
     "csv": _csv,
     "csm-isd": _csm_isd,

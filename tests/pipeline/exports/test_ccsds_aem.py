@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from boresight.pipeline.exports.ccsds_aem import AemHeader, attitude_message
+from boresight.pipeline.exports.ccsds_aem import AemHeader, attitude_message, comprehensive_message
 
 R_CI = Rotation.from_rotvec(np.outer(np.linspace(2.9, 3.4, 7), [0.48, -0.6, 0.64]))  # through half a turn
 UTC = [f"2025-03-20T02:31:0{n}.250000000" for n in range(7)]
@@ -48,3 +48,25 @@ def test_neighbouring_quaternions_do_not_change_sign():
 def test_a_single_attitude_is_refused():
     with pytest.raises(ValueError, match="two or more"):
         attitude_message(HEADER, [], UTC[:1], R_CI[:1])
+
+
+def test_a_comprehensive_message_holds_attitudes_and_variances():
+    # ccsds-ndm 3.1 drops the metadata and packed lines of an ACM in KVN: they are read here by the standard.
+    sigma_rad = np.array([[1e-6, 2e-6, 3e-5]] * 7)
+    text = comprehensive_message(HEADER, ["strip S01"], UTC, R_CI, sigma_rad**2)
+    assert f"EPOCH_TZERO = {UTC[0]}" in text.splitlines()
+    lines = text.splitlines()
+    blocks = {
+        name: [line for line in lines[lines.index(f"{name}_START") + 1 : lines.index(f"{name}_STOP")]]
+        for name in ("ATT", "COV")
+    }
+    keys = {name: dict(x.split(" = ") for x in block if "=" in x) for name, block in blocks.items()}
+    assert keys["ATT"]["ATT_TYPE"] == "QUATERNION" and keys["COV"]["COV_TYPE"] == "ANGLE"
+    values = {
+        name: np.array([x.split() for x in block if "=" not in x], dtype=float)
+        for name, block in blocks.items()
+    }
+    assert values["ATT"][:, 0].tolist() == values["COV"][:, 0].tolist() == [0, 1, 2, 3, 4, 5, 6]
+    for n, q in enumerate(values["ATT"][:, 1:]):
+        assert matrix_a_to_b(*q) == pytest.approx(R_CI[n].as_matrix(), abs=1e-14)
+    assert np.sqrt(values["COV"][:, 1:]) == pytest.approx(np.degrees(sigma_rad), rel=1e-8)  # deg
