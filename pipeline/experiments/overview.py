@@ -89,7 +89,7 @@ def verdict_of(ours: float, paper: float, *, larger: str = "larger", smaller: st
 
 def _inputs(table: pd.DataFrame) -> Iterator[Row]:
     for row in table[table["at"].isna()].to_dict("records"):
-        expected = NONE if np.isnan(row["expected"]) else f"{row['expected']:.3f}"
+        expected = "–" if np.isnan(row["expected"]) else f"{row['expected']:.3f}"
         near = abs(row["ours"] - row["paper"]) <= 0.1 * abs(row["paper"])
         head = f"{row['source']}: {row['item']}, {row['unit']}"
         yield head, f"{row['paper']:g}", f"{row['ours']:.4g}", expected, "reproduced" if near else "differs"
@@ -121,7 +121,7 @@ def _grid(table: pd.DataFrame) -> Iterator[Row]:
             cells, paper = part[part["axis"] == axis], FIGURE_7_SIGMA_ARCSEC[n]
             rms, bound = _rms(cells["rms_arcsec"]), _rms(cells["bound_arcsec"])
             yield (
-                f"Fig. 7, scatter in {axis}, {frames} frames",
+                f"Fig. 7, σ of {axis}, {frames} frames",
                 *_beside(paper, rms, bound, smaller="smaller"),
             )
     last = ours[ours["frames"] == ours["frames"].max()]
@@ -135,7 +135,7 @@ def _grid(table: pd.DataFrame) -> Iterator[Row]:
     for n, axis in enumerate(AXES):
         cells, paper = wang[wang["axis"] == axis], TABLE_4_RMS_ARCSEC["wang"][n]
         rms, bound = _rms(cells["rms_arcsec"]), _rms(cells["bound_arcsec"])
-        yield f"Fig. 9, Wang's method in {axis}", *_beside(paper, rms, bound, smaller="smaller")
+        yield f"Fig. 9, Wang in {axis}", *_beside(paper, rms, bound, smaller="smaller")
 
 
 def _table4(table: pd.DataFrame) -> Iterator[Row]:
