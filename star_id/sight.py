@@ -19,6 +19,7 @@ from boresight.geometry.sightings import StarSightings
 from boresight.geometry.star_camera import StarCamera
 from boresight.geometry.starlight import apparent_star_directions
 from boresight.star_id.catalogue import hipparcos_stars
+from boresight.star_id.centroids import Centroids
 from boresight.star_id.finding.star_list import StarList, find_stars
 from boresight.star_id.identification.identify import AttitudePrior, NotIdentified, identify
 from boresight.star_id.identification.tangent_plane import FieldOfView
@@ -29,6 +30,7 @@ __all__ = [
     "field_of_camera",
     "has_reliable_position",
     "select_for_calibration",
+    "sight_centroids",
     "sight_stars",
     "smear_of_rate",
     "tangent_coordinates",
@@ -86,12 +88,37 @@ def sight_stars(
         If the image is not (H, W) of at least 32 pixels, or the dark frame has another size.
     """
     stars = find_stars(image, settings, dark)
+    found = Centroids(
+        xy_px=stars.xy_px,
+        cov_px=stars.cov_px,
+        blended=stars.blended,
+        snr=stars.snr,
+        psf_sigma_px=stars.psf.sigma_px,
+    )
+    return sight_centroids(exposure_id, found, camera, index, epoch, t_s, p_i, v_i, settings, prior=prior)
+
+
+def sight_centroids(
+    exposure_id: str,
+    stars: Centroids,
+    camera: StarCamera,
+    index: StarIndex,
+    epoch: Epoch,
+    t_s: float,
+    p_i: Floats,
+    v_i: Floats,
+    settings: StarSettings,
+    *,
+    prior: AttitudePrior | None = None,
+) -> StarSightings | NotIdentified:
+    """Identified stars of one exposure from its centroids; arguments as in `sight_stars`."""
     plane, field = tangent_coordinates(camera, stars.xy_px), field_of_camera(camera, settings)
     found = identify(plane, field, index, settings, prior=prior)
     if isinstance(found, NotIdentified):
         reason = f"exposure {exposure_id}: {found.reason}"
         return NotIdentified(reason, found.n_stars, found.proposals, found.best_log_odds)
-    usable = select_for_calibration(stars, found.detections, found.stars, camera, index, settings)
+    reliable = has_reliable_position(index, found.stars, camera, stars.psf_sigma_px, settings)
+    usable = reliable & ~stars.blended[found.detections]
     rows, index_rows = found.detections[usable], found.stars[usable]
     if len(rows) < 3:
         reason = f"{len(usable)} stars identified, only {len(rows)} fit for calibration, 3 are needed"

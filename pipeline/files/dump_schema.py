@@ -170,7 +170,7 @@ class HeadFile(_Strict):
     def _keys_are_those_of_the_level(self) -> Self:
         of_level = {
             "images": {"camera", "exposures"},
-            "centroids": {"camera", "centroids"},
+            "centroids": {"camera", "exposures", "centroids"},
             "attitudes": {"attitudes", "aberration_removed"},
         }
         needed = of_level[self.level]

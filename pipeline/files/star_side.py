@@ -26,12 +26,15 @@ from boresight.geometry.star_camera import StarCamera
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files import dump_schema as schema
 from boresight.pipeline.files.attitude_files import AttitudeRows, read_attitudes
+from boresight.pipeline.files.centroid_files import read_centroids
 from boresight.pipeline.files.text_files import path_inside, read_table, read_toml
+from boresight.star_id.centroids import Centroids
 
 __all__ = [
     "Exposure",
     "Head",
     "SolvedAttitudes",
+    "StarCentroids",
     "StarImages",
     "check_attitudes",
     "each_once",
@@ -65,6 +68,15 @@ class StarImages:
 
 
 @record
+class StarCentroids:
+    """Centroids of a star camera's images; the images themselves are not needed."""
+
+    camera: StarCamera = scalar("camera of frame s")
+    exposures: tuple[Exposure, ...] = scalar("in order of time")
+    lists: tuple[Centroids | None, ...] = scalar("of each exposure; None: the list has no star of it")
+
+
+@record
 class SolvedAttitudes:
     """Attitudes that a head has solved itself."""
 
@@ -82,7 +94,7 @@ class Head:
     sigma_installation_rad: Floats = array("3", "1-sigma error of `R_cs0`: rotation about the axes of c")
     noise: AttitudeNoise = scalar("errors of its attitudes beside those of its stars")
     interpolation: Interpolation = scalar("between its attitudes")
-    source: StarImages | SolvedAttitudes = scalar("what the head delivers")
+    source: StarImages | StarCentroids | SolvedAttitudes = scalar("what the head delivers")
 
 
 def open_heads(root: Path, head: schema.DumpFile, epoch: Epoch) -> tuple[Head, ...]:
@@ -106,14 +118,18 @@ def _head(root: Path, head: schema.HeadFile, field: str, epoch: Epoch) -> Head:
 
     path, file = inside(head.installation, "installation")
     installation = read_toml(path, schema.InstallationFile, file)
-    source: StarImages | SolvedAttitudes
+    source: StarImages | StarCentroids | SolvedAttitudes
     if head.level == "attitudes":
         source = _attitudes(head, *inside(head.attitudes, "attitudes"), epoch)
     else:
         path, file = inside(head.camera, "camera")
         camera = read_toml(path, schema.StarCameraFile, file)
         exposures = _exposures(root, *inside(head.exposures, "exposures"), epoch)
-        source = StarImages(star_camera_of(camera, file), camera.bit_depth, exposures)
+        model = star_camera_of(camera, file)
+        source = StarImages(model, camera.bit_depth, exposures)
+        if head.level == "centroids":
+            lists = read_centroids(*inside(head.centroids, "centroids"))
+            source = StarCentroids(model, exposures, tuple(lists.get(one.file) for one in exposures))
     return Head(
         name=head.name,
         R_cs0=Rotation.from_quat(installation.quaternion_cs),

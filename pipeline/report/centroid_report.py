@@ -137,6 +137,7 @@ def _table(path: Path, stars: StarList) -> pd.DataFrame:
             "snr": stars.snr,
             "saturated": stars.saturated,
             "blended": stars.blended,
+            "psf_sigma_px": stars.psf.sigma_px,
         }
     )
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,14 +23,25 @@ from boresight.geometry.star_camera import StarCamera
 from boresight.pipeline.errors import Cause, Omission, RawDataError
 from boresight.pipeline.files.dump import Dump
 from boresight.pipeline.files.star_images import read_exposure
-from boresight.pipeline.files.star_side import Exposure, StarImages
+from boresight.pipeline.files.star_side import Exposure, StarCentroids, StarImages
 from boresight.star_id.catalogue import hipparcos_stars
+from boresight.star_id.centroids import Centroids
 from boresight.star_id.identification.identify import NotIdentified
 from boresight.star_id.identification.triangle_index import StarIndex, build_index, equivalent_fov
 from boresight.star_id.settings import StarSettings
-from boresight.star_id.sight import sight_stars
+from boresight.star_id.sight import sight_centroids, sight_stars
 
-__all__ = ["StarTask", "exposure_image", "in_order", "is_mirrored", "sight_exposure", "star_tasks"]
+__all__ = [
+    "CentroidTask",
+    "StarTask",
+    "centroid_tasks",
+    "exposure_image",
+    "in_order",
+    "is_mirrored",
+    "sight_exposure",
+    "sight_exposure_centroids",
+    "star_tasks",
+]
 
 
 @record(kw_only=True)
@@ -76,6 +88,74 @@ def star_tasks(
             )
         )
     return tasks, omitted
+
+
+@record(kw_only=True)
+class CentroidTask:
+    """The centroids of one exposure and everything that its sightings depend on."""
+
+    exposure: Exposure = scalar("name and time of the exposure")
+    stars: Centroids = scalar("what was found in its image")
+    camera: StarCamera = scalar("model of the star camera")
+    epoch: Epoch = scalar("origin of the dump's seconds")
+    p_i: Floats = array("3", "satellite at mid-exposure, GCRS, m")
+    v_i: Floats = array("3", "its velocity, GCRS, m/s")
+    settings: StarSettings = scalar("thresholds of identification")
+
+    @property
+    def item(self) -> Omission:
+        """What is processed, for the case that it cannot be used."""
+        return Omission("exposure", self.exposure.exposure_id, self.exposure.file)
+
+
+def centroid_tasks(
+    dump: Dump, source: StarCentroids, settings: StarSettings
+) -> tuple[list[CentroidTask], list[Omission]]:
+    """A task for each exposure with centroids that the orbit covers, and an omission for each other one."""
+    tasks, omitted = [], []
+    for exposure, stars in zip(source.exposures, source.lists):
+        item = Omission("exposure", exposure.exposure_id, exposure.file)
+        if stars is None:
+            omitted.append(item.because("the list of centroids has no star of it", Cause.NOT_IDENTIFIED))
+            continue
+        try:
+            p_i, v_i = dump.orbit.states_i(np.array([exposure.t_s]))
+        except OrbitGapError as error:
+            omitted.append(item.because(str(error), Cause.NOT_COVERED))
+            continue
+        tasks.append(
+            CentroidTask(
+                exposure=Exposure(
+                    exposure.exposure_id, exposure.file, Path(), exposure.t_s, exposure.exposure_s
+                ),
+                stars=stars,
+                camera=source.camera,
+                epoch=dump.epoch,
+                p_i=p_i[0],
+                v_i=v_i[0],
+                settings=settings,
+            )
+        )
+    return tasks, omitted
+
+
+def sight_exposure_centroids(task: CentroidTask) -> StarSightings | Omission:
+    """Directions of the identified stars of a list of centroids; an omission where none are identified."""
+    exposure, year = task.exposure, round(float(task.epoch.julian_year(task.exposure.t_s)))
+    found = sight_centroids(
+        exposure.exposure_id,
+        task.stars,
+        task.camera,
+        star_index(_field_of_view(task.camera), year),
+        task.epoch,
+        exposure.t_s,
+        task.p_i,
+        task.v_i,
+        task.settings,
+    )
+    if isinstance(found, NotIdentified):
+        return task.item.because(f"not identified: {found.reason}", Cause.NOT_IDENTIFIED)
+    return found
 
 
 def exposure_image(exposure: Exposure, camera: StarCamera, bit_depth: int) -> NDArray:

@@ -1,6 +1,7 @@
 """One star camera of a dump: from what it delivers to attitudes of exposures.
 
-    images -> identified stars -> attitudes       attitudes the head has solved -> aberration put right
+    images, or centroids -> identified stars -> attitudes
+    attitudes that the head has solved -> aberration put right
 
 Attitudes that a head has solved become exposures without stars, so that all levels go the same way from here.
 """
@@ -21,10 +22,16 @@ from boresight.geometry.sightings import (
 )
 from boresight.pipeline.errors import Cause, Omission
 from boresight.pipeline.files.dump import Dump
-from boresight.pipeline.files.star_side import Head, SolvedAttitudes
+from boresight.pipeline.files.star_side import Head, SolvedAttitudes, StarCentroids
 from boresight.pipeline.settings import Settings
 from boresight.pipeline.stages.cached import StageRunner
-from boresight.pipeline.stages.exposure import in_order, sight_exposure, star_tasks
+from boresight.pipeline.stages.exposure import (
+    centroid_tasks,
+    in_order,
+    sight_exposure,
+    sight_exposure_centroids,
+    star_tasks,
+)
 
 __all__ = ["HeadSightings", "around_strips", "covered_instants", "sight_head"]
 
@@ -48,9 +55,13 @@ def sight_head(
     """Exposures of a head around the strips of its dump, and their attitudes."""
     if isinstance(head.source, SolvedAttitudes):
         return _solved(dump, head, head.source, settings.run.exposure_margin_s)
-    tasks, uncovered = star_tasks(dump, head.source, settings.stars)
     folder = "exposures" if head is dump.heads[0] else f"exposures-{head.name}"
-    outcomes, computed = runner.run(sight_exposure, tasks, folder=folder)
+    if isinstance(head.source, StarCentroids):
+        lists, uncovered = centroid_tasks(dump, head.source, settings.stars)
+        outcomes, computed = runner.run(sight_exposure_centroids, lists, folder=folder)
+    else:
+        tasks, uncovered = star_tasks(dump, head.source, settings.stars)
+        outcomes, computed = runner.run(sight_exposure, tasks, folder=folder)
     stars = in_order([one for one in outcomes if isinstance(one, StarSightings)])
     failed = [one for one in outcomes if isinstance(one, Omission)]
     return HeadSightings(
