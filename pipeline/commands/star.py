@@ -37,6 +37,9 @@ FIELDS = (
 ).split(",")
 
 Images = Annotated[list[Path], typer.Argument(help="Star images: PNG, TIFF, FITS, JPEG or BMP.")]
+ImagesOrLists = Annotated[
+    list[Path], typer.Argument(help="Star images, or CSV files of `centroids --out`, with --camera.")
+]
 CameraFile = Annotated[Path | None, typer.Option(help="star_camera.toml of the camera, if it is known.")]
 Fov = Annotated[
     float | None, typer.Option("--fov", "--fov-deg", help="Width of the field of view in degrees, if known.")
@@ -71,7 +74,7 @@ def add_star_commands(app: typer.Typer) -> None:
 
 
 def identify(
-    images: Images,
+    images: ImagesOrLists,
     camera: CameraFile = None,
     fov: Fov = None,
     dark: Dark = None,
@@ -103,10 +106,10 @@ def identify(
         raise wrong_usage("--fits and --times exclude one another: a header states places of the catalogue")
     if as_csv:
         print_data(_csv_line(FIELDS))
-    named = 0
+    named = lines = 0
     request = Request(camera, fov, dark, Whereabouts(times, orbit, site), out, overlay)
-    for path, line in zip(images, identify_images(images, request, _star_settings(settings))):
-        named += line.identified
+    for line in identify_images(images, request, _star_settings(settings)):
+        named, lines = named + line.identified, lines + 1
         if as_json:
             print_data(json.dumps(line.record))
         elif as_csv:
@@ -114,9 +117,10 @@ def identify(
         else:
             tell(line.text)
         if as_fits and line.found is not None:
-            write_wcs(Path(f"{path.stem}.wcs.fits"), str(path), line.found)
+            path = str(line.record["file"])
+            write_wcs(Path(f"{Path(path).stem}.wcs.fits"), path, line.found)
     (say if as_json or as_csv else tell)(
-        f"identified {named} of {len(images)} images" + (f" -> {out}" if out else "")
+        f"identified {named} of {lines} images" + (f" -> {out}" if out else "")
     )
     return Answer(exit_status=DONE if named else DATA_DID_NOT_ALLOW)
 

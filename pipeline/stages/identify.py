@@ -24,7 +24,7 @@ from boresight.pipeline.files.star_images import read_star_image
 from boresight.pipeline.files.whereabouts import NOWHERE, Whereabouts
 from boresight.pipeline.work.index_cache import cached_index
 from boresight.star_id.catalogue import hipparcos_stars
-from boresight.star_id.field import LARGEST_FOV_RAD, SMALLEST_FOV_RAD, FieldSolution, solve_field
+from boresight.star_id.field import LARGEST_FOV_RAD, SMALLEST_FOV_RAD, FieldSolution, solve_field, solve_stars
 from boresight.star_id.identification.identify import NotIdentified
 from boresight.star_id.identification.triangle_index import StarIndex, equivalent_fov
 from boresight.star_id.observer import Observer
@@ -70,6 +70,15 @@ def identify_images(images: Sequence[Path], request: Request, settings: StarSett
     named: list[tuple[Path, FieldSolution]] = []
     for path in images:
         started = time.process_time()
+        if path.suffix.lower() == ".csv":
+            for name, solved in _of_centroids(path, camera, index, settings):
+                if isinstance(solved, NotIdentified):
+                    yield _unnamed(name, width, "not identified", solved.reason, started)
+                    continue
+                named.append((name, solved))
+                record = _record(name, solved, 1e3 * (time.process_time() - started))
+                yield Line(f"{name!s:{width}s}   {_facts(solved)}", True, record, solved)
+            continue
         try:
             image = read_sky_image(path, camera, request.camera_file)
             if dark is not None and dark.shape != image.shape:
@@ -94,6 +103,20 @@ def identify_images(images: Sequence[Path], request: Request, settings: StarSett
         from boresight.pipeline.files.named_stars import write_named_stars
 
         write_named_stars(request.out, named)
+
+
+def _of_centroids(
+    path: Path, camera: StarCamera | None, index: StarIndex, settings: StarSettings
+) -> Iterator[tuple[Path, FieldSolution | NotIdentified]]:
+    """The images of a list of centroids by their names; `RawDataError` where the camera is not known."""
+    from boresight.pipeline.files.centroid_files import read_centroids
+
+    if camera is None:
+        expected = "the option --camera: a list of centroids does not tell the size of the images"
+        raise RawDataError(str(path), "camera", "nothing", expected)
+    size = camera.width_px, camera.height_px
+    for name, stars in read_centroids(path, str(path)).items():
+        yield Path(name), solve_stars(stars.xy_px, size, index, settings, camera=camera)
 
 
 def read_camera(file: Path | None) -> StarCamera | None:
