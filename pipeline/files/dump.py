@@ -206,7 +206,7 @@ def open_dump(root: Path, *, allow_stale_eop: bool = False) -> Dump:
         raise RawDataError(str(root), "dump", "no such folder", "a folder with a dump.toml")
     if not (root / "dump.toml").exists():
         expected = "the folder's dump.toml; `boresight dump init FOLDER` writes one to fill in"
-        raise RawDataError(str(root / "dump.toml"), "file", "no such file", expected)
+        raise RawDataError("dump.toml", "file", f"no such file in {root}", expected)
     head = read_toml(root / "dump.toml", schema.DumpFile, "dump.toml")
     paths = {
         field: path_inside(root, name, file="dump.toml", field=f"files.{field}")

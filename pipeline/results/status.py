@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 
 from boresight.geometry.record import record, scalar
@@ -29,6 +30,7 @@ class StageStatus:
     stage: str = scalar("exposures, matching-1, matching-2")
     done: tuple[str, ...] = scalar("names of the finished units")
     damaged: int = scalar("files that will be made anew")
+    not_used: int = scalar("exposures, strips and targets that its units could not use")
     missing: tuple[str, ...] = scalar("names of the units that the run still needs, as far as known")
 
 
@@ -80,7 +82,8 @@ def status_lines(status: RunStatus) -> list[str]:
         lines += [f"dump {Path(one.folder).name}", *("  " + line for line in text)]
     for stage in status.stages:
         damaged = f", {stage.damaged} damaged files" if stage.damaged else ""
-        lines.append(f"{stage.stage:14s}{len(stage.done)} done{damaged}")
+        not_used = f", {stage.not_used} not used" if stage.not_used else ""
+        lines.append(f"{stage.stage:14s}{len(stage.done)} done{damaged}{not_used}")
     if status.omissions or not status.dumps:
         lines += omission_lines(status.omissions, None)
     for stage in status.stages:
@@ -143,7 +146,7 @@ def _stage(folder: Path) -> tuple[StageStatus, list[Omission]]:
             failed.append(outcome)
         elif isinstance(outcome, MatchedTargets):
             failed += outcome.omissions
-    return StageStatus(folder.name, tuple(done), damaged, ()), failed
+    return StageStatus(folder.name, tuple(done), damaged, len(failed), ()), failed
 
 
 def _saved_omissions(result: Path) -> list[Omission] | None:
@@ -163,7 +166,7 @@ def _with_missing(stages: list[StageStatus], dump: Dump) -> list[StageStatus]:
     strips = [strip.strip_id for strip in dump.strips if covers(dump, strip)]
     wanted = {"exposures": exposures, "matching-1": strips, "matching-2": strips}
     return [
-        StageStatus(name, stage.done, stage.damaged, tuple(one for one in names if one not in stage.done))
+        dataclasses.replace(stage, missing=tuple(one for one in names if one not in stage.done))
         for name, names in wanted.items()
-        for stage in [found.get(name, StageStatus(name, (), 0, ()))]
+        for stage in [found.get(name, StageStatus(name, (), 0, 0, ()))]
     ]

@@ -45,18 +45,18 @@ def not_utf8(root: Path) -> None:
 
 # damage, file, field, found, expected (each a pattern that the complaint's own part must match)
 WRONG = {
-    "no dump.toml": (remove("dump.toml"), "dump.toml", "file", "no such file", "readable"),
-    "not TOML": (change("dump.toml", "[files]", "[files"), "dump.toml", "line 13", "Expected", "TOML 1.0"),
+    "no dump.toml": (remove("dump.toml"), "dump.toml", "file", "no such file", "dump init"),
+    "not TOML": (change("dump.toml", "[files]", "[files"), "dump.toml", "line 13", r"\[files", "TOML 1.0"),
     "another format": (change("dump.toml", "boresight-dump", "dump"), "dump.toml", "format", "dump", "boresight"),  # noqa: E501
     "a later version": (change("dump.toml", "format_version = 1", "format_version = 2"), "dump.toml", "format_version", "2", "1"),  # noqa: E501
     "unknown key": (change("dump.toml", "[errors]", "[errors]\nspeed = 1"), "dump.toml", "errors.speed", "unknown key", "keys"),  # noqa: E501
-    "missing key": (change("dump.toml", "clock_s = 1e-4", ""), "dump.toml", "errors.clock_s", "nothing", "this key"),  # noqa: E501
+    "missing key": (change("dump.toml", "clock_s = 1e-4", ""), "dump.toml", "errors.clock_s", "nothing", "the key clock_s"),  # noqa: E501
     "another frame": (change("dump.toml", '"GCRS"', '"J2000"'), "dump.toml", "conventions.inertial_frame", "J2000", "GCRS"),  # noqa: E501
     "NaN in TOML": (change("dump.toml", "position_m = 2", "position_m = nan"), "dump.toml", "errors.position_m", "nan", "finite"),  # noqa: E501
     "text for a number": (change("star_camera.toml", "100.0", '"100"'), "star_camera.toml", "focal_length_mm", "100", "number"),  # noqa: E501
-    "no focal length": (change("remote_camera.toml", "= 10.0", "= 0"), "remote_camera.toml", "focal_length_m", "0", "greater than or equal to 0.001"),  # noqa: E501
+    "no focal length": (change("remote_camera.toml", "= 10.0", "= 0"), "remote_camera.toml", "focal_length_m", "0", "at least 0.001"),  # noqa: E501
     "folded lens": (change("star_camera.toml", "-9.30e-7", "-9.30"), "star_camera.toml", "distortion", "not invertible", "1/mm"),  # noqa: E501
-    "long quaternion": (change("installation.toml", "0.5, -0.5", "0.6, -0.5"), "installation.toml", "file", "quaternion_cs", "length 1"),  # noqa: E501
+    "long quaternion": (change("installation.toml", "0.5, -0.5", "0.6, -0.5"), "installation.toml", "file", "quaternion_cs must have length 1", "possible together"),  # noqa: E501
     "path upwards": (change("dump.toml", '"orbit.oem"', '"../orbit.oem"'), "dump.toml", "files.orbit", r"\.\./orbit", "inside the dump"),  # noqa: E501
     "absolute path": (change("exposures.csv", "exposures/1.png", "/etc/passwd"), "exposures.csv", "line 3, file", "/etc/passwd", "inside the dump"),  # noqa: E501
     "backslashes": (change("strips.csv", "strips/0.tif", r"..\0.tif"), "strips.csv", "line 2, file", "0.tif", "inside the dump"),  # noqa: E501
@@ -72,7 +72,7 @@ WRONG = {
     "second 60 without reason": (change("strips.csv", "19.900", "60.000"), "strips.csv", "utc_first_row", "60", "exist"),  # noqa: E501
     "no such CCD": (change("strips.csv", "s1,1", "s1,2"), "strips.csv", "line 3, ccd", "2", "0 to 1"),
     "CCDs at two times": (change("strips.csv", "s1,1,strips/1.tif,2024-11-20T03:40:19.900", "s1,1,strips/1.tif,2024-11-20T03:40:19.901"), "strips.csv", "line 3, utc_first_row", "19.901", "19.900"),  # noqa: E501
-    "hostile id": (change("exposures.csv", "0002,", "../x,"), "exposures.csv", "line 4, id", r"\.\./x", "pattern"),  # noqa: E501
+    "hostile id": (change("exposures.csv", "0002,", "../x,"), "exposures.csv", "line 4, id", r"\.\./x", "letters, digits"),  # noqa: E501
     "not UTF-8": (not_utf8, "targets.csv", "byte 11", "0xff", "UTF-8"),
     "not an OEM": (change("orbit.oem", "CCSDS_OEM_VERS", "OEM"), "orbit.oem", "line 1", "another text", "CCSDS_OEM_VERS"),  # noqa: E501
     "orbit about Mars": (change("orbit.oem", "= EARTH", "= MARS"), "orbit.oem", "CENTER_NAME", "MARS", "EARTH"),  # noqa: E501
