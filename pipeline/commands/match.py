@@ -3,11 +3,19 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
-from boresight.pipeline.commands.messages import DATA_DID_NOT_ALLOW, DONE, Answer, say, talks, tell
+from boresight.pipeline.commands.messages import (
+    DATA_DID_NOT_ALLOW,
+    DONE,
+    Answer,
+    say,
+    talks,
+    tell,
+    wrong_usage,
+)
 
 __all__ = ["add_match_commands"]
 
@@ -76,25 +84,53 @@ def match(
 
 
 def suggest(
-    ortho: Annotated[Path, typer.Argument(help="Ortho-image: GeoTIFF of one band with a CRS.")],
+    orthos: Annotated[
+        list[Path],
+        typer.Argument(metavar="ORTHO", help="GeoTIFF, COG or VRT with a map; where two overlap: two dates."),
+    ],
     out: Annotated[Path, typer.Option(help="Folder for chips/ and targets.csv.")],
-    size_px: Annotated[int, typer.Option(help="Side of a chip, in pixels of the image.", min=32)] = 256,
-    most: Annotated[int, typer.Option(help="So many targets at most.", min=1)] = 40,
+    dem: Annotated[list[Path] | None, typer.Option(help="Height model. May be repeated.")] = None,
+    heights: Annotated[
+        Literal["ellipsoidal", "egm96", "egm2008"], typer.Option(help="What the heights of --dem refer to.")
+    ] = "egm96",
     height_m: Annotated[
-        float | None, typer.Option(help="Ellipsoidal height of the ground; left empty if not given.")
+        float | None, typer.Option(help="Ellipsoidal height of flat ground, in place of --dem.")
     ] = None,
-    sigma_m: Annotated[float, typer.Option(help="1-sigma of the image's georeferencing.", min=0.0)] = 1.0,
+    dump: Annotated[
+        Path | None, typer.Option(help="Only what its strips will show, spread for the best forecast.")
+    ] = None,
+    size_px: Annotated[int, typer.Option(help="Side of a chip, in pixels of its image.", min=32)] = 256,
+    most: Annotated[int, typer.Option(help="So many targets at most.", min=1)] = 40,
+    band: Annotated[
+        int | None, typer.Option(help="Band of the images; default: the mean of the first three.", min=1)
+    ] = None,
+    sigma_m: Annotated[float, typer.Option(help="1-sigma of the images' georeferencing.", min=0.0)] = 1.0,
+    sigma_up_m: Annotated[float, typer.Option(help="1-sigma of the heights.", min=0.0)] = 2.0,
+    settings: Annotated[Path | None, typer.Option(help="TOML file of settings, for --dump.")] = None,
 ) -> Answer:
-    """Tell where in an ortho-image good targets are; cut their chips and write the list that a dump wants.
+    """Choose ground targets in ortho-images; write their chips and the list that goes into a dump.
 
-    Example: boresight targets suggest ortho.tif --height-m 320 --out targets
+    Example: boresight targets suggest ortho1.tif ortho2.tif --dem dem.tif --dump dump --out targets
     """
-    from boresight.pipeline.stages.match import suggest as suggest_from
+    from boresight.geometry.terrain import ConstantHeight
+    from boresight.pipeline.files.dump import open_dump
+    from boresight.pipeline.files.ortho_files import HeightModel, read_heights, read_ortho
+    from boresight.pipeline.settings import read_settings
+    from boresight.pipeline.stages.suggest import (
+        SuggestRequest,
+        suggest_in,
+        suggestion_lines,
+        write_targets,
+    )
 
-    found = suggest_from(ortho, out, size_px=size_px, most=most, height_m=height_m, sigma_m=sigma_m)
-    for n, target in enumerate(found, start=1):
-        tell(
-            f"t{n:03d}   column {target.column:.0f}, row {target.row:.0f}   "
-            f"expected sigma {target.sigma_px:.4f} px, best rival {target.rival:.2f}"
-        )
-    return Answer(text=f"{len(found)} targets -> {out / 'targets.csv'}")
+    if bool(dem) == (height_m is not None):
+        raise wrong_usage("give the heights by --dem or by --height-m, one of them")
+    flat = HeightModel((ConstantHeight(height_m or 0.0),), "ellipsoidal")
+    model = read_heights(dem, heights) if dem else flat
+    opened = None if dump is None else open_dump(dump)
+    request = SuggestRequest(size_px=size_px, most=most, sigma_m=sigma_m, sigma_up_m=sigma_up_m)
+    images = [read_ortho(path, band) for path in orthos]
+    found = suggest_in(images, model, request, opened, read_settings(settings))
+    table = write_targets(found.targets, out, size_px)
+    lines = [*suggestion_lines(found), f"{len(found.targets)} targets -> {table}"]
+    return Answer(text="\n".join(lines), files=(table,))

@@ -294,8 +294,14 @@ def _exposure(file: pq.ParquetFile, group: int) -> StarSightings | None:
         u_s=list_values(table, "u_s", 3),
         u_i=list_values(table, "u_i", 3),
         cov_s=list_values(table, "cov_s", 3, 3),
-        snr=column(table, "snr") if "snr" in table.column_names else None,
+        snr=_optional(table, "snr"),
     )
+
+
+def _optional(table: pa.Table, name: str) -> Floats | None:
+    """A column, or None where it is missing or empty."""
+    known = name in table.column_names and table.column(name).null_count < len(table)
+    return column(table, name) if known else None
 
 
 def _ground_points(request: ExportRequest) -> list[GroundPoints]:

@@ -41,6 +41,9 @@ ITEMS: dict[Any, pa.DataType] = {
 }
 
 
+OPTIONAL = (Floats | None,)  # nulls stand for None
+
+
 def schema_of(kind: Hashable, rows: str = "N") -> dict[str, pa.DataType]:
     """Names and types of a record type's columns; `rows` is the letter of the shapes' first dimension."""
     columns: dict[str, pa.DataType] = {}
@@ -57,7 +60,9 @@ def columns_of(record: Any, rows: str = "N") -> dict[str, pa.Array]:
     columns: dict[str, pa.Array] = {}
     for name, hint, inner in _row_fields(record.__class__, rows):
         value = getattr(record, name)
-        if get_origin(hint) is tuple:
+        if value is None:
+            columns[name] = pa.nulls(len(next(iter(columns.values()))), ITEMS[hint])
+        elif get_origin(hint) is tuple:
             columns |= {n: pa.array([getattr(one, n) for one in value], ITEMS[h]) for n, h in _items(hint)}
         elif inner:
             columns[name] = fixed_list(value)
@@ -74,6 +79,8 @@ def record_from_columns(kind: Any, table: pa.Table, rows: str = "N", /, **values
             values[name] = tuple(get_args(hint)[0](*row) for row in zip(*cells))
         elif inner:
             values[name] = list_values(table, name, *inner)
+        elif hint in OPTIONAL and table.column(name).null_count == len(table):
+            values[name] = None
         else:
             value = column(table, name)
             values[name] = np.array(value.tolist(), dtype=str) if hint == Texts else value

@@ -10,7 +10,7 @@ id, so the result is the same bit for bit.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -43,7 +43,7 @@ from boresight.pipeline.stages.strip import (
 from boresight.pipeline.work.executor import Executor, InOrder
 from boresight.pipeline.work.unit_store import UnitStore
 
-__all__ = ["Calibration", "calibrate_dump", "rejections_of", "strips_to_match"]
+__all__ = ["Calibration", "calibrate_dump", "rejections_of", "strips_to_match", "strips_with_stars"]
 
 Array = NDArray[np.float64]
 
@@ -171,6 +171,24 @@ def strips_to_match(
     sigma = dump.sigma_installation_rad
     tasks, uncovered = _strip_tasks(dump, reference, dump.R_cs0, sigma, settings)
     return tasks, [*dump.omissions, *reference.omissions, *uncovered]
+
+
+def strips_with_stars(
+    dump: Dump,
+    settings: Settings,
+    shown: Callable[[StripTask], tuple[StripTask, MatchedTargets]],
+    executor: Executor | None = None,
+) -> list[StripSightings]:
+    """The strips of a dump with its star exposures and the image points that `shown` states for each, with
+    the pre-launch installation matrix; without strips that show nothing.
+    """
+    error_model = calibration_settings(settings, dump.errors, dump.line_camera)
+    runner = StageRunner(None, executor or InOrder())
+    reference = sight_head(dump, dump.heads[0], settings, error_model.attitudes, runner)
+    sigma = dump.sigma_installation_rad
+    tasks, _ = _strip_tasks(dump, reference, dump.R_cs0, sigma, settings)
+    parts = [shown(task) for task in tasks]
+    return _strips([task for task, _ in parts], [matched for _, matched in parts], [reference])
 
 
 def _strip_tasks(

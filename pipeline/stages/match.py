@@ -1,13 +1,10 @@
-"""Targets matched without a calibration, and good targets suggested: what the commands `match` and `targets
-suggest` do.
+"""Targets matched without a calibration: what the command `match` does.
 
-    dump -> stars, attitudes -> each strip: matches, refusals -> table (CSV or Parquet), pictures of matches
-    ortho-image -> suggested targets -> chips (GeoTIFF) and targets.csv as a dump has them
+dump -> stars, attitudes -> each strip: matches, refusals -> table (CSV or Parquet), pictures of matches
 """
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,32 +12,14 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pandas as pd
-import rasterio
 from numpy.typing import NDArray
-from pyproj import CRS, Transformer
 
 from boresight.gct_match.records import Refusal, TargetMatch
-from boresight.gct_match.suggest import SuggestedTarget, suggest_targets
-from boresight.pipeline.errors import DataNotSufficientError, RawDataError
-from boresight.pipeline.files.image_files import read_grid
 from boresight.pipeline.stages.strip import StripTask, strip_matches
 
-__all__ = ["StripLine", "match_strips", "matches_table", "overlay_picture", "suggest", "write_matches"]
+__all__ = ["StripLine", "match_strips", "matches_table", "overlay_picture", "write_matches"]
 
-MAX_ORTHO_PIXELS = 20_000 * 20_000
 _PANEL_PX = 256
-# docs/dump-format.md
-TARGET_COLUMNS = (
-    "id",
-    "lat_deg",
-    "lon_deg",
-    "height_m",
-    "height_kind",
-    "sigma_east_m",
-    "sigma_north_m",
-    "sigma_up_m",
-    "chip",
-)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -145,66 +124,6 @@ def overlay_picture(match: TargetMatch) -> NDArray[np.uint8]:
     for n, text in enumerate(texts):
         cv2.putText(foot, text, (6, 16 + 20 * n), cv2.FONT_HERSHEY_SIMPLEX, 0.45, (0,), 1, cv2.LINE_AA)
     return np.vstack([np.hstack(pictures), foot])
-
-
-def suggest(
-    ortho: Path, out: Path, *, size_px: int, most: int, height_m: float | None, sigma_m: float
-) -> tuple[SuggestedTarget, ...]:
-    """Good target positions in an ortho-image; their chips and a targets.csv for a dump go to `out`.
-
-    Without `height_m` (ellipsoidal) the heights are left empty for the user, who has a terrain model or a
-    survey. `RawDataError` for an unusable file, `DataNotSufficientError` if no target is found.
-    """
-    grid = read_grid(ortho, str(ortho), max_pixels=MAX_ORTHO_PIXELS)
-    valid = np.isfinite(grid.values)
-    try:
-        found = suggest_targets(
-            np.where(valid, grid.values, 0.0), grid.transform, valid, size_px=size_px, most=most
-        )
-    except ValueError as error:
-        raise RawDataError(str(ortho), "image size", str(error), "a larger image or smaller chips") from error
-    if not found:
-        raise DataNotSufficientError(f"{ortho}: no place has a texture that is sharp and found only once")
-    (out / "chips").mkdir(parents=True, exist_ok=True)
-    to_degrees = Transformer.from_crs(CRS.from_user_input(grid.crs), CRS.from_epsg(4326), always_xy=True)
-    a, b, c, d, e, f = grid.transform
-    with (out / "targets.csv").open("w", newline="", encoding="utf-8") as file:
-        table = csv.writer(file, lineterminator="\n")
-        table.writerow(TARGET_COLUMNS)
-        for n, target in enumerate(found, start=1):
-            name = f"t{n:03d}"
-            left, top = int(target.column) - size_px // 2, int(target.row) - size_px // 2
-            corner = (a, b, a * left + b * top + c, d, e, d * left + e * top + f)
-            chip = grid.values[top : top + size_px, left : left + size_px]
-            _write_chip(out / "chips" / f"{name}.tif", chip, corner, grid.crs)
-            lon, lat = to_degrees.transform(target.x, target.y)
-            height = "" if height_m is None else f"{height_m:.3f}"
-            sigma = f"{sigma_m:.3f}"
-            place = [f"{lat:.9f}", f"{lon:.9f}", height, "ellipsoidal"]
-            table.writerow([name, *place, sigma, sigma, sigma, f"chips/{name}.tif"])
-    return found
-
-
-def _write_chip(
-    path: Path,
-    image: NDArray[np.float32],
-    transform: tuple[float, float, float, float, float, float],
-    crs: str,
-) -> None:
-    whole = bool(np.all(image == np.round(image))) and image.min() >= 0.0 and image.max() <= 65535.0
-    kind = "uint8" if whole and image.max() <= 255.0 else "uint16" if whole else "float32"
-    profile = {
-        "driver": "GTiff",
-        "width": image.shape[1],
-        "height": image.shape[0],
-        "count": 1,
-        "dtype": kind,
-        "crs": crs,
-        "transform": rasterio.Affine(*transform),
-        "compress": "deflate",
-    }
-    with rasterio.open(path, "w", **profile) as file:
-        file.write(image.astype(kind), 1)
 
 
 def _panel(name: str, image: NDArray[np.float32]) -> NDArray[np.uint8]:

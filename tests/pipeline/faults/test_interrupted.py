@@ -214,7 +214,7 @@ def test_interrupted_run_says_what_is_kept_and_what_it_still_needs(
 
     result = tmp_path / "a result"
     command = ["calibrate", str(handmade), "--out", str(result), "--workers", "1"]
-    monkeypatch.setattr("boresight.pipeline.stages.calibrate.fit_exposures", interrupt)
+    monkeypatch.setattr("boresight.pipeline.stages.head.fit_exposures", interrupt)
     monkeypatch.setattr(sys, "argv", ["boresight", *command])
     with pytest.raises(SystemExit) as ended:
         main()
@@ -224,7 +224,7 @@ def test_interrupted_run_says_what_is_kept_and_what_it_still_needs(
     assert f"go on with: boresight calibrate {handmade} --out '{result}' --workers 1" in said
     assert f"look at it with: boresight status '{result}'" in said and said[-1] == "interrupted"
     lines = status_lines(run_status(result))
-    assert "exposures     4 done" in lines and "needs         matching-1: 1 more: s1" in lines
+    assert "exposures     4 done, 4 not used" in lines and "needs         matching-1: 1 more: s1" in lines
     assert sum(line.startswith("  exposure 000") for line in lines) == 4
     assert lines[-1] == "not finished: no installation.json yet; the same `boresight calibrate` goes on"
     shutil.rmtree(handmade)

@@ -99,6 +99,6 @@ def test_values_of_the_whole_are_given_where_only_columns_are_kept() -> None:
 
 def test_columns_of_sightings_are_those_of_the_format() -> None:
     # docs/result-format.md
-    assert list(schema_of(StarSightings)) == ["hip", "xy_px", "u_s", "u_i", "cov_s"]
+    assert list(schema_of(StarSightings)) == ["hip", "xy_px", "u_s", "u_i", "cov_s", "snr"]
     expected = "target_id ccd xy_px t_s u_c u_i cov_c range_m v_rel_i cov_target_i"
     assert list(schema_of(GroundSightings)) == expected.split()
