@@ -23,6 +23,7 @@ import typer
 
 from boresight.pipeline import __version__
 from boresight.pipeline.commands.drift import add_drift_commands
+from boresight.pipeline.commands.dump import add_dump_commands
 from boresight.pipeline.commands.heads import add_heads_commands
 from boresight.pipeline.commands.imports import add_import_commands
 from boresight.pipeline.commands.limits import JunitFile, held
@@ -373,6 +374,7 @@ app.command()(talks(status, with_json=True))
 app.command()(talks(experiment))
 add_star_commands(app)
 add_match_commands(app)
+add_dump_commands(app)
 add_report_commands(app)
 add_drift_commands(app)
 add_heads_commands(app)

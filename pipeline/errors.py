@@ -23,6 +23,7 @@ class RawDataError(Exception):
         super().__init__(file, field, found, expected)
         self.file, self.field = printable(file), _short(field)
         self.found, self.expected = _short(found), printable(expected)
+        self.others: tuple[RawDataError, ...] = ()  # further errors of that file, for `boresight dump check`
 
     def __str__(self) -> str:
         return f"{self.file}: {self.field}: found {self.found}, expected {self.expected}"

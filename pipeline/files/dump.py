@@ -6,10 +6,11 @@ opened. The records hold arrays and paths, so that parts of them can be sent to 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -53,6 +54,7 @@ __all__ = [
     "TargetHeights",
     "TerrainFile",
     "bundled_table",
+    "dump_faults",
     "open_dump",
     "orbit_of",
     "read_earth_orientation",
@@ -61,6 +63,11 @@ __all__ = [
 
 MAX_TERRAIN_PIXELS = 8192 * 8192
 StripMember = tuple[str, schema.StripRow, float]  # where in the table, row, its time in TAI seconds
+OF_ONE_HEAD: dict[str, Any] = {
+    "star_camera": schema.StarCameraFile,
+    "installation": schema.InstallationFile,
+    "exposures": schema.ExposureRow,
+}
 PLACE = ("lat_rad", "lon_rad", "height_m")
 
 
@@ -247,6 +254,48 @@ def open_dump(root: Path, *, allow_stale_eop: bool = False) -> Dump:
         terrain=_terrain(paths.get("terrain"), head, (surveyed, *of_points)),
         omissions=omitted,
     )
+
+
+def dump_faults(root: Path) -> list[RawDataError]:
+    """Everything that is wrong in the text files of a dump, each file checked by itself."""
+    faults: list[RawDataError] = []
+
+    def tried(read: Callable[..., Any], *arguments: Any, **named: Any) -> Any:
+        try:
+            return read(*arguments, **named)
+        except RawDataError as error:
+            known = {str(one) for one in faults}
+            faults.extend(one for one in (error, *error.others) if str(one) not in known)
+            return None
+
+    head = tried(read_toml, root / "dump.toml", schema.DumpFile, "dump.toml")
+    if head is None:
+        return faults
+    named = head.files.model_dump(exclude_none=True)
+    paths = {key: tried(path_inside, root, name, file="dump.toml", field=key) for key, name in named.items()}
+    read = {key: path for key, path in paths.items() if path is not None}
+    remote = read.get("remote_camera") and tried(
+        read_remote_camera, root, read["remote_camera"], head.files.remote_camera
+    )
+    ephemeris = read.get("orbit") and tried(read_oem, read["orbit"], head.files.orbit)
+    epoch = ephemeris.epoch if ephemeris else Epoch.from_utc("2000-01-01T12:00:00Z")
+    if ephemeris:
+        own, sigma = head.files.earth_orientation, head.errors.position_m
+        table = tried(read_earth_orientation, read.get("earth_orientation"), own) if own else bundled_table()
+        if table is not None:
+            tried(orbit_of, ephemeris, head.files.orbit, sigma, table, allow_stale_eop=False)
+    if remote and "strips" in read:
+        of_camera = (epoch, remote[1], head.files.remote_camera)
+        tried(_strips, root, read["strips"], head.files.strips, *of_camera)
+    if "targets" in read:
+        rows = tried(_target_rows, read["targets"], str(head.files.targets))
+        tried(_chips, root, rows or [], str(head.files.targets))
+    for key, model in OF_ONE_HEAD.items():
+        if key in read:
+            tried(read_table if key == "exposures" else read_toml, read[key], model, named[key])
+    tried(open_heads, root, head, epoch)
+    tried(open_dump, root)
+    return faults
 
 
 @lru_cache(maxsize=1)

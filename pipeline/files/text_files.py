@@ -40,6 +40,7 @@ Model = TypeVar("Model", bound=BaseModel)
 MAX_TEXT_BYTES = 256 * 2**20
 MAX_TOML_BYTES = 2**20
 MAX_KEY_PARTS = 32  # of a dotted key; the parser's time grows with the square
+MAX_WRONG_ROWS = 100  # of a table, before it is given up
 MAX_ROWS = 500_000  # of a table; a record takes 1 kB
 NUMBER = r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?"  # a regular expression
 PLAIN_NUMBER = "a finite number in ASCII digits"
@@ -164,13 +165,21 @@ def read_table(path: Path, model: type[Model], file: str) -> list[Model]:
     expected = list(model.model_fields)
     numeric = [name for name, field in model.model_fields.items() if field.annotation in (int, float)]
     records: list[Model] = []
+    wrong: list[RawDataError] = []
     for line, row in csv_rows(path, expected, (), file):
-        for name in numeric:
-            check_number(row[name], file, f"{line}, {name}")
         try:
+            for name in numeric:
+                check_number(row[name], file, f"{line}, {name}")
             records.append(model.model_validate(row))
+        except RawDataError as error:
+            wrong.append(error)
         except ValidationError as error:
-            raise _raw_data_error(error, model, file, f"{line}, ") from error
+            wrong.append(_raw_data_error(error, model, file, f"{line}, "))
+        if len(wrong) == MAX_WRONG_ROWS:
+            break
+    if wrong:
+        wrong[0].others = tuple(wrong[1:])
+        raise wrong[0]
     return records
 
 
@@ -221,30 +230,41 @@ def _check_header(header: Sequence[str], required: Sequence[str], optional: Sequ
 
 
 def _raw_data_error(error: ValidationError, model: type[BaseModel], file: str, prefix: str) -> RawDataError:
-    """The first of pydantic's errors as a `RawDataError`, with the field's description."""
+    """The first of pydantic's errors as a `RawDataError`, with the field's description and the others."""
     every: list[Any] = error.errors(include_url=False)
-    missing = {str(one["loc"][-1]) for one in every if one["type"] == "missing"}
+    missing = {str(one["loc"][-1]): one for one in every if one["type"] == "missing"}
     unknown = [one for one in every if one["type"] == "extra_forbidden"]
     typos = [(one, get_close_matches(str(one["loc"][-1]), missing, 1)) for one in unknown]
-    first, meant = next(((one, close[0]) for one, close in typos if close), (every[0], ""))
-    field = ".".join(str(part) for part in first["loc"]) or "file"
-    n_others = len(every) - (2 if meant else 1)
-    others = f" (and {n_others} more)" if n_others else ""
-    found: object
-    if first["type"] == "value_error" and isinstance(first["input"], dict):
-        found, expected = expected_of(first), "values that are possible together"
-    elif first["type"] == "missing":
-        found, expected = "nothing", f"the key {first['loc'][-1]}"
-        meaning = _description(model, first["loc"])
-        expected += f" ({meaning})" if meaning else ""
-    elif first["type"] == "extra_forbidden":
+    meant = {id(one): close[0] for one, close in typos if close}
+    spared = {id(missing[name]) for name in meant.values()}
+    ordered = sorted((one for one in every if id(one) not in spared), key=lambda one: id(one) not in meant)
+    more = f" (and {len(ordered) - 1} more)" if len(ordered) > 1 else ""
+    first, *others = (
+        _one_error(one, model, file, prefix, meant.get(id(one), ""), "" if n else more)
+        for n, one in enumerate(ordered)
+    )
+    first.others = tuple(others)
+    return first
+
+
+def _one_error(
+    error: Mapping[str, Any], model: type[BaseModel], file: str, prefix: str, meant: str, more: str
+) -> RawDataError:
+    """One of pydantic's errors; `meant` is the key that an unknown one stands for."""
+    field = ".".join(str(part) for part in error["loc"]) or "file"
+    meaning = _description(model, error["loc"])
+    meaning = f" ({meaning})" if meaning else ""
+    found = error["input"]
+    if error["type"] == "value_error" and isinstance(found, dict):
+        found, expected = expected_of(error), "values that are possible together"
+    elif error["type"] == "missing":
+        found, expected = "nothing", f"the key {error['loc'][-1]}{meaning}"
+    elif error["type"] == "extra_forbidden":
         found, expected = "an unknown key", meant or "only keys of the format's description"
     else:
-        found = first["input"]
         found = f"keys {', '.join(map(str, found))}" if isinstance(found, dict) else found
-        meaning = _description(model, first["loc"])
-        expected = expected_of(first) + (f" ({meaning})" if meaning else "")
-    return RawDataError(file, prefix + field, found, expected + others)
+        expected = expected_of(error) + meaning
+    return RawDataError(file, prefix + field, found, expected + more)
 
 
 def expected_of(error: Mapping[str, Any]) -> str:

@@ -9,13 +9,14 @@ import numpy as np
 
 from boresight.calib.estimate import NotObservable
 from boresight.gct_match.records import Target
+from boresight.geometry.record import Floats
 from boresight.pipeline.errors import Cause, Omission
 from boresight.pipeline.files.dump import Dump
 from boresight.pipeline.settings import Settings
 from boresight.pipeline.stages.exposure import is_mirrored, star_tasks
 from boresight.pipeline.stages.strip import MatchedTargets, StripTask, footprint_e, pushbroom_of
 
-__all__ = ["nearest_miss", "what_is_missing"]
+__all__ = ["misses", "nearest_miss", "what_is_missing"]
 
 MIRROR_TRIALS = 3  # exposures
 
@@ -70,6 +71,16 @@ def nearest_miss(task: StripTask, targets: Sequence[Target]) -> tuple[float, flo
     """How far the nearest target lies outside a strip's footprint, across and along the track (m, 0 where
     inside), the second as time (s), and its id.
     """
+    outside, speed_m_s = misses(task, targets)
+    n = int(np.argmin(np.hypot(*outside.T)))
+    across_m, along_m = outside[n].tolist()
+    return across_m, along_m, along_m / speed_m_s, targets[n].target_id
+
+
+def misses(task: StripTask, targets: Sequence[Target]) -> tuple[Floats, float]:
+    """How far targets lie outside a strip's footprint, (N, 2) across and along the track (m, 0 where inside),
+    and the speed of the strip on the ground (m/s).
+    """
     seen_e = footprint_e(task)
     first, last = np.nanmean(seen_e[:, 0], axis=0), np.nanmean(seen_e[:, -1], axis=0)
     middle = 0.5 * (first + last)
@@ -79,9 +90,6 @@ def nearest_miss(task: StripTask, targets: Sequence[Target]) -> tuple[float, flo
     inside = (seen_e.reshape(-1, 3) - middle) @ axes.T
     points = (np.array([target.p_e for target in targets]) - middle) @ axes.T
     low, high = np.nanmin(inside, axis=0), np.nanmax(inside, axis=0)
-    outside = np.maximum(np.maximum(low - points, points - high), 0.0)
-    n = int(np.argmin(np.linalg.norm(np.array([target.p_e for target in targets]) - middle, axis=1)))
     lines = pushbroom_of(task).instants(np.array([0.0, task.strip.lines - 1.0]))
-    speed_m_s = np.linalg.norm(last - first) / float(lines[1] - lines[0])
-    across_m, along_m = outside[n].tolist()
-    return across_m, along_m, along_m / float(speed_m_s), targets[n].target_id
+    speed_m_s = float(np.linalg.norm(last - first) / (lines[1] - lines[0]))
+    return np.maximum(np.maximum(low - points, points - high), 0.0), speed_m_s

@@ -47,6 +47,7 @@ __all__ = [
     "read_chip",
     "strip_matches",
     "targets_near",
+    "unreadable_chips",
     "with_points",
 ]
 
@@ -187,6 +188,17 @@ def strip_matches(task: StripTask) -> tuple[StripMatches | None, list[Omission]]
         omitted.append(Omission("strip", task.strip.strip_id, error.file, str(error)))
         return None, omitted
     return result, omitted
+
+
+def unreadable_chips(files: Sequence[ChipFile]) -> list[Omission]:
+    """Chips that cannot be read, with the reasons."""
+    omitted = []
+    for file in files:
+        try:
+            read_chip(file)
+        except RawDataError as error:
+            omitted.append(Omission("chip", file.target_id, file.file, str(error)))
+    return omitted
 
 
 def read_chip(file: ChipFile) -> Chip:

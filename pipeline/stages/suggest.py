@@ -10,6 +10,7 @@ from __future__ import annotations
 import csv
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import lru_cache
 from pathlib import Path
 
 import cv2
@@ -26,10 +27,11 @@ from boresight.geometry.constants import ARCSEC, WGS84
 from boresight.geometry.geodesy import ecef_from_geodetic
 from boresight.geometry.record import Floats, array, record, scalar
 from boresight.pipeline.errors import DataNotSufficientError, RawDataError
-from boresight.pipeline.files.dump import Dump
+from boresight.pipeline.files.dump import ChipFile, Dump
 from boresight.pipeline.files.ortho_files import HeightModel, Ortho
 from boresight.pipeline.settings import Settings, calibration_settings
 from boresight.pipeline.stages.calibrate import strips_with_stars
+from boresight.pipeline.stages.match_pictures import NO_PICTURES
 from boresight.pipeline.stages.strip import MatchedTargets, StripTask, pushbroom_of
 
 __all__ = ["Candidate", "SuggestRequest", "Suggestion", "suggest_in", "suggestion_lines", "write_targets"]
@@ -74,6 +76,7 @@ class Suggestion:
 
     targets: tuple[Candidate, ...] = scalar("best first")
     choice: TargetChoice | None = scalar("forecast with the first n targets; None without a dump")
+    suitable: tuple[Candidate, ...] = scalar("all places to choose from, with a dump those in view")
 
 
 def suggest_in(
@@ -96,12 +99,13 @@ def suggest_in(
         )
     if dump is None:
         best = sorted(named, key=lambda one: one.place.sigma_px / one.alike)[: request.most]
-        return Suggestion(tuple(best), None)
-    choice = _chosen(named, dump, settings or Settings(), request.most)
-    if not choice.target_id:
+        return Suggestion(tuple(best), None, tuple(named))
+    choice, in_view = _chosen(named, dump, settings or Settings(), request.most)
+    if not in_view:
         raise DataNotSufficientError(f"{dump.root}: no strip shows any of {len(named)} suitable places")
     by_id = {one.target_id: one for one in named}
-    return Suggestion(tuple(by_id[name] for name in choice.target_id), choice)
+    chosen, suitable = (tuple(by_id[n] for n in names) for names in (choice.target_id, sorted(in_view)))
+    return Suggestion(chosen, choice, suitable)
 
 
 def suggestion_lines(found: Suggestion) -> list[str]:
@@ -146,8 +150,7 @@ def _candidates(
         )
     except ValueError as error:
         raise RawDataError(ortho.file, "image size", str(error), "a larger image or smaller chips") from error
-    to_degrees = Transformer.from_crs(CRS.from_user_input(ortho.crs), "EPSG:4326", always_xy=True)
-    lon, lat = (np.array(v, dtype=float) for v in to_degrees.transform(*_xy(places)))
+    lon, lat = (np.array(v, dtype=float) for v in _to_degrees(ortho.crs).transform(*_xy(places)))
     height, kind = heights.stated(lat, lon)
     ellipsoidal = heights.ellipsoidal(lat, lon)
     p_e = ecef_from_geodetic(np.radians(lat), np.radians(lon), ellipsoidal, WGS84)
@@ -178,6 +181,12 @@ def _candidates(
     return found
 
 
+@lru_cache(maxsize=64)
+def _to_degrees(crs: str) -> Transformer:
+    """From a map to longitude and latitude."""
+    return Transformer.from_crs(CRS.from_user_input(crs), "EPSG:4326", always_xy=True)
+
+
 def _xy(places: Sequence[SuggestedTarget]) -> tuple[list[float], list[float]]:
     return [place.x for place in places], [place.y for place in places]
 
@@ -189,8 +198,7 @@ def _pixel_m(ortho: Ortho, places: Sequence[SuggestedTarget], p_e: Floats, heigh
         return 0.0
     a, _, _, d, _, _ = ortho.transform
     place = places[int(good[0])]
-    to_degrees = Transformer.from_crs(CRS.from_user_input(ortho.crs), "EPSG:4326", always_xy=True)
-    lon, lat = to_degrees.transform(place.x + a, place.y + d)
+    lon, lat = _to_degrees(ortho.crs).transform(place.x + a, place.y + d)
     beside_e = ecef_from_geodetic(np.radians([lat]), np.radians([lon]), height[good[:1]], WGS84)
     return float(np.linalg.norm(beside_e[0] - p_e[good[0]]))
 
@@ -210,8 +218,7 @@ def _alike(
 
 def _chip_at(ortho: Ortho, lon: float, lat: float, size_px: int) -> NDArray[np.float32] | None:
     """The window of an image around a point; None where the image has no data."""
-    to_map = Transformer.from_crs("EPSG:4326", CRS.from_user_input(ortho.crs), always_xy=True)
-    x, y = to_map.transform(lon, lat)
+    x, y = _to_degrees(ortho.crs).transform(lon, lat, direction="INVERSE")
     column, row = ~rasterio.Affine(*ortho.transform) * (x, y)
     half = size_px // 2
     inside = half <= column < ortho.values.shape[1] - half and half <= row < ortho.values.shape[0] - half
@@ -226,21 +233,26 @@ def _window(values: NDArray, column: float, row: float, size_px: int) -> NDArray
     return values[top : top + size_px, left : left + size_px]
 
 
-def _chosen(named: Sequence[Candidate], dump: Dump, settings: Settings, most: int) -> TargetChoice:
-    """The candidates that make the forecast covariance smallest, of those that the strips will show."""
+def _chosen(
+    named: Sequence[Candidate], dump: Dump, settings: Settings, most: int
+) -> tuple[TargetChoice, set[str]]:
+    """The candidates that make the forecast covariance smallest, and all that the strips may show."""
     matched, probabilities = [], []
 
     def shown(task: StripTask) -> tuple[StripTask, MatchedTargets]:
         targets = tuple(Target(one.target_id, one.p_e, one.sigma_m) for one in named)
-        in_view, probability = _in_view(replace(task, targets=targets), named)
+        chips = tuple(ChipFile(one.target_id, "", Path()) for one in named)
+        in_view, probability = _in_view(task, named)
         probabilities.append(probability)
         matched.append(in_view)
-        return replace(task, targets=targets), in_view
+        return replace(task, targets=targets, chips=chips), in_view
 
     strips = strips_with_stars(dump, settings, shown)
     kept = [p for p, one in zip(probabilities, matched) if len(one.target_id)]
     error_model = calibration_settings(settings, dump.errors, dump.line_camera)
-    return choose_targets(strips, kept, dump.R_cs0, dump.sigma_installation_rad, error_model, most)
+    in_view = {name for one in matched for name in one.target_id.tolist()}
+    sigma = dump.sigma_installation_rad
+    return choose_targets(strips, kept, dump.R_cs0, sigma, error_model, most), in_view
 
 
 def _in_view(task: StripTask, named: Sequence[Candidate]) -> tuple[MatchedTargets, Floats]:
@@ -273,7 +285,7 @@ def _in_view(task: StripTask, named: Sequence[Candidate]) -> tuple[MatchedTarget
         correlation=np.ones(len(rows)),
         probability_wrong=np.zeros(len(rows)),
         predicted_px=places[rows],
-        pictures=(),
+        pictures=(NO_PICTURES,) * len(rows),
         omissions=(),
     )
     return matched, chance[rows] * np.array([named[n].alike for n in rows])

@@ -1,0 +1,150 @@
+"""A skeleton of a dump: every text file with comments, to be filled in (`boresight dump init`)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from boresight.geometry.record import record, scalar
+from boresight.pipeline.errors import RawDataError
+
+__all__ = ["Skeleton", "write_skeleton"]
+
+DUMP = """# A dump for boresight; docs/dump-format.md describes every key.
+format = "boresight-dump"
+format_version = 1
+mission = "{mission}"
+
+[conventions]                  # stated, so that a writer checks them; no other value is accepted
+inertial_frame = "GCRS"
+earth_fixed_frame = "ITRS"
+time_scale = "UTC"
+quaternions = "scalar-last"
+image_origin = "centre of first pixel is (0, 0)"
+
+[files]                        # paths relative to this folder
+star_camera = "star_camera.toml"
+remote_camera = "remote_camera.toml"
+installation = "installation.toml"
+orbit = "orbit.oem"
+exposures = "exposures.csv"
+strips = "strips.csv"
+targets = "targets.csv"
+# terrain = "terrain/dem.tif"  # with the table [terrain] below
+
+[errors]                       # 1-sigma of errors of the mission's data; better too large than too small
+position_m = {position_m}
+clock_s = {clock_s}
+vibration_arcsec = 0.1
+look_distortion_px = 0.3
+look_distortion_length_px = 1500.0
+
+# [terrain]
+# height_kind = "egm96"        # or "ellipsoidal"
+# sigma_m = 5.0
+"""
+STAR_CAMERA = """# Frame s: z along the optical axis; x and y opposite to column and row.
+focal_length_mm = {star_focal_mm}
+pixel_pitch_um = {star_pixel_um}
+width_px = {star_width_px}
+height_px = {star_height_px}
+principal_point_px = [{x0}, {y0}]   # `boresight star-camera-calibrate` measures it
+bit_depth = {bit_depth}
+
+[distortion]                   # zeros: a lens without distortion
+p1_per_mm = 0.0
+p2_per_mm = 0.0
+q1_per_mm2 = 0.0
+q2_per_mm4 = 0.0
+"""
+REMOTE_CAMERA = """# Frame c: x along the direction of flight, y along the detectors, z to the ground.
+focal_length_m = {focal_m}
+tdi_stages = 1
+time_of_row = "middle"         # which instant of its exposure the time of a row is: start, middle, end
+bit_depth = {bit_depth}
+"""
+CCD = """
+[[ccds]]                       # CCD {n}
+n_px = {ccd_px}
+pixel_pitch_um = {pixel_um}
+y_first_mm = {y_first_mm:.6f}
+x_offset_mm = 0.0
+rotation_mrad = 0.0
+principal_sample = {principal:.1f}
+distortion_samples = []
+distortion_offsets_um = []
+"""
+INSTALLATION = """# R_cs takes star-camera vectors to the remote-sensing camera; x y z w, w the scalar.
+# This is the unit quaternion: replace it by the one measured before launch.
+quaternion_cs = [0.0, 0.0, 0.0, 1.0]
+sigma_rad = [0.003, 0.003, 0.003]   # 1-sigma of its error; targets are searched within 3 sigma
+"""
+ORBIT = """CCSDS_OEM_VERS = 2.0
+CREATION_DATE = 2000-01-01T00:00:00
+ORIGINATOR = FILL_IN
+
+META_START
+COMMENT replace this file by the mission's OEM: 1 Hz or denser, beyond all exposures and rows by 4 states
+OBJECT_NAME = {mission}
+OBJECT_ID = 0000-000A
+CENTER_NAME = EARTH
+REF_FRAME = GCRF
+TIME_SYSTEM = UTC
+START_TIME = 2000-01-01T00:00:00
+STOP_TIME = 2000-01-01T00:00:00
+META_STOP
+
+"""
+TABLES = {
+    "exposures.csv": "id,file,utc_mid,exposure_s\n",
+    "strips.csv": "id,ccd,file,utc_first_row,row_period_s,lines\n",
+    "targets.csv": "id,lat_deg,lon_deg,height_m,height_kind,sigma_east_m,sigma_north_m,sigma_up_m,chip\n",
+}
+
+
+@record(kw_only=True)
+class Skeleton:
+    """What is known of a mission before its dump is written."""
+
+    mission: str = scalar("name")
+    star_focal_mm: float = scalar("focal length of the star camera, mm")
+    star_pixel_um: float = scalar("its pixel pitch, µm")
+    star_width_px: int = scalar("its columns")
+    star_height_px: int = scalar("its rows")
+    focal_m: float = scalar("focal length of the remote-sensing camera, m")
+    pixel_um: float = scalar("its pixel pitch, µm")
+    ccds: int = scalar("its CCDs, side by side")
+    ccd_px: int = scalar("samples of each")
+    bit_depth: int = scalar("bits of a count of both cameras")
+    position_m: float = scalar("1-sigma of the orbit, m")
+    clock_s: float = scalar("1-sigma of the strips' times, s")
+
+
+def write_skeleton(folder: Path, known: Skeleton) -> list[Path]:
+    """Write the files and the folders for images into a new or empty folder; their paths.
+
+    `RawDataError` where the folder has files.
+    """
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise RawDataError(str(folder), "folder", "not empty", "a new or empty folder")
+    values = {name: getattr(known, name) for name in Skeleton.__annotations__}
+    values["mission"] = known.mission.replace("\\", " ").replace('"', "'")
+    middle = {"x0": 0.5 * (known.star_width_px - 1), "y0": 0.5 * (known.star_height_px - 1)}
+    length_mm, first_mm = known.ccd_px * known.pixel_um * 1e-3, 0.5 * known.pixel_um * 1e-3
+    left_mm = first_mm - 0.5 * known.ccds * length_mm
+    ccds = [
+        CCD.format(n=n, y_first_mm=left_mm + n * length_mm, principal=0.5 * (known.ccd_px - 1), **values)
+        for n in range(known.ccds)
+    ]
+    files = {
+        "dump.toml": DUMP.format(**values),
+        "star_camera.toml": STAR_CAMERA.format(**values, **middle),
+        "remote_camera.toml": REMOTE_CAMERA.format(**values) + "".join(ccds),
+        "installation.toml": INSTALLATION,
+        "orbit.oem": ORBIT.format(**values),
+        **TABLES,
+    }
+    for name in ("exposures", "strips", "chips"):
+        (folder / name).mkdir(parents=True, exist_ok=True)
+    for name, text in files.items():
+        (folder / name).write_text(text, encoding="utf-8")
+    return [folder / name for name in files]
