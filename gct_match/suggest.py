@@ -114,16 +114,15 @@ def _expected_sigma(image: Image, valid: Bools, size_px: int) -> Image:
     the chip leaves the image or contains invalid pixels.
     """
     gx, gy = smooth_gradients(image)
-    most = 3.0 * np.float32(
-        np.percentile(np.abs(gx[::5, ::5]), 90.0) + 1e-6
-    )  # limits the weight of single bright edges
+    inside = np.abs(gx[::5, ::5])[valid[::5, ::5]]  # without the empty border of a rotated or cut image
+    most = 3.0 * np.float32(np.percentile(inside, 90.0) + 1e-6)  # limits the weight of single bright edges
     gx, gy = np.clip(gx, -most, most), np.clip(gy, -most, most)
     window = (size_px, size_px)
     xx, xy, yy = (
         cv2.boxFilter(product, -1, window, normalize=False, borderType=cv2.BORDER_CONSTANT)
         for product in (gx * gx, gx * gy, gy * gy)
     )
-    sigma = sigma_from_gradients(xx, xy, yy, noise_of(image), float(size_px**2))
+    sigma = sigma_from_gradients(xx, xy, yy, noise_of(image, valid), float(size_px**2))
     bad = cv2.boxFilter((~valid).astype(np.float32), -1, window, borderType=cv2.BORDER_CONSTANT) > 1e-6
     sigma[bad] = np.inf
     half = size_px // 2 + 1

@@ -41,11 +41,13 @@ def sigma_from_gradients(xx: Image, xy: Image, yy: Image, noise: float, pixels: 
     return sigma
 
 
-def noise_of(image: Image) -> float:
+def noise_of(image: Image, valid: Bools | None = None) -> float:
     """Noise (1 sigma) of a picture (h, w), from its tenth of least variance (Immerkær's difference of
-    Laplacians), at least 0.3, the noise of rounding to integers.
+    Laplacians), at least 0.3, the noise of rounding to integers; `valid` (h, w): of these pixels only.
     """
     mask = np.array([[1.0, -2.0, 1.0], [-2.0, 4.0, -2.0], [1.0, -2.0, 1.0]], dtype=np.float32)
     power: Image = cv2.blur(np.asarray(cv2.filter2D(image, -1, mask) ** 2 / 36.0, dtype=np.float32), (15, 15))
     step = max(1, min(power.shape) // 100)
-    return max(float(np.sqrt(np.percentile(power[::step, ::step], 10.0))), 0.3)
+    sampled = power[::step, ::step]
+    sampled = sampled if valid is None or not valid.any() else sampled[valid[::step, ::step]]
+    return max(float(np.sqrt(np.percentile(sampled, 10.0))), 0.3) if sampled.size else 0.3

@@ -7,11 +7,13 @@ from pathlib import Path
 import numpy as np
 
 from boresight.pipeline.files.whole_file import write_whole
-from boresight.pipeline.report.drawing import INK, MUTED, Drawing, axes_of, drawn, new_figure
+from boresight.pipeline.report.drawing import INK, Drawing, dress_axes, drawn, new_figure
 from boresight.pipeline.report.page import template
 from boresight.pipeline.stages.check import DumpCheck
 
 __all__ = ["write_check_page"]
+
+MOST_MAPS, COLUMNS = 12, 2
 
 
 def write_check_page(found: DumpCheck, path: Path) -> None:
@@ -22,23 +24,25 @@ def write_check_page(found: DumpCheck, path: Path) -> None:
 
 
 def _map(found: DumpCheck) -> Drawing:
-    """Footprints and targets, longitude against latitude, equal scale at the middle latitude."""
-    figure = new_figure(5.2)
-    axes = axes_of(figure, "longitude, degrees", "latitude, degrees")
-    for strip_id, outline in found.footprints.items():
-        closed = np.vstack([outline, outline[:1]])
-        axes.plot(*closed.T, color=INK, lw=1.0)
-        axes.annotate(strip_id, outline.max(axis=0), color=INK, fontsize=8)
-    for seen, marker, label in ((True, "o", "in view"), (False, "x", "not in view")):
-        places = np.array([one.lon_lat_deg for one in found.targets if bool(one.seen_by) == seen])
-        if len(places):
-            axes.plot(*places.T, marker, color=INK if seen else MUTED, ms=4, mfc="none", label=label)
-    middle = np.mean(np.vstack(list(found.footprints.values()))[:, 1])
-    axes.set_aspect(1.0 / np.cos(np.radians(middle)), adjustable="datalim")
-    axes.ticklabel_format(useOffset=False)
-    if found.targets:
-        axes.legend(frameon=False, fontsize=8, labelcolor=INK)
+    """A map for each of the first strips: its outline and the targets that it sees or misses by least."""
+    shown = dict(list(found.footprints.items())[:MOST_MAPS])
+    rows = -(-len(shown) // COLUMNS)
+    figure = new_figure(2.2 * rows)
+    for n, (strip_id, outline) in enumerate(shown.items()):
+        axes = figure.add_subplot(rows, COLUMNS, n + 1)
+        dress_axes(axes, "", "")
+        axes.plot(*np.vstack([outline, outline[:1]]).T, color=INK, lw=1.0)
+        axes.set_title(strip_id, color=INK, fontsize=9)
+        seen = [one.lon_lat_deg for one in found.targets if strip_id in one.seen_by]
+        missed = [one.lon_lat_deg for one in found.targets if one.nearest == strip_id]
+        for places, marker in ((seen, "o"), (missed, "x")):
+            if places:
+                axes.plot(*np.array(places).T, marker, color=INK, ms=4, mfc="none")
+        axes.set_aspect(1.0 / np.cos(np.radians(outline[:, 1].mean())), adjustable="datalim")
+        axes.ticklabel_format(useOffset=False)
+        axes.locator_params(nbins=3)
     in_view = sum(bool(one.seen_by) for one in found.targets)
-    counts = f"{len(found.footprints)} strips by the pre-launch matrix"
-    text = f"{counts}; {in_view} of {len(found.targets)} targets in view."
-    return drawn(figure, "footprints", text, f"Map of footprints and targets. {text}")
+    counts = f"{len(shown)} of {len(found.footprints)} strips by the pre-launch matrix"
+    text = f"{counts}, longitude and latitude in degrees; {in_view} of {len(found.targets)} targets in view."
+    text += " Circles: in view; crosses: not, at the strip that they miss by least."
+    return drawn(figure, "footprints", text, f"Maps of footprints and targets. {text}")

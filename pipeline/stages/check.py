@@ -11,14 +11,14 @@ from boresight.gct_match.records import Target
 from boresight.geometry.constants import WGS84
 from boresight.geometry.footprint import outline_deg
 from boresight.geometry.geodesy import geodetic_from_ecef
-from boresight.geometry.record import Floats, array, record, scalar
+from boresight.geometry.record import Bools, Floats, array, record, scalar
 from boresight.geometry.terrain import ConstantHeight
 from boresight.pipeline.errors import Omission, RawDataError
-from boresight.pipeline.files.dump import dump_faults, open_dump
+from boresight.pipeline.files.dump import dump_faults, open_dump, surface_of
 from boresight.pipeline.settings import Settings
 from boresight.pipeline.stages.calibrate import strips_to_match
 from boresight.pipeline.stages.missing import misses
-from boresight.pipeline.stages.strip import pushbroom_of, unreadable_chips
+from boresight.pipeline.stages.strip import StripTask, pushbroom_of, unreadable_chips
 from boresight.pipeline.work.executor import Executor
 
 __all__ = ["DumpCheck", "TargetCheck", "check_dump", "check_lines"]
@@ -67,7 +67,7 @@ def check_dump(root: Path, settings: Settings, executor: Executor | None = None)
         )
     dump = open_dump(root)
     tasks, omissions = strips_to_match(dump, settings, executor)
-    height = ConstantHeight(0.0)
+    height = ConstantHeight(float(np.mean(surface_of(dump.terrain).height_range_m())))
     outlines = {t.strip.strip_id: outline_deg(pushbroom_of(t), t.strip.lines, height) for t in tasks}
     first, last = dump.epoch.utc_from_seconds(dump.orbit.t_s[[0, -1]])
     facts = (
@@ -76,7 +76,7 @@ def check_dump(root: Path, settings: Settings, executor: Executor | None = None)
         f"{len(dump.strips)} strips of {dump.line_camera.n_ccds} CCD(s), {len(tasks)} of them can be used",
         f"{len(dump.targets)} targets, {len(dump.points)} strips with measured image points",
     )
-    missed = [misses(task, dump.targets) for task in tasks] if dump.targets else []
+    missed = [(*misses(task, dump.targets), _in_view(task, dump.targets)) for task in tasks if dump.targets]
     names = [task.strip.strip_id for task in tasks]
     return DumpCheck(
         root=str(root),
@@ -99,12 +99,23 @@ def check_lines(found: DumpCheck) -> list[str]:
     return [*lines, *("  " + one.text for one in found.targets)]
 
 
+def _in_view(task: StripTask, targets: Sequence[Target]) -> Bools:
+    """Which targets (N,) some CCD of a strip shows."""
+    model, p_e = pushbroom_of(task), np.array([target.p_e for target in targets])
+    seen = np.zeros(len(targets), dtype=bool)
+    for ccd in range(task.camera.n_ccds):
+        sample, line = model.pixels_from_ground(ccd, p_e)
+        inside = (sample >= -0.5) & (sample <= task.camera.n_px(ccd) - 0.5)
+        seen |= inside & (line >= -0.5) & (line <= task.strip.lines - 0.5)
+    return seen
+
+
 def _target(
-    n: int, target: Target, names: Sequence[str], missed: Sequence[tuple[Floats, float]]
+    n: int, target: Target, names: Sequence[str], missed: Sequence[tuple[Floats, float, Bools]]
 ) -> TargetCheck:
     lat, lon, _ = geodetic_from_ecef(target.p_e[None], WGS84)
-    distances = [float(np.hypot(*outside[n])) for outside, _ in missed]
-    seen = tuple(name for name, distance in zip(names, distances) if distance == 0.0)
+    distances = [float(np.hypot(*outside[n])) for outside, _, _ in missed]
+    seen = tuple(name for name, (_, _, in_view) in zip(names, missed) if in_view[n])
     best = int(np.argmin(distances)) if distances and not seen else -1
     across_m, along_m = missed[best][0][n].tolist() if best >= 0 else (0.0, 0.0)
     return TargetCheck(

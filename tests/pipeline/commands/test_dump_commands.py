@@ -1,0 +1,100 @@
+"""dump init and dump check: a skeleton that is sound but empty; all errors at once; footprints and misses."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from boresight.pipeline.cli import app
+from boresight.pipeline.errors import RawDataError
+from boresight.pipeline.files.dump import dump_faults
+from boresight.pipeline.files.dump_schema import DumpFile, InstallationFile, StarCameraFile
+from boresight.pipeline.files.remote_camera import read_remote_camera
+from boresight.pipeline.files.text_files import read_toml
+
+
+def run(*arguments: object, given: str | None = None) -> tuple[int, str]:
+    ran = CliRunner().invoke(app, [str(argument) for argument in arguments], input=given)
+    return ran.exit_code, ran.output
+
+
+def test_a_skeleton_lacks_only_what_is_to_be_filled_in(tmp_path: Path) -> None:
+    folder = tmp_path / "new"
+    options = ("--mission", 'a "b" {c}', "--focal-m", 2.5, "--ccds", 3, "--ccd-px", 1000, "--pixel-um", 8)
+    status, text = run("dump", "init", folder, *options)
+    assert status == 0 and f"boresight dump check {folder}" in text
+    assert read_toml(folder / "dump.toml", DumpFile, "dump.toml").mission == "a 'b' {c}"
+    read_toml(folder / "star_camera.toml", StarCameraFile, "star_camera.toml")
+    read_toml(folder / "installation.toml", InstallationFile, "installation.toml")
+    camera, _ = read_remote_camera(folder, folder / "remote_camera.toml", "remote_camera.toml")
+    # The middle of three lines of 8 mm lies on the axis.
+    assert camera.n_ccds == 3
+    assert camera.directions_from_pixels(1, [499.5])[0, 1] == pytest.approx(0.0, abs=1e-12)
+    assert camera.directions_from_pixels(2, [-0.5])[0, 1] == pytest.approx(-4e-3 / 2.5, rel=1e-4)
+    assert {fault.file for fault in dump_faults(folder)} == {
+        "orbit.oem",
+        "exposures.csv",
+        "strips.csv",
+        "targets.csv",
+    }
+    again = CliRunner().invoke(app, ["dump", "init", str(folder)])
+    assert isinstance(again.exception, RawDataError) and "not empty" in str(again.exception)
+
+
+def test_questions_have_the_options_as_answers(tmp_path: Path) -> None:
+    status, _ = run("dump", "init", tmp_path / "d", "--ask", "--focal-m", 3, given="Eos\n" + "\n" * 11)
+    assert status == 0 and 'mission = "Eos"' in (tmp_path / "d/dump.toml").read_text()
+    assert "focal_length_m = 3.0" in (tmp_path / "d/remote_camera.toml").read_text()
+
+
+def test_all_errors_of_all_files_are_found_at_once(handmade: Path, tmp_path: Path) -> None:
+    for file, before, after in (
+        ("star_camera.toml", "bit_depth", "bitdepth"),
+        ("star_camera.toml", "= 100.0", "= 0.1"),
+        ("installation.toml", "0.003, 0.003, 0.003", "10, 20, 0.1"),
+        ("orbit.oem", "GCRF", "TEME"),
+        ("exposures.csv", "2024-11-20T03:40:19", "20/11/2024"),
+        ("targets.csv", "ellipsoidal", "msl"),
+    ):
+        text = (handmade / file).read_text()
+        (handmade / file).write_text(text.replace(before, after))
+    (handmade / "strips.csv").unlink()
+    page = tmp_path / "check.html"
+    status, text = run("dump", "check", handmade, "--out", page)
+    assert status == 1
+    expected = {
+        "star_camera.toml: bitdepth": 1,
+        "star_camera.toml: focal_length_mm": 1,
+        "installation.toml: sigma_rad": 2,
+        "orbit.oem: REF_FRAME": 1,
+        "exposures.csv: line": 2,
+        "targets.csv: line": 2,
+        "strips.csv: file": 1,
+    }
+    assert {part: text.count(part) for part in expected} == expected
+    assert f"{sum(expected.values())} error(s) in the files" in text
+    assert page.read_text().count("<li>") == sum(expected.values())
+
+
+def test_a_sound_dump_shows_footprints_and_the_nearest_miss_of_every_target(
+    one_strip: Path, tmp_path: Path
+) -> None:
+    rows = (one_strip / "targets.csv").read_text().splitlines()
+    moved = rows[1].split(",")
+    moved[1] = f"{float(moved[1]) + 0.5:.6f}"  # 55 km north
+    (one_strip / "targets.csv").write_text("\n".join([rows[0], ",".join(moved), *rows[2:]]) + "\n")
+    page = tmp_path / "check.html"
+    status, text = run("dump", "check", one_strip, "--out", page, "--json", "-q")
+    assert status == 0, text
+    found = json.loads(text)["result"]
+    assert found["errors"] == [] and list(found["footprints"]) == ["s01"]
+    far, *others = found["targets"]
+    assert far["nearest"] == "s01" and far["seen_by"] == []
+    # 55.5 km along the meridian, 10 degrees off the track; the strip is 13 km long
+    assert 40e3 < far["along_m"] < 56e3 and far["along_s"] == pytest.approx(far["along_m"] / 7e3, rel=0.05)
+    assert sum(one["seen_by"] == ["s01"] for one in others) >= 8
+    assert "<svg" in page.read_text() and not re.search(r"https?://(?!www.w3.org)", page.read_text())
