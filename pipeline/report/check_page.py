@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from boresight.pipeline.files.whole_file import write_whole
-from boresight.pipeline.report.drawing import INK, Drawing, dress_axes, drawn, new_figure
+from boresight.pipeline.report.drawing import INK, Drawing, drawn, dress_axes, new_figure
 from boresight.pipeline.report.page import template
 from boresight.pipeline.stages.check import DumpCheck
 

@@ -108,7 +108,7 @@ IN_A_DUMP: dict[str, tuple[Change, str, str, str]] = {
         swap("orbit.oem", "REF_FRAME = GCRF", "REF_FRAME = TEME"),
         "orbit.oem",
         "REF_FRAME: found TEME",
-        "GCRF, ICRF or ITRF",
+        "GCRF, ICRF, EME2000 or ITRF",
     ),
     "a terrain model without its description": (
         swap("dump.toml", 'targets = "targets.csv"', 'targets = "targets.csv"\nterrain = "dem.tif"'),
