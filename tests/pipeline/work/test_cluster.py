@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import json
 import os
 import shutil
@@ -29,6 +30,12 @@ ROOT = Path(__file__).parents[3]
 READY_S = 240.0  # s; a worker loads its libraries in 2 s on a machine that has nothing else to do
 
 
+def end_with_parent() -> None:
+    """Have this process killed when the one that started it ends, in whatever way (Linux)."""
+    PR_SET_PDEATHSIG = 1
+    ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
+
+
 class Processes:
     """A scheduler and its workers, started by their own command lines; `tls` are options of all of them."""
 
@@ -52,7 +59,8 @@ class Processes:
         environment = os.environ | {"PYTHONPATH": str(code)}
         command = [sys.executable, "-m", f"distributed.cli.{module}", *options, *self.tls]
         log = (self.folder / f"{module}-{len(self.workers)}.log").open("w")
-        return subprocess.Popen(command, cwd=folder, env=environment, stdout=log, stderr=subprocess.STDOUT)
+        streams = {"stdout": log, "stderr": subprocess.STDOUT}
+        return subprocess.Popen(command, cwd=folder, env=environment, **streams, preexec_fn=end_with_parent)
 
     def stop_workers(self) -> None:
         for process in self.workers:
