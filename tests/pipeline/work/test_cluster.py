@@ -24,7 +24,6 @@ from boresight.pipeline.work.cluster import Fingerprint, OnCluster, fingerprint,
 
 dask = pytest.importorskip("dask", reason="dask is in the extra `cluster`")
 distributed = pytest.importorskip("distributed", reason="dask is in the extra `cluster`")
-pytestmark = pytest.mark.xdist_group("cluster")  # one process, which shares scheduler and workers
 
 ROOT = Path(__file__).parents[3]
 READY_S = 240.0  # s; a worker loads its libraries in 2 s on a machine that has nothing else to do
