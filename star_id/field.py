@@ -18,6 +18,7 @@ from scipy.spatial.transform import Rotation
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.record import Bools, Floats, Ints, array, record, scalar
 from boresight.geometry.star_camera import StarCamera
+from boresight.star_id.centroids import Centroids
 from boresight.star_id.field_fit import fit_attitude_and_lens, fit_known_camera
 from boresight.star_id.field_match import match_field
 from boresight.star_id.finding.star_list import StarList, find_stars
@@ -27,7 +28,12 @@ from boresight.star_id.identification.tangent_plane import FieldOfView
 from boresight.star_id.identification.triangle_index import StarIndex
 from boresight.star_id.observer import Observer, star_directions
 from boresight.star_id.settings import StarSettings
-from boresight.star_id.sight import field_of_camera, select_for_calibration, tangent_coordinates
+from boresight.star_id.sight import (
+    field_of_camera,
+    has_reliable_position,
+    select_for_calibration,
+    tangent_coordinates,
+)
 
 __all__ = [
     "LARGEST_FOV_RAD",
@@ -35,6 +41,7 @@ __all__ = [
     "FieldSolution",
     "nominal_camera",
     "ra_dec_roll",
+    "solve_centroids",
     "solve_field",
     "solve_list",
     "solve_stars",
@@ -274,6 +281,24 @@ def _reliable(
     """(N,) whether identified stars are fit to measure by; all, where too few are."""
     reliable = select_for_calibration(stars, detections, rows, camera, index, settings)
     return reliable if reliable.sum() >= _LEAST_RELIABLE else np.ones(len(rows), dtype=bool)
+
+
+def solve_centroids(
+    stars: Centroids, camera: StarCamera, index: StarIndex, settings: StarSettings
+) -> FieldSolution | NotIdentified:
+    """Solution from the centroids of one image of a calibrated camera, weighted by their covariances."""
+    size = camera.width_px, camera.height_px
+    answer = _identified(stars.xy_px, size, index, settings, camera, None)
+    if isinstance(answer, NotIdentified):
+        return answer
+    found, _ = answer
+    rows, u_i = found.detections, star_directions(index, found.stars, None)
+    reliable = has_reliable_position(index, found.stars, camera, stars.psf_sigma_px, settings)
+    reliable &= ~stars.blended[rows]
+    used = reliable if reliable.sum() >= _LEAST_RELIABLE else np.ones(len(rows), dtype=bool)
+    fit = fit_known_camera(camera, stars.xy_px[rows][used], stars.cov_px[rows][used], u_i[used])
+    solution = _solution(found, stars.xy_px, camera, index)
+    return replace(solution, R_si=fit.R_si, cov_s=fit.cov_s, fov_x_sigma_rad=0.0, u_i=u_i)
 
 
 def solve_stars(

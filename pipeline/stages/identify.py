@@ -24,7 +24,13 @@ from boresight.pipeline.files.star_images import read_star_image
 from boresight.pipeline.files.whereabouts import NOWHERE, Whereabouts
 from boresight.pipeline.work.index_cache import cached_index
 from boresight.star_id.catalogue import hipparcos_stars
-from boresight.star_id.field import LARGEST_FOV_RAD, SMALLEST_FOV_RAD, FieldSolution, solve_field, solve_stars
+from boresight.star_id.field import (
+    LARGEST_FOV_RAD,
+    SMALLEST_FOV_RAD,
+    FieldSolution,
+    solve_centroids,
+    solve_field,
+)
 from boresight.star_id.identification.identify import NotIdentified
 from boresight.star_id.identification.triangle_index import StarIndex, equivalent_fov
 from boresight.star_id.observer import Observer
@@ -114,9 +120,8 @@ def _of_centroids(
     if camera is None:
         expected = "the option --camera: a list of centroids does not tell the size of the images"
         raise RawDataError(str(path), "camera", "nothing", expected)
-    size = camera.width_px, camera.height_px
     for name, stars in read_centroids(path, str(path)).items():
-        yield Path(name), solve_stars(stars.xy_px, size, index, settings, camera=camera)
+        yield Path(name), solve_centroids(stars, camera, index, settings)
 
 
 def read_camera(file: Path | None) -> StarCamera | None:
