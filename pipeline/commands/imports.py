@@ -27,6 +27,7 @@ def add_import_commands(app: typer.Typer) -> None:
     imports = typer.Typer(help="Make a dump of an operator's own files.", no_args_is_help=True)
     imports.command()(talks(sentinel2))
     imports.command("dimap")(talks(import_dimap))
+    imports.command("points")(talks(import_points))
     app.add_typer(imports, name="import")
 
 
@@ -77,6 +78,37 @@ def import_dimap(
     from boresight.pipeline.results.dimap_places import operator_model
 
     return _written(out, dimap_mission(operator_model(product), _creator("dimap")), points)
+
+
+def import_points(
+    file: Annotated[Path, typer.Argument(help="QGIS .points, ASP .gcp, or a GeoTIFF with GCPs.")],
+    out: Annotated[Path, typer.Argument(help="The points.csv to be written.")],
+    strip: Annotated[str, typer.Option(help="Id of the strip in which they are measured.")],
+    ccd: Annotated[int, typer.Option(help="Its CCD, from 0.", min=0, max=63)] = 0,
+    sigma_px: Annotated[float, typer.Option(help="1-sigma of the image positions, px.", min=1e-4)] = 0.5,
+    sigma_m: Annotated[
+        tuple[float, float, float],
+        typer.Option(help="1-sigma of the coordinates, m.", metavar="EAST NORTH UP"),
+    ] = (1.0, 1.0, 1.0),
+    height_m: Annotated[float | None, typer.Option(help="Height of all points, m (QGIS has none).")] = None,
+    height_kind: Annotated[
+        Literal["ellipsoidal", "egm96"], typer.Option(help="What the heights are above.")
+    ] = "ellipsoidal",
+    image: Annotated[str | None, typer.Option(help="ASP: the image whose points are taken.")] = None,
+) -> Answer:
+    """Make a points.csv of image points that another program has measured.
+
+    Example: boresight import points b04.points points.csv --strip b04 --height-m 12 --sigma-m 2 2 3
+    """
+    from boresight.pipeline.files.whole_file import write_whole
+    from boresight.pipeline.imports.points import PointErrors, points_csv, read_measured_points
+
+    errors = PointErrors(sigma_px=sigma_px, sigma_m=sigma_m, height_m=height_m)
+    found = read_measured_points(file, errors, image)
+    text = points_csv(found, strip, ccd, height_kind)
+    write_whole(out, lambda target: target.write_text(text, encoding="utf-8"))
+    left = f", {found.n_disabled} marked as not to be used" if found.n_disabled else ""
+    return Answer(text=f"{len(found.names)} points{left} -> {out}", files=(out,))
 
 
 def _creator(command: str) -> str:
