@@ -24,7 +24,7 @@ EXAMPLES = {
     "vectors": "From vectors to the matrix",
 }
 DOOR = ("boresight.stars", "boresight.matching", "boresight.calibration", "boresight.display")
-PLOT = re.compile(r"<!-- plot (\w+): (.*?) -->")
+PLOT = re.compile(r"<!-- plot ([\w-]+): (.*?) -->")
 PACKAGES = {
     "geometry": "Constants, time, frames, light, the Earth, cameras, orbit and attitude, and the records"
     " that stages exchange. Imports nothing of ours.",

@@ -325,8 +325,8 @@ def plot_grid_pixels(table: pd.DataFrame) -> Figure:
             label = "paper, Fig. 7: scatter over the bound of its cameras"
             ax.axhline(paper, color=INK, ls="-.", lw=1.6, label=label)
             ax.set(title=f"{axis}: pooled {np.sqrt(part['mean_square'].mean()):.2f}", xlabel=name)
-            ax.set_ylim(0.0, None)
         axes[row, 0].set_ylabel("rms error / bound")
+    axes[0, 0].set_ylim(0.0, None)  # of all panels
     _legend(figure, axes[0, 0])
     figure.suptitle("The grid of Figs. 7 and 9 from rendered pixels of small cameras", fontsize=10)
     return figure
