@@ -69,8 +69,8 @@ def export(
         str,
         typer.Option(
             "--format",
-            help="spice, spice-ck, aem, acm, json, csv, csm-isd, rpc, vrt, kml, asp, geojson, envi, qgis or"
-            " fits; several with commas.",
+            help="spice, spice-ck, aem, acm, operator, json, csv, csm-isd, rpc, vrt, kml, asp, geojson, envi,"
+            " qgis or fits; several with commas.",
         ),
     ],
     out: Annotated[Path | None, typer.Option(help="Folder for the files; default: RESULT/exports.")] = None,

@@ -10,6 +10,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from scipy.spatial.transform import Rotation
 
+from boresight.calib.refining import fit_correction
 from boresight.geometry.constants import WGS84
 from boresight.geometry.footprint import outline_deg
 from boresight.geometry.geodesy import geodetic_from_ecef
@@ -30,6 +31,7 @@ from boresight.pipeline.exports.kml import kml_text
 from boresight.pipeline.exports.matrix_csv import matrix_csv
 from boresight.pipeline.exports.matrix_json import matrix_json
 from boresight.pipeline.exports.notes import Notes, notes_of
+from boresight.pipeline.exports.operator_parameters import operator_parameters
 from boresight.pipeline.exports.rpc import fit_rpc, rpc_metadata, rpc_text
 from boresight.pipeline.exports.spice_attitude import (
     attitude_kernel,
@@ -214,6 +216,33 @@ def _fits(request: ExportRequest) -> Made:
     yield "centroids.fits", centroids_fits(found, calibrated.dump.epoch, _notes(request))
 
 
+def _operator(request: ExportRequest) -> Made:
+    """The correction of each strip in operators' parameters; with rate and scale where points allow them."""
+    calibrated, notes = _opened(request), _notes(request).items()
+    dump = calibrated.dump
+    folder, _ = read_for_dump(request.result, request.dump)
+    table = read_parquet(folder / "sightings" / "targets.parquet", LOOKS)
+    strips = np.array(table.column("strip_id").to_pylist(), dtype=str)
+    kept, t_s = column(table, "kept").astype(bool), column(table, "t_s")
+    u_c, u_i = list_values(table, "u_c", 3), list_values(table, "u_i", 3)
+    for model in _models(calibrated, request.strips):
+        name = model.strip.strip_id
+        rows = np.flatnonzero(kept & (strips == name))
+        v_s = model.track.R_si(t_s[rows]).apply(u_i[rows])
+        t0 = float(np.round(model.pushbroom.instants(np.array([0.5 * (model.strip.lines - 1.0)]))[0], 6))
+        found = None
+        for degree, with_scale in ((1, True), (0, False)):
+            try:
+                found = fit_correction(
+                    v_s, u_c[rows], t_s[rows], dump.R_cs0, t0, degree=degree, with_scale=with_scale
+                )
+                break
+            except ValueError:  # too few points, or too close together
+                continue
+        if found is not None:
+            yield f"{name}.operator.json", operator_parameters(found, dump.R_cs0, dump.epoch, notes)
+
+
 TARGETS = {
     "strip_id": pa.string(),
     "target_id": pa.string(),
@@ -221,6 +250,13 @@ TARGETS = {
     "kept": pa.bool_(),
     "xy_px": fixed(2),
     "cov_px": fixed(4),
+}
+LOOKS = {
+    "strip_id": pa.string(),
+    "t_s": pa.float64(),
+    "kept": pa.bool_(),
+    "u_c": fixed(3),
+    "u_i": fixed(3),
 }
 STARS = {
     "exposure_id": pa.string(),
@@ -236,6 +272,7 @@ FORMATS: dict[str, Callable[[ExportRequest], Made]] = {
     "spice-ck": _spice_attitude,
     "aem": _aem,
     "acm": _acm,
+    "operator": _operator,
     "json": _json,
     "csv": _csv,
     "csm-isd": _csm_isd,

@@ -83,7 +83,7 @@ def noise(ink: Ink) -> Figure:
         panel.spines[["top", "right"]].set_visible(False)
     axes[0].set_ylabel("Allan deviation, arc-seconds")
     axes[0].legend(frameon=False, labelcolor=ink.text, loc="lower left")
-    axes[1].text(1.3, 0.55, "dotted: white noise\nof the same size", color=ink.text, fontsize=9.5)
+    axes[1].text(0.09, 0.5, "dotted: white noise\nof the same size", color=ink.text, fontsize=9.5)
     figure.tight_layout()
     return figure
 
@@ -104,7 +104,7 @@ def alignment(ink: Ink) -> Figure:
         smooth = np.convolve(off[:, axis], np.ones(50) / 50, mode="valid")
         panel.plot(t[25 : 25 + len(smooth)], smooth, color=colour, ls=style, label=f"about {name}", lw=1.8)
     panel.axhline(0.0, color=ink.faint, lw=1.0)
-    panel.text(t[0], 0.35, "operator's file", color=ink.text, fontsize=9.5)
+    panel.text(64.0, 0.0, "operator's\nfile", color=ink.text, fontsize=9.5, va="center")
     panel.axvspan(0.0, 25.25, color=ink.fill, zorder=0)
     panel.text(0.4, panel.get_ylim()[1], "strip", color=ink.text, va="top")
     panel.set_xlabel("seconds from the begin of the strip")
@@ -129,7 +129,7 @@ def residuals(ink: Ink) -> Figure:
         (panels[1], found.residuals_rad, 0.4, "after calibration"),
     ):
         metres = off[:, :2] * RANGE_M
-        some = slice(None, None, 3)
+        some = slice(None, None, 7)
         # x of the piloting frame is along the track, which goes 13 degrees west of south; y is to its west
         arrow = np.column_stack(
             [
@@ -138,11 +138,12 @@ def residuals(ink: Ink) -> Figure:
             ]
         )
         panel.quiver(*place[some].T, *arrow[some].T, color=ink.star, scale=14.0 * unit, width=0.004)
-        panel.quiver(-18.6, 30.55, unit, 0.0, color=ink.ground, scale=14.0 * unit, width=0.006)
-        panel.text(-18.6, 30.62, f"{unit:g} m", color=ink.ground)
+        panel.quiver(-19.3, 31.95, unit, 0.0, color=ink.ground, scale=14.0 * unit, width=0.006)
+        panel.text(-19.3, 32.02, f"{unit:g} m", color=ink.ground)
         rms = np.sqrt((metres**2).sum(axis=1).mean())
         panel.set_title(f"{title}: {rms:.2f} m rms", color=ink.text, fontsize=11)
         panel.set_xlabel("longitude, degrees east")
+        panel.set_xticks([-19, -18, -17, -16])
         panel.set_aspect(1.0 / np.cos(np.radians(32.4)))
         panel.spines[["top", "right"]].set_visible(False)
     panels[0].set_ylabel("latitude, degrees north")
