@@ -305,7 +305,10 @@ def visits(place: np.ndarray) -> list:
             for name in strips[0].ground.target_id.tolist()
         ]
         sigma = np.full(3, 3e-3)
-        dump = SimpleNamespace(epoch=epoch, targets=targets, R_cs0=BOLD, sigma_installation_rad=sigma)
+        head = SimpleNamespace(name="s")
+        dump = SimpleNamespace(
+            epoch=epoch, targets=targets, R_cs0=BOLD, sigma_installation_rad=sigma, heads=(head,)
+        )
         found = SimpleNamespace(strips=strips[4 * n : 4 * n + 4], settings=SETTINGS_USED)
         out.append((SimpleNamespace(name=f"d{n}", dump=dump), found))
     return [out, strips]
