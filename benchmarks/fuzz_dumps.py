@@ -5,10 +5,11 @@
 
 Each mutation changes one number in one text file of `fixtures/mini` (factor, sign, decimal point, a digit,
 two digits exchanged, 0, -1, nan, 1e308). The dump is calibrated and its result written, with the report where
-NEES or verdict differ from those of the sound dump, in a process of its own under 4 GiB of address space and
-120 s. That process is forked from one that has imported everything; exposures and strips whose inputs are
-unchanged come from a store. Counted are tracebacks, hangs, and results whose normalised error squared (NEES,
-3 degrees of freedom) against the truth is above 30 although the verdict is "consistent".
+NEES or verdict differ from those of the sound dump, in a process of its own under 4 GiB of address space,
+120 s of CPU and an hour. That process is forked from one that has imported everything; exposures and strips
+whose inputs are unchanged come from a store. Counted are tracebacks, hangs, and results whose normalised
+error squared (NEES, 3 degrees of freedom) against the truth is above 30 although the verdict is "consistent".
+A run that was stopped goes on where it was when it is started again with the same `--seed` and `--out`.
 
 Each of the last kind is listed with what it does to R_cs R_si, the attitude of the remote-sensing camera in
 space. Where that is unchanged, the error is a rotation of the star camera's axes: R_cs is right for the
@@ -63,7 +64,7 @@ TEXTS = {  # file: weight
     "targets.csv": 3,
 }
 NUMBER = re.compile(r"(?<![\w.])[+-]?\d+(?:\.\d+)?(?:[eE][+-]?\d+)?(?![A-Za-z_])")
-LIMIT_BYTES, LIMIT_S, LIMIT_NEES = 4 * 2**30, 120, 30.0
+LIMIT_BYTES, LIMIT_CPU_S, LIMIT_S, LIMIT_NEES = 4 * 2**30, 120, 3600, 30.0
 LIMIT_ROTATION_SIGMA = 1.0  # of the remote-sensing camera in space, for an error that is a rotation of axes
 ORDINARY_NEES = 1.0  # a NEES that differs by more from that of the sound dump is worth a report
 
@@ -93,7 +94,7 @@ class Finished(UnitStore):
 
 def fuzz(folder: Path, mutations: int, seed: int, out: Path) -> None:
     """Calibrate mutated copies of the dump; one line of JSON each is added to `out`, those there are kept."""
-    done = len(out.read_text().splitlines()) if out.exists() else 0
+    done = {json.loads(line)["n"] for line in out.read_text().splitlines()} if out.exists() else set()
     warnings.simplefilter("ignore")
     root = folder / "dump"
     shutil.copytree(FIXTURE, root)
@@ -104,10 +105,10 @@ def fuzz(folder: Path, mutations: int, seed: int, out: Path) -> None:
         for n in range(mutations):
             (name,) = rng.choices(list(TEXTS), list(TEXTS.values()))
             facts, text = mutated(texts[name], name, rng)
-            if n < done:
+            if n in done:
                 continue
             (root / name).write_text(text)
-            stream.write(json.dumps(facts | in_process(folder, sound)) + "\n")
+            stream.write(json.dumps({"n": n} | facts | in_process(folder, sound)) + "\n")
             stream.flush()
             (root / name).write_text(texts[name])
 
@@ -165,6 +166,7 @@ def in_process(folder: Path, sound: Calibration) -> dict[str, Any]:
         os.close(read_end)
         signal.signal(signal.SIGALRM, signal.SIG_DFL)
         signal.alarm(LIMIT_S)
+        resource.setrlimit(resource.RLIMIT_CPU, (LIMIT_CPU_S, LIMIT_CPU_S))  # SIGKILL
         resource.setrlimit(resource.RLIMIT_AS, (LIMIT_BYTES, LIMIT_BYTES))
         os.write(write_end, json.dumps(outcome(folder, sound)).encode())
         os._exit(0)
@@ -175,7 +177,8 @@ def in_process(folder: Path, sound: Calibration) -> dict[str, Any]:
     shutil.rmtree(folder / "result", ignore_errors=True)
     seconds = round(time.monotonic() - begin, 2)
     if not answer:
-        hang = os.WIFSIGNALED(status) and os.WTERMSIG(status) == signal.SIGALRM
+        by = os.WTERMSIG(status) if os.WIFSIGNALED(status) else 0
+        hang = by in (signal.SIGALRM, signal.SIGXCPU, signal.SIGKILL)
         return {"outcome": "hang" if hang else "died", "says": f"status {status}", "seconds": seconds}
     return json.loads(answer) | {"seconds": seconds}
 

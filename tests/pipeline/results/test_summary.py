@@ -31,6 +31,7 @@ def calibration(**changed: Any) -> Any:
         "chi2": 57.64,
         "dof": 69,
         "converged": True,
+        "heads": (),
     } | changed
     verdict = SimpleNamespace(checks=())
     return SimpleNamespace(estimate=SimpleNamespace(**estimate), verdict=verdict, omissions=())
