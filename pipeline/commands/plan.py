@@ -36,13 +36,20 @@ def plan(
     if out is not None:
         out.mkdir(parents=True, exist_ok=True)
         found.table.to_csv(out / "plan.csv", index=False, float_format="%.6g")
-        plot_forecast(found.table, target).savefig(out / "plan.png", dpi=110, bbox_inches="tight")
+        plot_forecast(found.table, target, found.by_targets, found.without).savefig(
+            out / "plan.png", dpi=110, bbox_inches="tight"
+        )
         files = (out / "plan.csv", out / "plan.png")
         text += f"\n-> {files[0]}, {files[1]}"
     failed = target is not None and found.strips_needed is None
     return Answer(
         text=text,
-        content={"strips_needed": found.strips_needed, "forecast": found.table.to_dict("records")},
+        content={
+            "strips_needed": found.strips_needed,
+            "forecast": found.table.to_dict("records"),
+            "by_targets": found.by_targets.to_dict("records"),
+            "without": found.without.to_dict("records"),
+        },
         files=files,
         exit_status=DATA_DID_NOT_ALLOW if failed else DONE,
     )

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -17,6 +19,12 @@ from boresight.pipeline.stages.forecast import forecast
 from boresight.simulator.campaign import CameraPair, StripPlan, installation_by_tilt
 
 __all__ = ["Plan", "PlanForecast", "forecast_plan", "read_plan"]
+
+
+TARGET_COUNTS = (3, 4, 6, 8, 12, 16, 24, 32, 48)
+ALL_ERRORS = "all errors"
+NEGLIGIBLE = 0.01  # of a sigma that cannot be zero
+DRAWS = 25  # example strips of a variant
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,9 +100,13 @@ class Plan:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlanForecast:
-    """1-sigma against the number of strips (long form), a summary, and the strips that a target needs."""
+    """1-sigma against the number of strips and of targets, and without each source of error (long form), a
+    summary, and the strips that a target needs.
+    """
 
     table: pd.DataFrame
+    by_targets: pd.DataFrame  # targets a strip, axis, sigma_arcsec
+    without: pd.DataFrame  # source of error, axis, sigma_arcsec without it
     text: str
     strips_needed: int | None
 
@@ -121,7 +133,47 @@ def forecast_plan(plan: Plan, target_arcsec: float | None = None) -> PlanForecas
     ]
     table = pd.DataFrame(rows, columns=["strips", "axis", "sigma_arcsec", "floor_arcsec"])
     needed = None if target_arcsec is None else found.strips_for(target_arcsec * ARCSEC)
-    return PlanForecast(table, _text(plan, found, target_arcsec, needed), needed)
+    by_targets = _sigmas(plan, "targets", {n: replace(campaign, targets=n) for n in TARGET_COUNTS}, cameras)
+    without = _sigmas(plan, "source", _without(campaign), cameras)
+    text = "\n".join([_text(plan, found, target_arcsec, needed), *_limit_lines(without)])
+    return PlanForecast(table, by_targets, without, text, needed)
+
+
+def _without(campaign: StripPlan) -> dict[str, StripPlan]:
+    """The campaign without one source of error after the other."""
+    return {
+        ALL_ERRORS: campaign,
+        "position": replace(campaign, sigma_position_m=0.0),
+        "clock": replace(campaign, sigma_clock_s=0.0),
+        "vibration": replace(campaign, sigma_vibration_rad=0.0),
+        "distortion": replace(campaign, sigma_distortion_rad=0.0),
+        "targets": replace(campaign, sigma_c_px=NEGLIGIBLE * campaign.sigma_c_px, sigma_target_m=0.0),
+        "stars": replace(campaign, sigma_s_px=NEGLIGIBLE * campaign.sigma_s_px),
+    }
+
+
+def _sigmas(plan: Plan, name: str, campaigns: Mapping[Any, StripPlan], cameras: CameraPair) -> pd.DataFrame:
+    """1-sigma after the plan's strips of variants of a campaign, NaN where an axis is not observable."""
+    rows = []
+    for key, campaign in campaigns.items():
+        try:
+            sigma = forecast(campaign, cameras, draws=DRAWS).sigma(plan.strips.count) / ARCSEC
+        except (ValueError, ArithmeticError):
+            sigma = np.full(3, np.nan)
+        rows += [(key, axis, value) for axis, value in zip("XYZ", sigma)]
+    return pd.DataFrame(rows, columns=[name, "axis", "sigma_arcsec"])
+
+
+def _limit_lines(without: pd.DataFrame) -> list[str]:
+    """For each axis the source of error without which it would be known best."""
+    lines = []
+    for axis in "XYZ":
+        those = without[without["axis"] == axis]
+        sigmas = dict(zip(those["source"], those["sigma_arcsec"].fillna(np.inf)))
+        best, every = min(sigmas, key=lambda name: float(sigmas[name])), sigmas[ALL_ERRORS]
+        if sigmas[best] < every:
+            lines.append(f"{axis} is limited by: {best} ({every:.4g}″, without {sigmas[best]:.4g}″)")
+    return lines
 
 
 def _check_counts(record: object, most: int, *names: str) -> None:

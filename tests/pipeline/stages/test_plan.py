@@ -1,5 +1,8 @@
 """`boresight plan` and `boresight experiment` from file to file."""
 
+import re
+import sys
+from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +14,7 @@ from boresight.pipeline.cli import app
 from boresight.pipeline.errors import DataNotSufficientError, RawDataError
 from boresight.pipeline.experiments.tables import hipparcos_fields, run_experiment
 from boresight.pipeline.experiments.vectors import ExperimentSettings
-from boresight.pipeline.stages.plan import forecast_plan, read_plan
+from boresight.pipeline.stages.plan import Plan, PlannedErrors, forecast_plan, read_plan
 
 runner = CliRunner()
 
@@ -26,6 +29,28 @@ def test_a_plan_is_told_with_its_table_and_plot(tmp_path: Path):
     twelve = table[(table["strips"] == 12) & (table["axis"] == "X")]["sigma_arcsec"].iloc[0]
     assert 0.15 < twelve < 0.35  # 2 m of GPS error seen from 530 km, over the root of 12
     assert (tmp_path / "out" / "plan.png").stat().st_size > 10_000
+
+
+def test_the_page_describes_every_key_with_an_example():
+    sys.path.insert(0, str(Path(__file__).parents[3] / "scripts" / "figures"))
+    from plan import DOCS, example
+
+    text = (DOCS / "plan.md").read_text()
+    for section in fields(Plan):
+        assert f"[{section.name}]" in text
+        for key in fields(getattr(Plan(), section.name)):
+            assert re.search(rf"^{key.name} = \S+.*# \w+", text, re.MULTILINE), key.name
+    assert example().strips.count == 12 and (DOCS / "images" / "plan.png").is_file()
+
+
+def test_what_limits_an_axis_is_what_helps_most_when_it_is_gone():
+    found = forecast_plan(Plan(errors=PlannedErrors(position_m=20.0)))
+    assert "X is limited by: position" in found.text
+    of_x = found.without[found.without["axis"] == "X"].set_index("source")["sigma_arcsec"]
+    assert of_x.idxmin() == "position" and of_x["position"] < 0.2 * of_x["all errors"]
+    assert np.all(of_x <= 1.001 * of_x["all errors"])  # less error is never worse, but for rounding
+    of_z = found.by_targets[found.by_targets["axis"] == "Z"]["sigma_arcsec"].to_numpy()
+    assert of_z[-1] < 0.5 * of_z[0]
 
 
 def test_a_target_out_of_reach_is_said_to_be_so(tmp_path: Path):

@@ -1,0 +1,32 @@
+"""The picture of docs/plan.md from its example: `python scripts/figures/plan.py`."""
+
+from __future__ import annotations
+
+import re
+import tempfile
+from pathlib import Path
+
+from boresight.pipeline.experiments.plots import plot_forecast
+from boresight.pipeline.stages.plan import Plan, forecast_plan, read_plan
+
+DOCS = Path(__file__).parents[2] / "docs"
+
+
+def example() -> Plan:
+    """The plan that the page shows."""
+    found = re.search(r"```toml\n(.*?)```", (DOCS / "plan.md").read_text(encoding="utf-8"), re.DOTALL)
+    assert found is not None
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "plan.toml"
+        path.write_text(found[1], encoding="utf-8")
+        return read_plan(path)
+
+
+def main() -> None:
+    found = forecast_plan(example())
+    figure = plot_forecast(found.table, None, found.by_targets, found.without)
+    figure.savefig(DOCS / "images" / "plan.png", dpi=110, bbox_inches="tight")
+
+
+if __name__ == "__main__":
+    main()
