@@ -139,8 +139,9 @@ def _windows(planes: Sequence[Image], positions: Positions, shape: tuple[int, ..
         here = np.flatnonzero(positions.picture == k)
         x, y = (positions.xy[here] // scale - _SPARE).T
         inside = (x >= 0) & (y >= 0) & (x <= plane.shape[2] - w) & (y <= plane.shape[1] - h)
-        view = np.lib.stride_tricks.sliding_window_view(plane, (n, h, w))[0]
-        out[here[inside]] = view[y[inside], x[inside]]
+        if inside.any():  # a picture may be smaller than the template
+            view = np.lib.stride_tricks.sliding_window_view(plane, (n, h, w))[0]
+            out[here[inside]] = view[y[inside], x[inside]]
         row = np.clip(y[~inside, None] + np.arange(h), 0, plane.shape[1] - 1)
         column = np.clip(x[~inside, None] + np.arange(w), 0, plane.shape[2] - 1)
         out[here[~inside]] = plane[:, row[:, :, None], column[:, None, :]].swapaxes(0, 1)

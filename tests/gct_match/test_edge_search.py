@@ -7,7 +7,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from boresight.gct_match.search.edge_search import best_positions, search_picture, search_template
+from boresight.gct_match.search.edge_search import (
+    Positions,
+    _windows,
+    best_positions,
+    search_picture,
+    search_template,
+)
 from boresight.gct_match.search.edges import edge_field, edge_similarity
 
 
@@ -76,3 +82,13 @@ def test_hidden_ground_is_no_place(ground: NDArray):
 def test_sides_of_a_template_are_multiples_of_four():
     with pytest.raises(ValueError, match="multiples of 4"):
         search_template(np.zeros((30, 32), dtype=np.float32))
+
+
+def test_a_picture_smaller_than_the_template_shows_its_edges():
+    plane = np.arange(12, dtype=np.float32).reshape(1, 3, 4)
+    positions = Positions(np.zeros(2, dtype=np.int64), np.array([[0, 0], [2, 1]]), np.zeros(2, np.float32))
+    windows = _windows([plane], positions, (1, 8, 8), 1)
+    reach = np.arange(windows.shape[2]) - (windows.shape[2] - 8) // 2
+    for window, (x, y) in zip(windows[:, 0], positions.xy):
+        rows, columns = np.clip(reach + y, 0, 2), np.clip(reach + x, 0, 3)
+        assert np.array_equal(window, plane[0][np.ix_(rows, columns)])
