@@ -65,7 +65,7 @@ class HeadAlignment:
 
 
 def common_instants(reference: HeadTrack, other: HeadTrack) -> tuple[Ints, Ints]:
-    """Rows of both heads that are nearest to one another, at most half a step apart."""
+    """Rows (M,) of both heads that are nearest to one another, at most half a step apart."""
     step, _ = pieces_of(reference.t_s)
     right = np.clip(np.searchsorted(reference.t_s, other.t_s), 1, len(reference.t_s) - 1)
     nearer_left = other.t_s - reference.t_s[right - 1] < reference.t_s[right] - other.t_s

@@ -9,8 +9,8 @@ the spectral density (per sample, two-sided)
     S(f) = w² + a² (1 - r²) / (1 - 2 r cos(2 pi f dt) + r²),    r = exp(-dt / τ).
 
 Whittle's likelihood, the sum over frequencies of log det S + tr(S⁻¹ I) with the periodogram matrix I, is
-maximised over w, a, τ of all axes at once: heads whose axes lie apart are told apart by their axes (a tracker
-is several times worse about its line of sight), and where that does not tell, heads are taken to be alike.
+maximised over w, a, τ of all axes at once: heads whose axes lie apart are separated by their axes (a tracker
+is several times worse about its line of sight), and where that does not suffice, heads are taken to be alike.
 What is constant over a piece of the record does not show in it; it is the scatter of means over disjoint
 pieces that white and AR(1) do not explain.
 """

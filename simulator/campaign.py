@@ -203,6 +203,7 @@ class StripMotion:
 
     @classmethod
     def draw(cls, plan: StripPlan, rng: np.random.Generator) -> StripMotion:
+        """A motion of one strip drawn at random."""
         radius = WGS84.semi_major_m + plan.height_m
         return cls(
             radius,
@@ -214,19 +215,23 @@ class StripMotion:
         )
 
     def position_i(self, t: Array) -> Array:
+        """Positions (N, 3) of the satellite, frame i, m, at instants (N,), s."""
         angle = self.rate * t
         return self.R_ie.apply(self.radius_m * np.column_stack([np.cos(angle), np.sin(angle), 0 * t]))
 
     def velocity_i(self, t: Array) -> Array:
+        """Velocities (N, 3), frame i, m/s."""
         angle = self.rate * t
         speed = self.radius_m * self.rate
         return self.R_ie.apply(speed * np.column_stack([-np.sin(angle), np.cos(angle), 0 * t]))
 
     def R_oi(self, t: Array) -> Rotation:
+        """Rotations (N,) from frame i to the orbital frame."""
         x, z = _unit(self.velocity_i(t)), -_unit(self.position_i(t))
         return Rotation.from_matrix(np.stack([x, np.cross(z, x), z], axis=1))
 
     def R_ci(self, t: Array) -> Rotation:
+        """Rotations (N,) from frame i to the remote-sensing camera, without vibration."""
         waves = self.amplitude * np.sin(self.omega * t[:, None] + self.phase)
         return Rotation.from_rotvec(waves) * self.R_oi(t)
 

@@ -37,7 +37,7 @@ class HeadPlan:
     step_s: float = 0.1
     shift_s: float = 0.0  # of its instants
     margin_s: float = 0.4  # before and after a strip
-    wrong_rad: float = 0.0  # 1-sigma per axis of a rotation of each strip that nobody states
+    wrong_rad: float = 0.0  # 1-sigma per axis of a rotation of each strip that is not stated
 
 
 def with_heads(

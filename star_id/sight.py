@@ -111,7 +111,7 @@ def sight_centroids(
     *,
     prior: AttitudePrior | None = None,
 ) -> StarSightings | NotIdentified:
-    """Identified stars of one exposure from its centroids; arguments as in `sight_stars`."""
+    """Identified stars of one exposure from its N centroids (N, 2); arguments as in `sight_stars`."""
     plane, field = tangent_coordinates(camera, stars.xy_px), field_of_camera(camera, settings)
     found = identify(plane, field, index, settings, prior=prior)
     if isinstance(found, NotIdentified):

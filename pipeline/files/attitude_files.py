@@ -109,6 +109,10 @@ def _from_csv(path: Path, file: str, epoch: Epoch, frame: InertialFrame, rotatio
             continue
         utc.append(row["utc"].strip())
         values.append([check_number(row[name], file, f"{line}, {name}") for name in names])
+    if not utc:
+        raise RawDataError(
+            file, "rows", f"none valid, {invalid} marked invalid", "at least two valid attitudes"
+        )
     try:
         t_s = epoch.seconds_from_utc(utc)
     except ValueError as error:

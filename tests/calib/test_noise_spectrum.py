@@ -63,7 +63,7 @@ def test_noise_of_two_heads_is_recovered_from_their_differences() -> None:
     assert np.allclose(mean[:, :, 2], truth, rtol=0.1)
     deviation = (np.log(found)[:, :, :, 2] - np.log(truth)) / np.array(sigma)[:, :, :2]
     assert 0.5 < np.sqrt(np.mean(deviation**2)) < 1.5
-    # Across it the two heads are told apart by the assumption alone that they are alike: 30 %.
+    # Across it the two heads are separated by the assumption alone that they are alike: 30 %.
     assert np.allclose(mean[:, 0, :2], WHITE[:, :2], rtol=0.35)
 
 

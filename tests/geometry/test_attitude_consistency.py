@@ -1,4 +1,4 @@
-"""The usual mistakes of attitude files are told apart, and a sound attitude is left alone."""
+"""The usual mistakes of attitude files are recognised, and a sound attitude is left alone."""
 
 import numpy as np
 import pytest

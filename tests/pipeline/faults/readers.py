@@ -28,11 +28,15 @@ from scipy.spatial.transform import Rotation
 
 from boresight.calib.information import InformationPairs
 from boresight.geometry.earth_orientation import bundled_earth_orientation
+from boresight.geometry.epoch import Epoch
 from boresight.geometry.groundlight import LightEffects
 from boresight.geometry.sightings import StarSightings
 from boresight.pipeline.errors import DataNotSufficientError, RawDataError
+from boresight.pipeline.files.attitude_files import read_attitudes
+from boresight.pipeline.files.centroid_files import read_centroids
 from boresight.pipeline.files.dimap import read_dimap
 from boresight.pipeline.files.dump import ChipFile, TerrainFile, _read_terrain, open_dump
+from boresight.pipeline.files.ground_points import read_points
 from boresight.pipeline.files.image_files import StripFiles, check_strip_file
 from boresight.pipeline.files.orbit_file import read_oem
 from boresight.pipeline.files.record_tables import record_from_table, table_from_record
@@ -42,6 +46,7 @@ from boresight.pipeline.files.sky_images import observers_of
 from boresight.pipeline.files.star_images import read_exposure, read_star_image
 from boresight.pipeline.files.table_files import fixed_list
 from boresight.pipeline.files.whereabouts import Whereabouts
+from boresight.pipeline.imports.points import PointErrors, read_measured_points
 from boresight.pipeline.report.centroid_report import _read_truth
 from boresight.pipeline.results.geolocate import read_pixels
 from boresight.pipeline.results.reading import read_pairs, read_result
@@ -69,7 +74,7 @@ class Reader:
 
     @property
     def is_text(self) -> bool:
-        return Path(self.file).suffix in (".toml", ".csv", ".oem", ".xml", ".json")
+        return Path(self.file).suffix in (".toml", ".csv", ".oem", ".aem", ".xml", ".json", ".points", ".gcp")
 
 
 def write_sound_files(folder: Path) -> Path:
@@ -95,6 +100,8 @@ def write_sound_files(folder: Path) -> Path:
     )
     (folder / "pixels.csv").write_text("ccd,sample,line\n0,1.5,2.5\n1,3,4\n")
     (folder / "dimap.xml").write_text(dimap_text())
+    for name, text in (ATTITUDES | POINTS).items():
+        (folder / name).write_text(text)
     write_sentinel2(folder)
     _write_result(folder / "result")
     _write_units(folder)
@@ -233,6 +240,17 @@ EARTH = bundled_earth_orientation()
 STAR_UNIT = PurePosixPath("run", "work", "exposures", f"e1.{'0' * 32}.parquet").as_posix()
 STRIP_UNIT = PurePosixPath("run", "work", "matching-1", f"s1.{'0' * 32}.parquet").as_posix()
 
+
+def _attitudes(name: str, frame: str | None = None, rotation: str | None = None) -> Callable[[Path], Any]:
+    epoch = Epoch.from_utc("2024-11-20T03:40:00")
+    return lambda folder: read_attitudes(folder / name, name, epoch, frame, rotation)
+
+
+def _measured(name: str) -> Callable[[Path], Any]:
+    errors = PointErrors(sigma_px=0.3, sigma_m=(1.0, 1.0, 1.0), height_m=10.0)
+    return lambda folder: read_measured_points(folder / name, errors)
+
+
 READERS = (
     *(
         Reader(name, f"dump/{name}", _dump)
@@ -272,6 +290,13 @@ READERS = (
     Reader("chip, GeoTIFF", "dump/chips/0.tif", _chip_image),
     Reader("terrain, GeoTIFF", "dump/dem.tif", _terrain),
     Reader("DIMAP", "dimap.xml", _dimap),
+    Reader("attitudes, CSV", "attitudes.csv", _attitudes("attitudes.csv", "GCRF", "head to inertial")),
+    Reader("attitudes, AEM", "attitudes.aem", _attitudes("attitudes.aem")),
+    Reader("attitudes, AEM in XML", "attitudes.xml", _attitudes("attitudes.xml")),
+    Reader("centroids", "stars.csv", lambda folder: read_centroids(folder / "stars.csv", "stars.csv")),
+    Reader("measured points", "points.csv", lambda folder: read_points(folder / "points.csv", "points.csv")),
+    Reader("points, QGIS", "gcps.points", _measured("gcps.points")),
+    Reader("points, ASP", "gcps.gcp", _measured("gcps.gcp")),
     Reader("Sentinel-2 datastrip", DATASTRIP, _sentinel2),
     Reader("Sentinel-2 mounting", f"{SPAMOD}.xml", _sentinel2),
     Reader("Sentinel-2 looks", f"{VIEDIR}.xml", _sentinel2),
@@ -287,6 +312,34 @@ READERS = (
     Reader("status", STAR_UNIT, lambda folder: status_lines(run_status(folder / "run"))),
 )
 
+_TIMES = [f"2024-11-20T03:40:10.{n}" for n in range(3)]
+_STATE = "<attitudeState><quaternionState><EPOCH>{}</EPOCH>"
+_STATE += "<quaternion><Q1>0</Q1><Q2>0.6</Q2><Q3>0</Q3><QC>0.8</QC>"
+_META = {"REF_FRAME_A": "ICRF", "REF_FRAME_B": "ST_1", "TIME_SYSTEM": "UTC", "ATTITUDE_TYPE": "QUATERNION"}
+ATTITUDES = {
+    "attitudes.csv": "utc,qx,qy,qz,qw,sigma_x_arcsec,sigma_y_arcsec,sigma_z_arcsec,valid\n"
+    + "".join(f"{t},0,0.6,0,0.8,1,1,7,{int(n != 1)}\n" for n, t in enumerate(_TIMES)),
+    "attitudes.aem": "CCSDS_AEM_VERS = 1.0\nMETA_START\n"
+    + "".join(f"{key} = {value}\n" for key, value in _META.items())
+    + "QUATERNION_TYPE = LAST\nATTITUDE_DIR = A2B\nMETA_STOP\nDATA_START\n"
+    + "".join(f"{t} 0 0.6 0 0.8\n" for t in _TIMES)
+    + "DATA_STOP\n",
+    "attitudes.xml": '<aem version="2.0"><body><segment><metadata>'
+    + "".join(f"<{key}>{value}</{key}>" for key, value in _META.items())
+    + "</metadata><data>"
+    + "".join(_STATE.format(t) + "</quaternion></quaternionState></attitudeState>" for t in _TIMES)
+    + "</data></segment></body></aem>",
+}
+POINTS = {
+    "stars.csv": "file,x_px,y_px,sigma_x_px,sigma_y_px,cov_xy_px2,flux_dn,snr,saturated,blended"
+    ",psf_sigma_px\n"
+    "e.png,10.5,20.25,0.05,0.06,0.0001,300,40,False,False,1.1\ne.png,1,2,0.1,0.1,0,200,20,False,True,1.1\n",
+    "points.csv": "id,strip,ccd,sample,line,sigma_sample_px,sigma_line_px,lat_deg,lon_deg,height_m"
+    ",height_kind,sigma_east_m,sigma_north_m,sigma_up_m\np1,s1,0,12.5,30,0.3,0.3,1.5,103,20,ellipsoidal,1,1,2\n",
+    "gcps.points": "#CRS: EPSG:4326\nmapX,mapY,sourceX,sourceY,enable,dX,dY,residual\n"
+    "103,1.5,12.5,-30,1,0,0,0\n",
+    "gcps.gcp": "# WKT: WGS84\n0 1.5 103 20 1 1 2 left.tif 12 30 0.5 0.5\n",
+}
 PLAN = """
 [cameras]
 star_from_zenith_deg = 15.0
