@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import time
 from collections import Counter, deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import CancelledError, ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from functools import lru_cache, partial
@@ -137,6 +137,7 @@ class _Run:
         self.checks: dict[str, Any] = {}  # of workers that have joined: futures of the reason to refuse them
         self.threads: dict[str, int] = {}  # of accepted workers
         self.all_accepted = True
+        self.look_at_s = 0.0  # when to ask for the workers again: the answer takes as long as a small unit
         self.idle_since: float | None = None
         self.request: Any = None  # a task that an adaptive cluster starts its first worker for
         self.said = ""
@@ -144,11 +145,14 @@ class _Run:
     def step(self) -> None:
         """Look at the workers, give them units, take what is finished."""
         with _scheduler_needed(self.cluster.address):
-            self._look_at_workers()
+            if time.monotonic() >= self.look_at_s or not self.threads:
+                self._look_at_workers()
+                self.look_at_s = time.monotonic() + POLL_S
             self._submit()
             finished = self._finished()
+            answers = self._fetched(finished)
         for future in finished:
-            self._take(future)
+            self._take(future, answers)
 
     def _look_at_workers(self) -> None:
         client, refused = self.cluster.client, self.cluster.refused
@@ -210,12 +214,19 @@ class _Run:
         except TimeoutError:
             return []
 
-    def _take(self, future: Any) -> None:
+    def _fetched(self, finished: Sequence[Any]) -> dict[Any, Any]:
+        """Outcomes of computed units, fetched at once: one by one each waits for an answer of its own."""
+        good = [future for future in finished if future.status == "finished"]
+        with suppress(Exception):  # of a worker that was lost since: its unit says so itself
+            return dict(zip(good, self.cluster.client.gather(good)))
+        return {}
+
+    def _take(self, future: Any, answers: Mapping[Any, Any]) -> None:
         from distributed import KilledWorker
 
         n, _ = self.running.pop(future)
         try:
-            self.outcomes[n] = future.result()
+            self.outcomes[n] = answers[future] if future in answers else future.result()
         except UnfitWorkerError as error:
             address, reason = error.args
             self._refuse(address, reason)
@@ -264,7 +275,7 @@ def _scheduler_needed(address: str) -> Iterator[None]:
     try:
         yield
     except (OSError, TimeoutError, CancelledError, RuntimeError) as error:
-        said = f"{type(error).__name__}: {error}"
+        said = f"{type(error).__name__}: {' '.join(str(error).split())}"
         raise WorkerError(
             f"lost the scheduler at {address} ({said}); finished units are kept, the same command resumes"
         ) from error
