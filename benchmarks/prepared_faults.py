@@ -26,6 +26,7 @@ import record  # of this folder; sets the number of threads before NumPy is load
 import cv2  # isort: skip
 import numpy as np  # isort: skip
 import rasterio  # isort: skip
+from PIL import Image  # isort: skip
 
 from boresight.pipeline.report.pdf import chromium
 from boresight.pipeline.results.ownership import claimed
@@ -190,8 +191,8 @@ def screenshot(page: Path, picture: Path, link: str) -> None:
         command += [f"--user-data-dir={profile}", "--window-size=1280,900", f"--screenshot={picture}"]
         address = page.resolve().as_uri() + (f"#{link}" if link else "")
         subprocess.run([*command, address], check=True, capture_output=True, timeout=120)
-    image = cv2.imread(str(picture))
-    cv2.imwrite(str(picture), image, [cv2.IMWRITE_PNG_COMPRESSION, 9])
+    with Image.open(picture) as image:
+        image.convert("RGB").quantize(64).save(picture, optimize=True)
 
 
 def first_screen(page: str) -> str:

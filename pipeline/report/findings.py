@@ -23,7 +23,7 @@ from boresight.pipeline.errors import Omission, RawDataError
 from boresight.pipeline.files.dump import Dump, TerrainFile, surface_of
 from boresight.pipeline.report.ground_map import OUT_OF_VIEW, UNMATCHED, USED, Scene, StripOnGround
 from boresight.pipeline.stages.calibrate import Calibration
-from boresight.pipeline.stages.strip import match_targets
+from boresight.pipeline.stages.strip import match_targets, pushbroom_of
 
 __all__ = ["findings"]
 
@@ -153,9 +153,8 @@ def _displaced_strips(
         again = match_targets(replace(one.task, sigma_installation_rad=np.asarray(sigma_rad, dtype=float)))
         if isinstance(again, Omission) or len(again.target_id) < FEWEST:
             continue
-        shift_px = again.xy_px - again.predicted_px
-        sample, line = np.median(shift_px, axis=0)
-        later_ms = 1e3 * line * one.task.strip.row_period_s
+        sample, line = np.median(again.xy_px - again.predicted_px, axis=0)
+        later_ms = line / _lines_per_ms(one, again.target_id.tolist(), again.ccd.tolist())
         motion = np.linalg.norm(one.task.orbit.velocities_e(one.model.instants(np.zeros(1)))[0])
         along_m = 1e-3 * later_ms * motion
         late = "late" if later_ms > 0 else "early"
@@ -166,6 +165,20 @@ def _displaced_strips(
             "the clock (utc_first_row in strips.csv, time_of_row), then the orbit "
             f"({abs(along_m):.0f} m along the track)."
         )
+
+
+def _lines_per_ms(one: StripOnGround, targets: Sequence[str], ccds: Sequence[int]) -> float:
+    """By how many lines targets appear later if the rows are dated 1 ms earlier, the attitude's motion and
+    all else included.
+    """
+    strip = one.task.strip
+    earlier = pushbroom_of(replace(one.task, strip=replace(strip, t_first_row_s=strip.t_first_row_s - 1e-3)))
+    p_e = one.p_e
+    points = [(ccd, p_e[target][None]) for target, ccd in zip(targets, ccds)]
+    then, now = (
+        np.array([model.pixels_from_ground(k, p)[1][0] for k, p in points]) for model in (earlier, one.model)
+    )
+    return float(np.median(then - now))
 
 
 def _spread(calibration: Calibration, dump: Dump) -> Iterator[str]:

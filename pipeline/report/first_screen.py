@@ -15,9 +15,9 @@ from boresight.pipeline.report.observations import TargetRow
 from boresight.pipeline.report.saved import Number, Saved, number_from
 from boresight.pipeline.results.summary import REASON_WORDS
 
-__all__ = ["FirstScreen", "Help", "Required", "first_screen"]
+__all__ = ["FirstScreen", "Help", "Items", "Required", "first_screen"]
 
-MOST_ITEMS = 3
+MOST_GROUPS, MOST_ITEMS = 4, 4
 
 
 @record(kw_only=True)
@@ -44,6 +44,14 @@ class Help:
 
 
 @record(kw_only=True)
+class Items:
+    """Targets of a strip that were not used for one cause."""
+
+    rows: tuple[TargetRow, ...] = scalar("the targets")
+    shown: tuple[TargetRow, ...] = scalar("the first of them")
+
+
+@record(kw_only=True)
 class FirstScreen:
     """Everything above the fold but verdict and map."""
 
@@ -57,8 +65,7 @@ class FirstScreen:
     rejected: tuple[tuple[str, int, tuple[tuple[str, int], ...]], ...] = scalar(
         "by kind: how many are not used, and how many for which reason"
     )
-    items: tuple[TargetRow, ...] = scalar("targets in view that were not used, the first of them")
-    more_items: int = scalar("how many more there are")
+    items: tuple[Items, ...] = scalar("targets in view that were not used")
 
 
 def first_screen(saved: Saved, targets: Sequence[TargetRow]) -> FirstScreen:
@@ -83,8 +90,7 @@ def first_screen(saved: Saved, targets: Sequence[TargetRow]) -> FirstScreen:
         helps=_helps(saved, sigma_arcsec, weakest),
         new_strip_ce90=saved.context_number("new_strip.ce90_m", ".1f"),
         rejected=_rejected(saved),
-        items=tuple(unused[:MOST_ITEMS]),
-        more_items=len(unused[MOST_ITEMS:]),
+        items=_items(unused),
     )
 
 
@@ -135,6 +141,17 @@ def _helps(saved: Saved, now: tuple[Number, ...], weakest: int) -> tuple[Help, .
         gain = 1.0 - then[weakest].exact / now[weakest].exact
         helps.append(Help(change=one["change"], sigma_arcsec=then, gain=gain))
     return tuple(sorted(helps, key=lambda one: -one.gain))
+
+
+def _items(unused: Sequence[TargetRow]) -> tuple[Items, ...]:
+    """Groups of one strip and cause, the smallest first: single targets are likelier to be a mistake."""
+    groups: dict[tuple[str, str, str], list[TargetRow]] = {}
+    for row in unused:
+        groups.setdefault((row.strip_id, row.state, row.why), []).append(row)
+    return tuple(
+        Items(rows=tuple(rows), shown=tuple(rows[:MOST_ITEMS]))
+        for rows in sorted(groups.values(), key=len)[:MOST_GROUPS]
+    )
 
 
 def _rejected(saved: Saved) -> tuple[tuple[str, int, tuple[tuple[str, int], ...]], ...]:

@@ -73,7 +73,7 @@ def predicted_accuracy(
     """
     worst, covariance = -1.0, np.zeros((2, 2))
     for x, y in np.asarray(tangents, dtype=float):
-        J = range_m * np.array([[0.0, 1.0, -y], [-1.0, 0.0, x]])  # d(x, y on the ground) / d rotation
+        J = range_m * np.array([[-x * y, 1.0 + x * x, -y], [-1.0 - y * y, x * y, x]])  # d place / d rotation
         here = J @ covariance_rad2 @ J.T + np.diag(
             [sigma_position_m**2 + sigma_along_m**2, sigma_position_m**2]
         )
@@ -85,7 +85,9 @@ def predicted_accuracy(
 
 
 def radius_90(covariance: Floats) -> float:
-    """Radius of the circle about the mean that holds 90 % of a plane normal distribution."""
+    """Radius of the circle about the mean that holds 90 % of a plane normal distribution, whose covariance is
+    (2, 2); in its unit.
+    """
     b, a = np.sqrt(np.maximum(np.linalg.eigvalsh(covariance), 0.0))
     if a == 0.0:
         return 0.0

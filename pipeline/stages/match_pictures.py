@@ -57,6 +57,8 @@ def _stretch(image: NDArray) -> tuple[float, float]:
     if not good.size:
         return 0.0, 1.0
     low, high = np.percentile(good, [1.0, 99.0])
+    if high - low < 1e-6:  # one grey value is shown as grey
+        return float(low) - 1.0, float(low) + 1.0
     return float(low), float(high)
 
 

@@ -1,16 +1,14 @@
 """Recordings of the terminal as animated SVG: `python scripts/figures/terminal.py [NAME...]`.
 
-Each command is run in a pseudo-terminal of 80 columns; what it prints appears at the times at which it was
-printed, at most `LONGEST_WAIT_S` apart. Lines that a progress bar writes over are shown as they end. A reader
-who prefers no motion, or a printer, sees the last frame.
+What a command prints into a pipe of 80 columns (progress is a line a tenth there) appears at the times at
+which it was printed, at most `LONGEST_WAIT_S` apart. A reader who prefers no motion, or a printer, sees the
+last frame.
 """
 
 from __future__ import annotations
 
 import html
 import os
-import pty
-import re
 import subprocess
 import sys
 import tempfile
@@ -22,7 +20,6 @@ ROOT = Path(__file__).parents[2]
 IMAGES = ROOT / "docs" / "images"
 COLUMNS, LINE_PX, CHAR_PX, PAD_PX = 80, 19, 8.4, 14
 LONGEST_WAIT_S, TYPING_S = 0.6, 0.7
-ESCAPE = re.compile(r"\x1b\[[0-9;?]*[A-Za-z]|\x1b\][^\x07]*\x07")
 RECORDINGS = {
     "terminal-calibrate": (
         "boresight calibrate fixtures/mini --out demo-result",
@@ -60,31 +57,23 @@ def recorded(commands: tuple[str, ...], folder: Path) -> list[Line]:
 
 def output(command: str, folder: Path) -> list[tuple[float, str]]:
     """Lines that a command prints, each with the seconds since the one before."""
-    master, slave = pty.openpty()
-    program = f"{sys.executable} -m boresight"
-    known = {"COLUMNS": str(COLUMNS), "LINES": "40", "TERM": "xterm-256color", "NO_COLOR": "1"}
-    shell = command.replace("boresight ", f"{program} ", 1)
-    process = subprocess.Popen(
-        shell, shell=True, cwd=folder, env=os.environ | known, stdout=slave, stderr=slave, close_fds=True
-    )
-    os.close(slave)
+    known = {"COLUMNS": str(COLUMNS), "NO_COLOR": "1", "PYTHONUNBUFFERED": "1"}
+    shell = command.replace("boresight ", f"{sys.executable} -m boresight ", 1)
     parts, last = [], time.perf_counter()
-    rest = b""
-    while True:
-        try:
-            rest += os.read(master, 65536)
-        except OSError:  # the end of a pseudo-terminal on Linux
-            break
-        now = time.perf_counter()
-        *whole, rest = rest.split(b"\n")
-        for raw in whole:
-            shown = raw.decode().rstrip("\r").split("\r")[-1]
-            text = ESCAPE.sub("", shown).rstrip()
-            if text:
-                parts.append((now - last, text))
-                last = now
-    process.wait()
-    os.close(master)
+    with subprocess.Popen(
+        shell,
+        shell=True,
+        cwd=folder,
+        env=os.environ | known,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    ) as process:
+        assert process.stdout is not None
+        for line in process.stdout:
+            now = time.perf_counter()
+            parts.append((now - last, line.rstrip()))
+            last = now
     return parts
 
 

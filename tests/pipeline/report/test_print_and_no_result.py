@@ -1,0 +1,46 @@
+"""The printed page, and the page of a run without a result."""
+
+from __future__ import annotations
+
+import re
+import shutil
+
+import pytest
+from typer.testing import CliRunner
+
+from boresight.pipeline.cli import app
+from boresight.pipeline.errors import RawDataError
+from boresight.pipeline.report import pdf
+
+
+def test_without_a_browser_the_message_says_what_is_needed(tmp_path, monkeypatch):
+    monkeypatch.setattr(shutil, "which", lambda name: None)
+    (tmp_path / "report.html").write_text("<p>page</p>")
+    with pytest.raises(RawDataError, match=r"no Chromium.*chromium.*print report\.html from a browser"):
+        pdf.print_page(tmp_path / "report.html")
+    assert not (tmp_path / "report.pdf").exists()
+
+
+@pytest.mark.skipif(pdf.chromium() is None, reason="NO CHROMIUM FOUND: nothing was printed")
+def test_the_report_is_printed_on_a4(finished, tmp_path):
+    result = tmp_path / "result"
+    shutil.copytree(finished[1], result, ignore=shutil.ignore_patterns("work"))
+    ran = CliRunner().invoke(app, ["report", str(result), "--pdf"])
+    assert ran.exit_code == 0 and "report.pdf" in ran.output
+    content = (result / "report.pdf").read_bytes()
+    assert content.startswith(b"%PDF-")
+    sizes = re.findall(rb"/MediaBox\s*\[\s*0 0 ([\d.]+) ([\d.]+)", content)
+    width, height = (float(size) for size in sizes[0])
+    assert (width, height) == pytest.approx((595.3, 841.9), abs=1.0)  # points: 210 x 297 mm
+    assert len(sizes) > 5  # pages: tables, cards, settings and inputs are all there
+
+
+def test_a_run_without_a_result_leaves_a_page_that_names_the_cause(handmade, tmp_path):
+    ran = CliRunner().invoke(
+        app, ["calibrate", str(handmade), "--out", str(tmp_path / "r"), "--workers", "1"]
+    )
+    assert ran.exit_code == 1 or ran.exception is not None
+    text = (tmp_path / "r" / "report.html").read_text(encoding="utf-8")
+    assert "<strong>No result.</strong>" in text and "None of 4 exposures can be used" in text
+    assert text.count("<td>exposure</td>") == 4
+    assert not (tmp_path / "r" / "installation.json").exists()
