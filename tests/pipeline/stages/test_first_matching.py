@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from fixture_strips import FIXTURE
@@ -13,6 +15,7 @@ from boresight.pipeline.stages.cached import StageRunner
 from boresight.pipeline.stages.calibrate import calibrate_dump, strips_to_match
 from boresight.pipeline.stages.first_matching import match_first
 from boresight.pipeline.stages.strip import MatchedTargets, StripTask
+from boresight.pipeline.work.unit_store import UnitStore
 
 NONE, ALL = 0.0, 1e12  # pixels up to which every strip is searched
 
@@ -27,10 +30,11 @@ def all_searched(tasks: list[StripTask]) -> list[MatchedTargets]:
     return match_first(tasks, lambda task, found: None, StageRunner(), ALL)[1]
 
 
-def test_matrix_is_that_of_searching_every_strip() -> None:
-    dump = open_dump(FIXTURE)
+def test_matrix_is_that_of_searching_every_strip(tmp_path: Path) -> None:
+    dump, store = open_dump(FIXTURE), UnitStore(tmp_path)  # the stars are the same
     everywhere, from_one = (
-        calibrate_dump(dump, Settings(run=RunSettings(search_all_px=limit))).estimate for limit in (ALL, NONE)
+        calibrate_dump(dump, Settings(run=RunSettings(search_all_px=limit)), store).estimate
+        for limit in (ALL, NONE)
     )
     sigma = np.sqrt(np.diag(everywhere.cov_theta))
     # The second matching starts from matrices that differ by a tenth of a pixel; positions then agree to some
