@@ -193,7 +193,7 @@ def trackers(root: Path) -> None:
     for name, (turn, sigma) in through_calibrate(root).items():
         arcsec = turn / ARCSEC
         print(
-            f'{name}  turned by {np.round(arcsec, 2)}", 1 sigma {np.round(sigma / ARCSEC, 2)}"; '
+            f'{name}  rotated by {np.round(arcsec, 2)}", 1 sigma {np.round(sigma / ARCSEC, 2)}"; '
             f"other fit {OTHERS[name]}"
         )
         off = np.abs(arcsec - OTHERS[name])

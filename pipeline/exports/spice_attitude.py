@@ -2,7 +2,7 @@
 
 The clock counts 1/1024 s of ephemeris time (TDB) since an epoch, so that it needs no leap seconds; instants
 are laid on its whole ticks, because ephemeris times are held in doubles that resolve 0.1 µs only, in which an
-Earth-pointing satellite turns by 1e-10 rad. Between attitudes SPICE turns about a fixed axis at a constant
+Earth-pointing satellite turns by 1e-10 rad. Between attitudes SPICE rotates about a fixed axis at a constant
 rate. The layout is that of NAIF's DAF and CK Required Reading; ephemeris time is TT + 1.657 ms sin E, as in
 NAIF's leap-second kernels (Time Required Reading).
 """
