@@ -233,7 +233,8 @@ def _ordered(cells: list[str], meta: dict[str, str], file: str, where: str) -> l
 def _xml_segments(path: Path, file: str) -> Iterator[Segment]:
     """Metadata and states of each segment of a message in XML form."""
     root = read_xml(path, file)
-    message = next(root.iter("aem"), None)
+    named = (one for one in root.iter() if one.tag == "aem" or one.get("id") == "CCSDS_AEM_VERS")
+    message = next(named, None)
     if message is None:
         raise RawDataError(file, "root element", root.tag, "aem")
     for segment in message.iter("segment"):

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from boresight.geometry.epoch import Epoch
 from boresight.pipeline.errors import RawDataError
+from boresight.pipeline.exports.ccsds_aem import AemHeader, attitude_message
 from boresight.pipeline.files.attitude_files import AttitudeRows, read_attitudes
 
 EPOCH = Epoch.from_utc("2024-11-20T03:40:00")
@@ -207,3 +208,20 @@ def test_message_that_is_not_sound_is_refused(text: str, complaint: str, tmp_pat
 def test_table_that_is_not_sound_is_refused(text: str, complaint: str, tmp_path: Path) -> None:
     with pytest.raises(RawDataError, match=complaint):
         read(tmp_path, text)
+
+
+WRITTEN = Rotation.from_euler("xyz", [[40.0 + 0.1 * k, -65.0, 110.0] for k in range(5)], degrees=True)
+
+
+@pytest.mark.parametrize("name", ["ccsds_ndm_1.0.aem", "ccsds_ndm_1.0.xml", "ccsds_ndm_2.0.xml"])
+def test_messages_written_by_ccsds_ndm_are_read(name: str) -> None:
+    path = Path(__file__).parents[3] / "fixtures" / "attitudes" / name
+    found = read_attitudes(path, name, EPOCH, None, None)
+    assert error_rad(found, WRITTEN) < 1e-14  # rad
+    assert np.allclose(found.t_s, 10.25 + np.arange(5), atol=1e-9)  # s
+
+
+def test_our_own_messages_come_back(tmp_path: Path) -> None:
+    header = AemHeader(creation_utc="2024-11-21T00:00:00", object_name="SAT")
+    text = attitude_message(header, ["round trip"], TIMES, R_SI)
+    assert error_rad(read(tmp_path, text, None, None)) < 1e-14  # rad: 15 decimals
