@@ -8,9 +8,11 @@ import pytest
 from handmade_sentinel2 import SPAMOD, VIEDIR, write_sentinel2
 from scipy.spatial.transform import Rotation
 
+from boresight.calib.refining import fit_correction
 from boresight.geometry.constants import ARCSEC, WGS84
 from boresight.geometry.earth_orientation import EarthOrientationTable
 from boresight.geometry.geodesy import ecef_from_geodetic
+from boresight.geometry.groundlight import apparent_ground_directions
 from boresight.geometry.terrain import ConstantHeight
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.sentinel2 import read_sentinel2
@@ -120,3 +122,29 @@ def test_angles_further_down_the_chain_are_refused(files, tmp_path):
     path.write_text(path.read_text().replace("</DATA>", f"{below}</DATA>"))
     with pytest.raises(RawDataError, match="not supported"):
         read_sentinel2(tmp_path / "S2A_OPER_MTD_L1B_DS_TEST.xml", tmp_path, "B04")
+
+
+@needs_real_data
+def test_the_operators_refining_of_a_real_datastrip_is_found_again():
+    # The operator's grids contain its refining: three angles, rates and a scale, here from 145 points each of
+    # two detectors; urad, urad/s and 1e-6 as its file has them. The grids are rounded to 1 mm, 1.3 nrad.
+    strip = read_sentinel2(next(REAL.glob("*MTD_L1B_DS*.xml")), REAL, "B04")
+    orbit = operator_orbit(strip, operator_table())
+    grid = np.loadtxt(REAL / "grid_B04.csv", delimiter=",", skiprows=1, usecols=(1, 3, 4, 5, 6, 7))
+    v_s, u_c, t_s = [], [], []
+    for detector in (2, 11):
+        rows = grid[grid[:, 0] == detector]
+        push = operator_pushbroom(strip, detector - 1, orbit, refined=False)
+        t = push.instants(rows[:, 1] - 1.0)
+        p_e = ecef_from_geodetic(np.radians(rows[:, 4]), np.radians(rows[:, 3]), rows[:, 5], WGS84)
+        u_i, _ = apparent_ground_directions(p_e, t, orbit, orbit.earth, push.effects)
+        v_s.append(push.attitude.R_si(t).apply(u_i))
+        u_c.append(strip.camera.directions_from_pixels(detector - 1, rows[:, 2]))
+        t_s.append(t)
+    v_s, u_c, t_s = np.concatenate(v_s), np.concatenate(u_c), np.concatenate(t_s)
+    refining = strip.refining
+    assert refining is not None
+    found = fit_correction(v_s, u_c, t_s, strip.R_cp, refining.t_middle_s)
+    assert 1e6 * found.angles_rad[0] == pytest.approx([c[0] * 1e6 for c in refining.angles], abs=0.005)
+    assert 1e6 * found.angles_rad[1] == pytest.approx([c[1] * 1e6 for c in refining.angles], abs=0.005)
+    assert 1e6 * found.scale == pytest.approx(1e6 * refining.homothety, abs=0.005)
