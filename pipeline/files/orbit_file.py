@@ -146,6 +146,8 @@ def _xml_reading(path: Path, text: str, file: str) -> tuple[Any, list[Any], Floa
     root = read_xml(path, file)  # well-formed, without DTD
     if root.tag != "oem":
         raise RawDataError(file, "root element", root.tag[:64], "oem")
+    if root.find("body/segment") is None:
+        raise RawDataError(file, "body", "no segment", "one segment with metadata and states")
     for state in root.iter("stateVector"):
         for name in _COORDINATES:
             numbers_of(state, name, file, 1)

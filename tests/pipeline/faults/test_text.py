@@ -45,6 +45,8 @@ def test_path_that_could_leave_the_dump_is_refused_in_every_table(name: str, han
         ("strips.csv", "strips/0.tif", "line 2, file"),
         ("targets.csv", "chips/0.tif", "line 2, chip"),
     ):
+        if (file, name) == ("strips.csv", ""):  # a strip without image, of which points are measured
+            continue
         sound = (handmade / file).read_text()
         new = json.dumps(name) if file.endswith(".toml") else f'"{name}"'
         (handmade / file).write_text(sound.replace(old, new, 1), newline="")
@@ -220,12 +222,13 @@ def test_json_of_a_result_may_be_anything_but_an_error_of_the_program(tmp_path: 
 def test_orbit_is_text_and_nothing_else(handmade: Path) -> None:
     for raw in (b"BZh91AY&SY", b"\x1f\x8b\x08\x00", b"<?xml version='1.0'?><oem/>"):
         (handmade / "orbit.oem").write_bytes(raw)
-        with pytest.raises(RawDataError, match=r"orbit.oem: (line 1|byte [0-9]+): found"):
+        with pytest.raises(RawDataError, match=r"orbit.oem: (line 1|byte [0-9]+|body): found"):
             read_oem(handmade / "orbit.oem", "orbit.oem")
 
 
 def test_nothing_that_is_read_can_be_run_or_unpacked() -> None:
-    """No module calls what would run code out of data, unpack an archive or start a program."""
+    """No module calls what would run code out of data, unpack an archive or start a program, but the browser
+    that prints our own page at the user's request."""
     forbidden = {"pickle", "marshal", "shelve", "joblib", "dill", "yaml", "tarfile", "subprocess"}
     calls = {
         "eval",
@@ -243,7 +246,9 @@ def test_nothing_that_is_read_can_be_run_or_unpacked() -> None:
         for path in (ROOT / package).rglob("*.py"):
             for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
                 if isinstance(node, ast.Import):
-                    assert not {alias.name.split(".")[0] for alias in node.names} & forbidden, path
+                    names = {alias.name.split(".")[0] for alias in node.names}
+                    browser = {"subprocess"} if path == ROOT / "pipeline/report/pdf.py" else set()
+                    assert not names & forbidden - browser, path
                 elif isinstance(node, ast.ImportFrom):
                     assert (node.module or "").split(".")[0] not in forbidden, path
                 elif isinstance(node, ast.Call):
