@@ -1,0 +1,138 @@
+"""The star side and the ground side of a dump at other levels: what is stated twice, or not, is refused."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from handmade import write_handmade_dump
+
+from boresight.pipeline.errors import RawDataError
+from boresight.pipeline.files.dump import Dump, open_dump
+from boresight.pipeline.files.star_side import SolvedAttitudes, StarCentroids
+
+HEAD = """
+[[star_cameras]]
+name = "STR1"
+level = "attitudes"
+installation = "installation.toml"
+attitudes = "str1.csv"
+frame = "GCRF"
+rotation = "head to inertial"
+aberration_removed = "annual"
+"""
+WHITE = """
+[star_cameras.noise]
+white_arcsec = [1, 1, 7]
+correlated_arcsec = [0.5, 0.5, 4]
+correlation_time_s = [1, 1, 2]
+"""
+POINTS = (
+    "id,strip,ccd,sample,line,sigma_sample_px,sigma_line_px,lat_deg,lon_deg,height_m,height_kind,"
+    "sigma_east_m,sigma_north_m,sigma_up_m\n"
+)
+POINT = "p1,s1,0,12.5,30,0.3,0.3,0.0,103.0,20,ellipsoidal,1,1,2\n"
+
+
+@pytest.fixture
+def attitudes(tmp_path: Path) -> Path:
+    """The handmade dump with nadir-pointing attitudes for exposures, and one point for chips."""
+    root = write_handmade_dump(tmp_path / "dump")
+    images = open_dump(root)
+    t_s = np.arange(19.0, 21.0, 0.1)
+    R_si = images.R_cs0.inv() * images.orbit.R_oi(t_s)
+    rows = [
+        f"{utc.rstrip('Z')},{','.join(map(repr, q))}"
+        for utc, q in zip(images.epoch.utc_from_seconds(t_s), R_si.inv().as_quat().tolist())
+    ]
+    (root / "str1.csv").write_text("\n".join(["utc,qx,qy,qz,qw", *rows]) + "\n")
+    (root / "points.csv").write_text(POINTS + POINT)
+    text = (root / "dump.toml").read_text()
+    for name in ("star_camera", "installation", "exposures"):
+        text = text.replace(f'{name} = "{name}', f'#{name} = "{name}')
+    text = text.replace('targets = "targets.csv"', 'points = "points.csv"')
+    (root / "dump.toml").write_text(text + HEAD + WHITE)
+    return root
+
+
+def changed(root: Path, old: str, new: str, file: str = "dump.toml") -> Dump:
+    text = (root / file).read_text()
+    assert old in text
+    (root / file).write_text(text.replace(old, new))
+    return open_dump(root)
+
+
+def test_attitudes_and_points_are_read(attitudes: Path) -> None:
+    dump = open_dump(attitudes)
+    (head,) = dump.heads
+    assert isinstance(head.source, SolvedAttitudes) and len(head.source.rows.t_s) == 20
+    assert np.allclose(head.noise.correlated_rad * 648_000 / np.pi, [0.5, 0.5, 4.0])
+    assert dump.points[0].xy_px.tolist() == [[12.5, 30.0]] and dump.star_camera is None
+
+
+def test_white_noise_is_stated_once(attitudes: Path) -> None:
+    with pytest.raises(RawDataError, match=r"noise\.white_arcsec of STR1.*neither in the rows nor here"):
+        changed(attitudes, "white_arcsec = [1, 1, 7]\n", "")
+    text = (
+        (attitudes / "str1.csv")
+        .read_text()
+        .replace("qw\n", "qw,sigma_x_arcsec,sigma_y_arcsec,sigma_z_arcsec\n")
+    )
+    lines = text.splitlines()
+    (attitudes / "str1.csv").write_text(
+        "\n".join([lines[0], *(f"{line},1,1,7" for line in lines[1:])]) + "\n"
+    )
+    open_dump(attitudes)
+    with pytest.raises(RawDataError, match=r"and in the rows of str1\.csv"):
+        changed(attitudes, "[star_cameras.noise]\n", "[star_cameras.noise]\nwhite_arcsec = [1, 1, 7]\n")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "complaint"),
+    [
+        ('aberration_removed = "annual"\n', "", "needs the key aberration_removed"),
+        ('level = "attitudes"', 'level = "images"', "needs the key camera"),
+        ('rotation = "head to inertial"\n', "", "rotation of str1.csv"),
+        ('rotation = "head to inertial"', 'rotation = "inertial to head"', "likely|inverse rotation"),
+        ("#installation", "installation", "exclude one another"),
+        ('points = "points.csv"', "", "files.targets|nothing"),
+        ("correlation_time_s = [1, 1, 2]\n", "", "come together"),
+    ],
+)
+def test_contradicting_statements_are_refused(old: str, new: str, complaint: str, attitudes: Path) -> None:
+    with pytest.raises(RawDataError, match=complaint):
+        changed(attitudes, old, new)
+
+
+@pytest.mark.parametrize(
+    ("row", "complaint"),
+    [
+        (POINT.replace(",20,ell", ",21,ell").replace("s1,0", "s1,1"), "line 3, height_m"),
+        (POINT, "line 3, id: found p1 again"),
+        (POINT.replace("p1,s1", "p2,s9"), "strip: found s9"),
+        (POINT.replace("p1,s1,0", "p2,s1,7"), "ccd"),
+    ],
+)
+def test_points_that_contradict_are_refused(row: str, complaint: str, attitudes: Path) -> None:
+    (attitudes / "points.csv").write_text(POINTS + POINT + row)
+    with pytest.raises(RawDataError, match=complaint):
+        open_dump(attitudes)
+
+
+def test_centroids_stand_in_for_images(tmp_path: Path) -> None:
+    root = write_handmade_dump(tmp_path / "dump")
+    text = (root / "dump.toml").read_text()
+    for name in ("star_camera", "installation", "exposures"):
+        text = text.replace(f'{name} = "{name}', f'#{name} = "{name}')
+    head = HEAD[: HEAD.index("attitudes = ")].replace('"attitudes"', '"centroids"')
+    keys = 'camera = "star_camera.toml"\nexposures = "exposures.csv"\ncentroids = "stars.csv"\n'
+    (root / "dump.toml").write_text(text + head + keys)
+    rows = "exposures/1.png,10.5,20.25,0.05,0.06,0.001,300\nexposures/1.png,3,4,0.1,0.1,0,900\n"
+    (root / "stars.csv").write_text("file,x_px,y_px,sigma_x_px,sigma_y_px,cov_xy_px2,flux_dn\n" + rows)
+    (head_read,) = open_dump(root).heads
+    assert isinstance(head_read.source, StarCentroids)
+    none, stars, *_ = head_read.source.lists
+    assert none is None and stars is not None
+    assert stars.xy_px.tolist() == [[3.0, 4.0], [10.5, 20.25]]  # brightest first
+    assert np.allclose(stars.cov_px[1], [[0.0025, 0.001], [0.001, 0.0036]])
