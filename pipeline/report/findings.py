@@ -157,12 +157,14 @@ def _displaced_strips(
         later_ms = line / _lines_per_ms(one, again.target_id.tolist(), again.ccd.tolist())
         motion = np.linalg.norm(one.task.orbit.velocities_e(one.model.instants(np.zeros(1)))[0])
         along_m = 1e-3 * later_ms * motion
+        spread_ms = 1e3 * calibration.settings.sigma_position_m / motion
         late = "late" if later_ms > 0 else "early"
         yield (
             f"Strip {one.strip_id} was not used: {len(again.target_id)} of its targets agree on places "
             f"{line:+.1f} lines and {sample:+.1f} samples from where the matrix of the other strips expects "
-            f"them. If that is a matter of time, its rows are dated {abs(later_ms):.1f} ms too {late}: check "
-            "the clock (utc_first_row in strips.csv, time_of_row), then the orbit "
+            f"them. If that is a matter of time, its rows are dated {abs(later_ms):.1f} ms too {late} (the "
+            f"stated error of position makes {spread_ms:.1f} ms, 1σ, of that uncertain): check the clock "
+            "(utc_first_row in strips.csv, time_of_row), then the orbit "
             f"({abs(along_m):.0f} m along the track)."
         )
 

@@ -19,6 +19,7 @@ from boresight.pipeline.stages.strip import MatchedTargets, StripTask, footprint
 __all__ = ["misses", "nearest_miss", "what_is_missing"]
 
 MIRROR_TRIALS = 3  # exposures
+FEW_TARGETS = 4  # of a strip; fewer seldom exclude chance when the pre-launch matrix is uncertain
 
 
 def what_is_missing(
@@ -39,6 +40,12 @@ def what_is_missing(
     every = [*omissions, *(o for one in matched for o in one.omissions)]
     if tasks and dump.targets and n_targets == 0 and not any(o.kind == "target" for o in every):
         return f"{_no_target(dump, tasks)}; {counts}"
+    lost = [o for o in every if o.kind == "target" and o.cause == "no common rotation"]
+    if n_targets == 0 and lost and len(lost) < FEW_TARGETS * len(matched):
+        most = max(Counter(o.name.partition("/")[0] for o in lost).values())
+        text = f"too few targets: at most {most} in view of a strip, so few agree on one rotation by chance; "
+        text += f"{FEW_TARGETS} or more in view of a strip are needed, near both ends of the swath"
+        return f"{text}; {counts}; not used: target {lost[0].name}: {lost[0].reason}"
     first = f"; not used: {every[0].kind} {every[0].name}: {every[0].reason}" if every else ""
     return f"{outcome.reason}; {counts}{first}"
 
