@@ -229,6 +229,9 @@ def open_dump(root: Path, *, allow_stale_eop: bool = False) -> Dump:
     strips, omitted = _strips(
         root, paths["strips"], head.files.strips, ephemeris.epoch, remote, head.files.remote_camera
     )
+    if head.files.points is None and (bare := [one.strip_id for one in strips if not one.images.names]):
+        found = f"no image of strip {bare[0]}"
+        raise RawDataError(head.files.strips, "file", found, "an image, or files.points in dump.toml")
     rows = _target_rows(paths["targets"], str(head.files.targets)) if "targets" in paths else []
     surveyed = targets_of(rows)
     heads = open_heads(root, head, ephemeris.epoch)

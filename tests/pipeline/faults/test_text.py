@@ -219,6 +219,13 @@ def test_json_of_a_result_may_be_anything_but_an_error_of_the_program(tmp_path: 
             read_json(path, "run.json")
 
 
+def test_strip_without_image_needs_measured_points(handmade: Path) -> None:
+    text = (handmade / "strips.csv").read_text()
+    (handmade / "strips.csv").write_text(text.replace("strips/0.tif", "").replace("strips/1.tif", ""))
+    with pytest.raises(RawDataError, match=r"strips.csv: file: found no image of strip s1, .*files.points"):
+        open_dump(handmade)
+
+
 def test_orbit_is_text_and_nothing_else(handmade: Path) -> None:
     for raw in (b"BZh91AY&SY", b"\x1f\x8b\x08\x00", b"<?xml version='1.0'?><oem/>"):
         (handmade / "orbit.oem").write_bytes(raw)
