@@ -76,6 +76,9 @@ class FieldSolution:
     false_alarm_probability: float = scalar("upper bound, over all proposals tried")
     log_false_alarm_probability: float = scalar("its natural logarithm")
     stars: StarList | None = scalar("all detections, if the image itself or a star list was given")
+    mirrored: bool = scalar(
+        "whether the image is a mirror image: all else holds for it with the columns reversed", default=False
+    )
 
     @property
     def matches(self) -> int:
@@ -201,10 +204,31 @@ def solve_list(
     observer: Observer | None = None,
 ) -> FieldSolution | NotIdentified:
     """Solution as in `solve_field`, from the stars found in an image of `size` (width, height), px."""
-    answer = _identified(stars.xy_px, size, index, settings, camera, fov_x_rad)
-    if isinstance(answer, NotIdentified):
-        return answer
-    found, start = answer
+    reversed_stars = stars.mirrored(size[0])
+    attempts = ((False, _PASSES[:1]), (True, _PASSES[:1]), (False, _PASSES[1:]))
+    tried, reasons = 0, []
+    for mirrored, passes in attempts if camera is None else ((False, _PASSES), (True, _PASSES)):
+        seen = reversed_stars if mirrored else stars
+        answer = _identified(seen.xy_px, size, index, settings, camera, fov_x_rad, passes=passes, tried=tried)
+        if isinstance(answer, NotIdentified):
+            tried = answer.proposals
+            reasons.append(answer)
+            continue
+        solution = _weighted(seen, *answer, index, settings, camera, observer)
+        return replace(solution, mirrored=mirrored)
+    return max(reasons, key=lambda answer: answer.best_log_odds)
+
+
+def _weighted(
+    stars: StarList,
+    found: Identification,
+    start: StarCamera,
+    index: StarIndex,
+    settings: StarSettings,
+    camera: StarCamera | None,
+    observer: Observer | None,
+) -> FieldSolution:
+    """Solution with each star weighted by its own covariance."""
     if camera is None:
         return _fitted(stars, found, start, index, settings, observer)
     rows = found.detections
@@ -325,15 +349,18 @@ def _identified(
     settings: StarSettings,
     camera: StarCamera | None,
     fov_x_rad: float | None,
+    *,
+    passes: tuple[tuple[tuple[int, int, int], ...], ...] = _PASSES,
+    tried: int = 0,
 ) -> tuple[Identification, StarCamera] | NotIdentified:
     """The identification, and the camera, given or fitted, that it holds for."""
     if camera is not None:
         plane = tangent_coordinates(camera, xy_px)
-        found = identify(plane, field_of_camera(camera, settings), index, settings)
+        found = identify(plane, field_of_camera(camera, settings), index, settings, tried=tried)
         return found if isinstance(found, NotIdentified) else (found, camera)
-    tried, best = 0, -np.inf
+    best = -np.inf
     fields = _fields_to_try(fov_x_rad, settings)
-    for stages in _PASSES:
+    for stages in passes:
         for fov, error in fields:
             nominal = nominal_camera(size, fov)
             plane, field = tangent_coordinates(nominal, xy_px), _nominal_field(nominal, error, fov, settings)

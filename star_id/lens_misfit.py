@@ -37,7 +37,7 @@ __all__ = ["LensErrors", "lens_errors"]
 
 _DEGREE = 6
 _TERMS = tuple((i, n - i) for n in range(2, _DEGREE + 1) for i in range(n + 1))
-_BENT_LOG_EVIDENCE = 2.0  # more than without a smooth distortion, for it to count as seen
+_WARP_LOG_EVIDENCE = 2.0  # more than without a smooth distortion, for it to count as seen
 _STEP_PX = 0.01
 
 
@@ -51,7 +51,7 @@ class LensErrors:
     covariance: Floats = array("P, P", "of the unknowns")
     leverage: Floats = array("K", "trace of each kept star's part in the fit")
     common_px2: float = scalar("variance along one axis of an error of each star's own, px^2")
-    bent_px: float = scalar("1-sigma size of the smooth distortion, px; 0 if none is seen")
+    warp_px: float = scalar("1-sigma size of the smooth distortion, px; 0 if none is seen")
 
     def of_centre(self) -> tuple[Floats, float]:
         """Covariance (3, 3) of a rotation of the image's centre about the axes of s, rad^2, and 1-sigma error
@@ -94,11 +94,11 @@ def lens_errors(
     columns = _columns(camera, u_s, xy, slopes)
     decay = np.tile([2.0 ** (-0.5 * (i + j)) for i, j in _TERMS], 2)
 
-    def solved(common: float, bent: float) -> _Linear:
+    def solved(common: float, warp: float) -> _Linear:
         with_common = cov + common * np.eye(2)
-        if bent == 0.0:
+        if warp == 0.0:
             return _Linear.of(columns[:, :, :10], fit.residual_px[rows], with_common, sigma)
-        both = np.append(sigma, bent * decay)
+        both = np.append(sigma, warp * decay)
         return _Linear.of(columns, fit.residual_px[rows], with_common, both)
 
     floor = 1e-4 * common_px2
@@ -110,17 +110,17 @@ def lens_errors(
         options={"xatol": 0.1, "fatol": 0.1, "maxfev": 60},
     )
     plain = solved(common_px2, 0.0)
-    if -best.fun < plain.log_evidence + _BENT_LOG_EVIDENCE:
+    if -best.fun < plain.log_evidence + _WARP_LOG_EVIDENCE:
         return _errors(fit, slopes[:10], plain, np.zeros(10), common_px2, 0.0)
-    common, bent = float(np.exp(2.0 * best.x[0])) + floor, float(np.exp(best.x[1]))
-    posterior = solved(common, bent)
-    return _errors(fit, slopes, posterior, posterior.mean, common, bent)
+    common, warp = float(np.exp(2.0 * best.x[0])) + floor, float(np.exp(best.x[1]))
+    posterior = solved(common, warp)
+    return _errors(fit, slopes, posterior, posterior.mean, common, warp)
 
 
 def _errors(
-    fit: CameraFit, slopes: Floats, posterior: _Linear, mean: Floats, common: float, bent: float
+    fit: CameraFit, slopes: Floats, posterior: _Linear, mean: Floats, common: float, warp: float
 ) -> LensErrors:
-    scale = fit.variance_factor if bent == 0.0 else 1.0
+    scale = fit.variance_factor if warp == 0.0 else 1.0
     return LensErrors(
         camera=fit.camera,
         slopes=slopes,
@@ -128,7 +128,7 @@ def _errors(
         covariance=scale * posterior.covariance,
         leverage=posterior.leverage,
         common_px2=common,
-        bent_px=bent,
+        warp_px=warp,
     )
 
 
@@ -167,8 +167,8 @@ def _columns(camera: StarCamera, u_s: Floats, xy_px: Floats, slopes: Floats) -> 
     A = rotation_derivatives(camera, u_s)
     parts = [A, pixel_derivatives(camera, u_s) + A @ slopes[3:10, :3].T]
     if len(slopes) > 10:
-        bent = _bending(camera, xy_px)
-        parts.append(bent + A @ slopes[10:, :3].T)
+        warp = _bending(camera, xy_px)
+        parts.append(warp + A @ slopes[10:, :3].T)
     return np.concatenate(parts, axis=2)
 
 

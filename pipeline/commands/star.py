@@ -33,7 +33,7 @@ __all__ = ["add_star_commands"]
 
 FIELDS = (
     "file,identified,ra_deg,dec_deg,roll_deg,fov_x_deg,matches,rms_arcsec,false_alarm_probability,cpu_ms,reason,"
-    "pointing_sigma_arcsec,roll_sigma_arcsec,fov_x_sigma_deg"
+    "pointing_sigma_arcsec,roll_sigma_arcsec,fov_x_sigma_deg,mirrored"
 ).split(",")
 
 Images = Annotated[list[Path], typer.Argument(help="Star images: PNG, TIFF, FITS, JPEG or BMP.")]

@@ -183,6 +183,7 @@ def _record(path: Path, found: FieldSolution, spent_ms: float) -> dict[str, Any]
         "pointing_sigma_arcsec": found.pointing_sigma_rad / ARCSEC,
         "roll_sigma_arcsec": found.roll_sigma_rad / ARCSEC,
         "fov_x_sigma_deg": float(np.degrees(found.fov_x_sigma_rad)),
+        "mirrored": found.mirrored,
     }
 
 
@@ -191,7 +192,9 @@ def _own_name(path: Path, image: Path, count: int) -> Path:
 
 
 def _draw(image: NDArray[Any], found: FieldSolution, path: Path) -> None:
-    """The image with the named stars ringed and numbered, faint detections marked."""
+    """The image with the named stars ringed and numbered, others marked; a mirror image reversed."""
+    if found.mirrored:
+        image = image[:, ::-1]
     low, high = np.percentile(image, (1.0, 99.7))
     grey = np.clip((image.astype(np.float32) - low) * (255.0 / max(high - low, 1.0)), 0, 255).astype(np.uint8)
     picture = cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR)
@@ -215,6 +218,7 @@ def _facts(found: FieldSolution) -> str:
         f"roll {np.degrees(found.roll_rad):.4f} deg +- {found.roll_sigma_rad / ARCSEC:.1f} arcsec   "
         f"FOV {np.degrees(found.fov_x_rad):.4f} deg   "
         f"wrong with probability < 1e{found.log_false_alarm_probability / np.log(10.0):.0f}"
+        + ("   MIRROR IMAGE: all is stated for its columns reversed" if found.mirrored else "")
     )
 
 

@@ -12,6 +12,7 @@ from itertools import pairwise
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import norm
 
 from boresight.geometry.record import Floats, array, record, scalar
 
@@ -20,6 +21,12 @@ __all__ = ["Background", "estimate_background"]
 
 _SAMPLES_ACROSS_BLOCK = 64  # 4096 values a block: the level is known to 1/50 of a sigma
 _CLIP_SIGMA = 3.0
+_SMALL_BLOCK_PX = 40.0  # where the sky is uneven within larger blocks: nebulae, clouds
+_UNEVEN = 1.5  # of the noise between neighbouring pixels: more within a block is structure
+_ALIKE = 0.15  # of such pixels have the same value
+_NEAR_PX = 4  # beyond the correlations of interpolated or compressed images
+_CUT_OFF = 0.08  # of a block's pixels at the least value: a normal distribution has far fewer
+_LEAST_CUT_NOISE = 2.0  # grey levels
 _CLIPPED_VARIANCE = 0.973337  # variance of a unit normal within 3 sigma of its mean
 
 
@@ -50,6 +57,28 @@ def estimate_background(image: NDArray) -> Background:
     """Background of a raw image (H, W), integer or floating; stars may cover a third of a block."""
     height, width = image.shape
     side = float(np.clip(min(height, width) / 7.0, 48.0, 512.0))
+    coarse = _by_blocks(image, side)
+    between = _noise_between_neighbours(image)
+    if side <= _SMALL_BLOCK_PX or np.quantile(coarse.noise_dn, 0.75) < _UNEVEN * between:
+        return coarse
+    fine = _by_blocks(image, _SMALL_BLOCK_PX)
+    return Background(fine.level_dn, np.minimum(fine.noise_dn, _UNEVEN * between), width, height)
+
+
+def _noise_between_neighbours(image: NDArray) -> float:
+    """Standard deviation of a pixel, DN, from differences of pixels near one another; inf where these do not
+    tell, in a sky that is cut off or has few grey levels."""
+    few = image[:: max(1, image.shape[0] // 64)].astype(np.float32)
+    columns = np.arange(0, few.shape[1] - _NEAR_PX, max(1, few.shape[1] // 128))
+    difference = np.abs(few[:, columns + _NEAR_PX] - few[:, columns])
+    if np.mean(difference == 0.0) > _ALIKE:
+        return np.inf
+    return max(1.0483 * float(np.median(difference)), 0.3)
+
+
+def _by_blocks(image: NDArray, side: float) -> Background:
+    """Background in blocks of `side`, px, or a little more."""
+    height, width = image.shape
     rows, columns = max(1, round(height / side)), max(1, round(width / side))
     step = max(1, int(min(height / rows, width / columns) // _SAMPLES_ACROSS_BLOCK))
     step_x, step_y = (step // 2, 2 * step) if step >= 4 else (step, step)  # whole cache lines are read
@@ -65,11 +94,12 @@ def estimate_background(image: NDArray) -> Background:
     )
     width_bin = (high - low) / bins
     offset = 0.0 if np.issubdtype(sample.dtype, np.integer) and width_bin == 1.0 else 0.5
-    level, noise = _clipped_moments(
-        np.asarray(counts.T, dtype=float, order="C"),
-        np.asarray(low + (np.arange(bins) + offset) * width_bin),
-        width_bin,
-    )
+    by_block: Floats = np.asarray(counts.T, dtype=float, order="C")
+    value: Floats = np.asarray(low + (np.arange(bins) + offset) * width_bin)
+    level, noise = _clipped_moments(by_block, value, width_bin)
+    least = int(by_block.any(axis=0).argmax())
+    if (cut := by_block[:, least] > _CUT_OFF * by_block.sum(axis=1)).any():
+        level[cut], noise[cut] = _cut_moments(by_block[cut, least:], value[least:], level[cut], noise[cut])
     return Background(
         _without_outliers(level.reshape(rows, columns)),
         _without_outliers(noise.reshape(rows, columns)),
@@ -132,6 +162,25 @@ def _clipped_moments(counts: Floats, value: Floats, width: float) -> tuple[Float
         sigma = np.sqrt(np.maximum(spread, 0.0) / _CLIPPED_VARIANCE)
         sigma = np.maximum(sigma, 0.3 * width)
     return level, sigma
+
+
+def _cut_moments(counts: Floats, value: Floats, level: Floats, noise: Floats) -> tuple[Floats, Floats]:
+    """Level and noise of blocks (B, bins) whose sky is cut off at their least value: two upper quantiles of
+    the normal distribution that it was. The level is the mean after the cut, the noise that before it.
+
+    Blocks whose noise is a few grey levels keep `level` and `noise`: their least value is no cut.
+    """
+    share = np.cumsum(counts, axis=1) / counts.sum(axis=1, keepdims=True)
+    for k, row in enumerate(share):
+        low = min(max(0.55, row[0] + 0.05), 0.97)
+        z = float(norm.ppf(low))
+        lower, upper = np.interp([low, norm.cdf(z + 0.9)], row, value)
+        sigma = (upper - lower) / 0.9
+        if sigma > _LEAST_CUT_NOISE * (value[1] - value[0]) and row[0] < 0.95:
+            mean = (lower - sigma * z - value[0]) / sigma  # of the sky above the cut, in its sigmas
+            level[k] = value[0] + sigma * (mean * norm.cdf(mean) + norm.pdf(mean))
+            noise[k] = sigma
+    return level, noise
 
 
 def _bins_within(value: Floats, level: Floats, reach: Floats) -> slice:

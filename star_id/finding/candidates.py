@@ -94,8 +94,8 @@ def _grey_scale(image: NDArray, background: Background, halvings: int) -> _GreyS
     noise = float(np.median(background.noise_dn))
     low, high = float(background.level_dn.min()), float(background.level_dn.max())
     # means of four may be rounded to whole DN if the noise is larger; 16 bits are always fine enough
-    whole = image.dtype == np.uint8 and float(background.noise_dn.min()) > _COARSE_NOISE_DN
-    converted_after = 1 if whole or image.dtype == np.uint16 else 0
+    whole = halvings > 0 and image.dtype == np.uint8 and float(background.noise_dn.min()) > _COARSE_NOISE_DN
+    converted_after = min(halvings, 1) if whole or image.dtype == np.uint16 else 0
     gain = min(_LEVELS_PER_SIGMA / noise, 255.0 / (4.0 * (high - low) + _RANGE_SIGMA * noise))
     if whole and halvings == 1:
         gain = min(gain, 1.0)  # steps finer than whole DN add nothing

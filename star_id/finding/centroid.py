@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from boresight.geometry.record import Bools, Floats, Ints, array, record
 from boresight.star_id.finding.background import Background
-from boresight.star_id.finding.psf import Psf, PsfImages, psf_images
+from boresight.star_id.finding.psf import Psf, PsfImages, images_at
 from boresight.star_id.finding.window_fit import newton_step, start_state
 from boresight.star_id.finding.windows import StarWindows, star_windows
 
@@ -27,6 +27,8 @@ _SMALL_STEP = 0.1  # of the standard error: steps after one so small add less th
 _STEPS = 2  # for all stars
 _MORE_STEPS = 5  # for those not yet converged
 _LARGEST_STEP_PX = 0.8
+_DAMPING = 0.6  # of the steps with an empirical PSF
+_SETTLED = 0.3  # of the standard error: such a fit is good enough with an empirical PSF
 _UNSATURATED = 0.75  # fraction of a window's pixels; with fewer, the window is enlarged
 _SATURATED_WINDOW_SIGMA = 9.0
 _WINDOW_SIGMA = 3.0  # plus half a pixel or more: 99 % of the information even on a photon-limited star
@@ -84,7 +86,7 @@ def fit_stars(
         return _no_fits()
     smear = 0.5 * float(np.hypot(*psf.smear_px))
     sigma = psf.sigma_at(pixels.astype(float))
-    radius = max(3, int(np.ceil(_WINDOW_SIGMA * sigma.mean() + smear)))
+    radius = psf.shape_radius_px or max(3, int(np.ceil(_WINDOW_SIGMA * sigma.mean() + smear)))
     windows = star_windows(image, pixels, background, radius, saturation_dn)
     full = windows.saturated & (windows.good.mean(axis=1) < _UNSATURATED)
     if not full.any():
@@ -117,18 +119,19 @@ def _fit(windows: StarWindows, pixels: Ints, start: Floats, sigma: Floats, psf: 
     if len(pixels) == 0:
         return _no_fits()
     offset = windows.offsets(pixels + start)
-    images = psf_images(offset, sigma, psf.smear_px, windows.radius)
+    images = images_at(psf, offset, sigma, windows.radius)
     state = start_state(windows, offset, images)
     fit = _iterate(windows, state, images, sigma, psf, gain, steps=_STEPS)
     good = _without_outliers(fit)
     slow = np.flatnonzero((fit.last > _SMALL_STEP) | (good != fit.good).any(axis=1))
     if len(slow):
         rest = replace(windows.take(slow), good=good[slow])
-        images = psf_images(fit.state[slow, :2], sigma[slow], psf.smear_px, windows.radius)
-        more = _iterate(rest, fit.state[slow], images, sigma[slow], psf, gain, steps=_MORE_STEPS)
+        images = images_at(psf, fit.state[slow, :2], sigma[slow], windows.radius)
+        steps = _MORE_STEPS if psf.shape is None else 2 * _MORE_STEPS
+        more = _iterate(rest, fit.state[slow], images, sigma[slow], psf, gain, steps=steps)
         for name in _Fit.__slots__:
             getattr(fit, name)[slow] = getattr(more, name)
-    return _stars_of(fit, windows, pixels)
+    return _stars_of(fit, windows, pixels, settled=0.0 if psf.shape is None else _SETTLED)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -158,18 +161,20 @@ def _iterate(
     """Up to `steps` Gauss-Newton steps on all stars from a state (N, 4) and its images."""
     for k in range(steps):
         if k > 0:
-            images = psf_images(state[:, :2], sigma, psf.smear_px, windows.radius)
+            images = images_at(psf, state[:, :2], sigma, windows.radius)
         step, normal, residual, weight = newton_step(windows, images, state, gain)
         moved = np.abs(step[:, :2])
         last = (moved * np.sqrt(np.einsum("npp->np", normal)[:, :2])).max(axis=1)
         step[:, :2] = np.clip(step[:, :2], -_LARGEST_STEP_PX, _LARGEST_STEP_PX)
+        if psf.shape is not None:  # a flat top with edges: full steps of faint stars overshoot
+            step *= _DAMPING
         state = state + step
         if last.max() < _SMALL_STEP:
             break
     return _Fit(state, normal, residual, weight, windows.good, images.value, last, moved.max(axis=1))
 
 
-def _stars_of(fit: _Fit, windows: StarWindows, pixels: Ints) -> StarFits:
+def _stars_of(fit: _Fit, windows: StarWindows, pixels: Ints, *, settled: float) -> StarFits:
     cov = _safe_inverse(fit.normal)
     chi2 = np.einsum("nm,nm,nm->n", fit.residual, fit.residual, fit.weight).astype(float)
     dof = np.maximum(np.count_nonzero(fit.weight, axis=1) - 4.0, 1.0)
@@ -177,7 +182,8 @@ def _stars_of(fit: _Fit, windows: StarWindows, pixels: Ints) -> StarFits:
     flux_sigma = 1.0 / np.sqrt(np.maximum(sky_information, 1e-30))
     inflation = covariance_inflation(chi2, dof, np.maximum(fit.state[:, 2] / flux_sigma, 1.0))
     xy = fit.state[:, :2] + windows.corner + windows.radius
-    near = np.abs(xy - pixels).max(axis=1) < 2.0 + windows.saturated * 4.0
+    reach = 2.0 if settled == 0.0 else 0.25 * windows.radius
+    near = np.abs(xy - pixels).max(axis=1) < reach + windows.saturated * 4.0
     return StarFits(
         xy_px=xy,
         cov_px=cov[:, :2, :2] * inflation[:, None, None],
@@ -186,7 +192,7 @@ def _stars_of(fit: _Fit, windows: StarWindows, pixels: Ints) -> StarFits:
         chi2=chi2,
         dof=dof,
         saturated=windows.saturated,
-        converged=(fit.last_px < 0.1) & near & (fit.state[:, 2] > 0),
+        converged=((fit.last_px < 0.1) | (fit.last < settled)) & near & (fit.state[:, 2] > 0),
     )
 
 

@@ -1,7 +1,8 @@
 """Point spread function: a Gaussian integrated over pixels, smeared along a line if the camera rotates.
 
 The width may grow with the square of the distance from the image's centre. A smear is the mean of Gaussians
-along its line, by Gauss-Legendre quadrature, so that a smear of a few sigmas costs a few evaluations.
+along its line, by Gauss-Legendre quadrature, so that a smear of a few sigmas costs a few evaluations. Stars
+of any other form have an empirical image instead (`finding.shape`), interpolated by cubic splines.
 """
 
 from __future__ import annotations
@@ -10,11 +11,14 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import map_coordinates
 from scipy.special import erf
 
 from boresight.geometry.record import Floats, record, scalar
 
-__all__ = ["Psf", "PsfImages", "psf_images"]
+__all__ = ["FINE", "Psf", "PsfImages", "images_at", "psf_images", "shape_images"]
+
+FINE = 2  # points a pixel of an empirical image
 
 
 @record
@@ -26,6 +30,15 @@ class Psf:
     smear_px: tuple[float, float] = scalar("motion (column, row) during the exposure, px")
     width_px: int = scalar("columns of the image")
     height_px: int = scalar("rows of the image")
+    shape: NDArray | None = scalar(
+        "(T, T) spline coefficients of a star's image, FINE points a pixel; None: a smeared Gaussian",
+        default=None,
+    )
+
+    @property
+    def shape_radius_px(self) -> int:
+        """Pixels from the middle of the empirical image to its edge; 0 without one."""
+        return 0 if self.shape is None else (self.shape.shape[0] // FINE - 1) // 2
 
     def sigma_at(self, xy_px: Floats) -> Floats:
         """Standard deviation (N,) at pixels (N, 2)."""
@@ -57,6 +70,39 @@ class PsfImages:
     def value(self) -> NDArray[np.float32]:
         """(N, M) unit-flux image."""
         return self.columns[:, 2]
+
+
+def images_at(psf: Psf, offset: Floats, sigma: Floats, radius: int) -> PsfImages:
+    """Images of stars at `offset` (N, 2) from the middle of windows of side 2 radius + 1, px: empirical, or
+    smeared Gaussians of width `sigma` (N,)."""
+    if psf.shape is not None:
+        return shape_images(psf.shape, offset, radius)
+    return psf_images(offset, sigma, psf.smear_px, radius)
+
+
+def shape_images(shape: NDArray, offset: Floats, radius: int) -> PsfImages:
+    """Images as in `images_at` from the spline coefficients (T, T) of an empirical image."""
+    grid, middle = np.arange(-radius, radius + 1.0), shape.shape[0] // 2
+    at = [
+        np.broadcast_to(axis, (len(offset), len(grid), len(grid)))
+        for axis in (
+            (grid[None, :, None] - offset[:, 1, None, None]) * FINE + middle,
+            (grid[None, None, :] - offset[:, 0, None, None]) * FINE + middle,
+        )
+    ]
+
+    def sampled(rows: float, columns: float) -> NDArray:
+        moved = [at[0] + rows, at[1] + columns]
+        return map_coordinates(shape, moved, order=3, prefilter=False, mode="constant").reshape(
+            len(offset), -1
+        )
+
+    value, step = sampled(0.0, 0.0), 0.25
+    d_x, d_y = (
+        (sampled(-step * y, -step * x) - sampled(step * y, step * x)) * (FINE / (2.0 * step))
+        for y, x in ((0.0, 1.0), (1.0, 0.0))
+    )
+    return PsfImages(np.stack([d_x, d_y, value, np.ones_like(value)], axis=1).astype(np.float32), None)
 
 
 def psf_images(

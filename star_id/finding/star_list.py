@@ -14,7 +14,10 @@ from boresight.star_id.finding.background import Background, estimate_background
 from boresight.star_id.finding.candidates import find_candidates
 from boresight.star_id.finding.centroid import StarFits, fit_stars
 from boresight.star_id.finding.detect import Detections, detect, detection_threshold
+from boresight.star_id.finding.lines import without_lines
+from boresight.star_id.finding.mosaic import cell_centre, has_mosaic, merged_cells
 from boresight.star_id.finding.psf import Psf
+from boresight.star_id.finding.shape import detect_shape, estimate_shape, flat_image
 from boresight.star_id.finding.star_shape import WidthFits, fit_widths, gain_of, psf_of
 from boresight.star_id.finding.windowed_centroid import windowed_centroids
 from boresight.star_id.settings import StarSettings
@@ -26,9 +29,15 @@ _STARS_FOR_PSF = 40
 _FEW_STARS = 8
 _LEAST_STARS = 3  # with fewer the width is not estimated
 _ROUNDS = 6  # of detection and width
-_LARGEST_SIGMA_AT_HALF = 1.8  # wider stars are searched at a quarter of the resolution
+_SIGMA_AT_RESOLUTION = (0.65, 1.8)  # up to which widths stars are searched at full and half the resolution
 _SMALL_CHANGE = 0.2  # of the width: a filter that far off still has 98 % of the signal-to-noise ratio
 _WINGS_MISFIT = 4.0  # standard deviations of chi2: one good saturated star in 10 000 is lost
+_MISSHAPEN_SHARE = 0.15  # of the stars: more misshapen detections, and the PSF may be no Gaussian
+_SATURATED_SHARE = 0.1  # of the stars
+_FEWER_MISSHAPEN = 0.6  # times as many are misshapen where an empirical PSF is right
+_WELL_SHAPED = 0.85  # of the first `max_stars` detections: fewer, and more detections are fitted
+_TRIED = 3  # times as many, then
+_CELLS = 8  # along each side of the image, to spread the stars that are kept
 _MISFIT_LIMIT = 0.3  # residual over star energy: more is a cosmic ray, a trail, the arm of a bloom
 
 
@@ -55,6 +64,19 @@ class StarList:
         """List of the stars at indices (M,) or of a mask (N,), everything else unchanged."""
         names = ("xy_px", "cov_px", "flux_dn", "snr", "saturated", "blended")
         return replace(self, **{name: getattr(self, name)[index] for name in names})
+
+    def mirrored(self, width_px: int) -> StarList:
+        """The list of the image of `width_px` columns with their order reversed."""
+        xy, cov = self.xy_px.copy(), self.cov_px.copy()
+        xy[:, 0] = width_px - 1.0 - xy[:, 0]
+        cov[:, [0, 1], [1, 0]] *= -1.0
+        smear = (-self.psf.smear_px[0], self.psf.smear_px[1])
+        sky = replace(
+            self.background,
+            level_dn=self.background.level_dn[:, ::-1],
+            noise_dn=self.background.noise_dn[:, ::-1],
+        )
+        return replace(self, xy_px=xy, cov_px=cov, psf=replace(self.psf, smear_px=smear), background=sky)
 
 
 def find_stars(image: NDArray, settings: StarSettings, dark: NDArray | None = None) -> StarList:
@@ -89,15 +111,66 @@ def find_stars(image: NDArray, settings: StarSettings, dark: NDArray | None = No
     saturation = settings.saturation_dn or _saturation_level(image)
     if dark is not None:
         image = _subtract_dark(image, dark, saturation)
+    if not has_mosaic(image):
+        return _find_stars(image, settings, saturation)
+    sigma, smear, gain = settings.psf_sigma_px, settings.smear_px, settings.gain_e_per_dn
+    of_cells = replace(
+        settings,
+        psf_sigma_px=None if sigma is None else 0.5 * sigma,
+        smear_px=None if smear is None else (0.5 * smear[0], 0.5 * smear[1]),
+        gain_e_per_dn=None if gain is None else 4.0 * gain,
+    )
+    stars = _find_stars(merged_cells(image, saturation), of_cells, saturation)
+    whole = _in_full_pixels(stars, image.shape[1], image.shape[0])
+    bright = whole.xy_px[~whole.saturated][:_STARS_FOR_PSF]
+    return replace(whole, xy_px=whole.xy_px + cell_centre(image, bright))
+
+
+def _in_full_pixels(stars: StarList, width: int, height: int) -> StarList:
+    """Stars found in an image of merged 2 x 2 cells, with the pixels of the image of `width` x `height`."""
+    psf, sky = stars.psf, stars.background
+    smear = (2.0 * psf.smear_px[0], 2.0 * psf.smear_px[1])
+    return replace(
+        stars,
+        xy_px=2.0 * stars.xy_px + 0.5,
+        cov_px=4.0 * stars.cov_px,
+        flux_dn=4.0 * stars.flux_dn,
+        psf=Psf(2.0 * psf.sigma_px, 2.0 * psf.sigma_corner_px, smear, width, height),
+        background=Background(sky.level_dn, 2.0 * sky.noise_dn, width, height),
+        gain_e_per_dn=0.25 * stars.gain_e_per_dn,
+    )
+
+
+def _find_stars(image: NDArray, settings: StarSettings, saturation: float) -> StarList:
+    """Stars of an image (H, W) of one colour, its dark frame subtracted."""
+    image = without_lines(image, saturation)
     background = estimate_background(image)
-    found, psf, psf_stars, gain, threshold = _detections(image, background, settings, saturation)
-    pixels, offset = found.xy_px[: settings.max_stars], found.offset_px[: settings.max_stars]
-    pixels, offset = _merge_saturated_peaks(image, pixels, offset, saturation)
-    centroids = fit_stars if settings.centroid_method == "fit" else _windowed_or_fitted
-    fits = centroids(image, pixels, offset, background, psf, gain_e_per_dn=gain, saturation_dn=saturation)
-    star_like = fits.chi2 - fits.dof < np.maximum(_MISFIT_LIMIT * fits.snr**2, 6.0 * np.sqrt(2 * fits.dof))
-    good = fits.converged & (star_like | fits.saturated) & (fits.snr > 0.75 * threshold)
-    fits = fits.take(_distinct(fits, np.flatnonzero(good), psf))
+    found = _detections(image, background, settings, saturation)
+    stars = _measured(image, found, background, settings, saturation)
+    is_given = settings.psf_sigma_px is not None or settings.smear_px is not None
+    few = stars.misshapen <= _FEW_STARS + _MISSHAPEN_SHARE * len(stars.xy_px)
+    if is_given or few or np.count_nonzero(stars.saturated) > _SATURATED_SHARE * len(stars.xy_px):
+        return stars  # the arms of saturated stars are misshapen whatever the PSF
+    shaped = _detections_by_shape(image, background, settings, saturation, stars)
+    if shaped is None:
+        return stars
+    others = _measured(image, shaped, background, settings, saturation)
+    is_better = others.misshapen < _FEWER_MISSHAPEN * stars.misshapen
+    return others if is_better and len(others.xy_px) > 0.7 * len(stars.xy_px) else stars
+
+
+def _measured(
+    image: NDArray, found: _Found, background: Background, settings: StarSettings, saturation: float
+) -> StarList:
+    """List of the detections that are stars, with centroids."""
+    first = np.arange(min(len(found.xy_px), settings.max_stars))
+    fits, good = _fits_of(image, found, first, background, settings, saturation)
+    if len(found.xy_px) > len(first) and np.mean(good) < _WELL_SHAPED:
+        more = _spread_over_image(found.xy_px, _TRIED * settings.max_stars, image.shape)
+        fits, good = _fits_of(image, found, more, background, settings, saturation)
+    psf = found.psf
+    rows = _distinct(fits, np.flatnonzero(good), psf)
+    fits = fits.take(rows[: settings.max_stars])
     return StarList(
         xy_px=fits.xy_px,
         cov_px=fits.cov_px,
@@ -106,14 +179,82 @@ def find_stars(image: NDArray, settings: StarSettings, dark: NDArray | None = No
         saturated=fits.saturated,
         blended=_blended(fits, psf),
         psf=psf,
-        psf_stars=psf_stars,
+        psf_stars=found.psf_stars,
         background=background,
-        gain_e_per_dn=gain,
-        threshold=threshold,
+        gain_e_per_dn=found.gain_e_per_dn,
+        threshold=found.threshold,
         hot_pixels=found.hot_pixels,
         misshapen=int((~good).sum()),
         saturation_dn=saturation,
     )
+
+
+def _fits_of(
+    image: NDArray,
+    found: _Found,
+    rows: Ints,
+    background: Background,
+    settings: StarSettings,
+    saturation: float,
+) -> tuple[StarFits, Bools]:
+    """Fits of the detections `rows`, those on one plateau of saturated pixels merged, and which are stars."""
+    pixels, offset = found.xy_px[rows], found.offset_px[rows]
+    pixels, offset = _merge_saturated_peaks(image, pixels, offset, saturation)
+    psf, camera = found.psf, {"gain_e_per_dn": found.gain_e_per_dn, "saturation_dn": saturation}
+    in_windows = settings.centroid_method == "window" and psf.shape is None
+    centroids = _windowed_or_fitted if in_windows else fit_stars
+    fits = centroids(image, pixels, offset, background, psf, **camera)
+    star_like = fits.chi2 - fits.dof < np.maximum(_MISFIT_LIMIT * fits.snr**2, 6.0 * np.sqrt(2 * fits.dof))
+    return fits, fits.converged & (star_like | fits.saturated) & (fits.snr > 0.75 * found.threshold)
+
+
+@record(kw_only=True)
+class _Found:
+    """Detections, and what they were made with."""
+
+    xy_px: Ints = array("N, 2", "pixels of the peaks as (column, row)")
+    offset_px: Floats = array("N, 2", "from there to the star, px")
+    psf: Psf = scalar("point spread function")
+    psf_stars: int = scalar("stars that it was estimated from; 0: given, or too few")
+    gain_e_per_dn: float = scalar("as set, or estimated")
+    threshold: float = scalar("detection limit, sigmas of the matched filter")
+    hot_pixels: int = scalar("detections rejected as hot pixels")
+
+
+def _detections_by_shape(
+    image: NDArray, background: Background, settings: StarSettings, saturation: float, before: StarList
+) -> _Found | None:
+    """Detections by an empirical PSF; None where the image shows none."""
+    flat = flat_image(image, background)
+    estimate = estimate_shape(image, flat, background, saturation)
+    if estimate is None:
+        return None
+    size = (image.shape[1], image.shape[0])
+    psf = Psf(estimate.sigma_px, estimate.sigma_px, (0.0, 0.0), *size, shape=estimate.shape)
+    threshold = detection_threshold(image.size, psf.sigma_px, settings.false_alarms_per_frame)
+    xy = detect_shape(flat, estimate.shape, threshold)
+    return _Found(
+        xy_px=xy,
+        offset_px=np.zeros((len(xy), 2)),
+        psf=psf,
+        psf_stars=estimate.stars,
+        gain_e_per_dn=settings.gain_e_per_dn or estimate.gain_e_per_dn,
+        threshold=threshold,
+        hot_pixels=before.hot_pixels,
+    )
+
+
+def _spread_over_image(xy_px: NDArray, most: int, shape: tuple[int, ...]) -> Ints:
+    """Rows of at most so many places (N, 2), px, brightest first: of the brightest of each cell of the image,
+    then the second brightest, and so on."""
+    if len(xy_px) <= most:
+        return np.arange(len(xy_px))
+    cell = (xy_px * (_CELLS / np.array(shape[::-1]))).astype(np.int64).clip(0, _CELLS - 1) @ [1, _CELLS]
+    order = np.argsort(cell, kind="stable")
+    first = np.searchsorted(cell[order], np.arange(_CELLS**2))
+    rank = np.empty(len(cell), dtype=np.int64)
+    rank[order] = np.arange(len(cell)) - first[cell[order]]
+    return np.sort(np.argsort(rank, kind="stable")[:most])
 
 
 def _windowed_or_fitted(
@@ -133,19 +274,18 @@ def _windowed_or_fitted(
     return stars.with_rows(full, fit_stars(image, pixels[full], offset[full], background, psf, **camera))
 
 
-def _detections(
-    image: NDArray, background: Background, settings: StarSettings, saturation: float
-) -> tuple[Detections, Psf, int, float, float]:
-    """Detections, PSF, number of stars it was estimated from (0: given, or too few), gain, threshold.
+def _detections(image: NDArray, background: Background, settings: StarSettings, saturation: float) -> _Found:
+    """Detections by a Gaussian PSF, smeared or not.
 
     Detection and PSF are repeated until the filter is as wide as the stars.
     """
     height, width = image.shape
     sigma = settings.psf_sigma_px or _START_SIGMA_PX
     psf, psf_stars = Psf(sigma, sigma, settings.smear_px or (0.0, 0.0), width, height), 0
-    halvings, candidates = 0, np.array([], np.int64)
+    halvings, candidates = -1, np.array([], np.int64)
     for _ in range(_ROUNDS):
-        if halvings < (needed := 1 if psf.sigma_px <= _LARGEST_SIGMA_AT_HALF else 2):
+        needed = int(np.searchsorted(_SIGMA_AT_RESOLUTION, psf.sigma_px))
+        if halvings != needed:
             halvings, candidates = needed, find_candidates(image, background, halvings=needed)
         threshold = detection_threshold(image.size, psf.sigma_px, settings.false_alarms_per_frame)
         found = detect(
@@ -164,7 +304,15 @@ def _detections(
         change = np.hypot(psf.smear_px[0] - before.smear_px[0], psf.smear_px[1] - before.smear_px[1])
         if abs(np.log(psf.sigma_px / before.sigma_px)) < _SMALL_CHANGE and change < 0.5 * psf.sigma_px:
             break
-    return found, psf, psf_stars, settings.gain_e_per_dn or gain_of(shapes), threshold
+    return _Found(
+        xy_px=found.xy_px,
+        offset_px=found.offset_px,
+        psf=psf,
+        psf_stars=psf_stars,
+        gain_e_per_dn=settings.gain_e_per_dn or gain_of(shapes),
+        threshold=threshold,
+        hot_pixels=found.hot_pixels,
+    )
 
 
 def _shapes(

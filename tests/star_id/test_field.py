@@ -223,8 +223,8 @@ def test_an_error_that_all_stars_share_is_estimated_from_their_residuals():
         R_si = Rotation.random(random_state=rng)
         u_i = R_si.inv().apply(TRUTH.directions_from_pixels(xy))
         seen = xy + rng.normal(size=(60, 2)) * np.hypot(sigma_px, common_px)[:, None]
-        found = fit_attitude_and_lens(TRUTH, R_si, seen, cov, u_i)
-        honest = fit_attitude_and_lens(TRUTH, R_si, seen, cov + common_px**2 * np.eye(2), u_i)
+        found = fit_attitude_and_lens(TRUTH, R_si, seen, cov, u_i).field
+        honest = fit_attitude_and_lens(TRUTH, R_si, seen, cov + common_px**2 * np.eye(2), u_i).field
         turn = Rotation.from_matrix(middle_axes(found.R_si, found.camera) @ middle_axes(R_si, TRUTH).T)
         in_s = R_si.apply(turn.as_rotvec())
         ratios.append(np.trace(found.cov_s) / np.trace(honest.cov_s))

@@ -1,0 +1,116 @@
+"""Offsets of whole columns and rows (hot columns, bias lines, row noise): found, and subtracted.
+
+Two short parts of each line far apart show its offset alike, which noise and stars do not: the covariance of
+the parts, over the lines, is the variance of the offsets, and in a single hot line both parts stand out.
+Where either is significant each line's mean without stars, less the smooth course of these, is subtracted;
+the level of the sky over the image remains.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import median_filter
+from scipy.signal import savgol_filter
+
+from boresight.geometry.record import Floats, Ints
+
+__all__ = ["without_lines"]
+
+_PART_PX = 32
+_LINES = 1024  # adjacent ones, that are looked at for offsets of all lines, and rows of all
+_SIGNIFICANT = 6.0  # standard errors of the covariance
+_LEAST_VARIANCE = 0.003  # of a pixel's variance: smaller offsets do no harm
+_LIKE_NOISE = 0.2  # covariance of adjacent steps over their variance: -0.5 for noise, 0.6 for rows of stars
+_STANDS_OUT = 4.0  # sigmas of both parts of a single line: by chance one line in 10^9
+_SAMPLES = 1024  # pixels of a line whose median is taken
+_AROUND = 51  # lines whose median an outlying line is compared with
+_SMOOTH = 301  # lines over which the sky is a parabola
+_RAISED = 0.05  # of the lines stand so low that their cut-off is above that of the others
+_CLIP_SIGMA = 3.0  # beyond, a pixel is a star's
+
+
+def without_lines(image: NDArray, saturation_dn: float) -> NDArray:
+    """The image (H, W) without offsets of its rows and columns, or itself where there are none.
+
+    Saturated pixels stay saturated.
+    """
+    if image.dtype not in (np.uint8, np.uint16, np.float32):
+        image = image.astype(np.float32)
+    lines = [axis for axis in (0, 1) if _has_offsets(image, axis)]
+    if not lines:
+        return image
+    clean = image.astype(np.float32)
+    floor = float(image.min())
+    for axis in lines:
+        offset = _offsets(clean if axis == 0 else clean.T)
+        floor -= min(0.0, float(np.quantile(offset, _RAISED)))
+        clean -= offset[:, None] if axis == 0 else offset
+    np.maximum(clean, floor, out=clean)  # a sky that was cut off is so in all lines alike
+    if np.isfinite(saturation_dn):
+        clean[image >= saturation_dn] = saturation_dn
+    return clean
+
+
+def _has_offsets(image: NDArray, axis: int) -> bool:
+    """Whether the rows (axis 0) or columns (axis 1) of an image have offsets."""
+    if axis == 0:  # rows lie apart in memory: some will do
+        first = max(0, (len(image) - _LINES) // 2)
+        image = image[first : first + _LINES]
+    parts = _parts(image, axis)
+    steps = np.diff(parts[:, :_LINES], axis=1)
+    few = np.sort(np.abs(steps[:, ::3]), axis=None)
+    scale = 1.4826 * float(few[len(few) // 2])
+    least_dn = {np.dtype(np.uint8): 4.0, np.dtype(np.uint16): 1.0}.get(image.dtype, 0.0)
+    if _PART_PX * scale**2 <= 2.0 * least_dn**2:  # with few grey levels offsets are rounded like everything
+        return False
+    bump = parts[:, 2:-2] - 0.5 * (parts[:, 4:] + parts[:, :-4])  # 0.87 of the scale of a step
+    limit = _STANDS_OUT * scale
+    (single,) = np.nonzero((bump.min(axis=0) > limit) | (bump.max(axis=0) < -limit))
+    if len(single) and _differ(image if axis == 0 else image.T, single + 2, 0.5 * limit):
+        return True
+    steps = np.clip(steps, -3.0 * scale, 3.0 * scale)
+    product = steps[0] * steps[1]  # twice the variance of the offsets
+    error = float(product.std()) / np.sqrt(len(product))
+    pixel_variance = 0.5 * _PART_PX * scale**2
+    if product.mean() < max(_SIGNIFICANT * error, 2.0 * _LEAST_VARIANCE * pixel_variance):
+        return False
+    next_one = float((steps[0, :-1] * steps[1, 1:]).mean())
+    return bool(next_one < _LIKE_NOISE * product.mean())
+
+
+def _parts(image: NDArray, axis: int) -> Floats:
+    """(2, N) means of two parts of the N rows (axis 0) or columns (axis 1)."""
+    along = image.shape[1 - axis]
+    means = []
+    for s in (along // 3 - _PART_PX // 2, 2 * along // 3 - _PART_PX // 2):
+        s = max(s, 0)
+        part = image[:, s : s + _PART_PX] if axis == 0 else image[s : s + _PART_PX]
+        means.append(cv2.reduce(part, 1 - axis, cv2.REDUCE_AVG, dtype=cv2.CV_32F).ravel())
+    return np.stack(means)
+
+
+def _differ(image: NDArray, rows: Ints, limit: float) -> bool:
+    """Whether the median of any of `rows` differs from those of the rows beside it: two hot pixels do not
+    change it."""
+    own, before, after = (np.median(image[rows + d, ::2], axis=1) for d in (0, -2, 2))
+    return bool(np.any(np.abs(own - 0.5 * (before + after)) > limit))
+
+
+def _offsets(image: NDArray) -> NDArray[np.float32]:
+    """(H,) offsets of the rows of an image: their means without stars less the smooth course of these.
+
+    Of a sky that is cut off at its least value the means move less than the sky, by the share that is above.
+    """
+    sample = image[:, :: max(1, image.shape[1] // _SAMPLES)]
+    median = np.median(sample, axis=1)
+    rest = sample - median[:, None]
+    limit = _CLIP_SIGMA * max(1.4826 * float(np.median(np.abs(rest))), 1.0)
+    above = np.mean(sample > sample.min(), axis=1).clip(0.2)
+    middle = median + np.clip(rest, -limit, limit).mean(axis=1) / above
+    around = median_filter(middle, _AROUND, mode="nearest")
+    off = middle - around
+    inlier = np.clip(off, -3.0 * (spread := 1.4826 * np.median(np.abs(off))), 3.0 * spread)
+    window = min(_SMOOTH, len(middle) // 2 * 2 - 1)
+    return np.asarray(middle - savgol_filter(around + inlier, window, 2), dtype=np.float32)

@@ -1,0 +1,67 @@
+"""Colour filters in front of a sensor (a Bayer mosaic), recognised in the raw image, and merged.
+
+The four pixels of each 2 x 2 cell then see skies of different brightness, all over the image alike. Stars are
+found in the image of cells: means of four pixels, in which each colour has the same share. Starlight comes
+mostly through the more sensitive of the four, so a cell's place is their mean by sensitivity (`cell_centre`).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from boresight.geometry.record import Floats
+
+__all__ = ["cell_centre", "has_mosaic", "merged_cells"]
+
+_TILES = 3  # along each side, in which the levels of the four pixels are compared
+_TILE_PX = 32
+_DIFFERENT_SIGMA = 0.15  # of a pixel: differences between the four pixels that matter
+_STAR_PX = 24  # window around a star; its inner half holds the light
+_ALIKE = 0.8  # of the tiles agree on the brightest and on the darkest of the four
+
+
+def has_mosaic(image: NDArray) -> bool:
+    """Whether a raw image (H, W) shows four different levels in the pixels of each 2 x 2 cell."""
+    height, width = image.shape
+    rows, columns = (np.linspace(0, size - _TILE_PX, _TILES).astype(int) // 2 * 2 for size in (height, width))
+    tiles = np.stack([image[r : r + _TILE_PX, c : c + _TILE_PX] for r in rows for c in columns])
+    cells = tiles.reshape(len(tiles), _TILE_PX // 2, 2, _TILE_PX // 2, 2).transpose(0, 2, 4, 1, 3)
+    cells = np.sort(cells.reshape(len(tiles), 4, -1).astype(np.float32), axis=2)
+    quarter = cells.shape[2] // 4
+    level = cells[:, :, quarter:-quarter].mean(axis=2)  # without stars
+    noise = np.median((cells[:, :, -quarter] - cells[:, :, quarter]) / 1.349)
+    spread = np.median(np.ptp(level, axis=1))
+    if spread <= max(_DIFFERENT_SIGMA * noise, 1e-3 * np.median(level)):
+        return False
+    darkest, brightest = np.bincount(level.argmin(axis=1)), np.bincount(level.argmax(axis=1))
+    # two of the four pixels are green: either of them may be an extreme
+    agree = [np.sort(count)[-2:].sum() / len(tiles) for count in (darkest, brightest)]
+    return bool(min(agree) >= _ALIKE and max(darkest.max(), brightest.max()) >= _ALIKE * len(tiles))
+
+
+def cell_centre(image: NDArray, xy_px: Floats) -> Floats:
+    """Mean place (column, row) of a cell's light, px from the middle of the cell, by the light of unsaturated
+    stars at `xy_px` (N, 2) of the raw image (H, W)."""
+    size = np.array(image.shape[::-1])
+    corner = (np.rint(xy_px).astype(np.int64) - _STAR_PX // 2) // 2 * 2
+    corner = corner[((corner >= 0) & (corner + _STAR_PX <= size)).all(axis=1)]
+    if not len(corner):
+        return np.zeros(2)
+    windows = np.stack([image[y : y + _STAR_PX, x : x + _STAR_PX] for x, y in corner]).astype(np.float64)
+    half = _STAR_PX // 2
+    cells = windows.reshape(-1, half, 2, half, 2).transpose(2, 4, 0, 1, 3)
+    inner = slice(half // 4, half - half // 4)
+    light = (cells[..., inner, inner] - np.median(cells, axis=(3, 4), keepdims=True)).sum(axis=(2, 3, 4))
+    light = np.maximum(light, 0.0) / max(light.clip(0.0).sum(), 1e-9)
+    return np.array([light[:, 1].sum() - 0.5, light[1].sum() - 0.5])
+
+
+def merged_cells(image: NDArray, saturation_dn: float) -> NDArray[np.float32]:
+    """Means (H // 2, W // 2) of 2 x 2 pixels; saturated if one of them is."""
+    height, width = (size // 2 * 2 for size in image.shape)
+    cells = image[:height, :width].reshape(height // 2, 2, width // 2, 2)
+    mean = cells.mean(axis=(1, 3), dtype=np.float32)
+    if np.isfinite(saturation_dn):
+        mean[cells.max(axis=(1, 3)) >= saturation_dn] = saturation_dn
+    return mean

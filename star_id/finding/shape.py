@@ -1,0 +1,210 @@
+"""Empirical PSF of an image whose stars are no small Gaussians: trails, defocused rings, coma.
+
+The pixels of many bright stars, each divided by its flux and put where it lies in its star, are samples of
+one image, oversampled twice (Anderson & King 2000). Positions and fluxes are then fitted with that image, and
+the two steps repeated. The place of a star is the first moment of its light.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter, map_coordinates, spline_filter
+from scipy.spatial import cKDTree
+
+from boresight.geometry.record import Floats, Ints, array, record, scalar
+from boresight.star_id.finding.background import Background
+from boresight.star_id.finding.psf import FINE, PsfImages, shape_images
+from boresight.star_id.finding.window_fit import newton_step, start_state
+from boresight.star_id.finding.windows import StarWindows, star_windows
+
+__all__ = ["ShapeEstimate", "detect_shape", "estimate_shape", "flat_image"]
+
+_STARS, _FEWEST = 60, 8
+_LARGEST_RADIUS, _LEAST_RADIUS = 20, 5  # px
+_BLOB_SIGMA = 5.0  # of the smoothed image
+_SMOOTHING_PX = 2.0
+_ROUNDS = 4
+_SMOOTH_CELLS = 1.2  # of the oversampled grid
+_HOT_SIGMA = 5.0
+_WINGS = 1.3  # a peak lower than so much of a brighter star's wings is part of them
+
+
+@record
+class ShapeEstimate:
+    """Empirical image of a star."""
+
+    shape: NDArray = array("T, T", "spline coefficients of the unit image, FINE points a pixel")
+    sigma_px: float = scalar("standard deviation of the light along one axis, px")
+    stars: int = scalar("stars that it is the mean of")
+    gain_e_per_dn: float = scalar("from residuals that grow with the signal; infinite if they do not")
+
+
+def flat_image(image: NDArray, background: Background) -> NDArray[np.float32]:
+    """The image (H, W) less its background, in units of its noise, without hot pixels."""
+    size = (image.shape[1], image.shape[0])
+    level, noise = (
+        cv2.resize(grid.astype(np.float32), size, interpolation=cv2.INTER_LINEAR)
+        for grid in (background.level_dn, background.noise_dn)
+    )
+    flat = np.asarray((image.astype(np.float32) - level) / noise, dtype=np.float32)
+    around = cv2.medianBlur(flat, 3)
+    return np.where(flat - around > np.maximum(_HOT_SIGMA, 0.5 * np.abs(around)), around, flat)
+
+
+def estimate_shape(
+    image: NDArray, flat: NDArray[np.float32], background: Background, saturation_dn: float
+) -> ShapeEstimate | None:
+    """Image of a star, the mean of many bright ones; None without enough of them.
+
+    `image` (H, W) is raw, `flat` (H, W) the same without background (`flat_image`).
+    """
+    pixels, radius = _blobs(image, flat, saturation_dn)
+    if len(pixels) < _FEWEST:
+        return None
+    windows = star_windows(image, pixels, background, radius, saturation_dn)
+    offset, flux = _moments(windows)
+    sky: Floats = np.zeros(len(flux))
+    for _ in range(_ROUNDS):
+        shape = _stacked(windows, offset, flux, sky)
+        offset, flux, sky, good = _fitted(windows, offset, shape)
+        if good.sum() < _FEWEST:
+            return None
+        windows, offset, flux, sky = windows.take(good), offset[good], flux[good], sky[good]
+    value = shape_images(shape, np.zeros((1, 2)), windows.radius).value[0].astype(float).clip(0.0)
+    y, x = _grid(windows.radius)
+    sigma = float(np.sqrt(0.5 * (value @ (x * x + y * y)) / value.sum()))
+    return ShapeEstimate(shape, sigma, len(flux), _gain(windows, shape, offset, flux, sky))
+
+
+def _gain(windows: StarWindows, shape: NDArray, offset: Floats, flux: Floats, sky: Floats) -> float:
+    """Electrons per DN of the photon noise that the residuals show."""
+    signal = flux[:, None] * shape_images(shape, offset, windows.radius).value
+    square = (windows.data - sky[:, None] - signal) ** 2
+    noise2, per_dn = windows.noise2[:, None], 0.0
+    for _ in range(4):
+        variance = noise2 + per_dn * np.maximum(signal, 0.0)
+        weight = (square < 25.0 * variance) * (signal > 0.0) * windows.good / variance**2
+        per_dn = max(float((weight * signal * (square - noise2)).sum() / (weight * signal**2).sum()), 0.0)
+    return 1.0 / per_dn if per_dn > 0.0 else np.inf
+
+
+def detect_shape(flat: NDArray[np.float32], shape: NDArray, threshold: float) -> Ints:
+    """Pixels (N, 2) of the peaks of the matched filter above `threshold` sigmas, the highest first.
+
+    `flat` (H, W) is the image of `flat_image`, `shape` (T, T) that of `ShapeEstimate`.
+    """
+    radius = (shape.shape[0] // FINE - 1) // 2
+    kernel: NDArray = (
+        shape_images(shape, np.zeros((1, 2)), radius).value.reshape(2 * radius + 1, -1).clip(0.0)
+    )
+    kernel = kernel / np.sqrt((kernel**2).sum())
+    height = cv2.filter2D(np.minimum(flat, 1e4), cv2.CV_32F, kernel, borderType=cv2.BORDER_REFLECT)
+    peak = (height > threshold) & (height == cv2.dilate(height, np.ones((5, 5), np.uint8)))
+    y, x = np.nonzero(peak)
+    order = np.argsort(-height[y, x], kind="stable")
+    xy, snr = np.column_stack([x, y])[order], height[y, x][order].astype(float)
+    wings = cv2.filter2D(np.pad(kernel, 2 * radius), cv2.CV_32F, kernel, borderType=cv2.BORDER_CONSTANT)[
+        radius:-radius, radius:-radius
+    ]
+    pairs = (
+        cKDTree(xy).query_pairs(2.0 * radius, output_type="ndarray") if len(xy) > 1 else np.empty((0, 2), int)
+    )
+    pairs = np.sort(pairs, axis=1)  # the higher first
+    d = np.clip(xy[pairs[:, 1]] - xy[pairs[:, 0]], -2 * radius, 2 * radius) + 2 * radius
+    d = np.clip(d, 1, wings.shape[0] - 2)
+    near = cv2.dilate(wings, np.ones((3, 3), np.uint8))[d[:, 1], d[:, 0]]
+    drop = np.zeros(len(xy), dtype=bool)
+    drop[pairs[snr[pairs[:, 1]] < _WINGS * near * snr[pairs[:, 0]], 1]] = True
+    return xy[~drop]
+
+
+def _blobs(image: NDArray, flat: NDArray[np.float32], saturation: float) -> tuple[Ints, int]:
+    """Middles (N, 2) of bright patches of one size, far from others, and the radius that holds one, px."""
+    smooth = cv2.GaussianBlur(flat, (0, 0), _SMOOTHING_PX)
+    above = (smooth > _BLOB_SIGMA / (2.0 * np.sqrt(np.pi) * _SMOOTHING_PX)).astype(np.uint8)
+    count, label, stats, middle = cv2.connectedComponentsWithStats(above)
+    stats, middle = stats[1:], middle[1:]
+    area = stats[:, cv2.CC_STAT_AREA]
+    total = np.bincount(label.ravel(), np.maximum(smooth, 0.0).ravel(), minlength=count)[1:]
+    top = np.argsort(-total)[: 4 * _STARS]
+    top = top[area[top] > 4]
+    if len(top) < _FEWEST:
+        return np.empty((0, 2), dtype=np.int64), 0
+    side = stats[top][:, [cv2.CC_STAT_WIDTH, cv2.CC_STAT_HEIGHT]].max(axis=1)
+    radius = int(np.clip(0.7 * np.median(side) + 3.0, _LEAST_RADIUS, _LARGEST_RADIUS))
+    alike = (side < 1.6 * np.median(side)) & (side > 0.5 * np.median(side))
+    pixels = np.rint(middle[top]).astype(np.int64)
+    inside = ((pixels > radius) & (pixels < np.array(image.shape[::-1]) - 1 - radius)).all(axis=1)
+    near = cKDTree(middle).query(middle[top], k=2)[0][:, 1]
+    bright = np.array([image[y - 2 : y + 3, x - 2 : x + 3].max(initial=0) for x, y in pixels])
+    good = alike & inside & (near > 1.6 * radius) & (bright < saturation)
+    return pixels[good][:_STARS], radius
+
+
+def _moments(windows: StarWindows) -> tuple[Floats, Floats]:
+    """First moments (N, 2) of the windows, px from their middles, and sums (N,), of what is well above
+    noise."""
+    y, x = _grid(windows.radius)
+    light = np.where(windows.data > 1.5 * np.sqrt(windows.noise2)[:, None], windows.data, 0.0) * windows.good
+    flux = np.maximum(light.sum(axis=1), 1e-6)
+    return np.column_stack([light @ x, light @ y]) / flux[:, None], flux
+
+
+def _grid(radius: int) -> tuple[Floats, Floats]:
+    y, x = np.mgrid[-radius : radius + 1, -radius : radius + 1].astype(float)
+    return y.ravel(), x.ravel()
+
+
+def _stacked(windows: StarWindows, offset: Floats, flux: Floats, sky: Floats) -> NDArray:
+    """Spline coefficients of the stars' common image: weighted means in the cells of an oversampled grid,
+    pixels that stand out left out."""
+    radius = windows.radius
+    y, x = _grid(radius)
+    half = radius * FINE + FINE // 2
+    side = 2 * half + 1
+    column = np.rint((x - offset[:, :1]) * FINE).astype(np.int64) + half
+    row = np.rint((y - offset[:, 1:]) * FINE).astype(np.int64) + half
+    inside = (column >= 0) & (column < side) & (row >= 0) & (row < side) & (windows.good > 0)
+    value = (windows.data - sky[:, None]) / flux[:, None]
+    weight = np.broadcast_to((flux**2 / windows.noise2)[:, None], value.shape)
+    cell = (row * side + column)[inside]
+    value, weight = value[inside], weight[inside]
+    keep = np.ones(len(cell), dtype=bool)
+    for _ in range(3):
+        whole = np.bincount(cell[keep], weight[keep], side * side).reshape(side, side)
+        summed = np.bincount(cell[keep], (weight * value)[keep], side * side).reshape(side, side)
+        whole, summed = (gaussian_filter(part, _SMOOTH_CELLS) for part in (whole, summed))
+        mean = summed / np.maximum(whole, 1e-9)
+        off = np.abs(value - mean.ravel()[cell]) * np.sqrt(weight)
+        keep = off < 4.0 * max(1.0, 1.4826 * float(np.median(off)))
+    edge = np.concatenate([mean[:FINE].ravel(), mean[-FINE:].ravel()])
+    mean = mean - np.median(edge)
+    mean = _centred(mean)
+    return np.asarray(spline_filter(mean * (FINE**2 / mean.sum()), order=3))
+
+
+def _centred(mean: NDArray) -> NDArray:
+    """The image shifted so that the first moment of its light is in the middle."""
+    half = mean.shape[0] // 2
+    axis = np.arange(-half, half + 1.0)
+    light = np.where(mean > 0.03 * mean.max(), mean, 0.0)
+    x, y = light.sum(axis=0) @ axis / light.sum(), light.sum(axis=1) @ axis / light.sum()
+    rows, columns = np.meshgrid(axis + half + y, axis + half + x, indexing="ij")
+    return np.asarray(map_coordinates(mean, [rows, columns], order=3, mode="constant"))
+
+
+def _fitted(windows: StarWindows, offset: Floats, shape: NDArray) -> tuple[Floats, Floats, Floats, NDArray]:
+    """Positions, fluxes and skies of the stars with a given shape, and which of them it fits."""
+    images: PsfImages = shape_images(shape, offset, windows.radius)
+    state = start_state(windows, offset, images)
+    for _ in range(3):
+        step, _, residual, weight = newton_step(windows, images, state, np.inf)
+        state = state + np.column_stack([np.clip(step[:, :2], -1.0, 1.0), step[:, 2:]])
+        images = shape_images(shape, state[:, :2], windows.radius)
+    energy = (state[:, 2:3] ** 2 * images.value.astype(float) ** 2 * weight).sum(axis=1)
+    misfit = (residual**2 * weight).sum(axis=1) - residual.shape[1]
+    share = misfit / np.maximum(energy, 1e-9)
+    good = (state[:, 2] > 0) & (share < max(3.0 * float(np.median(share)), 0.05))
+    return state[:, :2], state[:, 2], state[:, 3], good

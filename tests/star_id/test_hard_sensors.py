@@ -1,0 +1,116 @@
+"""Stars on sensors with offsets of lines, colour filters, cut-off skies, and stars that are no Gaussians."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from frames import Sensor, listed_stars, render
+from scipy.signal import fftconvolve
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
+from test_field_match import PLACES, WIDE
+
+from boresight.star_id.field import FieldSolution, solve_list
+from boresight.star_id.finding.lines import without_lines
+from boresight.star_id.finding.mosaic import has_mosaic
+from boresight.star_id.finding.star_list import find_stars
+from boresight.star_id.identification.triangle_index import build_index
+from boresight.star_id.settings import StarSettings
+
+SIZE = 900
+SENSOR = Sensor(bits=16, e_per_dn=4.0, background_dn=200.0, read_noise_dn=6.0)
+
+
+def places(rng, count=150):
+    """Places at least 28 px apart."""
+    xy = rng.uniform(25, SIZE - 26, (6 * count, 2))
+    keep = np.ones(len(xy), dtype=bool)
+    for a, b in cKDTree(xy).query_pairs(28.0):
+        keep[max(a, b)] &= not keep[min(a, b)]
+    return xy[keep][:count]
+
+
+def scored(stars, xy):
+    """Share of the stars within 3 px of a detection, false detections, and mean chi2 of a coordinate."""
+    distance, nearest = cKDTree(stars.xy_px).query(xy)
+    hit = distance < 3.0
+    error = stars.xy_px[nearest[hit]] - xy[hit]
+    chi2 = np.einsum("ni,nij,nj->n", error, np.linalg.inv(stars.cov_px[nearest[hit]]), error) / 2.0
+    false = int((cKDTree(xy).query(stars.xy_px)[0] > 3.0).sum())
+    return hit.mean(), false, chi2.mean()
+
+
+def test_hot_columns_and_row_noise_cost_no_stars():
+    rng = np.random.default_rng(1)
+    xy = places(rng)
+    image = render(xy, np.full(len(xy), 600.0), SIZE, SIZE, SENSOR, rng).astype(np.float64)
+    image[:, rng.choice(SIZE, 12, replace=False)] += rng.uniform(30.0, 200.0, 12)
+    image += rng.normal(0.0, 4.0, (SIZE, 1))
+    found, false, chi2 = scored(find_stars(image.round().astype(np.uint16), StarSettings()), xy)
+    assert found >= 0.95
+    assert false <= 2
+    assert 0.7 < chi2 < 1.3  # 300 coordinates: 0.08, and what is left of the offsets
+
+
+@pytest.mark.parametrize("gradient_dn", [0.0, 150.0])
+def test_an_image_without_offsets_of_lines_is_left_as_it_is(gradient_dn):
+    rng = np.random.default_rng(2)
+    xy = places(rng)
+    sensor = replace(SENSOR, gradient_dn=gradient_dn, hot_pixels=300)
+    image = render(xy, np.full(len(xy), 3000.0), SIZE, SIZE, sensor, rng)
+    assert without_lines(image, np.inf) is image
+
+
+def test_a_colour_mosaic_is_recognised_and_does_not_displace_stars():
+    rng = np.random.default_rng(3)
+    xy = places(rng)
+    light = render(xy, np.full(len(xy), 6000.0), SIZE, SIZE, replace(SENSOR, read_noise_dn=0.5), rng)
+    share = np.tile([[0.45, 1.0], [0.9, 0.6]], (SIZE // 2, SIZE // 2))
+    image = (light * share + rng.normal(0.0, 6.0, light.shape)).round().astype(np.uint16)
+    assert has_mosaic(image) and not has_mosaic(light)
+    stars = find_stars(image, StarSettings())
+    distance, nearest = cKDTree(stars.xy_px).query(xy)
+    assert (distance < 1.0).mean() >= 0.95
+    error = (stars.xy_px[nearest] - xy)[distance < 1.0]
+    assert np.abs(error.mean(axis=0)).max() < 0.03  # px; 0.06 if all pixels counted alike
+
+
+def test_a_sky_cut_off_at_zero_gives_few_false_detections():
+    rng = np.random.default_rng(4)
+    xy = places(rng)
+    image = render(xy, np.full(len(xy), 600.0), SIZE, SIZE, SENSOR, rng).astype(np.float64) - 200.0
+    found, false, chi2 = scored(find_stars(image.clip(0).astype(np.uint16), StarSettings()), xy)
+    assert found >= 0.95 and false <= 2
+    assert 0.5 < chi2 < 1.3  # cut-off noise is less than stated
+
+
+@pytest.mark.parametrize("radius_px", [3.0, 4.0])
+def test_defocused_rings_are_found_and_their_errors_stated(radius_px):
+    rng = np.random.default_rng(5)
+    xy = places(rng)
+    quiet = replace(SENSOR, read_noise_dn=0.01, e_per_dn=1e9)
+    points = render(xy, rng.uniform(3000.0, 9000.0, len(xy)), SIZE, SIZE, quiet, rng).astype(float) - 200.0
+    y, x = np.mgrid[-8:9, -8:9]
+    ring = np.exp(-0.5 * ((np.hypot(x, y) - radius_px) / 0.6) ** 2)
+    light = fftconvolve(points, ring / ring.sum(), mode="same").clip(0.0) + 200.0
+    image = (rng.poisson(light * 4.0) / 4.0 + rng.normal(0.0, 6.0, light.shape)).round().astype(np.uint16)
+    stars = find_stars(image, StarSettings())
+    assert stars.psf.shape is not None
+    found, false, chi2 = scored(stars, xy)
+    assert found >= 0.95 and false <= 4
+    assert 0.7 < chi2 < 1.4
+
+
+def test_a_mirror_image_is_identified_and_said_to_be_one():
+    rng = np.random.default_rng(6)
+    index = build_index(PLACES, PLACES.epoch_jyear, (np.radians(40.0), np.radians(60.0)))
+    R_si = Rotation.random(random_state=rng)
+    stars = listed_stars(WIDE, R_si, PLACES, rng, brightest=2000.0).take(np.arange(120))
+    plain, seen = (
+        solve_list(some, (2048, 2048), index, StarSettings()) for some in (stars, stars.mirrored(2048))
+    )
+    assert isinstance(plain, FieldSolution) and isinstance(seen, FieldSolution)
+    assert seen.mirrored and not plain.mirrored
+    assert (seen.R_si * plain.R_si.inv()).magnitude() < 1e-9
