@@ -170,7 +170,9 @@ def _measured(
         fits, good = _fits_of(image, found, more, background, settings, saturation)
     psf = found.psf
     rows = _distinct(fits, np.flatnonzero(good), psf)
-    fits = fits.take(rows[: settings.max_stars])
+    if len(fits.snr) > settings.max_stars:
+        rows = rows[_spread_over_image(fits.xy_px[rows], settings.max_stars, image.shape)]
+    fits = fits.take(rows)
     return StarList(
         xy_px=fits.xy_px,
         cov_px=fits.cov_px,
