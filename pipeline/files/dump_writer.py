@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import csv
 import warnings
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 import rasterio
-import tomli_w
 from rasterio.errors import NotGeoreferencedWarning
 from rasterio.transform import Affine
 from rasterio.windows import Window
@@ -19,6 +17,7 @@ from rasterio.windows import Window
 from boresight.geometry.line_camera import LineCamera
 from boresight.pipeline.files.oem_text import orbit_message
 from boresight.pipeline.files.star_side import star_camera_table
+from boresight.pipeline.files.text_tables import write_csv, write_toml
 from boresight.simulator.records import ChipImage, Mission, OrbitReport, Strip, TerrainReport, Truth
 from boresight.simulator.scenario import scenario_to_dict
 
@@ -46,22 +45,20 @@ def write_dump(
         raise FileExistsError(f"{root} exists and is not an empty folder")
     for folder in ("exposures", "strips", "chips", "terrain", "truth"):
         (root / folder).mkdir(parents=True, exist_ok=True)
-    _write_toml(root / "star_camera.toml", star_camera_table(mission.star_camera, mission.scenario.sky.bits))
-    _write_toml(
-        root / "remote_camera.toml", _remote_camera(mission.line_camera, mission.scenario.ground.bits)
-    )
+    write_toml(root / "star_camera.toml", star_camera_table(mission.star_camera, mission.scenario.sky.bits))
+    write_toml(root / "remote_camera.toml", _remote_camera(mission.line_camera, mission.scenario.ground.bits))
     installation = {
         "quaternion_cs": mission.installation.R_cs.as_quat().tolist(),
         "sigma_rad": np.asarray(mission.installation.sigma_rad, dtype=float).tolist(),
     }
-    _write_toml(root / "installation.toml", installation)
+    write_toml(root / "installation.toml", installation)
     (root / "orbit.oem").write_text(_oem(mission, mission.orbit), encoding="utf-8")
     _write_exposures(root, mission, on_image)
     _write_strips(root, mission, on_image)
     _write_targets(root, mission)
     _write_terrain(root / "terrain" / "dem.tif", mission.terrain)
     _write_truth(root / "truth", mission, mission.truth)
-    _write_toml(root / "dump.toml", _head(mission, created_by))  # last: a dump with a dump.toml is complete
+    write_toml(root / "dump.toml", _head(mission, created_by))  # last: a dump with a dump.toml is complete
 
 
 def _head(mission: Mission, created_by: str) -> dict[str, Any]:
@@ -148,7 +145,7 @@ def _write_exposures(root: Path, mission: Mission, on_image: Callable[[str], Non
         (root / file).write_bytes(data.tobytes())
         rows.append([exposure.exposure_id, file, instant, exposure.exposure_s])
         on_image(file)
-    _write_csv(root / "exposures.csv", ["id", "file", "utc_mid", "exposure_s"], rows)
+    write_csv(root / "exposures.csv", ["id", "file", "utc_mid", "exposure_s"], rows)
 
 
 def _write_strips(root: Path, mission: Mission, on_image: Callable[[str], None]) -> None:
@@ -159,7 +156,7 @@ def _write_strips(root: Path, mission: Mission, on_image: Callable[[str], None])
         _write_strip_image(root / file, strip)
         rows.append([strip.strip_id, strip.ccd, file, instant, repr(strip.row_period_s), strip.lines])
         on_image(file)
-    _write_csv(root / "strips.csv", ["id", "ccd", "file", "utc_first_row", "row_period_s", "lines"], rows)
+    write_csv(root / "strips.csv", ["id", "ccd", "file", "utc_first_row", "row_period_s", "lines"], rows)
 
 
 def _write_strip_image(path: Path, strip: Strip) -> None:
@@ -196,7 +193,7 @@ def _write_targets(root: Path, mission: Mission) -> None:
         rows.append([target.target_id, *position, target.height_kind, *target.sigma_m, file])
     columns = ["id", "lat_deg", "lon_deg", "height_m", "height_kind"]
     columns += ["sigma_east_m", "sigma_north_m", "sigma_up_m", "chip"]
-    _write_csv(root / "targets.csv", columns, rows)
+    write_csv(root / "targets.csv", columns, rows)
 
 
 def _write_chip(path: Path, chip: ChipImage) -> None:
@@ -227,8 +224,8 @@ def _write_truth(root: Path, mission: Mission, truth: Truth) -> None:
         "quaternion_cs": truth.R_cs.as_quat().tolist(),
         "theta_rad": np.asarray(truth.theta_rad).tolist(),
     }
-    _write_toml(root / "installation.toml", installation)
-    _write_toml(root / "scenario.toml", {"seed": truth.seed, "scenario": scenario_to_dict(mission.scenario)})
+    write_toml(root / "installation.toml", installation)
+    write_toml(root / "scenario.toml", {"seed": truth.seed, "scenario": scenario_to_dict(mission.scenario)})
     columns = ["strip", "ccd", "sample", "line", "lat_deg", "lon_deg", "height_m"]
     for name, points in (("check_points", truth.check_points), ("targets", truth.targets)):
         rows = [
@@ -244,20 +241,9 @@ def _write_truth(root: Path, mission: Mission, truth: Truth) -> None:
             ]
             for p in points
         ]
-        _write_csv(root / f"{name}.csv", ["id", *columns], rows)
+        write_csv(root / f"{name}.csv", ["id", *columns], rows)
     strips = [
         [s.strip_id, repr(s.clock_offset_s), *np.asarray(s.position_error_m).tolist()] for s in truth.strips
     ]
     columns = ["strip", "clock_offset_s", "error_x_m", "error_y_m", "error_z_m"]
-    _write_csv(root / "strips.csv", columns, strips)
-
-
-def _write_toml(path: Path, tables: dict[str, Any]) -> None:
-    path.write_text(tomli_w.dumps(tables), encoding="utf-8")
-
-
-def _write_csv(path: Path, columns: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
-    with path.open("w", newline="", encoding="utf-8") as stream:
-        table = csv.writer(stream, lineterminator="\n")
-        table.writerow(columns)
-        table.writerows(rows)
+    write_csv(root / "strips.csv", columns, strips)

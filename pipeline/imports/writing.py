@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import csv
-from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import tomli_w
 from scipy.spatial.transform import Rotation
 
 from boresight.geometry.attitude import Interpolation
@@ -20,6 +17,7 @@ from boresight.geometry.orbit import Orbit
 from boresight.geometry.record import Floats, array, record, scalar
 from boresight.pipeline.files.dump_schema import LOOK_TABLES, PointRow
 from boresight.pipeline.files.oem_text import orbit_message
+from boresight.pipeline.files.text_tables import write_csv, write_toml
 
 __all__ = ["ImportedHead", "ImportedMission", "ImportedStrip", "white_noise_rad", "write_imported"]
 
@@ -97,23 +95,23 @@ def write_imported(root: Path, mission: ImportedMission, points: str | None = No
     (root / "orbit.oem").write_text(message, encoding="utf-8")
     for head in mission.heads:
         rows = ([t, *map(float, q)] for t, q in zip(utc(head.t_s), head.R_is.as_quat()))
-        _table(root / f"{head.name}.csv", ["utc", "qx", "qy", "qz", "qw"], rows)
+        write_csv(root / f"{head.name}.csv", ["utc", "qx", "qy", "qz", "qw"], rows)
         installation = {
             "quaternion_cs": head.R_cs0.as_quat().tolist(),
             "sigma_rad": head.sigma_installation_rad.tolist(),
         }
-        _toml(root / f"installation_{head.name}.toml", installation)
+        write_toml(root / f"installation_{head.name}.toml", installation)
     _camera(root, mission.camera)
     strips = (
         [s.strip_id, s.ccd, "", utc([s.t_first_row_s])[0], repr(s.row_period_s), s.lines]
         for s in mission.strips
     )
-    _table(root / "strips.csv", ["id", "ccd", "file", "utc_first_row", "row_period_s", "lines"], strips)
+    write_csv(root / "strips.csv", ["id", "ccd", "file", "utc_first_row", "row_period_s", "lines"], strips)
     if mission.earth_orientation is not None:
         _earth_orientation(root / "earth_orientation.csv", mission.earth_orientation)
     header = ",".join(PointRow.model_fields) + "\n"
     (root / POINTS).write_text(points if points is not None else header, encoding="utf-8")
-    _toml(root / "dump.toml", _head(mission))
+    write_toml(root / "dump.toml", _head(mission))
 
 
 def _head(mission: ImportedMission) -> dict[str, Any]:
@@ -163,9 +161,9 @@ def _camera(root: Path, camera: LookAngleCamera) -> None:
         for ccd, table in enumerate(camera.ccds)
         for n, x, y in zip(table.samples, table.tan_x, table.tan_y)
     )
-    _table(root / "looks.csv", ["ccd", "sample", "x", "y"], looks)
+    write_csv(root / "looks.csv", ["ccd", "sample", "x", "y"], looks)
     ccds = [{"n_px": table.n_px} for table in camera.ccds]
-    _toml(
+    write_toml(
         root / "remote_camera.toml",
         {"model": LOOK_TABLES, "looks": "looks.csv", "directions": "tangents", "ccds": ccds},
     )
@@ -174,15 +172,4 @@ def _camera(root: Path, camera: LookAngleCamera) -> None:
 def _earth_orientation(path: Path, table: EarthOrientationTable) -> None:
     columns = (table.mjd_utc, table.ut1_utc_s, table.xp_rad / ARCSEC, table.yp_rad / ARCSEC)
     rows = ([int(day), *map(float, values)] for day, *values in zip(*columns))
-    _table(path, ["mjd_utc", "ut1_utc_s", "x_arcsec", "y_arcsec"], rows)
-
-
-def _toml(path: Path, tables: dict[str, Any]) -> None:
-    path.write_text(tomli_w.dumps(tables), encoding="utf-8")
-
-
-def _table(path: Path, columns: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
-    with path.open("w", newline="", encoding="utf-8") as stream:
-        table = csv.writer(stream, lineterminator="\n")
-        table.writerow(columns)
-        table.writerows(rows)
+    write_csv(path, ["mjd_utc", "ut1_utc_s", "x_arcsec", "y_arcsec"], rows)

@@ -7,7 +7,6 @@ ortho-images -> places of sharp, unique texture -> those that look alike at othe
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache
@@ -29,6 +28,7 @@ from boresight.geometry.record import Floats, array, record, scalar
 from boresight.pipeline.errors import DataNotSufficientError, RawDataError
 from boresight.pipeline.files.dump import ChipFile, Dump
 from boresight.pipeline.files.ortho_files import HeightModel, Ortho
+from boresight.pipeline.files.text_tables import write_csv
 from boresight.pipeline.settings import Settings, calibration_settings
 from boresight.pipeline.stages.calibrate import strips_with_stars
 from boresight.pipeline.stages.match_pictures import NO_PICTURES
@@ -125,14 +125,13 @@ def suggestion_lines(found: Suggestion) -> list[str]:
 def write_targets(targets: Sequence[Candidate], out: Path, size_px: int) -> Path:
     """Write chips/ and targets.csv into the folder `out`; the path of the table."""
     (out / "chips").mkdir(parents=True, exist_ok=True)
-    with (out / "targets.csv").open("w", newline="", encoding="utf-8") as file:
-        table = csv.writer(file, lineterminator="\n")
-        table.writerow(TARGET_COLUMNS)
-        for one in targets:
-            name = f"chips/{one.target_id}.tif"
-            _write_chip(out / name, one, size_px)
-            place = [f"{one.lat_deg:.10f}", f"{one.lon_deg:.10f}", f"{one.height_m:.3f}", one.height_kind]
-            table.writerow([one.target_id, *place, *(f"{value:.3f}" for value in one.sigma_m), name])
+    rows = []
+    for one in targets:
+        name = f"chips/{one.target_id}.tif"
+        _write_chip(out / name, one, size_px)
+        place = [f"{one.lat_deg:.10f}", f"{one.lon_deg:.10f}", f"{one.height_m:.3f}", one.height_kind]
+        rows.append([one.target_id, *place, *(f"{value:.3f}" for value in one.sigma_m), name])
+    write_csv(out / "targets.csv", TARGET_COLUMNS, rows)
     return out / "targets.csv"
 
 
