@@ -133,7 +133,7 @@ class InformationPairs:
 
     @classmethod
     def from_columns(cls, table: Mapping[str, NDArray]) -> InformationPairs:
-        """The inverse of `columns`; `ValueError` when the rows do not share one reference."""
+        """Pairs from columns (N,) as `columns` gives them; `ValueError` if they have several references."""
         unknowns = [name.removeprefix("F_theta:") for name in table if name.startswith("F_theta:")]
         quaternions = np.column_stack([table[f"q_ref:{i}"] for i in range(4)])
         if np.any(quaternions != quaternions[0]):

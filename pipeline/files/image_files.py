@@ -37,7 +37,10 @@ MAX_COORDINATE = 1e9  # of a map, in its unit
 
 
 def read_tiff(path: Path, file: str, size: tuple[int, int] | None, bits: int | None) -> NDArray[Any]:
-    """Counts (height, width) of a TIFF with one band of 8 or 16 bits, read whole."""
+    """Counts (height, width) of a TIFF with one band of 8 or 16 bits, read whole.
+
+    Raises `RawDataError` if it is none, or not of `size` and `bits`.
+    """
     with open_geotiff(path, file, small_content(path)) as image:
         depth = _bits(image, file)
         check_size(file, (image.width, image.height), size, depth, bits)
