@@ -162,7 +162,9 @@ def _messages(verbose: bool, quiet: bool, log_file: Path | None, as_json: bool) 
 
 
 def _record(text: str, *arguments: object) -> logging.LogRecord:
-    return log.makeRecord(log.name, logging.INFO, "", 0, text, arguments, None)
+    record = log.makeRecord(log.name, logging.INFO, "", 0, text, arguments, None)
+    _PRINTABLE.filter(record)
+    return record
 
 
 def _log_file(path: Path) -> logging.Handler:
@@ -180,7 +182,7 @@ class _LogFormat(logging.Formatter):
 
     def format(self, record: logging.LogRecord) -> str:
         stamp = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime(record.created))
-        return "\n".join(f"{stamp} {printable(line)}" for line in record.getMessage().split("\n"))
+        return "\n".join(f"{stamp} {line}" for line in record.getMessage().split("\n"))
 
 
 class _Console(logging.Handler):
@@ -198,8 +200,16 @@ class _Console(logging.Handler):
         if getattr(record, "progress", False) and sys.stderr.isatty():
             return  # bars are shown
         stream = sys.stdout if is_result else sys.stderr
-        text = _printable(record.getMessage())
-        typer.echo(fitted(text, stream.isatty()), err=not is_result)
+        typer.echo(fitted(record.getMessage(), stream.isatty()), err=not is_result)
+
+
+class _Printable(logging.Filter):
+    """Escapes control characters of a message before anything prints or keeps it."""
+
+    def filter(self, record: logging.LogRecord) -> bool:
+        """Always true; the message is replaced by its printable form."""
+        record.msg, record.args = _printable(record.getMessage()), ()
+        return True
 
 
 def _printable(text: str) -> str:
@@ -229,6 +239,8 @@ def fitted(text: str, terminal: bool) -> str:
     return "\n".join(lines)
 
 
+_PRINTABLE = _Printable()
+log.addFilter(_PRINTABLE)
 log.addHandler(_Console())
 
 
