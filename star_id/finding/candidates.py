@@ -144,9 +144,11 @@ def _binned_to_8_bits(band: NDArray, grey: _GreyScale, first: int) -> NDArray:
 def _to_8_bits(coarse: NDArray, grey: _GreyScale, first: int) -> NDArray:
     if coarse.dtype == np.uint8 and grey.gain == 1.0:
         return coarse if grey.offset == 0.0 else cv2.subtract(coarse, np.full(1, -grey.offset))
+    darkest = -grey.offset / grey.gain  # below, the conversion takes absolute values
     if grey.sky_dn is not None:
-        darkest = -grey.offset / grey.gain
         coarse = np.maximum(coarse - grey.sky_dn[first : first + len(coarse)], darkest)
+    elif darkest > 0.0:
+        coarse = cv2.max(coarse, np.full(1, np.ceil(darkest)))
     return cv2.convertScaleAbs(coarse, alpha=grey.gain, beta=grey.offset)
 
 

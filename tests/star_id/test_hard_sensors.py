@@ -13,6 +13,8 @@ from scipy.spatial.transform import Rotation
 from test_field_match import PLACES, WIDE
 
 from boresight.star_id.field import FieldSolution, solve_list
+from boresight.star_id.finding.background import estimate_background
+from boresight.star_id.finding.candidates import find_candidates
 from boresight.star_id.finding.lines import without_lines
 from boresight.star_id.finding.mosaic import has_mosaic
 from boresight.star_id.finding.star_list import find_stars
@@ -86,18 +88,36 @@ def test_a_sky_cut_off_at_zero_gives_few_false_detections():
     assert 0.5 < chi2 < 1.3  # cut-off noise is less than stated
 
 
+@pytest.mark.parametrize("halvings", [0, 1])
+def test_what_is_much_darker_than_the_sky_is_no_candidate(halvings):
+    rng = np.random.default_rng(7)
+    xy = places(rng)
+    image = render(xy, np.full(len(xy), 600.0), SIZE, SIZE, SENSOR, rng)
+    image[-60:] = 0
+    candidates = find_candidates(image, estimate_background(image), halvings=halvings)
+    assert not (candidates[:, 1] > SIZE - 58).any()
+    distance = cKDTree(candidates).query(xy[xy[:, 1] < SIZE - 70])[0]
+    assert (distance < 3.0).mean() >= 0.95
+
+
+def rings(xy, flux_dn, radius_px, rng):
+    """Image of defocused stars."""
+    quiet = replace(SENSOR, read_noise_dn=0.01, e_per_dn=1e9)
+    points = render(xy, flux_dn, SIZE, SIZE, quiet, rng).astype(float) - 200.0
+    y, x = np.mgrid[-8:9, -8:9]
+    ring = np.exp(-0.5 * ((np.hypot(x, y) - radius_px) / 0.6) ** 2)
+    light = fftconvolve(points, ring / ring.sum(), mode="same").clip(0.0) + 200.0
+    return (rng.poisson(light * 4.0) / 4.0 + rng.normal(0.0, 6.0, light.shape)).round().astype(np.uint16)
+
+
 @pytest.mark.parametrize("radius_px", [3.0, 4.0])
 def test_defocused_rings_are_found_and_their_errors_stated(radius_px):
     rng = np.random.default_rng(5)
     xy = places(rng)
-    quiet = replace(SENSOR, read_noise_dn=0.01, e_per_dn=1e9)
-    points = render(xy, rng.uniform(3000.0, 9000.0, len(xy)), SIZE, SIZE, quiet, rng).astype(float) - 200.0
-    y, x = np.mgrid[-8:9, -8:9]
-    ring = np.exp(-0.5 * ((np.hypot(x, y) - radius_px) / 0.6) ** 2)
-    light = fftconvolve(points, ring / ring.sum(), mode="same").clip(0.0) + 200.0
-    image = (rng.poisson(light * 4.0) / 4.0 + rng.normal(0.0, 6.0, light.shape)).round().astype(np.uint16)
-    stars = find_stars(image, StarSettings())
-    assert stars.psf.shape is not None
+    stars = find_stars(rings(xy, rng.uniform(3000.0, 9000.0, len(xy)), radius_px, rng), StarSettings())
+    shape = stars.psf.shape
+    assert shape is not None
+    assert np.allclose(shape, shape[::-1, ::-1], atol=1e-9)  # its noise displaces no star
     found, false, chi2 = scored(stars, xy)
     assert found >= 0.95 and false <= 4
     assert 0.7 < chi2 < 1.4
