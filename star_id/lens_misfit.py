@@ -38,6 +38,8 @@ __all__ = ["LensErrors", "lens_errors"]
 _DEGREE = 6
 _TERMS = tuple((i, n - i) for n in range(2, _DEGREE + 1) for i in range(n + 1))
 _WARP_LOG_EVIDENCE = 2.0  # more than without a smooth distortion, for it to count as seen
+_TRIED_SHARES = (1.0, 0.5)  # of the common variance, with a distortion of `_TRIED_WARP` of its root: where
+_TRIED_WARP = 2.0  # the evidence of neither exceeds that of none, none is seen
 _STEP_PX = 0.01
 
 
@@ -101,6 +103,10 @@ def lens_errors(
         both = np.append(sigma, warp * decay)
         return _Linear.of(columns, fit.residual_px[rows], with_common, both)
 
+    plain = solved(common_px2, 0.0)
+    tried = (solved(share * common_px2, _TRIED_WARP * common_px2**0.5) for share in _TRIED_SHARES)
+    if all(trial.log_evidence <= plain.log_evidence for trial in tried):
+        return _errors(fit, slopes[:10], plain, np.zeros(10), common_px2, 0.0)
     floor = 1e-4 * common_px2
     start = 0.5 * np.log([common_px2, 4.0 * common_px2])
     best = minimize(
@@ -109,7 +115,6 @@ def lens_errors(
         method="Nelder-Mead",
         options={"xatol": 0.1, "fatol": 0.1, "maxfev": 60},
     )
-    plain = solved(common_px2, 0.0)
     if -best.fun < plain.log_evidence + _WARP_LOG_EVIDENCE:
         return _errors(fit, slopes[:10], plain, np.zeros(10), common_px2, 0.0)
     common, warp = float(np.exp(2.0 * best.x[0])) + floor, float(np.exp(best.x[1]))
