@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 
 from boresight.geometry.constants import ARCSEC
+from boresight.geometry.line_camera import Ccd, LineCamera
 from boresight.pipeline.settings import Settings, calibration_settings
 
 STATED: Any = SimpleNamespace(
@@ -17,7 +18,10 @@ STATED: Any = SimpleNamespace(
     look_distortion_px=0.4,
     look_distortion_length_px=1500.0,
 )
-CAMERA: Any = SimpleNamespace(ccds=[SimpleNamespace(pixel_m=1e-5)], focal_m=8.0)
+DETECTOR = Ccd(
+    n_px=512, y_first_m=0.0, x_offset_m=0.0, rotation_rad=0.0, pixel_m=1e-5, principal_sample=255.0
+)
+CAMERA = LineCamera(8.0, (DETECTOR,), tdi_stages=1, time_of_row="middle")
 
 
 def test_error_model_is_what_the_dump_states_in_si_units() -> None:
