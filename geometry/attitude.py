@@ -1,9 +1,10 @@
 """Attitude against time, from the star camera's exposures, interpolated relative to the nominal motion.
 
-An Earth-pointing satellite rotates by four degrees a minute. The attitude relative to that nominal motion is
-slow and small; only this is interpolated, by Lagrange polynomials through four exposures. The result is
-linear in corrections of the exposures' attitudes, so an estimator can use the same weights. The way of the
-operator of Sentinel-2, an expansion to second order about the nearest attitude, is offered too.
+An Earth-pointing satellite rotates by four degrees a minute, one that scans the sky as fast as the ground by
+fifty. The attitude relative to that nominal motion is slow and small; only this is interpolated, by Lagrange
+polynomials through four exposures. The result is linear in corrections of the exposures' attitudes, so an
+estimator can use the same weights. The way of the operator of Sentinel-2, an expansion to second order about
+the nearest attitude, is offered too.
 Rotations R_si take GCRS to the star camera, or any other frame s. TAI seconds since the epoch, radians.
 """
 
@@ -22,6 +23,7 @@ from boresight.geometry.record import Floats, array, record, scalar
 __all__ = [
     "Attitude",
     "AttitudeTrack",
+    "ConstantRate",
     "EarthFixedAttitude",
     "Interpolation",
     "NominalMotion",
@@ -46,10 +48,37 @@ class Attitude(Protocol):
 
 
 class NominalMotion(Protocol):
-    """Any smooth reference attitude; `geometry.orbit.Orbit` is one."""
+    """Any smooth reference attitude: `geometry.orbit.Orbit` over ground, `ConstantRate` in a scan of the
+    sky."""
 
     def R_oi(self, t_s: ArrayLike) -> Rotation:
-        """The rotation from GCRS to the orbital frame at each instant (N,)."""
+        """The rotation from GCRS to the reference frame at each instant (N,)."""
+
+
+@record
+class ConstantRate:
+    """A rotation at constant rate about an axis fixed in the rotating frame o, and so in GCRS too:
+    `R_oi(t) = exp(-[omega_o] (t - t_s)) R_oi(t_s)`.
+    """
+
+    t_s: float = scalar("instant of the reference attitude, TAI seconds since the epoch")
+    R_oi_reference: Rotation = scalar("GCRS to frame o at that instant")
+    omega_o: Floats = array("3", "angular velocity of frame o relative to GCRS, axes of o, rad/s")
+
+    @classmethod
+    def fitted(cls, t_s: ArrayLike, R_oi: Rotation) -> ConstantRate:
+        """The motion nearest to attitudes (K,) at instants (K,), by least squares; `ValueError` for one."""
+        t = np.asarray(t_s, dtype=float)
+        if len(t) < 2 or np.ptp(t) == 0.0:
+            raise ValueError(f"a rate needs attitudes at two instants or more, got {len(t)}")
+        middle, turns = R_oi[len(t) // 2], -(R_oi * R_oi[len(t) // 2].inv()).as_rotvec()
+        omega, at_mean = np.linalg.lstsq(np.vander(t - t.mean(), 2), turns, rcond=None)[0]
+        return cls(float(t.mean()), Rotation.from_rotvec(-at_mean) * middle, omega)
+
+    def R_oi(self, t_s: ArrayLike) -> Rotation:
+        """GCRS to frame o at instants (N,)."""
+        t = np.atleast_1d(np.asarray(t_s, dtype=float))
+        return Rotation.from_rotvec(-self.omega_o * (t - self.t_s)[:, None]) * self.R_oi_reference
 
 
 def lagrange_weights(t_nodes: ArrayLike, t: ArrayLike, points: int = 4) -> Array:
