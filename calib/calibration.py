@@ -248,6 +248,7 @@ def _residuals(
     found = {int(rows[n]): rows[rivals(problem, about, fit.kept, n)] for n in rejected}
     statistic, detectable = np.full((2, start[-1]), np.nan)
     residual = np.full((start[-1], 2), np.nan)
+    range_m = np.concatenate([np.where(s.ground.is_star, np.nan, s.ground.range_m) for s in strips])
     kept[rows] = fit.kept
     statistic[covered] = squared_mahalanobis(fit.step)[problem.inside]
     detectable[covered] = detectable_bias(fit.step, fit.kept, test.noncentrality)[problem.inside]
@@ -261,7 +262,7 @@ def _residuals(
         statistic=statistic,
         kept=kept,
         detectable_rad=detectable,
-        detectable_m=detectable * np.concatenate([strip.ground.range_m for strip in strips]),
+        detectable_m=detectable * range_m,
         rivals={row: others for row, others in found.items() if len(others)},
     )
 

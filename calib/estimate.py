@@ -83,7 +83,7 @@ class TargetResiduals:
         "minimal detectable bias: smallest error of the direction, along its least controlled axis, that the "
         "test finds with the power of `RejectionTest`; inf where nothing controls it",
     )
-    detectable_m: Floats = array("J", "`detectable_rad` times the distance to the target, m")
+    detectable_m: Floats = array("J", "`detectable_rad` times the distance to the target, m; NaN for stars")
     rivals: dict[int, Ints] = scalar(
         "rows of the rivals (`Rejected.rivals`) of each rejected row that has any"
     )

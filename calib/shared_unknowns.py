@@ -2,7 +2,7 @@
 
 Each is one named unknown of the whole calibration and does not average over strips. A target's coordinates
 are three unknowns in metres, in axes that rotate with the Earth about the pole of GCRS, which agree with ITRS
-closely enough for errors of metres.
+closely enough for errors of metres; those of a star are its direction in µrad, GCRS axes.
 """
 
 from __future__ import annotations
@@ -18,18 +18,21 @@ from boresight.calib.distortion import Knot, knots_touched, prior_information, u
 from boresight.calib.heads import head_names
 from boresight.calib.settings import CalibrationSettings
 from boresight.geometry.constants import EARTH_ROTATION_RATE
-from boresight.geometry.record import array, record, scalar
+from boresight.geometry.record import Bools, array, record, scalar
 
 __all__ = [
+    "MICRORADIAN",
     "SIGMA_ALIGNMENT_RAD",
     "SeenTargets",
     "SharedUnknowns",
+    "coordinate_covariance",
     "coordinate_names",
     "earth_axes",
     "find_shared",
 ]
 
 Array = NDArray[np.float64]
+MICRORADIAN = 1e-6  # rad: unit of stars' directions as unknowns, of a size like metres on the ground
 SIGMA_ALIGNMENT_RAD = 0.01  # of alignments between heads: wide, the attitudes themselves give arc-seconds
 
 
@@ -40,7 +43,7 @@ class SeenTargets:
     target_id: NDArray[np.str_] = array("J", "ids of the targets")
     ccd: NDArray[np.int64] = array("J", "CCD of each sighting")
     sample: Array = array("J", "along the CCD, px")
-    cov_coordinates: Array = array("J, 3, 3", "of the coordinates, m²")
+    cov_coordinates: Array = array("J, 3, 3", "of the coordinates, m²; of stars µrad²")
 
 
 @record
@@ -49,7 +52,7 @@ class SharedUnknowns:
 
     knots: tuple[Knot, ...] = scalar("of the camera's distortion: along x, then along y")
     targets: tuple[str, ...] = array("T", "ids of the targets, three unknowns each")
-    cov_targets: Array = array("T, 3, 3", "prior covariance of their coordinates, m²")
+    cov_targets: Array = array("T, 3, 3", "prior covariance of their coordinates, m²; of stars µrad²")
     n_treated_independent: int = scalar("targets in several strips beyond the limit")
     heads: tuple[str, ...] = scalar("heads beside the reference head, three unknowns each", default=())
 
@@ -76,6 +79,21 @@ def coordinate_names(targets: Sequence[str]) -> tuple[str, ...]:
 def earth_axes(t_s: Array) -> Array:
     """(J, 3, 3), from the axes in which targets' coordinates are unknown to GCRS at t_s (J,)."""
     return Rotation.from_rotvec(np.outer(EARTH_ROTATION_RATE * t_s, [0.0, 0.0, 1.0])).as_matrix()
+
+
+def coordinate_covariance(cov_target_i: Array, t_s: Array, u_i: Array, is_star: Bools) -> Array:
+    """Covariance (J, 3, 3) of targets' coordinates: on the ground m², axes that rotate with the Earth, from
+    GCRS axes; of stars µrad², GCRS axes, from rad².
+
+    A star's covariance has nothing along its direction; its mean there makes it regular and changes no
+    direction.
+    """
+    R_ie = np.where(is_star[:, None, None], np.eye(3), earth_axes(t_s))
+    covariance = np.swapaxes(R_ie, 1, 2) @ cov_target_i @ R_ie
+    along = u_i[:, :, None] * u_i[:, None, :]
+    mean = 0.5 * np.trace(cov_target_i, axis1=1, axis2=2)[:, None, None]
+    of_stars = (cov_target_i + mean * along) / MICRORADIAN**2
+    return np.asarray(np.where(is_star[:, None, None], of_stars, covariance))
 
 
 def find_shared(

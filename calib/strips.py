@@ -5,8 +5,9 @@ between the exposures' attitudes (relative to the nominal motion, Lagrange weigh
 errors phi_k stay unknowns: the residual of a target sees theta - sum w_jk phi_k (docs/estimation.md; phi
 right-handed, theta with the paper's sign, hence the minus). What else targets of a strip share stands
 beside the phi_k, every unknown scaled to unit prior variance: position error, clock offset, distortion,
-coordinates of a target seen twice. For all of them, with whitened residuals r = X_theta theta + X_q q +
-noise,
+coordinates of a target seen twice. A star in a strip that scans the sky is a target without position error,
+whose coordinates are its direction, in µrad. For all of them, with whitened residuals
+r = X_theta theta + X_q q + noise,
 
     F = X_thetaᵀ X_theta - X_thetaᵀ X_q (I + X_qᵀ X_q)⁻¹ X_qᵀ X_theta,    F theta likewise with r.
 
@@ -24,7 +25,13 @@ from scipy.spatial.transform import Rotation
 from boresight.calib.distortion import Knot, correlation, knot_weights, knots_touched
 from boresight.calib.heads import HeadTie, interpolated, tie_of_head
 from boresight.calib.settings import CalibrationSettings
-from boresight.calib.shared_unknowns import SeenTargets, SharedUnknowns, earth_axes
+from boresight.calib.shared_unknowns import (
+    MICRORADIAN,
+    SeenTargets,
+    SharedUnknowns,
+    coordinate_covariance,
+    earth_axes,
+)
 from boresight.geometry.attitude import Interpolation, interpolation_weights
 from boresight.geometry.attitude_estimate import cross_matrices, with_attitudes
 from boresight.geometry.record import Bools, Floats, Ints, Texts, array, record, scalar
@@ -49,8 +56,10 @@ class PreparedStrip:
     v_s: Floats = array("J, 3", "known directions of the targets, frame s by the interpolated attitude")
     shared_s: Floats = array("J, 3, N", "change of v_s by each unknown in units of its prior sigma, rad")
     unknowns: tuple[str, ...] = array("N", "names of the columns of shared_s")
-    coordinates_s: Floats = array("J, 3, 3", "change of v_s by the target's coordinates, Earth axes, 1/m")
-    cov_coordinates: Floats = array("J, 3, 3", "covariance of the coordinates, the same axes, m²")
+    coordinates_s: Floats = array(
+        "J, 3, 3", "change of v_s by the target's coordinates, Earth axes, 1/m; a star's, GCRS axes, 1/µrad"
+    )
+    cov_coordinates: Floats = array("J, 3, 3", "covariance of the coordinates, the same axes, m²; µrad²")
     ties: tuple[HeadTie, ...] = scalar("rows of the other heads")
 
     def seen(self) -> SeenTargets:
@@ -112,7 +121,7 @@ def prepare_strip(strip: StripSightings, settings: CalibrationSettings) -> Prepa
     position = move_s * settings.sigma_position_m
     rate_s = _rotation_rate(times, attitudes.R_si[used])
     clock = (move_s @ ground.v_rel_i[:, :, None] + np.cross(rate_s, v_s)[:, :, None]) * settings.sigma_clock_s
-    R_ie = earth_axes(ground.t_s)
+    own = coordinate_covariance(ground.cov_target_i, ground.t_s, ground.u_i, ground.is_star)
     ties = _ties(strip, times, attitudes.R_si[used], used, root, settings)
     names = [f"phi/{k}/{axis}" for k in range(len(times)) for axis in "xyz"]
     return PreparedStrip(
@@ -128,8 +137,8 @@ def prepare_strip(strip: StripSightings, settings: CalibrationSettings) -> Prepa
         v_s=v_s,
         shared_s=np.concatenate([phi, position, clock], axis=2),
         unknowns=(*names, "position/x", "position/y", "position/z", "clock"),
-        coordinates_s=-move_s @ R_ie,
-        cov_coordinates=np.swapaxes(R_ie, 1, 2) @ ground.cov_target_i @ R_ie * settings.use_target_sigma,
+        coordinates_s=_by_coordinates(ground, R_si, move_s),
+        cov_coordinates=own * settings.use_target_sigma,
         ties=ties,
     )
 
@@ -314,6 +323,13 @@ def _direction_by_position(ground: GroundSightings) -> Floats:
     """d u_i / d p_i = -(I - u uᵀ) / range, (J, 3, 3) 1/m: direction by the satellite's position."""
     u = ground.u_i
     return -(np.eye(3) - u[:, :, None] * u[:, None, :]) / ground.range_m[:, None, None]
+
+
+def _by_coordinates(ground: GroundSightings, R_si: Floats, move_s: Floats) -> Floats:
+    """Change (J, 3, 3) of v_s by the targets' own coordinates (`coordinate_covariance` has their units)."""
+    change = -move_s @ earth_axes(ground.t_s)
+    across = np.eye(3) - ground.u_i[:, :, None] * ground.u_i[:, None, :]
+    return np.asarray(np.where(ground.is_star[:, None, None], MICRORADIAN * R_si @ across, change))
 
 
 def _seen_again(strip: PreparedStrip, shared: SharedUnknowns) -> list[str]:

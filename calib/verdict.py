@@ -306,7 +306,7 @@ def _duplicates(strips: Sequence[StripSightings], settings: VerdictSettings) -> 
     groups: dict[str, set[str]] = {}
     for strip in strips:
         names = strip.ground.target_id.tolist()
-        for a, b in _same_place(strip.ground):
+        for a, b in [] if strip.ground.is_star.any() else _same_place(strip.ground):
             if names[a] != names[b]:
                 both = groups.get(names[a], {names[a]}) | groups.get(names[b], {names[b]})
                 groups.update(dict.fromkeys(both, both))

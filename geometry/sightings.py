@@ -78,22 +78,33 @@ class ExposureAttitudes:
 
 @record(kw_only=True)
 class GroundSightings:
-    """Ground calibration targets measured in one strip. Row n of every array is the same measurement.
+    """Calibration targets measured in one strip. Row n of every array is the same measurement.
 
     `cov_c` holds what is independent from row to row: the error of the image measurement. Errors that are
-    common to a strip (position, clock) or belong to the target are described by the last four fields.
+    common to a strip (position, clock) or belong to the target are described by the last four fields. A star
+    in a strip that scans the sky is a target too, at an infinite distance: no position of the satellite
+    moves it.
     """
 
-    target_id: Texts = array("N", "ids of the targets in the dump")
+    target_id: Texts = array("N", "ids of the targets in the dump; of stars HIP and number")
     ccd: Ints = array("N", "CCD of the camera, from 0")
     xy_px: Floats = array("N, 2", "(sample, line) as measured in that CCD's raw image")
     t_s: Floats = array("N", "instant of the row, TAI seconds since the dump's epoch")
     u_c: Floats = array("N, 3", "measured look vectors, remote-sensing-camera frame")
     u_i: Floats = array("N, 3", "apparent directions of the targets from the moving satellite, GCRS")
     cov_c: Floats = array("N, 3, 3", "covariance of u_c, rad²")
-    range_m: Floats = array("N", "distance from satellite to target")
-    v_rel_i: Floats = array("N, 3", "satellite velocity relative to the ground at the target, GCRS axes, m/s")
-    cov_target_i: Floats = array("N, 3, 3", "covariance of the target's own coordinates, GCRS axes, m²")
+    range_m: Floats = array("N", "distance from satellite to target; inf for a star")
+    v_rel_i: Floats = array(
+        "N, 3", "satellite velocity relative to the ground at the target, GCRS axes, m/s; 0 for a star"
+    )
+    cov_target_i: Floats = array(
+        "N, 3, 3", "covariance of the target's own coordinates, GCRS axes, m²; of a star's direction, rad²"
+    )
+
+    @property
+    def is_star(self) -> Bools:
+        """(N,) whether the target is a star."""
+        return np.isinf(self.range_m)
 
 
 @record(kw_only=True)

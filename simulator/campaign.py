@@ -16,20 +16,28 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from boresight.geometry.constants import ARCSEC, GM_EARTH, WGS84
+from boresight.geometry.line_camera import LineSensor
 from boresight.geometry.record import array, record, scalar
 from boresight.geometry.sightings import GroundSightings, StarSightings, StripSightings, isotropic_covariance
 from boresight.geometry.vector_sets import VectorSets
 
 __all__ = [
     "CameraPair",
+    "DistortionCurve",
+    "LinePair",
     "StripMotion",
     "StripPlan",
     "StripTruth",
+    "draw_exposures",
     "draw_frames",
     "draw_strips",
     "installation_by_tilt",
+    "looks_across",
+    "noisy",
     "noisy_frames",
     "remounted",
+    "unit",
+    "vibration",
 ]
 
 Array = NDArray[np.float64]
@@ -44,6 +52,14 @@ def installation_by_tilt(from_zenith_rad: float, about_boresight_rad: float = 0.
     )
 
 
+@record
+class LinePair:
+    """The remote-sensing camera as it is and as it is assumed, CCD by CCD."""
+
+    true: LineSensor = scalar("that makes the images")
+    assumed: LineSensor = scalar("gives the measured samples their look directions")
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class CameraPair:
     """Both cameras as far as vectors need them. Defaults are the paper's Tables 2 and 3."""
@@ -55,6 +71,7 @@ class CameraPair:
     pixel_rad: float = 1e-6  # 10 µm behind 10 m
     ccd_px: int = 6144
     n_ccds: int = 4
+    line: LinePair | None = None  # None: one straight line of pixels without any error of its own
 
     @property
     def half_field_rad(self) -> float:
@@ -80,6 +97,8 @@ class StripPlan:
     wave_rad: tuple[float, float] = (3 * ARCSEC, 12 * ARCSEC)  # amplitudes, drawn per strip and axis
     wave_s: tuple[float, float] = (3.0, 7.0)  # periods
     sigma_position_m: float = 0.0  # per axis, constant over a strip (Table 1: 2 m)
+    orbit_bias_m: tuple[float, float, float] = (0.0, 0.0, 0.0)  # stated less true: along, -normal, nadir
+    clock_bias_s: float = 0.0  # stated less true instant of the rows, common to all strips
     sigma_clock_s: float = 0.0  # of the rows, constant over a strip (Table 1: 0.1 ms)
     sigma_vibration_rad: float = 0.0  # per axis, white from target to target (Table 1: 0.1 arcsec)
     vibration_hz: float = 0.0  # if not 0: a wave of this frequency with that rms instead of white noise
@@ -109,12 +128,12 @@ def draw_strips(
     plan: StripPlan, cameras: CameraPair, rng: np.random.Generator
 ) -> tuple[list[StripSightings], StripTruth]:
     """Strips of one campaign with noise drawn from `rng`."""
-    curve = _Curve.draw(plan, cameras, rng)
+    curve = DistortionCurve.draw(plan, cameras, rng)
     survey_i = rng.normal(0.0, plan.sigma_target_m, (plan.targets, 3)) if plan.same_targets else None
     drawn = []
     for n in range(plan.strips):
         if plan.distortion_scope == "strip":
-            curve = _Curve.draw(plan, cameras, rng)
+            curve = DistortionCurve.draw(plan, cameras, rng)
         drawn.append(_draw_strip(f"strip{n:04d}", plan, cameras, curve, survey_i, rng))
     return [strip for strip, _ in drawn], StripTruth(
         cameras.R_cs,
@@ -161,7 +180,7 @@ def draw_frames(
         u_s = np.concatenate(stars)
     target_start = np.arange(n_frames + 1) * targets
     half = cameras.half_field_rad
-    w_c = _unit(
+    w_c = unit(
         np.column_stack([*rng.uniform(-half, half, (2, n_frames * targets)), np.ones(n_frames * targets)])
     )
     R_ic = Rotation.random(n_frames, rng=rng)
@@ -185,8 +204,8 @@ def noisy_frames(frames: VectorSets, rng: np.random.Generator) -> VectorSets:
     """Frames with new noise, of their own sigmas, on both cameras' vectors."""
     return replace(
         frames,
-        u_s=_noisy(frames.u_s, frames.sigma_s[:, None], rng),
-        w_c=_noisy(frames.w_c, frames.sigma_c[:, None], rng),
+        u_s=noisy(frames.u_s, frames.sigma_s[:, None], rng),
+        w_c=noisy(frames.w_c, frames.sigma_c[:, None], rng),
     )
 
 
@@ -227,7 +246,7 @@ class StripMotion:
 
     def R_oi(self, t: Array) -> Rotation:
         """Rotations (N,) from frame i to the orbital frame."""
-        x, z = _unit(self.velocity_i(t)), -_unit(self.position_i(t))
+        x, z = unit(self.velocity_i(t)), -unit(self.position_i(t))
         return Rotation.from_matrix(np.stack([x, np.cross(z, x), z], axis=1))
 
     def R_ci(self, t: Array) -> Rotation:
@@ -237,7 +256,7 @@ class StripMotion:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Curve:
+class DistortionCurve:
     """A smooth random residual of the distortion along the detector, by Fourier waves of its own
     correlation.
     """
@@ -247,7 +266,8 @@ class _Curve:
     sigma_rad: float
 
     @classmethod
-    def draw(cls, plan: StripPlan, cameras: CameraPair, rng: np.random.Generator) -> _Curve:
+    def draw(cls, plan: StripPlan, cameras: CameraPair, rng: np.random.Generator) -> DistortionCurve:
+        """A curve for each CCD of the cameras, drawn at random."""
         # Matérn 3/2 has the spectral density of Student's t with 3 degrees of freedom over sqrt(3) / length.
         shape = (2, cameras.n_ccds, 200)
         wave = rng.standard_t(3, shape) / plan.distortion_length_px
@@ -263,13 +283,13 @@ def _draw_strip(
     name: str,
     plan: StripPlan,
     cameras: CameraPair,
-    curve: _Curve,
+    curve: DistortionCurve,
     survey_i: Array | None,
     rng: np.random.Generator,
 ) -> tuple[StripSightings, StripTruth]:
     motion, margin = StripMotion.draw(plan, rng), plan.exposure_margin_s
     t_stars = np.asarray(np.linspace(-margin, plan.duration_s + margin, plan.exposures), dtype=np.float64)
-    exposures, wrong_stars = _draw_exposures(name, t_stars, plan, cameras, motion.R_ci(t_stars), rng)
+    exposures, wrong_stars = draw_exposures(name, t_stars, plan, cameras, motion.R_ci(t_stars), rng)
     t_targets = plan.duration_s * np.sort(rng.uniform(*plan.along, plan.targets))
     ground, wrong_rows, look_c = _draw_targets(name, t_targets, plan, cameras, motion, (curve, survey_i), rng)
     strip = StripSightings(
@@ -284,9 +304,10 @@ def _draw_strip(
     return strip, StripTruth(cameras.R_cs, frozenset(wrong_stars), wrong_targets, R_ci, (look_c,), (motion,))
 
 
-def _draw_exposures(
+def draw_exposures(
     name: str, t: Array, plan: StripPlan, cameras: CameraPair, R_ci: Rotation, rng: np.random.Generator
 ) -> tuple[tuple[StarSightings, ...], set[tuple[str, str, int]]]:
+    """Exposures at instants (K,) of attitudes (K,), and the gross errors: strip, exposure, row."""
     K, n = len(t), plan.stars
     R_is = (R_ci.inv() * cameras.R_cs).as_matrix()
     sigma = plan.sigma_s_px * cameras.star_pixel_rad
@@ -294,7 +315,7 @@ def _draw_exposures(
     wrong = rng.random((K, n)) < plan.gross_stars
     named = np.where(wrong[:, :, None], _star_field(K * n, cameras, rng).reshape(K, n, 3), truth)
     u_i = named @ np.swapaxes(R_is, 1, 2)
-    u_s = _noisy(truth, sigma, rng)
+    u_s = noisy(truth, sigma, rng)
     xy_px = -u_s[..., :2] / u_s[..., 2:] / cameras.star_pixel_rad
     covariance = isotropic_covariance(u_s.reshape(-1, 3), sigma).reshape(K, n, 3, 3)
     hip = np.arange(1, n + 1, dtype=np.int64)
@@ -320,31 +341,28 @@ def _draw_targets(
     plan: StripPlan,
     cameras: CameraPair,
     motion: StripMotion,
-    shared: tuple[_Curve, Array | None],
+    shared: tuple[DistortionCurve, Array | None],
     rng: np.random.Generator,
 ) -> tuple[GroundSightings, list[int], Array]:
     J, px = len(t), cameras.pixel_rad
     curve, survey_i = shared
-    y = cameras.half_field_rad * rng.uniform(*plan.across, J)
-    pixel = np.clip((y + cameras.half_field_rad) / px, 0.0, cameras.n_ccds * cameras.ccd_px * (1.0 - 1e-12))
-    ccd = np.floor(pixel / cameras.ccd_px).astype(np.int64)
-    sample = pixel - ccd * cameras.ccd_px
-    u_c = _unit(np.column_stack([0 * y, y, np.ones(J)]))
-    t_true = t + rng.normal(0.0, plan.sigma_clock_s)
-    R_ic = (Rotation.from_rotvec(_vibration(t, plan, rng)) * motion.R_ci(t_true)).inv()
+    ccd, sample, u_c, assumed_c = looks_across(rng.uniform(*plan.across, J), cameras)
+    t_true = t + rng.normal(0.0, plan.sigma_clock_s) - plan.clock_bias_s
+    R_ic = (Rotation.from_rotvec(vibration(t, plan, rng)) * motion.R_ci(t_true)).inv()
     truth_i = motion.position_i(t_true)
     ground_i = truth_i + plan.height_m / u_c[:, 2:] * R_ic.apply(u_c)
     recorded_i = motion.position_i(t) - rng.normal(0.0, plan.sigma_position_m, 3)
+    recorded_i = recorded_i + motion.R_oi(t).inv().apply(np.tile(plan.orbit_bias_m, (J, 1)))
     own_i = rng.normal(0.0, plan.sigma_target_m, (J, 3)) if survey_i is None else survey_i
     known_i = ground_i + own_i
     range_m = np.linalg.norm(known_i - recorded_i, axis=1)
-    seen = u_c + np.pad(curve.at(ccd, sample), ((0, 0), (0, 1)))
+    seen = assumed_c + np.pad(curve.at(ccd, sample), ((0, 0), (0, 1)))
     wrong = np.flatnonzero(rng.random(J) < plan.gross_targets)
     seen[wrong, :2] += px * rng.uniform(-plan.gross_reach_px, plan.gross_reach_px, (len(wrong), 2))
     prefix = name if survey_i is None else "site"
     sigma = plan.sigma_c_px * px
-    look_c = _unit(seen)
-    measured = _noisy(look_c, sigma, rng)
+    look_c = unit(seen)
+    measured = noisy(look_c, sigma, rng)
     ground = GroundSightings(
         target_id=np.array([f"{prefix}/{j:03d}" for j in range(J)], dtype=str),
         ccd=ccd,
@@ -360,7 +378,26 @@ def _draw_targets(
     return ground, wrong.tolist(), look_c
 
 
-def _vibration(t: Array, plan: StripPlan, rng: np.random.Generator) -> Array:
+def looks_across(place: Array, cameras: CameraPair) -> tuple[NDArray[np.int64], Array, Array, Array]:
+    """CCD (J,), sample (J,), true and assumed look vectors (J, 3), frame c, of places (J,) across the field,
+    its half width being 1.
+    """
+    half = cameras.half_field_rad
+    y = half * place
+    pixel = np.clip((y + half) / cameras.pixel_rad, 0.0, cameras.n_ccds * cameras.ccd_px * (1.0 - 1e-12))
+    ccd = np.floor(pixel / cameras.ccd_px).astype(np.int64)
+    sample = pixel - ccd * cameras.ccd_px
+    flat = unit(np.column_stack([0 * y, y, np.ones(len(y))]))
+    if cameras.line is None:
+        return ccd, sample, flat, flat
+    looks = np.zeros((2, len(ccd), 3))
+    for n, camera in enumerate((cameras.line.true, cameras.line.assumed)):
+        for c in np.unique(ccd).tolist():
+            looks[n, ccd == c] = camera.directions_from_pixels(c, sample[ccd == c])
+    return ccd, sample, looks[0], looks[1]
+
+
+def vibration(t: Array, plan: StripPlan, rng: np.random.Generator) -> Array:
     """Turns (J, 3) that the exposures do not follow."""
     if plan.vibration_hz == 0.0:
         return rng.normal(0.0, plan.sigma_vibration_rad, (len(t), 3))
@@ -372,12 +409,14 @@ def _vibration(t: Array, plan: StripPlan, rng: np.random.Generator) -> Array:
 
 def _star_field(n: int, cameras: CameraPair, rng: np.random.Generator) -> Array:
     xy = rng.uniform(-1.0, 1.0, (n, 2)) * [cameras.star_half_width_px, cameras.star_half_height_px]
-    return _unit(np.column_stack([-cameras.star_pixel_rad * xy, np.ones(n)]))
+    return unit(np.column_stack([-cameras.star_pixel_rad * xy, np.ones(n)]))
 
 
-def _noisy(u: Array, sigma: float | Array, rng: np.random.Generator) -> Array:
-    return _unit(u + sigma * rng.standard_normal(u.shape))
+def noisy(u: Array, sigma: float | Array, rng: np.random.Generator) -> Array:
+    """Unit vectors (..., 3) with noise of 1-sigma `sigma`, rad, on each axis."""
+    return unit(u + sigma * rng.standard_normal(u.shape))
 
 
-def _unit(v: Array) -> Array:
+def unit(v: Array) -> Array:
+    """Vectors (..., 3) scaled to length one."""
     return np.asarray(v / np.linalg.norm(v, axis=-1, keepdims=True))

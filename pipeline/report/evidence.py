@@ -162,8 +162,9 @@ def _accuracy(dump: Dump, calibration: Calibration, ground: pa.Table) -> dict[st
 
 
 def _mean_range_m(calibration: Calibration) -> float:
-    """Mean distance from the satellite to the targets, m."""
-    return float(np.mean(np.concatenate([strip.ground.range_m for strip in calibration.strips])))
+    """Mean distance from the satellite to the targets on the ground, m; NaN where there are stars only."""
+    ground = np.concatenate([strip.ground.range_m[~strip.ground.is_star] for strip in calibration.strips])
+    return float(np.mean(ground)) if len(ground) else np.nan
 
 
 def _edge_tan(camera: LineSensor) -> float:

@@ -14,7 +14,7 @@ from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
 
 from boresight.calib.information import InformationPairs
-from boresight.calib.shared_unknowns import SIGMA_ALIGNMENT_RAD, coordinate_names, earth_axes
+from boresight.calib.shared_unknowns import SIGMA_ALIGNMENT_RAD, coordinate_covariance, coordinate_names
 from boresight.geometry.record import Bools, Floats, array, record, scalar
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.table_files import column, fixed, list_values, read_parquet
@@ -25,7 +25,13 @@ from boresight.pipeline.results.ownership import check_dump_of, dump_identity, o
 __all__ = ["SavedResult", "read_for_dump", "read_mounting", "read_pairs", "read_result"]
 
 EXPOSURES = {"exposure_id": pa.string(), "t_s": pa.float64(), "R_si": fixed(9), "usable": pa.bool_()}
-COORDINATES = {"target_id": pa.string(), "t_s": pa.float64(), "cov_target_i": fixed(9)}
+COORDINATES = {
+    "target_id": pa.string(),
+    "t_s": pa.float64(),
+    "u_i": fixed(3),
+    "range_m": pa.float64(),
+    "cov_target_i": fixed(9),
+}
 ALIGNMENT = re.compile(r"head/[A-Za-z0-9_.-]{1,64}/[xyz]")
 DISTORTION = re.compile(r"distortion/[xy]/\d{1,6}/-?\d{1,6}")
 
@@ -147,6 +153,7 @@ def _prior_of_targets(result: Path, targets: Sequence[str]) -> Floats:
     if unknown := sorted(set(targets) - set(names)):
         raise RawDataError(str(path), "target_id", "not there", f"target {unknown[0]} of strips.parquet")
     rows = [names.index(target) for target in targets]
-    axes = earth_axes(column(table, "t_s")[rows])
-    covariance = np.swapaxes(axes, 1, 2) @ list_values(table, "cov_target_i", 3, 3)[rows] @ axes
+    t_s, range_m = column(table, "t_s")[rows], column(table, "range_m")[rows]
+    own, u_i = list_values(table, "cov_target_i", 3, 3)[rows], list_values(table, "u_i", 3)[rows]
+    covariance = coordinate_covariance(own, t_s, u_i, np.isinf(range_m))
     return np.asarray(block_diag(*np.linalg.inv(covariance)))

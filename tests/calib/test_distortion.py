@@ -9,7 +9,7 @@ from boresight.calib.distortion import (
     prior_information,
     unknown_names,
 )
-from boresight.simulator.campaign import CameraPair, StripPlan, _Curve, installation_by_tilt
+from boresight.simulator.campaign import CameraPair, DistortionCurve, StripPlan, installation_by_tilt
 
 CAMERAS = CameraPair(installation_by_tilt(np.radians(15.0)))
 
@@ -31,7 +31,9 @@ def test_drawn_curves_have_the_correlation_that_the_prior_states():
     knots = tuple((1, k) for k in range(5))  # every 500 px
     drawn = np.array(
         [
-            _Curve.draw(plan, CAMERAS, rng).at(np.ones(5, dtype=np.int64), 500.0 * np.arange(5))[:, 0]
+            DistortionCurve.draw(plan, CAMERAS, rng).at(np.ones(5, dtype=np.int64), 500.0 * np.arange(5))[
+                :, 0
+            ]
             for _ in range(4000)
         ]
     )
