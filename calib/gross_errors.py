@@ -21,7 +21,7 @@ log-likelihood ratio of "j is wrong" to "i is wrong"; targets i that it does not
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 import numpy as np
 from scipy.optimize import brentq
@@ -36,6 +36,7 @@ from boresight.calib.joint_solution import (
     iteration_record,
     linear_solution,
     linearised,
+    readmitted,
     solve_weighted,
     squared_mahalanobis,
 )
@@ -61,44 +62,41 @@ def rejection_test(probability_false_alarm: float, n_tests: int) -> RejectionTes
 def snoop(problem: Problem, about: Linearised, kept: Bools, limit: float) -> Bools:
     """The targets (J,) to keep, searched from `kept`: no rejection, re-admission, exchange decreases (1)."""
 
-    def solved(kept: Bools) -> tuple[Floats, float]:
+    def solved(kept: Bools) -> tuple[Step, float]:
         step = solve_weighted(problem, about, kept.astype(float))
-        return squared_mahalanobis(step), step.chi2 + limit * int(np.sum(problem.inside & ~kept))
+        return step, step.chi2 + limit * int(np.sum(problem.inside & ~kept))
 
-    statistic, criterion = solved(kept)
+    step, criterion = solved(kept)
     while True:
-        for other in _moves(solved, statistic, kept, problem, limit):
+        for other in _moves(problem, about, kept, step, limit):
             moved, value = solved(other)
             if value < criterion - SMALLEST_GAIN * limit:
-                kept, statistic, criterion = other, moved, value
+                kept, step, criterion = other, moved, value
                 break
         else:
             return kept
 
 
-def _moves(
-    solved: Callable[[Bools], tuple[Floats, float]],
-    statistic: Floats,
-    kept: Bools,
-    problem: Problem,
-    limit: float,
-) -> Iterator[Bools]:
+def _moves(problem: Problem, about: Linearised, kept: Bools, step: Step, limit: float) -> Iterator[Bools]:
     """Sets of targets to try: one less, all that pass re-admitted, the best of them; at last, exchanges.
 
-    For an exchange a rejected target is re-admitted and the one with the largest residual then is rejected.
+    For an exchange a rejected target is re-admitted and the one with the largest residual then is rejected;
+    it changes (1) by the difference of their statistics.
     """
-    rows, rejected = np.arange(len(kept)), problem.inside & ~kept
+    rows, rejected, statistic = np.arange(len(kept)), problem.inside & ~kept, squared_mahalanobis(step)
     over, back = kept & (statistic > limit), rejected & (statistic < limit)
     if over.any():
         yield kept & (rows != _largest(statistic, over, problem.rank))
     if back.any():
         yield kept | back
         yield kept | (rows == _largest(-statistic, back, problem.rank))
-    while rejected.any():
-        first = _largest(-statistic, rejected, problem.rank)
+    nearest = np.flatnonzero(rejected)
+    nearest = nearest[np.lexsort((problem.rank[nearest], statistic[nearest]))]
+    for first, then in zip(nearest.tolist(), readmitted(problem, about, kept, step, nearest)):
         more = kept | (rows == first)
-        yield more & (rows != _largest(solved(more)[0], more, problem.rank))
-        rejected = rejected & (rows != first)
+        other = _largest(then, more, problem.rank)
+        if then[other] > statistic[first]:
+            yield more & (rows != other)
 
 
 def _largest(values: Floats, among: Bools, rank: Ints) -> int:

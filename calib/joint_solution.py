@@ -6,7 +6,7 @@ Every target then gets its residual and the covariance of that residual, by whic
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,6 +27,7 @@ __all__ = [
     "iteration_record",
     "linear_solution",
     "linearised",
+    "readmitted",
     "solve_weighted",
     "squared_mahalanobis",
 ]
@@ -198,10 +199,15 @@ def _reduced(line: LinearStrips, weight: Floats) -> _Reduced:
     return _Reduced(np.asarray(0.5 * (N + np.swapaxes(N, 1, 2))), back, cov_q)
 
 
+def _by_common(line: LinearStrips) -> Floats:
+    """(S, 2 J, 3 + g) change of r by theta and by the unknowns of the calibration."""
+    return np.concatenate([line.X_theta, line.X_shared], axis=2)
+
+
 def _fitted(line: LinearStrips, part: _Reduced, x: Floats, cov_x: Floats) -> tuple[Floats, Floats, Floats]:
     """Whitened residuals (J, 2), their leverage (J, 2, 2), and the residuals in rad along x and y of c."""
     S, rows, _ = line.X_theta.shape
-    X = np.concatenate([line.X_theta, line.X_shared], axis=2)
+    X = _by_common(line)
     q = part.back[:, :, -1] - part.back[:, :, :-1] @ x
     e = line.r - X @ x - (line.X_q @ q[:, :, None])[:, :, 0]
     Z = X - line.X_q @ part.back[:, :, :-1]
@@ -222,11 +228,53 @@ def squared_mahalanobis(step: Step) -> Floats:
     For a target in the fit it is the decrease of chi2 if the target is rejected; for one of weight zero, the
     increase if it is added.
     """
-    v = step.variance
+    return _squared_over(step.whitened, step.variance)
+
+
+def _squared_over(e: Floats, v: Floats) -> Floats:
     det = v[:, 0, 0] * v[:, 1, 1] - v[:, 0, 1] ** 2
-    e = step.whitened
     inside = v[:, 1, 1] * e[:, 0] ** 2 - 2.0 * v[:, 0, 1] * e[:, 0] * e[:, 1] + v[:, 0, 0] * e[:, 1] ** 2
     return np.divide(inside, det, out=np.zeros(len(det)), where=det > 1e-9)
+
+
+def readmitted(problem: Problem, about: Linearised, kept: Bools, step: Step, rows: Ints) -> Iterator[Floats]:
+    """For each of `rows` (targets that are not kept) what `squared_mahalanobis` (J,) is with it in the fit.
+
+    `step` is the solution of the targets kept. One more target changes it by a matrix of rank two, so that
+    the change needs no new solution.
+    """
+    reduced, last = [], 0
+    for group, line in zip(problem.groups, about.strips):
+        first, last = last, last + group.inside.size
+        reduced.append(_reduced(line, kept[first:last].reshape(group.inside.shape).astype(float)))
+    Z = [_by_common(line) - line.X_q @ part.back[:, :, :-1] for line, part in zip(about.strips, reduced)]
+    of_all = np.concatenate([part.reshape(-1, 2, part.shape[-1]) for part in Z])
+    sign = np.where(kept, -1.0, 1.0)[:, None, None]
+    leverage = sign * (step.variance - np.eye(2))
+    for row in rows.tolist():
+        across = of_all @ (step.solution.covariance_all @ of_all[row].T)  # (J, 2, 2)
+        own, strip = _of_strip(about.strips, reduced, row)
+        across[strip] += own
+        gain = across @ np.linalg.inv(np.eye(2) + leverage[row])
+        e = step.whitened - gain @ step.whitened[row]
+        of_row = sign.copy()
+        of_row[row] = -1.0
+        yield _squared_over(e, np.eye(2) + of_row * (leverage - gain @ np.swapaxes(across, 1, 2)))
+
+
+def _of_strip(lines: list[LinearStrips], reduced: list[_Reduced], row: int) -> tuple[Floats, slice]:
+    """Covariance (N, 2, 2), by the own unknowns of a target's strip, of that strip's N targets with it."""
+    first = 0
+    for line, part in zip(lines, reduced):
+        S, rows, _ = line.X_q.shape
+        targets = rows // 2
+        if row < first + S * targets:
+            s, j = divmod(row - first, targets)
+            first += s * targets
+            own = line.X_q[s] @ (part.cov_q[s] @ line.X_q[s, 2 * j : 2 * j + 2].T)
+            return own.reshape(targets, 2, 2), slice(first, first + targets)
+        first += S * targets
+    raise IndexError(f"no target {row}")
 
 
 def iteration_record(step: Step, weight: Floats) -> Iteration:

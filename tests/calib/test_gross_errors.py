@@ -10,7 +10,13 @@ from scipy.spatial.transform import Rotation
 from boresight.calib.calibration import calibrate
 from boresight.calib.estimate import InstallationEstimate, WhyRejected
 from boresight.calib.gross_errors import rejection_test, snoop
-from boresight.calib.joint_solution import Problem, linearised, solve_weighted, squared_mahalanobis
+from boresight.calib.joint_solution import (
+    Problem,
+    linearised,
+    readmitted,
+    solve_weighted,
+    squared_mahalanobis,
+)
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.strips import prepare_strip
 from boresight.geometry.constants import ARCSEC
@@ -146,3 +152,15 @@ def test_where_neighbours_look_alike_the_shifted_target_is_rejected_or_named_as_
     estimate = calibrate(shifted(strips, s, j, 4.0 * axis), BOLD, SETTINGS)
     assert culprit in rejected(estimate)
     assert all(not r.rivals for r in estimate.rejected if (r.strip_id, r.name) == culprit)
+
+
+def test_statistics_with_a_target_re_admitted_are_those_of_a_new_solution():
+    rng = np.random.default_rng(1)
+    strips, _ = draw_strips(replace(TABLE_1, gross_targets=0.1, gross_reach_px=3.0), CAMERAS, rng)
+    problem = Problem.of([prepare_strip(strip, SETTINGS) for strip in strips], SETTINGS)
+    about, kept = linearised(problem, BOLD, 1.0), rng.random(36) < 0.7
+    step, rows = solve_weighted(problem, about, kept.astype(float)), np.flatnonzero(~kept)
+    for row, statistic in zip(rows, readmitted(problem, about, kept, step, rows), strict=True):
+        more = kept | (np.arange(36) == row)
+        anew = squared_mahalanobis(solve_weighted(problem, about, more.astype(float)))
+        assert statistic == pytest.approx(anew, rel=1e-8)  # the same formula, other rounding
