@@ -5,6 +5,10 @@ than the stated standard deviations, strips that disagree, many rejected observa
 twice. Each test has a p-value; the verdict is `refuted` if one falls below its share of the overall
 false-alarm rate (Bonferroni). Stated standard deviations are never exact, so those of chi-square tests may be
 off by a stated factor before the test counts it.
+
+Residuals that are too small do not refute, they are a caution: an error that is stated too large makes the
+covariance wide and the matrix no worse. What they may also mean is that the observations are not independent
+(points from one model or one ortho-image): residuals do not show an error that all of them share.
 """
 
 from __future__ import annotations
@@ -62,6 +66,7 @@ class Suspect(Enum):
     TARGET_LIST = "targets listed more than once"
     HEADS = "attitudes of the head that is named: its times, its mounting, its aberration"
     HEAD_NOISE = "stated noise of the heads' attitudes"
+    NOT_INDEPENDENT = "whether the observations share an error that residuals do not show"
     GROUND_MATRIX = "pre-launch installation matrix and its stated error"
 
 
@@ -85,6 +90,11 @@ LOOK_AT = {
 }
 
 
+TOO_SMALL = {  # where residuals are smaller than stated
+    CheckKind.STAR_RESIDUALS: (Suspect.STAR_SIGMA, Suspect.NOT_INDEPENDENT),
+    CheckKind.TARGET_RESIDUALS: (Suspect.STATED_ERRORS, Suspect.TARGET_COORDINATES, Suspect.NOT_INDEPENDENT),
+    CheckKind.BETWEEN_HEADS: (Suspect.HEAD_NOISE, Suspect.NOT_INDEPENDENT),
+}
 OF_HEADS = (CheckKind.BETWEEN_HEADS, CheckKind.STEADY_HEADS)  # tested only where there are several
 
 
@@ -121,16 +131,21 @@ class Check:
         return self.p_value >= self.limit
 
     @property
+    def is_caution(self) -> bool:
+        """Whether it fails because residuals are smaller than stated, which does not refute."""
+        return not self.holds and self.kind in TOO_SMALL and self.statistic < self.expected
+
+    @property
     def look_at(self) -> tuple[Suspect, ...]:
         """Inputs to look at if the check fails, the likeliest first."""
-        return LOOK_AT[self.kind]
+        return (TOO_SMALL if self.is_caution else LOOK_AT)[self.kind]
 
 
 @record(kw_only=True)
 class Verdict:
     """Outcome of all checks, and the axis that the data determine worst."""
 
-    outcome: Outcome = scalar("`REFUTED` if any check fails")
+    outcome: Outcome = scalar("`REFUTED` if any check fails, cautions excepted")
     checks: tuple[Check, ...] = scalar("all checks, in a fixed order")
     probability_false_alarm: float = scalar("that consistent data are refuted, at most")
     weakest_axis_c: Floats = array("3", "unit vector, frame c: the rotation with the largest 1-sigma")
@@ -139,7 +154,13 @@ class Verdict:
     @property
     def refuted_by(self) -> tuple[Check, ...]:
         """Checks that fail, the least likely first."""
-        return tuple(sorted((c for c in self.checks if not c.holds), key=lambda c: c.p_value))
+        failed = (c for c in self.checks if not c.holds and not c.is_caution)
+        return tuple(sorted(failed, key=lambda c: c.p_value))
+
+    @property
+    def cautions(self) -> tuple[Check, ...]:
+        """Checks that fail because residuals are smaller than stated, the least likely first."""
+        return tuple(sorted((c for c in self.checks if c.is_caution), key=lambda c: c.p_value))
 
 
 def assess(
@@ -184,7 +205,7 @@ def assess(
     found = [replace(check, limit=limit) for check in found]
     values, vectors = np.linalg.eigh(estimate.cov_theta)
     return Verdict(
-        outcome=Outcome.CONSISTENT if all(check.holds for check in found) else Outcome.REFUTED,
+        outcome=Outcome.CONSISTENT if all(c.holds or c.is_caution for c in found) else Outcome.REFUTED,
         checks=tuple(found),
         probability_false_alarm=settings.probability_false_alarm,
         weakest_axis_c=vectors[:, -1],
@@ -208,7 +229,7 @@ def _check(
 
 
 def _residuals(kind: CheckKind, statistic: float, dof: int, settings: VerdictSettings) -> Check:
-    """Two-sided: small residuals, too, contradict the stated errors (one measurement counted many times)."""
+    """Two-sided: small residuals, too, contradict the stated errors (`Check.is_caution`)."""
     if dof <= 0:
         return _check(kind, statistic, dof, dof, 1.0, settings)
     above = float(chdtrc(dof, statistic / settings.sigma_understated**2))

@@ -30,6 +30,7 @@ class CheckRow:
     p_value: Number = scalar("probability if the data are consistent")
     limit: Number = scalar("p-value below which the check fails")
     holds: bool = scalar("no contradiction found")
+    is_caution: bool = scalar("residuals are smaller than stated, which does not refute")
     look_at: tuple[str, ...] = scalar("inputs to look at if the check fails")
     names: tuple[str, ...] = scalar("items concerned, one text per group")
 
@@ -48,7 +49,13 @@ class VerdictView:
     @property
     def failed(self) -> tuple[CheckRow, ...]:
         """Checks that fail, the smallest p-value first."""
-        return tuple(sorted((c for c in self.checks if not c.holds), key=lambda c: c.p_value.exact))
+        failed = (c for c in self.checks if not c.holds and not c.is_caution)
+        return tuple(sorted(failed, key=lambda c: c.p_value.exact))
+
+    @property
+    def cautions(self) -> tuple[CheckRow, ...]:
+        """Checks by which residuals are smaller than stated."""
+        return tuple(check for check in self.checks if check.is_caution)
 
     @property
     def remedy(self) -> str:
@@ -83,6 +90,7 @@ def verdict_view(installation: dict[str, Any], source: str = "installation.json"
                 p_value=number(f"checks.{n}.p_value", ".2g"),
                 limit=number(f"checks.{n}.limit", ".2g"),
                 holds=bool(check["holds"]),
+                is_caution=bool(check.get("is_caution", False)),
                 look_at=tuple(map(str, check["look_at"])),
                 names=tuple(" = ".join(map(str, group)) for group in check["names"]),
             )

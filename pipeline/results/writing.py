@@ -113,7 +113,9 @@ def write_json(path: Path, content: dict[str, Any]) -> None:
 def verdict_json(verdict: Verdict) -> dict[str, Any]:
     """A verdict as installation.json has it: for each check also whether it holds, and what to look at."""
     checks = [
-        plain(check) | {"holds": check.holds, "look_at": [suspect.value for suspect in check.look_at]}
+        plain(check)
+        | {"holds": check.holds, "is_caution": check.is_caution}
+        | {"look_at": [suspect.value for suspect in check.look_at]}
         for check in verdict.checks
     ]
     return plain(verdict) | {"checks": checks}

@@ -127,11 +127,16 @@ def test_targets_listed_many_times_are_named():
     assert verdict.refuted_by[0].look_at == (Suspect.TARGET_LIST,)
 
 
-def test_residuals_much_smaller_than_stated_refute():
+def test_residuals_much_smaller_than_stated_are_a_caution_and_do_not_refute():
     strips = drawn(4, targets=60, sigma_target_m=0.0, sigma_vibration_rad=0.0)
     stated = [replace(s, ground=replace(s.ground, cov_c=25.0 * s.ground.cov_c)) for s in strips]
-    (failed,) = verdict_on(stated, CalibrationSettings(sigma_vibration_rad=0.0)).refuted_by
-    assert failed.kind is CheckKind.TARGET_RESIDUALS and failed.statistic < 0.2 * failed.n
+    verdict = verdict_on(stated, CalibrationSettings(sigma_vibration_rad=0.0))
+    (small,) = verdict.cautions
+    assert small.kind is CheckKind.TARGET_RESIDUALS and small.statistic < 0.2 * small.n
+    assert not small.holds and Suspect.NOT_INDEPENDENT in small.look_at
+    assert verdict.outcome is Outcome.CONSISTENT and verdict.refuted_by == ()
+    too_large = [replace(s, ground=replace(s.ground, cov_c=s.ground.cov_c / 25.0)) for s in strips]
+    assert verdict_on(too_large, CalibrationSettings(sigma_vibration_rad=0.0)).cautions == ()
 
 
 def test_one_target_listed_twice_is_found_where_its_two_matches_differ_by_rows():
