@@ -141,14 +141,26 @@ FAULTS = (
         "shifted-chip",
         f"chip of s02-t05 moved {CHIP_SHIFT_M:.0f} m to the east",
         shifted_chip,
-        ("s02-t05",),
+        ("chip", "s02-t05", "m east of the true place", "Consistent, but"),
         "s02-t05",
     ),
-    Fault("cloud", "cloud over the middle of CCD 1 and 2 of strip s01", cloud, ("cloud", "s01"), "s01-t06"),
-    Fault("height-kind", "heights of targets above EGM96 declared ellipsoidal", height_kind, ("height",)),
+    Fault(
+        "cloud", "cloud over the middle of CCD 1 and 2 of strip s01", cloud, ("Cloud", "strip s01"), "s01-t06"
+    ),
+    Fault(
+        "height-kind",
+        "heights of targets above EGM96 declared ellipsoidal",
+        height_kind,
+        ("Kind of height", "targets.csv"),
+    ),
     Fault("mirrored", "star images mirrored left to right", mirrored, ("mirrored",)),
-    Fault("clock", f"rows of strip s02 dated {1e3 * CLOCK_S:.0f} ms late", clock, ("clock", "s02")),
-    Fault("dead-ccd", "CCD 2 delivers one grey value in all strips", dead_ccd, ("CCD 2",)),
+    Fault(
+        "clock",
+        f"rows of strip s02 dated {1e3 * CLOCK_S:.0f} ms late",
+        clock,
+        ("Clock or orbit", "strip s02"),
+    ),
+    Fault("dead-ccd", "CCD 2 delivers one grey value in all strips", dead_ccd, ("Dead detector", "CCD 2")),
     Fault(
         "coordinate", f"latitude of s03-t06 wrong by {COORDINATE_DEG}°", coordinate, ("s03-t06",), "s03-t06"
     ),

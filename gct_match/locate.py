@@ -114,7 +114,11 @@ def locate(
     share = float((window(picture.valid, x, y, w, h) & template.valid).mean())
     if share < _LEAST_VALID:
         return Refusal(Reason.FEW_VALID_PIXELS, share, _LEAST_VALID)
-    searched = window(picture.normalised, x - radius_px, y - radius_px, w + 2 * radius_px, h + 2 * radius_px)
+    around = x - radius_px, y - radius_px, w + 2 * radius_px, h + 2 * radius_px
+    grey = window(picture.grey, *around)[window(picture.valid, *around)]
+    if np.ptp(grey) == 0.0:
+        return Refusal(Reason.ONE_GREY_VALUE, float(grey[0]))
+    searched = window(picture.normalised, *around)
     surface = correlation_surface(template.normalised, searched)
     peaks = peaks_of(surface, 3, 3)
     if len(peaks.value) == 0:

@@ -88,6 +88,7 @@ class Reason(StrEnum):
     NO_COMMON_ROTATION = "no_common_rotation"
     TEMPLATE_CUT = "template_cut"
     FEW_VALID_PIXELS = "few_valid_pixels"
+    ONE_GREY_VALUE = "one_grey_value"
     NO_CORRELATION = "no_correlation"
     NOT_CONVERGED = "not_converged"
     UNCERTAIN_POSITION = "uncertain_position"
@@ -114,6 +115,8 @@ _SENTENCES = {
     "{limit:.0f} are needed",
     Reason.FEW_VALID_PIXELS: "{value:.0%} of the template's pixels are valid (cloud, no data, saturation, "
     "image edge), {limit:.0%} are needed",
+    Reason.ONE_GREY_VALUE: "the strip has the grey value {value:g} throughout its search window: the "
+    "detector is dead or saturated there, or its file is empty",
     Reason.NO_CORRELATION: "no positive correlation in the search window",
     Reason.NOT_CONVERGED: "least squares did not converge from the {more[0]:.0f} highest correlation peak(s)",
     Reason.UNCERTAIN_POSITION: "standard error {value:.2g} px, at most {limit} px is allowed",

@@ -24,10 +24,15 @@ from boresight.pipeline.files.record_tables import plain
 from boresight.pipeline.files.text_files import read_json
 from boresight.pipeline.results.folder import begin_result, results_in, store_of
 from boresight.pipeline.results.ownership import claimed
-from boresight.pipeline.results.reading import read_result
+from boresight.pipeline.results.reading import read_findings, read_result
 from boresight.pipeline.results.requirement import Requirement, write_requirement
 from boresight.pipeline.results.status import kept_units, run_status
-from boresight.pipeline.results.summary import calibration_summary, joint_summary, verdict_lines
+from boresight.pipeline.results.summary import (
+    calibration_summary,
+    finding_lines,
+    joint_summary,
+    verdict_lines,
+)
 from boresight.pipeline.results.writing import write_dumps, write_joint_result, write_result, write_run
 from boresight.pipeline.settings import Settings
 from boresight.pipeline.stages.cached import Progress
@@ -71,9 +76,10 @@ def going_on(out: Path) -> Iterator[None]:
 
 
 def saved_content(out: Path) -> dict[str, Any]:
-    """What a result folder holds, for --json: installation.json, and what is not used."""
+    """What a result folder holds, for --json: installation.json, what to look at, and what is not used."""
     return {
         "installation": read_json(out / "installation.json", str(out / "installation.json")),
+        "findings": read_findings(out),
         "omitted": [plain(omission) for omission in run_status(out).omissions],
     }
 
@@ -90,7 +96,8 @@ def run_dump(
                 _draw(out)
             return _finished(out)
         found = _calibrated(out, dump, named, inputs, request, executor, progress)
-        return RunOutcome(calibration_summary(found), found.verdict.outcome is Outcome.REFUTED)
+        text = calibration_summary(found, read_findings(out) if request.report else ())
+        return RunOutcome(text, found.verdict.outcome is Outcome.REFUTED)
 
 
 def run_dumps(
@@ -212,6 +219,7 @@ def _finished(out: Path) -> RunOutcome:
         verdict = read_result(result).installation.get("verdict")
         if isinstance(verdict, dict) and verdict.get("outcome") == Outcome.REFUTED.value:
             lines, refuted = [*lines, *verdict_lines(verdict)], True
+        lines += finding_lines(read_findings(result))
     return RunOutcome("\n".join(lines), refuted)
 
 

@@ -49,6 +49,7 @@ _VARIABLES = {
     _Z: "var(--z)",
 }
 WIDTH_IN = 4.6
+MARGINS_IN = (0.72, 0.2, 0.47, 0.1)  # left, right, bottom, top: room for ticks and labels
 COLOURS = 8  # of strips: --s0 to --s7 in style.css
 SHAPES = {  # marks of strips, about 20 units wide
     "circle": "M-9 0A9 9 0 1 1 9 0A9 9 0 1 1-9 0Z",
@@ -101,11 +102,21 @@ def strip_style(number: int) -> tuple[str, str]:
     return shapes[number % len(shapes)], f"s{number % COLOURS}"
 
 
-def new_figure(height_in: float) -> Figure:
-    """An empty figure of the common width, `WIDTH_IN`."""
-    figure = Figure(figsize=(WIDTH_IN, height_in), layout="constrained")
+def new_figure(height_in: float, legend_in: float = 0.0) -> Figure:
+    """An empty figure of the common width, `WIDTH_IN`, with `legend_in` of its height above the axes. Its
+    margins are fixed: a layout computed from the labels takes two more drawings of everything.
+    """
+    figure = Figure(figsize=(WIDTH_IN, height_in))
     FigureCanvasSVG(figure)
     figure.patch.set_visible(False)
+    left, right, bottom, top = MARGINS_IN
+    figure.subplots_adjust(
+        left=left / WIDTH_IN,
+        right=1.0 - right / WIDTH_IN,
+        bottom=bottom / height_in,
+        top=1.0 - (top + legend_in) / height_in,
+        hspace=0.12,
+    )
     return figure
 
 
@@ -134,7 +145,6 @@ def drawn(figure: Figure, name: str, caption: str, words: str, spots: Sequence[S
     drawn above it.
     """
     out = io.StringIO()
-    figure.draw_without_rendering()
     with matplotlib.rc_context({"svg.fonttype": "none", "svg.hashsalt": name}):
         figure.savefig(out, format="svg", metadata={"Date": None, "Creator": None})
     svg = _for_html(out.getvalue(), name, words)

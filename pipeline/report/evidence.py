@@ -39,7 +39,7 @@ from boresight.pipeline.files.star_side import StarImages
 from boresight.pipeline.files.table_files import fixed_list
 from boresight.pipeline.files.text_files import read_toml
 from boresight.pipeline.files.whole_file import write_whole
-from boresight.pipeline.report.findings import findings
+from boresight.pipeline.report.findings import Finding, findings
 from boresight.pipeline.report.ground_accuracy import accuracy_by_strip, predicted_accuracy
 from boresight.pipeline.report.ground_map import USED, ground_table, scene_json, scene_pictures, scenes_of
 from boresight.pipeline.report.star_preview import StarPreview, star_preview
@@ -57,8 +57,8 @@ __all__ = ["write_evidence"]
 Array = NDArray[np.float64]
 
 
-def write_evidence(result: Path, dump: Dump, calibration: Calibration, settings: Settings) -> None:
-    """Write the folder `RESULT/evidence/`. A later calibration reads nothing from it."""
+def write_evidence(result: Path, dump: Dump, calibration: Calibration, settings: Settings) -> list[Finding]:
+    """Write the folder `RESULT/evidence/`, of which a later calibration reads nothing; what stands out."""
     folder = result / "evidence"
     folder.mkdir(parents=True, exist_ok=True)
     scenes = scenes_of(dump, calibration)
@@ -77,9 +77,11 @@ def write_evidence(result: Path, dump: Dump, calibration: Calibration, settings:
         write_whole(
             folder / f"{name}.parquet", lambda path, t=table: pq.write_table(t, path, compression="zstd")
         )
-    found = {"findings": findings(dump, calibration, scenes, ground)}
+    found = findings(dump, calibration, scenes, ground)
     context = _context(dump, calibration) | _accuracy(dump, calibration, ground)
-    write_json(folder / "context.json", context | found | {"scenes": [scene_json(scene) for scene in scenes]})
+    context |= {"findings": [one.json() for one in found], "scenes": [scene_json(scene) for scene in scenes]}
+    write_json(folder / "context.json", context)
+    return found
 
 
 def _context(dump: Dump, calibration: Calibration) -> dict[str, Any]:

@@ -54,7 +54,7 @@ def convergence(saved: Saved) -> Drawing:
     frames = column(table, "frames")
     theta, sigma = (list_values(table, name, 3) / ARCSEC for name in ("theta_rad", "sigma_rad"))
     end = theta[-1] if len(theta) else np.zeros(3)
-    figure = new_figure(3.0)
+    figure = new_figure(3.0, legend_in=0.35)
     axes = axes_of(figure, "star exposures so far", "arc-seconds")
     for n, curve in enumerate(AXES):
         seen = np.isfinite(sigma[:, n])
@@ -133,7 +133,7 @@ def angle_spread(saved: Saved) -> Drawing:
 
 
 def star_residual_map(saved: Saved) -> Drawing:
-    """Mean residual of the stars used, in cells of the star camera's detector, px."""
+    """Mean residual of the stars used, in cells of the star camera's detector, px, at their mean place."""
     camera = saved.context["star_camera"]
     kept = column(saved.stars, "kept").astype(bool)
     xy = list_values(saved.stars, "xy_px", 2)[kept]
@@ -329,7 +329,7 @@ def _cell_means(xy: Floats, residual: Floats, cell: float, width: float) -> tupl
     for one in np.unique(index):
         rows = index == one
         if rows.sum() >= FEWEST_IN_CELL:
-            place.append([(one % columns + 0.5) * cell, (one // columns + 0.5) * cell])
+            place.append(xy[rows].mean(axis=0))
             mean.append(residual[rows].mean(axis=0))
     return np.array(place).reshape(-1, 2), np.array(mean).reshape(-1, 2)
 

@@ -1,13 +1,15 @@
 """What a person should look at first: patterns in what a calibration rejected or left unexplained.
 
-Each finding states numbers that were measured and the input that would explain them. They change nothing in
-the estimate and its verdict.
+Each finding names a cause and the items that it concerns, and states the numbers that were measured. Findings
+change nothing in the estimate and its verdict: data of which a faulty part was rejected are consistent.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from collections import defaultdict
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, replace
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -17,77 +19,172 @@ from boresight.gct_match.records import Reason
 from boresight.geometry.constants import WGS84
 from boresight.geometry.geodesy import geodetic_from_ecef
 from boresight.geometry.geoid import egm96
-from boresight.geometry.record import Floats
-from boresight.geometry.star_camera import StarCamera
+from boresight.geometry.record import Floats, record, scalar
 from boresight.pipeline.errors import Omission, RawDataError
 from boresight.pipeline.files.dump import Dump, TerrainFile, surface_of
-from boresight.pipeline.report.ground_map import OUT_OF_VIEW, UNMATCHED, USED, Scene, StripOnGround
+from boresight.pipeline.report.ground_map import (
+    OUT_OF_VIEW,
+    REJECTED,
+    UNMATCHED,
+    USED,
+    Scene,
+    StripOnGround,
+)
+from boresight.pipeline.report.star_findings import explanations
 from boresight.pipeline.stages.calibrate import Calibration
-from boresight.pipeline.stages.strip import match_targets, pushbroom_of
+from boresight.pipeline.stages.strip import compass, match_targets, pushbroom_of
 
-__all__ = ["findings"]
+__all__ = ["Finding", "findings"]
 
 FEWEST = 3  # observations that make a pattern
 SMALLEST_HEIGHT_M = 5.0  # systematic difference of heights that is reported
+SINGLE_HEIGHT_M = 30.0  # ... of one target from the others: slopes and trees stay below
 MOST_STRIPS_AGAIN = 4  # strips without any match that are searched again
 SMALL_SHARE = 0.4  # of the swath: targets within less are reported
-MOST_EXPOSURES = 40  # whose stars are held against other cameras
 EXPLAINED = 0.5  # share of the excess of chi-square that an explanation must remove
 FLAT_COUNTS = 2.0  # standard deviation of an image without content
+SHOWN = 5  # names in a sentence
+
+Look = tuple[str, float, float]  # target, mean and standard deviation of the strip around it
 
 
-def findings(dump: Dump, calibration: Calibration, scenes: Sequence[Scene], ground: pa.Table) -> list[str]:
-    """Sentences, the most specific first; none where nothing stands out."""
+@record(kw_only=True)
+class Finding:
+    """A pattern with the input that would explain it."""
+
+    cause: str = scalar('what is probably the matter: "clock or orbit"')
+    item: str = scalar('what it concerns: "strip s02"')
+    text: str = scalar("sentence with the numbers and what to check")
+    targets: tuple[str, ...] = scalar('targets that it explains, "strip/target"', default=())
+    is_fault: bool = scalar("an input is probably wrong; otherwise the data are only weak", default=True)
+
+    def json(self) -> dict[str, Any]:
+        """As in evidence/context.json."""
+        return asdict(self)
+
+
+def findings(
+    dump: Dump, calibration: Calibration, scenes: Sequence[Scene], ground: pa.Table
+) -> list[Finding]:
+    """All findings, the most specific first; none where nothing stands out."""
     rows = [row for row in ground.to_pylist() if row["state"] != OUT_OF_VIEW]
-    strips = [one for scene in scenes for one in scene.strips]
+    strips = {one.strip_id: one for scene in scenes for one in scene.strips}
+    share = _share_of_swath(dump, calibration)
     return [
         *_star_camera(dump, calibration),
         *_displaced_strips(calibration, strips, dump.sigma_installation_rad),
-        *_silent_ccds(rows, strips),
-        *_clouds(rows, strips),
+        *silent_ccds(rows, {key: _is_flat(strips[key[0]], key[1]) for key in _lost_ccds(rows)}),
         *_heights(dump, calibration),
-        *_spread(calibration, dump),
+        *single_targets(rows),
+        *(cloud for strip_id, one in strips.items() for cloud in clouds(strip_id, _looks(one, rows))),
+        *spread(share),
     ]
 
 
-def _heights(dump: Dump, calibration: Calibration) -> Iterator[str]:
-    """Targets that lie above or below the terrain model on average."""
-    targets = [target for task in calibration.tasks for target in task.targets]
+def single_targets(rows: Sequence[Mapping[str, Any]]) -> Iterator[Finding]:
+    """Targets whose own chip or coordinates contradict the rest; at most `FEWEST` of a strip, more are no
+    matter of single targets.
+    """
+    of_strip = defaultdict(list)
+    for row in rows:
+        if row["cause"] in SINGLE_CAUSES:
+            of_strip[row["strip_id"]].append(row)
+    for strip_id, those in of_strip.items():
+        for row in those if len(those) <= FEWEST else ():
+            text = row["reason"]
+            if row["state"] == REJECTED and np.isfinite(row["residual_m"]):
+                east_m, north_m = -row["residual_east_m"], -row["residual_north_m"]
+                text += f"; its chip or coordinates lie about {compass(east_m, north_m)} of the true place"
+            yield Finding(
+                cause=SINGLE_CAUSES[row["cause"]],
+                item=f"target {row['target_id']} (strip {strip_id})",
+                text=f"{text}.",
+                targets=(f"{strip_id}/{row['target_id']}",),
+            )
+
+
+SINGLE_CAUSES = {
+    "outside chip": "coordinates or chip",
+    "inconsistent": "coordinates or chip",
+    "target residual": "coordinates or chip",
+    "chip too small": "pixel size of the chip",
+}
+
+
+def _heights(dump: Dump, calibration: Calibration) -> Iterator[Finding]:
+    targets = {target.target_id: target for task in calibration.tasks for target in task.targets}
     if not isinstance(dump.terrain, TerrainFile) or len(targets) < FEWEST:
         return
-    lat, lon, height = geodetic_from_ecef(np.array([target.p_e for target in targets]), WGS84)
+    lat, lon, height = geodetic_from_ecef(np.array([target.p_e for target in targets.values()]), WGS84)
     above = height - surface_of(dump.terrain).height_m(lat, lon)
-    above = above[np.isfinite(above)]
-    if len(above) < FEWEST:
-        return
-    middle = float(np.median(above))
-    spread = 1.4826 * float(np.median(np.abs(above - middle)))
-    if abs(middle) < max(SMALLEST_HEIGHT_M, 3.0 * spread / np.sqrt(len(above))):
-        return
-    geoid = float(np.median(egm96().undulation_m(lat, lon)))
-    text = f"The heights of {len(above)} targets differ from the terrain model by {middle:+.1f} m (median)"
-    if abs(abs(middle) - abs(geoid)) < 0.2 * abs(geoid):
-        text += (
-            f", as much as the geoid lies from the ellipsoid there ({geoid:+.1f} m): one of the two has the "
-        )
-        text += "wrong kind of height; check height_kind in targets.csv and in [terrain] of dump.toml"
-    yield f"{text}."
+    yield from heights(list(targets), above, float(np.median(egm96().undulation_m(lat, lon))))
 
 
-def _silent_ccds(rows: Sequence[dict], strips: Sequence[StripOnGround]) -> Iterator[str]:
-    """CCDs in which no target at all was matched."""
-    for ccd in sorted({row["ccd"] for row in rows if row["ccd"] >= 0}):
+def heights(names: Sequence[str], above_m: Floats, geoid_m: float) -> Iterator[Finding]:
+    """Targets (N) that lie above or below the terrain model, all of them or single ones."""
+    known = np.isfinite(above_m)
+    if known.sum() < FEWEST:
+        return
+    middle = float(np.median(above_m[known]))
+    scatter = 1.4826 * float(np.median(np.abs(above_m[known] - middle)))
+    if abs(middle) >= max(SMALLEST_HEIGHT_M, 3.0 * scatter / np.sqrt(known.sum())):
+        text = f"{known.sum()} targets differ from the terrain model by {middle:+.1f} m (median)"
+        cause = "heights of targets or terrain"
+        if abs(abs(middle) - abs(geoid_m)) < 0.2 * abs(geoid_m):
+            cause = "kind of height"
+            kinds = ("ellipsoidal", "EGM96") if middle * geoid_m > 0.0 else ("EGM96", "ellipsoidal")
+            text += f", as much as the geoid lies from the ellipsoid there ({geoid_m:+.1f} m): the targets' "
+            text += f"heights are {kinds[0]} but stated as {kinds[1]} (height_kind in targets.csv), or those "
+            text += f"of the terrain {kinds[1]} but stated as {kinds[0]} ([terrain] in dump.toml)"
+        yield Finding(cause=cause, item="all targets, or the terrain model", text=f"{text}.")
+    off = np.abs(np.where(known, above_m - middle, 0.0))
+    for n in np.flatnonzero(off > max(SINGLE_HEIGHT_M, 6.0 * scatter))[:FEWEST].tolist():
+        text = f"it lies {above_m[n] - middle:+.0f} m above the terrain, compared with the other targets"
+        yield Finding(cause="height", item=f"target {names[n]}", text=f"{text}; check its height_m.")
+
+
+def _lost_ccds(rows: Sequence[Mapping[str, Any]]) -> list[tuple[str, int]]:
+    """(strip, CCD) of every CCD whose targets were all lost in that strip."""
+    states = defaultdict(set)
+    for row in rows:
+        if row["ccd"] >= 0:
+            states[(row["strip_id"], row["ccd"])].add(row["state"])
+    return sorted(key for key, found in states.items() if found == {UNMATCHED})
+
+
+def silent_ccds(
+    rows: Sequence[Mapping[str, Any]], is_flat: Mapping[tuple[str, int], bool]
+) -> Iterator[Finding]:
+    """CCDs in which no target was matched. `is_flat`: of each (strip, CCD) that lost all its targets, whether
+    its image has no content.
+    """
+    for ccd in sorted({ccd for _, ccd in is_flat}):
         here = [row for row in rows if row["ccd"] == ccd]
-        if len(here) < FEWEST or any(row["state"] != UNMATCHED for row in here):
-            continue
-        names = sorted({row["strip_id"] for row in here})
-        flat = [one.strip_id for one in strips if one.strip_id in names and _is_flat(one, ccd)]
-        where = f"{len(names)} strips: {', '.join(names[:5])}"
-        text = f"None of {len(here)} targets in CCD {ccd} was matched ({where})"
+        flat = [strip for (strip, one), dead in is_flat.items() if one == ccd and dead]
+        lost = [row for row in here if (row["strip_id"], ccd) in is_flat]
         if flat:
-            text += f"; its images hold a single grey value in {len(flat)} of them: the detector or its file "
-            text += "is dead"
-        yield f"{text}. Check the images of CCD {ccd} in strips.csv and its place in remote_camera.toml."
+            names = tuple(f"{r['strip_id']}/{r['target_id']}" for r in lost if r["strip_id"] in flat)
+            yield Finding(
+                cause="dead detector or empty file",
+                item=f"CCD {ccd} in {_strips(flat)}",
+                text=f"its image holds a single grey value; none of its {len(names)} targets was matched. "
+                f"Check the images of CCD {ccd} in strips.csv.",
+                targets=names,
+            )
+        elif len(lost) == len(here) >= FEWEST and len({row["strip_id"] for row in rows} - {""}) > 1:
+            yield Finding(
+                cause="images or look directions",
+                item=f"CCD {ccd}",
+                text=f"none of its {len(here)} targets was matched in {_strips([s for s, _ in is_flat])}. "
+                f"Check the images of CCD {ccd} in strips.csv and its place in remote_camera.toml.",
+                targets=tuple(f"{r['strip_id']}/{r['target_id']}" for r in lost),
+            )
+
+
+def _strips(names: Sequence[str]) -> str:
+    found = sorted(set(names))
+    more = f" and {len(found) - SHOWN} more" if len(found) > SHOWN else ""
+    return f"strip{'s' if len(found) > 1 else ''} {', '.join(found[:SHOWN])}{more}"
 
 
 def _is_flat(one: StripOnGround, ccd: int) -> bool:
@@ -102,27 +199,36 @@ def _is_flat(one: StripOnGround, ccd: int) -> bool:
     return float(np.std(middle.astype(float))) < FLAT_COUNTS
 
 
-def _clouds(rows: Sequence[dict], strips: Sequence[StripOnGround]) -> Iterator[str]:
+def _looks(one: StripOnGround, rows: Sequence[Mapping[str, Any]]) -> dict[str, list[Look]]:
+    """What the strip shows at targets that were used and at those that were not matched."""
+    seen: dict[str, list[Look]] = {USED: [], UNMATCHED: []}
+    for row in rows:
+        if row["strip_id"] == one.strip_id and row["state"] in seen and np.isfinite(row["line_px"]):
+            window = _window(one, row)
+            if window is not None:
+                seen[row["state"]].append((row["target_id"], *window))
+    return seen
+
+
+def clouds(strip_id: str, seen: Mapping[str, Sequence[Look]]) -> Iterator[Finding]:
     """Unmatched targets where the strip is brighter and flatter than at the targets that were matched."""
-    for one in strips:
-        seen: dict[str, list[tuple[str, float, float]]] = {USED: [], UNMATCHED: []}
-        for row in rows:
-            if row["strip_id"] == one.strip_id and row["state"] in seen and np.isfinite(row["line_px"]):
-                look = _window(one, row)
-                if look is not None:
-                    seen[row["state"]].append((row["target_id"], *look))
-        if len(seen[USED]) < FEWEST or not seen[UNMATCHED]:
-            continue
-        brightness, contrast = np.median([look[1:] for look in seen[USED]], axis=0)
-        cloudy = [name for name, b, c in seen[UNMATCHED] if b > brightness + contrast and c < 0.5 * contrast]
-        if cloudy:
-            yield (
-                f"Strip {one.strip_id} is bright and without contrast at {len(cloudy)} targets that were not "
-                f"matched ({', '.join(cloudy[:5])}): cloud or snow."
-            )
+    if len(seen[USED]) < FEWEST or not seen[UNMATCHED]:
+        return
+    brightness, contrast = np.median([look[1:] for look in seen[USED]], axis=0)
+    cloudy = [name for name, b, c in seen[UNMATCHED] if b > brightness + contrast and c < 0.5 * contrast]
+    if cloudy:
+        more = f" and {len(cloudy) - SHOWN} more" if len(cloudy) > SHOWN else ""
+        yield Finding(
+            cause="cloud or snow",
+            item=f"strip {strip_id}",
+            text=f"it is bright and without contrast at {len(cloudy)} target{'s' if len(cloudy) > 1 else ''} "
+            f"that {'were' if len(cloudy) > 1 else 'was'} not matched: {', '.join(cloudy[:SHOWN])}{more}.",
+            targets=tuple(f"{strip_id}/{name}" for name in cloudy),
+            is_fault=False,
+        )
 
 
-def _window(one: StripOnGround, row: dict) -> tuple[float, float] | None:
+def _window(one: StripOnGround, row: Mapping[str, Any]) -> tuple[float, float] | None:
     """Mean and standard deviation of the strip within 16 px of a target."""
     images, ccd = one.task.strip.images, row["ccd"]
     if ccd not in images.ccds:
@@ -140,33 +246,85 @@ def _window(one: StripOnGround, row: dict) -> tuple[float, float] | None:
 
 
 def _displaced_strips(
-    calibration: Calibration, strips: Sequence[StripOnGround], sigma_rad: Floats
-) -> Iterator[str]:
-    """Strips whose targets are not where the matrix of the others expects them, but agree on a shift."""
-    lost = {
-        one.strip_id
-        for one in calibration.matched
-        if not len(one.target_id)
-        and sum(o.cause == Reason.NO_COMMON_ROTATION.replace("_", " ") for o in one.omissions) >= FEWEST
-    }
-    for one in [strip for strip in strips if strip.strip_id in lost][:MOST_STRIPS_AGAIN]:
+    calibration: Calibration, strips: Mapping[str, StripOnGround], sigma_rad: Floats
+) -> Iterator[Finding]:
+    """Strips without any match, searched again as if there were no other strip."""
+    cause, n_again = Reason.NO_COMMON_ROTATION.replace("_", " "), 0
+    for matched in calibration.matched:
+        lost = [o for o in matched.omissions if o.cause == cause]
+        one = strips.get(matched.strip_id)
+        if len(matched.target_id) or len(lost) < FEWEST or one is None or n_again == MOST_STRIPS_AGAIN:
+            continue
+        n_again += 1
+        names = tuple(o.name for o in lost)
         again = match_targets(replace(one.task, sigma_installation_rad=np.asarray(sigma_rad, dtype=float)))
         if isinstance(again, Omission) or len(again.target_id) < FEWEST:
+            flat = [_is_flat(one, ccd) for ccd in one.task.strip.images.ccds]
+            yield lost_strip(one.strip_id, names, all_flat=all(flat))
             continue
-        sample, line = np.median(again.xy_px - again.predicted_px, axis=0)
-        later_ms = line / _lines_per_ms(one, again.target_id.tolist(), again.ccd.tolist())
-        motion = np.linalg.norm(one.task.orbit.velocities_e(one.model.instants(np.zeros(1)))[0])
-        along_m = 1e-3 * later_ms * motion
-        spread_ms = 1e3 * calibration.settings.sigma_position_m / motion
-        late = "late" if later_ms > 0 else "early"
-        yield (
-            f"Strip {one.strip_id} was not used: {len(again.target_id)} of its targets agree on places "
-            f"{line:+.1f} lines and {sample:+.1f} samples from where the matrix of the other strips expects "
-            f"them. If that is a matter of time, its rows are dated {abs(later_ms):.1f} ms too {late} (the "
-            f"stated error of position makes {spread_ms:.1f} ms, 1σ, of that uncertain): check the clock "
-            "(utc_first_row in strips.csv, time_of_row), then the orbit "
-            f"({abs(along_m):.0f} m along the track)."
+        sample, line = np.median(again.xy_px - again.predicted_px, axis=0).tolist()
+        motion = one.task.orbit.velocities_e(one.model.instants(np.zeros(1)))[0]
+        yield displaced_strip(
+            one.strip_id,
+            names,
+            (len(again.target_id), sample, line),
+            later_ms=line / _lines_per_ms(one, again.target_id.tolist(), again.ccd.tolist()),
+            motion_m_s=float(np.linalg.norm(motion)),
+            sigma_position_m=calibration.settings.sigma_position_m,
         )
+
+
+def lost_strip(strip_id: str, targets: tuple[str, ...], *, all_flat: bool) -> Finding:
+    """A strip of which nothing was matched, not even alone."""
+    if all_flat:
+        cause, text = "empty images", "its images hold a single grey value"
+    else:
+        cause = "images, cloud or clock"
+        text = "not even alone do its targets agree on one shift: check that its images are those of this "
+        text += "strip, neither mirrored nor in reverse order, its times (utc_first_row), and for cloud"
+    return Finding(
+        cause=cause,
+        item=f"strip {strip_id}",
+        text=f"none of its {len(targets)} targets was matched; {text}.",
+        targets=targets,
+    )
+
+
+def displaced_strip(
+    strip_id: str,
+    targets: tuple[str, ...],
+    shift: tuple[int, float, float],
+    *,
+    later_ms: float,
+    motion_m_s: float,
+    sigma_position_m: float,
+) -> Finding:
+    """A strip whose targets are not where the matrix of the others expects them, but agree on a shift.
+
+    `shift` is the number of targets that agree, and their shift in samples and lines; `later_ms` by how much
+    the rows would be dated too late if that were a matter of time.
+    """
+    n, sample, line = shift
+    late, along_m = "late" if later_ms > 0 else "early", 1e-3 * abs(later_ms) * motion_m_s
+    is_time = abs(line) > 3.0 * abs(sample)
+    text = (
+        f"it was not used: {n} of its targets agree on places {line:+.1f} lines and {sample:+.1f} samples "
+        "from where the matrix of the other strips expects them. "
+    )
+    if is_time:
+        text += (
+            f"If that is a matter of time, its rows are dated {abs(later_ms):.1f} ms too {late} (the stated "
+            f"error of position makes {1e3 * sigma_position_m / motion_m_s:.1f} ms, 1σ, of that uncertain): "
+            "check the clock (utc_first_row in strips.csv, time_of_row), then the orbit "
+            f"({along_m:.0f} m along the track)."
+        )
+    else:
+        text += (
+            "A wrong time moves them along the lines only: check the attitudes and the orbit at that time, "
+            "then the mounting, and the times of the exposures."
+        )
+    cause = "clock or orbit" if is_time else "attitude, orbit or mounting"
+    return Finding(cause=cause, item=f"strip {strip_id}", text=text, targets=targets)
 
 
 def _lines_per_ms(one: StripOnGround, targets: Sequence[str], ccds: Sequence[int]) -> float:
@@ -183,8 +341,8 @@ def _lines_per_ms(one: StripOnGround, targets: Sequence[str], ccds: Sequence[int
     return float(np.median(then - now))
 
 
-def _spread(calibration: Calibration, dump: Dump) -> Iterator[str]:
-    """Targets that use a small part of the swath."""
+def _share_of_swath(dump: Dump, calibration: Calibration) -> float:
+    """Part of the swath's width that the used targets span."""
     camera, kept = dump.line_camera, calibration.estimate.targets.kept
     y = [strip.ground.u_c[:, 1] / strip.ground.u_c[:, 2] for strip in calibration.strips]
     ends = [
@@ -192,78 +350,32 @@ def _spread(calibration: Calibration, dump: Dump) -> Iterator[str]:
     ]
     swath = np.concatenate(ends)
     width = float(np.ptp(swath[:, 1] / swath[:, 2]))
-    share = float(np.ptp(np.concatenate(y))) / width if width > 0.0 and kept.any() else 1.0
+    return float(np.ptp(np.concatenate(y))) / width if width > 0.0 and kept.any() else 1.0
+
+
+def spread(share: float) -> Iterator[Finding]:
+    """Targets that use a small part of the swath."""
     if share < SMALL_SHARE:
-        yield (
-            f"All targets lie within {share:.0%} of the width of the swath: they hardly determine the "
-            "rotation about the boresight (Z). Add targets near both ends of the swath."
+        yield Finding(
+            cause="targets in one part of the swath",
+            item="all strips",
+            text=f"all targets lie within {share:.0%} of the width of the swath: they hardly determine the "
+            "rotation about the boresight (Z). Add targets near both ends of the swath.",
+            is_fault=False,
         )
 
 
-def _star_camera(dump: Dump, calibration: Calibration) -> Iterator[str]:
-    """Which change of the star camera explains the residuals of the stars, where these are too large."""
+def _star_camera(dump: Dump, calibration: Calibration) -> Iterator[Finding]:
     failed = {check.kind for check in calibration.verdict.refuted_by}
     camera = dump.star_camera
     if camera is None or not failed & {CheckKind.STAR_RESIDUALS, CheckKind.STARS_REJECTED}:
         return
-    best = max(_explanations(camera, calibration), key=lambda one: one[0], default=(0.0, ""))
-    if best[0] > EXPLAINED:
-        yield (
-            f"{best[0]:.0%} of the stars' excess of χ² disappear with {best[1]}: check star_camera.toml, or "
-            "calibrate the camera (boresight star-camera-calibrate)."
-        )
-
-
-def _explanations(camera: StarCamera, calibration: Calibration) -> Iterator[tuple[float, str]]:
-    """Share of the excess of chi-square that a change of one part of the camera removes, and the change."""
-    steps: dict[str, list[tuple[StarCamera, float]]] = {
-        "principal point": [
-            (replace(camera, principal_px=(camera.principal_px[0] + 1.0, camera.principal_px[1])), 1.0),
-            (replace(camera, principal_px=(camera.principal_px[0], camera.principal_px[1] + 1.0)), 1.0),
-        ],
-        "focal length": [(replace(camera, focal_m=camera.focal_m * 1.001), 1e-3)],
-        "radial distortion": [(replace(camera, q1=camera.q1 + 1e-6), 1e-6)],
-    }
-    chosen = np.linspace(0, len(calibration.stars) - 1, min(len(calibration.stars), MOST_EXPOSURES)).astype(
-        int
-    )
-    misfit: list[Floats] = []
-    changed: dict[str, list[Floats]] = {name: [] for name in steps}
-    attitudes = calibration.attitudes
-    for k in np.unique(chosen):
-        stars, R_si = calibration.stars[k], attitudes.R_si[k]
-        u_s = stars.u_i @ R_si.T
-        expected = camera.pixels_from_directions(u_s)
-        sigma = np.sqrt(0.5 * np.trace(stars.cov_s, axis1=1, axis2=2)) * camera.focal_m / camera.pixel_m
-        good = np.isfinite(expected).all(axis=1) & (np.linalg.norm(stars.xy_px - expected, axis=1) < 20.0)
-        if good.sum() < FEWEST:
-            continue
-        weight = 1.0 / sigma[good, None]
-
-        def weighted(xy: Floats) -> Floats:
-            return ((xy - expected)[good] * weight).ravel()  # noqa: B023
-
-        turns = [camera.pixels_from_directions(u_s + 1e-5 * np.cross(axis, u_s)) for axis in np.eye(3)]
-        Q = np.linalg.qr(np.column_stack([weighted(xy) for xy in turns]))[0]
-        free = [weighted(stars.xy_px)] + [
-            weighted(c.pixels_from_directions(u_s)) for s in steps.values() for c, _ in s
-        ]
-        free = [column - Q @ (Q.T @ column) for column in free]
-        misfit.append(free.pop(0))
-        for name, cameras in steps.items():
-            changed[name].append(np.column_stack([free.pop(0) for _ in cameras]))
-    if not misfit:
-        return
-    y = np.concatenate(misfit)
-    excess = float(y @ y) - (len(y) - 3 * len(misfit))
-    for name, cameras in steps.items():
-        A = np.concatenate(changed[name])
-        x = np.linalg.lstsq(A, y, rcond=None)[0]
-        gain = float(y @ y - np.sum((y - A @ x) ** 2)) / max(excess, 1e-9)
-        size = [value * step for value, (_, step) in zip(x, cameras)]
-        words = {
-            "principal point": lambda s: f"a principal point moved by ({s[0]:+.1f}, {s[1]:+.1f}) px",
-            "focal length": lambda s: f"a focal length {100 * s[0]:+.3f} % longer",
-            "radial distortion": lambda s: f"a radial distortion q1 changed by {s[0]:+.2g} 1/mm²",
-        }
-        yield gain, words[name](size)
+    for best in explanations(camera, calibration.stars, calibration.attitudes.R_si)[:1]:
+        if best.share > EXPLAINED:
+            yield Finding(
+                cause=f"{best.part} of the star camera",
+                item="star_camera.toml",
+                text=f"{best.share:.0%} of the stars' excess of χ² disappear with a {best.part} "
+                f"{best.change}: check star_camera.toml, or calibrate the camera "
+                "(boresight star-camera-calibrate).",
+            )

@@ -15,7 +15,7 @@ from boresight.pipeline.report.observations import TargetRow
 from boresight.pipeline.report.saved import Number, Saved, number_from
 from boresight.pipeline.results.summary import REASON_WORDS
 
-__all__ = ["FirstScreen", "Help", "Items", "Required", "first_screen"]
+__all__ = ["FirstScreen", "Found", "Help", "Items", "Required", "first_screen"]
 
 MOST_GROUPS, MOST_ITEMS = 4, 4
 
@@ -52,6 +52,18 @@ class Items:
 
 
 @record(kw_only=True)
+class Found:
+    """A finding, and the targets that it explains."""
+
+    cause: str = scalar("what is probably the matter")
+    item: str = scalar("what it concerns")
+    text: str = scalar("the numbers, and what to check")
+    is_fault: bool = scalar("an input is probably wrong")
+    rows: tuple[TargetRow, ...] = scalar("targets that it explains")
+    shown: tuple[TargetRow, ...] = scalar("the first of them")
+
+
+@record(kw_only=True)
 class FirstScreen:
     """Everything above the fold but verdict and map."""
 
@@ -59,18 +71,26 @@ class FirstScreen:
     sigma_arcsec: tuple[Number, ...] = scalar("1-sigma about X, Y, Z")
     sigma_m: tuple[Number, ...] = scalar("their effect on the ground")
     required: tuple[Required, ...] = scalar("requirements; empty if none was given")
-    weakest: int = scalar("axis with the largest effect on the ground, 0 to 2")
+    weakest: int = scalar("axis with the largest 1-sigma, 0 to 2")
     helps: tuple[Help, ...] = scalar("changes of the data, the one that helps the weakest axis most first")
     new_strip_ce90: Number = scalar("CE90 of a pixel of another strip, m")
     rejected: tuple[tuple[str, int, tuple[tuple[str, int], ...]], ...] = scalar(
         "by kind: how many are not used, and how many for which reason"
     )
-    items: tuple[Items, ...] = scalar("targets in view that were not used")
+    findings: tuple[Found, ...] = scalar("what to look at, the most specific first")
+    items: tuple[Items, ...] = scalar("targets in view that were not used and that no finding explains")
+
+    @property
+    def n_faults(self) -> int:
+        """Number of findings by which an input is probably wrong."""
+        return sum(one.is_fault for one in self.findings)
 
 
 def first_screen(saved: Saved, targets: Sequence[TargetRow]) -> FirstScreen:
     """The first screen of a saved result with the rows of its targets."""
-    unused = [row for row in targets if row.state in (REJECTED, UNMATCHED)]
+    findings = _findings(saved, targets)
+    explained = {row.link for one in findings for row in one.rows}
+    unused = [row for row in targets if row.state in (REJECTED, UNMATCHED) and row.link not in explained]
     sigma_arcsec = tuple(
         saved.number(f"covariance_rad2.{i}.{i}", ".4f", scale=1.0 / ARCSEC, root=True) for i in range(3)
     )
@@ -90,6 +110,7 @@ def first_screen(saved: Saved, targets: Sequence[TargetRow]) -> FirstScreen:
         helps=_helps(saved, sigma_arcsec, weakest),
         new_strip_ce90=saved.context_number("new_strip.ce90_m", ".1f"),
         rejected=_rejected(saved),
+        findings=findings,
         items=_items(unused),
     )
 
@@ -141,6 +162,18 @@ def _helps(saved: Saved, now: tuple[Number, ...], weakest: int) -> tuple[Help, .
         gain = 1.0 - then[weakest].exact / now[weakest].exact
         helps.append(Help(change=one["change"], sigma_arcsec=then, gain=gain))
     return tuple(sorted(helps, key=lambda one: -one.gain))
+
+
+def _findings(saved: Saved, targets: Sequence[TargetRow]) -> tuple[Found, ...]:
+    rows: dict[str, list[TargetRow]] = {}
+    for row in targets:
+        rows.setdefault(f"{row.strip_id}/{row.target_id}", []).append(row)
+    found = []
+    for one in saved.context["findings"]:
+        those = tuple(row for name in one["targets"] for row in rows.get(name, ()))
+        texts = {name: one[name] for name in ("cause", "item", "text", "is_fault")}
+        found.append(Found(**texts, rows=those, shown=those[:MOST_ITEMS]))
+    return tuple(found)
 
 
 def _items(unused: Sequence[TargetRow]) -> tuple[Items, ...]:

@@ -8,6 +8,7 @@ strip's rigorous model.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
@@ -85,14 +86,19 @@ class Scene:
 
     def plane(self) -> Transformer:
         """Longitude, latitude (degrees) to metres east, north."""
-        local = f"+proj=aeqd +lat_0={self.lat_deg} +lon_0={self.lon_deg} +ellps=WGS84 +units=m"
-        return Transformer.from_crs("EPSG:4326", local, always_xy=True)
+        return _plane(self.lat_deg, self.lon_deg)
 
     def plane_m(self, p_e: Floats) -> Floats:
         """Points (N, 3) ITRS to metres (N, 2) east, north."""
         lat, lon, _ = geodetic_from_ecef(p_e, WGS84)
         degrees = np.degrees(lon).tolist(), np.degrees(lat).tolist()  # of one-element arrays pyproj warns
         return np.column_stack(self.plane().transform(*degrees))
+
+
+@functools.cache  # setting one up takes 20 ms
+def _plane(lat_deg: float, lon_deg: float) -> Transformer:
+    local = f"+proj=aeqd +lat_0={lat_deg} +lon_0={lon_deg} +ellps=WGS84 +units=m"
+    return Transformer.from_crs("EPSG:4326", local, always_xy=True)
 
 
 def scenes_of(dump: Dump, calibration: Calibration) -> tuple[Scene, ...]:
@@ -341,8 +347,9 @@ def _quicklook(
     p_e = ecef_from_geodetic(lat.ravel(), lon.ravel(), height.ravel(), WGS84)
     picture = np.full((rows, columns), np.nan, dtype=np.float32)
     to_size = _lattice_map(rows, columns)
+    model = one.model.tabulated(-0.5, one.task.strip.lines - 0.5)
     for ccd in one.task.strip.images.ccds:
-        sample, line = one.model.pixels_from_ground(ccd, p_e)
+        sample, line = model.pixels_from_ground(ccd, p_e)
         maps = [
             cv2.remap(v.reshape(NODES, NODES).astype(np.float32), *to_size, cv2.INTER_LINEAR)
             for v in (sample, line)

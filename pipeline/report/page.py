@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import html
 import json
 from collections import Counter
@@ -104,6 +105,11 @@ def report_html(saved: Saved, *, most_matches: int = MOST_MATCHES) -> str:
 
 def template(name: str) -> jinja2.Template:
     """A Jinja template that escapes all text, with the filter `number` for `Number`."""
+    return _environment().get_template(name)
+
+
+@functools.cache  # with the templates that it has compiled
+def _environment() -> jinja2.Environment:
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("boresight.pipeline.report", "templates"),
         autoescape=True,
@@ -112,7 +118,7 @@ def template(name: str) -> jinja2.Template:
         lstrip_blocks=True,
     )
     environment.filters["number"] = _number
-    return environment.get_template(name)
+    return environment
 
 
 def _number(value: Number) -> Markup:

@@ -22,7 +22,7 @@ from boresight.pipeline.files.text_files import read_json
 from boresight.pipeline.results.folder import dumps_in
 from boresight.pipeline.results.ownership import check_dump_of, dump_identity, origin_of
 
-__all__ = ["SavedResult", "read_for_dump", "read_mounting", "read_pairs", "read_result"]
+__all__ = ["SavedResult", "read_findings", "read_for_dump", "read_mounting", "read_pairs", "read_result"]
 
 EXPOSURES = {"exposure_id": pa.string(), "t_s": pa.float64(), "R_si": fixed(9), "usable": pa.bool_()}
 COORDINATES = {
@@ -48,6 +48,18 @@ class SavedResult:
     t_exposures_s: Floats = array("K", "their times, TAI seconds since the dump's epoch")
     R_si: Rotation = array("K", "their attitudes, GCRS to star camera")
     usable: Bools = array("K", "whether enough stars were kept to determine the attitude")
+
+
+def read_findings(result: Path) -> list[dict[str, Any]]:
+    """What the report of a result asks to look at (`cause`, `item`, `text`, ...); none without a report.
+
+    `RawDataError` for findings that are not as the program writes them.
+    """
+    path = result / "evidence" / "context.json"
+    found = read_json(path, str(path)).get("findings", []) if path.is_file() else []
+    if not all(isinstance(one, dict) and {"cause", "item", "text"} <= one.keys() for one in found):
+        raise RawDataError(str(path), "findings", found, "objects with cause, item and text")
+    return list(found)
 
 
 def read_result(result: Path) -> SavedResult:

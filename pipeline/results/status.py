@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
+from typing import Any
 
 from boresight.geometry.record import record, scalar
 from boresight.geometry.sightings import StarSightings
@@ -14,7 +15,8 @@ from boresight.pipeline.files.table_files import read_parquet
 from boresight.pipeline.files.text_files import read_json
 from boresight.pipeline.results.folder import dumps_in
 from boresight.pipeline.results.ownership import dump_folder_of
-from boresight.pipeline.results.summary import omission_lines
+from boresight.pipeline.results.reading import read_findings
+from boresight.pipeline.results.summary import finding_lines, omission_lines
 from boresight.pipeline.settings import Settings
 from boresight.pipeline.stages.exposure import star_tasks
 from boresight.pipeline.stages.strip import MatchedTargets, covers
@@ -44,6 +46,7 @@ class RunStatus:
     outcome: str = scalar("outcome of the verdict; empty where there is none")
     stages: tuple[StageStatus, ...] = scalar("in the order of the calculation")
     omissions: tuple[Omission, ...] = scalar("what is not used so far")
+    findings: tuple[dict[str, Any], ...] = scalar("what the report asks to look at", default=())
     unknown: str = scalar("why it is not known what is missing; empty where it is known", default="")
     dumps: tuple[RunStatus, ...] = scalar("of a joint result: the runs of its dumps", default=())
 
@@ -84,6 +87,7 @@ def status_lines(status: RunStatus) -> list[str]:
         damaged = f", {stage.damaged} damaged files" if stage.damaged else ""
         not_used = f", {stage.not_used} not used" if stage.not_used else ""
         lines.append(f"{stage.stage:14s}{len(stage.done)} done{damaged}{not_used}")
+    lines += finding_lines(status.findings)
     if status.omissions or not status.dumps:
         lines += omission_lines(status.omissions, None)
     for stage in status.stages:
@@ -129,6 +133,7 @@ def _status(
         outcome=str(verdict.get("outcome", "")) if isinstance(verdict, dict) else "",
         stages=tuple(stages),
         omissions=tuple(omissions or ()),
+        findings=tuple(read_findings(result)) if path.is_file() else (),
         unknown=unknown,
         dumps=dumps,
     )

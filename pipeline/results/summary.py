@@ -23,6 +23,7 @@ from boresight.pipeline.stages.joint import JointCalibration
 __all__ = [
     "REASON_WORDS",
     "calibration_summary",
+    "finding_lines",
     "joint_summary",
     "omission_lines",
     "validation_summary",
@@ -38,14 +39,16 @@ REASON_WORDS = {  # of causes that counts alone do not explain
     "no correlation": "cloud or change",
     "not converged": "cloud or change",
     "few valid pixels": "cloud, no data or image edge",
+    "one grey value": "one grey value: dead or saturated",
     "probably wrong": "not found reliably",
     "no common rotation": "not found (no common rotation)",
 }
 
 
-def calibration_summary(found: Calibration) -> str:
-    """Verdict, matrix, deviation, 1-sigma, counts, and what is not used."""
-    lines = verdict_lines(verdict_json(found.verdict)) + _estimate_lines(found.estimate)
+def calibration_summary(found: Calibration, findings: Sequence[Mapping[str, Any]] = ()) -> str:
+    """Verdict, what to look at, matrix, deviation, 1-sigma, counts, and what is not used."""
+    lines = verdict_lines(verdict_json(found.verdict)) + finding_lines(findings)
+    lines += _estimate_lines(found.estimate)
     return "\n".join(lines + omission_lines(found.omissions))
 
 
@@ -80,6 +83,12 @@ def verdict_lines(verdict: Mapping[str, Any]) -> list[str]:
             lines.append(f"    {', '.join(groups[:3])}" + (" ..." if groups[3:] else ""))
         lines.append(f"    look at: {'; '.join(check['look_at'])}")
     return lines
+
+
+def finding_lines(findings: Sequence[Mapping[str, Any]]) -> list[str]:
+    """The findings of a report (`read_findings`), one line each."""
+    texts = [f"{one['cause']}, {one['item']}: {one['text']}" for one in findings]
+    return [f"{'look at' if n == 0 else '':26s}{text}" for n, text in enumerate(texts)]
 
 
 def _equal_names(group: Sequence[str]) -> str:

@@ -16,7 +16,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from boresight.gct_match.match import match_strip
-from boresight.gct_match.records import Chip, Refusal, StripMatches, Target, TargetMatch
+from boresight.gct_match.records import Chip, Reason, Refusal, StripMatches, Target, TargetMatch
 from boresight.gct_match.settings import MatchSettings
 from boresight.geometry.attitude import AttitudeTrack, Interpolation
 from boresight.geometry.constants import WGS84
@@ -37,6 +37,7 @@ from boresight.pipeline.stages.match_pictures import NO_PICTURES, MatchPictures,
 __all__ = [
     "MatchedTargets",
     "StripTask",
+    "compass",
     "covers",
     "footprint_e",
     "ground_sightings",
@@ -113,7 +114,7 @@ def match_targets(task: StripTask) -> MatchedTargets | Omission:
     result, omitted = strip_matches(task) if task.targets else (None, [])
     if result is None:
         return _matched(task.strip.strip_id, (), omitted)
-    rejected = [_omission(task.strip, refusal) for refusal in result.refused if not refusal.is_out_of_view]
+    rejected = [_omission(task, refusal) for refusal in result.refused if not refusal.is_out_of_view]
     return _matched(task.strip.strip_id, result.matches, [*omitted, *rejected])
 
 
@@ -208,11 +209,39 @@ def read_chip(file: ChipFile) -> Chip:
     return Chip(file.target_id, np.where(valid, grid.values, 0.0), grid.transform, grid.crs, valid)
 
 
-def _omission(strip: Strip, refusal: Refusal) -> Omission:
+def _omission(task: StripTask, refusal: Refusal) -> Omission:
+    strip = task.strip
     on_ccd = refusal.ccd >= 0
     file, where = (strip.images.names.get(refusal.ccd, ""), f", CCD {refusal.ccd}") if on_ccd else ("", "")
     name = f"{strip.strip_id}/{refusal.target_id}{where}"
-    return Omission("target", name, file, refusal.sentence, refusal.reason.replace("_", " "))
+    reason = refusal.sentence
+    if refusal.reason is Reason.INCONSISTENT:
+        reason += (
+            f"; its chip or coordinates lie about {compass(*_displaced_m(task, refusal))} of the true place"
+        )
+    return Omission("target", name, file, reason, refusal.reason.replace("_", " "))
+
+
+def _displaced_m(task: StripTask, refusal: Refusal) -> tuple[float, float]:
+    """How far the stated place of an inconsistent target lies east and north of the one that the strip
+    shows, m.
+    """
+    p_e = next(one.p_e for one in task.targets if one.target_id == refusal.target_id)
+    lat, lon, height = geodetic_from_ecef(p_e[None], WGS84)
+    model, level = pushbroom_of(task), ConstantHeight(float(height[0]))
+    sample, line = model.pixels_from_ground(refusal.ccd, p_e[None])
+    off_x, off_y = refusal.more
+    there = model.ground_points(refusal.ccd, sample + off_x, line + off_y, level)
+    east_m, north_m = (local_axes_e(lat, lon)[0].T @ (p_e - there[0]))[:2].tolist()
+    return east_m, north_m
+
+
+def compass(east_m: float, north_m: float) -> str:
+    """A horizontal displacement in words: "60 m west, 14 m north"; a part below a tenth is not named."""
+    parts = ((east_m, "east", "west"), (north_m, "north", "south"))
+    size = float(np.hypot(east_m, north_m))
+    words = [f"{abs(v):.3g} m {plus if v > 0 else minus}" for v, plus, minus in parts if abs(v) > 0.1 * size]
+    return ", ".join(words)
 
 
 def ground_sightings(matched: MatchedTargets, task: StripTask) -> GroundSightings:
