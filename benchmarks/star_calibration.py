@@ -110,7 +110,8 @@ def _calibrated(title: str, frames, index, settings) -> _Set:
     found = calibrate_camera([frame for frame, _ in frames], NOMINAL, index, settings)
     assert isinstance(found, CameraCalibration), found
     error, foretold = _map_error(found)
-    best = replace(found, covariance=_bound(found, {f.frame_id: truth for f, truth in frames}))
+    bound = _bound(found, {f.frame_id: truth for f, truth in frames})
+    best = replace(found, camera=TRUTH, parameters=PARAMETERS, covariance=bound)
     rms, most = float(np.sqrt((error**2).mean())), float(np.hypot(*error.T).max())
     bound = _rms_sigma(best)
     print(

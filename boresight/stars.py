@@ -152,9 +152,11 @@ class CameraSolution(Outcome):
             f"principal point ({x:.2f} +- {self.sigma_principal_px[0]:.2f}, "
             f"{y:.2f} +- {self.sigma_principal_px[1]:.2f}) px\n"
             f"p1 {camera.p1:.3e} /mm, p2 {camera.p2:.3e} /mm, q1 {camera.q1:.3e} /mm², "
-            f"q2 {camera.q2:.3e} /mm⁴\n"
+            f"q2 {camera.q2:.3e} /mm⁴, q3 {camera.q3:.3e} /mm⁶, {camera.projection}"
+            f"{'' if camera.smooth is None else f', smooth distortion of degree {camera.smooth.degree}'}\n"
             f"{len(self.fit.xy_px)} stars of {len(self.images_used)} images, rms residual "
             f"{self.rms_px:.3f} px per axis; {len(self.images_rejected)} images not identified"
+            + ("" if self.fit.explained else f"\nno lens model explains {self.fit.unmodelled_px:.3f} px rms")
         )
 
     def table(self) -> pd.DataFrame:

@@ -4,18 +4,27 @@ Frame s has z along the optical axis, outward; x and y are *opposite* to the ima
 because the lens inverts the image. Distortion maps an ideal image point to the measured one, so the
 projection from direction to pixel is explicit and its inverse is solved by Newton's method. Beyond the
 turning point of the distortion polynomial the projection is undefined: NaN.
+
+The paper's lens images an angle t from the axis at f tan t. For other lenses there are a third radial term
+(Brown to r^6), the projection f t (with its radial terms the model of Kannala & Brandt 2006), and a smooth
+distortion of the image for what these leave.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from boresight.geometry.record import Floats, array, record, scalar
+from boresight.geometry.smooth_distortion import SmoothDistortion
 
-__all__ = ["OpenCVParameters", "StarCamera"]
+__all__ = ["OpenCVParameters", "Projection", "StarCamera"]
+
+Projection = Literal["tangent", "equidistant"]
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -34,15 +43,15 @@ class OpenCVParameters:
     """
 
     camera_matrix: Floats = array("3, 3", "focal length and principal point, px")
-    distortion: Floats = array("D", "k1, k2, p1, p2 (and further coefficients, which must be zero)")
+    distortion: Floats = array("D", "k1, k2, p1, p2, k3 (and further coefficients, which must be zero)")
 
 
 @record(kw_only=True)
 class StarCamera:
     """A frame camera with radial and tangential distortion, in the paper's form (Table 2, eqs. 4-6).
 
-    `p1`, `p2` (1/mm), `q1` (1/mm^2) and `q2` (1/mm^4) act on image coordinates in millimetres. Table 2 lists
-    its four numbers in the order p1, p2, q1, q2.
+    `p1`, `p2` (1/mm), `q1` (1/mm^2), `q2` (1/mm^4) and `q3` (1/mm^6) act on image coordinates in millimetres.
+    Table 2 lists its four numbers in the order p1, p2, q1, q2.
     """
 
     focal_m: float = scalar("focal length")
@@ -54,8 +63,14 @@ class StarCamera:
     p2: float = scalar("tangential distortion, 1/mm", default=0.0)
     q1: float = scalar("radial distortion, 1/mm²", default=0.0)
     q2: float = scalar("radial distortion, 1/mm⁴", default=0.0)
+    q3: float = scalar("radial distortion, 1/mm⁶", default=0.0)
+    projection: Projection = scalar('"tangent": r = f tan t; "equidistant": r = f t', default="tangent")
+    smooth: SmoothDistortion | None = scalar("of the image, after all others", default=None)
 
     def __post_init__(self) -> None:
+        if self.projection not in get_args(Projection):
+            found = f"{' or '.join(get_args(Projection))} expected, got {self.projection}"
+            raise ValueError(f"StarCamera.projection: {found}")
         for name in ("focal_m", "pixel_m", "width_px", "height_px"):
             if not getattr(self, name) > 0:
                 raise ValueError(f"StarCamera.{name} must be positive, got {getattr(self, name)}")
@@ -124,6 +139,8 @@ class StarCamera:
         """Tangent-plane points (N, 2), `(u_x, u_y) / u_z`, of image points (N, 2), px; NaN as in
         `directions_from_pixels`. An allowed error `error_px` saves iterations."""
         ideal = self._ideal_mm(_points(xy_px), max(error_px * self.pixel_m * _MM, _EXACT_MM))
+        if self.projection == "equidistant":
+            ideal = _radially(ideal, self.focal_m * _MM, _tangent_over_angle)
         return _pairs(ideal * (-1.0 / (self.focal_m * _MM)))
 
     def pixels_from_directions(self, u_s: ArrayLike) -> Array:
@@ -150,15 +167,20 @@ class StarCamera:
             raise ValueError(f"u_s must have shape (N, 3), got {u.shape}")
         ahead = np.where(u[:, 2] > 0.0, u[:, 2], np.nan)
         ideal = _complex(u[:, :2]) * (-self.focal_m * _MM / ahead)
+        if self.projection == "equidistant":
+            ideal = _radially(ideal, self.focal_m * _MM, _angle_over_tangent)
         actual, own, other = self._distorted(ideal)
         actual[~self._is_valid(ideal, own, other)] = complex(np.nan, np.nan)
-        return np.asarray(self.principal_px) + _pairs(actual) / (self.pixel_m * _MM)
+        xy = np.asarray(self.principal_px) + _pairs(actual) / (self.pixel_m * _MM)
+        return xy if self.smooth is None else self.smooth.applied(xy)
 
     def pixel_jacobian(self, xy_px: ArrayLike) -> Array:
         """Derivative of the unit vectors, (N, 3, 2): `d u_s / d(column, row)`, rad/px.
 
         A covariance C (2, 2) px² of a centroid gives that of its direction: `J C J^T` (3, 3) rad².
         """
+        if self.smooth is not None or self.projection != "tangent":
+            return self._differences(_points(xy_px))
         ideal = self._ideal_mm(_points(xy_px))
         _, own, other = self._distorted(ideal)
         dactual_dideal = np.empty((len(ideal), 2, 2))
@@ -170,15 +192,19 @@ class StarCamera:
         return -across[:, :, :2] @ _inverse_2x2(dactual_dideal) * (self.pixel_m * _MM)
 
     def opencv_parameters(self) -> OpenCVParameters:
-        """Parameters in OpenCV's convention: k1 = q1 f^2, k2 = q2 f^4, p1cv = p2 f, p2cv = p1 f with
-        f in mm.
+        """Parameters in OpenCV's convention: k1 = q1 f^2, k2 = q2 f^4, p1cv = p2 f, p2cv = p1 f, k3 = q3 f^6
+        with f in mm. `ValueError` for a projection or a smooth distortion that it does not know.
         """
+        if self.smooth is not None or self.projection != "tangent":
+            raise ValueError("OpenCV has no such lens: equidistant, or with a smooth distortion")
         f = self.focal_m * _MM
         f_px = self.focal_m / self.pixel_m
         x0, y0 = self.principal_px
         return OpenCVParameters(
             camera_matrix=np.array([[f_px, 0.0, x0], [0.0, f_px, y0], [0.0, 0.0, 1.0]]),
-            distortion=np.array([self.q1 * f**2, self.q2 * f**4, self.p2 * f, self.p1 * f]),
+            distortion=np.array([self.q1 * f**2, self.q2 * f**4, self.p2 * f, self.p1 * f])
+            if self.q3 == 0.0
+            else np.array([self.q1 * f**2, self.q2 * f**4, self.p2 * f, self.p1 * f, self.q3 * f**6]),
         )
 
     @classmethod
@@ -188,17 +214,17 @@ class StarCamera:
         """Star camera of OpenCV's `parameters`, with square pixels of `pixel_m`.
 
         Raises `ValueError` for what this model cannot represent: pixels that are not square, skew, more than
-        four nonzero distortion coefficients.
+        five nonzero distortion coefficients.
         """
         K = np.asarray(parameters.camera_matrix, dtype=float)
-        d = np.zeros(max(4, np.size(parameters.distortion)))
+        d = np.zeros(max(5, np.size(parameters.distortion)))
         d[: np.size(parameters.distortion)] = np.ravel(parameters.distortion)
         if not np.isclose(K[0, 0], K[1, 1], rtol=1e-12) or K[0, 1] != 0.0:
             raise ValueError(
                 f"square pixels without skew expected, got fx={K[0, 0]}, fy={K[1, 1]}, skew={K[0, 1]}"
             )
-        if np.any(d[4:] != 0.0):
-            raise ValueError(f"only k1, k2, p1, p2 can be represented, got further coefficients {d[4:]}")
+        if np.any(d[5:] != 0.0):
+            raise ValueError(f"only k1, k2, p1, p2, k3 can be represented, got further coefficients {d[5:]}")
         f = K[0, 0] * pixel_m * _MM
         return cls(
             focal_m=K[0, 0] * pixel_m,
@@ -210,20 +236,21 @@ class StarCamera:
             p2=float(d[2] / f),
             q1=float(d[0] / f**2),
             q2=float(d[1] / f**4),
+            q3=float(d[4] / f**6),
         )
 
     def _distorted(self, z: Complex) -> tuple[Complex, Array, Complex]:
         """Distorted points of ideal points z = x + iy, mm (eq. 4); derivatives by z and by its conjugate.
 
-        With t = p1 + i p2 eq. (5) is  z + d = s z + r^2 t, where s = 1 + q1 r^2 + q2 r^4 + 2 t.z. A small dz
-        moves the distorted point by  own dz + other conj(dz), own being real; areas grow by own^2 -
+        With t = p1 + i p2 eq. (5) is  z + d = s z + r^2 t, where s = 1 + q1 r^2 + q2 r^4 + q3 r^6 + 2 t.z. A
+        small dz moves the distorted point by  own dz + other conj(dz), own being real; areas grow by own^2 -
         |other|^2.
         """
         t = complex(self.p1, self.p2)
         r2 = z.real * z.real + z.imag * z.imag
         sideways = 2.0 * (self.p1 * z.real + self.p2 * z.imag)
-        s = r2 * (self.q1 + r2 * self.q2) + (sideways + 1.0)
-        slope = self.q1 + r2 * (2.0 * self.q2)
+        s = r2 * (self.q1 + r2 * (self.q2 + r2 * self.q3)) + (sideways + 1.0)
+        slope = self.q1 + r2 * (2.0 * self.q2 + 3.0 * r2 * self.q3)
         return s * z + r2 * t, s + (r2 * slope + sideways), z * (slope * z + 2.0 * t)
 
     def _is_valid(self, z: Complex, own: Array, other: Complex) -> NDArray[np.bool_]:
@@ -234,9 +261,13 @@ class StarCamera:
 
     @property
     def _turning_point_mm(self) -> float:
-        """Smallest radius where the distorted radius stops growing, 1 + 3 q1 r^2 + 5 q2 r^4 = 0; inf
-        if none.
+        """Smallest radius where the distorted radius stops growing, 1 + 3 q1 r^2 + 5 q2 r^4 + 7 q3 r^6 = 0;
+        inf if none.
         """
+        if self.q3 != 0.0:
+            squares = np.roots([7.0 * self.q3, 5.0 * self.q2, 3.0 * self.q1, 1.0])
+            positive = squares.real[(np.abs(squares.imag) < 1e-9 * np.abs(squares)) & (squares.real > 0.0)]
+            return math.sqrt(positive.min()) if len(positive) else math.inf
         discriminant = 9.0 * self.q1**2 - 20.0 * self.q2
         reciprocal = -3.0 * self.q1 + math.sqrt(max(discriminant, 0.0))  # of half of r^2
         return math.sqrt(2.0 / reciprocal) if discriminant >= 0.0 and reciprocal > 1e-30 else math.inf
@@ -247,6 +278,8 @@ class StarCamera:
         Newton's step for a residual m is  (own m - other conj(m)) / (own^2 - |other|^2).
         """
         last_mm = math.sqrt(error_mm / _CURVATURE_PER_MM)
+        if self.smooth is not None:
+            xy_px = self.smooth.removed(xy_px)
         goal = (_complex(xy_px) - complex(*self.principal_px)) * (self.pixel_m * _MM)
         z = goal
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
@@ -261,6 +294,29 @@ class StarCamera:
             found = (size < last_mm) & self._is_valid(z, own, other)
         z[~found] = complex(np.nan, np.nan)
         return z
+
+    def _differences(self, xy_px: Array) -> Array:
+        """`pixel_jacobian` by differences of directions a tenth of a pixel apart: exact to 1e-9 of itself."""
+        steps = 0.1 * np.eye(2)
+        columns = [
+            self.directions_from_pixels(xy_px + 0.5 * step) - self.directions_from_pixels(xy_px - 0.5 * step)
+            for step in steps
+        ]
+        J, u = np.stack(columns, axis=2) / 0.1, self.directions_from_pixels(xy_px)
+        return J - u[:, :, None] * np.einsum("ni,nij->nj", u, J)[:, None]  # a unit vector turns, only
+
+
+def _radially(z: Complex, f_mm: float, factor: Callable[[Array], Array]) -> Complex:
+    """Points z (N,), mm, with their radii multiplied by a function of radius over f."""
+    return np.asarray(z * factor(np.maximum(np.abs(z) / f_mm, 1e-12)))
+
+
+def _angle_over_tangent(tangent: Array) -> Array:
+    return np.asarray(np.arctan(tangent) / tangent)
+
+
+def _tangent_over_angle(angle: Array) -> Array:
+    return np.where(angle < 0.5 * np.pi, np.tan(angle) / angle, np.nan)
 
 
 def _complex(points: Array) -> Complex:

@@ -1,7 +1,8 @@
 """Calibration of a star camera: focal length, principal point and distortion from identified stars of many
 images.
 
-An approximate nominal camera is enough: the first identification treats it as uncalibrated.
+An approximate nominal camera is enough: the first identification treats it as uncalibrated. The lens model is
+chosen by evidence (`lens_model`); a lens that none explains is refused, with the size of the misfit.
 """
 
 from __future__ import annotations
@@ -14,18 +15,27 @@ from scipy.spatial.transform import Rotation
 
 from boresight.geometry.record import Floats, Ints, array, record, scalar
 from boresight.geometry.star_camera import StarCamera
-from boresight.star_id.camera_fit import DRIFT, PARAMETERS, IdentifiedStars, fit_camera, visible_derivatives
+from boresight.star_id.camera_fit import DRIFT, IdentifiedStars, fit_camera, visible_derivatives
 from boresight.star_id.field import FieldSolution, solve_stars
 from boresight.star_id.finding.star_list import StarList
 from boresight.star_id.identification.identify import NotIdentified
 from boresight.star_id.identification.triangle_index import StarIndex
+from boresight.star_id.lens_model import choose_lens, unmodelled_px
 from boresight.star_id.observer import Observer, star_directions
 from boresight.star_id.settings import StarSettings
 from boresight.star_id.sight import select_for_calibration
 
-__all__ = ["CameraCalibration", "ResidualMap", "SkyFrame", "calibrate_camera", "residual_map"]
+__all__ = [
+    "LARGEST_UNMODELLED_PX",
+    "CameraCalibration",
+    "ResidualMap",
+    "SkyFrame",
+    "calibrate_camera",
+    "residual_map",
+]
 
 
+LARGEST_UNMODELLED_PX = 0.02  # more, and errors near sharp structure exceed twice what is stated
 _ROUNDS = 3
 
 
@@ -43,7 +53,12 @@ class CameraCalibration:
     """Calibrated camera, with residuals. Row n of the (N,) arrays is the same star."""
 
     camera: StarCamera = scalar("calibrated camera")
-    covariance: Floats = array("7, 7", "of PARAMETERS (f, x0, y0, p1, p2, q1, q2), in their own units")
+    parameters: tuple[str, ...] = scalar("names of the fitted ones: f, x0, y0, p1, p2, q1, q2, perhaps q3")
+    covariance: Floats = array(
+        "P, P", "of `parameters`, in their own units, and of the smooth distortion's coefficients, px"
+    )
+    smooth_size_px: float = scalar("1-sigma size of the smooth distortion before the fit; 0 without one")
+    unmodelled_px: float = scalar("what no lens model explains, rms along one axis; 0 if not significant")
     focal_drift_per_s: float = scalar("relative drift of the focal length, 1/s; 0 if not fitted")
     focal_drift_sigma_per_s: float = scalar("its 1-sigma error, 1/s")
     chi2: float = scalar("sum of squared normalised residuals")
@@ -58,14 +73,22 @@ class CameraCalibration:
     outliers: int = scalar("stars rejected")
 
     @property
+    def explained(self) -> bool:
+        """Whether the lens model explains the lens: to `LARGEST_UNMODELLED_PX`."""
+        return self.unmodelled_px <= LARGEST_UNMODELLED_PX
+
+    @property
     def rms_px(self) -> float:
         """Root mean square residual along one axis."""
         return float(np.sqrt((self.residual_px**2).mean()))
 
     def model_sigma_px(self, xy_px: Floats) -> Floats:
-        """1-sigma error (N,) of the pixel map at pixels (N, 2), px along one axis, apart from a rotation."""
-        J = visible_derivatives(self.camera, xy_px)
-        return np.asarray(np.sqrt(0.5 * np.einsum("nip,pq,niq->n", J, self.covariance, J)))
+        """1-sigma error (N,) of the pixel map at pixels (N, 2), px along one axis, apart from a rotation.
+        What no lens model explains is part of it."""
+        degree = 0 if self.camera.smooth is None else self.camera.smooth.degree
+        J = visible_derivatives(self.camera, xy_px, self.parameters, degree)
+        variance = 0.5 * np.einsum("nip,pq,niq->n", J, self.covariance, J, optimize=True)
+        return np.asarray(np.sqrt(variance + self.unmodelled_px**2))
 
 
 @record
@@ -103,7 +126,8 @@ def calibrate_camera(
     Returns
     -------
     CameraCalibration or NotIdentified
-        The latter if fewer than 20 stars are identified in all images together.
+        The latter if fewer than 20 stars are identified in all images together. A lens that no model explains
+        has `explained` false: its errors may be larger than stated, and its residuals show where.
     """
     camera, known = nominal, False
     for _ in range(_ROUNDS):
@@ -183,19 +207,27 @@ def _adjusted(
     used = IdentifiedStars(
         np.vstack(xy), np.concatenate(cov), np.vstack(u_i), np.concatenate(frame), np.array(times)
     )
-    free = (*PARAMETERS, DRIFT) if drift else PARAMETERS
-    fit = fit_camera(used, _with_identified_focal(camera, identified), Rotation.concatenate(rotations), free)
+    lens = choose_lens(used, _with_identified_focal(camera, identified), Rotation.concatenate(rotations))
+    fit = lens.fit
+    if drift:
+        fit = fit_camera(used, lens.camera, fit.rotations, (*lens.fitted, DRIFT))
+    keep = fit.keep
+    sigma = np.sqrt(0.5 * np.trace(used.cov_px[keep], axis1=1, axis2=2))
+    left = unmodelled_px(used.xy_px[keep], fit.residual_px[keep], sigma, used.frame[keep], camera.width_px)
     return CameraCalibration(
         camera=fit.camera,
-        covariance=fit.covariance[:7, :7],
+        parameters=lens.parameters,
+        covariance=lens.covariance,
+        smooth_size_px=lens.size_px,
+        unmodelled_px=left,
         focal_drift_per_s=fit.focal_drift_per_s,
-        focal_drift_sigma_per_s=float(np.sqrt(fit.covariance[7, 7])) if drift else 0.0,
+        focal_drift_sigma_per_s=float(np.sqrt(fit.covariance[-1, -1])) if drift else 0.0,
         chi2=fit.chi2,
-        dof=fit.dof,
+        dof=max(fit.dof - round(lens.used), 1),
         frame=used.frame[fit.keep],
         xy_px=used.xy_px[fit.keep],
         residual_px=fit.residual_px[fit.keep],
-        sigma_px=np.sqrt(0.5 * np.trace(used.cov_px[fit.keep], axis1=1, axis2=2)),
+        sigma_px=sigma,
         rotations=fit.rotations,
         frames_used=tuple(frames[k].frame_id for k, _ in identified),
         frames_refused=(),

@@ -1,9 +1,9 @@
 """Least-squares fit of a camera, and of one rotation for each image, to identified stars.
 
 Unknowns are the free ones of the camera's seven parameters (eqs. 3-6: f, x0, y0, p1, p2, q1, q2), optionally
-a drift of the focal length with time, and a small rotation of each image, which is eliminated (its three
-columns belong to one image only). Each star is weighted by the covariance of its centroid; outliers are
-rejected.
+a third radial term q3 and a drift of the focal length with time, and a small rotation of each image, which
+is eliminated (its three columns belong to one image only). Each star is weighted by the covariance of its
+centroid; outliers are rejected.
 """
 
 from __future__ import annotations
@@ -16,11 +16,13 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from boresight.geometry.record import Bools, Floats, Ints, array, record, scalar
+from boresight.geometry.smooth_distortion import legendre_terms
 from boresight.geometry.star_camera import StarCamera
 
 __all__ = [
     "DRIFT",
     "PARAMETERS",
+    "Q3",
     "CameraFit",
     "IdentifiedStars",
     "detector_grid",
@@ -28,12 +30,15 @@ __all__ = [
     "perturbed",
     "pixel_derivatives",
     "rotation_derivatives",
+    "smooth_derivatives",
     "visible_derivatives",
 ]
 
 
 PARAMETERS = ("focal_m", "x0_px", "y0_px", "p1", "p2", "q1", "q2")
+Q3 = "q3"
 DRIFT = "focal_drift_per_s"
+_ALL = (*PARAMETERS, DRIFT, Q3)
 _NOTHING: Mapping[str, float] = MappingProxyType({})
 _OUTLIER_CHI2 = 16.0
 _STEPS = 12
@@ -75,13 +80,13 @@ def fit_camera(
     prior: Mapping[str, float] = _NOTHING,
     expected: StarCamera | None = None,
 ) -> CameraFit:
-    """Camera with the parameters `free` (of PARAMETERS and DRIFT) fitted by Gauss-Newton steps.
+    """Camera with the parameters `free` (of PARAMETERS, DRIFT and Q3) fitted by Gauss-Newton steps.
 
     `camera` and `rotations` (K,) are the start. `prior` holds 1-sigma deviations from the parameters of
     `expected`, or of `camera`, in their own units. The covariance is scaled by the reduced chi2 if that
     exceeds 1.
     """
-    columns = [(*PARAMETERS, DRIFT).index(name) for name in free]
+    columns = [_ALL.index(name) for name in free]
     units = _units(camera)[columns]
     prior_weight = np.array([unit / prior.get(name, np.inf) for name, unit in zip(free, units)]) ** 2
     first = _vector(expected or camera)[columns]
@@ -122,18 +127,19 @@ def fit_camera(
 
 
 def perturbed(camera: StarCamera, name: str, step: float) -> StarCamera:
-    """The camera with one of PARAMETERS changed by `step`."""
+    """The camera with one of PARAMETERS, or Q3, changed by `step`."""
     if name in ("x0_px", "y0_px"):
         x0, y0 = camera.principal_px
         return replace(camera, principal_px=(x0 + step, y0) if name == "x0_px" else (x0, y0 + step))
     return replace(camera, **{name: getattr(camera, name) + step})
 
 
-def pixel_derivatives(camera: StarCamera, u_s: Floats) -> Floats:
-    """Derivatives (N, 2, 7) of the pixels of directions (N, 3), frame s, by PARAMETERS, px per their own
-    units."""
+def pixel_derivatives(camera: StarCamera, u_s: Floats, free: tuple[str, ...] = PARAMETERS) -> Floats:
+    """Derivatives (N, 2, F) of the pixels of directions (N, 3), frame s, by the parameters `free`, px per
+    their own units. (Those of a smooth distortion's own slope, a thousandth, are left out.)"""
+    columns = [_ALL.index(name) for name in free]
     projected = _project(_vector(camera), camera, u_s, 0.0)
-    return _camera_columns(projected, camera, 0.0, range(len(PARAMETERS))) / _units(camera)[: len(PARAMETERS)]
+    return _camera_columns(projected, camera, 0.0, columns) / _units(camera)[columns]
 
 
 def rotation_derivatives(camera: StarCamera, u_s: Floats) -> Floats:
@@ -142,15 +148,28 @@ def rotation_derivatives(camera: StarCamera, u_s: Floats) -> Floats:
     return _rotation_columns(_project(_vector(camera), camera, u_s, 0.0))
 
 
-def visible_derivatives(camera: StarCamera, xy_px: Floats) -> Floats:
-    """Derivatives (N, 2, 7) of the pixel map at pixels (N, 2) by PARAMETERS, less the best-fitting rotation
-    of the whole detector: each image's attitude is fitted, so that part of a parameter's error has no
-    effect."""
-    u_s = camera.directions_from_pixels(np.vstack([xy_px, detector_grid(camera)]))
-    J, A = pixel_derivatives(camera, u_s), rotation_derivatives(camera, u_s)
+def visible_derivatives(
+    camera: StarCamera, xy_px: Floats, free: tuple[str, ...] = PARAMETERS, degree: int = 0
+) -> Floats:
+    """Derivatives (N, 2, F) of the pixel map at pixels (N, 2) by the parameters `free` and by the
+    coefficients of a smooth distortion of `degree` (columns, then rows), less the best-fitting rotation of
+    the whole detector: each image's attitude is fitted, so that part of a parameter's error has no effect."""
+    both = np.vstack([xy_px, detector_grid(camera)])
+    u_s = camera.directions_from_pixels(both)
+    J, A = pixel_derivatives(camera, u_s, free), rotation_derivatives(camera, u_s)
+    if degree:
+        J = np.concatenate([J, smooth_derivatives(camera, both, degree)], axis=2)
     grid = slice(len(xy_px), None)
-    absorbed = np.linalg.lstsq(A[grid].reshape(-1, 3), J[grid].reshape(-1, len(PARAMETERS)), rcond=None)[0]
+    absorbed = np.linalg.lstsq(A[grid].reshape(-1, 3), J[grid].reshape(-1, J.shape[2]), rcond=None)[0]
     return np.asarray((J - A @ absorbed)[: len(xy_px)])
+
+
+def smooth_derivatives(camera: StarCamera, xy_px: Floats, degree: int) -> Floats:
+    """Displacements (N, 2, C) of pixels (N, 2) by each coefficient of a smooth distortion: those of the
+    columns, then those of the rows."""
+    terms = legendre_terms(xy_px, camera.width_px, camera.height_px, degree)
+    zero = np.zeros_like(terms)
+    return np.stack([np.hstack([terms, zero]), np.hstack([zero, terms])], axis=1)
 
 
 def detector_grid(camera: StarCamera) -> Floats:
@@ -218,29 +237,47 @@ def _summed(values: Floats, group: Ints, groups: int) -> Floats:
 @dataclass(frozen=True, slots=True, eq=False)
 class _Projected:
     """Directions projected by a camera with parameters theta: log f, x0, y0 (px), p1 f, p2 f, q1 f^2, q2 f^4,
-    log-f drift (1/s). Distortion acts on coordinates divided by the nominal focal length, so all are of order
-    one."""
+    log-f drift (1/s), q3 f^6. Distortion acts on coordinates divided by the nominal focal length, so all are
+    of order one."""
 
     pixels: Floats  # (N, 2)
-    t: Floats  # (2, N) undistorted coordinates: tangent plane times relative focal length
-    scale: Floats  # (N,) relative focal length
+    tangent: Floats  # (2, N) tangent plane
+    t: Floats  # (2, N) undistorted coordinates: projected, times relative focal length
     stretch: Floats  # (2, 2, N) d(pixels) / d(t)
+    by_tangent: Floats  # (2, 2, N) d(t) / d(tangent)
 
 
 def _project(theta: Floats, camera: StarCamera, u_s: Floats, time: Floats | float) -> _Projected:
     f0 = camera.focal_m / camera.pixel_m
     scale = np.broadcast_to(np.exp(theta[0] + theta[7] * np.asarray(time)), len(u_s))
-    x, y = t = -u_s[:, :2].T / u_s[:, 2] * scale
+    tangent = -u_s[:, :2].T / u_s[:, 2]
+    projected, by_tangent = _projected_tangents(camera, tangent)
+    x, y = t = projected * scale
     r2 = x * x + y * y
     p1, p2, q1, q2 = theta[3:7]
-    radial, steep = r2 * (q1 + r2 * q2), 2.0 * (q1 + 2.0 * r2 * q2)
+    q3 = theta[8]
+    radial, steep = r2 * (q1 + r2 * (q2 + r2 * q3)), 2.0 * (q1 + r2 * (2.0 * q2 + 3.0 * r2 * q3))
     dx = x * radial + p1 * (r2 + 2.0 * x * x) + 2.0 * p2 * x * y
     dy = y * radial + p2 * (r2 + 2.0 * y * y) + 2.0 * p1 * x * y
     across = steep * x * y + 2.0 * (p1 * y + p2 * x)
     along_x = 1.0 + radial + steep * x * x + 6.0 * p1 * x + 2.0 * p2 * y
     along_y = 1.0 + radial + steep * y * y + 6.0 * p2 * y + 2.0 * p1 * x
     stretch = f0 * np.array([[along_x, across], [across, along_y]])
-    return _Projected(theta[1:3] + f0 * (t + np.array([dx, dy])).T, t, scale, stretch)
+    pixels = theta[1:3] + f0 * (t + np.array([dx, dy])).T
+    if camera.smooth is not None:
+        pixels = camera.smooth.applied(pixels)
+    return _Projected(pixels, tangent, t, stretch, by_tangent * scale)
+
+
+def _projected_tangents(camera: StarCamera, tangent: Floats) -> tuple[Floats, Floats]:
+    """Points (2, N) of the tangent plane as the camera projects them, and derivatives (2, 2, N)."""
+    unit = np.eye(2)[:, :, None]
+    if camera.projection == "tangent":
+        return tangent, unit
+    r2 = np.maximum((tangent**2).sum(axis=0), 1e-18)
+    ratio = np.arctan(np.sqrt(r2)) / np.sqrt(r2)
+    slope = (1.0 / (1.0 + r2) - ratio) / r2
+    return tangent * ratio, unit * ratio + slope * tangent[:, None] * tangent
 
 
 def _camera_columns(
@@ -260,6 +297,7 @@ def _camera_columns(
         f0 * r2 * projected.t,
         f0 * r2 * r2 * projected.t,
         by_scale * time,
+        f0 * r2**3 * projected.t,
     )
     return (
         np.stack([np.asarray(by_all[k]).T for k in columns], axis=2) if columns else np.empty((len(x), 2, 0))
@@ -268,20 +306,22 @@ def _camera_columns(
 
 def _rotation_columns(projected: _Projected) -> Floats:
     """(N, 2, 3) derivatives of the pixels by a right-handed rotation about the axes of s: du = e x u."""
-    (x, y), s = projected.t, projected.scale
-    by_t = np.array([[x * y / s, s + y * y / s], [-s - x * x / s, -x * y / s], [-y, x]])  # (3, 2, N)
-    return np.einsum("ijn,kjn->nik", projected.stretch, by_t)
+    x, y = projected.tangent
+    by_rotation = np.array([[x * y, 1.0 + y * y], [-1.0 - x * x, -x * y], [-y, x]])  # (3, 2, N) of tangents
+    by_tangent = np.einsum("ijn,jkn->ikn", projected.stretch, projected.by_tangent)
+    return np.einsum("ijn,kjn->nik", by_tangent, by_rotation)
 
 
 def _vector(camera: StarCamera) -> Floats:
-    """(8,) theta of the camera itself."""
-    numbers = np.array([0.0, *camera.principal_px, camera.p1, camera.p2, camera.q1, camera.q2, 0.0])
+    """(9,) theta of the camera itself."""
+    c = camera
+    numbers = np.array([0.0, *c.principal_px, c.p1, c.p2, c.q1, c.q2, 0.0, c.q3])
     return np.asarray(numbers / np.append(1.0, _units(camera)[1:]))
 
 
 def _camera(theta: Floats, nominal: StarCamera) -> StarCamera:
     numbers = theta * _units(nominal)
-    x0, y0, p1, p2, q1, q2 = (float(number) for number in numbers[1:7])
+    x0, y0, p1, p2, q1, q2, _, q3 = (float(number) for number in numbers[1:])
     return replace(
         nominal,
         focal_m=float(nominal.focal_m * np.exp(theta[0])),
@@ -290,10 +330,11 @@ def _camera(theta: Floats, nominal: StarCamera) -> StarCamera:
         p2=p2,
         q1=q1,
         q2=q2,
+        q3=q3,
     )
 
 
 def _units(camera: StarCamera) -> Floats:
-    """(8,) of theta: PARAMETERS and DRIFT in their own units."""
-    f_mm = camera.focal_m * 1e3
-    return np.array([camera.focal_m, 1.0, 1.0, 1 / f_mm, 1 / f_mm, 1 / f_mm**2, 1 / f_mm**4, 1.0])
+    """(9,) of theta: PARAMETERS, DRIFT and Q3 in their own units."""
+    f = camera.focal_m * 1e3  # mm
+    return np.array([camera.focal_m, 1.0, 1.0, 1 / f, 1 / f, 1 / f**2, 1 / f**4, 1.0, 1 / f**6])

@@ -18,12 +18,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.polynomial.legendre import legval
 from scipy.linalg import cho_factor, cho_solve
 from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation
 
 from boresight.geometry.record import Floats, array, record, scalar
+from boresight.geometry.smooth_distortion import term_orders
 from boresight.geometry.star_camera import StarCamera
 from boresight.star_id.camera_fit import (
     PARAMETERS,
@@ -31,12 +31,13 @@ from boresight.star_id.camera_fit import (
     perturbed,
     pixel_derivatives,
     rotation_derivatives,
+    smooth_derivatives,
 )
 
 __all__ = ["LensErrors", "lens_errors"]
 
 _DEGREE = 6
-_TERMS = tuple((i, n - i) for n in range(2, _DEGREE + 1) for i in range(n + 1))
+_TERMS = term_orders(_DEGREE)
 _WARP_LOG_EVIDENCE = 2.0  # more than without a smooth distortion, for it to count as seen
 _TRIED_SHARES = (1.0, 0.5)  # of the common variance, with a distortion of `_TRIED_WARP` of its root: where
 _TRIED_WARP = 2.0  # the evidence of neither exceeds that of none, none is seen
@@ -172,20 +173,9 @@ def _columns(camera: StarCamera, u_s: Floats, xy_px: Floats, slopes: Floats) -> 
     A = rotation_derivatives(camera, u_s)
     parts = [A, pixel_derivatives(camera, u_s) + A @ slopes[3:10, :3].T]
     if len(slopes) > 10:
-        warp = _bending(camera, xy_px)
+        warp = smooth_derivatives(camera, xy_px, _DEGREE)
         parts.append(warp + A @ slopes[10:, :3].T)
     return np.concatenate(parts, axis=2)
-
-
-def _bending(camera: StarCamera, xy_px: Floats) -> Floats:
-    """(N, 2, C) displacement, px, at pixels (N, 2) by coefficient: those of the columns, then of the rows."""
-    half = 0.5 * max(camera.width_px, camera.height_px)
-    middle = 0.5 * np.array([camera.width_px - 1, camera.height_px - 1])
-    x, y = np.clip((xy_px - middle) / half, -1.2, 1.2).T
-    along_x, along_y = (legval(t, np.eye(_DEGREE + 1)) for t in (x, y))
-    terms = np.stack([along_x[i] * along_y[j] for i, j in _TERMS], axis=1)
-    zero = np.zeros_like(terms)
-    return np.stack([np.hstack([terms, zero]), np.hstack([zero, terms])], axis=1)
 
 
 def _camera_slopes(fit: CameraFit) -> Floats:
@@ -204,7 +194,7 @@ def _bending_slopes(camera: StarCamera) -> Floats:
     not reach it."""
     x, y = 0.5 * (camera.width_px - 1), 0.5 * (camera.height_px - 1)
     points = np.array([[x, y], [x, y - 1.0], [-0.5, y], [camera.width_px - 0.5, y]])
-    moved = points - _STEP_PX * _bending(camera, points).transpose(2, 0, 1)  # (C, 4, 2)
+    moved = points - _STEP_PX * smooth_derivatives(camera, points, _DEGREE).transpose(2, 0, 1)  # (C, 4, 2)
     seen = camera.directions_from_pixels(np.vstack([points[None], moved]).reshape(-1, 2)).reshape(-1, 4, 3)
     middle, above, left, right = seen.transpose(1, 0, 2)
     up = above - middle * (above * middle).sum(axis=1)[:, None]

@@ -148,9 +148,12 @@ def tangent_coordinates(camera: StarCamera, xy_px: Floats) -> Floats:
 def field_of_camera(camera: StarCamera, settings: StarSettings) -> FieldOfView:
     """Field of view of a calibrated camera, for `identify`."""
     focal_px = camera.focal_m / camera.pixel_m
+    right, low = camera.width_px - 0.5, camera.height_px - 0.5
+    corners = np.array([[-0.5, -0.5], [right, -0.5], [-0.5, low], [right, low]])
+    half_x, half_y = np.abs(camera.tangents_from_pixels(corners, error_px=0.1)).max(axis=0)
     return FieldOfView(
-        half_x=0.5 * camera.width_px / focal_px,
-        half_y=0.5 * camera.height_px / focal_px,
+        half_x=float(half_x),
+        half_y=float(half_y),
         equivalent_fov_rad=equivalent_fov(camera.width_px, camera.height_px, focal_px),
         pixel=1.0 / focal_px,
         scale_error=0.0,

@@ -59,6 +59,7 @@ PixelPitch = Annotated[float, within(0.1, 1000.0, "side of a pixel, µm")]
 # A focal plane and its tables are smaller than 10 m; a sample number has at most seven digits.
 FocalPlane = Annotated[float, within(-1e4, 1e4, "coordinate in the focal plane, mm")]
 Sample = Annotated[float, within(-1e6, 1e6, "coordinate along the detector, samples")]
+ShiftPx = Annotated[float, within(-1e3, 1e3, "displacement of image points, px")]
 TargetSigma = Annotated[float, within(0.0, 1e5, "1-sigma error of a target's coordinate, m")]
 PointSigma = Annotated[float, within(1e-4, 1e4, "1-sigma error of a measured image position, px")]
 HeightKind = Literal["ellipsoidal", "egm96"]
@@ -235,6 +236,15 @@ class DumpFile(_Strict):
         return self
 
 
+class SmoothDistortionFile(_Strict):
+    """Displacement of image points by Legendre polynomials, as `star-camera-calibrate` fits it to foreign
+    lenses."""
+
+    degree: Annotated[int, Field(ge=2, le=12, description="largest sum of the orders of a term")]
+    columns_px: Annotated[list[ShiftPx], Field(max_length=100, description="coefficients along columns, px")]
+    rows_px: Annotated[list[ShiftPx], Field(max_length=100, description="coefficients along rows, px")]
+
+
 class StarDistortion(_Strict):
     """Coefficients of the lens distortion; 100 would double the distance from the axis at 0.1 mm."""
 
@@ -242,6 +252,8 @@ class StarDistortion(_Strict):
     p2_per_mm: float = within(-100.0, 100.0, "decentring along y, 1/mm")
     q1_per_mm2: float = within(-100.0, 100.0, "radial, second order, 1/mm²")
     q2_per_mm4: float = within(-100.0, 100.0, "radial, fourth order, 1/mm⁴")
+    q3_per_mm6: Annotated[float, within(-100.0, 100.0, "radial, sixth order, 1/mm⁶; absent: 0")] = 0.0
+    smooth: SmoothDistortionFile | None = None
 
 
 class StarCameraFile(_Strict):
@@ -258,6 +270,10 @@ class StarCameraFile(_Strict):
         ),
     ]
     bit_depth: BitDepth
+    projection: Annotated[
+        Literal["tangent", "equidistant"],
+        Field(description='distance from the axis at an angle t: "tangent": f tan t, "equidistant": f t'),
+    ] = "tangent"
     distortion: StarDistortion
 
 

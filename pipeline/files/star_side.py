@@ -22,6 +22,7 @@ from boresight.geometry.constants import ARCSEC
 from boresight.geometry.epoch import Epoch
 from boresight.geometry.orbit import Orbit, OrbitGapError
 from boresight.geometry.record import Floats, array, record, scalar
+from boresight.geometry.smooth_distortion import SmoothDistortion, term_orders
 from boresight.geometry.star_camera import StarCamera
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files import dump_schema as schema
@@ -195,13 +196,21 @@ def star_camera_table(camera: StarCamera, bits: int) -> dict[str, Any]:
         "height_px": camera.height_px,
         "principal_point_px": [float(v) for v in camera.principal_px],
         "bit_depth": bits,
+        **({} if camera.projection == "tangent" else {"projection": camera.projection}),
         "distortion": {
             "p1_per_mm": camera.p1,
             "p2_per_mm": camera.p2,
             "q1_per_mm2": camera.q1,
             "q2_per_mm4": camera.q2,
+            **({} if camera.q3 == 0.0 else {"q3_per_mm6": camera.q3}),
+            **({} if camera.smooth is None else {"smooth": _smooth_table(camera.smooth)}),
         },
     }
+
+
+def _smooth_table(smooth: SmoothDistortion) -> dict[str, Any]:
+    columns, rows = smooth.coefficients_px.tolist()
+    return {"degree": smooth.degree, "columns_px": columns, "rows_px": rows}
 
 
 def star_camera_of(file: schema.StarCameraFile, name: str) -> StarCamera:
@@ -218,6 +227,9 @@ def star_camera_of(file: schema.StarCameraFile, name: str) -> StarCamera:
         p2=d.p2_per_mm,
         q1=d.q1_per_mm2,
         q2=d.q2_per_mm4,
+        q3=d.q3_per_mm6,
+        projection=file.projection,
+        smooth=_smooth_of(d.smooth, file, name),
     )
     right, low = file.width_px - 0.5, file.height_px - 0.5
     corners = np.array([[-0.5, -0.5], [right, -0.5], [-0.5, low], [right, low]])
@@ -225,6 +237,24 @@ def star_camera_of(file: schema.StarCameraFile, name: str) -> StarCamera:
         found = "a distortion that is not invertible within the detector"
         raise RawDataError(name, "distortion", found, "p1, p2 in 1/mm, q1 in 1/mm^2, q2 in 1/mm^4")
     return camera
+
+
+def _smooth_of(
+    smooth: schema.SmoothDistortionFile | None, file: schema.StarCameraFile, name: str
+) -> SmoothDistortion | None:
+    if smooth is None:
+        return None
+    terms = len(term_orders(smooth.degree))
+    for key, values in (("columns_px", smooth.columns_px), ("rows_px", smooth.rows_px)):
+        if len(values) != terms:
+            expected = f"{terms} coefficients for degree {smooth.degree}"
+            raise RawDataError(name, f"distortion.smooth.{key}", f"{len(values)} coefficients", expected)
+    return SmoothDistortion(
+        degree=smooth.degree,
+        coefficients_px=np.array([smooth.columns_px, smooth.rows_px], dtype=float),
+        width_px=file.width_px,
+        height_px=file.height_px,
+    )
 
 
 def seconds_of(epoch: Epoch, utc: Sequence[str], file: str, field: str) -> Floats:

@@ -21,13 +21,13 @@ from boresight.pipeline.files.whereabouts import NOWHERE, Whereabouts
 from boresight.pipeline.files.whole_file import write_whole
 from boresight.pipeline.stages.identify import read_camera, read_sky_image, sky_index
 from boresight.star_id.camera_calibration import (
+    LARGEST_UNMODELLED_PX,
     CameraCalibration,
     ResidualMap,
     SkyFrame,
     calibrate_camera,
     residual_map,
 )
-from boresight.star_id.camera_fit import PARAMETERS
 from boresight.star_id.field import nominal_camera, solve_stars
 from boresight.star_id.finding.star_list import find_stars
 from boresight.star_id.identification.identify import NotIdentified
@@ -98,8 +98,9 @@ def calibrate_from_images(
     result = replace(result, frames_refused=(*unread, *result.frames_refused))
     stated = next((one.bit_depth for one in sky.images if one.bit_depth is not None), None)
     bits = stated or (8 * read[1].dtype.itemsize if read[1].dtype.kind == "u" else 16)
-    table = tomli_w.dumps(star_camera_table(result.camera, bits))
-    write_whole(request.out, lambda target: target.write_text(table, "utf-8"))
+    if result.explained:
+        table = tomli_w.dumps(star_camera_table(result.camera, bits))
+        write_whole(request.out, lambda target: target.write_text(table, "utf-8"))
     cells = residual_map(result)
     if request.report is not None:
         content = json.dumps(_report(result, cells), indent=1, allow_nan=False)
@@ -108,7 +109,14 @@ def calibrate_from_images(
         _draw(result, cells, request.plot)
     times = [frame.observer.tai_s for frame in frames if frame.observer is not None]
     span_s = max(times) - min(times) if times else 0.0
-    return [*_lines(result, span_s), f"-> {request.out}"], True
+    lines = _lines(result, span_s)
+    if result.explained:
+        return [*lines, f"-> {request.out}"], True
+    refusal = (
+        f"not calibrated: no lens model explains residuals of {result.unmodelled_px:.3f} px rms that stars of"
+        f" different images have in common; {LARGEST_UNMODELLED_PX} px are accepted. --plot draws where"
+    )
+    return [*lines, refusal], False
 
 
 def _image(
@@ -154,9 +162,11 @@ def _lines(result: CameraCalibration, span_s: float) -> list[str]:
         f"principal point  ({camera.principal_px[0]:.3f}, {camera.principal_px[1]:.3f}) px"
         f"  +- ({sigma[1]:.3f}, {sigma[2]:.3f})",
         *(
-            f"{name}  {getattr(camera, name):.4e}  +- {sigma[k + 3]:.1e}"
-            for k, name in enumerate(("p1", "p2", "q1", "q2"))
+            f"{name}  {getattr(camera, name):.4e}  +- {sigma[k]:.1e}"
+            for k, name in enumerate(result.parameters)
+            if k > 2
         ),
+        *_foreign(result),
         f"error of the model  {model[1]:.4f} px in the middle, {model[0]:.4f} px in a corner (1 sigma)",
     ]
     if result.focal_drift_sigma_per_s > 0.0:
@@ -168,17 +178,47 @@ def _lines(result: CameraCalibration, span_s: float) -> list[str]:
     return lines + [f"{frame} not used: {reason}" for frame, reason in result.frames_refused]
 
 
-def _report(result: CameraCalibration, cells: ResidualMap) -> dict[str, Any]:
-    opencv = result.camera.opencv_parameters()
+def _foreign(result: CameraCalibration) -> list[str]:
+    """What the lens has beyond Brown's model to q2."""
+    camera, lines = result.camera, []
+    if camera.projection != "tangent":
+        lines.append("projection  equidistant (Kannala and Brandt): angles from the axis, not their tangents")
+    if camera.smooth is not None:
+        size, degree = result.smooth_size_px, camera.smooth.degree
+        lines.append(f"smooth distortion  degree {degree}, 1-sigma size {size:.3f} px before the fit")
+    if result.unmodelled_px > 0.0:
+        lines.append(f"unmodelled  {result.unmodelled_px:.4f} px rms, part of the errors below")
+    return lines
+
+
+def _opencv(camera: StarCamera) -> dict[str, Any] | None:
+    """OpenCV's form of a lens that it knows."""
+    if camera.smooth is not None or camera.projection != "tangent":
+        return None
+    opencv = camera.opencv_parameters()
     return {
-        "parameters": list(PARAMETERS),
+        "camera_matrix": opencv.camera_matrix.tolist(),
+        "distortion_k1_k2_p1_p2": opencv.distortion[:4].tolist(),
+        "k3": opencv.distortion[4:].sum(),
+    }
+
+
+def _report(result: CameraCalibration, cells: ResidualMap) -> dict[str, Any]:
+    camera = result.camera
+    units = {"focal_m": "m", "p1": "1/mm", "p2": "1/mm", "q1": "1/mm^2", "q2": "1/mm^4", "q3": "1/mm^6"}
+    smooth = camera.smooth
+    return {
+        "parameters": list(result.parameters),
         "values": [
-            result.camera.focal_m,
-            *result.camera.principal_px,
-            *(getattr(result.camera, name) for name in PARAMETERS[3:]),
+            camera.focal_m,
+            *camera.principal_px,
+            *(getattr(camera, name) for name in result.parameters[3:]),
         ],
-        "units": ["m", "px", "px", "1/mm", "1/mm", "1/mm^2", "1/mm^4"],
+        "units": [units.get(name, "px") for name in result.parameters],
         "covariance": result.covariance.tolist(),
+        "projection": camera.projection,
+        "smooth_px": None if smooth is None else smooth.coefficients_px.tolist(),
+        "unmodelled_px": result.unmodelled_px,
         "focal_drift_per_s": result.focal_drift_per_s,
         "focal_drift_sigma_per_s": result.focal_drift_sigma_per_s,
         "chi2": result.chi2,
@@ -188,10 +228,7 @@ def _report(result: CameraCalibration, cells: ResidualMap) -> dict[str, Any]:
         "outliers": result.outliers,
         "frames_used": list(result.frames_used),
         "frames_refused": [{"file": frame, "reason": reason} for frame, reason in result.frames_refused],
-        "opencv": {
-            "camera_matrix": opencv.camera_matrix.tolist(),
-            "distortion_k1_k2_p1_p2": opencv.distortion.tolist(),
-        },
+        "opencv": _opencv(camera),
         "residual_map": {
             "mean_px": np.nan_to_num(cells.mean_px).tolist(),
             "error_px": np.nan_to_num(cells.error_px, posinf=0.0).tolist(),

@@ -1,11 +1,14 @@
 """The star camera against OpenCV's own projection, and the laws that its two ways must obey."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from boresight.geometry.smooth_distortion import SmoothDistortion
 from boresight.geometry.star_camera import OpenCVParameters, StarCamera
 
 # Table 2 of the paper: f = 100 mm, 6.4 um, (p1, p2, q1, q2) for millimetres.
@@ -32,7 +35,19 @@ BOLD = StarCamera(
     q1=-2.5e-4,
     q2=3e-6,
 )
-CAMERAS = [PAPER, BOLD]
+SIXTH = replace(BOLD, q3=-3e-8)  # Brown to r^6
+CAMERAS = [PAPER, BOLD, SIXTH]
+# Kannala and Brandt's lens, 60 deg wide, and a detector that is not flat
+FISHEYE = replace(BOLD, focal_m=0.009, p1=0.0, p2=0.0, q1=-6e-4, q2=2e-6, q3=-4e-8, projection="equidistant")
+WAVY = replace(
+    BOLD,
+    smooth=SmoothDistortion(
+        degree=4,
+        coefficients_px=np.random.default_rng(4).normal(size=(2, 12)),
+        width_px=2000,
+        height_px=1400,
+    ),
+)
 
 
 def detector_points(camera, number=20_000, seed=1):
@@ -68,7 +83,18 @@ def test_removal_of_distortion_agrees_with_opencv(camera):
     assert np.abs(ours - ideal).max() * camera.focal_m / camera.pixel_m < 1e-6
 
 
-@pytest.mark.parametrize("camera", CAMERAS)
+def test_a_fisheye_projects_as_opencv_does():
+    # 1e-6 px; OpenCV's k1 to k4 multiply powers of the angle.
+    u_s = FISHEYE.directions_from_pixels(detector_points(FISHEYE))
+    f = FISHEYE.focal_m * 1e3
+    K = replace(FISHEYE, projection="tangent").opencv_parameters().camera_matrix
+    k = np.array([FISHEYE.q1 * f**2, FISHEYE.q2 * f**4, FISHEYE.q3 * f**6, 0.0])
+    v_cv = (u_s * [-1.0, -1.0, 1.0])[:, None]
+    opencv, _ = cv2.fisheye.projectPoints(v_cv, np.zeros(3), np.zeros(3), K, k)
+    assert np.abs(FISHEYE.pixels_from_directions(u_s) - opencv[:, 0]).max() < 1e-6
+
+
+@pytest.mark.parametrize("camera", [*CAMERAS, FISHEYE, WAVY])
 def test_pixels_come_back_from_their_directions(camera):
     # 1e-9 px over the whole detector, as asked.
     xy_px = detector_points(camera)
@@ -125,7 +151,7 @@ def test_the_corner_of_table_2_moves_by_a_few_pixels():
     assert 3.0 < np.linalg.norm(moved) < 12.0
 
 
-@pytest.mark.parametrize("camera", CAMERAS)
+@pytest.mark.parametrize("camera", [*CAMERAS, FISHEYE, WAVY])
 def test_jacobian_is_the_derivative(camera):
     # Central differences over 2e-3 px: error 1e-16 / 1e-3 of rounding against 2e-4 rad/px.
     xy_px = detector_points(camera, 200)
@@ -174,7 +200,7 @@ def test_lenses_that_the_model_cannot_hold_are_refused():
     K = PAPER.opencv_parameters().camera_matrix
     size = {"pixel_m": 6.4e-6, "width_px": 5120, "height_px": 3840}
     with pytest.raises(ValueError, match="coefficients"):
-        StarCamera.from_opencv(OpenCVParameters(K, np.array([0.1, 0, 0, 0, 0.2])), **size)
+        StarCamera.from_opencv(OpenCVParameters(K, np.array([0.1, 0, 0, 0, 0.2, 0.3])), **size)
     with pytest.raises(ValueError, match="square pixels"):
         StarCamera.from_opencv(OpenCVParameters(K * [[1], [1.01], [1]], np.zeros(4)), **size)
     with pytest.raises(ValueError, match="focal_m"):

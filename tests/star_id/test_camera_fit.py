@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from frames import PAPER_CAMERA
 from pytest import approx
 from scipy.spatial.transform import Rotation
@@ -12,6 +13,7 @@ from scipy.spatial.transform import Rotation
 from boresight.star_id.camera_fit import (
     DRIFT,
     PARAMETERS,
+    Q3,
     IdentifiedStars,
     detector_grid,
     fit_camera,
@@ -26,20 +28,24 @@ CAMERA = replace(
     PAPER_CAMERA, principal_px=(2611.3, 1790.2), p1=9e-5, p2=-7e-5, q1=-6e-6, q2=-2.3e-8, focal_m=0.07
 )
 
+FISHEYE = replace(CAMERA, q1=3e-6, q3=2e-12, projection="equidistant")
 
-def test_derivatives_are_those_of_the_camera():
-    xy = detector_grid(CAMERA)
-    u_s = CAMERA.directions_from_pixels(xy)
-    steps = dict(zip(PARAMETERS, (1e-6, 1e-2, 1e-2, 1e-7, 1e-7, 1e-9, 1e-11)))
+
+@pytest.mark.parametrize("camera", [CAMERA, FISHEYE])
+def test_derivatives_are_those_of_the_camera(camera):
+    xy = detector_grid(camera)
+    u_s = camera.directions_from_pixels(xy)
+    free = (*PARAMETERS, Q3)
+    steps = dict(zip(free, (1e-6, 1e-2, 1e-2, 1e-7, 1e-7, 1e-9, 1e-11, 1e-14)))
     for k, (name, h) in enumerate(steps.items()):
-        more, less = perturbed(CAMERA, name, h), perturbed(CAMERA, name, -h)
+        more, less = perturbed(camera, name, h), perturbed(camera, name, -h)
         difference = (more.pixels_from_directions(u_s) - less.pixels_from_directions(u_s)) / (2.0 * h)
-        given = pixel_derivatives(CAMERA, u_s)[:, :, k]
+        given = pixel_derivatives(camera, u_s, free)[:, :, k]
         assert np.abs(given - difference).max() < 1e-6 * np.abs(difference).max()
-    turns = rotation_derivatives(CAMERA, u_s)
+    turns = rotation_derivatives(camera, u_s)
     for k, axis in enumerate(np.eye(3)):
         turn = Rotation.from_rotvec(1e-6 * axis)
-        forth, back = (CAMERA.pixels_from_directions(R.apply(u_s)) for R in (turn, turn.inv()))
+        forth, back = (camera.pixels_from_directions(R.apply(u_s)) for R in (turn, turn.inv()))
         difference = (forth - back) / 2e-6
         assert np.abs(turns[:, :, k] - difference).max() < 1e-6 * np.abs(difference).max()
 

@@ -6,11 +6,21 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import tomli_w
 from handmade import write_handmade_dump
 
+from boresight.geometry.smooth_distortion import SmoothDistortion
+from boresight.geometry.star_camera import StarCamera
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.dump import Dump, open_dump
-from boresight.pipeline.files.star_side import SolvedAttitudes, StarCentroids
+from boresight.pipeline.files.dump_schema import StarCameraFile
+from boresight.pipeline.files.star_side import (
+    SolvedAttitudes,
+    StarCentroids,
+    star_camera_of,
+    star_camera_table,
+)
+from boresight.pipeline.files.text_files import read_toml
 
 HEAD = """
 [[star_cameras]]
@@ -136,3 +146,30 @@ def test_centroids_stand_in_for_images(tmp_path: Path) -> None:
     assert none is None and stars is not None
     assert stars.xy_px.tolist() == [[3.0, 4.0], [10.5, 20.25]]  # brightest first
     assert np.allclose(stars.cov_px[1], [[0.0025, 0.001], [0.001, 0.0036]])
+
+
+def test_a_foreign_lens_comes_back_from_its_file(tmp_path):
+    smooth = SmoothDistortion(
+        degree=3,
+        coefficients_px=np.random.default_rng(3).normal(size=(2, 7)),
+        width_px=1000,
+        height_px=800,
+    )
+    camera = StarCamera(
+        focal_m=0.02,
+        pixel_m=5e-6,
+        width_px=1000,
+        height_px=800,
+        principal_px=(510.0, 390.0),
+        q1=-1e-4,
+        q3=1e-8,
+        projection="equidistant",
+        smooth=smooth,
+    )
+    file, xy_px = tmp_path / "star_camera.toml", np.array([[3.0, 5.0], [700.0, 200.0]])
+    file.write_text(tomli_w.dumps(star_camera_table(camera, 12)), "utf-8")
+    read = star_camera_of(read_toml(file, StarCameraFile, str(file)), str(file))
+    assert np.array_equal(read.directions_from_pixels(xy_px), camera.directions_from_pixels(xy_px))
+    file.write_text(file.read_text("utf-8").replace("degree = 3", "degree = 4"), "utf-8")
+    with pytest.raises(RawDataError, match=r"smooth.columns_px.*12 coefficients"):
+        star_camera_of(read_toml(file, StarCameraFile, str(file)), str(file))

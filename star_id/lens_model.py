@@ -1,0 +1,279 @@
+"""The lens model that the stars of many images show: Brown's, Kannala and Brandt's, or either with a smooth
+distortion, chosen by evidence.
+
+Brown's model to q2 is kept unless a smooth distortion (`geometry.smooth_distortion`) explains more than
+chance, or the other projection, or q3. A coefficient of degree n has a Gaussian prior of variance t^2 / 2^n,
+so terms of rising degree count as far as the stars determine them. The size t is that of the largest
+evidence, noise of unknown scale and all rotations and camera parameters marginalised. It stays in the stated
+errors: where there are no stars, the distortion is known no better than that.
+
+What even this leaves is seen in neighbouring stars of different images: the mean product of their residuals
+is the variance of the unmodelled map, free of noise.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
+
+from boresight.geometry.record import Bools, Floats, Ints, array, record, scalar
+from boresight.geometry.smooth_distortion import SmoothDistortion, term_orders
+from boresight.geometry.star_camera import StarCamera
+from boresight.star_id.camera_fit import (
+    PARAMETERS,
+    Q3,
+    CameraFit,
+    IdentifiedStars,
+    fit_camera,
+    pixel_derivatives,
+    rotation_derivatives,
+    smooth_derivatives,
+)
+
+__all__ = ["LensModel", "choose_lens", "unmodelled_px"]
+
+_DEGREE = 10
+_SIZES_PX = np.geomspace(1e-3, 30.0, 24)
+_SEEN = 4.0  # of the log evidence, that a smooth distortion has to gain
+_OUTLIER_CHI2 = 16.0
+_REJECTIONS = 4
+_FEWEST_PAIRS = 50
+_LEAST_PX = 0.01
+_Q3_CORNER = 0.002  # prior displacement of the corner by q3, of its radius
+_NEAR = 0.05  # of the detector's width: stars nearer than this see the same distortion
+_SIGNIFICANT = 4.0  # standard errors of the mean product
+
+
+@record(kw_only=True)
+class LensModel:
+    """A camera with C coefficients of a smooth distortion (none: C = 0), and its F + C errors."""
+
+    camera: StarCamera = scalar("with the chosen parameters")
+    fitted: tuple[str, ...] = scalar("names, of PARAMETERS and Q3")
+    parameters: tuple[str, ...] = scalar("F names of those with errors: q3 may be doubtful, and not fitted")
+    covariance: Floats = array("P, P", "of parameters (own units) and coefficients (px); P = F + C")
+    size_px: float = scalar("prior 1-sigma size t of the smooth distortion, px; 0 without one")
+    used: float = scalar("degrees of freedom that the coefficients use")
+    fit: CameraFit = scalar("of `parameters`, the smooth distortion held")
+
+
+def choose_lens(stars: IdentifiedStars, camera: StarCamera, rotations: Rotation) -> LensModel:
+    """Lens model of identified stars (N) of K images; `camera` and `rotations` (K,) are approximate."""
+    brown = replace(camera, smooth=None, q3=0.0, projection="tangent")
+    if camera.projection != "tangent":
+        brown = replace(brown, q1=0.0, q2=0.0)
+    plain = fit_camera(stars, brown, rotations)
+    good = _without_gross(stars, plain)
+    inner = replace(
+        stars,
+        xy_px=stars.xy_px[good],
+        cov_px=stars.cov_px[good],
+        u_i=stars.u_i[good],
+        frame=stars.frame[good],
+    )
+    fisheye = replace(brown, projection="equidistant", q1=0.0, q2=0.0)
+    first, *others = (
+        _Trial.of(inner, base, rotations, free)
+        for free in (PARAMETERS, (*PARAMETERS, Q3))
+        for base in (brown, fisheye)
+    )
+    best = max(others, key=lambda trial: trial.log_evidence)
+    if best.log_evidence > first.log_evidence + _SEEN:
+        return best.model(stars)
+    if first.size_px:
+        return first.model(stars)
+    return _brown(plain, first, others[1])
+
+
+def _brown(plain: CameraFit, without: _Trial, with_q3: _Trial) -> LensModel:
+    """Brown's model to q2; the probability that q3 is needed, unseen, is part of its covariance."""
+    share = 1.0 / (1.0 + np.exp(min(without.log_evidence - with_q3.log_evidence, 500.0)))
+    free, scale = with_q3.free, max(1.0, with_q3.solved.scale)
+    off = np.array([_value(with_q3.camera, name) - _value(plain.camera, name) for name in free])
+    own = np.zeros((len(free), len(free)))
+    own[:-1, :-1] = plain.covariance
+    other = scale * with_q3.solved.covariance + np.outer(off, off)
+    return LensModel(
+        camera=plain.camera,
+        fitted=PARAMETERS,
+        parameters=free,
+        covariance=(1.0 - share) * own + share * other,
+        size_px=0.0,
+        used=0.0,
+        fit=plain,
+    )
+
+
+def _value(camera: StarCamera, name: str) -> float:
+    """One of PARAMETERS, or Q3."""
+    if name in ("x0_px", "y0_px"):
+        return camera.principal_px[int(name == "y0_px")]
+    return float(getattr(camera, name))
+
+
+def unmodelled_px(xy_px: Floats, residual_px: Floats, sigma_px: Floats, frame: Ints, width_px: int) -> float:
+    """Root mean square, along one axis, of what the lens model leaves of the pixel map, px; 0 if not
+    significant. Residuals (N, 2) of stars at (N, 2), errors (N,) along one axis, in images `frame` (N,)."""
+    pairs = cKDTree(xy_px).query_pairs(_NEAR * width_px, output_type="ndarray")
+    a, b = pairs[frame[pairs[:, 0]] != frame[pairs[:, 1]]].T
+    if len(a) < _FEWEST_PAIRS:
+        return 0.0
+    variance = 0.0
+    for _ in range(3):  # the weight of a pair depends on the variance that is sought
+        noise2 = sigma_px**2 + max(variance, _LEAST_PX**2)
+        weight = 1.0 / (noise2[a] * noise2[b])
+        clipped = np.clip(residual_px, *(np.array([[-4.0], [4.0]])[:, :, None] * np.sqrt(noise2)[:, None]))
+        product = 0.5 * weight * (clipped[a] * clipped[b]).sum(axis=1)
+        # a star is in several pairs: the error is that of the sums by star
+        by_star = np.bincount(a, product, minlength=len(xy_px))
+        variance = float(product.sum() / weight.sum())
+        error = float(np.sqrt((by_star**2).sum()) / weight.sum())
+    return float(np.sqrt(variance)) if variance > _SIGNIFICANT * error else 0.0
+
+
+def _without_gross(stars: IdentifiedStars, plain: CameraFit) -> Bools:
+    """(N,) which stars agree with their neighbours under the most flexible model."""
+    keep = np.ones(len(stars.xy_px), dtype=bool)
+    for _ in range(_REJECTIONS):
+        system = _System.of(stars, plain, PARAMETERS, keep)
+        residual = system.residual - system.columns @ system.solved(1.0).mean
+        chi2 = 0.5 * (residual**2).sum(axis=1) / (0.5 * np.trace(stars.cov_px, axis1=1, axis2=2))
+        before, keep = keep, chi2 < _OUTLIER_CHI2 * max(1.0, float(np.median(chi2)) / 0.693)
+        if np.array_equal(before, keep):
+            break
+    return keep
+
+
+@record(kw_only=True)
+class _Solved:
+    """Posterior with one size of the smooth distortion."""
+
+    mean: Floats = array("P", "of parameters and coefficients, from the start")
+    covariance: Floats = array("P, P", "with unit noise scale")
+    scale: float = scalar("reduced chi2")
+    log_evidence: float = scalar("of the noise's scale marginalised")
+    used: float = scalar("degrees of freedom of the coefficients")
+
+
+@record(kw_only=True)
+class _System:
+    """Normal equations of F parameters and C coefficients, rotations eliminated."""
+
+    normal: Floats = array("P, P", "information")
+    right: Floats = array("P", "gradient")
+    chi2: float = scalar("at the start")
+    dof: float = scalar("observations less rotations and parameters")
+    prior: Floats = array("F", "precision of the parameters: only of q3")
+    columns: Floats = array("N, 2, P", "design, rotations eliminated by the images' own")
+    residual: Floats = array("N, 2", "at the start")
+
+    @classmethod
+    def of(cls, stars: IdentifiedStars, fit: CameraFit, free: tuple[str, ...], keep: Bools) -> _System:
+        """The equations about a fit; stars that are not in `keep` (N,) have no weight."""
+        camera = fit.camera
+        u_s = np.einsum("nij,nj->ni", fit.rotations.as_matrix()[stars.frame], stars.u_i)
+        xy = camera.pixels_from_directions(u_s)
+        J = np.concatenate(
+            [pixel_derivatives(camera, u_s, free), smooth_derivatives(camera, xy, _DEGREE)], axis=2
+        )
+        A, residual = rotation_derivatives(camera, u_s), stars.xy_px - xy
+        W = np.linalg.inv(stars.cov_px) * keep[:, None, None]
+        for k in range(len(stars.t_s)):
+            rows = stars.frame == k
+            AW = (A[rows].transpose(0, 2, 1) @ W[rows]).transpose(1, 0, 2).reshape(3, -1)
+            both = np.concatenate([J[rows], residual[rows, :, None]], axis=2)
+            taken = np.linalg.solve(AW @ A[rows].reshape(-1, 3), AW @ both.reshape(-1, both.shape[2]))
+            both = both - A[rows] @ taken
+            J[rows], residual[rows] = both[:, :, :-1], both[:, :, -1]
+        WJ = (W @ J).reshape(-1, J.shape[2])
+        prior = np.zeros(len(free))
+        if Q3 in free:
+            corner_mm = 0.5e3 * np.hypot(camera.width_px, camera.height_px) * camera.pixel_m
+            prior[free.index(Q3)] = (_Q3_CORNER / corner_mm**6) ** -2.0
+        return cls(
+            normal=J.reshape(WJ.shape).T @ WJ,
+            right=WJ.T @ residual.ravel(),
+            chi2=float(np.einsum("ni,nij,nj->", residual, W, residual)),
+            dof=float(2 * keep.sum() - 3 * len(stars.t_s) - len(free)),
+            prior=prior,
+            columns=J,
+            residual=residual,
+        )
+
+    def solved(self, size_px: float) -> _Solved:
+        """Posterior with a smooth distortion of 1-sigma size; 0: without one."""
+        F = len(self.prior)
+        rows = slice(None) if size_px else slice(F)
+        orders = [float(i + j) for i, j in term_orders(_DEGREE if size_px else 0)]
+        precision = np.append(self.prior, np.exp2(np.tile(orders, 2)) / max(size_px, 1e-9) ** 2)
+        normal = self.normal[rows, rows] + np.diag(precision)
+        unit = 1.0 / np.sqrt(np.diag(normal))
+        factor = cho_factor(normal * unit[:, None] * unit, lower=True)
+        mean = unit * cho_solve(factor, unit * self.right[rows])
+        covariance = cho_solve(factor, np.eye(len(unit))) * unit[:, None] * unit
+        chi2 = max(self.chi2 - float(self.right[rows] @ mean), 1e-9)
+        log_det = 2.0 * float(np.log(np.diag(factor[0]) / unit).sum())
+        log_det -= float(np.log(precision[precision > 0.0]).sum())
+        used = len(mean) - F - float(precision[F:] @ np.diag(covariance)[F:])
+        return _Solved(
+            mean=mean,
+            covariance=covariance,
+            scale=chi2 / self.dof,
+            log_evidence=-0.5 * (self.dof * np.log(chi2 / self.dof) + log_det),
+            used=used,
+        )
+
+
+@record(kw_only=True)
+class _Trial:
+    """One projection and set of parameters with its most probable smooth distortion."""
+
+    camera: StarCamera = scalar("fitted, without smooth distortion")
+    rotations: Rotation = array("K", "fitted")
+    free: tuple[str, ...] = scalar("parameters")
+    size_px: float = scalar("1-sigma size of the smooth distortion, px; 0 without one")
+    solved: _Solved = scalar("posterior")
+
+    @property
+    def log_evidence(self) -> float:
+        """Of the model with its most probable smooth distortion."""
+        return self.solved.log_evidence
+
+    @classmethod
+    def of(
+        cls, stars: IdentifiedStars, camera: StarCamera, rotations: Rotation, free: tuple[str, ...]
+    ) -> _Trial:
+        fit = fit_camera(stars, camera, rotations, free)
+        system = _System.of(stars, fit, free, np.ones(len(stars.xy_px), dtype=bool))
+        size, without = 0.0, system.solved(0.0)
+        choices = [(float(t), system.solved(float(t))) for t in _SIZES_PX]
+        likeliest, best = max(choices, key=lambda choice: choice[1].log_evidence)
+        if best.log_evidence > without.log_evidence + _SEEN:
+            size, without = likeliest, best
+        return cls(camera=fit.camera, rotations=fit.rotations, free=free, size_px=size, solved=without)
+
+    def model(self, stars: IdentifiedStars) -> LensModel:
+        """The model, fitted to all stars with the smooth distortion held at its mean."""
+        camera, F = self.camera, len(self.free)
+        if self.size_px:
+            smooth = SmoothDistortion(
+                degree=_DEGREE,
+                coefficients_px=self.solved.mean[F:].reshape(2, -1),
+                width_px=camera.width_px,
+                height_px=camera.height_px,
+            )
+            camera = replace(camera, smooth=smooth)
+        fit = fit_camera(stars, camera, self.rotations, self.free)
+        return LensModel(
+            camera=fit.camera,
+            fitted=self.free,
+            parameters=self.free,
+            covariance=max(1.0, self.solved.scale) * self.solved.covariance,
+            size_px=self.size_px,
+            used=self.solved.used,
+            fit=fit,
+        )

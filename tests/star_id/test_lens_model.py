@@ -1,0 +1,60 @@
+"""Lenses that are not of the paper's model, calibrated from lists of stars: the map's error is as stated, or
+the lens is refused."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from foreign_lenses import HEIGHT, SIZE, WIDTH, ForeignLens
+from frames import listed_stars
+from scipy.spatial.transform import Rotation
+
+from boresight.star_id.camera_calibration import CameraCalibration, SkyFrame, calibrate_camera
+from boresight.star_id.catalogue import hipparcos_stars
+from boresight.star_id.field import nominal_camera
+from boresight.star_id.identification.triangle_index import build_index
+from boresight.star_id.settings import StarSettings
+
+FOREIGN = {
+    "Kannala and Brandt": (40.0, lambda t: t * (1 - 0.05 * t**2 + 0.02 * t**4 - 0.01 * t**6)),
+    "orthographic": (36.0, np.sin),
+    "wavy detector": (
+        20.0,
+        lambda t: np.tan(t) * (1 - 0.1 * np.tan(t) ** 2),
+        lambda x, y: (0.4 * np.sin(3 * x + 1) * np.cos(2 * y), 0.3 * np.sin(3 * y - 2 * x)),
+    ),
+}
+STEP = (20.0, np.tan, lambda x, y: (1.0 * (x > 0.1), 0.0 * y))
+
+
+def calibrated(fov_deg, radius, *shift):
+    lens, rng = ForeignLens(fov_deg, radius, *shift), np.random.default_rng(16)
+    places = hipparcos_stars(8.0).places
+    index = build_index(places, places.epoch_jyear, tuple(np.radians([0.6 * fov_deg, 1.2 * fov_deg])))
+    frames = []
+    for k in range(8):
+        stars = listed_stars(lens, Rotation.random(random_state=rng), places, rng)
+        frames.append(SkyFrame(str(k), stars))
+    nominal = nominal_camera(SIZE, np.radians(1.02 * fov_deg))
+    found = calibrate_camera(frames, nominal, index, StarSettings())
+    assert isinstance(found, CameraCalibration)
+    return lens, found
+
+
+@pytest.mark.parametrize("name", FOREIGN)
+def test_a_foreign_lens_is_as_wrong_as_stated(name):
+    lens, found = calibrated(*FOREIGN[name])
+    x, y = np.meshgrid(np.linspace(0, WIDTH - 1, 25), np.linspace(0, HEIGHT - 1, 19))
+    xy = np.column_stack([x.ravel(), y.ravel()])
+    error = lens.error_px(found.camera, xy)
+    ratio = np.sqrt(0.5 * (error**2).sum(axis=1)) / found.model_sigma_px(xy)
+    # some seven independent errors over the detector: mean square 1 within a factor, none far beyond
+    assert 0.1 < (ratio**2).mean() < 2.5
+    assert ratio.max() < 3.2
+    assert found.explained
+
+
+def test_a_detector_with_a_step_is_refused_with_the_size_of_the_misfit():
+    _, found = calibrated(*STEP)
+    assert not found.explained
+    assert 0.02 < found.unmodelled_px < 0.5  # px; half of a step of 1 px is the most that can be left
