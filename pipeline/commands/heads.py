@@ -26,6 +26,9 @@ def noise(
         Path | None,
         typer.Option(help="Folder for noise.toml (keys for dump.toml), noise.json and noise.png."),
     ] = None,
+    write: Annotated[
+        bool, typer.Option("--write", help="State the noise in the dump's own dump.toml.")
+    ] = False,
     lowest_hz: Annotated[
         float, typer.Option(help="Of a single star camera: slower motion is the satellite's.", min=0.0)
     ] = 0.5,
@@ -33,9 +36,10 @@ def noise(
 ) -> Answer:
     """Estimate the noise of the star cameras' attitudes from the record: white, correlated, constant.
 
-    Example: boresight noise dump --out noise
+    Example: boresight noise dump --out noise --write
     """
     from boresight.pipeline.files.dump import open_dump
+    from boresight.pipeline.files.stated_noise import state_noise
     from boresight.pipeline.report.heads import noise_json, noise_lines, write_noise
     from boresight.pipeline.settings import read_settings
     from boresight.pipeline.stages.head_records import noise_of_heads
@@ -43,6 +47,9 @@ def noise(
     found = noise_of_heads(open_dump(dump.resolve()), read_settings(settings), lowest_hz)
     files = () if out is None else write_noise(found, out)
     text = "\n".join(noise_lines(found))
+    if write:
+        stated = state_noise(dump.resolve(), dict(zip(found.names, found.fit.heads)))
+        text, files = f"{text}\nstated in {dump / 'dump.toml'}", (*files, stated)
     return Answer(text=text, content=noise_json(found), files=files)
 
 

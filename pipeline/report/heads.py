@@ -14,6 +14,7 @@ from boresight.calib.noise_spectrum import allan_deviation
 from boresight.geometry.attitude_noise import AttitudeNoise
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.record import Floats
+from boresight.pipeline.files.stated_noise import noise_keys
 from boresight.pipeline.files.whole_file import write_whole
 from boresight.pipeline.results.writing import write_json
 from boresight.pipeline.stages.head_records import HeadNoise, HeadsAlone
@@ -68,19 +69,8 @@ def write_noise(found: HeadNoise, out: Path) -> tuple[Path, ...]:
 
 
 def _toml(name: str, noise: AttitudeNoise) -> str:
-    def listed(values: Floats) -> str:
-        return "[" + ", ".join(f"{value:.4g}" for value in values) + "]"
-
-    return "\n".join(
-        [
-            f"[star_cameras.noise]  # of {name}",
-            f"white_arcsec = {listed(noise.white_rad / ARCSEC)}",
-            f"correlated_arcsec = {listed(noise.correlated_rad / ARCSEC)}",
-            f"correlation_time_s = {listed(noise.correlation_time_s)}",
-            f"constant_arcsec = {listed(noise.constant_rad / ARCSEC)}",
-            "",
-        ]
-    )
+    keys = (f"{key} = {values}" for key, values in noise_keys(noise, with_white=True).items())
+    return "\n".join([f"[star_cameras.noise]  # of {name}", *keys, ""])
 
 
 def noise_json(found: HeadNoise) -> dict[str, Any]:

@@ -1,0 +1,54 @@
+"""State the noise of the heads in a dump's own dump.toml; comments and all other keys stay as they are."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import tomlkit
+
+from boresight.geometry.attitude_noise import AttitudeNoise
+from boresight.geometry.constants import ARCSEC
+from boresight.geometry.record import Floats
+from boresight.pipeline.errors import RawDataError
+from boresight.pipeline.files.dump_schema import DumpFile
+from boresight.pipeline.files.text_files import read_text, read_toml
+from boresight.pipeline.files.whole_file import write_whole
+
+__all__ = ["noise_keys", "state_noise"]
+
+
+def noise_keys(noise: AttitudeNoise, with_white: bool) -> dict[str, list[float]]:
+    """Keys of a table [star_cameras.noise]; without the white part where rows or stars give it."""
+
+    def listed(values: Floats) -> list[float]:
+        return [float(f"{value:.4g}") for value in values.tolist()]
+
+    keys = {"white_arcsec": listed(noise.white_rad / ARCSEC)} if with_white else {}
+    return keys | {
+        "correlated_arcsec": listed(noise.correlated_rad / ARCSEC),
+        "correlation_time_s": listed(noise.correlation_time_s),
+        "constant_arcsec": listed(noise.constant_rad / ARCSEC),
+    }
+
+
+def state_noise(root: Path, noise: Mapping[str, AttitudeNoise]) -> Path:
+    """Write the noise of each head, by its name, into `root`/dump.toml. Returns the file.
+
+    `RawDataError` for a dump without [[star_cameras]]: the noise of a single star camera's images is that of
+    its stars.
+    """
+    path = root / "dump.toml"
+    stated = read_toml(path, DumpFile, "dump.toml")
+    if not stated.star_cameras:
+        raise RawDataError("dump.toml", "star_cameras", "none", "[[star_cameras]], whose noise can be stated")
+    document = tomlkit.parse(read_text(path, "dump.toml"))
+    heads = document.unwrap()["star_cameras"]
+    for table, head in zip(document["star_cameras"], heads, strict=True):  # type: ignore[arg-type]
+        found = noise[str(head["name"])]
+        # Stars, or errors in the rows of a table of attitudes, are the one statement of the white part.
+        table["noise"] = noise_keys(found, "white_arcsec" in head.get("noise", {}))  # type: ignore[index]
+    text = tomlkit.dumps(document)
+    write_whole(path, lambda target: target.write_text(text, encoding="utf-8"))
+    read_toml(path, DumpFile, "dump.toml")
+    return path
