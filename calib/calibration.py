@@ -46,6 +46,7 @@ from boresight.calib.joint_solution import (
     linearised,
     squared_mahalanobis,
 )
+from boresight.calib.orbit_bias import common_bias
 from boresight.calib.rejection import rejected_observations
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.strips import PreparedStrip, prepare_strip
@@ -329,6 +330,7 @@ def _estimate(
         rejection=test,
         noise=NoiseScale(*scale_s, *fit.scale_c),
         agreement=problem.agreement,
+        bias=common_bias(problem.shared.names, step.solution, settings),
         heads=(HeadInstallation(name="", R_cs=R_cs),),
         cov_heads=step.solution.covariance,
     )

@@ -9,6 +9,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from boresight.calib.information import InformationPairs
+from boresight.calib.orbit_bias import CommonBias
 from boresight.geometry.record import Bools, Floats, Ints, Texts, array, record, scalar
 
 __all__ = [
@@ -169,6 +170,7 @@ class InstallationEstimate:
     rejection: RejectionTest = scalar("how targets were tested")
     noise: NoiseScale = scalar("noise as the residuals show it")
     agreement: HeadAgreement = scalar("of the heads with one another")
+    bias: CommonBias | None = scalar("of orbit and row clock; None: not observable (no strip of the sky)")
     heads: tuple[HeadInstallation, ...] = array("H", "of all heads, the reference head first")
     cov_heads: Floats = array("D, D", "rad², 3 H: small rotations about the axes of c, head after head")
 

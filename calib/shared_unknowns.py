@@ -1,4 +1,5 @@
-"""Unknowns that several strips share: the camera's distortion, targets' coordinates, alignments of heads.
+"""Unknowns that several strips share: the camera's distortion, targets' coordinates, the orbit's bias,
+alignments of heads.
 
 Each is one named unknown of the whole calibration and does not average over strips. A target's coordinates
 are three unknowns in metres, in axes that rotate with the Earth about the pole of GCRS, which agree with ITRS
@@ -16,6 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from boresight.calib.distortion import Knot, knots_touched, prior_information, unknown_names
 from boresight.calib.heads import head_names
+from boresight.calib.orbit_bias import BIASES, bias_prior
 from boresight.calib.settings import CalibrationSettings
 from boresight.geometry.constants import EARTH_ROTATION_RATE
 from boresight.geometry.record import Bools, array, record, scalar
@@ -36,7 +38,7 @@ MICRORADIAN = 1e-6  # rad: unit of stars' directions as unknowns, of a size like
 SIGMA_ALIGNMENT_RAD = 0.01  # of alignments between heads: wide, the attitudes themselves give arc-seconds
 
 
-@record
+@record(kw_only=True)
 class SeenTargets:
     """The targets of one strip, as far as other strips may share unknowns with them."""
 
@@ -44,6 +46,7 @@ class SeenTargets:
     ccd: NDArray[np.int64] = array("J", "CCD of each sighting")
     sample: Array = array("J", "along the CCD, px")
     cov_coordinates: Array = array("J, 3, 3", "of the coordinates, m²; of stars µrad²")
+    is_star: Bools = array("J", "targets that are stars")
 
 
 @record
@@ -55,18 +58,21 @@ class SharedUnknowns:
     cov_targets: Array = array("T, 3, 3", "prior covariance of their coordinates, m²; of stars µrad²")
     n_treated_independent: int = scalar("targets in several strips beyond the limit")
     heads: tuple[str, ...] = scalar("heads beside the reference head, three unknowns each", default=())
+    biases: tuple[str, ...] = scalar("of `orbit_bias.BIASES`, where ground and sky are seen", default=())
 
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the unknowns, in the order of the matrices."""
-        return unknown_names(self.knots) + coordinate_names(self.targets) + head_names(self.heads)
+        of_camera_and_targets = unknown_names(self.knots) + coordinate_names(self.targets)
+        return of_camera_and_targets + self.biases + head_names(self.heads)
 
     def prior_information(self) -> Array:
-        """Inverse prior covariance (n, n), distortion in units of its prior sigma, coordinates in metres,
-        alignments in radians.
+        """Inverse prior covariance (n, n), distortion in units of its prior sigma, coordinates in metres
+        or µrad, biases in units of the stated errors of a strip, alignments in radians.
         """
         alignments = np.eye(3 * len(self.heads)) / SIGMA_ALIGNMENT_RAD**2
-        parts = [prior_information(unknown_names(self.knots)), *np.linalg.inv(self.cov_targets), alignments]
+        parts = [prior_information(unknown_names(self.knots)), *np.linalg.inv(self.cov_targets)]
+        parts += [bias_prior(self.biases), alignments]
         parts = [part for part in parts if part.size]
         return np.asarray(block_diag(*parts)) if parts else np.zeros((0, 0))
 
@@ -99,7 +105,8 @@ def coordinate_covariance(cov_target_i: Array, t_s: Array, u_i: Array, is_star: 
 def find_shared(
     strips: Sequence[SeenTargets], settings: CalibrationSettings, heads: tuple[str, ...] = ()
 ) -> SharedUnknowns:
-    """The unknowns that these strips share, the alignments of `heads` among them.
+    """The unknowns that these strips share, the alignments of `heads` among them; biases of orbit and clock
+    where there are stars and targets on the ground.
 
     Of targets in several strips, those seen most often come first.
     """
@@ -118,4 +125,12 @@ def find_shared(
     often.sort(key=lambda name: (-count[name], name))
     kept = tuple(sorted(often[: settings.most_shared_targets]))
     covariances = np.array([covariance[name] for name in kept]).reshape(-1, 3, 3)
-    return SharedUnknowns(tuple(sorted(knots)), kept, covariances, len(often) - len(kept), heads)
+    mixed = any(s.is_star.any() for s in strips) and any(not s.is_star.all() for s in strips)
+    return SharedUnknowns(
+        knots=tuple(sorted(knots)),
+        targets=kept,
+        cov_targets=covariances,
+        n_treated_independent=len(often) - len(kept),
+        heads=heads,
+        biases=BIASES if mixed else (),
+    )

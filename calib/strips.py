@@ -24,6 +24,7 @@ from scipy.spatial.transform import Rotation
 
 from boresight.calib.distortion import Knot, correlation, knot_weights, knots_touched
 from boresight.calib.heads import HeadTie, interpolated, tie_of_head
+from boresight.calib.orbit_bias import BIASES, bias_columns
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.shared_unknowns import (
     MICRORADIAN,
@@ -60,11 +61,19 @@ class PreparedStrip:
         "J, 3, 3", "change of v_s by the target's coordinates, Earth axes, 1/m; a star's, GCRS axes, 1/µrad"
     )
     cov_coordinates: Floats = array("J, 3, 3", "covariance of the coordinates, the same axes, m²; µrad²")
+    bias_s: Floats = array("J, 3, 4", "change of v_s by `orbit_bias.BIASES`, zero of stars by the orbit's")
     ties: tuple[HeadTie, ...] = scalar("rows of the other heads")
+    is_star: Bools = array("J", "targets that are stars")
 
     def seen(self) -> SeenTargets:
         """The strip's targets, as far as other strips may share unknowns with them."""
-        return SeenTargets(self.target_id, self.ccd, self.sample, self.cov_coordinates)
+        return SeenTargets(
+            target_id=self.target_id,
+            ccd=self.ccd,
+            sample=self.sample,
+            cov_coordinates=self.cov_coordinates,
+            is_star=self.is_star,
+        )
 
 
 @record(kw_only=True)
@@ -78,7 +87,7 @@ class StripGroup:
     v_s: Floats = array("S, J, 3", "as in `PreparedStrip`")
     shared_s: Floats = array("S, J, 3, N", "... and the coordinates of targets seen twice in the strip")
     white_s: Floats = array("S, J, 3, 3", "noise by the coordinates of targets seen once, rad²")
-    targets_s: Floats = array("S, J, 3, T", "change of v_s by coordinates that other strips share, 1/m")
+    targets_s: Floats = array("S, J, 3, T", "change of v_s by coordinates and biases that other strips share")
     camera: Floats = array("S, J, C", "change of the look direction by each knot of the camera, rad")
     own: Floats = array("S, J, M", "the same for the strip's own distortion, whitened")
     missed: Floats = array("S, J", "variance of the distortion between knots, rad²")
@@ -139,7 +148,9 @@ def prepare_strip(strip: StripSightings, settings: CalibrationSettings) -> Prepa
         unknowns=(*names, "position/x", "position/y", "position/z", "clock"),
         coordinates_s=_by_coordinates(ground, R_si, move_s),
         cov_coordinates=own * settings.use_target_sigma,
+        bias_s=bias_columns(move_s, strip.R_oi_targets, clock[:, :, 0], settings.sigma_position_m),
         ties=ties,
+        is_star=ground.is_star,
     )
 
 
@@ -248,7 +259,7 @@ def _group(
             [np.concatenate([strip.shared_s, two], axis=2) for strip, two in zip(members, again)]
         ),
         white_s=np.stack(white),
-        targets_s=np.stack([_with_alignments(columns, shared) for columns in across]),
+        targets_s=np.stack([_after_knots(*one, shared) for one in zip(members, across)]),
         camera=np.stack(camera),
         own=np.stack(own),
         missed=np.stack(missed),
@@ -269,9 +280,11 @@ def _rows_of_ties(strip: PreparedStrip, shared: SharedUnknowns, n_phi: int) -> F
     return np.concatenate(rows)
 
 
-def _with_alignments(columns: Floats, shared: SharedUnknowns) -> Floats:
-    """Columns (J, 3, T) of shared coordinates, and zeros for alignments, which no target sees."""
-    return np.concatenate([columns, np.zeros((*columns.shape[:2], 3 * len(shared.heads)))], axis=2)
+def _after_knots(strip: PreparedStrip, coordinates: Floats, shared: SharedUnknowns) -> Floats:
+    """Columns (J, 3, T) of shared coordinates and biases, and zeros for alignments, which no target sees."""
+    biases = strip.bias_s[:, :, [BIASES.index(name) for name in shared.biases]]
+    alignments = np.zeros((len(coordinates), 3, 3 * len(shared.heads)))
+    return np.concatenate([coordinates, biases, alignments], axis=2)
 
 
 def _weights(times: Floats, t_s: Floats, interpolation: Interpolation) -> tuple[Bools, Floats]:

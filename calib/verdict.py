@@ -51,6 +51,7 @@ class CheckKind(Enum):
     START_MATRIX = "distance from the pre-launch matrix"
     DUPLICATED_TARGETS = "equal coordinates of targets"
     CONVERGENCE = "convergence"
+    ORBIT_BIAS = "bias of the orbit against the sky"
 
 
 class Suspect(Enum):
@@ -87,6 +88,7 @@ LOOK_AT = {
     CheckKind.START_MATRIX: (Suspect.STAR_CAMERA_MODEL, Suspect.GROUND_MATRIX),
     CheckKind.DUPLICATED_TARGETS: (Suspect.TARGET_LIST,),
     CheckKind.CONVERGENCE: (Suspect.GROUND_MATRIX,),
+    CheckKind.ORBIT_BIAS: (Suspect.ORBIT, Suspect.TARGET_COORDINATES, Suspect.STATED_ERRORS),
 }
 
 
@@ -122,7 +124,7 @@ class Check:
     p_value: float = scalar("probability of a statistic as unlikely as this, if the data are consistent")
     limit: float = scalar("p-value below which the check fails")
     names: tuple[tuple[str, ...], ...] = scalar(
-        "groups of targets with equal coordinates; the head that contradicts", default=()
+        "groups of targets with equal coordinates; the head that contradicts; the orbit's bias", default=()
     )
 
     @property
@@ -200,8 +202,10 @@ def assess(
     if sigma_installation_rad is not None:
         found.append(_from_start(estimate, sigma_installation_rad, settings))
     found += [_duplicates(strips, settings), _convergence(estimate, settings)]
+    found += _orbit_bias(estimate, settings)
     single = not any(check.kind in OF_HEADS for check in found)
-    limit = settings.probability_false_alarm / (len(CheckKind) - single * len(OF_HEADS))
+    no_sky = estimate.bias is None
+    limit = settings.probability_false_alarm / (len(CheckKind) - single * len(OF_HEADS) - no_sky)
     found = [replace(check, limit=limit) for check in found]
     values, vectors = np.linalg.eigh(estimate.cov_theta)
     return Verdict(
@@ -320,6 +324,19 @@ def _from_start(estimate: InstallationEstimate, sigma_rad: Floats, settings: Ver
     statistic = float(estimate.theta @ np.linalg.solve(covariance, estimate.theta))
     p_value = float(chdtrc(3, statistic / settings.sigma_overstated**2))
     return _check(CheckKind.START_MATRIX, statistic, 3, 3, p_value, settings)
+
+
+def _orbit_bias(estimate: InstallationEstimate, settings: VerdictSettings) -> list[Check]:
+    """Bias common to all ground strips against zero: the stated position errors are independent from strip to
+    strip, and their mean is part of the bias' covariance.
+    """
+    if estimate.bias is None or not (rows := [n for n, x in enumerate(estimate.bias.names) if x != "clock"]):
+        return []
+    value, covariance = estimate.bias.value[rows], estimate.bias.covariance[np.ix_(rows, rows)]
+    statistic = float(value @ np.linalg.solve(covariance, value))
+    p_value = float(chdtrc(len(rows), statistic / settings.sigma_understated**2))
+    names = tuple((text,) for text in estimate.bias.texts() if not text.startswith("clock"))
+    return [_check(CheckKind.ORBIT_BIAS, statistic, len(rows), len(rows), p_value, settings, names)]
 
 
 def _duplicates(strips: Sequence[StripSightings], settings: VerdictSettings) -> Check:

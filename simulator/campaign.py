@@ -97,7 +97,7 @@ class StripPlan:
     wave_rad: tuple[float, float] = (3 * ARCSEC, 12 * ARCSEC)  # amplitudes, drawn per strip and axis
     wave_s: tuple[float, float] = (3.0, 7.0)  # periods
     sigma_position_m: float = 0.0  # per axis, constant over a strip (Table 1: 2 m)
-    orbit_bias_m: tuple[float, float, float] = (0.0, 0.0, 0.0)  # stated less true: along, -normal, nadir
+    orbit_bias_m: tuple[float, float, float] = (0.0, 0.0, 0.0)  # stated less true: along, to the right, up
     clock_bias_s: float = 0.0  # stated less true instant of the rows, common to all strips
     sigma_clock_s: float = 0.0  # of the rows, constant over a strip (Table 1: 0.1 ms)
     sigma_vibration_rad: float = 0.0  # per axis, white from target to target (Table 1: 0.1 arcsec)
@@ -125,10 +125,16 @@ class StripTruth:
 
 
 def draw_strips(
-    plan: StripPlan, cameras: CameraPair, rng: np.random.Generator
+    plan: StripPlan,
+    cameras: CameraPair,
+    rng: np.random.Generator,
+    *,
+    curve: DistortionCurve | None = None,
 ) -> tuple[list[StripSightings], StripTruth]:
-    """Strips of one campaign with noise drawn from `rng`."""
-    curve = DistortionCurve.draw(plan, cameras, rng)
+    """Strips of one campaign with noise drawn from `rng`, and with the camera's distortion `curve`; None:
+    drawn too.
+    """
+    curve = curve or DistortionCurve.draw(plan, cameras, rng)
     survey_i = rng.normal(0.0, plan.sigma_target_m, (plan.targets, 3)) if plan.same_targets else None
     drawn = []
     for n in range(plan.strips):
@@ -352,7 +358,8 @@ def _draw_targets(
     truth_i = motion.position_i(t_true)
     ground_i = truth_i + plan.height_m / u_c[:, 2:] * R_ic.apply(u_c)
     recorded_i = motion.position_i(t) - rng.normal(0.0, plan.sigma_position_m, 3)
-    recorded_i = recorded_i + motion.R_oi(t).inv().apply(np.tile(plan.orbit_bias_m, (J, 1)))
+    bias_o = np.array(plan.orbit_bias_m) * [1.0, 1.0, -1.0]
+    recorded_i = recorded_i + motion.R_oi(t).inv().apply(np.tile(bias_o, (J, 1)))
     own_i = rng.normal(0.0, plan.sigma_target_m, (J, 3)) if survey_i is None else survey_i
     known_i = ground_i + own_i
     range_m = np.linalg.norm(known_i - recorded_i, axis=1)

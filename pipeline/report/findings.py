@@ -71,6 +71,7 @@ def findings(
     strips = {one.strip_id: one for scene in scenes for one in scene.strips}
     share = _share_of_swath(dump, calibration)
     return [
+        *_common_bias(calibration),
         *_star_camera(dump, calibration),
         *_displaced_strips(calibration, strips, dump.sigma_installation_rad),
         *silent_ccds(rows, {key: _is_flat(strips[key[0]], key[1]) for key in _lost_ccds(rows)}),
@@ -79,6 +80,18 @@ def findings(
         *(cloud for strip_id, one in strips.items() for cloud in clouds(strip_id, _looks(one, rows))),
         *spread(share),
     ]
+
+
+def _common_bias(calibration: Calibration) -> Iterator[Finding]:
+    """What ground strips have in common against strips of the sky, where it is significant."""
+    bias = calibration.estimate.bias
+    if bias is not None and np.any(np.abs(bias.value) > 3.0 * bias.sigma):
+        text = f"against the sky all ground strips are off, stated less true: {', '.join(bias.texts())}"
+        yield Finding(
+            cause="orbit or datum",
+            item="all ground strips",
+            text=f"{text}. The matrix does not contain it; check the orbit, and the datum of the targets.",
+        )
 
 
 def single_targets(rows: Sequence[Mapping[str, Any]]) -> Iterator[Finding]:

@@ -113,6 +113,8 @@ def _estimate_lines(estimate: InstallationEstimate) -> list[str]:
         sigma = np.sqrt(np.diag(estimate.cov_heads)[3 * n : 3 * n + 3]) / ARCSEC
         lines.append(_row(f"head {head.name[:20]}", head.R_cs.as_quat(canonical=True), "+.9f"))
         lines.append(_row("  1 sigma, arcsec", sigma, ".4f"))
+    if estimate.bias is not None:
+        lines.append(f"{'bias, stated less true':26s}{', '.join(estimate.bias.texts())}")
     if not estimate.converged:
         lines.append("not converged: the last correction is not negligible; do not use this matrix")
     return lines

@@ -143,7 +143,8 @@ def _installation(
         "version": __version__,
     }
     several = _heads(estimate) if len(estimate.heads) > 1 else {}
-    return {field: values[field] for field in FIELDS} | several
+    bias = {} if estimate.bias is None else {"common_bias": plain(estimate.bias)}
+    return {field: values[field] for field in FIELDS} | several | bias
 
 
 def _heads(estimate: InstallationEstimate) -> dict[str, Any]:

@@ -128,6 +128,8 @@ def test_a_results_own_targets_are_eliminated_and_its_distortion_is_kept(tmp_pat
         "target_id": np.concatenate([ground.target_id for ground in grounds]).tolist(),
         "t_s": np.concatenate([ground.t_s for ground in grounds]),
         "cov_target_i": fixed_list(np.concatenate([ground.cov_target_i for ground in grounds])),
+        "u_i": fixed_list(np.concatenate([ground.u_i for ground in grounds])),
+        "range_m": pa.array(np.concatenate([ground.range_m for ground in grounds])),
     }
     (tmp_path / "sightings").mkdir()
     pq.write_table(pa.table(targets), tmp_path / "sightings/targets.parquet")

@@ -32,6 +32,7 @@ def calibration(**changed: Any) -> Any:
         "dof": 69,
         "converged": True,
         "heads": (),
+        "bias": None,
     } | changed
     verdict = SimpleNamespace(checks=())
     return SimpleNamespace(estimate=SimpleNamespace(**estimate), verdict=verdict, omissions=())
