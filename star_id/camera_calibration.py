@@ -21,7 +21,12 @@ from boresight.star_id.finding.star_list import StarList
 from boresight.star_id.identification.identify import NotIdentified
 from boresight.star_id.identification.triangle_index import StarIndex
 from boresight.star_id.lens_model import choose_lens, unmodelled_px
-from boresight.star_id.observer import Observer, star_directions
+from boresight.star_id.observer import (
+    ABERRATION_SCALE,
+    Observer,
+    proper_motion_covariance,
+    star_directions,
+)
 from boresight.star_id.settings import StarSettings
 from boresight.star_id.sight import select_for_calibration
 
@@ -35,7 +40,7 @@ __all__ = [
 ]
 
 
-LARGEST_UNMODELLED_PX = 0.02  # more, and errors near sharp structure exceed twice what is stated
+LARGEST_UNMODELLED_PX = 0.01  # more, and errors near sharp structure exceed twice what is stated
 _ROUNDS = 3
 
 
@@ -199,7 +204,9 @@ def _adjusted(
         reliable = select_for_calibration(stars, solution.detections, rows, camera, index, settings)
         observer = frames[k].observer
         xy.append(solution.xy_px[reliable])
-        cov.append(stars.cov_px[solution.detections[reliable]])
+        years = settings.epoch_error_years if observer is None else 0.0
+        moved = proper_motion_covariance(index, rows[reliable], solution.camera, solution.R_si, years)
+        cov.append(stars.cov_px[solution.detections[reliable]] + moved)
         u_i.append(star_directions(index, rows[reliable], observer))
         frame.append(np.full(int(reliable.sum()), number))
         times.append(0.0 if observer is None else observer.tai_s)
@@ -214,10 +221,14 @@ def _adjusted(
     keep = fit.keep
     sigma = np.sqrt(0.5 * np.trace(used.cov_px[keep], axis1=1, axis2=2))
     left = unmodelled_px(used.xy_px[keep], fit.residual_px[keep], sigma, used.frame[keep], camera.width_px)
+    covariance = lens.covariance.copy()
+    if settings.epoch_error_years:  # images without time: each has another aberration, unknown
+        timeless = sum(frames[k].observer is None for k, _ in identified)
+        covariance[0, 0] += timeless * (fit.camera.focal_m * ABERRATION_SCALE / len(identified)) ** 2
     return CameraCalibration(
         camera=fit.camera,
         parameters=lens.parameters,
-        covariance=lens.covariance,
+        covariance=covariance,
         smooth_size_px=lens.size_px,
         unmodelled_px=left,
         focal_drift_per_s=fit.focal_drift_per_s,

@@ -26,7 +26,12 @@ from boresight.star_id.identification.hypothesis import RESOLVED_PX, STARS_PER_D
 from boresight.star_id.identification.identify import Identification, NotIdentified, identify
 from boresight.star_id.identification.tangent_plane import FieldOfView
 from boresight.star_id.identification.triangle_index import StarIndex
-from boresight.star_id.observer import Observer, star_directions
+from boresight.star_id.observer import (
+    ABERRATION_SCALE,
+    Observer,
+    proper_motion_covariance,
+    star_directions,
+)
 from boresight.star_id.settings import StarSettings
 from boresight.star_id.sight import (
     field_of_camera,
@@ -232,7 +237,9 @@ def _weighted(
     if camera is None:
         return _fitted(stars, found, start, index, settings, observer)
     rows = found.detections
-    xy, cov, u_i = stars.xy_px[rows], stars.cov_px[rows], star_directions(index, found.stars, observer)
+    years = settings.epoch_error_years if observer is None else 0.0
+    cov = stars.cov_px[rows] + proper_motion_covariance(index, found.stars, camera, found.R_si, years)
+    xy, u_i = stars.xy_px[rows], star_directions(index, found.stars, observer)
     reliable = _reliable(stars, rows, found.stars, start, index, settings)
     fit = fit_known_camera(camera, xy[reliable], cov[reliable], u_i[reliable])
     return replace(
@@ -258,27 +265,30 @@ def _fitted(
     detections, rows = found.detections[:_STARS_TO_START], found.stars[:_STARS_TO_START]
     camera, R_si = start, found.R_si
     expected = _expected_stars(start, R_si, len(stars.xy_px), index)
-    u_i = star_directions(index, expected, observer)
+    u_i, years = star_directions(index, expected, observer), settings.epoch_error_years * (observer is None)
+    moved = proper_motion_covariance(index, expected, start, R_si, years)
     for _ in range(_MATCHINGS):
         reliable = _reliable(stars, detections, rows, start, index, settings)
         xy, cov = stars.xy_px[detections[reliable]], stars.cov_px[detections[reliable]]
+        if years:
+            cov = cov + proper_motion_covariance(index, rows[reliable], start, R_si, years)
         fit = fit_attitude_and_lens(camera, R_si, xy, cov, star_directions(index, rows[reliable], observer))
         camera, R_si = fit.field.camera, fit.field.R_si
         predicted, cov = fit.predict(u_i)
         seen = np.flatnonzero(camera.contains(predicted))
-        match = match_field(
-            stars.xy_px, stars.cov_px, predicted[seen], cov[seen], camera.width_px * camera.height_px
-        )
+        area_px = camera.width_px * camera.height_px
+        match = match_field(stars.xy_px, stars.cov_px, predicted[seen], cov[seen] + moved[seen], area_px)
         if len(match.stars) < _LEAST_RELIABLE:
             break
         before, rows, detections = rows, expected[seen[match.stars]], match.detections
         if np.array_equal(rows, before):
             break
+    unknown_scale = ABERRATION_SCALE if years else 0.0
     return replace(
         _solution(replace(found, detections=detections, stars=rows), stars.xy_px, camera, index),
         R_si=R_si,
         cov_s=fit.field.cov_s,
-        fov_x_sigma_rad=fit.field.fov_x_sigma_rad,
+        fov_x_sigma_rad=float(np.hypot(fit.field.fov_x_sigma_rad, unknown_scale * camera.fov_x_rad)),
         u_i=star_directions(index, rows, observer),
         stars=stars,
     )
@@ -316,11 +326,12 @@ def solve_centroids(
     if isinstance(answer, NotIdentified):
         return answer
     found, _ = answer
-    rows, u_i = found.detections, star_directions(index, found.stars, None)
+    rows, u_i, years = found.detections, star_directions(index, found.stars, None), settings.epoch_error_years
+    cov = stars.cov_px[rows] + proper_motion_covariance(index, found.stars, camera, found.R_si, years)
     reliable = has_reliable_position(index, found.stars, camera, stars.psf_sigma_px, settings)
     reliable &= ~stars.blended[rows]
     used = reliable if reliable.sum() >= _LEAST_RELIABLE else np.ones(len(rows), dtype=bool)
-    fit = fit_known_camera(camera, stars.xy_px[rows][used], stars.cov_px[rows][used], u_i[used])
+    fit = fit_known_camera(camera, stars.xy_px[rows][used], cov[used], u_i[used])
     solution = _solution(found, stars.xy_px, camera, index)
     return replace(solution, R_si=fit.R_si, cov_s=fit.cov_s, fov_x_sigma_rad=0.0, u_i=u_i)
 

@@ -44,7 +44,7 @@ _REJECTIONS = 4
 _FEWEST_PAIRS = 50
 _LEAST_PX = 0.01
 _Q3_CORNER = 0.002  # prior displacement of the corner by q3, of its radius
-_NEAR = 0.05  # of the detector's width: stars nearer than this see the same distortion
+_NEAR = (0.01, 0.02, 0.05)  # of the detector's width: stars nearer than this may see the same distortion
 _SIGNIFICANT = 4.0  # standard errors of the mean product
 
 
@@ -118,10 +118,17 @@ def _value(camera: StarCamera, name: str) -> float:
 def unmodelled_px(xy_px: Floats, residual_px: Floats, sigma_px: Floats, frame: Ints, width_px: int) -> float:
     """Root mean square, along one axis, of what the lens model leaves of the pixel map, px; 0 if not
     significant. Residuals (N, 2) of stars at (N, 2), errors (N,) along one axis, in images `frame` (N,)."""
-    pairs = cKDTree(xy_px).query_pairs(_NEAR * width_px, output_type="ndarray")
-    a, b = pairs[frame[pairs[:, 0]] != frame[pairs[:, 1]]].T
-    if len(a) < _FEWEST_PAIRS:
-        return 0.0
+    tree, found = cKDTree(xy_px), [0.0]
+    for near in _NEAR:
+        pairs = tree.query_pairs(near * width_px, output_type="ndarray")
+        pairs = pairs[frame[pairs[:, 0]] != frame[pairs[:, 1]]]
+        if len(pairs) >= _FEWEST_PAIRS:
+            found.append(_shared_px(residual_px, sigma_px, *pairs.T))
+    return max(found)
+
+
+def _shared_px(residual_px: Floats, sigma_px: Floats, a: Ints, b: Ints) -> float:
+    """Root mean product of the residuals of pairs of stars `a`, `b` (K,), px; 0 if not significant."""
     variance = 0.0
     for _ in range(3):  # the weight of a pair depends on the variance that is sought
         noise2 = sigma_px**2 + max(variance, _LEAST_PX**2)
@@ -129,7 +136,7 @@ def unmodelled_px(xy_px: Floats, residual_px: Floats, sigma_px: Floats, frame: I
         clipped = np.clip(residual_px, *(np.array([[-4.0], [4.0]])[:, :, None] * np.sqrt(noise2)[:, None]))
         product = 0.5 * weight * (clipped[a] * clipped[b]).sum(axis=1)
         # a star is in several pairs: the error is that of the sums by star
-        by_star = np.bincount(a, product, minlength=len(xy_px))
+        by_star = np.bincount(a, product, minlength=len(sigma_px))
         variance = float(product.sum() / weight.sum())
         error = float(np.sqrt((by_star**2).sum()) / weight.sum())
     return float(np.sqrt(variance)) if variance > _SIGNIFICANT * error else 0.0

@@ -1,14 +1,24 @@
-"""Place and time of an image of the sky, and the directions of catalogue stars as observed from there."""
+"""Place and time of an image of the sky, and the directions of catalogue stars as observed from there.
+
+Of an image without time neither the stars' proper motion nor the Earth's velocity is known: their effects are
+errors.
+"""
 
 from __future__ import annotations
+
+import numpy as np
+from scipy.spatial.transform import Rotation
 
 from boresight.geometry.epoch import Epoch
 from boresight.geometry.ground_site import Air, refract_by_air
 from boresight.geometry.record import Floats, Ints, array, record, scalar
+from boresight.geometry.star_camera import StarCamera
 from boresight.geometry.starlight import apparent_star_directions
 from boresight.star_id.identification.triangle_index import StarIndex
 
-__all__ = ["Observer", "star_directions"]
+__all__ = ["ABERRATION_SCALE", "Observer", "proper_motion_covariance", "star_directions"]
+
+ABERRATION_SCALE = 9.94e-5 / 3.0**0.5  # rms change of angles by the Earth's velocity, over all directions
 
 
 @record
@@ -40,3 +50,20 @@ def star_directions(index: StarIndex, rows: Ints, observer: Observer | None) -> 
         index.stars.take(rows), observer.epoch, observer.t_s, observer.p_i, observer.v_i
     )
     return u_i if observer.air is None else refract_by_air(u_i, observer.air)
+
+
+def proper_motion_covariance(
+    index: StarIndex, rows: Ints, camera: StarCamera, R_si: Rotation, error_years: float
+) -> Floats:
+    """Covariances (N, 2, 2), px^2, of the images of the index's stars `rows` (N,) if the epoch of the index
+    is wrong by `error_years`, 1 sigma."""
+    if error_years == 0.0:
+        return np.zeros((len(rows), 2, 2))
+    stars = index.stars.take(rows)
+    sin_ra, cos_ra, sin_dec = np.sin(stars.ra_rad), np.cos(stars.ra_rad), np.sin(stars.dec_rad)
+    east = np.column_stack([-sin_ra, cos_ra, np.zeros(len(rows))])
+    north = np.column_stack([-sin_dec * cos_ra, -sin_dec * sin_ra, np.cos(stars.dec_rad)])
+    along_east = stars.pm_ra_rad_yr * np.cos(stars.dec_rad)
+    motion_i = along_east[:, None] * east + stars.pm_dec_rad_yr[:, None] * north
+    moved = -R_si.apply(motion_i)[:, :2] * (error_years * camera.focal_m / camera.pixel_m)
+    return np.asarray(moved[:, :, None] * moved[:, None, :])

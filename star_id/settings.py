@@ -31,6 +31,11 @@ class StarSettings:
     fov_tolerance: float = scalar("relative error of a stated field of view", default=0.1)
     max_identification_stars: int = scalar("brightest detections of which triangles are made", default=24)
 
+    # Images without time
+    epoch_error_years: float = scalar(
+        "1-sigma error of the index's epoch for images without time; 0: the epoch is theirs", default=0.0
+    )
+
     # Sightings for calibration
     max_photocentre_shift_px: float = scalar("limit for displaced stars, px", default=0.02)
 
@@ -41,3 +46,6 @@ class StarSettings:
         for name in ("false_alarms_per_frame", "max_stars", "max_false_alarm_probability", "camera_error"):
             if not getattr(self, name) > 0:
                 raise ValueError(f"StarSettings.{name} must be positive, got {getattr(self, name)}")
+        if not self.epoch_error_years >= 0.0:
+            found = self.epoch_error_years
+            raise ValueError(f"StarSettings.epoch_error_years must not be negative, got {found}")

@@ -107,7 +107,7 @@ def identify(
     if as_csv:
         print_data(_csv_line(FIELDS))
     named = lines = 0
-    request = Request(camera, fov, dark, Whereabouts(times, orbit, site), out, overlay)
+    request = Request(camera, fov, dark, Whereabouts(times, orbit, site), as_fits, out, overlay)
     for line in identify_images(images, request, _star_settings(settings)):
         named, lines = named + line.identified, lines + 1
         if as_json:

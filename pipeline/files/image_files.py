@@ -28,7 +28,7 @@ from boresight.pipeline.files.content import small_content
 from boresight.pipeline.files.deflated_tiles import read_deflated
 from boresight.pipeline.files.star_images import TIFF_MAGICS, check_size, first_bytes
 
-__all__ = ["GridImage", "StripFiles", "open_geotiff", "read_grid", "read_tiff"]
+__all__ = ["GridImage", "StripFiles", "open_geotiff", "read_grid", "read_planes", "read_tiff"]
 
 MAX_BLOCK_BYTES = 2**29  # a row of tiles or a strip of a TIFF is decoded as a whole
 PIXEL_SIDE_M = (0.01, 1e5)  # of a chip, terrain model or ground image; 1e-5 m would be a wrong unit
@@ -47,6 +47,16 @@ def read_tiff(path: Path, file: str, size: tuple[int, int] | None, bits: int | N
         if image.count != 1:
             raise RawDataError(file, "bands", str(image.count), "1")
         return _read_window(image, file, Window(0, 0, image.width, image.height))
+
+
+def read_planes(path: Path, file: str) -> NDArray[Any]:
+    """All bands (K, height, width) of a TIFF of any depth, read whole; `RawDataError` if it is none."""
+    with open_geotiff(path, file, small_content(path)) as image:
+        check_size(file, (image.width * image.count, image.height), None, 16, None)
+        try:
+            return np.asarray(image.read())
+        except (RasterioError, RasterioIOError, ValueError, MemoryError) as error:
+            raise RawDataError(file, "pixels", str(error), "pixels that decode") from error
 
 
 @contextmanager

@@ -20,6 +20,7 @@ from boresight.geometry.star_camera import StarCamera
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.dump import Dump, bundled_table, open_dump, orbit_of
 from boresight.pipeline.files.dump_schema import SkyImageRow
+from boresight.pipeline.files.image_time import time_of_image
 from boresight.pipeline.files.orbit_file import read_oem
 from boresight.pipeline.files.text_files import read_table
 from boresight.pipeline.files.whereabouts import Whereabouts
@@ -61,7 +62,7 @@ def open_sky_images(sources: Sequence[Path], known: Whereabouts) -> SkyImages:
     camera = None
     for source in sources:
         if not source.is_dir():
-            images.append(SkyImage(str(source), source, observers.get(source.name), None))
+            images.append(SkyImage(str(source), source, observers.get(str(source)), None))
             continue
         dump = open_dump(source, allow_stale_eop=True)  # Earth rotation moves no star by 1e-6 arcsec
         camera = camera or dump.star_camera
@@ -87,21 +88,27 @@ def _of_dump(dump: Dump) -> Iterator[tuple[SkyImage, str | None]]:
 
 
 def observers_of(images: Sequence[Path], known: Whereabouts) -> dict[str, Observer]:
-    """The observer of each image by its file name; `RawDataError` for contradicting or incomplete input.
+    """The observer of each image by its path; `RawDataError` for contradicting or incomplete input.
 
-    With times alone the observer is at the Earth's centre: this accounts for the annual aberration (20
+    An image's time is that of the table, without one that of its file's header, if it has one. With times
+    alone the observer is at the Earth's centre: this accounts for the annual aberration (20
     arc-seconds), not for that of a satellite's orbital velocity (5).
     """
-    where = known.orbit or known.site_deg_m
+    where, source = known.orbit or known.site_deg_m, known.times or Path("the image's header")
     if known.times is None:
-        if where is None:
+        utc = {str(path): when for path in images if (when := time_of_image(path)) is not None}
+        if where is not None and len(utc) < len(images):
+            found = f"{where} without times of {len(images) - len(utc)} images"
+            raise RawDataError("--orbit or --site", "use", found, "--times as well")
+        if not utc:
             return {}
-        raise RawDataError("--orbit or --site", "use", f"{where} without times", "--times as well")
+    else:
+        by_name = _times(images, known.times)
+        utc = {str(path): by_name[path.name] for path in images}
     if known.orbit is not None and known.site_deg_m is not None:
         raise RawDataError("--orbit", "use", "--site as well", "an orbit or a ground site")
-    utc = _times(images, known.times)
     trajectory = _trajectory_of(known)
-    return {name: _observer(trajectory, known.times, name, time) for name, time in utc.items()}
+    return {name: _observer(trajectory, source, name, time) for name, time in utc.items()}
 
 
 def observer_at(utc: str, site_deg_m: tuple[float, float, float] | None = None) -> Observer:

@@ -1,4 +1,7 @@
-"""Star images: exposures of a dump and single pictures of the sky, read whole.
+"""Star images: exposures of a dump, and single pictures of the sky in many formats, read whole.
+
+An exposure is a PNG, TIFF or FITS of 8 or 16 bits. A single picture may have colours, floating-point values,
+further HDUs, or be of any other format listed in `_OTHER_MAGICS`, or .npy.
 
 Size and bit depth are checked in the header before a pixel is decoded. An image that cannot be used raises
 `RawDataError`; the caller decides whether that stops the run.
@@ -6,6 +9,7 @@ Size and bit depth are checked in the header before a pixel is decoded. An image
 
 from __future__ import annotations
 
+import math
 import struct
 import warnings
 import zlib
@@ -27,6 +31,9 @@ TIFF_MAGICS = (b"II*\x00", b"MM\x00*", b"II+\x00", b"MM\x00+")
 FITS_MAGIC = b"SIMPLE  ="
 JPEG_MAGIC = b"\xff\xd8\xff"
 BMP_MAGIC = b"BM"
+NPY_MAGIC = b"\x93NUMPY"
+_OTHER_MAGICS = (b"P2", b"P3", b"P5", b"P6", b"RIFF", b"\x00\x00\x00\x0cjP  ")  # PGM, PPM, WebP, JPEG 2000
+_GREY = np.array([0.299, 0.587, 0.114], dtype=np.float32)  # of red, green, blue, as OpenCV's
 MAX_FITS_HEADER_BYTES = 100 * 2880
 ENCODED_SPARE_BYTES = 2**20  # for tables and comments of a file, beyond twice its pixels
 MAX_STAR_PIXELS = 2**28  # an image of `identify`; those of a dump must have the camera's size
@@ -41,7 +48,8 @@ def read_exposure(path: Path, file: str, *, width: int, height: int, bit_depth: 
 
 
 def read_star_image(path: Path, file: str) -> NDArray[Any]:
-    """Counts (height, width) of any star image of up to 2^28 px, also JPEG and BMP; colours become grey."""
+    """Values (height, width) of any star image of up to 2^28 px; colours become grey. Floating-point values
+    that are no number become the image's median."""
     return _read_star_image(path, file, None, None)
 
 
@@ -50,16 +58,21 @@ def _read_star_image(path: Path, file: str, size: tuple[int, int] | None, bits: 
     if magic.startswith(PNG_MAGIC):
         return _read_png(path, file, size, bits)
     if magic.startswith(TIFF_MAGICS):
-        from boresight.pipeline.files.image_files import read_tiff  # with GDAL 0.1 s to load
+        from boresight.pipeline.files.image_files import read_planes, read_tiff  # with GDAL 0.1 s to load
 
-        return read_tiff(path, file, size, bits)
+        return _grey(read_planes(path, file), file) if size is None else read_tiff(path, file, size, bits)
     if magic.startswith(FITS_MAGIC):
-        return _read_fits(path, file, size, bits)
+        return _read_fits(path, file, size, bits) if size is not None else _read_any_fits(path, file)
+    if size is None and magic.startswith(NPY_MAGIC):
+        return _read_npy(path, file)
+    if size is None and magic.startswith(_OTHER_MAGICS):
+        return _read_other(path, file)
     if size is None and (magic.startswith(JPEG_MAGIC) or magic.startswith(BMP_MAGIC)):
         return _read_jpeg_or_bmp(path, file)
     if not magic:
         raise RawDataError(file, "byte 0", "an empty file", "a PNG, TIFF or FITS image")
-    raise RawDataError(file, "byte 0", magic[:8].hex(" "), "a PNG, TIFF or FITS image")
+    expected = "a PNG, TIFF or FITS image" + (", JPEG, BMP or .npy" if size is None else "")
+    raise RawDataError(file, "byte 0", magic[:8].hex(" "), expected)
 
 
 def _head(path: Path, file: str, n: int) -> bytes:
@@ -213,3 +226,84 @@ def _read_fits(path: Path, file: str, size: tuple[int, int] | None, bits: int | 
     if values.min() < 0:
         raise RawDataError(file, "pixels", f"a value of {values.min()}", "counts from 0 to 65535")
     return values.astype(np.uint16)
+
+
+def _grey(planes: NDArray[Any], file: str) -> NDArray[Any]:
+    """One plane (H, W) of an image of one (H, W), or of one, three or four planes (K, H, W) or (H, W, K)."""
+    if planes.ndim == 3 and planes.shape[0] not in (1, 3, 4):
+        planes = np.moveaxis(planes, 2, 0)
+    if planes.ndim not in (2, 3) or (planes.ndim == 3 and planes.shape[0] not in (1, 3, 4)):
+        raise RawDataError(file, "planes", f"shape {planes.shape}", "one plane, or red, green and blue")
+    if planes.dtype.kind not in "uif":
+        raise RawDataError(file, "values", str(planes.dtype), "integers or floating point")
+    check_size(file, (planes.shape[-1], planes.shape[-2]), None, 16, None)
+    if planes.ndim == 3 and planes.shape[0] == 1:
+        planes = planes[0]
+    if planes.ndim == 2 and planes.dtype in (np.uint8, np.uint16):
+        return planes
+    values = planes.astype(np.float32)
+    grey = values if values.ndim == 2 else np.tensordot(_GREY, values[:3], axes=1)
+    if planes.dtype in (np.uint8, np.uint16):
+        return np.rint(grey).astype(planes.dtype)
+    if not (number := np.isfinite(grey)).any():
+        raise RawDataError(file, "pixels", "none that is a number", "at least one")
+    return np.where(number, grey, np.median(grey[number]))
+
+
+def _read_npy(path: Path, file: str) -> NDArray[Any]:
+    try:
+        return _grey(np.array(np.load(path, mmap_mode="r", allow_pickle=False)), file)
+    except (ValueError, OSError, EOFError) as error:
+        raise RawDataError(file, "npy", str(error), "an array without objects") from error
+
+
+def _read_other(path: Path, file: str) -> NDArray[Any]:
+    import io
+
+    from PIL import Image
+
+    raw = content_of(path)
+    try:
+        with Image.open(io.BytesIO(raw)) as header:
+            width, height = header.size
+    except Exception as error:  # Pillow raises many kinds for damaged headers
+        raise RawDataError(file, "header", f"{type(error).__name__}: {error}", "an image") from error
+    check_size(file, (width, height), None, 8, None)
+    return _decoded(raw, cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH, file, width, height)
+
+
+def _read_any_fits(path: Path, file: str) -> NDArray[Any]:
+    """The first HDU with an image: integer or floating, scaled or not, one plane or three."""
+    from astropy.io import fits
+    from astropy.utils.exceptions import AstropyWarning
+
+    if b"END" + b" " * 77 not in _head(path, file, MAX_FITS_HEADER_BYTES):
+        raise RawDataError(file, "FITS header", "no END", f"END within {MAX_FITS_HEADER_BYTES} bytes")
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", AstropyWarning)
+            with fits.open(path, memmap=False, lazy_load_hdus=True) as hdus:
+                for hdu in hdus:
+                    if not hdu.is_image or not 2 <= hdu.header.get("NAXIS", 0) <= 4:
+                        continue
+                    _check_fits_size(hdu, path, file)
+                    planes = np.squeeze(np.asarray(hdu.data))
+                    return _grey(planes.astype(planes.dtype.newbyteorder("=")), file)
+    except RawDataError:
+        raise
+    except Exception as error:  # astropy raises many kinds for damaged headers
+        raise RawDataError(file, "FITS header", f"{type(error).__name__}: {error}", "a FITS image") from error
+    raise RawDataError(file, "HDU", "none with an image", "an image of one plane or three")
+
+
+def _check_fits_size(hdu: Any, path: Path, file: str) -> None:
+    """`RawDataError` if an HDU states more values than are read, or than the file holds."""
+    from astropy.io import fits
+
+    values = math.prod(int(hdu.header[f"NAXIS{k + 1}"]) for k in range(hdu.header["NAXIS"]))
+    if values > MAX_STAR_PIXELS:
+        raise RawDataError(file, "image size", f"{values} values", f"at most {MAX_STAR_PIXELS}")
+    need = values * abs(int(hdu.header["BITPIX"])) // 8
+    have = path.stat().st_size - hdu.fileinfo()["datLoc"]
+    if have < need and not isinstance(hdu, fits.CompImageHDU):
+        raise RawDataError(file, "pixels", f"{have} bytes", f"{need} bytes")

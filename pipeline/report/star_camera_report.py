@@ -19,7 +19,7 @@ from boresight.pipeline.files.sky_images import SkyImage, open_sky_images
 from boresight.pipeline.files.star_side import star_camera_table
 from boresight.pipeline.files.whereabouts import NOWHERE, Whereabouts
 from boresight.pipeline.files.whole_file import write_whole
-from boresight.pipeline.stages.identify import read_camera, read_sky_image, sky_index
+from boresight.pipeline.stages.identify import EPOCH_ERROR_YEARS, read_camera, read_sky_image, sky_index
 from boresight.star_id.camera_calibration import (
     LARGEST_UNMODELLED_PX,
     CameraCalibration,
@@ -92,7 +92,8 @@ def calibrate_from_images(
         if isinstance(first, NotIdentified):
             return [*unused, f"no image was identified: {first.reason}"], False
         camera = first
-    result = calibrate_camera(frames, camera, index, settings, drift=request.drift)
+    unsure = replace(settings, epoch_error_years=settings.epoch_error_years or EPOCH_ERROR_YEARS)
+    result = calibrate_camera(frames, camera, index, unsure, drift=request.drift)
     if isinstance(result, NotIdentified):
         return [*unused, f"not calibrated: {result.reason}"], False
     result = replace(result, frames_refused=(*unread, *result.frames_refused))

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.star_camera import StarCamera
 from boresight.pipeline.errors import RawDataError
+from boresight.pipeline.files.image_time import time_of_image
 from boresight.pipeline.files.star_images import read_star_image
 from boresight.pipeline.files.whereabouts import NOWHERE, Whereabouts
 from boresight.pipeline.work.index_cache import cached_index
@@ -38,7 +39,7 @@ from boresight.star_id.settings import StarSettings
 
 __all__ = ["Line", "Request", "identify_images", "read_camera", "read_sky_image", "sky_index"]
 
-CATALOGUE_YEAR = 2020.0  # proper motion since then is far below a pixel of any camera with so wide a field
+CATALOGUE_YEAR, EPOCH_ERROR_YEARS = 2020.0, 6.0  # of images without time
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,6 +60,7 @@ class Request:
     fov_deg: float | None = None
     dark_file: Path | None = None
     known: Whereabouts = NOWHERE
+    catalogue_places: bool = False  # times in the images' headers are not used
     out: Path | None = None  # Parquet, at the end
     overlay: Path | None = None  # PNG; with several images each adds its own name
 
@@ -70,14 +72,15 @@ def identify_images(images: Sequence[Path], request: Request, settings: StarSett
         raise RawDataError("--fov", "value", f"{request.fov_deg}", "between 0.5 and 90 degrees")
     dark = None if request.dark_file is None else read_star_image(request.dark_file, str(request.dark_file))
     fov = None if request.fov_deg is None else float(np.radians(request.fov_deg))
-    observers = _observers(images, request.known)
+    observers = {} if request.catalogue_places else _observers(images, request.known)
+    timeless = replace(settings, epoch_error_years=settings.epoch_error_years or EPOCH_ERROR_YEARS)
     index = sky_index(camera, request.fov_deg, settings)
     width = max(len(str(path)) for path in images)
     named: list[tuple[Path, FieldSolution]] = []
     for path in images:
         started = time.process_time()
         if path.suffix.lower() == ".csv":
-            for name, solved in _of_centroids(path, camera, index, settings):
+            for name, solved in _of_centroids(path, camera, index, timeless):
                 if isinstance(solved, NotIdentified):
                     yield _unnamed(name, width, "not identified", solved.reason, started)
                     continue
@@ -90,9 +93,10 @@ def identify_images(images: Sequence[Path], request: Request, settings: StarSett
             if dark is not None and dark.shape != image.shape:
                 shapes = (f"{d.shape[1]} x {d.shape[0]} px" for d in (dark, image))
                 raise RawDataError(str(request.dark_file), "image size", *shapes)
-            observer = observers.get(path.name)
+            observer = observers.get(str(path))
+            known = timeless if observer is None else settings
             outcome = solve_field(
-                image, index, settings, camera=camera, fov_x_rad=fov, dark=dark, observer=observer
+                image, index, known, camera=camera, fov_x_rad=fov, dark=dark, observer=observer
             )
         except RawDataError as error:
             yield _unnamed(path, width, "not read", str(error), started)
@@ -136,8 +140,9 @@ def read_camera(file: Path | None) -> StarCamera | None:
 
 
 def _observers(images: Sequence[Path], known: Whereabouts) -> dict[str, Observer]:
-    """The observer of each image by its file name, where the user states anything of it."""
-    if known.times is None and known.orbit is None and known.site_deg_m is None:
+    """The observer of each image by its path, where the user or the image's header states its time."""
+    stated = known.times is not None or known.orbit is not None or known.site_deg_m is not None
+    if not stated and not any(time_of_image(path) for path in images):
         return {}
     from boresight.pipeline.files.sky_images import observers_of  # with orbits and terrain 0.3 s to load
 

@@ -21,6 +21,7 @@ from boresight.star_id.finding.centroid import fit_stars
 from boresight.star_id.finding.psf import Psf
 from boresight.star_id.finding.windowed_centroid import windowed_centroids
 from boresight.star_id.identification.triangle_index import build_index, equivalent_fov, triangle_shapes
+from boresight.star_id.observer import proper_motion_covariance
 from boresight.star_id.score import cramer_rao_px
 from boresight.star_id.settings import StarSettings
 from boresight.star_id.sight import has_reliable_position, select_for_calibration, sight_stars, smear_of_rate
@@ -50,6 +51,21 @@ def test_directions_of_the_index_include_proper_motion():
     # 10 Mpc, so that motion along the line of sight does not matter.
     assert np.abs(index.u_i - erfa.s2c(ra, dec)).max() < 1e-9
     assert np.abs(index.u_i - build_index(places, places.epoch_jyear, 0.3).u_i).max() > 5e-4
+
+
+def test_an_unknown_epoch_is_an_error_along_each_stars_motion():
+    """Against the places of the same stars six years later, small angles from the middle of the image."""
+    places = hipparcos_stars(5.0).places
+    now, later = (build_index(places, year, 0.3) for year in (2020.0, 2026.0))
+    R_si = Rotation.align_vectors([[0.0, 0.0, 1.0]], now.u_i[:1])[0]
+    narrow = replace(CAMERA, p1=0.0, p2=0.0, q1=0.0, q2=0.0)
+    rows = np.flatnonzero(R_si.apply(now.u_i)[:, 2] > np.cos(0.05))
+    before, after = (narrow.pixels_from_directions(R_si.apply(one.u_i[rows])) for one in (now, later))
+    moved = after - before
+    stated = proper_motion_covariance(now, rows, narrow, R_si, 6.0)
+    assert len(rows) > 2
+    expected = moved[:, :, None] * moved[:, None, :]
+    assert np.abs(stated - expected).max() < 0.01 * np.abs(expected).max()  # px^2; 0.05 rad off the axis
 
 
 def fields(n, error_px, rng):

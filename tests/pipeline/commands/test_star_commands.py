@@ -13,6 +13,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from astropy.coordinates import GCRS, SkyCoord, get_sun
+from astropy.io import fits
 from astropy.time import Time
 from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
@@ -163,7 +164,10 @@ def times_of(path, *names, utc="2020-01-01T00:00:00Z"):
 def test_times_take_out_the_aberration_that_astropy_knows(folder, tmp_path):
     """The image's middle is where the light comes from; the star there stands elsewhere in the catalogue."""
     times = times_of(tmp_path / "times.csv", "sky0.png")
-    plain, moved = pointing(folder / "sky0.png"), pointing(folder / "sky0.png", "--times", times)
+    sure = tmp_path / "settings.toml"  # without time, stars that move are otherwise weighed less
+    sure.write_text("[stars]\nepoch_error_years = 1e-6\n", "utf-8")
+    plain = pointing(folder / "sky0.png", "--settings", sure)
+    moved = pointing(folder / "sky0.png", "--times", times)
     utc = Time("2020-01-01T00:00:00", scale="utc")
     theirs = plain.transform_to(GCRS(obstime=utc))
     expected = SkyCoord(theirs.ra, theirs.dec)
@@ -280,3 +284,19 @@ def test_no_plan_is_an_answer(folder):
     assert few.exit_code == 1 and "5 pointings to choose 9 from" in few.stdout
     wrong = run("star-camera-plan", folder / "sky0.png", "--fov", 18.6, "--utc", "tomorrow")
     assert isinstance(wrong.exception, RawDataError) and "tomorrow" in str(wrong.exception)
+
+
+def test_the_time_in_a_header_counts_and_its_lack_is_in_the_stated_errors(folder, tmp_path):
+    pixels = cv2.imread(str(folder / "sky0.png"), cv2.IMREAD_UNCHANGED)
+    unit = fits.PrimaryHDU(pixels)
+    unit.writeto(tmp_path / "plain.fits")
+    unit.header["DATE-OBS"] = "2020-01-01T00:00:00"
+    unit.writeto(tmp_path / "dated.fits")
+    times = times_of(tmp_path / "times.csv", "plain.fits")
+    files = (tmp_path / "plain.fits", tmp_path / "dated.fits")
+    plain, dated = (json.loads(run("identify", "--json", path).stdout) for path in files)
+    told = json.loads(run("identify", "--json", files[0], "--times", times).stdout)
+    assert dated["ra_deg"] == told["ra_deg"] and dated["fov_x_sigma_deg"] == told["fov_x_sigma_deg"]
+    # an unknown velocity of the Earth changes the field of view by 5.7e-5 of itself, 1 sigma
+    lack = np.sqrt(plain["fov_x_sigma_deg"] ** 2 - dated["fov_x_sigma_deg"] ** 2) / plain["fov_x_deg"]
+    assert lack == pytest.approx(5.7e-5, rel=0.2)

@@ -7,13 +7,16 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+import tifffile
 from astropy.io import fits
 from handmade import write_strip
 from hypothesis import HealthCheck, given, seed, settings
 from hypothesis import strategies as st
+from PIL import Image
 
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.image_files import read_grid
+from boresight.pipeline.files.image_time import time_of_image
 from boresight.pipeline.files.star_images import read_exposure, read_star_image
 
 WIDTH, HEIGHT = 48, 40
@@ -125,3 +128,65 @@ def test_bytes_changed_at_random_give_a_picture_or_a_complaint(
             read()
         except RawDataError as error:
             assert error.file == "e"
+
+
+def test_a_picture_of_the_sky_is_read_from_any_format_with_one_plane_or_colours(tmp_path: Path) -> None:
+    grey = np.arange(48 * 64, dtype=np.uint16).reshape(48, 64)
+    colours = np.stack([grey, 2 * grey, 3 * grey])  # red, green, blue
+    expected = 0.299 * grey + 2 * 0.587 * grey + 3 * 0.114 * grey
+    real = grey.astype(np.float32) / 7.0
+    holes = real.copy()
+    holes[3, 5] = np.nan
+    tifffile.imwrite(tmp_path / "float.tif", real)
+    tifffile.imwrite(tmp_path / "rgb.tif", np.moveaxis(colours, 0, 2), photometric="rgb")
+    tifffile.imwrite(tmp_path / "planes.tif", colours, photometric="rgb", planarconfig="separate")
+    fits.PrimaryHDU(real).writeto(tmp_path / "float.fits")
+    fits.PrimaryHDU(colours).writeto(tmp_path / "cube.fits")
+    fits.HDUList([fits.PrimaryHDU(), fits.ImageHDU(real)]).writeto(tmp_path / "second.fits")
+    fits.HDUList([fits.PrimaryHDU(), fits.CompImageHDU(grey)]).writeto(tmp_path / "packed.fits")
+    np.save(tmp_path / "float.npy", real.astype(np.float64))
+    np.save(tmp_path / "rgb.npy", np.moveaxis(colours, 0, 2))
+    np.save(tmp_path / "holes.npy", holes)
+    cv2.imwrite(str(tmp_path / "grey.pgm"), grey)
+    cv2.imwrite(str(tmp_path / "grey.jp2"), grey)
+    for path in sorted(tmp_path.iterdir()):
+        read = read_star_image(path, path.name).astype(float)
+        if path.stem in ("rgb", "planes", "cube"):
+            assert np.abs(read - expected).max() <= 0.51, path.name  # DN: rounded
+        elif path.stem in ("packed", "grey"):
+            assert np.array_equal(read, grey), path.name
+        elif path.stem == "holes":
+            assert read[3, 5] == np.median(real[np.isfinite(holes)])
+        else:
+            assert np.array_equal(read, real.astype(float)), path.name
+
+
+def test_arrays_that_are_no_picture_are_refused(tmp_path: Path) -> None:
+    np.save(tmp_path / "a.npy", np.zeros((7, 48, 64)))
+    with pytest.raises(RawDataError, match=r"shape \(64, 7, 48\)"):
+        read_star_image(tmp_path / "a.npy", "a.npy")
+    np.save(tmp_path / "b.npy", np.array([[{}]], dtype=object), allow_pickle=True)
+    with pytest.raises(RawDataError, match="without objects"):
+        read_star_image(tmp_path / "b.npy", "b.npy")
+    np.save(tmp_path / "c.npy", np.full((48, 64), np.nan))
+    with pytest.raises(RawDataError, match="at least one"):
+        read_star_image(tmp_path / "c.npy", "c.npy")
+
+
+def test_the_time_of_an_image_is_that_of_its_header(tmp_path: Path) -> None:
+    def of(**cards: str | float) -> str | None:
+        unit = fits.PrimaryHDU(np.zeros((4, 4), np.uint8))
+        unit.header.update({key.replace("_", "-"): value for key, value in cards.items()})
+        unit.writeto(tmp_path / "a.fits", overwrite=True)
+        return time_of_image(tmp_path / "a.fits")
+
+    assert of(DATE_OBS="2021-05-03T23:59:50", EXPTIME=40.0) == "2021-05-04T00:00:10.000000Z"
+    assert of(DATE_OBS="2021-05-03T23:59:50", DATE_AVG="2021-05-04") == "2021-05-04T12:00:00.000000Z"
+    assert of() is None and of(DATE_OBS="yesterday") is None and of(DATE_OBS="1970-01-01") is None
+    assert of(DATE_OBS="2021-05-03T00:00:00", TIMESYS="TDB") is None
+    exif = Image.Exif()
+    exif.get_ifd(0x8769).update({0x9003: "2020:07:04 01:30:00", 0x9011: "+02:00", 0x829A: 30.0})
+    Image.new("L", (40, 40)).save(tmp_path / "a.jpg", exif=exif)
+    assert time_of_image(tmp_path / "a.jpg") == "2020-07-03T23:30:15.000000Z"
+    (tmp_path / "b.jpg").write_bytes((tmp_path / "a.jpg").read_bytes()[:60])
+    assert time_of_image(tmp_path / "b.jpg") is None
