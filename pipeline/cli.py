@@ -273,8 +273,11 @@ def validate(
 ) -> Answer:
     """Compare a result with the truth of a simulated dump. Exit status 4 if a limit is missed.
 
+    The errors are kept in RESULT/validation.json, and drawn into its report where it has one.
+
     Example: boresight validate result --dump dump --max-error-sigma 4 --max-nees 16 --max-ground-m 6
     """
+    from boresight.pipeline.commands.validate import kept_validation
     from boresight.pipeline.files.dump import open_dump
     from boresight.pipeline.files.record_tables import plain
     from boresight.pipeline.results.limits import validation_limits
@@ -285,9 +288,14 @@ def validate(
     begun_s = time.perf_counter()
     _, saved = read_for_dump(result, dump)
     found = held_against_truth(saved, open_dump(dump))
+    files = kept_validation(result, found)
     limits = validation_limits(found, max_error_sigma, max_nees, max_ground_m)
     return held(
-        "validate", limits, junit, begun_s, Answer(text=validation_summary(found), content=plain(found))
+        "validate",
+        limits,
+        junit,
+        begun_s,
+        Answer(text=validation_summary(found), content=plain(found), files=files),
     )
 
 

@@ -25,7 +25,12 @@ from boresight.pipeline.files.text_files import read_json
 from boresight.pipeline.results.folder import begin_result, results_in, store_of
 from boresight.pipeline.results.ownership import claimed
 from boresight.pipeline.results.reading import read_findings, read_result
-from boresight.pipeline.results.requirement import Requirement, write_requirement
+from boresight.pipeline.results.requirement import (
+    Requirement,
+    requirement_lines,
+    saved_requirement,
+    write_requirement,
+)
 from boresight.pipeline.results.status import kept_units, run_status
 from boresight.pipeline.results.summary import (
     calibration_summary,
@@ -96,7 +101,8 @@ def run_dump(
                 _draw(out)
             return _finished(out)
         found = _calibrated(out, dump, named, inputs, request, executor, progress)
-        text = calibration_summary(found, read_findings(out) if request.report else ())
+        lines = [calibration_summary(found, read_findings(out) if request.report else ()), *_required(out)]
+        text = "\n".join(lines)
         return RunOutcome(text, found.verdict.outcome is Outcome.REFUTED)
 
 
@@ -108,7 +114,10 @@ def run_dumps(
     """
     with claimed(out, [one.dump.root for one in dumps], request.settings, overwrite=request.overwrite):
         inputs = _inputs([named.dump for named in dumps], request)
+        required = write_requirement(out, request.requirement)
         if _is_finished(out, inputs, request):
+            if required and request.report:
+                _draw_dumps(out)
             return _finished(out)
         return _jointly_calibrated(out, dumps, inputs, request, executor, progress)
 
@@ -147,10 +156,9 @@ def _jointly_calibrated(
     write_joint_result(out, joint, of_dumps, request.settings)
     roots = {named.name: str(named.dump.root) for named in dumps}
     _note(out, request, {"dumps": roots, "inputs": inputs})
+    text = "\n".join([text, *_required(out)])
     if request.report:
-        from boresight.pipeline.report.dumps_page import write_dumps_report
-
-        write_dumps_report(out)
+        _draw_dumps(out)
     verdicts = [joint.verdict, *(found.verdict for _, found in calibrated)]
     return RunOutcome(text, any(verdict.outcome is Outcome.REFUTED for verdict in verdicts))
 
@@ -192,6 +200,17 @@ def _draw(out: Path) -> None:
     write_report(out)
 
 
+def _draw_dumps(out: Path) -> None:
+    from boresight.pipeline.report.dumps_page import write_dumps_report
+
+    write_dumps_report(out)
+
+
+def _required(out: Path) -> list[str]:
+    """Whether the matrix in a folder meets the accuracy that is required of it."""
+    return requirement_lines(saved_requirement(out), read_result(out).installation)
+
+
 def _inputs(dumps: Sequence[Dump], request: RunRequest) -> str:
     """Digest of everything that a result depends on: files of the dumps, settings, program, libraries."""
     contents = [
@@ -220,6 +239,7 @@ def _finished(out: Path) -> RunOutcome:
         if isinstance(verdict, dict) and verdict.get("outcome") == Outcome.REFUTED.value:
             lines, refuted = [*lines, *verdict_lines(verdict)], True
         lines += finding_lines(read_findings(result))
+    lines += _required(out)
     return RunOutcome("\n".join(lines), refuted)
 
 

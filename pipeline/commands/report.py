@@ -52,7 +52,13 @@ def report(
     from boresight.pipeline.report.page import write_report
     from boresight.pipeline.report.pdf import print_page
     from boresight.pipeline.results.folder import dumps_in
-    from boresight.pipeline.results.requirement import Requirement, write_requirement
+    from boresight.pipeline.results.reading import read_result
+    from boresight.pipeline.results.requirement import (
+        Requirement,
+        requirement_lines,
+        saved_requirement,
+        write_requirement,
+    )
 
     write_requirement(result, Requirement(require_arcsec, require_m))
     path = write_dumps_report(result) if dumps_in(result) else write_report(result, most_matches=matches)
@@ -60,6 +66,7 @@ def report(
     if pdf:
         printed = print_page(path)
         lines.append(f"{printed.stat().st_size / 1e6:.1f} MB -> {printed}")
+    lines += requirement_lines(saved_requirement(result), read_result(result).installation)
     return Answer(text="\n".join(lines))
 
 

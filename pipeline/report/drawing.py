@@ -58,6 +58,7 @@ SHAPES = {  # marks of strips, about 20 units wide
     "diamond": "M0-11.5L11.5 0L0 11.5L-11.5 0Z",
     "down": "M0 10.5L10-8H-10Z",
     "plus": "M-9 0H9M0-9V9",  # of no strip
+    "cross": "M-7-7L7 7M-7 7L7-7",  # of a check point
     "hexagon": "M-5-9H5L10 0L5 9H-5L-10 0Z",
 }
 
@@ -98,7 +99,7 @@ class Spot:
 
 def strip_style(number: int) -> tuple[str, str]:
     """Shape and CSS class of the colour of a strip, by its number; 24 strips differ in one or the other."""
-    shapes = [shape for shape in SHAPES if shape != "plus"]
+    shapes = [shape for shape in SHAPES if shape not in ("plus", "cross")]
     return shapes[number % len(shapes)], f"s{number % COLOURS}"
 
 

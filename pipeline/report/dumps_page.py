@@ -11,11 +11,13 @@ from boresight.geometry.constants import ARCSEC
 from boresight.pipeline.files.table_files import read_parquet
 from boresight.pipeline.files.text_files import read_json
 from boresight.pipeline.files.whole_file import write_whole
+from boresight.pipeline.report.first_screen import required, sigma_on_ground
 from boresight.pipeline.report.observations import data_uri
 from boresight.pipeline.report.page import template
 from boresight.pipeline.report.saved import Number, number_from
 from boresight.pipeline.report.verdict import verdict_view
 from boresight.pipeline.results.folder import dumps_in
+from boresight.pipeline.results.requirement import saved_requirement
 
 __all__ = ["write_dumps_report"]
 
@@ -27,8 +29,11 @@ def write_dumps_report(result: Path) -> Path:
     installation = read_json(result / "installation.json", str(result / "installation.json"))
     omissions = read_parquet(result / "sightings" / "omissions.parquet").to_pylist()
     joint = _matrix(installation, "installation.json")
+    sigma_m = sigma_on_ground(installation)
     text = template("dumps.html.j2").render(
         joint=joint,
+        sigma_m=sigma_m,
+        required=required(saved_requirement(result), joint["sigma"], sigma_m),
         verdict=verdict_view(installation),
         counts={name: number_from(installation, "installation.json", name, ".0f") for name in COUNTS},
         dumps=_dumps(result, {row["name"]: row["reason"] for row in omissions if row["kind"] == "dump"}),

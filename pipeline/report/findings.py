@@ -7,7 +7,7 @@ change nothing in the estimate and its verdict: data of which a faulty part was 
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
 from typing import Any
 
@@ -70,13 +70,15 @@ def findings(
     rows = [row for row in ground.to_pylist() if row["state"] != OUT_OF_VIEW]
     strips = {one.strip_id: one for scene in scenes for one in scene.strips}
     share = _share_of_swath(dump, calibration)
+    single = list(single_targets(rows))
+    named = {name.partition("/")[2] for one in single for name in one.targets}
     return [
         *_common_bias(calibration),
         *_star_camera(dump, calibration),
         *_displaced_strips(calibration, strips, dump.sigma_installation_rad),
         *silent_ccds(rows, {key: _is_flat(strips[key[0]], key[1]) for key in _lost_ccds(rows)}),
-        *_heights(dump, calibration),
-        *single_targets(rows),
+        *single,
+        *_heights(dump, calibration, named),
         *(cloud for strip_id, one in strips.items() for cloud in clouds(strip_id, _looks(one, rows))),
         *spread(share),
     ]
@@ -124,8 +126,9 @@ SINGLE_CAUSES = {
 }
 
 
-def _heights(dump: Dump, calibration: Calibration) -> Iterator[Finding]:
-    targets = {target.target_id: target for task in calibration.tasks for target in task.targets}
+def _heights(dump: Dump, calibration: Calibration, without: Collection[str]) -> Iterator[Finding]:
+    every = {target.target_id: target for task in calibration.tasks for target in task.targets}
+    targets = {name: target for name, target in every.items() if name not in without}
     if not isinstance(dump.terrain, TerrainFile) or len(targets) < FEWEST:
         return
     lat, lon, height = geodetic_from_ecef(np.array([target.p_e for target in targets.values()]), WGS84)

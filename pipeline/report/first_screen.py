@@ -15,7 +15,7 @@ from boresight.pipeline.report.observations import TargetRow
 from boresight.pipeline.report.saved import Number, Saved, number_from
 from boresight.pipeline.results.summary import REASON_WORDS
 
-__all__ = ["FirstScreen", "Found", "Help", "Items", "Required", "first_screen"]
+__all__ = ["FirstScreen", "Found", "Help", "Items", "Required", "first_screen", "required", "sigma_on_ground"]
 
 MOST_GROUPS, MOST_ITEMS = 4, 4
 
@@ -94,24 +94,35 @@ def first_screen(saved: Saved, targets: Sequence[TargetRow]) -> FirstScreen:
     sigma_arcsec = tuple(
         saved.number(f"covariance_rad2.{i}.{i}", ".4f", scale=1.0 / ARCSEC, root=True) for i in range(3)
     )
-    ground = saved.context["ground"]
-    levers = (ground["range_m"], ground["range_m"], ground["range_m"] * ground["edge_tan"])
-    sigma_m = tuple(
-        saved.number(f"covariance_rad2.{i}.{i}", ".2f", scale=lever, root=True)
-        for i, lever in enumerate(levers)
-    )
+    sigma_m = sigma_on_ground(saved.installation)
     weakest = int(np.argmax([number.exact for number in sigma_arcsec]))
     return FirstScreen(
         about=_about(saved),
         sigma_arcsec=sigma_arcsec,
         sigma_m=sigma_m,
-        required=_required(saved, sigma_arcsec, sigma_m),
+        required=required(saved.requirement, sigma_arcsec, sigma_m),
         weakest=weakest,
         helps=_helps(saved, sigma_arcsec, weakest),
         new_strip_ce90=saved.context_number("new_strip.ce90_m", ".1f"),
         rejected=_rejected(saved),
         findings=findings,
         items=_items(unused),
+    )
+
+
+def sigma_on_ground(installation: dict[str, Any]) -> tuple[Number, ...]:
+    """1-sigma about X, Y, Z as metres on the ground; not known in a result of an older version."""
+    per_rad = installation.get("ground_m_per_rad", [None] * 3)
+    return tuple(
+        number_from(
+            installation,
+            "installation.json",
+            f"covariance_rad2.{i}.{i}",
+            ".2f",
+            scale=float("nan") if lever is None else lever,
+            root=True,
+        )
+        for i, lever in enumerate(per_rad)
     )
 
 
@@ -140,15 +151,16 @@ def _star_camera(star: dict[str, Any] | None) -> str:
     return f"Star camera {size}, {star['focal_mm']:.4g} mm, {width_deg:.1f}° wide."
 
 
-def _required(
-    saved: Saved, sigma_arcsec: tuple[Number, ...], sigma_m: tuple[Number, ...]
+def required(
+    requirement: dict[str, Any], sigma_arcsec: Sequence[Number], sigma_m: Sequence[Number]
 ) -> tuple[Required, ...]:
+    """The limits of a requirement.json, with 1-sigmas about X, Y, Z held against them."""
     cases = (("arcsec", "″ about every axis", sigma_arcsec), ("m", " m on the ground", sigma_m))
     found = []
     for key, words, values in cases:
-        if saved.requirement.get(key) is None:
+        if requirement.get(key) is None:
             continue
-        limit = number_from(saved.requirement, "requirement.json", key, ".4g")
+        limit = number_from(requirement, "requirement.json", key, ".4g")
         x, y, z = (value.exact * value.scale <= limit.exact for value in values)
         found.append(Required(words=words, limit=limit, met=(x, y, z)))
     return tuple(found)

@@ -13,10 +13,10 @@ import pyarrow as pa
 from scipy.optimize import brentq
 from scipy.stats import norm
 
-from boresight.geometry.record import Floats
+from boresight.geometry.record import Floats, Texts
 from boresight.pipeline.files.table_files import column
 
-__all__ = ["accuracy_by_strip", "predicted_accuracy", "radius_90"]
+__all__ = ["accuracy_by_strip", "accuracy_rows", "predicted_accuracy", "radius_90"]
 
 SHARE = 0.9
 NODES = 720  # of the quadrature of a plane normal distribution: exact to 1e-5
@@ -30,8 +30,15 @@ def accuracy_by_strip(ground: pa.Table, used: str) -> list[dict[str, Any]]:
     track_m = np.column_stack([column(ground, f"residual_{axis}_m") for axis in ("along", "across")])
     rows &= np.isfinite(track_m).all(axis=1)
     strips = column(ground, "strip_id")
-    names = list(dict.fromkeys(strips[rows].tolist()))
-    return [_empirical("", track_m[rows])] + [_empirical(n, track_m[rows & (strips == n)]) for n in names]
+    return accuracy_rows(strips[rows], track_m[rows])
+
+
+def accuracy_rows(strip_id: Texts, track_m: Floats) -> list[dict[str, Any]]:
+    """Number, rms, CE90 and LE90 of errors (N, 2) along and across the track, m: of all (id empty), and of
+    each strip of `strip_id` (N,).
+    """
+    names = list(dict.fromkeys(strip_id.tolist()))
+    return [_empirical("", track_m)] + [_empirical(n, track_m[strip_id == n]) for n in names]
 
 
 def _empirical(strip_id: str, track_m: Floats) -> dict[str, Any]:

@@ -31,7 +31,16 @@ from boresight.pipeline.files.dump import Dump, TargetHeights, surface_of
 from boresight.pipeline.stages.calibrate import Calibration
 from boresight.pipeline.stages.strip import MatchedTargets, StripTask, pushbroom_of
 
-__all__ = ["STATES", "Scene", "StripOnGround", "ground_table", "scene_json", "scene_pictures", "scenes_of"]
+__all__ = [
+    "STATES",
+    "Scene",
+    "StripOnGround",
+    "ground_table",
+    "local_plane",
+    "scene_json",
+    "scene_pictures",
+    "scenes_of",
+]
 
 USED, REJECTED, UNMATCHED, OUT_OF_VIEW = STATES = ("used", "rejected", "not matched", "not in view")
 MOST_SIDE_PX = 420  # of a picture
@@ -86,7 +95,7 @@ class Scene:
 
     def plane(self) -> Transformer:
         """Longitude, latitude (degrees) to metres east, north."""
-        return _plane(self.lat_deg, self.lon_deg)
+        return local_plane(self.lat_deg, self.lon_deg)
 
     def plane_m(self, p_e: Floats) -> Floats:
         """Points (N, 3) ITRS to metres (N, 2) east, north."""
@@ -96,7 +105,8 @@ class Scene:
 
 
 @functools.cache  # setting one up takes 20 ms
-def _plane(lat_deg: float, lon_deg: float) -> Transformer:
+def local_plane(lat_deg: float, lon_deg: float) -> Transformer:
+    """Longitude, latitude (degrees) to metres east, north of a place."""
     local = f"+proj=aeqd +lat_0={lat_deg} +lon_0={lon_deg} +ellps=WGS84 +units=m"
     return Transformer.from_crs("EPSG:4326", local, always_xy=True)
 

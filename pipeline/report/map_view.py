@@ -8,8 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from boresight.geometry.record import record, scalar
+from boresight.geometry.record import Floats, record, scalar
 from boresight.pipeline.files.table_files import column
+from boresight.pipeline.report.check_points import CheckPoint, check_points
 from boresight.pipeline.report.drawing import strip_style
 from boresight.pipeline.report.ground_map import REJECTED, UNMATCHED
 from boresight.pipeline.report.observations import TargetRow, data_uri, strip_numbers
@@ -66,6 +67,7 @@ class MapView:
     scenes: tuple[SceneView, ...] = scalar("scenes on it")
     spots: tuple[SpotView, ...] = scalar("targets on it, those not used on top")
     causes: tuple[tuple[str, str, int], ...] = scalar("number, reason and count of those not used")
+    check_metres: float = scalar("of a check point's error for one unit of its arrow; 0 without any")
     checks: tuple[tuple[float, float, str, str], ...] = scalar("check points: x, y, arrow, words")
     words: str = scalar("description for screen readers")
 
@@ -87,9 +89,9 @@ def map_view(saved: Saved, rows: Sequence[TargetRow]) -> MapView | None:
     place = {n: (ox, oy) for n, (ox, oy) in enumerate(origins)}
     causes = Counter(row.why or row.state for row in rows if row.state in (REJECTED, UNMATCHED))
     numbers = {cause: str(n) for n, (cause, _) in enumerate(causes.most_common(), start=1)}
-    residual_m = column(saved.ground, "residual_m")
-    usual = residual_m[np.isfinite(residual_m)]
-    stretch = ARROW * WIDTH / max(float(np.quantile(usual, 0.9)) if len(usual) else 1.0, 1e-9)
+    stretch = _stretch(column(saved.ground, "residual_m"))
+    points = check_points(saved)
+    own = _stretch(np.array([np.hypot(*point.error_m) for point in points]))
     spots = tuple(_spot(saved, row, place, scale, stretch, numbers) for row in reversed(rows))
     used = sum(1 for row in rows if row.state == "used")
     return MapView(
@@ -99,9 +101,24 @@ def map_view(saved: Saved, rows: Sequence[TargetRow]) -> MapView | None:
         scenes=tuple(_scene(saved, n, place[n], scale) for n in range(len(scenes))),
         spots=spots,
         causes=tuple((numbers[cause], cause, n) for cause, n in causes.most_common()),
-        checks=(),
+        check_metres=1.0 / own if points else 0.0,
+        checks=tuple(_check(point, place[point.scene], scale, own) for point in points),
         words=f"Map of {len(strip_numbers(saved))} strips with {len(rows)} targets, {used} used.",
     )
+
+
+def _stretch(size_m: Floats) -> float:
+    """Units of the sheet for a metre of arrow, such that nine of ten are no longer than `ARROW`."""
+    usual = size_m[np.isfinite(size_m)]
+    return ARROW * WIDTH / max(float(np.quantile(usual, 0.9)) if len(usual) else 1.0, 1e-9)
+
+
+def _check(
+    point: CheckPoint, origin: tuple[float, float], scale: float, stretch: float
+) -> tuple[float, float, str, str]:
+    x, y = origin[0] + point.place_m[0] * scale, origin[1] - point.place_m[1] * scale
+    arrow = _arrow(x, y, point.error_m[0] * stretch, -point.error_m[1] * stretch)
+    return round(x, 2), round(y, 2), arrow, point.words
 
 
 def _layout(n: int, size_m: Any) -> tuple[int, float]:

@@ -6,7 +6,7 @@ import functools
 import html
 import json
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -23,9 +23,10 @@ from boresight.pipeline.report.drawing import SHAPES, strip_style
 from boresight.pipeline.report.first_screen import first_screen
 from boresight.pipeline.report.map_view import map_view
 from boresight.pipeline.report.observations import data_uri, exposure_rows, strip_numbers, target_rows
-from boresight.pipeline.report.saved import Number, Saved, read_saved
+from boresight.pipeline.report.saved import Number, Saved, number_from, read_saved
 from boresight.pipeline.report.star_preview import STATES
 from boresight.pipeline.report.verdict import verdict_view
+from boresight.pipeline.results.folder import VALIDATION
 
 __all__ = ["report_html", "template", "write_report"]
 
@@ -79,6 +80,7 @@ def report_html(saved: Saved, *, most_matches: int = MOST_MATCHES) -> str:
         more_cards=more_cards,
         shapes=SHAPES,
         accuracy=_accuracy(saved),
+        checked=_checked(saved),
         predicted={
             part: [saved.context_number(f"new_strip.{part}.{i}", ".2f") for i in (0, 1)]
             for part in ("sigma_m", "le90_m")
@@ -175,9 +177,32 @@ def _iterations(saved: Saved) -> list[dict[str, Any]]:
 
 def _accuracy(saved: Saved) -> list[dict[str, Any]]:
     """Residuals on the ground of all strips (name empty) and of each."""
-    order, number = strip_numbers(saved), saved.context_number
-    rows = []
-    for n, one in enumerate(saved.context["accuracy"]):
+    return _by_strip(saved, saved.context["accuracy"], saved.context_number)
+
+
+def _checked(saved: Saved) -> dict[str, Any] | None:
+    """Errors against the truth: of the matrix, and at the check points; None where it was not compared."""
+    content = saved.validation
+    if not content:
+        return None
+
+    def number(key: str, form: str, scale: float = 1.0) -> Number:
+        return number_from(content, VALIDATION, key, form, scale=scale)
+
+    return {
+        "error": [number(f"error_rad.{i}", "+.4f", TO_ARCSEC) for i in range(3)],
+        "sigma": [number(f"sigma_rad.{i}", ".4f", TO_ARCSEC) for i in range(3)],
+        "nees": number("nees", ".2f"),
+        "rows": _by_strip(saved, content["accuracy"], number),
+    }
+
+
+def _by_strip(
+    saved: Saved, accuracy: list[dict[str, Any]], number: Callable[[str, str], Number]
+) -> list[dict[str, Any]]:
+    """Rows of `accuracy_rows`, of which `number` gives the numbers."""
+    order, rows = strip_numbers(saved), []
+    for n, one in enumerate(accuracy):
         key, name = f"accuracy.{n}", one["strip_id"]
         parts = {part: [number(f"{key}.{part}.{i}", ".2f") for i in (0, 1)] for part in ("rms_m", "le90_m")}
         counts = {"n": number(f"{key}.n", ".0f"), "ce90_m": number(f"{key}.ce90_m", ".2f")}

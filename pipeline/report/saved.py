@@ -56,6 +56,7 @@ class Saved:
     unmatched: pa.Table = scalar("evidence/unmatched.parquet")
     map: pa.Table = scalar("evidence/map.parquet")
     requirement: dict[str, Any] = scalar("requirement.json; empty where there is none")
+    validation: dict[str, Any] = scalar("validation.json; empty where there is none")
 
     def number(self, key: str, form: str, *, scale: float = 1.0, root: bool = False) -> Number:
         """The number of installation.json under `key`, a path such as `covariance_rad2.0.1`."""
@@ -97,12 +98,11 @@ def read_saved(result: Path) -> Saved:
     }
     tables |= {name: read_parquet(result / "evidence" / f"{name}.parquet") for name in _EVIDENCE}
     tables["detections"] = read_parquet(result / "evidence" / "exposure.parquet")
-    run, requirement = result / "run.json", result / "requirement.json"
+    own = {name: result / f"{name}.json" for name in ("run", "requirement", "validation")}
     return Saved(
         installation=installation,
         context=read_json(result / "evidence" / "context.json", str(result / "evidence" / "context.json")),
-        run=read_json(run, str(run)) if run.is_file() else {},
-        requirement=read_json(requirement, str(requirement)) if requirement.is_file() else {},
+        **{name: read_json(path, str(path)) if path.is_file() else {} for name, path in own.items()},
         **tables,
     )
 

@@ -10,6 +10,7 @@
     work/                        finished exposures and strips, for a run that is started again
     run.json                     times and counts of the run that wrote the rest
     requirement.json             the accuracy required, where one was given
+    validation.json              errors against the truth, where `validate` found them
 
 The result of several dumps has `dumps.json` too, the full result of each dump in a folder of its own, and of
 itself what is joint: no stars, exposures and work.
@@ -24,9 +25,9 @@ from boresight.pipeline.files.text_files import read_json
 from boresight.pipeline.files.whole_file import remove_abandoned
 from boresight.pipeline.work.unit_store import UnitStore
 
-__all__ = ["DUMPS", "begin_result", "dumps_in", "results_in", "store_of"]
+__all__ = ["DUMPS", "VALIDATION", "begin_result", "dumps_in", "results_in", "store_of"]
 
-DUMPS = "dumps.json"
+DUMPS, VALIDATION = "dumps.json", "validation.json"
 
 
 def store_of(result: Path) -> UnitStore:
@@ -40,7 +41,7 @@ def begin_result(result: Path) -> None:
     """
     result.mkdir(parents=True, exist_ok=True)
     remove_abandoned(result)
-    for name in ("installation.json", DUMPS, "drift.json"):
+    for name in ("installation.json", DUMPS, "drift.json", VALIDATION):
         (result / name).unlink(missing_ok=True)
 
 

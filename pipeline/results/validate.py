@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from boresight.geometry.attitude import AttitudeTrack
 from boresight.geometry.constants import WGS84
-from boresight.geometry.geodesy import ecef_from_geodetic, ellipsoid_normals
+from boresight.geometry.geodesy import ecef_from_geodetic, ellipsoid_normals, local_axes_e
 from boresight.geometry.installation import theta_between
 from boresight.geometry.pushbroom import Pushbroom, RowClock
 from boresight.geometry.record import Floats, Texts, array, record, scalar
@@ -47,14 +47,19 @@ class CheckPointRow(BaseModel):
     height_m: float
 
 
-@record
+@record(kw_only=True)
 class CheckPoints:
     """Geo-positioning errors, computed minus true, at N check points, in the horizontal plane."""
 
     strip_id: Texts = array("N", "strip of each check point")
+    point_id: Texts = array("N", "its id")
+    lat_deg: Floats = array("N", "true geodetic latitude")
+    lon_deg: Floats = array("N", "true longitude")
     along_m: Floats = array("N", "along the satellite's motion relative to the ground")
     across_m: Floats = array("N", "to the right of it")
     up_m: Floats = array("N", "along the ellipsoid's normal")
+    east_m: Floats = array("N", "to the east")
+    north_m: Floats = array("N", "to the north")
 
     @property
     def rms_m(self) -> tuple[float, float]:
@@ -107,20 +112,34 @@ def _check(
     for point in points:
         if not 0 <= point.ccd < dump.line_camera.n_ccds:
             raise RawDataError("truth/check_points.csv", "ccd", str(point.ccd), "a CCD of the camera")
-    names, errors, without = [], [], 0
+    found: list[CheckPointRow] = []
+    errors, without = [], 0
     for strip_id in sorted({point.strip for point in points}):
         here = [point for point in points if point.strip == strip_id]
         model = _pushbroom(strips[strip_id], result, dump, R_cs) if strip_id in strips else None
         if model is None:
             without += len(here)
             continue
-        error = np.vstack([_error(here, ccd, model, dump) for ccd in sorted({p.ccd for p in here})])
-        good = np.isfinite(error).all(axis=1)
-        without += int((~good).sum())
-        errors.append(error[good])
-        names += [strip_id] * int(good.sum())
-    along, across, up = np.vstack([np.zeros((0, 3)), *errors]).T
-    return CheckPoints(np.array(names, dtype=str), along, across, up), without
+        for ccd in sorted({point.ccd for point in here}):
+            those = [point for point in here if point.ccd == ccd]
+            error = _error(those, ccd, model, dump)
+            good = np.asarray(np.isfinite(error).all(axis=1))
+            without += int((~good).sum())
+            errors.append(error[good])
+            found += [point for point, known in zip(those, good.tolist()) if known]
+    along, across, up, east, north = np.vstack([np.zeros((0, 5)), *errors]).T
+    checked = CheckPoints(
+        strip_id=np.array([point.strip for point in found], dtype=str),
+        point_id=np.array([point.id for point in found], dtype=str),
+        lat_deg=np.array([point.lat_deg for point in found], dtype=float),
+        lon_deg=np.array([point.lon_deg for point in found], dtype=float),
+        along_m=along,
+        across_m=across,
+        up_m=up,
+        east_m=east,
+        north_m=north,
+    )
+    return checked, without
 
 
 def _pushbroom(strip: Strip, result: SavedResult, dump: Dump, R_cs: Rotation) -> Pushbroom | None:
@@ -146,8 +165,7 @@ def _pushbroom(strip: Strip, result: SavedResult, dump: Dump, R_cs: Rotation) ->
 
 
 def _error(points: list[CheckPointRow], ccd: int, model: Pushbroom, dump: Dump) -> Floats:
-    """Computed minus true (N, 3): along track, across track, up, m."""
-    points = [point for point in points if point.ccd == ccd]
+    """Computed minus true (N, 5): along track, across track, up, east, north, m."""
     sample = np.array([point.sample for point in points])
     line = np.array([point.line for point in points])
     lat = np.radians([point.lat_deg for point in points])
@@ -160,4 +178,6 @@ def _error(points: list[CheckPointRow], ccd: int, model: Pushbroom, dump: Dump) 
     along = along / np.linalg.norm(along, axis=1, keepdims=True)
     right = np.cross(along, up)
     difference = computed_e - true_e
-    return np.column_stack([np.einsum("ni,ni->n", difference, axis) for axis in (along, right, up)])
+    east, north, _ = np.moveaxis(local_axes_e(lat, lon), 2, 0)
+    axes = (along, right, up, east, north)
+    return np.column_stack([np.einsum("ni,ni->n", difference, axis) for axis in axes])

@@ -18,7 +18,9 @@ from boresight.calib.estimate import InstallationEstimate, TargetResiduals
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.verdict import Verdict
 from boresight.geometry.installation import euler_zxy_from_theta
+from boresight.geometry.line_camera import LineSensor
 from boresight.geometry.orbit import argument_of_latitude
+from boresight.geometry.record import Floats
 from boresight.geometry.sightings import StripSightings
 from boresight.pipeline import __version__
 from boresight.pipeline.errors import Omission
@@ -42,6 +44,7 @@ FIELDS = (
     "theta_rad",
     "euler_zxy_deg",
     "covariance_rad2",
+    "ground_m_per_rad",
     "frames",
     "stars",
     "targets",
@@ -72,7 +75,12 @@ def write_result(result: Path, calibration: Calibration, settings: Settings) -> 
     _write_groups(tables / "omissions.parquet", [_omissions_table(calibration.omissions)])
     write_json(
         result / "installation.json",
-        _installation(estimate, calibration.verdict, calibration.settings, settings),
+        _installation(
+            estimate,
+            calibration.verdict,
+            (calibration.settings, settings),
+            ground_m_per_rad(calibration.strips, calibration.tasks[0].camera),
+        ),
     )
 
 
@@ -89,7 +97,11 @@ def write_joint_result(
     passes = [_passes_table(found, f"{name}/") for name, found in of_dumps.items()]
     _write_groups(tables / "passes.parquet", [pa.concat_tables(passes)])
     _write_groups(tables / "omissions.parquet", [_omissions_table(joint.omissions)])
-    write_json(result / "installation.json", _installation(estimate, joint.verdict, joint.settings, settings))
+    camera = next(iter(of_dumps.values())).tasks[0].camera
+    content = _installation(
+        estimate, joint.verdict, (joint.settings, settings), ground_m_per_rad(joint.strips, camera)
+    )
+    write_json(result / "installation.json", content)
 
 
 def write_dumps(result: Path, names: Sequence[str]) -> None:
@@ -121,9 +133,28 @@ def verdict_json(verdict: Verdict) -> dict[str, Any]:
     return plain(verdict) | {"checks": checks}
 
 
+def ground_m_per_rad(strips: Sequence[StripSightings], camera: LineSensor) -> Floats:
+    """How far (3,), m, a point on the ground moves with a rotation by 1 rad about X, Y and Z of the
+    remote-sensing camera: X, Y at its axis, Z at the edge of the swath. NaN for strips that see no ground.
+    """
+    range_m = np.concatenate([strip.ground.range_m for strip in strips])
+    known = range_m[np.isfinite(range_m)]
+    mean_m = float(known.mean()) if len(known) else np.nan
+    ends = [
+        camera.directions_from_pixels(k, np.array([0.0, camera.n_px(k) - 1.0])) for k in range(camera.n_ccds)
+    ]
+    u_c = np.concatenate(ends)
+    edge = float(np.max(np.hypot(u_c[:, 0], u_c[:, 1]) / u_c[:, 2]))
+    return mean_m * np.array([1.0, 1.0, edge])
+
+
 def _installation(
-    estimate: InstallationEstimate, verdict: Verdict, error_model: CalibrationSettings, settings: Settings
+    estimate: InstallationEstimate,
+    verdict: Verdict,
+    given: tuple[CalibrationSettings, Settings],
+    ground: Floats,
 ) -> dict[str, Any]:
+    error_model, settings = given
     used = dataclasses.asdict(dataclasses.replace(settings, calibration=())) | {
         "calibration": dataclasses.asdict(error_model)
     }
@@ -134,6 +165,7 @@ def _installation(
         "theta_rad": estimate.theta.tolist(),
         "euler_zxy_deg": np.degrees(euler_zxy_from_theta(estimate.theta)).tolist(),
         "covariance_rad2": estimate.cov_theta.tolist(),
+        "ground_m_per_rad": ground.tolist(),
         "frames": estimate.n_exposures,
         "stars": estimate.n_stars,
         "targets": estimate.n_targets,

@@ -142,12 +142,13 @@
     tip.style.top = `${edge.bottom + 8 + tip.offsetHeight > innerHeight ? edge.top - tip.offsetHeight - 8 : edge.bottom + 8}px`;
   });
   for (const box of document.querySelectorAll(".zoom.map")) {
-    const ground = box.querySelector(".bar.ground"), residual = box.querySelector(".bar.residual");
+    const ground = box.querySelector(".bar.ground"), residual = box.querySelector(".bar.residual"), checked = box.querySelector(".bar.checked");
     const nice = (most) => { const power = 10 ** Math.floor(Math.log10(most)); return power * [5, 2, 1].find((step) => step * power <= most); };
     const length = (metres) => metres >= 1000 ? `${metres / 1000} km` : `${+metres.toPrecision(3)} m`;
     box.addEventListener("zoomed", (event) => {
       const width = event.detail.w;
-      for (const [bar, metres, text] of [[ground, +box.dataset.metres, ""], [residual, +box.dataset.residual, "residual "]]) {
+      for (const [bar, metres, text] of [[ground, +box.dataset.metres, ""], [residual, +box.dataset.residual, "residual "], [checked, +box.dataset.check, "error of check points "]]) {
+        if (!bar) continue;
         const most = nice(0.25 * width * metres);
         bar.style.width = `${most / (metres * width) * 100}%`;
         bar.textContent = text + length(most);

@@ -162,6 +162,14 @@ def test_status_report_and_drift_know_a_folder_of_dumps(joint: Path, tmp_path: P
     assert alone["merged"] == json.loads((joint / "drift.json").read_text())["merged"]
 
 
+def test_a_required_accuracy_is_that_of_the_joint_matrix(joint: Path, tmp_path: Path) -> None:
+    shutil.copytree(joint, tmp_path / "joint", ignore=shutil.ignore_patterns("work"))
+    told = ran("report", tmp_path / "joint", "--require-arcsec", 1, "--require-m", 500)
+    assert "1 arcsec about each axis: not met about Z" in told and "500 m on the ground: met" in told
+    page = (tmp_path / "joint" / "report.html").read_text()
+    assert "about every axis: not met</strong> (about Z)" in page and "on the ground: met</strong>" in page
+
+
 def test_joint_matrix_serves_each_of_its_dumps(dumps: list[Path], joint: Path, tmp_path: Path) -> None:
     ran("export", joint, "--format", "json", "--out", tmp_path)
     exported = json.loads((tmp_path / "matrix.json").read_text())

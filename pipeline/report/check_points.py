@@ -1,0 +1,66 @@
+"""Check points in a report: what `boresight validate` found, kept beside the result and drawn on the map."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from boresight.geometry.record import record, scalar
+from boresight.pipeline.files.record_tables import plain
+from boresight.pipeline.report.ground_accuracy import accuracy_rows
+from boresight.pipeline.report.ground_map import local_plane
+from boresight.pipeline.report.saved import Saved
+from boresight.pipeline.results.folder import VALIDATION
+from boresight.pipeline.results.validate import Validation
+from boresight.pipeline.results.writing import write_json
+
+__all__ = ["CheckPoint", "check_points", "write_validation"]
+
+
+@record(kw_only=True)
+class CheckPoint:
+    """One check point with the error of its computed place."""
+
+    scene: int = scalar("number of the map's scene")
+    place_m: tuple[float, float] = scalar("true place in the scene's plane, m east and north")
+    error_m: tuple[float, float] = scalar("computed minus true, m east and north")
+    words: str = scalar("hover text")
+
+
+def write_validation(result: Path, found: Validation) -> Path:
+    """Write `validation.json` into the folder of a result; its path."""
+    after = found.after
+    accuracy = accuracy_rows(after.strip_id, np.column_stack([after.along_m, after.across_m]))
+    path = result / VALIDATION
+    write_json(path, plain(found) | {"accuracy": accuracy})
+    return path
+
+
+def check_points(saved: Saved) -> tuple[CheckPoint, ...]:
+    """The check points that lie in strips of the map; none where the result was not validated."""
+    scene_of = {
+        strip["id"]: n for n, scene in enumerate(saved.context["scenes"]) for strip in scene["strips"]
+    }
+    after: dict[str, Any] = saved.validation.get("after", {})
+    found = []
+    for n, strip_id in enumerate(after.get("strip_id", ())):
+        if strip_id not in scene_of:
+            continue
+        number = scene_of[strip_id]
+        scene = saved.context["scenes"][number]
+        place = local_plane(scene["lat_deg"], scene["lon_deg"]).transform(
+            after["lon_deg"][n], after["lat_deg"][n]
+        )
+        along, across = after["along_m"][n], after["across_m"][n]
+        found.append(
+            CheckPoint(
+                scene=number,
+                place_m=place,
+                error_m=(after["east_m"][n], after["north_m"][n]),
+                words=f"check point {after['point_id'][n]}, strip {strip_id}: error "
+                f"{np.hypot(along, across):.2f} m, {along:+.2f} m along, {across:+.2f} m across the track",
+            )
+        )
+    return tuple(found)
