@@ -33,8 +33,8 @@ from boresight.calib.gross_errors import (
     l1_start,
     refine_geman_mcclure,
     rejection_test,
-    rivals,
     snoop,
+    weigh,
 )
 from boresight.calib.heads import aligned, measured_alignment, unknown_heads, without_head
 from boresight.calib.information import InformationPairs, Solution
@@ -52,7 +52,7 @@ from boresight.calib.settings import CalibrationSettings
 from boresight.calib.strips import PreparedStrip, prepare_strip
 from boresight.geometry.attitude_estimate import GROSS, trimmed_mean, with_attitudes
 from boresight.geometry.installation import deviation_from_theta, theta_between
-from boresight.geometry.record import Bools, Floats
+from boresight.geometry.record import Bools, Floats, Ints
 from boresight.geometry.sightings import ExposureAttitudes, StripSightings
 
 __all__ = ["calibrate", "strip_pairs"]
@@ -172,7 +172,8 @@ def strip_pairs(
 class _Fit:
     step: Step
     iterations: list[Iteration]
-    kept: Bools  # (J,)
+    weight: Floats  # (J,)
+    rivals: dict[int, Ints]  # of targets that the search rejects or doubts
     scale_c: tuple[float, float]  # factor of the image measurements' sigma, and its 1-sigma
 
 
@@ -189,29 +190,32 @@ def _solve(problem: Problem, R_cs0: Rotation, test: RejectionTest) -> _Fit:
     """Plain fit; then, if its residuals show gross errors, the search for them, and the fit to the rest."""
     settings, kept, scale = problem.settings, problem.inside, (1.0, 0.0)
     iterations: list[Iteration] = []
-    step = _iterated(problem, R_cs0, kept, iterations, 1.0)
+    weight, rivals = kept.astype(float), dict[int, Ints]()
+    step = _iterated(problem, R_cs0, weight, iterations, 1.0)
     R_cs = step.R_cs
     if settings.robust and np.any(squared_mahalanobis(step)[kept] > GROSS):
         R_cs, kept = refine_geman_mcclure(problem, l1_start(problem, R_cs0), iterations, 1.0)
     for _ in range(5 if settings.estimate_noise else 1):
         if settings.robust:
-            kept = snoop(problem, linearised(problem, R_cs, scale[0]), kept, test.limit)
-        step = _iterated(problem, R_cs, kept, iterations, scale[0])
+            about = linearised(problem, R_cs, scale[0])
+            kept = snoop(problem, about, kept, test.limit)
+            weight, rivals = weigh(problem, about, kept, test.limit)
+        step = _iterated(problem, R_cs, weight, iterations, scale[0])
         if settings.estimate_noise:
-            scale = _noise_scale(step, kept, scale[0], settings)
-            step = _iterated(problem, step.R_cs, kept, iterations, scale[0])
+            scale = _noise_scale(step, weight == 1.0, scale[0], settings)
+            step = _iterated(problem, step.R_cs, weight, iterations, scale[0])
         R_cs = step.R_cs
-    return _Fit(step, iterations, kept, scale)
+    return _Fit(step, iterations, weight, rivals, scale)
 
 
 def _iterated(
-    problem: Problem, R_cs: Rotation, kept: Bools, iterations: list[Iteration], scale_c: float
+    problem: Problem, R_cs: Rotation, weight: Floats, iterations: list[Iteration], scale_c: float
 ) -> Step:
-    """Gauss-Newton on the targets kept until the correction vanishes; the last step, about its matrix."""
+    """Gauss-Newton on the weighted targets until the correction vanishes; the last step, about its matrix."""
     settings = problem.settings
     for _ in range(settings.most_iterations):
-        step = linear_solution(problem, R_cs, kept.astype(float), scale_c)
-        iterations.append(iteration_record(step, kept.astype(float)))
+        step = linear_solution(problem, R_cs, weight, scale_c)
+        iterations.append(iteration_record(step, weight))
         if np.linalg.norm(step.solution.theta) <= settings.tolerance_rad:
             break
         R_cs = deviation_from_theta(step.solution.theta) * R_cs
@@ -243,16 +247,13 @@ def _residuals(
     rows = np.concatenate(
         [np.arange(start[s], start[s + 1]) for group in problem.groups for s in group.place]
     )
-    covered, kept = rows[problem.inside], np.zeros(start[-1], dtype=bool)
-    about = linearised(problem, fit.step.R_cs, fit.scale_c[0])
-    rejected = np.flatnonzero(problem.inside & ~fit.kept).tolist()
-    found = {int(rows[n]): rows[rivals(problem, about, fit.kept, n)] for n in rejected}
+    covered, weight = rows[problem.inside], np.zeros(start[-1])
     statistic, detectable = np.full((2, start[-1]), np.nan)
     residual = np.full((start[-1], 2), np.nan)
     range_m = np.concatenate([np.where(s.ground.is_star, np.nan, s.ground.range_m) for s in strips])
-    kept[rows] = fit.kept
+    weight[rows] = fit.weight
     statistic[covered] = squared_mahalanobis(fit.step)[problem.inside]
-    detectable[covered] = detectable_bias(fit.step, fit.kept, test.noncentrality)[problem.inside]
+    detectable[covered] = detectable_bias(fit.step, test.noncentrality)[problem.inside]
     residual[covered] = fit.step.residual_c[problem.inside]
     return TargetResiduals(
         strip_id=np.repeat([strip.strip_id for strip in prepared], np.diff(start)),
@@ -261,10 +262,10 @@ def _residuals(
         sample=np.concatenate([strip.sample for strip in prepared]),
         residual_c=residual,
         statistic=statistic,
-        kept=kept,
+        weight=weight,
         detectable_rad=detectable,
         detectable_m=detectable * range_m,
-        rivals={row: others for row, others in found.items() if len(others)},
+        rivals={int(rows[j]): rows[others] for j, others in fit.rivals.items()},
     )
 
 
@@ -303,7 +304,7 @@ def _estimate(
     (R_cs, R_cs0), step, settings = matrices, fit.step, problem.settings
     carrying = [strip for strip in prepared if strip.inside.any()]
     exposures = [(strip.attitudes, strip.used) for strip in carrying]
-    n_kept, n_exposures = int(fit.kept.sum()), int(sum(used.sum() for _, used in exposures))
+    n_kept, n_exposures = int(np.sum(fit.weight > 0.0)), int(sum(used.sum() for _, used in exposures))
     dof_stars = int(sum(attitudes.dof[used].sum() for attitudes, used in exposures))
     last = np.abs(step.solution.theta)
     return InstallationEstimate(
@@ -312,7 +313,7 @@ def _estimate(
         theta=theta_between(R_cs, R_cs0),
         cov_theta=step.solution.covariance,
         chi2=step.chi2,
-        dof=2 * n_kept - 3,
+        dof=2 * (n_kept - len(residuals.doubtful)) - 3,
         chi2_stars=float(sum(attitudes.chi2[used].sum() for attitudes, used in exposures)),
         dof_stars=dof_stars,
         n_strips=len(carrying),

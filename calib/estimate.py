@@ -78,7 +78,11 @@ class TargetResiduals:
     sample: Floats = array("J", "position along the CCD, px")
     residual_c: Floats = array("J, 2", "measured minus fitted direction along x and y of frame c, rad")
     statistic: Floats = array("J", "squared residual over its own covariance, chi-square of 2 dof")
-    kept: Bools = array("J", "whether the sighting takes part")
+    weight: Floats = array(
+        "J",
+        "1; 0 if the sighting takes no part; between, where one of several is wrong and the data do not tell "
+        "which: the probability that this one is good, less if it is far off",
+    )
     detectable_rad: Floats = array(
         "J",
         "minimal detectable bias: smallest error of the direction, along its least controlled axis, that the "
@@ -86,8 +90,19 @@ class TargetResiduals:
     )
     detectable_m: Floats = array("J", "`detectable_rad` times the distance to the target, m; NaN for stars")
     rivals: dict[int, Ints] = scalar(
-        "rows of the rivals (`Rejected.rivals`) of each rejected row that has any"
+        "rows of the rivals (`Rejected.rivals`) of each row that the search for gross errors found"
     )
+
+    @property
+    def kept(self) -> Bools:
+        """Whether each sighting (J,) takes part."""
+        return self.weight > 0.0
+
+    @property
+    def doubtful(self) -> tuple[tuple[str, ...], ...]:
+        """Groups of which one sighting is wrong, as "strip/target", the likeliest first."""
+        groups = [[j, *others] for j, others in self.rivals.items() if self.weight[j] > 0.0]
+        return tuple(tuple(f"{self.strip_id[n]}/{self.target_id[n]}" for n in group) for group in groups)
 
 
 @record
@@ -150,13 +165,13 @@ class InstallationEstimate:
     theta: Floats = array("3", "whole deviation, R_cs = exp[[theta]] R_cs0, rad, frame c")
     cov_theta: Floats = array("3, 3", "covariance of a small rotation about the axes of c, rad²")
     chi2: float = scalar("of the targets' residuals, priors included")
-    dof: int = scalar("degrees of freedom of `chi2`: two a target kept, less three")
+    dof: int = scalar("degrees of freedom of `chi2`: two a good target, less three")
     chi2_stars: float = scalar("of the stars' residuals about the attitudes of their exposures")
     dof_stars: int = scalar("degrees of freedom of `chi2_stars`")
     n_strips: int = scalar("strips that take part")
     n_exposures: int = scalar("exposures that take part")
     n_stars: int = scalar("stars that take part")
-    n_targets: int = scalar("target sightings that take part")
+    n_targets: int = scalar("target sightings that take part, doubtful ones included")
     iterations: tuple[Iteration, ...] = scalar("all Gauss-Newton steps, in order")
     converged_matrix: bool = scalar("the last correction is within `tolerance_rad` of zero")
     converged_covariance: bool = scalar("... and within `tolerance_sigma` times the predicted 1-sigma")

@@ -1,4 +1,4 @@
-"""Search for gross errors among the targets: a robust start, data snooping, and the rivals of the rejected.
+"""Search for gross errors among the targets: a robust start, data snooping, and its separability.
 
 Data snooping (Baarda 1968; Teunissen, Testing Theory, 2006) tests one target at a time. For target j, with
 residual e_j and covariance Q_j of that residual,
@@ -17,6 +17,13 @@ iteration limits of the estimate.
 Residuals of targets that rest on the same star exposures are correlated, and an error of one may look like an
 error of the other (Foerstner 1983: separability). With a rejected target re-admitted, T_j - T_i is twice the
 log-likelihood ratio of "j is wrong" to "i is wrong"; targets i that it does not rule out are j's rivals.
+With equal chances beforehand, target i is the wrong one with probability
+
+    p_i = exp(T_i / 2) / sum_k exp(T_k / 2),    k over j and its rivals.                                (2)
+
+Only if p_j reaches a stated probability is j rejected. Otherwise j and its rivals stay, each with the weight
+(1 - p_i) min(1, k / T_i): the probability that it is good (a mixture of good and gross errors: Box & Tiao
+1968), less if it is far off.
 """
 
 from __future__ import annotations
@@ -26,7 +33,7 @@ from collections.abc import Iterator
 import numpy as np
 from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
-from scipy.special import chdtri, chndtr
+from scipy.special import chdtri, chndtr, softmax
 
 from boresight.calib.estimate import Iteration, RejectionTest
 from boresight.calib.joint_solution import (
@@ -44,10 +51,11 @@ from boresight.geometry.attitude_estimate import cross_matrices
 from boresight.geometry.installation import deviation_from_theta
 from boresight.geometry.record import Bools, Floats, Ints
 
-__all__ = ["detectable_bias", "l1_start", "refine_geman_mcclure", "rejection_test", "rivals", "snoop"]
+__all__ = ["detectable_bias", "l1_start", "refine_geman_mcclure", "rejection_test", "snoop", "weigh"]
 
 POWER = 0.8  # of the test, for the minimal detectable bias: the value usual in geodesy
 SEPARABLE_ODDS = 19.0  # likelihood ratio by which one of two targets is the wrong one: 95 %
+LEAST_PROBABILITY = 0.75  # that the target rejected is the wrong one: three to one (docs/estimation.md)
 SMALLEST_GAIN = 1e-6  # of the limit: (1) must fall by more than rounding
 
 
@@ -107,21 +115,30 @@ def _largest(values: Floats, among: Bools, rank: Ints) -> int:
     return int(rows[np.argmin(rank[rows])])
 
 
-def rivals(problem: Problem, about: Linearised, kept: Bools, rejected: int) -> Ints:
-    """Targets kept (N,) that may be wrong instead of `rejected`, the odds being below 19 to 1 against."""
-    more = kept | (np.arange(len(kept)) == rejected)
-    statistic = squared_mahalanobis(solve_weighted(problem, about, more.astype(float)))
-    return np.flatnonzero(kept & (statistic[rejected] - statistic < 2.0 * np.log(SEPARABLE_ODDS)))
+def weigh(problem: Problem, about: Linearised, kept: Bools, limit: float) -> tuple[Floats, dict[int, Ints]]:
+    """Weights (J,) of the targets, and the rivals (N,) of each target not in `kept`: those that may be wrong
+    in its place, the odds being below 19 to 1 against. It has weight 0 only where (2) is at least 0.75.
+    """
+    weight, rivals, rejected = kept.astype(float), {}, np.flatnonzero(problem.inside & ~kept)
+    step = solve_weighted(problem, about, weight)
+    for j, statistic in zip(rejected.tolist(), readmitted(problem, about, kept, step, rejected)):
+        rivals[j] = np.flatnonzero(kept & (statistic[j] - statistic < 2.0 * np.log(SEPARABLE_ODDS)))
+        suspects = np.append(j, rivals[j])
+        probability = softmax(0.5 * statistic[suspects])
+        if probability[0] < LEAST_PROBABILITY:
+            weight[j] = 1.0
+            weight[suspects] *= (1.0 - probability) * np.minimum(1.0, limit / statistic[suspects])
+    return weight, rivals
 
 
-def detectable_bias(step: Step, kept: Bools, noncentrality: float) -> Floats:
+def detectable_bias(step: Step, noncentrality: float) -> Floats:
     """Minimal detectable bias (J,) of each target's direction along its least controlled axis, rad.
 
     A bias b (rad along the tangent axes) gives T_j the noncentrality bᵀ Wᵀ Q⁻¹ W b, with W the whitener and Q
     the covariance of the whitened residual predicted by all other targets; inf where none controls it.
     """
-    information = step.variance.copy()  # of a target in the fit, I - leverage is that inverse
-    information[~kept] = np.linalg.inv(information[~kept])
+    unit, weighted = np.eye(2), step.weight[:, None, None] * step.leverage
+    information = np.linalg.solve(unit + (step.leverage - weighted), unit - weighted)
     weakest = np.linalg.eigvalsh(np.swapaxes(step.whitener, 1, 2) @ information @ step.whitener)[:, 0]
     controlled = np.linalg.eigvalsh(information)[:, 0] > 1e-9
     return np.sqrt(np.divide(noncentrality, weakest, out=np.full(len(weakest), np.inf), where=controlled))

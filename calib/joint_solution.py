@@ -124,10 +124,16 @@ class Step:
     solution: Solution = scalar("theta and the shared unknowns")
     chi2: float = scalar("weighted sum of squares, priors included, less that of the heads by themselves")
     whitened: Floats = array("J, 2", "residuals, all unknowns estimated, in units of the noise")
-    variance: Floats = array("J, 2, 2", "of `whitened`: I - leverage, or I + leverage for weight zero")
+    weight: Floats = array("J", "of the targets, 0 to 1")
+    leverage: Floats = array("J, 2, 2", "covariance of the fitted direction in units of the noise")
     residual_c: Floats = array("J, 2", "residuals along x and y of frame c, rad")
     whitener: Floats = array("J, 2, 2", "takes residuals in rad along the two tangent axes to `whitened`")
     measured: Floats = array("J, 2, 2", "part of the whitened noise that the image measurement makes")
+
+    @property
+    def variance(self) -> Floats:
+        """Covariance (J, 2, 2) of `whitened`: I - leverage for weight one, I + leverage for weight zero."""
+        return np.eye(2) + (1.0 - 2.0 * self.weight[:, None, None]) * self.leverage
 
     @property
     def sigma(self) -> Floats:
@@ -161,14 +167,14 @@ def solve_weighted(problem: Problem, about: Linearised, weight: Floats) -> Step:
     x = np.concatenate([solution.theta, solution.shared])
     fitted = [_fitted(line, part, x, solution.covariance_all) for line, part in zip(about.strips, reduced)]
     whitened, leverage, along = (np.concatenate(part) for part in zip(*fitted))
-    used = (weight > 0.0)[:, None, None]
     return Step(
         R_cs=about.R_cs,
         pairs=pairs,
         solution=solution,
         chi2=float(np.sum(N[:, -1, -1]) - x @ total.F_theta) - problem.agreement.chi2,
         whitened=whitened,
-        variance=np.where(used, np.eye(2) - leverage, np.eye(2) + leverage),
+        weight=weight,
+        leverage=leverage,
         residual_c=along,
         whitener=np.concatenate([line.whitener.reshape(-1, 2, 2) for line in about.strips]),
         measured=np.concatenate([line.measured.reshape(-1, 2, 2) for line in about.strips]),
@@ -250,7 +256,7 @@ def readmitted(problem: Problem, about: Linearised, kept: Bools, step: Step, row
     Z = [_by_common(line) - line.X_q @ part.back[:, :, :-1] for line, part in zip(about.strips, reduced)]
     of_all = np.concatenate([part.reshape(-1, 2, part.shape[-1]) for part in Z])
     sign = np.where(kept, -1.0, 1.0)[:, None, None]
-    leverage = sign * (step.variance - np.eye(2))
+    leverage = step.leverage
     for row in rows.tolist():
         across = of_all @ (step.solution.covariance_all @ of_all[row].T)  # (J, 2, 2)
         own, strip = _of_strip(about.strips, reduced, row)

@@ -72,7 +72,7 @@ def _targets(ready: PreparedStrip, limit: float, residuals: TargetResiduals | No
         return
     own = np.flatnonzero(residuals.strip_id == name)
     for j in own[ready.inside & ~residuals.kept[own]]:
-        others = residuals.rivals.get(int(j), np.zeros(0, dtype=np.int64))
+        others = residuals.rivals[int(j)]
         yield Rejected(
             strip_id=name,
             kind="target",

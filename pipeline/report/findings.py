@@ -32,6 +32,7 @@ from boresight.pipeline.report.ground_map import (
 )
 from boresight.pipeline.report.star_findings import explanations
 from boresight.pipeline.stages.calibrate import Calibration
+from boresight.pipeline.stages.reasons import doubts
 from boresight.pipeline.stages.strip import compass, match_targets, pushbroom_of
 
 __all__ = ["Finding", "findings"]
@@ -79,6 +80,7 @@ def findings(
         *silent_ccds(rows, {key: _is_flat(strips[key[0]], key[1]) for key in _lost_ccds(rows)}),
         *single,
         *_heights(dump, calibration, named),
+        *_doubtful(calibration),
         *(cloud for strip_id, one in strips.items() for cloud in clouds(strip_id, _looks(one, rows))),
         *spread(share),
     ]
@@ -124,6 +126,13 @@ SINGLE_CAUSES = {
     "target residual": "coordinates or chip",
     "chip too small": "pixel size of the chip",
 }
+
+
+def _doubtful(calibration: Calibration) -> Iterator[Finding]:
+    """Targets of which one has a gross error; they are kept, with less weight."""
+    targets = calibration.estimate.targets
+    for names, text in zip(targets.doubtful, doubts(targets)):
+        yield Finding(cause="gross error", item=f"one target of {len(names)}", text=f"{text}.")
 
 
 def _heights(dump: Dump, calibration: Calibration, without: Collection[str]) -> Iterator[Finding]:

@@ -19,6 +19,7 @@ from boresight.pipeline.results.validate import Validation
 from boresight.pipeline.results.writing import verdict_json
 from boresight.pipeline.stages.calibrate import Calibration
 from boresight.pipeline.stages.joint import JointCalibration
+from boresight.pipeline.stages.reasons import doubts
 
 __all__ = [
     "REASON_WORDS",
@@ -115,6 +116,7 @@ def _estimate_lines(estimate: InstallationEstimate) -> list[str]:
         lines.append(_row("  1 sigma, arcsec", sigma, ".4f"))
     if estimate.bias is not None:
         lines.append(f"{'bias, stated less true':26s}{', '.join(estimate.bias.texts())}")
+    lines += [f"{'one target in doubt':26s}{text}" for text in doubts(estimate.targets)]
     if not estimate.converged:
         lines.append("not converged: the last correction is not negligible; do not use this matrix")
     return lines

@@ -57,7 +57,7 @@ STARS = "exposure_id t_s hip xy_px u_s u_i cov_s snr residual_s normalised kept"
 EXPOSURES = "exposure_id t_s stars R_si covariance_s usable chi2 dof".split()
 TARGETS = (
     "strip_id target_id ccd t_s xy_px cov_px predicted_px correlation probability_wrong u_c u_i cov_c"
-    " range_m v_rel_i cov_target_i residual_c normalised kept detectable_rad detectable_m"
+    " range_m v_rel_i cov_target_i residual_c normalised kept weight detectable_rad detectable_m"
 ).split()
 
 
@@ -176,7 +176,9 @@ def _installation(
     }
     several = _heads(estimate) if len(estimate.heads) > 1 else {}
     bias = {} if estimate.bias is None else {"common_bias": plain(estimate.bias)}
-    return {field: values[field] for field in FIELDS} | several | bias
+    groups = [list(group) for group in estimate.targets.doubtful]
+    doubtful = {"doubtful_targets": groups} if groups else {}
+    return {field: values[field] for field in FIELDS} | several | bias | doubtful
 
 
 def _heads(estimate: InstallationEstimate) -> dict[str, Any]:
@@ -234,6 +236,7 @@ def _target_groups(
             "residual_c": fixed_list(found.residual_c[rows]),
             "normalised": pa.array(found.statistic[rows]),
             "kept": pa.array(found.kept[rows]),
+            "weight": pa.array(found.weight[rows]),
             "detectable_rad": pa.array(found.detectable_rad[rows]),
             "detectable_m": pa.array(found.detectable_m[rows]),
         }

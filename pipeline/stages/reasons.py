@@ -1,12 +1,12 @@
-"""Sentences for the observations that a calibration rejected."""
+"""Sentences for the observations that a calibration rejected or doubts."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from boresight.calib.estimate import Rejected, WhyRejected
+from boresight.calib.estimate import Rejected, TargetResiduals, WhyRejected
 
-__all__ = ["rejection_reason"]
+__all__ = ["doubts", "rejection_reason"]
 
 
 def rejection_reason(rejected: Rejected) -> str:
@@ -27,3 +27,9 @@ def rejection_reason(rejected: Rejected) -> str:
             return "its instant lies more than half a step outside the usable exposures"
         case WhyRejected.NO_TARGET_COVERED:
             return f"{one.n_good} usable exposures cover none of {one.n_all} targets"
+
+
+def doubts(targets: TargetResiduals) -> list[str]:
+    """One sentence for each group of targets of which one is wrong, the likeliest first."""
+    groups = (" or ".join(group) for group in targets.doubtful)
+    return [f"{group} is wrong; the data do not tell which: they have less weight" for group in groups]

@@ -33,6 +33,7 @@ def calibration(**changed: Any) -> Any:
         "converged": True,
         "heads": (),
         "bias": None,
+        "targets": SimpleNamespace(doubtful=()),
     } | changed
     verdict = SimpleNamespace(checks=())
     return SimpleNamespace(estimate=SimpleNamespace(**estimate), verdict=verdict, omissions=())
@@ -55,6 +56,13 @@ def test_numbers_of_the_summary_are_those_of_the_estimate() -> None:
 def test_matrix_that_did_not_converge_is_not_to_be_used() -> None:
     assert "do not use this matrix" in calibration_summary(calibration(converged=False))
     assert "do not use" not in calibration_summary(calibration())
+
+
+def test_targets_that_the_data_do_not_tell_apart_are_named() -> None:
+    doubtful = SimpleNamespace(doubtful=(("s1/t3", "s1/t9"),))
+    text = calibration_summary(calibration(targets=doubtful))
+    assert "one target in doubt       s1/t3 or s1/t9 is wrong; the data do not tell which" in text
+    assert "doubt" not in calibration_summary(calibration())
 
 
 def test_what_is_not_used_is_counted_by_cause_and_named() -> None:
