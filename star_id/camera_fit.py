@@ -27,7 +27,6 @@ __all__ = [
     "IdentifiedStars",
     "detector_grid",
     "fit_camera",
-    "perturbed",
     "pixel_derivatives",
     "rotation_derivatives",
     "smooth_derivatives",
@@ -124,14 +123,6 @@ def fit_camera(
         chi2=total,
         dof=dof,
     )
-
-
-def perturbed(camera: StarCamera, name: str, step: float) -> StarCamera:
-    """The camera with one of PARAMETERS, or Q3, changed by `step`."""
-    if name in ("x0_px", "y0_px"):
-        x0, y0 = camera.principal_px
-        return replace(camera, principal_px=(x0 + step, y0) if name == "x0_px" else (x0, y0 + step))
-    return replace(camera, **{name: getattr(camera, name) + step})
 
 
 def pixel_derivatives(camera: StarCamera, u_s: Floats, free: tuple[str, ...] = PARAMETERS) -> Floats:

@@ -19,7 +19,6 @@ from collections.abc import Mapping
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
-from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation
 
 from boresight.geometry.record import Floats, array, record, scalar
@@ -28,7 +27,6 @@ from boresight.geometry.star_camera import StarCamera
 from boresight.star_id.camera_fit import (
     PARAMETERS,
     CameraFit,
-    perturbed,
     pixel_derivatives,
     rotation_derivatives,
     smooth_derivatives,
@@ -86,7 +84,7 @@ def lens_errors(
     """
     rows = fit.keep.nonzero()[0]
     camera, u_s, cov = fit.camera, u_s[rows], cov_px[rows]
-    slopes = _camera_slopes(fit)
+    slopes = _camera_slopes(camera)
     sigma = np.concatenate([np.full(3, np.inf), [prior.get(name, np.inf) for name in PARAMETERS]])
     xy = camera.pixels_from_directions(u_s)
     if common_px2 is None:
@@ -110,6 +108,8 @@ def lens_errors(
         return _errors(fit, slopes[:10], plain, np.zeros(10), common_px2, 0.0)
     floor = 1e-4 * common_px2
     start = 0.5 * np.log([common_px2, 4.0 * common_px2])
+    from scipy.optimize import minimize  # 0.1 s to load, and seldom needed
+
     best = minimize(
         lambda p: -solved(float(np.exp(2.0 * p[0])) + floor, float(np.exp(p[1]))).log_evidence,
         start,
@@ -178,24 +178,39 @@ def _columns(camera: StarCamera, u_s: Floats, xy_px: Floats, slopes: Floats) -> 
     return np.concatenate(parts, axis=2)
 
 
-def _camera_slopes(fit: CameraFit) -> Floats:
+def _camera_slopes(camera: StarCamera) -> Floats:
     """(10, 4) slopes of a rotation of the centre (the centre's error itself) and of the camera's
     parameters."""
-    slopes = np.zeros((3 + len(PARAMETERS), 4))
-    for k, (name, step) in enumerate(zip(PARAMETERS, np.sqrt(np.diag(fit.covariance)))):
-        more, less = (perturbed(fit.camera, name, half * step) for half in (0.5, -0.5))
-        rotation = Rotation.from_matrix(more.middle_axes() @ less.middle_axes().T).as_rotvec()
-        slopes[3 + k] = np.append(rotation, more.fov_x_rad - less.fov_x_rad) / step
-    return slopes
+    points = _slope_points(camera)
+    moved = pixel_derivatives(camera, camera.directions_from_pixels(points))
+    largest = np.abs(moved).max(axis=(0, 1))
+    return np.vstack([np.zeros((3, 4)), _slopes_of(camera, points, moved / largest) * largest[:, None]])
 
 
 def _bending_slopes(camera: StarCamera) -> Floats:
-    """(C, 4) slopes of the coefficients: a pixel sees what the camera's model has where the distortion does
-    not reach it."""
+    """(C, 4) slopes of the coefficients of a smooth distortion."""
+    points = _slope_points(camera)
+    return _slopes_of(camera, points, smooth_derivatives(camera, points, _DEGREE))
+
+
+def _slope_points(camera: StarCamera) -> Floats:
+    """(4, 2) the image's centre, the pixel above it, and the middles of the left and right edges, px."""
     x, y = 0.5 * (camera.width_px - 1), 0.5 * (camera.height_px - 1)
+<<<<<<< HEAD
     points = np.array([[x, y], [x, y - 1.0], [-0.5, y], [camera.width_px - 0.5, y]])
     moved = points - _STEP_PX * smooth_derivatives(camera, points, _DEGREE).transpose(2, 0, 1)  # (C, 4, 2)
     seen = camera.directions_from_pixels(np.vstack([points[None], moved]).reshape(-1, 2)).reshape(-1, 4, 3)
+=======
+    return np.array([[x, y], [x, y - 1.0], [-0.5, y], [camera.width_px - 0.5, y]])
+
+
+def _slopes_of(camera: StarCamera, points: Floats, moved: Floats) -> Floats:
+    """(C, 4) rotation of the centre and change of the field of view, rad, by what moves the images at
+    `points` (4, 2) by `moved` (4, 2, C), of order one: a pixel sees what the camera's model has where it is
+    moved from."""
+    shifted = points - _STEP_PX * moved.transpose(2, 0, 1)  # (C, 4, 2)
+    seen = camera.directions_from_pixels(np.vstack([points[None], shifted]).reshape(-1, 2)).reshape(-1, 4, 3)
+>>>>>>> 2e60725 (Naming one image takes two thirds of the CPU: a star index is mapped into memory, libraries are loaded where they are used)
     middle, above, left, right = seen.transpose(1, 0, 2)
     up = above - middle * (above * middle).sum(axis=1)[:, None]
     up /= np.linalg.norm(up, axis=1)[:, None]

@@ -12,7 +12,9 @@ import stat
 from functools import lru_cache
 from pathlib import Path
 
-__all__ = ["content_digest", "content_of", "small_content"]
+from boresight.pipeline.errors import RawDataError
+
+__all__ = ["check_regular", "content_digest", "content_of", "small_content"]
 
 KEPT_BYTES = 2**26  # three raw exposures of 20 million pixels; a strip is read by window
 
@@ -34,6 +36,20 @@ def small_content(path: Path) -> bytes | None:
 def content_digest(path: Path) -> str:
     """SHA-256 of all bytes of a regular file as hexadecimal digits; `OSError` for anything else."""
     return _digest(*_identified(path))
+
+
+def check_regular(path: Path, file: str, expected: str) -> int:
+    """Size in bytes of a regular file; `RawDataError` for a FIFO, a device (opening it may block) or none."""
+    try:
+        status = path.stat()
+    except (OSError, ValueError) as error:
+        missing = isinstance(error, (FileNotFoundError, NotADirectoryError, ValueError))
+        found = "no such file" if missing else f"{getattr(error, 'strerror', None) or error}"
+        raise RawDataError(file, "file", found, expected) from error
+    if not stat.S_ISREG(status.st_mode):
+        found = "a folder" if stat.S_ISDIR(status.st_mode) else "a device, FIFO or socket"
+        raise RawDataError(file, "file", found, expected)
+    return status.st_size
 
 
 def _identified(path: Path) -> tuple[str, Identity]:

@@ -21,8 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from boresight.pipeline.errors import RawDataError
-from boresight.pipeline.files.content import content_of, small_content
-from boresight.pipeline.files.text_files import check_regular
+from boresight.pipeline.files.content import check_regular, content_of, small_content
 
 __all__ = ["TIFF_MAGICS", "check_size", "first_bytes", "read_exposure", "read_star_image"]
 

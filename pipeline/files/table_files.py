@@ -10,7 +10,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from boresight.pipeline.errors import RawDataError
-from boresight.pipeline.files.text_files import check_regular
+from boresight.pipeline.files.content import check_regular
 
 __all__ = ["column", "fixed", "fixed_list", "list_values", "read_parquet"]
 

@@ -10,7 +10,6 @@ import io
 import json
 import math
 import re
-import stat
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from difflib import get_close_matches
@@ -20,11 +19,11 @@ from typing import Any, TypeVar, get_args
 from pydantic import BaseModel, ValidationError
 
 from boresight.pipeline.errors import RawDataError
+from boresight.pipeline.files.content import check_regular
 
 __all__ = [
     "NUMBER",
     "check_number",
-    "check_regular",
     "csv_rows",
     "expected_of",
     "json_text",
@@ -70,20 +69,6 @@ def path_inside(root: Path, relative: str, *, file: str, field: str) -> Path:
     if not resolved.is_relative_to(home):
         raise RawDataError(file, field, f"{relative}, a link to a place outside", expected)
     return path
-
-
-def check_regular(path: Path, file: str, expected: str) -> int:
-    """Size in bytes of a regular file; `RawDataError` for a FIFO, a device (opening it may block) or none."""
-    try:
-        status = path.stat()
-    except (OSError, ValueError) as error:
-        missing = isinstance(error, (FileNotFoundError, NotADirectoryError, ValueError))
-        found = "no such file" if missing else f"{getattr(error, 'strerror', None) or error}"
-        raise RawDataError(file, "file", found, expected) from error
-    if not stat.S_ISREG(status.st_mode):
-        found = "a folder" if stat.S_ISDIR(status.st_mode) else "a device, FIFO or socket"
-        raise RawDataError(file, "file", found, expected)
-    return status.st_size
 
 
 def read_text(path: Path, file: str, max_bytes: int = MAX_TEXT_BYTES) -> str:

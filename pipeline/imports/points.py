@@ -18,8 +18,9 @@ from pyproj.exceptions import CRSError, ProjError
 
 from boresight.geometry.record import Floats, array, record, scalar
 from boresight.pipeline.errors import RawDataError
+from boresight.pipeline.files.content import check_regular
 from boresight.pipeline.files.dump_schema import PointRow
-from boresight.pipeline.files.text_files import check_number, check_regular, read_text
+from boresight.pipeline.files.text_files import check_number, read_text
 
 __all__ = ["MeasuredPoints", "PointErrors", "points_csv", "read_measured_points"]
 

@@ -125,7 +125,15 @@ def library_versions() -> dict[str, str]:
 
 
 def _numerical_versions() -> dict[str, str]:
-    return {"python": platform.python_version()} | {name: metadata.version(name) for name in DISTRIBUTIONS}
+    return {"python": platform.python_version()} | {name: _version(name) for name in DISTRIBUTIONS}
+
+
+def _version(name: str) -> str:
+    """Version of a distribution; `metadata.version` parses the whole description before it."""
+    stated = re.search(
+        r"^Version: *(\S+)", metadata.distribution(name).read_text("METADATA") or "", re.MULTILINE
+    )
+    return stated[1] if stated else metadata.version(name)
 
 
 def _with_submodules(name: str) -> list[str]:

@@ -8,15 +8,13 @@ warning.
 from __future__ import annotations
 
 import warnings
-import zipfile
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
 
-import numpy as np
 import platformdirs
 
 from boresight.geometry.starlight import StarPlaces
+from boresight.pipeline.files.array_file import mapped_arrays, write_arrays
 from boresight.pipeline.files.whole_file import write_whole
 from boresight.pipeline.work.digests import digest, numerical_program
 from boresight.star_id.identification.triangle_index import StarIndex, build_index
@@ -28,17 +26,16 @@ _KEPT = 6  # files; the largest, for all fields of view, takes 60 MB
 
 def cached_index(stars: StarPlaces, epoch_jyear: float, fov_rad: float | tuple[float, float]) -> StarIndex:
     """The index that `build_index` returns, read from the cache if it is there."""
-    key = digest(stars, float(epoch_jyear), fov_rad, numerical_program("boresight.star_id"))
-    path = cache_folder() / f"triangles-{key}.npz"
+    key = digest(stars, float(epoch_jyear), fov_rad, numerical_program(StarIndex.__module__))
+    path = cache_folder() / f"triangles-{key}.arrays"
     try:
-        with np.load(path, allow_pickle=False) as file:
-            index = StarIndex.from_arrays(stars, epoch_jyear, dict(file))
+        index = StarIndex.from_arrays(stars, epoch_jyear, mapped_arrays(path))
         with suppress(OSError):
             path.touch()  # the time of the last use
         return index
     except OSError:
         pass  # missing or not readable
-    except (ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
+    except ValueError as error:
         warnings.warn(f"{path}: damaged ({error}); the index is built again", stacklevel=2)
     index = build_index(stars, epoch_jyear, fov_rad)
     _keep(path, index)
@@ -51,15 +48,9 @@ def cache_folder() -> Path:
 
 
 def _keep(path: Path, index: StarIndex) -> None:
-    arrays: dict[str, Any] = index.arrays
-
-    def write(target: Path) -> None:
-        with target.open("wb") as stream:
-            np.savez(stream, **arrays)
-
     with suppress(OSError):  # read-only or full: the next run builds the index again
         path.parent.mkdir(parents=True, exist_ok=True)
-        write_whole(path, write)
-        files = sorted(path.parent.glob("triangles-*.npz"), key=lambda file: file.stat().st_mtime_ns)
+        write_whole(path, lambda target: write_arrays(target, index.arrays))
+        files = sorted(path.parent.glob("triangles-*"), key=lambda file: file.stat().st_mtime_ns)
         for old in files[:-_KEPT]:
             old.unlink(missing_ok=True)

@@ -93,7 +93,7 @@ def predict_field(image: PlaneDetections, index: StarIndex, R: Floats, distortio
 def predict_stars(index: StarIndex, rows: Ints, R: Floats, distortion: Floats) -> Hypothesis:
     """Hypothesis with the index stars `rows` (M,)."""
     ideal = tangents_of_directions(index.u_i.take(rows, axis=0) @ R.T)
-    return Hypothesis(R, distortion, rows, _distorted(ideal, distortion))
+    return Hypothesis(R, distortion, rows, _distorted(ideal, _distortion_derivatives(ideal), distortion))
 
 
 def nearby_pairs(image: PlaneDetections, hypothesis: Hypothesis, sigma: Floats) -> NearbyPairs:
@@ -155,12 +155,15 @@ def refine(
     R, distortion = hypothesis.R, hypothesis.distortion.copy()
     for _ in range(3):
         ideal = tangents_of_directions(u_i @ R.T)
-        residual = measured - _distorted(ideal, distortion)
+        by_distortion = _distortion_derivatives(ideal)
+        residual = measured - _distorted(ideal, by_distortion, distortion)
         size = np.abs(residual) / math.sqrt(2.0)
-        weight = 1.0 / np.hypot(1.0, size / (2.0 * np.median(size) + 0.05 * image.field.pixel))
-        columns = [*_rotation_derivatives(ideal), *_distortion_derivatives(ideal)[:free]]
-        A, b = np.column_stack(columns) * weight[:, None], residual * weight
-        step = np.linalg.lstsq(np.vstack([A.real, A.imag]), np.append(b.real, b.imag), rcond=1e-10)[0]
+        ordered = np.sort(size)
+        median = 0.5 * (ordered[(n - 1) // 2] + ordered[n // 2])
+        weight = 1.0 / np.hypot(1.0, size / (2.0 * median + 0.05 * image.field.pixel))
+        A = np.array([*_rotation_derivatives(ideal), *by_distortion[:free], residual]) * weight
+        A = np.concatenate([A.real, A.imag], axis=1)
+        step = np.linalg.lstsq(A[:-1].T, A[-1], rcond=1e-10)[0]
         R = Rotation.from_rotvec(step[:3]).as_matrix() @ R
         distortion[:free] += step[3:]
     return Rotation.from_matrix(R), distortion, 3 + free
@@ -177,11 +180,10 @@ def _distortion_derivatives(t: Complex) -> tuple[Complex, Complex, Complex, Comp
     return t, r2 * t, r2 + 2.0 * t.real * t, 1j * r2 + 2.0 * t.imag * t
 
 
-def _distorted(t: Complex, distortion: Floats) -> Complex:
-    if not distortion.any():
-        return t
-    log_scale, k1, p1, p2 = distortion
-    _, radial, along_x, along_y = _distortion_derivatives(t)
+def _distorted(t: Complex, derivatives: tuple[Complex, ...], distortion: Floats) -> Complex:
+    """Distorted points (N,) of ideal ones, with the derivatives there."""
+    log_scale, k1, p1, p2 = distortion.tolist()
+    _, radial, along_x, along_y = derivatives
     return np.asarray((t + k1 * radial + p1 * along_x + p2 * along_y) * math.exp(log_scale))
 
 

@@ -98,12 +98,13 @@ class StarIndex:
 
     @property
     def arrays(self) -> dict[str, NDArray]:
-        """The tables as named arrays, one row per triangle or star (N, ...), for `from_arrays`."""
-        return {
+        """Pairs and tables as named arrays (N, ...), a row per pair, triangle or star, for `from_arrays`."""
+        tables = {
             f"{k}.{field.name}": np.asarray(getattr(table, field.name))
             for k, table in enumerate(self.tables)
             for field in fields(TriangleTable)
         }
+        return tables | {"close": self.close}
 
     @classmethod
     def from_arrays(cls, stars: StarPlaces, epoch_jyear: float, arrays: Mapping[str, NDArray]) -> StarIndex:
@@ -112,16 +113,17 @@ class StarIndex:
         Raises `ValueError` naming the array if one is missing or inconsistent.
         """
         stars, u_i = _sorted(stars, epoch_jyear)
-        count = len({name.partition(".")[0] for name in arrays})
+        count = len({name.partition(".")[0] for name in arrays if "." in name})
         tables = tuple(_checked(arrays, str(k), len(u_i)) for k in range(count))
         if not tables:
             raise ValueError("an index needs at least one table of triangles, got none")
-        return cls._of(stars, u_i, tables)
+        if "close" not in arrays or arrays["close"].max(initial=-1) >= len(u_i):
+            raise ValueError(f"an index needs the array close, rows of {len(u_i)} stars")
+        return cls._of(stars, u_i, tables, arrays["close"])
 
     @classmethod
-    def _of(cls, stars: StarPlaces, u_i: Floats, tables: tuple[TriangleTable, ...]) -> StarIndex:
-        along_z, tree = np.argsort(u_i[:, 2]), cKDTree(u_i)
-        close = np.sort(tree.query_pairs(CLOSE_RAD, output_type="ndarray"), axis=1)
+    def _of(cls, stars: StarPlaces, u_i: Floats, tables: tuple[TriangleTable, ...], close: Ints) -> StarIndex:
+        along_z = np.argsort(u_i[:, 2])
         close_rad = np.linalg.norm(u_i[close[:, 0]] - u_i[close[:, 1]], axis=1)
         to_brighter = np.full(len(u_i), np.inf)
         np.minimum.at(to_brighter, close[:, 1], close_rad)
@@ -182,7 +184,8 @@ def build_index(stars: StarPlaces, epoch_jyear: float, fov_rad: float | tuple[fl
         fovs = low * (high / low) ** ((np.arange(levels) + 0.5) / levels)
     else:
         fovs = fov_rad * np.array([1.0, _WIDER])
-    return StarIndex._of(stars, u_i, tuple(_table(u_i, float(fov)) for fov in fovs))
+    close = np.sort(cKDTree(u_i).query_pairs(CLOSE_RAD, output_type="ndarray"), axis=1)
+    return StarIndex._of(stars, u_i, tuple(_table(u_i, float(fov)) for fov in fovs), close)
 
 
 def _sorted(stars: StarPlaces, epoch_jyear: float) -> tuple[StarPlaces, Floats]:

@@ -10,6 +10,7 @@ from frames import PAPER_CAMERA
 from pytest import approx
 from scipy.spatial.transform import Rotation
 
+from boresight.geometry.star_camera import StarCamera
 from boresight.star_id.camera_fit import (
     DRIFT,
     PARAMETERS,
@@ -17,7 +18,6 @@ from boresight.star_id.camera_fit import (
     IdentifiedStars,
     detector_grid,
     fit_camera,
-    perturbed,
     pixel_derivatives,
     rotation_derivatives,
     visible_derivatives,
@@ -29,6 +29,14 @@ CAMERA = replace(
 )
 
 FISHEYE = replace(CAMERA, q1=3e-6, q3=2e-12, projection="equidistant")
+
+
+def perturbed(camera: StarCamera, name: str, step: float) -> StarCamera:
+    """The camera with one of PARAMETERS, or Q3, changed by `step`."""
+    if name in ("x0_px", "y0_px"):
+        x0, y0 = camera.principal_px
+        return replace(camera, principal_px=(x0 + step, y0) if name == "x0_px" else (x0, y0 + step))
+    return replace(camera, **{name: getattr(camera, name) + step})
 
 
 @pytest.mark.parametrize("camera", [CAMERA, FISHEYE])

@@ -9,6 +9,7 @@ from dataclasses import fields
 import numpy as np
 import pytest
 
+from boresight.pipeline.files.array_file import write_arrays
 from boresight.pipeline.work import index_cache
 from boresight.pipeline.work.index_cache import cache_folder, cached_index
 from boresight.star_id.catalogue import hipparcos_stars
@@ -83,9 +84,10 @@ def test_a_damaged_file_is_made_anew_with_a_warning(places, builds, cache, damag
     elif damage == "not an archive":
         file.write_bytes(b"triangles")
     elif damage == "pickled":
-        np.savez(file, **{"0.vertices": np.array([{}], dtype=object)})
+        with file.open("wb") as stream:
+            np.savez(stream, **{"0.vertices": np.array([{}], dtype=object)})
     else:
-        np.savez(file, **(built.arrays | {"0.vertices": built.arrays["0.vertices"] + 10**6}))
+        write_arrays(file, built.arrays | {"0.vertices": built.arrays["0.vertices"] + 10**6})
     with pytest.warns(UserWarning, match="built again"):
         again = cached_index(places, 2020.0, FOV)
     assert same(again, built) and len(builds) == 2
