@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.epoch import tai_minus_utc_s
-from boresight.geometry.record import Floats, array, record, scalar
+from boresight.geometry.record import Bools, Floats, array, record, scalar
 
 __all__ = [
     "EarthOrientationError",
@@ -72,8 +72,8 @@ def bundled_earth_orientation() -> EarthOrientationTable:
     Raises `EarthOrientationError` where its leap seconds are not those of ERFA.
     """
     package = importlib.resources.files("astropy_iers_data")
-    final = _parse_c04((package / "data" / "eopc04.1962-now").read_text(encoding="utf-8"))
-    rapid, last_measured = _parse_finals((package / "data" / "finals2000A.all").read_text(encoding="ascii"))
+    final = _parse_c04((package / "data" / "eopc04.1962-now").read_bytes())
+    rapid, last_measured = _parse_finals((package / "data" / "finals2000A.all").read_bytes())
     _check_leap_seconds((package / "data" / "Leap_Second.dat").read_text(encoding="ascii"))
     final = final[final[:, 0] >= _MJD_1972]
     table = np.vstack([final, rapid[rapid[:, 0] > final[-1, 0]]])
@@ -111,32 +111,48 @@ def expected_extrapolation_error_m(days_past: float) -> float:
     return float(np.hypot(0.25 * days**0.9, min(0.05 * days, 6.0)))
 
 
-def _parse_c04(text: str) -> Array:
+def _parse_c04(text: bytes) -> Array:
     """Rows of MJD, UT1 - UTC, xp, yp, dX, dY (s and rad) of an EOP 20 C04 file."""
-    columns = np.loadtxt(text.splitlines(), usecols=(4, 7, 5, 6, 8, 9))
+    lines = _lines(text[text.rindex(b"#") :].partition(b"\n")[2])
+    places = ((16, 26), (50, 62), (26, 38), (38, 50), (62, 74), (74, 86))
+    columns = np.column_stack([_field(lines, *place).astype(float) for place in places])
     columns[:, 2:] *= ARCSEC
     return columns
 
 
-def _parse_finals(text: str) -> tuple[Array, float]:
+def _parse_finals(text: bytes) -> tuple[Array, float]:
     """Rows of MJD, UT1 - UTC, xp, yp, dX, dY (s, rad) of finals2000A.all, and the MJD of its last measured
     UT1.
 
     Days without a celestial pole offset (late predictions) take the last one given.
     """
-    rows, last_measured, pole_offset = [], -np.inf, (0.0, 0.0)
-    for line in text.splitlines():
-        if not line[58:68].strip() or not line[18:27].strip():
-            continue
-        mjd = float(line[7:15])
-        if line[57] == "I":
-            last_measured = mjd
-        if line[97:106].strip() and line[116:125].strip():
-            pole_offset = (1e-3 * float(line[97:106]), 1e-3 * float(line[116:125]))
-        rows.append([mjd, float(line[58:68]), float(line[18:27]), float(line[37:46]), *pole_offset])
-    columns = np.array(rows)
+    lines = _lines(text)
+    lines = lines[_is_given(lines, 58, 68) & _is_given(lines, 18, 27)]
+    columns = np.zeros((len(lines), 6))
+    for n, place in enumerate(((7, 15), (58, 68), (18, 27), (37, 46))):
+        columns[:, n] = _field(lines, *place)
+    given = _is_given(lines, 97, 106) & _is_given(lines, 116, 125)
+    latest = np.maximum.accumulate(np.where(given, np.arange(len(lines)), 0))
+    for n, place in enumerate(((97, 106), (116, 125))):
+        columns[:, 4 + n] = (1e-3 * np.where(given, _field(lines, *place), b"0").astype(float))[latest]
     columns[:, 2:] *= ARCSEC
-    return columns, last_measured
+    measured = columns[lines[:, 57] == b"I", 0]
+    return columns, float(measured[-1]) if len(measured) else -np.inf
+
+
+def _lines(text: bytes) -> NDArray[np.bytes_]:
+    """(N, W) characters of lines of equal lengths; `ValueError` for others."""
+    return np.frombuffer(text, dtype="S1").reshape(-1, text.index(b"\n") + 1)
+
+
+def _field(lines: NDArray[np.bytes_], first: int, end: int) -> NDArray[np.bytes_]:
+    """(N,) the characters `first` to before `end` of each line."""
+    return np.ascontiguousarray(lines[:, first:end]).view(f"S{end - first}")[:, 0]
+
+
+def _is_given(lines: NDArray[np.bytes_], first: int, end: int) -> Bools:
+    """(N,) whether a field of each line is not blank."""
+    return np.asarray((lines[:, first:end] != b" ").any(axis=1))
 
 
 def _check_leap_seconds(text: str) -> None:

@@ -196,11 +196,6 @@ def _bending_slopes(camera: StarCamera) -> Floats:
 def _slope_points(camera: StarCamera) -> Floats:
     """(4, 2) the image's centre, the pixel above it, and the middles of the left and right edges, px."""
     x, y = 0.5 * (camera.width_px - 1), 0.5 * (camera.height_px - 1)
-<<<<<<< HEAD
-    points = np.array([[x, y], [x, y - 1.0], [-0.5, y], [camera.width_px - 0.5, y]])
-    moved = points - _STEP_PX * smooth_derivatives(camera, points, _DEGREE).transpose(2, 0, 1)  # (C, 4, 2)
-    seen = camera.directions_from_pixels(np.vstack([points[None], moved]).reshape(-1, 2)).reshape(-1, 4, 3)
-=======
     return np.array([[x, y], [x, y - 1.0], [-0.5, y], [camera.width_px - 0.5, y]])
 
 
@@ -210,7 +205,6 @@ def _slopes_of(camera: StarCamera, points: Floats, moved: Floats) -> Floats:
     moved from."""
     shifted = points - _STEP_PX * moved.transpose(2, 0, 1)  # (C, 4, 2)
     seen = camera.directions_from_pixels(np.vstack([points[None], shifted]).reshape(-1, 2)).reshape(-1, 4, 3)
->>>>>>> 2e60725 (Naming one image takes two thirds of the CPU: a star index is mapped into memory, libraries are loaded where they are used)
     middle, above, left, right = seen.transpose(1, 0, 2)
     up = above - middle * (above * middle).sum(axis=1)[:, None]
     up /= np.linalg.norm(up, axis=1)[:, None]

@@ -25,7 +25,7 @@ _ALIGNED = 64
 
 
 def write_arrays(path: Path, arrays: Mapping[str, NDArray]) -> None:
-    """Write arrays of numbers for `mapped_arrays`."""
+    """Write arrays of numbers, of any shapes (N, ...), for `mapped_arrays`; `OSError` if that fails."""
     places, parts, end = {}, [], 0
     for name, array in arrays.items():
         places[name] = (array.dtype.str, array.shape, end)
@@ -38,7 +38,7 @@ def write_arrays(path: Path, arrays: Mapping[str, NDArray]) -> None:
 
 
 def mapped_arrays(path: Path) -> dict[str, NDArray]:
-    """The arrays of a file that `write_arrays` made, read-only; `ValueError` if it is damaged."""
+    """The arrays (N, ...) of a file that `write_arrays` made, read-only; `ValueError` if it is damaged."""
     with path.open("rb") as stream:
         content = mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ)
     if len(content) < _HEAD.size:

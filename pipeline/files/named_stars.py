@@ -9,7 +9,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from boresight.pipeline.files.table_files import fixed_list
+from boresight.pipeline.files.table_files import arrow_array, fixed_list
 from boresight.pipeline.files.whole_file import write_whole
 from boresight.star_id.field import FieldSolution
 
@@ -27,8 +27,8 @@ def _table(path: Path, found: FieldSolution) -> pa.Table:
     n = found.matches
     return pa.table(
         {
-            "file": pa.array([str(path)] * n, pa.string()),
-            "hip": pa.array(found.hip),
+            "file": arrow_array([str(path)] * n, pa.string()),
+            "hip": arrow_array(found.hip),
             "xy_px": fixed_list(found.xy_px),
             "residual_px": fixed_list(found.residual_px),
             "quaternion_si": fixed_list(np.tile(found.R_si.as_quat(canonical=True), (n, 1))),
@@ -40,8 +40,8 @@ def _table_of_nothing() -> pa.Table:
     pairs = fixed_list(np.zeros((0, 2)))
     return pa.table(
         {
-            "file": pa.array([], pa.string()),
-            "hip": pa.array([], pa.int64()),
+            "file": arrow_array([], pa.string()),
+            "hip": arrow_array([], pa.int64()),
             "xy_px": pairs,
             "residual_px": pairs,
             "quaternion_si": fixed_list(np.zeros((0, 4))),

@@ -19,7 +19,7 @@ import numpy as np
 import pyarrow as pa
 
 from boresight.geometry.record import Bools, Floats, Ints, Texts, shape_of
-from boresight.pipeline.files.table_files import column, fixed, fixed_list, list_values
+from boresight.pipeline.files.table_files import arrow_array, column, fixed, fixed_list, list_values
 
 __all__ = [
     "columns_of",
@@ -63,11 +63,11 @@ def columns_of(record: Any, rows: str = "N") -> dict[str, pa.Array]:
         if value is None:
             columns[name] = pa.nulls(len(next(iter(columns.values()))), ITEMS[hint])
         elif get_origin(hint) is tuple:
-            columns |= {n: pa.array([getattr(one, n) for one in value], ITEMS[h]) for n, h in _items(hint)}
+            columns |= {n: arrow_array([getattr(one, n) for one in value], ITEMS[h]) for n, h in _items(hint)}
         elif inner:
             columns[name] = fixed_list(value)
         else:
-            columns[name] = pa.array(value.tolist() if hint == Texts else np.asarray(value), ITEMS[hint])
+            columns[name] = arrow_array(value.tolist() if hint == Texts else np.asarray(value), ITEMS[hint])
     return columns
 
 

@@ -26,7 +26,7 @@ import pyarrow.compute
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from boresight.calib.information import solve_total
 from boresight.geometry.line_camera import LineCamera, LineSensor
@@ -36,7 +36,7 @@ from boresight.pipeline.files.dump import Dump
 from boresight.pipeline.files.dump_schema import DumpFile
 from boresight.pipeline.files.record_tables import columns_of
 from boresight.pipeline.files.star_side import StarImages
-from boresight.pipeline.files.table_files import fixed_list
+from boresight.pipeline.files.table_files import arrow_array, fixed_list
 from boresight.pipeline.files.text_files import read_toml
 from boresight.pipeline.files.whole_file import write_whole
 from boresight.pipeline.report.findings import Finding, findings
@@ -99,8 +99,8 @@ def _context(dump: Dump, calibration: Calibration) -> dict[str, Any]:
         "strips": int(estimate.n_strips),
         "chi2_stars": float(estimate.chi2_stars),
         "dof_stars": int(estimate.dof_stars),
-        "p_value": float(chi2.sf(estimate.chi2, estimate.dof)) if estimate.dof > 0 else None,
-        "p_value_stars": float(chi2.sf(estimate.chi2_stars, estimate.dof_stars))
+        "p_value": float(chdtrc(estimate.dof, estimate.chi2)) if estimate.dof > 0 else None,
+        "p_value_stars": float(chdtrc(estimate.dof_stars, estimate.chi2_stars))
         if estimate.dof_stars > 0
         else None,
         "noise": {
@@ -189,7 +189,7 @@ def _inputs(dump: Dump) -> pa.Table:
     """
     rows = [_fingerprint(dump.root / name, name) for name in sorted(set(_files(dump)))]
     names = ("file", "bytes", "sha256", "whole")
-    return pa.table({name: pa.array([row[n] for row in rows]) for n, name in enumerate(names)})
+    return pa.table({name: arrow_array([row[n] for row in rows]) for n, name in enumerate(names)})
 
 
 def _files(dump: Dump) -> Iterator[str]:
@@ -233,9 +233,9 @@ def _convergence(calibration: Calibration) -> pa.Table:
         targets.append(count[name][1])
     return pa.table(
         {
-            "strip_id": pa.array(order, pa.string()),
-            "frames": pa.array(np.cumsum(np.array(frames, dtype=np.int64))),
-            "targets": pa.array(np.cumsum(np.array(targets, dtype=np.int64))),
+            "strip_id": arrow_array(order, pa.string()),
+            "frames": arrow_array(np.cumsum(np.array(frames, dtype=np.int64))),
+            "targets": arrow_array(np.cumsum(np.array(targets, dtype=np.int64))),
             "theta_rad": fixed_list(np.array(theta).reshape(-1, 3)),
             "sigma_rad": fixed_list(np.array(sigma).reshape(-1, 3)),
         }
@@ -246,12 +246,12 @@ def _angles(calibration: Calibration) -> pa.Table:
     angles = cross_angles(_motions(calibration), calibration.estimate.R_cs, calibration.settings)
     return pa.table(
         {
-            "strip_id": pa.array(angles.strip_id.tolist(), pa.string()),
-            "target_id": pa.array(angles.target_id.tolist(), pa.string()),
-            "exposure_id": pa.array(angles.exposure_id.tolist(), pa.string()),
-            "hip": pa.array(angles.hip),
-            "z": pa.array(angles.z),
-            "sigma": pa.array(angles.sigma),
+            "strip_id": arrow_array(angles.strip_id.tolist(), pa.string()),
+            "target_id": arrow_array(angles.target_id.tolist(), pa.string()),
+            "exposure_id": arrow_array(angles.exposure_id.tolist(), pa.string()),
+            "hip": arrow_array(angles.hip),
+            "z": arrow_array(angles.z),
+            "sigma": arrow_array(angles.sigma),
         }
     )
 
@@ -289,11 +289,12 @@ def _matches(calibration: Calibration) -> pa.Table:
     """Pictures of targets matched in images; the correlation surface runs from `surface_low` to `_high`."""
     names = ["strip_id", "target_id", "ccd", *get_type_hints(MatchPictures)]
     tables = [
-        pa.table({"strip_id": pa.array([one.strip_id] * len(one.ccd), pa.string())} | columns_of(one))
+        pa.table({"strip_id": arrow_array([one.strip_id] * len(one.ccd), pa.string())} | columns_of(one))
         for one in calibration.matched
     ]
     every = pa.concat_tables(tables).select(names)
-    return every.filter(pa.compute.greater(pa.compute.binary_length(every.column("template_png")), 0))
+    pictured = [len(picture) > 0 for picture in every.column("template_png").to_pylist()]
+    return every.filter(arrow_array(pictured, pa.bool_()))
 
 
 def _preview(dump: Dump, calibration: Calibration, settings: Settings) -> StarPreview | None:
@@ -329,9 +330,9 @@ def _exposure(preview: StarPreview | None) -> pa.Table:
     table = pa.table(
         {
             "xy_px": fixed_list(preview.xy_px),
-            "snr": pa.array(preview.snr),
-            "state": pa.array(preview.state.tolist(), pa.string()),
-            "hip": pa.array(preview.hip),
+            "snr": arrow_array(preview.snr),
+            "state": arrow_array(preview.state.tolist(), pa.string()),
+            "hip": arrow_array(preview.hip),
         }
     )
     return table.replace_schema_metadata(

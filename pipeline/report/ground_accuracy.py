@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 from scipy.optimize import brentq
-from scipy.stats import norm
+from scipy.special import ndtr, ndtri
 
 from boresight.geometry.record import Floats, Texts
 from boresight.pipeline.files.table_files import column
@@ -87,7 +87,7 @@ def predicted_accuracy(
         if np.trace(here) > worst:
             worst, covariance = float(np.trace(here)), here
     sigma = np.sqrt(np.diag(covariance))
-    le90 = norm.ppf(0.5 + 0.5 * SHARE) * sigma
+    le90 = ndtri(0.5 + 0.5 * SHARE) * sigma
     return {"sigma_m": sigma.tolist(), "le90_m": le90.tolist(), "ce90_m": radius_90(covariance)}
 
 
@@ -101,8 +101,9 @@ def radius_90(covariance: Floats) -> float:
     t = (np.arange(NODES) + 0.5) * (np.pi / NODES) - 0.5 * np.pi  # the longer axis runs over a sin t
 
     def missing(radius: float) -> float:
-        in_chord = 2.0 * norm.cdf(radius * np.cos(t) / max(b, 1e-9 * a)) - 1.0
-        density = norm.pdf(radius / a * np.sin(t)) * radius / a * np.cos(t)
+        in_chord = 2.0 * ndtr(radius * np.cos(t) / max(b, 1e-9 * a)) - 1.0
+        normal = np.exp(-0.5 * (radius / a * np.sin(t)) ** 2) / np.sqrt(2.0 * np.pi)
+        density = normal * radius / a * np.cos(t)
         return float(np.sum(in_chord * density) * np.pi / NODES) - SHARE
 
     return float(brentq(missing, 0.0, 10.0 * a))

@@ -28,6 +28,7 @@ from boresight.geometry.record import Floats, Ints, array, record, scalar
 from boresight.geometry.terrain import ConstantHeight, Surface
 from boresight.pipeline.errors import Omission, RawDataError
 from boresight.pipeline.files.dump import Dump, TargetHeights, surface_of
+from boresight.pipeline.files.table_files import arrow_rows
 from boresight.pipeline.stages.calibrate import Calibration
 from boresight.pipeline.stages.strip import MatchedTargets, StripTask, pushbroom_of
 
@@ -179,7 +180,7 @@ def ground_table(scenes: Sequence[Scene], dump: Dump, calibration: Calibration) 
         rows += _out_of_view(scene, dump, named)
         parts.append(_placed(rows, number, scene, dump))
     rows = [row for part in parts for row in part]
-    return pa.Table.from_pylist(rows, schema=SCHEMA)
+    return arrow_rows(rows, SCHEMA)
 
 
 def _rows_of_strip(one: StripOnGround, calibration: Calibration) -> Iterator[dict[str, object]]:
@@ -309,7 +310,7 @@ def scene_pictures(scenes: Sequence[Scene], dump: Dump, calibration: Calibration
             if one.task.strip.images.ccds:
                 rows.append(_picture(number, one.strip_id, box, _quicklook(scene, one, box, surface)))
     types = {"scene": pa.int64(), "strip_id": pa.string(), "box_m": pa.list_(pa.float64(), 4)}
-    return pa.Table.from_pylist(rows, schema=pa.schema([*types.items(), ("jpeg", pa.binary())]))
+    return arrow_rows(rows, pa.schema([*types.items(), ("jpeg", pa.binary())]))
 
 
 def _picture(

@@ -6,7 +6,7 @@ import base64
 from typing import Any
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from boresight.geometry.record import record, scalar
 from boresight.pipeline.files.table_files import column
@@ -219,7 +219,7 @@ def exposure_rows(saved: Saved) -> tuple[ExposureRow, ...]:
                 cause="" if usable[n] else cause,
                 reason="" if usable[n] else reason,
                 numbers=numbers,
-                p_value=float(chi2.sf(size, dof)) if dof > 0 else float("nan"),
+                p_value=float(chdtrc(dof, size)) if dof > 0 else float("nan"),
                 rejected=tuple(stars.get(name, ())),
             )
         )

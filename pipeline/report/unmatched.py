@@ -15,6 +15,7 @@ from boresight.geometry.terrain import Surface
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.dump import Dump, surface_of
 from boresight.pipeline.files.record_tables import ITEMS
+from boresight.pipeline.files.table_files import arrow_rows
 from boresight.pipeline.report.ground_map import UNMATCHED, Scene, StripOnGround
 from boresight.pipeline.stages.match_pictures import MatchPictures, match_pictures
 from boresight.pipeline.stages.strip import read_chip
@@ -43,7 +44,7 @@ def unmatched_pictures(scenes: Sequence[Scene], ground: pa.Table, dump: Dump) ->
             rows.append({name: row[name] for name in ("strip_id", "target_id", "ccd")} | own)
     types = {"strip_id": pa.string(), "target_id": pa.string(), "ccd": pa.int64()}
     types |= {name: ITEMS[hint] for name, hint in get_type_hints(MatchPictures).items()}
-    return pa.Table.from_pylist(rows, schema=pa.schema(list(types.items())))
+    return arrow_rows(rows, pa.schema(list(types.items())))
 
 
 def _evidence(one: StripOnGround, row: dict[str, Any], surface: Surface) -> Evidence | None:

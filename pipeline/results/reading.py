@@ -130,7 +130,7 @@ def read_pairs(result: Path) -> InformationPairs:
     path = result / "sightings" / "strips.parquet"
     try:
         table = read_parquet(path)
-        return InformationPairs.from_columns({name: table[name].to_numpy() for name in table.column_names})
+        return InformationPairs.from_columns({name: column(table, name) for name in table.column_names})
     except (ValueError, KeyError, IndexError, TypeError) as error:
         raise RawDataError(str(path), "columns", str(error), "the table that `calibrate` wrote") from error
 

@@ -15,6 +15,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from boresight.calib.estimate import InstallationEstimate, TargetResiduals
+from boresight.calib.information import InformationPairs
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.verdict import Verdict
 from boresight.geometry.installation import euler_zxy_from_theta
@@ -25,7 +26,7 @@ from boresight.geometry.sightings import StripSightings
 from boresight.pipeline import __version__
 from boresight.pipeline.errors import Omission
 from boresight.pipeline.files.record_tables import columns_of, plain
-from boresight.pipeline.files.table_files import fixed_list
+from boresight.pipeline.files.table_files import arrow_array, arrow_rows, fixed_list
 from boresight.pipeline.files.text_files import json_text
 from boresight.pipeline.files.whole_file import remove_abandoned, write_whole
 from boresight.pipeline.results.folder import DUMPS
@@ -70,7 +71,7 @@ def write_result(result: Path, calibration: Calibration, settings: Settings) -> 
     matched = {one.strip_id: one for one in calibration.matched}
     estimate = calibration.estimate
     _write_groups(tables / "targets.parquet", _target_groups(estimate.targets, calibration.strips, matched))
-    _write_groups(tables / "strips.parquet", [pa.table(estimate.pairs.columns())])
+    _write_groups(tables / "strips.parquet", [_pairs_table(estimate.pairs)])
     _write_groups(tables / "passes.parquet", [_passes_table(calibration)])
     _write_groups(tables / "omissions.parquet", [_omissions_table(calibration.omissions)])
     write_json(
@@ -93,7 +94,7 @@ def write_joint_result(
     matched = {f"{name}/{one.strip_id}": one for name, found in of_dumps.items() for one in found.matched}
     estimate = joint.estimate
     _write_groups(tables / "targets.parquet", _target_groups(estimate.targets, joint.strips, matched))
-    _write_groups(tables / "strips.parquet", [pa.table(estimate.pairs.columns())])
+    _write_groups(tables / "strips.parquet", [_pairs_table(estimate.pairs)])
     passes = [_passes_table(found, f"{name}/") for name, found in of_dumps.items()]
     _write_groups(tables / "passes.parquet", [pa.concat_tables(passes)])
     _write_groups(tables / "omissions.parquet", [_omissions_table(joint.omissions)])
@@ -201,11 +202,11 @@ def _star_groups(calibration: Calibration) -> list[pa.Table]:
     for k, exposure in enumerate(calibration.stars):
         rows = attitudes.stars(k)
         own = {
-            "exposure_id": pa.repeat(exposure.exposure_id, len(exposure.hip)),
-            "t_s": pa.repeat(exposure.t_s, len(exposure.hip)),
+            "exposure_id": arrow_array([exposure.exposure_id] * len(exposure.hip), pa.string()),
+            "t_s": arrow_array(np.full(len(exposure.hip), exposure.t_s)),
             "residual_s": fixed_list(exposure.u_s - exposure.u_i @ attitudes.R_si[k].T),
-            "normalised": pa.array(attitudes.squared_mahalanobis[rows]),
-            "kept": pa.array(attitudes.kept[rows]),
+            "normalised": arrow_array(attitudes.squared_mahalanobis[rows]),
+            "kept": arrow_array(attitudes.kept[rows]),
         }
         groups.append(pa.table(columns_of(exposure) | own).select(STARS))
     return groups
@@ -214,9 +215,9 @@ def _star_groups(calibration: Calibration) -> list[pa.Table]:
 def _exposures_table(calibration: Calibration) -> pa.Table:
     stars = calibration.stars
     own = {
-        "exposure_id": pa.array([s.exposure_id for s in stars], pa.string()),
-        "t_s": pa.array([s.t_s for s in stars], pa.float64()),
-        "stars": pa.array([len(s.hip) for s in stars], pa.int64()),
+        "exposure_id": arrow_array([s.exposure_id for s in stars], pa.string()),
+        "t_s": arrow_array([s.t_s for s in stars], pa.float64()),
+        "stars": arrow_array([len(s.hip) for s in stars], pa.int64()),
     }
     return pa.table(own | columns_of(calibration.attitudes, "K")).select(EXPOSURES)
 
@@ -232,13 +233,13 @@ def _target_groups(
         ground = strip.ground
         rows = [row_of[strip.strip_id, t, c] for t, c in zip(ground.target_id.tolist(), ground.ccd.tolist())]
         own = {
-            "strip_id": pa.repeat(strip.strip_id, len(rows)),
+            "strip_id": arrow_array([strip.strip_id] * len(rows), pa.string()),
             "residual_c": fixed_list(found.residual_c[rows]),
-            "normalised": pa.array(found.statistic[rows]),
-            "kept": pa.array(found.kept[rows]),
-            "weight": pa.array(found.weight[rows]),
-            "detectable_rad": pa.array(found.detectable_rad[rows]),
-            "detectable_m": pa.array(found.detectable_m[rows]),
+            "normalised": arrow_array(found.statistic[rows]),
+            "kept": arrow_array(found.kept[rows]),
+            "weight": arrow_array(found.weight[rows]),
+            "detectable_rad": arrow_array(found.detectable_rad[rows]),
+            "detectable_m": arrow_array(found.detectable_m[rows]),
         }
         columns = columns_of(matched[strip.strip_id]) | columns_of(ground) | own
         groups.append(pa.table(columns).select(TARGETS))
@@ -262,13 +263,17 @@ def _passes_table(calibration: Calibration, prefix: str = "") -> pa.Table:
         )
     types = (pa.string(), pa.string(), pa.float64(), pa.string())
     names = ("strip_id", "utc_middle", "argument_of_latitude_rad", "camera")
-    return pa.Table.from_pylist(rows, schema=pa.schema(list(zip(names, types))))
+    return arrow_rows(rows, pa.schema(list(zip(names, types))))
+
+
+def _pairs_table(pairs: InformationPairs) -> pa.Table:
+    return pa.table({name: arrow_array(values) for name, values in pairs.columns().items()})
 
 
 def _omissions_table(omissions: Sequence[Omission]) -> pa.Table:
     names = ("kind", "name", "file", "reason", "cause")
     return pa.table(
-        {name: pa.array([str(getattr(o, name)) for o in omissions], pa.string()) for name in names}
+        {name: arrow_array([str(getattr(o, name)) for o in omissions], pa.string()) for name in names}
     )
 
 

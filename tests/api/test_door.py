@@ -292,3 +292,10 @@ def test_a_users_strict_script_sees_no_any(tmp_path: Path) -> None:
     assert not [line for line in lines if ": error:" in line]
     shapes_aside = [text.replace("tuple[Any, ...]", "tuple[int, ...]") for text in revealed]  # NumPy's own
     assert not [text for text in shapes_aside if re.search(r"\bAny\b", text)]
+
+
+def test_naming_stars_loads_no_library_that_it_does_not_need():
+    code = "import boresight.pipeline.stages.identify, sys; print(*sys.modules)"
+    loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    unneeded = {"pandas", "pydantic", "scipy.interpolate", "scipy.optimize", "scipy.signal", "scipy.stats"}
+    assert not unneeded & set(loaded.stdout.split())

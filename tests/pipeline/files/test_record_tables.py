@@ -20,6 +20,7 @@ from boresight.pipeline.files.record_tables import (
     schema_of,
     table_from_record,
 )
+from boresight.pipeline.files.table_files import arrow_array, arrow_rows, column
 
 
 class Colour(StrEnum):
@@ -102,3 +103,29 @@ def test_columns_of_sightings_are_those_of_the_format() -> None:
     assert list(schema_of(StarSightings)) == ["hip", "xy_px", "u_s", "u_i", "cov_s", "snr"]
     expected = "target_id ccd xy_px t_s u_c u_i cov_c range_m v_rel_i cov_target_i"
     assert list(schema_of(GroundSightings)) == expected.split()
+
+
+@pytest.mark.parametrize(
+    "values, kind",
+    [
+        ([1.5, None, float("nan"), -0.0], pa.float64()),
+        (np.arange(9) - 4, pa.int64()),
+        ([True, False, None] * 5, pa.bool_()),
+        (["", "Ω", None, "a" * 300], pa.string()),
+        ([b"\x00", None, b""], pa.binary()),
+        ([[1.0, 2.0], None, (3.0, 4.0)], pa.list_(pa.float64(), 2)),
+        ([], pa.string()),
+    ],
+)
+def test_an_array_made_of_buffers_is_that_of_arrow(values, kind):
+    made = arrow_array(values, kind)
+    made.validate(full=True)
+    assert str(made) == str(pa.array(values, kind)) and made.type == kind
+    rows, schema = [{"a": value} for value in values], pa.schema([("a", kind)])
+    assert str(arrow_rows(rows, schema)) == str(pa.Table.from_pylist(rows, schema))
+
+
+def test_columns_come_back_with_empty_cells_as_nan_or_none():
+    table = pa.table({"a": pa.array([1.0, None]), "b": pa.array(["x", None]), "c": pa.array([True, False])})
+    assert np.array_equal(column(table, "a"), [1.0, np.nan], equal_nan=True)
+    assert column(table, "b").tolist() == ["x", None] and column(table, "c").tolist() == [True, False]
