@@ -28,7 +28,7 @@ from boresight.geometry.terrain_rays import (
     first_crossings,
 )
 
-__all__ = ["ConstantHeight", "Surface", "TerrainGrid", "intersect"]
+__all__ = ["ConstantHeight", "Surface", "TerrainGrid", "TerrainTiles", "intersect"]
 
 Array = NDArray[np.float64]
 
@@ -36,6 +36,7 @@ _FLAT_M = 1e-6  # relief below this is a constant height
 _CHUNK = 32_768  # rays at a time: their arrays stay in the cache
 _MARGIN_M = 0.1  # deviation of a shell from equal height, at most
 _LOCAL_MAP_PX = 1e-7  # error of a polynomial in place of a map projection
+_ON_GROUND_M = 1e-4  # an intersection is accurate to 1e-6 m
 _STEPS = 64  # between the highest and the lowest height of a surface that is not a grid
 _LONGEST_PATH_M = (200.0, 2e3, 1e4, 2.5e4)  # on the map, for degree 2, 3, ...: error L^(n+1) / R^n
 
@@ -147,6 +148,27 @@ class TerrainGrid:
         return _pixels_from_map(self.transform, x + 360.0 * np.round((middle - x) / 360.0), np.degrees(lat))
 
 
+@record
+class TerrainTiles:
+    """Height models beside or above one another: a point has the height of the first that has one there."""
+
+    grids: tuple[TerrainGrid, ...] = array("G", "the most important first")
+
+    def height_m(self, lat_rad: Array, lon_rad: Array) -> Array:
+        """Height above the ellipsoid, m, elementwise; NaN where no grid has one."""
+        heights = np.asarray(self.grids[0].height_m(lat_rad, lon_rad))
+        for grid in self.grids[1:]:
+            if np.isfinite(heights).all():
+                break
+            heights = np.where(np.isfinite(heights), heights, grid.height_m(lat_rad, lon_rad))
+        return heights
+
+    def height_range_m(self) -> tuple[float, float]:
+        """Lowest and highest height of all grids, m."""
+        lowest, highest = zip(*(grid.height_range_m() for grid in self.grids))
+        return min(lowest), max(highest)
+
+
 def intersect(origin_e: Array, direction_e: Array, surface: Surface) -> Array:
     """First intersection of each ray, from above all ground downwards, with the surface.
 
@@ -164,6 +186,8 @@ def intersect(origin_e: Array, direction_e: Array, surface: Surface) -> Array:
     p_e : (N, 3) array
         Points in frame e, m.
     """
+    if isinstance(surface, TerrainTiles):
+        return _on_tiles(origin_e, direction_e, surface)
     low, high = surface.height_range_m()
     p_e = np.empty((len(origin_e), 3))
     for first in range(0, len(origin_e), _CHUNK):
@@ -217,6 +241,23 @@ def _on_relief(origin_e: Array, direction_e: Array, surface: Surface, low: float
         track[0], track[1] = surface.pixels_from_geodetic(lat, lon)
     share = first_crossings(surface.heights_m, surface.bounds, tracks)
     return np.asarray(top + share[:, None] * path)
+
+
+def _on_tiles(origin_e: Array, direction_e: Array, tiles: TerrainTiles) -> Array:
+    """The nearest intersection with a grid where its heights are those of the tiles.
+
+    Rays that pass from grid to grid just above the ground have none: they are sampled in even steps.
+    """
+    p_e, nearest = np.full((len(origin_e), 3), np.nan), np.full(len(origin_e), np.inf)
+    for grid in tiles.grids:
+        found = intersect(origin_e, direction_e, grid)
+        lat, lon, height = geodetic_from_ecef(found, WGS84)
+        away = np.linalg.norm(found - origin_e, axis=1)
+        on_it = (np.abs(height - tiles.height_m(lat, lon)) < _ON_GROUND_M) & (away < nearest)
+        p_e[on_it], nearest[on_it] = found[on_it], away[on_it]
+    between = np.flatnonzero(np.isinf(nearest))
+    p_e[between] = _on_relief(origin_e[between], direction_e[between], tiles, *tiles.height_range_m())
+    return p_e
 
 
 def _add_undulations(

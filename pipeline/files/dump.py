@@ -28,7 +28,8 @@ from boresight.geometry.orbit import Orbit
 from boresight.geometry.orbit_consistency import find_orbit_fault
 from boresight.geometry.record import Floats, array, record, scalar
 from boresight.geometry.star_camera import StarCamera
-from boresight.geometry.terrain import Surface, TerrainGrid
+from boresight.geometry.terrain import Surface, TerrainGrid, TerrainTiles
+from boresight.geometry.terrain_tiles import Raster, joined
 from boresight.pipeline.errors import Omission, RawDataError
 from boresight.pipeline.files import dump_schema as schema
 from boresight.pipeline.files.ground_points import StripPoints, SurveyedPoints, read_points, targets_of
@@ -52,7 +53,7 @@ __all__ = [
     "Dump",
     "Strip",
     "TargetHeights",
-    "TerrainFile",
+    "TerrainFiles",
     "bundled_table",
     "dump_faults",
     "open_dump",
@@ -121,11 +122,11 @@ class TargetHeights:
 
 
 @dataclass(frozen=True, slots=True)
-class TerrainFile:
-    """A terrain model that is read where it is needed. Equal files are read once (`surface_of`)."""
+class TerrainFiles:
+    """Terrain models that are read where they are needed. Equal files are read once (`surface_of`)."""
 
-    file: str
-    path: Path
+    files: tuple[str, ...]  # paths as dump.toml gives them
+    paths: tuple[Path, ...]
     height_kind: str
 
 
@@ -147,7 +148,7 @@ class Dump:
     targets: tuple[Target, ...] = scalar("in the order of targets.csv")
     chips: tuple[ChipFile, ...] = scalar("of the same targets")
     points: tuple[StripPoints, ...] = scalar("measured image points, one record a strip")
-    terrain: TerrainFile | TargetHeights = scalar("the surface of the Earth")
+    terrain: TerrainFiles | TargetHeights = scalar("the surface of the Earth")
     omissions: tuple[Omission, ...] = scalar("images that are not used, with the reasons")
 
     @property
@@ -217,7 +218,7 @@ def open_dump(root: Path, *, allow_stale_eop: bool = False) -> Dump:
     head = read_toml(root / "dump.toml", schema.DumpFile, "dump.toml")
     paths = {
         field: path_inside(root, name, file="dump.toml", field=f"files.{field}")
-        for field, name in head.files.model_dump(exclude_none=True).items()
+        for field, name in head.files.single.items()
     }
     line_camera, remote = read_remote_camera(root, paths["remote_camera"], head.files.remote_camera)
     ephemeris = read_oem(paths["orbit"], head.files.orbit)
@@ -254,7 +255,7 @@ def open_dump(root: Path, *, allow_stale_eop: bool = False) -> Dump:
         targets=surveyed.targets,
         chips=_chips(root, rows, str(head.files.targets)),
         points=points,
-        terrain=_terrain(paths.get("terrain"), head, (surveyed, *of_points)),
+        terrain=_terrain(root, head, (surveyed, *of_points)),
         omissions=omitted,
     )
 
@@ -274,7 +275,7 @@ def dump_faults(root: Path) -> list[RawDataError]:
     head = tried(read_toml, root / "dump.toml", schema.DumpFile, "dump.toml")
     if head is None:
         return faults
-    named = head.files.model_dump(exclude_none=True)
+    named = head.files.single
     paths = {key: tried(path_inside, root, name, file="dump.toml", field=key) for key, name in named.items()}
     read = {key: path for key, path in paths.items() if path is not None}
     remote = read.get("remote_camera") and tried(
@@ -484,29 +485,39 @@ def _chips(root: Path, rows: Sequence[schema.TargetRow], file: str) -> tuple[Chi
 
 
 def _terrain(
-    path: Path | None, head: schema.DumpFile, known: Sequence[SurveyedPoints]
-) -> TerrainFile | TargetHeights:
-    if path is None or head.terrain is None:
+    root: Path, head: schema.DumpFile, known: Sequence[SurveyedPoints]
+) -> TerrainFiles | TargetHeights:
+    if head.files.terrain is None or head.terrain is None:
         lat, lon, heights = (np.concatenate([getattr(one, name) for one in known]) for name in PLACE)
         return TargetHeights(_on_unit_sphere(lat, lon), heights)
-    terrain = TerrainFile(str(head.files.terrain), path, head.terrain.height_kind)
+    names = tuple(head.files.terrain)
+    paths = tuple(path_inside(root, name, file="dump.toml", field="files.terrain") for name in names)
+    terrain = TerrainFiles(names, paths, head.terrain.height_kind)
     surface_of(terrain)  # an invalid file is reported before hours of work
     return terrain
 
 
-def surface_of(terrain: TerrainFile | TargetHeights) -> Surface:
+def surface_of(terrain: TerrainFiles | TargetHeights) -> Surface:
     """The surface of the Earth. A terrain file is read once in each process."""
     return terrain if isinstance(terrain, TargetHeights) else _read_terrain(terrain)
 
 
 @lru_cache(maxsize=1)
-def _read_terrain(terrain: TerrainFile) -> TerrainGrid:
-    grid = read_grid(terrain.path, terrain.file, max_pixels=MAX_TERRAIN_PIXELS)
+def _read_terrain(terrain: TerrainFiles) -> TerrainGrid | TerrainTiles:
+    rasters, left = [], MAX_TERRAIN_PIXELS
+    for file, path in zip(terrain.files, terrain.paths):
+        grid = read_grid(path, file, max_pixels=left)
+        rasters.append(Raster(grid.values, grid.transform, grid.crs))
+        left -= grid.values.size
     geoid = egm96() if terrain.height_kind == "egm96" else None
     try:
-        return TerrainGrid.from_raster(grid.values, grid.transform, grid.crs, geoid)
+        grids = tuple(
+            TerrainGrid.from_raster(one.heights_m, one.transform, one.crs, geoid)
+            for one in joined(rasters, MAX_TERRAIN_PIXELS)
+        )
     except ValueError as error:
-        raise RawDataError(terrain.file, "heights", str(error), "a grid of heights") from error
+        raise RawDataError(", ".join(terrain.files), "heights", str(error), "a grid of heights") from error
+    return grids[0] if len(grids) == 1 else TerrainTiles(grids)
 
 
 def _on_unit_sphere(lat_rad: Floats, lon_rad: Floats) -> Floats:

@@ -9,7 +9,15 @@ from __future__ import annotations
 from itertools import pairwise
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, StringConstraints, model_validator
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    StringConstraints,
+    model_validator,
+)
 
 __all__ = [
     "LOOK_TABLES",
@@ -86,6 +94,10 @@ class Conventions(_Strict):
     image_origin: Literal["centre of first pixel is (0, 0)"]
 
 
+def _listed(value: Any) -> Any:
+    return [value] if isinstance(value, str) else value
+
+
 class Files(_Strict):
     """Paths of the other files, relative to the dump."""
 
@@ -94,11 +106,18 @@ class Files(_Strict):
     strips: RelativePath
     targets: RelativePath | None = None
     points: RelativePath | None = None
-    terrain: RelativePath | None = None
+    terrain: Annotated[
+        Annotated[list[RelativePath], Field(min_length=1, max_length=256)] | None, BeforeValidator(_listed)
+    ] = None
     earth_orientation: RelativePath | None = None
     star_camera: RelativePath | None = None  # with installation and exposures, unless [[star_cameras]] say it
     installation: RelativePath | None = None
     exposures: RelativePath | None = None
+
+    @property
+    def single(self) -> dict[str, str]:
+        """Fields that are stated, without the terrain models, and the file of each."""
+        return self.model_dump(exclude_none=True, exclude={"terrain"})
 
 
 class Errors(_Strict):
@@ -204,7 +223,8 @@ class DumpFile(_Strict):
     @property
     def paths(self) -> dict[str, str]:
         """Fields of this file that name another file of the dump, with the names."""
-        files = {f"files.{key}": name for key, name in self.files.model_dump(exclude_none=True).items()}
+        files = {f"files.{key}": name for key, name in self.files.single.items()}
+        files |= {f"files.terrain.{n}": name for n, name in enumerate(self.files.terrain or ())}
         keys = ("installation", "camera", "exposures", "centroids", "attitudes")
         heads = {
             f"star_cameras.{n}.{key}": name

@@ -21,7 +21,7 @@ from boresight.geometry.geodesy import geodetic_from_ecef
 from boresight.geometry.geoid import egm96
 from boresight.geometry.record import Floats, record, scalar
 from boresight.pipeline.errors import Omission, RawDataError
-from boresight.pipeline.files.dump import Dump, TerrainFile, surface_of
+from boresight.pipeline.files.dump import Dump, TerrainFiles, surface_of
 from boresight.pipeline.report.ground_map import (
     OUT_OF_VIEW,
     REJECTED,
@@ -138,7 +138,7 @@ def _doubtful(calibration: Calibration) -> Iterator[Finding]:
 def _heights(dump: Dump, calibration: Calibration, without: Collection[str]) -> Iterator[Finding]:
     every = {target.target_id: target for task in calibration.tasks for target in task.targets}
     targets = {name: target for name, target in every.items() if name not in without}
-    if not isinstance(dump.terrain, TerrainFile) or len(targets) < FEWEST:
+    if not isinstance(dump.terrain, TerrainFiles) or len(targets) < FEWEST:
         return
     lat, lon, height = geodetic_from_ecef(np.array([target.p_e for target in targets.values()]), WGS84)
     above = height - surface_of(dump.terrain).height_m(lat, lon)

@@ -53,8 +53,7 @@ class Origin:
 def dump_identity(root: Path) -> str:
     """Digest of dump.toml and of the files of cameras, orbit and tables that it names, without images."""
     files = read_toml(root / "dump.toml", DumpFile, "dump.toml").files
-    names = [name for field, name in files.model_dump().items() if name and field != "terrain"]
-    return digest([root / "dump.toml", *(root / name for name in names)])
+    return digest([root / "dump.toml", *(root / name for name in files.single.values())])
 
 
 def origin_of(result: Path) -> Origin | None:

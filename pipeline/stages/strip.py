@@ -29,7 +29,7 @@ from boresight.geometry.record import Floats, Ints, Texts, array, record, scalar
 from boresight.geometry.sightings import GroundSightings
 from boresight.geometry.terrain import ConstantHeight
 from boresight.pipeline.errors import Omission, RawDataError
-from boresight.pipeline.files.dump import ChipFile, Dump, Strip, TargetHeights, TerrainFile, surface_of
+from boresight.pipeline.files.dump import ChipFile, Dump, Strip, TargetHeights, TerrainFiles, surface_of
 from boresight.pipeline.files.ground_points import NO_POINTS, StripPoints
 from boresight.pipeline.files.image_files import read_grid
 from boresight.pipeline.stages.match_pictures import NO_PICTURES, MatchPictures, match_pictures
@@ -69,7 +69,7 @@ class StripTask:
     effects: LightEffects = scalar("effects on the line of sight that are modelled")
     targets: tuple[Target, ...] = array("N", "targets that the strip may show in its images")
     chips: tuple[ChipFile, ...] = array("N", "their image chips")
-    terrain: TerrainFile | TargetHeights = scalar("heights of the ground")
+    terrain: TerrainFiles | TargetHeights = scalar("heights of the ground")
     settings: MatchSettings = scalar("limits of the matching")
     interpolation: Interpolation = scalar("between the attitudes", default="lagrange")
     points: StripPoints = scalar("ground points measured in it by others", default=NO_POINTS)

@@ -14,7 +14,8 @@ from boresight.geometry.constants import WGS84
 from boresight.geometry.geodesy import ecef_from_geodetic, geodetic_from_ecef
 from boresight.geometry.groundlight import LightEffects
 from boresight.geometry.terrain import TerrainGrid
-from boresight.pipeline.files.dump import Dump, TerrainFile, open_dump, surface_of
+from boresight.pipeline.errors import RawDataError
+from boresight.pipeline.files.dump import Dump, TerrainFiles, open_dump, surface_of
 from boresight.pipeline.files.dump_writer import write_dump
 from boresight.pipeline.files.scenario_file import fly, named_scenario
 from boresight.pipeline.results.geolocate import Pixels, geolocate
@@ -184,7 +185,7 @@ def test_terrain_across_the_meridian_is_one_ground_however_it_is_written(tmp_pat
             rasterio.Affine(step[0], 0, corner[0], 0, -step[1], corner[1]),
         )
         write_grid(path, heights, epsg, transform)
-        surface = surface_of(TerrainFile(path.name, path, "ellipsoidal"))
+        surface = surface_of(TerrainFiles((path.name,), (path,), "ellipsoidal"))
         # Heights of some hundred metres in single precision, and a bend of the map below a millimetre.
         np.testing.assert_allclose(surface.height_m(lat, lon), expected, atol=2e-3)  # m
         np.testing.assert_allclose(surface.height_m(lat, lon - 2.0 * np.pi), expected, atol=2e-3)
@@ -194,7 +195,7 @@ def test_polar_terrain_has_a_height_at_the_pole_and_on_every_meridian(tmp_path: 
     heights = np.add.outer(np.arange(200.0), np.arange(200.0)).astype(np.float32)
     path = tmp_path / "polar.tif"
     write_grid(path, heights, 3995, rasterio.Affine(100.0, 0, -1e4, 0, -100.0, 1e4))
-    surface = surface_of(TerrainFile(path.name, path, "egm96"))
+    surface = surface_of(TerrainFiles((path.name,), (path,), "egm96"))
     lon = np.radians(np.arange(-180.0, 181.0, 15.0))
     pole = surface.height_m(np.full(len(lon), 0.5 * np.pi), lon)
     # Row + column at the middle of the grid, raised by the geoid (14.9 m at the pole); one place, one height.
@@ -202,6 +203,37 @@ def test_polar_terrain_has_a_height_at_the_pole_and_on_every_meridian(tmp_path: 
     assert pole[0] == pytest.approx(199.0 + 13.606, abs=0.1)
     near = surface.height_m(np.full(len(lon), np.radians(89.95)), lon)
     assert np.isfinite(near).all() and near[0] == pytest.approx(near[-1], abs=1e-6)
+
+
+def test_terrain_in_several_files_is_that_of_one(handmade: Path) -> None:
+    rows, columns = np.meshgrid(np.arange(60.0), np.arange(80.0), indexing="ij")
+    whole = (800.0 + 200.0 * np.sin(rows / 9.0) + 3.0 * columns).astype(np.float32)
+    cut = {"west": (0, 45), "east": (45, 80), "all": (0, 80)}
+    for name, (first, last) in cut.items():
+        corner = rasterio.Affine(0.001, 0, 20.0 + 0.001 * first, 0, -0.001, 10.0)
+        write_grid(handmade / f"{name}.tif", whole[:, first:last], 4326, corner)
+    text = (handmade / "dump.toml").read_text() + '\n[terrain]\nheight_kind = "egm96"\nsigma_m = 5\n'
+    lat, lon = (
+        np.radians(9.9995 - 0.001 * rows[3:-3, 3:-3]),
+        np.radians(20.0012 + 0.001 * columns[3:-3, 3:-3]),
+    )
+    heights = {}
+    for names in ('"all.tif"', '["east.tif", "west.tif"]'):
+        stated = text.replace('"targets.csv"', f'"targets.csv"\nterrain = {names}')
+        (handmade / "dump.toml").write_text(stated)
+        heights[names] = surface_of(open_dump(handmade).terrain).height_m(lat, lon)
+    one, two = heights.values()
+    assert np.isfinite(one).all() and np.abs(two - one).max() < 1e-3  # m: float32 of a thousand metres
+    for names, field in (
+        ('["all.tif", "../all.tif"]', "files.terrain"),
+        ("[]", "files.terrain"),
+        ("3", "files.terrain"),
+    ):
+        stated = text.replace('"targets.csv"', f'"targets.csv"\nterrain = {names}')
+        (handmade / "dump.toml").write_text(stated)
+        with pytest.raises(RawDataError) as caught:
+            open_dump(handmade)
+        assert caught.value.file == "dump.toml" and str(caught.value.field).startswith(field)
 
 
 def write_grid(path: Path, values: np.ndarray, epsg: int, transform: rasterio.Affine) -> None:
