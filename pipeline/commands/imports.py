@@ -66,11 +66,12 @@ def sentinel2(
 
 
 def import_dimap(
-    product: Annotated[Path, typer.Argument(metavar="FILE", help="Pleiades metadata: DIM or PHRDIMAP XML.")],
+    product: Annotated[Path, typer.Argument(metavar="FILE", help="Metadata in DIMAP: DIM_* or PHRDIMAP_*.")],
     out: Out,
     points: Points = None,
 ) -> Answer:
-    """Make a dump of a Pleiades strip: the operator's attitude as a head, orbit, look table, line times.
+    """Make a dump of a strip of Pleiades (DIMAP V1, V2), Pleiades Neo, SPOT 6 or 7 (V2): the operator's
+    attitude as a head, orbit, look table, line times.
 
     Example: boresight import dimap PHRDIMAP.XML pleiades --points gcps.csv
     """

@@ -1,26 +1,31 @@
-"""Read the metadata of a Pleiades primary product (DIMAP V1): ephemeris, attitude, look angles and times.
+"""Read the metadata of primary products in DIMAP: ephemeris, attitude, look angles and times.
 
-The XML is parsed without DTD, entities or references, and every number is checked. The result is a rigorous
-model of the strip in the operator's convention, verified against the operator's location grid:
+DIMAP V1 (Pleiades 1A and 1B, root element PHR_Dimap_Document) and V2 (Pleiades, Pleiades Neo, SPOT 6 and 7,
+root Dimap_Document with Geometric_Data/Refined_Model) have one model with other names of elements. The XML is
+parsed without DTD, entities or references, and every number is checked. The result is a rigorous model of the
+strip in the operator's convention, verified for V1 against the operator's location grid:
 
-* line 0 is taken at START, and the look angles are polynomials of the column counted from the first one;
+* line 0 is taken at START, and the look angles are polynomials of the column counted from the first one (V2:
+  from FIRST_COL);
 * the look vector of angles psi is `[psi_y, -psi_x, 1]`, without tangents, rotated into ITRS axes by the
-  quaternion Q0 (scalar) ... Q3, polynomials in (UTC second of the day - OFFSET) / SCALE;
-* positions are ITRS, interpolated through all points from positions alone; the velocities of the file are
-  relative to inertial axes, so the Earth's rotation is subtracted here;
+  quaternion Q0 (scalar) ... Q3: polynomials in (UTC second of the day - OFFSET) / SCALE, or a list (V2);
+* positions are ITRS, interpolated from positions alone, in V1 through all points, in V2 with degree 7;
+  velocities may be relative to inertial axes (V1) or to ITRS, which the positions show;
+* the line period is in milliseconds or microseconds, whichever the product's begin and end show (V2);
 * the operator's model has no aberration and no light time, so `LightEffects` with all effects off reproduces
   the operator's ground coordinates.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from xml.etree.ElementTree import Element
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from boresight.geometry.attitude import EarthFixedAttitude
+from boresight.geometry.attitude import AttitudeTrack, EarthFixedAttitude
 from boresight.geometry.constants import DAY_S
 from boresight.geometry.earth_orientation import EarthOrientationTable
 from boresight.geometry.earth_rotation import EarthRotation
@@ -31,22 +36,62 @@ from boresight.geometry.orbit import Orbit
 from boresight.geometry.pushbroom import Pushbroom, RowClock
 from boresight.geometry.record import Floats, record, scalar
 from boresight.pipeline.errors import RawDataError
-from boresight.pipeline.files.xml_files import numbers_of, read_xml, text_of, whole_of
+from boresight.pipeline.files.xml_files import elements_of, numbers_of, read_xml, text_of, whole_of
 
 __all__ = ["DimapStrip", "read_dimap"]
 
-_MODEL = "Geometric_Data/Sensor_Model_Characteristics"
-_EPHEMERIS = f"{_MODEL}/Sensor_Ephemeris/Point_List/Point"
-_ATTITUDE = f"{_MODEL}/Sensor_Attitudes"
-_VIEWING = f"{_MODEL}/Sensor_Viewing_Model"
-_MAX_ITEMS = 10_000  # points of the ephemeris
+_MAX_ITEMS = 10_000  # points of the ephemeris, quaternions
 _MAX_PIXELS = 10_000_000  # rows or columns
+_MAX_POWERS = 20
 _LOOK_SAMPLES = 201  # a cubic spline through them holds a polynomial of degree 5 to 1e-13 rad
+
+
+@dataclass(frozen=True, slots=True)
+class _Names:
+    """Where a version of DIMAP has what."""
+
+    raster: str
+    start: str
+    period: str
+    point: str
+    of_point: tuple[str, str, str]  # time, position, velocity
+    attitude: str
+    quaternion: str  # of a polynomial, below `attitude`
+    degree: int | None  # of the interpolation of positions; None: through all points
+
+
+_V1 = "Geometric_Data/Sensor_Model_Characteristics"
+_VIEWING = f"{_V1}/Sensor_Viewing_Model"
+_V2 = "Geometric_Data/Refined_Model"
+_CALIBRATION = f"{_V2}/Geometric_Calibration/Instrument_Calibration"
+_QUATERNIONS = f"{_V2}/Attitudes/Quaternion_List/Quaternion"
+_VERSIONS = {
+    "PHR_Dimap_Document": _Names(
+        raster="Raster_Dimensions",
+        start=f"{_V1}/UTC_Sensor_Model_Range/START",
+        period=f"{_V1}/SENSOR_LINE_PERIOD",
+        point=f"{_V1}/Sensor_Ephemeris/Point_List/Point",
+        of_point=("UTC_TIME", "LOCATION_VALUES", "VELOCITY_VALUES"),
+        attitude=f"{_V1}/Sensor_Attitudes",
+        quaternion="Polynomial_Models/Q",
+        degree=None,
+    ),
+    "Dimap_Document": _Names(
+        raster="Raster_Data/Raster_Dimensions",
+        start=f"{_V2}/Time/Time_Range/START",
+        period=f"{_V2}/Time/Time_Stamp/LINE_PERIOD",
+        point=f"{_V2}/Ephemeris/Point_List/Point",
+        of_point=("TIME", "LOCATION_XYZ", "VELOCITY_XYZ"),
+        attitude=f"{_V2}/Attitudes/Polynomial_Quaternions",
+        quaternion="Q",
+        degree=7,
+    ),
+}
 
 
 @record
 class DimapStrip:
-    """One panchromatic strip as its operator describes it; frames s and c are the same."""
+    """One strip as its operator describes it; frames s and c are the same."""
 
     pushbroom: Pushbroom = scalar("model of the strip: pixel and row to ground")
     width_px: int = scalar("columns")
@@ -57,22 +102,22 @@ class DimapStrip:
 def read_dimap(
     path: Path, eop: EarthOrientationTable, effects: LightEffects, *, allow_stale_eop: bool = False
 ) -> DimapStrip:
-    """The strip of a Pleiades DIMAP file; `RawDataError` for anything missing, damaged or out of range."""
+    """The strip of a DIMAP file; `RawDataError` for anything missing, damaged or out of range."""
     file = path.name
     root = read_xml(path, file)
-    if root.tag != "PHR_Dimap_Document":
-        raise RawDataError(file, "root element", root.tag, "PHR_Dimap_Document")
+    names = _VERSIONS.get(root.tag)
+    if names is None or (root.tag == "Dimap_Document" and root.find(_V2) is None):
+        expected = f"PHR_Dimap_Document (DIMAP V1), or Dimap_Document with {_V2} (DIMAP V2: not SPOT 1 to 5)"
+        raise RawDataError(file, "root element", root.tag, expected)
     width, height = (
-        whole_of(root, f"Raster_Dimensions/{name}", file, _MAX_PIXELS) for name in ("NCOLS", "NROWS")
+        whole_of(root, f"{names.raster}/{name}", file, _MAX_PIXELS) for name in ("NCOLS", "NROWS")
     )
-    start = _utc(text_of(root, f"{_MODEL}/UTC_Sensor_Model_Range/START", file), "START", file)
+    start = _utc(text_of(root, names.start, file), "START", file)
     epoch = Epoch.from_utc(start)
     t_first = float(epoch.seconds_from_utc([start])[0])
-    period = 1e-3 * numbers_of(root, f"{_MODEL}/SENSOR_LINE_PERIOD", file, 1)[0]
-    if not 0.0 < period < 1.0:
-        raise RawDataError(file, "SENSOR_LINE_PERIOD", period, "a period in milliseconds, below 1000")
-    t_orbit, positions, inertial = _ephemeris(root, epoch, file)
-    last = t_first + height * period
+    period = _period(root, names, epoch, height, file)
+    t_orbit, positions, velocities = _ephemeris(root, names, epoch, file)
+    span = (t_first - 1.0, t_first + height * period + 1.0)
     try:
         earth = EarthRotation.over(
             epoch, float(t_orbit[0]), float(t_orbit[-1]), eop, allow_stale_eop=allow_stale_eop
@@ -81,87 +126,144 @@ def read_dimap(
             epoch=epoch,
             t_s=t_orbit,
             positions_m=positions,
-            velocities_m_s=inertial - np.cross(earth.omega_e, positions),
+            velocities_m_s=_relative_to_itrs(t_orbit, positions, velocities, earth),
             frame="ITRF",
-            degree=len(t_orbit) - 1,
+            degree=min(names.degree or len(t_orbit), len(t_orbit) - 1),
             earth=earth,
         )
+        attitude: EarthFixedAttitude | AttitudeTrack
+        if root.find(names.attitude) is None and root.find(_QUATERNIONS) is not None:
+            attitude = _attitude_list(root, orbit, file)
+        else:
+            attitude = _attitude(root, names, epoch, start, earth, span, file)
         pushbroom = Pushbroom(
             camera=_camera(root, width, file),
             rows=RowClock(t_first, period),
             orbit=orbit,
             earth=earth,
-            attitude=_attitude(root, epoch, start, earth, (t_first - 1.0, last + 1.0), file),
+            attitude=attitude,
             R_cs=Rotation.identity(),
             effects=effects,
         )
     except ValueError as error:  # dates without Earth orientation, states that cannot be interpolated
-        raise RawDataError(file, _MODEL, str(error), "a strip that a satellite can take") from error
+        raise RawDataError(file, names.point, str(error), "a strip that a satellite can take") from error
     return DimapStrip(
         pushbroom, width, height, text_of(root, "Dataset_Identification/DATASET_NAME", file)[:128]
     )
 
 
-def _ephemeris(root: Element, epoch: Epoch, file: str) -> tuple[Floats, Floats, Floats]:
-    points = root.findall(_EPHEMERIS)
-    if not 2 <= len(points) <= _MAX_ITEMS:
-        raise RawDataError(file, _EPHEMERIS, f"{len(points)} points", f"2 to {_MAX_ITEMS} points")
-    times = [_utc(text_of(point, "UTC_TIME", file), "UTC_TIME", file) for point in points]
-    positions = np.array([numbers_of(point, "LOCATION_VALUES", file, 3) for point in points])
-    velocities = np.array([numbers_of(point, "VELOCITY_VALUES", file, 3) for point in points])
+def _period(root: Element, names: _Names, epoch: Epoch, height: int, file: str) -> float:
+    """Line period, s: in the file in milliseconds or, in products of V2, in microseconds."""
+    (stated,) = numbers_of(root, names.period, file, 1)
+    period, field = 1e-3 * stated, names.period.rpartition("/")[2]
+    if root.tag == "Dimap_Document":
+        ends = [text_of(root, f"{_V2}/Time/Time_Range/{name}", file) for name in ("START", "END")]
+        t_s = epoch.seconds_from_utc([_utc(text, "Time_Range", file) for text in ends])
+        mean = float(t_s[1] - t_s[0]) / max(height - 1, 1)
+        period = min((1e-3 * stated, 1e-6 * stated), key=lambda one: abs(one - mean))
+        if not abs(period - mean) <= 0.01 * mean:
+            expected = f"{1e3 * mean:.6g} ms or its microseconds, by START, END and NROWS"
+            raise RawDataError(file, field, stated, expected)
+    if not 0.0 < period < 1.0:
+        raise RawDataError(file, field, stated, "a period in milliseconds, below 1000")
+    return period
+
+
+def _ephemeris(root: Element, names: _Names, epoch: Epoch, file: str) -> tuple[Floats, Floats, Floats]:
+    points = elements_of(root, names.point, file, 2, _MAX_ITEMS)
+    time, place, velocity = names.of_point
+    times = [_utc(text_of(point, time, file), time, file) for point in points]
+    positions = np.array([numbers_of(point, place, file, 3) for point in points])
+    velocities = np.array([numbers_of(point, velocity, file, 3) for point in points])
     t_s = epoch.seconds_from_utc(times)
     if np.any(np.diff(t_s) <= 0.0):
-        raise RawDataError(file, f"{_EPHEMERIS}/UTC_TIME", "times out of order", "increasing times")
+        raise RawDataError(file, f"{names.point}/{time}", "times out of order", "increasing times")
     radius = np.linalg.norm(positions, axis=1)
     if np.any((radius < 6.4e6) | (radius > 5e7)):
-        raise RawDataError(
-            file, f"{_EPHEMERIS}/LOCATION_VALUES", f"{radius.min():.0f} m from the centre", "an orbit, metres"
-        )
+        found = f"{radius.min():.0f} m from the centre"
+        raise RawDataError(file, f"{names.point}/{place}", found, "an orbit, metres")
     return t_s, positions, velocities
 
 
+def _relative_to_itrs(t_s: Floats, positions: Floats, stated: Floats, earth: EarthRotation) -> Floats:
+    """The stated velocities, less the Earth's rotation if the positions show that they are inertial."""
+    shown = (
+        np.gradient(positions, t_s, axis=0)[1:-1]
+        if len(t_s) > 2
+        else np.diff(positions, axis=0) / np.diff(t_s)
+    )
+    inner = slice(1, -1) if len(t_s) > 2 else slice(0, 1)
+    choices = (stated - np.cross(earth.omega_e, positions), stated)
+    return min(choices, key=lambda one: float(np.linalg.norm(one[inner] - shown)))
+
+
 def _attitude(
-    root: Element, epoch: Epoch, start: str, earth: EarthRotation, span_s: tuple[float, float], file: str
+    root: Element,
+    names: _Names,
+    epoch: Epoch,
+    start: str,
+    earth: EarthRotation,
+    span_s: tuple[float, float],
+    file: str,
 ) -> EarthFixedAttitude:
+    where = names.attitude
     polynomials = [
-        _polynomial(root, f"{_ATTITUDE}/Polynomial_Models/Q{k}", file) for k in (1, 2, 3, 0)
+        _polynomial(root, f"{where}/{names.quaternion}{k}", file) for k in (1, 2, 3, 0)
     ]  # scalar last
     coefficients = np.zeros((4, max(len(p) for p in polynomials)))
     for row, polynomial in zip(coefficients, polynomials):
         row[: len(polynomial)] = polynomial
-    (offset,), (scale,) = (numbers_of(root, f"{_ATTITUDE}/{name}", file, 1) for name in ("OFFSET", "SCALE"))
+    (offset,), (scale,) = (numbers_of(root, f"{where}/{name}", file, 1) for name in ("OFFSET", "SCALE"))
     if not (0.0 <= offset < DAY_S + 1.0 and scale > 0.0):
-        raise RawDataError(
-            file, f"{_ATTITUDE}/OFFSET, SCALE", (offset, scale), "second of the day, scale > 0"
-        )
+        raise RawDataError(file, f"{where}/OFFSET, SCALE", (offset, scale), "second of the day, scale > 0")
     if not 0.5 < np.linalg.norm(coefficients[:, 0]) < 2.0:
-        raise RawDataError(
-            file, f"{_ATTITUDE}/Polynomial_Models", coefficients[:, 0].tolist(), "a quaternion"
-        )
+        raise RawDataError(file, where, coefficients[:, 0].tolist(), "a quaternion")
     midnight = float(epoch.seconds_from_utc([start[:10] + "T00:00:00"])[0])
     return EarthFixedAttitude(coefficients, midnight + offset, scale, earth, span_s)
 
 
+def _attitude_list(root: Element, orbit: Orbit, file: str) -> AttitudeTrack:
+    rows = elements_of(root, _QUATERNIONS, file, 4, _MAX_ITEMS)
+    quaternions = np.array([[numbers_of(row, f"Q{k}", file, 1)[0] for k in (1, 2, 3, 0)] for row in rows])
+    size = np.linalg.norm(quaternions, axis=1)
+    if not np.all(np.abs(size - 1.0) < 1e-3):
+        raise RawDataError(file, _QUATERNIONS, f"length {size[np.argmax(np.abs(size - 1.0))]:g}", "length 1")
+    t_s = orbit.epoch.seconds_from_utc([_utc(text_of(row, "TIME", file), "TIME", file) for row in rows])
+    inside = (t_s >= orbit.t_s[0]) & (t_s <= orbit.t_s[-1])
+    t_s, R_es = t_s[inside], Rotation.from_quat(quaternions[inside])
+    return AttitudeTrack(t_s, (orbit.earth.rotations_ie(t_s) * R_es).inv(), orbit)
+
+
 def _camera(root: Element, width: int, file: str) -> LookAngleCamera:
-    first, last = (
-        whole_of(root, f"{_VIEWING}/Position_In_Retina/{n}", file, 10**9) for n in ("FIRST_COL", "LAST_COL")
-    )
-    if last - first + 1 != width:
-        raise RawDataError(file, f"{_VIEWING}/Position_In_Retina", f"{first} ... {last}", f"{width} columns")
-    psi_x, psi_y = (_polynomial(root, f"{_VIEWING}/Viewing_Directions/Psi{a}_Model", file) for a in "XY")
+    first_column = 0
+    if root.tag == "Dimap_Document":
+        (looks, *_) = elements_of(root, f"{_CALIBRATION}//Polynomial_Look_Angles", file, 1, 64)
+        psi_x, psi_y = (_line_of_sight(looks, name, file) for name in ("XLOS", "YLOS"))
+        if root.find(f"{_CALIBRATION}/Swath_Range/FIRST_COL") is not None:
+            first_column = whole_of(root, f"{_CALIBRATION}/Swath_Range/FIRST_COL", file, 10**9) - 1
+    else:
+        place = f"{_VIEWING}/Position_In_Retina"
+        first, last = (whole_of(root, f"{place}/{n}", file, 10**9) for n in ("FIRST_COL", "LAST_COL"))
+        if last - first + 1 != width:
+            raise RawDataError(file, place, f"{first} ... {last}", f"{width} columns")
+        psi_x, psi_y = (_polynomial(root, f"{_VIEWING}/Viewing_Directions/Psi{a}_Model", file) for a in "XY")
     samples: Floats = np.linspace(0.0, max(width - 1.0, 1.0), _LOOK_SAMPLES, dtype=np.float64)
-    powers = samples[:, None] ** np.arange(21)
+    powers = (samples[:, None] + first_column) ** np.arange(_MAX_POWERS + 1)
     tan_x, tan_y = powers[:, : len(psi_y)] @ psi_y, -powers[:, : len(psi_x)] @ psi_x
     try:
         return LookAngleCamera((LookTable(width, samples, tan_x, tan_y),))
     except ValueError as error:
-        raise RawDataError(
-            file, f"{_VIEWING}/Viewing_Directions", str(error), "look angles along a line"
-        ) from error
+        raise RawDataError(file, "look angles", str(error), "look angles along a line") from error
+
+
+def _line_of_sight(looks: Element, name: str, file: str) -> list[float]:
+    """Coefficients name_0, name_1, ... as far as they go."""
+    count = next(n for n in range(_MAX_POWERS + 1) if looks.find(f"{name}_{n}") is None or n == _MAX_POWERS)
+    return [numbers_of(looks, f"{name}_{n}", file, 1)[0] for n in range(max(count, 1))]
 
 
 def _polynomial(root: Element, where: str, file: str) -> list[float]:
-    degree = whole_of(root, f"{where}/DEGREE", file, 20)
+    degree = whole_of(root, f"{where}/DEGREE", file, _MAX_POWERS)
     return numbers_of(root, f"{where}/COEFFICIENTS", file, degree + 1)
 
 

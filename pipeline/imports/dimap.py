@@ -1,10 +1,11 @@
-"""A Pleiades DIMAP file as a dump: the operator's attitude polynomial as a head, look tables, line times."""
+"""A DIMAP file as a dump: the operator's attitude (polynomial or list) as a head, look tables, line times."""
 
 from __future__ import annotations
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from boresight.geometry.attitude import AttitudeTrack
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.line_camera import LookAngleCamera
 from boresight.geometry.orbit import Orbit
@@ -36,6 +37,8 @@ def dimap_mission(strip: DimapStrip, created_by: str) -> ImportedMission:
         raise ValueError("dimap_mission needs a strip of read_dimap")
     first, last = push.instants(np.array([-0.5, strip.height_px - 0.5]))
     t_s = np.arange(np.floor((first - 0.5) / STEP_S), np.ceil((last + 0.5) / STEP_S) + 1.0) * STEP_S
+    if isinstance(push.attitude, AttitudeTrack):
+        t_s = push.attitude.t_s
     head = ImportedHead(
         name=HEAD,
         t_s=t_s,

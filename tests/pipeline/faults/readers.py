@@ -20,9 +20,10 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import rasterio
+import rasterio.control
 from astropy.io import fits
 from handmade import write_handmade_dump, write_strip
-from handmade_dimap import dimap_text
+from handmade_dimap import as_version_2, dimap_text
 from handmade_sentinel2 import DATASTRIP, SPAMOD, VIEDIR, write_sentinel2
 from scipy.spatial.transform import Rotation
 
@@ -100,12 +101,26 @@ def write_sound_files(folder: Path) -> Path:
     )
     (folder / "pixels.csv").write_text("ccd,sample,line\n0,1.5,2.5\n1,3,4\n")
     (folder / "dimap.xml").write_text(dimap_text())
+    (folder / "dimap2.xml").write_text(as_version_2(dimap_text()))
+    (folder / "dimap2_list.xml").write_text(as_version_2(dimap_text(), listed=True, microseconds=True))
+    _write_gcps(folder / "gcps.tif")
     for name, text in (ATTITUDES | POINTS).items():
         (folder / name).write_text(text)
     write_sentinel2(folder)
     _write_result(folder / "result")
     _write_units(folder)
     return folder
+
+
+def _write_gcps(path: Path) -> None:
+    gcps = [
+        rasterio.control.GroundControlPoint(r, c, 20.0 + c / 9, 50.0 - r / 9, 3.0)
+        for r in (1, 30)
+        for c in (2, 40)
+    ]
+    profile = {"driver": "GTiff", "width": WIDTH, "height": HEIGHT, "count": 1, "dtype": "uint8"}
+    with rasterio.open(path, "w", **profile, gcps=gcps, crs="EPSG:4326") as file:
+        file.write(np.zeros((1, HEIGHT, WIDTH), np.uint8))
 
 
 def _write_terrain(path: Path) -> None:
@@ -222,8 +237,8 @@ def _sentinel2(folder: Path) -> Any:
     return read_sentinel2(folder / DATASTRIP, folder, "B04")
 
 
-def _dimap(folder: Path) -> Any:
-    return read_dimap(folder / "dimap.xml", EARTH, LightEffects())
+def _dimap(name: str) -> Callable[[Path], Any]:
+    return lambda folder: read_dimap(folder / name, EARTH, LightEffects())
 
 
 def _star_unit(folder: Path) -> Any:
@@ -289,7 +304,9 @@ READERS = (
     Reader("strip, TIFF", "dump/strips/0.tif", _strip),
     Reader("chip, GeoTIFF", "dump/chips/0.tif", _chip_image),
     Reader("terrain, GeoTIFF", "dump/dem.tif", _terrain),
-    Reader("DIMAP", "dimap.xml", _dimap),
+    Reader("DIMAP V1", "dimap.xml", _dimap("dimap.xml")),
+    Reader("DIMAP V2", "dimap2.xml", _dimap("dimap2.xml")),
+    Reader("DIMAP V2, list", "dimap2_list.xml", _dimap("dimap2_list.xml")),
     Reader("attitudes, CSV", "attitudes.csv", _attitudes("attitudes.csv", "GCRF", "head to inertial")),
     Reader("attitudes, AEM", "attitudes.aem", _attitudes("attitudes.aem")),
     Reader("attitudes, AEM in XML", "attitudes.xml", _attitudes("attitudes.xml")),
@@ -297,6 +314,7 @@ READERS = (
     Reader("measured points", "points.csv", lambda folder: read_points(folder / "points.csv", "points.csv")),
     Reader("points, QGIS", "gcps.points", _measured("gcps.points")),
     Reader("points, ASP", "gcps.gcp", _measured("gcps.gcp")),
+    Reader("points, GeoTIFF", "gcps.tif", _measured("gcps.tif")),
     Reader("Sentinel-2 datastrip", DATASTRIP, _sentinel2),
     Reader("Sentinel-2 mounting", f"{SPAMOD}.xml", _sentinel2),
     Reader("Sentinel-2 looks", f"{VIEDIR}.xml", _sentinel2),

@@ -1,10 +1,12 @@
 """A real sensor: the operator's own location grid of a Pleiades strip; and damaged files."""
 
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 import rasterio
+from handmade_dimap import as_version_2, dimap_text
 
 from boresight.geometry.constants import WGS84
 from boresight.geometry.earth_orientation import bundled_earth_orientation
@@ -110,3 +112,74 @@ def test_entities_are_never_expanded(tmp_path):
     bomb.write_text('<?xml version="1.0"?><!DOCTYPE x [<!ENTITY a "aaaa"><!ENTITY b "&a;&a;">]><x>&b;</x>')
     with pytest.raises(RawDataError, match="without DTD"):
         read_dimap(bomb, bundled_earth_orientation(), OFF)
+
+
+VERSIONS_2 = [{}, {"first_col": 20_001}, {"listed": True, "microseconds": True}]
+SAMPLE, LINE = np.array([0.0, 7_000.3, 19_999.0]), np.array([0.0, 4_200.7, 8_999.0])
+
+
+def places(path, sample=SAMPLE, line=LINE):
+    found = read_dimap(path, bundled_earth_orientation(), OFF).pushbroom
+    return found.ground_points(0, sample, line, ConstantHeight(120.0))
+
+
+@pytest.mark.parametrize("options", VERSIONS_2, ids=["polynomials", "other column", "list, microseconds"])
+def test_product_in_version_2_has_the_places_of_version_1(tmp_path, options):
+    (tmp_path / "v1.xml").write_text(dimap_text())
+    (tmp_path / "v2.xml").write_text(as_version_2(dimap_text(), **options))
+    expected = places(tmp_path / "v1.xml")
+    # millimetres of the positions, and degree 7 in place of all points
+    assert np.isfinite(expected).all()
+    assert np.linalg.norm(places(tmp_path / "v2.xml") - expected, axis=1).max() < 2e-3  # m
+
+
+@needs_real_data
+@pytest.mark.parametrize("options", VERSIONS_2, ids=["polynomials", "other column", "list, microseconds"])
+def test_real_strip_in_version_2_lies_where_its_operator_puts_it(tmp_path, operator_grid, options):
+    (tmp_path / "v2.xml").write_text(as_version_2(DIMAP.read_text(), **options))
+    sample, line, _, _ = operator_grid
+    strip = read_dimap(tmp_path / "v2.xml", bundled_earth_orientation(), OFF)
+    off = strip.pushbroom.ground_points(0, sample, line, ConstantHeight(0.0))
+    same = read_dimap(DIMAP, bundled_earth_orientation(), OFF).pushbroom
+    expected = same.ground_points(0, sample, line, ConstantHeight(0.0))
+    assert np.linalg.norm(off - expected, axis=1).max() < 2e-3  # m
+
+
+@pytest.mark.parametrize("inertial", [True, False])
+def test_velocities_are_relative_to_whichever_axes_the_positions_show(tmp_path, inertial):
+    text = dimap_text()
+    if not inertial:
+        omega = 7.292115e-5
+        text = re.sub(r"(<VELOCITY_VALUES>\S+ )\S+", r"\g<1>0.0", text)
+        assert f"{omega * 7_064_000.0:.6f}" not in text
+    (tmp_path / "dimap.xml").write_text(text)
+    orbit = read_dimap(tmp_path / "dimap.xml", bundled_earth_orientation(), OFF).pushbroom.orbit
+    assert np.abs(orbit.velocities_m_s[:, 1]).max() < 1e-3  # m/s: the handmade orbit stays on a meridian
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "field"),
+    [
+        ("<LINE_PERIOD>0.0735<", "<LINE_PERIOD>0.1<", "LINE_PERIOD"),
+        ("<Geometric_Data><Refined_Model>", "<Geometric_Data><Other>", "root element"),
+        ("XLOS_0>", "XLOS_9>", "XLOS_0"),
+        ("<OFFSET>38935.0</OFFSET>", "", "OFFSET"),
+    ],
+)
+def test_damaged_metadata_of_version_2_are_refused(tmp_path, old, new, field):
+    text = as_version_2(dimap_text())
+    assert old in text
+    text = text.replace(old, new)
+    if "Other" in new:
+        text = text.replace("</Refined_Model>", "</Other>")
+    (tmp_path / "v2.xml").write_text(text)
+    with pytest.raises(RawDataError) as error:
+        read_dimap(tmp_path / "v2.xml", bundled_earth_orientation(), OFF)
+    assert field in error.value.field
+
+
+def test_list_of_quaternions_that_are_none_is_refused(tmp_path):
+    text = as_version_2(dimap_text(), listed=True).replace("<Q0>0.", "<Q0>0.9", 1)
+    (tmp_path / "v2.xml").write_text(text)
+    with pytest.raises(RawDataError, match="length"):
+        read_dimap(tmp_path / "v2.xml", bundled_earth_orientation(), OFF)
