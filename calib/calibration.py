@@ -38,6 +38,7 @@ from boresight.calib.gross_errors import (
 )
 from boresight.calib.heads import aligned, measured_alignment, unknown_heads, without_head
 from boresight.calib.information import InformationPairs, Solution
+from boresight.calib.interior.parameters import InteriorModel
 from boresight.calib.joint_solution import (
     Problem,
     Step,
@@ -61,7 +62,11 @@ HEADS_PROBABILITY = 1e-3  # of looking for a head that contradicts where none do
 
 
 def calibrate(
-    strips: Sequence[StripSightings], R_cs0: Rotation, settings: CalibrationSettings
+    strips: Sequence[StripSightings],
+    R_cs0: Rotation,
+    settings: CalibrationSettings,
+    *,
+    interior: InteriorModel | None = None,
 ) -> InstallationEstimate | NotObservable:
     """The installation matrix with its covariance, or the rotations that the strips leave undetermined.
 
@@ -75,6 +80,8 @@ def calibrate(
         Matrix to start from, star camera to remote-sensing camera; milliradians off are no obstacle.
     settings : CalibrationSettings
         Prior standard deviations of the errors that the sightings' covariances do not hold, and limits.
+    interior : InteriorModel, optional
+        Parameters of the remote-sensing camera's interior orientation, to be estimated too.
 
     Returns
     -------
@@ -93,11 +100,11 @@ def calibrate(
     >>> np.degrees(estimate.sigma_theta) * 3600  # 1-sigma about X, Y, Z of frame c  # doctest: +SKIP
     array([0.57, 0.64, 10.4])
     """
-    found = _calibrated(strips, R_cs0, settings)
+    found = _calibrated(strips, R_cs0, settings, interior)
     if isinstance(found, NotObservable) or not _contradict(found.agreement):
         return found
     heads = ("", *unknown_heads(strips))
-    trials = [_without(strips, head, R_cs0, settings) for head in heads]
+    trials = [_without(strips, head, R_cs0, settings, interior) for head in heads]
     return replace(found, agreement=replace(found.agreement, without=tuple(t for t in trials if t)))
 
 
@@ -108,12 +115,16 @@ def _contradict(agreement: HeadAgreement) -> bool:
 
 
 def _without(
-    strips: Sequence[StripSightings], head: str, R_cs0: Rotation, settings: CalibrationSettings
+    strips: Sequence[StripSightings],
+    head: str,
+    R_cs0: Rotation,
+    settings: CalibrationSettings,
+    interior: InteriorModel | None,
 ) -> WithoutHead | None:
     """Statistics of the estimate without one head; None where nothing can be estimated without it."""
     strips = aligned(strips, {name: measured_alignment(strips, name) for name in unknown_heads(strips)})
     rest = [without_head(strip, head) for strip in strips]
-    found = _calibrated(rest, R_cs0, settings)
+    found = _calibrated(rest, R_cs0, settings, interior)
     if isinstance(found, NotObservable):
         return None
     rejected = sum(one.why is WhyRejected.TARGET_RESIDUAL for one in found.rejected)
@@ -122,7 +133,10 @@ def _without(
 
 
 def _calibrated(
-    strips: Sequence[StripSightings], R_cs0: Rotation, settings: CalibrationSettings
+    strips: Sequence[StripSightings],
+    R_cs0: Rotation,
+    settings: CalibrationSettings,
+    interior: InteriorModel | None,
 ) -> InstallationEstimate | NotObservable:
     """The estimate from strips in any order."""
     strips = sorted(strips, key=lambda strip: strip.strip_id)
@@ -133,7 +147,7 @@ def _calibrated(
     strips = with_attitudes(strips, settings.attitudes)
     strips = aligned(strips, {head: measured_alignment(strips, head) for head in unknown_heads(strips)})
     prepared = [prepare_strip(strip, settings) for strip in strips]
-    problem = Problem.of(prepared, settings)
+    problem = Problem.of(prepared, settings, interior)
     test = rejection_test(settings.probability_false_alarm, int(problem.inside.sum()))
     if not problem.groups:
         none = np.zeros((0, 3))
@@ -326,6 +340,8 @@ def _estimate(
         rejected=rejected,
         pairs=step.pairs,
         prior_shared=problem.prior_shared,
+        shared_values=step.solution.shared,
+        shared_covariance=step.solution.covariance_all[3:, 3:],
         n_targets_treated_independent=problem.shared.n_treated_independent,
         targets=residuals,
         rejection=test,

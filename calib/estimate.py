@@ -178,6 +178,8 @@ class InstallationEstimate:
     rejected: tuple[Rejected, ...] = scalar("observations that take no part")
     pairs: InformationPairs = scalar("normal equations of each strip about the last iteration's matrix")
     prior_shared: Floats = array("G, G", "prior information of the pairs' shared unknowns")
+    shared_values: Floats = array("G", "the shared unknowns as estimated")
+    shared_covariance: Floats = array("G, G", "their covariance")
     n_targets_treated_independent: int = scalar(
         "targets seen in several strips whose coordinate errors were taken as independent in each"
     )

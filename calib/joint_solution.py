@@ -15,6 +15,7 @@ from scipy.spatial.transform import Rotation
 from boresight.calib.estimate import HeadAgreement, Iteration
 from boresight.calib.heads import HeadTie
 from boresight.calib.information import InformationPairs, Solution, solve_total
+from boresight.calib.interior.parameters import InteriorModel
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.shared_unknowns import SIGMA_ALIGNMENT_RAD, SharedUnknowns, find_shared
 from boresight.calib.strips import LinearStrips, PreparedStrip, StripGroup, group_strips, linearise
@@ -47,11 +48,18 @@ class Problem:
     agreement: HeadAgreement = scalar("of the heads with one another, without any target")
 
     @classmethod
-    def of(cls, prepared: list[PreparedStrip], settings: CalibrationSettings) -> Problem:
-        """The problem that these strips pose; without groups where no target is covered."""
+    def of(
+        cls,
+        prepared: list[PreparedStrip],
+        settings: CalibrationSettings,
+        interior: InteriorModel | None = None,
+    ) -> Problem:
+        """The problem that these strips pose, the camera's interior unknown if there is a model of it;
+        without groups where no target is covered.
+        """
         carrying = [strip for strip in prepared if strip.inside.any()]
         heads = tuple(sorted({tie.head for strip in carrying for tie in strip.ties}))
-        shared = find_shared([strip.seen() for strip in carrying], settings, heads)
+        shared = find_shared([strip.seen() for strip in carrying], settings, heads, interior)
         groups = group_strips(prepared, shared, settings)
         members = [prepared[n] for group in groups for n in group.place]
         keys = [

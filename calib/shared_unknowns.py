@@ -17,6 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from boresight.calib.distortion import Knot, knots_touched, prior_information, unknown_names
 from boresight.calib.heads import head_names
+from boresight.calib.interior.parameters import InteriorModel
 from boresight.calib.orbit_bias import BIASES, bias_prior
 from boresight.calib.settings import CalibrationSettings
 from boresight.geometry.constants import EARTH_ROTATION_RATE
@@ -59,19 +60,22 @@ class SharedUnknowns:
     n_treated_independent: int = scalar("targets in several strips beyond the limit")
     heads: tuple[str, ...] = scalar("heads beside the reference head, three unknowns each", default=())
     biases: tuple[str, ...] = scalar("of `orbit_bias.BIASES`, where ground and sky are seen", default=())
+    interior: InteriorModel | None = scalar("interior orientation of the camera, if unknown", default=None)
 
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the unknowns, in the order of the matrices."""
-        of_camera_and_targets = unknown_names(self.knots) + coordinate_names(self.targets)
-        return of_camera_and_targets + self.biases + head_names(self.heads)
+        interior = self.interior.unknowns if self.interior else ()
+        of_camera = unknown_names(self.knots) + interior
+        return of_camera + coordinate_names(self.targets) + self.biases + head_names(self.heads)
 
     def prior_information(self) -> Array:
-        """Inverse prior covariance (n, n), distortion in units of its prior sigma, coordinates in metres
-        or µrad, biases in units of the stated errors of a strip, alignments in radians.
+        """Inverse prior covariance (n, n), distortion and interior orientation in units of their priors,
+        coordinates in metres or µrad, biases in units of the stated errors of a strip, alignments in radians.
         """
         alignments = np.eye(3 * len(self.heads)) / SIGMA_ALIGNMENT_RAD**2
-        parts = [prior_information(unknown_names(self.knots)), *np.linalg.inv(self.cov_targets)]
+        interior = np.eye(len(self.interior.unknowns) if self.interior else 0)
+        parts = [prior_information(unknown_names(self.knots)), interior, *np.linalg.inv(self.cov_targets)]
         parts += [bias_prior(self.biases), alignments]
         parts = [part for part in parts if part.size]
         return np.asarray(block_diag(*parts)) if parts else np.zeros((0, 0))
@@ -103,7 +107,10 @@ def coordinate_covariance(cov_target_i: Array, t_s: Array, u_i: Array, is_star: 
 
 
 def find_shared(
-    strips: Sequence[SeenTargets], settings: CalibrationSettings, heads: tuple[str, ...] = ()
+    strips: Sequence[SeenTargets],
+    settings: CalibrationSettings,
+    heads: tuple[str, ...] = (),
+    interior: InteriorModel | None = None,
 ) -> SharedUnknowns:
     """The unknowns that these strips share, the alignments of `heads` among them; biases of orbit and clock
     where there are stars and targets on the ground.
@@ -133,4 +140,5 @@ def find_shared(
         n_treated_independent=len(often) - len(kept),
         heads=heads,
         biases=BIASES if mixed else (),
+        interior=interior,
     )

@@ -62,6 +62,7 @@ class PreparedStrip:
     )
     cov_coordinates: Floats = array("J, 3, 3", "covariance of the coordinates, the same axes, m²; µrad²")
     bias_s: Floats = array("J, 3, 4", "change of v_s by `orbit_bias.BIASES`, zero of stars by the orbit's")
+    late_s: Floats = array("J, 3", "change of v_s by the true instant of the row, rad/s")
     ties: tuple[HeadTie, ...] = scalar("rows of the other heads")
     is_star: Bools = array("J", "targets that are stars")
 
@@ -89,6 +90,8 @@ class StripGroup:
     white_s: Floats = array("S, J, 3, 3", "noise by the coordinates of targets seen once, rad²")
     targets_s: Floats = array("S, J, 3, T", "change of v_s by coordinates and biases that other strips share")
     camera: Floats = array("S, J, C", "change of the look direction by each knot of the camera, rad")
+    interior_c: Floats = array("S, J, 3, I", "change of u_c - w by the interior orientation, frame c, rad")
+    delay_s: Floats = array("S, J, 3, I", "the same by the delay of a CCD's rows, frame s, rad")
     own: Floats = array("S, J, M", "the same for the strip's own distortion, whitened")
     missed: Floats = array("S, J", "variance of the distortion between knots, rad²")
     ties: Floats = array("S, H, V", "rows of other heads: by phi, by their alignments, residual; whitened")
@@ -129,7 +132,8 @@ def prepare_strip(strip: StripSightings, settings: CalibrationSettings) -> Prepa
     phi = -cross_matrices(v_s) @ np.tensordot(weights, root, axes=1)
     position = move_s * settings.sigma_position_m
     rate_s = _rotation_rate(times, attitudes.R_si[used])
-    clock = (move_s @ ground.v_rel_i[:, :, None] + np.cross(rate_s, v_s)[:, :, None]) * settings.sigma_clock_s
+    late = move_s @ ground.v_rel_i[:, :, None] + np.cross(rate_s, v_s)[:, :, None]
+    clock = late * settings.sigma_clock_s
     own = coordinate_covariance(ground.cov_target_i, ground.t_s, ground.u_i, ground.is_star)
     ties = _ties(strip, times, attitudes.R_si[used], used, root, settings)
     names = [f"phi/{k}/{axis}" for k in range(len(times)) for axis in "xyz"]
@@ -149,6 +153,7 @@ def prepare_strip(strip: StripSightings, settings: CalibrationSettings) -> Prepa
         coordinates_s=_by_coordinates(ground, R_si, move_s),
         cov_coordinates=own * settings.use_target_sigma,
         bias_s=bias_columns(move_s, strip.R_oi_targets, clock[:, :, 0], settings.sigma_position_m),
+        late_s=late[:, :, 0],
         ties=ties,
         is_star=ground.is_star,
     )
@@ -222,7 +227,7 @@ def linearise(
     parts = (
         rows @ (tangent @ difference[..., None]),
         rows @ (tangent @ cross_matrices(w)),
-        rows @ np.concatenate([_along_axes(tangent, group.camera), tangent_s @ group.targets_s], axis=3),
+        rows @ np.concatenate(_by_shared(tangent, tangent_s, group), axis=3),
         rows @ np.concatenate([tangent_s @ group.shared_s, own], axis=3),
     )
     r, X_theta, X_shared, X_q = (part.reshape(S, 2 * w.shape[1], part.shape[-1]) for part in parts)
@@ -242,6 +247,23 @@ def linearise(
     )
 
 
+def _by_shared(tangent: Floats, tangent_s: Floats, group: StripGroup) -> list[Floats]:
+    """Change (S, J, 2, m) of the residuals along the tangent axes by knots, interior and the other shared
+    unknowns; `tangent` (S, J, 2, 3) in frame c, `tangent_s` in frame s.
+    """
+    interior = tangent @ group.interior_c + tangent_s @ group.delay_s
+    return [_along_axes(tangent, group.camera), interior, tangent_s @ group.targets_s]
+
+
+def _interior(strip: PreparedStrip, shared: SharedUnknowns) -> tuple[Floats, Floats]:
+    """Change (J, 3, I) of u_c - w by the unknowns of the interior orientation: looks, delays of rows."""
+    model = shared.interior
+    if model is None:
+        return np.zeros((len(strip.ccd), 3, 0)), np.zeros((len(strip.ccd), 3, 0))
+    looks = -model.look_change(strip.ccd, strip.sample) @ model.basis
+    return looks, strip.late_s[:, :, None] * (model.delay_change(strip.ccd) @ model.basis)[:, None, :]
+
+
 def _group(
     strips: list[PreparedStrip],
     place: Ints,
@@ -250,6 +272,7 @@ def _group(
 ) -> StripGroup:
     members = [strips[n] for n in place]
     camera, own, missed = zip(*(_distortion(strip, shared.knots, settings) for strip in members))
+    looks, delays = zip(*(_interior(strip, shared) for strip in members))
     across, again, white = zip(*(_coordinates(strip, shared) for strip in members))
     fields = ("inside", "u_c", "cov_c", "v_s")
     n_phi = 3 * int(members[0].used.sum())
@@ -261,6 +284,8 @@ def _group(
         white_s=np.stack(white),
         targets_s=np.stack([_after_knots(*one, shared) for one in zip(members, across)]),
         camera=np.stack(camera),
+        interior_c=np.stack(looks),
+        delay_s=np.stack(delays),
         own=np.stack(own),
         missed=np.stack(missed),
         ties=np.stack([_rows_of_ties(strip, shared, n_phi) for strip in members]),

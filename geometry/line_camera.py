@@ -63,8 +63,9 @@ class Ccd:
     Without rotation and distortion sample n lies at `x_f = x_offset_m`, `y_f = y_first_m + n pixel_m`. The
     distortion table gives, at measured samples, the offset of the image along the detector as in eq. (4)
     (measured = ideal + offset), zero at the principal sample: a cubic spline (not-a-knot) between its
-    entries, linear beyond its ends. Raises `ValueError` for sizes that are not positive, a table that is not
-    increasing, or one that reverses the order of the samples.
+    entries, linear beyond its ends; a second column may give the offset across the detector. Raises
+    `ValueError` for sizes that are not positive, a table that is not increasing, or one that reverses the
+    order of the samples.
     """
 
     n_px: int = scalar("number of samples")
@@ -79,11 +80,20 @@ class Ccd:
     distortion_offsets_m: Floats = array(
         "D", "offset of the image along the detector there", default_factory=lambda: np.zeros(0)
     )
+    across_offsets_m: Floats = array(
+        "E",
+        "offset of the image across the detector there, towards +x_f; none: zero",
+        default_factory=lambda: np.zeros(0),
+    )
     _spline: CubicSpline | None = field(init=False, repr=False, default=None)
+    _across: CubicSpline | None = field(init=False, repr=False, default=None)
 
     def __post_init__(self) -> None:
         samples = np.asarray(self.distortion_samples, dtype=float)
         offsets = np.asarray(self.distortion_offsets_m, dtype=float)
+        across = np.asarray(self.across_offsets_m, dtype=float)
+        if len(across) not in (0, len(samples)):
+            raise ValueError(f"across_offsets_m must have 0 or {len(samples)} entries, got {len(across)}")
         if len(samples) == 1 or np.any(np.diff(samples) <= 0.0):
             raise ValueError(f"distortion_samples must be two or more in increasing order, got {samples}")
         if not (self.n_px > 0 and self.pixel_m > 0.0):
@@ -92,6 +102,8 @@ class Ccd:
         object.__setattr__(self, "distortion_offsets_m", offsets)
         if len(samples):
             object.__setattr__(self, "_spline", CubicSpline(samples, offsets))
+        if len(across):
+            object.__setattr__(self, "_across", CubicSpline(samples, across))
         ends = np.array([0.0, self.n_px - 1.0])
         along, slope = self._along(ends), self._along_slope(ends)
         if np.any(slope <= 0.0) or along[1] <= along[0]:
@@ -106,11 +118,14 @@ class Ccd:
         np.multiply(along, dy, out=points[1])
         points[0] += x
         points[1] += y
+        if self._across is not None:
+            points -= self._off_line(sample)[0] * self._normal[:, None]
         return points.T
 
     def focal_plane_slope(self, sample: ArrayLike) -> Array:
         """Derivative d(x_f, y_f) / d sample (N, 2), m/px, at samples (N,)."""
-        return self._along_slope(np.asarray(sample, dtype=float))[:, None] * self._axis
+        slope = self._along_slope(np.asarray(sample, dtype=float))[:, None] * self._axis
+        return slope if self._across is None else slope - self._off_line(sample)[1][:, None] * self._normal
 
     def samples(self, xy_f: Array) -> tuple[Array, Array]:
         """The nearest sample (N,) of focal-plane points (N, 2), m, and their distance across the detector
@@ -120,14 +135,18 @@ class Ccd:
         """
         offset = xy_f - self._axis_point
         along = offset @ self._axis
-        across = offset @ np.array([self._axis[1], -self._axis[0]])
+        across = offset @ self._normal
         sample = self.principal_sample + along / self.pixel_m
         for _ in range(_NEWTON_STEPS):
             step = (along - self._along(sample)) / self._along_slope(sample)
             sample = sample + step
             if np.nanmax(np.abs(step), initial=0.0) < 1e-10:
                 break
-        return sample, across
+        return sample, across if self._across is None else across + self._off_line(sample)[0]
+
+    @property
+    def _normal(self) -> Array:
+        return np.array([np.cos(self.rotation_rad), np.sin(self.rotation_rad)])
 
     @property
     def _axis(self) -> Array:
@@ -147,6 +166,14 @@ class Ccd:
         beyond = np.flatnonzero(inside != sample)
         along[beyond] -= self._spline(inside[beyond], 1) * (sample[beyond] - inside[beyond])
         return along
+
+    def _off_line(self, sample: ArrayLike) -> tuple[Array, Array]:
+        """Offset across the detector (N,), m, and its derivative, m/px."""
+        n = np.asarray(sample, dtype=float)
+        assert self._across is not None
+        inside = np.clip(n, self.distortion_samples[0], self.distortion_samples[-1])
+        slope = self._across(inside, 1)
+        return np.asarray(self._across(inside) + slope * (n - inside)), np.asarray(slope)
 
     def _along_slope(self, sample: Array) -> Array:
         """Derivative of `_along`, m/px."""

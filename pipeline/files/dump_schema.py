@@ -311,14 +311,36 @@ class CcdFile(_Strict):
         list[Annotated[float, Field(ge=-1e5, le=1e5)]],
         Field(max_length=10_000, description="offsets along the line at the nodes, µm, at most 10 cm"),
     ]
+    distortion_across_um: Annotated[
+        list[Annotated[float, Field(ge=-1e5, le=1e5)]],
+        Field(max_length=10_000, description="offsets across the line at the nodes, µm, at most 10 cm"),
+    ] = []  # none: zero
 
     @model_validator(mode="after")
     def _table_is_a_table(self) -> Self:
         s, d = self.distortion_samples, self.distortion_offsets_um
         if len(s) != len(d):
             raise ValueError(f"{len(s)} distortion_samples but {len(d)} distortion_offsets_um")
+        if (n := len(self.distortion_across_um)) not in (0, len(s)):
+            raise ValueError(f"{len(s)} distortion_samples but {n} distortion_across_um")
         if len(s) == 1 or any(b <= a for a, b in pairwise(s)):
             raise ValueError("distortion_samples must be none, or two and more in increasing order")
+        return self
+
+
+class InteriorFile(_Strict):
+    """[interior] of remote_camera.toml: what an in-orbit calibration changed, with covariance"""
+
+    parameters: Annotated[list[str], Field(max_length=1000, description="names")]
+    values: Annotated[list[float], Field(max_length=1000, description="change by each parameter")]
+    covariance: Annotated[list[list[float]], Field(max_length=1000, description="of the values, row by row")]
+    gauge: Annotated[list[str], Field(max_length=1000, description="what is zero by constraint, and why")]
+
+    @model_validator(mode="after")
+    def _sizes_agree(self) -> Self:
+        n = len(self.parameters)
+        if len(self.values) != n or [len(row) for row in self.covariance] != [n] * n:
+            raise ValueError(f"{n} parameters need {n} values and a covariance of {n} rows of {n}")
         return self
 
 
@@ -330,6 +352,7 @@ class RemoteCameraFile(_Strict):
     time_of_row: Literal["start", "middle", "end"]
     bit_depth: BitDepth | None = None  # needed where a strip has an image
     ccds: Annotated[list[CcdFile], Field(min_length=1, max_length=64)]
+    interior: InteriorFile | None = None  # written by `remote-camera-calibrate`; not used by `calibrate`
 
 
 class LookCcdFile(_Strict):

@@ -39,6 +39,7 @@ def _from_hardware(file: schema.RemoteCameraFile, name: str) -> LineCamera:
                     principal_sample=ccd.principal_sample,
                     distortion_samples=np.array(ccd.distortion_samples, dtype=float),
                     distortion_offsets_m=np.array(ccd.distortion_offsets_um, dtype=float) * 1e-6,
+                    across_offsets_m=np.array(ccd.distortion_across_um, dtype=float) * 1e-6,
                 )
             )
         except ValueError as error:

@@ -1,0 +1,1 @@
+"""Interior orientation of the remote-sensing camera: focal length, places of its CCDs, distortion, timing."""

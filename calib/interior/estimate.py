@@ -1,0 +1,129 @@
+"""The interior orientation estimated together with the installation matrix, from the sky, the ground or both.
+
+The parameters (`parameters`) are shared unknowns of the calibration, eliminated and solved with the others.
+They take the place of the curve that otherwise stands for the residual distortion.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from boresight.calib.calibration import calibrate
+from boresight.calib.estimate import InstallationEstimate, NotObservable
+from boresight.calib.interior.parameters import Gauge, InteriorModel, InteriorPriors
+from boresight.calib.settings import CalibrationSettings
+from boresight.calib.strips import prepare_strip
+from boresight.geometry.line_camera import LineCamera
+from boresight.geometry.record import Floats, Ints, array, record, scalar
+from boresight.geometry.sightings import StripSightings
+
+__all__ = ["InteriorEstimate", "calibrate_interior", "map_difference_px"]
+
+RATES_APART = 0.2  # of the largest rate: strips less different do not tell a delay from a shift
+
+
+@record(kw_only=True)
+class InteriorEstimate:
+    """The interior orientation with covariance, beside the installation matrix it was estimated with."""
+
+    installation: InstallationEstimate = scalar("with the parameters estimated")
+    before: InstallationEstimate | NotObservable = scalar("with the assumed camera, its residual curve free")
+    model: InteriorModel = scalar("parameters, priors and gauge")
+    values: Floats = array("P", "of the parameters: change of the assumed camera")
+    covariance: Floats = array("P, P", "of `values`")
+    camera: LineCamera = scalar("assumed camera with the parameters applied")
+
+    @property
+    def gauges(self) -> tuple[Gauge, ...]:
+        """What is zero by constraint."""
+        return self.model.gauges
+
+    def map_sigma_px(self, ccd: Ints, sample: Floats) -> Floats:
+        """1-sigma (J, 2) of the look directions of samples (J,) along x and y of frame c, px."""
+        change = self.model.look_change(ccd, sample)[:, :2] / self.camera.pixel_rad
+        return np.asarray(
+            np.sqrt(np.einsum("jap,pq,jaq->ja", change, self.covariance, change, optimize=True))
+        )
+
+    def map_change_px(self, ccd: Ints, sample: Floats) -> Floats:
+        """Change (J, 2) of the look directions of samples (J,) along x and y of frame c, px."""
+        change = self.model.look_change(ccd, sample)[:, :2] @ self.values
+        return np.asarray(change / self.camera.pixel_rad)
+
+
+def calibrate_interior(
+    strips: Sequence[StripSightings],
+    R_cs0: Rotation,
+    camera: LineCamera,
+    settings: CalibrationSettings,
+    priors: InteriorPriors | None = None,
+) -> InteriorEstimate | NotObservable:
+    """Interior orientation and installation matrix from strips whose look directions are those of `camera`.
+
+    Parameters
+    ----------
+    strips : sequence of StripSightings
+        Strips of the ground, of the sky or both.
+    R_cs0 : Rotation
+        Matrix to start from, star camera to remote-sensing camera.
+    camera : LineCamera
+        Assumed camera, with which the strips' `u_c` were made from their samples.
+    settings : CalibrationSettings
+        Priors of the other errors; `sigma_distortion_rad` is not used.
+    priors : InteriorPriors, optional
+        Prior 1-sigma of the parameters.
+
+    Returns
+    -------
+    InteriorEstimate or NotObservable
+        Parameters with covariance, corrected camera, matrix; or why the matrix cannot be estimated.
+    """
+    model = InteriorModel.of(
+        camera, priors or InteriorPriors(), stagger=_rates_differ(strips, R_cs0, settings)
+    )
+    found = calibrate(strips, R_cs0, replace(settings, sigma_distortion_rad=0.0), interior=model)
+    if isinstance(found, NotObservable):
+        return found
+    columns = [n for n, name in enumerate(found.pairs.shared) if name.startswith("interior/")]
+    z, covariance = found.shared_values[columns], found.shared_covariance[np.ix_(columns, columns)]
+    values = model.basis @ z
+    return InteriorEstimate(
+        installation=found,
+        before=calibrate(strips, R_cs0, settings),
+        model=model,
+        values=values,
+        covariance=model.basis @ covariance @ model.basis.T,
+        camera=model.corrected(values),
+    )
+
+
+def map_difference_px(one: LineCamera, other: LineCamera, samples_each: int = 200) -> tuple[Floats, Floats]:
+    """Difference (J, 2) of two cameras' look directions along x and y of frame c, px, less the small rotation
+    that belongs to the installation matrix; and (J, 2) the CCD and sample of each row.
+    """
+    rows, fields, differences = [], [], []
+    for c, ccd in enumerate(one.ccds):
+        sample = np.linspace(0.0, ccd.n_px - 1.0, samples_each)
+        u = other.directions_from_pixels(c, sample)
+        rows.append(np.column_stack([np.full(samples_each, c), sample]))
+        differences.append(one.directions_from_pixels(c, sample) - u)
+        fields.append(np.cross(np.eye(3)[None], u[:, None]))  # (J, 3 axes, 3)
+    difference, field = np.concatenate(differences), np.concatenate(fields)
+    X = np.swapaxes(field, 1, 2).reshape(-1, 3)
+    turn, *_ = np.linalg.lstsq(X, difference.ravel(), rcond=None)
+    left = difference - (X @ turn).reshape(-1, 3)
+    return left[:, :2] / one.pixel_rad, np.concatenate(rows)
+
+
+def _rates_differ(strips: Sequence[StripSightings], R_cs: Rotation, settings: CalibrationSettings) -> bool:
+    """Whether the images of some strips move at another rate along x of frame c than those of others."""
+    rates = [
+        float(np.mean(prepare_strip(strip, settings).late_s @ R_cs.as_matrix()[0]))
+        for strip in strips
+        if len(strip.ground.t_s)
+    ]
+    return bool(rates and max(rates) - min(rates) > RATES_APART * max(map(abs, rates)))

@@ -1,0 +1,148 @@
+"""Interior orientation: parameters do to the camera what they say, the gauge is none of the mounting's, and a
+wrong camera is found from the sky and from the ground with an honest covariance.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from boresight.calib.interior.estimate import InteriorEstimate, calibrate_interior, map_difference_px
+from boresight.calib.interior.parameters import STAGGER, InteriorModel, InteriorPriors
+from boresight.calib.settings import CalibrationSettings
+from boresight.geometry.constants import ARCSEC
+from boresight.geometry.line_camera import Ccd, LineCamera
+from boresight.simulator.campaign import CameraPair, LinePair, StripPlan, draw_strips
+from boresight.simulator.sky_campaign import draw_sky_strips
+
+BOLD = Rotation.from_euler("xyz", [40, -65, 110], degrees=True)
+NODES = np.linspace(0.0, 6143.0, 9)
+
+
+def camera(tables=True):
+    """Four staggered CCDs behind 10 m, rotated, with a table of distortion as of a laboratory."""
+    table = {"distortion_samples": NODES, "distortion_offsets_m": 2e-9 * (NODES - 3067.0)} if tables else {}
+    ccds = tuple(
+        Ccd(
+            n_px=6144,
+            y_first_m=-0.122 + k * 0.06044,
+            x_offset_m=0.004 * (-1) ** k,
+            rotation_rad=1e-4 * (k - 1.5),
+            pixel_m=1e-5,
+            principal_sample=3067.0,
+            **table,
+        )
+        for k in range(4)
+    )
+    return LineCamera(10.0, ccds)
+
+
+def true_camera(seed, assumed):
+    """The assumed camera 1e-4 off in focal length, 3 px in the CCDs' places, 0.1 mrad in their rotation and
+    2 px in a smooth distortion.
+    """
+    rng = np.random.default_rng(seed)
+    model = InteriorModel.of(assumed, InteriorPriors(curve_length_px=3500.0))
+    values = np.zeros(len(model.names))
+    for n, name in enumerate(model.names):
+        kind = name.split("/")[0]
+        size = {"focal": 1e-4, "shift_along": 3.0, "shift_across": 3.0, "rotation": 1e-4}.get(kind, 0.0)
+        values[n] = size * rng.choice([-1.0, 1.0]) * rng.uniform(0.7, 1.3)
+    for axis in ("along", "across"):
+        phase, waves = rng.uniform(0.0, 2.0 * np.pi, 2), 2.0 * np.pi * np.array([1.3, 2.7])
+        for c in range(4):
+            places = (c + model.knots[c][:, None] / 6143.0) / 4.0  # of the field
+            smooth = 2.0 * np.cos(waves * places + phase).sum(axis=1)  # 2 px rms
+            for k in range(len(smooth)):
+                values[model.names.index(f"curve_{axis}/{c}/{k}")] = smooth[k]
+    return model.corrected(values)
+
+
+@pytest.mark.parametrize("tables", [True, False])
+def test_the_corrected_camera_looks_where_the_parameters_say(tables):
+    model = InteriorModel.of(camera(tables), InteriorPriors(stagger_s=1e-5))
+    values = model.basis @ np.random.default_rng(3).standard_normal(model.basis.shape[1])
+    corrected = model.corrected(values)
+    for c in range(4):
+        sample = np.random.default_rng(c).uniform(0.0, 6143.0, 300)
+        change = corrected.directions_from_pixels(c, sample) - model.camera.directions_from_pixels(c, sample)
+        told = model.look_change(np.full(300, c), sample) @ values
+        assert np.abs(told).max() > 1e-6  # a pixel and more
+        np.testing.assert_allclose(change, told, rtol=0, atol=2e-8)  # 0.02 px: second order in 1e-3 and 20 px
+
+
+def test_the_gauge_leaves_nothing_that_a_rotation_does():
+    model = InteriorModel.of(camera(), InteriorPriors())
+    values = model.basis @ np.random.default_rng(4).standard_normal(model.basis.shape[1])
+    difference, rows = map_difference_px(model.corrected(values), model.camera)
+    change = model.look_change(rows[:, 0].astype(int), rows[:, 1]) @ values / model.camera.pixel_rad
+    # The rotation taken off is zero by constraint but for its quadrature, 2e-3 of some 12 px.
+    assert np.abs(difference - change[:, :2]).max() < 0.05
+    assert {gauge.reason for gauge in model.gauges} >= {
+        f"rotation about {axis} of the installation matrix" for axis in "XYZ"
+    }
+
+
+def test_delays_of_rows_need_strips_of_different_rates():
+    assert STAGGER in InteriorModel.of(camera(), InteriorPriors(stagger_s=1e-5), stagger=False).gauges
+    model = InteriorModel.of(camera(), InteriorPriors(stagger_s=1e-5))
+    assert STAGGER not in model.gauges
+    rows = [n for n, name in enumerate(model.names) if name.startswith("stagger/")]
+    assert np.abs(model.basis[rows]).max() > 1e-6
+    np.testing.assert_allclose(model.basis[rows].sum(axis=0), 0.0, atol=1e-13)  # s; CCDs of equal size
+
+
+SKY = StripPlan(
+    strips=6, targets=80, stars=60, sigma_c_px=0.05, sigma_vibration_rad=0.1 * ARCSEC, sigma_clock_s=1e-5
+)
+GROUND = replace(
+    SKY, strips=20, targets=24, exposures=5, sigma_c_px=0.3, sigma_position_m=2.0, sigma_clock_s=1e-4
+)
+
+
+def estimated(kind, seed):
+    """Estimate of a wrong camera, and the map error left in the gauge, px, with its stated sigma."""
+    assumed = camera()
+    true = true_camera(seed, assumed)
+    cameras = CameraPair(BOLD, line=LinePair(true, assumed))
+    rng = np.random.default_rng(100 + seed)
+    strips = draw_sky_strips(SKY, cameras, rng) if kind == "sky" else draw_strips(GROUND, cameras, rng)[0]
+    settings = CalibrationSettings(sigma_clock_s=(SKY if kind == "sky" else GROUND).sigma_clock_s)
+    found = calibrate_interior(strips, BOLD, assumed, settings)
+    assert isinstance(found, InteriorEstimate)
+    error, rows = map_difference_px(found.camera, true, 60)
+    before, _ = map_difference_px(assumed, true, 60)
+    sigma = found.map_sigma_px(rows[:, 0].astype(int), rows[:, 1])
+    return found, error, before, sigma
+
+
+@pytest.mark.parametrize("kind", ["sky", "ground"])
+def test_a_wrong_camera_is_found_with_an_honest_sigma(kind):
+    ratios = []
+    for seed in range(3):
+        _, error, before, sigma = estimated(kind, seed)
+        assert np.sqrt(np.mean(before**2)) > 2.0  # px
+        assert np.sqrt(np.mean(error**2)) < {"sky": 0.15, "ground": 0.25}[kind]
+        ratios.append(np.mean(error**2) / np.mean(sigma**2))
+    assert 0.4 < np.mean(ratios) < 2.0  # three maps of some ten independent values each
+
+
+def test_a_delay_of_a_ccds_rows_is_found_from_scans_in_both_directions():
+    assumed, delay_s = camera(), 2e-5  # 0.29 px of a scan at 14.5 mrad/s, forward in one, back in the other
+    rng = np.random.default_rng(9)
+    strips = []
+    for n, strip in enumerate(draw_sky_strips(SKY, CameraPair(BOLD, line=LinePair(assumed, assumed)), rng)):
+        late = np.where(strip.ground.ccd == 2, delay_s, 0.0)
+        rate_c = np.array([0.0, (-0.0145, 0.0145)[n % 2], 0.0])
+        # Rows of CCD 2 are stated before their true instants; so is the nominal attitude there.
+        R_oi = Rotation.from_rotvec(np.outer(late, rate_c)) * strip.R_oi_targets
+        stated = replace(strip.ground, t_s=strip.ground.t_s - late)
+        strips.append(replace(strip, ground=stated, R_oi_targets=R_oi))
+    settings = CalibrationSettings(sigma_clock_s=1e-5)
+    found = calibrate_interior(strips, BOLD, assumed, settings, InteriorPriors(stagger_s=5e-5))
+    rows = [found.model.names.index(f"stagger/{c}") for c in range(4)]
+    expected = np.array([-0.25, -0.25, 0.75, -0.25]) * delay_s  # less the mean, which is the row clock's
+    sigma = np.sqrt(np.diag(found.covariance)[rows])
+    assert np.all(np.abs(found.values[rows] - expected) < 4.0 * sigma)
+    assert sigma.max() < 0.4 * delay_s
