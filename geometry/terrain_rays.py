@@ -111,15 +111,31 @@ def bilinear(heights: NDArray[np.float32], column: Array, row: Array) -> Array:
     """Heights (N,), m, at fractional pixels, (0, 0) at the first centre; NaN outside or next to no data."""
     rows, columns = heights.shape
     inside = (column >= 0.0) & (column <= columns - 1.0) & (row >= 0.0) & (row <= rows - 1.0)
-    x, y = np.where(inside, column, 0.0), np.where(inside, row, 0.0)
-    c = np.minimum(x.astype(np.int64), columns - 2)
-    r = np.minimum(y.astype(np.int64), rows - 2)
-    fx, fy = x - c, y - r
-    flat, at = heights.ravel(), r * columns + c
-    upper_left, lower_left = flat.take(at).astype(np.float64), flat.take(at + columns).astype(np.float64)
-    upper = upper_left + fx * (flat.take(at + 1) - upper_left)
-    lower = lower_left + fx * (flat.take(at + columns + 1) - lower_left)
-    return np.where(inside, upper + fy * (lower - upper), np.nan)
+    everywhere = bool(inside.all())
+    if not everywhere:
+        column, row = np.where(inside, column, 0.0), np.where(inside, row, 0.0)
+    c, r = column.astype(np.int64), row.astype(np.int64)
+    np.minimum(c, columns - 2, out=c)
+    np.minimum(r, rows - 2, out=r)
+    along_row, along_column = column - c, row - r
+    r *= columns
+    r += c  # index of the upper left pixel
+    upper = _between(heights.ravel(), r, along_row)
+    r += columns
+    height = _between(heights.ravel(), r, along_row)
+    height -= upper
+    height *= along_column
+    height += upper
+    return height if everywhere else np.where(inside, height, np.nan)
+
+
+def _between(values: NDArray[np.float32], at: NDArray[np.int64], share: Array) -> Array:
+    """Values (N,) at indices `at` (N,) plus `share` (N,)."""
+    first = values.take(at).astype(np.float64)
+    value = values.take(at + 1) - first
+    value *= share
+    value += first
+    return np.asarray(value)
 
 
 def first_crossings(heights: NDArray[np.float32], bounds: HeightBounds, tracks: Array) -> Array:
@@ -165,7 +181,7 @@ class _Polynomials:
         return height - bilinear(self.heights, column, row)
 
     def of(self, rays: NDArray[np.int64]) -> _Polynomials:
-        return _Polynomials(self.heights, self.coefficients[:, :, rays])
+        return _Polynomials(self.heights, self.coefficients.take(rays, axis=2))
 
     def at(self, share: Array) -> Array:
         value = self.coefficients[-1] * share
