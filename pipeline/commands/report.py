@@ -76,13 +76,14 @@ def export(
         str,
         typer.Option(
             "--format",
-            help="spice, spice-ck, aem, acm, operator, json, csv, csm-isd, rpc, vrt, kml, asp, geojson, envi,"
-            " qgis or fits; several with commas.",
+            help="spice, spice-ck, aem, acm, operator, dimap, json, csv, csm-isd, rpc, vrt, kml, asp,"
+            " geojson, envi, qgis or fits; several with commas.",
         ),
     ],
     out: Annotated[Path | None, typer.Option(help="Folder for the files; default: RESULT/exports.")] = None,
     dump: DumpOption = None,
     strip: Annotated[list[str] | None, typer.Option(help="Only this strip. May be repeated.")] = None,
+    product: Annotated[Path | None, typer.Option(help="dimap: the operator's file.")] = None,
     allow_stale_eop: StaleOption = False,
     spice_spacecraft: Annotated[int, typer.Option(help="SPICE: id of the spacecraft.")] = -999,
     spice_star_camera: Annotated[
@@ -124,6 +125,7 @@ def export(
         strips=tuple(strip or ()),
         frames=frames,
         creation_utc=now,
+        product=product,
         allow_stale_eop=allow_stale_eop,
     )
     folder = out if out is not None else result / "exports"

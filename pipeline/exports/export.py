@@ -15,6 +15,7 @@ from boresight.geometry.constants import WGS84
 from boresight.geometry.footprint import outline_deg
 from boresight.geometry.geodesy import geodetic_from_ecef
 from boresight.geometry.geoid import egm96
+from boresight.geometry.orbit import Orbit
 from boresight.geometry.record import Floats, record, scalar
 from boresight.geometry.sightings import StarSightings
 from boresight.geometry.terrain import ConstantHeight
@@ -22,6 +23,7 @@ from boresight.pipeline import __version__
 from boresight.pipeline.errors import DataNotSufficientError, RawDataError
 from boresight.pipeline.exports.ccsds_aem import AemHeader, attitude_message, comprehensive_message
 from boresight.pipeline.exports.csm_isd import IsdNames, line_scanner_isds
+from boresight.pipeline.exports.dimap_product import corrected_dimap
 from boresight.pipeline.exports.gcp_asp import points_asp
 from boresight.pipeline.exports.gcp_envi import points_envi
 from boresight.pipeline.exports.gcp_geojson import points_geojson
@@ -44,6 +46,7 @@ from boresight.pipeline.exports.star_fits import centroids_fits
 from boresight.pipeline.exports.vrt import vrt_with_gcps, vrt_with_rpc
 from boresight.pipeline.files.dump import Strip, surface_of
 from boresight.pipeline.files.table_files import column, fixed, list_values, read_parquet
+from boresight.pipeline.results.dimap_places import operator_model
 from boresight.pipeline.results.reading import read_for_dump, read_result
 from boresight.pipeline.results.strip_model import Calibrated, StripModel, open_calibrated, strip_model
 
@@ -64,6 +67,7 @@ class ExportRequest:
     strips: tuple[str, ...] = scalar("ids of strips; empty: all that star exposures cover")
     frames: SpiceFrames = scalar("names and ids for SPICE")
     creation_utc: str = scalar("date written into the files, ISO 8601")
+    product: Path | None = scalar("the operator's DIMAP file, for the format dimap", default=None)
     allow_stale_eop: bool = scalar("accept dates after the Earth-orientation table", default=False)
 
 
@@ -243,6 +247,23 @@ def _operator(request: ExportRequest) -> Made:
             yield f"{name}.operator.json", operator_parameters(found, dump.R_cs0, dump.epoch, notes)
 
 
+def _dimap(request: ExportRequest) -> Made:
+    """The operator's product with the attitude corrected."""
+    calibrated = _opened(request)
+    if request.product is None:
+        raise DataNotSufficientError("the format dimap needs the option --product, the operator's DIMAP file")
+    dump, found = calibrated.dump, operator_model(request.product)
+    orbit = found.pushbroom.orbit
+    assert isinstance(orbit, Orbit)
+    first_utc = orbit.epoch.utc_from_seconds([found.pushbroom.rows.t_first_row_s])
+    apart_s = dump.epoch.seconds_from_utc(first_utc)[0] - dump.strips[0].t_first_row_s
+    if len(dump.strips) > 1 or dump.strips[0].lines != found.height_px or abs(apart_s) > 1e-6:
+        text = f"{found.height_px} lines from {first_utc[0]}"
+        raise RawDataError(str(request.product), "strip", text, "the product that the dump was imported from")
+    correction = calibrated.result.R_cs * dump.R_cs0.inv()
+    yield request.product.name, corrected_dimap(request.product, correction, _notes(request).items())
+
+
 TARGETS = {
     "strip_id": pa.string(),
     "target_id": pa.string(),
@@ -273,6 +294,7 @@ FORMATS: dict[str, Callable[[ExportRequest], Made]] = {
     "aem": _aem,
     "acm": _acm,
     "operator": _operator,
+    "dimap": _dimap,
     "json": _json,
     "csv": _csv,
     "csm-isd": _csm_isd,

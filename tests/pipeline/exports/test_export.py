@@ -22,11 +22,14 @@ from boresight.pipeline.results.strip_model import open_calibrated, strip_model
 runner = CliRunner()
 
 
+OF_ANY_DUMP = [name for name in FORMATS if name != "dimap"]  # test_dimap_product.py
+
+
 @pytest.fixture(scope="module")
 def exported(finished, tmp_path_factory):
     """All formats at once, and what the command told."""
     folder = tmp_path_factory.mktemp("exports")
-    asked = ["export", str(finished[1]), "--format", ",".join(FORMATS), "--out", str(folder)]
+    asked = ["export", str(finished[1]), "--format", ",".join(OF_ANY_DUMP), "--out", str(folder)]
     ran = runner.invoke(app, asked)
     assert ran.exit_code == 0, ran.output
     return folder, ran.stdout
@@ -43,7 +46,7 @@ def test_every_file_is_told_with_its_size(exported):
     assert len(told.splitlines()) == len(files)
     for name, size in files.items():
         assert any(line.endswith(f"/{name}") and f" {size} bytes" in line for line in told.splitlines())
-    assert {line.split()[0] for line in told.splitlines()} == set(FORMATS)
+    assert {line.split()[0] for line in told.splitlines()} == set(OF_ANY_DUMP)
 
 
 def test_spice_turns_as_installation_json_says(exported, installation):

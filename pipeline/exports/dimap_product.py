@@ -1,0 +1,72 @@
+"""A DIMAP product with its attitude corrected: the operator's own file, in which nothing else changes.
+
+The quaternion q(t) of the product takes the camera's axes to ITRS axes. With the calibrated rotation
+D = R_cs R_cs0^-1 of the camera's axes the corrected one is q(t) (x) d*, d being the quaternion of D: a linear
+map of the four components, which polynomials and lists of quaternions obey alike and without loss. Rates and
+scale are in `operator_parameters`; they do not fit into the elements of every product.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from xml.etree.ElementTree import Comment, Element, tostring
+
+import defusedxml.ElementTree
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from boresight.geometry.record import Floats
+from boresight.pipeline.errors import RawDataError
+from boresight.pipeline.files.text_files import read_text
+
+__all__ = ["corrected_dimap"]
+
+POLYNOMIALS = ("Polynomial_Models", "Polynomial_Quaternions")  # V1, V2
+
+
+def corrected_dimap(product: Path, correction: Rotation, notes: Mapping[str, str]) -> bytes:
+    """The file with its attitude corrected by `correction`, a rotation of frame c; `notes` become a comment.
+
+    The product is one that `read_dimap` reads; `RawDataError` where it has no quaternions.
+    """
+    root: Element = defusedxml.ElementTree.fromstring(read_text(product, product.name), forbid_dtd=True)
+    by_components = _by_conjugate(correction)
+    polynomials = [one for name in POLYNOMIALS for one in root.iter(name)]
+    listed = list(root.iter("Quaternion"))
+    if not polynomials and not listed:
+        raise RawDataError(product.name, "attitudes", "none", "polynomials or a list of quaternions")
+    for group in polynomials:
+        parts = [group.find(f"Q{k}/COEFFICIENTS") for k in range(4)]
+        degrees = [group.find(f"Q{k}/DEGREE") for k in range(4)]
+        rows = [_numbers(part) for part in parts]
+        coefficients = np.zeros((4, max(map(len, rows))))
+        for row, values in zip(coefficients, rows):
+            row[: len(values)] = values
+        for part, degree, row in zip(parts, degrees, by_components @ coefficients):
+            _set(part, " ".join(map(repr, row.tolist())))
+            _set(degree, str(len(row) - 1))
+    for one in listed:
+        parts = [one.find(f"Q{k}") for k in range(4)]
+        for part, value in zip(parts, by_components @ np.concatenate([_numbers(part) for part in parts])):
+            _set(part, repr(float(value)))
+    text = "\n".join(f"{name}: {value}" for name, value in notes.items()).replace("--", "- -")
+    root.insert(0, Comment(f" attitude corrected\n{text}\n"))
+    return tostring(root, encoding="UTF-8", xml_declaration=True)
+
+
+def _by_conjugate(rotation: Rotation) -> NDArray[np.float64]:
+    """Matrix (4, 4) that multiplies a quaternion, scalar first, by the conjugate of that of `rotation`."""
+    x, y, z, w = rotation.inv().as_quat()
+    return np.array([[w, -x, -y, -z], [x, w, z, -y], [y, -z, w, x], [z, y, -x, w]])
+
+
+def _numbers(element: Element | None) -> Floats:
+    assert element is not None and element.text is not None  # of a product that is read
+    return np.array(element.text.split(), dtype=float)
+
+
+def _set(element: Element | None, text: str) -> None:
+    assert element is not None
+    element.text = text
