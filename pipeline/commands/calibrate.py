@@ -17,7 +17,7 @@ from typing import Any
 
 from boresight.calib.verdict import Outcome
 from boresight.geometry.record import record, scalar
-from boresight.pipeline.commands.messages import say
+from boresight.pipeline.commands.messages import log, say
 from boresight.pipeline.errors import Cause, DataNotSufficientError, Omission, RawDataError
 from boresight.pipeline.files.dump import Dump
 from boresight.pipeline.files.record_tables import plain
@@ -36,6 +36,7 @@ from boresight.pipeline.results.summary import (
     calibration_summary,
     finding_lines,
     joint_summary,
+    omission_lines,
     verdict_lines,
 )
 from boresight.pipeline.results.writing import write_dumps, write_joint_result, write_result, write_run
@@ -101,6 +102,7 @@ def run_dump(
                 _draw(out)
             return _finished(out)
         found = _calibrated(out, dump, named, inputs, request, executor, progress)
+        log.debug("%s", "\n".join(omission_lines(found.omissions, None)))
         lines = [calibration_summary(found, read_findings(out) if request.report else ()), *_required(out)]
         text = "\n".join(lines)
         return RunOutcome(text, found.verdict.outcome is Outcome.REFUTED)

@@ -27,7 +27,7 @@ from boresight.pipeline import __version__
 from boresight.pipeline.errors import RawDataError, printable
 
 __all__ = ["DATA_DID_NOT_ALLOW", "DONE", "LIMIT_MISSED", "REFUTED", "WRONG_USAGE"]
-__all__ += ["Answer", "log", "print_data", "say", "shows_remarks", "talks", "tell", "wrong_usage"]
+__all__ += ["Answer", "log", "print_data", "say", "shows_bars", "talks", "tell", "wrong_usage"]
 
 DONE, DATA_DID_NOT_ALLOW, WRONG_USAGE, REFUTED, LIMIT_MISSED = range(5)
 INTERRUPTED = 130
@@ -47,7 +47,12 @@ class Answer:
     exit_status: int = scalar("0, or why the command did not succeed", default=DONE)
 
 
-Verbose = Annotated[bool, typer.Option("--verbose", "-v", help="Every reason in full, and times.")]
+Verbose = Annotated[
+    bool,
+    typer.Option(
+        "--verbose", "-v", help="A line for each exposure and strip as it ends, every reason, and times."
+    ),
+]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress and no remarks, only errors.")]
 LogFile = Annotated[
     Path | None,
@@ -128,9 +133,11 @@ def say(text: str) -> None:
     log.info("%s", text)
 
 
-def shows_remarks() -> bool:
-    """Whether remarks and progress go to the terminal: not with --quiet."""
-    return any(isinstance(handler, _Console) and handler.remarks <= logging.INFO for handler in log.handlers)
+def shows_bars() -> bool:
+    """Whether a terminal shows progress as bars: not with --quiet, and not with --verbose, whose lines say
+    more.
+    """
+    return any(isinstance(handler, _Console) and handler.remarks == logging.INFO for handler in log.handlers)
 
 
 def wrong_usage(text: str) -> typer.Exit:
@@ -197,7 +204,7 @@ class _Console(logging.Handler):
         is_result = record.levelno == RESULT
         if (is_result and not self.results) or (not is_result and record.levelno < self.remarks):
             return
-        if getattr(record, "progress", False) and sys.stderr.isatty():
+        if getattr(record, "progress", False) and sys.stderr.isatty() and shows_bars():
             return  # bars are shown
         stream = sys.stdout if is_result else sys.stderr
         typer.echo(fitted(record.getMessage(), stream.isatty()), err=not is_result)

@@ -1,6 +1,7 @@
 """Files in `RESULT/evidence/`: what a report shows beyond the estimate and its tables.
 
     context.json          mission, dates, cameras, counts, noise scales, iterations, accuracy, footprints
+    allan.parquet         Allan deviation of attitudes that star cameras deliver
     inputs.parquet        every file of the dump that was read: bytes and SHA-256
     convergence.parquet   theta and its 1-sigma after each further strip
     angles.parquet        cross angles z_ij and their predicted spread
@@ -29,6 +30,7 @@ from scipy.spatial.transform import Rotation
 from scipy.special import chdtrc
 
 from boresight.calib.information import solve_total
+from boresight.calib.noise_spectrum import allan_deviation
 from boresight.geometry.line_camera import LineCamera, LineSensor
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.content import content_digest
@@ -50,6 +52,7 @@ from boresight.pipeline.settings import Settings
 from boresight.pipeline.stages.calibrate import Calibration
 from boresight.pipeline.stages.exposure import exposure_image
 from boresight.pipeline.stages.forecast import improvements
+from boresight.pipeline.stages.head_records import attitude_signal
 from boresight.pipeline.stages.match_pictures import MatchPictures
 
 __all__ = ["write_evidence"]
@@ -71,6 +74,7 @@ def write_evidence(result: Path, dump: Dump, calibration: Calibration, settings:
         "exposure": _exposure(_preview(dump, calibration, settings)),
         "ground": ground,
         "unmatched": unmatched_pictures(scenes, ground, dump),
+        "allan": _allan(dump, settings),
         "map": scene_pictures(scenes, dump, calibration),
     }
     for name, table in tables.items():
@@ -283,6 +287,21 @@ def _motions(calibration: Calibration) -> list[StripMotion]:
             )
         )
     return motions
+
+
+def _allan(dump: Dump, settings: Settings) -> pa.Table:
+    """Allan deviation of the attitudes of the longest piece without a gap; no row without attitudes."""
+    found = attitude_signal(dump, settings)
+    names = ""
+    times: Array = np.zeros(0)
+    deviation: Array = np.zeros((0, 3))
+    if found is not None:
+        names, signal = " and ".join(found[0]), found[1]
+        longest = max(signal.pieces, key=lambda piece: piece.stop - piece.start)
+        times, deviation = allan_deviation(signal.values[longest], signal.step_s)
+    columns = {"averaged_s": arrow_array(times), "deviation_rad": fixed_list(deviation[:, :3])}
+    table = pa.table(columns)
+    return table.replace_schema_metadata({b"heads": names.encode()})
 
 
 def _matches(calibration: Calibration) -> pa.Table:

@@ -33,6 +33,7 @@ from boresight.pipeline.report.observations import ExposureRow, TargetRow
 from boresight.pipeline.report.saved import Saved
 
 __all__ = [
+    "allan_plot",
     "angle_histogram",
     "angle_spread",
     "convergence",
@@ -64,6 +65,7 @@ def convergence(saved: Saved) -> Drawing:
             curve.dash,
             color=curve.colour,
             linewidth=1.6,
+            marker="_" if seen.sum() == 1 else None,  # one point makes no line
             label=f"{curve.name}: 1σ",
         )
         distance = np.abs(theta[:-1, n] - end[n])
@@ -158,7 +160,9 @@ def star_residual_map(saved: Saved) -> Drawing:
 
 
 def residual_panels(saved: Saved, rows: Sequence[TargetRow]) -> list[Drawing]:
-    """Residuals of targets on the ground, along and across the track, against sample, line and time."""
+    """Residuals of targets on the ground, along and across the track, against sample, line, time and, where
+    it is stated, the temperature of the star camera.
+    """
     ground, width = saved.ground, saved.context["remote_camera"]["samples"]
     start = np.concatenate([[0.0], np.cumsum(width)])
     ccd = column(ground, "ccd").astype(int)
@@ -170,6 +174,9 @@ def residual_panels(saved: Saved, rows: Sequence[TargetRow]) -> list[Drawing]:
         "line": ("line of the strip", column(ground, "line_px")),
         "time": (f"seconds after {first_s:.0f} s since the epoch", t_s - first_s),
     }
+    warm = column(ground, "temperature_c")
+    if np.isfinite(warm[known]).any():
+        against["temperature"] = ("temperature of the star camera, °C", warm)
     shown = [row for row in rows if known[row.row]]
     return [_residual_panel(saved, shown, name, *of) for name, of in against.items()]
 
@@ -295,6 +302,29 @@ def exposure_chi2(saved: Saved, rows: Sequence[ExposureRow]) -> Drawing:
     mean = float(np.nanmean(ratio[usable])) if usable.any() else float("nan")
     text = f"Attitude fits of {usable.sum()} exposures, mean {mean:.3f} (1 expected); band: 2σ."
     return drawn(figure, "exposure-chi2", text, f"Chi-square of exposures against time. {text}", spots)
+
+
+def allan_plot(saved: Saved) -> Drawing | None:
+    """Allan deviation of the attitudes that star cameras deliver; None where they deliver none."""
+    times = column(saved.allan, "averaged_s")
+    if not len(times):
+        return None
+    deviation = list_values(saved.allan, "deviation_rad", 3) / ARCSEC
+    figure = new_figure(2.6)
+    axes = axes_of(figure, "averaged over, s", "Allan deviation, arc-seconds")
+    for n, curve in enumerate(AXES):
+        style: dict[str, Any] = {"color": curve.colour, "markersize": 4, "fillstyle": "none"}
+        axes.plot(times, deviation[:, n], curve.marker, label=curve.name.lower(), **style)
+        axes.plot(times, deviation[0, n] * np.sqrt(times[0] / times), curve.dash, color=curve.colour, lw=1.2)
+    _logarithmic(axes, "x", "y")
+    _legend(axes, ncols=3)
+    heads = (saved.allan.schema.metadata or {}).get(b"heads", b"").decode()
+    what = f"the difference of {heads}" if " and " in heads else f"{heads} against the nominal motion"
+    text = (
+        f"Attitudes about the axes of the star camera: {what}. Lines: white noise, which averages out; what "
+    )
+    text += "lies above them is correlated noise or motion of the satellite."
+    return drawn(figure, "allan", text, f"Allan deviation over {len(times)} times. {text}")
 
 
 def preview_about(saved: Saved) -> dict[str, object] | None:

@@ -28,6 +28,7 @@ from boresight.geometry.record import Floats, Ints, array, record, scalar
 from boresight.geometry.terrain import ConstantHeight, Surface
 from boresight.pipeline.errors import Omission, RawDataError
 from boresight.pipeline.files.dump import Dump, TargetHeights, surface_of
+from boresight.pipeline.files.star_side import SolvedAttitudes
 from boresight.pipeline.files.table_files import arrow_rows
 from boresight.pipeline.stages.calibrate import Calibration
 from boresight.pipeline.stages.strip import MatchedTargets, StripTask, pushbroom_of
@@ -53,7 +54,7 @@ PLACES = ("lat_deg", "lon_deg", "height_m", "east_m", "north_m")
 RESIDUALS = ("east", "north", "along", "across")
 NUMBERS = (
     *PLACES,
-    *("t_s", "sample_px", "line_px", "residual_m", "sigmas"),
+    *("t_s", "temperature_c", "sample_px", "line_px", "residual_m", "sigmas"),
     *(f"residual_{axis}_m" for axis in RESIDUALS),
 )
 SCHEMA = pa.schema(
@@ -293,8 +294,19 @@ def _placed(
     lat, lon, height = geodetic_from_ecef(p_e, WGS84)
     east, north = scene.plane_m(p_e).T
     places = np.column_stack([np.degrees(lat), np.degrees(lon), height, east, north])
-    for row, place in zip(rows, places.tolist()):
-        yield row | {"scene": number} | dict(zip(PLACES, place))
+    warm = _temperatures_c(dump, np.array([row["t_s"] for row in rows], dtype=float))
+    for row, place, temperature in zip(rows, places.tolist(), warm.tolist()):
+        yield row | {"scene": number, "temperature_c": temperature} | dict(zip(PLACES, place))
+
+
+def _temperatures_c(dump: Dump, t_s: Floats) -> Floats:
+    """Temperatures (N,) of the reference head at instants (N,); NaN where they are not stated."""
+    source = dump.heads[0].source
+    stated = source.rows.temperature_c if isinstance(source, SolvedAttitudes) else None
+    if stated is None:
+        return np.full(len(t_s), np.nan)
+    assert isinstance(source, SolvedAttitudes)
+    return np.interp(t_s, source.rows.t_s, stated, left=np.nan, right=np.nan)
 
 
 def scene_pictures(scenes: Sequence[Scene], dump: Dump, calibration: Calibration) -> pa.Table:

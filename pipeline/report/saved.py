@@ -55,6 +55,7 @@ class Saved:
     ground: pa.Table = scalar("evidence/ground.parquet")
     unmatched: pa.Table = scalar("evidence/unmatched.parquet")
     map: pa.Table = scalar("evidence/map.parquet")
+    allan: pa.Table = scalar("evidence/allan.parquet")
     requirement: dict[str, Any] = scalar("requirement.json; empty where there is none")
     validation: dict[str, Any] = scalar("validation.json; empty where there is none")
 
@@ -120,4 +121,4 @@ _SIGHTINGS: dict[str, dict[str, pa.DataType] | None] = {  # only the plotted col
     "targets": None,
     "omissions": None,
 }
-_EVIDENCE = ("inputs", "convergence", "angles", "matches", "ground", "unmatched", "map")
+_EVIDENCE = ("inputs", "convergence", "angles", "matches", "ground", "unmatched", "map", "allan")

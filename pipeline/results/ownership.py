@@ -37,7 +37,7 @@ OWN_FILES = (
     + [f"drift.{kind}" for kind in ("json", "csv", "png")]
     + [f"sightings/{n}.parquet" for n in "stars exposures targets strips passes omissions".split()]
     + [f"evidence/{n}.parquet" for n in "inputs convergence angles matches exposure ground".split()]
-    + ["evidence/unmatched.parquet", "evidence/map.parquet", "evidence/context.json"]
+    + [f"evidence/{n}" for n in "unmatched.parquet map.parquet allan.parquet context.json".split()]
 )
 OWN_WORK = re.compile(r"(exposures|matching-\d+)/.+\.[0-9a-f]{32}\.parquet")
 

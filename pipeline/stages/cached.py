@@ -14,6 +14,7 @@ import cv2
 
 from boresight.pipeline.errors import Cause, Omission
 from boresight.pipeline.files.record_tables import record_from_table, table_from_record
+from boresight.pipeline.stages.unit_log import log_unit
 from boresight.pipeline.work.digests import digest, program
 from boresight.pipeline.work.executor import Executor, InOrder
 from boresight.pipeline.work.unit_store import UnitStore, read_meta
@@ -51,9 +52,13 @@ class StageRunner:
         An outcome is of a type that `stage` is declared to return, `Omission` among them: this is also what
         an unforeseen error becomes. `folder` is that of the entries in the store.
         """
+
+        def ended(n: int, unit: tuple[Any, bool]) -> None:
+            log_unit(folder, *unit)
+            self.progress(folder, n, len(tasks))
+
         self.progress(folder, 0, len(tasks))
-        cached = Cached(stage, self.store, folder)
-        done = self.executor.map(cached, tasks, lambda n: self.progress(folder, n, len(tasks)))
+        done = self.executor.map(Cached(stage, self.store, folder), tasks, ended)
         return [outcome for outcome, _ in done], [computed for _, computed in done]
 
 

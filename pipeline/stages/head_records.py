@@ -20,7 +20,7 @@ from boresight.pipeline.settings import Settings
 from boresight.pipeline.stages.cached import StageRunner
 from boresight.pipeline.stages.head import covered_instants, sight_head
 
-__all__ = ["LOWEST_HZ", "HeadNoise", "HeadsAlone", "heads_alone", "noise_of_heads"]
+__all__ = ["LOWEST_HZ", "HeadNoise", "HeadsAlone", "attitude_signal", "heads_alone", "noise_of_heads"]
 
 LOWEST_HZ = 0.5  # of a single head: slower motion is the satellite's
 PIECE_S = 10.0  # length over which errors count as constant, where the dump has no longer strip
@@ -52,6 +52,23 @@ def noise_of_heads(dump: Dump, settings: Settings, lowest_hz: float = LOWEST_HZ)
     `DataNotSufficientError` for a record that is too short or has too many gaps.
     """
     return _noise(dump, [_track(dump, head, settings)[0] for head in dump.heads], lowest_hz)
+
+
+def attitude_signal(dump: Dump, settings: Settings) -> tuple[tuple[str, ...], Signal] | None:
+    """Names of the heads that deliver attitudes, and the signal that shows their noise: their differences, or
+    that of a single one against the nominal motion. None without such heads or with too few attitudes.
+    """
+    solved = [head for head in dump.heads if isinstance(head.source, SolvedAttitudes)]
+    if not solved:
+        return None
+    try:
+        if len(solved) == len(dump.heads) > 1:
+            tracks = [_track(dump, head, settings)[0] for head in solved]
+            return tuple(track.name for track in tracks), _differences(dump, tracks)
+        track = _track(dump, solved[0], settings)[0]
+        return (track.name,), _single(track, LOWEST_HZ)
+    except (DataNotSufficientError, ValueError):  # too short, or no common instants: no signal
+        return None
 
 
 def heads_alone(dump: Dump, settings: Settings) -> HeadsAlone:

@@ -102,7 +102,7 @@ class OnCluster:
     refused: dict[str, str] = scalar("refused workers by address, with the reason")
 
     def map(
-        self, function: Callable[[Item], Outcome], items: Sequence[Item], done: Callable[[int], None]
+        self, function: Callable[[Item], Outcome], items: Sequence[Item], done: Callable[[int, Outcome], None]
     ) -> list[Outcome]:
         """Outcomes in the order of the items; `WorkerError` names a unit that no worker can compute."""
         run = _Run(self, partial(guarded, self.expected, function), items, done)
@@ -124,7 +124,7 @@ class _Run:
         cluster: OnCluster,
         call: Callable[[Any], Any],
         items: Sequence[Any],
-        done: Callable[[int], None],
+        done: Callable[[int, Any], None],
     ) -> None:
         self.cluster, self.call, self.items, self.done = cluster, call, items, done
         self.checker = ThreadPoolExecutor(max_workers=8)  # a worker may take seconds to load the libraries
@@ -240,7 +240,7 @@ class _Run:
             self._again(n, f"{type(error).__name__}: {error}")
         else:
             future.release()
-            self.done(len(self.outcomes))
+            self.done(len(self.outcomes), self.outcomes[n])
 
     def _refuse(self, address: str, reason: str) -> None:
         if address not in self.cluster.refused:

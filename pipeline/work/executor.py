@@ -16,9 +16,9 @@ class Executor(Protocol):
     """Applies a function to many items, in this process or in others."""
 
     def map(
-        self, function: Callable[[Item], Outcome], items: Sequence[Item], done: Callable[[int], None]
+        self, function: Callable[[Item], Outcome], items: Sequence[Item], done: Callable[[int, Outcome], None]
     ) -> list[Outcome]:
-        """Outcomes in the order of the items; calls `done(n)` with the number finished."""
+        """Outcomes in the order of the items; calls `done(n, outcome)` as each ends, n of them finished."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,11 +26,11 @@ class InOrder:
     """Applies the function in this process, one item after another."""
 
     def map(
-        self, function: Callable[[Item], Outcome], items: Sequence[Item], done: Callable[[int], None]
+        self, function: Callable[[Item], Outcome], items: Sequence[Item], done: Callable[[int, Outcome], None]
     ) -> list[Outcome]:
         """Outcomes in the order of the items."""
         outcomes = []
         for n, item in enumerate(items):
             outcomes.append(function(item))
-            done(n + 1)
+            done(n + 1, outcomes[-1])
         return outcomes

@@ -42,7 +42,7 @@ class Processes:
     count: int
 
     def map(
-        self, function: Callable[[Item], Outcome], items: Sequence[Item], done: Callable[[int], None]
+        self, function: Callable[[Item], Outcome], items: Sequence[Item], done: Callable[[int, Outcome], None]
     ) -> list[Outcome]:
         """Outcomes in the order of the items; `WorkerError` if an item stops its process again and again."""
         waiting = [*range(len(items))][::-1]
@@ -79,7 +79,7 @@ class Processes:
                     if error is not None:
                         raise error
                     outcomes[n] = outcome
-                    done(len(outcomes))
+                    done(len(outcomes), outcome)
                     if waiting:
                         begin(process)
         finally:

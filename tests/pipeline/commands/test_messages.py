@@ -11,6 +11,7 @@ import struct
 import subprocess
 import sys
 import termios
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
@@ -21,7 +22,9 @@ from typer.testing import CliRunner
 from boresight.pipeline.cli import app
 from boresight.pipeline.commands.messages import Answer, fitted, say, talks, tell
 from boresight.pipeline.commands.progress import progress_bars
-from boresight.pipeline.errors import RawDataError
+from boresight.pipeline.errors import Omission, RawDataError
+from boresight.pipeline.stages.cached import StageRunner
+from boresight.pipeline.stages.unit_log import log_unit
 
 runner = CliRunner()
 COMMANDS = [[str(c.name or c.callback.__name__)] for c in app.registered_commands if c.callback] + [
@@ -62,6 +65,42 @@ def test_quiet_leaves_results_and_verbose_adds_times() -> None:
     quiet, verbose = runner.invoke(worker, ["-q"]), runner.invoke(worker, ["-v"])
     assert quiet.stderr == "" and quiet.stdout == verbose.stdout
     assert re.fullmatch(r"\d+\.\d s, exit status 0", verbose.stderr.splitlines()[-1])
+
+
+def test_verbose_says_what_became_of_each_unit_and_why() -> None:
+    def units() -> Answer:
+        """Work.
+
+        Example: boresight units
+        """
+        StageRunner().run(named, [Named("e1"), Named("e2\x1b[2J")], folder="exposures")
+        log_unit("exposures", Omission("exposure", "e3").because("cut"), False)
+        return Answer()
+
+    program = typer.Typer()
+    program.command()(talks(units))
+    lines = runner.invoke(program, ["-v"]).stderr.splitlines()
+    assert lines[:3] == [
+        "exposures e1: not used, too dark",
+        "exposures e2\\x1b[2J: not used, too dark",
+        "exposures e3: not used, cut (from an earlier run)",
+    ]
+    assert runner.invoke(program, []).stderr == ""
+
+
+@dataclass
+class Named:
+    """A task of a stage."""
+
+    name: str
+
+    @property
+    def item(self) -> Omission:
+        return Omission("exposure", self.name)
+
+
+def named(task: Named) -> Omission:
+    return task.item.because("too dark")
 
 
 def test_a_log_file_has_everything_with_its_time_and_is_appended_to(tmp_path: Path) -> None:

@@ -245,16 +245,17 @@ async def violations(browser: Browser) -> list[str]:
 
 
 def test_the_print_holds_the_whole_tables_cards_settings_and_checksums(address, faulty):
-    async def look() -> tuple[dict[str, Any], list[int], Browser]:
+    async def look() -> tuple[dict[str, Any], list[int], Browser, list[str]]:
         browser = await opened(address)
         facts = await browser.go(faulty / "report.html", 794, "light", "print")  # 210 mm at 96 px an inch
         await browser.value("dispatchEvent(new Event('beforeprint'))")
         shown = "[...document.querySelectorAll('{}')].filter((e) => e.offsetHeight).length"
         parts = ("#target-table tbody tr", "#cards .card", "#provenance details tr", ".buttons")
         counts = [await browser.value(shown.format(part)) for part in parts]
-        return facts, counts, browser
+        return facts, counts, browser, await violations(browser)
 
-    facts, (rows, cards, lines, buttons), browser = asyncio.run(look())
+    facts, (rows, cards, lines, buttons), browser, found = asyncio.run(look())
+    assert found == []
     ground = pq.read_table(faulty / "evidence/ground.parquet")
     inputs = pq.read_table(faulty / "evidence/inputs.parquet")
     assert browser.complaints() == [] and buttons == 0

@@ -110,7 +110,7 @@ def test_no_worker_within_the_time_is_an_error(scheduler: Processes) -> None:
     scheduler.stop_workers()
     with executor(scheduler.address, [], 0.5) as on:
         with pytest.raises(WorkerError, match=r"no usable worker at tcp://.* for 0.5 s: none is connected"):
-            on.map(abs, [1], lambda n: None)
+            on.map(abs, [1], lambda n, outcome: None)
 
 
 def test_workers_that_differ_are_refused_by_name_and_late_ones_are_used(
@@ -151,7 +151,7 @@ def test_workers_that_differ_are_refused_by_name_and_late_ones_are_used(
         with distributed.Client(scheduler.address) as client:
             wanted = Fingerprint(expected.versions, expected.code, with_dump)
             on = OnCluster(client, scheduler.address, wanted, READY_S, remarks.append, {})
-            outcomes.extend(on.map(patient, range(20), done.append))
+            outcomes.extend(on.map(patient, range(20), lambda n, outcome: done.append(n)))
 
     done: list[int] = []
     thread = threading.Thread(target=run)
@@ -189,12 +189,12 @@ def test_dump_that_disappears_stops_the_run_by_name(two_workers: Processes, tmp_
     with on_cluster(two_workers.address, [probe], 1.0, lambda remark: None) as on:
         wait_until(lambda: len(on.client.nthreads()) == 2)
         with pytest.raises(WorkerError, match=r"reads .*dump.toml differently: No such file"):
-            on.map(unmounted, [0, 1], lambda n: None)
+            on.map(unmounted, [0, 1], lambda n, outcome: None)
 
 
 def test_in_flight_are_two_units_a_thread(two_workers: Processes) -> None:
     with executor(two_workers.address, [], workers=2) as on:
-        run = cluster._Run(on, abs, range(20), lambda n: None)
+        run = cluster._Run(on, abs, range(20), lambda n, outcome: None)
         while len(run.threads) < 2:
             run._look_at_workers()
             time.sleep(0.05)
@@ -219,10 +219,10 @@ def test_unit_of_a_killed_worker_is_done_by_another_and_errors_of_units_are_rais
 
     counts: list[int] = []
     with executor(two_workers.address, [], workers=2) as on:
-        assert on.map(fragile, range(6), counts.append) == [0, 1, 4, 9, 16, 25]
+        assert on.map(fragile, range(6), lambda n, outcome: counts.append(n)) == [0, 1, 4, 9, 16, 25]
         assert marker.exists() and counts == [1, 2, 3, 4, 5, 6]
         with pytest.raises(OSError, match="no space left"):  # an error of the unit itself is raised unchanged
-            on.map(full, [0], counts.append)
+            on.map(full, [0], lambda n, outcome: counts.append(n))
 
 
 def test_adaptive_cluster_starts_workers_for_a_run_and_more_while_it_lasts(tmp_path: Path) -> None:
@@ -239,7 +239,7 @@ def test_adaptive_cluster_starts_workers_for_a_run_and_more_while_it_lasts(tmp_p
     with distributed.LocalCluster(n_workers=0, **local, local_directory=str(tmp_path)) as adaptive:
         adaptive.adapt(minimum=0, maximum=2, interval="100ms", target_duration="100ms")
         with executor(adaptive.scheduler_address, []) as on:
-            assert on.map(patient, range(6), lambda n: None) == [0, 1, 4, 9, 16, 25]
+            assert on.map(patient, range(6), lambda n, outcome: None) == [0, 1, 4, 9, 16, 25]
     assert len(list(begun.iterdir())) == 2
 
 
@@ -275,11 +275,11 @@ def test_scheduler_with_certificates_deadly_units_and_lost_schedulers(
         with dask.config.set({f"distributed.comm.{name}": value for name, value in comm.items()}):
             with pytest.raises(WorkerError, match=r"unit 1 of 1: .*all those workers died"):
                 with executor(secured.address, [], workers=1) as on:
-                    on.map(deadly, [0], lambda n: None)
+                    on.map(deadly, [0], lambda n, outcome: None)
             secured.worker()
             with pytest.raises(WorkerError, match=r"lost the scheduler at tls://.*the same command resumes"):
                 with executor(secured.address, [], workers=1) as on:
-                    on.map(slow, range(1000), lambda n: secured.scheduler.kill() if n == 2 else None)
+                    on.map(slow, range(1000), lambda n, outcome: secured.scheduler.kill() if n == 2 else None)
     finally:
         secured.stop()
 

@@ -96,7 +96,7 @@ def test_unit_whose_process_dies_is_done_by_another(tmp_path: Path) -> None:
 
     counts: list[int] = []
     with executor_for(2, None, 0) as executor:
-        assert executor.map(fragile, [0, 1, 2, 3], counts.append) == [0, 1, 4, 9]
+        assert executor.map(fragile, [0, 1, 2, 3], lambda n, outcome: counts.append(n)) == [0, 1, 4, 9]
     assert marker.exists()
     assert counts[-1] == 4
 
@@ -111,7 +111,7 @@ def test_unit_that_kills_every_process_is_named() -> None:
         executor_for(2, None, 0) as executor,
         pytest.raises(WorkerError, match=r"unit 2 of 3: .* died 3 times"),
     ):
-        executor.map(deadly, [0, 1, 2], lambda n: None)
+        executor.map(deadly, [0, 1, 2], lambda n, outcome: None)
 
 
 def test_error_of_a_unit_is_told_by_the_first_process_with_the_place_where_it_arose() -> None:
@@ -119,7 +119,7 @@ def test_error_of_a_unit_is_told_by_the_first_process_with_the_place_where_it_ar
         raise OSError(errno.ENOSPC, "no space left", f"unit {number}")
 
     with executor_for(2, None, 0) as executor, pytest.raises(OSError, match="no space left") as caught:
-        executor.map(full, [0, 1], lambda n: None)
+        executor.map(full, [0, 1], lambda n, outcome: None)
     assert caught.value.errno == errno.ENOSPC
     assert "in full" in caught.value.__notes__[0]
 
@@ -130,7 +130,7 @@ def test_processes_share_the_units_and_are_gone_afterwards() -> None:
         return number, os.getpid()
 
     with executor_for(2, None, 0) as executor:
-        outcomes = executor.map(slow, range(8), lambda n: None)
+        outcomes = executor.map(slow, range(8), lambda n, outcome: None)
     assert [number for number, _ in outcomes] == list(range(8))
     workers = {process for _, process in outcomes}
     assert len(workers) == 2 and os.getpid() not in workers
@@ -149,7 +149,7 @@ def slow(number):
     Path(sys.argv[1], str(os.getpid())).touch()
     time.sleep(0.1)
 
-Processes(2).map(slow, range(1000), lambda n: None)
+Processes(2).map(slow, range(1000), lambda n, outcome: None)
 """
     first = subprocess.Popen([sys.executable, "-c", program, str(tmp_path)])
     while len(workers := [int(path.name) for path in tmp_path.iterdir()]) < 2:
@@ -165,4 +165,4 @@ Processes(2).map(slow, range(1000), lambda n: None)
 def test_one_worker_is_this_process() -> None:
     with executor_for(1, None, 10**12) as executor:
         assert isinstance(executor, InOrder)
-        assert executor.map(lambda n: (n, os.getpid()), [3], lambda n: None) == [(3, os.getpid())]
+        assert executor.map(lambda n: (n, os.getpid()), [3], lambda n, outcome: None) == [(3, os.getpid())]
