@@ -31,7 +31,6 @@ class InteriorEstimate:
     """The interior orientation with covariance, beside the installation matrix it was estimated with."""
 
     installation: InstallationEstimate = scalar("with the parameters estimated")
-    before: InstallationEstimate | NotObservable = scalar("with the assumed camera, its residual curve free")
     model: InteriorModel = scalar("parameters, priors and gauge")
     values: Floats = array("P", "of the parameters: change of the assumed camera")
     covariance: Floats = array("P, P", "of `values`")
@@ -93,7 +92,6 @@ def calibrate_interior(
     values = model.basis @ z
     return InteriorEstimate(
         installation=found,
-        before=calibrate(strips, R_cs0, settings),
         model=model,
         values=values,
         covariance=model.basis @ covariance @ model.basis.T,

@@ -1,4 +1,6 @@
-"""Commands about the rigorous model of one strip: dimap, virtual-ccd."""
+"""Commands about the remote-sensing camera and the model of its strips: dimap, virtual-ccd,
+remote-camera-calibrate.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from boresight.pipeline.commands.messages import print_data, say, talks, tell
+from boresight.pipeline.commands.messages import Answer, print_data, say, talks, tell
 
 __all__ = ["add_sensor_commands"]
 
@@ -16,6 +18,7 @@ def add_sensor_commands(app: typer.Typer) -> None:
     """Add the commands to the program."""
     app.command()(talks(dimap))
     app.command("virtual-ccd")(talks(virtual_ccd))
+    app.command("remote-camera-calibrate")(talks(remote_camera_calibrate, with_json=True))
 
 
 def dimap(
@@ -64,3 +67,47 @@ def virtual_ccd(
     surface = ConstantHeight(height_m) if height_m is not None else surface_of(calibrated.dump.terrain)
     lines, samples = write_virtual_strip(model, surface, out)
     tell(f"{strip}: {lines} lines, {samples} samples -> {out}")
+
+
+def remote_camera_calibrate(
+    sources: Annotated[
+        list[Path],
+        typer.Argument(metavar="RESULT|DUMP", help="Dumps of one camera, or what `calibrate` made of them."),
+    ],
+    out: Annotated[Path, typer.Option(help="Folder for remote_camera.toml, interior.json and interior.png.")],
+    settings: Annotated[
+        Path | None, typer.Option(help="TOML file of settings; unknown keys are refused.")
+    ] = None,
+    curve_px: Annotated[
+        float, typer.Option(help="Prior 1-sigma of the distortion that the table leaves, px.", min=1e-3)
+    ] = 3.0,
+    curve_length_px: Annotated[
+        float, typer.Option(help="Length over which that distortion changes, px.", min=10.0)
+    ] = 5000.0,
+    shift_px: Annotated[float, typer.Option(help="Prior 1-sigma of the CCDs' places, px.", min=1e-3)] = 5.0,
+    stagger_us: Annotated[
+        float, typer.Option(help="Prior 1-sigma of the delay of a CCD's rows, µs; 0: none.", min=0.0)
+    ] = 0.0,
+) -> Answer:
+    """Calibrate the interior of the remote-sensing camera in orbit, from strips of sky, ground or both.
+
+    Example: boresight remote-camera-calibrate result --out camera
+    """
+    from boresight.calib.interior.parameters import InteriorPriors
+    from boresight.pipeline.commands.progress import progress_bars
+    from boresight.pipeline.report.interior import interior_json, interior_lines, write_interior
+    from boresight.pipeline.results.interior import calibrate_remote_camera
+    from boresight.pipeline.settings import read_settings
+    from boresight.pipeline.work.executor import InOrder
+
+    priors = InteriorPriors(
+        curve_px=curve_px, curve_length_px=curve_length_px, shift_px=shift_px, stagger_s=stagger_us * 1e-6
+    )
+    with progress_bars() as progress:
+        found = calibrate_remote_camera(sources, read_settings(settings), priors, InOrder(), progress)
+    files = write_interior(found, out)
+    return Answer(
+        text="\n".join([*interior_lines(found), f"-> {', '.join(str(path) for path in files)}"]),
+        content=interior_json(found),
+        files=files,
+    )

@@ -14,8 +14,8 @@ from rasterio.errors import NotGeoreferencedWarning
 from rasterio.transform import Affine
 from rasterio.windows import Window
 
-from boresight.geometry.line_camera import LineCamera
 from boresight.pipeline.files.oem_text import orbit_message
+from boresight.pipeline.files.remote_camera import remote_camera_table
 from boresight.pipeline.files.star_side import star_camera_table
 from boresight.pipeline.files.text_tables import write_csv, write_toml
 from boresight.simulator.records import ChipImage, Mission, OrbitReport, Strip, TerrainReport, Truth
@@ -46,7 +46,9 @@ def write_dump(
     for folder in ("exposures", "strips", "chips", "terrain", "truth"):
         (root / folder).mkdir(parents=True, exist_ok=True)
     write_toml(root / "star_camera.toml", star_camera_table(mission.star_camera, mission.scenario.sky.bits))
-    write_toml(root / "remote_camera.toml", _remote_camera(mission.line_camera, mission.scenario.ground.bits))
+    write_toml(
+        root / "remote_camera.toml", remote_camera_table(mission.line_camera, mission.scenario.ground.bits)
+    )
     installation = {
         "quaternion_cs": mission.installation.R_cs.as_quat().tolist(),
         "sigma_rad": np.asarray(mission.installation.sigma_rad, dtype=float).tolist(),
@@ -94,33 +96,6 @@ def _head(mission: Mission, created_by: str) -> dict[str, Any]:
         },
         "terrain": {"height_kind": mission.terrain.height_kind, "sigma_m": mission.terrain.sigma_m},
     }
-
-
-def _remote_camera(camera: LineCamera, bits: int) -> dict[str, Any]:
-    return {
-        "focal_length_m": camera.focal_m,
-        "tdi_stages": camera.tdi_stages,
-        "time_of_row": camera.time_of_row,
-        "bit_depth": bits,
-        "ccds": [
-            {
-                "n_px": ccd.n_px,
-                "pixel_pitch_um": _rounded(ccd.pixel_m * 1e6),
-                "y_first_mm": _rounded(ccd.y_first_m * 1e3),
-                "x_offset_mm": _rounded(ccd.x_offset_m * 1e3),
-                "rotation_mrad": _rounded(ccd.rotation_rad * 1e3),
-                "principal_sample": ccd.principal_sample,
-                "distortion_samples": np.asarray(ccd.distortion_samples, dtype=float).tolist(),
-                "distortion_offsets_um": [_rounded(v * 1e6) for v in np.asarray(ccd.distortion_offsets_m)],
-            }
-            for ccd in camera.ccds
-        ],
-    }
-
-
-def _rounded(value: float) -> float:
-    """The value to 14 digits, without the rounding error of a change of units."""
-    return float(f"{value:.14g}")
 
 
 def _oem(mission: Mission, orbit: OrbitReport) -> str:

@@ -1,8 +1,9 @@
-"""Read remote_camera.toml: a camera described by its hardware, or by tables of look directions."""
+"""Read and write remote_camera.toml: a camera described by its hardware, or by tables of look directions."""
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -11,7 +12,7 @@ from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files import dump_schema as schema
 from boresight.pipeline.files.text_files import path_inside, read_table, read_toml, toml_tables
 
-__all__ = ["read_remote_camera"]
+__all__ = ["read_remote_camera", "remote_camera_table"]
 
 RemoteCamera = tuple[LineCamera, schema.RemoteCameraFile] | tuple[LookAngleCamera, schema.LookCameraFile]
 
@@ -62,3 +63,38 @@ def _from_tables(root: Path, file: schema.LookCameraFile, name: str) -> LookAngl
         except ValueError as error:
             raise RawDataError(file.looks, f"CCD {n}", str(error), "looks along a detector") from error
     return LookAngleCamera(tuple(ccds))
+
+
+def remote_camera_table(camera: LineCamera, bits: int) -> dict[str, Any]:
+    """The keys of remote_camera.toml; `bits` is its bit_depth, 0: no strip has an image."""
+    return {
+        "focal_length_m": camera.focal_m,
+        "tdi_stages": camera.tdi_stages,
+        "time_of_row": camera.time_of_row,
+        **({"bit_depth": bits} if bits else {}),
+        "ccds": [
+            {
+                "n_px": ccd.n_px,
+                "pixel_pitch_um": _rounded(ccd.pixel_m * 1e6),
+                "y_first_mm": _rounded(ccd.y_first_m * 1e3),
+                "x_offset_mm": _rounded(ccd.x_offset_m * 1e3),
+                "rotation_mrad": _rounded(ccd.rotation_rad * 1e3),
+                "principal_sample": ccd.principal_sample,
+                "distortion_samples": np.asarray(ccd.distortion_samples, dtype=float).tolist(),
+                "distortion_offsets_um": [_rounded(v * 1e6) for v in np.asarray(ccd.distortion_offsets_m)],
+            }
+            | _across(ccd)
+            for ccd in camera.ccds
+        ],
+    }
+
+
+def _across(ccd: Ccd) -> dict[str, list[float]]:
+    """Distortion across a detector, if it has any."""
+    values = [_rounded(v * 1e6) for v in np.asarray(ccd.across_offsets_m)]
+    return {"distortion_across_um": values} if values else {}
+
+
+def _rounded(value: float) -> float:
+    """The value to 14 digits, without the rounding error of a change of units."""
+    return float(f"{value:.14g}")

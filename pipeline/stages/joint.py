@@ -137,7 +137,7 @@ def _renamed(
     """The strip as one of many dumps: ids with the dump's name, seconds since `epoch`."""
     later_s = float(named.dump.epoch.tai_s - epoch.tai_s)
     own = {target.target_id: target_names[_place(target)] for target in named.dump.targets}
-    targets = np.array([own[name] for name in strip.ground.target_id.tolist()], dtype=str)
+    targets = np.array([own.get(name, name) for name in strip.ground.target_id.tolist()], dtype=str)
 
     def seen(exposure: StarSightings) -> StarSightings:
         exposure_id = f"{named.name}/{exposure.exposure_id}"

@@ -1,5 +1,7 @@
 """`dimap` against an operator's location grid, and `virtual-ccd` against the raw images."""
 
+import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -7,9 +9,10 @@ import pytest
 import rasterio
 from typer.testing import CliRunner
 
+from boresight.calib.interior.estimate import map_difference_px
 from boresight.geometry.virtual_ccd import VirtualStrip
 from boresight.pipeline.cli import app
-from boresight.pipeline.files.dump import surface_of
+from boresight.pipeline.files.dump import open_dump, surface_of
 from boresight.pipeline.results.strip_model import open_calibrated, strip_model
 
 REAL = Path(__file__).parents[3] / ".." / "shared" / "data" / "pleiades"
@@ -71,3 +74,21 @@ def test_the_virtual_strip_shows_what_the_raw_images_show(finished, tmp_path):
         nearest = raw[np.round(row).astype(int), np.round(column).astype(int)]
         ours = stitched[middle, sample.astype(int)]
         assert np.corrcoef(ours, nearest)[0, 1] > 0.8  # the nearest pixel is up to half a pixel off
+
+
+def test_the_remote_cameras_interior_is_calibrated_from_a_result(finished, tmp_path):
+    dump, result = finished
+    out = tmp_path / "camera"
+    asked = ["remote-camera-calibrate", str(result), "--out", str(out), "--curve-length-px", "400", "--json"]
+    told = runner.invoke(app, asked)
+    assert told.exit_code == 0, told.output
+    content = json.loads((out / "interior.json").read_text())
+    parameters = {one["name"]: one for one in content["parameters"]}
+    assert abs(parameters["focal"]["value"]) < 4.0 * parameters["focal"]["sigma"]  # nothing is wrong with it
+    assert any("installation matrix" in one["not_told_from"] for one in content["gauge"])
+    assert (out / "interior.png").stat().st_size > 10_000
+    changed = shutil.copytree(dump, tmp_path / "dump")
+    shutil.copy(out / "remote_camera.toml", changed / "remote_camera.toml")
+    before, after = (open_dump(place).line_camera for place in (dump, changed))
+    difference, _ = map_difference_px(after, before)
+    assert np.sqrt(np.mean(difference**2)) == pytest.approx(content["map_change_rms_px"], rel=0.02)
