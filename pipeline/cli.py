@@ -48,6 +48,7 @@ from boresight.pipeline.errors import DataNotSufficientError, RawDataError, Work
 from boresight.version import version_text
 
 if TYPE_CHECKING:
+    from boresight.pipeline.commands.calibrate import RunOutcome, RunRequest
     from boresight.pipeline.experiments.pixels import PixelSettings
     from boresight.pipeline.experiments.vectors import ExperimentSettings
     from boresight.pipeline.files.dump import Dump
@@ -153,64 +154,63 @@ def simulate(
     )
 
 
+Dumps = Annotated[
+    list[Path],
+    typer.Argument(metavar="DUMP", help="Folder with a dump.toml; several of one mission, in any order."),
+]
+ResultFolder = Annotated[
+    Path,
+    typer.Option(
+        help="Folder of the result: new, empty, or that of a run to be resumed.",
+        parser=_folder,
+        metavar="PATH",
+    ),
+]
+Workers = Annotated[
+    int | None,
+    typer.Option(help="Processes on this machine; default: one a core, one for a small dump.", min=1),
+]
+Scheduler = Annotated[str | None, typer.Option(help="Address of a dask scheduler instead (docs/cluster.md).")]
+WorkerTimeout = Annotated[
+    float | None, typer.Option(help="Longest wait for a usable worker of the scheduler, s.", min=0.0)
+]
+StaleEop = Annotated[
+    bool, typer.Option(help="Continue past the end of the Earth-orientation table, with a warning.")
+]
+WithReport = Annotated[bool, typer.Option(help="Write report.html at the end.")]
+AcceptInconsistent = Annotated[
+    bool, typer.Option("--accept-inconsistent", help="Exit with 0 where the verdict is refuted.")
+]
+Overwrite = Annotated[
+    bool, typer.Option("--overwrite", help="Replace a result of another dump or of other settings.")
+]
+
+
 def calibrate(
-    dumps: Annotated[
-        list[Path],
-        typer.Argument(metavar="DUMP", help="Folder with a dump.toml; several of one mission, in any order."),
-    ],
-    out: Annotated[
-        Path,
-        typer.Option(
-            help="Folder of the result: new, empty, or that of a run to be resumed.",
-            parser=_folder,
-            metavar="PATH",
-        ),
-    ],
+    dumps: Dumps,
+    out: ResultFolder,
     settings: SettingsFile = None,
-    workers: Annotated[
-        int | None,
-        typer.Option(help="Processes on this machine; default: one a core, one for a small dump.", min=1),
-    ] = None,
-    scheduler: Annotated[
-        str | None, typer.Option(help="Address of a dask scheduler instead (docs/cluster.md).")
-    ] = None,
-    worker_timeout: Annotated[
-        float | None, typer.Option(help="Longest wait for a usable worker of the scheduler, s.", min=0.0)
-    ] = None,
-    allow_stale_eop: Annotated[
-        bool, typer.Option(help="Continue past the end of the Earth-orientation table, with a warning.")
-    ] = False,
-    report: Annotated[bool, typer.Option(help="Write report.html at the end.")] = True,
+    workers: Workers = None,
+    scheduler: Scheduler = None,
+    worker_timeout: WorkerTimeout = None,
+    allow_stale_eop: StaleEop = False,
+    report: WithReport = True,
     require_arcsec: RequireArcsec = None,
     require_m: RequireMetres = None,
-    accept_inconsistent: Annotated[
-        bool, typer.Option("--accept-inconsistent", help="Exit with 0 where the verdict is refuted.")
-    ] = False,
-    overwrite: Annotated[
-        bool, typer.Option("--overwrite", help="Replace a result of another dump or of other settings.")
-    ] = False,
+    accept_inconsistent: AcceptInconsistent = False,
+    overwrite: Overwrite = False,
 ) -> Answer:
     """Estimate the installation matrix of a dump from raw images; of several dumps, of each and of all.
 
     Example: boresight calibrate dump --out result
     """
-    from boresight.pipeline.commands.calibrate import RunRequest, going_on, run_dump, run_dumps, saved_content
-    from boresight.pipeline.files.dump import open_dump
+    from boresight.pipeline.commands.calibrate import RunRequest, saved_content
     from boresight.pipeline.results.requirement import Requirement
     from boresight.pipeline.settings import read_settings
-    from boresight.pipeline.stages.joint import open_dumps
     from boresight.pipeline.work.workers import executor_for
 
     if workers is not None and scheduler is not None:
         raise wrong_usage("--workers and --scheduler exclude one another")
-    facts = {
-        "workers": workers,
-        "scheduler": scheduler,
-        "python": platform.python_version(),
-        "machine": platform.platform(),
-        "version": __version__,
-        "packages": {name: metadata.version(name) for name in REPORTED_PACKAGES},
-    }
 
     def executor_on(opened: list[Dump]) -> AbstractContextManager[Executor]:
         probes = [dump.root / "dump.toml" for dump in opened]
@@ -224,19 +224,9 @@ def calibrate(
         begun_s=begun_s,
         overwrite=overwrite,
         requirement=Requirement(require_arcsec, require_m),
-        facts=facts,
+        facts={"workers": workers, "scheduler": scheduler} | _machine(),
     )
-    if len(dumps) == 1:
-        with _warnings_reported():
-            one = open_dump(dumps[0].resolve(), allow_stale_eop=allow_stale_eop)
-        with going_on(out), progress_bars() as progress, executor_on([one]) as executor:
-            outcome = run_dump(out, one, str(dumps[0]), request, executor, progress)
-    else:
-        with _warnings_reported():
-            several = open_dumps(dumps, request.settings, allow_stale_eop=allow_stale_eop)
-        opened = [named.dump for named in several]
-        with going_on(out), progress_bars() as progress, executor_on(opened) as executor:
-            outcome = run_dumps(out, several, request, executor, progress)
+    outcome = _run(dumps, out, request, executor_on, allow_stale_eop)
     files = (out / "installation.json", *([out / "report.html"] if report else []))
     took = f"{time.perf_counter() - begun_s:.1f} s -> {files[0]}{', report.html' if report else ''}"
     return Answer(
@@ -245,6 +235,40 @@ def calibrate(
         files=files,
         exit_status=REFUTED if outcome.refuted and not accept_inconsistent else DONE,
     )
+
+
+def _machine() -> dict[str, object]:
+    """What run.json says of machine and versions."""
+    return {
+        "python": platform.python_version(),
+        "machine": platform.platform(),
+        "version": __version__,
+        "packages": {name: metadata.version(name) for name in REPORTED_PACKAGES},
+    }
+
+
+def _run(
+    dumps: list[Path],
+    out: Path,
+    request: RunRequest,
+    executor_on: Callable[[list[Dump]], AbstractContextManager[Executor]],
+    allow_stale_eop: bool,
+) -> RunOutcome:
+    """Open one dump or several, and carry them through."""
+    from boresight.pipeline.commands.calibrate import going_on, run_dump, run_dumps
+    from boresight.pipeline.files.dump import open_dump
+    from boresight.pipeline.stages.joint import open_dumps
+
+    if len(dumps) == 1:
+        with _warnings_reported():
+            one = open_dump(dumps[0].resolve(), allow_stale_eop=allow_stale_eop)
+        with going_on(out), progress_bars() as progress, executor_on([one]) as executor:
+            return run_dump(out, one, str(dumps[0]), request, executor, progress)
+    with _warnings_reported():
+        several = open_dumps(dumps, request.settings, allow_stale_eop=allow_stale_eop)
+    opened = [named.dump for named in several]
+    with going_on(out), progress_bars() as progress, executor_on(opened) as executor:
+        return run_dumps(out, several, request, executor, progress)
 
 
 @contextmanager

@@ -436,10 +436,13 @@ class StripRow(_Row):
     lines: Annotated[int, Field(ge=1, le=10_000_000)]
 
 
-class TargetRow(_Row):
-    """targets.csv"""
-
+class _Identified(_Row):
     id: Id
+
+
+class _Surveyed(_Row):
+    """Columns of a point on the ground."""
+
     lat_deg: float = within(-90.0, 90.0, "geodetic latitude, degrees")
     lon_deg: float = within(-180.0, 360.0, "longitude, degrees, positive to the east")
     height_m: float = within(-500.0, 1e4, "height, m, from the Dead Sea to above Everest")
@@ -447,23 +450,24 @@ class TargetRow(_Row):
     sigma_east_m: TargetSigma
     sigma_north_m: TargetSigma
     sigma_up_m: TargetSigma
+
+
+class TargetRow(_Surveyed, _Identified):
+    """targets.csv"""
+
     chip: RelativePath
 
 
-class PointRow(_Row):
-    """points.csv: ground points whose image positions are measured"""
+class _Measured(_Identified):
+    """Columns of a position in an image."""
 
-    id: Id
     strip: Id
     ccd: Annotated[int, Field(ge=0, le=63)]
     sample: Sample
     line: float = within(-1e7, 1e7, "row of the strip, px; (0, 0) is the centre of the first pixel")
     sigma_sample_px: PointSigma
     sigma_line_px: PointSigma
-    lat_deg: float = within(-90.0, 90.0, "geodetic latitude, degrees")
-    lon_deg: float = within(-180.0, 360.0, "longitude, degrees, positive to the east")
-    height_m: float = within(-500.0, 1e4, "height, m, from the Dead Sea to above Everest")
-    height_kind: HeightKind
-    sigma_east_m: TargetSigma
-    sigma_north_m: TargetSigma
-    sigma_up_m: TargetSigma
+
+
+class PointRow(_Surveyed, _Measured):
+    """points.csv: ground points whose image positions are measured"""

@@ -127,7 +127,8 @@ def test_installed_wheel_runs_the_demo_outside_the_repository(installed: Path, t
     nees = next(float(line.split()[-1]) for line in told.splitlines() if line.startswith("NEES"))
     assert nees < 11.3  # chi-square, 3 degrees of freedom, 99 %
     result = json.loads((tmp_path / "result" / "installation.json").read_text())
-    code = "import boresight as bs; print(bs.calibrate('mini').R_cs.as_quat(canonical=True).tolist())"
+    call = "bs.calibrate('mini', out='result').R_cs.as_quat(canonical=True)"  # the finished run, at once
+    code = f"import boresight as bs; print({call}.tolist())"
     assert json.loads(run(installed, "-c", code, cwd=tmp_path)) == result["quaternion"]
     variance = [row[n] for n, row in enumerate(result["covariance_rad2"])]
     assert max(variance) ** 0.5 < 10.0 / 206265.0  # rad: 10 arcsec bound the weakest axis of the demo
