@@ -264,9 +264,8 @@ def between_trackers(root: Path) -> None:
         low, high = float(ratio.min()), float(ratio.max())
         text = f"sigma of means of {seconds:g} s is {low:.2f} to {high:.2f} of their scatter"
         verdict(f"{text}, within 0.6 and 1.6", 0.6 <= low and high <= 1.6)
-    tested = next(
-        seconds for seconds in (10.0, 5.0, 4.0, 3.0, 2.0, 1.0) if by_chance(signal, seconds) >= 0.95
-    )
+    lengths = (5.0, 4.0, 3.0, 2.5, 2.0, 1.5, 1.0)
+    tested = next(seconds for seconds in lengths if by_chance(signal, seconds) >= 0.95)
     for seconds in (10.0, 5.0, tested):
         ratio, chance = other_half(signal, seconds), by_chance(signal, seconds)
         text = (
