@@ -133,10 +133,9 @@ def operators_parameters(strips: dict[str, Sentinel2], seen: dict[str, tuple[np.
     # where a band has its points, most of all about z, which moves a point by a tenth of its angle.
     for band, points in seen.items():
         alone = fit_correction(*points, strip.R_cp, t0, degree=0, with_scale=False)
-        off_sigma = np.abs(1e6 * alone.angles_rad[0] - CONSTANT) / (1e6 * alone.sigma[:3])
-        print(
-            f"{band} alone {np.round(1e6 * alone.angles_rad[0], 4)} +- {np.round(1e6 * alone.sigma[:3], 4)} urad"
-        )
+        found, sigma = 1e6 * alone.angles_rad[0], 1e6 * alone.sigma[:3]
+        off_sigma = np.abs(found - CONSTANT) / sigma
+        print(f"{band} alone {np.round(found, 4)} +- {np.round(sigma, 4)} urad")
         verdict(f"{band} alone: at most {off_sigma.max():.1f} sigma off, at most 3", off_sigma.max() <= 3.0)
     for band, points in (*seen.items(), ("both", both)):
         full = fit_correction(*points, strip.R_cp, t0)

@@ -126,7 +126,7 @@ def _names_of_targets(dumps: Iterable[NamedDump]) -> dict[Place, str]:
     """Names of targets by id, coordinates and sigma: after the first dump that lists them."""
     names: dict[Place, str] = {}
     for named in dumps:
-        for target in named.dump.targets:
+        for target in named.dump.ground_targets.values():
             names.setdefault(_place(target), f"{named.name}/{target.target_id}")
     return names
 
@@ -136,7 +136,7 @@ def _renamed(
 ) -> StripSightings:
     """The strip as one of many dumps: ids with the dump's name, seconds since `epoch`."""
     later_s = float(named.dump.epoch.tai_s - epoch.tai_s)
-    own = {target.target_id: target_names[_place(target)] for target in named.dump.targets}
+    own = {target.target_id: target_names[_place(target)] for target in named.dump.ground_targets.values()}
     targets = np.array([own.get(name, name) for name in strip.ground.target_id.tolist()], dtype=str)
 
     def seen(exposure: StarSightings) -> StarSightings:

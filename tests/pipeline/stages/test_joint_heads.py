@@ -1,0 +1,119 @@
+"""Several dumps with two star trackers each: one matrix of each tracker from all of them."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from handmade_sentinel2 import write_sentinel2
+from scipy.spatial.transform import Rotation
+from typer.testing import CliRunner
+
+from boresight.geometry.attitude import AttitudeTrack
+from boresight.geometry.constants import ARCSEC, WGS84
+from boresight.geometry.geodesy import geodetic_from_ecef
+from boresight.geometry.pushbroom import Pushbroom, RowClock
+from boresight.geometry.terrain import ConstantHeight
+from boresight.pipeline.cli import app
+from boresight.pipeline.files.dump import Dump, open_dump
+from boresight.pipeline.files.sentinel2 import read_sentinel2
+from boresight.pipeline.files.star_side import SolvedAttitudes
+from boresight.pipeline.files.text_tables import write_toml
+from boresight.pipeline.imports.sentinel2 import sentinel2_mission
+from boresight.pipeline.imports.writing import write_imported
+
+HEADER = "id,strip,ccd,sample,line,sigma_sample_px,sigma_line_px,lat_deg,lon_deg,height_m,height_kind,"
+HEADER += "sigma_east_m,sigma_north_m,sigma_up_m\n"
+MOVED = Rotation.from_rotvec(np.array([60.0, -40.0, 110.0]) * ARCSEC)  # both trackers, by the launch
+ALONE = Rotation.from_rotvec(np.array([-25.0, 70.0, 50.0]) * ARCSEC)  # the second one beside that
+
+
+def truth(dump: Dump) -> tuple[Pushbroom, tuple[Rotation, Rotation]]:
+    """The camera as it is, carried by the first tracker, and the true matrices of both."""
+    one, two = dump.heads
+    assert isinstance(one.source, SolvedAttitudes)
+    strip, rows = dump.strips[0], one.source.rows
+    matrices = MOVED * one.R_cs0, MOVED * two.R_cs0
+    model = Pushbroom(
+        camera=dump.line_camera,
+        rows=RowClock(strip.t_first_row_s, strip.row_period_s),
+        orbit=dump.orbit,
+        earth=dump.orbit.earth,
+        attitude=AttitudeTrack(rows.t_s, rows.R_si, dump.orbit),
+        R_cs=matrices[0],
+        effects=dump.light,
+    )
+    return model, matrices
+
+
+def points(dump: Dump, model: Pushbroom, lines: np.ndarray, first: int) -> str:
+    """Noiseless points over both detectors, in the strip that begins with line `first`."""
+    rows = []
+    for ccd in (0, 1):
+        sample, line = (a.ravel() for a in np.meshgrid([0.0, 8.0, 15.0, 23.0], lines))
+        from_first = dump.strips[0].first_line[ccd]
+        places = model.ground_points(ccd, sample, line + from_first, ConstantHeight(30.0))
+        lat, lon, height = geodetic_from_ecef(places, WGS84)
+        for n, (s, r, *place) in enumerate(zip(sample, line, np.degrees(lat), np.degrees(lon), height)):
+            lat_deg, lon_deg, height_m = map(float, place)
+            rows.append(
+                f"p{ccd}.{lines[0]:.0f}.{n},B04,{ccd},{float(s)!r},{float(r) - first!r},0.05,0.05,"
+                f"{lat_deg!r},{lon_deg!r},{height_m!r},ellipsoidal,0.1,0.1,0.1\n"
+            )
+    return HEADER + "".join(rows)
+
+
+@pytest.fixture(scope="module")
+def found(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, tuple[Rotation, Rotation]]:
+    """The joint result of two dumps, and the true matrices."""
+    root = tmp_path_factory.mktemp("heads")
+    mission = sentinel2_mission(read_sentinel2(write_sentinel2(root), root, "B04"), "test")
+    write_imported(root / "plain", mission)
+    (root / "plain" / "points.csv").write_text(HEADER + "a,B04,1,3,100,1,1,10,20,50,ellipsoidal,1,1,1\n")
+    plain = open_dump(root / "plain")
+    model, matrices = truth(plain)
+    half = plain.strips[0].lines // 4
+    for name, first in (("early", 0), ("late", half)):
+        strips = tuple(
+            replace(one, t_first_row_s=one.t_first_row_s + first * one.row_period_s, lines=half)
+            for one in mission.strips
+        )
+        lines = first + np.linspace(50.0, half - 50.0, 5)
+        write_imported(root / name, replace(mission, strips=strips), points(plain, model, lines, first))
+        installation = {
+            "quaternion_cs": (ALONE * plain.heads[1].R_cs0).as_quat().tolist(),
+            "sigma_rad": [1e-3] * 3,
+        }
+        write_toml(root / name / "installation_STR2.toml", installation)
+    outcome = CliRunner().invoke(
+        app, ["calibrate", str(root / "early"), str(root / "late"), "--out", str(root / "result")]
+    )
+    assert outcome.exit_code == 0, outcome.output
+    return root / "result", matrices
+
+
+def sigma(installation: dict, head: int) -> np.ndarray:
+    variance = np.diag(np.array(installation["heads_covariance_rad2"]))
+    return np.sqrt(variance[3 * head : 3 * head + 3]) / ARCSEC
+
+
+def test_both_matrices_come_out_of_all_dumps_together(found):
+    result, matrices = found
+    joint = json.loads((result / "installation.json").read_text())
+    assert [one["name"] for one in joint["heads"]] == ["STR1", "STR2"]
+    for n, (one, R_cs) in enumerate(zip(joint["heads"], matrices)):
+        off = (Rotation.from_matrix(one["R_cs"]) * R_cs.inv()).as_rotvec() / ARCSEC
+        # noiseless: what is left is second order in the 100 arc-seconds, and the priors' pull
+        assert np.all(np.abs(off) < 0.1 * sigma(joint, n)), (one["name"], off)
+
+
+def test_joint_sigmas_are_below_those_of_each_dump(found):
+    result, _ = found
+    joint = json.loads((result / "installation.json").read_text())
+    for name in ("early", "late"):
+        alone = json.loads((result / name / "installation.json").read_text())
+        for head in (0, 1):
+            assert np.all(sigma(joint, head) < sigma(alone, head))
