@@ -49,6 +49,7 @@ def plan(
             "forecast": found.table.to_dict("records"),
             "by_targets": found.by_targets.to_dict("records"),
             "without": found.without.to_dict("records"),
+            "campaigns": found.campaigns.to_dict("records"),
         },
         files=files,
         exit_status=DATA_DID_NOT_ALLOW if failed else DONE,

@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from boresight.calib.calibration import strip_pairs
 from boresight.calib.forecast import Forecast, forecast_from_strips
 from boresight.calib.settings import CalibrationSettings
 from boresight.geometry.line_camera import LineSensor
 from boresight.geometry.record import Floats, array, record, scalar
 from boresight.geometry.sightings import StripSightings
 from boresight.simulator.campaign import CameraPair, StripPlan, draw_strips
+from boresight.simulator.sky_campaign import draw_sky_strips
 
-__all__ = ["Improvement", "forecast", "improvements", "settings_of_plan"]
+__all__ = ["Improvement", "SkyPart", "compare_campaigns", "forecast", "improvements", "settings_of_plan"]
 
 OUTER_SHARE = 0.1  # of the swath, at each end: where targets determine the rotation about the boresight best
 
@@ -37,6 +39,36 @@ def forecast(plan: StripPlan, cameras: CameraPair, *, draws: int = 100, seed: in
     settings = replace(settings_of_plan(plan), robust=False)
     strips, truth = draw_strips(replace(plan, strips=draws), cameras, np.random.default_rng(seed))
     return forecast_from_strips(strips, truth.R_cs, settings)
+
+
+@dataclass(frozen=True, slots=True)
+class SkyPart:
+    """The strips of the sky of a planned campaign."""
+
+    plan: StripPlan  # of one strip; `targets` is the number of stars in it
+    strips: int
+    rate_rad_s: float  # of the scan; forward and backward in turn
+
+
+def compare_campaigns(
+    ground: StripPlan, sky: SkyPart, cameras: CameraPair, *, draws: int = 60, seed: int = 0
+) -> dict[str, Floats]:
+    """1-sigma (3,) about the axes of c, rad, of the ground's strips alone, the sky's alone, and both; NaN
+    about an axis that is not observable.
+    """
+    rng = np.random.default_rng(seed)
+    settings = replace(settings_of_plan(ground), robust=False)
+    below, truth = draw_strips(replace(ground, strips=draws), cameras, rng)
+    rates = (-sky.rate_rad_s, sky.rate_rad_s)
+    above = draw_sky_strips(replace(sky.plan, strips=draws), cameras, rng, rates_rad_s=rates)
+    pairs, prior = strip_pairs([*below, *above], truth.R_cs, settings)
+    of_sky = np.char.startswith(pairs.names, "sky")
+    total = ground.strips * pairs.F[~of_sky].mean(axis=0) + sky.strips * pairs.F[of_sky].mean(axis=0)
+    return {
+        "ground": forecast_from_strips(below, truth.R_cs, settings).sigma(ground.strips),
+        "sky": forecast_from_strips(above, truth.R_cs, settings).sigma(sky.strips),
+        "both": Forecast(total, prior, settings.sigma_observable_rad).sigma(1.0),
+    }
 
 
 @record(kw_only=True)

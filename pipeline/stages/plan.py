@@ -15,7 +15,7 @@ from boresight.geometry.constants import ARCSEC
 from boresight.pipeline.errors import DataNotSufficientError
 from boresight.pipeline.files.text_files import toml_tables
 from boresight.pipeline.settings import filled
-from boresight.pipeline.stages.forecast import forecast
+from boresight.pipeline.stages.forecast import SkyPart, compare_campaigns, forecast
 from boresight.simulator.campaign import CameraPair, StripPlan, installation_by_tilt
 
 __all__ = ["Plan", "PlanForecast", "forecast_plan", "read_plan"]
@@ -78,6 +78,25 @@ class PlannedTargets:
 
 
 @dataclass(frozen=True, slots=True)
+class PlannedSky:
+    """`[sky]`: strips that scan the sky, forward and backward in turn."""
+
+    count: int = 0
+    stars: int = 12  # in each strip
+    sigma_px: float = 0.1  # of their places, each axis
+    duration_s: float = 7.2
+    exposures: int = 36
+    rate_mrad_s: float = 3.6  # of the scan: rows last the longer, the slower it is
+
+    def __post_init__(self) -> None:
+        _check_counts(self, 1000, "exposures", "stars")
+        if not 0 <= self.count <= 1_000_000:
+            raise ValueError(f"count must be 0 to 1000000, got {self.count}")
+        if not self.rate_mrad_s > 0.0:
+            raise ValueError(f"rate_mrad_s must be positive, got {self.rate_mrad_s}")
+
+
+@dataclass(frozen=True, slots=True)
 class PlannedErrors:
     """`[errors]`: 1-sigma of what is common to a strip or a camera (defaults: the paper's Table 1)."""
 
@@ -95,6 +114,7 @@ class Plan:
     cameras: PlannedCameras = field(default_factory=PlannedCameras)
     strips: PlannedStrips = field(default_factory=PlannedStrips)
     targets: PlannedTargets = field(default_factory=PlannedTargets)
+    sky: PlannedSky = field(default_factory=PlannedSky)
     errors: PlannedErrors = field(default_factory=PlannedErrors)
 
 
@@ -107,6 +127,7 @@ class PlanForecast:
     table: pd.DataFrame
     by_targets: pd.DataFrame  # targets a strip, axis, sigma_arcsec
     without: pd.DataFrame  # source of error, axis, sigma_arcsec without it
+    campaigns: pd.DataFrame  # ground, sky, both: axis, sigma_arcsec; no rows without strips of the sky
     text: str
     strips_needed: int | None
 
@@ -135,8 +156,48 @@ def forecast_plan(plan: Plan, target_arcsec: float | None = None) -> PlanForecas
     needed = None if target_arcsec is None else found.strips_for(target_arcsec * ARCSEC)
     by_targets = _sigmas(plan, "targets", {n: replace(campaign, targets=n) for n in TARGET_COUNTS}, cameras)
     without = _sigmas(plan, "source", _without(campaign), cameras)
-    text = "\n".join([_text(plan, found, target_arcsec, needed), *_limit_lines(without)])
-    return PlanForecast(table, by_targets, without, text, needed)
+    campaigns = _campaigns(plan, campaign, cameras)
+    lines = [
+        _text(plan, found, target_arcsec, needed),
+        *_limit_lines(without),
+        *_campaign_lines(plan, campaigns),
+    ]
+    return PlanForecast(table, by_targets, without, campaigns, "\n".join(lines), needed)
+
+
+def _campaigns(plan: Plan, campaign: StripPlan, cameras: CameraPair) -> pd.DataFrame:
+    """1-sigma of the ground's strips alone, the sky's alone, and both; no rows without strips of the sky."""
+    rows: list[tuple[str, str, float]] = []
+    if (sky := plan.sky).count:
+        strip = replace(
+            campaign,
+            targets=sky.stars,
+            sigma_c_px=sky.sigma_px,
+            duration_s=sky.duration_s,
+            exposures=sky.exposures,
+            across=(-1.0, 1.0),
+            along=(0.0, 1.0),
+        )
+        part = SkyPart(strip, sky.count, 1e-3 * sky.rate_mrad_s)
+        for name, sigma in compare_campaigns(campaign, part, cameras).items():
+            rows += [(name, axis, value / ARCSEC) for axis, value in zip("XYZ", sigma)]
+    return pd.DataFrame(rows, columns=["campaign", "axis", "sigma_arcsec"])
+
+
+def _campaign_lines(plan: Plan, campaigns: pd.DataFrame) -> list[str]:
+    """The campaigns beside one another."""
+    names = {
+        "ground": f"{plan.strips.count} strips of the ground",
+        "sky": f"{plan.sky.count} strips of the sky",
+        "both": "both together",
+    }
+    lines = []
+    for name, text in names.items():
+        those = campaigns[campaigns["campaign"] == name]
+        if len(those):
+            pairs = zip(those["axis"], those["sigma_arcsec"])
+            lines.append(f"{text:28s}" + "  ".join(f"{axis} {sigma:.4g}″" for axis, sigma in pairs))
+    return lines
 
 
 def _without(campaign: StripPlan) -> dict[str, StripPlan]:
