@@ -132,7 +132,8 @@ def stamps(xy: NDArray, table: NDArray, half: int, shift: NDArray | None = None)
 def render(
     stars: Stars, size: tuple[int, int], blur: Blur, sensor: Sensor, rng: np.random.Generator
 ) -> tuple[NDArray, NDArray]:
-    """Raw image (H, W), and the variance of its background in DN^2 as it was drawn, without row noise."""
+    """Raw image (H, W), and the variance of its background in DN^2 as it was drawn and rounded, without row
+    noise."""
     width, height = size
     light = np.full((height, width), sensor.sky_e)
     y, x = np.mgrid[0:height, 0:width]
@@ -151,7 +152,7 @@ def render(
     noise = np.sqrt(sensor.read_e**2 + sensor.sky_e)
     variance = (sensor.read_e**2 + (light if sensor.vignetting or sensor.bayer else sensor.sky_e)) / (
         sensor.e_per_dn**2
-    )
+    ) + 1.0 / 12.0
     electrons = rng.poisson(light) + rng.normal(0.0, sensor.read_e, light.shape)
     if sensor.hot_pixels:
         where = rng.integers(0, electrons.size, sensor.hot_pixels)

@@ -8,7 +8,7 @@ row shows another part of the sky. `unknown` is the image alone, `given` the tru
 
     right      identified within 0.05 deg and 0.2 deg of roll: of frames; w: identified wrongly
     complete   of the isolated, unsaturated stars of SNR 8 and more (matched filter of the rendered PSF)
-    false      detections without a star within 3 px, a frame
+    false      detections without a star within 3 px, or a third of a trail's length, a frame
     x bound    error of these stars over the Cramér-Rao bound of the rendered PSF, and chi2 of their errors
     NEES       mean squared error over stated variance, each of one degree of freedom: direction, roll, field
     CPU        ms a frame for an image alone, detection to fit
@@ -291,13 +291,14 @@ def _score_stars(row: Row, stars: StarList, sky: Stars, variance: NDArray, score
     use = (snr >= LEAST_SNR) & peak
     if len(stars.xy_px):
         distance, nearest = cKDTree(stars.xy_px).query(xy[rows])
-        hit = use & (distance < NEAR_PX)
+        near = max(NEAR_PX, float(np.hypot(*row.blur.trail_px)) / 3.0, row.blur.ring_px)
+        hit = use & (distance < near)
         error = stars.xy_px[nearest[hit]] - xy[rows[hit]]
         own = 0.5 * np.trace(stars.cov_px[nearest[hit]], axis1=1, axis2=2)
         score.seen += int(hit.sum())
         score.over.append(0.5 * (error**2).sum(axis=1) / bound[hit] ** 2)
         score.chi2.append(0.5 * (error**2).sum(axis=1) / own)
-        score.false += int((tree.query(stars.xy_px)[0] > NEAR_PX).sum())
+        score.false += int((tree.query(stars.xy_px)[0] > near).sum())
     score.stars += int(use.sum())
 
 

@@ -57,6 +57,7 @@ _NOMINAL_PIXEL_M = 5e-6  # only the ratio of focal length and pixel matters
 _FOV_STEP = 0.10  # largest relative error of a nominal field of view
 _SHAPE_STEP = 0.012  # largest relative change of a triangle's shape by an error of the focal length
 _STARS_TO_START = 12  # the brightest: false detections are mostly faint, and bend a lens that few stars hold
+_ENOUGH_TO_TELL, _LEAST_BRIGHT_SHARE = 20, 0.1  # detections; share of them of twice the threshold
 _MATCHINGS = 6  # of stars and lens in turn
 _LEAST_RELIABLE = 4  # stars; of fewer the attitude is not better than that of all stars
 # stages of identification: first a quick search over all fields of view
@@ -209,6 +210,9 @@ def solve_list(
     observer: Observer | None = None,
 ) -> FieldSolution | NotIdentified:
     """Solution as in `solve_field`, from the stars found in an image of `size` (width, height), px."""
+    if _are_no_stars(stars):
+        reason = f"{len(stars.snr)} detections without a star's shape, nearly all at the threshold"
+        return NotIdentified(f"{reason}: no stars; expose longer, or state the PSF", len(stars.snr))
     reversed_stars = stars.mirrored(size[0])
     attempts = ((False, _PASSES[:1]), (True, _PASSES[:1]), (False, _PASSES[1:]))
     tried, reasons = 0, []
@@ -222,6 +226,14 @@ def solve_list(
         solution = _weighted(seen, *answer, index, settings, camera, observer)
         return replace(solution, mirrored=mirrored)
     return max(reasons, key=lambda answer: answer.best_log_odds)
+
+
+def _are_no_stars(stars: StarList) -> bool:
+    """Whether the detections are hot pixels and noise: of stars four in ten are twice as bright as the
+    faintest."""
+    if stars.psf_stars or len(stars.snr) < _ENOUGH_TO_TELL:
+        return False
+    return bool(np.mean(stars.snr > 2.0 * stars.threshold) < _LEAST_BRIGHT_SHARE)
 
 
 def _weighted(

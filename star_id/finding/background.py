@@ -68,9 +68,9 @@ def estimate_background(image: NDArray) -> Background:
 def _noise_between_neighbours(image: NDArray) -> float:
     """Standard deviation of a pixel, DN, from differences of pixels near one another; inf where these do not
     tell, in a sky that is cut off or has few grey levels."""
-    few = image[:: max(1, image.shape[0] // 64)].astype(np.float32)
-    columns = np.arange(0, few.shape[1] - _NEAR_PX, max(1, few.shape[1] // 128))
-    difference = np.abs(few[:, columns + _NEAR_PX] - few[:, columns])
+    down, across = (max(1, size // most) for size, most in zip(image.shape, (64, 128)))
+    few = image[::down, :-_NEAR_PX:across].astype(np.float32)
+    difference = np.abs(image[::down, _NEAR_PX::across] - few)
     if np.mean(difference == 0.0) > _ALIKE:
         return np.inf
     return max(1.0483 * float(np.median(difference)), 0.3)

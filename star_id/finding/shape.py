@@ -21,7 +21,7 @@ from boresight.star_id.finding.psf import FINE, PsfImages, shape_images
 from boresight.star_id.finding.window_fit import newton_step, start_state
 from boresight.star_id.finding.windows import StarWindows, star_windows
 
-__all__ = ["ShapeEstimate", "detect_shape", "estimate_shape", "flat_image"]
+__all__ = ["ShapeEstimate", "detect_shape", "estimate_shape", "filter_width_px", "flat_image"]
 
 _STARS, _FEWEST = 60, 8
 _LARGEST_RADIUS, _LEAST_RADIUS = 20, 5  # px
@@ -92,17 +92,35 @@ def _gain(windows: StarWindows, shape: NDArray, offset: Floats, flux: Floats, sk
     return 1.0 / per_dn if per_dn > 0.0 else np.inf
 
 
+def filter_width_px(shape: NDArray) -> float:
+    """Width of the Gaussian whose matched filter has as many noise peaks as that of `shape` (T, T).
+
+    The density of peaks depends on the mean squared slope of the filter's noise (Adler 1981), 1 / (2 s^2) for
+    a Gaussian.
+    """
+    kernel = _kernel(shape)
+    slopes = [((np.roll(kernel, 1, axis) - np.roll(kernel, -1, axis)) ** 2).sum() / 4.0 for axis in (0, 1)]
+    return float(np.mean(slopes) ** -0.5 / np.sqrt(2.0))
+
+
+def _kernel(shape: NDArray) -> NDArray:
+    """Matched filter (S, S) whose sum of squares is one."""
+    radius = (shape.shape[0] // FINE - 1) // 2
+    unit: NDArray = shape_images(shape, np.zeros((1, 2)), radius).value.reshape(2 * radius + 1, -1).clip(0.0)
+    return np.asarray(unit / np.sqrt((unit**2).sum()))
+
+
 def detect_shape(flat: NDArray[np.float32], shape: NDArray, threshold: float) -> Ints:
     """Pixels (N, 2) of the peaks of the matched filter above `threshold` sigmas, the highest first.
 
-    `flat` (H, W) is the image of `flat_image`, `shape` (T, T) that of `ShapeEstimate`.
+    `flat` (H, W) is the image of `flat_image`, `shape` (T, T) that of `ShapeEstimate`. A peak near a higher
+    one has to exceed what that star's wings make of it by the threshold.
     """
-    radius = (shape.shape[0] // FINE - 1) // 2
-    kernel: NDArray = (
-        shape_images(shape, np.zeros((1, 2)), radius).value.reshape(2 * radius + 1, -1).clip(0.0)
-    )
-    kernel = kernel / np.sqrt((kernel**2).sum())
+    kernel = _kernel(shape)
+    radius = kernel.shape[0] // 2
     height = cv2.filter2D(np.minimum(flat, 1e4), cv2.CV_32F, kernel, borderType=cv2.BORDER_REFLECT)
+    low, high = np.quantile(height[::4, ::4], [0.1587, 0.8413])
+    height /= max(1.0, 0.5 * (high - low))  # faint stars, too, make the filtered image uneven
     peak = (height > threshold) & (height == cv2.dilate(height, np.ones((5, 5), np.uint8)))
     y, x = np.nonzero(peak)
     order = np.argsort(-height[y, x], kind="stable")
@@ -118,7 +136,8 @@ def detect_shape(flat: NDArray[np.float32], shape: NDArray, threshold: float) ->
     d = np.clip(d, 1, wings.shape[0] - 2)
     near = cv2.dilate(wings, np.ones((3, 3), np.uint8))[d[:, 1], d[:, 0]]
     drop = np.zeros(len(xy), dtype=bool)
-    drop[pairs[snr[pairs[:, 1]] < _WINGS * near * snr[pairs[:, 0]], 1]] = True
+    above = snr[pairs[:, 1]] - _WINGS * near * snr[pairs[:, 0]]
+    drop[pairs[above < threshold * np.sqrt(1.0 - np.minimum(near, 1.0) ** 2), 1]] = True
     return xy[~drop]
 
 

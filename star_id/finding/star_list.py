@@ -17,7 +17,7 @@ from boresight.star_id.finding.detect import Detections, detect, detection_thres
 from boresight.star_id.finding.lines import without_lines
 from boresight.star_id.finding.mosaic import cell_centre, has_mosaic, merged_cells
 from boresight.star_id.finding.psf import Psf
-from boresight.star_id.finding.shape import detect_shape, estimate_shape, flat_image
+from boresight.star_id.finding.shape import detect_shape, estimate_shape, filter_width_px, flat_image
 from boresight.star_id.finding.star_shape import WidthFits, fit_widths, gain_of, psf_of
 from boresight.star_id.finding.windowed_centroid import windowed_centroids
 from boresight.star_id.settings import StarSettings
@@ -233,7 +233,8 @@ def _detections_by_shape(
         return None
     size = (image.shape[1], image.shape[0])
     psf = Psf(estimate.sigma_px, estimate.sigma_px, (0.0, 0.0), *size, shape=estimate.shape)
-    threshold = detection_threshold(image.size, psf.sigma_px, settings.false_alarms_per_frame)
+    width = filter_width_px(estimate.shape)
+    threshold = detection_threshold(image.size, width, settings.false_alarms_per_frame)
     xy = detect_shape(flat, estimate.shape, threshold)
     return _Found(
         xy_px=xy,

@@ -24,6 +24,7 @@ _STEPS = 3
 _WINDOW_SIGMA = 4.0
 _PSF_MISFIT = 0.15  # residual over star energy that a real PSF may leave on a Gaussian of free width
 _STARS_FOR_GAIN = 5
+_RINGS_PER_PX = 2.0
 _LARGEST_STRETCH = 0.6  # of the squared width, per round
 _OUTLIER = 40.0  # squared deviation of a star's 1 / gain over half its variance: 4.5 sigma, skewed
 
@@ -101,7 +102,7 @@ def psf_of(fits: WidthFits, start: Psf, *, find_smear: bool) -> Psf:
 def gain_of(fits: WidthFits) -> float:
     """Electrons per DN, from the growth of residuals with the signal; infinite if they do not grow.
 
-    Misfit of the PSF contributes too, which makes the stated covariance larger, never smaller.
+    What the PSF leaves of all stars alike, at each distance from their middles, is no noise and subtracted.
     """
     if fits.stars < _STARS_FOR_GAIN:
         return np.inf
@@ -111,7 +112,7 @@ def gain_of(fits: WidthFits) -> float:
     leverage = (np.matmul(covariance.astype(np.float32), unit) * unit).sum(axis=1) / noise2
     model = np.maximum(fits.state[fits.good, 2:3] * fits.images.value[fits.good], 0.0)
     freedom = np.clip(1.0 - leverage, 0.1, 1.0)
-    residual2 = fits.residual[fits.good].astype(float) ** 2
+    residual2 = _without_common_misfit(fits).astype(float) ** 2
     excess = residual2 - noise2 * freedom
     slope = model * freedom
     per_dn = 0.0  # variance per DN of signal, 1 / gain
@@ -124,6 +125,21 @@ def gain_of(fits: WidthFits) -> float:
         inlier = (each - middle) ** 2 * weight < _OUTLIER
         per_dn = max(float((each * weight)[inlier].sum() / weight[inlier].sum()), 0.0)
     return 1.0 / per_dn if per_dn > 0 else np.inf
+
+
+def _without_common_misfit(fits: WidthFits) -> NDArray[np.float32]:
+    """Residuals (K, M) of the good stars less the mean, in units of the flux, at each distance from a star's
+    middle."""
+    state, residual = fits.state[fits.good], fits.residual[fits.good]
+    side = np.arange(-fits.windows.radius, fits.windows.radius + 1.0)
+    x, y = side - state[:, :1], side - state[:, 1:2]
+    ring = np.sqrt(y[:, :, None] ** 2 + x[:, None, :] ** 2).reshape(residual.shape)
+    ring = (_RINGS_PER_PX * ring).astype(np.int64).ravel()
+    flux = np.repeat(state[:, 2], residual.shape[1])
+    weight = flux / np.repeat(fits.windows.noise2[fits.good], residual.shape[1])
+    total = np.bincount(ring, weight * flux) + 1e-30
+    mean = np.bincount(ring, weight * residual.ravel()) / total
+    return np.asarray(residual - (flux * mean[ring]).reshape(residual.shape))
 
 
 def _with_smear(psf: Psf, fits: WidthFits) -> Psf:
