@@ -118,7 +118,9 @@ def detect_shape(flat: NDArray[np.float32], shape: NDArray, threshold: float) ->
     """
     kernel = _kernel(shape)
     radius = kernel.shape[0] // 2
-    height = cv2.filter2D(np.minimum(flat, 1e4), cv2.CV_32F, kernel, borderType=cv2.BORDER_REFLECT)
+    height: NDArray[np.float32] = np.asarray(
+        cv2.filter2D(np.minimum(flat, 1e4), cv2.CV_32F, kernel, borderType=cv2.BORDER_REFLECT), np.float32
+    )
     low, high = np.quantile(height[::4, ::4], [0.1587, 0.8413])
     height /= max(1.0, 0.5 * (high - low))  # faint stars, too, make the filtered image uneven
     peak = (height > threshold) & (height == cv2.dilate(height, np.ones((5, 5), np.uint8)))
