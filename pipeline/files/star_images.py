@@ -12,12 +12,12 @@ from __future__ import annotations
 import math
 import struct
 import warnings
-import zlib
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
+from isal import isal_zlib
 from numpy.typing import NDArray
 
 from boresight.pipeline.errors import RawDataError
@@ -144,13 +144,14 @@ def _decoded(raw: bytes, flag: int, file: str, width: int, height: int) -> NDArr
 def _check_png_chunks(raw: bytes, file: str) -> None:
     """`RawDataError` unless every chunk is complete and its checksum right; decoders fill gaps with black."""
     at = 8
+    content = memoryview(raw)
     while at + 12 <= len(raw):
         (length,) = struct.unpack_from(">I", raw, at)
         kind = raw[at + 4 : at + 8]
         if at + 12 + length > len(raw):
             break
         (stated,) = struct.unpack_from(">I", raw, at + 8 + length)
-        computed = zlib.crc32(raw[at + 4 : at + 8 + length])
+        computed = isal_zlib.crc32(content[at + 4 : at + 8 + length])
         if computed != stated:
             raise RawDataError(file, f"byte {at}", f"checksum {computed:08x}", f"{stated:08x}")
         if kind == b"IEND":
