@@ -1,4 +1,5 @@
-"""Ten prepared faults in a dump: does the report's first screen, or its first click, name cause and item?
+"""Ten prepared faults in a dump, and four smaller ones: does the report's first screen, or its first click,
+name cause and item?
 
     python benchmarks/prepared_faults.py WORK [--images docs/images/faults] [--only NAME]
 
@@ -75,8 +76,8 @@ def repaint(path: Path, paint: Callable[[np.ndarray], np.ndarray], shift_m: floa
         file.write(paint(image), 1)
 
 
-def shifted_chip(dump: Path) -> None:
-    repaint(dump / "chips/s02-t05.tif", lambda image: image, CHIP_SHIFT_M)
+def shifted_chip(dump: Path, shift_m: float = CHIP_SHIFT_M) -> None:
+    repaint(dump / "chips/s02-t05.tif", lambda image: image, shift_m)
 
 
 def cloud(dump: Path) -> None:
@@ -100,12 +101,12 @@ def mirrored(dump: Path) -> None:
         cv2.imwrite(str(path), np.ascontiguousarray(image[:, ::-1]))
 
 
-def clock(dump: Path) -> None:
+def clock(dump: Path, late_s: float = CLOCK_S) -> None:
     rows = table(dump / "strips.csv")
     for row in rows[1:]:
         if row[0] == "s02":
             second, rest = row[3][:17], float(row[3][17:])
-            row[3] = f"{second}{rest + CLOCK_S:012.9f}"
+            row[3] = f"{second}{rest + late_s:012.9f}"
     write(dump / "strips.csv", rows)
 
 
@@ -121,14 +122,21 @@ def coordinate(dump: Path) -> None:
     write(dump / "targets.csv", rows)
 
 
-def principal_point(dump: Path) -> None:
+def principal_point(dump: Path, moved_px: float = PRINCIPAL_PX) -> None:
     text = (dump / "star_camera.toml").read_text()
     x = float(re.search(r"principal_point_px = \[([\d.]+)", text).group(1))
     change(
         dump / "star_camera.toml",
         r"principal_point_px = \[[\d.]+",
-        f"principal_point_px = [{x + PRINCIPAL_PX}",
+        f"principal_point_px = [{x + moved_px}",
     )
+
+
+def height(dump: Path) -> None:
+    rows = table(dump / "targets.csv")
+    (row,) = [row for row in rows if row[0] == "s01-t08"]
+    row[3] = f"{float(row[3]) + 300.0:.3f}"
+    write(dump / "targets.csv", rows)
 
 
 def keep(dump: Path, ids: set[str]) -> None:
@@ -179,6 +187,23 @@ FAULTS = (
         lambda dump: keep(dump, {f"s0{s}-t0{t}" for s in (1, 2, 3) for t in (1, 2, 5)}),
         ("swath",),
     ),
+    Fault(
+        "small-chip-shift",
+        "chip of s02-t05 moved 13 m, 2 px, to the east",
+        lambda dump: shifted_chip(dump, 13.0),
+        ("chip", "s02-t05"),
+        "s02-t05",
+    ),
+    Fault(
+        "small-clock", "rows of strip s02 dated 4 ms late", lambda dump: clock(dump, 4e-3), ("lock", "s02")
+    ),
+    Fault(
+        "small-principal-point",
+        "principal point wrong by 4 px",
+        lambda dump: principal_point(dump, 4.0),
+        ("principal point",),
+    ),
+    Fault("height", "height of s01-t08 wrong by 300 m", height, ("Height", "s01-t08")),
 )
 
 
@@ -217,12 +242,31 @@ def first_screen(page: str) -> str:
     return re.sub(r"\s+", " ", html.unescape(re.sub(r"<[^>]+>", " ", header)))
 
 
+def said(page: str, opened: str) -> Iterator[str]:
+    """Verdict, what is to be looked at, and the reason on the card."""
+    header = page[page.index("<header>") : page.index("</header>")]
+    for kind, inner in (
+        ("verdict", r'<p class="verdict.*?</strong>'),
+        ("says", r"<li>.*?</li>"),
+    ):
+        part = header.partition('<div class="buttons">')[0]  # the map has lists of its own
+        for found in re.findall(inner, part, flags=re.DOTALL):
+            yield f"{kind:10s}{plain(found)}"
+    if opened:
+        yield f"{'card':10s}{opened[:240]}"
+
+
+def plain(text: str) -> str:
+    """HTML as one line of text."""
+    return re.sub(r"\s+", " ", html.unescape(re.sub(r"<[^>]+>", "", text))).strip()
+
+
 def card(page: str, item: str) -> tuple[str, str]:
     """Id and text of the card of a target, empty where there is none."""
-    for link, text in re.findall(r'<article id="(t\d+)"(.*?)</article>', page, flags=re.DOTALL):
-        plain = re.sub(r"\s+", " ", html.unescape(re.sub(r"<[^>]+>", " ", text)))
-        if item and f" {item}," in plain:
-            return link, plain
+    for link, text in re.findall(r'<article id="(t\d+)"[^>]*>(.*?)</article>', page, flags=re.DOTALL):
+        words = plain(text)
+        if item and f"{item}," in words:
+            return link, words
     return "", ""
 
 
@@ -241,9 +285,7 @@ def lines(folder: Path, images: Path | None, only: list[str] | None) -> Iterator
         text = first_screen(page)
         missing = [word for word in fault.words if word not in text + opened]
         record.verdict(f"{fault.name}: the page names {', '.join(fault.words)}", not missing)
-        yield f"{fault.name:16s}{fault.made}\n    first screen: {text.strip()}" + (
-            f"\n    card: {opened[:300]}" if opened else ""
-        )
+        yield "\n".join([f"{fault.name}: {fault.made}", *(f"    {line}" for line in said(page, opened))])
         if images is not None:
             screenshot(path, images / f"{fault.name}.png", link)
 

@@ -5,11 +5,15 @@ from __future__ import annotations
 import csv
 import json
 import re
+from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
 import rasterio
 import spiceypy
+from astropy.io import fits
+from pyproj import CRS
 from pytest import approx
 from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
@@ -17,6 +21,7 @@ from typer.testing import CliRunner
 from boresight.geometry.epoch import Epoch
 from boresight.pipeline.cli import app
 from boresight.pipeline.exports.export import FORMATS
+from boresight.pipeline.exports.notes import notes_of
 from boresight.pipeline.results.strip_model import open_calibrated, strip_model
 
 runner = CliRunner()
@@ -123,6 +128,45 @@ def test_every_text_says_what_it_is_made_from(exported, finished):
         text = re.sub(r"\s+", "", text)
         assert dump in text and mission in text and "u_c=R_csu_s" in text, path.name
         assert re.search(r"created.{0,20}20\d\d-\d\d-\d\dT", text, re.IGNORECASE), path.name
+
+
+def read_notes(path: Path) -> str:
+    """What the reader of a format shows of its origin: tags, header, comments, metadata."""
+    if path.suffix == ".vrt":
+        with rasterio.open(path) as file:
+            return "\n".join(map(str, file.tags().items()))
+    if path.suffix == ".fits":
+        with fits.open(path) as file:
+            return "\n".join(f"{card.value} {card.comment}" for unit in file for card in unit.header.cards)
+    if path.suffix == ".bc":
+        handle = spiceypy.dafopr(str(path))
+        _, lines, _ = spiceypy.dafec(handle, 100)
+        spiceypy.dafcls(handle)
+        return "\n".join(lines)
+    if path.suffix == ".points":
+        return str(CRS.from_user_input(path.read_text().splitlines()[0].removeprefix("#CRS: ")).remarks)
+    if path.suffix == ".kml":
+        description = ElementTree.parse(path).find(".//{http://www.opengis.net/kml/2.2}description")
+        return str(description.text if description is not None else "")
+    if path.suffix in (".json", ".geojson"):
+        return json.dumps(json.loads(path.read_text()), ensure_ascii=False)
+    if path.suffix == ".csv":
+        return "\n".join(row["value"] for row in csv.DictReader(path.open()))
+    marks = {".tf": "", ".ti": "", ".tsc": "", ".aem": "COMMENT", ".acm": "COMMENT", ".gcp": "#", ".pts": ";"}
+    mark, text = marks[path.suffix], path.read_text().partition("\\begindata")[0]  # KeyError: no reader known
+    return "\n".join(line for line in text.splitlines() if line.startswith(mark))
+
+
+def test_each_reader_shows_date_mission_dump_frames_validity_and_verdict(exported, finished):
+    created = json.loads((exported[0] / "matrix.json").read_text())["boresight"]["created"]
+    notes = notes_of(finished[1], finished[0], created.removesuffix("Z")).items()
+    assert len(notes["valid"]) > 40 and notes["mission"] != notes["dump"]
+    for path in exported[0].iterdir():
+        if path.name.endswith("_RPC.TXT"):
+            continue  # RPC00B has no place for it: it is in the VRT beside it
+        shown = re.sub(r"[\s#;]+", "", read_notes(path).replace("COMMENT", ""))
+        missing = [name for name, text in notes.items() if re.sub(r"[\s#;]+", "", text) not in shown]
+        assert not missing, path.name
 
 
 def test_gdal_reads_the_strips_with_their_gcps(exported, finished):

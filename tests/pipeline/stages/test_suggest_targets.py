@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import csv
+import json
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -74,6 +77,42 @@ def test_a_geoid_whose_grid_is_not_installed_is_named(tmp_path: Path) -> None:
         pytest.skip("THE EGM2008 GRID OF PROJ IS INSTALLED: its absence was not tested")
     with pytest.raises(RawDataError, match=r"egm2008, no grid of it is installed|no grid of it is installed"):
         read_heights([dem(tmp_path / "d.tif")], "egm2008")
+
+
+ABOVE_EGM2008 = """
+import json, sys
+from pathlib import Path
+import numpy as np
+import pyproj
+pyproj.datadir.append_data_dir(sys.argv[2])
+from boresight.pipeline.files.ortho_files import read_heights
+lat, lon = np.array([45.1, 44.8]), np.array([13.7, 13.4])
+model = read_heights([Path(sys.argv[1])], "egm2008")
+height, kind = model.stated(lat, lon)
+print(json.dumps([kind, height.tolist(), model.ellipsoidal(lat, lon).tolist()]))
+"""
+
+
+def test_heights_above_egm2008_are_put_on_the_ellipsoid_by_the_grid_of_proj(tmp_path: Path) -> None:
+    # The real grid (80 MB) is replaced by a plane under its name, N = 40 + 2 (lat - 45) + (lon - 13.5): PROJ
+    # reads it as the real one, and bilinear interpolation gives a plane exactly.
+    step, west, north = 1.0 / 24.0, 12.0, 47.0
+    lat = north - (np.arange(96) + 0.5) * step
+    lon = west + (np.arange(96) + 0.5) * step
+    undulation = 40.0 + 2.0 * (lat[:, None] - 45.0) + (lon - 13.5)
+    (tmp_path / "proj").mkdir()
+    write(
+        tmp_path / "proj" / "us_nga_egm08_25.tif",
+        undulation.astype(np.float32),
+        crs="EPSG:4326",
+        transform=rasterio.Affine(step, 0, west, 0, -step, north),
+    )
+    command = [sys.executable, "-c", ABOVE_EGM2008, str(dem(tmp_path / "d.tif")), str(tmp_path / "proj")]
+    ran = subprocess.run(command, capture_output=True, text=True)  # its own PROJ: folders are for all
+    assert ran.returncode == 0, ran.stderr
+    kind, stated, ellipsoidal = json.loads(ran.stdout)
+    assert kind == "ellipsoidal" and stated == ellipsoidal  # targets.csv knows no EGM2008
+    assert stated == pytest.approx([101.0 + 40.4, 98.0 + 39.5], abs=2e-3)  # m: single precision of both grids
 
 
 def test_colours_masks_and_virtual_mosaics_are_read(tmp_path: Path) -> None:
