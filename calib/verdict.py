@@ -268,9 +268,26 @@ def _shares(estimate: InstallationEstimate, settings: VerdictSettings) -> list[C
 def _between_strips(estimate: InstallationEstimate, settings: VerdictSettings) -> Check:
     """Decrease of chi2 if each strip had a matrix of its own: chi-square of 3 (strips - 1) if one serves all.
 
-    Axes that a strip alone does not determine are not counted.
+    Axes that a strip alone does not determine are not counted. A check that fails names the strips without
+    one of which the others agree, unless that is true of most.
     """
-    F, right, prior = estimate.pairs.F, estimate.pairs.F_theta, estimate.prior_shared
+    pairs, prior = estimate.pairs, estimate.prior_shared
+
+    def without(k: int | None) -> Check:
+        rows = np.delete(np.arange(len(pairs.F)), [] if k is None else [k])
+        gain, dof = _gain_of_own_matrices(pairs.F[rows], pairs.F_theta[rows], prior)
+        p_value = float(chdtrc(dof, gain / settings.sigma_understated**2)) if dof > 0 else 1.0
+        return _check(CheckKind.BETWEEN_STRIPS, gain, dof, dof, p_value, settings)
+
+    check, S = without(None), len(pairs.F)
+    if check.holds or S < 3:
+        return check
+    names = [str(name) for k, name in enumerate(pairs.names) if without(k).holds]
+    return replace(check, names=tuple((name,) for name in names)) if 2 * len(names) < S else check
+
+
+def _gain_of_own_matrices(F: Floats, right: Floats, prior: Floats) -> tuple[float, int]:
+    """Decrease of chi2 if each of S strips had a matrix of its own, and the number of axes that it frees."""
     S, n = right.shape
     apart = np.zeros((3 * S + n - 3, 3 * S + n - 3))
     b = np.concatenate([right[:, :3].ravel(), right[:, 3:].sum(axis=0)])
@@ -283,9 +300,7 @@ def _between_strips(estimate: InstallationEstimate, settings: VerdictSettings) -
     together[3:, 3 * S :] = np.eye(n - 3)
     free, dof_free = _explained(apart, b)
     one, dof_one = _explained(together @ apart @ together.T, together @ b)
-    dof, gain = dof_free - dof_one, max(free - one, 0.0)
-    p_value = float(chdtrc(dof, gain / settings.sigma_understated**2)) if dof > 0 else 1.0
-    return _check(CheckKind.BETWEEN_STRIPS, gain, dof, dof, p_value, settings)
+    return max(free - one, 0.0), dof_free - dof_one
 
 
 def _between_heads(agreement: HeadAgreement, settings: VerdictSettings) -> list[Check]:

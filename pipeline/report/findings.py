@@ -30,7 +30,7 @@ from boresight.pipeline.report.ground_map import (
     Scene,
     StripOnGround,
 )
-from boresight.pipeline.report.star_findings import explanations
+from boresight.pipeline.report.star_findings import Explanation, explanations
 from boresight.pipeline.stages.calibrate import Calibration
 from boresight.pipeline.stages.reasons import doubts
 from boresight.pipeline.stages.strip import compass, match_targets, pushbroom_of
@@ -43,6 +43,7 @@ SINGLE_HEIGHT_M = 30.0  # ... of one target from the others: slopes and trees st
 MOST_STRIPS_AGAIN = 4  # strips without any match that are searched again
 SMALL_SHARE = 0.4  # of the swath: targets within less are reported
 EXPLAINED = 0.5  # share of the excess of chi-square that an explanation must remove
+LEAST_GAIN, LEAST_SHARE = 40.0, 0.02  # of chi-square: p < 1e-7 of 2 parameters, and worth a correction
 FLAT_COUNTS = 2.0  # standard deviation of an image without content
 SHOWN = 5  # names in a sentence
 
@@ -392,15 +393,28 @@ def spread(share: float) -> Iterator[Finding]:
 
 def _star_camera(dump: Dump, calibration: Calibration) -> Iterator[Finding]:
     failed = {check.kind for check in calibration.verdict.refuted_by}
-    camera = dump.star_camera
-    if camera is None or not failed & {CheckKind.STAR_RESIDUALS, CheckKind.STARS_REJECTED}:
-        return
-    for best in explanations(camera, calibration.stars, calibration.attitudes.R_si)[:1]:
-        if best.share > EXPLAINED:
-            yield Finding(
-                cause=f"{best.part} of the star camera",
-                item="star_camera.toml",
-                text=f"{best.share:.0%} of the stars' excess of χ² disappear with a {best.part} "
-                f"{best.change}: check star_camera.toml, or calibrate the camera "
-                "(boresight star-camera-calibrate).",
-            )
+    refuted = bool(failed & {CheckKind.STAR_RESIDUALS, CheckKind.STARS_REJECTED})
+    if dump.star_camera is not None:
+        yield from star_camera(
+            explanations(dump.star_camera, calibration.stars, calibration.attitudes.R_si), refuted=refuted
+        )
+
+
+def star_camera(found: Sequence[Explanation], *, refuted: bool) -> Iterator[Finding]:
+    """The change of the star camera that explains its stars best: their misfit where it is too large
+    (`refuted`), else a part of their residuals that is too large for chance.
+    """
+    for best in found[:1]:
+        if refuted and best.share > EXPLAINED:
+            text = f"{best.share:.0%} of the stars' excess of χ² disappear with a {best.part} {best.change}"
+        elif not refuted and best.gain > max(LEAST_GAIN, LEAST_SHARE * best.dof):
+            text = f"χ² of the stars falls by {best.gain:.0f} with a {best.part} {best.change} (by some 3 if "
+            text += f"the camera is right; {best.dof} degrees of freedom)"
+        else:
+            return
+        yield Finding(
+            cause=f"{best.part} of the star camera",
+            item="star_camera.toml",
+            text=f"{text}: check star_camera.toml, or calibrate the camera "
+            "(boresight star-camera-calibrate).",
+        )

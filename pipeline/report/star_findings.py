@@ -26,6 +26,8 @@ class Explanation:
     change: str = scalar("the best change, with its size and unit")
     sizes: tuple[float, ...] = scalar("the same: px, parts of the focal length, 1/mm²")
     share: float = scalar("of the excess of chi-square over its degrees of freedom that the change removes")
+    gain: float = scalar("chi-square that it removes")
+    dof: int = scalar("degrees of freedom of the stars' residuals")
 
 
 @record(kw_only=True)
@@ -59,15 +61,25 @@ def explanations(
     if not misfit:
         return ()
     y = np.concatenate(misfit)
-    excess = max(float(y @ y) - (len(y) - 3 * len(misfit)), 1e-9)
+    dof = len(y) - 3 * len(misfit)
+    excess = max(float(y @ y) - dof, 1e-9)
     found = []
     for part, pieces in zip(parts, changed):
         A = np.concatenate(pieces)
         x = np.linalg.lstsq(A, y, rcond=None)[0]
-        share = float(y @ y - np.sum((y - A @ x) ** 2)) / excess
+        gain = float(y @ y - np.sum((y - A @ x) ** 2))
         sizes = [value * step for value, (_, step) in zip(x.tolist(), part.steps)]
-        found.append(Explanation(part=part.name, change=part.words(sizes), sizes=tuple(sizes), share=share))
-    return tuple(sorted(found, key=lambda one: -one.share))
+        found.append(
+            Explanation(
+                part=part.name,
+                change=part.words(sizes),
+                sizes=tuple(sizes),
+                share=gain / excess,
+                gain=gain,
+                dof=dof,
+            )
+        )
+    return tuple(sorted(found, key=lambda one: -one.gain))
 
 
 def _parts(camera: StarCamera) -> tuple[_Part, ...]:

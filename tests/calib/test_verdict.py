@@ -111,6 +111,16 @@ def test_position_errors_five_times_the_stated_ones_are_refuted():
     assert {c.n for c in between} == {15}
 
 
+def test_the_strip_that_disagrees_with_the_others_is_named():
+    for seed in range(5):
+        strips = drawn(seed, strips=6)
+        late = strips[seed]
+        turn = Rotation.from_rotvec([0.0, 5e-5, 0.0])  # 26 m along the track: 13 sigma
+        strips[seed] = replace(late, ground=replace(late.ground, u_c=turn.apply(late.ground.u_c)))
+        found = check(verdict_on(strips), CheckKind.BETWEEN_STRIPS)
+        assert not found.holds and found.names == ((late.strip_id,),)
+
+
 def repeated(strip, times):
     """Each target listed `times` times under other ids, with the same measurements."""
     rows = np.tile(np.arange(len(strip.ground.t_s)), times)

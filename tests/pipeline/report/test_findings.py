@@ -24,6 +24,7 @@ from boresight.pipeline.report.findings import (
     silent_ccds,
     single_targets,
     spread,
+    star_camera,
 )
 from boresight.pipeline.report.ground_map import REJECTED, UNMATCHED, USED
 from boresight.pipeline.report.star_findings import explanations
@@ -196,6 +197,16 @@ def test_the_part_of_the_star_camera_that_is_wrong_is_named_with_its_size(true, 
     assert best.part == part and best.share > 0.9
     assert best.sizes == approx(size, rel=0.1)
     assert all(other.share < best.share for other in others)
+
+
+def test_a_camera_that_its_stars_contradict_is_named_also_where_the_tolerance_hides_it():
+    slightly = replace(CAMERA, principal_px=(519.3, 380.2))  # 4 px
+    (found,) = star_camera(explanations(CAMERA, *exposures(slightly)), refuted=False)
+    assert found.cause == "principal point of the star camera" and found.is_fault and "falls by" in found.text
+    (worse,) = star_camera(explanations(CAMERA, *exposures(slightly)), refuted=True)
+    assert "of the stars' excess" in worse.text
+    right = explanations(CAMERA, *exposures(CAMERA))
+    assert list(star_camera(right, refuted=False)) == [] and right[0].gain < 20.0
 
 
 def test_a_strip_window_of_one_grey_value_is_refused_as_such():
