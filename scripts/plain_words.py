@@ -11,7 +11,7 @@ import sys
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
-# Phrase: what to write instead.
+# Phrase, in lower case: what to write instead.
 INSTEAD = {
     r"speaks? of the same": "refers to",
     r"(?:is|are) lent": "regularised with",
@@ -65,10 +65,11 @@ def occurrences() -> list[str]:
         path = ROOT / name
         if not name or name.startswith(EXEMPT) or path.is_symlink() or not path.is_file():
             continue
-        for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), 1):
-            for phrase, instead in INSTEAD.items():
-                if match := re.search(phrase, line, re.IGNORECASE):
-                    found.append(f"{name}:{number}: {match[0]!r} -> {instead}")
+        text = path.read_text(encoding="utf-8").lower()  # searched faster than with re.IGNORECASE
+        for phrase, instead in INSTEAD.items():
+            for match in re.finditer(phrase, text):
+                number = text.count("\n", 0, match.start()) + 1
+                found.append(f"{name}:{number}: {match[0]!r} -> {instead}")
     return found
 
 
