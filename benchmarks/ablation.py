@@ -149,7 +149,6 @@ def _orbit(epoch: Epoch, earth: EarthRotation, node: float, along: float) -> Orb
         frame="ITRF",
         degree=7,
         earth=earth,
-        sigma_position_m=2.0,
     )
 
 

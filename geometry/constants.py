@@ -11,7 +11,6 @@ __all__ = [
     "EARTH_ROTATION_RATE",
     "GM_EARTH",
     "J2_EARTH",
-    "JULIAN_YEAR_S",
     "SPEED_OF_LIGHT",
     "WGS84",
     "Ellipsoid",
@@ -19,7 +18,6 @@ __all__ = [
 
 SPEED_OF_LIGHT = 299_792_458.0  # m/s, exact (SI)
 DAY_S = 86_400.0  # s
-JULIAN_YEAR_S = 365.25 * DAY_S  # s
 ARCSEC = math.pi / 648_000.0  # rad
 EARTH_ROTATION_RATE = 2.0 * math.pi * 1.00273781191135448 / DAY_S  # rad/s (IERS 2010, 5.15)
 GM_EARTH = 3.986004418e14  # m^3/s^2 (IERS Conventions 2010, table 1.1)

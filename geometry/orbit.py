@@ -24,10 +24,8 @@ if TYPE_CHECKING:
 
 __all__ = [
     "Orbit",
-    "OrbitFit",
     "OrbitGapError",
     "argument_of_latitude",
-    "fit_polynomial",
     "orbital_frame",
 ]
 
@@ -59,9 +57,6 @@ class Orbit:
     frame: OrbitFrame = scalar("frame of the nodes: GCRF (= GCRS) or ITRF")
     degree: int = scalar("degree of the interpolating polynomial")
     earth: EarthRotation = scalar("rotation between ITRS and GCRS")
-    sigma_position_m: float | tuple[float, float, float] = scalar(
-        "1-sigma of the positions, m; three numbers: along x, y, z of frame o", default=0.0
-    )
     method: OrbitMethod = scalar(
         "lagrange (positions) or hermite (positions and velocities)", default="lagrange"
     )
@@ -144,17 +139,6 @@ class Orbit:
         """The rotation from GCRS to the orbital frame at each instant."""
         return orbital_frame(*self.states_i(t_s))
 
-    def position_covariance_i(self, t_s: ArrayLike) -> Array:
-        """Covariance (N, 3, 3) of the positions in GCRS axes, m²; an error common to neighbouring
-        instants.
-        """
-        t = _instants(t_s)
-        variance = np.broadcast_to(np.asarray(self.sigma_position_m, dtype=float) ** 2, (3,))
-        if np.ptp(variance) == 0.0:
-            return np.tile(variance[0] * np.eye(3), (len(t), 1, 1))
-        R_io = self.R_oi(t).inv().as_matrix()
-        return np.einsum("nij,j,nkj->nik", R_io, variance, R_io)
-
     def _state(self, t: Array) -> tuple[Array, Array]:
         """Interpolated positions and velocities (N, 3) in the frame of the nodes."""
         begin = self._stencils(t)
@@ -208,56 +192,6 @@ class Orbit:
         else:
             begin = left - (k // 2 - 1)
         return np.asarray(np.clip(begin, start, stop - k), dtype=np.int64)
-
-
-@record
-class OrbitFit:
-    """A polynomial fitted to a part of an ephemeris, with its residuals."""
-
-    orbit: Orbit = scalar("nodes on the polynomial, positions and velocities")
-    residuals_m: Floats = array("K, 3", "ephemeris minus polynomial")
-    sigma_m: float = scalar("1-sigma of one coordinate of one node; NaN without redundancy")
-
-
-def fit_polynomial(orbit: Orbit, t_start_s: float, t_stop_s: float, degree: int = 2) -> OrbitFit:
-    """Least-squares polynomial in time through the nodes of an interval (paper, section 3.2).
-
-    The paper's choice is degree 2: over a strip it follows the motion and averages the receiver's noise. Its
-    error against the true orbit grows with the interval, `r n^3 T^3 / 192` for a length T and a mean
-    motion n: 0.4 mm in 2 s, 6 mm in 5 s, 0.05 m in 10 s at 530 km.
-
-    Raises `OrbitGapError` when the interval is not covered, or holds fewer than degree + 1 nodes.
-    """
-    t_nodes = orbit.t_s
-    first = int(np.searchsorted(t_nodes, t_start_s + _CLOCK_SLACK_S, side="right")) - 1
-    last = int(np.searchsorted(t_nodes, t_stop_s - _CLOCK_SLACK_S, side="left"))
-    if first < 0 or last >= len(t_nodes) or last - first < degree or np.ptp(orbit._segment[first : last + 1]):
-        raise OrbitGapError(
-            f"degree {degree} over {t_start_s:.3f} ... {t_stop_s:.3f} s needs {degree + 1} nodes, no gap"
-        )
-    nodes = slice(first, last + 1)
-    t = t_nodes[nodes]
-    middle, half = 0.5 * (t[0] + t[-1]), 0.5 * (t[-1] - t[0])
-    x = (t - middle) / half
-    basis = np.polynomial.chebyshev.chebvander(x, degree)
-    coefficients, *_ = np.linalg.lstsq(basis, orbit.positions_m[nodes], rcond=None)
-    slopes = np.polynomial.chebyshev.chebder(coefficients, axis=0) / half
-    positions = basis @ coefficients
-    residuals = orbit.positions_m[nodes] - positions
-    redundancy = 3 * (len(t) - degree - 1)
-    fitted = Orbit(
-        epoch=orbit.epoch,
-        t_s=t,
-        positions_m=positions,
-        velocities_m_s=np.polynomial.chebyshev.chebval(x, slopes).T,
-        frame=orbit.frame,
-        degree=degree,
-        earth=orbit.earth,
-        sigma_position_m=orbit.sigma_position_m,
-        max_step_s=orbit.max_step_s,
-    )
-    sigma = float(np.sqrt((residuals**2).sum() / redundancy)) if redundancy else float("nan")
-    return OrbitFit(fitted, residuals, sigma)
 
 
 def orbital_frame(p_i: ArrayLike, v_i: ArrayLike) -> Rotation:

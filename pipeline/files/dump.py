@@ -224,9 +224,7 @@ def open_dump(root: Path, *, allow_stale_eop: bool = False) -> Dump:
     ephemeris = read_oem(paths["orbit"], head.files.orbit)
     own = head.files.earth_orientation
     table = bundled_table() if own is None else read_earth_orientation(paths["earth_orientation"], own)
-    orbit = orbit_of(
-        ephemeris, head.files.orbit, head.errors.position_m, table, allow_stale_eop=allow_stale_eop
-    )
+    orbit = orbit_of(ephemeris, head.files.orbit, table, allow_stale_eop=allow_stale_eop)
     strips, omitted = _strips(
         root, paths["strips"], head.files.strips, ephemeris.epoch, remote, head.files.remote_camera
     )
@@ -331,7 +329,6 @@ def read_earth_orientation(path: Path, file: str) -> EarthOrientationTable:
 def orbit_of(
     ephemeris: Ephemeris,
     file: str,
-    sigma_position_m: float | tuple[float, float, float],
     table: EarthOrientationTable,
     *,
     allow_stale_eop: bool,
@@ -361,7 +358,6 @@ def orbit_of(
             frame=frame,
             degree=ephemeris.interpolation_degree,
             earth=earth,
-            sigma_position_m=sigma_position_m,
             method=ephemeris.method,
         )
     except ValueError as error:

@@ -134,7 +134,7 @@ def _times(images: Sequence[Path], times: Path) -> dict[str, str]:
 def _trajectory_of(known: Whereabouts) -> Orbit | GroundSite | None:
     if known.orbit is not None:
         ephemeris = read_oem(known.orbit, str(known.orbit))
-        return orbit_of(ephemeris, str(known.orbit), 0.0, bundled_table(), allow_stale_eop=True)
+        return orbit_of(ephemeris, str(known.orbit), bundled_table(), allow_stale_eop=True)
     if known.site_deg_m is None:
         return None
     lat, lon, height = known.site_deg_m

@@ -29,7 +29,6 @@ def operator_orbit(strip: Sentinel2, table: EarthOrientationTable) -> Orbit:
         frame="ITRF",
         degree=_DEGREE,
         earth=EarthRotation.over(strip.epoch, first, last, table),
-        sigma_position_m=strip.sigma_position_m,
         method="hermite",
     )
 

@@ -320,7 +320,6 @@ def orbit_around(orbit: Orbit, t_first_s: float, t_last_s: float) -> Orbit:
         frame=orbit.frame,
         degree=orbit.degree,
         earth=orbit.earth,
-        sigma_position_m=orbit.sigma_position_m,
         method=orbit.method,
         max_step_s=orbit.max_step_s if orbit.max_step_s is not None else 1.5 * usual_step,
     )

@@ -88,7 +88,6 @@ def true_pushbroom() -> Pushbroom:
         frame="GCRF",
         degree=7,
         earth=earth,
-        sigma_position_m=0.0,
         method="hermite",
     )
     exposures = np.arange(-0.6, 1.6, 0.2)

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from boresight.geometry.constants import EARTH_ROTATION_RATE, GM_EARTH
 from boresight.geometry.epoch import Epoch
-from boresight.geometry.orbit import Orbit, OrbitGapError, argument_of_latitude, fit_polynomial, orbital_frame
+from boresight.geometry.orbit import Orbit, OrbitGapError, argument_of_latitude, orbital_frame
 
 EPOCH = Epoch.from_utc("2024-03-05T10:20:30Z")
 RADIUS = 6_908e3  # m
@@ -177,63 +177,6 @@ def test_the_orbital_frame_has_z_down_y_against_the_normal_and_x_along():
     assert R_oi.apply(v / (RADIUS * RATE)) == pytest.approx(np.tile([1.0, 0.0, 0.0], (len(p), 1)), abs=1e-12)
     normal = np.cross(p, v)
     assert np.all(R_oi.apply(normal)[:, 1] < 0.0)
-
-
-def test_covariance_of_position_turns_with_the_orbit():
-    ephemeris = orbit(SECONDS, sigma_position_m=(3.0, 2.0, 1.0))
-    covariance = ephemeris.position_covariance_i(BETWEEN[:20])
-    p, v = state(BETWEEN[:20])
-    along, down = v / (RADIUS * RATE), -p / RADIUS
-    assert np.einsum("ni,nij,nj->n", along, covariance, along) == pytest.approx(9.0, abs=1e-9)
-    assert np.einsum("ni,nij,nj->n", down, covariance, down) == pytest.approx(1.0, abs=1e-9)
-    same = orbit(SECONDS, sigma_position_m=2.0).position_covariance_i(BETWEEN[:2])
-    assert same == pytest.approx(np.tile(4.0 * np.eye(3), (2, 1, 1)))
-
-
-@pytest.mark.parametrize(("length_s", "bound_m"), [(2.0, 4.0e-4), (4.0, 3.1e-3), (10.0, 4.8e-2)])
-def test_a_polynomial_of_second_degree_departs_by_the_third_derivative(length_s, bound_m):
-    # The best parabola over T misses r n^3 T^3 / 192; least squares over nodes at 1 Hz at most 1.6 times as
-    # much.
-    fit = fit_polynomial(orbit(SECONDS), 20.0, 20.0 + length_s)
-    at = np.linspace(20.0, 20.0 + length_s, 100)
-    departure = np.linalg.norm(fit.orbit.positions_i(at) - state(at)[0], axis=1).max()
-    assert 0.5 * bound_m < departure < 1.6 * bound_m
-
-
-def test_paper_section_3_2_parabola_and_lagrange_of_degree_8_do_not_differ_over_a_strip():
-    # Over the 1.8 s of a strip: 1 mm, against the receiver's 2 m.
-    t = np.linspace(30.1, 31.9, 50)
-    parabola = fit_polynomial(orbit(SECONDS), 30.0, 32.0, degree=2).orbit.positions_i(t)
-    lagrange = orbit(SECONDS, 8).positions_i(t)
-    assert np.abs(parabola - lagrange).max() < 1e-3
-
-
-def test_a_fitted_polynomial_averages_the_receivers_noise_and_states_it():
-    rng = np.random.default_rng(8)
-    p, v = state(SECONDS)
-    noisy = Orbit(
-        epoch=EPOCH,
-        t_s=SECONDS,
-        positions_m=p + rng.normal(0.0, 0.05, p.shape),
-        velocities_m_s=v,
-        frame="GCRF",
-        degree=7,
-        earth=TurningEarth(),
-    )
-    fit = fit_polynomial(noisy, 25.0, 35.0, degree=3)
-    at = np.linspace(27.0, 33.0, 50)
-    rms = lambda o: np.sqrt(((o.positions_i(at) - state(at)[0]) ** 2).mean())  # noqa: E731
-    # 11 nodes, 4 coefficients: noise down by about sqrt(11/4) = 1.66 in the mean, more in the middle
-    assert rms(fit.orbit) < 0.75 * rms(noisy)
-    assert 0.03 < fit.sigma_m < 0.07  # 0.05 m, 21 degrees of freedom
-
-
-def test_a_polynomial_over_a_gap_is_refused():
-    kept = SECONDS[(SECONDS <= 25.0) | (SECONDS >= 29.0)]
-    with pytest.raises(OrbitGapError):
-        fit_polynomial(orbit(kept), 24.0, 30.0)
-    with pytest.raises(OrbitGapError):
-        fit_polynomial(orbit(SECONDS), 58.0, 62.0)
 
 
 def test_the_argument_of_latitude_counts_from_the_ascending_node():
