@@ -56,6 +56,7 @@ __all__ = ["detectable_bias", "l1_start", "refine_geman_mcclure", "rejection_tes
 POWER = 0.8  # of the test, for the minimal detectable bias: the value usual in geodesy
 SEPARABLE_ODDS = 19.0  # likelihood ratio by which one of two targets is the wrong one: 95 %
 LEAST_PROBABILITY = 0.75  # that the target rejected is the wrong one: three to one (docs/estimation.md)
+MOST_EXCHANGED = 1.0 / 3.0  # share of rejected targets up to which they are exchanged for others
 SMALLEST_GAIN = 1e-6  # of the limit: (1) must fall by more than rounding
 
 
@@ -89,7 +90,8 @@ def _moves(problem: Problem, about: Linearised, kept: Bools, step: Step, limit: 
     """Sets of targets to try: one less, all that pass re-admitted, the best of them; at last, exchanges.
 
     For an exchange a rejected target is re-admitted and the one with the largest residual then is rejected;
-    it changes (1) by the difference of their statistics.
+    it changes (1) by the difference of their statistics. Where a third of the targets is rejected, the stated
+    errors are wrong and not the targets: which of them are rejected is then not searched for.
     """
     rows, rejected, statistic = np.arange(len(kept)), problem.inside & ~kept, squared_mahalanobis(step)
     over, back = kept & (statistic > limit), rejected & (statistic < limit)
@@ -98,6 +100,8 @@ def _moves(problem: Problem, about: Linearised, kept: Bools, step: Step, limit: 
     if back.any():
         yield kept | back
         yield kept | (rows == _largest(-statistic, back, problem.rank))
+    if rejected.sum() > MOST_EXCHANGED * problem.inside.sum():
+        return
     nearest = np.flatnonzero(rejected)
     nearest = nearest[np.lexsort((problem.rank[nearest], statistic[nearest]))]
     for first, then in zip(nearest.tolist(), readmitted(problem, about, kept, step, nearest)):

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from boresight.calib import gross_errors
 from boresight.calib.calibration import calibrate
 from boresight.calib.estimate import InstallationEstimate, WhyRejected
 from boresight.calib.gross_errors import rejection_test, snoop
@@ -186,3 +187,19 @@ def test_statistics_with_a_target_re_admitted_are_those_of_a_new_solution():
         more = kept | (np.arange(36) == row)
         anew = squared_mahalanobis(solve_weighted(problem, about, more.astype(float)))
         assert statistic == pytest.approx(anew, rel=1e-8)  # the same formula, other rounding
+
+
+def test_search_is_short_where_the_stated_errors_are_far_too_small(monkeypatch):
+    rng = np.random.default_rng(5)
+    strips, _ = draw_strips(replace(TABLE_1, targets=60, sigma_target_m=0.0), CAMERAS, rng)
+    stated = [replace(one, ground=replace(one.ground, cov_c=one.ground.cov_c / 400.0)) for one in strips]
+    settings = CalibrationSettings(
+        sigma_position_m=0.0, sigma_clock_s=0.0, sigma_vibration_rad=0.0, sigma_distortion_rad=0.0
+    )
+    problem = Problem.of([prepare_strip(one, settings) for one in stated], settings)
+    solved, of = [], gross_errors.solve_weighted
+    monkeypatch.setattr(gross_errors, "solve_weighted", lambda *a: solved.append(a) or of(*a))
+    test = rejection_test(1e-3, 180)
+    kept = snoop(problem, linearised(problem, BOLD, 1.0), problem.inside, test.limit)
+    assert np.mean(kept) < 2.0 / 3.0
+    assert len(solved) < 2 * np.sum(~kept) + 20  # one for each rejection, and some for what is re-admitted
