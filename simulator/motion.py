@@ -21,7 +21,7 @@ from boresight.geometry.record import array, record, scalar
 from boresight.simulator.records import OrbitReport
 from boresight.simulator.scenario import AttitudeSettings, ErrorSettings, OrbitSettings
 
-__all__ = ["TrueAttitude", "flown_orbit", "reported_orbit", "true_attitude"]
+__all__ = ["TrueAttitude", "acceleration", "flown_orbit", "reported_orbit", "true_attitude"]
 
 Array = NDArray[np.float64]
 
@@ -38,9 +38,7 @@ def flown_orbit(settings: OrbitSettings, t_start_s: float, t_stop_s: float, eart
     for n, times in enumerate((past, future)):
         if len(times):
             span = (0.0, float(times[-1]))
-            flown = solve_ivp(
-                _acceleration, span, state, "DOP853", times, rtol=1e-13, atol=1e-9, max_step=1.0
-            )
+            flown = solve_ivp(acceleration, span, state, "DOP853", times, rtol=1e-13, atol=1e-9, max_step=1.0)
             parts[n] = flown.y
     states = np.concatenate([parts[0][:, ::-1], parts[1]], axis=1).T
     return Orbit(
@@ -170,7 +168,8 @@ def _state_above(settings: OrbitSettings, earth: EarthRotation) -> Array:
     return np.concatenate([radius * up, speed * (sine * east + cosine * north)])
 
 
-def _acceleration(_t: float, state: Array) -> Array:
+def acceleration(_t: float, state: Array) -> Array:
+    """Derivative (6,) of position and velocity (6,), GCRS, by the Earth's mass and J2: m/s, m/s²."""
     p, v = state[:3], state[3:]
     r = np.sqrt(p @ p)
     central = -GM_EARTH / r**3 * p

@@ -1,4 +1,4 @@
-"""The command `plan`: the accuracy that a campaign will reach, before any data."""
+"""Commands before any data: what a campaign will reach (plan), scans of the sky to take (sky-strip-plan)."""
 
 from __future__ import annotations
 
@@ -13,8 +13,9 @@ __all__ = ["add_plan_commands"]
 
 
 def add_plan_commands(app: typer.Typer) -> None:
-    """Add the command to the program."""
+    """Add the commands to the program."""
     app.command()(talks(plan, with_json=True))
+    app.command("sky-strip-plan")(talks(sky_strip_plan, with_json=True))
 
 
 def plan(
@@ -54,3 +55,68 @@ def plan(
         files=files,
         exit_status=DATA_DID_NOT_ALLOW if failed else DONE,
     )
+
+
+def sky_strip_plan(
+    dump: Annotated[
+        Path, typer.Argument(metavar="DUMP", help="Folder with a dump.toml: cameras, matrix, orbit, errors.")
+    ],
+    out: Annotated[Path | None, typer.Option(help="Folder for scans.csv and scans.png.")] = None,
+    utc: Annotated[
+        str | None, typer.Option(help="Beginning, such as 2026-11-22T18:00:00Z; default: the orbit's.")
+    ] = None,
+    hours: Annotated[float, typer.Option(help="Length of the time to choose from.", min=0.1)] = 24.0,
+    scans: Annotated[int, typer.Option(help="Number of scans wanted.", min=1)] = 2,
+    candidates: Annotated[int, typer.Option(help="Scans to choose from.", min=2, max=5000)] = 200,
+    duration_s: Annotated[float, typer.Option(help="Length of a scan.", min=0.1)] = 7.2,
+    rate_mrad_s: Annotated[float, typer.Option(help="Rate, forward and backward in turn.", min=0.01)] = 3.6,
+    v_mag: Annotated[float, typer.Option(help="Faintest star that is measured in a strip.")] = 9.0,
+    sun_deg: Annotated[float, typer.Option(help="Least angle of both cameras to the Sun.", min=0.0)] = 60.0,
+    moon_deg: Annotated[float, typer.Option(help="... to the Moon.", min=0.0)] = 20.0,
+    earth_deg: Annotated[float, typer.Option(help="... above the Earth's limb.", min=0.0)] = 15.0,
+    seed: Annotated[int, typer.Option(help="Seed of the candidates.", min=0)] = 1,
+) -> Answer:
+    """Which scans of the sky tell most about the installation matrix, away from Sun, Moon and Earth.
+
+    Example: boresight sky-strip-plan dump --scans 2 --hours 12 --out scans
+    """
+    from boresight.pipeline.errors import DataNotSufficientError, RawDataError
+    from boresight.pipeline.files.dump import open_dump
+    from boresight.pipeline.report.sky_scans import scan_lines, scan_table, write_scans
+    from boresight.pipeline.settings import Settings, calibration_settings
+    from boresight.pipeline.stages.sky_scans import ScanCameras, ScanSettings, choose_scans
+    from boresight.star_id.catalogue import hipparcos_stars
+
+    opened = open_dump(dump.resolve())
+    if opened.star_camera is None:
+        raise RawDataError(str(dump), "star_cameras", "attitudes only", "a star camera's model")
+    try:
+        start = opened.orbit.span_s[0] if utc is None else float(opened.epoch.seconds_from_utc([utc])[0])
+    except ValueError as error:
+        raise RawDataError("--utc", "value", utc, "a time such as 2026-11-22T18:00:00Z") from error
+    asked = ScanSettings(
+        count=scans,
+        candidates=max(candidates, scans),
+        hours=hours,
+        duration_s=duration_s,
+        rate_mrad_s=rate_mrad_s,
+        v_mag=v_mag,
+        sun_deg=sun_deg,
+        moon_deg=moon_deg,
+        earth_deg=earth_deg,
+        seed=seed,
+    )
+    cameras = ScanCameras(
+        line=opened.line_camera, star=opened.star_camera, R_cs=opened.R_cs0, orbit=opened.orbit
+    )
+    errors = calibration_settings(Settings(), opened.errors, opened.line_camera)
+    try:
+        found = choose_scans(cameras, hipparcos_stars(v_mag).places, start, errors, asked)
+    except ValueError as error:
+        raise DataNotSufficientError(str(error)) from error
+    lines, files = scan_lines(found, opened.epoch), tuple[Path, ...]()
+    if out is not None:
+        files = write_scans(found, opened.epoch, out)
+        lines.append(f"-> {', '.join(map(str, files))}")
+    table = scan_table(found, opened.epoch)
+    return Answer(text="\n".join(lines), content={"scans": table.to_dict("records")}, files=files)

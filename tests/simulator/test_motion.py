@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from boresight.geometry.constants import GM_EARTH, J2_EARTH, WGS84
-from boresight.simulator.motion import _acceleration
+from boresight.simulator.motion import acceleration
 
 
 def potential(p: np.ndarray) -> float:
@@ -20,5 +20,5 @@ def test_acceleration_is_the_gradient_of_the_potential_of_a_flattened_earth() ->
     for p in np.array([[6.9e6, 0.0, 0.0], [1.2e6, -4.0e6, 5.5e6], [2e5, 1e5, -6.9e6]]):
         steps = 100.0 * np.eye(3)
         gradient = [(potential(p + s) - potential(p - s)) / 200.0 for s in steps]
-        found = np.asarray(_acceleration(0.0, np.concatenate([p, np.zeros(3)])))[3:]
+        found = np.asarray(acceleration(0.0, np.concatenate([p, np.zeros(3)])))[3:]
         np.testing.assert_allclose(found, gradient, atol=1e-6)  # m/s²; J2 makes 0.013

@@ -1,0 +1,366 @@
+"""Which scans of the sky tell most: candidates in time and pointing, away from Sun, Moon and Earth.
+
+Of each candidate both cameras must be clear of the three. Which stars cross which CCD, and when, follows from
+the catalogue and the camera; their information about the installation matrix adds to that of the others, and
+the scan is taken next that makes the error of the look directions over the field smallest (greedy). Sun and
+Moon are ERFA's (`epv00`, `moon98`), beyond its nodes the orbit is continued under gravity with J2.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import erfa
+import numpy as np
+from scipy.integrate import solve_ivp
+from scipy.spatial.transform import Rotation
+
+from boresight.calib.calibration import strip_pairs
+from boresight.calib.information import InformationPairs, solve_total
+from boresight.calib.settings import CalibrationSettings
+from boresight.geometry.constants import ARCSEC, WGS84
+from boresight.geometry.epoch import Epoch
+from boresight.geometry.line_camera import LineSensor
+from boresight.geometry.orbit import Orbit, OrbitGapError
+from boresight.geometry.record import Floats, Ints, array, record, scalar
+from boresight.geometry.sightings import (
+    GroundSightings,
+    StripSightings,
+    exposure_without_stars,
+    isotropic_covariance,
+    solved_attitudes,
+)
+from boresight.geometry.star_camera import StarCamera
+from boresight.geometry.starlight import StarPlaces, apparent_star_directions
+from boresight.simulator.motion import acceleration
+
+__all__ = ["ScanCameras", "ScanChoice", "ScanSettings", "SkyScan", "angles_to_bodies", "choose_scans"]
+
+AU_M = 1.495978707e11  # IAU 2012 resolution B2
+TRIES = 200  # pointings drawn for one candidate
+NEWTON_STEPS = 5
+Z = np.array([0.0, 0.0, 1.0])
+
+
+@dataclass(frozen=True, slots=True)
+class ScanSettings:
+    """How scans are made and what they must keep away from."""
+
+    count: int = 2
+    candidates: int = 200
+    hours: float = 24.0
+    duration_s: float = 7.2
+    rate_mrad_s: float = 3.6  # forward and backward
+    exposures_hz: float = 5.0
+    v_mag: float = 9.0  # faintest star measured in a strip
+    star_sigma_px: float = 0.1  # in a strip, each axis
+    catalogue_arcsec: float = 0.03  # 1-sigma of a catalogue place today: 1 mas a year since 1991
+    head_v_mag: float = 6.0  # faintest star of the star camera
+    head_sigma_px: float = 0.06
+    sun_deg: float = 60.0  # least angle of either camera's axis
+    moon_deg: float = 20.0
+    earth_deg: float = 15.0  # above the limb
+    seed: int = 1
+
+    def __post_init__(self) -> None:
+        for name in ("duration_s", "rate_mrad_s", "exposures_hz", "hours"):
+            if not getattr(self, name) > 0.0:
+                raise ValueError(f"{name} must be positive, got {getattr(self, name)}")
+        if not 1 <= self.count <= self.candidates:
+            raise ValueError(f"count must be 1 to the candidates, {self.candidates}, got {self.count}")
+
+
+@record(kw_only=True)
+class ScanCameras:
+    """Both cameras, the matrix between them, and the satellite's orbit."""
+
+    line: LineSensor = scalar("remote-sensing camera")
+    star: StarCamera = scalar("star camera")
+    R_cs: Rotation = scalar("installation matrix, star camera to remote-sensing camera")
+    orbit: Orbit = scalar("of the satellite")
+
+
+@record(kw_only=True)
+class SkyScan:
+    """One scan of the sky."""
+
+    t_s: float = scalar("beginning, TAI seconds since the orbit's epoch")
+    R_ci: Rotation = scalar("attitude of the remote-sensing camera then, GCRS to frame c")
+    rate_rad_s: float = scalar(
+        "rotation of the camera about its y axis; positive: stars pass as the ground does"
+    )
+    stars: int = scalar("stars in the strip")
+    head_stars: int = scalar("stars of the star camera")
+    away_deg: Floats = array("3", "least angle of both axes to the Sun, the Moon and the Earth's limb")
+
+
+@record
+class ScanChoice:
+    """Scans in the order in which they were taken, and what they forecast."""
+
+    scans: tuple[SkyScan, ...] = array("N", "in order")
+    sigma_rad: Floats = array("N, 3", "1-sigma about the axes of c with the scans so far")
+    random_sigma_rad: Floats = array("3", "the same of as many candidates at random, medians")
+    candidates: int = scalar("scans with stars, clear of Sun, Moon and Earth")
+
+
+def choose_scans(
+    cameras: ScanCameras,
+    stars: StarPlaces,
+    start_s: float,
+    errors: CalibrationSettings,
+    settings: ScanSettings,
+) -> ScanChoice:
+    """The best scans from `start_s` (seconds since the orbit's epoch) on.
+
+    Parameters
+    ----------
+    cameras : ScanCameras
+        Cameras, matrix and orbit.
+    stars : StarPlaces
+        Catalogue.
+    start_s : float
+        Beginning of the time to choose from, TAI seconds since the orbit's epoch.
+    errors : CalibrationSettings
+        Priors of clock, vibration and distortion.
+    settings : ScanSettings
+        Scans and exclusion angles.
+
+    Returns
+    -------
+    ScanChoice
+
+    Raises
+    ------
+    ValueError
+        If fewer candidates than `settings.count` are clear of Sun, Moon and Earth and hold stars.
+    """
+    rng = np.random.default_rng(settings.seed)
+    instants = start_s + 3600.0 * settings.hours * np.arange(settings.candidates) / settings.candidates
+    p_i, v_i = _states(cameras.orbit, instants)
+    sky = _Sky.of(stars, cameras.orbit.epoch.julian_year(np.array([start_s]))[0])
+    found = []
+    for n, t in enumerate(instants.tolist()):
+        rate = 1e-3 * settings.rate_mrad_s * (-1.0) ** n
+        one = _candidate(f"scan{n:05d}", cameras, sky, (t, p_i[n], v_i[n]), rate, settings, rng)
+        if one is not None:
+            found.append(one)
+    if len(found) < settings.count:
+        raise ValueError(
+            f"{len(found)} of {settings.candidates} candidates hold stars, clear of Sun, Moon and Earth; "
+            f"{settings.count} are needed; more candidates or hours, fainter stars or smaller angles help"
+        )
+    pairs, prior = strip_pairs([strip for _, strip in found], cameras.R_cs, errors)
+    half = 0.5 * sum(cameras.line.n_px(c) for c in range(cameras.line.n_ccds)) * cameras.line.pixel_rad
+    weight = np.array([1.0, 1.0, half**2 / 3.0])  # variance of looks, mean over the field
+    place = {name: k for k, name in enumerate(pairs.names.tolist())}
+    order = [place[strip.strip_id] for _, strip in found]
+    chosen, sigmas = _greedy(pairs.F[order], prior, weight, settings.count, errors)
+    at_random = _at_random(pairs, prior, settings.count, errors, rng)
+    return ScanChoice(tuple(found[k][0] for k in chosen), sigmas, at_random, len(found))
+
+
+@record
+class _Sky:
+    """A catalogue with directions for coarse selection."""
+
+    stars: StarPlaces = scalar("all stars")
+    u_i: Floats = array("N, 3", "directions with proper motion, GCRS")
+
+    @classmethod
+    def of(cls, stars: StarPlaces, year: float) -> _Sky:
+        dt = year - stars.epoch_jyear
+        ra, dec = stars.ra_rad + dt * stars.pm_ra_rad_yr, stars.dec_rad + dt * stars.pm_dec_rad_yr
+        u = np.column_stack([np.cos(dec) * np.cos(ra), np.cos(dec) * np.sin(ra), np.sin(dec)])
+        return cls(stars, u)
+
+    def near(self, axis_i: Floats, radius_rad: float, v_mag: float) -> StarPlaces:
+        """Stars to `v_mag` within a radius of a direction."""
+        return self.stars.take((self.u_i @ axis_i > np.cos(radius_rad)) & (self.stars.v_mag <= v_mag))
+
+
+def angles_to_bodies(epoch: Epoch, t_s: float, p_i: Floats, axes_i: Floats) -> Floats:
+    """Angles (..., 3) of directions (..., 3) to the Sun, the Moon and the Earth's limb (negative: in front of
+    the Earth), rad, from a satellite at `p_i` (3,), m, GCRS.
+    """
+    jd = epoch.tt_jd(np.array([t_s]))
+    sun = -erfa.epv00(*jd)[0]["p"][0] * AU_M - p_i
+    moon = erfa.moon98(*jd)["p"][0] * AU_M - p_i
+    bodies = np.array([one / np.linalg.norm(one) for one in (sun, moon, -p_i)])
+    angles = np.arccos(np.clip(axes_i @ bodies.T, -1.0, 1.0))
+    return np.asarray(angles - [0.0, 0.0, np.arcsin(WGS84.semi_major_m / np.linalg.norm(p_i))])
+
+
+def _states(orbit: Orbit, t_s: Floats) -> tuple[Floats, Floats]:
+    """Positions and velocities (N, 3), GCRS, at increasing instants; beyond the nodes under gravity."""
+    try:
+        return orbit.states_i(t_s)
+    except OrbitGapError:
+        pass
+    t0 = float(np.clip(t_s[0], *orbit.span_s))
+    state = np.concatenate([one[0] for one in orbit.states_i(np.array([t0]))])
+    parts = []
+    for own in (t_s[t_s < t0][::-1], t_s[t_s >= t0]):
+        if len(own):
+            flown = solve_ivp(acceleration, (t0, float(own[-1])), state, "DOP853", own, rtol=1e-9, atol=1e-3)
+            parts.append(flown.y.T if own[0] >= t0 else flown.y.T[::-1])
+    states = np.concatenate(parts)
+    return states[:, :3], states[:, 3:]
+
+
+def _candidate(
+    name: str,
+    cameras: ScanCameras,
+    sky: _Sky,
+    state: tuple[float, Floats, Floats],
+    rate_rad_s: float,
+    settings: ScanSettings,
+    rng: np.random.Generator,
+) -> tuple[SkyScan, StripSightings] | None:
+    """A pointing drawn at random that is clear of Sun, Moon and Earth from its beginning to its end."""
+    t, p_i, _ = state
+    least = np.radians([settings.sun_deg, settings.moon_deg, settings.earth_deg])
+    tried = Rotation.random(TRIES, rng=rng)
+    axes = [_axes(_attitude(tried, rate_rad_s, turn), cameras.R_cs) for turn in (0.0, settings.duration_s)]
+    away = angles_to_bodies(cameras.orbit.epoch, t, p_i, np.concatenate(axes)).min(axis=0)
+    if not (clear := np.flatnonzero(np.all(away >= least, axis=1))).size:
+        return None
+    R_ci = tried[int(clear[0])]
+    strip, counts = _strip(name, cameras, sky, state, (R_ci, rate_rad_s), settings)
+    if strip is None:
+        return None
+    scan = SkyScan(
+        t_s=t,
+        R_ci=R_ci,
+        rate_rad_s=rate_rad_s,
+        stars=counts[0],
+        head_stars=counts[1],
+        away_deg=np.degrees(away[clear[0]]),
+    )
+    return scan, strip
+
+
+def _axes(R_ci: Rotation, R_cs: Rotation) -> Floats:
+    """Optical axes (2, N, 3) of both cameras at attitudes (N,), GCRS."""
+    return np.stack([R_ci.inv().apply(Z), (R_ci.inv() * R_cs).apply(Z)])
+
+
+def _attitude(R_ci: Rotation, rate_rad_s: float, t: float | Floats) -> Rotation:
+    """Attitude(s) of frame c, seconds after the beginning."""
+    return Rotation.from_rotvec(np.multiply.outer(t, [0.0, -rate_rad_s, 0.0])) * R_ci
+
+
+def _strip(
+    name: str,
+    cameras: ScanCameras,
+    sky: _Sky,
+    state: tuple[float, Floats, Floats],
+    scan: tuple[Rotation, float],
+    settings: ScanSettings,
+) -> tuple[StripSightings | None, tuple[int, int]]:
+    """The stars that cross the CCDs, with exposures of the star camera; None where either sees too few."""
+    (t0, p_i, v_i), (R_ci, rate), epoch = state, scan, cameras.orbit.epoch
+    step, middle = 1.0 / settings.exposures_hz, _attitude(R_ci, rate, 0.5 * settings.duration_s)
+    t_stars: Floats = np.arange(-step, settings.duration_s + 1.5 * step, step, dtype=np.float64)
+    covariance_s, n_head = _head_covariance(cameras, sky, state, middle, settings)
+    half = 0.5 * sum(cameras.line.n_px(c) for c in range(cameras.line.n_ccds)) * cameras.line.pixel_rad
+    reach = np.hypot(half, 0.5 * abs(rate) * settings.duration_s) + 0.01
+    places = sky.near(middle.inv().apply(Z), reach, settings.v_mag)
+    if covariance_s is None or not len(places.hip):
+        return None, (0, n_head)
+    u_i = apparent_star_directions(places, epoch, t0, p_i, v_i)
+    rows = [_crossings(cameras.line, c, u_i, R_ci, rate, settings) for c in range(cameras.line.n_ccds)]
+    star, ccd, sample, t = (np.concatenate(part) for part in zip(*rows))
+    if len(star) < 2:
+        return None, (len(star), n_head)
+    u_c = _attitude(R_ci, rate, t).apply(u_i[star])
+    stars = GroundSightings(
+        target_id=np.array([f"{name}/HIP {hip}/{c}" for hip, c in zip(places.hip[star], ccd)], dtype=str),
+        ccd=ccd,
+        xy_px=np.column_stack([sample, t]),
+        t_s=t,
+        u_c=u_c,
+        u_i=u_i[star],
+        cov_c=isotropic_covariance(u_c, settings.star_sigma_px * cameras.line.pixel_rad),
+        range_m=np.full(len(star), np.inf),
+        v_rel_i=np.zeros((len(star), 3)),
+        cov_target_i=isotropic_covariance(u_i[star], settings.catalogue_arcsec * ARCSEC),
+    )
+    R_c = _attitude(R_ci, rate, t_stars)
+    strip = StripSightings(
+        strip_id=name,
+        exposures=tuple(exposure_without_stars(f"{name}/{k}", float(one)) for k, one in enumerate(t_stars)),
+        ground=stars,
+        R_oi_exposures=R_c,
+        R_oi_targets=_attitude(R_ci, rate, t),
+        attitudes=solved_attitudes(cameras.R_cs.inv() * R_c, np.tile(covariance_s, (len(t_stars), 1, 1))),
+    )
+    return strip, (len(np.unique(star)), n_head)
+
+
+def _crossings(
+    line: LineSensor, c: int, u_i: Floats, R_ci: Rotation, rate: float, settings: ScanSettings
+) -> tuple[Ints, Ints, Floats, Floats]:
+    """Stars (M,) that a CCD sees during the scan: row of `u_i`, CCD, sample, instant."""
+    n, T = line.n_px(c), settings.duration_s
+    t: Floats = np.full(len(u_i), 0.5 * T)
+    for _ in range(NEWTON_STEPS):  # a positive rate moves stars towards -x
+        sample, ahead_px = line.samples_from_directions(c, _attitude(R_ci, rate, t).apply(u_i))
+        later = t + np.nan_to_num(ahead_px, nan=1e9) * line.pixel_rad / rate
+        t = np.asarray(np.clip(later, -T, 2.0 * T), dtype=np.float64)
+    on_ccd = (sample >= 0.0) & (sample <= n - 1.0) & (np.abs(ahead_px) < 1.0)
+    seen = on_ccd & (t >= 0.0) & (t <= T)
+    rows = np.flatnonzero(seen)
+    return rows, np.full(len(rows), c), sample[rows], t[rows]
+
+
+def _head_covariance(
+    cameras: ScanCameras,
+    sky: _Sky,
+    state: tuple[float, Floats, Floats],
+    R_ci: Rotation,
+    settings: ScanSettings,
+) -> tuple[Floats | None, int]:
+    """Covariance (3, 3) of one exposure's attitude, axes of s, from the catalogue's stars; their number."""
+    t, p_i, v_i = state
+    R_si = cameras.R_cs.inv() * R_ci
+    places = sky.near(R_si.inv().apply(Z), cameras.star.field_radius_rad, settings.head_v_mag)
+    u_s = R_si.apply(apparent_star_directions(places, cameras.orbit.epoch, t, p_i, v_i)).reshape(-1, 3)
+    u_s = u_s[cameras.star.contains(cameras.star.pixels_from_directions(u_s))]
+    sigma = settings.head_sigma_px * cameras.star.pixel_m / cameras.star.focal_m
+    information = np.sum(np.eye(3) - u_s[:, :, None] * u_s[:, None, :], axis=0) / sigma**2
+    if len(u_s) < 3:
+        return None, len(u_s)
+    return np.linalg.inv(information), len(u_s)
+
+
+def _covariance(F: Floats, prior: Floats, errors: CalibrationSettings) -> Floats:
+    """Covariance (3, 3) of theta; a large one where an axis is not observable."""
+    limit = errors.sigma_observable_rad
+    solution = solve_total(F, np.zeros(len(F)), prior, sigma_observable_rad=limit)
+    blind = solution.unobservable
+    return np.asarray(solution.covariance + limit**2 * blind.T @ blind)
+
+
+def _greedy(
+    F: Floats, prior: Floats, weight: Floats, count: int, errors: CalibrationSettings
+) -> tuple[list[int], Floats]:
+    """Candidates in the order in which they make the weighted variance smallest, and sigmas (count, 3)."""
+    total, chosen, sigmas = np.zeros(F.shape[1:]), list[int](), []
+    for _ in range(count):
+        left = [k for k in range(len(F)) if k not in chosen]
+        variances = [np.diag(_covariance(total + F[k], prior, errors)) for k in left]
+        best = int(np.argmin([weight @ variance for variance in variances]))
+        chosen.append(left[best])
+        total = total + F[left[best]]
+        sigmas.append(np.sqrt(variances[best]))
+    return chosen, np.array(sigmas)
+
+
+def _at_random(
+    pairs: InformationPairs, prior: Floats, count: int, errors: CalibrationSettings, rng: np.random.Generator
+) -> Floats:
+    """Median 1-sigma (3,) of `count` candidates at random."""
+    draws = [rng.permutation(len(pairs.names))[:count] for _ in range(25)]
+    variances = [np.diag(_covariance(pairs.F[rows].sum(axis=0), prior, errors)) for rows in draws]
+    return np.asarray(np.sqrt(np.median(variances, axis=0)))
