@@ -26,6 +26,7 @@ from boresight.geometry.sightings import ExposureAttitudes, HeadAttitudes, StarS
 from boresight.pipeline.errors import Cause, DataNotSufficientError, Omission
 from boresight.pipeline.files.dump import Dump, Strip, surface_of
 from boresight.pipeline.files.ground_points import NO_POINTS
+from boresight.pipeline.files.star_side import SolvedAttitudes
 from boresight.pipeline.settings import Settings, calibration_settings, effects_of
 from boresight.pipeline.stages.cached import Progress, StageRunner
 from boresight.pipeline.stages.first_matching import match_first, match_strips
@@ -211,6 +212,8 @@ def _strip_tasks(
             reason = "the orbit has no states for all of its rows"
         else:
             reason = _not_covered(times[near], first, last)
+            if reason and (able := _others_that_cover(dump, first, last)):
+                reason += f"; {able} covers them: first in [[star_cameras]] it would carry this strip"
         if reason:
             omitted.append(Omission("strip", strip.strip_id, "", reason, Cause.NOT_COVERED))
             continue
@@ -249,6 +252,16 @@ def _not_covered(times: Array, first: float, last: float) -> str:
     if early > 0.0 or late > 0.0:
         gaps = f"{max(early, 0.0):.2f} s are missing at the beginning, {max(late, 0.0):.2f} s at the end"
         return f"star exposures do not cover all of its rows: {gaps}"
+    return ""
+
+
+def _others_that_cover(dump: Dump, first: float, last: float) -> str:
+    """The first of the further heads with attitudes over all rows; empty where there is none."""
+    for head in dump.heads[1:]:
+        if isinstance(head.source, SolvedAttitudes):
+            t_s = head.source.rows.t_s
+            if not _not_covered(t_s[(t_s >= first - 1.0) & (t_s <= last + 1.0)], first, last):
+                return head.name
     return ""
 
 

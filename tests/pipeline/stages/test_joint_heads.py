@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,12 +19,14 @@ from boresight.geometry.geodesy import geodetic_from_ecef
 from boresight.geometry.pushbroom import Pushbroom, RowClock
 from boresight.geometry.terrain import ConstantHeight
 from boresight.pipeline.cli import app
+from boresight.pipeline.errors import DataNotSufficientError
 from boresight.pipeline.files.dump import Dump, open_dump
 from boresight.pipeline.files.sentinel2 import read_sentinel2
 from boresight.pipeline.files.star_side import SolvedAttitudes
 from boresight.pipeline.files.text_tables import write_toml
 from boresight.pipeline.imports.sentinel2 import sentinel2_mission
 from boresight.pipeline.imports.writing import write_imported
+from boresight.pipeline.stages.calibrate import calibrate_dump
 
 HEADER = "id,strip,ccd,sample,line,sigma_sample_px,sigma_line_px,lat_deg,lon_deg,height_m,height_kind,"
 HEADER += "sigma_east_m,sigma_north_m,sigma_up_m\n"
@@ -93,6 +96,15 @@ def found(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, tuple[Rotatio
     )
     assert outcome.exit_code == 0, outcome.output
     return root / "result", matrices
+
+
+def test_strip_that_only_the_second_tracker_covers_says_how_it_can_be_used(found, tmp_path):
+    result, _ = found
+    shutil.copytree(result.parent / "early", tmp_path / "dump")
+    rows = (tmp_path / "dump" / "STR1.csv").read_text().splitlines(keepends=True)
+    (tmp_path / "dump" / "STR1.csv").write_text("".join([rows[0], *rows[-40:]]))  # the end of the record
+    with pytest.raises(DataNotSufficientError, match=r"STR2 covers them: first in \[\[star_cameras\]\]"):
+        calibrate_dump(open_dump(tmp_path / "dump"))
 
 
 def sigma(installation: dict, head: int) -> np.ndarray:
