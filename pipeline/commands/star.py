@@ -84,6 +84,9 @@ def identify(
         bool, typer.Option("--fits", help="Write NAME.wcs.fits here: a TAN-SIP header and the named stars.")
     ] = False,
     overlay: Annotated[Path | None, typer.Option(help="PNG of the image with its stars named.")] = None,
+    report: Annotated[
+        Path | None, typer.Option(help="HTML page: detections by kind, PSF, noise, stars, identified or not.")
+    ] = None,
     out: Annotated[Path | None, typer.Option(help="Parquet file for the stars that were named.")] = None,
     times: Times = None,
     orbit: OrbitFile = None,
@@ -96,7 +99,7 @@ def identify(
     """
     from boresight.pipeline.files.star_files import write_wcs
     from boresight.pipeline.files.whereabouts import Whereabouts
-    from boresight.pipeline.stages.identify import Request, identify_images
+    from boresight.pipeline.stages.identify import Request, identify_images, own_name
 
     if camera is not None and fov is not None:
         raise wrong_usage("--camera and --fov exclude one another")
@@ -119,6 +122,10 @@ def identify(
         if as_fits and line.found is not None:
             path = str(line.record["file"])
             write_wcs(Path(f"{Path(path).stem}.wcs.fits"), path, line.found)
+        if report is not None and line.image is not None:
+            from boresight.pipeline.report.sky_page import write_sky_page  # with jinja 0.2 s to load
+
+            write_sky_page(line, own_name(report, Path(str(line.record["file"])), len(images)))
     (say if as_json or as_csv else tell)(
         f"identified {named} of {lines} images" + (f" -> {out}" if out else "")
     )

@@ -11,7 +11,7 @@ from boresight.geometry.sightings import StarSightings
 from boresight.star_id.finding.star_list import find_stars
 from boresight.star_id.settings import StarSettings
 
-__all__ = ["STATES", "StarPreview", "star_preview"]
+__all__ = ["STATES", "StarPreview", "star_preview", "stretched_jpeg"]
 
 STATES = {
     "used": "identified and used",
@@ -53,7 +53,7 @@ def star_preview(
         same = distance.min(axis=0) < 1e-3
         hip[nearest[same]] = sighted.hip[same]
         state[nearest[same]] = np.where(kept[same], "used", "rejected")
-    jpeg, shrunk = _picture(image)
+    jpeg, shrunk = stretched_jpeg(image)
     return StarPreview(
         exposure_id=sighted.exposure_id,
         jpeg=jpeg,
@@ -67,7 +67,7 @@ def star_preview(
     )
 
 
-def _picture(image: NDArray[np.uint16]) -> tuple[bytes, int]:
+def stretched_jpeg(image: NDArray[np.generic]) -> tuple[bytes, int]:
     """Stretched JPEG and its reduction factor; a reduced pixel is the brightest of its block."""
     from skimage.exposure import rescale_intensity
 

@@ -30,14 +30,15 @@ from boresight.star_id.field import (
     SMALLEST_FOV_RAD,
     FieldSolution,
     solve_centroids,
-    solve_field,
+    solve_list,
 )
+from boresight.star_id.finding.star_list import StarList, find_stars
 from boresight.star_id.identification.identify import NotIdentified
 from boresight.star_id.identification.triangle_index import StarIndex, equivalent_fov
 from boresight.star_id.observer import Observer
 from boresight.star_id.settings import StarSettings
 
-__all__ = ["Line", "Request", "identify_images", "read_camera", "read_sky_image", "sky_index"]
+__all__ = ["Line", "Request", "identify_images", "own_name", "read_camera", "read_sky_image", "sky_index"]
 
 CATALOGUE_YEAR, EPOCH_ERROR_YEARS = 2020.0, 6.0  # of images without time
 
@@ -50,6 +51,8 @@ class Line:
     identified: bool
     record: dict[str, Any]  # file, identified, ra_deg, dec_deg, roll_deg, fov_x_deg, matches, rms_arcsec, ...
     found: FieldSolution | None
+    image: NDArray[Any] | None = None  # as read; None for a list of centroids, or where it was not read
+    stars: StarList | None = None  # found in it
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,20 +98,22 @@ def identify_images(images: Sequence[Path], request: Request, settings: StarSett
                 raise RawDataError(str(request.dark_file), "image size", *shapes)
             observer = observers.get(str(path))
             known = timeless if observer is None else settings
-            outcome = solve_field(
-                image, index, known, camera=camera, fov_x_rad=fov, dark=dark, observer=observer
-            )
+            stars = find_stars(image, known, dark)
+            size = (image.shape[1], image.shape[0])
+            outcome = solve_list(stars, size, index, known, camera=camera, fov_x_rad=fov, observer=observer)
         except RawDataError as error:
             yield _unnamed(path, width, "not read", str(error), started)
             continue
         if isinstance(outcome, NotIdentified):
-            yield _unnamed(path, width, "not identified", outcome.reason, started)
+            line = _unnamed(path, width, "not identified", outcome.reason, started)
+            yield replace(line, image=image, stars=stars)
             continue
         spent_ms = 1e3 * (time.process_time() - started)
         named.append((path, outcome))
         if request.overlay is not None:
-            _draw(image, outcome, _own_name(request.overlay, path, len(images)))
-        yield Line(f"{path!s:{width}s}   {_facts(outcome)}", True, _record(path, outcome, spent_ms), outcome)
+            _draw(image, outcome, own_name(request.overlay, path, len(images)))
+        record = _record(path, outcome, spent_ms)
+        yield Line(f"{path!s:{width}s}   {_facts(outcome)}", True, record, outcome, image, stars)
     if request.out is not None:
         from boresight.pipeline.files.named_stars import write_named_stars
 
@@ -192,7 +197,8 @@ def _record(path: Path, found: FieldSolution, spent_ms: float) -> dict[str, Any]
     }
 
 
-def _own_name(path: Path, image: Path, count: int) -> Path:
+def own_name(path: Path, image: Path, count: int) -> Path:
+    """The file of one of `count` images; with several each adds its own name."""
     return path if count == 1 else path.with_name(f"{path.stem}-{image.stem}{path.suffix}")
 
 

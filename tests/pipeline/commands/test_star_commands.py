@@ -300,3 +300,17 @@ def test_the_time_in_a_header_counts_and_its_lack_is_in_the_stated_errors(folder
     # an unknown velocity of the Earth changes the field of view by 5.7e-5 of itself, 1 sigma
     lack = np.sqrt(plain["fov_x_sigma_deg"] ** 2 - dated["fov_x_sigma_deg"] ** 2) / plain["fov_x_deg"]
     assert lack == pytest.approx(5.7e-5, rel=0.2)
+
+
+def test_the_page_of_an_image_shows_its_detections_identified_or_not(folder, tmp_path):
+    dark = np.random.default_rng(1).normal(50.0, 3.0, (CAMERA.height_px, CAMERA.width_px)).astype(np.uint8)
+    cv2.imwrite(str(tmp_path / "<dark>.png"), dark)
+    images = (folder / "sky0.png", tmp_path / "<dark>.png")
+    done = run("identify", "--json", *images, "--report", tmp_path / "page.html")
+    found = json.loads(done.stdout.splitlines()[0])
+    page = (tmp_path / "page-sky0.html").read_text("utf-8")
+    assert f"<h1>{found['matches']} stars identified</h1>" in page
+    assert page.count('class="mark used"><title>HIP') == found["matches"]
+    assert page.count("<figure") == 3 and 'src="http' not in page and 'href="http' not in page
+    other = (tmp_path / "page-<dark>.html").read_text("utf-8")
+    assert "<h1>Not identified</h1>" in other and "<dark>" not in other
