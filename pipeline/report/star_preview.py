@@ -68,7 +68,7 @@ def star_preview(
 
 
 def stretched_jpeg(image: NDArray[np.generic]) -> tuple[bytes, int]:
-    """Stretched JPEG of an image (H, W) and its reduction factor; a reduced pixel is the brightest of its block.
+    """Stretched JPEG of an image (H, W) and its reduction factor; a reduced pixel is a block's brightest.
 
     Raises `OSError` if it cannot be encoded.
     """
