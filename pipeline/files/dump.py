@@ -46,6 +46,7 @@ from boresight.pipeline.files.star_side import (
     open_heads,
     seconds_of,
 )
+from boresight.pipeline.files.star_tables import StarTable, survey_of
 from boresight.pipeline.files.text_files import path_inside, read_table, read_toml
 
 __all__ = [
@@ -84,6 +85,7 @@ class Strip:
     row_period_s: float = scalar("s")
     lines: int = scalar("number of rows, from the first of any CCD to the last")
     first_line: dict[int, float] = scalar("row of the strip at which row 0 of a CCD lies, by CCD")
+    kind: str = scalar("what the camera looks at: ground or sky", default="ground")
 
 
 @record
@@ -144,11 +146,13 @@ class Dump:
     errors: schema.Errors = scalar("errors of the mission's data as it states them")
     light: LightEffects = scalar("effects on light that the mission's own software models")
     orbit: Orbit = scalar("trajectory of the satellite")
-    strips: tuple[Strip, ...] = scalar("in order of time")
+    strips: tuple[Strip, ...] = scalar("of the ground, in order of time")
+    sky_strips: tuple[Strip, ...] = scalar("of the sky, in order of time")
     targets: tuple[Target, ...] = scalar("in the order of targets.csv")
     chips: tuple[ChipFile, ...] = scalar("of the same targets")
     points: tuple[StripPoints, ...] = scalar("measured image points, one record a strip")
     terrain: TerrainFiles | TargetHeights = scalar("the surface of the Earth")
+    star_catalogue: StarTable | None = scalar("stars of strips of the sky; None: the bundled Hipparcos")
     omissions: tuple[Omission, ...] = scalar("images that are not used, with the reasons")
 
     @property
@@ -225,16 +229,15 @@ def open_dump(root: Path, *, allow_stale_eop: bool = False) -> Dump:
     own = head.files.earth_orientation
     table = bundled_table() if own is None else read_earth_orientation(paths["earth_orientation"], own)
     orbit = orbit_of(ephemeris, head.files.orbit, table, allow_stale_eop=allow_stale_eop)
-    strips, omitted = _strips(
+    every, omitted = _strips(
         root, paths["strips"], head.files.strips, ephemeris.epoch, remote, head.files.remote_camera
     )
-    if head.files.points is None and (bare := [one.strip_id for one in strips if not one.images.names]):
-        found = f"no image of strip {bare[0]}"
-        raise RawDataError(head.files.strips, "file", found, "an image, or files.points in dump.toml")
+    strips, sky_strips = (tuple(one for one in every if one.kind == kind) for kind in ("ground", "sky"))
+    _check_what_they_show(strips, sky_strips, head)
     rows = _target_rows(paths["targets"], str(head.files.targets)) if "targets" in paths else []
     surveyed = targets_of(rows)
     heads = open_heads(root, head, ephemeris.epoch)
-    during = [(s.t_first_row_s, s.t_first_row_s + s.lines * s.row_period_s) for s in strips]
+    during = [(s.t_first_row_s, s.t_first_row_s + s.lines * s.row_period_s) for s in every]
     for one in heads:
         check_attitudes(one, orbit, during)
     points, of_points = _points(paths.get("points"), head, strips)
@@ -250,10 +253,12 @@ def open_dump(root: Path, *, allow_stale_eop: bool = False) -> Dump:
         light=LightEffects(**head.light.model_dump()),
         orbit=orbit,
         strips=strips,
+        sky_strips=sky_strips,
         targets=surveyed.targets,
         chips=_chips(root, rows, str(head.files.targets)),
         points=points,
         terrain=_terrain(root, head, (surveyed, *of_points)),
+        star_catalogue=_star_catalogue(paths.get("star_catalogue"), head, sky_strips),
         omissions=omitted,
     )
 
@@ -402,7 +407,7 @@ def _strip(strip_id: str, images: StripFiles, members: list[StripMember]) -> Str
     begin, period = min(t for _, _, t in members), members[0][1].row_period_s
     first_line = {row.ccd: (t - begin) / period for _, row, t in members}
     lines = max(row.lines + int(np.ceil(first_line[row.ccd] - 1e-6)) for _, row, _ in members)
-    return Strip(strip_id, images, begin, period, lines, first_line)
+    return Strip(strip_id, images, begin, period, lines, first_line, members[0][1].kind)
 
 
 def _check_alike(members: list[StripMember], file: str) -> None:
@@ -410,11 +415,26 @@ def _check_alike(members: list[StripMember], file: str) -> None:
     _, reference, _ = members[0]
     images = any(row.file for _, row, _ in members)
     for where, row, _ in members:
-        for key in ("utc_first_row", "row_period_s", "lines") if images else ("row_period_s",):
+        same = ("kind", "utc_first_row", "row_period_s", "lines") if images else ("kind", "row_period_s")
+        for key in same:
             if (got := getattr(row, key)) != (expected := getattr(reference, key)):
                 raise RawDataError(
                     file, f"{where}, {key}", str(got), f"{expected}, as for CCD {reference.ccd}"
                 )
+
+
+def _check_what_they_show(ground: Sequence[Strip], sky: Sequence[Strip], head: schema.DumpFile) -> None:
+    """`RawDataError` for a strip without an image and without points, and for ground without any targets."""
+    files = head.files
+    if ground and files.targets is None and files.points is None:
+        expected = (
+            "files.targets (chips) or files.points (measured image points), for its strips of the ground"
+        )
+        raise RawDataError("dump.toml", "files.targets", "nothing", expected)
+    bare = [one.strip_id for one in ground if not one.images.names] if files.points is None else []
+    if bare := bare + [one.strip_id for one in sky if not one.images.names]:
+        found = f"no image of strip {bare[0]}"
+        raise RawDataError(files.strips, "file", found, "an image, or files.points in dump.toml")
 
 
 def _strip_images(
@@ -491,6 +511,15 @@ def _terrain(
     terrain = TerrainFiles(names, paths, head.terrain.height_kind)
     surface_of(terrain)  # an invalid file is reported before hours of work
     return terrain
+
+
+def _star_catalogue(path: Path | None, head: schema.DumpFile, sky: Sequence[Strip]) -> StarTable | None:
+    if path is None:
+        return None
+    table = StarTable(str(head.files.star_catalogue), path)
+    if sky:
+        survey_of(table)  # an invalid file is reported before hours of work
+    return table
 
 
 def surface_of(terrain: TerrainFiles | TargetHeights) -> Surface:

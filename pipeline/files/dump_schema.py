@@ -113,6 +113,7 @@ class Files(_Strict):
     star_camera: RelativePath | None = None  # with installation and exposures, unless [[star_cameras]] say it
     installation: RelativePath | None = None
     exposures: RelativePath | None = None
+    star_catalogue: RelativePath | None = None  # of strips of the sky; without it the bundled Hipparcos
 
     @property
     def single(self) -> dict[str, str]:
@@ -245,8 +246,6 @@ class DumpFile(_Strict):
         names = [head.name for head in self.star_cameras]
         if len(set(names)) < len(names):
             raise ValueError("star_cameras: each name once")
-        if self.files.targets is None and self.files.points is None:
-            raise ValueError("files.targets (chips) or files.points (measured image points) is missing")
         return self
 
     @model_validator(mode="after")
@@ -434,6 +433,7 @@ class StripRow(_Row):
     utc_first_row: Utc
     row_period_s: float = within(1e-9, 1.0, "from row to row, s; in 1 s a satellite moves 7 km")
     lines: Annotated[int, Field(ge=1, le=10_000_000)]
+    kind: Annotated[Literal["ground", "sky"], Field(description="what the camera looks at")] = "ground"
 
 
 class _Identified(_Row):

@@ -43,7 +43,8 @@ def write_dump(
     """Write the dump to `root`; call `on_image(file)` after each image. `FileExistsError` if not empty."""
     if root.exists() and (not root.is_dir() or any(root.iterdir())):
         raise FileExistsError(f"{root} exists and is not an empty folder")
-    for folder in ("exposures", "strips", "chips", "terrain", "truth"):
+    ground = ("chips", "terrain") if mission.terrain is not None else ()
+    for folder in ("exposures", "strips", *ground, "truth"):
         (root / folder).mkdir(parents=True, exist_ok=True)
     write_toml(root / "star_camera.toml", star_camera_table(mission.star_camera, mission.scenario.sky.bits))
     write_toml(
@@ -57,14 +58,17 @@ def write_dump(
     (root / "orbit.oem").write_text(_oem(mission, mission.orbit), encoding="utf-8")
     _write_exposures(root, mission, on_image)
     _write_strips(root, mission, on_image)
-    _write_targets(root, mission)
-    _write_terrain(root / "terrain" / "dem.tif", mission.terrain)
+    if mission.terrain is not None:
+        _write_targets(root, mission)
+        _write_terrain(root / "terrain" / "dem.tif", mission.terrain)
     _write_truth(root / "truth", mission, mission.truth)
     write_toml(root / "dump.toml", _head(mission, created_by))  # last: a dump with a dump.toml is complete
 
 
 def _head(mission: Mission, created_by: str) -> dict[str, Any]:
-    errors = mission.errors
+    errors, terrain = mission.errors, mission.terrain
+    of_ground = {"targets": "targets.csv", "terrain": "terrain/dem.tif"} if terrain is not None else {}
+    heights = {"height_kind": terrain.height_kind, "sigma_m": terrain.sigma_m} if terrain is not None else {}
     return {
         "format": "boresight-dump",
         "format_version": 1,
@@ -84,8 +88,7 @@ def _head(mission: Mission, created_by: str) -> dict[str, Any]:
             "orbit": "orbit.oem",
             "exposures": "exposures.csv",
             "strips": "strips.csv",
-            "targets": "targets.csv",
-            "terrain": "terrain/dem.tif",
+            **of_ground,
         },
         "errors": {
             "position_m": errors.position_m,
@@ -94,7 +97,7 @@ def _head(mission: Mission, created_by: str) -> dict[str, Any]:
             "look_distortion_px": errors.look_distortion_px,
             "look_distortion_length_px": mission.scenario.errors.distortion_length_px,
         },
-        "terrain": {"height_kind": mission.terrain.height_kind, "sigma_m": mission.terrain.sigma_m},
+        **({"terrain": heights} if heights else {}),
     }
 
 
@@ -125,13 +128,15 @@ def _write_exposures(root: Path, mission: Mission, on_image: Callable[[str], Non
 
 def _write_strips(root: Path, mission: Mission, on_image: Callable[[str], None]) -> None:
     utc = mission.epoch.utc_from_seconds([strip.t_first_row_s for strip in mission.strips])
-    rows = []
+    rows, with_kind = [], any(strip.kind != "ground" for strip in mission.strips)
     for strip, instant in zip(mission.strips, utc):
         file = f"strips/{strip.strip_id}_ccd{strip.ccd}.tif"
         _write_strip_image(root / file, strip)
-        rows.append([strip.strip_id, strip.ccd, file, instant, repr(strip.row_period_s), strip.lines])
+        kind = [strip.kind] if with_kind else []
+        rows.append([strip.strip_id, strip.ccd, file, instant, repr(strip.row_period_s), strip.lines, *kind])
         on_image(file)
-    write_csv(root / "strips.csv", ["id", "ccd", "file", "utc_first_row", "row_period_s", "lines"], rows)
+    columns = ["id", "ccd", "file", "utc_first_row", "row_period_s", "lines"]
+    write_csv(root / "strips.csv", [*columns, "kind"] if with_kind else columns, rows)
 
 
 def _write_strip_image(path: Path, strip: Strip) -> None:
@@ -217,6 +222,21 @@ def _write_truth(root: Path, mission: Mission, truth: Truth) -> None:
             for p in points
         ]
         write_csv(root / f"{name}.csv", ["id", *columns], rows)
+    if truth.sky_stars:
+        stars = [
+            [
+                s.strip_id,
+                s.ccd,
+                s.hip,
+                f"{s.sample:.6f}",
+                f"{s.line:.6f}",
+                f"{s.charge_e:.1f}",
+                f"{s.v_mag:.2f}",
+            ]
+            for s in truth.sky_stars
+        ]
+        columns = ["strip", "ccd", "hip", "sample", "line", "charge_e", "v_mag"]
+        write_csv(root / "sky_stars.csv", columns, stars)
     strips = [
         [s.strip_id, repr(s.clock_offset_s), *np.asarray(s.position_error_m).tolist()] for s in truth.strips
     ]

@@ -26,6 +26,7 @@ from boresight.simulator.scenario import (
     scenario_from_dict,
 )
 from boresight.star_id.catalogue import hipparcos_stars
+from boresight.star_id.whole_catalogue import all_hipparcos
 
 __all__ = ["fly", "named_scenario"]
 
@@ -54,7 +55,8 @@ def fly(scenario: Scenario, seed: int) -> Mission:
     """The simulated mission of a scenario, with the bundled catalogue, Earth orientation and geoid."""
     ground = _ground_image(scenario.ground.image) if scenario.ground.image else None
     stars = hipparcos_stars().places
-    return simulate(scenario, stars, bundled_earth_orientation(), egm96(), seed, ground)
+    survey = all_hipparcos() if scenario.sky_strips.scans else None
+    return simulate(scenario, stars, bundled_earth_orientation(), egm96(), seed, ground, survey)
 
 
 def _ground_image(name: str) -> GroundImage:

@@ -147,11 +147,12 @@ def read_toml(path: Path, model: type[Model], file: str) -> Model:
 
 def read_table(path: Path, model: type[Model], file: str) -> list[Model]:
     """The rows of a CSV file (RFC 4180, header line) as records of `model`; `RawDataError` if not valid."""
-    expected = list(model.model_fields)
+    required = [name for name, field in model.model_fields.items() if field.is_required()]
+    optional = [name for name in model.model_fields if name not in required]
     numeric = [name for name, field in model.model_fields.items() if field.annotation in (int, float)]
     records: list[Model] = []
     wrong: list[RawDataError] = []
-    for line, row in csv_rows(path, expected, (), file):
+    for line, row in csv_rows(path, required, optional, file):
         try:
             for name in numeric:
                 check_number(row[name], file, f"{line}, {name}")

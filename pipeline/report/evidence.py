@@ -31,6 +31,9 @@ from scipy.special import chdtrc
 
 from boresight.calib.information import solve_total
 from boresight.calib.noise_spectrum import allan_deviation
+from boresight.geometry.attitude import NominalMotion
+from boresight.geometry.constants import WGS84
+from boresight.geometry.geodesy import geodetic_from_ecef
 from boresight.geometry.line_camera import LineCamera, LineSensor
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.content import content_digest
@@ -129,7 +132,7 @@ def _context(dump: Dump, calibration: Calibration) -> dict[str, Any]:
             "focal_mm": 1e3 * star.focal_m,
         },
         "ground": {
-            "range_m": _mean_range_m(calibration),
+            "range_m": _over_ground(dump, calibration)[0],
             "edge_tan": _edge_tan(camera),
         },
         "remote_camera": {
@@ -148,17 +151,17 @@ def _span_s(calibration: Calibration) -> list[float]:
 def _accuracy(dump: Dump, calibration: Calibration, ground: pa.Table) -> dict[str, Any]:
     """CE90 and LE90 of residuals and of a new strip, and what more data would change."""
     estimate, camera = calibration.estimate, dump.line_camera
-    speed = np.concatenate([np.linalg.norm(strip.ground.v_rel_i, axis=1) for strip in calibration.strips])
+    range_m, speed_m_s = _over_ground(dump, calibration)
     found = improvements(calibration.strips, estimate.R_cs, calibration.settings, camera)
     u_c = _ends_c(camera)
     return {
         "accuracy": accuracy_by_strip(ground, USED),
         "new_strip": predicted_accuracy(
             estimate.cov_theta,
-            _mean_range_m(calibration),
+            range_m,
             u_c[:, :2] / u_c[:, 2:],
             calibration.settings.sigma_position_m,
-            calibration.settings.sigma_clock_s * float(speed.mean()),
+            calibration.settings.sigma_clock_s * speed_m_s,
         ),
         "improvements": [
             {"change": one.change, "sigma_rad": (estimate.sigma_theta * one.sigma_ratio).tolist()}
@@ -167,10 +170,17 @@ def _accuracy(dump: Dump, calibration: Calibration, ground: pa.Table) -> dict[st
     }
 
 
-def _mean_range_m(calibration: Calibration) -> float:
-    """Mean distance from the satellite to the targets on the ground, m; NaN where there are stars only."""
-    ground = np.concatenate([strip.ground.range_m[~strip.ground.is_star] for strip in calibration.strips])
-    return float(np.mean(ground)) if len(ground) else np.nan
+def _over_ground(dump: Dump, calibration: Calibration) -> tuple[float, float]:
+    """Mean distance from the satellite to the targets on the ground, m, and its speed over it, m/s; where
+    there are stars only, its height and its speed in ITRS.
+    """
+    ground = [strip.ground for strip in calibration.ground_strips]
+    if ground:
+        speed = np.concatenate([np.linalg.norm(one.v_rel_i, axis=1) for one in ground])
+        return float(np.mean(np.concatenate([one.range_m for one in ground]))), float(speed.mean())
+    t_s = np.array(_span_s(calibration))
+    height = geodetic_from_ecef(dump.orbit.positions_e(t_s), WGS84)[2]
+    return float(height.mean()), float(np.linalg.norm(dump.orbit.velocities_e(t_s), axis=1).mean())
 
 
 def _edge_tan(camera: LineSensor) -> float:
@@ -269,7 +279,8 @@ def _motions(calibration: Calibration) -> list[StripMotion]:
             zip(found.strip_id.tolist(), found.target_id.tolist(), found.ccd.tolist()), found.kept
         )
     }
-    orbits = {task.strip.strip_id: task.orbit for task in calibration.tasks}
+    orbits: dict[str, NominalMotion] = {task.strip.strip_id: task.orbit for task in calibration.tasks}
+    orbits |= {task.strip.strip_id: task.nominal for task in calibration.sky.tasks}
     motions = []
     for strip in calibration.strips:
         rows = [index[exposure.t_s] for exposure in strip.exposures]
@@ -309,7 +320,7 @@ def _matches(calibration: Calibration) -> pa.Table:
     names = ["strip_id", "target_id", "ccd", *get_type_hints(MatchPictures)]
     tables = [
         pa.table({"strip_id": arrow_array([one.strip_id] * len(one.ccd), pa.string())} | columns_of(one))
-        for one in calibration.matched
+        for one in calibration.observed
     ]
     every = pa.concat_tables(tables).select(names)
     pictured = [len(picture) > 0 for picture in every.column("template_png").to_pylist()]

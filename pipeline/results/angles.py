@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from boresight.calib.settings import CalibrationSettings
-from boresight.geometry.attitude import AttitudeTrack, lagrange_weights
-from boresight.geometry.orbit import Orbit
+from boresight.geometry.attitude import AttitudeTrack, NominalMotion, lagrange_weights
 from boresight.geometry.record import array, record, scalar
 from boresight.geometry.sightings import StripSightings
 
@@ -30,7 +29,7 @@ class StripMotion:
     """A strip, its measured attitudes and which sightings are used. Exposures in the strip's order."""
 
     strip: StripSightings = scalar("sightings of the strip")
-    orbit: Orbit = scalar("orbit of the dump")
+    orbit: NominalMotion = scalar("nominal motion: the orbit, or the scan of the sky")
     R_si: Rotation = array("K", "attitude at each exposure, GCRS -> star camera")
     covariance_s: Array = array("K, 3, 3", "of each attitude, frame s, rad²")
     stars_kept: tuple[NDArray[np.bool_], ...] = array("K", "arrays (N,): the stars used of each exposure")

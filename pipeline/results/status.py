@@ -21,8 +21,11 @@ from boresight.pipeline.settings import Settings
 from boresight.pipeline.stages.exposure import star_tasks
 from boresight.pipeline.stages.strip import MatchedTargets, covers
 from boresight.pipeline.work.unit_store import read_meta, read_unit
+from boresight.star_id.strip_stars.find import StripStars
 
 __all__ = ["RunStatus", "StageStatus", "kept_units", "run_status", "status_lines"]
+
+OUTCOMES = (StarSightings, MatchedTargets, StripStars, Omission)
 
 
 @record
@@ -146,7 +149,7 @@ def _stage(folder: Path) -> tuple[StageStatus, list[Omission]]:
             damaged += 1
             continue
         done.append(path.name.rsplit(".", 2)[0])
-        outcome = record_from_table((StarSightings, MatchedTargets, Omission), unit, read_meta(unit))
+        outcome = record_from_table(OUTCOMES, unit, read_meta(unit))
         if isinstance(outcome, Omission):
             failed.append(outcome)
         elif isinstance(outcome, MatchedTargets):
@@ -169,7 +172,11 @@ def _with_missing(stages: list[StageStatus], dump: Dump) -> list[StageStatus]:
     tasks = [task for images in dump.star_images for task in star_tasks(dump, images, Settings().stars)[0]]
     exposures = [task.item.name for task in tasks]
     strips = [strip.strip_id for strip in dump.strips if covers(dump, strip)]
-    wanted = {"exposures": exposures, "matching-1": strips, "matching-2": strips}
+    wanted = {"exposures": exposures}
+    if strips:
+        wanted |= {"matching-1": strips, "matching-2": strips}
+    if sky := [strip.strip_id for strip in dump.sky_strips if covers(dump, strip)]:
+        wanted["sky-stars"] = sky
     return [
         dataclasses.replace(stage, missing=tuple(one for one in names if one not in stage.done))
         for name, names in wanted.items()

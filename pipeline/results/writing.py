@@ -33,7 +33,8 @@ from boresight.pipeline.results.folder import DUMPS
 from boresight.pipeline.settings import Settings
 from boresight.pipeline.stages.calibrate import Calibration
 from boresight.pipeline.stages.joint import JointCalibration
-from boresight.pipeline.stages.strip import MatchedTargets
+from boresight.pipeline.stages.sky_strip import SkyTask
+from boresight.pipeline.stages.strip import MatchedTargets, StripTask
 from boresight.pipeline.work.digests import digest
 
 __all__ = ["verdict_json", "write_dumps", "write_joint_result", "write_json", "write_result", "write_run"]
@@ -68,7 +69,7 @@ def write_result(result: Path, calibration: Calibration, settings: Settings) -> 
     tables.mkdir(parents=True, exist_ok=True)
     _write_groups(tables / "stars.parquet", _star_groups(calibration))
     _write_groups(tables / "exposures.parquet", [_exposures_table(calibration)])
-    matched = {one.strip_id: one for one in calibration.matched}
+    matched = {one.strip_id: one for one in calibration.observed}
     estimate = calibration.estimate
     _write_groups(tables / "targets.parquet", _target_groups(estimate.targets, calibration.strips, matched))
     _write_groups(tables / "strips.parquet", [_pairs_table(estimate.pairs)])
@@ -91,7 +92,7 @@ def write_joint_result(
     """Write the joint result of several dumps; their own stand in its folders. `installation.json` last."""
     tables = result / "sightings"
     tables.mkdir(parents=True, exist_ok=True)
-    matched = {f"{name}/{one.strip_id}": one for name, found in of_dumps.items() for one in found.matched}
+    matched = {f"{name}/{one.strip_id}": one for name, found in of_dumps.items() for one in found.observed}
     estimate = joint.estimate
     _write_groups(tables / "targets.parquet", _target_groups(estimate.targets, joint.strips, matched))
     _write_groups(tables / "strips.parquet", [_pairs_table(estimate.pairs)])
@@ -249,7 +250,8 @@ def _target_groups(
 def _passes_table(calibration: Calibration, prefix: str = "") -> pa.Table:
     """One row for each strip of the estimate, at its middle: time, position in the orbit, camera."""
     used = {strip.strip_id for strip in calibration.strips}
-    tasks = [task for task in calibration.tasks if task.strip.strip_id in used]
+    every: list[StripTask | SkyTask] = [*calibration.tasks, *calibration.sky.tasks]
+    tasks = [task for task in every if task.strip.strip_id in used]
     rows: list[dict[str, object]] = []
     for task in tasks:
         t_s = np.array([task.strip.t_first_row_s + 0.5 * task.strip.lines * task.strip.row_period_s])

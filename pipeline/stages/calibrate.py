@@ -1,7 +1,8 @@
 """From an open dump to the installation matrix: the whole calculation on one screen.
 
     each exposure -> identified stars (`sight_exposure`)     each strip -> matched targets (`match_targets`)
-    stars + matched targets -> StripSightings -> calib.calibrate -> R_cs
+    each strip of the sky -> detections (`find_sky_stars`) -> named stars (`name_sky_stars`)
+    stars + matched targets, named stars -> StripSightings -> calib.calibrate -> R_cs
     matching and estimation once more with that R_cs: the first prediction is wrong by thousands of pixels
 
 With a store, finished work is on disk. In whatever order tasks finish, sums are made in the order of time and
@@ -22,25 +23,32 @@ from boresight.calib.estimate import InstallationEstimate, NotObservable
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.verdict import Verdict, assess
 from boresight.geometry.record import array, record, scalar
-from boresight.geometry.sightings import ExposureAttitudes, HeadAttitudes, StarSightings, StripSightings
+from boresight.geometry.sightings import ExposureAttitudes, StarSightings, StripSightings
 from boresight.pipeline.errors import Cause, DataNotSufficientError, Omission
-from boresight.pipeline.files.dump import Dump, Strip, surface_of
+from boresight.pipeline.files.dump import Dump, surface_of
 from boresight.pipeline.files.ground_points import NO_POINTS
-from boresight.pipeline.files.star_side import SolvedAttitudes
 from boresight.pipeline.settings import Settings, calibration_settings, effects_of
 from boresight.pipeline.stages.cached import Progress, StageRunner
+from boresight.pipeline.stages.coverage import attitudes_around, span_s
 from boresight.pipeline.stages.first_matching import match_first, match_strips
 from boresight.pipeline.stages.head import HeadSightings, sight_head
 from boresight.pipeline.stages.missing import what_is_missing
 from boresight.pipeline.stages.reasons import rejection_reason
+from boresight.pipeline.stages.sky_side import (
+    SkySide,
+    find_in_sky_strips,
+    name_in_sky_strips,
+    named_sightings,
+)
+from boresight.pipeline.stages.sky_strip import NamedStars, as_matched
 from boresight.pipeline.stages.strip import (
     MatchedTargets,
     StripTask,
-    covers,
     ground_sightings,
     orbit_around,
     targets_near,
 )
+from boresight.pipeline.stages.strip_sightings import strip_sightings
 from boresight.pipeline.work.executor import Executor, InOrder
 from boresight.pipeline.work.unit_store import UnitStore
 
@@ -59,11 +67,23 @@ class Calibration:
     attitudes: ExposureAttitudes = scalar("attitudes of the same exposures")
     tasks: tuple[StripTask, ...] = array("S", "strips of the last matching")
     matched: tuple[MatchedTargets, ...] = array("S", "targets matched in the same strips")
-    strips: tuple[StripSightings, ...] = scalar("those that the estimate is made from")
+    sky: SkySide = scalar("strips of the sky with their detections")
+    named: tuple[NamedStars, ...] = scalar("named stars of the same strips")
+    strips: tuple[StripSightings, ...] = scalar("those that the estimate is made from, ground first")
     settings: CalibrationSettings = scalar("of the estimate, with the dump's stated errors")
     omissions: tuple[Omission, ...] = scalar("everything that is not used, with reasons")
     n_computed: int = scalar("exposures and strips that were computed in this run")
     n_reused: int = scalar("those that were read from the store")
+
+    @property
+    def observed(self) -> tuple[MatchedTargets, ...]:
+        """Targets of the strips of the ground, and named stars of those of the sky."""
+        return (*self.matched, *map(as_matched, self.named))
+
+    @property
+    def ground_strips(self) -> tuple[StripSightings, ...]:
+        """The strips of the ground."""
+        return tuple(strip for strip in self.strips if not strip.ground.is_star.any())
 
 
 def calibrate_dump(
@@ -105,6 +125,9 @@ def calibrate_dump(
     reference = heads[0]
     omissions = [*dump.omissions, *(omission for head in heads for omission in head.omissions)]
     computed = [flag for head in heads for flag in head.computed]
+    sky = find_in_sky_strips(dump, reference, settings, runner)
+    omissions += sky.omissions
+    computed += sky.computed
     surface_of(dump.terrain)  # of several dumps the last one's is in memory: processes forked here share this
     R_cs, sigma = dump.R_cs0, dump.sigma_installation_rad
 
@@ -124,16 +147,18 @@ def calibrate_dump(
         else:
             matched, flags = match_strips(tasks, runner, f"matching-{number}")
         computed += flags
-        strips = _strips(tasks, matched, heads)
+        named = name_in_sky_strips(dump, sky, R_cs, sigma, known=number > 1)
+        strips = [*_strips(tasks, matched, heads), *named_sightings(sky, named, heads)]
         estimate = calibrate(strips, dump.R_cs0, error_model)
         if isinstance(estimate, NotObservable):
-            known = [*omissions, *uncovered]
+            known = [*omissions, *uncovered, *(o for one in named for o in one.omissions)]
             text = what_is_missing(estimate, dump, settings, len(reference.stars), tasks, matched, known)
             unmatched = [omission for one in matched for omission in one.omissions]
             raise DataNotSufficientError(text, [*known, *unmatched])
         found, R_cs = estimate.with_reference(reference.head.name), estimate.R_cs
         sigma = rematch_sigma(estimate)
     omissions += uncovered + [o for m in matched for o in m.omissions] + _without_targets(matched)
+    omissions += [o for one in named for o in one.omissions]
     return Calibration(
         estimate=found,
         verdict=assess(found, strips, settings.verdict, sigma_installation_rad=dump.sigma_installation_rad),
@@ -141,6 +166,8 @@ def calibrate_dump(
         attitudes=reference.attitudes,
         tasks=tuple(tasks),
         matched=tuple(matched),
+        sky=sky,
+        named=named,
         strips=tuple(strips),
         settings=error_model,
         omissions=(*omissions, *rejections_of(found)),
@@ -201,27 +228,22 @@ def _strip_tasks(
 ) -> tuple[list[StripTask], list[Omission]]:
     """A task for each strip that orbit and star exposures cover, and an omission for each other one."""
     tasks, omitted = [], []
-    attitudes, times = reference.attitudes, np.array([s.t_s for s in reference.stars])
+    attitudes = reference.attitudes
     points = {one.strip_id: one for one in dump.points}
     run = settings.run
     for strip in dump.strips:
-        first, last = _span(dump, strip)
-        begin, end = first - run.exposure_margin_s, last + run.exposure_margin_s
-        near = np.flatnonzero(attitudes.usable & (times >= begin) & (times <= end))
-        if not covers(dump, strip):
-            reason = "the orbit has no states for all of its rows"
-        else:
-            reason = _not_covered(times[near], first, last)
-            if reason and (able := _others_that_cover(dump, first, last)):
-                reason += f"; {able} covers them: first in [[star_cameras]] it would carry this strip"
-        if reason:
-            omitted.append(Omission("strip", strip.strip_id, "", reason, Cause.NOT_COVERED))
+        near = attitudes_around(dump, strip, reference, run.exposure_margin_s)
+        if isinstance(near, Omission):
+            omitted.append(near)
             continue
+        times = np.array([reference.stars[k].t_s for k in near])
+        first, last = span_s(dump, strip)
+        margin = run.exposure_margin_s
         task = StripTask(
             strip=strip,
             camera=dump.line_camera,
-            orbit=orbit_around(dump.orbit, begin, end),
-            t_attitude_s=times[near],
+            orbit=orbit_around(dump.orbit, first - margin, last + margin),
+            t_attitude_s=times,
             R_si=Rotation.from_matrix(attitudes.R_si[near]),
             R_cs=R_cs,
             sigma_installation_rad=np.asarray(sigma_rad, dtype=float),
@@ -238,78 +260,19 @@ def _strip_tasks(
     return tasks, omitted
 
 
-def _span(dump: Dump, strip: Strip) -> tuple[float, float]:
-    """Instants of the first and the last row."""
-    first = strip.t_first_row_s + dump.line_camera.delay_to_middle_s(strip.row_period_s)
-    return first, first + (strip.lines - 1) * strip.row_period_s
-
-
-def _not_covered(times: Array, first: float, last: float) -> str:
-    if len(times) < 2:
-        return f"{len(times)} usable star exposures around it, 2 are needed; raise run.exposure_margin_s?"
-    early = times[0] - 0.5 * (times[1] - times[0]) - first
-    late = last - times[-1] - 0.5 * (times[-1] - times[-2])
-    if early > 0.0 or late > 0.0:
-        gaps = f"{max(early, 0.0):.2f} s are missing at the beginning, {max(late, 0.0):.2f} s at the end"
-        return f"star exposures do not cover all of its rows: {gaps}"
-    return ""
-
-
-def _others_that_cover(dump: Dump, first: float, last: float) -> str:
-    """The first of the further heads with attitudes over all rows; empty where there is none."""
-    for head in dump.heads[1:]:
-        if isinstance(head.source, SolvedAttitudes):
-            t_s = head.source.rows.t_s
-            if not _not_covered(t_s[(t_s >= first - 1.0) & (t_s <= last + 1.0)], first, last):
-                return head.name
-    return ""
-
-
 def _strips(
     tasks: Sequence[StripTask],
     matched: Sequence[MatchedTargets],
     heads: Sequence[HeadSightings],
 ) -> list[StripSightings]:
     """Strips with at least one matched target, with the exposures around them and their attitudes."""
-    reference = heads[0]
-    stars, attitudes = reference.stars, reference.attitudes
-    by_time = {s.t_s: k for k, s in enumerate(stars)}
-    strips = []
-    for task, of_strip in zip(tasks, matched):
-        if not len(of_strip.target_id):
-            continue
-        ground = ground_sightings(of_strip, task)
-        rows = np.array([by_time[t] for t in task.t_attitude_s.tolist()])
-        strips.append(
-            StripSightings(
-                strip_id=task.strip.strip_id,
-                exposures=tuple(stars[k] for k in rows),
-                ground=ground,
-                R_oi_exposures=task.orbit.R_oi(task.t_attitude_s),
-                R_oi_targets=task.orbit.R_oi(ground.t_s),
-                attitudes=attitudes.take(rows),
-                noise=reference.head.noise,
-                others=tuple(_around(other, reference, task) for other in heads[1:]),
-                interpolation=task.interpolation,
-            )
+    return [
+        strip_sightings(
+            task.strip.strip_id, ground_sightings(of_strip, task), task.t_attitude_s, task.orbit, heads
         )
-    return strips
-
-
-def _around(other: HeadSightings, reference: HeadSightings, task: StripTask) -> HeadAttitudes:
-    """Attitudes of a further head around a strip."""
-    times = np.array([exposure.t_s for exposure in other.stars])
-    first, last = task.t_attitude_s[0], task.t_attitude_s[-1]
-    rows = np.flatnonzero(other.attitudes.usable & (times >= first) & (times <= last))
-    return HeadAttitudes(
-        head=other.head.name,
-        t_s=times[rows],
-        R_hi=Rotation.from_matrix(other.attitudes.R_si[rows]) if len(rows) else Rotation.identity(0),
-        covariance_h=other.attitudes.covariance_s[rows],
-        noise=other.head.noise,
-        R_oi=task.orbit.R_oi(times[rows]),
-        R_sh=reference.head.R_cs0.inv() * other.head.R_cs0,
-    )
+        for task, of_strip in zip(tasks, matched)
+        if len(of_strip.target_id)
+    ]
 
 
 def _without_targets(matched: Iterable[MatchedTargets]) -> list[Omission]:

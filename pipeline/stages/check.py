@@ -14,7 +14,7 @@ from boresight.geometry.geodesy import geodetic_from_ecef
 from boresight.geometry.record import Bools, Floats, array, record, scalar
 from boresight.geometry.terrain import ConstantHeight
 from boresight.pipeline.errors import Omission, RawDataError
-from boresight.pipeline.files.dump import dump_faults, open_dump, surface_of
+from boresight.pipeline.files.dump import Dump, dump_faults, open_dump, surface_of
 from boresight.pipeline.settings import Settings
 from boresight.pipeline.stages.calibrate import strips_to_match
 from boresight.pipeline.stages.missing import misses
@@ -67,14 +67,14 @@ def check_dump(root: Path, settings: Settings, executor: Executor | None = None)
         )
     dump = open_dump(root)
     tasks, omissions = strips_to_match(dump, settings, executor)
-    height = ConstantHeight(float(np.mean(surface_of(dump.terrain).height_range_m())))
-    outlines = {t.strip.strip_id: outline_deg(pushbroom_of(t), t.strip.lines, height) for t in tasks}
+    outlines = _outlines(dump, tasks)
     first, last = dump.epoch.utc_from_seconds(dump.orbit.t_s[[0, -1]])
     facts = (
         f"mission {dump.mission}, orbit from {first[:19]} to {last[:19]} UTC",
         f"{len(dump.heads)} star camera(s) with {len(dump.exposures)} exposures",
         f"{len(dump.strips)} strips of {dump.line_camera.n_ccds} CCD(s), {len(tasks)} of them can be used",
         f"{len(dump.targets)} targets, {len(dump.points)} strips with measured image points",
+        *((f"{len(dump.sky_strips)} strips of the sky",) if dump.sky_strips else ()),
     )
     missed = [(*misses(task, dump.targets), _in_view(task, dump.targets)) for task in tasks if dump.targets]
     names = [task.strip.strip_id for task in tasks]
@@ -95,8 +95,17 @@ def check_lines(found: DumpCheck) -> list[str]:
         return [*lines, f"{len(lines)} error(s) in the files of {found.root}; images were not checked"]
     lines = [*found.facts, *(f"not used: {o.kind} {o.name}: {o.reason}" for o in found.omissions)]
     seen = sum(bool(one.seen_by) for one in found.targets)
-    lines.append(f"{seen} of {len(found.targets)} targets are in view, by the pre-launch matrix:")
+    if found.targets:
+        lines.append(f"{seen} of {len(found.targets)} targets are in view, by the pre-launch matrix:")
     return [*lines, *("  " + one.text for one in found.targets)]
+
+
+def _outlines(dump: Dump, tasks: Sequence[StripTask]) -> dict[str, Floats]:
+    """Footprints (N, 2) of strips, longitude and latitude, degrees, at the mean height of the terrain."""
+    if not tasks:
+        return {}
+    height = ConstantHeight(float(np.mean(surface_of(dump.terrain).height_range_m())))
+    return {t.strip.strip_id: outline_deg(pushbroom_of(t), t.strip.lines, height) for t in tasks}
 
 
 def _in_view(task: StripTask, targets: Sequence[Target]) -> Bools:

@@ -118,7 +118,9 @@ def _track(dump: Dump, head: Head, settings: Settings) -> tuple[HeadTrack, Float
 
 
 def _noise(dump: Dump, tracks: Sequence[HeadTrack], lowest_hz: float) -> HeadNoise:
-    longest = max((strip.lines * strip.row_period_s for strip in dump.strips), default=0.0)
+    longest = max(
+        (strip.lines * strip.row_period_s for strip in (*dump.strips, *dump.sky_strips)), default=0.0
+    )
     signal = _single(tracks[0], lowest_hz) if len(tracks) == 1 else _differences(dump, tracks)
     try:
         fit = fit_noise(signal, max(longest, PIECE_S))

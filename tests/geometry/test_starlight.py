@@ -12,7 +12,12 @@ from skyfield.vectorlib import VectorFunction
 
 from boresight.geometry.constants import ARCSEC, GM_EARTH
 from boresight.geometry.epoch import Epoch
-from boresight.geometry.starlight import StarPlaces, apparent_star_directions, apparent_star_directions_at
+from boresight.geometry.starlight import (
+    StarPlaces,
+    apparent_star_directions,
+    apparent_star_directions_at,
+    apparent_star_directions_each,
+)
 
 EPHEMERIS = Path(__file__).parents[2] / "fixtures" / "ephemeris" / "de421_1995_2027.bsp"
 MAS = 1e-3 * ARCSEC
@@ -205,3 +210,27 @@ def test_stars_are_picked_by_index_or_mask():
     assert stars.take(stars.hip > 6).epoch_jyear == J1991
     with pytest.raises(ValueError, match=r"StarPlaces.ra_rad must have shape \(9,\), got \(10,\)"):
         StarPlaces(**{n: getattr(stars, n) for n in StarPlaces.__slots__} | {"hip": np.arange(9)})
+
+
+def test_stars_at_instants_of_their_own_are_those_of_one_instant_each():
+    rng = np.random.default_rng(4)
+    stars = StarPlaces(
+        hip=np.arange(5),
+        ra_rad=rng.uniform(0.0, 6.28, 5),
+        dec_rad=rng.uniform(-1.5, 1.5, 5),
+        pm_ra_rad_yr=rng.normal(0.0, 1e-6, 5),
+        pm_dec_rad_yr=rng.normal(0.0, 1e-6, 5),
+        parallax_arcsec=rng.uniform(0.0, 0.7, 5),
+        radial_velocity_km_s=rng.normal(0.0, 30.0, 5),
+        v_mag=np.zeros(5),
+        b_v=np.zeros(5),
+        epoch_jyear=1991.25,
+    )
+    epoch, t_s = Epoch.from_utc("2026-03-20T10:15:30"), np.linspace(0.0, 600.0, 5)
+    p_i, v_i = rng.normal(0.0, 4e6, (5, 3)), rng.normal(0.0, 4e3, (5, 3))
+    each = apparent_star_directions_each(stars, epoch, t_s, p_i, v_i)
+    one_by_one = [
+        apparent_star_directions(stars.take(np.array([k])), epoch, float(t_s[k]), p_i[k], v_i[k])[0]
+        for k in range(5)
+    ]
+    assert np.abs(each - one_by_one).max() < 1e-15  # the same routines: rounding

@@ -43,7 +43,7 @@ def test_what_a_table_leaves_out_is_taken_from_its_base():
         ),
         ({"sky": 3}, ["sky", "table"]),
         ({"star_camera": {"exposure_s": 0.3}}, ["exposure_s", "0.2"]),
-        ({"based_on": "grand"}, ["grand", "mini", "paper"]),
+        ({"based_on": "grand"}, ["grand", "mini", "paper", "sky"]),
         ({"line_camera": {"ccds": 3}}, ["rotation_urad", "3 values"]),
     ],
 )

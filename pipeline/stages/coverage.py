@@ -1,0 +1,60 @@
+"""Which star exposures belong to a strip, or why it cannot be used."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from boresight.pipeline.errors import Cause, Omission
+from boresight.pipeline.files.dump import Dump, Strip
+from boresight.pipeline.files.star_side import SolvedAttitudes
+from boresight.pipeline.stages.head import HeadSightings
+from boresight.pipeline.stages.strip import covers
+
+__all__ = ["attitudes_around", "span_s"]
+
+Array = NDArray[np.float64]
+
+
+def attitudes_around(
+    dump: Dump, strip: Strip, reference: HeadSightings, margin_s: float
+) -> NDArray[np.int64] | Omission:
+    """Rows (K,) of the reference head's usable exposures around a strip, or why it is not covered."""
+    first, last = span_s(dump, strip)
+    times = np.array([s.t_s for s in reference.stars])
+    begin, end = first - margin_s, last + margin_s
+    near = np.flatnonzero(reference.attitudes.usable & (times >= begin) & (times <= end))
+    if not covers(dump, strip):
+        reason = "the orbit has no states for all of its rows"
+    else:
+        reason = _not_covered(times[near], first, last)
+        if reason and (able := _others_that_cover(dump, first, last)):
+            reason += f"; {able} covers them: first in [[star_cameras]] it would carry this strip"
+    return Omission("strip", strip.strip_id, "", reason, Cause.NOT_COVERED) if reason else near
+
+
+def span_s(dump: Dump, strip: Strip) -> tuple[float, float]:
+    """Instants of the first and the last row of a strip, TAI seconds since the dump's epoch."""
+    first = strip.t_first_row_s + dump.line_camera.delay_to_middle_s(strip.row_period_s)
+    return first, first + (strip.lines - 1) * strip.row_period_s
+
+
+def _not_covered(times: Array, first: float, last: float) -> str:
+    if len(times) < 2:
+        return f"{len(times)} usable star exposures around it, 2 are needed; raise run.exposure_margin_s?"
+    early = times[0] - 0.5 * (times[1] - times[0]) - first
+    late = last - times[-1] - 0.5 * (times[-1] - times[-2])
+    if early > 0.0 or late > 0.0:
+        gaps = f"{max(early, 0.0):.2f} s are missing at the beginning, {max(late, 0.0):.2f} s at the end"
+        return f"star exposures do not cover all of its rows: {gaps}"
+    return ""
+
+
+def _others_that_cover(dump: Dump, first: float, last: float) -> str:
+    """The first of the further heads with attitudes over all rows; empty where there is none."""
+    for head in dump.heads[1:]:
+        if isinstance(head.source, SolvedAttitudes):
+            t_s = head.source.rows.t_s
+            if not _not_covered(t_s[(t_s >= first - 1.0) & (t_s <= last + 1.0)], first, last):
+                return head.name
+    return ""

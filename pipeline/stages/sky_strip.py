@@ -1,0 +1,370 @@
+"""From one strip of the sky to named stars, and from these to directions (`GroundSightings`).
+
+    raw strip -> detections with places (`find_sky_stars`, kept on disk)
+    detections, attitudes, R_cs -> vote for the mounting, names (`name_sky_stars`, computed each time)
+    place -> look direction u_c (sample) and instant (line); catalogue -> apparent direction u_i
+
+The motion of the image points, and with it the shape of a trace, comes from the star camera's own attitudes:
+a dump states no guidance.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from boresight.geometry.attitude import AttitudeTrack, ConstantRate, Interpolation
+from boresight.geometry.constants import WGS84
+from boresight.geometry.epoch import Epoch
+from boresight.geometry.line_camera import LineSensor
+from boresight.geometry.orbit import Orbit
+from boresight.geometry.pushbroom import RowClock
+from boresight.geometry.record import Floats, Texts, array, record, scalar
+from boresight.geometry.sightings import GroundSightings, isotropic_covariance
+from boresight.geometry.starlight import (
+    SurveyedStars,
+    apparent_star_directions,
+    apparent_star_directions_each,
+)
+from boresight.pipeline.errors import Cause, Omission, RawDataError
+from boresight.pipeline.files.dump import Strip
+from boresight.pipeline.stages.match_pictures import NO_PICTURES
+from boresight.pipeline.stages.strip import MatchedTargets
+from boresight.star_id.strip_stars.find import StripMotion, StripStars, find_strip_stars
+from boresight.star_id.strip_stars.identify import (
+    Directions,
+    NoRotation,
+    StripField,
+    name_stars,
+    vote,
+)
+from boresight.star_id.strip_stars.settings import StripStarSettings
+
+__all__ = [
+    "NamedStars",
+    "SkyTask",
+    "as_matched",
+    "find_sky_stars",
+    "name_sky_stars",
+    "sky_sightings",
+]
+
+_NODES = 33  # lines at which the motion of the image points is given
+_GATE_SIGMA = 4.0
+_GATE_PX = 2.0
+_SLOWEST = 0.05  # pixels a row: slower, a star stays for hundreds of rows
+_FIELD_MARGIN_RAD = 0.002
+
+
+@record(kw_only=True)
+class SkyTask:
+    """One strip of the sky and everything that its detections depend on."""
+
+    strip: Strip = scalar("images and times of the strip")
+    camera: LineSensor = scalar("model of the remote-sensing camera")
+    stages: int = scalar("TDI stages")
+    bit_depth: int = scalar("of the raw images")
+    orbit: Orbit = scalar("states around the strip")
+    t_attitude_s: Floats = array("K", "exposures around the strip, TAI seconds since the dump's epoch")
+    R_si: Rotation = array("K", "their attitudes, GCRS to star camera")
+    sigma_attitude_rad: float = scalar("1-sigma of such an attitude about the axes across the line of sight")
+    R_cs0: Rotation = scalar("pre-launch installation matrix")
+    settings: StripStarSettings = scalar("thresholds of detection and identification")
+    interpolation: Interpolation = scalar("between the attitudes", default="lagrange")
+
+    @property
+    def item(self) -> Omission:
+        """What is processed, for the case that it cannot be used."""
+        return Omission("strip", self.strip.strip_id)
+
+    @property
+    def epoch(self) -> Epoch:
+        """Zero of all instants."""
+        return self.orbit.epoch
+
+    @property
+    def nominal(self) -> ConstantRate:
+        """The scan: the constant rate nearest to the star camera's attitudes, axes of s."""
+        return ConstantRate.fitted(self.t_attitude_s, self.R_si)
+
+    @property
+    def track(self) -> AttitudeTrack:
+        """Attitude of the star camera against time."""
+        return AttitudeTrack(self.t_attitude_s, self.R_si, self.nominal, interpolation=self.interpolation)
+
+    def instants(self, line: Floats) -> Floats:
+        """Middle of the exposure of lines (N,), TAI seconds since the epoch."""
+        period = self.strip.row_period_s
+        delay = self.camera.delay_to_middle_s(period)
+        return RowClock(self.strip.t_first_row_s, period).instant(line) + delay
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NamedStars:
+    """What became of one strip of the sky."""
+
+    strip_id: str
+    found: StripStars  # all detections
+    rows: np.ndarray  # (N,) those with names
+    places: SurveyedStars  # (N,) the same stars in the catalogue
+    probability_wrong: Floats  # (N,) of each name
+    log10_chance: float  # of the whole identification; NaN where the mounting was known
+    omissions: tuple[Omission, ...]
+
+    @property
+    def names(self) -> Texts:
+        """(N,) names of the stars, with that of the catalogue."""
+        return np.array([f"{self.places.name} {n}" for n in self.places.places.hip.tolist()], dtype=str)
+
+
+def find_sky_stars(task: SkyTask) -> StripStars | Omission:
+    """Detections in a strip of the sky, or why it cannot be one that is evaluated."""
+    motion = _motion(task, task.R_cs0)
+    if reason := _impossible(task, motion):
+        return task.item.because(reason, Cause.NOT_A_SKY_STRIP)
+    saturation = task.settings.saturation_dn or 2.0**task.bit_depth - 1.0
+    try:
+        found = find_strip_stars(task.strip.images, motion, task.settings, saturation)
+    except RawDataError as error:
+        return Omission("strip", task.strip.strip_id, error.file, str(error))
+    if not len(found.ccd):
+        pixels = sum(lines * samples for lines, samples in task.strip.images.shapes.values())
+        return task.item.because(f"no star in its {pixels:.3g} pixels", Cause.NOT_IDENTIFIED)
+    return found
+
+
+def name_sky_stars(
+    task: SkyTask,
+    found: StripStars,
+    survey: SurveyedStars,
+    R_cs: Rotation,
+    sigma_rad: Floats,
+    *,
+    known: bool,
+    scatter_px: float,
+) -> NamedStars:
+    """Names of detections by a mounting and its 1-sigma (3,), rad, axes of c.
+
+    With `known` the mounting is good to some pixels, so that each star is named by itself; else a vote must
+    find it. `scatter_px` is the 1-sigma of what displaces one star against another: distortion, vibration.
+    """
+    seen = _directions(task, found, R_cs)
+    stars, field = _field(task, survey, R_cs, sigma_rad, scatter_px)
+    theta, chance = np.asarray(np.zeros(3), dtype=float), np.nan
+    gate: float = field.tolerance_rad
+    settings = task.settings
+    if known:
+        displaced = np.asarray(sigma_rad) * [1.0, 1.0, _half_swath_rad(task.camera)]
+        gate = float(np.hypot(gate, _GATE_SIGMA * np.linalg.norm(displaced)))
+    else:
+        voted = vote(seen, field, settings.brightest, settings.max_false_alarm_probability)
+        if isinstance(voted, NoRotation):
+            reason = _not_identified(task, found, field, R_cs, voted)
+            return _none_named(task, found, stars, task.item.because(reason, Cause.NOT_IDENTIFIED))
+        theta, chance = voted.theta_rad, voted.log10_chance
+    named = name_stars(seen, field, theta, gate, settings.magnitude_error)
+    single, sharp = stars.single[named.star], ~(found.blended | found.saturated)[named.row]
+    sure = named.probability_wrong < settings.max_name_error
+    use = np.flatnonzero(single & sharp & sure)
+    why = np.where(
+        ~single, "not one star in linear motion", np.where(~sharp, "saturated or blended", "name unsure")
+    )
+    omitted = [
+        Omission(
+            "star", f"{task.strip.strip_id}/{stars.name} {stars.places.hip[j]}", "", str(why[k]), str(why[k])
+        )
+        for k, j in enumerate(named.star.tolist())
+        if k not in set(use.tolist())
+    ]
+    if not len(use):
+        reason = f"none of its {len(found.ccd)} detections is a star of {stars.name} that can be used"
+        omitted.append(task.item.because(reason, Cause.NO_TARGET))
+    return NamedStars(
+        strip_id=task.strip.strip_id,
+        found=found,
+        rows=named.row[use],
+        places=stars.take(named.star[use]),
+        probability_wrong=named.probability_wrong[use],
+        log10_chance=chance,
+        omissions=tuple(omitted),
+    )
+
+
+def sky_sightings(task: SkyTask, named: NamedStars) -> GroundSightings:
+    """Directions of named stars: measured by the camera, and computed from the catalogue."""
+    found, J = named.found.take(named.rows), len(named.rows)
+    t_s = task.instants(found.xy_px[:, 1])
+    u_c, jacobian = np.zeros((J, 3)), np.zeros((J, 3, 2))
+    period = task.strip.row_period_s
+    rate_c = task.R_cs0.apply(task.nominal.omega_o)
+    for ccd in np.unique(found.ccd).tolist():
+        here = found.ccd == ccd
+        u_c[here] = task.camera.directions_from_pixels(ccd, found.xy_px[here, 0])
+        jacobian[here, :, 0] = task.camera.sample_jacobian(ccd, found.xy_px[here, 0])
+    jacobian[:, :, 1] = np.cross(rate_c * period, u_c)  # later by a line, a star is rotated by minus this
+    p_i, v_i = task.orbit.states_i(t_s)
+    u_i: Floats = apparent_star_directions_each(named.places.places, task.epoch, t_s, p_i, v_i)
+    sigma = named.places.sigma_at_rad(float(task.epoch.julian_year(t_s[0]))) if J else np.zeros(0)
+    return GroundSightings(
+        target_id=named.names,
+        ccd=found.ccd,
+        xy_px=found.xy_px,
+        t_s=t_s,
+        u_c=u_c,
+        u_i=u_i,
+        cov_c=jacobian @ found.cov_px @ np.swapaxes(jacobian, 1, 2),
+        range_m=np.full(J, np.inf),
+        v_rel_i=np.zeros((J, 3)),
+        cov_target_i=isotropic_covariance(u_i, sigma),
+    )
+
+
+def as_matched(named: NamedStars) -> MatchedTargets:
+    """The named stars as targets matched in a strip: without pictures, with NaN where matching gives a
+    number.
+    """
+    found, J = named.found.take(named.rows), len(named.rows)
+    return MatchedTargets(
+        strip_id=named.strip_id,
+        target_id=named.names,
+        ccd=found.ccd,
+        xy_px=found.xy_px,
+        cov_px=found.cov_px,
+        correlation=np.full(J, np.nan),
+        probability_wrong=named.probability_wrong,
+        predicted_px=np.full((J, 2), np.nan),
+        pictures=(NO_PICTURES,) * J,
+        omissions=(),
+    )
+
+
+def _motion(task: SkyTask, R_cs: Rotation) -> StripMotion:
+    """Motion of image points in the middle of each CCD, from the attitudes."""
+    lines: Floats = np.linspace(0.0, max(task.strip.lines - 1.0, 1.0), _NODES, dtype=np.float64)
+    track, count = task.track, task.camera.n_ccds
+    rate, drift = np.zeros((count, _NODES)), np.zeros((count, _NODES))
+    step = 0.5
+    before, after = (R_cs * track.R_si(task.instants(lines + side)) for side in (-step, step))
+    turn = (after * before.inv()).as_matrix()
+    for ccd in range(count):
+        middle = 0.5 * (task.camera.n_px(ccd) - 1.0)
+        u_c = task.camera.directions_from_pixels(ccd, np.array([middle]))[0]
+        sample, across = task.camera.samples_from_directions(ccd, turn @ u_c)
+        rate[ccd], drift[ccd] = -across, sample - middle
+    return StripMotion(lines, rate, drift, task.stages)
+
+
+def _impossible(task: SkyTask, motion: StripMotion) -> str:
+    """Why a strip cannot be one of the sky that is evaluated; empty if it can."""
+    t_s = task.instants(np.array([0.5 * (task.strip.lines - 1.0)]))
+    p_i = task.orbit.states_i(t_s)[0][0]
+    axis_i = (task.R_cs0 * task.track.R_si(t_s)).inv().apply([0.0, 0.0, 1.0])[0]
+    height = float(np.linalg.norm(p_i))
+    off_nadir = np.degrees(np.arccos(np.clip(-axis_i @ p_i / height, -1.0, 1.0)))
+    limb = np.degrees(np.arcsin(min(WGS84.semi_major_m / height, 1.0)))
+    if off_nadir < limb:
+        return (
+            f"kind is sky, but the camera looks at the Earth: {off_nadir:.1f} deg from nadir, the limb lies "
+            f"at {limb:.1f} deg"
+        )
+    usual = motion.usual
+    slowest = float(np.abs(usual.rate).min())
+    if slowest < _SLOWEST:
+        return f"its stars move {slowest:.3f} pixels a row along the stages, {_SLOWEST} are needed"
+    if (smear := float(usual.smear_rows.max())) > task.settings.max_smear_rows:
+        against = ", against the motion of the charge" if usual.rate[0] < 0.0 else ""
+        return (
+            f"a star's trace is {smear:.0f} rows long: it moves {usual.rate[0]:.2f} pixels a row over "
+            f"{task.stages} stages{against}; scan with the stages at a pixel a row, or with fewer of them"
+        )
+    return ""
+
+
+def _directions(task: SkyTask, found: StripStars, R_cs: Rotation, line: Floats | None = None) -> Directions:
+    """Detections as directions; `line` (N,) instead of their own."""
+    line = found.xy_px[:, 1] if line is None else line
+    u_c = np.zeros((len(found.ccd), 3))
+    for ccd in np.unique(found.ccd).tolist():
+        here = found.ccd == ccd
+        u_c[here] = task.camera.directions_from_pixels(ccd, found.xy_px[here, 0])
+    R_ci = (R_cs * task.track.R_si(task.instants(line))).as_matrix()
+    brightness = np.where(found.saturated, np.nan, -2.5 * np.log10(np.maximum(found.flux_dn, 1e-9)))
+    return Directions(u_c=u_c, R_ci=R_ci, brightness=brightness)
+
+
+def _field(
+    task: SkyTask, survey: SurveyedStars, R_cs: Rotation, sigma_rad: Floats, scatter_px: float
+) -> tuple[SurveyedStars, StripField]:
+    """The catalogue's stars that the strip may show, and the limits of the search."""
+    strip, camera, settings = task.strip, task.camera, task.settings
+    t_s = task.instants(np.array([0.5 * (strip.lines - 1.0)]))
+    p_i, v_i = task.orbit.states_i(t_s)
+    axis_i = (R_cs * task.track.R_si(t_s)).inv().apply([0.0, 0.0, 1.0])[0]
+    half_swath = _half_swath_rad(camera)
+    duration = strip.lines * strip.row_period_s
+    long = float(np.linalg.norm(task.nominal.omega_o)) * duration
+    limit = np.maximum(settings.sigmas * np.asarray(sigma_rad, dtype=float), 1e-9)
+    radius = half_swath + 0.5 * long + float(np.hypot(limit[0], limit[1])) + _FIELD_MARGIN_RAD
+    places = survey.places
+    unit_i = np.column_stack(
+        [
+            np.cos(places.dec_rad) * np.cos(places.ra_rad),
+            np.cos(places.dec_rad) * np.sin(places.ra_rad),
+            np.sin(places.dec_rad),
+        ]
+    )
+    near = survey.take(np.flatnonzero(unit_i @ axis_i > np.cos(radius + _FIELD_MARGIN_RAD)))
+    u_i = apparent_star_directions(near.places, task.epoch, float(t_s[0]), p_i[0], v_i[0])
+    pixel = camera.pixel_rad
+    tolerance = _GATE_PX * pixel + _GATE_SIGMA * float(np.hypot(scatter_px * pixel, task.sigma_attitude_rad))
+    return near, StripField(
+        u_i=u_i,
+        v_mag=near.places.v_mag,
+        limit_rad=limit,
+        tolerance_rad=tolerance,
+        strip_area=2.0 * half_swath * long,
+    )
+
+
+def _half_swath_rad(camera: LineSensor) -> float:
+    """Largest angle of a pixel's line of sight from the axis."""
+    last = [camera.n_px(ccd) - 1.0 for ccd in range(camera.n_ccds)]
+    ends = [camera.directions_from_pixels(ccd, np.array([0.0, end])) for ccd, end in enumerate(last)]
+    return float(np.arccos(np.concatenate(ends)[:, 2].min()))
+
+
+def _not_identified(
+    task: SkyTask, found: StripStars, field: StripField, R_cs: Rotation, voted: NoRotation
+) -> str:
+    """One sentence on why no rotation was found: the likely cause, with the numbers."""
+    per_deg2 = len(found.ccd) / (field.strip_area * np.degrees(1.0) ** 2)
+    counts = (
+        f"{len(found.ccd)} detections, {len(field.u_i)} catalogue stars around; at most {voted.stars} agree "
+        f"with one rotation of the mounting"
+    )
+    mirrored = _directions(task, found, R_cs, line=task.strip.lines - 1.0 - found.xy_px[:, 1])
+    settings = task.settings
+    if not isinstance(
+        vote(mirrored, field, settings.brightest, settings.max_false_alarm_probability), NoRotation
+    ):
+        return f"its rows run against the attitudes: {counts}, but with the order of rows reversed many do"
+    if per_deg2 > settings.max_stars_per_deg2:
+        return f"too crowded, {per_deg2:.0f} detections a square degree (the Milky Way?): {counts}"
+    if voted.detections < 4 or len(field.u_i) < 4:
+        return f"too few stars: {counts}; 4 are needed"
+    return f"its stars are not those of the catalogue: {counts}"
+
+
+def _none_named(task: SkyTask, found: StripStars, stars: SurveyedStars, omission: Omission) -> NamedStars:
+    none = np.zeros(0, dtype=np.int64)
+    return NamedStars(
+        strip_id=task.strip.strip_id,
+        found=found,
+        rows=none,
+        places=stars.take(none),
+        probability_wrong=np.zeros(0),
+        log10_chance=np.nan,
+        omissions=(omission,),
+    )

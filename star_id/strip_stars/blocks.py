@@ -1,0 +1,63 @@
+"""Candidates in one block of a strip: what exceeds its columns' level like a star's trace does.
+
+Every pixel of a line detector has an offset and a noise of its own, the same in all rows: level and noise are
+taken column by column, so that a hot column is not a star.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from boresight.geometry.record import Floats, Ints, array, record, scalar
+
+__all__ = ["Columns", "candidates", "columns_of"]
+
+_CLIP_SIGMA = 3.0
+_CLIPPED_SIGMA = 0.98658  # standard deviation of a unit normal within 3 sigma of its mean
+_LEAST_NOISE_DN = 0.3  # the rounding to whole counts
+_NOISY = 1.5  # of the median noise: such a column says little
+
+
+@record
+class Columns:
+    """Level and noise of W columns of a block."""
+
+    level_dn: Floats = array("W", "mean without stars, DN")
+    noise_dn: Floats = array("W", "standard deviation of a pixel, DN")
+    good: NDArray[np.bool_] = array("W", "not much noisier than the others")
+    rows: int = scalar("rows that they were taken from")
+
+
+def columns_of(block: NDArray) -> Columns:
+    """Level and noise of the columns of a block (H, W): mean and deviation, clipped at 3 sigma."""
+    few = np.sort(block[:: max(1, len(block) // 128)].astype(np.float32), axis=0)
+    middle, low = few[len(few) // 2], few[int(0.1587 * len(few))]
+    spread = np.maximum(middle - low, 1.0)
+    away = block.astype(np.float32) - middle
+    inside = np.abs(away) <= _CLIP_SIGMA * spread
+    count = np.maximum(inside.sum(axis=0), 1)
+    away *= inside
+    mean = away.sum(axis=0, dtype=float) / count
+    variance = np.einsum("ij,ij->j", away, away) / count - mean**2
+    noise = np.sqrt(np.maximum(variance, 0.0)) / _CLIPPED_SIGMA
+    usual = float(np.median(noise[noise > 0.0])) if noise.any() else 0.0  # some columns may hold nothing
+    return Columns(middle + mean, np.maximum(noise, _LEAST_NOISE_DN), noise <= _NOISY * usual, len(block))
+
+
+def candidates(block: NDArray, columns: Columns, image: NDArray, threshold: float) -> Ints:
+    """Pixels (N, 2), (column, row), where the filter matched to `image` (S, S) has a peak above `threshold`
+    of its noise.
+    """
+    z = (block.astype(np.float32) - columns.level_dn.astype(np.float32)) / columns.noise_dn.astype(np.float32)
+    z[:, ~columns.good] = 0.0
+    np.minimum(z, np.float32(1e4), out=z)
+    kernel = (image / np.sqrt((image**2).sum())).astype(np.float32)
+    snr = cv2.filter2D(z, -1, kernel, borderType=cv2.BORDER_CONSTANT)
+    high = snr > threshold
+    if not high.any():
+        return np.empty((0, 2), dtype=np.int64)
+    peak = high & (snr >= cv2.dilate(snr, np.ones((5, 5), np.uint8)))
+    row, column = np.nonzero(peak)
+    return np.column_stack([column, row]).astype(np.int64)

@@ -1,0 +1,102 @@
+"""Centroids of traces: maximum-likelihood fit of sample, line, charge and background, with covariance.
+
+As `finding.centroid` does for exposures, with the images of `strip_stars.trace`. The width of the optics and
+the gain are those that fit the bright stars of the strip best.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.optimize import brentq, minimize_scalar
+from scipy.stats import trim_mean
+
+from boresight.geometry.record import Floats, array, record
+from boresight.star_id.finding.centroid import covariance_inflation
+from boresight.star_id.finding.window_fit import newton_step, start_state
+from boresight.star_id.finding.windows import StarWindows
+from boresight.star_id.strip_stars.trace import Motion, trace_images
+
+__all__ = ["TraceFits", "fit_traces", "gain_of", "width_of"]
+
+_STEPS = 12
+_LARGEST_STEP_PX = 0.6
+_CONVERGED = 0.05  # of the standard error
+_WIDTHS_PX = (0.2, 2.0)  # of optics: narrower is hidden by the pixel, wider is out of focus
+_GAINS = (0.1, 1e4)  # electrons per DN: of any detector; beyond, photons add nothing
+
+
+@record(kw_only=True)
+class TraceFits:
+    """Fits of N traces. Row n of every array is the same star."""
+
+    offset: Floats = array("N, 2", "(sample, line) from the middle of the window, px")
+    cov_px: Floats = array("N, 2, 2", "covariance of the place, px²")
+    flux_dn: Floats = array("N", "whole image above the background, DN")
+    snr: Floats = array("N", "flux over its error by background noise alone")
+    chi2: Floats = array("N", "of the window's pixels")
+    dof: Floats = array("N", "degrees of freedom of chi2")
+    last_step: Floats = array("N", "largest component of the last step, in standard errors")
+
+
+def fit_traces(
+    windows: StarWindows, offset: Floats, motion: Motion, sigma_px: float, gain_e_per_dn: float
+) -> TraceFits:
+    """Fits of the stars in N windows, from places near `offset` (N, 2). `gain_e_per_dn` may be infinite."""
+    images = trace_images(offset, motion, sigma_px, windows.radius)
+    state = start_state(windows, offset, images)
+    last = np.full(len(offset), np.inf)
+    for _ in range(_STEPS):
+        step, normal, residual, weight = newton_step(windows, images, state, gain_e_per_dn)
+        last = np.abs(step[:, :2] * np.sqrt(np.einsum("npp->np", normal)[:, :2])).max(axis=1)
+        if last.max(initial=0.0) < _CONVERGED:
+            break
+        step[:, :2] = np.clip(step[:, :2], -_LARGEST_STEP_PX, _LARGEST_STEP_PX)
+        state = state + step
+        images = trace_images(state[:, :2], motion, sigma_px, windows.radius)
+    chi2 = np.einsum("nm,nm,nm->n", residual, residual, weight).astype(float)
+    dof = np.maximum(np.count_nonzero(weight, axis=1) - 4.0, 1.0)
+    of_sky = np.einsum("nm,nm,nm->n", images.value, images.value, windows.good) / windows.noise2
+    snr = state[:, 2] * np.sqrt(of_sky)
+    inflation = covariance_inflation(chi2, dof, np.maximum(snr, 1.0))
+    return TraceFits(
+        offset=state[:, :2],
+        cov_px=np.linalg.inv(normal)[:, :2, :2] * inflation[:, None, None],
+        flux_dn=state[:, 2],
+        snr=snr,
+        chi2=chi2,
+        dof=dof,
+        last_step=last,
+    )
+
+
+def width_of(windows: StarWindows, offset: Floats, motion: Motion) -> float:
+    """Width of the optics (px) with which the stars of N windows, near `offset` (N, 2), leave the least
+    residuals."""
+
+    def misfit(sigma_px: float) -> float:
+        fits = fit_traces(windows, offset, motion, sigma_px, np.inf)
+        return float(
+            np.log(fits.chi2 / fits.dof).sum()
+        )  # a neighbour or an arm of a bright star counts little
+
+    found = minimize_scalar(misfit, bounds=_WIDTHS_PX, method="bounded", options={"xatol": 2e-3})
+    return float(found.x)
+
+
+def gain_of(windows: StarWindows, offset: Floats, motion: Motion, sigma_px: float) -> float:
+    """Electrons per DN with which the usual star's residuals are as large as stated; infinite where they are
+    without photon noise too. The stars lie near `offset` (N, 2) in N windows. A star's narrow image leaves
+    few pixels that tell: a factor of three is usual.
+    """
+
+    def excess(log_gain: float) -> float:
+        fits = fit_traces(windows, offset, motion, sigma_px, float(np.exp(log_gain)))
+        usual = fits.dof * (1.0 - 2.0 / (9.0 * fits.dof)) ** 3  # median of chi-square
+        return float(trim_mean(fits.chi2 / usual, 0.25)) - 1.0
+
+    low, high = np.log(_GAINS)
+    if excess(high) <= 0.0:
+        return np.inf
+    if excess(low) >= 0.0:
+        return float(_GAINS[0])
+    return float(np.exp(brentq(excess, low, high, xtol=0.05)))

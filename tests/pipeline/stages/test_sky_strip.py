@@ -1,0 +1,145 @@
+"""Strips of the sky from a dump to the matrix, and what is refused by name."""
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rasterio
+from scipy.spatial.transform import Rotation
+
+from boresight.geometry.constants import ARCSEC
+from boresight.geometry.installation import theta_between
+from boresight.pipeline.errors import DataNotSufficientError, RawDataError
+from boresight.pipeline.files.dump import open_dump
+from boresight.pipeline.files.text_files import toml_tables
+from boresight.pipeline.stages.calibrate import calibrate_dump
+from boresight.pipeline.work.unit_store import UnitStore
+
+SKY = Path(__file__).parents[3] / "fixtures" / "sky"
+pytestmark = pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
+
+
+@pytest.fixture(scope="module")
+def calibration(tmp_path_factory):
+    store = UnitStore(tmp_path_factory.mktemp("store"))
+    first = calibrate_dump(open_dump(SKY), store=store)
+    again = calibrate_dump(open_dump(SKY), store=store)
+    assert again.n_computed == 0 and again.n_reused == 13
+    assert np.array_equal(first.estimate.R_cs.as_quat(), again.estimate.R_cs.as_quat())
+    return first
+
+
+@pytest.fixture
+def dump(tmp_path):
+    shutil.copytree(SKY, tmp_path / "dump")
+    return tmp_path / "dump"
+
+
+def edited(dump, file, old, new):
+    text = (dump / file).read_text()
+    assert old in text
+    (dump / file).write_text(text.replace(old, new))
+
+
+def strip_images(dump, change):
+    """Every CCD's image changed by a function of its pixels."""
+    for path in sorted((dump / "strips").glob("*.tif")):
+        with rasterio.open(path) as image:
+            pixels, profile = image.read(1), image.profile
+        with rasterio.open(path, "w", **profile) as image:
+            image.write(change(pixels), 1)
+
+
+def why(dump):
+    with pytest.raises(DataNotSufficientError) as raised:
+        calibrate_dump(open_dump(dump))
+    return " ".join(o.reason for o in raised.value.omissions if o.kind == "strip")
+
+
+def test_a_dump_of_the_sky_alone_gives_the_matrix_with_an_honest_covariance(calibration):
+    truth = toml_tables(SKY / "truth" / "installation.toml", "")["quaternion_cs"]
+    estimate = calibration.estimate
+    error = theta_between(estimate.R_cs, Rotation.from_quat(truth))
+    assert error @ np.linalg.solve(estimate.cov_theta, error) < 16.3  # 99.9 % of chi-square, three angles
+    # 15 stars of a fifth of a 2.5" pixel each, the clock's error of 0.1 ms at 6.7 mrad/s: 0.14" along
+    assert np.all(np.sqrt(np.diag(estimate.cov_theta))[:2] < 0.3 * ARCSEC)
+    assert calibration.verdict.outcome.value == "consistent"
+
+
+def test_names_are_those_of_the_stars_that_cross_there(calibration):
+    rows = [line.split(",") for line in (SKY / "truth" / "sky_stars.csv").read_text().splitlines()[1:]]
+    true = {(int(r[1]), f"HIP {r[2]}"): (float(r[3]), float(r[4])) for r in rows}
+    strip = calibration.strips[0].ground
+    assert len(strip.target_id) >= 12 and strip.is_star.all()
+    for name, ccd, xy in zip(strip.target_id.tolist(), strip.ccd.tolist(), strip.xy_px):
+        assert np.abs(xy - true[ccd, name]).max() < 0.5, name  # px; five sigma of the faintest
+
+
+def test_a_strip_of_the_sky_called_ground_is_refused_and_so_is_ground_called_sky(dump, tmp_path):
+    edited(dump, "strips.csv", ",sky", ",ground")
+    with pytest.raises(RawDataError, match=r"files\.targets"):
+        open_dump(dump)
+    mini = tmp_path / "mini"
+    shutil.copytree(SKY.parent / "mini", mini)
+    lines = (mini / "strips.csv").read_text().splitlines()
+    kinds = ["kind", *("sky" if line.startswith("s03") else "ground" for line in lines[1:])]
+    (mini / "strips.csv").write_text("\n".join(map(",".join, zip(lines, kinds))) + "\n")
+    found = calibrate_dump(open_dump(mini))
+    reasons = [o.reason for o in found.omissions if o.name == "s03"]
+    assert len(reasons) == 1 and "looks at the Earth" in reasons[0]
+    assert len(found.strips) == 2
+
+
+def test_rows_in_reverse_order_are_a_rate_of_the_wrong_sign(dump):
+    strip_images(dump, lambda pixels: pixels[::-1])
+    assert "rows run against the attitudes" in why(dump)
+
+
+def test_a_scan_against_many_stages_is_refused_before_any_pixel_is_read(dump):
+    edited(dump, "remote_camera.toml", "tdi_stages = 1", "tdi_stages = 64")
+    strip_images(dump, lambda pixels: pixels)
+    edited(dump, "installation.toml", "quaternion_cs", "quaternion_cs")
+    text = (dump / "installation.toml").read_text()
+    q = Rotation.from_quat(toml_tables(dump / "installation.toml", "")["quaternion_cs"])
+    turned = (Rotation.from_rotvec([0.0, 0.0, np.pi]) * q).as_quat().tolist()
+    (dump / "installation.toml").write_text(f"quaternion_cs = {turned}\n" + text[text.index("sigma_rad") :])
+    assert "against the motion of the charge" in why(dump)
+
+
+def test_a_strip_without_stars_and_one_of_other_stars_say_so(dump):
+    rng = np.random.default_rng(1)
+    strip_images(dump, lambda pixels: np.rint(rng.normal(12.0, 0.9, pixels.shape)).astype(np.uint8))
+    assert "no star" in why(dump) or "too few stars" in why(dump)
+
+
+def test_a_crowded_field_of_unlisted_stars_is_refused_by_name(dump):
+    rng = np.random.default_rng(2)
+
+    def crowded(pixels):
+        image = rng.normal(12.0, 0.9, pixels.shape)
+        for _ in range(1200):
+            line, sample = int(rng.integers(4, len(pixels) - 4)), int(rng.integers(4, pixels.shape[1] - 4))
+            y, x = np.mgrid[-4:5, -4:5] - rng.uniform(-0.5, 0.5, 2)[:, None, None]
+            image[line - 4 : line + 5, sample - 4 : sample + 5] += rng.uniform(20, 60) * np.exp(
+                -(x * x + y * y) / 0.94
+            )
+        return np.clip(np.rint(image), 0, 255).astype(np.uint8)
+
+    strip_images(dump, crowded)
+    assert "too crowded" in why(dump)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "field"),
+    [(",sky", ",moon", "kind"), ("strips/sky01_ccd2.tif", "", "file")],
+)
+def test_a_wrong_kind_and_a_missing_image_are_errors_of_the_table(dump, old, new, field):
+    text = (dump / "strips.csv").read_text().splitlines()
+    if field == "file":
+        text = [text[0], *(line.replace(line.split(",")[2], "") for line in text[1:])]
+    else:
+        text = [text[0], text[1].replace(old, new), *text[2:]]
+    (dump / "strips.csv").write_text("\n".join(text) + "\n")
+    with pytest.raises(RawDataError, match=field):
+        open_dump(dump)

@@ -1,0 +1,110 @@
+"""Scans of the sky: where stars cross the detectors, and the charge that they leave."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from pytest import approx
+from scipy.spatial.transform import Slerp
+
+from boresight.geometry.constants import ARCSEC
+from boresight.geometry.earth_orientation import bundled_earth_orientation
+from boresight.geometry.earth_rotation import EarthRotation
+from boresight.geometry.starlight import apparent_star_directions
+from boresight.pipeline.files.scenario_file import fly
+from boresight.simulator.scenario import (
+    ErrorSettings,
+    ScenarioError,
+    SkyScan,
+    SkyStripSettings,
+    mini_scenario,
+    scenario_from_dict,
+    scenario_to_dict,
+)
+from boresight.star_id.whole_catalogue import all_hipparcos
+
+PLEIADES = SkyScan(56.75, 24.12, 2380.0, 20.0)
+STILL = ErrorSettings(gps_m=0.0, vibration_arcsec=0.0, clock_s=0.0, distortion_px=0.0)
+
+
+def scanned(stages=1, noise=0.0, **changes):
+    """A mission with one scan of the Pleiades and nothing else, without read noise or hot columns."""
+    mini = mini_scenario()
+    sky = SkyStripSettings(
+        scans=(replace(PLEIADES, **changes),),
+        lines=2000,
+        row_period_s=3.6e-3,
+        flux_v0_e_per_s=1e9,
+        hot_columns=0,
+        cosmic_rays=0,
+        uncatalogued_per_deg2=0.0,
+        background_dn=0.0,
+    )
+    scenario = replace(
+        mini,
+        sky_strips=sky,
+        errors=STILL,
+        strips=replace(mini.strips, count=0),
+        line_camera=replace(mini.line_camera, tdi_stages=stages),
+        ground=replace(mini.ground, bits=16, e_per_dn=1.0, read_noise_dn=noise, pixel_gain_sigma=0.0),
+    )
+    return fly(scenario, seed=3)
+
+
+@pytest.mark.parametrize("rate", [1.0, -1.2])
+def test_a_star_crosses_where_the_pixel_looks_at_it(rate):
+    mission = scanned(rate=rate)
+    strip, stars = mission.strips[0], all_hipparcos().places
+    truth = mission.truth
+    attitude, looked_i, hip = Slerp(truth.t_attitude_s, truth.R_ci), [], []
+    for star in (star for star in truth.sky_stars if star.hip):
+        t_s = strip.t_first_row_s + star.line * strip.row_period_s
+        u_c = truth.line_camera.directions_from_pixels(star.ccd, np.array([star.sample]))
+        looked_i.append(attitude(t_s).inv().apply(u_c)[0])
+        hip.append(star.hip)
+    nodes = np.searchsorted(mission.orbit.t_s, PLEIADES.at_s + 3.6) + np.arange(2)
+    earth = EarthRotation.over(mission.epoch, 0.0, 3e3, bundled_earth_orientation())
+    at_s, R_ie = mission.orbit.t_s[nodes], earth.matrices_ie(mission.orbit.t_s[nodes])
+    p_i = (R_ie @ mission.orbit.positions_m[nodes][:, :, None])[:, :, 0]
+    v_i = (p_i[1] - p_i[0]) / (at_s[1] - at_s[0])
+    places = stars.take(np.searchsorted(stars.hip, hip))
+    u_i = apparent_star_directions(places, mission.epoch, float(at_s.mean()), p_i.mean(axis=0), v_i)
+    assert len(hip) > 12
+    # a catalogue's error of 0.03" per axis, and 4 s of the satellite's motion: 0.02"
+    assert np.median(np.linalg.norm(u_i - looked_i, axis=1)) < 0.06 * ARCSEC
+
+
+@pytest.mark.parametrize(
+    ("rate", "drift", "stages"), [(1.0, 0.0, 1), (0.8, 0.0, 16), (1.2, 0.1, 16), (-1.0, 0.0, 4)]
+)
+def test_an_image_holds_the_stars_charge_with_its_middle_at_the_crossing(rate, drift, stages):
+    mission = scanned(stages, rate=rate, drift=drift)
+    images = {strip.ccd: next(strip.blocks(strip.lines)) for strip in mission.strips}
+    alone = 0
+    for star in mission.truth.sky_stars:
+        x, y = round(star.sample), round(star.line)
+        image = images[star.ccd].astype(float)
+        window = image[max(y - 16, 0) : y + 17, max(x - 9, 0) : x + 10]
+        if window.shape != (33, 19) or star.charge_e < 5e3 or window.max() > 6e4:
+            continue
+        alone += 1
+        # The oscillation changes the rate, and with it the time that a star takes, by up to 18" / s of 690.
+        noise = np.sqrt(star.charge_e + 0.3**2 * window.size)  # photons, and the rounding of 627 pixels
+        assert window.sum() == approx(star.charge_e, abs=5.0 * noise + 0.027 / abs(rate) * star.charge_e)
+        rows, columns = np.mgrid[-16:17, -9:10]
+        for grid, middle, size in ((columns, star.sample - x, 4.0), (rows, star.line - y, 7.0)):
+            assert (grid * window).sum() / window.sum() == approx(
+                middle, abs=5.0 * size / np.sqrt(star.charge_e)
+            )
+    assert alone >= 4
+
+
+def test_without_scans_the_scenario_is_stored_as_before_and_with_them_it_is_complete():
+    mini = mini_scenario()
+    assert "sky_strips" not in scenario_to_dict(mini)
+    with_sky = replace(mini, sky_strips=SkyStripSettings(scans=(PLEIADES,)))
+    assert scenario_from_dict(scenario_to_dict(with_sky)) == with_sky
+    with pytest.raises(ScenarioError, match="at_s"):
+        replace(mini, sky_strips=SkyStripSettings(scans=(replace(PLEIADES, at_s=3.0),)))
+    with pytest.raises(ScenarioError, match="rate"):
+        replace(mini, sky_strips=SkyStripSettings(scans=(replace(PLEIADES, rate=0.0),)))

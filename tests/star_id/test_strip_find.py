@@ -1,0 +1,60 @@
+"""Stars found in strips of noise, and what else is not one."""
+
+import numpy as np
+from strip_frames import noise_strip
+
+from boresight.star_id.strip_stars.find import StripMotion, find_strip_stars
+from boresight.star_id.strip_stars.settings import StripStarSettings
+
+MATCHED = StripMotion(np.array([0.0, 1500.0]), np.ones((2, 2)), np.zeros((2, 2)), 1)
+
+
+def found_in(strip, **changes):
+    return find_strip_stars(strip, MATCHED, StripStarSettings(**changes), 255.0)
+
+
+def test_stars_are_found_once_each_where_they_cross_also_at_the_seams_of_blocks():
+    rng = np.random.default_rng(2)
+    lines = [255.6, 256.4, 1023.5, 1024.4, 400.2, 700.7, 900.1, 1300.9]
+    stars = [(n % 2, 30.3 + 41.0 * n, y, 60.0 + 40.0 * n) for n, y in enumerate(lines)]
+    found = found_in(noise_strip(rng, hot=6, stars=stars), false_alarms_per_strip=0.01)
+    assert len(found.ccd) == len(stars)
+    for ccd, x, y, charge in stars:
+        miss = np.where(found.ccd == ccd, np.hypot(*(found.xy_px - (x, y)).T), np.inf)
+        k = int(miss.argmin())
+        sigma = np.sqrt(np.trace(found.cov_px[k]))
+        assert miss[k] < 4.0 * sigma and sigma < 0.2
+        assert abs(found.flux_dn[k] - charge) < 5.0 * charge / found.snr[k]
+
+
+def test_hot_columns_are_no_stars_and_false_alarms_are_as_many_as_asked_for():
+    rng = np.random.default_rng(3)
+    counts = [len(found_in(noise_strip(rng, hot=12)).ccd) for _ in range(12)]
+    # one a strip is asked for; peaks of a filtered image are at most the pixels' number
+    assert np.mean(counts) < 2.0, counts
+
+
+def test_hits_of_one_row_are_told_from_stars_by_their_shape():
+    rng = np.random.default_rng(4)
+    strip = noise_strip(rng)
+    for n in range(6):
+        strip.images[0][100 + 200 * n, 40 + 50 * n] = 200
+    found = found_in(strip, psf_sigma_px=0.55, gain_e_per_dn=60.0, false_alarms_per_strip=1e-3)
+    assert len(found.ccd) == 0 and found.misshapen == 6
+
+
+def test_a_double_star_is_marked_as_blended_and_a_saturated_one_as_saturated():
+    rng = np.random.default_rng(6)
+    stars = [
+        (0, 100.0, 300.0, 300.0),
+        (0, 104.0, 302.5, 150.0),
+        (1, 200.3, 800.2, 3000.0),
+        (1, 60.0, 90.0, 300.0),
+    ]
+    found = found_in(noise_strip(rng, stars=stars), psf_sigma_px=0.55, false_alarms_per_strip=0.01)
+    by_place = {
+        round(float(x)): (bool(b), bool(s))
+        for (x, _), b, s in zip(found.xy_px, found.blended, found.saturated)
+    }
+    by_place.pop(104, None)  # beside a star of twice its light it may be no star's trace
+    assert by_place == {100: (True, False), 200: (False, True), 60: (False, False)}

@@ -1,0 +1,89 @@
+"""The vote for the mounting: a bold rotation is found, chance is refused."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from boresight.star_id.strip_stars.identify import (
+    Directions,
+    NoRotation,
+    StripField,
+    Vote,
+    name_stars,
+    vote,
+)
+
+PIXEL = 1e-6
+RATE, LINES = 3.6e-3, 7.2  # rad/s, s: a scan of 26 mrad
+LIMIT = np.array([9e-3, 9e-3, 9e-3])
+THETA = np.array([-0.0061, 0.0074, -0.0052])
+
+
+def sky(rng, stars, listed, others, theta=THETA):
+    """Directions of a strip's detections, its field, and the catalogue's row of each detection (-1: none)."""
+    R0 = Rotation.from_euler("xyz", [40.0, -65.0, 110.0], degrees=True)
+    t = rng.uniform(0.0, LINES, stars + others)
+    y = rng.uniform(-0.0123, 0.0123, stars + others)
+    x = np.where(np.arange(stars + others) % 2, -1e-3, 1e-3)
+    u_c = np.column_stack([x, y, np.ones(len(y))])
+    u_c /= np.linalg.norm(u_c, axis=1)[:, None]
+    R_c0i = Rotation.from_rotvec(np.outer(-t, [0.0, RATE, 0.0])) * R0
+    u_i = (Rotation.from_rotvec(theta) * R_c0i).inv().apply(u_c)
+    v = rng.uniform(5.0, 9.0, stars + others)
+    # catalogue: the listed ones, and stars all around
+    around = 120
+    wide = np.column_stack(
+        [rng.uniform(-0.04, 0.02, around), rng.uniform(-0.022, 0.022, around), np.ones(around)]
+    )
+    field_i = R0.inv().apply(wide / np.linalg.norm(wide, axis=1)[:, None])
+    noisy = u_c + np.column_stack([rng.normal(0.0, 0.4 * PIXEL, (len(u_c), 2)), np.zeros(len(u_c))])
+    order = np.argsort(v)
+    row = np.where(np.arange(stars + others) < listed, np.arange(stars + others), -1)[order]
+    seen = Directions(
+        u_c=noisy[order] / np.linalg.norm(noisy[order], axis=1)[:, None],
+        R_ci=R_c0i.as_matrix()[order],
+        brightness=v[order] - 21.0,
+    )
+    field = StripField(
+        u_i=np.concatenate([u_i[:listed], field_i]),
+        v_mag=np.concatenate([v[:listed], rng.uniform(5.0, 9.0, around)]),
+        limit_rad=LIMIT,
+        tolerance_rad=4.0 * PIXEL,
+        strip_area=0.0246 * 0.026,
+    )
+    return seen, field, row
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_rotation_of_thousands_of_pixels_is_found_among_unlisted_stars_and_names_are_right(seed):
+    seen, field, row = sky(np.random.default_rng(seed), stars=9, listed=9, others=30)
+    found = vote(seen, field, 200, 1e-6)
+    assert isinstance(found, Vote) and found.stars >= 8
+    # nine stars of 0.4 px over 24 000 px: 0.4 px, and a hundredth of a milliradian about the axis
+    assert np.abs(found.theta_rad[:2] - THETA[:2]).max() < 3.0 * PIXEL
+    assert abs(found.theta_rad[2] - THETA[2]) < 2e-4
+    named = name_stars(seen, field, found.theta_rad, field.tolerance_rad, 1.5)
+    assert np.array_equal(row[named.row], named.star) and len(named.row) >= 8
+    assert named.probability_wrong.max() < 1e-4
+
+
+def test_stars_that_no_catalogue_lists_give_no_rotation():
+    refused = [vote(*sky(np.random.default_rng(100 + n), 25, 0, 15)[:2], 200, 1e-6) for n in range(12)]
+    assert all(isinstance(one, NoRotation) for one in refused)
+    # the bound holds: an excess of a factor of ten over chance in twelve trials would be one in a hundred
+    assert min(one.log10_chance for one in refused) > -3.0
+
+
+def test_a_rotation_beyond_the_stated_limits_is_not_looked_for():
+    seen, field, _ = sky(np.random.default_rng(1), 10, 10, 5, theta=np.array([0.012, 0.0, 0.0]))
+    assert isinstance(vote(seen, field, 200, 1e-6), NoRotation)
+
+
+def test_a_star_of_another_brightness_gets_no_name():
+    seen, field, row = sky(np.random.default_rng(7), 9, 9, 0)
+    wrong = Directions(
+        u_c=seen.u_c, R_ci=seen.R_ci, brightness=seen.brightness + np.where(np.arange(9) == 4, 3.0, 0.0)
+    )
+    named = name_stars(wrong, field, THETA, field.tolerance_rad, 1.5)
+    assert 4 not in named.row and len(named.row) == 8
+    assert np.array_equal(row[named.row], named.star)
