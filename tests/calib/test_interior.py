@@ -120,12 +120,12 @@ def estimated(kind, seed):
 @pytest.mark.parametrize("kind", ["sky", "ground"])
 def test_a_wrong_camera_is_found_with_an_honest_sigma(kind):
     ratios = []
-    for seed in range(3):
+    for seed in range(2):
         _, error, before, sigma = estimated(kind, seed)
         assert np.sqrt(np.mean(before**2)) > 2.0  # px
         assert np.sqrt(np.mean(error**2)) < {"sky": 0.15, "ground": 0.25}[kind]
         ratios.append(np.mean(error**2) / np.mean(sigma**2))
-    assert 0.4 < np.mean(ratios) < 2.0  # three maps of some ten independent values each
+    assert 0.4 < np.mean(ratios) < 2.0  # two maps of some ten independent values each
 
 
 def test_a_delay_of_a_ccds_rows_is_found_from_scans_in_both_directions():

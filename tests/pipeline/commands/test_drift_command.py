@@ -3,6 +3,7 @@
 import csv
 import json
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pyarrow as pa
@@ -25,7 +26,8 @@ from boresight.pipeline.files.table_files import fixed_list
 from boresight.pipeline.results.drift import drift_of_results, named_results
 from boresight.pipeline.results.reading import read_mounting
 from boresight.pipeline.stages.forecast import settings_of_plan
-from boresight.simulator.campaign import CameraPair, StripPlan, draw_strips
+from boresight.simulator.campaign import CameraPair, DistortionCurve, StripPlan, draw_strips
+from boresight.simulator.sky_campaign import draw_sky_strips
 
 runner = CliRunner()
 EPOCH = Epoch.from_utc("2024-01-10T03:00:00Z")
@@ -234,3 +236,22 @@ def test_a_result_named_twice_none_one_or_a_damaged_one_are_refused(tmp_path):
     with pytest.raises(RawDataError, match=r"passes\.parquet"):
         drift_of([first, other], REST)
     assert runner.invoke(app, ["drift", "--out", str(tmp_path / "out")]).exit_code == 2
+
+
+def test_a_result_from_ground_and_sky_is_one_mounting_without_its_orbits_bias(tmp_path):
+    plan = StripPlan(strips=4, sigma_position_m=2.0, sigma_clock_s=1e-4, sigma_distortion_rad=3e-7)
+    rng = np.random.default_rng(8)
+    curve = DistortionCurve.draw(plan, CameraPair(R_CS0), rng)
+    strips = draw_strips(replace(plan, orbit_bias_m=(30.0, -20.0, 0.0)), CameraPair(R_CS0), rng, curve=curve)[
+        0
+    ]
+    strips += draw_sky_strips(replace(plan, sigma_c_px=0.05), CameraPair(R_CS0), rng, curve=curve)
+    found = calibrate(strips, R_CS0, settings_of_plan(plan))
+    (tmp_path / "sightings").mkdir()
+    pq.write_table(pa.table(found.pairs.columns()), tmp_path / "sightings/strips.parquet")
+    pair = read_mounting(tmp_path, "one")
+    assert not any(name.startswith("bias/") for name in pair.shared)
+    solved = solve_total(pair.F[0], pair.F_theta[0], prior_information(pair.shared), sigma_observable_rad=1.0)
+    assert_allclose(solved.covariance, found.cov_theta, rtol=1e-6, atol=1e-9 * found.cov_theta.max())
+    off = theta_between(deviation_from_theta(solved.theta) * pair.R_cs_ref, R_CS0)
+    assert np.all(np.abs(off) < 4.0 * np.sqrt(np.diag(found.cov_theta)))  # 30 m would be 12"
