@@ -263,6 +263,27 @@ def test_the_print_holds_the_whole_tables_cards_settings_and_checksums(address, 
     assert rows == len(ground) and cards >= 2 and lines > 60 + len(inputs)
 
 
+BARS = """(() => {
+  const box = document.querySelector(".zoom.map"), bar = box.querySelector(".bar.ground");
+  const metres = parseFloat(bar.textContent) * (bar.textContent.includes("km") ? 1000 : 1);
+  const drawn = box.querySelector("#map-sheet").getScreenCTM().a * metres / +box.dataset.metres;
+  return [bar.getBoundingClientRect().width, drawn];
+})()"""
+
+
+@pytest.mark.parametrize(
+    ("width", "media"), [(400, "screen"), (1280, "screen"), (2560, "screen"), (794, "print")]
+)
+def test_the_bar_of_the_map_is_as_long_as_its_distance_on_the_map(address, faulty, width, media):
+    async def look() -> list[float]:
+        browser = await opened(address)
+        await browser.go(faulty / "report.html", width, "light", media)
+        return list(await browser.value(BARS))
+
+    bar, drawn = asyncio.run(look())
+    assert bar == pytest.approx(drawn, rel=0.01, abs=1.0)  # px
+
+
 def test_a_rejected_target_leads_from_table_to_card_map_and_plot_and_back(address, faulty):
     ground = pq.read_table(faulty / "evidence/ground.parquet").to_pandas()
     rejected = ground[ground.state == "rejected"]
