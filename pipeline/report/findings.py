@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
+from boresight.calib.estimate import TargetResiduals
 from boresight.calib.verdict import CheckKind
 from boresight.gct_match.records import Reason
 from boresight.geometry.constants import WGS84
@@ -81,7 +82,7 @@ def findings(
         *silent_ccds(rows, {key: _is_flat(strips[key[0]], key[1]) for key in _lost_ccds(rows)}),
         *single,
         *_heights(dump, calibration, named),
-        *_doubtful(calibration),
+        *doubtful(calibration.estimate.targets),
         *(cloud for strip_id, one in strips.items() for cloud in clouds(strip_id, _looks(one, rows))),
         *spread(share),
     ]
@@ -129,9 +130,8 @@ SINGLE_CAUSES = {
 }
 
 
-def _doubtful(calibration: Calibration) -> Iterator[Finding]:
+def doubtful(targets: TargetResiduals) -> Iterator[Finding]:
     """Targets of which one has a gross error; they are kept, with less weight."""
-    targets = calibration.estimate.targets
     for names, text in zip(targets.doubtful, doubts(targets)):
         yield Finding(cause="gross error", item=f"one target of {len(names)}", text=f"{text}.")
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -19,6 +20,7 @@ from boresight.pipeline.files.dump import open_dump
 from boresight.pipeline.report.findings import (
     clouds,
     displaced_strip,
+    doubtful,
     heights,
     lost_strip,
     silent_ccds,
@@ -96,6 +98,12 @@ def test_single_targets_that_contradict_the_rest_are_named(cause):
     assert "target t1 (strip s1)" in found.item and found.targets == ("s1/t1",) and found.is_fault
     many = [row("s1", f"t{n}", cause=cause) for n in range(4)]
     assert list(single_targets(many)) == []  # no matter of single targets
+
+
+def test_targets_that_the_data_do_not_tell_apart_are_one_fault():
+    (found,) = doubtful(SimpleNamespace(doubtful=(("s1/t3", "s1/t9"),)))
+    assert (found.cause, found.item, found.is_fault) == ("gross error", "one target of 2", True)
+    assert found.text.startswith("s1/t3 or s1/t9 is wrong; the data do not tell which")
 
 
 def test_a_gross_error_says_where_the_chip_lies():
