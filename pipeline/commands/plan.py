@@ -85,7 +85,7 @@ def sky_strip_plan(
     from boresight.pipeline.report.sky_scans import scan_lines, scan_table, write_scans
     from boresight.pipeline.settings import Settings, calibration_settings
     from boresight.pipeline.stages.sky_scans import ScanCameras, ScanSettings, choose_scans
-    from boresight.star_id.catalogue import hipparcos_stars
+    from boresight.star_id.whole_catalogue import all_hipparcos
 
     opened = open_dump(dump.resolve())
     if opened.star_camera is None:
@@ -111,7 +111,7 @@ def sky_strip_plan(
     )
     errors = calibration_settings(Settings(), opened.errors, opened.line_camera)
     try:
-        found = choose_scans(cameras, hipparcos_stars(v_mag).places, start, errors, asked)
+        found = choose_scans(cameras, all_hipparcos(), start, errors, asked)
     except ValueError as error:
         raise DataNotSufficientError(str(error)) from error
     lines, files = scan_lines(found, opened.epoch), tuple[Path, ...]()

@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 from boresight.calib.calibration import strip_pairs
 from boresight.calib.information import InformationPairs, solve_total
 from boresight.calib.settings import CalibrationSettings
-from boresight.geometry.constants import ARCSEC, WGS84
+from boresight.geometry.constants import WGS84
 from boresight.geometry.epoch import Epoch
 from boresight.geometry.line_camera import LineSensor
 from boresight.geometry.orbit import Orbit, OrbitGapError
@@ -31,13 +31,15 @@ from boresight.geometry.sightings import (
     solved_attitudes,
 )
 from boresight.geometry.star_camera import StarCamera
-from boresight.geometry.starlight import StarPlaces, apparent_star_directions
+from boresight.geometry.starlight import SurveyedStars, apparent_star_directions
 from boresight.simulator.motion import acceleration
 
 __all__ = ["ScanCameras", "ScanChoice", "ScanSettings", "SkyScan", "angles_to_bodies", "choose_scans"]
 
 AU_M = 1.495978707e11  # IAU 2012 resolution B2
 TRIES = 200  # pointings drawn for one candidate
+COMPARED = 5  # of those that are clear: the one with most stars is the candidate
+FIELD_RAD = 0.012  # within which stars are counted for that
 NEWTON_STEPS = 5
 Z = np.array([0.0, 0.0, 1.0])
 
@@ -54,7 +56,6 @@ class ScanSettings:
     exposures_hz: float = 5.0
     v_mag: float = 9.0  # faintest star measured in a strip
     star_sigma_px: float = 0.1  # in a strip, each axis
-    catalogue_arcsec: float = 0.03  # 1-sigma of a catalogue place today: 1 mas a year since 1991
     head_v_mag: float = 6.0  # faintest star of the star camera
     head_sigma_px: float = 0.06
     sun_deg: float = 60.0  # least angle of either camera's axis
@@ -106,7 +107,7 @@ class ScanChoice:
 
 def choose_scans(
     cameras: ScanCameras,
-    stars: StarPlaces,
+    stars: SurveyedStars,
     start_s: float,
     errors: CalibrationSettings,
     settings: ScanSettings,
@@ -117,8 +118,8 @@ def choose_scans(
     ----------
     cameras : ScanCameras
         Cameras, matrix and orbit.
-    stars : StarPlaces
-        Catalogue.
+    stars : SurveyedStars
+        Catalogue; only stars that it describes well as single are used.
     start_s : float
         Beginning of the time to choose from, TAI seconds since the orbit's epoch.
     errors : CalibrationSettings
@@ -164,19 +165,36 @@ def choose_scans(
 class _Sky:
     """A catalogue with directions for coarse selection."""
 
-    stars: StarPlaces = scalar("all stars")
+    stars: SurveyedStars = scalar("single stars of a catalogue")
     u_i: Floats = array("N, 3", "directions with proper motion, GCRS")
 
     @classmethod
-    def of(cls, stars: StarPlaces, year: float) -> _Sky:
-        dt = year - stars.epoch_jyear
-        ra, dec = stars.ra_rad + dt * stars.pm_ra_rad_yr, stars.dec_rad + dt * stars.pm_dec_rad_yr
+    def of(cls, stars: SurveyedStars, year: float) -> _Sky:
+        stars = stars.take(stars.single)
+        p = stars.places
+        dt = year - p.epoch_jyear
+        ra, dec = p.ra_rad + dt * p.pm_ra_rad_yr, p.dec_rad + dt * p.pm_dec_rad_yr
         u = np.column_stack([np.cos(dec) * np.cos(ra), np.cos(dec) * np.sin(ra), np.sin(dec)])
         return cls(stars, u)
 
-    def near(self, axis_i: Floats, radius_rad: float, v_mag: float) -> StarPlaces:
+    def count(self, axis_i: Floats, v_mag: float) -> int:
+        """Stars to `v_mag` in a field about a direction."""
+        return int(np.sum((self.u_i @ axis_i > np.cos(FIELD_RAD)) & (self.stars.places.v_mag <= v_mag)))
+
+    def near(self, axis_i: Floats, radius_rad: float, v_mag: float) -> SurveyedStars:
         """Stars to `v_mag` within a radius of a direction."""
-        return self.stars.take((self.u_i @ axis_i > np.cos(radius_rad)) & (self.stars.v_mag <= v_mag))
+        return self.stars.take((self.u_i @ axis_i > np.cos(radius_rad)) & (self.stars.places.v_mag <= v_mag))
+
+
+def _pointings(sky: _Sky, rate: float, settings: ScanSettings, rng: np.random.Generator) -> Rotation:
+    """Attitudes (TRIES,) of frame c at the beginning of scans that are centred on stars, in any direction."""
+    bright = np.flatnonzero(sky.stars.places.v_mag <= settings.v_mag)
+    z = sky.u_i[rng.choice(bright, TRIES)]
+    turned = np.cross(Z, z)
+    turned *= (np.arccos(z[:, 2]) / np.linalg.norm(turned, axis=1))[:, None]
+    roll = np.outer(rng.uniform(0.0, 2.0 * np.pi, TRIES), Z)
+    middle = (Rotation.from_rotvec(turned) * Rotation.from_rotvec(roll)).inv()
+    return _attitude(middle, rate, -0.5 * settings.duration_s)
 
 
 def angles_to_bodies(epoch: Epoch, t_s: float, p_i: Floats, axes_i: Floats) -> Floats:
@@ -217,15 +235,17 @@ def _candidate(
     settings: ScanSettings,
     rng: np.random.Generator,
 ) -> tuple[SkyScan, StripSightings] | None:
-    """A pointing drawn at random that is clear of Sun, Moon and Earth from its beginning to its end."""
+    """A pointing that is clear of Sun, Moon and Earth from its beginning to its end."""
     t, p_i, _ = state
     least = np.radians([settings.sun_deg, settings.moon_deg, settings.earth_deg])
-    tried = Rotation.random(TRIES, rng=rng)
+    tried = _pointings(sky, rate_rad_s, settings, rng)
+    middles = _attitude(tried, rate_rad_s, 0.5 * settings.duration_s).inv().apply(Z)
     axes = [_axes(_attitude(tried, rate_rad_s, turn), cameras.R_cs) for turn in (0.0, settings.duration_s)]
     away = angles_to_bodies(cameras.orbit.epoch, t, p_i, np.concatenate(axes)).min(axis=0)
     if not (clear := np.flatnonzero(np.all(away >= least, axis=1))).size:
         return None
-    R_ci = tried[int(clear[0])]
+    best = max(clear[:COMPARED].tolist(), key=lambda k: sky.count(middles[k], settings.v_mag))
+    R_ci = tried[best]
     strip, counts = _strip(name, cameras, sky, state, (R_ci, rate_rad_s), settings)
     if strip is None:
         return None
@@ -235,7 +255,7 @@ def _candidate(
         rate_rad_s=rate_rad_s,
         stars=counts[0],
         head_stars=counts[1],
-        away_deg=np.degrees(away[clear[0]]),
+        away_deg=np.degrees(away[best]),
     )
     return scan, strip
 
@@ -260,22 +280,25 @@ def _strip(
 ) -> tuple[StripSightings | None, tuple[int, int]]:
     """The stars that cross the CCDs, with exposures of the star camera; None where either sees too few."""
     (t0, p_i, v_i), (R_ci, rate), epoch = state, scan, cameras.orbit.epoch
+    year = float(epoch.julian_year(np.array([t0]))[0])
     step, middle = 1.0 / settings.exposures_hz, _attitude(R_ci, rate, 0.5 * settings.duration_s)
     t_stars: Floats = np.arange(-step, settings.duration_s + 1.5 * step, step, dtype=np.float64)
     covariance_s, n_head = _head_covariance(cameras, sky, state, middle, settings)
     half = 0.5 * sum(cameras.line.n_px(c) for c in range(cameras.line.n_ccds)) * cameras.line.pixel_rad
     reach = np.hypot(half, 0.5 * abs(rate) * settings.duration_s) + 0.01
-    places = sky.near(middle.inv().apply(Z), reach, settings.v_mag)
-    if covariance_s is None or not len(places.hip):
+    known = sky.near(middle.inv().apply(Z), reach, settings.v_mag)
+    if covariance_s is None or not len(known.places.hip):
         return None, (0, n_head)
-    u_i = apparent_star_directions(places, epoch, t0, p_i, v_i)
+    u_i = apparent_star_directions(known.places, epoch, t0, p_i, v_i)
     rows = [_crossings(cameras.line, c, u_i, R_ci, rate, settings) for c in range(cameras.line.n_ccds)]
     star, ccd, sample, t = (np.concatenate(part) for part in zip(*rows))
     if len(star) < 2:
         return None, (len(star), n_head)
     u_c = _attitude(R_ci, rate, t).apply(u_i[star])
     stars = GroundSightings(
-        target_id=np.array([f"{name}/HIP {hip}/{c}" for hip, c in zip(places.hip[star], ccd)], dtype=str),
+        target_id=np.array(
+            [f"{name}/HIP {hip}/{c}" for hip, c in zip(known.places.hip[star], ccd)], dtype=str
+        ),
         ccd=ccd,
         xy_px=np.column_stack([sample, t]),
         t_s=t,
@@ -284,7 +307,7 @@ def _strip(
         cov_c=isotropic_covariance(u_c, settings.star_sigma_px * cameras.line.pixel_rad),
         range_m=np.full(len(star), np.inf),
         v_rel_i=np.zeros((len(star), 3)),
-        cov_target_i=isotropic_covariance(u_i[star], settings.catalogue_arcsec * ARCSEC),
+        cov_target_i=isotropic_covariance(u_i[star], known.sigma_at_rad(year)[star]),
     )
     R_c = _attitude(R_ci, rate, t_stars)
     strip = StripSightings(
@@ -324,7 +347,7 @@ def _head_covariance(
     """Covariance (3, 3) of one exposure's attitude, axes of s, from the catalogue's stars; their number."""
     t, p_i, v_i = state
     R_si = cameras.R_cs.inv() * R_ci
-    places = sky.near(R_si.inv().apply(Z), cameras.star.field_radius_rad, settings.head_v_mag)
+    places = sky.near(R_si.inv().apply(Z), cameras.star.field_radius_rad, settings.head_v_mag).places
     u_s = R_si.apply(apparent_star_directions(places, cameras.orbit.epoch, t, p_i, v_i)).reshape(-1, 3)
     u_s = u_s[cameras.star.contains(cameras.star.pixels_from_directions(u_s))]
     sigma = settings.head_sigma_px * cameras.star.pixel_m / cameras.star.focal_m

@@ -18,7 +18,7 @@ from boresight.pipeline.stages.sky_scans import (
     angles_to_bodies,
     choose_scans,
 )
-from boresight.star_id.catalogue import hipparcos_stars
+from boresight.star_id.whole_catalogue import all_hipparcos
 
 MINI = Path(__file__).parents[3] / "fixtures" / "mini"
 DUMP = open_dump(MINI)
@@ -27,7 +27,7 @@ CAMERAS = ScanCameras(line=DUMP.line_camera, star=DUMP.star_camera, R_cs=DUMP.R_
 
 def chosen(**asked):
     settings = ScanSettings(**({"candidates": 40, "count": 2} | asked))
-    return choose_scans(CAMERAS, hipparcos_stars().places, 0.0, CalibrationSettings(), settings)
+    return choose_scans(CAMERAS, all_hipparcos(), 0.0, CalibrationSettings(), settings)
 
 
 def test_angles_to_sun_moon_and_limb_are_those_of_astropy():
