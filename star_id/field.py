@@ -23,7 +23,7 @@ from boresight.star_id.field_fit import fit_attitude_and_lens, fit_known_camera
 from boresight.star_id.field_match import match_field
 from boresight.star_id.finding.star_list import StarList, find_stars
 from boresight.star_id.identification.hypothesis import RESOLVED_PX, STARS_PER_DETECTION
-from boresight.star_id.identification.identify import Identification, NotIdentified, identify
+from boresight.star_id.identification.identify import DENSER, Identification, NotIdentified, identify
 from boresight.star_id.identification.tangent_plane import FieldOfView
 from boresight.star_id.identification.triangle_index import StarIndex
 from boresight.star_id.observer import (
@@ -61,7 +61,7 @@ _ENOUGH_TO_TELL, _LEAST_BRIGHT_SHARE = 20, 0.1  # detections; share of them of t
 _MATCHINGS = 6  # of stars and lens in turn
 _LEAST_RELIABLE = 4  # stars; of fewer the attitude is not better than that of all stars
 # stages of identification: first a quick search over all fields of view
-_PASSES = (((0, 0, 6), (0, 6, 9)), ((0, 9, 13), (0, 13, 18), (1, 0, 9)))
+_PASSES = (((0, 0, 6), (0, 6, 9)), ((0, 9, 13), (0, 13, 18), (1, 0, 9)), ((DENSER, 0, 8), (DENSER, 8, 12)))
 
 
 @record(kw_only=True)

@@ -33,11 +33,16 @@ from boresight.star_id.identification.tangent_plane import Complex, FieldOfView,
 from boresight.star_id.identification.triangle_index import StarIndex
 from boresight.star_id.settings import StarSettings
 
-__all__ = ["STAGES", "AttitudePrior", "Identification", "NotIdentified", "identify"]
+__all__ = ["DENSER", "STAGES", "AttitudePrior", "Identification", "NotIdentified", "identify"]
 
 # (table, from, to): triangles of the brightest `to` detections that are not all among the brightest `from`;
-# table 1 holds larger triangles of brighter stars, which are fewer, but more robust to false detections
-STAGES = ((0, 0, 8), (1, 0, 10), (0, 8, 14), (0, 14, MOST_DETECTIONS), (1, 10, 18))
+# table 1 holds larger triangles of brighter stars, which are fewer, but more robust to false detections;
+# smaller triangles of more stars are tried last, should many be missing
+DENSER = 2
+STAGES = (
+    *((0, 0, 8), (1, 0, 10), (0, 8, 14), (0, 14, MOST_DETECTIONS), (1, 10, 18)),
+    *((DENSER, 0, 14), (DENSER, 14, MOST_DETECTIONS)),
+)
 _STARS_FOR_SHIFT = 30  # brightest stars that determine the error of a prior attitude
 _UNAMBIGUOUS = 0.05  # of the detections' spacing: stars predicted so well are nearest to their own detections
 
@@ -125,12 +130,14 @@ def identify(
         tracked, tried = _track(image, index, prior, settings)
         if tracked is not None:
             return tracked
-    tables = index.tables_for(field.equivalent_fov_rad)
+    tables = dict(enumerate(index.tables_for(field.equivalent_fov_rad)))
+    if (denser := index.denser_table(field.equivalent_fov_rad)) is not None:
+        tables[DENSER] = denser
     examined, best = tried, -math.inf
     limit = math.log(settings.max_false_alarm_probability)
     for number, done, brightest in stages:
         size = min(brightest, n, settings.max_identification_stars)
-        if size <= done or number >= len(tables):
+        if size <= done or number not in tables:
             continue
         proposals = propose(image, tables[number], index.u_i, done, size)
         examined += proposals.examined
