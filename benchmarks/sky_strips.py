@@ -22,6 +22,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 from record import band_of_mean_nees, exit_status, head, verdict
+from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from boresight.calib.estimate import InstallationEstimate
@@ -31,15 +32,22 @@ from boresight.geometry.earth_rotation import EarthRotation
 from boresight.geometry.epoch import Epoch
 from boresight.geometry.installation import theta_between
 from boresight.geometry.orbit import Orbit
-from boresight.pipeline.errors import DataNotSufficientError
+from boresight.pipeline.errors import DataNotSufficientError, Omission
 from boresight.pipeline.files.dump import open_dump
 from boresight.pipeline.files.dump_writer import write_dump
 from boresight.pipeline.files.scenario_file import fly
+from boresight.pipeline.settings import Settings, calibration_settings
+from boresight.pipeline.stages.cached import StageRunner
 from boresight.pipeline.stages.calibrate import Calibration, calibrate_dump
+from boresight.pipeline.stages.head import sight_head
+from boresight.pipeline.stages.sky_side import find_in_sky_strips
+from boresight.pipeline.stages.sky_strip import find_sky_stars, name_sky_stars
 from boresight.simulator.cameras import true_installation
 from boresight.simulator.motion import flown_orbit
 from boresight.simulator.records import Mission
 from boresight.simulator.scenario import Scenario, SkyScan, SkyStripSettings, builtin_scenario
+from boresight.star_id.strip_stars.find import StripMotion, StripStars, find_strip_stars
+from boresight.star_id.strip_stars.settings import StripStarSettings
 from boresight.star_id.whole_catalogue import all_hipparcos
 
 Array = NDArray[np.float64]
@@ -50,6 +58,8 @@ FIELDS = 24
 CLEAR_DEG = 75.0  # both axes from nadir: the limb lies at 67.4
 RATE_HZ = 2.5  # of the star camera, half the paper's: half the time to render
 APART_S = 30.0
+NOISE_PEAKS = 30.0  # in a strip of noise: as many false detections as a poor field has stars
+KNOWN_RAD = np.full(3, 5e-6)
 
 
 @dataclass(frozen=True)
@@ -227,6 +237,110 @@ def summary(done: list[Outcome], lost: int, options: argparse.Namespace) -> None
         verdict(f"X and Y {rms[:2].round(3)} arcsec rms (at most {limit})", bool((rms[:2] <= limit).all()))
 
 
+@dataclass(frozen=True)
+class InMemory:
+    """Images of a strip that lie in memory."""
+
+    images: dict[int, NDArray[np.uint8]]
+
+    @property
+    def ccds(self) -> tuple[int, ...]:
+        return tuple(self.images)
+
+    @property
+    def shapes(self) -> dict[int, tuple[int, ...]]:
+        return {ccd: image.shape for ccd, image in self.images.items()}
+
+    def shape(self, ccd: int) -> tuple[int, ...]:
+        return self.images[ccd].shape
+
+    def read(self, ccd: int, line0: int, line1: int, sample0: int, sample1: int) -> NDArray[np.uint8]:
+        return self.images[ccd][line0:line1, sample0:sample1]
+
+
+def noise(options: argparse.Namespace) -> None:
+    """Strips of noise, half of them with hot columns, in place of the fixture's: nothing may get a name."""
+    dump = open_dump(Path(__file__).parents[1] / "fixtures" / "sky")
+    settings = Settings(sky_strips=StripStarSettings(false_alarms_per_strip=NOISE_PEAKS))
+    fit = calibration_settings(settings, dump.errors, dump.line_camera).attitudes
+    reference = sight_head(dump, dump.heads[0], settings, fit, StageRunner())
+    task = find_in_sky_strips(dump, reference, settings, StageRunner()).tasks[0]
+    survey, sigma = all_hipparcos(), dump.sigma_installation_rad
+    detections, named, chance = 0, 0, 0.0
+    for seed in range(options.strips):
+        rng = np.random.default_rng(seed)
+        images = {}
+        for ccd, shape in task.strip.images.shapes.items():
+            level = np.full(shape[1], 12.0)
+            if seed % 2:
+                level[rng.integers(0, shape[1], 20)] += rng.uniform(2.0, 60.0, 20)
+            image = level + rng.standard_normal(shape) * np.sqrt(0.6**2 + (level - 12.0) / 60.0)
+            images[ccd] = np.clip(np.rint(image), 0, 255).astype(np.uint8)
+        of_noise = replace(task, strip=replace(task.strip, images=InMemory(images)))
+        found = find_sky_stars(of_noise)
+        if isinstance(found, Omission):
+            continue
+        detections += len(found.ccd)
+        voted = name_sky_stars(of_noise, found, survey, dump.R_cs0, sigma, known=False, scatter_px=0.1)
+        named += len(voted.rows)
+        # and with the mounting known: a peak beside a star's place may get its name
+        near = name_sky_stars(of_noise, found, survey, dump.R_cs0, KNOWN_RAD, known=True, scatter_px=0.1)
+        chance += len(near.rows)
+    print(f"{options.strips} strips, half with 20 hot columns a CCD; {detections / options.strips:.1f} peaks")
+    verdict(f"{named} names by the vote for the mounting", named == 0)
+    print(f"{chance / options.strips:.4f} names a strip where the mounting is known beforehand")
+
+
+def places(options: argparse.Namespace) -> None:
+    """Places of rendered stars against the truth, by rate and SNR."""
+    print("rate  TDI      SNR  stars   rms / stated sigma  rms, px  largest mean of a quarter pixel, px")
+    worst = 0.0
+    for rate, stages in ((1.0, 1), (0.8, 16), (1.2, 16)):
+        scenario = scenario_of("mini", 1, 0, 7)
+        one = replace(scenario.sky_strips.scans[0], rate=rate)
+        sky = replace(
+            scenario.sky_strips, scans=(one,), uncatalogued_per_deg2=1500.0, uncatalogued_v_range=(5.5, 9.5)
+        )
+        sky = replace(sky, flux_v0_e_per_s=sky.flux_v0_e_per_s / stages)
+        scenario = replace(
+            scenario, sky_strips=sky, line_camera=replace(scenario.line_camera, tdi_stages=stages)
+        )
+        mission = fly(scenario, 7)
+        images = {strip.ccd: next(strip.blocks(strip.lines)) for strip in mission.strips}
+        count = len(images)
+        motion = StripMotion(np.array([0.0, 2e3]), np.full((count, 2), rate), np.zeros((count, 2)), stages)
+        found = find_strip_stars(InMemory(images), motion, StripStarSettings(), 255.0)
+        worst = max(worst, _places_of(rate, stages, found, mission))
+    verdict(f"largest rms / stated sigma from SNR 7: {worst:.2f} (at most 1.1)", worst <= 1.1)
+
+
+def _places_of(rate: float, stages: int, found: StripStars, mission: Mission) -> float:
+    """One line a range of SNR; the largest ratio of rms and stated sigma."""
+    use = np.flatnonzero(~found.blended & ~found.saturated)
+    stars = found.take(use)
+    true = np.array([(s.sample, s.line, 1e6 * s.ccd) for s in mission.truth.sky_stars])
+    seen = np.column_stack([stars.xy_px, 1e6 * stars.ccd])
+    distance, row = cKDTree(true).query(seen)
+    hit = np.flatnonzero(distance < 1.5)
+    error = stars.xy_px[hit] - true[row[hit], :2]
+    sigma2 = np.diagonal(stars.cov_px[hit], axis1=1, axis2=2)
+    worst = 0.0
+    for low, high in ((7.0, 15.0), (15.0, 60.0), (60.0, 1e4)):
+        part = (stars.snr[hit] >= low) & (stars.snr[hit] < high)
+        ratio = np.sqrt((error[part] ** 2).sum(axis=0) / sigma2[part].sum(axis=0))
+        phase = np.floor((true[row[hit][part], :2] % 1.0) * 4.0)
+        means = [error[part][phase[:, a] == q, a].mean() for a in (0, 1) for q in range(4)]
+        rms = np.sqrt((error[part] ** 2).mean(axis=0))
+        worst = max(worst, float(ratio.max()))
+        print(
+            f"{rate:4.1f} {stages:4d} {low:5.0f}-{high:<5.0f} {part.sum():4d}   {ratio[0]:5.2f} "
+            f"{ratio[1]:5.2f}"
+            f"          {rms[0]:.4f} {rms[1]:.4f}   {np.abs(means).max():.4f}",
+            flush=True,
+        )
+    return worst
+
+
 def _xy(errors: Array, covariances: Array) -> float:
     return float(
         np.sqrt((errors[:, :2] ** 2).sum() / np.diagonal(covariances, axis1=1, axis2=2)[:, :2].sum())
@@ -240,15 +354,16 @@ def seeds(text: str) -> list[int]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("what", choices=("missions",))
+    parser.add_argument("what", choices=("missions", "noise", "places"))
     parser.add_argument("--seeds", type=seeds, default=seeds("1-40"))
     parser.add_argument("--scans", type=int, default=2)
     parser.add_argument("--ground", type=int, default=0)
     parser.add_argument("--cameras", choices=("paper", "mini"), default="paper")
+    parser.add_argument("--strips", type=int, default=200)
     parser.add_argument("--scratch", type=Path)
     options = parser.parse_args()
     head(f"strips of the sky: {options.what}")
-    missions(options)
+    {"missions": missions, "noise": noise, "places": places}[options.what](options)
 
 
 if __name__ == "__main__":
