@@ -1,5 +1,5 @@
-"""docs/images/sky_trace-light.svg and -dark.svg: a star of the fixture's strip, the fitted trace, the residual;
-and traces of other rates and drifts."""
+"""docs/images/sky_trace-light.svg and -dark.svg: a star of the fixture's strip, the fitted trace and the
+residual; traces of other rates and drifts."""
 
 from __future__ import annotations
 

@@ -1,0 +1,67 @@
+"""A user's star catalogue in three formats, and what is refused."""
+
+import numpy as np
+import pytest
+from astropy.table import Table
+from pytest import approx
+
+from boresight.geometry.constants import ARCSEC
+from boresight.pipeline.errors import RawDataError
+from boresight.pipeline.files.star_tables import read_star_table
+
+MAS = 1e-3 * ARCSEC
+STARS = {
+    "source_id": [4472832130942575872, 5853498713190525696],  # Gaia DR3: Barnard's star, Proxima Centauri
+    "ra": [269.448502525438, 217.392321472009],
+    "dec": [4.739420051112412, -62.676075117],
+    "ref_epoch": [2016.0, 2016.0],
+    "pmra": [-801.551, -3781.741],
+    "pmdec": [10362.394, 769.465],
+    "parallax": [546.976, 768.067],
+    "phot_g_mean_mag": [8.194, 8.985],
+    "ra_error": [0.03, 0.02],
+    "dec_error": [0.03, 0.04],
+    "pmra_error": [0.03, 0.03],
+    "pmdec_error": [0.04, 0.02],
+}
+
+
+@pytest.mark.parametrize(("suffix", "kind"), [("csv", "ascii.csv"), ("fits", "fits"), ("vot", "votable")])
+def test_a_table_of_the_gaia_archive_is_read_in_every_format(tmp_path, suffix, kind):
+    path = tmp_path / f"stars.{suffix}"
+    Table(STARS).write(path, format=kind)
+    stars = read_star_table(path, path.name)
+    assert stars.places.hip.tolist() == STARS["source_id"]
+    assert np.degrees(stars.places.ra_rad) == approx(STARS["ra"], abs=1e-12)
+    assert stars.places.pm_ra_rad_yr * np.cos(stars.places.dec_rad) == approx(np.array(STARS["pmra"]) * MAS)
+    assert stars.places.parallax_arcsec == approx([0.546976, 0.768067])
+    assert stars.places.epoch_jyear == 2016.0
+    # ten years later: the position's error, and ten times that of the motion
+    assert stars.sigma_at_rad(2026.0)[0] == approx(np.hypot(0.03, 10.0 * np.hypot(0.03, 0.04) / 2**0.5) * MAS)
+
+
+@pytest.mark.parametrize(
+    ("change", "field"),
+    [
+        ({"ra": [400.0, 1.0]}, "ra"),
+        ({"ref_epoch": [2016.0, 2015.5]}, "ref_epoch"),
+        ({"pmra": None}, "pmra"),
+        ({"source_id": [1.5, 2.5]}, "source_id"),
+        ({"phot_g_mean_mag": ["bright", "faint"]}, "phot_g_mean_mag"),
+    ],
+)
+def test_wrong_columns_are_named(tmp_path, change, field):
+    columns = {name: values for name, values in (STARS | change).items() if values is not None}
+    path = tmp_path / "stars.csv"
+    Table(columns).write(path, format="ascii.csv")
+    with pytest.raises(RawDataError, match=field):
+        read_star_table(path, path.name)
+
+
+def test_other_formats_and_entities_are_refused(tmp_path):
+    (tmp_path / "stars.txt").write_text("ra dec")
+    with pytest.raises(RawDataError, match="one of"):
+        read_star_table(tmp_path / "stars.txt", "stars.txt")
+    (tmp_path / "stars.vot").write_text('<!DOCTYPE a [<!ENTITY b "c">]><VOTABLE>&b;</VOTABLE>')
+    with pytest.raises(RawDataError, match="XML"):
+        read_star_table(tmp_path / "stars.vot", "stars.vot")
