@@ -148,17 +148,24 @@ def tangent_coordinates(camera: StarCamera, xy_px: Floats) -> Floats:
 def field_of_camera(camera: StarCamera, settings: StarSettings) -> FieldOfView:
     """Field of view of a calibrated camera, for `identify`."""
     focal_px = camera.focal_m / camera.pixel_m
-    right, low = camera.width_px - 0.5, camera.height_px - 0.5
-    corners = np.array([[-0.5, -0.5], [right, -0.5], [-0.5, low], [right, low]])
-    half_x, half_y = np.abs(camera.tangents_from_pixels(corners, error_px=0.1)).max(axis=0)
+    half_x, half_y = _half_sides(camera)
     return FieldOfView(
-        half_x=float(half_x),
-        half_y=float(half_y),
+        half_x=half_x,
+        half_y=half_y,
         equivalent_fov_rad=equivalent_fov(camera.width_px, camera.height_px, focal_px),
         pixel=1.0 / focal_px,
         scale_error=0.0,
         shape_error=settings.camera_error,
     )
+
+
+@lru_cache(maxsize=4)  # every image of a camera asks
+def _half_sides(camera: StarCamera) -> tuple[float, float]:
+    """Largest tangent-plane coordinates of the corners: with distortion they lie farther out, or less."""
+    right, low = camera.width_px - 0.5, camera.height_px - 0.5
+    corners = np.array([[-0.5, -0.5], [right, -0.5], [-0.5, low], [right, low]])
+    half_x, half_y = np.abs(camera.tangents_from_pixels(corners, error_px=0.1)).max(axis=0)
+    return float(half_x), float(half_y)
 
 
 def smear_of_rate(camera: StarCamera, rate_s: Floats, exposure_s: float) -> tuple[float, float]:
