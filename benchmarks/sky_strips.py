@@ -300,7 +300,7 @@ def places(options: argparse.Namespace) -> None:
         still = replace(scenario.errors, vibration_arcsec=0.0)  # jitter within a trace is an error of its own
         one = replace(scenario.sky_strips.scans[0], rate=rate)
         sky = replace(
-            scenario.sky_strips, scans=(one,), uncatalogued_per_deg2=1500.0, uncatalogued_v_range=(5.5, 9.5)
+            scenario.sky_strips, scans=(one,), uncatalogued_per_deg2=400.0, uncatalogued_v_range=(5.5, 9.5)
         )
         sky = replace(sky, flux_v0_e_per_s=sky.flux_v0_e_per_s / stages)
         scenario = replace(

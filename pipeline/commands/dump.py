@@ -75,7 +75,7 @@ def check(
     if out is not None:
         write_check_page(found, out)
         lines.append(f"-> {out}")
-    failed = bool(found.faults) or not found.footprints
+    failed = bool(found.faults) or not (found.footprints or found.sky_strips)
     return Answer(
         text="\n".join(lines),
         content={

@@ -287,10 +287,10 @@ def dump_faults(root: Path) -> list[RawDataError]:
     ephemeris = read.get("orbit") and tried(read_oem, read["orbit"], head.files.orbit)
     epoch = ephemeris.epoch if ephemeris else Epoch.from_utc("2000-01-01T12:00:00Z")
     if ephemeris:
-        own, sigma = head.files.earth_orientation, head.errors.position_m
+        own = head.files.earth_orientation
         table = tried(read_earth_orientation, read.get("earth_orientation"), own) if own else bundled_table()
         if table is not None:
-            tried(orbit_of, ephemeris, head.files.orbit, sigma, table, allow_stale_eop=False)
+            tried(orbit_of, ephemeris, head.files.orbit, table, allow_stale_eop=False)
     if remote and "strips" in read:
         of_camera = (epoch, remote[1], head.files.remote_camera)
         tried(_strips, root, read["strips"], head.files.strips, *of_camera)

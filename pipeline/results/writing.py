@@ -81,7 +81,7 @@ def write_result(result: Path, calibration: Calibration, settings: Settings) -> 
             estimate,
             calibration.verdict,
             (calibration.settings, settings),
-            ground_m_per_rad(calibration.strips, calibration.tasks[0].camera),
+            ground_m_per_rad(calibration.strips, calibration.camera),
         ),
     )
 
@@ -99,7 +99,7 @@ def write_joint_result(
     passes = [_passes_table(found, f"{name}/") for name, found in of_dumps.items()]
     _write_groups(tables / "passes.parquet", [pa.concat_tables(passes)])
     _write_groups(tables / "omissions.parquet", [_omissions_table(joint.omissions)])
-    camera = next(iter(of_dumps.values())).tasks[0].camera
+    camera = next(iter(of_dumps.values())).camera
     content = _installation(
         estimate, joint.verdict, (joint.settings, settings), ground_m_per_rad(joint.strips, camera)
     )

@@ -22,6 +22,7 @@ from boresight.calib.calibration import calibrate
 from boresight.calib.estimate import InstallationEstimate, NotObservable
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.verdict import Verdict, assess
+from boresight.geometry.line_camera import LineSensor
 from boresight.geometry.record import array, record, scalar
 from boresight.geometry.sightings import ExposureAttitudes, StarSightings, StripSightings
 from boresight.pipeline.errors import Cause, DataNotSufficientError, Omission
@@ -74,6 +75,11 @@ class Calibration:
     omissions: tuple[Omission, ...] = scalar("everything that is not used, with reasons")
     n_computed: int = scalar("exposures and strips that were computed in this run")
     n_reused: int = scalar("those that were read from the store")
+
+    @property
+    def camera(self) -> LineSensor:
+        """Model of the remote-sensing camera."""
+        return (*self.tasks, *self.sky.tasks)[0].camera
 
     @property
     def observed(self) -> tuple[MatchedTargets, ...]:

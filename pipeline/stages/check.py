@@ -55,6 +55,7 @@ class DumpCheck:
     faults: tuple[RawDataError, ...] = scalar("errors that stop a calibration, all at once")
     facts: tuple[str, ...] = scalar("mission, cameras, counts; one line each")
     omissions: tuple[Omission, ...] = scalar("exposures, strips and chips that would not be used")
+    sky_strips: int = scalar("strips of the sky", default=0)
     footprints: dict[str, Floats] = scalar("outline (N, 2) of each strip: longitude and latitude, degrees")
     targets: tuple[TargetCheck, ...] = scalar("every target against the strips")
 
@@ -83,6 +84,7 @@ def check_dump(root: Path, settings: Settings, executor: Executor | None = None)
         faults=(),
         facts=facts,
         omissions=(*omissions, *unreadable_chips(dump.chips)),
+        sky_strips=len(dump.sky_strips),
         footprints=outlines,
         targets=tuple(_target(n, one, names, missed) for n, one in enumerate(dump.targets)),
     )

@@ -7,9 +7,11 @@ import numpy as np
 import pytest
 import rasterio
 from scipy.spatial.transform import Rotation
+from typer.testing import CliRunner
 
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.installation import theta_between
+from boresight.pipeline.cli import app
 from boresight.pipeline.errors import DataNotSufficientError, RawDataError
 from boresight.pipeline.files.dump import open_dump
 from boresight.pipeline.files.text_files import toml_tables
@@ -143,3 +145,15 @@ def test_a_wrong_kind_and_a_missing_image_are_errors_of_the_table(dump, old, new
     (dump / "strips.csv").write_text("\n".join(text) + "\n")
     with pytest.raises(RawDataError, match=field):
         open_dump(dump)
+
+
+def test_the_command_writes_result_report_and_status_of_a_dump_of_the_sky_alone(tmp_path):
+    result = tmp_path / "result"
+    run = CliRunner().invoke(app, ["calibrate", str(SKY), "--out", str(result)])
+    assert run.exit_code == 0, run.output
+    assert (result / "report.html").stat().st_size > 100_000
+    assert "HIP " in (result / "report.html").read_text()
+    status = CliRunner().invoke(app, ["status", str(result)])
+    assert status.exit_code == 0 and "sky-stars" in status.output
+    checked = CliRunner().invoke(app, ["dump", "check", str(SKY)])
+    assert checked.exit_code == 0 and "1 strips of the sky" in checked.output
