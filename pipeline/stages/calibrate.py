@@ -79,7 +79,7 @@ class Calibration:
     @property
     def camera(self) -> LineSensor:
         """Model of the remote-sensing camera."""
-        return (*self.tasks, *self.sky.tasks)[0].camera
+        return self.tasks[0].camera if self.tasks else self.sky.tasks[0].camera
 
     @property
     def observed(self) -> tuple[MatchedTargets, ...]:
