@@ -37,14 +37,14 @@ def interior_lines(calibration: InteriorCalibration) -> list[str]:
     old_m = calibration.found.model.camera.focal_m
     change = f"{value['focal'] * 1e6:+.1f} ± {sigma['focal'] * 1e6:.1f} ppm"
     lines = [f"{'focal length, m':26s}{old_m:.7f} -> {camera.focal_m:.7f} ({change})"]
-    lines.append(f"{'':26s}" + "".join(f"{f'CCD {c}':>18s}" for c in range(camera.n_ccds)))
+    lines.append(f"{'':26s}" + "".join(f"{f'CCD {c}':>21s}" for c in range(camera.n_ccds)))
     for kind, (unit, scale) in KINDS.items():
         if f"{kind}/0" in value:
             names = [f"{kind}/{c}" for c in range(camera.n_ccds)]
             cells = [f"{scale * value[n]:+.2f} ± {scale * sigma[n]:.2f}" for n in names]
-            lines.append(f"{f'{kind}, {unit}':26s}" + "".join(f"{cell:>18s}" for cell in cells))
+            lines.append(f"{f'{kind}, {unit}':26s}" + "".join(f"{cell:>21s}" for cell in cells))
     curve = [_curve_rms(found, c) for c in range(camera.n_ccds)]
-    lines.append(f"{'curve, rms px':26s}" + "".join(f"{size:18.2f}" for size in curve))
+    lines.append(f"{'curve, rms px':26s}" + "".join(f"{size:21.2f}" for size in curve))
     before, after = map_errors_px(found)
     lines.append(f"{'change of looks, rms px':26s}{before:.3f}; stated 1 sigma after it {after:.3f}")
     arcsec = "  ".join(f"{one / ARCSEC:.4f}" for one in found.installation.sigma_theta)
