@@ -456,7 +456,7 @@ def simulate(scenario: str, out: str | Path, *, seed: int = 1, changes: Sequence
     Parameters
     ----------
     scenario : str
-        "mini", "paper", or the path of a TOML file (docs/simulator.md).
+        "mini", "paper", "sky", or the path of a TOML file (docs/simulator.md).
     out : path
         Folder to make; it must not exist or be empty.
     seed : int

@@ -113,7 +113,7 @@ def _global(
 
 
 def simulate(
-    scenario: Annotated[str, typer.Argument(help="mini, paper, or the path of a TOML file.")],
+    scenario: Annotated[str, typer.Argument(help="mini, paper, sky, or the path of a TOML file.")],
     out: Annotated[Path, typer.Argument(help="Folder to be made; must not exist or be empty.")],
     seed: Annotated[int, typer.Option(help="Seed of all random numbers.", min=0)] = 1,
     set_: Annotated[
