@@ -308,14 +308,14 @@ def visits(place: np.ndarray) -> list:
     sites = [np.zeros(3), place]
     out = []
     for n, (epoch, site) in enumerate(zip(days, sites)):
-        targets = [
-            SimpleNamespace(target_id=name, p_e=site, sigma_m=np.full(3, 3.0))
+        targets = {
+            name: SimpleNamespace(target_id=name, p_e=site, sigma_m=np.full(3, 3.0))
             for name in strips[0].ground.target_id.tolist()
-        ]
+        }
         sigma = np.full(3, 3e-3)
         head = SimpleNamespace(name="s")
         dump = SimpleNamespace(
-            epoch=epoch, targets=targets, R_cs0=BOLD, sigma_installation_rad=sigma, heads=(head,)
+            epoch=epoch, ground_targets=targets, R_cs0=BOLD, sigma_installation_rad=sigma, heads=(head,)
         )
         found = SimpleNamespace(strips=strips[4 * n : 4 * n + 4], settings=SETTINGS_USED)
         out.append((SimpleNamespace(name=f"d{n}", dump=dump), found))
