@@ -80,25 +80,33 @@ def calibrated_line_camera(settings: LineCameraSettings) -> LineCamera:
 def distorted_line_camera(
     calibrated: LineCamera, errors: ErrorSettings, rng: np.random.Generator
 ) -> LineCamera:
-    """The camera as it is: with a smooth Gaussian process along the detectors on top of the tables.
+    """The camera as it is: with a smooth Gaussian process along the detectors on top of the tables, and one
+    across them.
 
-    Its mean over all samples is taken off: a shift of the whole field is by definition part of the
-    installation.
+    The mean over all samples is taken off, but for the share that is to be kept: a shift of the whole field is
+    by definition part of the installation. The estimate's prior holds it, and is judged with a share of one.
     """
     tables = [ccd.distortion_samples for ccd in calibrated.ccds]
     places = np.concatenate([ccd.focal_plane(ccd.distortion_samples)[:, 1] for ccd in calibrated.ccds])
     pixel_m = calibrated.ccds[0].pixel_m
     distance = (places[:, None] - places) / (errors.distortion_length_px * pixel_m)
-    covariance = np.exp(-0.5 * distance**2)
-    values, vectors = np.linalg.eigh(covariance)
-    draw = vectors @ (np.sqrt(np.maximum(values, 0.0)) * rng.standard_normal(len(places)))
-    draw = (draw - draw.mean()) * errors.distortion_px * pixel_m
-    parts = np.split(draw, np.cumsum([len(table) for table in tables])[:-1])
-    ccds = tuple(
+    values, vectors = np.linalg.eigh(np.exp(-0.5 * distance**2))
+    starts = np.cumsum([len(table) for table in tables])[:-1]
+
+    def drawn(rms_px: float) -> list[Array]:
+        draw = vectors @ (np.sqrt(np.maximum(values, 0.0)) * rng.standard_normal(len(places)))
+        draw = (draw - (1.0 - errors.distortion_mean_share) * draw.mean()) * rms_px * pixel_m
+        return np.split(draw, starts)
+
+    along = drawn(errors.distortion_px)
+    ccds = [
         replace(ccd, distortion_offsets_m=ccd.distortion_offsets_m + part)
-        for ccd, part in zip(calibrated.ccds, parts)
-    )
-    return replace(calibrated, ccds=ccds)
+        for ccd, part in zip(calibrated.ccds, along)
+    ]
+    if errors.distortion_across_px:
+        across = drawn(errors.distortion_across_px)
+        ccds = [replace(ccd, across_offsets_m=part) for ccd, part in zip(ccds, across)]
+    return replace(calibrated, ccds=tuple(ccds))
 
 
 def measured_installation(settings: InstallationSettings) -> Rotation:

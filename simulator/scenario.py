@@ -287,6 +287,8 @@ class ErrorSettings:
     clock_s: float = 1.0e-4  # 1 sigma of the rows' time against orbit and star camera, one draw a strip
     distortion_px: float = 0.3  # rms of what the distortion table leaves, smooth along the detector
     distortion_length_px: float = 1500.0  # its correlation length
+    distortion_mean_share: float = 0.0  # of its mean that is kept; 0: the installation is defined without it
+    distortion_across_px: float = 0.0  # rms of the same across the detectors
 
 
 @dataclass(frozen=True, slots=True)
