@@ -197,8 +197,9 @@ def assess(
     )
     found = [_residuals(*one, settings) for one in residuals]
     found += _shares(estimate, settings)
-    found.append(_between_strips(estimate, settings))
-    found += _between_heads(estimate.agreement, settings)
+    heads, between = _between_heads(estimate.agreement, settings), _between_strips(estimate, settings)
+    named = any(check.names for check in heads)  # a head that moves sets the strips against one another
+    found += [replace(between, names=()) if named else between, *heads]
     if sigma_installation_rad is not None:
         found.append(_from_start(estimate, sigma_installation_rad, settings))
     found += [_duplicates(strips, settings), _convergence(estimate, settings)]
