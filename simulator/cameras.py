@@ -83,8 +83,8 @@ def distorted_line_camera(
     """The camera as it is: with a smooth Gaussian process along the detectors on top of the tables, and one
     across them.
 
-    The mean over all samples is taken off, but for the share that is to be kept: a shift of the whole field is
-    by definition part of the installation. The estimate's prior holds it, and is judged with a share of one.
+    The mean over all samples is taken off, but for the share that is to be kept: a shift of the whole field
+    is by definition part of the installation. The estimate's prior holds it, and is judged with a share of 1.
     """
     tables = [ccd.distortion_samples for ccd in calibrated.ccds]
     places = np.concatenate([ccd.focal_plane(ccd.distortion_samples)[:, 1] for ccd in calibrated.ccds])
