@@ -1,8 +1,8 @@
 """Recordings of the terminal as animated SVG: `python scripts/figures/terminal.py [NAME...]`.
 
-What a command prints into a pipe of 80 columns (progress is a line a tenth there) appears at the times at
-which it was printed, at most `LONGEST_WAIT_S` apart. A reader who prefers no motion, or a printer, sees the
-last frame.
+What a command prints into a pipe of 80 columns (progress is a line a tenth there), and into one of 200 for
+the file with that number in its name, appears at the times at which it was printed, at most `LONGEST_WAIT_S`
+apart. A line that is wider is an error. A reader who prefers no motion, or a printer, sees the last frame.
 """
 
 from __future__ import annotations
@@ -18,7 +18,8 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
 IMAGES = ROOT / "docs" / "images"
-COLUMNS, LINE_PX, CHAR_PX, PAD_PX = 80, 19, 8.4, 14
+COLUMNS = {"": 80, "-200": 200}  # by the end of the file's name
+LINE_PX, CHAR_PX, PAD_PX = 19, 8.4, 14
 LONGEST_WAIT_S, TYPING_S = 0.6, 0.7
 RECORDINGS = {
     "terminal-calibrate": (
@@ -27,8 +28,8 @@ RECORDINGS = {
     ),
     "terminal-validate": (
         "boresight calibrate fixtures/mini --out demo-result --quiet",
-        "boresight validate demo-result --dump fixtures/mini --max-nees 16 --max-ground-m 6",
-        "boresight validate demo-result --dump fixtures/mini --max-ground-m 2; echo status $?",
+        "boresight validate demo-result --dump fixtures/mini --max-ground-m 6",
+        "boresight validate demo-result --dump fixtures/mini --max-ground-m 2; echo $?",
     ),
 }
 
@@ -42,22 +43,24 @@ class Line:
     typed: bool
 
 
-def recorded(commands: tuple[str, ...], folder: Path) -> list[Line]:
-    """Lines of the terminal with the times at which they appear."""
+def recorded(commands: tuple[str, ...], folder: Path, columns: int) -> list[Line]:
+    """Lines of the terminal with the times at which they appear. `ValueError` for one that is too wide."""
     (folder / "fixtures").symlink_to(ROOT / "fixtures")
     now_s, lines = 0.4, []
     for command in commands:
         lines.append(Line(now_s, f"$ {command}", True))
         now_s += TYPING_S
-        for wait_s, text in output(command, folder):
+        for wait_s, text in output(command, folder, columns):
             now_s += min(wait_s, LONGEST_WAIT_S)
             lines.append(Line(now_s, text, False))
+    if wide := [line.text for line in lines if len(line.text) > columns]:
+        raise ValueError(f"wider than {columns} columns: {wide}")
     return lines
 
 
-def output(command: str, folder: Path) -> list[tuple[float, str]]:
+def output(command: str, folder: Path, columns: int) -> list[tuple[float, str]]:
     """Lines that a command prints, each with the seconds since the one before."""
-    known = {"COLUMNS": str(COLUMNS), "NO_COLOR": "1", "PYTHONUNBUFFERED": "1"}
+    known = {"COLUMNS": str(columns), "NO_COLOR": "1", "PYTHONUNBUFFERED": "1"}
     shell = command.replace("boresight ", f"{sys.executable} -m boresight ", 1)
     parts, last = [], time.perf_counter()
     with subprocess.Popen(
@@ -77,9 +80,9 @@ def output(command: str, folder: Path) -> list[tuple[float, str]]:
     return parts
 
 
-def svg(lines: list[Line]) -> str:
+def svg(lines: list[Line], columns: int) -> str:
     """The lines as an animated SVG in the colours of the reader's scheme."""
-    width = 2 * PAD_PX + CHAR_PX * max(COLUMNS, *(len(line.text) for line in lines))
+    width = 2 * PAD_PX + CHAR_PX * columns
     height = 2 * PAD_PX + LINE_PX * len(lines)
     rows = "".join(
         f'<text x="{PAD_PX}" y="{PAD_PX + LINE_PX * (n + 0.75):.1f}"'
@@ -106,10 +109,11 @@ text {{ animation: show 0.01s backwards; }} @keyframes show {{ from {{ visibilit
 
 def main() -> None:
     for name in sys.argv[1:] or RECORDINGS:
-        with tempfile.TemporaryDirectory() as folder:
-            lines = recorded(RECORDINGS[name], Path(folder))
-        (IMAGES / f"{name}.svg").write_text(svg(lines), encoding="utf-8")
-        print(f"{name}: {len(lines)} lines, {lines[-1].at_s:.1f} s")
+        for end, columns in COLUMNS.items():
+            with tempfile.TemporaryDirectory() as folder:
+                lines = recorded(RECORDINGS[name], Path(folder), columns)
+            (IMAGES / f"{name}{end}.svg").write_text(svg(lines, columns), encoding="utf-8")
+            print(f"{name}{end}: {len(lines)} lines, {lines[-1].at_s:.1f} s")
 
 
 if __name__ == "__main__":

@@ -91,7 +91,8 @@ def test_notice_names_every_data_file_of_the_wheel(built: tuple[Path, Path]) -> 
 def test_wheel_from_the_sdist_is_the_same(built: tuple[Path, Path], tmp_path: Path) -> None:
     wheel, sdist = built
     with tarfile.open(sdist) as archive:
-        archive.extractall(tmp_path, filter="data")
+        archive.extraction_filter = getattr(tarfile, "data_filter", lambda member, path: member)  # 3.11.4
+        archive.extractall(tmp_path)
     source = next(path for path in tmp_path.iterdir() if path.is_dir())
     run(sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", tmp_path, cwd=source)
     again = next(tmp_path.glob("*.whl"))
