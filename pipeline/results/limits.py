@@ -53,7 +53,7 @@ def validation_limits(
     figures = (
         ("max-error-sigma", sigmas, max_error_sigma, "largest error of an axis, in stated sigmas,"),
         ("max-nees", validation.nees, max_nees, "NEES"),
-        ("max-ground-m", ground_m, max_ground_m, "larger rms error along or across the track, m,"),
+        ("max-ground-m", ground_m, max_ground_m, "rms along or across, m,"),
     )
     return [
         Limit(name=name, found=found, limit=limit, what=what)
