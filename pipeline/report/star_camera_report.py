@@ -99,15 +99,7 @@ def calibrate_from_images(
     result = replace(result, frames_refused=(*unread, *result.frames_refused))
     stated = next((one.bit_depth for one in sky.images if one.bit_depth is not None), None)
     bits = stated or (8 * read[1].dtype.itemsize if read[1].dtype.kind == "u" else 16)
-    if result.explained:
-        table = tomli_w.dumps(star_camera_table(result.camera, bits))
-        write_whole(request.out, lambda target: target.write_text(table, "utf-8"))
-    cells = residual_map(result)
-    if request.report is not None:
-        content = json.dumps(_report(result, cells), indent=1, allow_nan=False)
-        write_whole(request.report, lambda target: target.write_text(content + "\n", "utf-8"))
-    if request.plot is not None:
-        _draw(result, cells, request.plot)
+    _write(result, request, bits)
     times = [frame.observer.tai_s for frame in frames if frame.observer is not None]
     span_s = max(times) - min(times) if times else 0.0
     lines = _lines(result, span_s)
@@ -118,6 +110,19 @@ def calibrate_from_images(
         f" different images have in common; {LARGEST_UNMODELLED_PX} px are accepted. --plot draws where"
     )
     return [*lines, refusal], False
+
+
+def _write(result: CameraCalibration, request: CameraRequest, bit_depth: int) -> None:
+    """The files that are asked for; the camera only if its lens model explains the residuals."""
+    if result.explained:
+        table = tomli_w.dumps(star_camera_table(result.camera, bit_depth))
+        write_whole(request.out, lambda target: target.write_text(table, "utf-8"))
+    cells = residual_map(result)
+    if request.report is not None:
+        content = json.dumps(_report(result, cells), indent=1, allow_nan=False)
+        write_whole(request.report, lambda target: target.write_text(content + "\n", "utf-8"))
+    if request.plot is not None:
+        _draw(result, cells, request.plot)
 
 
 def _image(
