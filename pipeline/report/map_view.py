@@ -18,7 +18,8 @@ from boresight.pipeline.report.saved import Saved
 
 __all__ = ["Layer", "MapView", "SceneView", "SpotView", "map_view"]
 
-WIDTH, BEST_HEIGHT, GAP, CAPTION = 1000.0, 780.0, 12.0, 26.0  # of the sheet; its best shape, around scenes
+WIDTH, BEST_HEIGHT, GAP = 1000.0, 780.0, 12.0  # of the sheet; its best shape, around scenes
+CAPTION = 36.0  # room for a line of 12 px where the sheet is only 360 px wide
 ARROW = 0.045  # of the sheet's width: length of the arrow that nine of ten residuals fall below
 
 
