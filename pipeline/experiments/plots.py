@@ -437,7 +437,12 @@ def _legend(figure: Figure, ax: Axes) -> None:
     entries = dict(zip(*reversed(ax.get_legend_handles_labels())))
     columns = 2 if max(map(len, entries)) > 30 else min(len(entries), 3)
     figure.legend(
-        list(entries.values()), list(entries), loc="outside lower center", ncols=columns, fontsize=8
+        list(entries.values()),
+        list(entries),
+        loc="outside lower center",
+        ncols=columns,
+        fontsize=8,
+        handlelength=3.2,  # long enough to tell dashed lines from solid ones
     )
 
 
