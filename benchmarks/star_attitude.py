@@ -69,7 +69,7 @@ def main() -> None:
         R_si = Rotation.random(random_state=rng)
         observer = Observer(EPOCH, t_s, P_I, V_I)
         image, truth = star_frame(CAMERA, R_si, as_seen(places, observer), SENSOR, rng)
-        seen = sight_stars(str(k), image, CAMERA, index, EPOCH, t_s, P_I, V_I, settings)
+        seen = sight_stars(str(k), image, CAMERA, index, observer, settings)
         if isinstance(seen, NotIdentified):
             print(seen.reason)
             continue

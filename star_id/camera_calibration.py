@@ -201,7 +201,7 @@ def _adjusted(
     xy, cov, u_i, frame, times, rotations = [], [], [], [], [], []
     for number, (k, solution) in enumerate(identified):
         stars, rows = frames[k].stars, solution.rows
-        reliable = select_for_calibration(stars, solution.detections, rows, camera, index, settings)
+        reliable = select_for_calibration(stars.centroids, solution.detections, rows, camera, index, settings)
         observer = frames[k].observer
         xy.append(solution.xy_px[reliable])
         years = settings.epoch_error_years if observer is None else 0.0

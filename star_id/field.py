@@ -33,12 +33,7 @@ from boresight.star_id.observer import (
     star_directions,
 )
 from boresight.star_id.settings import StarSettings
-from boresight.star_id.sight import (
-    field_of_camera,
-    has_reliable_position,
-    select_for_calibration,
-    tangent_coordinates,
-)
+from boresight.star_id.sight import field_of_camera, select_for_calibration, tangent_coordinates
 
 __all__ = [
     "LARGEST_FOV_RAD",
@@ -248,20 +243,25 @@ def _weighted(
     """Solution with each star weighted by its own covariance."""
     if camera is None:
         return _fitted(stars, found, start, index, settings, observer)
+    return replace(_of_known_camera(stars.centroids, found, camera, index, settings, observer), stars=stars)
+
+
+def _of_known_camera(
+    stars: Centroids,
+    found: Identification,
+    camera: StarCamera,
+    index: StarIndex,
+    settings: StarSettings,
+    observer: Observer | None,
+) -> FieldSolution:
     rows = found.detections
     years = settings.epoch_error_years if observer is None else 0.0
     cov = stars.cov_px[rows] + proper_motion_covariance(index, found.stars, camera, found.R_si, years)
     xy, u_i = stars.xy_px[rows], star_directions(index, found.stars, observer)
-    reliable = _reliable(stars, rows, found.stars, start, index, settings)
-    fit = fit_known_camera(camera, xy[reliable], cov[reliable], u_i[reliable])
-    return replace(
-        _solution(found, stars.xy_px, camera, index),
-        R_si=fit.R_si,
-        cov_s=fit.cov_s,
-        fov_x_sigma_rad=0.0,
-        u_i=u_i,
-        stars=stars,
-    )
+    used = _if_enough(select_for_calibration(stars, rows, found.stars, camera, index, settings))
+    fit = fit_known_camera(camera, xy[used], cov[used], u_i[used])
+    solution = _solution(found, stars.xy_px, camera, index)
+    return replace(solution, R_si=fit.R_si, cov_s=fit.cov_s, fov_x_sigma_rad=0.0, u_i=u_i)
 
 
 def _fitted(
@@ -280,7 +280,9 @@ def _fitted(
     u_i, years = star_directions(index, expected, observer), settings.epoch_error_years * (observer is None)
     moved = proper_motion_covariance(index, expected, start, R_si, years)
     for _ in range(_MATCHINGS):
-        reliable = _reliable(stars, detections, rows, start, index, settings)
+        reliable = _if_enough(
+            select_for_calibration(stars.centroids, detections, rows, start, index, settings)
+        )
         xy, cov = stars.xy_px[detections[reliable]], stars.cov_px[detections[reliable]]
         if years:
             cov = cov + proper_motion_covariance(index, rows[reliable], start, R_si, years)
@@ -316,17 +318,9 @@ def _expected_stars(camera: StarCamera, R_si: Rotation, detections: int, index: 
     return np.asarray(rows[inside][: int(STARS_PER_DETECTION * detections) + 12])
 
 
-def _reliable(
-    stars: StarList,
-    detections: Ints,
-    rows: Ints,
-    camera: StarCamera,
-    index: StarIndex,
-    settings: StarSettings,
-) -> Bools:
-    """(N,) whether identified stars are fit to measure by; all, where too few are."""
-    reliable = select_for_calibration(stars, detections, rows, camera, index, settings)
-    return reliable if reliable.sum() >= _LEAST_RELIABLE else np.ones(len(rows), dtype=bool)
+def _if_enough(reliable: Bools) -> Bools:
+    """(N,) the stars to measure by: the reliable ones; all, where too few are."""
+    return reliable if reliable.sum() >= _LEAST_RELIABLE else np.ones(len(reliable), dtype=bool)
 
 
 def solve_centroids(
@@ -337,15 +331,7 @@ def solve_centroids(
     answer = _identified(stars.xy_px, size, index, settings, camera, None)
     if isinstance(answer, NotIdentified):
         return answer
-    found, _ = answer
-    rows, u_i, years = found.detections, star_directions(index, found.stars, None), settings.epoch_error_years
-    cov = stars.cov_px[rows] + proper_motion_covariance(index, found.stars, camera, found.R_si, years)
-    reliable = has_reliable_position(index, found.stars, camera, stars.psf_sigma_px, settings)
-    reliable &= ~stars.blended[rows]
-    used = reliable if reliable.sum() >= _LEAST_RELIABLE else np.ones(len(rows), dtype=bool)
-    fit = fit_known_camera(camera, stars.xy_px[rows][used], cov[used], u_i[used])
-    solution = _solution(found, stars.xy_px, camera, index)
-    return replace(solution, R_si=fit.R_si, cov_s=fit.cov_s, fov_x_sigma_rad=0.0, u_i=u_i)
+    return _of_known_camera(stars, answer[0], camera, index, settings, None)
 
 
 def solve_stars(

@@ -13,17 +13,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from boresight.geometry.constants import ARCSEC
-from boresight.geometry.epoch import Epoch
 from boresight.geometry.record import Bools, Floats, Ints
 from boresight.geometry.sightings import StarSightings
 from boresight.geometry.star_camera import StarCamera
-from boresight.geometry.starlight import apparent_star_directions
 from boresight.star_id.catalogue import hipparcos_stars
 from boresight.star_id.centroids import Centroids
-from boresight.star_id.finding.star_list import StarList, find_stars
+from boresight.star_id.finding.star_list import find_stars
 from boresight.star_id.identification.identify import AttitudePrior, NotIdentified, identify
 from boresight.star_id.identification.tangent_plane import FieldOfView
 from boresight.star_id.identification.triangle_index import StarIndex, equivalent_fov
+from boresight.star_id.observer import Observer, star_directions
 from boresight.star_id.settings import StarSettings
 
 __all__ = [
@@ -45,10 +44,7 @@ def sight_stars(
     image: NDArray,
     camera: StarCamera,
     index: StarIndex,
-    epoch: Epoch,
-    t_s: float,
-    p_i: Floats,
-    v_i: Floats,
+    observer: Observer,
     settings: StarSettings,
     *,
     dark: NDArray | None = None,
@@ -66,10 +62,8 @@ def sight_stars(
         Calibrated camera that took it.
     index : StarIndex
         Star index for the camera's field of view (`build_index`).
-    epoch, t_s : Epoch, float
-        Middle of the exposure: seconds after the epoch.
-    p_i, v_i : (3,) arrays
-        Position (m) and velocity (m/s) of the satellite, GCRS.
+    observer : Observer
+        Middle of the exposure, position and velocity of the satellite.
     settings : StarSettings
         A rotation of the satellite during the exposure is stated by `settings.smear_px` (`smear_of_rate`).
     dark : (H, W) array, optional
@@ -88,14 +82,7 @@ def sight_stars(
         If the image is not (H, W) of at least 32 pixels, or the dark frame has another size.
     """
     stars = find_stars(image, settings, dark)
-    found = Centroids(
-        xy_px=stars.xy_px,
-        cov_px=stars.cov_px,
-        blended=stars.blended,
-        snr=stars.snr,
-        psf_sigma_px=stars.psf.sigma_px,
-    )
-    return sight_centroids(exposure_id, found, camera, index, epoch, t_s, p_i, v_i, settings, prior=prior)
+    return sight_centroids(exposure_id, stars.centroids, camera, index, observer, settings, prior=prior)
 
 
 def sight_centroids(
@@ -103,10 +90,7 @@ def sight_centroids(
     stars: Centroids,
     camera: StarCamera,
     index: StarIndex,
-    epoch: Epoch,
-    t_s: float,
-    p_i: Floats,
-    v_i: Floats,
+    observer: Observer,
     settings: StarSettings,
     *,
     prior: AttitudePrior | None = None,
@@ -117,8 +101,7 @@ def sight_centroids(
     if isinstance(found, NotIdentified):
         reason = f"exposure {exposure_id}: {found.reason}"
         return NotIdentified(reason, found.n_stars, found.proposals, found.best_log_odds)
-    reliable = has_reliable_position(index, found.stars, camera, stars.psf_sigma_px, settings)
-    usable = reliable & ~stars.blended[found.detections]
+    usable = select_for_calibration(stars, found.detections, found.stars, camera, index, settings)
     rows, index_rows = found.detections[usable], found.stars[usable]
     if len(rows) < 3:
         reason = f"{len(usable)} stars identified, only {len(rows)} fit for calibration, 3 are needed"
@@ -127,14 +110,13 @@ def sight_centroids(
     u_s = camera.directions_from_pixels(xy)
     J = camera.pixel_jacobian(xy)
     cov_s = J @ stars.cov_px[rows] @ J.transpose(0, 2, 1)
-    u_i = apparent_star_directions(index.stars.take(index_rows), epoch, t_s, p_i, v_i)
     return StarSightings(
         exposure_id=exposure_id,
-        t_s=t_s,
+        t_s=observer.t_s,
         hip=index.stars.hip[index_rows],
         xy_px=xy,
         u_s=u_s,
-        u_i=u_i,
+        u_i=star_directions(index, index_rows, observer),
         cov_s=cov_s,
         snr=stars.snr[rows],
     )
@@ -179,7 +161,7 @@ def smear_of_rate(camera: StarCamera, rate_s: Floats, exposure_s: float) -> tupl
 
 
 def select_for_calibration(
-    stars: StarList,
+    stars: Centroids,
     detections: Ints,
     rows: Ints,
     camera: StarCamera,
@@ -190,7 +172,7 @@ def select_for_calibration(
 
     Row `detections[n]` of `stars` is identified as row `rows[n]` of the index.
     """
-    reliable = has_reliable_position(index, rows, camera, stars.psf.sigma_px, settings)
+    reliable = has_reliable_position(index, rows, camera, stars.psf_sigma_px, settings)
     return np.asarray(reliable & ~stars.blended[detections])
 
 

@@ -24,7 +24,7 @@ from boresight.geometry.orbit import Orbit, OrbitGapError
 from boresight.geometry.record import Floats, array, record, scalar
 from boresight.geometry.smooth_distortion import SmoothDistortion, term_orders
 from boresight.geometry.star_camera import StarCamera
-from boresight.pipeline.errors import RawDataError
+from boresight.pipeline.errors import Omission, RawDataError
 from boresight.pipeline.files import dump_schema as schema
 from boresight.pipeline.files.attitude_files import AttitudeRows, read_attitudes
 from boresight.pipeline.files.centroid_files import read_centroids
@@ -57,6 +57,11 @@ class Exposure:
     path: Path = scalar("path of the image")
     t_s: float = scalar("middle of the exposure, TAI seconds since the dump's epoch")
     exposure_s: float = scalar("exposure time, s")
+
+    @property
+    def item(self) -> Omission:
+        """What is processed, for the case that it cannot be used."""
+        return Omission("exposure", self.exposure_id, self.file)
 
 
 @record

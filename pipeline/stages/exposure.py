@@ -15,9 +15,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from boresight.geometry.epoch import Epoch
 from boresight.geometry.orbit import OrbitGapError
-from boresight.geometry.record import Floats, array, record, scalar
+from boresight.geometry.record import record, scalar
 from boresight.geometry.sightings import StarSightings
 from boresight.geometry.star_camera import StarCamera
 from boresight.pipeline.errors import Cause, Omission, RawDataError
@@ -28,6 +27,7 @@ from boresight.star_id.catalogue import hipparcos_stars
 from boresight.star_id.centroids import Centroids
 from boresight.star_id.identification.identify import NotIdentified
 from boresight.star_id.identification.triangle_index import StarIndex, build_index, equivalent_fov
+from boresight.star_id.observer import Observer
 from boresight.star_id.settings import StarSettings
 from boresight.star_id.sight import sight_centroids, sight_stars
 
@@ -51,15 +51,13 @@ class StarTask:
     exposure: Exposure = scalar("file and time of the exposure")
     camera: StarCamera = scalar("model of the star camera")
     bit_depth: int = scalar("of the raw image")
-    epoch: Epoch = scalar("origin of the dump's seconds")
-    p_i: Floats = array("3", "satellite at mid-exposure, GCRS, m")
-    v_i: Floats = array("3", "its velocity, GCRS, m/s")
+    observer: Observer = scalar("the satellite at mid-exposure")
     settings: StarSettings = scalar("thresholds of detection and identification")
 
     @property
     def item(self) -> Omission:
         """What is processed, for the case that it cannot be used."""
-        return Omission("exposure", self.exposure.exposure_id, self.exposure.file)
+        return self.exposure.item
 
 
 def star_tasks(
@@ -70,24 +68,28 @@ def star_tasks(
         settings = replace(settings, saturation_dn=float(2**images.bit_depth - 1))
     tasks, omitted = [], []
     for exposure in images.exposures:
-        try:
-            p_i, v_i = dump.orbit.states_i(np.array([exposure.t_s]))
-        except OrbitGapError as error:
-            item = Omission("exposure", exposure.exposure_id, exposure.file)
-            omitted.append(item.because(str(error), Cause.NOT_COVERED))
+        observer = _observer(dump, exposure)
+        if isinstance(observer, Omission):
+            omitted.append(observer)
             continue
         tasks.append(
             StarTask(
                 exposure=exposure,
                 camera=images.camera,
                 bit_depth=images.bit_depth,
-                epoch=dump.epoch,
-                p_i=p_i[0],
-                v_i=v_i[0],
+                observer=observer,
                 settings=settings,
             )
         )
     return tasks, omitted
+
+
+def _observer(dump: Dump, exposure: Exposure) -> Observer | Omission:
+    try:
+        p_i, v_i = dump.orbit.states_i(np.array([exposure.t_s]))
+    except OrbitGapError as error:
+        return exposure.item.because(str(error), Cause.NOT_COVERED)
+    return Observer(dump.epoch, exposure.t_s, p_i[0], v_i[0])
 
 
 @record(kw_only=True)
@@ -97,15 +99,13 @@ class CentroidTask:
     exposure: Exposure = scalar("name and time of the exposure")
     stars: Centroids = scalar("what was found in its image")
     camera: StarCamera = scalar("model of the star camera")
-    epoch: Epoch = scalar("origin of the dump's seconds")
-    p_i: Floats = array("3", "satellite at mid-exposure, GCRS, m")
-    v_i: Floats = array("3", "its velocity, GCRS, m/s")
+    observer: Observer = scalar("the satellite at mid-exposure")
     settings: StarSettings = scalar("thresholds of identification")
 
     @property
     def item(self) -> Omission:
         """What is processed, for the case that it cannot be used."""
-        return Omission("exposure", self.exposure.exposure_id, self.exposure.file)
+        return self.exposure.item
 
 
 def centroid_tasks(
@@ -114,14 +114,13 @@ def centroid_tasks(
     """A task for each exposure with centroids that the orbit covers, and an omission for each other one."""
     tasks, omitted = [], []
     for exposure, stars in zip(source.exposures, source.lists):
-        item = Omission("exposure", exposure.exposure_id, exposure.file)
         if stars is None:
-            omitted.append(item.because("the list of centroids has no star of it", Cause.NOT_IDENTIFIED))
+            reason = "the list of centroids has no star of it"
+            omitted.append(exposure.item.because(reason, Cause.NOT_IDENTIFIED))
             continue
-        try:
-            p_i, v_i = dump.orbit.states_i(np.array([exposure.t_s]))
-        except OrbitGapError as error:
-            omitted.append(item.because(str(error), Cause.NOT_COVERED))
+        observer = _observer(dump, exposure)
+        if isinstance(observer, Omission):
+            omitted.append(observer)
             continue
         tasks.append(
             CentroidTask(
@@ -130,9 +129,7 @@ def centroid_tasks(
                 ),
                 stars=stars,
                 camera=source.camera,
-                epoch=dump.epoch,
-                p_i=p_i[0],
-                v_i=v_i[0],
+                observer=observer,
                 settings=settings,
             )
         )
@@ -141,17 +138,9 @@ def centroid_tasks(
 
 def sight_exposure_centroids(task: CentroidTask) -> StarSightings | Omission:
     """Directions of the identified stars of a list of centroids; an omission where none are identified."""
-    exposure, year = task.exposure, round(float(task.epoch.julian_year(task.exposure.t_s)))
+    index = _index_of(task.camera, task.observer)
     found = sight_centroids(
-        exposure.exposure_id,
-        task.stars,
-        task.camera,
-        star_index(_field_of_view(task.camera), year),
-        task.epoch,
-        exposure.t_s,
-        task.p_i,
-        task.v_i,
-        task.settings,
+        task.exposure.exposure_id, task.stars, task.camera, index, task.observer, task.settings
     )
     if isinstance(found, NotIdentified):
         return task.item.because(f"not identified: {found.reason}", Cause.NOT_IDENTIFIED)
@@ -184,20 +173,8 @@ def sight_exposure(task: StarTask) -> StarSightings | Omission:
 
 
 def _sighted(task: StarTask, image: NDArray) -> StarSightings | NotIdentified:
-    exposure, camera = task.exposure, task.camera
-    year = round(float(task.epoch.julian_year(exposure.t_s)))
-    index = star_index(_field_of_view(camera), year)
-    return sight_stars(
-        exposure.exposure_id,
-        image,
-        camera,
-        index,
-        task.epoch,
-        exposure.t_s,
-        task.p_i,
-        task.v_i,
-        task.settings,
-    )
+    index = _index_of(task.camera, task.observer)
+    return sight_stars(task.exposure.exposure_id, image, task.camera, index, task.observer, task.settings)
 
 
 def is_mirrored(task: StarTask) -> bool:
@@ -217,8 +194,10 @@ def star_index(fov_rad: float, year: int) -> StarIndex:
     return build_index(hipparcos_stars().places, float(year), fov_rad)
 
 
-def _field_of_view(camera: StarCamera) -> float:
-    return equivalent_fov(camera.width_px, camera.height_px, camera.focal_m / camera.pixel_m)
+def _index_of(camera: StarCamera, observer: Observer) -> StarIndex:
+    year = round(float(observer.epoch.julian_year(observer.t_s)))
+    fov_rad = equivalent_fov(camera.width_px, camera.height_px, camera.focal_m / camera.pixel_m)
+    return star_index(fov_rad, year)
 
 
 def in_order(sightings: Sequence[StarSightings]) -> list[StarSightings]:

@@ -14,13 +14,13 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from boresight.geometry.record import Bools, Floats, Ints, array, record
+from boresight.geometry.record import Bools, Floats, Ints, array, record, scalar
 from boresight.star_id.finding.background import Background
 from boresight.star_id.finding.psf import Psf, PsfImages, images_at
 from boresight.star_id.finding.window_fit import newton_step, start_state
 from boresight.star_id.finding.windows import StarWindows, star_windows
 
-__all__ = ["StarFits", "covariance_inflation", "fit_stars"]
+__all__ = ["Counts", "StarFits", "covariance_inflation", "fit_stars"]
 
 
 _SMALL_STEP = 0.1  # of the standard error: steps after one so small add less than a twentieth of it
@@ -68,34 +68,35 @@ class StarFits:
 _COLUMNS = tuple(field.name for field in fields(StarFits))
 
 
+@record
+class Counts:
+    """What the counts of an image mean."""
+
+    gain_e_per_dn: float = scalar("infinite: no photon noise")
+    saturation_dn: float = scalar("value from which a pixel is saturated")
+
+
 def fit_stars(
-    image: NDArray,
-    pixels: Ints,
-    offset: Floats,
-    background: Background,
-    psf: Psf,
-    *,
-    gain_e_per_dn: float,
-    saturation_dn: float,
+    image: NDArray, pixels: Ints, offset: Floats, background: Background, psf: Psf, counts: Counts
 ) -> StarFits:
     """Fits of stars near `pixels` + `offset` (N, 2), whole pixels and starting offsets, as (column, row).
 
-    `gain_e_per_dn` may be infinite (no photon noise). Pixels of `saturation_dn` and above have no weight.
+    Saturated pixels have no weight.
     """
     if len(pixels) == 0:
         return _no_fits()
     smear = 0.5 * float(np.hypot(*psf.smear_px))
-    sigma = psf.sigma_at(pixels.astype(float))
+    sigma, gain = psf.sigma_at(pixels.astype(float)), counts.gain_e_per_dn
     radius = psf.shape_radius_px or max(3, int(np.ceil(_WINDOW_SIGMA * sigma.mean() + smear)))
-    windows = star_windows(image, pixels, background, radius, saturation_dn)
+    windows = star_windows(image, pixels, background, radius, counts.saturation_dn)
     full = windows.saturated & (windows.good.mean(axis=1) < _UNSATURATED)
     if not full.any():
-        return _fit(windows, pixels, offset, sigma, psf, gain_e_per_dn)
+        return _fit(windows, pixels, offset, sigma, psf, gain)
     large = int(np.ceil(_SATURATED_WINDOW_SIGMA * sigma.mean() + smear))
-    wide = star_windows(image, pixels[full], background, large, saturation_dn)
+    wide = star_windows(image, pixels[full], background, large, counts.saturation_dn)
     parts = [
-        _fit(windows.take(~full), pixels[~full], offset[~full], sigma[~full], psf, gain_e_per_dn),
-        _fit(wide, pixels[full], offset[full], sigma[full], psf, gain_e_per_dn),
+        _fit(windows.take(~full), pixels[~full], offset[~full], sigma[~full], psf, gain),
+        _fit(wide, pixels[full], offset[full], sigma[full], psf, gain),
     ]
     order = np.argsort(np.concatenate([np.flatnonzero(~full), np.flatnonzero(full)]))
     joined = {name: np.concatenate([getattr(fit, name) for fit in parts]) for name in _COLUMNS}

@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from boresight.geometry.record import Bools, Floats, Ints, array, record, scalar
+from boresight.star_id.centroids import Centroids
 from boresight.star_id.finding.background import Background, estimate_background
 from boresight.star_id.finding.candidates import find_candidates
-from boresight.star_id.finding.centroid import StarFits, fit_stars
+from boresight.star_id.finding.centroid import Counts, StarFits, fit_stars
 from boresight.star_id.finding.detect import Detections, detect, detection_threshold
 from boresight.star_id.finding.lines import without_lines
 from boresight.star_id.finding.mosaic import cell_centre, has_mosaic, merged_cells
@@ -59,6 +60,17 @@ class StarList:
     hot_pixels: int = scalar("detections rejected as hot pixels")
     misshapen: int = scalar("detections rejected as cosmic rays, trails, arms of blooms")
     saturation_dn: float = scalar("raw value from which a pixel counts as saturated; infinite if none does")
+
+    @property
+    def centroids(self) -> Centroids:
+        """What identification and calibration need of the list."""
+        return Centroids(
+            xy_px=self.xy_px,
+            cov_px=self.cov_px,
+            blended=self.blended,
+            snr=self.snr,
+            psf_sigma_px=self.psf.sigma_px,
+        )
 
     def take(self, index: NDArray) -> StarList:
         """List of the stars at indices (M,) or of a mask (N,), everything else unchanged."""
@@ -202,10 +214,10 @@ def _fits_of(
     """Fits of the detections `rows`, those on one plateau of saturated pixels merged, and which are stars."""
     pixels, offset = found.xy_px[rows], found.offset_px[rows]
     pixels, offset = _merge_saturated_peaks(image, pixels, offset, saturation)
-    psf, camera = found.psf, {"gain_e_per_dn": found.gain_e_per_dn, "saturation_dn": saturation}
+    psf, counts = found.psf, Counts(found.gain_e_per_dn, saturation)
     in_windows = settings.centroid_method == "window" and psf.shape is None
     centroids = _windowed_or_fitted if in_windows else fit_stars
-    fits = centroids(image, pixels, offset, background, psf, **camera)
+    fits = centroids(image, pixels, offset, background, psf, counts)
     star_like = fits.chi2 - fits.dof < np.maximum(_MISFIT_LIMIT * fits.snr**2, 6.0 * np.sqrt(2 * fits.dof))
     return fits, fits.converged & (star_like | fits.saturated) & (fits.snr > 0.75 * found.threshold)
 
@@ -261,20 +273,12 @@ def _spread_over_image(xy_px: NDArray, most: int, shape: tuple[int, ...]) -> Int
 
 
 def _windowed_or_fitted(
-    image: NDArray,
-    pixels: Ints,
-    offset: Floats,
-    background: Background,
-    psf: Psf,
-    *,
-    gain_e_per_dn: float,
-    saturation_dn: float,
+    image: NDArray, pixels: Ints, offset: Floats, background: Background, psf: Psf, counts: Counts
 ) -> StarFits:
     """Windowed centroids; PSF fits for saturated stars, whose middle pixels are lost."""
-    camera = {"gain_e_per_dn": gain_e_per_dn, "saturation_dn": saturation_dn}
-    stars = windowed_centroids(image, pixels, offset, background, psf, **camera)
+    stars = windowed_centroids(image, pixels, offset, background, psf, counts)
     full = np.flatnonzero(stars.saturated)
-    return stars.with_rows(full, fit_stars(image, pixels[full], offset[full], background, psf, **camera))
+    return stars.with_rows(full, fit_stars(image, pixels[full], offset[full], background, psf, counts))
 
 
 def _detections(image: NDArray, background: Background, settings: StarSettings, saturation: float) -> _Found:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from boresight.geometry.record import Floats, Ints
 from boresight.star_id.finding.background import Background
-from boresight.star_id.finding.centroid import StarFits, covariance_inflation
+from boresight.star_id.finding.centroid import Counts, StarFits, covariance_inflation
 from boresight.star_id.finding.psf import Psf, psf_images
 from boresight.star_id.finding.window_fit import start_state
 from boresight.star_id.finding.windows import star_windows
@@ -31,14 +31,7 @@ _SMALL_STEP = 0.002  # of the window's width
 
 
 def windowed_centroids(
-    image: NDArray,
-    pixels: Ints,
-    offset: Floats,
-    background: Background,
-    psf: Psf,
-    *,
-    gain_e_per_dn: float,
-    saturation_dn: float,
+    image: NDArray, pixels: Ints, offset: Floats, background: Background, psf: Psf, counts: Counts
 ) -> StarFits:
     """Centroids of stars near `pixels` + `offset` (N, 2), with the arguments of `centroid.fit_stars`.
 
@@ -48,7 +41,7 @@ def windowed_centroids(
     width = np.maximum(sigma, _LEAST_WIDTH_PX)
     smear = 0.5 * float(np.hypot(*psf.smear_px))
     radius = max(3, int(np.ceil(_WINDOW_SIGMA * float(width.mean() if len(width) else 1.0) + smear)))
-    windows = star_windows(image, pixels, background, radius, saturation_dn)
+    windows = star_windows(image, pixels, background, radius, counts.saturation_dn)
     centre = windows.offsets(pixels + offset)
     moved = np.full(len(pixels), np.inf)
     for _ in range(_STEPS):
@@ -64,7 +57,7 @@ def windowed_centroids(
     _, _, flux, sky = start_state(windows, centre, images).T
     unit, noise2 = images.value.astype(float), windows.noise2[:, None]
     signal = flux[:, None] * unit
-    variance = noise2 + np.maximum(signal, 0.0) / gain_e_per_dn
+    variance = noise2 + np.maximum(signal, 0.0) / counts.gain_e_per_dn
     chi2 = ((windows.data - sky[:, None] - signal) ** 2 / variance).sum(axis=1)
     dof = np.full(len(flux), unit.shape[1] - 4.0)
     flux_sigma = np.sqrt(1.0 / np.maximum((unit**2 / noise2).sum(axis=1), 1e-30))

@@ -17,11 +17,11 @@ from boresight.star_id.camera_fit import IdentifiedStars, fit_camera
 from boresight.star_id.catalogue import hipparcos_stars
 from boresight.star_id.field_fit import fit_known_camera
 from boresight.star_id.finding.background import Background
-from boresight.star_id.finding.centroid import fit_stars
+from boresight.star_id.finding.centroid import Counts, fit_stars
 from boresight.star_id.finding.psf import Psf
 from boresight.star_id.finding.windowed_centroid import windowed_centroids
 from boresight.star_id.identification.triangle_index import build_index, equivalent_fov, triangle_shapes
-from boresight.star_id.observer import proper_motion_covariance
+from boresight.star_id.observer import Observer, proper_motion_covariance
 from boresight.star_id.score import cramer_rao_px
 from boresight.star_id.settings import StarSettings
 from boresight.star_id.sight import has_reliable_position, select_for_calibration, sight_stars, smear_of_rate
@@ -147,7 +147,7 @@ def sky_image(R_si, rng, sensor, extra=None):
 
 
 def sighted(index, image):
-    found = sight_stars("1", image, CAMERA, index, EPOCH, 0.0, P_I, STILL, SETTINGS)
+    found = sight_stars("1", image, CAMERA, index, Observer(EPOCH, 0.0, P_I, STILL), SETTINGS)
     assert isinstance(found, StarSightings), found
     return found
 
@@ -174,7 +174,7 @@ def test_blended_stars_of_a_list_are_not_selected(index):
     blended = np.arange(len(named)) % 3 == 0
     every, some = (
         select_for_calibration(
-            replace(stars, blended=flags), np.arange(len(named)), named, CAMERA, index, SETTINGS
+            replace(stars.centroids, blended=flags), np.arange(len(named)), named, CAMERA, index, SETTINGS
         )
         for flags in (np.zeros(len(named), dtype=bool), blended)
     )
@@ -190,7 +190,7 @@ def test_the_covariance_is_larger_along_the_smear(method):
     pixels = np.rint(xy).astype(np.int64)
     sky = Background(np.full((3, 3), 20.0), np.full((3, 3), 2.0), size, size)
     psf = Psf(1.25, 1.25, smear, size, size)
-    fits = method(image, pixels, xy - pixels, sky, psf, gain_e_per_dn=40.0, saturation_dn=np.inf)
+    fits = method(image, pixels, xy - pixels, sky, psf, Counts(gain_e_per_dn=40.0, saturation_dn=np.inf))
     error, variance = fits.xy_px - xy, np.einsum("nii->ni", fits.cov_px)
     assert (variance[:, 0] > 1.5 * variance[:, 1]).all()  # 1.25 px and hypot(1.25, 6 / sqrt(12)) px wide
     # 196 stars: 10 % (1 sigma) on each axis
@@ -209,12 +209,11 @@ def test_a_star_unlike_the_psf_has_a_larger_covariance():
     sky = Background(np.full((3, 3), 20.0), np.full((3, 3), 2.0), size, size)
     pixels, psf = np.array([[100, 100]]), Psf(1.25, 1.25, (0.0, 0.0), size, size)
     xy = np.array([[100.2, 99.9]])
-    fits = []
+    fits, counts = [], Counts(gain_e_per_dn=40.0, saturation_dn=np.inf)
     for halo in (0.0, 0.1):  # of the light in a halo twice as wide
         core = render(xy, np.array([(1 - halo) * 2e4]), size, size, Sensor(bits=16), rng).astype(float)
         wide = render(xy, np.array([halo * 2e4]), size, size, Sensor(2.5, 0.0, 1e9, 0.0, bits=16), rng)
-        settings = {"gain_e_per_dn": 40.0, "saturation_dn": np.inf}
-        fits.append(fit_stars(core + wide, pixels, np.zeros((1, 2)), sky, psf, **settings))
+        fits.append(fit_stars(core + wide, pixels, np.zeros((1, 2)), sky, psf, counts))
     gaussian, unlike = fits
     misfit = float(unlike.chi2[0] / unlike.dof[0])
     assert misfit > 5.0 and gaussian.chi2[0] < 1.5 * gaussian.dof[0]
@@ -256,7 +255,7 @@ def test_a_star_whose_core_is_saturated_is_measured_on_its_wings(flux_dn):
     xy = np.array([[100.3, 99.8]])
     image = render(xy, np.array([flux_dn]), 200, 200, Sensor(), rng)
     pixels, start = np.array([[100, 100]]), np.zeros((1, 2))
-    fit = fit_stars(image, pixels, start, QUIET, psf, gain_e_per_dn=40.0, saturation_dn=235.0)
+    fit = fit_stars(image, pixels, start, QUIET, psf, Counts(gain_e_per_dn=40.0, saturation_dn=235.0))
     bound = cramer_rao_px(xy, np.array([flux_dn]), np.full(1, 2.02), psf, 40.0, full_dn=215.0)
     error = fit.xy_px[0] - xy[0]
     assert fit.saturated[0] and fit.converged[0]
@@ -274,7 +273,7 @@ def test_charge_at_the_ends_of_a_bloom_is_not_the_star():
     for left in (30, 190):  # DN in the pixels where the charge ends
         image[[92, 107], 100] = left
         arguments = image, np.array([[100, 100]]), np.zeros((1, 2)), QUIET, psf
-        fits.append(fit_stars(*arguments, gain_e_per_dn=40.0, saturation_dn=235.0))
+        fits.append(fit_stars(*arguments, Counts(gain_e_per_dn=40.0, saturation_dn=235.0)))
     assert fits[0].saturated[0] and fits[0].converged[0]
     assert np.array_equal(fits[0].xy_px, fits[1].xy_px)
 

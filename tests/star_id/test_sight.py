@@ -16,11 +16,13 @@ from boresight.geometry.starlight import apparent_star_directions
 from boresight.star_id.catalogue import hipparcos_stars
 from boresight.star_id.identification.identify import NotIdentified
 from boresight.star_id.identification.triangle_index import build_index, equivalent_fov
+from boresight.star_id.observer import Observer
 from boresight.star_id.settings import StarSettings
 from boresight.star_id.sight import sight_stars
 
 EPOCH = Epoch.from_utc("2026-03-01T00:00:00Z")
 P_I, V_I = np.array([6.9e6, 0.0, 0.0]), np.array([0.0, 1000.0, 7500.0])
+OBSERVER = Observer(EPOCH, 12.5, P_I, V_I)
 SETTINGS = StarSettings(gain_e_per_dn=40.0)
 
 
@@ -46,7 +48,7 @@ def test_an_exposure_gives_the_attitude_within_its_covariance(index):
     for _ in range(6):
         R_si = Rotation.random(random_state=rng)
         image = exposure(R_si, rng, Sensor(hot_pixels=50, gradient_dn=6.0))
-        sightings = sight_stars("0001", image, CAMERA, index, EPOCH, 12.5, P_I, V_I, SETTINGS)
+        sightings = sight_stars("0001", image, CAMERA, index, OBSERVER, SETTINGS)
         assert isinstance(sightings, StarSightings), sightings
         assert len(sightings.hip) > 20
         attitude = fit_attitude(sightings.u_s, sightings.u_i, sightings.cov_s)
@@ -60,7 +62,7 @@ def test_an_exposure_gives_the_attitude_within_its_covariance(index):
 def test_an_image_of_noise_is_not_identified(index):
     rng = np.random.default_rng(1)
     image = np.clip(rng.normal(20, 2, (960, 1280)), 0, 255).astype(np.uint8)
-    answer = sight_stars("dark", image, CAMERA, index, EPOCH, 12.5, P_I, V_I, SETTINGS)
+    answer = sight_stars("dark", image, CAMERA, index, OBSERVER, SETTINGS)
     assert isinstance(answer, NotIdentified)
     assert "dark" in answer.reason and "4 are needed" in answer.reason
 
@@ -68,9 +70,7 @@ def test_an_image_of_noise_is_not_identified(index):
 def test_no_star_that_the_catalogue_doubts_is_handed_on(index):
     rng = np.random.default_rng(11)
     R_si = Rotation.random(random_state=rng)
-    sightings = sight_stars(
-        "1", exposure(R_si, rng, Sensor()), CAMERA, index, EPOCH, 12.5, P_I, V_I, SETTINGS
-    )
+    sightings = sight_stars("1", exposure(R_si, rng, Sensor()), CAMERA, index, OBSERVER, SETTINGS)
     catalogue = hipparcos_stars(8.0)
     row = np.searchsorted(catalogue.places.hip, sightings.hip)
     assert catalogue.usable_for_calibration[row].all()
@@ -83,8 +83,8 @@ def test_the_papers_camera_is_sighted_at_full_size():
     R_si = Rotation.random(random_state=rng)
     image, truth = star_frame(PAPER_CAMERA, R_si, places, Sensor(hot_pixels=2000), rng)
     index = build_index(places, places.epoch_jyear, fov)
-    still = np.zeros(3)
-    sightings = sight_stars("full", image, PAPER_CAMERA, index, EPOCH, 0.0, P_I, still, SETTINGS)
+    still = Observer(EPOCH, 0.0, P_I, np.zeros(3))
+    sightings = sight_stars("full", image, PAPER_CAMERA, index, still, SETTINGS)
     row = {hip: k for k, hip in enumerate(truth.hip)}
     miss = sightings.xy_px - truth.xy_px[[row[h] for h in sightings.hip]]
     assert np.hypot(*miss.T).max() < 1.5  # px: no wrong name among more than a hundred
