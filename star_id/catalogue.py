@@ -57,6 +57,7 @@ class CatalogueStars:
         )
 
 
+@lru_cache(maxsize=4)
 def hipparcos_stars(max_v_mag: float = 8.0) -> CatalogueStars:
     """Catalogue stars up to magnitude `max_v_mag` (Johnson V); complete to about 7.3, ends at 8.0.
 

@@ -23,6 +23,7 @@ __all__ = ["FieldFit", "LensFit", "fit_attitude_and_lens", "fit_known_camera"]
 _LARGEST_VARIANCE = 1e12  # px^2: no degree of freedom is left
 # Stars of an image are many and its camera is only roughly known: see `limit_from_scatter`.
 _REJECTION = AttitudeSettings(probability_false_alarm=1e-4, limit_from_scatter=True)
+_HALVINGS = 50  # `scipy.optimize.brentq` takes 0.1 s to load
 _ROUNDS = 8  # of camera and common variance in turn
 
 
@@ -130,6 +131,10 @@ def _common_variance(fit: CameraFit, leverage: Floats, cov_px: Floats, before: f
     most = float(square.sum() + own.max())
     while excess(most) > 0.0 and most < _LARGEST_VARIANCE:  # from somewhere on it falls as -dof / variance
         most *= 2.0
-    from scipy.optimize import brentq  # 0.1 s to load, and seldom needed
-
-    return float(brentq(excess, 0.0, most)) if most < _LARGEST_VARIANCE else before
+    if most >= _LARGEST_VARIANCE:
+        return before
+    least = 0.0
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (least + most)
+        least, most = (middle, most) if excess(middle) > 0.0 else (least, middle)
+    return 0.5 * (least + most)

@@ -15,10 +15,10 @@ the optical axis, which may lie anywhere, would be a small difference of large t
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg import cho_solve
 from scipy.spatial.transform import Rotation
 
 from boresight.geometry.record import Floats, array, record, scalar
@@ -40,6 +40,7 @@ _WARP_LOG_EVIDENCE = 2.0  # more than without a smooth distortion, for it to cou
 _TRIED_SHARES = (1.0, 0.5)  # of the common variance, with a distortion of `_TRIED_WARP` of its root: where
 _TRIED_WARP = 2.0  # the evidence of neither exceeds that of none, none is seen
 _STEP_PX = 0.01
+_NEIGHBOURS = np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
 
 
 @record(kw_only=True)
@@ -65,7 +66,7 @@ class LensErrors:
         """Places (N, 2), px, and covariances (N, 2, 2), px^2, of stars in directions (N, 3), frame s, that
         the camera images at `xy_px` (N, 2)."""
         columns = _columns(self.camera, u_s, xy_px, self.slopes)
-        cov = np.einsum("nip,pq,njq->nij", columns, self.covariance, columns, optimize=True)
+        cov = _multiplied(columns, self.covariance) @ columns.transpose(0, 2, 1)
         return xy_px + columns @ self.mean, cov + self.common_px2 * np.eye(2)
 
 
@@ -107,20 +108,31 @@ def lens_errors(
     if all(trial.log_evidence <= plain.log_evidence for trial in tried):
         return _errors(fit, slopes[:10], plain, np.zeros(10), common_px2, 0.0)
     floor = 1e-4 * common_px2
-    start = 0.5 * np.log([common_px2, 4.0 * common_px2])
-    from scipy.optimize import minimize  # 0.1 s to load, and seldom needed
 
-    best = minimize(
-        lambda p: -solved(float(np.exp(2.0 * p[0])) + floor, float(np.exp(p[1]))).log_evidence,
-        start,
-        method="Nelder-Mead",
-        options={"xatol": 0.1, "fatol": 0.1, "maxfev": 60},
-    )
-    if -best.fun < plain.log_evidence + _WARP_LOG_EVIDENCE:
+    def sized(size: Floats) -> tuple[float, float]:
+        return float(np.exp(2.0 * size[0])) + floor, float(np.exp(size[1]))
+
+    start = 0.5 * np.log([common_px2, 4.0 * common_px2])
+    size, log_evidence = _largest(lambda size: solved(*sized(size)).log_evidence, start)
+    if log_evidence < plain.log_evidence + _WARP_LOG_EVIDENCE:
         return _errors(fit, slopes[:10], plain, np.zeros(10), common_px2, 0.0)
-    common, warp = float(np.exp(2.0 * best.x[0])) + floor, float(np.exp(best.x[1]))
+    common, warp = sized(size)
     posterior = solved(common, warp)
     return _errors(fit, slopes, posterior, posterior.mean, common, warp)
+
+
+def _largest(function: Callable[[Floats], float], start: Floats) -> tuple[Floats, float]:
+    """Place (2,) and value of the maximum of a smooth function near `start` (2,), good to a tenth: the best
+    neighbour along an axis, until none is better (`scipy.optimize` takes 0.1 s to load)."""
+    place, value, step = start, function(start), 0.4
+    while step >= 0.1:
+        tried = [(function(place + move), place + move) for move in step * _NEIGHBOURS]
+        best, there = max(tried, key=lambda pair: pair[0])
+        if best > value + 0.05:
+            place, value = there, best
+        else:
+            step *= 0.5
+    return place, value
 
 
 def _errors(
@@ -143,9 +155,22 @@ class _Linear:
     """Solution of linear equations with Gaussian priors."""
 
     mean: Floats = array("P", "of the unknowns")
-    covariance: Floats = array("P, P", "of the unknowns")
-    leverage: Floats = array("K", "trace of each observation pair's part in the fit")
+    factor: Floats = array("P, P", "lower Cholesky factor of the normal matrix of unknowns over `unit`")
+    unit: Floats = array("P", "of each unknown, by which the normal matrix has a diagonal of ones")
+    columns: Floats = array("K, 2, P", "design")
+    weighted: Floats = array("K, 2, P", "design, times the inverse covariances of the observations")
     log_evidence: float = scalar("restricted likelihood: unknowns without prior are marginalised")
+
+    @property
+    def covariance(self) -> Floats:
+        """(P, P) of the unknowns."""
+        inverse = cho_solve((self.factor, True), np.eye(len(self.unit)), check_finite=False)
+        return np.asarray(inverse * self.unit[:, None] * self.unit)
+
+    @property
+    def leverage(self) -> Floats:
+        """(K,) trace of each observation pair's part in the fit."""
+        return np.einsum("kip,kip->k", _multiplied(self.columns, self.covariance), self.weighted)
 
     @classmethod
     def of(cls, columns: Floats, residual: Floats, cov: Floats, sigma: Floats) -> _Linear:
@@ -157,15 +182,21 @@ class _Linear:
         weight = np.where(np.isfinite(sigma), sigma, 1.0) ** -2.0 * np.isfinite(sigma)
         normal = flat.T @ WX.reshape(flat.shape) + np.diag(weight)
         unit = 1.0 / np.sqrt(np.diag(normal))
-        factor = cho_factor(normal * unit[:, None] * unit, lower=True)
+        factor = np.linalg.cholesky(normal * unit[:, None] * unit)
         right = WX.reshape(flat.shape).T @ residual.ravel()
-        mean = unit * cho_solve(factor, unit * right)
-        covariance = cho_solve(factor, np.eye(len(unit))) * unit[:, None] * unit
+        mean = unit * cho_solve((factor, True), unit * right, check_finite=False)
         chi2 = float(np.einsum("ki,kij,kj->", residual, W, residual) - right @ mean)
-        log_det = 2.0 * float(np.log(np.diag(factor[0]) / unit).sum()) - float(np.linalg.slogdet(W)[1].sum())
+        log_det = 2.0 * float(np.log(np.diag(factor) / unit).sum()) - float(np.linalg.slogdet(W)[1].sum())
         log_det += 2.0 * float(np.log(sigma[np.isfinite(sigma)]).sum())
-        leverage = np.einsum("kip,pq,kiq->k", columns, covariance, WX, optimize=True)
-        return cls(mean=mean, covariance=covariance, leverage=leverage, log_evidence=-0.5 * (chi2 + log_det))
+        log_evidence = -0.5 * (chi2 + log_det)
+        return cls(
+            mean=mean, factor=factor, unit=unit, columns=columns, weighted=WX, log_evidence=log_evidence
+        )
+
+
+def _multiplied(columns: Floats, matrix: Floats) -> Floats:
+    """(N, 2, P) products of each (2, P) and one matrix (P, P), as one product."""
+    return np.asarray((columns.reshape(-1, len(matrix)) @ matrix).reshape(columns.shape))
 
 
 def _columns(camera: StarCamera, u_s: Floats, xy_px: Floats, slopes: Floats) -> Floats:

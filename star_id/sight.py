@@ -191,7 +191,7 @@ def has_reliable_position(
 @lru_cache(maxsize=4)
 def _reliable_hip(limit_arcsec: float) -> Ints:
     """Hipparcos numbers, ascending, of stars with a sound solution and no companion that displaces them."""
-    catalogue = hipparcos_stars(8.0)
+    catalogue = hipparcos_stars()
     return catalogue.places.hip[catalogue.usable_for_calibration & catalogue.point_like(limit_arcsec)]
 
 

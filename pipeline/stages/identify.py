@@ -29,6 +29,7 @@ from boresight.star_id.field import (
     LARGEST_FOV_RAD,
     SMALLEST_FOV_RAD,
     FieldSolution,
+    ra_dec_roll,
     solve_centroids,
     solve_list,
 )
@@ -89,7 +90,7 @@ def identify_images(images: Sequence[Path], request: Request, settings: StarSett
                     continue
                 named.append((name, solved))
                 record = _record(name, solved, 1e3 * (time.process_time() - started))
-                yield Line(f"{name!s:{width}s}   {_facts(solved)}", True, record, solved)
+                yield Line(f"{name!s:{width}s}   {_facts(record, solved)}", True, record, solved)
             continue
         try:
             image = read_sky_image(path, camera, request.camera_file)
@@ -113,7 +114,7 @@ def identify_images(images: Sequence[Path], request: Request, settings: StarSett
         if request.overlay is not None:
             _draw(image, outcome, own_name(request.overlay, path, len(images)))
         record = _record(path, outcome, spent_ms)
-        yield Line(f"{path!s:{width}s}   {_facts(outcome)}", True, record, outcome, image, stars)
+        yield Line(f"{path!s:{width}s}   {_facts(record, outcome)}", True, record, outcome, image, stars)
     if request.out is not None:
         from boresight.pipeline.files.named_stars import write_named_stars
 
@@ -179,12 +180,13 @@ def _spent(started: float) -> float:
 
 
 def _record(path: Path, found: FieldSolution, spent_ms: float) -> dict[str, Any]:
+    ra_deg, dec_deg, roll_deg = np.degrees(ra_dec_roll(found.camera, found.R_si)).tolist()
     return {
         "file": str(path),
         "identified": True,
-        "ra_deg": float(np.degrees(found.ra_rad)),
-        "dec_deg": float(np.degrees(found.dec_rad)),
-        "roll_deg": float(np.degrees(found.roll_rad)),
+        "ra_deg": ra_deg,
+        "dec_deg": dec_deg,
+        "roll_deg": roll_deg,
         "fov_x_deg": float(np.degrees(found.fov_x_rad)),
         "matches": found.matches,
         "rms_arcsec": found.rms_arcsec,
@@ -221,13 +223,13 @@ def _draw(image: NDArray[Any], found: FieldSolution, path: Path) -> None:
         raise RawDataError(str(path), "overlay", "could not be written", "the name of a PNG file in a folder")
 
 
-def _facts(found: FieldSolution) -> str:
+def _facts(record: dict[str, Any], found: FieldSolution) -> str:
+    """The line of text with the numbers of `record`."""
     return (
-        f"{found.matches:4d} stars   rms {found.rms_arcsec:.1f} arcsec   "
-        f"RA {np.degrees(found.ra_rad):.5f}  Dec {np.degrees(found.dec_rad):+.5f} deg"
-        f" +- {found.pointing_sigma_rad / ARCSEC:.2f} arcsec   "
-        f"roll {np.degrees(found.roll_rad):.4f} deg +- {found.roll_sigma_rad / ARCSEC:.1f} arcsec   "
-        f"FOV {np.degrees(found.fov_x_rad):.4f} deg   "
+        "{matches:4d} stars   rms {rms_arcsec:.1f} arcsec   "
+        "RA {ra_deg:.5f}  Dec {dec_deg:+.5f} deg +- {pointing_sigma_arcsec:.2f} arcsec   "
+        "roll {roll_deg:.4f} deg +- {roll_sigma_arcsec:.1f} arcsec   FOV {fov_x_deg:.4f} deg   "
+    ).format_map(record) + (
         f"wrong with probability < 1e{found.log_false_alarm_probability / np.log(10.0):.0f}"
         + ("   MIRROR IMAGE: all is stated for its columns reversed" if found.mirrored else "")
     )

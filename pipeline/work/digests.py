@@ -90,8 +90,8 @@ def program(*modules: str) -> str:
 
 @cache
 def numerical_program(*modules: str) -> str:
-    """As `program`, with the libraries of numbers only: for what reads no image and no map."""
-    sources = {name: source for root in modules for name, source in _sources(root).items()}
+    """As `program`, with the libraries of numbers only and no data files: for what reads no file."""
+    sources = {name: text for root in modules for name, text in _sources(root).items() if type(text) is bytes}
     return f"{__version__} {digest(sources, _numerical_versions())}"
 
 
