@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from boresight.calib.information import ExactSum, InformationPairs, InformationTotal, Solution, solve_total
+from boresight.calib.information import InformationPairs, Solution, exact_sum, solve_total
 from boresight.geometry.attitude_estimate import sums_over, wahba_matrices
 from boresight.geometry.installation import deviation_from_theta
 from boresight.geometry.record import array, record, scalar
@@ -111,7 +111,7 @@ def calibrate_frames(
     R_cs, steps = R_cs0, list[Array]()
     for _ in range(most_iterations):
         F, F_theta = frame_pairs(prepared, R_cs)
-        total = _total(F, F_theta, R_cs)
+        total = exact_sum(F, F_theta)
         solution = solve_total(total.F, total.F_theta, sigma_observable_rad=sigma_observable_rad)
         steps.append(solution.theta)
         reference, R_cs = R_cs, deviation_from_theta(solution.theta) * R_cs
@@ -122,13 +122,6 @@ def calibrate_frames(
     raise ValueError(
         f"M is {np.linalg.norm(steps[-1]):.2g} rad from the identity after {most_iterations} iterations"
     )
-
-
-_ROWS, _COLUMNS = np.triu_indices(3)
-
-
-def _total(F: Array, F_theta: Array, R_cs: Rotation) -> InformationTotal:
-    return InformationTotal(ExactSum.of(np.column_stack([F[:, _ROWS, _COLUMNS], F_theta])), R_cs)
 
 
 def _profile(start: Index, a: Array, b: Array) -> Array:

@@ -2,7 +2,7 @@
 
 A pair determines the deviation theta (frame c, rad, the paper's sign: R_cs = exp[[theta]] R_cs_ref) from a
 stated reference. Pairs of independent frames or strips about one reference add. The sum is exact and rounded
-once, so it is the same, bit for bit, in whatever order and groups it is made. Unknowns that several strips
+once, so it is the same, bit for bit, in whatever order it is made. Unknowns that several strips
 share (a camera's distortion) stand after theta in the pair, each by its name; they get their prior, and are
 eliminated, after the sum.
 """
@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,29 +19,9 @@ from scipy.spatial.transform import Rotation
 from boresight.geometry.installation import theta_between
 from boresight.geometry.record import array, record, scalar
 
-__all__ = ["ExactSum", "InformationPairs", "InformationTotal", "Solution", "solve_total"]
+__all__ = ["InformationPairs", "InformationTotal", "Solution", "exact_sum", "solve_total"]
 
 Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True, slots=True)
-class ExactSum:
-    """The sum of columns of numbers without any rounding: each column as its canonical expansion.
-
-    The first part is the sum rounded to double precision, the second the rounded remainder, and so on to
-    nothing. It depends on the exact sum alone, so partial sums may be merged in any order.
-    """
-
-    parts: tuple[tuple[float, ...], ...]  # one expansion a column
-
-    @classmethod
-    def of(cls, rows: Array) -> ExactSum:
-        """The exact sum over the first axis of `rows` (K, m)."""
-        return cls(tuple(_expansion(column) for column in np.asarray(rows, dtype=float).T.tolist()))
-
-    def rounded(self) -> Array:
-        """(m,) the sums, rounded to double precision once."""
-        return np.array([part[0] if part else 0.0 for part in self.parts])
 
 
 @record
@@ -94,9 +73,7 @@ class InformationPairs:
 
     def total(self) -> InformationTotal:
         """The exact sum over all pairs."""
-        rows, columns = np.triu_indices(self.F.shape[-1])
-        sums = ExactSum.of(np.column_stack([self.F[:, rows, columns], self.F_theta]))
-        return InformationTotal(sums, self.R_cs_ref, self.shared)
+        return exact_sum(self.F, self.F_theta)
 
     def as_one(self, name: str, eliminated: tuple[str, ...], prior: Array) -> InformationPairs:
         """All pairs as a single one, added exactly. The shared unknowns `eliminated`, with the prior
@@ -104,7 +81,7 @@ class InformationPairs:
         """
         total = self.total()
         out = 3 + np.array([self.shared.index(unknown) for unknown in eliminated], dtype=np.int64)
-        stay = np.setdiff1d(np.arange(total.n), out)
+        stay = np.setdiff1d(np.arange(len(total.F)), out)
         F, right = total.F, total.F_theta
         gain = np.linalg.solve(F[np.ix_(out, out)] + prior, F[np.ix_(out, stay)])
         left = F[np.ix_(stay, stay)] - F[np.ix_(stay, out)] @ gain
@@ -149,28 +126,24 @@ class InformationPairs:
 
 @record
 class InformationTotal:
-    """The exact sum of many pairs. Totals about one reference merge exactly, in any order."""
+    """The sum of many pairs, each of its numbers rounded once."""
 
-    sums: ExactSum = scalar("upper triangle of F, row by row, then F_theta")
-    R_cs_ref: Rotation = scalar("reference of theta")
-    shared: tuple[str, ...] = scalar("names of the shared unknowns", default=())
+    F: Array = array("N, N", "information, N = 3 + shared unknowns")
+    F_theta: Array = array("N", "right-hand side")
 
-    @property
-    def n(self) -> int:
-        """Number of unknowns."""
-        return 3 + len(self.shared)
 
-    @property
-    def F(self) -> Array:
-        """(n, n) information."""
-        F = np.zeros((self.n, self.n))
-        F[np.triu_indices(self.n)] = self.sums.rounded()[: -self.n]
-        return np.asarray(np.triu(F) + np.triu(F, 1).T)
-
-    @property
-    def F_theta(self) -> Array:
-        """(n,) right-hand side."""
-        return self.sums.rounded()[-self.n :]
+def exact_sum(F: Array, F_theta: Array) -> InformationTotal:
+    """The sum over the first axis of `F` (K, n, n), symmetric, and `F_theta` (K, n), exact before it is
+    rounded: the same, bit for bit, in whatever order the pairs come. `ValueError` for a number not finite."""
+    n = F_theta.shape[1]
+    rows, columns = np.triu_indices(n)
+    numbers = np.column_stack([F[:, rows, columns], F_theta])
+    if not np.isfinite(numbers).all():
+        raise ValueError("information that is not a finite number cannot be added")
+    sums = np.array([math.fsum(column) for column in numbers.T.tolist()]) + 0.0  # no negative zero
+    total = np.empty((n, n))
+    total[rows, columns] = total[columns, rows] = sums[:-n]
+    return InformationTotal(total, sums[-n:])
 
 
 @record(kw_only=True)
@@ -222,12 +195,3 @@ def solve_total(
 def _same_reference(a: Rotation, b: Rotation) -> bool:
     """Equal but for the last bit, which a quaternion may lose each time it is normalised."""
     return bool(np.allclose(a.as_quat(), b.as_quat(), rtol=0.0, atol=5e-16))
-
-
-def _expansion(numbers: list[float]) -> tuple[float, ...]:
-    if not all(map(math.isfinite, numbers)):
-        raise ValueError("information that is not a finite number cannot be added")
-    parts: list[float] = []
-    while part := math.fsum([*numbers, *(-p for p in parts)]):
-        parts.append(part)
-    return tuple(parts)

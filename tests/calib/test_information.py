@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from boresight.calib.information import ExactSum, InformationPairs, solve_total
+from boresight.calib.information import InformationPairs, exact_sum, solve_total
 from boresight.geometry.installation import deviation_from_theta, theta_between
 
 REFERENCE = Rotation.from_euler("xyz", [40, -65, 110], degrees=True)
@@ -32,10 +32,15 @@ def pairs_of(n, seed=0, prefix="p", shared=()):
 def test_exact_sum_is_that_of_fractions_in_any_order(numbers, random):
     shuffled = list(numbers)
     random.shuffle(shuffled)
-    whole = ExactSum.of(np.array(numbers)[:, None])
-    assert ExactSum.of(np.array(shuffled)[:, None]) == whole
-    assert sum(map(Fraction, whole.parts[0])) == sum(map(Fraction, numbers))
-    assert whole.rounded()[0] == float(sum(map(Fraction, numbers)))
+    both = np.column_stack([numbers, shuffled])
+    total = exact_sum(np.zeros((len(both), 2, 2)), both)
+    assert total.F_theta.tolist() == [float(sum(map(Fraction, numbers)))] * 2
+    assert not total.F.any()
+
+
+def test_what_is_no_number_is_not_added():
+    with pytest.raises(ValueError, match="not a finite number"):
+        exact_sum(np.zeros((2, 2, 2)), np.array([[1.0, np.inf], [0.0, -np.inf]]))
 
 
 def test_pairs_merge_to_the_same_bits_in_any_order():
