@@ -14,7 +14,6 @@ from collections.abc import Mapping
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
-from scipy.signal import savgol_filter
 from scipy.spatial.transform import Rotation
 
 from boresight.calib.noise_spectrum import pieces_of
@@ -76,6 +75,8 @@ def common_instants(reference: HeadTrack, other: HeadTrack) -> tuple[Ints, Ints]
 
 def carried_to(track: HeadTrack, rows: Ints, t_s: Floats, R_oi: Rotation) -> Rotation:
     """Attitudes of rows (M,), each carried to a close instant (M,) by the smoothed motion around it."""
+    from scipy.signal import savgol_filter  # with scipy.stats 0.2 s to load
+
     D = track.R_hi * track.R_oi.inv()
     away = t_s - track.t_s[rows]
     step, pieces = pieces_of(track.t_s)

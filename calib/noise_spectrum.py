@@ -22,7 +22,6 @@ from itertools import pairwise
 
 import numpy as np
 from scipy.optimize import minimize, nnls
-from scipy.signal.windows import tukey
 from scipy.spatial.transform import Rotation
 
 from boresight.geometry.attitude_noise import AttitudeNoise
@@ -151,6 +150,8 @@ def _periodograms(parts: Sequence[Floats], signal: Signal) -> tuple[Floats, Floa
 
     Where slow motion is to be left out, a taper over a tenth at both ends keeps it from leaking upwards.
     """
+    from scipy.signal.windows import tukey  # with scipy.stats 0.2 s to load
+
     omega: list[Floats] = []
     matrices: list[Floats] = []
     for part in parts:

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from astropy.table import Table
 
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.record import Floats
@@ -71,6 +70,8 @@ def read_star_table(path: Path, file: str) -> SurveyedStars:
         raise RawDataError(file, "file", path.suffix or "no suffix", f"one of {', '.join(FORMATS)}")
     if (size := check_regular(path, file, "a readable file")) > MAX_BYTES:
         raise RawDataError(file, "file", f"{size} bytes", f"at most {MAX_BYTES} bytes")
+    from astropy.table import Table  # with pandas 0.6 s to load
+
     if kind == "votable":
         read_xml(path, file)  # without DTD and entities, before another parser sees it
     try:

@@ -18,7 +18,7 @@ from boresight.calib.orbit_bias import BIASES, bias_prior
 from boresight.calib.shared_unknowns import SIGMA_ALIGNMENT_RAD, coordinate_covariance, coordinate_names
 from boresight.geometry.record import Bools, Floats, array, record, scalar
 from boresight.pipeline.errors import RawDataError
-from boresight.pipeline.files.table_files import column, fixed, list_values, read_parquet
+from boresight.pipeline.files.table_files import arrow_rows, column, fixed, list_values, read_parquet
 from boresight.pipeline.files.text_files import read_json
 from boresight.pipeline.results.folder import dumps_in
 from boresight.pipeline.results.ownership import check_dump_of, dump_identity, origin_of
@@ -74,8 +74,8 @@ def read_result(result: Path) -> SavedResult:
     if abs(np.linalg.norm(quaternion) - 1.0) > 1e-6:
         raise RawDataError(name, "quaternion", quaternion.tolist(), "length 1")
     path = result / "sightings" / "exposures.parquet"
-    no_rows = pa.schema(list(EXPOSURES.items())).empty_table()
-    table = read_parquet(path, EXPOSURES) if not dumps_in(result) else no_rows
+    joint = bool(dumps_in(result))
+    table = arrow_rows([], pa.schema(list(EXPOSURES.items()))) if joint else read_parquet(path, EXPOSURES)
     try:
         R_si = Rotation.from_matrix(list_values(table, "R_si", 3, 3)) if len(table) else Rotation.identity(0)
     except ValueError as error:

@@ -101,15 +101,27 @@ def _sources(root: str) -> dict[str, Any]:
     todo = _with_submodules(root)
     while todo:
         name = todo.pop()
-        if name in sources or (file := _file_of(name)) is None:
+        if name in sources or (module := _module(name)) is None:
             continue
-        sources[name] = file.read_bytes()
-        if "." in name:  # what the top-level package imports is for its users
-            todo += [name.rpartition(".")[0], *_imports(sources[name], name.partition(".")[0])]
-        if file.name == "__init__.py":
-            data = file.parent.joinpath("data").glob("*")
-            sources[f"data of {name}"] = sorted(path for path in data if path.is_file())
+        sources[name], imported, data = module
+        todo += imported
+        if data is not None:
+            sources[f"data of {name}"] = data
     return sources
+
+
+@cache
+def _module(name: str) -> tuple[bytes, list[str], list[Path] | None] | None:
+    """Source of a module, what it imports from its package, and the data files of a package; None if there is
+    no such module."""
+    if (file := _file_of(name)) is None:
+        return None
+    source, imported, data = file.read_bytes(), [], None
+    if "." in name:  # what the top-level package imports is for its users
+        imported = [name.rpartition(".")[0], *_imports(source, name.partition(".")[0])]
+    if file.name == "__init__.py":
+        data = sorted(path for path in file.parent.joinpath("data").glob("*") if path.is_file())
+    return source, imported, data
 
 
 @cache

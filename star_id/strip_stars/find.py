@@ -14,7 +14,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
-from scipy.stats import norm
+from scipy.special import ndtri
 
 from boresight.geometry.record import Bools, Floats, Ints, array, record, scalar
 from boresight.star_id.finding.windows import StarWindows
@@ -158,7 +158,7 @@ def _candidates(
 ) -> _Found:
     radius = trace_radius(motion.usual, sigma_px)
     pixels = sum(int(np.prod(images.shape(ccd))) for ccd in images.ccds)
-    threshold = float(norm.isf(settings.false_alarms_per_strip / pixels))
+    threshold = float(-ndtri(settings.false_alarms_per_strip / pixels))
     ccds: list[int] = []
     corners, data, good, noise2, starts = [], [], [], [], []
     for ccd in images.ccds:

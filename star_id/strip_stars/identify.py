@@ -17,7 +17,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial.transform import Rotation
-from scipy.stats import binom
 
 from boresight.geometry.record import Bools, Floats, Ints, array, record, scalar
 
@@ -216,6 +215,8 @@ def _log10_chance(detections: int, pairs: int, agreeing: int, tests: int, field:
     """
     if agreeing < _LEAST or detections < _LEAST:
         return 0.0
+    from scipy.stats import binom  # 0.2 s to load
+
     x, y, _ = field.limit_rad
     box = 4.0 * (x + field.tolerance_rad) * (y + field.tolerance_rad)
     one = min(1.0, pairs / detections * np.pi * field.tolerance_rad**2 / box)
