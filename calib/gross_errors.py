@@ -16,10 +16,13 @@ iteration limits of the estimate.
 
 Residuals of targets that rest on the same star exposures are correlated, and an error of one may look like an
 error of the other (Foerstner 1983: separability). With a rejected target re-admitted, T_j - T_i is twice the
-log-likelihood ratio of "j is wrong" to "i is wrong"; targets i that it does not rule out are j's rivals.
-With equal chances beforehand, target i is the wrong one with probability
+logarithm of the likelihood ratio of "j is wrong" to "i is wrong", each with the error that fits best; targets
+i that it does not rule out are j's rivals. Of a poorly controlled target, larger and more errors fit. So the
+likelihood is integrated over the error: with its information N_i (rad⁻²), one density of errors for all
+targets, as of wrong matches in a search window (Torr & Zisserman 2000), and equal chances beforehand, target
+i is the wrong one with probability
 
-    p_i = exp(T_i / 2) / sum_k exp(T_k / 2),    k over j and its rivals.                                (2)
+    p_i = z_i / sum_k z_k,    z_i = exp(T_i / 2) / sqrt(det N_i),    k over j and its rivals.           (2)
 
 Only if p_j reaches a stated probability is j rejected. Otherwise j and its rivals stay, each with the weight
 (1 - p_i) min(1, k / T_i): the probability that it is good (a mixture of good and gross errors: Box & Tiao
@@ -104,7 +107,7 @@ def _moves(problem: Problem, about: Linearised, kept: Bools, step: Step, limit: 
         return
     nearest = np.flatnonzero(rejected)
     nearest = nearest[np.lexsort((problem.rank[nearest], statistic[nearest]))]
-    for first, then in zip(nearest.tolist(), readmitted(problem, about, kept, step, nearest)):
+    for first, (then, _) in zip(nearest.tolist(), readmitted(problem, about, kept, step, nearest)):
         more = kept | (rows == first)
         other = _largest(then, more, problem.rank)
         if then[other] > statistic[first]:
@@ -125,10 +128,12 @@ def weigh(problem: Problem, about: Linearised, kept: Bools, limit: float) -> tup
     """
     weight, rivals, rejected = kept.astype(float), {}, np.flatnonzero(problem.inside & ~kept)
     step = solve_weighted(problem, about, weight)
-    for j, statistic in zip(rejected.tolist(), readmitted(problem, about, kept, step, rejected)):
+    for j, (statistic, variance) in zip(rejected.tolist(), readmitted(problem, about, kept, step, rejected)):
         rivals[j] = np.flatnonzero(kept & (statistic[j] - statistic < 2.0 * np.log(SEPARABLE_ODDS)))
         suspects = np.append(j, rivals[j])
-        probability = softmax(0.5 * statistic[suspects])
+        whitener = step.whitener[suspects]
+        information = np.swapaxes(whitener, 1, 2) @ variance[suspects] @ whitener
+        probability = softmax(0.5 * (statistic[suspects] - np.linalg.slogdet(information)[1]))
         if probability[0] < LEAST_PROBABILITY:
             weight[j] = 1.0
             weight[suspects] *= (1.0 - probability) * np.minimum(1.0, limit / statistic[suspects])

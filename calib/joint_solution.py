@@ -228,10 +228,9 @@ def _fitted(line: LinearStrips, part: _Reduced, x: Floats, cov_x: Floats) -> tup
     J = S * rows // 2
 
     def blocks(left: Floats, middle: Floats) -> Floats:
-        root = left.reshape(S, rows // 2, 2, -1)
-        return ((root @ middle) @ np.swapaxes(root, 2, 3)).reshape(J, 2, 2)
+        return (left @ middle).reshape(J, 2, -1) @ np.swapaxes(left.reshape(J, 2, -1), 1, 2)
 
-    leverage = blocks(line.X_q, part.cov_q[:, None]) + blocks(Z, cov_x)
+    leverage = blocks(line.X_q, part.cov_q) + blocks(Z, cov_x)
     along = np.linalg.solve(line.whitener.reshape(-1, 2, 2), e.reshape(-1, 2, 1))[:, :, 0]
     return e.reshape(J, 2), leverage, np.asarray(along, dtype=np.float64)
 
@@ -251,8 +250,11 @@ def _squared_over(e: Floats, v: Floats) -> Floats:
     return np.divide(inside, det, out=np.zeros(len(det)), where=det > 1e-9)
 
 
-def readmitted(problem: Problem, about: Linearised, kept: Bools, step: Step, rows: Ints) -> Iterator[Floats]:
-    """For each of `rows` (targets that are not kept) what `squared_mahalanobis` (J,) is with it in the fit.
+def readmitted(
+    problem: Problem, about: Linearised, kept: Bools, step: Step, rows: Ints
+) -> Iterator[tuple[Floats, Floats]]:
+    """For each of `rows` (targets that are not kept) what `squared_mahalanobis` (J,) and `Step.variance`
+    (J, 2, 2) are with it in the fit.
 
     `step` is the solution of the targets kept. One more target changes it by a matrix of rank two, so that
     the change needs no new solution.
@@ -273,7 +275,8 @@ def readmitted(problem: Problem, about: Linearised, kept: Bools, step: Step, row
         e = step.whitened - gain @ step.whitened[row]
         of_row = sign.copy()
         of_row[row] = -1.0
-        yield _squared_over(e, np.eye(2) + of_row * (leverage - gain @ np.swapaxes(across, 1, 2)))
+        variance = np.eye(2) + of_row * (leverage - gain @ np.swapaxes(across, 1, 2))
+        yield _squared_over(e, variance), variance
 
 
 def _of_strip(lines: list[LinearStrips], reduced: list[_Reduced], row: int) -> tuple[Floats, slice]:

@@ -12,6 +12,7 @@ from boresight.calib.calibration import calibrate
 from boresight.calib.estimate import InstallationEstimate, WhyRejected
 from boresight.calib.gross_errors import rejection_test, snoop
 from boresight.calib.joint_solution import (
+    Linearised,
     Problem,
     linearised,
     readmitted,
@@ -134,47 +135,63 @@ def test_power_and_false_alarm_rate_of_the_test_are_those_of_the_chi_square():
     assert np.mean(good > test.limit) == pytest.approx(test.probability_any, abs=0.0055)  # 4 sigma
 
 
-def test_where_neighbours_look_alike_none_is_rejected_and_the_shifted_target_is_among_those_named():
-    """4 px is little more than what is detectable here. If the likeliest were always rejected, it would be a
-    neighbour that shares exposures in 2 of these 36 cases. From 20 px on there is no doubt."""
+def test_where_neighbours_look_alike_the_shifted_target_is_rejected_or_named():
+    """4 px is little more than what is detectable here. Of 40 000 such cases drawn with the same design, a
+    neighbour that shares exposures is rejected in 1.7 %: more than 3 of 36 have a chance of 0.3 %. From 20 px
+    on there is no doubt."""
     strips = draw_strips(TABLE_1, CAMERAS, np.random.default_rng(34))[0]
     assert not rejected(calibrate(strips, BOLD, SETTINGS))
-    rng, doubtful = np.random.default_rng(2), 0
+    rng, doubtful, others = np.random.default_rng(2), 0, 0
     for s, j in [(s, j) for s in range(3) for j in range(12)]:
         angle = rng.uniform(0.0, 2.0 * np.pi)
         axis = PIXEL_RAD * np.array([np.cos(angle), np.sin(angle)])
         culprit = (strips[s].strip_id, str(strips[s].ground.target_id[j]))
         estimate = calibrate(shifted(strips, s, j, 4.0 * axis), BOLD, SETTINGS)
-        assert rejected(estimate) <= {culprit}
+        instead = [one for one in estimate.rejected if one.kind == "target" and one.name != culprit[1]]
+        assert all("/".join(culprit) in one.rivals for one in instead)
         assert all("/".join(culprit) in group for group in estimate.targets.doubtful)
         doubtful += len(estimate.targets.doubtful)
-    assert doubtful >= 1
+        others += bool(instead)
+    assert doubtful >= 1 and others <= 3
     estimate = calibrate(shifted(strips, s, j, 20.0 * axis), BOLD, SETTINGS)
     assert culprit in rejected(estimate) and not estimate.targets.doubtful
 
 
+def likelihood_of_any_error(problem, about, whole, row):
+    """Likelihood of a wrong target, summed over the two components of its error (rad²), all unknowns solved
+    for each.
+    """
+    (line,), every = about.strips, np.ones(36)
+    root = np.linalg.cholesky(np.linalg.inv(whole.variance[row]))  # of the error, in units of its noise
+    best, total = np.linalg.solve(whole.variance[row], whole.whitened[row]), 0.0
+    for z in np.stack(np.meshgrid(*[np.arange(-4.0, 4.1)] * 2), axis=-1).reshape(-1, 2):
+        r = line.r.reshape(36, 2).copy()
+        r[row] -= best + root @ z
+        moved = Linearised(about.R_cs, [replace(line, r=r.reshape(line.r.shape))])
+        total += np.exp(0.5 * (whole.chi2 - solve_weighted(problem, moved, every).chi2))
+    return total * np.linalg.det(root) / np.linalg.det(whole.whitener[row])
+
+
 def test_targets_that_contradict_each_other_have_the_weight_that_their_probabilities_give():
-    """Two targets at one place, seen at one instant: the data hardly tell which of them is wrong."""
-    noisy_stars = replace(TABLE_1, strips=1, sigma_s_px=2.0)
-    (strip,) = draw_strips(noisy_stars, CAMERAS, np.random.default_rng(8))[0]
-    strip = reordered(strip, np.array([0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 9]))
-    ids = np.array([f"t{n:02d}" for n in range(11)])
-    strip = replace(strip, ground=replace(strip.ground, target_id=ids))
-    (wrong,) = shifted([strip], 0, 10, np.array([1e-5, -1e-5]))
-    estimate = calibrate([wrong], BOLD, SETTINGS)
-    problem = Problem.of([prepare_strip(wrong, SETTINGS)], SETTINGS)
-    about, every = linearised(problem, estimate.R_cs, 1.0), np.ones(11)
-    falls = [solve_weighted(problem, about, every - unit).chi2 for unit in np.eye(11)]
-    falls = solve_weighted(problem, about, every).chi2 - np.array(falls)
-    odds = np.exp(0.5 * (falls[10] - falls[9]))
-    assert 1.0 < odds < 3.0 and np.all(falls[10] - falls[:9] > 2.0 * np.log(19.0))
-    good = np.array([odds, 1.0]) / (1.0 + odds)  # probability that t09 is good, and t10
-    expected = [*np.ones(9), *good * estimate.rejection.limit / falls[9:]]
-    np.testing.assert_allclose(estimate.targets.weight, expected, rtol=1e-4)  # linearised elsewhere
-    assert estimate.targets.doubtful == (("strip0000/t10", "strip0000/t09"),)
-    assert not rejected(estimate) and (estimate.n_targets, estimate.dof) == (11, 2 * 10 - 3)
-    one = solve_weighted(problem, about, every - np.eye(11)[9]).solution.covariance
-    assert np.all(np.diag(estimate.cov_theta) > np.diag(one))  # less than if one of them were trusted
+    """The error of a target looks like that of its neighbour, which less controls: whatever its size, the
+    neighbour explains the residuals better than the likelihoods of the best errors say."""
+    strips = draw_strips(TABLE_1, CAMERAS, np.random.default_rng(34))[0]
+    axis = PIXEL_RAD * np.array([np.cos(np.pi / 6), np.sin(np.pi / 6)])
+    wrong = shifted(strips, 1, 3, 4.0 * axis)
+    estimate, (first, other) = calibrate(wrong, BOLD, SETTINGS), (15, 16)
+    problem = Problem.of([prepare_strip(strip, SETTINGS) for strip in wrong], SETTINGS)
+    about, every = linearised(problem, estimate.R_cs, 1.0), np.ones(36)
+    whole = solve_weighted(problem, about, every)
+    falls = whole.chi2 - np.array([solve_weighted(problem, about, every - unit).chi2 for unit in np.eye(36)])
+    odds = np.divide(*(likelihood_of_any_error(problem, about, whole, row) for row in (first, other)))
+    assert 2.0 < odds < 3.0 and falls[first] - falls[other] > 2.0 * np.log(5.0)
+    good = np.array([1.0, odds]) / (1.0 + odds)  # probability that each of the two is good
+    expected = every.copy()
+    expected[[first, other]] = good * estimate.rejection.limit / falls[[first, other]]
+    np.testing.assert_allclose(estimate.targets.weight, expected, rtol=1e-3)  # sums over steps of one sigma
+    assert estimate.targets.doubtful == (("strip0001/strip0001/003", "strip0001/strip0001/004"),)
+    assert not rejected(estimate) and (estimate.n_targets, estimate.dof) == (36, 2 * 35 - 3)
+    assert np.all(np.diag(estimate.cov_theta) > np.diag(whole.solution.covariance))
 
 
 def test_statistics_with_a_target_re_admitted_are_those_of_a_new_solution():
@@ -183,10 +200,11 @@ def test_statistics_with_a_target_re_admitted_are_those_of_a_new_solution():
     problem = Problem.of([prepare_strip(strip, SETTINGS) for strip in strips], SETTINGS)
     about, kept = linearised(problem, BOLD, 1.0), rng.random(36) < 0.7
     step, rows = solve_weighted(problem, about, kept.astype(float)), np.flatnonzero(~kept)
-    for row, statistic in zip(rows, readmitted(problem, about, kept, step, rows), strict=True):
+    for row, (statistic, variance) in zip(rows, readmitted(problem, about, kept, step, rows), strict=True):
         more = kept | (np.arange(36) == row)
-        anew = squared_mahalanobis(solve_weighted(problem, about, more.astype(float)))
-        assert statistic == pytest.approx(anew, rel=1e-8)  # the same formula, other rounding
+        anew = solve_weighted(problem, about, more.astype(float))
+        assert statistic == pytest.approx(squared_mahalanobis(anew), rel=1e-8)  # same formula, other rounding
+        np.testing.assert_allclose(variance, anew.variance, atol=1e-10)
 
 
 def test_search_is_short_where_the_stated_errors_are_far_too_small(monkeypatch):
