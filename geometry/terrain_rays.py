@@ -183,12 +183,14 @@ class _Polynomials:
     def of(self, rays: NDArray[np.int64]) -> _Polynomials:
         return _Polynomials(self.heights, self.coefficients.take(rays, axis=2))
 
-    def at(self, share: Array) -> Array:
-        value = self.coefficients[-1] * share
-        for coefficient in self.coefficients[-2:0:-1]:
+    def at(self, share: Array, part: slice = slice(3)) -> Array:
+        """Column, row and height (3, N), or a part of them, at parameters (N,)."""
+        coefficients = self.coefficients[:, part]
+        value = coefficients[-1] * share
+        for coefficient in coefficients[-2:0:-1]:
             value += coefficient
             value *= share
-        value += self.coefficients[0]
+        value += coefficients[0]
         return value
 
     def pixels(self) -> Array:
@@ -199,7 +201,7 @@ class _Polynomials:
         """Parameters (N,) at heights (N,), by one Newton step (height is nearly linear in the parameter)."""
         share = (self.coefficients[0, 2] - height) / np.sum(-self.coefficients[1:, 2], axis=0)
         slope = self.coefficients[1, 2] + 2.0 * share * self.coefficients[2, 2]
-        return share - (self.at(share)[2] - height) / slope
+        return share - (self.at(share, slice(2, 3))[0] - height) / slope
 
 
 def _possible_interval(curve: _Polynomials, bounds: HeightBounds) -> tuple[Array, Array, Array]:
@@ -215,7 +217,7 @@ def _possible_interval(curve: _Polynomials, bounds: HeightBounds) -> tuple[Array
     for k in range(fitting[0] if fitting else len(bounds.sizes) - 1, -1, -1):
         size, low, high = bounds.sizes[k], bounds.low_m[k], bounds.high_m[k]
         near = (0.5 * (stop - start) * pixels <= size - 1.0) & (start <= stop)
-        column, row, _ = curve.at(0.5 * (start + stop))
+        column, row = curve.at(0.5 * (start + stop), slice(2))
         at = _tile_index(row, size, low.shape[0]) * low.shape[1] + _tile_index(column, size, low.shape[1])
         lowest, highest = low.ravel().take(at), high.ravel().take(at)
         rise = np.where(near, bounds.rise_m[k].ravel().take(at), rise)

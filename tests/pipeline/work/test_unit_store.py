@@ -86,6 +86,7 @@ def test_program_knows_the_folders_within_a_package(tmp_path: Path, monkeypatch:
     before = program("outer_package")
     (inner / "module.py").write_text("A = 2\n")
     program.cache_clear()
+    digests._module.cache_clear()
     assert program("outer_package") != before
 
 
@@ -108,6 +109,7 @@ def test_program_follows_imports_and_knows_data_and_libraries(
 
     def key() -> str:
         program.cache_clear()
+        digests._module.cache_clear()
         return program("made_package.stage")
 
     keys = [key()]
@@ -125,6 +127,7 @@ def test_program_follows_imports_and_knows_data_and_libraries(
         keys.append(key())
     assert len(set(keys)) == 6 + len(versions)
     program.cache_clear()
+    digests._module.cache_clear()
 
 
 def test_program_of_a_stage_includes_the_readers_of_files() -> None:
