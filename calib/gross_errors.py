@@ -58,7 +58,7 @@ __all__ = ["detectable_bias", "l1_start", "refine_geman_mcclure", "rejection_tes
 
 POWER = 0.8  # of the test, for the minimal detectable bias: the value usual in geodesy
 SEPARABLE_ODDS = 19.0  # likelihood ratio by which one of two targets is the wrong one: 95 %
-LEAST_PROBABILITY = 0.75  # that the target rejected is the wrong one: three to one (docs/estimation.md)
+LEAST_PROBABILITY = 0.7  # that the target rejected is the wrong one (docs/estimation.md says why)
 MOST_EXCHANGED = 1.0 / 3.0  # share of rejected targets up to which they are exchanged for others
 SMALLEST_GAIN = 1e-6  # of the limit: (1) must fall by more than rounding
 
@@ -124,7 +124,7 @@ def _largest(values: Floats, among: Bools, rank: Ints) -> int:
 
 def weigh(problem: Problem, about: Linearised, kept: Bools, limit: float) -> tuple[Floats, dict[int, Ints]]:
     """Weights (J,) of the targets, and the rivals (N,) of each target not in `kept`: those that may be wrong
-    in its place, the odds being below 19 to 1 against. It has weight 0 only where (2) is at least 0.75.
+    in its place, the odds being below 19 to 1 against. It has weight 0 only where (2) is at least 0.7.
     """
     weight, rivals, rejected = kept.astype(float), {}, np.flatnonzero(problem.inside & ~kept)
     step = solve_weighted(problem, about, weight)
