@@ -2,12 +2,11 @@
 
     python benchmarks/sky_strips.py missions --seeds 1-40 --scans 2 [--ground 0]
     python benchmarks/sky_strips.py noise
-    python benchmarks/sky_strips.py places
 
 `missions`: the paper's cameras, mounting off by the paper's equation (28), all errors of its Table 1 on, from
 raw pixels (strips rendered around stars only). Each scan looks at one of the fields richest in Hipparcos
 stars that both cameras see past the Earth. `noise`: strips of noise and of hot columns, and what is named in
-them. `places`: centroids of traces against their Cramér-Rao bound.
+them.
 """
 
 from __future__ import annotations
@@ -22,7 +21,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 from record import band_of_mean_nees, exit_status, head, verdict
-from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from boresight.calib.estimate import InstallationEstimate
@@ -46,7 +44,6 @@ from boresight.simulator.cameras import true_installation
 from boresight.simulator.motion import flown_orbit
 from boresight.simulator.records import Mission
 from boresight.simulator.scenario import Scenario, SkyScan, SkyStripSettings, builtin_scenario
-from boresight.star_id.strip_stars.find import StripMotion, StripStars, find_strip_stars
 from boresight.star_id.strip_stars.settings import StripStarSettings
 from boresight.star_id.whole_catalogue import all_hipparcos
 
@@ -293,61 +290,6 @@ def noise(options: argparse.Namespace) -> None:
     print(f"{chance / options.strips:.4f} names a strip where the mounting is known beforehand")
 
 
-def places(options: argparse.Namespace) -> None:
-    """Places of rendered stars against the truth, by rate and SNR."""
-    print("rate  TDI      SNR  stars   rms / stated sigma  rms, px  largest mean of a quarter pixel, px")
-    worst = 0.0
-    for rate, stages in ((1.0, 1), (0.8, 16), (1.2, 16)):
-        scenario = scenario_of("mini", 1, 0, 7)
-        still = replace(scenario.errors, vibration_arcsec=0.0)  # jitter within a trace is an error of its own
-        one = replace(scenario.sky_strips.scans[0], rate=rate)
-        sky = replace(
-            scenario.sky_strips, scans=(one,), uncatalogued_per_deg2=400.0, uncatalogued_v_range=(5.5, 9.5)
-        )
-        sky = replace(sky, flux_v0_e_per_s=sky.flux_v0_e_per_s / stages)
-        scenario = replace(
-            scenario,
-            errors=still,
-            attitude=replace(scenario.attitude, waves=()),
-            sky_strips=sky,
-            line_camera=replace(scenario.line_camera, tdi_stages=stages),
-        )
-        mission = fly(scenario, 7)
-        images = {strip.ccd: next(strip.blocks(strip.lines)) for strip in mission.strips}
-        count = len(images)
-        motion = StripMotion(np.array([0.0, 2e3]), np.full((count, 2), rate), np.zeros((count, 2)), stages)
-        found = find_strip_stars(InMemory(images), motion, StripStarSettings(), 255.0)
-        worst = max(worst, _places_of(rate, stages, found, mission))
-    verdict(f"largest rms / stated sigma from SNR 7: {worst:.2f} (at most 1.1)", worst <= 1.1)
-
-
-def _places_of(rate: float, stages: int, found: StripStars, mission: Mission) -> float:
-    """One line a range of SNR; the largest ratio of rms and stated sigma."""
-    use = np.flatnonzero(~found.blended & ~found.saturated)
-    stars = found.take(use)
-    true = np.array([(s.sample, s.line, 1e6 * s.ccd) for s in mission.truth.sky_stars])
-    seen = np.column_stack([stars.xy_px, 1e6 * stars.ccd])
-    distance, row = cKDTree(true).query(seen)
-    hit = np.flatnonzero(distance < 1.5)
-    error = stars.xy_px[hit] - true[row[hit], :2]
-    sigma2 = np.diagonal(stars.cov_px[hit], axis1=1, axis2=2)
-    worst = 0.0
-    for low, high in ((7.0, 15.0), (15.0, 60.0), (60.0, 1e4)):
-        part = (stars.snr[hit] >= low) & (stars.snr[hit] < high)
-        ratio = np.sqrt((error[part] ** 2).sum(axis=0) / sigma2[part].sum(axis=0))
-        phase = np.floor((true[row[hit][part], :2] % 1.0) * 4.0)
-        means = [error[part][phase[:, a] == q, a].mean() for a in (0, 1) for q in range(4)]
-        rms = np.sqrt((error[part] ** 2).mean(axis=0))
-        worst = max(worst, float(ratio.max()))
-        print(
-            f"{rate:4.1f} {stages:4d} {low:5.0f}-{high:<5.0f} {part.sum():4d}   {ratio[0]:5.2f} "
-            f"{ratio[1]:5.2f}"
-            f"          {rms[0]:.4f} {rms[1]:.4f}   {np.abs(means).max():.4f}",
-            flush=True,
-        )
-    return worst
-
-
 def _xy(errors: Array, covariances: Array) -> float:
     return float(
         np.sqrt((errors[:, :2] ** 2).sum() / np.diagonal(covariances, axis1=1, axis2=2)[:, :2].sum())
@@ -361,7 +303,7 @@ def seeds(text: str) -> list[int]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("what", choices=("missions", "noise", "places"))
+    parser.add_argument("what", choices=("missions", "noise"))
     parser.add_argument("--seeds", type=seeds, default=seeds("1-40"))
     parser.add_argument("--scans", type=int, default=2)
     parser.add_argument("--ground", type=int, default=0)
@@ -370,7 +312,7 @@ def main() -> None:
     parser.add_argument("--scratch", type=Path)
     options = parser.parse_args()
     head(f"strips of the sky: {options.what}")
-    {"missions": missions, "noise": noise, "places": places}[options.what](options)
+    {"missions": missions, "noise": noise}[options.what](options)
 
 
 if __name__ == "__main__":

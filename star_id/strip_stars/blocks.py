@@ -9,13 +9,13 @@ from __future__ import annotations
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import erf
 
 from boresight.geometry.record import Floats, Ints, array, record, scalar
 
 __all__ = ["Columns", "candidates", "columns_of"]
 
-_CLIP_SIGMA = 3.0
-_CLIPPED_SIGMA = 0.98658  # standard deviation of a unit normal within 3 sigma of its mean
+_CLIP_SIGMA = 4.0
 _LEAST_NOISE_DN = 0.3  # the rounding to whole counts
 _NOISY = 1.5  # of the median noise: such a column says little
 
@@ -31,7 +31,7 @@ class Columns:
 
 
 def columns_of(block: NDArray) -> Columns:
-    """Level and noise of the columns of a block (H, W): mean and deviation, clipped at 3 sigma."""
+    """Level and noise of the columns of a block (H, W): mean and deviation, clipped at 4 sigma."""
     few = np.sort(block[:: max(1, len(block) // 128)].astype(np.float32), axis=0)
     middle, low = few[len(few) // 2], few[int(0.1587 * len(few))]
     spread = np.maximum(middle - low, 1.0)
@@ -41,9 +41,19 @@ def columns_of(block: NDArray) -> Columns:
     away *= inside
     mean = away.sum(axis=0, dtype=float) / count
     variance = np.einsum("ij,ij->j", away, away) / count - mean**2
-    noise = np.sqrt(np.maximum(variance, 0.0)) / _CLIPPED_SIGMA
+    noise = _unclipped(np.sqrt(np.maximum(variance, 0.0)), _CLIP_SIGMA * spread + 0.5)  # whole counts
     usual = float(np.median(noise[noise > 0.0])) if noise.any() else 0.0  # some columns may hold nothing
     return Columns(middle + mean, np.maximum(noise, _LEAST_NOISE_DN), noise <= _NOISY * usual, len(block))
+
+
+def _unclipped(deviation: Floats, limit: Floats) -> Floats:
+    """Standard deviations (W,) of normals that deviate by `deviation` within `limit` of their means."""
+    noise = deviation
+    for _ in range(3):  # each step leaves a fifth of the error, or less
+        c = limit / np.maximum(noise, 1e-9)
+        lost = c * np.exp(-0.5 * c * c) * np.sqrt(2.0 / np.pi) / erf(c / np.sqrt(2.0))
+        noise = deviation / np.sqrt(1.0 - lost)
+    return np.asarray(noise)
 
 
 def candidates(block: NDArray, columns: Columns, image: NDArray, threshold: float) -> Ints:

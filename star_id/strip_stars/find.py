@@ -27,7 +27,7 @@ __all__ = ["StripImage", "StripMotion", "StripStars", "find_strip_stars"]
 
 _ROWS_READ, _ROWS_ALIKE = 1024, 256  # rows read at a time; rows with one level and noise of each column
 _USUAL_SIGMA_PX = 0.6  # width of the optics until the stars have given it
-_STARS_FOR_WIDTH = 40
+_STARS_FOR_WIDTH, _STARS_FOR_GAIN = 40, 300
 _BRIGHT_SNR = (30.0, 10.0)  # of stars that give width and gain, where there are three
 _FITTED_AT_ONCE = 100
 _MISFIT, _MISFIT_OF_SNR = 2.0, 0.05  # chi2 / dof of a star: jitter and uneven pixels show in bright ones
@@ -137,14 +137,14 @@ def find_strip_stars(
     if not len(found.ccd):
         return _no_stars(sigma)
     rough = _fits(found, found.start, sigma, np.inf)
-    bright = _bright(found, rough)
     gain = settings.gain_e_per_dn or np.inf
-    if len(bright):
-        chosen, start = found.take(bright), rough.offset[bright]
-        if settings.psf_sigma_px is None:
-            sigma = width_of(chosen.windows, start, chosen.motion)
-        if settings.gain_e_per_dn is None:
-            gain = gain_of(chosen.windows, start, chosen.motion, sigma)
+    if settings.psf_sigma_px is None and len(few := _bright(found, rough, _BRIGHT_SNR, _STARS_FOR_WIDTH)):
+        chosen = found.take(few)
+        sigma = width_of(chosen.windows, rough.offset[few], chosen.motion)
+    many = _bright(found, rough, _BRIGHT_SNR[1:], _STARS_FOR_GAIN)
+    if settings.gain_e_per_dn is None and len(many):
+        chosen = found.take(many)
+        gain = gain_of(chosen.windows, rough.offset[many], chosen.motion, sigma)
     fits = _fits(found, rough.offset, sigma, gain)
     return _listed(found, fits, sigma, gain)
 
@@ -231,15 +231,15 @@ def _fits(found: _Found, offset: Floats, sigma_px: float, gain: float) -> TraceF
     return TraceFits(**{name: np.concatenate([getattr(part, name) for part in parts]) for name in names})
 
 
-def _bright(found: _Found, fits: TraceFits) -> Ints:
-    """Rows of the stars that give width and gain: bright, unsaturated, near their pixel."""
+def _bright(found: _Found, fits: TraceFits, limits: tuple[float, ...], most: int) -> Ints:
+    """Rows of the stars that give width and gain, `most` at most: bright, unsaturated, near their pixel."""
     whole = (found.windows.good > 0.0).all(axis=1)
     near = np.abs(fits.offset - found.start).max(axis=1) < 1.5
-    for limit in _BRIGHT_SNR:
+    for limit in limits:
         rows = np.flatnonzero(whole & near & (fits.snr > limit))
         if len(rows) >= 3:
             break
-    return rows[np.argsort(-fits.snr[rows], kind="stable")][:_STARS_FOR_WIDTH]
+    return rows[np.argsort(-fits.snr[rows], kind="stable")][:most]
 
 
 def _listed(found: _Found, fits: TraceFits, sigma: float, gain: float) -> StripStars:

@@ -85,4 +85,8 @@ def test_width_and_gain_come_from_the_stars_themselves():
     motion, start = many(1.0, 0.0, 1, n), np.zeros((n, 2))
     sigma = width_of(windows, start, motion)
     assert abs(sigma - SIGMA) < 0.01  # px: 40 stars of SNR 300 know it to 0.002
-    assert 20.0 < gain_of(windows, start, motion, sigma) < 200.0  # few pixels tell: a factor of three
+    gain = gain_of(windows, start, motion, sigma)
+    assert abs(np.log(gain / GAIN)) < 0.45, gain  # some 2.5 pixels of a star are photon-limited: 3 x 0.15
+    windows.data[:5, 40] += 60.0  # a particle in five of the windows
+    hit = gain_of(windows, start, motion, sigma)
+    assert abs(np.log(hit / gain)) < 0.3, (gain, hit)
