@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates, spline_filter, uniform_filter1d
 from scipy.signal import fftconvolve
 
-__all__ = ["Blur", "Sensor", "Stars", "cramer_rao_px", "psf_table", "render"]
+__all__ = ["Blur", "Sensor", "Stars", "cramer_rao_px", "psf_table", "render", "response"]
 
 FINE = 8  # points a pixel
 HALF = 24  # px from the middle of a star to the edge of its table
@@ -132,8 +132,8 @@ def stamps(xy: NDArray, table: NDArray, half: int, shift: NDArray | None = None)
 def render(
     stars: Stars, size: tuple[int, int], blur: Blur, sensor: Sensor, rng: np.random.Generator
 ) -> tuple[NDArray, NDArray]:
-    """Raw image (H, W), and the variance of its background in DN^2 as it was drawn and rounded, without row
-    noise."""
+    """Raw image (H, W), and the variance of its background in electrons squared (H, W) as it was drawn and
+    rounded: without stars and row noise."""
     width, height = size
     light = np.full((height, width), sensor.sky_e)
     y, x = np.mgrid[0:height, 0:width]
@@ -143,16 +143,11 @@ def render(
             light += (
                 sensor.nebula_e * rng.uniform(0.3, 1.0) * np.exp(-0.5 * ((x - a) ** 2 + (y - b) ** 2) / s**2)
             )
+    sensitivity = response(sensor, size)
+    variance = sensor.read_e**2 + light * sensitivity + sensor.e_per_dn**2 / 12.0
     add_stars(light, stars, blur)
-    if sensor.vignetting:
-        radius2 = ((x / width - 0.5) ** 2 + (y / height - 0.5) ** 2) * 2.0
-        light *= 1.0 - sensor.vignetting * radius2
-    if sensor.bayer is not None:
-        light *= np.tile(np.reshape(sensor.bayer, (2, 2)), (height // 2, width // 2))
+    light *= sensitivity
     noise = np.sqrt(sensor.read_e**2 + sensor.sky_e)
-    variance = (sensor.read_e**2 + (light if sensor.vignetting or sensor.bayer else sensor.sky_e)) / (
-        sensor.e_per_dn**2
-    ) + 1.0 / 12.0
     electrons = rng.poisson(light) + rng.normal(0.0, sensor.read_e, light.shape)
     if sensor.hot_pixels:
         where = rng.integers(0, electrons.size, sensor.hot_pixels)
@@ -176,6 +171,18 @@ def render(
     if sensor.caption:
         write_caption(image, top)
     return image.astype(np.uint8 if sensor.bits == 8 else np.uint16), variance
+
+
+def response(sensor: Sensor, size: tuple[int, int]) -> NDArray:
+    """Share (H, W) of the light that each pixel sees."""
+    width, height = size
+    share = np.ones((height, width))
+    if sensor.vignetting:
+        y, x = np.mgrid[0:height, 0:width]
+        share -= sensor.vignetting * 2.0 * ((x / width - 0.5) ** 2 + (y / height - 0.5) ** 2)
+    if sensor.bayer is not None:
+        share *= np.tile(np.reshape(sensor.bayer, (2, 2)), (height // 2, width // 2))
+    return share
 
 
 def add_stars(light: NDArray, stars: Stars, blur: Blur) -> None:
@@ -220,21 +227,28 @@ def write_caption(image: NDArray, top: int) -> None:
                     bar[y : y + 15, x + a : x + a + 2] = top
 
 
-def cramer_rao_px(xy: NDArray, electrons: NDArray, sky_variance_e: NDArray, table: NDArray) -> NDArray:
+def cramer_rao_px(
+    xy: NDArray, electrons: NDArray, variance_e: NDArray, share: NDArray, table: NDArray
+) -> NDArray:
     """Bound (N,) of a centroid's error along one axis, px, and the matched filter's SNR (N,), of the rendered
-    PSF; column, row, flux and background unknown, background variance (N,) in electrons squared."""
-    step = 0.05
-    images = [stamps(xy, table, HALF - 1)[1]]
+    PSF; column, row, flux and background unknown. `variance_e` and `share` (H, W) are the background's variance,
+    electrons squared, and the share of the light that each pixel sees."""
+    half, step = HALF - 1, 0.05
+    whole, image = stamps(xy, table, half)
+    images = [image]
     for shift in ([step, 0.0], [0.0, step]):
-        more, less = (stamps(xy, table, HALF - 1, sign * np.array(shift))[1] for sign in (1.0, -1.0))
+        more, less = (stamps(xy, table, half, sign * np.array(shift))[1] for sign in (1.0, -1.0))
         images.append((more - less) / (2.0 * step))
-    value, d_x, d_y = (part.reshape(len(xy), -1) for part in images)
-    flux = electrons[:, None]
+    grid = np.arange(-half, half + 1)
+    height, width = variance_e.shape
+    rows = np.clip(whole[:, 1, None, None] + grid[:, None], 0, height - 1)
+    columns = np.clip(whole[:, 0, None, None] + grid, 0, width - 1)
+    value, d_x, d_y = ((part * share[rows, columns]).reshape(len(xy), -1) for part in images)
+    flux, sky = electrons[:, None], variance_e[rows, columns].reshape(len(xy), -1)
     J = np.stack([flux * d_x, flux * d_y, value, np.ones_like(value)], axis=1)
-    weight = 1.0 / (sky_variance_e[:, None] + np.maximum(flux * value, 0.0))
-    information = (J * weight[:, None]) @ J.transpose(0, 2, 1)
+    information = (J / (sky + np.maximum(flux * value, 0.0))[:, None]) @ J.transpose(0, 2, 1)
     scale = 1.0 / np.sqrt(np.einsum("npp->np", information))
     covariance = np.linalg.inv(information * scale[:, :, None] * scale[:, None, :])
     covariance *= scale[:, :, None] * scale[:, None, :]
     bound = np.sqrt(0.5 * (covariance[:, 0, 0] + covariance[:, 1, 1]))
-    return np.column_stack([bound, electrons * np.sqrt((value**2).sum(axis=1) / sky_variance_e)])
+    return np.column_stack([bound, electrons * np.sqrt((value**2 / sky).sum(axis=1))])

@@ -28,7 +28,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from hard_frames import Blur, Sensor, Stars, cramer_rao_px, fan_at, psf_table, render
+from hard_frames import Blur, Sensor, Stars, cramer_rao_px, fan_at, psf_table, render, response
 from hard_peers import Peers
 from numpy.typing import NDArray
 from record import exit_status, head, verdict
@@ -88,7 +88,7 @@ ROWS = (
     Row("coma of 6 px in the corners", blur=Blur(coma_px=6.0), complete=0.9),
     Row("mirrored", mirrored=True),
     Row("caption of 5 % of the rows", sensor=Sensor(caption=True)),
-    Row("Bayer mosaic", sensor=Sensor(bayer=(0.45, 1.0, 1.0, 0.6)), electrons_at_v7=3600.0, complete=0.9),
+    Row("Bayer mosaic", sensor=Sensor(bayer=(0.45, 1.0, 1.0, 0.6)), electrons_at_v7=1900.0, complete=0.9),
     Row("6 deg, faint, hot pixels", sensor=Sensor(hot_pixels=3000, cosmic_rays=100), fov_deg=6.0),
     Row("nebula", sensor=Sensor(nebula_e=300.0), fov_deg=9.0),
     Row("50 deg, 0 false of 120", centroids=120, fov_deg=50.0),
@@ -279,15 +279,8 @@ def _score_stars(row: Row, stars: StarList, sky: Stars, variance: NDArray, score
     if row.sensor.caption:
         inside &= xy[:, 1] < 0.95 * size - 20
     rows = np.intersect1d(np.flatnonzero(alone & inside), bright)
-    at = np.rint(xy[rows]).astype(int)
-    sky_e = np.broadcast_to(variance, (size, size))[at[:, 1], at[:, 0]] * row.sensor.e_per_dn**2
-    electrons = seen[rows].copy()
-    if row.sensor.vignetting:
-        electrons *= 1.0 - row.sensor.vignetting * 2.0 * ((xy[rows] / size - 0.5) ** 2).sum(axis=1)
-    if row.sensor.bayer is not None:
-        electrons *= np.mean(row.sensor.bayer)
-    bound, snr = _bound(row, sky.xy_px[rows], electrons, sky_e)
-    peak = electrons / row.sensor.e_per_dn * 0.15 + row.sensor.bias_dn < 0.9 * 2**row.sensor.bits
+    bound, snr = _bound(row, sky.xy_px[rows], seen[rows], variance)
+    peak = seen[rows] / row.sensor.e_per_dn * 0.15 + row.sensor.bias_dn < 0.9 * 2**row.sensor.bits
     use = (snr >= LEAST_SNR) & peak
     if len(stars.xy_px):
         distance, nearest = cKDTree(stars.xy_px).query(xy[rows])
@@ -302,14 +295,15 @@ def _score_stars(row: Row, stars: StarList, sky: Stars, variance: NDArray, score
     score.stars += int(use.sum())
 
 
-def _bound(row: Row, xy: NDArray, electrons: NDArray, sky_e: NDArray) -> tuple[NDArray, NDArray]:
+def _bound(row: Row, xy: NDArray, electrons: NDArray, variance: NDArray) -> tuple[NDArray, NDArray]:
     cells = 9 if row.blur.coma_px else 1
     cell = np.clip((xy / row.side_px * cells).astype(int), 0, cells - 1)
+    share = response(row.sensor, (row.side_px, row.side_px))
     answer = np.empty((len(xy), 2))
     for i, j in np.unique(cell, axis=0):
         here = (cell == [i, j]).all(axis=1)
         table = psf_table(row.blur, fan_at(np.array([i, j]), cells))
-        answer[here] = cramer_rao_px(xy[here], electrons[here], sky_e[here], table)
+        answer[here] = cramer_rao_px(xy[here], electrons[here], variance, share, table)
     return answer[:, 0], answer[:, 1]
 
 

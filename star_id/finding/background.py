@@ -16,7 +16,7 @@ from scipy.special import ndtr, ndtri  # of the normal distribution; scipy.stats
 
 from boresight.geometry.record import Floats, array, record, scalar
 
-__all__ = ["Background", "estimate_background"]
+__all__ = ["Background", "background_image", "estimate_background"]
 
 
 _SAMPLES_ACROSS_BLOCK = 64  # 4096 values a block: the level is known to 1/50 of a sigma
@@ -38,6 +38,9 @@ class Background:
     noise_dn: Floats = array("R, C", "standard deviation of a pixel, DN")
     width_px: int = scalar("columns of the image")
     height_px: int = scalar("rows of the image")
+    weights: Floats | None = scalar(
+        "(2, 2) relative weights of the pixels of each 2 x 2 cell; None: alike", default=None
+    )
 
     def at(self, xy_px: Floats) -> tuple[Floats, Floats]:
         """Level and noise (N,), (N,) in DN at pixels (N, 2), interpolated between block centres."""
@@ -63,6 +66,12 @@ def estimate_background(image: NDArray) -> Background:
         return coarse
     fine = _by_blocks(image, _SMALL_BLOCK_PX)
     return Background(fine.level_dn, np.minimum(fine.noise_dn, _UNEVEN * between), width, height)
+
+
+def background_image(grid: Floats, shape: tuple[int, ...]) -> NDArray[np.float32]:
+    """A grid of blocks (R, C), level or noise, interpolated to the pixels of an image of `shape` (H, W)."""
+    size = (shape[1], shape[0])
+    return np.asarray(cv2.resize(grid.astype(np.float32), size, interpolation=cv2.INTER_LINEAR), np.float32)
 
 
 def _noise_between_neighbours(image: NDArray) -> float:

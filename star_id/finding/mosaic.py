@@ -1,8 +1,9 @@
-"""Colour filters in front of a sensor (a Bayer mosaic), recognised in the raw image, and merged.
+"""Colour filters in front of a sensor (a Bayer mosaic), recognised in the raw image, and made even.
 
-The four pixels of each 2 x 2 cell then see skies of different brightness, all over the image alike. Stars are
-found in the image of cells: means of four pixels, in which each colour has the same share. Starlight comes
-mostly through the more sensitive of the four, so a cell's place is their mean by sensitivity (`cell_centre`).
+The four pixels of each 2 x 2 cell then see skies of different brightness, all over the image alike. Bright
+stars tell the response of the four to starlight: found in the image of cells (means of four pixels), measured
+in the raw one. Each of the four, less its own background and divided by its response, then shows the same
+stars; what remains of the difference is the noise, and the pixels are weighted by it.
 """
 
 from __future__ import annotations
@@ -11,14 +12,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from boresight.geometry.record import Floats
+from boresight.star_id.finding.background import Background, background_image, estimate_background
+from boresight.star_id.finding.lines import without_lines
 
-__all__ = ["cell_centre", "has_mosaic", "merged_cells"]
+__all__ = ["cell_response", "even_image", "has_mosaic", "merged_cells"]
 
 _TILES = 3  # along each side, in which the levels of the four pixels are compared
 _TILE_PX = 32
 _DIFFERENT_SIGMA = 0.15  # of a pixel: differences between the four pixels that matter
 _STAR_PX = 24  # window around a star; its inner half holds the light
 _ALIKE = 0.8  # of the tiles agree on the brightest and on the darkest of the four
+_LEAST_RESPONSE = 0.1  # of the mean: a darker pixel tells nothing of a star
 
 
 def has_mosaic(image: NDArray) -> bool:
@@ -41,21 +45,46 @@ def has_mosaic(image: NDArray) -> bool:
     return bool(min(agree) >= _ALIKE and max(darkest.max(), brightest.max()) >= _ALIKE * len(tiles))
 
 
-def cell_centre(image: NDArray, xy_px: Floats) -> Floats:
-    """Mean place (column, row) of a cell's light, px from the middle of the cell, by the light of unsaturated
-    stars at `xy_px` (N, 2) of the raw image (H, W)."""
+def cell_response(image: NDArray, xy_px: Floats) -> Floats:
+    """(2, 2) response of a cell's pixels to starlight, of mean one, by the light of unsaturated stars at
+    `xy_px` (N, 2) of the raw image (H, W); ones without stars."""
     size = np.array(image.shape[::-1])
     corner = (np.rint(xy_px).astype(np.int64) - _STAR_PX // 2) // 2 * 2
     corner = corner[((corner >= 0) & (corner + _STAR_PX <= size)).all(axis=1)]
     if not len(corner):
-        return np.zeros(2)
+        return np.ones((2, 2))
     windows = np.stack([image[y : y + _STAR_PX, x : x + _STAR_PX] for x, y in corner]).astype(np.float64)
     half = _STAR_PX // 2
     cells = windows.reshape(-1, half, 2, half, 2).transpose(2, 4, 0, 1, 3)
     inner = slice(half // 4, half - half // 4)
     light = (cells[..., inner, inner] - np.median(cells, axis=(3, 4), keepdims=True)).sum(axis=(2, 3, 4))
-    light = np.maximum(light, 0.0) / max(light.clip(0.0).sum(), 1e-9)
-    return np.array([light[:, 1].sum() - 0.5, light[1].sum() - 0.5])
+    mean = max(float(light.mean()), 1e-9)
+    return np.asarray((light / mean).clip(_LEAST_RESPONSE))
+
+
+def even_image(
+    image: NDArray, response: Floats, saturation_dn: float
+) -> tuple[NDArray[np.float32], Background, float]:
+    """The raw image (H, W) with the backgrounds of a cell's four pixels subtracted and their `response` (2, 2)
+    divided out; what background then remains, with the pixels' weights; and the value from which its pixels
+    are saturated."""
+    height, width = (size // 2 * 2 for size in image.shape)
+    even = np.zeros(image.shape, dtype=np.float32)
+    noise2 = []
+    for row in (0, 1):
+        for column in (0, 1):
+            part = without_lines(np.ascontiguousarray(image[row:height:2, column:width:2]), saturation_dn)
+            sky = estimate_background(part)
+            part = (part - background_image(sky.level_dn, part.shape)) / np.float32(response[row, column])
+            even[row:height:2, column:width:2] = part
+            noise2.append((sky.noise_dn / response[row, column]) ** 2)
+    top = float(saturation_dn / response.min())
+    if np.isfinite(saturation_dn):
+        even[image >= saturation_dn] = top
+    mean2 = np.mean(noise2, axis=0)
+    weight = mean2.mean() / np.array([grid.mean() for grid in noise2]).reshape(2, 2)
+    sky = Background(np.zeros_like(mean2), np.sqrt(mean2), image.shape[1], image.shape[0], weight)
+    return even, sky, top
 
 
 def merged_cells(image: NDArray, saturation_dn: float) -> NDArray[np.float32]:

@@ -16,7 +16,7 @@ from scipy.ndimage import gaussian_filter, spline_filter
 from scipy.spatial import cKDTree
 
 from boresight.geometry.record import Floats, Ints, array, record, scalar
-from boresight.star_id.finding.background import Background
+from boresight.star_id.finding.background import Background, background_image
 from boresight.star_id.finding.psf import FINE, PsfImages, shape_images
 from boresight.star_id.finding.window_fit import newton_step, start_state
 from boresight.star_id.finding.windows import StarWindows, star_windows
@@ -45,10 +45,8 @@ class ShapeEstimate:
 
 def flat_image(image: NDArray, background: Background) -> NDArray[np.float32]:
     """The image (H, W) less its background, in units of its noise, without hot pixels."""
-    size = (image.shape[1], image.shape[0])
     level, noise = (
-        cv2.resize(grid.astype(np.float32), size, interpolation=cv2.INTER_LINEAR)
-        for grid in (background.level_dn, background.noise_dn)
+        background_image(grid, image.shape) for grid in (background.level_dn, background.noise_dn)
     )
     flat = np.asarray((image.astype(np.float32) - level) / noise, dtype=np.float32)
     around = cv2.medianBlur(flat, 3)

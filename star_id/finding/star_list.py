@@ -16,7 +16,7 @@ from boresight.star_id.finding.candidates import find_candidates
 from boresight.star_id.finding.centroid import Counts, StarFits, fit_stars
 from boresight.star_id.finding.detect import Detections, detect, detection_threshold
 from boresight.star_id.finding.lines import without_lines
-from boresight.star_id.finding.mosaic import cell_centre, has_mosaic, merged_cells
+from boresight.star_id.finding.mosaic import cell_response, even_image, has_mosaic, merged_cells
 from boresight.star_id.finding.psf import Psf
 from boresight.star_id.finding.shape import detect_shape, estimate_shape, filter_width_px, flat_image
 from boresight.star_id.finding.star_shape import WidthFits, fit_widths, gain_of, psf_of
@@ -124,39 +124,30 @@ def find_stars(image: NDArray, settings: StarSettings, dark: NDArray | None = No
     if dark is not None:
         image = _subtract_dark(image, dark, saturation)
     if not has_mosaic(image):
-        return _find_stars(image, settings, saturation)
-    sigma, smear, gain = settings.psf_sigma_px, settings.smear_px, settings.gain_e_per_dn
+        image = without_lines(image, saturation)
+        return _find_stars(image, estimate_background(image), settings, saturation)
+    bright = _bright_stars(merged_cells(image, saturation), settings, saturation)
+    response = cell_response(image, 2.0 * bright + 0.5)
+    image, background, saturation = even_image(image, response, saturation)
+    return _find_stars(image, background, settings, saturation)
+
+
+def _bright_stars(cells: NDArray, settings: StarSettings, saturation: float) -> Ints:
+    """Pixels (N, 2) of bright unsaturated stars in an image of merged 2 x 2 cells."""
+    sigma, smear = settings.psf_sigma_px, settings.smear_px
     of_cells = replace(
         settings,
         psf_sigma_px=None if sigma is None else 0.5 * sigma,
         smear_px=None if smear is None else (0.5 * smear[0], 0.5 * smear[1]),
-        gain_e_per_dn=None if gain is None else 4.0 * gain,
     )
-    stars = _find_stars(merged_cells(image, saturation), of_cells, saturation)
-    whole = _in_full_pixels(stars, image.shape[1], image.shape[0])
-    bright = whole.xy_px[~whole.saturated][:_STARS_FOR_PSF]
-    return replace(whole, xy_px=whole.xy_px + cell_centre(image, bright))
+    xy = _detections(cells, estimate_background(cells), of_cells, saturation).xy_px
+    return xy[cells[xy[:, 1], xy[:, 0]] < saturation][:_STARS_FOR_PSF]
 
 
-def _in_full_pixels(stars: StarList, width: int, height: int) -> StarList:
-    """Stars found in an image of merged 2 x 2 cells, with the pixels of the image of `width` x `height`."""
-    psf, sky = stars.psf, stars.background
-    smear = (2.0 * psf.smear_px[0], 2.0 * psf.smear_px[1])
-    return replace(
-        stars,
-        xy_px=2.0 * stars.xy_px + 0.5,
-        cov_px=4.0 * stars.cov_px,
-        flux_dn=4.0 * stars.flux_dn,
-        psf=Psf(2.0 * psf.sigma_px, 2.0 * psf.sigma_corner_px, smear, width, height),
-        background=Background(sky.level_dn, 2.0 * sky.noise_dn, width, height),
-        gain_e_per_dn=0.25 * stars.gain_e_per_dn,
-    )
-
-
-def _find_stars(image: NDArray, settings: StarSettings, saturation: float) -> StarList:
+def _find_stars(
+    image: NDArray, background: Background, settings: StarSettings, saturation: float
+) -> StarList:
     """Stars of an image (H, W) of one colour, its dark frame subtracted."""
-    image = without_lines(image, saturation)
-    background = estimate_background(image)
     found = _detections(image, background, settings, saturation)
     stars = _measured(image, found, background, settings, saturation)
     is_given = settings.psf_sigma_px is not None or settings.smear_px is not None

@@ -20,7 +20,7 @@ class StarWindows:
     corner: Ints = array("N, 2", "first pixel as (column, row)")
     radius: int = scalar("pixels from the middle to the edge")
     data: NDArray[np.float32] = array("N, M", "above the background, DN")
-    good: NDArray[np.float32] = array("N, M", "1, or 0 for masked pixels")
+    good: NDArray[np.float32] = array("N, M", "weight, 1 where all pixels are alike; 0 for masked pixels")
     noise2: Floats = array("N", "variance of a background pixel, DN^2")
     saturated: Bools = array("N", "whether some pixel is saturated")
 
@@ -57,6 +57,10 @@ def star_windows(
     full = raw >= saturation_dn
     saturated = np.asarray(full.any(axis=(1, 2)))
     good = np.ones(raw.shape, dtype=np.float32)
+    if background.weights is not None:
+        row, column = np.indices((side, side)) % 2
+        x, y = (corner % 2).T[:, :, None, None]
+        good *= background.weights.astype(np.float32)[(row + y) % 2, (column + x) % 2]
     if saturated.any():
         good[full] = 0.0
         arms = full & _bloomed(full)[:, None, None]
