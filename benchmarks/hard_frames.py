@@ -231,8 +231,10 @@ def cramer_rao_px(
     xy: NDArray, electrons: NDArray, variance_e: NDArray, share: NDArray, table: NDArray
 ) -> NDArray:
     """Bound (N,) of a centroid's error along one axis, px, and the matched filter's SNR (N,), of the rendered
-    PSF; column, row, flux and background unknown. `variance_e` and `share` (H, W) are the background's variance,
-    electrons squared, and the share of the light that each pixel sees."""
+    PSF; column, row, flux and background unknown.
+
+    `variance_e` and `share` (H, W) are the background's variance, electrons squared, and the share of the
+    light that each pixel sees."""
     half, step = HALF - 1, 0.05
     whole, image = stamps(xy, table, half)
     images = [image]

@@ -65,7 +65,8 @@ def estimate_background(image: NDArray) -> Background:
     if side <= _SMALL_BLOCK_PX or np.quantile(coarse.noise_dn, 0.75) < _UNEVEN * between:
         return coarse
     fine = _by_blocks(image, _SMALL_BLOCK_PX)
-    return Background(fine.level_dn, np.minimum(fine.noise_dn, _UNEVEN * between), width, height)
+    most = np.maximum(_UNEVEN * between, _noise_in_blocks(image, fine.level_dn.shape))
+    return Background(fine.level_dn, np.minimum(fine.noise_dn, most), width, height)
 
 
 def background_image(grid: Floats, shape: tuple[int, ...]) -> NDArray[np.float32]:
@@ -83,6 +84,16 @@ def _noise_between_neighbours(image: NDArray) -> float:
     if np.mean(difference == 0.0) > _ALIKE:
         return np.inf
     return max(1.0483 * float(np.median(difference)), 0.3)
+
+
+def _noise_in_blocks(image: NDArray, blocks: tuple[int, ...]) -> Floats:
+    """Standard deviation (R, C) of a pixel, DN, in each of so many blocks, from the same differences: photon
+    noise is larger where the sky is brighter."""
+    rows, columns = (size // count for size, count in zip(image.shape, blocks))
+    parts = image[: blocks[0] * rows, : blocks[1] * columns].astype(np.float32)
+    parts = parts.reshape(blocks[0], rows, blocks[1], columns)
+    difference = np.abs(parts[..., _NEAR_PX:] - parts[..., :-_NEAR_PX])
+    return np.asarray(1.0483 * np.median(difference, axis=(1, 3)), dtype=float)
 
 
 def _by_blocks(image: NDArray, side: float) -> Background:

@@ -27,8 +27,8 @@ _SMALL_STEP = 0.1  # of the standard error: steps after one so small add less th
 _STEPS = 2  # for all stars
 _MORE_STEPS = 5  # for those not yet converged
 _LARGEST_STEP_PX = 0.8
-_DAMPING = 0.6  # of the steps with an empirical PSF
-_SETTLED = 0.3  # of the standard error: such a fit is good enough with an empirical PSF
+_DAMPING = 0.6  # of the steps with a PSF that is flat
+_SETTLED = 0.3  # of the standard error: such a fit is good enough with a flat PSF
 _UNSATURATED = 0.75  # fraction of a window's pixels; with fewer, the window is enlarged
 _SATURATED_WINDOW_SIGMA = 9.0
 _WINDOW_SIGMA = 3.0  # plus half a pixel or more: 99 % of the information even on a photon-limited star
@@ -85,14 +85,13 @@ def fit_stars(
     """
     if len(pixels) == 0:
         return _no_fits()
-    smear = 0.5 * float(np.hypot(*psf.smear_px))
     sigma, gain = psf.sigma_at(pixels.astype(float)), counts.gain_e_per_dn
-    radius = psf.shape_radius_px or max(3, int(np.ceil(_WINDOW_SIGMA * sigma.mean() + smear)))
+    radius = psf.shape_radius_px or max(3, int(np.ceil(_WINDOW_SIGMA * sigma.mean() + psf.reach_px)))
     windows = star_windows(image, pixels, background, radius, counts.saturation_dn)
     full = windows.saturated & (windows.good.mean(axis=1) < _UNSATURATED)
     if not full.any():
         return _fit(windows, pixels, offset, sigma, psf, gain)
-    large = int(np.ceil(_SATURATED_WINDOW_SIGMA * sigma.mean() + smear))
+    large = int(np.ceil(_SATURATED_WINDOW_SIGMA * sigma.mean() + psf.reach_px))
     wide = star_windows(image, pixels[full], background, large, counts.saturation_dn)
     parts = [
         _fit(windows.take(~full), pixels[~full], offset[~full], sigma[~full], psf, gain),
@@ -120,19 +119,19 @@ def _fit(windows: StarWindows, pixels: Ints, start: Floats, sigma: Floats, psf: 
     if len(pixels) == 0:
         return _no_fits()
     offset = windows.offsets(pixels + start)
-    images = images_at(psf, offset, sigma, windows.radius)
+    images = images_at(psf, pixels, offset, sigma, windows.radius)
     state = start_state(windows, offset, images)
-    fit = _iterate(windows, state, images, sigma, psf, gain, steps=_STEPS)
+    fit = _iterate(windows, pixels, state, images, sigma, psf, gain, steps=_STEPS)
     good = _without_outliers(fit)
     slow = np.flatnonzero((fit.last > _SMALL_STEP) | (good != fit.good).any(axis=1))
     if len(slow):
         rest = replace(windows.take(slow), good=good[slow])
-        images = images_at(psf, fit.state[slow, :2], sigma[slow], windows.radius)
-        steps = _MORE_STEPS if psf.shape is None else 2 * _MORE_STEPS
-        more = _iterate(rest, fit.state[slow], images, sigma[slow], psf, gain, steps=steps)
+        images = images_at(psf, pixels[slow], fit.state[slow, :2], sigma[slow], windows.radius)
+        steps = 2 * _MORE_STEPS if psf.is_flat else _MORE_STEPS
+        more = _iterate(rest, pixels[slow], fit.state[slow], images, sigma[slow], psf, gain, steps=steps)
         for name in _Fit.__slots__:
             getattr(fit, name)[slow] = getattr(more, name)
-    return _stars_of(fit, windows, pixels, settled=0.0 if psf.shape is None else _SETTLED)
+    return _stars_of(fit, windows, pixels, settled=_SETTLED if psf.is_flat else 0.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -151,6 +150,7 @@ class _Fit:
 
 def _iterate(
     windows: StarWindows,
+    pixels: Ints,
     state: Floats,
     images: PsfImages,
     sigma: Floats,
@@ -162,12 +162,12 @@ def _iterate(
     """Up to `steps` Gauss-Newton steps on all stars from a state (N, 4) and its images."""
     for k in range(steps):
         if k > 0:
-            images = images_at(psf, state[:, :2], sigma, windows.radius)
+            images = images_at(psf, pixels, state[:, :2], sigma, windows.radius)
         step, normal, residual, weight = newton_step(windows, images, state, gain)
         moved = np.abs(step[:, :2])
         last = (moved * np.sqrt(np.einsum("npp->np", normal)[:, :2])).max(axis=1)
         step[:, :2] = np.clip(step[:, :2], -_LARGEST_STEP_PX, _LARGEST_STEP_PX)
-        if psf.shape is not None:  # a flat top with edges: full steps of faint stars overshoot
+        if psf.is_flat:
             step *= _DAMPING
         state = state + step
         if last.max() < _SMALL_STEP:

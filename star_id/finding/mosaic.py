@@ -65,25 +65,28 @@ def cell_response(image: NDArray, xy_px: Floats) -> Floats:
 def even_image(
     image: NDArray, response: Floats, saturation_dn: float
 ) -> tuple[NDArray[np.float32], Background, float]:
-    """The raw image (H, W) with the backgrounds of a cell's four pixels subtracted and their `response` (2, 2)
-    divided out; what background then remains, with the pixels' weights; and the value from which its pixels
-    are saturated."""
+    """The raw image (H, W) with the backgrounds of a cell's four pixels subtracted and their `response`
+    divided out, what background then remains, and the value from which its pixels are saturated.
+
+    `response` (2, 2) is that to starlight, of mean one. The background holds the pixels' weights."""
     height, width = (size // 2 * 2 for size in image.shape)
     even = np.zeros(image.shape, dtype=np.float32)
-    noise2 = []
+    level, noise2 = [], []
     for row in (0, 1):
         for column in (0, 1):
             part = without_lines(np.ascontiguousarray(image[row:height:2, column:width:2]), saturation_dn)
             sky = estimate_background(part)
             part = (part - background_image(sky.level_dn, part.shape)) / np.float32(response[row, column])
             even[row:height:2, column:width:2] = part
+            level.append(sky.level_dn)
             noise2.append((sky.noise_dn / response[row, column]) ** 2)
+    even += background_image(np.mean(level, axis=0), image.shape)
     top = float(saturation_dn / response.min())
     if np.isfinite(saturation_dn):
         even[image >= saturation_dn] = top
     mean2 = np.mean(noise2, axis=0)
     weight = mean2.mean() / np.array([grid.mean() for grid in noise2]).reshape(2, 2)
-    sky = Background(np.zeros_like(mean2), np.sqrt(mean2), image.shape[1], image.shape[0], weight)
+    sky = Background(np.mean(level, axis=0), np.sqrt(mean2), image.shape[1], image.shape[0], weight)
     return even, sky, top
 
 

@@ -1,8 +1,10 @@
 """Point spread function: a Gaussian integrated over pixels, smeared along a line if the camera rotates.
 
 The width may grow with the square of the distance from the image's centre. A smear is the mean of Gaussians
-along its line, by Gauss-Legendre quadrature, so that a smear of a few sigmas costs a few evaluations. Stars
-of any other form have an empirical image instead (`finding.shape`), interpolated by cubic splines.
+along its line, by Gauss-Legendre quadrature, so that a smear of a few sigmas costs a few evaluations; coma
+that of Gaussians over the fan of third-order coma (Born & Wolf, Principles of Optics, 5.3), whose length
+grows with the distance from the image's centre. Stars of any other form have an empirical image instead
+(`finding.shape`), interpolated by cubic splines.
 """
 
 from __future__ import annotations
@@ -14,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 from scipy.special import erf
 
-from boresight.geometry.record import Floats, record, scalar
+from boresight.geometry.record import Floats, Ints, record, scalar
 
 __all__ = ["FINE", "Psf", "PsfImages", "images_at", "psf_images", "shape_images"]
 
@@ -30,6 +32,9 @@ class Psf:
     smear_px: tuple[float, float] = scalar("motion (column, row) during the exposure, px")
     width_px: int = scalar("columns of the image")
     height_px: int = scalar("rows of the image")
+    coma_px: float = scalar(
+        "length of the comatic fan in the corners, outwards; negative: inwards", default=0.0
+    )
     shape: NDArray | None = scalar(
         "(T, T) spline coefficients of a star's image, FINE points a pixel; None: a smeared Gaussian",
         default=None,
@@ -45,6 +50,28 @@ class Psf:
         size = np.array([self.width_px, self.height_px])
         radius2 = 2.0 * (((xy_px + 0.5) / size - 0.5) ** 2).sum(axis=1)
         return np.asarray(self.sigma_px + (self.sigma_corner_px - self.sigma_px) * radius2)
+
+    def coma_at(self, xy_px: Floats) -> Floats | None:
+        """Fans (N, 2) as (column, row) from tip to end, px, at pixels (N, 2); None without coma."""
+        if self.coma_px == 0.0:
+            return None
+        middle = 0.5 * np.array([self.width_px - 1.0, self.height_px - 1.0])
+        return np.asarray((xy_px - middle) * (self.coma_px / float(np.hypot(*(middle + 0.5)))))
+
+    @property
+    def smear_sigma_px(self) -> float:
+        """Standard deviation along one axis, px, of the smear: its length over the root of 24."""
+        return float(np.hypot(*self.smear_px) / np.sqrt(24.0))
+
+    @property
+    def is_flat(self) -> bool:
+        """Whether stars have flat tops with edges, so that full steps of a fit overshoot."""
+        return self.shape is not None or float(np.hypot(*self.smear_px)) > 4.0 * self.sigma_px
+
+    @property
+    def reach_px(self) -> float:
+        """Distance, px, beyond that of the Gaussian, to which stars extend by smear and coma."""
+        return 0.5 * float(np.hypot(*self.smear_px)) + 0.5 * abs(self.coma_px)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -72,12 +99,12 @@ class PsfImages:
         return self.columns[:, 2]
 
 
-def images_at(psf: Psf, offset: Floats, sigma: Floats, radius: int) -> PsfImages:
-    """Images of stars at `offset` (N, 2) from the middle of windows of side 2 radius + 1, px: empirical, or
-    smeared Gaussians of width `sigma` (N,)."""
+def images_at(psf: Psf, pixels: Ints, offset: Floats, sigma: Floats, radius: int) -> PsfImages:
+    """Images of stars near `pixels` (N, 2) of the image, at `offset` (N, 2) from the middle of windows of
+    side 2 radius + 1, px: empirical, or smeared Gaussians of width `sigma` (N,)."""
     if psf.shape is not None:
         return shape_images(psf.shape, offset, radius)
-    return psf_images(offset, sigma, psf.smear_px, radius)
+    return psf_images(offset, sigma, psf.smear_px, radius, coma=psf.coma_at(pixels.astype(float)))
 
 
 def shape_images(shape: NDArray, offset: Floats, radius: int) -> PsfImages:
@@ -106,19 +133,25 @@ def shape_images(shape: NDArray, offset: Floats, radius: int) -> PsfImages:
 
 
 def psf_images(
-    offset: Floats, sigma: Floats, smear_px: tuple[float, float], radius: int, *, widths: bool = False
+    offset: Floats,
+    sigma: Floats,
+    smear_px: tuple[float, float],
+    radius: int,
+    *,
+    widths: bool = False,
+    coma: Floats | None = None,
 ) -> PsfImages:
     """Images of stars of width `sigma` (N,) at `offset` (N, 2) from the middle of windows of side 2 radius +
     1, px.
 
-    `widths` adds the derivatives by width and by second moments.
+    `widths` adds the derivatives by width and by second moments, `coma` (N, 2) the fans of `Psf.coma_at`.
     """
-    nodes, weights = _smear_nodes(smear_px, float(sigma.min()) if len(sigma) else 1.0)
+    nodes, weights = _nodes(smear_px, coma, float(sigma.min()) if len(sigma) else 1.0)
     edges = np.arange(2 * radius + 2, dtype=np.float32) - np.float32(radius + 0.5)
     n, side = len(offset), 2 * radius + 1
     sigma = sigma.astype(np.float32)
     weights = weights.astype(np.float32)
-    centre = offset[:, None, :] + nodes[None, :, None] * np.array(smear_px)  # (N, K, 2)
+    centre = offset[:, None, :] + nodes  # (N, K, 2)
     z = (edges - centre[..., None].astype(np.float32)) / sigma[:, None, None, None]  # (N, K, 2, side + 1)
     density = np.exp(np.float32(-0.5) * z * z) * np.float32(1.0 / np.sqrt(2.0 * np.pi))
     cumulated = np.float32(0.5) * erf(z * np.float32(np.sqrt(0.5)))
@@ -149,10 +182,36 @@ def psf_images(
     return PsfImages(columns.reshape(n, columns.shape[1], side * side), d_stretch)
 
 
-def _smear_nodes(smear_px: tuple[float, float], sigma: float) -> tuple[Floats, Floats]:
-    """Nodes along the smear in [-1/2, 1/2] and their weights, which sum to 1."""
-    length = float(np.hypot(*smear_px)) / sigma
+def _nodes(smear_px: tuple[float, float], coma: Floats | None, sigma: float) -> tuple[Floats, Floats]:
+    """Displacements (1 or N, K, 2), px, of the Gaussians that make a star's image, and their weights (K,),
+    which sum to 1."""
+    along, weights = _smear_nodes(float(np.hypot(*smear_px)) / sigma)
+    nodes = along[None, :, None] * np.array(smear_px)
+    if coma is None:
+        return nodes, weights
+    fan, of_fan = _fan_nodes(float(np.hypot(*coma.T).max(initial=0.0)) / sigma)
+    across = coma[:, ::-1] * [-1.0, 1.0]
+    fans = fan[:, :1] * coma[:, None] + fan[:, 1:] * across[:, None]
+    both = np.asarray((nodes[:, :, None] + fans[:, None]).reshape(len(coma), -1, 2))
+    return both, np.asarray(np.outer(weights, of_fan).ravel())
+
+
+def _smear_nodes(length: float) -> tuple[Floats, Floats]:
+    """Nodes along a smear of `length` sigmas in [-1/2, 1/2] and their weights, which sum to 1."""
     if length < 1e-3:
         return np.zeros(1), np.ones(1)
     nodes, weights = np.polynomial.legendre.leggauss(int(np.ceil(3 + length)))
     return 0.5 * nodes, 0.5 * weights
+
+
+def _fan_nodes(length: float) -> tuple[Floats, Floats]:
+    """Nodes (K, 2), along and across, and weights (K,) of a comatic fan of unit length about its mean.
+
+    They are circles from zones of the pupil, of radius u / 3 for the share u of the pupil's area, displaced
+    by twice that; enough of them for a fan of `length` sigmas.
+    """
+    zone, of_zone = np.polynomial.legendre.leggauss(int(np.ceil(2 + 0.3 * length)))
+    angle = 2.0 * np.pi * (np.arange(n := int(np.ceil(5 + 0.5 * length))) + 0.5) / n
+    radius = (1.0 + zone[:, None]) / 6.0
+    nodes = np.stack([radius * (2.0 + np.cos(angle)) - 1.0 / 3.0, radius * np.sin(angle)], axis=2)
+    return nodes.reshape(-1, 2), np.asarray(np.repeat(0.5 * of_zone / n, n))

@@ -18,7 +18,7 @@ from scipy.spatial import cKDTree
 from boresight.geometry.record import Floats, Ints, array, record, scalar
 from boresight.star_id.finding.background import Background, background_image
 from boresight.star_id.finding.psf import FINE, PsfImages, shape_images
-from boresight.star_id.finding.window_fit import newton_step, start_state
+from boresight.star_id.finding.window_fit import newton_step, noise_gain, start_state
 from boresight.star_id.finding.windows import StarWindows, star_windows
 
 __all__ = ["ShapeEstimate", "detect_shape", "estimate_shape", "filter_width_px", "flat_image"]
@@ -75,19 +75,8 @@ def estimate_shape(
     value = shape_images(shape, np.zeros((1, 2)), windows.radius).value[0].astype(float).clip(0.0)
     y, x = _grid(windows.radius)
     sigma = float(np.sqrt(0.5 * (value @ (x * x + y * y)) / value.sum()))
-    return ShapeEstimate(shape, sigma, len(flux), _gain(windows, shape, offset, flux, sky))
-
-
-def _gain(windows: StarWindows, shape: NDArray, offset: Floats, flux: Floats, sky: Floats) -> float:
-    """Electrons per DN of the photon noise that the residuals show."""
-    signal = flux[:, None] * shape_images(shape, offset, windows.radius).value
-    square = (windows.data - sky[:, None] - signal) ** 2
-    noise2, per_dn = windows.noise2[:, None], 0.0
-    for _ in range(4):
-        variance = noise2 + per_dn * np.maximum(signal, 0.0)
-        weight = (square < 25.0 * variance) * (signal > 0.0) * windows.good / variance**2
-        per_dn = max(float((weight * signal * (square - noise2)).sum() / (weight * signal**2).sum()), 0.0)
-    return 1.0 / per_dn if per_dn > 0.0 else np.inf
+    images = shape_images(shape, offset, windows.radius)
+    return ShapeEstimate(shape, sigma, len(flux), noise_gain(windows, images.value, flux, sky))
 
 
 def filter_width_px(shape: NDArray) -> float:

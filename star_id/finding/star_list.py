@@ -3,6 +3,7 @@ star."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -12,6 +13,7 @@ from scipy.spatial import cKDTree
 from boresight.geometry.record import Bools, Floats, Ints, array, record, scalar
 from boresight.star_id.centroids import Centroids
 from boresight.star_id.finding.background import Background, estimate_background
+from boresight.star_id.finding.blur import find_coma, find_trail
 from boresight.star_id.finding.candidates import find_candidates
 from boresight.star_id.finding.centroid import Counts, StarFits, fit_stars
 from boresight.star_id.finding.detect import Detections, detect, detection_threshold
@@ -29,6 +31,7 @@ _START_SIGMA_PX = 1.2
 _STARS_FOR_PSF = 40
 _FEW_STARS = 8
 _LEAST_STARS = 3  # with fewer the width is not estimated
+_STARS_FOR_BLUR, _BRIGHT_SNR = 80, 15.0
 _ROUNDS = 6  # of detection and width
 _SIGMA_AT_RESOLUTION = (0.65, 1.8)  # up to which widths stars are searched at full and half the resolution
 _SMALL_CHANGE = 0.2  # of the width: a filter that far off still has 98 % of the signal-to-noise ratio
@@ -127,7 +130,7 @@ def find_stars(image: NDArray, settings: StarSettings, dark: NDArray | None = No
         image = without_lines(image, saturation)
         return _find_stars(image, estimate_background(image), settings, saturation)
     bright = _bright_stars(merged_cells(image, saturation), settings, saturation)
-    response = cell_response(image, 2.0 * bright + 0.5)
+    response = cell_response(image, np.asarray(2.0 * bright + 0.5, dtype=float))
     image, background, saturation = even_image(image, response, saturation)
     return _find_stars(image, background, settings, saturation)
 
@@ -140,7 +143,7 @@ def _bright_stars(cells: NDArray, settings: StarSettings, saturation: float) -> 
         psf_sigma_px=None if sigma is None else 0.5 * sigma,
         smear_px=None if smear is None else (0.5 * smear[0], 0.5 * smear[1]),
     )
-    xy = _detections(cells, estimate_background(cells), of_cells, saturation).xy_px
+    xy: Ints = _detections(cells, estimate_background(cells), of_cells, saturation).xy_px
     return xy[cells[xy[:, 1], xy[:, 0]] < saturation][:_STARS_FOR_PSF]
 
 
@@ -150,16 +153,38 @@ def _find_stars(
     """Stars of an image (H, W) of one colour, its dark frame subtracted."""
     found = _detections(image, background, settings, saturation)
     stars = _measured(image, found, background, settings, saturation)
-    is_given = settings.psf_sigma_px is not None or settings.smear_px is not None
+    if settings.psf_sigma_px is not None or settings.smear_px is not None:
+        return stars
+    if comatic := _with_blur(find_coma, image, found, stars, settings):
+        return comatic
     few = stars.misshapen <= _FEW_STARS + _MISSHAPEN_SHARE * len(stars.xy_px)
-    if is_given or few or np.count_nonzero(stars.saturated) > _SATURATED_SHARE * len(stars.xy_px):
+    if few or np.count_nonzero(stars.saturated) > _SATURATED_SHARE * len(stars.xy_px):
         return stars  # the arms of saturated stars are misshapen whatever the PSF
     shaped = _detections_by_shape(image, background, settings, saturation, stars)
     if shaped is None:
         return stars
     others = _measured(image, shaped, background, settings, saturation)
+    others = _with_blur(find_trail, image, shaped, others, settings) or others
     is_better = others.misshapen < _FEWER_MISSHAPEN * stars.misshapen
     return others if is_better and len(others.xy_px) > 0.7 * len(stars.xy_px) else stars
+
+
+def _with_blur(
+    find_blur: Callable[..., tuple[Psf, float] | None],
+    image: NDArray,
+    found: _Found,
+    stars: StarList,
+    settings: StarSettings,
+) -> StarList | None:
+    """The stars measured again with the PSF and gain that `find_blur` finds from the bright ones, if any."""
+    bright = ~stars.saturated & ~stars.blended & (stars.snr > _BRIGHT_SNR)
+    xy, top = stars.xy_px[bright][:_STARS_FOR_BLUR], stars.saturation_dn
+    answer = find_blur(image, xy, stars.background, stars.psf, saturation_dn=top)
+    if answer is None:
+        return None
+    psf, gain = answer
+    found = replace(found, psf=psf, gain_e_per_dn=settings.gain_e_per_dn or gain)
+    return _measured(image, found, stars.background, settings, top)
 
 
 def _measured(
@@ -376,11 +401,16 @@ def _distinct(fits: StarFits, good: Ints, psf: Psf) -> Ints:
     order = good[np.argsort(-fits.flux_dn[good], kind="stable")]
     if len(order) < 2:
         return order
-    reach = max(1.0, float(psf.sigma_at(fits.xy_px[order]).mean()))
+    reach = max(1.0, _width_px(fits.xy_px[order], psf))
     pairs = cKDTree(fits.xy_px[order]).query_pairs(reach, output_type="ndarray")
     drop = np.zeros(len(order), dtype=bool)
     drop[pairs.max(axis=1)] = True
     return np.asarray(order[~drop])
+
+
+def _width_px(xy_px: Floats, psf: Psf) -> float:
+    """Mean standard deviation along one axis, px, of the light of stars at pixels (N, 2)."""
+    return float(np.hypot(psf.sigma_at(xy_px).mean(), psf.smear_sigma_px))
 
 
 def _blended(fits: StarFits, psf: Psf) -> Bools:
@@ -398,7 +428,7 @@ def _blended(fits: StarFits, psf: Psf) -> Bools:
     blended = ~fits.saturated & (fits.chi2 > fits.dof + 6.0 * np.sqrt(2.0 * fits.dof))
     blended &= misfit > 3.0 * max(usual, 0.0) + 0.003
     blended |= fits.saturated & (fits.chi2 > fits.dof + _WINGS_MISFIT * np.sqrt(2.0 * fits.dof))
-    sigma = float(psf.sigma_at(fits.xy_px).mean())
+    sigma = _width_px(fits.xy_px, psf)
     pairs = cKDTree(fits.xy_px).query_pairs(10.0 * sigma, output_type="ndarray")
     for a, b in (pairs.T, pairs.T[::-1]):
         d2 = ((fits.xy_px[a] - fits.xy_px[b]) ** 2).sum(axis=1)

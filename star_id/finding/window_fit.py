@@ -14,7 +14,7 @@ from boresight.geometry.record import Floats
 from boresight.star_id.finding.psf import PsfImages
 from boresight.star_id.finding.windows import StarWindows
 
-__all__ = ["by_parameter", "newton_step", "start_state"]
+__all__ = ["by_parameter", "newton_step", "noise_gain", "start_state"]
 
 Pixels = NDArray[np.float32]
 
@@ -60,3 +60,16 @@ def by_parameter(state: Floats, parameters: int) -> Floats:
     scale = np.ones((len(state), parameters))
     scale[:, [0, 1, *range(4, parameters)]] = state[:, 2:3]
     return scale
+
+
+def noise_gain(windows: StarWindows, value: Pixels, flux: Floats, sky: Floats) -> float:
+    """Electrons per DN of the photon noise that the residuals about unit images (N, M) show; infinite if they
+    do not grow with the signal."""
+    signal = flux[:, None] * value
+    square = (windows.data - sky[:, None] - signal) ** 2
+    noise2, per_dn = windows.noise2[:, None], 0.0
+    for _ in range(4):
+        variance = noise2 + per_dn * np.maximum(signal, 0.0)
+        weight = (square < 25.0 * variance) * (signal > 0.0) * windows.good / variance**2
+        per_dn = max(float((weight * signal * (square - noise2)).sum() / (weight * signal**2).sum()), 0.0)
+    return 1.0 / per_dn if per_dn > 0.0 else np.inf

@@ -76,7 +76,10 @@ def test_a_colour_mosaic_is_recognised_and_does_not_displace_stars():
     distance, nearest = cKDTree(stars.xy_px).query(xy)
     assert (distance < 1.0).mean() >= 0.95
     error = (stars.xy_px[nearest] - xy)[distance < 1.0]
-    assert np.abs(error.mean(axis=0)).max() < 0.03  # px; 0.06 if all pixels counted alike
+    assert np.abs(error.mean(axis=0)).max() < 0.02  # px; 0.06 if all pixels counted alike
+    found, false, chi2 = scored(stars, xy)
+    assert found >= 0.95 and false <= 2
+    assert 0.75 < chi2 < 1.3  # 290 coordinates: 0.08, and the noise of four colours
 
 
 def test_a_sky_cut_off_at_zero_gives_few_false_detections():
@@ -108,6 +111,41 @@ def rings(xy, flux_dn, radius_px, rng):
     ring = np.exp(-0.5 * ((np.hypot(x, y) - radius_px) / 0.6) ** 2)
     light = fftconvolve(points, ring / ring.sum(), mode="same").clip(0.0) + 200.0
     return (rng.poisson(light * 4.0) / 4.0 + rng.normal(0.0, 6.0, light.shape)).round().astype(np.uint16)
+
+
+def test_coma_displaces_no_star():
+    rng = np.random.default_rng(8)
+    xy = places(rng)
+    middle, length = 0.5 * (SIZE - 1), 6.0  # px, in the corners
+    fan = length * (xy - middle) / (middle * np.sqrt(2.0))
+    zone, angle = rng.random(80), rng.uniform(0.0, 2.0 * np.pi, 80)  # zone: share of the pupil's area
+    along, across = zone / 3.0 * (2.0 + np.cos(angle)), zone / 3.0 * np.sin(angle)
+    along, across = along - along.mean(), across - across.mean()
+    points = xy[:, None] + along[:, None] * fan[:, None] + across[:, None] * (fan[:, ::-1] * [-1, 1])[:, None]
+    flux = rng.uniform(2000.0, 9000.0, len(xy))
+    image = render(points.reshape(-1, 2), np.repeat(flux / 80.0, 80), SIZE, SIZE, SENSOR, rng)
+    stars = find_stars(image, StarSettings())
+    assert 0.8 * length < stars.psf.coma_px < 1.2 * length
+    distance, nearest = cKDTree(stars.xy_px).query(xy)
+    outer = (distance < 2.0) & (np.hypot(*fan.T) > 0.55 * length)
+    out = fan[outer] / np.hypot(*fan[outer].T)[:, None]
+    assert outer.sum() >= 30
+    assert abs(np.mean(((stars.xy_px[nearest] - xy)[outer] * out).sum(axis=1))) < 0.03  # 0.1 px without coma
+    assert 0.7 < scored(stars, xy)[2] < 1.4
+
+
+def test_an_even_trail_is_a_smeared_gaussian():
+    rng = np.random.default_rng(9)
+    xy, trail = places(rng), np.array([5.0, 15.0])
+    points = xy[:, None] + ((np.arange(41) - 20.0) / 41.0)[:, None] * trail
+    flux = rng.uniform(3000.0, 9000.0, len(xy))
+    image = render(points.reshape(-1, 2), np.repeat(flux / 41.0, 41), SIZE, SIZE, SENSOR, rng)
+    stars = find_stars(image, StarSettings())
+    assert stars.psf.shape is None
+    assert min(np.abs(stars.psf.smear_px - sign * trail).max() for sign in (1, -1)) < 0.1  # px
+    found, false, chi2 = scored(stars, xy)
+    assert found >= 0.95 and false <= 4
+    assert 0.7 < chi2 < 1.4
 
 
 @pytest.mark.parametrize("radius_px", [3.0, 4.0])
