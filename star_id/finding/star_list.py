@@ -72,7 +72,7 @@ class StarList:
             cov_px=self.cov_px,
             blended=self.blended,
             snr=self.snr,
-            psf_sigma_px=self.psf.sigma_px,
+            psf_sigma_px=float(np.hypot(self.psf.sigma_px, self.psf.smear_sigma_px)),
         )
 
     def take(self, index: NDArray) -> StarList:
