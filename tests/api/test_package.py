@@ -3,19 +3,15 @@
 from __future__ import annotations
 
 import json
-import os
 import shutil
-import subprocess
 import sys
-import sysconfig
 import tarfile
-import venv
 import zipfile
 from pathlib import Path
 
 import pytest
+from outside import ROOT, run
 
-ROOT = Path(__file__).parents[2]
 MINI = ROOT / "fixtures" / "mini"
 RESOURCE_USE = """
 import resource, subprocess, sys
@@ -23,36 +19,6 @@ subprocess.run(sys.argv[1:], check=True, capture_output=True)
 used = resource.getrusage(resource.RUSAGE_CHILDREN)
 print(used.ru_utime + used.ru_stime)
 """
-
-
-def run(*command: str | Path, cwd: Path) -> str:
-    """Standard output of a command that must succeed, run without this process's search path."""
-    environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
-    done = subprocess.run(
-        [str(part) for part in command], cwd=cwd, env=environment, capture_output=True, text=True
-    )
-    assert done.returncode == 0, done.stderr
-    return done.stdout
-
-
-@pytest.fixture(scope="module")
-def built(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
-    """Wheel and sdist of the working tree."""
-    folder = tmp_path_factory.mktemp("dist")
-    run(sys.executable, "-m", "hatchling", "build", "-d", folder, cwd=ROOT)
-    return next(folder.glob("*.whl")), next(folder.glob("*.tar.gz"))
-
-
-@pytest.fixture(scope="module")
-def installed(built: tuple[Path, Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Python of an environment that holds the wheel alone; the dependencies come from the present one."""
-    folder = tmp_path_factory.mktemp("environment") / "venv"
-    venv.create(folder, with_pip=False)
-    python = folder / "bin" / "python"
-    pip = (sys.executable, "-m", "pip", "--python", python, "install", "--quiet", "--no-deps", "--no-index")
-    run(*pip, built[0], cwd=folder)
-    (site_packages(folder) / "dependencies.pth").write_text(sysconfig.get_path("purelib") + "\n")
-    return python
 
 
 def site_packages(environment: Path) -> Path:
@@ -118,19 +84,20 @@ def test_version_needs_neither_git_nor_an_installation(tmp_path: Path) -> None:
     assert run(sys.executable, "-S", "-m", "boresight", "--version", cwd=tmp_path) == "boresight 0+source\n"
 
 
-def test_installed_wheel_runs_the_demo_outside_the_repository(installed: Path, tmp_path: Path) -> None:
-    shutil.copytree(MINI, tmp_path / "mini")
-    where = run(installed, "-c", "import boresight; print(boresight.__file__)", cwd=tmp_path)
-    assert Path(where.strip()).is_relative_to(installed.parents[1])
-    boresight = (installed, "-m", "boresight")
-    run(*boresight, "calibrate", "mini", "--out", "result", "--workers", "1", "--no-report", cwd=tmp_path)
-    told = run(*boresight, "validate", "result", "--dump", "mini", cwd=tmp_path)
+def test_installed_wheel_runs_the_demo_outside_the_repository(
+    installed: Path, demo: Path, tmp_path: Path
+) -> None:
+    shutil.copytree(demo, tmp_path, dirs_exist_ok=True)
+    validation = (installed, "-m", "boresight", "validate", "demo-result", "--dump", MINI)
+    told = run(*validation, cwd=tmp_path)
     nees = next(float(line.split()[-1]) for line in told.splitlines() if line.startswith("NEES"))
     assert nees < 11.3  # chi-square, 3 degrees of freedom, 99 %
-    result = json.loads((tmp_path / "result" / "installation.json").read_text())
-    call = "bs.calibrate('mini', out='result').R_cs.as_quat(canonical=True)"  # the finished run, at once
-    code = f"import boresight as bs; print({call}.tolist())"
-    assert json.loads(run(installed, "-c", code, cwd=tmp_path)) == result["quaternion"]
+    result = json.loads((tmp_path / "demo-result" / "installation.json").read_text())
+    finished = "bs.calibrate('fixtures/mini', out='demo-result').R_cs.as_quat(canonical=True).tolist()"
+    code = f"import boresight as bs; print(bs.__file__); print({finished})"
+    where, quaternion = run(installed, "-c", code, cwd=tmp_path).splitlines()
+    assert Path(where).is_relative_to(installed.parents[1])
+    assert json.loads(quaternion) == result["quaternion"]
     variance = [row[n] for n, row in enumerate(result["covariance_rad2"])]
     assert max(variance) ** 0.5 < 10.0 / 206265.0  # rad: 10 arcsec bound the weakest axis of the demo
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import fcntl
-import os
 from pathlib import Path
 
 import pytest
@@ -27,18 +25,15 @@ def one_strip(tmp_path: Path) -> Path:
 
 
 @pytest.fixture(scope="session")
-def finished(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+def finished(made_once) -> tuple[Path, Path]:
     """One strip of the fixture, carried through by the command itself: the dump and its result. Read only."""
-    shared = tmp_path_factory.getbasetemp()
-    if "PYTEST_XDIST_WORKER" in os.environ:
-        shared = shared.parent  # of all processes of this test run: the first makes it, the others wait
-    folder = shared / "finished"
-    with (shared / "finished.lock").open("w") as lock:
-        fcntl.lockf(lock, fcntl.LOCK_EX)
-        if not folder.exists():
-            folder.mkdir()
-            dump = strip_of_fixture(folder / "dump", 1)
-            command = ["calibrate", str(dump), "--out", str(folder / "result"), "--workers", "1"]
-            ran = CliRunner().invoke(app, command)
-            assert ran.exit_code == 0, ran.output
+
+    def fill(folder: Path) -> None:
+        dump = strip_of_fixture(folder / "dump", 1)
+        ran = CliRunner().invoke(
+            app, ["calibrate", str(dump), "--out", str(folder / "result"), "--workers", "1"]
+        )
+        assert ran.exit_code == 0, ran.output
+
+    folder = made_once("finished", fill)
     return folder / "dump", folder / "result"

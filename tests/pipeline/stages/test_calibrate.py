@@ -41,13 +41,10 @@ def run(dump: Path, out: Path) -> dict:
     return json.loads((out / "installation.json").read_text())
 
 
-@pytest.fixture(scope="module")
-def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The result of the whole fixture; `truth/` is not there while it is made."""
-    folder = tmp_path_factory.mktemp("whole")
-    shutil.copytree(FIXTURE, folder / "dump", ignore=shutil.ignore_patterns("truth"))
-    run(folder / "dump", folder / "result")
-    return folder / "result"
+@pytest.fixture
+def whole(demo: Path) -> Path:
+    """The result of the whole fixture; `truth/` was not there while it was made. Read only."""
+    return demo / "demo-result"
 
 
 @pytest.fixture

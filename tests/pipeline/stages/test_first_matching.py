@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -25,13 +26,20 @@ def tasks() -> list[StripTask]:
     return strips_to_match(open_dump(FIXTURE), Settings())[0]
 
 
-@pytest.fixture(scope="module")
-def all_searched(tasks: list[StripTask]) -> list[MatchedTargets]:
-    return match_first(tasks, lambda task, found: None, StageRunner(), ALL)[1]
+@pytest.fixture
+def store(demo: Path, tmp_path: Path) -> UnitStore:
+    """Copy of the finished units of the demo, in which every strip was searched."""
+    return UnitStore(shutil.copytree(demo / "demo-result" / "work", tmp_path / "work"))
 
 
-def test_matrix_is_that_of_searching_every_strip(tmp_path: Path) -> None:
-    dump, store = open_dump(FIXTURE), UnitStore(tmp_path)  # the stars are the same
+@pytest.fixture
+def all_searched(tasks: list[StripTask], store: UnitStore) -> list[MatchedTargets]:
+    found = match_first(tasks, lambda task, found: None, StageRunner(store), ALL)
+    return found[1]
+
+
+def test_matrix_is_that_of_searching_every_strip(store: UnitStore) -> None:
+    dump = open_dump(FIXTURE)
     everywhere, from_one = (
         calibrate_dump(dump, Settings(run=RunSettings(search_all_px=limit)), store).estimate
         for limit in (ALL, NONE)

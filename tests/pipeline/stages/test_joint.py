@@ -61,11 +61,16 @@ def dumps(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
 
 
 @pytest.fixture(scope="module")
-def joint(dumps: list[Path], finished: tuple[Path, Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The result of the three, named out of order. Units of the first, which `finished` is, are found."""
+def joint(
+    dumps: list[Path], finished: tuple[Path, Path], demo: Path, tmp_path_factory: pytest.TempPathFactory
+) -> Path:
+    """The result of the three, named out of order. Units of the first two are found: the first is `finished`,
+    and the demo has the exposures of the second.
+    """
     out = tmp_path_factory.mktemp("joint") / "result"
     stopped_run(out, dumps)
     stopped_run(out / NAMES[0], dumps[:1], finished[1])
+    stopped_run(out / NAMES[1], dumps[1:2], demo / "demo-result")
     ran("calibrate", dumps[2], dumps[0], dumps[1], "--out", out, "--workers", 1)
     return out
 

@@ -1,0 +1,79 @@
+"""The wheel in an environment of its own, and the demo run from it: made once, used by several rooms."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import shutil
+import sys
+import sysconfig
+import venv
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from outside import DEMO, ROOT, run
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Tests of what is built once come first: one process makes it and no other waits."""
+    items.sort(key=lambda item: not {"demo", "installed"} & set(getattr(item, "fixturenames", ())))
+
+
+@pytest.fixture(scope="session")
+def made_once(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str, Callable[[Path], object]], Path]:
+    """Folder NAME, filled by a function: the first process of the test run makes it, the others wait."""
+    shared = tmp_path_factory.getbasetemp()
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        shared = shared.parent
+
+    def folder_of(name: str, fill: Callable[[Path], object]) -> Path:
+        folder = shared / name
+        with (shared / f"{name}.lock").open("w") as lock:
+            fcntl.lockf(lock, fcntl.LOCK_EX)
+            if not folder.exists():
+                folder.mkdir()
+                fill(folder)
+        return folder
+
+    return folder_of
+
+
+@pytest.fixture(scope="session")
+def built(made_once) -> tuple[Path, Path]:
+    """Wheel and sdist of the working tree."""
+    folder = made_once(
+        "dist", lambda folder: run(sys.executable, "-m", "hatchling", "build", "-d", folder, cwd=ROOT)
+    )
+    return next(folder.glob("*.whl")), next(folder.glob("*.tar.gz"))
+
+
+@pytest.fixture(scope="session")
+def installed(built: tuple[Path, Path], made_once) -> Path:
+    """Python of an environment that holds the wheel alone; the dependencies come from the present one."""
+
+    def fill(folder: Path) -> None:
+        venv.create(folder, with_pip=False)
+        python = folder / "bin" / "python"
+        pip = (sys.executable, "-m", "pip", "--python", python, "install", "--quiet", "--no-deps")
+        run(*pip, "--no-index", built[0], cwd=folder)
+        packages = next((folder / "lib").glob("python*/site-packages"))
+        (packages / "dependencies.pth").write_text(sysconfig.get_path("purelib") + "\n")
+
+    return made_once("environment", fill) / "bin" / "python"
+
+
+@pytest.fixture(scope="session")
+def demo(installed: Path, made_once) -> Path:
+    """Folder outside the repository with `fixtures/mini`, its truth not among it, `demo-result`, which the
+    installed wheel has made from it, and `printed`, what it printed. Read only.
+    """
+
+    def fill(folder: Path) -> None:
+        shutil.copytree(
+            ROOT / "fixtures" / "mini", folder / "fixtures" / "mini", ignore=shutil.ignore_patterns("truth")
+        )
+        printed = run(installed, "-m", "boresight", *DEMO, "--workers", "1", cwd=folder)
+        (folder / "printed").write_text(printed)
+
+    return made_once("demo", fill)
