@@ -6,7 +6,9 @@ rotation and 2 px in a smooth distortion, from strips of the sky and of the grou
 
 from __future__ import annotations
 
+import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 from record import exit_status, head, verdict
@@ -18,12 +20,15 @@ from boresight.calib.settings import CalibrationSettings
 from boresight.geometry.attitude_estimate import with_attitudes
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.installation import deviation_from_theta
-from boresight.geometry.line_camera import Ccd, LineCamera
+from boresight.geometry.line_camera import LineCamera
 from boresight.geometry.sightings import StripSightings
 from boresight.pipeline.experiments.geopositioning import MotionPrior, check_point_errors, smoothed_attitude
 from boresight.pipeline.experiments.vectors import MATRIX_28
 from boresight.simulator.campaign import CameraPair, LinePair, StripPlan, draw_strips, installation_by_tilt
 from boresight.simulator.sky_campaign import draw_sky_strips
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+from four_ccds import four_ccds
 
 SEEDS = 20
 R_CS = installation_by_tilt(np.radians(15.0))  # the paper's mounting
@@ -38,20 +43,8 @@ SETTINGS = CalibrationSettings()
 def assumed_camera() -> LineCamera:
     """Four staggered CCDs of 6144 px behind 10 m, as a laboratory measured them."""
     samples = np.linspace(0.0, 6143.0, 9)
-    ccds = tuple(
-        Ccd(
-            n_px=6144,
-            y_first_m=-0.122 + k * 0.06044,
-            x_offset_m=0.004 * (-1) ** k,
-            rotation_rad=1e-4 * (k - 1.5),
-            pixel_m=1e-5,
-            principal_sample=3067.0,
-            distortion_samples=samples,
-            distortion_offsets_m=3e-15 * (samples - 3067.0) ** 3,
-        )
-        for k in range(4)
-    )
-    return LineCamera(10.0, ccds)
+    offsets = 3e-15 * (samples - 3067.0) ** 3
+    return LineCamera(10.0, four_ccds([{"distortion_samples": samples, "distortion_offsets_m": offsets}] * 4))
 
 
 def true_camera(assumed: LineCamera, rng: np.random.Generator) -> LineCamera:

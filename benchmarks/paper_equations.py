@@ -28,8 +28,10 @@ from boresight.simulator.cameras import calibrated_line_camera, star_camera
 from boresight.simulator.campaign import CameraPair, draw_frames, noisy_frames
 from boresight.simulator.scenario import paper_scenario
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "geometry"))
-from strips import R_CS, strip
+TESTS = Path(__file__).parents[1] / "tests"
+sys.path[:0] = [str(TESTS), str(TESTS / "geometry")]
+
+from strips import R_CS, strip  # noqa: E402
 
 N_S, N_C, DRAWS = 20, 8, 4000
 THETA = np.array([0.003, 0.002, 0.001])  # rad, (28)

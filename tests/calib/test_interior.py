@@ -6,13 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from four_ccds import four_ccds
 from scipy.spatial.transform import Rotation
 
 from boresight.calib.interior.estimate import InteriorEstimate, calibrate_interior, map_difference_px
 from boresight.calib.interior.parameters import STAGGER, InteriorModel, InteriorPriors
 from boresight.calib.settings import CalibrationSettings
 from boresight.geometry.constants import ARCSEC
-from boresight.geometry.line_camera import Ccd, LineCamera
+from boresight.geometry.line_camera import LineCamera
 from boresight.simulator.campaign import CameraPair, LinePair, StripPlan, draw_strips
 from boresight.simulator.sky_campaign import draw_sky_strips
 
@@ -23,19 +24,7 @@ NODES = np.linspace(0.0, 6143.0, 9)
 def camera(tables=True):
     """Four staggered CCDs behind 10 m, rotated, with a table of distortion as of a laboratory."""
     table = {"distortion_samples": NODES, "distortion_offsets_m": 2e-9 * (NODES - 3067.0)} if tables else {}
-    ccds = tuple(
-        Ccd(
-            n_px=6144,
-            y_first_m=-0.122 + k * 0.06044,
-            x_offset_m=0.004 * (-1) ** k,
-            rotation_rad=1e-4 * (k - 1.5),
-            pixel_m=1e-5,
-            principal_sample=3067.0,
-            **table,
-        )
-        for k in range(4)
-    )
-    return LineCamera(10.0, ccds)
+    return LineCamera(10.0, four_ccds([table] * 4))
 
 
 def true_camera(seed, assumed):

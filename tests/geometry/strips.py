@@ -1,6 +1,7 @@
 """Strips of a four-CCD camera on a satellite at 530 km, for the tests of this folder."""
 
 import numpy as np
+from four_ccds import four_ccds
 from scipy.spatial.transform import Rotation
 
 from boresight.geometry.attitude import AttitudeTrack
@@ -9,7 +10,7 @@ from boresight.geometry.earth_orientation import bundled_earth_orientation
 from boresight.geometry.earth_rotation import EarthRotation
 from boresight.geometry.epoch import Epoch
 from boresight.geometry.groundlight import LightEffects
-from boresight.geometry.line_camera import Ccd, LineCamera
+from boresight.geometry.line_camera import LineCamera
 from boresight.geometry.orbit import Orbit
 from boresight.geometry.pushbroom import Pushbroom, RowClock
 
@@ -43,20 +44,10 @@ def camera(tdi_stages=1, time_of_row="middle"):
     """
     samples = np.array([0.0, 1500.0, 3067.0, 4600.0, 6143.0])
     offsets = np.array([18e-6, 6e-6, 0.0, -5e-6, -17e-6])
-    ccds = [
-        Ccd(
-            n_px=6144,
-            y_first_m=-0.122 + k * 0.06044,
-            x_offset_m=0.004 * (-1) ** k,
-            rotation_rad=1e-4 * (k - 1.5),
-            pixel_m=1e-5,
-            principal_sample=3067.0,
-            distortion_samples=samples,
-            distortion_offsets_m=offsets * (1 - k / 2),
-        )
-        for k in range(4)
+    tables = [
+        {"distortion_samples": samples, "distortion_offsets_m": offsets * (1 - k / 2)} for k in range(4)
     ]
-    return LineCamera(10.0, tuple(ccds), tdi_stages, time_of_row)
+    return LineCamera(10.0, four_ccds(tables), tdi_stages, time_of_row)
 
 
 def attitude(path, roll_deg=0.0, pitch_deg=0.0, wave_rad=6e-5, yaw_deg=0.0):

@@ -57,6 +57,18 @@ q1_per_mm2 = -9.30e-7
 q2_per_mm4 = -4.25e-9
 """
 
+# An entry of a head that delivers attitudes, in the order of its keys in docs/dump-format.md.
+ATTITUDE_HEAD = """
+[[star_cameras]]
+name = "STR1"
+level = "attitudes"
+installation = "installation.toml"
+attitudes = "str1.csv"
+frame = "GCRF"
+rotation = "{rotation}"
+aberration_removed = "{removed}"
+"""
+
 CCD = """
 [[ccds]]
 n_px = 64

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import tomli_w
-from handmade import write_handmade_dump
+from handmade import ATTITUDE_HEAD, write_handmade_dump
 
 from boresight.geometry.smooth_distortion import SmoothDistortion
 from boresight.geometry.star_camera import StarCamera
@@ -22,16 +22,7 @@ from boresight.pipeline.files.star_side import (
 )
 from boresight.pipeline.files.text_files import read_toml
 
-HEAD = """
-[[star_cameras]]
-name = "STR1"
-level = "attitudes"
-installation = "installation.toml"
-attitudes = "str1.csv"
-frame = "GCRF"
-rotation = "head to inertial"
-aberration_removed = "annual"
-"""
+HEAD = ATTITUDE_HEAD.format(rotation="head to inertial", removed="annual")
 WHITE = """
 [star_cameras.noise]
 white_arcsec = [1, 1, 7]

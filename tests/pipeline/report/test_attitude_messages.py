@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
+from handmade import ATTITUDE_HEAD
 from pytest import approx
 from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
@@ -17,19 +18,13 @@ from boresight.pipeline.cli import app
 from boresight.pipeline.files.dump import open_dump
 from boresight.pipeline.files.table_files import list_values
 
-HEAD = """
-[[star_cameras]]
-name = "STR1"
-level = "attitudes"
-installation = "installation.toml"
-attitudes = "str1.csv"
-frame = "GCRF"
-rotation = "inertial to head"
-aberration_removed = "annual and orbital"
-
+HEAD = (
+    ATTITUDE_HEAD.format(rotation="inertial to head", removed="annual and orbital")
+    + """
 [star_cameras.noise]
 white_arcsec = [1.0, 1.0, 6.0]
 """
+)
 
 
 @pytest.fixture(scope="module")

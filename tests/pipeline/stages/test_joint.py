@@ -47,32 +47,37 @@ def ran(*arguments: object) -> str:
 
 
 @pytest.fixture(scope="module")
-def dumps(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+def dumps(made_once) -> list[Path]:
     """Two strips of the fixture as two dumps, and one that another mission of the cameras took two months
-    later: other ground, other stars, another draw of every error.
+    later: other ground, other stars, another draw of every error. Read only.
     """
-    folder = tmp_path_factory.mktemp("dumps")
-    november, later = (strip_of_fixture(folder / name, n + 1) for n, name in enumerate(NAMES[:2]))
-    changes = ["strips.count=1", "strips.lines=1000", "strips.only_around_targets_px=60.0"]
-    changes += ["targets.per_strip=12", 'epoch_utc="2025-01-15T03:40:00"']
-    options = [part for change in changes for part in ("--set", change)]
-    ran("simulate", "mini", folder / NAMES[2], "--seed", 2, *options)
-    return [november, later, folder / NAMES[2]]
+
+    def fill(folder: Path) -> None:
+        for n, name in enumerate(NAMES[:2]):
+            strip_of_fixture(folder / name, n + 1)
+        changes = ["strips.count=1", "strips.lines=1000", "strips.only_around_targets_px=60.0"]
+        changes += ["targets.per_strip=12", 'epoch_utc="2025-01-15T03:40:00"']
+        options = [part for change in changes for part in ("--set", change)]
+        ran("simulate", "mini", folder / NAMES[2], "--seed", 2, *options)
+
+    folder = made_once("dumps-of-a-mission", fill)
+    return [folder / name for name in NAMES]
 
 
 @pytest.fixture(scope="module")
-def joint(
-    dumps: list[Path], finished: tuple[Path, Path], demo: Path, tmp_path_factory: pytest.TempPathFactory
-) -> Path:
+def joint(dumps: list[Path], finished: tuple[Path, Path], demo: Path, made_once) -> Path:
     """The result of the three, named out of order. Units of the first two are found: the first is `finished`,
     and the demo has the exposures of the second.
     """
-    out = tmp_path_factory.mktemp("joint") / "result"
-    stopped_run(out, dumps)
-    stopped_run(out / NAMES[0], dumps[:1], finished[1])
-    stopped_run(out / NAMES[1], dumps[1:2], demo / "demo-result")
-    ran("calibrate", dumps[2], dumps[0], dumps[1], "--out", out, "--workers", 1)
-    return out
+
+    def fill(folder: Path) -> None:
+        out = folder / "result"
+        stopped_run(out, dumps)
+        stopped_run(out / NAMES[0], dumps[:1], finished[1])
+        stopped_run(out / NAMES[1], dumps[1:2], demo / "demo-result")
+        ran("calibrate", dumps[2], dumps[0], dumps[1], "--out", out, "--workers", 1)
+
+    return made_once("joint", fill) / "result"
 
 
 def matrix(result: Path) -> dict:
