@@ -12,15 +12,17 @@ them.
 from __future__ import annotations
 
 import argparse
+import json
 import shutil
 import tempfile
 import time
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from record import band_of_mean_nees, exit_status, head, verdict
+from record import band_of_mean_nees, commit, exit_status, head, verdict
 from scipy.spatial.transform import Rotation
 
 from boresight.calib.estimate import InstallationEstimate
@@ -71,6 +73,7 @@ class Outcome:
     cpu_s: float
 
 
+@cache
 def rich_fields() -> Array:
     """Centres (FIELDS, 2), degrees, that hold most usable stars, none twice."""
     stars = all_hipparcos()
@@ -195,25 +198,51 @@ def wrong_names(found: Calibration, mission: Mission) -> int:
 def missions(options: argparse.Namespace) -> None:
     print(f"{options.cameras} cameras: {options.scans} strips of the sky, {options.ground} of the ground")
     print("seed      X        Y        Z   sigma X      Y       Z      NEES  stars wrong   s CPU", flush=True)
-    done: list[Outcome] = []
+    done = kept(options)
     lost = 0
+    for one in done.values():
+        print(line_of(one), flush=True)
     with tempfile.TemporaryDirectory(dir=options.scratch) as scratch:
-        for seed in options.seeds:
+        for seed in (seed for seed in options.seeds if seed not in done):
             try:
                 one = run(options.cameras, seed, options.scans, options.ground, Path(scratch))
             except DataNotSufficientError as error:
                 lost += 1
                 print(f"{seed:4d}  {error}", flush=True)
                 continue
-            done.append(one)
-            e, s = one.error / ARCSEC, np.sqrt(np.diag(one.covariance)) / ARCSEC
-            nees = one.error @ np.linalg.solve(one.covariance, one.error)
-            print(
-                f"{seed:4d} {e[0]:+8.3f} {e[1]:+8.3f} {e[2]:+8.2f}   {s[0]:6.3f}  {s[1]:6.3f}  {s[2]:6.2f}  "
-                f"{nees:6.2f}  {one.stars:5d} {one.wrong:5d}  {one.cpu_s:6.0f}",
-                flush=True,
-            )
-    summary(done, lost, options)
+            done[seed] = one
+            print(line_of(one), flush=True)
+            if options.keep:
+                with options.keep.open("a") as file:
+                    file.write(json.dumps(asdict(one) | key_of(options), default=np.ndarray.tolist) + "\n")
+    summary(list(done.values()), lost, options)
+
+
+def key_of(options: argparse.Namespace) -> dict[str, object]:
+    """What missions of one table share."""
+    return {"commit": commit(), **{name: getattr(options, name) for name in ("cameras", "scans", "ground")}}
+
+
+def kept(options: argparse.Namespace) -> dict[int, Outcome]:
+    """Missions of the same table and commit that an earlier call has done, by seed."""
+    if not options.keep or not options.keep.exists():
+        return {}
+    key, found = key_of(options), {}
+    for row in map(json.loads, options.keep.read_text().splitlines()):
+        if {name: row.pop(name) for name in key} == key and row["seed"] in options.seeds:
+            of = {name: np.array(row.pop(name)) for name in ("error", "covariance")}
+            found[row["seed"]] = Outcome(**row, **of)
+    return found
+
+
+def line_of(one: Outcome) -> str:
+    """A row of the table."""
+    e, s = one.error / ARCSEC, np.sqrt(np.diag(one.covariance)) / ARCSEC
+    nees = one.error @ np.linalg.solve(one.covariance, one.error)
+    return (
+        f"{one.seed:4d} {e[0]:+8.3f} {e[1]:+8.3f} {e[2]:+8.2f}   {s[0]:6.3f}  {s[1]:6.3f}  {s[2]:6.2f}  "
+        f"{nees:6.2f}  {one.stars:5d} {one.wrong:5d}  {one.cpu_s:6.0f}"
+    )
 
 
 def summary(done: list[Outcome], lost: int, options: argparse.Namespace) -> None:
@@ -310,6 +339,7 @@ def main() -> None:
     parser.add_argument("--cameras", choices=("paper", "mini"), default="paper")
     parser.add_argument("--strips", type=int, default=200)
     parser.add_argument("--scratch", type=Path)
+    parser.add_argument("--keep", type=Path, help="file of missions done; those of this commit count")
     options = parser.parse_args()
     head(f"strips of the sky: {options.what}")
     {"missions": missions, "noise": noise}[options.what](options)

@@ -20,6 +20,8 @@ __all__ = ["expose", "hot_pixels", "star_charge"]
 Array = NDArray[np.float64]
 Frame = NDArray[np.float32]
 
+_BAND_ROWS = 32  # that become digits at once: they stay in the cache
+
 
 def star_charge(v_mag: Array, b_v: Array, exposure_s: float, sky: SkySettings) -> Array:
     """Electrons (N,) that stars leave in the image, from V and B-V (unknown colours, NaN, count as 0.6)."""
@@ -59,22 +61,33 @@ def expose(
     charge = np.zeros((height, width), np.float32)
     _add_stars(charge, paths_px, charge_e, sky)
     _add_cosmic_rays(charge, sky, rng)
-    background = _background(width, height, sky)
     if sky.bloom:
-        _bloom(charge, background, sky)
+        _bloom(charge, _background(width, height, sky, slice(None)), sky)
+    image = np.empty((height, width), np.uint8 if sky.bits <= 8 else np.uint16)
+    for top in range(0, height, _BAND_ROWS):
+        rows = slice(top, top + _BAND_ROWS)
+        background = _background(width, height, sky, rows)
+        own = hot[(hot[:, 1] >= top) & (hot[:, 1] < top + _BAND_ROWS)] - (0.0, top, 0.0)
+        image[rows] = _digitised(charge[rows], background, own, sky, rng)
+    return image
+
+
+def _digitised(
+    charge: Frame, background: Frame, hot: Array, sky: SkySettings, rng: np.random.Generator
+) -> Frame:
+    """Grey values of some rows of an image, whole numbers; overwrites `charge`."""
     shot_e = charge + background * np.float32(sky.e_per_dn) if sky.background_shot_noise else charge
-    image = rng.standard_normal((height, width), dtype=np.float32)
+    image = rng.standard_normal(charge.shape, dtype=np.float32)
     image *= np.sqrt(shot_e * np.float32(sky.e_per_dn**-2) + np.float32(sky.read_noise_dn**2))
     image += background
     charge *= np.float32(1.0 / sky.e_per_dn)
     image += charge
     np.add.at(image, (hot[:, 1].astype(int), hot[:, 0].astype(int)), hot[:, 2])
-    np.clip(np.rint(image, out=image), 0, 2**sky.bits - 1, out=image)
-    return image.astype(np.uint8 if sky.bits <= 8 else np.uint16)
+    return np.clip(np.rint(image, out=image), 0, 2**sky.bits - 1, out=image)
 
 
-def _background(width: int, height: int, sky: SkySettings) -> Frame:
-    """(height, width), DN: a level, a slope along either side, and a bow that grows with the square of the
+def _background(width: int, height: int, sky: SkySettings, rows: slice) -> Frame:
+    """(rows, width), DN: a level, a slope along either side, and a bow that grows with the square of the
     radius.
     """
     x = (np.arange(width) + 0.5) / width - 0.5
@@ -82,7 +95,7 @@ def _background(width: int, height: int, sky: SkySettings) -> Frame:
     slope_x, slope_y = sky.background_gradient_dn
     along_x = sky.background_dn + slope_x * x + 2.0 * sky.background_bow_dn * x * x
     along_y = slope_y * y + 2.0 * sky.background_bow_dn * y * y
-    return np.maximum(along_y[:, None].astype(np.float32) + along_x.astype(np.float32), np.float32(0.0))
+    return np.maximum(along_y[rows, None].astype(np.float32) + along_x.astype(np.float32), np.float32(0.0))
 
 
 def _add_stars(charge: Frame, paths_px: Array, charge_e: Array, sky: SkySettings) -> None:
