@@ -34,7 +34,6 @@ MJD_ZERO_JD = 2400000.5
 MJD_OF_ORIGIN = 51544  # the day whose noon is the origin
 _DAY = 86_400
 _NOON = 43_200
-_GPS_ORIGIN_TAI_S = (44244 - MJD_OF_ORIGIN) * _DAY - _NOON - GPS_MINUS_TAI_S  # 1980-01-06T00:00:00 GPS time
 _NOON_OF_ORIGIN = datetime.datetime(2000, 1, 1, 12)
 _MJD_1972 = 41317
 _DATE_TIME = re.compile(r"(\d{4})-(\d{2})-(\d{2})(?:[T ](\d{2}):(\d{2}):(\d{2})(?:\.(\d{1,18}))?)?Z?")
@@ -55,12 +54,6 @@ class Epoch:
         leap second was inserted, and any date before 1972.
         """
         return Epoch(_tai_from_utc(utc)[0])
-
-    @staticmethod
-    def from_gps(week: int, seconds_of_week: int) -> Epoch:
-        """The epoch at whole `seconds_of_week` of the GPS week `week` (full count since 1980-01-06, no
-        rollover)."""
-        return Epoch(_GPS_ORIGIN_TAI_S + week * 7 * _DAY + seconds_of_week)
 
     def seconds_from_utc(self, utc: Sequence[str]) -> Array:
         """TAI seconds since this epoch of UTC dates in ISO form; (N,). Errors as in `from_utc`."""
@@ -97,18 +90,6 @@ class Epoch:
             _utc_from_tai(self.tai_s + int(second) + int(nano) // 10**9, int(nano) % 10**9)
             for second, nano in zip(whole, nanoseconds)
         ]
-
-    def seconds_from_gps(self, week: ArrayLike, seconds_of_week: ArrayLike) -> Array:
-        """TAI seconds since this epoch of GPS weeks (full count) and seconds of week, elementwise."""
-        whole = np.asarray(week, dtype=np.int64) * (7 * _DAY) + (_GPS_ORIGIN_TAI_S - self.tai_s)
-        return whole + np.asarray(seconds_of_week, dtype=float)
-
-    def gps_from_seconds(self, t_s: ArrayLike) -> tuple[NDArray[np.int64], Array]:
-        """GPS week (full count) and seconds of week of TAI seconds since this epoch, elementwise."""
-        seconds = np.asarray(t_s, dtype=float)
-        offset = self.tai_s - _GPS_ORIGIN_TAI_S
-        week = np.floor_divide(seconds + offset, 7 * _DAY).astype(np.int64)
-        return week, seconds + (offset - week * (7 * _DAY))
 
     def tai_jd(self, t_s: ArrayLike) -> tuple[Array, Array]:
         """Two-part Julian date (TAI), elementwise: the epoch's noon and days since then, exact to 1e-11 s."""

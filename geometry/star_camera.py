@@ -207,38 +207,6 @@ class StarCamera:
             else np.array([self.q1 * f**2, self.q2 * f**4, self.p2 * f, self.p1 * f, self.q3 * f**6]),
         )
 
-    @classmethod
-    def from_opencv(
-        cls, parameters: OpenCVParameters, *, pixel_m: float, width_px: int, height_px: int
-    ) -> StarCamera:
-        """Star camera of OpenCV's `parameters`, with square pixels of `pixel_m`.
-
-        Raises `ValueError` for what this model cannot represent: pixels that are not square, skew, more than
-        five nonzero distortion coefficients.
-        """
-        K = np.asarray(parameters.camera_matrix, dtype=float)
-        d = np.zeros(max(5, np.size(parameters.distortion)))
-        d[: np.size(parameters.distortion)] = np.ravel(parameters.distortion)
-        if not np.isclose(K[0, 0], K[1, 1], rtol=1e-12) or K[0, 1] != 0.0:
-            raise ValueError(
-                f"square pixels without skew expected, got fx={K[0, 0]}, fy={K[1, 1]}, skew={K[0, 1]}"
-            )
-        if np.any(d[5:] != 0.0):
-            raise ValueError(f"only k1, k2, p1, p2, k3 can be represented, got further coefficients {d[5:]}")
-        f = K[0, 0] * pixel_m * _MM
-        return cls(
-            focal_m=K[0, 0] * pixel_m,
-            pixel_m=pixel_m,
-            width_px=width_px,
-            height_px=height_px,
-            principal_px=(float(K[0, 2]), float(K[1, 2])),
-            p1=float(d[3] / f),
-            p2=float(d[2] / f),
-            q1=float(d[0] / f**2),
-            q2=float(d[1] / f**4),
-            q3=float(d[4] / f**6),
-        )
-
     def _distorted(self, z: Complex) -> tuple[Complex, Array, Complex]:
         """Distorted points of ideal points z = x + iy, mm (eq. 4); derivatives by z and by its conjugate.
 

@@ -35,7 +35,6 @@ __all__ = [
     "looks_across",
     "noisy",
     "noisy_frames",
-    "remounted",
     "unit",
     "vibration",
 ]
@@ -149,17 +148,6 @@ def draw_strips(
         tuple(look_c for _, truth in drawn for look_c in truth.look_c),
         tuple(motion for _, truth in drawn for motion in truth.motion),
     )
-
-
-def remounted(strips: list[StripSightings], R_before: Rotation, R_after: Rotation) -> list[StripSightings]:
-    """Strips as seen by a star camera with the mounting `R_after` instead of `R_before`."""
-    turn = R_after.inv() * R_before
-    T = turn.as_matrix()
-
-    def seen(exposure: StarSightings) -> StarSightings:
-        return replace(exposure, u_s=turn.apply(exposure.u_s), cov_s=T @ exposure.cov_s @ T.T)
-
-    return [replace(strip, exposures=tuple(map(seen, strip.exposures))) for strip in strips]
 
 
 def draw_frames(

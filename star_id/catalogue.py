@@ -1,16 +1,14 @@
 """Star catalogue: Hipparcos to V = 8, with the reliability of each position to a fraction of an arc-second.
 
 Positions and proper motions are van Leeuwen's (2007) where available; magnitudes and multiplicity flags are
-those of the ESA catalogue (1997). scripts/build_star_catalogue.py made the file and `catalogue_provenance`
-returns its origin. Directions are computed by `geometry.starlight`.
+those of the ESA catalogue (1997). scripts/build_star_catalogue.py made the file; its column `provenance`
+states its origin. Directions are computed by `geometry.starlight`.
 """
 
 from __future__ import annotations
 
-import json
 from functools import lru_cache
 from importlib.resources import files
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +17,7 @@ from boresight.geometry.constants import ARCSEC
 from boresight.geometry.record import Bools, Floats, Texts, array, record, scalar
 from boresight.geometry.starlight import StarPlaces
 
-__all__ = ["DISAGREEMENT_LIMIT_MAS", "CatalogueStars", "catalogue_provenance", "hipparcos_stars"]
+__all__ = ["DISAGREEMENT_LIMIT_MAS", "CatalogueStars", "hipparcos_stars"]
 
 _FILE = files("boresight.star_id") / "data" / "hipparcos_v8.npz"
 
@@ -82,13 +80,6 @@ def hipparcos_stars(max_v_mag: float = 8.0) -> CatalogueStars:
     return CatalogueStars(
         places, c["solved"], c["disagreement_mas"].astype(float), c["multiplicity"], _photocentre_shift(c)
     )
-
-
-def catalogue_provenance() -> dict[str, Any]:
-    """Origin of the catalogue file: packages, checksums, citations, epoch, meaning of the columns."""
-    with _FILE.open("rb") as stream, np.load(stream) as data:
-        record: dict[str, Any] = json.loads(str(data["provenance"]))
-    return record
 
 
 @lru_cache(maxsize=1)

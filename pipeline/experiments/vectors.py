@@ -65,7 +65,6 @@ __all__ = [
     "figure4",
     "figure8",
     "grid",
-    "run_strips",
     "table4",
     "table5",
     "table5_readings",
@@ -360,26 +359,6 @@ def _waves(settings: ExperimentSettings, t_s: Floats) -> tuple[Floats, np.random
     amplitude = rng.uniform(*plan.wave_rad, 3) / ARCSEC
     omega, phase = 2 * np.pi / rng.uniform(*plan.wave_s, 3), rng.uniform(0, 2 * np.pi, 3)
     return np.asarray(amplitude * np.sin(omega * t_s[:, None] + phase)), rng
-
-
-def run_strips(
-    plan: StripPlan,
-    cameras: CameraPair,
-    settings: CalibrationSettings,
-    runs: int,
-    rng: np.random.Generator,
-) -> tuple[Floats, Floats]:
-    """Errors (runs, 3), rad, and stated covariances (runs, 3, 3), rad², of `calibrate` on independent
-    campaigns.
-    """
-    R_cs0 = _starting_matrix(cameras)
-    errors, covariances = [], []
-    for _ in range(runs):
-        strips, _ = draw_strips(plan, cameras, rng)
-        estimate = _estimated(strips, R_cs0, settings)
-        errors.append(theta_between(estimate.R_cs, cameras.R_cs))
-        covariances.append(estimate.cov_theta)
-    return np.array(errors), np.array(covariances)
 
 
 def _estimated(

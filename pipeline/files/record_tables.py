@@ -9,8 +9,7 @@ bit.
 from __future__ import annotations
 
 import dataclasses
-import math
-from collections.abc import Hashable, Sequence
+from collections.abc import Sequence
 from enum import Enum
 from functools import cache
 from typing import Any, get_args, get_origin, get_type_hints
@@ -19,14 +18,13 @@ import numpy as np
 import pyarrow as pa
 
 from boresight.geometry.record import Bools, Floats, Ints, Texts, shape_of
-from boresight.pipeline.files.table_files import arrow_array, column, fixed, fixed_list, list_values
+from boresight.pipeline.files.table_files import arrow_array, column, fixed_list, list_values
 
 __all__ = [
     "columns_of",
     "plain",
     "record_from_columns",
     "record_from_table",
-    "schema_of",
     "table_from_record",
 ]
 
@@ -42,17 +40,6 @@ ITEMS: dict[Any, pa.DataType] = {
 
 
 OPTIONAL = (Floats | None,)  # nulls stand for None
-
-
-def schema_of(kind: Hashable, rows: str = "N") -> dict[str, pa.DataType]:
-    """Names and types of a record type's columns; `rows` is the letter of the shapes' first dimension."""
-    columns: dict[str, pa.DataType] = {}
-    for name, hint, inner in _row_fields(kind, rows):
-        if get_origin(hint) is tuple:
-            columns |= {n: ITEMS[h] for n, h in _items(hint)}
-        else:
-            columns[name] = fixed(math.prod(inner)) if inner else ITEMS[hint]
-    return columns
 
 
 def columns_of(record: Any, rows: str = "N") -> dict[str, pa.Array]:

@@ -1,5 +1,6 @@
 """Months of simulated strips of one camera with one distortion: one unknown for all of them, and no drift."""
 
+from dataclasses import replace
 from functools import reduce
 
 import numpy as np
@@ -15,7 +16,7 @@ from boresight.calib.mounting.drift import DriftSettings, MountingSeries, estima
 from boresight.calib.settings import CalibrationSettings
 from boresight.geometry.constants import ARCSEC, DAY_S
 from boresight.geometry.installation import deviation_from_theta, theta_between
-from boresight.simulator.campaign import CameraPair, StripPlan, draw_strips, remounted
+from boresight.simulator.campaign import CameraPair, StripPlan, draw_strips
 
 BOLD = Rotation.from_euler("xyz", [40, -65, 110], degrees=True)
 SETTINGS = CalibrationSettings(robust=False)  # the same targets in months and in all
@@ -75,6 +76,17 @@ def test_averaging_months_as_independent_makes_the_covariance_too_small(strips):
     assert np.linalg.eigvalsh(shared - averaged)[0] > -1e-3 * np.linalg.eigvalsh(averaged)[0]
     # The rotation about Z depends on the distortion: 24 strips are near its floor; months do not lower it.
     assert shared[2, 2] > 2.0 * averaged[2, 2]
+
+
+def remounted(strips, R_before, R_after):
+    """Strips as seen by a star camera with the mounting `R_after` instead of `R_before`."""
+    turn = R_after.inv() * R_before
+    T = turn.as_matrix()
+
+    def seen(exposure):
+        return replace(exposure, u_s=turn.apply(exposure.u_s), cov_s=T @ exposure.cov_s @ T.T)
+
+    return [replace(strip, exposures=tuple(map(seen, strip.exposures))) for strip in strips]
 
 
 def test_what_is_shared_hides_no_step(strips):

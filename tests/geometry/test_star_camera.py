@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from boresight.geometry.smooth_distortion import SmoothDistortion
-from boresight.geometry.star_camera import OpenCVParameters, StarCamera
+from boresight.geometry.star_camera import StarCamera
 
 # Table 2 of the paper: f = 100 mm, 6.4 um, (p1, p2, q1, q2) for millimetres.
 PAPER = StarCamera(
@@ -185,24 +185,7 @@ def test_what_lies_behind_or_beyond_the_fold_is_no_image():
     assert PAPER.directions_from_pixels(np.zeros((0, 2))).shape == (0, 3)
 
 
-def test_opencv_parameters_come_back():
-    for camera in CAMERAS:
-        lens = camera.opencv_parameters()
-        again = StarCamera.from_opencv(
-            lens, pixel_m=camera.pixel_m, width_px=camera.width_px, height_px=camera.height_px
-        )
-        for name in ("focal_m", "p1", "p2", "q1", "q2"):
-            assert getattr(again, name) == pytest.approx(getattr(camera, name), rel=1e-12)
-        assert again.principal_px == camera.principal_px
-
-
 def test_lenses_that_the_model_cannot_hold_are_refused():
-    K = PAPER.opencv_parameters().camera_matrix
-    size = {"pixel_m": 6.4e-6, "width_px": 5120, "height_px": 3840}
-    with pytest.raises(ValueError, match="coefficients"):
-        StarCamera.from_opencv(OpenCVParameters(K, np.array([0.1, 0, 0, 0, 0.2, 0.3])), **size)
-    with pytest.raises(ValueError, match="square pixels"):
-        StarCamera.from_opencv(OpenCVParameters(K * [[1], [1.01], [1]], np.zeros(4)), **size)
     with pytest.raises(ValueError, match="focal_m"):
         StarCamera(focal_m=-0.1, pixel_m=6.4e-6, width_px=10, height_px=10, principal_px=(5.0, 5.0))
     with pytest.raises(ValueError, match=r"\(N, 2\)"):

@@ -4,18 +4,21 @@ from dataclasses import replace
 
 import numpy as np
 
+from boresight.calib.calibration import calibrate
 from boresight.geometry.constants import ARCSEC
-from boresight.pipeline.experiments.vectors import TABLE_1, run_strips
+from boresight.pipeline.experiments.vectors import TABLE_1
 from boresight.pipeline.stages.forecast import forecast, settings_of_plan
-from boresight.simulator.campaign import CameraPair, StripPlan, installation_by_tilt
+from boresight.simulator.campaign import CameraPair, StripPlan, draw_strips, installation_by_tilt
 
 CAMERAS = CameraPair(installation_by_tilt(np.radians(15.0)))
 
 
 def test_forecast_is_the_covariance_that_the_calibration_states():
     found = forecast(TABLE_1, CAMERAS, draws=60)
-    _, stated = run_strips(TABLE_1, CAMERAS, settings_of_plan(TABLE_1), 10, np.random.default_rng(1))
-    sigma = np.sqrt(np.mean(np.diagonal(stated, axis1=1, axis2=2), axis=0))
+    rng, settings = np.random.default_rng(1), settings_of_plan(TABLE_1)
+    drawn = [draw_strips(TABLE_1, CAMERAS, rng)[0] for _ in range(10)]
+    stated = [np.diag(calibrate(strips, CAMERAS.R_cs, settings).cov_theta) for strips in drawn]
+    sigma = np.sqrt(np.mean(stated, axis=0))
     np.testing.assert_allclose(
         found.sigma(TABLE_1.strips), sigma, rtol=0.12
     )  # where targets fall: 96 of them
