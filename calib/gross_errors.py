@@ -59,7 +59,8 @@ __all__ = ["detectable_bias", "l1_start", "refine_geman_mcclure", "rejection_tes
 POWER = 0.8  # of the test, for the minimal detectable bias: the value usual in geodesy
 SEPARABLE_ODDS = 19.0  # likelihood ratio by which one of two targets is the wrong one: 95 %
 LEAST_PROBABILITY = 0.7  # that the target rejected is the wrong one (docs/estimation.md says why)
-MOST_EXCHANGED = 1.0 / 3.0  # share of rejected targets up to which they are exchanged for others
+MOST_REJECTED = 1.0 / 3.0  # share of targets up to which each rejected one is searched for
+FEW_REJECTED = 10  # that are searched for whatever their share
 SMALLEST_GAIN = 1e-6  # of the limit: (1) must fall by more than rounding
 
 
@@ -69,6 +70,11 @@ def rejection_test(probability_false_alarm: float, n_tests: int) -> RejectionTes
     noncentrality = float(brentq(lambda size: 1.0 - chndtr(limit, 2, size) - POWER, 1e-3, 1e3))
     of_any = -float(np.expm1(n_tests * np.log1p(-probability_false_alarm)))
     return RejectionTest(limit, probability_false_alarm, of_any, POWER, noncentrality)
+
+
+def _too_many(problem: Problem, kept: Bools) -> bool:
+    """Whether so many targets are rejected that the stated errors are wrong, and not the targets."""
+    return bool(np.sum(problem.inside & ~kept) > max(MOST_REJECTED * np.sum(problem.inside), FEW_REJECTED))
 
 
 def snoop(problem: Problem, about: Linearised, kept: Bools, limit: float) -> Bools:
@@ -94,16 +100,18 @@ def _moves(problem: Problem, about: Linearised, kept: Bools, step: Step, limit: 
 
     For an exchange a rejected target is re-admitted and the one with the largest residual then is rejected;
     it changes (1) by the difference of their statistics. Where a third of the targets is rejected, the stated
-    errors are wrong and not the targets: which of them are rejected is then not searched for.
+    errors are wrong and not the targets: then all that fail are rejected at once, and none is exchanged.
     """
     rows, rejected, statistic = np.arange(len(kept)), problem.inside & ~kept, squared_mahalanobis(step)
     over, back = kept & (statistic > limit), rejected & (statistic < limit)
+    if over.any() and _too_many(problem, kept):
+        yield kept & ~over
     if over.any():
         yield kept & (rows != _largest(statistic, over, problem.rank))
     if back.any():
         yield kept | back
         yield kept | (rows == _largest(-statistic, back, problem.rank))
-    if rejected.sum() > MOST_EXCHANGED * problem.inside.sum():
+    if _too_many(problem, kept):
         return
     nearest = np.flatnonzero(rejected)
     nearest = nearest[np.lexsort((problem.rank[nearest], statistic[nearest]))]
@@ -124,9 +132,12 @@ def _largest(values: Floats, among: Bools, rank: Ints) -> int:
 
 def weigh(problem: Problem, about: Linearised, kept: Bools, limit: float) -> tuple[Floats, dict[int, Ints]]:
     """Weights (J,) of the targets, and the rivals (N,) of each target not in `kept`: those that may be wrong
-    in its place, the odds being below 19 to 1 against. It has weight 0 only where (2) is at least 0.7.
+    in its place, the odds being below 19 to 1 against. It has weight 0 only where (2) is at least 0.7. Where
+    too many are rejected, they have weight 0 and no rivals.
     """
     weight, rivals, rejected = kept.astype(float), {}, np.flatnonzero(problem.inside & ~kept)
+    if _too_many(problem, kept):
+        return weight, {int(j): np.zeros(0, dtype=np.int64) for j in rejected}
     step = solve_weighted(problem, about, weight)
     for j, (statistic, variance) in zip(rejected.tolist(), readmitted(problem, about, kept, step, rejected)):
         rivals[j] = np.flatnonzero(kept & (statistic[j] - statistic < 2.0 * np.log(SEPARABLE_ODDS)))

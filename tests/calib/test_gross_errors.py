@@ -220,4 +220,4 @@ def test_search_is_short_where_the_stated_errors_are_far_too_small(monkeypatch):
     test = rejection_test(1e-3, 180)
     kept = snoop(problem, linearised(problem, BOLD, 1.0), problem.inside, test.limit)
     assert np.mean(kept) < 2.0 / 3.0
-    assert len(solved) < 2 * np.sum(~kept) + 20  # one for each rejection, and some for what is re-admitted
+    assert len(solved) < 2 * 60  # one by one to a third of the targets, then all that fail at once
