@@ -13,7 +13,7 @@ from boresight.gct_match.records import Image, StripImage
 from boresight.gct_match.settings import MatchSettings
 from boresight.geometry.record import Bools, array, record, scalar
 
-__all__ = ["CoarseStrip", "read_coarse", "read_window"]
+__all__ = ["CoarseStrip", "means_of_usable", "read_coarse", "read_window"]
 
 _TILE_LINES = 512  # of a usual TIFF, or a divisor
 _LEAST_VALID = 0.75  # share of a block's pixels that must be usable
@@ -58,13 +58,16 @@ def read_coarse(
     for row in range(0, h, at_once):
         line0, line1 = lines[0] + row * factor, lines[0] + min(row + at_once, h) * factor
         block = np.asarray(strip.read(ccd, line0, line1, samples[0], samples[0] + w * factor))
-        means = _means_of_usable(block, factor, settings)
+        means = means_of_usable(block, factor, settings)
         image = image if row else np.empty((h, w), dtype=means.dtype)
         image[row : row + len(means)] = means
     return CoarseStrip(image, (samples[0], lines[0]))
 
 
-def _means_of_usable(block: NDArray, factor: int, settings: MatchSettings) -> NDArray:
+def means_of_usable(block: NDArray, factor: int, settings: MatchSettings) -> NDArray:
+    """Means (H / factor, W / factor) over `factor`² px of grey values (H, W), a power of two that divides H;
+    NaN where few are valid. 8 and 16 bit integers keep their type if all are.
+    """
     limits = np.isfinite([settings.saturation, settings.no_data])
     if block.dtype.kind in "iu" and not limits.any():  # every value is valid
         return _block_means(block, factor)

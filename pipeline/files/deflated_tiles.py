@@ -47,33 +47,43 @@ def read_deflated(path: Path, image: Any, window: Window) -> NDArray[Any] | None
             return None
         end = window.row_off + window.height
         for row in range(window.row_off // height, (end - 1) // height + 1):
-            tiles = [_inflated(stream, image, row, column, kind) for column in range(first, last + 1)]
-            if any(tile is None for tile in tiles):
-                return None
             top, below = max(row * height, window.row_off), min((row + 1) * height, end)
             of_tile = slice(top - row * height, below - row * height)
+            columns = range(first, last + 1)
+            tiles = [_inflated(stream, image, row, column, kind, of_tile.stop) for column in columns]
+            if any(tile is None for tile in tiles):
+                return None
             pixels[top - window.row_off : below - window.row_off] = _side_by_side(tiles, predictor)[of_tile]
     left = window.col_off - first * width
     return pixels[:, left : left + window.width]
 
 
-def _inflated(stream: BinaryIO, image: Any, row: int, column: int, kind: np.dtype[Any]) -> NDArray | None:
-    """A tile as it was compressed; None if it is missing or damaged."""
+def _inflated(
+    stream: BinaryIO, image: Any, row: int, column: int, kind: np.dtype[Any], rows: int
+) -> NDArray | None:
+    """The first `rows` of a tile as they were compressed; None if it is missing or damaged there."""
     height, width = image.block_shapes[0]
     place = [image.get_tag_item(f"BLOCK_{what}_{column}_{row}", "TIFF", 1) for what in ("OFFSET", "SIZE")]
     n_bytes = height * width * kind.itemsize
     if None in place or not 0 < (size := int(place[1])) <= n_bytes + n_bytes // 8 + SPARE_BYTES:
         return None
     stream.seek(int(place[0]))
+    needed = rows * width * kind.itemsize
+    likely = min(
+        size, SPARE_BYTES + size * needed * 5 // (n_bytes * 4)
+    )  # ISA-L inflates all that it is given
+    inflate = isal_zlib.decompressobj()
     try:
-        content = isal_zlib.decompressobj().decompress(stream.read(size), n_bytes)
+        content = inflate.decompress(stream.read(likely), needed)
+        if len(content) < needed:
+            content += inflate.decompress(stream.read(size - likely), needed - len(content))
     except IsalError:  # type: ignore[misc]  # its stub makes it a variable
         return None
-    return np.frombuffer(content, kind).reshape(height, width) if len(content) == n_bytes else None
+    return np.frombuffer(content, kind).reshape(rows, width) if len(content) == needed else None
 
 
 def _side_by_side(tiles: list[Any], predictor: str) -> NDArray[Any]:
-    """Tiles (height, width) in a row, their columns summed up where the file holds differences."""
+    """Tiles (rows, width) in a row, their columns summed up where the file holds differences."""
     if predictor == "1":
         return np.concatenate(tiles, axis=1)
     height, width = tiles[0].shape

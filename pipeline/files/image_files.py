@@ -128,10 +128,27 @@ class StripFiles:
         lines, samples = self.shapes[ccd]
         if not (0 <= line0 < line1 <= lines and 0 <= sample0 < sample1 <= samples):
             raise ValueError(f"window {line0}:{line1}, {sample0}:{sample1} is not inside {lines} x {samples}")
-        window = Window(sample0, line0, sample1 - sample0, line1 - line0)
         with open_geotiff(self.paths[ccd], self.names[ccd]) as image:
-            pixels = read_deflated(self.paths[ccd], image, window)
-            return _read_window(image, self.names[ccd], window) if pixels is None else pixels
+            return self._pixels(ccd, image, Window(sample0, line0, sample1 - sample0, line1 - line0))
+
+    def read_bands(self, ccd: int, height: int, most_pitch: int) -> tuple[NDArray[Any], int] | None:
+        """Bands of `height` lines, one below the other (rows, samples), and the lines from band to band.
+
+        Each begins with a row of the file's tiles, so little of it is decoded; they are at most `most_pitch`
+        lines apart. None where tiles are too high for that.
+        """
+        lines, samples = self.shapes[ccd]
+        with open_geotiff(self.paths[ccd], self.names[ccd]) as image:
+            block = image.block_shapes[0][0]
+            if (pitch := most_pitch // block * block) <= height:
+                return None
+            tops = range(0, lines - height + 1, pitch)
+            bands = [self._pixels(ccd, image, Window(0, top, samples, height)) for top in tops]
+        return np.concatenate(bands), pitch
+
+    def _pixels(self, ccd: int, image: Any, window: Window) -> NDArray[Any]:
+        pixels = read_deflated(self.paths[ccd], image, window)
+        return _read_window(image, self.names[ccd], window) if pixels is None else pixels
 
 
 def check_strip_file(path: Path, file: str, *, lines: int, samples: int, bit_depth: int) -> None:

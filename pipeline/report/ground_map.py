@@ -20,7 +20,9 @@ from pyproj import Transformer
 from scipy.sparse.csgraph import connected_components
 
 from boresight.calib.estimate import TargetResiduals
-from boresight.gct_match.search.coarse import read_coarse
+from boresight.gct_match.records import Image
+from boresight.gct_match.search.coarse import means_of_usable, read_coarse
+from boresight.gct_match.settings import MatchSettings
 from boresight.geometry.constants import WGS84
 from boresight.geometry.geodesy import ecef_from_geodetic, geodetic_from_ecef, local_axes_e
 from boresight.geometry.pushbroom import Pushbroom
@@ -28,6 +30,7 @@ from boresight.geometry.record import Floats, Ints, array, record, scalar
 from boresight.geometry.terrain import ConstantHeight, Surface
 from boresight.pipeline.errors import Omission, RawDataError
 from boresight.pipeline.files.dump import Dump, TargetHeights, surface_of
+from boresight.pipeline.files.image_files import StripFiles
 from boresight.pipeline.files.star_side import SolvedAttitudes
 from boresight.pipeline.files.table_files import arrow_rows
 from boresight.pipeline.stages.calibrate import Calibration
@@ -46,6 +49,7 @@ __all__ = [
 
 USED, REJECTED, UNMATCHED, OUT_OF_VIEW = STATES = ("used", "rejected", "not matched", "not in view")
 MOST_SIDE_PX = 420  # of a picture
+LEAST_ROWS = 100  # of a strip in its picture
 MOST_OUT_OF_VIEW = 500  # targets of a scene
 EDGE_POINTS = 9  # along each edge of a CCD's footprint
 MARGIN = 0.06  # of a scene's size, around the footprints
@@ -378,16 +382,11 @@ def _quicklook(
             for v in (sample, line)
         ]
         lines, samples = one.task.strip.images.shape(ccd)
-        factor = 1
-        while 2 * factor * MOST_SIDE_PX < lines and 2 * factor <= min(lines, samples):
-            factor *= 2
         try:
-            coarse = read_coarse(
-                one.task.strip.images, ccd, (0, lines), (0, samples), factor, one.task.settings
-            ).image.astype(np.float32)
+            coarse, factor, pitch = _overview(one.task.strip.images, ccd, one.task.settings)
         except RawDataError:  # reported as an omission
             continue
-        x, y = ((value - 0.5 * (factor - 1)) / factor for value in maps)
+        x, y = ((value - 0.5 * (factor - 1)) / step for value, step in zip(maps, (factor, pitch)))
         inside = (maps[0] > -0.5) & (maps[0] < samples - 0.5) & (maps[1] > -0.5) & (maps[1] < lines - 0.5)
         found = cv2.remap(coarse, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         picture[inside] = found[inside]
@@ -395,6 +394,24 @@ def _quicklook(
     low, high = np.percentile(good, [1.0, 99.0]) if len(good) else (0.0, 1.0)
     scaled = np.clip((picture - low) / max(float(high - low), 1e-6), 0.0, 1.0)
     return np.round(255.0 * np.nan_to_num(scaled, nan=0.0)).astype(np.uint8)
+
+
+def _overview(images: StripFiles, ccd: int, settings: MatchSettings) -> tuple[Image, int, int]:
+    """Means (h, w) over square blocks of a CCD's image, their side, and the lines from row to row.
+
+    Of a long strip the first blocks of each row of its file's tiles are enough: decoding all takes longer
+    than matching it.
+    """
+    lines, samples = images.shape(ccd)
+    factor = 1
+    while 2 * factor * MOST_SIDE_PX < lines and 2 * factor <= min(lines, samples):
+        factor *= 2
+    found = images.read_bands(ccd, factor, lines // LEAST_ROWS)
+    if found is None:
+        coarse = read_coarse(images, ccd, (0, lines), (0, samples), factor, settings)
+        return coarse.image.astype(np.float32), factor, factor
+    bands, pitch = found
+    return means_of_usable(bands, factor, settings).astype(np.float32), factor, pitch
 
 
 def _lattice_map(rows: int, columns: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:

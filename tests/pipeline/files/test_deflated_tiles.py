@@ -44,6 +44,18 @@ def test_every_window_is_as_gdal_reads_it(kind: str, predictor: int, tmp_path: P
             assert np.array_equal(pixels, image.read(1, window=window))
 
 
+@pytest.mark.parametrize("form", [{}, {"compress": "zstd"}], ids=str)
+def test_bands_begin_with_rows_of_tiles(form: dict[str, Any], tmp_path: Path) -> None:
+    path = written(tmp_path / "s.tif", predictor=2, **form)
+    strip = StripFiles(paths={0: path}, names={0: "s.tif"}, shapes={0: SHAPE})
+    found = strip.read_bands(0, 4, 40)
+    assert found is not None
+    whole = strip.read(0, 0, 70, 0, 90)
+    assert found[1] == 32  # two rows of tiles
+    assert np.array_equal(found[0], np.concatenate([whole[top : top + 4] for top in (0, 32, 64)]))
+    assert strip.read_bands(0, 4, 15) is None  # tiles have 16 lines
+
+
 @pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
 @pytest.mark.parametrize(
     "form",
