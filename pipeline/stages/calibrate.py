@@ -128,58 +128,100 @@ def calibrate_dump(
     runner = StageRunner(store, executor or InOrder(), progress)
     error_model = calibration_settings(settings, dump.errors, dump.line_camera)
     heads = [sight_head(dump, head, settings, error_model.attitudes, runner) for head in dump.heads]
-    reference = heads[0]
-    omissions = [*dump.omissions, *(omission for head in heads for omission in head.omissions)]
-    computed = [flag for head in heads for flag in head.computed]
-    sky = find_in_sky_strips(dump, reference, settings, runner)
-    omissions += sky.omissions
-    computed += sky.computed
+    sky = find_in_sky_strips(dump, heads[0], settings, runner)
     surface_of(dump.terrain)  # of several dumps the last one's is in memory: processes forked here share this
     R_cs, sigma = dump.R_cs0, dump.sigma_installation_rad
+    computed = [*sky.computed, *(flag for head in heads for flag in head.computed)]
+    for number in range(1, settings.run.passes + 1):
+        last = _one_pass(number, dump, heads, sky, (R_cs, sigma), settings, error_model, runner)
+        R_cs, sigma = last.estimate.R_cs, _rematch_sigma(last.estimate, settings)
+        computed += last.computed
+    found = last.estimate.with_reference(heads[0].head.name)
+    return Calibration(
+        estimate=found,
+        verdict=assess(
+            found, last.strips, settings.verdict, sigma_installation_rad=dump.sigma_installation_rad
+        ),
+        stars=heads[0].stars,
+        attitudes=heads[0].attitudes,
+        tasks=last.tasks,
+        matched=last.matched,
+        sky=sky,
+        named=last.named,
+        strips=last.strips,
+        settings=error_model,
+        omissions=(*_unused_so_far(dump, heads, sky), *last.omissions, *rejections_of(found)),
+        n_computed=sum(computed),
+        n_reused=len(computed) - sum(computed),
+    )
 
-    def rematch_sigma(estimate: InstallationEstimate) -> Array:
-        return np.sqrt(np.diag(estimate.cov_theta) + settings.run.rematch_sigma_rad**2)
+
+@record(kw_only=True)
+class _Pass:
+    """Matching and estimation from one matrix."""
+
+    estimate: InstallationEstimate = scalar("installation matrix")
+    tasks: tuple[StripTask, ...] = array("S", "strips that were matched")
+    matched: tuple[MatchedTargets, ...] = array("S", "their targets")
+    named: tuple[NamedStars, ...] = scalar("named stars of the strips of the sky")
+    strips: tuple[StripSightings, ...] = scalar("those that the estimate is made from, ground first")
+    omissions: tuple[Omission, ...] = scalar("strips, targets and stars that are not used")
+    computed: tuple[bool, ...] = scalar("which matchings had to be computed")
+
+
+def _one_pass(
+    number: int,
+    dump: Dump,
+    heads: Sequence[HeadSightings],
+    sky: SkySide,
+    start: tuple[Rotation, Array],
+    settings: Settings,
+    error_model: CalibrationSettings,
+    runner: StageRunner,
+) -> _Pass:
+    """Pass `number`, from 1, from the matrix `start` and its 1-sigma (3,). `DataNotSufficientError` where
+    the data do not determine all three angles.
+    """
 
     def start_from(task: StripTask, matched: MatchedTargets) -> tuple[Rotation, Array] | None:
         strips = _strips([task], [matched], heads)
         alone = calibrate(strips, dump.R_cs0, error_model) if strips else None
-        return (alone.R_cs, rematch_sigma(alone)) if isinstance(alone, InstallationEstimate) else None
+        if not isinstance(alone, InstallationEstimate):
+            return None
+        return alone.R_cs, _rematch_sigma(alone, settings)
 
-    for number in range(1, settings.run.passes + 1):
-        tasks, uncovered = _strip_tasks(dump, reference, R_cs, sigma, settings)
-        if number == 1:
-            search_all_px = settings.run.search_all_px
-            tasks, matched, flags = match_first(tasks, start_from, runner, search_all_px)
-        else:
-            matched, flags = match_strips(tasks, runner, f"matching-{number}")
-        computed += flags
-        named = name_in_sky_strips(dump, sky, R_cs, sigma, known=number > 1)
-        strips = [*_strips(tasks, matched, heads), *named_sightings(sky, named, heads)]
-        estimate = calibrate(strips, dump.R_cs0, error_model)
-        if isinstance(estimate, NotObservable):
-            known = [*omissions, *uncovered, *(o for one in named for o in one.omissions)]
-            text = what_is_missing(estimate, dump, settings, len(reference.stars), tasks, matched, known)
-            unmatched = [omission for one in matched for omission in one.omissions]
-            raise DataNotSufficientError(text, [*known, *unmatched])
-        found, R_cs = estimate.with_reference(reference.head.name), estimate.R_cs
-        sigma = rematch_sigma(estimate)
-    omissions += uncovered + [o for m in matched for o in m.omissions] + _without_targets(matched)
-    omissions += [o for one in named for o in one.omissions]
-    return Calibration(
-        estimate=found,
-        verdict=assess(found, strips, settings.verdict, sigma_installation_rad=dump.sigma_installation_rad),
-        stars=reference.stars,
-        attitudes=reference.attitudes,
+    tasks, uncovered = _strip_tasks(dump, heads[0], *start, settings)
+    if number == 1:
+        tasks, matched, flags = match_first(tasks, start_from, runner, settings.run.search_all_px)
+    else:
+        matched, flags = match_strips(tasks, runner, f"matching-{number}")
+    named = name_in_sky_strips(dump, sky, *start, known=number > 1)
+    strips = [*_strips(tasks, matched, heads), *named_sightings(sky, named, heads)]
+    estimate = calibrate(strips, dump.R_cs0, error_model)
+    unmatched = [omission for one in matched for omission in one.omissions]
+    unnamed = [omission for one in named for omission in one.omissions]
+    if isinstance(estimate, NotObservable):
+        known = [*_unused_so_far(dump, heads, sky), *uncovered, *unnamed]
+        text = what_is_missing(estimate, dump, settings, len(heads[0].stars), tasks, matched, known)
+        raise DataNotSufficientError(text, [*known, *unmatched])
+    return _Pass(
+        estimate=estimate,
         tasks=tuple(tasks),
         matched=tuple(matched),
-        sky=sky,
-        named=named,
+        named=tuple(named),
         strips=tuple(strips),
-        settings=error_model,
-        omissions=(*omissions, *rejections_of(found)),
-        n_computed=sum(computed),
-        n_reused=len(computed) - sum(computed),
+        omissions=(*uncovered, *unmatched, *_without_targets(matched), *unnamed),
+        computed=tuple(flags),
     )
+
+
+def _unused_so_far(dump: Dump, heads: Sequence[HeadSightings], sky: SkySide) -> list[Omission]:
+    of_heads = [omission for head in heads for omission in head.omissions]
+    return [*dump.omissions, *of_heads, *sky.omissions]
+
+
+def _rematch_sigma(estimate: InstallationEstimate, settings: Settings) -> Array:
+    return np.sqrt(np.diag(estimate.cov_theta) + settings.run.rematch_sigma_rad**2)
 
 
 def rejections_of(estimate: InstallationEstimate) -> list[Omission]:
