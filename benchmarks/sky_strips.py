@@ -102,9 +102,7 @@ def _inside(ra: Array, dec: Array, ra0: float, dec0: float) -> NDArray[np.bool_]
 def planned(scenario: Scenario, scans: int, rng: np.random.Generator) -> tuple[SkyScan, ...]:
     """Scans of the richest fields in turn, each when both cameras see past the Earth."""
     fields = rich_fields()
-    epoch = Epoch.from_utc(scenario.epoch_utc)
-    earth = EarthRotation.over(epoch, -10.0, 6000.0, bundled_earth_orientation())
-    orbit = flown_orbit(scenario.orbit, -5.0, 5900.0, earth)
+    orbit = orbit_of(scenario)
     R_cs = true_installation(scenario.installation)
     chosen: list[SkyScan] = []
     for k in rng.permutation(len(fields)):
@@ -117,6 +115,13 @@ def planned(scenario: Scenario, scans: int, rng: np.random.Generator) -> tuple[S
         if len(chosen) == scans:
             break
     return tuple(sorted(chosen, key=lambda one: one.at_s))
+
+
+@cache
+def orbit_of(scenario: Scenario) -> Orbit:
+    """The orbit over one revolution."""
+    earth = EarthRotation.over(Epoch.from_utc(scenario.epoch_utc), -10.0, 6000.0, bundled_earth_orientation())
+    return flown_orbit(scenario.orbit, -5.0, 5900.0, earth)
 
 
 def clear_times(orbit: Orbit, R_cs: Rotation, ra: float, dec: float, angle: float) -> list[float]:
