@@ -5,7 +5,8 @@ Brown's model to q2 is kept unless a smooth distortion (`geometry.smooth_distort
 chance, or the other projection, or q3. A coefficient of degree n has a Gaussian prior of variance t^2 / 2^n,
 so terms of rising degree count as far as the stars determine them. The size t is that of the largest
 evidence, noise of unknown scale and all rotations and camera parameters marginalised. It stays in the stated
-errors: where there are no stars, the distortion is known no better than that.
+errors: where there are no stars, the distortion is known no better than that. Models of like evidence differ
+by more than the errors of each: the covariance is the mean of theirs, with their differences.
 
 What even this leaves is seen in neighbouring stars of different images: the mean product of their residuals
 is the variance of the unmodelled map, free of noise.
@@ -28,6 +29,7 @@ from boresight.star_id.camera_fit import (
     Q3,
     CameraFit,
     IdentifiedStars,
+    detector_grid,
     fit_camera,
     pixel_derivatives,
     rotation_derivatives,
@@ -76,43 +78,55 @@ def choose_lens(stars: IdentifiedStars, camera: StarCamera, rotations: Rotation)
         frame=stars.frame[good],
     )
     fisheye = replace(brown, projection="equidistant", q1=0.0, q2=0.0)
-    first, *others = (
+    trials = [
         _Trial.of(inner, base, rotations, free)
         for free in (PARAMETERS, (*PARAMETERS, Q3))
         for base in (brown, fisheye)
-    )
+    ]
+    first, *others = trials
     best = max(others, key=lambda trial: trial.log_evidence)
     if best.log_evidence > first.log_evidence + _SEEN:
-        return best.model(stars)
-    if first.size_px:
-        return first.model(stars)
-    return _brown(plain, first, others[1])
+        chosen = best.model(stars)
+    else:
+        chosen = first.model(stars) if first.size_px else _model(plain, PARAMETERS)
+    return chosen if chosen.size_px else replace(chosen, covariance=_covariance(chosen.camera, trials))
 
 
-def _brown(plain: CameraFit, without: _Trial, with_q3: _Trial) -> LensModel:
-    """Brown's model to q2; the probability that q3 is needed, unseen, is part of its covariance."""
-    share = 1.0 / (1.0 + np.exp(min(without.log_evidence - with_q3.log_evidence, 500.0)))
-    free, scale = with_q3.free, max(1.0, with_q3.solved.scale)
-    off = np.array([_value(with_q3.camera, name) - _value(plain.camera, name) for name in free])
-    own = np.zeros((len(free), len(free)))
-    own[:-1, :-1] = plain.covariance
-    other = scale * with_q3.solved.covariance + np.outer(off, off)
+def _model(fit: CameraFit, free: tuple[str, ...]) -> LensModel:
+    """The model of a fit, without smooth distortion; its covariance is that of `_covariance`."""
+    every = (*PARAMETERS, Q3)
+    none = np.zeros((len(every), len(every)))
     return LensModel(
-        camera=plain.camera,
-        fitted=PARAMETERS,
-        parameters=free,
-        covariance=(1.0 - share) * own + share * other,
-        size_px=0.0,
-        used=0.0,
-        fit=plain,
+        camera=fit.camera, fitted=free, parameters=every, covariance=none, size_px=0.0, used=0.0, fit=fit
     )
 
 
-def _value(camera: StarCamera, name: str) -> float:
-    """One of PARAMETERS, or Q3."""
-    if name in ("x0_px", "y0_px"):
-        return camera.principal_px[int(name == "y0_px")]
-    return float(getattr(camera, name))
+def _covariance(camera: StarCamera, trials: list[_Trial]) -> Floats:
+    """Covariance (8, 8) of PARAMETERS and Q3 of a camera without smooth distortion.
+
+    It is the mean, by evidence, of those of the models without, each with the square of its difference from
+    the camera; differences and covariances of other models are those of parameters that give the same map.
+    """
+    every = (*PARAMETERS, Q3)
+    smooth_free = [trial for trial in trials if not trial.size_px]
+    evidence = np.array([trial.log_evidence for trial in smooth_free])
+    share = np.exp(evidence - evidence.max())
+    grid = detector_grid(camera)
+    u_s = camera.directions_from_pixels(grid)
+    design = np.concatenate(
+        [pixel_derivatives(camera, u_s, every), rotation_derivatives(camera, u_s)], axis=2
+    )
+    columns = design.reshape(-1, design.shape[2])
+    unit = 1.0 / np.linalg.norm(columns, axis=0)
+    total = np.zeros((len(every), len(every)))
+    for trial, weight in zip(smooth_free, share / share.sum()):
+        J = pixel_derivatives(trial.camera, u_s, trial.free).reshape(len(columns), -1)
+        off = (trial.camera.pixels_from_directions(u_s) - grid).reshape(-1, 1)
+        alike = np.linalg.lstsq(columns * unit, np.hstack([J, off]), rcond=None)[0] * unit[:, None]
+        by_parameter, off = alike[: len(every), :-1], alike[: len(every), -1]
+        own = max(1.0, trial.solved.scale) * trial.solved.covariance
+        total += weight * (by_parameter @ own @ by_parameter.T + np.outer(off, off))
+    return total
 
 
 def unmodelled_px(xy_px: Floats, residual_px: Floats, sigma_px: Floats, frame: Ints, width_px: int) -> float:
@@ -275,6 +289,8 @@ class _Trial:
             )
             camera = replace(camera, smooth=smooth)
         fit = fit_camera(stars, camera, self.rotations, self.free)
+        if not self.size_px:
+            return _model(fit, self.free)
         return LensModel(
             camera=fit.camera,
             fitted=self.free,

@@ -159,7 +159,7 @@ def _lines(result: CameraCalibration, span_s: float) -> list[str]:
     """The result as text; `span_s` is the time from the first image to the last."""
     camera, sigma = result.camera, np.sqrt(np.diag(result.covariance))
     corner = np.array([[0.0, 0.0], [0.5 * camera.width_px, 0.5 * camera.height_px]])
-    model = result.model_sigma_px(corner)
+    model, anywhere = result.model_sigma_px(corner), result.band_factor()
     lines = [
         f"{len(result.frame)} stars in {len(result.frames_used)} images, {result.outliers} rejected"
         f"   rms {result.rms_px:.4f} px   chi2/dof {result.chi2 / max(result.dof, 1):.2f}",
@@ -174,6 +174,7 @@ def _lines(result: CameraCalibration, span_s: float) -> list[str]:
         ),
         *_foreign(result),
         f"error of the model  {model[1]:.4f} px in the middle, {model[0]:.4f} px in a corner (1 sigma)",
+        f"  with 95 % it is nowhere on the detector above {anywhere:.1f} sigma",
     ]
     if result.focal_drift_sigma_per_s > 0.0:
         drift, error = (
@@ -225,6 +226,7 @@ def _report(result: CameraCalibration, cells: ResidualMap) -> dict[str, Any]:
         "projection": camera.projection,
         "smooth_px": None if smooth is None else smooth.coefficients_px.tolist(),
         "unmodelled_px": result.unmodelled_px,
+        "sigmas_anywhere_95": result.band_factor(),
         "focal_drift_per_s": result.focal_drift_per_s,
         "focal_drift_sigma_per_s": result.focal_drift_sigma_per_s,
         "chi2": result.chi2,

@@ -62,7 +62,8 @@ def estimate_background(image: NDArray) -> Background:
     side = float(np.clip(min(height, width) / 7.0, 48.0, 512.0))
     coarse = _by_blocks(image, side)
     between = _noise_between_neighbours(image)
-    if side <= _SMALL_BLOCK_PX or np.quantile(coarse.noise_dn, 0.75) < _UNEVEN * between:
+    upper_quartile = np.sort(coarse.noise_dn, axis=None)[int(0.75 * coarse.noise_dn.size)]
+    if side <= _SMALL_BLOCK_PX or upper_quartile < _UNEVEN * between:
         return coarse
     fine = _by_blocks(image, _SMALL_BLOCK_PX)
     most = np.maximum(_UNEVEN * between, _noise_in_blocks(image, fine.level_dn.shape))
@@ -83,7 +84,8 @@ def _noise_between_neighbours(image: NDArray) -> float:
     difference = np.abs(image[::down, _NEAR_PX::across] - few)
     if np.mean(difference == 0.0) > _ALIKE:
         return np.inf
-    return max(1.0483 * float(np.median(difference)), 0.3)
+    middle = difference.size // 2
+    return max(1.0483 * float(np.partition(difference, middle, axis=None)[middle]), 0.3)
 
 
 def _noise_in_blocks(image: NDArray, blocks: tuple[int, ...]) -> Floats:

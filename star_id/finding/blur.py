@@ -21,7 +21,7 @@ from boresight.star_id.finding.psf import Psf, PsfImages, images_at, shape_image
 from boresight.star_id.finding.window_fit import newton_step, noise_gain, start_state
 from boresight.star_id.finding.windows import StarWindows, star_windows
 
-__all__ = ["find_coma", "find_trail"]
+__all__ = ["explains_better", "find_coma", "find_trail"]
 
 _GROWTH = 1.05  # of the widths from the centre to the corners: less is no matter
 _LENGTH2 = 27.0  # squared length of a fan over half the trace of its second moments
@@ -57,11 +57,25 @@ def find_coma(
     tries = [np.array([np.log(psf.sigma_px), sign * length]) for sign in (1.0, -1.0)]
     best = min(tries, key=lambda theta: _chi2(windows, start, comatic(theta)))
     found = _refined(windows, start, comatic, best)
-    before, after = (_chi2(windows, start, each) for each in (psf, found))
+    return (found, _gain(windows, start, found)) if _is_better(windows, start, found, psf) else None
+
+
+def explains_better(
+    image: NDArray, xy_px: Floats, background: Background, psf: Psf, other: Psf, *, saturation_dn: float
+) -> bool:
+    """Whether the empirical PSF `psf` explains the images of the stars at `xy_px` (N, 2) better than
+    `other`."""
+    if not len(xy_px):
+        return False
+    pixels, radius = np.rint(xy_px).astype(np.int64), psf.shape_radius_px
+    windows = star_windows(image, pixels, background, radius, saturation_dn)
+    return _is_better(windows, windows.offsets(xy_px), psf, other)
+
+
+def _is_better(windows: StarWindows, start: Floats, psf: Psf, other: Psf) -> bool:
+    after, before = (_chi2(windows, start, each) for each in (psf, other))
     dof = windows.data.size
-    if after - dof > _BETTER * (before - dof) or before - after < _BEYOND_CHANCE:
-        return None
-    return found, _gain(windows, start, found)
+    return after - dof < _BETTER * (before - dof) and before - after > _BEYOND_CHANCE
 
 
 def find_trail(

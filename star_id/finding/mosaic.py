@@ -28,16 +28,18 @@ _LEAST_RESPONSE = 0.1  # of the mean: a darker pixel tells nothing of a star
 def has_mosaic(image: NDArray) -> bool:
     """Whether a raw image (H, W) shows four different levels in the pixels of each 2 x 2 cell."""
     height, width = image.shape
-    rows, columns = (np.linspace(0, size - _TILE_PX, _TILES).astype(int) // 2 * 2 for size in (height, width))
+    rows, columns = (
+        [k * (size - _TILE_PX) // (_TILES - 1) // 2 * 2 for k in range(_TILES)] for size in (height, width)
+    )
     tiles = np.stack([image[r : r + _TILE_PX, c : c + _TILE_PX] for r in rows for c in columns])
     cells = tiles.reshape(len(tiles), _TILE_PX // 2, 2, _TILE_PX // 2, 2).transpose(0, 2, 4, 1, 3)
     quarter = _TILE_PX**2 // 16
     ends = (quarter, _TILE_PX**2 // 4 - quarter)
     cells = np.partition(cells.reshape(len(tiles), 4, -1).astype(np.float32), ends, axis=2)
     level = cells[:, :, slice(*ends)].mean(axis=2)  # without stars
-    noise = np.median((cells[:, :, ends[1]] - cells[:, :, ends[0]]) / 1.349)
-    spread = np.median(np.ptp(level, axis=1))
-    if spread <= max(_DIFFERENT_SIGMA * noise, 1e-3 * np.median(level)):
+    noise = np.sort(cells[:, :, ends[1]] - cells[:, :, ends[0]], axis=None)[2 * len(tiles)] / 1.349
+    spread = np.sort(np.ptp(level, axis=1))[len(tiles) // 2]
+    if spread <= max(_DIFFERENT_SIGMA * noise, 1e-3 * np.sort(level, axis=None)[2 * len(tiles)]):
         return False
     darkest, brightest = np.bincount(level.argmin(axis=1)), np.bincount(level.argmax(axis=1))
     # two of the four pixels are green: either of them may be an extreme

@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 from boresight.geometry.record import Bools, Floats, Ints, array, record, scalar
 from boresight.star_id.centroids import Centroids
 from boresight.star_id.finding.background import Background, estimate_background
-from boresight.star_id.finding.blur import find_coma, find_trail
+from boresight.star_id.finding.blur import explains_better, find_coma, find_trail
 from boresight.star_id.finding.candidates import find_candidates
 from boresight.star_id.finding.centroid import Counts, StarFits, fit_stars
 from boresight.star_id.finding.detect import Detections, detect, detection_threshold
@@ -41,6 +41,7 @@ _SATURATED_SHARE = 0.1  # of the stars
 _FEWER_MISSHAPEN = 0.6  # times as many are misshapen where an empirical PSF is right
 _WELL_SHAPED = 0.85  # of the first `max_stars` detections: fewer, and more detections are fitted
 _TRIED = 3  # times as many, then
+_SAME_PX = 2.0  # between places of a star by two PSFs
 _CELLS = 8  # along each side of the image, to spread the stars that are kept
 _MISFIT_LIMIT = 0.3  # residual over star energy: more is a cosmic ray, a trail, the arm of a bloom
 
@@ -164,9 +165,14 @@ def _find_stars(
     if shaped is None:
         return stars
     others = _measured(image, shaped, background, settings, saturation)
-    others = _with_blur(find_trail, image, shaped, others, settings) or others
-    is_better = others.misshapen < _FEWER_MISSHAPEN * stars.misshapen
-    return others if is_better and len(others.xy_px) > 0.7 * len(stars.xy_px) else stars
+    if others.misshapen >= _FEWER_MISSHAPEN * stars.misshapen or len(others.xy_px) <= 0.7 * len(stars.xy_px):
+        return stars
+    bright = others.xy_px[~others.saturated & ~others.blended][:_STARS_FOR_BLUR]
+    if explains_better(image, bright, background, others.psf, stars.psf, saturation_dn=saturation):
+        return _with_blur(find_trail, image, shaped, others, settings) or others
+    return stars.take(
+        cKDTree(others.xy_px).query(stars.xy_px)[0] < _SAME_PX
+    )  # the rest is like what is no star
 
 
 def _with_blur(

@@ -50,7 +50,8 @@ def test_a_foreign_lens_is_as_wrong_as_stated(name):
     ratio = np.sqrt(0.5 * (error**2).sum(axis=1)) / found.model_sigma_px(xy)
     # some seven independent errors over the detector: mean square 1 within a factor, none far beyond
     assert 0.1 < (ratio**2).mean() < 2.5
-    assert ratio.max() < 3.2
+    assert ratio.max() < found.band_factor(0.99)
+    assert 2.3 < found.band_factor() < 3.0  # 1.7 if the errors were all one, 3 if eight
     assert found.explained
 
 
