@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 __all__ = ["png_of_noise"]
 
 _LEVEL = 1
+_CHUNK_BYTES = 2**20  # OpenCV reads no chunk of more than 8 MB
 
 
 def png_of_noise(image: NDArray[Any]) -> bytes:
@@ -25,7 +26,9 @@ def png_of_noise(image: NDArray[Any]) -> bytes:
     rows = np.zeros((height, 1 + width * size), np.uint8)  # the first byte of a row: no filter
     rows[:, 1:] = np.ascontiguousarray(image, dtype=image.dtype.newbyteorder(">")).view(np.uint8)
     header = struct.pack(">IIBBBBB", width, height, 8 * size, 0, 0, 0, 0)
-    chunks = [(b"IHDR", header), (b"IDAT", isal_zlib.compress(rows, _LEVEL)), (b"IEND", b"")]
+    packed = isal_zlib.compress(rows, _LEVEL)
+    parts = [packed[at : at + _CHUNK_BYTES] for at in range(0, len(packed), _CHUNK_BYTES)]
+    chunks = [(b"IHDR", header), *((b"IDAT", part) for part in parts), (b"IEND", b"")]
     return b"\x89PNG\r\n\x1a\n" + b"".join(_chunk(kind, content) for kind, content in chunks)
 
 

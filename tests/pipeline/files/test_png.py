@@ -10,7 +10,7 @@ from boresight.pipeline.files.png import png_of_noise
 
 @pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
 @pytest.mark.parametrize(
-    ("dtype", "shape"), [(np.uint8, (37, 61)), (np.uint16, (1, 300)), (np.uint16, (90, 7))]
+    ("dtype", "shape"), [(np.uint8, (37, 61)), (np.uint16, (1, 300)), (np.uint8, (4000, 3000))]
 )
 def test_every_pixel_is_read_back(dtype, shape, tmp_path):
     image = np.random.default_rng(3).integers(0, np.iinfo(dtype).max, shape, dtype, endpoint=True)
