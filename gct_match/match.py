@@ -181,11 +181,10 @@ def _measured(
         lines, samples = scene.strip.shape(ccd)
         xy_px, initial_px = (scene.trajectories.pixels(ccd, angle) for angle in (theta, np.zeros(3)))
         end_px = np.array([samples, lines]) - 0.5
-        for n in searched:
-            if not ((xy_px[n] >= -0.5) & (xy_px[n] < end_px)).all():
-                continue
-            seen.add(n)
-            outcome, read = _measured_one(scene, model, n, ccd, xy_px[n], covariance)
+        here = [n for n in searched if ((xy_px[n] >= -0.5) & (xy_px[n] < end_px)).all()]
+        seen.update(here)
+        for n, radius in zip(here, _search_radii_px(scene, model, here, ccd, xy_px, covariance)):
+            outcome, read = _measured_one(scene, model, n, ccd, xy_px[n], radius)
             pixels += read
             if isinstance(outcome, Refusal):
                 refused.append(replace(outcome, target_id=scene.targets[n].target_id, ccd=ccd))
@@ -197,10 +196,10 @@ def _measured(
 
 
 def _measured_one(
-    scene: Scene, model: Pushbroom, n: int, ccd: int, xy_px: Floats, covariance: Floats
+    scene: Scene, model: Pushbroom, n: int, ccd: int, xy_px: Floats, radius: int
 ) -> tuple[TargetMatch | Refusal, int]:
-    """Target n in one CCD, predicted at `xy_px` (sample, line) by `model`; and how many pixels were read."""
-    radius = _search_radius_px(scene, model, n, ccd, xy_px, covariance)
+    """Target n in one CCD, searched within `radius` px of `xy_px` (sample, line), where `model` predicts it;
+    and how many pixels were read."""
     template = _template(scene, model, n, ccd, xy_px)
     if isinstance(template, Refusal):
         return template, 0
@@ -242,16 +241,19 @@ def _match(
     )
 
 
-def _search_radius_px(
-    scene: Scene, model: Pushbroom, n: int, ccd: int, xy_px: Floats, covariance: Floats
-) -> int:
-    """Three standard errors of the prediction: that of the common rotation and of the single target."""
-    settings = scene.settings
-    _, design = displacements(model, scene.targets[n].p_e[None], np.array([ccd]), xy_px[None])
+def _search_radii_px(
+    scene: Scene, model: Pushbroom, targets: Sequence[int], ccd: int, xy_px: Floats, covariance: Floats
+) -> list[int]:
+    """For each target three standard errors of the prediction: that of the common rotation and its own."""
+    if not targets:
+        return []
+    settings, at = scene.settings, list(targets)
+    p_e = np.array([scene.targets[n].p_e for n in at])
+    _, design = displacements(model, p_e, np.full(len(at), ccd), xy_px[at])
     own_px2 = settings.consistency_sigma_px**2 + settings.attitude_sigma_px**2
-    spread = design[0] @ covariance @ design[0].T + own_px2 * np.eye(2)
-    radius = np.ceil(3.0 * np.sqrt(np.diag(spread).max())) + 2.0
-    return int(np.clip(radius, settings.margin_px, 2 * settings.margin_px))
+    variance = np.einsum("nip,pq,niq->ni", design, covariance, design) + own_px2
+    radius = np.ceil(3.0 * np.sqrt(variance.max(axis=1))) + 2.0
+    return np.clip(radius, settings.margin_px, 2 * settings.margin_px).astype(int).tolist()
 
 
 def _template(scene: Scene, model: Pushbroom, n: int, ccd: int, xy_px: Floats) -> Template | Refusal:

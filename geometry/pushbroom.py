@@ -238,7 +238,7 @@ class Pushbroom:
         sample[few], line[few] = self._pixels_by_scan(ccd, p[few])
         rest = np.setdiff1d(good, few)
         if len(rest):
-            start = np.clip(_predicted_lines(p[few], line[few], p[rest]), *self._span_lines())
+            start = np.clip(_predicted_lines(p[few], line[few], p[rest]), *self.known_lines())
             model = self._for_many(np.concatenate([start, line[few]]), margin=_MARGIN_LINES)
             for part in _chunks(len(rest)):
                 into = rest[part]
@@ -263,7 +263,7 @@ class Pushbroom:
         """Pixels (N,) of ground points (N, 3): nearest line of a coarse scan, refined by the secant
         method.
         """
-        at: Array = np.linspace(*self._span_lines(), _SCAN, dtype=np.float64)
+        at: Array = np.linspace(*self.known_lines(), _SCAN, dtype=np.float64)
         states = self._states(at)
         start = np.full(len(p_e), np.nan)
         for part in _chunks(len(p_e), _CHUNK // _SCAN):
@@ -281,7 +281,7 @@ class Pushbroom:
 
     def _pixels_by_secant(self, ccd: int, p_e: Array, start: Array) -> tuple[Array, Array]:
         """Pixels (N,) by the secant method from lines `start` (N,); NaN where it does not converge."""
-        first, last = self._span_lines()
+        first, last = self.known_lines()
         old = np.clip(start, first, last)
         _, across_old, _ = self._pixels_at(ccd, p_e, old)
         line = np.clip(old + np.where(old < 0.5 * (first + last), 1.0, -1.0), first, last)
@@ -303,7 +303,7 @@ class Pushbroom:
         """At given lines: nearest sample (N,) of each point, its distance across, px, whether it is seen."""
         known = np.isfinite(line)
         if not known.all():
-            line = np.where(known, line, self._span_lines()[0] if self.table is None else self.table.edges[0])
+            line = np.where(known, line, self.known_lines()[0] if self.table is None else self.table.edges[0])
         states = self._states(line)
         u_c, above_horizon = self._apparent_c(p_e, states)
         sample, across = self.camera.samples_from_directions(ccd, u_c)
@@ -317,8 +317,8 @@ class Pushbroom:
         above = np.einsum("ni,ni->n", states.p_e - p_e, p_e) > 0.0
         return states.to_c(u_e), above
 
-    def _span_lines(self) -> tuple[float, float]:
-        """First and last line at which orbit, attitude and Earth rotation are known."""
+    def known_lines(self) -> tuple[float, float]:
+        """First and last line at which orbit, attitude and Earth rotation are known; `ValueError` if none."""
         spans = self.attitude.span_s, self.orbit.span_s, (self.earth.t_start_s, self.earth.t_stop_s)
         delay = self.camera.delay_to_middle_s(self.rows.row_period_s)
         first, last = max(span[0] for span in spans) - delay, min(span[1] for span in spans) - delay
@@ -411,7 +411,7 @@ class Pushbroom:
         line = line[np.isfinite(line)]
         if len(line) < _MANY or (self.table is not None and self.table.covers(line).all()):
             return self
-        first, last = self._span_lines()
+        first, last = self.known_lines()
         first, last = max(float(line.min()) - margin, first), min(float(line.max()) + margin, last)
         return self.tabulated(first, last) if last - first > 1.0 else self
 

@@ -374,7 +374,7 @@ def _quicklook(
     p_e = ecef_from_geodetic(lat.ravel(), lon.ravel(), height.ravel(), WGS84)
     picture = np.full((rows, columns), np.nan, dtype=np.float32)
     to_size = _lattice_map(rows, columns)
-    model = one.model.tabulated(-0.5, one.task.strip.lines - 0.5)
+    model = one.model.tabulated(*one.model.known_lines())
     for ccd in one.task.strip.images.ccds:
         sample, line = model.pixels_from_ground(ccd, p_e)
         maps = [

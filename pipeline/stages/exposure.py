@@ -23,10 +23,11 @@ from boresight.pipeline.errors import Cause, Omission, RawDataError
 from boresight.pipeline.files.dump import Dump
 from boresight.pipeline.files.star_images import read_exposure
 from boresight.pipeline.files.star_side import Exposure, StarCentroids, StarImages
+from boresight.pipeline.work.index_cache import cached_index
 from boresight.star_id.catalogue import hipparcos_stars
 from boresight.star_id.centroids import Centroids
 from boresight.star_id.identification.identify import NotIdentified
-from boresight.star_id.identification.triangle_index import StarIndex, build_index, equivalent_fov
+from boresight.star_id.identification.triangle_index import StarIndex, equivalent_fov
 from boresight.star_id.observer import Observer
 from boresight.star_id.settings import StarSettings
 from boresight.star_id.sight import sight_centroids, sight_stars
@@ -190,8 +191,8 @@ def is_mirrored(task: StarTask) -> bool:
 
 @lru_cache(maxsize=2)
 def star_index(fov_rad: float, year: int) -> StarIndex:
-    """Index of catalogue triangles for a field of view (rad), built once in each process."""
-    return build_index(hipparcos_stars().places, float(year), fov_rad)
+    """Index of catalogue triangles for a field of view (rad), read once in each process."""
+    return cached_index(hipparcos_stars().places, float(year), fov_rad)
 
 
 def _index_of(camera: StarCamera, observer: Observer) -> StarIndex:

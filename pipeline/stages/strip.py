@@ -300,9 +300,9 @@ def footprint_e(task: StripTask) -> Floats:
     model, lines = pushbroom_of(task), np.linspace(0.0, task.strip.lines - 1.0, 9)
     seen = []
     for ccd in range(task.camera.n_ccds):
-        for sample in (0.0, task.camera.n_px(ccd) - 1.0):
-            seen.append(model.ground_points(ccd, np.full(9, sample), lines, ConstantHeight(0.0)))
-    return np.array(seen)
+        ends = np.repeat([0.0, task.camera.n_px(ccd) - 1.0], len(lines))
+        seen.append(model.ground_points(ccd, ends, np.tile(lines, 2), ConstantHeight(0.0)))
+    return np.concatenate(seen).reshape(-1, len(lines), 3)
 
 
 def orbit_around(orbit: Orbit, t_first_s: float, t_last_s: float) -> Orbit:
