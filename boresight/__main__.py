@@ -1,5 +1,6 @@
 """The command `boresight`, also as `python -m boresight`."""
 
+import gc
 import sys
 
 __all__ = ["main"]
@@ -12,6 +13,7 @@ def main() -> None:
 
         print(version_text())
         return
+    gc.set_threshold(100_000)  # what modules make stays: looking for garbage among it takes 4 % of a command
     from boresight.pipeline.cli import main as command_line
 
     command_line()

@@ -10,7 +10,7 @@ import numpy as np
 import pyarrow as pa
 from matplotlib.axes import Axes
 from matplotlib.patches import Ellipse
-from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.record import Floats
@@ -339,7 +339,7 @@ def _logarithmic(axes: Axes, *which: str, steps: tuple[float, ...] = (1.0, 2.0, 
         axes.set(**{f"{name}scale": "log"})
         axis.set_major_locator(LogLocator(subs=steps))
         axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-        axis.set_minor_formatter(NullFormatter())
+        axis.set_minor_locator(NullLocator())
 
 
 def _legend(axes: Axes, **where: Any) -> None:
