@@ -10,10 +10,12 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from mkdocs.exceptions import PluginError
 from mkdocs.structure.files import File, Files
 
 sys.path.insert(0, str(Path(__file__).parent))
 from accuracy_tables import table4_markdown
+from api_contents import undocumented
 
 ROOT = Path(__file__).parents[1]
 RECORDS = ROOT / "benchmarks" / "results"
@@ -73,6 +75,14 @@ def on_page_markdown(markdown: str, *, page: Any, config: Any, files: Files) -> 
     if "<!-- table 4 -->" in markdown:
         markdown = markdown.replace("<!-- table 4 -->", table4_markdown())
     return markdown.replace("<!-- benchmark records -->", "\n".join(_records()))
+
+
+def on_post_build(config: Any) -> None:
+    """Stop where an API page lacks an exported name or its text."""
+    for package in PACKAGES:
+        page = (Path(config.site_dir) / "api" / f"{package}.html").read_text(encoding="utf-8")
+        if missing := undocumented(page, modules_of(package)):
+            raise PluginError(f"api/{package}.html lacks {len(missing)} names, first {missing[0]}")
 
 
 def _example(name: str, title: str) -> str:

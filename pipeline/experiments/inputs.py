@@ -32,25 +32,25 @@ __all__ = ["inputs"]
 Row = tuple[str, str, str, float, float, float, float]
 COLUMNS = ["source", "item", "unit", "at", "paper", "ours", "expected"]
 HEIGHT_M, NONE = 530e3, float("nan")
-STRIPS, TARGETS = 400, 20
 
 
-def inputs(cameras: CameraPair, seed: int) -> pd.DataFrame:
+def inputs(cameras: CameraPair, seed: int, strips: int) -> pd.DataFrame:
     """Long-form table of printed inputs: paper, ours, and the value by arithmetic where there is one.
 
-    Curves (distortion of both cameras) have one row per point `at`: mm from the principal point along the
-    diagonal, with (5) evaluated literally as `paper`, and samples of a CCD, with the printed samples only.
+    Errors on the ground are those of `strips` drawn strips. Curves (distortion of both cameras) have one row
+    per point `at`: mm from the principal point along the diagonal, with (5) evaluated literally as `paper`,
+    and samples of a CCD, with the printed samples only.
     """
-    rows = [*_table1(cameras, seed), *_table2(), *_table3(), *_text(cameras)]
+    rows = [*_table1(cameras, seed, strips), *_table2(), *_table3(), *_text(cameras)]
     return pd.DataFrame(rows, columns=COLUMNS)
 
 
-def _table1(cameras: CameraPair, seed: int) -> Iterator[Row]:
+def _table1(cameras: CameraPair, seed: int, n_strips: int) -> Iterator[Row]:
     errors, pixel_m = paper_scenario().errors, cameras.pixel_rad * HEIGHT_M
     vibration = errors.vibration_arcsec * ARCSEC
     radius = WGS84.semi_major_m + HEIGHT_M
     ground_speed = np.sqrt(GM_EARTH / radius) * WGS84.semi_major_m / radius
-    plain = StripPlan(strips=STRIPS, targets=TARGETS, stars=2, exposures=2)
+    plain = StripPlan(strips=n_strips, targets=20, stars=2, exposures=2)
     plans = {
         "GPS": (replace(plain, sigma_position_m=errors.gps_m), errors.gps_m),
         "vibration": (replace(plain, sigma_vibration_rad=vibration), vibration * HEIGHT_M),

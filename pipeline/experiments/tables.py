@@ -109,7 +109,7 @@ def experiment_table(
     if name in ("grid", "table5", "readings"):
         return {"grid": grid, "table5": table5, "readings": table5_readings}[name](settings, progress)
     if name == "inputs":
-        return inputs(settings.cameras, settings.seed)
+        return inputs(settings.cameras, settings.seed, settings.inputs_strips)
     if name == "geometry":
         return geometry_map(settings.cameras, settings.search)
     return {"convergence": convergence, "figure4": figure4, "figure8": figure8}[name](settings)

@@ -106,6 +106,7 @@ class ExperimentSettings:
     table5_strips: int = scalar("strips of ten exposures: 400 frames", default=40)
     table5_check_strips: int = scalar("further strips with check points", default=7)
     table5_runs: int = scalar("runs per row of Table 5", default=20)
+    inputs_strips: int = scalar("strips drawn with each error of Table 1", default=400)
     search: GeometrySearch = scalar("directions and numbers of the map", default_factory=GeometrySearch)
 
     @property

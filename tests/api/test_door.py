@@ -287,11 +287,21 @@ reveal_type(bs.forecast("plan.toml").strips_needed)
 """
 
 
+NOT_IN_SIGNATURES = (
+    *("annotated_types", "astropy", "click", "cv2", "dask", "distributed", "jinja2", "PIL", "pydantic"),
+    *("pydantic_core", "pyproj", "rasterio", "rich", "skimage", "tomlkit", "tornado", "typer"),
+)
+
+
 def test_a_users_strict_script_sees_no_any(tmp_path: Path) -> None:
     script = tmp_path / "script.py"
     script.write_text(USER_SCRIPT)
     # As an installed package is seen: by its signatures. Bodies are checked by `make types`.
-    (tmp_path / "mypy.ini").write_text("[mypy]\n[mypy-boresight.*]\nignore_errors = True\n")
+    # Libraries that no signature names are not followed: a type of theirs would be an `Any`.
+    (tmp_path / "mypy.ini").write_text(
+        "[mypy]\n[mypy-boresight.*]\nignore_errors = True\n"
+        f"[mypy-{','.join(f'{name}.*' for name in NOT_IN_SIGNATURES)}]\nfollow_imports = skip\n"
+    )
     cache = ROOT / ".mypy_cache" / "users_script"
     strict = ["--strict", f"--config-file={tmp_path / 'mypy.ini'}", f"--cache-dir={cache}"]
     command = [sys.executable, "-m", "mypy", *strict, str(script)]

@@ -93,3 +93,18 @@ def test_the_readme_shows_the_accuracy_that_was_measured():
     assert found is not None
     shown = found[0].removeprefix(found[1]).removesuffix(found[2])
     assert shown == table4_markdown(), "run scripts/accuracy_tables.py"
+
+
+def test_an_api_page_must_hold_every_exported_name_with_its_text():
+    # `make docs` asks this of every page that it has built.
+    sys.path.insert(0, str(ROOT / "scripts"))
+    from api_contents import exported, undocumented
+
+    names = dict(exported("boresight.geometry.orbit"))
+    assert "boresight.geometry.orbit.Orbit" in names
+    page = "".join(f'<h2 id="{name}">h</h2><p>{words} <b>and more</b>.</p>' for name, words in names.items())
+    assert undocumented(page, ["boresight.geometry.orbit"]) == []
+    without = page.replace('id="boresight.geometry.orbit.Orbit"', "")
+    assert undocumented(without, ["boresight.geometry.orbit"]) == ["boresight.geometry.orbit.Orbit"]
+    silent = page.replace(names["boresight.geometry.orbit.Orbit"], "")
+    assert undocumented(silent, ["boresight.geometry.orbit"]) == ["boresight.geometry.orbit.Orbit"]

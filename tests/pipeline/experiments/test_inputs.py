@@ -12,7 +12,7 @@ from boresight.pipeline.experiments.vectors import ExperimentSettings
 
 @pytest.fixture(scope="module")
 def table() -> pd.DataFrame:
-    return inputs(ExperimentSettings().cameras, seed=1)
+    return inputs(ExperimentSettings().cameras, seed=1, strips=400)
 
 
 def test_each_error_of_table_1_has_its_size_on_the_ground(table: pd.DataFrame):

@@ -24,6 +24,7 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> str:
         wang_strips=2,
         frames=(5, 20),
         table4_frames=20,
+        inputs_strips=20,
         grid_sigma_s_px=(0.05, 0.10),
         grid_sigma_c_px=(0.1, 1.0),
         search=GeometrySearch(
