@@ -55,7 +55,7 @@ def write_sky_page(line: Line, path: Path) -> None:
         title=f"{found.matches} stars identified" if found is not None else "Not identified",
         reason="" if found is not None else str(line.record["reason"]).partition(": ")[2],
         rejected=f"Rejected: {stars.hot_pixels} hot pixels, {stars.misshapen} of other shapes (rays).",
-        image=_picture(image, stars, known, found),
+        image=_picture(image, stars, known, line),
         states=STATES,
         seen=_seen(stars),
         solution=[] if found is None else _solution(found),
@@ -66,26 +66,26 @@ def write_sky_page(line: Line, path: Path) -> None:
     write_whole(path, lambda target: target.write_text(text, encoding="utf-8"))
 
 
-def _picture(
-    image: NDArray[Any], stars: StarList, known: Bools, found: FieldSolution | None
-) -> dict[str, Any]:
+def _picture(image: NDArray[Any], stars: StarList, known: Bools, line: Line) -> dict[str, Any]:
     """What the macro `picture` draws."""
     jpeg, shrunk = stretched_jpeg(image)
+    found, planets = line.found, {planet.detection: planet.name for planet in line.planets}
     other = np.where(stars.saturated, "saturated", np.where(stars.blended, "blended", "unused"))
     state = np.where(known, "used", other)
     hip = np.zeros(len(state), dtype=np.int64)
     if found is not None:
         hip[found.detections] = found.hip
+    names = [f"HIP {star}" if star else planets.get(row, "") for row, star in enumerate(hip)]
     marks = [
         Detection(
             x=round(float(x), 2),
             y=round(float(y), 2),
             r=round(0.6 + min(0.3 * float(np.log10(max(snr, 1.0))), 0.9), 2),
             state=str(kind),
-            words=(f"HIP {star}, " if star else "") + f"signal to noise {snr:.1f}: {STATES[str(kind)]}",
-            name=f"HIP {star}" if star else "",
+            words=(f"{name}, " if name else "") + f"signal to noise {snr:.1f}: {STATES[str(kind)]}",
+            name=name,
         )
-        for (x, y), snr, kind, star in zip(stars.xy_px, stars.snr, state, hip)
+        for (x, y), snr, kind, name in zip(stars.xy_px, stars.snr, state, names)
     ]
     counts = Counter(str(kind) for kind in state)
     return {

@@ -37,6 +37,7 @@ from boresight.star_id.finding.star_list import StarList, find_stars
 from boresight.star_id.identification.identify import NotIdentified
 from boresight.star_id.identification.triangle_index import StarIndex, equivalent_fov
 from boresight.star_id.observer import Observer
+from boresight.star_id.planets import Planet, planets_in_view
 from boresight.star_id.settings import StarSettings
 
 __all__ = ["Line", "Request", "identify_images", "own_name", "read_camera", "read_sky_image", "sky_index"]
@@ -54,6 +55,7 @@ class Line:
     found: FieldSolution | None
     image: NDArray[Any] | None = None  # as read; None for a list of centroids, or where it was not read
     stars: StarList | None = None  # found in it
+    planets: tuple[Planet, ...] = ()  # in view at the image's time, where that is known
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,14 +113,25 @@ def identify_images(images: Sequence[Path], request: Request, settings: StarSett
             continue
         spent_ms = 1e3 * (time.process_time() - started)
         named.append((path, outcome))
+        planets = () if observer is None else planets_in_view(outcome, observer)
         if request.overlay is not None:
-            _draw(image, outcome, own_name(request.overlay, path, len(images)))
+            _draw(image, outcome, planets, own_name(request.overlay, path, len(images)))
         record = _record(path, outcome, spent_ms)
-        yield Line(f"{path!s:{width}s}   {_facts(record, outcome)}", True, record, outcome, image, stars)
+        record["planets"] = [
+            {"name": p.name, "xy_px": [p.x_px, p.y_px], "detected": p.detection >= 0} for p in planets
+        ]
+        text = f"{path!s:{width}s}   {_facts(record, outcome)}{_named(planets)}"
+        yield Line(text, True, record, outcome, image, stars, planets)
     if request.out is not None:
         from boresight.pipeline.files.named_stars import write_named_stars
 
         write_named_stars(request.out, named)
+
+
+def _named(planets: Sequence[Planet]) -> str:
+    """The planets that are detected, as text."""
+    seen = [f"{p.name} at ({p.x_px:.0f}, {p.y_px:.0f}) px" for p in planets if p.detection >= 0]
+    return "".join(f"   {text}" for text in seen)
 
 
 def _of_centroids(
@@ -204,8 +217,9 @@ def own_name(path: Path, image: Path, count: int) -> Path:
     return path if count == 1 else path.with_name(f"{path.stem}-{image.stem}{path.suffix}")
 
 
-def _draw(image: NDArray[Any], found: FieldSolution, path: Path) -> None:
-    """The image with the named stars ringed and numbered, others marked; a mirror image reversed."""
+def _draw(image: NDArray[Any], found: FieldSolution, planets: Sequence[Planet], path: Path) -> None:
+    """The image with the named stars ringed and numbered, planets named, other detections marked; a mirror
+    image reversed."""
     if found.mirrored:
         image = image[:, ::-1]
     low, high = np.percentile(image, (1.0, 99.7))
@@ -215,10 +229,12 @@ def _draw(image: NDArray[Any], found: FieldSolution, path: Path) -> None:
     if found.stars is not None:
         for x, y in np.rint(found.stars.xy_px).astype(int).tolist():
             cv2.circle(picture, (x, y), radius // 2, (0, 120, 255), 1, cv2.LINE_AA)
-    for (x, y), hip in zip(np.rint(found.xy_px).astype(int).tolist(), found.hip.tolist()):
+    at_stars = zip(np.rint(found.xy_px).astype(int).tolist(), map(str, found.hip.tolist()))
+    at_planets = (((round(p.x_px), round(p.y_px)), p.name) for p in planets)
+    for (x, y), name in (*at_stars, *at_planets):
         cv2.circle(picture, (x, y), radius, (0, 255, 0), 1, cv2.LINE_AA)
         place = (x + radius + 2, y - 2)
-        cv2.putText(picture, str(hip), place, cv2.FONT_HERSHEY_SIMPLEX, 0.4, (0, 255, 0), 1, cv2.LINE_AA)
+        cv2.putText(picture, name, place, cv2.FONT_HERSHEY_SIMPLEX, 0.4, (0, 255, 0), 1, cv2.LINE_AA)
     if not cv2.imwrite(str(path), picture):
         raise RawDataError(str(path), "overlay", "could not be written", "the name of a PNG file in a folder")
 
