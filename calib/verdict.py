@@ -66,7 +66,7 @@ class Suspect(Enum):
     TARGET_COORDINATES = "coordinates of targets, their height system and stated errors"
     TARGET_LIST = "targets listed more than once"
     HEADS = "attitudes of the head that is named: its times, its mounting, its aberration"
-    HEAD_NOISE = "stated noise of the heads' attitudes"
+    HEAD_NOISE = "stated noise of attitudes ([star_cameras.noise], or sigma and cov columns of their file)"
     NOT_INDEPENDENT = "whether the observations share an error that residuals do not show"
     GROUND_MATRIX = "pre-launch installation matrix and its stated error"
 
@@ -81,7 +81,12 @@ LOOK_AT = {
         Suspect.CLOCKS,
         Suspect.STATED_ERRORS,
     ),
-    CheckKind.TARGETS_REJECTED: (Suspect.TARGET_COORDINATES, Suspect.LINE_CAMERA_MODEL),
+    CheckKind.TARGETS_REJECTED: (
+        Suspect.TARGET_COORDINATES,
+        Suspect.LINE_CAMERA_MODEL,
+        Suspect.HEAD_NOISE,
+        Suspect.STATED_ERRORS,
+    ),
     CheckKind.BETWEEN_STRIPS: (Suspect.ORBIT, Suspect.CLOCKS, Suspect.STATED_ERRORS),
     CheckKind.BETWEEN_HEADS: (Suspect.HEAD_NOISE, Suspect.HEADS),
     CheckKind.STEADY_HEADS: (Suspect.HEADS, Suspect.HEAD_NOISE),
@@ -110,7 +115,7 @@ class VerdictSettings:
     sigma_understated: float = scalar("tolerated factor of true over stated standard deviations", default=1.1)
     sigma_overstated: float = scalar("tolerated factor of stated over true standard deviations", default=2.0)
     share_stars_rejected: float = scalar("tolerated share of stars with gross errors", default=0.02)
-    share_targets_rejected: float = scalar("tolerated share of targets with gross errors", default=0.3)
+    share_targets_rejected: float = scalar("tolerated share of targets with gross errors", default=0.15)
 
 
 @record(kw_only=True)

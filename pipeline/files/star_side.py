@@ -79,6 +79,7 @@ class StarCentroids:
 
     camera: StarCamera = scalar("camera of frame s")
     exposures: tuple[Exposure, ...] = scalar("in order of time")
+    file: str = scalar("name of the file of all lists")
     lists: tuple[Centroids | None, ...] = scalar("of each exposure; None: the list has no star of it")
 
 
@@ -101,6 +102,12 @@ class Head:
     noise: AttitudeNoise = scalar("errors of its attitudes beside those of its stars")
     interpolation: Interpolation = scalar("between its attitudes")
     source: StarImages | StarCentroids | SolvedAttitudes = scalar("what the head delivers")
+
+    @property
+    def n_exposures(self) -> int:
+        """Number of exposures, or of attitudes."""
+        source = self.source
+        return len(source.rows.t_s if isinstance(source, SolvedAttitudes) else source.exposures)
 
 
 def open_heads(root: Path, head: schema.DumpFile, epoch: Epoch) -> tuple[Head, ...]:
@@ -134,8 +141,9 @@ def _head(root: Path, head: schema.HeadFile, field: str, epoch: Epoch) -> Head:
         model = star_camera_of(camera, file)
         source = StarImages(model, camera.bit_depth, exposures)
         if head.level == "centroids":
-            lists = read_centroids(*inside(head.centroids, "centroids"))
-            source = StarCentroids(model, exposures, tuple(lists.get(one.file) for one in exposures))
+            path, file = inside(head.centroids, "centroids")
+            lists = read_centroids(path, file)
+            source = StarCentroids(model, exposures, file, tuple(lists.get(one.file) for one in exposures))
     return Head(
         name=head.name,
         R_cs0=Rotation.from_quat(installation.quaternion_cs),

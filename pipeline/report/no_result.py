@@ -19,14 +19,15 @@ MOST_ROWS = 300
 def write_no_result(result: Path, dump: Dump, error: DataNotSufficientError) -> Path:
     """Write `report.html` of a run without a result; its path."""
     cause, *rest = str(error).split("; ")
+    every = (*dump.strips, *dump.sky_strips)
+    begin = min(strip.t_first_row_s for strip in every)
+    end = max(strip.t_first_row_s + strip.lines * strip.row_period_s for strip in every)
+    exposures = sum(head.n_exposures for head in dump.heads)
     text = template("no_result.html.j2").render(
         mission=dump.mission,
         satellite=dump.satellite,
-        utc=[
-            utc[:19].replace("T", " ")
-            for utc in dump.epoch.utc_from_seconds([dump.exposures[0].t_s, dump.exposures[-1].t_s])
-        ],
-        counts={"exposures": len(dump.exposures), "strips": len(dump.strips), "targets": len(dump.targets)},
+        utc=[utc[:19].replace("T", " ") for utc in dump.epoch.utc_from_seconds([begin, end])],
+        counts={"exposures": exposures, "strips": len(dump.strips), "targets": len(dump.targets)},
         cause=cause,
         rest=rest,
         kinds=sorted(Counter((o.kind, str(o.cause)) for o in error.omissions).items()),

@@ -202,7 +202,7 @@ def _one_pass(
     unnamed = [omission for one in named for omission in one.omissions]
     if isinstance(estimate, NotObservable):
         known = [*_unused_so_far(dump, heads, sky), *uncovered, *unnamed]
-        text = what_is_missing(estimate, dump, settings, len(heads[0].stars), tasks, matched, known)
+        text = what_is_missing(estimate, dump, settings, heads[0], tasks, matched, known)
         raise DataNotSufficientError(text, [*known, *unmatched])
     return _Pass(
         estimate=estimate,

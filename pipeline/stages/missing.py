@@ -12,8 +12,10 @@ from boresight.gct_match.records import Target
 from boresight.geometry.record import Floats
 from boresight.pipeline.errors import Cause, Omission
 from boresight.pipeline.files.dump import Dump
+from boresight.pipeline.files.star_side import StarCentroids
 from boresight.pipeline.settings import Settings
 from boresight.pipeline.stages.exposure import is_mirrored, star_tasks
+from boresight.pipeline.stages.head import HeadSightings
 from boresight.pipeline.stages.strip import MatchedTargets, StripTask, footprint_e, pushbroom_of
 
 __all__ = ["misses", "nearest_miss", "what_is_missing"]
@@ -26,17 +28,20 @@ def what_is_missing(
     outcome: NotObservable,
     dump: Dump,
     settings: Settings,
-    n_stars: int,
+    reference: HeadSightings,
     tasks: Sequence[StripTask],
     matched: Sequence[MatchedTargets],
     omissions: Sequence[Omission],
 ) -> str:
-    """One sentence for the user, the cause first; `n_stars` is the number of identified exposures."""
+    """One sentence for the user, the cause first."""
+    n_stars = len(reference.stars)  # identified exposures
     n_targets = sum(len(one.target_id) for one in matched)
     counts = f"{n_stars} exposures identified, {n_targets} targets matched in {len(matched)} strips"
     failed = [o for o in omissions if o.kind == "exposure"]
     if failed and n_stars == 0:
         return f"{_no_exposure(dump, settings, failed)}; {counts}"
+    if n_stars and not reference.attitudes.usable.any():
+        return f"{_no_attitude(reference)}; {counts}"
     every = [*omissions, *(o for one in matched for o in one.omissions)]
     if tasks and dump.targets and n_targets == 0 and not any(o.kind == "target" for o in every):
         return f"{_no_target(dump, tasks)}; {counts}"
@@ -62,6 +67,16 @@ def _no_exposure(dump: Dump, settings: Settings, failed: Sequence[Omission]) -> 
         text += "; check focal_length_mm and pixel_size_um of the star camera (`boresight identify IMAGE` "
         text += "measures the focal length), its distortion, the bit depth, and that images are not mirrored"
     return text
+
+
+def _no_attitude(reference: HeadSightings) -> str:
+    attitudes, source = reference.attitudes, reference.head.source
+    text = f"none of {len(reference.stars)} exposures has an attitude: {int(np.sum(~attitudes.kept))} of "
+    text += f"{len(attitudes.kept)} identified stars lie further from where the others put them than their "
+    text += "stated errors allow; check "
+    if isinstance(source, StarCentroids):
+        text += f"sigma_x_px, sigma_y_px and cov_xy_px2 of {source.file}, and "
+    return text + "focal length, principal point and distortion of the star camera"
 
 
 def _no_target(dump: Dump, tasks: Sequence[StripTask]) -> str:

@@ -12,6 +12,7 @@ from boresight.calib.calibration import calibrate
 from boresight.calib.estimate import InstallationEstimate
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.verdict import CheckKind, Outcome, Suspect, VerdictSettings, assess
+from boresight.geometry.attitude_estimate import with_attitudes
 from boresight.geometry.constants import ARCSEC
 from boresight.simulator.campaign import CameraPair, StripPlan, draw_strips
 
@@ -61,6 +62,16 @@ def test_consistent_campaigns_are_consistent_and_their_p_values_uniform():
 def test_gross_target_errors_that_are_rejected_do_not_refute(share):
     for seed in range(10):
         assert verdict_on(drawn(seed, gross_targets=share, strips=6)).outcome is Outcome.CONSISTENT
+
+
+def test_attitudes_that_are_far_worse_than_stated_are_refuted_by_the_targets_that_they_reject():
+    """No star contradicts them: the head has solved them itself."""
+    for seed in range(3):
+        strips = with_attitudes(drawn(seed, sigma_s_px=0.3), CalibrationSettings().attitudes)
+        stated = [replace(s.attitudes, covariance_s=1e-4 * s.attitudes.covariance_s) for s in strips]
+        verdict = verdict_on([replace(s, attitudes=small) for s, small in zip(strips, stated)])
+        failed = check(verdict, CheckKind.TARGETS_REJECTED)
+        assert not failed.holds and Suspect.HEAD_NOISE in failed.look_at
 
 
 def seen_by(strips, directions):

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import csv
+import re
 from pathlib import Path
 
 import cv2
 import pytest
+from typer.testing import CliRunner
 
+from boresight.pipeline.cli import app
 from boresight.pipeline.errors import DataNotSufficientError
 from boresight.pipeline.files.dump import open_dump
 from boresight.pipeline.stages.calibrate import calibrate_dump
@@ -37,6 +41,32 @@ def test_wrong_focal_length_is_among_the_hints(one_strip: Path) -> None:
     told = reason(one_strip)
     assert told.startswith("none of 14 exposures can be used (14 not identified)")
     assert "measures the focal length" in told and "mirrored left" not in told
+
+
+def test_centroids_far_worse_than_stated_are_named_by_file_and_field(
+    one_strip, tmp_path, monkeypatch
+) -> None:
+    monkeypatch.chdir(one_strip)
+    images = [f"exposures/{path.name}" for path in Path("exposures").iterdir()]
+    assert CliRunner().invoke(app, ["centroids", *images, "--out", "centroids.csv"]).exit_code == 0
+    with open("centroids.csv", newline="") as file:
+        rows = list(csv.DictReader(file))
+    for row in rows:
+        for key, factor in (("sigma_x_px", 1e-3), ("sigma_y_px", 1e-3), ("cov_xy_px2", 1e-6)):
+            row[key] = repr(float(row[key]) * factor)
+    with open("centroids.csv", "w", newline="") as file:
+        writer = csv.DictWriter(file, rows[0])
+        writer.writeheader()
+        writer.writerows(rows)
+    text = re.sub(r"(?m)^(star_camera|installation|exposures) = .*\n", "", Path("dump.toml").read_text())
+    head = '[[star_cameras]]\nname = "STR"\nlevel = "centroids"\ninstallation = "installation.toml"\n'
+    keys = 'camera = "star_camera.toml"\nexposures = "exposures.csv"\ncentroids = "centroids.csv"\n'
+    Path("dump.toml").write_text(f"{text}\n{head}{keys}")
+    ran = CliRunner().invoke(app, ["calibrate", ".", "--out", str(tmp_path / "result")])
+    told = str(ran.exception)
+    assert ran.exit_code == 1 and told.startswith("none of 14 exposures has an attitude: ")
+    assert "check sigma_x_px, sigma_y_px and cov_xy_px2 of centroids.csv" in told
+    assert "14 star exposures, 1 strips" in (tmp_path / "result" / "report.html").read_text()
 
 
 def test_targets_that_a_strip_misses_are_told_by_distance_and_time(one_strip: Path) -> None:
