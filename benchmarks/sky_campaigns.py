@@ -10,11 +10,13 @@ from dataclasses import replace
 
 import numpy as np
 from record import band_of_mean_nees, exit_status, head, verdict
+from scipy.stats import chi2, ncx2
 
 from boresight.calib.calibration import calibrate
 from boresight.calib.estimate import InstallationEstimate
+from boresight.calib.orbit_bias import CommonBias
 from boresight.calib.settings import CalibrationSettings
-from boresight.calib.verdict import CheckKind, assess
+from boresight.calib.verdict import CheckKind, Verdict, VerdictSettings, assess
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.installation import deviation_from_theta, theta_between
 from boresight.geometry.sightings import StripSightings
@@ -133,7 +135,7 @@ def campaigns() -> None:
 
 
 def orbit_bias(n_ground: int) -> None:
-    made, errors, named = [], [], 0
+    made, errors, powers, named = [], [], [], 0
     for seed in range(SEEDS):
         rng = np.random.default_rng(3000 + seed)
         curve = DistortionCurve.draw(PLAN, CAMERAS, rng)
@@ -145,7 +147,9 @@ def orbit_bias(n_ground: int) -> None:
         off = found.bias.value[rows] - BIAS_M[:2]
         squared = off @ np.linalg.solve(found.bias.covariance[np.ix_(rows, rows)], off)
         errors.append([*off, *found.bias.sigma[rows], squared])
-        named += any(check.kind is CheckKind.ORBIT_BIAS for check in assess(found, strips).refuted_by)
+        verdict_of = assess(found, strips)
+        named += any(check.kind is CheckKind.ORBIT_BIAS for check in verdict_of.refuted_by)
+        powers.append(power(found.bias, verdict_of))
     line(f"{n_ground} of the ground (orbit 5 m off, 2 m stated), 2 of the sky", made)
     table = np.array(errors)
     rms, sigma = np.sqrt(np.mean(table[:, :2] ** 2, axis=0)), table[:, 2:4].mean(axis=0)
@@ -153,14 +157,28 @@ def orbit_bias(n_ground: int) -> None:
     low, high = band_of_mean_nees(SEEDS, dof=2)
     print(f"  bias along, across: rms {rms[0]:.2f}, {rms[1]:.2f} m; 1 sigma {sigma[0]:.2f}, {sigma[1]:.2f} m")
     verdict(f"NEES of the bias {nees:.2f}, 99.9 % band {low:.2f} to {high:.2f}", low <= nees <= high)
-    print(f"  named by the verdict in {named} of {SEEDS}\n")
+    expected = float(np.sum(powers))
+    spread = float(np.sqrt(np.sum(np.array(powers) * (1.0 - np.array(powers)))))
+    text = f"named by the verdict in {named} of {SEEDS}; {expected:.1f} ± {spread:.1f} by the test's power"
+    verdict(text, abs(named - expected) <= 3.3 * spread + 0.5)
     if n_ground >= 12:
         verdict(f"named in {named} of {SEEDS} with {n_ground} ground strips (36)", named >= 36)
+
+
+def power(bias: CommonBias, verdict_of: Verdict) -> float:
+    """Probability that the verdict's test names a bias of `BIAS_M` measured with this covariance."""
+    rows = [n for n, name in enumerate(bias.names) if name != "clock"]
+    true = np.array([dict(zip(("along", "across", "radial"), BIAS_M))[bias.names[n]] for n in rows])
+    noncentral = true @ np.linalg.solve(bias.covariance[np.ix_(rows, rows)], true)
+    limit = next(check.limit for check in verdict_of.checks if check.kind is CheckKind.ORBIT_BIAS)
+    threshold = VerdictSettings().sigma_understated ** 2 * chi2.isf(limit, len(rows))
+    return float(ncx2.sf(threshold, len(rows), noncentral))
 
 
 if __name__ == "__main__":
     head("calib: stars in strips of the sky, targets on the ground, and both")
     campaigns()
     orbit_bias(3)
+    orbit_bias(6)
     orbit_bias(12)
     raise SystemExit(exit_status())
