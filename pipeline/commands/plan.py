@@ -82,14 +82,13 @@ def sky_strip_plan(
     """
     from boresight.pipeline.errors import DataNotSufficientError, RawDataError
     from boresight.pipeline.files.dump import open_dump
+    from boresight.pipeline.files.star_side import SolvedAttitudes
     from boresight.pipeline.report.sky_scans import scan_lines, scan_table, write_scans
     from boresight.pipeline.settings import Settings, calibration_settings
     from boresight.pipeline.stages.sky_scans import ScanCameras, ScanSettings, choose_scans
     from boresight.star_id.whole_catalogue import all_hipparcos
 
     opened = open_dump(dump.resolve())
-    if opened.star_camera is None:
-        raise RawDataError(str(dump), "star_cameras", "attitudes only", "a star camera's model")
     try:
         start = opened.orbit.span_s[0] if utc is None else float(opened.epoch.seconds_from_utc([utc])[0])
     except ValueError as error:
@@ -106,8 +105,15 @@ def sky_strip_plan(
         earth_deg=earth_deg,
         seed=seed,
     )
+    head = opened.heads[0]
     cameras = ScanCameras(
-        line=opened.line_camera, star=opened.star_camera, R_cs=opened.R_cs0, orbit=opened.orbit
+        line=opened.line_camera,
+        star=head.source.usual_covariance_s(head.noise)
+        if isinstance(head.source, SolvedAttitudes)
+        else head.source.camera,
+        R_cs=opened.R_cs0,
+        orbit=opened.orbit,
+        noise=head.noise,
     )
     errors = calibration_settings(Settings(), opened.errors, opened.line_camera)
     try:

@@ -91,6 +91,13 @@ class SolvedAttitudes:
     file: str = scalar("name of the file")
     aberration_removed: AberrationRemoved = scalar("by the head")
 
+    def usual_covariance_s(self, noise: AttitudeNoise) -> Floats:
+        """Median covariance (3, 3) of an attitude, rad², axes of s: of the rows, or of the head's `noise`."""
+        rows = self.rows.covariance_s
+        if rows is None:
+            return noise.white_covariance_s
+        return np.asarray(rows[np.argsort(np.trace(rows, axis1=1, axis2=2))[len(rows) // 2]])
+
 
 @record(kw_only=True)
 class Head:

@@ -18,6 +18,7 @@ from scipy.spatial.transform import Rotation
 from boresight.calib.calibration import strip_pairs
 from boresight.calib.information import InformationPairs, solve_total
 from boresight.calib.settings import CalibrationSettings
+from boresight.geometry.attitude_noise import NO_NOISE, AttitudeNoise
 from boresight.geometry.constants import WGS84
 from boresight.geometry.epoch import Epoch
 from boresight.geometry.line_camera import LineSensor
@@ -76,9 +77,12 @@ class ScanCameras:
     """Both cameras, the matrix between them, and the satellite's orbit."""
 
     line: LineSensor = scalar("remote-sensing camera")
-    star: StarCamera = scalar("star camera")
+    star: StarCamera | Floats = scalar(
+        "star camera, or, where it delivers attitudes, their covariance (3, 3), rad², axes of s"
+    )
     R_cs: Rotation = scalar("installation matrix, star camera to remote-sensing camera")
     orbit: Orbit = scalar("of the satellite")
+    noise: AttitudeNoise = scalar("errors of the attitudes beside that covariance", default=NO_NOISE)
 
 
 @record(kw_only=True)
@@ -91,7 +95,7 @@ class SkyScan:
         "rotation of the camera about its y axis; positive: stars pass as the ground does"
     )
     stars: int = scalar("stars in the strip")
-    head_stars: int = scalar("stars of the star camera")
+    head_stars: int = scalar("stars of the star camera; 0 where it delivers attitudes")
     away_deg: Floats = array("3", "least angle of both axes to the Sun, the Moon and the Earth's limb")
 
 
@@ -317,6 +321,7 @@ def _strip(
         R_oi_exposures=R_c,
         R_oi_targets=_attitude(R_ci, rate, t),
         attitudes=solved_attitudes(cameras.R_cs.inv() * R_c, np.tile(covariance_s, (len(t_stars), 1, 1))),
+        noise=cameras.noise,
     )
     return strip, (len(np.unique(star)), n_head)
 
@@ -344,7 +349,11 @@ def _head_covariance(
     R_ci: Rotation,
     settings: ScanSettings,
 ) -> tuple[Floats | None, int]:
-    """Covariance (3, 3) of one exposure's attitude, axes of s, from the catalogue's stars; their number."""
+    """Covariance (3, 3) of one exposure's attitude, axes of s, from the catalogue's stars, or as the head
+    states it; number of the stars.
+    """
+    if not isinstance(cameras.star, StarCamera):
+        return cameras.star, 0
     t, p_i, v_i = state
     R_si = cameras.R_cs.inv() * R_ci
     places = sky.near(R_si.inv().apply(Z), cameras.star.field_radius_rad, settings.head_v_mag).places

@@ -1,5 +1,7 @@
 """Scans of the sky: clear of Sun, Moon and Earth by astropy's places; the choice is better than chance."""
 
+import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import astropy.units as u
@@ -7,9 +9,11 @@ import numpy as np
 import pytest
 from astropy.coordinates import get_body
 from astropy.time import Time
+from handmade import ATTITUDE_HEAD
 from typer.testing import CliRunner
 
 from boresight.calib.settings import CalibrationSettings
+from boresight.geometry.attitude_noise import NO_NOISE
 from boresight.pipeline.cli import app
 from boresight.pipeline.files.dump import open_dump
 from boresight.pipeline.stages.sky_scans import (
@@ -53,6 +57,17 @@ def test_scans_keep_both_cameras_away_and_beat_chance():
     assert look @ found.sigma_rad[-1] ** 2 < 0.8 * look @ found.random_sigma_rad**2
 
 
+def test_a_head_that_delivers_attitudes_counts_by_their_covariance():
+    worse = replace(CAMERAS, star=np.diag([5e-6, 5e-6, 5e-5]) ** 2)  # rad: 1 and 10 arcsec an attitude
+    asked = ScanSettings(candidates=30, count=2)
+    a, b = (choose_scans(one, all_hipparcos(), 0.0, CalibrationSettings(), asked) for one in (CAMERAS, worse))
+    assert all(scan.head_stars == 0 and scan.stars > 1 for scan in b.scans)
+    assert np.all(b.sigma_rad[-1] > a.sigma_rad[-1])
+    shaken = replace(worse, noise=replace(NO_NOISE, constant_rad=np.full(3, 2e-5)))
+    c = choose_scans(shaken, all_hipparcos(), 0.0, CalibrationSettings(), asked)
+    assert c.sigma_rad[-1, 0] > 0.5 * 2e-5  # an error of its own in each of two strips
+
+
 def test_too_narrow_limits_are_an_error_that_says_so():
     with pytest.raises(ValueError, match="candidates hold stars"):
         chosen(sun_deg=179.0)
@@ -66,3 +81,20 @@ def test_the_command_writes_its_table_and_picture(tmp_path):
     assert header.startswith("scan,utc,ra_deg,dec_deg") and len(rows) == 2
     assert (tmp_path / "scans.png").stat().st_size > 10_000
     assert CliRunner().invoke(app, [*asked[:2], "--utc", "tonight"]).exit_code != 0
+
+
+def test_the_command_plans_for_a_dump_of_attitudes(tmp_path):
+    root = shutil.copytree(MINI, tmp_path / "dump")
+    t_s = np.arange(0.0, 2.0, 0.2)
+    quaternions = (DUMP.R_cs0.inv() * DUMP.orbit.R_oi(t_s)).inv().as_quat().tolist()
+    utc = [one.rstrip("Z") for one in DUMP.epoch.utc_from_seconds(t_s)]
+    rows = [f"{when},{','.join(map(repr, q))}" for when, q in zip(utc, quaternions)]
+    (root / "str1.csv").write_text("\n".join(["utc,qx,qy,qz,qw", *rows]) + "\n")
+    text = (root / "dump.toml").read_text()
+    for name in ("star_camera", "installation", "exposures"):
+        text = text.replace(f'{name} = "{name}', f'#{name} = "{name}')
+    head = ATTITUDE_HEAD.format(rotation="head to inertial", removed="annual")
+    (root / "dump.toml").write_text(text + head + "[star_cameras.noise]\nwhite_arcsec = [1, 1, 7]\n")
+    told = CliRunner().invoke(app, ["sky-strip-plan", str(root), "--candidates", "20", "--hours", "2"])
+    assert told.exit_code == 0, told.output
+    assert "1 sigma X, Y, Z" in told.output
