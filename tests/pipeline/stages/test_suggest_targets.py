@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import rasterio
-from fixture_strips import FIXTURE
+from fixture_strips import FIXTURE, strip_of_fixture
 from pyproj import Transformer
 from typer.testing import CliRunner
 
@@ -161,9 +161,9 @@ def test_heights_are_needed_and_one_kind_of_them(tmp_path: Path) -> None:
 
 @pytest.fixture(scope="module")
 def at_a_strip(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
-    """A dump, and an ortho-image: the chips of one of its strips laid out where they belong."""
+    """A dump of one strip, and an ortho-image: its chips laid out where they belong."""
     folder = tmp_path_factory.mktemp("suggest")
-    shutil.copytree(FIXTURE, folder / "dump", ignore=shutil.ignore_patterns("truth"))
+    strip_of_fixture(folder / "dump", 2)
     chips = sorted((FIXTURE / "chips").glob("s02-*.tif"))
     with rasterio.open(chips[0]) as first:
         crs, side = first.crs, first.transform.a

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -11,6 +12,7 @@ import time
 from pathlib import Path
 
 import pytest
+from fixture_strips import stopped_run
 
 from boresight.pipeline.errors import WorkerError
 from boresight.pipeline.work.executor import InOrder
@@ -34,6 +36,15 @@ def undisturbed(finished: tuple[Path, Path]) -> tuple[Path, bytes]:
     return dump, (result / "installation.json").read_bytes()
 
 
+def begun(out: Path, finished: tuple[Path, Path], *, exposures: int) -> None:
+    """Make `out` the folder of a run that was stopped after so many exposures of the finished one's 14."""
+    stopped_run(out, [finished[0]], finished[1])
+    for unit in sorted((out / "work" / "exposures").iterdir())[exposures:]:
+        unit.unlink()
+    for matching in (out / "work").glob("matching-*"):
+        shutil.rmtree(matching)
+
+
 def test_cluster_by_address_gives_the_same_bytes(undisturbed: tuple[Path, bytes], tmp_path: Path) -> None:
     from distributed import LocalCluster
 
@@ -51,9 +62,10 @@ def test_cluster_by_address_gives_the_same_bytes(undisturbed: tuple[Path, bytes]
 
 
 def test_run_killed_at_any_moment_goes_on_to_the_same_bytes(
-    undisturbed: tuple[Path, bytes], tmp_path: Path
+    undisturbed: tuple[Path, bytes], finished: tuple[Path, Path], tmp_path: Path
 ) -> None:
     dump, expected = undisturbed
+    begun(tmp_path, finished, exposures=8)
     command = [*BORESIGHT, "calibrate", str(dump), "--out", str(tmp_path), "--workers", "1", "--no-report"]
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     while process.poll() is None and len(list(tmp_path.glob("work/*/*.parquet"))) < 9:
@@ -71,10 +83,11 @@ def test_run_killed_at_any_moment_goes_on_to_the_same_bytes(
 
 
 def test_full_disk_stops_with_a_message_and_the_next_run_goes_on(
-    undisturbed: tuple[Path, bytes], tmp_path: Path
+    undisturbed: tuple[Path, bytes], finished: tuple[Path, Path], tmp_path: Path
 ) -> None:
     # A limit of 8 KiB a file stands for a full disk: the first unit that is larger cannot be written.
     dump, expected = undisturbed
+    begun(tmp_path, finished, exposures=11)
     outcome = calibrate(dump, tmp_path, "--workers", "1", limit="ulimit -f 8")
     assert outcome.returncode == 1
     assert "error:" in outcome.stderr and "too large" in outcome.stderr, outcome.stderr
