@@ -16,7 +16,7 @@ from boresight.pipeline.report.drawing import INK, MUTED, Drawing, axes_of, draw
 from boresight.pipeline.report.observations import data_uri
 from boresight.pipeline.report.page import Detection, template
 from boresight.pipeline.report.star_preview import stretched_jpeg
-from boresight.pipeline.stages.identify import Line
+from boresight.pipeline.stages.identify import Line, misshapen_in
 from boresight.star_id.field import FieldSolution
 from boresight.star_id.finding.psf import images_at
 from boresight.star_id.finding.star_list import StarList
@@ -29,6 +29,7 @@ STATES = {
     "saturated": "not identified, saturated",
     "blended": "not identified, blended with a neighbour",
     "unused": "not identified",
+    "rejected": "no star: text, rays, arms of bright stars",
 }
 MOST_MATCHES, STARS_OF_PSF = 300, 40
 PSF_SIGMAS = 4.0  # half a side of the pictures of the PSF
@@ -54,7 +55,7 @@ def write_sky_page(line: Line, path: Path) -> None:
         name=Path(str(line.record["file"])).name,
         title=f"{found.matches} stars identified" if found is not None else "Not identified",
         reason="" if found is not None else str(line.record["reason"]).partition(": ")[2],
-        rejected=f"Rejected: {stars.hot_pixels} hot pixels, {stars.misshapen} of other shapes (rays).",
+        rejected=f"Not drawn: {stars.hot_pixels} hot pixels.",
         image=_picture(image, stars, known, line),
         states=STATES,
         seen=_seen(stars),
@@ -87,7 +88,11 @@ def _picture(image: NDArray[Any], stars: StarList, known: Bools, line: Line) -> 
         )
         for (x, y), snr, kind, name in zip(stars.xy_px, stars.snr, state, names)
     ]
-    counts = Counter(str(kind) for kind in state)
+    marks += [
+        Detection(x=round(x, 2), y=round(y, 2), r=0.6, state="rejected", words=STATES["rejected"], name="")
+        for x, y in misshapen_in(image, stars).tolist()
+    ]
+    counts = Counter(mark.state for mark in marks)
     return {
         "uri": data_uri("image/jpeg", jpeg),
         "shrunk": shrunk,
@@ -95,7 +100,7 @@ def _picture(image: NDArray[Any], stars: StarList, known: Bools, line: Line) -> 
         "height": image.shape[0] // shrunk * shrunk,
         "marks": marks,
         "counts": {name: counts.get(name, 0) for name in STATES},
-        "words": f"Star image with {len(marks)} detections, {counts.get('used', 0)} identified",
+        "words": f"Star image with {len(state)} detections, {counts.get('used', 0)} identified",
     }
 
 

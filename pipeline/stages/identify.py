@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from boresight.geometry.constants import ARCSEC
+from boresight.geometry.record import Floats
 from boresight.geometry.star_camera import StarCamera
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.image_time import time_of_image
@@ -40,7 +41,16 @@ from boresight.star_id.observer import Observer
 from boresight.star_id.planets import Planet, planets_in_view
 from boresight.star_id.settings import StarSettings
 
-__all__ = ["Line", "Request", "identify_images", "own_name", "read_camera", "read_sky_image", "sky_index"]
+__all__ = [
+    "Line",
+    "Request",
+    "identify_images",
+    "misshapen_in",
+    "own_name",
+    "read_camera",
+    "read_sky_image",
+    "sky_index",
+]
 
 CATALOGUE_YEAR, EPOCH_ERROR_YEARS = 2020.0, 6.0  # of images without time
 
@@ -217,9 +227,15 @@ def own_name(path: Path, image: Path, count: int) -> Path:
     return path if count == 1 else path.with_name(f"{path.stem}-{image.stem}{path.suffix}")
 
 
+def misshapen_in(image: NDArray[Any], stars: StarList) -> Floats:
+    """Places (M, 2) of detections of no star's shape, without those whose fit left the image."""
+    inside = ((stars.misshapen_px > 0.0) & (stars.misshapen_px < image.shape[::-1])).all(axis=1)
+    return np.asarray(stars.misshapen_px[inside])
+
+
 def _draw(image: NDArray[Any], found: FieldSolution, planets: Sequence[Planet], path: Path) -> None:
-    """The image with the named stars ringed and numbered, planets named, other detections marked; a mirror
-    image reversed."""
+    """The image with the named stars ringed and numbered, planets named, other detections marked, those
+    of no star's shape by crosses; a mirror image reversed."""
     if found.mirrored:
         image = image[:, ::-1]
     low, high = np.percentile(image, (1.0, 99.7))
@@ -227,6 +243,8 @@ def _draw(image: NDArray[Any], found: FieldSolution, planets: Sequence[Planet], 
     picture = cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR)
     radius = max(5, image.shape[1] // 200)
     if found.stars is not None:
+        for x, y in np.rint(misshapen_in(image, found.stars)).astype(int).tolist():
+            cv2.drawMarker(picture, (x, y), (60, 60, 255), cv2.MARKER_TILTED_CROSS, radius, 1, cv2.LINE_AA)
         for x, y in np.rint(found.stars.xy_px).astype(int).tolist():
             cv2.circle(picture, (x, y), radius // 2, (0, 120, 255), 1, cv2.LINE_AA)
     at_stars = zip(np.rint(found.xy_px).astype(int).tolist(), map(str, found.hip.tolist()))

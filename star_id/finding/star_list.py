@@ -62,8 +62,13 @@ class StarList:
     gain_e_per_dn: float = scalar("as set, or estimated; infinite if photon noise is not seen")
     threshold: float = scalar("detection limit, sigmas of the matched filter")
     hot_pixels: int = scalar("detections rejected as hot pixels")
-    misshapen: int = scalar("detections rejected as cosmic rays, trails, arms of blooms")
+    misshapen_px: Floats = array("M, 2", "detections rejected as cosmic rays, trails, arms of blooms, text")
     saturation_dn: float = scalar("raw value from which a pixel counts as saturated; infinite if none does")
+
+    @property
+    def misshapen(self) -> int:
+        """Number of detections rejected for their shape."""
+        return len(self.misshapen_px)
 
     @property
     def centroids(self) -> Centroids:
@@ -83,8 +88,9 @@ class StarList:
 
     def mirrored(self, width_px: int) -> StarList:
         """The list of the image of `width_px` columns with their order reversed."""
-        xy, cov = self.xy_px.copy(), self.cov_px.copy()
-        xy[:, 0] = width_px - 1.0 - xy[:, 0]
+        (xy, other), cov = (self.xy_px.copy(), self.misshapen_px.copy()), self.cov_px.copy()
+        for places in (xy, other):
+            places[:, 0] = width_px - 1.0 - places[:, 0]
         cov[:, [0, 1], [1, 0]] *= -1.0
         smear = (-self.psf.smear_px[0], self.psf.smear_px[1])
         sky = replace(
@@ -92,7 +98,8 @@ class StarList:
             level_dn=self.background.level_dn[:, ::-1],
             noise_dn=self.background.noise_dn[:, ::-1],
         )
-        return replace(self, xy_px=xy, cov_px=cov, psf=replace(self.psf, smear_px=smear), background=sky)
+        psf = replace(self.psf, smear_px=smear)
+        return replace(self, xy_px=xy, cov_px=cov, misshapen_px=other, psf=psf, background=sky)
 
 
 def find_stars(image: NDArray, settings: StarSettings, dark: NDArray | None = None) -> StarList:
@@ -206,7 +213,7 @@ def _measured(
     rows = _distinct(fits, np.flatnonzero(good), psf)
     if len(fits.snr) > settings.max_stars:
         rows = rows[_spread_over_image(fits.xy_px[rows], settings.max_stars, image.shape)]
-    fits = fits.take(rows)
+    misshapen, fits = fits.xy_px[~good], fits.take(rows)
     return StarList(
         xy_px=fits.xy_px,
         cov_px=fits.cov_px,
@@ -220,7 +227,7 @@ def _measured(
         gain_e_per_dn=found.gain_e_per_dn,
         threshold=found.threshold,
         hot_pixels=found.hot_pixels,
-        misshapen=int((~good).sum()),
+        misshapen_px=misshapen,
         saturation_dn=saturation,
     )
 

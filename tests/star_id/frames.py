@@ -89,7 +89,7 @@ def listed_stars(camera, R_si, places, rng, *, brightest=260.0):
         gain_e_per_dn=40.0,
         threshold=5.5,
         hot_pixels=0,
-        misshapen=0,
+        misshapen_px=np.empty((0, 2)),
         saturation_dn=255.0,
     )
 
