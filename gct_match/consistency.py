@@ -23,16 +23,15 @@ _GATE = 4.0  # standard errors by which a match may differ from the prediction o
 
 def consistent_matches(
     scene: Scene, found: Sequence[TargetMatch], theta: Floats
-) -> tuple[list[TargetMatch], list[Refusal], Floats, Floats]:
+) -> tuple[list[TargetMatch], list[Refusal], Floats]:
     """Matches that agree with one another, refusals of the others, and their common rotation.
 
-    The last two are theta (3,), rad, axes of c, against the scene's initial installation matrix, and its
-    covariance (3, 3), rad²; `theta` is the rotation with which the matches were predicted. Two matches that
-    contradict one another are both kept.
+    The last is theta (3,), rad, axes of c, against the scene's initial installation matrix; `theta` is the
+    rotation with which the matches were predicted. Two matches that contradict one another are both kept.
     """
     sigma_rad = scene.sigma_installation_rad
     if not found:
-        return [], [], theta, np.diag(sigma_rad**2)
+        return [], [], theta
     positions = {target.target_id: target.p_e for target in scene.targets}
     p_e = np.array([positions[match.target_id] for match in found])
     xy = np.array([match.xy_px for match in found])
@@ -50,10 +49,10 @@ def consistent_matches(
             Refusal(Reason.INCONSISTENT, float(distance[worst]), _GATE, more, match.target_id, match.ccd)
         )
         keep.pop(worst)
-    p, covariance = _common_rotation(d[keep], design[keep], scatter[np.ix_(keep, keep)], sigma_rad)
+    p, _ = _common_rotation(d[keep], design[keep], scatter[np.ix_(keep, keep)], sigma_rad)
     total = deviation_from_theta(p) * deviation_from_theta(theta)
     matches = [replace(found[k], residual_px=d[k] - design[k] @ p) for k in keep]
-    return matches, refused, theta_from_deviation(total), covariance
+    return matches, refused, theta_from_deviation(total)
 
 
 def _scatter(scene: Scene, cov_px: Floats, line: Floats) -> Floats:

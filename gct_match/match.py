@@ -99,7 +99,7 @@ def match_strip(
         vote, read = search_common_rotation(scene, plan), plan.pixels_to_read
         theta, covariance = vote.parameters, vote.covariance
     found, not_found, pixels = _measured(scene, searched, theta, covariance)
-    matches, inconsistent, theta, covariance = consistent_matches(scene, found, theta)
+    matches, inconsistent, theta = consistent_matches(scene, found, theta)
     log_chance = 0.0 if vote is None else _log_chance(vote, matches, settings)
     if vote is not None and log_chance > np.log(settings.probability_chance):
         refused = [*refused, *_no_common_rotation(scene, searched, vote, len(matches), log_chance)]
@@ -108,7 +108,6 @@ def match_strip(
         matches=tuple(matches),
         refused=(*refused, *not_found, *inconsistent),
         theta_vote=theta,
-        cov_theta_vote=covariance,
         probability_chance=float(np.exp(log_chance)),
         pixels_read=read + pixels,
     )
@@ -164,7 +163,6 @@ def _no_matches(refused: tuple[Refusal, ...], chance: float, read: int) -> Strip
         matches=(),
         refused=refused,
         theta_vote=np.full(3, np.nan),
-        cov_theta_vote=np.full((3, 3), np.nan),
         probability_chance=chance,
         pixels_read=read,
     )

@@ -222,6 +222,5 @@ class StripMatches:
     matches: tuple[TargetMatch, ...] = scalar("accepted matches, one for each target and CCD")
     refused: tuple[Refusal, ...] = scalar("refused targets")
     theta_vote: Floats = array("3", "common rotation, rad, axes of frame c; NaN if the targets agree on none")
-    cov_theta_vote: Floats = array("3, 3", "its covariance, rad²")
     probability_chance: float = scalar("probability that as many targets agree by chance")
     pixels_read: int = scalar("pixels read from the strip")

@@ -149,7 +149,6 @@ class TrueExposure:
     R_si: Rotation = scalar("at the middle of the exposure, GCRS -> star camera")
     hip: NDArray[np.int64] = array("N", "catalogue number; 0 for an invented star")
     xy_px: Array = array("N, 2", "mean position over the exposure, (column, row)")
-    flux_e: Array = array("N", "electrons in the whole image of the star")
     v_mag: Array = array("N", "magnitude")
 
 

@@ -87,7 +87,7 @@ class StarField:
         return expose(paths, charge, size, self.sky, self.hot, rng)
 
     def truth(self, exposure_id: str, t_s: float, exposure_s: float) -> TrueExposure:
-        """True positions and fluxes of that image's stars."""
+        """True positions of that image's stars."""
         stars, paths = self.paths(t_s, exposure_s)
         inside = self.camera.contains(paths.mean(axis=1))
         stars, paths = stars.take(inside), paths[inside]
@@ -97,7 +97,6 @@ class StarField:
             R_si=self.attitude.R_si([t_s])[0],
             hip=stars.hip,
             xy_px=paths.mean(axis=1),
-            flux_e=star_charge(stars.v_mag, stars.b_v, exposure_s, self.sky),
             v_mag=stars.v_mag,
         )
 

@@ -53,7 +53,6 @@ class LensErrors:
     covariance: Floats = array("P, P", "of the unknowns")
     leverage: Floats = array("K", "trace of each kept star's part in the fit")
     common_px2: float = scalar("variance along one axis of an error of each star's own, px^2")
-    warp_px: float = scalar("1-sigma size of the smooth distortion, px; 0 if none is seen")
 
     def of_centre(self) -> tuple[Floats, float]:
         """Covariance (3, 3) of a rotation of the image's centre about the axes of s, rad^2, and 1-sigma error
@@ -146,7 +145,6 @@ def _errors(
         covariance=scale * posterior.covariance,
         leverage=posterior.leverage,
         common_px2=common,
-        warp_px=warp,
     )
 
 

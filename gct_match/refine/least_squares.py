@@ -55,7 +55,6 @@ class PositionFit:
     cov_px: Floats = array("2, 2", "its covariance, px²; infinite where the pair has nothing in common")
     affine: Floats = array("2, 2", "A - I of the affine map template to picture; zero for a translation")
     correlation: float = scalar("weighted correlation of the filtered pair")
-    weight_kept: float = scalar("share of the weight that the robust weighting left")
     converged: bool = scalar("whether the last step was small and the position near the start")
     found: Image = array("H, W", "picture warped onto the template")
     residual: Image = array("H, W", "residual of the fit, filtered, in grey values of the picture")
@@ -240,7 +239,6 @@ def _fit_of(pair: _Pair, last: _Round) -> PositionFit:
         cov_px=cov if equations.informative else np.diag([np.inf, np.inf]),
         affine=warp.matrix[:2, :2] - np.eye(2),
         correlation=_correlation(equations.weight, last.filtered, last.residual),
-        weight_kept=float(total / max(pair.usable.sum(), 1.0)),
         converged=bool(equations.informative and warp.settled and far < _FARTHEST_PX - 1e-6),
         found=last.found,
         residual=last.residual,
