@@ -83,10 +83,10 @@ def sky_strip_plan(
     from boresight.pipeline.errors import DataNotSufficientError, RawDataError
     from boresight.pipeline.files.dump import open_dump
     from boresight.pipeline.files.star_side import SolvedAttitudes
+    from boresight.pipeline.files.star_tables import survey_of
     from boresight.pipeline.report.sky_scans import scan_lines, scan_table, write_scans
     from boresight.pipeline.settings import Settings, calibration_settings
     from boresight.pipeline.stages.sky_scans import ScanCameras, ScanSettings, choose_scans
-    from boresight.star_id.whole_catalogue import all_hipparcos
 
     opened = open_dump(dump.resolve())
     try:
@@ -117,7 +117,7 @@ def sky_strip_plan(
     )
     errors = calibration_settings(Settings(), opened.errors, opened.line_camera)
     try:
-        found = choose_scans(cameras, all_hipparcos(), start, errors, asked)
+        found = choose_scans(cameras, survey_of(opened.star_catalogue), start, errors, asked)
     except ValueError as error:
         raise DataNotSufficientError(str(error)) from error
     lines, files = scan_lines(found, opened.epoch), tuple[Path, ...]()

@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, get_type_hints
 
@@ -57,6 +58,8 @@ from boresight.pipeline.stages.exposure import exposure_image
 from boresight.pipeline.stages.forecast import improvements
 from boresight.pipeline.stages.head_records import attitude_signal
 from boresight.pipeline.stages.match_pictures import MatchPictures
+from boresight.pipeline.stages.sky_strip import as_matched
+from boresight.pipeline.stages.star_pictures import star_pictures
 
 __all__ = ["write_evidence"]
 
@@ -316,11 +319,17 @@ def _allan(dump: Dump, settings: Settings) -> pa.Table:
 
 
 def _matches(calibration: Calibration) -> pa.Table:
-    """Pictures of targets matched in images; the correlation surface runs from `surface_low` to `_high`."""
+    """Pictures of targets matched in images, and of stars; the correlation surface runs from `surface_low` to
+    `_high`.
+    """
+    stars = (
+        replace(as_matched(named), pictures=star_pictures(task, named))
+        for task, named in zip(calibration.sky.tasks, calibration.named)
+    )
     names = ["strip_id", "target_id", "ccd", *get_type_hints(MatchPictures)]
     tables = [
         pa.table({"strip_id": arrow_array([one.strip_id] * len(one.ccd), pa.string())} | columns_of(one))
-        for one in calibration.observed
+        for one in (*calibration.matched, *stars)
     ]
     every = pa.concat_tables(tables).select(names)
     pictured = [len(picture) > 0 for picture in every.column("template_png").to_pylist()]

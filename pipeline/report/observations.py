@@ -33,12 +33,12 @@ GROUND, TARGETS = "evidence/ground", "sightings/targets"
 class Pictures:
     """Pictures of one card as data URIs."""
 
-    template: str = scalar("chip as the strip should show it")
+    template: str = scalar("chip as the strip should show it; of a star the fitted trace")
     found: str = scalar("strip at that place")
-    difference: str = scalar("strip minus chip")
-    surface: str = scalar("correlation around that place")
-    low: Number = scalar("lowest correlation of the surface")
-    high: Number = scalar("highest correlation of the surface")
+    difference: str = scalar("strip minus chip, or trace")
+    surface: str = scalar("correlation around that place; empty: of a star")
+    low: Number = scalar("lowest correlation of the surface; of a star the counts shown black")
+    high: Number = scalar("highest correlation of the surface; of a star the counts shown white")
 
 
 @record(kw_only=True)

@@ -25,6 +25,7 @@ from boresight.pipeline.report.map_view import map_view
 from boresight.pipeline.report.observations import data_uri, exposure_rows, strip_numbers, target_rows
 from boresight.pipeline.report.saved import Number, Saved, number_from, read_saved
 from boresight.pipeline.report.star_preview import STATES
+from boresight.pipeline.report.strip_stars import strip_star_rows
 from boresight.pipeline.report.verdict import verdict_view
 from boresight.pipeline.results.folder import VALIDATION
 
@@ -62,6 +63,7 @@ def write_report(result: Path, *, most_matches: int = MOST_MATCHES) -> Path:
 def report_html(saved: Saved, *, most_matches: int = MOST_MATCHES) -> str:
     """The report as HTML text; `write_report` writes it."""
     targets, exposures = target_rows(saved, most_matches), exposure_rows(saved)
+    strip_stars = strip_star_rows(saved, most_matches)
     has_stars = saved.context["star_camera"] is not None
     of_targets = figures.squared_residual_histogram(saved, "targets", "targets")
     of_stars = figures.squared_residual_histogram(saved, "stars", "stars") if has_stars else None
@@ -71,6 +73,7 @@ def report_html(saved: Saved, *, most_matches: int = MOST_MATCHES) -> str:
     cards: Any = template("observations.html.j2").module
     more_cards = {row.link: str(cards.target_card(row)) for row in targets if not row.printed}
     more_cards |= {row.link: str(cards.exposure_card(row)) for row in exposures if not row.printed}
+    more_cards |= {row.link: str(cards.star_card(row)) for row in strip_stars if not row.printed}
     return template("page.html.j2").render(
         saved=saved,
         summary=_summary(saved),
@@ -78,6 +81,7 @@ def report_html(saved: Saved, *, most_matches: int = MOST_MATCHES) -> str:
         first=first_screen(saved, targets),
         map=map_view(saved, targets),
         targets=targets,
+        strip_stars=strip_stars,
         exposures=exposures,
         more_cards=more_cards,
         shapes=SHAPES,

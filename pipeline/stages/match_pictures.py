@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from boresight.gct_match.records import Evidence
 from boresight.geometry.record import record, scalar
 
-__all__ = ["NO_PICTURES", "MatchPictures", "match_pictures"]
+__all__ = ["NO_PICTURES", "MatchPictures", "match_pictures", "trace_pictures"]
 
 MOST_PX = 160  # a side longer than this is cut about its middle
 SURFACE_PX = 96
@@ -22,9 +22,9 @@ class MatchPictures:
     template_png: bytes = scalar("chip as the strip should show it")
     found_png: bytes = scalar("strip at the matched position")
     difference_png: bytes = scalar("strip minus template after gain and offset; grey: none")
-    surface_png: bytes = scalar("correlation surface of the search around that position")
-    surface_low: float = scalar("correlation shown black")
-    surface_high: float = scalar("correlation shown white")
+    surface_png: bytes = scalar("correlation surface of the search around that position; empty: of a star")
+    surface_low: float = scalar("correlation shown black; of a star the counts that its strip shows black")
+    surface_high: float = scalar("correlation shown white; of a star counts")
 
 
 NO_PICTURES = MatchPictures(b"", b"", b"", b"", 0.0, 1.0)  # of a position that was measured elsewhere
@@ -47,6 +47,23 @@ def match_pictures(evidence: Evidence) -> MatchPictures:
         _png(found, black, white),
         _png(difference, -half, half),
         _png(surface, low, high),
+        low,
+        high,
+    )
+
+
+def trace_pictures(found: NDArray, fitted: NDArray) -> MatchPictures:
+    """Pictures of a star in a strip of the sky, from the counts and the fitted trace on the same pixels: both
+    from the darkest to the brightest of the two, the difference with a quarter of that range as black and
+    white.
+    """
+    low, high = float(min(found.min(), fitted.min())), float(max(found.max(), fitted.max()))
+    quarter = max(0.25 * (high - low), 1e-12)
+    return MatchPictures(
+        _png(fitted, low, high),
+        _png(found, low, high),
+        _png(found - fitted, -quarter, quarter),
+        b"",
         low,
         high,
     )

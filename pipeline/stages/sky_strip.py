@@ -49,6 +49,7 @@ __all__ = [
     "find_sky_stars",
     "name_sky_stars",
     "sky_sightings",
+    "strip_motion",
 ]
 
 _NODES = 33  # lines at which the motion of the image points is given
@@ -121,7 +122,7 @@ class NamedStars:
 
 def find_sky_stars(task: SkyTask) -> StripStars | Omission:
     """Detections in a strip of the sky, or why it cannot be one that is evaluated."""
-    motion = _motion(task, task.R_cs0)
+    motion = strip_motion(task, task.R_cs0)
     if reason := _impossible(task, motion):
         return task.item.because(reason, Cause.NOT_A_SKY_STRIP)
     saturation = task.settings.saturation_dn or 2.0**task.bit_depth - 1.0
@@ -240,7 +241,7 @@ def as_matched(named: NamedStars) -> MatchedTargets:
     )
 
 
-def _motion(task: SkyTask, R_cs: Rotation) -> StripMotion:
+def strip_motion(task: SkyTask, R_cs: Rotation) -> StripMotion:
     """Motion of image points in the middle of each CCD, from the attitudes."""
     lines: Floats = np.linspace(0.0, max(task.strip.lines - 1.0, 1.0), _NODES, dtype=np.float64)
     track, count = task.track, task.camera.n_ccds

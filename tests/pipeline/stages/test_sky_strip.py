@@ -3,6 +3,7 @@
 import shutil
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 import rasterio
@@ -16,6 +17,7 @@ from boresight.pipeline.errors import DataNotSufficientError, RawDataError
 from boresight.pipeline.files.dump import open_dump
 from boresight.pipeline.files.text_files import toml_tables
 from boresight.pipeline.stages.calibrate import calibrate_dump
+from boresight.pipeline.stages.star_pictures import star_pictures
 from boresight.pipeline.work.unit_store import UnitStore
 
 SKY = Path(__file__).parents[3] / "fixtures" / "sky"
@@ -67,6 +69,20 @@ def test_a_dump_of_the_sky_alone_gives_the_matrix_with_an_honest_covariance(cali
     # 15 stars of a fifth of a 2.5" pixel each, the clock's error of 0.1 ms at 6.7 mrad/s: 0.14" along
     assert np.all(np.sqrt(np.diag(estimate.cov_theta))[:2] < 0.3 * ARCSEC)
     assert calibration.verdict.outcome.value == "consistent"
+
+
+def test_each_star_has_a_card_with_strip_trace_and_difference(calibration, tmp_path):
+    for picture in star_pictures(calibration.sky.tasks[0], calibration.named[0]):
+        found, fitted = (
+            cv2.imdecode(np.frombuffer(png, np.uint8), -1).astype(float)
+            for png in (picture.found_png, picture.template_png)
+        )
+        assert np.corrcoef(found.ravel(), fitted.ravel())[0, 1] > 0.8  # of the faintest star, SNR 9
+    told = CliRunner().invoke(app, ["calibrate", str(SKY), "--out", str(tmp_path)])
+    assert told.exit_code == 0, told.output
+    stars = len(calibration.strips[0].ground.target_id)
+    page = (tmp_path / "report.html").read_text()
+    assert page.count("trace, as fitted</figcaption>") + page.count("trace, as fitted\\u003c") == stars
 
 
 def test_names_are_those_of_the_stars_that_cross_there(calibration):

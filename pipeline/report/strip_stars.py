@@ -1,0 +1,110 @@
+"""Stars of strips of the sky as the page lists them: one row, one card and one link each."""
+
+from __future__ import annotations
+
+import math
+
+from boresight.geometry.constants import ARCSEC
+from boresight.geometry.record import record, scalar
+from boresight.pipeline.report.drawing import strip_style
+from boresight.pipeline.report.observations import Pictures, data_uri
+from boresight.pipeline.report.saved import Number, Saved
+
+__all__ = ["StripStarRow", "strip_star_rows"]
+
+MOST_PRINTED = 12  # cards of used stars that a print shows
+TARGETS = "sightings/targets"
+SHAPES = {  # of each number: column, element (-1: a plain column), form, factor, whether it is a root
+    "sigmas": ("normalised", -1, ".2f", 1.0, True),
+    "sample_px": ("xy_px", 0, ".3f", 1.0, False),
+    "line_px": ("xy_px", 1, ".3f", 1.0, False),
+    "sigma_sample_px": ("cov_px", 0, ".3f", 1.0, True),
+    "sigma_line_px": ("cov_px", 3, ".3f", 1.0, True),
+    "residual_x": ("residual_c", 0, "+.3f", 1.0 / ARCSEC, False),
+    "residual_y": ("residual_c", 1, "+.3f", 1.0 / ARCSEC, False),
+}
+
+
+@record(kw_only=True)
+class StripStarRow:
+    """One named star in one CCD of a strip of the sky."""
+
+    link: str = scalar("id of its card on the page")
+    strip_id: str = scalar("strip")
+    star: str = scalar("name")
+    ccd: int = scalar("CCD")
+    state: str = scalar("used, rejected")
+    shape: str = scalar("mark of its strip")
+    colour: str = scalar("CSS class of the colour of its strip")
+    numbers: dict[str, Number] = scalar("keys of `SHAPES`, t_s, probability_wrong")
+    pictures: Pictures | None = scalar("strip, fitted trace, difference; None where they cannot be read")
+    printed: bool = scalar("its card is part of a print")
+
+    @property
+    def name(self) -> str:
+        """Star, strip and CCD in words."""
+        return f"{self.star}, strip {self.strip_id}, CCD {self.ccd}"
+
+
+def strip_star_rows(saved: Saved, most_pictures: int) -> tuple[StripStarRow, ...]:
+    """All named stars: those rejected, then the others, largest residuals first; at most `most_pictures` of
+    those used get pictures.
+    """
+    table = saved.targets.to_pylist()
+    stars = [n for n, row in enumerate(table) if math.isinf(row["range_m"])]
+    strips = sorted({table[n]["strip_id"] for n in stars})
+    pictured = {
+        (row["strip_id"], row["target_id"], row["ccd"]): n
+        for n, row in enumerate(saved.matches.select(["strip_id", "target_id", "ccd"]).to_pylist())
+    }
+    order = sorted(stars, key=lambda n: (table[n]["kept"], -table[n]["normalised"]))
+    used = [n for n in order if table[n]["kept"]]
+    shown, printed, rows = set(used[:most_pictures]), set(used[:MOST_PRINTED]), []
+    for n in order:
+        row = table[n]
+        at = pictured.get((row["strip_id"], row["target_id"], row["ccd"]))
+        shape, colour = strip_style(strips.index(row["strip_id"]))
+        rows.append(
+            StripStarRow(
+                link=f"s{n}",
+                strip_id=row["strip_id"],
+                star=row["target_id"],
+                ccd=row["ccd"],
+                state="used" if row["kept"] else "rejected",
+                shape=shape,
+                colour=colour,
+                numbers=_numbers(saved, n),
+                pictures=None if at is None or (row["kept"] and n not in shown) else _pictures(saved, at),
+                printed=n in printed or not row["kept"],
+            )
+        )
+    return tuple(rows)
+
+
+def _numbers(saved: Saved, row: int) -> dict[str, Number]:
+    found = {
+        "t_s": saved.cell(TARGETS, "t_s", row, ".4f"),
+        "probability_wrong": saved.cell(TARGETS, "probability_wrong", row, ".1e"),
+    }
+    for name, (column, element, form, factor, root) in SHAPES.items():
+        cell = saved.targets.column(column)[row].as_py()
+        value = float(cell if element < 0 else cell[element])
+        found[name] = Number(
+            exact=math.sqrt(value) if root else value,
+            source=f"{TARGETS}.parquet",
+            key=f"{column}.{row}" if element < 0 else f"{column}.{row}.{element}",
+            form=form,
+            scale=factor,
+            root=root,
+        )
+    return found
+
+
+def _pictures(saved: Saved, n: int) -> Pictures:
+    row = saved.matches.slice(n, 1).to_pylist()[0]
+    return Pictures(
+        **{name: data_uri("image/png", row[f"{name}_png"]) for name in ("template", "found", "difference")},
+        surface="",
+        low=saved.cell("evidence/matches", "surface_low", n, ".0f"),
+        high=saved.cell("evidence/matches", "surface_high", n, ".0f"),
+    )
