@@ -53,7 +53,7 @@ def match_pictures(evidence: Evidence) -> MatchPictures:
 
 
 def trace_pictures(found: NDArray, fitted: NDArray) -> MatchPictures:
-    """Pictures of a star in a strip of the sky, from the counts and the fitted trace on the same pixels: both
+    """Pictures of a star in a strip of the sky, from counts and fitted trace (H, W): both
     from the darkest to the brightest of the two, the difference with a quarter of that range as black and
     white.
     """
