@@ -53,8 +53,8 @@ def busy_share(workers: int, units: int, unit_s: float, latency_s: float) -> flo
         ):
             on = OnCluster(client, cluster.scheduler_address, fingerprint([]), None, print, {})
             work = partial(unit, unit_s)
-            on.map(work, range(4 * workers), lambda n: None)  # libraries are loaded
-            spans = on.map(work, range(units), lambda n: None)
+            on.map(work, range(4 * workers), lambda n, _: None)  # libraries are loaded
+            spans = on.map(work, range(units), lambda n, _: None)
     whole = max(end for _, end in spans) - min(begin for begin, _ in spans)
     return sum(end - begin for begin, end in spans) / (workers * whole)
 

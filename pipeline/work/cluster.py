@@ -1,7 +1,7 @@
 """Units of work spread over a dask cluster that is known by the address of its scheduler (docs/cluster.md).
 
 A worker gets units only if it has the code and library versions of this process and reads the same probe
-files (the dump's head). Twice as many units as they have threads are in flight; later workers are used.
+files (the dump's head). Eight units for each of their threads are in flight; later workers are used.
 A unit whose worker fails is given to another one; what no worker can do ends the run by name.
 """
 
@@ -23,7 +23,7 @@ from boresight.pipeline.work.digests import library_versions, program
 
 __all__ = ["Fingerprint", "OnCluster", "UnfitWorkerError", "fingerprint", "on_cluster"]
 
-PER_THREAD = 2  # units in flight for each thread of the workers: one at work, one waiting there
+PER_THREAD = 8  # units in flight for each thread of the workers: enough while answers travel
 POLL_S = 0.5
 MAX_FAILURES = 3  # of one unit: workers that died under it or could not do it
 

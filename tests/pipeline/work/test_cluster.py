@@ -151,7 +151,7 @@ def test_workers_that_differ_are_refused_by_name_and_late_ones_are_used(
         with distributed.Client(scheduler.address) as client:
             wanted = Fingerprint(expected.versions, expected.code, with_dump)
             on = OnCluster(client, scheduler.address, wanted, READY_S, remarks.append, {})
-            outcomes.extend(on.map(patient, range(20), lambda n, outcome: done.append(n)))
+            outcomes.extend(on.map(patient, range(40), lambda n, outcome: done.append(n)))
 
     done: list[int] = []
     thread = threading.Thread(target=run)
@@ -164,7 +164,7 @@ def test_workers_that_differ_are_refused_by_name_and_late_ones_are_used(
     wait_until(lambda: bool(done))
     second = scheduler.worker(folder=sighted)
     thread.join(READY_S)
-    assert [square for square, _ in outcomes] == [n * n for n in range(20)]
+    assert [square for square, _ in outcomes] == [n * n for n in range(40)]
     assert {worker for _, worker in outcomes} == {first.pid, second.pid}
     told = "\n".join(remarks)
     assert "is not used: it has other code of boresight" in told
@@ -192,14 +192,14 @@ def test_dump_that_disappears_stops_the_run_by_name(two_workers: Processes, tmp_
             on.map(unmounted, [0, 1], lambda n, outcome: None)
 
 
-def test_in_flight_are_two_units_a_thread(two_workers: Processes) -> None:
+def test_in_flight_are_eight_units_a_thread(two_workers: Processes) -> None:
     with executor(two_workers.address, [], workers=2) as on:
-        run = cluster._Run(on, abs, range(20), lambda n, outcome: None)
+        run = cluster._Run(on, abs, range(40), lambda n, outcome: None)
         while len(run.threads) < 2:
             run._look_at_workers()
             time.sleep(0.05)
         run._submit()
-        assert len(run.running) == 8  # of two workers with two threads each
+        assert len(run.running) == 32  # of two workers with two threads each
         on.client.cancel(list(run.running))
 
 
