@@ -40,7 +40,7 @@ _WARP_LOG_EVIDENCE = 2.0  # more than without a smooth distortion, for it to cou
 _TRIED_SHARES = (1.0, 0.5)  # of the common variance, with a distortion of `_TRIED_WARP` of its root: where
 _TRIED_WARP = 2.0  # the evidence of neither exceeds that of none, none is seen
 _STEP_PX = 0.01
-_NEIGHBOURS = np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
+_NEIGHBOURS = np.array([[i, j] for i in (-1.0, 0.0, 1.0) for j in (-1.0, 0.0, 1.0) if i or j])
 
 
 @record(kw_only=True)
@@ -122,7 +122,7 @@ def lens_errors(
 
 def _largest(function: Callable[[Floats], float], start: Floats) -> tuple[Floats, float]:
     """Place (2,) and value of the maximum of a smooth function near `start` (2,), good to a tenth: the best
-    neighbour along an axis, until none is better (`scipy.optimize` takes 0.1 s to load)."""
+    of eight neighbours, until none is better (`scipy.optimize` takes 0.1 s to load)."""
     place, value, step = start, function(start), 0.4
     while step >= 0.1:
         tried = [(function(place + move), place + move) for move in step * _NEIGHBOURS]

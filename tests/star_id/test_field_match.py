@@ -13,6 +13,7 @@ from boresight.star_id.field import FieldSolution, solve_list
 from boresight.star_id.field_fit import fit_attitude_and_lens
 from boresight.star_id.field_match import match_field
 from boresight.star_id.identification.triangle_index import build_index
+from boresight.star_id.lens_misfit import _largest
 from boresight.star_id.settings import StarSettings
 
 PLACES = hipparcos_stars(8.0).places
@@ -105,3 +106,12 @@ def test_a_lens_beyond_the_model_states_an_error_that_holds():
         fit = fit_attitude_and_lens(start, R_si, measured, cov, u_i[inside])
         ratios.append((fit.field.camera.fov_x_rad - 2048 / focal_px) / fit.field.fov_x_sigma_rad)
     assert np.mean(np.square(ratios)) < 3.7  # of 6 degrees of freedom: exceeded once in 1000
+
+
+def test_the_evidence_of_a_misfit_is_followed_along_a_ridge():
+    # the sizes of common error and distortion are correlated: along the axes nothing is better
+    def ridge(p):
+        return -40.0 * (p[0] - p[1]) ** 2 - 2.0 * (p[0] + p[1] - 3.0) ** 2
+
+    place, value = _largest(ridge, np.array([0.0, 0.0]))
+    assert np.abs(place - 1.5).max() < 0.15 and value > -0.3
