@@ -7,7 +7,7 @@ import pytest
 from frames import Sensor, render
 
 from boresight.star_id.finding.background import estimate_background
-from boresight.star_id.finding.centroid import fit_stars
+from boresight.star_id.finding.centroid import Counts, fit_stars
 from boresight.star_id.finding.psf import Psf
 from boresight.star_id.finding.star_list import find_stars
 from boresight.star_id.finding.windowed_centroid import windowed_centroids
@@ -16,7 +16,7 @@ from boresight.star_id.settings import StarSettings
 
 SIZE = 1500
 PSF = Psf(1.25, 1.25, (0.0, 0.0), SIZE, SIZE)
-CAMERA = {"gain_e_per_dn": 40.0, "saturation_dn": 255.0}
+COUNTS = Counts(gain_e_per_dn=40.0, saturation_dn=255.0)
 
 
 def places(rng, step=37):
@@ -27,7 +27,7 @@ def places(rng, step=37):
 
 def placed(method, image, xy, psf=PSF):
     near = np.rint(xy).astype(int)
-    return method(image, near, np.zeros_like(xy), estimate_background(image), psf, **CAMERA)
+    return method(image, near, np.zeros_like(xy), estimate_background(image), psf, COUNTS)
 
 
 @pytest.mark.parametrize(("snr", "limit"), [(8, 1.06), (20, 1.06), (150, 1.1)])
