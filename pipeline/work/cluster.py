@@ -294,6 +294,10 @@ def on_cluster(
         client = Client(address, timeout=30)
     except (OSError, TimeoutError, ValueError, TypeError) as error:  # TypeError: TLS is not configured
         raise WorkerError(f"no scheduler at {address}: {error}") from error
-    with client:
+    try:
         expected = fingerprint([str(path.resolve()) for path in probes])
         yield OnCluster(client, address, expected, wait_s, say, {})
+    finally:
+        # of a lost scheduler, whose connection is just being secured once more, it fails with a ValueError
+        with suppress(OSError, TimeoutError, CancelledError, RuntimeError, ValueError):
+            client.close()
