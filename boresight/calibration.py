@@ -19,6 +19,7 @@ from boresight.geometry.record import Floats, Ints, array, record, scalar
 from boresight.pipeline.errors import DataNotSufficientError
 from boresight.pipeline.files.dump import Dump
 from boresight.pipeline.files.dump import open_dump as dump_at
+from boresight.pipeline.files.object_store import dump_folder
 from boresight.version import __version__
 
 if TYPE_CHECKING:
@@ -411,7 +412,7 @@ def geolocate(
     from boresight.pipeline.results.geolocate import geolocate as positions_of
     from boresight.pipeline.results.strip_model import open_calibrated, strip_model
 
-    calibrated = open_calibrated(Path(result), None if dump is None else Path(dump))
+    calibrated = open_calibrated(Path(result), None if dump is None else dump_folder(dump))
     numbers = np.broadcast_arrays(*(np.atleast_1d(np.asarray(part)) for part in (ccd, sample_px, line_px)))
     pixels = Pixels(numbers[0].astype(np.int64), numbers[1].astype(float), numbers[2].astype(float))
     surface = surface_of(calibrated.dump.terrain) if height_m is None else ConstantHeight(height_m)
@@ -447,7 +448,7 @@ def open_dump(dump: str | Path | Dump, *, allow_stale_eop: bool = False) -> Dump
     >>> len(dump.exposures), len(dump.strips), len(dump.targets)
     (42, 3, 36)
     """
-    return dump if isinstance(dump, Dump) else dump_at(Path(dump), allow_stale_eop=allow_stale_eop)
+    return dump if isinstance(dump, Dump) else dump_at(dump, allow_stale_eop=allow_stale_eop)
 
 
 def simulate(scenario: str, out: str | Path, *, seed: int = 1, changes: Sequence[str] = ()) -> Path:

@@ -24,6 +24,7 @@ import typer
 from boresight.pipeline import __version__
 from boresight.pipeline.commands.drift import add_drift_commands
 from boresight.pipeline.commands.dump import add_dump_commands
+from boresight.pipeline.commands.dump_argument import DumpsArgument
 from boresight.pipeline.commands.heads import add_heads_commands
 from boresight.pipeline.commands.imports import add_import_commands
 from boresight.pipeline.commands.limits import JunitFile, held
@@ -45,6 +46,7 @@ from boresight.pipeline.commands.report import RequireArcsec, RequireMetres, add
 from boresight.pipeline.commands.sensor import add_sensor_commands
 from boresight.pipeline.commands.star import add_star_commands
 from boresight.pipeline.errors import DataNotSufficientError, RawDataError, WorkerError
+from boresight.pipeline.files.object_store import dump_folder
 from boresight.version import version_text
 
 if TYPE_CHECKING:
@@ -154,10 +156,6 @@ def simulate(
     )
 
 
-Dumps = Annotated[
-    list[Path],
-    typer.Argument(metavar="DUMP", help="Folder with a dump.toml; several of one mission, in any order."),
-]
 ResultFolder = Annotated[
     Path,
     typer.Option(
@@ -187,7 +185,7 @@ Overwrite = Annotated[
 
 
 def calibrate(
-    dumps: Dumps,
+    dumps: DumpsArgument,
     out: ResultFolder,
     settings: SettingsFile = None,
     workers: Workers = None,
@@ -283,7 +281,14 @@ def _warnings_reported() -> Iterator[None]:
 
 def validate(
     result: Annotated[Path, typer.Argument(help="Folder that `calibrate` wrote.")],
-    dump: Annotated[Path, typer.Option(help="The simulated dump it was made from, with its truth/ folder.")],
+    dump: Annotated[
+        Path,
+        typer.Option(
+            parser=dump_folder,
+            metavar="PATH",
+            help="The simulated dump it was made from, with its truth/ folder.",
+        ),
+    ],
     max_error_sigma: Annotated[
         float | None, typer.Option(help="Limit: error of each axis over its stated sigma, at most.", min=0.0)
     ] = None,

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from boresight.pipeline.commands.dump_argument import DumpArgument
 from boresight.pipeline.commands.messages import DATA_DID_NOT_ALLOW, DONE, Answer, talks
 
 __all__ = ["add_dump_commands"]
@@ -52,7 +53,7 @@ def init(
 
 
 def check(
-    dump: Annotated[Path, typer.Argument(help="Folder with a dump.toml.")],
+    dump: DumpArgument,
     out: Annotated[Path | None, typer.Option(help="HTML page with the footprints on a map.")] = None,
     settings: Annotated[
         Path | None, typer.Option(help="TOML file of settings; unknown keys are refused.")

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from boresight.pipeline.commands.dump_argument import DumpArgument, DumpsArgument
 from boresight.pipeline.commands.messages import Answer, talks
 
 __all__ = ["add_heads_commands"]
@@ -21,7 +22,7 @@ def add_heads_commands(app: typer.Typer) -> None:
 
 
 def noise(
-    dump: Annotated[Path, typer.Argument(metavar="DUMP", help="Folder with a dump.toml.")],
+    dump: DumpArgument,
     out: Annotated[
         Path | None,
         typer.Option(help="Folder for noise.toml (keys for dump.toml), noise.json and noise.png."),
@@ -54,7 +55,7 @@ def noise(
 
 
 def heads(
-    dumps: Annotated[list[Path], typer.Argument(metavar="DUMP", help="Folders with a dump.toml.")],
+    dumps: DumpsArgument,
     out: Annotated[
         Path | None,
         typer.Option(help="Folder for heads.json and heads.png; of several dumps, one in it for each."),

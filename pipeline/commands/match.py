@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 
 import typer
 
+from boresight.pipeline.commands.dump_argument import DumpArgument
 from boresight.pipeline.commands.messages import (
     DATA_DID_NOT_ALLOW,
     DONE,
@@ -16,6 +17,7 @@ from boresight.pipeline.commands.messages import (
     tell,
     wrong_usage,
 )
+from boresight.pipeline.files.object_store import dump_folder
 
 __all__ = ["add_match_commands"]
 
@@ -30,7 +32,7 @@ def add_match_commands(app: typer.Typer) -> None:
 
 
 def match(
-    dump: Annotated[Path, typer.Argument(help="Folder with a dump.toml.")],
+    dump: DumpArgument,
     out: Annotated[Path, typer.Option(help="File for matches and refusals: .csv or .parquet.")],
     strip: Annotated[list[str] | None, typer.Option(help="Only this strip. May be repeated.")] = None,
     overlay: Annotated[
@@ -97,7 +99,12 @@ def suggest(
         float | None, typer.Option(help="Ellipsoidal height of flat ground, in place of --dem.")
     ] = None,
     dump: Annotated[
-        Path | None, typer.Option(help="Only what its strips will show, spread for the best forecast.")
+        Path | None,
+        typer.Option(
+            metavar="PATH",
+            parser=dump_folder,
+            help="Only what its strips will show, spread for the best forecast.",
+        ),
     ] = None,
     size_px: Annotated[int, typer.Option(help="Side of a chip, in pixels of its image.", min=32)] = 256,
     most: Annotated[int, typer.Option(help="So many targets at most.", min=1)] = 40,

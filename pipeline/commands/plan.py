@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from boresight.pipeline.commands.dump_argument import DumpArgument
 from boresight.pipeline.commands.messages import DATA_DID_NOT_ALLOW, DONE, Answer, talks
 
 __all__ = ["add_plan_commands"]
@@ -58,9 +59,7 @@ def plan(
 
 
 def sky_strip_plan(
-    dump: Annotated[
-        Path, typer.Argument(metavar="DUMP", help="Folder with a dump.toml: cameras, matrix, orbit, errors.")
-    ],
+    dump: DumpArgument,
     out: Annotated[Path | None, typer.Option(help="Folder for scans.csv and scans.png.")] = None,
     utc: Annotated[
         str | None, typer.Option(help="Beginning, such as 2026-11-22T18:00:00Z; default: the orbit's.")

@@ -8,15 +8,13 @@ from typing import Annotated
 
 import typer
 
+from boresight.pipeline.commands.dump_argument import DumpOption
 from boresight.pipeline.commands.messages import Answer, print_data, talks, tell
 from boresight.pipeline.files.whole_file import write_whole
 
 __all__ = ["RequireArcsec", "RequireMetres", "add_report_commands"]
 
 Result = Annotated[Path, typer.Argument(help="Folder that `calibrate` wrote.")]
-DumpOption = Annotated[
-    Path | None, typer.Option(help="The dump it was made from, if it is no longer where it was.")
-]
 StaleOption = Annotated[
     bool, typer.Option(help="Go on past the end of the Earth-orientation table, with a warning.")
 ]

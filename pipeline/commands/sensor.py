@@ -9,7 +9,9 @@ from typing import Annotated
 
 import typer
 
+from boresight.pipeline.commands.dump_argument import DumpOption
 from boresight.pipeline.commands.messages import Answer, print_data, say, talks, tell
+from boresight.pipeline.files.object_store import dump_folder
 
 __all__ = ["add_sensor_commands"]
 
@@ -48,7 +50,7 @@ def virtual_ccd(
     result: Annotated[Path, typer.Argument(help="Folder that `calibrate` wrote.")],
     strip: Annotated[str, typer.Option(help="Id of the strip.")],
     out: Annotated[Path, typer.Option(help="GeoTIFF to write: float32 counts, NaN where no CCD looked.")],
-    dump: Annotated[Path | None, typer.Option(help="The result's dump, if it was moved.")] = None,
+    dump: DumpOption = None,
     height_m: Annotated[
         float | None, typer.Option(help="Ellipsoidal height to stitch at instead of the terrain model.")
     ] = None,
@@ -72,7 +74,11 @@ def virtual_ccd(
 def remote_camera_calibrate(
     sources: Annotated[
         list[Path],
-        typer.Argument(metavar="RESULT|DUMP", help="Dumps of one camera, or what `calibrate` made of them."),
+        typer.Argument(
+            metavar="RESULT|DUMP",
+            parser=dump_folder,
+            help="Dumps of one camera, or what `calibrate` made of them.",
+        ),
     ],
     out: Annotated[Path, typer.Option(help="Folder for remote_camera.toml, interior.json and interior.png.")],
     settings: Annotated[

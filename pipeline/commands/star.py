@@ -25,6 +25,7 @@ from boresight.pipeline.commands.messages import (
     wrong_usage,
 )
 from boresight.pipeline.commands.progress import progress_bars
+from boresight.pipeline.files.object_store import dump_folder
 
 if TYPE_CHECKING:
     from boresight.star_id.settings import StarSettings
@@ -215,7 +216,12 @@ def star_camera_plan(
 
 def star_camera_calibrate(
     sources: Annotated[
-        list[Path], typer.Argument(help="Star images, or folders with a dump.toml: their exposures.")
+        list[Path],
+        typer.Argument(
+            metavar="SOURCES...",
+            parser=dump_folder,
+            help="Star images, or folders with a dump.toml: their exposures.",
+        ),
     ],
     camera: CameraFile = None,
     fov: Fov = None,

@@ -12,6 +12,7 @@ from boresight.pipeline import __version__
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.exports.one_line import one_line
 from boresight.pipeline.files.dump_schema import DumpFile
+from boresight.pipeline.files.object_store import dump_folder
 from boresight.pipeline.files.table_files import read_parquet
 from boresight.pipeline.files.text_files import read_json, read_toml
 from boresight.pipeline.results.ownership import origin_of
@@ -62,8 +63,8 @@ def notes_of(result: Path, dump: Path | None, created: str) -> Notes:
 
 def _mission(result: Path, dump: Path | None) -> str:
     try:
-        root = dump if dump is not None else Path(str(read_json(result / "run.json", "run.json").get("dump")))
-        return read_toml(root / "dump.toml", DumpFile, "dump.toml").mission
+        noted = dump or dump_folder(str(read_json(result / "run.json", "run.json").get("dump")))
+        return read_toml(noted / "dump.toml", DumpFile, "dump.toml").mission
     except RawDataError:
         return UNKNOWN
 

@@ -15,6 +15,7 @@ from pyproj import CRS
 from boresight.pipeline.exports.ground_points import GroundPoints
 from boresight.pipeline.exports.notes import Notes
 from boresight.pipeline.exports.one_line import one_line
+from boresight.pipeline.files.object_store import gdal_name
 
 __all__ = ["vrt_with_gcps", "vrt_with_rpc"]
 
@@ -63,7 +64,7 @@ def _dataset(image: Path, size_px: tuple[int, int], kind: str, notes: Notes) -> 
         ElementTree.SubElement(about, "MDI", {"key": f"BORESIGHT_{name.upper()}"}).text = text
     band = ElementTree.SubElement(root, "VRTRasterBand", {"dataType": kind, "band": "1"})
     source = ElementTree.SubElement(band, "SimpleSource")
-    ElementTree.SubElement(source, "SourceFilename", {"relativeToVRT": "0"}).text = one_line(str(image))
+    ElementTree.SubElement(source, "SourceFilename", {"relativeToVRT": "0"}).text = one_line(gdal_name(image))
     ElementTree.SubElement(source, "SourceBand").text = "1"
     window = {"xOff": "0", "yOff": "0", "xSize": width, "ySize": height}
     ElementTree.SubElement(source, "SrcRect", window)

@@ -17,6 +17,7 @@ from boresight.pipeline.errors import RawDataError
 __all__ = ["check_regular", "content_digest", "content_of", "small_content"]
 
 KEPT_BYTES = 2**26  # three raw exposures of 20 million pixels; a strip is read by window
+STREAMED_BYTES = 2**23  # read at once of a larger file, of a store in one request
 
 Identity = tuple[int, ...]
 
@@ -29,13 +30,13 @@ def content_of(path: Path) -> bytes:
 
 def small_content(path: Path) -> bytes | None:
     """All bytes of a regular file of at most 64 MiB, None for a larger one; `OSError` for anything else."""
-    name, identity = _identified(path)
-    return _content(name, identity) if identity[0] <= KEPT_BYTES else None
+    identity = _identity(path)
+    return _content(path, identity) if identity[0] <= KEPT_BYTES else None
 
 
 def content_digest(path: Path) -> str:
     """SHA-256 of all bytes of a regular file as hexadecimal digits; `OSError` for anything else."""
-    return _digest(*_identified(path))
+    return _digest(path, _identity(path))
 
 
 def check_regular(path: Path, file: str, expected: str) -> int:
@@ -52,23 +53,26 @@ def check_regular(path: Path, file: str, expected: str) -> int:
     return status.st_size
 
 
-def _identified(path: Path) -> tuple[str, Identity]:
-    """Name and what changes when the content does, the size first."""
+def _identity(path: Path) -> Identity:
+    """What changes when the content does, the size first."""
     status = path.stat()
     if not stat.S_ISREG(status.st_mode):  # opening a FIFO would block
         raise OSError(errno.EINVAL, "not a regular file", str(path))
     times = status.st_mtime_ns, status.st_ctime_ns
-    return str(path), (status.st_size, status.st_dev, status.st_ino, *times)
+    return status.st_size, status.st_dev, status.st_ino, *times
 
 
 @lru_cache(maxsize=1)
-def _content(name: str, identity: Identity) -> bytes:
-    return Path(name).read_bytes()
+def _content(path: Path, identity: Identity) -> bytes:
+    return path.read_bytes()
 
 
 @lru_cache(maxsize=100_000)
-def _digest(name: str, identity: Identity) -> str:
+def _digest(path: Path, identity: Identity) -> str:
     if identity[0] <= KEPT_BYTES:
-        return hashlib.sha256(_content(name, identity)).hexdigest()
-    with open(name, "rb") as stream:
-        return hashlib.file_digest(stream, "sha256").hexdigest()
+        return hashlib.sha256(_content(path, identity)).hexdigest()
+    state = hashlib.sha256()
+    with path.open("rb", buffering=0) as stream:
+        while piece := stream.read(STREAMED_BYTES):
+            state.update(piece)
+    return state.hexdigest()

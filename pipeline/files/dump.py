@@ -34,6 +34,7 @@ from boresight.pipeline.errors import Omission, RawDataError
 from boresight.pipeline.files import dump_schema as schema
 from boresight.pipeline.files.ground_points import StripPoints, SurveyedPoints, read_points, targets_of
 from boresight.pipeline.files.image_files import StripFiles, check_strip_file, read_grid
+from boresight.pipeline.files.object_store import dump_folder
 from boresight.pipeline.files.orbit_file import Ephemeris, read_oem
 from boresight.pipeline.files.remote_camera import read_remote_camera
 from boresight.pipeline.files.star_side import (
@@ -194,13 +195,13 @@ class Dump:
         return star + sum(a * b for strip in self.strips for a, b in strip.images.shapes.values())
 
 
-def open_dump(root: Path, *, allow_stale_eop: bool = False) -> Dump:
+def open_dump(root: Path | str, *, allow_stale_eop: bool = False) -> Dump:
     """Read a dump and check it.
 
     Parameters
     ----------
-    root : Path
-        Folder with a dump.toml (docs/dump-format.md).
+    root : Path or str
+        Folder with a dump.toml (docs/dump-format.md), or its address in a store (`s3://bucket/dump`).
     allow_stale_eop : bool
         Accept dates after the end of the Earth-orientation table, with a warning.
 
@@ -214,6 +215,7 @@ def open_dump(root: Path, *, allow_stale_eop: bool = False) -> Dump:
     RawDataError
         A file is missing or invalid; the error names file, field, found and expected.
     """
+    root = dump_folder(root)
     if not root.is_dir():
         raise RawDataError(str(root), "dump", "no such folder", "a folder with a dump.toml")
     if not (root / "dump.toml").exists():

@@ -26,6 +26,7 @@ from boresight.geometry.record import array, record, scalar
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.content import small_content
 from boresight.pipeline.files.deflated_tiles import read_deflated
+from boresight.pipeline.files.object_store import StoredPath
 from boresight.pipeline.files.star_images import TIFF_MAGICS, check_size, first_bytes
 
 __all__ = ["GridImage", "StripFiles", "open_geotiff", "read_grid", "read_planes", "read_tiff"]
@@ -77,10 +78,9 @@ def open_geotiff(path: Path, file: str, content: bytes | None = None) -> Iterato
     with rasterio.Env(**options), warnings.catch_warnings(), ExitStack() as memory:
         warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)
         try:
-            if content is None:
-                image = rasterio.open(path.resolve(), driver="GTiff", sharing=False)
-            else:
-                image = memory.enter_context(MemoryFile(content)).open(driver="GTiff", sharing=False)
+            source = path.resolve() if content is None else memory.enter_context(MemoryFile(content))
+            opener = path.opener if isinstance(path, StoredPath) and content is None else None
+            image = rasterio.open(source, driver="GTiff", sharing=False, opener=opener)
         except (RasterioError, ValueError, OSError) as error:
             raise RawDataError(file, "TIFF header", str(error), "a TIFF image") from error
         with image:

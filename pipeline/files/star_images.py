@@ -9,6 +9,7 @@ Size and bit depth are checked in the header before a pixel is decoded. An image
 
 from __future__ import annotations
 
+import io
 import math
 import struct
 import warnings
@@ -200,7 +201,9 @@ def _read_fits(path: Path, file: str, size: tuple[int, int] | None, bits: int | 
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", AstropyWarning)
-            with fits.open(path, memmap=False, lazy_load_hdus=True, do_not_scale_image_data=True) as hdus:
+            with fits.open(
+                io.BytesIO(content_of(path)), memmap=False, lazy_load_hdus=True, do_not_scale_image_data=True
+            ) as hdus:
                 header = hdus[0].header
                 naxis, bitpix = header.get("NAXIS"), header.get("BITPIX")
                 if naxis != 2:
@@ -258,8 +261,6 @@ def _read_npy(path: Path, file: str) -> NDArray[Any]:
 
 
 def _read_other(path: Path, file: str) -> NDArray[Any]:
-    import io
-
     from PIL import Image
 
     raw = content_of(path)
@@ -282,7 +283,7 @@ def _read_any_fits(path: Path, file: str) -> NDArray[Any]:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", AstropyWarning)
-            with fits.open(path, memmap=False, lazy_load_hdus=True) as hdus:
+            with fits.open(io.BytesIO(content_of(path)), memmap=False, lazy_load_hdus=True) as hdus:
                 for hdu in hdus:
                     if not hdu.is_image or not 2 <= hdu.header.get("NAXIS", 0) <= 4:
                         continue

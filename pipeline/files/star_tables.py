@@ -5,6 +5,7 @@ Columns are named as those of the Gaia archive; `source_id` may be any whole num
 
 from __future__ import annotations
 
+import io
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -16,7 +17,7 @@ from boresight.geometry.constants import ARCSEC
 from boresight.geometry.record import Floats
 from boresight.geometry.starlight import StarPlaces, SurveyedStars
 from boresight.pipeline.errors import RawDataError
-from boresight.pipeline.files.text_files import check_regular
+from boresight.pipeline.files.content import check_regular, content_of
 from boresight.pipeline.files.xml_files import read_xml
 from boresight.star_id.whole_catalogue import all_hipparcos
 
@@ -75,7 +76,7 @@ def read_star_table(path: Path, file: str) -> SurveyedStars:
     if kind == "votable":
         read_xml(path, file)  # without DTD and entities, before another parser sees it
     try:
-        table = Table.read(path, format=kind)
+        table = Table.read(io.BytesIO(content_of(path)), format=kind)
     except Exception as error:  # astropy raises errors of many kinds for a damaged file
         raise RawDataError(file, "table", f"{type(error).__name__}: {error}", f"a table ({kind})") from error
     table.rename_columns(table.colnames, [name.lower() for name in table.colnames])

@@ -23,6 +23,7 @@ from boresight.geometry.record import record, scalar
 from boresight.pipeline import __version__
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.dump_schema import DumpFile
+from boresight.pipeline.files.object_store import dump_folder, is_address
 from boresight.pipeline.files.text_files import read_json, read_toml
 from boresight.pipeline.files.whole_file import write_whole
 from boresight.pipeline.results.folder import dumps_in
@@ -82,10 +83,11 @@ def dump_folder_of(result: Path) -> Path:
     """
     path = result / MARKER
     folders = read_json(path, str(path)).get("folders")
-    if not isinstance(folders, list) or len(folders) != 1 or not Path(str(folders[0])).is_dir():
+    dump = dump_folder(str(folders[0])) if isinstance(folders, list) and len(folders) == 1 else None
+    if dump is None or not dump.is_dir():
         raise RawDataError(str(path), "folders", folders, "the folder of one dump")
-    check_dump_of(result, Path(str(folders[0])))
-    return Path(str(folders[0]))
+    check_dump_of(result, dump)
+    return dump
 
 
 @contextmanager
@@ -107,6 +109,8 @@ def claimed(
 
 
 def _check_place(result: Path, dumps: Sequence[Path]) -> None:
+    if is_address(result.as_posix().replace(":/", "://", 1)):
+        raise RawDataError("--out", str(result), "an address", "a folder of this machine")
     if result.exists() and not result.is_dir():
         raise RawDataError("--out", str(result), "a file", "a folder")
     for dump in dumps:

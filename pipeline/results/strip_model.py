@@ -17,6 +17,7 @@ from boresight.geometry.record import array, record, scalar
 from boresight.pipeline.errors import DataNotSufficientError, RawDataError
 from boresight.pipeline.files.dump import Dump, Strip, open_dump
 from boresight.pipeline.files.dump_schema import DumpFile
+from boresight.pipeline.files.object_store import dump_folder
 from boresight.pipeline.files.table_files import fixed, list_values, read_parquet
 from boresight.pipeline.files.text_files import read_json, read_toml
 from boresight.pipeline.results.ownership import check_dump_of
@@ -119,7 +120,7 @@ def _run_settings(saved: SavedResult, result: Path) -> RunSettings:
 def _noted_dump(result: Path) -> Path:
     path = result / "run.json"
     try:
-        noted = Path(read_json(path, str(path))["dump"])
+        noted = dump_folder(read_json(path, str(path))["dump"])
     except (KeyError, TypeError) as error:
         raise RawDataError(str(path), "dump", str(error), "the dump's folder; or give --dump") from error
     if not noted.is_dir():

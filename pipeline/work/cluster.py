@@ -19,6 +19,7 @@ from typing import Any, TypeVar
 from boresight.geometry.record import record, scalar
 from boresight.pipeline.errors import WorkerError
 from boresight.pipeline.files.content import content_digest
+from boresight.pipeline.files.object_store import dump_folder
 from boresight.pipeline.work.digests import library_versions, program
 
 __all__ = ["Fingerprint", "OnCluster", "UnfitWorkerError", "fingerprint", "on_cluster"]
@@ -64,7 +65,7 @@ def fingerprint(probes: Sequence[str]) -> Fingerprint:
     files = {}
     for path in probes:
         try:
-            files[path] = content_digest(Path(path))
+            files[path] = content_digest(dump_folder(path))
         except OSError as error:
             files[path] = f"{error.strerror or error}"
     return Fingerprint(library_versions(), _code(), files)

@@ -1,0 +1,193 @@
+"""Dumps in object stores and on web servers: `s3://bucket/path`, `https://host/path`, read through fsspec.
+
+A file there is a `StoredPath`, a path of pathlib that can only be read. Of a large file only the ranges that
+are asked for are fetched, as blocks that are kept; an answer on size and version holds for some seconds.
+Credentials are those of the environment. Nothing is listed, so a web server needs no index.
+"""
+
+from __future__ import annotations
+
+import errno
+import io
+import os
+import re
+import stat
+import time
+import zlib
+from collections.abc import Callable
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, TypeVar
+
+from boresight.pipeline.errors import RawDataError
+
+__all__ = ["StoredPath", "dump_folder", "gdal_name", "is_address"]
+
+BLOCK_BYTES = 2**20  # of a large file; some four tiles of 512 x 512 px of 8 bits
+KEPT_BLOCKS = 64  # of one process
+CURRENT_S = 5.0  # how long an answer on size and version of a file is taken as current
+NOT_FOUND = 404  # status of HTTP
+OF_GDAL = {"s3": "/vsis3/", "gs": "/vsigs/", "http": "/vsicurl/http://", "https": "/vsicurl/https://"}
+
+Answer = TypeVar("Answer")
+
+
+def is_address(text: str) -> bool:
+    """Whether a text is the address of something in a store (`s3://...`), not a path of this machine."""
+    return re.match(r"[a-z][a-z0-9+.-]+://", text) is not None
+
+
+def dump_folder(folder: str | Path) -> Path:
+    """The folder of a dump by its path or address. `RawDataError` for an address with a password or query."""
+    text = str(folder)
+    if not is_address(text):
+        return Path(folder)
+    if found := re.search(r"[?#]|//[^/]*@", text):
+        expected = "an address alone; credentials come from the environment (docs/dump-format.md)"
+        shown = text.split("?")[0].rpartition("@")[2]  # without the password
+        raise RawDataError(shown, "address", f"{found[0][-1]} in it", expected)
+    return StoredPath(text)
+
+
+def gdal_name(path: Path) -> str:
+    """The name by which GDAL finds a file; of a store, in its own virtual file system."""
+    store, _, place = str(path).partition("://")
+    return OF_GDAL[store] + place if place and store in OF_GDAL else str(path)
+
+
+class StoredPath(type(Path())):  # type: ignore[misc]  # PosixPath or WindowsPath
+    """A file or folder in a store, with the methods of `Path` that read. Failures are `OSError`s."""
+
+    def __str__(self) -> str:
+        return self.as_posix()
+
+    def as_posix(self) -> str:
+        """The address."""
+        return super().__str__().replace(os.sep, "/").replace(":/", "://", 1)
+
+    __fspath__ = __str__
+
+    def resolve(self, strict: bool = False) -> StoredPath:
+        """The path itself: a store has no links, and `..` is an ordinary name in it."""
+        return self
+
+    def is_absolute(self) -> bool:
+        """Always."""
+        return True
+
+    def exists(self, *, follow_symlinks: bool = True) -> bool:
+        """Whether there is such a file."""
+        try:
+            self.stat()
+        except FileNotFoundError:
+            return False
+        return True
+
+    def is_dir(self, *, follow_symlinks: bool = True) -> bool:
+        """Whether there is a dump below this address: a store has no folders."""
+        return (self / "dump.toml").exists()
+
+    def is_file(self, *, follow_symlinks: bool = True) -> bool:
+        """Whether there is such a file."""
+        return self.exists()
+
+    def stat(self, *, follow_symlinks: bool = True) -> os.stat_result:
+        """Size of a file, and as its inode a checksum of what the store says of its version."""
+        size, version = _state(str(self), int(time.monotonic() / CURRENT_S))
+        return os.stat_result((stat.S_IFREG | 0o444, version, 0, 1, 0, 0, size, 0, 0, 0))
+
+    def read_bytes(self) -> bytes:
+        """All bytes of a file in one request; `OSError` if the store does not give them."""
+        return _asked(str(self), lambda store, path: store.cat_file(path))
+
+    def open(self, mode: str = "r", buffering: int = -1, *args: Any, **named: Any) -> Any:
+        """A stream of bytes (`rb`, else `OSError`); reads of less than `BLOCK_BYTES` fetch whole blocks."""
+        if mode != "rb":
+            raise OSError(errno.EROFS, "files in a store are only read", str(self))
+        ranges = _Ranges(str(self), self.stat())
+        return ranges if buffering == 0 else io.BufferedReader(ranges, max(buffering, io.DEFAULT_BUFFER_SIZE))
+
+    def opener(self, name: str, mode: str = "rb") -> Any:
+        """The file as a stream of bytes for GDAL, which reads it in ranges."""
+        return self.open(mode, buffering=0)
+
+
+class _Ranges(io.RawIOBase):
+    """The bytes of a file, fetched where they are read."""
+
+    def __init__(self, address: str, state: os.stat_result) -> None:
+        self.address, self.size, self.version = address, state.st_size, state.st_ino
+        self.at = 0
+
+    def readable(self) -> bool:
+        return True
+
+    def seekable(self) -> bool:
+        return True
+
+    def tell(self) -> int:
+        return self.at
+
+    def seek(self, offset: int, whence: int = io.SEEK_SET) -> int:
+        self.at = offset + {io.SEEK_SET: 0, io.SEEK_CUR: self.at, io.SEEK_END: self.size}[whence]
+        return self.at
+
+    def readinto(self, buffer: Any) -> int:
+        end = min(self.at + len(buffer), self.size)
+        if (length := end - self.at) <= 0:
+            return 0
+        first, last = self.at // BLOCK_BYTES, (end - 1) // BLOCK_BYTES
+        if length >= BLOCK_BYTES:
+            content = _range(self.address, self.at, end)
+        else:
+            content = b"".join(self._block(n) for n in range(first, last + 1))
+            content = content[self.at - first * BLOCK_BYTES :][:length]
+        buffer[:length] = content
+        self.at = end
+        return length
+
+    def _block(self, n: int) -> bytes:
+        return _block(self.address, self.version, n, min((n + 1) * BLOCK_BYTES, self.size))
+
+
+@lru_cache(maxsize=KEPT_BLOCKS)
+def _block(address: str, version: int, n: int, end: int) -> bytes:
+    return _range(address, n * BLOCK_BYTES, end)
+
+
+def _range(address: str, start: int, end: int) -> bytes:
+    content = _asked(address, lambda store, path: store.cat_file(path, start=start, end=end))
+    if len(content) != end - start:
+        found = f"{len(content)} bytes of a range of {end - start}: the server does not serve ranges"
+        raise OSError(errno.EIO, found, address)
+    return content
+
+
+@lru_cache(maxsize=256)
+def _state(address: str, period: int) -> tuple[int, int]:
+    """Size and version of a file, asked for once in each period of time."""
+    facts = _asked(address, lambda store, path: store.info(path))
+    if facts["type"] != "file":
+        raise FileNotFoundError(errno.ENOENT, "no such file", address)
+    if facts["size"] is None:
+        raise OSError(errno.EIO, "the server does not state its size", address)
+    told = sorted((str(key), str(value)) for key, value in facts.items())
+    return int(facts["size"]), zlib.crc32(repr(told).encode())
+
+
+def _asked(address: str, question: Callable[[Any, str], Answer]) -> Answer:
+    """The answer of the store of an address; `OSError` with the store's reason if there is none."""
+    try:
+        from fsspec.core import url_to_fs
+
+        return question(*url_to_fs(address))
+    except ImportError as error:
+        text = f"{error}: pip install 'boresight[cluster]'"
+        raise OSError(errno.ENOPKG, text, address) from error
+    except Exception as error:  # stores raise errors of their own, some as the cause of a FileNotFoundError
+        missing = isinstance(error, FileNotFoundError)
+        cause = error.__cause__ if missing and error.__cause__ else error
+        if missing and (cause is error or getattr(cause, "status", None) == NOT_FOUND):
+            raise FileNotFoundError(errno.ENOENT, "no such file", address) from error
+        number = errno.EACCES if isinstance(cause, PermissionError) else errno.EIO
+        raise OSError(number, f"{cause}" or type(cause).__name__, address) from error

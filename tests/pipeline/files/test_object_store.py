@@ -1,0 +1,183 @@
+"""Dumps in an object store (a local server of moto) and on web servers: the bytes of those on disk."""
+
+from __future__ import annotations
+
+import functools
+import http.server
+import os
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rasterio
+
+from boresight.pipeline.errors import RawDataError
+from boresight.pipeline.files import object_store
+from boresight.pipeline.files.content import content_digest
+from boresight.pipeline.files.dump import open_dump
+from boresight.pipeline.files.image_files import StripFiles
+from boresight.pipeline.files.object_store import dump_folder, gdal_name
+from boresight.pipeline.files.text_files import path_inside
+from boresight.pipeline.results.ownership import claimed
+from boresight.pipeline.settings import Settings
+
+
+@pytest.fixture(scope="module")
+def store(finished: tuple[Path, Path]) -> Iterator[str]:
+    """Address of a server of objects that holds the dump of `finished` as s3://archive/passes/dump."""
+    import fsspec
+    from moto.server import ThreadedMotoServer
+
+    server = ThreadedMotoServer(ip_address="127.0.0.1", port=0, verbose=False)
+    server.start()
+    address = "http://{}:{}".format(*server.get_host_and_port())
+    environment = {"AWS_ACCESS_KEY_ID": "key", "AWS_SECRET_ACCESS_KEY": "secret", "AWS_ENDPOINT_URL": address}
+    environment |= {"AWS_DEFAULT_REGION": "us-east-1", "AWS_EC2_METADATA_DISABLED": "true"}
+    with pytest.MonkeyPatch.context() as patch:
+        for name, value in environment.items():
+            patch.setenv(name, value)
+        readable = {"ACL": "public-read"}  # over HTTP too
+        files = fsspec.filesystem("s3", skip_instance_cache=True, s3_additional_kwargs=readable)
+        files.mkdir("archive")
+        files.put(f"{finished[0]}/", "archive/passes/dump/", recursive=True)
+        files.s3_additional_kwargs = {"ACL": "private"}
+        files.pipe("archive/private/dump.toml", b"")
+        yield address
+    server.stop()
+
+
+def calibrate(dump: str, out: Path) -> subprocess.CompletedProcess:
+    command = [sys.executable, "-m", "boresight", "calibrate", dump, "--out", str(out), "--workers", "2"]
+    return subprocess.run([*command, "--no-report"], capture_output=True, text=True, timeout=300, check=False)
+
+
+def test_dump_in_a_store_gives_the_bytes_of_the_one_on_disk(
+    store: str, finished: tuple[Path, Path], tmp_path: Path
+) -> None:
+    ran = calibrate("s3://archive/passes/dump", tmp_path / "result")
+    assert ran.returncode == 0, ran.stderr
+    expected = (finished[1] / "installation.json").read_bytes()
+    assert (tmp_path / "result" / "installation.json").read_bytes() == expected
+    found = {path.name for path in (tmp_path / "result" / "work").rglob("*.parquet")}
+    assert found == {path.name for path in (finished[1] / "work").rglob("*.parquet")}  # keys of content
+
+
+def test_dump_on_a_web_server_is_the_one_on_disk(store: str, finished: tuple[Path, Path]) -> None:
+    there, here = open_dump(f"{store}/archive/passes/dump"), open_dump(finished[0])
+    assert len(there.exposures) == len(here.exposures) > 0 and not there.omissions
+    for a, b in zip(there.exposures, here.exposures):
+        assert content_digest(a.path) == content_digest(b.path)
+    assert str(there.exposures[0].path) == f"{store}/archive/passes/dump/{here.exposures[0].file}"
+
+
+def test_window_of_a_large_image_is_fetched_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, recwarn: pytest.WarningsRecorder
+) -> None:
+    import fsspec
+
+    image = np.random.default_rng(3).integers(0, 256, (3000, 4000), dtype=np.uint8)
+    tiles = {"tiled": True, "blockxsize": 256, "blockysize": 256, "compress": "lzw"}
+    size = {"width": 4000, "height": 3000, "count": 1, "dtype": "uint8"}
+    with rasterio.open(tmp_path / "strip.tif", "w", driver="GTiff", **size, **tiles) as file:
+        file.write(image, 1)
+    content = (tmp_path / "strip.tif").read_bytes()
+    fsspec.filesystem("memory").pipe("/large/strip.tif", content)
+    path = dump_folder("memory://large") / "strip.tif"
+    fetched = []
+    real = object_store._range
+
+    def counted(address: str, start: int, end: int) -> bytes:
+        fetched.append(end - start)
+        return real(address, start, end)
+
+    monkeypatch.setattr(object_store, "_range", counted)
+    strip = StripFiles({0: path}, {0: "strip.tif"}, {0: image.shape})
+    for _ in range(2):  # the second time from kept blocks
+        np.testing.assert_array_equal(strip.read(0, 1000, 1100, 500, 700), image[1000:1100, 500:700])
+        assert sum(fetched) < len(content) / 4
+    assert content_digest(path) == content_digest(tmp_path / "strip.tif")
+
+
+def test_new_version_of_an_object_has_another_digest(monkeypatch: pytest.MonkeyPatch) -> None:
+    import fsspec
+
+    monkeypatch.setattr(object_store, "CURRENT_S", 1e-9)
+    files, path = fsspec.filesystem("memory"), dump_folder("memory://versions") / "a.toml"
+    files.pipe("/versions/a.toml", b"one")
+    first = content_digest(path)
+    files.pipe("/versions/a.toml", b"two")  # of the same size
+    assert content_digest(path) != first
+
+
+@pytest.mark.parametrize(
+    ("address", "said"),
+    [
+        ("s3://archive/nothing", "s3://archive/nothing: dump: found no such folder"),
+        ("s3://no-such-bucket/dump", "The specified bucket does not exist"),
+        ("http://127.0.0.1:9/dump", "Cannot connect to host 127.0.0.1:9"),
+        ("{store}/archive/private", "403, message='FORBIDDEN'"),
+        ("https://me:secret@host/dump", "host/dump: address: found @ in it"),
+        ("nosuch://host/dump", "Protocol not known: nosuch"),
+    ],
+)
+def test_address_without_a_dump_is_an_error_that_names_why(store: str, address: str, said: str) -> None:
+    with pytest.raises((OSError, RawDataError)) as error:
+        open_dump(address.format(store=store))
+    assert said in str(error.value) and ":secret" not in str(error.value)
+
+
+def test_store_without_credentials_is_an_error_that_says_so(
+    store: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import fsspec
+
+    for name in ("AWS_ACCESS_KEY_ID", "AWS_SECRET_ACCESS_KEY"):
+        monkeypatch.delenv(name)
+    monkeypatch.setenv("AWS_SHARED_CREDENTIALS_FILE", os.devnull)
+    fsspec.get_filesystem_class("s3").clear_instance_cache()
+    with pytest.raises(OSError, match="Unable to locate credentials"):
+        open_dump("s3://archive/other")
+    fsspec.get_filesystem_class("s3").clear_instance_cache()
+
+
+def test_missing_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "gcsfs", None)
+    with pytest.raises(OSError, match=r"pip install 'boresight\[cluster\]'"):
+        open_dump("gcs://archive/dump")
+
+
+def test_server_without_ranges_is_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "large.tif").write_bytes(bytes(2 * object_store.BLOCK_BYTES))
+    silent = type("Silent", (http.server.SimpleHTTPRequestHandler,), {"log_message": lambda *_: None})
+    handler = functools.partial(silent, directory=tmp_path)
+    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        path = dump_folder(f"http://127.0.0.1:{server.server_port}") / "large.tif"
+        assert len(path.read_bytes()) == path.stat().st_size == 2 * object_store.BLOCK_BYTES
+        with path.open("rb") as stream, pytest.raises(OSError, match="does not serve ranges"):
+            stream.read(10)
+        server.shutdown()
+
+
+def test_stored_dump_cannot_be_left_or_written(tmp_path: Path) -> None:
+    root = dump_folder("s3://archive/passes/dump")
+    assert path_inside(root, "a/b.tif", file="dump.toml", field="f") == root / "a" / "b.tif"
+    for outside in ("../other", "/etc/passwd", "s3://other/x"):
+        with pytest.raises(RawDataError, match="inside the dump"):
+            path_inside(root, outside, file="dump.toml", field="f")
+    with pytest.raises(OSError, match="only read"):
+        (root / "dump.toml").write_text("x")
+    assert gdal_name(root / "a.tif") == "/vsis3/archive/passes/dump/a.tif"
+    assert gdal_name(tmp_path / "a.tif") == str(tmp_path / "a.tif")
+
+
+def test_result_cannot_be_written_into_a_store(finished: tuple[Path, Path]) -> None:
+    with (
+        pytest.raises(RawDataError, match="--out: s3:"),
+        claimed(Path("s3://a/b"), [finished[0]], Settings()),
+    ):
+        pass
