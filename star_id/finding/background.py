@@ -7,14 +7,15 @@ the outermost ones extrapolated, so gradients of stray light and vignetting leav
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtr, ndtri  # of the normal distribution; scipy.stats takes 0.2 s to load
 
 from boresight.geometry.record import Floats, array, record, scalar
+from boresight.star_id.finding.cut_sky import UNCUT, cut_moments, limit_after_cut
 
 __all__ = ["Background", "background_image", "estimate_background"]
 
@@ -26,7 +27,6 @@ _UNEVEN = 1.5  # of the noise between neighbouring pixels: more within a block i
 _ALIKE = 0.15  # of such pixels have the same value
 _NEAR_PX = 4  # beyond the correlations of interpolated or compressed images
 _CUT_OFF = 0.08  # of a block's pixels at the least value: a normal distribution has far fewer
-_LEAST_CUT_NOISE = 2.0  # grey levels
 _CLIPPED_VARIANCE = 0.973337  # variance of a unit normal within 3 sigma of its mean
 
 
@@ -41,9 +41,31 @@ class Background:
     weights: Floats | None = scalar(
         "(2, 2) relative weights of the pixels of each 2 x 2 cell; None: alike", default=None
     )
+    above_cut: Floats | None = array(
+        "R, C", "sigmas from the least value up to the level; None: no block is cut off there", default=None
+    )
 
     def at(self, xy_px: Floats) -> tuple[Floats, Floats]:
         """Level and noise (N,), (N,) in DN at pixels (N, 2), interpolated between block centres."""
+        level, noise = self._between(xy_px, extended(self.level_dn), extended(self.noise_dn, continued=False))
+        return level, noise
+
+    def limits(self, sigmas: float, pixels: float) -> Floats:
+        """(R, C) height over the level, in units of the noise, that a mean of so many pixels exceeds as
+        rarely as a normal variable `sigmas`: that, but less where the sky is cut off."""
+        if self.above_cut is None:
+            return np.full(self.level_dn.shape, sigmas)
+        return limit_after_cut(self.above_cut, sigmas, pixels)
+
+    def limits_at(self, xy_px: Floats, sigmas: float, width_px: float) -> Floats:
+        """(N,) that height at pixels (N, 2), for a Gaussian of `width_px` as matched filter."""
+        if self.above_cut is None:
+            return np.full(len(xy_px), sigmas)
+        limits = self.limits(sigmas, 2.25 * np.pi * width_px**2)
+        return self._between(xy_px, extended(limits, continued=False))[0]
+
+    def _between(self, xy_px: Floats, *grids: Floats) -> list[Floats]:
+        """Grids with a ring of blocks added (R + 2, C + 2), interpolated to pixels (N, 2): (N,) each."""
         rows, columns = self.level_dn.shape
         x = np.clip((xy_px[:, 0] + 0.5) * (columns / self.width_px) + 0.5, 0.0, columns + 1.0)
         y = np.clip((xy_px[:, 1] + 0.5) * (rows / self.height_px) + 0.5, 0.0, rows + 1.0)
@@ -51,9 +73,7 @@ class Background:
         corner, a, b = i * (columns + 2) + j, y - i, x - j
         weights = ((1 - a) * (1 - b), (1 - a) * b, a * (1 - b), a * b)
         steps = (0, 1, columns + 2, columns + 3)
-        grids = extended(self.level_dn).ravel(), extended(self.noise_dn, continued=False).ravel()
-        level, noise = (sum(grid[corner + k] * w for k, w in zip(steps, weights)) for grid in grids)
-        return level, noise
+        return [sum(grid.ravel()[corner + k] * w for k, w in zip(steps, weights)) for grid in grids]
 
 
 def estimate_background(image: NDArray) -> Background:
@@ -67,7 +87,7 @@ def estimate_background(image: NDArray) -> Background:
         return coarse
     fine = _by_blocks(image, _SMALL_BLOCK_PX)
     most = np.maximum(_UNEVEN * between, _noise_in_blocks(image, fine.level_dn.shape))
-    return Background(fine.level_dn, np.minimum(fine.noise_dn, most), width, height)
+    return replace(fine, noise_dn=np.minimum(fine.noise_dn, most))
 
 
 def background_image(grid: Floats, shape: tuple[int, ...]) -> NDArray[np.float32]:
@@ -120,13 +140,18 @@ def _by_blocks(image: NDArray, side: float) -> Background:
     value: Floats = np.asarray(low + (np.arange(bins) + offset) * width_bin)
     level, noise = _clipped_moments(by_block, value, width_bin)
     least = int(by_block.any(axis=0).argmax())
+    above = None
     if (cut := by_block[:, least] > _CUT_OFF * by_block.sum(axis=1)).any():
-        level[cut], noise[cut] = _cut_moments(by_block[cut, least:], value[least:], level[cut], noise[cut])
+        above = np.full(len(cut), UNCUT)
+        level[cut], noise[cut], above[cut] = cut_moments(
+            by_block[cut, least:], value[least:], level[cut], noise[cut]
+        )
     return Background(
         _without_outliers(level.reshape(rows, columns)),
         _without_outliers(noise.reshape(rows, columns)),
         width,
         height,
+        above_cut=None if above is None else _without_outliers(above.reshape(rows, columns)),
     )
 
 
@@ -184,26 +209,6 @@ def _clipped_moments(counts: Floats, value: Floats, width: float) -> tuple[Float
         sigma = np.sqrt(np.maximum(spread, 0.0) / _CLIPPED_VARIANCE)
         sigma = np.maximum(sigma, 0.3 * width)
     return level, sigma
-
-
-def _cut_moments(counts: Floats, value: Floats, level: Floats, noise: Floats) -> tuple[Floats, Floats]:
-    """Level and noise of blocks (B, bins) whose sky is cut off at their least value: two upper quantiles of
-    the normal distribution that it was. The level is the mean after the cut, the noise that before it.
-
-    Blocks whose noise is a few grey levels keep `level` and `noise`: their least value is no cut.
-    """
-    share = np.cumsum(counts, axis=1) / counts.sum(axis=1, keepdims=True)
-    for k, row in enumerate(share):
-        low = min(max(0.55, row[0] + 0.05), 0.97)
-        z = float(ndtri(low))
-        lower, upper = np.interp([low, ndtr(z + 0.9)], row, value)
-        sigma = (upper - lower) / 0.9
-        if sigma > _LEAST_CUT_NOISE * (value[1] - value[0]) and row[0] < 0.95:
-            mean = (lower - sigma * z - value[0]) / sigma  # of the sky above the cut, in its sigmas
-            density = np.exp(-0.5 * mean**2) / np.sqrt(2.0 * np.pi)
-            level[k] = value[0] + sigma * (mean * ndtr(mean) + density)
-            noise[k] = sigma
-    return level, noise
 
 
 def _bins_within(value: Floats, level: Floats, reach: Floats) -> slice:

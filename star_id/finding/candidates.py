@@ -108,8 +108,9 @@ def _grey_scale(image: NDArray, background: Background, halvings: int) -> _GreyS
     noise2 = gain**2 * extended(background.noise_dn, continued=False) ** 2 / scale**2
     rounding2 = (gain**2 * 4.0 / scale**2 * whole + (gain != 1.0)) / 12.0
     sigma = 2.0 * np.sqrt(noise2 + rounding2)
+    limits = extended(background.limits(_THRESHOLD_SIGMA, 4.0 * scale**2), continued=False)
     level = np.zeros(1) if uneven else gain * extended(background.level_dn)
-    threshold = 4.0 * (level + offset) + 0.5 + _THRESHOLD_SIGMA * sigma  # 0.5: halves are rounded up
+    threshold = 4.0 * (level + offset) + 0.5 + limits * sigma  # 0.5: halves are rounded up
     shape = image.shape[0] // scale, image.shape[1] // scale
     limit = _threshold_levels(threshold, _EVEN_SIGMA * float(sigma.mean()), shape)
     sky = _enlarged(extended(background.level_dn), shape) if uneven else None

@@ -89,7 +89,7 @@ def detect(
     """Peaks of the matched filter within `reach_px` of `candidates` (N, 2), or one more towards +x or +y.
 
     `psf_sigma_px` is the width of a Gaussian star integrated over pixels; the noise is the background's, and
-    `threshold` in its sigmas.
+    `threshold` in its sigmas, lower where the sky is cut off.
     """
     taps = _pixel_gaussian(psf_sigma_px)
     first, shifts = len(taps) // 2 + reach_px, 2 * reach_px + 2
@@ -102,10 +102,11 @@ def detect(
     filtered = _Filtered(windows, _product(windows, kernel), kernel, noise, shifts)
     unit = float((taps**2).sum())  # flux times this over the noise is the signal-to-noise ratio
     best, peak = filtered.peaks(slice(None))
-    high = np.flatnonzero(peak * unit > threshold * noise)
+    least = background.limits_at(candidates.astype(float), threshold, psf_sigma_px) * noise
+    high = np.flatnonzero(peak * unit > least)
     hot = high[_repair_hot_pixels(filtered, high, best[high])]
     best[hot], peak[hot] = filtered.peaks(hot)
-    keep = high[peak[high] * unit > threshold * noise[high]]
+    keep = high[peak[high] * unit > least[high]]
     is_hot = np.zeros(len(candidates), dtype=bool)
     is_hot[hot] = True
     repaired = is_hot[keep]

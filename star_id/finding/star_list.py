@@ -97,6 +97,7 @@ class StarList:
             self.background,
             level_dn=self.background.level_dn[:, ::-1],
             noise_dn=self.background.noise_dn[:, ::-1],
+            above_cut=None if self.background.above_cut is None else self.background.above_cut[:, ::-1],
         )
         psf = replace(self.psf, smear_px=smear)
         return replace(self, xy_px=xy, cov_px=cov, misshapen_px=other, psf=psf, background=sky)
@@ -248,7 +249,8 @@ def _fits_of(
     centroids = _windowed_or_fitted if in_windows else fit_stars
     fits = centroids(image, pixels, offset, background, psf, counts)
     star_like = fits.chi2 - fits.dof < np.maximum(_MISFIT_LIMIT * fits.snr**2, 6.0 * np.sqrt(2 * fits.dof))
-    return fits, fits.converged & (star_like | fits.saturated) & (fits.snr > 0.75 * found.threshold)
+    least_snr = 0.75 * background.limits_at(fits.xy_px, found.threshold, psf.sigma_px)
+    return fits, fits.converged & (star_like | fits.saturated) & (fits.snr > least_snr)
 
 
 @record(kw_only=True)

@@ -15,6 +15,7 @@ from test_field_match import PLACES, WIDE
 from boresight.star_id.field import FieldSolution, solve_list
 from boresight.star_id.finding.background import estimate_background
 from boresight.star_id.finding.candidates import find_candidates
+from boresight.star_id.finding.cut_sky import limit_after_cut
 from boresight.star_id.finding.lines import without_lines
 from boresight.star_id.finding.mosaic import has_mosaic
 from boresight.star_id.finding.star_list import find_stars
@@ -89,6 +90,25 @@ def test_a_sky_cut_off_at_zero_gives_few_false_detections():
     found, false, chi2 = scored(find_stars(image.clip(0).astype(np.uint16), StarSettings()), xy)
     assert found >= 0.95 and false <= 2
     assert 0.5 < chi2 < 1.3  # cut-off noise is less than stated
+
+
+def test_faint_stars_of_a_cut_off_and_vignetted_sky_are_found():
+    rng = np.random.default_rng(6)
+    xy = places(rng)
+    r2 = ((np.mgrid[:SIZE, :SIZE] / SIZE - 0.5) ** 2).sum(axis=0)
+    image = render(xy, np.full(len(xy), 230.0), SIZE, SIZE, SENSOR, rng) - 30.0 * r2 - 200.0
+    stars = find_stars(image.round().clip(0).astype(np.uint16), StarSettings())
+    found, false, _ = scored(stars, xy)
+    assert found >= 0.9 and false <= 2  # SNR 8 before the cut; 0.55 with the limit of a whole sky
+    assert stars.background.above_cut.min() < -0.8  # of the corners 80 % are cut off
+
+
+@pytest.mark.parametrize("above", [1.0, 0.0, -1.2])
+def test_a_limit_after_the_cut_is_exceeded_as_often_as_stated(above):
+    pixels = np.maximum(np.random.default_rng(2).normal(above, 1.0, (400_000, 16)), 0.0)
+    height = (pixels - pixels.mean()).sum(axis=1) / 4.0
+    share = (height > limit_after_cut(np.array([above]), 3.0, 16.0)).mean()
+    assert 0.6 < share / 0.00135 < 1.5  # 540 of them: 4 %; the gamma distribution is too skewed by a tenth
 
 
 @pytest.mark.parametrize("halvings", [0, 1])

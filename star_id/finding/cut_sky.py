@@ -1,0 +1,67 @@
+"""A sky that is cut off at its least value, as consumer cameras clip it at zero: what it was, and how high
+its noise rises after a filter.
+
+With the level m sigmas above the cut a pixel is max(m + n, 0), n a unit normal. Its noise is less than before
+the cut and is skewed; the mean of several pixels is less skewed. A detection limit follows from the gamma
+distribution of the same variance and skewness (Pearson's type III).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.special import gammainccinv, ndtr, ndtri  # scipy.stats takes 0.2 s to load
+
+from boresight.geometry.record import Floats
+
+__all__ = ["UNCUT", "cut_moments", "limit_after_cut"]
+
+UNCUT = 5.0  # sigmas above the cut, from where on nothing of a sky is cut off
+_DARKEST = -2.0  # sigmas: 2 % of the pixels are above the cut
+_LEAST_NOISE = 2.0  # grey levels
+_MOST_CUT = 0.95  # of a block's pixels, for quantiles of what is left
+_APART = 0.9  # sigmas between the quantiles
+
+
+def cut_moments(counts: Floats, value: Floats, level: Floats, noise: Floats) -> tuple[Floats, Floats, Floats]:
+    """Level and noise (B,), (B,) of blocks whose histograms (B, bins) are cut off at their least `value`
+    (bins,): two upper quantiles of the normal distribution that the sky was; and by how many of its sigmas
+    its level was above the cut (B,).
+
+    The level is the mean after the cut, the noise that before it. Blocks with too few pixels above the cut
+    have the median noise of the others. Blocks whose noise is a few grey levels keep `level` and `noise`:
+    their least value is no cut.
+    """
+    share = np.cumsum(counts, axis=1) / counts.sum(axis=1, keepdims=True)
+    least, step = share[:, 0], value[1] - value[0]
+    z = ndtri(np.clip(least + 0.05, 0.55, 0.97))
+    quantiles = [np.interp([ndtr(at), ndtr(at + _APART)], row, value) for at, row in zip(z, share)]
+    lower, upper = np.array(quantiles).T
+    sigma, seen = (upper - lower) / _APART, least < _MOST_CUT
+    cut = (sigma > _LEAST_NOISE * step) & seen
+    if cut.any():
+        sigma[~seen] = np.median(sigma[cut])
+        cut |= ~seen
+    above = (lower - value[0]) / np.maximum(sigma, step) - z
+    above[~seen] = -ndtri(np.minimum(least[~seen], ndtr(-_DARKEST)))
+    mean = value[0] + sigma * _moments(above)[0]
+    return np.where(cut, mean, level), np.where(cut, sigma, noise), np.where(cut, above, UNCUT)
+
+
+def limit_after_cut(above: Floats, sigmas: float, pixels: float) -> Floats:
+    """Height over the level (B,), in sigmas of the noise before the cut, that a mean of so many pixels
+    exceeds as rarely as a normal variable `sigmas`; `above` as of `cut_moments`. A mean with weights counts
+    as that of as many pixels as have the same skewness."""
+    _, variance, skewness = _moments(np.clip(above, _DARKEST, UNCUT))
+    shape = 4.0 * pixels / np.maximum(skewness, 1e-3) ** 2
+    gamma = (gammainccinv(shape, ndtr(-sigmas)) - shape) / np.sqrt(shape)
+    return np.where(above < UNCUT, np.sqrt(variance) * gamma, sigmas)
+
+
+def _moments(above: Floats) -> tuple[Floats, Floats, Floats]:
+    """Mean, variance and skewness of max(above + n, 0), n a unit normal."""
+    whole, density = ndtr(above), np.exp(-0.5 * above**2) / np.sqrt(2.0 * np.pi)
+    mean = above * whole + density
+    square = (above**2 + 1.0) * whole + above * density
+    cube = (above**3 + 3.0 * above) * whole + (above**2 + 2.0) * density
+    variance = square - mean**2
+    return mean, variance, (cube - 3.0 * mean * square + 2.0 * mean**3) / variance**1.5
