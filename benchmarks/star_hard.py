@@ -10,7 +10,8 @@ row shows another part of the sky. `unknown` is the image alone, `given` the tru
     complete   of the isolated, unsaturated stars of SNR 8 and more (matched filter of the rendered PSF)
     false      detections without a star within 3 px, or a third of a trail's length, a frame
     x bound    error of these stars over the Cramér-Rao bound of the rendered PSF, and chi2 of their errors
-    NEES       mean squared error over stated variance, each of one degree of freedom: direction, roll, field
+    NEES       mean squared error over stated variance, each of one degree of freedom: direction, roll, field;
+               of all rows together at the end: 20 frames leave the scatter of 20 or 40 squares
     CPU        ms a frame for an image alone, detection to fit
 
 Peers (the extra `peers`; seiza is not among them: it identifies no stars without data of its own to be
@@ -142,6 +143,7 @@ def main() -> None:
         print("complete  false  x bound  chi2    NEES unknown        NEES given      CPU")
         print(f"{'':38s}  unknown    given" + "".join(f"{name:>12s}" for name in names), end="")
         print(" " * 36 + "dir   roll  field    dir   roll   ms")
+        whole: dict[str, list[NDArray]] = {"unknown": [], "given": []}
         for row in rows:
             score = Score()
             for k in range(arguments.frames):
@@ -149,6 +151,13 @@ def main() -> None:
                 _frame(row, rng, places, index, score, peers)
             _print(row, score, names)
             _verdicts(row, score, names, arguments.frames)
+            for name, nees in score.nees.items():
+                whole[name].extend(nees)
+    for name, nees in whole.items():
+        for what, mean in zip(("direction", "roll", "field"), _means(nees)):
+            if np.isfinite(mean):
+                text = f"all {len(nees)} frames above, {name}: NEES of {what} {mean:.2f}, 0.7 to 1.4"
+                verdict(text, 0.7 <= mean <= 1.4)
 
 
 def _camera(row: Row, rng: np.random.Generator) -> StarCamera:
