@@ -133,7 +133,7 @@ SINGLE_CAUSES = {
 def doubtful(targets: TargetResiduals) -> Iterator[Finding]:
     """Targets of which one has a gross error; they are kept, with less weight."""
     for names, text in zip(targets.doubtful, doubts(targets)):
-        yield Finding(cause="gross error", item=f"one target of {len(names)}", text=f"{text}.")
+        yield Finding(cause="gross error", item=f"one target of {len(names)}", text=text)
 
 
 def _heights(dump: Dump, calibration: Calibration, without: Collection[str]) -> Iterator[Finding]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -50,6 +50,7 @@ def calibration_summary(found: Calibration, findings: Sequence[Mapping[str, Any]
     """Verdict, what to look at, matrix, deviation, 1-sigma, counts, and what is not used."""
     lines = verdict_lines(verdict_json(found.verdict)) + finding_lines(findings)
     lines += _estimate_lines(found.estimate)
+    lines += _doubt_lines(found.estimate, {one["text"] for one in findings})
     return "\n".join(lines + omission_lines(found.omissions))
 
 
@@ -62,7 +63,8 @@ def joint_summary(of_dumps: Mapping[str, Calibration], joint: JointCalibration) 
     lines.append(f"{'1 sigma, arcsec, of':26s}" + "".join(f"{axis:>14s}" for axis in "XYZ"))
     lines += [_row(f"  {name}", one.estimate.sigma_theta / ARCSEC, ".4f") for name, one in of_dumps.items()]
     lines.append(f"jointly from {len(of_dumps)} dumps:")
-    return "\n".join(lines + _estimate_lines(joint.estimate) + omission_lines(joint.omissions))
+    lines += _estimate_lines(joint.estimate) + _doubt_lines(joint.estimate, ())
+    return "\n".join(lines + omission_lines(joint.omissions))
 
 
 def verdict_lines(verdict: Mapping[str, Any]) -> list[str]:
@@ -116,10 +118,14 @@ def _estimate_lines(estimate: InstallationEstimate) -> list[str]:
         lines.append(_row("  1 sigma, arcsec", sigma, ".4f"))
     if estimate.bias is not None:
         lines.append(f"{'bias, stated less true':26s}{', '.join(estimate.bias.texts())}")
-    lines += [f"{'one target in doubt':26s}{text}" for text in doubts(estimate.targets)]
     if not estimate.converged:
         lines.append("not converged: the last correction is not negligible; do not use this matrix")
     return lines
+
+
+def _doubt_lines(estimate: InstallationEstimate, said: Collection[str]) -> list[str]:
+    """Targets of which one is wrong, without those that a finding names already."""
+    return [f"{'one target in doubt':26s}{text}" for text in doubts(estimate.targets) if text not in said]
 
 
 def validation_summary(validation: Validation) -> str:

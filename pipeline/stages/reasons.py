@@ -32,4 +32,4 @@ def rejection_reason(rejected: Rejected) -> str:
 def doubts(targets: TargetResiduals) -> list[str]:
     """One sentence for each group of targets of which one is wrong, the likeliest first."""
     groups = (" or ".join(group) for group in targets.doubtful)
-    return [f"{group} is wrong; the data do not tell which: they have less weight" for group in groups]
+    return [f"{group} is wrong; the data do not tell which: they have less weight." for group in groups]
