@@ -36,7 +36,14 @@ from boresight.calib.gross_errors import (
     snoop,
     weigh,
 )
-from boresight.calib.heads import aligned, measured_alignment, unknown_heads, without_head
+from boresight.calib.heads import (
+    aligned,
+    carried,
+    largest_turn,
+    measured_alignment,
+    unknown_heads,
+    without_head,
+)
 from boresight.calib.information import InformationPairs, Solution
 from boresight.calib.interior.parameters import InteriorModel
 from boresight.calib.joint_solution import (
@@ -58,6 +65,8 @@ from boresight.geometry.sightings import ExposureAttitudes, StripSightings
 
 __all__ = ["calibrate", "strip_pairs"]
 
+NEGLIGIBLE_TURN_RAD = 1e-4  # of an alignment: its square is 0.002 arcsec
+MOST_ALIGNMENTS = 3  # from degrees off the second is below a microradian
 HEADS_PROBABILITY = 1e-3  # of looking for a head that contradicts where none does; the verdict decides
 
 
@@ -138,7 +147,9 @@ def _calibrated(
     settings: CalibrationSettings,
     interior: InteriorModel | None,
 ) -> InstallationEstimate | NotObservable:
-    """The estimate from strips in any order."""
+    """The estimate from strips in any order, about the alignments of heads that the attitudes measure or, of
+    heads that were never on together with another, that the targets show.
+    """
     strips = sorted(strips, key=lambda strip: strip.strip_id)
     ids = [strip.strip_id for strip in strips]
     if len(set(ids)) != len(ids):
@@ -146,7 +157,27 @@ def _calibrated(
         raise ValueError(f"two strips have the id {twice!r}")
     strips = with_attitudes(strips, settings.attitudes)
     strips = aligned(strips, {head: measured_alignment(strips, head) for head in unknown_heads(strips)})
-    prepared = [prepare_strip(strip, settings) for strip in strips]
+    found = _about(strips, R_cs0, settings, interior)
+    for _ in range(MOST_ALIGNMENTS):
+        if isinstance(found, NotObservable):
+            break
+        better = {head.name: found.R_cs.inv() * head.R_cs for head in found.heads}
+        if largest_turn(strips, better) < NEGLIGIBLE_TURN_RAD:
+            break
+        strips = aligned(strips, better)
+        found = _about(strips, R_cs0, settings, interior)
+    return found
+
+
+def _about(
+    strips: Sequence[StripSightings],
+    R_cs0: Rotation,
+    settings: CalibrationSettings,
+    interior: InteriorModel | None,
+) -> InstallationEstimate | NotObservable:
+    """The estimate about the alignments of heads that the strips assume."""
+    of_heads = [carried(strip) for strip in strips]
+    prepared = [prepare_strip(strip, settings) for strip in of_heads]
     problem = Problem.of(prepared, settings, interior)
     test = rejection_test(settings.probability_false_alarm, int(problem.inside.sum()))
     if not problem.groups:
@@ -157,11 +188,11 @@ def _calibrated(
             observable_c=none,
             theta_along=none[:, 0],
             sigma_along=none[:, 0],
-            rejected=rejected_observations(strips, prepared, test.limit),
+            rejected=rejected_observations(of_heads, prepared, test.limit),
         )
     fit = _solve(problem, R_cs0, test)
     residuals = _residuals(strips, prepared, problem, fit, test)
-    rejected = rejected_observations(strips, prepared, test.limit, residuals)
+    rejected = rejected_observations(of_heads, prepared, test.limit, residuals)
     R_cs = deviation_from_theta(fit.step.solution.theta) * fit.step.R_cs
     if len(fit.step.solution.unobservable):
         return _not_observable(fit.step.solution, theta_between(R_cs, R_cs0), rejected, settings)
@@ -176,7 +207,7 @@ def strip_pairs(
     """Normal equations of each strip about `R_cs`, no target rejected, and the prior information (G, G) of
     the unknowns that the strips share. `ValueError` where no strip has a target that exposures cover.
     """
-    problem = Problem.of([prepare_strip(strip, settings) for strip in strips], settings)
+    problem = Problem.of([prepare_strip(carried(strip), settings) for strip in strips], settings)
     if not problem.groups:
         raise ValueError(f"{len(strips)} strips, none with a target between usable star exposures")
     return linear_solution(problem, R_cs, problem.inside.astype(float), 1.0).pairs, problem.prior_shared

@@ -10,6 +10,10 @@ one to the other is
 
 with the errors phi_k of the reference head, which are unknowns of the strip, and the row's own error phi_l,
 whose covariance (white, correlated, constant) whitens these rows. They need no target.
+
+Where the reference head has no attitude around a strip (blinded by the Sun, say), another head carries the
+strip: its attitudes, turned to frame s by the assumed alignment, have the errors phi_k + alpha. The targets
+of such a strip, and the rows of further heads in it, see the alignment of the head that carries it.
 """
 
 from __future__ import annotations
@@ -33,8 +37,11 @@ from boresight.geometry.sightings import (
 __all__ = [
     "HeadTie",
     "aligned",
+    "alignment_columns",
+    "carried",
     "head_names",
     "interpolated",
+    "largest_turn",
     "measured_alignment",
     "tie_of_head",
     "unknown_heads",
@@ -153,6 +160,33 @@ def without_head(strip: StripSightings, head: str) -> StripSightings:
     )
 
 
+def carried(strip: StripSightings) -> StripSightings:
+    """The strip itself or, without exposures of the reference head, carried by the head whose attitudes span
+    most of its targets' instants; the first by name where several span as many.
+    """
+    if strip.exposures or not strip.others:
+        return strip
+
+    def spanned(other: HeadAttitudes) -> int:
+        t_s, inside = strip.ground.t_s, len(other.t_s) > 1
+        return int(np.sum((t_s >= other.t_s[0]) & (t_s <= other.t_s[-1]))) if inside else -1
+
+    by_name = sorted(strip.others, key=lambda one: one.head)
+    first = max(by_name, key=spanned)
+    rest = tuple(one for one in by_name if one is not first)
+    return replace(without_head(replace(strip, others=(first,)), ""), others=rest, carrier=first.head)
+
+
+def alignment_columns(tie: HeadTie, heads: Sequence[str], carrier: str) -> Floats:
+    """Change (M, 3 heads) of a head's rows by all alignments, in a strip that `carrier` carries."""
+    columns = np.zeros((len(tie.r), 3 * len(heads)))
+    for head, sign in ((tie.head, 1.0), (carrier, -1.0)):
+        if head:
+            first = 3 * heads.index(head)
+            columns[:, first : first + 3] = sign * tie.by_alpha
+    return columns
+
+
 def aligned(strips: Sequence[StripSightings], alignment: dict[str, Rotation]) -> list[StripSightings]:
     """The strips with these alignments R_sh of their heads."""
     return [
@@ -161,3 +195,10 @@ def aligned(strips: Sequence[StripSightings], alignment: dict[str, Rotation]) ->
         )
         for strip in strips
     ]
+
+
+def largest_turn(strips: Sequence[StripSightings], alignment: dict[str, Rotation]) -> float:
+    """The largest rotation, rad, by which `aligned` would change an alignment."""
+    others = [one for strip in strips for one in strip.others]
+    turns = [(alignment.get(one.head, one.R_sh) * one.R_sh.inv()).magnitude() for one in others]
+    return float(max(turns, default=0.0))

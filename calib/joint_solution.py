@@ -13,7 +13,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from boresight.calib.estimate import HeadAgreement, Iteration
-from boresight.calib.heads import HeadTie
+from boresight.calib.heads import alignment_columns
 from boresight.calib.information import InformationPairs, Solution, solve_total
 from boresight.calib.interior.parameters import InteriorModel
 from boresight.calib.settings import CalibrationSettings
@@ -58,7 +58,8 @@ class Problem:
         without groups where no target is covered.
         """
         carrying = [strip for strip in prepared if strip.inside.any()]
-        heads = tuple(sorted({tie.head for strip in carrying for tie in strip.ties}))
+        tied = {tie.head for strip in carrying for tie in strip.ties}
+        heads = tuple(sorted(tied | {strip.carrier for strip in carrying if strip.carrier}))
         shared = find_shared([strip.seen() for strip in carrying], settings, heads, interior)
         groups = group_strips(prepared, shared, settings)
         members = [prepared[n] for group in groups for n in group.place]
@@ -77,16 +78,20 @@ class Problem:
             inside=np.concatenate([np.zeros(0, dtype=bool), *(group.inside.ravel() for group in groups)]),
             rank=rank,
             settings=settings,
-            agreement=_agreement(carrying, heads),
+            agreement=_agreement(carrying, heads, len(tied)),
         )
 
 
-def _agreement(strips: Sequence[PreparedStrip], heads: tuple[str, ...]) -> HeadAgreement:
-    """The heads' own weighted sum of squares, all attitude errors and one alignment a head estimated."""
-    n, tied = 3 * len(heads), [strip for strip in strips if any(len(tie.r) for tie in strip.ties)]
-    parts = np.zeros((len(tied), n + 1, n + 1))
+def _agreement(strips: Sequence[PreparedStrip], heads: tuple[str, ...], n_tied: int) -> HeadAgreement:
+    """The heads' own weighted sum of squares, all attitude errors and one alignment a head estimated;
+    `n_tied` heads are compared with others.
+    """
+    n, tied = 3 * n_tied, [strip for strip in strips if any(len(tie.r) for tie in strip.ties)]
+    parts = np.zeros((len(tied), 3 * len(heads) + 1, 3 * len(heads) + 1))
     for s, strip in enumerate(tied):
-        Y = np.concatenate([_by_alignment(tie, heads) for tie in strip.ties])
+        columns = [alignment_columns(tie, heads, strip.carrier) for tie in strip.ties]
+        residual = np.concatenate([tie.r for tie in strip.ties])
+        Y = np.column_stack([np.concatenate(columns), residual])
         by_phi = np.concatenate([tie.by_phi for tie in strip.ties])
         G = by_phi.T @ Y
         parts[s] = Y.T @ Y - G.T @ np.linalg.solve(np.eye(len(G)) + by_phi.T @ by_phi, G)
@@ -105,14 +110,6 @@ def _left_by_alignments(N: Floats) -> float:
     """The sum of squares that the best alignments leave; `N` (3 heads + 1, the same), the residual last."""
     prior = np.eye(len(N) - 1) / SIGMA_ALIGNMENT_RAD**2
     return float(N[-1, -1] - N[:-1, -1] @ np.linalg.solve(N[:-1, :-1] + prior, N[:-1, -1]))
-
-
-def _by_alignment(tie: HeadTie, heads: tuple[str, ...]) -> Floats:
-    """Rows (h, 3 heads + 1) of a head: change by each alignment, and the residual."""
-    rows = np.zeros((len(tie.r), 3 * len(heads) + 1))
-    first = 3 * heads.index(tie.head)
-    rows[:, first : first + 3], rows[:, -1] = tie.by_alpha, tie.r
-    return rows
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -23,7 +23,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from boresight.calib.distortion import Knot, correlation, knot_weights, knots_touched
-from boresight.calib.heads import HeadTie, interpolated, tie_of_head
+from boresight.calib.heads import HeadTie, alignment_columns, interpolated, tie_of_head
 from boresight.calib.orbit_bias import BIASES, bias_columns
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.shared_unknowns import (
@@ -65,6 +65,7 @@ class PreparedStrip:
     late_s: Floats = array("J, 3", "change of v_s by the true instant of the row, rad/s")
     ties: tuple[HeadTie, ...] = scalar("rows of the other heads")
     is_star: Bools = array("J", "targets that are stars")
+    carrier: str = scalar("head that carries the strip; empty: the reference head")
 
     def seen(self) -> SeenTargets:
         """The strip's targets, as far as other strips may share unknowns with them."""
@@ -156,6 +157,7 @@ def prepare_strip(strip: StripSightings, settings: CalibrationSettings) -> Prepa
         late_s=late[:, :, 0],
         ties=ties,
         is_star=ground.is_star,
+        carrier=strip.carrier,
     )
 
 
@@ -296,19 +298,23 @@ def _group(
 
 def _rows_of_ties(strip: PreparedStrip, shared: SharedUnknowns, n_phi: int) -> Floats:
     """Rows (h, n_phi + 3 heads + 1) of the other heads in a strip."""
-    rows = [np.zeros((0, n_phi + 3 * len(shared.heads) + 1))]
-    for tie in strip.ties:
-        row = np.zeros((len(tie.r), rows[0].shape[1]))
-        first = n_phi + 3 * shared.heads.index(tie.head)
-        row[:, :n_phi], row[:, first : first + 3], row[:, -1] = tie.by_phi, tie.by_alpha, tie.r
-        rows.append(row)
-    return np.concatenate(rows)
+    none = np.zeros((0, n_phi + 3 * len(shared.heads) + 1))
+    rows = [
+        np.column_stack([tie.by_phi, alignment_columns(tie, shared.heads, strip.carrier), tie.r])
+        for tie in strip.ties
+    ]
+    return np.concatenate([none, *rows])
 
 
 def _after_knots(strip: PreparedStrip, coordinates: Floats, shared: SharedUnknowns) -> Floats:
-    """Columns (J, 3, T) of shared coordinates and biases, and zeros for alignments, which no target sees."""
+    """Columns (J, 3, T) of shared coordinates, biases and alignments: of these targets see only the one of
+    the head that carries the strip, as an error of all its attitudes.
+    """
     biases = strip.bias_s[:, :, [BIASES.index(name) for name in shared.biases]]
     alignments = np.zeros((len(coordinates), 3, 3 * len(shared.heads)))
+    if strip.carrier:
+        first = 3 * shared.heads.index(strip.carrier)
+        alignments[:, :, first : first + 3] = -cross_matrices(strip.v_s)
     return np.concatenate([coordinates, biases, alignments], axis=2)
 
 

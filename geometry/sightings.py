@@ -145,6 +145,10 @@ class StripSightings:
     noise: AttitudeNoise = scalar("errors of the attitudes beside their covariances", default=NO_NOISE)
     others: tuple[HeadAttitudes, ...] = scalar("attitudes of the other heads", default=())
     interpolation: Interpolation = scalar("between the attitudes", default="lagrange")
+    carrier: str = scalar(
+        "head that measured the exposures' attitudes, turned to frame s; empty: the reference head",
+        default="",
+    )
 
     def __post_init__(self) -> None:
         times = [exposure.t_s for exposure in self.exposures]

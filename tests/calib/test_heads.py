@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -73,6 +75,37 @@ def test_covariance_of_all_heads_holds_with_coloured_noise(heads: int) -> None:
     assert low < nees < high
     if heads == 2:  # differences of the heads by themselves: 0.1 % two-sided
         assert chi2(df=dof).ppf(0.0005) < agreement < chi2(df=dof).ppf(0.9995)
+
+
+def blinded(
+    strips: list[StripSightings], strip_ids: set[str], drop: set[str] = frozenset()
+) -> list[StripSightings]:
+    """The strips, those of `strip_ids` without the reference head; heads of `drop` in them alone."""
+    none = strips[0].attitudes.take(np.zeros(0, dtype=np.int64))
+    return [
+        replace(strip, exposures=(), R_oi_exposures=Rotation.identity(0), attitudes=none)
+        if strip.strip_id in strip_ids
+        else replace(strip, others=tuple(one for one in strip.others if one.head not in drop))
+        for strip in strips
+    ]
+
+
+@pytest.mark.parametrize("compared", [True, False])
+def test_another_head_carries_strips_in_which_the_reference_head_is_blind(compared: bool) -> None:
+    nees, gain = 0.0, []
+    for seed in range(RUNS):
+        strips = flown(seed, 2)
+        ids = [strip.strip_id for strip in strips]
+        estimate = estimated(blinded(strips, set(ids[1::2]), set() if compared else {"B"}))
+        assert [one.name for one in estimate.heads] == ["", "B"] and estimate.n_strips == len(ids)
+        error = np.concatenate([theta_between(one.R_cs, R) for one, R in zip(estimate.heads, (R_A, R_B))])
+        nees += error @ np.linalg.solve(estimate.cov_heads, error)
+        gain.append(estimate.sigma_theta / estimated(strips[::2]).sigma_theta)
+    low, high = chi2(df=6 * RUNS).ppf([0.0005, 0.9995])
+    assert low < nees < high
+    if compared:  # A's own errors, which make X and Y here, average over its own strips only
+        x, y, z = np.mean(gain, axis=0)
+        assert x < 1.0 and y < 1.0 and z < 0.85  # Z is the targets': 0.71 if A had no errors
 
 
 def test_white_noise_alone_states_too_small_an_error() -> None:
