@@ -11,7 +11,7 @@ id, so the result is the same bit for bit.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -30,7 +30,7 @@ from boresight.pipeline.files.dump import Dump, surface_of
 from boresight.pipeline.files.ground_points import NO_POINTS
 from boresight.pipeline.settings import Settings, calibration_settings, effects_of
 from boresight.pipeline.stages.cached import Progress, StageRunner
-from boresight.pipeline.stages.coverage import attitudes_around, span_s
+from boresight.pipeline.stages.coverage import carriers, span_s
 from boresight.pipeline.stages.first_matching import match_first, match_strips
 from boresight.pipeline.stages.head import HeadSightings, sight_head
 from boresight.pipeline.stages.missing import what_is_missing
@@ -131,10 +131,12 @@ def calibrate_dump(
     sky = find_in_sky_strips(dump, heads[0], settings, runner)
     surface_of(dump.terrain)  # of several dumps the last one's is in memory: processes forked here share this
     R_cs, sigma = dump.R_cs0, dump.sigma_installation_rad
+    mountings = _stated(heads)
     computed = [*sky.computed, *(flag for head in heads for flag in head.computed)]
     for number in range(1, settings.run.passes + 1):
-        last = _one_pass(number, dump, heads, sky, (R_cs, sigma), settings, error_model, runner)
+        last = _one_pass(number, dump, heads, sky, (R_cs, sigma), mountings, settings, error_model, runner)
         R_cs, sigma = last.estimate.R_cs, _rematch_sigma(last.estimate, settings)
+        mountings |= {one.name: one.R_cs for one in last.estimate.with_reference(heads[0].head.name).heads}
         computed += last.computed
     found = last.estimate.with_reference(heads[0].head.name)
     return Calibration(
@@ -175,12 +177,13 @@ def _one_pass(
     heads: Sequence[HeadSightings],
     sky: SkySide,
     start: tuple[Rotation, Array],
+    mountings: Mapping[str, Rotation],
     settings: Settings,
     error_model: CalibrationSettings,
     runner: StageRunner,
 ) -> _Pass:
-    """Pass `number`, from 1, from the matrix `start` and its 1-sigma (3,). `DataNotSufficientError` where
-    the data do not determine all three angles.
+    """Pass `number`, from 1, from the matrix `start` and its 1-sigma (3,), and from those of all heads.
+    `DataNotSufficientError` where the data do not determine all three angles.
     """
 
     def start_from(task: StripTask, matched: MatchedTargets) -> tuple[Rotation, Array] | None:
@@ -190,7 +193,7 @@ def _one_pass(
             return None
         return alone.R_cs, _rematch_sigma(alone, settings)
 
-    tasks, uncovered = _strip_tasks(dump, heads[0], *start, settings)
+    tasks, uncovered = _strip_tasks(dump, heads, *start, mountings, settings)
     if number == 1:
         tasks, matched, flags = match_first(tasks, start_from, runner, settings.run.search_all_px)
     else:
@@ -241,12 +244,11 @@ def strips_to_match(
     dump: Dump, settings: Settings, executor: Executor | None = None
 ) -> tuple[list[StripTask], list[Omission]]:
     """Tasks of a dump's strips with the pre-launch installation matrix, and what cannot be used."""
-    error_model = calibration_settings(settings, dump.errors, dump.line_camera)
-    runner = StageRunner(None, executor or InOrder())
-    reference = sight_head(dump, dump.heads[0], settings, error_model.attitudes, runner)
-    sigma = dump.sigma_installation_rad
-    tasks, uncovered = _strip_tasks(dump, reference, dump.R_cs0, sigma, settings)
-    return tasks, [*dump.omissions, *reference.omissions, *uncovered]
+    heads = _sighted(dump, settings, executor)
+    tasks, uncovered = _strip_tasks(
+        dump, heads, dump.R_cs0, dump.sigma_installation_rad, _stated(heads), settings
+    )
+    return tasks, [*dump.omissions, *(one for head in heads for one in head.omissions), *uncovered]
 
 
 def strips_with_stars(
@@ -258,33 +260,48 @@ def strips_with_stars(
     """The strips of a dump with its star exposures and the image points that `shown` states for each, with
     the pre-launch installation matrix; without strips that show nothing.
     """
+    heads = _sighted(dump, settings, executor)
+    tasks, _ = _strip_tasks(dump, heads, dump.R_cs0, dump.sigma_installation_rad, _stated(heads), settings)
+    parts = [shown(task) for task in tasks]
+    return _strips([task for task, _ in parts], [matched for _, matched in parts], heads)
+
+
+def _sighted(dump: Dump, settings: Settings, executor: Executor | None) -> list[HeadSightings]:
+    """The heads of a dump with their attitudes, nothing of them kept."""
     error_model = calibration_settings(settings, dump.errors, dump.line_camera)
     runner = StageRunner(None, executor or InOrder())
-    reference = sight_head(dump, dump.heads[0], settings, error_model.attitudes, runner)
-    sigma = dump.sigma_installation_rad
-    tasks, _ = _strip_tasks(dump, reference, dump.R_cs0, sigma, settings)
-    parts = [shown(task) for task in tasks]
-    return _strips([task for task, _ in parts], [matched for _, matched in parts], [reference])
+    return [sight_head(dump, head, settings, error_model.attitudes, runner) for head in dump.heads]
+
+
+def _stated(heads: Sequence[HeadSightings]) -> dict[str, Rotation]:
+    """The matrices of the heads before launch, by name."""
+    return {one.head.name: one.head.R_cs0 for one in heads}
 
 
 def _strip_tasks(
     dump: Dump,
-    reference: HeadSightings,
+    heads: Sequence[HeadSightings],
     R_cs: Rotation,
     sigma_rad: Array,
+    mountings: Mapping[str, Rotation],
     settings: Settings,
 ) -> tuple[list[StripTask], list[Omission]]:
-    """A task for each strip that orbit and star exposures cover, and an omission for each other one."""
+    """A task for each strip that orbit and star exposures cover, and an omission for each other one.
+
+    Where another head carries the strip, its attitudes are turned to frame s by the matrices `mountings`.
+    """
     tasks, omitted = [], []
-    attitudes = reference.attitudes
     points = {one.strip_id: one for one in dump.points}
-    run = settings.run
-    for strip in dump.strips:
-        near = attitudes_around(dump, strip, reference, run.exposure_margin_s)
-        if isinstance(near, Omission):
-            omitted.append(near)
+    run, reference = settings.run, heads[0]
+    for strip, carrier in zip(dump.strips, carriers(dump, dump.strips, heads, run.exposure_margin_s)):
+        if isinstance(carrier, Omission):
+            omitted.append(carrier)
             continue
-        times = np.array([reference.stars[k].t_s for k in near])
+        head, near = carrier
+        R_si = Rotation.from_matrix(head.attitudes.R_si[near])
+        if head is not reference:
+            R_si = mountings[reference.head.name].inv() * mountings[head.head.name] * R_si
+        times = np.array([head.stars[k].t_s for k in near])
         first, last = span_s(dump, strip)
         margin = run.exposure_margin_s
         task = StripTask(
@@ -292,7 +309,7 @@ def _strip_tasks(
             camera=dump.line_camera,
             orbit=orbit_around(dump.orbit, first - margin, last + margin),
             t_attitude_s=times,
-            R_si=Rotation.from_matrix(attitudes.R_si[near]),
+            R_si=R_si,
             R_cs=R_cs,
             sigma_installation_rad=np.asarray(sigma_rad, dtype=float),
             effects=effects_of(run, dump.light),
@@ -301,7 +318,8 @@ def _strip_tasks(
             terrain=dump.terrain,
             settings=settings.match,
             points=points.get(strip.strip_id, NO_POINTS),
-            interpolation=reference.head.interpolation,
+            interpolation=head.head.interpolation,
+            carrier=head.head.name,
         )
         targets, chips = targets_near(task, dump.targets, dump.chips)
         tasks.append(replace(task, targets=targets, chips=chips))
@@ -316,7 +334,12 @@ def _strips(
     """Strips with at least one matched target, with the exposures around them and their attitudes."""
     return [
         strip_sightings(
-            task.strip.strip_id, ground_sightings(of_strip, task), task.t_attitude_s, task.orbit, heads
+            task.strip.strip_id,
+            ground_sightings(of_strip, task),
+            task.t_attitude_s,
+            task.orbit,
+            heads,
+            task.carrier,
         )
         for task, of_strip in zip(tasks, matched)
         if len(of_strip.target_id)

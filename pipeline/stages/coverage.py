@@ -2,28 +2,46 @@
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
+from collections.abc import Sequence
 
+import numpy as np
+
+from boresight.geometry.record import Floats, Ints
 from boresight.pipeline.errors import Cause, Omission
 from boresight.pipeline.files.dump import Dump, Strip
 from boresight.pipeline.files.star_side import SolvedAttitudes
 from boresight.pipeline.stages.head import HeadSightings
 from boresight.pipeline.stages.strip import covers
 
-__all__ = ["attitudes_around", "span_s"]
-
-Array = NDArray[np.float64]
+__all__ = ["attitudes_around", "carriers", "span_s"]
 
 
-def attitudes_around(
-    dump: Dump, strip: Strip, reference: HeadSightings, margin_s: float
-) -> NDArray[np.int64] | Omission:
-    """Rows (K,) of the reference head's usable exposures around a strip, or why it is not covered."""
+def carriers(
+    dump: Dump, strips: Sequence[Strip], heads: Sequence[HeadSightings], margin_s: float
+) -> list[tuple[HeadSightings, Ints] | Omission]:
+    """For each strip the first head that covers it and the rows (K,) of its exposures, or why the reference
+    head, the first of `heads`, does not. Others carry only where it covers one strip at least: without that
+    nothing ties its matrix to theirs.
+    """
+    found: list[tuple[HeadSightings, Ints] | Omission] = []
+    by_reference = [attitudes_around(dump, strip, heads[0], margin_s) for strip in strips]
+    able = heads if any(not isinstance(rows, Omission) for rows in by_reference) else heads[:1]
+    for strip, own in zip(strips, by_reference):
+        if not isinstance(own, Omission):
+            found.append((heads[0], own))
+            continue
+        others = [(one, attitudes_around(dump, strip, one, margin_s)) for one in able[1:]]
+        covering = ((one, rows) for one, rows in others if not isinstance(rows, Omission))
+        found.append(next(covering, own))
+    return found
+
+
+def attitudes_around(dump: Dump, strip: Strip, head: HeadSightings, margin_s: float) -> Ints | Omission:
+    """Rows (K,) of a head's usable exposures around a strip, or why it is not covered."""
     first, last = span_s(dump, strip)
-    times = np.array([s.t_s for s in reference.stars])
+    times = np.array([s.t_s for s in head.stars])
     begin, end = first - margin_s, last + margin_s
-    near = np.flatnonzero(reference.attitudes.usable & (times >= begin) & (times <= end))
+    near = np.flatnonzero(head.attitudes.usable & (times >= begin) & (times <= end))
     if not covers(dump, strip):
         reason = "the orbit has no states for all of its rows"
     else:
@@ -39,7 +57,7 @@ def span_s(dump: Dump, strip: Strip) -> tuple[float, float]:
     return first, first + (strip.lines - 1) * strip.row_period_s
 
 
-def _not_covered(times: Array, first: float, last: float) -> str:
+def _not_covered(times: Floats, first: float, last: float) -> str:
     if len(times) < 2:
         return f"{len(times)} usable star exposures around it, 2 are needed; raise run.exposure_margin_s?"
     early = times[0] - 0.5 * (times[1] - times[0]) - first

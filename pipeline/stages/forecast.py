@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from boresight.calib.calibration import strip_pairs
 from boresight.calib.forecast import Forecast, forecast_from_strips
+from boresight.calib.heads import carried
 from boresight.calib.settings import CalibrationSettings
 from boresight.geometry.line_camera import LineSensor
 from boresight.geometry.record import Floats, array, record, scalar
@@ -107,6 +108,7 @@ def improvements(
         If no strip has a target between usable star exposures.
     """
     model, n = replace(settings, robust=False), len(strips)
+    strips = [carried(strip) for strip in strips]
     now = forecast_from_strips(strips, R_cs, model)
     before = now.sigma(n)
 

@@ -73,6 +73,7 @@ class StripTask:
     settings: MatchSettings = scalar("limits of the matching")
     interpolation: Interpolation = scalar("between the attitudes", default="lagrange")
     points: StripPoints = scalar("ground points measured in it by others", default=NO_POINTS)
+    carrier: str = scalar("head whose attitudes these are; empty: the reference head", default="")
 
     @property
     def item(self) -> Omission:

@@ -23,21 +23,25 @@ def strip_sightings(
     t_attitude_s: Array,
     nominal: NominalMotion,
     heads: Sequence[HeadSightings],
+    carrier: str = "",
 ) -> StripSightings:
-    """One strip with the exposures (K,) of the reference head, the first of `heads`, around it."""
+    """One strip with the exposures (K,) of the reference head, the first of `heads`, around it; without any
+    where another head, `carrier`, covers the strip.
+    """
     reference = heads[0]
     by_time = {s.t_s: k for k, s in enumerate(reference.stars)}
-    rows = np.array([by_time[t] for t in t_attitude_s.tolist()])
+    own = carrier in ("", reference.head.name)
+    rows = np.array([by_time[t] for t in t_attitude_s.tolist()] if own else [], dtype=np.int64)
     return StripSightings(
         strip_id=strip_id,
         exposures=tuple(reference.stars[k] for k in rows),
         ground=sightings,
-        R_oi_exposures=nominal.R_oi(t_attitude_s),
+        R_oi_exposures=nominal.R_oi(t_attitude_s) if own else Rotation.identity(0),
         R_oi_targets=nominal.R_oi(sightings.t_s),
         attitudes=reference.attitudes.take(rows),
         noise=reference.head.noise,
         others=tuple(_around(other, reference, t_attitude_s, nominal) for other in heads[1:]),
-        interpolation=reference.head.interpolation,
+        interpolation=next((h for h in heads if h.head.name == carrier), reference).head.interpolation,
     )
 
 

@@ -52,7 +52,7 @@ def truth(dump: Dump) -> tuple[Pushbroom, tuple[Rotation, Rotation]]:
     return model, matrices
 
 
-def points(dump: Dump, model: Pushbroom, lines: np.ndarray, first: int) -> str:
+def points(dump: Dump, model: Pushbroom, lines: np.ndarray, first: int, strip_id: str = "B04") -> str:
     """Noiseless points over both detectors, in the strip that begins with line `first`."""
     rows = []
     for ccd in (0, 1):
@@ -63,7 +63,7 @@ def points(dump: Dump, model: Pushbroom, lines: np.ndarray, first: int) -> str:
         for n, (s, r, *place) in enumerate(zip(sample, line, np.degrees(lat), np.degrees(lon), height)):
             lat_deg, lon_deg, height_m = map(float, place)
             rows.append(
-                f"p{ccd}.{lines[0]:.0f}.{n},B04,{ccd},{float(s)!r},{float(r) - first!r},0.05,0.05,"
+                f"p{ccd}.{lines[0]:.0f}.{n},{strip_id},{ccd},{float(s)!r},{float(r) - first!r},0.05,0.05,"
                 f"{lat_deg!r},{lon_deg!r},{height_m!r},ellipsoidal,0.1,0.1,0.1\n"
             )
     return HEADER + "".join(rows)
@@ -105,6 +105,45 @@ def test_strip_that_only_the_second_tracker_covers_says_how_it_can_be_used(found
     (tmp_path / "dump" / "STR1.csv").write_text("".join([rows[0], *rows[-40:]]))  # the end of the record
     with pytest.raises(DataNotSufficientError, match=r"STR2 covers them: first in \[\[star_cameras\]\]"):
         calibrate_dump(open_dump(tmp_path / "dump"))
+
+
+@pytest.fixture(scope="module")
+def blinded(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Dump, tuple[Rotation, Rotation]]:
+    """A result of two strips, the first tracker with attitudes around the first strip alone; the dump and the
+    true matrices.
+    """
+    root = tmp_path_factory.mktemp("blinded")
+    mission = sentinel2_mission(read_sentinel2(write_sentinel2(root), root, "B04"), "test")
+    write_imported(root / "plain", mission)
+    (root / "plain" / "points.csv").write_text(HEADER + "a,B04,1,3,100,1,1,10,20,50,ellipsoidal,1,1,1\n")
+    plain = open_dump(root / "plain")
+    model, matrices = truth(plain)
+    half = plain.strips[0].lines // 4
+    begin = {"early": 0, "late": 2 * half}
+    strips = tuple(
+        replace(one, strip_id=name, t_first_row_s=one.t_first_row_s + n * one.row_period_s, lines=half)
+        for name, n in begin.items()
+        for one in mission.strips
+    )
+    lines = np.linspace(50.0, half - 50.0, 5)
+    rows = [points(plain, model, n + lines, n, name).removeprefix(HEADER) for name, n in begin.items()]
+    write_imported(root / "dump", replace(mission, strips=strips), HEADER + "".join(rows))
+    csv = root / "dump" / "STR1.csv"
+    head, *attitudes = csv.read_text().splitlines(keepends=True)
+    csv.write_text("".join([head, *attitudes[: len(attitudes) // 2]]))
+    outcome = CliRunner().invoke(app, ["calibrate", str(root / "dump"), "--out", str(root / "result")])
+    assert outcome.exit_code == 0, outcome.output
+    return root / "result", open_dump(root / "dump"), matrices
+
+
+def test_strip_that_only_the_second_tracker_covers_is_carried_by_it(blinded):
+    result, dump, matrices = blinded
+    installation = json.loads((result / "installation.json").read_text())
+    assert installation["targets"] == 80  # 40 in each strip
+    for n, (one, R_cs) in enumerate(zip(installation["heads"], matrices)):
+        off = (Rotation.from_matrix(one["R_cs"]) * R_cs.inv()).as_rotvec() / ARCSEC
+        assert np.all(np.abs(off) < 0.1 * sigma(installation, n)), (one["name"], off)
+    assert not [one for one in calibrate_dump(dump).omissions if one.kind == "strip"]
 
 
 def sigma(installation: dict, head: int) -> np.ndarray:
