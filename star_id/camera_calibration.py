@@ -113,6 +113,11 @@ class CameraCalibration:
         square = 0.5 * (maps.reshape(len(drawn), -1, 2) ** 2).sum(axis=2) + self.unmodelled_px**2
         return float(np.quantile(np.sqrt((square / sigma**2).max(axis=1)), probability))
 
+    def map_error_px(self, xy_px: Floats) -> Floats:
+        """Error (N,) at pixels (N, 2), px along one axis, that the pixel map exceeds nowhere on the detector
+        with 95 %, apart from a rotation: `band_factor` times `model_sigma_px`."""
+        return self.band_factor() * self.model_sigma_px(xy_px)
+
     def _visible(self, xy_px: Floats) -> Floats:
         degree = 0 if self.camera.smooth is None else self.camera.smooth.degree
         return visible_derivatives(self.camera, xy_px, self.parameters, degree)

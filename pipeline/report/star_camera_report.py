@@ -28,6 +28,7 @@ from boresight.star_id.camera_calibration import (
     calibrate_camera,
     residual_map,
 )
+from boresight.star_id.camera_fit import detector_grid
 from boresight.star_id.field import nominal_camera, solve_stars
 from boresight.star_id.finding.star_list import find_stars
 from boresight.star_id.identification.identify import NotIdentified
@@ -158,8 +159,7 @@ def _first_camera(
 def _lines(result: CameraCalibration, span_s: float) -> list[str]:
     """The result as text; `span_s` is the time from the first image to the last."""
     camera, sigma = result.camera, np.sqrt(np.diag(result.covariance))
-    corner = np.array([[0.0, 0.0], [0.5 * camera.width_px, 0.5 * camera.height_px]])
-    model, anywhere = result.model_sigma_px(corner), result.band_factor()
+    anywhere, sigmas = _map_error(result), result.band_factor()
     lines = [
         f"{len(result.frame)} stars in {len(result.frames_used)} images, {result.outliers} rejected"
         f"   rms {result.rms_px:.4f} px   chi2/dof {result.chi2 / max(result.dof, 1):.2f}",
@@ -173,8 +173,10 @@ def _lines(result: CameraCalibration, span_s: float) -> list[str]:
             if k > 2
         ),
         *_foreign(result),
-        f"error of the model  {model[1]:.4f} px in the middle, {model[0]:.4f} px in a corner (1 sigma)",
-        f"  with 95 % it is nowhere on the detector above {anywhere:.1f} sigma",
+        f"error of the map, everywhere with 95 %  {anywhere['middle']:.4f} px in the middle,"
+        f" {anywhere['corner']:.4f} px in a corner, {anywhere['largest']:.4f} px at most",
+        f"  1 sigma at a single place: {anywhere['middle'] / sigmas:.4f} px in the middle,"
+        f" {anywhere['corner'] / sigmas:.4f} px in a corner; {sigmas:.1f} of these hold everywhere",
     ]
     if result.focal_drift_sigma_per_s > 0.0:
         drift, error = (
@@ -183,6 +185,15 @@ def _lines(result: CameraCalibration, span_s: float) -> list[str]:
         span = f"{span_s:.0f} s" if span_s < 86_400.0 else f"{span_s / 86_400.0:.1f} days"
         lines.append(f"drift of the focal length  {drift:+.2f} +- {error:.2f} ppm in {span}")
     return lines + [f"{frame} not used: {reason}" for frame, reason in result.frames_refused]
+
+
+def _map_error(result: CameraCalibration) -> dict[str, float]:
+    """What the error of the pixel map exceeds nowhere on the detector, with 95 %, px along one axis: in the
+    middle, in a corner, and the largest."""
+    width, height = result.camera.width_px, result.camera.height_px
+    places = np.array([[0.5 * (width - 1), 0.5 * (height - 1)], [0.0, 0.0]])
+    error = result.map_error_px(np.vstack([places, detector_grid(result.camera)]))
+    return {"middle": float(error[0]), "corner": float(error[1]), "largest": float(error.max())}
 
 
 def _foreign(result: CameraCalibration) -> list[str]:
@@ -227,6 +238,7 @@ def _report(result: CameraCalibration, cells: ResidualMap) -> dict[str, Any]:
         "smooth_px": None if smooth is None else smooth.coefficients_px.tolist(),
         "unmodelled_px": result.unmodelled_px,
         "sigmas_anywhere_95": result.band_factor(),
+        "error_anywhere_95_px": _map_error(result),
         "focal_drift_per_s": result.focal_drift_per_s,
         "focal_drift_sigma_per_s": result.focal_drift_sigma_per_s,
         "chi2": result.chi2,

@@ -52,6 +52,7 @@ def test_a_foreign_lens_is_as_wrong_as_stated(name):
     assert 0.1 < (ratio**2).mean() < 2.5
     assert ratio.max() < found.band_factor(0.99)
     assert 2.3 < found.band_factor() < 3.0  # 1.7 if the errors were all one, 3 if eight
+    assert (np.sqrt(0.5 * (error**2).sum(axis=1)) < 1.5 * found.map_error_px(xy)).all()  # 4 sigma
     assert found.explained
 
 
