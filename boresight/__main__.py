@@ -5,6 +5,8 @@ import sys
 
 __all__ = ["main"]
 
+FEW_COLLECTIONS = 300_000  # what modules make stays: looking for garbage among it takes 4 % of a command
+
 
 def main() -> None:
     """Run the command line; `--version` alone is answered without importing it."""
@@ -13,10 +15,16 @@ def main() -> None:
 
         print(version_text())
         return
-    gc.set_threshold(100_000)  # what modules make stays: looking for garbage among it takes 4 % of a command
+    from boresight.deferred import defer
+
+    defer("numpy.f2py", "boto3")  # SciPy and rasterio import them: 0.1 s each
+    gc.set_threshold(FEW_COLLECTIONS)
     from boresight.pipeline.cli import main as command_line
 
-    command_line()
+    try:
+        command_line()
+    finally:
+        gc.freeze()  # what is left ends with the process
 
 
 if __name__ == "__main__":

@@ -10,6 +10,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -222,8 +223,14 @@ def _map_of(image: Any, file: str) -> str:
     """WKT of an image's CRS, which must convert from latitude and longitude."""
     try:
         wkt = str(image.crs.to_wkt())
-        Transformer.from_crs(CRS.from_epsg(4326), CRS.from_user_input(wkt), always_xy=True)
+        _check_map(wkt)
     except (RasterioError, ProjError) as error:
         expected = "one to which latitude and longitude can be converted"
         raise RawDataError(file, "coordinate reference system", str(error), expected) from error
     return wkt
+
+
+@lru_cache(maxsize=64)
+def _check_map(wkt: str) -> None:
+    """`ProjError` for a CRS to which latitude and longitude cannot be converted."""
+    Transformer.from_crs(CRS.from_epsg(4326), CRS.from_user_input(wkt), always_xy=True)

@@ -338,25 +338,23 @@ def _picture(
     return {"scene": scene, "strip_id": strip_id, "box_m": list(box_m), "jpeg": encoded.tobytes()}
 
 
-def _grid(
-    scene: Scene, box_m: Sequence[float], nodes: int | None = None
-) -> tuple[Floats, Floats, tuple[int, int]]:
-    """Latitudes and longitudes (rad) of a grid over a box, north up, and the picture's (rows, columns)."""
+def _lattice(scene: Scene, box_m: Sequence[float]) -> tuple[Floats, Floats, tuple[int, int]]:
+    """Latitudes and longitudes (rad) of `NODES`² nodes that span a box, north up, and the picture's (rows,
+    columns).
+    """
     west, south, east, north = box_m
     scale = MOST_SIDE_PX / max(east - west, north - south)
     size = max(2, round((north - south) * scale)), max(2, round((east - west) * scale))
-    rows, columns = (nodes, nodes) if nodes else size
-    half = 0.0 if nodes else 0.5
-    x = west + (east - west) * (np.arange(columns) + half) / (columns - 1 + 2 * half)
-    y = north - (north - south) * (np.arange(rows) + half) / (rows - 1 + 2 * half)
-    east_m, north_m = np.meshgrid(x, y)
+    east_m, north_m = np.meshgrid(np.linspace(west, east, NODES), np.linspace(north, south, NODES))
     lon, lat = scene.plane().transform(east_m, north_m, direction="INVERSE")
     return np.radians(lat), np.radians(lon), size
 
 
 def _shaded(scene: Scene, surface: Surface) -> NDArray[np.uint8]:
     """Hill shading of the terrain."""
-    lat, lon, (rows, columns) = _grid(scene, scene.box_m)
+    lat, lon, (rows, columns) = _lattice(scene, scene.box_m)
+    down_nodes, along_nodes = _weights(rows), _weights(columns)
+    lat, lon = (down_nodes @ angle @ along_nodes.T for angle in (lat, lon))
     height = np.nan_to_num(surface.height_m(lat, lon), nan=0.0)
     west, south, east, north = scene.box_m
     down, right = np.gradient(RELIEF * height, (north - south) / rows, (east - west) / columns)
@@ -369,7 +367,7 @@ def _quicklook(
     scene: Scene, one: StripOnGround, box_m: Sequence[float], surface: Surface
 ) -> NDArray[np.uint8]:
     """The strip resampled to the map; black where no CCD looked or its image cannot be read."""
-    lat, lon, (rows, columns) = _grid(scene, box_m, NODES)
+    lat, lon, (rows, columns) = _lattice(scene, box_m)
     height = np.nan_to_num(surface.height_m(lat, lon), nan=0.0)
     p_e = ecef_from_geodetic(lat.ravel(), lon.ravel(), height.ravel(), WGS84)
     picture = np.full((rows, columns), np.nan, dtype=np.float32)
@@ -412,6 +410,12 @@ def _overview(images: StripFiles, ccd: int, settings: MatchSettings) -> tuple[Im
         return coarse.image.astype(np.float32), factor, factor
     bands, pitch = found
     return means_of_usable(bands, factor, settings).astype(np.float32), factor, pitch
+
+
+def _weights(pixels: int) -> Floats:
+    """Weights (pixels, NODES) of the nodes at the pixels of a side, for linear interpolation."""
+    places = (np.arange(pixels) + 0.5) / pixels * (NODES - 1)
+    return np.maximum(0.0, 1.0 - np.abs(places[:, None] - np.arange(NODES)))
 
 
 def _lattice_map(rows: int, columns: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
