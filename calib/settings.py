@@ -28,6 +28,9 @@ class CalibrationSettings:
     distortion_length_px: float = (
         2000.0  # along a CCD: a residual left by a calibration with a few knots a CCD
     )
+    distortion_pixel_rad: float = (
+        0.0  # of the camera's pixels: one curve over the field of all CCDs; 0: one for each CCD
+    )
     distortion_scope: Literal["camera", "strip"] = (
         "camera"  # one curve for all strips: the camera is the same one
     )
@@ -63,6 +66,7 @@ class CalibrationSettings:
             "sigma_vibration_rad",
             "sigma_vibration_exposure_rad",
             "sigma_distortion_rad",
+            "distortion_pixel_rad",
         ):
             if not getattr(self, name) >= 0.0:
                 raise ValueError(f"{name} must be zero or positive, got {getattr(self, name)}")

@@ -44,8 +44,8 @@ class SeenTargets:
     """The targets of one strip, as far as other strips may share unknowns with them."""
 
     target_id: NDArray[np.str_] = array("J", "ids of the targets")
-    ccd: NDArray[np.int64] = array("J", "CCD of each sighting")
-    sample: Array = array("J", "along the CCD, px")
+    curve: NDArray[np.int64] = array("J", "curve of the residual distortion that each sighting lies on")
+    place: Array = array("J", "along that curve, px")
     cov_coordinates: Array = array("J, 3, 3", "of the coordinates, m²; of stars µrad²")
     is_star: Bools = array("J", "targets that are stars")
 
@@ -120,7 +120,7 @@ def find_shared(
     knots: set[Knot] = set()
     if settings.distortion_scope == "camera" and settings.sigma_distortion_rad > 0.0:
         for strip in strips:
-            knots.update(knots_touched(strip.ccd, strip.sample, settings.distortion_length_px))
+            knots.update(knots_touched(strip.curve, strip.place, settings.distortion_length_px))
     count: dict[str, int] = {}
     covariance: dict[str, Array] = {}
     for strip in strips:

@@ -22,7 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from boresight.calib.distortion import Knot, correlation, knot_weights, knots_touched
+from boresight.calib.distortion import Knot, correlation, knot_weights, knots_touched, places_on_curves
 from boresight.calib.heads import HeadTie, alignment_columns, interpolated, tie_of_head
 from boresight.calib.orbit_bias import BIASES, bias_columns
 from boresight.calib.settings import CalibrationSettings
@@ -52,6 +52,8 @@ class PreparedStrip:
     target_id: Texts = array("J", "target")
     ccd: Ints = array("J", "CCD of the camera, from 0")
     sample: Floats = array("J", "position along the CCD, px")
+    curve: Ints = array("J", "curve of the residual distortion that holds there")
+    place: Floats = array("J", "position along that curve, px")
     u_c: Floats = array("J, 3", "measured look directions, frame c")
     cov_c: Floats = array("J, 3, 3", "covariance of their image measurement, rad²")
     v_s: Floats = array("J, 3", "known directions of the targets, frame s by the interpolated attitude")
@@ -71,8 +73,8 @@ class PreparedStrip:
         """The strip's targets, as far as other strips may share unknowns with them."""
         return SeenTargets(
             target_id=self.target_id,
-            ccd=self.ccd,
-            sample=self.sample,
+            curve=self.curve,
+            place=self.place,
             cov_coordinates=self.cov_coordinates,
             is_star=self.is_star,
         )
@@ -137,6 +139,7 @@ def prepare_strip(strip: StripSightings, settings: CalibrationSettings) -> Prepa
     clock = late * settings.sigma_clock_s
     own = coordinate_covariance(ground.cov_target_i, ground.t_s, ground.u_i, ground.is_star)
     ties = _ties(strip, times, attitudes.R_si[used], used, root, settings)
+    curve, place = places_on_curves(ground.ccd, ground.xy_px[:, 0], ground.u_c, settings.distortion_pixel_rad)
     names = [f"phi/{k}/{axis}" for k in range(len(times)) for axis in "xyz"]
     return PreparedStrip(
         strip_id=strip.strip_id,
@@ -146,6 +149,8 @@ def prepare_strip(strip: StripSightings, settings: CalibrationSettings) -> Prepa
         target_id=ground.target_id,
         ccd=ground.ccd,
         sample=ground.xy_px[:, 0],
+        curve=curve,
+        place=place,
         u_c=ground.u_c,
         cov_c=ground.cov_c,
         v_s=v_s,
@@ -406,7 +411,7 @@ def _coordinates(strip: PreparedStrip, shared: SharedUnknowns) -> tuple[Floats, 
 def _own_knots(strip: PreparedStrip, settings: CalibrationSettings) -> tuple[Knot, ...]:
     if settings.distortion_scope == "camera" or settings.sigma_distortion_rad == 0.0:
         return ()
-    return knots_touched(strip.ccd, strip.sample, settings.distortion_length_px)
+    return knots_touched(strip.curve, strip.place, settings.distortion_length_px)
 
 
 def _distortion(
@@ -421,10 +426,10 @@ def _distortion(
     own: Floats = np.zeros((J, len(knots)))
     missed: Floats = np.full(J, sigma**2)
     if camera_knots:
-        camera = knot_weights(strip.ccd, strip.sample, camera_knots, length)
+        camera = knot_weights(strip.curve, strip.place, camera_knots, length)
         missed = sigma**2 * (1.0 - np.einsum("jk,kl,jl->j", camera, correlation(camera_knots), camera))
     if knots:
-        own = knot_weights(strip.ccd, strip.sample, knots, length) @ np.linalg.cholesky(correlation(knots))
+        own = knot_weights(strip.curve, strip.place, knots, length) @ np.linalg.cholesky(correlation(knots))
         missed = sigma**2 * (1.0 - np.einsum("jk,jk->j", own, own))
     return sigma * camera, sigma * own, missed
 

@@ -111,6 +111,7 @@ def calibration_settings(settings: Settings, errors: Errors, camera: LineSensor)
         "sigma_vibration_rad": errors.vibration_arcsec * ARCSEC,
         "sigma_distortion_rad": errors.look_distortion_px * camera.pixel_rad,
         "distortion_length_px": errors.look_distortion_length_px,
+        "distortion_pixel_rad": camera.pixel_rad,
     }
     return CalibrationSettings(**(stated | dict(settings.calibration)))
 

@@ -45,7 +45,8 @@ __all__ = [
 Array = NDArray[np.float64]
 AXES = ("X", "Y", "Z")
 PASSES = {"utc_middle": pa.string(), "argument_of_latitude_rad": pa.float64(), "camera": pa.string()}
-OF_DISTORTION = ("sigma_distortion_rad", "distortion_length_px")  # by which its unknowns are measured
+# By which the unknowns of the distortion are measured.
+OF_DISTORTION = ("sigma_distortion_rad", "distortion_length_px", "distortion_pixel_rad")
 BY_CAMERA = ("mission", "star_camera", "remote_camera")  # of evidence/context.json: alike in all results
 
 

@@ -6,10 +6,13 @@ from boresight.calib.distortion import (
     correlation,
     knot_weights,
     knots_touched,
+    places_on_curves,
     prior_information,
     unknown_names,
 )
+from boresight.simulator.cameras import calibrated_line_camera, distorted_line_camera
 from boresight.simulator.campaign import CameraPair, DistortionCurve, StripPlan, installation_by_tilt
+from boresight.simulator.scenario import ErrorSettings, LineCameraSettings
 
 CAMERAS = CameraPair(installation_by_tilt(np.radians(15.0)))
 
@@ -49,3 +52,43 @@ def test_prior_is_found_again_by_the_unknowns_names_in_any_order():
     shuffled = prior_information(tuple(names[k] for k in order))
     np.testing.assert_allclose(shuffled, prior[np.ix_(order, order)], atol=1e-12)
     assert prior_information(()).shape == (0, 0)
+
+
+def test_one_curve_over_all_ccds_shifts_the_whole_field_as_much_as_a_lens_does():
+    settings, length = LineCameraSettings(), 1500.0
+    camera = calibrated_line_camera(settings)
+    ccd = np.repeat(np.arange(camera.n_ccds), 25)
+    sample = np.tile(np.linspace(0.0, settings.samples - 1.0, 25), camera.n_ccds)
+    u_c = np.concatenate([camera.directions_from_pixels(c, sample[ccd == c]) for c in range(camera.n_ccds)])
+
+    def sigma_of_mean(pixel_rad):
+        curve, place = places_on_curves(ccd, sample, u_c, pixel_rad)
+        knots = knots_touched(curve, place, length)
+        mean = knot_weights(curve, place, knots, length).mean(axis=0)
+        return np.sqrt(mean @ correlation(knots) @ mean)
+
+    errors = ErrorSettings(distortion_px=1.0, distortion_length_px=length, distortion_mean_share=1.0)
+    rng, shifts = np.random.default_rng(8), []
+    for _ in range(400):
+        true = distorted_line_camera(camera, errors, rng)
+        shifts.append(
+            np.mean([t.distortion_offsets_m - c.distortion_offsets_m for t, c in zip(true.ccds, camera.ccds)])
+        )
+    shift_px = np.sqrt(np.mean(np.square(shifts))) / (settings.pixel_um * 1e-6)
+    # 3 standard errors of 400 draws; the simulated curve is smoother than the prior's: 4 % more in the mean.
+    assert 0.93 < shift_px / sigma_of_mean(camera.pixel_rad) < 1.15
+    assert sigma_of_mean(camera.pixel_rad) > 1.1 * sigma_of_mean(0.0)  # curves of each CCD average away
+
+
+def test_two_ccds_that_see_the_same_direction_share_the_curve_there():
+    camera = calibrated_line_camera(LineCameraSettings())
+    sample = np.array([6100.0])
+    u_c = camera.directions_from_pixels(0, sample)
+    other, _ = camera.samples_from_directions(1, u_c)
+    pair = np.concatenate([u_c, camera.directions_from_pixels(1, other)])
+    curve, place = places_on_curves(np.array([0, 1]), np.array([6100.0, other[0]]), pair, camera.pixel_rad)
+    assert curve.tolist() == [0, 0]
+    np.testing.assert_allclose(place[0], place[1], atol=0.5)  # px: the CCDs are rotated by some 20 µrad
+    weights = knot_weights(curve, place, knots := knots_touched(curve, place, 1500.0), 1500.0)
+    np.testing.assert_allclose(weights[0], weights[1], atol=1e-3)
+    assert len(knots) == 2

@@ -213,7 +213,8 @@ def test_image_points_of_each_dump_are_placed_with_the_joint_matrix(
     lat, lon, height = (float(place[name]) for name in ("lat_deg", "lon_deg", "height_m"))
     p_e = ecef_from_geodetic(np.radians([lat]), np.radians([lon]), np.array([height]), WGS84)
     model = strip_model(calibrated, strip).pushbroom
-    assert (model.R_cs.as_matrix() == np.reshape(matrix(joint)["R_cs"], (3, 3))).all()
+    written = np.reshape(matrix(joint)["R_cs"], (3, 3))
+    np.testing.assert_allclose(model.R_cs.as_matrix(), written, rtol=0.0, atol=4e-16)  # through a quaternion
     sample, line = model.pixels_from_ground(1, p_e)
     # Heights are written to the millimetre, 1/6000 of a pixel of the fixture.
     assert (sample[0], line[0]) == pytest.approx((300.25, 500.5), abs=1e-3)
