@@ -278,13 +278,10 @@ def calibrate(
     """
     from boresight.pipeline.commands.calibrate import RunRequest, run_dump
     from boresight.pipeline.results.writing import write_result
-    from boresight.pipeline.settings import Settings, read_settings
     from boresight.pipeline.stages.calibrate import calibrate_dump
     from boresight.pipeline.work.workers import executor_for
 
-    chosen = (
-        settings if isinstance(settings, Settings) else read_settings(Path(settings) if settings else None)
-    )
+    chosen = _settings_of(settings)
     opened = open_dump(dump, allow_stale_eop=allow_stale_eop)
     with executor_for(workers, None, opened.pixels) as executor, tempfile.TemporaryDirectory() as scratch:
         if out is not None:
@@ -295,6 +292,13 @@ def calibrate(
         found = calibrate_dump(opened, chosen, None, executor)
         write_result(Path(scratch), found, chosen)
         return dataclasses.replace(read_result(scratch), folder=None, _run=(opened, found, chosen))
+
+
+def _settings_of(settings: str | Path | Settings | None) -> Settings:
+    """The settings themselves, or those of a file, or all defaults."""
+    from boresight.pipeline.settings import Settings, read_settings
+
+    return settings if isinstance(settings, Settings) else read_settings(Path(settings) if settings else None)
 
 
 def read_result(folder: str | Path) -> Calibration:

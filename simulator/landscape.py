@@ -54,7 +54,7 @@ class Landscape:
         }
 
     def shapes(self, west: float, south: float, east: float, north: float) -> list[Shapes]:
-        """Everything that may show inside a box (m), parcels first, roads last."""
+        """Polygons that may show inside a box (m), in the order of painting: parcels first, roads last."""
         side = self._settings.parcel_m
         i0, i1 = int(np.floor(west / side)) - 1, int(np.floor(east / side)) + 1
         j0, j1 = int(np.floor(south / side)) - 1, int(np.floor(north / side)) + 1

@@ -180,7 +180,9 @@ def read_ground(ground: BlurredGround, column: Array, row: Array, rng: np.random
 
 
 def row_places(scene: Scene, ccd: int, first: int, lines: int, sample_nodes: Array) -> tuple[Array, Array]:
-    """Texel column and row at which some samples of rows `first` ... look, (lines, nodes)."""
+    """Columns and rows, (lines, nodes) each, of the ground's texels at which the samples `sample_nodes`
+    (nodes,) of `lines` rows from `first` on look.
+    """
     step = max(1, int(_LINE_STEP_S / scene.model.rows.row_period_s))
     line_nodes = np.arange(first, first + lines + step, step, dtype=float)
     columns, rows = scene.texels(ccd, sample_nodes, line_nodes)

@@ -42,7 +42,7 @@ class Blocks:
         return P
 
     def covariance(self, *, affine: bool) -> Floats:
-        """Covariance (2, 2) of the reference point's displacement, px², from the residuals that it leaves."""
+        """Jackknife covariance (2, 2) of the reference point's displacement, px²; `affine` as above."""
         n, g = self._sums(affine)
         n_b = self.information
         if affine:

@@ -35,8 +35,10 @@ def edge_field(image: Image) -> Image:
 
 
 def coarse_edge_fields(image: Image) -> tuple[Image, Image]:
-    """z of means over 2 x 2 px, (2, H // 4 * 2, W // 4 * 2), 8 bit in parts of `FULL`; and means over 2 x 2
-    of z, (2, H // 4, W // 4), single precision, which keep edges that means of grey values lose.
+    """Edge fields z of a picture (H, W) at half and a quarter of its resolution, real and imaginary part.
+
+    First z of means over 2 x 2 px, (2, H // 4 * 2, W // 4 * 2), 8 bit in parts of `FULL`; then means over
+    2 x 2 of this z, (2, H // 4, W // 4), single precision, which keep edges that means of grey values lose.
     """
     h, w = (n // 4 for n in image.shape)
     image = image[: 4 * h, : 4 * w]

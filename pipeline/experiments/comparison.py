@@ -247,7 +247,9 @@ def compare_readings(table: pd.DataFrame) -> Iterator[str]:
 
 
 def compare_inputs(table: pd.DataFrame) -> Iterator[str]:
-    """Tables 1 to 3 and numbers of the text; curves by their largest difference."""
+    """Lines that set ours against the paper's Tables 1 to 3 and numbers of its text; for a curve the largest
+    difference.
+    """
     yield "Tables 1 to 3 and the text: printed value, ours, and what arithmetic gives"
     yield "source   item                               unit         paper        ours  arithmetic"
     for row in table[table["at"].isna()].to_dict("records"):

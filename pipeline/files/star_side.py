@@ -60,7 +60,7 @@ class Exposure:
 
     @property
     def item(self) -> Omission:
-        """What is processed, for the case that it cannot be used."""
+        """Kind, id and file of what is processed, without a reason."""
         return Omission("exposure", self.exposure_id, self.file)
 
 

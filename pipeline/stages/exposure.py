@@ -57,7 +57,7 @@ class StarTask:
 
     @property
     def item(self) -> Omission:
-        """What is processed, for the case that it cannot be used."""
+        """Kind, id and file of what is processed, without a reason."""
         return self.exposure.item
 
 
@@ -105,7 +105,7 @@ class CentroidTask:
 
     @property
     def item(self) -> Omission:
-        """What is processed, for the case that it cannot be used."""
+        """Kind, id and file of what is processed, without a reason."""
         return self.exposure.item
 
 

@@ -77,7 +77,7 @@ class SkyTask:
 
     @property
     def item(self) -> Omission:
-        """What is processed, for the case that it cannot be used."""
+        """Kind, id and file of what is processed, without a reason."""
         return Omission("strip", self.strip.strip_id)
 
     @property
