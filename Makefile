@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: demo test lint types docs install lock clean
+.PHONY: demo test suite lint types docs install lock clean
 
 install: $(VENV)/.installed
 
@@ -33,7 +33,10 @@ lint: install
 types: install
 	$(BIN)/mypy
 
-test: lint types
+test: lint
+	$(MAKE) --jobs 2 types suite
+
+suite: install
 	$(BIN)/pytest -n 2 --dist worksteal  # neighbours share a process, and with it the fixtures of their module
 
 docs: install

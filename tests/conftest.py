@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import fcntl
+import gc
 import os
 import shutil
 import sys
@@ -13,6 +14,17 @@ from pathlib import Path
 
 import pytest
 from outside import DEMO, ROOT, run
+
+
+def pytest_configure() -> None:
+    """No search for garbage while libraries and tests are loaded; they are not searched afterwards either."""
+    gc.disable()
+
+
+def pytest_collection_finish() -> None:
+    """See `pytest_configure`."""
+    gc.freeze()
+    gc.enable()
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

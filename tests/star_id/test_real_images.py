@@ -28,7 +28,7 @@ ROWS = list(csv.DictReader((FOLDER / "manifest.csv").open())) if FOLDER.is_dir()
 pytestmark = pytest.mark.skipif(not ROWS, reason=f"real star images are not at ../shared/data ({FOLDER})")
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")  # processes come back to this module after others
 def index():
     fields = (float(SMALLEST_FOV_RAD), float(LARGEST_FOV_RAD))
     return build_index(hipparcos_stars(8.0).places, 2019.0, fields)

@@ -71,7 +71,7 @@ def test_campaigns_of_ground_and_sky_are_compared():
 
 def test_a_target_out_of_reach_is_said_to_be_so(tmp_path: Path):
     path = tmp_path / "plan.toml"
-    path.write_text("", encoding="utf-8")
+    path.write_text("[strips]\ncount = 2\n", encoding="utf-8")
     told = runner.invoke(app, ["plan", str(path), "--target", "0.01"])
     assert told.exit_code == 1
     assert "no number of strips" in told.stdout

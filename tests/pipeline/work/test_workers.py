@@ -45,10 +45,13 @@ def begun(out: Path, finished: tuple[Path, Path], *, exposures: int) -> None:
         shutil.rmtree(matching)
 
 
-def test_cluster_by_address_gives_the_same_bytes(undisturbed: tuple[Path, bytes], tmp_path: Path) -> None:
+def test_cluster_by_address_gives_the_same_bytes(
+    undisturbed: tuple[Path, bytes], finished: tuple[Path, Path], tmp_path: Path
+) -> None:
     from distributed import LocalCluster
 
     dump, expected = undisturbed
+    begun(tmp_path, finished, exposures=8)
     options = {
         "processes": True,
         "threads_per_worker": 1,
@@ -65,15 +68,15 @@ def test_run_killed_at_any_moment_goes_on_to_the_same_bytes(
     undisturbed: tuple[Path, bytes], finished: tuple[Path, Path], tmp_path: Path
 ) -> None:
     dump, expected = undisturbed
-    begun(tmp_path, finished, exposures=8)
+    begun(tmp_path, finished, exposures=11)
     command = [*BORESIGHT, "calibrate", str(dump), "--out", str(tmp_path), "--workers", "1", "--no-report"]
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-    while process.poll() is None and len(list(tmp_path.glob("work/*/*.parquet"))) < 9:
+    while process.poll() is None and len(list(tmp_path.glob("work/*/*.parquet"))) < 12:
         time.sleep(0.005)
     process.send_signal(signal.SIGKILL)
     process.wait()
     kept = {path: path.stat().st_mtime_ns for path in tmp_path.glob("work/*/*.parquet")}
-    assert 9 <= len(kept) < 16
+    assert 12 <= len(kept) < 16
     outcome = calibrate(dump, tmp_path, "--workers", "1")
     assert outcome.returncode == 0, outcome.stderr
     assert (tmp_path / "installation.json").read_bytes() == expected
@@ -87,7 +90,7 @@ def test_full_disk_stops_with_a_message_and_the_next_run_goes_on(
 ) -> None:
     # A limit of 8 KiB a file stands for a full disk: the first unit that is larger cannot be written.
     dump, expected = undisturbed
-    begun(tmp_path, finished, exposures=11)
+    begun(tmp_path, finished, exposures=13)
     outcome = calibrate(dump, tmp_path, "--workers", "1", limit="ulimit -f 8")
     assert outcome.returncode == 1
     assert "error:" in outcome.stderr and "too large" in outcome.stderr, outcome.stderr
