@@ -31,6 +31,7 @@ from boresight.pipeline.report.drawing import (
 from boresight.pipeline.report.ground_map import REJECTED, USED
 from boresight.pipeline.report.observations import ExposureRow, TargetRow
 from boresight.pipeline.report.saved import Saved
+from boresight.pipeline.report.strip_stars import StripStarRow
 
 __all__ = [
     "allan_plot",
@@ -42,6 +43,7 @@ __all__ = [
     "residual_panels",
     "squared_residual_histogram",
     "star_residual_map",
+    "star_residual_panels",
 ]
 
 CELLS = 14  # of the star map along its longer side
@@ -178,16 +180,41 @@ def residual_panels(saved: Saved, rows: Sequence[TargetRow]) -> list[Drawing]:
     if np.isfinite(warm[known]).any():
         against["temperature"] = ("temperature of the star camera, °C", warm)
     shown = [row for row in rows if known[row.row]]
-    return [_residual_panel(saved, shown, name, *of) for name, of in against.items()]
+    both = {f"{which}, m": column(ground, f"residual_{which}_m") for which in ("along", "across")}
+    of = "targets on the ground"
+    return [_residual_panel(shown, name, x, both, of, "the map") for name, x in against.items()]
 
 
-def _residual_panel(saved: Saved, rows: Sequence[TargetRow], name: str, label: str, x: Floats) -> Drawing:
+def star_residual_panels(saved: Saved, rows: Sequence[StripStarRow]) -> list[Drawing]:
+    """Residuals of stars in strips of the sky, along x and y of the camera, against sample and line."""
+    table = saved.targets
+    start = np.concatenate([[0.0], np.cumsum(saved.context["remote_camera"]["samples"])])
+    xy_px, residual = list_values(table, "xy_px", 2), list_values(table, "residual_c", 2) / ARCSEC
+    across = start[column(table, "ccd").astype(int)] + xy_px[:, 0]
+    against = {
+        "star-sample": ("sample, CCDs side by side, px", across),
+        "star-line": ("line of the strip", xy_px[:, 1]),
+    }
+    both = {"x, ″": residual[:, 0], "y, ″": residual[:, 1]}
+    of = "stars in strips of the sky"
+    return [_residual_panel(rows, name, x, both, of, "the sky") for name, x in against.items()]
+
+
+def _residual_panel(
+    rows: Sequence[TargetRow] | Sequence[StripStarRow],
+    name: str,
+    against: tuple[str, Floats],
+    both: dict[str, Floats],
+    of: str,
+    marks: str,
+) -> Drawing:
+    """Residuals of `both` kinds, by their labels, one above the other against a label and its values."""
+    label, x = against
     figure = new_figure(3.4)
-    upper, lower = figure.subplots(2, 1, sharex=True)
+    panels = figure.subplots(2, 1, sharex=True)
     spots = []
-    for axes, which in ((upper, "along"), (lower, "across")):
-        y = column(saved.ground, f"residual_{which}_m")
-        dress_axes(axes, label if which == "across" else "", f"{which}, m")
+    for axes, (which, y) in zip(panels, both.items()):
+        dress_axes(axes, label if axes is panels[-1] else "", which)
         used = [row.row for row in rows if row.state == USED]
         axes.axhline(0.0, color=MUTED, linewidth=1.0)
         reach = 1.3 * float(np.max(np.abs(y[used]))) if used else 1.0
@@ -205,7 +232,7 @@ def _residual_panel(saved: Saved, rows: Sequence[TargetRow], name: str, label: s
             for row in rows
         ]
     beyond = sum(1 for row in rows if row.state == REJECTED)
-    text = f"Residuals of {len(rows)} targets on the ground against {name}; marks as on the map."
+    text = f"Residuals of {len(rows)} {of} against {name.removeprefix('star-')}; marks as on {marks}."
     text += f" {beyond} rejected: open marks, at the edge where they lie beyond it." if beyond else ""
     return drawn(figure, f"residual-{name}", text, text, spots)
 

@@ -26,6 +26,7 @@ from boresight.pipeline.report.observations import data_uri, exposure_rows, stri
 from boresight.pipeline.report.saved import Number, Saved, number_from, read_saved
 from boresight.pipeline.report.star_preview import STATES
 from boresight.pipeline.report.strip_stars import strip_star_rows
+from boresight.pipeline.report.strips_on_sky import strips_on_sky
 from boresight.pipeline.report.verdict import verdict_view
 from boresight.pipeline.results.folder import VALIDATION
 
@@ -91,7 +92,11 @@ def report_html(saved: Saved, *, most_matches: int = MOST_MATCHES) -> str:
             part: [saved.context_number(f"new_strip.{part}.{i}", ".2f") for i in (0, 1)]
             for part in ("sigma_m", "le90_m")
         },
-        residuals=figures.residual_panels(saved, targets),
+        residuals=figures.residual_panels(saved, targets) if targets or not strip_stars else [],
+        star_residuals=figures.star_residual_panels(saved, strip_stars) if strip_stars else [],
+        on_sky=strips_on_sky(saved, strip_stars),
+        seen_in=" and ".join(name for name, one in (("targets", targets), ("stars", strip_stars)) if one)
+        or "targets",
         iterations=_iterations(saved),
         convergence=figures.convergence(saved),
         angles=[figures.angle_histogram(saved), figures.angle_spread(saved)] if has_stars else [],

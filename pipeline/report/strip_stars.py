@@ -29,6 +29,7 @@ SHAPES = {  # of each number: column, element (-1: a plain column), form, factor
 class StripStarRow:
     """One named star in one CCD of a strip of the sky."""
 
+    row: int = scalar("row of sightings/targets.parquet")
     link: str = scalar("id of its card on the page")
     strip_id: str = scalar("strip")
     star: str = scalar("name")
@@ -39,6 +40,11 @@ class StripStarRow:
     numbers: dict[str, Number] = scalar("keys of `SHAPES`, t_s, probability_wrong")
     pictures: Pictures | None = scalar("strip, fitted trace, difference; None where they cannot be read")
     printed: bool = scalar("its card is part of a print")
+
+    @property
+    def key(self) -> str:
+        """CSS class of its state."""
+        return self.state
 
     @property
     def name(self) -> str:
@@ -66,6 +72,7 @@ def strip_star_rows(saved: Saved, most_pictures: int) -> tuple[StripStarRow, ...
         shape, colour = strip_style(strips.index(row["strip_id"]))
         rows.append(
             StripStarRow(
+                row=n,
                 link=f"s{n}",
                 strip_id=row["strip_id"],
                 star=row["target_id"],
