@@ -66,7 +66,7 @@ def _of_strip(
 ) -> Iterator[tuple[str, str, str, NDArray[np.int64], Array, Array]]:
     strip, ground = motion.strip, motion.strip.ground
     times = np.array([exposure.t_s for exposure in strip.exposures])
-    if len(times) < 2:
+    if len(times) < 2 or not any(kept.any() for kept in motion.stars_kept):
         return
     track = AttitudeTrack(times, motion.R_si, motion.orbit)
     own = _target_covariances(motion, R_cs, track, settings)

@@ -138,6 +138,8 @@ def calibrate_dump(
         R_cs, sigma = last.estimate.R_cs, _rematch_sigma(last.estimate, settings)
         mountings |= {one.name: one.R_cs for one in last.estimate.with_reference(heads[0].head.name).heads}
         computed += last.computed
+        if not (last.named or any(task.targets for task in last.tasks)):
+            break  # measured image points alone: no matrix moves them
     found = last.estimate.with_reference(heads[0].head.name)
     return Calibration(
         estimate=found,
