@@ -14,6 +14,7 @@ from __future__ import annotations
 import argparse
 import cProfile
 import io
+import json
 import os
 import pstats
 import subprocess
@@ -76,6 +77,7 @@ class Command:
     limit_s: float
     items: int = 1
     cpu_s: dict[Path, list[float]] = field(default_factory=dict)
+    out: dict[Path, Path] = field(default_factory=dict)
 
     def run(self, checkout: Path, scratch: Path) -> None:
         out = Path(tempfile.mkdtemp(dir=scratch)) / "out"
@@ -91,6 +93,7 @@ class Command:
         _, status, usage = os.wait4(process.pid, 0)
         if status:
             raise SystemExit(f"boresight {' '.join(arguments)} failed in {checkout}")
+        self.out[checkout] = out
         self.cpu_s.setdefault(checkout, []).append((usage.ru_utime + usage.ru_stime) / self.items)
 
     def least_s(self, checkout: Path) -> float:
@@ -112,6 +115,15 @@ def commands(mission: Path | None) -> list[Command]:
             Command("paper's mission", ("calibrate", str(mission), "--out", "OUT", "--workers", "1"), 20.0)
         )
     return every
+
+
+def print_difference(one: Command, new: Path, old: Path) -> None:
+    """By how many of its standard errors the matrix of a command differs from the older checkout's."""
+    found, before = (json.loads((one.out[c] / "installation.json").read_text()) for c in (new, old))
+    sigma = np.sqrt(np.diag(found["covariance_rad2"]))
+    most = float(np.max(np.abs(np.subtract(found["theta_rad"], before["theta_rad"])) / sigma))
+    text = f"{one.name}: the matrix is the older checkout's to 0.01 sigma: {most:.4f}"
+    record.verdict(text, most <= 0.01)
 
 
 def least_cpu_s(function: Callable[[], Any], times: int = 5) -> float:
@@ -287,6 +299,8 @@ def main() -> None:
         for one in every:
             least_s = one.least_s(HERE)
             record.verdict(f"{one.name} <= {one.limit_s:g} s: {least_s:.3f}", least_s <= one.limit_s)
+        if mission is not None and old is not None:
+            print_difference(every[-1], HERE, old)
         print_ground()
         of_stages: dict[str, float] = {}
         if mission is not None:

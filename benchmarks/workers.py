@@ -63,13 +63,16 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--dump", type=Path, required=True)
     parser.add_argument("--repeats", type=int, default=3)
+    parser.add_argument(
+        "--counts", type=int, nargs="+", default=[1, 2, 4, 0], help="of processes; 0: a cluster of two"
+    )
     options = parser.parse_args()
     print("\n".join(machine()))
     load = [os.getloadavg()[0]]
     cluster_options = {"processes": True, "threads_per_worker": 1, "dashboard_address": "127.0.0.1:0"}
     with LocalCluster(n_workers=2, **cluster_options) as cluster:
-        ways = [Way(("--workers", str(count))) for count in (1, 2, 4)]
-        ways.append(Way(("--scheduler", str(cluster.scheduler_address))))
+        to_cluster = ("--scheduler", str(cluster.scheduler_address))
+        ways = [Way(("--workers", str(count)) if count else to_cluster) for count in options.counts]
         for _ in range(options.repeats):
             for way in ways:
                 with tempfile.TemporaryDirectory() as folder:

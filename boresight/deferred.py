@@ -46,7 +46,7 @@ class _Deferring(MetaPathFinder, Loader):
         if own is None or own.loader is None:
             return None
         spec = ModuleSpec(name, self, origin=own.origin, loader_state=own)
-        spec.submodule_search_locations = own.submodule_search_locations
+        spec.submodule_search_locations, spec.has_location = own.submodule_search_locations, own.has_location
         return spec
 
     def create_module(self, spec: ModuleSpec) -> ModuleType:

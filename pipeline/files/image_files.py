@@ -79,9 +79,16 @@ def open_geotiff(path: Path, file: str, content: bytes | None = None) -> Iterato
     with rasterio.Env(**options), warnings.catch_warnings(), ExitStack() as memory:
         warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)
         try:
-            source = path.resolve() if content is None else memory.enter_context(MemoryFile(content))
-            opener = path.opener if isinstance(path, StoredPath) and content is None else None
-            image = rasterio.open(source, driver="GTiff", sharing=False, opener=opener)
+            source: Any = path.resolve()
+            if content is not None:
+                source = memory.enter_context(MemoryFile(content))
+            ranges = isinstance(path, StoredPath) and content is None
+            image = rasterio.open(
+                path.name if ranges else source,  # for the name of a bucket rasterio asks for credentials
+                driver="GTiff",
+                sharing=False,
+                opener=(lambda name, mode="rb": path.open(mode, buffering=0)) if ranges else None,
+            )
         except (RasterioError, ValueError, OSError) as error:
             raise RawDataError(file, "TIFF header", str(error), "a TIFF image") from error
         with image:

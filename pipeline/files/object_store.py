@@ -107,10 +107,6 @@ class StoredPath(type(Path())):  # type: ignore[misc]  # PosixPath or WindowsPat
         ranges = _Ranges(str(self), self.stat())
         return ranges if buffering == 0 else io.BufferedReader(ranges, max(buffering, io.DEFAULT_BUFFER_SIZE))
 
-    def opener(self, name: str, mode: str = "rb") -> Any:
-        """The file as a stream of bytes for GDAL, which reads it in ranges."""
-        return self.open(mode, buffering=0)
-
 
 class _Ranges(io.RawIOBase):
     """The bytes of a file, fetched where they are read."""

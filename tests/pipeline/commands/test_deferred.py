@@ -13,6 +13,7 @@ import numpy, scipy.spatial, wsgiref
 assert "numpy.f2py.crackfortran" not in sys.modules
 assert callable(numpy.f2py.run_main) and "numpy.f2py.crackfortran" in sys.modules
 import wsgiref.util
+assert wsgiref.__file__.endswith("__init__.py")
 assert wsgiref.util.FileWrapper  # of a deferred package
 try:
     import no_such_module
