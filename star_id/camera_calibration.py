@@ -158,8 +158,9 @@ def calibrate_camera(
     Returns
     -------
     CameraCalibration or NotIdentified
-        The latter if fewer than 20 stars are identified in all images together. A lens that no model explains
-        has `explained` false: its errors may be larger than stated, and its residuals show where.
+        The latter if fewer than 20 stars are identified in all images together, or no lens model can be
+        fitted to them. A lens that no model explains has `explained` false: its errors may be larger than
+        stated, and its residuals show where.
     """
     camera, known = nominal, False
     for _ in range(_ROUNDS):
@@ -169,7 +170,10 @@ def calibrate_camera(
             reasons = "; ".join(reason for _, reason in refused[:3])
             found = f"{stars} stars identified in {len(identified)} of {len(frames)} images"
             return NotIdentified(f"{found}, 20 are needed: {reasons}", stars)
-        result = _adjusted(frames, identified, camera, index, settings, drift=drift)
+        try:
+            result = _adjusted(frames, identified, camera, index, settings, drift=drift)
+        except np.linalg.LinAlgError:  # fisheye lenses of 70 deg and more
+            return NotIdentified(f"{stars} stars identified, but no lens model can be fitted to them", stars)
         camera, known = result.camera, True
     return replace(result, frames_refused=tuple(refused))
 

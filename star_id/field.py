@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.record import Bools, Floats, Ints, array, record, scalar
-from boresight.geometry.star_camera import StarCamera
+from boresight.geometry.star_camera import Projection, StarCamera
 from boresight.star_id.centroids import Centroids
 from boresight.star_id.field_fit import fit_attitude_and_lens, fit_known_camera
 from boresight.star_id.field_match import match_field
@@ -51,9 +51,10 @@ SMALLEST_FOV_RAD, LARGEST_FOV_RAD = np.radians(5.0), np.radians(60.0)  # of an u
 _NOMINAL_PIXEL_M = 5e-6  # only the ratio of focal length and pixel matters
 _FOV_STEP = 0.10  # largest relative error of a nominal field of view
 _SHAPE_STEP = 0.012  # largest relative change of a triangle's shape by an error of the focal length
+_WIDE_RAD = np.radians(45.0)  # wider ones may be fisheye lenses
 _STARS_TO_START = 12  # the brightest: false detections are mostly faint, and bend a lens that few stars hold
 _ENOUGH_TO_TELL, _LEAST_BRIGHT_SHARE = 20, 0.1  # detections; share of them of twice the threshold
-_MATCHINGS = 6  # of stars and lens in turn
+_MATCHINGS = 30  # of stars and lens in turn, at most
 _LEAST_RELIABLE = 4  # stars; of fewer the attitude is not better than that of all stars
 # stages of identification: first a quick search over all fields of view
 _PASSES = (((0, 0, 6), (0, 6, 9)), ((0, 9, 13), (0, 13, 18), (1, 0, 9)), ((DENSER, 0, 8), (DENSER, 8, 12)))
@@ -220,6 +221,12 @@ def solve_list(
             continue
         solution = _weighted(seen, *answer, index, settings, camera, observer)
         return replace(solution, mirrored=mirrored)
+    if camera is None and fov_x_rad is not None and fov_x_rad > _WIDE_RAD:
+        answer = _identified(
+            stars.xy_px, size, index, settings, None, fov_x_rad, tried=tried, projection="equidistant"
+        )
+        if not isinstance(answer, NotIdentified):
+            return _weighted(stars, *answer, index, settings, None, observer)
     return max(reasons, key=lambda answer: answer.best_log_odds)
 
 
@@ -361,17 +368,21 @@ def _identified(
     *,
     passes: tuple[tuple[tuple[int, int, int], ...], ...] = _PASSES,
     tried: int = 0,
+    projection: Projection = "tangent",
 ) -> tuple[Identification, StarCamera] | NotIdentified:
     """The identification, and the camera, given or fitted, that it holds for."""
     if camera is not None:
         plane = tangent_coordinates(camera, xy_px)
-        found = identify(plane, field_of_camera(camera, settings), index, settings, tried=tried)
-        return found if isinstance(found, NotIdentified) else (found, camera)
+        seen = np.flatnonzero(np.isfinite(plane).all(axis=1))  # beyond a turning point there is no direction
+        found = identify(plane[seen], field_of_camera(camera, settings), index, settings, tried=tried)
+        if isinstance(found, NotIdentified):
+            return found
+        return replace(found, detections=seen[found.detections]), camera
     best = -np.inf
     fields = _fields_to_try(fov_x_rad, settings)
     for stages in passes:
         for fov, error in fields:
-            nominal = nominal_camera(size, fov)
+            nominal = nominal_camera(size, fov, projection)
             plane, field = tangent_coordinates(nominal, xy_px), _nominal_field(nominal, error, fov, settings)
             found = identify(plane, field, index, settings, stages=stages, tried=tried)
             if isinstance(found, Identification):
@@ -387,11 +398,12 @@ def _identified(
     )
 
 
-def nominal_camera(size: tuple[int, int], fov_x_rad: float) -> StarCamera:
+def nominal_camera(size: tuple[int, int], fov_x_rad: float, projection: Projection = "tangent") -> StarCamera:
     """Camera without distortion for images of `size` (width, height) and a field of view along the columns'
     direction, rad."""
     width, height = size
-    focal_px = 0.5 * width / np.tan(0.5 * fov_x_rad)
+    half = 0.5 * fov_x_rad if projection == "equidistant" else np.tan(0.5 * fov_x_rad)
+    focal_px = 0.5 * width / half
     middle = (0.5 * (width - 1), 0.5 * (height - 1))
     return StarCamera(
         focal_m=float(focal_px * _NOMINAL_PIXEL_M),
@@ -399,6 +411,7 @@ def nominal_camera(size: tuple[int, int], fov_x_rad: float) -> StarCamera:
         width_px=width,
         height_px=height,
         principal_px=middle,
+        projection=projection,
     )
 
 

@@ -265,6 +265,7 @@ def _facts(record: dict[str, Any], found: FieldSolution) -> str:
         "roll {roll_deg:.4f} deg +- {roll_sigma_arcsec:.1f} arcsec   FOV {fov_x_deg:.4f} deg   "
     ).format_map(record) + (
         f"wrong with probability < 1e{found.log_false_alarm_probability / np.log(10.0):.0f}"
+        + ("" if found.camera.projection == "tangent" else "   fisheye projection")
         + ("   MIRROR IMAGE: all is stated for its columns reversed" if found.mirrored else "")
     )
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from foreign_lenses import SIZE, ForeignLens
 from frames import direction, listed_stars
 from scipy.spatial.transform import Rotation
 
@@ -115,3 +116,15 @@ def test_the_evidence_of_a_misfit_is_followed_along_a_ridge():
 
     place, value = _largest(ridge, np.array([0.0, 0.0]))
     assert np.abs(place - 1.5).max() < 0.15 and value > -0.3
+
+
+@pytest.mark.parametrize(("fov_deg", "radius"), [(60, np.tan), (75, lambda t: t)])
+def test_wide_and_fisheye_lenses_of_known_field_are_fitted_to_the_end(fov_deg, radius):
+    lens, rng = ForeignLens(fov_deg, radius), np.random.default_rng([2 if fov_deg == 60 else 0, fov_deg])
+    index = build_index(PLACES, PLACES.epoch_jyear, tuple(np.radians([0.6 * fov_deg, 1.2 * fov_deg])))
+    stars = listed_stars(lens, Rotation.random(random_state=rng), PLACES, rng)
+    found = solve_list(stars, SIZE, index, StarSettings(), fov_x_rad=np.radians(fov_deg))
+    assert isinstance(found, FieldSolution)
+    assert found.matches > 0.9 * len(stars.xy_px)  # a quarter, where the lens was still changing
+    error = abs(found.fov_x_rad - np.radians(fov_deg))  # the lens is off the middle: 0.0008 deg
+    assert error < 4.0 * found.fov_x_sigma_rad < np.radians(0.02)
