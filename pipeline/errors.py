@@ -40,7 +40,7 @@ class DataNotSufficientError(Exception):
 
 
 class WorkerError(Exception):
-    """A unit could not be computed: its process died repeatedly, or no worker can compute it."""
+    """A unit could not be computed: its process died repeatedly, no worker can do it, a store is silent."""
 
 
 class Cause(StrEnum):

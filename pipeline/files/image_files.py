@@ -8,7 +8,7 @@ only, without sidecar files and without network.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from functools import lru_cache
 from pathlib import Path
@@ -65,7 +65,8 @@ def read_planes(path: Path, file: str) -> NDArray[Any]:
 def open_geotiff(path: Path, file: str, content: bytes | None = None) -> Iterator[Any]:
     """A TIFF opened for reading by window; only its header is parsed. `RawDataError` if it is none.
 
-    With `content`, all bytes of the file, these are read instead of the file.
+    With `content`, all bytes of the file, these are read instead of the file. `WorkerError` if the store of
+    the file does not answer.
     """
     magic = content[:4] if content is not None else first_bytes(path, file, 4)
     if magic not in TIFF_MAGICS:
@@ -76,7 +77,13 @@ def open_geotiff(path: Path, file: str, content: bytes | None = None) -> Iterato
         "GDAL_TIFF_INTERNAL_MASK": "YES",
         "CPL_VSIL_CURL_ALLOWED_EXTENSIONS": ".none",
     }
-    with rasterio.Env(**options), warnings.catch_warnings(), ExitStack() as memory:
+    streams: list[Any] = []
+
+    def opener(name: str, mode: str = "rb") -> Any:
+        streams.append(path.open(mode, buffering=0))
+        return streams[-1]
+
+    with rasterio.Env(**options), warnings.catch_warnings(), ExitStack() as memory, _answered(streams):
         warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)
         try:
             source: Any = path.resolve()
@@ -87,7 +94,7 @@ def open_geotiff(path: Path, file: str, content: bytes | None = None) -> Iterato
                 path.name if ranges else source,  # for the name of a bucket rasterio asks for credentials
                 driver="GTiff",
                 sharing=False,
-                opener=(lambda name, mode="rb": path.open(mode, buffering=0)) if ranges else None,
+                opener=opener if ranges else None,
             )
         except (RasterioError, ValueError, OSError) as error:
             raise RawDataError(file, "TIFF header", str(error), "a TIFF image") from error
@@ -97,6 +104,18 @@ def open_geotiff(path: Path, file: str, content: bytes | None = None) -> Iterato
                     found = f"{columns} x {rows} px, {row} bytes in a row"
                     raise RawDataError(file, "tiles or strips", found, f"at most {MAX_BLOCK_BYTES} bytes")
             yield image
+
+
+@contextmanager
+def _answered(streams: Sequence[Any]) -> Iterator[None]:
+    """What went wrong in a stream in place of what GDAL says of it."""
+    try:
+        yield
+    except RawDataError as error:
+        for stream in streams:
+            if stream.failure is not None:
+                raise stream.failure from error
+        raise
 
 
 def _bits(image: Any, file: str) -> int:

@@ -3,6 +3,9 @@
 A file there is a `StoredPath`, a path of pathlib that can only be read. Of a large file only the ranges that
 are asked for are fetched, as blocks that are kept; an answer on size and version holds for some seconds.
 Credentials are those of the environment. Nothing is listed, so a web server needs no index.
+
+A file that is missing or forbidden is an `OSError`, as on a disk. A store that does not answer is a
+`WorkerError`, which stops a run instead of making its images missing ones.
 """
 
 from __future__ import annotations
@@ -19,14 +22,14 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any, TypeVar
 
-from boresight.pipeline.errors import RawDataError
+from boresight.pipeline.errors import RawDataError, WorkerError
 
 __all__ = ["StoredPath", "dump_folder", "gdal_name", "is_address"]
 
 BLOCK_BYTES = 2**20  # of a large file; some four tiles of 512 x 512 px of 8 bits
 KEPT_BLOCKS = 64  # of one process
 CURRENT_S = 5.0  # how long an answer on size and version of a file is taken as current
-NOT_FOUND = 404  # status of HTTP
+FORBIDDEN, NOT_FOUND = (401, 403), 404  # status of HTTP
 OF_GDAL = {"s3": "/vsis3/", "gs": "/vsigs/", "http": "/vsicurl/http://", "https": "/vsicurl/https://"}
 
 Answer = TypeVar("Answer")
@@ -56,7 +59,7 @@ def gdal_name(path: Path) -> str:
 
 
 class StoredPath(type(Path())):  # type: ignore[misc]  # PosixPath or WindowsPath
-    """A file or folder in a store, with the methods of `Path` that read. Failures are `OSError`s."""
+    """A file or folder in a store, with the methods of `Path` that read."""
 
     def __str__(self) -> str:
         return self.as_posix()
@@ -114,6 +117,7 @@ class _Ranges(io.RawIOBase):
     def __init__(self, address: str, state: os.stat_result) -> None:
         self.address, self.size, self.version = address, state.st_size, state.st_ino
         self.at = 0
+        self.failure: WorkerError | None = None  # GDAL drops the exceptions of a stream
 
     def readable(self) -> bool:
         return True
@@ -132,18 +136,21 @@ class _Ranges(io.RawIOBase):
         end = min(self.at + len(buffer), self.size)
         if (length := end - self.at) <= 0:
             return 0
-        first, last = self.at // BLOCK_BYTES, (end - 1) // BLOCK_BYTES
-        if length >= BLOCK_BYTES:
-            content = _range(self.address, self.at, end)
-        else:
-            content = b"".join(self._block(n) for n in range(first, last + 1))
-            content = content[self.at - first * BLOCK_BYTES :][:length]
-        buffer[:length] = content
+        try:
+            buffer[:length] = self._content(end)
+        except WorkerError as error:
+            self.failure = error
+            raise
         self.at = end
         return length
 
-    def _block(self, n: int) -> bytes:
-        return _block(self.address, self.version, n, min((n + 1) * BLOCK_BYTES, self.size))
+    def _content(self, end: int) -> bytes:
+        if end - self.at >= BLOCK_BYTES:
+            return _range(self.address, self.at, end)
+        first, last = self.at // BLOCK_BYTES, (end - 1) // BLOCK_BYTES
+        ends = [min((n + 1) * BLOCK_BYTES, self.size) for n in range(first, last + 1)]
+        blocks = [_block(self.address, self.version, first + k, stop) for k, stop in enumerate(ends)]
+        return b"".join(blocks)[self.at - first * BLOCK_BYTES : end - first * BLOCK_BYTES]
 
 
 @lru_cache(maxsize=KEPT_BLOCKS)
@@ -155,7 +162,7 @@ def _range(address: str, start: int, end: int) -> bytes:
     content = _asked(address, lambda store, path: store.cat_file(path, start=start, end=end))
     if len(content) != end - start:
         found = f"{len(content)} bytes of a range of {end - start}: the server does not serve ranges"
-        raise OSError(errno.EIO, found, address)
+        raise WorkerError(f"{address}: {found}")
     return content
 
 
@@ -166,24 +173,27 @@ def _state(address: str, period: int) -> tuple[int, int]:
     if facts["type"] != "file":
         raise FileNotFoundError(errno.ENOENT, "no such file", address)
     if facts["size"] is None:
-        raise OSError(errno.EIO, "the server does not state its size", address)
+        raise WorkerError(f"{address}: the server does not state its size")
     told = sorted((str(key), str(value)) for key, value in facts.items())
     return int(facts["size"]), zlib.crc32(repr(told).encode())
 
 
 def _asked(address: str, question: Callable[[Any, str], Answer]) -> Answer:
-    """The answer of the store of an address; `OSError` with the store's reason if there is none."""
+    """The answer of the store of an address; `OSError` for a file that is missing or forbidden, `WorkerError`
+    with the store's reason if there is no answer.
+    """
     try:
         from fsspec.core import url_to_fs
 
         return question(*url_to_fs(address))
     except ImportError as error:
-        text = f"{error}: pip install 'boresight[cluster]'"
-        raise OSError(errno.ENOPKG, text, address) from error
+        raise WorkerError(f"{address}: {error}: pip install 'boresight[cluster]'") from error
     except Exception as error:  # stores raise errors of their own, some as the cause of a FileNotFoundError
         missing = isinstance(error, FileNotFoundError)
         cause = error.__cause__ if missing and error.__cause__ else error
-        if missing and (cause is error or getattr(cause, "status", None) == NOT_FOUND):
+        status, reason = getattr(cause, "status", None), str(cause) or type(cause).__name__
+        if status == NOT_FOUND or (missing and cause is error):
             raise FileNotFoundError(errno.ENOENT, "no such file", address) from error
-        number = errno.EACCES if isinstance(cause, PermissionError) else errno.EIO
-        raise OSError(number, f"{cause}" or type(cause).__name__, address) from error
+        if status in FORBIDDEN or isinstance(cause, PermissionError):
+            raise PermissionError(errno.EACCES, reason, address) from error
+        raise WorkerError(f"{address}: {reason}") from error

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 import rasterio
 
-from boresight.pipeline.errors import RawDataError
+from boresight.pipeline.errors import RawDataError, WorkerError
 from boresight.pipeline.files import object_store
 from boresight.pipeline.files.content import content_digest
 from boresight.pipeline.files.dump import open_dump
@@ -101,6 +101,13 @@ def test_window_of_a_large_image_is_fetched_alone(
         assert sum(fetched) < len(content) / 4
     assert content_digest(path) == content_digest(tmp_path / "strip.tif")
 
+    def silent(address: str, start: int, end: int) -> bytes:
+        raise WorkerError("no answer")
+
+    monkeypatch.setattr(object_store, "_range", silent)
+    with pytest.raises(WorkerError, match="no answer"):  # no damaged image, which would be left out
+        strip.read(0, 2000, 2100, 500, 700)
+
 
 def test_new_version_of_an_object_has_another_digest(monkeypatch: pytest.MonkeyPatch) -> None:
     import fsspec
@@ -125,7 +132,7 @@ def test_new_version_of_an_object_has_another_digest(monkeypatch: pytest.MonkeyP
     ],
 )
 def test_address_without_a_dump_is_an_error_that_names_why(store: str, address: str, said: str) -> None:
-    with pytest.raises((OSError, RawDataError)) as error:
+    with pytest.raises((OSError, RawDataError, WorkerError)) as error:
         open_dump(address.format(store=store))
     assert said in str(error.value) and ":secret" not in str(error.value)
 
@@ -139,14 +146,14 @@ def test_store_without_credentials_is_an_error_that_says_so(
         monkeypatch.delenv(name)
     monkeypatch.setenv("AWS_SHARED_CREDENTIALS_FILE", os.devnull)
     fsspec.get_filesystem_class("s3").clear_instance_cache()
-    with pytest.raises(OSError, match="Unable to locate credentials"):
+    with pytest.raises(WorkerError, match="Unable to locate credentials"):
         open_dump("s3://archive/other")
     fsspec.get_filesystem_class("s3").clear_instance_cache()
 
 
 def test_missing_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "gcsfs", None)
-    with pytest.raises(OSError, match=r"pip install 'boresight\[cluster\]'"):
+    with pytest.raises(WorkerError, match=r"pip install 'boresight\[cluster\]'"):
         open_dump("gcs://archive/dump")
 
 
@@ -158,7 +165,7 @@ def test_server_without_ranges_is_an_error(tmp_path: Path, monkeypatch: pytest.M
         threading.Thread(target=server.serve_forever, daemon=True).start()
         path = dump_folder(f"http://127.0.0.1:{server.server_port}") / "large.tif"
         assert len(path.read_bytes()) == path.stat().st_size == 2 * object_store.BLOCK_BYTES
-        with path.open("rb") as stream, pytest.raises(OSError, match="does not serve ranges"):
+        with path.open("rb") as stream, pytest.raises(WorkerError, match="does not serve ranges"):
             stream.read(10)
         server.shutdown()
 
