@@ -1,6 +1,7 @@
 """One number of a dump changed at a time, through the whole calibration: is it refused, refuted or harmless?
 
     python benchmarks/fuzz_dumps.py --mutations 2000 --seed 1 --out fuzz-dumps.jsonl
+    python benchmarks/fuzz_dumps.py --mutations 2000 --seed 1 --again fuzz-dumps.jsonl --out again.jsonl
     python benchmarks/fuzz_dumps.py --summary fuzz-dumps.jsonl
 
 Each mutation changes one number in one text file of `fixtures/mini` (factor, sign, decimal point, a digit,
@@ -10,6 +11,8 @@ NEES or verdict differ from those of the sound dump, in a process of its own und
 whose inputs are unchanged come from a store. Counted are tracebacks, hangs, and results whose normalised
 error squared (NEES, 3 degrees of freedom) against the truth is above 30 although the verdict is "consistent".
 A run that was stopped goes on where it was when it is started again with the same `--seed` and `--out`.
+With `--again` only those are tried that an earlier run of the same seed neither refused nor found consistent
+with a NEES of at most 20: all on which a changed verdict or estimator may decide otherwise.
 
 Each of the last kind is listed with what it does to R_cs R_si, the attitude of the remote-sensing camera in
 space. Where that is unchanged, the error is a rotation of the star camera's axes: R_cs is right for the
@@ -65,6 +68,7 @@ TEXTS = {  # file: weight
 }
 NUMBER = re.compile(r"(?<![\w.])[+-]?\d+(?:\.\d+)?(?:[eE][+-]?\d+)?(?![A-Za-z_])")
 LIMIT_BYTES, LIMIT_CPU_S, LIMIT_S, LIMIT_NEES = 4 * 2**30, 120, 3600, 30.0
+UNCLEAR_NEES = 20.0
 LIMIT_ROTATION_SIGMA = 1.0  # of the remote-sensing camera in space, for an error that is a rotation of axes
 ORDINARY_NEES = 1.0  # a NEES that differs by more from that of the sound dump is worth a report
 
@@ -74,12 +78,14 @@ def main() -> None:
     parser.add_argument("--mutations", type=int, default=100)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--out", type=Path, default=Path("fuzz-dumps.jsonl"), help="one line a mutation")
+    parser.add_argument("--again", type=Path, help="of an earlier run: only what was not clear there")
     parser.add_argument("--summary", type=Path, help="of files written before, instead of a run", nargs="+")
     options = parser.parse_args()
     files = options.summary or [options.out]
     if not options.summary:
         with tempfile.TemporaryDirectory() as folder:
-            fuzz(Path(folder), options.mutations, options.seed, options.out)
+            wanted = unclear(options.again) if options.again else set(range(options.mutations))
+            fuzz(Path(folder), options.mutations, options.seed, options.out, wanted)
     summarise([json.loads(line) for file in files for line in file.read_text().splitlines()])
     sys.exit(exit_status())
 
@@ -92,8 +98,19 @@ class Finished(UnitStore):
         return self.root
 
 
-def fuzz(folder: Path, mutations: int, seed: int, out: Path) -> None:
-    """Calibrate mutated copies of the dump; one line of JSON each is added to `out`, those there are kept."""
+def unclear(file: Path) -> set[int]:
+    """Numbers of the mutations that a run neither refused nor found consistent with a NEES near 3."""
+    lines = [json.loads(line) for line in file.read_text().splitlines()]
+    clear = ("refused", "consistent")
+    return {
+        line["n"] for line in lines if line["outcome"] not in clear or line.get("nees", 0.0) > UNCLEAR_NEES
+    }
+
+
+def fuzz(folder: Path, mutations: int, seed: int, out: Path, wanted: set[int]) -> None:
+    """Calibrate the wanted mutated copies of the dump; one line of JSON each is added to `out`, those there
+    are kept.
+    """
     done = {json.loads(line)["n"] for line in out.read_text().splitlines()} if out.exists() else set()
     warnings.simplefilter("ignore")
     root = folder / "dump"
@@ -105,7 +122,7 @@ def fuzz(folder: Path, mutations: int, seed: int, out: Path) -> None:
         for n in range(mutations):
             (name,) = rng.choices(list(TEXTS), list(TEXTS.values()))
             facts, text = mutated(texts[name], name, rng)
-            if n in done:
+            if n in done or n not in wanted:
                 continue
             (root / name).write_text(text)
             stream.write(json.dumps({"n": n} | facts | in_process(folder, sound)) + "\n")
