@@ -28,7 +28,7 @@ from boresight.pipeline.report.star_preview import STATES
 from boresight.pipeline.report.strip_stars import strip_star_rows
 from boresight.pipeline.report.strips_on_sky import strips_on_sky
 from boresight.pipeline.report.verdict import verdict_view
-from boresight.pipeline.results.folder import VALIDATION
+from boresight.pipeline.results.folder import INTERIOR, VALIDATION
 
 __all__ = ["report_html", "template", "write_report"]
 
@@ -93,6 +93,7 @@ def report_html(saved: Saved, *, most_matches: int = MOST_MATCHES) -> str:
             for part in ("sigma_m", "le90_m")
         },
         residuals=figures.residual_panels(saved, targets) if targets or not strip_stars else [],
+        interior=_interior(saved),
         star_residuals=figures.star_residual_panels(saved, strip_stars) if strip_stars else [],
         on_sky=strips_on_sky(saved, strip_stars),
         seen_in=" and ".join(name for name, one in (("targets", targets), ("stars", strip_stars)) if one)
@@ -205,6 +206,24 @@ def _checked(saved: Saved) -> dict[str, Any] | None:
         "sigma": [number(f"sigma_rad.{i}", ".4f", TO_ARCSEC) for i in range(3)],
         "nees": number("nees", ".2f"),
         "rows": _by_strip(saved, content["accuracy"], number),
+    }
+
+
+def _interior(saved: Saved) -> dict[str, Any] | None:
+    """What `remote-camera-calibrate` wrote into the folder: numbers and picture; None where it did not."""
+    content = saved.interior
+    if not content:
+        return None
+
+    def number(key: str, form: str) -> Number:
+        return number_from(content, INTERIOR, key, form)
+
+    return {
+        "change": number("map_change_rms_px", ".3f"),
+        "sigma": number("map_sigma_rms_px", ".3f"),
+        "strips": number("strips", ".0f"),
+        "gauge": [f"{one['name']} (not told from {one['not_told_from']})" for one in content["gauge"]],
+        "picture": data_uri("image/png", saved.interior_png) if saved.interior_png else "",
     }
 
 

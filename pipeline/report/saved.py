@@ -12,6 +12,7 @@ from boresight.geometry.record import record, scalar
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.table_files import fixed, read_parquet
 from boresight.pipeline.files.text_files import read_json
+from boresight.pipeline.results.folder import INTERIOR
 
 __all__ = ["Number", "Saved", "number_from", "read_saved"]
 
@@ -58,6 +59,8 @@ class Saved:
     allan: pa.Table = scalar("evidence/allan.parquet")
     requirement: dict[str, Any] = scalar("requirement.json; empty where there is none")
     validation: dict[str, Any] = scalar("validation.json; empty where there is none")
+    interior: dict[str, Any] = scalar("interior/interior.json; empty where there is none")
+    interior_png: bytes = scalar("interior/interior.png; empty where there is none")
 
     def number(self, key: str, form: str, *, scale: float = 1.0, root: bool = False) -> Number:
         """The number of installation.json under `key`, a path such as `covariance_rad2.0.1`."""
@@ -100,10 +103,13 @@ def read_saved(result: Path) -> Saved:
     tables |= {name: read_parquet(result / "evidence" / f"{name}.parquet") for name in _EVIDENCE}
     tables["detections"] = read_parquet(result / "evidence" / "exposure.parquet")
     own = {name: result / f"{name}.json" for name in ("run", "requirement", "validation")}
+    own["interior"] = result / INTERIOR
+    picture = own["interior"].with_suffix(".png")
     return Saved(
         installation=installation,
         context=read_json(result / "evidence" / "context.json", str(result / "evidence" / "context.json")),
         **{name: read_json(path, str(path)) if path.is_file() else {} for name, path in own.items()},
+        interior_png=picture.read_bytes() if own["interior"].is_file() and picture.is_file() else b"",
         **tables,
     )
 

@@ -11,6 +11,7 @@
     run.json                     times and counts of the run that wrote the rest
     requirement.json             the accuracy required, where one was given
     validation.json              errors against the truth, where `validate` found them
+    interior/                    what `remote-camera-calibrate` found, where it was asked to write there
 
 The result of several dumps has `dumps.json` too, the full result of each dump in a folder of its own, and of
 itself what is joint: no stars, exposures and work.
@@ -25,9 +26,10 @@ from boresight.pipeline.files.text_files import read_json
 from boresight.pipeline.files.whole_file import remove_abandoned
 from boresight.pipeline.work.unit_store import UnitStore
 
-__all__ = ["DUMPS", "VALIDATION", "begin_result", "dumps_in", "results_in", "store_of"]
+__all__ = ["DUMPS", "INTERIOR", "VALIDATION", "begin_result", "dumps_in", "results_in", "store_of"]
 
 DUMPS, VALIDATION = "dumps.json", "validation.json"
+INTERIOR = "interior/interior.json"  # beside its picture and the camera
 
 
 def store_of(result: Path) -> UnitStore:
@@ -41,7 +43,7 @@ def begin_result(result: Path) -> None:
     """
     result.mkdir(parents=True, exist_ok=True)
     remove_abandoned(result)
-    for name in ("installation.json", DUMPS, "drift.json", VALIDATION):
+    for name in ("installation.json", DUMPS, "drift.json", VALIDATION, INTERIOR):
         (result / name).unlink(missing_ok=True)
 
 

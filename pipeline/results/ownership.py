@@ -35,12 +35,13 @@ __all__ = ["Origin", "check_dump_of", "claimed", "dump_folder_of", "dump_identit
 MARKER, LOCK = "boresight-result.json", ".boresight-lock"
 OWN_FILES = (
     "installation.json run.json requirement.json validation.json report.html report.pdf dumps.json".split()
+    + [f"interior/{n}" for n in "interior.json interior.png remote_camera.toml".split()]
     + [f"drift.{kind}" for kind in ("json", "csv", "png")]
     + [f"sightings/{n}.parquet" for n in "stars exposures targets strips passes omissions".split()]
     + [f"evidence/{n}.parquet" for n in "inputs convergence angles matches exposure ground".split()]
     + [f"evidence/{n}" for n in "unmatched.parquet map.parquet allan.parquet context.json".split()]
 )
-OWN_WORK = re.compile(r"(exposures|matching-\d+)/.+\.[0-9a-f]{32}\.parquet")
+OWN_WORK = re.compile(r"(exposures|matching-\d+|sky-stars)/.+\.[0-9a-f]{32}\.parquet")
 
 
 @record

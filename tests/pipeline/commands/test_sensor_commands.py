@@ -78,7 +78,8 @@ def test_the_virtual_strip_shows_what_the_raw_images_show(finished, tmp_path):
 
 def test_the_remote_cameras_interior_is_calibrated_from_a_result(finished, tmp_path):
     dump, result = finished
-    out = tmp_path / "camera"
+    result = shutil.copytree(result, tmp_path / "result")
+    out = result / "interior"
     asked = ["remote-camera-calibrate", str(result), "--out", str(out), "--curve-length-px", "400", "--json"]
     told = runner.invoke(app, asked)
     assert told.exit_code == 0, told.output
@@ -87,6 +88,9 @@ def test_the_remote_cameras_interior_is_calibrated_from_a_result(finished, tmp_p
     assert abs(parameters["focal"]["value"]) < 4.0 * parameters["focal"]["sigma"]  # nothing is wrong with it
     assert any("installation matrix" in one["not_told_from"] for one in content["gauge"])
     assert (out / "interior.png").stat().st_size > 10_000
+    assert runner.invoke(app, ["report", str(result)]).exit_code == 0
+    page = (result / "report.html").read_text()
+    assert 'id="interior"' in page and page.count('data-source="interior/interior.json"') == 3
     changed = shutil.copytree(dump, tmp_path / "dump")
     shutil.copy(out / "remote_camera.toml", changed / "remote_camera.toml")
     before, after = (open_dump(place).line_camera for place in (dump, changed))
