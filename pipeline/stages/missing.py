@@ -51,8 +51,21 @@ def what_is_missing(
         text = f"too few targets: at most {most} in view of a strip, so few agree on one rotation by chance; "
         text += f"{FEW_TARGETS} or more in view of a strip are needed, near both ends of the swath"
         return f"{text}; {counts}; not used: target {lost[0].name}: {lost[0].reason}"
+    if stars := Counter(o.cause for o in every if o.kind == "star"):
+        counts = f"{n_stars} exposures identified, strips of the sky: {len(dump.sky_strips)}"
+        return f"{outcome.reason}; {counts}{_unused_stars(stars)}"
     first = f"; not used: {every[0].kind} {every[0].name}: {every[0].reason}" if every else ""
     return f"{outcome.reason}; {counts}{first}"
+
+
+def _unused_stars(causes: Counter[str]) -> str:
+    text = ", ".join(f"{n} {cause}" for cause, n in causes.most_common())
+    if causes.most_common(1)[0][0] == "name unsure":
+        text += (
+            "; within the stated errors several stars come into question: they decide, look_distortion_px "
+        )
+        text += "of dump.toml above all, and max_name_error under [sky_strips] of the settings"
+    return f"; stars in them that are not used: {text}"
 
 
 def _no_exposure(dump: Dump, settings: Settings, failed: Sequence[Omission]) -> str:

@@ -1,5 +1,6 @@
 """Strips of the sky from a dump to the matrix, and what is refused by name."""
 
+import re
 import shutil
 from pathlib import Path
 
@@ -182,3 +183,12 @@ def test_the_command_writes_result_report_and_status_of_a_dump_of_the_sky_alone(
     assert status.exit_code == 0 and "sky-stars" in status.output
     checked = CliRunner().invoke(app, ["dump", "check", str(SKY)])
     assert checked.exit_code == 0 and "1 strips of the sky" in checked.output
+
+
+def test_a_camera_stated_so_uncertain_that_no_name_is_sure_says_so(dump):
+    text = (dump / "dump.toml").read_text()
+    (dump / "dump.toml").write_text(re.sub(r"look_distortion_px = \S+", "look_distortion_px = 6.0", text))
+    with pytest.raises(
+        DataNotSufficientError, match=r"sky: 1; .*name unsure; .*look_distortion_px of dump.toml"
+    ):
+        calibrate_dump(open_dump(dump))
