@@ -104,6 +104,7 @@ def test_run_killed_at_every_step_of_writing_ends_with_the_same_bytes(
     begun: tuple[Path, Path, bytes],
 ) -> None:
     dump, out, expected = begun
+    (out / "installation.json").write_text("{}")  # of an earlier run
     ran = subprocess.run(
         [sys.executable, "-c", KILLED, str(dump), str(out)], capture_output=True, text=True, timeout=300
     )
@@ -111,7 +112,7 @@ def test_run_killed_at_every_step_of_writing_ends_with_the_same_bytes(
     deaths = [line.split() for line in ran.stdout.splitlines()]
     assert len(deaths) >= 5 and all(killed == "True" for killed, _, _ in deaths[:-1])
     assert any(left == "1" for _, _, left in deaths)  # some died with a file half written
-    # The file that says that all is there was there only once everything was.
+    # The file that says that all is there, an earlier run's removed, was there only once everything was.
     assert [finished for _, finished, _ in deaths[:-2]] == ["False"] * (len(deaths) - 2)
     assert (out / "installation.json").read_bytes() == expected
     for path in out.rglob("*.parquet"):
