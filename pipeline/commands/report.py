@@ -70,12 +70,12 @@ def report(
 
 def export(
     result: Result,
-    format_: Annotated[
-        str,
+    formats: Annotated[
+        list[str],
         typer.Option(
             "--format",
             help="spice, spice-ck, aem, acm, operator, dimap, json, csv, csm-isd, rpc, vrt, kml, asp,"
-            " geojson, envi, qgis or fits; several with commas.",
+            " geojson, envi, qgis or fits; several with commas. May be repeated.",
         ),
     ],
     out: Annotated[Path | None, typer.Option(help="Folder for the files; default: RESULT/exports.")] = None,
@@ -102,7 +102,7 @@ def export(
     from boresight.pipeline.exports.export import export as made
     from boresight.pipeline.exports.spice_frame import SpiceFrames
 
-    names = [name.strip() for name in format_.split(",")]
+    names = [name.strip() for several in formats for name in several.split(",")]
     if unknown := [name for name in names if name not in FORMATS]:
         raise typer.BadParameter(f"there is no format {unknown[0]!r}, only {', '.join(FORMATS)}")
     try:
