@@ -39,7 +39,7 @@ from frames import PAPER_CAMERA, FrameTruth, Sensor, star_frame
 from boresight.geometry.epoch import Epoch
 from boresight.geometry.star_camera import StarCamera
 from boresight.star_id.camera_calibration import CameraCalibration, SkyFrame, calibrate_camera
-from boresight.star_id.camera_fit import PARAMETERS, perturbed
+from boresight.star_id.camera_fit import PARAMETERS
 from boresight.star_id.catalogue import hipparcos_stars
 from boresight.star_id.field import FieldSolution, nominal_camera, solve_field
 from boresight.star_id.finding.psf import Psf
@@ -217,7 +217,10 @@ def _slopes(u_s):
     turn."""
 
     def pixels(name, step):
-        return perturbed(TRUTH, name, step).pixels_from_directions(u_s)
+        principal_px = np.array(TRUTH.principal_px) + step * np.array([name == "x0_px", name == "y0_px"])
+        other = {} if name in ("x0_px", "y0_px") else {name: getattr(TRUTH, name) + step}
+        moved = replace(TRUTH, principal_px=tuple(principal_px), **other)
+        return moved.pixels_from_directions(u_s)
 
     steps = dict(zip(PARAMETERS, (1e-6, 1e-2, 1e-2, 1e-6, 1e-6, 1e-8, 1e-10)))
     camera = [(pixels(name, h) - pixels(name, -h)).ravel() / (2.0 * h) for name, h in steps.items()]
