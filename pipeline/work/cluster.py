@@ -26,6 +26,7 @@ __all__ = ["Fingerprint", "OnCluster", "UnfitWorkerError", "fingerprint", "on_cl
 
 PER_THREAD = 8  # units in flight for each thread of the workers: enough while answers travel
 POLL_S = 0.5
+FETCH_S = 5.0  # for outcomes that a worker says it has; doubled each time it is too short
 MAX_FAILURES = 3  # of one unit: workers that died under it or could not do it
 
 Item = TypeVar("Item")
@@ -142,6 +143,7 @@ class _Run:
         self.idle_since: float | None = None
         self.request: Any = None  # a task that an adaptive cluster starts its first worker for
         self.said = ""
+        self.fetch_s = FETCH_S
 
     def step(self) -> None:
         """Look at the workers, give them units, take what is finished."""
@@ -153,7 +155,8 @@ class _Run:
             finished = self._finished()
             answers = self._fetched(finished)
         for future in finished:
-            self._take(future, answers)
+            if future in answers or future.status in ("error", "cancelled"):  # else to be computed again
+                self._take(future, answers)
 
     def _look_at_workers(self) -> None:
         client, refused = self.cluster.client, self.cluster.refused
@@ -216,18 +219,30 @@ class _Run:
             return []
 
     def _fetched(self, finished: Sequence[Any]) -> dict[Any, Any]:
-        """Outcomes of computed units, fetched at once: one by one each waits for an answer of its own."""
-        good = [future for future in finished if future.status == "finished"]
-        with suppress(Exception):  # of a worker that was lost since: its unit says so itself
-            return dict(zip(good, self.cluster.client.gather(good)))
-        return {}
+        """Outcomes of computed units, fetched at once: one by one each waits for an answer of its own. Empty
+        if they do not come: a worker was lost with them, whose units the scheduler or `step` gives to others.
+        """
+        client, good = self.cluster.client, [future for future in finished if future.status == "finished"]
+
+        async def together() -> Any:
+            return await client.gather(good, asynchronous=True)
+
+        try:
+            answers = dict(zip(good, client.sync(together, callback_timeout=self.fetch_s)))
+        except TimeoutError:
+            self.fetch_s *= 2.0  # they may only be large
+            return {}
+        except Exception:  # of a unit or of the scheduler; both say it themselves
+            return {}
+        self.fetch_s = FETCH_S
+        return answers
 
     def _take(self, future: Any, answers: Mapping[Any, Any]) -> None:
         from distributed import KilledWorker
 
         n, _ = self.running.pop(future)
         try:
-            self.outcomes[n] = answers[future] if future in answers else future.result()
+            self.outcomes[n] = answers[future] if future in answers else future.result()  # its error
         except UnfitWorkerError as error:
             address, reason = error.args
             self._refuse(address, reason)

@@ -225,6 +225,27 @@ def test_unit_of_a_killed_worker_is_done_by_another_and_errors_of_units_are_rais
             on.map(full, [0], lambda n, outcome: counts.append(n))
 
 
+def test_outcomes_that_are_lost_with_their_worker_are_computed_by_another(two_workers: Processes) -> None:
+    """The worker ends after its units and before their outcomes are fetched, and they were bound to it."""
+    with executor(two_workers.address, [], workers=2) as on:
+        run = cluster._Run(on, lambda n: (n, os.getpid()), range(6), lambda n, outcome: None)
+        while len(run.threads) < 2:
+            run._look_at_workers()
+            time.sleep(0.05)
+        doomed, other = two_workers.workers
+        address = next(a for a, pid in on.client.run(os.getpid).items() if pid == doomed.pid)
+        run.threads, run.all_accepted, run.fetch_s = {address: 2}, False, 0.5
+        run._submit()
+        distributed.wait(list(run.running))
+        doomed.kill()
+        doomed.wait()
+        run.look_at_s = time.monotonic() + 0.2
+        end = time.monotonic() + READY_S
+        while len(run.outcomes) < 6 and time.monotonic() < end:
+            run.step()
+        assert run.outcomes == {n: (n, other.pid) for n in range(6)}
+
+
 def test_adaptive_cluster_starts_workers_for_a_run_and_more_while_it_lasts(tmp_path: Path) -> None:
     (begun := tmp_path / "begun").mkdir()
 
