@@ -53,4 +53,4 @@ class _Deferring(MetaPathFinder, Loader):
         return _Deferred(spec.name)
 
     def exec_module(self, module: ModuleType) -> None:
-        """Nothing yet."""
+        """Nothing: the module is executed when its first attribute is asked for."""

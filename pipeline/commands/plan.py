@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from boresight.pipeline.commands.dump_argument import DumpArgument
 from boresight.pipeline.commands.messages import DATA_DID_NOT_ALLOW, DONE, Answer, talks
+
+if TYPE_CHECKING:
+    from boresight.pipeline.files.dump import Dump
+    from boresight.pipeline.stages.sky_scans import ScanCameras
 
 __all__ = ["add_plan_commands"]
 
@@ -81,11 +85,10 @@ def sky_strip_plan(
     """
     from boresight.pipeline.errors import DataNotSufficientError, RawDataError
     from boresight.pipeline.files.dump import open_dump
-    from boresight.pipeline.files.star_side import SolvedAttitudes
     from boresight.pipeline.files.star_tables import survey_of
     from boresight.pipeline.report.sky_scans import scan_lines, scan_table, write_scans
     from boresight.pipeline.settings import Settings, calibration_settings
-    from boresight.pipeline.stages.sky_scans import ScanCameras, ScanSettings, choose_scans
+    from boresight.pipeline.stages.sky_scans import ScanSettings, choose_scans
 
     opened = open_dump(dump.resolve())
     try:
@@ -104,19 +107,9 @@ def sky_strip_plan(
         earth_deg=earth_deg,
         seed=seed,
     )
-    head = opened.heads[0]
-    cameras = ScanCameras(
-        line=opened.line_camera,
-        star=head.source.usual_covariance_s(head.noise)
-        if isinstance(head.source, SolvedAttitudes)
-        else head.source.camera,
-        R_cs=opened.R_cs0,
-        orbit=opened.orbit,
-        noise=head.noise,
-    )
     errors = calibration_settings(Settings(), opened.errors, opened.line_camera)
     try:
-        found = choose_scans(cameras, survey_of(opened.star_catalogue), start, errors, asked)
+        found = choose_scans(_scan_cameras(opened), survey_of(opened.star_catalogue), start, errors, asked)
     except ValueError as error:
         raise DataNotSufficientError(str(error)) from error
     lines, files = scan_lines(found, opened.epoch), tuple[Path, ...]()
@@ -125,3 +118,19 @@ def sky_strip_plan(
         lines.append(f"-> {', '.join(map(str, files))}")
     table = scan_table(found, opened.epoch)
     return Answer(text="\n".join(lines), content={"scans": table.to_dict("records")}, files=files)
+
+
+def _scan_cameras(dump: Dump) -> ScanCameras:
+    """Both cameras of a dump; of a head that delivers attitudes, their usual covariance."""
+    from boresight.pipeline.files.star_side import SolvedAttitudes
+    from boresight.pipeline.stages.sky_scans import ScanCameras
+
+    head = dump.heads[0]
+    source = head.source
+    return ScanCameras(
+        line=dump.line_camera,
+        star=source.usual_covariance_s(head.noise) if isinstance(source, SolvedAttitudes) else source.camera,
+        R_cs=dump.R_cs0,
+        orbit=dump.orbit,
+        noise=head.noise,
+    )

@@ -25,7 +25,7 @@ from boresight.pipeline.files.sentinel2 import read_sentinel2
 from boresight.pipeline.files.star_side import SolvedAttitudes
 from boresight.pipeline.files.text_tables import write_toml
 from boresight.pipeline.imports.sentinel2 import sentinel2_mission
-from boresight.pipeline.imports.writing import write_imported
+from boresight.pipeline.imports.writing import ImportedMission, write_imported
 from boresight.pipeline.stages.calibrate import calibrate_dump
 
 HEADER = "id,strip,ccd,sample,line,sigma_sample_px,sigma_line_px,lat_deg,lon_deg,height_m,height_kind,"
@@ -69,14 +69,19 @@ def points(dump: Dump, model: Pushbroom, lines: np.ndarray, first: int, strip_id
     return HEADER + "".join(rows)
 
 
+def imported(root: Path) -> tuple[ImportedMission, Dump]:
+    """The handmade product, and a dump of it with one point."""
+    mission = sentinel2_mission(read_sentinel2(write_sentinel2(root), root, "B04"), "test")
+    write_imported(root / "plain", mission)
+    (root / "plain" / "points.csv").write_text(HEADER + "a,B04,1,3,100,1,1,10,20,50,ellipsoidal,1,1,1\n")
+    return mission, open_dump(root / "plain")
+
+
 @pytest.fixture(scope="module")
 def found(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, tuple[Rotation, Rotation]]:
     """The joint result of two dumps, and the true matrices."""
     root = tmp_path_factory.mktemp("heads")
-    mission = sentinel2_mission(read_sentinel2(write_sentinel2(root), root, "B04"), "test")
-    write_imported(root / "plain", mission)
-    (root / "plain" / "points.csv").write_text(HEADER + "a,B04,1,3,100,1,1,10,20,50,ellipsoidal,1,1,1\n")
-    plain = open_dump(root / "plain")
+    mission, plain = imported(root)
     model, matrices = truth(plain)
     half = plain.strips[0].lines // 4
     for name, first in (("early", 0), ("late", half)):
@@ -113,10 +118,7 @@ def blinded(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Dump, tuple
     true matrices.
     """
     root = tmp_path_factory.mktemp("blinded")
-    mission = sentinel2_mission(read_sentinel2(write_sentinel2(root), root, "B04"), "test")
-    write_imported(root / "plain", mission)
-    (root / "plain" / "points.csv").write_text(HEADER + "a,B04,1,3,100,1,1,10,20,50,ellipsoidal,1,1,1\n")
-    plain = open_dump(root / "plain")
+    mission, plain = imported(root)
     model, matrices = truth(plain)
     half = plain.strips[0].lines // 4
     begin = {"early": 0, "late": 2 * half}
