@@ -9,6 +9,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator
 from functools import partial
+from itertools import cycle
 
 import numpy as np
 from record import exit_status, head, peak_mib, verdict
@@ -72,49 +73,52 @@ def against_the_svd() -> None:
 
 
 def growth() -> None:
+    """Chunk by chunk, a run of 400 000 frames takes turns with ten runs of 40 000: a chunk of the same
+    vectors costs 21 to 41 ms by what else uses the machine's cache and memory, for seconds at a time.
+    """
     print(f"growth, (60, 20) a frame, chunks of {CHUNK}; the vectors of a chunk are drawn outside the clock")
     print("  frames   CPU s   us a frame   peak MiB   1-sigma X Y Z, arcsec")
     pool = [draw_frames(CHUNK, 60, 20, 0.06, 0.3, CAMERAS, np.random.default_rng(seed)) for seed in range(4)]
-    found = {}
-    for n_frames in (400, 4000, 40_000, 400_000):
-        start = time.process_time()
-        R_cs, sigma = in_chunks(chunks(pool, n_frames))
-        spent = time.process_time() - start
-        found[n_frames] = (spent, peak_mib())
-        sigma = sigma / ARCSEC
-        print(
-            f"{n_frames:8d} {spent:7.3f}   {1e6 * spent / n_frames:10.1f}   {peak_mib():8.0f}   "
-            f"{sigma[0]:.5f} {sigma[1]:.5f} {sigma[2]:.5f}"
-        )
-        assert np.linalg.norm(theta_between(R_cs, CAMERAS.R_cs)) < 1e-5
-    slope = (found[400_000][0] - found[40_000][0]) / (found[40_000][0] - found[4000][0])
+    long_s, short_s, peaks = np.zeros(200), np.zeros(200), np.zeros(200)
+    long = in_chunks(pool)
+    for k in range(200):
+        if k % 20 == 0:
+            short = in_chunks(pool)
+        (R_cs, sigma), long_s[k] = clocked(long)
+        _, short_s[k] = clocked(short)
+        peaks[k] = peak_mib()
+        if k + 1 in (2, 20, 200):
+            frames, spent, (x, y, z) = (k + 1) * CHUNK, long_s[: k + 1].sum(), sigma / ARCSEC
+            print(
+                f"{frames:8d} {spent:7.3f}   {1e6 * spent / frames:10.1f}   {peaks[k]:8.0f}   "
+                f"{x:.5f} {y:.5f} {z:.5f}"
+            )
+            assert np.linalg.norm(theta_between(R_cs, CAMERAS.R_cs)) < 1e-5
+    slope = long_s[20:].sum() / short_s.reshape(10, 20)[:, 2:].sum(axis=1).mean()
     verdict(f"linear: 360 000 more frames cost {slope:.1f} times 36 000 more (9 to 11)", 9.0 <= slope <= 11.0)
-    more = found[400_000][1] - found[4000][1]
+    more = peaks[199] - peaks[1]
     verdict(f"memory flat: {more:.0f} MiB more for 100 times the frames (<= 20)", more <= 20)
 
 
-def in_chunks(parts: Iterator[VectorSets]) -> tuple[Rotation, np.ndarray]:
-    """Matrix and 1-sigma (3,) rad from sets of which one chunk is held at a time.
+def clocked(run: Iterator[tuple[Rotation, np.ndarray]]) -> tuple[tuple[Rotation, np.ndarray], float]:
+    """The next result of a run and the CPU time that it took, s."""
+    start = time.process_time()
+    found = next(run)
+    return found, time.process_time() - start
+
+
+def in_chunks(pool: list[VectorSets]) -> Iterator[tuple[Rotation, np.ndarray]]:
+    """Matrix and 1-sigma (3,) rad after each chunk; the same few chunks come round again.
 
     The first chunk alone gives a matrix; the information of all chunks is then added about it.
     """
-    first = next(parts)
-    reference = calibrate_frames(first, R_CS0).R_cs
-    F, F_theta = one_pass(first, reference)
-    F, F_theta = F.sum(axis=0), F_theta.sum(axis=0)
-    for part in parts:
+    reference = calibrate_frames(pool[0], R_CS0).R_cs
+    F, F_theta = np.zeros((3, 3)), np.zeros(3)
+    for part in cycle(pool):
         more, more_theta = one_pass(part, reference)
         F, F_theta = F + more.sum(axis=0), F_theta + more_theta.sum(axis=0)
-    theta = np.linalg.solve(F, F_theta)
-    return deviation_from_theta(theta) * reference, np.sqrt(np.diag(np.linalg.inv(F)))
-
-
-def chunks(pool: list[VectorSets], n_frames: int) -> Iterator[VectorSets]:
-    """`n_frames` frames in chunks; the same few chunks come round again."""
-    if n_frames < CHUNK:
-        yield draw_frames(n_frames, 60, 20, 0.06, 0.3, CAMERAS, np.random.default_rng(9))
-    for k in range(n_frames // CHUNK):
-        yield pool[k % len(pool)]
+        theta = np.linalg.solve(F, F_theta)
+        yield deviation_from_theta(theta) * reference, np.sqrt(np.diag(np.linalg.inv(F)))
 
 
 if __name__ == "__main__":
