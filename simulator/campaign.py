@@ -103,6 +103,7 @@ class StripPlan:
     vibration_hz: float = 0.0  # if not 0: a wave of this frequency with that rms instead of white noise
     sigma_distortion_rad: float = 0.0  # per axis (Table 1: 0.3 px)
     distortion_length_px: float = 2000.0
+    distortion_pixel_rad: float = 0.0  # angle of a pixel: one curve over the field; 0: one for each CCD
     distortion_scope: str = "camera"  # one curve for all strips, or "strip"
     sigma_target_m: float = 0.0  # per axis, of the targets' own coordinates
     same_targets: bool = False  # all strips see the same ones on one and the same track: one error each
@@ -252,23 +253,26 @@ class StripMotion:
 @dataclass(frozen=True, slots=True, eq=False)
 class DistortionCurve:
     """A smooth random residual of the distortion along the detector, by Fourier waves of its own
-    correlation.
+    correlation: one curve over the field, or one for each CCD.
     """
 
-    wave: Array  # (2, n_ccds, M) 1/px
-    phase: Array  # (2, n_ccds, M)
+    wave: Array  # (2, curves, M) 1/px
+    phase: Array  # (2, curves, M)
     sigma_rad: float
+    ccd_px: int  # length of a CCD
 
     @classmethod
     def draw(cls, plan: StripPlan, cameras: CameraPair, rng: np.random.Generator) -> DistortionCurve:
-        """A curve for each CCD of the cameras, drawn at random."""
+        """The curve of the field, or those of the CCDs, drawn at random."""
         # Matérn 3/2 has the spectral density of Student's t with 3 degrees of freedom over sqrt(3) / length.
-        shape = (2, cameras.n_ccds, 200)
+        shape = (2, 1 if plan.distortion_pixel_rad else cameras.n_ccds, 200)
         wave = rng.standard_t(3, shape) / plan.distortion_length_px
-        return cls(wave, rng.uniform(0, 2 * np.pi, shape), plan.sigma_distortion_rad)
+        return cls(wave, rng.uniform(0, 2 * np.pi, shape), plan.sigma_distortion_rad, cameras.ccd_px)
 
     def at(self, ccd: NDArray[np.int64], sample: Array) -> Array:
         """(J, 2) rad along x and y of c."""
+        if self.wave.shape[1] == 1:  # over the field, where the CCDs lie side by side
+            ccd, sample = np.zeros_like(ccd), ccd * self.ccd_px + sample
         waves = np.cos(self.wave[:, ccd] * sample[:, None] + self.phase[:, ccd])
         return self.sigma_rad * np.sqrt(2.0 / waves.shape[2]) * waves.sum(axis=2).T
 

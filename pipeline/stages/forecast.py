@@ -31,6 +31,7 @@ def settings_of_plan(plan: StripPlan) -> CalibrationSettings:
         sigma_vibration_rad=plan.sigma_vibration_rad,
         sigma_distortion_rad=plan.sigma_distortion_rad,
         distortion_length_px=plan.distortion_length_px,
+        distortion_pixel_rad=plan.distortion_pixel_rad,
         distortion_scope="camera" if plan.distortion_scope == "camera" else "strip",
     )
 

@@ -272,6 +272,7 @@ def _campaign(plan: Plan) -> tuple[StripPlan, CameraPair]:
         sigma_vibration_rad=e.vibration_arcsec * ARCSEC,
         sigma_distortion_rad=e.distortion_px * pixel_rad,
         distortion_length_px=e.distortion_length_px,
+        distortion_pixel_rad=pixel_rad,
         sigma_target_m=t.sigma_m,
     )
     return campaign, cameras

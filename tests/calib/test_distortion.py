@@ -1,5 +1,7 @@
 """The curve that stands for the distortion's residual."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from boresight.calib.distortion import (
@@ -43,6 +45,20 @@ def test_drawn_curves_have_the_correlation_that_the_prior_states():
     np.testing.assert_allclose(
         drawn.T @ drawn / 4000, correlation(knots), atol=0.09
     )  # 4 / sqrt(4000) and waves' own
+
+
+def test_simulated_curve_of_the_field_runs_on_from_ccd_to_ccd():
+    length = 1500.0
+    plan = StripPlan(sigma_distortion_rad=1.0, distortion_length_px=length, distortion_pixel_rad=1e-6)
+    of_each, rng = replace(plan, distortion_pixel_rad=0.0), np.random.default_rng(3)
+    ccd, sample = np.array([0, 1]), np.array([CAMERAS.ccd_px - 1.0, 0.0])  # neighbours across the seam
+    jumps = [
+        [np.diff(DistortionCurve.draw(one, CAMERAS, rng).at(ccd, sample), axis=0) for _ in range(400)]
+        for one in (plan, of_each)
+    ]
+    field, each = np.sqrt(np.mean(np.square(jumps), axis=(1, 2, 3)))
+    assert field < 0.01  # of the curve's sigma: sqrt(3) / length of a pixel, 0.001
+    np.testing.assert_allclose(each, np.sqrt(2.0), rtol=0.1)  # two of their own; 3 standard errors
 
 
 def test_prior_is_found_again_by_the_unknowns_names_in_any_order():
