@@ -22,9 +22,7 @@ def test_forecast_is_the_covariance_that_the_calibration_states(pixel_rad):
     drawn = [draw_strips(plan, CAMERAS, rng)[0] for _ in range(10)]
     stated = [np.diag(calibrate(strips, CAMERAS.R_cs, settings).cov_theta) for strips in drawn]
     sigma = np.sqrt(np.mean(stated, axis=0))
-    np.testing.assert_allclose(
-        found.sigma(plan.strips), sigma, rtol=0.12
-    )  # where targets fall: 96 of them
+    np.testing.assert_allclose(found.sigma(plan.strips), sigma, rtol=0.12)  # where targets fall: 96 of them
 
 
 def test_strips_needed_is_the_least_number_that_reaches_the_target():
