@@ -32,7 +32,7 @@ def strips_on_sky(saved: Saved, rows: Sequence[StripStarRow]) -> Drawing | None:
     deep = -(-len(strips) // 2)
     figure = new_figure(PANEL_IN * deep, legend_in=0.25)
     panels = figure.subplots(deep, 1 if len(strips) == 1 else 2, squeeze=False).ravel()
-    figure.subplots_adjust(hspace=0.45, wspace=0.4)
+    figure.subplots_adjust(hspace=0.45, wspace=0.55)
     residual = [np.hypot(*_residual(saved, row.row)) for row in rows if row.state == "used"]
     largest = float(max(residual, default=0.0)) or 1.0
     spots = []
@@ -57,7 +57,7 @@ def _panel(saved: Saved, axes: Axes, strip: str, rows: Sequence[StripStarRow], l
     place, (ra, dec) = _tangents(u_i)
     reach = 1.3 * float(np.abs(place).max()) + 0.02
     dress_axes(axes, "east, °", "north, °")
-    axes.set_title(f"{strip}: RA {ra:.2f}°, Dec {dec:+.2f}°", fontsize=9, color=INK)
+    axes.set_title(f"{strip}\nRA {ra:.2f}°, Dec {dec:+.2f}°", fontsize=9, color=INK)
     axes.set(xlim=(reach, -reach), ylim=(-reach, reach), aspect="equal")
     if (turned := _axes_on_sky(saved, index, place)) is not None:
         to_sky, scan = turned
