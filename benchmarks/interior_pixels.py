@@ -2,8 +2,11 @@
 rotation and 2 px in a smooth distortion, from raw pixels of six strips of the sky; a px is 1 µrad.
 
     python benchmarks/interior_pixels.py --cameras mini --seeds 1-5
+    python benchmarks/interior_pixels.py --cameras paper --per-deg2 45 --seeds 1-2
 
-The dump states the wrong camera, and by how much it may be wrong. `benchmarks/interior_orientation.py` has
+The dump states the wrong camera, and by how much it may be wrong. With `--per-deg2` the sky of the strips is
+drawn at random, that many stars from V 7 to 10.5 a square degree, and the dump has their catalogue
+(`files.star_catalogue`); without it the sky is that of Hipparcos. `benchmarks/interior_orientation.py` has
 the same at the level of vectors.
 """
 
@@ -16,24 +19,34 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 from record import exit_status, head, verdict
 from sky_strips import scenario_of, seeds
 
 from boresight.calib.interior.estimate import map_difference_px
 from boresight.calib.interior.parameters import InteriorModel, InteriorPriors
+from boresight.geometry.earth_orientation import bundled_earth_orientation
+from boresight.geometry.geoid import egm96
 from boresight.geometry.line_camera import LineCamera
 from boresight.pipeline.files.dump_writer import write_dump
 from boresight.pipeline.files.scenario_file import fly
+from boresight.pipeline.files.star_tables import read_star_table
 from boresight.pipeline.results.interior import calibrate_remote_camera
 from boresight.pipeline.settings import Settings
 from boresight.pipeline.work.executor import InOrder
 from boresight.simulator.cameras import calibrated_line_camera
+from boresight.simulator.mission import simulate
+from boresight.simulator.records import Mission
+from boresight.simulator.scenario import Scenario
+from boresight.star_id.catalogue import hipparcos_stars
 
 SCANS = 6
 STATED_RAD = 4e-6  # look_distortion_px of the dump: what the assumed camera may be wrong by
 PX_RAD = 1e-6  # a pixel of the paper's camera, in which all is stated
 OF_CCD = {"focal": 1e-4, "rotation": 1e-4}
 SHIFT_RAD, CURVE_RAD = 3e-6, 2e-6
+DEEP_V, FAINTER = (7.0, 10.5), 3.0  # of the drawn sky: stars of one magnitude over those of the one before
+CATALOGUE = "stars.csv"
 WAVES = 2.0 * np.pi * np.array([1.3, 2.7])  # of the distortion, over the field
 
 
@@ -53,7 +66,34 @@ def wrong_camera(true: LineCamera, priors: InteriorPriors, rng: np.random.Genera
     return model.corrected(values)
 
 
-def run(cameras: str, seed: int, folder: Path) -> tuple[float, ...]:
+def drawn_catalogue(scenario: Scenario, per_deg2: float, rng: np.random.Generator) -> pd.DataFrame:
+    """Stars around the scans, columns as in the Gaia archive, errors of 5 mas."""
+    tables = []
+    for scan in scenario.sky_strips.scans:
+        side = 3.0  # degrees; a strip shows half of it
+        n = rng.poisson(per_deg2 * side**2)
+        dec = scan.dec_deg + side * rng.uniform(-0.5, 0.5, n)
+        ra = scan.ra_deg + side * rng.uniform(-0.5, 0.5, n) / np.cos(np.radians(dec))
+        v = np.log(rng.uniform(*(FAINTER**end for end in DEEP_V), n)) / np.log(FAINTER)
+        tables.append(pd.DataFrame({"ra": ra % 360.0, "dec": dec, "phot_g_mean_mag": v}))
+    table = pd.concat(tables, ignore_index=True)
+    rest = dict.fromkeys(("pmra", "pmdec", "pmra_error", "pmdec_error"), 0.0)
+    return table.assign(
+        source_id=np.arange(1, len(table) + 1), ref_epoch=2024.0, ra_error=5.0, dec_error=5.0, **rest
+    )
+
+
+def flown(scenario: Scenario, seed: int, per_deg2: float, catalogue: Path) -> Mission:
+    """The mission under the sky of Hipparcos, or under a drawn one that is written to `catalogue`."""
+    if not per_deg2:
+        return fly(scenario, seed)
+    drawn_catalogue(scenario, per_deg2, np.random.default_rng([23, seed])).to_csv(catalogue, index=False)
+    survey = read_star_table(catalogue, CATALOGUE)
+    earth = bundled_earth_orientation()
+    return simulate(scenario, hipparcos_stars().places, earth, egm96(), seed, survey=survey)
+
+
+def run(cameras: str, seed: int, per_deg2: float, folder: Path) -> tuple[float, ...]:
     """Map error before and after, its stated 1-sigma (px rms), chi2 of the map, stars."""
     scenario = scenario_of(cameras, SCANS, 0, seed)
     none = replace(scenario.errors, distortion_px=0.0, distortion_across_px=0.0)
@@ -62,13 +102,19 @@ def run(cameras: str, seed: int, folder: Path) -> tuple[float, ...]:
         shift_px=5e-6 / pixel_rad, curve_px=3e-6 / pixel_rad, curve_length_px=5e-3 / pixel_rad
     )  # the default ones of a camera of 1 µrad
     try:
-        mission = fly(replace(scenario, errors=none), seed)
+        catalogue = folder.with_name(CATALOGUE)
+        mission = flown(replace(scenario, errors=none), seed, per_deg2, catalogue)
         true = mission.truth.line_camera
         assumed = wrong_camera(true, priors, np.random.default_rng([19, seed]))
         stated = replace(mission.errors, look_distortion_px=STATED_RAD / true.pixel_rad)
         write_dump(
             replace(mission, line_camera=assumed, errors=stated), folder, created_by=Path(__file__).name
         )
+        if per_deg2:
+            shutil.move(catalogue, folder / CATALOGUE)
+            text = (folder / "dump.toml").read_text()
+            named = text.replace("[files]\n", f'[files]\nstar_catalogue = "{CATALOGUE}"\n')
+            (folder / "dump.toml").write_text(named)
         found = calibrate_remote_camera(
             [folder], Settings(), priors, InOrder(), lambda stage, done, total: None
         ).found
@@ -86,6 +132,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--seeds", type=seeds, default=seeds("1-5"))
     parser.add_argument("--cameras", choices=("mini", "paper"), default="mini")
+    parser.add_argument("--per-deg2", type=float, default=0.0, help="stars of a drawn sky; 0: Hipparcos")
     parser.add_argument("--scratch", type=Path)
     options = parser.parse_args()
     head("interior orientation from raw pixels")
@@ -94,7 +141,7 @@ def main() -> None:
     table = []
     with tempfile.TemporaryDirectory(dir=options.scratch) as scratch:
         for seed in options.seeds:
-            one = run(options.cameras, seed, Path(scratch) / "dump")
+            one = run(options.cameras, seed, options.per_deg2, Path(scratch) / "dump")
             table.append(one)
             print(
                 f"{seed:4d} {one[0]:8.2f} {one[1]:7.3f} {one[2]:7.3f} {one[3]:6.2f} {one[4]:6.0f}", flush=True

@@ -4,6 +4,9 @@ A ray is the polynomial through a few points (column, row, height), in the param
 ground) to 1 (below all ground). Three steps: the interval of u is reduced by the highest and lowest ground of
 the tiles around the ray, coarse to fine (`_possible_interval`); the ray is sampled once per pixel until it is
 below ground (`_first`); the crossing is refined by regula falsi (`_refined`).
+
+Source of the refinement: Anderson, N., and Björck, Å. (1973), A new high order method of regula falsi type,
+BIT 13, 253.
 """
 
 from __future__ import annotations
@@ -272,7 +275,7 @@ def _first(clearance: Clearance, start: Array, stop: Array, steps: Array) -> Arr
 
 
 def _refined(clearance: Clearance, left: Array, right: Array, above: Array, below: Array) -> Array:
-    """Root (N,) between `left` (above ground) and `right` (below) by regula falsi (Illinois variant).
+    """Root (N,) between `left` (above ground) and `right` (below) by regula falsi (Anderson and Björck's).
 
     NaN where a sampled point has no data.
     """
@@ -287,8 +290,8 @@ def _refined(clearance: Clearance, left: Array, right: Array, above: Array, belo
         c = b - fb * (b - a) / (fb - fa) if iteration % 8 != 7 else 0.5 * (a + b)
         fc = here.above_ground(c)
         root[active] = np.where(np.isfinite(fc), c, np.nan)
-        other_side = fc * fb < 0.0
-        a, fa = np.where(other_side, b, a), np.where(other_side, fb, 0.5 * fa)
+        other_side, less = fc * fb < 0.0, 1.0 - fc / fb
+        a, fa = np.where(other_side, b, a), np.where(other_side, fb, np.where(less > 0.0, less, 0.5) * fa)
         b, fb = c, fc
         more: NDArray[np.int64] = np.flatnonzero(np.abs(fc) > _CONVERGED_M)
         if len(more) < len(active):
