@@ -2,11 +2,12 @@
 rotation and 2 px in a smooth distortion, from raw pixels of six strips of the sky; a px is 1 µrad.
 
     python benchmarks/interior_pixels.py --cameras mini --seeds 1-5
-    python benchmarks/interior_pixels.py --cameras paper --per-deg2 45 --seeds 1-2
+    python benchmarks/interior_pixels.py --cameras paper --per-deg2 40 --seeds 1-2
 
 The dump states the wrong camera, and by how much it may be wrong. With `--per-deg2` the sky of the strips is
-drawn at random, that many stars from V 7 to 10.5 a square degree, and the dump has their catalogue
-(`files.star_catalogue`); without it the sky is that of Hipparcos. `benchmarks/interior_orientation.py` has
+drawn at random, that many stars from V 6 to 9 a square degree, and the dump has their catalogue
+(`files.star_catalogue`): 40 give a strip of 1.4 x 1.5 degrees as many stars as the real sky gives a scan of
+25 degrees (`docs/plan.md`). Without it the sky is that of Hipparcos. `benchmarks/interior_orientation.py` has
 the same at the level of vectors.
 """
 
@@ -45,7 +46,7 @@ STATED_RAD = 4e-6  # look_distortion_px of the dump: what the assumed camera may
 PX_RAD = 1e-6  # a pixel of the paper's camera, in which all is stated
 OF_CCD = {"focal": 1e-4, "rotation": 1e-4}
 SHIFT_RAD, CURVE_RAD = 3e-6, 2e-6
-DEEP_V, FAINTER = (7.0, 10.5), 3.0  # of the drawn sky: stars of one magnitude over those of the one before
+DRAWN_V, FAINTER = (6.0, 9.0), 3.0  # of the drawn sky: stars of one magnitude over those of the one before
 CATALOGUE = "stars.csv"
 WAVES = 2.0 * np.pi * np.array([1.3, 2.7])  # of the distortion, over the field
 
@@ -74,7 +75,7 @@ def drawn_catalogue(scenario: Scenario, per_deg2: float, rng: np.random.Generato
         n = rng.poisson(per_deg2 * side**2)
         dec = scan.dec_deg + side * rng.uniform(-0.5, 0.5, n)
         ra = scan.ra_deg + side * rng.uniform(-0.5, 0.5, n) / np.cos(np.radians(dec))
-        v = np.log(rng.uniform(*(FAINTER**end for end in DEEP_V), n)) / np.log(FAINTER)
+        v = np.log(rng.uniform(*(FAINTER**end for end in DRAWN_V), n)) / np.log(FAINTER)
         tables.append(pd.DataFrame({"ra": ra % 360.0, "dec": dec, "phot_g_mean_mag": v}))
     table = pd.concat(tables, ignore_index=True)
     rest = dict.fromkeys(("pmra", "pmdec", "pmra_error", "pmdec_error"), 0.0)
