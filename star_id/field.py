@@ -304,7 +304,7 @@ def _fitted(
         before, rows, detections = rows, expected[seen[match.stars]], match.detections
         if np.array_equal(rows, before):
             break
-    unknown_scale = ABERRATION_SCALE if years else 0.0
+    unknown_scale = np.hypot(ABERRATION_SCALE if years else 0.0, stars.psf.scale_sigma)
     return replace(
         _solution(replace(found, detections=detections, stars=rows), stars.xy_px, camera, index),
         R_si=R_si,

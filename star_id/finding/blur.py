@@ -3,8 +3,9 @@
 A Gaussian fitted to a comatic fan lies between the fan's tip and the middle of its light, the farther from
 either the longer the fan: the field of view seems to be another. Where widths grow towards the corners, two
 lengths, outwards and inwards, explain the growth; the one that fits the stars' images better is refined
-together with the width. An even trail has sharp ends that an empirical image of few stars shows with their
-noise: where a smeared Gaussian explains the stars as well, it is the PSF.
+together with the width. Its error, from the scatter of what single stars say, is one of the scale of all
+places. An even trail has sharp ends that an empirical image of few stars shows with their noise: where a
+smeared Gaussian explains the stars as well, it is the PSF.
 """
 
 from __future__ import annotations
@@ -28,8 +29,10 @@ _LENGTH2 = 27.0  # squared length of a fan over half the trace of its second mom
 _FEWEST = 12
 _LONGEST_PX = 24.0
 _STEPS = 3
+_UNLIKE = 0.1  # of the light in a pixel: what a real star differs by from the Gaussians of a fan
 _BETTER = 0.8  # times the misfit of the widths alone
 _BEYOND_CHANCE = 50.0  # of chi2: 6 standard errors, three parameters
+_NEIGHBOUR = 5.0  # standard deviations of a pixel: more is another star, or a hot pixel
 _TRAIL_SIGMA = 3.0  # a shorter one is found by its second moments alone
 _LIGHT = 0.1  # of the peak: what is fainter is left out of an empirical image's moments
 _AS_GOOD = 1.2  # times the misfit of the empirical image, which is fitted to the same stars
@@ -56,8 +59,15 @@ def find_coma(
 
     tries = [np.array([np.log(psf.sigma_px), sign * length]) for sign in (1.0, -1.0)]
     best = min(tries, key=lambda theta: _chi2(windows, start, comatic(theta)))
-    found = _refined(windows, start, comatic, best)
-    return (found, _gain(windows, start, found)) if _is_better(windows, start, found, psf) else None
+    theta, covariance = _refined(windows, start, comatic, best, _UNLIKE)
+    found = comatic(theta)
+    if not _is_better(windows, start, found, psf, _UNLIKE):
+        return None
+    longer = comatic(theta + np.array([0.0, np.sqrt(covariance[1, 1])]))
+    there, here = (_fitted(windows, start, each, _UNLIKE)[1][:, :2] for each in (longer, found))
+    outwards = xy_px - found.middle_px
+    scale = float((outwards * (there - here)).sum() / (outwards**2).sum())
+    return replace(found, scale_sigma=abs(scale)), _gain(windows, start, found)
 
 
 def explains_better(
@@ -72,8 +82,8 @@ def explains_better(
     return _is_better(windows, windows.offsets(xy_px), psf, other)
 
 
-def _is_better(windows: StarWindows, start: Floats, psf: Psf, other: Psf) -> bool:
-    after, before = (_chi2(windows, start, each) for each in (psf, other))
+def _is_better(windows: StarWindows, start: Floats, psf: Psf, other: Psf, unlike: float = 0.0) -> bool:
+    after, before = (_chi2(windows, start, each, unlike) for each in (psf, other))
     dof = windows.data.size
     return after - dof < _BETTER * (before - dof) and before - after > _BEYOND_CHANCE
 
@@ -100,7 +110,7 @@ def find_trail(
         sigma, smear = float(np.exp(theta[0])), (float(theta[1]), float(theta[2]))
         return replace(psf, sigma_px=sigma, sigma_corner_px=sigma, smear_px=smear, shape=None)
 
-    found = _refined(windows, start, smeared, np.array([np.log(width), *(length * axes[:, 1])]))
+    found = smeared(_refined(windows, start, smeared, np.array([np.log(width), *(length * axes[:, 1])]))[0])
     before, after = (_chi2(windows, start, each) for each in (psf, found))
     dof = windows.data.size
     if after - dof > _AS_GOOD * max(before - dof, 0.0) + _BEYOND_CHANCE:
@@ -108,19 +118,29 @@ def find_trail(
     return found, _gain(windows, start, found)
 
 
-def _refined(windows: StarWindows, start: Floats, psf_of: Callable[[Floats], Psf], theta: Floats) -> Psf:
-    """PSF with the parameters (P,) that explain the windows best: a logarithmic width, and lengths in px."""
+def _refined(
+    windows: StarWindows,
+    start: Floats,
+    psf_of: Callable[[Floats], Psf],
+    theta: Floats,
+    unlike: float = 0.0,
+) -> tuple[Floats, Floats]:
+    """Parameters (P,) of the PSF that explains the windows best, a logarithmic width and lengths in px, and
+    their covariance (P, P) by the scatter of single stars' parts in it."""
     from scipy.optimize import least_squares  # 0.1 s to load, and seldom needed
 
     def residuals(theta: Floats) -> Floats:
-        return _fitted(windows, start, psf_of(theta))[0]
+        return _fitted(windows, start, psf_of(theta), unlike)[0]
 
     scale = np.append(0.1, np.full(len(theta) - 1, np.abs(theta[1:]).max()))
-    return psf_of(least_squares(residuals, theta, diff_step=0.02, max_nfev=8, x_scale=scale).x)
+    fit = least_squares(residuals, theta, diff_step=0.02, max_nfev=8, x_scale=scale)
+    parts = (fit.jac * fit.fun[:, None]).reshape(len(start), -1, len(theta)).sum(axis=1)
+    inverse = np.linalg.pinv(fit.jac.T @ fit.jac)
+    return fit.x, inverse @ (parts.T @ parts) @ inverse
 
 
-def _chi2(windows: StarWindows, start: Floats, psf: Psf) -> float:
-    return float((_fitted(windows, start, psf)[0] ** 2).sum())
+def _chi2(windows: StarWindows, start: Floats, psf: Psf, unlike: float = 0.0) -> float:
+    return float((_fitted(windows, start, psf, unlike)[0] ** 2).sum())
 
 
 def _gain(windows: StarWindows, start: Floats, psf: Psf) -> float:
@@ -128,17 +148,24 @@ def _gain(windows: StarWindows, start: Floats, psf: Psf) -> float:
     return noise_gain(windows, images.value, state[:, 2], state[:, 3])
 
 
-def _fitted(windows: StarWindows, start: Floats, psf: Psf) -> tuple[Floats, Floats, PsfImages]:
-    """Residuals over the noise, all in one row, states (N, 4) and unit images (N, M) of the stars with a
-    PSF."""
+def _fitted(
+    windows: StarWindows, start: Floats, psf: Psf, unlike: float = 0.0
+) -> tuple[Floats, Floats, PsfImages]:
+    """Residuals over the noise, all in one row, states (N, 4) and unit images (N, M) of the stars with a PSF
+    that their images differ from by `unlike` of the light in a pixel."""
     pixels = windows.corner + windows.radius
     sigma, offset = psf.sigma_at(pixels.astype(float)), start
     state: Floats = np.empty((len(start), 4))
+    weighted = windows
     for k in range(_STEPS):
         images = images_at(psf, pixels, offset, sigma, windows.radius)
         if k == 0:
             state = start_state(windows, offset, images)
-        step, _, residual, weight = newton_step(windows, images, state, np.inf)
+        if unlike:
+            light2 = (images.value * state[:, 2:3]) ** 2 / windows.noise2[:, None]
+            weighted = replace(windows, good=(windows.good / (1.0 + unlike**2 * light2)).astype(np.float32))
+        step, _, residual, weight = newton_step(weighted, images, state, np.inf)
         state = state + np.column_stack([np.clip(step[:, :2], -0.8, 0.8), step[:, 2:]])
         offset = state[:, :2]
-    return np.asarray((residual * np.sqrt(weight)).ravel(), dtype=float), state, images
+    off: Floats = np.asarray((residual * np.sqrt(weight)).ravel(), dtype=float)
+    return off.clip(-_NEIGHBOUR, _NEIGHBOUR) if unlike else off, state, images

@@ -35,6 +35,10 @@ class Psf:
     coma_px: float = scalar(
         "length of the comatic fan in the corners, outwards; negative: inwards", default=0.0
     )
+    scale_sigma: float = scalar(
+        "1-sigma error of all distances from the image's middle, relative, by that of the fan's length",
+        default=0.0,
+    )
     shape: NDArray | None = scalar(
         "(T, T) spline coefficients of a star's image, FINE points a pixel; None: a smeared Gaussian",
         default=None,
@@ -55,8 +59,14 @@ class Psf:
         """Fans (N, 2) as (column, row) from tip to end, px, at pixels (N, 2); None without coma."""
         if self.coma_px == 0.0:
             return None
-        middle = 0.5 * np.array([self.width_px - 1.0, self.height_px - 1.0])
-        return np.asarray((xy_px - middle) * (self.coma_px / float(np.hypot(*(middle + 0.5)))))
+        return np.asarray(
+            (xy_px - self.middle_px) * (self.coma_px / float(np.hypot(*(self.middle_px + 0.5))))
+        )
+
+    @property
+    def middle_px(self) -> Floats:
+        """(2,) the middle of the image."""
+        return 0.5 * np.array([self.width_px - 1.0, self.height_px - 1.0])
 
     @property
     def smear_sigma_px(self) -> float:

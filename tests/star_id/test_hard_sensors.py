@@ -147,7 +147,16 @@ def test_coma_displaces_no_star():
     stars = find_stars(image, StarSettings())
     assert 0.8 * length < stars.psf.coma_px < 1.2 * length
     distance, nearest = cKDTree(stars.xy_px).query(xy)
-    outer = (distance < 2.0) & (np.hypot(*fan.T) > 0.55 * length)
+    seen = distance < 2.0
+    off, weight = (
+        (stars.xy_px[nearest] - xy)[seen],
+        2.0 / np.trace(stars.cov_px[nearest[seen]], axis1=1, axis2=2),
+    )
+    lever2 = (weight * ((xy - middle)[seen] ** 2).sum(axis=1)).sum()
+    scale = (weight * ((xy - middle)[seen] * off).sum(axis=1)).sum() / lever2
+    assert 0.0 < stars.psf.scale_sigma < 1e-3
+    assert abs(scale) < 3.0 * np.hypot(stars.psf.scale_sigma, lever2**-0.5)
+    outer = seen & (np.hypot(*fan.T) > 0.55 * length)
     out = fan[outer] / np.hypot(*fan[outer].T)[:, None]
     assert outer.sum() >= 30
     assert abs(np.mean(((stars.xy_px[nearest] - xy)[outer] * out).sum(axis=1))) < 0.03  # 0.1 px without coma
