@@ -8,15 +8,18 @@ targets near that proposal support it, with a weight that grows as their correla
 
 from __future__ import annotations
 
+from itertools import accumulate
+
 import numpy as np
 from scipy.spatial import cKDTree
-from scipy.special import logsumexp
 
 from boresight.geometry.record import Floats, Ints, array, record, scalar
 
 __all__ = ["Candidates", "Vote", "fit_common", "log_chance_of_ranks", "vote"]
 
-_ORDERS = np.linspace(0.05, 0.95, 19)  # of the moments that bound a chance; finer steps hardly change it
+_STEPS = 480  # of the score, to which shares of targets are rounded
+_NOTHING: Floats = np.eye(1, _STEPS + 1)[0]  # probabilities of a share that is none
+_LEAST = 1e-300  # probability below which none is told
 _REFINEMENTS = 4
 _MOST_THIRD_VALUES = 61
 
@@ -88,23 +91,46 @@ def log_chance_of_ranks(count: int, share: float) -> Floats:
 def log_chance_of_score(candidates: Candidates, score: float) -> float:
     """Log of a bound of the probability that somewhere the targets' log chances add up to -score by chance.
 
-    If the positions of target t are random, its share -log p of the score has the moments M_t(s) = E[p^-s],
-    where p is the chance of its best position within the tolerance, or 1. Some candidate of some target must
-    be part of the agreement:
+    If the positions of target t are random, its share X_t of the score is -log p, where p is the chance of
+    its best position within the tolerance, or 0. Some candidate of some target must be part of the
+    agreement (Boole's inequality over the candidates):
 
-        P  <=  sum_t sum_k p_tk^-s  prod_(other targets u) M_u(s)  exp(-s score)     for every s in (0, 1)
+        P  <=  sum_t sum_k P(sum_(other targets u) X_u  >=  score + log p_tk)
 
-    (Boole's inequality over the candidates, Chernoff's for the sum of the others).
+    The distributions of the sums are exact for shares rounded up to 1/480 of the score.
     """
-    seeds, moments = [], []
-    for n in np.unique(candidates.owner):
-        log_p = np.sort(candidates.log_chance[candidates.owner == n])
-        p, raised = np.exp(log_p), np.exp(-_ORDERS[:, None] * log_p)
-        seeds.append(np.log(raised.sum(axis=1)))
-        moments.append(np.log(raised @ np.diff(p, prepend=0.0) + 1.0 - p[-1]))
-    others = np.sum(moments, axis=0) - np.array(moments)
-    bounds = logsumexp(np.array(seeds) + others, axis=0) - _ORDERS * score
-    return float(bounds.min())
+    if not score > 0.0:
+        return 0.0
+    of_targets = [np.sort(candidates.log_chance[candidates.owner == n]) for n in np.unique(candidates.owner)]
+    steps = [_steps_of(log_p, score) for log_p in of_targets]
+    shares = [_shares(log_p, at) for log_p, at in zip(of_targets, steps)]
+    before = accumulate(shares[:-1], _sum_of, initial=_NOTHING)
+    after, bound = _NOTHING, 0.0
+    for at, share, others in zip(steps[::-1], shares[::-1], [*before][::-1]):
+        reaches = np.cumsum(_sum_of(others, after)[::-1])  # by any n, counted from the score down
+        bound += float(reaches[at].sum())
+        after = _sum_of(share, after)
+    return float(np.log(max(bound, _LEAST)))
+
+
+def _steps_of(log_p: Floats, score: float) -> Ints:
+    """Shares -log p of a score in steps of 1/480 of it, rounded up, the whole score at most."""
+    return np.ceil(np.minimum(-log_p / score, 1.0) * _STEPS).astype(np.int64)
+
+
+def _shares(log_p: Floats, steps: Ints) -> Floats:
+    """(481,) probabilities of a target's share of the score, by steps; the last: of that and more."""
+    p = np.exp(log_p)
+    out = np.bincount(steps, np.diff(p, prepend=0.0), minlength=_STEPS + 1)
+    out[0] += 1.0 - p[-1]
+    return out
+
+
+def _sum_of(one: Floats, other: Floats) -> Floats:
+    """Probabilities of the sum of two independent shares, as `_shares`."""
+    out = np.convolve(one, other)
+    out[_STEPS] = out[_STEPS:].sum()
+    return out[: _STEPS + 1]
 
 
 def fit_common(

@@ -2,11 +2,19 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from boresight.gct_match.search.vote import Candidates, fit_common, log_chance_of_ranks, vote
+from boresight.gct_match.search.vote import (
+    Candidates,
+    fit_common,
+    log_chance_of_ranks,
+    log_chance_of_score,
+    vote,
+)
 
 SIGMA = np.full(3, 0.003)  # rad
 PX_PER_RAD = 1e6  # the paper's camera
@@ -70,8 +78,29 @@ def test_chance_of_rank_one_in_every_target_is_the_share_to_their_number():
         np.tile(log_chance_of_ranks(50, 1e-3), 4),
     )
     outcome = vote(every, np.full(2, 400.0), 3.0, 2.0, 1.0)
-    assert outcome.log_probability_chance > np.log(4.0 * 1e-3**3)  # a bound, hence not below the chance
-    assert outcome.log_probability_chance < np.log(1e-5)
+    # Boole over the four as the first one: nothing else reaches that score
+    assert outcome.log_probability_chance == pytest.approx(np.log(4.0 * 1e-3**3), abs=1e-9)
+
+
+@pytest.mark.parametrize("score", [3.0, 5.0, 7.5, 10.0])
+def test_chance_of_a_score_is_that_of_all_cases_counted_one_by_one(score: float):
+    ranks = [log_chance_of_ranks(count, share) for count, share in ((4, 0.02), (6, 0.01), (3, 0.05))]
+    found = Candidates(
+        np.repeat(np.arange(3), [4, 6, 3]), np.zeros((13, 2)), np.zeros((13, 2, 3)), np.concatenate(ranks)
+    )
+    cases = [  # of each target: log chance and probability of its best rank, or of none
+        [(0.0, 1.0 - np.exp(log_p[-1])), *zip(log_p, np.diff(np.exp(log_p), prepend=0.0))] for log_p in ranks
+    ]
+    expected = sum(
+        float(p_one * p_other)
+        for t in range(3)
+        for first in ranks[t]
+        for (one, p_one), (other, p_other) in itertools.product(*(cases[u] for u in range(3) if u != t))
+        if first + one + other <= -score
+    )
+    bound = np.exp(log_chance_of_score(found, score))
+    assert expected <= bound * (1.0 + 1e-12)
+    assert bound < 1.3 * expected  # shares are rounded up to 1/480 of the score, cases at its edge with them
 
 
 def test_ranks_of_random_positions_are_as_rare_as_stated():
