@@ -177,10 +177,13 @@ def _measured(
     matches, refused, pixels = [], [], 0
     for ccd in scene.strip.ccds:
         lines, samples = scene.strip.shape(ccd)
-        xy_px, initial_px = (scene.trajectories.pixels(ccd, angle) for angle in (theta, np.zeros(3)))
+        xy_px = scene.trajectories.pixels(ccd, theta)
         end_px = np.array([samples, lines]) - 0.5
         here = [n for n in searched if ((xy_px[n] >= -0.5) & (xy_px[n] < end_px)).all()]
+        if not here:
+            continue
         seen.update(here)
+        initial_px = scene.trajectories.pixels(ccd, np.zeros(3))
         for n, radius in zip(here, _search_radii_px(scene, model, here, ccd, xy_px, covariance)):
             outcome, read = _measured_one(scene, model, n, ccd, xy_px[n], radius)
             pixels += read
@@ -243,8 +246,6 @@ def _search_radii_px(
     scene: Scene, model: Pushbroom, targets: Sequence[int], ccd: int, xy_px: Floats, covariance: Floats
 ) -> list[int]:
     """For each target three standard errors of the prediction: that of the common rotation and its own."""
-    if not targets:
-        return []
     settings, at = scene.settings, list(targets)
     p_e = np.array([scene.targets[n].p_e for n in at])
     _, design = displacements(model, p_e, np.full(len(at), ccd), xy_px[at])
