@@ -9,6 +9,8 @@ several times the error that they make together.)
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +29,8 @@ _STARS, _FEWEST = 60, 8
 _LARGEST_RADIUS, _LEAST_RADIUS = 20, 5  # px
 _BLOB_SIGMA = 5.0  # of the smoothed image
 _SMOOTHING_PX = 2.0
+_SMOOTHING_REACH = 8  # px: four sigma
+_BAND = 256  # rows at a time: pictures of the whole image in floating point are 80 MB for 20 million pixels
 _ROUNDS = 4
 _SMOOTH_CELLS = 1.2  # of the oversampled grid
 _HOT_SIGMA = 5.0
@@ -45,12 +49,21 @@ class ShapeEstimate:
 
 def flat_image(image: NDArray, background: Background) -> NDArray[np.float32]:
     """The image (H, W) less its background, in units of its noise, without hot pixels."""
-    level, noise = (
-        background_image(grid, image.shape) for grid in (background.level_dn, background.noise_dn)
-    )
-    flat = np.asarray((image.astype(np.float32) - level) / noise, dtype=np.float32)
+    flat: NDArray[np.float32] = image.astype(np.float32)
+    flat -= background_image(background.level_dn, image.shape)
+    flat /= background_image(background.noise_dn, image.shape)
     around = cv2.medianBlur(flat, 3)
-    return np.where(flat - around > np.maximum(_HOT_SIGMA, 0.5 * np.abs(around)), around, flat)
+    for band, _ in _bands(len(flat), 0):
+        hot = flat[band] - around[band] > np.maximum(_HOT_SIGMA, 0.5 * np.abs(around[band]))
+        np.copyto(flat[band], around[band], where=hot)
+    return flat
+
+
+def _bands(rows: int, reach: int) -> Iterator[tuple[slice, slice]]:
+    """Bands of an image's rows, one after another, each with the rows around it to which a filter reaches."""
+    for first in range(0, rows, _BAND):
+        last = min(first + _BAND, rows)
+        yield slice(first, last), slice(max(0, first - reach), min(rows, last + reach))
 
 
 def estimate_shape(
@@ -110,8 +123,7 @@ def detect_shape(flat: NDArray[np.float32], shape: NDArray, threshold: float) ->
     )
     low, high = np.quantile(height[::4, ::4], [0.1587, 0.8413])
     height /= max(1.0, 0.5 * (high - low))  # faint stars, too, make the filtered image uneven
-    peak = (height > threshold) & (height == cv2.dilate(height, np.ones((5, 5), np.uint8)))
-    y, x = np.nonzero(peak)
+    y, x = _peaks(height, threshold)
     order = np.argsort(-height[y, x], kind="stable")
     xy, snr = np.column_stack([x, y])[order], height[y, x][order].astype(float)
     wings = cv2.filter2D(np.pad(kernel, 2 * radius), cv2.CV_32F, kernel, borderType=cv2.BORDER_CONSTANT)[
@@ -130,14 +142,30 @@ def detect_shape(flat: NDArray[np.float32], shape: NDArray, threshold: float) ->
     return xy[~drop]
 
 
+def _peaks(height: NDArray[np.float32], threshold: float) -> tuple[Ints, Ints]:
+    """Rows (N,) and columns (N,) of pixels above a threshold that none of the 24 around exceeds."""
+    found = []
+    for band, around in _bands(len(height), 2):
+        highest = cv2.dilate(height[around], np.ones((5, 5), np.uint8))[band.start - around.start :]
+        peak = (height[band] > threshold) & (height[band] == highest[: band.stop - band.start])
+        row, column = np.nonzero(peak)
+        found.append((row + band.start, column))
+    y, x = np.concatenate(found, axis=1)
+    return y, x
+
+
 def _blobs(image: NDArray, flat: NDArray[np.float32], saturation: float) -> tuple[Ints, int]:
     """Middles (N, 2) of bright patches of one size, far from others, and the radius that holds one, px."""
-    smooth = cv2.GaussianBlur(flat, (0, 0), _SMOOTHING_PX)
-    above = (smooth > _BLOB_SIGMA / (2.0 * np.sqrt(np.pi) * _SMOOTHING_PX)).astype(np.uint8)
+    above, light = np.empty(flat.shape, dtype=np.uint8), []
+    for band, around in _bands(len(flat), _SMOOTHING_REACH):
+        smooth = cv2.GaussianBlur(flat[around], (0, 0), _SMOOTHING_PX)[band.start - around.start :]
+        smooth = smooth[: band.stop - band.start]
+        above[band] = smooth > _BLOB_SIGMA / (2.0 * np.sqrt(np.pi) * _SMOOTHING_PX)
+        light.append(smooth[above[band] > 0])
     count, label, stats, middle = cv2.connectedComponentsWithStats(above)
     stats, middle = stats[1:], middle[1:]
     area = stats[:, cv2.CC_STAT_AREA]
-    total = np.bincount(label.ravel(), np.maximum(smooth, 0.0).ravel(), minlength=count)[1:]
+    total = np.bincount(label[above > 0], np.concatenate(light), minlength=count)[1:]
     top = np.argsort(-total)[: 4 * _STARS]
     top = top[area[top] > 4]
     if len(top) < _FEWEST:
