@@ -19,7 +19,7 @@ __all__ = ["Candidates", "Vote", "fit_common", "log_chance_of_ranks", "vote"]
 
 _STEPS = 480  # of the score, to which shares of targets are rounded
 _NOTHING: Floats = np.eye(1, _STEPS + 1)[0]  # probabilities of a share that is none
-_LEAST = 1e-300  # probability below which none is told
+_LEAST = 1e-300  # probability: smaller ones are stated as this one
 _REFINEMENTS = 4
 _MOST_THIRD_VALUES = 61
 
