@@ -29,7 +29,7 @@ def test_every_star_is_detected_once_across_the_borders_of_bands() -> None:
     assert estimate.stars >= 40  # of the 60 brightest
     xy = detect_shape(flat, estimate.shape, 20.0)
     assert len(xy) == 20 * 10
-    assert np.abs((xy + [7, 14]) % 60 - 30).max() <= 1
+    assert np.abs((xy + np.array([7, 14])) % 60 - 30).max() <= 1
 
 
 def test_peaks_in_bands_are_those_of_the_whole_image() -> None:
