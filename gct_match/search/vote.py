@@ -121,14 +121,14 @@ def _steps_of(log_p: Floats, score: float) -> Ints:
 def _shares(log_p: Floats, steps: Ints) -> Floats:
     """(481,) probabilities of a target's share of the score, by steps; the last: of that and more."""
     p = np.exp(log_p)
-    out = np.bincount(steps, np.diff(p, prepend=0.0), minlength=_STEPS + 1)
+    out: Floats = np.bincount(steps, np.diff(p, prepend=0.0), minlength=_STEPS + 1).astype(float)
     out[0] += 1.0 - p[-1]
     return out
 
 
 def _sum_of(one: Floats, other: Floats) -> Floats:
     """Probabilities of the sum of two independent shares, as `_shares`."""
-    out = np.convolve(one, other)
+    out: Floats = np.convolve(one, other).astype(float, copy=False)
     out[_STEPS] = out[_STEPS:].sum()
     return out[: _STEPS + 1]
 
