@@ -36,8 +36,10 @@ types: install
 test: lint
 	$(MAKE) --jobs 2 types suite
 
+# Neighbours share a process, and with it the fixtures of their module. Modules are compiled once, not by each
+# of the commands that tests start.
 suite: install
-	$(BIN)/pytest -n 2 --dist worksteal  # neighbours share a process, and with it the fixtures of their module
+	PYTHONDONTWRITEBYTECODE= $(BIN)/pytest -n 2 --dist worksteal
 
 docs: install
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
