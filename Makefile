@@ -4,6 +4,8 @@ VENV := .venv
 BIN := $(VENV)/bin
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
+# Empty: modules are compiled once, not by every process, whatever the shell says (pip leaves that to Python).
+export PYTHONDONTWRITEBYTECODE =
 
 .PHONY: demo test suite lint types docs install lock clean
 
@@ -36,10 +38,8 @@ types: install
 test: lint
 	$(MAKE) --jobs 2 types suite
 
-# Neighbours share a process, and with it the fixtures of their module. Modules are compiled once, not by each
-# of the commands that tests start.
 suite: install
-	PYTHONDONTWRITEBYTECODE= $(BIN)/pytest -n 2 --dist worksteal
+	$(BIN)/pytest -n 2 --dist worksteal  # neighbours share a process, and with it the fixtures of their module
 
 docs: install
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict

@@ -44,12 +44,7 @@ def attitude_message(header: AemHeader, comments: Sequence[str], utc: Sequence[s
     start, stop = utc[0].rstrip("Z"), utc[-1].rstrip("Z")
     lines = [
         "CCSDS_AEM_VERS = 1.0",
-        f"CREATION_DATE = {header.creation_utc.rstrip('Z')}",
-        f"ORIGINATOR = {one_line(header.originator)}",
-        "",
-        "META_START",
-        *(f"COMMENT {one_line(comment)}" for comment in comments),
-        f"OBJECT_NAME = {one_line(header.object_name)}",
+        *_preamble(header, comments),
         f"OBJECT_ID = {one_line(header.object_id)}",
         "CENTER_NAME = EARTH",
         "REF_FRAME_A = ICRF",
@@ -86,12 +81,7 @@ def comprehensive_message(
     since = [f"{t:.9f}" for t in t_s - t_s[0]]
     lines = [
         "CCSDS_ACM_VERS = 2.0",
-        f"CREATION_DATE = {header.creation_utc.rstrip('Z')}",
-        f"ORIGINATOR = {one_line(header.originator)}",
-        "",
-        "META_START",
-        *(f"COMMENT {one_line(comment)}" for comment in comments),
-        f"OBJECT_NAME = {one_line(header.object_name)}",
+        *_preamble(header, comments),
         f"INTERNATIONAL_DESIGNATOR = {one_line(header.object_id)}",
         "TIME_SYSTEM = UTC",
         f"EPOCH_TZERO = {zero}",
@@ -116,6 +106,18 @@ def comprehensive_message(
         "",
     ]
     return "\n".join(lines)
+
+
+def _preamble(header: AemHeader, comments: Sequence[str]) -> list[str]:
+    """The lines of either message after its version, up to the object's name."""
+    return [
+        f"CREATION_DATE = {header.creation_utc.rstrip('Z')}",
+        f"ORIGINATOR = {one_line(header.originator)}",
+        "",
+        "META_START",
+        *(f"COMMENT {one_line(comment)}" for comment in comments),
+        f"OBJECT_NAME = {one_line(header.object_name)}",
+    ]
 
 
 def _continuous(rotations: Rotation) -> list[list[float]]:

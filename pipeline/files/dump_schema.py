@@ -7,7 +7,7 @@ ranges are wider than any instrument's; they exclude what can only be a wrong un
 from __future__ import annotations
 
 from itertools import pairwise
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal, Self, get_args
 
 from pydantic import (
     AfterValidator,
@@ -35,6 +35,7 @@ __all__ = [
     "StarCameraFile",
     "StripRow",
     "TargetRow",
+    "head_of_dump",
 ]
 
 
@@ -92,6 +93,13 @@ class Conventions(_Strict):
     time_scale: Literal["UTC"]
     quaternions: Literal["scalar-last"]
     image_origin: Literal["centre of first pixel is (0, 0)"]
+
+
+def head_of_dump(mission: str, created_by: str) -> dict[str, Any]:
+    """First keys of a dump.toml, with the conventions of the format."""
+    conventions = {name: get_args(field.annotation)[0] for name, field in Conventions.model_fields.items()}
+    about = {"mission": mission, "created_by": created_by}
+    return {"format": "boresight-dump", "format_version": 1, **about, "conventions": conventions}
 
 
 def _listed(value: Any) -> Any:

@@ -13,6 +13,7 @@ from rasterio.errors import NotGeoreferencedWarning
 from rasterio.transform import Affine
 from rasterio.windows import Window
 
+from boresight.pipeline.files.dump_schema import head_of_dump
 from boresight.pipeline.files.oem_text import orbit_message
 from boresight.pipeline.files.png import png_of_noise
 from boresight.pipeline.files.remote_camera import remote_camera_table
@@ -65,17 +66,7 @@ def _head(mission: Mission, created_by: str) -> dict[str, Any]:
     of_ground = {"targets": "targets.csv", "terrain": "terrain/dem.tif"} if terrain is not None else {}
     heights = {"height_kind": terrain.height_kind, "sigma_m": terrain.sigma_m} if terrain is not None else {}
     return {
-        "format": "boresight-dump",
-        "format_version": 1,
-        "mission": mission.scenario.name,
-        "created_by": created_by,
-        "conventions": {
-            "inertial_frame": "GCRS",
-            "earth_fixed_frame": "ITRS",
-            "time_scale": "UTC",
-            "quaternions": "scalar-last",
-            "image_origin": "centre of first pixel is (0, 0)",
-        },
+        **head_of_dump(mission.scenario.name, created_by),
         "files": {
             "star_camera": "star_camera.toml",
             "remote_camera": "remote_camera.toml",

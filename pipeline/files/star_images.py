@@ -13,6 +13,8 @@ import io
 import math
 import struct
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -192,7 +194,9 @@ def _bmp_size(raw: bytes, file: str) -> tuple[int, int]:
     return width, abs(height)
 
 
-def _read_fits(path: Path, file: str, size: tuple[int, int] | None, bits: int | None) -> NDArray[Any]:
+@contextmanager
+def _opened_fits(path: Path, file: str, **options: bool) -> Iterator[Any]:
+    """The HDUs of a file; what astropy raises at damaged headers becomes a `RawDataError`."""
     from astropy.io import fits
     from astropy.utils.exceptions import AstropyWarning
 
@@ -202,27 +206,32 @@ def _read_fits(path: Path, file: str, size: tuple[int, int] | None, bits: int | 
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", AstropyWarning)
             with fits.open(
-                io.BytesIO(content_of(path)), memmap=False, lazy_load_hdus=True, do_not_scale_image_data=True
+                io.BytesIO(content_of(path)), memmap=False, lazy_load_hdus=True, **options
             ) as hdus:
-                header = hdus[0].header
-                naxis, bitpix = header.get("NAXIS"), header.get("BITPIX")
-                if naxis != 2:
-                    raise RawDataError(file, "NAXIS", str(naxis), "2, one grey image in the primary HDU")
-                if bitpix not in (8, 16):
-                    raise RawDataError(file, "BITPIX", str(bitpix), "8 or 16")
-                width, height = int(header["NAXIS1"]), int(header["NAXIS2"])
-                check_size(file, (width, height), size, bitpix, bits)
-                start, need = hdus[0].fileinfo()["datLoc"], width * height * bitpix // 8
-                if (have := path.stat().st_size - start) < need:
-                    raise RawDataError(file, "pixels", f"{have} bytes", f"{need} bytes")
-                zero, scale = float(header.get("BZERO", 0)), float(header.get("BSCALE", 1))
-                if scale != 1.0 or zero not in (0.0, 32768.0):
-                    raise RawDataError(file, "BZERO, BSCALE", f"{zero:g}, {scale:g}", "0 or 32768, 1")
-                pixels = np.asarray(hdus[0].data)
+                yield hdus
     except RawDataError:
         raise
     except Exception as error:  # astropy raises many kinds for damaged headers
         raise RawDataError(file, "FITS header", f"{type(error).__name__}: {error}", "a FITS image") from error
+
+
+def _read_fits(path: Path, file: str, size: tuple[int, int] | None, bits: int | None) -> NDArray[Any]:
+    with _opened_fits(path, file, do_not_scale_image_data=True) as hdus:
+        header = hdus[0].header
+        naxis, bitpix = header.get("NAXIS"), header.get("BITPIX")
+        if naxis != 2:
+            raise RawDataError(file, "NAXIS", str(naxis), "2, one grey image in the primary HDU")
+        if bitpix not in (8, 16):
+            raise RawDataError(file, "BITPIX", str(bitpix), "8 or 16")
+        width, height = int(header["NAXIS1"]), int(header["NAXIS2"])
+        check_size(file, (width, height), size, bitpix, bits)
+        start, need = hdus[0].fileinfo()["datLoc"], width * height * bitpix // 8
+        if (have := path.stat().st_size - start) < need:
+            raise RawDataError(file, "pixels", f"{have} bytes", f"{need} bytes")
+        zero, scale = float(header.get("BZERO", 0)), float(header.get("BSCALE", 1))
+        if scale != 1.0 or zero not in (0.0, 32768.0):
+            raise RawDataError(file, "BZERO, BSCALE", f"{zero:g}, {scale:g}", "0 or 32768, 1")
+        pixels = np.asarray(hdus[0].data)
     if bitpix == 8:
         return pixels
     values = pixels.astype(np.int32) + int(zero)
@@ -275,25 +284,13 @@ def _read_other(path: Path, file: str) -> NDArray[Any]:
 
 def _read_any_fits(path: Path, file: str) -> NDArray[Any]:
     """The first HDU with an image: integer or floating, scaled or not, one plane or three."""
-    from astropy.io import fits
-    from astropy.utils.exceptions import AstropyWarning
-
-    if b"END" + b" " * 77 not in _head(path, file, MAX_FITS_HEADER_BYTES):
-        raise RawDataError(file, "FITS header", "no END", f"END within {MAX_FITS_HEADER_BYTES} bytes")
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", AstropyWarning)
-            with fits.open(io.BytesIO(content_of(path)), memmap=False, lazy_load_hdus=True) as hdus:
-                for hdu in hdus:
-                    if not hdu.is_image or not 2 <= hdu.header.get("NAXIS", 0) <= 4:
-                        continue
-                    _check_fits_size(hdu, path, file)
-                    planes = np.squeeze(np.asarray(hdu.data))
-                    return _grey(planes.astype(planes.dtype.newbyteorder("=")), file)
-    except RawDataError:
-        raise
-    except Exception as error:  # astropy raises many kinds for damaged headers
-        raise RawDataError(file, "FITS header", f"{type(error).__name__}: {error}", "a FITS image") from error
+    with _opened_fits(path, file) as hdus:
+        for hdu in hdus:
+            if not hdu.is_image or not 2 <= hdu.header.get("NAXIS", 0) <= 4:
+                continue
+            _check_fits_size(hdu, path, file)
+            planes = np.squeeze(np.asarray(hdu.data))
+            return _grey(planes.astype(planes.dtype.newbyteorder("=")), file)
     raise RawDataError(file, "HDU", "none with an image", "an image of one plane or three")
 
 

@@ -15,7 +15,7 @@ from boresight.geometry.epoch import Epoch
 from boresight.geometry.line_camera import LookAngleCamera
 from boresight.geometry.orbit import Orbit
 from boresight.geometry.record import Floats, array, record, scalar
-from boresight.pipeline.files.dump_schema import LOOK_TABLES, PointRow
+from boresight.pipeline.files.dump_schema import LOOK_TABLES, PointRow, head_of_dump
 from boresight.pipeline.files.oem_text import orbit_message
 from boresight.pipeline.files.text_tables import write_csv, write_toml
 
@@ -124,17 +124,7 @@ def _head(mission: ImportedMission) -> dict[str, Any]:
     if mission.earth_orientation is not None:
         files["earth_orientation"] = "earth_orientation.csv"
     return {
-        "format": "boresight-dump",
-        "format_version": 1,
-        "mission": mission.mission,
-        "created_by": mission.created_by,
-        "conventions": {
-            "inertial_frame": "GCRS",
-            "earth_fixed_frame": "ITRS",
-            "time_scale": "UTC",
-            "quaternions": "scalar-last",
-            "image_origin": "centre of first pixel is (0, 0)",
-        },
+        **head_of_dump(mission.mission, mission.created_by),
         "files": files,
         "errors": mission.errors,
         "light": {"light_time": False, "aberration": False, "refraction": False},

@@ -37,7 +37,6 @@ class TraceFits:
     snr: Floats = array("N", "flux over its error by background noise alone")
     chi2: Floats = array("N", "of the window's pixels")
     dof: Floats = array("N", "degrees of freedom of chi2")
-    last_step: Floats = array("N", "largest component of the last step, in standard errors")
 
 
 def fit_traces(
@@ -46,11 +45,10 @@ def fit_traces(
     """Fits of the stars in N windows, from places near `offset` (N, 2). `gain_e_per_dn` may be infinite."""
     images = trace_images(offset, motion, sigma_px, windows.radius)
     state = start_state(windows, offset, images)
-    last = np.full(len(offset), np.inf)
     for _ in range(_STEPS):
         step, normal, residual, weight = newton_step(windows, images, state, gain_e_per_dn)
-        last = np.abs(step[:, :2] * np.sqrt(np.einsum("npp->np", normal)[:, :2])).max(axis=1)
-        if last.max(initial=0.0) < _CONVERGED:
+        in_sigmas = np.abs(step[:, :2] * np.sqrt(np.einsum("npp->np", normal)[:, :2]))
+        if in_sigmas.max(initial=0.0) < _CONVERGED:
             break
         step[:, :2] = np.clip(step[:, :2], -_LARGEST_STEP_PX, _LARGEST_STEP_PX)
         state = state + step
@@ -67,7 +65,6 @@ def fit_traces(
         snr=snr,
         chi2=chi2,
         dof=dof,
-        last_step=last,
     )
 
 

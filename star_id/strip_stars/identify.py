@@ -80,7 +80,6 @@ class NamedRows:
 
     row: Ints = array("N", "of the detection")
     star: Ints = array("N", "of the catalogue star")
-    miss_rad: Floats = array("N, 2", "seen minus predicted, tangents x and y")
     probability_wrong: Floats = array("N", "of the name")
 
 
@@ -149,7 +148,7 @@ def name_stars(
     row, star = row[alike], star[alike]
     others = (len(seen.u_c) - 1) * np.pi * gate_rad**2 / field.strip_area
     wrong = np.full(len(row), -np.expm1(-others))
-    return NamedRows(row=row, star=star, miss_rad=miss[row, star], probability_wrong=wrong)
+    return NamedRows(row=row, star=star, probability_wrong=wrong)
 
 
 def _on_one_detector(seen: Directions, row: Ints, star: Ints) -> Bools:

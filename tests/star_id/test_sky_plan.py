@@ -10,6 +10,7 @@ import pytest
 from frames import PAPER_CAMERA, Sensor, listed_stars, star_frame
 from scipy.spatial.transform import Rotation
 
+from boresight.star_id import sky_plan
 from boresight.star_id.camera_calibration import CameraCalibration, SkyFrame, calibrate_camera
 from boresight.star_id.camera_fit import detector_grid
 from boresight.star_id.catalogue import hipparcos_stars
@@ -65,8 +66,17 @@ def test_the_error_that_is_foretold_is_the_error_that_comes(plan, index):
     assert plan.pointings[-1].sigma_px == pytest.approx(stated, rel=0.1)
 
 
-def test_a_choice_is_nearly_the_best_there_is(index):
+def test_a_choice_is_nearly_the_best_there_is(index, monkeypatch):
     candidates = Rotation.random(12, random_state=np.random.default_rng(33))
+    compute, known = sky_plan._information, {}
+
+    def information(*given):  # of a candidate, which stands in 55 of the 220 choices
+        key = given[-1].as_quat().tobytes()
+        if key not in known:
+            known[key] = compute(*given)
+        return known[key]
+
+    monkeypatch.setattr(sky_plan, "_information", information)
     best = min(
         plan_pointings(ROUGH, LISTED, index, SETTINGS, candidates[list(three)], 3).pointings[-1].sigma_px
         for three in combinations(range(12), 3)
