@@ -9,6 +9,7 @@ offsets, row noise, hot pixels, vignetting, colour filters, captions and the bla
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +20,8 @@ __all__ = ["Blur", "Sensor", "Stars", "cramer_rao_px", "psf_table", "render", "r
 
 FINE = 8  # points a pixel
 HALF = 24  # px from the middle of a star to the edge of its table
+HALVES = (8, 12, 16)  # from the middle of a star to the edge of its image, where what is left out is
+LEFT_OUT_E = 1e-3  # fewer electrons in each pixel
 ROWS = 12  # of a caption, in 1/240 of the height
 
 
@@ -66,6 +69,11 @@ def psf_table(blur: Blur, outwards: NDArray | None = None) -> NDArray:
 
     `outwards` (2,) is the direction (column, row) of a fan, its length the fraction of that in the corner.
     """
+    return _psf_table(blur, None if outwards is None else (float(outwards[0]), float(outwards[1])))
+
+
+@cache
+def _psf_table(blur: Blur, outwards: tuple[float, float] | None) -> NDArray:
     n = HALF * FINE
     y, x = np.mgrid[-n : n + 1, -n : n + 1] / FINE
     alpha = 0.5 * blur.core_px / np.sqrt(2.0 ** (1.0 / blur.beta) - 1.0)
@@ -77,7 +85,7 @@ def psf_table(blur: Blur, outwards: NDArray | None = None) -> NDArray:
         steps = np.linspace(-0.5, 0.5, 8 * n + 1)[:, None] * np.array(blur.trail_px)
         _splat(shape, steps, np.ones(len(steps)))
     elif blur.coma_px and outwards is not None and np.hypot(*outwards) > 0.01:
-        steps, weight = _fan(blur.coma_px * outwards)
+        steps, weight = _fan(blur.coma_px * np.array(outwards))
         _splat(shape, steps, weight)
     else:
         shape[n, n] = 1.0
@@ -136,8 +144,8 @@ def render(
     rounded: without stars and row noise."""
     width, height = size
     light = np.full((height, width), sensor.sky_e)
-    y, x = np.mgrid[0:height, 0:width]
     if sensor.nebula_e:
+        y, x = np.ogrid[0:height, 0:width]
         for _ in range(6):
             a, b, s = rng.uniform(0, width), rng.uniform(0, height), rng.uniform(0.02, 0.15) * width
             light += (
@@ -178,7 +186,7 @@ def response(sensor: Sensor, size: tuple[int, int]) -> NDArray:
     width, height = size
     share = np.ones((height, width))
     if sensor.vignetting:
-        y, x = np.mgrid[0:height, 0:width]
+        y, x = np.ogrid[0:height, 0:width]
         share -= sensor.vignetting * 2.0 * ((x / width - 0.5) ** 2 + (y / height - 0.5) ** 2)
     if sensor.bayer is not None:
         share *= np.tile(np.reshape(sensor.bayer, (2, 2)), (height // 2, width // 2))
@@ -196,12 +204,26 @@ def add_stars(light: NDArray, stars: Stars, blur: Blur) -> None:
             if not len(rows):
                 continue
             table = psf_table(blur, fan_at(np.array([i, j]), cells))
-            whole, images = stamps(stars.xy_px[rows], table, HALF - 1)
-            for (a, b), image in zip(whole, images * stars.electrons[rows, None, None]):
-                t, q = max(0, b - HALF + 1), max(0, a - HALF + 1)
-                part = light[t : b + HALF, q : a + HALF]
-                y, x = t - (b - HALF + 1), q - (a - HALF + 1)
-                part += np.maximum(image[y : y + part.shape[0], x : x + part.shape[1]], 0.0)
+            half = _halves(table, stars.electrons[rows])
+            for size in np.unique(half):
+                _add_alike(light, stars, rows[half == size], table, int(size))
+
+
+def _halves(table: NDArray, electrons: NDArray) -> NDArray:
+    """(N,) px from the middle of each star to the edge of the image that holds its light."""
+    y, x = np.indices(table.shape) - HALF * FINE
+    beyond = [np.abs(table[np.maximum(np.abs(y), np.abs(x)) > (half - 0.5) * FINE]).max() for half in HALVES]
+    fits = electrons[:, None] * np.array(beyond) < LEFT_OUT_E
+    return np.append(HALVES, HALF - 1)[np.where(fits.any(axis=1), fits.argmax(axis=1), len(HALVES))]
+
+
+def _add_alike(light: NDArray, stars: Stars, rows: NDArray, table: NDArray, half: int) -> None:
+    whole, images = stamps(stars.xy_px[rows], table, half)
+    for (a, b), image in zip(whole, images * stars.electrons[rows, None, None]):
+        t, q = max(0, b - half), max(0, a - half)
+        part = light[t : b + half + 1, q : a + half + 1]
+        y, x = t - (b - half), q - (a - half)
+        part += np.maximum(image[y : y + part.shape[0], x : x + part.shape[1]], 0.0)
 
 
 def fan_at(cell: NDArray, cells: int) -> NDArray:
