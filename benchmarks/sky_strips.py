@@ -297,7 +297,7 @@ def noise(options: argparse.Namespace) -> None:
     settings = Settings(sky_strips=StripStarSettings(false_alarms_per_strip=NOISE_PEAKS))
     fit = calibration_settings(settings, dump.errors, dump.line_camera).attitudes
     reference = sight_head(dump, dump.heads[0], settings, fit, StageRunner())
-    task = find_in_sky_strips(dump, reference, settings, StageRunner()).tasks[0]
+    task = find_in_sky_strips(dump, [reference], settings, StageRunner()).tasks[0]
     survey, sigma = all_hipparcos(), dump.sigma_installation_rad
     detections, named, chance = 0, 0, 0.0
     for seed in range(options.strips):

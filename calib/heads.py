@@ -88,15 +88,18 @@ def tie_of_head(
     root (K, 3, 3 K) of their covariance. Rows between exposures also see the vibration.
     """
     rho, weights, rows = _differences(other, times, R_si, R_oi)
-    count = len(rows)
+    count, unknowns = len(rows), root.shape[2]
+    if not count:
+        none = np.zeros((0, unknowns + 4))
+        return HeadTie(head=other.head, r=none[:, 0], by_phi=none[:, :unknowns], by_alpha=none[:, -3:])
     covariance = other.noise_s.coloured_covariance_s(other.t_s[rows])
     A = other.R_sh.as_matrix()
-    between = 1.0 - weights.max(axis=1) > 1e-9 if count else np.zeros(0, dtype=bool)
+    between = 1.0 - weights.max(axis=1) > 1e-9
     each = np.arange(count)
     covariance[each, :, each, :] += A @ other.covariance_h[rows] @ A.T
     covariance[each, :, each, :] += (sigma_vibration_rad**2 * between)[:, None, None] * np.eye(3)
     L = np.linalg.cholesky(covariance.reshape(3 * count, 3 * count))
-    by_phi = np.tensordot(weights, root, axes=1).reshape(3 * count, -1)
+    by_phi = np.tensordot(weights, root, axes=1).reshape(3 * count, unknowns)
     by_alpha = np.tile(-np.eye(3), (count, 1))
     whitened = solve_triangular(L, np.column_stack([rho.ravel(), by_phi, by_alpha]), lower=True)
     return HeadTie(head=other.head, r=whitened[:, 0], by_phi=whitened[:, 1:-3], by_alpha=whitened[:, -3:])

@@ -239,7 +239,7 @@ def open_dump(root: Path | str, *, allow_stale_eop: bool = False) -> Dump:
     rows = _target_rows(paths["targets"], str(head.files.targets)) if "targets" in paths else []
     surveyed = targets_of(rows)
     heads = open_heads(root, head, ephemeris.epoch)
-    during = [(s.t_first_row_s, s.t_first_row_s + s.lines * s.row_period_s) for s in every]
+    during = [(s.t_first_row_s, s.t_first_row_s + s.lines * s.row_period_s) for s in strips]
     for one in heads:
         check_attitudes(one, orbit, during)
     points, of_points = _points(paths.get("points"), head, strips)

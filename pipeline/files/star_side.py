@@ -162,7 +162,9 @@ def _head(root: Path, head: schema.HeadFile, field: str, epoch: Epoch) -> Head:
 
 
 def check_attitudes(head: Head, orbit: Orbit, strips: Sequence[tuple[float, float]]) -> None:
-    """`RawDataError` where a head's attitudes during strips (first and last instant) contradict the orbit."""
+    """`RawDataError` where a head's attitudes during strips of the ground (first and last instant) contradict
+    the orbit.
+    """
     if not isinstance(head.source, SolvedAttitudes):
         return
     t_s = head.source.rows.t_s

@@ -30,7 +30,7 @@ from boresight.pipeline.files.dump import Dump, surface_of
 from boresight.pipeline.files.ground_points import NO_POINTS
 from boresight.pipeline.settings import Settings, calibration_settings, effects_of
 from boresight.pipeline.stages.cached import Progress, StageRunner
-from boresight.pipeline.stages.coverage import carriers, span_s
+from boresight.pipeline.stages.coverage import attitudes_in_s, carriers, span_s, stated_mountings
 from boresight.pipeline.stages.first_matching import match_first, match_strips
 from boresight.pipeline.stages.head import HeadSightings, sight_head
 from boresight.pipeline.stages.missing import what_is_missing
@@ -128,10 +128,10 @@ def calibrate_dump(
     runner = StageRunner(store, executor or InOrder(), progress)
     error_model = calibration_settings(settings, dump.errors, dump.line_camera)
     heads = [sight_head(dump, head, settings, error_model.attitudes, runner) for head in dump.heads]
-    sky = find_in_sky_strips(dump, heads[0], settings, runner)
+    sky = find_in_sky_strips(dump, heads, settings, runner)
     surface_of(dump.terrain)  # of several dumps the last one's is in memory: processes forked here share this
     R_cs, sigma = dump.R_cs0, dump.sigma_installation_rad
-    mountings = _stated(heads)
+    mountings = stated_mountings(heads)
     computed = [*sky.computed, *(flag for head in heads for flag in head.computed)]
     for number in range(1, settings.run.passes + 1):
         last = _one_pass(number, dump, heads, sky, (R_cs, sigma), mountings, settings, error_model, runner)
@@ -150,7 +150,7 @@ def calibrate_dump(
         attitudes=heads[0].attitudes,
         tasks=last.tasks,
         matched=last.matched,
-        sky=sky,
+        sky=last.sky,
         named=last.named,
         strips=last.strips,
         settings=error_model,
@@ -167,6 +167,7 @@ class _Pass:
     estimate: InstallationEstimate = scalar("installation matrix")
     tasks: tuple[StripTask, ...] = array("S", "strips that were matched")
     matched: tuple[MatchedTargets, ...] = array("S", "their targets")
+    sky: SkySide = scalar("strips of the sky, their attitudes in frame s by the heads' matrices")
     named: tuple[NamedStars, ...] = scalar("named stars of the strips of the sky")
     strips: tuple[StripSightings, ...] = scalar("those that the estimate is made from, ground first")
     omissions: tuple[Omission, ...] = scalar("strips, targets and stars that are not used")
@@ -200,6 +201,7 @@ def _one_pass(
         tasks, matched, flags = match_first(tasks, start_from, runner, settings.run.search_all_px)
     else:
         matched, flags = match_strips(tasks, runner, f"matching-{number}")
+    sky = sky.aligned(heads, mountings)
     named = name_in_sky_strips(dump, sky, *start, known=number > 1)
     strips = [*_strips(tasks, matched, heads), *named_sightings(sky, named, heads)]
     estimate = calibrate(strips, dump.R_cs0, error_model)
@@ -213,6 +215,7 @@ def _one_pass(
         estimate=estimate,
         tasks=tuple(tasks),
         matched=tuple(matched),
+        sky=sky,
         named=tuple(named),
         strips=tuple(strips),
         omissions=(*uncovered, *unmatched, *_without_targets(matched), *unnamed),
@@ -248,7 +251,7 @@ def strips_to_match(
     """Tasks of a dump's strips with the pre-launch installation matrix, and what cannot be used."""
     heads = _sighted(dump, settings, executor)
     tasks, uncovered = _strip_tasks(
-        dump, heads, dump.R_cs0, dump.sigma_installation_rad, _stated(heads), settings
+        dump, heads, dump.R_cs0, dump.sigma_installation_rad, stated_mountings(heads), settings
     )
     return tasks, [*dump.omissions, *(one for head in heads for one in head.omissions), *uncovered]
 
@@ -263,7 +266,9 @@ def strips_with_stars(
     the pre-launch installation matrix; without strips that show nothing.
     """
     heads = _sighted(dump, settings, executor)
-    tasks, _ = _strip_tasks(dump, heads, dump.R_cs0, dump.sigma_installation_rad, _stated(heads), settings)
+    tasks, _ = _strip_tasks(
+        dump, heads, dump.R_cs0, dump.sigma_installation_rad, stated_mountings(heads), settings
+    )
     parts = [shown(task) for task in tasks]
     return _strips([task for task, _ in parts], [matched for _, matched in parts], heads)
 
@@ -273,11 +278,6 @@ def _sighted(dump: Dump, settings: Settings, executor: Executor | None) -> list[
     error_model = calibration_settings(settings, dump.errors, dump.line_camera)
     runner = StageRunner(None, executor or InOrder())
     return [sight_head(dump, head, settings, error_model.attitudes, runner) for head in dump.heads]
-
-
-def _stated(heads: Sequence[HeadSightings]) -> dict[str, Rotation]:
-    """The matrices of the heads before launch, by name."""
-    return {one.head.name: one.head.R_cs0 for one in heads}
 
 
 def _strip_tasks(
@@ -294,15 +294,13 @@ def _strip_tasks(
     """
     tasks, omitted = [], []
     points = {one.strip_id: one for one in dump.points}
-    run, reference = settings.run, heads[0]
-    for strip, carrier in zip(dump.strips, carriers(dump, dump.strips, heads, run.exposure_margin_s)):
-        if isinstance(carrier, Omission):
+    run = settings.run
+    covering = carriers(dump, heads, run.exposure_margin_s)
+    for strip in dump.strips:
+        if isinstance(carrier := covering[strip.strip_id], Omission):
             omitted.append(carrier)
             continue
         head, near = carrier
-        R_si = Rotation.from_matrix(head.attitudes.R_si[near])
-        if head is not reference:
-            R_si = mountings[reference.head.name].inv() * mountings[head.head.name] * R_si
         times = np.array([head.stars[k].t_s for k in near])
         first, last = span_s(dump, strip)
         margin = run.exposure_margin_s
@@ -311,7 +309,7 @@ def _strip_tasks(
             camera=dump.line_camera,
             orbit=orbit_around(dump.orbit, first - margin, last + margin),
             t_attitude_s=times,
-            R_si=R_si,
+            R_si=attitudes_in_s(head, near, heads[0], mountings),
             R_cs=R_cs,
             sigma_installation_rad=np.asarray(sigma_rad, dtype=float),
             effects=effects_of(run, dump.light),

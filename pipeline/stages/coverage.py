@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from boresight.geometry.record import Floats, Ints
 from boresight.pipeline.errors import Cause, Omission
@@ -13,27 +14,55 @@ from boresight.pipeline.files.star_side import SolvedAttitudes
 from boresight.pipeline.stages.head import HeadSightings
 from boresight.pipeline.stages.strip import covers
 
-__all__ = ["attitudes_around", "carriers", "span_s"]
+__all__ = [
+    "attitudes_around",
+    "attitudes_in_s",
+    "carriers",
+    "span_s",
+    "stated_mountings",
+    "turn_to_reference",
+]
 
 
 def carriers(
-    dump: Dump, strips: Sequence[Strip], heads: Sequence[HeadSightings], margin_s: float
-) -> list[tuple[HeadSightings, Ints] | Omission]:
-    """For each strip the first head that covers it and the rows (K,) of its exposures, or why the reference
-    head, the first of `heads`, does not. Others carry only where it covers one strip at least: without that
-    nothing ties its matrix to theirs.
+    dump: Dump, heads: Sequence[HeadSightings], margin_s: float
+) -> dict[str, tuple[HeadSightings, Ints] | Omission]:
+    """For each strip, by its id, the first head that covers it and the rows (K,) of its exposures, or why the
+    reference head, the first of `heads`, does not. Others carry only where it covers one strip at least:
+    without that nothing ties its matrix to theirs.
     """
-    found: list[tuple[HeadSightings, Ints] | Omission] = []
+    found: dict[str, tuple[HeadSightings, Ints] | Omission] = {}
+    strips = (*dump.strips, *dump.sky_strips)
     by_reference = [attitudes_around(dump, strip, heads[0], margin_s) for strip in strips]
     able = heads if any(not isinstance(rows, Omission) for rows in by_reference) else heads[:1]
     for strip, own in zip(strips, by_reference):
         if not isinstance(own, Omission):
-            found.append((heads[0], own))
+            found[strip.strip_id] = (heads[0], own)
             continue
         others = [(one, attitudes_around(dump, strip, one, margin_s)) for one in able[1:]]
         covering = ((one, rows) for one, rows in others if not isinstance(rows, Omission))
-        found.append(next(covering, own))
+        found[strip.strip_id] = next(covering, own)
     return found
+
+
+def stated_mountings(heads: Sequence[HeadSightings]) -> dict[str, Rotation]:
+    """The matrices of the heads before launch, by name."""
+    return {one.head.name: one.head.R_cs0 for one in heads}
+
+
+def turn_to_reference(head: str, reference: str, mountings: Mapping[str, Rotation]) -> Rotation:
+    """Rotation from the frame of a head to that of the reference head, by the matrices of both."""
+    return mountings[reference].inv() * mountings[head]
+
+
+def attitudes_in_s(
+    head: HeadSightings, rows: Ints, reference: HeadSightings, mountings: Mapping[str, Rotation]
+) -> Rotation:
+    """Attitudes (K,) of a head, turned to frame s of the reference head by the matrices of both."""
+    R_hi = Rotation.from_matrix(head.attitudes.R_si[rows])
+    if head is reference:
+        return R_hi
+    return turn_to_reference(head.head.name, reference.head.name, mountings) * R_hi
 
 
 def attitudes_around(dump: Dump, strip: Strip, head: HeadSightings, margin_s: float) -> Ints | Omission:

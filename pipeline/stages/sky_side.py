@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -16,7 +17,13 @@ from boresight.pipeline.files.dump import Dump
 from boresight.pipeline.files.star_tables import survey_of
 from boresight.pipeline.settings import Settings
 from boresight.pipeline.stages.cached import StageRunner
-from boresight.pipeline.stages.coverage import attitudes_around, span_s
+from boresight.pipeline.stages.coverage import (
+    attitudes_in_s,
+    carriers,
+    span_s,
+    stated_mountings,
+    turn_to_reference,
+)
 from boresight.pipeline.stages.head import HeadSightings
 from boresight.pipeline.stages.sky_strip import (
     NamedStars,
@@ -41,12 +48,26 @@ class SkySide:
     omissions: tuple[Omission, ...] = scalar("strips that cannot be used, with the reasons")
     computed: tuple[bool, ...] = scalar("of each strip, whether it was computed now or kept")
 
+    def aligned(self, heads: Sequence[HeadSightings], mountings: Mapping[str, Rotation]) -> SkySide:
+        """The same strips, the attitudes of those that another head carries turned to frame s by the matrices
+        `mountings`, not by those stated before launch.
+        """
+        reference, stated = heads[0].head.name, stated_mountings(heads)
+
+        def turned(task: SkyTask) -> SkyTask:
+            if task.carrier == reference:
+                return task
+            before, now = (turn_to_reference(task.carrier, reference, each) for each in (stated, mountings))
+            return replace(task, R_si=now * before.inv() * task.R_si)
+
+        return replace(self, tasks=tuple(map(turned, self.tasks)))
+
 
 def find_in_sky_strips(
-    dump: Dump, reference: HeadSightings, settings: Settings, runner: StageRunner
+    dump: Dump, heads: Sequence[HeadSightings], settings: Settings, runner: StageRunner
 ) -> SkySide:
     """Detections in all strips of the sky."""
-    tasks, omitted = _tasks(dump, reference, settings)
+    tasks, omitted = _tasks(dump, heads, settings)
     if not tasks:
         return SkySide(tasks=(), found=(), omissions=tuple(omitted), computed=())
     outcomes, computed = runner.run(find_sky_stars, tasks, folder="sky-stars")
@@ -79,26 +100,35 @@ def named_sightings(
 ) -> list[StripSightings]:
     """The strips with at least one named star."""
     return [
-        strip_sightings(task.strip.strip_id, sky_sightings(task, one), task.t_attitude_s, task.nominal, heads)
+        strip_sightings(
+            task.strip.strip_id,
+            sky_sightings(task, one),
+            task.t_attitude_s,
+            task.nominal,
+            heads,
+            task.carrier,
+        )
         for task, one in zip(side.tasks, named)
         if len(one.rows)
     ]
 
 
-def _tasks(dump: Dump, reference: HeadSightings, settings: Settings) -> tuple[list[SkyTask], list[Omission]]:
+def _tasks(
+    dump: Dump, heads: Sequence[HeadSightings], settings: Settings
+) -> tuple[list[SkyTask], list[Omission]]:
     """A task for each strip of the sky that orbit and star exposures cover, an omission for each other."""
     tasks, omitted = [], []
-    attitudes, margin = reference.attitudes, settings.run.exposure_margin_s
-    camera = dump.line_camera
+    margin, camera = settings.run.exposure_margin_s, dump.line_camera
+    covering = carriers(dump, heads, margin) if dump.sky_strips else {}
     for strip in dump.sky_strips:
-        near = attitudes_around(dump, strip, reference, margin)
-        if isinstance(near, Omission):
-            omitted.append(near)
+        if isinstance(carrier := covering[strip.strip_id], Omission):
+            omitted.append(carrier)
             continue
-        times = np.array([reference.stars[k].t_s for k in near])
+        head, near = carrier
+        times = np.array([head.stars[k].t_s for k in near])
         first, last = span_s(dump, strip)
-        to_c = dump.R_cs0.as_matrix()
-        spread = np.einsum("ab,nbc,dc->nad", to_c, attitudes.covariance_s[near], to_c)[:, :2, :2]
+        to_c = head.head.R_cs0.as_matrix()
+        spread = np.einsum("ab,nbc,dc->nad", to_c, head.attitudes.covariance_s[near], to_c)[:, :2, :2]
         tasks.append(
             SkyTask(
                 strip=strip,
@@ -107,11 +137,12 @@ def _tasks(dump: Dump, reference: HeadSightings, settings: Settings) -> tuple[li
                 bit_depth=dump.remote_bit_depth,
                 orbit=orbit_around(dump.orbit, first - margin, last + margin),
                 t_attitude_s=times,
-                R_si=Rotation.from_matrix(attitudes.R_si[near]),
+                R_si=attitudes_in_s(head, near, heads[0], stated_mountings(heads)),
                 sigma_attitude_rad=float(np.sqrt(np.median(np.linalg.eigvalsh(spread)[:, 1]))),
                 R_cs0=dump.R_cs0,
                 settings=settings.sky_strips,
-                interpolation=reference.head.interpolation,
+                carrier=head.head.name,
+                interpolation=head.head.interpolation,
             )
         )
     return tasks, omitted

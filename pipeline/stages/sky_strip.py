@@ -69,10 +69,11 @@ class SkyTask:
     bit_depth: int = scalar("of the raw images")
     orbit: Orbit = scalar("states around the strip")
     t_attitude_s: Floats = array("K", "exposures around the strip, TAI seconds since the dump's epoch")
-    R_si: Rotation = array("K", "their attitudes, GCRS to star camera")
+    R_si: Rotation = array("K", "their attitudes, GCRS to frame s of the reference head")
     sigma_attitude_rad: float = scalar("1-sigma of such an attitude about the axes across the line of sight")
     R_cs0: Rotation = scalar("pre-launch installation matrix")
     settings: StripStarSettings = scalar("thresholds of detection and identification")
+    carrier: str = scalar("head whose attitudes these are")
     interpolation: Interpolation = scalar("between the attitudes", default="lagrange")
 
     @property
