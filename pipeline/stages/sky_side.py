@@ -49,8 +49,8 @@ class SkySide:
     computed: tuple[bool, ...] = scalar("of each strip, whether it was computed now or kept")
 
     def aligned(self, heads: Sequence[HeadSightings], mountings: Mapping[str, Rotation]) -> SkySide:
-        """The same strips, the attitudes of those that another head carries turned to frame s by the matrices
-        `mountings`, not by those stated before launch.
+        """Strips of the sky with attitudes turned to frame s by the matrices `mountings`, where another head
+        carries them, and not by those stated before launch.
         """
         reference, stated = heads[0].head.name, stated_mountings(heads)
 
