@@ -6,6 +6,7 @@ The images are not part of the project; without them beside the checkout these t
 from __future__ import annotations
 
 import csv
+import pickle
 from pathlib import Path
 
 import cv2
@@ -29,9 +30,13 @@ pytestmark = pytest.mark.skipif(not ROWS, reason=f"real star images are not at .
 
 
 @pytest.fixture(scope="session")  # processes come back to this module after others
-def index():
-    fields = (float(SMALLEST_FOV_RAD), float(LARGEST_FOV_RAD))
-    return build_index(hipparcos_stars(8.0).places, 2019.0, fields)
+def index(made_once):
+    def fill(folder):
+        fields = (float(SMALLEST_FOV_RAD), float(LARGEST_FOV_RAD))
+        built = build_index(hipparcos_stars(8.0).places, 2019.0, fields)
+        (folder / "index").write_bytes(pickle.dumps(built))
+
+    return pickle.loads((made_once("wide-index", fill) / "index").read_bytes())
 
 
 def solved(row, index, observer=None):
