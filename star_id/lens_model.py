@@ -9,7 +9,8 @@ errors: where there are no stars, the distortion is known no better than that. M
 by more than the errors of each: the covariance is the mean of theirs, with their differences.
 
 What even this leaves is seen in neighbouring stars of different images: the mean product of their residuals
-is the variance of the unmodelled map, free of noise.
+is the variance of the unmodelled map, free of noise. A step where a detector is stitched displaces few near
+neighbours, but all stars along a column or row: stars of like columns, or rows, are compared too.
 """
 
 from __future__ import annotations
@@ -47,6 +48,8 @@ _FEWEST_PAIRS = 50
 _LEAST_PX = 0.01
 _Q3_CORNER = 0.002  # prior displacement of the corner by q3, of its radius
 _NEAR = (0.01, 0.02, 0.05)  # of the detector's width: stars nearer than this may see the same distortion
+_LINE = 0.02  # of the detector's width: stars of like columns or rows
+_MOST_PAIRS = 1_000_000  # 16 MB; of more stars narrower lines are compared
 _SIGNIFICANT = 4.0  # standard errors of the mean product
 
 
@@ -132,9 +135,10 @@ def _covariance(camera: StarCamera, trials: list[_Trial]) -> Floats:
 def unmodelled_px(xy_px: Floats, residual_px: Floats, sigma_px: Floats, frame: Ints, width_px: int) -> float:
     """Root mean square, along one axis, of what the lens model leaves of the pixel map, px; 0 if not
     significant. Residuals (N, 2) of stars at (N, 2), errors (N,) along one axis, in images `frame` (N,)."""
-    tree, found = cKDTree(xy_px), [0.0]
-    for near in _NEAR:
-        pairs = tree.query_pairs(near * width_px, output_type="ndarray")
+    found, line = [0.0], min(_LINE, _MOST_PAIRS / len(xy_px) ** 2)
+    alike = [(xy_px, near) for near in _NEAR] + [(xy_px[:, [axis]], line) for axis in (0, 1)]
+    for places, near in alike:
+        pairs = cKDTree(places).query_pairs(near * width_px, output_type="ndarray")
         pairs = pairs[frame[pairs[:, 0]] != frame[pairs[:, 1]]]
         if len(pairs) >= _FEWEST_PAIRS:
             found.append(_shared_px(residual_px, sigma_px, *pairs.T))

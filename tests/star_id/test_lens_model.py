@@ -24,7 +24,11 @@ FOREIGN = {
         lambda x, y: (0.4 * np.sin(3 * x + 1) * np.cos(2 * y), 0.3 * np.sin(3 * y - 2 * x)),
     ),
 }
-STEP = (20.0, np.tan, lambda x, y: (1.0 * (x > 0.1), 0.0 * y))
+STEPS = {  # px, of the detector right of a column or below a row
+    "columns, 1 px": (20.0, np.tan, lambda x, y: (1.0 * (x > 0.1), 0.0 * y)),
+    "columns, 0.5 px": (20.0, np.tan, lambda x, y: (0.5 * (x > 0.1), 0.0 * y)),
+    "rows, 0.5 px": (20.0, np.tan, lambda x, y: (0.5 * (y > 0.05), 0.0 * y)),
+}
 
 
 def calibrated(fov_deg, radius, *shift):
@@ -56,7 +60,8 @@ def test_a_foreign_lens_is_as_wrong_as_stated(name):
     assert found.explained
 
 
-def test_a_detector_with_a_step_is_refused_with_the_size_of_the_misfit():
-    _, found = calibrated(*STEP)
+@pytest.mark.parametrize("name", STEPS)
+def test_a_detector_with_a_step_is_refused_with_the_size_of_the_misfit(name):
+    _, found = calibrated(*STEPS[name])
     assert not found.explained
-    assert 0.01 < found.unmodelled_px < 0.5  # px; half of a step of 1 px is the most that can be left
+    assert 0.01 < found.unmodelled_px < 0.5  # px; half of the largest step is the most that can be left
