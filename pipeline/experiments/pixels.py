@@ -43,6 +43,7 @@ from boresight.pipeline.results.writing import write_result
 from boresight.pipeline.settings import Settings
 from boresight.pipeline.stages.calibrate import Calibration, calibrate_dump
 from boresight.pipeline.work.executor import InOrder
+from boresight.simulator.campaign import unit
 
 __all__ = [
     "PixelRuns",
@@ -274,15 +275,15 @@ def _redrawn(strip: StripSightings, R_cs: Rotation, rng: np.random.Generator) ->
     R_si, _ = attitudes_of(strip)
     R_so = (R_si * strip.R_oi_exposures.inv())[0]
     exposures = tuple(
-        replace(seen, u_s=_unit((R_so * R_oi).apply(seen.u_i) + _normal(seen.cov_s, rng)))
+        replace(seen, u_s=unit((R_so * R_oi).apply(seen.u_i) + _normal(seen.cov_s, rng)))
         for seen, R_oi in zip(strip.exposures, strip.R_oi_exposures)
     )
     ground = strip.ground
     _, first, place = np.unique(ground.target_id, return_index=True, return_inverse=True)
     survey_i = _normal(ground.cov_target_i[first], rng)[place]  # one error of a target on two CCDs
-    seen_i = _unit(ground.u_i + survey_i / ground.range_m[:, None])
+    seen_i = unit(ground.u_i + survey_i / ground.range_m[:, None])
     u_c = (R_cs * R_so * strip.R_oi_targets).apply(seen_i)
-    ground = replace(ground, u_c=_unit(u_c + _normal(ground.cov_c, rng)))
+    ground = replace(ground, u_c=unit(u_c + _normal(ground.cov_c, rng)))
     return replace(strip, exposures=exposures, ground=ground, attitudes=None)
 
 
@@ -291,10 +292,6 @@ def _normal(covariance: Floats, rng: np.random.Generator) -> Floats:
     values, vectors = np.linalg.eigh(covariance)
     size = np.sqrt(np.maximum(values, 0.0)) * rng.standard_normal(values.shape)
     return np.asarray(np.einsum("nab,nb->na", vectors, size))
-
-
-def _unit(v: Floats) -> Floats:
-    return np.asarray(v / np.linalg.norm(v, axis=1, keepdims=True))
 
 
 def _mission(changes: Sequence[str], seed: int) -> tuple[tuple[float, float], Validation, Calibration]:
