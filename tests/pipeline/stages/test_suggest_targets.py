@@ -161,10 +161,10 @@ def test_heights_are_needed_and_one_kind_of_them(tmp_path: Path) -> None:
 
 @pytest.fixture(scope="module")
 def at_a_strip(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
-    """A dump of one strip, and an ortho-image: its chips laid out where they belong."""
+    """A dump of one strip, and an ortho-image: every third of its chips laid out where it belongs."""
     folder = tmp_path_factory.mktemp("suggest")
     strip_of_fixture(folder / "dump", 2)
-    chips = sorted((FIXTURE / "chips").glob("s02-*.tif"))
+    chips = sorted((FIXTURE / "chips").glob("s02-*.tif"))[::3]
     with rasterio.open(chips[0]) as first:
         crs, side = first.crs, first.transform.a
     boxes = [rasterio.open(chip).bounds for chip in chips]
