@@ -107,7 +107,7 @@ def commands(mission: Path | None) -> list[Command]:
         Command("--version", ("--version",), 0.25),
         Command("--help", ("--help",), 0.35),
         Command("identify, one image", ("identify", images[0]), 0.7),
-        Command(f"identify, each of {len(images)} images", ("identify", *images), 0.12, len(images)),
+        Command("identify, each of 100 images", ("identify", *(3 * images)[:100]), 0.12, 100),
         Command("demo", ("calibrate", str(fixture), "--out", "OUT", "--workers", "1"), 3.5),
     ]
     if mission is not None:

@@ -131,7 +131,7 @@ def _post_init(
             if value is None and optional:
                 continue
             found = value.shape if isinstance(value, np.ndarray) else _lengths(value)
-            if len(found) != len(shape) or not all(_fits(*pair, lengths) for pair in zip(found, shape)):
+            if not _fits(found, shape, lengths):
                 expected = ", ".join(_shown(dimension, lengths) for dimension in shape) + "," * (
                     len(shape) == 1
                 )
@@ -142,12 +142,17 @@ def _post_init(
     return __post_init__
 
 
-def _fits(found: int, dimension: Dimension, lengths: dict[str, int]) -> bool:
-    """Whether a length is the declared one; the first field that uses a letter sets that letter's length."""
-    if isinstance(dimension, int):
-        return found == dimension
-    letter, offset = dimension
-    return found == lengths.setdefault(letter, found - offset) + offset
+def _fits(found: tuple[int, ...], shape: tuple[Dimension, ...], lengths: dict[str, int]) -> bool:
+    """Whether lengths are the declared ones; the first field that uses a letter sets that letter's length."""
+    if len(found) != len(shape):
+        return False
+    for n, dimension in zip(found, shape):
+        if isinstance(dimension, int):
+            if n != dimension:
+                return False
+        elif lengths.setdefault(dimension[0], n - dimension[1]) != n - dimension[1]:
+            return False
+    return True
 
 
 def _lengths(value: Any) -> tuple[int, ...]:

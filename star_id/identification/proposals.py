@@ -148,15 +148,17 @@ class _DetectionMap:
     ) -> Floats:
         """(P,) log likelihood ratios by the neighbours of each first vertex, detected or missed."""
         field = self.image.field
-        neighbours = table.neighbours[vertices[:, 0]]  # (P, K)
-        v = u_i[neighbours] @ R.transpose(0, 2, 1)
+        neighbours = table.neighbours.take(vertices[:, 0], axis=0)  # (P, K)
+        v = u_i.take(neighbours, axis=0) @ R.transpose(0, 2, 1)
         stretch = np.exp(log_scale)[:, None] / np.maximum(v[:, :, 2], 0.05)
         x, y = v[:, :, 0] * stretch, v[:, :, 1] * stretch
         seen = (np.abs(x) < field.half_x) & (np.abs(y) < field.half_y)
         seen &= (neighbours != vertices[:, 1, None]) & (neighbours != vertices[:, 2, None])
-        column = ((np.where(seen, x, 0.0) + field.half_x) / self.cell).astype(np.int64) + 1
-        row = ((np.where(seen, y, 0.0) + field.half_y) / self.cell).astype(np.int64) + 1
-        hits = (self.occupied[row, column] & seen).sum(axis=1)
+        column = ((x[seen] + field.half_x) / self.cell).astype(np.int64) + 1
+        row = ((y[seen] + field.half_y) / self.cell).astype(np.int64) + 1
+        hit_or_not = np.zeros(seen.shape, dtype=bool)
+        hit_or_not[seen] = self.occupied[row, column]
+        hits = hit_or_not.sum(axis=1)
         rate = _DETECTION_RATE * min(1.0, len(self.image.points) / STARS_PER_FIELD)
         chance = max(float(self.occupied.mean()), 1e-6)
         hit, miss = np.log(1.0 - rate + rate / chance), np.log(1.0 - rate)
