@@ -44,7 +44,7 @@ from boresight.pipeline.settings import Settings
 from boresight.pipeline.stages.cached import Progress
 from boresight.pipeline.stages.calibrate import Calibration, calibrate_dump
 from boresight.pipeline.stages.joint import NamedDump, calibrate_jointly
-from boresight.pipeline.work.digests import digest, program
+from boresight.pipeline.work.digests import digest, know_contents, program
 from boresight.pipeline.work.executor import Executor
 
 __all__ = ["RunOutcome", "RunRequest", "going_on", "run_dump", "run_dumps", "saved_content"]
@@ -95,7 +95,7 @@ def run_dump(
 ) -> RunOutcome:
     """Calibrate one dump, `named` so by the user, into `out`."""
     with claimed(out, [dump.root], request.settings, overwrite=request.overwrite):
-        inputs = _inputs([dump], request)
+        inputs = _inputs([dump], request, executor)
         required = write_requirement(out, request.requirement)
         if _is_finished(out, inputs, request):
             if required and request.report:
@@ -115,7 +115,7 @@ def run_dumps(
     counted and does not stop the others.
     """
     with claimed(out, [one.dump.root for one in dumps], request.settings, overwrite=request.overwrite):
-        inputs = _inputs([named.dump for named in dumps], request)
+        inputs = _inputs([named.dump for named in dumps], request, executor)
         required = write_requirement(out, request.requirement)
         if _is_finished(out, inputs, request):
             if required and request.report:
@@ -144,7 +144,7 @@ def _jointly_calibrated(
         try:
             folder, root = out / named.name, named.dump.root
             with claimed(folder, [root], request.settings, overwrite=request.overwrite):
-                own = _inputs([named.dump], request)
+                own = _inputs([named.dump], request, executor)
                 found = _calibrated(folder, named.dump, str(root), own, request, executor, report_progress)
         except DataNotSufficientError as error:
             failed.append(Omission("dump", named.name, "", str(error), Cause.NOT_CALIBRATED))
@@ -213,8 +213,11 @@ def _required(out: Path) -> list[str]:
     return requirement_lines(saved_requirement(out), read_result(out).installation)
 
 
-def _inputs(dumps: Sequence[Dump], request: RunRequest) -> str:
+def _inputs(dumps: Sequence[Dump], request: RunRequest, executor: Executor) -> str:
     """Digest of everything that a result depends on: files of the dumps, settings, program, libraries."""
+    images = [exposure.path for dump in dumps for exposure in dump.exposures]
+    images += [path for dump in dumps for strip in dump.strips for path in strip.images.paths.values()]
+    know_contents(images, executor)
     contents = [
         {f.name: getattr(dump, f.name) for f in fields(dump) if f.name not in ("root", "errors")}
         | {"errors": dump.errors.model_dump()}

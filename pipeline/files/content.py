@@ -1,7 +1,7 @@
 """Content of files: read once, for the digest and for the decoder.
 
 The bytes of the last small file that was read as a whole stay in memory, and are its content as long as its
-size, its place on the disk and its times are the same.
+size, its place on the disk and its times are the same. So do the digests of files.
 """
 
 from __future__ import annotations
@@ -14,7 +14,15 @@ from pathlib import Path
 
 from boresight.pipeline.errors import RawDataError
 
-__all__ = ["check_regular", "content_digest", "content_of", "small_content"]
+__all__ = [
+    "Identity",
+    "check_regular",
+    "content_digest",
+    "content_of",
+    "remember_digest",
+    "small_content",
+    "with_identity",
+]
 
 KEPT_BYTES = 2**26  # three raw exposures of 20 million pixels; a strip is read by window
 STREAMED_BYTES = 2**23  # read at once of a larger file, of a store in one request
@@ -36,7 +44,20 @@ def small_content(path: Path) -> bytes | None:
 
 def content_digest(path: Path) -> str:
     """SHA-256 of all bytes of a regular file as hexadecimal digits; `OSError` for anything else."""
-    return _digest(path, _identity(path))
+    return with_identity(path)[1]
+
+
+def with_identity(path: Path) -> tuple[Identity, str]:
+    """What changes when the file's content does, and `content_digest`."""
+    identity = _identity(path)
+    if not (known := _digest(path, identity)):
+        known.append(_sha256(path, identity))
+    return identity, known[0]
+
+
+def remember_digest(path: Path, identity: Identity, digest: str) -> None:
+    """Take over what another process found by `with_identity`."""
+    _digest(path, identity)[:] = [digest]
 
 
 def check_regular(path: Path, file: str, expected: str) -> int:
@@ -68,7 +89,12 @@ def _content(path: Path, identity: Identity) -> bytes:
 
 
 @lru_cache(maxsize=100_000)
-def _digest(path: Path, identity: Identity) -> str:
+def _digest(path: Path, identity: Identity) -> list[str]:
+    """The digest, where it is known."""
+    return []
+
+
+def _sha256(path: Path, identity: Identity) -> str:
     if identity[0] <= KEPT_BYTES:
         return hashlib.sha256(_content(path, identity)).hexdigest()
     state = hashlib.sha256()

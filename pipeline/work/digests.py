@@ -7,7 +7,7 @@ import hashlib
 import importlib.util
 import platform
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from enum import Enum
 from functools import cache
 from importlib import metadata
@@ -18,9 +18,11 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from boresight.pipeline import __version__
-from boresight.pipeline.files.content import content_digest
+from boresight.pipeline.files.content import Identity, content_digest, remember_digest, with_identity
+from boresight.pipeline.work.executor import Executor
+from boresight.pipeline.work.processes import Processes
 
-__all__ = ["digest", "library_versions", "numerical_program", "program"]
+__all__ = ["digest", "know_contents", "library_versions", "numerical_program", "program"]
 
 _IMPORT = re.compile(r"^\s*(?:from\s+([\w.]+)\s+import\s+(\([^)]*\)|[^\n]*)|import\s+([\w.]+))", re.MULTILINE)
 DISTRIBUTIONS = ("numpy", "scipy", "astropy", "astropy-iers-data", "pyerfa", "scikit-image")
@@ -35,6 +37,23 @@ def digest(*values: Any) -> str:
     for value in values:
         _feed(state, value)
     return state.hexdigest()
+
+
+def know_contents(files: Sequence[Path], executor: Executor) -> None:
+    """Have processes of this machine, if the executor has any, read files, so that `digest` knows their
+    content here and in processes that are forked from this one."""
+    if not isinstance(executor, Processes):
+        return
+    for path, found in zip(files, executor.map(_read, files, lambda n, one: None)):
+        if found is not None:
+            remember_digest(path, *found)
+
+
+def _read(path: Path) -> tuple[Identity, str] | None:
+    try:
+        return with_identity(path)
+    except OSError:  # `digest` says so
+        return None
 
 
 def _feed(state: Any, value: Any) -> None:

@@ -12,11 +12,13 @@ import pyarrow as pa
 import pytest
 from scipy.spatial.transform import Rotation
 
+from boresight.pipeline.files import content
 from boresight.pipeline.files.table_files import fixed_list, list_values
 from boresight.pipeline.stages.exposure import sight_exposure
 from boresight.pipeline.stages.strip import match_targets
 from boresight.pipeline.work import digests
 from boresight.pipeline.work.digests import digest, program
+from boresight.pipeline.work.processes import Processes
 from boresight.pipeline.work.unit_store import UnitStore, read_meta
 
 GEOMETRY, STARS, MATCH = "boresight.geometry", "boresight.star_id", "boresight.gct_match"
@@ -183,3 +185,27 @@ def test_unit_is_read_back_bit_for_bit_and_replaces_its_predecessor(tmp_path: Pa
 def test_no_rows_keep_their_shape() -> None:
     table = pa.table({"cov": fixed_list(np.zeros((0, 2, 2)))})
     assert list_values(table, "cov", 2, 2).shape == (0, 2, 2)
+
+
+def test_contents_read_by_other_processes_are_known_and_those_of_changed_files_are_not(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    files = [tmp_path / name for name in ("a", "b", "missing")]
+    for path in files[:2]:
+        path.write_bytes(path.name.encode() * 1000)
+    expected = digests.digest(files)
+    content._digest.cache_clear()
+    digests.know_contents(files, Processes(2))
+    computed: list[Path] = []
+    own = content._sha256
+
+    def noted(path: Path, identity: content.Identity) -> str:
+        computed.append(path)
+        return own(path, identity)
+
+    monkeypatch.setattr(content, "_sha256", noted)
+    assert digests.digest(files) == expected
+    assert computed == []  # nothing is read once more
+    files[1].write_bytes(b"another content")
+    assert digests.digest(files) != expected
+    assert computed == [files[1]]
