@@ -9,6 +9,7 @@ centroid covariances, attitude and distortion are then fitted again with each st
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -372,12 +373,15 @@ def _identified(
 ) -> tuple[Identification, StarCamera] | NotIdentified:
     """The identification, and the camera, given or fitted, that it holds for."""
     if camera is not None:
-        plane = tangent_coordinates(camera, xy_px)
-        seen = np.flatnonzero(np.isfinite(plane).all(axis=1))  # beyond a turning point there is no direction
-        found = identify(plane[seen], field_of_camera(camera, settings), index, settings, tried=tried)
+        plane, field = tangent_coordinates(camera, xy_px), field_of_camera(camera, settings)
+        seen = None
+        if not math.isfinite(plane.sum()):  # beyond a turning point there is no direction
+            seen = np.flatnonzero(np.isfinite(plane).all(axis=1))
+            plane = plane[seen]
+        found = identify(plane, field, index, settings, tried=tried)
         if isinstance(found, NotIdentified):
             return found
-        return replace(found, detections=seen[found.detections]), camera
+        return found if seen is None else replace(found, detections=seen[found.detections]), camera
     best = -np.inf
     fields = _fields_to_try(fov_x_rad, settings)
     for stages in passes:

@@ -93,6 +93,8 @@ def predict_field(image: PlaneDetections, index: StarIndex, R: Floats, distortio
 def predict_stars(index: StarIndex, rows: Ints, R: Floats, distortion: Floats) -> Hypothesis:
     """Hypothesis with the index stars `rows` (M,)."""
     ideal = tangents_of_directions(index.u_i.take(rows, axis=0) @ R.T)
+    if not any(distortion.tolist()):  # a calibrated camera
+        return Hypothesis(R, distortion, rows, ideal)
     return Hypothesis(R, distortion, rows, _distorted(ideal, _distortion_derivatives(ideal), distortion))
 
 
