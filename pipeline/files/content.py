@@ -19,6 +19,7 @@ __all__ = [
     "check_regular",
     "content_digest",
     "content_of",
+    "identity_of",
     "remember_digest",
     "small_content",
     "with_identity",
@@ -72,6 +73,14 @@ def check_regular(path: Path, file: str, expected: str) -> int:
         found = "a folder" if stat.S_ISDIR(status.st_mode) else "a device, FIFO or socket"
         raise RawDataError(file, "file", found, expected)
     return status.st_size
+
+
+def identity_of(path: Path) -> Identity:
+    """What changes when the content of a file does; empty where there is none, which its reader reports."""
+    try:
+        return _identity(path)
+    except (OSError, ValueError):
+        return ()
 
 
 def _identity(path: Path) -> Identity:

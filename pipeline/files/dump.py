@@ -32,6 +32,7 @@ from boresight.geometry.terrain import Surface, TerrainGrid, TerrainTiles
 from boresight.geometry.terrain_tiles import Raster, joined
 from boresight.pipeline.errors import Omission, RawDataError
 from boresight.pipeline.files import dump_schema as schema
+from boresight.pipeline.files.content import Identity, identity_of
 from boresight.pipeline.files.ground_points import StripPoints, SurveyedPoints, read_points, targets_of
 from boresight.pipeline.files.image_files import StripFiles, check_strip_file, read_grid
 from boresight.pipeline.files.object_store import dump_folder
@@ -525,12 +526,14 @@ def _star_catalogue(path: Path | None, head: schema.DumpFile, sky: Sequence[Stri
 
 
 def surface_of(terrain: TerrainFiles | TargetHeights) -> Surface:
-    """The surface of the Earth. A terrain file is read once in each process."""
-    return terrain if isinstance(terrain, TargetHeights) else _read_terrain(terrain)
+    """The surface of the Earth. A terrain file is read once in each process, as long as it stays the same."""
+    if isinstance(terrain, TargetHeights):
+        return terrain
+    return _read_terrain(terrain, tuple(map(identity_of, terrain.paths)))
 
 
 @lru_cache(maxsize=1)
-def _read_terrain(terrain: TerrainFiles) -> TerrainGrid | TerrainTiles:
+def _read_terrain(terrain: TerrainFiles, identities: tuple[Identity, ...]) -> TerrainGrid | TerrainTiles:
     rasters, left = [], MAX_TERRAIN_PIXELS
     for file, path in zip(terrain.files, terrain.paths):
         grid = read_grid(path, file, max_pixels=left)

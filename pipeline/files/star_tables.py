@@ -17,7 +17,7 @@ from boresight.geometry.constants import ARCSEC
 from boresight.geometry.record import Floats
 from boresight.geometry.starlight import StarPlaces, SurveyedStars
 from boresight.pipeline.errors import RawDataError
-from boresight.pipeline.files.content import check_regular, content_of
+from boresight.pipeline.files.content import Identity, check_regular, content_of, identity_of
 from boresight.pipeline.files.xml_files import read_xml
 from boresight.star_id.whole_catalogue import all_hipparcos
 
@@ -46,7 +46,7 @@ COLUMNS: dict[str, tuple[float, float, float | None]] = {
 
 @dataclass(frozen=True, slots=True)
 class StarTable:
-    """A user's table of stars. Equal files are read once (`survey_of`)."""
+    """A user's table of stars: read once in each process while it stays the same (`survey_of`)."""
 
     file: str
     path: Path
@@ -54,11 +54,11 @@ class StarTable:
 
 def survey_of(table: StarTable | None) -> SurveyedStars:
     """The stars of a table; None: all of Hipparcos."""
-    return all_hipparcos() if table is None else _read(table)
+    return all_hipparcos() if table is None else _read(table, identity_of(table.path))
 
 
 @lru_cache(maxsize=1)
-def _read(table: StarTable) -> SurveyedStars:
+def _read(table: StarTable, identity: Identity) -> SurveyedStars:
     return read_star_table(table.path, table.file)
 
 

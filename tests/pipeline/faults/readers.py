@@ -229,7 +229,9 @@ def _chip_image(folder: Path) -> Any:
 
 
 def _terrain(folder: Path) -> Any:
-    surface = _read_terrain.__wrapped__(TerrainFiles(("dem.tif",), (folder / "dump/dem.tif",), "ellipsoidal"))
+    surface = _read_terrain.__wrapped__(
+        TerrainFiles(("dem.tif",), (folder / "dump/dem.tif",), "ellipsoidal"), ()
+    )
     return surface.height_m(np.zeros(3), np.radians([102.9, 103.0, 103.1]))
 
 

@@ -14,7 +14,7 @@ from astropy.io import fits
 from handmade import write_chip, write_strip
 
 from boresight.pipeline.errors import RawDataError
-from boresight.pipeline.files.dump import TerrainFiles, _read_terrain, open_dump, surface_of
+from boresight.pipeline.files.dump import TerrainFiles, open_dump, surface_of
 from boresight.pipeline.files.image_files import check_strip_file, read_grid
 from boresight.pipeline.files.star_images import read_exposure, read_star_image
 
@@ -32,7 +32,6 @@ def chip(path: Path) -> object:
 
 
 def terrain(path: Path) -> object:
-    _read_terrain.cache_clear()  # a file is read once in each process
     return surface_of(TerrainFiles(("image",), (path,), "ellipsoidal"))
 
 

@@ -191,6 +191,16 @@ def test_terrain_across_the_meridian_is_one_ground_however_it_is_written(tmp_pat
         np.testing.assert_allclose(surface.height_m(lat, lon - 2.0 * np.pi), expected, atol=2e-3)
 
 
+def test_terrain_that_was_replaced_under_the_same_name_is_read_anew(tmp_path: Path) -> None:
+    path, transform = tmp_path / "dem.tif", rasterio.Affine(0.01, 0, 10.0, 0, -0.01, 50.0)
+    terrain = TerrainFiles((path.name,), (path,), "ellipsoidal")
+    here = np.radians([49.5]), np.radians([10.5])
+    for height in (100.0, 900.0):
+        write_grid(path, np.full((200, 200), height, dtype=np.float32), 4326, transform)
+        assert surface_of(terrain).height_m(*here) == height
+        assert surface_of(terrain) is surface_of(terrain)
+
+
 def test_polar_terrain_has_a_height_at_the_pole_and_on_every_meridian(tmp_path: Path) -> None:
     heights = np.add.outer(np.arange(200.0), np.arange(200.0)).astype(np.float32)
     path = tmp_path / "polar.tif"

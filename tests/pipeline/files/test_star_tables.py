@@ -7,7 +7,7 @@ from pytest import approx
 
 from boresight.geometry.constants import ARCSEC
 from boresight.pipeline.errors import RawDataError
-from boresight.pipeline.files.star_tables import read_star_table
+from boresight.pipeline.files.star_tables import StarTable, read_star_table, survey_of
 
 MAS = 1e-3 * ARCSEC
 STARS = {
@@ -38,6 +38,14 @@ def test_a_table_of_the_gaia_archive_is_read_in_every_format(tmp_path, suffix, k
     assert stars.places.epoch_jyear == 2016.0
     # ten years later: the position's error, and ten times that of the motion
     assert stars.sigma_at_rad(2026.0)[0] == approx(np.hypot(0.03, 10.0 * np.hypot(0.03, 0.04) / 2**0.5) * MAS)
+
+
+def test_a_table_that_was_replaced_under_the_same_name_is_read_anew(tmp_path):
+    table = StarTable("stars.csv", tmp_path / "stars.csv")
+    for ra in (269.4, 17.5):
+        Table(STARS | {"ra": [ra, 217.4]}).write(table.path, format="ascii.csv", overwrite=True)
+        assert np.degrees(survey_of(table).places.ra_rad[0]) == approx(ra, abs=1e-12)
+        assert survey_of(table) is survey_of(table)
 
 
 @pytest.mark.parametrize(
