@@ -59,6 +59,15 @@ _MATCHINGS = 30  # of stars and lens in turn, at most
 _LEAST_RELIABLE = 4  # stars; of fewer the attitude is not better than that of all stars
 # stages of identification: first a quick search over all fields of view
 _PASSES = (((0, 0, 6), (0, 6, 9)), ((0, 9, 13), (0, 13, 18), (1, 0, 9)), ((DENSER, 0, 8), (DENSER, 8, 12)))
+# mirror image or not, stages, projection: of a camera that is not known, and of one that is
+_Attempt = tuple[bool, tuple[tuple[tuple[int, int, int], ...], ...], Projection]
+_ATTEMPTS: tuple[_Attempt, ...] = (
+    (False, _PASSES[:1], "tangent"),
+    (True, _PASSES[:1], "tangent"),
+    (False, _PASSES[1:], "tangent"),
+)
+_ATTEMPTS_OF_CAMERA: tuple[_Attempt, ...] = ((False, _PASSES, "tangent"), (True, _PASSES, "tangent"))
+_CLEARLY_MORE = 1.1  # times the stars of a tangent lens: then it is a fisheye
 
 
 @record(kw_only=True)
@@ -211,24 +220,38 @@ def solve_list(
         reason = f"{len(stars.snr)} detections without a star's shape, nearly all at the threshold"
         return NotIdentified(f"{reason}: no stars; expose longer, or state the PSF", len(stars.snr))
     reversed_stars = stars.mirrored(size[0])
-    attempts = ((False, _PASSES[:1]), (True, _PASSES[:1]), (False, _PASSES[1:]))
-    tried, reasons = 0, []
-    for mirrored, passes in attempts if camera is None else ((False, _PASSES), (True, _PASSES)):
+    attempts = _ATTEMPTS if camera is None else _ATTEMPTS_OF_CAMERA
+    if camera is None and fov_x_rad is not None and fov_x_rad > _WIDE_RAD:
+        attempts = (*attempts, (False, _PASSES, "equidistant"))
+    tried, reasons, best = 0, [], None
+    for mirrored, passes, projection in attempts:
+        if best is not None and projection == "tangent":
+            continue
         seen = reversed_stars if mirrored else stars
-        answer = _identified(seen.xy_px, size, index, settings, camera, fov_x_rad, passes=passes, tried=tried)
+        answer = _identified(
+            seen.xy_px,
+            size,
+            index,
+            settings,
+            camera,
+            fov_x_rad,
+            passes=passes,
+            tried=tried,
+            projection=projection,
+        )
         if isinstance(answer, NotIdentified):
             tried = answer.proposals
             reasons.append(answer)
-            continue
-        solution = _weighted(seen, *answer, index, settings, camera, observer)
-        return replace(solution, mirrored=mirrored)
-    if camera is None and fov_x_rad is not None and fov_x_rad > _WIDE_RAD:
-        answer = _identified(
-            stars.xy_px, size, index, settings, None, fov_x_rad, tried=tried, projection="equidistant"
-        )
-        if not isinstance(answer, NotIdentified):
-            return _weighted(stars, *answer, index, settings, None, observer)
-    return max(reasons, key=lambda answer: answer.best_log_odds)
+        elif (solution := _weighted(seen, *answer, index, settings, camera, observer)) is None:
+            reasons.append(_without_lens(answer[0]))
+        elif best is None or solution.matches > _CLEARLY_MORE * best.matches:
+            best = replace(solution, mirrored=mirrored)
+    return best or max(reasons, key=lambda answer: answer.best_log_odds)
+
+
+def _without_lens(found: Identification) -> NotIdentified:
+    n, odds = len(found.stars), -found.log_false_alarm_probability
+    return NotIdentified(f"{n} stars identified, but no lens fits them", n, found.proposals, odds)
 
 
 def _are_no_stars(stars: StarList) -> bool:
@@ -247,8 +270,8 @@ def _weighted(
     settings: StarSettings,
     camera: StarCamera | None,
     observer: Observer | None,
-) -> FieldSolution:
-    """Solution with each star weighted by its own covariance."""
+) -> FieldSolution | None:
+    """Solution with each star weighted by its own covariance; None where no lens fits them."""
     if camera is None:
         return _fitted(stars, found, start, index, settings, observer)
     return replace(_of_known_camera(stars.centroids, found, camera, index, settings, observer), stars=stars)
@@ -279,9 +302,9 @@ def _fitted(
     index: StarIndex,
     settings: StarSettings,
     observer: Observer | None,
-) -> FieldSolution:
+) -> FieldSolution | None:
     """Solution with attitude, lens and matches in turn: the brightest stars fit the lens, the lens tells
-    which detections are further stars, until they no longer change."""
+    which detections are further stars, until they no longer change; None where they become too few."""
     detections, rows = found.detections[:_STARS_TO_START], found.stars[:_STARS_TO_START]
     camera, R_si = start, found.R_si
     expected = _expected_stars(start, R_si, len(stars.xy_px), index)
@@ -294,14 +317,19 @@ def _fitted(
         xy, cov = stars.xy_px[detections[reliable]], stars.cov_px[detections[reliable]]
         if years:
             cov = cov + proper_motion_covariance(index, rows[reliable], start, R_si, years)
-        fit = fit_attitude_and_lens(camera, R_si, xy, cov, star_directions(index, rows[reliable], observer))
+        try:
+            fit = fit_attitude_and_lens(
+                camera, R_si, xy, cov, star_directions(index, rows[reliable], observer)
+            )
+        except np.linalg.LinAlgError:  # a lens of another projection
+            return None
         camera, R_si = fit.field.camera, fit.field.R_si
         predicted, cov = fit.predict(u_i)
         seen = np.flatnonzero(camera.contains(predicted))
         area_px = camera.width_px * camera.height_px
         match = match_field(stars.xy_px, stars.cov_px, predicted[seen], cov[seen] + moved[seen], area_px)
         if len(match.stars) < _LEAST_RELIABLE:
-            break
+            return None
         before, rows, detections = rows, expected[seen[match.stars]], match.detections
         if np.array_equal(rows, before):
             break

@@ -72,5 +72,5 @@ def _near(xy: Floats, cov: Floats, predicted: Floats, cov_predicted: Floats) -> 
     reach = np.minimum(_REACH_SIGMA * np.hypot(own, largest), _LARGEST_REACH_PX)
     near = cKDTree(xy).query_ball_point(predicted, reach)
     counts = np.array([len(rows) for rows in near], dtype=np.int64)
-    detection = np.concatenate([np.asarray(rows, dtype=np.int64) for rows in near])
+    detection = np.array([row for rows in near for row in rows], dtype=np.int64)
     return detection, np.repeat(np.arange(len(predicted)), counts)

@@ -234,6 +234,8 @@ def _slopes_of(camera: StarCamera, points: Floats, moved: Floats) -> Floats:
     moved from."""
     shifted = points - _STEP_PX * moved.transpose(2, 0, 1)  # (C, 4, 2)
     seen = camera.directions_from_pixels(np.vstack([points[None], shifted]).reshape(-1, 2)).reshape(-1, 4, 3)
+    if not np.isfinite(seen).all():  # beyond a turning point there is no direction
+        raise np.linalg.LinAlgError("the lens does not reach the edges of the image")
     middle, above, left, right = seen.transpose(1, 0, 2)
     up = above - middle * (above * middle).sum(axis=1)[:, None]
     up /= np.linalg.norm(up, axis=1)[:, None]

@@ -128,3 +128,24 @@ def test_wide_and_fisheye_lenses_of_known_field_are_fitted_to_the_end(fov_deg, r
     assert found.matches > 0.9 * len(stars.xy_px)  # a quarter, where the lens was still changing
     error = abs(found.fov_x_rad - np.radians(fov_deg))  # the lens is off the middle: 0.0008 deg
     assert error < 4.0 * found.fov_x_sigma_rad < np.radians(0.02)
+
+
+@pytest.mark.parametrize(
+    ("fov_deg", "radius"),
+    [
+        (70, lambda t: t),
+        (82, lambda t: t * (1 - 0.05 * t**2 + 0.02 * t**4)),
+        (89, lambda t: 2.0 * np.sin(0.5 * t)),
+    ],
+)
+def test_fisheyes_are_no_tangent_lenses_of_fewer_stars(fov_deg, radius):
+    index = build_index(PLACES, PLACES.epoch_jyear, (np.radians(20.0), np.radians(60.0)))
+    for k in (0, 3):  # a tangent lens was fitted to half of the stars, or none could be
+        lens, rng = ForeignLens(fov_deg, radius), np.random.default_rng([fov_deg, k, 2])
+        R_si = Rotation.random(random_state=rng)
+        stars = listed_stars(lens, R_si, PLACES, rng, brightest=2000.0).take(np.arange(250))
+        found = solve_list(stars, SIZE, index, StarSettings(), fov_x_rad=np.radians(1.02 * fov_deg))
+        assert isinstance(found, FieldSolution)
+        assert found.camera.projection == "equidistant"
+        assert found.matches > 0.9 * len(stars.xy_px)
+        assert (found.R_si * R_si.inv()).magnitude() < np.radians(0.05)
