@@ -104,7 +104,7 @@ def angle_histogram(saved: Saved) -> Drawing:
     _histogram(axes, ratio, edges)
     x = np.linspace(-4.5, 4.5, 181)
     axes.plot(x, np.exp(-0.5 * x**2) / np.sqrt(2.0 * np.pi), "-", color=INK, linewidth=1.4, label="expected")
-    _legend(axes)
+    _legend(axes, loc="upper right")
     return drawn(figure, "angle-histogram", text, f"Histogram of cross-angle residuals. {text}")
 
 
@@ -123,7 +123,7 @@ def angle_spread(saved: Saved) -> Drawing:
         )
         span = np.array([predicted.min(), predicted.max()])
         axes.plot(span, span, "--", color=MUTED, linewidth=1.2, label="measured = predicted")
-        _legend(axes)
+        _legend(axes, loc="upper left")
         if predicted.max() > 3.0 * predicted.min():
             _logarithmic(axes, "x", "y")
     ratio = measured / predicted
@@ -289,7 +289,7 @@ def squared_residual_histogram(saved: Saved, table_name: str, what: str) -> Draw
     axes.plot(x, 0.5 * np.exp(-0.5 * x), "-", color=INK, linewidth=1.4, label="expected (χ², 2 degrees)")
     _logarithmic(axes, "y", steps=(1.0,))
     axes.set_ylim(1e-4, 1.0)
-    _legend(axes)
+    _legend(axes, loc="upper right")
     mean = float(good.mean()) if len(good) else float("nan")
     text = f"{len(good)} {what} used, mean {mean:.3f} (2 expected); {int((~kept).sum())} rejected."
     return drawn(
@@ -344,7 +344,7 @@ def allan_plot(saved: Saved) -> Drawing | None:
         axes.plot(times, deviation[:, n], curve.marker, label=curve.name.lower(), **style)
         axes.plot(times, deviation[0, n] * np.sqrt(times[0] / times), curve.dash, color=curve.colour, lw=1.2)
     _logarithmic(axes, "x", "y")
-    _legend(axes, ncols=3)
+    _legend(axes, ncols=3, loc="upper right")
     heads = (saved.allan.schema.metadata or {}).get(b"heads", b"").decode()
     what = f"the difference of {heads}" if " and " in heads else f"{heads} against the nominal motion"
     text = (
@@ -370,6 +370,7 @@ def _logarithmic(axes: Axes, *which: str, steps: tuple[float, ...] = (1.0, 2.0, 
 
 
 def _legend(axes: Axes, **where: Any) -> None:
+    """A legend at a stated place: the best one is found by trying all over everything that is drawn."""
     axes.legend(fontsize=8, labelcolor=INK, frameon=False, **where)
 
 

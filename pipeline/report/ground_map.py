@@ -135,7 +135,7 @@ def scenes_of(dump: Dump, calibration: Calibration) -> tuple[Scene, ...]:
 
 def _on_ground(task: StripTask, surface: Surface) -> StripOnGround:
     model = pushbroom_of(task)
-    outlines = []
+    model, outlines = model.tabulated(*model.known_lines()), []
     for ccd in range(task.camera.n_ccds):
         s1, l1 = task.camera.n_px(ccd) - 0.5, task.strip.lines - 0.5
         across, along = np.linspace(-0.5, s1, EDGE_POINTS), np.linspace(-0.5, l1, EDGE_POINTS)
@@ -372,9 +372,8 @@ def _quicklook(
     p_e = ecef_from_geodetic(lat.ravel(), lon.ravel(), height.ravel(), WGS84)
     picture = np.full((rows, columns), np.nan, dtype=np.float32)
     to_size = _lattice_map(rows, columns)
-    model = one.model.tabulated(*one.model.known_lines())
     for ccd in one.task.strip.images.ccds:
-        sample, line = model.pixels_from_ground(ccd, p_e)
+        sample, line = one.model.pixels_from_ground(ccd, p_e)
         maps = [
             cv2.remap(v.reshape(NODES, NODES).astype(np.float32), *to_size, cv2.INTER_LINEAR)
             for v in (sample, line)
