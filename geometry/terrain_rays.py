@@ -12,7 +12,7 @@ BIT 13, 253.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -98,7 +98,8 @@ def _finest_bounds(heights: NDArray[np.float32], first: int) -> tuple[Array, Arr
     """Lowest and highest ground and greatest rise per pixel in the finest tiles of a block of rows."""
     band = heights[first : first + _BAND]
     unknown = np.isnan(band)
-    lowest, highest = (np.where(unknown, end, band) if unknown.any() else band for end in (np.inf, -np.inf))
+    lowest: NDArray[Any] = np.where(unknown, np.inf, band) if unknown.any() else band
+    highest: NDArray[Any] = np.where(unknown, -np.inf, band) if unknown.any() else band
     # first over rows, which lie together in memory: both axes at once take four times as long
     low = _tiles(lowest, _TILE, np.inf).min(axis=1).min(axis=2)
     high = _tiles(highest, _TILE, -np.inf).max(axis=1).max(axis=2)
