@@ -146,7 +146,7 @@ def find_strip_stars(
         chosen = found.take(many)
         gain = gain_of(chosen.windows, rough.offset[many], chosen.motion, sigma)
     fits = _fits(found, rough.offset, sigma, gain)
-    return _listed(found, fits, sigma, gain)
+    return _listed(found, fits, _on_detector(found, fits, images), sigma, gain)
 
 
 def _candidates(
@@ -242,8 +242,15 @@ def _bright(found: _Found, fits: TraceFits, limits: tuple[float, ...], most: int
     return rows[np.argsort(-fits.snr[rows], kind="stable")][:most]
 
 
-def _listed(found: _Found, fits: TraceFits, sigma: float, gain: float) -> StripStars:
-    """The fits that are stars, each once, brightest first."""
+def _on_detector(found: _Found, fits: TraceFits, images: StripImage) -> Bools:
+    """(N,) whether the middle of a star lies in the image of its CCD."""
+    xy_px = fits.offset + found.windows.corner + found.windows.radius
+    ends = np.array([images.shape(ccd)[::-1] for ccd in found.ccd.tolist()]) - 0.5
+    return np.asarray(((xy_px >= -0.5) & (xy_px < ends)).all(axis=1))
+
+
+def _listed(found: _Found, fits: TraceFits, inside: Bools, sigma: float, gain: float) -> StripStars:
+    """The fits that are stars, `inside` their CCD's image, each once, brightest first."""
     windows = found.windows
     ratio = fits.chi2 / fits.dof
     # Near the saturation every count is masked; what remains of the image still gives the place.
@@ -252,7 +259,7 @@ def _listed(found: _Found, fits: TraceFits, sigma: float, gain: float) -> StripS
     )
     near = np.abs(fits.offset - found.start).max(axis=1) < np.where(saturated, 4.0, 2.0)
     shaped = (ratio < _MISFIT + (_MISFIT_OF_SNR * fits.snr) ** 2) | saturated
-    kept = np.flatnonzero(near & (fits.snr > 0.0) & np.isfinite(fits.cov_px).all(axis=(1, 2)))
+    kept = np.flatnonzero(inside & near & (fits.snr > 0.0) & np.isfinite(fits.cov_px).all(axis=(1, 2)))
     kept = kept[np.argsort(-fits.flux_dn[kept], kind="stable")]
     stars = StripStars(
         ccd=found.ccd[kept],

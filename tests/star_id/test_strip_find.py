@@ -1,7 +1,7 @@
 """Stars found in strips of noise, and what else is not one."""
 
 import numpy as np
-from strip_frames import noise_strip
+from strip_frames import Strip, noise_strip
 
 from boresight.star_id.strip_stars.find import StripMotion, find_strip_stars
 from boresight.star_id.strip_stars.settings import StripStarSettings
@@ -58,3 +58,13 @@ def test_a_double_star_is_marked_as_blended_and_a_saturated_one_as_saturated():
     }
     by_place.pop(104, None)  # beside a star of twice its light it may be no star's trace
     assert by_place == {100: (True, False), 200: (False, True), 60: (False, False)}
+
+
+def test_a_star_whose_middle_is_beside_the_detector_is_not_listed():
+    rng, edge = np.random.default_rng(7), 20
+    stars = [(0, edge - 0.9, 200.0, 400.0), (0, edge + 0.3, 700.0, 400.0), (1, edge - 0.8, 400.0, 900.0)]
+    whole = noise_strip(rng, stars=stars)
+    seen = Strip({ccd: np.ascontiguousarray(image[:, edge:]) for ccd, image in whole.images.items()})
+    found = found_in(seen, psf_sigma_px=0.55, gain_e_per_dn=60.0, false_alarms_per_strip=0.01)
+    assert [round(float(y)) for y in found.xy_px[:, 1]] == [700]
+    assert abs(found.xy_px[0, 0] - 0.3) < 4.0 * np.sqrt(found.cov_px[0, 0, 0])
