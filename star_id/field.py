@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -410,16 +411,25 @@ def _identified(
         if isinstance(found, NotIdentified):
             return found
         return found if seen is None else replace(found, detections=seen[found.detections]), camera
-    best = -np.inf
+    best, likeliest = -np.inf, None
     fields = _fields_to_try(fov_x_rad, settings)
     for stages in passes:
-        for fov, error in fields:
+        for (fov, error), (below, _) in pairwise([*fields, (0.0, 0.0)]):
             nominal = nominal_camera(size, fov, projection)
             plane, field = tangent_coordinates(nominal, xy_px), _nominal_field(nominal, error, fov, settings)
             found = identify(plane, field, index, settings, stages=stages, tried=tried)
-            if isinstance(found, Identification):
-                return found, _fitted_camera(nominal, found.distortion)
-            tried, best = max(found.proposals, tried), max(best, found.best_log_odds)
+            tried = max(found.proposals, tried)
+            if isinstance(found, NotIdentified):
+                best = max(best, found.best_log_odds)
+            elif likeliest is None or (
+                found.log_false_alarm_probability < likeliest[0].log_false_alarm_probability
+            ):
+                likeliest = found, _fitted_camera(nominal, found.distortion)
+            # at the edge of what a nominal field covers some stars are named wrongly: the next one is nearer
+            if likeliest is not None and likeliest[1].fov_x_rad >= np.sqrt(fov * below):
+                return likeliest
+        if likeliest is not None:
+            return likeliest
     low, high = np.degrees(fields[-1][0]), np.degrees(fields[0][0])
     return NotIdentified(
         f"{len(xy_px)} stars found; {tried} triangles agree with the catalogue for fields of view from"
