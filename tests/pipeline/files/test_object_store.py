@@ -50,20 +50,33 @@ def store(finished: tuple[Path, Path]) -> Iterator[str]:
     server.stop()
 
 
-def calibrate(dump: str, out: Path) -> subprocess.CompletedProcess:
-    command = [sys.executable, "-m", "boresight", "calibrate", dump, "--out", str(out), "--workers", "2"]
-    return subprocess.run([*command, "--no-report"], capture_output=True, text=True, timeout=300, check=False)
+def calibrate(dump: str, out: Path, *how: str) -> subprocess.CompletedProcess:
+    command = [sys.executable, "-m", "boresight", "calibrate", dump, "--out", str(out), "--no-report", *how]
+    return subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
 
 
 def test_dump_in_a_store_gives_the_bytes_of_the_one_on_disk(
     store: str, finished: tuple[Path, Path], tmp_path: Path
 ) -> None:
-    ran = calibrate("s3://archive/passes/dump", tmp_path / "result")
+    ran = calibrate("s3://archive/passes/dump", tmp_path / "result", "--workers", "2")
     assert ran.returncode == 0, ran.stderr
     expected = (finished[1] / "installation.json").read_bytes()
     assert (tmp_path / "result" / "installation.json").read_bytes() == expected
     found = {path.name for path in (tmp_path / "result" / "work").rglob("*.parquet")}
     assert found == {path.name for path in (finished[1] / "work").rglob("*.parquet")}  # keys of content
+
+
+def test_workers_of_a_cluster_read_a_dump_in_a_store(
+    store: str, finished: tuple[Path, Path], tmp_path: Path
+) -> None:
+    from distributed import LocalCluster
+
+    with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address="127.0.0.1:0") as cluster:
+        how = "--scheduler", str(cluster.scheduler_address)
+        ran = calibrate("s3://archive/passes/dump", tmp_path / "result", *how)
+    assert ran.returncode == 0, ran.stderr
+    expected = (finished[1] / "installation.json").read_bytes()
+    assert (tmp_path / "result" / "installation.json").read_bytes() == expected
 
 
 def test_dump_on_a_web_server_is_the_one_on_disk(store: str, finished: tuple[Path, Path]) -> None:
