@@ -85,7 +85,9 @@ def compared(stars: StripStars, mission: Mission, rate: float, stages: int) -> S
     tree = cKDTree(true)
     distance, row = tree.query(np.column_stack([stars.xy_px, 1e6 * stars.ccd]))
     lonely = tree.query(true, k=2)[0][:, 1] > 16.0 + abs(1.0 - rate) * stages
-    hit = np.flatnonzero((distance < 2.0) & lonely[row])
+    size = np.array([(strip.samples, strip.lines) for strip in mission.strips])[stars.ccd]
+    inside = (np.abs(true[row, :2] - 0.5 * (size - 1.0)) < 0.5 * size).all(axis=1)
+    hit = np.flatnonzero((distance < 2.0) & lonely[row] & inside)
     place = true[row[hit], :2]
     return Seen(
         snr=stars.snr[hit],

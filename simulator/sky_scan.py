@@ -42,6 +42,7 @@ _REACH_SIGMA = 6.0  # beyond it 2e-9 of the light is lost
 _STEPS_A_ROW = 8  # in which a row's exposure is divided
 _BEYOND_LINES = 400.0  # stars that cross so far outside a strip still shed light on it, smeared by TDI
 _BESIDE_PX = 20.0
+_LISTED_BESIDE_PX = 1.5  # from the middle of the last pixel
 
 
 @record(kw_only=True)
@@ -77,16 +78,14 @@ class SkyScene:
         return self.stars.take(inside), np.column_stack([sample, line])[inside]
 
     def truth(self) -> tuple[TrueStar, ...]:
-        """Stars whose middle lies in the image of some CCD."""
+        """Stars whose middle lies in the image of some CCD, or so near that its measured place may."""
         found = []
         for ccd in range(self.camera.n_ccds):
             stars, places = self.crossings(ccd)
             charge = self._charge(stars)
+            last = np.array([self.camera.n_px(ccd), self.settings.lines]) - 1.0
             for k, (sample, line) in enumerate(places.tolist()):
-                if (
-                    -0.5 <= sample <= self.camera.n_px(ccd) - 0.5
-                    and -0.5 <= line <= self.settings.lines - 0.5
-                ):
+                if (np.abs(places[k] - 0.5 * last) <= 0.5 * last + _LISTED_BESIDE_PX).all():
                     row = (sample, line, float(charge[k]), float(stars.v_mag[k]))
                     found.append(TrueStar(self.strip_id, ccd, int(stars.hip[k]), *row))
         return tuple(found)
