@@ -187,7 +187,7 @@ def _calibrated(
     if request.report:
         from boresight.pipeline.report.evidence import write_evidence
 
-        write_evidence(out, dump, found, request.settings)
+        write_evidence(out, dump, found, request.settings, executor)
     write_result(out, found, request.settings)
     counts = {"units_made": found.n_computed, "units_found": found.n_reused}
     _note(out, request, {"dump": named, "inputs": inputs}, counts)

@@ -60,14 +60,20 @@ from boresight.pipeline.stages.head_records import attitude_signal
 from boresight.pipeline.stages.match_pictures import MatchPictures
 from boresight.pipeline.stages.sky_strip import as_matched
 from boresight.pipeline.stages.star_pictures import star_pictures
+from boresight.pipeline.work.executor import Executor, InOrder
 
 __all__ = ["write_evidence"]
 
 Array = NDArray[np.float64]
 
 
-def write_evidence(result: Path, dump: Dump, calibration: Calibration, settings: Settings) -> list[Finding]:
-    """Write the folder `RESULT/evidence/`, of which a later calibration reads nothing; what stands out."""
+def write_evidence(
+    result: Path, dump: Dump, calibration: Calibration, settings: Settings, executor: Executor | None = None
+) -> list[Finding]:
+    """Write the folder `RESULT/evidence/`, of which a later calibration reads nothing; what stands out.
+
+    `executor` makes the strips' quicklooks; default: this process.
+    """
     folder = result / "evidence"
     folder.mkdir(parents=True, exist_ok=True)
     scenes = scenes_of(dump, calibration)
@@ -81,7 +87,7 @@ def write_evidence(result: Path, dump: Dump, calibration: Calibration, settings:
         "ground": ground,
         "unmatched": unmatched_pictures(scenes, ground, dump),
         "allan": _allan(dump, settings),
-        "map": scene_pictures(scenes, dump, calibration),
+        "map": scene_pictures(scenes, dump, calibration, executor or InOrder()),
     }
     for name, table in tables.items():
         write_whole(

@@ -10,7 +10,9 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import replace
+from itertools import islice
 
 import cv2
 import numpy as np
@@ -35,6 +37,7 @@ from boresight.pipeline.files.star_side import SolvedAttitudes
 from boresight.pipeline.files.table_files import arrow_rows
 from boresight.pipeline.stages.calibrate import Calibration
 from boresight.pipeline.stages.strip import MatchedTargets, StripTask, pushbroom_of
+from boresight.pipeline.work.executor import Executor
 
 __all__ = [
     "STATES",
@@ -50,6 +53,7 @@ __all__ = [
 USED, REJECTED, UNMATCHED, OUT_OF_VIEW = STATES = ("used", "rejected", "not matched", "not in view")
 MOST_SIDE_PX = 420  # of a picture
 LEAST_ROWS = 100  # of a strip in its picture
+BAND_LINES = 4  # of a long strip that are read for one of them
 MOST_OUT_OF_VIEW = 500  # targets of a scene
 EDGE_POINTS = 9  # along each edge of a CCD's footprint
 MARGIN = 0.06  # of a scene's size, around the footprints
@@ -88,6 +92,12 @@ class StripOnGround:
     def p_e(self) -> dict[str, Floats]:
         """Positions (3,) ITRS, m, of the targets that were searched in it or measured by others."""
         return {target.target_id: target.p_e for target in (*self.task.targets, *self.task.points.targets)}
+
+    def box_m(self, scene: Scene) -> tuple[float, float, float, float]:
+        """West, south, east, north end of what it shows, m on the plane of the scene."""
+        outline = scene.plane_m(self.outlines_e[np.isfinite(self.outlines_e).all(axis=2)])
+        (west, south), (east, north) = outline.min(axis=0).tolist(), outline.max(axis=0).tolist()
+        return west, south, east, north
 
 
 @record(kw_only=True)
@@ -313,18 +323,25 @@ def _temperatures_c(dump: Dump, t_s: Floats) -> Floats:
     return np.interp(t_s, source.rows.t_s, stated, left=np.nan, right=np.nan)
 
 
-def scene_pictures(scenes: Sequence[Scene], dump: Dump, calibration: Calibration) -> pa.Table:
+def scene_pictures(
+    scenes: Sequence[Scene], dump: Dump, calibration: Calibration, executor: Executor
+) -> pa.Table:
     """Pictures on the scenes' planes, north up: shaded terrain (`strip_id` empty), a quicklook a strip."""
+    views = [
+        _View(scene=replace(scene, strips=()), strip=one, ccd=ccd)
+        for scene in scenes
+        for one in scene.strips
+        for ccd in one.task.strip.images.ccds
+    ]
+    seen = iter(executor.map(_quicklook, views, lambda n, picture: None))
     rows: list[dict[str, object]] = []
     surface = surface_of(dump.terrain)
     for number, scene in enumerate(scenes):
         if not isinstance(dump.terrain, TargetHeights):
             rows.append(_picture(number, "", scene.box_m, _shaded(scene, surface)))
         for one in scene.strips:
-            outline = scene.plane_m(one.outlines_e[np.isfinite(one.outlines_e).all(axis=2)])
-            box = (*outline.min(axis=0).tolist(), *outline.max(axis=0).tolist())
-            if one.task.strip.images.ccds:
-                rows.append(_picture(number, one.strip_id, box, _quicklook(scene, one, box, surface)))
+            if parts := list(islice(seen, len(one.task.strip.images.ccds))):
+                rows.append(_picture(number, one.strip_id, one.box_m(scene), _joined(parts)))
     types = {"scene": pa.int64(), "strip_id": pa.string(), "box_m": pa.list_(pa.float64(), 4)}
     return arrow_rows(rows, pa.schema([*types.items(), ("jpeg", pa.binary())]))
 
@@ -363,52 +380,74 @@ def _shaded(scene: Scene, surface: Surface) -> NDArray[np.uint8]:
     return np.round(255.0 * np.clip(0.25 + 0.75 * light, 0.0, 1.0)).astype(np.uint8)
 
 
-def _quicklook(
-    scene: Scene, one: StripOnGround, box_m: Sequence[float], surface: Surface
-) -> NDArray[np.uint8]:
-    """The strip resampled to the map; black where no CCD looked or its image cannot be read."""
-    lat, lon, (rows, columns) = _lattice(scene, box_m)
+@record(kw_only=True)
+class _View:
+    """What the quicklook of one CCD's image depends on."""
+
+    scene: Scene = scalar("plane of the map")
+    strip: StripOnGround = scalar("strip with its model")
+    ccd: int = scalar("number of the CCD")
+
+
+def _quicklook(view: _View) -> NDArray[np.float32]:
+    """A CCD's image resampled to the map (rows, columns); NaN where it did not look or cannot be read."""
+    one, ccd = view.strip, view.ccd
+    images, surface = one.task.strip.images, surface_of(one.task.terrain)
+    lat, lon, (rows, columns) = _lattice(view.scene, one.box_m(view.scene))
     height = np.nan_to_num(surface.height_m(lat, lon), nan=0.0)
-    p_e = ecef_from_geodetic(lat.ravel(), lon.ravel(), height.ravel(), WGS84)
-    picture = np.full((rows, columns), np.nan, dtype=np.float32)
+    places = one.model.pixels_from_ground(
+        ccd, ecef_from_geodetic(lat.ravel(), lon.ravel(), height.ravel(), WGS84)
+    )
     to_size = _lattice_map(rows, columns)
-    for ccd in one.task.strip.images.ccds:
-        sample, line = one.model.pixels_from_ground(ccd, p_e)
-        maps = [
-            cv2.remap(v.reshape(NODES, NODES).astype(np.float32), *to_size, cv2.INTER_LINEAR)
-            for v in (sample, line)
-        ]
-        lines, samples = one.task.strip.images.shape(ccd)
-        try:
-            coarse, factor, pitch = _overview(one.task.strip.images, ccd, one.task.settings)
-        except RawDataError:  # reported as an omission
-            continue
-        x, y = ((value - 0.5 * (factor - 1)) / step for value, step in zip(maps, (factor, pitch)))
-        inside = (maps[0] > -0.5) & (maps[0] < samples - 0.5) & (maps[1] > -0.5) & (maps[1] < lines - 0.5)
-        found = cv2.remap(coarse, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-        picture[inside] = found[inside]
+    sample, line = (
+        cv2.remap(v.reshape(NODES, NODES).astype(np.float32), *to_size, cv2.INTER_LINEAR) for v in places
+    )
+    lines, samples = images.shape(ccd)
+    picture = np.full((rows, columns), np.nan, dtype=np.float32)
+    with suppress(RawDataError):  # reported as an omission
+        coarse, first, step = _overview(images, ccd, one.task.settings)
+        x, y = ((at - start) / pitch for at, start, pitch in zip((sample, line), first, step))
+        inside = (sample > -0.5) & (sample < samples - 0.5) & (line > -0.5) & (line < lines - 0.5)
+        picture[inside] = cv2.remap(coarse, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)[inside]
+    return picture
+
+
+def _joined(parts: Sequence[NDArray[np.float32]]) -> NDArray[np.uint8]:
+    """The quicklooks of a strip's CCDs in one, grey from its darkest to its brightest hundredth, black where
+    there is none.
+    """
+    picture = parts[0]
+    for part in parts[1:]:
+        picture = np.where(np.isfinite(part), part, picture)
     good = picture[np.isfinite(picture)]
     low, high = np.percentile(good, [1.0, 99.0]) if len(good) else (0.0, 1.0)
     scaled = np.clip((picture - low) / max(float(high - low), 1e-6), 0.0, 1.0)
     return np.round(255.0 * np.nan_to_num(scaled, nan=0.0)).astype(np.uint8)
 
 
-def _overview(images: StripFiles, ccd: int, settings: MatchSettings) -> tuple[Image, int, int]:
-    """Means (h, w) over square blocks of a CCD's image, their side, and the lines from row to row.
+def _overview(
+    images: StripFiles, ccd: int, settings: MatchSettings
+) -> tuple[Image, tuple[float, float], tuple[int, int]]:
+    """Means (h, w) over blocks of a CCD's image; the middle (sample, line) of the first and the pixels from
+    one to the next.
 
-    Of a long strip the first blocks of each row of its file's tiles are enough: decoding all takes longer
+    Of a long strip the first lines of each row of its file's tiles are enough: decoding all takes longer
     than matching it.
     """
     lines, samples = images.shape(ccd)
     factor = 1
     while 2 * factor * MOST_SIDE_PX < lines and 2 * factor <= min(lines, samples):
         factor *= 2
-    found = images.read_bands(ccd, factor, lines // LEAST_ROWS)
+    height = min(factor, BAND_LINES)
+    found = images.read_bands(ccd, height, lines // LEAST_ROWS)
     if found is None:
-        coarse = read_coarse(images, ccd, (0, lines), (0, samples), factor, settings)
-        return coarse.image.astype(np.float32), factor, factor
+        coarse = read_coarse(images, ccd, (0, lines), (0, samples), factor, settings).image
+        middle = 0.5 * (factor - 1)
+        return coarse.astype(np.float32), (middle, middle), (factor, factor)
     bands, pitch = found
-    return means_of_usable(bands, factor, settings).astype(np.float32), factor, pitch
+    means = means_of_usable(bands[:, : samples // factor * factor], height, settings).astype(np.float32)
+    wide = cv2.resize(means, (samples // factor, len(means)), interpolation=cv2.INTER_AREA)
+    return np.asarray(wide), (0.5 * (factor - 1), 0.5 * (height - 1)), (factor, pitch)
 
 
 def _weights(pixels: int) -> Floats:
