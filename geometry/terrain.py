@@ -16,7 +16,12 @@ from numpy.typing import ArrayLike, NDArray
 from pyproj import CRS, Transformer
 
 from boresight.geometry.constants import WGS84
-from boresight.geometry.geodesy import geodetic_from_ecef, ray_ellipsoid_intersection, ray_shell_intersection
+from boresight.geometry.geodesy import (
+    geodetic_along_paths,
+    geodetic_from_ecef,
+    ray_ellipsoid_intersection,
+    ray_shell_intersection,
+)
 from boresight.geometry.geoid import Geoid
 from boresight.geometry.local_map import LocalMap, fit_local_map
 from boresight.geometry.record import array, record, scalar
@@ -236,9 +241,15 @@ def _on_relief(origin_e: Array, direction_e: Array, surface: Surface, low: float
     longest = float(np.nanmax(horizontal2, initial=0.0)) ** 0.5
     degree = 2 + int(np.searchsorted(_LONGEST_PATH_M, longest))
     tracks = np.empty((degree + 1, 3, len(top)))
-    for k, track in enumerate(tracks):
-        lat, lon, track[2] = geodetic_from_ecef(top + (k / degree) * path, WGS84)
-        track[0], track[1] = surface.pixels_from_geodetic(lat, lon)
+    if degree <= 3:
+        along = geodetic_along_paths(top + 0.5 * path, 0.5 * path, WGS84)
+        powers = np.vander(np.linspace(-1.0, 1.0, degree + 1), 4, increasing=True)
+        tracks[:] = (powers @ along.reshape(4, -1)).reshape(tracks.shape)
+    else:
+        for k, track in enumerate(tracks):
+            track[:] = geodetic_from_ecef(top + (k / degree) * path, WGS84)
+    for track in tracks:
+        track[:2] = surface.pixels_from_geodetic(track[0], track[1])
     share = first_crossings(surface.heights_m, surface.bounds, tracks)
     return np.asarray(top + share[:, None] * path)
 

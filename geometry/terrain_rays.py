@@ -116,19 +116,21 @@ def _finest_bounds(heights: NDArray[np.float32], first: int) -> tuple[Array, Arr
 def bilinear(heights: NDArray[np.float32], column: Array, row: Array) -> Array:
     """Heights (N,), m, at fractional pixels, (0, 0) at the first centre; NaN outside or next to no data."""
     rows, columns = heights.shape
-    inside = (column >= 0.0) & (column <= columns - 1.0) & (row >= 0.0) & (row <= rows - 1.0)
-    everywhere = bool(inside.all())
+    everywhere = len(row) > 0 and bool(
+        column.min() >= 0.0 and column.max() <= columns - 1.0 and row.min() >= 0.0 and row.max() <= rows - 1.0
+    )
     if not everywhere:
+        inside = (column >= 0.0) & (column <= columns - 1.0) & (row >= 0.0) & (row <= rows - 1.0)
         column, row = np.where(inside, column, 0.0), np.where(inside, row, 0.0)
-    c, r = column.astype(np.int64), row.astype(np.int64)
-    np.minimum(c, columns - 2, out=c)
-    np.minimum(r, rows - 2, out=r)
+    c, r = np.floor(column), np.floor(row)
+    np.minimum(c, columns - 2.0, out=c)
+    np.minimum(r, rows - 2.0, out=r)
     along_row, along_column = column - c, row - r
     r *= columns
-    r += c  # index of the upper left pixel
-    upper = _between(heights.ravel(), r, along_row)
-    r += columns
-    height = _between(heights.ravel(), r, along_row)
+    r += c
+    upper_left = r.astype(np.int64)
+    upper = _between(heights.ravel(), upper_left, along_row)
+    height = _between(heights.ravel()[columns:], upper_left, along_row)
     height -= upper
     height *= along_column
     height += upper
@@ -137,8 +139,8 @@ def bilinear(heights: NDArray[np.float32], column: Array, row: Array) -> Array:
 
 def _between(values: NDArray[np.float32], at: NDArray[np.int64], share: Array) -> Array:
     """Values (N,) at indices `at` (N,) plus `share` (N,)."""
-    first = values.take(at).astype(np.float64)
-    value = values.take(at + 1) - first
+    first, value = (part.take(at).astype(np.float64) for part in (values, values[1:]))
+    value -= first
     value *= share
     value += first
     return np.asarray(value)
@@ -156,10 +158,10 @@ def first_crossings(heights: NDArray[np.float32], bounds: HeightBounds, tracks: 
         Column, row and height at K >= 3 evenly spaced parameters from 0 to 1.
     """
     curve = _Polynomials.through(heights, tracks)
-    start, stop, rise = _possible_interval(curve, bounds)
-    pixels = curve.pixels()
+    pixels, fall = curve.pixels(), -np.sum(curve.coefficients[1:, 2], axis=0)
+    start, stop, rise = _possible_interval(curve, pixels, fall, bounds)
     # A ray steeper than any slope of the ground here has one intersection: no sampling is needed.
-    once = rise * pixels < -np.sum(curve.coefficients[1:, 2], axis=0) * _SAFETY
+    once = rise * pixels < fall * _SAFETY
     steps = np.where(once, 1.0, np.maximum(np.ceil((stop - start) * pixels), 1.0))
     return _first(curve, start, stop, np.nan_to_num(np.where(stop >= start, steps, 0.0)))
 
@@ -203,18 +205,19 @@ class _Polynomials:
         """Upper bound (N,) of the pixels crossed, along rows or columns, whichever is more."""
         return np.max(np.sum(np.abs(self.coefficients[1:, :2]), axis=0), axis=0)
 
-    def share_at_height(self, height: Array) -> Array:
-        """Parameters (N,) at heights (N,), by one Newton step (height is nearly linear in the parameter)."""
-        share = (self.coefficients[0, 2] - height) / np.sum(-self.coefficients[1:, 2], axis=0)
+    def share_at_height(self, height: Array, fall: Array) -> Array:
+        """Parameters (N,) at heights (N,), by one Newton step from a line that falls by `fall` (N,), m."""
+        share = (self.coefficients[0, 2] - height) / fall
         slope = self.coefficients[1, 2] + 2.0 * share * self.coefficients[2, 2]
         return share - (self.at(share, slice(2, 3))[0] - height) / slope
 
 
-def _possible_interval(curve: _Polynomials, bounds: HeightBounds) -> tuple[Array, Array, Array]:
+def _possible_interval(
+    curve: _Polynomials, pixels: Array, fall: Array, bounds: HeightBounds
+) -> tuple[Array, Array, Array]:
     """Parameters between which each ray can intersect the ground, start > stop if it cannot, and the greatest
-    rise of the ground over a pixel there: three arrays (N,).
+    rise of the ground over a pixel there: three arrays (N,). The ray crosses `pixels` and falls by `fall`, m.
     """
-    pixels = curve.pixels()
     start: Array = np.zeros(len(pixels))
     stop: Array = np.ones(len(pixels))
     rise: Array = np.full(len(pixels), _UNKNOWN_RISE_M)
@@ -229,8 +232,8 @@ def _possible_interval(curve: _Polynomials, bounds: HeightBounds) -> tuple[Array
         rise = np.where(near, bounds.rise_m[k].ravel().take(at), rise)
         empty = near & (highest < lowest)  # no data anywhere near
         near &= ~empty
-        begin = curve.share_at_height(np.where(near, highest + _MARGIN_M, 0.0))
-        end = curve.share_at_height(np.where(near, lowest - _MARGIN_M, 0.0))
+        begin = curve.share_at_height(np.where(near, highest + _MARGIN_M, 0.0), fall)
+        end = curve.share_at_height(np.where(near, lowest - _MARGIN_M, 0.0), fall)
         start = np.where(near, np.maximum(start, begin), start)
         stop = np.where(near, np.minimum(stop, end), stop)
         start[empty], stop[empty] = 1.0, 0.0
