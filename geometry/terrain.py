@@ -43,6 +43,7 @@ _MARGIN_M = 0.1  # deviation of a shell from equal height, at most
 _LOCAL_MAP_PX = 1e-7  # error of a polynomial in place of a map projection
 _ON_GROUND_M = 1e-4  # an intersection is accurate to 1e-6 m
 _STEPS = 64  # between the highest and the lowest height of a surface that is not a grid
+_POLAR_M = 1.1e6  # from the Earth's axis: closer to it, above 80 deg, longitude is no short series
 _LONGEST_PATH_M = (200.0, 2e3, 1e4, 2.5e4)  # on the map, for degree 2, 3, ...: error L^(n+1) / R^n
 
 
@@ -241,7 +242,8 @@ def _on_relief(origin_e: Array, direction_e: Array, surface: Surface, low: float
     longest = float(np.nanmax(horizontal2, initial=0.0)) ** 0.5
     degree = 2 + int(np.searchsorted(_LONGEST_PATH_M, longest))
     tracks = np.empty((degree + 1, 3, len(top)))
-    if degree <= 3:
+    from_axis = float(np.nanmin(np.hypot(top[:, 0], top[:, 1]), initial=np.inf))
+    if degree <= 3 and from_axis > _POLAR_M:
         along = geodetic_along_paths(top + 0.5 * path, 0.5 * path, WGS84)
         powers = np.vander(np.linspace(-1.0, 1.0, degree + 1), 4, increasing=True)
         tracks[:] = (powers @ along.reshape(4, -1)).reshape(tracks.shape)

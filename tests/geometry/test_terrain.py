@@ -42,6 +42,12 @@ def utm_grid(heights, **more):
     return TerrainGrid.from_raster(heights, (30.0, 0.0, 480e3, 0.0, -30.0, 5.5e6), UTM33, None, **more)
 
 
+def polar_grid(heights, **more):
+    """The pole in its middle: longitude turns by half a circle along a short path."""
+    half = 15.0 * len(heights)
+    return TerrainGrid.from_raster(heights, (30.0, 0.0, -half, 0.0, -30.0, half), "EPSG:3413", None, **more)
+
+
 def rays_at(lat_rad, lon_rad, height_m, zenith_rad, azimuth_rad, distance_m=600e3):
     """Rays that come down through places, at zenith distances, from an azimuth."""
     p_e = ecef_from_geodetic(lat_rad, lon_rad, height_m, WGS84)
@@ -74,7 +80,7 @@ class Plain:
         self.height_m, self.height_range_m = grid.height_m, grid.height_range_m
 
 
-@pytest.mark.parametrize("make", [degrees_grid, utm_grid])
+@pytest.mark.parametrize("make", [degrees_grid, utm_grid, polar_grid])
 @pytest.mark.parametrize("zenith_deg", [0.0, 2.0, 30.0, 60.0, 80.0])
 def test_found_points_lie_on_the_ground_and_on_the_ray(make, zenith_deg):
     # 1e-6 m in height is promised; off the ray only by the rounding of a 600 km range.
