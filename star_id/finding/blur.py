@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from boresight.geometry.record import Floats
 from boresight.star_id.finding.background import Background
 from boresight.star_id.finding.psf import Psf, PsfImages, images_at, shape_images
-from boresight.star_id.finding.window_fit import newton_step, noise_gain, start_state
+from boresight.star_id.finding.window_fit import by_parameter, newton_step, start_state
 from boresight.star_id.finding.windows import StarWindows, star_windows
 
 __all__ = ["explains_better", "find_coma", "find_trail"]
@@ -29,6 +29,7 @@ _LENGTH2 = 27.0  # squared length of a fan over half the trace of its second mom
 _FEWEST = 12
 _LONGEST_PX = 24.0
 _STEPS = 3
+_GAIN_ROUNDS = 8
 _UNLIKE = 0.1  # of the light in a pixel: what a real star differs by from the Gaussians of a fan
 _BETTER = 0.8  # times the misfit of the widths alone
 _BEYOND_CHANCE = 50.0  # of chi2: 6 standard errors, three parameters
@@ -91,8 +92,32 @@ def _is_better(windows: StarWindows, start: Floats, psf: Psf, other: Psf, unlike
 def find_trail(
     image: NDArray, xy_px: Floats, background: Background, psf: Psf, *, saturation_dn: float
 ) -> tuple[Psf, float] | None:
-    """Smeared Gaussian in place of the empirical PSF `psf`, and the gain, e-/DN, that the residuals about it
-    show; None where it explains the images of the stars at `xy_px` (N, 2) less well."""
+    """Smeared Gaussian in place of the PSF `psf`, empirical or a Gaussian smeared by second moments, and the
+    gain, e-/DN, that the residuals about it show; None where it explains the images of the stars at `xy_px`
+    (N, 2) less well, or there is no trail."""
+    width, smear = (psf.sigma_px, np.array(psf.smear_px)) if psf.shape is None else _trail_of(psf)
+    if np.hypot(*smear) < _TRAIL_SIGMA * width or len(xy_px) < _FEWEST:
+        return None
+    radius = psf.shape_radius_px or int(np.ceil(3.0 * width + psf.reach_px)) + 1
+    windows = star_windows(image, np.rint(xy_px).astype(np.int64), background, radius, saturation_dn)
+    start = windows.offsets(xy_px)
+
+    def smeared(theta: Floats) -> Psf:
+        sigma, smear = float(np.exp(theta[0])), (float(theta[1]), float(theta[2]))
+        return replace(
+            psf, sigma_px=sigma, sigma_corner_px=sigma, smear_px=smear, shape=None, error_factor=None
+        )
+
+    found = smeared(_refined(windows, start, smeared, np.array([np.log(width), *smear]))[0])
+    before, after = (_chi2(windows, start, each) for each in (psf, found))
+    dof = windows.data.size
+    if after - dof > _AS_GOOD * max(before - dof, 0.0) + _BEYOND_CHANCE:
+        return None
+    return found, _gain(windows, start, found)
+
+
+def _trail_of(psf: Psf) -> tuple[float, Floats]:
+    """Width and smear (2,), px, by the second moments of an empirical image."""
     assert psf.shape is not None
     radius = psf.shape_radius_px
     value = shape_images(psf.shape, np.zeros((1, 2)), radius).value.reshape(2 * radius + 1, -1).astype(float)
@@ -100,22 +125,7 @@ def find_trail(
     y, x = np.mgrid[-radius : radius + 1, -radius : radius + 1]
     moments = np.array([[(light * x * x).sum(), (light * x * y).sum()], [0.0, (light * y * y).sum()]])
     (across2, along2), axes = np.linalg.eigh(moments / light.sum(), UPLO="U")
-    length, width = np.sqrt(12.0 * (along2 - across2)), np.sqrt(across2)
-    if length < _TRAIL_SIGMA * width or len(xy_px) < _FEWEST:
-        return None
-    windows = star_windows(image, np.rint(xy_px).astype(np.int64), background, radius, saturation_dn)
-    start = windows.offsets(xy_px)
-
-    def smeared(theta: Floats) -> Psf:
-        sigma, smear = float(np.exp(theta[0])), (float(theta[1]), float(theta[2]))
-        return replace(psf, sigma_px=sigma, sigma_corner_px=sigma, smear_px=smear, shape=None)
-
-    found = smeared(_refined(windows, start, smeared, np.array([np.log(width), *(length * axes[:, 1])]))[0])
-    before, after = (_chi2(windows, start, each) for each in (psf, found))
-    dof = windows.data.size
-    if after - dof > _AS_GOOD * max(before - dof, 0.0) + _BEYOND_CHANCE:
-        return None
-    return found, _gain(windows, start, found)
+    return float(np.sqrt(across2)), np.sqrt(12.0 * (along2 - across2)) * axes[:, 1]
 
 
 def _refined(
@@ -144,8 +154,28 @@ def _chi2(windows: StarWindows, start: Floats, psf: Psf, unlike: float = 0.0) ->
 
 
 def _gain(windows: StarWindows, start: Floats, psf: Psf) -> float:
+    """Electrons per DN of the photon noise that the residuals about a PSF show; infinite if they show none.
+
+    What the PSF is wrong by is a share of the light: its square grows with that of the signal. Stars that
+    stand out (their neighbours do) are left out.
+    """
+    from scipy.optimize import nnls
+
     _, state, images = _fitted(windows, start, psf)
-    return noise_gain(windows, images.value, state[:, 2], state[:, 3])
+    _, normal, residual, weight = newton_step(windows, images, state, np.inf)
+    columns = images.columns * by_parameter(state, 4)[:, :, None]
+    leverage = (np.matmul(np.linalg.inv(normal), columns) * columns).sum(axis=1) * weight
+    freedom, square = np.clip(1.0 - leverage, 0.1, 1.0), residual.astype(float) ** 2
+    noise2, signal = windows.noise2[:, None] * freedom, np.maximum(state[:, 2:3] * images.value, 0.0)
+    terms, size = np.stack([signal * freedom, signal**2]), np.zeros(2)
+    usual = np.ones(len(start), dtype=bool)
+    for _ in range(_GAIN_ROUNDS):
+        variance = noise2 + np.tensordot(size, terms, 1)
+        used = (square < _NEIGHBOUR**2 * variance) & (weight > 0.0) & usual[:, None]
+        size = nnls((terms[:, used] / variance[used]).T, ((square - noise2) / variance)[used])[0]
+        chi2 = (square / (noise2 + np.tensordot(size, terms, 1))).mean(axis=1)
+        usual = chi2 < 1.0 + 4.0 * np.sqrt(2.0 / square.shape[1])
+    return float(1.0 / size[0]) if size[0] > 0.0 else np.inf
 
 
 def _fitted(

@@ -131,7 +131,7 @@ def _fit(windows: StarWindows, pixels: Ints, start: Floats, sigma: Floats, psf: 
         more = _iterate(rest, pixels[slow], fit.state[slow], images, sigma[slow], psf, gain, steps=steps)
         for name in _Fit.__slots__:
             getattr(fit, name)[slow] = getattr(more, name)
-    return _stars_of(fit, windows, pixels, settled=_SETTLED if psf.is_flat else 0.0)
+    return _stars_of(fit, windows, pixels, psf)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -175,19 +175,23 @@ def _iterate(
     return _Fit(state, normal, residual, weight, windows.good, images.value, last, moved.max(axis=1))
 
 
-def _stars_of(fit: _Fit, windows: StarWindows, pixels: Ints, *, settled: float) -> StarFits:
+def _stars_of(fit: _Fit, windows: StarWindows, pixels: Ints, psf: Psf) -> StarFits:
+    settled = _SETTLED if psf.is_flat else 0.0
     cov = _safe_inverse(fit.normal)
     chi2 = np.einsum("nm,nm,nm->n", fit.residual, fit.residual, fit.weight).astype(float)
     dof = np.maximum(np.count_nonzero(fit.weight, axis=1) - 4.0, 1.0)
     sky_information = np.einsum("nm,nm,nm->n", fit.value, fit.value, fit.good) / windows.noise2
     flux_sigma = 1.0 / np.sqrt(np.maximum(sky_information, 1e-30))
     inflation = covariance_inflation(chi2, dof, np.maximum(fit.state[:, 2] / flux_sigma, 1.0))
+    cov = cov[:, :2, :2] * inflation[:, None, None]
+    if psf.error_factor is not None:
+        cov = psf.error_factor @ cov @ psf.error_factor.T
     xy = fit.state[:, :2] + windows.corner + windows.radius
     reach = 2.0 if settled == 0.0 else 0.25 * windows.radius
     near = np.abs(xy - pixels).max(axis=1) < reach + windows.saturated * 4.0
     return StarFits(
         xy_px=xy,
-        cov_px=cov[:, :2, :2] * inflation[:, None, None],
+        cov_px=cov,
         flux_dn=fit.state[:, 2],
         flux_sigma_dn=flux_sigma,
         chi2=chi2,

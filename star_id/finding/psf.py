@@ -43,6 +43,9 @@ class Psf:
         "(T, T) spline coefficients of a star's image, FINE points a pixel; None: a smeared Gaussian",
         default=None,
     )
+    error_factor: NDArray | None = scalar(
+        "(2, 2) errors of centroids over those of stars that look like `shape`", default=None
+    )
 
     @property
     def shape_radius_px(self) -> int:

@@ -43,6 +43,7 @@ class ShapeEstimate:
 
     shape: NDArray = array("T, T", "spline coefficients of the unit image, FINE points a pixel")
     sigma_px: float = scalar("standard deviation of the light along one axis, px")
+    error_factor: Floats = array("2, 2", "of centroids, over that of stars that look like `shape`")
     stars: int = scalar("stars that it is the mean of")
     gain_e_per_dn: float = scalar("from residuals that grow with the signal; infinite if they do not")
 
@@ -89,7 +90,36 @@ def estimate_shape(
     y, x = _grid(windows.radius)
     sigma = float(np.sqrt(0.5 * (value @ (x * x + y * y)) / value.sum()))
     images = shape_images(shape, offset, windows.radius)
-    return ShapeEstimate(shape, sigma, len(flux), noise_gain(windows, images.value, flux, sky))
+    gain = noise_gain(windows, images.value, flux, sky)
+    factor = _error_factor(windows, offset, flux, sky, images)
+    return ShapeEstimate(shape, sigma, factor, len(flux), gain)
+
+
+def _error_factor(
+    windows: StarWindows, offset: Floats, flux: Floats, sky: Floats, images: PsfImages
+) -> Floats:
+    """(2, 2) errors of centroids fitted with the stars' common image over those that its slopes alone let
+    expect.
+
+    The image is smoothed, stars are sharper, and its noise has slopes of its own. With t the image, p a star,
+    a fit moves by  (sum dt dp)^-1 sum dt noise  instead of  (sum dt dt)^-1 sum dt noise;  sum dt dp =
+    -sum p ddt, of each half of the stars with the image of the other half, whose noise is not theirs.
+    """
+    weight, step = flux**2 / windows.noise2, 0.25
+    slopes = images.columns[:, :2] * windows.good[:, None]
+    of_image = np.einsum("n,nam,nbm->ab", weight, slopes, slopes)
+    of_stars = np.zeros((2, 2))
+    light = windows.good * (windows.data - sky[:, None]) / flux[:, None]
+    odd = np.arange(len(flux)) % 2 == 1
+    for half in (odd, ~odd):
+        shape = _stacked(windows.take(~half), offset[~half], flux[~half], sky[~half])
+        for a, move in enumerate(step * np.eye(2)):
+            more, less = (
+                shape_images(shape, offset[half] + m, windows.radius).columns for m in (move, -move)
+            )
+            curved = (more - less)[:, :2] / (2.0 * step)
+            of_stars[a] -= np.einsum("n,nbm,nm->b", weight[half], curved, light[half])
+    return np.asarray(np.linalg.solve(0.5 * (of_stars + of_stars.T), of_image))
 
 
 def filter_width_px(shape: NDArray) -> float:

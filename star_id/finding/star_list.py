@@ -166,6 +166,7 @@ def _find_stars(
         return stars
     if comatic := _with_blur(find_coma, image, found, stars, settings):
         return comatic
+    stars = _with_blur(find_trail, image, found, stars, settings) or stars
     few = stars.misshapen <= _FEW_STARS + _MISSHAPEN_SHARE * len(stars.xy_px)
     if few or np.count_nonzero(stars.saturated) > _SATURATED_SHARE * len(stars.xy_px):
         return stars  # the arms of saturated stars are misshapen whatever the PSF
@@ -275,10 +276,10 @@ def _detections_by_shape(
     if estimate is None:
         return None
     size = (image.shape[1], image.shape[0])
-    psf = Psf(estimate.sigma_px, estimate.sigma_px, (0.0, 0.0), *size, shape=estimate.shape)
-    width = filter_width_px(estimate.shape)
-    threshold = detection_threshold(image.size, width, settings.false_alarms_per_frame)
-    xy = detect_shape(flat, estimate.shape, threshold)
+    width, shape = estimate.sigma_px, estimate.shape
+    psf = Psf(width, width, (0.0, 0.0), *size, shape=shape, error_factor=estimate.error_factor)
+    threshold = detection_threshold(image.size, filter_width_px(shape), settings.false_alarms_per_frame)
+    xy = detect_shape(flat, shape, threshold)
     return _Found(
         xy_px=xy,
         offset_px=np.zeros((len(xy), 2)),
