@@ -25,6 +25,7 @@ _LARGEST_VARIANCE = 1e12  # px^2: no degree of freedom is left
 _REJECTION = AttitudeSettings(probability_false_alarm=1e-4, limit_from_scatter=True)
 _HALVINGS = 50  # `scipy.optimize.brentq` takes 0.1 s to load
 _ROUNDS = 8  # of camera and common variance in turn
+_COMMON_LOG_LIKELIHOOD = 1.0  # more than without a common variance, for its one parameter (Akaike 1974)
 
 
 @record
@@ -117,7 +118,8 @@ def _common_variance(fit: CameraFit, leverage: Floats, cov_px: Floats, before: f
     likelihood.
 
     At the maximum  sum (2 - h) / v = sum r^2 / v^2,  v the total variance of a star along one axis, r its
-    residual, h its `leverage` (N,), computed with the variance `before`.
+    residual, h its `leverage` (N,), computed with the variance `before`. It is zero where the likelihood does
+    not ask for it: of stars as good as stated half show some by chance, of which errors would be overstated.
     """
     own = 0.5 * np.trace(cov_px[fit.keep], axis1=1, axis2=2)
     square = (fit.residual_px[fit.keep] ** 2).sum(axis=1)
@@ -137,4 +139,11 @@ def _common_variance(fit: CameraFit, leverage: Floats, cov_px: Floats, before: f
     for _ in range(_HALVINGS):
         middle = 0.5 * (least + most)
         least, most = (middle, most) if excess(middle) > 0.0 else (least, middle)
-    return 0.5 * (least + most)
+
+    def log_likelihood(variance: float) -> float:
+        v = own + variance
+        return -0.5 * float((square / v + (2.0 - leverage) * np.log(v)).sum())
+
+    found = 0.5 * (least + most)
+    gained = log_likelihood(found) - log_likelihood(0.0)
+    return found if gained > _COMMON_LOG_LIKELIHOOD else 0.0
