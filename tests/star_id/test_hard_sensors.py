@@ -193,7 +193,7 @@ def test_defocused_rings_are_found_and_their_errors_stated(radius_px):
     assert np.allclose(shape, shape[::-1, ::-1], atol=1e-9)  # its noise displaces no star
     found, false, chi2 = scored(stars, xy)
     assert found >= 0.95 and false <= 4
-    assert 0.84 < chi2 < 1.16  # 300 coordinates: 0.08; 0.77 where the smoothed image's slopes are believed
+    assert 0.84 < chi2 < 1.16  # 300 coordinates: 0.08; 0.77 by the smoothed image's slopes alone
 
 
 def test_a_mirror_image_is_identified_and_said_to_be_one():
