@@ -18,7 +18,7 @@ from boresight.gct_match.consistency import consistent_matches
 from boresight.gct_match.imaging.views import view_of
 from boresight.gct_match.locate import locate
 from boresight.gct_match.predict.scene import Scene, scene_of
-from boresight.gct_match.predict.template import Template, chip_points, chip_side_px, predict_template
+from boresight.gct_match.predict.template import Template, chip_points, chip_sides_px, predict_template
 from boresight.gct_match.predict.trajectories import displacements
 from boresight.gct_match.records import (
     Chip,
@@ -184,8 +184,10 @@ def _measured(
             continue
         seen.update(here)
         initial_px = scene.trajectories.pixels(ccd, np.zeros(3))
-        for n, radius in zip(here, _search_radii_px(scene, model, here, ccd, xy_px, covariance)):
-            outcome, read = _measured_one(scene, model, n, ccd, xy_px[n], radius)
+        radii = _search_radii_px(scene, model, here, ccd, xy_px, covariance)
+        sides = chip_sides_px([scene.chips[n] for n in here], model, ccd, xy_px[here], scene.surface).tolist()
+        for n, radius, side in zip(here, radii, sides):
+            outcome, read = _measured_one(scene, model, n, ccd, xy_px[n], radius, side)
             pixels += read
             if isinstance(outcome, Refusal):
                 refused.append(replace(outcome, target_id=scene.targets[n].target_id, ccd=ccd))
@@ -197,11 +199,11 @@ def _measured(
 
 
 def _measured_one(
-    scene: Scene, model: Pushbroom, n: int, ccd: int, xy_px: Floats, radius: int
+    scene: Scene, model: Pushbroom, n: int, ccd: int, xy_px: Floats, radius: int, side_px: float
 ) -> tuple[TargetMatch | Refusal, int]:
-    """Target n in one CCD, searched within `radius` px of `xy_px` (sample, line), where `model` predicts it;
-    and how many pixels were read."""
-    template = _template(scene, model, n, ccd, xy_px)
+    """Target n in one CCD, searched within `radius` px of `xy_px` (sample, line), where `model` predicts it,
+    with a chip of `side_px`; and how many pixels were read."""
+    template = _template(scene, model, n, ccd, xy_px, side_px)
     if isinstance(template, Refusal):
         return template, 0
     (h, w), (x0, y0), spare = template.image.shape, template.origin_px, radius + _SPARE_PX
@@ -255,12 +257,13 @@ def _search_radii_px(
     return np.clip(radius, settings.margin_px, 2 * settings.margin_px).astype(int).tolist()
 
 
-def _template(scene: Scene, model: Pushbroom, n: int, ccd: int, xy_px: Floats) -> Template | Refusal:
+def _template(
+    scene: Scene, model: Pushbroom, n: int, ccd: int, xy_px: Floats, side_px: float
+) -> Template | Refusal:
     """The predicted template around a target, as large as chip, strip and settings allow."""
     settings, chip = scene.settings, scene.chips[n]
     lines, samples = scene.strip.shape(ccd)
-    side = chip_side_px(chip, model, ccd, xy_px, scene.surface)
-    half = 0.5 * min(float(settings.template_px), side)
+    half = 0.5 * min(float(settings.template_px), side_px)
     x0, y0 = np.maximum(np.round(xy_px - half), 0).astype(int).tolist()
     x1, y1 = int(min(round(xy_px[0] + half), samples)), int(min(round(xy_px[1] + half), lines))
     w, h = x1 - x0, y1 - y0

@@ -255,9 +255,25 @@ class Pushbroom:
         px² of an image point gives that of its direction: `J C J^T` (3, 3) rad².
         """
         sample, line = _pixels(sample, line)
-        ground = self.ground_points(ccd, sample, line, ConstantHeight(height_m))
-        before, after = (self._apparent_c(ground, self._states(line + half))[0] for half in (-0.5, 0.5))
-        return np.stack([self.camera.sample_jacobian(ccd, sample), before - after], axis=-1)
+        ccds = np.full(len(line), ccd)
+        return self.directions_and_jacobian(ccds, np.column_stack([sample, line]), height_m=height_m)[1]
+
+    def directions_and_jacobian(
+        self, ccd: NDArray[np.int64], xy_px: Array, *, height_m: float = 0.0
+    ) -> tuple[Array, Array]:
+        """Look directions u_c (N, 3) of pixels (sample, line) (N, 2) of CCDs (N,), and `pixel_jacobian`."""
+        u_c, jacobian = np.empty((len(xy_px), 3)), np.empty((len(xy_px), 3, 2))
+        line = xy_px[:, 1]
+        for n in np.unique(ccd).tolist():
+            here = ccd == n
+            u_c[here] = self.camera.directions_from_pixels(n, xy_px[here, 0])
+            jacobian[here, :, 0] = self.camera.sample_jacobian(n, xy_px[here, 0])
+        states = self._states(line)
+        seen = states.to_e(u_c), states.p_e, states.v_e
+        ground = emission_points_e(*seen, self.earth.omega_e, self.effects, height_m)
+        both = self.directions_c(np.tile(ground, (2, 1)), np.concatenate([line - 0.5, line + 0.5]))
+        jacobian[:, :, 1] = both[: len(line)] - both[len(line) :]
+        return u_c, jacobian
 
     def _pixels_by_scan(self, ccd: int, p_e: Array) -> tuple[Array, Array]:
         """Pixels (N,) of ground points (N, 3): nearest line of a coarse scan, refined by the secant

@@ -8,6 +8,7 @@ small affine map.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import lru_cache
 
 import cv2
@@ -24,7 +25,7 @@ from boresight.geometry.pushbroom import Pushbroom
 from boresight.geometry.record import Bools, Floats, array, record, scalar
 from boresight.geometry.terrain import Surface
 
-__all__ = ["Template", "chip_points", "chip_side_px", "predict_template"]
+__all__ = ["Template", "chip_points", "chip_sides_px", "predict_template"]
 
 _NODE_PX = 8  # between nodes of the map, in pixels of the template
 
@@ -117,13 +118,20 @@ def chip_points(chip: Chip, p_e: Floats) -> Floats:
     return np.column_stack([np.asarray(east) - c, np.asarray(north) - f]) @ inverse.T - 0.5
 
 
-def chip_side_px(chip: Chip, pushbroom: Pushbroom, ccd: int, xy_px: Floats, surface: Surface) -> float:
-    """Shorter side of the chip in pixels of the strip around `xy_px` (sample, line) (2,); 0 if unknown."""
-    x, y = xy_px
-    p_e = pushbroom.ground_points(ccd, np.array([x, x + 16.0, x]), np.array([y, y, y + 16.0]), surface)
-    points = chip_points(chip, p_e)
-    per_px = np.sqrt(abs(np.linalg.det((points[1:] - points[0]) / 16.0)))
-    return float(min(chip.image.shape) / per_px) if np.isfinite(per_px) and per_px > 0.0 else 0.0
+def chip_sides_px(
+    chips: Sequence[Chip], pushbroom: Pushbroom, ccd: int, xy_px: Floats, surface: Surface
+) -> Floats:
+    """Shorter side of each of N chips in pixels of the strip around `xy_px` (N, 2); 0 if unknown."""
+    at = xy_px[:, None, :] + 16.0 * np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
+    p_e = pushbroom.ground_points(ccd, at[:, :, 0].ravel(), at[:, :, 1].ravel(), surface)
+    points = [chip_points(chip, corner_e) for chip, corner_e in zip(chips, p_e.reshape(-1, 3, 3))]
+    per_px = [np.sqrt(abs(np.linalg.det((xy[1:] - xy[0]) / 16.0))) for xy in points]
+    return np.array(
+        [
+            min(chip.image.shape) / scale if np.isfinite(scale) and scale > 0.0 else 0.0
+            for chip, scale in zip(chips, per_px)
+        ]
+    )
 
 
 def _pixels_per_template_pixel(x: Floats, y: Floats) -> float:

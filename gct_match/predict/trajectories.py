@@ -69,11 +69,6 @@ def displacements(pushbroom: Pushbroom, p_e: Floats, ccd: Ints, xy_px: Floats) -
     the direction u_c of a point by u x theta (paper, eq. 12); the pixel's Jacobian takes it to pixels.
     """
     predicted = pushbroom.directions_c(p_e, xy_px[:, 1])
-    measured, jacobian = np.empty((len(p_e), 3)), np.empty((len(p_e), 3, 2))
-    for n in np.unique(ccd):
-        here = ccd == n
-        sample, line = xy_px[here].T
-        measured[here] = pushbroom.camera.directions_from_pixels(int(n), sample)
-        jacobian[here] = pushbroom.pixel_jacobian(int(n), sample, line)
+    measured, jacobian = pushbroom.directions_and_jacobian(ccd, xy_px)
     inverse = np.linalg.pinv(jacobian)
     return np.einsum("nij,nj->ni", inverse, measured - predicted), inverse @ cross_matrices(predicted)

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from boresight.gct_match.predict.scene import Scene
-from boresight.gct_match.predict.template import chip_side_px
+from boresight.gct_match.predict.template import chip_sides_px
 from boresight.gct_match.records import StripImage
 from boresight.gct_match.settings import MatchSettings
 from boresight.geometry.record import Floats, Ints, record, scalar
@@ -65,12 +65,14 @@ class SearchPlan:
 def plan_search(scene: Scene) -> SearchPlan:
     """Search windows of all targets, and the coarsest picture in which their chips still show edges."""
     strip, settings = scene.strip, scene.settings
-    windows = tuple(window for ccd in strip.ccds for window in _windows(scene, ccd))
+    windows: tuple[Window, ...] = ()
     sides: dict[int, float] = {}
-    for w in windows:
-        if w.target not in sides:
-            chip = scene.chips[w.target]
-            sides[w.target] = chip_side_px(chip, scene.pushbroom, w.ccd, w.middle_px, scene.surface)
+    for ccd in strip.ccds:
+        windows += (here := tuple(_windows(scene, ccd)))
+        if new := [w for w in here if w.target not in sides]:
+            chips, middles = [scene.chips[w.target] for w in new], np.array([w.middle_px for w in new])
+            found = chip_sides_px(chips, scene.pushbroom, ccd, middles, scene.surface)
+            sides |= {w.target: side for w, side in zip(new, found.tolist())}
     usable = [side for side in sides.values() if side >= settings.smallest_template_px]
     if not usable:
         return SearchPlan(windows, sides, 1, 0)

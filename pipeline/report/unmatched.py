@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pyarrow as pa
 
-from boresight.gct_match.predict.template import chip_side_px, predict_template
+from boresight.gct_match.predict.template import chip_sides_px, predict_template
 from boresight.gct_match.records import Evidence
 from boresight.geometry.terrain import Surface
 from boresight.pipeline.errors import RawDataError
@@ -56,7 +56,7 @@ def _evidence(one: StripOnGround, row: dict[str, Any], surface: Surface) -> Evid
         return None
     try:
         chip = read_chip(task.chips[order.index(row["target_id"])])
-        side = chip_side_px(chip, one.model, ccd, xy_px, surface)
+        side = float(chip_sides_px([chip], one.model, ccd, xy_px[None], surface)[0])
         half = int(min(0.5 * SIDE_PX, 0.5 * side)) if np.isfinite(side) else 0
         x0, y0 = np.maximum(np.round(xy_px).astype(int) - half, 0).tolist()
         w, h = min(2 * half, samples - x0), min(2 * half, lines - y0)

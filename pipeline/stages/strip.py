@@ -252,13 +252,8 @@ def ground_sightings(matched: MatchedTargets, task: StripTask) -> GroundSighting
     rows = [place[name] for name in matched.target_id.tolist()]
     p_e = np.array([target.p_e for target in rows], dtype=float).reshape(-1, 3)
     sigma_m = np.array([target.sigma_m for target in rows], dtype=float).reshape(-1, 3)
-    sample, line = matched.xy_px.T
-    t_s = np.asarray(model.instants(line), dtype=float)
-    u_c, jacobian = np.zeros((len(rows), 3)), np.zeros((len(rows), 3, 2))
-    for ccd in np.unique(matched.ccd).tolist():
-        here = matched.ccd == ccd
-        u_c[here] = task.camera.directions_from_pixels(ccd, sample[here])
-        jacobian[here] = model.pixel_jacobian(ccd, sample[here], line[here])
+    t_s = np.asarray(model.instants(matched.xy_px[:, 1]), dtype=float)
+    u_c, jacobian = model.directions_and_jacobian(matched.ccd, matched.xy_px)
     u_i, range_m = apparent_ground_directions(p_e, t_s, task.orbit, task.orbit.earth, task.effects)
     R_ie = task.orbit.earth.matrices_ie(t_s)
     lat, lon, _ = geodetic_from_ecef(p_e, WGS84)
