@@ -166,14 +166,18 @@ def _find_stars(
         return stars
     if comatic := _with_blur(find_coma, image, found, stars, settings):
         return comatic
-    stars = _with_blur(find_trail, image, found, stars, settings) or stars
+    trailed = _with_blur(find_trail, image, found, stars, settings)
     few = stars.misshapen <= _FEW_STARS + _MISSHAPEN_SHARE * len(stars.xy_px)
-    if few or np.count_nonzero(stars.saturated) > _SATURATED_SHARE * len(stars.xy_px):
+    saturated = np.count_nonzero(stars.saturated) > _SATURATED_SHARE * len(stars.xy_px)
+    if not trailed and (few or saturated):
         return stars  # the arms of saturated stars are misshapen whatever the PSF
     shaped = _detections_by_shape(image, background, settings, saturation, stars)
     if shaped is None:
-        return stars
+        return trailed or stars
     others = _measured(image, shaped, background, settings, saturation)
+    if trailed:  # detected by the smear of second moments, or by the mean image: where more are found
+        again = _with_blur(find_trail, image, shaped, others, settings) or trailed
+        return max(trailed, again, key=lambda found: len(found.xy_px))
     if others.misshapen >= _FEWER_MISSHAPEN * stars.misshapen or len(others.xy_px) <= 0.7 * len(stars.xy_px):
         return stars
     bright = others.xy_px[~others.saturated & ~others.blended][:_STARS_FOR_BLUR]
