@@ -216,7 +216,8 @@ def _required(out: Path) -> list[str]:
 def _inputs(dumps: Sequence[Dump], request: RunRequest, executor: Executor) -> str:
     """Digest of everything that a result depends on: files of the dumps, settings, program, libraries."""
     images = [exposure.path for dump in dumps for exposure in dump.exposures]
-    images += [path for dump in dumps for strip in dump.strips for path in strip.images.paths.values()]
+    strips = [strip for dump in dumps for strip in (*dump.strips, *dump.sky_strips)]
+    images += [path for strip in strips for path in strip.images.paths.values()]
     know_contents(images, executor)
     contents = [
         {f.name: getattr(dump, f.name) for f in fields(dump) if f.name not in ("root", "errors")}

@@ -28,7 +28,11 @@ __all__ = [
 KEPT_BYTES = 2**26  # three raw exposures of 20 million pixels; a strip is read by window
 STREAMED_BYTES = 2**23  # read at once of a larger file, of a store in one request
 
+MOST_DIGESTS = 100_000  # remembered
+
 Identity = tuple[int, ...]
+
+_digests: dict[tuple[Path, Identity], str] = {}
 
 
 def content_of(path: Path) -> bytes:
@@ -51,14 +55,16 @@ def content_digest(path: Path) -> str:
 def with_identity(path: Path) -> tuple[Identity, str]:
     """What changes when the file's content does, and `content_digest`."""
     identity = _identity(path)
-    if not (known := _digest(path, identity)):
-        known.append(_sha256(path, identity))
-    return identity, known[0]
+    if (path, identity) not in _digests:
+        remember_digest(path, identity, _sha256(path, identity))
+    return identity, _digests[path, identity]
 
 
 def remember_digest(path: Path, identity: Identity, digest: str) -> None:
-    """Take over what another process found by `with_identity`."""
-    _digest(path, identity)[:] = [digest]
+    """Take over what `with_identity` found, here or in another process."""
+    if len(_digests) >= MOST_DIGESTS:
+        del _digests[next(iter(_digests))]  # the oldest
+    _digests[path, identity] = digest
 
 
 def check_regular(path: Path, file: str, expected: str) -> int:
@@ -95,12 +101,6 @@ def _identity(path: Path) -> Identity:
 @lru_cache(maxsize=1)
 def _content(path: Path, identity: Identity) -> bytes:
     return path.read_bytes()
-
-
-@lru_cache(maxsize=100_000)
-def _digest(path: Path, identity: Identity) -> list[str]:
-    """The digest, where it is known."""
-    return []
 
 
 def _sha256(path: Path, identity: Identity) -> str:

@@ -194,7 +194,7 @@ def test_contents_read_by_other_processes_are_known_and_those_of_changed_files_a
     for path in files[:2]:
         path.write_bytes(path.name.encode() * 1000)
     expected = digests.digest(files)
-    content._digest.cache_clear()
+    content._digests.clear()
     digests.know_contents(files, Processes(2))
     computed: list[Path] = []
     own = content._sha256
