@@ -156,8 +156,9 @@ def _chi2(windows: StarWindows, start: Floats, psf: Psf, unlike: float = 0.0) ->
 def _gain(windows: StarWindows, start: Floats, psf: Psf) -> float:
     """Electrons per DN of the photon noise that the residuals about a PSF show; infinite if they show none.
 
-    What the PSF is wrong by is a share of the light: its square grows with that of the signal. Stars that
-    stand out (their neighbours do) are left out.
+    What the PSF is wrong by is a share of the light, and of its slopes over the PSF's width where a fan has
+    another length at each star: its square grows with theirs. Stars that stand out (their neighbours do) are
+    left out.
     """
     from scipy.optimize import nnls
 
@@ -167,7 +168,10 @@ def _gain(windows: StarWindows, start: Floats, psf: Psf) -> float:
     leverage = (np.matmul(np.linalg.inv(normal), columns) * columns).sum(axis=1) * weight
     freedom, square = np.clip(1.0 - leverage, 0.1, 1.0), residual.astype(float) ** 2
     noise2, signal = windows.noise2[:, None] * freedom, np.maximum(state[:, 2:3] * images.value, 0.0)
-    terms, size = np.stack([signal * freedom, signal**2]), np.zeros(2)
+    unlike2 = signal.astype(float) ** 2
+    if psf.coma_px != 0.0:
+        unlike2 += psf.sigma_px**2 * (columns[:, :2] ** 2).sum(axis=1)
+    terms, size = np.stack([signal * freedom, unlike2]), np.zeros(2)
     usual = np.ones(len(start), dtype=bool)
     for _ in range(_GAIN_ROUNDS):
         variance = noise2 + np.tensordot(size, terms, 1)
