@@ -67,14 +67,15 @@ class TriangleTable:
         high = np.minimum((ratios + tolerance[:, None]) * _CELLS, _CELLS - 1.0).astype(np.int64)
         query, line = concatenated_ranges(low[:, 0], high[:, 0] + 1)
         line *= _CELLS
-        part, row = concatenated_ranges(
-            self.cell_start.take(line + low[:, 1].take(query)),
-            self.cell_start.take(line + high[:, 1].take(query) + 1),
-        )
-        query = query.take(part)
+        first = self.cell_start.take(line + low[:, 1].take(query))
+        counts = self.cell_start.take(line + high[:, 1].take(query) + 1) - first
+        last = counts.cumsum()
+        row = (first + counts - last).repeat(counts)
+        row += np.arange(len(row))
         limit = (tolerance + scale_error) * np.abs(longest)  # the longest side discriminates most
-        agree = (np.abs(self.longest.take(row) - longest.take(query)) < limit.take(query)).nonzero()[0]
-        query, row = query.take(agree), row.take(agree)
+        off = np.abs(self.longest.take(row) - longest.take(query).repeat(counts))
+        agree = (off < limit.take(query).repeat(counts)).nonzero()[0]
+        query, row = query.take(last.searchsorted(agree, "right")), row.take(agree)
         off = np.abs(self.ratios.take(row, axis=0) - ratios.take(query, axis=0)).max(axis=1, initial=0.0)
         agree = (off < tolerance.take(query)).nonzero()[0]
         return query.take(agree), row.take(agree)
@@ -323,4 +324,4 @@ def concatenated_ranges(first: Ints, end: Ints) -> tuple[Ints, Ints]:
     integers."""
     counts = end - first
     owner = np.arange(len(counts)).repeat(counts)
-    return owner, np.arange(len(owner)) + (end - counts.cumsum()).take(owner)
+    return owner, np.arange(len(owner)) + (end - counts.cumsum()).repeat(counts)
