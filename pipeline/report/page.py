@@ -5,10 +5,8 @@ from __future__ import annotations
 import functools
 import html
 import json
-import pickle
 from collections import Counter
 from collections.abc import Callable, Iterator
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -31,7 +29,6 @@ from boresight.pipeline.report.strip_stars import strip_star_rows
 from boresight.pipeline.report.strips_on_sky import strips_on_sky
 from boresight.pipeline.report.verdict import verdict_view
 from boresight.pipeline.results.folder import INTERIOR, VALIDATION
-from boresight.pipeline.work.index_cache import cache_folder
 
 __all__ = ["report_html", "template", "write_report"]
 
@@ -125,21 +122,6 @@ def template(name: str) -> jinja2.Template:
     return _environment().get_template(name)
 
 
-class _CompiledTemplates(jinja2.FileSystemBytecodeCache):
-    """Compiled templates in the user's cache folder, where that can be written; damaged ones are replaced."""
-
-    def load_bytecode(self, bucket: jinja2.bccache.Bucket) -> None:
-        try:
-            super().load_bytecode(bucket)
-        except (OSError, EOFError, pickle.UnpicklingError):
-            bucket.reset()
-
-    def dump_bytecode(self, bucket: jinja2.bccache.Bucket) -> None:
-        with suppress(OSError):
-            cache_folder().mkdir(parents=True, exist_ok=True)
-            super().dump_bytecode(bucket)
-
-
 @functools.cache  # with the templates that it has compiled
 def _environment() -> jinja2.Environment:
     environment = jinja2.Environment(
@@ -148,7 +130,6 @@ def _environment() -> jinja2.Environment:
         undefined=jinja2.StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
-        bytecode_cache=_CompiledTemplates(str(cache_folder())),
     )
     environment.filters["number"] = _number
     return environment
