@@ -140,7 +140,10 @@ def exact_sum(F: Array, F_theta: Array) -> InformationTotal:
     numbers = np.column_stack([F[:, rows, columns], F_theta])
     if not np.isfinite(numbers).all():
         raise ValueError("information that is not a finite number cannot be added")
-    sums = np.array([math.fsum(column) for column in numbers.T.tolist()]) + 0.0  # no negative zero
+    sums = numbers.sum(axis=0) + 0.0  # no negative zero
+    # a sum of two numbers is rounded once
+    more = np.flatnonzero((np.count_nonzero(numbers, axis=0) > 2) | ~np.isfinite(sums))
+    sums[more] = [math.fsum(column) for column in numbers[:, more].T.tolist()]
     total = np.empty((n, n))
     total[rows, columns] = total[columns, rows] = sums[:-n]
     return InformationTotal(total, sums[-n:])

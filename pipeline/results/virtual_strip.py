@@ -28,7 +28,8 @@ def write_virtual_strip(model: StripModel, surface: Surface, out: Path) -> tuple
     """
     if not isinstance(model.pushbroom.camera, LineCamera):
         raise DataNotSufficientError("a virtual CCD needs a camera with focal length and focal plane")
-    virtual, lines = VirtualStrip(model.pushbroom, surface), model.strip.lines
+    lines = model.strip.lines
+    virtual = VirtualStrip(model.pushbroom.tabulated(0.0, lines - 1.0), surface)
     profile = {"driver": "GTiff", "width": virtual.width_px, "height": lines, "count": 1, "dtype": "float32"}
 
     def write(path: Path) -> None:
