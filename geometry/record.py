@@ -44,7 +44,7 @@ else:
 
 
 Record = TypeVar("Record")
-Dimension = int | tuple[str, int]  # a number, or a shared length plus an offset
+Dimension = tuple[str, int]  # a shared length plus a number; "" is the length 0
 _DIMENSION = re.compile(r"(\d+)|([A-Z])(?:\s*([+-])\s*(\d+))?")
 
 
@@ -107,14 +107,14 @@ def shape_of(field: dataclasses.Field[Any]) -> tuple[int | str, ...] | None:
     shape = field.metadata.get("shape")
     if shape is None:
         return None
-    return tuple(d if isinstance(d, int) else d[0] + (f"{d[1]:+d}" if d[1] else "") for d in shape)
+    return tuple(letter + (f"{n:+d}" if n else "") if letter else n for letter, n in shape)
 
 
 def _dimension(text: str) -> Dimension:
     if not (match := _DIMENSION.fullmatch(text)):
         raise TypeError(f"a dimension is a number, a capital letter or such a letter + number, got {text!r}")
     number, letter, sign, offset = match.groups()
-    return int(number) if number else (letter, int(f"{sign or '+'}{offset or 0}"))
+    return ("", int(number)) if number else (letter, int(f"{sign or '+'}{offset or 0}"))
 
 
 def _post_init(
@@ -125,7 +125,7 @@ def _post_init(
     import numpy as np
 
     def __post_init__(self: Any) -> None:
-        lengths: dict[str, int] = {}
+        lengths = {"": 0}
         for field, shape, optional in checked:
             value = getattr(self, field)
             if value is None and optional:
@@ -146,11 +146,8 @@ def _fits(found: tuple[int, ...], shape: tuple[Dimension, ...], lengths: dict[st
     """Whether lengths are the declared ones; the first field that uses a letter sets that letter's length."""
     if len(found) != len(shape):
         return False
-    for n, dimension in zip(found, shape):
-        if isinstance(dimension, int):
-            if n != dimension:
-                return False
-        elif lengths.setdefault(dimension[0], n - dimension[1]) != n - dimension[1]:
+    for n, (letter, number) in zip(found, shape):
+        if lengths.setdefault(letter, n - number) != n - number:
             return False
     return True
 
@@ -164,10 +161,8 @@ def _lengths(value: Any) -> tuple[int, ...]:
 
 
 def _shown(dimension: Dimension, lengths: dict[str, int]) -> str:
-    if isinstance(dimension, int):
-        return str(dimension)
-    letter, offset = dimension
-    return str(lengths[letter] + offset) if letter in lengths else letter
+    letter, number = dimension
+    return str(lengths[letter] + number) if letter in lengths else letter
 
 
 def _documented(cls: type) -> str:
