@@ -297,10 +297,12 @@ def pixels_report(folder: Path) -> str:
     out = folder / "result"
     ran = subprocess.run(
         [*program, "calibrate", *dumps, "--out", str(out), "--workers", "1", "--no-report"],
-        check=True,
+        check=False,
         capture_output=True,
         text=True,
     )
+    if ran.returncode != 3:  # one matrix for all months is refuted: the mounting moved
+        raise SystemExit(f"exit status {ran.returncode}, expected 3:\n{ran.stdout}{ran.stderr}")
     drift = json.loads((out / "drift.json").read_text())
     found = np.array(drift["step"]["theta_rad"]) / ARCSEC
     sigma = np.sqrt(np.diag(drift["step"]["covariance_rad2"])) / ARCSEC

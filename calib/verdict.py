@@ -69,6 +69,7 @@ class Suspect(Enum):
     HEAD_NOISE = "stated noise of attitudes ([star_cameras.noise], or sigma and cov columns of their file)"
     NOT_INDEPENDENT = "whether the observations share an error that residuals do not show"
     GROUND_MATRIX = "pre-launch installation matrix and its stated error"
+    MOUNTING = "whether the mounting moved between the strips (boresight drift)"
 
 
 LOOK_AT = {
@@ -87,7 +88,7 @@ LOOK_AT = {
         Suspect.HEAD_NOISE,
         Suspect.STATED_ERRORS,
     ),
-    CheckKind.BETWEEN_STRIPS: (Suspect.ORBIT, Suspect.CLOCKS, Suspect.STATED_ERRORS),
+    CheckKind.BETWEEN_STRIPS: (Suspect.ORBIT, Suspect.CLOCKS, Suspect.STATED_ERRORS, Suspect.MOUNTING),
     CheckKind.BETWEEN_HEADS: (Suspect.HEAD_NOISE, Suspect.HEADS),
     CheckKind.STEADY_HEADS: (Suspect.HEADS, Suspect.HEAD_NOISE),
     CheckKind.START_MATRIX: (Suspect.STAR_CAMERA_MODEL, Suspect.GROUND_MATRIX),
