@@ -61,7 +61,7 @@ def geodetic_along_paths(middle_e: Array, half_e: Array, ellipsoid: Ellipsoid) -
     Cubic in s about the exact coordinates of the middle: the distance r + ds from the Earth's axis gives the
     longitude and the place in the meridian plane, whose radius of curvature gives latitude and height. Of the
     flattening only the second order is kept. Within 1e-6 m for paths of 2 km of ground and 4 km of height
-    below 80 deg of latitude.
+    below 80 deg of latitude; at the poles longitude is no such series.
 
     Parameters
     ----------
@@ -87,10 +87,8 @@ def geodetic_along_paths(middle_e: Array, half_e: Array, ellipsoid: Ellipsoid) -
     north, up = z * cos - outward * sin, z * sin + outward * cos
     b, c, d, q, k = east / r, outward / r, 0.5 * east * east / r, north / radius, up / radius
     lift, sink = d * cos, d * sin / radius  # of the distance from the axis, in s^2 (1 - c s)
-    second, evolute = (
-        sink + q * k,
-        1.5 * e2 * sin * cos * square * q,
-    )  # the radius of curvature changes with lat
+    second = sink + q * k
+    evolute = 1.5 * e2 * sin * cos * square * q  # the radius of curvature changes with latitude
     coefficients = np.empty((4, 3, len(lat)))
     coefficients[0] = lat, lon, height
     coefficients[1] = q, b, up
