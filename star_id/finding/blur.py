@@ -3,9 +3,10 @@
 A Gaussian fitted to a comatic fan lies between the fan's tip and the middle of its light, the farther from
 either the longer the fan: the field of view seems to be another. Where widths grow towards the corners, two
 lengths, outwards and inwards, explain the growth; the one that fits the stars' images better is refined
-together with the width. Its error, from the scatter of what single stars say, is one of the scale of all
-places. An even trail has sharp ends that an empirical image of few stars shows with their noise: where a
-smeared Gaussian explains the stars as well, it is the PSF.
+together with the width and the wings of its Gaussians: light far from a fan is nearer to its middle than to
+its tip, and would displace the stars in which it is seen, the bright ones. Their errors, from the scatter of
+what single stars say, are one of the scale of all places. An even trail has sharp ends that an empirical
+image of few stars shows with their noise: where a smeared Gaussian explains the stars as well, it is the PSF.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ __all__ = ["explains_better", "find_coma", "find_trail"]
 
 _GROWTH = 1.05  # of the widths from the centre to the corners: less is no matter
 _LENGTH2 = 27.0  # squared length of a fan over half the trace of its second moments
+_WINGS = 0.3  # to begin with, of a PSF whose halves have variances 30 % larger and smaller
 _FEWEST = 12
 _LONGEST_PX = 24.0
 _STEPS = 3
@@ -54,17 +56,24 @@ def find_coma(
     windows = star_windows(image, np.rint(xy_px).astype(np.int64), background, radius, saturation_dn)
     start = windows.offsets(xy_px)
 
-    def comatic(theta: Floats) -> Psf:
-        sigma = float(np.exp(theta[0]))
-        return replace(psf, sigma_px=sigma, sigma_corner_px=sigma, coma_px=float(theta[1]))
+    def growing(theta: Floats) -> Psf:
+        (centre, corner), wings = np.exp(theta[:2]), abs(np.tanh(theta[2]))
+        return replace(psf, sigma_px=float(centre), sigma_corner_px=float(corner), wings=float(wings))
 
-    tries = [np.array([np.log(psf.sigma_px), sign * length]) for sign in (1.0, -1.0)]
+    def comatic(theta: Floats) -> Psf:
+        return replace(growing(theta[[0, 0, 2]]), coma_px=float(theta[1]))
+
+    tries = [np.array([np.log(psf.sigma_px), sign * length, _WINGS]) for sign in (1.0, -1.0)]
     best = min(tries, key=lambda theta: _chi2(windows, start, comatic(theta)))
-    theta, covariance = _refined(windows, start, comatic, best, _UNLIKE)
+    theta, covariance = _refined(windows, start, comatic, best, np.array([0.1, length, _WINGS]), _UNLIKE)
     found = comatic(theta)
     if not _is_better(windows, start, found, psf, _UNLIKE):
         return None
-    longer = comatic(theta + np.array([0.0, np.sqrt(covariance[1, 1])]))
+    widths = np.array([np.log(psf.sigma_px), np.log(psf.sigma_corner_px), _WINGS])
+    grown = growing(_refined(windows, start, growing, widths, np.array([0.1, 0.1, _WINGS]), _UNLIKE)[0])
+    if not _is_better(windows, start, found, grown, _UNLIKE):
+        return None
+    longer = comatic(theta + covariance[1] / np.sqrt(covariance[1, 1]))
     there, here = (_fitted(windows, start, each, _UNLIKE)[1][:, :2] for each in (longer, found))
     outwards = xy_px - found.middle_px
     scale = float((outwards * (there - here)).sum() / (outwards**2).sum())
@@ -108,7 +117,8 @@ def find_trail(
             psf, sigma_px=sigma, sigma_corner_px=sigma, smear_px=smear, shape=None, error_factor=None
         )
 
-    found = smeared(_refined(windows, start, smeared, np.array([np.log(width), *smear]))[0])
+    scale = np.append(0.1, np.full(2, np.abs(smear).max()))
+    found = smeared(_refined(windows, start, smeared, np.array([np.log(width), *smear]), scale)[0])
     before, after = (_chi2(windows, start, each) for each in (psf, found))
     dof = windows.data.size
     if after - dof > _AS_GOOD * max(before - dof, 0.0) + _BEYOND_CHANCE:
@@ -133,16 +143,16 @@ def _refined(
     start: Floats,
     psf_of: Callable[[Floats], Psf],
     theta: Floats,
+    scale: Floats,
     unlike: float = 0.0,
 ) -> tuple[Floats, Floats]:
-    """Parameters (P,) of the PSF that explains the windows best, a logarithmic width and lengths in px, and
-    their covariance (P, P) by the scatter of single stars' parts in it."""
+    """Parameters (P,) of the PSF that explains the windows best, from `theta` on, which change by some
+    `scale`, and their covariance (P, P) by the scatter of single stars' parts in it."""
     from scipy.optimize import least_squares  # 0.1 s to load, and seldom needed
 
     def residuals(theta: Floats) -> Floats:
         return _fitted(windows, start, psf_of(theta), unlike)[0]
 
-    scale = np.append(0.1, np.full(len(theta) - 1, np.abs(theta[1:]).max()))
     fit = least_squares(residuals, theta, diff_step=0.02, max_nfev=8, x_scale=scale)
     parts = (fit.jac * fit.fun[:, None]).reshape(len(start), -1, len(theta)).sum(axis=1)
     inverse = np.linalg.pinv(fit.jac.T @ fit.jac)

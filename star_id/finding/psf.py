@@ -35,8 +35,12 @@ class Psf:
     coma_px: float = scalar(
         "length of the comatic fan in the corners, outwards; negative: inwards", default=0.0
     )
+    wings: float = scalar(
+        "of a fan's Gaussians: half of the light has a variance that is this share larger, half smaller",
+        default=0.0,
+    )
     scale_sigma: float = scalar(
-        "1-sigma error of all distances from the image's middle, relative, by that of the fan's length",
+        "1-sigma error of all distances from the image's middle, relative, by that of the fan",
         default=0.0,
     )
     shape: NDArray | None = scalar(
@@ -117,7 +121,8 @@ def images_at(psf: Psf, pixels: Ints, offset: Floats, sigma: Floats, radius: int
     side 2 radius + 1, px: empirical, or smeared Gaussians of width `sigma` (N,)."""
     if psf.shape is not None:
         return shape_images(psf.shape, offset, radius)
-    return psf_images(offset, sigma, psf.smear_px, radius, coma=psf.coma_at(pixels.astype(float)))
+    coma = psf.coma_at(pixels.astype(float))
+    return psf_images(offset, sigma, psf.smear_px, radius, coma=coma, wings=psf.wings)
 
 
 def shape_images(shape: NDArray, offset: Floats, radius: int) -> PsfImages:
@@ -153,23 +158,30 @@ def psf_images(
     *,
     widths: bool = False,
     coma: Floats | None = None,
+    wings: float = 0.0,
 ) -> PsfImages:
     """Images of stars of width `sigma` (N,) at `offset` (N, 2) from the middle of windows of side 2 radius +
     1, px.
 
-    `widths` adds the derivatives by width and by second moments, `coma` (N, 2) the fans of `Psf.coma_at`.
+    `widths` adds the derivatives by width and by second moments, of Gaussians without `wings` (as in `Psf`);
+    `coma` (N, 2) are the fans of `Psf.coma_at`.
     """
     nodes, weights = _nodes(smear_px, coma, float(sigma.min()) if len(sigma) else 1.0)
     edges = np.arange(2 * radius + 2, dtype=np.float32) - np.float32(radius + 0.5)
     n, side = len(offset), 2 * radius + 1
     sigma = sigma.astype(np.float32)
+    width = sigma[:, None, None, None]
+    if wings:
+        halves = np.sqrt([1.0 - wings, 1.0 + wings]).astype(np.float32)
+        width = width * np.repeat(halves, len(weights))[:, None, None]
+        nodes, weights = np.tile(nodes, (1, 2, 1)), 0.5 * np.tile(weights, 2)
     weights = weights.astype(np.float32)
     centre = offset[:, None, :] + nodes  # (N, K, 2)
-    z = (edges - centre[..., None].astype(np.float32)) / sigma[:, None, None, None]  # (N, K, 2, side + 1)
+    z = (edges - centre[..., None].astype(np.float32)) / width  # (N, K, 2, side + 1)
     density = np.exp(np.float32(-0.5) * z * z) * np.float32(1.0 / np.sqrt(2.0 * np.pi))
     cumulated = np.float32(0.5) * erf(z * np.float32(np.sqrt(0.5)))
     value = cumulated[..., 1:] - cumulated[..., :-1]  # (N, K, 2, side)
-    slope = (density[..., :-1] - density[..., 1:]) / sigma[:, None, None, None]
+    slope = (density[..., :-1] - density[..., 1:]) / width
     x, y = value[:, :, 0], value[:, :, 1] * weights[:, None]
     d_x, d_y = slope[:, :, 0], slope[:, :, 1] * weights[:, None]
     columns = np.empty((n, 5 if widths else 4, side, side), dtype=np.float32)

@@ -134,18 +134,23 @@ def rings(xy, flux_dn, radius_px, rng):
     return (rng.poisson(light * 4.0) / 4.0 + rng.normal(0.0, 6.0, light.shape)).round().astype(np.uint16)
 
 
-def test_coma_displaces_no_star():
-    rng = np.random.default_rng(8)
+@pytest.mark.parametrize("wings", [0.0, 0.45])  # of a Moffat function of exponent 5
+def test_coma_displaces_no_star(wings):
+    rng = np.random.default_rng(10)
     xy = places(rng)
     middle, length = 0.5 * (SIZE - 1), 6.0  # px, in the corners
     fan = length * (xy - middle) / (middle * np.sqrt(2.0))
-    zone, angle = rng.random(80), rng.uniform(0.0, 2.0 * np.pi, 80)  # zone: share of the pupil's area
+    zone = np.repeat((np.arange(8) + 0.5) / 8.0, 10)  # share of the pupil's area
+    angle = np.tile(np.arange(10) * np.pi / 5.0, 8)
     along, across = zone / 3.0 * (2.0 + np.cos(angle)), zone / 3.0 * np.sin(angle)
     along, across = along - along.mean(), across - across.mean()
     points = xy[:, None] + along[:, None] * fan[:, None] + across[:, None] * (fan[:, ::-1] * [-1, 1])[:, None]
-    flux = rng.uniform(2000.0, 9000.0, len(xy))
-    image = render(points.reshape(-1, 2), np.repeat(flux / 80.0, 80), SIZE, SIZE, SENSOR, rng)
-    stars = find_stars(image, StarSettings())
+    flux = rng.uniform(2000.0, 9000.0, len(xy)) * (20.0 if wings else 1.0)  # bright stars show them
+    image = np.zeros((SIZE, SIZE))
+    for part in (1.0 - wings, 1.0 + wings):
+        half = replace(SENSOR, sigma_px=1.25 * part**0.5, background_dn=100.0, read_noise_dn=6.0 * 0.5**0.5)
+        image += render(points.reshape(-1, 2), np.repeat(flux / 160.0, 80), SIZE, SIZE, half, rng)
+    stars = find_stars(image.astype(np.uint16), StarSettings())
     assert 0.8 * length < stars.psf.coma_px < 1.2 * length
     distance, nearest = cKDTree(stars.xy_px).query(xy)
     seen = distance < 2.0
