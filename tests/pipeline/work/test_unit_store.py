@@ -12,8 +12,11 @@ import pyarrow as pa
 import pytest
 from scipy.spatial.transform import Rotation
 
+from boresight.pipeline.commands import calibrate
 from boresight.pipeline.files import content
+from boresight.pipeline.files.dump import open_dump
 from boresight.pipeline.files.table_files import fixed_list, list_values
+from boresight.pipeline.settings import Settings
 from boresight.pipeline.stages.exposure import sight_exposure
 from boresight.pipeline.stages.strip import match_targets
 from boresight.pipeline.work import digests
@@ -209,3 +212,25 @@ def test_contents_read_by_other_processes_are_known_and_those_of_changed_files_a
     files[1].write_bytes(b"another content")
     assert digests.digest(files) != expected
     assert computed == [files[1]]
+
+
+def test_images_of_sky_strips_and_of_exposures_are_read_for_digests_by_workers(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    dump = open_dump(Path(__file__).parents[3] / "fixtures" / "sky")
+    content._digests.clear()
+    computed: list[Path] = []  # by this process: workers note theirs in memory of their own
+    own = content._sha256
+
+    def noted(path: Path, identity: content.Identity) -> str:
+        computed.append(path)
+        return own(path, identity)
+
+    monkeypatch.setattr(content, "_sha256", noted)
+    request = calibrate.RunRequest(settings=Settings(), begun_s=0.0, facts={})
+    of_two = calibrate._inputs([dump], request, Processes(2))
+    images = {path for strip in dump.sky_strips for path in strip.images.paths.values()}
+    images |= {exposure.path for exposure in dump.exposures}
+    assert len(images) > 10 and not images & set(computed)
+    content._digests.clear()
+    assert calibrate._inputs([dump], request, Processes(1)) == of_two
