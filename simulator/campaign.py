@@ -244,10 +244,13 @@ class StripMotion:
         x, z = unit(self.velocity_i(t)), -unit(self.position_i(t))
         return Rotation.from_matrix(np.stack([x, np.cross(z, x), z], axis=1))
 
+    def R_co(self, t: Array) -> Rotation:
+        """Rotations (N,) from the orbital frame to the remote-sensing camera, without vibration."""
+        return Rotation.from_rotvec(self.amplitude * np.sin(self.omega * t[:, None] + self.phase))
+
     def R_ci(self, t: Array) -> Rotation:
         """Rotations (N,) from frame i to the remote-sensing camera, without vibration."""
-        waves = self.amplitude * np.sin(self.omega * t[:, None] + self.phase)
-        return Rotation.from_rotvec(waves) * self.R_oi(t)
+        return self.R_co(t) * self.R_oi(t)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -287,19 +290,24 @@ def _draw_strip(
 ) -> tuple[StripSightings, StripTruth]:
     motion, margin = StripMotion.draw(plan, rng), plan.exposure_margin_s
     t_stars = np.asarray(np.linspace(-margin, plan.duration_s + margin, plan.exposures), dtype=np.float64)
-    exposures, wrong_stars = draw_exposures(name, t_stars, plan, cameras, motion.R_ci(t_stars), rng)
-    t_targets = plan.duration_s * np.sort(rng.uniform(*plan.along, plan.targets))
-    ground, wrong_rows, look_c = _draw_targets(name, t_targets, plan, cameras, motion, (curve, survey_i), rng)
+    R_oi_stars = motion.R_oi(t_stars)
+    R_ci_stars = motion.R_co(t_stars) * R_oi_stars
+    exposures, wrong_stars = draw_exposures(name, t_stars, plan, cameras, R_ci_stars, rng)
+    t = plan.duration_s * np.sort(rng.uniform(*plan.along, plan.targets))
+    R_oi = motion.R_oi(t)
+    rows = t, R_oi, motion.R_co(t) * R_oi
+    ground, wrong_rows, look_c = _draw_targets(name, rows, plan, cameras, motion, (curve, survey_i), rng)
     strip = StripSightings(
         strip_id=name,
         exposures=exposures,
         ground=ground,
-        R_oi_exposures=motion.R_oi(t_stars),
-        R_oi_targets=motion.R_oi(t_targets),
+        R_oi_exposures=R_oi_stars,
+        R_oi_targets=R_oi,
     )
     wrong_targets = frozenset((name, row) for row in wrong_rows)
-    R_ci = (motion.R_ci(t_targets),)
-    return strip, StripTruth(cameras.R_cs, frozenset(wrong_stars), wrong_targets, R_ci, (look_c,), (motion,))
+    return strip, StripTruth(
+        cameras.R_cs, frozenset(wrong_stars), wrong_targets, (rows[2],), (look_c,), (motion,)
+    )
 
 
 def draw_exposures(
@@ -335,23 +343,26 @@ def draw_exposures(
 
 def _draw_targets(
     name: str,
-    t: Array,
+    rows: tuple[Array, Rotation, Rotation],
     plan: StripPlan,
     cameras: CameraPair,
     motion: StripMotion,
     shared: tuple[DistortionCurve, Array | None],
     rng: np.random.Generator,
 ) -> tuple[GroundSightings, list[int], Array]:
+    """Targets at rows of recorded times (J,), of which R_oi and R_ci are known."""
+    t, R_oi, R_ci = rows
     J, px = len(t), cameras.pixel_rad
     curve, survey_i = shared
     ccd, sample, u_c, assumed_c = looks_across(rng.uniform(*plan.across, J), cameras)
     t_true = t + rng.normal(0.0, plan.sigma_clock_s) - plan.clock_bias_s
-    R_ic = (Rotation.from_rotvec(vibration(t, plan, rng)) * motion.R_ci(t_true)).inv()
+    R_ci_true = R_ci if np.array_equal(t_true, t) else motion.R_ci(t_true)
+    R_ic = (Rotation.from_rotvec(vibration(t, plan, rng)) * R_ci_true).inv()
     truth_i = motion.position_i(t_true)
     ground_i = truth_i + plan.height_m / u_c[:, 2:] * R_ic.apply(u_c)
     recorded_i = motion.position_i(t) - rng.normal(0.0, plan.sigma_position_m, 3)
     bias_o = np.array(plan.orbit_bias_m) * [1.0, 1.0, -1.0]
-    recorded_i = recorded_i + motion.R_oi(t).inv().apply(np.tile(bias_o, (J, 1)))
+    recorded_i = recorded_i + R_oi.inv().apply(np.tile(bias_o, (J, 1)))
     own_i = rng.normal(0.0, plan.sigma_target_m, (J, 3)) if survey_i is None else survey_i
     known_i = ground_i + own_i
     range_m = np.linalg.norm(known_i - recorded_i, axis=1)
