@@ -108,20 +108,23 @@ def fit_noise(signal: Signal, mean_s: float) -> NoiseFit:
     start = np.stack([0.5 * np.log(0.7 * variance), 0.5 * np.log(0.3 * variance), np.zeros((H, 3))], axis=-1)
     start[:, :, 2] = np.log(5.0 * signal.step_s)
 
-    def loss(x: Floats) -> float:
+    def loss(x: Floats) -> tuple[float, Floats]:
         p = x.reshape(H, 3, 3)
-        density = _axes_density(p, omega, signal.step_s)
-        return _whittle(density, signal.enters, periodogram) + _unlike(p, start)
+        density, by_parameters = _axes_density(p, omega, signal.step_s)
+        fit, by_density = _whittle(density, signal.enters, periodogram)
+        prior, by_prior = _unlike(p, start)
+        return fit + prior, (np.einsum("fha,fhap->hap", by_density, by_parameters) + by_prior).ravel()
 
-    found = minimize(loss, start.ravel())
+    found = minimize(loss, start.ravel(), jac=True)
     x = np.asarray(found.x, dtype=np.float64).reshape(H, 3, 3)
 
-    def white_loss(y: Floats) -> float:
-        return _whittle(
-            np.tile(np.exp(2.0 * y).reshape(H, 3), (len(omega), 1, 1)), signal.enters, periodogram
-        )
+    def white_loss(y: Floats) -> tuple[float, Floats]:
+        density = np.exp(2.0 * y)
+        level = np.tile(density.reshape(H, 3), (len(omega), 1, 1))
+        fit, by_level = _whittle(level, signal.enters, periodogram)
+        return fit, 2.0 * density * by_level.sum(axis=0).ravel()
 
-    white = minimize(white_loss, 0.5 * np.log(variance).ravel())
+    white = minimize(white_loss, 0.5 * np.log(variance).ravel(), jac=True)
     white_density = np.exp(2.0 * np.asarray(white.x)).reshape(H, 3)
     sigma_log = _errors(loss, x.ravel()).reshape(H, 3, 3)
     return _with_means(
@@ -166,21 +169,35 @@ def _periodograms(parts: Sequence[Floats], signal: Signal) -> tuple[Floats, Floa
     return np.concatenate(omega).astype(np.float64), np.concatenate(matrices).astype(np.float64)
 
 
-def _axes_density(x: Floats, omega: Floats, step_s: float) -> Floats:
-    """Spectral density (F, H, 3) of each axis for log parameters (H, 3, 3)."""
-    white, correlated, r = np.exp(2 * x[..., 0]), np.exp(2 * x[..., 1]), np.exp(-step_s / np.exp(x[..., 2]))
-    shape = (1.0 - r**2) / (1.0 - 2.0 * r * np.cos(omega)[:, None, None] + r**2)
-    return np.asarray(white + correlated * shape)
+def _axes_density(x: Floats, omega: Floats, step_s: float) -> tuple[Floats, Floats]:
+    """Spectral density (F, H, 3) of each axis for log parameters (H, 3, 3), and its change by these
+    (F, H, 3, 3).
+    """
+    white, correlated, late = np.exp(2 * x[..., 0]), np.exp(2 * x[..., 1]), step_s / np.exp(x[..., 2])
+    r, cosine = np.exp(-late), np.cos(omega)[:, None, None]
+    below = 1.0 - 2.0 * r * cosine + r**2
+    shape = (1.0 - r**2) / below
+    by_r = -2.0 * (r + shape * (r - cosine)) / below
+    by_x = np.stack(
+        [
+            np.broadcast_to(2.0 * white, shape.shape),
+            2.0 * correlated * shape,
+            correlated * by_r * r * late,
+        ],
+        axis=-1,
+    )
+    return np.asarray(white + correlated * shape), by_x
 
 
-def _signal_density(axes: Floats, enters: Floats) -> Floats:
-    """Spectral matrices (F, D, D) of the signal."""
-    return np.einsum("hda,fha,hea->fde", enters, axes, enters, optimize=True)
-
-
-def _whittle(axes: Floats, enters: Floats, periodogram: Floats) -> float:
-    S = _signal_density(axes, enters)
-    return float(np.sum(np.linalg.slogdet(S)[1]) + np.einsum("fde,fed->", np.linalg.inv(S), periodogram))
+def _whittle(axes: Floats, enters: Floats, periodogram: Floats) -> tuple[float, Floats]:
+    """Minus twice the log likelihood of spectral densities (F, H, 3) of the axes, and its change by them."""
+    H, D, _ = enters.shape
+    pairs = np.einsum("hda,hea->deha", enters, enters).reshape(D * D, 3 * H)
+    S = (axes.reshape(-1, 3 * H) @ pairs.T).reshape(-1, D, D)
+    inverse = np.linalg.inv(S)
+    by_S = inverse - inverse @ periodogram @ inverse
+    value = np.sum(np.linalg.slogdet(S)[1]) + np.einsum("fde,fed->", inverse, periodogram)
+    return float(value), (by_S.reshape(-1, D * D) @ pairs).reshape(axes.shape)
 
 
 def _start_variances(signal: Signal, parts: Sequence[Floats]) -> Floats:
@@ -193,26 +210,25 @@ def _start_variances(signal: Signal, parts: Sequence[Floats]) -> Floats:
     return np.maximum(found, 0.02 * np.trace(covariance) / (D * H)).reshape(H, 3)
 
 
-def _unlike(x: Floats, start: Floats) -> float:
-    """Minus the logarithm of the prior: heads of one satellite are of one make, so log(w), log(a), log(τ) of
-    all x and y axes scatter by `ALIKE`, those of z likewise; τ is within a factor of some 5 of its start.
+def _unlike(x: Floats, start: Floats) -> tuple[float, Floats]:
+    """Minus the logarithm of the prior, and its change by x: heads of one satellite are of one make, so
+    log(w), log(a), log(τ) of all x and y axes scatter by `ALIKE`, those of z likewise; τ is within a factor of
+    some 5 of its start.
     """
-    across, along = x[:, :2].reshape(-1, 3), x[:, 2]
-    spread = sum(float(np.sum((part - part.mean(axis=0)) ** 2)) for part in (across, along))
-    return 0.5 * spread / ALIKE**2 + 0.5 * float(np.sum((x[..., 2] - start[..., 2]) ** 2)) / 1.5**2
+    pull = np.zeros_like(x)
+    for axes in (slice(0, 2), slice(2, 3)):
+        pull[:, axes] = (x[:, axes] - x[:, axes].mean(axis=(0, 1))) / ALIKE
+    later = (x[..., 2] - start[..., 2]) / 1.5
+    by_x = pull / ALIKE
+    by_x[..., 2] += later / 1.5
+    return 0.5 * float(np.sum(pull**2) + np.sum(later**2)), by_x
 
 
-def _errors(loss: Callable[[Floats], float], x: Floats) -> Floats:
+def _errors(loss: Callable[[Floats], tuple[float, Floats]], x: Floats) -> Floats:
     """1-sigma of the parameters by the curvature of minus the logarithm of their probability."""
-    n, h = len(x), 1e-3
-    hessian = np.empty((n, n))
-    steps = h * np.eye(n)
-    for i in range(n):
-        for j in range(i, n):
-            a, b = steps[i], steps[j]
-            value = loss(x + a + b) - loss(x + a - b) - loss(x - a + b) + loss(x - a - b)
-            hessian[i, j] = hessian[j, i] = value / (4.0 * h * h)
-    values, vectors = np.linalg.eigh(hessian)
+    h = 1e-3
+    hessian = np.array([loss(x + step)[1] - loss(x - step)[1] for step in h * np.eye(len(x))]) / (2.0 * h)
+    values, vectors = np.linalg.eigh(0.5 * (hessian + hessian.T))
     covariance = (vectors / np.maximum(values, 1.0)) @ vectors.T  # the prior's curvature is larger than 1
     return np.sqrt(np.diag(covariance))
 
@@ -243,7 +259,7 @@ def _with_means(
         for one, excess in zip(x, constant)
     )
     omega: Floats = np.pi * (np.arange(48, dtype=np.float64) + 0.5) / 48.0
-    grid = _axes_density(x, omega, signal.step_s)
+    grid, _ = _axes_density(x, omega, signal.step_s)
     return NoiseFit(
         heads=noise,
         sigma_log=sigma_log,
