@@ -212,8 +212,8 @@ def _start_variances(signal: Signal, parts: Sequence[Floats]) -> Floats:
 
 def _unlike(x: Floats, start: Floats) -> tuple[float, Floats]:
     """Minus the logarithm of the prior, and its change by x: heads of one satellite are of one make, so
-    log(w), log(a), log(τ) of all x and y axes scatter by `ALIKE`, those of z likewise; τ is within a factor of
-    some 5 of its start.
+    log(w), log(a), log(τ) of all x and y axes scatter by `ALIKE`, those of z likewise; τ is within a factor
+    of some 5 of its start.
     """
     pull = np.zeros_like(x)
     for axes in (slice(0, 2), slice(2, 3)):

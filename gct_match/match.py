@@ -22,6 +22,7 @@ from boresight.gct_match.predict.template import Template, chip_points, chip_sid
 from boresight.gct_match.predict.trajectories import displacements
 from boresight.gct_match.records import (
     Chip,
+    Each,
     Evidence,
     Reason,
     Refusal,
@@ -55,6 +56,8 @@ def match_strip(
     surface: Surface,
     sigma_installation_rad: Floats,
     settings: MatchSettings,
+    *,
+    each: Each = map,
 ) -> StripMatches:
     """Positions of a strip's targets, from an installation matrix wrong by up to `settings.sigmas` sigma.
 
@@ -72,6 +75,8 @@ def match_strip(
         1-sigma of the rotation by which the installation matrix may be wrong, about the axes of frame c.
     settings : MatchSettings
         Search ranges and limits of the tests.
+    each : callable, optional
+        Applies a function to parts of the work that can be done at once; default: one after another.
 
     Returns
     -------
@@ -96,7 +101,7 @@ def match_strip(
     covariance: Floats = np.diag(scene.sigma_installation_rad**2)
     vote, read = None, 0
     if plan.windows and max(w.radius_px for w in plan.windows) > 2.0 * settings.margin_px + 2.0:
-        vote, read = search_common_rotation(scene, plan), plan.pixels_to_read
+        vote, read = search_common_rotation(scene, plan, each), plan.pixels_to_read
         theta, covariance = vote.parameters, vote.covariance
     found, not_found, pixels = _measured(scene, searched, theta, covariance)
     matches, inconsistent, theta = consistent_matches(scene, found, theta)

@@ -5,7 +5,7 @@ Image points are (x, y) = (sample, line); (0, 0) is the centre of the first pixe
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from enum import StrEnum
 from typing import Any, Literal, Protocol
 
@@ -16,6 +16,7 @@ from boresight.geometry.record import Bools, Floats, array, record, scalar
 
 __all__ = [
     "Chip",
+    "Each",
     "Evidence",
     "Image",
     "Reason",
@@ -28,6 +29,7 @@ __all__ = [
 ]
 
 Image = NDArray[Any]  # single precision
+Each = Callable[[Callable[[Any], Any], Sequence[Any]], Iterable[Any]]  # as `map`, perhaps in other processes
 
 
 @record

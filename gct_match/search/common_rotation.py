@@ -11,12 +11,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
+from functools import partial
 
 import numpy as np
 
 from boresight.gct_match.predict.scene import Scene
 from boresight.gct_match.predict.template import predict_template
 from boresight.gct_match.predict.trajectories import displacements
+from boresight.gct_match.records import Each, StripImage
 from boresight.gct_match.search.coarse import read_coarse
 from boresight.gct_match.search.edge_search import (
     SearchPicture,
@@ -59,13 +61,14 @@ def vote_tolerance_px(factor: int, settings: MatchSettings) -> float:
     return factor + 2.0 * float(np.hypot(settings.consistency_sigma_px, settings.attitude_sigma_px))
 
 
-def search_common_rotation(scene: Scene, plan: SearchPlan) -> Vote:
+def search_common_rotation(scene: Scene, plan: SearchPlan, each: Each = map) -> Vote:
     """The rotation theta (3,), rad, on which most targets agree: R_cs = exp[[theta]] R_cs0.
 
     Its covariance, the supporting targets and the probability of so good an agreement by chance come with it.
+    `each` reads the parts of the strip.
     """
     settings, sigma = scene.settings, scene.sigma_installation_rad
-    pictures = _coarse_pictures(scene, plan)
+    pictures = _coarse_pictures(scene, plan, each)
     templates = {n: _template(scene, plan, n) for n in sorted({w.target for w in plan.windows})}
     texture = {n: float(np.sum(template.search.own**2)) for n, template in templates.items()}
     order = sorted(texture, key=lambda n: -texture[n])
@@ -84,14 +87,17 @@ def search_common_rotation(scene: Scene, plan: SearchPlan) -> Vote:
     return outcome
 
 
-def _coarse_pictures(scene: Scene, plan: SearchPlan) -> dict[tuple[int, int], _Picture]:
+def _coarse_pictures(scene: Scene, plan: SearchPlan, each: Each) -> dict[tuple[int, int], _Picture]:
     """The searched parts of the CCDs, each read once, by target and CCD."""
-    read: dict[Box, _Picture] = {}
     boxes = extents(scene.strip, plan.windows, max(plan.sides_px.values()))
-    for ccd, lines, samples in dict.fromkeys(boxes):
-        coarse = read_coarse(scene.strip, ccd, lines, samples, plan.factor, scene.settings)
-        read[ccd, lines, samples] = _Picture(search_picture(coarse.image), coarse.origin_px)
+    parts = list(dict.fromkeys(boxes))
+    read = dict(zip(parts, each(partial(_picture, scene.strip, plan.factor, scene.settings), parts)))
     return {(w.target, w.ccd): read[box] for w, box in zip(plan.windows, boxes)}
+
+
+def _picture(strip: StripImage, factor: int, settings: MatchSettings, box: Box) -> _Picture:
+    coarse = read_coarse(strip, *box, factor, settings)
+    return _Picture(search_picture(coarse.image), coarse.origin_px)
 
 
 def _template(scene: Scene, plan: SearchPlan, target: int) -> _Template:

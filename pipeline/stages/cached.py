@@ -45,12 +45,13 @@ class StageRunner:
     progress: Progress = lambda stage, done, total: None
 
     def run(
-        self, stage: Callable[[Any], Any], tasks: Sequence[Task], *, folder: str
+        self, stage: Callable[..., Any], tasks: Sequence[Task], *, folder: str, in_parts: bool = False
     ) -> tuple[list[Any], list[bool]]:
         """Outcomes of the function `stage` in the order of its tasks, and which had to be computed.
 
         An outcome is of a type that `stage` is declared to return, `Omission` among them: this is also what
-        an unforeseen error becomes. `folder` is that of the entries in the store.
+        an unforeseen error becomes. `folder` is that of the entries in the store. With `in_parts` the stage
+        gets, after its task, an executor for parts of it: fewer tasks than processes are divided.
         """
 
         def ended(n: int, unit: tuple[Any, bool]) -> None:
@@ -58,7 +59,8 @@ class StageRunner:
             self.progress(folder, n, len(tasks))
 
         self.progress(folder, 0, len(tasks))
-        done = self.executor.map(Cached(stage, self.store, folder), tasks, ended)
+        more = (self.executor.share(len(tasks)),) if in_parts else ()
+        done = self.executor.map(Cached(stage, self.store, folder, more), tasks, ended)
         return [outcome for outcome, _ in done], [computed for _, computed in done]
 
 
@@ -66,9 +68,10 @@ class StageRunner:
 class Cached:
     """A stage with a store around it: returns the outcome, and whether it was computed now."""
 
-    stage: Callable[[Any], Any]
+    stage: Callable[..., Any]
     store: UnitStore | None
     folder: str
+    more: tuple[Executor, ...] = ()  # arguments after the task, on which no outcome depends
 
     def __call__(self, task: Task) -> tuple[Any, bool]:
         if self.store is None:
@@ -84,7 +87,7 @@ class Cached:
 
     def _computed(self, task: Task) -> Any:
         try:
-            return self.stage(task)
+            return self.stage(task, *self.more)
         except UNFORESEEN as error:
             what = f"{type(error).__name__}: {str(error)[:300]}"
             reason = f"internal error in {self.stage.__name__}: {what}; please report"

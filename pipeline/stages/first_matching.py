@@ -26,7 +26,7 @@ def match_strips(
     tasks: Sequence[StripTask], runner: StageRunner, folder: str
 ) -> tuple[list[MatchedTargets], list[bool]]:
     """Targets matched in strips, and which strips were computed now."""
-    outcomes, flags = runner.run(match_targets, tasks, folder=folder)
+    outcomes, flags = runner.run(match_targets, tasks, folder=folder, in_parts=True)
     return [
         with_points(no_matches(one) if isinstance(one, Omission) else one, task.points)
         for task, one in zip(tasks, outcomes)

@@ -33,6 +33,7 @@ from boresight.pipeline.files.dump import ChipFile, Dump, Strip, TargetHeights, 
 from boresight.pipeline.files.ground_points import NO_POINTS, StripPoints
 from boresight.pipeline.files.image_files import read_grid
 from boresight.pipeline.stages.match_pictures import NO_PICTURES, MatchPictures, match_pictures
+from boresight.pipeline.work.executor import Executor, InOrder
 
 __all__ = [
     "MatchedTargets",
@@ -53,6 +54,7 @@ __all__ = [
 ]
 
 MAX_CHIP_PIXELS = 4096 * 4096
+IN_ORDER = InOrder()
 
 
 @record(kw_only=True)
@@ -110,9 +112,12 @@ def pushbroom_of(task: StripTask) -> Pushbroom:
     )
 
 
-def match_targets(task: StripTask) -> MatchedTargets | Omission:
-    """Positions of the targets of one strip; none and an omission where an image of the strip is damaged."""
-    result, omitted = strip_matches(task) if task.targets else (None, [])
+def match_targets(task: StripTask, parts: Executor = IN_ORDER) -> MatchedTargets | Omission:
+    """Positions of the targets of one strip; none and an omission where an image of the strip is damaged.
+
+    `parts` reads the images of a wide search.
+    """
+    result, omitted = strip_matches(task, parts) if task.targets else (None, [])
     if result is None:
         return _matched(task.strip.strip_id, (), omitted)
     rejected = [_omission(task, refusal) for refusal in result.refused if not refusal.is_out_of_view]
@@ -167,7 +172,7 @@ def _matched(strip_id: str, matches: Sequence[TargetMatch], omissions: Sequence[
     )
 
 
-def strip_matches(task: StripTask) -> tuple[StripMatches | None, list[Omission]]:
+def strip_matches(task: StripTask, parts: Executor = IN_ORDER) -> tuple[StripMatches | None, list[Omission]]:
     """Outcome of the matcher for one strip (None if its images are damaged), and unreadable files."""
     chips, targets, omitted = [], [], []
     for target, file in zip(task.targets, task.chips):
@@ -185,6 +190,7 @@ def strip_matches(task: StripTask) -> tuple[StripMatches | None, list[Omission]]
             surface_of(task.terrain),
             task.sigma_installation_rad,
             task.settings,
+            each=lambda function, items: parts.map(function, items, lambda n, outcome: None),
         )
     except RawDataError as error:
         omitted.append(Omission("strip", task.strip.strip_id, error.file, str(error)))

@@ -21,6 +21,7 @@ from boresight.pipeline.errors import WorkerError
 from boresight.pipeline.files.content import content_digest
 from boresight.pipeline.files.object_store import dump_folder
 from boresight.pipeline.work.digests import library_versions, program
+from boresight.pipeline.work.executor import InOrder
 
 __all__ = ["Fingerprint", "OnCluster", "UnfitWorkerError", "fingerprint", "on_cluster"]
 
@@ -116,6 +117,10 @@ class OnCluster:
             with suppress(Exception):  # of a scheduler that is gone
                 self.client.cancel(list(run.running), force=True)
         return [run.outcomes[n] for n in range(len(items))]
+
+    def share(self, count: int) -> InOrder:
+        """The worker's own process."""
+        return InOrder()
 
 
 class _Run:

@@ -20,6 +20,9 @@ class Executor(Protocol):
     ) -> list[Outcome]:
         """Outcomes in the order of the items; calls `done(n, outcome)` as each ends, n of them finished."""
 
+    def share(self, count: int) -> Executor:
+        """What each of `count` items has for its own parts, where it is computed."""
+
 
 @dataclass(frozen=True, slots=True)
 class InOrder:
@@ -34,3 +37,7 @@ class InOrder:
             outcomes.append(function(item))
             done(n + 1, outcomes[-1])
         return outcomes
+
+    def share(self, count: int) -> InOrder:
+        """This process."""
+        return self

@@ -21,6 +21,7 @@ from multiprocessing.context import ForkContext, SpawnContext
 from typing import Any, TypeVar
 
 from boresight.pipeline.errors import WorkerError
+from boresight.pipeline.work.executor import InOrder
 
 __all__ = ["Processes"]
 
@@ -87,14 +88,18 @@ class Processes:
                 process.stop()
         return [outcomes[n] for n in range(len(items))]
 
+    def share(self, count: int) -> Processes | InOrder:
+        """An equal share of the processes; the item's own process where that is one or none."""
+        return Processes(self.count // count) if 0 < 2 * count <= self.count else InOrder()
+
 
 class _Process:
-    """A process that computes one unit after another, and the pipe to it."""
+    """A process that computes one unit after another, and the pipe to it. No daemon: it may start others."""
 
     def __init__(self, function: Callable[[Any], Any], items: Sequence[Any]) -> None:
         self.pipe, other_end = multiprocessing.Pipe()
         ends = other_end, self.pipe
-        self.process = START.Process(target=_serve, args=(*ends, function, items), daemon=True)
+        self.process = START.Process(target=_serve, args=(*ends, function, items))
         self.process.start()
         other_end.close()
         self.unit = -1

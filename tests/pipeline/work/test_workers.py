@@ -130,6 +130,23 @@ def test_unit_that_kills_every_process_is_named() -> None:
         executor.map(deadly, [0, 1, 2], lambda n, outcome: None)
 
 
+def test_units_fewer_than_processes_have_their_parts_done_by_the_others() -> None:
+    def done_by(part: int) -> tuple[int, int]:
+        time.sleep(0.05)  # or one process does them all
+        return part, os.getpid()
+
+    def unit(number: int) -> tuple[int, list[tuple[int, int]]]:
+        return os.getpid(), parts.map(done_by, range(6), lambda n, outcome: None)
+
+    with executor_for(4, None, 0) as executor:
+        for units, processes in ((1, 4), (2, 2), (3, 1), (5, 1)):
+            parts = executor.share(units)
+            for own, outcome in executor.map(unit, range(units), lambda n, outcome: None):
+                assert [part for part, _ in outcome] == list(range(6))
+                assert len({process for _, process in outcome}) == processes
+                assert all((process == own) == (processes == 1) for _, process in outcome)
+
+
 def test_error_of_a_unit_is_told_by_the_first_process_with_the_place_where_it_arose() -> None:
     def full(number: int) -> int:
         raise OSError(errno.ENOSPC, "no space left", f"unit {number}")
