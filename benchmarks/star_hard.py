@@ -15,7 +15,8 @@ row shows another part of the sky. `unknown` is the image alone, `given` the tru
                outside 0.7 to 1.4 (fewer than some 75 squares), the verdict is that range times their scatter
     CPU        ms a frame for an image alone, detection to fit
 
-With --keep rows that an earlier call of the same commit, frames and seed has measured are not measured again.
+With --keep rows that an earlier call of the same commit and seed has measured with as many frames or more are
+not measured again; a line tells those of more.
 
 Peers (the extra `peers`; seiza is not among them: it identifies no stars without data of its own to be
 downloaded) run in an interpreter of their own and know the field of view to 10 %.
@@ -162,7 +163,9 @@ def main() -> None:
                         kept = asdict(score) | {"name": row.name, "key": _key(arguments)}
                         file.write(json.dumps(kept, default=np.ndarray.tolist) + "\n")
             _print(row, score, names)
-            _verdicts(row, score, names, arguments.frames)
+            if len(score.cpu_ms) > arguments.frames:
+                print(f"       {row.name}: {len(score.cpu_ms)} frames")
+            _verdicts(row, score, names)
             for name, nees in score.nees.items():
                 whole[name].extend(nees)
     for name, nees in whole.items():
@@ -178,15 +181,15 @@ def _key(arguments: argparse.Namespace) -> list[object]:
 
 
 def _kept(arguments: argparse.Namespace) -> dict[str, Score]:
-    """Rows of the same table that an earlier call has measured, by name."""
+    """Rows that earlier calls have measured with as many frames or more, by name: of each that of most."""
     if not arguments.keep or not arguments.keep.exists():
         return {}
-    found = {}
-    for score in map(json.loads, arguments.keep.read_text().splitlines()):
-        key, name = score.pop("key"), score.pop("name")
-        if key == _key(arguments):
-            found[name] = Score(**score)
-    return found
+    of, _, *other = _key(arguments)
+    lines = [json.loads(line) for line in arguments.keep.read_text().splitlines()]
+    lines = [line for line in lines if line["key"][:1] + line["key"][2:] == [of, *other]]
+    lines = sorted(lines, key=lambda line: line["key"][1])
+    more = [line for line in lines if line.pop("key")[1] >= arguments.frames]
+    return {line.pop("name"): Score(**line) for line in more}
 
 
 def _camera(row: Row, rng: np.random.Generator) -> StarCamera:
@@ -376,7 +379,7 @@ def _print(row: Row, score: Score, names: list[str]) -> None:
     print(text, flush=True)
 
 
-def _verdicts(row: Row, score: Score, names: list[str], frames: int) -> None:
+def _verdicts(row: Row, score: Score, names: list[str]) -> None:
     if row.starless:
         if score.right["unknown"] + score.wrong["unknown"] + score.wrong["given"]:
             verdict(f"{row.name}: identified though there is no star", False)
@@ -390,7 +393,7 @@ def _verdicts(row: Row, score: Score, names: list[str], frames: int) -> None:
         verdict(f"{row.name}: identified as often as by any peer, {best}", score.right["unknown"] >= best)
     verdict(f"{row.name}: a known camera is no worse", score.right["given"] >= score.right["unknown"])
     if score.stars:
-        complete, false = score.seen / score.stars, score.false / frames
+        complete, false = score.seen / score.stars, score.false / len(score.cpu_ms)
         over = float(np.sqrt(_robust_mean(score.over)))
         verdict(f"{row.name}: complete {complete:.3f}, at least {row.complete}", complete >= row.complete)
         verdict(f"{row.name}: {false:.1f} false a frame, at most 2", false <= 2.0)
