@@ -135,7 +135,8 @@ def _judge(title: str, sets: list[_Set]) -> None:
     spread = float(np.sqrt(sum(one.luck * (1.0 - one.luck) for one in sets)))
     print(
         f"largest error: median {np.median(largest):.4f} px, at most 0.03 px in {within} of {len(sets)} sets;"
-        f" of estimates at the bound in {chance:.1f} +- {spread:.1f}"
+        f" of estimates at the bound in {chance:.1f} +- {spread:.1f},"
+        f" in all with a probability of {np.prod([one.luck for one in sets]):.2f}"
     )
     verdict(f"nowhere in any set 0.03 px ({max(largest):.4f})", max(largest) <= LIMIT_PX)
 
