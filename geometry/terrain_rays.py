@@ -37,6 +37,7 @@ _BAND = 64 * _TILE  # rows per block in `bounds_of_heights`
 _MARGIN_M = 1e-4  # added to the bounds of tiles
 _CONVERGED_M = 1e-7
 _REFINEMENTS = 60
+_FEWER = 0.9  # of the rays: to take the others out costs less than to refine them once more
 _UNKNOWN_RISE_M = 1e9  # at pixels without data and outside the grid
 _SAFETY = 0.8  # on a long path height decreases a few per cent more slowly at the end
 
@@ -139,7 +140,7 @@ def bilinear(heights: NDArray[np.float32], column: Array, row: Array) -> Array:
 
 def _between(values: NDArray[np.float32], at: NDArray[np.int64], share: Array) -> Array:
     """Values (N,) at indices `at` (N,) plus `share` (N,)."""
-    first, value = (part.take(at).astype(np.float64) for part in (values, values[1:]))
+    first, value = (part.take(at, mode="clip").astype(np.float64) for part in (values, values[1:]))
     value -= first
     value *= share
     value += first
@@ -229,20 +230,25 @@ def _possible_interval(
         column, row = curve.at(0.5 * (start + stop), slice(2))
         at = _tile_index(row, size, low.shape[0]) * low.shape[1] + _tile_index(column, size, low.shape[1])
         lowest, highest = low.ravel().take(at), high.ravel().take(at)
-        rise = np.where(near, bounds.rise_m[k].ravel().take(at), rise)
+        rise = _where(near, bounds.rise_m[k].ravel().take(at), rise)
         empty = near & (highest < lowest)  # no data anywhere near
         near &= ~empty
-        begin = curve.share_at_height(np.where(near, highest + _MARGIN_M, 0.0), fall)
-        end = curve.share_at_height(np.where(near, lowest - _MARGIN_M, 0.0), fall)
-        start = np.where(near, np.maximum(start, begin), start)
-        stop = np.where(near, np.minimum(stop, end), stop)
+        begin = curve.share_at_height(_where(near, highest + _MARGIN_M, 0.0), fall)
+        end = curve.share_at_height(_where(near, lowest - _MARGIN_M, 0.0), fall)
+        start = _where(near, np.maximum(start, begin), start)
+        stop = _where(near, np.minimum(stop, end), stop)
         start[empty], stop[empty] = 1.0, 0.0
     return start, stop, rise
 
 
+def _where(chosen: NDArray[np.bool_], value: Array, other: Array | float) -> Array:
+    """As `np.where`, without a copy where all are chosen, which is usual."""
+    return value if chosen.all() else np.where(chosen, value, other)
+
+
 def _tile_index(pixel: Array, size: int, count: int) -> NDArray[np.int64]:
-    inside = np.clip(pixel * (1.0 / size), -2.0, count - 3.0)
-    return np.floor(np.nan_to_num(inside, nan=-2.0)).astype(np.int64) + 2
+    inside = np.fmin(np.fmax(pixel * (1.0 / size), -2.0), count - 3.0)  # -2 for NaN
+    return np.floor(inside).astype(np.int64) + 2
 
 
 def _tiles(values: Array, size: int, fill: float) -> Array:
@@ -295,11 +301,14 @@ def _refined(clearance: Clearance, left: Array, right: Array, above: Array, belo
             break
         c = b - fb * (b - a) / (fb - fa) if iteration % 8 != 7 else 0.5 * (a + b)
         fc = here.above_ground(c)
-        root[active] = np.where(np.isfinite(fc), c, np.nan)
+        root[active] = _where(np.isfinite(fc), c, np.nan)
         other_side, less = fc * fb < 0.0, 1.0 - fc / fb
         a, fa = np.where(other_side, b, a), np.where(other_side, fb, np.where(less > 0.0, less, 0.5) * fa)
         b, fb = c, fc
-        more: NDArray[np.int64] = np.flatnonzero(np.abs(fc) > _CONVERGED_M)
-        if len(more) < len(active):
+        going_on = np.abs(fc) > _CONVERGED_M
+        more: NDArray[np.int64] = np.flatnonzero(going_on)
+        if len(more) < _FEWER * len(active):
             active, a, b, fa, fb, here = active[more], a[more], b[more], fa[more], fb[more], here.of(more)
+        elif len(more) < len(active):  # the others stay where they are: the next point is b again
+            a, fa, fb = np.where(going_on, a, b), np.where(going_on, fa, 1.0), np.where(going_on, fb, -1.0)
     return root
