@@ -3,8 +3,9 @@
 The residual of a look vector along x and y of frame c is a random curve with variance one (times
 `sigma_distortion_rad` squared) and Matérn's 3/2 correlation over `length_px`: of the angle across the field,
 as the optics make it, over all CCDs; or, where the angle of a pixel is not given, of the sample number, one
-for each CCD. The curve is held by its values at knots half a length apart, straight lines between them; what
-straight lines miss of the variance is noise of each target.
+for each CCD. The area under the correlation is that of exp(-d²/2) of a distance of d lengths: it decides how
+much of the curve remains in the mean over a field. The curve is held by its values at knots half a length
+apart, straight lines between them; what straight lines miss of the variance is noise of each target.
 """
 
 from __future__ import annotations
@@ -60,7 +61,8 @@ def knot_weights(curve: Index, place: Array, knots: tuple[Knot, ...], length_px:
 def correlation(knots: tuple[Knot, ...]) -> Array:
     """Prior correlation (K, K) of the values at knots: Matérn 3/2 within a curve, none between curves."""
     table = np.array(knots, dtype=float).reshape(-1, 2)
-    distance = np.sqrt(3.0) * 0.5 * np.abs(table[:, None, 1] - table[None, :, 1])
+    lengths = 0.5 * np.abs(table[:, None, 1] - table[None, :, 1])
+    distance = 4.0 / np.sqrt(2.0 * np.pi) * lengths  # area under (1 + d) exp(-d): 4 on both sides
     return (1.0 + distance) * np.exp(-distance) * (table[:, None, 0] == table[None, :, 0])
 
 

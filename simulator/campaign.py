@@ -267,9 +267,10 @@ class DistortionCurve:
     @classmethod
     def draw(cls, plan: StripPlan, cameras: CameraPair, rng: np.random.Generator) -> DistortionCurve:
         """The curve of the field, or those of the CCDs, drawn at random."""
-        # Matérn 3/2 has the spectral density of Student's t with 3 degrees of freedom over sqrt(3) / length.
+        # Matérn 3/2, (1 + a d) exp(-a d), has the spectral density of Student's t with 3 degrees of freedom
+        # times a / sqrt(3), and with the area of exp(-d² / (2 length²)) a = 4 / (sqrt(2 pi) length).
         shape = (2, 1 if plan.distortion_pixel_rad else cameras.n_ccds, 200)
-        wave = rng.standard_t(3, shape) / plan.distortion_length_px
+        wave = 4.0 / np.sqrt(6.0 * np.pi) * rng.standard_t(3, shape) / plan.distortion_length_px
         return cls(wave, rng.uniform(0, 2 * np.pi, shape), plan.sigma_distortion_rad, cameras.ccd_px)
 
     def at(self, ccd: NDArray[np.int64], sample: Array) -> Array:

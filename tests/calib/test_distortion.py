@@ -91,8 +91,8 @@ def test_one_curve_over_all_ccds_shifts_the_whole_field_as_much_as_a_lens_does()
             np.mean([t.distortion_offsets_m - c.distortion_offsets_m for t, c in zip(true.ccds, camera.ccds)])
         )
     shift_px = np.sqrt(np.mean(np.square(shifts))) / (settings.pixel_um * 1e-6)
-    # 3 standard errors of 400 draws; the simulated curve is smoother than the prior's: 4 % more in the mean.
-    assert 0.93 < shift_px / sigma_of_mean(camera.pixel_rad) < 1.15
+    # 3 standard errors of 400 draws, 0.106, beside 1.005: the areas under both correlations are the same.
+    assert 0.90 < shift_px / sigma_of_mean(camera.pixel_rad) < 1.11
     assert sigma_of_mean(camera.pixel_rad) > 1.1 * sigma_of_mean(0.0)  # curves of each CCD average away
 
 
