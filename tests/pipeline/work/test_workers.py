@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import errno
+import mmap
 import os
+import platform
 import shutil
 import signal
 import subprocess
@@ -170,6 +172,19 @@ def test_processes_share_the_units_and_are_gone_afterwards() -> None:
     for process in workers:
         with pytest.raises(ProcessLookupError):
             os.kill(process, 0)
+
+
+@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="others keep no freed memory below used")
+def test_freed_memory_is_no_part_of_processes() -> None:
+    def resident_mib(pid: int) -> float:
+        return int(Path(f"/proc/{pid}/statm").read_text().split()[1]) * mmap.PAGESIZE / 2**20
+
+    blocks = [os.urandom(60_000) for _ in range(2000)]  # 114 MiB, none given back by itself
+    kept, before = blocks[::50], resident_mib(os.getpid())
+    del blocks
+    with executor_for(2, None, 0) as executor:
+        own = executor.map(lambda unit: resident_mib(os.getpid()), [0, 1], lambda n, outcome: None)
+    assert max(resident_mib(os.getpid()), *own) < before - 100.0, len(kept)
 
 
 def test_workers_of_a_killed_run_end_by_themselves(tmp_path: Path) -> None:
