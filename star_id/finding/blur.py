@@ -27,7 +27,10 @@ __all__ = ["explains_better", "find_coma", "find_trail"]
 
 _GROWTH = 1.05  # of the widths from the centre to the corners: less is no matter
 _LENGTH2 = 27.0  # squared length of a fan over half the trace of its second moments
-_WINGS = 0.3  # to begin with, of a PSF whose halves have variances 30 % larger and smaller
+_PEAKED = 1.09  # to begin with: fourth moment over a Gaussian's, 1 + wings^2
+_BOUNDS = ([0.0, -np.inf, 1.0], [np.inf, np.inf, 1.8])
+_UNSURE = 0.1  # of a width
+_STEP = 0.02  # of a parameter, for derivatives
 _FEWEST = 12
 _LONGEST_PX = 24.0
 _STEPS = 3
@@ -57,27 +60,31 @@ def find_coma(
     start = windows.offsets(xy_px)
 
     def growing(theta: Floats) -> Psf:
-        (centre, corner), wings = np.exp(theta[:2]), abs(np.tanh(theta[2]))
-        return replace(psf, sigma_px=float(centre), sigma_corner_px=float(corner), wings=float(wings))
+        wings = float(np.sqrt(theta[2] - 1.0))
+        return replace(psf, sigma_px=float(theta[0]), sigma_corner_px=float(theta[1]), wings=wings)
 
     def comatic(theta: Floats) -> Psf:
         return replace(growing(theta[[0, 0, 2]]), coma_px=float(theta[1]))
 
-    tries = [np.array([np.log(psf.sigma_px), sign * length, _WINGS]) for sign in (1.0, -1.0)]
+    tries = [np.array([psf.sigma_px, sign * length, _PEAKED]) for sign in (1.0, -1.0)]
     best = min(tries, key=lambda theta: _chi2(windows, start, comatic(theta)))
-    theta, covariance = _refined(windows, start, comatic, best, np.array([0.1, length, _WINGS]), _UNLIKE)
+    scale = np.array([_UNSURE * psf.sigma_px, length, _PEAKED - 1.0])
+    theta, covariance = _refined(windows, start, comatic, best, scale, _UNLIKE, _BOUNDS)
     found = comatic(theta)
     if not _is_better(windows, start, found, psf, _UNLIKE):
         return None
-    widths = np.array([np.log(psf.sigma_px), np.log(psf.sigma_corner_px), _WINGS])
-    grown = growing(_refined(windows, start, growing, widths, np.array([0.1, 0.1, _WINGS]), _UNLIKE)[0])
+    widths = np.array([psf.sigma_px, psf.sigma_corner_px, _PEAKED])
+    grown = growing(_refined(windows, start, growing, widths, scale[[0, 0, 2]], _UNLIKE, _BOUNDS)[0])
     if not _is_better(windows, start, found, grown, _UNLIKE):
         return None
-    longer = comatic(theta + covariance[1] / np.sqrt(covariance[1, 1]))
-    there, here = (_fitted(windows, start, each, _UNLIKE)[1][:, :2] for each in (longer, found))
-    outwards = xy_px - found.middle_px
-    scale = float((outwards * (there - here)).sum() / (outwards**2).sum())
-    return replace(found, scale_sigma=abs(scale)), _gain(windows, start, found)
+    gain, outwards = _gain(windows, start, found), xy_px - found.middle_px
+
+    def places(theta: Floats) -> Floats:
+        return _fitted(windows, start, comatic(theta), gain=gain)[1][:, :2]
+
+    moved = [(places(theta + step) - places(theta)) / step.sum() for step in np.diag(_STEP * theta)]
+    slope = np.array([(outwards * each).sum() for each in moved]) / (outwards**2).sum()
+    return replace(found, scale_sigma=float(np.sqrt(slope @ covariance @ slope))), gain
 
 
 def explains_better(
@@ -145,6 +152,7 @@ def _refined(
     theta: Floats,
     scale: Floats,
     unlike: float = 0.0,
+    bounds: tuple[float | list[float], float | list[float]] = (-np.inf, np.inf),
 ) -> tuple[Floats, Floats]:
     """Parameters (P,) of the PSF that explains the windows best, from `theta` on, which change by some
     `scale`, and their covariance (P, P) by the scatter of single stars' parts in it."""
@@ -153,7 +161,7 @@ def _refined(
     def residuals(theta: Floats) -> Floats:
         return _fitted(windows, start, psf_of(theta), unlike)[0]
 
-    fit = least_squares(residuals, theta, diff_step=0.02, max_nfev=8, x_scale=scale)
+    fit = least_squares(residuals, theta, diff_step=_STEP, max_nfev=8, x_scale=scale, bounds=bounds)
     parts = (fit.jac * fit.fun[:, None]).reshape(len(start), -1, len(theta)).sum(axis=1)
     inverse = np.linalg.pinv(fit.jac.T @ fit.jac)
     return fit.x, inverse @ (parts.T @ parts) @ inverse
@@ -193,7 +201,7 @@ def _gain(windows: StarWindows, start: Floats, psf: Psf) -> float:
 
 
 def _fitted(
-    windows: StarWindows, start: Floats, psf: Psf, unlike: float = 0.0
+    windows: StarWindows, start: Floats, psf: Psf, unlike: float = 0.0, gain: float = np.inf
 ) -> tuple[Floats, Floats, PsfImages]:
     """Residuals over the noise, all in one row, states (N, 4) and unit images (N, M) of the stars with a PSF
     that their images differ from by `unlike` of the light in a pixel."""
@@ -208,7 +216,7 @@ def _fitted(
         if unlike:
             light2 = (images.value * state[:, 2:3]) ** 2 / windows.noise2[:, None]
             weighted = replace(windows, good=(windows.good / (1.0 + unlike**2 * light2)).astype(np.float32))
-        step, _, residual, weight = newton_step(weighted, images, state, np.inf)
+        step, _, residual, weight = newton_step(weighted, images, state, gain)
         state = state + np.column_stack([np.clip(step[:, :2], -0.8, 0.8), step[:, 2:]])
         offset = state[:, :2]
     off: Floats = np.asarray((residual * np.sqrt(weight)).ravel(), dtype=float)

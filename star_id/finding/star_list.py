@@ -175,14 +175,14 @@ def _find_stars(
     if shaped is None:
         return trailed or stars
     others = _measured(image, shaped, background, settings, saturation)
-    if trailed:  # detected by the smear of second moments, or by the mean image: where more are found
-        again = _with_blur(find_trail, image, shaped, others, settings) or trailed
-        return max(trailed, again, key=lambda found: len(found.xy_px))
+    by_image = _with_blur(find_trail, image, shaped, others, settings)
+    if trails := [found for found in (trailed, by_image) if found]:
+        return max(trails, key=lambda found: len(found.xy_px))  # where more are found
     if others.misshapen >= _FEWER_MISSHAPEN * stars.misshapen or len(others.xy_px) <= 0.7 * len(stars.xy_px):
         return stars
     bright = others.xy_px[~others.saturated & ~others.blended][:_STARS_FOR_BLUR]
     if explains_better(image, bright, background, others.psf, stars.psf, saturation_dn=saturation):
-        return _with_blur(find_trail, image, shaped, others, settings) or others
+        return others
     return stars.take(
         cKDTree(others.xy_px).query(stars.xy_px)[0] < _SAME_PX
     )  # the rest is like what is no star
