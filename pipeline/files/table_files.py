@@ -91,7 +91,7 @@ def fixed_list(values: np.ndarray) -> pa.Array:
 def list_values(table: pa.Table, name: str, *shape: int) -> np.ndarray:
     """A column written by `fixed_list` as an array (N, *shape)."""
     flat = table.column(name).combine_chunks()
-    values = _values(flat.flatten()) if len(table) else np.zeros(0)
+    values = _values(flat.values) if len(table) else np.zeros(0)
     return values.astype(float).reshape(len(table), *shape)
 
 

@@ -24,7 +24,6 @@ from typing import Any, get_type_hints
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.compute
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
@@ -339,7 +338,7 @@ def _matches(calibration: Calibration) -> pa.Table:
     ]
     every = pa.concat_tables(tables).select(names)
     pictured = [len(picture) > 0 for picture in every.column("template_png").to_pylist()]
-    return every.filter(arrow_array(pictured, pa.bool_()))
+    return every if all(pictured) else every.filter(arrow_array(pictured, pa.bool_()))
 
 
 def _preview(dump: Dump, calibration: Calibration, settings: Settings) -> StarPreview | None:
