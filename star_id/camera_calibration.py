@@ -26,7 +26,7 @@ from boresight.star_id.field import FieldSolution, solve_stars
 from boresight.star_id.finding.star_list import StarList
 from boresight.star_id.identification.identify import NotIdentified
 from boresight.star_id.identification.triangle_index import StarIndex
-from boresight.star_id.lens_model import choose_lens, unmodelled_px
+from boresight.star_id.lens_model import LensModel, choose_lens, unmodelled_px
 from boresight.star_id.observer import (
     ABERRATION_SCALE,
     Observer,
@@ -48,6 +48,7 @@ __all__ = [
 
 LARGEST_UNMODELLED_PX = 0.01  # more, and errors near sharp structure exceed twice what is stated
 _ROUNDS = 3
+_ROUGHLY = 1.5  # reduced chi2 up to which Brown's model will do to identify stars
 _DRAWN_MAPS = 2000  # 95 % of them: good to 0.5 %
 
 
@@ -162,7 +163,7 @@ def calibrate_camera(
         fitted to them. A lens that no model explains has `explained` false: its errors may be larger than
         stated, and its residuals show where.
     """
-    camera, known = nominal, False
+    camera, known, before = nominal, False, None
     for _ in range(_ROUNDS):
         identified, refused = _identify_frames(frames, camera, index, settings, known=known)
         stars = sum(len(solution.hip) for _, solution in identified)
@@ -170,11 +171,22 @@ def calibrate_camera(
             reasons = "; ".join(reason for _, reason in refused[:3])
             found = f"{stars} stars identified in {len(identified)} of {len(frames)} images"
             return NotIdentified(f"{found}, 20 are needed: {reasons}", stars)
+        names = [(k, solution.detections.tolist(), solution.rows.tolist()) for k, solution in identified]
+        if names == before:  # the camera would be the same
+            break
+        used = _reliable(frames, identified, camera, index, settings)
+        start = _with_identified_focal(camera, identified)
+        rotations = Rotation.concatenate([solution.R_si for _, solution in identified])
         try:
-            result = _adjusted(frames, identified, camera, index, settings, drift=drift)
+            rough = None if known else fit_camera(used, start, rotations)
+            if rough and rough.variance_factor < _ROUGHLY:
+                camera, known = rough.camera, True
+                continue
+            lens = choose_lens(used, start, rotations)
         except np.linalg.LinAlgError:  # fisheye lenses of 70 deg and more
             return NotIdentified(f"{stars} stars identified, but no lens model can be fitted to them", stars)
-        camera, known = result.camera, True
+        camera, before, known = lens.camera, names if known else None, True
+    result = _calibration(frames, identified, used, lens, settings, drift=drift)
     return replace(result, frames_refused=tuple(refused))
 
 
@@ -219,17 +231,15 @@ def _identify_frames(
     return identified, refused
 
 
-def _adjusted(
+def _reliable(
     frames: Sequence[SkyFrame],
     identified: list[tuple[int, FieldSolution]],
     camera: StarCamera,
     index: StarIndex,
     settings: StarSettings,
-    *,
-    drift: bool,
-) -> CameraCalibration:
-    """Calibration from all reliable identified stars."""
-    xy, cov, u_i, frame, times, rotations = [], [], [], [], [], []
+) -> IdentifiedStars:
+    """The reliable ones of the identified stars."""
+    xy, cov, u_i, frame, times = [], [], [], [], []
     for number, (k, solution) in enumerate(identified):
         stars, rows = frames[k].stars, solution.rows
         reliable = select_for_calibration(stars.centroids, solution.detections, rows, camera, index, settings)
@@ -241,17 +251,29 @@ def _adjusted(
         u_i.append(star_directions(index, rows[reliable], observer))
         frame.append(np.full(int(reliable.sum()), number))
         times.append(0.0 if observer is None else observer.tai_s)
-        rotations.append(solution.R_si)
-    used = IdentifiedStars(
+    return IdentifiedStars(
         np.vstack(xy), np.concatenate(cov), np.vstack(u_i), np.concatenate(frame), np.array(times)
     )
-    lens = choose_lens(used, _with_identified_focal(camera, identified), Rotation.concatenate(rotations))
+
+
+def _calibration(
+    frames: Sequence[SkyFrame],
+    identified: list[tuple[int, FieldSolution]],
+    used: IdentifiedStars,
+    lens: LensModel,
+    settings: StarSettings,
+    *,
+    drift: bool,
+) -> CameraCalibration:
+    """The calibration by a lens model of the reliable identified stars."""
     fit = lens.fit
     if drift:
         fit = fit_camera(used, lens.camera, fit.rotations, (*lens.fitted, DRIFT))
     keep = fit.keep
     sigma = np.sqrt(0.5 * np.trace(used.cov_px[keep], axis1=1, axis2=2))
-    left = unmodelled_px(used.xy_px[keep], fit.residual_px[keep], sigma, used.frame[keep], camera.width_px)
+    left = unmodelled_px(
+        used.xy_px[keep], fit.residual_px[keep], sigma, used.frame[keep], fit.camera.width_px
+    )
     covariance = lens.covariance.copy()
     if settings.epoch_error_years:  # images without time: each has another aberration, unknown
         timeless = sum(frames[k].observer is None for k, _ in identified)

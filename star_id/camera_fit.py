@@ -159,8 +159,10 @@ def smooth_derivatives(camera: StarCamera, xy_px: Floats, degree: int) -> Floats
     """Displacements (N, 2, C) of pixels (N, 2) by each coefficient of a smooth distortion: those of the
     columns, then those of the rows."""
     terms = legendre_terms(xy_px, camera.width_px, camera.height_px, degree)
-    zero = np.zeros_like(terms)
-    return np.stack([np.hstack([terms, zero]), np.hstack([zero, terms])], axis=1)
+    (n, count), axis = terms.shape, np.arange(2)
+    by_axis = np.zeros((n, 2, 2, count))
+    by_axis[:, axis, axis] = terms[:, None]
+    return by_axis.reshape(n, 2, 2 * count)
 
 
 def detector_grid(camera: StarCamera) -> Floats:

@@ -177,11 +177,23 @@ def _without_gross(stars: IdentifiedStars, plain: CameraFit) -> Bools:
 class _Solved:
     """Posterior with one size of the smooth distortion."""
 
-    mean: Floats = array("P", "of parameters and coefficients, from the start")
-    covariance: Floats = array("P, P", "with unit noise scale")
+    mean: Floats = array("P", "of F parameters and C coefficients, from the start")
+    lower: Floats = array("P, P", "Cholesky factor of the normal matrix, its diagonal scaled to 1")
+    unit: Floats = array("P", "of each unknown, by that scale")
+    smooth: Floats = array("C", "prior precision of the coefficients")
     scale: float = scalar("reduced chi2")
     log_evidence: float = scalar("of the noise's scale marginalised")
-    used: float = scalar("degrees of freedom of the coefficients")
+
+    @property
+    def covariance(self) -> Floats:
+        """(P, P) with unit noise scale."""
+        return cho_solve((self.lower, True), np.eye(len(self.unit))) * self.unit[:, None] * self.unit
+
+    @property
+    def used(self) -> float:
+        """Degrees of freedom of the coefficients."""
+        own = np.diag(self.covariance)[len(self.unit) - len(self.smooth) :]
+        return len(self.smooth) - float(self.smooth @ own)
 
 
 @record(kw_only=True)
@@ -239,17 +251,16 @@ class _System:
         unit = 1.0 / np.sqrt(np.diag(normal))
         factor = cho_factor(normal * unit[:, None] * unit, lower=True)
         mean = unit * cho_solve(factor, unit * self.right[rows])
-        covariance = cho_solve(factor, np.eye(len(unit))) * unit[:, None] * unit
         chi2 = max(self.chi2 - float(self.right[rows] @ mean), 1e-9)
         log_det = 2.0 * float(np.log(np.diag(factor[0]) / unit).sum())
         log_det -= float(np.log(precision[precision > 0.0]).sum())
-        used = len(mean) - F - float(precision[F:] @ np.diag(covariance)[F:])
         return _Solved(
             mean=mean,
-            covariance=covariance,
+            lower=factor[0],
+            unit=unit,
+            smooth=precision[F:],
             scale=chi2 / self.dof,
             log_evidence=-0.5 * (self.dof * np.log(chi2 / self.dof) + log_det),
-            used=used,
         )
 
 
