@@ -5,7 +5,7 @@ import sys
 
 __all__ = ["main"]
 
-FEW_COLLECTIONS = 300_000  # what modules make stays: looking for garbage among it takes 4 % of a command
+FEW_COLLECTIONS = 1_000_000  # what modules make stays: looking for garbage among it takes 4 % of a command
 
 
 def main() -> None:
