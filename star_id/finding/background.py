@@ -64,6 +64,12 @@ class Background:
         limits = self.limits(sigmas, 2.25 * np.pi * width_px**2)
         return self._between(xy_px, extended(limits, continued=False))[0]
 
+    def above_cut_at(self, xy_px: Floats) -> Floats | None:
+        """(N,) sigmas from the least value up to the sky at pixels (N, 2); None where nothing is cut off."""
+        if self.above_cut is None:
+            return None
+        return self._between(xy_px, extended(self.above_cut, continued=False))[0]
+
     def _between(self, xy_px: Floats, *grids: Floats) -> list[Floats]:
         """Grids with a ring of blocks added (R + 2, C + 2), interpolated to pixels (N, 2): (N,) each."""
         rows, columns = self.level_dn.shape

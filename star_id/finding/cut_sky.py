@@ -9,11 +9,12 @@ distribution of the same variance and skewness (Pearson's type III).
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.special import gammainccinv, ndtr, ndtri  # scipy.stats takes 0.2 s to load
 
 from boresight.geometry.record import Floats
 
-__all__ = ["UNCUT", "cut_moments", "limit_after_cut"]
+__all__ = ["UNCUT", "after_cut", "cut_moments", "limit_after_cut"]
 
 UNCUT = 5.0  # sigmas above the cut, from where on nothing of a sky is cut off
 _DARKEST = -2.0  # sigmas: 2 % of the pixels are above the cut
@@ -57,11 +58,16 @@ def limit_after_cut(above: Floats, sigmas: float, pixels: float) -> Floats:
     return np.where(above < UNCUT, np.sqrt(variance) * gamma, sigmas)
 
 
+def after_cut(above: NDArray) -> tuple[NDArray, NDArray, NDArray]:
+    """Mean and variance of max(above + n, 0), n a unit normal, and the derivative of the mean by `above`;
+    all of its shape (N, M)."""
+    whole, density = ndtr(above), np.exp(-0.5 * above**2) * (1.0 / np.sqrt(2.0 * np.pi))
+    mean = above * whole + density
+    return mean, (above**2 + 1.0) * whole + above * density - mean**2, whole
+
+
 def _moments(above: Floats) -> tuple[Floats, Floats, Floats]:
     """Mean, variance and skewness of max(above + n, 0), n a unit normal."""
-    whole, density = ndtr(above), np.exp(-0.5 * above**2) / np.sqrt(2.0 * np.pi)
-    mean = above * whole + density
-    square = (above**2 + 1.0) * whole + above * density
-    cube = (above**3 + 3.0 * above) * whole + (above**2 + 2.0) * density
-    variance = square - mean**2
-    return mean, variance, (cube - 3.0 * mean * square + 2.0 * mean**3) / variance**1.5
+    mean, variance, whole = after_cut(above)
+    third = (above**2 + 2.0) * mean + above * whole  # mean cube
+    return mean, variance, (third - 3.0 * mean * variance - mean**3) / variance**1.5

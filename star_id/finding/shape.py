@@ -10,6 +10,7 @@ several times the error that they make together.)
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -77,7 +78,7 @@ def estimate_shape(
     pixels, radius = _blobs(image, flat, saturation_dn)
     if len(pixels) < _FEWEST:
         return None
-    windows = star_windows(image, pixels, background, radius, saturation_dn)
+    windows = replace(star_windows(image, pixels, background, radius, saturation_dn), above_cut=None)
     offset, flux = _moments(windows)
     sky: Floats = np.zeros(len(flux))
     for _ in range(_ROUNDS):

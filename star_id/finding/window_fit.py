@@ -2,7 +2,7 @@
 
 The state of a star is column and row from the middle of its window, flux and local background (px, px, DN,
 DN); its logarithmic width may be a fifth parameter. The variance of a pixel is the background's plus the
-photon noise of the star.
+photon noise of the star. Of a sky that is cut off, the model is the mean of what the cut leaves.
 """
 
 from __future__ import annotations
@@ -11,12 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from boresight.geometry.record import Floats
+from boresight.star_id.finding.cut_sky import after_cut
 from boresight.star_id.finding.psf import PsfImages
 from boresight.star_id.finding.windows import StarWindows
 
 __all__ = ["by_parameter", "newton_step", "noise_gain", "start_state"]
 
 Pixels = NDArray[np.float32]
+_LEAST_SHARE = 0.34  # of a pixel's variance, at the cut: beyond it noise is rare and large, but no outlier
 
 
 def start_state(windows: StarWindows, offset: Floats, images: PsfImages) -> Floats:
@@ -41,10 +43,18 @@ def newton_step(
     variance: NDArray = windows.noise2[:, None].astype(np.float32)
     if np.isfinite(gain_e_per_dn):
         variance = variance + np.maximum(signal, np.float32(0.0)) * np.float32(1.0 / gain_e_per_dn)
-    weight = windows.good / variance
     residual = windows.data - signal
     residual -= state[:, 3:4].astype(np.float32)
     unit = images.columns
+    if windows.above_cut is not None:
+        noise = np.sqrt(windows.noise2)[:, None]
+        above = windows.above_cut[:, None]
+        mean, share, slope = after_cut(above + (signal + state[:, 3:4]) / noise)
+        residual = (windows.data - noise * (mean - after_cut(above)[0])).astype(np.float32)
+        less = 1.0 - np.maximum(share, _LEAST_SHARE)
+        variance = (variance - less * windows.noise2[:, None]).astype(np.float32)
+        unit = unit * slope[:, None].astype(np.float32)
+    weight = windows.good / variance
     weighted = unit * weight[:, None, :]
     scale = by_parameter(state, unit.shape[1])
     normal = np.matmul(weighted, unit.transpose(0, 2, 1)) * (scale[:, :, None] * scale[:, None, :])

@@ -23,11 +23,15 @@ class StarWindows:
     good: NDArray[np.float32] = array("N, M", "weight, 1 where all pixels are alike; 0 for masked pixels")
     noise2: Floats = array("N", "variance of a background pixel, DN^2")
     saturated: Bools = array("N", "whether some pixel is saturated")
+    above_cut: Floats | None = array(
+        "N", "sigmas from the least value up to the sky; None: nothing of it is cut off", default=None
+    )
 
     def take(self, index: NDArray) -> StarWindows:
         """The windows at indices (M,) or of a mask (N,)."""
         names = ("corner", "data", "good", "noise2", "saturated")
-        return replace(self, **{name: getattr(self, name)[index] for name in names})
+        above = None if self.above_cut is None else self.above_cut[index]
+        return replace(self, above_cut=above, **{name: getattr(self, name)[index] for name in names})
 
     def offsets(self, xy_px: Floats) -> Floats:
         """Pixels (N, 2) of the image relative to the middles of the windows."""
@@ -75,6 +79,7 @@ def star_windows(
         good=good.reshape(n, side * side),
         noise2=noise**2,
         saturated=saturated,
+        above_cut=background.above_cut_at(pixels.astype(float)),
     )
 
 
