@@ -17,7 +17,7 @@ def main() -> None:
         return
     from boresight.deferred import defer
 
-    defer("numpy.f2py", "boto3")  # SciPy and rasterio import them: 0.1 s each
+    defer("numpy.f2py", "numpy.testing", "boto3")  # SciPy and rasterio import them: 0.01 to 0.1 s each
     gc.set_threshold(FEW_COLLECTIONS)
     from boresight.pipeline.cli import main as command_line
 

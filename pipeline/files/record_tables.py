@@ -28,6 +28,7 @@ __all__ = [
     "table_from_record",
 ]
 
+_hints = cache(get_type_hints)  # evaluates every annotation
 ITEMS: dict[Any, pa.DataType] = {
     Floats: pa.float64(),
     Floats | None: pa.float64(),
@@ -89,7 +90,7 @@ def record_from_table(kinds: Sequence[type], table: pa.Table, values: dict[str, 
     by_name = {kind.__name__: kind for kind in kinds}
     if (kind := by_name.get(values.get("record", ""))) is None:
         raise ValueError(f"expected a table of {' or '.join(by_name)}, found {values.get('record')!r}")
-    hints = get_type_hints(kind)
+    hints = _hints(kind)
     own = {name: _restored(hints[name], value) for name, value in values.items() if name in hints}
     return record_from_columns(kind, table, **own)
 
@@ -97,7 +98,7 @@ def record_from_table(kinds: Sequence[type], table: pa.Table, values: dict[str, 
 @cache
 def _row_fields(kind: Any, rows: str) -> tuple[tuple[str, Any, tuple[int, ...]], ...]:
     """Name, annotation and shape of one entry, of the fields with one entry for each row."""
-    hints = get_type_hints(kind)
+    hints = _hints(kind)
     shapes = {field.name: shape_of(field) for field in dataclasses.fields(kind)}
     return tuple(
         (name, hints[name], tuple(int(length) for length in shape[1:]))
@@ -108,7 +109,7 @@ def _row_fields(kind: Any, rows: str) -> tuple[tuple[str, Any, tuple[int, ...]],
 
 def _items(hint: Any) -> list[tuple[str, Any]]:
     """Fields of the records in a tuple of them."""
-    return list(get_type_hints(get_args(hint)[0]).items())
+    return list(_hints(get_args(hint)[0]).items())
 
 
 def plain(value: Any) -> Any:
@@ -126,6 +127,6 @@ def _restored(hint: Any, value: Any) -> Any:
     if get_origin(hint) is tuple:
         return tuple(_restored(get_args(hint)[0], item) for item in value)
     if dataclasses.is_dataclass(hint):
-        hints = get_type_hints(hint)
+        hints = _hints(hint)  # type: ignore[arg-type]
         return hint(**{name: _restored(hints[name], item) for name, item in value.items()})  # type: ignore
     return hint(value) if isinstance(hint, type) and issubclass(hint, Enum) else value
