@@ -73,10 +73,10 @@ def bundled_earth_orientation() -> EarthOrientationTable:
     """
     package = importlib.resources.files("astropy_iers_data")
     final = _parse_c04((package / "data" / "eopc04.1962-now").read_bytes())
-    rapid, last_measured = _parse_finals((package / "data" / "finals2000A.all").read_bytes())
+    rapid, last_measured = _parse_finals((package / "data" / "finals2000A.all").read_bytes(), final[-1, 0])
     _check_leap_seconds((package / "data" / "Leap_Second.dat").read_text(encoding="ascii"))
     final = final[final[:, 0] >= _MJD_1972]
-    table = np.vstack([final, rapid[rapid[:, 0] > final[-1, 0]]])
+    table = np.vstack([final, rapid])
     mjd, ut1_utc, xp, yp, dx, dy = np.ascontiguousarray(table.T)
     return EarthOrientationTable(
         mjd_utc=mjd,
@@ -120,23 +120,25 @@ def _parse_c04(text: bytes) -> Array:
     return columns
 
 
-def _parse_finals(text: bytes) -> tuple[Array, float]:
-    """Rows of MJD, UT1 - UTC, xp, yp, dX, dY (s, rad) of finals2000A.all, and the MJD of its last measured
-    UT1.
+def _parse_finals(text: bytes, after_mjd: float) -> tuple[Array, float]:
+    """Rows of MJD, UT1 - UTC, xp, yp, dX, dY (s, rad) of finals2000A.all after a day, and the MJD of its last
+    measured UT1.
 
     Days without a celestial pole offset (late predictions) take the last one given.
     """
     lines = _lines(text)
     lines = lines[_is_given(lines, 58, 68) & _is_given(lines, 18, 27)]
-    columns = np.zeros((len(lines), 6))
-    for n, place in enumerate(((7, 15), (58, 68), (18, 27), (37, 46))):
-        columns[:, n] = _field(lines, *place)
+    mjd = _field(lines, 7, 15).astype(float)
+    measured, new = mjd[lines[:, 57] == b"I"], mjd > after_mjd
     given = _is_given(lines, 97, 106) & _is_given(lines, 116, 125)
-    latest = np.maximum.accumulate(np.where(given, np.arange(len(lines)), 0))
-    for n, place in enumerate(((97, 106), (116, 125))):
-        columns[:, 4 + n] = (1e-3 * np.where(given, _field(lines, *place), b"0").astype(float))[latest]
+    latest = np.maximum.accumulate(np.where(given, np.arange(len(lines)), 0))[new]
+    columns = np.zeros((len(latest), 6))
+    columns[:, 0] = mjd[new]
+    for n, place in enumerate(((58, 68), (18, 27), (37, 46)), 1):
+        columns[:, n] = _field(lines[new], *place)
+    for n, place in enumerate(((97, 106), (116, 125)), 4):
+        columns[:, n] = 1e-3 * np.where(given[latest], _field(lines[latest], *place), b"0").astype(float)
     columns[:, 2:] *= ARCSEC
-    measured = columns[lines[:, 57] == b"I", 0]
     return columns, float(measured[-1]) if len(measured) else -np.inf
 
 
