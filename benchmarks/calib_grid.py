@@ -17,7 +17,7 @@ from scipy.stats import chi2, norm
 from boresight.pipeline.experiments.tables import run_experiment
 from boresight.pipeline.experiments.vectors import ExperimentSettings
 
-OUT = Path(__file__).parent / "results"
+OUT = Path(__file__).parents[1] / "build" / "experiments"  # the records of them are of `boresight experiment`
 
 
 def report(table: pd.DataFrame) -> None:
