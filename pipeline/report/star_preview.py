@@ -72,6 +72,8 @@ def stretched_jpeg(image: NDArray[np.generic]) -> tuple[bytes, int]:
 
     Raises `OSError` if it cannot be encoded.
     """
+    from skimage.exposure import rescale_intensity
+
     shrunk = 1
     while max(image.shape) / shrunk > LONG_SIDE_PX:
         shrunk *= 2
@@ -82,7 +84,7 @@ def stretched_jpeg(image: NDArray[np.generic]) -> tuple[bytes, int]:
     sky = float(np.median(small))
     sigma = max(1.4826 * float(np.median(np.abs(small - sky))), 0.5)
     low, high = (sky + s * sigma for s in SKY_SIGMAS)
-    grey = ((small.clip(low, high) - low) / (high - low)) ** 0.6
+    grey = rescale_intensity(small, in_range=(low, high), out_range=(0.0, 1.0)) ** 0.6
     done, encoded = cv2.imencode(".jpg", (255.0 * grey).astype(np.uint8), [cv2.IMWRITE_JPEG_QUALITY, 72])
     if not done:
         raise OSError("the star image could not be encoded")
