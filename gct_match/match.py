@@ -4,13 +4,15 @@
     each target in each CCD: template at the common rotation -> position (`locate`) -> match or refusal
     matches -> do they agree on one rotation, beyond chance? (`consistency`)
 
-A target in the overlap of two CCDs is measured in both. Every target that is not matched has a refusal.
+Where the matrix predicts places within a window, these are looked at first; a common rotation is searched if
+few targets are there, or if they lie far from their places. A target in the overlap of two CCDs is measured
+in both. Every target that is not matched has a refusal.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -97,24 +99,71 @@ def match_strip(
     scene = scene_of(strip, pushbroom, targets, chips, surface, sigma_installation_rad, settings)
     plan, refused = _feasible(scene, plan_search(scene))
     searched = sorted({window.target for window in plan.windows})
-    theta: Floats = np.zeros(3)
-    covariance: Floats = np.diag(scene.sigma_installation_rad**2)
-    vote, read = None, 0
-    if plan.windows and max(w.radius_px for w in plan.windows) > 2.0 * settings.margin_px + 2.0:
-        vote, read = search_common_rotation(scene, plan, each), plan.pixels_to_read
-        theta, covariance = vote.parameters, vote.covariance
+    uncertain = bool(plan.windows) and max(w.radius_px for w in plan.windows) > 2.0 * settings.margin_px + 2.0
+    read = 0
+    if not uncertain or _is_predicted(scene):
+        found = _found(scene, searched, np.zeros(3), np.diag(scene.sigma_installation_rad**2))
+        read = found.pixels
+        if not uncertain or _is_confirmed(found, settings):
+            return _matches(found, refused, 1.0, read)
+    vote = search_common_rotation(scene, plan, each)
+    found = _found(scene, searched, vote.parameters, vote.covariance)
+    read += plan.pixels_to_read + found.pixels
+    log_chance = _log_chance(vote, found.matches, settings)
+    if log_chance > np.log(settings.probability_chance):
+        refused = [*refused, *_no_common_rotation(scene, searched, vote, len(found.matches), log_chance)]
+        return _no_matches(tuple(refused), float(np.exp(log_chance)), read)
+    return _matches(found, refused, float(np.exp(log_chance)), read)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Found:
+    """What was found of the targets of a strip at their predicted places."""
+
+    matches: list[TargetMatch]  # those that agree with one another
+    refused: list[Refusal]
+    theta: Floats  # (3,) rad, the matches' common rotation
+    pixels: int  # read from the strip
+
+
+def _found(scene: Scene, searched: Sequence[int], theta: Floats, covariance: Floats) -> _Found:
+    """Targets around the places predicted with a common rotation, (3,) rad, of a covariance (3, 3)."""
     found, not_found, pixels = _measured(scene, searched, theta, covariance)
     matches, inconsistent, theta = consistent_matches(scene, found, theta)
-    log_chance = 0.0 if vote is None else _log_chance(vote, matches, settings)
-    if vote is not None and log_chance > np.log(settings.probability_chance):
-        refused = [*refused, *_no_common_rotation(scene, searched, vote, len(matches), log_chance)]
-        return _no_matches(tuple(refused), float(np.exp(log_chance)), read + pixels)
+    return _Found(matches, [*not_found, *inconsistent], theta, pixels)
+
+
+def _is_predicted(scene: Scene) -> bool:
+    """Whether the installation matrix predicts every place in the strip within the window of a target."""
+    camera, (x, y, z) = scene.pushbroom.camera, scene.sigma_installation_rad.tolist()
+    ends = [
+        camera.directions_from_pixels(ccd, np.array([0.0, scene.strip.shape(ccd)[1] - 1.0]))
+        for ccd in scene.strip.ccds
+    ]
+    turned = z * float(np.abs(np.concatenate(ends)[:, :2]).max())
+    variance = (max(x, y) ** 2 + turned**2) / camera.pixel_rad**2
+    return bool(_radii_px(scene, np.array([variance]))[0] <= 2 * scene.settings.margin_px)
+
+
+def _is_confirmed(found: _Found, settings: MatchSettings) -> bool:
+    """Whether targets are where they were predicted: more than chance allows, more than half of those in
+    view, and none so far away that others may lie outside their windows.
+    """
+    matched = {match.target_id for match in found.matches}
+    missed = {refusal.target_id for refusal in found.refused if not refusal.is_out_of_view} - matched
+    if len(matched) * np.log(settings.probability_chance_match) > np.log(settings.probability_chance):
+        return False
+    farthest = max(float(np.abs(match.xy_px - match.predicted_px).max()) for match in found.matches)
+    return len(matched) > len(missed) and farthest <= 0.5 * settings.margin_px
+
+
+def _matches(found: _Found, refused: Sequence[Refusal], chance: float, read: int) -> StripMatches:
     return StripMatches(
-        matches=tuple(matches),
-        refused=(*refused, *not_found, *inconsistent),
-        theta_vote=theta,
-        probability_chance=float(np.exp(log_chance)),
-        pixels_read=read + pixels,
+        matches=tuple(found.matches),
+        refused=(*refused, *found.refused),
+        theta_vote=found.theta,
+        probability_chance=chance,
+        pixels_read=read,
     )
 
 
@@ -188,7 +237,7 @@ def _measured(
         if not here:
             continue
         seen.update(here)
-        initial_px = scene.trajectories.pixels(ccd, np.zeros(3))
+        initial_px = scene.trajectories.pixels(ccd, np.zeros(3)) if theta.any() else xy_px
         radii = _search_radii_px(scene, model, here, ccd, xy_px, covariance)
         sides = chip_sides_px([scene.chips[n] for n in here], model, ccd, xy_px[here], scene.surface).tolist()
         for n, radius, side in zip(here, radii, sides):
@@ -256,10 +305,15 @@ def _search_radii_px(
     settings, at = scene.settings, list(targets)
     p_e = np.array([scene.targets[n].p_e for n in at])
     _, design = displacements(model, p_e, np.full(len(at), ccd), xy_px[at])
+    radii = _radii_px(scene, np.einsum("nip,pq,niq->ni", design, covariance, design).max(axis=1))
+    return np.clip(radii, settings.margin_px, 2 * settings.margin_px).astype(int).tolist()
+
+
+def _radii_px(scene: Scene, variance_px2: Floats) -> Floats:
+    """Three standard errors (N,) of places, px, of which a common rotation causes (N,) px²."""
+    settings = scene.settings
     own_px2 = settings.consistency_sigma_px**2 + settings.attitude_sigma_px**2
-    variance = np.einsum("nip,pq,niq->ni", design, covariance, design) + own_px2
-    radius = np.ceil(3.0 * np.sqrt(variance.max(axis=1))) + 2.0
-    return np.clip(radius, settings.margin_px, 2 * settings.margin_px).astype(int).tolist()
+    return np.ceil(3.0 * np.sqrt(variance_px2 + own_px2)) + 2.0
 
 
 def _template(

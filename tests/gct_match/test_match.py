@@ -99,6 +99,30 @@ def test_small_uncertainty_needs_no_bootstrap(case: Case):
     assert case.strip.pixels_read == outcome.pixels_read < 12 * 200 * 200
 
 
+WINDOWS = np.full(3, 3e-5)  # rad: 2.5 px, which windows of 12 px hold, and boxes around them not
+
+
+def test_places_predicted_within_a_window_are_measured_without_a_search(case: Case):
+    settings = MatchSettings()
+    scene = scene_of(case.strip, case.true, case.targets, case.chips, SURFACE, WINDOWS, settings)
+    plan = plan_search(scene)
+    assert max(window.radius_px for window in plan.windows) > 2 * settings.margin_px + 2
+    outcome = match_strip(case.strip, case.true, case.targets, case.chips, SURFACE, WINDOWS, settings)
+    assert len({match.target_id for match in outcome.matches}) == len(case.targets)
+    assert outcome.pixels_read < plan.pixels_to_read  # of which a search reads all
+
+
+@pytest.mark.parametrize("off_px", [7.0, 13.0])  # inside the window, but far; outside it
+def test_displaced_strip_is_searched_although_its_places_seemed_known(case: Case, off_px: float):
+    theta = np.array([off_px * 1.2e-5, 0.0, 0.0])  # 12 µrad a pixel
+    model = case.true.with_installation(deviation_from_theta(theta).inv() * case.true.R_cs)
+    outcome = match_strip(case.strip, model, case.targets, case.chips, SURFACE, WINDOWS, MatchSettings())
+    error, _ = errors(case, outcome)
+    assert len({match.target_id for match in outcome.matches}) == len(case.targets)
+    assert np.abs(error).max() < 0.015  # px, as from any other matrix
+    assert outcome.probability_chance < 1e-6  # of a search; 1 without
+
+
 def test_cost_is_known_before_the_search_starts(case: Case):
     scene = scene_of(case.strip, case.pushbroom, case.targets, case.chips, SURFACE, SIGMA, MatchSettings())
     plan = plan_search(scene)
