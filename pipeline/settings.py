@@ -50,7 +50,6 @@ class RunSettings:
     passes: int = (
         2  # matchings: the first starts from the pre-launch matrix, each later one from the last result
     )
-    search_all_px: float = 2e8  # all strips of at most so many pixels are searched from the pre-launch matrix
     geometric_light_time: bool = True  # light time from ground to satellite
     aberration: bool = True  # by the satellite's velocity
     refraction: bool = True  # of the atmosphere

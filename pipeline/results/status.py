@@ -32,7 +32,7 @@ OUTCOMES = (StarSightings, MatchedTargets, StripStars, Omission)
 class StageStatus:
     """One stage of a run: its exposures or strips."""
 
-    stage: str = scalar("exposures, matching-1, matching-2")
+    stage: str = scalar("exposures, matching-0 (searched widely), matching-1, matching-2")
     done: tuple[str, ...] = scalar("names of the finished units")
     damaged: int = scalar("files that will be made anew")
     not_used: int = scalar("exposures, strips and targets that its units could not use")
@@ -174,7 +174,9 @@ def _with_missing(stages: list[StageStatus], dump: Dump) -> list[StageStatus]:
     strips = [strip.strip_id for strip in dump.strips if covers(dump, strip)]
     wanted = {"exposures": exposures}
     if strips:
-        wanted |= {"matching-1": strips, "matching-2": strips}
+        searched = found["matching-0"].done if "matching-0" in found else ()
+        wanted |= {"matching-0": list(searched)} if searched else {}
+        wanted |= {"matching-1": [s for s in strips if s not in searched], "matching-2": strips}
     if sky := [strip.strip_id for strip in dump.sky_strips if covers(dump, strip)]:
         wanted["sky-stars"] = sky
     return [

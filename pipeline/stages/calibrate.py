@@ -198,7 +198,7 @@ def _one_pass(
 
     tasks, uncovered = _strip_tasks(dump, heads, *start, mountings, settings)
     if number == 1:
-        tasks, matched, flags = match_first(tasks, start_from, runner, settings.run.search_all_px)
+        tasks, matched, flags = match_first(tasks, start_from, runner)
     else:
         matched, flags = match_strips(tasks, runner, f"matching-{number}")
     sky = sky.aligned(heads, mountings)

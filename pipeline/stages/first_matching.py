@@ -1,6 +1,6 @@
 """The first matching: from the pre-launch matrix, wrong by thousands of pixels, to one good for a second one.
 
-A search as wide as that matrix is uncertain decodes whole strips. All strips have one matrix: large ones are
+A search as wide as that matrix is uncertain decodes whole strips. All strips have one matrix: they are
 searched one after another until one determines it, and the others start from there. A strip in which nothing
 is found that way is searched as widely as the first.
 """
@@ -37,16 +37,11 @@ def match_first(
     tasks: Sequence[StripTask],
     start_from: Callable[[StripTask, MatchedTargets], Start | None],
     runner: StageRunner,
-    search_all_px: float,
 ) -> tuple[list[StripTask], list[MatchedTargets], list[bool]]:
     """Tasks as they were matched, targets matched in them, and which units of work were computed now.
 
-    `start_from` gives the matrix that one strip determines. Strips of at most `search_all_px` together are
-    all searched.
+    `start_from` gives the matrix that one strip determines.
     """
-    shapes = [shape for task in tasks for shape in task.strip.images.shapes.values()]
-    if sum(lines * samples for lines, samples in shapes) <= search_all_px:
-        return list(tasks), *match_strips(tasks, runner, "matching-1")
     matched: list[MatchedTargets] = []
     computed: list[bool] = []
     start = None
