@@ -15,7 +15,7 @@ from boresight.geometry.attitude_estimate import AttitudeSettings, fit_attitude
 from boresight.geometry.record import Floats, array, record, scalar
 from boresight.geometry.star_camera import StarCamera
 from boresight.star_id.camera_fit import CameraFit, IdentifiedStars, fit_camera
-from boresight.star_id.lens_misfit import LensErrors, lens_errors
+from boresight.star_id.lens_misfit import LensEquations, LensErrors, lens_errors
 
 __all__ = ["FieldFit", "LensFit", "fit_attitude_and_lens", "fit_known_camera"]
 
@@ -74,7 +74,7 @@ def fit_attitude_and_lens(
     them: a shifted detector looks like a rotated and decentred one. So a Gaussian prior regularises them
     (`_prior_sigmas`), and the covariance is that of the well-determined direction of the image's centre. What
     the camera model cannot explain is a position error of each star (`_common_variance`; without it the few
-    brightest stars would determine the distortion) and a smooth distortion (`lens_misfit`).
+    brightest stars would determine the distortion), a stretch and a smooth distortion (`lens_misfit`).
     """
     image = np.zeros(len(xy_px), dtype=np.int64)
     stars = IdentifiedStars(xy_px=xy_px, cov_px=cov_px, u_i=u_i, frame=image, t_s=np.zeros(1))
@@ -87,12 +87,11 @@ def fit_attitude_and_lens(
     for _ in range(_ROUNDS):
         cov = cov_px + common * np.eye(2)
         fit = fit_camera(replace(stars, cov_px=cov), camera, R, prior=prior, expected=ideal)
-        errors = lens_errors(fit, fit.rotations[0].apply(u_i), cov, prior)
-        common, before = _common_variance(fit, errors.leverage, cov_px, common), common
+        equations = LensEquations.of(fit, fit.rotations[0].apply(u_i), cov_px, prior)
+        common, before = _common_variance(fit, equations.leverage(common), cov_px, common), common
         if abs(common - before) <= 0.1 * before:
             break
-    if common > 0.0:
-        errors = lens_errors(fit, fit.rotations[0].apply(u_i), cov_px, prior, common_px2=common)
+    errors = lens_errors(equations, common)
     cov_s, fov_x_sigma = errors.of_centre()
     return LensFit(FieldFit(fit.rotations[0], cov_s, fit.camera, fov_x_sigma), errors)
 

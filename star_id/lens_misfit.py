@@ -8,14 +8,20 @@ coefficients are marginalised. So a lens that the model does not explain makes t
 field of view as large as a smooth distortion of that size would, however many stars there are: their
 residuals are alike where they are near to one another.
 
-Unknowns are a rotation of the image's centre (3), about the axes of s, the camera's parameters (7) and the
-coefficients. A rotation about the image's centre is nearly independent of all parameters; a rotation about
-the optical axis, which may lie anywhere, would be a small difference of large terms.
+The linear terms that no camera has, a stretch along one direction of the image, are of another cause than the
+lens: refraction compresses the sky along the vertical, a rolling shutter or resampling stretches rows. Their
+size, too, is that of the largest evidence. What stretches an image changes its scale by as much, which no
+star of this image shows: it enters the error of the field of view.
+
+Unknowns are a rotation of the image's centre (3), about the axes of s, the camera's parameters (7), the
+stretch (2) and the coefficients. A rotation about the image's centre is nearly independent of all parameters;
+a rotation about the optical axis, which may lie anywhere, would be a small difference of large terms.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 
 import numpy as np
 from scipy.linalg import cho_solve
@@ -32,80 +38,147 @@ from boresight.star_id.camera_fit import (
     smooth_derivatives,
 )
 
-__all__ = ["LensErrors", "lens_errors"]
+__all__ = ["LensEquations", "LensErrors", "lens_errors"]
 
 _DEGREE = 6
 _TERMS = term_orders(_DEGREE)
 _WARP_LOG_EVIDENCE = 2.0  # more than without a smooth distortion, for it to count as seen
 _TRIED_SHARES = (1.0, 0.5)  # of the common variance, with a distortion of `_TRIED_WARP` of its root: where
 _TRIED_WARP = 2.0  # the evidence of neither exceeds that of none, none is seen
+_STRETCH_SIZES_PX = np.geomspace(1e-3, 1e2, 101)  # displacements at the ends of the longer side
+_STRETCH_LOG_EVIDENCE = 1.0  # more than without it, for its one parameter (Akaike 1974)
 _STEP_PX = 0.01
 _NEIGHBOURS = np.array([[i, j] for i in (-1.0, 0.0, 1.0) for j in (-1.0, 0.0, 1.0) if i or j])
 
 
 @record(kw_only=True)
 class LensErrors:
-    """Errors of P = 10 unknowns, and of the coefficients of a smooth distortion if one is seen."""
+    """Errors of P unknowns: 10, the two of a stretch if one is seen, and the coefficients of a smooth
+    distortion if one is seen."""
 
     camera: StarCamera = scalar("as fitted")
     slopes: Floats = array("P, 4", "rotation of the image's centre (3) and field of view, rad, by unknown")
     mean: Floats = array("P", "of the unknowns, about the fit")
     covariance: Floats = array("P, P", "of the unknowns")
-    leverage: Floats = array("K", "trace of each kept star's part in the fit")
     common_px2: float = scalar("variance along one axis of an error of each star's own, px^2")
+    stretch_px: float = scalar("1-sigma size of the stretch at the ends of the longer side, px; 0: none seen")
 
     def of_centre(self) -> tuple[Floats, float]:
         """Covariance (3, 3) of a rotation of the image's centre about the axes of s, rad^2, and 1-sigma error
         of the field of view, rad. A distortion that is seen, but not in the camera, counts as an error."""
         centre, field = self.mean[:3], self.slopes[:, 3]
         cov_s = self.covariance[:3, :3] + np.outer(centre, centre)
-        return cov_s, float(np.sqrt(field @ self.covariance @ field + (field @ self.mean) ** 2))
+        half = 0.5 * max(self.camera.width_px, self.camera.height_px)
+        scale = self.stretch_px / half * self.camera.fov_x_rad
+        return cov_s, float(np.sqrt(field @ self.covariance @ field + (field @ self.mean) ** 2 + scale**2))
 
     def predict(self, u_s: Floats, xy_px: Floats) -> tuple[Floats, Floats]:
         """Places (N, 2), px, and covariances (N, 2, 2), px^2, of stars in directions (N, 3), frame s, that
         the camera images at `xy_px` (N, 2)."""
-        columns = _columns(self.camera, u_s, xy_px, self.slopes)
+        columns = _columns(self.camera, u_s, xy_px, self.slopes, stretched=self.stretch_px > 0.0)
         cov = _multiplied(columns, self.covariance) @ columns.transpose(0, 2, 1)
         return xy_px + columns @ self.mean, cov + self.common_px2 * np.eye(2)
 
 
-def lens_errors(
-    fit: CameraFit,
-    u_s: Floats,
-    cov_px: Floats,
-    prior: Mapping[str, float],
-    *,
-    common_px2: float | None = None,
-) -> LensErrors:
-    """Errors of a fit to stars in directions (N, 3), frame s, with centroid covariances (N, 2, 2), px^2.
+@record(kw_only=True)
+class LensEquations:
+    """Linear equations for the residuals of the K kept stars of a fit to one image, in P unknowns."""
 
-    `prior` holds the 1-sigma deviations of the camera's parameters. With `common_px2`, a variance along one
-    axis that is not in `cov_px`, a smooth distortion is looked for, and that variance estimated with it.
+    camera: StarCamera = scalar("as fitted")
+    variance_factor: float = scalar("of the fit")
+    u_s: Floats = array("K, 3", "directions, frame s")
+    xy_px: Floats = array("K, 2", "pixels that the camera predicts")
+    residual_px: Floats = array("K, 2", "measured minus predicted")
+    cov_px: Floats = array("K, 2, 2", "covariances of the centroids, px^2")
+    slopes: Floats = array("P, 4", "as in `LensErrors`")
+    columns: Floats = array("K, 2, P", "derivatives of the pixels by the unknowns")
+    sigma: Floats = array("Q", "prior 1-sigma sizes of the first Q unknowns; inf without one")
+    stretch_px: float = scalar("prior size of the stretch; 0 where it is not among the unknowns", default=0.0)
+
+    @classmethod
+    def of(cls, fit: CameraFit, u_s: Floats, cov_px: Floats, prior: Mapping[str, float]) -> LensEquations:
+        """With rotation and camera as unknowns, of a fit to stars in directions (N, 3), frame s, with
+        centroid covariances (N, 2, 2), px^2.
+
+        `prior` holds the 1-sigma deviations of the camera's parameters.
+        """
+        u_s, slopes = u_s[fit.keep], _camera_slopes(fit.camera)
+        xy = fit.camera.pixels_from_directions(u_s)
+        return cls(
+            camera=fit.camera,
+            variance_factor=fit.variance_factor,
+            u_s=u_s,
+            xy_px=xy,
+            residual_px=fit.residual_px[fit.keep],
+            cov_px=cov_px[fit.keep],
+            slopes=slopes,
+            columns=_columns(fit.camera, u_s, xy, slopes, stretched=False),
+            sigma=np.append(np.full(3, np.inf), [prior.get(name, np.inf) for name in PARAMETERS]),
+        )
+
+    def stretched(self, size_px: float) -> LensEquations:
+        """With a stretch of that size as two more unknowns."""
+        sigma = np.append(self.sigma, [size_px, size_px])
+        return replace(self._with(_stretch_slopes(self.camera), size_px), sigma=sigma)
+
+    def bent(self) -> LensEquations:
+        """With the coefficients of a smooth distortion, of a size not stated, as the last unknowns."""
+        return self._with(_bending_slopes(self.camera), self.stretch_px)
+
+    def _with(self, more_slopes: Floats, stretch_px: float) -> LensEquations:
+        slopes = np.vstack([self.slopes, more_slopes])
+        columns = _columns(self.camera, self.u_s, self.xy_px, slopes, stretched=stretch_px > 0.0)
+        return replace(self, slopes=slopes, columns=columns, stretch_px=stretch_px)
+
+    def solved(self, common_px2: float) -> _Linear:
+        """Solution with a variance, px^2, added to each star's along both axes."""
+        return _Linear.of(self.columns, self.residual_px, self.cov_px + common_px2 * np.eye(2), self.sigma)
+
+    def leverage(self, common_px2: float) -> Floats:
+        """(K,) trace of each star's part in the solution."""
+        return self.solved(common_px2).leverage
+
+    def stretch_beside(self, solution: _Linear, common_px2: float) -> tuple[Floats, Floats]:
+        """A stretch (2,) without prior, and its covariance (2, 2), if it is added to the unknowns of a
+        solution with `common_px2`: other unknowns that it would change are eliminated."""
+        X = _stretch_derivatives(self.camera, self.xy_px)
+        WX = np.linalg.inv(self.cov_px + common_px2 * np.eye(2)) @ X
+        shared = np.einsum("kiq,kip->qp", X, solution.weighted)
+        normal = np.einsum("kiq,kir->qr", X, WX) - shared @ solution.covariance @ shared.T
+        right = np.einsum("kiq,ki->q", WX, self.residual_px - self.columns @ solution.mean)
+        return np.linalg.solve(normal, right), np.linalg.inv(normal)
+
+
+def lens_errors(equations: LensEquations, common_px2: float) -> LensErrors:
+    """Errors of the camera and rotation of one image, with what else displaces its stars.
+
+    `equations` are those of `LensEquations.of`; `common_px2` is a variance along one axis that is not in
+    their covariances. A stretch is looked for and, unless the variance is 0, a smooth distortion, with which
+    the variance is estimated again.
     """
-    rows = fit.keep.nonzero()[0]
-    camera, u_s, cov = fit.camera, u_s[rows], cov_px[rows]
-    slopes = _camera_slopes(camera)
-    sigma = np.concatenate([np.full(3, np.inf), [prior.get(name, np.inf) for name in PARAMETERS]])
-    xy = camera.pixels_from_directions(u_s)
-    if common_px2 is None:
-        posterior = _Linear.of(_columns(camera, u_s, xy, slopes), fit.residual_px[rows], cov, sigma)
-        unknown = np.zeros(len(slopes))  # the fit is their most probable value
-        return _errors(fit, slopes, posterior, unknown, 0.0, 0.0)
-    slopes = np.vstack([slopes, _bending_slopes(camera)])
-    columns = _columns(camera, u_s, xy, slopes)
+    plain = equations.solved(common_px2)
+    found, covariance = equations.stretch_beside(plain, common_px2)
+    stretch = _stretch_size(found, equations.variance_factor * covariance)
+    if stretch:
+        equations = equations.stretched(stretch)
+        plain = equations.solved(common_px2)
+    warped = _warped(equations, plain, common_px2) if common_px2 > 0.0 else None
+    mean = plain.mean if stretch else np.zeros(10)  # the fit is their most probable value
+    return warped or _errors(equations, plain, mean, common_px2, equations.variance_factor)
+
+
+def _warped(equations: LensEquations, plain: _Linear, common_px2: float) -> LensErrors | None:
+    """Errors with a smooth distortion; None if its evidence is not clearly larger than that of the solution
+    without one."""
+    equations = equations.bent()
     decay = np.tile([2.0 ** (-0.5 * (i + j)) for i, j in _TERMS], 2)
 
     def solved(common: float, warp: float) -> _Linear:
-        with_common = cov + common * np.eye(2)
-        if warp == 0.0:
-            return _Linear.of(columns[:, :, :10], fit.residual_px[rows], with_common, sigma)
-        both = np.append(sigma, warp * decay)
-        return _Linear.of(columns, fit.residual_px[rows], with_common, both)
+        return replace(equations, sigma=np.append(equations.sigma, warp * decay)).solved(common)
 
-    plain = solved(common_px2, 0.0)
     tried = (solved(share * common_px2, _TRIED_WARP * common_px2**0.5) for share in _TRIED_SHARES)
     if all(trial.log_evidence <= plain.log_evidence for trial in tried):
-        return _errors(fit, slopes[:10], plain, np.zeros(10), common_px2, 0.0)
+        return None
     floor = 1e-4 * common_px2
 
     def sized(size: Floats) -> tuple[float, float]:
@@ -114,10 +187,20 @@ def lens_errors(
     start = 0.5 * np.log([common_px2, 4.0 * common_px2])
     size, log_evidence = _largest(lambda size: solved(*sized(size)).log_evidence, start)
     if log_evidence < plain.log_evidence + _WARP_LOG_EVIDENCE:
-        return _errors(fit, slopes[:10], plain, np.zeros(10), common_px2, 0.0)
+        return None
     common, warp = sized(size)
     posterior = solved(common, warp)
-    return _errors(fit, slopes, posterior, posterior.mean, common, warp)
+    return _errors(equations, posterior, posterior.mean, common, 1.0)
+
+
+def _stretch_size(mean: Floats, cov: Floats) -> float:
+    """1-sigma size, px, of the largest evidence of a stretch (2,) that was found with a covariance (2, 2);
+    0 where the evidence does not ask for it."""
+    value, vector = np.linalg.eigh(cov)
+    square, t2 = (mean @ vector) ** 2, _STRETCH_SIZES_PX[:, None] ** 2
+    gained = 0.5 * (square / value - square / (value + t2) - np.log1p(t2 / value)).sum(axis=1)
+    best = int(gained.argmax())
+    return float(_STRETCH_SIZES_PX[best]) if gained[best] > _STRETCH_LOG_EVIDENCE else 0.0
 
 
 def _largest(function: Callable[[Floats], float], start: Floats) -> tuple[Floats, float]:
@@ -135,16 +218,15 @@ def _largest(function: Callable[[Floats], float], start: Floats) -> tuple[Floats
 
 
 def _errors(
-    fit: CameraFit, slopes: Floats, posterior: _Linear, mean: Floats, common: float, warp: float
+    equations: LensEquations, posterior: _Linear, mean: Floats, common_px2: float, factor: float
 ) -> LensErrors:
-    scale = fit.variance_factor if warp == 0.0 else 1.0
     return LensErrors(
-        camera=fit.camera,
-        slopes=slopes,
+        camera=equations.camera,
+        slopes=equations.slopes,
         mean=mean,
-        covariance=scale * posterior.covariance,
-        leverage=posterior.leverage,
-        common_px2=common,
+        covariance=factor * posterior.covariance,
+        common_px2=common_px2,
+        stretch_px=equations.stretch_px,
     )
 
 
@@ -197,13 +279,15 @@ def _multiplied(columns: Floats, matrix: Floats) -> Floats:
     return np.asarray((columns.reshape(-1, len(matrix)) @ matrix).reshape(columns.shape))
 
 
-def _columns(camera: StarCamera, u_s: Floats, xy_px: Floats, slopes: Floats) -> Floats:
+def _columns(camera: StarCamera, u_s: Floats, xy_px: Floats, slopes: Floats, *, stretched: bool) -> Floats:
     """(N, 2, P) derivatives of the pixels of directions (N, 3), frame s, by the unknowns."""
     A = rotation_derivatives(camera, u_s)
     parts = [A, pixel_derivatives(camera, u_s) + A @ slopes[3:10, :3].T]
-    if len(slopes) > 10:
-        warp = smooth_derivatives(camera, xy_px, _DEGREE)
-        parts.append(warp + A @ slopes[10:, :3].T)
+    if stretched:
+        parts.append(_stretch_derivatives(camera, xy_px) + A @ slopes[10:12, :3].T)
+    known = 12 if stretched else 10
+    if len(slopes) > known:
+        parts.append(smooth_derivatives(camera, xy_px, _DEGREE) + A @ slopes[known:, :3].T)
     return np.concatenate(parts, axis=2)
 
 
@@ -220,6 +304,20 @@ def _bending_slopes(camera: StarCamera) -> Floats:
     """(C, 4) slopes of the coefficients of a smooth distortion."""
     points = _slope_points(camera)
     return _slopes_of(camera, points, smooth_derivatives(camera, points, _DEGREE))
+
+
+def _stretch_slopes(camera: StarCamera) -> Floats:
+    """(2, 4) slopes of a stretch."""
+    points = _slope_points(camera)
+    return _slopes_of(camera, points, _stretch_derivatives(camera, points))
+
+
+def _stretch_derivatives(camera: StarCamera, xy_px: Floats) -> Floats:
+    """Displacements (N, 2, 2) of pixels (N, 2) by a stretch of columns against rows, and by one along one
+    diagonal against the other; 1 px at the ends of the longer side."""
+    half = 0.5 * max(camera.width_px, camera.height_px)
+    x, y = (xy_px - 0.5 * (np.array([camera.width_px, camera.height_px]) - 1.0)).T / half
+    return np.stack([np.column_stack([x, -y]), np.column_stack([y, x])], axis=2)
 
 
 def _slope_points(camera: StarCamera) -> Floats:

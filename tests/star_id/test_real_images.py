@@ -122,15 +122,16 @@ def scatter_of_fields(found):
     "files, frames", [("startrackerpy/*.jpg", 5), ("Star_Tracker_Microcontroller/[A-Z]*", 7)]
 )
 def test_the_field_of_view_of_a_lens_repeats_as_stated(files, frames, solution):
-    """Frames of one lens, each by itself, 30 to 1100 ppm as stated; where they were taken is not known."""
+    """Frames of one lens, each by itself, 50 to 1500 ppm as stated; where they were taken is not known."""
     rows = [row for row in ROWS if row["level"] == "verified" and fnmatchcase(row["file"], files)]
     assert len(rows) == frames
-    assert scatter_of_fields([solution(row) for row in rows]) < 2.0  # 1.4 and 1.9
+    assert scatter_of_fields([solution(row) for row in rows]) < 2.0  # 0.2 and 1.1
 
 
 def test_the_field_of_view_of_one_lens_repeats_within_50_ppm(index, solution):
     """Four frames of one lens, each by itself, nothing known of the camera: what is left of their differences
     when the motion of the Earth and the refraction are corrected is noise, 30 to 115 ppm a frame as stated.
+    If they are not, what refraction does is seen in the two lower frames, and in what these state.
 
     The frames' names state time and altitudes; the site is the one from which their middles stand so high.
     """
@@ -148,5 +149,7 @@ def test_the_field_of_view_of_one_lens_repeats_within_50_ppm(index, solution):
     fields = np.array([one.fov_x_rad for one in found])
     assert fields.std(ddof=1) / fields.mean() < 50e-6
     assert scatter_of_fields(found) < 2.0  # 0.4
-    in_space = np.array([solution(row).fov_x_rad for row in rows])
-    assert in_space.std(ddof=1) / in_space.mean() > 60e-6  # aberration and air are seen
+    in_space = [solution(row) for row in rows]
+    fields = np.array([one.fov_x_rad for one in in_space])
+    assert fields.std(ddof=1) / fields.mean() > 60e-6  # aberration and air are seen
+    assert scatter_of_fields(in_space) < 2.0  # 0.8; of the stars' errors alone 3.9

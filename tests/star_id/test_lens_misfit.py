@@ -1,0 +1,53 @@
+"""What displaces the stars of one image besides its camera, and is in the stated errors."""
+
+from __future__ import annotations
+
+import erfa
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from boresight.geometry.ground_site import Air, refract_by_air
+from boresight.star_id.field import nominal_camera
+from boresight.star_id.field_fit import fit_attitude_and_lens
+
+SIZE = (2048, 2048)
+CAMERA = nominal_camera(SIZE, np.radians(12.0))
+STANDARD_AIR = erfa.refco(1013.25, 15.0, 0.0, 0.55)
+AT_THE_ZENITH = STANDARD_AIR[0] + STANDARD_AIR[1]  # by which the air makes angles smaller there
+STARS = 100
+
+
+def field_of_view(altitude_rad, rng):
+    """Relative error of the field of view of one image, taken through air that the fit does not know of, and
+    its 1-sigma error; altitude None: of one taken in space."""
+    xy = rng.uniform(0, 2047, (STARS, 2))
+    R_si = Rotation.random(random_state=rng)
+    u_i = R_si.inv().apply(CAMERA.directions_from_pixels(xy))
+    if altitude_rad is not None:
+        seen, centre = u_i, R_si.inv().apply([0.0, 0.0, 1.0])
+        level = np.cross(centre, rng.normal(size=3))
+        axis = level / np.linalg.norm(level) * (0.5 * np.pi - altitude_rad)
+        air = Air(Rotation.from_rotvec(axis).apply(centre), *STANDARD_AIR)
+        for _ in range(6):  # each gains three digits
+            u_i = u_i + seen - refract_by_air(u_i / np.linalg.norm(u_i, axis=1)[:, None], air)
+    sigma = 10.0 ** rng.uniform(-1.5, -0.5, STARS)
+    measured = xy + rng.normal(size=xy.shape) * sigma[:, None]
+    cov = sigma[:, None, None] ** 2 * np.eye(2)
+    field = fit_attitude_and_lens(CAMERA, R_si, measured, cov, u_i).field
+    return field.camera.fov_x_rad / CAMERA.fov_x_rad - 1.0, field.fov_x_sigma_rad / CAMERA.fov_x_rad
+
+
+def test_air_that_is_not_known_of_is_in_the_error_of_the_field_of_view():
+    """Lower down the air makes heights smaller than widths: 50 to 600 ppm where stars tell 15 ppm."""
+    rng = np.random.default_rng(3)
+    off, sigma = np.array([field_of_view(np.radians(alt), rng) for alt in np.linspace(30.0, 80.0, 60)]).T
+    # of 60 degrees of freedom; 1.3, and 23 if only the stars' errors are stated
+    assert np.mean(((off - AT_THE_ZENITH) / sigma) ** 2) < 2.0
+    assert np.mean(sigma) < 3.0 * np.sqrt(np.mean((off - AT_THE_ZENITH) ** 2))
+
+
+def test_images_without_a_stretch_keep_their_errors():
+    rng = np.random.default_rng(4)
+    off, sigma = np.array([field_of_view(None, rng) for _ in range(80)]).T
+    assert 0.7 < np.mean((off / sigma) ** 2) < 1.4  # 80 degrees of freedom: 98.5 % of them
+    assert np.mean(sigma > 1.3 * np.median(sigma)) < 0.15  # 4 % ask for a stretch by chance
