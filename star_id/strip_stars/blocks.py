@@ -16,6 +16,7 @@ from boresight.geometry.record import Floats, Ints, array, record, scalar
 __all__ = ["Columns", "candidates", "columns_of"]
 
 _CLIP_SIGMA = 4.0
+_AROUND = np.ones((5, 5), np.uint8)  # pixels to which a star of a pixel above the clip extends
 _LEAST_NOISE_DN = 0.3  # the rounding to whole counts
 _NOISY = 1.5  # of the median noise: such a column says little
 
@@ -31,12 +32,13 @@ class Columns:
 
 
 def columns_of(block: NDArray) -> Columns:
-    """Level and noise of the columns of a block (H, W): mean and deviation, clipped at 4 sigma."""
+    """Level and noise of the columns of a block (H, W): mean and deviation without what deviates by 4 sigma,
+    and without the pixels around it, whose light would displace a star towards the middle of its pixel."""
     few = np.sort(block[:: max(1, len(block) // 128)].astype(np.float32), axis=0)
     middle, low = few[len(few) // 2], few[int(0.1587 * len(few))]
     spread = np.maximum(middle - low, 1.0)
     away = block.astype(np.float32) - middle
-    inside = np.abs(away) <= _CLIP_SIGMA * spread
+    inside = cv2.dilate((np.abs(away) > _CLIP_SIGMA * spread).astype(np.uint8), _AROUND) == 0
     count = np.maximum(inside.sum(axis=0), 1)
     away *= inside
     mean = away.sum(axis=0, dtype=float) / count

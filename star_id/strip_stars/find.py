@@ -14,7 +14,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
-from scipy.special import ndtri
+from scipy.special import lambertw
 
 from boresight.geometry.record import Bools, Floats, Ints, array, record, scalar
 from boresight.star_id.finding.windows import StarWindows
@@ -133,7 +133,8 @@ def find_strip_stars(
         Brightest first.
     """
     sigma = settings.psf_sigma_px or _USUAL_SIGMA_PX
-    found = _candidates(images, motion, settings, sigma, saturation_dn)
+    limit = _snr_limit(images, motion, settings, sigma)
+    found = _candidates(images, motion, sigma, limit, saturation_dn)
     if not len(found.ccd):
         return _no_stars(sigma)
     rough = _fits(found, found.start, sigma, np.inf)
@@ -146,24 +147,47 @@ def find_strip_stars(
         chosen = found.take(many)
         gain = gain_of(chosen.windows, rough.offset[many], chosen.motion, sigma)
     fits = _fits(found, rough.offset, sigma, gain)
-    return _listed(found, fits, _on_detector(found, fits, images), sigma, gain)
+    seen = _on_detector(found, fits, images) & (fits.snr > limit)
+    return _listed(found, fits, seen, sigma, gain)
+
+
+def _snr_limit(
+    images: StripImage, motion: StripMotion, settings: StripStarSettings, sigma_px: float
+) -> float:
+    """SNR that as many fits to a strip of noise exceed as the settings allow.
+
+    A fit finds a maximum of the star's charge, a Gaussian field, over places: A sqrt(det L) (2 pi)^(-3/2) u
+    exp(-u^2 / 2) of them exceed u sigma in A pixels (Adler, The Geometry of Random Fields, 1981, theorem
+    6.3.1), L the covariance of the field's gradient. One sigma is more than that of `snr`, since the
+    background is fitted too.
+    """
+    usual = motion.usual
+    images_of = trace_images(np.zeros((len(usual.rate), 2)), usual, sigma_px, trace_radius(usual, sigma_px))
+    free = images_of.columns[:, :3] - images_of.columns[:, :3].mean(axis=2, keepdims=True)
+    energy = np.einsum("npm,nqm->npq", free, free).astype(float)
+    density = np.sqrt(np.linalg.det(energy[:, :2, :2])) / energy[:, 2, 2] / (2.0 * np.pi) ** 1.5
+    maxima = sum(float(density[ccd]) * np.prod(images.shape(ccd)) for ccd in images.ccds)
+    # u exp(-u^2 / 2) = c where -u^2 is Lambert's function of -c^2
+    share = min(settings.false_alarms_per_strip / maxima, 0.6)
+    u = float(np.sqrt(-lambertw(-(share**2), -1).real))
+    return u * float(np.sqrt((images_of.value**2).sum(axis=1) / energy[:, 2, 2]).mean())
 
 
 def _candidates(
-    images: StripImage,
-    motion: StripMotion,
-    settings: StripStarSettings,
-    sigma_px: float,
-    saturation_dn: float,
+    images: StripImage, motion: StripMotion, sigma_px: float, limit: float, saturation_dn: float
 ) -> _Found:
+    """Peaks of the filter that may be stars of an SNR above `limit`: at the corner of four pixels a star's
+    peak is lower."""
     radius = trace_radius(motion.usual, sigma_px)
-    pixels = sum(int(np.prod(images.shape(ccd))) for ccd in images.ccds)
-    threshold = float(-ndtri(settings.false_alarms_per_strip / pixels))
     ccds: list[int] = []
     corners, data, good, noise2, starts = [], [], [], [], []
     for ccd in images.ccds:
         usual = motion.usual.take(np.array([ccd]))
-        image = trace_images(np.zeros((1, 2)), usual, sigma_px, radius).value.reshape(2 * radius + 1, -1)
+        middle, corner = (
+            trace_images(np.full((1, 2), at), usual, sigma_px, radius).value[0] for at in (0.0, 0.5)
+        )
+        threshold = limit * float(middle @ corner / (np.linalg.norm(middle) * np.linalg.norm(corner)))
+        image = middle.reshape(2 * radius + 1, -1)
         for first, block, columns, inner in _blocks(images, ccd, 2 * radius + 2):
             peaks = candidates(block, columns, image, threshold)
             own = (peaks[:, 1] >= inner.start - 1) & (peaks[:, 1] <= inner.stop)  # at a seam in both
@@ -249,8 +273,9 @@ def _on_detector(found: _Found, fits: TraceFits, images: StripImage) -> Bools:
     return np.asarray(((xy_px >= -0.5) & (xy_px < ends)).all(axis=1))
 
 
-def _listed(found: _Found, fits: TraceFits, inside: Bools, sigma: float, gain: float) -> StripStars:
-    """The fits that are stars, `inside` their CCD's image, each once, brightest first."""
+def _listed(found: _Found, fits: TraceFits, seen: Bools, sigma: float, gain: float) -> StripStars:
+    """The fits that are stars, bright enough and inside their CCD's image (`seen`), each once, brightest
+    first."""
     windows = found.windows
     ratio = fits.chi2 / fits.dof
     # Near the saturation every count is masked; what remains of the image still gives the place.
@@ -259,7 +284,7 @@ def _listed(found: _Found, fits: TraceFits, inside: Bools, sigma: float, gain: f
     )
     near = np.abs(fits.offset - found.start).max(axis=1) < np.where(saturated, 4.0, 2.0)
     shaped = (ratio < _MISFIT + (_MISFIT_OF_SNR * fits.snr) ** 2) | saturated
-    kept = np.flatnonzero(inside & near & (fits.snr > 0.0) & np.isfinite(fits.cov_px).all(axis=(1, 2)))
+    kept = np.flatnonzero(seen & near & np.isfinite(fits.cov_px).all(axis=(1, 2)))
     kept = kept[np.argsort(-fits.flux_dn[kept], kind="stable")]
     stars = StripStars(
         ccd=found.ccd[kept],
@@ -272,7 +297,7 @@ def _listed(found: _Found, fits: TraceFits, inside: Bools, sigma: float, gain: f
         blended=np.zeros(len(kept), dtype=bool),
         psf_sigma_px=sigma,
         gain_e_per_dn=gain,
-        misshapen=int(np.count_nonzero(near & ~shaped)),
+        misshapen=int(np.count_nonzero(seen & near & ~shaped)),
     )
     shaped = shaped[kept]
     stars, own = _each_once(stars, windows.radius)

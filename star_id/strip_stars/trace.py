@@ -20,7 +20,7 @@ from scipy.special import ndtr
 from boresight.geometry.record import Floats, array, record, scalar
 from boresight.star_id.finding.psf import PsfImages
 
-__all__ = ["Motion", "trace_images", "trace_radius"]
+__all__ = ["Motion", "trace_curvatures", "trace_images", "trace_radius"]
 
 _NODES_IN_ROW = 5  # Gauss-Legendre: exact to 1e-4 of the peak for a pixel a row and optics of 0.4 px
 _REACH_SIGMA = 3.0
@@ -56,6 +56,33 @@ def trace_images(offset: Floats, motion: Motion, sigma_px: float, radius: int) -
     """Images of unit charge of stars at `offset` (N, 2), (sample, line) from the middle of windows of side
     2 radius + 1, and the derivatives by both.
     """
+    rows, columns, weight = _profiles(offset, motion, sigma_px, radius, order=1)
+    rate, drift = motion.rate[:, None, None], motion.drift[:, None, None]
+    value, d_x = (_summed(rows[0], column, weight) for column in columns)
+    d_y = -rate * _summed(rows[1], columns[0], weight) - drift * d_x
+    images = np.stack([d_x, d_y, value, np.ones_like(value)], axis=1)
+    return PsfImages(images.reshape(len(offset), 4, -1).astype(np.float32), None)
+
+
+def trace_curvatures(offset: Floats, motion: Motion, sigma_px: float, radius: int) -> Floats:
+    """Second derivatives (N, 3, M) of the images of `trace_images`, by sample twice, by sample and line, by
+    line twice."""
+    rows, columns, weight = _profiles(offset, motion, sigma_px, radius, order=2)
+    rate, drift = motion.rate[:, None, None], motion.drift[:, None, None]
+    d_xx = _summed(rows[0], columns[2], weight)
+    across = _summed(rows[1], columns[1], weight)
+    along = _summed(rows[2], columns[0], weight)
+    d_xy = -rate * across - drift * d_xx
+    d_yy = rate**2 * along + 2.0 * rate * drift * across + drift**2 * d_xx
+    return np.stack([d_xx, d_xy, d_yy], axis=1).reshape(len(offset), 3, -1)
+
+
+def _profiles(
+    offset: Floats, motion: Motion, sigma_px: float, radius: int, *, order: int
+) -> tuple[list[Floats], list[Floats], Floats]:
+    """Shares of the light of an image point at each node that rows (N, K, J) and columns (N, K, J, C) of a
+    window take, their derivatives by its place along the motion of the charge and by sample up to `order`,
+    and the weights (N, J) of the nodes."""
     stage, in_row, weight = _nodes(motion, sigma_px)
     pixel = np.arange(-radius, radius + 1.0)
     rate, drift = motion.rate[:, None, None], motion.drift[:, None, None]
@@ -63,22 +90,23 @@ def trace_images(offset: Floats, motion: Motion, sigma_px: float, radius: int) -
     along = (rate * t + (rate - 1.0) * stage) / sigma_px
     beside = (offset[:, 0, None, None] + drift * (t + stage)) / sigma_px
     half = 0.5 / sigma_px
-    share = ndtr(along + half) - ndtr(along - half)
-    share_slope = (_density(along + half) - _density(along - half)) / sigma_px
+    rows = [high - low for low, high in zip(*(_integrals(along + side, order) for side in (-half, half)))]
     edges = np.arange(-radius - 0.5, radius + 1.0) / sigma_px
-    z = edges - beside[..., None]  # (N, K, J, C + 1)
-    column, density = np.diff(ndtr(z), axis=-1), _density(z)
-    column_slope = (density[..., :-1] - density[..., 1:]) / sigma_px
+    columns = [np.diff(integral, axis=-1) for integral in _integrals(edges - beside[..., None], order)]
+    of_rows = [row / sigma_px**n for n, row in enumerate(rows)]
+    of_columns = [column / (-sigma_px) ** n for n, column in enumerate(columns)]
+    return of_rows, of_columns, np.abs(motion.rate)[:, None] * weight
 
-    def summed(rows: Floats, columns: Floats) -> Floats:
-        return np.matmul((rows * weight)[:, :, None, :], columns)[:, :, 0]  # (N, K, C)
 
-    light = np.abs(rate)
-    value, d_x = light * summed(share, column), light * summed(share, column_slope)
-    by_rows = light * summed(share_slope, column)
-    d_y = -rate * by_rows - drift * d_x
-    images = np.stack([d_x, d_y, value, np.ones_like(value)], axis=1)
-    return PsfImages(images.reshape(len(offset), 4, -1).astype(np.float32), None)
+def _integrals(z: Floats, order: int) -> list[Floats]:
+    """The normal distribution's cumulated density at z, and its derivatives up to `order` (1 or 2)."""
+    density = np.exp(-0.5 * z * z) / np.sqrt(2.0 * np.pi)
+    return [ndtr(z), density, -z * density][: order + 1]
+
+
+def _summed(rows: Floats, columns: Floats, weight: Floats) -> Floats:
+    """(N, K, C) images of all nodes, added with their weights (N, J)."""
+    return np.asarray(np.matmul((rows * weight[:, None])[:, :, None, :], columns)[:, :, 0])
 
 
 def _nodes(motion: Motion, sigma_px: float) -> tuple[Floats, Floats, Floats]:
@@ -90,7 +118,3 @@ def _nodes(motion: Motion, sigma_px: float) -> tuple[Floats, Floats, Floats]:
     node, weight = np.polynomial.legendre.leggauss(_NODES_IN_ROW)
     both = np.repeat(stage, len(node)), np.tile(0.5 * node, count), np.tile(0.5 * weight, count) / count
     return both
-
-
-def _density(z: Floats) -> Floats:
-    return np.asarray(np.exp(-0.5 * z * z) / np.sqrt(2.0 * np.pi))
