@@ -9,7 +9,9 @@ row shows another part of the sky. `unknown` is the image alone, `given` the tru
     right      identified within 0.05 deg and 0.2 deg of roll: of frames; w: identified wrongly
     complete   of the isolated, unsaturated stars of SNR 8 and more (matched filter of the rendered PSF)
     false      detections without a star within 3 px, or a third of a trail's length, a frame
-    x bound    error of these stars over the Cramér-Rao bound of the rendered PSF, and chi2 of their errors
+    x bound    error of these stars over the Cramér-Rao bound of the rendered PSF, and chi2 of their errors,
+               1 if their covariances are correct: means without the largest hundredth, over what these are
+               expected to be (`_robust_mean`)
     NEES       mean squared error over stated variance, each of one degree of freedom: direction, roll, field;
                of all rows together at the end. Where frames are so few that one in twenty correct means lies
                outside 0.7 to 1.4 (fewer than some 75 squares), the verdict is that range times their scatter
@@ -40,7 +42,7 @@ from numpy.typing import NDArray
 from record import commit, exit_status, head, verdict
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
-from scipy.stats import chi2
+from scipy.stats import chi2, expon
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "star_id"))
 
@@ -54,6 +56,7 @@ from boresight.star_id.identification.triangle_index import StarIndex, build_ind
 from boresight.star_id.settings import StarSettings
 
 LEAST_SNR, NEAR_PX, ALONE_PX = 8.0, 3.0, 16.0
+CUT = 0.01  # share of the errors of places, the largest, that no mean has
 
 
 SHARP, USUAL = Blur(), Sensor(hot_pixels=200)
@@ -328,10 +331,10 @@ def _score_stars(row: Row, stars: StarList, sky: Stars, variance: NDArray, score
         near = max(NEAR_PX, float(np.hypot(*row.blur.trail_px)) / 3.0, row.blur.ring_px)
         hit = use & (distance < near)
         error = stars.xy_px[nearest[hit]] - xy[rows[hit]]
-        own = 0.5 * np.trace(stars.cov_px[nearest[hit]], axis1=1, axis2=2)
+        normalised = np.linalg.solve(stars.cov_px[nearest[hit]], error[:, :, None])[:, :, 0]
         score.seen += int(hit.sum())
         score.over.append(0.5 * (error**2).sum(axis=1) / bound[hit] ** 2)
-        score.chi2.append(0.5 * (error**2).sum(axis=1) / own)
+        score.chi2.append(0.5 * (error * normalised).sum(axis=1))
         score.false += int((tree.query(stars.xy_px)[0] > near).sum())
     score.stars += int(use.sum())
 
@@ -349,9 +352,13 @@ def _bound(row: Row, xy: NDArray, electrons: NDArray, variance: NDArray) -> tupl
 
 
 def _robust_mean(parts: list[NDArray]) -> float:
-    """Mean without the largest hundredth: a true blend with an unseen star is no error of the method."""
+    """Mean without the largest hundredth, over what it is expected to be of halved squares of two normal
+    errors: 0.954. A hot pixel or a blend beside a star is no error of the method; without such, the hundredth
+    is the tail of correct errors."""
     every = np.sort(np.concatenate(parts)) if parts else np.array([np.nan])
-    return float(every[: max(1, int(np.ceil(0.99 * len(every))))].mean())
+    kept = max(1, int(np.ceil((1.0 - CUT) * len(every))))
+    most = expon.ppf(1.0 - CUT)
+    return float(every[:kept].mean() / expon.expect(ub=most, conditional=True))
 
 
 def _means(nees: list[NDArray] | None) -> NDArray:
