@@ -133,10 +133,10 @@ def egm96() -> Geoid:
     path = importlib.resources.files("boresight.geometry") / "data" / "egm96-5.npz"
     with path.open("rb") as file, np.load(file) as stored:
         # Stored: second differences in centimetres along longitude and latitude; two cumulative sums invert.
-        centimetres = stored["undulation_d2"].astype(np.int32)
+        centimetres = stored["undulation_d2"]  # 16 bit, as all undulations have: sums may wrap in between
     for row, before in zip(centimetres[1:], centimetres):  # ten times faster than np.cumsum along columns
         row += before
-    np.cumsum(centimetres, axis=1, out=centimetres)
+    np.cumsum(centimetres, axis=1, dtype=np.int16, out=centimetres)
     metres = np.empty(centimetres.shape, dtype=np.float32)
     np.multiply(centimetres, 0.01, out=metres, casting="unsafe")
     step = np.radians(1.0 / 12.0)
