@@ -25,7 +25,9 @@ from refresh_tutorial import (  # noqa: E402
 )
 
 NUMBER = re.compile(r"[-+]?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?")
-TIMES = re.compile(r"\d+\.\d+ s(?= ->)")
+TIMES = re.compile(
+    r"\d+\.\d+ s(?= ->)|\d+ bytes(?= ->)"
+)  # a file's length is that of its numbers' last digits
 
 
 @pytest.fixture(scope="module")
@@ -66,13 +68,16 @@ def test_the_first_screen_of_the_readme_is_the_tutorials_run():
 
 
 def assert_same(printed: str, shown: str, command: str) -> None:
-    """Words exactly; numbers to one unit of their last printed digit, for rounding on another processor. How
-    long it took is not compared.
+    """Words and counts exactly; decimal numbers to four units of their last printed digit, or to 2e-9.
+
+    Between the kernels of OpenBLAS, NumPy and OpenCV for several processors theta of the demo differs by up
+    to 2e-9 rad, 5e-5 of its sigma. How long it took and how long a file is are not compared.
     """
-    printed, shown = TIMES.sub("some time", printed), TIMES.sub("some time", shown)
+    printed, shown = TIMES.sub("so much", printed), TIMES.sub("so much", shown)
     where = f"{command}: printed\n{printed}\nthe page shows\n{shown}\nrun scripts/refresh_tutorial.py"
     assert NUMBER.sub("#", printed).split() == NUMBER.sub("#", shown).split(), where
     for got, expected in zip(NUMBER.findall(printed), NUMBER.findall(shown)):
         mantissa, _, exponent = expected.lower().partition("e")
         unit = 10.0 ** (int(exponent or 0) - len(mantissa.partition(".")[2]))
-        assert abs(float(got) - float(expected)) <= 1.01 * unit, where
+        most = max(4.01 * unit, 2e-9) if "." in mantissa else 0.0
+        assert abs(float(got) - float(expected)) <= most, where
