@@ -162,9 +162,9 @@ def equations(frames: list[Frame]) -> list[LensEquations]:
 
 def of_frame(plain: LensEquations, stretch_px: float, warp_px: float) -> LensEquations:
     """With a stretch and a smooth distortion of these sizes."""
-    bent = (plain.stretched(stretch_px) if stretch_px else plain).bent()
+    distorted = (plain.stretched(stretch_px) if stretch_px else plain).distorted()
     decay = np.tile([2.0 ** (-0.5 * (i + j)) for i, j in _TERMS], 2)
-    return replace(bent, sigma=np.append(bent.sigma, warp_px * decay))
+    return replace(distorted, sigma=np.append(distorted.sigma, warp_px * decay))
 
 
 def together(each: list[LensEquations], stretch_px: float, warp_px: float) -> float:

@@ -121,7 +121,7 @@ class LensEquations:
         sigma = np.append(self.sigma, [size_px, size_px])
         return replace(self._with(_stretch_slopes(self.camera), size_px), sigma=sigma)
 
-    def bent(self) -> LensEquations:
+    def distorted(self) -> LensEquations:
         """With the coefficients of a smooth distortion, of a size not stated, as the last unknowns."""
         return self._with(_bending_slopes(self.camera), self.stretch_px)
 
@@ -170,7 +170,7 @@ def lens_errors(equations: LensEquations, common_px2: float) -> LensErrors:
 def _warped(equations: LensEquations, plain: _Linear, common_px2: float) -> LensErrors | None:
     """Errors with a smooth distortion; None if its evidence is not clearly larger than that of the solution
     without one."""
-    equations = equations.bent()
+    equations = equations.distorted()
     decay = np.tile([2.0 ** (-0.5 * (i + j)) for i, j in _TERMS], 2)
 
     def solved(common: float, warp: float) -> _Linear:

@@ -54,16 +54,19 @@ def test_each_pointing_adds_and_ten_are_worth_many_at_random(plan):
 
 
 def test_the_error_that_is_foretold_is_the_error_that_comes(plan, index):
-    rng, places = np.random.default_rng(32), hipparcos_stars(8.0).places
-    frames = [
-        SkyFrame(str(k), listed_stars(TRUTH, pointing.R_si, places, rng, brightest=np.inf))
-        for k, pointing in enumerate(plan.pointings)
-    ]
-    found = calibrate_camera(frames, ROUGH, index, SETTINGS)
-    assert isinstance(found, CameraCalibration)
-    stated = found.model_sigma_px(detector_grid(found.camera)).max()
-    # a tenth: the plan's camera is 1 % off, so stars near the edges come and go
-    assert plan.pointings[-1].sigma_px == pytest.approx(stated, rel=0.1)
+    places, stated = hipparcos_stars(8.0).places, []
+    for seed in (32, 33, 34):
+        rng = np.random.default_rng(seed)
+        frames = [
+            SkyFrame(str(k), listed_stars(TRUTH, pointing.R_si, places, rng, brightest=np.inf))
+            for k, pointing in enumerate(plan.pointings)
+        ]
+        found = calibrate_camera(frames, ROUGH, index, SETTINGS)
+        assert isinstance(found, CameraCalibration)
+        stated.append(found.model_sigma_px(detector_grid(found.camera)).max())
+    # a tenth: the plan's camera is 1 % off, so stars near the edges come and go; the median, since noise
+    # looks like a smooth distortion of the lens in one of twenty
+    assert plan.pointings[-1].sigma_px == pytest.approx(np.median(stated), rel=0.1)
 
 
 def test_a_choice_is_nearly_the_best_there_is(index, monkeypatch):
