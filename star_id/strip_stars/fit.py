@@ -23,6 +23,7 @@ _STEPS = 12
 _LARGEST_STEP_PX = 0.6
 _CONVERGED = 0.05  # of the standard error
 _MOST_BIAS = 0.3  # of the standard error: more is no bias of second order, the star is hardly there
+_LEAST_SHOWN = 0.67  # of the bias: less, from 0.14 px, would add more scatter than it takes bias
 _WIDTHS_PX = (0.2, 2.0)  # of optics: narrower is hidden by the pixel, wider is out of focus
 _GAINS = (0.1, 1e4)  # electrons per DN: of any detector; beyond, photons add nothing
 _GAIN_STEPS = 61  # factors of 1.2: a strip's stars tell the gain to 0.2 at best
@@ -79,7 +80,8 @@ def _bias(
 
     An image at an uncertain place is wider than that at one place, by its second derivatives; what the fit
     takes of that for a displacement is the bias (Box 1971, J. R. Statist. Soc. B 33, 171, equation 2.27). It
-    would vanish if the pixels were small and the window large. `covariance` (N, 4, 4) is that of the state.
+    is a wave over the pixel, of which places that scatter by sigma show exp(-2 pi^2 sigma^2). `covariance`
+    (N, 4, 4) is that of the state.
     """
     c, flux = covariance[:, :, :, None], state[:, 2:3]
     spread = (
@@ -87,8 +89,10 @@ def _bias(
     )
     wider = flux * spread + 2.0 * (c[:, 0, 2] * images.d_x + c[:, 1, 2] * images.d_y)  # (N, M)
     slopes = np.einsum("npm,nm,nm->np", images.columns, weight, wider) * by_parameter(state, 4)
-    bias = -0.5 * np.einsum("npq,nq->np", covariance, slopes)[:, :2]
-    most = _MOST_BIAS * np.sqrt(np.maximum(np.einsum("npp->np", covariance)[:, :2], 0.0))
+    variance = np.maximum(np.einsum("npp->np", covariance)[:, :2], 0.0)
+    shown = np.maximum(np.exp(-2.0 * np.pi**2 * variance), _LEAST_SHOWN)
+    bias = -0.5 * np.einsum("npq,nq->np", covariance, slopes)[:, :2] / shown
+    most = _MOST_BIAS * np.sqrt(variance)
     return np.clip(bias, -most, most)
 
 
