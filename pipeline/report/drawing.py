@@ -17,7 +17,6 @@ from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
 from boresight.geometry.record import record, scalar
-from boresight.pipeline.report.axes_frame import LABEL_PT, FrameColours, frame_svg
 
 __all__ = [
     "AXES",
@@ -49,7 +48,6 @@ _VARIABLES = {
     _Y: "var(--y)",
     _Z: "var(--z)",
 }
-FRAME = FrameColours(MUTED, GRID, INK)
 WIDTH_IN = 4.6
 MARGINS_IN = (0.72, 0.2, 0.47, 0.1)  # left, right, bottom, top: room for ticks and labels
 COLOURS = 8  # of strips: --s0 to --s7 in style.css
@@ -124,19 +122,23 @@ def new_figure(height_in: float, legend_in: float = 0.0) -> Figure:
 
 
 def axes_of(figure: Figure, x_label: str, y_label: str) -> Axes:
-    """The single axes of a figure, with labels and frame."""
+    """The single axes of a figure, with labels, grid and placeholder colours."""
     axes = figure.add_subplot()
     dress_axes(axes, x_label, y_label)
     return axes
 
 
 def dress_axes(axes: Axes, x_label: str, y_label: str) -> None:
-    """Labels of axes, which get the frame of `axes_frame`."""
+    """Labels, grid and placeholder colours of axes."""
     axes.patch.set_visible(False)
-    axes.set_axis_off()
-    axes.set_xlabel(x_label)
-    axes.set_ylabel(y_label)
-    axes.tick_params(which="both", labelsize=LABEL_PT)  # of its size follows how many ticks there are
+    axes.set_xlabel(x_label, color=INK, fontsize=9)
+    axes.set_ylabel(y_label, color=INK, fontsize=9)
+    axes.tick_params(which="both", color=MUTED, labelcolor=INK, labelsize=8.5)
+    for side, spine in axes.spines.items():
+        spine.set_color(MUTED)
+        spine.set_visible(side in ("left", "bottom"))
+    axes.grid(color=GRID, linewidth=0.6)
+    axes.set_axisbelow(True)
 
 
 def drawn(figure: Figure, name: str, caption: str, words: str, spots: Sequence[Spot] = ()) -> Drawing:
@@ -146,18 +148,10 @@ def drawn(figure: Figure, name: str, caption: str, words: str, spots: Sequence[S
     out = io.StringIO()
     with matplotlib.rc_context({"svg.fonttype": "none", "svg.hashsalt": name}):
         figure.savefig(out, format="svg", metadata={"Date": None, "Creator": None})
-    svg = _for_html(_framed(out.getvalue(), figure), name, words)
+    svg = _for_html(out.getvalue(), name, words)
     if spots:
         svg = svg.replace("</svg>", "".join(_marked(figure, spot) for spot in spots) + "</svg>")
     return Drawing(svg, caption, words)
-
-
-def _framed(svg: str, figure: Figure) -> str:
-    """The drawing with the frames of its axes."""
-    frames = [frame_svg(figure, axes, FRAME) for axes in figure.axes if axes.get_visible()]
-    start, end = svg.index('<g id="figure_1">'), svg.rindex("</svg>")
-    below, above = ("".join(parts) for parts in zip(*frames))
-    return svg[:start] + below + svg[start:end] + above + svg[end:]
 
 
 def _marked(figure: Figure, spot: Spot) -> str:

@@ -188,6 +188,7 @@ def _psf(image: NDArray[Any], stars: StarList) -> Drawing | None:
     for n, (title, values) in enumerate((("stars", mean), ("PSF", fitted), ("difference", mean - fitted))):
         axes = figure.add_subplot(1, 3, n + 1)
         dress_axes(axes, "px", "")
+        axes.grid(visible=False)
         reach = radius + 0.5
         axes.imshow(values, cmap="gray", vmin=-0.2 * top, vmax=top, extent=(-reach, reach, reach, -reach))
         axes.set_title(title, color=INK, fontsize=9)
