@@ -138,11 +138,13 @@ def find_strip_stars(
     if not len(found.ccd):
         return _no_stars(sigma)
     rough = _fits(found, found.start, sigma, np.inf)
+    inside = _on_detector(found, rough, images)
     gain = settings.gain_e_per_dn or np.inf
-    if settings.psf_sigma_px is None and len(few := _bright(found, rough, _BRIGHT_SNR, _STARS_FOR_WIDTH)):
+    few = _bright(found, rough, inside, _BRIGHT_SNR, _STARS_FOR_WIDTH)
+    if settings.psf_sigma_px is None and len(few):
         chosen = found.take(few)
         sigma = width_of(chosen.windows, rough.offset[few], chosen.motion)
-    many = _bright(found, rough, _BRIGHT_SNR[1:], _STARS_FOR_GAIN)
+    many = _bright(found, rough, inside, _BRIGHT_SNR[1:], _STARS_FOR_GAIN)
     if settings.gain_e_per_dn is None and len(many):
         chosen = found.take(many)
         gain = gain_of(chosen.windows, rough.offset[many], chosen.motion, sigma)
@@ -255,12 +257,13 @@ def _fits(found: _Found, offset: Floats, sigma_px: float, gain: float) -> TraceF
     return TraceFits(**{name: np.concatenate([getattr(part, name) for part in parts]) for name in names})
 
 
-def _bright(found: _Found, fits: TraceFits, limits: tuple[float, ...], most: int) -> Ints:
-    """Rows of the stars that give width and gain, `most` at most: bright, unsaturated, near their pixel."""
+def _bright(found: _Found, fits: TraceFits, inside: Bools, limits: tuple[float, ...], most: int) -> Ints:
+    """Rows of the stars that give width and gain, `most` at most: bright, unsaturated, near their pixel, and
+    inside the image: of a star beside it only a part of the trace is seen."""
     whole = (found.windows.good > 0.0).all(axis=1)
     near = np.abs(fits.offset - found.start).max(axis=1) < 1.5
     for limit in limits:
-        rows = np.flatnonzero(whole & near & (fits.snr > limit))
+        rows = np.flatnonzero(inside & whole & near & (fits.snr > limit))
         if len(rows) >= 3:
             break
     return rows[np.argsort(-fits.snr[rows], kind="stable")][:most]
