@@ -103,9 +103,12 @@ def test_what_is_wrong_is_named_in_the_fast_way_too(old: str, new: str, says: st
 def test_day_at_one_hertz_takes_less_than_a_second(tmp_path: Path) -> None:
     path = written(tmp_path, text_of(86_400))
     read_oem(written(tmp_path, text_of(86_400)), "orbit.oem")  # libraries are loaded
-    begin = time.process_time()
-    found = read_oem(path, "orbit.oem")
-    assert time.process_time() - begin < 1.0  # s of CPU time; 0.35 measured, 4 through the library alone
+    took_s = []
+    for _ in range(3):  # the least of them: other programs of the machine take caches and clock
+        begin = time.process_time()
+        found = read_oem(path, "orbit.oem")
+        took_s.append(time.process_time() - begin)
+    assert min(took_s) < 1.0  # of CPU time; 0.35 measured, 4 through the library alone
     assert len(found.t_s) == 86_400
 
 
