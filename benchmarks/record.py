@@ -26,9 +26,9 @@ if "OPENBLAS_NUM_THREADS" not in os.environ:
 _FAILED: list[str] = []  # verdicts of this process that do not hold
 
 
-def commit() -> str:
-    """The commit of the checkout, "+ changes" where tracked files differ from it; "unknown" without git."""
-    where = {"cwd": Path(__file__).parent, "capture_output": True, "text": True}
+def commit(checkout: Path = Path(__file__).parent) -> str:
+    """The commit of a checkout, "+ changes" where tracked files differ from it; "unknown" without git."""
+    where = {"cwd": checkout, "capture_output": True, "text": True}
     try:
         name = subprocess.run(["git", "rev-parse", "--short", "HEAD"], **where, check=True).stdout.strip()
         changed = subprocess.run(["git", "status", "--porcelain", "-uno"], **where, check=True).stdout.strip()

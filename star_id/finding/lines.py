@@ -8,7 +8,6 @@ the level of the sky over the image remains.
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -85,7 +84,10 @@ def _parts(image: NDArray, axis: int) -> Floats:
     for s in (along // 3 - _PART_PX // 2, 2 * along // 3 - _PART_PX // 2):
         s = max(s, 0)
         part = image[:, s : s + _PART_PX] if axis == 0 else image[s : s + _PART_PX]
-        means.append(cv2.reduce(part, 1 - axis, cv2.REDUCE_AVG, dtype=cv2.CV_32F).ravel())
+        count = part.shape[1 - axis]
+        weight = np.full(count, 1.0 / count, dtype=np.float32)
+        part = part.astype(np.float32)
+        means.append(part @ weight if axis == 0 else weight @ part)
     return np.stack(means)
 
 

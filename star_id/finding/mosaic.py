@@ -35,7 +35,7 @@ def has_mosaic(image: NDArray) -> bool:
     cells = tiles.reshape(len(tiles), _TILE_PX // 2, 2, _TILE_PX // 2, 2).transpose(0, 2, 4, 1, 3)
     quarter = _TILE_PX**2 // 16
     ends = (quarter, _TILE_PX**2 // 4 - quarter)
-    cells = np.partition(cells.reshape(len(tiles), 4, -1).astype(np.float32), ends, axis=2)
+    cells = np.sort(cells.reshape(len(tiles), 4, -1).astype(np.float32), axis=2)
     level = cells[:, :, slice(*ends)].mean(axis=2)  # without stars
     noise = np.sort(cells[:, :, ends[1]] - cells[:, :, ends[0]], axis=None)[2 * len(tiles)] / 1.349
     spread = np.sort(np.ptp(level, axis=1))[len(tiles) // 2]
