@@ -150,12 +150,16 @@ class AttitudeTrack:
 
     def R_si(self, t_s: ArrayLike) -> Rotation:
         """GCRS to frame s at instants (N,); `ValueError` more than half a step outside the exposures."""
+        return self.R_so(t_s) * self.nominal.R_oi(t_s)
+
+    def R_so(self, t_s: ArrayLike) -> Rotation:
+        """The frame of the nominal motion to frame s, as `R_si`."""
         t = np.asarray(t_s, dtype=float)
         start, weights = _stencil_weights(self.t_s, t, self.interpolation, self.points)
         rotvec = np.zeros((len(t), 3))
         for m in range(weights.shape[1]):
             rotvec += weights[:, m, None] * self._rotvec_s[start + m]
-        return Rotation.from_rotvec(rotvec) * self._R_so_middle * self.nominal.R_oi(t)
+        return Rotation.from_rotvec(rotvec) * self._R_so_middle
 
     def covariance_s(self, t_s: ArrayLike) -> Array:
         """Covariance (N, 3, 3), rad^2, of a small rotation of `R_si(t_s)` about the axes of s.

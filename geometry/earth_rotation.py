@@ -179,12 +179,10 @@ def _angular_velocity(days: Array, values: Array, mjd: float) -> Array:
 def _cubic(nodes: Array, values: Array, at: Array) -> Array:
     """Values (N, M) at `at` (N,) by cubic Lagrange interpolation of values (K, M) at nodes (K,)."""
     first = np.clip(np.searchsorted(nodes, at) - 2, 0, len(nodes) - 4)
+    near = [nodes[first + k] for k in range(4)]
+    away = [at - node for node in near]
     result = np.zeros((len(at), values.shape[1]))
-    away = [at - nodes[first + k] for k in range(4)]
     for k in range(4):
-        weight = np.ones(len(at))
-        for other in range(4):
-            if other != k:
-                weight *= away[other] / (nodes[first + k] - nodes[first + other])
-        result += weight[:, None] * values[first + k]
+        a, b, c = (away[m] / (near[k] - near[m]) for m in range(4) if m != k)
+        result += (a * b * c)[:, None] * values[first + k]
     return result

@@ -39,11 +39,8 @@ Array = NDArray[np.float64]
 class OrbitLike(Protocol):
     """An orbit: geocentric inertial positions (N, 3), m, and velocities (N, 3), m/s, at TAI seconds (N,)."""
 
-    def positions_i(self, t_s: Array) -> Array:
-        """Positions (N, 3), m."""
-
-    def velocities_i(self, t_s: Array) -> Array:
-        """Velocities (N, 3), m/s."""
+    def states_i(self, t_s: Array) -> tuple[Array, Array]:
+        """Positions, m, and velocities, m/s, each (N, 3)."""
 
 
 @record
@@ -243,7 +240,7 @@ def _states_e(t_s: Array, orbit: OrbitLike, earth: EarthRotation) -> _StatesE:
     """States at instants (N,); equal instants (pixels of one row) are evaluated once."""
     instants, index = np.unique(t_s, return_inverse=True)
     R_ie = earth.matrices_ie(instants)
-    p_e, v_e = (np.einsum("nji,nj->ni", R_ie, of(instants)) for of in (orbit.positions_i, orbit.velocities_i))
+    p_e, v_e = (np.einsum("nji,nj->ni", R_ie, state) for state in orbit.states_i(instants))
     return _StatesE(p_e[index], v_e[index], R_ie[index])
 
 

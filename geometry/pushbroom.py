@@ -34,6 +34,7 @@ from boresight.geometry.groundlight import (
     emission_rays_e,
 )
 from boresight.geometry.line_camera import LineSensor
+from boresight.geometry.orbit import orbital_frame
 from boresight.geometry.record import record, scalar
 from boresight.geometry.row_table import RowTable, tabulated
 from boresight.geometry.terrain import ConstantHeight, Surface, intersect
@@ -415,10 +416,15 @@ class Pushbroom:
         """Array (15, N) of `_States` at lines (N,), computed without the table."""
         t_s = self.instants(line)
         R_ei = np.swapaxes(self.earth.matrices_ie(t_s), 1, 2)
-        R_ic = (self.R_cs * self.attitude.R_si(t_s)).inv().as_matrix()
+        p_i, v_i = self.orbit.states_i(t_s)
+        if isinstance(self.attitude, AttitudeTrack) and self.attitude.nominal is self.orbit:
+            R_si = self.attitude.R_so(t_s) * orbital_frame(p_i, v_i)  # the orbit is evaluated once
+        else:
+            R_si = self.attitude.R_si(t_s)
+        R_ic = (self.R_cs * R_si).inv().as_matrix()
         packed = np.empty((len(t_s), len(_TOLERANCE)))
-        packed[:, 0:3] = np.einsum("nij,nj->ni", R_ei, self.orbit.positions_i(t_s))
-        packed[:, 3:6] = np.einsum("nij,nj->ni", R_ei, self.orbit.velocities_i(t_s))
+        packed[:, 0:3] = np.einsum("nij,nj->ni", R_ei, p_i)
+        packed[:, 3:6] = np.einsum("nij,nj->ni", R_ei, v_i)
         packed[:, 6:] = (R_ei @ R_ic).reshape(-1, 9)
         return np.ascontiguousarray(packed.T)
 

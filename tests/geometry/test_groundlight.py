@@ -58,6 +58,9 @@ class CircularOrbit:
     def velocities_i(self, t_s):
         return np.sqrt(GM_EARTH / self.radius) * self._circle(t_s, 0.5 * np.pi)
 
+    def states_i(self, t_s):
+        return self.positions_i(t_s), self.velocities_i(t_s)
+
 
 ORBIT = CircularOrbit()
 
