@@ -129,14 +129,17 @@ class ProceduralGround:
         west, north = column * self.texel_m, -row * self.texel_m
         east, south = west + width * self.texel_m, north - height * self.texel_m
         origin = np.array([column + 0.5, row + 0.5])
-        for shapes in self._landscape.shapes(west, south, east, north):
+        rim = 2.0 * self.texel_m  # smooth edges are a texel wider than their polygon
+        for shapes in self._landscape.shapes(west - rim, south - rim, east + rim, north + rim):
             texels = shapes.points * np.array([1.0, -1.0]) / self.texel_m - origin
             corners = np.rint(texels * 16.0).astype(np.int32)  # OpenCV draws in 1/16 texel
             start = 0
-            for (number, k), tone, roughness in zip(shapes.counts, shapes.tones, shapes.roughs):
+            for (number, k), tones, roughness in zip(shapes.counts, shapes.tones, shapes.roughs):
                 polygons = list(corners[start : start + number * k].reshape(number, k, 2))
                 start += number * k
-                cv2.fillPoly(base, polygons, (tone,), cv2.LINE_AA, 4)
+                parts = [polygons] if len(tones) == 1 else [[polygon] for polygon in polygons]
+                for part, tone in zip(parts, tones):
+                    cv2.fillPoly(base, part, (tone,), cv2.LINE_AA, 4)
                 if roughness >= 0:
                     cv2.fillPoly(rough, polygons, (roughness,), cv2.LINE_8, 4)
         return base, rough

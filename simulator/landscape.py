@@ -26,16 +26,17 @@ Index = NDArray[np.int64]
 _FIELD, _WATER, _SETTLEMENT, _FOREST = range(4)
 _KEEP_PARCELS = 4096  # parcels drawn lately are wanted again by the neighbouring tiles
 _CIRCLE = np.column_stack([np.cos(np.arange(12) * np.pi / 6), np.sin(np.arange(12) * np.pi / 6)])
+_REACH_M = 12.0  # a house of 20 m by 11 m about a corner of its parcel ends 11.5 m from there
 _SPARED = -1  # a shape that leaves the roughness below it alone
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Shapes:
-    """Groups of polygons in the order in which they are painted; those of a group do not overlap."""
+    """Groups of polygons in the order in which they are painted; those of one tone do not overlap."""
 
     points: Array  # (P, 2) corners of all polygons, one after the other, m
     counts: tuple[tuple[int, int], ...]  # of each group: how many polygons, and how many corners each has
-    tones: tuple[int, ...]  # of each group
+    tones: tuple[tuple[int, ...], ...]  # of each group: one for all its polygons, or one for each
     roughs: tuple[int, ...]  # of each group, or -1
 
 
@@ -61,11 +62,13 @@ class Landscape:
         i, j = np.meshgrid(np.arange(i0, i1 + 2), np.arange(j0, j1 + 2))
         corners = self._vertices(i, j)  # (J, I, 2)
         kinds = self._kinds(i, j)
-        painted = []
-        for b in range(len(corners) - 1):
-            for a in range(corners.shape[1] - 1):
-                quad = corners[[b, b, b + 1, b + 1], [a, a + 1, a + 1, a]]
-                painted.append(self._parcel(int(i[b, a]), int(j[b, a]), int(kinds[b, a]), quad))
+        quads = np.stack([corners[:-1, :-1], corners[:-1, 1:], corners[1:, 1:], corners[1:, :-1]], axis=2)
+        begins = quads.min(axis=2) < np.array([east, north]) + _REACH_M
+        ends = quads.max(axis=2) > np.array([west, south]) - _REACH_M
+        painted = [
+            self._parcel(int(i[b, a]), int(j[b, a]), int(kinds[b, a]), quads[b, a])
+            for b, a in np.argwhere(np.all(begins & ends, axis=-1)).tolist()
+        ]
         return [*painted, self._roads(i, j, corners)]
 
     def _shares(self) -> list[tuple[int, float]]:
@@ -144,7 +147,7 @@ class Landscape:
         s, t = (column + 0.5 + 0.24 * (u - 0.5)) / n, (row + 0.5 + 0.24 * (v - 0.5)) / n
         centre = (a + (b - a) * s) * (1 - t) + (d + (c - d) * s) * t  # (H, 2)
         tree = ((kept >= 0.2) & (kept < 0.4))[:, 0]
-        brush.polygons(centre[tree, None] + (3.0 + 3.0 * long[tree, None]) * _CIRCLE, 18, _SPARED)
+        brush.add(centre[tree, None] + (3.0 + 3.0 * long[tree, None]) * _CIRCLE, (18,), _SPARED)
         house = (kept >= 0.4)[:, 0]
         half, depth = (4.5 + 5.5 * long) * along, (7.0 + 4.0 * deep) * across
         for side, shade in ((-0.5, 1.0), (0.5, 0.72)):
@@ -152,8 +155,8 @@ class Landscape:
             roofs = np.stack(
                 [centre - half, centre + half, centre + half + slope, centre - half + slope], axis=1
             )
-            for n_house in np.flatnonzero(house):
-                brush.polygon(roofs[n_house], int(30.0 * 7.0 ** dark[n_house, 0] * shade), _SPARED)
+            tones = tuple(int(30.0 * 7.0**one * shade) for one in dark[house, 0].tolist())
+            brush.add(roofs[house], tones, _SPARED)
         brush.lines(((a + b) / 2)[None], ((c + d) / 2)[None], 6.0, 75, 15)
         brush.lines(((a + d) / 2)[None], ((b + c) / 2)[None], 6.0, 75, 15)
 
@@ -176,18 +179,18 @@ class _Brush:
 
     def __init__(self) -> None:
         self._groups: list[Array] = []
-        self._tones: list[int] = []
+        self._tones: list[tuple[int, ...]] = []
         self._roughs: list[int] = []
 
-    def polygons(self, corners: Array, tone: int, rough: int) -> None:
-        """Polygons (n, k, 2) of one tone that do not overlap."""
+    def add(self, corners: Array, tones: tuple[int, ...], rough: int) -> None:
+        """Polygons (n, k, 2) of one tone that do not overlap, or each with a tone of its own."""
         if len(corners):
             self._groups.append(corners)
-            self._tones.append(tone)
+            self._tones.append(tones)
             self._roughs.append(rough)
 
     def polygon(self, corners: Array, tone: int, rough: int) -> None:
-        self.polygons(corners[None], tone, rough)
+        self.add(corners[None], (tone,), rough)
 
     def lines(self, a: Array, b: Array, width_m: float, tone: int, rough: int) -> None:
         """Straight lines from points (n, 2) to points (n, 2)."""
@@ -198,7 +201,7 @@ class _Brush:
             * np.column_stack([-along[:, 1], along[:, 0]])
             / np.linalg.norm(along, axis=1)[:, None]
         )
-        self.polygons(np.stack([a + half, b + half, b - half, a - half], axis=1), tone, rough)
+        self.add(np.stack([a + half, b + half, b - half, a - half], axis=1), (tone,), rough)
 
     def shapes(self) -> Shapes:
         points = [group.reshape(-1, 2) for group in self._groups]

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from copy import deepcopy
+
 import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from rendered_pairs import Pair, load_picture, make_pair
+from rendered_pairs import Pair, draw_view, load_picture, pair_of
 from small_strip import Case, make_case, texture
 
 THETA = np.array([0.003, 0.002, 0.001])  # the paper's matrix (28)
@@ -48,13 +50,16 @@ def case() -> Case:
 
 
 def _pairs(picture: NDArray) -> dict[tuple[str, int], list[Pair]]:
-    return {
-        (condition, size): [
-            make_pair(
-                picture, np.random.default_rng([size, k]), size_px=size, margin_px=16, condition=condition
-            )
-            for k in range(40)
-        ]
-        for size in (128, 64)
-        for condition in ("clean", "date", "affine")
+    """40 pairs of each condition and size; a chip is rendered once and serves every condition."""
+    pairs: dict[tuple[str, int], list[Pair]] = {
+        (condition, size): [] for size in (128, 64) for condition in ("clean", "date", "affine")
     }
+    for size in (128, 64):
+        for k in range(40):
+            rng = np.random.default_rng([size, k])
+            view = draw_view(picture, rng, size_px=size, margin_px=16)
+            for condition in ("clean", "date", "affine"):
+                own = deepcopy(rng)
+                pair = pair_of(view, picture, own, margin_px=16, condition=condition)
+                pairs[condition, size].append(pair)
+    return pairs

@@ -60,10 +60,20 @@ def _sample(seen: NDArray, centre: NDArray, turn: NDArray, shape_px: int) -> NDA
     return ndimage.map_coordinates(seen, points[::-1], order=3, mode="mirror", prefilter=False)
 
 
-def make_pair(
-    picture: NDArray, rng: np.random.Generator, *, size_px: int, margin_px: int, condition: str
-) -> Pair:
-    """One random chip of the picture and a window that holds it at up to ± (margin - 4) px of the middle."""
+@dataclass(frozen=True)
+class View:
+    """One chip of a picture as the camera sees it, and where in a window it will lie."""
+
+    scene: NDArray  # part of the picture
+    centre: NDArray  # (2,) of the chip in the scene, picture pixels
+    shift: NDArray  # (2,) of the chip from the window's middle, px
+    seen: NDArray  # spline coefficients of the scene, blurred by the camera
+    truth: NDArray  # (n, n) the chip without noise
+    cov_bound_px: NDArray  # as in `Pair`
+
+
+def draw_view(picture: NDArray, rng: np.random.Generator, *, size_px: int, margin_px: int) -> View:
+    """One random chip of the picture, to lie at up to ± (margin - 4) px of a window's middle."""
     outer = (size_px + 2 * margin_px + 12) * RATIO
     corner = np.array([rng.integers(0, n - outer) for n in picture.shape[::-1]])
     scene = picture[corner[1] : corner[1] + outer, corner[0] : corner[0] + outer]
@@ -71,19 +81,6 @@ def make_pair(
     shift = rng.uniform(-(margin_px - 4), margin_px - 4, 2)
     seen = _seen(scene)
     truth = _sample(seen, centre, np.eye(2), size_px)
-    turn, other = np.eye(2), seen
-    if condition == "affine":
-        angle, scale = rng.choice([-1, 1]) * np.radians(0.5), 1.0 + rng.choice([-1, 1]) * 0.005
-        turn = scale * np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
-    if condition == "tone":
-        other = _seen(255.0 * (scene / 255.0) ** 2.5)
-    if condition == "date":
-        other = _seen(255.0 * (scene / 255.0) ** np.exp(rng.uniform(-0.5, 0.5)))
-    # window pixel v sees scene centre + RATIO (turn (v - middle) - turn shift): the template's middle is
-    # at v = middle + shift
-    window = _sample(other, centre - RATIO * turn @ shift, turn, size_px + 2 * margin_px)
-    if condition == "date":
-        window = _another_date(window, picture, rng, size_px, margin_px, shift)
     step = 0.4  # picture pixels: the derivative of the picture as the camera sees it, not of its samples
     ahead, behind = (
         [_sample(seen, centre + sign * step * axis, np.eye(2), size_px) for axis in np.eye(2)]
@@ -93,11 +90,40 @@ def make_pair(
     fisher = np.array([[np.sum(gx * gx), np.sum(gx * gy)], [np.sum(gx * gy), np.sum(gy * gy)]]) / (
         2.0 * NOISE_DN**2
     )
+    return View(scene, centre, shift, seen, truth, np.linalg.inv(fisher))
+
+
+def make_pair(
+    picture: NDArray, rng: np.random.Generator, *, size_px: int, margin_px: int, condition: str
+) -> Pair:
+    """One random chip of the picture and a window that holds it at up to ± (margin - 4) px of the middle."""
+    view = draw_view(picture, rng, size_px=size_px, margin_px=margin_px)
+    return pair_of(view, picture, rng, margin_px=margin_px, condition=condition)
+
+
+def pair_of(
+    view: View, picture: NDArray, rng: np.random.Generator, *, margin_px: int, condition: str
+) -> Pair:
+    """The chip of a view and a window that holds it, each with noise of its own."""
+    size_px = len(view.truth)
+    turn, other = np.eye(2), view.seen
+    if condition == "affine":
+        angle, scale = rng.choice([-1, 1]) * np.radians(0.5), 1.0 + rng.choice([-1, 1]) * 0.005
+        turn = scale * np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    if condition == "tone":
+        other = _seen(255.0 * (view.scene / 255.0) ** 2.5)
+    if condition == "date":
+        other = _seen(255.0 * (view.scene / 255.0) ** np.exp(rng.uniform(-0.5, 0.5)))
+    # window pixel v sees scene centre + RATIO (turn (v - middle) - turn shift): the template's middle is
+    # at v = middle + shift
+    window = _sample(other, view.centre - RATIO * turn @ view.shift, turn, size_px + 2 * margin_px)
+    if condition == "date":
+        window = _another_date(window, picture, rng, size_px, margin_px, view.shift)
     return Pair(
-        (truth + rng.normal(0.0, NOISE_DN, truth.shape)).astype(np.float32),
+        (view.truth + rng.normal(0.0, NOISE_DN, view.truth.shape)).astype(np.float32),
         (window + rng.normal(0.0, NOISE_DN, window.shape)).astype(np.float32),
-        shift + margin_px,
-        np.linalg.inv(fisher),
+        view.shift + margin_px,
+        view.cov_bound_px,
     )
 
 
