@@ -1,15 +1,29 @@
 """A row of Table 4 and a cell of the grid from rendered images."""
 
+from collections.abc import Iterator
+from functools import cache
+
 import numpy as np
 import pytest
 
+from boresight.pipeline.experiments import pixels as missions
 from boresight.pipeline.experiments.comparison import compare_grid_pixels, compare_table4_pixels
 from boresight.pipeline.experiments.pixels import PixelSettings, grid_from_pixels, table4_from_pixels
 from boresight.pipeline.experiments.plots import plot_grid_pixels
 
+CELL = (0.08, 0.5)  # px, of stars and targets: a row of Table 4 and a cell of the grid, with one first mission
+
+
+@pytest.fixture(scope="module", autouse=True)
+def rendered_once() -> Iterator[None]:
+    """A mission that row and cell share is rendered and calibrated once."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(missions, "_mission", cache(missions._mission))
+        yield
+
 
 def test_missions_of_a_row_have_its_noise_and_errors_within_their_covariance():
-    table = table4_from_pixels(PixelSettings(table4_runs=2), rows=[(0.08, 0.5)])
+    table = table4_from_pixels(PixelSettings(table4_runs=2), rows=[CELL])
     assert list(table["axis"]) == ["X", "Y", "Z"]
     # the sky's stars differ from mission to mission, the survey's errors do not
     assert table["sigma_s_px"].iloc[0] == pytest.approx(0.08, rel=0.15)
@@ -21,7 +35,7 @@ def test_missions_of_a_row_have_its_noise_and_errors_within_their_covariance():
 
 
 def test_redrawn_vectors_of_a_mission_have_its_geometry_and_their_own_bound():
-    table = grid_from_pixels(PixelSettings(runs=1, redraws=40), cells=[(0.06, 0.4)])
+    table = grid_from_pixels(PixelSettings(runs=1, redraws=40), cells=[CELL])
     pixels, vectors = (table[table["method"] == name] for name in ("pixels", "vectors"))
     # one and the same stars and targets, displaced by noise of arcseconds: the bound moves by 1e-3
     np.testing.assert_allclose(vectors["bound_arcsec"], pixels["bound_arcsec"].to_numpy(), rtol=0.01)
