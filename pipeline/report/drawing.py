@@ -15,6 +15,7 @@ import matplotlib
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
+from matplotlib.transforms import ScaledTranslation
 
 from boresight.geometry.record import record, scalar
 
@@ -33,6 +34,7 @@ __all__ = [
     "axes_of",
     "drawn",
     "dress_axes",
+    "fix_labels",
     "new_figure",
     "strip_style",
 ]
@@ -50,6 +52,7 @@ _VARIABLES = {
 }
 WIDTH_IN = 4.6
 MARGINS_IN = (0.72, 0.2, 0.47, 0.1)  # left, right, bottom, top: room for ticks and labels
+LABELS_IN = (0.53, 0.28)  # of axes with these margins: y label left of them, x label below
 COLOURS = 8  # of strips: --s0 to --s7 in style.css
 SHAPES = {  # marks of strips, about 20 units wide
     "circle": "M-9 0A9 9 0 1 1 9 0A9 9 0 1 1-9 0Z",
@@ -125,6 +128,7 @@ def axes_of(figure: Figure, x_label: str, y_label: str) -> Axes:
     """The single axes of a figure, with labels, grid and placeholder colours."""
     axes = figure.add_subplot()
     dress_axes(axes, x_label, y_label)
+    fix_labels(axes)
     return axes
 
 
@@ -139,6 +143,16 @@ def dress_axes(axes: Axes, x_label: str, y_label: str) -> None:
         spine.set_visible(side in ("left", "bottom"))
     axes.grid(color=GRID, linewidth=0.6)
     axes.set_axisbelow(True)
+
+
+def fix_labels(axes: Axes) -> None:
+    """Put the labels of dressed axes where the margins leave room: beside the ticks' labels, wherever these
+    end, takes a second layout of all ticks.
+    """
+    left, below = LABELS_IN
+    inches = axes.figure.dpi_scale_trans
+    axes.yaxis.set_label_coords(0.0, 0.5, axes.transAxes + ScaledTranslation(-left, 0.0, inches))
+    axes.xaxis.set_label_coords(0.5, 0.0, axes.transAxes + ScaledTranslation(0.0, -below, inches))
 
 
 def drawn(figure: Figure, name: str, caption: str, words: str, spots: Sequence[Spot] = ()) -> Drawing:

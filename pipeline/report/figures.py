@@ -26,6 +26,7 @@ from boresight.pipeline.report.drawing import (
     axes_of,
     drawn,
     dress_axes,
+    fix_labels,
     new_figure,
 )
 from boresight.pipeline.report.ground_map import REJECTED, USED
@@ -215,6 +216,7 @@ def _residual_panel(
     spots = []
     for axes, (which, y) in zip(panels, both.items()):
         dress_axes(axes, label if axes is panels[-1] else "", which)
+        fix_labels(axes)
         used = [row.row for row in rows if row.state == USED]
         axes.axhline(0.0, color=MUTED, linewidth=1.0)
         reach = 1.3 * float(np.max(np.abs(y[used]))) if used else 1.0
