@@ -11,7 +11,7 @@ from boresight.pipeline.experiments.comparison import compare_grid_pixels, compa
 from boresight.pipeline.experiments.pixels import PixelSettings, grid_from_pixels, table4_from_pixels
 from boresight.pipeline.experiments.plots import plot_grid_pixels
 
-CELL = (0.08, 0.5)  # px, of stars and targets: a row of Table 4 and a cell of the grid, with one first mission
+CELL = (0.08, 0.5)  # px, of stars and targets: a row of Table 4 and a cell of the grid share a mission
 
 
 @pytest.fixture(scope="module", autouse=True)
