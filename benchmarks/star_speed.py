@@ -3,9 +3,10 @@
     python benchmarks/star_speed.py --old CHECKOUT [--frames 8] [--rounds 16]
 
 Clean frames of the paper's camera (5120 x 3840 px, 8 bit, as in `star_accuracy.py`) and lists of stars (as in
-`star_naming.py`). Two processes do the same work alternately, frame by frame, once untimed and once
-timed; of each frame the least of all rounds counts, of the frames the median of the ratios. The older checkout may be one from before the package
-`boresight`, with its folders at the top.
+`star_naming.py`). Two processes do the same work
+alternately, frame by frame, once untimed and once timed; of each frame the least of all rounds counts, of the
+frames the median of the ratios. The older checkout may be one from before the package `boresight`, with its
+folders at the top.
 """
 
 from __future__ import annotations
