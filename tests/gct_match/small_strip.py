@@ -120,7 +120,8 @@ def texture(rng: np.random.Generator, side: int) -> NDArray:
     """Fields of several tones, roads and fractal detail, 0 to 255."""
     image = np.zeros((side, side), dtype=np.float32)
     for scale, share in ((40, 30.0), (12, 14.0), (4, 10.0), (1.5, 7.0)):
-        image += share * 2.0 * scale * ndimage.gaussian_filter(rng.standard_normal((side, side)), scale)
+        noise = rng.standard_normal((side, side)).astype(np.float32)
+        image += share * 2.0 * scale * cv2.GaussianBlur(noise, (0, 0), scale, borderType=cv2.BORDER_REFLECT)
     for _ in range(side * side // 900):
         x, y = rng.integers(0, side, 2)
         w, h = rng.integers(3, 26, 2)
