@@ -28,8 +28,11 @@ def pytest_collection_finish() -> None:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Tests of what is built once come first: one process makes it and no other waits."""
-    items.sort(key=lambda item: not {"demo", "installed"} & set(getattr(item, "fixturenames", ())))
+    """Files with tests of what is built once come first: one process makes it and no other waits. A file
+    stays whole, so that its fixtures are made once.
+    """
+    built = {item.path for item in items if {"demo", "installed"} & set(getattr(item, "fixturenames", ()))}
+    items.sort(key=lambda item: item.path not in built)
 
 
 @pytest.fixture(scope="session")

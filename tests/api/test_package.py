@@ -117,5 +117,7 @@ def test_start_costs_little_cpu(
     installed: Path, tmp_path: Path, arguments: list[str], limit_s: float
 ) -> None:
     measure = [sys.executable, "-c", RESOURCE_USE, str(installed), *arguments]
-    spent_s = min(float(run(*measure, cwd=tmp_path)) for _ in range(4))  # first run compiles
-    assert spent_s <= limit_s
+    spent_s: list[float] = []
+    while len(spent_s) < 4 and min(spent_s, default=np.inf) > limit_s:  # the first run compiles
+        spent_s.append(float(run(*measure, cwd=tmp_path)))
+    assert min(spent_s) <= limit_s

@@ -101,10 +101,10 @@ def test_what_is_wrong_is_named_in_the_fast_way_too(old: str, new: str, says: st
 
 
 def test_day_at_one_hertz_takes_less_than_a_second(tmp_path: Path) -> None:
+    read_oem(written(tmp_path, text_of(100)), "orbit.oem")  # libraries are loaded
     path = written(tmp_path, text_of(86_400))
-    read_oem(written(tmp_path, text_of(86_400)), "orbit.oem")  # libraries are loaded
-    took_s = []
-    for _ in range(3):  # the least of them: other programs of the machine take caches and clock
+    took_s: list[float] = []
+    while len(took_s) < 3 and min(took_s, default=1.0) >= 1.0:  # other programs take caches and clock
         begin = time.process_time()
         found = read_oem(path, "orbit.oem")
         took_s.append(time.process_time() - begin)
