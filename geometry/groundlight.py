@@ -295,4 +295,4 @@ def _unit(a: Array) -> Array:
 
 def _cross(a: Array, b: Array) -> Array:
     """a (3,) times b (3, N)."""
-    return np.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
+    return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])

@@ -164,7 +164,8 @@ class Ccd:
         inside = np.clip(sample, self.distortion_samples[0], self.distortion_samples[-1])
         along -= self._spline(inside)
         beyond = np.flatnonzero(inside != sample)
-        along[beyond] -= self._spline(inside[beyond], 1) * (sample[beyond] - inside[beyond])
+        if len(beyond):
+            along[beyond] -= self._spline(inside[beyond], 1) * (sample[beyond] - inside[beyond])
         return along
 
     def _off_line(self, sample: ArrayLike) -> tuple[Array, Array]:

@@ -113,13 +113,13 @@ class _States:
         """Vectors (N, 3) of frame c in axes e."""
         x, y, z = u_c.T
         R = self.packed[6:]
-        return np.stack([R[k] * x + R[k + 1] * y + R[k + 2] * z for k in (0, 3, 6)]).T
+        return np.array([R[k] * x + R[k + 1] * y + R[k + 2] * z for k in (0, 3, 6)]).T
 
     def to_c(self, u_e: Array) -> Array:
         """Vectors (N, 3) of axes e in frame c."""
         x, y, z = u_e.T
         R = self.packed[6:]
-        return np.stack([R[k] * x + R[k + 3] * y + R[k + 6] * z for k in (0, 1, 2)]).T
+        return np.array([R[k] * x + R[k + 3] * y + R[k + 6] * z for k in (0, 1, 2)]).T
 
     def take(self, index: NDArray[np.int64]) -> _States:
         return _States(self.packed[:, index])
