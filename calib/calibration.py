@@ -207,7 +207,8 @@ def strip_pairs(
     """Normal equations of each strip about `R_cs`, no target rejected, and the prior information (G, G) of
     the unknowns that the strips share. `ValueError` where no strip has a target that exposures cover.
     """
-    problem = Problem.of([prepare_strip(carried(strip), settings) for strip in strips], settings)
+    fitted = with_attitudes([carried(strip) for strip in strips], settings.attitudes)  # in one fit
+    problem = Problem.of([prepare_strip(strip, settings) for strip in fitted], settings)
     if not problem.groups:
         raise ValueError(f"{len(strips)} strips, none with a target between usable star exposures")
     return linear_solution(problem, R_cs, problem.inside.astype(float), 1.0).pairs, problem.prior_shared

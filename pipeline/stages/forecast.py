@@ -12,6 +12,7 @@ from boresight.calib.calibration import strip_pairs
 from boresight.calib.forecast import Forecast, forecast_from_strips
 from boresight.calib.heads import carried
 from boresight.calib.settings import CalibrationSettings
+from boresight.geometry.attitude_estimate import with_attitudes
 from boresight.geometry.line_camera import LineSensor
 from boresight.geometry.record import Floats, array, record, scalar
 from boresight.geometry.sightings import StripSightings
@@ -63,7 +64,9 @@ def compare_campaigns(
     below, truth = draw_strips(replace(ground, strips=draws), cameras, rng)
     rates = (-sky.rate_rad_s, sky.rate_rad_s)
     above = draw_sky_strips(replace(sky.plan, strips=draws), cameras, rng, rates_rad_s=rates)
-    pairs, prior = strip_pairs([*below, *above], truth.R_cs, settings)
+    both = with_attitudes([*below, *above], settings.attitudes)  # once for the three forecasts
+    below, above = both[: len(below)], both[len(below) :]
+    pairs, prior = strip_pairs(both, truth.R_cs, settings)
     of_sky = np.char.startswith(pairs.names, "sky")
     total = ground.strips * pairs.F[~of_sky].mean(axis=0) + sky.strips * pairs.F[of_sky].mean(axis=0)
     return {
