@@ -1,4 +1,4 @@
-"""CPU time of finding, placing and identifying stars, beside an older checkout, in turn on the same frames.
+"""CPU time of finding, measuring and identifying stars, beside an older checkout, in turn on the same frames.
 
     python benchmarks/star_speed.py --old CHECKOUT [--frames 8] [--rounds 16]
 
@@ -12,11 +12,13 @@ folders at the top.
 from __future__ import annotations
 
 import argparse
+import importlib
 import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 from record import commit, exit_status, head, verdict
@@ -76,19 +78,16 @@ def _asked(worker: subprocess.Popen[str], frame: int) -> list[float]:
 def _work(root: Path, frames: int) -> None:
     """Answer each number of a frame with the CPU ms of the work on it."""
     sys.path[:0] = [str(root), str(root / "tests" / "star_id"), str(HERE.parent)]
-    if (root / "boresight").is_dir():
-        from boresight.star_id.catalogue import hipparcos_stars
-        from boresight.star_id.field import solve_list, solve_stars
-        from boresight.star_id.finding.star_list import find_stars
-        from boresight.star_id.identification.triangle_index import build_index, equivalent_fov
-        from boresight.star_id.settings import StarSettings
-    else:
-        from star_id.naming.triangles import build_index, equivalent_fov
+    package = "boresight." if (root / "boresight").is_dir() else ""
 
-        from star_id.catalogue import hipparcos_stars
-        from star_id.field import solve_list, solve_stars
-        from star_id.finding.star_list import find_stars
-        from star_id.settings import StarSettings
+    def room(name: str) -> ModuleType:
+        return importlib.import_module(f"{package}star_id.{name}")
+
+    triangles = room("identification.triangle_index" if package else "naming.triangles")
+    build_index, equivalent_fov = triangles.build_index, triangles.equivalent_fov
+    solve_list, solve_stars = room("field").solve_list, room("field").solve_stars
+    find_stars, hipparcos_stars = room("finding.star_list").find_stars, room("catalogue").hipparcos_stars
+    StarSettings = room("settings").StarSettings
     import cv2
     from frames import PAPER_CAMERA as camera
     from frames import Sensor, star_frame, stars_in_view
