@@ -56,7 +56,7 @@ def _has_offsets(image: NDArray, axis: int) -> bool:
         first = max(0, (len(image) - _LINES) // 2)
         image = image[first : first + _LINES]
     parts = _parts(image, axis)
-    steps = np.diff(parts[:, :_LINES], axis=1)
+    steps = parts[:, 1:_LINES] - parts[:, : _LINES - 1]
     few = np.sort(np.abs(steps[:, ::3]), axis=None)
     scale = 1.4826 * float(few[len(few) // 2])
     least_dn = {np.dtype(np.uint8): 4.0, np.dtype(np.uint16): 1.0}.get(image.dtype, 0.0)
@@ -64,14 +64,15 @@ def _has_offsets(image: NDArray, axis: int) -> bool:
         return False
     bump = parts[:, 2:-2] - 0.5 * (parts[:, 4:] + parts[:, :-4])  # 0.87 of the scale of a step
     limit = _STANDS_OUT * scale
-    (single,) = np.nonzero((bump.min(axis=0) > limit) | (bump.max(axis=0) < -limit))
+    single = ((np.minimum(*bump) > limit) | (np.maximum(*bump) < -limit)).nonzero()[0]
     if len(single) and _differ(image if axis == 0 else image.T, single + 2, 0.5 * limit):
         return True
     steps = np.clip(steps, -3.0 * scale, 3.0 * scale)
     product = steps[0] * steps[1]  # twice the variance of the offsets
-    error = float(product.std()) / np.sqrt(len(product))
     pixel_variance = 0.5 * _PART_PX * scale**2
-    if product.mean() < max(_SIGNIFICANT * error, 2.0 * _LEAST_VARIANCE * pixel_variance):
+    if product.mean() < 2.0 * _LEAST_VARIANCE * pixel_variance:
+        return False
+    if product.mean() < _SIGNIFICANT * float(product.std()) / np.sqrt(len(product)):
         return False
     next_one = float((steps[0, :-1] * steps[1, 1:]).mean())
     return bool(next_one < _LIKE_NOISE * product.mean())

@@ -135,11 +135,11 @@ def _without_common_misfit(fits: WidthFits) -> NDArray[np.float32]:
     x, y = side - state[:, :1], side - state[:, 1:2]
     ring = np.sqrt(y[:, :, None] ** 2 + x[:, None, :] ** 2).reshape(residual.shape)
     ring = (_RINGS_PER_PX * ring).astype(np.int64).ravel()
-    flux = np.repeat(state[:, 2], residual.shape[1])
-    weight = flux / np.repeat(fits.windows.noise2[fits.good], residual.shape[1])
-    total = np.bincount(ring, weight * flux) + 1e-30
-    mean = np.bincount(ring, weight * residual.ravel()) / total
-    return np.asarray(residual - (flux * mean[ring]).reshape(residual.shape))
+    flux = state[:, 2:3]
+    weight = flux / fits.windows.noise2[fits.good, None]
+    total = np.bincount(ring, (weight * flux).repeat(residual.shape[1])) + 1e-30
+    mean = np.bincount(ring, (weight * residual).ravel()) / total
+    return np.asarray(residual - flux * mean[ring].reshape(residual.shape))
 
 
 def _with_smear(psf: Psf, fits: WidthFits) -> Psf:

@@ -65,11 +65,8 @@ def star_windows(
         row, column = np.indices((side, side)) % 2
         x, y = (corner % 2).T[:, :, None, None]
         good *= background.weights.astype(np.float32)[(row + y) % 2, (column + x) % 2]
-    if saturated.any():
-        good[full] = 0.0
-        arms = full & _bloomed(full)[:, None, None]
-        good[:, 1:][arms[:, :-1]] = 0.0  # the end of a bloom is not saturated, but not only the star
-        good[:, :-1][arms[:, 1:]] = 0.0
+    rows = saturated.nonzero()[0]
+    good[rows] *= _unsaturated(full[rows])
     n = len(raw)
     data = raw.reshape(n, side * side) - level[:, None].astype(np.float32)
     return StarWindows(
@@ -83,6 +80,11 @@ def star_windows(
     )
 
 
-def _bloomed(full: Bools) -> Bools:
-    """(N,) whether the saturated pixels (N, side, side) are at least two pixels higher than wide."""
-    return np.asarray(full.any(axis=2).sum(axis=1) > full.any(axis=1).sum(axis=1) + 1)
+def _unsaturated(full: Bools) -> NDArray[np.float32]:
+    """(N, side, side) 0 in saturated pixels and beside the ends of blooms, where the charge is not the star's
+    alone; else 1. A star blooms whose saturated pixels are at least two pixels higher than wide."""
+    bloomed = full.any(axis=2).sum(axis=1) > full.any(axis=1).sum(axis=1) + 1
+    arms, lost = full & bloomed[:, None, None], full.copy()
+    lost[:, 1:] |= arms[:, :-1]
+    lost[:, :-1] |= arms[:, 1:]
+    return np.asarray(~lost, dtype=np.float32)
