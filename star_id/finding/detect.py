@@ -7,6 +7,7 @@ on a plateau as bright as their surroundings (a roof, a cloud), and peaks in the
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -73,7 +74,7 @@ def detection_threshold(n_px: int, psf_sigma_px: float, false_alarms: float) -> 
     density = false_alarms / n_px * 2.0 * psf_sigma_px**2 * (2.0 * np.pi) ** 1.5
     v = 5.0
     for _ in range(20):
-        v = float(np.sqrt(2.0 * np.log(max(v / density, 1.5))))
+        v = math.sqrt(2.0 * math.log(max(v / density, 1.5)))
     return max(v, 3.0)
 
 
