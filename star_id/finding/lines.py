@@ -56,7 +56,7 @@ def _has_offsets(image: NDArray, axis: int) -> bool:
         first = max(0, (len(image) - _LINES) // 2)
         image = image[first : first + _LINES]
     parts = _parts(image, axis)
-    steps = parts[:, 1:_LINES] - parts[:, : _LINES - 1]
+    steps = np.diff(parts[:, :_LINES], axis=1)
     few = np.sort(np.abs(steps[:, ::3]), axis=None)
     scale = 1.4826 * float(few[len(few) // 2])
     least_dn = {np.dtype(np.uint8): 4.0, np.dtype(np.uint16): 1.0}.get(image.dtype, 0.0)
