@@ -101,13 +101,13 @@ def import_points(
 
     Example: boresight import points b04.points points.csv --strip b04 --height-m 12 --sigma-m 2 2 3
     """
-    from boresight.pipeline.files.whole_file import write_whole
+    from boresight.pipeline.files.whole_file import write_text
     from boresight.pipeline.imports.points import PointErrors, points_csv, read_measured_points
 
     errors = PointErrors(sigma_px=sigma_px, sigma_m=sigma_m, height_m=height_m)
     found = read_measured_points(file, errors, image)
     text = points_csv(found, strip, ccd, height_kind)
-    write_whole(out, lambda target: target.write_text(text, encoding="utf-8"))
+    write_text(out, text)
     left = f", {found.n_disabled} marked as not to be used" if found.n_disabled else ""
     return Answer(text=f"{len(found.names)} points{left} -> {out}", files=(out,))
 

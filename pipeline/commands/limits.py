@@ -23,13 +23,13 @@ def held(
     command: str, limits: Sequence[Limit], junit: Path | None, begun_s: float, answer: Answer | None = None
 ) -> Answer:
     """`answer` with its limits: a line each, the JUnit file, exit status 4 if one is missed."""
-    from boresight.pipeline.files.whole_file import write_whole
+    from boresight.pipeline.files.whole_file import write_text
     from boresight.pipeline.results.limits import junit_xml, limit_lines
 
     told = answer if answer is not None else Answer()
     if junit is not None:
         text = junit_xml(command, limits, time.perf_counter() - begun_s)
-        write_whole(junit, lambda path: path.write_text(text, encoding="utf-8"))
+        write_text(junit, text)
     rows = [{"name": one.name, "found": one.found, "limit": one.limit, "holds": one.holds} for one in limits]
     return Answer(
         text="\n".join([*([told.text] if told.text else []), *limit_lines(limits)]),

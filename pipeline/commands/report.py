@@ -10,7 +10,7 @@ import typer
 
 from boresight.pipeline.commands.dump_argument import DumpOption
 from boresight.pipeline.commands.messages import Answer, print_data, talks, tell
-from boresight.pipeline.files.whole_file import write_whole
+from boresight.pipeline.files.whole_file import write_text, write_whole
 
 __all__ = ["RequireArcsec", "RequireMetres", "add_report_commands"]
 
@@ -165,6 +165,6 @@ def geolocate(
     if out is None:
         print_data(text)
     else:
-        write_whole(out, lambda path: path.write_text(text, encoding="utf-8"))
+        write_text(out, text)
         known = int((places.sigma_along_m == places.sigma_along_m).sum())
         tell(f"{known} of {len(read.line)} image points have a place -> {out}")

@@ -23,7 +23,7 @@ from boresight.pipeline.experiments.paper_tables import (
 from boresight.pipeline.experiments.provenance import record_head
 from boresight.pipeline.experiments.tables import EXPERIMENTS, run_experiment
 from boresight.pipeline.experiments.vectors import ExperimentSettings
-from boresight.pipeline.files.whole_file import write_whole
+from boresight.pipeline.files.whole_file import write_text
 
 __all__ = ["run_all", "verdict_of"]
 
@@ -75,7 +75,7 @@ def run_all(
     facts = [line.split(maxsplit=1) for line in record_head("all", time.process_time() - begin)[1:] if line]
     text = template.render(facts=facts, sections=sections)
     page = out / "paper.html"
-    write_whole(page, lambda target: target.write_text(text, encoding="utf-8"))
+    write_text(page, text)
     return tables, page
 
 

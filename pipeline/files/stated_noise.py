@@ -13,7 +13,7 @@ from boresight.geometry.record import Floats
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.dump_schema import DumpFile
 from boresight.pipeline.files.text_files import read_text, read_toml
-from boresight.pipeline.files.whole_file import write_whole
+from boresight.pipeline.files.whole_file import write_text
 
 __all__ = ["noise_keys", "state_noise"]
 
@@ -49,6 +49,6 @@ def state_noise(root: Path, noise: Mapping[str, AttitudeNoise]) -> Path:
         # Stars, or errors in the rows of a table of attitudes, are the one statement of the white part.
         table["noise"] = noise_keys(found, "white_arcsec" in head.get("noise", {}))  # type: ignore[index]
     text = tomlkit.dumps(document)
-    write_whole(path, lambda target: target.write_text(text, encoding="utf-8"))
+    write_text(path, text)
     read_toml(path, DumpFile, "dump.toml")
     return path

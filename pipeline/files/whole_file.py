@@ -10,9 +10,12 @@ import time
 import uuid
 import zlib
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-__all__ = ["remove_abandoned", "write_whole"]
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+__all__ = ["remove_abandoned", "write_figure", "write_text", "write_whole"]
 
 _TEMPORARY = re.compile(r"\..+\.boresight-([0-9a-f]{8})-([0-9]+)-[0-9a-f]{8}\.tmp")
 _OTHER_HOST_S = 86_400.0  # after a day another machine's temporary file counts as abandoned
@@ -34,6 +37,16 @@ def write_whole(path: Path, write: Any) -> None:
         raise OSError(error.errno or errno.EIO, error.strerror or str(error), str(path)) from error
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write `text` in UTF-8."""
+    write_whole(path, lambda target: target.write_text(text, encoding="utf-8"))
+
+
+def write_figure(path: Path, figure: Figure, dpi: int = 120) -> None:
+    """Write a figure as PNG."""
+    write_whole(path, lambda target: figure.savefig(target, format="png", dpi=dpi))
 
 
 def remove_abandoned(folder: Path) -> None:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.star_images import read_star_image
 from boresight.pipeline.files.text_files import read_text
-from boresight.pipeline.files.whole_file import write_whole
+from boresight.pipeline.files.whole_file import write_figure, write_whole
 from boresight.star_id.finding.star_list import StarList, find_stars
 from boresight.star_id.score import CentroidScore, score_centroids
 from boresight.star_id.settings import StarSettings
@@ -121,7 +121,7 @@ def draw_score(score: CentroidScore, path: Path) -> None:
     right.set_xlabel("pixel phase, px")
     right.set_ylabel("mean error, px")
     right.legend()
-    write_whole(path, lambda target: figure.savefig(target, format="png", dpi=120))
+    write_figure(path, figure)
 
 
 def _table(path: Path, stars: StarList) -> pd.DataFrame:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from boresight.pipeline.files.whole_file import write_whole
+from boresight.pipeline.files.whole_file import write_text
 from boresight.pipeline.report.drawing import INK, Drawing, drawn, dress_axes, new_figure
 from boresight.pipeline.report.page import template
 from boresight.pipeline.stages.check import DumpCheck
@@ -20,7 +20,7 @@ def write_check_page(found: DumpCheck, path: Path) -> None:
     """Write the page, readable without a network."""
     drawing = _map(found) if found.footprints else None
     text = template("check.html.j2").render(check=found, map=drawing)
-    write_whole(path, lambda target: target.write_text(text, encoding="utf-8"))
+    write_text(path, text)
 
 
 def _map(found: DumpCheck) -> Drawing:

@@ -15,7 +15,7 @@ from boresight.geometry.attitude_noise import AttitudeNoise
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.record import Floats
 from boresight.pipeline.files.stated_noise import noise_keys
-from boresight.pipeline.files.whole_file import write_whole
+from boresight.pipeline.files.whole_file import write_figure, write_text
 from boresight.pipeline.results.writing import write_json
 from boresight.pipeline.stages.head_records import HeadNoise, HeadsAlone
 
@@ -61,10 +61,10 @@ def write_noise(found: HeadNoise, out: Path) -> tuple[Path, ...]:
     out.mkdir(parents=True, exist_ok=True)
     files = tuple(out / f"noise.{ending}" for ending in ("toml", "json", "png"))
     text = "\n".join(_toml(name, noise) for name, noise in zip(found.names, found.fit.heads))
-    write_whole(files[0], lambda path: path.write_text(text, encoding="utf-8"))
+    write_text(files[0], text)
     write_json(files[1], noise_json(found))
     figure = _noise_figure(found)
-    write_whole(files[2], lambda path: figure.savefig(path, dpi=120, format="png"))
+    write_figure(files[2], figure)
     return files
 
 
@@ -254,5 +254,5 @@ def write_heads(found: HeadsAlone, out: Path) -> tuple[Path, ...]:
         axes.grid(True, color="#dddddd", lw=0.6)
         axes.spines[["top", "right"]].set_visible(False)
         axes.legend(fontsize=8, frameon=False, ncols=3)
-    write_whole(files[1], lambda path: figure.savefig(path, dpi=120, format="png"))
+    write_figure(files[1], figure)
     return files

@@ -13,7 +13,7 @@ from boresight.geometry.constants import ARCSEC
 from boresight.geometry.record import Floats, Ints
 from boresight.pipeline.files.remote_camera import remote_camera_table
 from boresight.pipeline.files.text_tables import write_toml
-from boresight.pipeline.files.whole_file import write_whole
+from boresight.pipeline.files.whole_file import write_figure, write_whole
 from boresight.pipeline.results.interior import InteriorCalibration
 from boresight.pipeline.results.writing import write_json
 
@@ -96,7 +96,7 @@ def write_interior(calibration: InteriorCalibration, out: Path) -> tuple[Path, .
     write_whole(files[0], lambda path: write_toml(path, table))
     write_json(files[1], interior_json(calibration))
     figure = _figure(calibration)
-    write_whole(files[2], lambda path: figure.savefig(path, dpi=120, format="png"))
+    write_figure(files[2], figure)
     return files
 
 

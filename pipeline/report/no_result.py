@@ -8,7 +8,7 @@ from pathlib import Path
 from boresight.pipeline import __version__
 from boresight.pipeline.errors import DataNotSufficientError
 from boresight.pipeline.files.dump import Dump
-from boresight.pipeline.files.whole_file import write_whole
+from boresight.pipeline.files.whole_file import write_text
 from boresight.pipeline.report.page import template
 
 __all__ = ["write_no_result"]
@@ -36,5 +36,5 @@ def write_no_result(result: Path, dump: Dump, error: DataNotSufficientError) -> 
         version=__version__,
     )
     path = result / "report.html"
-    write_whole(path, lambda target: target.write_text(text, encoding="utf-8"))
+    write_text(path, text)
     return path

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.epoch import Epoch
-from boresight.pipeline.files.whole_file import write_whole
+from boresight.pipeline.files.whole_file import write_figure, write_whole
 from boresight.pipeline.stages.sky_scans import ScanChoice, SkyScan
 
 __all__ = ["scan_lines", "scan_table", "write_scans"]
@@ -67,7 +67,7 @@ def write_scans(choice: ScanChoice, epoch: Epoch, out: Path) -> tuple[Path, ...]
     table, figure = scan_table(choice, epoch), _figure(choice, epoch)
     files = (out / "scans.csv", out / "scans.png")
     write_whole(files[0], lambda path: table.to_csv(path, index=False, lineterminator="\n"))
-    write_whole(files[1], lambda path: figure.savefig(path, dpi=120, format="png"))
+    write_figure(files[1], figure)
     return files
 
 

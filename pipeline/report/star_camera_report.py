@@ -18,7 +18,7 @@ from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.sky_images import SkyImage, open_sky_images
 from boresight.pipeline.files.star_side import star_camera_table
 from boresight.pipeline.files.whereabouts import NOWHERE, Whereabouts
-from boresight.pipeline.files.whole_file import write_whole
+from boresight.pipeline.files.whole_file import write_figure, write_text
 from boresight.pipeline.stages.identify import EPOCH_ERROR_YEARS, read_camera, read_sky_image, sky_index
 from boresight.star_id.camera_calibration import (
     LARGEST_UNMODELLED_PX,
@@ -117,11 +117,11 @@ def _write(result: CameraCalibration, request: CameraRequest, bit_depth: int) ->
     """The files that are asked for; the camera only if its lens model explains the residuals."""
     if result.explained:
         table = tomli_w.dumps(star_camera_table(result.camera, bit_depth))
-        write_whole(request.out, lambda target: target.write_text(table, "utf-8"))
+        write_text(request.out, table)
     cells = residual_map(result)
     if request.report is not None:
         content = json.dumps(_report(result, cells), indent=1, allow_nan=False)
-        write_whole(request.report, lambda target: target.write_text(content + "\n", "utf-8"))
+        write_text(request.report, content + "\n")
     if request.plot is not None:
         _draw(result, cells, request.plot)
 
@@ -307,4 +307,4 @@ def _draw(result: CameraCalibration, cells: ResidualMap, path: Path) -> None:
     axes.set_ylabel("row, px")
     title = f"mean residuals, 1 sigma grey; rms of all stars {result.rms_px:.4f} px"
     axes.set_title(title, loc="left", fontsize=10)
-    write_whole(path, lambda target: figure.savefig(target, format="png", dpi=120))
+    write_figure(path, figure)

@@ -25,7 +25,7 @@ from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.dump_schema import DumpFile
 from boresight.pipeline.files.object_store import dump_folder, is_address
 from boresight.pipeline.files.text_files import read_json, read_toml
-from boresight.pipeline.files.whole_file import write_whole
+from boresight.pipeline.files.whole_file import write_text
 from boresight.pipeline.results.folder import dumps_in
 from boresight.pipeline.settings import Settings
 from boresight.pipeline.work.digests import digest
@@ -142,7 +142,7 @@ def _take_over(result: Path, origin: Origin, dumps: Sequence[Path], overwrite: b
     }
     content |= {"folders": [str(dump) for dump in dumps]}
     text = json.dumps(content, indent=2) + "\n"
-    write_whole(result / MARKER, lambda path: path.write_text(text, encoding="utf-8"))
+    write_text(result / MARKER, text)
 
 
 def _not_ours(result: Path, names: list[str]) -> RawDataError:

@@ -28,7 +28,7 @@ from boresight.pipeline.errors import Omission
 from boresight.pipeline.files.record_tables import columns_of, plain
 from boresight.pipeline.files.table_files import arrow_array, arrow_rows, fixed_list
 from boresight.pipeline.files.text_files import json_text
-from boresight.pipeline.files.whole_file import remove_abandoned, write_whole
+from boresight.pipeline.files.whole_file import remove_abandoned, write_text, write_whole
 from boresight.pipeline.results.folder import DUMPS
 from boresight.pipeline.settings import Settings
 from boresight.pipeline.stages.calibrate import Calibration
@@ -121,7 +121,7 @@ def write_json(path: Path, content: dict[str, Any]) -> None:
     """Write `content` as JSON, whole or not at all; null stands for what is not finite."""
     text = json_text(content) + "\n"
     path.parent.mkdir(parents=True, exist_ok=True)
-    write_whole(path, lambda target: target.write_text(text, encoding="utf-8"))
+    write_text(path, text)
 
 
 def verdict_json(verdict: Verdict) -> dict[str, Any]:

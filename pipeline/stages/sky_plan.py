@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from boresight.geometry.star_camera import StarCamera
 from boresight.pipeline.errors import RawDataError
-from boresight.pipeline.files.whole_file import write_whole
+from boresight.pipeline.files.whole_file import write_figure, write_whole
 from boresight.pipeline.stages.identify import read_camera, read_sky_image, sky_index
 from boresight.star_id.field import ra_dec_roll, solve_field
 from boresight.star_id.identification.identify import NotIdentified
@@ -147,7 +147,7 @@ def _draw(camera: StarCamera, plan: SkyPlan, table: pd.DataFrame, index: StarInd
     error.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     error.yaxis.set_minor_formatter(NullFormatter())
     error.legend(frameon=False)
-    write_whole(path, lambda target: figure.savefig(target, format="png", dpi=110))
+    write_figure(path, figure, dpi=110)
 
 
 def _free_place(outline: NDArray[Any], taken: NDArray[Any]) -> NDArray[Any]:
