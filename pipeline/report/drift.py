@@ -7,15 +7,15 @@ drift.png    both, against the date
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import pandas as pd
 from matplotlib.dates import AutoDateLocator, ConciseDateFormatter
 from matplotlib.figure import Figure
 
-from boresight.pipeline.files.whole_file import write_whole
+from boresight.pipeline.files.whole_file import write_figure, write_whole
 from boresight.pipeline.results.drift import DatedDrift, drift_json, drift_table, drift_verdict, step_dates
+from boresight.pipeline.results.writing import write_json
 
 __all__ = ["plot_drift", "write_drift"]
 
@@ -26,12 +26,11 @@ def write_drift(dated: DatedDrift, out: Path) -> list[Path]:
     """Paths of `drift.json`, `drift.csv` and `drift.png`, which are written into `out`."""
     out.mkdir(parents=True, exist_ok=True)
     table = drift_table(dated)
-    text = json.dumps(drift_json(dated), indent=2, allow_nan=False) + "\n"
     figure = plot_drift(table, step_dates(dated) if dated.drift.moved else None, drift_verdict(dated))
     written = [out / f"drift.{ending}" for ending in ("json", "csv", "png")]
-    write_whole(written[0], lambda path: path.write_text(text, encoding="utf-8"))
+    write_json(written[0], drift_json(dated))
     write_whole(written[1], lambda path: table.to_csv(path, index=False, float_format="%.9g"))
-    write_whole(written[2], lambda path: figure.savefig(path, dpi=120, format="png"))
+    write_figure(written[2], figure)
     return written
 
 

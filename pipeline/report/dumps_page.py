@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +11,7 @@ import pyarrow as pa
 from boresight.geometry.constants import ARCSEC
 from boresight.pipeline.files.table_files import read_parquet
 from boresight.pipeline.files.text_files import read_json
-from boresight.pipeline.files.whole_file import write_whole
+from boresight.pipeline.files.whole_file import write_text
 from boresight.pipeline.report.first_screen import required, sigma_on_ground
 from boresight.pipeline.report.observations import data_uri
 from boresight.pipeline.report.page import template
@@ -42,7 +43,7 @@ def write_dumps_report(result: Path) -> Path:
         version=str(installation.get("version")),
     )
     path = result / "report.html"
-    write_whole(path, lambda target: target.write_text(text, encoding="utf-8"))
+    write_text(path, text)
     return path
 
 
@@ -55,19 +56,17 @@ def _matrix(content: dict[str, Any], source: str) -> dict[str, Any]:
             [number_from(content, source, f"R_cs.{i}.{j}", "+.12f") for j in range(3)] for i in range(3)
         ],
         "quaternion": [number_from(content, source, f"quaternion.{i}", "+.12f") for i in range(4)],
-        "theta": _theta(content, source, "theta_rad"),
-        "sigma": _sigma(content, source, "covariance_rad2"),
+        **_angles(content, source, "theta_rad", "covariance_rad2"),
     }
 
 
-def _theta(content: dict[str, Any], source: str, key: str) -> list[Number]:
-    return [number_from(content, source, f"{key}.{i}", "+.4f", scale=1 / ARCSEC) for i in range(3)]
-
-
-def _sigma(content: dict[str, Any], source: str, key: str) -> list[Number]:
-    return [
-        number_from(content, source, f"{key}.{i}.{i}", ".4f", scale=1 / ARCSEC, root=True) for i in range(3)
-    ]
+def _angles(content: dict[str, Any], source: str, theta: str, covariance: str) -> dict[str, list[Number]]:
+    """theta and its 1-sigma, arcsec, by the keys of theta (rad) and its covariance (rad²)."""
+    arcsec = functools.partial(number_from, content, source, scale=1 / ARCSEC)
+    return {
+        "theta": [arcsec(f"{theta}.{i}", "+.4f") for i in range(3)],
+        "sigma": [arcsec(f"{covariance}.{i}.{i}", ".4f", root=True) for i in range(3)],
+    }
 
 
 def _dumps(result: Path, reasons: dict[str, str]) -> list[dict[str, Any]]:
@@ -101,16 +100,7 @@ def _drift(result: Path) -> dict[str, Any] | None:
         "constant": [number_from(content, "drift.json", f"constant.{k}", ".3g") for k in CONSTANT],
         "step": number_from(content, "drift.json", "step.p_value", ".3g"),
         "between": [str(utc)[:10] for utc in content["step"]["utc_interval"]],
-        "theta": [
-            number_from(content, "drift.json", f"step.theta_rad.{i}", "+.4f", scale=1 / ARCSEC)
-            for i in range(3)
-        ],
-        "sigma": [
-            number_from(
-                content, "drift.json", f"step.covariance_rad2.{i}.{i}", ".4f", scale=1 / ARCSEC, root=True
-            )
-            for i in range(3)
-        ],
+        **_angles(content, "drift.json", "step.theta_rad", "step.covariance_rad2"),
         "picture": data_uri("image/png", (result / "drift.png").read_bytes()),
     }
 

@@ -226,7 +226,7 @@ def _check_alike(first: _DatedResult, other: _DatedResult) -> None:
 
 
 def drift_json(dated: DatedDrift) -> dict[str, Any]:
-    """Content of drift.json."""
+    """Content of drift.json; a limit that is not finite means none."""
     drift, step, walk, term = dated.drift, dated.drift.step, dated.drift.walk, dated.drift.orbit_phase
     date, low, high = step_dates(dated)
     merged = drift.merged
@@ -259,7 +259,7 @@ def drift_json(dated: DatedDrift) -> dict[str, Any]:
         },
         "random_walk": {
             "density_rad2_s": walk.density_rad2_s,
-            "density_interval_rad2_s": [_finite(value) for value in walk.density_interval],
+            "density_interval_rad2_s": walk.density_interval,
             "estimated": walk.estimated,
             "theta_rad": walk.theta.tolist(),
             "covariance_rad2": walk.covariance.tolist(),
@@ -301,7 +301,3 @@ def step_dates(dated: DatedDrift) -> tuple[str, str, str]:
 def _dates(epoch: Epoch, t_s: Array) -> list[str]:
     """UTC to the whole second."""
     return [f"{utc[:19]}Z" for utc in epoch.utc_from_seconds(t_s)]
-
-
-def _finite(value: float) -> float | None:
-    return value if math.isfinite(value) else None
