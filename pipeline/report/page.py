@@ -11,13 +11,11 @@ from pathlib import Path
 from typing import Any
 
 import jinja2
-import numpy as np
 from markupsafe import Markup
 
 from boresight.geometry.constants import ARCSEC
-from boresight.geometry.record import record, scalar
 from boresight.pipeline.files.table_files import column, list_values
-from boresight.pipeline.files.whole_file import write_whole
+from boresight.pipeline.files.whole_file import write_text
 from boresight.pipeline.report import figures
 from boresight.pipeline.report.compiled_templates import CompiledTemplates
 from boresight.pipeline.report.drawing import SHAPES, strip_style
@@ -25,6 +23,7 @@ from boresight.pipeline.report.first_screen import first_screen
 from boresight.pipeline.report.map_view import map_view
 from boresight.pipeline.report.observations import data_uri, exposure_rows, strip_numbers, target_rows
 from boresight.pipeline.report.saved import Number, Saved, number_from, read_saved
+from boresight.pipeline.report.star_image import star_detection, star_picture
 from boresight.pipeline.report.star_preview import STATES
 from boresight.pipeline.report.strip_stars import strip_star_rows
 from boresight.pipeline.report.strips_on_sky import strips_on_sky
@@ -38,18 +37,6 @@ MOST_ROWS = 300  # shown of a long table
 TO_ARCSEC = 1.0 / ARCSEC
 
 
-@record(kw_only=True)
-class Detection:
-    """One mark on the star image."""
-
-    x: float = scalar("column, px of the image")
-    y: float = scalar("row, px of the image")
-    r: float = scalar("size of the mark, about 1")
-    state: str = scalar("key of `STATES`")
-    words: str = scalar("hover text")
-    name: str = scalar("HIP number; empty where not identified")
-
-
 def write_report(result: Path, *, most_matches: int = MOST_MATCHES) -> Path:
     """Write `report.html` into the folder of a result and return its path.
 
@@ -58,7 +45,7 @@ def write_report(result: Path, *, most_matches: int = MOST_MATCHES) -> Path:
     """
     text = report_html(read_saved(result), most_matches=most_matches)
     path = result / "report.html"
-    write_whole(path, lambda target: target.write_text(text, encoding="utf-8"))
+    write_text(path, text)
     return path
 
 
@@ -87,7 +74,7 @@ def report_html(saved: Saved, *, most_matches: int = MOST_MATCHES) -> str:
         exposures=exposures,
         more_cards=more_cards,
         shapes=SHAPES,
-        accuracy=_accuracy(saved),
+        accuracy=_by_strip(saved, saved.context["accuracy"], saved.context_number),
         checked=_checked(saved),
         predicted={
             part: [saved.context_number(f"new_strip.{part}.{i}", ".2f") for i in (0, 1)]
@@ -189,23 +176,15 @@ def _iterations(saved: Saved) -> list[dict[str, Any]]:
     ]
 
 
-def _accuracy(saved: Saved) -> list[dict[str, Any]]:
-    """Residuals on the ground of all strips (name empty) and of each."""
-    return _by_strip(saved, saved.context["accuracy"], saved.context_number)
-
-
 def _checked(saved: Saved) -> dict[str, Any] | None:
     """Errors against the truth: of the matrix, and at the check points; None where it was not compared."""
     content = saved.validation
     if not content:
         return None
-
-    def number(key: str, form: str, scale: float = 1.0) -> Number:
-        return number_from(content, VALIDATION, key, form, scale=scale)
-
+    number = functools.partial(number_from, content, VALIDATION)
     return {
-        "error": [number(f"error_rad.{i}", "+.4f", TO_ARCSEC) for i in range(3)],
-        "sigma": [number(f"sigma_rad.{i}", ".4f", TO_ARCSEC) for i in range(3)],
+        "error": [number(f"error_rad.{i}", "+.4f", scale=TO_ARCSEC) for i in range(3)],
+        "sigma": [number(f"sigma_rad.{i}", ".4f", scale=TO_ARCSEC) for i in range(3)],
         "nees": number("nees", ".2f"),
         "rows": _by_strip(saved, content["accuracy"], number),
     }
@@ -216,10 +195,7 @@ def _interior(saved: Saved) -> dict[str, Any] | None:
     content = saved.interior
     if not content:
         return None
-
-    def number(key: str, form: str) -> Number:
-        return number_from(content, INTERIOR, key, form)
-
+    number = functools.partial(number_from, content, INTERIOR)
     return {
         "change": number("map_change_rms_px", ".3f"),
         "sigma": number("map_sigma_rms_px", ".3f"),
@@ -232,7 +208,9 @@ def _interior(saved: Saved) -> dict[str, Any] | None:
 def _by_strip(
     saved: Saved, accuracy: list[dict[str, Any]], number: Callable[[str, str], Number]
 ) -> list[dict[str, Any]]:
-    """Rows of `accuracy_rows`, of which `number` gives the numbers."""
+    """Residuals on the ground of all strips (name empty) and of each: rows of `accuracy_rows`, of which
+    `number` gives the numbers.
+    """
     order, rows = strip_numbers(saved), []
     for n, one in enumerate(accuracy):
         key, name = f"accuracy.{n}", one["strip_id"]
@@ -247,31 +225,19 @@ def _star_image(saved: Saved) -> dict[str, Any] | None:
     if about is None:
         return None
     table, camera = saved.detections, saved.context["star_camera"]
-    xy, snr = list_values(table, "xy_px", 2), column(table, "snr")
-    state, hip = table.column("state").to_pylist(), column(table, "hip")
+    places, names = list_values(table, "xy_px", 2).tolist(), table.column("hip").to_pylist()
     marks = [
-        Detection(
-            x=round(float(xy[n, 0]), 3),
-            y=round(float(xy[n, 1]), 3),
-            r=round(0.6 + min(0.3 * float(np.log10(max(snr[n], 1.0))), 0.9), 2),
-            state=state[n],
-            words=(f"HIP {hip[n]}, " if hip[n] else "") + f"signal to noise {snr[n]:.1f}: {STATES[state[n]]}",
-            name=f"HIP {hip[n]}" if hip[n] else "",
+        star_detection(round(x, 3), round(y, 3), snr, state, STATES, f"HIP {hip}" if hip else "")
+        for (x, y), snr, state, hip in zip(
+            places, column(table, "snr"), table.column("state").to_pylist(), names
         )
-        for n in range(len(table))
     ]
-    counts = Counter(state)
-    shrunk = int(str(about["shrunk"]))
-    return {
-        "about": about,
-        "uri": data_uri("image/jpeg", saved.detections.schema.metadata[b"jpeg"]),
-        "width": camera["width_px"] // shrunk * shrunk,
-        "height": camera["height_px"] // shrunk * shrunk,
-        "marks": marks,
-        "counts": {name: counts.get(name, 0) for name in STATES},
-        "words": f"Star image {about['exposure_id']} with {len(marks)} detections: "
-        + ", ".join(f"{counts.get(name, 0)} {text}" for name, text in STATES.items()),
-    }
+    size_px = camera["width_px"], camera["height_px"]
+    jpeg = saved.detections.schema.metadata[b"jpeg"]
+    picture = star_picture(jpeg, int(str(about["shrunk"])), size_px, marks, STATES)
+    seen = ", ".join(f"{picture['counts'][name]} {text}" for name, text in STATES.items())
+    words = f"Star image {about['exposure_id']} with {len(marks)} detections: {seen}"
+    return picture | {"about": about, "words": words}
 
 
 def _flat(values: Any, path: str = "") -> Iterator[tuple[str, str]]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from pathlib import Path
 from typing import Any
 
@@ -11,10 +10,10 @@ from numpy.typing import NDArray
 
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.record import Bools
-from boresight.pipeline.files.whole_file import write_whole
+from boresight.pipeline.files.whole_file import write_text
 from boresight.pipeline.report.drawing import INK, MUTED, Drawing, axes_of, drawn, dress_axes, new_figure
-from boresight.pipeline.report.observations import data_uri
-from boresight.pipeline.report.page import Detection, template
+from boresight.pipeline.report.page import template
+from boresight.pipeline.report.star_image import Detection, star_detection, star_picture
 from boresight.pipeline.report.star_preview import stretched_jpeg
 from boresight.pipeline.stages.identify import Line, misshapen_in
 from boresight.star_id.field import FieldSolution
@@ -64,7 +63,7 @@ def write_sky_page(line: Line, path: Path) -> None:
         matches=rows[:MOST_MATCHES],
         matches_in_all=len(rows),
     )
-    write_whole(path, lambda target: target.write_text(text, encoding="utf-8"))
+    write_text(path, text)
 
 
 def _picture(image: NDArray[Any], stars: StarList, known: Bools, line: Line) -> dict[str, Any]:
@@ -78,30 +77,16 @@ def _picture(image: NDArray[Any], stars: StarList, known: Bools, line: Line) -> 
         hip[found.detections] = found.hip
     names = [f"HIP {star}" if star else planets.get(row, "") for row, star in enumerate(hip)]
     marks = [
-        Detection(
-            x=round(float(x), 2),
-            y=round(float(y), 2),
-            r=round(0.6 + min(0.3 * float(np.log10(max(snr, 1.0))), 0.9), 2),
-            state=str(kind),
-            words=(f"{name}, " if name else "") + f"signal to noise {snr:.1f}: {STATES[str(kind)]}",
-            name=name,
-        )
+        star_detection(round(float(x), 2), round(float(y), 2), snr, str(kind), STATES, name)
         for (x, y), snr, kind, name in zip(stars.xy_px, stars.snr, state, names)
     ]
     marks += [
         Detection(x=round(x, 2), y=round(y, 2), r=0.6, state="rejected", words=STATES["rejected"], name="")
         for x, y in misshapen_in(image, stars).tolist()
     ]
-    counts = Counter(mark.state for mark in marks)
-    return {
-        "uri": data_uri("image/jpeg", jpeg),
-        "shrunk": shrunk,
-        "width": image.shape[1] // shrunk * shrunk,
-        "height": image.shape[0] // shrunk * shrunk,
-        "marks": marks,
-        "counts": {name: counts.get(name, 0) for name in STATES},
-        "words": f"Star image with {len(state)} detections, {counts.get('used', 0)} identified",
-    }
+    picture = star_picture(jpeg, shrunk, (image.shape[1], image.shape[0]), marks, STATES)
+    identified = picture["counts"]["used"]
+    return picture | {"words": f"Star image with {len(state)} detections, {identified} identified"}
 
 
 def _seen(stars: StarList) -> list[tuple[str, str]]:
