@@ -27,7 +27,7 @@ from boresight.pipeline.experiments.paper_tables import (
 )
 from boresight.simulator.campaign import CameraPair
 
-__all__ = ["COMPARISONS", "noise_law"]
+__all__ = ["COMPARISONS", "noise_law", "rms_of"]
 
 AXES = ("X", "Y", "Z")
 HEIGHT_M = 530e3
@@ -54,11 +54,11 @@ def compare_grid(table: pd.DataFrame) -> Iterator[str]:
     yield "frames  axis    ours    bound    paper  ours/paper"
     ours = table[table["method"] == "information"]
     for (frames, axis), part in ours.groupby(["frames", "axis"]):
-        rms, bound = _rms(part["rms_arcsec"]), _rms(part["bound_arcsec"])
+        rms, bound = rms_of(part["rms_arcsec"]), rms_of(part["bound_arcsec"])
         paper = FIGURE_7_SIGMA_ARCSEC[AXES.index(axis)]
         yield f"{frames:6d}  {axis}    {rms:7.4f}  {bound:7.4f}  {paper:7.4f}  {rms / paper:8.2f}"
     last = ours[ours["frames"] == ours["frames"].max()]
-    sizes = {"ours": [_rms(last[last["axis"] == axis]["rms_arcsec"]) for axis in AXES]}
+    sizes = {"ours": [rms_of(last[last["axis"] == axis]["rms_arcsec"]) for axis in AXES]}
     for who, (x, y, z) in (sizes | {"paper": list(FIGURE_7_SIGMA_ARCSEC)}).items():
         yield f"Z over X and Y, {who}: {z / x:.1f}, {z / y:.1f} (text: 5 to 10)"
     cells = len(ours.groupby(["sigma_s_px", "sigma_c_px"]))
@@ -74,7 +74,12 @@ def compare_grid(table: pd.DataFrame) -> Iterator[str]:
     yield "axis    Wang's method  ours, same strips    bound  paper's Wang"
     for axis, paper in zip(AXES, TABLE_4_RMS_ARCSEC["wang"]):
         wang, strips = (table[(table["method"] == m) & (table["axis"] == axis)] for m in ("wang", "strips"))
-        values = (_rms(wang["rms_arcsec"]), _rms(strips["rms_arcsec"]), _rms(wang["bound_arcsec"]), paper)
+        values = (
+            rms_of(wang["rms_arcsec"]),
+            rms_of(strips["rms_arcsec"]),
+            rms_of(wang["bound_arcsec"]),
+            paper,
+        )
         yield f"{axis}       {values[0]:11.4f}  {values[1]:17.4f}  {values[2]:7.4f}  {values[3]:12.4f}"
 
 
@@ -85,8 +90,8 @@ def compare_table4(table: pd.DataFrame) -> Iterator[str]:
     gains = []
     for n, axis in enumerate(AXES):
         by = {m: part[part["axis"] == axis] for m, part in table.groupby("method")}
-        rms = {m: _rms(part["rms_arcsec"]) for m, part in by.items()}
-        bounds = _rms(by["information"]["bound_arcsec"]), _rms(by["strips"]["bound_arcsec"])
+        rms = {m: rms_of(part["rms_arcsec"]) for m, part in by.items()}
+        bounds = rms_of(by["information"]["bound_arcsec"]), rms_of(by["strips"]["bound_arcsec"])
         paper, wang = (TABLE_4_RMS_ARCSEC[who][n] for who in ("paper", "wang"))
         yield (
             f"{axis}     {rms['information']:7.4f}  {bounds[0]:7.4f}  {paper:7.4f} |"
@@ -129,7 +134,7 @@ def compare_table4_pixels(table: pd.DataFrame) -> Iterator[str]:
     yield f"of which chance alone leaves {np.sqrt(0.5 / n):.2f} and {np.sqrt(6 / n):.2f} (1 sigma)"
     for axis in AXES:
         part = table[table["axis"] == axis]
-        yield f"  {axis}  rms / bound {_rms(part['rms_arcsec'] / part['bound_arcsec']):.3f}"
+        yield f"  {axis}  rms / bound {rms_of(part['rms_arcsec'] / part['bound_arcsec']):.3f}"
     yield f"  NEES {table['nees'].mean():.2f}"
     yield f"CPU {table['cpu_s'].sum() / 3:.0f} s, one core"
 
@@ -147,7 +152,7 @@ def compare_grid_pixels(table: pd.DataFrame) -> Iterator[str]:
         squares = part["mean_square"].mean(), other["mean_square"].mean()
         p = _f_test(squares[0], cells * runs, squares[1], cells * redrawn)
         columns = [
-            f"{_rms(t['rms_arcsec']):9.3f} {_rms(t['bound_arcsec']):8.3f} {np.sqrt(square):7.3f}"
+            f"{rms_of(t['rms_arcsec']):9.3f} {rms_of(t['bound_arcsec']):8.3f} {np.sqrt(square):7.3f}"
             for t, square in zip((part, other), squares)
         ]
         paper = "{:.4f} / {:.4f}".format(*part[["paper_arcsec", "paper_bound_arcsec"]].iloc[0])
@@ -270,7 +275,8 @@ def compare_figure4(table: pd.DataFrame) -> Iterator[str]:
     yield "Fig. 4: attitude over 24 s, arcsec; the paper prints no value, it shows 24 s about the mean"
     for axis, part in table.groupby("axis", sort=False):
         wave, noise = part["attitude_arcsec"], part["sigma_arcsec"].iloc[0]
-        yield f"  {axis:5s}  rms {_rms(wave):5.2f}  peak {np.abs(wave).max():5.2f}  one exposure {noise:.2f}"
+        peak = np.abs(wave).max()
+        yield f"  {axis:5s}  rms {rms_of(wave):5.2f}  peak {peak:5.2f}  one exposure {noise:.2f}"
 
 
 def compare_figure8(table: pd.DataFrame) -> Iterator[str]:
@@ -278,7 +284,7 @@ def compare_figure8(table: pd.DataFrame) -> Iterator[str]:
     yield "Fig. 8: rms residual of polynomials, arcsec; paper: no significant improvement from order 5 to 7"
     yield "span s  axis   order 3  order 5  order 7   order 7 / order 5"
     for (span, axis), part in table.groupby(["span_s", "axis"], sort=False):
-        rms = [_rms(part[part["order"] == order]["residual_arcsec"]) for order in (3, 5, 7)]
+        rms = [rms_of(part[part["order"] == order]["residual_arcsec"]) for order in (3, 5, 7)]
         yield f"{span:6g}  {axis:5s}  {rms[0]:7.4f}  {rms[1]:7.4f}  {rms[2]:7.4f}   {rms[2] / rms[1]:8.3f}"
 
 
@@ -335,5 +341,6 @@ def noise_law(sigma_px: Floats, rms: Floats) -> tuple[float, float]:
     return float(np.sqrt(max(constant, 0.0))), float(np.sqrt(max(slope, 0.0)))
 
 
-def _rms(values: pd.Series) -> float:
+def rms_of(values: pd.Series) -> float:
+    """Root mean square."""
     return float(np.sqrt(np.mean(np.square(values))))

@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 
 from boresight.geometry.record import record, scalar
-from boresight.pipeline.experiments.comparison import COMPARISONS
+from boresight.pipeline.experiments.comparison import COMPARISONS, rms_of
 from boresight.pipeline.experiments.paper_tables import (
     FIGURE_7_MEAN_ARCSEC,
     FIGURE_7_SIGMA_ARCSEC,
@@ -79,12 +79,12 @@ def run_all(
     return tables, page
 
 
-def verdict_of(ours: float, paper: float, *, larger: str = "larger", smaller: str = "better") -> str:
+def verdict_of(ours: float, paper: float, *, smaller: str = "better") -> str:
     """Verdict on the error `ours` beside the paper's: reproduced within 25 %, else how many times off."""
     ratio = abs(paper) / ours
     if 0.8 <= ratio <= 1.25:
         return "reproduced"
-    return f"{smaller}, {ratio:.1f} times" if ratio > 1.0 else f"{larger}, {1 / ratio:.1f} times"
+    return f"{smaller}, {ratio:.1f} times" if ratio > 1.0 else f"larger, {1 / ratio:.1f} times"
 
 
 def _inputs(table: pd.DataFrame) -> Iterator[Row]:
@@ -97,7 +97,7 @@ def _inputs(table: pd.DataFrame) -> Iterator[Row]:
 
 def _figure4(table: pd.DataFrame) -> Iterator[Row]:
     for axis, part in table.groupby("axis", sort=False):
-        rms, noise = _rms(part["attitude_arcsec"]), part["sigma_arcsec"].iloc[0]
+        rms, noise = rms_of(part["attitude_arcsec"]), part["sigma_arcsec"].iloc[0]
         yield f"{axis}", NONE, f"{rms:.2f}", f"{noise:.2f}", "not printed"
 
 
@@ -119,7 +119,7 @@ def _grid(table: pd.DataFrame) -> Iterator[Row]:
     for frames, part in ours.groupby("frames"):
         for n, axis in enumerate(AXES):
             cells, paper = part[part["axis"] == axis], FIGURE_7_SIGMA_ARCSEC[n]
-            rms, bound = _rms(cells["rms_arcsec"]), _rms(cells["bound_arcsec"])
+            rms, bound = rms_of(cells["rms_arcsec"]), rms_of(cells["bound_arcsec"])
             yield (
                 f"Fig. 7, σ of {axis}, {frames} frames",
                 *_beside(paper, rms, bound, smaller="smaller"),
@@ -134,7 +134,7 @@ def _grid(table: pd.DataFrame) -> Iterator[Row]:
     wang = table[table["method"] == "wang"]
     for n, axis in enumerate(AXES):
         cells, paper = wang[wang["axis"] == axis], TABLE_4_RMS_ARCSEC["wang"][n]
-        rms, bound = _rms(cells["rms_arcsec"]), _rms(cells["bound_arcsec"])
+        rms, bound = rms_of(cells["rms_arcsec"]), rms_of(cells["bound_arcsec"])
         yield f"Fig. 9, Wang in {axis}", *_beside(paper, rms, bound, smaller="smaller")
 
 
@@ -147,7 +147,7 @@ def _table4(table: pd.DataFrame) -> Iterator[Row]:
     for method, (who, name) in names.items():
         for n, axis in enumerate(AXES):
             part = table[(table["method"] == method) & (table["axis"] == axis)]
-            rms, bound = _rms(part["rms_arcsec"]), _rms(part["bound_arcsec"])
+            rms, bound = rms_of(part["rms_arcsec"]), rms_of(part["bound_arcsec"])
             head = f"{axis}, {name.format(int(part['frames'].iloc[0]))}"
             smaller = "smaller" if method == "wang" else "better"
             yield head, *_beside(TABLE_4_RMS_ARCSEC[who][n], rms, bound, smaller=smaller)
@@ -176,7 +176,7 @@ def _readings(table: pd.DataFrame) -> Iterator[Row]:
 
 def _figure8(table: pd.DataFrame) -> Iterator[Row]:
     for (span, axis), part in table.groupby(["span_s", "axis"], sort=False):
-        rms = [_rms(part[part["order"] == order]["residual_arcsec"]) for order in (3, 5, 7)]
+        rms = [rms_of(part[part["order"] == order]["residual_arcsec"]) for order in (3, 5, 7)]
         verdict = "reproduced" if rms[2] > 0.8 * rms[1] else "gains"
         yield f"{axis}, {span:g} s", "no gain from 5 to 7", *(f"{value:.4f}" for value in rms), verdict
 
@@ -201,12 +201,8 @@ def _geometry(table: pd.DataFrame) -> Iterator[Row]:
     yield "paper", *(", ".join(f"{value:.4f}" for value in values) for values in printed), "–", ""
 
 
-def _beside(paper: float, rms: float, bound: float, *, smaller: str = "better") -> Row:
+def _beside(paper: float, rms: float, bound: float, *, smaller: str) -> Row:
     return f"{paper:.4f}", f"{rms:.4f}", f"{bound:.4f}", verdict_of(rms, paper, smaller=smaller)
-
-
-def _rms(values: pd.Series) -> float:
-    return float(np.sqrt(np.mean(np.square(values))))
 
 
 ARCSEC_HEAD = ("", "paper, ″", "ours, ″", "bound, ″", "verdict")

@@ -67,14 +67,9 @@ def plot_figure4(table: pd.DataFrame) -> Figure:
         ax.plot(part["t_s"], part["attitude_arcsec"], color=OURS, lw=1.6, label="attitude about its mean")
         noise = f"{axis}: 1σ of an exposure {part['sigma_arcsec'].iloc[0]:.2f}″"
         ax.plot(part["t_s"], part["measured_arcsec"], ".", color=WANG, ms=4, label="exposures at 5 Hz")
-        ax.set_ylabel("arcsec")
         ax.set_title(noise, fontsize=9, loc="left")
-    axes[-1, 0].set_xlabel("s")
-    _legend(figure, axes[0, 0])
-    figure.suptitle(
-        "Attitude of the remote-sensing camera (paper: Fig. 4, without printed values)", fontsize=10
-    )
-    return figure
+    title = "Attitude of the remote-sensing camera (paper: Fig. 4, without printed values)"
+    return _finished(figure, axes, title, "s", "arcsec")
 
 
 def plot_convergence(table: pd.DataFrame) -> Figure:
@@ -95,12 +90,8 @@ def plot_convergence(table: pd.DataFrame) -> Figure:
             ax.plot([], [], label="paper: error of Z", **PAPER)
             ax.set(xscale="log", yscale="log", title=f"{axis},  σs {sigma_s:g}, σc {sigma_c:g} px")
             ax.set_ylim(part["bound_arcsec"].min() / 30, part["bound_arcsec"].max() * 3)
-        axes[row, 0].set_ylabel("error, arcsec")
-    for ax in axes[-1]:
-        ax.set_xlabel("frames")
-    _legend(figure, axes[0, 0])
-    figure.suptitle("Error against the number of frames (paper: Figs. 5 and 6)", fontsize=10)
-    return figure
+    title = "Error against the number of frames (paper: Figs. 5 and 6)"
+    return _finished(figure, axes, title, "frames", "error, arcsec")
 
 
 def plot_grid(table: pd.DataFrame) -> Figure:
@@ -129,11 +120,9 @@ def plot_grid(table: pd.DataFrame) -> Figure:
         )
         for (_, sigma_c), (values, _) in TABLE_4.items():
             ax.plot([sigma_c], [abs(values[n])], label="paper's Wang (Table 4)", **PAPER)
-        ax.set(yscale="log", title=axis, xlabel="σc, px")
-    axes[0, 0].set_ylabel("rms error, arcsec")
-    _legend(figure, axes[0, 0])
-    figure.suptitle("Error over the grid of both cameras' noise (paper: Figs. 7 and 9)", fontsize=10)
-    return figure
+        ax.set(yscale="log", title=axis)
+    title = "Error over the grid of both cameras' noise (paper: Figs. 7 and 9)"
+    return _finished(figure, axes, title, "σc, px", "rms error, arcsec")
 
 
 def plot_table4(table: pd.DataFrame) -> Figure:
@@ -168,11 +157,9 @@ def plot_table4(table: pd.DataFrame) -> Figure:
             style: dict[str, Any] = PAPER | {"marker": marker, "ms": 5, "mfc": "#ffffff"}
             ax.plot(at + shift, values, label=label, **style)
         ax.set_xticks(at, [f"{s:g}\n{c:g}" for s, c in TABLE_4], fontsize=8)
-        ax.set(yscale="log", title=axis, xlabel="σs, σc, px")
-    axes[0, 0].set_ylabel("error, arcsec (rms of runs)")
-    _legend(figure, axes[0, 0])
-    figure.suptitle("Table 4: ours and Wang's method, on equal data and as in the paper", fontsize=10)
-    return figure
+        ax.set(yscale="log", title=axis)
+    title = "Table 4: ours and Wang's method, on equal data and as in the paper"
+    return _finished(figure, axes, title, "σs, σc, px", "error, arcsec (rms of runs)")
 
 
 def plot_table5(table: pd.DataFrame) -> Figure:
@@ -198,11 +185,9 @@ def plot_table5(table: pd.DataFrame) -> Figure:
         ax.plot(
             part["sigma_s_px"], part["floor_m"], label="floor: GPS, vibration, clock, distortion", **BOUND
         )
-        ax.set(title=f"{direction} the track", xlabel="σs, px", ylim=(0, None))
-    axes[0, 0].set_ylabel("rms at check points, m")
-    _legend(figure, axes[0, 0])
-    figure.suptitle("Geo-positioning with every error of Table 1 (paper: Table 5 and Fig. 10)", fontsize=10)
-    return figure
+        ax.set(title=f"{direction} the track", ylim=(0, None))
+    title = "Geo-positioning with every error of Table 1 (paper: Table 5 and Fig. 10)"
+    return _finished(figure, axes, title, "σs, px", "rms at check points, m")
 
 
 def plot_readings(table: pd.DataFrame) -> Figure:
@@ -230,12 +215,8 @@ def plot_readings(table: pd.DataFrame) -> Figure:
                 style: dict[str, Any] = PAPER | {"marker": marker, "ms": 5, "mfc": "#ffffff", "label": who}
                 ax.plot(list(TABLE_5), [values[n + 2 * row] for values in TABLE_5.values()], **style)
             ax.set_title(f"{direction}, star camera {axis} off the zenith", fontsize=9)
-        axes[row, 0].set_ylabel("rms, m")
-    for ax in axes[-1]:
-        ax.set_xlabel("σs, px")
-    _legend(figure, axes[0, 0])
-    figure.suptitle("Table 5 with Wang's matrix of each single image", fontsize=10)
-    return figure
+    title = "Table 5 with Wang's matrix of each single image"
+    return _finished(figure, axes, title, "σs, px", "rms, m")
 
 
 def plot_figure8(table: pd.DataFrame) -> Figure:
@@ -262,14 +243,8 @@ def plot_figure8(table: pd.DataFrame) -> Figure:
                 )
                 rms.append(f"{np.sqrt(np.mean(fit['residual_arcsec'] ** 2)):.2g}")
             ax.set_title(f"{axis}, {span:g} s\nrms {', '.join(rms)}″", fontsize=8.5)
-        axes[row, 0].set_ylabel("arcsec")
-    for ax in axes[-1]:
-        ax.set_xlabel("s")
-    _legend(figure, axes[0, 0])
-    figure.suptitle(
-        "Polynomials fitted to the attitude (paper: Fig. 8, no gain from order 5 to 7)", fontsize=10
-    )
-    return figure
+    title = "Polynomials fitted to the attitude (paper: Fig. 8, no gain from order 5 to 7)"
+    return _finished(figure, axes, title, "s", "arcsec")
 
 
 def plot_geometry(table: pd.DataFrame) -> Figure:
@@ -292,10 +267,7 @@ def plot_geometry(table: pd.DataFrame) -> Figure:
         if part.to_numpy().min() <= 1.2:
             ax.contour(x, y, part.to_numpy(), levels=[1.2], colors=[INK], linewidths=1.8)
         ax.set_title(f"{title}: best {part.to_numpy().min():.2f}", fontsize=9)
-    for ax in axes[:, 0]:
-        ax.set_ylabel("from the zenith, deg")
-    for ax in axes[-1]:
-        ax.set_xlabel("azimuth (0: flight, 90: across), deg")
+    _label_edges(axes, "azimuth (0: flight, 90: across), deg", "from the zenith, deg")
     bar = figure.colorbar(shown, ax=axes, shrink=0.7)
     bar.set_ticks(
         [0.0, np.log10(1.2), np.log10(2.0), np.log10(5.0), 1.0], labels=["1", "1.2", "2", "5", "10"]
@@ -325,11 +297,9 @@ def plot_grid_pixels(table: pd.DataFrame) -> Figure:
             label = "paper, Fig. 7: scatter over the bound of its cameras"
             ax.axhline(paper, color=INK, ls="-.", lw=1.6, label=label)
             ax.set(title=f"{axis}: pooled {np.sqrt(part['mean_square'].mean()):.2f}", xlabel=name)
-        axes[row, 0].set_ylabel("rms error / bound")
     axes[0, 0].set_ylim(0.0, None)  # of all panels
-    _legend(figure, axes[0, 0])
-    figure.suptitle("The grid of Figs. 7 and 9 from rendered pixels of small cameras", fontsize=10)
-    return figure
+    title = "The grid of Figs. 7 and 9 from rendered pixels of small cameras"
+    return _finished(figure, axes, title, y_label="rms error / bound")
 
 
 def plot_table4_pixels(table: pd.DataFrame) -> Figure:
@@ -349,11 +319,8 @@ def plot_table4_pixels(table: pd.DataFrame) -> Figure:
         ax.plot(at, paper, label="paper: one run over the bound of its cameras", **marks)
         ax.set_xticks(at, [f"{s:g}\n{c:g}" for s, c in zip(part["row_s_px"], part["row_c_px"])], fontsize=8)
         ax.set_title(f"{axis}: rms / bound {np.sqrt(np.mean(ratio**2)):.2f}", fontsize=10)
-        ax.set_xlabel("σs, σc, px")
-    axes[0, 0].set_ylabel("error / bound")
-    _legend(figure, axes[0, 0])
-    figure.suptitle("Rows of Table 4 from rendered pixels of small cameras", fontsize=10)
-    return figure
+    title = "Rows of Table 4 from rendered pixels of small cameras"
+    return _finished(figure, axes, title, "σs, σc, px", "error / bound")
 
 
 def plot_table5_pixels(table: pd.DataFrame) -> Figure:
@@ -430,6 +397,22 @@ def _panels(
         ax.spines[["top", "right"]].set_visible(False)
         ax.set_axisbelow(True)
     return figure, axes
+
+
+def _finished(figure: Figure, axes: np.ndarray, title: str, x_label: str = "", y_label: str = "") -> Figure:
+    """The figure with labels at the panels' edges, the first panel's legend below them, and its title."""
+    _label_edges(axes, x_label, y_label)
+    _legend(figure, axes[0, 0])
+    figure.suptitle(title, fontsize=10)
+    return figure
+
+
+def _label_edges(axes: np.ndarray, x_label: str, y_label: str) -> None:
+    """Labels below the lowest panels and left of the leftmost ones; where empty, panels keep their own."""
+    for ax in axes[-1] if x_label else ():
+        ax.set_xlabel(x_label)
+    for ax in axes[:, 0] if y_label else ():
+        ax.set_ylabel(y_label)
 
 
 def _legend(figure: Figure, ax: Axes) -> None:
