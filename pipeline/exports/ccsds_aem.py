@@ -18,6 +18,7 @@ from scipy.spatial.transform import Rotation
 from boresight.geometry.epoch import Epoch
 from boresight.geometry.record import Floats, record, scalar
 from boresight.pipeline.exports.one_line import one_line
+from boresight.pipeline.exports.quaternions import continuous_quaternions
 
 __all__ = ["AemHeader", "attitude_message", "comprehensive_message"]
 
@@ -61,7 +62,7 @@ def attitude_message(header: AemHeader, comments: Sequence[str], utc: Sequence[s
         "",
         "DATA_START",
     ]
-    for instant, q in zip(utc, _continuous(R_ci.inv())):
+    for instant, q in zip(utc, continuous_quaternions(R_ci.inv())):
         lines.append(" ".join([instant.rstrip("Z"), *(f"{value: .15f}" for value in q)]))
     return "\n".join([*lines, "DATA_STOP", ""])
 
@@ -92,7 +93,10 @@ def comprehensive_message(
         f"REF_FRAME_B = {frame}",
         "NUMBER_STATES = 4",
         "ATT_TYPE = QUATERNION",
-        *(" ".join([t, *(f"{value: .15f}" for value in q)]) for t, q in zip(since, _continuous(R_ci.inv()))),
+        *(
+            " ".join([t, *(f"{value: .15f}" for value in q)])
+            for t, q in zip(since, continuous_quaternions(R_ci.inv()))
+        ),
         "ATT_STOP",
         "",
         "COV_START",
@@ -118,13 +122,3 @@ def _preamble(header: AemHeader, comments: Sequence[str]) -> list[str]:
         *(f"COMMENT {one_line(comment)}" for comment in comments),
         f"OBJECT_NAME = {one_line(header.object_name)}",
     ]
-
-
-def _continuous(rotations: Rotation) -> list[list[float]]:
-    """Quaternions (scalar last) with the sign chosen so that neighbours can be interpolated."""
-    quaternions: list[list[float]] = []
-    for q in rotations.as_quat():
-        if quaternions and sum(a * b for a, b in zip(q, quaternions[-1])) < 0.0:
-            q = -q
-        quaternions.append(q.tolist())
-    return quaternions

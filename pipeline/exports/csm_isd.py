@@ -32,6 +32,7 @@ from boresight.geometry.groundlight import lines_of_sight_e
 from boresight.geometry.line_camera import Ccd, LineCamera
 from boresight.geometry.pushbroom import Pushbroom
 from boresight.geometry.record import Floats, array, record, scalar
+from boresight.pipeline.exports.quaternions import continuous_quaternions
 
 __all__ = ["IsdNames", "IsdPiece", "line_scanner_isds"]
 
@@ -176,7 +177,9 @@ def _common(
     times = path.et_s.tolist()
     ends = [times[0], times[-1]]
     unit = np.tile([1.0, 0.0, 0.0, 0.0], (2, 1))
-    sensor_from_e = _scalar_first((path.R_ec * _HALF_TURN.inv()).inv())
+    sensor_from_e = continuous_quaternions((path.R_ec * _HALF_TURN.inv()).inv())[
+        :, [3, 0, 1, 2]
+    ]  # scalar first
     rate_e = _angular_velocities(path.R_ec)
     sun_km = _sun_e(pushbroom, path) / 1e3
     return {
@@ -305,12 +308,6 @@ def _cubic(detector: Ccd, first: int, stop: int) -> tuple[tuple[Floats, Floats],
 
 def _principal_y(detector: Ccd) -> float:
     return detector.y_first_m + detector.principal_sample * detector.pixel_m
-
-
-def _scalar_first(rotations: Rotation) -> Floats:
-    q = rotations.as_quat()[:, [3, 0, 1, 2]]
-    flips = np.where(np.einsum("ni,ni->n", q[1:], q[:-1]) < 0.0, -1.0, 1.0)
-    return np.asarray(q * np.concatenate([[1.0], np.cumprod(flips)])[:, None])
 
 
 def _angular_velocities(R_ec: Rotation) -> Floats:

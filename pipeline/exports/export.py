@@ -189,25 +189,26 @@ def _kml(request: ExportRequest) -> Made:
 
 
 def _asp(request: ExportRequest) -> Made:
+    return _each_image(request, "gcp", points_asp)
+
+
+def _envi(request: ExportRequest) -> Made:
+    return _each_image(request, "pts", lambda points, notes: points_envi(points, egm96(), notes))
+
+
+def _qgis(request: ExportRequest) -> Made:
+    return _each_image(request, "points", points_qgis)
+
+
+def _each_image(request: ExportRequest, ending: str, text_of: Callable[[GroundPoints, Notes], str]) -> Made:
+    """The ground control points of each image as a text of its own."""
     notes = _notes(request)
     for points in _ground_points(request):
-        yield f"{points.strip_id}.ccd{points.ccd}.gcp", points_asp(points, notes)
+        yield f"{points.strip_id}.ccd{points.ccd}.{ending}", text_of(points, notes)
 
 
 def _geojson(request: ExportRequest) -> Made:
     yield "targets.geojson", points_geojson(_ground_points(request), _notes(request))
-
-
-def _envi(request: ExportRequest) -> Made:
-    notes = _notes(request)
-    for points in _ground_points(request):
-        yield f"{points.strip_id}.ccd{points.ccd}.pts", points_envi(points, egm96(), notes)
-
-
-def _qgis(request: ExportRequest) -> Made:
-    notes = _notes(request)
-    for points in _ground_points(request):
-        yield f"{points.strip_id}.ccd{points.ccd}.points", points_qgis(points, notes)
 
 
 def _fits(request: ExportRequest) -> Made:

@@ -19,7 +19,8 @@ from boresight.geometry.epoch import TT_MINUS_TAI_S, Epoch
 from boresight.geometry.line_camera import LineSensor
 from boresight.geometry.record import Floats
 from boresight.pipeline.exports.one_line import one_line
-from boresight.pipeline.exports.spice_frame import SpiceFrames
+from boresight.pipeline.exports.quaternions import continuous_quaternions
+from boresight.pipeline.exports.spice_frame import SpiceFrames, heading
 
 __all__ = [
     "TICK_S",
@@ -67,7 +68,7 @@ def clock_kernel(epoch: Epoch, frames: SpiceFrames, comment: str) -> str:
         [
             "KPL/SCLK",
             "",
-            *_heading(comment),
+            *heading(comment),
             "",
             "\\begindata",
             "",
@@ -97,10 +98,9 @@ def attitude_kernel(ticks: Floats, R_si: Rotation, frames: SpiceFrames, name: st
     n = len(ticks)
     if n < 2 or len(R_si) != n or np.any(np.diff(ticks) <= 0.0):
         raise ValueError(f"a CK needs two or more attitudes in order of time, got {n} and {len(R_si)}")
-    q = R_si.as_quat()[:, [3, 0, 1, 2]]  # SPICE: scalar first, of the matrix J2000 to instrument
-    q *= np.where(np.cumprod(np.sign(np.append(1.0, np.einsum("ni,ni->n", q[1:], q[:-1])))) < 0, -1.0, 1.0)[
-        :, None
-    ]
+    q = continuous_quaternions(R_si)[
+        :, [3, 0, 1, 2]
+    ]  # SPICE: scalar first, of the matrix J2000 to instrument
     directory = ticks[_DIRECTORY - 1 : n - 1 : _DIRECTORY]
     data = np.concatenate([q.ravel(), ticks, directory, ticks[:1], [1.0, float(n)]])
     remarks = _comment_records(comment)
@@ -130,7 +130,7 @@ def instrument_kernel(camera: LineSensor, frames: SpiceFrames, comment: str) -> 
     whole = np.array(
         [[a, b, 1.0] for a, b in ((low[0], low[1]), (low[0], high[1]), (high[0], high[1]), (high[0], low[1]))]
     )
-    lines = ["KPL/IK", "", *_heading(comment), "", "\\begindata", ""]
+    lines = ["KPL/IK", "", *heading(comment), "", "\\begindata", ""]
     lines += _field_of_view(frames.remote_camera_id, name, frame, whole)
     for ccd, polygon in enumerate(corners):
         lines += _field_of_view(frames.remote_camera_id - 1 - ccd, f"{name}_CCD{ccd}", frame, polygon)
@@ -161,13 +161,9 @@ def _field_of_view(number: int, name: str, frame: str, corners: Floats) -> list[
     ]
 
 
-def _heading(comment: str) -> list[str]:
-    return [one_line(line).replace("\\begin", "begin").rstrip() for line in comment.splitlines()]
-
-
 def _comment_records(comment: str) -> bytes:
     """The comment area: lines that end with NUL, 1000 characters to a record, EOT after the last."""
-    text = b"".join(line.encode("ascii", "replace") + b"\0" for line in _heading(comment)) + b"\x04"
+    text = b"".join(line.encode("ascii", "replace") + b"\0" for line in heading(comment)) + b"\x04"
     return b"".join(text[n : n + 1000].ljust(1024, b"\0") for n in range(0, len(text), 1000))
 
 

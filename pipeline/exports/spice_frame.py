@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from boresight.geometry.record import record, scalar
 from boresight.pipeline.exports.one_line import one_line
 
-__all__ = ["SpiceFrames", "frame_kernel"]
+__all__ = ["SpiceFrames", "frame_kernel", "heading"]
 
 
 @record(kw_only=True)
@@ -43,7 +43,7 @@ def frame_kernel(R_cs: Rotation, comment: str, frames: SpiceFrames) -> str:
     lines = [
         "KPL/FK",
         "",
-        *(one_line(line).replace("\\begin", "begin").rstrip() for line in comment.splitlines()),
+        *heading(comment),
         "",
         "\\begindata",
         "",
@@ -75,3 +75,8 @@ def frame_kernel(R_cs: Rotation, comment: str, frames: SpiceFrames) -> str:
         "",
     ]
     return "\n".join(lines)
+
+
+def heading(comment: str) -> list[str]:
+    """The lines of a comment, none of which begins data in a text kernel."""
+    return [one_line(line).replace("\\begin", "begin").rstrip() for line in comment.splitlines()]
