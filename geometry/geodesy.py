@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from boresight.geometry.constants import Ellipsoid
+from boresight.geometry.spherical import unit_vectors
 
 __all__ = [
     "columns_at_height",
@@ -114,8 +115,7 @@ def ecef_from_geodetic(
 
 def ellipsoid_normals(lat_rad: ArrayLike, lon_rad: ArrayLike) -> Array:
     """Unit normals (..., 3) of the ellipsoid, upwards, frame e, at geodetic latitude and longitude."""
-    lat, lon = np.asarray(lat_rad, float), np.asarray(lon_rad, float)
-    return np.stack([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)], axis=-1)
+    return unit_vectors(lon_rad, lat_rad)
 
 
 def local_axes_e(lat_rad: ArrayLike, lon_rad: ArrayLike) -> Array:

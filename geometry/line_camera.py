@@ -18,7 +18,16 @@ from scipy.interpolate import CubicSpline
 
 from boresight.geometry.record import Floats, array, record, scalar
 
-__all__ = ["Ccd", "LineCamera", "LineSensor", "LookAngleCamera", "LookTable", "TimeOfRow"]
+__all__ = [
+    "Ccd",
+    "LineCamera",
+    "LineSensor",
+    "LookAngleCamera",
+    "LookTable",
+    "TimeOfRow",
+    "edge_tangent",
+    "end_looks",
+]
 
 Array = NDArray[np.float64]
 TimeOfRow = Literal["start", "middle", "end"]
@@ -54,6 +63,19 @@ class LineSensor(Protocol):
 
     def delay_to_middle_s(self, row_period_s: float) -> float:
         """Seconds from a row's time label to the middle of its exposure."""
+
+
+def end_looks(camera: LineSensor) -> Array:
+    """Unit vectors (2 C, 3) in frame c towards the first and the last sample of each CCD."""
+    last = [camera.n_px(ccd) - 1.0 for ccd in range(camera.n_ccds)]
+    ends = [camera.directions_from_pixels(ccd, np.array([0.0, end])) for ccd, end in enumerate(last)]
+    return np.concatenate(ends)
+
+
+def edge_tangent(camera: LineSensor) -> float:
+    """Largest tangent of the angle between a pixel's look direction and the camera's axis."""
+    u_c = end_looks(camera)
+    return float(np.max(np.hypot(u_c[:, 0], u_c[:, 1]) / u_c[:, 2]))
 
 
 @record(kw_only=True)

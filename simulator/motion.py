@@ -19,6 +19,7 @@ from boresight.geometry.constants import ARCSEC, GM_EARTH, J2_EARTH, WGS84
 from boresight.geometry.earth_rotation import EarthRotation
 from boresight.geometry.orbit import Orbit, orbital_frame
 from boresight.geometry.record import array, record, scalar
+from boresight.geometry.spherical import unit_vectors
 from boresight.simulator.records import OrbitReport
 from boresight.simulator.scenario import AttitudeSettings, ErrorSettings, OrbitSettings, SkyScan
 
@@ -183,7 +184,7 @@ def scan_attitude(
     at `rate` = 1 by one pixel in a row period towards +x, as the ground does.
     """
     ra, dec, angle = np.radians([scan.ra_deg, scan.dec_deg, scan.position_angle_deg])
-    z = np.array([np.cos(dec) * np.cos(ra), np.cos(dec) * np.sin(ra), np.sin(dec)])
+    z = unit_vectors(ra, dec)
     north = np.array([-np.sin(dec) * np.cos(ra), -np.sin(dec) * np.sin(ra), np.cos(dec)])
     x = np.cos(angle) * north + np.sin(angle) * np.cross(north, z)
     omega = np.array([-scan.drift, scan.rate, 0.0]) * pixel_rad / row_period_s
@@ -194,8 +195,7 @@ def scan_attitude(
 def _state_above(settings: OrbitSettings, earth: EarthRotation) -> Array:
     """Position and velocity (6,) in GCRS on a circular orbit above the given place at time zero."""
     lat, lon = np.radians(settings.latitude_deg), np.radians(settings.longitude_deg)
-    above_e = np.array([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)])
-    up = earth.matrices_ie(np.zeros(1))[0] @ above_e
+    up = earth.matrices_ie(np.zeros(1))[0] @ unit_vectors(lon, lat)
     east = np.cross([0.0, 0.0, 1.0], up)
     east /= np.linalg.norm(east)
     north = np.cross(up, east)

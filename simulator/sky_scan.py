@@ -20,6 +20,7 @@ from boresight.geometry.line_camera import LineCamera
 from boresight.geometry.orbit import Orbit
 from boresight.geometry.pushbroom import RowClock
 from boresight.geometry.record import record, scalar
+from boresight.geometry.spherical import unit_vectors
 from boresight.geometry.starlight import (
     StarPlaces,
     SurveyedStars,
@@ -145,8 +146,7 @@ def sky_around(
     epoch, t_s = orbit.epoch, attitude.scan.t_s
     p_i, v_i = orbit.states_i(np.array([t_s]))
     middle_i = attitude.scan.R_oi_reference.inv().apply([0.0, 0.0, 1.0])
-    ra, dec = survey.places.ra_rad, survey.places.dec_rad
-    unit = np.column_stack([np.cos(dec) * np.cos(ra), np.cos(dec) * np.sin(ra), np.sin(dec)])
+    unit = unit_vectors(survey.places.ra_rad, survey.places.dec_rad)
     near = survey.take(unit @ middle_i > np.cos(radius_rad + 0.01))
     u_i = apparent_star_directions(near.places, epoch, t_s, p_i[0], v_i[0])
     near = near.take(u_i @ middle_i > np.cos(radius_rad))

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from boresight.geometry.epoch import Epoch
 from boresight.geometry.orbit import Orbit
 from boresight.geometry.record import array, record, scalar
+from boresight.geometry.spherical import unit_vectors
 from boresight.geometry.star_camera import StarCamera
 from boresight.geometry.starlight import StarPlaces, apparent_star_directions
 from boresight.simulator.motion import ScanAttitude, TrueAttitude
@@ -49,8 +50,7 @@ class StarField:
         hot: Array,
     ) -> StarField:
         """The stars seen along an orbit; `hot` (M, 3) from `simulator.sky.hot_pixels`."""
-        ra, dec = stars.ra_rad, stars.dec_rad
-        unit = np.column_stack([np.cos(dec) * np.cos(ra), np.cos(dec) * np.sin(ra), np.sin(dec)])
+        unit = unit_vectors(stars.ra_rad, stars.dec_rad)
         return StarField(
             camera=camera,
             sky=sky,

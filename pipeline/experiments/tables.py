@@ -15,6 +15,7 @@ import pandas as pd
 from scipy.spatial.transform import Rotation
 
 from boresight.geometry.record import Floats
+from boresight.geometry.spherical import unit_vectors
 from boresight.pipeline.experiments.comparison import COMPARISONS
 from boresight.pipeline.experiments.geometry_search import geometry_map
 from boresight.pipeline.experiments.inputs import inputs
@@ -119,13 +120,7 @@ def hipparcos_fields(cameras: CameraPair, fields: int, seed: int) -> list[Floats
     """Directions (n, 3) in frame s of the Hipparcos stars in the star camera's field, pointed at random."""
     stars = hipparcos_stars(FAINTEST_V)
     places = stars.places.take(stars.usable_for_calibration)
-    u_i = np.column_stack(
-        [
-            np.cos(places.dec_rad) * np.cos(places.ra_rad),
-            np.cos(places.dec_rad) * np.sin(places.ra_rad),
-            np.sin(places.dec_rad),
-        ]
-    )
+    u_i = unit_vectors(places.ra_rad, places.dec_rad)
     half_x = cameras.star_half_width_px * cameras.star_pixel_rad
     half_y = cameras.star_half_height_px * cameras.star_pixel_rad
     found = []

@@ -27,6 +27,7 @@ from boresight.geometry.line_camera import LineCamera, LookAngleCamera
 from boresight.geometry.orbit import Orbit
 from boresight.geometry.orbit_consistency import find_orbit_fault
 from boresight.geometry.record import Floats, array, record, scalar
+from boresight.geometry.spherical import unit_vectors
 from boresight.geometry.star_camera import StarCamera
 from boresight.geometry.terrain import Surface, TerrainGrid, TerrainTiles
 from boresight.geometry.terrain_tiles import Raster, joined
@@ -113,7 +114,7 @@ class TargetHeights:
     def height_m(self, lat_rad: Floats, lon_rad: Floats) -> Floats:
         """Ellipsoidal heights (m) at points (...), latitude and longitude in radians; NaN for NaN."""
         lat, lon = np.broadcast_arrays(np.asarray(lat_rad, dtype=float), np.asarray(lon_rad, dtype=float))
-        points = _on_unit_sphere(lat.ravel(), lon.ravel())
+        points = unit_vectors(lon.ravel(), lat.ravel())
         good = np.isfinite(points).all(axis=1)
         heights = np.full(len(points), np.nan)
         if good.any():
@@ -508,7 +509,7 @@ def _terrain(
 ) -> TerrainFiles | TargetHeights:
     if head.files.terrain is None or head.terrain is None:
         lat, lon, heights = (np.concatenate([getattr(one, name) for one in known]) for name in PLACE)
-        return TargetHeights(_on_unit_sphere(lat, lon), heights)
+        return TargetHeights(unit_vectors(lon, lat), heights)
     names = tuple(head.files.terrain)
     paths = tuple(path_inside(root, name, file="dump.toml", field="files.terrain") for name in names)
     terrain = TerrainFiles(names, paths, head.terrain.height_kind)
@@ -548,9 +549,3 @@ def _read_terrain(terrain: TerrainFiles, identities: tuple[Identity, ...]) -> Te
     except ValueError as error:
         raise RawDataError(", ".join(terrain.files), "heights", str(error), "a grid of heights") from error
     return grids[0] if len(grids) == 1 else TerrainTiles(grids)
-
-
-def _on_unit_sphere(lat_rad: Floats, lon_rad: Floats) -> Floats:
-    return np.column_stack(
-        [np.cos(lat_rad) * np.cos(lon_rad), np.cos(lat_rad) * np.sin(lon_rad), np.sin(lat_rad)]
-    )

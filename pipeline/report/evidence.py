@@ -34,7 +34,7 @@ from boresight.calib.noise_spectrum import allan_deviation
 from boresight.geometry.attitude import NominalMotion
 from boresight.geometry.constants import WGS84
 from boresight.geometry.geodesy import geodetic_from_ecef
-from boresight.geometry.line_camera import LineCamera, LineSensor
+from boresight.geometry.line_camera import LineCamera, edge_tangent, end_looks
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.content import content_digest
 from boresight.pipeline.files.dump import Dump
@@ -141,7 +141,7 @@ def _context(dump: Dump, calibration: Calibration) -> dict[str, Any]:
         },
         "ground": {
             "range_m": _over_ground(dump, calibration)[0],
-            "edge_tan": _edge_tan(camera),
+            "edge_tan": edge_tangent(camera),
         },
         "remote_camera": {
             "pixel_rad": camera.pixel_rad,
@@ -161,7 +161,7 @@ def _accuracy(dump: Dump, calibration: Calibration, ground: pa.Table) -> dict[st
     estimate, camera = calibration.estimate, dump.line_camera
     range_m, speed_m_s = _over_ground(dump, calibration)
     found = improvements(calibration.strips, estimate.R_cs, calibration.settings, camera)
-    u_c = _ends_c(camera)
+    u_c = end_looks(camera)
     return {
         "accuracy": accuracy_by_strip(ground, USED),
         "new_strip": predicted_accuracy(
@@ -189,20 +189,6 @@ def _over_ground(dump: Dump, calibration: Calibration) -> tuple[float, float]:
     t_s = np.array(_span_s(calibration))
     height = geodetic_from_ecef(dump.orbit.positions_e(t_s), WGS84)[2]
     return float(height.mean()), float(np.linalg.norm(dump.orbit.velocities_e(t_s), axis=1).mean())
-
-
-def _edge_tan(camera: LineSensor) -> float:
-    """Largest tangent of the angle between a pixel's look direction and the camera's axis."""
-    u_c = _ends_c(camera)
-    return float(np.max(np.hypot(u_c[:, 0], u_c[:, 1]) / u_c[:, 2]))
-
-
-def _ends_c(camera: LineSensor) -> Array:
-    """Look directions (2 C, 3) of both ends of each CCD."""
-    ends = [
-        camera.directions_from_pixels(k, np.array([0.0, camera.n_px(k) - 1.0])) for k in range(camera.n_ccds)
-    ]
-    return np.concatenate(ends)
 
 
 def _inputs(dump: Dump) -> pa.Table:

@@ -20,6 +20,7 @@ from boresight.gct_match.records import Reason
 from boresight.geometry.constants import WGS84
 from boresight.geometry.geodesy import geodetic_from_ecef
 from boresight.geometry.geoid import egm96
+from boresight.geometry.line_camera import end_looks
 from boresight.geometry.record import Floats, record, scalar
 from boresight.pipeline.errors import Omission, RawDataError
 from boresight.pipeline.files.dump import Dump, TerrainFiles, surface_of
@@ -369,12 +370,9 @@ def _lines_per_ms(one: StripOnGround, targets: Sequence[str], ccds: Sequence[int
 
 def _share_of_swath(dump: Dump, calibration: Calibration) -> float:
     """Part of the swath's width that the used targets span."""
-    camera, kept = dump.line_camera, calibration.estimate.targets.kept
+    kept = calibration.estimate.targets.kept
     y = [strip.ground.u_c[:, 1] / strip.ground.u_c[:, 2] for strip in calibration.strips]
-    ends = [
-        camera.directions_from_pixels(k, np.array([0.0, camera.n_px(k) - 1.0])) for k in range(camera.n_ccds)
-    ]
-    swath = np.concatenate(ends)
+    swath = end_looks(dump.line_camera)
     width = float(np.ptp(swath[:, 1] / swath[:, 2]))
     return float(np.ptp(np.concatenate(y))) / width if width > 0.0 and kept.any() else 1.0
 

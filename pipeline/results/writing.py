@@ -19,7 +19,7 @@ from boresight.calib.information import InformationPairs
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.verdict import Verdict
 from boresight.geometry.installation import euler_zxy_from_theta
-from boresight.geometry.line_camera import LineSensor
+from boresight.geometry.line_camera import LineSensor, edge_tangent
 from boresight.geometry.orbit import argument_of_latitude
 from boresight.geometry.record import Floats
 from boresight.geometry.sightings import StripSightings
@@ -142,12 +142,7 @@ def ground_m_per_rad(strips: Sequence[StripSightings], camera: LineSensor) -> Fl
     range_m = np.concatenate([strip.ground.range_m for strip in strips])
     known = range_m[np.isfinite(range_m)]
     mean_m = float(known.mean()) if len(known) else np.nan
-    ends = [
-        camera.directions_from_pixels(k, np.array([0.0, camera.n_px(k) - 1.0])) for k in range(camera.n_ccds)
-    ]
-    u_c = np.concatenate(ends)
-    edge = float(np.max(np.hypot(u_c[:, 0], u_c[:, 1]) / u_c[:, 2]))
-    return mean_m * np.array([1.0, 1.0, edge])
+    return mean_m * np.array([1.0, 1.0, edge_tangent(camera)])
 
 
 def _installation(

@@ -31,6 +31,7 @@ from boresight.geometry.sightings import (
     isotropic_covariance,
     solved_attitudes,
 )
+from boresight.geometry.spherical import unit_vectors
 from boresight.geometry.star_camera import StarCamera
 from boresight.geometry.starlight import SurveyedStars, apparent_star_directions
 from boresight.simulator.motion import acceleration
@@ -178,8 +179,7 @@ class _Sky:
         p = stars.places
         dt = year - p.epoch_jyear
         ra, dec = p.ra_rad + dt * p.pm_ra_rad_yr, p.dec_rad + dt * p.pm_dec_rad_yr
-        u = np.column_stack([np.cos(dec) * np.cos(ra), np.cos(dec) * np.sin(ra), np.sin(dec)])
-        return cls(stars, u)
+        return cls(stars, unit_vectors(ra, dec))
 
     def count(self, axis_i: Floats, v_mag: float) -> int:
         """Stars to `v_mag` in a field about a direction."""

@@ -18,11 +18,12 @@ from scipy.spatial.transform import Rotation
 from boresight.geometry.attitude import AttitudeTrack, ConstantRate, Interpolation
 from boresight.geometry.constants import WGS84
 from boresight.geometry.epoch import Epoch
-from boresight.geometry.line_camera import LineSensor
+from boresight.geometry.line_camera import LineSensor, end_looks
 from boresight.geometry.orbit import Orbit
 from boresight.geometry.pushbroom import RowClock
 from boresight.geometry.record import Floats, Texts, array, record, scalar
 from boresight.geometry.sightings import GroundSightings, isotropic_covariance
+from boresight.geometry.spherical import unit_vectors
 from boresight.geometry.starlight import (
     SurveyedStars,
     apparent_star_directions,
@@ -309,14 +310,7 @@ def _field(
     long = float(np.linalg.norm(task.nominal.omega_o)) * duration
     limit = np.maximum(settings.sigmas * np.asarray(sigma_rad, dtype=float), 1e-9)
     radius = half_swath + 0.5 * long + float(np.hypot(limit[0], limit[1])) + _FIELD_MARGIN_RAD
-    places = survey.places
-    unit_i = np.column_stack(
-        [
-            np.cos(places.dec_rad) * np.cos(places.ra_rad),
-            np.cos(places.dec_rad) * np.sin(places.ra_rad),
-            np.sin(places.dec_rad),
-        ]
-    )
+    unit_i = unit_vectors(survey.places.ra_rad, survey.places.dec_rad)
     near = survey.take(np.flatnonzero(unit_i @ axis_i > np.cos(radius + _FIELD_MARGIN_RAD)))
     u_i = apparent_star_directions(near.places, task.epoch, float(t_s[0]), p_i[0], v_i[0])
     pixel = camera.pixel_rad
@@ -332,9 +326,7 @@ def _field(
 
 def _half_swath_rad(camera: LineSensor) -> float:
     """Largest angle of a pixel's line of sight from the axis."""
-    last = [camera.n_px(ccd) - 1.0 for ccd in range(camera.n_ccds)]
-    ends = [camera.directions_from_pixels(ccd, np.array([0.0, end])) for ccd, end in enumerate(last)]
-    return float(np.arccos(np.concatenate(ends)[:, 2].min()))
+    return float(np.arccos(end_looks(camera)[:, 2].min()))
 
 
 def _not_identified(
