@@ -190,6 +190,11 @@ class Dump:
         """Raw images of all heads, head by head in order of time."""
         return tuple(exposure for images in self.star_images for exposure in images.exposures)
 
+    def span_s(self, strip: Strip) -> tuple[float, float]:
+        """Instants of the middle of the first and the last row of a strip, TAI seconds since the epoch."""
+        first = strip.t_first_row_s + self.line_camera.delay_to_middle_s(strip.row_period_s)
+        return first, first + (strip.lines - 1) * strip.row_period_s
+
     @property
     def pixels(self) -> int:
         """Number of pixels of all images."""

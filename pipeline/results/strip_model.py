@@ -9,11 +9,12 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from boresight.geometry.attitude import AttitudeTrack
 from boresight.geometry.groundlight import LightEffects
 from boresight.geometry.pushbroom import Pushbroom, RowClock
-from boresight.geometry.record import array, record, scalar
+from boresight.geometry.record import Ints, array, record, scalar
 from boresight.pipeline.errors import DataNotSufficientError, RawDataError
 from boresight.pipeline.files.dump import Dump, Strip, open_dump
 from boresight.pipeline.files.dump_schema import DumpFile
@@ -24,7 +25,14 @@ from boresight.pipeline.results.ownership import check_dump_of
 from boresight.pipeline.results.reading import SavedResult, read_for_dump
 from boresight.pipeline.settings import RunSettings, effects_of, filled
 
-__all__ = ["Calibrated", "StripModel", "open_calibrated", "strip_model"]
+__all__ = [
+    "Calibrated",
+    "StripModel",
+    "exposures_around",
+    "open_calibrated",
+    "pushbroom_with",
+    "strip_model",
+]
 
 Array = NDArray[np.float64]
 
@@ -82,29 +90,41 @@ def strip_model(calibrated: Calibrated, strip_id: str) -> StripModel:
     if strip_id not in strips:
         raise RawDataError("strips.csv", "id", strip_id, f"one of {', '.join(sorted(strips))}")
     strip = strips[strip_id]
-    margin_s = calibrated.exposure_margin_s
-    first = strip.t_first_row_s + dump.line_camera.delay_to_middle_s(strip.row_period_s)
-    last = first + (strip.lines - 1) * strip.row_period_s
-    t = result.t_exposures_s
-    near = np.flatnonzero(result.usable & (t >= first - margin_s) & (t <= last + margin_s))
+    near = exposures_around(result, dump, strip, calibrated.exposure_margin_s)
     if len(near) < 2:
         reason = f"strip {strip_id}: {len(near)} usable star exposures around it, 2 are needed"
         raise DataNotSufficientError(reason)
     covariance = calibrated.attitude_covariance_s[near]
     track = AttitudeTrack(
-        t[near], result.R_si[near], dump.orbit, covariance, interpolation=dump.heads[0].interpolation
+        result.t_exposures_s[near],
+        result.R_si[near],
+        dump.orbit,
+        covariance,
+        interpolation=dump.heads[0].interpolation,
     )
-    clock = RowClock(strip.t_first_row_s, strip.row_period_s)
-    model = Pushbroom(
+    return StripModel(strip, pushbroom_with(track, strip, dump, result.R_cs, calibrated.effects), track)
+
+
+def exposures_around(result: SavedResult, dump: Dump, strip: Strip, margin_s: float) -> Ints:
+    """Rows (K,) of the result's usable star exposures from `margin_s` before a strip to as much after it."""
+    first, last = dump.span_s(strip)
+    t = result.t_exposures_s
+    return np.flatnonzero(result.usable & (t >= first - margin_s) & (t <= last + margin_s))
+
+
+def pushbroom_with(
+    track: AttitudeTrack, strip: Strip, dump: Dump, R_cs: Rotation, effects: LightEffects
+) -> Pushbroom:
+    """The rigorous model of a strip with given attitudes and installation matrix."""
+    return Pushbroom(
         camera=dump.line_camera,
-        rows=clock,
+        rows=RowClock(strip.t_first_row_s, strip.row_period_s),
         orbit=dump.orbit,
         earth=dump.orbit.earth,
         attitude=track,
-        R_cs=result.R_cs,
-        effects=calibrated.effects,
+        R_cs=R_cs,
+        effects=effects,
     )
-    return StripModel(strip, model, track)
 
 
 def _run_settings(saved: SavedResult, result: Path) -> RunSettings:

@@ -15,12 +15,13 @@ from boresight.geometry.attitude import AttitudeTrack
 from boresight.geometry.constants import WGS84
 from boresight.geometry.geodesy import ecef_from_geodetic, ellipsoid_normals, local_axes_e
 from boresight.geometry.installation import theta_between
-from boresight.geometry.pushbroom import Pushbroom, RowClock
+from boresight.geometry.pushbroom import Pushbroom
 from boresight.geometry.record import Floats, Texts, array, record, scalar
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.dump import Dump, Strip, surface_of
 from boresight.pipeline.files.text_files import read_table, read_toml
 from boresight.pipeline.results.reading import SavedResult
+from boresight.pipeline.results.strip_model import exposures_around, pushbroom_with
 from boresight.pipeline.settings import RunSettings, effects_of
 
 __all__ = ["CheckPoints", "Validation", "true_installation", "validate"]
@@ -144,24 +145,11 @@ def _check(
 
 def _pushbroom(strip: Strip, result: SavedResult, dump: Dump, R_cs: Rotation) -> Pushbroom | None:
     """The strip's model with the attitudes of the result's star exposures."""
-    camera = dump.line_camera
-    first = strip.t_first_row_s + camera.delay_to_middle_s(strip.row_period_s)
-    last = first + (strip.lines - 1) * strip.row_period_s
-    t = result.t_exposures_s
-    near = np.flatnonzero(result.usable & (t >= first - 1.0) & (t <= last + 1.0))
+    near = exposures_around(result, dump, strip, RunSettings().exposure_margin_s)
     if len(near) < 2:
         return None
-    track = AttitudeTrack(t[near], result.R_si[near], dump.orbit)
-    clock = RowClock(strip.t_first_row_s, strip.row_period_s)
-    return Pushbroom(
-        camera=camera,
-        rows=clock,
-        orbit=dump.orbit,
-        earth=dump.orbit.earth,
-        attitude=track,
-        R_cs=R_cs,
-        effects=effects_of(RunSettings(), dump.light),
-    )
+    track = AttitudeTrack(result.t_exposures_s[near], result.R_si[near], dump.orbit)
+    return pushbroom_with(track, strip, dump, R_cs, effects_of(RunSettings(), dump.light))
 
 
 def _error(points: list[CheckPointRow], ccd: int, model: Pushbroom, dump: Dump) -> Floats:

@@ -30,7 +30,7 @@ from boresight.pipeline.files.dump import Dump, surface_of
 from boresight.pipeline.files.ground_points import NO_POINTS
 from boresight.pipeline.settings import Settings, calibration_settings, effects_of
 from boresight.pipeline.stages.cached import Progress, StageRunner
-from boresight.pipeline.stages.coverage import attitudes_in_s, carriers, span_s, stated_mountings
+from boresight.pipeline.stages.coverage import attitudes_in_s, carriers, stated_mountings
 from boresight.pipeline.stages.first_matching import match_first, match_strips
 from boresight.pipeline.stages.head import HeadSightings, sight_head
 from boresight.pipeline.stages.missing import what_is_missing
@@ -249,10 +249,7 @@ def strips_to_match(
     dump: Dump, settings: Settings, executor: Executor | None = None
 ) -> tuple[list[StripTask], list[Omission]]:
     """Tasks of a dump's strips with the pre-launch installation matrix, and what cannot be used."""
-    heads = _sighted(dump, settings, executor)
-    tasks, uncovered = _strip_tasks(
-        dump, heads, dump.R_cs0, dump.sigma_installation_rad, stated_mountings(heads), settings
-    )
+    heads, tasks, uncovered = _before_launch(dump, settings, executor or InOrder())
     return tasks, [*dump.omissions, *(one for head in heads for one in head.omissions), *uncovered]
 
 
@@ -260,24 +257,26 @@ def strips_with_stars(
     dump: Dump,
     settings: Settings,
     shown: Callable[[StripTask], tuple[StripTask, MatchedTargets]],
-    executor: Executor | None = None,
 ) -> list[StripSightings]:
     """The strips of a dump with its star exposures and the image points that `shown` states for each, with
     the pre-launch installation matrix; without strips that show nothing.
     """
-    heads = _sighted(dump, settings, executor)
-    tasks, _ = _strip_tasks(
-        dump, heads, dump.R_cs0, dump.sigma_installation_rad, stated_mountings(heads), settings
-    )
+    heads, tasks, _ = _before_launch(dump, settings, InOrder())
     parts = [shown(task) for task in tasks]
     return _strips([task for task, _ in parts], [matched for _, matched in parts], heads)
 
 
-def _sighted(dump: Dump, settings: Settings, executor: Executor | None) -> list[HeadSightings]:
-    """The heads of a dump with their attitudes, nothing of them kept."""
-    error_model = calibration_settings(settings, dump.errors, dump.line_camera)
-    runner = StageRunner(None, executor or InOrder())
-    return [sight_head(dump, head, settings, error_model.attitudes, runner) for head in dump.heads]
+def _before_launch(
+    dump: Dump, settings: Settings, executor: Executor
+) -> tuple[list[HeadSightings], list[StripTask], list[Omission]]:
+    """The heads of a dump with their attitudes, nothing of them kept; a task for each strip that they cover,
+    with the pre-launch matrices, and an omission for each other one.
+    """
+    fit = calibration_settings(settings, dump.errors, dump.line_camera).attitudes
+    runner = StageRunner(None, executor)
+    heads = [sight_head(dump, head, settings, fit, runner) for head in dump.heads]
+    sigma_rad, mountings = dump.sigma_installation_rad, stated_mountings(heads)
+    return heads, *_strip_tasks(dump, heads, dump.R_cs0, sigma_rad, mountings, settings)
 
 
 def _strip_tasks(
@@ -302,7 +301,7 @@ def _strip_tasks(
             continue
         head, near = carrier
         times = np.array([head.stars[k].t_s for k in near])
-        first, last = span_s(dump, strip)
+        first, last = dump.span_s(strip)
         margin = run.exposure_margin_s
         task = StripTask(
             strip=strip,

@@ -18,7 +18,6 @@ __all__ = [
     "attitudes_around",
     "attitudes_in_s",
     "carriers",
-    "span_s",
     "stated_mountings",
     "turn_to_reference",
 ]
@@ -67,7 +66,7 @@ def attitudes_in_s(
 
 def attitudes_around(dump: Dump, strip: Strip, head: HeadSightings, margin_s: float) -> Ints | Omission:
     """Rows (K,) of a head's usable exposures around a strip, or why it is not covered."""
-    first, last = span_s(dump, strip)
+    first, last = dump.span_s(strip)
     times = np.array([s.t_s for s in head.stars])
     begin, end = first - margin_s, last + margin_s
     near = np.flatnonzero(head.attitudes.usable & (times >= begin) & (times <= end))
@@ -78,12 +77,6 @@ def attitudes_around(dump: Dump, strip: Strip, head: HeadSightings, margin_s: fl
         if reason and (able := _others_that_cover(dump, first, last)):
             reason += f"; {able} covers them: first in [[star_cameras]] it would carry this strip"
     return Omission("strip", strip.strip_id, "", reason, Cause.NOT_COVERED) if reason else near
-
-
-def span_s(dump: Dump, strip: Strip) -> tuple[float, float]:
-    """Instants of the first and the last row of a strip, TAI seconds since the dump's epoch."""
-    first = strip.t_first_row_s + dump.line_camera.delay_to_middle_s(strip.row_period_s)
-    return first, first + (strip.lines - 1) * strip.row_period_s
 
 
 def _not_covered(times: Floats, first: float, last: float) -> str:

@@ -77,8 +77,7 @@ def around_strips(dump: Dump, t_s: Floats, margin_s: float) -> Bools:
     """Which instants (K,) lie within a strip of the dump or at most `margin_s` outside."""
     near = np.zeros(len(t_s), dtype=bool)
     for strip in (*dump.strips, *dump.sky_strips):
-        first = strip.t_first_row_s + dump.line_camera.delay_to_middle_s(strip.row_period_s)
-        last = first + (strip.lines - 1) * strip.row_period_s
+        first, last = dump.span_s(strip)
         near |= (t_s >= first - margin_s) & (t_s <= last + margin_s)
     return near
 

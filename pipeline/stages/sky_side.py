@@ -20,7 +20,6 @@ from boresight.pipeline.stages.cached import StageRunner
 from boresight.pipeline.stages.coverage import (
     attitudes_in_s,
     carriers,
-    span_s,
     stated_mountings,
     turn_to_reference,
 )
@@ -126,7 +125,7 @@ def _tasks(
             continue
         head, near = carrier
         times = np.array([head.stars[k].t_s for k in near])
-        first, last = span_s(dump, strip)
+        first, last = dump.span_s(strip)
         to_c = head.head.R_cs0.as_matrix()
         spread = np.einsum("ab,nbc,dc->nad", to_c, head.attitudes.covariance_s[near], to_c)[:, :2, :2]
         tasks.append(
