@@ -77,7 +77,8 @@ def choose_targets(
     sigmas: list[Floats] = []
     while left and len(chosen) < most:
         trials = {name: _with(name, rows, normal, own) for name in left}
-        best = min(left, key=lambda name: float(np.trace(np.linalg.inv(prior + sum(trials[name][1])))))
+        trace = {name: float(np.trace(np.linalg.inv(prior + sum(of)))) for name, (_, of) in trials.items()}
+        best = min(left, key=trace.__getitem__)
         normal, own = trials[best]
         left.remove(best)
         chosen.append(best)

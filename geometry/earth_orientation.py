@@ -8,6 +8,7 @@ celestial pole offsets refer to IAU 2006/2000A precession-nutation.
 from __future__ import annotations
 
 import importlib.resources
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -66,8 +67,10 @@ class EarthOrientationTable:
             raise ValueError("EarthOrientationTable.mjd_utc must be at least 4 consecutive whole days")
 
 
+@cache
 def bundled_earth_orientation() -> EarthOrientationTable:
-    """Table of the installed astropy-iers-data: EOP 20 C04 from 1972, then finals2000A with predictions.
+    """Table of the installed astropy-iers-data: EOP 20 C04 from 1972, then finals2000A with predictions; read
+    once per process.
 
     Raises `EarthOrientationError` where its leap seconds are not those of ERFA.
     """

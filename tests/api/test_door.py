@@ -134,7 +134,7 @@ def test_identified_image_points_where_the_dump_says(estimate: bs.Calibration) -
 
 def test_no_answer_is_false_and_says_why(ground: np.ndarray) -> None:
     image = np.random.default_rng(3).normal(100.0, 5.0, (200, 200)).astype(np.float32)
-    unknown = bs.identify(image, fov_deg=10)
+    unknown = bs.identify(image, fov_deg=20)
     assert isinstance(unknown, bs.NotIdentified)
     assert not unknown
     assert "0 stars found" in unknown.reason

@@ -27,6 +27,8 @@ SMALL_CAMERA = replace(
     PAPER_CAMERA, pixel_m=25.6e-6, width_px=1280, height_px=960, principal_px=(641.3, 477.2)
 )
 
+STARS_AT_ONCE = 500  # rendered as one array, of 10 MB for the longest trails
+
 
 @dataclass(frozen=True)
 class FrameTruth:
@@ -109,14 +111,18 @@ def render(xy, flux, width, height, sensor, rng):
     half = int(np.ceil(6 * s + 0.5 * np.hypot(sx, sy))) + 1
     grid = np.arange(2 * half + 2) - 0.5
     nodes = (np.arange(41) - 20) / 41.0 if sx or sy else np.zeros(1)
-    for (x, y), f in zip(xy, flux):
-        x0, y0 = round(x) - half, round(y) - half
-        fx = np.diff(ndtr((grid + x0 - x - nodes[:, None] * sx) / s), axis=1)
-        fy = np.diff(ndtr((grid + y0 - y - nodes[:, None] * sy) / s), axis=1)
-        stamp = f / len(nodes) * fy.T @ fx
-        q, t, r, b = max(0, -x0), max(0, -y0), min(2 * half + 1, width - x0), min(2 * half + 1, height - y0)
-        if r > q and b > t:
-            signal[y0 + t : y0 + b, x0 + q : x0 + r] += stamp[t:b, q:r]
+    for first in range(0, len(xy), STARS_AT_ONCE):
+        some = slice(first, first + STARS_AT_ONCE)
+        corner = np.rint(xy[some]).astype(int) - half
+        x, y = ((corner - xy[some]).T)[:, :, None, None]
+        fx = np.diff(ndtr((grid + x - nodes[:, None] * sx) / s))  # (N, nodes, columns)
+        fy = np.diff(ndtr((grid + y - nodes[:, None] * sy) / s))
+        stamps = (flux[some, None, None] / len(nodes) * fy.swapaxes(1, 2)) @ fx
+        for (x0, y0), stamp in zip(corner.tolist(), stamps):
+            q, t = max(0, -x0), max(0, -y0)
+            r, b = min(2 * half + 1, width - x0), min(2 * half + 1, height - y0)
+            if r > q and b > t:
+                signal[y0 + t : y0 + b, x0 + q : x0 + r] += stamp[t:b, q:r]
     image = rng.standard_normal((height, width), dtype=np.float32)
     image *= np.sqrt(sensor.read_noise_dn**2 + signal / sensor.e_per_dn)
     image += signal

@@ -294,8 +294,9 @@ def test_the_time_in_a_header_counts_and_its_lack_is_in_the_stated_errors(folder
     unit.writeto(tmp_path / "dated.fits")
     times = times_of(tmp_path / "times.csv", "plain.fits")
     files = (tmp_path / "plain.fits", tmp_path / "dated.fits")
-    plain, dated = (json.loads(run("identify", "--json", path).stdout) for path in files)
-    told = json.loads(run("identify", "--json", files[0], "--times", times).stdout)
+    command = ("identify", "--json", "--fov", 18.6)
+    plain, dated = (json.loads(run(*command, path).stdout) for path in files)
+    told = json.loads(run(*command, files[0], "--times", times).stdout)
     assert dated["ra_deg"] == told["ra_deg"] and dated["fov_x_sigma_deg"] == told["fov_x_sigma_deg"]
     # an unknown velocity of the Earth changes the field of view by 5.7e-5 of itself, 1 sigma
     lack = np.sqrt(plain["fov_x_sigma_deg"] ** 2 - dated["fov_x_sigma_deg"] ** 2) / plain["fov_x_deg"]
