@@ -22,6 +22,15 @@ def stopped_run(out: Path, dumps: list[Path], finished: Path | None = None) -> N
         shutil.copytree(finished / "work", out / "work")
 
 
+def begun(out: Path, finished: tuple[Path, Path], *, exposures: int) -> None:
+    """Make `out` the folder of a run that was stopped after so many exposures of the finished one's 14."""
+    stopped_run(out, [finished[0]], finished[1])
+    for unit in sorted((out / "work" / "exposures").iterdir())[exposures:]:
+        unit.unlink()
+    for matching in (out / "work").glob("matching-*"):
+        shutil.rmtree(matching)
+
+
 def strip_of_fixture(root: Path, number: int) -> Path:
     """Copy of the fixture with one of its strips only, from 1. Images are hard links: replace them, never
     write into them.

@@ -1,8 +1,10 @@
 """`boresight experiment all`: one page with every experiment and the paper's printed figures."""
 
 import re
+from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from boresight.pipeline.experiments.geometry_search import GeometrySearch
@@ -14,7 +16,8 @@ from boresight.pipeline.report.page import template
 
 
 @pytest.fixture(scope="module")
-def page(tmp_path_factory: pytest.TempPathFactory) -> str:
+def all_run(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, pd.DataFrame], Path]:
+    """Tables of all experiments, and the page beside their files."""
     settings = ExperimentSettings(
         runs=2,
         wang_runs=2,
@@ -31,9 +34,30 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> str:
             from_zenith_deg=np.array([0.0, 30.0]), azimuth_deg=np.array([0.0, 45.0]), roll_deg=np.zeros(1)
         ),
     )
-    tables, path = run_all(tmp_path_factory.mktemp("paper"), settings, template("experiments.html.j2"))
+    return run_all(tmp_path_factory.mktemp("paper"), settings, template("experiments.html.j2"))
+
+
+@pytest.fixture(scope="module")
+def page(all_run: tuple[dict[str, pd.DataFrame], Path]) -> str:
+    return all_run[1].read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("name", EXPERIMENTS)
+def test_an_experiment_leaves_a_table_a_plot_and_a_record(
+    all_run: tuple[dict[str, pd.DataFrame], Path], name: str
+) -> None:
+    tables, folder = all_run[0], all_run[1].parent
     assert set(tables) == set(EXPERIMENTS)
-    return path.read_text(encoding="utf-8")
+    assert {path.name for path in folder.glob(f"{name}.*")} == {
+        f"{name}.{kind}" for kind in ("csv", "png", "txt")
+    }
+    assert len(pd.read_csv(folder / f"{name}.csv")) == len(tables[name])
+    assert (folder / f"{name}.png").stat().st_size > 10_000
+    record = (folder / f"{name}.txt").read_text(encoding="utf-8")
+    assert all(f"\n{word} " in record for word in ("commit", "date", "machine", "versions", "command"))
+    assert "paper" in record
+    gaps = set(tables[name].columns[tables[name].isna().any()])
+    assert gaps <= ({"at", "paper", "expected"} if name == "inputs" else set())  # not every input has them
 
 
 def test_the_page_holds_every_experiment_with_table_and_picture(page: str):

@@ -369,8 +369,8 @@ n_ccds = 4
 [strips]
 count = 8
 duration_s = 1.8
-exposures = 10
-stars = 40
+exposures = 5
+stars = 12
 star_sigma_px = 0.06
 height_km = 530.0
 [targets]

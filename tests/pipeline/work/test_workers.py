@@ -6,7 +6,6 @@ import errno
 import mmap
 import os
 import platform
-import shutil
 import signal
 import subprocess
 import sys
@@ -14,8 +13,10 @@ import time
 from pathlib import Path
 
 import pytest
-from fixture_strips import stopped_run
+from fixture_strips import begun
+from typer.testing import CliRunner
 
+from boresight.pipeline.cli import app
 from boresight.pipeline.errors import WorkerError
 from boresight.pipeline.work.executor import InOrder
 from boresight.pipeline.work.workers import executor_for
@@ -23,12 +24,16 @@ from boresight.pipeline.work.workers import executor_for
 BORESIGHT = (sys.executable, "-m", "boresight")
 
 
-def calibrate(dump: Path, out: Path, *more: str, limit: str = "") -> subprocess.CompletedProcess:
-    command = [*BORESIGHT, "calibrate", str(dump), "--out", str(out), *more]
-    if limit:
-        command = ["bash", "-c", f'{limit}; exec "$@"', "bash", *command]
-    command.append("--no-report")
-    return subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
+def of_run(dump: Path, out: Path, *how: str) -> list[str]:
+    """Arguments of `boresight`."""
+    return ["calibrate", str(dump), "--out", str(out), *how, "--no-report"]
+
+
+def ran(*arguments: str) -> str:
+    """Standard output of `boresight`, run by this process."""
+    outcome = CliRunner().invoke(app, list(arguments))
+    assert outcome.exit_code == 0, outcome.output
+    return outcome.stdout
 
 
 @pytest.fixture
@@ -36,15 +41,6 @@ def undisturbed(finished: tuple[Path, Path]) -> tuple[Path, bytes]:
     """One strip of the fixture and the installation.json that one process makes of it."""
     dump, result = finished
     return dump, (result / "installation.json").read_bytes()
-
-
-def begun(out: Path, finished: tuple[Path, Path], *, exposures: int) -> None:
-    """Make `out` the folder of a run that was stopped after so many exposures of the finished one's 14."""
-    stopped_run(out, [finished[0]], finished[1])
-    for unit in sorted((out / "work" / "exposures").iterdir())[exposures:]:
-        unit.unlink()
-    for matching in (out / "work").glob("matching-*"):
-        shutil.rmtree(matching)
 
 
 def test_cluster_by_address_gives_the_same_bytes(
@@ -61,8 +57,7 @@ def test_cluster_by_address_gives_the_same_bytes(
         "silence_logs": 50,
     }
     with LocalCluster(n_workers=2, **options) as cluster:
-        outcome = calibrate(dump, tmp_path, "--scheduler", cluster.scheduler_address)
-    assert outcome.returncode == 0, outcome.stderr
+        ran(*of_run(dump, tmp_path, "--scheduler", cluster.scheduler_address))
     assert (tmp_path / "installation.json").read_bytes() == expected
 
 
@@ -71,20 +66,19 @@ def test_run_killed_at_any_moment_goes_on_to_the_same_bytes(
 ) -> None:
     dump, expected = undisturbed
     begun(tmp_path, finished, exposures=11)
-    command = [*BORESIGHT, "calibrate", str(dump), "--out", str(tmp_path), "--workers", "1", "--no-report"]
-    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    command = of_run(dump, tmp_path, "--workers", "1")
+    process = subprocess.Popen([*BORESIGHT, *command], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     while process.poll() is None and len(list(tmp_path.glob("work/*/*.parquet"))) < 12:
         time.sleep(0.005)
     process.send_signal(signal.SIGKILL)
     process.wait()
     kept = {path: path.stat().st_mtime_ns for path in tmp_path.glob("work/*/*.parquet")}
     assert 12 <= len(kept) < 16
-    outcome = calibrate(dump, tmp_path, "--workers", "1")
-    assert outcome.returncode == 0, outcome.stderr
+    ran(*command)
     assert (tmp_path / "installation.json").read_bytes() == expected
     assert all(path.stat().st_mtime_ns == made for path, made in kept.items())  # nothing was made twice
-    status = subprocess.run([*BORESIGHT, "status", str(tmp_path)], capture_output=True, text=True, check=True)
-    assert "exposures     14 done" in status.stdout and "\nfinished" in status.stdout
+    status = ran("status", str(tmp_path))
+    assert "exposures     14 done" in status and "\nfinished" in status
 
 
 def test_full_disk_stops_with_a_message_and_the_next_run_goes_on(
@@ -93,13 +87,15 @@ def test_full_disk_stops_with_a_message_and_the_next_run_goes_on(
     # A limit of 8 KiB a file stands for a full disk: the first unit that is larger cannot be written.
     dump, expected = undisturbed
     begun(tmp_path, finished, exposures=13)
-    outcome = calibrate(dump, tmp_path, "--workers", "1", limit="ulimit -f 8")
+    command = of_run(dump, tmp_path, "--workers", "1")
+    limited = ["bash", "-c", 'ulimit -f 8; exec "$@"', "bash", *BORESIGHT, *command]
+    outcome = subprocess.run(limited, capture_output=True, text=True, timeout=300, check=False)
     assert outcome.returncode == 1
     assert "error:" in outcome.stderr and "too large" in outcome.stderr, outcome.stderr
     assert "Traceback" not in outcome.stderr
     assert not (tmp_path / "installation.json").exists()
     assert not list(tmp_path.rglob("*.tmp"))
-    assert calibrate(dump, tmp_path, "--workers", "1").returncode == 0
+    ran(*command)
     assert (tmp_path / "installation.json").read_bytes() == expected
 
 
