@@ -4,11 +4,22 @@ import re
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from boresight.geometry.constants import ARCSEC
+from boresight.pipeline.report import figures
+from boresight.pipeline.report.drawing import Drawing
 from boresight.pipeline.report.page import report_html
 from boresight.pipeline.report.saved import read_saved
 from boresight.pipeline.report.verdict import verdict_view
+
+
+@pytest.fixture(autouse=True)
+def no_pictures(monkeypatch):
+    """Figures further down the page take most of its time; `test_report` looks at them."""
+    monkeypatch.setattr(
+        figures, "drawn", lambda figure, name, caption, words, spots=(): Drawing("", caption, words)
+    )
 
 
 def check(kind, p_value, holds, *, look_at=("look here",), names=()):
