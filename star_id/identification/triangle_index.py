@@ -43,6 +43,9 @@ _LEVEL_STEP = 1.4  # ratio of the fields of view of successive tables of an inde
 _CELLS = 100  # along each ratio
 _FULL_SKY_SR = 4.0 * np.pi
 _NEXT, _PREV = np.array([1, 2, 0]), np.array([2, 0, 1])  # of three vertices, cyclically
+# Of three numbers, ascending, by 1 if the first exceeds the second, 2 the third, and 4 the second the third;
+# two cases cannot be.
+_ORDERS = np.array([[0, 1, 2], [1, 0, 2], [0, 1, 2], [1, 2, 0], [0, 2, 1], [0, 1, 2], [2, 0, 1], [2, 1, 0]])
 
 
 @record(kw_only=True)
@@ -237,7 +240,8 @@ def triangle_shapes(u: Floats, triples: NDArray[np.integer]) -> tuple[NDArray, F
 
     chords = np.sqrt(np.einsum("tij,tij->ti", across, across))  # accurate for small angles
     sides = 2.0 * np.arcsin(np.minimum(0.5 * chords, 1.0))
-    order = sides.argsort(axis=1)  # shortest, middle, longest
+    first, second, third = sides.T
+    order = _ORDERS.take((first > second) + 2 * (first > third) + 4 * (second > third), axis=0)
     order += np.arange(0, order.size, 3)[:, None]
     # the vertex opposite the shortest side lies between the middle and the longest, and so on
     vertices, (shortest, middle, longest) = triples.take(order), sides.take(order).T
@@ -261,7 +265,7 @@ def _table(u_i: Floats, fov_rad: float) -> TriangleTable:
     keep = (longest < LONGEST_SIDE * fov_rad) & (shapes[:, 1] * longest > SHORTEST_SIDE * fov_rad)
     cell = np.minimum((shapes[:, :2] * _CELLS).astype(np.int64), _CELLS - 1) @ np.array([_CELLS, 1])
     rows = np.flatnonzero(keep)
-    rows = rows[np.argsort(cell[rows], kind="stable")]
+    rows = rows[np.argsort(cell[rows].astype(np.uint16), kind="stable")]  # of 16 bits: a radix sort
     counts = np.bincount(cell[rows], minlength=_CELLS * _CELLS)
     return TriangleTable(
         fov_rad=fov_rad,
@@ -297,13 +301,14 @@ def _brightest_of_neighbourhood(u_i: Floats, fov_rad: float) -> Ints:
 def _triples(u: Floats, longest_rad: float) -> Ints:
     """All index triples i < j < k with both sides at i no longer than `longest_rad`."""
     pairs = cKDTree(u).query_pairs(2.0 * np.sin(0.5 * longest_rad), output_type="ndarray")
-    pairs = pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]
-    last = np.searchsorted(pairs[:, 0], np.arange(len(u)), side="right")
+    star, partner = np.divmod(np.sort(pairs @ np.array([len(u), 1])), len(u))
+    last = np.searchsorted(star, np.arange(len(u)), side="right")
     # later partners of the same first star
-    one, other = concatenated_ranges(np.arange(1, len(pairs) + 1), last[pairs[:, 0]])
-    triples = np.column_stack([pairs[one], pairs[other, 1]])
-    closes = ((u[triples[:, 1]] - u[triples[:, 2]]) ** 2).sum(axis=1) < (2.0 * np.sin(0.5 * longest_rad)) ** 2
-    return np.asarray(triples[closes])
+    one, other = concatenated_ranges(np.arange(1, len(pairs) + 1), last[star])
+    j, k = partner.take(other), partner.take(one)
+    across = u.take(j, axis=0) - u.take(k, axis=0)
+    closes = np.flatnonzero(np.einsum("ti,ti->t", across, across) < (2.0 * np.sin(0.5 * longest_rad)) ** 2)
+    return np.column_stack([star.take(one.take(closes)), k.take(closes), j.take(closes)])
 
 
 def _directions_at(stars: StarPlaces, epoch_jyear: float) -> Floats:
