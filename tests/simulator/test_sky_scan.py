@@ -12,6 +12,7 @@ from boresight.geometry.earth_orientation import bundled_earth_orientation
 from boresight.geometry.earth_rotation import EarthRotation
 from boresight.geometry.starlight import apparent_star_directions
 from boresight.pipeline.files.scenario_file import fly
+from boresight.simulator import mission
 from boresight.simulator.scenario import (
     ErrorSettings,
     ScenarioError,
@@ -25,6 +26,22 @@ from boresight.star_id.whole_catalogue import all_hipparcos
 
 PLEIADES = SkyScan(56.75, 24.12, 2380.0, 20.0)
 STILL = ErrorSettings(gps_m=0.0, vibration_arcsec=0.0, clock_s=0.0, distortion_px=0.0)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def flown_once():
+    """The missions of this module fly one orbit, 40 minutes of it: it is integrated once."""
+    orbits, fly_it = {}, mission.flown_orbit
+
+    def flown(settings, start_s, stop_s, earth):
+        key = settings, start_s, stop_s, earth.epoch
+        if key not in orbits:
+            orbits[key] = fly_it(settings, start_s, stop_s, earth)
+        return orbits[key]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(mission, "flown_orbit", flown)
+        yield
 
 
 def scanned(stages=1, noise=0.0, **changes):
@@ -53,22 +70,22 @@ def scanned(stages=1, noise=0.0, **changes):
 
 @pytest.mark.parametrize("rate", [1.0, -1.2])
 def test_a_star_crosses_where_the_pixel_looks_at_it(rate):
-    mission = scanned(rate=rate)
-    strip, stars = mission.strips[0], all_hipparcos().places
-    truth = mission.truth
+    flown = scanned(rate=rate)
+    strip, stars = flown.strips[0], all_hipparcos().places
+    truth = flown.truth
     attitude, looked_i, hip = Slerp(truth.t_attitude_s, truth.R_ci), [], []
     for star in (star for star in truth.sky_stars if star.hip):
         t_s = strip.t_first_row_s + star.line * strip.row_period_s
         u_c = truth.line_camera.directions_from_pixels(star.ccd, np.array([star.sample]))
         looked_i.append(attitude(t_s).inv().apply(u_c)[0])
         hip.append(star.hip)
-    nodes = np.searchsorted(mission.orbit.t_s, PLEIADES.at_s + 3.6) + np.arange(2)
-    earth = EarthRotation.over(mission.epoch, 0.0, 3e3, bundled_earth_orientation())
-    at_s, R_ie = mission.orbit.t_s[nodes], earth.matrices_ie(mission.orbit.t_s[nodes])
-    p_i = (R_ie @ mission.orbit.positions_m[nodes][:, :, None])[:, :, 0]
+    nodes = np.searchsorted(flown.orbit.t_s, PLEIADES.at_s + 3.6) + np.arange(2)
+    earth = EarthRotation.over(flown.epoch, 0.0, 3e3, bundled_earth_orientation())
+    at_s, R_ie = flown.orbit.t_s[nodes], earth.matrices_ie(flown.orbit.t_s[nodes])
+    p_i = (R_ie @ flown.orbit.positions_m[nodes][:, :, None])[:, :, 0]
     v_i = (p_i[1] - p_i[0]) / (at_s[1] - at_s[0])
     places = stars.take(np.searchsorted(stars.hip, hip))
-    u_i = apparent_star_directions(places, mission.epoch, float(at_s.mean()), p_i.mean(axis=0), v_i)
+    u_i = apparent_star_directions(places, flown.epoch, float(at_s.mean()), p_i.mean(axis=0), v_i)
     assert len(hip) > 12
     # a catalogue's error of 0.03" per axis, and 4 s of the satellite's motion: 0.02"
     assert np.median(np.linalg.norm(u_i - looked_i, axis=1)) < 0.06 * ARCSEC
@@ -78,10 +95,10 @@ def test_a_star_crosses_where_the_pixel_looks_at_it(rate):
     ("rate", "drift", "stages"), [(1.0, 0.0, 1), (0.8, 0.0, 16), (1.2, 0.1, 16), (-1.0, 0.0, 4)]
 )
 def test_an_image_holds_the_stars_charge_with_its_middle_at_the_crossing(rate, drift, stages):
-    mission = scanned(stages, rate=rate, drift=drift)
-    images = {strip.ccd: next(strip.blocks(strip.lines)) for strip in mission.strips}
+    flown = scanned(stages, rate=rate, drift=drift)
+    images = {strip.ccd: next(strip.blocks(strip.lines)) for strip in flown.strips}
     alone = 0
-    for star in mission.truth.sky_stars:
+    for star in flown.truth.sky_stars:
         x, y = round(star.sample), round(star.line)
         image = images[star.ccd].astype(float)
         window = image[max(y - 16, 0) : y + 17, max(x - 9, 0) : x + 10]

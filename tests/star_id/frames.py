@@ -8,6 +8,7 @@ faint stars as numerous as the real ones (2.9 times more per magnitude).
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -56,9 +57,14 @@ def direction(ra, dec):
     return np.column_stack([np.cos(dec) * np.cos(ra), np.cos(dec) * np.sin(ra), np.sin(dec)])
 
 
+@lru_cache(maxsize=2)  # one catalogue is seen from many attitudes
+def directions_of(places):
+    return direction(places.ra_rad, places.dec_rad)
+
+
 def stars_in_view(camera, R_si, places):
     """Index into `places` and pixels of the stars on the detector."""
-    u_s = R_si.apply(direction(places.ra_rad, places.dec_rad))
+    u_s = R_si.apply(directions_of(places))
     near = np.flatnonzero(u_s[:, 2] > np.cos(camera.field_radius_rad * 1.02))
     xy = camera.pixels_from_directions(u_s[near])
     with np.errstate(invalid="ignore"):

@@ -3,6 +3,8 @@ the lens is refused."""
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 import pytest
 from foreign_lenses import HEIGHT, SIZE, WIDTH, ForeignLens
@@ -31,10 +33,15 @@ STEPS = {  # px, of the detector right of a column or below a row
 }
 
 
+@cache
+def index_of(fov_deg):
+    places = hipparcos_stars(8.0).places
+    return build_index(places, places.epoch_jyear, tuple(np.radians([0.6 * fov_deg, 1.2 * fov_deg])))
+
+
 def calibrated(fov_deg, radius, *shift):
     lens, rng = ForeignLens(fov_deg, radius, *shift), np.random.default_rng(16)
-    places = hipparcos_stars(8.0).places
-    index = build_index(places, places.epoch_jyear, tuple(np.radians([0.6 * fov_deg, 1.2 * fov_deg])))
+    places, index = hipparcos_stars(8.0).places, index_of(fov_deg)
     frames = []
     for k in range(8):
         stars = listed_stars(lens, Rotation.random(random_state=rng), places, rng)
