@@ -95,25 +95,22 @@ def match_strip(
             f"{len(targets)} targets and {len(chips)} chips do not belong to one another in order"
         )
     if not targets or not strip.ccds:
-        return _no_matches((), 1.0, 0)
+        return _no_matches((), 1.0)
     scene = scene_of(strip, pushbroom, targets, chips, surface, sigma_installation_rad, settings)
     plan, refused = _feasible(scene, plan_search(scene))
     searched = sorted({window.target for window in plan.windows})
     uncertain = bool(plan.windows) and max(w.radius_px for w in plan.windows) > 2.0 * settings.margin_px + 2.0
-    read = 0
     if not uncertain or _is_predicted(scene):
         found = _found(scene, searched, np.zeros(3), np.diag(scene.sigma_installation_rad**2))
-        read = found.pixels
         if not uncertain or _is_confirmed(found, settings):
-            return _matches(found, refused, 1.0, read)
+            return _matches(found, refused, 1.0)
     vote = search_common_rotation(scene, plan, each)
     found = _found(scene, searched, vote.parameters, vote.covariance)
-    read += plan.pixels_to_read + found.pixels
     log_chance = _log_chance(vote, found.matches, settings)
     if log_chance > np.log(settings.probability_chance):
         refused = [*refused, *_no_common_rotation(scene, searched, vote, len(found.matches), log_chance)]
-        return _no_matches(tuple(refused), float(np.exp(log_chance)), read)
-    return _matches(found, refused, float(np.exp(log_chance)), read)
+        return _no_matches(tuple(refused), float(np.exp(log_chance)))
+    return _matches(found, refused, float(np.exp(log_chance)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -123,14 +120,13 @@ class _Found:
     matches: list[TargetMatch]  # those that agree with one another
     refused: list[Refusal]
     theta: Floats  # (3,) rad, the matches' common rotation
-    pixels: int  # read from the strip
 
 
 def _found(scene: Scene, searched: Sequence[int], theta: Floats, covariance: Floats) -> _Found:
     """Targets around the places predicted with a common rotation, (3,) rad, of a covariance (3, 3)."""
-    found, not_found, pixels = _measured(scene, searched, theta, covariance)
+    found, not_found = _measured(scene, searched, theta, covariance)
     matches, inconsistent, theta = consistent_matches(scene, found, theta)
-    return _Found(matches, [*not_found, *inconsistent], theta, pixels)
+    return _Found(matches, [*not_found, *inconsistent], theta)
 
 
 def _is_predicted(scene: Scene) -> bool:
@@ -157,13 +153,12 @@ def _is_confirmed(found: _Found, settings: MatchSettings) -> bool:
     return len(matched) > len(missed) and farthest <= 0.5 * settings.margin_px
 
 
-def _matches(found: _Found, refused: Sequence[Refusal], chance: float, read: int) -> StripMatches:
+def _matches(found: _Found, refused: Sequence[Refusal], chance: float) -> StripMatches:
     return StripMatches(
         matches=tuple(found.matches),
         refused=(*refused, *found.refused),
         theta_vote=found.theta,
         probability_chance=chance,
-        pixels_read=read,
     )
 
 
@@ -212,23 +207,22 @@ def _no_common_rotation(
     return [replace(refusal, target_id=scene.targets[n].target_id) for n in searched]
 
 
-def _no_matches(refused: tuple[Refusal, ...], chance: float, read: int) -> StripMatches:
+def _no_matches(refused: tuple[Refusal, ...], chance: float) -> StripMatches:
     return StripMatches(
         matches=(),
         refused=refused,
         theta_vote=np.full(3, np.nan),
         probability_chance=chance,
-        pixels_read=read,
     )
 
 
 def _measured(
     scene: Scene, searched: Sequence[int], theta: Floats, covariance: Floats
-) -> tuple[list[TargetMatch], list[Refusal], int]:
-    """Matches and refusals of targets in all CCDs, predicted with a common rotation; pixels read."""
+) -> tuple[list[TargetMatch], list[Refusal]]:
+    """Matches and refusals of targets in all CCDs, predicted with a common rotation."""
     model = scene.pushbroom.with_installation(deviation_from_theta(theta) * scene.pushbroom.R_cs)
     seen: set[int] = set()
-    matches, refused, pixels = [], [], 0
+    matches, refused = [], []
     for ccd in scene.strip.ccds:
         lines, samples = scene.strip.shape(ccd)
         xy_px = scene.trajectories.pixels(ccd, theta)
@@ -241,25 +235,25 @@ def _measured(
         radii = _search_radii_px(scene, model, here, ccd, xy_px, covariance)
         sides = chip_sides_px([scene.chips[n] for n in here], model, ccd, xy_px[here], scene.surface).tolist()
         for n, radius, side in zip(here, radii, sides):
-            outcome, read = _measured_one(scene, model, n, ccd, xy_px[n], radius, side)
-            pixels += read
+            outcome = _measured_one(scene, model, n, ccd, xy_px[n], radius, side)
             if isinstance(outcome, Refusal):
                 refused.append(replace(outcome, target_id=scene.targets[n].target_id, ccd=ccd))
             else:
                 matches.append(replace(outcome, predicted_px=initial_px[n]))
     unseen = [scene.targets[n].target_id for n in searched if n not in seen]
     refused += [Refusal(Reason.OUTSIDE_CCDS, target_id=name) for name in unseen]
-    return matches, refused, pixels
+    return matches, refused
 
 
 def _measured_one(
     scene: Scene, model: Pushbroom, n: int, ccd: int, xy_px: Floats, radius: int, side_px: float
-) -> tuple[TargetMatch | Refusal, int]:
+) -> TargetMatch | Refusal:
     """Target n in one CCD, searched within `radius` px of `xy_px` (sample, line), where `model` predicts it,
-    with a chip of `side_px`; and how many pixels were read."""
+    with a chip of `side_px`.
+    """
     template = _template(scene, model, n, ccd, xy_px, side_px)
     if isinstance(template, Refusal):
-        return template, 0
+        return template
     (h, w), (x0, y0), spare = template.image.shape, template.origin_px, radius + _SPARE_PX
     lines, samples = scene.strip.shape(ccd)
     left, top = max(0, x0 - spare), max(0, y0 - spare)
@@ -274,9 +268,9 @@ def _measured_one(
         scene.settings,
     )
     if isinstance(outcome, Refusal):
-        return outcome, picture.size
+        return outcome
     origin_px = np.array([left, top])
-    return _match(scene.targets[n].target_id, ccd, template, outcome, origin_px, xy_px), picture.size
+    return _match(scene.targets[n].target_id, ccd, template, outcome, origin_px, xy_px)
 
 
 def _match(

@@ -225,4 +225,3 @@ class StripMatches:
     refused: tuple[Refusal, ...] = scalar("refused targets")
     theta_vote: Floats = array("3", "common rotation, rad, axes of frame c; NaN if the targets agree on none")
     probability_chance: float = scalar("probability that as many targets agree by chance")
-    pixels_read: int = scalar("pixels read from the strip")

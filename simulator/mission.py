@@ -472,7 +472,6 @@ def _stated(scenario: Scenario) -> StatedErrors:
         clock_s=errors.clock_s,
         vibration_arcsec=errors.vibration_arcsec,
         look_distortion_px=errors.distortion_px,
-        terrain_m=scenario.terrain.error_m,
     )
 
 

@@ -69,7 +69,6 @@ class StatedErrors:
     clock_s: float  # row times against orbit and star camera, common to a strip
     vibration_arcsec: float  # each axis, too fast for the star exposures to follow
     look_distortion_px: float  # smooth along the detector
-    terrain_m: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)

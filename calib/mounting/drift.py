@@ -150,7 +150,7 @@ class MountingSeries:
         for _ in range(2):
             fit = _fit(series, ones)
             series = series.about(deviation_from_theta(fit.coefficients[0]) * series.R_cs_ref)
-        return MergedMounting(series.R_cs_ref, fit.covariance, len(self.names))
+        return MergedMounting(series.R_cs_ref, fit.covariance)
 
 
 @record
@@ -159,7 +159,6 @@ class MergedMounting:
 
     R_cs: Rotation = scalar("installation matrix")
     covariance: Array = array("3, 3", "of theta, frame c, rad²")
-    calibrations: int = scalar("number of calibrations")
 
 
 @record

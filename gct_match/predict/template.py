@@ -34,10 +34,9 @@ _NODE_PX = 8  # between nodes of the map, in pixels of the template
 class Template:
     """A chip on the grid of a strip."""
 
-    image: Image = array("H, W", "grey values; each pixel covers `stride`² pixels of the strip")
+    image: Image = array("H, W", "grey values of the strip's pixels, or of square blocks of them")
     valid: Bools = array("H, W", "false where the chip ends, is not valid, or the ground is not known")
     origin_px: tuple[int, int] = scalar("(sample, line) of the first pixel")
-    stride: int = scalar("pixels of the strip to one of the template, along a side")
 
 
 def predict_template(
@@ -94,7 +93,7 @@ def predict_template(
         valid &= cv2.remap((~chip.valid).astype(np.float32), x32, y32, cv2.INTER_LINEAR) < 0.01
     if not known.all():
         valid &= (by_row @ known @ by_column.T) > 0.999
-    return Template(sample(blurred, x32, y32), valid, origin_px, stride)
+    return Template(sample(blurred, x32, y32), valid, origin_px)
 
 
 def _blur_sigma_px(scale: float, stride: int, settings: MatchSettings) -> float:

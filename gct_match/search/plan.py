@@ -59,7 +59,6 @@ class SearchPlan:
     windows: tuple[Window, ...] = scalar("search windows of all targets in all CCDs")
     sides_px: dict[int, float] = scalar("side of each target's chip in pixels of the strip")
     factor: int = scalar("pixels of the strip to one of the coarse picture, along a side")
-    pixels_to_read: int = scalar("pixels of the strip that the search reads")
 
 
 def plan_search(scene: Scene) -> SearchPlan:
@@ -75,13 +74,13 @@ def plan_search(scene: Scene) -> SearchPlan:
             sides |= {w.target: side for w, side in zip(new, found.tolist())}
     usable = [side for side in sides.values() if side >= settings.smallest_template_px]
     if not usable:
-        return SearchPlan(windows, sides, 1, 0)
+        return SearchPlan(windows, sides, 1)
     side = float(np.median(usable))
     factor = pyramid_factor(side, max(w.radius_px for w in windows), settings)
     read = sum(map(_area, set(extents(strip, windows, side))))
     while read / factor**2 > settings.coarse_pixels:
         factor *= 2
-    return SearchPlan(windows, sides, factor, read)
+    return SearchPlan(windows, sides, factor)
 
 
 def pyramid_factor(side_px: float, radius_px: float, settings: MatchSettings) -> int:
