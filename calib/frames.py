@@ -40,7 +40,6 @@ class PreparedFrames:
     only.
     """
 
-    R_is: Array = array("K, 3, 3", "attitude of the star camera, s to i")
     F_s: Array = array("K, 3, 3", "information on that attitude, frame s")
     F_c: Array = array("K, 3, 3", "information of the targets on the attitude, frame c")
     profile: Array = array("K, 3, 3", "sum w (R_si v)ᵀ / σ²: c by s")
@@ -76,7 +75,7 @@ def prepare_frames(frames: VectorSets) -> PreparedFrames:
     )
     profile = _profile(frames.target_start, weighted, frames.v_targets) @ R_is
     is_informative = (np.diff(frames.star_start) >= 2) & (np.diff(frames.target_start) >= 1)
-    return PreparedFrames(R_is, F_s, F_c, profile, is_informative)
+    return PreparedFrames(F_s, F_c, profile, is_informative)
 
 
 def frame_pairs(prepared: PreparedFrames, R_cs: Rotation) -> tuple[Array, Array]:

@@ -144,7 +144,7 @@ def simulate(
             R_cs=world.attitude.R_cs,
             theta_rad=np.array(scenario.installation.theta_rad),
             line_camera=world.line_camera,
-            orbit=reported_orbit(world.orbit, plan.oem_s, plan.strips_s, 0.0 * position_e, 0.0, 1.0),
+            orbit=reported_orbit(world.orbit, plan.oem_s, plan.strips_s, 0.0 * position_e, 1.0),
             t_attitude_s=plan.attitude_s,
             R_ci=_attitudes(plan, world, scans),
             strips=tuple(
@@ -462,7 +462,7 @@ def _orbit_report(scenario: Scenario, plan: _Plan, orbit: Orbit, position_e: Arr
     """The receiver's ephemeris; a strip's error holds as far around it as the spacing allows, 6 s at most."""
     middles = plan.strips_s + 0.5 * plan.strip_s
     hold = 0.5 * plan.strip_s + min(6.0, 0.3 * (scenario.strips.spacing_s - plan.strip_s))
-    return reported_orbit(orbit, plan.oem_s, middles, position_e, scenario.errors.gps_m, hold)
+    return reported_orbit(orbit, plan.oem_s, middles, position_e, hold)
 
 
 def _stated(scenario: Scenario) -> StatedErrors:

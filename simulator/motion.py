@@ -63,9 +63,7 @@ def flown_orbit(settings: OrbitSettings, t_start_s: float, t_stop_s: float, eart
     )
 
 
-def reported_orbit(
-    orbit: Orbit, t_s: Array, strips_s: Array, errors_e: Array, sigma_m: float, hold_s: float
-) -> OrbitReport:
+def reported_orbit(orbit: Orbit, t_s: Array, strips_s: Array, errors_e: Array, hold_s: float) -> OrbitReport:
     """What the receiver reports at instants `t_s`, in ITRS.
 
     Its error is `errors_e` (S, 3) during the strips, whose middles are `strips_s` (S,), and `hold_s` to
@@ -79,7 +77,7 @@ def reported_orbit(
         step = errors_e[n + 1] - errors_e[n]
         error += x**3 * (10.0 + x * (6.0 * x - 15.0)) * step
         rate += 30.0 * x**2 * (1.0 - x) ** 2 * step / (stop - start)
-    return OrbitReport("ITRF", t_s, positions + error, velocities + rate, sigma_m)
+    return OrbitReport("ITRF", t_s, positions + error, velocities + rate)
 
 
 @record(kw_only=True)

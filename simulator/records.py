@@ -50,7 +50,6 @@ class OrbitReport:
     t_s: Array = array("K", "instants, s")
     positions_m: Array = array("K, 3", "in `frame`, m")
     velocities_m_s: Array = array("K, 3", "in `frame`, m/s")
-    sigma_position_m: float = scalar("1 sigma of each axis, common to a strip, m")
 
 
 @record

@@ -44,16 +44,6 @@ class CatalogueStars:
         """(N,) whether the photocentre with known companions is within `limit_arcsec` of the position."""
         return np.asarray(self.photocentre_shift_arcsec <= limit_arcsec)
 
-    def take(self, index: NDArray) -> CatalogueStars:
-        """The stars at indices (M,) or of a mask (N,)."""
-        return CatalogueStars(
-            self.places.take(index),
-            self.solved[index],
-            self.disagreement_mas[index],
-            self.multiplicity[index],
-            self.photocentre_shift_arcsec[index],
-        )
-
 
 @lru_cache(maxsize=4)
 def hipparcos_stars(max_v_mag: float = 8.0) -> CatalogueStars:

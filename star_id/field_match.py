@@ -29,7 +29,6 @@ class FieldMatch:
 
     detections: Ints = array("K", "rows of the detections")
     stars: Ints = array("K", "rows of the predicted stars")
-    probability: Floats = array("K", "that the detection is the star")
 
 
 def match_field(
@@ -43,7 +42,7 @@ def match_field(
     detection, star = _near(xy_px, cov_px, predicted_px, cov_predicted_px)
     if len(detection) == 0:
         none = np.empty(0, dtype=np.int64)
-        return FieldMatch(detections=none, stars=none, probability=np.empty(0))
+        return FieldMatch(detections=none, stars=none)
     S = cov_px[detection] + cov_predicted_px[star]
     d = xy_px[detection] - predicted_px[star]
     square = np.einsum("ki,ki->k", d, np.linalg.solve(S, d[:, :, None])[:, :, 0])
@@ -62,7 +61,7 @@ def match_field(
     row = np.full(len(predicted_px), -1)
     row[star[best_last]] = best_last
     kept = np.sort(row[row >= 0])
-    return FieldMatch(detections=detection[kept], stars=star[kept], probability=probability[kept])
+    return FieldMatch(detections=detection[kept], stars=star[kept])
 
 
 def _near(xy: Floats, cov: Floats, predicted: Floats, cov_predicted: Floats) -> tuple[Ints, Ints]:

@@ -90,7 +90,6 @@ class SkyPlan:
     """Images to take, those that add most first, and the errors of the camera after them."""
 
     pointings: tuple[Pointing, ...] = array("F", "images in order")
-    covariance: Floats = array("7, 7", "of PARAMETERS after all images, in their own units")
     random_sigma_px: Floats = array("F", "largest error after as many random candidates, median of draws, px")
 
 
@@ -138,8 +137,7 @@ def plan_pointings(
     sums = np.eye(len(PARAMETERS)) + np.cumsum(information[order], axis=0)
     sigmas = _largest_sigma(sums, J)
     pointings = tuple(Pointing(candidates[k], int(stars[k]), float(sigma)) for k, sigma in zip(order, sigmas))
-    covariance = np.linalg.inv(sums[-1]) * scale[:, None] * scale
-    return SkyPlan(pointings, covariance, _random_sigma(information, J, frames))
+    return SkyPlan(pointings, _random_sigma(information, J, frames))
 
 
 def _information(

@@ -26,7 +26,6 @@ class WangEstimate:
 
     R_cs: Rotation = scalar("mean over the strips, s to c")
     R_cs_strips: Rotation = array("S", "matrix of each strip")
-    strip_ids: tuple[str, ...] = array("S", "ids of the strips used")
     rejected: tuple[tuple[str, str], ...] = scalar(
         "(strip, reason) of strips with too few targets or exposures"
     )
@@ -37,7 +36,7 @@ def wang_calibrate(strips: Sequence[StripSightings], R_cs0: Rotation, order: int
 
     Raises `ValueError` when no strip has enough targets and exposures.
     """
-    found, ids, rejected = [], [], []
+    found, rejected = [], []
     for strip in strips:
         enough = 3 * (order + 1) // 2 + 1
         if len(strip.ground.t_s) < enough or len(strip.exposures) < 2:
@@ -47,11 +46,10 @@ def wang_calibrate(strips: Sequence[StripSightings], R_cs0: Rotation, order: int
             rejected.append((strip.strip_id, reason))
             continue
         found.append(_strip_matrix(strip, R_cs0, order))
-        ids.append(strip.strip_id)
     if not found:
         raise ValueError(f"none of {len(strips)} strips has enough targets and exposures for order {order}")
     R_cs_strips = Rotation.concatenate(found)
-    return WangEstimate(R_cs_strips.mean(), R_cs_strips, tuple(ids), tuple(rejected))
+    return WangEstimate(R_cs_strips.mean(), R_cs_strips, tuple(rejected))
 
 
 def attitudes_of(strip: StripSightings) -> tuple[Rotation, Floats]:

@@ -50,7 +50,6 @@ class Rpc:
 class RpcError:
     """Difference of an RPC from the rigorous model at random image points and heights, px."""
 
-    points: int = scalar("number of points")
     rms_px: float = scalar("root mean square of the distance, px")
     largest_px: float = scalar("largest distance, px")
 
@@ -86,7 +85,7 @@ def fit_rpc(model: Pushbroom, ccd: int, lines: int, height_m: tuple[float, float
     found = rpc.pixels(*_ground(model, ccd, points[:, 0], points[:, 1], heights), heights)
     distance = np.hypot(*(np.column_stack(found) - points).T)
     rms = float(np.sqrt(np.mean(distance**2)))
-    return rpc, RpcError(points=CHECK_POINTS, rms_px=rms, largest_px=float(distance.max()))
+    return rpc, RpcError(rms_px=rms, largest_px=float(distance.max()))
 
 
 def rpc_text(rpc: Rpc, error: RpcError) -> str:

@@ -53,7 +53,6 @@ class Ephemeris:
     frame: Literal["GCRF", "ITRF"] = scalar("GCRF (inertial) or ITRF (Earth-fixed)")
     method: Literal["lagrange", "hermite"] = scalar("interpolation that the file asks for")
     interpolation_degree: int = scalar("degree of the interpolating polynomial, 1 to 15")
-    object_name: str = scalar("OBJECT_NAME, at most 64 characters")
     first_time: str = scalar("time of the first state, in the file's own time system")
     last_time: str = scalar("time of the last state, likewise")
 
@@ -108,7 +107,6 @@ def _ephemeris(meta: Any, times: list[Any], values: Floats, file: str) -> Epheme
         frame=frame,
         method=_method(meta, file),
         interpolation_degree=_degree(meta, file),
-        object_name=str(meta["OBJECT_NAME"])[:64],
         first_time=f"{times[0]}",
         last_time=f"{times[-1]}",
     )

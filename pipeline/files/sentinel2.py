@@ -73,7 +73,6 @@ class Sentinel2:
     """One band of a datastrip as its operator describes it. The detectors 01 ... 12 are CCDs 0 ... 11."""
 
     satellite: str = scalar("SPACECRAFT_NAME, at most 32 characters")
-    datastrip: str = scalar("identifier of the datastrip, at most 128 characters")
     band: str = scalar("B01 ... B12, B8A")
     epoch: Epoch = scalar("zero of all times")
     camera: LookAngleCamera = scalar("look directions of the detectors in the MSI frame c")
@@ -137,7 +136,6 @@ def read_sentinel2(datastrip: Path, gipp: Path, band: str) -> Sentinel2:
     corrected = elements_of(root, _CORRECTED, file, 8, _MANY)
     return Sentinel2(
         satellite=text_of(root, "General_Info/Datatake_Info/SPACECRAFT_NAME", file)[:32],
-        datastrip=str(root.get("datastripIdentifier"))[:128],
         band=band,
         epoch=epoch,
         camera=camera,

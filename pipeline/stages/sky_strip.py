@@ -113,7 +113,6 @@ class NamedStars:
     rows: np.ndarray  # (N,) those with names
     places: SurveyedStars  # (N,) the same stars in the catalogue
     probability_wrong: Floats  # (N,) of each name
-    log10_chance: float  # of the whole identification; NaN where the mounting was known
     omissions: tuple[Omission, ...]
 
     @property
@@ -155,7 +154,7 @@ def name_sky_stars(
     """
     seen = _directions(task, found, R_cs)
     stars, field = _field(task, survey, R_cs, sigma_rad, scatter_px)
-    theta, chance = np.asarray(np.zeros(3), dtype=float), np.nan
+    theta: Floats = np.zeros(3)
     gate: float = field.tolerance_rad
     settings = task.settings
     if known:
@@ -166,7 +165,7 @@ def name_sky_stars(
         if isinstance(voted, NoRotation):
             reason = _not_identified(task, found, field, R_cs, voted)
             return _none_named(task, found, stars, task.item.because(reason, Cause.NOT_IDENTIFIED))
-        theta, chance = voted.theta_rad, voted.log10_chance
+        theta = voted.theta_rad
     named = name_stars(seen, field, theta, gate, settings.magnitude_error)
     single, sharp = stars.single[named.star], ~(found.blended | found.saturated)[named.row]
     sure = named.probability_wrong < settings.max_name_error
@@ -190,7 +189,6 @@ def name_sky_stars(
         rows=named.row[use],
         places=stars.take(named.star[use]),
         probability_wrong=named.probability_wrong[use],
-        log10_chance=chance,
         omissions=tuple(omitted),
     )
 
@@ -359,6 +357,5 @@ def _none_named(task: SkyTask, found: StripStars, stars: SurveyedStars, omission
         rows=none,
         places=stars.take(none),
         probability_wrong=np.zeros(0),
-        log10_chance=np.nan,
         omissions=(omission,),
     )

@@ -66,7 +66,6 @@ class Identification:
     false_alarm_probability: float = scalar("upper bound, over all proposals tried")
     log_false_alarm_probability: float = scalar("its natural logarithm")
     proposals: int = scalar("triangles that agreed with the catalogue")
-    rms: float = scalar("residual of the matched stars along one axis, tangent-plane units")
 
 
 @record
@@ -256,7 +255,6 @@ def _refined_trial(
 
 def _identification(trial: _Trial, proposals: int) -> Identification:
     log_probability = min(math.log(max(proposals, 1)) - trial.log_ratio, 0.0)
-    distance = trial.match.distance
     return Identification(
         detections=trial.match.detections,
         stars=trial.match.stars,
@@ -265,5 +263,4 @@ def _identification(trial: _Trial, proposals: int) -> Identification:
         false_alarm_probability=math.exp(max(log_probability, -700.0)),
         log_false_alarm_probability=log_probability,
         proposals=proposals,
-        rms=math.sqrt(0.5 * (distance @ distance) / len(distance)),
     )

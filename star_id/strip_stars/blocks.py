@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import erf
 
-from boresight.geometry.record import Floats, Ints, array, record, scalar
+from boresight.geometry.record import Floats, Ints, array, record
 
 __all__ = ["Columns", "candidates", "columns_of"]
 
@@ -28,7 +28,6 @@ class Columns:
     level_dn: Floats = array("W", "mean without stars, DN")
     noise_dn: Floats = array("W", "standard deviation of a pixel, DN")
     good: NDArray[np.bool_] = array("W", "not much noisier than the others")
-    rows: int = scalar("rows that they were taken from")
 
 
 def columns_of(block: NDArray) -> Columns:
@@ -45,7 +44,7 @@ def columns_of(block: NDArray) -> Columns:
     variance = np.einsum("ij,ij->j", away, away) / count - mean**2
     noise = _unclipped(np.sqrt(np.maximum(variance, 0.0)), _CLIP_SIGMA * spread + 0.5)  # whole counts
     usual = float(np.median(noise[noise > 0.0])) if noise.any() else 0.0  # some columns may hold nothing
-    return Columns(middle + mean, np.maximum(noise, _LEAST_NOISE_DN), noise <= _NOISY * usual, len(block))
+    return Columns(middle + mean, np.maximum(noise, _LEAST_NOISE_DN), noise <= _NOISY * usual)
 
 
 def _unclipped(deviation: Floats, limit: Floats) -> Floats:
