@@ -22,6 +22,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 from scipy.linalg import cho_solve
@@ -132,7 +133,11 @@ class LensEquations:
 
     def solved(self, common_px2: float) -> _Linear:
         """Solution with a variance, px^2, added to each star's along both axes."""
-        return _Linear.of(self.columns, self.residual_px, self.cov_px + common_px2 * np.eye(2), self.sigma)
+        return self.normal(common_px2).solved(self.sigma)
+
+    def normal(self, common_px2: float) -> _Normal:
+        """Normal equations with a variance, px^2, added to each star's along both axes."""
+        return _Normal.of(self.columns, self.residual_px, self.cov_px + common_px2 * np.eye(2))
 
     def leverage(self, common_px2: float) -> Floats:
         """(K,) trace of each star's part in the solution."""
@@ -172,9 +177,10 @@ def _warped(equations: LensEquations, plain: _Linear, common_px2: float) -> Lens
     without one."""
     equations = equations.distorted()
     decay = np.tile([2.0 ** (-0.5 * (i + j)) for i, j in _TERMS], 2)
+    normal = cache(equations.normal)  # one variance is tried with several sizes of the distortion
 
     def solved(common: float, warp: float) -> _Linear:
-        return replace(equations, sigma=np.append(equations.sigma, warp * decay)).solved(common)
+        return normal(common).solved(np.append(equations.sigma, warp * decay))
 
     tried = (solved(share * common_px2, _TRIED_WARP * common_px2**0.5) for share in _TRIED_SHARES)
     if all(trial.log_evidence <= plain.log_evidence for trial in tried):
@@ -252,25 +258,49 @@ class _Linear:
         """(K,) trace of each observation pair's part in the fit."""
         return np.einsum("kip,kip->k", _multiplied(self.columns, self.covariance), self.weighted)
 
+
+@record(kw_only=True)
+class _Normal:
+    """Normal equations of linear equations, without priors."""
+
+    matrix: Floats = array("P, P", "normal matrix")
+    right: Floats = array("P", "right-hand side")
+    columns: Floats = array("K, 2, P", "design")
+    weighted: Floats = array("K, 2, P", "design, times the inverse covariances of the observations")
+    squares: float = scalar("weighted sum of the squared residuals")
+    log_det_weights: float = scalar("logarithm of the determinant of the inverse covariances")
+
     @classmethod
-    def of(cls, columns: Floats, residual: Floats, cov: Floats, sigma: Floats) -> _Linear:
-        """From design (K, 2, P), residuals (K, 2), their covariances (K, 2, 2) and prior sigmas (P,), inf
-        without one."""
+    def of(cls, columns: Floats, residual: Floats, cov: Floats) -> _Normal:
+        """From design (K, 2, P), residuals (K, 2) and their covariances (K, 2, 2)."""
         W = np.linalg.inv(cov)
         WX = W @ columns
-        flat = columns.reshape(-1, columns.shape[2])
+        flat, weighted = (part.reshape(-1, columns.shape[2]) for part in (columns, WX))
+        return cls(
+            matrix=flat.T @ weighted,
+            right=weighted.T @ residual.ravel(),
+            columns=columns,
+            weighted=WX,
+            squares=float(np.einsum("ki,kij,kj->", residual, W, residual)),
+            log_det_weights=float(np.linalg.slogdet(W)[1].sum()),
+        )
+
+    def solved(self, sigma: Floats) -> _Linear:
+        """Solution with prior sigmas (P,), inf without one."""
         weight = np.where(np.isfinite(sigma), sigma, 1.0) ** -2.0 * np.isfinite(sigma)
-        normal = flat.T @ WX.reshape(flat.shape) + np.diag(weight)
+        normal = self.matrix + np.diag(weight)
         unit = 1.0 / np.sqrt(np.diag(normal))
         factor = np.linalg.cholesky(normal * unit[:, None] * unit)
-        right = WX.reshape(flat.shape).T @ residual.ravel()
-        mean = unit * cho_solve((factor, True), unit * right, check_finite=False)
-        chi2 = float(np.einsum("ki,kij,kj->", residual, W, residual) - right @ mean)
-        log_det = 2.0 * float(np.log(np.diag(factor) / unit).sum()) - float(np.linalg.slogdet(W)[1].sum())
+        mean = unit * cho_solve((factor, True), unit * self.right, check_finite=False)
+        log_det = 2.0 * float(np.log(np.diag(factor) / unit).sum()) - self.log_det_weights
         log_det += 2.0 * float(np.log(sigma[np.isfinite(sigma)]).sum())
-        log_evidence = -0.5 * (chi2 + log_det)
-        return cls(
-            mean=mean, factor=factor, unit=unit, columns=columns, weighted=WX, log_evidence=log_evidence
+        return _Linear(
+            mean=mean,
+            factor=factor,
+            unit=unit,
+            columns=self.columns,
+            weighted=self.weighted,
+            log_evidence=-0.5 * (self.squares - float(self.right @ mean) + log_det),
         )
 
 
