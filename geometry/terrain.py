@@ -92,15 +92,13 @@ class TerrainGrid:
         transform: ArrayLike,
         crs: str,
         geoid: Geoid | None,
-        *,
-        no_data: float | None = None,
     ) -> TerrainGrid:
         """Surface from a raster of heights.
 
         Parameters
         ----------
         heights_m : (rows, columns) array
-            Heights at the centres of pixels, m; NaN and `no_data` mark pixels without data.
+            Heights at the centres of pixels, m; NaN marks pixels without data.
         transform : six numbers
             (a, b, c, d, e, f) of rasterio's Affine: the corner of pixel (column, row) is at x = a column + b
             row + c, y = d column + e row + f, in the CRS (x east, y north; degrees if geographic).
@@ -108,8 +106,6 @@ class TerrainGrid:
             Any horizontal CRS that PROJ understands, as WKT or "EPSG:32650".
         geoid : Geoid or None
             Geoid that the heights refer to (`egm96()` for SRTM); None if they are above the ellipsoid.
-        no_data : float, optional
-            Value of pixels without data.
 
         Raises
         ------
@@ -119,8 +115,6 @@ class TerrainGrid:
         heights = np.array(heights_m, dtype=np.float32)
         if heights.ndim != 2 or min(heights.shape) < 2:
             raise ValueError(f"terrain needs at least 2 x 2 heights, got shape {heights.shape}")
-        if no_data is not None:
-            heights[heights == np.float32(no_data)] = np.nan
         if not np.any(np.isfinite(heights)):
             raise ValueError("terrain has no height at all: every pixel is without data")
         a, b, c, d, e, f = (float(value) for value in np.ravel(np.asarray(transform, dtype=float))[:6])

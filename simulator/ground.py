@@ -29,6 +29,7 @@ Patch = NDArray[np.float32]
 Array = NDArray[np.float64]
 Grey = NDArray[np.uint8]
 
+KEPT_TILES = 48
 TILE = 1024  # texels: a tile of reflectance takes 2 MB, a row of tiles under one CCD's swath some 30 MB
 
 
@@ -64,11 +65,10 @@ class BlurredGround:
     itself (a variance of 1/6 texel^2 on average) is taken off. The last tiles used are kept.
     """
 
-    def __init__(self, ground: Ground, sigma_texel: float, keep_tiles: int = 48) -> None:
+    def __init__(self, ground: Ground, sigma_texel: float) -> None:
         self.texel_m = ground.texel_m
         self._ground = ground
         self._sigma = float(np.sqrt(max(sigma_texel**2 - 1.0 / 6.0, 0.0)))
-        self._keep = keep_tiles
         self._tiles: OrderedDict[tuple[int, int], NDArray[np.uint16]] = OrderedDict()
 
     def window(self, column: int, row: int, width: int, height: int) -> NDArray[np.uint16]:
@@ -94,7 +94,7 @@ class BlurredGround:
             sharp = np.asarray(cv2.GaussianBlur(sharp, size, self._sigma), dtype=np.float32)
         tile = (sharp[halo:-halo, halo:-halo] * np.float32(65535.0)).astype(np.uint16)
         self._tiles[i, j] = tile
-        while len(self._tiles) > self._keep:
+        while len(self._tiles) > KEPT_TILES:
             self._tiles.popitem(last=False)
         return tile
 

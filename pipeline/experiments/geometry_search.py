@@ -106,14 +106,13 @@ def bound_of_frames(
     return predicted_sigma(cameras.R_cs, shapes, _mean_noise(tuple(cells)), *numbers)[0]
 
 
-def geometry_map(cameras: CameraPair, search: GeometrySearch | None = None) -> pd.DataFrame:
+def geometry_map(cameras: CameraPair, search: GeometrySearch) -> pd.DataFrame:
     """The best numbers for every direction of the star camera's axis, one row per direction and goal.
 
     The goals: `figure7` (three standard deviations), `table4` (three rms), `both` (all six), and
     `figure7-few` and `table4-few` with at most 400 frames of 60 stars and 20 targets. `misfit` is the largest
     ratio, either way, between prediction and the paper; `fit_*` columns hold the predictions in arcsec.
     """
-    search = GeometrySearch() if search is None else search
     tables = [_best_numbers(cameras, search, *direction) for direction in _directions(search)]
     found = pd.concat(tables, ignore_index=True)
     keep = found.groupby(["goal", "from_zenith_deg", "azimuth_deg"])["misfit"].idxmin()

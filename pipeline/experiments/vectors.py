@@ -177,20 +177,19 @@ def grid(settings: ExperimentSettings, progress: Progress | None = None) -> pd.D
 
 def table4(
     settings: ExperimentSettings,
-    star_fields: Sequence[Floats] | None = None,
+    star_fields: Sequence[Floats],
     progress: Progress | None = None,
 ) -> pd.DataFrame:
     """Table 4: rms error over many runs beside the paper's single draws, "information" from many frames.
 
     `star_fields`: directions (n, 3) in frame s of the stars in the field, one array per exposure; each run
-    draws its frames from them. Without them, 60 stars per frame, uniform over the field. "wang" and "strips"
-    use the same seven strips: Wang's method, and `calibrate` on the data that Wang's method has.
+    draws its frames from them. "wang" and "strips" use the same seven strips: Wang's method, and `calibrate`
+    on the data that Wang's method has.
     """
     tables = []
     for cell, ((sigma_s, sigma_c), (paper_wang, paper_own)) in enumerate(TABLE_4.items()):
-        stars = 60 if star_fields is None else star_fields
         n_frames, targets = settings.table4_frames, settings.table4_targets
-        runs = _frame_runs(settings, n_frames, stars, targets, (sigma_s, sigma_c), (4, cell))
+        runs = _frame_runs(settings, n_frames, star_fields, targets, (sigma_s, sigma_c), (4, cell))
         tables.append(_long_form(runs, sigma_s, sigma_c, "information", n_frames, np.abs(paper_own)))
         tables += _strip_tables(settings, 60, sigma_s, sigma_c, (5, cell), np.abs(paper_wang))
         if progress:

@@ -99,9 +99,7 @@ class DimapStrip:
     dataset: str = scalar("name of the data set, at most 128 characters")
 
 
-def read_dimap(
-    path: Path, eop: EarthOrientationTable, effects: LightEffects, *, allow_stale_eop: bool = False
-) -> DimapStrip:
+def read_dimap(path: Path, eop: EarthOrientationTable, effects: LightEffects) -> DimapStrip:
     """The strip of a DIMAP file; `RawDataError` for anything missing, damaged or out of range."""
     file = path.name
     root = read_xml(path, file)
@@ -119,9 +117,7 @@ def read_dimap(
     t_orbit, positions, velocities = _ephemeris(root, names, epoch, file)
     span = (t_first - 1.0, t_first + height * period + 1.0)
     try:
-        earth = EarthRotation.over(
-            epoch, float(t_orbit[0]), float(t_orbit[-1]), eop, allow_stale_eop=allow_stale_eop
-        )
+        earth = EarthRotation.over(epoch, float(t_orbit[0]), float(t_orbit[-1]), eop)
         orbit = Orbit(
             epoch=epoch,
             t_s=t_orbit,

@@ -75,10 +75,10 @@ def record_from_columns(kind: Any, table: pa.Table, rows: str = "N", /, **values
     return kind(**values)
 
 
-def table_from_record(record: Any, rows: str = "N") -> tuple[pa.Table, dict[str, Any]]:
+def table_from_record(record: Any) -> tuple[pa.Table, dict[str, Any]]:
     """A record's columns, and its other values under the names of their fields, ready for JSON."""
-    table = pa.table(columns_of(record, rows))
-    of_rows = {name for name, _, _ in _row_fields(record.__class__, rows)}
+    table = pa.table(columns_of(record))
+    of_rows = {name for name, _, _ in _row_fields(record.__class__, "N")}
     values = {
         f.name: plain(getattr(record, f.name)) for f in dataclasses.fields(record) if f.name not in of_rows
     }

@@ -70,11 +70,11 @@ class Saved:
         """The number of evidence/context.json under `key`."""
         return number_from(self.context, "evidence/context.json", key, form, scale=scale)
 
-    def cell(self, table: str, column: str, row: int, form: str, *, scale: float = 1.0) -> Number:
+    def cell(self, table: str, column: str, row: int, form: str) -> Number:
         """One cell of a table; `table` is its path without `.parquet`."""
         value = getattr(self, table.rpartition("/")[2]).column(column)[row].as_py()
         source, key = f"{table}.parquet", f"{column}.{row}"
-        return Number(exact=float(value), source=source, key=key, form=form, scale=scale)
+        return Number(exact=float(value), source=source, key=key, form=form)
 
 
 def number_from(

@@ -21,6 +21,7 @@ from boresight.simulator.sky_campaign import draw_sky_strips
 
 __all__ = ["Improvement", "SkyPart", "compare_campaigns", "forecast", "improvements", "settings_of_plan"]
 
+CAMPAIGN_DRAWS = 60  # strips of each kind that stand for a campaign
 OUTER_SHARE = 0.1  # of the swath, at each end: where targets determine the rotation about the boresight best
 
 
@@ -37,10 +38,10 @@ def settings_of_plan(plan: StripPlan) -> CalibrationSettings:
     )
 
 
-def forecast(plan: StripPlan, cameras: CameraPair, *, draws: int = 100, seed: int = 0) -> Forecast:
+def forecast(plan: StripPlan, cameras: CameraPair, *, draws: int = 100) -> Forecast:
     """The forecast of a plan from `draws` of its strips, with targets and stars at random positions."""
     settings = replace(settings_of_plan(plan), robust=False)
-    strips, truth = draw_strips(replace(plan, strips=draws), cameras, np.random.default_rng(seed))
+    strips, truth = draw_strips(replace(plan, strips=draws), cameras, np.random.default_rng(0))
     return forecast_from_strips(strips, truth.R_cs, settings)
 
 
@@ -53,17 +54,15 @@ class SkyPart:
     rate_rad_s: float  # of the scan; forward and backward in turn
 
 
-def compare_campaigns(
-    ground: StripPlan, sky: SkyPart, cameras: CameraPair, *, draws: int = 60, seed: int = 0
-) -> dict[str, Floats]:
+def compare_campaigns(ground: StripPlan, sky: SkyPart, cameras: CameraPair) -> dict[str, Floats]:
     """1-sigma (3,) about the axes of c, rad, of the ground's strips alone, the sky's alone, and both; NaN
     about an axis that is not observable.
     """
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     settings = replace(settings_of_plan(ground), robust=False)
-    below, truth = draw_strips(replace(ground, strips=draws), cameras, rng)
+    below, truth = draw_strips(replace(ground, strips=CAMPAIGN_DRAWS), cameras, rng)
     rates = (-sky.rate_rad_s, sky.rate_rad_s)
-    above = draw_sky_strips(replace(sky.plan, strips=draws), cameras, rng, rates_rad_s=rates)
+    above = draw_sky_strips(replace(sky.plan, strips=CAMPAIGN_DRAWS), cameras, rng, rates_rad_s=rates)
     both = with_attitudes([*below, *above], settings.attitudes)  # once for the three forecasts
     below, above = both[: len(below)], both[len(below) :]
     pairs, prior = strip_pairs(both, truth.R_cs, settings)

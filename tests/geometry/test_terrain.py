@@ -32,14 +32,12 @@ def fractal(n, relief_m, seed=3):
     return heights * (relief_m / heights.max())
 
 
-def degrees_grid(heights, **more):
-    return TerrainGrid.from_raster(
-        heights, (CELL_DEG, 0.0, 14.0, 0.0, -CELL_DEG, 50.0), "EPSG:4326", None, **more
-    )
+def degrees_grid(heights):
+    return TerrainGrid.from_raster(heights, (CELL_DEG, 0.0, 14.0, 0.0, -CELL_DEG, 50.0), "EPSG:4326", None)
 
 
-def utm_grid(heights, **more):
-    return TerrainGrid.from_raster(heights, (30.0, 0.0, 480e3, 0.0, -30.0, 5.5e6), UTM33, None, **more)
+def utm_grid(heights):
+    return TerrainGrid.from_raster(heights, (30.0, 0.0, 480e3, 0.0, -30.0, 5.5e6), UTM33, None)
 
 
 def polar_grid(heights, **more):
@@ -131,8 +129,8 @@ def test_a_wall_hides_what_is_behind_it():
 def test_holes_and_edges_give_nan_and_only_they():
     heights = np.full((100, 100), 50.0)
     heights[0, 0] = 51.0  # not flat
-    heights[40:50, 60:70] = -9999.0
-    grid = degrees_grid(heights, no_data=-9999.0)
+    heights[40:50, 60:70] = np.nan
+    grid = degrees_grid(heights)
     column, row = np.meshgrid(np.arange(-3.0, 103.0, 0.5), np.arange(-3.0, 103.0, 0.5))
     lon = np.radians(14.0 + (column.ravel() + 0.5) * CELL_DEG)
     lat = np.radians(50.0 - (row.ravel() + 0.5) * CELL_DEG)
