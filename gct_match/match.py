@@ -28,7 +28,6 @@ from boresight.gct_match.records import (
     Evidence,
     Reason,
     Refusal,
-    StripImage,
     StripMatches,
     Target,
     TargetMatch,
@@ -43,6 +42,7 @@ from boresight.gct_match.texture import expected_sigma_px
 from boresight.geometry.installation import deviation_from_theta
 from boresight.geometry.pushbroom import Pushbroom
 from boresight.geometry.record import Floats
+from boresight.geometry.strip_image import StripImage
 from boresight.geometry.terrain import Surface
 
 __all__ = ["match_strip"]

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from enum import StrEnum
-from typing import Any, Literal, Protocol
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +21,6 @@ __all__ = [
     "Image",
     "Reason",
     "Refusal",
-    "StripImage",
     "StripMatches",
     "Target",
     "TargetMatch",
@@ -61,22 +60,6 @@ class Target:
     target_id: str = scalar("identifier")
     p_e: Floats = array("3", "position, ITRS, m")
     sigma_m: Floats = array("3", "standard error east, north, up, m")
-
-
-class StripImage(Protocol):
-    """A strip's raw pixels, read by window: the CCDs of a camera, or the single image of the virtual CCD."""
-
-    @property
-    def ccds(self) -> Sequence[int]:
-        """The CCDs that were recorded, numbered as in the camera model."""
-
-    def shape(self, ccd: int) -> tuple[int, int]:
-        """(lines, samples) of one CCD's image."""
-
-    def read(self, ccd: int, line0: int, line1: int, sample0: int, sample1: int) -> NDArray:
-        """Pixels (rows, columns) line0..line1, sample0..sample1 (ends excluded, inside the image), any real
-        type; NaN marks what must not be used: no data, cloud, saturation.
-        """
 
 
 class Reason(StrEnum):

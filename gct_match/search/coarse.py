@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from boresight.gct_match.imaging.views import filled
-from boresight.gct_match.records import Image, StripImage
+from boresight.gct_match.records import Image
 from boresight.gct_match.settings import MatchSettings
 from boresight.geometry.record import Bools, array, record, scalar
+from boresight.geometry.strip_image import StripImage
 
 __all__ = ["CoarseStrip", "means_of_usable", "read_coarse", "read_window"]
 

@@ -18,7 +18,7 @@ import numpy as np
 from boresight.gct_match.predict.scene import Scene
 from boresight.gct_match.predict.template import predict_template
 from boresight.gct_match.predict.trajectories import displacements
-from boresight.gct_match.records import Each, StripImage
+from boresight.gct_match.records import Each
 from boresight.gct_match.search.coarse import read_coarse
 from boresight.gct_match.search.edge_search import (
     SearchPicture,
@@ -33,6 +33,7 @@ from boresight.gct_match.settings import MatchSettings
 from boresight.geometry.installation import deviation_from_theta
 from boresight.geometry.pushbroom import Pushbroom
 from boresight.geometry.record import Floats, Ints
+from boresight.geometry.strip_image import StripImage
 
 __all__ = ["search_common_rotation", "vote_tolerance_px"]
 

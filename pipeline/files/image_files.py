@@ -135,7 +135,7 @@ def _read_window(image: Any, file: str, window: Window) -> NDArray[Any]:
 
 @record
 class StripFiles:
-    """The raw images of one strip, one file for each CCD, read by window (`gct_match`'s StripImage)."""
+    """The raw images of one strip, one file for each CCD, read by window (`geometry.strip_image`)."""
 
     paths: dict[int, Path] = scalar("image files by CCD")
     names: dict[int, str] = scalar("paths as the user knows them, by CCD")

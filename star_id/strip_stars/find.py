@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import fields, replace
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,13 +17,14 @@ from scipy.spatial import cKDTree
 from scipy.special import lambertw
 
 from boresight.geometry.record import Bools, Floats, Ints, array, record, scalar
+from boresight.geometry.strip_image import StripImage
 from boresight.star_id.finding.windows import StarWindows
 from boresight.star_id.strip_stars.blocks import Columns, candidates, columns_of
 from boresight.star_id.strip_stars.fit import TraceFits, fit_traces, gain_of, width_of
 from boresight.star_id.strip_stars.settings import StripStarSettings
 from boresight.star_id.strip_stars.trace import Motion, trace_images, trace_radius
 
-__all__ = ["StripImage", "StripMotion", "StripStars", "find_strip_stars"]
+__all__ = ["StripMotion", "StripStars", "find_strip_stars"]
 
 _ROWS_READ, _ROWS_ALIKE = 1024, 256  # rows read at a time; rows with one level and noise of each column
 _USUAL_SIGMA_PX = 0.6  # width of the optics until the stars have given it
@@ -35,20 +36,6 @@ _SAME_STAR_PX = 1.8
 _GHOST = 0.03  # of the light of a saturated star: a detection beside it is its own
 _DISTURBING = 0.01  # of a star's light
 _MAX_CANDIDATES = 20_000
-
-
-class StripImage(Protocol):
-    """A strip that is read by window."""
-
-    @property
-    def ccds(self) -> tuple[int, ...]:
-        """Numbers of the CCDs."""
-
-    def shape(self, ccd: int) -> tuple[int, int]:
-        """(lines, samples) of a CCD."""
-
-    def read(self, ccd: int, line0: int, line1: int, sample0: int, sample1: int) -> NDArray[Any]:
-        """Raw counts (rows, columns)."""
 
 
 @record
