@@ -155,6 +155,7 @@ class Solution:
 
     theta: Array = array("3", "about the reference, rad; zero along unobservable directions")
     covariance: Array = array("3, 3", "of theta, frame c, rad²; zero along unobservable directions")
+    information: Array = array("3, 3", "shared unknowns eliminated, rad⁻²")
     shared: Array = array("N", "best shared unknowns")
     covariance_all: Array = array("N + 3, N + 3", "of theta and the shared unknowns")
     unobservable: Array = array("M, 3", "unit vectors, frame c: rotation about them is not observable")
@@ -187,6 +188,7 @@ def solve_total(
     return Solution(
         theta=theta,
         covariance=covariance,
+        information=information,
         shared=shared_0 - gain @ theta,
         covariance_all=covariance_all,
         unobservable=vectors.T[~seen],
