@@ -18,32 +18,16 @@ __all__ = ["write_named_stars"]
 
 def write_named_stars(out: Path, named: Sequence[tuple[Path, FieldSolution]]) -> None:
     """One row a star of each image: file, hip, xy_px, residual_px, quaternion_si."""
-    tables = [_table(path, found) for path, found in named]
-    whole = pa.concat_tables(tables) if tables else _table_of_nothing()
+    counts = [found.matches for _, found in named]
+    none = np.zeros((0, 2))
+    quaternions = np.array([found.R_si.as_quat(canonical=True) for _, found in named]).reshape(-1, 4)
+    whole = pa.table(
+        {
+            "file": arrow_array([str(path) for path, found in named for _ in found.hip], pa.string()),
+            "hip": arrow_array(np.concatenate([np.zeros(0, np.int64), *(f.hip for _, f in named)])),
+            "xy_px": fixed_list(np.concatenate([none, *(found.xy_px for _, found in named)])),
+            "residual_px": fixed_list(np.concatenate([none, *(found.residual_px for _, found in named)])),
+            "quaternion_si": fixed_list(np.repeat(quaternions, counts, axis=0)),
+        }
+    )
     write_whole(out, lambda target: pq.write_table(whole, target, compression="zstd"))
-
-
-def _table(path: Path, found: FieldSolution) -> pa.Table:
-    n = found.matches
-    return pa.table(
-        {
-            "file": arrow_array([str(path)] * n, pa.string()),
-            "hip": arrow_array(found.hip),
-            "xy_px": fixed_list(found.xy_px),
-            "residual_px": fixed_list(found.residual_px),
-            "quaternion_si": fixed_list(np.tile(found.R_si.as_quat(canonical=True), (n, 1))),
-        }
-    )
-
-
-def _table_of_nothing() -> pa.Table:
-    pairs = fixed_list(np.zeros((0, 2)))
-    return pa.table(
-        {
-            "file": arrow_array([], pa.string()),
-            "hip": arrow_array([], pa.int64()),
-            "xy_px": pairs,
-            "residual_px": pairs,
-            "quaternion_si": fixed_list(np.zeros((0, 4))),
-        }
-    )
