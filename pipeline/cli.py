@@ -24,7 +24,7 @@ import typer
 from boresight.pipeline import __version__
 from boresight.pipeline.commands.drift import add_drift_commands
 from boresight.pipeline.commands.dump import add_dump_commands
-from boresight.pipeline.commands.dump_argument import DumpsArgument
+from boresight.pipeline.commands.dump_argument import DumpsArgument, SettingsFile
 from boresight.pipeline.commands.heads import add_heads_commands
 from boresight.pipeline.commands.imports import add_import_commands
 from boresight.pipeline.commands.limits import JunitFile, held
@@ -76,8 +76,6 @@ REPORTED_PACKAGES = (
     "pyerfa",
     "pyproj",
 )
-
-SettingsFile = Annotated[Path | None, typer.Option(help="TOML file of settings; unknown keys are refused.")]
 
 
 def main() -> None:

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from boresight.pipeline.commands.dump_argument import DumpArgument
+from boresight.pipeline.commands.dump_argument import DumpArgument, SettingsFile
 from boresight.pipeline.commands.messages import DATA_DID_NOT_ALLOW, DONE, Answer, talks
 
 __all__ = ["add_dump_commands"]
@@ -55,9 +55,7 @@ def init(
 def check(
     dump: DumpArgument,
     out: Annotated[Path | None, typer.Option(help="HTML page with the footprints on a map.")] = None,
-    settings: Annotated[
-        Path | None, typer.Option(help="TOML file of settings; unknown keys are refused.")
-    ] = None,
+    settings: SettingsFile = None,
     workers: Annotated[int | None, typer.Option(help="Processes for the star images.", min=1)] = None,
 ) -> Answer:
     """Check everything about a dump that needs no calibration: all errors at once, footprints, targets.

@@ -1,4 +1,4 @@
-"""The argument DUMP of commands: a folder, or an address in a store."""
+"""Arguments and options of several commands: DUMP, a folder or an address in a store; --settings."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import typer
 
 from boresight.pipeline.files.object_store import dump_folder
 
-__all__ = ["DumpArgument", "DumpOption", "DumpsArgument"]
+__all__ = ["DumpArgument", "DumpOption", "DumpsArgument", "SettingsFile"]
 
 DumpArgument = Annotated[
     Path,
@@ -31,3 +31,4 @@ DumpOption = Annotated[
         help="The dump it was made from, if it is no longer where it was.",
     ),
 ]
+SettingsFile = Annotated[Path | None, typer.Option(help="TOML file of settings; unknown keys are refused.")]

@@ -7,12 +7,10 @@ from typing import Annotated
 
 import typer
 
-from boresight.pipeline.commands.dump_argument import DumpArgument, DumpsArgument
+from boresight.pipeline.commands.dump_argument import DumpArgument, DumpsArgument, SettingsFile
 from boresight.pipeline.commands.messages import Answer, talks
 
 __all__ = ["add_heads_commands"]
-
-SettingsFile = Annotated[Path | None, typer.Option(help="TOML file of settings; unknown keys are refused.")]
 
 
 def add_heads_commands(app: typer.Typer) -> None:

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 import typer
 
-from boresight.pipeline.commands.dump_argument import DumpArgument
+from boresight.pipeline.commands.dump_argument import DumpArgument, SettingsFile
 from boresight.pipeline.commands.messages import (
     DATA_DID_NOT_ALLOW,
     DONE,
@@ -38,9 +38,7 @@ def match(
     overlay: Annotated[
         Path | None, typer.Option(help="Folder for a picture of each place: predicted, found, residual.")
     ] = None,
-    settings: Annotated[
-        Path | None, typer.Option(help="TOML file of settings; unknown keys are refused.")
-    ] = None,
+    settings: SettingsFile = None,
     workers: Annotated[int | None, typer.Option(help="Processes for the star images.", min=1)] = None,
 ) -> Answer:
     """Find a dump's targets in its strips, from the pre-launch installation matrix.

@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from boresight.pipeline.commands.dump_argument import DumpOption
+from boresight.pipeline.commands.dump_argument import DumpOption, SettingsFile
 from boresight.pipeline.commands.messages import Answer, print_data, say, talks, tell
 from boresight.pipeline.files.object_store import dump_folder
 
@@ -81,9 +81,7 @@ def remote_camera_calibrate(
         ),
     ],
     out: Annotated[Path, typer.Option(help="Folder for remote_camera.toml, interior.json and interior.png.")],
-    settings: Annotated[
-        Path | None, typer.Option(help="TOML file of settings; unknown keys are refused.")
-    ] = None,
+    settings: SettingsFile = None,
     curve_px: Annotated[
         float, typer.Option(help="Prior 1-sigma of the distortion that the table leaves, px.", min=1e-3)
     ] = 3.0,

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
+from boresight.pipeline.commands.dump_argument import SettingsFile
 from boresight.pipeline.commands.limits import JunitFile, held
 from boresight.pipeline.commands.messages import (
     DATA_DID_NOT_ALLOW,
@@ -63,7 +64,6 @@ Site = Annotated[
         metavar="LAT LON HEIGHT",
     ),
 ]
-SettingsFile = Annotated[Path | None, typer.Option(help="TOML file of settings; unknown keys are refused.")]
 
 
 def add_star_commands(app: typer.Typer) -> None:
