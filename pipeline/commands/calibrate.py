@@ -84,7 +84,7 @@ def going_on(out: Path) -> Iterator[None]:
 def saved_content(out: Path) -> dict[str, Any]:
     """What a result folder holds, for --json: installation.json, what to look at, and what is not used."""
     return {
-        "installation": read_json(out / "installation.json", str(out / "installation.json")),
+        "installation": read_json(out / "installation.json"),
         "findings": read_findings(out),
         "omitted": [plain(omission) for omission in run_status(out).omissions],
     }

@@ -106,8 +106,9 @@ def toml_tables(path: Path, file: str) -> dict[str, Any]:
         raise RawDataError(file, where[0], line, expected) from error
 
 
-def read_json(path: Path, file: str) -> dict[str, Any]:
-    """The object in a JSON file of a result; `RawDataError` if there is none."""
+def read_json(path: Path, file: str = "") -> dict[str, Any]:
+    """The object in a JSON file of a result; `RawDataError` about `file`, or the path, if there is none."""
+    file = file or str(path)
     if not path.exists():
         expected = "the folder of a result that `boresight calibrate` finished; see `boresight status`"
         raise RawDataError(file, "file", "no such file", expected)

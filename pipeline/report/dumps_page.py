@@ -27,7 +27,7 @@ PASSES = {"strip_id": pa.string(), "utc_middle": pa.string()}
 
 def write_dumps_report(result: Path) -> Path:
     """Write `report.html` of a result of several dumps; its path. `RawDataError` names a missing file."""
-    installation = read_json(result / "installation.json", str(result / "installation.json"))
+    installation = read_json(result / "installation.json")
     omissions = read_parquet(result / "sightings" / "omissions.parquet").to_pylist()
     joint = _matrix(installation, "installation.json")
     sigma_m = sigma_on_ground(installation)
@@ -80,7 +80,7 @@ def _dumps(result: Path, reasons: dict[str, str]) -> list[dict[str, Any]]:
         source = f"{name}/installation.json"
         utc = min((p["utc_middle"] for p in passes if p["strip_id"].startswith(f"{name}/")), default="")
         page = f"{name}/report.html"
-        installation = read_json(result / source, str(result / source))
+        installation = read_json(result / source)
         matrix, verdict = _matrix(installation, source), verdict_view(installation, source)
         rows.append(
             {"name": name, "reason": "", "utc": utc[:10], "matrix": matrix, "page": page, "verdict": verdict}
@@ -94,7 +94,7 @@ def _drift(result: Path) -> dict[str, Any] | None:
     path = result / "drift.json"
     if not path.is_file():
         return None
-    content = read_json(path, str(path))
+    content = read_json(path)
     return {
         "moved": bool(content["moved"]),
         "constant": [number_from(content, "drift.json", f"constant.{k}", ".3g") for k in CONSTANT],

@@ -91,7 +91,7 @@ def number_from(
 
 def read_saved(result: Path) -> Saved:
     """The saved files of a finished result. `RawDataError` names a file that is missing or damaged."""
-    installation = read_json(result / "installation.json", str(result / "installation.json"))
+    installation = read_json(result / "installation.json")
     needed = ("context.json", *(f"{name}.parquet" for name in _EVIDENCE))
     if not all((result / "evidence" / name).is_file() for name in needed):
         again = "what `calibrate` writes unless --no-report is given; run it again, finished work is kept"
@@ -107,8 +107,8 @@ def read_saved(result: Path) -> Saved:
     picture = own["interior"].with_suffix(".png")
     return Saved(
         installation=installation,
-        context=read_json(result / "evidence" / "context.json", str(result / "evidence" / "context.json")),
-        **{name: read_json(path, str(path)) if path.is_file() else {} for name, path in own.items()},
+        context=read_json(result / "evidence" / "context.json"),
+        **{name: read_json(path) if path.is_file() else {} for name, path in own.items()},
         interior_png=picture.read_bytes() if own["interior"].is_file() and picture.is_file() else b"",
         **tables,
     )

@@ -203,7 +203,7 @@ def _context(path: Path) -> dict[str, Any]:
     file = path / "evidence" / "context.json"
     if not file.is_file():
         return {}
-    return read_json(file, str(file))
+    return read_json(file)
 
 
 def _date_of_exposures(path: Path, context: dict[str, Any], t_s: Array) -> tuple[str, ...]:

@@ -51,7 +51,7 @@ def dumps_in(result: Path) -> tuple[str, ...]:
     """Names of the dumps of a joint result, none for one dump; `RawDataError` if damaged."""
     if not (path := result / DUMPS).is_file():
         return ()
-    names = read_json(path, str(path)).get("dumps")
+    names = read_json(path).get("dumps")
     if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
         raise RawDataError(str(path), "dumps", names, "a list of names")
     return tuple(names)

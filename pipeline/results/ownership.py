@@ -63,7 +63,7 @@ def origin_of(result: Path) -> Origin | None:
     path = result / MARKER
     if not path.is_file():
         return None
-    content = read_json(path, str(path))
+    content = read_json(path)
     values = [content.get(key) for key in ("dump", "settings")]
     if not all(isinstance(value, str) for value in values):
         raise RawDataError(str(path), "dump, settings", values, "two digests")
@@ -83,7 +83,7 @@ def dump_folder_of(result: Path) -> Path:
     longer there or holds another dump.
     """
     path = result / MARKER
-    folders = read_json(path, str(path)).get("folders")
+    folders = read_json(path).get("folders")
     dump = dump_folder(str(folders[0])) if isinstance(folders, list) and len(folders) == 1 else None
     if dump is None or not dump.is_dir():
         raise RawDataError(str(path), "folders", folders, "the folder of one dump")

@@ -56,7 +56,7 @@ def read_findings(result: Path) -> list[dict[str, Any]]:
     `RawDataError` for findings that are not as the program writes them.
     """
     path = result / "evidence" / "context.json"
-    found = read_json(path, str(path)).get("findings", []) if path.is_file() else []
+    found = read_json(path).get("findings", []) if path.is_file() else []
     if not all(isinstance(one, dict) and {"cause", "item", "text"} <= one.keys() for one in found):
         raise RawDataError(str(path), "findings", found, "objects with cause, item and text")
     return list(found)

@@ -43,7 +43,7 @@ def write_requirement(result: Path, requirement: Requirement) -> bool:
 def saved_requirement(result: Path) -> dict[str, Any]:
     """The requirement that a result was given: `arcsec` and `m`; empty where there is none."""
     path = result / FILE
-    return read_json(path, str(path)) if path.is_file() else {}
+    return read_json(path) if path.is_file() else {}
 
 
 def requirement_lines(requirement: Mapping[str, Any], installation: Mapping[str, Any]) -> list[str]:

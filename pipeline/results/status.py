@@ -128,7 +128,7 @@ def _status(
     dumps: tuple[RunStatus, ...] = (),
 ) -> RunStatus:
     path = result / "installation.json"
-    verdict = read_json(path, str(path)).get("verdict") if path.is_file() else None
+    verdict = read_json(path).get("verdict") if path.is_file() else None
     return RunStatus(
         folder=str(result),
         begun=True,

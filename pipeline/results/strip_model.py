@@ -140,7 +140,7 @@ def _run_settings(saved: SavedResult, result: Path) -> RunSettings:
 def _noted_dump(result: Path) -> Path:
     path = result / "run.json"
     try:
-        noted = dump_folder(read_json(path, str(path))["dump"])
+        noted = dump_folder(read_json(path)["dump"])
     except (KeyError, TypeError) as error:
         raise RawDataError(str(path), "dump", str(error), "the dump's folder; or give --dump") from error
     if not noted.is_dir():
