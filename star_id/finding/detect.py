@@ -38,8 +38,6 @@ class Detections:
 
     xy_px: Ints = array("N, 2", "pixel of the peak as (column, row)")
     offset_px: Floats = array("N, 2", "from there to the vertex of a parabola, px")
-    snr: Floats = array("N", "height of the peak over the filter's noise")
-    flux_dn: Floats = array("N", "flux of a star of the assumed width, DN")
     hot_pixels: int = scalar("peaks rejected because a single pixel explains them")
 
 
@@ -124,8 +122,6 @@ def detect(
     return Detections(
         xy[order],
         _parabola(filtered.flux[keep[order]].reshape(-1, shifts, shifts), row[order], column[order]),
-        snr[order].astype(float),
-        peak[order].astype(float),
         len(hot) - int(np.count_nonzero(good & repaired)),
     )
 

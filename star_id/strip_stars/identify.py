@@ -71,7 +71,6 @@ class NoRotation:
     stars: int  # that the best one had
     log10_chance: float
     detections: int
-    catalogue: int
 
 
 @record(kw_only=True)
@@ -112,7 +111,7 @@ def vote(seen: Directions, field: StripField, brightest: int, max_chance: float)
                 score, agreeing = count, agree
     chance = _log10_chance(len(few.u_c), len(delta), score, tests, field)
     if score < _LEAST or chance > np.log10(max_chance):
-        return NoRotation(score, chance, len(few.u_c), len(stars))
+        return NoRotation(score, chance, len(few.u_c))
     for _ in range(_REFINEMENTS):
         R_ci = Rotation.from_rotvec(best).as_matrix() @ few.R_ci[detection[agreeing]]
         v = np.einsum("nab,nb->na", R_ci, field.u_i[stars[star[agreeing]]])
