@@ -41,6 +41,8 @@ __all__ = [
 
 Array = NDArray[np.float64]
 
+_R_AT_NODE = Rotation.from_matrix([[0.0, 1.0, 0.0], [0.0, 0.0, -1.0], [-1.0, 0.0, 0.0]])  # orbit's axes to o
+
 
 def installation_by_tilt(from_zenith_rad: float, about_boresight_rad: float = 0.0) -> Rotation:
     """`R_cs` of a star camera that looks `from_zenith_rad` off the zenith in the Y-Z plane of c (Z to
@@ -241,8 +243,8 @@ class StripMotion:
 
     def R_oi(self, t: Array) -> Rotation:
         """Rotations (N,) from frame i to the orbital frame."""
-        x, z = unit(self.velocity_i(t)), -unit(self.position_i(t))
-        return Rotation.from_matrix(np.stack([x, np.cross(z, x), z], axis=1))
+        from_node = Rotation.from_rotvec(np.outer(-self.rate * t, [0.0, 0.0, 1.0]))
+        return _R_AT_NODE * from_node * self.R_ie.inv()
 
     def R_co(self, t: Array) -> Rotation:
         """Rotations (N,) from the orbital frame to the remote-sensing camera, without vibration."""

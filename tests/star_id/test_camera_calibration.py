@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from astropy.wcs import WCS
-from frames import PAPER_CAMERA, as_seen, listed_stars
+from frames import PAPER_CAMERA, as_seen, directions_of, listed_stars
 from scipy.spatial.transform import Rotation
 
 from boresight.geometry.epoch import Epoch
@@ -36,9 +36,11 @@ def index():
 
 
 def sky_frame(name, rng, camera=TRUTH, observer=None):
-    places = hipparcos_stars(8.0).places
-    sky = places if observer is None else as_seen(places, observer)
-    return SkyFrame(name, listed_stars(camera, Rotation.random(random_state=rng), sky, rng), observer)
+    R_si, sky = Rotation.random(random_state=rng), hipparcos_stars(8.0).places
+    if observer is not None:  # stars of the field and those that aberration brings there
+        near = directions_of(sky) @ R_si.as_matrix()[2] > np.cos(1.1 * camera.field_radius_rad)
+        sky = as_seen(sky.take(np.flatnonzero(near)), observer)
+    return SkyFrame(name, listed_stars(camera, R_si, sky, rng), observer)
 
 
 def model_error(camera):
