@@ -481,9 +481,10 @@ def simulate(scenario: str, out: str | Path, *, seed: int = 1, changes: Sequence
     """
     from boresight.pipeline.files.dump_writer import write_dump
     from boresight.pipeline.files.scenario_file import fly, named_scenario
+    from boresight.pipeline.files.whole_file import is_vacant
 
     folder = Path(out)
-    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+    if not is_vacant(folder):
         raise ValueError(f"{folder} exists and is not an empty folder")
     made_by = f"boresight {__version__}: simulate {scenario} --seed {seed}"
     write_dump(fly(named_scenario(scenario, changes), seed), folder, created_by=made_by)

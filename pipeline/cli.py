@@ -126,13 +126,14 @@ def simulate(
     """
     from boresight.pipeline.files.dump_writer import images_in, write_dump
     from boresight.pipeline.files.scenario_file import fly, named_scenario
+    from boresight.pipeline.files.whole_file import is_vacant
     from boresight.simulator.scenario import ScenarioError
 
     try:
         chosen = named_scenario(scenario, set_ or [])
     except ScenarioError as error:
         raise wrong_usage(str(error)) from error
-    if out.exists() and (not out.is_dir() or any(out.iterdir())):
+    if not is_vacant(out):
         raise wrong_usage(f"{out} is there already and is not an empty folder")
     start = time.perf_counter()
     mission = fly(chosen, seed)

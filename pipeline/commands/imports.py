@@ -118,9 +118,10 @@ def _creator(command: str) -> str:
 
 def _written(out: Path, mission: ImportedMission, points: Path | None) -> Answer:
     from boresight.pipeline.files.text_files import read_text
+    from boresight.pipeline.files.whole_file import is_vacant
     from boresight.pipeline.imports.writing import write_imported
 
-    if out.exists() and (not out.is_dir() or any(out.iterdir())):
+    if not is_vacant(out):
         raise wrong_usage(f"{out} is there already and is not an empty folder")
     text = None if points is None else read_text(points, str(points))
     write_imported(out, mission, text)

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from boresight.geometry.record import record, scalar
 from boresight.pipeline.errors import RawDataError
+from boresight.pipeline.files.whole_file import is_vacant
 
 __all__ = ["Skeleton", "write_skeleton"]
 
@@ -124,7 +125,7 @@ def write_skeleton(folder: Path, known: Skeleton) -> list[Path]:
 
     `RawDataError` where the folder has files.
     """
-    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+    if not is_vacant(folder):
         raise RawDataError(str(folder), "folder", "not empty", "a new or empty folder")
     values = {name: getattr(known, name) for name in Skeleton.__annotations__}
     values["mission"] = known.mission.replace("\\", " ").replace('"', "'")

@@ -19,6 +19,7 @@ from boresight.pipeline.files.png import png_of_noise
 from boresight.pipeline.files.remote_camera import remote_camera_table
 from boresight.pipeline.files.star_side import star_camera_table
 from boresight.pipeline.files.text_tables import write_csv, write_toml
+from boresight.pipeline.files.whole_file import is_vacant
 from boresight.simulator.records import ChipImage, Mission, OrbitReport, Strip, TerrainReport, Truth
 from boresight.simulator.scenario import scenario_to_dict
 
@@ -37,7 +38,7 @@ def write_dump(
     mission: Mission, root: Path, *, created_by: str, on_image: Callable[[str], None] = lambda name: None
 ) -> None:
     """Write the dump to `root`; call `on_image(file)` after each image. `FileExistsError` if not empty."""
-    if root.exists() and (not root.is_dir() or any(root.iterdir())):
+    if not is_vacant(root):
         raise FileExistsError(f"{root} exists and is not an empty folder")
     ground = ("chips", "terrain") if mission.terrain is not None else ()
     for folder in ("exposures", "strips", *ground, "truth"):

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["remove_abandoned", "write_figure", "write_text", "write_whole"]
+__all__ = ["is_vacant", "remove_abandoned", "write_figure", "write_text", "write_whole"]
 
 _TEMPORARY = re.compile(r"\..+\.boresight-([0-9a-f]{8})-([0-9]+)-[0-9a-f]{8}\.tmp")
 _OTHER_HOST_S = 86_400.0  # after a day another machine's temporary file counts as abandoned
@@ -37,6 +37,11 @@ def write_whole(path: Path, write: Any) -> None:
         raise OSError(error.errno or errno.EIO, error.strerror or str(error), str(path)) from error
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def is_vacant(folder: Path) -> bool:
+    """Whether a folder is missing or empty, and may be filled."""
+    return not folder.exists() or (folder.is_dir() and not any(folder.iterdir()))
 
 
 def write_text(path: Path, text: str) -> None:

@@ -18,6 +18,7 @@ from boresight.geometry.record import Floats, array, record, scalar
 from boresight.pipeline.files.dump_schema import LOOK_TABLES, PointRow, head_of_dump
 from boresight.pipeline.files.oem_text import orbit_message
 from boresight.pipeline.files.text_tables import write_csv, write_toml
+from boresight.pipeline.files.whole_file import is_vacant
 
 __all__ = ["ImportedHead", "ImportedMission", "ImportedStrip", "white_noise_rad", "write_imported"]
 
@@ -78,7 +79,7 @@ def write_imported(root: Path, mission: ImportedMission, points: str | None = No
 
     Raises `FileExistsError` if `root` is not empty.
     """
-    if root.exists() and (not root.is_dir() or any(root.iterdir())):
+    if not is_vacant(root):
         raise FileExistsError(f"{root} exists and is not an empty folder")
     root.mkdir(parents=True, exist_ok=True)
     utc = mission.epoch.utc_from_seconds

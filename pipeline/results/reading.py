@@ -25,7 +25,7 @@ from boresight.pipeline.results.ownership import check_dump_of, dump_identity, o
 
 __all__ = ["SavedResult", "read_findings", "read_for_dump", "read_mounting", "read_pairs", "read_result"]
 
-EXPOSURES = {"t_s": pa.float64(), "R_si": fixed(9), "usable": pa.bool_()}
+EXPOSURES = {"exposure_id": pa.string(), "t_s": pa.float64(), "R_si": fixed(9), "usable": pa.bool_()}
 COORDINATES = {
     "target_id": pa.string(),
     "t_s": pa.float64(),
@@ -45,6 +45,7 @@ class SavedResult:
     theta: Floats = array("3", "deviation from the pre-launch matrix, rad")
     cov_theta: Floats = array("3, 3", "its covariance, rad², a small rotation about the axes of c")
     installation: dict[str, Any] = scalar("content of installation.json")
+    exposure_id: list[str] = array("K", "ids of the identified exposures")
     t_exposures_s: Floats = array("K", "their times, TAI seconds since the dump's epoch")
     R_si: Rotation = array("K", "their attitudes, GCRS to star camera")
     usable: Bools = array("K", "whether enough stars were kept to determine the attitude")
@@ -84,6 +85,7 @@ def read_result(result: Path) -> SavedResult:
         theta=_numbers(content, "theta_rad", (3,), name),
         cov_theta=_numbers(content, "covariance_rad2", (3, 3), name),
         installation=content,
+        exposure_id=[str(name) for name in table.column("exposure_id").to_pylist()],
         t_exposures_s=column(table, "t_s"),
         R_si=R_si,
         usable=column(table, "usable").astype(bool),

@@ -131,6 +131,7 @@ def test_pixels_are_placed_on_the_ground_and_found_again(flown) -> None:
         theta=np.zeros(3),
         cov_theta=1e-12 * np.eye(3),
         installation={},
+        exposure_id=[],
         t_exposures_s=none,
         R_si=task.R_si[:0],
         usable=none.astype(bool),
