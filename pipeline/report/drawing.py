@@ -53,6 +53,7 @@ _VARIABLES = {
 WIDTH_IN = 4.6
 MARGINS_IN = (0.72, 0.2, 0.47, 0.1)  # left, right, bottom, top: room for ticks and labels
 LABELS_IN = (0.53, 0.28)  # of axes with these margins: y label left of them, x label below
+MOST_INTERVALS = 5  # between ticks: more crowd a figure of this width, and each tick takes 0.5 ms
 COLOURS = 8  # of strips: --s0 to --s7 in style.css
 SHAPES = {  # marks of strips, about 20 units wide
     "circle": "M-9 0A9 9 0 1 1 9 0A9 9 0 1 1-9 0Z",
@@ -138,6 +139,7 @@ def dress_axes(axes: Axes, x_label: str, y_label: str) -> None:
     axes.set_xlabel(x_label, color=INK, fontsize=9)
     axes.set_ylabel(y_label, color=INK, fontsize=9)
     axes.tick_params(which="both", color=MUTED, labelcolor=INK, labelsize=8.5)
+    axes.locator_params(nbins=MOST_INTERVALS)
     for side, spine in axes.spines.items():
         spine.set_color(MUTED)
         spine.set_visible(side in ("left", "bottom"))

@@ -94,21 +94,16 @@ class Browser:
         return got["result"].get("value")
 
     async def go(self, page: Path, width: int, scheme: str, media: str = "screen") -> dict[str, Any]:
-        await self.do(
-            "Emulation.setDeviceMetricsOverride", width=width, height=900, deviceScaleFactor=1, mobile=False
-        )
         features = [{"name": "prefers-color-scheme", "value": scheme}]
-        await self.do("Emulation.setEmulatedMedia", media=media, features=features)
+        size = {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": False}
         self.events.clear()
-        await self.do(
-            "Page.navigate", url="about:blank"
-        )  # an address that differs in its #... only loads nothing
-        await self.loaded()
-        await self.do("Page.navigate", url=page.as_uri())
-        await self.loaded()
-        await self.do(
-            "Emulation.setEmulatedMedia", media=media, features=features
-        )  # of the page's own process
+        # An address that differs in its #... only loads nothing, so another page comes between.
+        for address in ("about:blank", page.as_uri()):
+            await self.do("Page.navigate", url=address)
+            await self.loaded()
+        # After loading: each page has a process of its own.
+        await self.do("Emulation.setDeviceMetricsOverride", **size)
+        await self.do("Emulation.setEmulatedMedia", media=media, features=features)
         # The overrides reach the page's own process a moment after the page has been loaded.
         wait = "new Promise((done) => { const end = Date.now() + 10000; const look = () =>"
         wait += f" innerWidth === {width} && matchMedia('(prefers-color-scheme: {scheme})').matches"
