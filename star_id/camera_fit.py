@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from types import MappingProxyType
 
 import numpy as np
@@ -92,10 +93,10 @@ def fit_camera(
     stars = replace(stars, t_s=stars.t_s - stars.t_s.mean())
     theta, R = _vector(camera), rotations
     keep = np.ones(len(stars.xy_px), dtype=bool)
-    variance = 0.5 * np.trace(stars.cov_px, axis1=1, axis2=2)
+    variance, weight = 0.5 * np.trace(stars.cov_px, axis1=1, axis2=2), np.linalg.inv(stars.cov_px)
     for k in range(_STEPS):
         pull = prior_weight * (first - theta[columns])
-        step = _step(theta, R, camera, stars, keep, columns, prior_weight, pull)
+        step = _step(theta, R, camera, stars, weight * keep[:, None, None], columns, prior_weight, pull)
         theta = theta.copy()
         theta[columns] += step.d_camera
         R = Rotation.from_rotvec(step.d_rotation) * R
@@ -109,7 +110,7 @@ def fit_camera(
             break
         keep = inlier
     residual = step.residual[keep]
-    total = float(np.einsum("ni,nij,nj->", residual, np.linalg.inv(stars.cov_px[keep]), residual))
+    total = float(np.einsum("ni,nij,nj->", residual, weight[keep], residual))
     dof = 2 * int(keep.sum()) - len(free) - 3 * len(stars.t_s)
     variance_factor = max(1.0, total / max(dof, 1))
     return CameraFit(
@@ -193,26 +194,24 @@ def _step(
     R: Rotation,
     camera: StarCamera,
     stars: IdentifiedStars,
-    keep: Bools,
+    W: Floats,
     columns: list[int],
     prior_weight: Floats,
     pull: Floats,
 ) -> _Step:
-    """`prior_weight` (F,) and `pull` (F,) are the prior's terms in the camera's normal equations."""
+    """`W` (N, 2, 2) are the stars' weights, zero of those left out; `prior_weight` (F,) and `pull` (F,) the
+    prior's terms in the camera's normal equations."""
     u_s = np.einsum("nij,nj->ni", R.as_matrix()[stars.frame], stars.u_i)
     time = stars.t_s[stars.frame]
     projected = _project(theta, camera, u_s, time)
     residual = stars.xy_px - projected.pixels
     J, A = _camera_columns(projected, camera, time, columns), _rotation_columns(projected)
-    W = np.linalg.inv(stars.cov_px) * keep[:, None, None]
-    JW, AW = J.transpose(0, 2, 1) @ W, A.transpose(0, 2, 1) @ W
-    images = len(stars.t_s)
-    Naa = _summed(AW @ A, stars.frame, images)
-    Nca = _summed(JW @ A, stars.frame, images)
-    ga = _summed((AW @ residual[:, :, None])[:, :, 0], stars.frame, images)
+    products = _products_by_image(np.concatenate([J, A, residual[:, :, None]], axis=2), W, stars)
+    F = len(columns)
+    Naa, Nca, ga = products[:, F:-1, F:-1], products[:, :F, F:-1], products[:, F:-1, -1]
     gain = np.linalg.solve(Naa, Nca.transpose(0, 2, 1))  # (K, 3, F)
-    normal = (JW @ J).sum(axis=0) - (Nca @ gain).sum(axis=0) + np.diag(prior_weight)
-    g = (JW @ residual[:, :, None]).sum(axis=0)[:, 0] - np.einsum("kap,ka->p", gain, ga) + pull
+    normal = products[:, :F, :F].sum(axis=0) - (Nca @ gain).sum(axis=0) + np.diag(prior_weight)
+    g = products[:, :F, -1].sum(axis=0) - np.einsum("kap,ka->p", gain, ga) + pull
     d_camera = np.linalg.solve(normal, g)
     d_rotation = np.linalg.solve(Naa, (ga - np.einsum("kpa,p->ka", Nca, d_camera))[:, :, None])[:, :, 0]
     cov_camera = np.linalg.inv(normal)
@@ -221,10 +220,13 @@ def _step(
     return _Step(d_camera, d_rotation, cov_camera, cov_rotation, residual)
 
 
-def _summed(values: Floats, group: Ints, groups: int) -> Floats:
-    total = np.zeros((groups, *values.shape[1:]))
-    np.add.at(total, group, values)
-    return total
+def _products_by_image(X: Floats, W: Floats, stars: IdentifiedStars) -> Floats:
+    """Sums (K, M, M) of Xᵀ W X over the stars of each image, of X (N, 2, M) and weights W (N, 2, 2)."""
+    order = np.argsort(stars.frame, kind="stable")
+    ends = 2 * np.searchsorted(stars.frame, np.arange(len(stars.t_s) + 1), sorter=order)
+    X = X[order]
+    flat, weighted = (part.reshape(-1, X.shape[2]) for part in (X, W[order] @ X))
+    return np.array([flat[a:b].T @ weighted[a:b] for a, b in pairwise(ends.tolist())])
 
 
 @dataclass(frozen=True, slots=True, eq=False)

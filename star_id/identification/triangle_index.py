@@ -294,7 +294,7 @@ def _brightest_of_neighbourhood(u_i: Floats, fov_rad: float) -> Ints:
     radius = np.sqrt(area / np.pi)
     enough = min(len(u_i), int(4 * STARS_PER_FIELD * _FULL_SKY_SR / area))
     pairs = cKDTree(u_i[:enough]).query_pairs(2.0 * np.sin(0.5 * radius), output_type="ndarray")
-    brighter = np.bincount(pairs.max(axis=1), minlength=enough)
+    brighter = np.bincount(pairs[:, 1], minlength=enough)  # the larger row of a pair comes second
     return np.flatnonzero(brighter < STARS_PER_FIELD)
 
 
