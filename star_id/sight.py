@@ -19,7 +19,7 @@ from boresight.geometry.star_camera import StarCamera
 from boresight.star_id.catalogue import hipparcos_stars
 from boresight.star_id.centroids import Centroids
 from boresight.star_id.finding.star_list import find_stars
-from boresight.star_id.identification.identify import NotIdentified, identify
+from boresight.star_id.identification.identify import AttitudePrior, NotIdentified, identify
 from boresight.star_id.identification.tangent_plane import FieldOfView
 from boresight.star_id.identification.triangle_index import StarIndex, equivalent_fov
 from boresight.star_id.observer import Observer, star_directions
@@ -46,6 +46,9 @@ def sight_stars(
     index: StarIndex,
     observer: Observer,
     settings: StarSettings,
+    *,
+    dark: NDArray | None = None,
+    prior: AttitudePrior | None = None,
 ) -> StarSightings | NotIdentified:
     """Identified stars of one exposure, fit for calibration.
 
@@ -63,6 +66,10 @@ def sight_stars(
         Middle of the exposure, position and velocity of the satellite.
     settings : StarSettings
         A rotation of the satellite during the exposure is stated by `settings.smear_px` (`smear_of_rate`).
+    dark : (H, W) array, optional
+        Dark frame of the camera.
+    prior : AttitudePrior, optional
+        Expected attitude, aberration not removed; saves time.
 
     Returns
     -------
@@ -72,10 +79,10 @@ def sight_stars(
     Raises
     ------
     ValueError
-        If the image is not (H, W) of at least 32 pixels.
+        If the image is not (H, W) of at least 32 pixels, or the dark frame has another size.
     """
-    stars = find_stars(image, settings)
-    return sight_centroids(exposure_id, stars.centroids, camera, index, observer, settings)
+    stars = find_stars(image, settings, dark)
+    return sight_centroids(exposure_id, stars.centroids, camera, index, observer, settings, prior=prior)
 
 
 def sight_centroids(
@@ -85,10 +92,12 @@ def sight_centroids(
     index: StarIndex,
     observer: Observer,
     settings: StarSettings,
+    *,
+    prior: AttitudePrior | None = None,
 ) -> StarSightings | NotIdentified:
     """Identified stars of one exposure from its N centroids (N, 2); arguments as in `sight_stars`."""
     plane, field = tangent_coordinates(camera, stars.xy_px), field_of_camera(camera, settings)
-    found = identify(plane, field, index, settings)
+    found = identify(plane, field, index, settings, prior=prior)
     if isinstance(found, NotIdentified):
         reason = f"exposure {exposure_id}: {found.reason}"
         return NotIdentified(reason, found.n_stars, found.proposals, found.best_log_odds)

@@ -33,7 +33,7 @@ from boresight.star_id.identification.tangent_plane import Complex, FieldOfView,
 from boresight.star_id.identification.triangle_index import StarIndex
 from boresight.star_id.settings import StarSettings
 
-__all__ = ["DENSER", "STAGES", "Identification", "NotIdentified", "identify"]
+__all__ = ["DENSER", "STAGES", "AttitudePrior", "Identification", "NotIdentified", "identify"]
 
 # (table, from, to): triangles of the brightest `to` detections that are not all among the brightest `from`;
 # table 1 holds larger triangles of brighter stars, which are fewer, but more robust to false detections;
@@ -43,7 +43,16 @@ STAGES = (
     *((0, 0, 8), (1, 0, 10), (0, 8, 14), (0, 14, MOST_DETECTIONS), (1, 10, 18)),
     *((DENSER, 0, 14), (DENSER, 14, MOST_DETECTIONS)),
 )
+_STARS_FOR_SHIFT = 30  # brightest stars that determine the error of a prior attitude
 _UNAMBIGUOUS = 0.05  # of the detections' spacing: stars predicted so well are nearest to their own detections
+
+
+@record
+class AttitudePrior:
+    """Expected attitude of the camera, such as the last image's, propagated."""
+
+    R_si: Rotation = scalar("rotation GCRS to star-camera frame s")
+    sigma_rad: float = scalar("1-sigma error about each axis, rad")
 
 
 @record(kw_only=True)
@@ -80,6 +89,7 @@ def identify(
     *,
     stages: tuple[tuple[int, int, int], ...] = STAGES,
     tried: int = 0,
+    prior: AttitudePrior | None = None,
 ) -> Identification | NotIdentified:
     """Catalogue stars and attitude of detections given in the tangent plane.
 
@@ -99,6 +109,8 @@ def identify(
     tried : int
         Proposals examined elsewhere (earlier stages, other fields of view); they count in the false-alarm
         probability.
+    prior : AttitudePrior, optional
+        Expected attitude, tried first.
 
     Returns
     -------
@@ -113,6 +125,10 @@ def identify(
     if n < 4:
         return NotIdentified(f"{n} stars found, 4 are needed; lower the threshold or expose longer", n)
     image = PlaneDetections.from_xy(xy, field)
+    if prior is not None:
+        tracked, tried = _track(image, index, prior, settings)
+        if tracked is not None:
+            return tracked
     tables = dict(enumerate(index.tables_for(field.equivalent_fov_rad)))
     if (denser := index.denser_table(field.equivalent_fov_rad)) is not None:
         tables[DENSER] = denser
@@ -150,6 +166,40 @@ class _Trial:
     log_ratio: float
 
 
+def _track(
+    image: PlaneDetections, index: StarIndex, prior: AttitudePrior, settings: StarSettings
+) -> tuple[Identification | None, int]:
+    """The identification near a prior attitude, if there is one, and the number of shifts tried.
+
+    The predicted field is shifted by the offset that most pairs of bright stars and detections have in
+    common.
+    """
+    field = image.field
+    reach = 4.0 * prior.sigma_rad * (1.0 + field.half_x**2 + field.half_y**2)
+    hypothesis = predict_field(image, index, prior.R_si.as_matrix(), np.zeros(4))
+    shifts = 1
+    if reach > 4.0 * field.pixel:
+        bright = hypothesis.predicted[:_STARS_FOR_SHIFT]
+        every = (image.points[None, :_STARS_FOR_SHIFT] - bright[:, None]).ravel()
+        offsets = every[(np.abs(every.real) < reach) & (np.abs(every.imag) < reach)]
+        cell = max(4.0 * field.pixel, 0.5 * prior.sigma_rad)
+        cells = int(np.ceil(2.0 * reach / cell))
+        shifts = cells * cells
+        if len(offsets) == 0:
+            return None, shifts
+        column, row = (((part + reach) / cell).astype(np.int64) for part in (offsets.real, offsets.imag))
+        bins = column * cells + row
+        shift = offsets[bins == np.bincount(bins).argmax()].mean()
+        rotation = Rotation.from_rotvec([-shift.imag, shift.real, 0.0])  # moves stars by the shift
+        R = (rotation * prior.R_si).as_matrix()
+        hypothesis = predict_stars(index, hypothesis.rows, R, hypothesis.distortion)
+    sigma = np.hypot(2.0 * field.pixel, prior.sigma_rad * np.abs(hypothesis.predicted))
+    trial = _refined_trial(image, index, hypothesis, sigma, chosen=2)
+    if trial is None or np.log(shifts) - trial.log_ratio >= np.log(settings.max_false_alarm_probability):
+        return None, shifts
+    return _identification(trial, shifts), shifts
+
+
 def _try_proposal(
     image: PlaneDetections, index: StarIndex, corners: Complex, R: Floats, log_scale: float
 ) -> _Trial | None:
@@ -162,16 +212,16 @@ def _try_proposal(
     size = math.hypot(abs(a - centre), abs(b - centre), abs(c - centre)) / math.sqrt(3.0)
     reach = np.abs(hypothesis.predicted - centre)
     sigma = np.sqrt(field.pixel**2 + (0.5 * field.shape_error * reach) ** 2) * (1.0 + 0.7 / size * reach)
-    return _refined_trial(image, index, hypothesis, sigma)
+    return _refined_trial(image, index, hypothesis, sigma, chosen=3)
 
 
 def _refined_trial(
-    image: PlaneDetections, index: StarIndex, hypothesis: Hypothesis, sigma: Floats
+    image: PlaneDetections, index: StarIndex, hypothesis: Hypothesis, sigma: Floats, *, chosen: int
 ) -> _Trial | None:
     """The hypothesis refined by the detections that match it; None if they are fewer than four.
 
-    Its predictions are good to `sigma` (M,); it was made to fit three detections, which do not count in the
-    likelihood ratio.
+    Its predictions are good to `sigma` (M,); it was made to fit `chosen` detections, which do not count in
+    the likelihood ratio.
     """
     field = image.field
     near = nearby_pairs(image, hypothesis, sigma)
@@ -198,7 +248,7 @@ def _refined_trial(
         len(image.points) - len(pairs.detections),
         pairs.n_predicted,
         image.area,
-        n_excluded=3 + (fitted - 2) // 2,
+        n_excluded=chosen + (fitted - 2) // 2,
     )
     return _Trial(match, R_si, distortion, log_ratio)
 

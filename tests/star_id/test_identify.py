@@ -18,7 +18,7 @@ from boresight.star_id.field import (
     nominal_camera,
     solve_stars,
 )
-from boresight.star_id.identification.identify import Identification, NotIdentified, identify
+from boresight.star_id.identification.identify import AttitudePrior, Identification, NotIdentified, identify
 from boresight.star_id.identification.likelihood import log_likelihood_ratio
 from boresight.star_id.identification.proposals import _attitudes
 from boresight.star_id.identification.tangent_plane import PlaneDetections
@@ -167,6 +167,20 @@ def test_stars_of_one_sky_mirrored_are_not_identified(index, places):
         )
 
 
+@pytest.mark.parametrize("sigma_rad", [0.0, 2e-4, 5e-3])
+def test_a_prior_attitude_is_followed_and_a_wrong_one_does_no_harm(index, places, sigma_rad):
+    rng = np.random.default_rng(5)
+    field = field_of_camera(PAPER_CAMERA, SETTINGS)
+    for wrong in (False, False, False, True):
+        R_si = Rotation.random(random_state=rng)
+        xy, hip = detections(PAPER_CAMERA, R_si, places, rng, false=50)
+        expected = Rotation.from_rotvec(rng.normal(0, sigma_rad, 3)) * R_si
+        prior = AttitudePrior(Rotation.random(random_state=rng) if wrong else expected, sigma_rad)
+        found = identify(tangent_coordinates(PAPER_CAMERA, xy), field, index, SETTINGS, prior=prior)
+        assert isinstance(found, Identification)
+        assert share_right(index.stars.hip[found.stars], found.detections, hip) > 0.9
+
+
 def test_faint_stars_are_named_though_bright_ones_are_better_placed(index, places):
     # A fit that dropped faint stars far from their places would leave a sample that looks too good.
     rng = np.random.default_rng(12)
@@ -281,3 +295,18 @@ def test_the_stated_covariance_of_the_attitude_holds():
         delta_s = (attitude.R_si * R_si.inv()).as_rotvec()
         total += delta_s @ np.linalg.solve(attitude.cov_s, delta_s)
     assert total / runs == pytest.approx(3.0, abs=5 * np.sqrt(6.0 / runs))
+
+
+def test_a_guess_without_catalogue_stars_is_no_match(index):
+    few = index.stars.take(np.arange(5))
+    lonely = build_index(few, few.epoch_jyear, 0.3)
+    away = Rotation.align_vectors([0.0, 0.0, 1.0], -lonely.u_i.sum(axis=0))[0]
+    plane = np.random.default_rng(14).uniform(-0.05, 0.05, (20, 2))
+    answer = identify(
+        plane,
+        field_of_camera(PAPER_CAMERA, SETTINGS),
+        lonely,
+        SETTINGS,
+        prior=AttitudePrior(away, 1e-3),
+    )
+    assert isinstance(answer, NotIdentified)
