@@ -130,13 +130,18 @@ def _leap_seconds() -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     return np.array(days), np.array([round(float(row["tai_utc"])) for row in table])
 
 
-@lru_cache(maxsize=4096)
-def _offset_of_day(mjd: int) -> int:
-    return int(tai_minus_utc_s(mjd))
-
-
 def _mjd(year: int, month: int, day: int) -> int:
     return datetime.date(year, month, day).toordinal() - _MODIFIED_JULIAN_ZERO
+
+
+@lru_cache(maxsize=4096)
+def _day(year: str, month: str, day: str) -> tuple[int, int, bool]:
+    """UTC seconds from the origin to a day's beginning, its TAI - UTC, and whether a leap second ends it."""
+    mjd = _mjd(int(year), int(month), int(day))
+    if mjd < _MJD_1972:
+        raise ValueError("dates before 1972-01-01 are not supported")
+    offset = int(tai_minus_utc_s(mjd))
+    return (mjd - MJD_OF_ORIGIN) * _DAY - _NOON, offset, int(tai_minus_utc_s(mjd + 1)) > offset
 
 
 def _tai_from_utc(text: str) -> tuple[int, float]:
@@ -144,19 +149,16 @@ def _tai_from_utc(text: str) -> tuple[int, float]:
     match = _DATE_TIME.fullmatch(text.strip())
     if match is None:
         raise ValueError(f"UTC must look like 2024-06-30T23:59:59.123456789, found {text!r}")
-    year, month, day, hour, minute, second = (int(group or 0) for group in match.groups()[:6])
+    *date, hours, minutes, seconds, fraction = match.groups("0")
     try:
-        mjd = _mjd(year, month, day)
+        begin, offset, ends_with_leap = _day(*date)
     except ValueError as error:
         raise ValueError(f"UTC {text!r}: {error}") from None
-    if mjd < _MJD_1972:
-        raise ValueError(f"UTC {text!r}: dates before 1972-01-01 are not supported")
-    offset = _offset_of_day(mjd)
-    last_second = 60 if _offset_of_day(mjd + 1) > offset and (hour, minute) == (23, 59) else 59
+    hour, minute, second = int(hours), int(minutes), int(seconds)
+    last_second = 60 if ends_with_leap and (hour, minute) == (23, 59) else 59
     if hour > 23 or minute > 59 or second > last_second:
         raise ValueError(f"UTC {text!r}: no such time of day (no leap second is known there)")
-    whole = (mjd - MJD_OF_ORIGIN) * _DAY + hour * 3600 + minute * 60 + second + offset - _NOON
-    return whole, float(f"0.{match.group(7) or 0}")
+    return begin + hour * 3600 + minute * 60 + second + offset, float(f"0.{fraction}")
 
 
 def _utc_from_tai(tai_s: int, nanosecond: int) -> str:

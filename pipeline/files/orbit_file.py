@@ -61,7 +61,7 @@ def read_oem(path: Path, file: str) -> Ephemeris:
     """The states of an OEM of one segment; `file` names it in errors.
 
     A message of the plain form (the usual keywords only, UTC, each state a calendar date, position, velocity)
-    is parsed here, a hundred times faster; the library `oem` checks and reads any other, XML too. It takes
+    is parsed here, many times faster; the library `oem` checks and reads any other, XML too. It takes
     0.6 s to load, with astropy. States in EME2000 are rotated to GCRF. Raises `RawDataError`.
     """
     text = read_text(path, file)

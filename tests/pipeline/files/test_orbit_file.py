@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import datetime
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import erfa
@@ -100,16 +101,21 @@ def test_what_is_wrong_is_named_in_the_fast_way_too(old: str, new: str, says: st
         read_oem(written(tmp_path, text_of(20).replace(old, new, 1)), "orbit.oem")
 
 
-def test_day_at_one_hertz_takes_less_than_a_second(tmp_path: Path) -> None:
-    read_oem(written(tmp_path, text_of(100)), "orbit.oem")  # libraries are loaded
-    path = written(tmp_path, text_of(86_400))
-    took_s: list[float] = []
-    while len(took_s) < 3 and min(took_s, default=1.0) >= 1.0:  # other programs take caches and clock
-        begin = time.process_time()
-        found = read_oem(path, "orbit.oem")
-        took_s.append(time.process_time() - begin)
-    assert min(took_s) < 1.0  # of CPU time; 0.35 measured, 4 through the library alone
-    assert len(found.t_s) == 86_400
+def test_six_hours_at_one_hertz_take_less_than_a_quarter_of_the_librarys_time(tmp_path: Path) -> None:
+    # A day took 0.35 s of CPU time, the library alone 4 s; in turn, as clocks of machines differ by three.
+    path = written(tmp_path, text_of(21_600))
+    alone_s, here_s = [np.inf], [np.inf]
+    while len(here_s) <= 5 and not min(here_s) < 0.25 * min(alone_s):  # other programs take caches and clock
+        alone_s.append(cpu_s(lambda: list(OrbitEphemerisMessage.open(path).segments[0].states)))
+        here_s.append(cpu_s(lambda: read_oem(path, "orbit.oem")))
+    assert min(here_s) < 0.25 * min(alone_s)
+    assert len(read_oem(path, "orbit.oem").t_s) == 21_600
+
+
+def cpu_s(work: Callable[[], object]) -> float:
+    begin = time.process_time()
+    work()
+    return time.process_time() - begin
 
 
 def test_states_in_eme2000_are_rotated_by_the_frame_bias(tmp_path: Path) -> None:
