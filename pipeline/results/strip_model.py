@@ -31,6 +31,7 @@ __all__ = [
     "exposures_around",
     "open_calibrated",
     "pushbroom_with",
+    "run_settings_of",
     "strip_model",
 ]
 
@@ -64,7 +65,7 @@ def open_calibrated(result: Path, dump: Path | None, *, allow_stale_eop: bool = 
     """
     folder, saved = read_for_dump(result, dump)
     table = read_parquet(folder / "sightings" / "exposures.parquet", {"covariance_s": fixed(9)})
-    run = _run_settings(saved, result)
+    run = run_settings_of(saved, str(result / "installation.json"))
     root = dump if dump is not None else _noted_dump(result)
     check_dump_of(folder, root)
     opened = open_dump(root, allow_stale_eop=allow_stale_eop)
@@ -127,11 +128,10 @@ def pushbroom_with(
     )
 
 
-def _run_settings(saved: SavedResult, result: Path) -> RunSettings:
-    """Those that the result was made with."""
+def run_settings_of(saved: SavedResult, file: str) -> RunSettings:
+    """The settings that a result was made with; `RawDataError`, which names `file`, where it has none."""
     settings = saved.installation.get("settings")
     run = settings.get("run") if isinstance(settings, dict) else None
-    file = str(result / "installation.json")
     if not isinstance(run, dict):
         raise RawDataError(file, "settings.run", type(run).__name__, "an object, as `calibrate` wrote it")
     return filled(RunSettings, run, file, "settings.run")

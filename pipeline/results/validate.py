@@ -21,8 +21,8 @@ from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.dump import Dump, Strip, surface_of
 from boresight.pipeline.files.text_files import read_table, read_toml
 from boresight.pipeline.results.reading import SavedResult
-from boresight.pipeline.results.strip_model import exposures_around, pushbroom_with
-from boresight.pipeline.settings import RunSettings, effects_of
+from boresight.pipeline.results.strip_model import exposures_around, pushbroom_with, run_settings_of
+from boresight.pipeline.settings import effects_of
 
 __all__ = ["CheckPoints", "Validation", "true_installation", "validate"]
 
@@ -144,12 +144,16 @@ def _check(
 
 
 def _pushbroom(strip: Strip, result: SavedResult, dump: Dump, R_cs: Rotation) -> Pushbroom | None:
-    """The strip's model with the attitudes of the result's star exposures."""
-    near = exposures_around(result, dump, strip, RunSettings().exposure_margin_s)
+    """The strip's model with the attitudes of the result's star exposures and its settings."""
+    run = run_settings_of(result, "installation.json")
+    near = exposures_around(result, dump, strip, run.exposure_margin_s)
     if len(near) < 2:
         return None
-    track = AttitudeTrack(result.t_exposures_s[near], result.R_si[near], dump.orbit)
-    return pushbroom_with(track, strip, dump, R_cs, effects_of(RunSettings(), dump.light))
+    interpolation = dump.heads[0].interpolation
+    track = AttitudeTrack(
+        result.t_exposures_s[near], result.R_si[near], dump.orbit, interpolation=interpolation
+    )
+    return pushbroom_with(track, strip, dump, R_cs, effects_of(run, dump.light))
 
 
 def _error(points: list[CheckPointRow], ccd: int, model: Pushbroom, dump: Dump) -> Floats:

@@ -50,3 +50,32 @@ def test_errors_on_the_ground_are_told_along_and_across_the_track(
     rms = validate(wrong, dump).after.rms_m
     mine, other = rms if along else rms[::-1]
     assert mine > 45.0 and other < 0.15 * mine
+
+
+def with_run(true: SavedResult, **changes: object) -> SavedResult:
+    settings = true.installation["settings"]
+    run = settings["run"] | changes
+    return replace(true, installation=true.installation | {"settings": settings | {"run": run}})
+
+
+def test_ground_is_computed_with_the_settings_of_the_result(known: tuple[Dump, SavedResult]) -> None:
+    # Aberration by the satellite's velocity of 7.6 km/s is 25.3 urad: 13.4 m from 530 km, along the track.
+    dump, true = known
+    all_effects = validate(true, dump).after
+    fewer = validate(with_run(true, aberration=False), dump).after
+    moved = np.abs(np.mean(fewer.along_m - all_effects.along_m))
+    assert 12.0 < moved < 16.0
+    assert abs(np.mean(fewer.across_m - all_effects.across_m)) < 0.1 * moved
+
+
+def test_exposures_around_a_strip_are_those_of_the_margin_of_the_result(
+    known: tuple[Dump, SavedResult],
+) -> None:
+    dump, true = known
+    first, last = dump.span_s(dump.strips[0])
+    t = true.t_exposures_s
+    outside = replace(true, usable=true.usable & ((t < first - 0.1) | (t > last + 0.1)))  # at most 0.4 s away
+    wide = validate(with_run(outside, exposure_margin_s=0.5), dump)
+    narrow = validate(with_run(outside, exposure_margin_s=0.1), dump)
+    assert len(wide.after.point_id) == 22
+    assert len(narrow.after.point_id) == 0 and narrow.without == wide.without + 22
