@@ -288,8 +288,11 @@ reveal_type(bs.forecast("plan.toml").strips_needed)
 
 
 NOT_IN_SIGNATURES = (
-    *("annotated_types", "astropy", "click", "cv2", "dask", "distributed", "jinja2", "PIL", "pydantic"),
-    *("pydantic_core", "pyparsing", "pyproj", "rasterio", "rich", "skimage", "tomlkit", "tornado", "typer"),
+    *("annotated_types", "astropy", "click", "cv2", "dask", "distributed", "jinja2", "optype", "packaging"),
+    *("PIL", "platformdirs", "pydantic", "pydantic_core", "pyparsing", "pyproj", "rasterio", "rich"),
+    *("scipy.fft", "scipy.integrate", "scipy.interpolate", "scipy.linalg", "scipy.ndimage", "scipy.optimize"),
+    *("scipy.signal", "scipy.sparse", "scipy.special", "scipy.stats", "skimage", "tomlkit", "tornado"),
+    "typer",
 )
 
 

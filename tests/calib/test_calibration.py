@@ -53,7 +53,9 @@ def test_without_the_position_nuisance_the_covariance_is_many_times_too_small():
 
 
 def test_targets_that_all_strips_see_are_one_point_each():
-    plan = replace(StripPlan(), strips=20, targets=6, sigma_target_m=5.0, same_targets=True)
+    # as much information as in 10 exposures of 40 stars of 0.06 px
+    few = {"exposures": 5, "stars": 15, "sigma_s_px": 0.026}
+    plan = StripPlan(strips=20, targets=6, sigma_target_m=5.0, same_targets=True, **few)
     settings = CalibrationSettings(
         sigma_clock_s=0, sigma_vibration_rad=0, sigma_distortion_rad=0, robust=False
     )

@@ -54,10 +54,24 @@ def _seen(scene: NDArray) -> NDArray:
 def _sample(seen: NDArray, centre: NDArray, turn: NDArray, shape_px: int) -> NDArray:
     """Sample (shape_px, shape_px) about `centre` (x, y) of the scene, every RATIO picture pixels."""
     half = (shape_px - 1) / 2.0
+    if np.array_equal(turn, np.eye(2)):  # rows and columns one after the other
+        for first in (centre - RATIO * half)[::-1]:
+            seen = _along(seen, first, shape_px).T
+        return seen
     y, x = np.mgrid[0:shape_px, 0:shape_px] - half
     u = np.stack([x, y]) * RATIO
     points = np.tensordot(turn, u, axes=1) + centre[:, None, None]
     return ndimage.map_coordinates(seen, points[::-1], order=3, mode="mirror", prefilter=False)
+
+
+def _along(coefficients: NDArray, first: float, count: int) -> NDArray:
+    """Cubic spline of coefficients (n, m) along the first axis, (count, m), every RATIO from `first` on."""
+    whole = int(np.floor(first))
+    t, last = first - whole, len(coefficients) - 1
+    of_basis = (1.0 - t) ** 3, 4.0 - 3.0 * t * t * (2.0 - t), 1.0 + 3.0 * t * (1.0 + t * (1.0 - t)), t**3
+    at = whole - 1 + RATIO * np.arange(count)
+    mirrored = [last - np.abs(last - np.abs(at + k)) for k in range(4)]
+    return sum(weight / 6.0 * coefficients[rows] for weight, rows in zip(of_basis, mirrored))
 
 
 @dataclass(frozen=True)

@@ -13,15 +13,14 @@ import sys
 import termios
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
 
 import pytest
 import typer
+from talking import worker
 from typer.testing import CliRunner
 
 from boresight.pipeline.cli import app
-from boresight.pipeline.commands.messages import Answer, fitted, say, talks, tell
-from boresight.pipeline.commands.progress import progress_bars
+from boresight.pipeline.commands.messages import Answer, fitted, talks
 from boresight.pipeline.errors import Omission, RawDataError
 from boresight.pipeline.stages.cached import StageRunner
 from boresight.pipeline.stages.unit_log import log_unit
@@ -33,25 +32,6 @@ COMMANDS = [[str(c.name or c.callback.__name__)] for c in app.registered_command
     for c in group.typer_instance.registered_commands
     if c.callback
 ]
-
-
-def work(status: Annotated[int, typer.Option(help="Of the answer.")] = 0) -> Answer:
-    """Work.
-
-    Example: boresight work --status 0
-    """
-    with progress_bars() as progress:
-        for n in range(101):
-            progress("units", n, 100)
-    say("a remark")
-    tell("a result \x1b[2J")
-    if status == 9:
-        raise RawDataError("a.csv", "line 2", "x", "a number")
-    return Answer(text="the end", content={"n": float("nan")}, files=(Path("a.csv"),), exit_status=status)
-
-
-worker = typer.Typer()
-worker.command()(talks(work, with_json=True))
 
 
 def test_results_go_to_stdout_and_a_line_a_tenth_to_stderr() -> None:
@@ -181,7 +161,7 @@ def on_a_terminal(program: str, columns: int, **environment: str) -> str:
 SHOWN = f"""
 import sys
 sys.path.insert(0, {str(Path(__file__).parent)!r})
-from test_messages import say, worker
+from talking import say, worker
 say("a sentence of many words " * 20)
 worker(["--status", "0"])
 """

@@ -164,7 +164,6 @@ def faulty(finished, tmp_path_factory) -> Path:
     rows = list(csv.reader((dump / "targets.csv").open(newline="")))
     for row, change in ((rows[3], shifted), (rows[6], grey)):
         content = change(dump / row[8])
-        (dump / row[8]).unlink()  # a hard link to the fixture's
         (dump / row[8]).write_bytes(content)
     stopped_run(result, [dump], finished[1])
     ran = CliRunner().invoke(app, ["calibrate", str(dump), "--out", str(result), "--workers", "1"])

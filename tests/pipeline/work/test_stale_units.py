@@ -65,7 +65,7 @@ def test_changed_pixels_make_again_their_exposure_or_strip(copied: tuple[Path, P
     times = (chip.stat().st_atime_ns, chip.stat().st_mtime_ns)
     raw = bytearray(chip.read_bytes())
     raw += b"\0"  # content that no reader uses counts as a change, too
-    chip.unlink()  # the original is a hard link into the fixture
+    chip.unlink()  # another file of the same times comes in its place
     chip.write_bytes(raw)
     os.utime(chip, ns=times)
     assert units_made(dump, result) == STRIPS
