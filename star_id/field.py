@@ -68,6 +68,7 @@ _ATTEMPTS: tuple[_Attempt, ...] = (
     (False, _PASSES[1:], "tangent"),
 )
 _ATTEMPTS_OF_CAMERA: tuple[_Attempt, ...] = ((False, _PASSES, "tangent"), (True, _PASSES, "tangent"))
+_LARGEST_SQUARE = 18.4  # of a residual, in sigmas: stars beyond it, 1e-4 by chance, are wrong or blended
 _CLEARLY_MORE = 1.1  # times the stars of a tangent lens: then it is a fisheye
 
 
@@ -246,8 +247,39 @@ def solve_list(
         elif (solution := _weighted(seen, *answer, index, settings, camera, observer)) is None:
             reasons.append(_without_lens(answer[0]))
         elif best is None or solution.matches > _CLEARLY_MORE * best.matches:
-            best = replace(solution, mirrored=mirrored)
-    return best or max(reasons, key=lambda answer: answer.best_log_odds)
+            best, named = replace(solution, mirrored=mirrored), answer[0]
+    if best is None:
+        return max(reasons, key=lambda answer: answer.best_log_odds)
+    if camera is None and best.fov_x_rad > _WIDE_RAD:
+        seen = reversed_stars if best.mirrored else stars
+        return _of_likelier_projection(best, named, seen, index, settings, observer)
+    return best
+
+
+def _of_likelier_projection(
+    best: FieldSolution,
+    named: Identification,
+    stars: StarList,
+    index: StarIndex,
+    settings: StarSettings,
+    observer: Observer | None,
+) -> FieldSolution:
+    """The solution, or that of the other projection from the same stars if it leaves smaller residuals: the
+    projection by which the stars were named need not be the lens's own."""
+    other: Projection = "tangent" if best.camera.projection == "equidistant" else "equidistant"
+    start = nominal_camera((best.camera.width_px, best.camera.height_px), best.fov_x_rad, other)
+    found = replace(named, detections=best.detections, stars=best.rows, R_si=best.R_si)
+    solution = _fitted(stars, found, start, index, settings, observer)
+    if solution is None:
+        return best
+    W = np.linalg.inv(stars.cov_px[best.detections])
+
+    def misfit(lens: FieldSolution) -> float:
+        residual = best.xy_px - lens.camera.pixels_from_directions(lens.R_si.apply(best.u_i))
+        square = np.einsum("mi,mij,mj->m", residual, W, residual)
+        return float(np.fmin(square, _LARGEST_SQUARE).sum())
+
+    return min(best, replace(solution, mirrored=best.mirrored), key=misfit)
 
 
 def _without_lens(found: Identification) -> NotIdentified:

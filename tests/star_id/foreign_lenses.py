@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.optimize import least_squares
+from scipy.optimize import brentq, least_squares
 from scipy.spatial.transform import Rotation
 
 SIZE = WIDTH, HEIGHT = 2048, 1536
@@ -29,6 +29,20 @@ class ForeignLens:
 
     def contains(self, xy_px):
         return ((xy_px > -0.5) & (xy_px < np.array(SIZE) - 0.5)).all(axis=1)
+
+    def direction_from_pixel(self, xy_px):
+        """(3,) of a pixel (2,), for a lens without `shift`."""
+        x, y = 1030.8 - xy_px[0], 762.4 - xy_px[1]
+        r = np.hypot(x, y)
+        theta = brentq(lambda angle: self.focal_px * self.radius(angle) - r, 0.0, 1.5, xtol=1e-15)
+        return np.array([np.sin(theta) * x / r, np.sin(theta) * y / r, np.cos(theta)])
+
+    @property
+    def fov_x_rad(self):
+        """Angle between the middles of the left and right edges."""
+        row = 0.5 * (HEIGHT - 1)
+        left, right = (self.direction_from_pixel((x, row)) for x in (-0.5, WIDTH - 0.5))
+        return 2.0 * np.arcsin(0.5 * np.linalg.norm(right - left))
 
     def error_px(self, camera, xy_px):
         """(N, 2) px, of the directions that a camera has for pixels (N, 2), the best rotation taken out."""
