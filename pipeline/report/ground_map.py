@@ -8,7 +8,6 @@ strip's rigorous model.
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
@@ -121,11 +120,12 @@ class Scene:
         return np.column_stack(self.plane().transform(*degrees))
 
 
-@functools.cache  # setting one up takes 20 ms
 def local_plane(lat_deg: float, lon_deg: float) -> Transformer:
     """Longitude, latitude (degrees) to metres east, north of a place."""
-    local = f"+proj=aeqd +lat_0={lat_deg} +lon_0={lon_deg} +ellps=WGS84 +units=m"
-    return Transformer.from_crs("EPSG:4326", local, always_xy=True)
+    local = f"+proj=aeqd +lat_0={lat_deg} +lon_0={lon_deg} +ellps=WGS84"
+    return Transformer.from_pipeline(
+        f"+proj=pipeline +step +proj=unitconvert +xy_in=deg +xy_out=rad +step {local}"
+    )
 
 
 def scenes_of(dump: Dump, calibration: Calibration) -> tuple[Scene, ...]:
