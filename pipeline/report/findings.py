@@ -227,10 +227,15 @@ def _is_flat(one: StripOnGround, ccd: int) -> bool:
 
 
 def _looks(one: StripOnGround, rows: Sequence[Mapping[str, Any]]) -> dict[str, list[Look]]:
-    """What the strip shows at targets that were used and at those that were not matched."""
+    """What the strip shows at targets that were used and at those that were not matched; nothing is read
+    where all were matched.
+    """
     seen: dict[str, list[Look]] = {USED: [], UNMATCHED: []}
-    for row in rows:
-        if row["strip_id"] == one.strip_id and row["state"] in seen and np.isfinite(row["line_px"]):
+    own = [row for row in rows if row["strip_id"] == one.strip_id and np.isfinite(row["line_px"])]
+    if all(row["state"] != UNMATCHED for row in own):
+        return seen
+    for row in own:
+        if row["state"] in seen:
             window = _window(one, row)
             if window is not None:
                 seen[row["state"]].append((row["target_id"], *window))
