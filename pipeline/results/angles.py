@@ -69,19 +69,19 @@ def _of_strip(
     if len(times) < 2 or not any(kept.any() for kept in motion.stars_kept):
         return
     track = AttitudeTrack(times, motion.R_si, motion.orbit)
-    own = _target_covariances(motion, R_cs, track, settings)
+    R_ci = R_cs * track.R_si(ground.t_s)
+    own = _target_covariances(motion, R_ci.as_matrix(), settings)
     inside = (ground.t_s >= times[0]) & (ground.t_s <= times[-1])
+    C, weights = R_cs.as_matrix(), lagrange_weights(times, ground.t_s)
     for j in np.flatnonzero(motion.targets_kept & inside):
         k = int(np.argmin(np.abs(times - ground.t_s[j])))
         stars, kept = strip.exposures[k], motion.stars_kept[k]
-        carry = R_cs * track.R_si(ground.t_s[j : j + 1])[0] * motion.R_si[k].inv()
+        carry = R_ci[j] * motion.R_si[k].inv()
         w_i = carry.apply(stars.u_s[kept])
         w_j = ground.u_c[j]
         z = w_i @ w_j - stars.u_i[kept] @ ground.u_i[j]  # (21)
-        weights = lagrange_weights(times, ground.t_s[j : j + 1])[0]
-        weights[k] -= 1.0
-        C = R_cs.as_matrix()
-        motion_c = C @ np.einsum("k,kab->ab", weights**2, motion.covariance_s) @ C.T
+        weights[j, k] -= 1.0
+        motion_c = C @ np.einsum("k,kab->ab", weights[j] ** 2, motion.covariance_s) @ C.T
         moved = C @ stars.cov_s[kept] @ C.T
         cross = np.cross(w_i, w_j)
         variance = np.einsum("a,nab,b->n", w_j, moved, w_j)  # (A6): the star's part
@@ -91,14 +91,13 @@ def _of_strip(
         yield (*names, stars.hip[kept], z, np.sqrt(variance))
 
 
-def _target_covariances(
-    motion: StripMotion, R_cs: Rotation, track: AttitudeTrack, settings: CalibrationSettings
-) -> Array:
-    """Covariance (J, 3, 3) of each target's direction, frame c, rad²: image measurement and stated errors."""
+def _target_covariances(motion: StripMotion, R_ci: Array, settings: CalibrationSettings) -> Array:
+    """Covariance (J, 3, 3) of each target's direction, frame c, rad²: image measurement and stated errors.
+    `R_ci` (J, 3, 3) are the attitudes of the camera.
+    """
     ground = motion.strip.ground
     w = ground.u_c
     across = np.eye(3) - w[:, :, None] * w[:, None, :]
-    R_ci = (R_cs * track.R_si(ground.t_s)).as_matrix()
     distance = ground.range_m[:, None, None]
     white = settings.sigma_vibration_rad**2 + settings.sigma_distortion_rad**2
     covariance = white + (settings.sigma_position_m / distance) ** 2
