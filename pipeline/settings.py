@@ -50,6 +50,9 @@ class RunSettings:
     passes: int = (
         2  # matchings: the first starts from the pre-launch matrix, each later one from the last result
     )
+    settled_px: float = (
+        2.0  # a strip whose targets are all this close to where they were predicted is not matched again
+    )
     geometric_light_time: bool = True  # light time from ground to satellite
     aberration: bool = True  # by the satellite's velocity
     refraction: bool = True  # of the atmosphere
@@ -57,6 +60,8 @@ class RunSettings:
     def __post_init__(self) -> None:
         if self.passes < 1:
             raise ValueError(f"passes must be 1 or more, got {self.passes}")
+        if not self.settled_px >= 0.0:
+            raise ValueError(f"settled_px must not be negative, got {self.settled_px}")
         if not self.exposure_margin_s > 0.0:
             raise ValueError(f"exposure_margin_s must be positive, got {self.exposure_margin_s}")
 

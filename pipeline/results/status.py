@@ -19,6 +19,7 @@ from boresight.pipeline.results.reading import read_findings
 from boresight.pipeline.results.summary import finding_lines, omission_lines
 from boresight.pipeline.settings import Settings
 from boresight.pipeline.stages.exposure import star_tasks
+from boresight.pipeline.stages.matchings import is_settled
 from boresight.pipeline.stages.strip import MatchedTargets, covers
 from boresight.pipeline.work.unit_store import read_meta, read_unit
 from boresight.star_id.strip_stars.find import StripStars
@@ -37,6 +38,7 @@ class StageStatus:
     damaged: int = scalar("files that will be made anew")
     not_used: int = scalar("exposures, strips and targets that its units could not use")
     missing: tuple[str, ...] = scalar("names of the units that the run still needs, as far as known")
+    settled: tuple[str, ...] = scalar("strips that need no further matching", default=())
 
 
 @record(kw_only=True)
@@ -143,18 +145,19 @@ def _status(
 
 
 def _stage(folder: Path) -> tuple[StageStatus, list[Omission]]:
-    done, damaged, failed = [], 0, list[Omission]()
+    done, damaged, failed, settled = [], 0, list[Omission](), []
     for path in sorted(folder.glob("*.parquet")):
         if (unit := read_unit(path)) is None:
             damaged += 1
             continue
-        done.append(path.name.rsplit(".", 2)[0])
+        done.append(name := path.name.rsplit(".", 2)[0])
         outcome = record_from_table(OUTCOMES, unit, read_meta(unit))
         if isinstance(outcome, Omission):
             failed.append(outcome)
         elif isinstance(outcome, MatchedTargets):
             failed += outcome.omissions
-    return StageStatus(folder.name, tuple(done), damaged, len(failed), ()), failed
+            settled += [name] if is_settled(outcome, Settings().run.settled_px) else []
+    return StageStatus(folder.name, tuple(done), damaged, len(failed), (), tuple(settled)), failed
 
 
 def _saved_omissions(result: Path) -> list[Omission] | None:
@@ -176,7 +179,9 @@ def _with_missing(stages: list[StageStatus], dump: Dump) -> list[StageStatus]:
     if strips:
         searched = found["matching-0"].done if "matching-0" in found else ()
         wanted |= {"matching-0": list(searched)} if searched else {}
-        wanted |= {"matching-1": [s for s in strips if s not in searched], "matching-2": strips}
+        settled = {strip for stage in stages for strip in stage.settled}
+        again = [strip for strip in strips if strip not in settled]
+        wanted |= {"matching-1": [s for s in strips if s not in searched], "matching-2": again}
     if sky := [strip.strip_id for strip in dump.sky_strips if covers(dump, strip)]:
         wanted["sky-stars"] = sky
     return [

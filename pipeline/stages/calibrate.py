@@ -3,7 +3,7 @@
     each exposure -> identified stars (`sight_exposure`)     each strip -> matched targets (`match_targets`)
     each strip of the sky -> detections (`find_sky_stars`) -> named stars (`name_sky_stars`)
     stars + matched targets, named stars -> StripSightings -> calib.calibrate -> R_cs
-    matching and estimation once more with that R_cs: the first prediction is wrong by thousands of pixels
+    matching and estimation once more with that R_cs, of strips whose templates were not predicted as well
 
 With a store, finished work is on disk. In whatever order tasks finish, sums are made in the order of time and
 id, so the result is the same bit for bit.
@@ -31,8 +31,8 @@ from boresight.pipeline.files.ground_points import NO_POINTS
 from boresight.pipeline.settings import Settings, calibration_settings, effects_of
 from boresight.pipeline.stages.cached import Progress, StageRunner
 from boresight.pipeline.stages.coverage import attitudes_in_s, carriers, stated_mountings
-from boresight.pipeline.stages.first_matching import match_first, match_strips
 from boresight.pipeline.stages.head import HeadSightings, sight_head
+from boresight.pipeline.stages.matchings import match_again, match_first
 from boresight.pipeline.stages.missing import what_is_missing
 from boresight.pipeline.stages.reasons import rejection_reason
 from boresight.pipeline.stages.sky_side import (
@@ -133,11 +133,15 @@ def calibrate_dump(
     R_cs, sigma = dump.R_cs0, dump.sigma_installation_rad
     mountings = stated_mountings(heads)
     computed = [*sky.computed, *(flag for head in heads for flag in head.computed)]
+    before: tuple[MatchedTargets, ...] = ()
     for number in range(1, settings.run.passes + 1):
-        last = _one_pass(number, dump, heads, sky, (R_cs, sigma), mountings, settings, error_model, runner)
+        last = _one_pass(
+            number, before, dump, heads, sky, (R_cs, sigma), mountings, settings, error_model, runner
+        )
         R_cs, sigma = last.estimate.R_cs, _rematch_sigma(last.estimate, settings)
         mountings |= {one.name: one.R_cs for one in last.estimate.with_reference(heads[0].head.name).heads}
         computed += last.computed
+        before = last.matched
         if not (last.named or any(task.targets for task in last.tasks)):
             break  # measured image points alone: no matrix moves them
     found = last.estimate.with_reference(heads[0].head.name)
@@ -176,6 +180,7 @@ class _Pass:
 
 def _one_pass(
     number: int,
+    before: Sequence[MatchedTargets],
     dump: Dump,
     heads: Sequence[HeadSightings],
     sky: SkySide,
@@ -185,8 +190,9 @@ def _one_pass(
     error_model: CalibrationSettings,
     runner: StageRunner,
 ) -> _Pass:
-    """Pass `number`, from 1, from the matrix `start` and its 1-sigma (3,), and from those of all heads.
-    `DataNotSufficientError` where the data do not determine all three angles.
+    """Pass `number`, from 1, from the matrix `start` and its 1-sigma (3,), and from those of all heads;
+    `before` are the targets matched in the pass before. `DataNotSufficientError` where the data do not
+    determine all three angles.
     """
 
     def start_from(task: StripTask, matched: MatchedTargets) -> tuple[Rotation, Array] | None:
@@ -200,7 +206,7 @@ def _one_pass(
     if number == 1:
         tasks, matched, flags = match_first(tasks, start_from, runner)
     else:
-        matched, flags = match_strips(tasks, runner, f"matching-{number}")
+        matched, flags = match_again(tasks, before, settings.run.settled_px, runner, f"matching-{number}")
     sky = sky.aligned(heads, mountings)
     named = name_in_sky_strips(dump, sky, *start, known=number > 1)
     strips = [*_strips(tasks, matched, heads), *named_sightings(sky, named, heads)]

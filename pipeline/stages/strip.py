@@ -16,6 +16,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from boresight.gct_match.match import match_strip
+from boresight.gct_match.predict.trajectories import displacements
 from boresight.gct_match.records import Chip, Reason, Refusal, StripMatches, Target, TargetMatch
 from boresight.gct_match.settings import MatchSettings
 from boresight.geometry.attitude import AttitudeTrack, Interpolation
@@ -45,6 +46,7 @@ __all__ = [
     "match_targets",
     "no_matches",
     "orbit_around",
+    "predicted_again",
     "pushbroom_of",
     "read_chip",
     "strip_matches",
@@ -97,6 +99,10 @@ class MatchedTargets:
     predicted_px: Floats = array("N, 2", "position predicted with the initial installation matrix")
     pictures: tuple[MatchPictures, ...] = array("N", "template, strip and correlation surface")
     omissions: tuple[Omission, ...] = scalar("chips that could not be read, targets that were rejected")
+    farthest_px: float = scalar(
+        "largest distance along an axis of a position from where its template was predicted; 0: no template",
+        default=0.0,
+    )
 
 
 def pushbroom_of(task: StripTask) -> Pushbroom:
@@ -169,6 +175,7 @@ def _matched(strip_id: str, matches: Sequence[TargetMatch], omissions: Sequence[
         predicted_px=np.array([m.predicted_px for m in matches], dtype=float).reshape(n, 2),
         pictures=tuple(match_pictures(m.evidence) for m in matches),
         omissions=tuple(omissions),
+        farthest_px=max((float(np.abs(m.residual_px).max()) for m in matches), default=0.0),
     )
 
 
@@ -196,6 +203,17 @@ def strip_matches(task: StripTask, parts: Executor = IN_ORDER) -> tuple[StripMat
         omitted.append(Omission("strip", task.strip.strip_id, error.file, str(error)))
         return None, omitted
     return result, omitted
+
+
+def predicted_again(matched: MatchedTargets, task: StripTask) -> MatchedTargets:
+    """The matched targets of a strip, with the positions that the matrix of the task predicts."""
+    place = {target.target_id: target.p_e for target in task.targets}
+    n = len(matched.ccd) - len(task.points.ccd)  # points measured by others come last: see `with_points`
+    p_e = np.array([place[name] for name in matched.target_id[:n].tolist()], dtype=float).reshape(n, 3)
+    off_px, _ = displacements(pushbroom_of(task), p_e, matched.ccd[:n], matched.xy_px[:n])
+    predicted_px = matched.predicted_px.copy()
+    predicted_px[:n] = matched.xy_px[:n] - off_px
+    return replace(matched, predicted_px=predicted_px)
 
 
 def unreadable_chips(files: Sequence[ChipFile]) -> list[Omission]:

@@ -95,7 +95,7 @@ def begun(finished: tuple[Path, Path], tmp_path: Path) -> tuple[Path, Path, byte
     dump, result = finished
     out = tmp_path / "result"
     stopped_run(out, [dump], result)
-    for unit in (out / "work" / "matching-2").iterdir():
+    for unit in (out / "work" / "matching-0").iterdir():
         unit.unlink()
     return dump, out, (result / "installation.json").read_bytes()
 
@@ -142,8 +142,8 @@ def half_written(table: pa.Table, target: Path, **named: object) -> None:
 @pytest.mark.parametrize(
     ("where", "fault", "named"),
     [
-        (pq, ("write_table", half_written), "matching-2/"),
-        (os, ("fsync", no_space), "matching-2/"),
+        (pq, ("write_table", half_written), "matching-0/"),
+        (os, ("fsync", no_space), "matching-0/"),
         (pq, ("ParquetWriter", no_space), "sightings/stars.parquet"),
         (Path, ("write_text", no_space), "installation.json"),
     ],
@@ -159,7 +159,7 @@ def test_full_disk_is_told_with_the_file_and_the_run_goes_on_when_there_is_room(
 ) -> None:
     dump, out, expected = begun
     command = ["boresight", "calibrate", str(dump), "--out", str(out), "--workers", "1", "--no-report"]
-    if named != "matching-2/":  # its units are there already
+    if named != "matching-0/":  # its units are there already
         shutil.copytree(dump.parent / "result" / "work", out / "work", dirs_exist_ok=True)
     units = {path: path.stat().st_mtime_ns for path in out.glob("work/*/*.parquet")}
     with monkeypatch.context() as patch:

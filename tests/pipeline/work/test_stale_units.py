@@ -16,7 +16,10 @@ from boresight.pipeline.settings import settings_from_tables
 from boresight.pipeline.stages.calibrate import calibrate_dump
 from boresight.pipeline.work.digests import program
 
-EXPOSURES, STRIPS = 14, 2  # units of the one-strip dump: its exposures, and its strip in two matchings
+EXPOSURES, STRIPS = (
+    14,
+    1,
+)  # units of the one-strip dump: its exposures, and its strip, settled by one matching
 
 
 @pytest.fixture

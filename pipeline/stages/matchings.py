@@ -1,8 +1,11 @@
-"""The first matching: from the pre-launch matrix, wrong by thousands of pixels, to one good for a second one.
+"""The matchings: from the pre-launch matrix, wrong by thousands of pixels, and again from what it gave.
 
 A search as wide as that matrix is uncertain decodes whole strips. All strips have one matrix: they are
 searched one after another until one determines it, and the others start from there. A strip in which nothing
 is found that way is searched as widely as the first.
+
+A strip is matched again where its templates were predicted less well than a later matching predicts them, or
+where a target was refused.
 """
 
 from __future__ import annotations
@@ -15,9 +18,16 @@ from scipy.spatial.transform import Rotation
 from boresight.geometry.record import Floats
 from boresight.pipeline.errors import Omission
 from boresight.pipeline.stages.cached import StageRunner
-from boresight.pipeline.stages.strip import MatchedTargets, StripTask, match_targets, no_matches, with_points
+from boresight.pipeline.stages.strip import (
+    MatchedTargets,
+    StripTask,
+    match_targets,
+    no_matches,
+    predicted_again,
+    with_points,
+)
 
-__all__ = ["match_first", "match_strips"]
+__all__ = ["is_settled", "match_again", "match_first", "match_strips"]
 
 Start = tuple[Rotation, Floats]  # a matrix and its 1-sigma (3,), rad, axes of c
 
@@ -63,3 +73,32 @@ def match_first(
         for k, one in zip(missed, found):
             used[k], matched[k] = tasks[k], one
     return used, matched, computed
+
+
+def match_again(
+    tasks: Sequence[StripTask],
+    before: Sequence[MatchedTargets],
+    settled_px: float,
+    runner: StageRunner,
+    folder: str,
+) -> tuple[list[MatchedTargets], list[bool]]:
+    """Targets matched in strips, and which strips were computed now.
+
+    Settled strips of the matching `before`, in any order, stay as they are (`is_settled`).
+    """
+    settled = {one.strip_id: one for one in before if is_settled(one, settled_px)}
+    open_tasks = [task for task in tasks if task.strip.strip_id not in settled]
+    found, flags = match_strips(open_tasks, runner, folder) if open_tasks else ([], [])
+    again = {one.strip_id: one for one in found}
+    return [
+        predicted_again(settled[name], task) if (name := task.strip.strip_id) in settled else again[name]
+        for task in tasks
+    ], flags
+
+
+def is_settled(matched: MatchedTargets, settled_px: float) -> bool:
+    """Whether all targets in view were placed, each within `settled_px` of where its template was predicted.
+
+    Another matching gives positions as good as these, with other errors of half a sigma.
+    """
+    return not matched.omissions and 0.0 < matched.farthest_px <= settled_px
