@@ -46,9 +46,11 @@ class UnitStore:
         path.parent.mkdir(parents=True, exist_ok=True)
         remarks = json.dumps(dict(meta), sort_keys=True).encode()
         stated = table.replace_schema_metadata({META: remarks, SEAL: _seal(table, remarks)})
-        write_whole(
-            path, lambda target: pq.write_table(stated, target, compression="zstd", write_page_checksum=True)
-        )
+
+        def write(target: Path) -> None:  # few values repeat: without dictionaries it is smaller and faster
+            pq.write_table(stated, target, compression="zstd", use_dictionary=False, write_page_checksum=True)
+
+        write_whole(path, write)
         for other in path.parent.glob(f"{name}.*.parquet"):
             if other != path and other.name.count(".") == path.name.count("."):
                 other.unlink(missing_ok=True)
