@@ -22,12 +22,12 @@ from boresight.pipeline.report.drawing import (
     MUTED,
     WIDTH_IN,
     Drawing,
+    Ruled,
     Spot,
     axes_of,
     drawn,
-    dress_axes,
-    fix_labels,
     new_figure,
+    rule_axes,
 )
 from boresight.pipeline.report.ground_map import REJECTED, USED
 from boresight.pipeline.report.observations import ExposureRow, TargetRow
@@ -212,11 +212,10 @@ def _residual_panel(
     """Residuals of `both` kinds, by their labels, one above the other against a label and its values."""
     label, x = against
     figure = new_figure(3.4)
-    panels = figure.subplots(2, 1, sharex=True)
+    panels = figure.subplots(2, 1, sharex=True, subplot_kw={"axes_class": Ruled})
     spots = []
     for axes, (which, y) in zip(panels, both.items()):
-        dress_axes(axes, label if axes is panels[-1] else "", which)
-        fix_labels(axes)
+        rule_axes(axes, label if axes is panels[-1] else "", which)
         used = [row.row for row in rows if row.state == USED]
         axes.axhline(0.0, color=MUTED, linewidth=1.0)
         reach = 1.3 * float(np.max(np.abs(y[used]))) if used else 1.0

@@ -189,7 +189,8 @@ def _psf(image: NDArray[Any], stars: StarList) -> Drawing | None:
 
 def _snr_histogram(stars: StarList, known: Bools) -> Drawing:
     figure = new_figure(2.4)
-    axes = axes_of(figure, "signal-to-noise ratio", "detections")
+    axes = figure.add_subplot()
+    dress_axes(axes, "signal-to-noise ratio", "detections")
     if len(stars.snr):
         edges = np.geomspace(max(1.0, 0.9 * stars.snr.min()), 1.1 * stars.snr.max(), 25).tolist()
         axes.hist(stars.snr, edges, histtype="stepfilled", color=MUTED, alpha=0.35)
