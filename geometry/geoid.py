@@ -130,15 +130,17 @@ class Geoid:
 @cache
 def egm96() -> Geoid:
     """EGM96 (NIMA/NASA 1998) on the 5' grid of the package, rounded to centimetres; read once per process."""
-    path = importlib.resources.files("boresight.geometry") / "data" / "egm96-5.npz"
-    with path.open("rb") as file, np.load(file) as stored:
+    import pyarrow as pa
+
+    path = importlib.resources.files("boresight.geometry") / "data" / "egm96-5.npy.zst"
+    with path.open("rb") as file, pa.CompressedInputStream(file, "zstd") as stored:
         # Stored: second differences in centimetres along longitude and latitude; two cumulative sums invert.
-        centimetres = stored["undulation_d2"]  # 16 bit, as all undulations have: sums may wrap in between
+        # All undulations have 16 bit: sums may wrap in between.
+        centimetres = np.lib.format.read_array(stored)
     for row, before in zip(centimetres[1:], centimetres):  # ten times faster than np.cumsum along columns
         row += before
     np.cumsum(centimetres, axis=1, dtype=np.int16, out=centimetres)
-    metres = np.empty(centimetres.shape, dtype=np.float32)
-    np.multiply(centimetres, 0.01, out=metres, casting="unsafe")
+    metres = np.divide(centimetres, np.float32(100.0))
     step = np.radians(1.0 / 12.0)
     return Geoid(metres, -0.5 * np.pi, -np.pi, step, step)
 
