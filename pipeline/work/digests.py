@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import importlib.util
-import os
 import platform
 import re
 from collections.abc import Iterator, Mapping, Sequence
@@ -182,9 +181,8 @@ def _file_of(name: str) -> Path | None:
     folder = _folder_of(top)
     if folder is None:
         return None
-    place = os.path.join(folder, *parts)  # most names are no modules: a `Path` of each would cost more
-    candidates = os.path.join(place, "__init__.py"), f"{place}.py"
-    return next((Path(file) for file in candidates if os.path.isfile(file)), None)
+    candidates = folder.joinpath(*parts, "__init__.py"), folder.joinpath(*parts).with_suffix(".py")
+    return next((file for file in candidates if file.is_file()), None)
 
 
 @cache
