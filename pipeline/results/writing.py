@@ -275,10 +275,16 @@ def _omissions_table(omissions: Sequence[Omission]) -> pa.Table:
 
 
 def _write_groups(path: Path, groups: Sequence[pa.Table]) -> None:
-    """One Parquet file, one row group a table."""
+    """One Parquet file, one row group a table, without dictionaries: few values repeat."""
 
     def write(target: Path) -> None:
-        with pq.ParquetWriter(target, groups[0].schema, compression="zstd", write_page_checksum=True) as file:
+        with pq.ParquetWriter(
+            target,
+            groups[0].schema,
+            compression="zstd",
+            use_dictionary=False,
+            write_page_checksum=True,
+        ) as file:
             for group in groups:
                 file.write_table(group, row_group_size=max(len(group), 1))
 
