@@ -301,9 +301,8 @@ def main() -> None:
             print(f"{one.name:34s}{now:8.3f}{one.limit_s:8.2f}{before:8.3f}{now / before:7.3f}")
             if old and options.repeats > 2:
                 pairs = np.array(one.cpu_s[HERE]) / np.array(one.cpu_s[old])
-                print(
-                    f"{'':34s}ratios of pairs: median {np.median(pairs):.3f}, {pairs.min():.3f} to {pairs.max():.3f}"
-                )
+                middle, least, most = np.median(pairs), pairs.min(), pairs.max()
+                print(f"{'':34s}ratios of pairs: median {middle:.3f}, {least:.3f} to {most:.3f}")
         for one in every:
             least_s = one.least_s(HERE)
             record.verdict(f"{one.name} <= {one.limit_s:g} s: {least_s:.3f}", least_s <= one.limit_s)
