@@ -274,7 +274,7 @@ def _measured_one(
 
 
 def _match(
-    name: str, ccd: int, template: Template, found: TemplateMatch, origin_px: Floats, predicted_px: Floats
+    name: str, ccd: int, template: Template, found: TemplateMatch, origin_px: Floats, expected_px: Floats
 ) -> TargetMatch:
     """A target's match from that of its template in a window of the strip that begins at `origin_px`."""
     xy_px, first_px = found.xy_px + origin_px, np.array(template.origin_px, dtype=float)
@@ -286,8 +286,9 @@ def _match(
         correlation=found.correlation,
         probability_wrong=found.probability_wrong,
         model="affine" if found.affine.any() else "translation",
-        predicted_px=predicted_px,
-        residual_px=xy_px - predicted_px,
+        predicted_px=expected_px,
+        expected_px=expected_px,
+        residual_px=xy_px - expected_px,
         evidence=Evidence(template.image, found.found, found.residual, found.surface, first_px),
     )
 

@@ -191,6 +191,7 @@ class TargetMatch:
     probability_wrong: float = scalar("probability that the true position is another one")
     model: str = scalar('"translation" or "affine"')
     predicted_px: Floats = array("2", "(sample, line) predicted with the initial installation matrix")
+    expected_px: Floats = array("2", "(sample, line) predicted with the rotation that was searched for")
     residual_px: Floats = array("2", "xy_px minus the position predicted with the common rotation")
     evidence: Evidence = scalar("pictures of the match")
 

@@ -175,7 +175,7 @@ def _matched(strip_id: str, matches: Sequence[TargetMatch], omissions: Sequence[
         predicted_px=np.array([m.predicted_px for m in matches], dtype=float).reshape(n, 2),
         pictures=tuple(match_pictures(m.evidence) for m in matches),
         omissions=tuple(omissions),
-        farthest_px=max((float(np.abs(m.residual_px).max()) for m in matches), default=0.0),
+        farthest_px=max((float(np.abs(m.xy_px - m.expected_px).max()) for m in matches), default=0.0),
     )
 
 

@@ -17,8 +17,8 @@ from boresight.pipeline.settings import RunSettings, Settings
 from boresight.pipeline.stages import calibrate
 from boresight.pipeline.stages.cached import StageRunner
 from boresight.pipeline.stages.calibrate import calibrate_dump, strips_to_match
-from boresight.pipeline.stages.matchings import match_again, match_first, match_strips
-from boresight.pipeline.stages.strip import MatchedTargets, StripTask
+from boresight.pipeline.stages.matchings import is_settled, match_again, match_first, match_strips
+from boresight.pipeline.stages.strip import MatchedTargets, StripTask, match_targets
 from boresight.pipeline.work.unit_store import UnitStore
 
 
@@ -104,3 +104,16 @@ def test_strips_are_matched_again_where_a_target_was_refused_or_lay_far_from_its
     # both were searched as widely as before: the same places
     for one, expected in zip(found[1:], all_searched[1:]):
         assert np.array_equal(one.xy_px, expected.xy_px) and one.omissions == expected.omissions
+
+
+def test_a_strip_whose_templates_were_all_predicted_four_pixels_off_is_not_settled(
+    store: UnitStore, tasks: list[StripTask]
+) -> None:
+    exact = calibrate_dump(open_dump(FIXTURE), Settings(), store)
+    assert all(is_settled(one, 2.0) for one in exact.matched)
+    task, farthest = exact.tasks[2], exact.matched[2].farthest_px
+    turned = Rotation.from_rotvec([4.0 * task.camera.pixel_rad, 0.0, 0.0]) * task.R_cs
+    off = match_targets(replace(task, R_cs=turned))
+    assert isinstance(off, MatchedTargets) and len(off.target_id) == len(exact.matched[2].target_id)
+    assert 4.0 - farthest < off.farthest_px < 4.0 + farthest
+    assert not is_settled(off, 2.0)
