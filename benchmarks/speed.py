@@ -21,6 +21,7 @@ import subprocess
 import sys
 import tempfile
 import time
+import tomllib
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -68,6 +69,13 @@ TIFFS: dict[str, dict[str, object]] = {
 }
 
 
+def program(checkout: Path) -> str:
+    """Python source that runs the command `boresight` of a checkout, as its pyproject.toml declares it."""
+    project = tomllib.loads((checkout / "pyproject.toml").read_text("utf-8"))["project"]
+    module, function = project["scripts"]["boresight"].split(":")
+    return f"import importlib; importlib.import_module({module!r}).{function}()"
+
+
 @dataclass(frozen=True)
 class Command:
     """A command line, what one of its items may cost, and what it took."""
@@ -83,10 +91,8 @@ class Command:
         out = Path(tempfile.mkdtemp(dir=scratch)) / "out"
         arguments = [str(out) if one == "OUT" else one for one in self.arguments]
         environment = {key: value for key, value in os.environ.items() if key != "PYTHONDONTWRITEBYTECODE"}
-        packaged = (checkout / "boresight").is_dir()
-        program = ("-m", "boresight") if packaged else ("-c", "from pipeline.cli import main; main()")
         process = subprocess.Popen(
-            [sys.executable, *program, *arguments],
+            [sys.executable, "-c", program(checkout), *arguments],
             cwd=checkout,
             env=environment | {"PYTHONPATH": str(checkout)},
             stdout=subprocess.DEVNULL,
