@@ -11,13 +11,13 @@ import sys
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
 from boresight.calib.verdict import Outcome
 from boresight.geometry.record import record, scalar
 from boresight.pipeline.commands.messages import log, say
+from boresight.pipeline.commands.run_inputs import RunInputs, inputs_of
 from boresight.pipeline.errors import Cause, DataNotSufficientError, Omission, RawDataError
 from boresight.pipeline.files.dump import Dump
 from boresight.pipeline.files.record_tables import plain
@@ -44,7 +44,6 @@ from boresight.pipeline.settings import Settings
 from boresight.pipeline.stages.cached import Progress
 from boresight.pipeline.stages.calibrate import Calibration, calibrate_dump
 from boresight.pipeline.stages.joint import NamedDump, calibrate_jointly
-from boresight.pipeline.work.digests import digest, know_contents, program
 from boresight.pipeline.work.executor import Executor
 
 __all__ = ["RunOutcome", "RunRequest", "going_on", "run_dump", "run_dumps", "saved_content"]
@@ -95,9 +94,9 @@ def run_dump(
 ) -> RunOutcome:
     """Calibrate one dump, `named` so by the user, into `out`."""
     with claimed(out, [dump.root], request.settings, overwrite=request.overwrite):
-        inputs = _inputs([dump], request, executor)
+        inputs = inputs_of([dump], request.settings)
         required = write_requirement(out, request.requirement)
-        if _is_finished(out, inputs, request):
+        if _is_finished(out, inputs, request, executor):
             if required and request.report:
                 _draw(out)
             return _finished(out)
@@ -115,9 +114,9 @@ def run_dumps(
     counted and does not stop the others.
     """
     with claimed(out, [one.dump.root for one in dumps], request.settings, overwrite=request.overwrite):
-        inputs = _inputs([named.dump for named in dumps], request, executor)
+        inputs = inputs_of([named.dump for named in dumps], request.settings)
         required = write_requirement(out, request.requirement)
-        if _is_finished(out, inputs, request):
+        if _is_finished(out, inputs, request, executor):
             if required and request.report:
                 _draw_dumps(out)
             return _finished(out)
@@ -127,7 +126,7 @@ def run_dumps(
 def _jointly_calibrated(
     out: Path,
     dumps: Sequence[NamedDump],
-    inputs: str,
+    inputs: RunInputs,
     request: RunRequest,
     executor: Executor,
     progress: Progress,
@@ -144,7 +143,7 @@ def _jointly_calibrated(
         try:
             folder, root = out / named.name, named.dump.root
             with claimed(folder, [root], request.settings, overwrite=request.overwrite):
-                own = _inputs([named.dump], request, executor)
+                own = inputs_of([named.dump], request.settings)
                 found = _calibrated(folder, named.dump, str(root), own, request, executor, report_progress)
         except DataNotSufficientError as error:
             failed.append(Omission("dump", named.name, "", str(error), Cause.NOT_CALIBRATED))
@@ -157,7 +156,7 @@ def _jointly_calibrated(
         text += "\n" + _drift(out, list(of_dumps))
     write_joint_result(out, joint, of_dumps, request.settings)
     roots = {named.name: str(named.dump.root) for named in dumps}
-    _note(out, request, {"dumps": roots, "inputs": inputs})
+    _note(out, request, {"dumps": roots, "inputs": inputs.digest()})
     text = "\n".join([text, *_required(out)])
     if request.report:
         _draw_dumps(out)
@@ -169,13 +168,14 @@ def _calibrated(
     out: Path,
     dump: Dump,
     named: str,
-    inputs: str,
+    inputs: RunInputs,
     request: RunRequest,
     executor: Executor,
     progress: Progress,
 ) -> Calibration:
     begin_result(out)
     (out / "work").mkdir(exist_ok=True)
+    inputs.know_images(executor, exposures=False)  # exposures are read once, where their stars are found
     try:
         found = calibrate_dump(dump, request.settings, store_of(out.resolve()), executor, progress)
     except DataNotSufficientError as error:
@@ -190,7 +190,7 @@ def _calibrated(
         write_evidence(out, dump, found, request.settings, executor)
     write_result(out, found, request.settings)
     counts = {"units_made": found.n_computed, "units_found": found.n_reused}
-    _note(out, request, {"dump": named, "inputs": inputs}, counts)
+    _note(out, request, {"dump": named, "inputs": inputs.digest()}, counts)
     if request.report:
         _draw(out)
     return found
@@ -213,27 +213,15 @@ def _required(out: Path) -> list[str]:
     return requirement_lines(saved_requirement(out), read_result(out).installation)
 
 
-def _inputs(dumps: Sequence[Dump], request: RunRequest, executor: Executor) -> str:
-    """Digest of everything that a result depends on: files of the dumps, settings, program, libraries."""
-    images = [exposure.path for dump in dumps for exposure in dump.exposures]
-    strips = [strip for dump in dumps for strip in (*dump.strips, *dump.sky_strips)]
-    images += [path for strip in strips for path in strip.images.paths.values()]
-    know_contents(images, executor)
-    contents = [
-        {f.name: getattr(dump, f.name) for f in fields(dump) if f.name not in ("root", "errors")}
-        | {"errors": dump.errors.model_dump()}
-        for dump in dumps
-    ]
-    return digest(contents, request.settings, program(__name__))
-
-
-def _is_finished(out: Path, inputs: str, request: RunRequest) -> bool:
+def _is_finished(out: Path, inputs: RunInputs, request: RunRequest, executor: Executor) -> bool:
     """Whether the folder holds the finished result of the same inputs, with a report where one is wanted."""
     needed = ("installation.json", "run.json", *(("report.html",) if request.report else ()))
     if not all((out / name).is_file() for name in needed):
         return False
     with suppress(RawDataError):
-        return bool(read_json(out / "run.json", "run.json").get("inputs") == inputs)
+        if kept := read_json(out / "run.json", "run.json").get("inputs"):
+            inputs.know_images(executor, exposures=True)
+            return bool(kept == inputs.digest())
     return False
 
 

@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import errno
 import hashlib
+import os
 import stat
+from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
 
@@ -20,6 +22,7 @@ __all__ = [
     "content_digest",
     "content_of",
     "identity_of",
+    "read_ahead",
     "remember_digest",
     "small_content",
     "with_identity",
@@ -65,6 +68,17 @@ def remember_digest(path: Path, identity: Identity, digest: str) -> None:
     if len(_digests) >= MOST_DIGESTS:
         del _digests[next(iter(_digests))]  # the oldest
     _digests[path, identity] = digest
+
+
+def read_ahead(path: Path) -> None:
+    """Have the system read a small file of this machine while another is computed on; leave others."""
+    with suppress(OSError, AttributeError):  # systems without such advice; what is no file its reader reports
+        stream = os.open(path, os.O_RDONLY | os.O_NONBLOCK)  # opening a FIFO would block
+        try:
+            if os.fstat(stream).st_size <= KEPT_BYTES:
+                os.posix_fadvise(stream, 0, 0, os.POSIX_FADV_WILLNEED)
+        finally:
+            os.close(stream)
 
 
 def check_regular(path: Path, file: str, expected: str) -> int:

@@ -7,19 +7,24 @@ everything installed that the outcome depends on (`program`). An entry that exis
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
+from itertools import islice
+from pathlib import Path
 from typing import Any, Protocol, get_args, get_type_hints
 
 import cv2
 
+from boresight.geometry.record import record, scalar
 from boresight.pipeline.errors import Cause, Omission
+from boresight.pipeline.files.content import Identity, read_ahead, remember_digest, with_identity
 from boresight.pipeline.files.record_tables import record_from_table, table_from_record
 from boresight.pipeline.stages.unit_log import log_unit
-from boresight.pipeline.work.digests import digest, program
+from boresight.pipeline.work.digests import digest, files_in, program
 from boresight.pipeline.work.executor import Executor, InOrder
 from boresight.pipeline.work.unit_store import UnitStore, read_meta
 
-__all__ = ["Progress", "StageRunner", "Task"]
+__all__ = ["Progress", "StageRunner", "Task", "Unit"]
 
 # What numerical code may raise on data that it was not written for. One failure does not abort the run: it is
 # counted, and its text names the exception.
@@ -34,6 +39,15 @@ class Task(Protocol):
     @property
     def item(self) -> Omission:
         """What is processed."""
+
+
+@record
+class Unit:
+    """A finished task."""
+
+    outcome: Any = scalar("what the stage returned")
+    computed: bool = scalar("whether it was computed now")
+    contents: tuple[tuple[Path, Identity, str], ...] = scalar("its files with their digests", default=())
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,37 +67,48 @@ class StageRunner:
         an unforeseen error becomes. `folder` is that of the entries in the store. With `in_parts` the stage
         gets, after its task, an executor for parts of it: fewer tasks than processes are divided.
         """
+        at_once = self.executor.at_once
+        later = iter(tasks[at_once:] if at_once else ())
 
-        def ended(n: int, unit: tuple[Any, bool]) -> None:
-            log_unit(folder, *unit)
+        def expect(count: int) -> None:
+            for task in islice(later, count):
+                for path in files_in(task):
+                    read_ahead(path)
+
+        def ended(n: int, unit: Unit) -> None:
+            for content in unit.contents:
+                remember_digest(*content)
+            log_unit(folder, unit.outcome, unit.computed)
             self.progress(folder, n, len(tasks))
+            expect(1)
 
         self.progress(folder, 0, len(tasks))
+        expect(at_once)
         more = (self.executor.share(len(tasks)),) if in_parts else ()
         done = self.executor.map(Cached(stage, self.store, folder, more), tasks, ended)
-        return [outcome for outcome, _ in done], [computed for _, computed in done]
+        return [unit.outcome for unit in done], [unit.computed for unit in done]
 
 
 @dataclass(frozen=True, slots=True)
 class Cached:
-    """A stage with a store around it: returns the outcome, and whether it was computed now."""
+    """A stage with a store around it."""
 
     stage: Callable[..., Any]
     store: UnitStore | None
     folder: str
     more: tuple[Executor, ...] = ()  # arguments after the task, on which no outcome depends
 
-    def __call__(self, task: Task) -> tuple[Any, bool]:
+    def __call__(self, task: Task) -> Unit:
         if self.store is None:
-            return self._computed(task), True
+            return Unit(self._computed(task), True)
         code = program(self.stage.__module__, __name__)
         name, key = task.item.name, digest(self.stage.__name__, code, task)
         records = get_args(get_type_hints(self.stage)["return"])
         if (kept := self.store.read(self.folder, name, key)) is not None:
-            return record_from_table(records, kept, read_meta(kept)), False
+            return Unit(record_from_table(records, kept, read_meta(kept)), False, _contents(task))
         table, values = table_from_record(self._computed(task))
         self.store.write(self.folder, name, key, table, values)
-        return record_from_table(records, table, values), True
+        return Unit(record_from_table(records, table, values), True, _contents(task))
 
     def _computed(self, task: Task) -> Any:
         try:
@@ -92,3 +117,10 @@ class Cached:
             what = f"{type(error).__name__}: {str(error)[:300]}"
             reason = f"internal error in {self.stage.__name__}: {what}; please report"
             return task.item.because(reason, Cause.INTERNAL_ERROR)
+
+
+def _contents(task: Task) -> tuple[tuple[Path, Identity, str], ...]:
+    """Digests of the files of a task, which its key has needed: for the process that counts them."""
+    with suppress(OSError):  # missing: the outcome says so
+        return tuple((path, *with_identity(path)) for path in files_in(task))
+    return ()

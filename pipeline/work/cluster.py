@@ -14,7 +14,7 @@ from concurrent.futures import CancelledError, ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from functools import lru_cache, partial
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, ClassVar, TypeVar
 
 from boresight.geometry.record import record, scalar
 from boresight.pipeline.errors import WorkerError
@@ -96,6 +96,8 @@ def _require(expected: Fingerprint) -> None:
 @record
 class OnCluster:
     """An executor with a dask client. Outcomes come back in the order of the items."""
+
+    at_once: ClassVar[int] = 0  # all is computed elsewhere
 
     client: Any = scalar("a `distributed.Client`")
     address: str = scalar("address of the scheduler")

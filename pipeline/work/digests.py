@@ -22,7 +22,7 @@ from boresight.pipeline.files.content import Identity, content_digest, remember_
 from boresight.pipeline.work.executor import Executor
 from boresight.pipeline.work.processes import Processes
 
-__all__ = ["digest", "know_contents", "library_versions", "numerical_program", "program"]
+__all__ = ["digest", "files_in", "know_contents", "library_versions", "numerical_program", "program"]
 
 _IMPORT = re.compile(r"^\s*(?:from\s+([\w.]+)\s+import\s+(\([^)]*\)|[^\n]*)|import\s+([\w.]+))", re.MULTILINE)
 DISTRIBUTIONS = ("numpy", "scipy", "astropy", "astropy-iers-data", "pyerfa", "scikit-image")
@@ -37,6 +37,22 @@ def digest(*values: Any) -> str:
     for value in values:
         _feed(state, value)
     return state.hexdigest()
+
+
+def files_in(value: Any) -> Iterator[Path]:
+    """Paths in a value, of which `digest` reads the content."""
+    if isinstance(value, Path):
+        yield value
+    elif dataclasses.is_dataclass(value) and not isinstance(value, type):
+        for field in dataclasses.fields(value):
+            if field.init:
+                yield from files_in(getattr(value, field.name))
+    elif isinstance(value, Mapping):
+        for one in value.values():
+            yield from files_in(one)
+    elif isinstance(value, (tuple, list)):
+        for one in value:
+            yield from files_in(one)
 
 
 def know_contents(files: Sequence[Path], executor: Executor) -> None:

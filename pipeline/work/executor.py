@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Protocol, TypeVar
+from typing import ClassVar, Protocol, TypeVar
 
 __all__ = ["Executor", "InOrder"]
 
@@ -14,6 +14,10 @@ Outcome = TypeVar("Outcome")
 
 class Executor(Protocol):
     """Applies a function to many items, in this process or in others."""
+
+    @property
+    def at_once(self) -> int:
+        """Items that this machine computes at the same time."""
 
     def map(
         self, function: Callable[[Item], Outcome], items: Sequence[Item], done: Callable[[int, Outcome], None]
@@ -27,6 +31,8 @@ class Executor(Protocol):
 @dataclass(frozen=True, slots=True)
 class InOrder:
     """Applies the function in this process, one item after another."""
+
+    at_once: ClassVar[int] = 1
 
     def map(
         self, function: Callable[[Item], Outcome], items: Sequence[Item], done: Callable[[int, Outcome], None]

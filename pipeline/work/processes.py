@@ -43,6 +43,11 @@ class Processes:
 
     count: int
 
+    @property
+    def at_once(self) -> int:
+        """One item a process."""
+        return self.count
+
     def map(
         self, function: Callable[[Item], Outcome], items: Sequence[Item], done: Callable[[int, Outcome], None]
     ) -> list[Outcome]:

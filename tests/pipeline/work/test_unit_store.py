@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 from dataclasses import dataclass
@@ -12,15 +13,17 @@ import pyarrow as pa
 import pytest
 from scipy.spatial.transform import Rotation
 
-from boresight.pipeline.commands import calibrate
+from boresight.pipeline.commands.calibrate import RunRequest, run_dump
+from boresight.pipeline.commands.run_inputs import inputs_of
 from boresight.pipeline.files import content
-from boresight.pipeline.files.dump import open_dump
+from boresight.pipeline.files.dump import Dump, open_dump
 from boresight.pipeline.files.table_files import fixed_list, list_values
 from boresight.pipeline.settings import Settings
 from boresight.pipeline.stages.exposure import sight_exposure
 from boresight.pipeline.stages.strip import match_targets
 from boresight.pipeline.work import digests
 from boresight.pipeline.work.digests import digest, program
+from boresight.pipeline.work.executor import Executor, InOrder
 from boresight.pipeline.work.processes import Processes
 from boresight.pipeline.work.unit_store import UnitStore, read_meta
 
@@ -227,10 +230,57 @@ def test_images_of_sky_strips_and_of_exposures_are_read_for_digests_by_workers(
         return own(path, identity)
 
     monkeypatch.setattr(content, "_sha256", noted)
-    request = calibrate.RunRequest(settings=Settings(), begun_s=0.0, facts={})
-    of_two = calibrate._inputs([dump], request, Processes(2))
+    inputs = inputs_of([dump], Settings())
+    inputs.know_images(Processes(2), exposures=True)
+    of_two = inputs.digest()
     images = {path for strip in dump.sky_strips for path in strip.images.paths.values()}
     images |= {exposure.path for exposure in dump.exposures}
     assert len(images) > 10 and not images & set(computed)
     content._digests.clear()
-    assert calibrate._inputs([dump], request, Processes(1)) == of_two
+    assert inputs_of([dump], Settings()).digest() == of_two
+
+
+@pytest.mark.parametrize("executor, by_this_process", [(InOrder(), 1), (Processes(2), 0)])
+def test_a_run_reads_each_exposure_once(
+    one_strip: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, executor: Executor, by_this_process: int
+) -> None:
+    """For key, image and digest of the inputs; what other processes have read is not read once more."""
+    dump, own = open_dump(one_strip), Path.read_bytes
+    content._digests.clear()
+    content._content.cache_clear()
+    read: list[Path] = []
+
+    def noted(path: Path) -> bytes:
+        read.append(path)
+        return own(path)
+
+    monkeypatch.setattr(Path, "read_bytes", noted)
+    request = RunRequest(settings=Settings(), begun_s=0.0, facts={}, report=False)
+    run_dump(tmp_path / "result", dump, "one", request, executor, lambda stage, done, total: None)
+    exposures = [exposure.path for exposure in dump.exposures]
+    assert [read.count(path) for path in exposures] == [by_this_process] * len(exposures)
+    assert json.loads((tmp_path / "result" / "run.json").read_text())["inputs"] == digest_of(dump)
+
+
+def digest_of(dump: Dump) -> str:
+    """Digest of the inputs, of files that are read again."""
+    content._digests.clear()
+    return inputs_of([dump], Settings()).digest()
+
+
+def test_inputs_have_no_digest_if_a_file_changes_during_the_run(one_strip: Path) -> None:
+    """The result may be of the earlier content: the next run has to look at all units again."""
+    dump = open_dump(one_strip)
+    inputs = inputs_of([dump], Settings())
+    assert len(inputs.digest()) > 30
+    path = dump.exposures[3].path
+    path.write_bytes(path.read_bytes() + b"x")
+    assert inputs.digest() == ""
+
+
+def test_what_is_no_file_is_not_read_ahead(tmp_path: Path) -> None:
+    """A FIFO that nobody writes would block for ever."""
+    os.mkfifo(tmp_path / "fifo")
+    for path in (tmp_path / "fifo", tmp_path / "missing", tmp_path):
+        content.read_ahead(path)
+    assert sorted(tmp_path.iterdir()) == [tmp_path / "fifo"]
