@@ -3,7 +3,8 @@
     python benchmarks/same_matrix.py DUMP --old CHECKOUT
 
 Both calibrate the dump. Then the present estimator is given the older places of the targets that both
-matched, which tells what a faster matching moves from what a better acceptance or estimator does.
+matched, which tells what a faster matching moves from what a better acceptance or estimator does. Places of
+targets that the present code alone has matched are compared with the truth of a simulated dump.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 from record import commit, exit_status, head, verdict
@@ -55,6 +57,8 @@ def main() -> None:
             f"{strip.strip_id}: {len(moved)} targets matched by both, places differ by "
             f"{np.sqrt(np.mean(moved**2)):.4f} px rms; by the present code alone: {', '.join(more) or 'none'}"
         )
+        for target, error in errors_px(options.dump, strip, set(more)).items():
+            print(f"     {target}: {error:.2f} px from its true place, vibration included")
     parts = {
         "places of the same targets": theta_now - theta_then,
         "targets that only one has matched": present.estimate.theta - theta_now,
@@ -78,6 +82,20 @@ def older_result(
     theta = np.array(json.loads((result / "installation.json").read_text())["theta_rad"])
     rows = pq.read_table(result / "sightings" / "targets.parquet").to_pylist()
     return theta, {(row["strip_id"], row["target_id"], row["ccd"]): row for row in rows}
+
+
+def errors_px(dump: Path, strip: StripSightings, targets: set[str]) -> dict[str, float]:
+    """Distances of matched targets from their true places, of the dump's truth; empty without one."""
+    if not (table := dump / "truth" / "targets.csv").is_file():
+        return {}
+    truth = pd.read_csv(table).set_index(["strip", "id", "ccd"])[["sample", "line"]]
+    ground = strip.ground
+    rows = zip(ground.target_id.tolist(), ground.ccd.tolist(), ground.xy_px)
+    return {
+        f"{target} in CCD {ccd}": float(np.hypot(*(xy - truth.loc[strip.strip_id, target, ccd].to_numpy())))
+        for target, ccd, xy in rows
+        if target in targets
+    }
 
 
 def common(strip: StripSightings, rows: dict[tuple[str, str, int], dict[str, Any]]) -> StripSightings:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import importlib.resources
 from functools import cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -23,21 +24,22 @@ Array = NDArray[np.float64]
 class Geoid:
     """Undulations on a regular grid of latitude and longitude.
 
-    `undulations_m[r, c]` is the value at latitude `lat_first_rad + r step_lat_rad` and longitude
+    `undulations[r, c]` is the value at latitude `lat_first_rad + r step_lat_rad` and longitude
     `lon_first_rad + c step_lon_rad`. A grid around the whole Earth is periodic in longitude, with or without
     a repeated last column. Raises `ValueError` for less than 2 x 2 points or missing values.
     """
 
-    undulations_m: NDArray[np.float32] = array("R, C", "geoid above the ellipsoid, m")
+    undulations: NDArray[Any] = array("R, C", "geoid above the ellipsoid, single precision or 16 bit")
     lat_first_rad: float = scalar("latitude of the first row")
     lon_first_rad: float = scalar("longitude of the first column")
     step_lat_rad: float = scalar("from row to row; negative in north-up rasters")
     step_lon_rad: float = scalar("from column to column")
+    per_m: float = scalar("units of `undulations` in a metre: 100 for centimetres", default=1.0)
 
     def __post_init__(self) -> None:
-        if min(self.undulations_m.shape) < 2:
-            raise ValueError(f"a geoid grid needs at least 2 x 2 points, got {self.undulations_m.shape}")
-        if not np.all(np.isfinite(self.undulations_m)):
+        if min(self.undulations.shape) < 2:
+            raise ValueError(f"a geoid grid needs at least 2 x 2 points, got {self.undulations.shape}")
+        if self.undulations.dtype.kind == "f" and not np.all(np.isfinite(self.undulations)):
             raise ValueError("a geoid grid must not have missing values")
 
     @staticmethod
@@ -87,11 +89,11 @@ class Geoid:
     def _period(self) -> int:
         """Columns of 360 degrees for a grid around the whole Earth, else 0."""
         period = round(2.0 * np.pi / abs(self.step_lon_rad))
-        return period if self.undulations_m.shape[1] >= period else 0
+        return period if self.undulations.shape[1] >= period else 0
 
     def _row_and_column(self, lat: Array, lon: Array) -> tuple[Array, Array]:
         """Fractional row and column of points; `ValueError` outside the grid."""
-        rows, columns = self.undulations_m.shape
+        rows, columns = self.undulations.shape
         row = (lat - self.lat_first_rad) / self.step_lat_rad
         column = (lon - self.lon_first_rad) / self.step_lon_rad
         column = np.mod(column, 2.0 * np.pi / abs(self.step_lon_rad))
@@ -110,20 +112,20 @@ class Geoid:
 
     def _four_rows(self, row: Array) -> tuple[list[NDArray[np.int64]], tuple[Array, ...]]:
         """The four grid rows around fractional rows, and their weights."""
-        rows = self.undulations_m.shape[0]
+        rows = self.undulations.shape[0]
         r0 = np.clip(np.floor(row).astype(np.int64), 0, rows - 2)
         return [np.clip(r0 + i, 0, rows - 1) for i in (-1, 0, 1, 2)], _keys_weights(row - r0)
 
     def _along_rows(self, r: NDArray[np.int64], column: Array) -> Array:
         """Values at fractional columns of the grid rows `r`."""
-        columns, period = self.undulations_m.shape[1], self._period
+        columns, period = self.undulations.shape[1], self._period
         c0 = np.floor(column).astype(np.int64)
         c0 = c0 if period else np.clip(c0, 0, columns - 2)
         column_weights = _keys_weights(column - c0)
         line = np.zeros(np.broadcast_shapes(r.shape, column.shape))
         for j in range(4):
             c = np.mod(c0 + (j - 1), period) if period else np.clip(c0 + (j - 1), 0, columns - 1)
-            line += column_weights[j] * self.undulations_m[r, c]
+            line += column_weights[j] * (self.undulations[r, c] / np.float32(self.per_m))
         return line
 
 
@@ -140,9 +142,8 @@ def egm96() -> Geoid:
     for row, before in zip(centimetres[1:], centimetres):  # ten times faster than np.cumsum along columns
         row += before
     np.cumsum(centimetres, axis=1, dtype=np.int16, out=centimetres)
-    metres = np.divide(centimetres, np.float32(100.0))
     step = np.radians(1.0 / 12.0)
-    return Geoid(metres, -0.5 * np.pi, -np.pi, step, step)
+    return Geoid(centimetres, -0.5 * np.pi, -np.pi, step, step, per_m=100.0)
 
 
 def _keys_weights(fraction: Array) -> tuple[Array, Array, Array, Array]:
