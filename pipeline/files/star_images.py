@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.content import check_regular, content_of, small_content
+from boresight.pipeline.files.png_rows import png_rows
 
 __all__ = ["TIFF_MAGICS", "check_size", "first_bytes", "read_exposure", "read_star_image"]
 
@@ -121,6 +122,8 @@ def _read_png(path: Path, file: str, size: tuple[int, int] | None, bits: int | N
     channels = 1 if colour in (0, 3) else 4
     raw = _encoded(path, file, width * height * channels * depth // 8)
     _check_png_chunks(raw, file)
+    if (image := png_rows(raw)) is not None:
+        return image
     flag = cv2.IMREAD_UNCHANGED if colour == 0 else cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH
     return _decoded(raw, flag, file, width, height)
 
