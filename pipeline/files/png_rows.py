@@ -29,8 +29,8 @@ _SLAB_ROWS = 1024  # whose columns are summed at once
 def png_rows(content: bytes) -> NDArray[np.uint8] | NDArray[np.uint16] | None:
     """Pixels (height, width) of a PNG file of 8 or 16 bits of grey; None where OpenCV has to read them.
 
-    The file's chunks are complete. OpenCV reads what is interlaced, coloured, with a transparent grey value or
-    with other filters, and damaged files, of which it tells the reason.
+    The file's chunks are complete. OpenCV reads what is interlaced, coloured, has a transparent grey value or
+    other filters, and damaged files, of which it tells the reason.
     """
     width, height, depth, colour, _, _, interlaced = struct.unpack_from(">IIBBBBB", content, 16)
     if colour or interlaced or depth not in (8, 16):
