@@ -45,6 +45,7 @@ from boresight.pipeline.stages.cached import Progress
 from boresight.pipeline.stages.calibrate import Calibration, calibrate_dump
 from boresight.pipeline.stages.joint import NamedDump, calibrate_jointly
 from boresight.pipeline.work.executor import Executor
+from boresight.pipeline.work.processes import Processes
 
 __all__ = ["RunOutcome", "RunRequest", "going_on", "run_dump", "run_dumps", "saved_content"]
 
@@ -98,7 +99,7 @@ def run_dump(
         required = write_requirement(out, request.requirement)
         if _is_finished(out, inputs, request, executor):
             if required and request.report:
-                _draw(out)
+                _draw(out, executor)
             return _finished(out)
         found = _calibrated(out, dump, named, inputs, request, executor, progress)
         log.debug("%s", "\n".join(omission_lines(found.omissions, None)))
@@ -192,14 +193,14 @@ def _calibrated(
     counts = {"units_made": found.n_computed, "units_found": found.n_reused}
     _note(out, request, {"dump": named, "inputs": inputs.digest()}, counts)
     if request.report:
-        _draw(out)
+        _draw(out, executor)
     return found
 
 
-def _draw(out: Path) -> None:
+def _draw(out: Path, executor: Executor) -> None:
     from boresight.pipeline.report.page import write_report
 
-    write_report(out)
+    write_report(out, executor=executor if isinstance(executor, Processes) else None)
 
 
 def _draw_dumps(out: Path) -> None:

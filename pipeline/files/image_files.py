@@ -223,12 +223,14 @@ def read_grid(path: Path, file: str, *, max_pixels: int, first_band: bool = Fals
             raise RawDataError(file, "transform", "none", "a GeoTIFF with an affine transform")
         raw = _read_window(image, file, Window(0, 0, image.width, image.height))
         with np.errstate(over="ignore"):  # beyond 3e38 becomes infinite, which is no value
-            values = raw.astype(np.float32)
+            values = raw.astype(np.float32, copy=False)
         if image.nodata is not None and np.isfinite(image.nodata):
             values[raw == image.nodata] = np.nan
-        values[~np.isfinite(values)] = np.nan
-        if not np.isfinite(values).any():
+        valid = np.isfinite(values)
+        if not valid.any():
             raise RawDataError(file, "pixels", "none that is valid", "at least one valid pixel")
+        if not valid.all():
+            values[~valid] = np.nan
         wkt = _map_of(image, file)
         _check_transform(image.transform, CRS.from_user_input(wkt), file)
         a, b, c, d, e, f = (float(v) for v in tuple(image.transform)[:6])

@@ -6,7 +6,8 @@ import functools
 import html
 import json
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -21,14 +22,22 @@ from boresight.pipeline.report.compiled_templates import CompiledTemplates
 from boresight.pipeline.report.drawing import SHAPES, strip_style
 from boresight.pipeline.report.first_screen import first_screen
 from boresight.pipeline.report.map_view import map_view
-from boresight.pipeline.report.observations import data_uri, exposure_rows, strip_numbers, target_rows
+from boresight.pipeline.report.observations import (
+    ExposureRow,
+    TargetRow,
+    data_uri,
+    exposure_rows,
+    strip_numbers,
+    target_rows,
+)
 from boresight.pipeline.report.saved import Number, Saved, number_from, read_saved
 from boresight.pipeline.report.star_image import star_detection, star_picture
 from boresight.pipeline.report.star_preview import STATES
-from boresight.pipeline.report.strip_stars import strip_star_rows
+from boresight.pipeline.report.strip_stars import StripStarRow, strip_star_rows
 from boresight.pipeline.report.strips_on_sky import strips_on_sky
 from boresight.pipeline.report.verdict import verdict_view
 from boresight.pipeline.results.folder import INTERIOR, VALIDATION
+from boresight.pipeline.work.executor import Executor, InOrder
 
 __all__ = ["report_html", "template", "write_report"]
 
@@ -37,28 +46,26 @@ MOST_ROWS = 300  # shown of a long table
 TO_ARCSEC = 1.0 / ARCSEC
 
 
-def write_report(result: Path, *, most_matches: int = MOST_MATCHES) -> Path:
+def write_report(result: Path, *, most_matches: int = MOST_MATCHES, executor: Executor | None = None) -> Path:
     """Write `report.html` into the folder of a result and return its path.
 
-    At most `most_matches` targets are shown with pictures, those with the largest residuals first. Raises
-    `RawDataError` naming a file of the result that is missing or damaged.
+    At most `most_matches` targets are shown with pictures, those with the largest residuals first. `executor`
+    draws the figures; default: this process. Raises `RawDataError` naming a file of the result that is
+    missing or damaged.
     """
-    text = report_html(read_saved(result), most_matches=most_matches)
+    text = report_html(read_saved(result), most_matches=most_matches, executor=executor)
     path = result / "report.html"
     write_text(path, text)
     return path
 
 
-def report_html(saved: Saved, *, most_matches: int = MOST_MATCHES) -> str:
+def report_html(saved: Saved, *, most_matches: int = MOST_MATCHES, executor: Executor | None = None) -> str:
     """The report as HTML text; `write_report` writes it."""
     targets, exposures = target_rows(saved, most_matches), exposure_rows(saved)
     strip_stars = strip_star_rows(saved, most_matches)
     has_stars = saved.context["star_camera"] is not None
-    of_targets = figures.squared_residual_histogram(saved, "targets", "targets")
-    of_stars = figures.squared_residual_histogram(saved, "stars", "stars") if has_stars else None
-    of_exposures = figures.exposure_chi2(saved, exposures) if has_stars else None
-    of_attitudes = figures.allan_plot(saved)
-    statistics = (of_stars, of_targets, of_exposures, of_attitudes)
+    drawn = _figures(saved, targets, exposures, strip_stars, executor or InOrder())
+    statistics = [drawn.get(f"of {what}") for what in ("stars", "targets", "exposures", "attitudes")]
     cards: Any = template("observations.html.j2").module
     more_cards = {row.link: str(cards.target_card(row)) for row in targets if not row.printed}
     more_cards |= {row.link: str(cards.exposure_card(row)) for row in exposures if not row.printed}
@@ -80,17 +87,17 @@ def report_html(saved: Saved, *, most_matches: int = MOST_MATCHES) -> str:
             part: [saved.context_number(f"new_strip.{part}.{i}", ".2f") for i in (0, 1)]
             for part in ("sigma_m", "le90_m")
         },
-        residuals=figures.residual_panels(saved, targets) if targets or not strip_stars else [],
+        residuals=drawn.get("residuals", []),
         interior=_interior(saved),
-        star_residuals=figures.star_residual_panels(saved, strip_stars) if strip_stars else [],
+        star_residuals=drawn.get("star residuals", []),
         on_sky=strips_on_sky(saved, strip_stars),
         seen_in=" and ".join(name for name, one in (("targets", targets), ("stars", strip_stars)) if one)
         or "targets",
         iterations=_iterations(saved),
-        convergence=figures.convergence(saved),
-        angles=[figures.angle_histogram(saved), figures.angle_spread(saved)] if has_stars else [],
-        star_map=figures.star_residual_map(saved) if has_stars else None,
-        ellipses=figures.covariance_ellipses(saved),
+        convergence=drawn["convergence"],
+        angles=[drawn["angles"], drawn["spread of angles"]] if has_stars else [],
+        star_map=drawn.get("star map"),
+        ellipses=drawn["ellipses"],
         statistics=[drawing for drawing in statistics if drawing is not None],
         image=_star_image(saved),
         states=STATES,
@@ -103,6 +110,39 @@ def report_html(saved: Saved, *, most_matches: int = MOST_MATCHES) -> str:
         inputs_in_all=len(saved.inputs),
         most_rows=MOST_ROWS,
     )
+
+
+def _figures(
+    saved: Saved,
+    targets: Sequence[TargetRow],
+    exposures: Sequence[ExposureRow],
+    strip_stars: Sequence[StripStarRow],
+    executor: Executor,
+) -> dict[str, Any]:
+    """Drawings by name; of stars and of targets where there are any."""
+    to_draw: dict[str, Callable[[], Any]] = {
+        "of targets": partial(figures.squared_residual_histogram, saved, "targets", "targets"),
+        "of attitudes": partial(figures.allan_plot, saved),
+        "convergence": partial(figures.convergence, saved),
+        "ellipses": partial(figures.covariance_ellipses, saved),
+    }
+    if saved.context["star_camera"] is not None:
+        to_draw |= {
+            "of stars": partial(figures.squared_residual_histogram, saved, "stars", "stars"),
+            "of exposures": partial(figures.exposure_chi2, saved, exposures),
+            "angles": partial(figures.angle_histogram, saved),
+            "spread of angles": partial(figures.angle_spread, saved),
+            "star map": partial(figures.star_residual_map, saved),
+        }
+    if targets or not strip_stars:
+        to_draw["residuals"] = partial(figures.residual_panels, saved, targets)
+    if strip_stars:
+        to_draw["star residuals"] = partial(figures.star_residual_panels, saved, strip_stars)
+    return dict(zip(to_draw, executor.map(_drawn, list(to_draw.values()), lambda n, figure: None)))
+
+
+def _drawn(figure: Callable[[], Any]) -> Any:
+    return figure()
 
 
 def template(name: str) -> jinja2.Template:

@@ -279,7 +279,7 @@ def test_inputs_have_no_digest_if_a_file_changes_during_the_run(one_strip: Path)
 
 
 def test_what_is_no_file_is_not_read_ahead(tmp_path: Path) -> None:
-    """A FIFO that nobody writes would block for ever."""
+    """Opening a FIFO without a writer would block for ever."""
     os.mkfifo(tmp_path / "fifo")
     for path in (tmp_path / "fifo", tmp_path / "missing", tmp_path):
         content.read_ahead(path)
