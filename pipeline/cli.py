@@ -201,7 +201,7 @@ def calibrate(
 
     Example: boresight calibrate dump --out result
     """
-    from boresight.pipeline.commands.calibrate import RunRequest, saved_content
+    from boresight.pipeline.commands.calibrate import RunRequest, SavedContent
     from boresight.pipeline.results.requirement import Requirement
     from boresight.pipeline.settings import read_settings
     from boresight.pipeline.work.workers import executor_for
@@ -228,7 +228,7 @@ def calibrate(
     took = f"{time.perf_counter() - begun_s:.1f} s -> {files[0]}{', report.html' if report else ''}"
     return Answer(
         text=f"{outcome.text}\n{took}",
-        content=saved_content(out),
+        content=SavedContent(out),
         files=files,
         exit_status=REFUTED if outcome.refuted and not accept_inconsistent else DONE,
     )

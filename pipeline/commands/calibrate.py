@@ -9,8 +9,9 @@ from __future__ import annotations
 import shlex
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -47,7 +48,7 @@ from boresight.pipeline.stages.joint import NamedDump, calibrate_jointly
 from boresight.pipeline.work.executor import Executor
 from boresight.pipeline.work.processes import Processes
 
-__all__ = ["RunOutcome", "RunRequest", "going_on", "run_dump", "run_dumps", "saved_content"]
+__all__ = ["RunOutcome", "RunRequest", "SavedContent", "going_on", "run_dump", "run_dumps"]
 
 
 @record(kw_only=True)
@@ -81,13 +82,29 @@ def going_on(out: Path) -> Iterator[None]:
         raise
 
 
-def saved_content(out: Path) -> dict[str, Any]:
-    """What a result folder holds, for --json: installation.json, what to look at, and what is not used."""
-    return {
-        "installation": read_json(out / "installation.json"),
-        "findings": read_findings(out),
-        "omitted": [plain(omission) for omission in run_status(out).omissions],
-    }
+class SavedContent(Mapping[str, Any]):
+    """What a result folder holds, for --json: installation.json, what to look at, and what is not used. It is
+    read when it is asked for."""
+
+    def __init__(self, out: Path) -> None:
+        self._out = out
+
+    @cached_property
+    def _content(self) -> dict[str, Any]:
+        return {
+            "installation": read_json(self._out / "installation.json"),
+            "findings": read_findings(self._out),
+            "omitted": [plain(omission) for omission in run_status(self._out).omissions],
+        }
+
+    def __getitem__(self, key: str) -> Any:
+        return self._content[key]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._content)
+
+    def __len__(self) -> int:
+        return len(self._content)
 
 
 def run_dump(
