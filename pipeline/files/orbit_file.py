@@ -17,7 +17,7 @@ from boresight.geometry.epoch import Epoch
 from boresight.geometry.inertial_frames import InertialFrame, rotation_to_gcrs
 from boresight.geometry.record import Floats, array, record, scalar
 from boresight.pipeline.errors import RawDataError
-from boresight.pipeline.files.text_files import NUMBER, read_text
+from boresight.pipeline.files.text_files import read_text
 from boresight.pipeline.files.xml_files import numbers_of, read_xml
 
 __all__ = ["Ephemeris", "read_oem", "tai_seconds"]
@@ -28,10 +28,9 @@ LIMIT_KM = 1e9  # of a coordinate and of a velocity in km/s, far beyond those of
 GPS_BEHIND_TAI_S = 19.0  # GPS time = TAI - 19 s (IS-GPS-200)
 EXPECTED = "an OEM that follows CCSDS 502.0-B"
 # A state line without acceleration; a message may hold comments, covariances and other notations of time too.
-_STATE = re.compile(
-    rf"(\d{{4}}-\d\d-\d\dT\d\d:\d\d:\d\d(?:\.\d{{1,12}})?)Z?((?:[ \t]+{NUMBER}){{6}})[ \t]*", re.ASCII
-)
 _TIME = r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d(?:\.\d+)?"
+_STAMP = re.compile(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d(?:\.\d{1,12})?Z?", re.ASCII)
+_STATE_CHARACTERS = b"0123456789+-.eE:TZ \t"
 _PLAIN_HEAD = re.compile(
     rf"CCSDS_OEM_VERS = [12]\.0\s+CREATION_DATE = {_TIME}\s+ORIGINATOR = \S[^\n]*\s+META_START\s+"
     r"((?:[A-Z_]+ = \S[^\n]*\s+)+)META_STOP\s*",
@@ -71,18 +70,17 @@ def read_oem(path: Path, file: str) -> Ephemeris:
         raise RawDataError(file, "line 1", "another text", "CCSDS_OEM_VERS = ..., or an OEM in XML")
     lines = text.splitlines()
     begin = 1 + next((n for n, line in enumerate(lines) if line.strip() == "META_STOP"), len(lines))
-    data = [line for line in lines[begin:] if line.strip()]
-    plain = [match.groups() for line in data if (match := _STATE.fullmatch(line.strip()))]
-    all_plain = bool(plain) and len(plain) == len(data)
+    data = [line for text in lines[begin:] if (line := text.strip())]
+    plain = _plain_states(data)
+    all_plain = plain is not None
     head = "\n".join(lines[:begin])
     states: list[Any] = []
     meta: Any
     if not all_plain or (meta := _plain_metadata(head)) is None:
         meta, states = _library_reading("\n".join([head, *(data[:1] if all_plain else lines[begin:])]), file)
-    if all_plain:
-        times = [time for time, _ in plain]
-        words = " ".join(numbers for _, numbers in plain).split()
-        values: Floats = np.array(words, dtype=float).reshape(-1, 6)
+    times: list[Any]
+    if plain is not None:
+        times, values = plain
     else:
         _check_numbers(data, file)
         times, values = _of_library(states)
@@ -110,6 +108,21 @@ def _ephemeris(meta: Any, times: list[Any], values: Floats, file: str) -> Epheme
         first_time=f"{times[0]}",
         last_time=f"{times[-1]}",
     )
+
+
+def _plain_states(data: list[str]) -> tuple[list[str], Floats] | None:
+    """Times and values (N, 6) of lines of a date and six decimal numbers each; None for any others."""
+    rows = [line.split() for line in data]
+    content = "".join(data)
+    if not rows or not content.isascii() or content.encode().translate(None, _STATE_CHARACTERS):
+        return None
+    if any(len(row) != 7 or not _STAMP.fullmatch(row[0]) for row in rows):
+        return None
+    try:
+        values = np.fromiter(map(float, (word for row in rows for word in row[1:])), float, 6 * len(rows))
+    except ValueError:
+        return None
+    return [row[0].removesuffix("Z") for row in rows], values.reshape(-1, 6)
 
 
 def _plain_metadata(head: str) -> dict[str, str] | None:
