@@ -21,6 +21,8 @@ from numpy.typing import NDArray
 __all__ = ["png_rows"]
 
 NONE, SUB, UP = range(3)  # filters of a row
+FIRST_CHUNK = 33  # after signature and header
+ANCILLARY = 0x20  # bit of a chunk's first letter: readers may pass over it
 _FIRST_BYTES = 2**12  # whose rows tell the filters of most files
 _FEED_BYTES = 2**18  # compressed bytes that are inflated at once: their rows stay in the cache
 _SLAB_ROWS = 1024  # whose columns are summed at once
@@ -29,14 +31,17 @@ _SLAB_ROWS = 1024  # whose columns are summed at once
 def png_rows(content: bytes) -> NDArray[np.uint8] | NDArray[np.uint16] | None:
     """Pixels (height, width) of a PNG file of 8 or 16 bits of grey; None where OpenCV has to read them.
 
-    The file's chunks are complete. OpenCV reads what is interlaced, coloured, has a transparent grey value or
-    other filters, and damaged files, of which it tells the reason.
+    The file's chunks are complete, the first one is IHDR. OpenCV reads what is interlaced, coloured, has a
+    transparent grey value or other filters, and what the standard forbids, of which it tells the reason.
     """
-    width, height, depth, colour, _, _, interlaced = struct.unpack_from(">IIBBBBB", content, 16)
-    if colour or interlaced or depth not in (8, 16):
+    length, width, height, depth, *kinds = struct.unpack_from(">I4xIIBBBBB", content, 8)
+    plain = length == 13 and width and height and depth in (8, 16)
+    if not plain or any(kinds):  # colour, compression, filter method, interlace
         return None
     size = depth // 8
-    filtered = _inflated(content, height, width * size)
+    if (data := _image_data(content)) is None:
+        return None
+    filtered = _inflated(data, height, width * size)
     if filtered is None:
         return None
     filters, rows = filtered
@@ -46,11 +51,33 @@ def png_rows(content: bytes) -> NDArray[np.uint8] | NDArray[np.uint16] | None:
     return rows if size == 1 else rows.view(">u2").astype(np.uint16)
 
 
-def _inflated(content: bytes, height: int, length: int) -> tuple[NDArray[np.uint8], NDArray[np.uint8]] | None:
+def _image_data(content: bytes) -> list[bytes] | None:
+    """Compressed bytes of the image, of each chunk IDAT; None if they are not in one run, or beside a chunk
+    that would change the pixels or that no reader may pass over (ISO/IEC 15948, 5.4)."""
+    data: list[bytes] = []
+    at, before = FIRST_CHUNK, b""
+    while at + 12 <= len(content):
+        (size,) = struct.unpack_from(">I", content, at)
+        kind = content[at + 4 : at + 8]
+        if kind == b"IEND":
+            return data
+        if kind == b"tRNS" or not (kind == b"IDAT" or kind[0] & ANCILLARY):
+            return None
+        if kind == b"IDAT":
+            if data and before != kind:
+                return None
+            data.append(content[at + 8 : at + 8 + size])
+        at, before = at + 12 + size, kind
+    return None
+
+
+def _inflated(
+    data: list[bytes], height: int, length: int
+) -> tuple[NDArray[np.uint8], NDArray[np.uint8]] | None:
     """Filters (height,) and filtered rows (height, length)."""
     filters, rows = np.empty(height, np.uint8), np.empty((height, length), np.uint8)
     inflate, rest, done = isal_zlib.decompressobj(), b"", 0
-    for piece in _pieces(content):
+    for piece in _pieces(data):
         try:
             rest += inflate.decompress(piece, (height - done) * (1 + length) - len(rest) + 1)
         except IsalError:  # type: ignore[misc]  # its stub makes it a variable
@@ -66,21 +93,17 @@ def _inflated(content: bytes, height: int, length: int) -> tuple[NDArray[np.uint
     return (filters, rows) if done == height and not rest and inflate.eof else None
 
 
-def _pieces(content: bytes) -> Iterator[bytes]:
-    """The compressed bytes of the image, a few first, then more at a time; none after a transparent value."""
-    at, pieces, length, enough = 8, [], 0, _FIRST_BYTES
-    while at + 12 <= len(content):
-        (size,) = struct.unpack_from(">I", content, at)
-        kind = content[at + 4 : at + 8]
-        if kind == b"tRNS":
-            return
-        if kind == b"IDAT":
-            pieces.append(content[at + 8 : at + 8 + size])
-            length += size
-        if length >= enough or (kind == b"IEND" and length):
+def _pieces(data: list[bytes]) -> Iterator[bytes]:
+    """The compressed bytes, a few first, then more at a time."""
+    pieces: list[bytes] = []
+    length, enough = 0, _FIRST_BYTES
+    for one in data:
+        pieces.append(one)
+        length += len(one)
+        if length >= enough:
             yield b"".join(pieces)
             pieces, length, enough = [], 0, _FEED_BYTES
-        at += 12 + size
+    yield b"".join(pieces)
 
 
 def _sum_along_rows(rows: NDArray[np.uint8], which: NDArray[np.intp], size: int) -> None:

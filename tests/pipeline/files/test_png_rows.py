@@ -7,6 +7,7 @@ import struct
 import tracemalloc
 import zlib
 from collections.abc import Callable
+from contextlib import suppress
 
 import cv2
 import numpy as np
@@ -87,6 +88,30 @@ IMAGE = noise((40, 50), np.uint8)
 ROWS = filtered_rows(IMAGE, np.full(40, SUB))
 WHOLE = png(ROWS, 50, 40)
 AVERAGED = bytes([AVERAGE]) + ROWS[1:]
+STREAM = zlib.compress(ROWS, 1)
+HEAD = struct.pack(">IIBBBBB", 50, 40, 8, 0, 0, 0, 0)
+
+
+def of_chunks(*chunks: tuple[bytes, bytes]) -> bytes:
+    return WHOLE[:8] + b"".join(chunk(*one) for one in chunks) + chunk(b"IEND", b"")
+
+
+def with_head(*values: int, stream: bytes = STREAM) -> bytes:
+    return of_chunks((b"IHDR", struct.pack(">IIBBBBB", *values)), (b"IDAT", stream))
+
+
+FORBIDDEN = {
+    "another compression": with_head(50, 40, 8, 0, 1, 0, 0),
+    "another filter method": with_head(50, 40, 8, 0, 0, 1, 0),
+    "no row": with_head(50, 0, 8, 0, 0, 0, 0, stream=zlib.compress(b"")),
+    "no column": with_head(0, 40, 8, 0, 0, 0, 0, stream=zlib.compress(bytes(40))),
+    "a long header": of_chunks((b"IHDR", HEAD + b"x"), (b"IDAT", STREAM)),
+    "a second header": of_chunks((b"IHDR", HEAD), (b"IHDR", HEAD), (b"IDAT", STREAM)),
+    "an unknown chunk that must be known": of_chunks((b"IHDR", HEAD), (b"ABCD", b"x"), (b"IDAT", STREAM)),
+    "data in two runs": of_chunks(
+        (b"IHDR", HEAD), (b"IDAT", STREAM[:500]), (b"tEXt", b"a\0b"), (b"IDAT", STREAM[500:])
+    ),
+}
 LEFT_TO_OPENCV = {
     "another filter": png(AVERAGED, 50, 40),
     "another filter in the last row": png(ROWS[:-51] + bytes([4]) + ROWS[-50:], 50, 40),
@@ -113,6 +138,20 @@ LEFT_TO_OPENCV = {
 def test_what_is_not_whole_or_not_understood_is_left_to_opencv(content: bytes) -> None:
     assert np.array_equal(png_rows(WHOLE), IMAGE)
     assert png_rows(content) is None
+
+
+@pytest.mark.parametrize("content", FORBIDDEN.values(), ids=FORBIDDEN)
+def test_what_the_standard_forbids_is_refused_as_by_opencv(content: bytes) -> None:
+    decoded = None
+    with suppress(cv2.error):
+        decoded = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED)
+    assert decoded is None
+    assert png_rows(content) is None
+
+
+def test_a_text_beside_the_image_does_not_matter() -> None:
+    content = of_chunks((b"IHDR", HEAD), (b"tEXt", b"a\0b"), (b"IDAT", STREAM), (b"tEXt", b"a\0b"))
+    assert np.array_equal(png_rows(content), IMAGE)
 
 
 def test_a_stream_of_too_many_zeros_is_not_inflated() -> None:
