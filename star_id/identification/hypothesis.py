@@ -28,6 +28,7 @@ __all__ = [
     "STARS_PER_DETECTION",
     "Hypothesis",
     "Match",
+    "OneToOnePairs",
     "match_within",
     "nearby_pairs",
     "one_to_one_pairs",

@@ -19,6 +19,7 @@ from boresight.geometry.record import Floats, Ints, array, record, scalar
 from boresight.star_id.identification.hypothesis import (
     Hypothesis,
     Match,
+    OneToOnePairs,
     match_within,
     nearby_pairs,
     one_to_one_pairs,
@@ -44,6 +45,9 @@ STAGES = (
     *((DENSER, 0, 14), (DENSER, 14, MOST_DETECTIONS)),
 )
 _STARS_FOR_SHIFT = 30  # brightest stars that determine the error of a prior attitude
+# log likelihood ratio below which a proposal is not refined: where errors are as expected, a right one has
+# less with probability exp(-4) at most, and an image has many right ones
+_HOPELESS = -4.0
 _UNAMBIGUOUS = 0.05  # of the detections' spacing: stars predicted so well are nearest to their own detections
 
 
@@ -221,17 +225,19 @@ def _refined_trial(
     """The hypothesis refined by the detections that match it; None if they are fewer than four.
 
     Its predictions are good to `sigma` (M,); it was made to fit `chosen` detections, which do not count in
-    the likelihood ratio.
+    the likelihood ratio. One that explains the image far worse than chance is not refined.
     """
     field = image.field
     near = nearby_pairs(image, hypothesis, sigma)
     pairs = one_to_one_pairs(image, hypothesis, near, sigma)
     match = match_within(hypothesis, pairs, 3.0 * pairs.sigma)
+    if match is None:
+        return None
+    if not field.is_calibrated and (log_ratio := _log_ratio(image, pairs, chosen)) < _HOPELESS:
+        return _Trial(match, Rotation.from_matrix(hypothesis.R), hypothesis.distortion, log_ratio)
     spacing = math.sqrt(image.area / len(image.points))
     unambiguous = field.is_calibrated and sigma.max(initial=0.0) < _UNAMBIGUOUS * spacing
     for _ in range(1 if field.is_calibrated else 4):  # each fit of the distortion lets further stars match
-        if match is None:
-            return None
         R_si, distortion, fitted = refine(image, index, hypothesis, match)
         hypothesis = predict_stars(index, hypothesis.rows, R_si.as_matrix(), distortion)
         sigma = np.full(len(hypothesis.rows), field.pixel)
@@ -240,17 +246,17 @@ def _refined_trial(
         pairs = one_to_one_pairs(image, hypothesis, near, sigma)
         limit = max(3.0 * robust_sigma(pairs.distance, field.pixel), field.pixel)
         match = match_within(hypothesis, pairs, limit)
-    if match is None:
-        return None
-    log_ratio = log_likelihood_ratio(
-        pairs.distance,
-        pairs.sigma,
-        len(image.points) - len(pairs.detections),
-        pairs.n_predicted,
-        image.area,
-        n_excluded=chosen + (fitted - 2) // 2,
+        if match is None:
+            return None
+    return _Trial(match, R_si, distortion, _log_ratio(image, pairs, chosen + (fitted - 2) // 2))
+
+
+def _log_ratio(image: PlaneDetections, pairs: OneToOnePairs, excluded: int) -> float:
+    """Log likelihood ratio of the image with and without the hypothesis that made these pairs."""
+    clutter = len(image.points) - len(pairs.detections)
+    return log_likelihood_ratio(
+        pairs.distance, pairs.sigma, clutter, pairs.n_predicted, image.area, n_excluded=excluded
     )
-    return _Trial(match, R_si, distortion, log_ratio)
 
 
 def _identification(trial: _Trial, proposals: int) -> Identification:

@@ -27,7 +27,6 @@ from boresight.star_id.identification.triangle_index import (
     SHORTEST_SIDE,
     STARS_PER_FIELD,
     TriangleTable,
-    cross,
     triangle_shapes,
 )
 
@@ -37,7 +36,7 @@ MOST_DETECTIONS = 24  # of which triangles are made
 _TRIALS = 16  # at most, per call
 _DETECTION_RATE = 0.5  # probability that an index star in the field is among the bright detections
 _MARGIN = np.log(10.0)  # a proposal is tried if its ratio is a tenth of the number of proposals
-_CHUNK = 4096
+_CHUNK = 1024
 _BRIGHT = 60  # detections on the map: enough to include the stars of the index
 _MAP_CELLS = 256  # at most, along x
 _CELL = 0.35  # of the camera's error at the edges: a star is then found at most one cell off
@@ -73,12 +72,12 @@ def propose(image: PlaneDetections, table: TriangleTable, u_i: Floats, done: int
     if len(rows) > _TRIALS:
         sky = _DetectionMap.of(image)
         chunks = [slice(k, k + _CHUNK) for k in range(0, len(rows), _CHUNK)]
-        ratios = [sky.log_ratios(table, u_i, vertices[c], R[c], log_scale[c]) for c in chunks]
+        ratios = [sky.log_ratios(table, u_i, vertices[c], R[:, :, c], log_scale[c]) for c in chunks]
         log_ratio = np.concatenate(ratios)
         worth = np.flatnonzero(log_ratio > np.log(len(rows)) - _MARGIN)
         best = worth[np.argsort(-log_ratio[worth], kind="stable")][:_TRIALS]
-        detected, R, log_scale = detected[best], R[best], log_scale[best]
-    return Proposals(detected, R, log_scale, examined)
+        detected, R, log_scale = detected[best], R[:, :, best], log_scale[best]
+    return Proposals(detected, R.transpose(2, 0, 1), log_scale, examined)
 
 
 # sorted by the last: the first (k choose 3) are those of the k brightest detections
@@ -102,21 +101,22 @@ def _look_up(field: FieldOfView, u_s: Floats, table: TriangleTable, done: int) -
 def _attitudes(
     u_s: Floats, u_i: Floats, detected: Ints, vertices: NDArray[np.int32], log_scale: Floats
 ) -> Floats:
-    """R_si (P, 3, 3) that align the ends of each longest side, the misfit of its length halved."""
-    ends = u_s.take(detected[:, :2], axis=0)
+    """R_si (3, 3, P) that align the ends of each longest side, the misfit of its length halved."""
+    ends = u_s.T.take(detected[:, :2].T, axis=1)  # (3, 2, P)
     if log_scale.any():
-        ends[:, :, :2] *= np.exp(-log_scale)[:, None, None]
-        ends /= np.linalg.norm(ends, axis=2, keepdims=True)
-    axes = _axes(np.concatenate([ends, u_i.take(vertices[:, :2], axis=0)]))
-    return np.asarray(axes[: len(ends)] @ axes[len(ends) :].transpose(0, 2, 1))
+        ends[:2] *= np.exp(-log_scale)
+        ends /= np.sqrt((ends * ends).sum(axis=0))
+    axes_s, axes_i = _axes(ends), _axes(u_i.T.take(vertices[:, :2].T, axis=1))
+    return np.asarray((axes_s[:, :, None] * axes_i[:, None]).sum(axis=0))
 
 
 def _axes(ends: Floats) -> Floats:
-    """Orthonormal columns (P, 3, 3) from pairs of unit vectors (P, 2, 3): midpoint, along, normal."""
+    """Orthonormal vectors, one a row (3, 3, P), from unit vectors (3, 2, P): midpoint, along, normal."""
     a, b = ends[:, 0], ends[:, 1]
-    axes = np.empty((len(ends), 3, 3))
-    axes[:, :, 0], axes[:, :, 1], axes[:, :, 2] = a + b, b - a, cross(a, b)
-    return np.asarray(axes / np.sqrt(np.einsum("pij,pij->pj", axes, axes))[:, None, :])
+    normal = a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+    axes = np.array([a + b, b - a, normal])
+    axes /= np.sqrt((axes * axes).sum(axis=1, keepdims=True))
+    return axes
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -146,20 +146,23 @@ class _DetectionMap:
     def log_ratios(
         self, table: TriangleTable, u_i: Floats, vertices: NDArray[np.int32], R: Floats, log_scale: Floats
     ) -> Floats:
-        """(P,) log likelihood ratios by the neighbours of each first vertex, detected or missed."""
+        """(P,) log likelihood ratios of attitudes `R` (3, 3, P), by the neighbours of each first vertex,
+        detected or missed."""
         field = self.image.field
-        neighbours = table.neighbours.take(vertices[:, 0], axis=0)  # (P, K)
-        v = u_i.take(neighbours, axis=0) @ R.transpose(0, 2, 1)
-        stretch = np.exp(log_scale)[:, None] / np.maximum(v[:, :, 2], 0.05)
-        x, y = v[:, :, 0] * stretch, v[:, :, 1] * stretch
+        neighbours = np.ascontiguousarray(table.neighbours.take(vertices[:, 0], axis=0).T)  # (K, P)
+        u, v, w = u_i.T.take(neighbours, axis=1)
+        stretch = np.exp(log_scale) / np.maximum(R[2, 0] * u + R[2, 1] * v + R[2, 2] * w, 0.05)
+        x = (R[0, 0] * u + R[0, 1] * v + R[0, 2] * w) * stretch
+        y = (R[1, 0] * u + R[1, 1] * v + R[1, 2] * w) * stretch
         seen = (np.abs(x) < field.half_x) & (np.abs(y) < field.half_y)
-        seen &= (neighbours != vertices[:, 1, None]) & (neighbours != vertices[:, 2, None])
-        column = ((x[seen] + field.half_x) / self.cell).astype(np.int64) + 1
-        row = ((y[seen] + field.half_y) / self.cell).astype(np.int64) + 1
-        hit_or_not = np.zeros(seen.shape, dtype=bool)
-        hit_or_not[seen] = self.occupied[row, column]
-        hits = hit_or_not.sum(axis=1)
+        seen &= (neighbours != vertices[:, 1]) & (neighbours != vertices[:, 2])
+        inside = seen.ravel().nonzero()[0]
+        column = ((x.take(inside) + field.half_x) / self.cell).astype(np.int64) + 1
+        row = ((y.take(inside) + field.half_y) / self.cell).astype(np.int64) + 1
+        detected = np.zeros(seen.shape, dtype=bool)
+        detected.ravel()[inside] = self.occupied.take(row * self.occupied.shape[1] + column)
+        hits = np.count_nonzero(detected, axis=0)
+        misses = np.count_nonzero(seen, axis=0) - hits
         rate = _DETECTION_RATE * min(1.0, len(self.image.points) / STARS_PER_FIELD)
         chance = max(float(self.occupied.mean()), 1e-6)
-        hit, miss = np.log(1.0 - rate + rate / chance), np.log(1.0 - rate)
-        return np.asarray(hits * hit + (seen.sum(axis=1) - hits) * miss)
+        return np.asarray(hits * np.log(1.0 - rate + rate / chance) + misses * np.log(1.0 - rate))

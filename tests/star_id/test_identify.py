@@ -18,6 +18,7 @@ from boresight.star_id.field import (
     nominal_camera,
     solve_stars,
 )
+from boresight.star_id.identification import identify as identify_module
 from boresight.star_id.identification.identify import AttitudePrior, Identification, NotIdentified, identify
 from boresight.star_id.identification.likelihood import log_likelihood_ratio
 from boresight.star_id.identification.proposals import _attitudes
@@ -119,7 +120,41 @@ def test_the_attitude_of_a_proposal_allows_for_the_scale_of_the_camera():
     pairs = np.arange(6).reshape(2, 3)
     found = _attitudes(seen, R_si.inv().apply(u), pairs, pairs.astype(np.int32), np.full(2, log_scale))
     # without noise or distortion the ends of the longest side are met exactly
-    assert np.abs(found - R_si.as_matrix()).max() < 1e-12
+    assert np.abs(found.transpose(2, 0, 1) - R_si.as_matrix()).max() < 1e-12
+
+
+def test_wrong_proposals_are_seldom_refined_and_right_ones_always(wide_index, places, monkeypatch):
+    rng = np.random.default_rng(31)
+    counts = {"refined": 0, "right": 0, "wrong": 0, "wrong refined": 0}
+
+    def counted_refine(*arguments):
+        counts["refined"] += 1
+        return refine(*arguments)
+
+    def counted_try(image, index, corners, R, log_scale):
+        before = counts["refined"]
+        trial = try_proposal(image, index, corners, R, log_scale)
+        right = (Rotation.from_matrix(R) * R_si.inv()).magnitude() < 0.02  # rad: a bent lens shifts it so
+        counts["right" if right else "wrong"] += 1
+        if right:
+            assert trial is not None and counts["refined"] > before
+        else:
+            counts["wrong refined"] += counts["refined"] > before
+        return trial
+
+    refine, try_proposal = identify_module.refine, identify_module._try_proposal
+    monkeypatch.setattr(identify_module, "refine", counted_refine)
+    monkeypatch.setattr(identify_module, "_try_proposal", counted_try)
+    for k in range(12):
+        plain = nominal_camera((1600, 1200), np.radians(rng.uniform(8.0, 30.0)))
+        camera = replace(plain, q1=0.15 / (1e3 * plain.focal_m) ** 2)
+        R_si = Rotation.random(random_state=rng)
+        xy, hip = detections(camera, R_si, places, rng, stars=90, false=60)
+        found = solve_stars(xy, (1600, 1200), wide_index, SETTINGS)
+        assert isinstance(found, FieldSolution), k
+        assert share_right(found.hip, found.detections, hip) > 0.9
+    assert counts["right"] >= 12
+    assert counts["wrong refined"] < 0.3 * counts["wrong"]  # without the limit all are
 
 
 @pytest.mark.parametrize("fov_given", [True, False])
