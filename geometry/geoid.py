@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import importlib.resources
 from functools import cache
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,8 @@ from boresight.geometry.record import array, record, scalar
 __all__ = ["Geoid", "egm96"]
 
 Array = NDArray[np.float64]
+
+_ROWS_AT_ONCE = 16  # of `undulation_on_grid_m`
 
 
 @record
@@ -79,10 +82,16 @@ class Geoid:
         row, column = self._row_and_column(lat, lon)
         near, row_weights = self._four_rows(row[:, 0])
         needed, index = np.unique(np.stack(near), return_inverse=True)
-        lines = self._along_rows(needed[:, None], column)
-        result = np.zeros((len(row), column.shape[1]))
-        for weight, at in zip(row_weights, index.reshape(4, -1)):
-            result += weight[:, None] * lines[at]
+        lines, index = self._along_rows(needed[:, None], column), index.reshape(4, -1)
+        result = np.empty((len(row), column.shape[1]))
+        # rows between the same lines of the grid have one product; few at a time stay in the cache
+        begins = np.flatnonzero(np.diff(index, axis=1).any(axis=0)) + 1
+        ends = sorted({*begins.tolist(), *range(_ROWS_AT_ONCE, len(row), _ROWS_AT_ONCE), len(row)})
+        for first, end in pairwise([0, *ends]):
+            weights, at = np.array([weight[first:end] for weight in row_weights]), index[:, first]
+            np.multiply.outer(weights[0], lines[at[0]], out=result[first:end])
+            for k in (1, 2, 3):
+                result[first:end] += np.multiply.outer(weights[k], lines[at[k]])
         return result
 
     @property

@@ -98,7 +98,8 @@ class TerrainGrid:
         Parameters
         ----------
         heights_m : (rows, columns) array
-            Heights at the centres of pixels, m; NaN marks pixels without data.
+            Heights at the centres of pixels, m; NaN marks pixels without data. Single precision above the
+            ellipsoid is not copied.
         transform : six numbers
             (a, b, c, d, e, f) of rasterio's Affine: the corner of pixel (column, row) is at x = a column + b
             row + c, y = d column + e row + f, in the CRS (x east, y north; degrees if geographic).
@@ -112,7 +113,7 @@ class TerrainGrid:
         ValueError
             For less than 2 x 2 heights, no height at all, or a transform that cannot be inverted.
         """
-        heights = np.array(heights_m, dtype=np.float32)
+        heights = np.asarray(heights_m, dtype=np.float32)
         if heights.ndim != 2 or min(heights.shape) < 2:
             raise ValueError(f"terrain needs at least 2 x 2 heights, got shape {heights.shape}")
         if not np.any(np.isfinite(heights)):
@@ -121,7 +122,7 @@ class TerrainGrid:
         if a * e == b * d:
             raise ValueError(f"terrain transform cannot be inverted: {(a, b, c, d, e, f)}")
         if geoid is not None:
-            _add_undulations(heights, (a, b, c, d, e, f), crs, geoid)
+            heights = _above_ellipsoid(heights, (a, b, c, d, e, f), crs, geoid)
         local_map = _local_map((a, b, c, d, e, f), heights.shape, crs)
         return TerrainGrid(heights, (a, b, c, d, e, f), crs, bounds_of_heights(heights), local_map)
 
@@ -267,25 +268,28 @@ def _on_tiles(origin_e: Array, direction_e: Array, tiles: TerrainTiles) -> Array
     return p_e
 
 
-def _add_undulations(
+def _above_ellipsoid(
     heights: NDArray[np.float32], transform: tuple[float, ...], crs: str, geoid: Geoid
-) -> None:
-    """Convert heights above mean sea level to heights above the ellipsoid, in place, in blocks of rows."""
+) -> NDArray[np.float32]:
+    """Heights above the ellipsoid (rows, columns) of heights above mean sea level, in blocks of rows."""
     a, b, c, d, e, f = transform
     rows, columns = heights.shape
     to_map = _to_map(crs)
+    found = np.empty_like(heights)
     at_once = max(1, 2**20 // columns)
     for first in range(0, rows, at_once):
         row, column = np.arange(first, min(first + at_once, rows)) + 0.5, np.arange(columns) + 0.5
-        part = heights[first : first + at_once]
         if to_map is None and not b and not d:
-            part += geoid.undulation_on_grid_m(np.radians(e * row + f), np.radians(a * column + c))
+            undulation = geoid.undulation_on_grid_m(np.radians(e * row + f), np.radians(a * column + c))
         else:
             column, row = np.meshgrid(column, row)
             lon, lat = a * column + b * row + c, d * column + e * row + f
             if to_map is not None:
                 lon, lat = to_map.transform(lon, lat, direction="INVERSE")
-            part += geoid.undulation_m(np.radians(lat), np.radians(lon))
+            undulation = geoid.undulation_m(np.radians(lat), np.radians(lon))
+        part = slice(first, first + at_once)
+        np.add(heights[part], undulation, out=found[part], casting="same_kind")
+    return found
 
 
 def _pixels_from_map(transform: tuple[float, ...], x: ArrayLike, y: ArrayLike) -> tuple[Array, Array]:

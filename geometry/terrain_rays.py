@@ -106,9 +106,13 @@ def _finest_bounds(heights: NDArray[np.float32], first: int) -> tuple[Array, Arr
     high = _tiles(highest, _TILE, -np.inf).max(axis=1).max(axis=2)
     # |d height / d column| + |d height / d row| in each cell; none begins at the last row or column
     cells = heights[first : first + _BAND + 1]
-    along_row, along_column = np.abs(np.diff(cells, axis=1)), np.abs(np.diff(cells, axis=0))
-    rise = np.maximum(along_row[1:], along_row[:-1]) + np.maximum(along_column[:, 1:], along_column[:, :-1])
-    rise = np.where(np.isnan(rise), _UNKNOWN_RISE_M, rise)
+    along_row, along_column = np.diff(cells, axis=1), np.diff(cells, axis=0)
+    for change in (along_row, along_column):
+        np.abs(change, out=change)
+    rise = np.maximum(along_row[1:], along_row[:-1])
+    rise += np.maximum(along_column[:, 1:], along_column[:, :-1])
+    if unknown.any():
+        rise[np.isnan(rise)] = _UNKNOWN_RISE_M
     missing = ((0, len(band) - len(rise)), (0, 1))
     rise = np.pad(rise, missing, constant_values=_UNKNOWN_RISE_M)
     return low, high, _tiles(rise, _TILE, _UNKNOWN_RISE_M).max(axis=1).max(axis=2)
