@@ -11,7 +11,7 @@ import sys
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -40,7 +40,13 @@ from boresight.pipeline.results.summary import (
     omission_lines,
     verdict_lines,
 )
-from boresight.pipeline.results.writing import write_dumps, write_joint_result, write_result, write_run
+from boresight.pipeline.results.writing import (
+    write_dumps,
+    write_installation,
+    write_joint_result,
+    write_run,
+    write_sightings,
+)
 from boresight.pipeline.settings import Settings
 from boresight.pipeline.stages.cached import Progress
 from boresight.pipeline.stages.calibrate import Calibration, calibrate_dump
@@ -202,11 +208,12 @@ def _calibrated(
 
             write_no_result(out, dump, error)
         raise
-    if request.report:
-        from boresight.pipeline.report.evidence import write_evidence
+    with executor.beside(partial(write_sightings, out, found)):
+        if request.report:
+            from boresight.pipeline.report.evidence import write_evidence
 
-        write_evidence(out, dump, found, request.settings, executor)
-    write_result(out, found, request.settings)
+            write_evidence(out, dump, found, request.settings, executor)
+    write_installation(out, found, request.settings)
     counts = {"units_made": found.n_computed, "units_found": found.n_reused}
     _note(out, request, {"dump": named, "inputs": inputs.digest()}, counts)
     if request.report:

@@ -37,7 +37,16 @@ from boresight.pipeline.stages.sky_strip import SkyTask
 from boresight.pipeline.stages.strip import MatchedTargets, StripTask
 from boresight.pipeline.work.digests import digest
 
-__all__ = ["verdict_json", "write_dumps", "write_joint_result", "write_json", "write_result", "write_run"]
+__all__ = [
+    "verdict_json",
+    "write_dumps",
+    "write_installation",
+    "write_joint_result",
+    "write_json",
+    "write_result",
+    "write_run",
+    "write_sightings",
+]
 
 FIELDS = (
     "verdict",
@@ -65,6 +74,12 @@ TARGETS = (
 
 def write_result(result: Path, calibration: Calibration, settings: Settings) -> None:
     """Write everything but run.json; `installation.json` comes last, so that where it is, all is."""
+    write_sightings(result, calibration)
+    write_installation(result, calibration, settings)
+
+
+def write_sightings(result: Path, calibration: Calibration) -> None:
+    """Write the tables in the folder `sightings`."""
     tables = result / "sightings"
     tables.mkdir(parents=True, exist_ok=True)
     _write_groups(tables / "stars.parquet", _star_groups(calibration))
@@ -75,15 +90,17 @@ def write_result(result: Path, calibration: Calibration, settings: Settings) -> 
     _write_groups(tables / "strips.parquet", [_pairs_table(estimate.pairs)])
     _write_groups(tables / "passes.parquet", [_passes_table(calibration)])
     _write_groups(tables / "omissions.parquet", [_omissions_table(calibration.omissions)])
-    write_json(
-        result / "installation.json",
-        _installation(
-            estimate,
-            calibration.verdict,
-            (calibration.settings, settings),
-            ground_m_per_rad(calibration.strips, calibration.camera),
-        ),
+
+
+def write_installation(result: Path, calibration: Calibration, settings: Settings) -> None:
+    """Write `installation.json`; where it is, all is."""
+    content = _installation(
+        calibration.estimate,
+        calibration.verdict,
+        (calibration.settings, settings),
+        ground_m_per_rad(calibration.strips, calibration.camera),
     )
+    write_json(result / "installation.json", content)
 
 
 def write_joint_result(

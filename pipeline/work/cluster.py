@@ -11,7 +11,7 @@ import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import CancelledError, ThreadPoolExecutor
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, suppress
 from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any, ClassVar, TypeVar
@@ -123,6 +123,10 @@ class OnCluster:
     def share(self, count: int) -> InOrder:
         """The worker's own process."""
         return InOrder()
+
+    def beside(self, function: Callable[[], None]) -> AbstractContextManager[None]:
+        """A block of code, and the function after it, in this process."""
+        return InOrder().beside(function)
 
 
 class _Run:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from typing import ClassVar, Protocol, TypeVar
 
@@ -27,6 +28,11 @@ class Executor(Protocol):
     def share(self, count: int) -> Executor:
         """What each of `count` items has for its own parts, where it is computed."""
 
+    def beside(self, function: Callable[[], None]) -> AbstractContextManager[None]:
+        """A block of code beside which the function runs, in another process or after it; both have ended
+        when it is left.
+        """
+
 
 @dataclass(frozen=True, slots=True)
 class InOrder:
@@ -47,3 +53,9 @@ class InOrder:
     def share(self, count: int) -> InOrder:
         """This process."""
         return self
+
+    @contextmanager
+    def beside(self, function: Callable[[], None]) -> Iterator[None]:
+        """A block of code, and the function after it."""
+        yield
+        function()

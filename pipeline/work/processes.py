@@ -14,8 +14,8 @@ import signal
 import sys
 import traceback
 from collections import Counter
-from collections.abc import Callable, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
 from multiprocessing.context import ForkContext, SpawnContext
@@ -98,6 +98,27 @@ class Processes:
     def share(self, count: int) -> Processes | InOrder:
         """An equal share of the processes; the item's own process where that is one or none."""
         return Processes(self.count // count) if 0 < 2 * count <= self.count else InOrder()
+
+    @contextmanager
+    def beside(self, function: Callable[[], None]) -> Iterator[None]:
+        """A block of code, while the function runs in a process; should that die, it runs here after it."""
+        process = _Process(_called, [function])
+        try:
+            process.begin(0)
+            yield
+            try:
+                _, error = process.pipe.recv()
+            except DIED:
+                function()
+                return
+            if error is not None:
+                raise error
+        finally:
+            process.stop()
+
+
+def _called(function: Callable[[], None]) -> None:
+    function()
 
 
 def _return_free_memory() -> None:

@@ -10,6 +10,7 @@ import signal
 import subprocess
 import sys
 import time
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -153,6 +154,49 @@ def test_error_of_a_unit_is_told_by_the_first_process_with_the_place_where_it_ar
         executor.map(full, [0, 1], lambda n, outcome: None)
     assert caught.value.errno == errno.ENOSPC
     assert "in full" in caught.value.__notes__[0]
+
+
+def process_noted_in(path: Path) -> None:
+    path.write_text(str(os.getpid()))
+
+
+def killed_at_first(path: Path) -> None:
+    if not path.exists():
+        path.touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    process_noted_in(path)
+
+
+def no_space() -> None:
+    raise OSError(errno.ENOSPC, "no space left")
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_what_runs_beside_a_block_has_ended_with_it(workers: int, tmp_path: Path) -> None:
+    with executor_for(workers, None, 0) as executor:
+        with executor.beside(partial(process_noted_in, tmp_path / "pid")):
+            (tmp_path / "block").touch()
+        assert (tmp_path / "block").exists()
+        assert (int((tmp_path / "pid").read_text()) == os.getpid()) == (workers == 1)
+        with pytest.raises(OSError, match="no space left"), executor.beside(no_space):
+            pass
+
+
+def test_what_runs_beside_a_block_is_done_here_if_its_process_dies(tmp_path: Path) -> None:
+    with executor_for(2, None, 0) as executor, executor.beside(partial(killed_at_first, tmp_path / "pid")):
+        pass
+    assert int((tmp_path / "pid").read_text()) == os.getpid()
+
+
+def test_what_runs_beside_a_block_that_fails_is_stopped(tmp_path: Path) -> None:
+    begun_s = time.monotonic()
+    with (
+        executor_for(2, None, 0) as executor,
+        pytest.raises(ZeroDivisionError),
+        executor.beside(partial(time.sleep, 60.0)),
+    ):
+        raise ZeroDivisionError
+    assert time.monotonic() - begun_s < 30.0  # s: half of what it would have taken
 
 
 def test_processes_share_the_units_and_are_gone_afterwards() -> None:
