@@ -12,6 +12,7 @@ import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from functools import cached_property, partial
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -210,15 +211,22 @@ def _calibrated(
         raise
     with executor.beside(partial(write_sightings, out, found)):
         if request.report:
-            from boresight.pipeline.report.evidence import write_evidence
-
-            write_evidence(out, dump, found, request.settings, executor)
+            _write_evidence(out, dump, found, request, executor)
     write_installation(out, found, request.settings)
     counts = {"units_made": found.n_computed, "units_found": found.n_reused}
     _note(out, request, {"dump": named, "inputs": inputs.digest()}, counts)
     if request.report:
         _draw(out, executor)
     return found
+
+
+def _write_evidence(
+    out: Path, dump: Dump, found: Calibration, request: RunRequest, executor: Executor
+) -> None:
+    from boresight.pipeline.report.evidence import write_evidence
+
+    with executor.beside(partial(write_evidence, out, dump, found, request.settings, executor)):
+        import_module("boresight.pipeline.report.page")  # Matplotlib takes as long as half of the evidence
 
 
 def _draw(out: Path, executor: Executor) -> None:

@@ -17,8 +17,9 @@ The same inputs, settings and version give identical files.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any, get_type_hints
 
@@ -71,32 +72,42 @@ def write_evidence(
 ) -> list[Finding]:
     """Write the folder `RESULT/evidence/`, of which a later calibration reads nothing; what stands out.
 
-    `executor` makes the strips' quicklooks; default: this process.
+    `executor` makes what takes longest; default: this process.
     """
-    folder = result / "evidence"
+    folder, executor = result / "evidence", executor or InOrder()
     folder.mkdir(parents=True, exist_ok=True)
     scenes = scenes_of(dump, calibration)
     ground = ground_table(scenes, dump, calibration)
+    parts = (
+        partial(_exposure, dump, calibration, settings),
+        partial(_accuracy, dump, calibration, ground),
+        partial(findings, dump, calibration, scenes, ground),
+        partial(unmatched_pictures, scenes, ground, dump),
+    )
+    exposure, accuracy, found, unmatched = executor.map(_made, parts, lambda n, part: None)
     tables: dict[str, pa.Table] = {
         "inputs": _inputs(dump),
         "convergence": _convergence(calibration),
         "angles": _angles(calibration),
         "matches": _matches(calibration),
-        "exposure": _exposure(_preview(dump, calibration, settings)),
+        "exposure": exposure,
         "ground": ground,
-        "unmatched": unmatched_pictures(scenes, ground, dump),
+        "unmatched": unmatched,
         "allan": _allan(dump, settings),
-        "map": scene_pictures(scenes, dump, calibration, executor or InOrder()),
+        "map": scene_pictures(scenes, dump, calibration, executor),
     }
     for name, table in tables.items():
         write_whole(
             folder / f"{name}.parquet", lambda path, t=table: pq.write_table(t, path, compression="zstd")
         )
-    found = findings(dump, calibration, scenes, ground)
-    context = _context(dump, calibration) | _accuracy(dump, calibration, ground)
+    context = _context(dump, calibration) | accuracy
     context |= {"findings": [one.json() for one in found], "scenes": [scene_json(scene) for scene in scenes]}
     write_json(folder / "context.json", context)
     return found
+
+
+def _made(part: Callable[[], Any]) -> Any:
+    return part()
 
 
 def _context(dump: Dump, calibration: Calibration) -> dict[str, Any]:
@@ -347,8 +358,9 @@ def _preview(dump: Dump, calibration: Calibration, settings: Settings) -> StarPr
     return None
 
 
-def _exposure(preview: StarPreview | None) -> pa.Table:
+def _exposure(dump: Dump, calibration: Calibration, settings: Settings) -> pa.Table:
     """One row per detection; the schema's metadata holds the picture (JPEG) and the facts of the exposure."""
+    preview = _preview(dump, calibration, settings)
     if preview is None:
         return pa.table({"xy_px": fixed_list(np.zeros((0, 2))), "snr": [], "state": [], "hip": []})
     about = {

@@ -124,7 +124,7 @@ class OnCluster:
         """The worker's own process."""
         return InOrder()
 
-    def beside(self, function: Callable[[], None]) -> AbstractContextManager[None]:
+    def beside(self, function: Callable[[], object]) -> AbstractContextManager[None]:
         """A block of code, and the function after it, in this process."""
         return InOrder().beside(function)
 

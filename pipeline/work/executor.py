@@ -28,7 +28,7 @@ class Executor(Protocol):
     def share(self, count: int) -> Executor:
         """What each of `count` items has for its own parts, where it is computed."""
 
-    def beside(self, function: Callable[[], None]) -> AbstractContextManager[None]:
+    def beside(self, function: Callable[[], object]) -> AbstractContextManager[None]:
         """A block of code beside which the function runs, in another process or after it; both have ended
         when it is left.
         """
@@ -55,7 +55,7 @@ class InOrder:
         return self
 
     @contextmanager
-    def beside(self, function: Callable[[], None]) -> Iterator[None]:
+    def beside(self, function: Callable[[], object]) -> Iterator[None]:
         """A block of code, and the function after it."""
         yield
         function()

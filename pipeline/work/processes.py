@@ -100,7 +100,7 @@ class Processes:
         return Processes(self.count // count) if 0 < 2 * count <= self.count else InOrder()
 
     @contextmanager
-    def beside(self, function: Callable[[], None]) -> Iterator[None]:
+    def beside(self, function: Callable[[], object]) -> Iterator[None]:
         """A block of code, while the function runs in a process; should that die, it runs here after it."""
         process = _Process(_called, [function])
         try:
@@ -117,7 +117,7 @@ class Processes:
             process.stop()
 
 
-def _called(function: Callable[[], None]) -> None:
+def _called(function: Callable[[], object]) -> None:
     function()
 
 
