@@ -14,13 +14,13 @@ from boresight.geometry.spherical import unit_vectors
 
 __all__ = [
     "columns_at_height",
+    "distances_to_shell",
     "ecef_from_geodetic",
     "ellipsoid_normals",
     "geodetic_along_paths",
     "geodetic_from_ecef",
     "local_axes_e",
     "ray_ellipsoid_intersection",
-    "ray_shell_intersection",
     "shell_depth_m",
     "vertical_at",
 ]
@@ -62,7 +62,7 @@ def geodetic_along_paths(middle_e: Array, half_e: Array, ellipsoid: Ellipsoid) -
     Cubic in s about the exact coordinates of the middle: the distance r + ds from the Earth's axis gives the
     longitude and the place in the meridian plane, whose radius of curvature gives latitude and height. Of the
     flattening only the second order is kept. Within 1e-6 m for paths of 2 km of ground and 4 km of height
-    below 80 deg of latitude; at the poles longitude is no such series.
+    below 80 deg of latitude, up to 10 km above the ellipsoid; at the poles longitude is no such series.
 
     Parameters
     ----------
@@ -76,26 +76,36 @@ def geodetic_along_paths(middle_e: Array, half_e: Array, ellipsoid: Ellipsoid) -
     coefficients : (4, 3, N) array
         Of s^0 to s^3 in latitude and longitude, rad, and height above the ellipsoid, m.
     """
-    lat, lon, height = geodetic_from_ecef(middle_e, ellipsoid)
     x, y, z = np.ascontiguousarray(half_e.T)
-    x0, y0 = np.ascontiguousarray(middle_e.T[:2])
-    r, sin = np.sqrt(x0 * x0 + y0 * y0), np.sin(lat)
-    e2 = ellipsoid.eccentricity_squared
-    square = 1.0 / (1.0 - e2 * sin * sin)
-    normal = ellipsoid.semi_major_m * np.sqrt(square)
-    cos, radius = r / (normal + height), normal * (1.0 - e2) * square + height
+    x0, y0, z0 = np.ascontiguousarray(middle_e.T)
+    a, b, e2 = ellipsoid.semi_major_m, ellipsoid.semi_minor_m, ellipsoid.eccentricity_squared
+    r2 = x0 * x0 + y0 * y0
+    r = np.sqrt(r2)
+    # latitude by one step of Bowring's (1976, Survey Review 23, 323), then from the height at that latitude
+    stretched = z0 * (a / b)
+    scale = 1.0 / np.sqrt(r2 + stretched * stretched)
+    sin, cos = stretched * scale, r * scale
+    rise, run = z0 + (e2 * a * a / b) * sin * sin * sin, r - (e2 * a) * cos * cos * cos
+    scale = 1.0 / np.sqrt(rise * rise + run * run)
+    sin, cos = rise * scale, run * scale
+    square = 1.0 - e2 * sin * sin
+    root = np.sqrt(square)
+    normal, square, height = a / root, 1.0 / square, r * cos + z0 * sin - a * root
+    lat = np.arctan(z0 * (normal + height) / (r * ((1.0 - e2) * normal + height)))
+    lon = np.arctan2(y0, x0)
+    radius = (1.0 - e2) * normal * square + height
     east, outward = (x0 * y - y0 * x) / r, (x0 * x + y0 * y) / r
     north, up = z * cos - outward * sin, z * sin + outward * cos
-    b, c, d, q, k = east / r, outward / r, 0.5 * east * east / r, north / radius, up / radius
+    turn, c, d, q, k = east / r, outward / r, 0.5 * east * east / r, north / radius, up / radius
     lift, sink = d * cos, d * sin / radius  # of the distance from the axis, in s^2 (1 - c s)
     second = sink + q * k
     evolute = 1.5 * e2 * sin * cos * square * q  # the radius of curvature changes with latitude
     coefficients = np.empty((4, 3, len(lat)))
     coefficients[0] = lat, lon, height
-    coefficients[1] = q, b, up
-    coefficients[2] = -second - evolute * q, -b * c, lift + 0.5 * north * q
+    coefficients[1] = q, turn, up
+    coefficients[2] = -second - evolute * q, -turn * c, lift + 0.5 * north * q
     coefficients[3, 0] = sink * (c + k) + q * (k * k - q * q / 3.0 - lift / radius) + 2.0 * evolute * second
-    coefficients[3, 1] = b * (c * c - b * b / 3.0)
+    coefficients[3, 1] = turn * (c * c - turn * turn / 3.0)
     coefficients[3, 2] = -lift * c - north * (sink + 0.5 * q * k)
     return coefficients
 
@@ -156,7 +166,7 @@ def columns_at_height(
 ) -> tuple[Array, Array]:
     """Points of `ray_ellipsoid_intersection` and unit verticals there (to 3e-8 rad); vectors are (3, N)."""
     height = np.asarray(height_m, dtype=float)
-    point = _columns_on_shell(origin, direction, height, ellipsoid)
+    point = origin + distances_to_shell(origin, direction, height, ellipsoid) * direction
     up = _vertical_columns(point, height, ellipsoid)
     if np.any(height):
         slope = up[0] * direction[0] + up[1] * direction[1] + up[2] * direction[2]
@@ -172,27 +182,24 @@ def shell_depth_m(sin2_lat: Array, height_m: Array, ellipsoid: Ellipsoid) -> Arr
     return np.asarray(height_m * (tangent - a + (a - b) * sin2_lat) / (tangent + height_m))
 
 
-def ray_shell_intersection(
-    origin_e: Array, direction_e: Array, height_m: ArrayLike, ellipsoid: Ellipsoid
-) -> Array:
-    """First points (N, 3) of rays on the ellipsoid with semi-axes a + h, b + h; NaN as in
-    `ray_ellipsoid_intersection`. It lies below height h by h f^2 sin^2(2 lat) / 8, 0.013 m at 9 km.
+def distances_to_shell(origin: Array, direction: Array, height_m: ArrayLike, ellipsoid: Ellipsoid) -> Array:
+    """Distances (N,) from origins (3, N), in lengths of the directions (3, N), to the first points of rays on
+    the ellipsoid with semi-axes a + h, b + h; NaN as in `ray_ellipsoid_intersection`.
+
+    That ellipsoid lies below height h by h f^2 sin^2(2 lat) / 8, 0.013 m at 9 km.
     """
-    origin, direction = np.ascontiguousarray(origin_e.T), np.ascontiguousarray(direction_e.T)
-    point = _columns_on_shell(origin, direction, np.asarray(height_m, dtype=float), ellipsoid)
-    return np.ascontiguousarray(point.T)
-
-
-def _columns_on_shell(origin: Array, direction: Array, height: Array, ellipsoid: Ellipsoid) -> Array:
-    a2, b2 = (ellipsoid.semi_major_m + height) ** -2.0, (ellipsoid.semi_minor_m + height) ** -2.0
-    dd, od, oo = (
-        a2 * (left[0] * right[0] + left[1] * right[1]) + b2 * (left[2] * right[2])
-        for left, right in ((direction, direction), (origin, direction), (origin, origin))
-    )
-    discriminant = od * od - dd * (oo - 1.0)
-    meets = (discriminant >= 0.0) & (od < 0.0) & (oo >= 1.0)
-    distance = (oo - 1.0) / np.where(meets, np.sqrt(np.maximum(discriminant, 0.0)) - od, np.nan)
-    return np.asarray(origin + distance * direction)
+    height = np.asarray(height_m, dtype=float)
+    a, b = ellipsoid.semi_major_m + height, ellipsoid.semi_minor_m + height
+    stretch = (a / b) ** 2  # of z^2: the ellipsoid becomes a sphere
+    oz, dz = stretch * origin[2], stretch * direction[2]
+    dd = direction[0] * direction[0] + direction[1] * direction[1] + direction[2] * dz
+    od = origin[0] * direction[0] + origin[1] * direction[1] + origin[2] * dz
+    above = origin[0] * origin[0] + origin[1] * origin[1] + origin[2] * oz - a * a
+    discriminant = od * od - dd * above
+    meets = (discriminant >= 0.0) & (od < 0.0) & (above >= 0.0)
+    if not meets.all():
+        discriminant, od = np.where(meets, discriminant, np.nan), np.where(meets, od, np.nan)
+    return np.asarray(above / (np.sqrt(discriminant) - od))
 
 
 def vertical_at(p_e: Array, height_m: ArrayLike, ellipsoid: Ellipsoid) -> Array:
@@ -208,6 +215,8 @@ def _vertical_columns(p: Array, height: Array, ellipsoid: Ellipsoid) -> Array:
     radius = ellipsoid.semi_major_m * (1.0 + 0.5 * ellipsoid.flattening)
     stretch = (radius + height) / (radius * (1.0 - ellipsoid.eccentricity_squared) + height)
     normal = np.empty(p.shape)
-    normal[:2], normal[2] = p[:2], p[2] * stretch
-    normal /= np.sqrt(normal[0] ** 2 + normal[1] ** 2 + normal[2] ** 2)
+    z = p[2] * stretch
+    scale = 1.0 / np.sqrt(p[0] * p[0] + p[1] * p[1] + z * z)
+    np.multiply(p[:2], scale, out=normal[:2])
+    np.multiply(z, scale, out=normal[2])
     return normal

@@ -17,10 +17,10 @@ from pyproj import CRS, Transformer
 
 from boresight.geometry.constants import WGS84
 from boresight.geometry.geodesy import (
+    distances_to_shell,
     geodetic_along_paths,
     geodetic_from_ecef,
     ray_ellipsoid_intersection,
-    ray_shell_intersection,
 )
 from boresight.geometry.geoid import Geoid
 from boresight.geometry.local_map import LocalMap, fit_local_map
@@ -149,6 +149,45 @@ class TerrainGrid:
         return _pixels_from_map(self.transform, x + 360.0 * np.round((middle - x) / 360.0), np.degrees(lat))
 
 
+    def pixels_along_paths(self, coefficients: Array, degree: int) -> Array:
+        """Column, row and height of short paths as polynomials of their parameter, from -1 to 1.
+
+        Parameters
+        ----------
+        coefficients : (K, 3, N) array
+            Of the powers of the parameter, from 0 on, in latitude, longitude, rad, and height, m.
+        degree : int
+            Degree of the result, where the map is not linear in latitude and longitude.
+
+        Returns
+        -------
+        coefficients : (degree + 1 or K, 3, N) array
+            Of the powers of the parameter in column, row, px, and height, m.
+        """
+        if self.local_map is None and _to_map(self.crs) is None:
+            a, b, _, d, e, _ = self.transform
+            per_rad = np.degrees(1.0) / (a * e - b * d)
+            pixels = coefficients.copy()
+            pixels[0, :2] = self.pixels_from_geodetic(coefficients[0, 0], coefficients[0, 1])
+            lat, lon = coefficients[1:, 0], coefficients[1:, 1]
+            pixels[1:, 0] = (e * per_rad) * lon - (b * per_rad) * lat
+            pixels[1:, 1] = (a * per_rad) * lat - (d * per_rad) * lon
+            return pixels
+        nodes = np.vander(_nodes(degree), len(coefficients), increasing=True)
+        tracks = (nodes @ coefficients.reshape(len(coefficients), -1)).reshape(degree + 1, 3, -1)
+        return self.pixels_along_tracks(tracks)
+
+    def pixels_along_tracks(self, tracks: Array) -> Array:
+        """Result of `pixels_along_paths` from latitude, longitude and height (K, 3, N), overwritten, at K
+        evenly spaced parameters from -1 to 1.
+        """
+        for track in tracks:
+            track[:2] = self.pixels_from_geodetic(track[0], track[1])
+        k = len(tracks)
+        to_coefficients = np.linalg.inv(np.vander(_nodes(k - 1), increasing=True))
+        return np.asarray((to_coefficients @ tracks.reshape(k, -1)).reshape(tracks.shape))
+
+
 @record
 class TerrainTiles:
     """Height models beside or above one another: a point has the height of the first that has one there."""
@@ -190,7 +229,7 @@ def intersect(origin_e: Array, direction_e: Array, surface: Surface) -> Array:
     if isinstance(surface, TerrainTiles):
         return _on_tiles(origin_e, direction_e, surface)
     low, high = surface.height_range_m()
-    p_e = np.empty((len(origin_e), 3))
+    p_e = np.empty((3, len(origin_e))).T  # components lie together in memory
     for first in range(0, len(origin_e), _CHUNK):
         part = slice(first, first + _CHUNK)
         origin, along = origin_e[part], direction_e[part]
@@ -227,28 +266,40 @@ class _RaysOverSurface:
 
 def _on_relief(origin_e: Array, direction_e: Array, surface: Surface, low: float, high: float) -> Array:
     """First intersections (N, 3) on each ray from just above the highest ground to just below the lowest."""
-    top = ray_shell_intersection(origin_e, direction_e, high + _MARGIN_M, WGS84)
-    path = ray_shell_intersection(origin_e, direction_e, low - _MARGIN_M, WGS84) - top
-    rays = _RaysOverSurface(surface, top, path)
-    if not isinstance(surface, TerrainGrid):
-        share = crossings_by_steps(rays, len(top), _STEPS)
-        return np.asarray(top + share[:, None] * path)
-    horizontal2 = np.einsum("ni,ni->n", path, path) - (high - low) ** 2
+    origin, direction = np.ascontiguousarray(origin_e.T), np.ascontiguousarray(direction_e.T)
+    near = distances_to_shell(origin, direction, high + _MARGIN_M, WGS84)
+    far = distances_to_shell(origin, direction, low - _MARGIN_M, WGS84)
+    if isinstance(surface, TerrainGrid):
+        middle, half = origin + (0.5 * (near + far)) * direction, (0.5 * (far - near)) * direction
+        return np.asarray((middle + _shares_on_grid(middle, half, surface) * half).T)
+    top, path = (origin + near * direction).T, ((far - near) * direction).T
+    share = crossings_by_steps(_RaysOverSurface(surface, top, path), len(top), _STEPS)
+    return np.asarray(top + share[:, None] * path)
+
+
+def _shares_on_grid(middle: Array, half: Array, grid: TerrainGrid) -> Array:
+    """Parameters s (N,) of the first intersections of the paths `middle + s half`, -1 <= s <= 1, both (3, N),
+    frame e, m.
+    """
+    low, high = grid.height_range_m()
+    horizontal2 = 4.0 * np.einsum("in,in->n", half, half) - (high - low) ** 2
     longest = float(np.nanmax(horizontal2, initial=0.0)) ** 0.5
     degree = 2 + int(np.searchsorted(_LONGEST_PATH_M, longest))
-    tracks = np.empty((degree + 1, 3, len(top)))
-    from_axis = float(np.nanmin(np.hypot(top[:, 0], top[:, 1]), initial=np.inf))
-    if degree <= 3 and from_axis > _POLAR_M:
-        along = geodetic_along_paths(top + 0.5 * path, 0.5 * path, WGS84)
-        powers = np.vander(np.linspace(-1.0, 1.0, degree + 1), 4, increasing=True)
-        tracks[:] = (powers @ along.reshape(4, -1)).reshape(tracks.shape)
+    from_axis2 = float(np.nanmin(middle[0] * middle[0] + middle[1] * middle[1], initial=np.inf))
+    if degree <= 3 and from_axis2 > _POLAR_M**2:
+        along = geodetic_along_paths(middle.T, half.T, WGS84)
+        curves = grid.pixels_along_paths(along, degree)
     else:
-        for k, track in enumerate(tracks):
-            track[:] = geodetic_from_ecef(top + (k / degree) * path, WGS84)
-    for track in tracks:
-        track[:2] = surface.pixels_from_geodetic(track[0], track[1])
-    share = first_crossings(surface.heights_m, surface.bounds, tracks)
-    return np.asarray(top + share[:, None] * path)
+        tracks = np.empty((degree + 1, 3, middle.shape[1]))
+        for s, track in zip(_nodes(degree), tracks):
+            track[:] = geodetic_from_ecef((middle + s * half).T, WGS84)
+        curves = grid.pixels_along_tracks(tracks)
+    return first_crossings(grid.heights_m, grid.bounds, curves)
+
+
+def _nodes(degree: int) -> Array:
+    """Evenly spaced parameters of a path (degree + 1,), from -1 to 1."""
+    return np.linspace(-1.0, 1.0, degree + 1)
 
 
 def _on_tiles(origin_e: Array, direction_e: Array, tiles: TerrainTiles) -> Array:

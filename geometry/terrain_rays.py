@@ -1,9 +1,10 @@
 """First intersection of rays with a grid of heights, in the grid's pixel coordinates.
 
-A ray is the polynomial through a few points (column, row, height), in the parameter u from 0 (above all
-ground) to 1 (below all ground). Three steps: the interval of u is reduced by the highest and lowest ground of
-the tiles around the ray, coarse to fine (`_possible_interval`); the ray is sampled once per pixel until it is
-below ground (`_first`); the crossing is refined by regula falsi (`_refined`).
+A ray is a polynomial (column, row, height) in the parameter s from -1 (above all ground) to 1 (below all
+ground). Three steps: the interval of s is reduced by the highest and lowest ground of the tiles around the
+ray, coarse to fine (`_possible_interval`); a ray steeper than the ground there has one crossing, found by
+Newton's method (`_only_crossings`); any other is sampled once per pixel until it is below ground (`_first`),
+and the crossing is refined by regula falsi (`_refined`).
 
 Source of the refinement: Anderson, N., and Björck, Å. (1973), A new high order method of regula falsi type,
 BIT 13, 253.
@@ -38,6 +39,7 @@ _MARGIN_M = 1e-4  # added to the bounds of tiles
 _CONVERGED_M = 1e-7
 _REFINEMENTS = 60
 _FEWER = 0.9  # of the rays: to take the others out costs less than to refine them once more
+_NEWTON_STEPS = 8
 _UNKNOWN_RISE_M = 1e9  # at pixels without data and outside the grid
 _SAFETY = 0.8  # on a long path height decreases a few per cent more slowly at the end
 
@@ -120,6 +122,13 @@ def _finest_bounds(heights: NDArray[np.float32], first: int) -> tuple[Array, Arr
 
 def bilinear(heights: NDArray[np.float32], column: Array, row: Array) -> Array:
     """Heights (N,), m, at fractional pixels, (0, 0) at the first centre; NaN outside or next to no data."""
+    return _bilinear_and_slopes(heights, column, row)[0]
+
+
+def _bilinear_and_slopes(
+    heights: NDArray[np.float32], column: Array, row: Array
+) -> tuple[Array, Array, Array]:
+    """Heights (N,) as `bilinear`, and their derivatives by column and row (N,), m/px."""
     rows, columns = heights.shape
     everywhere = len(row) > 0 and bool(
         column.min() >= 0.0 and column.max() <= columns - 1.0 and row.min() >= 0.0 and row.max() <= rows - 1.0
@@ -134,24 +143,25 @@ def bilinear(heights: NDArray[np.float32], column: Array, row: Array) -> Array:
     r *= columns
     r += c
     upper_left = r.astype(np.int64)
-    upper = _between(heights.ravel(), upper_left, along_row)
-    height = _between(heights.ravel()[columns:], upper_left, along_row)
-    height -= upper
-    height *= along_column
-    height += upper
-    return height if everywhere else np.where(inside, height, np.nan)
+    height, by_column = _between(heights.ravel(), upper_left, along_row)
+    by_row, lower_by_column = _between(heights.ravel()[columns:], upper_left, along_row)
+    by_row -= height
+    height += by_row * along_column
+    lower_by_column -= by_column
+    lower_by_column *= along_column
+    by_column += lower_by_column
+    return height if everywhere else np.where(inside, height, np.nan), by_column, by_row
 
 
-def _between(values: NDArray[np.float32], at: NDArray[np.int64], share: Array) -> Array:
-    """Values (N,) at indices `at` (N,) plus `share` (N,)."""
-    first, value = (part.take(at, mode="clip").astype(np.float64) for part in (values, values[1:]))
-    value -= first
-    value *= share
-    value += first
-    return np.asarray(value)
+def _between(values: NDArray[np.float32], at: NDArray[np.int64], share: Array) -> tuple[Array, Array]:
+    """Values (N,) at indices `at` (N,) plus `share` (N,), and their differences to the next index (N,)."""
+    first, difference = (part.take(at, mode="clip").astype(np.float64) for part in (values, values[1:]))
+    difference -= first
+    first += difference * share
+    return first, difference
 
 
-def first_crossings(heights: NDArray[np.float32], bounds: HeightBounds, tracks: Array) -> Array:
+def first_crossings(heights: NDArray[np.float32], bounds: HeightBounds, coefficients: Array) -> Array:
     """Parameters (N,) of the first intersections of rays with the ground; NaN without one or without data.
 
     Parameters
@@ -159,16 +169,21 @@ def first_crossings(heights: NDArray[np.float32], bounds: HeightBounds, tracks: 
     heights : (rows, columns) array
     bounds : HeightBounds
         Bounds of these heights.
-    tracks : (K, 3, N) array
-        Column, row and height at K >= 3 evenly spaced parameters from 0 to 1.
+    coefficients : (K, 3, N) array
+        Of the powers 0 to K - 1 of the parameter, -1 to 1, in column, row and height.
     """
-    curve = _Polynomials.through(heights, tracks)
-    pixels, fall = curve.pixels(), -np.sum(curve.coefficients[1:, 2], axis=0)
+    curve = _Polynomials(heights, coefficients)
+    pixels, fall = curve.pixels(), -curve.chord()[2]
     start, stop, rise = _possible_interval(curve, pixels, fall, bounds)
     # A ray steeper than any slope of the ground here has one intersection: no sampling is needed.
     once = rise * pixels < fall * _SAFETY
-    steps = np.where(once, 1.0, np.maximum(np.ceil((stop - start) * pixels), 1.0))
-    return _first(curve, start, stop, np.nan_to_num(np.where(stop >= start, steps, 0.0)))
+    share = _only_crossings(curve, start, stop, once & (start <= stop))
+    others = np.flatnonzero(np.isnan(share) & (start <= stop))
+    if len(others):
+        start, stop = start[others], stop[others]
+        steps = np.where(once[others], 1.0, np.maximum(np.ceil((stop - start) * pixels[others]), 1.0))
+        share[others] = _first(curve.of(others), start, stop, np.nan_to_num(steps))
+    return share
 
 
 def crossings_by_steps(clearance: Clearance, n: int, steps: int) -> Array:
@@ -182,12 +197,6 @@ class _Polynomials:
 
     heights: NDArray[np.float32]
     coefficients: Array  # (K, 3, N), constant first
-
-    @staticmethod
-    def through(heights: NDArray[np.float32], tracks: Array) -> _Polynomials:
-        k = len(tracks)
-        to_coefficients = np.linalg.inv(np.vander(np.linspace(0.0, 1.0, k), increasing=True))
-        return _Polynomials(heights, (to_coefficients @ tracks.reshape(k, -1)).reshape(tracks.shape))
 
     def above_ground(self, share: Array) -> Array:
         column, row, height = self.at(share)
@@ -206,43 +215,88 @@ class _Polynomials:
         value += coefficients[0]
         return value
 
-    def pixels(self) -> Array:
-        """Upper bound (N,) of the pixels crossed, along rows or columns, whichever is more."""
-        return np.max(np.sum(np.abs(self.coefficients[1:, :2]), axis=0), axis=0)
+    def newton_step(self, share: Array) -> tuple[Array, Array]:
+        """Steps (N,) of the parameter towards the ground from parameters (N,), and heights above it there
+        (N,), m; the slope of a ray is that of its chord.
+        """
+        column, row, height = self.at(share)
+        ground, by_column, by_row = _bilinear_and_slopes(self.heights, column, row)
+        across, down, fall = self.chord()
+        height -= ground
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return height / (by_column * across + by_row * down - fall), height
 
-    def share_at_height(self, height: Array, fall: Array) -> Array:
-        """Parameters (N,) at heights (N,), by one Newton step from a line that falls by `fall` (N,), m."""
-        share = (self.coefficients[0, 2] - height) / fall
+    def share_at_height(self, height: Array, middle: Array, per_m: Array) -> Array:
+        """Parameters (N,) at heights (N,), by one Newton step from the chord: `middle` (N,) is its height at
+        0, `per_m` (N,) what the parameter grows by while it falls by 1 m.
+        """
+        share = (middle - height) * per_m
         slope = self.coefficients[1, 2] + 2.0 * share * self.coefficients[2, 2]
         return share - (self.at(share, slice(2, 3))[0] - height) / slope
+
+    def chord(self) -> Array:
+        """Mean change (3, N) of column, row and height per unit of the parameter."""
+        return np.sum(self.coefficients[1::2], axis=0)
+
+    def pixels(self) -> Array:
+        """Upper bound (N,) of the pixels crossed per unit of the parameter, along rows or columns, whichever
+        is more.
+        """
+        return np.max(np.sum(np.abs(self.coefficients[1:, :2]), axis=0), axis=0)
+
+
+def _only_crossings(curve: _Polynomials, start: Array, stop: Array, once: NDArray[np.bool_]) -> Array:
+    """Parameters (N,) of the crossings of rays with one crossing between `start` and `stop` (`once`), by
+    Newton's method; NaN for others, and where it does not converge between them to 1e-7 m.
+    """
+    share = np.full(len(start), np.nan)
+    active: NDArray[np.int64] = np.flatnonzero(once)
+    here = curve if len(active) == len(start) else curve.of(active)
+    s = 0.5 * (start[active] + stop[active])
+    for _ in range(_NEWTON_STEPS):
+        if len(active) == 0:
+            break
+        step, above = here.newton_step(s)
+        s += step
+        found = np.abs(above) <= _CONVERGED_M
+        share[active[found]] = s[found]
+        more: NDArray[np.int64] = np.flatnonzero(~found & np.isfinite(s))
+        if len(more) < len(active):
+            active, s, here = active[more], s[more], here.of(more)
+    return np.where((share >= start) & (share <= stop), share, np.nan)
 
 
 def _possible_interval(
     curve: _Polynomials, pixels: Array, fall: Array, bounds: HeightBounds
 ) -> tuple[Array, Array, Array]:
     """Parameters between which each ray can intersect the ground, start > stop if it cannot, and the greatest
-    rise of the ground over a pixel there: three arrays (N,). The ray crosses `pixels` and falls by `fall`, m.
+    rise of the ground over a pixel there: three arrays (N,). Per unit of the parameter the ray crosses
+    `pixels` and falls by `fall`, m.
     """
-    start: Array = np.zeros(len(pixels))
+    start: Array = np.full(len(pixels), -1.0)
     stop: Array = np.ones(len(pixels))
     rise: Array = np.full(len(pixels), _UNKNOWN_RISE_M)
-    widest = 0.5 * float(np.nanmax(pixels, initial=0.0))
+    # The height is that of the chord, `middle - fall s`, to `bow`.
+    middle = np.sum(curve.coefficients[::2, 2], axis=0)
+    bow = np.sum(np.abs(curve.coefficients[2:, 2]), axis=0) + _MARGIN_M
+    per_m = 1.0 / fall
+    first, last = (middle - bow) * per_m, (middle + bow) * per_m
+    highest, lowest = middle + fall, middle - fall
+    widest = float(np.nanmax(pixels, initial=0.0))
     fitting = [k for k, size in enumerate(bounds.sizes) if size - 1.0 >= widest]
     for k in range(fitting[0] if fitting else len(bounds.sizes) - 1, -1, -1):
         size, low, high = bounds.sizes[k], bounds.low_m[k], bounds.high_m[k]
         near = (0.5 * (stop - start) * pixels <= size - 1.0) & (start <= stop)
         column, row = curve.at(0.5 * (start + stop), slice(2))
         at = _tile_index(row, size, low.shape[0]) * low.shape[1] + _tile_index(column, size, low.shape[1])
-        lowest, highest = low.ravel().take(at), high.ravel().take(at)
         rise = _where(near, bounds.rise_m[k].ravel().take(at), rise)
-        empty = near & (highest < lowest)  # no data anywhere near
-        near &= ~empty
-        begin = curve.share_at_height(_where(near, highest + _MARGIN_M, 0.0), fall)
-        end = curve.share_at_height(_where(near, lowest - _MARGIN_M, 0.0), fall)
-        start = _where(near, np.maximum(start, begin), start)
-        stop = _where(near, np.minimum(stop, end), stop)
-        start[empty], stop[empty] = 1.0, 0.0
-    return start, stop, rise
+        highest = _where(near, np.minimum(highest, high.ravel().take(at) + _MARGIN_M), highest)
+        lowest = _where(near, np.maximum(lowest, low.ravel().take(at) - _MARGIN_M), lowest)
+        start, stop = (np.clip(s, -1.0, 1.0) for s in (first - highest * per_m, last - lowest * per_m))
+    known = highest >= lowest  # no data anywhere near otherwise
+    start = np.maximum(curve.share_at_height(_where(known, highest, 0.0), middle, per_m), -1.0)
+    stop = np.minimum(curve.share_at_height(_where(known, lowest, 0.0), middle, per_m), 1.0)
+    return _where(known, start, 1.0), _where(known, stop, -1.0), rise
 
 
 def _where(chosen: NDArray[np.bool_], value: Array, other: Array | float) -> Array:
