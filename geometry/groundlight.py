@@ -220,10 +220,10 @@ def _path_at_height(
         point, down = point - shift, down + bend
     distance = _length(point - satellite)
     if effects.light_time:
-        # path in axes e: rotated(point + s down, omega (distance + s) / c), here its tangent at s = 0
-        tau = distance / SPEED_OF_LIGHT
-        down = _rotated(down + _cross(omega_e, point) / SPEED_OF_LIGHT, omega_e, tau)
-        point = _rotated(point, omega_e, tau)
+        # path in axes e: rotated(point + s down, omega (distance + s) / c), here its tangent at s = 0, of whose
+        # direction terms of second order, 3e-12 rad at 5000 km, are left out
+        down = down + _cross(omega_e / SPEED_OF_LIGHT, point + distance * down)
+        point = _rotated(point, omega_e, distance / SPEED_OF_LIGHT)
     return point, _unit(down), distance
 
 
@@ -295,4 +295,8 @@ def _unit(a: Array) -> Array:
 
 def _cross(a: Array, b: Array) -> Array:
     """a (3,) times b (3, N)."""
-    return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
+    product = np.empty_like(b)
+    for k, (i, j) in enumerate(((1, 2), (2, 0), (0, 1))):
+        np.multiply(b[j], a[i], out=product[k])
+        product[k] -= a[j] * b[i]
+    return product

@@ -125,6 +125,26 @@ class _States:
         return _States(self.packed[:, index])
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _HeightsOverImage:
+    """Approximate heights of the ground at pixels, bilinear between evenly spaced ones."""
+
+    samples: Array  # (C,)
+    lines: Array  # (R,)
+    heights_m: NDArray[np.float32]  # (R, C); one height is that of all pixels
+    otherwise_m: float  # for a pixel that is NaN
+
+    def at(self, sample: Array, line: Array) -> Array:
+        """Heights (N,), m, at pixels (N,)."""
+        if self.heights_m.size == 1:
+            return np.full(len(line), self.otherwise_m)
+        row, column = (
+            (a - axis[0]) * ((len(axis) - 1) / (axis[-1] - axis[0]))
+            for a, axis in ((line, self.lines), (sample, self.samples))
+        )
+        return np.nan_to_num(bilinear(self.heights_m, column, row), nan=self.otherwise_m)
+
+
 @record(kw_only=True)
 class Pushbroom:
     """One strip of a pushbroom camera on a satellite."""
@@ -201,10 +221,11 @@ class Pushbroom:
         """
         sample, line = _pixels(sample, line)
         model = self._for_many(line)
-        height = model._expected_heights(ccd, sample, line, surface)
+        expected = model._expected_heights(ccd, sample, line, surface)
         p_e = np.empty((len(line), 3))
         for part in _chunks(len(line)):
-            p_e[part] = model._intersections(ccd, sample[part], line[part], surface, height[part])
+            height = expected.at(sample[part], line[part])
+            p_e[part] = model._intersections(ccd, sample[part], line[part], surface, height)
         return p_e
 
     def pixels_from_ground(self, ccd: int, p_e: ArrayLike) -> tuple[Array, Array]:
@@ -374,32 +395,31 @@ class Pushbroom:
         if not (self.effects.light_time or self.effects.refraction):
             return np.zeros(len(p_e))
         above = _above_shell(p_e, height_m)
-        radius2 = np.einsum("ni,ni->n", p_e, p_e)
-        cos2 = np.einsum("ni,ni->n", p_e, u_e) ** 2 / radius2
+        radius2 = np.einsum("in,in->n", p_e.T, p_e.T)
+        cos2 = np.einsum("in,in->n", p_e.T, u_e.T) ** 2 / radius2
         with np.errstate(divide="ignore", invalid="ignore"):
             tan = np.sqrt(np.maximum(1.0 / cos2 - 1.0, 0.0))
         return above**2 * (_CURVATURE_LIGHT_TIME + _CURVATURE_AIR * tan * (1.0 + tan**2))
 
-    def _expected_heights(self, ccd: int, sample: Array, line: Array, surface: Surface) -> Array:
-        """Approximate ground heights (N,), m, of pixels: for many pixels interpolated from a lattice."""
+    def _expected_heights(
+        self, ccd: int, sample: Array, line: Array, surface: Surface
+    ) -> _HeightsOverImage:
+        """Approximate ground heights of pixels (N,): for many pixels from a lattice."""
         low, high = surface.height_range_m()
         middle = 0.5 * (low + high)
+        one = _HeightsOverImage(np.zeros(1), np.zeros(1), np.full((1, 1), middle, np.float32), middle)
         if len(line) < _MANY or high - low < _LATTICE_M:
-            return np.full(len(line), middle)
-        axes = [
+            return one
+        lines, samples = (
             np.linspace(np.nanmin(a), np.nanmax(a), n)
             for a, n in ((line, _LATTICE[0]), (sample, _LATTICE[1]))
-        ]
-        if np.ptp(axes[0]) < 1.0 or np.ptp(axes[1]) < 1.0:
-            return np.full(len(line), middle)
-        at_line, at_sample = (grid.ravel() for grid in np.meshgrid(*axes, indexing="ij"))
+        )
+        if np.ptp(lines) < 1.0 or np.ptp(samples) < 1.0:
+            return one
+        at_line, at_sample = (grid.ravel() for grid in np.meshgrid(lines, samples, indexing="ij"))
         p_e = self._intersections(ccd, at_sample, at_line, surface, np.full(len(at_line), middle))
         heights = np.nan_to_num(geodetic_from_ecef(p_e, WGS84)[2], nan=middle).reshape(_LATTICE)
-        row, column = (
-            (a - axis[0]) * ((len(axis) - 1) / (axis[-1] - axis[0]))
-            for a, axis in ((line, axes[0]), (sample, axes[1]))
-        )
-        return np.nan_to_num(bilinear(heights.astype(np.float32), column, row), nan=middle)
+        return _HeightsOverImage(samples, lines, heights.astype(np.float32), middle)
 
     def _states(self, line: Array) -> _States:
         if self.table is None:

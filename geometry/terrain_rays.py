@@ -40,6 +40,7 @@ _CONVERGED_M = 1e-7
 _REFINEMENTS = 60
 _FEWER = 0.9  # of the rays: to take the others out costs less than to refine them once more
 _NEWTON_STEPS = 8
+_FEW_LEFT = 0.5  # of the rays of Newton's method, likewise
 _UNKNOWN_RISE_M = 1e9  # at pixels without data and outside the grid
 _SAFETY = 0.8  # on a long path height decreases a few per cent more slowly at the end
 
@@ -253,17 +254,18 @@ def _only_crossings(curve: _Polynomials, start: Array, stop: Array, once: NDArra
     active: NDArray[np.int64] = np.flatnonzero(once)
     here = curve if len(active) == len(start) else curve.of(active)
     s = 0.5 * (start[active] + stop[active])
-    for _ in range(_NEWTON_STEPS):
-        if len(active) == 0:
-            break
+    for iteration in range(_NEWTON_STEPS):
         step, above = here.newton_step(s)
         s += step
         found = np.abs(above) <= _CONVERGED_M
-        share[active[found]] = s[found]
         more: NDArray[np.int64] = np.flatnonzero(~found & np.isfinite(s))
-        if len(more) < len(active):
+        last = len(more) == 0 or iteration == _NEWTON_STEPS - 1
+        if last or len(more) < _FEW_LEFT * len(active):
+            share[active] = _where(found, s, np.nan)
             active, s, here = active[more], s[more], here.of(more)
-    return np.where((share >= start) & (share <= stop), share, np.nan)
+        if last:
+            break
+    return _where((share >= start) & (share <= stop), share, np.nan)
 
 
 def _possible_interval(
