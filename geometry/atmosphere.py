@@ -72,8 +72,8 @@ class Atmosphere:
         index = np.clip((height - self.height_m[0]) / _STEP_M, 0.0, len(self.height_m) - 1.0)
         below = np.minimum(index.astype(np.int64), len(self.height_m) - 2)
         f = index - below
-        columns = (self.refractivity, *self.integrals.T)
-        return [(1.0 - f) * column[below] + f * column[below + 1] for column in columns]
+        columns = (self.refractivity, *np.ascontiguousarray(self.integrals.T))
+        return [(1.0 - f) * column.take(below) + f * column.take(below + 1) for column in columns]
 
 
 def refractivity_of_air(wavelength_um: float) -> float:

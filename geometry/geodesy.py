@@ -101,9 +101,11 @@ def geodetic_along_paths(middle_e: Array, half_e: Array, ellipsoid: Ellipsoid) -
     second = sink + q * k
     evolute = 1.5 * e2 * sin * cos * square * q  # the radius of curvature changes with latitude
     coefficients = np.empty((4, 3, len(lat)))
-    coefficients[0] = lat, lon, height
-    coefficients[1] = q, turn, up
-    coefficients[2] = -second - evolute * q, -turn * c, lift + 0.5 * north * q
+    coefficients[0, 0], coefficients[0, 1], coefficients[0, 2] = lat, lon, height
+    coefficients[1, 0], coefficients[1, 1], coefficients[1, 2] = q, turn, up
+    coefficients[2, 0] = -second - evolute * q
+    coefficients[2, 1] = -turn * c
+    coefficients[2, 2] = lift + 0.5 * north * q
     coefficients[3, 0] = sink * (c + k) + q * (k * k - q * q / 3.0 - lift / radius) + 2.0 * evolute * second
     coefficients[3, 1] = turn * (c * c - turn * turn / 3.0)
     coefficients[3, 2] = -lift * c - north * (sink + 0.5 * q * k)

@@ -254,13 +254,14 @@ def _refraction(down: Array, up: Array, height_m: ArrayLike, atmosphere: Atmosph
     ground. The refracted ray is steeper and meets the ground nearer to the nadir.
     """
     cos_z = -_dot(down, up)
-    away = down + cos_z * up  # horizontal, away from the satellite, of length sin z
     sin_z = np.sqrt(np.maximum(1.0 - cos_z * cos_z, 1e-24))
     displacement, angle = atmosphere.bending(cos_z, height_m)
-    # along the curved ground: a tangent step d ends d^2 / 2R above it
-    shift = (displacement / sin_z) * away + (displacement**2 / (2.0 * WGS84.semi_major_m)) * up
-    # d(down) / d(zenith distance) = cos z away / sin z + sin z up; the refracted ray is steeper
-    return shift, (-angle * cos_z / sin_z) * away - (angle * sin_z) * up
+    # horizontally away from the satellite is (down + cos_z up) / sin_z; along the curved ground a tangent step
+    # d ends d^2 / 2R above it
+    along = displacement / sin_z
+    shift = along * down + (along * cos_z + displacement**2 / (2.0 * WGS84.semi_major_m)) * up
+    # d(down) / d(zenith distance) = cos z away + sin z up; the refracted ray is steeper
+    return shift, (angle / -sin_z) * (cos_z * down + up)
 
 
 def _aberrated(u: Array, velocity: Array) -> Array:

@@ -58,11 +58,11 @@ class RowTable:
         piece: Index | int = 0
         if len(self.cells) > 1:
             piece = np.searchsorted(self.edges[1:-1], line, side="right")
-        first, cells = self.edges[piece], self.cells[piece]
-        where = (line - first) * (cells / (self.edges[1:][piece] - first))
-        cell = np.clip(where.astype(np.int64), 0, cells - 1)
+        cells = self.cells[piece]
+        where = (line - self.edges[piece]) * (self.cells / np.diff(self.edges))[piece]
+        cell = np.minimum(np.maximum(where.astype(np.int64), 0), cells - 1)
         node = (np.cumsum(self.cells + 1) - self.cells - 1)[piece]
-        start = np.clip(cell - 1, 0, cells - 3)
+        start = np.minimum(np.maximum(cell - 1, 0), cells - 3)
         values = _cubic(self.values, where - start, node + start)
         exact = self.rough[node + cell]
         if exact.any():

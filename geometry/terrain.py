@@ -167,11 +167,15 @@ class TerrainGrid:
         if self.local_map is None and _to_map(self.crs) is None:
             a, b, _, d, e, _ = self.transform
             per_rad = np.degrees(1.0) / (a * e - b * d)
-            pixels = coefficients.copy()
-            pixels[0, :2] = self.pixels_from_geodetic(coefficients[0, 0], coefficients[0, 1])
             lat, lon = coefficients[1:, 0], coefficients[1:, 1]
-            pixels[1:, 0] = (e * per_rad) * lon - (b * per_rad) * lat
-            pixels[1:, 1] = (a * per_rad) * lat - (d * per_rad) * lon
+            pixels = np.empty_like(coefficients)
+            pixels[0, 0], pixels[0, 1] = self.pixels_from_geodetic(coefficients[0, 0], coefficients[0, 1])
+            np.multiply(lon, e * per_rad, out=pixels[1:, 0])
+            np.multiply(lat, a * per_rad, out=pixels[1:, 1])
+            if b or d:
+                pixels[1:, 0] -= (b * per_rad) * lat
+                pixels[1:, 1] -= (d * per_rad) * lon
+            pixels[:, 2] = coefficients[:, 2]
             return pixels
         nodes = np.vander(_nodes(degree), len(coefficients), increasing=True)
         tracks = (nodes @ coefficients.reshape(len(coefficients), -1)).reshape(degree + 1, 3, -1)

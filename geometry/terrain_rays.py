@@ -174,16 +174,18 @@ def first_crossings(heights: NDArray[np.float32], bounds: HeightBounds, coeffici
         Of the powers 0 to K - 1 of the parameter, -1 to 1, in column, row and height.
     """
     curve = _Polynomials(heights, coefficients)
-    pixels, fall = curve.pixels(), -curve.chord()[2]
-    start, stop, rise = _possible_interval(curve, pixels, fall, bounds)
+    pixels, fall = curve.pixels(), -np.sum(coefficients[1::2, 2], axis=0)
+    start, stop, highest, lowest, rise = _possible_interval(curve, pixels, fall, bounds)
     # A ray steeper than any slope of the ground here has one intersection: no sampling is needed.
     once = rise * pixels < fall * _SAFETY
     share = _only_crossings(curve, start, stop, once & (start <= stop))
     others = np.flatnonzero(np.isnan(share) & (start <= stop))
     if len(others):
-        start, stop = start[others], stop[others]
+        curve, fall = curve.of(others), fall[others]
+        start = np.maximum(curve.share_at_height(highest[others], fall), -1.0)
+        stop = np.minimum(curve.share_at_height(lowest[others], fall), 1.0)
         steps = np.where(once[others], 1.0, np.maximum(np.ceil((stop - start) * pixels[others]), 1.0))
-        share[others] = _first(curve.of(others), start, stop, np.nan_to_num(steps))
+        share[others] = _first(curve, start, stop, np.nan_to_num(np.where(start <= stop, steps, 0.0)))
     return share
 
 
@@ -218,26 +220,22 @@ class _Polynomials:
 
     def newton_step(self, share: Array) -> tuple[Array, Array]:
         """Steps (N,) of the parameter towards the ground from parameters (N,), and heights above it there
-        (N,), m; the slope of a ray is that of its chord.
+        (N,), m; the slope of a ray is that in its middle.
         """
         column, row, height = self.at(share)
         ground, by_column, by_row = _bilinear_and_slopes(self.heights, column, row)
-        across, down, fall = self.chord()
+        across, down, fall = self.coefficients[1]
         height -= ground
         with np.errstate(divide="ignore", invalid="ignore"):
             return height / (by_column * across + by_row * down - fall), height
 
-    def share_at_height(self, height: Array, middle: Array, per_m: Array) -> Array:
-        """Parameters (N,) at heights (N,), by one Newton step from the chord: `middle` (N,) is its height at
-        0, `per_m` (N,) what the parameter grows by while it falls by 1 m.
+    def share_at_height(self, height: Array, fall: Array) -> Array:
+        """Parameters (N,) at heights (N,), by one Newton step from the chord, which falls by `fall` (N,), m,
+        per unit of the parameter.
         """
-        share = (middle - height) * per_m
+        share = (np.sum(self.coefficients[::2, 2], axis=0) - height) / fall
         slope = self.coefficients[1, 2] + 2.0 * share * self.coefficients[2, 2]
         return share - (self.at(share, slice(2, 3))[0] - height) / slope
-
-    def chord(self) -> Array:
-        """Mean change (3, N) of column, row and height per unit of the parameter."""
-        return np.sum(self.coefficients[1::2], axis=0)
 
     def pixels(self) -> Array:
         """Upper bound (N,) of the pixels crossed per unit of the parameter, along rows or columns, whichever
@@ -270,10 +268,12 @@ def _only_crossings(curve: _Polynomials, start: Array, stop: Array, once: NDArra
 
 def _possible_interval(
     curve: _Polynomials, pixels: Array, fall: Array, bounds: HeightBounds
-) -> tuple[Array, Array, Array]:
-    """Parameters between which each ray can intersect the ground, start > stop if it cannot, and the greatest
-    rise of the ground over a pixel there: three arrays (N,). Per unit of the parameter the ray crosses
-    `pixels` and falls by `fall`, m.
+) -> tuple[Array, Array, Array, Array, Array]:
+    """Where each ray can intersect the ground: five arrays (N,).
+
+    Parameters between which it can, start > stop if it cannot; the highest and the lowest ground and its
+    greatest rise over a pixel there, m. Per unit of the parameter the ray crosses `pixels` and falls by
+    `fall`, m.
     """
     start: Array = np.full(len(pixels), -1.0)
     stop: Array = np.ones(len(pixels))
@@ -295,10 +295,7 @@ def _possible_interval(
         highest = _where(near, np.minimum(highest, high.ravel().take(at) + _MARGIN_M), highest)
         lowest = _where(near, np.maximum(lowest, low.ravel().take(at) - _MARGIN_M), lowest)
         start, stop = (np.clip(s, -1.0, 1.0) for s in (first - highest * per_m, last - lowest * per_m))
-    known = highest >= lowest  # no data anywhere near otherwise
-    start = np.maximum(curve.share_at_height(_where(known, highest, 0.0), middle, per_m), -1.0)
-    stop = np.minimum(curve.share_at_height(_where(known, lowest, 0.0), middle, per_m), 1.0)
-    return _where(known, start, 1.0), _where(known, stop, -1.0), rise
+    return start, stop, highest, lowest, rise
 
 
 def _where(chosen: NDArray[np.bool_], value: Array, other: Array | float) -> Array:
