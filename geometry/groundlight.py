@@ -220,8 +220,8 @@ def _path_at_height(
         point, down = point - shift, down + bend
     distance = _length(point - satellite)
     if effects.light_time:
-        # path in axes e: rotated(point + s down, omega (distance + s) / c), here its tangent at s = 0, of whose
-        # direction terms of second order, 3e-12 rad at 5000 km, are left out
+        # path in axes e: rotated(point + s down, omega (distance + s) / c), here its tangent at s = 0;
+        # second-order terms of its direction, 3e-12 rad at 5000 km, are left out
         down = down + _cross(omega_e / SPEED_OF_LIGHT, point + distance * down)
         point = _rotated(point, omega_e, distance / SPEED_OF_LIGHT)
     return point, _unit(down), distance
@@ -256,8 +256,8 @@ def _refraction(down: Array, up: Array, height_m: ArrayLike, atmosphere: Atmosph
     cos_z = -_dot(down, up)
     sin_z = np.sqrt(np.maximum(1.0 - cos_z * cos_z, 1e-24))
     displacement, angle = atmosphere.bending(cos_z, height_m)
-    # horizontally away from the satellite is (down + cos_z up) / sin_z; along the curved ground a tangent step
-    # d ends d^2 / 2R above it
+    # The horizontal unit vector away from the satellite is the sum of down and cos z up, divided by sin z.
+    # Along the curved ground a tangent step d ends d^2 / 2R above it.
     along = displacement / sin_z
     shift = along * down + (along * cos_z + displacement**2 / (2.0 * WGS84.semi_major_m)) * up
     # d(down) / d(zenith distance) = cos z away + sin z up; the refracted ray is steeper

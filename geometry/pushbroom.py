@@ -401,9 +401,7 @@ class Pushbroom:
             tan = np.sqrt(np.maximum(1.0 / cos2 - 1.0, 0.0))
         return above**2 * (_CURVATURE_LIGHT_TIME + _CURVATURE_AIR * tan * (1.0 + tan**2))
 
-    def _expected_heights(
-        self, ccd: int, sample: Array, line: Array, surface: Surface
-    ) -> _HeightsOverImage:
+    def _expected_heights(self, ccd: int, sample: Array, line: Array, surface: Surface) -> _HeightsOverImage:
         """Approximate ground heights of pixels (N,): for many pixels from a lattice."""
         low, high = surface.height_range_m()
         middle = 0.5 * (low + high)
@@ -411,7 +409,7 @@ class Pushbroom:
         if len(line) < _MANY or high - low < _LATTICE_M:
             return one
         lines, samples = (
-            np.linspace(np.nanmin(a), np.nanmax(a), n)
+            np.linspace(np.nanmin(a), np.nanmax(a), n, dtype=np.float64)
             for a, n in ((line, _LATTICE[0]), (sample, _LATTICE[1]))
         )
         if np.ptp(lines) < 1.0 or np.ptp(samples) < 1.0:

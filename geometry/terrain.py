@@ -148,7 +148,6 @@ class TerrainGrid:
         x = np.degrees(lon)
         return _pixels_from_map(self.transform, x + 360.0 * np.round((middle - x) / 360.0), np.degrees(lat))
 
-
     def pixels_along_paths(self, coefficients: Array, degree: int) -> Array:
         """Column, row and height of short paths as polynomials of their parameter, from -1 to 1.
 
@@ -303,7 +302,7 @@ def _shares_on_grid(middle: Array, half: Array, grid: TerrainGrid) -> Array:
 
 def _nodes(degree: int) -> Array:
     """Evenly spaced parameters of a path (degree + 1,), from -1 to 1."""
-    return np.linspace(-1.0, 1.0, degree + 1)
+    return np.asarray(np.linspace(-1.0, 1.0, degree + 1), dtype=np.float64)
 
 
 def _on_tiles(origin_e: Array, direction_e: Array, tiles: TerrainTiles) -> Array:

@@ -176,6 +176,32 @@ def test_an_inclined_plane_is_met_where_algebra_says():
     )  # float32 heights are exact here; 1e-7 deg of place
 
 
+@pytest.mark.parametrize("crs", ["EPSG:4326", UTM33])
+def test_paths_in_pixels_are_those_of_their_points(crs):
+    # A turned raster; 1e-6 px is 0.03 mm in a pixel of 30 m, the map projection's polynomial is good to 1e-7
+    # px and the path of 1 km, between its points, to L^3 / R^3.
+    degrees = crs == "EPSG:4326"
+    step = CELL_DEG if degrees else 30.0
+    west, north = (14.0, 50.0) if degrees else (480e3, 5.5e6)
+    transform = (step, 0.2 * step, west, 0.3 * step, -step, north)
+    grid = TerrainGrid.from_raster(np.zeros((100, 100)), transform, crs, None)
+    rng = np.random.default_rng(6)
+    x, y = west + step * rng.uniform(20.0, 80.0, 200), north - step * rng.uniform(20.0, 80.0, 200)
+    if not degrees:
+        x, y = Transformer.from_crs(crs, "EPSG:4326", always_xy=True).transform(x, y)
+    coefficients = np.zeros((4, 3, 200))
+    coefficients[0] = np.radians(y), np.radians(x), np.full(200, 100.0)
+    coefficients[1] = rng.uniform(-8e-5, 8e-5, (3, 200))
+    coefficients[2] = rng.uniform(-8e-9, 8e-9, (3, 200))
+    pixels = grid.pixels_along_paths(coefficients, 3)
+    for s in (-1.0, -0.3, 0.6, 1.0):
+        (lat, lon, height), found = (
+            np.einsum("k,kin->in", s ** np.arange(len(c)), c) for c in (coefficients, pixels)
+        )
+        expected = np.array([*grid.pixels_from_geodetic(lat, lon), height])
+        assert np.abs(found - expected).max() < 1e-6
+
+
 def test_flat_grids_and_constant_heights_are_met_alike():
     flat = degrees_grid(np.full((50, 50), 123.0))
     origin, direction = rays_over(flat, 200, 20.0, seed=8)
