@@ -134,7 +134,7 @@ def test_wrong_proposals_are_seldom_refined_and_right_ones_always(wide_index, pl
     def counted_try(image, index, corners, R, log_scale):
         before = counts["refined"]
         trial = try_proposal(image, index, corners, R, log_scale)
-        right = (Rotation.from_matrix(R) * R_si.inv()).magnitude() < 0.02  # rad: a bent lens shifts it so
+        right = (Rotation.from_matrix(R) * R_si.inv()).magnitude() < 0.02  # rad: distortion shifts it so
         counts["right" if right else "wrong"] += 1
         if right:
             assert trial is not None and counts["refined"] > before
