@@ -98,8 +98,8 @@ class TerrainGrid:
         Parameters
         ----------
         heights_m : (rows, columns) array
-            Heights at the centres of pixels, m; NaN marks pixels without data. Single precision above the
-            ellipsoid is not copied.
+            Heights at the centres of pixels, m; NaN marks pixels without data. Contiguous single precision
+            above the ellipsoid is not copied.
         transform : six numbers
             (a, b, c, d, e, f) of rasterio's Affine: the corner of pixel (column, row) is at x = a column + b
             row + c, y = d column + e row + f, in the CRS (x east, y north; degrees if geographic).
@@ -113,7 +113,7 @@ class TerrainGrid:
         ValueError
             For less than 2 x 2 heights, no height at all, or a transform that cannot be inverted.
         """
-        heights = np.asarray(heights_m, dtype=np.float32)
+        heights = np.ascontiguousarray(heights_m, dtype=np.float32)
         if heights.ndim != 2 or min(heights.shape) < 2:
             raise ValueError(f"terrain needs at least 2 x 2 heights, got shape {heights.shape}")
         if not np.any(np.isfinite(heights)):

@@ -102,20 +102,23 @@ def _attitudes(
     u_s: Floats, u_i: Floats, detected: Ints, vertices: NDArray[np.int32], log_scale: Floats
 ) -> Floats:
     """R_si (3, 3, P) that align the ends of each longest side, the misfit of its length halved."""
-    ends = u_s.T.take(detected[:, :2].T, axis=1)  # (3, 2, P)
+    ends = np.ascontiguousarray(u_s.take(detected[:, :2], axis=0).T)  # (3, 2, P)
     if log_scale.any():
         ends[:2] *= np.exp(-log_scale)
         ends /= np.sqrt((ends * ends).sum(axis=0))
-    axes_s, axes_i = _axes(ends), _axes(u_i.T.take(vertices[:, :2].T, axis=1))
+    axes = _axes(np.concatenate([ends, u_i.take(vertices[:, :2], axis=0).T], axis=2))
+    axes_s, axes_i = axes[:, :, : len(detected)], axes[:, :, len(detected) :]
     return np.asarray((axes_s[:, :, None] * axes_i[:, None]).sum(axis=0))
 
 
 def _axes(ends: Floats) -> Floats:
     """Orthonormal vectors, one a row (3, 3, P), from unit vectors (3, 2, P): midpoint, along, normal."""
     a, b = ends[:, 0], ends[:, 1]
-    normal = a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
-    axes = np.array([a + b, b - a, normal])
-    axes /= np.sqrt((axes * axes).sum(axis=1, keepdims=True))
+    axes = np.empty((3, 3, ends.shape[2]))
+    axes[0], axes[1] = a + b, b - a
+    for k, (i, j) in enumerate(((1, 2), (2, 0), (0, 1))):
+        axes[2, k] = a[i] * b[j] - a[j] * b[i]
+    axes /= np.sqrt(np.einsum("aip,aip->ap", axes, axes))[:, None]
     return axes
 
 
@@ -149,13 +152,13 @@ class _DetectionMap:
         """(P,) log likelihood ratios of attitudes `R` (3, 3, P), by the neighbours of each first vertex,
         detected or missed."""
         field = self.image.field
-        neighbours = np.ascontiguousarray(table.neighbours.take(vertices[:, 0], axis=0).T)  # (K, P)
-        u, v, w = u_i.T.take(neighbours, axis=1)
+        neighbours = table.neighbours.take(vertices[:, 0], axis=0)  # (P, K)
+        u, v, w = np.ascontiguousarray(u_i.take(neighbours, axis=0).T)  # (K, P) each
         stretch = np.exp(log_scale) / np.maximum(R[2, 0] * u + R[2, 1] * v + R[2, 2] * w, 0.05)
         x = (R[0, 0] * u + R[0, 1] * v + R[0, 2] * w) * stretch
         y = (R[1, 0] * u + R[1, 1] * v + R[1, 2] * w) * stretch
         seen = (np.abs(x) < field.half_x) & (np.abs(y) < field.half_y)
-        seen &= (neighbours != vertices[:, 1]) & (neighbours != vertices[:, 2])
+        seen &= (neighbours.T != vertices[:, 1]) & (neighbours.T != vertices[:, 2])
         inside = seen.ravel().nonzero()[0]
         column = ((x.take(inside) + field.half_x) / self.cell).astype(np.int64) + 1
         row = ((y.take(inside) + field.half_y) / self.cell).astype(np.int64) + 1
