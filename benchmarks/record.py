@@ -8,13 +8,14 @@ import platform
 import resource
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import numpy as np
 import scipy
 from scipy.stats import chi2
 
-__all__ = ["band_of_mean_nees", "commit", "exit_status", "head", "peak_mib", "verdict"]
+__all__ = ["band_of_mean_nees", "commit", "exit_status", "head", "peak_mib", "program", "verdict"]
 
 # NumPy asks but once how many threads to use, when it is loaded; waiting threads count as CPU time. So a
 # benchmark that was not told starts anew with one.
@@ -37,6 +38,13 @@ def commit(checkout: Path = Path(__file__).parent) -> str:
     # A record that is being written does not count as a change.
     lines = [line for line in changed.splitlines() if "benchmarks/results/" not in line]
     return f"{name} + changes" if lines else name
+
+
+def program(checkout: Path) -> str:
+    """Python source that runs the command `boresight` of a checkout, as its pyproject.toml declares it."""
+    project = tomllib.loads((checkout / "pyproject.toml").read_text("utf-8"))["project"]
+    module, function = project["scripts"]["boresight"].split(":")
+    return f"import importlib; importlib.import_module({module!r}).{function}()"
 
 
 def head(title: str) -> None:

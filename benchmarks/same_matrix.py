@@ -24,7 +24,7 @@ import numpy as np
 import pandas as pd
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
-from record import commit, exit_status, head, verdict
+from record import commit, exit_status, head, program, verdict
 
 from boresight.calib.calibration import calibrate
 from boresight.calib.estimate import InstallationEstimate
@@ -76,7 +76,8 @@ def older_result(
     checkout: Path, dump: Path, result: Path
 ) -> tuple[NDArray[np.float64], dict[tuple[str, str, int], dict[str, Any]]]:
     """theta (3,) rad that the older checkout finds, and its rows of targets by strip, target and CCD."""
-    command = [sys.executable, "-m", "boresight", "calibrate", str(dump), "--out", str(result), "--no-report"]
+    arguments = ["calibrate", str(dump), "--out", str(result), "--no-report"]
+    command = [sys.executable, "-c", program(checkout), *arguments]
     environment = os.environ | {"PYTHONPATH": str(checkout)}
     subprocess.run(command, cwd=checkout, env=environment, check=True, capture_output=True)
     theta = np.array(json.loads((result / "installation.json").read_text())["theta_rad"])

@@ -21,7 +21,6 @@ import subprocess
 import sys
 import tempfile
 import time
-import tomllib
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -69,13 +68,6 @@ TIFFS: dict[str, dict[str, object]] = {
 }
 
 
-def program(checkout: Path) -> str:
-    """Python source that runs the command `boresight` of a checkout, as its pyproject.toml declares it."""
-    project = tomllib.loads((checkout / "pyproject.toml").read_text("utf-8"))["project"]
-    module, function = project["scripts"]["boresight"].split(":")
-    return f"import importlib; importlib.import_module({module!r}).{function}()"
-
-
 @dataclass(frozen=True)
 class Command:
     """A command line, what one of its items may cost, and what it took."""
@@ -92,7 +84,7 @@ class Command:
         arguments = [str(out) if one == "OUT" else one for one in self.arguments]
         environment = {key: value for key, value in os.environ.items() if key != "PYTHONDONTWRITEBYTECODE"}
         process = subprocess.Popen(
-            [sys.executable, "-c", program(checkout), *arguments],
+            [sys.executable, "-c", record.program(checkout), *arguments],
             cwd=checkout,
             env=environment | {"PYTHONPATH": str(checkout)},
             stdout=subprocess.DEVNULL,
