@@ -114,8 +114,7 @@ def _finest_bounds(heights: NDArray[np.float32], first: int) -> tuple[Array, Arr
         np.abs(change, out=change)
     rise = np.maximum(along_row[1:], along_row[:-1])
     rise += np.maximum(along_column[:, 1:], along_column[:, :-1])
-    if unknown.any():
-        rise[np.isnan(rise)] = _UNKNOWN_RISE_M
+    rise[np.isnan(rise)] = _UNKNOWN_RISE_M
     missing = ((0, len(band) - len(rise)), (0, 1))
     rise = np.pad(rise, missing, constant_values=_UNKNOWN_RISE_M)
     return low, high, _tiles(rise, _TILE, _UNKNOWN_RISE_M).max(axis=1).max(axis=2)

@@ -293,6 +293,15 @@ def test_a_hundred_thousand_rays_are_quick():
     assert min(took) < 0.3
 
 
+def test_a_hole_that_begins_with_a_block_of_rows_leaves_the_rise_before_it_unknown():
+    heights = np.zeros((600, 64), dtype=np.float32)
+    heights[512:, 20] = np.nan  # blocks have 512 rows; the last cells of the first one end in the hole
+    bounds = bounds_of_heights(heights)
+    assert not any(np.isnan(level).any() for level in bounds.rise_m)
+    beside_the_last_tile = bounds.rise_m[0][2 + 503 // 8]
+    assert beside_the_last_tile[2 + 20 // 8] > 1e8  # m: unknown
+
+
 @pytest.mark.parametrize("shape", [(1025, 700), (513, 9), (2, 2)])
 def test_bounds_of_tiles_are_those_of_the_heights_in_and_around_them(shape):
     rng = np.random.default_rng(10)
