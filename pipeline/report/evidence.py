@@ -17,9 +17,10 @@ The same inputs, settings and version give identical files.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
+from operator import call
 from pathlib import Path
 from typing import Any, get_type_hints
 
@@ -84,7 +85,8 @@ def write_evidence(
         partial(findings, dump, calibration, scenes, ground),
         partial(unmatched_pictures, scenes, ground, dump),
     )
-    exposure, accuracy, found, unmatched = executor.map(_made, parts, lambda n, part: None)
+    here = executor.share(1)  # what they need, the whole calibration, is not sent to other machines
+    exposure, accuracy, found, unmatched = here.map(call, parts, lambda n, part: None)
     tables: dict[str, pa.Table] = {
         "inputs": _inputs(dump),
         "convergence": _convergence(calibration),
@@ -104,10 +106,6 @@ def write_evidence(
     context |= {"findings": [one.json() for one in found], "scenes": [scene_json(scene) for scene in scenes]}
     write_json(folder / "context.json", context)
     return found
-
-
-def _made(part: Callable[[], Any]) -> Any:
-    return part()
 
 
 def _context(dump: Dump, calibration: Calibration) -> dict[str, Any]:

@@ -19,6 +19,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
 from multiprocessing.context import ForkContext, SpawnContext
+from operator import call
 from typing import Any, TypeVar
 
 from boresight.pipeline.errors import WorkerError
@@ -102,7 +103,7 @@ class Processes:
     @contextmanager
     def beside(self, function: Callable[[], object]) -> Iterator[None]:
         """A block of code, while the function runs in a process; should that die, it runs here after it."""
-        process = _Process(_called, [function])
+        process = _Process(call, [function])
         try:
             process.begin(0)
             yield
@@ -115,10 +116,6 @@ class Processes:
                 raise error
         finally:
             process.stop()
-
-
-def _called(function: Callable[[], object]) -> None:
-    function()
 
 
 def _return_free_memory() -> None:

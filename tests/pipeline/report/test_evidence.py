@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import pickle
 from dataclasses import replace
 
 import cv2
@@ -15,8 +16,14 @@ from scipy.spatial.transform import Rotation
 
 from boresight.calib.settings import CalibrationSettings
 from boresight.geometry.sightings import StarSightings, isotropic_covariance
+from boresight.pipeline.files.dump import open_dump
+from boresight.pipeline.report.evidence import write_evidence
 from boresight.pipeline.report.star_preview import star_preview
 from boresight.pipeline.results.angles import StripMotion, cross_angles
+from boresight.pipeline.results.folder import store_of
+from boresight.pipeline.settings import Settings
+from boresight.pipeline.stages.calibrate import calibrate_dump
+from boresight.pipeline.work.executor import InOrder
 from boresight.simulator.campaign import CameraPair, StripPlan, draw_strips, installation_by_tilt
 from boresight.star_id.settings import StarSettings
 
@@ -32,6 +39,29 @@ def test_convergence_ends_at_the_result(finished):
     assert steps[-1]["sigma_rad"] == approx(sigma, rel=1e-6)
     assert np.abs(steps[-1]["theta_rad"]).max() < 0.02 * sigma.max()  # about the last iteration's matrix
     assert (steps[-1]["frames"], steps[-1]["targets"]) == (installation["frames"], installation["targets"])
+
+
+class OtherMachines:
+    """An executor to which every item is sent; what it was asked for."""
+
+    def __init__(self):
+        self.sent = []
+
+    def map(self, function, items, done):
+        self.sent += [pickle.dumps(item) for item in items]
+        return InOrder().map(function, items, done)
+
+    def share(self, count):
+        return InOrder()
+
+
+def test_quicklooks_alone_are_made_on_other_machines(finished, tmp_path):
+    dump, others = open_dump(finished[0]), OtherMachines()
+    found = calibrate_dump(dump, store=store_of(finished[1].resolve()))
+    write_evidence(tmp_path, dump, found, Settings(), others)
+    assert len(others.sent) == sum(len(strip.images.ccds) for strip in dump.strips)
+    for path in sorted((tmp_path / "evidence").iterdir()):
+        assert path.read_bytes() == (finished[1] / "evidence" / path.name).read_bytes(), path.name
 
 
 def test_checksums_are_those_of_the_files(finished):
