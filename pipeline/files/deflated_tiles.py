@@ -20,6 +20,7 @@ from rasterio.windows import Window
 __all__ = ["read_deflated"]
 
 SPARE_BYTES = 1024  # of a tile that does not compress, beyond its pixels: headers of zlib's blocks
+FEW_LINES = 600  # of a row of tiles: to add along each takes less than the columns of all, one by one
 
 
 def read_deflated(path: Path, image: Any, window: Window) -> NDArray[Any] | None:
@@ -87,6 +88,9 @@ def _side_by_side(tiles: list[Any], predictor: str) -> NDArray[Any]:
     if predictor == "1":
         return np.concatenate(tiles, axis=1)
     height, width = tiles[0].shape
+    if len(tiles) * height < FEW_LINES:
+        sums = np.add.accumulate(np.stack(tiles), axis=2, dtype=tiles[0].dtype)
+        return np.ascontiguousarray(sums.transpose(1, 0, 2)).reshape(height, -1)
     columns = np.empty(
         (width, len(tiles), height), tiles[0].dtype
     )  # a column of all tiles is one run of memory

@@ -24,6 +24,7 @@ from typing import Any, TypeVar
 
 from boresight.pipeline.errors import WorkerError
 from boresight.pipeline.work.executor import InOrder
+from boresight.pipeline.work.transfer import receive, send
 
 __all__ = ["Processes"]
 
@@ -76,7 +77,7 @@ class Processes:
                     process = busy.pop(pipe)
                     n = process.unit
                     try:
-                        outcome, error = process.pipe.recv()
+                        parcel = receive(process.pipe)
                     except DIED as error:
                         deaths[n] += 1
                         if deaths[n] == MAX_DEATHS:
@@ -85,12 +86,13 @@ class Processes:
                         waiting.append(n)
                         start()
                         continue
+                    if waiting:  # it computes while its outcome is unpacked and counted here
+                        begin(process)
+                    outcome, error = parcel.unpacked()
                     if error is not None:
                         raise error
                     outcomes[n] = outcome
                     done(len(outcomes), outcome)
-                    if waiting:
-                        begin(process)
         finally:
             for process in started:
                 process.stop()
@@ -108,7 +110,7 @@ class Processes:
             process.begin(0)
             yield
             try:
-                _, error = process.pipe.recv()
+                _, error = receive(process.pipe).unpacked()
             except DIED:
                 function()
                 return
@@ -162,4 +164,4 @@ def _serve(
             except Exception as error:
                 error.add_note(traceback.format_exc())
                 answer = None, error
-            pipe.send(answer)
+            send(pipe, answer)

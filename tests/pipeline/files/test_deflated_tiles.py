@@ -11,6 +11,7 @@ import rasterio
 from rasterio.windows import Window
 
 from boresight.pipeline.errors import RawDataError
+from boresight.pipeline.files import deflated_tiles
 from boresight.pipeline.files.deflated_tiles import read_deflated
 from boresight.pipeline.files.image_files import StripFiles
 
@@ -35,7 +36,11 @@ def written(path: Path, *, kind: str = "uint8", **form: Any) -> Path:
 @pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
 @pytest.mark.parametrize("predictor", [1, 2])
 @pytest.mark.parametrize("kind", ["uint8", "uint16"])
-def test_every_window_is_as_gdal_reads_it(kind: str, predictor: int, tmp_path: Path) -> None:
+@pytest.mark.parametrize("few_lines", [0, 10**6])  # differences summed column by column, and line by line
+def test_every_window_is_as_gdal_reads_it(
+    kind: str, predictor: int, few_lines: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(deflated_tiles, "FEW_LINES", few_lines)
     path = written(tmp_path / "s.tif", kind=kind, predictor=predictor)
     with rasterio.open(path) as image:
         for window in (Window(*place) for place in WINDOWS):
