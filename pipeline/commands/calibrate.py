@@ -201,8 +201,10 @@ def _calibrated(
     begin_result(out)
     (out / "work").mkdir(exist_ok=True)
     inputs.know_images(executor, exposures=False)  # exposures are read once, where their stars are found
+    overviews: dict[tuple[str, int], Any] = {}
     try:
-        found = calibrate_dump(dump, request.settings, store_of(out.resolve()), executor, progress)
+        with _overviews_ahead(dump, request, executor, overviews):
+            found = calibrate_dump(dump, request.settings, store_of(out.resolve()), executor, progress)
     except DataNotSufficientError as error:
         if request.report:
             from boresight.pipeline.report.no_result import write_no_result
@@ -211,7 +213,7 @@ def _calibrated(
         raise
     with executor.beside(partial(write_sightings, out, found)):
         if request.report:
-            _write_evidence(out, dump, found, request, executor)
+            _write_evidence(out, dump, found, request, executor, overviews)
     write_installation(out, found, request.settings)
     counts = {"units_made": found.n_computed, "units_found": found.n_reused}
     _note(out, request, {"dump": named, "inputs": inputs.digest()}, counts)
@@ -220,12 +222,35 @@ def _calibrated(
     return found
 
 
+@contextmanager
+def _overviews_ahead(
+    dump: Dump, request: RunRequest, executor: Executor, made: dict[tuple[str, int], Any]
+) -> Iterator[None]:
+    """A block of code; overviews of strips for the report, by strip and CCD, as many as a processor without
+    other work could make meanwhile.
+    """
+    if not request.report:
+        yield
+        return
+    from boresight.pipeline.report.overview import overview, overview_tasks
+
+    tasks = overview_tasks(dump.strips, request.settings.match)
+    with executor.ahead(overview, tasks) as finished:
+        yield
+    made |= {(tasks[n].strip_id, tasks[n].ccd): one for n, one in finished.items()}
+
+
 def _write_evidence(
-    out: Path, dump: Dump, found: Calibration, request: RunRequest, executor: Executor
+    out: Path,
+    dump: Dump,
+    found: Calibration,
+    request: RunRequest,
+    executor: Executor,
+    overviews: Mapping[tuple[str, int], Any],
 ) -> None:
     from boresight.pipeline.report.evidence import write_evidence
 
-    with executor.beside(partial(write_evidence, out, dump, found, request.settings, executor)):
+    with executor.beside(partial(write_evidence, out, dump, found, request.settings, executor, overviews)):
         import_module("boresight.pipeline.report.page")  # Matplotlib takes as long as half of the evidence
 
 

@@ -17,7 +17,7 @@ The same inputs, settings and version give identical files.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from functools import partial
 from operator import call
@@ -49,6 +49,7 @@ from boresight.pipeline.files.whole_file import write_whole
 from boresight.pipeline.report.findings import Finding, findings
 from boresight.pipeline.report.ground_accuracy import accuracy_by_strip, predicted_accuracy
 from boresight.pipeline.report.ground_map import USED, ground_table, scene_json, scene_pictures, scenes_of
+from boresight.pipeline.report.overview import Overview
 from boresight.pipeline.report.star_preview import StarPreview, star_preview
 from boresight.pipeline.report.unmatched import unmatched_pictures
 from boresight.pipeline.results.angles import StripMotion, cross_angles
@@ -69,11 +70,17 @@ Array = NDArray[np.float64]
 
 
 def write_evidence(
-    result: Path, dump: Dump, calibration: Calibration, settings: Settings, executor: Executor | None = None
+    result: Path,
+    dump: Dump,
+    calibration: Calibration,
+    settings: Settings,
+    executor: Executor | None = None,
+    overviews: Mapping[tuple[str, int], Overview] | None = None,
 ) -> list[Finding]:
     """Write the folder `RESULT/evidence/`, of which a later calibration reads nothing; what stands out.
 
-    `executor` makes what takes longest; default: this process.
+    `executor` makes what takes longest; default: this process. `overviews` of images that are made already,
+    by strip and CCD, are not made again.
     """
     folder, executor = result / "evidence", executor or InOrder()
     folder.mkdir(parents=True, exist_ok=True)
@@ -96,7 +103,7 @@ def write_evidence(
         "ground": ground,
         "unmatched": unmatched,
         "allan": _allan(dump, settings),
-        "map": scene_pictures(scenes, dump, calibration, executor),
+        "map": scene_pictures(scenes, dump, calibration, executor, overviews or {}),
     }
     for name, table in tables.items():
         write_whole(

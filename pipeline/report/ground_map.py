@@ -8,7 +8,7 @@ strip's rigorous model.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from itertools import islice
@@ -21,9 +21,6 @@ from pyproj import Transformer
 from scipy.sparse.csgraph import connected_components
 
 from boresight.calib.estimate import TargetResiduals
-from boresight.gct_match.records import Image
-from boresight.gct_match.search.coarse import means_of_usable, read_coarse
-from boresight.gct_match.settings import MatchSettings
 from boresight.geometry.constants import WGS84
 from boresight.geometry.geodesy import ecef_from_geodetic, geodetic_from_ecef, local_axes_e
 from boresight.geometry.pushbroom import Pushbroom
@@ -31,9 +28,9 @@ from boresight.geometry.record import Bools, Floats, Ints, array, record, scalar
 from boresight.geometry.terrain import ConstantHeight, Surface
 from boresight.pipeline.errors import Omission, RawDataError
 from boresight.pipeline.files.dump import Dump, TargetHeights, surface_of
-from boresight.pipeline.files.image_files import StripFiles
 from boresight.pipeline.files.star_side import SolvedAttitudes
 from boresight.pipeline.files.table_files import arrow_rows
+from boresight.pipeline.report.overview import Overview, OverviewTask, overview
 from boresight.pipeline.stages.calibrate import Calibration
 from boresight.pipeline.stages.strip import MatchedTargets, StripTask, pushbroom_of
 from boresight.pipeline.work.executor import Executor
@@ -51,8 +48,6 @@ __all__ = [
 
 USED, REJECTED, UNMATCHED, OUT_OF_VIEW = STATES = ("used", "rejected", "not matched", "not in view")
 MOST_SIDE_PX = 420  # of a picture
-LEAST_ROWS = 100  # of a strip in its picture
-BAND_LINES = 4  # of a long strip that are read for one of them
 MOST_OUT_OF_VIEW = 500  # targets of a scene
 EDGE_POINTS = 9  # along each edge of a CCD's footprint
 MARGIN = 0.06  # of a scene's size, around the footprints
@@ -325,11 +320,20 @@ def _temperatures_c(dump: Dump, t_s: Floats) -> Floats:
 
 
 def scene_pictures(
-    scenes: Sequence[Scene], dump: Dump, calibration: Calibration, executor: Executor
+    scenes: Sequence[Scene],
+    dump: Dump,
+    calibration: Calibration,
+    executor: Executor,
+    overviews: Mapping[tuple[str, int], Overview],
 ) -> pa.Table:
-    """Pictures on the scenes' planes, north up: shaded terrain (`strip_id` empty), a quicklook a strip."""
+    """Pictures on the scenes' planes, north up: shaded terrain (`strip_id` empty), a quicklook a strip.
+
+    `overviews` are those that are made already, by strip and CCD.
+    """
     views = [
-        _View(scene=replace(scene, strips=()), strip=one, ccd=ccd)
+        _View(
+            scene=replace(scene, strips=()), strip=one, ccd=ccd, overview=overviews.get((one.strip_id, ccd))
+        )
         for scene in scenes
         for one in scene.strips
         for ccd in one.task.strip.images.ccds
@@ -401,6 +405,7 @@ class _View:
     scene: Scene = scalar("plane of the map")
     strip: StripOnGround = scalar("strip with its model")
     ccd: int = scalar("number of the CCD")
+    overview: Overview | None = scalar("its image, reduced; None: not made yet", default=None)
 
 
 def _quicklook(view: _View) -> NDArray[np.float32]:
@@ -421,10 +426,16 @@ def _quicklook(view: _View) -> NDArray[np.float32]:
     lines, samples = images.shape(ccd)
     picture = np.full((rows, columns), np.nan, dtype=np.float32)
     with suppress(RawDataError):  # reported as an omission
-        coarse, first, step = _overview(images, ccd, one.task.settings)
-        x, y = ((at - start) / pitch for at, start, pitch in zip((sample, line), first, step))
+        seen = view.overview or overview(
+            OverviewTask(strip_id=one.strip_id, images=images, ccd=ccd, settings=one.task.settings)
+        )
+        x, y = (
+            (at - first) / pitch for at, first, pitch in zip((sample, line), seen.first_px, seen.pitch_px)
+        )
         inside = (sample > -0.5) & (sample < samples - 0.5) & (line > -0.5) & (line < lines - 0.5)
-        picture[inside] = cv2.remap(coarse, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)[inside]
+        picture[inside] = cv2.remap(seen.means, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)[
+            inside
+        ]
     return picture
 
 
@@ -439,31 +450,6 @@ def _joined(parts: Sequence[NDArray[np.float32]]) -> NDArray[np.uint8]:
     low, high = np.percentile(good, [1.0, 99.0]) if len(good) else (0.0, 1.0)
     scaled = np.clip((picture - low) / max(float(high - low), 1e-6), 0.0, 1.0)
     return np.round(255.0 * np.nan_to_num(scaled, nan=0.0)).astype(np.uint8)
-
-
-def _overview(
-    images: StripFiles, ccd: int, settings: MatchSettings
-) -> tuple[Image, tuple[float, float], tuple[int, int]]:
-    """Means (h, w) over blocks of a CCD's image; the middle (sample, line) of the first and the pixels from
-    one to the next.
-
-    Of a long strip the first lines of each row of its file's tiles are enough: decoding all takes longer
-    than matching it.
-    """
-    lines, samples = images.shape(ccd)
-    factor = 1
-    while 2 * factor * MOST_SIDE_PX < lines and 2 * factor <= min(lines, samples):
-        factor *= 2
-    height = min(factor, BAND_LINES)
-    found = images.read_bands(ccd, height, lines // LEAST_ROWS)
-    if found is None:
-        coarse = read_coarse(images, ccd, (0, lines), (0, samples), factor, settings).image
-        middle = 0.5 * (factor - 1)
-        return coarse.astype(np.float32), (middle, middle), (factor, factor)
-    bands, pitch = found
-    means = means_of_usable(bands[:, : samples // factor * factor], height, settings).astype(np.float32)
-    wide = cv2.resize(means, (samples // factor, len(means)), interpolation=cv2.INTER_AREA)
-    return np.asarray(wide), (0.5 * (factor - 1), 0.5 * (height - 1)), (factor, pitch)
 
 
 def _weights(pixels: int) -> Floats:

@@ -128,6 +128,12 @@ class OnCluster:
         """A block of code, and the function after it, in this process."""
         return InOrder().beside(function)
 
+    def ahead(
+        self, function: Callable[[Item], Outcome], items: Sequence[Item]
+    ) -> AbstractContextManager[dict[int, Outcome]]:
+        """A block of code, and no outcome: the workers are for units."""
+        return InOrder().ahead(function, items)
+
 
 class _Run:
     """One list of units on its way through the cluster."""

@@ -33,6 +33,13 @@ class Executor(Protocol):
         when it is left.
         """
 
+    def ahead(
+        self, function: Callable[[Item], Outcome], items: Sequence[Item]
+    ) -> AbstractContextManager[dict[int, Outcome]]:
+        """A block of code, while a processor without other work applies the function to items, in their
+        order, as far as it comes; once the block has been left, the outcomes by the numbers of their items.
+        """
+
 
 @dataclass(frozen=True, slots=True)
 class InOrder:
@@ -59,3 +66,10 @@ class InOrder:
         """A block of code, and the function after it."""
         yield
         function()
+
+    @contextmanager
+    def ahead(
+        self, function: Callable[[Item], Outcome], items: Sequence[Item]
+    ) -> Iterator[dict[int, Outcome]]:
+        """A block of code, and no outcome: one process has no time to spare."""
+        yield {}

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import ctypes
 import multiprocessing
+import os
 import signal
 import sys
 import traceback
@@ -32,6 +33,7 @@ Item = TypeVar("Item")
 Outcome = TypeVar("Outcome")
 
 MAX_DEATHS = 3
+LOWEST_PRIORITY = 19  # gets a processor that no other process wants, and 1.5 % of one beside another process
 DIED = (EOFError, ConnectionError)  # of a pipe whose other end is closed
 # Other systems have no fork, or have libraries that do not survive one.
 START: ForkContext | SpawnContext = (
@@ -88,9 +90,9 @@ class Processes:
                         continue
                     if waiting:  # it computes while its outcome is unpacked and counted here
                         begin(process)
-                    outcome, error = parcel.unpacked()
-                    if error is not None:
-                        raise error
+                    outcome, failure = parcel.unpacked()
+                    if failure is not None:
+                        raise failure
                     outcomes[n] = outcome
                     done(len(outcomes), outcome)
         finally:
@@ -119,6 +121,28 @@ class Processes:
         finally:
             process.stop()
 
+    @contextmanager
+    def ahead(
+        self, function: Callable[[Item], Outcome], items: Sequence[Item]
+    ) -> Iterator[dict[int, Outcome]]:
+        """A block of code, while a process of the lowest priority applies the function to items, in their
+        order, as far as it comes; once the block has been left, the outcomes by the numbers of their items.
+
+        An item without outcome failed, or was not reached, or the system has no forked processes.
+        """
+        outcomes: dict[int, Outcome] = {}
+        if not items or START.get_start_method() != "fork":
+            yield outcomes
+            return
+        process = _Process(function, items, _work_ahead)
+        try:
+            yield outcomes
+            with suppress(*DIED):
+                process.pipe.send(None)
+                outcomes |= receive(process.pipe).unpacked()
+        finally:
+            process.stop()
+
 
 def _return_free_memory() -> None:
     """Return freed heap to the system: a forked process that uses it again would get a copy of every page."""
@@ -129,10 +153,15 @@ def _return_free_memory() -> None:
 class _Process:
     """A process that computes one unit after another, and the pipe to it. No daemon: it may start others."""
 
-    def __init__(self, function: Callable[[Any], Any], items: Sequence[Any]) -> None:
+    def __init__(
+        self,
+        function: Callable[[Any], Any],
+        items: Sequence[Any],
+        life: Callable[[Connection, Callable[[Any], Any], Sequence[Any]], None] | None = None,
+    ) -> None:
         self.pipe, other_end = multiprocessing.Pipe()
         ends = other_end, self.pipe
-        self.process = START.Process(target=_serve, args=(*ends, function, items))
+        self.process = START.Process(target=_begin, args=(*ends, life or _serve, function, items))
         self.process.start()
         other_end.close()
         self.unit = -1
@@ -148,20 +177,41 @@ class _Process:
         self.pipe.close()
 
 
-def _serve(
-    pipe: Connection, far_end: Connection, function: Callable[[Any], Any], items: Sequence[Any]
+def _begin(
+    pipe: Connection,
+    far_end: Connection,
+    life: Callable[[Connection, Callable[[Any], Any], Sequence[Any]], None],
+    function: Callable[[Any], Any],
+    items: Sequence[Any],
 ) -> None:
-    """Compute the units received over the connection, until the other end closes."""
     far_end.close()  # or this process itself would keep the pipe open
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the first process receives it too and stops the others
     sys.stdout, sys.stderr = sys.__stdout__, sys.__stderr__  # those of a progress bar may stay locked
     with suppress(*DIED):
-        while True:
-            unit = pipe.recv()
-            answer: tuple[Any, Exception | None]
-            try:
-                answer = function(items[unit]), None
-            except Exception as error:
-                error.add_note(traceback.format_exc())
-                answer = None, error
-            send(pipe, answer)
+        life(pipe, function, items)
+
+
+def _serve(pipe: Connection, function: Callable[[Any], Any], items: Sequence[Any]) -> None:
+    """Compute the units received over the connection, until the other end closes."""
+    while True:
+        unit = pipe.recv()
+        answer: tuple[Any, Exception | None]
+        try:
+            answer = function(items[unit]), None
+        except Exception as error:
+            error.add_note(traceback.format_exc())
+            answer = None, error
+        send(pipe, answer)
+
+
+def _work_ahead(pipe: Connection, function: Callable[[Any], Any], items: Sequence[Any]) -> None:
+    """Compute the items in their order until the other end asks for the outcomes so far, or closes."""
+    os.nice(LOWEST_PRIORITY)
+    outcomes = {}
+    for n, item in enumerate(items):
+        if pipe.poll():
+            break
+        with suppress(Exception):  # whoever needs the outcome computes it and sees the error
+            outcomes[n] = function(item)
+    pipe.recv()
+    send(pipe, outcomes)

@@ -1,12 +1,11 @@
 """Objects sent from a process to another one of this machine, large arrays through memory that both share.
 
-A pipe takes a picture of a strip in pieces of some ten kilobytes, each copied twice. Where the system has
-files in memory, arrays are written into one of these, and the receiver maps it instead of copying it.
+A pipe takes a picture of a strip in pieces of some ten kilobytes, and wakes both processes for each. Where
+the system has files in memory, the arrays are written into one of these, and only the open file is sent.
 """
 
 from __future__ import annotations
 
-import mmap
 import os
 import pickle
 from contextlib import suppress
@@ -14,6 +13,8 @@ from dataclasses import dataclass
 from multiprocessing import reduction
 from multiprocessing.connection import Connection
 from typing import Any
+
+import numpy as np
 
 __all__ = ["Parcel", "receive", "send"]
 
@@ -57,21 +58,21 @@ def send(pipe: Connection, sent: Any) -> None:
 
 
 def receive(pipe: Connection) -> Parcel:
-    """What the other end of the pipe sent by `send`; `EOFError` or `OSError` where it has ended instead.
-
-    Arrays may be changed, as after any pickling: pages that are written to become a copy.
-    """
+    """What the other end of the pipe sent by `send`; `EOFError` or `ConnectionError` where it has ended."""
     sizes = pipe.recv()
     content = pipe.recv_bytes()
     if not sizes:
         return Parcel(content, ())
     file = reduction.recv_handle(pipe)
-    try:
-        places, end = _places(sizes)
-        shared = memoryview(mmap.mmap(file, end, access=mmap.ACCESS_COPY))
+    places, end = _places(sizes)
+    arrays = np.empty(end, np.uint8).data
+    try:  # copied: a mapping keeps the file open as long as an array lives, and few files may be open
+        read = 0
+        while read < end:
+            read += os.preadv(file, [arrays[read:]], read)
     finally:
         os.close(file)
-    return Parcel(content, tuple(shared[first : first + size] for first, size in zip(places, sizes)))
+    return Parcel(content, tuple(arrays[first : first + size] for first, size in zip(places, sizes)))
 
 
 def _places(sizes: list[int]) -> tuple[list[int], int]:

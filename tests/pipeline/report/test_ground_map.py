@@ -11,7 +11,7 @@ from pytest import approx
 
 from boresight.gct_match.settings import MatchSettings
 from boresight.pipeline.files.image_files import StripFiles
-from boresight.pipeline.report.ground_map import BAND_LINES, _overview
+from boresight.pipeline.report.overview import BAND_LINES, OverviewTask, overview
 
 
 @pytest.mark.parametrize(
@@ -26,8 +26,9 @@ def test_an_overview_of_a_slope_is_the_slope(lines: int, tile: int, banded: bool
     ) as file:
         file.write(grey.astype(np.uint16), 1)
     strip = StripFiles(paths={0: tmp_path / "s.tif"}, names={0: "s.tif"}, shapes={0: (lines, 700)})
-    seen, (sample, line), (across, along) = _overview(strip, 0, MatchSettings())
+    found = overview(OverviewTask(strip_id="s", images=strip, ccd=0, settings=MatchSettings()))
+    (sample, line), (across, along) = found.first_px, found.pitch_px
     assert (along > across) == banded and (not banded or line == 0.5 * (BAND_LINES - 1))
-    i, j = np.indices(seen.shape)
+    i, j = np.indices(found.means.shape)
     # means of integers are rounded once for each halving of the blocks' sides, 4 at most
-    assert seen == approx(10 * (line + along * i) + 30 * (sample + across * j), abs=0.5 * 4)
+    assert found.means == approx(10 * (line + along * i) + 30 * (sample + across * j), abs=0.5 * 4)

@@ -22,6 +22,7 @@ from boresight.pipeline.errors import WorkerError
 from boresight.pipeline.work.executor import InOrder
 from boresight.pipeline.work.workers import executor_for
 
+forked = pytest.mark.skipif(sys.platform != "linux", reason="processes are forked on Linux alone")
 BORESIGHT = (sys.executable, "-m", "boresight")
 
 
@@ -197,6 +198,61 @@ def test_what_runs_beside_a_block_that_fails_is_stopped(tmp_path: Path) -> None:
     ):
         raise ZeroDivisionError
     assert time.monotonic() - begun_s < 30.0  # s: half of what it would have taken
+
+
+def squared_unless_three(number: int) -> tuple[int, int]:
+    if number == 3:
+        raise ZeroDivisionError
+    return number * number, os.getpriority(os.PRIO_PROCESS, 0)
+
+
+def squared_slowly(path: Path) -> int:
+    time.sleep(0.05)
+    path.touch()
+    return int(path.name) ** 2
+
+
+def deadly_at_two(number: int) -> int:
+    if number == 2:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return number
+
+
+@forked
+def test_work_ahead_is_done_at_the_lowest_priority_and_errors_are_left_to_who_needs_the_outcome() -> None:
+    with executor_for(2, None, 0) as executor, executor.ahead(squared_unless_three, range(6)) as outcomes:
+        time.sleep(2.0)  # s; six units take microseconds, once the process has a processor
+    assert outcomes == {n: (n * n, 19) for n in (0, 1, 2, 4, 5)}
+
+
+@forked
+def test_work_ahead_ends_with_its_block_after_the_unit_that_it_has_begun(tmp_path: Path) -> None:
+    with (
+        executor_for(2, None, 0) as executor,
+        executor.ahead(squared_slowly, [tmp_path / str(n) for n in range(1000)]) as outcomes,
+    ):
+        while len(list(tmp_path.iterdir())) < 3:
+            time.sleep(0.01)
+    done = {int(path.name) for path in tmp_path.iterdir()}
+    assert 3 <= len(done) < 500 and outcomes == {n: n * n for n in done}
+
+
+@forked
+def test_work_ahead_does_not_outlive_a_block_that_fails_and_may_die_without_harm() -> None:
+    begun_s = time.monotonic()
+    with executor_for(2, None, 0) as executor:
+        with pytest.raises(ZeroDivisionError), executor.ahead(time.sleep, [60.0]):
+            raise ZeroDivisionError
+        with executor.ahead(deadly_at_two, range(6)) as outcomes:
+            time.sleep(0.2)
+    assert outcomes == {}
+    assert time.monotonic() - begun_s < 30.0  # s: half of what the first would have taken
+
+
+def test_one_process_works_nothing_ahead() -> None:
+    with executor_for(1, None, 0) as executor, executor.ahead(os.remove, ["nothing"]) as outcomes:
+        pass
+    assert outcomes == {}
 
 
 def test_processes_share_the_units_and_are_gone_afterwards() -> None:
