@@ -25,12 +25,14 @@ from typing import Any, TypeVar
 
 from boresight.pipeline.errors import WorkerError
 from boresight.pipeline.work.executor import InOrder
-from boresight.pipeline.work.transfer import receive, send
 
 __all__ = ["Processes"]
 
 Item = TypeVar("Item")
 Outcome = TypeVar("Outcome")
+Life = Callable[
+    [Connection, Callable[[Any], Any], Sequence[Any]], None
+]  # pipe, function, items
 
 MAX_DEATHS = 3
 LOWEST_PRIORITY = 19  # gets a processor that no other process wants, and 1.5 % of one beside another process
@@ -79,7 +81,7 @@ class Processes:
                     process = busy.pop(pipe)
                     n = process.unit
                     try:
-                        parcel = receive(process.pipe)
+                        outcome, failure = process.pipe.recv()
                     except DIED as error:
                         deaths[n] += 1
                         if deaths[n] == MAX_DEATHS:
@@ -88,11 +90,10 @@ class Processes:
                         waiting.append(n)
                         start()
                         continue
-                    if waiting:  # it computes while its outcome is unpacked and counted here
-                        begin(process)
-                    outcome, failure = parcel.unpacked()
                     if failure is not None:
                         raise failure
+                    if waiting:  # it computes while its outcome is counted here
+                        begin(process)
                     outcomes[n] = outcome
                     done(len(outcomes), outcome)
         finally:
@@ -112,7 +113,7 @@ class Processes:
             process.begin(0)
             yield
             try:
-                _, error = receive(process.pipe).unpacked()
+                _, error = process.pipe.recv()
             except DIED:
                 function()
                 return
@@ -139,7 +140,7 @@ class Processes:
             yield outcomes
             with suppress(*DIED):
                 process.pipe.send(None)
-                outcomes |= receive(process.pipe).unpacked()
+                outcomes |= process.pipe.recv()
         finally:
             process.stop()
 
@@ -157,7 +158,7 @@ class _Process:
         self,
         function: Callable[[Any], Any],
         items: Sequence[Any],
-        life: Callable[[Connection, Callable[[Any], Any], Sequence[Any]], None] | None = None,
+        life: Life | None = None,
     ) -> None:
         self.pipe, other_end = multiprocessing.Pipe()
         ends = other_end, self.pipe
@@ -180,7 +181,7 @@ class _Process:
 def _begin(
     pipe: Connection,
     far_end: Connection,
-    life: Callable[[Connection, Callable[[Any], Any], Sequence[Any]], None],
+    life: Life,
     function: Callable[[Any], Any],
     items: Sequence[Any],
 ) -> None:
@@ -201,7 +202,7 @@ def _serve(pipe: Connection, function: Callable[[Any], Any], items: Sequence[Any
         except Exception as error:
             error.add_note(traceback.format_exc())
             answer = None, error
-        send(pipe, answer)
+        pipe.send(answer)
 
 
 def _work_ahead(pipe: Connection, function: Callable[[Any], Any], items: Sequence[Any]) -> None:
@@ -214,4 +215,4 @@ def _work_ahead(pipe: Connection, function: Callable[[Any], Any], items: Sequenc
         with suppress(Exception):  # whoever needs the outcome computes it and sees the error
             outcomes[n] = function(item)
     pipe.recv()
-    send(pipe, outcomes)
+    pipe.send(outcomes)
