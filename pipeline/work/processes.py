@@ -30,9 +30,7 @@ __all__ = ["Processes"]
 
 Item = TypeVar("Item")
 Outcome = TypeVar("Outcome")
-Life = Callable[
-    [Connection, Callable[[Any], Any], Sequence[Any]], None
-]  # pipe, function, items
+Life = Callable[[Connection, Callable[[Any], Any], Sequence[Any]], None]  # pipe, function, items
 
 MAX_DEATHS = 3
 LOWEST_PRIORITY = 19  # gets a processor that no other process wants, and 1.5 % of one beside another process
