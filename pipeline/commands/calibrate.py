@@ -55,6 +55,8 @@ from boresight.pipeline.stages.joint import NamedDump, calibrate_jointly
 from boresight.pipeline.work.executor import Executor
 from boresight.pipeline.work.processes import Processes
 
+MOST_AHEAD = 256  # images of which the overviews, of some 80 kB each, wait in memory
+
 __all__ = ["RunOutcome", "RunRequest", "SavedContent", "going_on", "run_dump", "run_dumps"]
 
 
@@ -234,7 +236,7 @@ def _overviews_ahead(
         return
     from boresight.pipeline.report.overview import overview, overview_tasks
 
-    tasks = overview_tasks(dump.strips, request.settings.match)
+    tasks = overview_tasks(dump.strips, request.settings.match)[:MOST_AHEAD]
     with executor.ahead(overview, tasks) as finished:
         yield
     made |= {(tasks[n].strip_id, tasks[n].ccd): one for n, one in finished.items()}

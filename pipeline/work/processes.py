@@ -34,6 +34,7 @@ Life = Callable[[Connection, Callable[[Any], Any], Sequence[Any]], None]  # pipe
 
 MAX_DEATHS = 3
 LOWEST_PRIORITY = 19  # gets a processor that no other process wants, and 1.5 % of one beside another process
+PATIENCE_S = 3.0  # for what it has finished, and is just doing
 DIED = (EOFError, ConnectionError)  # of a pipe whose other end is closed
 # Other systems have no fork, or have libraries that do not survive one.
 START: ForkContext | SpawnContext = (
@@ -127,7 +128,8 @@ class Processes:
         """A block of code, while a process of the lowest priority applies the function to items, in their
         order, as far as it comes; once the block has been left, the outcomes by the numbers of their items.
 
-        An item without outcome failed, or was not reached, or the system has no forked processes.
+        An item without outcome failed, or was not reached. There is none where the system has no forked
+        processes, or where other programs take the processors for longer than `PATIENCE_S` at the end.
         """
         outcomes: dict[int, Outcome] = {}
         if not items or START.get_start_method() != "fork":
@@ -138,7 +140,8 @@ class Processes:
             yield outcomes
             with suppress(*DIED):
                 process.pipe.send(None)
-                outcomes |= process.pipe.recv()
+                if process.pipe.poll(PATIENCE_S):
+                    outcomes |= process.pipe.recv()
         finally:
             process.stop()
 

@@ -19,6 +19,7 @@ from typer.testing import CliRunner
 
 from boresight.pipeline.cli import app
 from boresight.pipeline.errors import WorkerError
+from boresight.pipeline.work import processes
 from boresight.pipeline.work.executor import InOrder
 from boresight.pipeline.work.workers import executor_for
 
@@ -139,12 +140,12 @@ def test_units_fewer_than_processes_have_their_parts_done_by_the_others() -> Non
         return os.getpid(), parts.map(done_by, range(6), lambda n, outcome: None)
 
     with executor_for(4, None, 0) as executor:
-        for units, processes in ((1, 4), (2, 2), (3, 1), (5, 1)):
+        for units, count in ((1, 4), (2, 2), (3, 1), (5, 1)):
             parts = executor.share(units)
             for own, outcome in executor.map(unit, range(units), lambda n, outcome: None):
                 assert [part for part, _ in outcome] == list(range(6))
-                assert len({process for _, process in outcome}) == processes
-                assert all((process == own) == (processes == 1) for _, process in outcome)
+                assert len({process for _, process in outcome}) == count
+                assert all((process == own) == (count == 1) for _, process in outcome)
 
 
 def test_error_of_a_unit_is_told_by_the_first_process_with_the_place_where_it_arose() -> None:
@@ -200,10 +201,11 @@ def test_what_runs_beside_a_block_that_fails_is_stopped(tmp_path: Path) -> None:
     assert time.monotonic() - begun_s < 30.0  # s: half of what it would have taken
 
 
-def squared_unless_three(number: int) -> tuple[int, int]:
-    if number == 3:
+def squared_unless_three(path: Path) -> tuple[int, int]:
+    if path.name == "3":
         raise ZeroDivisionError
-    return number * number, os.getpriority(os.PRIO_PROCESS, 0)
+    path.touch()
+    return int(path.name) ** 2, os.getpriority(os.PRIO_PROCESS, 0)
 
 
 def squared_slowly(path: Path) -> int:
@@ -218,14 +220,35 @@ def deadly_at_two(number: int) -> int:
     return number
 
 
+@pytest.fixture
+def patient(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Other tests may take the processors."""
+    monkeypatch.setattr(processes, "PATIENCE_S", 60.0)
+
+
 @forked
-def test_work_ahead_is_done_at_the_lowest_priority_and_errors_are_left_to_who_needs_the_outcome() -> None:
-    with executor_for(2, None, 0) as executor, executor.ahead(squared_unless_three, range(6)) as outcomes:
-        time.sleep(2.0)  # s; six units take microseconds, once the process has a processor
+@pytest.mark.usefixtures("patient")
+def test_work_ahead_has_the_lowest_priority_and_leaves_errors_to_who_needs_the_outcome(
+    tmp_path: Path,
+) -> None:
+    paths = [tmp_path / str(n) for n in range(6)]
+    with executor_for(2, None, 0) as executor, executor.ahead(squared_unless_three, paths) as outcomes:
+        while not paths[-1].exists():
+            time.sleep(0.01)
     assert outcomes == {n: (n * n, 19) for n in (0, 1, 2, 4, 5)}
 
 
 @forked
+def test_work_ahead_that_does_not_answer_in_time_is_left(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(processes, "PATIENCE_S", 0.1)
+    begun_s = time.monotonic()
+    with executor_for(2, None, 0) as executor, executor.ahead(time.sleep, [60.0]) as outcomes:
+        pass
+    assert outcomes == {} and time.monotonic() - begun_s < 30.0  # s: half of what it would have taken
+
+
+@forked
+@pytest.mark.usefixtures("patient")
 def test_work_ahead_ends_with_its_block_after_the_unit_that_it_has_begun(tmp_path: Path) -> None:
     with (
         executor_for(2, None, 0) as executor,
@@ -244,7 +267,7 @@ def test_work_ahead_does_not_outlive_a_block_that_fails_and_may_die_without_harm
         with pytest.raises(ZeroDivisionError), executor.ahead(time.sleep, [60.0]):
             raise ZeroDivisionError
         with executor.ahead(deadly_at_two, range(6)) as outcomes:
-            time.sleep(0.2)
+            pass
     assert outcomes == {}
     assert time.monotonic() - begun_s < 30.0  # s: half of what the first would have taken
 
