@@ -24,7 +24,6 @@ from boresight.gct_match.predict.template import Template, chip_points, chip_sid
 from boresight.gct_match.predict.trajectories import displacements
 from boresight.gct_match.records import (
     Chip,
-    Each,
     Evidence,
     Reason,
     Refusal,
@@ -39,6 +38,7 @@ from boresight.gct_match.search.plan import SearchPlan, plan_search
 from boresight.gct_match.search.vote import Vote
 from boresight.gct_match.settings import MatchSettings
 from boresight.gct_match.texture import expected_sigma_px
+from boresight.geometry.each import Each
 from boresight.geometry.installation import deviation_from_theta
 from boresight.geometry.pushbroom import Pushbroom
 from boresight.geometry.record import Floats

@@ -5,7 +5,6 @@ Image points are (x, y) = (sample, line); (0, 0) is the centre of the first pixe
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
 from enum import StrEnum
 from typing import Any, Literal
 
@@ -16,7 +15,6 @@ from boresight.geometry.record import Bools, Floats, array, record, scalar
 
 __all__ = [
     "Chip",
-    "Each",
     "Evidence",
     "Image",
     "Reason",
@@ -28,7 +26,6 @@ __all__ = [
 ]
 
 Image = NDArray[Any]  # single precision
-Each = Callable[[Callable[[Any], Any], Sequence[Any]], Iterable[Any]]  # as `map`, perhaps in other processes
 
 
 @record

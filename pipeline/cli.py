@@ -204,7 +204,7 @@ def calibrate(
     from boresight.pipeline.commands.calibrate import RunRequest, SavedContent
     from boresight.pipeline.results.requirement import Requirement
     from boresight.pipeline.settings import read_settings
-    from boresight.pipeline.work.workers import executor_for
+    from boresight.pipeline.work.workers import executor_for, processors
 
     if workers is not None and scheduler is not None:
         raise wrong_usage("--workers and --scheduler exclude one another")
@@ -223,7 +223,7 @@ def calibrate(
         requirement=Requirement(require_arcsec, require_m),
         facts={"workers": workers, "scheduler": scheduler} | _machine(),
     )
-    outcome = _run(dumps, out, request, executor_on, allow_stale_eop)
+    outcome = _run(dumps, out, request, executor_on, allow_stale_eop, processors(workers))
     files = (out / "installation.json", *([out / "report.html"] if report else []))
     took = f"{time.perf_counter() - begun_s:.1f} s -> {files[0]}{', report.html' if report else ''}"
     return Answer(
@@ -250,19 +250,20 @@ def _run(
     request: RunRequest,
     executor_on: Callable[[list[Dump]], AbstractContextManager[Executor]],
     allow_stale_eop: bool,
+    threads: int,
 ) -> RunOutcome:
-    """Open one dump or several, and carry them through."""
+    """Open one dump or several, with so many threads, and carry them through."""
     from boresight.pipeline.commands.calibrate import going_on, run_dump, run_dumps
     from boresight.pipeline.files.dump import open_dump
     from boresight.pipeline.stages.joint import open_dumps
 
     if len(dumps) == 1:
         with _warnings_reported():
-            one = open_dump(dumps[0].resolve(), allow_stale_eop=allow_stale_eop)
+            one = open_dump(dumps[0].resolve(), allow_stale_eop=allow_stale_eop, threads=threads)
         with going_on(out), progress_bars() as progress, executor_on([one]) as executor:
             return run_dump(out, one, str(dumps[0]), request, executor, progress)
     with _warnings_reported():
-        several = open_dumps(dumps, request.settings, allow_stale_eop=allow_stale_eop)
+        several = open_dumps(dumps, request.settings, allow_stale_eop=allow_stale_eop, threads=threads)
     opened = [named.dump for named in several]
     with going_on(out), progress_bars() as progress, executor_on(opened) as executor:
         return run_dumps(out, several, request, executor, progress)

@@ -18,7 +18,6 @@ import numpy as np
 from boresight.gct_match.predict.scene import Scene
 from boresight.gct_match.predict.template import predict_template
 from boresight.gct_match.predict.trajectories import displacements
-from boresight.gct_match.records import Each
 from boresight.gct_match.search.coarse import read_coarse
 from boresight.gct_match.search.edge_search import (
     SearchPicture,
@@ -30,6 +29,7 @@ from boresight.gct_match.search.edge_search import (
 from boresight.gct_match.search.plan import Box, SearchPlan, Window, extents
 from boresight.gct_match.search.vote import Candidates, Vote, log_chance_of_ranks, vote
 from boresight.gct_match.settings import MatchSettings
+from boresight.geometry.each import Each
 from boresight.geometry.installation import deviation_from_theta
 from boresight.geometry.pushbroom import Pushbroom
 from boresight.geometry.record import Floats, Ints

@@ -7,6 +7,7 @@ opened. The records hold arrays and paths, so that parts of them can be sent to 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
@@ -202,7 +203,7 @@ class Dump:
         return star + sum(a * b for strip in self.strips for a, b in strip.images.shapes.values())
 
 
-def open_dump(root: Path | str, *, allow_stale_eop: bool = False) -> Dump:
+def open_dump(root: Path | str, *, allow_stale_eop: bool = False, threads: int = 1) -> Dump:
     """Read a dump and check it.
 
     Parameters
@@ -211,6 +212,8 @@ def open_dump(root: Path | str, *, allow_stale_eop: bool = False) -> Dump:
         Folder with a dump.toml (docs/dump-format.md), or its address in a store (`s3://bucket/dump`).
     allow_stale_eop : bool
         Accept dates after the end of the Earth-orientation table, with a warning.
+    threads : int
+        How many read the terrain.
 
     Returns
     -------
@@ -266,7 +269,7 @@ def open_dump(root: Path | str, *, allow_stale_eop: bool = False) -> Dump:
         targets=surveyed.targets,
         chips=_chips(root, rows, str(head.files.targets)),
         points=points,
-        terrain=_terrain(root, head, (surveyed, *of_points)),
+        terrain=_terrain(root, head, (surveyed, *of_points), threads),
         star_catalogue=_star_catalogue(paths.get("star_catalogue"), head, sky_strips),
         omissions=omitted,
     )
@@ -510,7 +513,7 @@ def _chips(root: Path, rows: Sequence[schema.TargetRow], file: str) -> tuple[Chi
 
 
 def _terrain(
-    root: Path, head: schema.DumpFile, known: Sequence[SurveyedPoints]
+    root: Path, head: schema.DumpFile, known: Sequence[SurveyedPoints], threads: int
 ) -> TerrainFiles | TargetHeights:
     if head.files.terrain is None or head.terrain is None:
         lat, lon, heights = (np.concatenate([getattr(one, name) for one in known]) for name in PLACE)
@@ -518,7 +521,7 @@ def _terrain(
     names = tuple(head.files.terrain)
     paths = tuple(path_inside(root, name, file="dump.toml", field="files.terrain") for name in names)
     terrain = TerrainFiles(names, paths, head.terrain.height_kind)
-    surface_of(terrain)  # an invalid file is reported before hours of work
+    surface_of(terrain, threads)  # an invalid file is reported before hours of work
     return terrain
 
 
@@ -531,26 +534,36 @@ def _star_catalogue(path: Path | None, head: schema.DumpFile, sky: Sequence[Stri
     return table
 
 
-def surface_of(terrain: TerrainFiles | TargetHeights) -> Surface:
+def surface_of(terrain: TerrainFiles | TargetHeights, threads: int = 1) -> Surface:
     """The surface of the Earth. A terrain file is read once in each process, as long as it stays the same."""
     if isinstance(terrain, TargetHeights):
         return terrain
-    return _read_terrain(terrain, tuple(map(identity_of, terrain.paths)))
+    return _read_terrain(_Reading(terrain, tuple(map(identity_of, terrain.paths)), threads))
+
+
+@dataclass(frozen=True, slots=True)
+class _Reading:
+    """Files of a terrain as they are now, and how many threads read them, which changes nothing."""
+
+    terrain: TerrainFiles
+    identities: tuple[Identity, ...]
+    threads: int = field(compare=False)
 
 
 @lru_cache(maxsize=1)
-def _read_terrain(terrain: TerrainFiles, identities: tuple[Identity, ...]) -> TerrainGrid | TerrainTiles:
-    rasters, left = [], MAX_TERRAIN_PIXELS
+def _read_terrain(reading: _Reading) -> TerrainGrid | TerrainTiles:
+    terrain, rasters, left = reading.terrain, [], MAX_TERRAIN_PIXELS
     for file, path in zip(terrain.files, terrain.paths):
-        grid = read_grid(path, file, max_pixels=left)
+        grid = read_grid(path, file, max_pixels=left, threads=reading.threads)
         rasters.append(Raster(grid.values, grid.transform, grid.crs))
         left -= grid.values.size
     geoid = egm96() if terrain.height_kind == "egm96" else None
     try:
-        grids = tuple(
-            TerrainGrid.from_raster(one.heights_m, one.transform, one.crs, geoid)
-            for one in joined(rasters, MAX_TERRAIN_PIXELS)
-        )
+        with ThreadPoolExecutor(reading.threads) as pool:
+            grids = tuple(
+                TerrainGrid.from_raster(one.heights_m, one.transform, one.crs, geoid, pool.map)
+                for one in joined(rasters, MAX_TERRAIN_PIXELS)
+            )
     except ValueError as error:
         raise RawDataError(", ".join(terrain.files), "heights", str(error), "a grid of heights") from error
     return grids[0] if len(grids) == 1 else TerrainTiles(grids)

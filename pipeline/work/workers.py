@@ -11,7 +11,7 @@ from boresight.pipeline.work.cluster import on_cluster
 from boresight.pipeline.work.executor import Executor, InOrder
 from boresight.pipeline.work.processes import Processes
 
-__all__ = ["executor_for"]
+__all__ = ["executor_for", "processors"]
 
 SMALL_JOB_PIXELS = 20_000_000  # one full-size exposure: a second of work
 
@@ -36,9 +36,12 @@ def executor_for(
         with on_cluster(scheduler, probes, wait_s, say) as executor:
             yield executor
         return
-    count = workers if workers is not None else (1 if pixels < SMALL_JOB_PIXELS else _cores())
+    count = processors(workers) if workers is not None or pixels >= SMALL_JOB_PIXELS else 1
     yield InOrder() if count == 1 else Processes(count)
 
 
-def _cores() -> int:
+def processors(workers: int | None) -> int:
+    """How many a run may use: as many as it was told, or all of this machine."""
+    if workers is not None:
+        return workers
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
