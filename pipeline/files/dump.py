@@ -560,8 +560,9 @@ def _read_terrain(reading: _Reading) -> TerrainGrid | TerrainTiles:
     geoid = egm96() if terrain.height_kind == "egm96" else None
     try:
         with ThreadPoolExecutor(reading.threads) as pool:
+            each = pool.map if reading.threads > 1 else map
             grids = tuple(
-                TerrainGrid.from_raster(one.heights_m, one.transform, one.crs, geoid, pool.map)
+                TerrainGrid.from_raster(one.heights_m, one.transform, one.crs, geoid, each)
                 for one in joined(rasters, MAX_TERRAIN_PIXELS)
             )
     except ValueError as error:

@@ -138,9 +138,10 @@ def _read_window(image: Any, file: str, window: Window, out: NDArray[Any] | None
 
 def _read_band(image: Any, path: Path, file: str, threads: int) -> NDArray[Any]:
     """The first band, whole. Of a large image each thread reads a part of the rows from a file of its own."""
+    if threads == 1 or image.width * image.height < MANY_PIXELS or isinstance(path, StoredPath):
+        return _read_window(image, file, Window(0, 0, image.width, image.height))
     rows, pixels = image.block_shapes[0][0], np.empty((image.height, image.width), image.dtypes[0])
-    alone = pixels.size < MANY_PIXELS or isinstance(path, StoredPath)
-    threads, blocks = 1 if alone else min(threads, MOST_THREADS), -(-image.height // rows)
+    threads, blocks = min(threads, MOST_THREADS), -(-image.height // rows)
     ends = [min(blocks * n // threads * rows, image.height) for n in range(threads + 1)]
     with ExitStack() as files:
         opened = [image, *(files.enter_context(open_geotiff(path, file)) for _ in range(threads - 1))]
