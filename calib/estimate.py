@@ -202,8 +202,8 @@ class InstallationEstimate:
 
     @property
     def converged(self) -> bool:
-        """Whether the last correction was negligible, absolutely and against the predicted 1-sigma."""
-        return self.converged_matrix and self.converged_covariance
+        """Whether the last correction was negligible against the predicted 1-sigma."""
+        return self.converged_covariance
 
     @property
     def sigma_theta(self) -> Floats:

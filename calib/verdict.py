@@ -22,12 +22,14 @@ from scipy.spatial import KDTree
 from scipy.special import bdtrc, chdtr, chdtrc
 
 from boresight.calib.estimate import HeadAgreement, InstallationEstimate, WhyRejected, WithoutHead
+from boresight.calib.finding import Finding
 from boresight.geometry.record import Floats, array, record, scalar
 from boresight.geometry.sightings import GroundSightings, StripSightings
 
 __all__ = ["Check", "CheckKind", "Outcome", "Suspect", "Verdict", "VerdictSettings", "assess"]
 
 SAME_PLACE_M = 0.05  # two surveyed targets are never nearer; rounding of coordinates is far smaller
+FEWEST_DOF = 5  # of the targets' residuals: with four targets any one of them is checked by the others
 NEARLY_SAME_PLACE_M = 10.0  # candidates: along a straight path of the satellite instead of its curved one
 
 
@@ -35,7 +37,9 @@ class Outcome(Enum):
     """Result of the consistency tests."""
 
     CONSISTENT = "consistent"
+    FINDINGS = "consistent, findings"
     REFUTED = "refuted"
+    NOT_CHECKABLE = "not checkable"
 
 
 class CheckKind(Enum):
@@ -153,11 +157,43 @@ class Check:
 class Verdict:
     """Outcome of all checks, and the axis that the data determine worst."""
 
-    outcome: Outcome = scalar("`REFUTED` if any check fails, cautions excepted")
+    outcome: Outcome = scalar(
+        "`REFUTED` if a check fails, cautions excepted, or a finding refutes; else `NOT_CHECKABLE` where too "
+        "little is redundant; else `FINDINGS` where a finding is a fault"
+    )
     checks: tuple[Check, ...] = scalar("all checks, in a fixed order")
     probability_false_alarm: float = scalar("that consistent data are refuted, at most")
     weakest_axis_c: Floats = array("3", "unit vector, frame c: the rotation with the largest 1-sigma")
     weakest_sigma_rad: float = scalar("its 1-sigma, rad")
+    dof: int = scalar("degrees of freedom of the targets' residuals, by which the matrix is checked")
+    findings: tuple[Finding, ...] = scalar("probable causes, those that refute first", default=())
+
+    def with_findings(self, more: Sequence[Finding]) -> Verdict:
+        """The verdict with further findings, and the outcome that follows from all of them."""
+        findings = tuple(sorted((*self.findings, *more), key=lambda one: (not one.refutes, not one.is_fault)))
+        return replace(self, findings=findings, outcome=_outcome(self.checks, self.dof, findings))
+
+    @property
+    def sentence(self) -> str:
+        """The outcome in one line, for every place that states it."""
+        n, cautions = len(self.checks), len(self.cautions)
+        faults = [one for one in self.findings if one.is_fault]
+        match self.outcome:
+            case Outcome.CONSISTENT:
+                small = ", but residuals are smaller than stated" if cautions else ""
+                return f"consistent: {n - cautions} of {n} checks hold{small}"
+            case Outcome.FINDINGS:
+                many = "1 input looks" if len(faults) == 1 else f"{len(faults)} inputs look"
+                return f"consistent, findings: {many} wrong; correct and calibrate again"
+            case Outcome.NOT_CHECKABLE:
+                return (
+                    f"not checkable: {max(self.dof, 0)} degrees of freedom, {FEWEST_DOF} are needed "
+                    f"({FEWEST_DOF // 2 + 2} targets); add targets"
+                )
+        causes = [f"{one.cause}, {one.item}" for one in faults if one.refutes]
+        causes = causes or [check.kind.value for check in self.refuted_by]
+        more = f" and {len(causes) - 2} more" if len(causes) > 2 else ""
+        return f"refuted by {'; '.join(causes[:2])}{more}; do not use this matrix"
 
     @property
     def refuted_by(self) -> tuple[Check, ...]:
@@ -216,12 +252,21 @@ def assess(
     found = [replace(check, limit=limit) for check in found]
     values, vectors = np.linalg.eigh(estimate.cov_theta)
     return Verdict(
-        outcome=Outcome.CONSISTENT if all(c.holds or c.is_caution for c in found) else Outcome.REFUTED,
+        outcome=_outcome(found, estimate.dof, ()),
         checks=tuple(found),
+        dof=estimate.dof,
         probability_false_alarm=settings.probability_false_alarm,
         weakest_axis_c=vectors[:, -1],
         weakest_sigma_rad=float(np.sqrt(values[-1])),
     )
+
+
+def _outcome(checks: Sequence[Check], dof: int, findings: Sequence[Finding]) -> Outcome:
+    if any(not c.holds and not c.is_caution for c in checks) or any(one.refutes for one in findings):
+        return Outcome.REFUTED
+    if dof < FEWEST_DOF:
+        return Outcome.NOT_CHECKABLE
+    return Outcome.FINDINGS if any(one.is_fault for one in findings) else Outcome.CONSISTENT
 
 
 def _check(
@@ -391,5 +436,5 @@ def _same_place(ground: GroundSightings) -> list[tuple[int, int]]:
 def _convergence(estimate: InstallationEstimate, settings: VerdictSettings) -> Check:
     """Statistic: the last correction in units of its predicted 1-sigma, the largest of three axes."""
     size = float(np.max(np.abs(estimate.iterations[-1].theta_step) / estimate.sigma_theta))
-    p_value = 1.0 if estimate.converged else 0.0
+    p_value = 1.0 if estimate.converged_covariance else 0.0
     return _check(CheckKind.CONVERGENCE, size, 0, 3, p_value, settings)

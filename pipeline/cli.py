@@ -2,7 +2,8 @@
 
 Results go to the named folder, one line per input or a summary to stdout, progress and remarks to stderr.
 Exit status 0: done; 1: the data do not allow it; 2: wrong usage; 3: the data contradict themselves; 4: a
-limit that was given is missed.
+limit that was given is missed; 5: consistent, but an input looks wrong; 6: too few data to check the result.
+Of several the first of 3, 6, 4, 5; `--accept` makes each of these four 0.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ from boresight.pipeline.commands.match import add_match_commands
 from boresight.pipeline.commands.messages import (
     DATA_DID_NOT_ALLOW,
     DONE,
-    REFUTED,
+    Accepted,
     Answer,
     log,
     print_data,
@@ -176,7 +177,11 @@ StaleEop = Annotated[
 ]
 WithReport = Annotated[bool, typer.Option(help="Write report.html at the end.")]
 AcceptInconsistent = Annotated[
-    bool, typer.Option("--accept-inconsistent", help="Exit with 0 where the verdict is refuted.")
+    bool, typer.Option("--accept-inconsistent", help="The same as --accept refuted.")
+]
+Accept = Annotated[
+    list[Accepted] | None,
+    typer.Option(help="Do not fail for this: exit with 0. May be given several times."),
 ]
 Overwrite = Annotated[
     bool, typer.Option("--overwrite", help="Replace a result of another dump or of other settings.")
@@ -195,13 +200,14 @@ def calibrate(
     require_arcsec: RequireArcsec = None,
     require_m: RequireMetres = None,
     accept_inconsistent: AcceptInconsistent = False,
+    accept: Accept = None,
     overwrite: Overwrite = False,
 ) -> Answer:
     """Estimate the installation matrix of a dump from raw images; of several dumps, of each and of all.
 
     Example: boresight calibrate dump --out result
     """
-    from boresight.pipeline.commands.calibrate import RunRequest, SavedContent
+    from boresight.pipeline.commands.calibrate import RunRequest, SavedContent, exit_status
     from boresight.pipeline.results.requirement import Requirement
     from boresight.pipeline.settings import read_settings
     from boresight.pipeline.work.workers import executor_for, processors
@@ -230,7 +236,7 @@ def calibrate(
         text=f"{outcome.text}\n{took}",
         content=SavedContent(out),
         files=files,
-        exit_status=REFUTED if outcome.refuted and not accept_inconsistent else DONE,
+        exit_status=exit_status(outcome, {*(accept or ()), *([Accepted.REFUTED] * accept_inconsistent)}),
     )
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import shlex
 import sys
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from functools import cached_property, partial
 from importlib import import_module
@@ -18,7 +18,16 @@ from typing import Any
 
 from boresight.calib.verdict import Outcome
 from boresight.geometry.record import record, scalar
-from boresight.pipeline.commands.messages import log, say
+from boresight.pipeline.commands.messages import (
+    DONE,
+    LIMIT_MISSED,
+    NOT_CHECKABLE,
+    REFUTED,
+    WITH_FINDINGS,
+    Accepted,
+    log,
+    say,
+)
 from boresight.pipeline.commands.run_inputs import RunInputs, inputs_of
 from boresight.pipeline.errors import Cause, DataNotSufficientError, Omission, RawDataError
 from boresight.pipeline.files.dump import Dump
@@ -29,6 +38,7 @@ from boresight.pipeline.results.ownership import claimed
 from boresight.pipeline.results.reading import read_findings, read_result
 from boresight.pipeline.results.requirement import (
     Requirement,
+    is_met,
     requirement_lines,
     saved_requirement,
     write_requirement,
@@ -57,7 +67,7 @@ from boresight.pipeline.work.processes import Processes
 
 MOST_AHEAD = 256  # images of which the overviews, of some 80 kB each, wait in memory
 
-__all__ = ["RunOutcome", "RunRequest", "SavedContent", "going_on", "run_dump", "run_dumps"]
+__all__ = ["RunOutcome", "RunRequest", "SavedContent", "exit_status", "going_on", "run_dump", "run_dumps"]
 
 
 @record(kw_only=True)
@@ -77,7 +87,19 @@ class RunOutcome:
     """Outcome of a run, for the terminal and the exit status."""
 
     text: str = scalar("summary for the terminal")
-    refuted: bool = scalar("whether the data of the result, or of one of its dumps, contradict themselves")
+    outcomes: frozenset[Outcome] = scalar("verdicts of the result and of its dumps")
+    is_met: bool = scalar("whether the required accuracy is reached, or none is required")
+
+
+def exit_status(outcome: RunOutcome, accepted: Collection[Accepted]) -> int:
+    """The exit status of a run, the gravest thing that is not accepted; 0 if there is none."""
+    cases = (
+        (Accepted.REFUTED, Outcome.REFUTED in outcome.outcomes, REFUTED),
+        (Accepted.NOT_CHECKABLE, Outcome.NOT_CHECKABLE in outcome.outcomes, NOT_CHECKABLE),
+        (Accepted.UNMET, not outcome.is_met, LIMIT_MISSED),
+        (Accepted.FINDINGS, Outcome.FINDINGS in outcome.outcomes, WITH_FINDINGS),
+    )
+    return next((status for what, found, status in cases if found and what not in accepted), DONE)
 
 
 @contextmanager
@@ -129,9 +151,8 @@ def run_dump(
             return _finished(out)
         found = _calibrated(out, dump, named, inputs, request, executor, progress)
         log.debug("%s", "\n".join(omission_lines(found.omissions, None)))
-        lines = [calibration_summary(found, read_findings(out) if request.report else ()), *_required(out)]
-        text = "\n".join(lines)
-        return RunOutcome(text, found.verdict.outcome is Outcome.REFUTED)
+        text = "\n".join([calibration_summary(found, read_findings(out)), *_required(out)])
+        return RunOutcome(text, frozenset({found.verdict.outcome}), _is_met(out))
 
 
 def run_dumps(
@@ -188,7 +209,7 @@ def _jointly_calibrated(
     if request.report:
         _draw_dumps(out)
     verdicts = [joint.verdict, *(found.verdict for _, found in calibrated)]
-    return RunOutcome(text, any(verdict.outcome is Outcome.REFUTED for verdict in verdicts))
+    return RunOutcome(text, frozenset(verdict.outcome for verdict in verdicts), _is_met(out))
 
 
 def _calibrated(
@@ -273,6 +294,10 @@ def _required(out: Path) -> list[str]:
     return requirement_lines(saved_requirement(out), read_result(out).installation)
 
 
+def _is_met(out: Path) -> bool:
+    return is_met(saved_requirement(out), read_result(out).installation)
+
+
 def _is_finished(out: Path, inputs: RunInputs, request: RunRequest, executor: Executor) -> bool:
     """Whether the folder holds the finished result of the same inputs, with a report where one is wanted."""
     needed = ("installation.json", "run.json", *(("report.html",) if request.report else ()))
@@ -287,14 +312,15 @@ def _is_finished(out: Path, inputs: RunInputs, request: RunRequest, executor: Ex
 
 def _finished(out: Path) -> RunOutcome:
     """The outcome of the run that made a finished result."""
-    lines, refuted = [f"nothing to do: {out} holds the finished result of these inputs and settings"], False
+    lines = [f"nothing to do: {out} holds the finished result of these inputs and settings"]
+    outcomes = set()
     for result in {out, *results_in(out)}:
-        verdict = read_result(result).installation.get("verdict")
-        if isinstance(verdict, dict) and verdict.get("outcome") == Outcome.REFUTED.value:
-            lines, refuted = [*lines, *verdict_lines(verdict)], True
+        verdict = read_result(result).installation["verdict"]
+        outcomes.add(outcome := Outcome(verdict["outcome"]))
+        lines += verdict_lines(verdict) if outcome is not Outcome.CONSISTENT else []
         lines += finding_lines(read_findings(result))
     lines += _required(out)
-    return RunOutcome("\n".join(lines), refuted)
+    return RunOutcome("\n".join(lines), frozenset(outcomes), _is_met(out))
 
 
 def _note(

@@ -17,6 +17,7 @@ import textwrap
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any, get_type_hints
 
@@ -26,15 +27,35 @@ from boresight.geometry.record import record, scalar
 from boresight.pipeline import __version__
 from boresight.pipeline.errors import RawDataError, printable
 
-__all__ = ["DATA_DID_NOT_ALLOW", "DONE", "LIMIT_MISSED", "REFUTED", "WRONG_USAGE"]
-__all__ += ["Answer", "log", "print_data", "say", "shows_bars", "talks", "tell", "wrong_usage"]
+__all__ = ["DATA_DID_NOT_ALLOW", "DONE", "LIMIT_MISSED", "NOT_CHECKABLE", "REFUTED", "WITH_FINDINGS"]
+__all__ += [
+    "WRONG_USAGE",
+    "Accepted",
+    "Answer",
+    "log",
+    "print_data",
+    "say",
+    "shows_bars",
+    "talks",
+    "tell",
+    "wrong_usage",
+]
 
-DONE, DATA_DID_NOT_ALLOW, WRONG_USAGE, REFUTED, LIMIT_MISSED = range(5)
+DONE, DATA_DID_NOT_ALLOW, WRONG_USAGE, REFUTED, LIMIT_MISSED, WITH_FINDINGS, NOT_CHECKABLE = range(7)
 INTERRUPTED = 130
 RESULT = logging.INFO + 5  # of lines on stdout
 log = logging.getLogger("boresight.commands")
 log.setLevel(logging.DEBUG)
 log.propagate = False
+
+
+class Accepted(StrEnum):
+    """What a user may accept of a calibration, so that it does not fail."""
+
+    REFUTED = "refuted"
+    NOT_CHECKABLE = "not-checkable"
+    UNMET = "unmet"
+    FINDINGS = "findings"
 
 
 @record(kw_only=True)

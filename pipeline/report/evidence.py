@@ -31,6 +31,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from scipy.special import chdtrc
 
+from boresight.calib.finding import Finding
 from boresight.calib.information import solve_total
 from boresight.calib.noise_spectrum import allan_deviation
 from boresight.geometry.attitude import NominalMotion
@@ -41,12 +42,12 @@ from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.content import content_digest
 from boresight.pipeline.files.dump import Dump
 from boresight.pipeline.files.dump_schema import DumpFile
-from boresight.pipeline.files.record_tables import columns_of
+from boresight.pipeline.files.record_tables import columns_of, plain
 from boresight.pipeline.files.star_side import StarImages
 from boresight.pipeline.files.table_files import arrow_array, fixed_list
 from boresight.pipeline.files.text_files import read_toml
 from boresight.pipeline.files.whole_file import write_whole
-from boresight.pipeline.report.findings import Finding, findings
+from boresight.pipeline.report.findings import findings
 from boresight.pipeline.report.ground_accuracy import accuracy_by_strip, predicted_accuracy
 from boresight.pipeline.report.ground_map import USED, ground_table, scene_json, scene_pictures, scenes_of
 from boresight.pipeline.report.overview import Overview
@@ -110,7 +111,7 @@ def write_evidence(
             folder / f"{name}.parquet", lambda path, t=table: pq.write_table(t, path, compression="zstd")
         )
     context = _context(dump, calibration) | accuracy
-    context |= {"findings": [one.json() for one in found], "scenes": [scene_json(scene) for scene in scenes]}
+    context |= {"findings": [plain(one) for one in found], "scenes": [scene_json(scene) for scene in scenes]}
     write_json(folder / "context.json", context)
     return found
 

@@ -1,29 +1,27 @@
 """What a person should look at first: patterns in what a calibration rejected or left unexplained.
 
-Each finding names a cause and the items that it concerns, and states the numbers that were measured. Findings
-change nothing in the estimate and its verdict: data of which a faulty part was rejected are consistent.
+Each finding names a cause and the items that it concerns, and states the numbers that were measured. These
+need the images; what the estimate and the dump alone show is in the verdict.
 """
 
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import asdict, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
 
 from boresight.calib.estimate import TargetResiduals
+from boresight.calib.finding import Finding
 from boresight.calib.verdict import CheckKind
 from boresight.gct_match.records import Reason
-from boresight.geometry.constants import WGS84
-from boresight.geometry.geodesy import geodetic_from_ecef
-from boresight.geometry.geoid import egm96
 from boresight.geometry.line_camera import end_looks
-from boresight.geometry.record import Floats, record, scalar
+from boresight.geometry.record import Floats
 from boresight.pipeline.errors import Omission, RawDataError
-from boresight.pipeline.files.dump import Dump, TerrainFiles, surface_of
+from boresight.pipeline.files.dump import Dump
 from boresight.pipeline.report.ground_map import (
     OUT_OF_VIEW,
     REJECTED,
@@ -37,11 +35,9 @@ from boresight.pipeline.stages.calibrate import Calibration
 from boresight.pipeline.stages.reasons import doubts
 from boresight.pipeline.stages.strip import compass, match_targets, pushbroom_of
 
-__all__ = ["Finding", "findings"]
+__all__ = ["findings"]
 
 FEWEST = 3  # observations that make a pattern
-SMALLEST_HEIGHT_M = 5.0  # systematic difference of heights that is reported
-SINGLE_HEIGHT_M = 30.0  # ... of one target from the others: slopes and trees stay below
 MOST_STRIPS_AGAIN = 4  # strips without any match that are searched again
 SMALL_SHARE = 0.4  # of the swath: targets within less are reported
 EXPLAINED = 0.5  # share of the excess of chi-square that an explanation must remove
@@ -52,21 +48,6 @@ SHOWN = 5  # names in a sentence
 Look = tuple[str, float, float]  # target, mean and standard deviation of the strip around it
 
 
-@record(kw_only=True)
-class Finding:
-    """A pattern with the input that would explain it."""
-
-    cause: str = scalar('what is probably the matter: "clock or orbit"')
-    item: str = scalar('what it concerns: "strip s02"')
-    text: str = scalar("sentence with the numbers and what to check")
-    targets: tuple[str, ...] = scalar('targets that it explains, "strip/target"', default=())
-    is_fault: bool = scalar("an input is probably wrong; otherwise the data are only weak", default=True)
-
-    def json(self) -> dict[str, Any]:
-        """As in evidence/context.json."""
-        return asdict(self)
-
-
 def findings(
     dump: Dump, calibration: Calibration, scenes: Sequence[Scene], ground: pa.Table
 ) -> list[Finding]:
@@ -74,15 +55,13 @@ def findings(
     rows = [row for row in ground.to_pylist() if row["state"] != OUT_OF_VIEW]
     strips = {one.strip_id: one for scene in scenes for one in scene.strips}
     share = _share_of_swath(dump, calibration)
-    single = list(single_targets(rows))
-    named = {name.partition("/")[2] for one in single for name in one.targets}
     return [
+        *calibration.verdict.findings,
         *_common_bias(calibration),
         *_star_camera(dump, calibration),
         *_displaced_strips(calibration, strips, dump.sigma_installation_rad),
         *silent_ccds(rows, {key: _is_flat(strips[key[0]], key[1]) for key in _lost_ccds(rows)}),
-        *single,
-        *_heights(dump, calibration, named),
+        *single_targets(rows),
         *doubtful(calibration.estimate.targets),
         *(cloud for strip_id, one in strips.items() for cloud in clouds(strip_id, _looks(one, rows))),
         *spread(share),
@@ -135,39 +114,6 @@ def doubtful(targets: TargetResiduals) -> Iterator[Finding]:
     """Targets of which one has a gross error; they are kept, with less weight."""
     for names, text in zip(targets.doubtful, doubts(targets)):
         yield Finding(cause="gross error", item=f"one target of {len(names)}", text=text)
-
-
-def _heights(dump: Dump, calibration: Calibration, without: Collection[str]) -> Iterator[Finding]:
-    every = {target.target_id: target for task in calibration.tasks for target in task.targets}
-    targets = {name: target for name, target in every.items() if name not in without}
-    if not isinstance(dump.terrain, TerrainFiles) or len(targets) < FEWEST:
-        return
-    lat, lon, height = geodetic_from_ecef(np.array([target.p_e for target in targets.values()]), WGS84)
-    above = height - surface_of(dump.terrain).height_m(lat, lon)
-    yield from heights(list(targets), above, float(np.median(egm96().undulation_m(lat, lon))))
-
-
-def heights(names: Sequence[str], above_m: Floats, geoid_m: float) -> Iterator[Finding]:
-    """Targets (N) that lie above or below the terrain model, all of them or single ones."""
-    known = np.isfinite(above_m)
-    if known.sum() < FEWEST:
-        return
-    middle = float(np.median(above_m[known]))
-    scatter = 1.4826 * float(np.median(np.abs(above_m[known] - middle)))
-    if abs(middle) >= max(SMALLEST_HEIGHT_M, 3.0 * scatter / np.sqrt(known.sum())):
-        text = f"{known.sum()} targets differ from the terrain model by {middle:+.1f} m (median)"
-        cause = "heights of targets or terrain"
-        if abs(abs(middle) - abs(geoid_m)) < 0.2 * abs(geoid_m):
-            cause = "kind of height"
-            kinds = ("ellipsoidal", "EGM96") if middle * geoid_m > 0.0 else ("EGM96", "ellipsoidal")
-            text += f", as much as the geoid lies from the ellipsoid there ({geoid_m:+.1f} m): the targets' "
-            text += f"heights are {kinds[0]} but stated as {kinds[1]} (height_kind in targets.csv), or those "
-            text += f"of the terrain {kinds[1]} but stated as {kinds[0]} ([terrain] in dump.toml)"
-        yield Finding(cause=cause, item="all targets, or the terrain model", text=f"{text}.")
-    off = np.abs(np.where(known, above_m - middle, 0.0))
-    for n in np.flatnonzero(off > max(SINGLE_HEIGHT_M, 6.0 * scatter))[:FEWEST].tolist():
-        text = f"it lies {above_m[n] - middle:+.0f} m above the terrain, compared with the other targets"
-        yield Finding(cause="height", item=f"target {names[n]}", text=f"{text}; check its height_m.")
 
 
 def _lost_ccds(rows: Sequence[Mapping[str, Any]]) -> list[tuple[str, int]]:

@@ -80,11 +80,6 @@ class FirstScreen:
     findings: tuple[Found, ...] = scalar("what to look at, the most specific first")
     items: tuple[Items, ...] = scalar("targets in view that were not used and that no finding explains")
 
-    @property
-    def n_faults(self) -> int:
-        """Number of findings by which an input is probably wrong."""
-        return sum(one.is_fault for one in self.findings)
-
 
 def first_screen(saved: Saved, targets: Sequence[TargetRow]) -> FirstScreen:
     """The first screen of a saved result with the rows of its targets."""

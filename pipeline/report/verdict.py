@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from boresight.calib.verdict import Outcome
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.record import record, scalar
 from boresight.pipeline.report.saved import Number, number_from
@@ -39,12 +40,18 @@ class CheckRow:
 class VerdictView:
     """The verdict of installation.json; `outcome` is "not assessed" where it has none (older versions)."""
 
-    outcome: str = scalar('"consistent", "refuted" or "not assessed"')
+    outcome: str = scalar('value of `calib.verdict.Outcome`, or "not assessed"')
+    sentence: str = scalar("the outcome in one line, as on the console")
     checks: tuple[CheckRow, ...] = scalar("all checks")
     false_alarm: Number | None = scalar("probability that consistent data are refuted")
     weakest_axis: str = scalar("X, Y or Z: the axis of c nearest to the direction with the largest 1-sigma")
     weakest_arcsec: Number | None = scalar("that 1-sigma")
     direction: tuple[Number, ...] = scalar("unit vector of that direction, frame c")
+
+    @property
+    def is_usable(self) -> bool:
+        """Whether the matrix and its 1-sigma may be used."""
+        return self.outcome in (Outcome.CONSISTENT.value, Outcome.FINDINGS.value)
 
     @property
     def failed(self) -> tuple[CheckRow, ...]:
@@ -69,6 +76,7 @@ def verdict_view(installation: dict[str, Any], source: str = "installation.json"
     if verdict is None:
         return VerdictView(
             outcome="not assessed",
+            sentence="not assessed: the version that wrote this result computed no verdict; calibrate again",
             checks=(),
             false_alarm=None,
             weakest_axis="",
@@ -81,6 +89,7 @@ def verdict_view(installation: dict[str, Any], source: str = "installation.json"
 
     return VerdictView(
         outcome=str(verdict["outcome"]),
+        sentence=str(verdict.get("sentence", verdict["outcome"])),
         checks=tuple(
             CheckRow(
                 kind=str(check["kind"]),

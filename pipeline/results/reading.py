@@ -52,12 +52,15 @@ class SavedResult:
 
 
 def read_findings(result: Path) -> list[dict[str, Any]]:
-    """What the report of a result asks to look at (`cause`, `item`, `text`, ...); none without a report.
+    """The findings of a result (`cause`, `item`, `text`, ...): those of its verdict, and with a report those
+    that need images.
 
     `RawDataError` for findings that are not as the program writes them.
     """
-    path = result / "evidence" / "context.json"
-    found = read_json(path).get("findings", []) if path.is_file() else []
+    context, installation = result / "evidence" / "context.json", result / "installation.json"
+    path = context if context.is_file() else installation
+    content = read_json(path) if path.is_file() else {}
+    found = (content if path == context else content.get("verdict") or {}).get("findings", [])
     if not all(isinstance(one, dict) and {"cause", "item", "text"} <= one.keys() for one in found):
         raise RawDataError(str(path), "findings", found, "objects with cause, item and text")
     return list(found)

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from boresight.calib.verdict import Outcome
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.record import record, scalar
 from boresight.pipeline.files.text_files import read_json
 from boresight.pipeline.results.writing import write_json
 
-__all__ = ["FILE", "Requirement", "requirement_lines", "saved_requirement", "write_requirement"]
+__all__ = ["FILE", "Requirement", "is_met", "requirement_lines", "saved_requirement", "write_requirement"]
 
 FILE = "requirement.json"
 
@@ -46,22 +47,30 @@ def saved_requirement(result: Path) -> dict[str, Any]:
     return read_json(path) if path.is_file() else {}
 
 
+def is_met(requirement: Mapping[str, Any], installation: Mapping[str, Any]) -> bool:
+    """Whether the matrix of an installation.json meets every limit of a requirement."""
+    return all(met for _, met in _judged(requirement, installation))
+
+
 def requirement_lines(requirement: Mapping[str, Any], installation: Mapping[str, Any]) -> list[str]:
     """Whether the matrix of an installation.json meets a requirement, a line for each limit."""
+    return [line for line, _ in _judged(requirement, installation)]
+
+
+def _judged(requirement: Mapping[str, Any], installation: Mapping[str, Any]) -> Iterator[tuple[str, bool]]:
     sigma_rad = np.sqrt(np.diag(np.array(installation["covariance_rad2"])))
     per_rad: Sequence[float | None] = installation.get("ground_m_per_rad") or [None] * 3
     on_ground = sigma_rad * np.array([np.nan if value is None else value for value in per_rad])
+    verdict = (installation.get("verdict") or {}).get("outcome", "not assessed")
     cases = (("arcsec", "arcsec about each axis", sigma_rad / ARCSEC), ("m", "m on the ground", on_ground))
-    lines = []
     for key, words, sigma in cases:
         if requirement.get(key) is None:
             continue
         limit = float(requirement[key])
         missed = [f"{axis} {value:.4g}" for axis, value in zip("XYZ", sigma) if not value <= limit]
         outcome = f"not met about {', '.join(missed)}" if missed else "met"
-        if (installation.get("verdict") or {}).get("outcome") != "consistent":
-            outcome = "cannot be judged, the verdict is not consistent"
+        if verdict not in (Outcome.CONSISTENT.value, Outcome.FINDINGS.value):
+            outcome = f"cannot be judged, the verdict is {verdict}"
         if np.isnan(sigma).any():
             outcome = "not known, no strip sees the ground"
-        lines.append(f"{'required 1 sigma':26s}{limit:g} {words}: {outcome}")
-    return lines
+        yield f"{'required 1 sigma':26s}{limit:g} {words}: {outcome}", outcome == "met"

@@ -68,16 +68,11 @@ def joint_summary(of_dumps: Mapping[str, Calibration], joint: JointCalibration) 
 
 
 def verdict_lines(verdict: Mapping[str, Any]) -> list[str]:
-    """The verdict of an installation.json: consistent, or refuted by which checks, and what to look at."""
+    """The verdict of an installation.json: its sentence, the checks that fail, and what to look at."""
     checks = sorted(verdict["checks"], key=lambda check: check["p_value"])
     cautions = [check for check in checks if check.get("is_caution")]
     failed = [check for check in checks if not check["holds"] and not check.get("is_caution")]
-    if failed:
-        text = f"refuted by {len(failed)} of {len(checks)} checks; do not use this matrix"
-    else:
-        text = f"consistent: {len(checks) - len(cautions)} of {len(checks)} checks hold"
-        text += ", but residuals are smaller than stated" if cautions else ""
-    lines = [f"{'verdict':26s}{text}"]
+    lines = [f"{'verdict':26s}{verdict['sentence']}"]
     for check in (*failed, *cautions):
         found, expected = f"{check['statistic']:.6g}", f"{check['expected']:.6g}"
         lines.append(f"  {check['kind']}: {found}, expected {expected} (p {check['p_value']:.1e})")

@@ -142,14 +142,16 @@ def write_json(path: Path, content: dict[str, Any]) -> None:
 
 
 def verdict_json(verdict: Verdict) -> dict[str, Any]:
-    """A verdict as installation.json has it: for each check also whether it holds, and what to look at."""
+    """A verdict as installation.json has it: for each check also whether it holds, and what to look at; for
+    all of them, the sentence that console and report begin with.
+    """
     checks = [
         plain(check)
         | {"holds": check.holds, "is_caution": check.is_caution}
         | {"look_at": [suspect.value for suspect in check.look_at]}
         for check in verdict.checks
     ]
-    return plain(verdict) | {"checks": checks}
+    return plain(verdict) | {"checks": checks, "sentence": verdict.sentence}
 
 
 def ground_m_per_rad(strips: Sequence[StripSightings], camera: LineSensor) -> Floats:

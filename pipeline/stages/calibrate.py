@@ -32,6 +32,7 @@ from boresight.pipeline.settings import Settings, calibration_settings, effects_
 from boresight.pipeline.stages.cached import Progress, StageRunner
 from boresight.pipeline.stages.coverage import attitudes_in_s, carriers, stated_mountings
 from boresight.pipeline.stages.head import HeadSightings, sight_head
+from boresight.pipeline.stages.input_findings import input_findings
 from boresight.pipeline.stages.matchings import match_again, match_first
 from boresight.pipeline.stages.missing import what_is_missing
 from boresight.pipeline.stages.reasons import rejection_reason
@@ -145,11 +146,11 @@ def calibrate_dump(
         if not (last.named or any(task.targets for task in last.tasks)):
             break  # measured image points alone: no matrix moves them
     found = last.estimate.with_reference(heads[0].head.name)
+    omissions = (*_unused_so_far(dump, heads, sky), *last.omissions, *rejections_of(found))
+    verdict = assess(found, last.strips, settings.verdict, sigma_installation_rad=dump.sigma_installation_rad)
     return Calibration(
         estimate=found,
-        verdict=assess(
-            found, last.strips, settings.verdict, sigma_installation_rad=dump.sigma_installation_rad
-        ),
+        verdict=verdict.with_findings(input_findings(dump, last.tasks, omissions)),
         stars=heads[0].stars,
         attitudes=heads[0].attitudes,
         tasks=last.tasks,
@@ -158,7 +159,7 @@ def calibrate_dump(
         named=last.named,
         strips=last.strips,
         settings=error_model,
-        omissions=(*_unused_so_far(dump, heads, sky), *last.omissions, *rejections_of(found)),
+        omissions=omissions,
         n_computed=sum(computed),
         n_reused=len(computed) - sum(computed),
     )

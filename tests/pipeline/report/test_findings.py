@@ -21,7 +21,6 @@ from boresight.pipeline.report.findings import (
     clouds,
     displaced_strip,
     doubtful,
-    heights,
     lost_strip,
     silent_ccds,
     single_targets,
@@ -32,6 +31,7 @@ from boresight.pipeline.report.ground_map import REJECTED, UNMATCHED, USED
 from boresight.pipeline.report.star_findings import explanations
 from boresight.pipeline.results.folder import store_of
 from boresight.pipeline.stages.calibrate import calibrate_dump
+from boresight.pipeline.stages.input_findings import heights
 from boresight.pipeline.stages.strip import _displaced_m, compass, pushbroom_of
 
 NAMES = [f"t{n}" for n in range(12)]

@@ -41,7 +41,9 @@ def calibration(**changed: Any) -> Any:
 
 @pytest.fixture(autouse=True)
 def plain_verdict(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("boresight.pipeline.results.summary.verdict_json", lambda verdict: {"checks": []})
+    monkeypatch.setattr(
+        "boresight.pipeline.results.summary.verdict_json", lambda verdict: {"checks": [], "sentence": ""}
+    )
 
 
 def test_numbers_of_the_summary_are_those_of_the_estimate() -> None:
@@ -104,6 +106,7 @@ def test_refuting_checks_are_named_the_least_likely_first_with_what_to_look_at()
 
     lines = verdict_lines(
         {
+            "sentence": "refuted by two checks",
             "checks": [
                 check("residuals of targets", 1e-9, holds=False),
                 check("residuals of stars", 0.5, holds=True),

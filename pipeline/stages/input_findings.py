@@ -1,0 +1,64 @@
+"""What the inputs of a calibration contradict by themselves, without its residuals."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+
+import numpy as np
+
+from boresight.calib.estimate import WhyRejected
+from boresight.calib.finding import Finding
+from boresight.gct_match.records import Reason, Target
+from boresight.geometry.constants import WGS84
+from boresight.geometry.geodesy import geodetic_from_ecef
+from boresight.geometry.geoid import egm96
+from boresight.geometry.record import Floats
+from boresight.pipeline.errors import Omission
+from boresight.pipeline.files.dump import Dump, TerrainFiles, surface_of
+from boresight.pipeline.stages.strip import StripTask
+
+__all__ = ["heights", "input_findings"]
+
+FEWEST = 3  # targets that make a pattern
+SMALLEST_HEIGHT_M = 5.0  # systematic difference of heights that is reported
+SINGLE_HEIGHT_M = 30.0  # ... of one target from the others: slopes and trees stay below
+WRONG = (Reason.OUTSIDE_CHIP, Reason.INCONSISTENT)  # refusals of targets whose place is wrong
+
+
+def input_findings(dump: Dump, tasks: Sequence[StripTask], omissions: Sequence[Omission]) -> list[Finding]:
+    """All such findings; `tasks` are the strips that were matched and `omissions` what is not used."""
+    every = {target.target_id: target for task in tasks for target in task.targets}
+    wrong = {reason.replace("_", " ") for reason in WRONG} | {WhyRejected.TARGET_RESIDUAL.value}
+    without = {one.name.partition("/")[2].partition(",")[0] for one in omissions if one.cause in wrong}
+    return [*_heights(dump, {name: target for name, target in every.items() if name not in without})]
+
+
+def _heights(dump: Dump, targets: Mapping[str, Target]) -> Iterator[Finding]:
+    if not isinstance(dump.terrain, TerrainFiles) or len(targets) < FEWEST:
+        return
+    lat, lon, height = geodetic_from_ecef(np.array([target.p_e for target in targets.values()]), WGS84)
+    above = height - surface_of(dump.terrain).height_m(lat, lon)
+    yield from heights(list(targets), above, float(np.median(egm96().undulation_m(lat, lon))))
+
+
+def heights(names: Sequence[str], above_m: Floats, geoid_m: float) -> Iterator[Finding]:
+    """Targets (N) that lie above or below the terrain model, all of them or single ones."""
+    known = np.isfinite(above_m)
+    if known.sum() < FEWEST:
+        return
+    middle = float(np.median(above_m[known]))
+    scatter = 1.4826 * float(np.median(np.abs(above_m[known] - middle)))
+    if abs(middle) >= max(SMALLEST_HEIGHT_M, 3.0 * scatter / np.sqrt(known.sum())):
+        text = f"{known.sum()} targets differ from the terrain model by {middle:+.1f} m (median)"
+        cause = "heights of targets or terrain"
+        if abs(abs(middle) - abs(geoid_m)) < 0.2 * abs(geoid_m):
+            cause = "kind of height"
+            kinds = ("ellipsoidal", "EGM96") if middle * geoid_m > 0.0 else ("EGM96", "ellipsoidal")
+            text += f", as much as the geoid lies from the ellipsoid there ({geoid_m:+.1f} m): the targets' "
+            text += f"heights are {kinds[0]} but stated as {kinds[1]} (height_kind in targets.csv), or those "
+            text += f"of the terrain {kinds[1]} but stated as {kinds[0]} ([terrain] in dump.toml)"
+        yield Finding(cause=cause, item="all targets, or the terrain model", text=f"{text}.")
+    off = np.abs(np.where(known, above_m - middle, 0.0))
+    for n in np.flatnonzero(off > max(SINGLE_HEIGHT_M, 6.0 * scatter))[:FEWEST].tolist():
+        text = f"it lies {above_m[n] - middle:+.0f} m above the terrain, compared with the other targets"
+        yield Finding(cause="height", item=f"target {names[n]}", text=f"{text}; check its height_m.")
