@@ -11,7 +11,6 @@ the page says; whether that names cause and item is judged by the words that mus
 from __future__ import annotations
 
 import argparse
-import csv
 import html
 import re
 import shutil
@@ -26,7 +25,8 @@ import record  # of this folder; sets the number of threads before NumPy is load
 
 import cv2  # isort: skip
 import numpy as np  # isort: skip
-import rasterio  # isort: skip
+from faults import change, edited, later, repaint, table, write
+
 from PIL import Image  # isort: skip
 
 from boresight.pipeline.report.pdf import chromium
@@ -46,34 +46,6 @@ class Fault:
     make: Callable[[Path], None]
     words: tuple[str, ...]
     item: str = ""  # target whose card the first click opens
-
-
-def table(path: Path) -> list[list[str]]:
-    with path.open(newline="") as stream:
-        return list(csv.reader(stream))
-
-
-def write(path: Path, rows: list[list[str]]) -> None:
-    path.unlink()
-    with path.open("w", newline="") as stream:
-        csv.writer(stream, lineterminator="\n").writerows(rows)
-
-
-def change(path: Path, old: str, new: str) -> None:
-    text = re.sub(old, new, path.read_text())
-    path.unlink()
-    path.write_text(text)
-
-
-def repaint(path: Path, paint: Callable[[np.ndarray], np.ndarray], shift_m: float = 0.0) -> None:
-    """The raster with other pixels, its geo-reference moved to the east."""
-    with rasterio.open(path) as file:
-        image, profile = file.read(1), dict(file.profile)
-    if shift_m:
-        profile["transform"] = rasterio.Affine.translation(shift_m, 0.0) @ profile["transform"]
-    path.unlink()
-    with rasterio.open(path, "w", **profile) as file:
-        file.write(paint(image), 1)
 
 
 def shifted_chip(dump: Path, shift_m: float = CHIP_SHIFT_M) -> None:
@@ -102,12 +74,11 @@ def mirrored(dump: Path) -> None:
 
 
 def clock(dump: Path, late_s: float = CLOCK_S) -> None:
-    rows = table(dump / "strips.csv")
-    for row in rows[1:]:
-        if row[0] == "s02":
-            second, rest = row[3][:17], float(row[3][17:])
-            row[3] = f"{second}{rest + late_s:012.9f}"
-    write(dump / "strips.csv", rows)
+    def edit(row: dict[str, str]) -> None:
+        if row["id"] == "s02":
+            row["utc_first_row"] = later(row["utc_first_row"], late_s)
+
+    edited("strips.csv", edit, dump)
 
 
 def dead_ccd(dump: Path) -> None:
