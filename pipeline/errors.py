@@ -53,6 +53,7 @@ class Cause(StrEnum):
     NOT_A_SKY_STRIP = "not a strip of the sky"
     NOT_CALIBRATED = "no result"
     MARKED_INVALID = "marked invalid"
+    REPEATED = "given twice"
     INTERNAL_ERROR = "internal error"
 
 

@@ -40,6 +40,8 @@ from boresight.pipeline.files.image_files import StripFiles, check_strip_file, r
 from boresight.pipeline.files.object_store import dump_folder
 from boresight.pipeline.files.orbit_file import Ephemeris, read_oem
 from boresight.pipeline.files.remote_camera import read_remote_camera
+from boresight.pipeline.files.repeated_exposures import exposures_once
+from boresight.pipeline.files.repeated_strips import strips_once
 from boresight.pipeline.files.star_side import (
     Exposure,
     Head,
@@ -244,15 +246,16 @@ def open_dump(root: Path | str, *, allow_stale_eop: bool = False, threads: int =
     every, omitted = _strips(
         root, paths["strips"], head.files.strips, ephemeris.epoch, remote, head.files.remote_camera
     )
-    strips, sky_strips = (tuple(one for one in every if one.kind == kind) for kind in ("ground", "sky"))
-    _check_what_they_show(strips, sky_strips, head)
+    ground, sky = (tuple(one for one in every if one.kind == kind) for kind in ("ground", "sky"))
+    _check_what_they_show(ground, sky, head)
+    (strips, twice), (sky_strips, sky_twice) = (strips_once(one, head.files.strips) for one in (ground, sky))
     rows = _target_rows(paths["targets"], str(head.files.targets)) if "targets" in paths else []
     surveyed = targets_of(rows)
-    heads = open_heads(root, head, ephemeris.epoch)
+    heads, exposures_twice = exposures_once(open_heads(root, head, ephemeris.epoch))
     during = [(s.t_first_row_s, s.t_first_row_s + s.lines * s.row_period_s) for s in strips]
     for one in heads:
         check_attitudes(one, orbit, during)
-    points, of_points = _points(paths.get("points"), head, strips)
+    points, of_points = _points(paths.get("points"), head, ground)
     return Dump(
         root=root,
         mission=head.mission,
@@ -268,10 +271,10 @@ def open_dump(root: Path | str, *, allow_stale_eop: bool = False, threads: int =
         sky_strips=sky_strips,
         targets=surveyed.targets,
         chips=_chips(root, rows, str(head.files.targets)),
-        points=points,
+        points=_points_once(points, strips),
         terrain=_terrain(root, head, (surveyed, *of_points), threads),
         star_catalogue=_star_catalogue(paths.get("star_catalogue"), head, sky_strips),
-        omissions=omitted,
+        omissions=(*omitted, *twice, *sky_twice, *exposures_twice),
     )
 
 
@@ -503,6 +506,12 @@ def _points(
         from_first = np.array([first_line[ccd] for ccd in one.ccd.tolist()])
         in_strips.append(replace(one, xy_px=one.xy_px + np.column_stack([0.0 * from_first, from_first])))
     return tuple(in_strips), (surveyed,)
+
+
+def _points_once(points: Sequence[StripPoints], strips: Sequence[Strip]) -> tuple[StripPoints, ...]:
+    """The points in CCDs of strips that are used."""
+    ccds = {strip.strip_id: list(strip.first_line) for strip in strips}
+    return tuple(one.of(ccds[one.strip_id]) for one in points if one.strip_id in ccds)
 
 
 def _chips(root: Path, rows: Sequence[schema.TargetRow], file: str) -> tuple[ChipFile, ...]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -40,6 +41,17 @@ class StripPoints:
     ccd: Ints = array("N", "CCD of the camera, from 0")
     xy_px: Floats = array("N, 2", "measured position (sample, line)")
     cov_px: Floats = array("N, 2, 2", "its covariance, px²")
+
+    def of(self, ccds: Sequence[int]) -> StripPoints:
+        """The measurements in some of the CCDs."""
+        rows = np.flatnonzero(np.isin(self.ccd, ccds))
+        return replace(
+            self,
+            targets=tuple(self.targets[n] for n in rows),
+            ccd=self.ccd[rows],
+            xy_px=self.xy_px[rows],
+            cov_px=self.cov_px[rows],
+        )
 
 
 NO_POINTS = StripPoints(

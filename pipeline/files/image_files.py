@@ -8,7 +8,7 @@ only, without sidecar files and without network.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
 from functools import lru_cache
@@ -31,7 +31,7 @@ from boresight.pipeline.files.deflated_tiles import read_deflated
 from boresight.pipeline.files.object_store import StoredPath
 from boresight.pipeline.files.star_images import TIFF_MAGICS, check_size, first_bytes
 
-__all__ = ["GridImage", "StripFiles", "open_geotiff", "read_grid", "read_planes", "read_tiff"]
+__all__ = ["GridImage", "StripFiles", "grid_side_m", "open_geotiff", "read_grid", "read_planes", "read_tiff"]
 
 MAX_BLOCK_BYTES = 2**29  # a row of tiles or a strip of a TIFF is decoded as a whole
 PIXEL_SIDE_M = (0.01, 1e5)  # of a chip, terrain model or ground image; 1e-5 m would be a wrong unit
@@ -170,6 +170,15 @@ class StripFiles:
         """Numbers of the CCDs in increasing order."""
         return tuple(sorted(self.paths))
 
+    def of(self, ccds: Iterable[int]) -> StripFiles:
+        """The images of some of the CCDs."""
+        chosen = [ccd for ccd in ccds if ccd in self.paths]
+        return StripFiles(
+            {ccd: self.paths[ccd] for ccd in chosen},
+            {ccd: self.names[ccd] for ccd in chosen},
+            {ccd: self.shapes[ccd] for ccd in chosen},
+        )
+
     def shape(self, ccd: int) -> tuple[int, int]:
         """(lines, samples) of a CCD's image."""
         return self.shapes[ccd]
@@ -263,14 +272,29 @@ def read_grid(
         return GridImage(values, (a, b, c, d, e, f), wkt)
 
 
+def grid_side_m(path: Path, file: str) -> float:
+    """Length of the shorter side of a georeferenced raster on the ground, m, by its header. `RawDataError`
+    if it is none.
+    """
+    with open_geotiff(path, file) as image:
+        if image.crs is None:
+            raise RawDataError(file, "coordinate reference system", "none", "a GeoTIFF with a CRS")
+        crs = CRS.from_user_input(_map_of(image, file))
+        return float(min(image.shape) * _pixel_side_m(image.transform, crs))
+
+
 def _check_transform(transform: Any, crs: CRS, file: str) -> None:
     """`RawDataError` unless a pixel's side lies within `PIXEL_SIDE_M` and its coordinates on any map."""
-    unit = crs.axis_info[0].unit_conversion_factor * (EARTH_RADIUS_M if crs.is_geographic else 1.0)
-    if not PIXEL_SIDE_M[0] <= (side := abs(transform.determinant) ** 0.5 * unit) <= PIXEL_SIDE_M[1]:
+    if not PIXEL_SIDE_M[0] <= (side := _pixel_side_m(transform, crs)) <= PIXEL_SIDE_M[1]:
         expected = f"{PIXEL_SIDE_M[0]:g} m to {PIXEL_SIDE_M[1]:g} m"
         raise RawDataError(file, "transform", f"pixels of {side:.3g} m", expected)
     if (largest := max(map(abs, transform))) > MAX_COORDINATE:
         raise RawDataError(file, "transform", f"{largest:g}", f"coordinates below {MAX_COORDINATE:g}")
+
+
+def _pixel_side_m(transform: Any, crs: CRS) -> float:
+    unit = crs.axis_info[0].unit_conversion_factor * (EARTH_RADIUS_M if crs.is_geographic else 1.0)
+    return float(abs(transform.determinant) ** 0.5 * unit)
 
 
 def _map_of(image: Any, file: str) -> str:

@@ -36,6 +36,7 @@ from boresight.pipeline.stages.input_findings import input_findings
 from boresight.pipeline.stages.matchings import match_again, match_first
 from boresight.pipeline.stages.missing import what_is_missing
 from boresight.pipeline.stages.reasons import rejection_reason
+from boresight.pipeline.stages.repeated_targets import targets_once
 from boresight.pipeline.stages.sky_side import (
     SkySide,
     find_in_sky_strips,
@@ -126,6 +127,7 @@ def calibrate_dump(
         If the data do not determine all three angles.
     """
     settings = settings or Settings()
+    dump = targets_once(dump, settings.match)
     runner = StageRunner(store, executor or InOrder(), progress)
     error_model = calibration_settings(settings, dump.errors, dump.line_camera)
     heads = [sight_head(dump, head, settings, error_model.attitudes, runner) for head in dump.heads]
@@ -256,6 +258,7 @@ def strips_to_match(
     dump: Dump, settings: Settings, executor: Executor | None = None
 ) -> tuple[list[StripTask], list[Omission]]:
     """Tasks of a dump's strips with the pre-launch installation matrix, and what cannot be used."""
+    dump = targets_once(dump, settings.match)
     heads, tasks, uncovered = _before_launch(dump, settings, executor or InOrder())
     return tasks, [*dump.omissions, *(one for head in heads for one in head.omissions), *uncovered]
 
