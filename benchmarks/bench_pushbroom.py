@@ -168,7 +168,10 @@ def stitching() -> None:
     virtual = VirtualStrip(model, ConstantHeight(100.0))
     raw = np.random.default_rng(5).integers(0, 4095, (2000, SAMPLES), dtype=np.uint16)
     seconds, image = timed(
-        lambda: virtual.stitched(lambda k, a, b, c, d: raw[a:b, c:d], 2000, (500, 1500)), 1
+        lambda: virtual.stitched(
+            lambda k, a, b, c, d: raw[a:b, c:d], dict.fromkeys(range(model.camera.n_ccds), 2000), (500, 1500)
+        ),
+        1,
     )
     rate = image.size / seconds / 1e6
     print(f"virtual CCD: {virtual.width_px} px; {rate:.1f} million pixels a second stitched")

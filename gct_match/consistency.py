@@ -13,6 +13,7 @@ import numpy as np
 from boresight.gct_match.predict.scene import Scene
 from boresight.gct_match.predict.trajectories import displacements
 from boresight.gct_match.records import Reason, Refusal, TargetMatch
+from boresight.gct_match.settings import MatchSettings
 from boresight.geometry.installation import deviation_from_theta, theta_from_deviation
 from boresight.geometry.record import Floats
 
@@ -36,8 +37,10 @@ def consistent_matches(
     p_e = np.array([positions[match.target_id] for match in found])
     xy = np.array([match.xy_px for match in found])
     model = scene.pushbroom.with_installation(deviation_from_theta(theta) * scene.pushbroom.R_cs)
-    d, design = displacements(model, p_e, np.array([match.ccd for match in found]), xy)
-    scatter = _scatter(scene, np.array([match.cov_px for match in found]), xy[:, 1])
+    ccd = np.array([match.ccd for match in found])
+    d, design = displacements(model, p_e, ccd, xy)
+    t_s = scene.pushbroom.instants_of_lines(ccd, xy[:, 1])
+    scatter = _scatter(scene.settings, np.array([match.cov_px for match in found]), t_s)
     keep, refused = list(range(len(found))), []
     while True:
         off, distance = _from_the_others(d[keep], design[keep], scatter[np.ix_(keep, keep)], sigma_rad)
@@ -55,15 +58,13 @@ def consistent_matches(
     return matches, refused, theta_from_deviation(total)
 
 
-def _scatter(scene: Scene, cov_px: Floats, line: Floats) -> Floats:
+def _scatter(settings: MatchSettings, cov_px: Floats, t_s: Floats) -> Floats:
     """(N, N, 2, 2) covariance of displacements about the common rotation: that of each match, (N, 2, 2), and
-    the attitude error, common to matches seen between the same star exposures.
+    the attitude error, common to matches seen, at instants (N,), between the same star exposures.
     """
-    settings = scene.settings
-    t_s = scene.pushbroom.instants(line)
     correlated = np.maximum(1.0 - np.abs(t_s[:, None] - t_s) / settings.attitude_step_s, 0.0)
     out = np.asarray(settings.attitude_sigma_px**2 * correlated[:, :, None, None] * np.eye(2))
-    every = np.arange(len(line))
+    every = np.arange(len(t_s))
     out[every, every] += cov_px + settings.consistency_sigma_px**2 * np.eye(2)
     return out
 

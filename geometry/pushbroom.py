@@ -1,13 +1,14 @@
 """The rigorous model of a pushbroom strip: pixel of a CCD <-> direction in space <-> point on the ground.
 
-A row has one instant: orbit, Earth rotation and attitude are those of the middle of its exposure. Directions
-are apparent ones from the moving satellite (`geometry.groundlight`). Frames: i = GCRS, e = ITRS, s = star
-camera, c = remote-sensing camera; image points are (sample, line) in a CCD's raw image. All functions take
-arrays of points; for many points orbit and attitude are interpolated from a table over the rows
-(`geometry.row_table`).
+A row of the strip has one instant: orbit, Earth rotation and attitude are those of the middle of its
+exposure. A line counts in the raw image of one CCD, which may begin at a later row than the strip; `RowClock`
+alone knows at which. Directions are apparent ones from the moving satellite (`geometry.groundlight`). Frames:
+i = GCRS, e = ITRS, s = star camera, c = remote-sensing camera; image points are (sample, line) in a CCD's raw
+image. All functions take arrays of points; for many points orbit and attitude are interpolated from a table
+over the rows (`geometry.row_table`).
 
-From ground to pixel (`pixels_from_ground`) the line is found by the secant method on the distance of the
-point across the detector: a few points start from a scan of all lines, the others from a plane fitted to
+From ground to pixel (`pixels_from_ground`) the row is found by the secant method on the distance of the
+point across the detector: a few points start from a scan of all rows, the others from a plane fitted to
 those. From pixel to ground (`ground_points`) the apparent direction becomes a straight ray, the tangent of
 the light path at the expected height, which is intersected with the surface; rays whose intersection is too
 far from that height are computed again at the height found.
@@ -15,6 +16,7 @@ far from that height are computed again at the height found.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Protocol
 
@@ -35,7 +37,7 @@ from boresight.geometry.groundlight import (
 )
 from boresight.geometry.line_camera import LineSensor
 from boresight.geometry.orbit import orbital_frame
-from boresight.geometry.record import record, scalar
+from boresight.geometry.record import Ints, record, scalar
 from boresight.geometry.row_table import RowTable, tabulated
 from boresight.geometry.terrain import ConstantHeight, Surface, intersect
 from boresight.geometry.terrain_rays import bilinear
@@ -50,7 +52,7 @@ _ROTATION = 1e-13
 _TOLERANCE = np.repeat([_POSITION_M, _VELOCITY_M_S, _ROTATION], [3, 3, 9])
 _CHUNK = 32_768  # points at a time: their arrays stay in the cache
 _MANY = 1_500  # number of points from which a table over the rows saves time
-_MARGIN_LINES = 256.0  # error of a predicted line that the table still covers
+_MARGIN_ROWS = 256.0  # error of a predicted line that the table still covers
 _FEW = 16  # points found by a scan, from which the lines of the others are predicted
 _SCAN = 65  # lines of the scan
 _SECANT_STEPS = 12
@@ -73,24 +75,45 @@ class OrbitOverTime(OrbitLike, Protocol):
 
 @record
 class RowClock:
-    """Time labels of rows: line n at `t_first_row_s + n row_period_s`. `ValueError` unless that is
-    positive.
+    """Time labels of the rows of a strip, and the lines that the CCDs' own images have for them.
+
+    Row n has the label `t_first_row_s + n row_period_s`; line m of CCD k is row m + `first_row[k]`, which
+    need not be whole. Raises `ValueError` unless the period is positive.
     """
 
-    t_first_row_s: float = scalar("time label of line 0, TAI seconds since the epoch")
-    row_period_s: float = scalar("from line to line")
+    t_first_row_s: float = scalar("time label of row 0, TAI seconds since the epoch")
+    row_period_s: float = scalar("from row to row")
+    first_row: Mapping[int, float] = scalar(
+        "row of the strip at which line 0 of a CCD's image lies; 0 for a CCD that is not named",
+        default_factory=dict,
+    )
 
     def __post_init__(self) -> None:
         if not self.row_period_s > 0.0:
             raise ValueError(f"RowClock.row_period_s must be positive, got {self.row_period_s}")
 
-    def instant(self, line: ArrayLike) -> Array:
-        """Time labels of (fractional) lines, elementwise, TAI seconds since the epoch."""
-        return self.t_first_row_s + np.asarray(line, dtype=float) * self.row_period_s
+    def instant(self, row: ArrayLike) -> Array:
+        """Time labels of (fractional) rows, elementwise, TAI seconds since the epoch."""
+        return self.t_first_row_s + np.asarray(row, dtype=float) * self.row_period_s
 
-    def line(self, t_s: ArrayLike) -> Array:
-        """Fractional lines of time labels, elementwise: inverse of `instant`."""
+    def row(self, t_s: ArrayLike) -> Array:
+        """Fractional rows of time labels, elementwise: inverse of `instant`."""
         return (np.asarray(t_s, dtype=float) - self.t_first_row_s) / self.row_period_s
+
+    def rows_of_lines(self, ccd: int | Ints, line: ArrayLike) -> Array:
+        """Rows of the strip (N,) at which lines (N,) of a CCD, or of CCDs (N,), lie."""
+        return np.asarray(line, dtype=float) + self._first(ccd)
+
+    def lines_of_rows(self, ccd: int | Ints, row: ArrayLike) -> Array:
+        """Lines (N,) in the image of a CCD, or of CCDs (N,), of rows (N,): inverse of `rows_of_lines`."""
+        return np.asarray(row, dtype=float) - self._first(ccd)
+
+    def _first(self, ccd: int | Ints) -> Array:
+        if not self.first_row:
+            return np.zeros(())
+        ccds, which = np.unique(ccd, return_inverse=True)
+        first = np.array([self.first_row.get(k, 0.0) for k in ccds.tolist()])
+        return first[which].reshape(np.shape(ccd))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -130,19 +153,19 @@ class _HeightsOverImage:
     """Approximate heights of the ground at pixels, bilinear between evenly spaced ones."""
 
     samples: Array  # (C,)
-    lines: Array  # (R,)
+    rows: Array  # (R,)
     heights_m: NDArray[np.float32]  # (R, C); one height is that of all pixels
     otherwise_m: float  # for a pixel that is NaN
 
-    def at(self, sample: Array, line: Array) -> Array:
+    def at(self, sample: Array, row: Array) -> Array:
         """Heights (N,), m, at pixels (N,)."""
         if self.heights_m.size == 1:
-            return np.full(len(line), self.otherwise_m)
-        row, column = (
+            return np.full(len(row), self.otherwise_m)
+        down, right = (
             (a - axis[0]) * ((len(axis) - 1) / (axis[-1] - axis[0]))
-            for a, axis in ((line, self.lines), (sample, self.samples))
+            for a, axis in ((row, self.rows), (sample, self.samples))
         )
-        return np.nan_to_num(bilinear(self.heights_m, column, row), nan=self.otherwise_m)
+        return np.nan_to_num(bilinear(self.heights_m, right, down), nan=self.otherwise_m)
 
 
 @record(kw_only=True)
@@ -150,13 +173,13 @@ class Pushbroom:
     """One strip of a pushbroom camera on a satellite."""
 
     camera: LineSensor = scalar("directions of the samples in frame c")
-    rows: RowClock = scalar("time labels of the lines")
+    rows: RowClock = scalar("time labels of the rows, and the CCDs' lines")
     orbit: OrbitOverTime = scalar("positions and velocities of the satellite")
     earth: EarthRotation = scalar("rotation between ITRS and GCRS")
     attitude: Attitude = scalar("GCRS to star camera against time")
     R_cs: Rotation = scalar("installation matrix, star camera to remote-sensing camera")
     effects: LightEffects = scalar("effects on light that are modelled")
-    table: RowTable | None = scalar("states tabulated over the lines, made by `tabulated`", default=None)
+    table: RowTable | None = scalar("states tabulated over the rows, made by `tabulated`", default=None)
 
     def with_installation(self, R_cs: Rotation) -> Pushbroom:
         """The strip with another installation matrix; a table over its rows is transformed, not
@@ -170,17 +193,21 @@ class Pushbroom:
 
         return replace(self, R_cs=R_cs, table=self.table and self.table.mapped(transformed))
 
-    def tabulated(self, first_line: float, last_line: float) -> Pushbroom:
-        """The strip with its states tabulated between two lines; saves time before many small calls."""
+    def tabulated(self, first_row: float, last_row: float) -> Pushbroom:
+        """The strip with its states tabulated between two rows; saves time before many small calls."""
         breaks: ArrayLike = ()
         if isinstance(self.attitude, AttitudeTrack):
-            breaks = self.rows.line(self.attitude.breaks_s - self._delay_s)
-        table = tabulated(self._exact_states, first_line, last_line, _TOLERANCE, breaks)
+            breaks = self.rows.row(self.attitude.breaks_s - self._delay_s)
+        table = tabulated(self._exact_states, first_row, last_row, _TOLERANCE, breaks)
         return replace(self, table=table)
 
-    def instants(self, line: ArrayLike) -> Array:
-        """Middle of the exposure of lines (N,), TAI seconds since the epoch."""
-        return self.rows.instant(line) + self._delay_s
+    def instants(self, row: ArrayLike) -> Array:
+        """Middle of the exposure of rows of the strip (N,), TAI seconds since the epoch."""
+        return self.rows.instant(row) + self._delay_s
+
+    def instants_of_lines(self, ccd: int | Ints, line: ArrayLike) -> Array:
+        """Middle of the exposure of lines (N,) of a CCD, or of CCDs (N,), TAI seconds since the epoch."""
+        return self.instants(self.rows.rows_of_lines(ccd, line))
 
     @property
     def _delay_s(self) -> float:
@@ -189,13 +216,13 @@ class Pushbroom:
     def look_i(self, ccd: int, sample: ArrayLike, line: ArrayLike) -> tuple[Array, Array]:
         """Apparent directions u_i (N, 3), GCRS, of pixels (N,) of one CCD, and their instants (N,)."""
         sample, line = _pixels(sample, line)
-        t_s = self.instants(line)
+        t_s = self.instants_of_lines(ccd, line)
         u_s = self.R_cs.inv().apply(self.camera.directions_from_pixels(ccd, sample))
         return self.attitude.R_si(t_s).inv().apply(u_s), t_s
 
-    def directions_c(self, p_e: Array, line: ArrayLike) -> Array:
-        """Apparent directions (N, 3), frame c, of ground points (N, 3), frame e, m, at lines (N,)."""
-        return self._apparent_c(p_e, self._states(np.asarray(line, dtype=float)))[0]
+    def directions_c(self, p_e: Array, row: ArrayLike) -> Array:
+        """Apparent directions (N, 3), frame c, of ground points (N, 3), frame e, m, at rows (N,)."""
+        return self._apparent_c(p_e, self._states(np.asarray(row, dtype=float)))[0]
 
     def ground_points(self, ccd: int, sample: ArrayLike, line: ArrayLike, surface: Surface) -> Array:
         """Ground points seen by pixels.
@@ -220,12 +247,13 @@ class Pushbroom:
             If orbit, attitude or Earth rotation do not cover a line.
         """
         sample, line = _pixels(sample, line)
-        model = self._for_many(line)
-        expected = model._expected_heights(ccd, sample, line, surface)
-        p_e = np.empty((len(line), 3))
-        for part in _chunks(len(line)):
-            height = expected.at(sample[part], line[part])
-            p_e[part] = model._intersections(ccd, sample[part], line[part], surface, height)
+        row = self.rows.rows_of_lines(ccd, line)
+        model = self._for_many(row)
+        expected = model._expected_heights(ccd, sample, row, surface)
+        p_e = np.empty((len(row), 3))
+        for part in _chunks(len(row)):
+            height = expected.at(sample[part], row[part])
+            p_e[part] = model._intersections(ccd, sample[part], row[part], surface, height)
         return p_e
 
     def pixels_from_ground(self, ccd: int, p_e: ArrayLike) -> tuple[Array, Array]:
@@ -252,22 +280,22 @@ class Pushbroom:
         p = np.asarray(p_e, dtype=float)
         if p.ndim != 2 or p.shape[1] != 3:
             raise ValueError(f"p_e must have shape (N, 3), got {p.shape}")
-        sample, line = np.full(len(p), np.nan), np.full(len(p), np.nan)
+        sample, row = np.full(len(p), np.nan), np.full(len(p), np.nan)
         good = np.flatnonzero(np.isfinite(p).all(axis=1))
         if len(good) == 0:
-            return sample, line
+            return sample, row
         few = good[:: max(1, len(good) // _FEW)]
-        sample[few], line[few] = self._pixels_by_scan(ccd, p[few])
+        sample[few], row[few] = self._pixels_by_scan(ccd, p[few])
         rest = np.setdiff1d(good, few)
         if len(rest):
-            start = np.clip(_predicted_lines(p[few], line[few], p[rest]), *self.known_lines())
-            model = self._for_many(np.concatenate([start, line[few]]), margin=_MARGIN_LINES)
+            start = np.clip(_predicted_rows(p[few], row[few], p[rest]), *self.known_rows())
+            model = self._for_many(np.concatenate([start, row[few]]), margin=_MARGIN_ROWS)
             for part in _chunks(len(rest)):
                 into = rest[part]
-                sample[into], line[into] = model._pixels_by_secant(ccd, p[into], start[part])
-            missing = rest[np.isnan(line[rest])]
-            sample[missing], line[missing] = self._pixels_by_scan(ccd, p[missing])
-        return sample, line
+                sample[into], row[into] = model._pixels_by_secant(ccd, p[into], start[part])
+            missing = rest[np.isnan(row[rest])]
+            sample[missing], row[missing] = self._pixels_by_scan(ccd, p[missing])
+        return sample, self.rows.lines_of_rows(ccd, row)
 
     def pixel_jacobian(self, ccd: int, sample: ArrayLike, line: ArrayLike, *, height_m: float = 0.0) -> Array:
         """Derivative d u_c / d(sample, line) (N, 3, 2), rad/px, of the look directions of pixels (N,).
@@ -285,23 +313,23 @@ class Pushbroom:
     ) -> tuple[Array, Array]:
         """Look directions u_c (N, 3) of pixels (sample, line) (N, 2) of CCDs (N,), and `pixel_jacobian`."""
         u_c, jacobian = np.empty((len(xy_px), 3)), np.empty((len(xy_px), 3, 2))
-        line = xy_px[:, 1]
+        row = self.rows.rows_of_lines(ccd, xy_px[:, 1])
         for n in np.unique(ccd).tolist():
             here = ccd == n
             u_c[here] = self.camera.directions_from_pixels(n, xy_px[here, 0])
             jacobian[here, :, 0] = self.camera.sample_jacobian(n, xy_px[here, 0])
-        states = self._states(line)
+        states = self._states(row)
         seen = states.to_e(u_c), states.p_e, states.v_e
         ground = emission_points_e(*seen, self.earth.omega_e, self.effects, height_m)
-        both = self.directions_c(np.tile(ground, (2, 1)), np.concatenate([line - 0.5, line + 0.5]))
-        jacobian[:, :, 1] = both[: len(line)] - both[len(line) :]
+        both = self.directions_c(np.tile(ground, (2, 1)), np.concatenate([row - 0.5, row + 0.5]))
+        jacobian[:, :, 1] = both[: len(row)] - both[len(row) :]
         return u_c, jacobian
 
     def _pixels_by_scan(self, ccd: int, p_e: Array) -> tuple[Array, Array]:
-        """Pixels (N,) of ground points (N, 3): nearest line of a coarse scan, refined by the secant
+        """Pixels (N,) of ground points (N, 3): nearest row of a coarse scan, refined by the secant
         method.
         """
-        at: Array = np.linspace(*self.known_lines(), _SCAN, dtype=np.float64)
+        at: Array = np.linspace(*self.known_rows(), _SCAN, dtype=np.float64)
         states = self._states(at)
         start = np.full(len(p_e), np.nan)
         for part in _chunks(len(p_e), _CHUNK // _SCAN):
@@ -311,38 +339,38 @@ class Pushbroom:
             _, across = self.camera.samples_from_directions(ccd, u_c)
             across = np.where(seen & np.isfinite(across), np.abs(across), np.inf).reshape(-1, _SCAN)
             start[part] = np.where(np.isfinite(across.min(axis=1)), at[across.argmin(axis=1)], np.nan)
-        sample, line = np.full(len(p_e), np.nan), np.full(len(p_e), np.nan)
+        sample, row = np.full(len(p_e), np.nan), np.full(len(p_e), np.nan)
         rows = np.flatnonzero(np.isfinite(start))
         if len(rows):
-            sample[rows], line[rows] = self._pixels_by_secant(ccd, p_e[rows], start[rows])
-        return sample, line
+            sample[rows], row[rows] = self._pixels_by_secant(ccd, p_e[rows], start[rows])
+        return sample, row
 
     def _pixels_by_secant(self, ccd: int, p_e: Array, start: Array) -> tuple[Array, Array]:
-        """Pixels (N,) by the secant method from lines `start` (N,); NaN where it does not converge."""
-        first, last = self.known_lines()
+        """Pixels (N,) by the secant method from rows `start` (N,); NaN where it does not converge."""
+        first, last = self.known_rows()
         old = np.clip(start, first, last)
         _, across_old, _ = self._pixels_at(ccd, p_e, old)
-        line = np.clip(old + np.where(old < 0.5 * (first + last), 1.0, -1.0), first, last)
-        slope = np.full(len(p_e), np.nan)  # d(across) / d(line), about one pixel per line
+        row = np.clip(old + np.where(old < 0.5 * (first + last), 1.0, -1.0), first, last)
+        slope = np.full(len(p_e), np.nan)  # d(across) / d(row), about one pixel per row
         for _ in range(_SECANT_STEPS):
-            sample, across, seen = self._pixels_at(ccd, p_e, line)
-            moved = np.abs(line - old) > _MIN_STEP_PX
-            slope[moved] = (across[moved] - across_old[moved]) / (line[moved] - old[moved])
-            old, across_old = line, across
+            sample, across, seen = self._pixels_at(ccd, p_e, row)
+            moved = np.abs(row - old) > _MIN_STEP_PX
+            slope[moved] = (across[moved] - across_old[moved]) / (row[moved] - old[moved])
+            old, across_old = row, across
             with np.errstate(divide="ignore", invalid="ignore"):
                 step = -across / slope
-            line = np.clip(line + step, first, last)
-            if np.nanmax(np.abs(line - old), initial=0.0) < _CONVERGED_PX:
+            row = np.clip(row + step, first, last)
+            if np.nanmax(np.abs(row - old), initial=0.0) < _CONVERGED_PX:
                 break
-        found = seen & (np.abs(step) < _CONVERGED_PX)  # at an end of the span `line` stops without solution
-        return np.where(found, sample, np.nan), np.where(found, line, np.nan)
+        found = seen & (np.abs(step) < _CONVERGED_PX)  # at an end of the span `row` stops without solution
+        return np.where(found, sample, np.nan), np.where(found, row, np.nan)
 
-    def _pixels_at(self, ccd: int, p_e: Array, line: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
-        """At given lines: nearest sample (N,) of each point, its distance across, px, whether it is seen."""
-        known = np.isfinite(line)
+    def _pixels_at(self, ccd: int, p_e: Array, row: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
+        """At given rows: nearest sample (N,) of each point, its distance across, px, whether it is seen."""
+        known = np.isfinite(row)
         if not known.all():
-            line = np.where(known, line, self.known_lines()[0] if self.table is None else self.table.edges[0])
-        states = self._states(line)
+            row = np.where(known, row, self.known_rows()[0] if self.table is None else self.table.edges[0])
+        states = self._states(row)
         u_c, above_horizon = self._apparent_c(p_e, states)
         sample, across = self.camera.samples_from_directions(ccd, u_c)
         return sample, np.where(known, across, np.nan), known & above_horizon & np.isfinite(across)
@@ -355,22 +383,20 @@ class Pushbroom:
         above = np.einsum("ni,ni->n", states.p_e - p_e, p_e) > 0.0
         return states.to_c(u_e), above
 
-    def known_lines(self) -> tuple[float, float]:
-        """First and last line at which orbit, attitude and Earth rotation are known; `ValueError` if none."""
+    def known_rows(self) -> tuple[float, float]:
+        """First and last row at which orbit, attitude and Earth rotation are known; `ValueError` if none."""
         spans = self.attitude.span_s, self.orbit.span_s, (self.earth.t_start_s, self.earth.t_stop_s)
         delay = self.camera.delay_to_middle_s(self.rows.row_period_s)
         first, last = max(span[0] for span in spans) - delay, min(span[1] for span in spans) - delay
         if not last > first:
             raise ValueError("orbit, attitude and Earth rotation have no interval in common")
-        ends = self.rows.line(np.array([first, last]))
+        ends = self.rows.row(np.array([first, last]))
         slack = 1e-6 / self.rows.row_period_s  # stay inside despite rounding
         return float(ends[0]) + slack, float(ends[1]) - slack
 
-    def _intersections(
-        self, ccd: int, sample: Array, line: Array, surface: Surface, height_m: Array
-    ) -> Array:
+    def _intersections(self, ccd: int, sample: Array, row: Array, surface: Surface, height_m: Array) -> Array:
         """Ground points (N, 3) of pixels, from rays exact at expected heights (N,); see the module."""
-        states = self._states(line)
+        states = self._states(row)
         u_e = states.to_e(self.camera.directions_from_pixels(ccd, sample))
         if isinstance(surface, ConstantHeight):
             return emission_points_e(
@@ -401,38 +427,38 @@ class Pushbroom:
             tan = np.sqrt(np.maximum(1.0 / cos2 - 1.0, 0.0))
         return above**2 * (_CURVATURE_LIGHT_TIME + _CURVATURE_AIR * tan * (1.0 + tan**2))
 
-    def _expected_heights(self, ccd: int, sample: Array, line: Array, surface: Surface) -> _HeightsOverImage:
+    def _expected_heights(self, ccd: int, sample: Array, row: Array, surface: Surface) -> _HeightsOverImage:
         """Approximate ground heights of pixels (N,): for many pixels from a lattice."""
         low, high = surface.height_range_m()
         middle = 0.5 * (low + high)
         one = _HeightsOverImage(np.zeros(1), np.zeros(1), np.full((1, 1), middle, np.float32), middle)
-        if len(line) < _MANY or high - low < _LATTICE_M:
+        if len(row) < _MANY or high - low < _LATTICE_M:
             return one
-        lines, samples = (
+        rows, samples = (
             np.linspace(np.nanmin(a), np.nanmax(a), n, dtype=np.float64)
-            for a, n in ((line, _LATTICE[0]), (sample, _LATTICE[1]))
+            for a, n in ((row, _LATTICE[0]), (sample, _LATTICE[1]))
         )
-        if np.ptp(lines) < 1.0 or np.ptp(samples) < 1.0:
+        if np.ptp(rows) < 1.0 or np.ptp(samples) < 1.0:
             return one
-        at_line, at_sample = (grid.ravel() for grid in np.meshgrid(lines, samples, indexing="ij"))
-        p_e = self._intersections(ccd, at_sample, at_line, surface, np.full(len(at_line), middle))
+        at_row, at_sample = (grid.ravel() for grid in np.meshgrid(rows, samples, indexing="ij"))
+        p_e = self._intersections(ccd, at_sample, at_row, surface, np.full(len(at_row), middle))
         heights = np.nan_to_num(geodetic_from_ecef(p_e, WGS84)[2], nan=middle).reshape(_LATTICE)
-        return _HeightsOverImage(samples, lines, heights.astype(np.float32), middle)
+        return _HeightsOverImage(samples, rows, heights.astype(np.float32), middle)
 
-    def _states(self, line: Array) -> _States:
+    def _states(self, row: Array) -> _States:
         if self.table is None:
-            return _States(self._exact_states(line))
-        covered = self.table.covers(line)
+            return _States(self._exact_states(row))
+        covered = self.table.covers(row)
         if covered.all():
-            return _States(self.table.at(line))
-        packed = np.empty((len(_TOLERANCE), len(line)))
-        packed[:, covered] = self.table.at(line[covered])
-        packed[:, ~covered] = self._exact_states(line[~covered])
+            return _States(self.table.at(row))
+        packed = np.empty((len(_TOLERANCE), len(row)))
+        packed[:, covered] = self.table.at(row[covered])
+        packed[:, ~covered] = self._exact_states(row[~covered])
         return _States(packed)
 
-    def _exact_states(self, line: Array) -> Array:
-        """Array (15, N) of `_States` at lines (N,), computed without the table."""
-        t_s = self.instants(line)
+    def _exact_states(self, row: Array) -> Array:
+        """Array (15, N) of `_States` at rows (N,), computed without the table."""
+        t_s = self.instants(row)
         R_ei = np.swapaxes(self.earth.matrices_ie(t_s), 1, 2)
         p_i, v_i = self.orbit.states_i(t_s)
         if isinstance(self.attitude, AttitudeTrack) and self.attitude.nominal is self.orbit:
@@ -446,13 +472,13 @@ class Pushbroom:
         packed[:, 6:] = (R_ei @ R_ic).reshape(-1, 9)
         return np.ascontiguousarray(packed.T)
 
-    def _for_many(self, line: Array, margin: float = 0.0) -> Pushbroom:
-        """This strip, tabulated over lines (N,) if they are many."""
-        line = line[np.isfinite(line)]
-        if len(line) < _MANY or (self.table is not None and self.table.covers(line).all()):
+    def _for_many(self, row: Array, margin: float = 0.0) -> Pushbroom:
+        """This strip, tabulated over rows (N,) if they are many."""
+        row = row[np.isfinite(row)]
+        if len(row) < _MANY or (self.table is not None and self.table.covers(row).all()):
             return self
-        first, last = self.known_lines()
-        first, last = max(float(line.min()) - margin, first), min(float(line.max()) + margin, last)
+        first, last = self.known_rows()
+        first, last = max(float(row.min()) - margin, first), min(float(row.max()) + margin, last)
         return self.tabulated(first, last) if last - first > 1.0 else self
 
 
@@ -470,15 +496,15 @@ def _pixels(sample: ArrayLike, line: ArrayLike) -> tuple[Array, Array]:
     return a, b
 
 
-def _predicted_lines(p_known: Array, line_known: Array, p_e: Array) -> Array:
-    """Lines (N,) of points (N, 3) by an affine fit to the lines of known points; NaN if none is known."""
-    known = np.isfinite(line_known)
+def _predicted_rows(p_known: Array, row_known: Array, p_e: Array) -> Array:
+    """Rows (N,) of points (N, 3) by an affine fit to the rows of known points; NaN if none is known."""
+    known = np.isfinite(row_known)
     if not known.any():
         return np.full(len(p_e), np.nan)
     middle = p_known[known].mean(axis=0)
     scale = max(float(np.abs(p_known[known] - middle).max()), 1.0)
     A = np.column_stack([(p_known[known] - middle) / scale, np.ones(known.sum())])
-    plane, *_ = np.linalg.lstsq(A, line_known[known], rcond=1e-9)
+    plane, *_ = np.linalg.lstsq(A, row_known[known], rcond=1e-9)
     return ((p_e - middle) / scale) @ plane[:3] + plane[3]
 
 

@@ -9,7 +9,7 @@ the plane there is no displacement.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import field, replace
 
 import cv2
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from boresight.geometry.attitude import lagrange_weights
 from boresight.geometry.line_camera import Ccd, LineCamera
-from boresight.geometry.pushbroom import Pushbroom
+from boresight.geometry.pushbroom import Pushbroom, RowClock
 from boresight.geometry.record import record, scalar
 from boresight.geometry.terrain import Surface
 
@@ -63,7 +63,7 @@ def virtual_camera(camera: LineCamera, pixel_m: float | None = None) -> LineCame
 class VirtualStrip:
     """A strip of several CCDs, and the strip as the virtual CCD would image it (`virtual`).
 
-    Line n of the virtual image has the instant of line n of the real ones. Raises `TypeError` unless the
+    Line n of the virtual image has the instant of row n of the strip. Raises `TypeError` unless the
     camera is a `LineCamera`.
     """
 
@@ -79,7 +79,7 @@ class VirtualStrip:
         virtual = replace(
             self.real,
             camera=virtual_camera(camera, self.pixel_m),
-            rows=replace(rows, t_first_row_s=middle),
+            rows=RowClock(middle, rows.row_period_s),
             table=None,
         )
         object.__setattr__(self, "virtual", virtual)
@@ -99,7 +99,8 @@ class VirtualStrip:
         ends = []
         for k in range(self._camera.n_ccds):
             corners = np.array([0.0, self._camera.n_px(k) - 1.0])
-            ground = self.real.ground_points(k, corners, np.full(2, line), self.surface)
+            own_line = self.real.rows.lines_of_rows(k, np.full(2, line))
+            ground = self.real.ground_points(k, corners, own_line, self.surface)
             first, last = self.virtual.pixels_from_ground(0, ground)[0]
             ends.append((k, float(first), float(last)))
         ends.sort(key=lambda end: end[1])
@@ -121,7 +122,7 @@ class VirtualStrip:
         """Window (lines, samples) of the virtual image resampled from one CCD, NaN outside that CCD's image.
 
         Lanczos interpolation over 8 x 8 px, at positions rounded to 1/32 px. `read` returns windows of the
-        raw images, which have `n_lines` lines.
+        raw image, which has `n_lines` lines.
         """
         at_line, at_sample = np.arange(*lines, dtype=float), np.arange(*samples, dtype=float)
         node_lines = _nodes(at_line, _NODE_LINES)
@@ -155,15 +156,18 @@ class VirtualStrip:
         )
         return np.asarray(image, dtype=np.float32)
 
-    def stitched(self, read: ReadStrip, n_lines: int, lines: tuple[int, int]) -> Image:
-        """Lines (lines, `width_px`) of the virtual image from all CCDs, NaN where none imaged the ground."""
+    def stitched(self, read: ReadStrip, n_lines: Mapping[int, int], lines: tuple[int, int]) -> Image:
+        """Lines (lines, `width_px`) of the virtual image from all CCDs, NaN where none imaged the ground.
+
+        `n_lines` has the number of lines of each raw image; a CCD that is not in it has none.
+        """
         image: Image = np.full((lines[1] - lines[0], self.width_px), np.nan, dtype=np.float32)
         for ccd, begin, end in self.seams(0.5 * (lines[0] + lines[1])):
             first, last = max(0, int(np.ceil(begin))), min(self.width_px, int(np.ceil(end)))
             for top in range(lines[0], lines[1], _BLOCK_LINES):
                 bottom = min(top + _BLOCK_LINES, lines[1])
                 image[top - lines[0] : bottom - lines[0], first:last] = self.resampled(
-                    ccd, read, n_lines, (top, bottom), (first, last)
+                    ccd, read, n_lines.get(ccd, 0), (top, bottom), (first, last)
                 )
         return image
 

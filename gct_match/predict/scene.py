@@ -43,8 +43,9 @@ def scene_of(
     settings: MatchSettings,
 ) -> Scene:
     """The scene of a strip with at least one CCD and one target; `sigma_installation_rad` (3,) in frame c."""
-    lines = max(strip.shape(ccd)[0] for ccd in strip.ccds)
-    pushbroom = pushbroom.tabulated(-0.5, lines - 0.5)
+    ends = [pushbroom.rows.rows_of_lines(k, [-0.5, strip.shape(k)[0] - 0.5]) for k in strip.ccds]
+    rows = float(np.min(ends)), float(np.max(ends))
+    pushbroom = pushbroom.tabulated(*rows)
     return Scene(
         strip=strip,
         pushbroom=pushbroom,
@@ -53,5 +54,5 @@ def scene_of(
         surface=surface,
         sigma_installation_rad=np.asarray(sigma_installation_rad, dtype=float),
         settings=settings,
-        trajectories=trajectories_of(pushbroom, np.array([t.p_e for t in targets]), lines),
+        trajectories=trajectories_of(pushbroom, np.array([t.p_e for t in targets]), rows),
     )

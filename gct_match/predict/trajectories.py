@@ -1,8 +1,8 @@
 """Image trajectories: apparent directions of targets while a strip is scanned, and where CCDs see them.
 
-The trajectory of a target is its apparent direction in frame c as a function of the line number, at the
+The trajectory of a target is its apparent direction in frame c as a function of the strip's row, at the
 initial installation matrix; a rotation of that matrix rotates all trajectories. They are computed for the
-lines of the strip only, where the attitude is known.
+rows of the strip only, where the attitude is known.
 """
 
 from __future__ import annotations
@@ -16,22 +16,22 @@ from boresight.geometry.record import Floats, Ints, array, record, scalar
 
 __all__ = ["Trajectories", "displacements", "trajectories_of"]
 
-_NODES = 65  # lines of a strip at which directions are computed
+_NODES = 65  # rows of a strip at which directions are computed
 _STEPS = 3  # of the secant method: from a 1/64 of a strip to 1e-6 px
 
 
 @record
 class Trajectories:
-    """Image trajectories of T targets in one strip, sampled at K lines."""
+    """Image trajectories of T targets in one strip, sampled at K rows."""
 
     pushbroom: Pushbroom = scalar("rigorous model at the initial installation matrix R_cs0")
     p_e: Floats = array("T, 3", "target positions, ITRS, m")
-    lines: Floats = array("K", "line numbers")
+    rows: Floats = array("K", "rows of the strip")
     u_c: Floats = array("T, K, 3", "apparent directions, frame c at R_cs0")
 
     def pixels(self, ccd: int, theta: Floats) -> Floats:
         """(T, 2) (sample, line) in a CCD if the installation matrix is exp[[theta]] R_cs0 with theta (3,) in
-        rad; NaN for a target that crosses the CCD at no line of the strip.
+        rad; NaN for a target that crosses the CCD at no row of the strip.
         """
         rotation = deviation_from_theta(theta)
         t, k = self.u_c.shape[:2]
@@ -43,20 +43,20 @@ class Trajectories:
         if len(found) == 0:
             return out
         first = crossing[found].argmax(axis=1)
-        before, after = self.lines[first], self.lines[first + 1]
+        before, after = self.rows[first], self.rows[first + 1]
         f_before, f_after = off_line[found, first], off_line[found, first + 1]
-        line = before - f_before * (after - before) / (f_after - f_before)
+        row = before - f_before * (after - before) / (f_after - f_before)
         for _ in range(_STEPS):
-            u_c = rotation.apply(self.pushbroom.directions_c(self.p_e[found], line))
+            u_c = rotation.apply(self.pushbroom.directions_c(self.p_e[found], row))
             sample, f = self.pushbroom.camera.samples_from_directions(ccd, u_c)
-            line = line - f * (after - before) / (f_after - f_before)
-        out[found] = np.column_stack([sample, line])
+            row = row - f * (after - before) / (f_after - f_before)
+        out[found] = np.column_stack([sample, self.pushbroom.rows.lines_of_rows(ccd, row)])
         return out
 
 
-def trajectories_of(pushbroom: Pushbroom, p_e: Floats, lines: int) -> Trajectories:
-    """Trajectories of targets p_e (T, 3), ITRS in m, through a strip of `lines` lines."""
-    nodes = np.asarray(np.linspace(-0.5, lines - 0.5, _NODES), dtype=float)
+def trajectories_of(pushbroom: Pushbroom, p_e: Floats, rows: tuple[float, float]) -> Trajectories:
+    """Trajectories of targets p_e (T, 3), ITRS in m, from the first to the last of `rows`."""
+    nodes = np.asarray(np.linspace(*rows, _NODES), dtype=float)
     points = np.repeat(p_e, _NODES, axis=0)
     u_c = pushbroom.directions_c(points, np.tile(nodes, len(p_e)))
     return Trajectories(pushbroom, p_e, nodes, u_c.reshape(len(p_e), _NODES, 3))
@@ -68,7 +68,7 @@ def displacements(pushbroom: Pushbroom, p_e: Floats, ccd: Ints, xy_px: Floats) -
     Returns (N, 2) px and, by theta, (N, 2, 3) px/rad. A rotation of the installation matrix by theta changes
     the direction u_c of a point by u x theta (paper, eq. 12); the pixel's Jacobian takes it to pixels.
     """
-    predicted = pushbroom.directions_c(p_e, xy_px[:, 1])
+    predicted = pushbroom.directions_c(p_e, pushbroom.rows.rows_of_lines(ccd, xy_px[:, 1]))
     measured, jacobian = pushbroom.directions_and_jacobian(ccd, xy_px)
     inverse = np.linalg.pinv(jacobian)
     return np.einsum("nij,nj->ni", inverse, measured - predicted), inverse @ cross_matrices(predicted)

@@ -173,7 +173,7 @@ def _seeing_at(pushbroom: Pushbroom, p_e: Floats, ccd: int, xy_px: Floats) -> Pu
     seen at a pixel.
     """
     measured = pushbroom.camera.directions_from_pixels(ccd, xy_px[:1])[0]
-    predicted = pushbroom.directions_c(p_e[None], xy_px[1:])[0]
+    predicted = pushbroom.directions_c(p_e[None], pushbroom.rows.rows_of_lines(ccd, xy_px[1:]))[0]
     axis = np.cross(predicted, measured)
     angle = np.arctan2(np.linalg.norm(axis), predicted @ measured)
     theta = -axis / (np.linalg.norm(axis) + 1e-300) * angle

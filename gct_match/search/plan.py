@@ -145,7 +145,8 @@ def _windows(scene: Scene, ccd: int) -> list[Window]:
     """Windows in one CCD: boxes around the pixels that a rotation within `sigmas` standard errors reaches."""
     lines, samples = scene.strip.shape(ccd)
     trajectories, sigma = scene.trajectories, scene.sigma_installation_rad
-    line, sample = np.clip(trajectories.lines, 0.0, lines - 1.0), np.linspace(0.0, samples - 1.0, _NODES)
+    own = scene.pushbroom.rows.lines_of_rows(ccd, trajectories.rows)
+    line, sample = np.clip(own, 0.0, lines - 1.0), np.linspace(0.0, samples - 1.0, _NODES)
     measured = scene.pushbroom.camera.directions_from_pixels(ccd, sample)
     out = []
     for n, predicted in enumerate(trajectories.u_c):
@@ -158,10 +159,18 @@ def _windows(scene: Scene, ccd: int) -> list[Window]:
         if not inside.any():
             continue
         rows, columns = np.nonzero(inside.any(axis=1))[0], np.nonzero(inside.any(axis=0))[0]
-        out.append(Window(n, ccd, _bounds(line, rows), _bounds(sample, columns)))
+        first, last = _nodes_around(rows, len(own))
+        if own[last] >= -0.5 and own[first] <= lines - 0.5:  # a CCD may begin later than others
+            out.append(Window(n, ccd, _bounds(line, rows), _bounds(sample, columns)))
     return out
 
 
 def _bounds(nodes: NDArray[Any], inside: Ints) -> Range:
     """Range between the nodes before the first and after the last one inside."""
-    return int(nodes[max(inside[0] - 1, 0)]), int(nodes[min(inside[-1] + 1, len(nodes) - 1)]) + 1
+    first, last = _nodes_around(inside, len(nodes))
+    return int(nodes[first]), int(nodes[last]) + 1
+
+
+def _nodes_around(inside: Ints, count: int) -> Range:
+    """Index of the node before the first and of the one after the last inside, of `count` nodes."""
+    return max(int(inside[0]) - 1, 0), min(int(inside[-1]) + 1, count - 1)

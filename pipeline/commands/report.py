@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from boresight.pipeline.commands.dump_argument import DumpOption
-from boresight.pipeline.commands.messages import Answer, print_data, talks, tell
+from boresight.pipeline.commands.messages import DATA_DID_NOT_ALLOW, Answer, print_data, say, talks, tell
 from boresight.pipeline.files.whole_file import write_text, write_whole
 
 __all__ = ["RequireArcsec", "RequireMetres", "add_report_commands"]
@@ -82,6 +82,9 @@ def export(
     dump: DumpOption = None,
     strip: Annotated[list[str] | None, typer.Option(help="Only this strip. May be repeated.")] = None,
     product: Annotated[Path | None, typer.Option(help="dimap: the operator's file.")] = None,
+    object_id: Annotated[
+        str, typer.Option(help="aem, acm: OBJECT_ID, such as 2015-028A; default: the mission's name.")
+    ] = "",
     allow_stale_eop: StaleOption = False,
     spice_spacecraft: Annotated[int, typer.Option(help="SPICE: id of the spacecraft.")] = -999,
     spice_star_camera: Annotated[
@@ -93,12 +96,12 @@ def export(
     spice_known_star_camera: Annotated[
         bool, typer.Option(help="SPICE: the star camera's frame is defined by other kernels.")
     ] = False,
-) -> None:
+) -> Answer:
     """Write a result in formats that other tools read.
 
     Example: boresight export result --format geojson,qgis
     """
-    from boresight.pipeline.exports.export import FORMATS, ExportRequest
+    from boresight.pipeline.exports.export import FORMATS, OF_STRIPS, ExportRequest, Remark, strips_left_out
     from boresight.pipeline.exports.export import export as made
     from boresight.pipeline.exports.spice_frame import SpiceFrames
 
@@ -124,15 +127,30 @@ def export(
         frames=frames,
         creation_utc=now,
         product=product,
+        object_id=object_id,
         allow_stale_eop=allow_stale_eop,
     )
     folder = out if out is not None else result / "exports"
     folder.mkdir(parents=True, exist_ok=True)
+    for remark in strips_left_out(request) if set(names) & set(OF_STRIPS) else ():
+        say(remark.text)
+    empty = []
     for name in names:
-        for file, content in made(name, request):
+        count = 0
+        for one in made(name, request):
+            if isinstance(one, Remark):
+                say(f"{name}: {one.text}")
+                continue
+            count += 1
+            file, content = one
             raw = content.encode("utf-8") if isinstance(content, str) else content
             write_whole(folder / file, lambda path, raw=raw: path.write_bytes(raw))
             tell(f"{name:8s} {len(raw):10d} bytes -> {folder / file}")
+        empty += [] if count else [name]
+    if empty:
+        say(f"nothing to write as {', '.join(empty)}")
+        return Answer(exit_status=DATA_DID_NOT_ALLOW)
+    return Answer()
 
 
 def geolocate(

@@ -29,7 +29,7 @@ class AemHeader:
 
     creation_utc: str = scalar("date of the message, ISO 8601")
     object_name: str = scalar("OBJECT_NAME: the mission")
-    object_id: str = scalar("OBJECT_ID", default="0000-000A")
+    object_id: str = scalar("OBJECT_ID: international designator; empty: the object's name", default="")
     originator: str = scalar("ORIGINATOR", default="BORESIGHT")
     instrument: str = scalar("REF_FRAME_B: the remote-sensing camera", default="INSTRUMENT_0")
     interpolation_degree: int = scalar("INTERPOLATION_DEGREE, at most the number of states - 1", default=7)
@@ -46,7 +46,7 @@ def attitude_message(header: AemHeader, comments: Sequence[str], utc: Sequence[s
     lines = [
         "CCSDS_AEM_VERS = 1.0",
         *_preamble(header, comments),
-        f"OBJECT_ID = {one_line(header.object_id)}",
+        f"OBJECT_ID = {one_line(header.object_id or header.object_name)}",
         "CENTER_NAME = EARTH",
         "REF_FRAME_A = ICRF",
         f"REF_FRAME_B = {one_line(header.instrument)}",
@@ -83,7 +83,7 @@ def comprehensive_message(
     lines = [
         "CCSDS_ACM_VERS = 2.0",
         *_preamble(header, comments),
-        f"INTERNATIONAL_DESIGNATOR = {one_line(header.object_id)}",
+        f"INTERNATIONAL_DESIGNATOR = {one_line(header.object_id or header.object_name)}",
         "TIME_SYSTEM = UTC",
         f"EPOCH_TZERO = {zero}",
         "META_STOP",

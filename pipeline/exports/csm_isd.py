@@ -95,7 +95,7 @@ class _Path:
 def line_scanner_isds(
     pushbroom: Pushbroom, epoch: Epoch, ccd: int, lines: int, height_m: float, names: IsdNames
 ) -> list[IsdPiece]:
-    """ISDs of one CCD of a strip of `lines` rows, exact for ground at the ellipsoidal height `height_m`.
+    """ISDs of the image of one CCD, of `lines` lines, exact for ground at the ellipsoidal height `height_m`.
 
     Where the CCD is cut into pieces, the last one is of the whole CCD, with the misfit of one cubic in its
     error.
@@ -106,7 +106,8 @@ def line_scanner_isds(
     if not isinstance(camera, LineCamera):
         raise ValueError("only a camera with focal length and focal plane has an ISD")
     path = _path(pushbroom, epoch, ccd, lines, height_m)
-    common = _common(path, pushbroom, lines, height_m, names, camera.focal_m)
+    start_t_s = float(pushbroom.instants_of_lines(ccd, np.array([-0.5]))[0])
+    common = _common(path, pushbroom, (lines, start_t_s), height_m, names, camera.focal_m)
     detector = camera.ccds[ccd]
     pieces = _pieces(detector)
     whole = [(0, detector.n_px, *_cubic(detector, 0, detector.n_px))] if len(pieces) > 1 else []
@@ -127,7 +128,7 @@ def line_scanner_isds(
 
 def _path(pushbroom: Pushbroom, epoch: Epoch, ccd: int, lines: int, height_m: float) -> _Path:
     """Nodes over a strip and as much of its margins as attitude and orbit cover; else `ValueError`."""
-    t_first, t_last = pushbroom.instants(np.array([-0.5, lines - 0.5]))
+    t_first, t_last = pushbroom.instants_of_lines(ccd, np.array([-0.5, lines - 0.5]))
     et_minus_t = _ephemeris_seconds(epoch, 0.5 * (t_first + t_last)) - 0.5 * (t_first + t_last)
     low = np.floor((t_first + et_minus_t) / NODE_STEP_S) - MARGIN_NODES
     high = np.ceil((t_last + et_minus_t) / NODE_STEP_S) + MARGIN_NODES
@@ -169,10 +170,15 @@ def _states(pushbroom: Pushbroom, ccd: int, t_s: Floats, height_m: float) -> tup
 
 
 def _common(
-    path: _Path, pushbroom: Pushbroom, lines: int, height_m: float, names: IsdNames, focal_m: float
+    path: _Path,
+    pushbroom: Pushbroom,
+    image: tuple[int, float],
+    height_m: float,
+    names: IsdNames,
+    focal_m: float,
 ) -> dict[str, Any]:
-    """The part of the ISD common to all pieces of a detector."""
-    start_t_s = float(pushbroom.instants(np.array([-0.5]))[0])
+    """What all pieces of a detector have in common; its image has so many lines, from an instant on."""
+    lines, start_t_s = image
     start_from_centre_s = start_t_s - float(path.t_s[len(path.t_s) // 2])
     times = path.et_s.tolist()
     ends = [times[0], times[-1]]
@@ -288,9 +294,9 @@ def _cubic(detector: Ccd, first: int, stop: int) -> tuple[tuple[Floats, Floats],
     """
     sample = np.linspace(first - 0.5, stop - 0.5, max(64, min(stop - first, 1024)))
     ideal = detector.focal_plane(sample) * [1e3, -1e3]
-    real = replace(detector, distortion_samples=np.zeros(0), distortion_offsets_m=np.zeros(0)).focal_plane(
-        sample
-    )
+    none = np.zeros(0)
+    straight = replace(detector, distortion_samples=none, distortion_offsets_m=none, across_offsets_m=none)
+    real = straight.focal_plane(sample)
     offset = real * [1e3, -1e3] - ideal
     x, y = np.zeros(10), np.zeros(10)
     x[1] = y[2] = 1.0

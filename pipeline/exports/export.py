@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from boresight.calib.refining import fit_correction
 from boresight.geometry.constants import WGS84
+from boresight.geometry.epoch import Epoch
 from boresight.geometry.footprint import outline_deg
 from boresight.geometry.geodesy import geodetic_from_ecef
 from boresight.geometry.geoid import egm96
@@ -50,12 +51,21 @@ from boresight.pipeline.results.dimap_places import operator_model
 from boresight.pipeline.results.reading import read_for_dump, read_result
 from boresight.pipeline.results.strip_model import Calibrated, StripModel, open_calibrated, strip_model
 
-__all__ = ["FORMATS", "ExportRequest", "export"]
+__all__ = ["FORMATS", "OF_STRIPS", "ExportRequest", "Remark", "export", "strips_left_out"]
 
 AEM_STEP_S = 0.05
 CK_TICKS = 32  # 1/32 s
 RPC_MARGIN_M = 100.0  # heights below and above the terrain for which an RPC is fitted
-Made = Iterator[tuple[str, str | bytes]]  # file name and content
+
+
+@record
+class Remark:
+    """What a format does not write, and why."""
+
+    text: str = scalar("one sentence")
+
+
+Made = Iterator[tuple[str, str | bytes] | Remark]  # file name and content
 
 
 @record(kw_only=True)
@@ -68,15 +78,26 @@ class ExportRequest:
     frames: SpiceFrames = scalar("names and ids for SPICE")
     creation_utc: str = scalar("date written into the files, ISO 8601")
     product: Path | None = scalar("the operator's DIMAP file, for the format dimap", default=None)
+    object_id: str = scalar("OBJECT_ID of CCSDS messages; empty: the mission's name", default="")
     allow_stale_eop: bool = scalar("accept dates after the Earth-orientation table", default=False)
 
 
 def export(name: str, request: ExportRequest) -> Made:
-    """File names and contents of one of `FORMATS`.
+    """File names and contents of one of `FORMATS`, and remarks on what is left out.
 
     Raises `RawDataError` for a damaged or missing file, `DataNotSufficientError` without star exposures.
     """
     return FORMATS[name](request)
+
+
+def strips_left_out(request: ExportRequest) -> Iterator[Remark]:
+    """Why strips of the dump are in no file of their own, where no strips were requested."""
+    calibrated = _opened(request)
+    for strip in () if request.strips else calibrated.dump.strips:
+        try:
+            strip_model(calibrated, strip.strip_id)
+        except DataNotSufficientError as error:
+            yield Remark(f"not exported: {error}")
 
 
 def _spice(request: ExportRequest) -> Made:
@@ -99,7 +120,8 @@ def _spice_attitude(request: ExportRequest) -> Made:
     for model in _models(calibrated, request.strips):
         ticks, t_s = instants_of_ticks(dump.epoch, *model.track.span_s, CK_TICKS)
         name = model.strip.strip_id
-        comment = "\n".join([f"Strip {name}: attitude of the star camera, axes of GCRS", *lines])
+        about = [f"Strip {name}: attitude of the star camera, axes of GCRS", *_line_times(model, dump.epoch)]
+        comment = "\n".join([*about, *lines])
         yield f"{name}.bc", attitude_kernel(ticks, model.track.R_si(t_s), frames, f"strip {name}", comment)
 
 
@@ -135,9 +157,13 @@ def _camera_attitudes(
         own = np.nan_to_num(model.track.covariance_s(t_s))
         variance_c = np.einsum("ij,njk,ik->ni", C, own, C) + np.diag(calibrated.result.cov_theta)
         name = model.strip.strip_id
-        header = AemHeader(creation_utc=request.creation_utc, object_name=dump.mission)
+        header = AemHeader(
+            creation_utc=request.creation_utc,
+            object_name=dump.mission,
+            object_id=request.object_id,
+        )
         comments = [f"Strip {name}: calibrated attitude of the remote-sensing camera, GCRS axes"]
-        comments += notes.lines()
+        comments += [*_line_times(model, dump.epoch), *notes.lines()]
         utc = dump.epoch.utc_from_seconds(t_s)
         yield header, comments, utc, R_cs * model.track.R_si(t_s), variance_c, name
 
@@ -147,10 +173,9 @@ def _csm_isd(request: ExportRequest) -> Made:
     dump, about = calibrated.dump, {"notes": _notes(request).items()}
     height_m = float(np.mean(surface_of(dump.terrain).height_range_m()))
     for model in _models(calibrated, request.strips):
-        for ccd in model.strip.images.ccds:
-            image = model.strip.images.names[ccd]
+        for ccd, lines in sorted(model.strip.ccd_lines.items()):
+            image = _image_name(model.strip, ccd)
             names = IsdNames(image, dump.mission, f"remote-sensing camera, CCD {ccd}")
-            lines = model.strip.lines
             for piece in line_scanner_isds(model.pushbroom, dump.epoch, ccd, lines, height_m, names):
                 yield f"{model.strip.strip_id}.{piece.suffix}.json", piece.text(about)
 
@@ -160,29 +185,35 @@ def _rpc(request: ExportRequest) -> Made:
     low, high = surface_of(calibrated.dump.terrain).height_range_m()
     heights = low - RPC_MARGIN_M, high + RPC_MARGIN_M
     for model in _models(calibrated, request.strips):
-        for ccd in model.strip.images.ccds:
-            rpc, error = fit_rpc(model.pushbroom, ccd, model.strip.lines, heights)
-            name = f"{model.strip.strip_id}.ccd{ccd}"
-            yield f"{name}_RPC.TXT", rpc_text(rpc, error)
-            domain = rpc_metadata(rpc, error)
-            yield f"{name}.rpc.vrt", vrt_with_rpc(*_image(calibrated, model.strip, ccd), domain, notes)
+        strip = model.strip
+        for ccd, lines in sorted(strip.ccd_lines.items()):
+            rpc, error = fit_rpc(model.pushbroom, ccd, lines, heights)
+            yield f"{strip.strip_id}.ccd{ccd}_RPC.TXT", rpc_text(rpc, error)
+            if ccd in strip.images.ccds:
+                vrt = vrt_with_rpc(*_image(calibrated, strip, ccd), rpc_metadata(rpc, error), notes)
+                yield f"{strip.strip_id}.ccd{ccd}.rpc.vrt", vrt
+        yield from _without_vrt(strip, sorted(strip.ccd_lines), "an RPC without a VRT, name it as the image")
 
 
 def _vrt(request: ExportRequest) -> Made:
     calibrated, notes = _opened(request), _notes(request)
     strips = {strip.strip_id: strip for strip in calibrated.dump.strips}
+    measured: dict[str, list[int]] = {}
     for points in _ground_points(request):
-        if points.ccd not in strips[points.strip_id].images.ccds:
-            continue  # image points were measured elsewhere, and the dump has no image
-        image = _image(calibrated, strips[points.strip_id], points.ccd)
-        yield f"{points.strip_id}.ccd{points.ccd}.gcp.vrt", vrt_with_gcps(*image, points, notes)
+        strip = strips[points.strip_id]
+        measured.setdefault(strip.strip_id, []).append(points.ccd)
+        if points.ccd in strip.images.ccds:
+            image = _image(calibrated, strip, points.ccd)
+            yield f"{points.strip_id}.ccd{points.ccd}.gcp.vrt", vrt_with_gcps(*image, points, notes)
+    for name, ccds in measured.items():
+        yield from _without_vrt(strips[name], ccds, "no VRT; asp, envi and qgis need no image")
 
 
 def _kml(request: ExportRequest) -> Made:
     calibrated = _opened(request)
     height = ConstantHeight(float(np.mean(surface_of(calibrated.dump.terrain).height_range_m())))
     outlines = {
-        model.strip.strip_id: outline_deg(model.pushbroom, model.strip.lines, height)
+        model.strip.strip_id: outline_deg(model.pushbroom, model.strip.ccd_lines, height)
         for model in _models(calibrated, request.strips)
     }
     yield "boresight.kml", kml_text(outlines, _ground_points(request), _notes(request))
@@ -244,7 +275,9 @@ def _operator(request: ExportRequest) -> Made:
                 break
             except ValueError:  # too few points, or too close together
                 continue
-        if found is not None:
+        if found is None:
+            yield Remark(f"strip {name}: {len(rows)} used targets do not determine a rotation, no file")
+        else:
             yield f"{name}.operator.json", operator_parameters(found, dump.R_cs0, dump.epoch, notes)
 
 
@@ -289,6 +322,7 @@ STARS = {
     "u_i": fixed(3),
     "cov_s": fixed(9),
 }
+OF_STRIPS = "spice-ck aem acm operator csm-isd rpc kml".split()  # formats that write strips one by one
 FORMATS: dict[str, Callable[[ExportRequest], Made]] = {
     "spice": _spice,
     "spice-ck": _spice_attitude,
@@ -325,6 +359,25 @@ def _opened(request: ExportRequest) -> Calibrated:
     return open_calibrated(request.result, request.dump, allow_stale_eop=request.allow_stale_eop)
 
 
+def _image_name(strip: Strip, ccd: int) -> str:
+    """File name of a raw image; one made of strip and CCD where the dump has no image."""
+    return strip.images.names.get(ccd, f"{strip.strip_id}.ccd{ccd}")
+
+
+def _without_vrt(strip: Strip, ccds: Sequence[int], so: str) -> Iterator[Remark]:
+    if bare := [str(ccd) for ccd in ccds if ccd not in strip.images.ccds]:
+        yield Remark(f"strip {strip.strip_id}: the dump has no image of CCD {', '.join(bare)}: {so}")
+
+
+def _line_times(model: StripModel, epoch: Epoch) -> list[str]:
+    """When line 0 of each CCD was exposed, one line a CCD."""
+    lines, push = [], model.pushbroom
+    for ccd in sorted(model.strip.ccd_lines):
+        (utc,) = epoch.utc_from_seconds(push.instants_of_lines(ccd, np.zeros(1)))
+        lines.append(f"CCD {ccd}: middle of line 0 at {utc} UTC, {push.rows.row_period_s!r} s a line")
+    return lines
+
+
 def _models(calibrated: Calibrated, wanted: tuple[str, ...]) -> Iterator[StripModel]:
     """Models of the strips requested, or of all strips that star exposures cover."""
     if wanted:
@@ -334,7 +387,7 @@ def _models(calibrated: Calibrated, wanted: tuple[str, ...]) -> Iterator[StripMo
     for strip in calibrated.dump.strips:
         try:
             model = strip_model(calibrated, strip.strip_id)
-        except DataNotSufficientError:
+        except DataNotSufficientError:  # see `strips_left_out`
             continue
         none = False
         yield model
@@ -376,7 +429,7 @@ def _ground_points(request: ExportRequest) -> list[GroundPoints]:
     targets = calibrated.dump.ground_targets
     if unknown := sorted(set(names.tolist()) - set(targets)):
         raise RawDataError("targets.csv", "id", "missing", f"target {unknown[0]} of the result")
-    images = {strip.strip_id: strip.images.names for strip in calibrated.dump.strips}
+    of_id = {strip.strip_id: strip for strip in calibrated.dump.strips}
     chosen = [
         (strip, one)
         for strip, one in sorted(set(zip(strips.tolist(), ccd.tolist())))
@@ -392,7 +445,7 @@ def _ground_points(request: ExportRequest) -> list[GroundPoints]:
             GroundPoints(
                 strip_id=strip,
                 ccd=one,
-                image=images.get(strip, {}).get(one, ""),
+                image=_image_name(of_id[strip], one),
                 target_id=tuple(names[rows].tolist()),
                 lat_deg=np.degrees(lat),
                 lon_deg=np.degrees(lon),

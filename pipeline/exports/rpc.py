@@ -55,7 +55,7 @@ class RpcError:
 
 
 def fit_rpc(model: Pushbroom, ccd: int, lines: int, height_m: tuple[float, float]) -> tuple[Rpc, RpcError]:
-    """The RPC of a CCD over a strip of `lines` rows and ellipsoidal heights from `height_m[0]` to
+    """The RPC of the image of a CCD, of `lines` lines, for ellipsoidal heights from `height_m[0]` to
     `height_m[1]`, and its difference from the rigorous model at random points between these.
 
     Raises `ValueError` where the model has no ground for a point of the strip.

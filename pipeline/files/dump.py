@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -27,6 +27,7 @@ from boresight.geometry.groundlight import LightEffects
 from boresight.geometry.line_camera import LineCamera, LookAngleCamera
 from boresight.geometry.orbit import Orbit
 from boresight.geometry.orbit_consistency import find_orbit_fault
+from boresight.geometry.pushbroom import RowClock
 from boresight.geometry.record import Floats, array, record, scalar
 from boresight.geometry.spherical import unit_vectors
 from boresight.geometry.star_camera import StarCamera
@@ -79,7 +80,7 @@ OF_ONE_HEAD: dict[str, Any] = {
 PLACE = ("lat_rad", "lon_rad", "height_m")
 
 
-@record
+@record(kw_only=True)
 class Strip:
     """One strip of strips.csv, with the CCDs whose files have a valid header."""
 
@@ -90,8 +91,15 @@ class Strip:
     )
     row_period_s: float = scalar("s")
     lines: int = scalar("number of rows, from the first of any CCD to the last")
-    first_line: dict[int, float] = scalar("row of the strip at which row 0 of a CCD lies, by CCD")
+    first_row: dict[int, float] = scalar("row of the strip at which line 0 of a CCD's image lies, by CCD")
+    ccd_lines: dict[int, int] = scalar("number of lines of each CCD of the table")
     kind: str = scalar("what the camera looks at: ground or sky", default="ground")
+
+    @property
+    def clock(self) -> RowClock:
+        """Time labels of the rows, and the row at which each CCD begins."""
+        first_row = self.first_row if any(self.first_row.values()) else {}
+        return RowClock(self.t_first_row_s, self.row_period_s, first_row)
 
 
 @record
@@ -420,17 +428,26 @@ def _strips(
 def _strip(strip_id: str, images: StripFiles, members: list[StripMember]) -> Strip:
     """The strip, its rows counted from the earliest row of any CCD."""
     begin, period = min(t for _, _, t in members), members[0][1].row_period_s
-    first_line = {row.ccd: (t - begin) / period for _, row, t in members}
-    lines = max(row.lines + int(np.ceil(first_line[row.ccd] - 1e-6)) for _, row, _ in members)
-    return Strip(strip_id, images, begin, period, lines, first_line, members[0][1].kind)
+    first_row = {row.ccd: (t - begin) / period for _, row, t in members}
+    lines = max(row.lines + int(np.ceil(first_row[row.ccd] - 1e-6)) for _, row, _ in members)
+    return Strip(
+        strip_id=strip_id,
+        images=images,
+        t_first_row_s=begin,
+        row_period_s=period,
+        lines=lines,
+        first_row=first_row,
+        ccd_lines={row.ccd: row.lines for _, row, _ in members},
+        kind=members[0][1].kind,
+    )
 
 
 def _check_alike(members: list[StripMember], file: str) -> None:
-    """Refuse CCDs of a strip whose rows differ in period, or where there are images in begin and number."""
+    """Refuse CCDs of a strip whose rows differ in period, or in a strip of the sky in begin and number."""
     _, reference, _ = members[0]
-    images = any(row.file for _, row, _ in members)
+    together = reference.kind == "sky"  # its stars are identified in all CCDs by one motion over the rows
     for where, row, _ in members:
-        same = ("kind", "utc_first_row", "row_period_s", "lines") if images else ("kind", "row_period_s")
+        same = ("kind", "row_period_s", *(("utc_first_row", "lines") if together else ()))
         for key in same:
             if (got := getattr(row, key)) != (expected := getattr(reference, key)):
                 raise RawDataError(
@@ -496,16 +513,12 @@ def _points(
         return (), ()
     points, surveyed = read_points(path, str(head.files.points))
     known = {strip.strip_id: strip for strip in strips}
-    in_strips = []
     for one in points:
         if one.strip_id not in known:
             raise RawDataError(str(head.files.points), "strip", one.strip_id, "a strip of the dump")
-        first_line = known[one.strip_id].first_line
-        if unknown := sorted(set(one.ccd.tolist()) - set(first_line)):
+        if unknown := sorted(set(one.ccd.tolist()) - set(known[one.strip_id].ccd_lines)):
             raise RawDataError(str(head.files.points), "ccd", unknown[0], f"a CCD of strip {one.strip_id}")
-        from_first = np.array([first_line[ccd] for ccd in one.ccd.tolist()])
-        in_strips.append(replace(one, xy_px=one.xy_px + np.column_stack([0.0 * from_first, from_first])))
-    return tuple(in_strips), (surveyed,)
+    return points, (surveyed,)
 
 
 def _points_once(points: Sequence[StripPoints], strips: Sequence[Strip]) -> tuple[StripPoints, ...]:

@@ -141,9 +141,9 @@ def scenes_of(dump: Dump, calibration: Calibration) -> tuple[Scene, ...]:
 
 def _on_ground(task: StripTask, surface: Surface) -> StripOnGround:
     model = pushbroom_of(task)
-    model, outlines = model.tabulated(*model.known_lines()), []
+    model, outlines = model.tabulated(*model.known_rows()), []
     for ccd in range(task.camera.n_ccds):
-        s1, l1 = task.camera.n_px(ccd) - 0.5, task.strip.lines - 0.5
+        s1, l1 = task.camera.n_px(ccd) - 0.5, task.strip.ccd_lines.get(ccd, task.strip.lines) - 0.5
         across, along = np.linspace(-0.5, s1, EDGE_POINTS), np.linspace(-0.5, l1, EDGE_POINTS)
         sample = np.concatenate([across, np.full(EDGE_POINTS, s1), across[::-1], np.full(EDGE_POINTS, -0.5)])
         line = np.concatenate([np.full(EDGE_POINTS, -0.5), along, np.full(EDGE_POINTS, l1), along[::-1]])
@@ -239,7 +239,7 @@ def _row(
     texts = (one.strip_id if one else "", target_id, state, cause, reason)
     row: dict[str, object] = {**dict.fromkeys(NUMBERS, np.nan), **dict(zip(TEXTS, texts)), "ccd": ccd}
     if one is not None and xy_px is not None and np.isfinite(xy_px).all():
-        t_s = float(one.model.instants(xy_px[1:])[0])
+        t_s = float(one.model.instants_of_lines(ccd, xy_px[1:])[0])
         row |= {"sample_px": float(xy_px[0]), "line_px": float(xy_px[1]), "t_s": t_s}
     return row
 
@@ -266,7 +266,7 @@ def _residuals_m(one: StripOnGround, matched: MatchedTargets, rows: Ints, found:
         )
         J_e = np.stack([beside - middle, below - middle], axis=2)
         plane_m = (to_plane @ J_e @ residual_px)[:, :, 0]
-        motion = one.task.orbit.velocities_e(one.model.instants(xy_px[:, 1]))
+        motion = one.task.orbit.velocities_e(one.model.instants_of_lines(k, xy_px[:, 1]))
         along = np.einsum("nji,ni->nj", to_plane, motion)
         along /= np.linalg.norm(along, axis=1, keepdims=True)
         across = along[:, ::-1] * [1.0, -1.0]

@@ -79,13 +79,13 @@ def geolocate(calibrated: Calibrated, model: StripModel, pixels: Pixels, surface
     _check_inside(calibrated, model, pixels)
     n = len(pixels.line)
     p_e, sigma = np.full((n, 3), np.nan), np.full((n, 2), np.nan)
-    first, last = model.pushbroom.rows.line(model.track.t_s[[0, -1]])
-    covered = (pixels.line >= first) & (pixels.line <= last)
+    t_s = model.pushbroom.instants_of_lines(pixels.ccd, pixels.line)
+    covered = (t_s >= model.track.t_s[0]) & (t_s <= model.track.t_s[-1])
     for ccd in np.unique(pixels.ccd[covered]).tolist():
         rows = np.flatnonzero(covered & (pixels.ccd == ccd))
         sample, line = pixels.sample[rows], pixels.line[rows]
         p_e[rows] = model.pushbroom.ground_points(ccd, sample, line, surface)
-        sigma[rows] = _sigma(calibrated, model, line, p_e[rows])
+        sigma[rows] = _sigma(calibrated, model, t_s[rows], p_e[rows])
     lat, lon, height = geodetic_from_ecef(p_e, WGS84)
     unknown = ~np.isfinite(p_e).all(axis=1)
     for values in (lat, lon, height):
@@ -94,11 +94,13 @@ def geolocate(calibrated: Calibrated, model: StripModel, pixels: Pixels, surface
 
 
 def _check_inside(calibrated: Calibrated, model: StripModel, pixels: Pixels) -> None:
+    strip, ccds = model.strip, pixels.ccd.tolist()
+    if unknown := [n for n, ccd in enumerate(ccds) if ccd not in strip.ccd_lines]:
+        expected = f"a CCD of strip {strip.strip_id}: {', '.join(map(str, sorted(strip.ccd_lines)))}"
+        raise RawDataError("pixels", f"point {unknown[0] + 1}, ccd", ccds[unknown[0]], expected)
     samples = np.array([ccd.n_px for ccd in calibrated.dump.line_camera.ccds])[pixels.ccd]
-    for name, values, counts in (
-        ("sample", pixels.sample, samples),
-        ("line", pixels.line, np.full(len(pixels.line), model.strip.lines)),
-    ):
+    lines = np.array([strip.ccd_lines[ccd] for ccd in ccds], dtype=np.int64)
+    for name, values, counts in (("sample", pixels.sample, samples), ("line", pixels.line, lines)):
         outside = np.flatnonzero(~((values >= -0.5) & (values <= counts - 0.5)))
         if len(outside):
             n = int(outside[0])
@@ -122,10 +124,9 @@ def places_csv(pixels: Pixels, places: GroundPlaces) -> Iterator[str]:
         yield ",".join(cells) + "\n"
 
 
-def _sigma(calibrated: Calibrated, model: StripModel, line: Floats, p_e: Floats) -> Floats:
-    """1-sigma (N, 2) along and across the track, m."""
+def _sigma(calibrated: Calibrated, model: StripModel, t_s: Floats, p_e: Floats) -> Floats:
+    """1-sigma (N, 2) along and across the track, m, of ground points (N, 3) seen at instants (N,)."""
     dump, push = calibrated.dump, model.pushbroom
-    t_s = push.instants(line)
     satellite_e, motion_e = dump.orbit.positions_e(t_s), dump.orbit.velocities_e(t_s)
     lat, lon, _ = geodetic_from_ecef(p_e, WGS84)
     up = ellipsoid_normals(lat, lon)

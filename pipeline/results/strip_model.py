@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from boresight.geometry.attitude import AttitudeTrack
 from boresight.geometry.groundlight import LightEffects
-from boresight.geometry.pushbroom import Pushbroom, RowClock
+from boresight.geometry.pushbroom import Pushbroom
 from boresight.geometry.record import Ints, array, record, scalar
 from boresight.pipeline.errors import DataNotSufficientError, RawDataError
 from boresight.pipeline.files.dump import Dump, Strip, open_dump
@@ -119,7 +119,7 @@ def pushbroom_with(
     """The rigorous model of a strip with given attitudes and installation matrix."""
     return Pushbroom(
         camera=dump.line_camera,
-        rows=RowClock(strip.t_first_row_s, strip.row_period_s),
+        rows=strip.clock,
         orbit=dump.orbit,
         earth=dump.orbit.earth,
         attitude=track,

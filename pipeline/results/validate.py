@@ -165,7 +165,7 @@ def _error(points: list[CheckPointRow], ccd: int, model: Pushbroom, dump: Dump) 
     true_e = ecef_from_geodetic(lat, lon, np.array([point.height_m for point in points]), WGS84)
     computed_e = model.ground_points(ccd, sample, line, surface_of(dump.terrain))
     up = ellipsoid_normals(lat, lon)
-    motion = dump.orbit.velocities_e(model.instants(line))
+    motion = dump.orbit.velocities_e(model.instants_of_lines(ccd, line))
     along = motion - up * np.einsum("ni,ni->n", motion, up)[:, None]
     along = along / np.linalg.norm(along, axis=1, keepdims=True)
     right = np.cross(along, up)

@@ -28,7 +28,8 @@ def write_virtual_strip(model: StripModel, surface: Surface, out: Path) -> tuple
     """
     if not isinstance(model.pushbroom.camera, LineCamera):
         raise DataNotSufficientError("a virtual CCD needs a camera with focal length and focal plane")
-    lines = model.strip.lines
+    lines, images = model.strip.lines, model.strip.images
+    n_lines = {ccd: images.shape(ccd)[0] for ccd in images.ccds}
     virtual = VirtualStrip(model.pushbroom.tabulated(0.0, lines - 1.0), surface)
     profile = {"driver": "GTiff", "width": virtual.width_px, "height": lines, "count": 1, "dtype": "float32"}
 
@@ -38,7 +39,7 @@ def write_virtual_strip(model: StripModel, surface: Surface, out: Path) -> tuple
             with rasterio.open(path, "w", **profile, nodata=np.nan, compress="deflate", predictor=3) as image:
                 for top in range(0, lines, BLOCK_LINES):
                     bottom = min(top + BLOCK_LINES, lines)
-                    part = virtual.stitched(model.strip.images.read, lines, (top, bottom))
+                    part = virtual.stitched(images.read, n_lines, (top, bottom))
                     image.write(part, 1, window=Window(0, top, virtual.width_px, bottom - top))
 
     write_whole(out, write)

@@ -107,17 +107,17 @@ def _outlines(dump: Dump, tasks: Sequence[StripTask]) -> dict[str, Floats]:
     if not tasks:
         return {}
     height = ConstantHeight(float(np.mean(surface_of(dump.terrain).height_range_m())))
-    return {t.strip.strip_id: outline_deg(pushbroom_of(t), t.strip.lines, height) for t in tasks}
+    return {t.strip.strip_id: outline_deg(pushbroom_of(t), t.strip.ccd_lines, height) for t in tasks}
 
 
 def _in_view(task: StripTask, targets: Sequence[Target]) -> Bools:
     """Which targets (N,) some CCD of a strip shows."""
     model, p_e = pushbroom_of(task), np.array([target.p_e for target in targets])
     seen = np.zeros(len(targets), dtype=bool)
-    for ccd in range(task.camera.n_ccds):
+    for ccd, lines in task.strip.ccd_lines.items():
         sample, line = model.pixels_from_ground(ccd, p_e)
         inside = (sample >= -0.5) & (sample <= task.camera.n_px(ccd) - 0.5)
-        seen |= inside & (line >= -0.5) & (line <= task.strip.lines - 0.5)
+        seen |= inside & (line >= -0.5) & (line <= lines - 0.5)
     return seen
 
 

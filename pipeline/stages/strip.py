@@ -25,7 +25,7 @@ from boresight.geometry.geodesy import geodetic_from_ecef, local_axes_e
 from boresight.geometry.groundlight import LightEffects, apparent_ground_directions
 from boresight.geometry.line_camera import LineSensor
 from boresight.geometry.orbit import Orbit
-from boresight.geometry.pushbroom import Pushbroom, RowClock
+from boresight.geometry.pushbroom import Pushbroom
 from boresight.geometry.record import Floats, Ints, Texts, array, record, scalar, shape_of
 from boresight.geometry.sightings import GroundSightings
 from boresight.geometry.terrain import ConstantHeight
@@ -109,7 +109,7 @@ def pushbroom_of(task: StripTask) -> Pushbroom:
     """Rigorous model of the strip with the installation matrix of the task."""
     return Pushbroom(
         camera=task.camera,
-        rows=RowClock(task.strip.t_first_row_s, task.strip.row_period_s),
+        rows=task.strip.clock,
         orbit=task.orbit,
         earth=task.orbit.earth,
         attitude=AttitudeTrack(task.t_attitude_s, task.R_si, task.orbit, interpolation=task.interpolation),
@@ -276,7 +276,7 @@ def ground_sightings(matched: MatchedTargets, task: StripTask) -> GroundSighting
     rows = [place[name] for name in matched.target_id.tolist()]
     p_e = np.array([target.p_e for target in rows], dtype=float).reshape(-1, 3)
     sigma_m = np.array([target.sigma_m for target in rows], dtype=float).reshape(-1, 3)
-    t_s = np.asarray(model.instants(matched.xy_px[:, 1]), dtype=float)
+    t_s = np.asarray(model.instants_of_lines(matched.ccd, matched.xy_px[:, 1]), dtype=float)
     u_c, jacobian = model.directions_and_jacobian(matched.ccd, matched.xy_px)
     u_i, range_m = apparent_ground_directions(p_e, t_s, task.orbit, task.orbit.earth, task.effects)
     R_ie = task.orbit.earth.matrices_ie(t_s)
@@ -316,13 +316,13 @@ def targets_near(
 
 
 def footprint_e(task: StripTask) -> Floats:
-    """Points on the ellipsoid (2 C, 9, 3), ITRS, m: both ends of each of the C CCDs at 9 rows."""
-    model, lines = pushbroom_of(task), np.linspace(0.0, task.strip.lines - 1.0, 9)
-    seen = []
-    for ccd in range(task.camera.n_ccds):
+    """Points on the ellipsoid (2 C, 9, 3), ITRS, m: both ends of each of the C CCDs at 9 of its lines."""
+    model, seen = pushbroom_of(task), []
+    for ccd, n_lines in sorted(task.strip.ccd_lines.items()):
+        lines = np.linspace(0.0, n_lines - 1.0, 9)
         ends = np.repeat([0.0, task.camera.n_px(ccd) - 1.0], len(lines))
         seen.append(model.ground_points(ccd, ends, np.tile(lines, 2), ConstantHeight(0.0)))
-    return np.concatenate(seen).reshape(-1, len(lines), 3)
+    return np.concatenate(seen).reshape(-1, 9, 3)
 
 
 def orbit_around(orbit: Orbit, t_first_s: float, t_last_s: float) -> Orbit:

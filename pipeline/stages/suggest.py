@@ -260,10 +260,9 @@ def _in_view(task: StripTask, named: Sequence[Candidate]) -> tuple[MatchedTarget
     """
     model, camera = pushbroom_of(task), task.camera
     p_e = np.array([one.p_e for one in named])
-    lines = task.strip.lines
     places, ccds = np.zeros((len(named), 2)), np.zeros(len(named), dtype=np.int64)
     chance: Floats = np.zeros(len(named))
-    for ccd in range(camera.n_ccds):
+    for ccd, lines in sorted(task.strip.ccd_lines.items()):
         sample, line = model.pixels_from_ground(ccd, p_e)
         J = np.linalg.norm(model.pixel_jacobian(ccd, np.array([0.0]), np.array([0.0]))[0], axis=0)
         across, along = task.sigma_installation_rad[[0, 1]] / J

@@ -14,12 +14,11 @@ from boresight.gct_match.search.vote import Vote
 from boresight.gct_match.settings import MatchSettings
 
 SETTINGS = MatchSettings(attitude_sigma_px=0.4, attitude_step_s=0.2, consistency_sigma_px=0.3)
-SCENE = SimpleNamespace(settings=SETTINGS, pushbroom=SimpleNamespace(instants=lambda line: 1e-3 * line))
 
 
 def test_targets_between_the_same_exposures_share_the_attitude_error() -> None:
     cov_px = np.array([[[0.04, 0.01], [0.01, 0.09]]] * 3)
-    scatter = _scatter(SCENE, cov_px, np.array([0.0, 50.0, 900.0]))  # 0, 0.05 and 0.9 s
+    scatter = _scatter(SETTINGS, cov_px, np.array([0.0, 0.05, 0.9]))  # s
     np.testing.assert_allclose(
         scatter[0, 1], 0.16 * 0.75 * np.eye(2), atol=1e-12
     )  # a quarter of a step apart
@@ -45,7 +44,7 @@ def test_a_target_is_compared_with_what_the_others_predict() -> None:
     rng = np.random.default_rng(6)
     design = rng.normal(size=(5, 2, 3)) * 1e6
     d, sigma_rad = rng.normal(size=(5, 2)), np.full(3, 1e-6)
-    scatter = _scatter(SCENE, np.tile(0.05 * np.eye(2), (5, 1, 1)), np.linspace(0.0, 300.0, 5))
+    scatter = _scatter(SETTINGS, np.tile(0.05 * np.eye(2), (5, 1, 1)), np.linspace(0.0, 0.3, 5))
     off, distance = _from_the_others(d, design, scatter, sigma_rad)
     prior = np.einsum("nap,p,mbp->nmab", design, sigma_rad**2, design)
     S = (scatter + prior).transpose(0, 2, 1, 3).reshape(10, 10)

@@ -266,7 +266,7 @@ def test_template_looks_like_the_strip(case: Case):
 
 def test_virtual_ccd_gives_the_same_places_as_the_raw_ones(case: Case, outcome: StripMatches):
     virtual = VirtualStrip(case.pushbroom, SURFACE)
-    image = virtual.stitched(case.strip.read, LINES, (0, LINES))
+    image = virtual.stitched(case.strip.read, dict.fromkeys(case.strip.ccds, LINES), (0, LINES))
     found = match_strip(
         SmallStrip({0: image}), virtual.virtual, case.targets, case.chips, SURFACE, SIGMA, MatchSettings()
     )

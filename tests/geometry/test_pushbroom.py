@@ -125,7 +125,7 @@ def test_the_rows_instant_is_the_middle_of_its_tdi_exposure():
     u, t = labelled_middle.look_i(2, sample, line)
     later, same = labelled_end.look_i(2, sample, line + 32.0)
     assert np.abs(later - u).max() < 1e-14 and np.abs(same - t).max() < 1e-12
-    assert RowClock(1.0, 0.5).line(RowClock(1.0, 0.5).instant([4.25])) == pytest.approx([4.25])
+    assert RowClock(1.0, 0.5).row(RowClock(1.0, 0.5).instant([4.25])) == pytest.approx([4.25])
 
 
 def test_attitude_and_installation_make_the_look_direction():

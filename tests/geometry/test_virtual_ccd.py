@@ -18,6 +18,7 @@ from boresight.geometry.virtual_ccd import VirtualStrip, virtual_camera
 
 WIDTH, OVERLAP, LINES, HEIGHT_M = 400, 64, 2400, 250.0
 STEP_M = 0.5  # of the texture
+ALL_LINES = dict.fromkeys(range(4), LINES)
 
 
 def small_camera():
@@ -192,7 +193,7 @@ def test_the_stitched_image_is_the_one_the_virtual_ccd_would_take(scene):
     # Grey values have sigma 30 and change by 6 a pixel: 0.05 px is 0.3.
     model, ground, raw = scene
     strip = VirtualStrip(model, ConstantHeight(HEIGHT_M))
-    image = strip.stitched(reader(raw), LINES, (1000, 1300))
+    image = strip.stitched(reader(raw), ALL_LINES, (1000, 1300))
     assert image.shape == (300, strip.width_px)
     line, sample = (a.ravel() for a in np.mgrid[1000.0:1300.0, 0 : strip.width_px])
     truth = ground.seen_at(
@@ -224,7 +225,7 @@ def test_a_terrain_takes_the_place_of_the_plane(scene):
         np.full((50, 50), HEIGHT_M), (0.004, 0.0, lon[0] - 0.1, 0.0, -0.004, lat[0] + 0.1), "EPSG:4326", None
     )
     plane, terrain = (
-        VirtualStrip(model, s).stitched(reader(raw), LINES, (800, 830))
+        VirtualStrip(model, s).stitched(reader(raw), ALL_LINES, (800, 830))
         for s in (ConstantHeight(HEIGHT_M), flat)
     )
     assert np.nanmax(np.abs(plane - terrain)) < 0.05  # grey values: places rounded alike
@@ -233,9 +234,9 @@ def test_a_terrain_takes_the_place_of_the_plane(scene):
 def test_what_no_detector_saw_stays_unknown(scene):
     model, _, raw = scene
     strip = VirtualStrip(model, ConstantHeight(HEIGHT_M))
-    first = strip.stitched(reader(raw), LINES, (0, 40))  # half of the CCDs look ahead, half behind
+    first = strip.stitched(reader(raw), ALL_LINES, (0, 40))  # half of the CCDs look ahead, half behind
     assert np.isnan(first).any() and np.isfinite(first).any()
-    assert np.isnan(strip.stitched(reader(raw), LINES, (-400, -300))).all()
+    assert np.isnan(strip.stitched(reader(raw), ALL_LINES, (-400, -300))).all()
     with pytest.raises(TypeError, match="LineCamera"):
         VirtualStrip(
             Pushbroom(

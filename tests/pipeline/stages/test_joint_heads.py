@@ -16,7 +16,7 @@ from typer.testing import CliRunner
 from boresight.geometry.attitude import AttitudeTrack
 from boresight.geometry.constants import ARCSEC, WGS84
 from boresight.geometry.geodesy import geodetic_from_ecef
-from boresight.geometry.pushbroom import Pushbroom, RowClock
+from boresight.geometry.pushbroom import Pushbroom
 from boresight.geometry.terrain import ConstantHeight
 from boresight.pipeline.cli import app
 from boresight.pipeline.errors import DataNotSufficientError
@@ -42,7 +42,7 @@ def truth(dump: Dump) -> tuple[Pushbroom, tuple[Rotation, Rotation]]:
     matrices = MOVED * one.R_cs0, MOVED * two.R_cs0
     model = Pushbroom(
         camera=dump.line_camera,
-        rows=RowClock(strip.t_first_row_s, strip.row_period_s),
+        rows=strip.clock,
         orbit=dump.orbit,
         earth=dump.orbit.earth,
         attitude=AttitudeTrack(rows.t_s, rows.R_si, dump.orbit),
@@ -57,8 +57,7 @@ def points(dump: Dump, model: Pushbroom, lines: np.ndarray, first: int, strip_id
     rows = []
     for ccd in (0, 1):
         sample, line = (a.ravel() for a in np.meshgrid([0.0, 8.0, 15.0, 23.0], lines))
-        from_first = dump.strips[0].first_line[ccd]
-        places = model.ground_points(ccd, sample, line + from_first, ConstantHeight(30.0))
+        places = model.ground_points(ccd, sample, line, ConstantHeight(30.0))
         lat, lon, height = geodetic_from_ecef(places, WGS84)
         for n, (s, r, *place) in enumerate(zip(sample, line, np.degrees(lat), np.degrees(lon), height)):
             lat_deg, lon_deg, height_m = map(float, place)
