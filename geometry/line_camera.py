@@ -397,3 +397,34 @@ class LookAngleCamera:
     def delay_to_middle_s(self, row_period_s: float) -> float:
         """Zero: time labels are those of the middle of the exposure."""
         return 0.0
+
+    def with_focal_plane(self, pixel_m: float = 1e-5) -> LineCamera:
+        """The same look directions as a camera with a focal plane, whose first pixels are `pixel_m` wide.
+
+        Each detector is the chord of its table, and the table's difference from it the distortion. Exact at
+        all samples, because both are cubic splines through the same ones.
+        """
+        focal_m = pixel_m / self.pixel_rad
+        return LineCamera(focal_m, tuple(_ccd_of(table, focal_m) for table in self.ccds))
+
+
+def _ccd_of(table: LookTable, focal_m: float) -> Ccd:
+    """A look table as a detector in the focal plane; one of increasing `tan_y` is turned by 180 degrees."""
+    points = -focal_m * np.column_stack([table.tan_x, table.tan_y])  # (x_f, y_f)
+    k = len(table.samples) // 2
+    from_principal = points - points[k]
+    chord = points[-1] - points[0]
+    pitch = float(np.hypot(*chord) / np.ptp(table.samples))
+    dx, dy = chord / np.hypot(*chord)
+    principal = float(table.samples[k])
+    return Ccd(
+        n_px=table.n_px,
+        y_first_m=float(points[k, 1] - principal * pitch),
+        x_offset_m=float(points[k, 0]),
+        rotation_rad=float(np.arctan2(-dx, dy)),
+        pixel_m=pitch,
+        principal_sample=principal,
+        distortion_samples=table.samples,
+        distortion_offsets_m=(table.samples - principal) * pitch - from_principal @ [dx, dy],
+        across_offsets_m=-(from_principal @ [dy, -dx]),
+    )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal, get_args
 
 import typer
 
@@ -37,7 +37,10 @@ def sentinel2(
     gipp: Annotated[Path, typer.Option(help="Folder of the SPAMOD and VIEDIR files that it names.")],
     band: Annotated[str, typer.Option(help="B01 to B12, B8A.")],
     attitudes: Annotated[
-        str, typer.Option(help="raw: the star trackers; corrected: the operator's attitude.")
+        str,
+        typer.Option(
+            help="raw: the star trackers; corrected: the operator's attitude; refined: with its refining."
+        ),
     ] = "raw",
     earth_orientation: Annotated[
         Path | None,
@@ -51,11 +54,11 @@ def sentinel2(
     """
     from boresight.pipeline.files.dump import read_earth_orientation
     from boresight.pipeline.files.sentinel2 import read_sentinel2
-    from boresight.pipeline.imports.sentinel2 import sentinel2_mission
+    from boresight.pipeline.imports.sentinel2 import AttitudeLevel, sentinel2_mission
 
-    level: Literal["raw", "corrected"] = "corrected" if attitudes == "corrected" else "raw"
-    if level != attitudes:
-        raise wrong_usage(f"--attitudes is raw or corrected, not {attitudes!r}")
+    level = next((one for one in get_args(AttitudeLevel) if one == attitudes), None)
+    if level is None:
+        raise wrong_usage(f"--attitudes is one of {', '.join(get_args(AttitudeLevel))}, not {attitudes!r}")
     table = None
     if earth_orientation is not None:
         table = read_earth_orientation(earth_orientation, str(earth_orientation))

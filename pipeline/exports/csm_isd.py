@@ -29,7 +29,7 @@ from boresight.geometry.constants import WGS84
 from boresight.geometry.epoch import TT_MINUS_TAI_S, Epoch
 from boresight.geometry.geodesy import ray_ellipsoid_intersection
 from boresight.geometry.groundlight import lines_of_sight_e
-from boresight.geometry.line_camera import Ccd, LineCamera
+from boresight.geometry.line_camera import Ccd, LineCamera, LookAngleCamera
 from boresight.geometry.pushbroom import Pushbroom
 from boresight.geometry.record import Floats, array, record, scalar
 from boresight.pipeline.exports.quaternions import continuous_quaternions
@@ -100,11 +100,13 @@ def line_scanner_isds(
     Where the CCD is cut into pieces, the last one is of the whole CCD, with the misfit of one cubic in its
     error.
 
-    Raises `ValueError` for a camera that is not a `LineCamera`.
+    Raises `ValueError` for a camera that is neither a `LineCamera` nor a `LookAngleCamera`.
     """
     camera = pushbroom.camera
+    if isinstance(camera, LookAngleCamera):
+        camera = camera.with_focal_plane()
     if not isinstance(camera, LineCamera):
-        raise ValueError("only a camera with focal length and focal plane has an ISD")
+        raise ValueError("only a camera with a focal plane or look tables has an ISD")
     path = _path(pushbroom, epoch, ccd, lines, height_m)
     start_t_s = float(pushbroom.instants_of_lines(ccd, np.array([-0.5]))[0])
     common = _common(path, pushbroom, (lines, start_t_s), height_m, names, camera.focal_m)

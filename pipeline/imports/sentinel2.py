@@ -11,12 +11,12 @@ from boresight.geometry.earth_orientation import EarthOrientationTable
 from boresight.geometry.record import Floats
 from boresight.pipeline.files.sentinel2 import Sentinel2
 from boresight.pipeline.imports.writing import ImportedHead, ImportedMission, ImportedStrip, white_noise_rad
-from boresight.pipeline.results.sentinel2_places import operator_orbit
+from boresight.pipeline.results.sentinel2_places import operator_orbit, refined_attitudes, refined_camera
 
-__all__ = ["CORRECTED", "AttitudeLevel", "sentinel2_mission"]
+__all__ = ["CORRECTED", "REFINED", "AttitudeLevel", "sentinel2_mission"]
 
-AttitudeLevel = Literal["raw", "corrected"]
-CORRECTED = "CORRECTED"  # name of the head of corrected attitudes
+AttitudeLevel = Literal["raw", "corrected", "refined"]
+CORRECTED, REFINED = "CORRECTED", "REFINED"  # names of the heads of the operator's attitudes
 SIGMA_INSTALLATION_ARCSEC = 20.0  # SPAMOD has moved by 5 arc-seconds in six years
 ERRORS = {  # what the datastrip does not state; the user may state better
     "clock_s": 1e-6,  # QUALITY_INDEX of the time correlation is 0.1 µs, GPS_TIME has microseconds
@@ -41,16 +41,19 @@ def sentinel2_mission(
         As `read_sentinel2` reads it.
     created_by : str
         Program and command.
-    attitudes : "raw" or "corrected"
+    attitudes : "raw", "corrected" or "refined"
         Heads: each star tracker's own quaternions, or the operator's corrected attitude, whose frame s is the
-        piloting frame.
+        piloting frame; "refined" applies the operator's refining to it, and its homothety to the camera.
     earth_orientation : EarthOrientationTable, optional
         In place of the datastrip's bulletin, which holds the value of one day.
     """
     table = earth_orientation or strip.earth_orientation
     orbit = operator_orbit(strip, table)
+    camera = strip.camera
     if attitudes == "corrected":
         found = {CORRECTED: (strip.corrected, strip.R_cp)}
+    elif attitudes == "refined":
+        found, camera = {REFINED: (refined_attitudes(strip), strip.R_cp)}, refined_camera(strip)
     else:
         found = {name: (record, strip.R_cp * strip.R_ps[name]) for name, record in strip.trackers.items()}
     heads_of = []
@@ -65,7 +68,7 @@ def sentinel2_mission(
                 R_cs0=R_cs0,
                 sigma_installation_rad=np.full(3, SIGMA_INSTALLATION_ARCSEC * ARCSEC),
                 white_rad=white_noise_rad(t_s, R_is),
-                interpolation="taylor" if attitudes == "corrected" else "lagrange",
+                interpolation="lagrange" if attitudes == "raw" else "taylor",
             )
         )
     return ImportedMission(
@@ -74,7 +77,7 @@ def sentinel2_mission(
         epoch=strip.epoch,
         orbit=orbit,
         heads=tuple(heads_of),
-        camera=strip.camera,
+        camera=camera,
         strips=tuple(
             ImportedStrip(
                 strip_id=strip.band,

@@ -11,9 +11,9 @@ from boresight.geometry.groundlight import LightEffects
 from boresight.geometry.line_camera import LookAngleCamera, LookTable
 from boresight.geometry.orbit import Orbit
 from boresight.geometry.pushbroom import Pushbroom, RowClock
-from boresight.pipeline.files.sentinel2 import Sentinel2
+from boresight.pipeline.files.sentinel2 import AttitudeRecord, Sentinel2
 
-__all__ = ["operator_orbit", "operator_pushbroom", "refined_camera"]
+__all__ = ["operator_orbit", "operator_pushbroom", "refined_attitudes", "refined_camera"]
 
 _DEGREE = 7  # of the Hermite polynomial, four states of 1 Hz; others agree to 0.1 mm
 
@@ -41,12 +41,10 @@ def operator_pushbroom(
     Frame s is the piloting frame. "taylor" is the interpolation of the operator's software.
     """
     first, last = orbit.span_s
-    t_s = strip.corrected.t_s
-    covered = (t_s >= first) & (t_s <= last)
-    t_s, R_si, camera = t_s[covered], strip.corrected.R_is[covered].inv(), strip.camera
-    if refined and strip.refining is not None:
-        R_si = strip.refining.rotations(t_s) * R_si
-        camera = refined_camera(strip)
+    attitudes = refined_attitudes(strip) if refined else strip.corrected
+    camera = refined_camera(strip) if refined else strip.camera
+    covered = (attitudes.t_s >= first) & (attitudes.t_s <= last)
+    t_s, R_si = attitudes.t_s[covered], attitudes.R_is[covered].inv()
     return Pushbroom(
         camera=camera,
         rows=RowClock(float(strip.t_first_row_s[ccd]), strip.row_period_s),
@@ -56,6 +54,14 @@ def operator_pushbroom(
         R_cs=strip.R_cp,
         effects=LightEffects(light_time=False, aberration=False, refraction=False),
     )
+
+
+def refined_attitudes(strip: Sentinel2) -> AttitudeRecord:
+    """The corrected attitudes with the operator's refining, where there is one."""
+    t_s, R_is = strip.corrected.t_s, strip.corrected.R_is
+    if strip.refining is not None:
+        R_is = R_is * strip.refining.rotations(t_s).inv()
+    return AttitudeRecord(t_s, R_is)
 
 
 def refined_camera(strip: Sentinel2) -> LookAngleCamera:

@@ -1,15 +1,21 @@
-"""The CCDs of a strip stitched to the virtual CCD (paper, section 3.1), as a GeoTIFF without georeference."""
+"""The CCDs of a strip stitched to the virtual CCD (paper, section 3.1), as a GeoTIFF with places on the
+ground.
+"""
 
 from __future__ import annotations
 
 import warnings
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import rasterio
+from rasterio.control import GroundControlPoint
 from rasterio.windows import Window
 
-from boresight.geometry.line_camera import LineCamera
+from boresight.geometry.constants import WGS84
+from boresight.geometry.geodesy import geodetic_from_ecef
+from boresight.geometry.line_camera import LookAngleCamera
 from boresight.geometry.terrain import Surface
 from boresight.geometry.virtual_ccd import VirtualStrip
 from boresight.pipeline.errors import DataNotSufficientError
@@ -19,24 +25,32 @@ from boresight.pipeline.results.strip_model import StripModel
 __all__ = ["write_virtual_strip"]
 
 BLOCK_LINES = 512
+CONTROL = (17, 9)  # lines and samples of the lattice of ground control points
 
 
 def write_virtual_strip(model: StripModel, surface: Surface, out: Path) -> tuple[int, int]:
     """Write the stitched strip (float32 counts, NaN where no CCD saw the ground); its lines and samples.
 
-    Raises `DataNotSufficientError` for a camera without a focal plane.
+    A lattice of pixels has its places on the surface as ground control points. Raises
+    `DataNotSufficientError` for a strip without images.
     """
-    if not isinstance(model.pushbroom.camera, LineCamera):
-        raise DataNotSufficientError("a virtual CCD needs a camera with focal length and focal plane")
     lines, images = model.strip.lines, model.strip.images
+    if not images.ccds:
+        raise DataNotSufficientError(f"strip {model.strip.strip_id}: the dump has no images to stitch")
     n_lines = {ccd: images.shape(ccd)[0] for ccd in images.ccds}
-    virtual = VirtualStrip(model.pushbroom.tabulated(0.0, lines - 1.0), surface)
+    pushbroom = model.pushbroom
+    if isinstance(pushbroom.camera, LookAngleCamera):
+        pushbroom = replace(pushbroom, camera=pushbroom.camera.with_focal_plane())
+    virtual = VirtualStrip(pushbroom.tabulated(0.0, lines - 1.0), surface)
     profile = {"driver": "GTiff", "width": virtual.width_px, "height": lines, "count": 1, "dtype": "float32"}
+    control = _control_points(virtual, lines)
 
     def write(path: Path) -> None:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)
             with rasterio.open(path, "w", **profile, nodata=np.nan, compress="deflate", predictor=3) as image:
+                if control:
+                    image.gcps = control, rasterio.CRS.from_epsg(4979)
                 for top in range(0, lines, BLOCK_LINES):
                     bottom = min(top + BLOCK_LINES, lines)
                     part = virtual.stitched(images.read, n_lines, (top, bottom))
@@ -44,3 +58,23 @@ def write_virtual_strip(model: StripModel, surface: Surface, out: Path) -> tuple
 
     write_whole(out, write)
     return lines, virtual.width_px
+
+
+def _control_points(virtual: VirtualStrip, lines: int) -> list[GroundControlPoint]:
+    """Places of a lattice of virtual pixels; GDAL counts from the outer corner of the first pixel."""
+    ends = (lines - 1.0, virtual.width_px - 1.0)
+    axes = [np.linspace(0.0, end, n, dtype=np.float64) for end, n in zip(ends, CONTROL)]
+    line, sample = (grid.ravel() for grid in np.meshgrid(*axes, indexing="ij"))
+    p_e = virtual.virtual.ground_points(0, sample, line, virtual.surface)
+    lat, lon, height = geodetic_from_ecef(p_e, WGS84)
+    return [
+        GroundControlPoint(
+            row=float(line[n]) + 0.5,
+            col=float(sample[n]) + 0.5,
+            x=float(np.degrees(lon[n])),
+            y=float(np.degrees(lat[n])),
+            z=float(height[n]),
+            id=str(n),
+        )
+        for n in np.flatnonzero(np.isfinite(p_e).all(axis=1)).tolist()
+    ]
