@@ -4,7 +4,7 @@
 
 Each polynomial is a cubic of 20 terms, each denominator begins with 1 (NIMA STDI-0006). The 39 coefficients
 of a coordinate are those of smallest norm that solve the linearised equations (singular values below `CUT`
-are not used, which takes the place of a ridge); each equation is divided by the denominator of the pass
+are not used: fitted to what no cubic follows, they give denominators with zeros); each equation is divided by the denominator of the pass
 before.
 """
 
@@ -21,7 +21,7 @@ from boresight.geometry.terrain import ConstantHeight
 __all__ = ["Rpc", "RpcError", "fit_rpc", "rpc_metadata", "rpc_text"]
 
 GRID = (25, 25, 7)  # samples, lines, heights of the fit
-CUT = 1e-10  # relative to the largest singular value
+CUT = 1e-3  # of the largest singular value; from 1e-5 down denominators have zeros within the image
 PASSES = 4
 CHECK_POINTS, CHECK_HEIGHTS = 1000, 40
 

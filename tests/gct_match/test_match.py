@@ -313,3 +313,18 @@ def test_coarse_pictures_show_nothing_where_a_quarter_of_a_block_is_missing():
     coarse = read_coarse(SmallStrip({0: image}), 0, (0, 32), (0, 32), 4, MatchSettings())
     assert np.isnan(coarse.image[0, 0]) and np.isnan(coarse.image).sum() == 1
     assert coarse.image[2, 2] == pytest.approx(7.0)
+
+
+def test_a_ccd_whose_image_begins_later_has_its_targets_on_its_own_lines(case: Case):
+    later = 137
+    images = {0: case.strip.images[0], 1: case.strip.images[1][later:]}
+    rows = replace(case.pushbroom.rows, first_row={1: float(later)})
+    pushbroom = replace(case.pushbroom, rows=rows)
+    targets = case.targets[-4:], case.chips[-4:]
+    found = match_strip(SmallStrip(images), pushbroom, *targets, SURFACE, SIGMA, MatchSettings())
+    place = {target.target_id: target.p_e[None] for target in case.targets}
+    assert {one.ccd for one in found.matches} == {0, 1} and len(found.matches) >= 4
+    for one in found.matches:
+        in_whole_image = np.concatenate(case.true.pixels_from_ground(one.ccd, place[one.target_id]))
+        expected = in_whole_image - [0.0, later * one.ccd]
+        assert one.xy_px == pytest.approx(expected, abs=0.015)  # px, as for the whole strip

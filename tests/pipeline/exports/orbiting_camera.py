@@ -1,5 +1,5 @@
 """A strip for the tests of exports: bold mounting, oscillating attitude, two staggered, turned, distorted
-CCDs.
+CCDs whose images begin at different rows.
 """
 
 from __future__ import annotations
@@ -32,6 +32,7 @@ NOTES = Notes(
 EPOCH = Epoch.from_utc("2025-03-20T02:31:07Z")
 R_CS = Rotation.from_euler("xyz", [40.0, -65.0, 110.0], degrees=True)
 LINES = 3000
+LATER_ROWS = 97.37  # by which the image of CCD 1 begins after that of CCD 0
 
 
 @cache
@@ -54,7 +55,7 @@ def strip() -> Pushbroom:
     attitude = AttitudeTrack(t_star, R_CS.inv() * R_ci, orbit)
     return Pushbroom(
         camera=camera(),
-        rows=RowClock(19.0 + 1e-3 / 3.0, 7e-5),
+        rows=RowClock(19.0 + 1e-3 / 3.0, 7e-5, {0: 0.0, 1: LATER_ROWS}),
         orbit=orbit,
         earth=earth,
         attitude=attitude,

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import rasterio
@@ -51,6 +53,19 @@ def test_gdal_finds_the_pixels_of_the_rigorous_model_within_the_stated_error(tmp
             assert np.sqrt(np.mean(miss**2)) == pytest.approx(error.rms_px, rel=0.1, abs=1e-6)
             assert miss.max() < 1.2 * error.largest_px + 1e-6
         assert error.rms_px < 0.05  # 5 px of odd distortion follow no cubic
+
+
+@pytest.mark.parametrize("later_rows", [0.0, 97.37, 412.37])
+def test_denominators_have_no_zero_within_the_image_and_its_heights(later_rows):
+    """A zero makes a spike of many pixels, which random points may miss."""
+    model = replace(strip(), rows=replace(strip().rows, first_row={1: later_rows}))
+    rpc, error = fit_rpc(model, 1, LINES, HEIGHTS)
+    lat, lon, height = (a.ravel() for a in np.meshgrid(*[np.linspace(-1.0, 1.0, 15)] * 3, indexing="ij"))
+    terms = np.stack([np.ones_like(lat), lon, lat, height], axis=1)
+    for denominator in (rpc.line_den, rpc.sample_den):
+        linear = terms @ denominator[:4]
+        assert np.all(np.abs(linear + np.abs(denominator[4:]).sum() - 1.0) < 0.2)  # of 1, in scaled units
+    assert error.largest_px < 1e-3
 
 
 def test_heights_without_ground_give_no_rpc():
