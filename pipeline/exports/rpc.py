@@ -3,9 +3,9 @@
     sample = N_s(lat, lon, height) / D_s(...)     line = N_l / D_l     all quantities offset and scaled
 
 Each polynomial is a cubic of 20 terms, each denominator begins with 1 (NIMA STDI-0006). The 39 coefficients
-of a coordinate are those of smallest norm that solve the linearised equations (singular values below `CUT`
-are not used: fitted to what no cubic follows, they give denominators with zeros); each equation is divided by the denominator of the pass
-before.
+of a coordinate are those of smallest norm that solve the linearised equations; each equation is divided by
+the denominator of the pass before. Small singular values are not used: fitted to motion that no cubic follows
+they give denominators with zeros. Of several limits the one with the smallest error at other points is taken.
 """
 
 from __future__ import annotations
@@ -21,7 +21,8 @@ from boresight.geometry.terrain import ConstantHeight
 __all__ = ["Rpc", "RpcError", "fit_rpc", "rpc_metadata", "rpc_text"]
 
 GRID = (25, 25, 7)  # samples, lines, heights of the fit
-CUT = 1e-3  # of the largest singular value; from 1e-5 down denominators have zeros within the image
+CUTS = (1e-3, 1e-4, 1e-5, 1e-6, 1e-8)  # of the largest singular value
+LEAST_DENOMINATOR = 0.3  # of 1 in the middle: below, a zero may lie between the points of the fit
 PASSES = 4
 CHECK_POINTS, CHECK_HEIGHTS = 1000, 40
 
@@ -70,22 +71,31 @@ def fit_rpc(model: Pushbroom, ccd: int, lines: int, height_m: tuple[float, float
     offsets, scales = 0.5 * (low + high), np.maximum(0.5 * (high - low), 1e-9)
     line_n, sample_n, *ground = (values - offsets[:, None]) / scales[:, None]
     terms = _terms(*ground)
-    (line_num, line_den), (sample_num, sample_den) = (_ratio(terms, target) for target in (line_n, sample_n))
-    rpc = Rpc(
-        offsets=offsets,
-        scales=scales,
-        line_num=line_num,
-        line_den=line_den,
-        sample_num=sample_num,
-        sample_den=sample_den,
-    )
     rng = np.random.default_rng(0)
     points = rng.uniform(-0.5, np.array([samples, lines]) - 0.5, (CHECK_POINTS, 2))
     heights = np.resize(rng.uniform(*height_m, CHECK_HEIGHTS), CHECK_POINTS)
-    found = rpc.pixels(*_ground(model, ccd, points[:, 0], points[:, 1], heights), heights)
-    distance = np.hypot(*(np.column_stack(found) - points).T)
-    rms = float(np.sqrt(np.mean(distance**2)))
-    return rpc, RpcError(rms_px=rms, largest_px=float(distance.max()))
+    check = *_ground(model, ccd, points[:, 0], points[:, 1], heights), heights
+    fits = []
+    for cut in CUTS:
+        (line_num, line_den), (sample_num, sample_den) = (_ratio(terms, n, cut) for n in (line_n, sample_n))
+        rpc = Rpc(
+            offsets=offsets,
+            scales=scales,
+            line_num=line_num,
+            line_den=line_den,
+            sample_num=sample_num,
+            sample_den=sample_den,
+        )
+        least = min(float((terms @ den).min()) for den in (line_den, sample_den))
+        if least >= LEAST_DENOMINATOR or cut == CUTS[0]:
+            fits.append((rpc, _difference(rpc, check, points)))
+    return min(fits, key=lambda fit: fit[1].largest_px)
+
+
+def _difference(rpc: Rpc, ground: tuple[Floats, Floats, Floats], points: Floats) -> RpcError:
+    """Distances of the pixels of ground points from image points (N, 2)."""
+    distance = np.hypot(*(np.column_stack(rpc.pixels(*ground)) - points).T)
+    return RpcError(rms_px=float(np.sqrt(np.mean(distance**2))), largest_px=float(distance.max()))
 
 
 def rpc_text(rpc: Rpc, error: RpcError) -> str:
@@ -139,14 +149,14 @@ def _terms(lat: Floats, lon: Floats, height: Floats) -> Floats:
     return np.stack([*first, *third], axis=1)
 
 
-def _ratio(terms: Floats, target: Floats) -> tuple[Floats, Floats]:
+def _ratio(terms: Floats, target: Floats, cut: float) -> tuple[Floats, Floats]:
     """Numerator and denominator (20,) each, whose ratio is the target (N,)."""
     A = np.hstack([terms, -target[:, None] * terms[:, 1:]])
     weight = np.ones(len(target))
     solution: Floats = np.zeros(39)
     for _ in range(PASSES):
         solution = np.asarray(
-            np.linalg.lstsq(A * weight[:, None], target * weight, rcond=CUT)[0], dtype=float
+            np.linalg.lstsq(A * weight[:, None], target * weight, rcond=cut)[0], dtype=float
         )
         weight = 1.0 / (terms @ np.concatenate([[1.0], solution[20:]]))
     return np.asarray(solution[:20]), np.concatenate([[1.0], solution[20:]])
