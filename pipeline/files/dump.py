@@ -523,7 +523,7 @@ def _points(
 
 def _points_once(points: Sequence[StripPoints], strips: Sequence[Strip]) -> tuple[StripPoints, ...]:
     """The points in CCDs of strips that are used."""
-    ccds = {strip.strip_id: list(strip.first_line) for strip in strips}
+    ccds = {strip.strip_id: list(strip.ccd_lines) for strip in strips}
     return tuple(one.of(ccds[one.strip_id]) for one in points if one.strip_id in ccds)
 
 

@@ -38,9 +38,9 @@ def strips_once(strips: Sequence[Strip], file: str) -> tuple[tuple[Strip, ...], 
     why |= _same_files(strips, why)
     once, omitted = [], []
     for strip in strips:
-        own = {ccd: why[strip.strip_id, ccd] for ccd in strip.first_line if (strip.strip_id, ccd) in why}
+        own = {ccd: why[strip.strip_id, ccd] for ccd in strip.ccd_lines if (strip.strip_id, ccd) in why}
         names = strip.images.names
-        if len(own) == len(strip.first_line):
+        if len(own) == len(strip.ccd_lines):
             ccd, reason = min(own.items())
             omitted.append(Omission("strip", strip.strip_id, names.get(ccd, ""), reason, Cause.REPEATED))
             continue
@@ -48,8 +48,8 @@ def strips_once(strips: Sequence[Strip], file: str) -> tuple[tuple[Strip, ...], 
             Omission("ccd", f"{strip.strip_id}/{ccd}", names.get(ccd, ""), reason, Cause.REPEATED)
             for ccd, reason in own.items()
         ]
-        left = {ccd: line for ccd, line in strip.first_line.items() if ccd not in own}
-        once.append(replace(strip, first_line=left, images=strip.images.of(left)) if own else strip)
+        left = {ccd: lines for ccd, lines in strip.ccd_lines.items() if ccd not in own}
+        once.append(replace(strip, ccd_lines=left, images=strip.images.of(left)) if own else strip)
     return tuple(once), tuple(omitted)
 
 
@@ -59,16 +59,16 @@ def _same_times(strips: Sequence[Strip], file: str) -> dict[Image, str]:
     """
     why: dict[Image, str] = {}
     kept: list[Strip] = []
-    order = sorted(strips, key=lambda one: (-len(one.first_line), one.t_first_row_s, one.strip_id))
+    order = sorted(strips, key=lambda one: (-len(one.ccd_lines), one.t_first_row_s, one.strip_id))
     for strip in order:
         for other in kept:
             if _time_in_common(strip, other) > OVERLAP:
-                twice = [ccd for ccd in strip.first_line if ccd in other.first_line]
+                twice = [ccd for ccd in strip.ccd_lines if ccd in other.ccd_lines]
                 _check_same_ground(strip, other, twice, file)
                 text = f"its rows have the times of strip {other.strip_id} (utc_first_row): one strip given "
                 text += "twice is counted once"
                 why = {(strip.strip_id, ccd): text for ccd in twice} | why
-        if not all((strip.strip_id, ccd) in why for ccd in strip.first_line):
+        if not all((strip.strip_id, ccd) in why for ccd in strip.ccd_lines):
             kept.append(strip)
     return why
 
@@ -122,7 +122,8 @@ def _correlations(a: Strip, b: Strip, ccd: int) -> Iterator[float]:
 def _window(strip: Strip, ccd: int, t_s: float, share: float) -> Floats:
     """Counts around an instant, at a share of the CCD's samples."""
     lines, samples = strip.images.shape(ccd)
-    top = round((t_s - strip.t_first_row_s) / strip.row_period_s) - WINDOW_PX // 2
+    middle = float(strip.clock.lines_of_rows(ccd, strip.clock.row(t_s)))
+    top = round(middle) - WINDOW_PX // 2
     top, left = min(max(top, 0), max(lines - WINDOW_PX, 0)), int(share * max(samples - WINDOW_PX, 0))
     below, right = min(top + WINDOW_PX, lines), min(left + WINDOW_PX, samples)
     return strip.images.read(ccd, top, below, left, right).astype(float)

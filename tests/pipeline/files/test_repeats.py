@@ -101,7 +101,7 @@ def test_one_ccd_given_twice_leaves_the_others(mini: Path) -> None:
     change(mini / "strips.csv", split)
     dump = open_dump(mini)
     part = next(one for one in dump.strips if one.strip_id == "part")
-    assert part.images.ccds == (3,) and list(part.first_line) == [3]
+    assert part.images.ccds == (3,) and list(part.ccd_lines) == [3]
     assert list(reasons(dump)) == ["ccd part/2"]
 
 
