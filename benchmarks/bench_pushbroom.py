@@ -34,7 +34,7 @@ from boresight.geometry.orbit import Orbit
 from boresight.geometry.pushbroom import Pushbroom, RowClock
 from boresight.geometry.terrain import ConstantHeight, TerrainGrid
 from boresight.geometry.virtual_ccd import VirtualStrip
-from boresight.pipeline.files.dimap import read_dimap
+from boresight.pipeline.files.dimap_metadata import read_dimap
 
 Array = NDArray[np.float64]
 N, LINES, SAMPLES = 1_000_000, 26_000, 6144

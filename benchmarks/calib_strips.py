@@ -16,10 +16,10 @@ from scipy.spatial.transform import Rotation
 from boresight.calib.calibration import calibrate
 from boresight.calib.estimate import InstallationEstimate
 from boresight.calib.settings import CalibrationSettings
+from boresight.features.paper.vectors import MATRIX_28, NO_NUISANCES, TABLE_1
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.installation import deviation_from_theta, theta_between
 from boresight.geometry.sightings import StripSightings
-from boresight.pipeline.experiments.vectors import MATRIX_28, NO_NUISANCES, TABLE_1
 from boresight.simulator.campaign import CameraPair, StripPlan, draw_strips, installation_by_tilt
 
 CAMERAS = CameraPair(installation_by_tilt(np.radians(60.0)))

@@ -11,8 +11,8 @@ import numpy as np
 import pandas as pd
 from record import exit_status, head, verdict
 
-from boresight.pipeline.experiments.tables import run_experiment
-from boresight.pipeline.experiments.vectors import ExperimentSettings
+from boresight.features.paper.tables import run_experiment
+from boresight.features.paper.vectors import ExperimentSettings
 
 OUT = Path(__file__).parents[1] / "build" / "experiments"  # the records of them are of `boresight experiment`
 

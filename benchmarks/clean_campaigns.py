@@ -40,7 +40,7 @@ from boresight.geometry.constants import ARCSEC
 from boresight.geometry.installation import theta_between
 from boresight.geometry.sightings import StripSightings
 from boresight.pipeline.files.dump_schema import Errors
-from boresight.pipeline.settings import Settings, calibration_settings
+from boresight.pipeline.run.settings import Settings, calibration_settings
 from boresight.simulator.cameras import calibrated_line_camera
 from boresight.simulator.campaign import (
     CameraPair,
@@ -49,7 +49,7 @@ from boresight.simulator.campaign import (
     draw_strips,
     installation_by_tilt,
 )
-from boresight.simulator.heads import HeadPlan, with_heads
+from boresight.simulator.head_attitudes import HeadPlan, with_heads
 from boresight.simulator.scenario import LineCameraSettings
 from boresight.simulator.sky_campaign import draw_sky_strips
 

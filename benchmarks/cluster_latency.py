@@ -19,7 +19,7 @@ from pathlib import Path
 import record  # first: it may start this process anew with one thread
 from distributed import Client, LocalCluster
 
-from boresight.pipeline.work.cluster import OnCluster, fingerprint
+from boresight.pipeline.run.cluster import OnCluster, fingerprint
 
 SLOWER = """
 import asyncio

@@ -27,8 +27,8 @@ from boresight.geometry.constants import ARCSEC
 from boresight.pipeline.files.dump_writer import write_dump
 from boresight.pipeline.files.scenario_file import fly
 from boresight.pipeline.files.text_tables import write_csv, write_toml
-from boresight.simulator.heads import correlated_noise
-from boresight.simulator.records import Mission, TruePoint
+from boresight.simulator.head_attitudes import correlated_noise
+from boresight.simulator.mission_records import Mission, TruePoint
 from boresight.simulator.scenario import Scenario, SkyScan, builtin_scenario
 
 __all__ = ["DUMPS", "linked", "sound_dump"]

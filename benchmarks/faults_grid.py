@@ -40,7 +40,7 @@ from scipy.spatial.transform import Rotation
 
 from boresight.geometry.installation import theta_between
 from boresight.pipeline.results.ownership import claimed
-from boresight.pipeline.settings import Settings
+from boresight.pipeline.run.settings import Settings
 
 RESULTS = Path(__file__).parent / "results" / "faults_grid.txt"
 MOST_SIGMA = 4.0

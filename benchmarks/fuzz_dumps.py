@@ -51,9 +51,9 @@ from boresight.pipeline.report.evidence import write_evidence
 from boresight.pipeline.report.page import write_report
 from boresight.pipeline.results.folder import begin_result
 from boresight.pipeline.results.writing import write_result
-from boresight.pipeline.settings import Settings
+from boresight.pipeline.run.settings import Settings
+from boresight.pipeline.run.unit_store import UnitStore
 from boresight.pipeline.stages.calibrate import Calibration, calibrate_dump
-from boresight.pipeline.work.unit_store import UnitStore
 
 FIXTURE = Path(__file__).resolve().parents[1] / "fixtures" / "mini"
 TEXTS = {  # file: weight

@@ -170,8 +170,8 @@ def follow_coverage(name: str, inputs: int, seed: int) -> None:
     with atheris.instrument_imports(
         include=[
             "boresight.pipeline.files",
-            "boresight.pipeline.settings",
-            "boresight.pipeline.stages.plan",
+            "boresight.pipeline.run.settings",
+            "boresight.features.planning.campaign_plan",
             "oem",
         ]
     ):

@@ -41,10 +41,10 @@ from boresight.geometry.installation import theta_between
 from boresight.geometry.record import Floats, Ints
 from boresight.geometry.sightings import StripSightings
 from boresight.pipeline.files.dump import open_dump
-from boresight.pipeline.settings import Settings
+from boresight.pipeline.run.executor import InOrder
+from boresight.pipeline.run.settings import Settings
+from boresight.pipeline.run.unit_store import UnitStore
 from boresight.pipeline.stages.calibrate import calibrate_dump
-from boresight.pipeline.work.executor import InOrder
-from boresight.pipeline.work.unit_store import UnitStore
 
 DUMP = Path(__file__).parents[1] / "fixtures" / "mini"
 SHIFTS_PX = (0.5, 0.7, 1.0, 2.0, 4.0)

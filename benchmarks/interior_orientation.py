@@ -14,16 +14,16 @@ import numpy as np
 from record import exit_status, head, verdict
 from scipy.spatial.transform import Rotation
 
-from boresight.calib.interior.estimate import InteriorEstimate, calibrate_interior, map_difference_px
+from boresight.calib.interior.interior_estimate import InteriorEstimate, calibrate_interior, map_difference_px
 from boresight.calib.interior.parameters import InteriorModel, InteriorPriors
 from boresight.calib.settings import CalibrationSettings
+from boresight.features.paper.geopositioning import MotionPrior, check_point_errors, smoothed_attitude
+from boresight.features.paper.vectors import MATRIX_28
 from boresight.geometry.attitude_estimate import with_attitudes
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.installation import deviation_from_theta
 from boresight.geometry.line_camera import LineCamera
 from boresight.geometry.sightings import StripSightings
-from boresight.pipeline.experiments.geopositioning import MotionPrior, check_point_errors, smoothed_attitude
-from boresight.pipeline.experiments.vectors import MATRIX_28
 from boresight.simulator.campaign import CameraPair, LinePair, StripPlan, draw_strips, installation_by_tilt
 from boresight.simulator.sky_campaign import draw_sky_strips
 

@@ -24,20 +24,20 @@ import pandas as pd
 from record import exit_status, head, verdict
 from sky_strips import scenario_of, seeds
 
-from boresight.calib.interior.estimate import map_difference_px
+from boresight.calib.interior.interior_estimate import map_difference_px
 from boresight.calib.interior.parameters import InteriorModel, InteriorPriors
+from boresight.features.interior.interior_of_dumps import calibrate_remote_camera
 from boresight.geometry.earth_orientation import bundled_earth_orientation
 from boresight.geometry.geoid import egm96
 from boresight.geometry.line_camera import LineCamera
 from boresight.pipeline.files.dump_writer import write_dump
 from boresight.pipeline.files.scenario_file import fly
 from boresight.pipeline.files.star_tables import read_star_table
-from boresight.pipeline.results.interior import calibrate_remote_camera
-from boresight.pipeline.settings import Settings
-from boresight.pipeline.work.executor import InOrder
+from boresight.pipeline.run.executor import InOrder
+from boresight.pipeline.run.settings import Settings
 from boresight.simulator.cameras import calibrated_line_camera
 from boresight.simulator.mission import simulate
-from boresight.simulator.records import Mission
+from boresight.simulator.mission_records import Mission
 from boresight.simulator.scenario import Scenario
 from boresight.star_id.catalogue import hipparcos_stars
 

@@ -32,11 +32,11 @@ from boresight.gct_match.match import match_strip
 from boresight.gct_match.predict.scene import scene_of
 from boresight.gct_match.records import Chip, StripMatches
 from boresight.gct_match.search.common_rotation import search_common_rotation
-from boresight.gct_match.search.plan import plan_search
+from boresight.gct_match.search.search_plan import plan_search
 from boresight.geometry.strip_image import StripImage
 from boresight.pipeline.files.dump import open_dump, surface_of
 from boresight.pipeline.files.image_files import read_grid
-from boresight.pipeline.settings import read_settings
+from boresight.pipeline.run.settings import read_settings
 from boresight.pipeline.stages.calibrate import strips_to_match
 from boresight.pipeline.stages.strip import StripTask, pushbroom_of
 

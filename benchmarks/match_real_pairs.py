@@ -25,7 +25,7 @@ from boresight.gct_match.imaging.views import normalised
 from boresight.gct_match.search.common_rotation import vote_tolerance_px
 from boresight.gct_match.search.correlation import correlation_surface
 from boresight.gct_match.search.edge_search import best_positions, search_picture, search_template
-from boresight.gct_match.search.plan import pyramid_factor
+from boresight.gct_match.search.search_plan import pyramid_factor
 from boresight.gct_match.search.vote import Candidates, Vote, log_chance_of_ranks, vote
 from boresight.gct_match.suggest import suggest_targets
 

@@ -31,7 +31,7 @@ from PIL import Image  # isort: skip
 
 from boresight.pipeline.report.pdf import chromium
 from boresight.pipeline.results.ownership import claimed
-from boresight.pipeline.settings import Settings
+from boresight.pipeline.run.settings import Settings
 
 FIXTURE = Path(__file__).parents[1] / "fixtures" / "mini"
 CHIP_SHIFT_M, COORDINATE_DEG, CLOCK_S, PRINCIPAL_PX = 60.0, 0.01, 0.02, 12.0

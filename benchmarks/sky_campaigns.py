@@ -19,10 +19,10 @@ from boresight.calib.estimate import InstallationEstimate
 from boresight.calib.orbit_bias import CommonBias
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.verdict import CheckKind, Verdict, VerdictSettings, assess
+from boresight.features.paper.vectors import MATRIX_28
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.installation import deviation_from_theta, theta_between
 from boresight.geometry.sightings import StripSightings
-from boresight.pipeline.experiments.vectors import MATRIX_28
 from boresight.simulator.cameras import calibrated_line_camera, distorted_line_camera
 from boresight.simulator.campaign import (
     CameraPair,

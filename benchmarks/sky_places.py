@@ -23,7 +23,7 @@ from scipy.special import ndtr
 from sky_strips import InMemory, scenario_of
 
 from boresight.pipeline.files.scenario_file import fly
-from boresight.simulator.records import Mission
+from boresight.simulator.mission_records import Mission
 from boresight.simulator.scenario import Scenario
 from boresight.star_id.strip_stars.find import StripMotion, StripStars, find_strip_stars
 from boresight.star_id.strip_stars.settings import StripStarSettings

@@ -36,15 +36,15 @@ from boresight.pipeline.errors import DataNotSufficientError, Omission
 from boresight.pipeline.files.dump import open_dump
 from boresight.pipeline.files.dump_writer import write_dump
 from boresight.pipeline.files.scenario_file import fly
-from boresight.pipeline.settings import Settings, calibration_settings
+from boresight.pipeline.run.settings import Settings, calibration_settings
 from boresight.pipeline.stages.cached import StageRunner
 from boresight.pipeline.stages.calibrate import Calibration, calibrate_dump
 from boresight.pipeline.stages.head import sight_head
 from boresight.pipeline.stages.sky_side import find_in_sky_strips
 from boresight.pipeline.stages.sky_strip import find_sky_stars, name_sky_stars
 from boresight.simulator.cameras import true_installation
+from boresight.simulator.mission_records import Mission
 from boresight.simulator.motion import flown_orbit
-from boresight.simulator.records import Mission
 from boresight.simulator.scenario import Scenario, SkyScan, SkyStripSettings, builtin_scenario
 from boresight.star_id.strip_stars.settings import StripStarSettings
 from boresight.star_id.whole_catalogue import all_hipparcos

@@ -39,11 +39,11 @@ from PIL import Image
 
 from boresight.pipeline.files.dump import Dump, open_dump
 from boresight.pipeline.files.star_images import read_star_image
-from boresight.pipeline.settings import Settings
+from boresight.pipeline.run.settings import Settings
+from boresight.pipeline.run.unit_store import UnitStore
 from boresight.pipeline.stages.cached import Cached
 from boresight.pipeline.stages.calibrate import calibrate_dump
 from boresight.pipeline.stages.exposure import sight_exposure, star_tasks
-from boresight.pipeline.work.unit_store import UnitStore
 
 HERE = Path(__file__).resolve().parents[1]
 STAGES = {

@@ -32,7 +32,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "star_id"
 
 from frames import PAPER_CAMERA, Sensor, render, star_frame
 
-from boresight.pipeline.report.centroid_report import score_lines
+from boresight.features.sky_images.centroid_report import score_lines
 from boresight.star_id.catalogue import hipparcos_stars
 from boresight.star_id.field import FieldSolution, solve_list
 from boresight.star_id.finding.psf import Psf

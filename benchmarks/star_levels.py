@@ -28,7 +28,7 @@ from boresight.geometry.constants import ARCSEC
 from boresight.geometry.installation import theta_between
 from boresight.geometry.sightings import StripSightings, exposure_without_stars, solved_attitudes
 from boresight.simulator.campaign import CameraPair, StripPlan, draw_strips
-from boresight.simulator.heads import HeadPlan, with_heads
+from boresight.simulator.head_attitudes import HeadPlan, with_heads
 
 MATRICES = [
     Rotation.from_euler("xyz", angles, degrees=True)

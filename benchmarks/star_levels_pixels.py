@@ -23,14 +23,14 @@ from record import exit_status, head, verdict
 from scipy.spatial.transform import Rotation
 
 from boresight.calib.estimate import InstallationEstimate
+from boresight.features.sky_images.centroid_report import score_images
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.installation import theta_between
 from boresight.pipeline.files.dump import Dump, open_dump
 from boresight.pipeline.files.dump_writer import write_dump
 from boresight.pipeline.files.scenario_file import fly, named_scenario
 from boresight.pipeline.files.text_tables import write_csv
-from boresight.pipeline.report.centroid_report import score_images
-from boresight.pipeline.settings import Settings
+from boresight.pipeline.run.settings import Settings
 from boresight.pipeline.stages.calibrate import Calibration, calibrate_dump
 
 HEAD = """

@@ -17,7 +17,18 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:  # what a type checker and an editor see; at run time `__getattr__` imports the same
-    from boresight.calibration import (
+    from boresight.features.sky_images.api import (
+        CameraSolution,
+        Stars,
+        StarSolution,
+        calibrate_star_camera,
+        find_stars,
+        identify,
+    )
+    from boresight.geometry.line_camera import LineCamera
+    from boresight.geometry.star_camera import StarCamera
+    from boresight.matching import Match, NotMatched, TargetMatches, match_targets, match_template
+    from boresight.missions import (
         Calibration,
         calibrate,
         calibrate_vectors,
@@ -28,19 +39,8 @@ if TYPE_CHECKING:  # what a type checker and an editor see; at run time `__getat
         simulate,
         validate,
     )
-    from boresight.geometry.line_camera import LineCamera
-    from boresight.geometry.star_camera import StarCamera
-    from boresight.matching import Match, NotMatched, TargetMatches, match_targets, match_template
     from boresight.pipeline.errors import DataNotSufficientError, RawDataError
     from boresight.star_id.identification.identify import NotIdentified
-    from boresight.stars import (
-        CameraSolution,
-        Stars,
-        StarSolution,
-        calibrate_star_camera,
-        find_stars,
-        identify,
-    )
     from boresight.version import __version__
 
 __all__ = [

@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from boresight.calibration import open_dump
 from boresight.display import Outcome, Result, axes_or_new
 from boresight.gct_match.locate import match_template as match_arrays
 from boresight.gct_match.records import Refusal as NotMatched
 from boresight.gct_match.records import TemplateMatch
 from boresight.gct_match.settings import MatchSettings
 from boresight.geometry.record import record, scalar
+from boresight.missions import open_dump
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -178,9 +178,9 @@ def match_targets(dump: str | Path | Dump, *, strips: Sequence[str] | None = Non
     >>> len(matches)
     12
     """
-    from boresight.pipeline.settings import Settings
+    from boresight.features.targets.target_matches import match_strips, matches_table
+    from boresight.pipeline.run.settings import Settings
     from boresight.pipeline.stages.calibrate import strips_to_match
-    from boresight.pipeline.stages.match import match_strips, matches_table
 
     opened = open_dump(dump)
     if unknown := set(strips or ()) - {strip.strip_id for strip in opened.strips}:

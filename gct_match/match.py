@@ -34,7 +34,7 @@ from boresight.gct_match.records import (
 )
 from boresight.gct_match.search.coarse import read_window
 from boresight.gct_match.search.common_rotation import search_common_rotation
-from boresight.gct_match.search.plan import SearchPlan, plan_search
+from boresight.gct_match.search.search_plan import SearchPlan, plan_search
 from boresight.gct_match.search.vote import Vote
 from boresight.gct_match.settings import MatchSettings
 from boresight.gct_match.texture import expected_sigma_px

@@ -22,15 +22,19 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from boresight.features.drift.command import add_drift_commands
+from boresight.features.exports.command import RequireArcsec, RequireMetres, add_report_commands
+from boresight.features.heads.command import add_heads_commands
+from boresight.features.interior.command import add_sensor_commands
+from boresight.features.operators.command import add_import_commands
+from boresight.features.planning.command import add_plan_commands
+from boresight.features.sky_images.command import add_star_commands
+from boresight.features.targets.command import add_match_commands
+from boresight.features.targets.dump_command import add_dump_commands
 from boresight.pipeline import __version__
-from boresight.pipeline.commands.drift import add_drift_commands
-from boresight.pipeline.commands.dump import add_dump_commands
-from boresight.pipeline.commands.dump_argument import DumpsArgument, SettingsFile
-from boresight.pipeline.commands.heads import add_heads_commands
-from boresight.pipeline.commands.imports import add_import_commands
-from boresight.pipeline.commands.limits import JunitFile, held
-from boresight.pipeline.commands.match import add_match_commands
-from boresight.pipeline.commands.messages import (
+from boresight.pipeline.console.arguments import DumpsArgument, SettingsFile
+from boresight.pipeline.console.limit_options import JunitFile, held
+from boresight.pipeline.console.messages import (
     DATA_DID_NOT_ALLOW,
     DONE,
     Accepted,
@@ -41,21 +45,17 @@ from boresight.pipeline.commands.messages import (
     talks,
     wrong_usage,
 )
-from boresight.pipeline.commands.plan import add_plan_commands
-from boresight.pipeline.commands.progress import progress_bars
-from boresight.pipeline.commands.report import RequireArcsec, RequireMetres, add_report_commands
-from boresight.pipeline.commands.sensor import add_sensor_commands
-from boresight.pipeline.commands.star import add_star_commands
+from boresight.pipeline.console.progress import progress_bars
 from boresight.pipeline.errors import DataNotSufficientError, RawDataError, WorkerError
 from boresight.pipeline.files.object_store import dump_folder
 from boresight.version import version_text
 
 if TYPE_CHECKING:
-    from boresight.pipeline.commands.calibrate import RunOutcome, RunRequest
-    from boresight.pipeline.experiments.pixels import PixelSettings
-    from boresight.pipeline.experiments.vectors import ExperimentSettings
+    from boresight.features.paper.pixels import PixelSettings
+    from boresight.features.paper.vectors import ExperimentSettings
+    from boresight.pipeline.calibration_run import RunOutcome, RunRequest
     from boresight.pipeline.files.dump import Dump
-    from boresight.pipeline.work.executor import Executor
+    from boresight.pipeline.run.executor import Executor
 
 __all__ = ["app", "main"]
 
@@ -207,10 +207,10 @@ def calibrate(
 
     Example: boresight calibrate dump --out result
     """
-    from boresight.pipeline.commands.calibrate import RunRequest, SavedContent, exit_status
+    from boresight.pipeline.calibration_run import RunRequest, SavedContent, exit_status
     from boresight.pipeline.results.requirement import Requirement
-    from boresight.pipeline.settings import read_settings
-    from boresight.pipeline.work.workers import executor_for, processors
+    from boresight.pipeline.run.settings import read_settings
+    from boresight.pipeline.run.workers import executor_for, processors
 
     if workers is not None and scheduler is not None:
         raise wrong_usage("--workers and --scheduler exclude one another")
@@ -259,7 +259,7 @@ def _run(
     threads: int,
 ) -> RunOutcome:
     """Open one dump or several, with so many threads, and carry them through."""
-    from boresight.pipeline.commands.calibrate import going_on, run_dump, run_dumps
+    from boresight.pipeline.calibration_run import going_on, run_dump, run_dumps
     from boresight.pipeline.files.dump import open_dump
     from boresight.pipeline.stages.joint import open_dumps
 
@@ -312,7 +312,7 @@ def validate(
 
     Example: boresight validate result --dump dump --max-error-sigma 4 --max-nees 16 --max-ground-m 6
     """
-    from boresight.pipeline.commands.validate import kept_validation
+    from boresight.pipeline.console.kept_validation import kept_validation
     from boresight.pipeline.files.dump import open_dump
     from boresight.pipeline.files.record_tables import plain
     from boresight.pipeline.results.limits import validation_limits
@@ -370,9 +370,9 @@ def experiment(
 
     Example: boresight experiment geometry --out paper
     """
-    from boresight.pipeline.experiments.pixels import PixelSettings
-    from boresight.pipeline.experiments.tables import EXPERIMENTS, FROM_PIXELS
-    from boresight.pipeline.experiments.vectors import ExperimentSettings
+    from boresight.features.paper.pixels import PixelSettings
+    from boresight.features.paper.tables import EXPERIMENTS, FROM_PIXELS
+    from boresight.features.paper.vectors import ExperimentSettings
 
     known = FROM_PIXELS if pixels else (*EXPERIMENTS, "all")
     if name not in known:
@@ -391,10 +391,10 @@ def _experiment(
     name: str, out: Path, settings: ExperimentSettings | PixelSettings, progress: Callable[[int, int], None]
 ) -> str:
     """Run one experiment or all; what to print."""
-    from boresight.pipeline.experiments.comparison import COMPARISONS
-    from boresight.pipeline.experiments.overview import run_all
-    from boresight.pipeline.experiments.pixels import PixelSettings
-    from boresight.pipeline.experiments.tables import run_experiment, run_from_pixels
+    from boresight.features.paper.comparison import COMPARISONS
+    from boresight.features.paper.paper_page import run_all
+    from boresight.features.paper.pixels import PixelSettings
+    from boresight.features.paper.tables import run_experiment, run_from_pixels
     from boresight.pipeline.report.page import template
 
     if isinstance(settings, PixelSettings):

@@ -25,7 +25,7 @@ EXAMPLES = {
     "matching": "Match two arrays, and a strip",
     "vectors": "From vectors to the matrix",
 }
-DOOR = ("boresight.stars", "boresight.matching", "boresight.calibration", "boresight.display")
+DOOR = ("boresight.features.sky_images.api", "boresight.matching", "boresight.missions", "boresight.display")
 PLOT = re.compile(r"<!-- plot ([\w-]+): (.*?) -->")
 PACKAGES = {
     "geometry": "Constants, time, frames, light, the Earth, cameras, orbit and attitude, and the records"

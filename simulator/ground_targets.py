@@ -14,7 +14,7 @@ from boresight.geometry.constants import WGS84
 from boresight.geometry.geodesy import ecef_from_geodetic, geodetic_from_ecef
 from boresight.geometry.geoid import Geoid
 from boresight.simulator.ground import BlurredGround
-from boresight.simulator.records import ChipImage, GroundTarget, TruePoint
+from boresight.simulator.mission_records import ChipImage, GroundTarget, TruePoint
 from boresight.simulator.scan import Scene, read_ground
 from boresight.simulator.scenario import TargetSettings
 

@@ -45,14 +45,7 @@ from boresight.simulator.ground import (
     gaussian_sigma_px,
 )
 from boresight.simulator.ground_targets import Placed, check_points, place_targets
-from boresight.simulator.motion import (
-    TrueAttitude,
-    flown_orbit,
-    reported_orbit,
-    scan_attitude,
-    true_attitude,
-)
-from boresight.simulator.records import (
+from boresight.simulator.mission_records import (
     Exposure,
     Installation,
     Mission,
@@ -65,12 +58,19 @@ from boresight.simulator.records import (
     TrueStrip,
     Truth,
 )
+from boresight.simulator.motion import (
+    TrueAttitude,
+    flown_orbit,
+    reported_orbit,
+    scan_attitude,
+    true_attitude,
+)
 from boresight.simulator.relief import Affine, relief_grid
+from boresight.simulator.rendered_stars import StarField, with_invented_stars
 from boresight.simulator.scan import Scene, needed_sample_step, panels, panels_near, scan
 from boresight.simulator.scenario import Scenario
 from boresight.simulator.sky import hot_pixels
 from boresight.simulator.sky_scan import SkyScene, hot_columns, sky_around, sky_strip
-from boresight.simulator.star_images import StarField, with_invented_stars
 
 __all__ = ["simulate"]
 

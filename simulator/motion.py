@@ -20,7 +20,7 @@ from boresight.geometry.earth_rotation import EarthRotation
 from boresight.geometry.orbit import Orbit, orbital_frame
 from boresight.geometry.record import array, record, scalar
 from boresight.geometry.spherical import unit_vectors
-from boresight.simulator.records import OrbitReport
+from boresight.simulator.mission_records import OrbitReport
 from boresight.simulator.scenario import AttitudeSettings, ErrorSettings, OrbitSettings, SkyScan
 
 __all__ = [

@@ -27,11 +27,11 @@ from boresight.geometry.starlight import (
     apparent_star_directions,
     apparent_star_directions_each,
 )
+from boresight.simulator.mission_records import TrueStar
 from boresight.simulator.motion import ScanAttitude
-from boresight.simulator.records import TrueStar
+from boresight.simulator.rendered_stars import joined_stars
 from boresight.simulator.scan import digitised_strip, panels, panels_near
 from boresight.simulator.scenario import GroundSettings, SkyStripSettings
-from boresight.simulator.star_images import joined_stars
 
 __all__ = ["SkyScene", "hot_columns", "sky_around", "sky_strip"]
 

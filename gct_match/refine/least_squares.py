@@ -25,8 +25,8 @@ from boresight.gct_match.imaging.spectra import filtered
 from boresight.gct_match.imaging.views import View
 from boresight.gct_match.records import Image
 from boresight.gct_match.refine.approach import approach, robust_weights
-from boresight.gct_match.refine.blocks import Blocks, blocks_of
 from boresight.gct_match.refine.radiometry import TERMS, TONES, fill_columns
+from boresight.gct_match.refine.template_blocks import Blocks, blocks_of
 from boresight.gct_match.refine.weighting import weighting
 from boresight.geometry.record import Bools, Floats, array, record, scalar
 

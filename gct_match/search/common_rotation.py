@@ -26,7 +26,7 @@ from boresight.gct_match.search.edge_search import (
     search_picture,
     search_template,
 )
-from boresight.gct_match.search.plan import Box, SearchPlan, Window, extents
+from boresight.gct_match.search.search_plan import Box, SearchPlan, Window, extents
 from boresight.gct_match.search.vote import Candidates, Vote, log_chance_of_ranks, vote
 from boresight.gct_match.settings import MatchSettings
 from boresight.geometry.each import Each

@@ -20,7 +20,7 @@ from boresight.pipeline.files.remote_camera import remote_camera_table
 from boresight.pipeline.files.star_side import star_camera_table
 from boresight.pipeline.files.text_tables import write_csv, write_toml
 from boresight.pipeline.files.whole_file import is_vacant
-from boresight.simulator.records import ChipImage, Mission, OrbitReport, Strip, TerrainReport, Truth
+from boresight.simulator.mission_records import ChipImage, Mission, OrbitReport, Strip, TerrainReport, Truth
 from boresight.simulator.scenario import scenario_to_dict
 
 __all__ = ["images_in", "write_dump"]

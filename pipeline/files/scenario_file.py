@@ -18,7 +18,7 @@ from boresight.pipeline.files.image_files import read_grid
 from boresight.pipeline.files.text_files import toml_tables
 from boresight.simulator.ground import GroundImage
 from boresight.simulator.mission import simulate
-from boresight.simulator.records import Mission
+from boresight.simulator.mission_records import Mission
 from boresight.simulator.scenario import (
     Scenario,
     ScenarioError,

@@ -13,7 +13,7 @@ import jinja2
 from jinja2.bccache import Bucket
 
 from boresight.pipeline.files.whole_file import write_whole
-from boresight.pipeline.work.index_cache import cache_folder
+from boresight.pipeline.run.index_cache import cache_folder
 
 __all__ = ["CompiledTemplates"]
 

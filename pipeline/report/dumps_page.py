@@ -16,7 +16,7 @@ from boresight.pipeline.report.first_screen import required, sigma_on_ground
 from boresight.pipeline.report.observations import data_uri
 from boresight.pipeline.report.page import template
 from boresight.pipeline.report.saved import Number, number_from
-from boresight.pipeline.report.verdict import verdict_view
+from boresight.pipeline.report.verdict_section import verdict_view
 from boresight.pipeline.results.folder import dumps_in
 from boresight.pipeline.results.requirement import saved_requirement
 

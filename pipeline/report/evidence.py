@@ -50,12 +50,13 @@ from boresight.pipeline.files.whole_file import write_whole
 from boresight.pipeline.report.findings import findings
 from boresight.pipeline.report.ground_accuracy import accuracy_by_strip, predicted_accuracy
 from boresight.pipeline.report.ground_map import USED, ground_table, scene_json, scene_pictures, scenes_of
-from boresight.pipeline.report.overview import Overview
 from boresight.pipeline.report.star_preview import StarPreview, star_preview
+from boresight.pipeline.report.strip_overview import Overview
 from boresight.pipeline.report.unmatched import unmatched_pictures
 from boresight.pipeline.results.angles import StripMotion, cross_angles
 from boresight.pipeline.results.writing import write_json
-from boresight.pipeline.settings import Settings
+from boresight.pipeline.run.executor import Executor, InOrder
+from boresight.pipeline.run.settings import Settings
 from boresight.pipeline.stages.calibrate import Calibration
 from boresight.pipeline.stages.exposure import exposure_image
 from boresight.pipeline.stages.forecast import improvements
@@ -63,7 +64,6 @@ from boresight.pipeline.stages.head_records import attitude_signal
 from boresight.pipeline.stages.match_pictures import MatchPictures
 from boresight.pipeline.stages.sky_strip import as_matched
 from boresight.pipeline.stages.star_pictures import star_pictures
-from boresight.pipeline.work.executor import Executor, InOrder
 
 __all__ = ["write_evidence"]
 

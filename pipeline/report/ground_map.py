@@ -30,10 +30,10 @@ from boresight.pipeline.errors import Omission, RawDataError
 from boresight.pipeline.files.dump import Dump, TargetHeights, surface_of
 from boresight.pipeline.files.star_side import SolvedAttitudes
 from boresight.pipeline.files.table_files import arrow_rows
-from boresight.pipeline.report.overview import Overview, OverviewTask, overview
+from boresight.pipeline.report.strip_overview import Overview, OverviewTask, overview
+from boresight.pipeline.run.executor import Executor
 from boresight.pipeline.stages.calibrate import Calibration
 from boresight.pipeline.stages.strip import MatchedTargets, StripTask, pushbroom_of
-from boresight.pipeline.work.executor import Executor
 
 __all__ = [
     "STATES",

@@ -35,9 +35,9 @@ from boresight.pipeline.report.star_image import star_detection, star_picture
 from boresight.pipeline.report.star_preview import STATES
 from boresight.pipeline.report.strip_stars import StripStarRow, strip_star_rows
 from boresight.pipeline.report.strips_on_sky import strips_on_sky
-from boresight.pipeline.report.verdict import verdict_view
+from boresight.pipeline.report.verdict_section import verdict_view
 from boresight.pipeline.results.folder import INTERIOR, VALIDATION
-from boresight.pipeline.work.executor import Executor, InOrder
+from boresight.pipeline.run.executor import Executor, InOrder
 
 __all__ = ["report_html", "template", "write_report"]
 

@@ -24,7 +24,7 @@ from pathlib import Path
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.text_files import read_json
 from boresight.pipeline.files.whole_file import remove_abandoned
-from boresight.pipeline.work.unit_store import UnitStore
+from boresight.pipeline.run.unit_store import UnitStore
 
 __all__ = ["DUMPS", "INTERIOR", "VALIDATION", "begin_result", "dumps_in", "results_in", "store_of"]
 

@@ -27,8 +27,8 @@ from boresight.pipeline.files.object_store import dump_folder, is_address
 from boresight.pipeline.files.text_files import read_json, read_toml
 from boresight.pipeline.files.whole_file import write_text
 from boresight.pipeline.results.folder import dumps_in
-from boresight.pipeline.settings import Settings
-from boresight.pipeline.work.digests import digest
+from boresight.pipeline.run.digests import digest
+from boresight.pipeline.run.settings import Settings
 
 __all__ = ["Origin", "check_dump_of", "claimed", "dump_folder_of", "dump_identity", "origin_of"]
 

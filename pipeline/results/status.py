@@ -17,11 +17,11 @@ from boresight.pipeline.results.folder import dumps_in
 from boresight.pipeline.results.ownership import dump_folder_of
 from boresight.pipeline.results.reading import read_findings
 from boresight.pipeline.results.summary import finding_lines, omission_lines
-from boresight.pipeline.settings import Settings
+from boresight.pipeline.run.settings import Settings
+from boresight.pipeline.run.unit_store import read_meta, read_unit
 from boresight.pipeline.stages.exposure import star_tasks
 from boresight.pipeline.stages.matchings import is_settled
 from boresight.pipeline.stages.strip import MatchedTargets, covers
-from boresight.pipeline.work.unit_store import read_meta, read_unit
 from boresight.star_id.strip_stars.find import StripStars
 
 __all__ = ["RunStatus", "StageStatus", "kept_units", "run_status", "status_lines"]

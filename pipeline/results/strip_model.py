@@ -23,7 +23,7 @@ from boresight.pipeline.files.table_files import fixed, list_values, read_parque
 from boresight.pipeline.files.text_files import read_json, read_toml
 from boresight.pipeline.results.ownership import check_dump_of
 from boresight.pipeline.results.reading import SavedResult, read_for_dump
-from boresight.pipeline.settings import RunSettings, effects_of, filled
+from boresight.pipeline.run.settings import RunSettings, effects_of, filled
 
 __all__ = [
     "Calibrated",

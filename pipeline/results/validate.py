@@ -22,7 +22,7 @@ from boresight.pipeline.files.dump import Dump, Strip, surface_of
 from boresight.pipeline.files.text_files import read_table, read_toml
 from boresight.pipeline.results.reading import SavedResult
 from boresight.pipeline.results.strip_model import exposures_around, pushbroom_with, run_settings_of
-from boresight.pipeline.settings import effects_of
+from boresight.pipeline.run.settings import effects_of
 
 __all__ = ["CheckPoints", "Validation", "true_installation", "validate"]
 

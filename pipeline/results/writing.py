@@ -30,12 +30,12 @@ from boresight.pipeline.files.table_files import arrow_array, arrow_rows, fixed_
 from boresight.pipeline.files.text_files import json_text
 from boresight.pipeline.files.whole_file import remove_abandoned, write_text, write_whole
 from boresight.pipeline.results.folder import DUMPS
-from boresight.pipeline.settings import Settings
+from boresight.pipeline.run.digests import digest
+from boresight.pipeline.run.settings import Settings
 from boresight.pipeline.stages.calibrate import Calibration
 from boresight.pipeline.stages.joint import JointCalibration
 from boresight.pipeline.stages.sky_strip import SkyTask
 from boresight.pipeline.stages.strip import MatchedTargets, StripTask
-from boresight.pipeline.work.digests import digest
 
 __all__ = [
     "verdict_json",

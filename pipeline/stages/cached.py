@@ -19,10 +19,10 @@ from boresight.geometry.record import record, scalar
 from boresight.pipeline.errors import Cause, Omission
 from boresight.pipeline.files.content import Identity, read_ahead, remember_digest, with_identity
 from boresight.pipeline.files.record_tables import record_from_table, table_from_record
+from boresight.pipeline.run.digests import digest, files_in, program
+from boresight.pipeline.run.executor import Executor, InOrder
+from boresight.pipeline.run.unit_store import UnitStore, read_meta
 from boresight.pipeline.stages.unit_log import log_unit
-from boresight.pipeline.work.digests import digest, files_in, program
-from boresight.pipeline.work.executor import Executor, InOrder
-from boresight.pipeline.work.unit_store import UnitStore, read_meta
 
 __all__ = ["Progress", "StageRunner", "Task", "Unit"]
 

@@ -28,7 +28,9 @@ from boresight.geometry.sightings import ExposureAttitudes, StarSightings, Strip
 from boresight.pipeline.errors import Cause, DataNotSufficientError, Omission
 from boresight.pipeline.files.dump import Dump, surface_of
 from boresight.pipeline.files.ground_points import NO_POINTS
-from boresight.pipeline.settings import Settings, calibration_settings, effects_of
+from boresight.pipeline.run.executor import Executor, InOrder
+from boresight.pipeline.run.settings import Settings, calibration_settings, effects_of
+from boresight.pipeline.run.unit_store import UnitStore
 from boresight.pipeline.stages.cached import Progress, StageRunner
 from boresight.pipeline.stages.coverage import attitudes_in_s, carriers, stated_mountings
 from boresight.pipeline.stages.head import HeadSightings, sight_head
@@ -52,8 +54,6 @@ from boresight.pipeline.stages.strip import (
     targets_near,
 )
 from boresight.pipeline.stages.strip_sightings import strip_sightings
-from boresight.pipeline.work.executor import Executor, InOrder
-from boresight.pipeline.work.unit_store import UnitStore
 
 __all__ = ["Calibration", "calibrate_dump", "rejections_of", "strips_to_match", "strips_with_stars"]
 

@@ -23,7 +23,7 @@ from boresight.pipeline.errors import Cause, Omission, RawDataError
 from boresight.pipeline.files.dump import Dump
 from boresight.pipeline.files.star_images import read_exposure
 from boresight.pipeline.files.star_side import Exposure, StarCentroids, StarImages
-from boresight.pipeline.work.index_cache import cached_index
+from boresight.pipeline.run.index_cache import cached_index
 from boresight.star_id.catalogue import hipparcos_stars
 from boresight.star_id.centroids import Centroids
 from boresight.star_id.identification.identify import NotIdentified

@@ -23,7 +23,7 @@ from boresight.geometry.sightings import (
 from boresight.pipeline.errors import Cause, Omission
 from boresight.pipeline.files.dump import Dump
 from boresight.pipeline.files.star_side import Head, SolvedAttitudes, StarCentroids
-from boresight.pipeline.settings import Settings
+from boresight.pipeline.run.settings import Settings
 from boresight.pipeline.stages.cached import StageRunner
 from boresight.pipeline.stages.exposure import (
     centroid_tasks,

@@ -30,7 +30,7 @@ from boresight.pipeline.files.dump import Dump, open_dump
 from boresight.pipeline.files.dump_schema import DumpFile
 from boresight.pipeline.files.star_side import SolvedAttitudes
 from boresight.pipeline.files.text_files import read_toml
-from boresight.pipeline.settings import Settings, calibration_settings
+from boresight.pipeline.run.settings import Settings, calibration_settings
 from boresight.pipeline.stages.calibrate import Calibration, rejections_of
 
 __all__ = ["JointCalibration", "NamedDump", "calibrate_jointly", "dump_names", "open_dumps"]

@@ -13,7 +13,7 @@ from boresight.geometry.record import Floats
 from boresight.pipeline.errors import Cause, Omission
 from boresight.pipeline.files.dump import Dump
 from boresight.pipeline.files.star_side import StarCentroids
-from boresight.pipeline.settings import Settings
+from boresight.pipeline.run.settings import Settings
 from boresight.pipeline.stages.exposure import is_mirrored, star_tasks
 from boresight.pipeline.stages.head import HeadSightings
 from boresight.pipeline.stages.strip import MatchedTargets, StripTask, footprint_e, pushbroom_of

@@ -15,7 +15,7 @@ from boresight.geometry.sightings import StripSightings
 from boresight.pipeline.errors import Omission
 from boresight.pipeline.files.dump import Dump
 from boresight.pipeline.files.star_tables import survey_of
-from boresight.pipeline.settings import Settings
+from boresight.pipeline.run.settings import Settings
 from boresight.pipeline.stages.cached import StageRunner
 from boresight.pipeline.stages.coverage import (
     attitudes_in_s,

@@ -34,14 +34,14 @@ from boresight.pipeline.files.dump import Strip
 from boresight.pipeline.stages.match_pictures import NO_PICTURES
 from boresight.pipeline.stages.strip import MatchedTargets
 from boresight.star_id.strip_stars.find import StripMotion, StripStars, find_strip_stars
-from boresight.star_id.strip_stars.identify import (
+from boresight.star_id.strip_stars.settings import StripStarSettings
+from boresight.star_id.strip_stars.strip_names import (
     Directions,
     NoRotation,
     StripField,
     name_stars,
     vote,
 )
-from boresight.star_id.strip_stars.settings import StripStarSettings
 
 __all__ = [
     "NamedStars",

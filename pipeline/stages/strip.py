@@ -33,8 +33,8 @@ from boresight.pipeline.errors import Omission, RawDataError
 from boresight.pipeline.files.dump import ChipFile, Dump, Strip, TargetHeights, TerrainFiles, surface_of
 from boresight.pipeline.files.ground_points import NO_POINTS, StripPoints
 from boresight.pipeline.files.image_files import read_grid
+from boresight.pipeline.run.executor import Executor, InOrder
 from boresight.pipeline.stages.match_pictures import NO_PICTURES, MatchPictures, match_pictures
-from boresight.pipeline.work.executor import Executor, InOrder
 
 __all__ = [
     "MatchedTargets",

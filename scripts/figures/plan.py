@@ -6,8 +6,8 @@ import re
 import tempfile
 from pathlib import Path
 
-from boresight.pipeline.experiments.plots import plot_forecast
-from boresight.pipeline.stages.plan import Plan, forecast_plan, read_plan
+from boresight.features.paper.plots import plot_forecast
+from boresight.features.planning.campaign_plan import Plan, forecast_plan, read_plan
 
 DOCS = Path(__file__).parents[2] / "docs"
 

@@ -18,11 +18,11 @@ sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
 from real_sentinel2 import BULLETIN, DATA, grid_of, looks
 
 from boresight.calib.refining import fit_correction
+from boresight.features.operators.sentinel2_grid import operator_orbit
+from boresight.features.operators.sentinel2_product import AttitudeRecord, Sentinel2, read_sentinel2
 from boresight.geometry.attitude import AttitudeTrack
 from boresight.geometry.constants import ARCSEC
 from boresight.pipeline.files.dump import read_earth_orientation
-from boresight.pipeline.files.sentinel2 import AttitudeRecord, Sentinel2, read_sentinel2
-from boresight.pipeline.results.sentinel2_places import operator_orbit
 
 REAL = DATA / "sentinel2"
 RANGE_M = 786e3  # distance to the ground below

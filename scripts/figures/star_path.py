@@ -12,7 +12,7 @@ from matplotlib.patches import Ellipse
 from scipy.ndimage import gaussian_filter
 from style import Ink, draw
 
-from boresight.pipeline.stages.identify import sky_index
+from boresight.features.sky_images.identify_images import sky_index
 from boresight.star_id.field import FieldSolution, solve_field
 from boresight.star_id.settings import StarSettings
 

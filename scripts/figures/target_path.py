@@ -13,11 +13,11 @@ from style import Ink, draw
 
 from boresight.gct_match.records import TargetMatch
 from boresight.pipeline.files.dump import open_dump
-from boresight.pipeline.settings import Settings
+from boresight.pipeline.run.executor import InOrder
+from boresight.pipeline.run.settings import Settings
+from boresight.pipeline.run.unit_store import UnitStore
 from boresight.pipeline.stages.calibrate import strips_to_match
 from boresight.pipeline.stages.strip import StripTask, strip_matches
-from boresight.pipeline.work.executor import InOrder
-from boresight.pipeline.work.unit_store import UnitStore
 
 FIXTURE = Path(__file__).parents[2] / "fixtures" / "mini"
 ERROR_SCALE = 1000.0

@@ -19,7 +19,7 @@ from scipy.special import lambertw
 from boresight.geometry.record import Bools, Floats, Ints, array, record, scalar
 from boresight.geometry.strip_image import StripImage
 from boresight.star_id.finding.windows import StarWindows
-from boresight.star_id.strip_stars.blocks import Columns, candidates, columns_of
+from boresight.star_id.strip_stars.column_blocks import Columns, candidates, columns_of
 from boresight.star_id.strip_stars.fit import TraceFits, fit_traces, gain_of, width_of
 from boresight.star_id.strip_stars.settings import StripStarSettings
 from boresight.star_id.strip_stars.trace import Motion, trace_images, trace_radius

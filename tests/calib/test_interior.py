@@ -9,7 +9,7 @@ import pytest
 from four_ccds import four_ccds
 from scipy.spatial.transform import Rotation
 
-from boresight.calib.interior.estimate import InteriorEstimate, calibrate_interior, map_difference_px
+from boresight.calib.interior.interior_estimate import InteriorEstimate, calibrate_interior, map_difference_px
 from boresight.calib.interior.parameters import STAGGER, InteriorModel, InteriorPriors
 from boresight.calib.settings import CalibrationSettings
 from boresight.geometry.constants import ARCSEC

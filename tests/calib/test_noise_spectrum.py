@@ -12,7 +12,7 @@ from scipy.stats import chi2
 from boresight.calib.alignment import HeadTrack, align_heads, carried_to, common_instants
 from boresight.calib.noise_spectrum import Signal, allan_deviation, difference_signal, fit_noise, pieces_of
 from boresight.geometry.attitude_noise import AttitudeNoise
-from boresight.simulator.heads import correlated_noise
+from boresight.simulator.head_attitudes import correlated_noise
 
 ARCSEC = np.pi / 648_000.0
 STEP, ROWS = 0.1, 930  # the record of Sentinel-2A's trackers

@@ -71,7 +71,7 @@ def test_links_of_readme_and_pages_lead_to_files():
 
 
 def test_all_formats_of_the_program_are_described():
-    from boresight.pipeline.exports.export import FORMATS
+    from boresight.features.exports.formats import FORMATS
 
     text = (ROOT / "docs" / "exports.md").read_text()
     assert all(f"`{name}`" in text for name in FORMATS)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from boresight.gct_match.refine.blocks import Blocks, blocks_of
+from boresight.gct_match.refine.template_blocks import Blocks, blocks_of
 
 SIDE = 128
 MIDDLE = np.array([63.5, 63.5])

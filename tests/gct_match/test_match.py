@@ -19,7 +19,7 @@ from boresight.gct_match.predict.template import predict_template
 from boresight.gct_match.predict.trajectories import displacements
 from boresight.gct_match.records import Chip, Reason, StripMatches, Target
 from boresight.gct_match.search.coarse import read_coarse
-from boresight.gct_match.search.plan import SearchPlan, extents, plan_search
+from boresight.gct_match.search.search_plan import SearchPlan, extents, plan_search
 from boresight.gct_match.settings import MatchSettings
 from boresight.geometry.installation import deviation_from_theta, theta_between
 from boresight.geometry.virtual_ccd import VirtualStrip

@@ -12,7 +12,7 @@ from boresight.geometry.installation import theta_between
 from boresight.geometry.orbit import Orbit
 from boresight.geometry.terrain import TerrainGrid
 from boresight.simulator.mission import simulate
-from boresight.simulator.records import Mission
+from boresight.simulator.mission_records import Mission
 from boresight.simulator.scenario import scenario_from_dict
 
 

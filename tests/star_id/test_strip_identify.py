@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from boresight.star_id.strip_stars.identify import (
+from boresight.star_id.strip_stars.strip_names import (
     Directions,
     NoRotation,
     StripField,

@@ -28,6 +28,13 @@ from handmade_sentinel2 import DATASTRIP, SPAMOD, VIEDIR, write_sentinel2
 from scipy.spatial.transform import Rotation
 
 from boresight.calib.information import InformationPairs
+from boresight.features.geolocate.positions import read_pixels
+from boresight.features.operators.point_import import PointErrors, read_measured_points
+from boresight.features.operators.sentinel2_product import read_sentinel2
+from boresight.features.planning.campaign_plan import forecast_plan, read_plan
+from boresight.features.sky_images.centroid_report import _read_truth
+from boresight.features.sky_images.frame_facts import observers_of
+from boresight.features.sky_images.whereabouts import Whereabouts
 from boresight.geometry.earth_orientation import bundled_earth_orientation
 from boresight.geometry.epoch import Epoch
 from boresight.geometry.groundlight import LightEffects
@@ -35,27 +42,20 @@ from boresight.geometry.sightings import StarSightings
 from boresight.pipeline.errors import DataNotSufficientError, RawDataError
 from boresight.pipeline.files.attitude_files import read_attitudes
 from boresight.pipeline.files.centroid_files import read_centroids
-from boresight.pipeline.files.dimap import read_dimap
+from boresight.pipeline.files.dimap_metadata import read_dimap
 from boresight.pipeline.files.dump import ChipFile, TerrainFiles, _read_terrain, _Reading, open_dump
 from boresight.pipeline.files.ground_points import read_points
 from boresight.pipeline.files.image_files import StripFiles, check_strip_file
 from boresight.pipeline.files.orbit_file import read_oem
 from boresight.pipeline.files.record_tables import record_from_table, table_from_record
 from boresight.pipeline.files.scenario_file import named_scenario
-from boresight.pipeline.files.sentinel2 import read_sentinel2
-from boresight.pipeline.files.sky_images import observers_of
 from boresight.pipeline.files.star_images import read_exposure, read_star_image
 from boresight.pipeline.files.table_files import fixed_list
-from boresight.pipeline.files.whereabouts import Whereabouts
-from boresight.pipeline.imports.points import PointErrors, read_measured_points
-from boresight.pipeline.report.centroid_report import _read_truth
-from boresight.pipeline.results.geolocate import read_pixels
 from boresight.pipeline.results.reading import read_pairs, read_result
 from boresight.pipeline.results.status import run_status, status_lines
-from boresight.pipeline.settings import read_settings
-from boresight.pipeline.stages.plan import forecast_plan, read_plan
+from boresight.pipeline.run.settings import read_settings
+from boresight.pipeline.run.unit_store import UnitStore, read_meta
 from boresight.pipeline.stages.strip import MatchedTargets, read_chip
-from boresight.pipeline.work.unit_store import UnitStore, read_meta
 from boresight.simulator.scenario import ScenarioError
 
 __all__ = ["DOCUMENTED", "READERS", "Reader", "mutated", "write_sound_files"]

@@ -19,7 +19,7 @@ from rasterio.transform import Affine
 from typer.testing import CliRunner
 
 from boresight.pipeline.cli import app
-from boresight.pipeline.commands.messages import say, tell
+from boresight.pipeline.console.messages import say, tell
 from boresight.pipeline.errors import DataNotSufficientError, RawDataError
 from boresight.pipeline.files.dump import open_dump
 from boresight.pipeline.files.text_files import read_text

@@ -22,7 +22,7 @@ from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.table_files import read_parquet
 from boresight.pipeline.files.whole_file import write_whole
 from boresight.pipeline.results.status import run_status, status_lines
-from boresight.pipeline.work.unit_store import UnitStore
+from boresight.pipeline.run.unit_store import UnitStore
 
 # One process after another goes on with a run; each kills itself a little later than the one before, at a
 # moment after a file was written under its temporary name, after it was flushed, or after it got its own.
@@ -35,8 +35,8 @@ from boresight.pipeline.stages.calibrate import calibrate_dump
 from boresight.pipeline.files.dump import open_dump
 from boresight.pipeline.results.folder import begin_result, store_of
 from boresight.pipeline.results.writing import write_result
-from boresight.pipeline.settings import Settings
-from boresight.pipeline.work.executor import InOrder
+from boresight.pipeline.run.settings import Settings
+from boresight.pipeline.run.executor import InOrder
 
 dump, result = open_dump(Path(sys.argv[1])), Path(sys.argv[2])
 
@@ -78,7 +78,7 @@ KILLED_AT = """
 import os, signal, sys
 from pathlib import Path
 import pyarrow as pa
-from boresight.pipeline.work.unit_store import UnitStore
+from boresight.pipeline.run.unit_store import UnitStore
 
 def die(*arguments, **named):
     os.kill(os.getpid(), signal.SIGKILL)

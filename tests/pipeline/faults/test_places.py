@@ -10,6 +10,7 @@ import pytest
 import rasterio
 import rasterio.warp
 
+from boresight.features.geolocate.positions import Pixels, geolocate
 from boresight.geometry.constants import WGS84
 from boresight.geometry.geodesy import ecef_from_geodetic, geodetic_from_ecef
 from boresight.geometry.groundlight import LightEffects
@@ -18,13 +19,12 @@ from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.dump import Dump, TerrainFiles, open_dump, surface_of
 from boresight.pipeline.files.dump_writer import write_dump
 from boresight.pipeline.files.scenario_file import fly, named_scenario
-from boresight.pipeline.results.geolocate import Pixels, geolocate
 from boresight.pipeline.results.reading import SavedResult
 from boresight.pipeline.results.strip_model import Calibrated, StripModel
-from boresight.pipeline.settings import Settings
+from boresight.pipeline.run.settings import Settings
 from boresight.pipeline.stages.strip import StripTask, pushbroom_of, strip_matches, targets_near
 from boresight.simulator import mission as rendering
-from boresight.simulator.records import Mission
+from boresight.simulator.mission_records import Mission
 
 SMALL = [
     *("strips.count=1", "strips.lines=600", "line_camera.ccds=1", "line_camera.rotation_urad=[12.0]"),

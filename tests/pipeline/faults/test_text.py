@@ -10,15 +10,15 @@ from pathlib import Path
 
 import pytest
 
+from boresight.features.planning.campaign_plan import read_plan
+from boresight.features.sky_images.centroid_report import _read_truth
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files import text_files
 from boresight.pipeline.files.dump import open_dump
 from boresight.pipeline.files.orbit_file import read_oem
 from boresight.pipeline.files.scenario_file import named_scenario
 from boresight.pipeline.files.text_files import read_json, read_text, toml_tables
-from boresight.pipeline.report.centroid_report import _read_truth
-from boresight.pipeline.settings import read_settings
-from boresight.pipeline.stages.plan import read_plan
+from boresight.pipeline.run.settings import read_settings
 from boresight.simulator.scenario import ScenarioError
 
 ROOT = Path(__file__).parents[3]

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from boresight.features.exports.ccsds_aem import AemHeader, attitude_message
 from boresight.geometry.epoch import Epoch
 from boresight.pipeline.errors import RawDataError
-from boresight.pipeline.exports.ccsds_aem import AemHeader, attitude_message
 from boresight.pipeline.files.attitude_files import AttitudeRows, read_attitudes
 
 EPOCH = Epoch.from_utc("2024-11-20T03:40:00")

@@ -14,7 +14,7 @@ from boresight.geometry.geodesy import ecef_from_geodetic
 from boresight.geometry.groundlight import LightEffects
 from boresight.geometry.terrain import ConstantHeight
 from boresight.pipeline.errors import RawDataError
-from boresight.pipeline.files.dimap import read_dimap
+from boresight.pipeline.files.dimap_metadata import read_dimap
 
 REAL = Path(__file__).parents[3] / ".." / "shared" / "data" / "pleiades"
 DIMAP = REAL / "PHRDIMAP_P1BP--2018122638935449CP.XML"

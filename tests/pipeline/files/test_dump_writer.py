@@ -13,7 +13,7 @@ from boresight.pipeline.files.dump import Dump, open_dump
 from boresight.pipeline.files.dump_writer import write_dump
 from boresight.pipeline.files.scenario_file import fly, named_scenario
 from boresight.pipeline.files.star_images import read_exposure
-from boresight.simulator.records import Mission
+from boresight.simulator.mission_records import Mission
 
 SMALL = (
     "strips.count=1",

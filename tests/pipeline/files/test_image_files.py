@@ -17,12 +17,12 @@ from hypothesis import HealthCheck, given, seed, settings
 from hypothesis import strategies as st
 from PIL import Image
 
+from boresight.features.sky_images.image_time import time_of_image
 from boresight.geometry.geoid import egm96
 from boresight.geometry.terrain import TerrainGrid
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files import image_files
 from boresight.pipeline.files.image_files import read_grid
-from boresight.pipeline.files.image_time import time_of_image
 from boresight.pipeline.files.star_images import read_exposure, read_star_image
 
 WIDTH, HEIGHT = 48, 40

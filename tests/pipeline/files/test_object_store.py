@@ -25,7 +25,7 @@ from boresight.pipeline.files.image_files import StripFiles
 from boresight.pipeline.files.object_store import dump_folder, gdal_name
 from boresight.pipeline.files.text_files import path_inside
 from boresight.pipeline.results.ownership import claimed
-from boresight.pipeline.settings import Settings
+from boresight.pipeline.run.settings import Settings
 
 
 @pytest.fixture(scope="module")

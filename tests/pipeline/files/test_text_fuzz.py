@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.dump import open_dump
 from boresight.pipeline.files.text_files import path_inside
-from boresight.pipeline.settings import read_settings
+from boresight.pipeline.run.settings import read_settings
 
 FILES = (
     "dump.toml",

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from boresight.pipeline.report.page import report_html
 from boresight.pipeline.report.saved import read_saved
-from boresight.pipeline.work.processes import Processes
+from boresight.pipeline.run.processes import Processes
 
 
 def test_a_report_is_the_same_whoever_draws_its_figures(finished: tuple[Path, Path]) -> None:

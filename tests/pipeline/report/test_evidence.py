@@ -18,13 +18,13 @@ from boresight.calib.settings import CalibrationSettings
 from boresight.geometry.sightings import StarSightings, isotropic_covariance
 from boresight.pipeline.files.dump import open_dump
 from boresight.pipeline.report.evidence import write_evidence
-from boresight.pipeline.report.overview import overview, overview_tasks
 from boresight.pipeline.report.star_preview import star_preview
+from boresight.pipeline.report.strip_overview import overview, overview_tasks
 from boresight.pipeline.results.angles import StripMotion, cross_angles
 from boresight.pipeline.results.folder import store_of
-from boresight.pipeline.settings import Settings
+from boresight.pipeline.run.executor import InOrder
+from boresight.pipeline.run.settings import Settings
 from boresight.pipeline.stages.calibrate import calibrate_dump
-from boresight.pipeline.work.executor import InOrder
 from boresight.simulator.campaign import CameraPair, StripPlan, draw_strips, installation_by_tilt
 from boresight.star_id.settings import StarSettings
 

@@ -11,7 +11,7 @@ from pytest import approx
 
 from boresight.gct_match.settings import MatchSettings
 from boresight.pipeline.files.image_files import StripFiles
-from boresight.pipeline.report.overview import BAND_LINES, OverviewTask, overview
+from boresight.pipeline.report.strip_overview import BAND_LINES, OverviewTask, overview
 
 
 @pytest.mark.parametrize(

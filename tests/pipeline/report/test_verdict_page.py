@@ -11,7 +11,7 @@ from boresight.pipeline.report import figures
 from boresight.pipeline.report.drawing import Drawing
 from boresight.pipeline.report.page import report_html
 from boresight.pipeline.report.saved import read_saved
-from boresight.pipeline.report.verdict import verdict_view
+from boresight.pipeline.report.verdict_section import verdict_view
 
 
 @pytest.fixture(autouse=True)

@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 from boresight.pipeline.cli import app, main
 from boresight.pipeline.errors import DataNotSufficientError, RawDataError
 from boresight.pipeline.results.ownership import LOCK, MARKER, claimed, dump_identity
-from boresight.pipeline.settings import RunSettings, Settings
+from boresight.pipeline.run.settings import RunSettings, Settings
 
 runner = CliRunner()
 
@@ -128,7 +128,7 @@ def test_finished_run_asked_again_says_so_at_once_and_changes_nothing(
 ) -> None:
     dump, out = mine
     before = contents(out)
-    calibrating = "boresight.pipeline.commands.calibrate.calibrate_dump"
+    calibrating = "boresight.pipeline.calibration_run.calibrate_dump"
     monkeypatch.setattr(calibrating, None)
     status, said = told(monkeypatch, capsys, "calibrate", str(dump), "--out", str(out))
     assert (status, contents(out) == before) == (0, True) and "nothing to do" in said
@@ -148,7 +148,7 @@ def test_second_run_in_one_folder_is_refused_with_the_owner(tmp_path: Path) -> N
     program = (
         "import sys; from pathlib import Path\n"
         "from boresight.pipeline.results.ownership import claimed\n"
-        "from boresight.pipeline.settings import Settings\n"
+        "from boresight.pipeline.run.settings import Settings\n"
         "with claimed(Path(sys.argv[1]), [Path(sys.argv[2])], Settings()):\n"
         "    print('owned', flush=True); sys.stdin.readline()\n"
     )

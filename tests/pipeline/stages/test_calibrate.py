@@ -26,9 +26,9 @@ from boresight.pipeline.results.folder import begin_result, store_of
 from boresight.pipeline.results.reading import read_result
 from boresight.pipeline.results.validate import validate
 from boresight.pipeline.results.writing import FIELDS, write_result
-from boresight.pipeline.settings import Settings
+from boresight.pipeline.run.executor import InOrder
+from boresight.pipeline.run.settings import Settings
 from boresight.pipeline.stages.calibrate import calibrate_dump
-from boresight.pipeline.work.executor import InOrder
 
 runner = CliRunner()
 

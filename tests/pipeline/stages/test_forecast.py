@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from boresight.calib.calibration import calibrate
+from boresight.features.paper.vectors import TABLE_1
 from boresight.geometry.constants import ARCSEC
-from boresight.pipeline.experiments.vectors import TABLE_1
 from boresight.pipeline.stages.forecast import forecast, settings_of_plan
 from boresight.simulator.campaign import CameraPair, StripPlan, draw_strips, installation_by_tilt
 

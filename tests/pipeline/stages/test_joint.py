@@ -30,10 +30,10 @@ from boresight.pipeline.files.dump import open_dump
 from boresight.pipeline.results.folder import store_of
 from boresight.pipeline.results.reading import read_result
 from boresight.pipeline.results.strip_model import open_calibrated, strip_model
-from boresight.pipeline.settings import Settings
+from boresight.pipeline.run.executor import InOrder
+from boresight.pipeline.run.settings import Settings
 from boresight.pipeline.stages.calibrate import calibrate_dump
 from boresight.pipeline.stages.joint import calibrate_jointly, dump_names, open_dumps
-from boresight.pipeline.work.executor import InOrder
 from boresight.simulator.campaign import CameraPair, StripPlan, draw_strips
 
 runner = CliRunner()

@@ -13,6 +13,9 @@ from handmade_sentinel2 import write_sentinel2
 from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
+from boresight.features.operators.imported_mission import ImportedMission, write_imported
+from boresight.features.operators.sentinel2_import import sentinel2_mission
+from boresight.features.operators.sentinel2_product import read_sentinel2
 from boresight.geometry.attitude import AttitudeTrack
 from boresight.geometry.constants import ARCSEC, WGS84
 from boresight.geometry.geodesy import geodetic_from_ecef
@@ -21,11 +24,8 @@ from boresight.geometry.terrain import ConstantHeight
 from boresight.pipeline.cli import app
 from boresight.pipeline.errors import DataNotSufficientError
 from boresight.pipeline.files.dump import Dump, open_dump
-from boresight.pipeline.files.sentinel2 import read_sentinel2
 from boresight.pipeline.files.star_side import SolvedAttitudes
 from boresight.pipeline.files.text_tables import write_toml
-from boresight.pipeline.imports.sentinel2 import sentinel2_mission
-from boresight.pipeline.imports.writing import ImportedMission, write_imported
 from boresight.pipeline.stages.calibrate import calibrate_dump
 
 HEADER = "id,strip,ccd,sample,line,sigma_sample_px,sigma_line_px,lat_deg,lon_deg,height_m,height_kind,"

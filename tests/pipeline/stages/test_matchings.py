@@ -13,13 +13,13 @@ from scipy.spatial.transform import Rotation
 
 from boresight.pipeline.errors import Omission
 from boresight.pipeline.files.dump import open_dump
-from boresight.pipeline.settings import RunSettings, Settings
+from boresight.pipeline.run.settings import RunSettings, Settings
+from boresight.pipeline.run.unit_store import UnitStore
 from boresight.pipeline.stages import calibrate
 from boresight.pipeline.stages.cached import StageRunner
 from boresight.pipeline.stages.calibrate import calibrate_dump, strips_to_match
 from boresight.pipeline.stages.matchings import is_settled, match_again, match_first, match_strips
 from boresight.pipeline.stages.strip import MatchedTargets, StripTask, match_targets
-from boresight.pipeline.work.unit_store import UnitStore
 
 
 @pytest.fixture(scope="module")

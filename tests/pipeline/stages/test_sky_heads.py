@@ -17,11 +17,11 @@ from boresight.pipeline.files.dump_writer import write_dump
 from boresight.pipeline.files.scenario_file import fly
 from boresight.pipeline.files.text_files import toml_tables
 from boresight.pipeline.files.text_tables import write_toml
-from boresight.pipeline.settings import Settings, calibration_settings
+from boresight.pipeline.run.settings import Settings, calibration_settings
 from boresight.pipeline.stages.cached import StageRunner
 from boresight.pipeline.stages.calibrate import Calibration, calibrate_dump
 from boresight.pipeline.stages.head import HeadSightings, sight_head
-from boresight.simulator.records import Mission
+from boresight.simulator.mission_records import Mission
 from boresight.simulator.scenario import SkyScan, builtin_scenario
 
 R_HS = Rotation.from_euler("zyx", [110.0, -35.0, 50.0], degrees=True)  # the second head on the first

@@ -18,9 +18,9 @@ from boresight.pipeline.cli import app
 from boresight.pipeline.errors import DataNotSufficientError, RawDataError
 from boresight.pipeline.files.dump import open_dump
 from boresight.pipeline.files.text_files import toml_tables
+from boresight.pipeline.run.unit_store import UnitStore
 from boresight.pipeline.stages.calibrate import calibrate_dump
 from boresight.pipeline.stages.star_pictures import star_pictures
-from boresight.pipeline.work.unit_store import UnitStore
 
 SKY = Path(__file__).parents[3] / "fixtures" / "sky"
 pytestmark = pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")

@@ -1,0 +1,1 @@
+"""Whether the mounting moved between several results."""

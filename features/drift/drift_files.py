@@ -1,0 +1,83 @@
+"""Files of a drift between results: the estimate, its table and its plot.
+
+drift.json   merged matrix with covariance, tests, step and its date, random walk, orbit term
+drift.csv    theta of each result and the smoothed drift, long form
+drift.png    both, against the date
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pandas as pd
+from matplotlib.dates import AutoDateLocator, ConciseDateFormatter
+from matplotlib.figure import Figure
+
+from boresight.features.drift.mounting_drift import (
+    DatedDrift,
+    drift_json,
+    drift_table,
+    drift_verdict,
+    step_dates,
+)
+from boresight.pipeline.files.whole_file import write_figure, write_whole
+from boresight.pipeline.results.writing import write_json
+
+__all__ = ["plot_drift", "write_drift"]
+
+LINE, BAND, STEP = "#1b6ca8", "#9cc3df", "#c8553d"
+
+
+def write_drift(dated: DatedDrift, out: Path) -> list[Path]:
+    """Paths of `drift.json`, `drift.csv` and `drift.png`, which are written into `out`."""
+    out.mkdir(parents=True, exist_ok=True)
+    table = drift_table(dated)
+    figure = plot_drift(table, step_dates(dated) if dated.drift.moved else None, drift_verdict(dated))
+    written = [out / f"drift.{ending}" for ending in ("json", "csv", "png")]
+    write_json(written[0], drift_json(dated))
+    write_whole(written[1], lambda path: table.to_csv(path, index=False, float_format="%.9g"))
+    write_figure(written[2], figure)
+    return written
+
+
+def plot_drift(table: pd.DataFrame, step: tuple[str, str, str] | None, title: str) -> Figure:
+    """`table` as in drift.csv; `step` its most likely date and the ends of its interval (UTC), or None."""
+    figure = Figure(figsize=(8.0, 7.2), layout="constrained")
+    axes = figure.subplots(3, 1, sharex=True)
+    for ax, (axis, part) in zip(axes, table.groupby("axis", sort=True)):
+        when = _naive(part["utc"])
+        smoothed, sigma = part["smoothed_arcsec"], part["smoothed_sigma_arcsec"]
+        ax.axhline(0.0, color="#888888", lw=0.8, label="merged matrix")
+        ax.fill_between(when, smoothed - sigma, smoothed + sigma, color=BAND, lw=0, alpha=0.6)
+        ax.plot(when, smoothed, color=LINE, lw=1.8, label="smoothed (random walk), 1σ")
+        ax.errorbar(
+            when,
+            part["theta_arcsec"],
+            yerr=part["sigma_arcsec"],
+            fmt="o",
+            ms=4,
+            color="#111111",
+            lw=1,
+            capsize=2,
+            label="each result, 1σ",
+        )
+        if step is not None:
+            date, low, high = _naive(pd.Series(list(step)))
+            ax.axvspan(low, high, facecolor="none", edgecolor=STEP, hatch="///", lw=0, alpha=0.5)
+            ax.axvline(date, color=STEP, ls="--", lw=1.2, label="best step, interval of its date")
+        ax.set_ylabel(f"θ {axis}, arcsec")
+        ax.grid(True, color="#dddddd", lw=0.6)
+        ax.spines[["top", "right"]].set_visible(False)
+    locator = AutoDateLocator()
+    axes[-1].xaxis.set_major_locator(locator)
+    axes[-1].xaxis.set_major_formatter(ConciseDateFormatter(locator))
+    axes[-1].set_xlabel("date, UTC")
+    figure.suptitle(title, fontsize=11)
+    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=4, fontsize=8)
+    return figure
+
+
+def _naive(utc: pd.Series) -> pd.Series:
+    """Dates without time zone for matplotlib; second 60 is drawn as second 59."""
+    text = utc.str.rstrip("Z").str.replace(":60", ":59")
+    return pd.to_datetime(text, format="%Y-%m-%dT%H:%M:%S")

@@ -1,0 +1,469 @@
+"""Export formats by name, and the files that each writes of a finished result."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from scipy.spatial.transform import Rotation
+
+from boresight.calib.refining import fit_correction
+from boresight.features.exports.ccsds_aem import AemHeader, attitude_message, comprehensive_message
+from boresight.features.exports.csm_isd import IsdNames, line_scanner_isds
+from boresight.features.exports.dimap_product import corrected_dimap
+from boresight.features.exports.exported_points import GroundPoints
+from boresight.features.exports.gcp_asp import points_asp
+from boresight.features.exports.gcp_envi import points_envi
+from boresight.features.exports.gcp_geojson import points_geojson
+from boresight.features.exports.gcp_qgis import points_qgis
+from boresight.features.exports.kml import kml_text
+from boresight.features.exports.matrix_csv import matrix_csv
+from boresight.features.exports.matrix_json import matrix_json
+from boresight.features.exports.notes import Notes, notes_of
+from boresight.features.exports.operator_parameters import operator_parameters
+from boresight.features.exports.rpc import fit_rpc, rpc_metadata, rpc_text
+from boresight.features.exports.spice_attitude import (
+    attitude_kernel,
+    clock_kernel,
+    instants_of_ticks,
+    instrument_kernel,
+)
+from boresight.features.exports.spice_frame import SpiceFrames, frame_kernel
+from boresight.features.exports.star_fits import centroids_fits
+from boresight.features.exports.vrt import vrt_with_gcps, vrt_with_rpc
+from boresight.features.operators.dimap_grid import operator_model
+from boresight.geometry.constants import WGS84
+from boresight.geometry.epoch import Epoch
+from boresight.geometry.footprint import outline_deg
+from boresight.geometry.geodesy import geodetic_from_ecef
+from boresight.geometry.geoid import egm96
+from boresight.geometry.orbit import Orbit
+from boresight.geometry.record import Floats, record, scalar
+from boresight.geometry.sightings import StarSightings
+from boresight.geometry.terrain import ConstantHeight
+from boresight.pipeline import __version__
+from boresight.pipeline.errors import DataNotSufficientError, RawDataError
+from boresight.pipeline.files.dump import Strip, surface_of
+from boresight.pipeline.files.table_files import column, fixed, list_values, read_parquet
+from boresight.pipeline.results.reading import read_for_dump, read_result
+from boresight.pipeline.results.strip_model import Calibrated, StripModel, open_calibrated, strip_model
+
+__all__ = ["FORMATS", "OF_STRIPS", "ExportRequest", "Remark", "export", "strips_left_out"]
+
+AEM_STEP_S = 0.05
+CK_TICKS = 32  # 1/32 s
+RPC_MARGIN_M = 100.0  # heights below and above the terrain for which an RPC is fitted
+
+
+@record
+class Remark:
+    """What a format does not write, and why."""
+
+    text: str = scalar("one sentence")
+
+
+Made = Iterator[tuple[str, str | bytes] | Remark]  # file name and content
+
+
+@record(kw_only=True)
+class ExportRequest:
+    """What to export."""
+
+    result: Path = scalar("folder that `calibrate` wrote")
+    dump: Path | None = scalar("its dump; None: where it was")
+    strips: tuple[str, ...] = scalar("ids of strips; empty: all that star exposures cover")
+    frames: SpiceFrames = scalar("names and ids for SPICE")
+    creation_utc: str = scalar("date written into the files, ISO 8601")
+    product: Path | None = scalar("the operator's DIMAP file, for the format dimap", default=None)
+    object_id: str = scalar("OBJECT_ID of CCSDS messages; empty: the mission's name", default="")
+    allow_stale_eop: bool = scalar("accept dates after the Earth-orientation table", default=False)
+
+
+def export(name: str, request: ExportRequest) -> Made:
+    """File names and contents of one of `FORMATS`, and remarks on what is left out.
+
+    Raises `RawDataError` for a damaged or missing file, `DataNotSufficientError` without star exposures.
+    """
+    return FORMATS[name](request)
+
+
+def strips_left_out(request: ExportRequest) -> Iterator[Remark]:
+    """Why strips of the dump are in no file of their own, where no strips were requested."""
+    calibrated = _opened(request)
+    for strip in () if request.strips else calibrated.dump.strips:
+        try:
+            strip_model(calibrated, strip.strip_id)
+        except DataNotSufficientError as error:
+            yield Remark(f"not exported: {error}")
+
+
+def _spice(request: ExportRequest) -> Made:
+    result = read_result(request.result)
+    sigma = ", ".join(f"{value:.3e}" for value in np.sqrt(np.diag(result.cov_theta)))
+    comment = (
+        f"Installation matrix between star camera and remote-sensing camera, boresight {__version__}.\n"
+        f"1-sigma of a small rotation about the axes of {request.frames.remote_camera_name}: {sigma} rad."
+    )
+    comment = "\n".join([comment, *_notes(request).lines()])
+    yield "installation.tf", frame_kernel(result.R_cs, comment, request.frames)
+
+
+def _spice_attitude(request: ExportRequest) -> Made:
+    """Attitudes of the star camera with its clock, and fields of view; the frames are those of `_spice`."""
+    calibrated, frames = _opened(request), request.frames
+    dump, lines = calibrated.dump, _notes(request).lines()
+    yield "clock.tsc", clock_kernel(dump.epoch, frames, "\n".join(["Clock of the attitudes", *lines]))
+    yield "camera.ti", instrument_kernel(dump.line_camera, frames, "\n".join(["Fields of view", *lines]))
+    for model in _models(calibrated, request.strips):
+        ticks, t_s = instants_of_ticks(dump.epoch, *model.track.span_s, CK_TICKS)
+        name = model.strip.strip_id
+        about = [f"Strip {name}: attitude of the star camera, axes of GCRS", *_line_times(model, dump.epoch)]
+        comment = "\n".join([*about, *lines])
+        yield f"{name}.bc", attitude_kernel(ticks, model.track.R_si(t_s), frames, f"strip {name}", comment)
+
+
+def _json(request: ExportRequest) -> Made:
+    yield "matrix.json", matrix_json(read_result(request.result).installation, _notes(request))
+
+
+def _csv(request: ExportRequest) -> Made:
+    yield "matrix.csv", matrix_csv(read_result(request.result).installation, _notes(request))
+
+
+def _aem(request: ExportRequest) -> Made:
+    for header, comments, utc, R_ci, _, name in _camera_attitudes(request):
+        yield f"{name}.aem", attitude_message(header, comments, utc, R_ci)
+
+
+def _acm(request: ExportRequest) -> Made:
+    for header, comments, utc, R_ci, variance_c, name in _camera_attitudes(request):
+        yield f"{name}.acm", comprehensive_message(header, comments, utc, R_ci, variance_c)
+
+
+def _camera_attitudes(
+    request: ExportRequest,
+) -> Iterator[tuple[AemHeader, list[str], list[str], Rotation, Floats, str]]:
+    """Of each strip: header, comments, instants, attitudes of the camera, their variances, id."""
+    calibrated, notes = _opened(request), _notes(request)
+    dump, R_cs = calibrated.dump, calibrated.result.R_cs
+    C = R_cs.as_matrix()
+    for model in _models(calibrated, request.strips):
+        first, last = model.pushbroom.instants(np.array([-0.5, model.strip.lines - 0.5]))
+        steps = int(np.ceil((last - first) / AEM_STEP_S)) + 1
+        t_s = np.clip(np.linspace(first, last, max(steps, 8)), *model.track.span_s)
+        own = np.nan_to_num(model.track.covariance_s(t_s))
+        variance_c = np.einsum("ij,njk,ik->ni", C, own, C) + np.diag(calibrated.result.cov_theta)
+        name = model.strip.strip_id
+        header = AemHeader(
+            creation_utc=request.creation_utc,
+            object_name=dump.mission,
+            object_id=request.object_id,
+        )
+        comments = [f"Strip {name}: calibrated attitude of the remote-sensing camera, GCRS axes"]
+        comments += [*_line_times(model, dump.epoch), *notes.lines()]
+        utc = dump.epoch.utc_from_seconds(t_s)
+        yield header, comments, utc, R_cs * model.track.R_si(t_s), variance_c, name
+
+
+def _csm_isd(request: ExportRequest) -> Made:
+    calibrated = _opened(request)
+    dump, about = calibrated.dump, {"notes": _notes(request).items()}
+    height_m = float(np.mean(surface_of(dump.terrain).height_range_m()))
+    for model in _models(calibrated, request.strips):
+        for ccd, lines in sorted(model.strip.ccd_lines.items()):
+            image = _image_name(model.strip, ccd)
+            names = IsdNames(image, dump.mission, f"remote-sensing camera, CCD {ccd}")
+            for piece in line_scanner_isds(model.pushbroom, dump.epoch, ccd, lines, height_m, names):
+                yield f"{model.strip.strip_id}.{piece.suffix}.json", piece.text(about)
+
+
+def _rpc(request: ExportRequest) -> Made:
+    calibrated, notes = _opened(request), _notes(request)
+    low, high = surface_of(calibrated.dump.terrain).height_range_m()
+    heights = low - RPC_MARGIN_M, high + RPC_MARGIN_M
+    for model in _models(calibrated, request.strips):
+        strip = model.strip
+        for ccd, lines in sorted(strip.ccd_lines.items()):
+            rpc, error = fit_rpc(model.pushbroom, ccd, lines, heights)
+            yield f"{strip.strip_id}.ccd{ccd}_RPC.TXT", rpc_text(rpc, error)
+            if ccd in strip.images.ccds:
+                vrt = vrt_with_rpc(*_image(calibrated, strip, ccd), rpc_metadata(rpc, error), notes)
+                yield f"{strip.strip_id}.ccd{ccd}.rpc.vrt", vrt
+        yield from _without_vrt(strip, sorted(strip.ccd_lines), "an RPC without a VRT, name it as the image")
+
+
+def _vrt(request: ExportRequest) -> Made:
+    calibrated, notes = _opened(request), _notes(request)
+    strips = {strip.strip_id: strip for strip in calibrated.dump.strips}
+    measured: dict[str, list[int]] = {}
+    for points in _ground_points(request):
+        strip = strips[points.strip_id]
+        measured.setdefault(strip.strip_id, []).append(points.ccd)
+        if points.ccd in strip.images.ccds:
+            image = _image(calibrated, strip, points.ccd)
+            yield f"{points.strip_id}.ccd{points.ccd}.gcp.vrt", vrt_with_gcps(*image, points, notes)
+    for name, ccds in measured.items():
+        yield from _without_vrt(strips[name], ccds, "no VRT; asp, envi and qgis need no image")
+
+
+def _kml(request: ExportRequest) -> Made:
+    calibrated = _opened(request)
+    height = ConstantHeight(float(np.mean(surface_of(calibrated.dump.terrain).height_range_m())))
+    outlines = {
+        model.strip.strip_id: outline_deg(model.pushbroom, model.strip.ccd_lines, height)
+        for model in _models(calibrated, request.strips)
+    }
+    yield "boresight.kml", kml_text(outlines, _ground_points(request), _notes(request))
+
+
+def _asp(request: ExportRequest) -> Made:
+    return _each_image(request, "gcp", points_asp)
+
+
+def _envi(request: ExportRequest) -> Made:
+    return _each_image(request, "pts", lambda points, notes: points_envi(points, egm96(), notes))
+
+
+def _qgis(request: ExportRequest) -> Made:
+    return _each_image(request, "points", points_qgis)
+
+
+def _each_image(request: ExportRequest, ending: str, text_of: Callable[[GroundPoints, Notes], str]) -> Made:
+    """The ground control points of each image as a text of its own."""
+    notes = _notes(request)
+    for points in _ground_points(request):
+        yield f"{points.strip_id}.ccd{points.ccd}.{ending}", text_of(points, notes)
+
+
+def _geojson(request: ExportRequest) -> Made:
+    yield "targets.geojson", points_geojson(_ground_points(request), _notes(request))
+
+
+def _fits(request: ExportRequest) -> Made:
+    calibrated = _opened(request)
+    path = read_for_dump(request.result, request.dump)[0] / "sightings" / "stars.parquet"
+    read_parquet(path, STARS)  # names damage; the groups are then read one by one
+    file = pq.ParquetFile(path)
+    exposures = [_exposure(file, group) for group in range(file.num_row_groups)]
+    found = [exposure for exposure in exposures if exposure is not None]
+    yield "centroids.fits", centroids_fits(found, calibrated.dump.epoch, _notes(request))
+
+
+def _operator(request: ExportRequest) -> Made:
+    """The correction of each strip in operators' parameters; with rate and scale where points allow them."""
+    calibrated, notes = _opened(request), _notes(request).items()
+    dump = calibrated.dump
+    folder, _ = read_for_dump(request.result, request.dump)
+    table = read_parquet(folder / "sightings" / "targets.parquet", LOOKS)
+    strips = np.array(table.column("strip_id").to_pylist(), dtype=str)
+    kept, t_s = column(table, "kept").astype(bool), column(table, "t_s")
+    u_c, u_i = list_values(table, "u_c", 3), list_values(table, "u_i", 3)
+    for model in _models(calibrated, request.strips):
+        name = model.strip.strip_id
+        rows = np.flatnonzero(kept & (strips == name))
+        v_s = model.track.R_si(t_s[rows]).apply(u_i[rows])
+        t0 = float(np.round(model.pushbroom.instants(np.array([0.5 * (model.strip.lines - 1.0)]))[0], 6))
+        found = None
+        for degree, with_scale in ((1, True), (0, False)):
+            try:
+                found = fit_correction(
+                    v_s, u_c[rows], t_s[rows], dump.R_cs0, t0, degree=degree, with_scale=with_scale
+                )
+                break
+            except ValueError:  # too few points, or too close together
+                continue
+        if found is None:
+            yield Remark(f"strip {name}: {len(rows)} used targets do not determine a rotation, no file")
+        else:
+            yield f"{name}.operator.json", operator_parameters(found, dump.R_cs0, dump.epoch, notes)
+
+
+def _dimap(request: ExportRequest) -> Made:
+    """The operator's product with the attitude corrected."""
+    calibrated = _opened(request)
+    if request.product is None:
+        raise DataNotSufficientError("the format dimap needs the option --product, the operator's DIMAP file")
+    dump, found = calibrated.dump, operator_model(request.product)
+    orbit = found.pushbroom.orbit
+    assert isinstance(orbit, Orbit)
+    first_utc = orbit.epoch.utc_from_seconds([found.pushbroom.rows.t_first_row_s])
+    apart_s = dump.epoch.seconds_from_utc(first_utc)[0] - dump.strips[0].t_first_row_s
+    if len(dump.strips) > 1 or dump.strips[0].lines != found.height_px or abs(apart_s) > 1e-6:
+        text = f"{found.height_px} lines from {first_utc[0]}"
+        raise RawDataError(str(request.product), "strip", text, "the product that the dump was imported from")
+    correction = calibrated.result.R_cs * dump.R_cs0.inv()
+    yield request.product.name, corrected_dimap(request.product, correction, _notes(request).items())
+
+
+TARGETS = {
+    "strip_id": pa.string(),
+    "target_id": pa.string(),
+    "ccd": pa.int64(),
+    "kept": pa.bool_(),
+    "xy_px": fixed(2),
+    "cov_px": fixed(4),
+}
+LOOKS = {
+    "strip_id": pa.string(),
+    "t_s": pa.float64(),
+    "kept": pa.bool_(),
+    "u_c": fixed(3),
+    "u_i": fixed(3),
+}
+STARS = {
+    "exposure_id": pa.string(),
+    "t_s": pa.float64(),
+    "hip": pa.int64(),
+    "xy_px": fixed(2),
+    "u_s": fixed(3),
+    "u_i": fixed(3),
+    "cov_s": fixed(9),
+}
+OF_STRIPS = "spice-ck aem acm operator csm-isd rpc kml".split()  # formats that write strips one by one
+FORMATS: dict[str, Callable[[ExportRequest], Made]] = {
+    "spice": _spice,
+    "spice-ck": _spice_attitude,
+    "aem": _aem,
+    "acm": _acm,
+    "operator": _operator,
+    "dimap": _dimap,
+    "json": _json,
+    "csv": _csv,
+    "csm-isd": _csm_isd,
+    "rpc": _rpc,
+    "vrt": _vrt,
+    "kml": _kml,
+    "asp": _asp,
+    "geojson": _geojson,
+    "envi": _envi,
+    "qgis": _qgis,
+    "fits": _fits,
+}
+
+
+def _notes(request: ExportRequest) -> Notes:
+    return notes_of(request.result, request.dump, request.creation_utc)
+
+
+def _image(calibrated: Calibrated, strip: Strip, ccd: int) -> tuple[Path, tuple[int, int], str]:
+    """Path, size (samples, lines) and GDAL type of a raw image."""
+    lines, samples = strip.images.shapes[ccd]
+    kind = "Byte" if calibrated.dump.remote_bit_depth == 8 else "UInt16"
+    return strip.images.paths[ccd].resolve(), (samples, lines), kind
+
+
+def _opened(request: ExportRequest) -> Calibrated:
+    return open_calibrated(request.result, request.dump, allow_stale_eop=request.allow_stale_eop)
+
+
+def _image_name(strip: Strip, ccd: int) -> str:
+    """File name of a raw image; one made of strip and CCD where the dump has no image."""
+    return strip.images.names.get(ccd, f"{strip.strip_id}.ccd{ccd}")
+
+
+def _without_vrt(strip: Strip, ccds: Sequence[int], so: str) -> Iterator[Remark]:
+    if bare := [str(ccd) for ccd in ccds if ccd not in strip.images.ccds]:
+        yield Remark(f"strip {strip.strip_id}: the dump has no image of CCD {', '.join(bare)}: {so}")
+
+
+def _line_times(model: StripModel, epoch: Epoch) -> list[str]:
+    """When line 0 of each CCD was exposed, one line a CCD."""
+    lines, push = [], model.pushbroom
+    for ccd in sorted(model.strip.ccd_lines):
+        (utc,) = epoch.utc_from_seconds(push.instants_of_lines(ccd, np.zeros(1)))
+        lines.append(f"CCD {ccd}: middle of line 0 at {utc} UTC, {push.rows.row_period_s!r} s a line")
+    return lines
+
+
+def _models(calibrated: Calibrated, wanted: tuple[str, ...]) -> Iterator[StripModel]:
+    """Models of the strips requested, or of all strips that star exposures cover."""
+    if wanted:
+        yield from (strip_model(calibrated, name) for name in wanted)
+        return
+    none = True
+    for strip in calibrated.dump.strips:
+        try:
+            model = strip_model(calibrated, strip.strip_id)
+        except DataNotSufficientError:  # see `strips_left_out`
+            continue
+        none = False
+        yield model
+    if none:
+        raise DataNotSufficientError("no strip has star exposures around it")
+
+
+def _exposure(file: pq.ParquetFile, group: int) -> StarSightings | None:
+    table = file.read_row_group(group)
+    if not len(table):
+        return None
+    return StarSightings(
+        exposure_id=str(table.column("exposure_id")[0]),
+        t_s=float(table.column("t_s")[0].as_py()),
+        hip=column(table, "hip"),
+        xy_px=list_values(table, "xy_px", 2),
+        u_s=list_values(table, "u_s", 3),
+        u_i=list_values(table, "u_i", 3),
+        cov_s=list_values(table, "cov_s", 3, 3),
+        snr=_optional(table, "snr"),
+    )
+
+
+def _optional(table: pa.Table, name: str) -> Floats | None:
+    """A column, or None where it is missing or empty."""
+    known = name in table.column_names and table.column(name).null_count < len(table)
+    return column(table, name) if known else None
+
+
+def _ground_points(request: ExportRequest) -> list[GroundPoints]:
+    """Matched targets, one record per CCD of each strip."""
+    calibrated = _opened(request)
+    folder, _ = read_for_dump(request.result, request.dump)
+    table = read_parquet(folder / "sightings" / "targets.parquet", TARGETS)
+    strips = np.array(table.column("strip_id").to_pylist(), dtype=str)
+    names = np.array(table.column("target_id").to_pylist(), dtype=str)
+    ccd, kept = column(table, "ccd"), column(table, "kept").astype(bool)
+    xy, covariance = list_values(table, "xy_px", 2), list_values(table, "cov_px", 2, 2)
+    targets = calibrated.dump.ground_targets
+    if unknown := sorted(set(names.tolist()) - set(targets)):
+        raise RawDataError("targets.csv", "id", "missing", f"target {unknown[0]} of the result")
+    of_id = {strip.strip_id: strip for strip in calibrated.dump.strips}
+    chosen = [
+        (strip, one)
+        for strip, one in sorted(set(zip(strips.tolist(), ccd.tolist())))
+        if not request.strips or strip in request.strips
+    ]
+    points = []
+    for strip, one in chosen:
+        rows = np.flatnonzero((strips == strip) & (ccd == one))
+        p_e = np.array([targets[name].p_e for name in names[rows]])
+        lat, lon, height = geodetic_from_ecef(p_e, WGS84)
+        residual_px = xy[rows] - _computed(calibrated, strip, one, p_e)
+        points.append(
+            GroundPoints(
+                strip_id=strip,
+                ccd=one,
+                image=_image_name(of_id[strip], one),
+                target_id=tuple(names[rows].tolist()),
+                lat_deg=np.degrees(lat),
+                lon_deg=np.degrees(lon),
+                height_m=height,
+                xy_px=xy[rows],
+                sigma_px=np.sqrt(np.einsum("naa->na", covariance[rows])),
+                residual_px=residual_px,
+                sigma_m=np.array([targets[name].sigma_m for name in names[rows]]),
+                used=kept[rows],
+            )
+        )
+    return points
+
+
+def _computed(calibrated: Calibrated, strip_id: str, ccd: int, p_e: Floats) -> Floats:
+    """Image points (N, 2) of ground points (N, 3), ITRS, by the result; NaN without star exposures."""
+    try:
+        model = strip_model(calibrated, strip_id)
+    except DataNotSufficientError:
+        return np.full((len(p_e), 2), np.nan)
+    return np.column_stack(model.pushbroom.pixels_from_ground(ccd, p_e))

@@ -1,0 +1,79 @@
+"""What every export says of its origin: date, program, mission, dump, frames, validity, verdict."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import pyarrow as pa
+
+from boresight.features.exports.one_line import one_line
+from boresight.geometry.record import record, scalar
+from boresight.pipeline import __version__
+from boresight.pipeline.errors import RawDataError
+from boresight.pipeline.files.dump_schema import DumpFile
+from boresight.pipeline.files.object_store import dump_folder
+from boresight.pipeline.files.table_files import read_parquet
+from boresight.pipeline.files.text_files import read_json, read_toml
+from boresight.pipeline.results.ownership import origin_of
+from boresight.pipeline.results.reading import read_result
+
+__all__ = ["Notes", "notes_of"]
+
+UNKNOWN = "not known"
+FRAMES = "s star camera, c remote-sensing camera (x flight, z to the ground); u_c = R_cs u_s; i GCRS, e ITRS"
+
+
+@record(kw_only=True)
+class Notes:
+    """Origin of an export, as texts without control characters."""
+
+    created: str = scalar("date of the export, UTC")
+    program: str = scalar("program and version that made the result")
+    mission: str = scalar("name of the mission")
+    dump: str = scalar("digest of the dump that the result is made from")
+    frames: str = scalar("the frames of matrix and coordinates")
+    valid: str = scalar("UTC of the first and the last strip of the result")
+    verdict: str = scalar("outcome of the result's verdict")
+
+    def items(self) -> dict[str, str]:
+        """The notes by name, in order."""
+        return {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
+
+    def lines(self) -> list[str]:
+        """The notes as "name: text"."""
+        return [f"{name}: {text}" for name, text in self.items().items()]
+
+
+def notes_of(result: Path, dump: Path | None, created: str) -> Notes:
+    """The notes of a finished result; what it does not say is "not known". `RawDataError` where damaged."""
+    installation, origin = read_result(result).installation, origin_of(result)
+    verdict = installation.get("verdict")
+    outcome = str(verdict.get("outcome", UNKNOWN)) if isinstance(verdict, dict) else UNKNOWN
+    return Notes(
+        created=f"{created}Z",
+        program=one_line(f"boresight {installation.get('version', __version__)}"),
+        mission=one_line(_mission(result, dump)),
+        dump=one_line(UNKNOWN if origin is None else origin.dump),
+        frames=FRAMES,
+        valid=_valid(result),
+        verdict=one_line(outcome),
+    )
+
+
+def _mission(result: Path, dump: Path | None) -> str:
+    try:
+        noted = dump or dump_folder(str(read_json(result / "run.json", "run.json").get("dump")))
+        return read_toml(noted / "dump.toml", DumpFile, "dump.toml").mission
+    except RawDataError:
+        return UNKNOWN
+
+
+def _valid(result: Path) -> str:
+    path = result / "sightings" / "passes.parquet"
+    if not path.is_file():
+        return UNKNOWN
+    utc = sorted(
+        str(t) for t in read_parquet(path, {"utc_middle": pa.string()}).column("utc_middle").to_pylist()
+    )
+    return f"{one_line(utc[0])} to {one_line(utc[-1])}" if utc else UNKNOWN

@@ -1,0 +1,182 @@
+"""SPICE kernels of the star camera's attitude over a strip: CK (binary, type 3) with its SCLK, and the IK.
+
+The clock counts 1/1024 s of ephemeris time (TDB) since an epoch, so that it needs no leap seconds; instants
+are laid on its whole ticks, because ephemeris times are held in doubles that resolve 0.1 µs only, in which an
+Earth-pointing satellite turns by 1e-10 rad. Between attitudes SPICE rotates about a fixed axis at a constant
+rate. The layout is that of NAIF's DAF and CK Required Reading; ephemeris time is TT + 1.657 ms sin E, as in
+NAIF's leap-second kernels (Time Required Reading).
+"""
+
+from __future__ import annotations
+
+import struct
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from boresight.features.exports.one_line import one_line
+from boresight.features.exports.quaternions import continuous_quaternions
+from boresight.features.exports.spice_frame import SpiceFrames, heading
+from boresight.geometry.constants import DAY_S
+from boresight.geometry.epoch import TT_MINUS_TAI_S, Epoch
+from boresight.geometry.line_camera import LineSensor
+from boresight.geometry.record import Floats
+
+__all__ = [
+    "TICK_S",
+    "attitude_kernel",
+    "clock_kernel",
+    "ephemeris_time",
+    "instants_of_ticks",
+    "instrument_kernel",
+]
+
+TICK_S = 1.0 / 1024.0
+_RECORD = 128  # doubles of a DAF record
+_J2000 = 1  # NAIF's number of the frame, in practice the axes of ICRF
+_TYPE_3 = 3
+_DIRECTORY = 100  # epochs to an entry of the directory
+
+
+def ephemeris_time(epoch: Epoch, t_s: Floats) -> Floats:
+    """NAIF's ephemeris time (N,), TDB seconds past J2000, of TAI seconds since the epoch (N,)."""
+    tt = epoch.tai_s + np.asarray(t_s, dtype=float) + TT_MINUS_TAI_S
+    return np.asarray(tt + _tdb_minus_tt(tt))
+
+
+def instants_of_ticks(epoch: Epoch, t_first_s: float, t_last_s: float, step: int) -> tuple[Floats, Floats]:
+    """Every `step` ticks between two instants: ticks (N,) since the epoch's clock zero, TAI seconds (N,)."""
+    zero = clock_zero(epoch)
+    first, last = (ephemeris_time(epoch, np.array([t]))[0] - zero for t in (t_first_s, t_last_s))
+    ticks = step * np.arange(np.ceil(first / TICK_S / step), np.floor(last / TICK_S / step) + 1.0)
+    et = zero + ticks * TICK_S
+    tt = et
+    for _ in range(3):  # the difference changes by 3e-10 of the time
+        tt = et - _tdb_minus_tt(tt)
+    return ticks, np.asarray(tt - TT_MINUS_TAI_S - epoch.tai_s)
+
+
+def clock_zero(epoch: Epoch) -> float:
+    """Ephemeris time of tick 0: a day before the epoch, whole seconds."""
+    return float(epoch.tai_s - DAY_S)
+
+
+def clock_kernel(epoch: Epoch, frames: SpiceFrames, comment: str) -> str:
+    """Text of the SCLK: ticks of 1/1024 s, no drift."""
+    clock = -frames.spacecraft_id
+    return "\n".join(
+        [
+            "KPL/SCLK",
+            "",
+            *heading(comment),
+            "",
+            "\\begindata",
+            "",
+            "SCLK_KERNEL_ID = ( @2000-01-01 )",
+            f"SCLK_DATA_TYPE_{clock} = ( 1 )",
+            f"SCLK01_TIME_SYSTEM_{clock} = ( 1 )",
+            f"SCLK01_N_FIELDS_{clock} = ( 2 )",
+            f"SCLK01_MODULI_{clock} = ( 4294967296 1024 )",
+            f"SCLK01_OFFSETS_{clock} = ( 0 0 )",
+            f"SCLK01_OUTPUT_DELIM_{clock} = ( 2 )",
+            f"SCLK_PARTITION_START_{clock} = ( 0.0 )",
+            f"SCLK_PARTITION_END_{clock} = ( 4.398046511103E12 )",
+            f"SCLK01_COEFFICIENTS_{clock} = ( 0.0 {clock_zero(epoch):.1f} 1.0 )",
+            "",
+            "\\begintext",
+            "",
+        ]
+    )
+
+
+def attitude_kernel(ticks: Floats, R_si: Rotation, frames: SpiceFrames, name: str, comment: str) -> bytes:
+    """Contents of the CK: attitudes `R_si` (N,) from GCRS to the star camera at ticks (N,), increasing; with
+    the name of the segment and the comment area.
+
+    Raises `ValueError` for fewer than two attitudes.
+    """
+    n = len(ticks)
+    if n < 2 or len(R_si) != n or np.any(np.diff(ticks) <= 0.0):
+        raise ValueError(f"a CK needs two or more attitudes in order of time, got {n} and {len(R_si)}")
+    q = continuous_quaternions(R_si)[
+        :, [3, 0, 1, 2]
+    ]  # SPICE: scalar first, of the matrix J2000 to instrument
+    directory = ticks[_DIRECTORY - 1 : n - 1 : _DIRECTORY]
+    data = np.concatenate([q.ravel(), ticks, directory, ticks[:1], [1.0, float(n)]])
+    remarks = _comment_records(comment)
+    summaries_at = 2 + len(remarks) // 1024
+    begin = (summaries_at + 1) * _RECORD + 1
+    summary = struct.pack(
+        "<2d6i", ticks[0], ticks[-1], frames.star_camera_id, _J2000, _TYPE_3, 0, begin, begin + len(data) - 1
+    )
+    summaries = struct.pack("<3d", 0.0, 0.0, 1.0) + summary
+    names = one_line(name)[:40].encode("ascii", "replace").ljust(40)
+    records = [
+        _file_record(summaries_at, begin + len(data)),
+        remarks,
+        summaries.ljust(1024, b"\0"),
+        names.ljust(1024),
+        data.astype("<f8").tobytes(),
+    ]
+    return b"".join(record.ljust(-(-len(record) // 1024) * 1024, b"\0") for record in records)
+
+
+def instrument_kernel(camera: LineSensor, frames: SpiceFrames, comment: str) -> str:
+    """Text of the IK: fields of view of the whole camera (its id) and of CCD k (id - 1 - k), polygons."""
+    name, frame = frames.remote_camera_name, frames.remote_camera_name
+    corners = [_corners(camera, ccd) for ccd in range(camera.n_ccds)]
+    every = np.concatenate(corners)
+    low, high = (every[:, :2] / every[:, 2:]).min(axis=0), (every[:, :2] / every[:, 2:]).max(axis=0)
+    whole = np.array(
+        [[a, b, 1.0] for a, b in ((low[0], low[1]), (low[0], high[1]), (high[0], high[1]), (high[0], low[1]))]
+    )
+    lines = ["KPL/IK", "", *heading(comment), "", "\\begindata", ""]
+    lines += _field_of_view(frames.remote_camera_id, name, frame, whole)
+    for ccd, polygon in enumerate(corners):
+        lines += _field_of_view(frames.remote_camera_id - 1 - ccd, f"{name}_CCD{ccd}", frame, polygon)
+    return "\n".join([*lines, "\\begintext", ""])
+
+
+def _corners(camera: LineSensor, ccd: int) -> Floats:
+    """Corners (4, 3), frame c, of the one row of pixels of a CCD."""
+    ends = camera.directions_from_pixels(ccd, np.array([-0.5, camera.n_px(ccd) - 0.5]))
+    across = np.array([0.5 * camera.pixel_rad, 0.0, 0.0])
+    return np.array([ends[0] - across, ends[1] - across, ends[1] + across, ends[0] + across])
+
+
+def _field_of_view(number: int, name: str, frame: str, corners: Floats) -> list[str]:
+    boresight = corners.mean(axis=0)
+    rows = [" ".join(f"{value: .17e}" for value in corner) for corner in corners]
+    return [
+        f"NAIF_BODY_NAME += ( '{name}' )",
+        f"NAIF_BODY_CODE += ( {number} )",
+        f"INS{number}_FOV_CLASS_SPEC = 'CORNERS'",
+        f"INS{number}_FOV_FRAME = '{frame}'",
+        f"INS{number}_FOV_SHAPE = 'POLYGON'",
+        f"INS{number}_BORESIGHT = ( {' '.join(f'{value: .17e}' for value in boresight)} )",
+        f"INS{number}_FOV_BOUNDARY = (",
+        *(f"    {row}" for row in rows),
+        ")",
+        "",
+    ]
+
+
+def _comment_records(comment: str) -> bytes:
+    """The comment area: lines that end with NUL, 1000 characters to a record, EOT after the last."""
+    text = b"".join(line.encode("ascii", "replace") + b"\0" for line in heading(comment)) + b"\x04"
+    return b"".join(text[n : n + 1000].ljust(1024, b"\0") for n in range(0, len(text), 1000))
+
+
+def _file_record(summaries_at: int, free: int) -> bytes:
+    """The first record of a DAF of two doubles and six integers a summary, with one summary record."""
+    test = b"FTPSTR:\r:\n:\r\n:\r\x00:\x81:\x10\xce:ENDFTP"
+    name = b"boresight".ljust(60)
+    record = struct.pack(
+        "<8sii60siii8s", b"DAF/CK  ", 2, 6, name, summaries_at, summaries_at, free, b"LTL-IEEE"
+    )
+    return (record.ljust(699, b"\0") + test).ljust(1024, b"\0")
+
+
+def _tdb_minus_tt(tt: Floats) -> Floats:
+    M = 6.239996 + 1.99096871e-7 * tt
+    return np.asarray(1.657e-3 * np.sin(M + 1.671e-2 * np.sin(M)))

@@ -1,0 +1,1 @@
+"""Calibration of the interior orientation of the remote-sensing camera."""

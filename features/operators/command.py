@@ -1,0 +1,136 @@
+"""Commands that make a dump of an operator's own files: import sentinel2, import dimap."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal, get_args
+
+import typer
+
+from boresight.pipeline import __version__
+from boresight.pipeline.console.messages import Answer, say, talks, wrong_usage
+
+if TYPE_CHECKING:
+    from boresight.features.operators.imported_mission import ImportedMission
+
+__all__ = ["add_import_commands"]
+
+Out = Annotated[Path, typer.Argument(help="Folder of the dump; must not exist or be empty.")]
+Points = Annotated[
+    Path | None, typer.Option(help="CSV of measured image points (docs/dump-format.md); default: none yet.")
+]
+
+
+def add_import_commands(app: typer.Typer) -> None:
+    """Add the commands to the program."""
+    imports = typer.Typer(help="Make a dump of an operator's own files.", no_args_is_help=True)
+    imports.command()(talks(sentinel2))
+    imports.command("dimap")(talks(import_dimap))
+    imports.command("points")(talks(import_points))
+    app.add_typer(imports, name="import")
+
+
+def sentinel2(
+    datastrip: Annotated[Path, typer.Argument(help="S2?_OPER_MTD_L1B_DS_*.xml of a L1B datastrip.")],
+    out: Out,
+    gipp: Annotated[Path, typer.Option(help="Folder of the SPAMOD and VIEDIR files that it names.")],
+    band: Annotated[str, typer.Option(help="B01 to B12, B8A.")],
+    attitudes: Annotated[
+        str,
+        typer.Option(
+            help="raw: the star trackers; corrected: the operator's attitude; refined: with its refining."
+        ),
+    ] = "raw",
+    earth_orientation: Annotated[
+        Path | None,
+        typer.Option(help="CSV of mjd_utc, ut1_utc_s, x_arcsec, y_arcsec; else its bulletin."),
+    ] = None,
+    points: Points = None,
+) -> Answer:
+    """Make a dump of one band of a Sentinel-2 datastrip: trackers, orbit, look tables, line times.
+
+    Example: boresight import sentinel2 S2A_OPER_MTD_L1B_DS.xml b04 --gipp GIPP --band B04 --points gcps.csv
+    """
+    from boresight.features.operators.sentinel2_import import AttitudeLevel, sentinel2_mission
+    from boresight.features.operators.sentinel2_product import read_sentinel2
+    from boresight.pipeline.files.dump import read_earth_orientation
+
+    level = next((one for one in get_args(AttitudeLevel) if one == attitudes), None)
+    if level is None:
+        raise wrong_usage(f"--attitudes is one of {', '.join(get_args(AttitudeLevel))}, not {attitudes!r}")
+    table = None
+    if earth_orientation is not None:
+        table = read_earth_orientation(earth_orientation, str(earth_orientation))
+    strip = read_sentinel2(datastrip, gipp, band)
+    return _written(
+        out, sentinel2_mission(strip, _creator("sentinel2"), attitudes=level, earth_orientation=table), points
+    )
+
+
+def import_dimap(
+    product: Annotated[Path, typer.Argument(metavar="FILE", help="Metadata in DIMAP: DIM_* or PHRDIMAP_*.")],
+    out: Out,
+    points: Points = None,
+) -> Answer:
+    """Make a dump of a strip of Pleiades (DIMAP V1, V2), Pleiades Neo, SPOT 6 or 7 (V2): the operator's
+    attitude as a head, orbit, look table, line times.
+
+    Example: boresight import dimap PHRDIMAP.XML pleiades --points gcps.csv
+    """
+    from boresight.features.operators.dimap_grid import operator_model
+    from boresight.features.operators.dimap_import import dimap_mission
+
+    return _written(out, dimap_mission(operator_model(product), _creator("dimap")), points)
+
+
+def import_points(
+    file: Annotated[Path, typer.Argument(help="QGIS .points, ASP .gcp, or a GeoTIFF with GCPs.")],
+    out: Annotated[Path, typer.Argument(help="The points.csv to be written.")],
+    strip: Annotated[str, typer.Option(help="Id of the strip in which they are measured.")],
+    ccd: Annotated[int, typer.Option(help="Its CCD, from 0.", min=0, max=63)] = 0,
+    sigma_px: Annotated[float, typer.Option(help="1-sigma of the image positions, px.", min=1e-4)] = 0.5,
+    sigma_m: Annotated[
+        tuple[float, float, float],
+        typer.Option(help="1-sigma of the coordinates, m.", metavar="EAST NORTH UP"),
+    ] = (1.0, 1.0, 1.0),
+    height_m: Annotated[float | None, typer.Option(help="Height of all points, m (QGIS has none).")] = None,
+    height_kind: Annotated[
+        Literal["ellipsoidal", "egm96"], typer.Option(help="What the heights are above.")
+    ] = "ellipsoidal",
+    image: Annotated[str | None, typer.Option(help="ASP: the image whose points are taken.")] = None,
+) -> Answer:
+    """Make a points.csv of image points that another program has measured.
+
+    Example: boresight import points b04.points points.csv --strip b04 --height-m 12 --sigma-m 2 2 3
+    """
+    from boresight.features.operators.point_import import PointErrors, points_csv, read_measured_points
+    from boresight.pipeline.files.whole_file import write_text
+
+    errors = PointErrors(sigma_px=sigma_px, sigma_m=sigma_m, height_m=height_m)
+    found = read_measured_points(file, errors, image)
+    text = points_csv(found, strip, ccd, height_kind)
+    write_text(out, text)
+    left = f", {found.n_disabled} marked as not to be used" if found.n_disabled else ""
+    return Answer(text=f"{len(found.names)} points{left} -> {out}", files=(out,))
+
+
+def _creator(command: str) -> str:
+    return f"boresight {__version__}: import {command}"
+
+
+def _written(out: Path, mission: ImportedMission, points: Path | None) -> Answer:
+    from boresight.features.operators.imported_mission import write_imported
+    from boresight.pipeline.files.text_files import read_text
+    from boresight.pipeline.files.whole_file import is_vacant
+
+    if not is_vacant(out):
+        raise wrong_usage(f"{out} is there already and is not an empty folder")
+    text = None if points is None else read_text(points, str(points))
+    write_imported(out, mission, text)
+    if text is None:
+        say(f"no measured points: write them to {out / 'points.csv'} before `boresight calibrate`")
+    count = 0 if text is None else sum(1 for _ in csv.reader(text.splitlines())) - 1
+    heads = ", ".join(f"{head.name} ({len(head.t_s)} attitudes)" for head in mission.heads)
+    summary = f"{mission.mission}: {heads}, {len(mission.strips)} CCDs, {count} points -> {out}"
+    return Answer(text=summary, files=(out / "dump.toml",))

@@ -1,0 +1,77 @@
+"""Ground points of pixels of a Sentinel-2 datastrip, by the operator's model or with our interpolation."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from boresight.features.operators.sentinel2_product import AttitudeRecord, Sentinel2
+from boresight.geometry.attitude import AttitudeTrack, Interpolation
+from boresight.geometry.earth_orientation import EarthOrientationTable
+from boresight.geometry.earth_rotation import EarthRotation
+from boresight.geometry.groundlight import LightEffects
+from boresight.geometry.line_camera import LookAngleCamera, LookTable
+from boresight.geometry.orbit import Orbit
+from boresight.geometry.pushbroom import Pushbroom, RowClock
+
+__all__ = ["operator_orbit", "operator_pushbroom", "refined_attitudes", "refined_camera"]
+
+_DEGREE = 7  # of the Hermite polynomial, four states of 1 Hz; others agree to 0.1 mm
+
+
+def operator_orbit(strip: Sentinel2, table: EarthOrientationTable) -> Orbit:
+    """The orbit of a datastrip, with Earth rotation by a table (the operator's own is in the record)."""
+    first, last = float(strip.t_orbit_s[0]), float(strip.t_orbit_s[-1])
+    return Orbit(
+        epoch=strip.epoch,
+        t_s=strip.t_orbit_s,
+        positions_m=strip.positions_m,
+        velocities_m_s=strip.velocities_m_s,
+        frame="ITRF",
+        degree=_DEGREE,
+        earth=EarthRotation.over(strip.epoch, first, last, table),
+        method="hermite",
+    )
+
+
+def operator_pushbroom(
+    strip: Sentinel2, ccd: int, orbit: Orbit, *, interpolation: Interpolation = "taylor", refined: bool = True
+) -> Pushbroom:
+    """The model of one detector: corrected attitudes, the operator's refining where wanted, no light effects.
+
+    Frame s is the piloting frame. "taylor" is the interpolation of the operator's software.
+    """
+    first, last = orbit.span_s
+    attitudes = refined_attitudes(strip) if refined else strip.corrected
+    camera = refined_camera(strip) if refined else strip.camera
+    covered = (attitudes.t_s >= first) & (attitudes.t_s <= last)
+    t_s, R_si = attitudes.t_s[covered], attitudes.R_is[covered].inv()
+    return Pushbroom(
+        camera=camera,
+        rows=RowClock(float(strip.t_first_row_s[ccd]), strip.row_period_s),
+        orbit=orbit,
+        earth=orbit.earth,
+        attitude=AttitudeTrack(t_s, R_si, orbit, interpolation=interpolation),
+        R_cs=strip.R_cp,
+        effects=LightEffects(light_time=False, aberration=False, refraction=False),
+    )
+
+
+def refined_attitudes(strip: Sentinel2) -> AttitudeRecord:
+    """The corrected attitudes with the operator's refining, where there is one."""
+    t_s, R_is = strip.corrected.t_s, strip.corrected.R_is
+    if strip.refining is not None:
+        R_is = R_is * strip.refining.rotations(t_s).inv()
+    return AttitudeRecord(t_s, R_is)
+
+
+def refined_camera(strip: Sentinel2) -> LookAngleCamera:
+    """The camera with the operator's homothety, which scales z of the piloting frame."""
+    if strip.refining is None:
+        return strip.camera
+    P = strip.R_cp.as_matrix()
+    M = P @ np.diag([1.0, 1.0, 1.0 + strip.refining.homothety]) @ P.T
+    ccds = []
+    for table in strip.camera.ccds:
+        v = np.column_stack([table.tan_x, table.tan_y, np.ones(len(table.samples))]) @ M.T
+        ccds.append(LookTable(table.n_px, table.samples, v[:, 0] / v[:, 2], v[:, 1] / v[:, 2]))
+    return LookAngleCamera(tuple(ccds))

@@ -1,0 +1,104 @@
+"""A Sentinel-2 L1B datastrip as a dump: star trackers or corrected attitudes, look tables, line times."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+
+from boresight.features.operators.imported_mission import (
+    ImportedHead,
+    ImportedMission,
+    ImportedStrip,
+    white_noise_rad,
+)
+from boresight.features.operators.sentinel2_grid import operator_orbit, refined_attitudes, refined_camera
+from boresight.features.operators.sentinel2_product import Sentinel2
+from boresight.geometry.constants import ARCSEC
+from boresight.geometry.earth_orientation import EarthOrientationTable
+from boresight.geometry.record import Floats
+
+__all__ = ["CORRECTED", "REFINED", "AttitudeLevel", "sentinel2_mission"]
+
+AttitudeLevel = Literal["raw", "corrected", "refined"]
+CORRECTED, REFINED = "CORRECTED", "REFINED"  # names of the heads of the operator's attitudes
+SIGMA_INSTALLATION_ARCSEC = 20.0  # SPAMOD has moved by 5 arc-seconds in six years
+ERRORS = {  # what the datastrip does not state; the user may state better
+    "clock_s": 1e-6,  # QUALITY_INDEX of the time correlation is 0.1 µs, GPS_TIME has microseconds
+    "vibration_arcsec": 0.05,
+    "look_distortion_px": 0.1,
+    "look_distortion_length_px": 500.0,
+}
+
+
+def sentinel2_mission(
+    strip: Sentinel2,
+    created_by: str,
+    *,
+    attitudes: AttitudeLevel = "raw",
+    earth_orientation: EarthOrientationTable | None = None,
+) -> ImportedMission:
+    """The contents of a dump of one band.
+
+    Parameters
+    ----------
+    strip : Sentinel2
+        As `read_sentinel2` reads it.
+    created_by : str
+        Program and command.
+    attitudes : "raw", "corrected" or "refined"
+        Heads: each star tracker's own quaternions, or the operator's corrected attitude, whose frame s is the
+        piloting frame; "refined" applies the operator's refining to it, and its homothety to the camera.
+    earth_orientation : EarthOrientationTable, optional
+        In place of the datastrip's bulletin, which holds the value of one day.
+    """
+    table = earth_orientation or strip.earth_orientation
+    orbit = operator_orbit(strip, table)
+    camera = strip.camera
+    if attitudes == "corrected":
+        found = {CORRECTED: (strip.corrected, strip.R_cp)}
+    elif attitudes == "refined":
+        found, camera = {REFINED: (refined_attitudes(strip), strip.R_cp)}, refined_camera(strip)
+    else:
+        found = {name: (record, strip.R_cp * strip.R_ps[name]) for name, record in strip.trackers.items()}
+    heads_of = []
+    for name, (record, R_cs0) in found.items():
+        inside = _inside(record.t_s, orbit.span_s)
+        t_s, R_is = record.t_s[inside], record.R_is[inside]
+        heads_of.append(
+            ImportedHead(
+                name=name,
+                t_s=t_s,
+                R_is=R_is,
+                R_cs0=R_cs0,
+                sigma_installation_rad=np.full(3, SIGMA_INSTALLATION_ARCSEC * ARCSEC),
+                white_rad=white_noise_rad(t_s, R_is),
+                interpolation="lagrange" if attitudes == "raw" else "taylor",
+            )
+        )
+    return ImportedMission(
+        mission=f"{strip.satellite} {strip.band}",
+        created_by=created_by,
+        epoch=strip.epoch,
+        orbit=orbit,
+        heads=tuple(heads_of),
+        camera=camera,
+        strips=tuple(
+            ImportedStrip(
+                strip_id=strip.band,
+                ccd=ccd,
+                t_first_row_s=float(t),
+                row_period_s=strip.row_period_s,
+                lines=strip.lines,
+            )
+            for ccd, t in enumerate(strip.t_first_row_s)
+        ),
+        errors={"position_m": round(strip.sigma_position_m, 3), **ERRORS},
+        earth_orientation=table,
+    )
+
+
+def _inside(t_s: Floats, span_s: tuple[float, float]) -> slice:
+    """Rows within a span: the operator's attitudes outlast the ephemeris."""
+    first, last = np.searchsorted(t_s, span_s)
+    return slice(int(first), int(last))

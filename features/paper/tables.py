@@ -1,0 +1,131 @@
+"""`boresight experiment NAME`: a simulation of the paper from scratch, as long-form CSV, plot and text
+record.
+
+The simulations are in `vectors`, `geometry_search` and `pixels`; stars of Table 4 are those of Hipparcos.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from scipy.spatial.transform import Rotation
+
+from boresight.features.paper.comparison import COMPARISONS
+from boresight.features.paper.geometry_search import geometry_map
+from boresight.features.paper.inputs import inputs
+from boresight.features.paper.pixels import (
+    PixelSettings,
+    grid_from_pixels,
+    table4_from_pixels,
+    table5_from_pixels,
+)
+from boresight.features.paper.plots import PLOTS
+from boresight.features.paper.provenance import record_head
+from boresight.features.paper.vectors import (
+    ExperimentSettings,
+    convergence,
+    figure4,
+    figure8,
+    grid,
+    table4,
+    table5,
+    table5_readings,
+)
+from boresight.geometry.record import Floats
+from boresight.geometry.spherical import unit_vectors
+from boresight.simulator.campaign import CameraPair
+from boresight.star_id.catalogue import hipparcos_stars
+
+__all__ = [
+    "EXPERIMENTS",
+    "FROM_PIXELS",
+    "experiment_table",
+    "hipparcos_fields",
+    "run_experiment",
+    "run_from_pixels",
+]
+
+Progress = Callable[[int, int], None]
+
+FAINTEST_V = 6.5  # about 55 stars in the field (docs/paper.md)
+
+EXPERIMENTS = (
+    "inputs",
+    "figure4",
+    "convergence",
+    "grid",
+    "figure8",
+    "table4",
+    "table5",
+    "readings",
+    "geometry",
+)
+FROM_PIXELS = ("grid", "table4", "table5")
+
+
+def run_experiment(
+    name: str, out: Path, settings: ExperimentSettings, progress: Progress | None = None
+) -> tuple[pd.DataFrame, list[Path]]:
+    """Run one of `EXPERIMENTS`; its table, and the files written: `NAME.csv`, `NAME.png` and `NAME.txt` in
+    `out`.
+
+    The text holds the paper's values beside ours, and commit, date, machine, versions, command and CPU time.
+    """
+    begin = time.process_time()
+    table = experiment_table(name, settings, progress)
+    return table, _written(name, table, out, time.process_time() - begin)
+
+
+def run_from_pixels(
+    name: str, out: Path, settings: PixelSettings, progress: Progress | None = None
+) -> tuple[pd.DataFrame, list[Path]]:
+    """Run one of `FROM_PIXELS` through rendered images; writes `NAME-pixels` as csv, png and txt."""
+    made = {"grid": grid_from_pixels, "table4": table4_from_pixels, "table5": table5_from_pixels}
+    begin = time.process_time()
+    table = made[name](settings, progress)
+    return table, _written(f"{name}-pixels", table, out, time.process_time() - begin)
+
+
+def _written(name: str, table: pd.DataFrame, out: Path, cpu_s: float) -> list[Path]:
+    out.mkdir(parents=True, exist_ok=True)
+    written = [out / f"{name}.{kind}" for kind in ("csv", "png", "txt")]
+    table.to_csv(written[0], index=False, float_format="%.6g")
+    figure = PLOTS[name](table)
+    figure.savefig(written[1], dpi=160)
+    lines = [*record_head(name, cpu_s), *COMPARISONS[name](table)]
+    written[2].write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return written
+
+
+def experiment_table(
+    name: str, settings: ExperimentSettings, progress: Progress | None = None
+) -> pd.DataFrame:
+    """The long-form table of one of `EXPERIMENTS`; `KeyError` for another name."""
+    if name == "table4":
+        return table4(settings, hipparcos_fields(settings.cameras, 400, settings.seed), progress)
+    if name in ("grid", "table5", "readings"):
+        return {"grid": grid, "table5": table5, "readings": table5_readings}[name](settings, progress)
+    if name == "inputs":
+        return inputs(settings.cameras, settings.seed, settings.inputs_strips)
+    if name == "geometry":
+        return geometry_map(settings.cameras, settings.search)
+    return {"convergence": convergence, "figure4": figure4, "figure8": figure8}[name](settings)
+
+
+def hipparcos_fields(cameras: CameraPair, fields: int, seed: int) -> list[Floats]:
+    """Directions (n, 3) in frame s of the Hipparcos stars in the star camera's field, pointed at random."""
+    stars = hipparcos_stars(FAINTEST_V)
+    places = stars.places.take(stars.usable_for_calibration)
+    u_i = unit_vectors(places.ra_rad, places.dec_rad)
+    half_x = cameras.star_half_width_px * cameras.star_pixel_rad
+    half_y = cameras.star_half_height_px * cameras.star_pixel_rad
+    found = []
+    for R_si in Rotation.random(fields, rng=np.random.default_rng(seed)):
+        u_s = R_si.apply(u_i)
+        x, y, z = u_s.T
+        found.append(u_s[(z > 0.0) & (np.abs(x) <= half_x * z) & (np.abs(y) <= half_y * z)])
+    return found

@@ -1,0 +1,302 @@
+"""`boresight plan PLAN.toml`: what a calibration campaign will reach, from its information alone."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from boresight.calib.forecast import Forecast
+from boresight.geometry.constants import ARCSEC
+from boresight.pipeline.errors import DataNotSufficientError
+from boresight.pipeline.files.text_files import toml_tables
+from boresight.pipeline.run.settings import filled
+from boresight.pipeline.stages.forecast import SkyPart, compare_campaigns, forecast
+from boresight.simulator.campaign import CameraPair, StripPlan, installation_by_tilt
+
+__all__ = ["Plan", "PlanForecast", "forecast_plan", "read_plan"]
+
+
+TARGET_COUNTS = (3, 4, 6, 8, 12, 16, 24, 32, 48)
+ALL_ERRORS = "all errors"
+NEGLIGIBLE = 0.01  # of a sigma that cannot be zero
+DRAWS = 25  # example strips of a variant
+
+
+@dataclass(frozen=True, slots=True)
+class PlannedCameras:
+    """`[cameras]`: where the star camera looks, and the pixels of both."""
+
+    star_from_zenith_deg: float = 15.0  # in the Y-Z plane of the remote-sensing camera, Z to nadir
+    star_focal_mm: float = 100.0
+    star_pixel_um: float = 6.4
+    star_width_px: int = 5120
+    star_height_px: int = 3840
+    focal_m: float = 10.0
+    pixel_um: float = 10.0
+    ccd_px: int = 6144
+    n_ccds: int = 4
+
+    def __post_init__(self) -> None:
+        _check_counts(self, 65_536, "star_width_px", "star_height_px", "ccd_px")
+        _check_counts(self, 64, "n_ccds")
+
+
+@dataclass(frozen=True, slots=True)
+class PlannedStrips:
+    """`[strips]`: how many, how long, and the star exposures of each."""
+
+    count: int = 8
+    duration_s: float = 1.8
+    exposures: int = 10
+    exposure_margin_s: float = 0.0
+    stars: int = 40  # used in each exposure
+    star_sigma_px: float = 0.06
+    height_km: float = 530.0
+
+    def __post_init__(self) -> None:
+        _check_counts(self, 1_000_000, "count")
+        _check_counts(self, 1000, "exposures", "stars")
+
+
+@dataclass(frozen=True, slots=True)
+class PlannedTargets:
+    """`[targets]`: how many a strip, where, and how well their positions are measured and known."""
+
+    count: int = 12
+    sigma_px: float = 0.3
+    across: tuple[float, float] = (-1.0, 1.0)  # part of the field's half width
+    along: tuple[float, float] = (0.0, 1.0)  # part of the strip's length
+    sigma_m: float = 0.0
+
+    def __post_init__(self) -> None:
+        _check_counts(self, 10_000, "count")
+
+
+@dataclass(frozen=True, slots=True)
+class PlannedSky:
+    """`[sky]`: strips that scan the sky, forward and backward in turn."""
+
+    count: int = 0
+    stars: int = 12  # in each strip
+    sigma_px: float = 0.1  # of their places, each axis
+    duration_s: float = 7.2
+    exposures: int = 36
+    rate_mrad_s: float = 3.6  # of the scan: rows last the longer, the slower it is
+
+    def __post_init__(self) -> None:
+        _check_counts(self, 1000, "exposures", "stars")
+        if not 0 <= self.count <= 1_000_000:
+            raise ValueError(f"count must be 0 to 1000000, got {self.count}")
+        if not self.rate_mrad_s > 0.0:
+            raise ValueError(f"rate_mrad_s must be positive, got {self.rate_mrad_s}")
+
+
+@dataclass(frozen=True, slots=True)
+class PlannedErrors:
+    """`[errors]`: 1-sigma of what is common to a strip or a camera (defaults: the paper's Table 1)."""
+
+    position_m: float = 2.0
+    clock_s: float = 1e-4
+    vibration_arcsec: float = 0.1
+    distortion_px: float = 0.3
+    distortion_length_px: float = 2000.0
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """A campaign as its file describes it; every section and key is optional."""
+
+    cameras: PlannedCameras = field(default_factory=PlannedCameras)
+    strips: PlannedStrips = field(default_factory=PlannedStrips)
+    targets: PlannedTargets = field(default_factory=PlannedTargets)
+    sky: PlannedSky = field(default_factory=PlannedSky)
+    errors: PlannedErrors = field(default_factory=PlannedErrors)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PlanForecast:
+    """1-sigma against the number of strips and of targets, and without each source of error (long form), a
+    summary, and the strips that a target needs.
+    """
+
+    table: pd.DataFrame
+    by_targets: pd.DataFrame  # targets a strip, axis, sigma_arcsec
+    without: pd.DataFrame  # source of error, axis, sigma_arcsec without it
+    campaigns: pd.DataFrame  # ground, sky, both: axis, sigma_arcsec; no rows without strips of the sky
+    text: str
+    strips_needed: int | None
+
+
+def read_plan(path: Path) -> Plan:
+    """The plan of a TOML file; `RawDataError` names what it does not know."""
+    return filled(Plan, toml_tables(path, str(path)), str(path), "plan")
+
+
+def forecast_plan(plan: Plan, target_arcsec: float | None = None) -> PlanForecast:
+    """Predicted 1-sigma of theta by number of strips; `DataNotSufficientError` if it fails."""
+    try:
+        campaign, cameras = _campaign(plan)
+        with np.errstate(over="raise", invalid="raise"):
+            found = forecast(campaign, cameras)
+    except (ValueError, ArithmeticError) as error:
+        raise DataNotSufficientError(f"this campaign cannot be forecast: {error}") from error
+    counts = np.unique(np.append(np.geomspace(1, 1000, 31).astype(int), plan.strips.count))
+    floor = found.floor() / ARCSEC
+    rows = [
+        (int(n), "XYZ"[axis], sigma / ARCSEC, floor[axis])
+        for n in counts
+        for axis, sigma in enumerate(found.sigma(int(n)))
+    ]
+    table = pd.DataFrame(rows, columns=["strips", "axis", "sigma_arcsec", "floor_arcsec"])
+    needed = None if target_arcsec is None else found.strips_for(target_arcsec * ARCSEC)
+    by_targets = _sigmas(plan, "targets", {n: replace(campaign, targets=n) for n in TARGET_COUNTS}, cameras)
+    without = _sigmas(plan, "source", _without(campaign), cameras)
+    campaigns = _campaigns(plan, campaign, cameras)
+    lines = [
+        _text(plan, found, target_arcsec, needed),
+        *_limit_lines(without),
+        *_campaign_lines(plan, campaigns),
+    ]
+    return PlanForecast(table, by_targets, without, campaigns, "\n".join(lines), needed)
+
+
+def _campaigns(plan: Plan, campaign: StripPlan, cameras: CameraPair) -> pd.DataFrame:
+    """1-sigma of the ground's strips alone, the sky's alone, and both; no rows without strips of the sky."""
+    rows: list[tuple[str, str, float]] = []
+    if (sky := plan.sky).count:
+        strip = replace(
+            campaign,
+            targets=sky.stars,
+            sigma_c_px=sky.sigma_px,
+            duration_s=sky.duration_s,
+            exposures=sky.exposures,
+            across=(-1.0, 1.0),
+            along=(0.0, 1.0),
+        )
+        part = SkyPart(strip, sky.count, 1e-3 * sky.rate_mrad_s)
+        for name, sigma in compare_campaigns(campaign, part, cameras).items():
+            rows += [(name, axis, value / ARCSEC) for axis, value in zip("XYZ", sigma)]
+    return pd.DataFrame(rows, columns=["campaign", "axis", "sigma_arcsec"])
+
+
+def _campaign_lines(plan: Plan, campaigns: pd.DataFrame) -> list[str]:
+    """The campaigns beside one another."""
+    names = {
+        "ground": f"{plan.strips.count} strips of the ground",
+        "sky": f"{plan.sky.count} strips of the sky",
+        "both": "both together",
+    }
+    lines = []
+    for name, text in names.items():
+        those = campaigns[campaigns["campaign"] == name]
+        if len(those):
+            pairs = zip(those["axis"], those["sigma_arcsec"])
+            lines.append(f"{text:28s}" + "  ".join(f"{axis} {sigma:.4g}″" for axis, sigma in pairs))
+    return lines
+
+
+def _without(campaign: StripPlan) -> dict[str, StripPlan]:
+    """The campaign without one source of error after the other."""
+    return {
+        ALL_ERRORS: campaign,
+        "position": replace(campaign, sigma_position_m=0.0),
+        "clock": replace(campaign, sigma_clock_s=0.0),
+        "vibration": replace(campaign, sigma_vibration_rad=0.0),
+        "distortion": replace(campaign, sigma_distortion_rad=0.0),
+        "targets": replace(campaign, sigma_c_px=NEGLIGIBLE * campaign.sigma_c_px, sigma_target_m=0.0),
+        "stars": replace(campaign, sigma_s_px=NEGLIGIBLE * campaign.sigma_s_px),
+    }
+
+
+def _sigmas(plan: Plan, name: str, campaigns: Mapping[Any, StripPlan], cameras: CameraPair) -> pd.DataFrame:
+    """1-sigma after the plan's strips of variants of a campaign, NaN where an axis is not observable."""
+    rows = []
+    for key, campaign in campaigns.items():
+        try:
+            sigma = forecast(campaign, cameras, draws=DRAWS).sigma(plan.strips.count) / ARCSEC
+        except (ValueError, ArithmeticError):
+            sigma = np.full(3, np.nan)
+        rows += [(key, axis, value) for axis, value in zip("XYZ", sigma)]
+    return pd.DataFrame(rows, columns=[name, "axis", "sigma_arcsec"])
+
+
+def _limit_lines(without: pd.DataFrame) -> list[str]:
+    """For each axis the source of error without which it would be known best."""
+    lines = []
+    for axis in "XYZ":
+        those = without[without["axis"] == axis]
+        sigmas = dict(zip(those["source"], those["sigma_arcsec"].fillna(np.inf)))
+        best, every = min(sigmas, key=lambda name: float(sigmas[name])), sigmas[ALL_ERRORS]
+        if sigmas[best] < every:
+            lines.append(f"{axis} is limited by: {best} ({every:.4g}″, without {sigmas[best]:.4g}″)")
+    return lines
+
+
+def _check_counts(record: object, most: int, *names: str) -> None:
+    for name in names:
+        if not 1 <= getattr(record, name) <= most:
+            raise ValueError(f"{name} must be 1 to {most}, got {getattr(record, name)}")
+
+
+def _campaign(plan: Plan) -> tuple[StripPlan, CameraPair]:
+    c, s, t, e = plan.cameras, plan.strips, plan.targets, plan.errors
+    pixel_rad = c.pixel_um * 1e-6 / c.focal_m
+    cameras = CameraPair(
+        R_cs=installation_by_tilt(np.radians(c.star_from_zenith_deg)),
+        star_pixel_rad=c.star_pixel_um / c.star_focal_mm * 1e-3,
+        star_half_width_px=0.5 * c.star_width_px,
+        star_half_height_px=0.5 * c.star_height_px,
+        pixel_rad=pixel_rad,
+        ccd_px=c.ccd_px,
+        n_ccds=c.n_ccds,
+    )
+    campaign = StripPlan(
+        strips=s.count,
+        duration_s=s.duration_s,
+        exposures=s.exposures,
+        exposure_margin_s=s.exposure_margin_s,
+        stars=s.stars,
+        targets=t.count,
+        across=t.across,
+        along=t.along,
+        sigma_s_px=s.star_sigma_px,
+        sigma_c_px=t.sigma_px,
+        height_m=s.height_km * 1e3,
+        sigma_position_m=e.position_m,
+        sigma_clock_s=e.clock_s,
+        sigma_vibration_rad=e.vibration_arcsec * ARCSEC,
+        sigma_distortion_rad=e.distortion_px * pixel_rad,
+        distortion_length_px=e.distortion_length_px,
+        distortion_pixel_rad=pixel_rad,
+        sigma_target_m=t.sigma_m,
+    )
+    return campaign, cameras
+
+
+def _text(plan: Plan, found: Forecast, target_arcsec: float | None, needed: int | None) -> str:
+    def angles(sigma: np.ndarray) -> str:
+        shown = [
+            f"{axis} {s:.4g}″" if np.isfinite(s) else f"{axis} not observable"
+            for axis, s in zip("XYZ", sigma)
+        ]
+        return "  ".join(shown)
+
+    lines = [
+        f"{plan.strips.count} strips: 1-sigma  {angles(found.sigma(plan.strips.count) / ARCSEC)}",
+        f"never below:  {angles(found.floor() / ARCSEC)}",
+    ]
+    for d in found.after(plan.strips.count).unobservable:
+        lines.append(f"the rotation about [{d[0]:+.3f} {d[1]:+.3f} {d[2]:+.3f}] (frame c) is not observable")
+    if target_arcsec is not None and needed is not None:
+        lines.append(f"{needed} strips bring every axis to {target_arcsec:g}″")
+    elif target_arcsec is not None:
+        lines.append(
+            f"no number of strips brings every axis to {target_arcsec:g}″: what strips share, the camera's "
+            f"distortion, does not average; calibrate it better, or spread the targets wider"
+        )
+    return "\n".join(lines)

@@ -1,0 +1,136 @@
+"""Commands before any data: what a campaign will reach (plan), scans of the sky to take (sky-strip-plan)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from boresight.pipeline.console.arguments import DumpArgument
+from boresight.pipeline.console.messages import DATA_DID_NOT_ALLOW, DONE, Answer, talks
+
+if TYPE_CHECKING:
+    from boresight.features.planning.scan_plan import ScanCameras
+    from boresight.pipeline.files.dump import Dump
+
+__all__ = ["add_plan_commands"]
+
+
+def add_plan_commands(app: typer.Typer) -> None:
+    """Add the commands to the program."""
+    app.command()(talks(plan, with_json=True))
+    app.command("sky-strip-plan")(talks(sky_strip_plan, with_json=True))
+
+
+def plan(
+    plan_file: Annotated[Path, typer.Argument(metavar="PLAN", help="TOML file that describes the campaign.")],
+    target: Annotated[
+        float | None, typer.Option(help="Arcsec on every axis: how many strips are needed?", min=1e-9)
+    ] = None,
+    out: Annotated[Path | None, typer.Option(help="Folder for plan.csv and plan.png.")] = None,
+) -> Answer:
+    """Forecast how well a campaign will determine the installation matrix.
+
+    Example: boresight plan plan.toml --target 0.5 --out forecast
+    """
+    from boresight.features.paper.plots import plot_forecast
+    from boresight.features.planning.campaign_plan import forecast_plan, read_plan
+
+    found = forecast_plan(read_plan(plan_file), target)
+    text, files = found.text, tuple[Path, ...]()
+    if out is not None:
+        out.mkdir(parents=True, exist_ok=True)
+        found.table.to_csv(out / "plan.csv", index=False, float_format="%.6g")
+        plot_forecast(found.table, target, found.by_targets, found.without).savefig(
+            out / "plan.png", dpi=110, bbox_inches="tight"
+        )
+        files = (out / "plan.csv", out / "plan.png")
+        text += f"\n-> {files[0]}, {files[1]}"
+    failed = target is not None and found.strips_needed is None
+    return Answer(
+        text=text,
+        content={
+            "strips_needed": found.strips_needed,
+            "forecast": found.table.to_dict("records"),
+            "by_targets": found.by_targets.to_dict("records"),
+            "without": found.without.to_dict("records"),
+            "campaigns": found.campaigns.to_dict("records"),
+        },
+        files=files,
+        exit_status=DATA_DID_NOT_ALLOW if failed else DONE,
+    )
+
+
+def sky_strip_plan(
+    dump: DumpArgument,
+    out: Annotated[Path | None, typer.Option(help="Folder for scans.csv and scans.png.")] = None,
+    utc: Annotated[
+        str | None, typer.Option(help="Beginning, such as 2026-11-22T18:00:00Z; default: the orbit's.")
+    ] = None,
+    hours: Annotated[float, typer.Option(help="Length of the time to choose from.", min=0.1)] = 24.0,
+    scans: Annotated[int, typer.Option(help="Number of scans wanted.", min=1)] = 2,
+    candidates: Annotated[int, typer.Option(help="Scans to choose from.", min=2, max=5000)] = 200,
+    duration_s: Annotated[float, typer.Option(help="Length of a scan.", min=0.1)] = 7.2,
+    rate_mrad_s: Annotated[float, typer.Option(help="Rate, forward and backward in turn.", min=0.01)] = 3.6,
+    v_mag: Annotated[float, typer.Option(help="Faintest star that is measured in a strip.")] = 9.0,
+    sun_deg: Annotated[float, typer.Option(help="Least angle of both cameras to the Sun.", min=0.0)] = 60.0,
+    moon_deg: Annotated[float, typer.Option(help="... to the Moon.", min=0.0)] = 20.0,
+    earth_deg: Annotated[float, typer.Option(help="... above the Earth's limb.", min=0.0)] = 15.0,
+    seed: Annotated[int, typer.Option(help="Seed of the candidates.", min=0)] = 1,
+) -> Answer:
+    """Which scans of the sky tell most about the installation matrix, away from Sun, Moon and Earth.
+
+    Example: boresight sky-strip-plan dump --scans 2 --hours 12 --out scans
+    """
+    from boresight.features.planning.scan_files import scan_lines, scan_table, write_scans
+    from boresight.features.planning.scan_plan import ScanSettings, choose_scans
+    from boresight.pipeline.errors import DataNotSufficientError, RawDataError
+    from boresight.pipeline.files.dump import open_dump
+    from boresight.pipeline.files.star_tables import survey_of
+    from boresight.pipeline.run.settings import Settings, calibration_settings
+
+    opened = open_dump(dump.resolve())
+    try:
+        start = opened.orbit.span_s[0] if utc is None else float(opened.epoch.seconds_from_utc([utc])[0])
+    except ValueError as error:
+        raise RawDataError("--utc", "value", utc, "a time such as 2026-11-22T18:00:00Z") from error
+    asked = ScanSettings(
+        count=scans,
+        candidates=max(candidates, scans),
+        hours=hours,
+        duration_s=duration_s,
+        rate_mrad_s=rate_mrad_s,
+        v_mag=v_mag,
+        sun_deg=sun_deg,
+        moon_deg=moon_deg,
+        earth_deg=earth_deg,
+        seed=seed,
+    )
+    errors = calibration_settings(Settings(), opened.errors, opened.line_camera)
+    try:
+        found = choose_scans(_scan_cameras(opened), survey_of(opened.star_catalogue), start, errors, asked)
+    except ValueError as error:
+        raise DataNotSufficientError(str(error)) from error
+    lines, files = scan_lines(found, opened.epoch), tuple[Path, ...]()
+    if out is not None:
+        files = write_scans(found, opened.epoch, out)
+        lines.append(f"-> {', '.join(map(str, files))}")
+    table = scan_table(found, opened.epoch)
+    return Answer(text="\n".join(lines), content={"scans": table.to_dict("records")}, files=files)
+
+
+def _scan_cameras(dump: Dump) -> ScanCameras:
+    """Both cameras of a dump; of a head that delivers attitudes, their usual covariance."""
+    from boresight.features.planning.scan_plan import ScanCameras
+    from boresight.pipeline.files.star_side import SolvedAttitudes
+
+    head = dump.heads[0]
+    source = head.source
+    return ScanCameras(
+        line=dump.line_camera,
+        star=source.usual_covariance_s(head.noise) if isinstance(source, SolvedAttitudes) else source.camera,
+        R_cs=dump.R_cs0,
+        orbit=dump.orbit,
+        noise=head.noise,
+    )

@@ -1,0 +1,181 @@
+"""`boresight star-camera-plan IMAGE`: where to look to calibrate the camera that took an image."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from boresight.features.sky_images.identify_images import read_camera, read_sky_image, sky_index
+from boresight.geometry.star_camera import StarCamera
+from boresight.pipeline.errors import RawDataError
+from boresight.pipeline.files.whole_file import write_figure, write_whole
+from boresight.star_id.field import ra_dec_roll, solve_field
+from boresight.star_id.identification.identify import NotIdentified
+from boresight.star_id.identification.triangle_index import StarIndex
+from boresight.star_id.settings import StarSettings
+from boresight.star_id.sky_plan import SkyPlan, StarImageModel, plan_pointings
+
+__all__ = ["SkyPlanRequest", "plan_sky"]
+
+
+@dataclass(frozen=True, slots=True)
+class SkyPlanRequest:
+    """What is known of the camera, how many images are to be taken, and where the plan goes."""
+
+    camera_file: Path | None = None
+    fov_deg: float | None = None
+    frames: int = 10
+    candidates: int = 500
+    utc: str | None = None  # of the campaign: keeps the Sun away
+    sun_deg: float = 60.0
+    seed: int = 1
+    out: Path | None = None  # CSV
+    plot: Path | None = None  # PNG
+
+
+def plan_sky(path: Path, request: SkyPlanRequest, settings: StarSettings) -> tuple[list[str], bool]:
+    """Lines to print, and whether there is a plan."""
+    given = read_camera(request.camera_file)
+    image = read_sky_image(path, given, request.camera_file)
+    index = sky_index(given, request.fov_deg, settings)
+    fov = None if request.fov_deg is None else float(np.radians(request.fov_deg))
+    seen = solve_field(image, index, settings, camera=given, fov_x_rad=fov)
+    if isinstance(seen, NotIdentified):
+        return [f"no plan: {path}: {seen.reason}"], False
+    candidates = Rotation.random(request.candidates, random_state=np.random.default_rng(request.seed))
+    lines = [f"{seen.matches} stars of {path} give the noise and detection limit of this camera"]
+    if request.utc is not None:
+        candidates, line = _away_from_the_sun(seen.camera, candidates, request.utc, request.sun_deg)
+        lines.append(line)
+    if len(candidates) < request.frames:
+        return [*lines, f"no plan: {len(candidates)} pointings to choose {request.frames} from"], False
+    try:
+        images = StarImageModel.of(seen, index)
+    except ValueError as error:
+        return [*lines, f"no plan: {path}: {error}"], False
+    plan = plan_pointings(seen.camera, images, index, settings, candidates, request.frames)
+    table = _table(seen.camera, plan)
+    lines.append(
+        "image   RA deg   Dec deg  roll deg  stars   largest error of the model after it, px (random)"
+    )
+    lines += [
+        f"{row.image:5d}  {row.ra_deg:7.2f}  {row.dec_deg:8.2f}  {row.roll_deg:8.2f}  {row.stars:5d}"
+        f"   {row.largest_sigma_px:.4f}  ({row.random_sigma_px:.4f})"
+        for row in table.itertuples()
+    ]
+    if request.out is not None:
+        out = request.out
+        write_whole(out, lambda target: table.to_csv(target, index=False, lineterminator="\n"))
+        lines.append(f"-> {out}")
+    if request.plot is not None:
+        _draw(seen.camera, plan, table, index, request.plot)
+        lines.append(f"-> {request.plot}")
+    return lines, True
+
+
+def _away_from_the_sun(
+    camera: StarCamera, candidates: Rotation, utc: str, least_deg: float
+) -> tuple[Rotation, str]:
+    from astropy.coordinates import get_sun
+    from astropy.time import Time
+
+    try:
+        sun = get_sun(Time(utc.removesuffix("Z"), scale="utc", format="isot")).cartesian.xyz.value
+    except ValueError as error:
+        raise RawDataError("--utc", "value", utc, "a time such as 2026-11-22T00:00:00Z") from error
+    middles = candidates.inv().apply(camera.middle_axes()[:, 2])
+    angle = np.degrees(np.arccos(np.clip(middles @ (sun / np.linalg.norm(sun)), -1.0, 1.0)))
+    away = angle >= least_deg
+    line = f"{int(away.sum())} of {len(candidates)} pointings are {least_deg:g} deg and more from the Sun"
+    return candidates[away], line
+
+
+def _table(camera: StarCamera, plan: SkyPlan) -> pd.DataFrame:
+    rows = []
+    for number, (pointing, at_random) in enumerate(zip(plan.pointings, plan.random_sigma_px), start=1):
+        ra, dec, roll = np.degrees(ra_dec_roll(camera, pointing.R_si))
+        quaternion = dict(zip(("qx_si", "qy_si", "qz_si", "qw_si"), pointing.R_si.as_quat(canonical=True)))
+        rows.append(
+            {
+                "image": number,
+                "ra_deg": ra,
+                "dec_deg": dec,
+                "roll_deg": roll,
+                **quaternion,
+                "stars": pointing.stars,
+                "largest_sigma_px": pointing.sigma_px,
+                "random_sigma_px": at_random,
+            }
+        )
+    return pd.DataFrame(rows)
+
+
+def _draw(camera: StarCamera, plan: SkyPlan, table: pd.DataFrame, index: StarIndex, path: Path) -> None:
+    """The fields on the sky, numbered, and how the camera becomes known with them."""
+    from matplotlib.figure import Figure
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+    figure = Figure(figsize=(10.5, 4.2), layout="constrained")
+    sky, error = figure.subplots(1, 2, width_ratios=(1.7, 1.0))
+    bright = index.stars.v_mag < 4.5
+    ra, dec = np.degrees(index.stars.ra_rad[bright]) % 360.0, np.degrees(index.stars.dec_rad[bright])
+    sky.scatter(ra, dec, s=1.4 * (5.2 - index.stars.v_mag[bright]) ** 1.6, color="0.65", linewidths=0)
+    labels = np.empty((0, 2))
+    for number, pointing in enumerate(plan.pointings, start=1):
+        outline = _outline(camera, pointing.R_si)
+        for x, y in _pieces(outline):
+            sky.plot(x, y, color="black", linewidth=1.0)
+        labels = np.vstack([labels, _free_place(np.column_stack(outline), labels)])
+        around = {"boxstyle": "circle,pad=0.15", "facecolor": "white", "edgecolor": "0.5", "linewidth": 0.5}
+        sky.text(*labels[-1], str(number), ha="center", va="center", fontsize=8, bbox=around)
+    sky.set(xlim=(360, 0), ylim=(-90, 90), xlabel="right ascension, deg", ylabel="declination, deg")
+    sky.set_xticks(range(0, 361, 60))
+    sky.set_yticks(range(-90, 91, 30))
+    sky.set_title("fields to take, in this order; stars to V = 4.5", loc="left", fontsize=10)
+    error.semilogy(table["image"], table["largest_sigma_px"], "o-", color="black", label="these")
+    error.semilogy(table["image"], table["random_sigma_px"], "s--", color="0.55", label="at random, median")
+    error.set(xlabel="images taken", ylabel="largest 1 sigma of the model, px an axis")
+    error.set_title("what will be known", loc="left", fontsize=10)
+    error.grid(True, which="both", color="0.9")
+    error.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    error.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    error.yaxis.set_minor_formatter(NullFormatter())
+    error.legend(frameon=False)
+    write_figure(path, figure, dpi=110)
+
+
+def _free_place(outline: NDArray[Any], taken: NDArray[Any]) -> NDArray[Any]:
+    """The point of an outline that is farthest from other labels, and on the map."""
+    inside = outline[(np.abs(outline[:, 1]) < 84.0) & (np.abs(outline[:, 0] - 180.0) < 172.0)]
+    if len(inside) == 0 or len(taken) == 0:
+        return np.asarray((inside if len(inside) else outline)[0])
+    apart = np.hypot(*(inside[:, None] - taken[None]).transpose(2, 0, 1)).min(axis=1)
+    return np.asarray(inside[apart.argmax()])
+
+
+def _outline(camera: StarCamera, R_si: Rotation) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Right ascension and declination (deg) along the detector's edge."""
+    t, right, low = np.linspace(0.0, 1.0, 30), camera.width_px - 0.5, camera.height_px - 0.5
+    edge = np.concatenate(
+        [
+            np.column_stack([t * right, 0 * t - 0.5]),
+            np.column_stack([0 * t + right, t * low]),
+            np.column_stack([(1 - t) * right, 0 * t + low]),
+            np.column_stack([0 * t - 0.5, (1 - t) * low]),
+        ]
+    )
+    x, y, z = R_si.inv().apply(camera.directions_from_pixels(edge)).T
+    return np.degrees(np.arctan2(y, x)) % 360.0, np.degrees(np.arcsin(z))
+
+
+def _pieces(outline: tuple[NDArray[Any], NDArray[Any]]) -> list[tuple[NDArray[Any], NDArray[Any]]]:
+    """An outline cut where it leaves the map on one side and comes back on the other."""
+    ra, dec = outline
+    cuts = np.flatnonzero(np.abs(np.diff(ra)) > 180.0) + 1
+    return list(zip(np.split(ra, cuts), np.split(dec, cuts)))

@@ -1,0 +1,288 @@
+"""Single star images named: file -> stars found -> which they are, with the camera known, roughly known
+or unknown.
+
+One image's fault is one line of the outcome; the others go on.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from boresight.features.sky_images.image_time import time_of_image
+from boresight.features.sky_images.whereabouts import NOWHERE, Whereabouts
+from boresight.geometry.constants import ARCSEC
+from boresight.geometry.record import Floats
+from boresight.geometry.star_camera import StarCamera
+from boresight.pipeline.errors import RawDataError
+from boresight.pipeline.files.star_images import read_star_image
+from boresight.pipeline.run.index_cache import cached_index
+from boresight.star_id.catalogue import hipparcos_stars
+from boresight.star_id.field import (
+    LARGEST_FOV_RAD,
+    SMALLEST_FOV_RAD,
+    FieldSolution,
+    ra_dec_roll,
+    solve_centroids,
+    solve_list,
+)
+from boresight.star_id.finding.star_list import StarList, find_stars
+from boresight.star_id.identification.identify import NotIdentified
+from boresight.star_id.identification.triangle_index import StarIndex, equivalent_fov
+from boresight.star_id.observer import Observer
+from boresight.star_id.planets import Planet, planets_in_view
+from boresight.star_id.settings import StarSettings
+
+__all__ = [
+    "Line",
+    "Request",
+    "identify_images",
+    "misshapen_in",
+    "own_name",
+    "read_camera",
+    "read_sky_image",
+    "sky_index",
+]
+
+CATALOGUE_YEAR, EPOCH_ERROR_YEARS = 2020.0, 6.0  # of images without time
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    """What there is to say about one image."""
+
+    text: str
+    identified: bool
+    record: dict[str, Any]  # file, identified, ra_deg, dec_deg, roll_deg, fov_x_deg, matches, rms_arcsec, ...
+    found: FieldSolution | None
+    image: NDArray[Any] | None = None  # as read; None for a list of centroids, or where it was not read
+    stars: StarList | None = None  # found in it
+    planets: tuple[Planet, ...] = ()  # in view at the image's time, where that is known
+
+
+@dataclass(frozen=True, slots=True)
+class Request:
+    """What is known of the camera, and where the named stars go."""
+
+    camera_file: Path | None = None
+    fov_deg: float | None = None
+    dark_file: Path | None = None
+    known: Whereabouts = NOWHERE
+    catalogue_places: bool = False  # times in the images' headers are not used
+    out: Path | None = None  # Parquet, at the end
+    overlay: Path | None = None  # PNG; with several images each adds its own name
+
+
+def identify_images(images: Sequence[Path], request: Request, settings: StarSettings) -> Iterator[Line]:
+    """One line per image; the stars go to `request.out` at the end. `RawDataError` for wrong options."""
+    camera = read_camera(request.camera_file)
+    if request.fov_deg is not None and not 0.5 < request.fov_deg < 90.0:
+        raise RawDataError("--fov", "value", f"{request.fov_deg}", "between 0.5 and 90 degrees")
+    dark = None if request.dark_file is None else read_star_image(request.dark_file, str(request.dark_file))
+    fov = None if request.fov_deg is None else float(np.radians(request.fov_deg))
+    observers = {} if request.catalogue_places else _observers(images, request.known)
+    timeless = replace(settings, epoch_error_years=settings.epoch_error_years or EPOCH_ERROR_YEARS)
+    index = sky_index(camera, request.fov_deg, settings)
+    width = max(len(str(path)) for path in images)
+    named: list[tuple[Path, FieldSolution]] = []
+    for path in images:
+        started = time.process_time()
+        if path.suffix.lower() == ".csv":
+            for name, solved in _of_centroids(path, camera, index, timeless):
+                if isinstance(solved, NotIdentified):
+                    yield _unnamed(name, width, "not identified", solved.reason, started)
+                    continue
+                named.append((name, solved))
+                record = _record(name, solved, 1e3 * (time.process_time() - started))
+                yield Line(f"{name!s:{width}s}   {_facts(record, solved)}", True, record, solved)
+            continue
+        try:
+            image = read_sky_image(path, camera, request.camera_file)
+            if dark is not None and dark.shape != image.shape:
+                shapes = (f"{d.shape[1]} x {d.shape[0]} px" for d in (dark, image))
+                raise RawDataError(str(request.dark_file), "image size", *shapes)
+            observer = observers.get(str(path))
+            known = timeless if observer is None else settings
+            stars = find_stars(image, known, dark)
+            size = (image.shape[1], image.shape[0])
+            outcome = solve_list(stars, size, index, known, camera=camera, fov_x_rad=fov, observer=observer)
+        except RawDataError as error:
+            yield _unnamed(path, width, "not read", str(error), started)
+            continue
+        if isinstance(outcome, NotIdentified):
+            line = _unnamed(path, width, "not identified", outcome.reason, started)
+            yield replace(line, image=image, stars=stars)
+            continue
+        spent_ms = 1e3 * (time.process_time() - started)
+        named.append((path, outcome))
+        planets = () if observer is None else planets_in_view(outcome, observer)
+        if request.overlay is not None:
+            _draw(image, outcome, planets, own_name(request.overlay, path, len(images)))
+        record = _record(path, outcome, spent_ms)
+        record["planets"] = [
+            {"name": p.name, "xy_px": [p.x_px, p.y_px], "detected": p.detection >= 0} for p in planets
+        ]
+        text = f"{path!s:{width}s}   {_facts(record, outcome)}{_named(planets)}"
+        yield Line(text, True, record, outcome, image, stars, planets)
+    if request.out is not None:
+        from boresight.features.sky_images.named_stars import write_named_stars
+
+        write_named_stars(request.out, named)
+
+
+def _named(planets: Sequence[Planet]) -> str:
+    """The planets that are detected, as text."""
+    seen = [f"{p.name} at ({p.x_px:.0f}, {p.y_px:.0f}) px" for p in planets if p.detection >= 0]
+    return "".join(f"   {text}" for text in seen)
+
+
+def _of_centroids(
+    path: Path, camera: StarCamera | None, index: StarIndex, settings: StarSettings
+) -> Iterator[tuple[Path, FieldSolution | NotIdentified]]:
+    """The images of a list of centroids by their names; `RawDataError` where the camera is not known."""
+    from boresight.pipeline.files.centroid_files import read_centroids
+
+    if camera is None:
+        expected = "the option --camera: a list of centroids does not tell the size of the images"
+        raise RawDataError(str(path), "camera", "nothing", expected)
+    for name, stars in read_centroids(path, str(path)).items():
+        yield Path(name), solve_centroids(stars, camera, index, settings)
+
+
+def read_camera(file: Path | None) -> StarCamera | None:
+    """The camera of a star_camera.toml."""
+    if file is None:
+        return None
+    from boresight.pipeline.files.dump_schema import StarCameraFile
+    from boresight.pipeline.files.star_side import star_camera_of
+    from boresight.pipeline.files.text_files import read_toml
+
+    return star_camera_of(read_toml(file, StarCameraFile, str(file)), str(file))
+
+
+def _observers(images: Sequence[Path], known: Whereabouts) -> dict[str, Observer]:
+    """The observer of each image by its path, where the user or the image's header states its time."""
+    stated = known.times is not None or known.orbit is not None or known.site_deg_m is not None
+    if not stated and not any(time_of_image(path) for path in images):
+        return {}
+    from boresight.features.sky_images.frame_facts import (
+        observers_of,  # with orbits and terrain 0.3 s to load
+    )
+
+    return observers_of(images, known)
+
+
+def read_sky_image(path: Path, camera: StarCamera | None, camera_file: Path | None) -> NDArray[Any]:
+    """An image (height, width); `RawDataError` if its size is not the camera's."""
+    image = read_star_image(path, str(path))
+    if camera is not None and image.shape != (camera.height_px, camera.width_px):
+        found = f"{image.shape[1]} x {image.shape[0]} px"
+        expected = f"{camera.width_px} x {camera.height_px} px, as in {camera_file}"
+        raise RawDataError(str(path), "image size", found, expected)
+    return image
+
+
+def _unnamed(path: Path, width: int, what: str, reason: str, started: float) -> Line:
+    record = {
+        "file": str(path),
+        "identified": False,
+        "cpu_ms": _spent(started),
+        "reason": f"{what}: {reason}",
+    }
+    return Line(f"{path!s:{width}s}   {what}: {reason}", False, record, None)
+
+
+def _spent(started: float) -> float:
+    return round(1e3 * (time.process_time() - started), 2)
+
+
+def _record(path: Path, found: FieldSolution, spent_ms: float) -> dict[str, Any]:
+    ra_deg, dec_deg, roll_deg = np.degrees(ra_dec_roll(found.camera, found.R_si)).tolist()
+    return {
+        "file": str(path),
+        "identified": True,
+        "ra_deg": ra_deg,
+        "dec_deg": dec_deg,
+        "roll_deg": roll_deg,
+        "fov_x_deg": float(np.degrees(found.fov_x_rad)),
+        "matches": found.matches,
+        "rms_arcsec": found.rms_arcsec,
+        "false_alarm_probability": found.false_alarm_probability,
+        "cpu_ms": round(spent_ms, 2),
+        "pointing_sigma_arcsec": found.pointing_sigma_rad / ARCSEC,
+        "roll_sigma_arcsec": found.roll_sigma_rad / ARCSEC,
+        "fov_x_sigma_deg": float(np.degrees(found.fov_x_sigma_rad)),
+        "mirrored": found.mirrored,
+    }
+
+
+def own_name(path: Path, image: Path, count: int) -> Path:
+    """The file of one of `count` images; with several each adds its own name."""
+    return path if count == 1 else path.with_name(f"{path.stem}-{image.stem}{path.suffix}")
+
+
+def misshapen_in(image: NDArray[Any], stars: StarList) -> Floats:
+    """Places (M, 2) of detections of no star's shape, without those whose fit left the image."""
+    inside = ((stars.misshapen_px > 0.0) & (stars.misshapen_px < image.shape[::-1])).all(axis=1)
+    return np.asarray(stars.misshapen_px[inside])
+
+
+def _draw(image: NDArray[Any], found: FieldSolution, planets: Sequence[Planet], path: Path) -> None:
+    """The image with the named stars ringed and numbered, planets named, other detections marked, those
+    of no star's shape by crosses; a mirror image reversed."""
+    if found.mirrored:
+        image = image[:, ::-1]
+    low, high = np.percentile(image, (1.0, 99.7))
+    grey = np.clip((image.astype(np.float32) - low) * (255.0 / max(high - low, 1.0)), 0, 255).astype(np.uint8)
+    picture = cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR)
+    radius = max(5, image.shape[1] // 200)
+    if found.stars is not None:
+        for x, y in np.rint(misshapen_in(image, found.stars)).astype(int).tolist():
+            cv2.drawMarker(picture, (x, y), (60, 60, 255), cv2.MARKER_TILTED_CROSS, radius, 1, cv2.LINE_AA)
+        for x, y in np.rint(found.stars.xy_px).astype(int).tolist():
+            cv2.circle(picture, (x, y), radius // 2, (0, 120, 255), 1, cv2.LINE_AA)
+    at_stars = zip(np.rint(found.xy_px).astype(int).tolist(), map(str, found.hip.tolist()))
+    at_planets = (((round(p.x_px), round(p.y_px)), p.name) for p in planets)
+    for (x, y), name in (*at_stars, *at_planets):
+        cv2.circle(picture, (x, y), radius, (0, 255, 0), 1, cv2.LINE_AA)
+        place = (x + radius + 2, y - 2)
+        cv2.putText(picture, name, place, cv2.FONT_HERSHEY_SIMPLEX, 0.4, (0, 255, 0), 1, cv2.LINE_AA)
+    if not cv2.imwrite(str(path), picture):
+        raise RawDataError(str(path), "overlay", "could not be written", "the name of a PNG file in a folder")
+
+
+def _facts(record: dict[str, Any], found: FieldSolution) -> str:
+    """The line of text with the numbers of `record`."""
+    return (
+        "{matches:4d} stars   rms {rms_arcsec:.1f} arcsec   "
+        "RA {ra_deg:.5f}  Dec {dec_deg:+.5f} deg +- {pointing_sigma_arcsec:.2f} arcsec   "
+        "roll {roll_deg:.4f} deg +- {roll_sigma_arcsec:.1f} arcsec   FOV {fov_x_deg:.4f} deg   "
+    ).format_map(record) + (
+        f"wrong with probability < 1e{found.log_false_alarm_probability / np.log(10.0):.0f}"
+        + ("" if found.camera.projection == "tangent" else "   fisheye projection")
+        + ("   MIRROR IMAGE: all is stated for its columns reversed" if found.mirrored else "")
+    )
+
+
+def sky_index(camera: StarCamera | None, fov_deg: float | None, settings: StarSettings) -> StarIndex:
+    """Catalogue triangles for what is known of the camera."""
+    if camera is not None:
+        return _built(equivalent_fov(camera.width_px, camera.height_px, camera.focal_m / camera.pixel_m))
+    if fov_deg is None:
+        return _built((float(SMALLEST_FOV_RAD), float(LARGEST_FOV_RAD)))
+    spread = 1.0 + 2.0 * settings.fov_tolerance
+    fov = float(np.radians(fov_deg))
+    return _built((0.5 * fov / spread, 1.2 * fov * spread))  # the area may be that of a tall or a wide image
+
+
+@lru_cache(maxsize=1)
+def _built(fov_rad: float | tuple[float, float]) -> StarIndex:
+    return cached_index(hipparcos_stars().places, CATALOGUE_YEAR, fov_rad)

@@ -1,0 +1,1 @@
+"""Ground calibration targets and dumps before a calibration: choose, match, begin, check."""

@@ -1,0 +1,48 @@
+"""The page of `boresight dump check`: errors, what would not be used, and a map of footprints and targets."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from boresight.features.targets.dump_check import DumpCheck
+from boresight.pipeline.files.whole_file import write_text
+from boresight.pipeline.report.drawing import INK, Drawing, drawn, dress_axes, new_figure
+from boresight.pipeline.report.page import template
+
+__all__ = ["write_check_page"]
+
+MOST_MAPS, COLUMNS = 12, 2
+
+
+def write_check_page(found: DumpCheck, path: Path) -> None:
+    """Write the page, readable without a network."""
+    drawing = _map(found) if found.footprints else None
+    text = template("check.html.j2").render(check=found, map=drawing)
+    write_text(path, text)
+
+
+def _map(found: DumpCheck) -> Drawing:
+    """A map for each of the first strips: its outline and the targets that it sees or misses by least."""
+    shown = dict(list(found.footprints.items())[:MOST_MAPS])
+    rows = -(-len(shown) // COLUMNS)
+    figure = new_figure(2.2 * rows)
+    for n, (strip_id, outline) in enumerate(shown.items()):
+        axes = figure.add_subplot(rows, COLUMNS, n + 1)
+        dress_axes(axes, "", "")
+        axes.plot(*np.vstack([outline, outline[:1]]).T, color=INK, lw=1.0)
+        axes.set_title(strip_id, color=INK, fontsize=9)
+        seen = [one.lon_lat_deg for one in found.targets if strip_id in one.seen_by]
+        missed = [one.lon_lat_deg for one in found.targets if one.nearest == strip_id]
+        for places, marker in ((seen, "o"), (missed, "x")):
+            if places:
+                axes.plot(*np.array(places).T, marker, color=INK, ms=4, mfc="none")
+        axes.set_aspect(1.0 / np.cos(np.radians(outline[:, 1].mean())), adjustable="datalim")
+        axes.ticklabel_format(useOffset=False)
+        axes.locator_params(nbins=3)
+    in_view = sum(bool(one.seen_by) for one in found.targets)
+    counts = f"{len(shown)} of {len(found.footprints)} strips by the pre-launch matrix"
+    text = f"{counts}, longitude and latitude in degrees; {in_view} of {len(found.targets)} targets in view."
+    text += " Circles: in view; crosses: not, at the strip that they miss by least."
+    return drawn(figure, "footprints", text, f"Maps of footprints and targets. {text}")

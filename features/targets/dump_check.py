@@ -1,0 +1,140 @@
+"""A dump checked without calibrating it: its files, its images, what its strips see and miss."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from boresight.gct_match.records import Target
+from boresight.geometry.constants import WGS84
+from boresight.geometry.footprint import outline_deg
+from boresight.geometry.geodesy import geodetic_from_ecef
+from boresight.geometry.record import Bools, Floats, array, record, scalar
+from boresight.geometry.terrain import ConstantHeight
+from boresight.pipeline.errors import Omission, RawDataError
+from boresight.pipeline.files.dump import Dump, dump_faults, open_dump, surface_of
+from boresight.pipeline.run.executor import Executor
+from boresight.pipeline.run.settings import Settings
+from boresight.pipeline.stages.calibrate import strips_to_match
+from boresight.pipeline.stages.missing import misses
+from boresight.pipeline.stages.strip import StripTask, pushbroom_of, unreadable_chips
+
+__all__ = ["DumpCheck", "TargetCheck", "check_dump", "check_lines"]
+
+
+@record(kw_only=True)
+class TargetCheck:
+    """One target against the strips, with the pre-launch installation matrix."""
+
+    target_id: str = scalar("id")
+    lon_lat_deg: Floats = array("2", "longitude and latitude")
+    seen_by: tuple[str, ...] = scalar("ids of the strips whose footprint contains it")
+    nearest: str = scalar("id of the strip that it misses by least; empty where it is seen or there is none")
+    across_m: float = scalar("how far it misses that strip across the track, m")
+    along_m: float = scalar("and along it")
+    along_s: float = scalar("the same as time, s")
+
+    @property
+    def text(self) -> str:
+        """One line: seen by which strips, or the nearest miss."""
+        if self.seen_by:
+            return f"{self.target_id}   in view of {', '.join(self.seen_by)}"
+        if not self.nearest:
+            return f"{self.target_id}   no strip has a footprint"
+        miss = f"{self.across_m / 1e3:.2f} km across the track, {self.along_m / 1e3:.2f} km along it"
+        return f"{self.target_id}   misses {self.nearest} by {miss} ({self.along_s:.2f} s)"
+
+
+@record(kw_only=True)
+class DumpCheck:
+    """What is known of a dump without calibrating it."""
+
+    root: str = scalar("folder of the dump")
+    faults: tuple[RawDataError, ...] = scalar("errors that stop a calibration, all at once")
+    facts: tuple[str, ...] = scalar("mission, cameras, counts; one line each")
+    omissions: tuple[Omission, ...] = scalar("exposures, strips and chips that would not be used")
+    sky_strips: int = scalar("strips of the sky", default=0)
+    footprints: dict[str, Floats] = scalar("outline (N, 2) of each strip: longitude and latitude, degrees")
+    targets: tuple[TargetCheck, ...] = scalar("every target against the strips")
+
+
+def check_dump(root: Path, settings: Settings, executor: Executor | None = None) -> DumpCheck:
+    """Check a dump: its text files; if these are sound, its images and what its strips see."""
+    if faults := dump_faults(root):
+        return DumpCheck(
+            root=str(root), faults=tuple(faults), facts=(), omissions=(), footprints={}, targets=()
+        )
+    dump = open_dump(root)
+    tasks, omissions = strips_to_match(dump, settings, executor)
+    outlines = _outlines(dump, tasks)
+    first, last = dump.epoch.utc_from_seconds(dump.orbit.t_s[[0, -1]])
+    facts = (
+        f"mission {dump.mission}, orbit from {first[:19]} to {last[:19]} UTC",
+        f"{len(dump.heads)} star camera(s) with {len(dump.exposures)} exposures",
+        f"{len(dump.strips)} strips of {dump.line_camera.n_ccds} CCD(s), {len(tasks)} of them can be used",
+        f"{len(dump.targets)} targets, {len(dump.points)} strips with measured image points",
+        *((f"{len(dump.sky_strips)} strips of the sky",) if dump.sky_strips else ()),
+    )
+    missed = [(*misses(task, dump.targets), _in_view(task, dump.targets)) for task in tasks if dump.targets]
+    names = [task.strip.strip_id for task in tasks]
+    return DumpCheck(
+        root=str(root),
+        faults=(),
+        facts=facts,
+        omissions=(*omissions, *unreadable_chips(dump.chips)),
+        sky_strips=len(dump.sky_strips),
+        footprints=outlines,
+        targets=tuple(_target(n, one, names, missed) for n, one in enumerate(dump.targets)),
+    )
+
+
+def check_lines(found: DumpCheck) -> list[str]:
+    """The check as text: errors, facts, what would not be used, targets and their nearest misses."""
+    lines = [f"error: {fault}" for fault in found.faults]
+    if found.faults:
+        return [*lines, f"{len(lines)} error(s) in the files of {found.root}; images were not checked"]
+    lines = [*found.facts, *(f"not used: {o.kind} {o.name}: {o.reason}" for o in found.omissions)]
+    seen = sum(bool(one.seen_by) for one in found.targets)
+    if found.targets:
+        lines.append(f"{seen} of {len(found.targets)} targets are in view, by the pre-launch matrix:")
+    return [*lines, *("  " + one.text for one in found.targets)]
+
+
+def _outlines(dump: Dump, tasks: Sequence[StripTask]) -> dict[str, Floats]:
+    """Footprints (N, 2) of strips, longitude and latitude, degrees, at the mean height of the terrain."""
+    if not tasks:
+        return {}
+    height = ConstantHeight(float(np.mean(surface_of(dump.terrain).height_range_m())))
+    return {t.strip.strip_id: outline_deg(pushbroom_of(t), t.strip.ccd_lines, height) for t in tasks}
+
+
+def _in_view(task: StripTask, targets: Sequence[Target]) -> Bools:
+    """Which targets (N,) some CCD of a strip shows."""
+    model, p_e = pushbroom_of(task), np.array([target.p_e for target in targets])
+    seen = np.zeros(len(targets), dtype=bool)
+    for ccd, lines in task.strip.ccd_lines.items():
+        sample, line = model.pixels_from_ground(ccd, p_e)
+        inside = (sample >= -0.5) & (sample <= task.camera.n_px(ccd) - 0.5)
+        seen |= inside & (line >= -0.5) & (line <= lines - 0.5)
+    return seen
+
+
+def _target(
+    n: int, target: Target, names: Sequence[str], missed: Sequence[tuple[Floats, float, Bools]]
+) -> TargetCheck:
+    lat, lon, _ = geodetic_from_ecef(target.p_e[None], WGS84)
+    distances = [float(np.hypot(*outside[n])) for outside, _, _ in missed]
+    seen = tuple(name for name, (_, _, in_view) in zip(names, missed) if in_view[n])
+    best = int(np.argmin(distances)) if distances and not seen else -1
+    across_m, along_m = missed[best][0][n].tolist() if best >= 0 else (0.0, 0.0)
+    return TargetCheck(
+        target_id=target.target_id,
+        lon_lat_deg=np.degrees([lon[0], lat[0]]),
+        seen_by=seen,
+        nearest=names[best] if best >= 0 else "",
+        across_m=across_m,
+        along_m=along_m,
+        along_s=along_m / missed[best][1] if best >= 0 else 0.0,
+    )

@@ -1,0 +1,344 @@
+"""From dumps to finished result folders: what `boresight calibrate` does once everything has been opened.
+
+One dump fills the folder. Of several, each fills a folder of its own in it, by its name, and the folder
+itself gets what is joint: the matrix from all of them, and the drift between them.
+"""
+
+from __future__ import annotations
+
+import shlex
+import sys
+import time
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from functools import cached_property, partial
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+from boresight.calib.verdict import Outcome
+from boresight.geometry.record import record, scalar
+from boresight.pipeline.console.messages import (
+    DONE,
+    LIMIT_MISSED,
+    NOT_CHECKABLE,
+    REFUTED,
+    WITH_FINDINGS,
+    Accepted,
+    log,
+    say,
+)
+from boresight.pipeline.errors import Cause, DataNotSufficientError, Omission, RawDataError
+from boresight.pipeline.files.dump import Dump
+from boresight.pipeline.files.record_tables import plain
+from boresight.pipeline.files.text_files import read_json
+from boresight.pipeline.results.folder import begin_result, results_in, store_of
+from boresight.pipeline.results.ownership import claimed
+from boresight.pipeline.results.reading import read_findings, read_result
+from boresight.pipeline.results.requirement import (
+    Requirement,
+    is_met,
+    requirement_lines,
+    saved_requirement,
+    write_requirement,
+)
+from boresight.pipeline.results.status import kept_units, run_status
+from boresight.pipeline.results.summary import (
+    calibration_summary,
+    finding_lines,
+    joint_summary,
+    omission_lines,
+    verdict_lines,
+)
+from boresight.pipeline.results.writing import (
+    write_dumps,
+    write_installation,
+    write_joint_result,
+    write_run,
+    write_sightings,
+)
+from boresight.pipeline.run.executor import Executor
+from boresight.pipeline.run.processes import Processes
+from boresight.pipeline.run.run_inputs import RunInputs, inputs_of
+from boresight.pipeline.run.settings import Settings
+from boresight.pipeline.stages.cached import Progress
+from boresight.pipeline.stages.calibrate import Calibration, calibrate_dump
+from boresight.pipeline.stages.joint import NamedDump, calibrate_jointly
+
+MOST_AHEAD = 256  # images of which the overviews, of some 80 kB each, wait in memory
+
+__all__ = ["RunOutcome", "RunRequest", "SavedContent", "exit_status", "going_on", "run_dump", "run_dumps"]
+
+
+@record(kw_only=True)
+class RunRequest:
+    """How a run is to be done, and what run.json is to say of it."""
+
+    settings: Settings = scalar("of all stages")
+    report: bool = scalar("write evidence and report.html", default=True)
+    begun_s: float = scalar("time.perf_counter() at its start")
+    overwrite: bool = scalar("replace a result of another dump or of other settings", default=False)
+    requirement: Requirement = scalar("accuracy that the report compares with", default=Requirement())
+    facts: dict[str, Any] = scalar("for run.json: workers, machine, versions")
+
+
+@record
+class RunOutcome:
+    """Outcome of a run, for the terminal and the exit status."""
+
+    text: str = scalar("summary for the terminal")
+    outcomes: frozenset[Outcome] = scalar("verdicts of the result and of its dumps")
+    is_met: bool = scalar("whether the required accuracy is reached, or none is required")
+
+
+def exit_status(outcome: RunOutcome, accepted: Collection[Accepted]) -> int:
+    """The exit status of a run, the gravest thing that is not accepted; 0 if there is none."""
+    cases = (
+        (Accepted.REFUTED, Outcome.REFUTED in outcome.outcomes, REFUTED),
+        (Accepted.NOT_CHECKABLE, Outcome.NOT_CHECKABLE in outcome.outcomes, NOT_CHECKABLE),
+        (Accepted.UNMET, not outcome.is_met, LIMIT_MISSED),
+        (Accepted.FINDINGS, Outcome.FINDINGS in outcome.outcomes, WITH_FINDINGS),
+    )
+    return next((status for what, found, status in cases if found and what not in accepted), DONE)
+
+
+@contextmanager
+def going_on(out: Path) -> Iterator[None]:
+    """When the run is interrupted, say what is kept and how to go on."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        command, folder = shlex.join(["boresight", *sys.argv[1:]]), shlex.quote(str(out))
+        say(f"{kept_units(out)}\ngo on with: {command}\nlook at it with: boresight status {folder}")
+        raise
+
+
+class SavedContent(Mapping[str, Any]):
+    """What a result folder holds, for --json: installation.json, what to look at, and what is not used. It is
+    read when it is asked for."""
+
+    def __init__(self, out: Path) -> None:
+        self._out = out
+
+    @cached_property
+    def _content(self) -> dict[str, Any]:
+        return {
+            "installation": read_json(self._out / "installation.json"),
+            "findings": read_findings(self._out),
+            "omitted": [plain(omission) for omission in run_status(self._out).omissions],
+        }
+
+    def __getitem__(self, key: str) -> Any:
+        return self._content[key]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._content)
+
+    def __len__(self) -> int:
+        return len(self._content)
+
+
+def run_dump(
+    out: Path, dump: Dump, named: str, request: RunRequest, executor: Executor, progress: Progress
+) -> RunOutcome:
+    """Calibrate one dump, `named` so by the user, into `out`."""
+    with claimed(out, [dump.root], request.settings, overwrite=request.overwrite):
+        inputs = inputs_of([dump], request.settings)
+        required = write_requirement(out, request.requirement)
+        if _is_finished(out, inputs, request, executor):
+            if required and request.report:
+                _draw(out, executor)
+            return _finished(out)
+        found = _calibrated(out, dump, named, inputs, request, executor, progress)
+        log.debug("%s", "\n".join(omission_lines(found.omissions, None)))
+        text = "\n".join([calibration_summary(found, read_findings(out)), *_required(out)])
+        return RunOutcome(text, frozenset({found.verdict.outcome}), _is_met(out))
+
+
+def run_dumps(
+    out: Path, dumps: Sequence[NamedDump], request: RunRequest, executor: Executor, progress: Progress
+) -> RunOutcome:
+    """Calibrate dumps of one mission, each and jointly, into `out`. A dump whose data do not suffice is
+    counted and does not stop the others.
+    """
+    with claimed(out, [one.dump.root for one in dumps], request.settings, overwrite=request.overwrite):
+        inputs = inputs_of([named.dump for named in dumps], request.settings)
+        required = write_requirement(out, request.requirement)
+        if _is_finished(out, inputs, request, executor):
+            if required and request.report:
+                _draw_dumps(out)
+            return _finished(out)
+        return _jointly_calibrated(out, dumps, inputs, request, executor, progress)
+
+
+def _jointly_calibrated(
+    out: Path,
+    dumps: Sequence[NamedDump],
+    inputs: RunInputs,
+    request: RunRequest,
+    executor: Executor,
+    progress: Progress,
+) -> RunOutcome:
+    begin_result(out)
+    write_dumps(out, [named.name for named in dumps])
+    calibrated: list[tuple[NamedDump, Calibration]] = []
+    failed: list[Omission] = []
+    for named in dumps:
+
+        def report_progress(stage: str, done: int, total: int, name: str = named.name) -> None:
+            progress(f"{name}: {stage}", done, total)
+
+        try:
+            folder, root = out / named.name, named.dump.root
+            with claimed(folder, [root], request.settings, overwrite=request.overwrite):
+                own = inputs_of([named.dump], request.settings)
+                found = _calibrated(folder, named.dump, str(root), own, request, executor, report_progress)
+        except DataNotSufficientError as error:
+            failed.append(Omission("dump", named.name, "", str(error), Cause.NOT_CALIBRATED))
+        else:
+            calibrated.append((named, found))
+    joint = calibrate_jointly(calibrated, failed, request.settings)
+    of_dumps = {named.name: found for named, found in calibrated}
+    text = joint_summary(of_dumps, joint)
+    if len(calibrated) > 1:
+        text += "\n" + _drift(out, list(of_dumps))
+    write_joint_result(out, joint, of_dumps, request.settings)
+    roots = {named.name: str(named.dump.root) for named in dumps}
+    _note(out, request, {"dumps": roots, "inputs": inputs.digest()})
+    text = "\n".join([text, *_required(out)])
+    if request.report:
+        _draw_dumps(out)
+    verdicts = [joint.verdict, *(found.verdict for _, found in calibrated)]
+    return RunOutcome(text, frozenset(verdict.outcome for verdict in verdicts), _is_met(out))
+
+
+def _calibrated(
+    out: Path,
+    dump: Dump,
+    named: str,
+    inputs: RunInputs,
+    request: RunRequest,
+    executor: Executor,
+    progress: Progress,
+) -> Calibration:
+    begin_result(out)
+    (out / "work").mkdir(exist_ok=True)
+    inputs.know_images(executor, exposures=False)  # exposures are read once, where their stars are found
+    overviews: dict[tuple[str, int], Any] = {}
+    try:
+        with _overviews_ahead(dump, request, executor, overviews):
+            found = calibrate_dump(dump, request.settings, store_of(out.resolve()), executor, progress)
+    except DataNotSufficientError as error:
+        if request.report:
+            from boresight.pipeline.report.no_result import write_no_result
+
+            write_no_result(out, dump, error)
+        raise
+    with executor.beside(partial(write_sightings, out, found)):
+        if request.report:
+            _write_evidence(out, dump, found, request, executor, overviews)
+    write_installation(out, found, request.settings)
+    counts = {"units_made": found.n_computed, "units_found": found.n_reused}
+    _note(out, request, {"dump": named, "inputs": inputs.digest()}, counts)
+    if request.report:
+        _draw(out, executor)
+    return found
+
+
+@contextmanager
+def _overviews_ahead(
+    dump: Dump, request: RunRequest, executor: Executor, made: dict[tuple[str, int], Any]
+) -> Iterator[None]:
+    """A block of code; overviews of strips for the report, by strip and CCD, as many as a processor without
+    other work could make meanwhile.
+    """
+    if not request.report:
+        yield
+        return
+    from boresight.pipeline.report.strip_overview import overview, overview_tasks
+
+    tasks = overview_tasks(dump.strips, request.settings.match)[:MOST_AHEAD]
+    with executor.ahead(overview, tasks) as finished:
+        yield
+    made |= {(tasks[n].strip_id, tasks[n].ccd): one for n, one in finished.items()}
+
+
+def _write_evidence(
+    out: Path,
+    dump: Dump,
+    found: Calibration,
+    request: RunRequest,
+    executor: Executor,
+    overviews: Mapping[tuple[str, int], Any],
+) -> None:
+    from boresight.pipeline.report.evidence import write_evidence
+
+    with executor.beside(partial(write_evidence, out, dump, found, request.settings, executor, overviews)):
+        import_module("boresight.pipeline.report.page")  # Matplotlib takes as long as half of the evidence
+
+
+def _draw(out: Path, executor: Executor) -> None:
+    from boresight.pipeline.report.page import write_report
+
+    write_report(out, executor=executor if isinstance(executor, Processes) else None)
+
+
+def _draw_dumps(out: Path) -> None:
+    from boresight.pipeline.report.dumps_page import write_dumps_report
+
+    write_dumps_report(out)
+
+
+def _required(out: Path) -> list[str]:
+    """Whether the matrix in a folder meets the accuracy that is required of it."""
+    return requirement_lines(saved_requirement(out), read_result(out).installation)
+
+
+def _is_met(out: Path) -> bool:
+    return is_met(saved_requirement(out), read_result(out).installation)
+
+
+def _is_finished(out: Path, inputs: RunInputs, request: RunRequest, executor: Executor) -> bool:
+    """Whether the folder holds the finished result of the same inputs, with a report where one is wanted."""
+    needed = ("installation.json", "run.json", *(("report.html",) if request.report else ()))
+    if not all((out / name).is_file() for name in needed):
+        return False
+    with suppress(RawDataError):
+        if kept := read_json(out / "run.json", "run.json").get("inputs"):
+            inputs.know_images(executor, exposures=True)
+            return bool(kept == inputs.digest())
+    return False
+
+
+def _finished(out: Path) -> RunOutcome:
+    """The outcome of the run that made a finished result."""
+    lines = [f"nothing to do: {out} holds the finished result of these inputs and settings"]
+    outcomes = set()
+    for result in {out, *results_in(out)}:
+        verdict = read_result(result).installation["verdict"]
+        outcomes.add(outcome := Outcome(verdict["outcome"]))
+        lines += verdict_lines(verdict) if outcome is not Outcome.CONSISTENT else []
+        lines += finding_lines(read_findings(result))
+    lines += _required(out)
+    return RunOutcome("\n".join(lines), frozenset(outcomes), _is_met(out))
+
+
+def _note(
+    out: Path, request: RunRequest, dumps: dict[str, Any], counts: dict[str, int] | None = None
+) -> None:
+    elapsed = {"elapsed_s": time.perf_counter() - request.begun_s}
+    write_run(out, dumps | elapsed | (counts or {}) | request.facts)
+
+
+def _drift(out: Path, names: list[str]) -> str:
+    """Whether the mounting moved between the dumps, written into `out`."""
+    from boresight.calib.mounting.matrix_drift import DriftSettings
+    from boresight.features.drift.drift_files import write_drift
+    from boresight.features.drift.mounting_drift import drift_of_results, drift_summary
+
+    try:
+        dated = drift_of_results({name: out / name for name in names}, DriftSettings())
+    except DataNotSufficientError as error:
+        return f"no drift: {error}"
+    write_drift(dated, out)
+    return drift_summary(dated)

@@ -1,0 +1,48 @@
+"""Progress of long work: bars on a terminal; elsewhere, and in a log file, a line a stage and each tenth."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+from boresight.pipeline.console.messages import log, shows_bars
+
+__all__ = ["progress_bars"]
+
+
+@contextmanager
+def progress_bars() -> Iterator[Callable[[str, int, int | None], None]]:
+    """A listener to a run's progress (stage, done, in all or None): a bar a stage, gone at the end."""
+    tenths: dict[str, int] = {}
+
+    def noted(stage: str, done: int, total: int | None) -> None:
+        tenth = 10 * done // total if total else 0
+        if tenths.get(stage, -1) < tenth:
+            tenths[stage] = tenth
+            log.info("%s: %d of %s", stage, done, "?" if total is None else total, extra={"progress": True})
+
+    if not (sys.stderr.isatty() and shows_bars()):
+        yield noted
+        return
+    from rich.console import Console  # takes 0.15 s to import, and most commands print one line
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+    columns = (
+        TextColumn("{task.description}", markup=False),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+    )
+    console = Console(stderr=True, highlight=False, emoji=False, markup=False)
+    with Progress(*columns, console=console, transient=True) as bar:
+        bars: dict[str, Any] = {}
+
+        def told(stage: str, done: int, total: int | None) -> None:
+            noted(stage, done, total)
+            if stage not in bars:
+                bars[stage] = bar.add_task(stage, total=total)
+            bar.update(bars[stage], completed=done, total=total)
+
+        yield told

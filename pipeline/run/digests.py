@@ -1,0 +1,218 @@
+"""Digests of what a result depends on: arrays, settings, content of files, source code, library versions."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import importlib.util
+import platform
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from enum import Enum
+from functools import cache
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from boresight.pipeline import __version__
+from boresight.pipeline.files.content import Identity, content_digest, remember_digest, with_identity
+from boresight.pipeline.run.executor import Executor
+from boresight.pipeline.run.processes import Processes
+
+__all__ = ["digest", "files_in", "know_contents", "library_versions", "numerical_program", "program"]
+
+_IMPORT = re.compile(r"^\s*(?:from\s+([\w.]+)\s+import\s+(\([^)]*\)|[^\n]*)|import\s+([\w.]+))", re.MULTILINE)
+DISTRIBUTIONS = ("numpy", "scipy", "astropy", "astropy-iers-data", "pyerfa", "scikit-image")
+
+
+def digest(*values: Any) -> str:
+    """32 hexadecimal digits that change when anything in `values` does.
+
+    A `Path` stands for the content of its file; its name and times do not matter.
+    """
+    state = hashlib.blake2b(digest_size=16)
+    for value in values:
+        _feed(state, value)
+    return state.hexdigest()
+
+
+def files_in(value: Any) -> Iterator[Path]:
+    """Paths in a value, of which `digest` reads the content."""
+    if isinstance(value, Path):
+        yield value
+    elif dataclasses.is_dataclass(value) and not isinstance(value, type):
+        for field in dataclasses.fields(value):
+            if field.init:
+                yield from files_in(getattr(value, field.name))
+    elif isinstance(value, Mapping):
+        for one in value.values():
+            yield from files_in(one)
+    elif isinstance(value, (tuple, list)):
+        for one in value:
+            yield from files_in(one)
+
+
+def know_contents(files: Sequence[Path], executor: Executor) -> None:
+    """Have processes of this machine, if the executor has any, read files, so that `digest` knows their
+    content here and in processes that are forked from this one."""
+    if not isinstance(executor, Processes):
+        return
+    for path, found in zip(files, executor.map(_read, files, lambda n, one: None)):
+        if found is not None:
+            remember_digest(path, *found)
+
+
+def _read(path: Path) -> tuple[Identity, str] | None:
+    try:
+        return with_identity(path)
+    except OSError:  # `digest` says so
+        return None
+
+
+def _feed(state: Any, value: Any) -> None:
+    if value is None or isinstance(value, (bool, int, float, str, bytes, np.number, np.bool_)):
+        state.update(f"{type(value).__name__}:{value!r};".encode())
+    elif isinstance(value, np.ndarray):
+        array = np.ascontiguousarray(value)
+        state.update(f"array:{array.dtype.str}:{array.shape};".encode())
+        state.update(array.astype(str).tobytes() if array.dtype == object else array.tobytes())
+    elif isinstance(value, Rotation):
+        _feed(state, value.as_quat())
+    elif isinstance(value, Path):
+        _feed_file(state, value)
+    elif isinstance(value, Enum):
+        _feed(state, value.name)
+    elif dataclasses.is_dataclass(value) and not isinstance(value, type):
+        state.update(f"{type(value).__name__}(".encode())
+        for field in dataclasses.fields(value):
+            if field.init:
+                state.update(f"{field.name}=".encode())
+                _feed(state, getattr(value, field.name))
+        state.update(b")")
+    elif isinstance(value, Mapping):
+        state.update(f"map:{len(value)};".encode())
+        for key in sorted(value):
+            _feed(state, key)
+            _feed(state, value[key])
+    elif isinstance(value, (tuple, list)):
+        state.update(f"list:{len(value)};".encode())
+        for item in value:
+            _feed(state, item)
+    else:
+        raise TypeError(f"no digest for a {type(value).__name__}")
+
+
+def _feed_file(state: Any, path: Path) -> None:
+    try:
+        state.update(f"file:{content_digest(path)};".encode())
+    except OSError as error:
+        state.update(f"no file:{error.errno};".encode())
+
+
+@cache
+def program(*modules: str) -> str:
+    """Version of the program, and a digest of everything installed that results of `modules` depend on.
+
+    These are the sources of the modules and of all that they import from the same package, the data files
+    beside these, and the versions of the libraries. A package's name stands for all modules in it.
+    """
+    sources = {name: source for root in modules for name, source in _sources(root).items()}
+    return f"{__version__} {digest(sources, library_versions())}"
+
+
+@cache
+def numerical_program(*modules: str) -> str:
+    """As `program`, with the libraries of numbers only and no data files: for what reads no file."""
+    sources = {name: text for root in modules for name, text in _sources(root).items() if type(text) is bytes}
+    return f"{__version__} {digest(sources, _numerical_versions())}"
+
+
+def _sources(root: str) -> dict[str, Any]:
+    """Source of a module (or of all in a package) and of its imports; paths of the data files beside them."""
+    sources: dict[str, Any] = {}
+    todo = _with_submodules(root)
+    while todo:
+        name = todo.pop()
+        if name in sources or (module := _module(name)) is None:
+            continue
+        sources[name], imported, data = module
+        todo += imported
+        if data is not None:
+            sources[f"data of {name}"] = data
+    return sources
+
+
+@cache
+def _module(name: str) -> tuple[bytes, list[str], list[Path] | None] | None:
+    """Source of a module, what it imports from its package, and the data files of a package; None if there is
+    no such module."""
+    if (file := _file_of(name)) is None:
+        return None
+    source, imported, data = file.read_bytes(), [], None
+    if "." in name:  # what the top-level package imports is for its users
+        imported = [name.rpartition(".")[0], *_imports(source, name.partition(".")[0])]
+    if file.name == "__init__.py":
+        data = sorted(path for path in file.parent.joinpath("data").glob("*") if path.is_file())
+    return source, imported, data
+
+
+@cache
+def library_versions() -> dict[str, str]:
+    """Versions of Python and of the libraries whose numbers enter the results."""
+    import cv2
+    import pyproj
+    import rasterio
+
+    named = {"opencv": cv2.__version__, "rasterio": rasterio.__version__, "gdal": rasterio.__gdal_version__}
+    proj = {"pyproj": pyproj.__version__, "proj": pyproj.proj_version_str}
+    return _numerical_versions() | named | proj
+
+
+def _numerical_versions() -> dict[str, str]:
+    return {"python": platform.python_version()} | {name: _version(name) for name in DISTRIBUTIONS}
+
+
+def _version(name: str) -> str:
+    """Version of a distribution; `metadata.version` parses the whole description before it."""
+    stated = re.search(
+        r"^Version: *(\S+)", metadata.distribution(name).read_text("METADATA") or "", re.MULTILINE
+    )
+    return stated[1] if stated else metadata.version(name)
+
+
+def _with_submodules(name: str) -> list[str]:
+    file = _file_of(name)
+    if file is None or file.name != "__init__.py":
+        return [name]
+    inner = [path.relative_to(file.parent).with_suffix("") for path in file.parent.rglob("*.py")]
+    return [name, *(".".join((name, *path.parts)) for path in inner if path.name != "__init__")]
+
+
+def _file_of(name: str) -> Path | None:
+    """Source file of a module, by its place below the top-level package; None if there is none."""
+    top, *parts = name.split(".")
+    folder = _folder_of(top)
+    if folder is None:
+        return None
+    candidates = folder.joinpath(*parts, "__init__.py"), folder.joinpath(*parts).with_suffix(".py")
+    return next((file for file in candidates if file.is_file()), None)
+
+
+@cache
+def _folder_of(top: str) -> Path | None:
+    """Folder of a top-level package."""
+    spec = importlib.util.find_spec(top)
+    return Path(spec.submodule_search_locations[0]) if spec and spec.submodule_search_locations else None
+
+
+def _imports(source: bytes, package: str) -> Iterator[str]:
+    """Names below `package` that a source imports, at its top or within functions; some may be no modules."""
+    for match in _IMPORT.finditer(source.decode("utf-8")):
+        module, names, plain = match.groups()
+        if (module or plain).partition(".")[0] == package:
+            yield from (
+                [plain] if plain else [module, *(f"{module}.{name}" for name in re.findall(r"\w+", names))]
+            )

@@ -1,0 +1,97 @@
+"""A corrected DIMAP product, read as the operator's software reads it, has the calibrated places."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from handmade_dimap import as_version_2, dimap_text
+from scipy.spatial.transform import Rotation
+from typer.testing import CliRunner
+
+from boresight.features.exports.dimap_product import corrected_dimap
+from boresight.features.operators.dimap_grid import operator_model
+from boresight.geometry.constants import ARCSEC, WGS84
+from boresight.geometry.geodesy import geodetic_from_ecef
+from boresight.geometry.pushbroom import Pushbroom
+from boresight.geometry.terrain import ConstantHeight
+from boresight.pipeline.cli import app
+from boresight.pipeline.errors import RawDataError
+
+TURN = Rotation.from_rotvec(np.array([2.5, -1.7, 6.0]) * ARCSEC)  # 12 m, 8 m, and 0.3 m at the edges
+HEADER = "id,strip,ccd,sample,line,sigma_sample_px,sigma_line_px,lat_deg,lon_deg,height_m,height_kind,"
+HEADER += "sigma_east_m,sigma_north_m,sigma_up_m\n"
+
+
+def turned(model: Pushbroom, R_cs: Rotation) -> Pushbroom:
+    return Pushbroom(
+        camera=model.camera,
+        rows=model.rows,
+        orbit=model.orbit,
+        earth=model.earth,
+        attitude=model.attitude,
+        R_cs=R_cs,
+        effects=model.effects,
+    )
+
+
+def pixels() -> tuple[np.ndarray, np.ndarray]:
+    sample, line = np.meshgrid(np.linspace(0.0, 19_999.0, 7), np.linspace(100.0, 8_900.0, 6))
+    return sample.ravel(), line.ravel()
+
+
+@pytest.mark.parametrize("form", ["V1", "V2", "V2, list"])
+def test_corrected_product_has_the_places_of_the_corrected_camera(tmp_path, form):
+    text = dimap_text() if form == "V1" else as_version_2(dimap_text(), listed="list" in form)
+    path = tmp_path / "product.xml"
+    path.write_text(text)
+    raw = corrected_dimap(path, TURN, {"mission": "A--B", "note": "<&>"})
+    (tmp_path / "corrected.xml").write_bytes(raw)
+    expected = turned(operator_model(path).pushbroom, TURN).ground_points(0, *pixels(), ConstantHeight(50.0))
+    found = operator_model(tmp_path / "corrected.xml").pushbroom.ground_points(
+        0, *pixels(), ConstantHeight(50.0)
+    )
+    before = operator_model(path).pushbroom.ground_points(0, *pixels(), ConstantHeight(50.0))
+    assert np.linalg.norm(expected - before, axis=1).min() > 5.0  # m
+    assert np.linalg.norm(found - expected, axis=1).max() < 1e-5  # m; quaternions lose no digit
+    assert b"mission: A- -B" in raw
+
+
+def test_calibrated_product_is_exported_and_another_one_is_refused(tmp_path):
+    product = tmp_path / "product.xml"
+    product.write_text(dimap_text())
+    truth = turned(operator_model(product).pushbroom, TURN)
+    sample, line = pixels()
+    lat, lon, height = geodetic_from_ecef(truth.ground_points(0, sample, line, ConstantHeight(50.0)), WGS84)
+    rows = zip(
+        sample.tolist(), line.tolist(), np.degrees(lat).tolist(), np.degrees(lon).tolist(), height.tolist()
+    )
+    points = "".join(
+        f"p{n},PAN,0,{x!r},{y!r},0.1,0.1,{a!r},{o!r},{h!r},ellipsoidal,1,1,1\n"
+        for n, (x, y, a, o, h) in enumerate(rows)
+    )
+    (tmp_path / "points.csv").write_text(HEADER + points)
+
+    def run(*arguments: object, status: int = 0) -> object:
+        result = CliRunner().invoke(app, [str(argument) for argument in arguments])
+        assert result.exit_code == status, result.output
+        return result
+
+    run("import", "dimap", product, tmp_path / "dump", "--points", tmp_path / "points.csv")
+    run("calibrate", tmp_path / "dump", "--out", tmp_path / "result")
+    asked = ("export", tmp_path / "result", "--format", "dimap", "--out", tmp_path / "new")
+    run(*asked, "--product", product)
+    corrected = operator_model(tmp_path / "new" / "product.xml").pushbroom
+    expected = truth.ground_points(0, sample, line, ConstantHeight(50.0))
+    found = corrected.ground_points(0, sample, line, ConstantHeight(50.0))
+    # noiseless points: what is left is the pull of the priors on the other unknowns
+    assert np.linalg.norm(found - expected, axis=1).max() < 0.05  # m, of 12
+    other = tmp_path / "other.xml"
+    other.write_text(dimap_text().replace("<NROWS>9000<", "<NROWS>9001<"))
+    for options in ((), ("--product", other)):
+        assert run(*asked, *options, status=1) is not None
+
+
+def test_file_without_quaternions_is_refused(tmp_path):
+    (tmp_path / "empty.xml").write_text("<Dimap_Document/>")
+    with pytest.raises(RawDataError, match="attitudes"):
+        corrected_dimap(tmp_path / "empty.xml", TURN, {})

@@ -1,0 +1,216 @@
+"""`boresight export` on a real result: every format is made, and each says what the result says."""
+
+from __future__ import annotations
+
+import csv
+import json
+import re
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+import rasterio
+import spiceypy
+from astropy.io import fits
+from pyproj import CRS
+from pytest import approx
+from scipy.spatial.transform import Rotation
+from typer.testing import CliRunner
+
+from boresight.features.exports.formats import FORMATS
+from boresight.features.exports.notes import notes_of
+from boresight.geometry.epoch import Epoch
+from boresight.pipeline.cli import app
+from boresight.pipeline.results.strip_model import open_calibrated, strip_model
+
+runner = CliRunner()
+
+
+OF_ANY_DUMP = [name for name in FORMATS if name != "dimap"]  # test_dimap_product.py
+
+
+@pytest.fixture(scope="module")
+def exported(finished, tmp_path_factory):
+    """All formats at once, and what the command told."""
+    folder = tmp_path_factory.mktemp("exports")
+    first, *rest = OF_ANY_DUMP
+    asked = ["export", str(finished[1]), "--format", first, "--format", ",".join(rest), "--out", str(folder)]
+    ran = runner.invoke(app, asked)
+    assert ran.exit_code == 0, ran.output
+    return folder, ran.stdout
+
+
+@pytest.fixture(scope="module")
+def installation(finished):
+    return json.loads((finished[1] / "installation.json").read_text())
+
+
+def test_every_file_is_told_with_its_size(exported):
+    folder, told = exported
+    files = {path.name: path.stat().st_size for path in folder.iterdir()}
+    assert len(told.splitlines()) == len(files)
+    for name, size in files.items():
+        assert any(line.endswith(f"/{name}") and f" {size} bytes" in line for line in told.splitlines())
+    assert {line.split()[0] for line in told.splitlines()} == set(OF_ANY_DUMP)
+
+
+def test_spice_turns_as_installation_json_says(exported, installation):
+    spiceypy.furnsh(str(exported[0] / "installation.tf"))
+    got = spiceypy.pxform("BORESIGHT_STAR_CAMERA", "BORESIGHT_REMOTE_CAMERA", 0.0)
+    spiceypy.kclear()
+    assert np.abs(got - np.array(installation["R_cs"])).max() < 1e-12
+
+
+def test_matrix_files_hold_the_same_numbers(exported, installation):
+    assert json.loads((exported[0] / "matrix.json").read_text())["R_cs"] == installation["R_cs"]
+    rows = {row["name"]: row["value"] for row in csv.DictReader((exported[0] / "matrix.csv").open())}
+    assert [float(rows[f"q_{k}"]) for k in "xyzw"] == installation["quaternion"]
+
+
+def test_the_attitude_message_holds_the_cameras_attitude(exported, finished):
+    calibrated = open_calibrated(finished[1], finished[0])
+    name = calibrated.dump.strips[0].strip_id
+    model = strip_model(calibrated, name)
+    lines = (exported[0] / f"{name}.aem").read_text().splitlines()
+    rows = [line.split() for line in lines[lines.index("DATA_START") + 1 : lines.index("DATA_STOP")]]
+    t_s = calibrated.dump.epoch.seconds_from_utc([row[0] for row in rows])
+    # Written to the nanosecond, in which the camera turns by 1e-12 rad; quaternions to 1e-15.
+    u_c = np.array([0.0, 0.01, 0.99995])
+    for row, t in zip(rows, t_s):
+        u_i = Rotation.from_quat([float(value) for value in row[1:]]).apply(u_c)
+        expected = (calibrated.result.R_cs * model.track.R_si(np.array([t]))[0]).inv().apply(u_c)
+        assert u_i == approx(expected, abs=3e-12)
+    assert t_s[0] == approx(model.strip.t_first_row_s, abs=model.strip.row_period_s)
+    assert isinstance(calibrated.dump.epoch, Epoch)
+
+
+def test_isds_cover_all_samples_of_all_ccds(exported, finished):
+    calibrated = open_calibrated(finished[1], finished[0])
+    strip = calibrated.dump.strips[0]
+    seen: dict[int, list[int]] = {}
+    for path in exported[0].glob(f"{strip.strip_id}.ccd*.json"):
+        isd = json.loads(path.read_text())
+        about = isd["boresight"]
+        assert about["notes"]["mission"] == calibrated.dump.mission
+        if path.name.endswith(".whole.json"):
+            assert about["stop_sample"] == isd["image_samples"] == strip.images.shapes[about["ccd"]][1]
+            continue
+        seen.setdefault(about["ccd"], []).extend(range(about["first_sample"], about["stop_sample"]))
+        assert about["model_error_px"] < 0.01 and isd["image_lines"] == strip.lines
+    assert {ccd: sorted(samples) for ccd, samples in seen.items()} == {
+        ccd: list(range(strip.images.shapes[ccd][1])) for ccd in strip.images.ccds
+    }
+
+
+def test_ground_points_are_the_targets_of_the_dump(exported, finished):
+    rows = {row["id"]: row for row in csv.DictReader((finished[0] / "targets.csv").open())}
+    features = json.loads((exported[0] / "targets.geojson").read_text())["features"]
+    assert features
+    for feature in features:
+        row = rows[feature["properties"]["target"]]
+        lon, lat, _ = feature["geometry"]["coordinates"]
+        assert (lon, lat) == approx((float(row["lon_deg"]), float(row["lat_deg"])), abs=1e-10)
+    points = sum(len(path.read_text().splitlines()) - 2 for path in exported[0].glob("*.points"))
+    assert points == len(features)
+    used = sum(feature["properties"]["used"] for feature in features)
+    lines = [line for path in exported[0].glob("*.pts") for line in path.read_text().splitlines()]
+    assert sum(not line.startswith(";") for line in lines) == used
+
+
+def test_every_text_says_what_it_is_made_from(exported, finished):
+    """Date, mission, dump, frames and validity are in every file; of an RPC in the VRT beside it."""
+    dump = json.loads((finished[1] / "boresight-result.json").read_text())["dump"]
+    mission = open_calibrated(finished[1], finished[0]).dump.mission
+    for path in exported[0].iterdir():
+        if path.name.endswith("_RPC.TXT"):
+            path = path.with_name(path.name.replace("_RPC.TXT", ".rpc.vrt"))
+        text = path.read_bytes().decode("utf-8", "replace").replace("CONTINUE  '", "").replace("HISTORY ", "")
+        text = re.sub(r"\s+", "", text)
+        assert dump in text and mission in text and "u_c=R_csu_s" in text, path.name
+        assert re.search(r"created.{0,20}20\d\d-\d\d-\d\dT", text, re.IGNORECASE), path.name
+
+
+def read_notes(path: Path) -> str:
+    """What the reader of a format shows of its origin: tags, header, comments, metadata."""
+    if path.suffix == ".vrt":
+        with rasterio.open(path) as file:
+            return "\n".join(map(str, file.tags().items()))
+    if path.suffix == ".fits":
+        with fits.open(path) as file:
+            return "\n".join(f"{card.value} {card.comment}" for unit in file for card in unit.header.cards)
+    if path.suffix == ".bc":
+        handle = spiceypy.dafopr(str(path))
+        _, lines, _ = spiceypy.dafec(handle, 100)
+        spiceypy.dafcls(handle)
+        return "\n".join(lines)
+    if path.suffix == ".points":
+        return str(CRS.from_user_input(path.read_text().splitlines()[0].removeprefix("#CRS: ")).remarks)
+    if path.suffix == ".kml":
+        description = ElementTree.parse(path).find(".//{http://www.opengis.net/kml/2.2}description")
+        return str(description.text if description is not None else "")
+    if path.suffix in (".json", ".geojson"):
+        return json.dumps(json.loads(path.read_text()), ensure_ascii=False)
+    if path.suffix == ".csv":
+        return "\n".join(row["value"] for row in csv.DictReader(path.open()))
+    marks = {".tf": "", ".ti": "", ".tsc": "", ".aem": "COMMENT", ".acm": "COMMENT", ".gcp": "#", ".pts": ";"}
+    mark, text = marks[path.suffix], path.read_text().partition("\\begindata")[0]  # KeyError: no reader known
+    return "\n".join(line for line in text.splitlines() if line.startswith(mark))
+
+
+def test_each_reader_shows_date_mission_dump_frames_validity_and_verdict(exported, finished):
+    created = json.loads((exported[0] / "matrix.json").read_text())["boresight"]["created"]
+    notes = notes_of(finished[1], finished[0], created.removesuffix("Z")).items()
+    assert len(notes["valid"]) > 40 and notes["mission"] != notes["dump"]
+    for path in exported[0].iterdir():
+        if path.name.endswith("_RPC.TXT"):
+            continue  # RPC00B has no place for it: it is in the VRT beside it
+        shown = re.sub(r"[\s#;]+", "", read_notes(path).replace("COMMENT", ""))
+        missing = [name for name, text in notes.items() if re.sub(r"[\s#;]+", "", text) not in shown]
+        assert not missing, path.name
+
+
+def test_gdal_reads_the_strips_with_their_gcps(exported, finished):
+    """Through the VRT: pixels of the raw image, and the targets in GDAL's pixels."""
+    features = json.loads((exported[0] / "targets.geojson").read_text())["features"]
+    for path in exported[0].glob("*.gcp.vrt"):
+        strip, ccd = path.name.split(".")[0], int(path.name.split(".")[1][3:])
+        here = [f for f in features if (f["properties"]["strip"], f["properties"]["ccd"]) == (strip, ccd)]
+        with rasterio.open(path) as file, rasterio.open(finished[0] / here[0]["properties"]["image"]) as raw:
+            points, crs = file.gcps
+            assert crs.to_epsg() == 4326 and np.array_equal(file.read(1), raw.read(1))
+        by_id = {point.id: point for point in points}
+        assert len(by_id) == sum(f["properties"]["used"] for f in here)
+        for feature in here:
+            if feature["properties"]["used"]:
+                point = by_id[feature["properties"]["target"]]
+                assert (point.x, point.y, point.z) == approx(feature["geometry"]["coordinates"], abs=1e-9)
+                assert point.col == approx(feature["properties"]["sample"] + 0.5, abs=1e-9)
+                assert point.row == approx(feature["properties"]["line"] + 0.5, abs=1e-9)
+
+
+def test_ogr_reads_kml_and_geojson(exported, finished):
+    pyogrio = pytest.importorskip("pyogrio", reason="PYOGRIO IS NOT INSTALLED: KML and GeoJSON were not read")
+    about, _, shapes, fields = pyogrio.raw.read(exported[0] / "boresight.kml")
+    features = json.loads((exported[0] / "targets.geojson").read_text())["features"]
+    assert len(shapes) == 1 + len(features)
+    assert pyogrio.read_info(exported[0] / "targets.geojson")["features"] == len(features)
+    names = fields[[name.lower() for name in about["fields"]].index("name")]
+    assert set(names) == {f["properties"]["target"] for f in features} | {features[0]["properties"]["strip"]}
+
+
+def test_a_used_target_misses_its_computed_place_by_little(exported):
+    """Position and clock of the strip are wrong by some metres, which is less than 2 px of 6.4 m."""
+    features = json.loads((exported[0] / "targets.geojson").read_text())["features"]
+    used = [f["properties"] for f in features if f["properties"]["used"]]
+    residuals = np.array([[f["residual_sample_px"], f["residual_line_px"]] for f in used])
+    assert 0.0 < np.abs(residuals).max() < 2.0
+
+
+def test_an_unknown_format_or_frame_name_is_wrong_usage(finished, tmp_path):
+    ran = runner.invoke(app, ["export", str(finished[1]), "--format", "docx", "--out", str(tmp_path)])
+    assert ran.exit_code == 2 and "docx" in ran.output
+    ran = runner.invoke(
+        app, ["export", str(finished[1]), "--format", "spice", "--spice-star-camera", "lower case"]
+    )
+    assert ran.exit_code == 2

@@ -1,0 +1,188 @@
+"""Image points to the ground: places that lead back to their pixels, and a 1-sigma that the errors themselves
+show.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import shutil
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from pytest import approx
+from scipy.spatial.transform import Rotation
+from typer.testing import CliRunner
+
+from boresight.features.geolocate.positions import Pixels, geolocate, read_pixels
+from boresight.geometry.attitude import AttitudeTrack
+from boresight.geometry.constants import ARCSEC, WGS84
+from boresight.geometry.geodesy import ecef_from_geodetic
+from boresight.geometry.pushbroom import Pushbroom
+from boresight.geometry.terrain import ConstantHeight
+from boresight.pipeline.cli import app
+from boresight.pipeline.errors import DataNotSufficientError, RawDataError
+from boresight.pipeline.results.strip_model import open_calibrated, strip_model
+
+runner = CliRunner()
+PIXELS = "ccd,sample,line\n0,10,20\n1,255.5,1000.25\n3,500,1990\n"
+
+
+@pytest.fixture(scope="module")
+def calibrated(finished):
+    return open_calibrated(finished[1], finished[0])
+
+
+@pytest.fixture(scope="module")
+def model(calibrated):
+    return strip_model(calibrated, calibrated.dump.strips[0].strip_id)
+
+
+def test_the_command_gives_places_that_lead_back_to_their_pixels(finished, model, tmp_path):
+    (tmp_path / "pixels.csv").write_text(PIXELS)
+    strip = model.strip.strip_id
+    asked = ["geolocate", str(finished[1]), "--strip", strip, "--pixels", str(tmp_path / "pixels.csv")]
+    ran = runner.invoke(app, asked)
+    assert ran.exit_code == 0, ran.output
+    rows = list(csv.DictReader(io.StringIO(ran.stdout)))
+    assert len(rows) == 3
+    for row in rows:
+        lat, lon = np.radians([float(row["lat_deg"]), float(row["lon_deg"])])
+        p_e = ecef_from_geodetic(lat, lon, float(row["height_m"]), WGS84)
+        sample, line = model.pushbroom.pixels_from_ground(int(row["ccd"]), p_e[None, :])
+        # Heights are written to the millimetre, 1/6000 of a pixel of the fixture.
+        assert (sample[0], line[0]) == approx((float(row["sample"]), float(row["line"])), abs=1e-3)
+        assert 0.0 < float(row["sigma_across_m"]) < 50.0
+
+
+def test_a_file_is_written_when_one_is_named(finished, model, tmp_path):
+    (tmp_path / "pixels.csv").write_text(PIXELS)
+    out = tmp_path / "places.csv"
+    ran = runner.invoke(
+        app,
+        [
+            *("geolocate", str(finished[1]), "--dump", str(finished[0]), "--strip", model.strip.strip_id),
+            *("--pixels", str(tmp_path / "pixels.csv"), "--out", str(out), "--height-m", "300"),
+        ],
+    )
+    assert ran.exit_code == 0 and "3 of 3 image points have a place" in ran.stdout
+    heights = [row["height_m"] for row in csv.DictReader(out.open())]
+    assert heights == ["300.000", "300.000", "300.000"]
+
+
+@pytest.mark.parametrize("part", ["matrix", "position", "clock", "attitude", "vibration", "terrain"])
+def test_each_sigma_is_the_scatter_that_its_error_makes(calibrated, model, part):
+    # Each error drawn on its own, 400 times, put into the model itself. An rms of 400 draws is good to 3.5 %
+    # (1 sigma), so 15 % holds for all twelve. What the interpolation of attitudes adds is always there.
+    alone, height_m = only(calibrated, part), 400.0
+    pixels = Pixels(np.array([3]), np.array([480.0]), np.array([1500.0]))
+    surface = ConstantHeight(height_m)
+    stated, floor = (
+        geolocate(one, strip_model(one, model.strip.strip_id), pixels, surface)
+        for one in (alone, only(calibrated, "nothing"))
+    )
+    rng = np.random.default_rng(8)
+    base = model.pushbroom.ground_points(3, pixels.sample, pixels.line, surface)[0]
+    moved = np.array([place_with_error(model, alone, part, rng, pixels, height_m) - base for _ in range(400)])
+    motion = alone.dump.orbit.velocities_e(model.pushbroom.instants(pixels.line))[0]
+    up = base / np.array([WGS84.semi_major_m, WGS84.semi_major_m, WGS84.semi_minor_m]) ** 2
+    up /= np.linalg.norm(up)
+    along = motion - up * (motion @ up)
+    along /= np.linalg.norm(along)
+    rms = np.sqrt(((moved @ np.column_stack([along, np.cross(along, up)])) ** 2).mean(axis=0))
+    expected = np.sqrt(
+        [
+            stated.sigma_along_m[0] ** 2 - floor.sigma_along_m[0] ** 2,
+            stated.sigma_across_m[0] ** 2 - floor.sigma_across_m[0] ** 2,
+        ]
+    )
+    assert expected.max() > 0.05  # m: every source of error here moves the point by more
+    large = expected > 0.05 * expected.max()  # a clock error has no part across the track to speak of
+    assert rms[large] == approx(expected[large], rel=0.15)
+
+
+def only(calibrated, part):
+    """The same calibration with one source of error left: the mission's others zero, covariances tiny."""
+    errors = calibrated.dump.errors.model_copy(
+        update={
+            "position_m": 2.0 if part == "position" else 0.0,
+            "clock_s": 1e-4 if part == "clock" else 0.0,
+            "vibration_arcsec": 0.5 if part == "vibration" else 0.0,
+            "look_distortion_px": 0.0,
+        }
+    )
+    cov_theta = calibrated.result.cov_theta if part == "matrix" else 1e-30 * np.eye(3)
+    n = len(calibrated.attitude_covariance_s)
+    covariance = np.diag([4e-12, 9e-12, 4e-10]) if part == "attitude" else 1e-30 * np.eye(3)
+    return replace(
+        calibrated,
+        result=replace(calibrated.result, cov_theta=cov_theta),
+        dump=replace(calibrated.dump, errors=errors),
+        attitude_covariance_s=np.tile(covariance, (n, 1, 1)),
+        sigma_terrain_m=5.0 if part == "terrain" else 0.0,
+    )
+
+
+def place_with_error(model, calibrated, part, rng, pixels, height_m):
+    push: Pushbroom = model.pushbroom
+    if part == "matrix":
+        push = push.with_installation(
+            Rotation.from_rotvec(rng.multivariate_normal(np.zeros(3), calibrated.result.cov_theta))
+            * push.R_cs
+        )
+    elif part == "vibration":
+        push = push.with_installation(Rotation.from_rotvec(rng.normal(0.0, 0.5 * ARCSEC, 3)) * push.R_cs)
+    elif part == "attitude":
+        track = model.track
+        draws = rng.normal(0.0, [2e-6, 3e-6, 2e-5], (len(track.t_s), 3))
+        turned = AttitudeTrack(track.t_s, Rotation.from_rotvec(draws) * track.R_si_nodes, track.nominal)
+        push = replace(push, attitude=turned)
+    elif part == "position":
+        orbit = replace(push.orbit, positions_m=push.orbit.positions_m + rng.normal(0.0, 2.0, 3))
+        push = replace(push, orbit=orbit)
+    elif part == "clock":
+        late = rng.normal(0.0, 1e-4)
+        v = push.orbit.velocities_m_s
+        push = replace(push, orbit=replace(push.orbit, positions_m=push.orbit.positions_m + late * v))
+    surface = ConstantHeight(height_m + (rng.normal(0.0, 5.0) if part == "terrain" else 0.0))
+    return push.ground_points(3, pixels.sample, pixels.line, surface)[0]
+
+
+def test_wrong_pixels_are_named_with_their_line(calibrated, tmp_path):
+    path = tmp_path / "pixels.csv"
+    path.write_text("ccd,sample,line\n0,1,2\n9,1,2\n")
+    with pytest.raises(RawDataError, match=r"line 3, ccd: found 9, expected 0 to 3"):
+        read_pixels(path, calibrated)
+    path.write_text("ccd,sample,row\n0,1,2\n")
+    with pytest.raises(RawDataError, match="column line"):
+        read_pixels(path, calibrated)
+
+
+@pytest.mark.parametrize(
+    ("sample", "line"), [(-0.6, 5.0), (1e9, 5.0), (5.0, -0.6), (5.0, 1e9), (np.nan, 5.0)]
+)
+def test_pixels_outside_the_image_are_refused(calibrated, model, sample, line):
+    inside = Pixels(np.array([0, 0]), np.array([-0.4, sample]), np.array([5.0, line]))
+    with pytest.raises(
+        RawDataError, match=r"point 2, (sample|line): found .*, expected -0.5 to \d+.5, inside"
+    ):
+        geolocate(calibrated, model, inside, ConstantHeight(0.0))
+
+
+def test_a_strip_that_is_not_there_or_has_no_attitude_is_named(calibrated):
+    with pytest.raises(RawDataError, match="nowhere"):
+        strip_model(calibrated, "nowhere")
+    blind = replace(
+        calibrated, result=replace(calibrated.result, usable=np.zeros_like(calibrated.result.usable))
+    )
+    with pytest.raises(DataNotSufficientError, match="0 usable star exposures"):
+        strip_model(blind, calibrated.dump.strips[0].strip_id)
+
+
+def test_a_dump_that_has_moved_is_asked_for(finished, tmp_path):
+    moved = tmp_path / "result"
+    shutil.copytree(finished[1], moved, ignore=shutil.ignore_patterns("work", "evidence", "report.html"))
+    (moved / "run.json").write_text('{"dump": "/nowhere/at/all"}')
+    with pytest.raises(RawDataError, match="--dump"):
+        open_calibrated(moved, None)

@@ -1,0 +1,98 @@
+"""`dimap` against an operator's location grid, and `virtual-ccd` against the raw images."""
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rasterio
+from typer.testing import CliRunner
+
+from boresight.calib.interior.interior_estimate import map_difference_px
+from boresight.geometry.virtual_ccd import VirtualStrip
+from boresight.pipeline.cli import app
+from boresight.pipeline.files.dump import open_dump, surface_of
+from boresight.pipeline.results.strip_model import open_calibrated, strip_model
+
+REAL = Path(__file__).parents[3] / ".." / "shared" / "data" / "pleiades"
+DIMAP = REAL / "PHRDIMAP_P1BP--2018122638935449CP.XML"
+GRID = REAL / "GRID_P1BP--2018122638935449CP.tif"
+runner = CliRunner()
+needs_real_data = pytest.mark.skipif(
+    not GRID.exists(), reason=f"the real Pleiades metadata are not there: {REAL}"
+)
+
+
+@needs_real_data
+def test_dimap_agrees_with_the_operator_s_grid():
+    told = runner.invoke(app, ["dimap", str(DIMAP), "--grid", str(GRID)])
+    assert told.exit_code == 0
+    rms = [float(line.split("rms")[1].split()[0]) for line in told.stdout.splitlines()]
+    assert len(rms) == 9 and max(rms) < 1e-3  # m; the metadata round positions to 1 mm
+
+
+@needs_real_data
+def test_dimap_gives_places_and_refuses_pixels_outside_the_image(tmp_path):
+    pixels = tmp_path / "pixels.csv"
+    pixels.write_text("ccd,sample,line\n0,10,20\n")
+    told = runner.invoke(app, ["dimap", str(DIMAP), "--pixels", str(pixels), "--height-m", "100"])
+    latitude, longitude, height = (float(cell) for cell in told.stdout.splitlines()[1].split(",")[3:])
+    assert 31.0 < latitude < 31.3 and 2.0 < longitude < 2.3 and height == 100.0  # Ouargla, the name's E002N31
+    pixels.write_text("ccd,sample,line\n0,10,20\n0,40000,20\n")
+    told = runner.invoke(app, ["dimap", str(DIMAP), "--pixels", str(pixels)])
+    assert told.exit_code != 0 and "line 3" in str(told.exception or told.output)
+
+
+def test_the_virtual_strip_shows_what_the_raw_images_show(finished, tmp_path):
+    dump, result = finished
+    calibrated = open_calibrated(result, dump)
+    model = strip_model(calibrated, calibrated.dump.strips[0].strip_id)
+    out = tmp_path / "strip.tif"
+    asked = [
+        "virtual-ccd",
+        str(result),
+        "--strip",
+        model.strip.strip_id,
+        "--out",
+        str(out),
+        "--dump",
+        str(dump),
+    ]
+    told = runner.invoke(app, asked)
+    assert told.exit_code == 0, told.output
+    with pytest.warns(rasterio.errors.NotGeoreferencedWarning), rasterio.open(out) as image:
+        stitched = image.read(1)
+    virtual = VirtualStrip(model.pushbroom, surface_of(calibrated.dump.terrain))
+    assert stitched.shape == (model.strip.lines, virtual.width_px)
+    assert np.isnan(stitched).mean() < 0.1  # lines at both ends that staggered CCDs did not see
+    middle = model.strip.lines // 2
+    for ccd, begin, end in virtual.seams(middle):
+        sample = np.round(0.5 * (begin + end)) + np.arange(-20.0, 21.0)
+        column, row = virtual.source_pixels(ccd, sample, np.full(41, float(middle)))
+        raw = model.strip.images.read(ccd, 0, model.strip.lines, 0, model.strip.images.shape(ccd)[1])
+        nearest = raw[np.round(row).astype(int), np.round(column).astype(int)]
+        ours = stitched[middle, sample.astype(int)]
+        assert np.corrcoef(ours, nearest)[0, 1] > 0.8  # the nearest pixel is up to half a pixel off
+
+
+def test_the_remote_cameras_interior_is_calibrated_from_a_result(finished, tmp_path):
+    dump, result = finished
+    result = shutil.copytree(result, tmp_path / "result")
+    out = result / "interior"
+    asked = ["remote-camera-calibrate", str(result), "--out", str(out), "--curve-length-px", "400", "--json"]
+    told = runner.invoke(app, asked)
+    assert told.exit_code == 0, told.output
+    content = json.loads((out / "interior.json").read_text())
+    parameters = {one["name"]: one for one in content["parameters"]}
+    assert abs(parameters["focal"]["value"]) < 4.0 * parameters["focal"]["sigma"]  # nothing is wrong with it
+    assert any("installation matrix" in one["not_told_from"] for one in content["gauge"])
+    assert (out / "interior.png").stat().st_size > 10_000
+    assert runner.invoke(app, ["report", str(result)]).exit_code == 0
+    page = (result / "report.html").read_text()
+    assert 'id="interior"' in page and page.count('data-source="interior/interior.json"') == 3
+    changed = shutil.copytree(dump, tmp_path / "dump")
+    shutil.copy(out / "remote_camera.toml", changed / "remote_camera.toml")
+    before, after = (open_dump(place).line_camera for place in (dump, changed))
+    difference, _ = map_difference_px(after, before)
+    assert np.sqrt(np.mean(difference**2)) == pytest.approx(content["map_change_rms_px"], rel=0.02)

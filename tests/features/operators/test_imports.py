@@ -1,0 +1,123 @@
+"""Dumps made of operators' files give the same places as the operators' models, through the dump's reader."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from handmade_dimap import dimap_text
+from handmade_sentinel2 import write_sentinel2
+from scipy.spatial.transform import Rotation
+from typer.testing import CliRunner
+
+from boresight.features.operators.dimap_grid import operator_model
+from boresight.features.operators.sentinel2_grid import operator_orbit, operator_pushbroom
+from boresight.features.operators.sentinel2_product import read_sentinel2
+from boresight.geometry.attitude import AttitudeTrack
+from boresight.geometry.pushbroom import Pushbroom
+from boresight.geometry.terrain import ConstantHeight
+from boresight.pipeline.cli import app
+from boresight.pipeline.files.dump import Dump, open_dump
+from boresight.pipeline.files.star_side import SolvedAttitudes
+
+POINTS = "id,strip,ccd,sample,line,sigma_sample_px,sigma_line_px,lat_deg,lon_deg,height_m,height_kind,"
+POINTS += "sigma_east_m,sigma_north_m,sigma_up_m\n"
+POINTS += "a,{strip},{ccd},3,100,0.1,0.1,10.0,20.0,50.0,ellipsoidal,1,1,1\n"
+
+
+def invoked(*arguments: object) -> str:
+    result = CliRunner().invoke(app, [str(argument) for argument in arguments])
+    assert result.exit_code == 0, result.output
+    return result.output
+
+
+def model_of(dump: Dump, head: int = 0) -> Pushbroom:
+    """The rigorous model that a dump's own files state."""
+    source, strip = dump.heads[head].source, dump.strips[0]
+    assert isinstance(source, SolvedAttitudes)
+    return Pushbroom(
+        camera=dump.line_camera,
+        rows=strip.clock,
+        orbit=dump.orbit,
+        earth=dump.orbit.earth,
+        attitude=AttitudeTrack(
+            source.rows.t_s, source.rows.R_si, dump.orbit, interpolation=dump.heads[head].interpolation
+        ),
+        R_cs=dump.heads[head].R_cs0,
+        effects=dump.light,
+    )
+
+
+@pytest.fixture(scope="module")
+def sentinel2(tmp_path_factory):
+    """Datastrip, points and the dump of its corrected attitudes."""
+    root = tmp_path_factory.mktemp("s2")
+    datastrip = write_sentinel2(root)
+    (root / "points.csv").write_text(POINTS.format(strip="B04", ccd=1))
+    options = ("--gipp", root, "--band", "B04", "--points", root / "points.csv")
+    said = invoked("import", "sentinel2", datastrip, root / "corrected", *options, "--attitudes", "corrected")
+    assert "2 CCDs, 1 points" in said
+    invoked("import", "sentinel2", datastrip, root / "raw", *options)
+    return root
+
+
+def test_places_of_an_imported_datastrip_are_the_operators(sentinel2):
+    strip = read_sentinel2(sentinel2 / "S2A_OPER_MTD_L1B_DS_TEST.xml", sentinel2, "B04")
+    orbit = operator_orbit(strip, strip.earth_orientation)
+    dump = open_dump(sentinel2 / "corrected")
+    ours = model_of(dump)
+    sample, line = np.array([0.0, 7.5, 23.0]), np.array([0.0, 1000.2, 4607.0])
+    for ccd in (0, 1):
+        theirs = operator_pushbroom(strip, ccd, orbit, refined=False)
+        expected = theirs.ground_points(ccd, sample, line, ConstantHeight(100.0))
+        found = ours.ground_points(ccd, sample, line, ConstantHeight(100.0))
+        assert np.isfinite(expected).all()
+        # the orbit's nanosecond (7 um) and the OEM's micrometre; 1e-9 of a line in the offset of the CCD
+        assert np.linalg.norm(found - expected, axis=1).max() < 1e-4  # m
+
+
+def test_rows_of_an_imported_strip_are_counted_from_the_earliest(sentinel2):
+    # detector 02 begins 4 s after detector 01; the dump's times have nanoseconds
+    dump = open_dump(sentinel2 / "corrected")
+    strip = dump.strips[0]
+    assert strip.first_row == pytest.approx({0: 0.0, 1: 4.0 / 1.5658e-3}, abs=2e-6)
+    assert strip.lines == 4608 + int(np.ceil(4.0 / 1.5658e-3))
+    assert strip.ccd_lines == {0: 4608, 1: 4608}
+    assert dump.points[0].xy_px[0].tolist() == [3.0, 100.0]  # a line of its own detector
+
+
+def test_trackers_are_heads_with_the_operators_mounting(sentinel2):
+    raw, corrected = open_dump(sentinel2 / "raw"), open_dump(sentinel2 / "corrected")
+    assert [head.name for head in raw.heads] == ["STR1", "STR2"]
+    assert corrected.heads[0].interpolation == "taylor" and raw.heads[0].interpolation == "lagrange"
+    R_ps = Rotation.from_quat([0.0, -0.8, 0.0, 0.6])
+    assert (raw.heads[1].R_cs0 * (corrected.heads[0].R_cs0 * R_ps).inv()).magnitude() < 1e-12
+    for head in (0, 1):  # noiseless attitudes of one body: the same place by either
+        found = model_of(raw, head).ground_points(0, [5.0], [800.0], ConstantHeight(0.0))
+        expected = model_of(corrected).ground_points(0, [5.0], [800.0], ConstantHeight(0.0))
+        assert np.linalg.norm(found - expected) < 1e-3  # m; two interpolations of a smooth motion
+
+
+def test_places_of_an_imported_pleiades_strip_are_the_operators(tmp_path):
+    product = tmp_path / "dimap.xml"
+    product.write_text(dimap_text())
+    strip = operator_model(product)
+    (tmp_path / "points.csv").write_text(POINTS.format(strip="PAN", ccd=0))
+    invoked("import", "dimap", product, tmp_path / "dump", "--points", tmp_path / "points.csv")
+    dump = open_dump(tmp_path / "dump")
+    sample = np.array([0.0, 0.4 * strip.width_px, strip.width_px - 1.0])
+    line = np.array([0.0, 0.3 * strip.height_px, strip.height_px - 1.0])
+    expected = strip.pushbroom.ground_points(0, sample, line, ConstantHeight(0.0))
+    found = model_of(dump).ground_points(0, sample, line, ConstantHeight(0.0))
+    assert np.isfinite(expected).all()
+    assert np.linalg.norm(found - expected, axis=1).max() < 1e-3  # m: nanoseconds, micrometres
+
+
+def test_wrong_usage_is_told(sentinel2, tmp_path):
+    arguments = ["import", "sentinel2", sentinel2 / "S2A_OPER_MTD_L1B_DS_TEST.xml", sentinel2 / "raw"]
+    options = ["--gipp", sentinel2, "--band", "B04"]
+    for extra, said in (([], "not an empty folder"), (["--attitudes", "best"], "raw, corrected, refined")):
+        result = CliRunner().invoke(app, [str(one) for one in (*arguments, *options, *extra)])
+        assert result.exit_code == 2 and said in result.output
+    arguments[3] = tmp_path / "new"
+    result = CliRunner().invoke(app, [str(one) for one in (*arguments, "--gipp", tmp_path, "--band", "B04")])
+    assert result.exit_code == 1 and "no such file" in str(result.exception)

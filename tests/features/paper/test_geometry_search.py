@@ -1,0 +1,65 @@
+"""Closed-form covariance against that of the estimator, the outcome of the search, the law of Table 5."""
+
+import numpy as np
+import pytest
+
+from boresight.calib.frames import calibrate_frames
+from boresight.features.paper.comparison import compare_geometry, noise_law
+from boresight.features.paper.geometry_search import (
+    GeometrySearch,
+    covariance_shapes,
+    geometry_map,
+    predicted_sigma,
+    star_camera_rotation,
+)
+from boresight.geometry.constants import ARCSEC
+from boresight.geometry.installation import deviation_from_theta
+from boresight.simulator.campaign import CameraPair, draw_frames
+
+
+@pytest.mark.parametrize(("zenith", "azimuth", "roll"), [(15.0, 90.0, 0.0), (40.0, 20.0, 90.0)])
+def test_closed_form_equals_the_estimator_s_covariance(zenith, azimuth, roll):
+    cameras = CameraPair(star_camera_rotation(zenith, azimuth, roll))
+    frames = draw_frames(200, 60, 40, 0.07, 0.5, cameras, np.random.default_rng(5))
+    stated = np.sqrt(np.diag(calibrate_frames(frames, cameras.R_cs).solution.covariance)) / ARCSEC
+    noise, numbers = (0.07**2, 0.5**2), np.array([200.0 * 60, 200.0 * 40])
+    found = predicted_sigma(cameras.R_cs, covariance_shapes(cameras), noise, *numbers[:, None])[0]
+    np.testing.assert_allclose(
+        found, stated, rtol=0.03
+    )  # a frame's 60 stars and 40 targets fill fields unevenly
+
+
+def test_axis_of_the_star_camera_points_where_the_angles_say():
+    axis_c = star_camera_rotation(30.0, 0.0, 77.0).apply([0.0, 0.0, 1.0])
+    np.testing.assert_allclose(axis_c, [0.5, 0.0, -np.sqrt(0.75)], atol=1e-15)
+    axis_c = star_camera_rotation(30.0, 90.0, 0.0).apply([0.0, 0.0, 1.0])
+    np.testing.assert_allclose(axis_c, [0.0, 0.5, -np.sqrt(0.75)], atol=1e-15)
+
+
+def test_no_geometry_gives_both_the_figure_and_the_table():
+    coarse = GeometrySearch(
+        from_zenith_deg=np.arange(0.0, 91.0, 10.0),
+        azimuth_deg=np.arange(0.0, 91.0, 10.0),
+        roll_deg=np.zeros(1),
+    )
+    table = geometry_map(CameraPair(star_camera_rotation(0.0, 0.0, 0.0)), coarse)
+    best = table.groupby("goal")["misfit"].min()
+    assert best["figure7"] < 1.1 and best["table4"] < 1.1
+    # All geometries give Table 4's Z 1.04 to 1.07 times Fig. 7's, the paper 5.35: so sqrt(5.35 / 1.07)
+    assert best["both"] > 2.2
+    text = "\n".join(compare_geometry(table))
+    assert "both: no direction within 20 %" in text and "0.0159  0.0105  0.0927" in text
+
+
+def test_noise_law_returns_what_was_put_in():
+    sigma = np.linspace(0.05, 0.1, 6)
+    assert noise_law(sigma, np.hypot(4.0, 34.0 * sigma)) == pytest.approx((4.0, 34.0), rel=1e-9)
+
+
+def test_one_step_from_the_paper_s_deviation_leaves_tenths_of_an_arcsecond():
+    cameras = CameraPair(star_camera_rotation(15.0, 90.0, 0.0))
+    frames = draw_frames(400, 30, 10, 0.06, 0.3, cameras, np.random.default_rng(0))
+    start = deviation_from_theta(np.array([0.003, 0.002, 0.001])).inv() * cameras.R_cs
+    second, third = (step / ARCSEC for step in calibrate_frames(frames, start).theta_steps[1:3])
+    assert second[:2] == pytest.approx([0.21, -0.31], abs=0.02)  # products of 0.003, 0.002 and 0.001 rad
+    assert np.abs(third).max() < 1e-4

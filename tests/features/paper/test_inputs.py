@@ -1,0 +1,40 @@
+"""Tables 1 to 3 as inputs, beside the paper's printed values."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from boresight.features.paper.comparison import compare_inputs
+from boresight.features.paper.inputs import inputs
+from boresight.features.paper.plots import plot_inputs
+from boresight.features.paper.vectors import ExperimentSettings
+
+
+@pytest.fixture(scope="module")
+def table() -> pd.DataFrame:
+    return inputs(ExperimentSettings().cameras, seed=1, strips=400)
+
+
+def test_each_error_of_table_1_has_its_size_on_the_ground(table: pd.DataFrame):
+    rows = table[table["source"] == "Table 1"]
+    # GPS, clock and distortion are drawn once a strip, 400 strips: 3.5 %, four sigma
+    np.testing.assert_allclose(rows["ours"], rows["expected"], rtol=0.14)
+    printed = rows.set_index("item")["paper"]
+    assert (printed["GPS, along"], printed["vibration, across"], printed["clock, along"]) == (2.0, 0.25, 0.75)
+
+
+def test_tables_2_and_3_are_those_of_the_scenario(table: pd.DataFrame):
+    rows = table[table["source"].isin(["Table 2", "Table 3"]) & table["at"].isna()]
+    settings = rows[~rows["item"].str.startswith("field")]
+    np.testing.assert_allclose(settings["ours"], settings["paper"], rtol=1e-15)  # one rounding of a unit
+    curves = table[table["at"].notna() & table["paper"].notna()]
+    # (5) written out against the camera model, px; Table 3 through its spline, um: a thousandth of a pixel
+    for unit, tolerance in (("px", 1e-9), ("um", 0.01)):
+        curve = curves[curves["unit"] == unit]
+        np.testing.assert_allclose(curve["ours"], curve["paper"], rtol=0, atol=tolerance)
+
+
+def test_text_and_picture_hold_the_printed_values(table: pd.DataFrame):
+    text = "\n".join(compare_inputs(table))
+    assert all(value in text for value in ("2.29e-05", "-4.25e-09", "1077.2", "6144"))
+    assert len(plot_inputs(table).axes) == 3

@@ -1,0 +1,48 @@
+"""A row of Table 4 and a cell of the grid from rendered images."""
+
+from collections.abc import Iterator
+from functools import cache
+
+import numpy as np
+import pytest
+
+from boresight.features.paper import pixels as missions
+from boresight.features.paper.comparison import compare_grid_pixels, compare_table4_pixels
+from boresight.features.paper.pixels import PixelSettings, grid_from_pixels, table4_from_pixels
+from boresight.features.paper.plots import plot_grid_pixels
+
+CELL = (0.08, 0.5)  # px, of stars and targets: a row of Table 4 and a cell of the grid share a mission
+
+
+@pytest.fixture(scope="module", autouse=True)
+def rendered_once() -> Iterator[None]:
+    """A mission that row and cell share is rendered and calibrated once."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(missions, "_mission", cache(missions._mission))
+        yield
+
+
+def test_missions_of_a_row_have_its_noise_and_errors_within_their_covariance():
+    table = table4_from_pixels(PixelSettings(table4_runs=2), rows=[CELL])
+    assert list(table["axis"]) == ["X", "Y", "Z"]
+    # the sky's stars differ from mission to mission, the survey's errors do not
+    assert table["sigma_s_px"].iloc[0] == pytest.approx(0.08, rel=0.15)
+    assert table["sigma_c_px"].iloc[0] == pytest.approx(0.5, rel=0.03)
+    assert table["nees"].iloc[0] < 12.0  # twice that is chi-square of six degrees: exceeded once in 2000
+    assert table["rms_arcsec"].min() > 0.0
+    text = "\n".join(compare_table4_pixels(table))
+    assert "0.0809 (" in text and "0.1987 (" in text and "CPU" in text
+
+
+def test_redrawn_vectors_of_a_mission_have_its_geometry_and_their_own_bound():
+    table = grid_from_pixels(PixelSettings(runs=1, redraws=40), cells=[CELL])
+    pixels, vectors = (table[table["method"] == name] for name in ("pixels", "vectors"))
+    # one and the same stars and targets, displaced by noise of arcseconds: the bound moves by 1e-3
+    np.testing.assert_allclose(vectors["bound_arcsec"], pixels["bound_arcsec"].to_numpy(), rtol=0.01)
+    # mean of 40 runs of 3 degrees: 3 +- 0.39; five sigma
+    assert vectors["nees"].iloc[0] == pytest.approx(3.0, abs=2.0)
+    assert pixels["nees"].iloc[0] < 21.1  # chi-square of three degrees: exceeded once in 10 000
+    assert table["paper_arcsec"].tolist() == [0.0159, 0.0105, 0.0927] * 2
+    text = "\n".join(compare_grid_pixels(table))
+    assert "0.0927" in text and "F-test" in text
+    assert len(plot_grid_pixels(table).axes) == 6

@@ -1,0 +1,103 @@
+"""Wang's method: exact without noise, less accurate than `calibrate` with it."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from boresight.calib.calibration import calibrate
+from boresight.features.paper.comparison import compare_grid, compare_readings
+from boresight.features.paper.vectors import (
+    NO_NUISANCES,
+    ExperimentSettings,
+    grid,
+    table5_readings,
+)
+from boresight.features.paper.wang import polynomial_residuals, wang_calibrate
+from boresight.geometry.constants import ARCSEC
+from boresight.geometry.installation import deviation_from_theta, theta_between
+from boresight.simulator.campaign import CameraPair, StripPlan, draw_strips
+
+BOLD = Rotation.from_euler("xyz", [40, -65, 110], degrees=True)
+CAMERAS = CameraPair(BOLD)
+R_CS0 = deviation_from_theta(np.array([0.003, 0.002, 0.001])).inv() * BOLD
+
+
+def test_without_noise_and_waves_the_matrix_is_found():
+    plan = StripPlan(strips=3, targets=20, sigma_s_px=1e-6, sigma_c_px=1e-6, wave_rad=(0.0, 0.0))
+    strips, _ = draw_strips(plan, CAMERAS, np.random.default_rng(1))
+    found = wang_calibrate(strips, R_CS0)
+    assert len(found.R_cs_strips) == 3
+    assert np.linalg.norm(theta_between(found.R_cs, BOLD)) < 1e-3 * ARCSEC
+
+
+def test_with_noise_it_is_worse_than_ours_on_the_weak_axis():
+    plan = StripPlan(strips=7, targets=20, sigma_c_px=0.5)
+    rng = np.random.default_rng(2)
+    theirs, ours = [], []
+    for _ in range(12):
+        strips, _ = draw_strips(plan, CAMERAS, rng)
+        theirs.append(theta_between(wang_calibrate(strips, R_CS0).R_cs, BOLD)[2])
+        ours.append(theta_between(calibrate(strips, R_CS0, NO_NUISANCES).R_cs, BOLD)[2])
+    assert np.std(theirs) > 1.5 * np.std(ours)  # about 3 times; 12 runs scatter by a fifth
+
+
+def test_a_strip_with_too_few_targets_is_rejected_with_the_reason():
+    strips, _ = draw_strips(StripPlan(strips=2, targets=20), CAMERAS, np.random.default_rng(3))
+    few, _ = draw_strips(StripPlan(strips=3, targets=5), CAMERAS, np.random.default_rng(3))
+    found = wang_calibrate([*strips, few[2]], R_CS0)
+    assert found.rejected == (("strip0002", "5 targets and 10 exposures, 7 and 2 needed"),)
+    with pytest.raises(ValueError, match="none of 3 strips"):
+        wang_calibrate(few, R_CS0)
+
+
+def test_polynomials_take_out_polynomials_and_nothing_else():
+    t = np.linspace(0.0, 24.0, 200)
+    cubic = np.column_stack([t**3, 1 - t, 0.5 * t**2])
+    np.testing.assert_allclose(polynomial_residuals(t, cubic, 3), 0.0, atol=1e-9)
+    wave = np.sin(2 * np.pi * t / 4.0)[:, None] * np.ones(3)
+    assert np.std(polynomial_residuals(t, wave, 7)) > 0.6  # of 0.71: six waves are beyond order 7
+
+
+def test_wang_s_method_needs_two_exposures():
+    strips, _ = draw_strips(
+        replace(StripPlan(strips=1, targets=20), exposures=1), CAMERAS, np.random.default_rng(3)
+    )
+    with pytest.raises(ValueError, match="none of 1 strips"):
+        wang_calibrate(strips, R_CS0)
+
+
+def test_the_result_is_the_mean_over_all_strips_not_the_first_one():
+    strips, _ = draw_strips(StripPlan(strips=4, targets=20), CAMERAS, np.random.default_rng(6))
+    found = wang_calibrate(strips, R_CS0)
+    assert (found.R_cs * found.R_cs_strips.mean().inv()).magnitude() < 1e-12
+    assert (
+        found.R_cs * found.R_cs_strips[0].inv()
+    ).magnitude() > 0.05 * ARCSEC  # strips scatter by arcseconds
+    alone = wang_calibrate(strips[2:3], R_CS0).R_cs
+    assert (found.R_cs_strips[2] * alone.inv()).magnitude() < 1e-12
+
+
+def test_the_grid_has_the_paper_s_scatter_and_a_bound_in_every_row():
+    settings = ExperimentSettings(
+        runs=10, wang_runs=2, frames=(20,), grid_sigma_s_px=(0.06,), grid_sigma_c_px=(0.3, 0.5)
+    )
+    table = grid(settings)
+    assert not table.isna().any().any()
+    ours = table[table["method"] == "information"]
+    assert ours["paper_arcsec"].tolist() == [0.0159, 0.0105, 0.0927] * 2  # Fig. 7, text below it
+    wang, strips = (table[table["method"] == name].reset_index() for name in ("wang", "strips"))
+    assert wang["bound_arcsec"].tolist() == strips["bound_arcsec"].tolist()  # the same strips
+    text = "\n".join(compare_grid(table))
+    assert "21.7 standard errors" not in text  # 60 cells; here there are two
+    assert "0.0927" in text and "-0.2602" in text
+
+
+def test_readings_of_table_5_hold_the_paper_s_values_and_more_order_does_not_help():
+    table = table5_readings(ExperimentSettings(table5_runs=2, wang_strips=3))
+    assert not table.isna().any().any()
+    rms = table.groupby(["method", "order"])["rms_m"].apply(lambda values: float(np.sqrt(np.mean(values**2))))
+    assert rms["ours", 0] < rms["wang", 3] < rms["wang", 7]  # 20 targets do not support eight coefficients
+    text = "\n".join(compare_readings(table))
+    assert "paper, 0.050: ours 4.32, 3.54; Wang 5.96, 5.17" in text

@@ -1,0 +1,126 @@
+"""`boresight plan` and `boresight experiment` from file to file."""
+
+import re
+import sys
+from dataclasses import fields
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from typer.testing import CliRunner
+
+from boresight.features.paper.tables import hipparcos_fields
+from boresight.features.paper.vectors import ExperimentSettings
+from boresight.features.planning.campaign_plan import (
+    Plan,
+    PlannedErrors,
+    PlannedSky,
+    PlannedStrips,
+    forecast_plan,
+    read_plan,
+)
+from boresight.pipeline.cli import app
+from boresight.pipeline.errors import DataNotSufficientError, RawDataError
+from boresight.pipeline.stages import plan
+
+runner = CliRunner()
+
+
+@pytest.fixture
+def one_draw(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One example strip of a variant, where the variants' values are not what is tested."""
+    monkeypatch.setattr(plan, "DRAWS", 1)
+
+
+def test_a_plan_is_told_with_its_table_and_plot(tmp_path: Path, one_draw: None):
+    path = tmp_path / "plan.toml"
+    path.write_text("[strips]\ncount = 12\n[errors]\ndistortion_px = 0.0\n", encoding="utf-8")
+    told = runner.invoke(app, ["plan", str(path), "--target", "2", "--out", str(tmp_path / "out")])
+    assert told.exit_code == 0
+    assert "12 strips: 1-sigma" in told.stdout and "strips bring every axis to 2″" in told.stdout
+    table = pd.read_csv(tmp_path / "out" / "plan.csv")
+    twelve = table[(table["strips"] == 12) & (table["axis"] == "X")]["sigma_arcsec"].iloc[0]
+    assert 0.15 < twelve < 0.35  # 2 m of GPS error seen from 530 km, over the root of 12
+    assert (tmp_path / "out" / "plan.png").stat().st_size > 10_000
+
+
+def test_the_page_describes_every_key_with_an_example():
+    sys.path.insert(0, str(Path(__file__).parents[3] / "scripts" / "figures"))
+    from plan import DOCS, example
+
+    text = (DOCS / "plan.md").read_text()
+    for section in fields(Plan):
+        assert f"[{section.name}]" in text
+        for key in fields(getattr(Plan(), section.name)):
+            assert re.search(rf"^{key.name} = \S+.*# \w+", text, re.MULTILINE), key.name
+    assert example().strips.count == 12 and (DOCS / "images" / "plan.png").is_file()
+
+
+def test_what_limits_an_axis_is_what_helps_most_when_it_is_gone():
+    found = forecast_plan(Plan(errors=PlannedErrors(position_m=20.0)))
+    assert "X is limited by: position" in found.text
+    of_x = found.without[found.without["axis"] == "X"].set_index("source")["sigma_arcsec"]
+    assert of_x.idxmin() == "position" and of_x["position"] < 0.2 * of_x["all errors"]
+    assert np.all(of_x <= 1.001 * of_x["all errors"])  # less error is never worse, but for rounding
+    of_z = found.by_targets[found.by_targets["axis"] == "Z"]["sigma_arcsec"].to_numpy()
+    assert of_z[-1] < 0.5 * of_z[0]
+    assert not len(found.campaigns)  # of the ground alone there is nothing to compare
+
+
+def test_campaigns_of_ground_and_sky_are_compared(one_draw: None):
+    found = forecast_plan(Plan(strips=PlannedStrips(count=3, stars=128), sky=PlannedSky(count=2)))
+    sigma = found.campaigns.pivot(index="campaign", columns="axis", values="sigma_arcsec")
+    assert sigma.loc["sky", "X"] < 0.2 * sigma.loc["ground", "X"]  # no position error
+    assert (sigma.loc["both"] <= 1.05 * sigma.min()).all()  # but for the draws of the strips
+    assert "2 strips of the sky" in found.text
+
+
+def test_a_target_out_of_reach_is_said_to_be_so(tmp_path: Path, one_draw: None):
+    path = tmp_path / "plan.toml"
+    path.write_text("[strips]\ncount = 2\n", encoding="utf-8")
+    told = runner.invoke(app, ["plan", str(path), "--target", "0.01"])
+    assert told.exit_code == 1
+    assert "no number of strips" in told.stdout
+
+
+def test_an_unknown_key_of_a_plan_is_refused_by_name(tmp_path: Path):
+    path = tmp_path / "plan.toml"
+    path.write_text("[targets]\ncout = 3\n", encoding="utf-8")
+    with pytest.raises(RawDataError, match="cout"):
+        read_plan(path)
+
+
+def test_stars_of_a_field_are_the_skys():
+    cameras = ExperimentSettings().cameras
+    fields = hipparcos_fields(cameras, 300, seed=1)
+    counts = np.array([len(field) for field in fields])
+    assert 40 < counts.mean() < 70  # 18.6 x 14 degrees are 1/160 of the sky; 9 000 stars to V 6.5
+    assert counts.std() > 8  # more along the Milky Way
+    np.testing.assert_allclose(np.linalg.norm(np.concatenate(fields), axis=1), 1.0, atol=1e-12)
+
+
+def test_an_unknown_experiment_is_wrong_usage():
+    assert runner.invoke(app, ["experiment", "table9", "--out", "nowhere"]).exit_code == 2
+
+
+def test_only_some_experiments_go_through_pixels():
+    told = runner.invoke(app, ["experiment", "figure8", "--out", "nowhere", "--pixels"])
+    assert told.exit_code == 2
+
+
+@pytest.mark.parametrize("text", ["[strips]\nduration_s = 1e-300", "[errors]\nclock_s = 1e300"])
+def test_campaign_whose_information_has_no_number_is_told_and_ends(tmp_path, text):
+    (tmp_path / "plan.toml").write_text(text)
+    with pytest.raises(DataNotSufficientError, match="cannot be forecast"):
+        forecast_plan(read_plan(tmp_path / "plan.toml"))
+
+
+@pytest.mark.parametrize(
+    ("section", "key", "value"),
+    [("strips", "stars", 10**12), ("strips", "count", 0), ("cameras", "n_ccds", 0), ("targets", "count", -1)],
+)
+def test_count_that_no_campaign_has_is_told_with_its_range(tmp_path, section, key, value):
+    (tmp_path / "plan.toml").write_text(f"[{section}]\n{key} = {value}\n")
+    with pytest.raises(RawDataError, match=f"plan.{section}: found {key} must be 1 to .*, got {value}"):
+        read_plan(tmp_path / "plan.toml")

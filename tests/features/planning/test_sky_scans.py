@@ -1,0 +1,100 @@
+"""Scans of the sky: clear of Sun, Moon and Earth by astropy's places; the choice is better than chance."""
+
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import astropy.units as u
+import numpy as np
+import pytest
+from astropy.coordinates import get_body
+from astropy.time import Time
+from handmade import ATTITUDE_HEAD
+from typer.testing import CliRunner
+
+from boresight.calib.settings import CalibrationSettings
+from boresight.features.planning.scan_plan import (
+    ScanCameras,
+    ScanSettings,
+    angles_to_bodies,
+    choose_scans,
+)
+from boresight.geometry.attitude_noise import NO_NOISE
+from boresight.pipeline.cli import app
+from boresight.pipeline.files.dump import open_dump
+from boresight.star_id.whole_catalogue import all_hipparcos
+
+MINI = Path(__file__).parents[3] / "fixtures" / "mini"
+DUMP = open_dump(MINI)
+CAMERAS = ScanCameras(line=DUMP.line_camera, star=DUMP.star_camera, R_cs=DUMP.R_cs0, orbit=DUMP.orbit)
+
+
+def chosen(**asked):
+    settings = ScanSettings(**({"candidates": 40, "count": 2} | asked))
+    return choose_scans(CAMERAS, all_hipparcos(), 0.0, CalibrationSettings(), settings)
+
+
+def test_angles_to_sun_moon_and_limb_are_those_of_astropy():
+    p_i, _ = DUMP.orbit.states_i(np.array([0.0]))
+    axis = np.array([0.6, -0.64, 0.48])
+    found = angles_to_bodies(DUMP.epoch, 0.0, p_i[0], axis)
+    when = Time(DUMP.epoch.utc_from_seconds(np.array([0.0]))[0].removesuffix("Z"), scale="utc")
+    for n, name in enumerate(("sun", "moon")):
+        v = get_body(name, when).cartesian.xyz.to_value(u.m) - p_i[0]
+        expected = np.arccos(axis @ v / np.linalg.norm(v))
+        assert found[n] == pytest.approx(expected, abs=2e-4)  # rad; light time and the series of the Moon
+    depression = np.arccos(6378137.0 / np.linalg.norm(p_i[0]))
+    above_horizon = np.arcsin(axis @ p_i[0] / np.linalg.norm(p_i[0]))
+    assert found[2] == pytest.approx(above_horizon + depression, abs=1e-9)
+
+
+def test_scans_keep_both_cameras_away_and_beat_chance():
+    found = chosen(sun_deg=70.0, moon_deg=30.0, earth_deg=12.0)
+    for scan in found.scans:
+        assert np.all(scan.away_deg >= [70.0, 30.0, 12.0])
+    assert np.all(np.diff(found.sigma_rad, axis=0) < 0.0)  # another scan never takes information away
+    look = np.array([1.0, 1.0, 0.01])
+    assert look @ found.sigma_rad[-1] ** 2 < 0.8 * look @ found.random_sigma_rad**2
+
+
+def test_a_head_that_delivers_attitudes_counts_by_their_covariance():
+    worse = replace(CAMERAS, star=np.diag([5e-6, 5e-6, 5e-5]) ** 2)  # rad: 1 and 10 arcsec an attitude
+    asked = ScanSettings(candidates=30, count=2)
+    a, b = (choose_scans(one, all_hipparcos(), 0.0, CalibrationSettings(), asked) for one in (CAMERAS, worse))
+    assert all(scan.head_stars == 0 and scan.stars > 1 for scan in b.scans)
+    assert np.all(b.sigma_rad[-1] > a.sigma_rad[-1])
+    shaken = replace(worse, noise=replace(NO_NOISE, constant_rad=np.full(3, 2e-5)))
+    c = choose_scans(shaken, all_hipparcos(), 0.0, CalibrationSettings(), asked)
+    assert c.sigma_rad[-1, 0] > 0.5 * 2e-5  # an error of its own in each of two strips
+
+
+def test_too_narrow_limits_are_an_error_that_says_so():
+    with pytest.raises(ValueError, match="candidates hold stars"):
+        chosen(sun_deg=179.0)
+
+
+def test_the_command_writes_its_table_and_picture(tmp_path):
+    asked = ["sky-strip-plan", str(MINI), "--candidates", "30", "--hours", "3", "--out", str(tmp_path)]
+    told = CliRunner().invoke(app, asked)
+    assert told.exit_code == 0, told.output
+    header, *rows = (tmp_path / "scans.csv").read_text().splitlines()
+    assert header.startswith("scan,utc,ra_deg,dec_deg") and len(rows) == 2
+    assert (tmp_path / "scans.png").stat().st_size > 10_000
+    assert CliRunner().invoke(app, [*asked[:2], "--utc", "tonight"]).exit_code != 0
+
+
+def test_the_command_plans_for_a_dump_of_attitudes(tmp_path):
+    root = shutil.copytree(MINI, tmp_path / "dump")
+    t_s = np.arange(0.0, 2.0, 0.2)
+    quaternions = (DUMP.R_cs0.inv() * DUMP.orbit.R_oi(t_s)).inv().as_quat().tolist()
+    utc = [one.rstrip("Z") for one in DUMP.epoch.utc_from_seconds(t_s)]
+    rows = [f"{when},{','.join(map(repr, q))}" for when, q in zip(utc, quaternions)]
+    (root / "str1.csv").write_text("\n".join(["utc,qx,qy,qz,qw", *rows]) + "\n")
+    text = (root / "dump.toml").read_text()
+    for name in ("star_camera", "installation", "exposures"):
+        text = text.replace(f'{name} = "{name}', f'#{name} = "{name}')
+    head = ATTITUDE_HEAD.format(rotation="head to inertial", removed="annual")
+    (root / "dump.toml").write_text(text + head + "[star_cameras.noise]\nwhite_arcsec = [1, 1, 7]\n")
+    told = CliRunner().invoke(app, ["sky-strip-plan", str(root), "--candidates", "20", "--hours", "2"])
+    assert told.exit_code == 0, told.output
+    assert "1 sigma X, Y, Z" in told.output

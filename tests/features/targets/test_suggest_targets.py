@@ -1,0 +1,192 @@
+"""Targets from ortho-images: maps, dates, heights, what strips show; and that a dump takes the folder."""
+
+from __future__ import annotations
+
+import csv
+import json
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rasterio
+from fixture_strips import FIXTURE, strip_of_fixture
+from pyproj import Transformer
+from typer.testing import CliRunner
+
+from boresight.features.targets.ortho_files import read_heights, read_ortho
+from boresight.geometry.geoid import egm96
+from boresight.pipeline.cli import app
+from boresight.pipeline.errors import RawDataError
+from boresight.pipeline.files.dump import open_dump
+
+EPSG, PIXEL_M = 32633, 2.0
+
+
+def texture(seed: int, shape: tuple[int, int] = (400, 500)) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    blocks = np.kron(rng.integers(20, 230, (shape[0] // 10, shape[1] // 10)), np.ones((10, 10)))
+    return np.clip(blocks + rng.normal(0.0, 1.0, shape), 0, 255).astype(np.uint8)
+
+
+def write(path: Path, bands: np.ndarray, east: float = 4e5, north: float = 5e6, **profile: object) -> Path:
+    bands = bands[None] if bands.ndim == 2 else bands
+    size = {"count": len(bands), "height": bands.shape[1], "width": bands.shape[2], "dtype": bands.dtype}
+    transform = rasterio.Affine(PIXEL_M, 0, east, 0, -PIXEL_M, north)
+    given = {"driver": "GTiff", "crs": f"EPSG:{EPSG}", "transform": transform} | size | profile
+    with rasterio.open(path, "w", **given) as file:
+        file.write(bands)
+    return path
+
+
+def dem(path: Path) -> Path:
+    """Heights that rise by 10 m a degree of latitude from 100 m at 45 degrees north, in degrees."""
+    rows = np.repeat(100.0 + 10.0 * (45.5 - (np.arange(60) + 0.5) / 60 - 45.0), 60).reshape(60, 60)
+    transform = rasterio.Affine(1 / 60, 0, 13.3, 0, -1 / 60, 45.5)
+    return write(path, rows.astype(np.float32), crs="EPSG:4326", transform=transform)
+
+
+def suggested(out: Path, *arguments: object, size_px: int = 64) -> list[dict[str, str]]:
+    words = ["targets", "suggest", *arguments, "--out", out, "--size-px", size_px, "--most", 6]
+    ran = CliRunner().invoke(app, [str(word) for word in words])
+    assert ran.exit_code == 0, ran.output
+    with (out / "targets.csv").open(encoding="utf-8") as file:
+        return list(csv.DictReader(file))
+
+
+def test_heights_of_a_dem_are_stated_as_the_dump_wants_them(tmp_path: Path) -> None:
+    ortho, heights = write(tmp_path / "o.tif", texture(1)), dem(tmp_path / "d.tif")
+    for kind in ("egm96", "ellipsoidal"):
+        rows = suggested(tmp_path / kind, ortho, "--dem", heights, "--heights", kind, "--sigma-up-m", 3)
+        assert {(row["height_kind"], row["sigma_up_m"]) for row in rows} == {(kind, "3.000")}
+        for row in rows:
+            assert float(row["height_m"]) == pytest.approx(100 + 10 * (float(row["lat_deg"]) - 45), abs=2e-3)
+            assert 1.0 <= float(row["sigma_east_m"]) < 1.1  # georeferencing, and the texture's part
+    model = read_heights([heights], "egm96")
+    lat, lon = np.array([45.1]), np.array([13.7])
+    ellipsoidal = 101.0 + egm96().undulation_m(np.radians(lat), np.radians(lon))
+    assert model.ellipsoidal(lat, lon) == pytest.approx(ellipsoidal, abs=2e-3)
+
+
+def test_a_geoid_whose_grid_is_not_installed_is_named(tmp_path: Path) -> None:
+    from pyproj.transformer import TransformerGroup
+
+    if TransformerGroup("EPSG:9518", "EPSG:4979").best_available:
+        pytest.skip("THE EGM2008 GRID OF PROJ IS INSTALLED: its absence was not tested")
+    with pytest.raises(RawDataError, match=r"egm2008, no grid of it is installed|no grid of it is installed"):
+        read_heights([dem(tmp_path / "d.tif")], "egm2008")
+
+
+ABOVE_EGM2008 = """
+import json, sys
+from pathlib import Path
+import numpy as np
+import pyproj
+pyproj.datadir.append_data_dir(sys.argv[2])
+from boresight.features.targets.ortho_files import read_heights
+lat, lon = np.array([45.1, 44.8]), np.array([13.7, 13.4])
+model = read_heights([Path(sys.argv[1])], "egm2008")
+height, kind = model.stated(lat, lon)
+print(json.dumps([kind, height.tolist(), model.ellipsoidal(lat, lon).tolist()]))
+"""
+
+
+def test_heights_above_egm2008_are_put_on_the_ellipsoid_by_the_grid_of_proj(tmp_path: Path) -> None:
+    # The real grid (80 MB) is replaced by a plane under its name, N = 40 + 2 (lat - 45) + (lon - 13.5): PROJ
+    # reads it as the real one, and bilinear interpolation gives a plane exactly.
+    step, west, north = 1.0 / 24.0, 12.0, 47.0
+    lat = north - (np.arange(96) + 0.5) * step
+    lon = west + (np.arange(96) + 0.5) * step
+    undulation = 40.0 + 2.0 * (lat[:, None] - 45.0) + (lon - 13.5)
+    (tmp_path / "proj").mkdir()
+    write(
+        tmp_path / "proj" / "us_nga_egm08_25.tif",
+        undulation.astype(np.float32),
+        crs="EPSG:4326",
+        transform=rasterio.Affine(step, 0, west, 0, -step, north),
+    )
+    command = [sys.executable, "-c", ABOVE_EGM2008, str(dem(tmp_path / "d.tif")), str(tmp_path / "proj")]
+    ran = subprocess.run(command, capture_output=True, text=True)  # its own PROJ: folders are for all
+    assert ran.returncode == 0, ran.stderr
+    kind, stated, ellipsoidal = json.loads(ran.stdout)
+    assert kind == "ellipsoidal" and stated == ellipsoidal  # targets.csv knows no EGM2008
+    assert stated == pytest.approx([101.0 + 40.4, 98.0 + 39.5], abs=2e-3)  # m: single precision of both grids
+
+
+def test_colours_masks_and_virtual_mosaics_are_read(tmp_path: Path) -> None:
+    rgb = np.stack([texture(n) for n in (1, 2, 3, 4)])
+    path = write(tmp_path / "rgb.tif", rgb, nodata=0, driver="COG")
+    ortho = read_ortho(path)
+    np.testing.assert_allclose(ortho.values, rgb[:3].astype(float).mean(axis=0), atol=1e-4)
+    assert np.array_equal(read_ortho(path, 4).values, rgb[3])
+    with pytest.raises(RawDataError, match="--band: found 5, expected 1 to 4"):
+        read_ortho(path, 5)
+    vrt = tmp_path / "m.vrt"
+    vrt.write_text(
+        f'<VRTDataset rasterXSize="500" rasterYSize="400"><SRS>EPSG:{EPSG}</SRS><GeoTransform>400000, 2, 0, '
+        '5000000, 0, -2</GeoTransform><VRTRasterBand dataType="Byte" band="1"><SimpleSource><SourceFilename '
+        'relativeToVRT="1">rgb.tif</SourceFilename><SourceBand>2</SourceBand></SimpleSource></VRTRasterBand>'
+        "</VRTDataset>"
+    )
+    assert np.array_equal(read_ortho(vrt).values, rgb[1])
+    (tmp_path / "no.tif").write_bytes(b"II*\0nonsense")
+    with pytest.raises(RawDataError, match=r"no\.tif: file"):
+        read_ortho(tmp_path / "no.tif")
+
+
+def test_places_that_changed_between_two_dates_are_avoided(tmp_path: Path) -> None:
+    new, old = texture(1), texture(1)
+    old[:, :250] = texture(9)[:, :250]  # the western half has changed
+    images = write(tmp_path / "new.tif", new), write(tmp_path / "old.tif", old, east=4e5 + PIXEL_M)
+    rows = suggested(tmp_path / "t", *images, "--height-m", 300)
+    east = Transformer.from_crs(4326, EPSG, always_xy=True).transform(
+        [float(row["lon_deg"]) for row in rows], [float(row["lat_deg"]) for row in rows]
+    )[0]
+    # Within 40 px of its border the other image does not cover a chip and its margin.
+    changed = [x for x in east if 4e5 + 41 * PIXEL_M < x < 4e5 + 250 * PIXEL_M]
+    assert len(rows) == 6 and changed == []
+    alone = suggested(tmp_path / "alone", images[0], "--height-m", 300)
+    assert len(alone) == 6  # each row of both images once: no place twice
+    assert len({(row["lat_deg"], row["lon_deg"]) for row in rows}) == 6
+
+
+def test_heights_are_needed_and_one_kind_of_them(tmp_path: Path) -> None:
+    ortho = str(write(tmp_path / "o.tif", texture(1)))
+    for given in ([], ["--height-m", "1", "--dem", "d.tif"]):
+        ran = CliRunner().invoke(app, ["targets", "suggest", ortho, "--out", str(tmp_path / "t"), *given])
+        assert ran.exit_code == 2 and "--dem" in ran.output
+
+
+@pytest.fixture(scope="module")
+def at_a_strip(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """A dump of one strip, and an ortho-image: every third of its chips laid out where it belongs."""
+    folder = tmp_path_factory.mktemp("suggest")
+    strip_of_fixture(folder / "dump", 2)
+    chips = sorted((FIXTURE / "chips").glob("s02-*.tif"))[::3]
+    with rasterio.open(chips[0]) as first:
+        crs, side = first.crs, first.transform.a
+    boxes = [rasterio.open(chip).bounds for chip in chips]
+    west, north = min(box.left for box in boxes), max(box.top for box in boxes)
+    east, south = max(box.right for box in boxes), min(box.bottom for box in boxes)
+    mosaic = np.zeros((round((north - south) / side) + 1, round((east - west) / side) + 1), np.uint8)
+    for chip, box in zip(chips, boxes):
+        with rasterio.open(chip) as file:
+            top, left = round((north - box.top) / side), round((box.left - west) / side)
+            mosaic[top : top + file.height, left : left + file.width] = file.read(1)
+    transform = rasterio.Affine(side, 0, west, 0, -side, north)
+    return folder / "dump", write(folder / "ortho.tif", mosaic, crs=crs, transform=transform, nodata=0)
+
+
+def test_the_folder_goes_into_the_dump(at_a_strip: tuple[Path, Path], tmp_path: Path) -> None:
+    dump, ortho = at_a_strip
+    terrain = dump / "terrain" / "dem.tif"
+    rows = suggested(tmp_path / "t", ortho, "--dem", terrain, "--dump", dump, size_px=40)
+    assert 1 <= len(rows) <= 6
+    shutil.rmtree(dump / "chips")
+    shutil.copytree(tmp_path / "t" / "chips", dump / "chips")
+    shutil.copy(tmp_path / "t" / "targets.csv", dump / "targets.csv")
+    assert [target.target_id for target in open_dump(dump).targets] == [row["id"] for row in rows]
+    checked = CliRunner().invoke(app, ["dump", "check", str(dump)])
+    assert checked.exit_code == 0 and "in view of s02" in checked.output

@@ -1,0 +1,178 @@
+"""What commands print: results, remarks, progress, JSON, help; on a terminal, in a pipe, in a log file."""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import os
+import pty
+import re
+import struct
+import subprocess
+import sys
+import termios
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+import typer
+from talking import worker
+from typer.testing import CliRunner
+
+from boresight.pipeline.cli import app
+from boresight.pipeline.console.messages import Answer, fitted, talks
+from boresight.pipeline.errors import Omission, RawDataError
+from boresight.pipeline.stages.cached import StageRunner
+from boresight.pipeline.stages.unit_log import log_unit
+
+runner = CliRunner()
+COMMANDS = [[str(c.name or c.callback.__name__)] for c in app.registered_commands if c.callback] + [
+    [str(group.name), str(c.name or c.callback.__name__)]
+    for group in app.registered_groups
+    for c in group.typer_instance.registered_commands
+    if c.callback
+]
+
+
+def test_results_go_to_stdout_and_a_line_a_tenth_to_stderr() -> None:
+    ran = runner.invoke(worker, ["--status", "4"])
+    assert ran.exit_code == 4 and ran.stdout == "a result \\x1b[2J\nthe end\n"
+    lines = ran.stderr.splitlines()
+    assert lines == [f"units: {n} of 100" for n in range(0, 101, 10)] + ["a remark"]
+
+
+def test_quiet_leaves_results_and_verbose_adds_times() -> None:
+    quiet, verbose = runner.invoke(worker, ["-q"]), runner.invoke(worker, ["-v"])
+    assert quiet.stderr == "" and quiet.stdout == verbose.stdout
+    assert re.fullmatch(r"\d+\.\d s, exit status 0", verbose.stderr.splitlines()[-1])
+
+
+def test_verbose_says_what_became_of_each_unit_and_why() -> None:
+    def units() -> Answer:
+        """Work.
+
+        Example: boresight units
+        """
+        StageRunner().run(named, [Named("e1"), Named("e2\x1b[2J")], folder="exposures")
+        log_unit("exposures", Omission("exposure", "e3").because("cut"), False)
+        return Answer()
+
+    program = typer.Typer()
+    program.command()(talks(units))
+    lines = runner.invoke(program, ["-v"]).stderr.splitlines()
+    assert lines[:3] == [
+        "exposures e1: not used, too dark",
+        "exposures e2\\x1b[2J: not used, too dark",
+        "exposures e3: not used, cut (from an earlier run)",
+    ]
+    assert runner.invoke(program, []).stderr == ""
+
+
+@dataclass
+class Named:
+    """A task of a stage."""
+
+    name: str
+
+    @property
+    def item(self) -> Omission:
+        return Omission("exposure", self.name)
+
+
+def named(task: Named) -> Omission:
+    return task.item.because("too dark")
+
+
+def test_a_log_file_has_everything_with_its_time_and_is_appended_to(tmp_path: Path) -> None:
+    path = tmp_path / "run.log"
+    runner.invoke(worker, ["-q", "--log-file", str(path)])
+    failed = runner.invoke(worker, ["--status", "9", "--json", "--log-file", str(path)])
+    assert isinstance(failed.exception, RawDataError)
+    lines = path.read_text().splitlines()
+    assert all(re.match(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\dZ ", line) for line in lines)
+    texts = [line[21:] for line in lines]
+    assert texts.count("units: 50 of 100") == texts.count("a remark") == texts.count("a result \\x1b[2J") == 2
+    assert "the end" in texts and "RawDataError: a.csv: line 2: found x, expected a number" in texts
+
+
+def test_json_is_one_object_and_nothing_else_on_stdout() -> None:
+    ran = runner.invoke(worker, ["--json", "--status", "1"])
+    answer = json.loads(ran.stdout)
+    assert answer["format"] == "boresight-answer" and answer["format_version"] == 1
+    assert (answer["command"], answer["exit_status"], answer["files"]) == ("work", 1, ["a.csv"])
+    assert answer["result"] == {"n": None} and answer["error"] is None
+    error = json.loads(runner.invoke(worker, ["--json", "--status", "9"]).stdout)["error"]
+    assert error == {
+        "file": "a.csv",
+        "field": "line 2",
+        "found": "x",
+        "expected": "a number",
+        "message": "a.csv: line 2: found x, expected a number",
+    }
+
+
+@pytest.mark.parametrize("name", ["calibrate", "validate", "status", "plan", "match", "drift"])
+def test_commands_with_json(name: str) -> None:
+    assert "--json" in runner.invoke(app, [name, "--help"]).stdout
+
+
+@pytest.mark.parametrize("width", [80, 200])
+@pytest.mark.parametrize("command", COMMANDS, ids=" ".join)
+def test_help_has_an_example_and_no_line_is_broken(command: list[str], width: int) -> None:
+    name = [part.replace("_", "-") for part in command]
+    ran = runner.invoke(app, [*name, "--help"], env={"COLUMNS": str(width)}, terminal_width=width)
+    assert ran.exit_code == 0
+    assert f"Example:\n    boresight {' '.join(name)}" in ran.stdout
+    assert max(map(len, ran.stdout.splitlines())) <= width
+    assert all(
+        f"  {option}" in ran.stdout or f", {option}" in ran.stdout for option in ("--quiet", "--log-file")
+    )
+
+
+def test_long_lines_are_broken_between_words_on_a_terminal_only(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    text = "short\n  " + "word-with-hyphens " * 12 + "/a/path/that/is/longer/" + "x" * 80
+    assert fitted(text, terminal=False) == text
+    lines = fitted(text, terminal=True).split("\n")
+    assert lines[0] == "short" and all(line.startswith("      ") for line in lines[2:])
+    assert [len(line) > 80 for line in lines] == [False] * (len(lines) - 1) + [True]
+    assert "".join(lines).split() == text.split()
+
+
+def on_a_terminal(program: str, columns: int, **environment: str) -> str:
+    """What a Python program prints on a terminal of so many columns."""
+    mine, its = pty.openpty()
+    fcntl.ioctl(its, termios.TIOCSWINSZ, struct.pack("HHHH", 24, columns, 0, 0))
+    given = {key: value for key, value in os.environ.items() if key not in ("COLUMNS", "NO_COLOR")}
+    given |= {"TERM": "xterm-256color"} | environment
+    run = subprocess.Popen([sys.executable, "-c", program], stdout=its, stderr=its, stdin=its, env=given)
+    os.close(its)
+    read = b""
+    try:
+        while part := os.read(mine, 65536):
+            read += part
+    except OSError:  # the other end is closed
+        pass
+    os.close(mine)
+    assert run.wait() == 0
+    return read.decode()
+
+
+SHOWN = f"""
+import sys
+sys.path.insert(0, {str(Path(__file__).parent)!r})
+from talking import say, worker
+say("a sentence of many words " * 20)
+worker(["--status", "0"])
+"""
+
+
+@pytest.mark.parametrize("columns", [80, 200])
+def test_a_terminal_gets_bars_and_lines_of_its_width(columns: int) -> None:
+    shown = on_a_terminal(SHOWN, columns, NO_COLOR="1")
+    assert not re.search(r"\x1b\[[0-9;]*3[0-9]", shown), "colours in spite of NO_COLOR"
+    assert "units: 50 of 100" not in shown and "100/100" in shown  # the bar
+    plain = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", shown).replace("\r", "\n")
+    lines = [line for line in plain.split("\n") if line.strip()]
+    assert max(map(len, lines)) <= columns
+    assert " ".join(plain.split()).count("a sentence of many words") == 20

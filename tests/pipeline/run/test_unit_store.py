@@ -1,0 +1,286 @@
+"""A unit is found again by everything that it was made from, and by nothing else."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pytest
+from scipy.spatial.transform import Rotation
+
+from boresight.pipeline.calibration_run import RunRequest, run_dump
+from boresight.pipeline.files import content
+from boresight.pipeline.files.dump import Dump, open_dump
+from boresight.pipeline.files.table_files import fixed_list, list_values
+from boresight.pipeline.run import digests
+from boresight.pipeline.run.digests import digest, program
+from boresight.pipeline.run.executor import Executor, InOrder
+from boresight.pipeline.run.processes import Processes
+from boresight.pipeline.run.run_inputs import inputs_of
+from boresight.pipeline.run.settings import Settings
+from boresight.pipeline.run.unit_store import UnitStore, read_meta
+from boresight.pipeline.stages.exposure import sight_exposure
+from boresight.pipeline.stages.strip import match_targets
+
+GEOMETRY, STARS, MATCH = "boresight.geometry", "boresight.star_id", "boresight.gct_match"
+
+
+@dataclass(frozen=True)
+class Task:
+    name: str
+    values: np.ndarray
+    turn: Rotation
+    file: Path
+    settings: dict
+
+
+def task(tmp_path: Path, **changes: object) -> Task:
+    (tmp_path / "image").write_bytes(b"pixels")
+    parts = {
+        "name": "e1",
+        "values": np.arange(3.0),
+        "turn": Rotation.from_rotvec([0.1, 0.2, 0.3]),
+        "file": tmp_path / "image",
+        "settings": {"a": 1, "b": 2.5},
+    }
+    return Task(**(parts | changes))
+
+
+def test_digest_changes_with_every_part_and_only_then(tmp_path: Path) -> None:
+    (tmp_path / "copy").write_bytes(b"pixels")
+    (tmp_path / "other").write_bytes(b"pixelz")
+    same = [
+        task(tmp_path),
+        task(tmp_path),
+        task(tmp_path, file=tmp_path / "copy"),
+        task(tmp_path, settings={"b": 2.5, "a": 1}),
+    ]
+    assert len({digest(t) for t in same}) == 1
+    others = [
+        task(tmp_path, name="e2"),
+        task(tmp_path, values=np.nextafter(np.arange(3.0), 9.0)),
+        task(tmp_path, values=np.arange(3.0).reshape(3, 1)),
+        task(tmp_path, values=np.arange(3.0, dtype=np.float32)),
+        task(tmp_path, turn=Rotation.from_rotvec([0.1, 0.2, 0.3 + 1e-15])),
+        task(tmp_path, file=tmp_path / "other"),
+        task(tmp_path, file=tmp_path / "missing"),
+        task(tmp_path, settings={"a": 1, "b": 2.5000000000000004}),
+    ]
+    assert len({digest(t) for t in [*same, *others]}) == 1 + len(others)
+
+
+def test_what_has_no_digest_is_refused() -> None:
+    with pytest.raises(TypeError, match="no digest for a set"):
+        digest({1, 2})
+
+
+def test_program_is_its_version_and_the_source_that_a_stage_rests_on() -> None:
+    assert program(GEOMETRY, STARS) != program(GEOMETRY, MATCH)
+    assert program(GEOMETRY, STARS) == program(GEOMETRY, STARS)
+
+
+def test_program_knows_the_folders_within_a_package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    inner = tmp_path / "outer_package" / "inner"
+    inner.mkdir(parents=True)
+    for folder in (inner, inner.parent):
+        (folder / "__init__.py").touch()
+    monkeypatch.syspath_prepend(tmp_path)
+    (inner / "module.py").write_text("A = 1\n")
+    before = program("outer_package")
+    (inner / "module.py").write_text("A = 2\n")
+    program.cache_clear()
+    digests._module.cache_clear()
+    assert program("outer_package") != before
+
+
+def test_program_follows_imports_and_knows_data_and_libraries(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    root = tmp_path / "made_package"
+    (root / "data").mkdir(parents=True)
+    for name, text in {
+        "__init__": "",
+        "stage": "from made_package import reader\ndef f():\n    from made_package.late import g",
+        "reader": "A = 1",
+        "late": "from made_package.deeper import (\n    h,\n)",
+        "deeper": "h = 1",
+        "other": "B = 1",
+    }.items():
+        (root / f"{name}.py").write_text(text + "\n")
+    (root / "data" / "table.bin").write_bytes(b"1")
+    monkeypatch.syspath_prepend(tmp_path)
+
+    def key() -> str:
+        program.cache_clear()
+        digests._module.cache_clear()
+        return program("made_package.stage")
+
+    keys = [key()]
+    for file in ("stage.py", "reader.py", "late.py", "deeper.py", "data/table.bin"):
+        (root / file).write_text((root / file).read_text() + "# changed\n")
+        keys.append(key())
+    assert len(set(keys)) == 6
+    (root / "other.py").write_text("B = 2\n")
+    assert key() == keys[-1]
+    versions = digests.library_versions()
+    assert {"python", "numpy", "scipy", "opencv", "rasterio", "gdal", "astropy", "pyerfa"} <= set(versions)
+    for name in versions:
+        changed = versions | {name: "0"}
+        monkeypatch.setattr(digests, "library_versions", lambda changed=changed: changed)
+        keys.append(key())
+    assert len(set(keys)) == 6 + len(versions)
+    program.cache_clear()
+    digests._module.cache_clear()
+
+
+def test_program_of_a_stage_includes_the_readers_of_files() -> None:
+    for stage in (sight_exposure, match_targets):
+        modules = set(digests._sources(stage.__module__))
+        assert {
+            "boresight.pipeline.files.image_files",
+            "boresight.pipeline.files.dump",
+            "boresight.geometry.orbit",
+            "data of boresight.geometry",
+        } <= modules
+    assert "boresight.star_id.sight" in digests._sources(sight_exposure.__module__)
+    assert "boresight.gct_match.match" in digests._sources(match_targets.__module__)
+
+
+def test_digest_reads_all_bytes_of_a_large_file_and_nothing_else(tmp_path: Path) -> None:
+    """10 MiB changed amid 100 MiB with times kept: another digest; a copy with other times: the same."""
+    path, copy = tmp_path / "large", tmp_path / "copy"
+    with path.open("wb") as stream:
+        stream.truncate(100 * 2**20)
+    times = (path.stat().st_atime_ns, path.stat().st_mtime_ns)
+    before = digest(path)
+    shutil.copyfile(path, copy)
+    os.utime(copy, ns=(1, 1))
+    assert digest(copy) == before
+    with path.open("r+b") as stream:
+        stream.seek(45 * 2**20)
+        stream.write(b"x" * 10 * 2**20)
+    os.utime(path, ns=times)
+    assert digest(path) != before
+
+
+def test_what_is_no_regular_file_has_a_digest_at_once(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "fifo")
+    assert digest(tmp_path / "fifo") != digest(tmp_path / "missing") != digest(Path("/dev/zero"))
+
+
+def test_unit_is_read_back_bit_for_bit_and_replaces_its_predecessor(tmp_path: Path) -> None:
+    store, values = UnitStore(tmp_path), np.random.default_rng(2).normal(size=(4, 3, 3))
+    table = pa.table({"cov": fixed_list(values)})
+    store.write("stage", "s.1", "old", table, {"id": "s.1", "t_s": 0.1 + 0.2})
+    store.write("stage", "s.1.x", "old", table, {"id": "s.1.x"})
+    store.write("stage", "s.1", "new", table, {"id": "s.1", "t_s": 0.1 + 0.2})
+    assert store.read("stage", "s.1", "old") is None
+    assert store.read("stage", "s.1.x", "old") is not None
+    back = store.read("stage", "s.1", "new")
+    assert np.array_equal(list_values(back, "cov", 3, 3), values)
+    assert read_meta(back) == {"id": "s.1", "t_s": 0.1 + 0.2}
+    (tmp_path / "stage" / "s.1.new.parquet").write_bytes(b"PAR1 damaged")
+    assert store.read("stage", "s.1", "new") is None
+
+
+def test_no_rows_keep_their_shape() -> None:
+    table = pa.table({"cov": fixed_list(np.zeros((0, 2, 2)))})
+    assert list_values(table, "cov", 2, 2).shape == (0, 2, 2)
+
+
+def test_contents_read_by_other_processes_are_known_and_those_of_changed_files_are_not(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    files = [tmp_path / name for name in ("a", "b", "missing")]
+    for path in files[:2]:
+        path.write_bytes(path.name.encode() * 1000)
+    expected = digests.digest(files)
+    content._digests.clear()
+    digests.know_contents(files, Processes(2))
+    computed: list[Path] = []
+    own = content._sha256
+
+    def noted(path: Path, identity: content.Identity) -> str:
+        computed.append(path)
+        return own(path, identity)
+
+    monkeypatch.setattr(content, "_sha256", noted)
+    assert digests.digest(files) == expected
+    assert computed == []  # nothing is read once more
+    files[1].write_bytes(b"another content")
+    assert digests.digest(files) != expected
+    assert computed == [files[1]]
+
+
+def test_images_of_sky_strips_and_of_exposures_are_read_for_digests_by_workers(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    dump = open_dump(Path(__file__).parents[3] / "fixtures" / "sky")
+    content._digests.clear()
+    computed: list[Path] = []  # by this process: workers note theirs in memory of their own
+    own = content._sha256
+
+    def noted(path: Path, identity: content.Identity) -> str:
+        computed.append(path)
+        return own(path, identity)
+
+    monkeypatch.setattr(content, "_sha256", noted)
+    inputs = inputs_of([dump], Settings())
+    inputs.know_images(Processes(2), exposures=True)
+    of_two = inputs.digest()
+    images = {path for strip in dump.sky_strips for path in strip.images.paths.values()}
+    images |= {exposure.path for exposure in dump.exposures}
+    assert len(images) > 10 and not images & set(computed)
+    content._digests.clear()
+    assert inputs_of([dump], Settings()).digest() == of_two
+
+
+@pytest.mark.parametrize("executor, by_this_process", [(InOrder(), 1), (Processes(2), 0)])
+def test_a_run_reads_each_exposure_once(
+    one_strip: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, executor: Executor, by_this_process: int
+) -> None:
+    """For key, image and digest of the inputs; what other processes have read is not read once more."""
+    dump, own = open_dump(one_strip), Path.read_bytes
+    content._digests.clear()
+    content._content.cache_clear()
+    read: list[Path] = []
+
+    def noted(path: Path) -> bytes:
+        read.append(path)
+        return own(path)
+
+    monkeypatch.setattr(Path, "read_bytes", noted)
+    request = RunRequest(settings=Settings(), begun_s=0.0, facts={}, report=False)
+    run_dump(tmp_path / "result", dump, "one", request, executor, lambda stage, done, total: None)
+    exposures = [exposure.path for exposure in dump.exposures]
+    assert [read.count(path) for path in exposures] == [by_this_process] * len(exposures)
+    assert json.loads((tmp_path / "result" / "run.json").read_text())["inputs"] == digest_of(dump)
+
+
+def digest_of(dump: Dump) -> str:
+    """Digest of the inputs, of files that are read again."""
+    content._digests.clear()
+    return inputs_of([dump], Settings()).digest()
+
+
+def test_inputs_have_no_digest_if_a_file_changes_during_the_run(one_strip: Path) -> None:
+    """The result may be of the earlier content: the next run has to look at all units again."""
+    dump = open_dump(one_strip)
+    inputs = inputs_of([dump], Settings())
+    assert len(inputs.digest()) > 30
+    path = dump.exposures[3].path
+    path.write_bytes(path.read_bytes() + b"x")
+    assert inputs.digest() == ""
+
+
+def test_what_is_no_file_is_not_read_ahead(tmp_path: Path) -> None:
+    """Opening a FIFO without a writer would block for ever."""
+    os.mkfifo(tmp_path / "fifo")
+    for path in (tmp_path / "fifo", tmp_path / "missing", tmp_path):
+        content.read_ahead(path)
+    assert sorted(tmp_path.iterdir()) == [tmp_path / "fifo"]

@@ -1,0 +1,335 @@
+"""Other processes, killed processes, full disks: the same result, and nothing finished is lost."""
+
+from __future__ import annotations
+
+import errno
+import mmap
+import os
+import platform
+import signal
+import subprocess
+import sys
+import time
+from functools import partial
+from pathlib import Path
+
+import pytest
+from fixture_strips import begun
+from typer.testing import CliRunner
+
+from boresight.pipeline.cli import app
+from boresight.pipeline.errors import WorkerError
+from boresight.pipeline.run import processes
+from boresight.pipeline.run.executor import InOrder
+from boresight.pipeline.run.workers import executor_for
+
+forked = pytest.mark.skipif(sys.platform != "linux", reason="processes are forked on Linux alone")
+BORESIGHT = (sys.executable, "-m", "boresight")
+
+
+def of_run(dump: Path, out: Path, *how: str) -> list[str]:
+    """Arguments of `boresight`."""
+    return ["calibrate", str(dump), "--out", str(out), *how, "--no-report"]
+
+
+def ran(*arguments: str) -> str:
+    """Standard output of `boresight`, run by this process."""
+    outcome = CliRunner().invoke(app, list(arguments))
+    assert outcome.exit_code == 0, outcome.output
+    return outcome.stdout
+
+
+@pytest.fixture
+def undisturbed(finished: tuple[Path, Path]) -> tuple[Path, bytes]:
+    """One strip of the fixture and the installation.json that one process makes of it."""
+    dump, result = finished
+    return dump, (result / "installation.json").read_bytes()
+
+
+def test_cluster_by_address_gives_the_same_bytes(
+    undisturbed: tuple[Path, bytes], finished: tuple[Path, Path], tmp_path: Path
+) -> None:
+    from distributed import LocalCluster
+
+    dump, expected = undisturbed
+    begun(tmp_path, finished, exposures=8)
+    options = {
+        "processes": True,
+        "threads_per_worker": 1,
+        "dashboard_address": "127.0.0.1:0",
+        "silence_logs": 50,
+    }
+    with LocalCluster(n_workers=2, **options) as cluster:
+        ran(*of_run(dump, tmp_path, "--scheduler", cluster.scheduler_address))
+    assert (tmp_path / "installation.json").read_bytes() == expected
+
+
+def test_run_killed_at_any_moment_goes_on_to_the_same_bytes(
+    undisturbed: tuple[Path, bytes], finished: tuple[Path, Path], tmp_path: Path
+) -> None:
+    dump, expected = undisturbed
+    begun(tmp_path, finished, exposures=11)
+    command = of_run(dump, tmp_path, "--workers", "1")
+    process = subprocess.Popen([*BORESIGHT, *command], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    while process.poll() is None and len(list(tmp_path.glob("work/*/*.parquet"))) < 12:
+        time.sleep(0.005)
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    kept = {path: path.stat().st_mtime_ns for path in tmp_path.glob("work/*/*.parquet")}
+    assert 12 <= len(kept) < 16
+    ran(*command)
+    assert (tmp_path / "installation.json").read_bytes() == expected
+    assert all(path.stat().st_mtime_ns == made for path, made in kept.items())  # nothing was made twice
+    status = ran("status", str(tmp_path))
+    assert "exposures     14 done" in status and "\nfinished" in status
+
+
+def test_full_disk_stops_with_a_message_and_the_next_run_goes_on(
+    undisturbed: tuple[Path, bytes], finished: tuple[Path, Path], tmp_path: Path
+) -> None:
+    # A limit of 8 KiB a file stands for a full disk: the first unit that is larger cannot be written.
+    dump, expected = undisturbed
+    begun(tmp_path, finished, exposures=13)
+    command = of_run(dump, tmp_path, "--workers", "1")
+    limited = ["bash", "-c", 'ulimit -f 8; exec "$@"', "bash", *BORESIGHT, *command]
+    outcome = subprocess.run(limited, capture_output=True, text=True, timeout=300, check=False)
+    assert outcome.returncode == 1
+    assert "error:" in outcome.stderr and "too large" in outcome.stderr, outcome.stderr
+    assert "Traceback" not in outcome.stderr
+    assert not (tmp_path / "installation.json").exists()
+    assert not list(tmp_path.rglob("*.tmp"))
+    ran(*command)
+    assert (tmp_path / "installation.json").read_bytes() == expected
+
+
+def test_unit_whose_process_dies_is_done_by_another(tmp_path: Path) -> None:
+    marker = tmp_path / "died once"
+
+    def fragile(number: int) -> int:
+        if number == 2 and not marker.exists():
+            marker.touch()
+            os.kill(os.getpid(), signal.SIGKILL)
+        return number * number
+
+    counts: list[int] = []
+    with executor_for(2, None, 0) as executor:
+        assert executor.map(fragile, [0, 1, 2, 3], lambda n, outcome: counts.append(n)) == [0, 1, 4, 9]
+    assert marker.exists()
+    assert counts[-1] == 4
+
+
+def test_unit_that_kills_every_process_is_named() -> None:
+    def deadly(number: int) -> int:
+        if number == 1:
+            os.kill(os.getpid(), signal.SIGKILL)
+        return number
+
+    with (
+        executor_for(2, None, 0) as executor,
+        pytest.raises(WorkerError, match=r"unit 2 of 3: .* died 3 times"),
+    ):
+        executor.map(deadly, [0, 1, 2], lambda n, outcome: None)
+
+
+def test_units_fewer_than_processes_have_their_parts_done_by_the_others() -> None:
+    def done_by(part: int) -> tuple[int, int]:
+        time.sleep(0.05)  # or one process does them all
+        return part, os.getpid()
+
+    def unit(number: int) -> tuple[int, list[tuple[int, int]]]:
+        return os.getpid(), parts.map(done_by, range(6), lambda n, outcome: None)
+
+    with executor_for(4, None, 0) as executor:
+        for units, count in ((1, 4), (2, 2), (3, 1), (5, 1)):
+            parts = executor.share(units)
+            for own, outcome in executor.map(unit, range(units), lambda n, outcome: None):
+                assert [part for part, _ in outcome] == list(range(6))
+                assert len({process for _, process in outcome}) == count
+                assert all((process == own) == (count == 1) for _, process in outcome)
+
+
+def test_error_of_a_unit_is_told_by_the_first_process_with_the_place_where_it_arose() -> None:
+    def full(number: int) -> int:
+        raise OSError(errno.ENOSPC, "no space left", f"unit {number}")
+
+    with executor_for(2, None, 0) as executor, pytest.raises(OSError, match="no space left") as caught:
+        executor.map(full, [0, 1], lambda n, outcome: None)
+    assert caught.value.errno == errno.ENOSPC
+    assert "in full" in caught.value.__notes__[0]
+
+
+def process_noted_in(path: Path) -> None:
+    path.write_text(str(os.getpid()))
+
+
+def killed_at_first(path: Path) -> None:
+    if not path.exists():
+        path.touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    process_noted_in(path)
+
+
+def no_space() -> None:
+    raise OSError(errno.ENOSPC, "no space left")
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_what_runs_beside_a_block_has_ended_with_it(workers: int, tmp_path: Path) -> None:
+    with executor_for(workers, None, 0) as executor:
+        with executor.beside(partial(process_noted_in, tmp_path / "pid")):
+            (tmp_path / "block").touch()
+        assert (tmp_path / "block").exists()
+        assert (int((tmp_path / "pid").read_text()) == os.getpid()) == (workers == 1)
+        with pytest.raises(OSError, match="no space left"), executor.beside(no_space):
+            pass
+
+
+def test_what_runs_beside_a_block_is_done_here_if_its_process_dies(tmp_path: Path) -> None:
+    with executor_for(2, None, 0) as executor, executor.beside(partial(killed_at_first, tmp_path / "pid")):
+        pass
+    assert int((tmp_path / "pid").read_text()) == os.getpid()
+
+
+def test_what_runs_beside_a_block_that_fails_is_stopped(tmp_path: Path) -> None:
+    begun_s = time.monotonic()
+    with (
+        executor_for(2, None, 0) as executor,
+        pytest.raises(ZeroDivisionError),
+        executor.beside(partial(time.sleep, 60.0)),
+    ):
+        raise ZeroDivisionError
+    assert time.monotonic() - begun_s < 30.0  # s: half of what it would have taken
+
+
+def squared_unless_three(path: Path) -> tuple[int, int]:
+    if path.name == "3":
+        raise ZeroDivisionError
+    path.touch()
+    return int(path.name) ** 2, os.getpriority(os.PRIO_PROCESS, 0)
+
+
+def squared_slowly(path: Path) -> int:
+    time.sleep(0.05)
+    path.touch()
+    return int(path.name) ** 2
+
+
+def deadly_at_two(number: int) -> int:
+    if number == 2:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return number
+
+
+@pytest.fixture
+def patient(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Other tests may take the processors."""
+    monkeypatch.setattr(processes, "PATIENCE_S", 60.0)
+
+
+@forked
+@pytest.mark.usefixtures("patient")
+def test_work_ahead_has_the_lowest_priority_and_leaves_errors_to_who_needs_the_outcome(
+    tmp_path: Path,
+) -> None:
+    paths = [tmp_path / str(n) for n in range(6)]
+    with executor_for(2, None, 0) as executor, executor.ahead(squared_unless_three, paths) as outcomes:
+        while not paths[-1].exists():
+            time.sleep(0.01)
+    assert outcomes == {n: (n * n, 19) for n in (0, 1, 2, 4, 5)}
+
+
+@forked
+def test_work_ahead_that_does_not_answer_in_time_is_left(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(processes, "PATIENCE_S", 0.1)
+    begun_s = time.monotonic()
+    with executor_for(2, None, 0) as executor, executor.ahead(time.sleep, [60.0]) as outcomes:
+        pass
+    assert outcomes == {} and time.monotonic() - begun_s < 30.0  # s: half of what it would have taken
+
+
+@forked
+@pytest.mark.usefixtures("patient")
+def test_work_ahead_ends_with_its_block_after_the_unit_that_it_has_begun(tmp_path: Path) -> None:
+    with (
+        executor_for(2, None, 0) as executor,
+        executor.ahead(squared_slowly, [tmp_path / str(n) for n in range(1000)]) as outcomes,
+    ):
+        while len(list(tmp_path.iterdir())) < 3:
+            time.sleep(0.01)
+    done = {int(path.name) for path in tmp_path.iterdir()}
+    assert 3 <= len(done) < 500 and outcomes == {n: n * n for n in done}
+
+
+@forked
+def test_work_ahead_does_not_outlive_a_block_that_fails_and_may_die_without_harm() -> None:
+    begun_s = time.monotonic()
+    with executor_for(2, None, 0) as executor:
+        with pytest.raises(ZeroDivisionError), executor.ahead(time.sleep, [60.0]):
+            raise ZeroDivisionError
+        with executor.ahead(deadly_at_two, range(6)) as outcomes:
+            pass
+    assert outcomes == {}
+    assert time.monotonic() - begun_s < 30.0  # s: half of what the first would have taken
+
+
+def test_one_process_works_nothing_ahead() -> None:
+    with executor_for(1, None, 0) as executor, executor.ahead(os.remove, ["nothing"]) as outcomes:
+        pass
+    assert outcomes == {}
+
+
+def test_processes_share_the_units_and_are_gone_afterwards() -> None:
+    def slow(number: int) -> tuple[int, int]:
+        time.sleep(0.05)
+        return number, os.getpid()
+
+    with executor_for(2, None, 0) as executor:
+        outcomes = executor.map(slow, range(8), lambda n, outcome: None)
+    assert [number for number, _ in outcomes] == list(range(8))
+    workers = {process for _, process in outcomes}
+    assert len(workers) == 2 and os.getpid() not in workers
+    for process in workers:
+        with pytest.raises(ProcessLookupError):
+            os.kill(process, 0)
+
+
+@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="others keep no freed memory below used")
+def test_freed_memory_is_no_part_of_processes() -> None:
+    def resident_mib(pid: int) -> float:
+        return int(Path(f"/proc/{pid}/statm").read_text().split()[1]) * mmap.PAGESIZE / 2**20
+
+    blocks = [os.urandom(60_000) for _ in range(2000)]  # 114 MiB, none given back by itself
+    kept, before = blocks[::50], resident_mib(os.getpid())
+    del blocks
+    with executor_for(2, None, 0) as executor:
+        own = executor.map(lambda unit: resident_mib(os.getpid()), [0, 1], lambda n, outcome: None)
+    assert max(resident_mib(os.getpid()), *own) < before - 100.0, len(kept)
+
+
+def test_workers_of_a_killed_run_end_by_themselves(tmp_path: Path) -> None:
+    program = """
+import os, sys, time
+from pathlib import Path
+from boresight.pipeline.run.processes import Processes
+
+def slow(number):
+    Path(sys.argv[1], str(os.getpid())).touch()
+    time.sleep(0.1)
+
+Processes(2).map(slow, range(1000), lambda n, outcome: None)
+"""
+    first = subprocess.Popen([sys.executable, "-c", program, str(tmp_path)])
+    while len(workers := [int(path.name) for path in tmp_path.iterdir()]) < 2:
+        time.sleep(0.01)
+    first.kill()
+    first.wait()
+    deadline = time.monotonic() + 20.0
+    while any(Path("/proc", str(worker)).exists() for worker in workers) and time.monotonic() < deadline:
+        time.sleep(0.02)
+    assert not any(Path("/proc", str(worker)).exists() for worker in workers)
+
+
+def test_one_worker_is_this_process() -> None:
+    with executor_for(1, None, 10**12) as executor:
+        assert isinstance(executor, InOrder)
+        assert executor.map(lambda n: (n, os.getpid()), [3], lambda n, outcome: None) == [(3, os.getpid())]
