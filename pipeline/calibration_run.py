@@ -6,10 +6,11 @@ itself gets what is joint: the matrix from all of them, and the drift between th
 
 from __future__ import annotations
 
+import logging
 import shlex
 import sys
 import time
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from functools import cached_property, partial
 from importlib import import_module
@@ -18,16 +19,6 @@ from typing import Any
 
 from boresight.calib.verdict import Outcome
 from boresight.geometry.record import record, scalar
-from boresight.pipeline.console.messages import (
-    DONE,
-    LIMIT_MISSED,
-    NOT_CHECKABLE,
-    REFUTED,
-    WITH_FINDINGS,
-    Accepted,
-    log,
-    say,
-)
 from boresight.pipeline.errors import Cause, DataNotSufficientError, Omission, RawDataError
 from boresight.pipeline.files.dump import Dump
 from boresight.pipeline.files.record_tables import plain
@@ -65,9 +56,10 @@ from boresight.pipeline.stages.cached import Progress
 from boresight.pipeline.stages.calibrate import Calibration, calibrate_dump
 from boresight.pipeline.stages.joint import NamedDump, calibrate_jointly
 
+log = logging.getLogger("boresight.commands")
 MOST_AHEAD = 256  # images of which the overviews, of some 80 kB each, wait in memory
 
-__all__ = ["RunOutcome", "RunRequest", "SavedContent", "exit_status", "going_on", "run_dump", "run_dumps"]
+__all__ = ["RunOutcome", "RunRequest", "SavedContent", "going_on", "run_dump", "run_dumps"]
 
 
 @record(kw_only=True)
@@ -91,17 +83,6 @@ class RunOutcome:
     is_met: bool = scalar("whether the required accuracy is reached, or none is required")
 
 
-def exit_status(outcome: RunOutcome, accepted: Collection[Accepted]) -> int:
-    """The exit status of a run, the gravest thing that is not accepted; 0 if there is none."""
-    cases = (
-        (Accepted.REFUTED, Outcome.REFUTED in outcome.outcomes, REFUTED),
-        (Accepted.NOT_CHECKABLE, Outcome.NOT_CHECKABLE in outcome.outcomes, NOT_CHECKABLE),
-        (Accepted.UNMET, not outcome.is_met, LIMIT_MISSED),
-        (Accepted.FINDINGS, Outcome.FINDINGS in outcome.outcomes, WITH_FINDINGS),
-    )
-    return next((status for what, found, status in cases if found and what not in accepted), DONE)
-
-
 @contextmanager
 def going_on(out: Path) -> Iterator[None]:
     """When the run is interrupted, say what is kept and how to go on."""
@@ -109,7 +90,9 @@ def going_on(out: Path) -> Iterator[None]:
         yield
     except KeyboardInterrupt:
         command, folder = shlex.join(["boresight", *sys.argv[1:]]), shlex.quote(str(out))
-        say(f"{kept_units(out)}\ngo on with: {command}\nlook at it with: boresight status {folder}")
+        log.info(
+            "%s", f"{kept_units(out)}\ngo on with: {command}\nlook at it with: boresight status {folder}"
+        )
         raise
 
 

@@ -13,7 +13,7 @@ import platform
 import sys
 import time
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import replace
 from importlib import metadata
@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from boresight.calib.verdict import Outcome
 from boresight.features.drift.command import add_drift_commands
 from boresight.features.exports.command import RequireArcsec, RequireMetres, add_report_commands
 from boresight.features.heads.command import add_heads_commands
@@ -37,6 +38,10 @@ from boresight.pipeline.console.limit_options import JunitFile, held
 from boresight.pipeline.console.messages import (
     DATA_DID_NOT_ALLOW,
     DONE,
+    LIMIT_MISSED,
+    NOT_CHECKABLE,
+    REFUTED,
+    WITH_FINDINGS,
     Accepted,
     Answer,
     log,
@@ -207,7 +212,7 @@ def calibrate(
 
     Example: boresight calibrate dump --out result
     """
-    from boresight.pipeline.calibration_run import RunRequest, SavedContent, exit_status
+    from boresight.pipeline.calibration_run import RunRequest, SavedContent
     from boresight.pipeline.results.requirement import Requirement
     from boresight.pipeline.run.settings import read_settings
     from boresight.pipeline.run.workers import executor_for, processors
@@ -236,8 +241,19 @@ def calibrate(
         text=f"{outcome.text}\n{took}",
         content=SavedContent(out),
         files=files,
-        exit_status=exit_status(outcome, {*(accept or ()), *([Accepted.REFUTED] * accept_inconsistent)}),
+        exit_status=_exit_status(outcome, {*(accept or ()), *([Accepted.REFUTED] * accept_inconsistent)}),
     )
+
+
+def _exit_status(outcome: RunOutcome, accepted: Collection[Accepted]) -> int:
+    """The exit status of a run, the gravest thing that is not accepted; 0 if there is none."""
+    cases = (
+        (Accepted.REFUTED, Outcome.REFUTED in outcome.outcomes, REFUTED),
+        (Accepted.NOT_CHECKABLE, Outcome.NOT_CHECKABLE in outcome.outcomes, NOT_CHECKABLE),
+        (Accepted.UNMET, not outcome.is_met, LIMIT_MISSED),
+        (Accepted.FINDINGS, Outcome.FINDINGS in outcome.outcomes, WITH_FINDINGS),
+    )
+    return next((status for what, found, status in cases if found and what not in accepted), DONE)
 
 
 def _machine() -> dict[str, object]:

@@ -1,4 +1,6 @@
-"""Where tests write, and what several rooms use: the wheel in an environment of its own, the demo from it."""
+"""Where tests write, and what several rooms use: small dumps, one result, the wheel in an environment
+of its own and the demo from it.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +16,12 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from fixture_strips import strip_of_fixture
+from handmade import write_handmade_dump
 from outside import DEMO, ROOT, run
+from typer.testing import CliRunner
+
+from boresight.pipeline.cli import app
 
 IN_MEMORY = Path("/dev/shm")
 ROOM_BYTES = 4 * 2**30  # some four times what a run of all tests writes
@@ -108,3 +115,30 @@ def demo(installed: Path, made_once) -> Path:
         (folder / "printed").write_text(printed)
 
     return made_once("demo", fill)
+
+
+@pytest.fixture
+def handmade(tmp_path: Path) -> Path:
+    """A fresh dump written by hand; a test may damage it as it likes."""
+    return write_handmade_dump(tmp_path / "handmade")
+
+
+@pytest.fixture
+def one_strip(tmp_path: Path) -> Path:
+    """The first strip of `fixtures/mini` and the exposures around it, without truth."""
+    return strip_of_fixture(tmp_path / "one-strip", 1)
+
+
+@pytest.fixture(scope="session")
+def finished(made_once) -> tuple[Path, Path]:
+    """One strip of the fixture, carried through by the command itself: the dump and its result. Read only."""
+
+    def fill(folder: Path) -> None:
+        dump = strip_of_fixture(folder / "dump", 1)
+        ran = CliRunner().invoke(
+            app, ["calibrate", str(dump), "--out", str(folder / "result"), "--workers", "1"]
+        )
+        assert ran.exit_code == 0, ran.output
+
+    folder = made_once("finished", fill)
+    return folder / "dump", folder / "result"

@@ -10,7 +10,7 @@ from pathlib import Path
 from boresight.pipeline.results.ownership import claimed
 from boresight.pipeline.run.settings import Settings
 
-FIXTURE = Path(__file__).parents[2] / "fixtures" / "mini"
+FIXTURE = Path(__file__).parents[1] / "fixtures" / "mini"
 
 
 def stopped_run(out: Path, dumps: list[Path], finished: Path | None = None) -> None:

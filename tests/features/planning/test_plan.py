@@ -12,6 +12,7 @@ from typer.testing import CliRunner
 
 from boresight.features.paper.tables import hipparcos_fields
 from boresight.features.paper.vectors import ExperimentSettings
+from boresight.features.planning import campaign_plan
 from boresight.features.planning.campaign_plan import (
     Plan,
     PlannedErrors,
@@ -22,7 +23,6 @@ from boresight.features.planning.campaign_plan import (
 )
 from boresight.pipeline.cli import app
 from boresight.pipeline.errors import DataNotSufficientError, RawDataError
-from boresight.pipeline.stages import plan
 
 runner = CliRunner()
 
@@ -30,7 +30,7 @@ runner = CliRunner()
 @pytest.fixture
 def one_draw(monkeypatch: pytest.MonkeyPatch) -> None:
     """One example strip of a variant, where the variants' values are not what is tested."""
-    monkeypatch.setattr(plan, "DRAWS", 1)
+    monkeypatch.setattr(campaign_plan, "DRAWS", 1)
 
 
 def test_a_plan_is_told_with_its_table_and_plot(tmp_path: Path, one_draw: None):
