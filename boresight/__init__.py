@@ -73,14 +73,14 @@ __all__ = [
 ]
 
 _MODULES = {
-    "calibration": "Calibration calibrate calibrate_vectors forecast geolocate open_dump read_result simulate"
+    "missions": "Calibration calibrate calibrate_vectors forecast geolocate open_dump read_result simulate"
     " validate",
     "geometry.line_camera": "LineCamera",
     "geometry.star_camera": "StarCamera",
     "matching": "Match NotMatched TargetMatches match_targets match_template",
     "pipeline.errors": "DataNotSufficientError RawDataError",
     "star_id.identification.identify": "NotIdentified",
-    "stars": "CameraSolution StarSolution Stars calibrate_star_camera find_stars identify",
+    "features.sky_images.api": "CameraSolution StarSolution Stars calibrate_star_camera find_stars identify",
     "version": "__version__",
 }
 _MODULE_OF = {name: module for module, names in _MODULES.items() for name in names.split()}
