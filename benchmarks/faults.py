@@ -581,7 +581,7 @@ def _of_orbit(facts: Facts, rng: np.random.Generator) -> Iterator[Fault]:
             for axis in ("along", "across"):
                 for times, metres in _sized(15.0, rng):
                     make = partial(moved, axis, metres, t - 8.0, t + 10.0)
-                    words = (strip, "orbit|position|clock|time|late|early|point")
+                    words = (rf"{strip}|orbit\.oem", "orbit|position|clock|time|late|early|point")
                     yield Fault(
                         f"orbit of a strip {axis}", strip, metres, "m", times, make, words, "", (strip,)
                     )
@@ -606,7 +606,6 @@ def _of_orbit(facts: Facts, rng: np.random.Generator) -> Iterator[Fault]:
         30.0,
         partial(turned, REVOLUTION_S),
         (orbit,),
-        harmless=sky_only,
     )
     yield Fault(
         "orbit of the revolution before",
@@ -616,11 +615,10 @@ def _of_orbit(facts: Facts, rng: np.random.Generator) -> Iterator[Fault]:
         30.0,
         partial(turned, -REVOLUTION_S),
         (orbit,),
-        harmless=sky_only,
     )
     for frame in ("GCRF", "EME2000"):
         make = partial(_oem_key, "REF_FRAME", frame)
-        yield Fault("orbit frame", frame, 1, "", 30.0, make, (orbit, "frame"), harmless=sky_only)
+        yield Fault("orbit frame", frame, 1, "", 30.0, make, (orbit, "frame"))
     for scale, ahead_s in LEAP_S.items():
         make = partial(_oem_key, "TIME_SYSTEM", scale)
         yield Fault(
@@ -650,7 +648,6 @@ def _of_orbit(facts: Facts, rng: np.random.Generator) -> Iterator[Fault]:
             30.0,
             partial(mirrored, axis),
             (orbit,),
-            harmless=sky_only,
         )
 
 
