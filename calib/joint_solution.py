@@ -29,8 +29,10 @@ __all__ = [
     "linear_solution",
     "linearised",
     "readmitted",
+    "respond",
     "solve_weighted",
     "squared_mahalanobis",
+    "squared_over",
 ]
 
 
@@ -238,10 +240,11 @@ def squared_mahalanobis(step: Step) -> Floats:
     For a target in the fit it is the decrease of chi2 if the target is rejected; for one of weight zero, the
     increase if it is added.
     """
-    return _squared_over(step.whitened, step.variance)
+    return squared_over(step.whitened, step.variance)
 
 
-def _squared_over(e: Floats, v: Floats) -> Floats:
+def squared_over(e: Floats, v: Floats) -> Floats:
+    """(J,) squared residuals (J, 2) over their covariances (J, 2, 2); 0 where a covariance is singular."""
     det = v[:, 0, 0] * v[:, 1, 1] - v[:, 0, 1] ** 2
     inside = v[:, 1, 1] * e[:, 0] ** 2 - 2.0 * v[:, 0, 1] * e[:, 0] * e[:, 1] + v[:, 0, 0] * e[:, 1] ** 2
     return np.divide(inside, det, out=np.zeros(len(det)), where=det > 1e-9)
@@ -273,7 +276,7 @@ def readmitted(
         of_row = sign.copy()
         of_row[row] = -1.0
         variance = np.eye(2) + of_row * (leverage - gain @ np.swapaxes(across, 1, 2))
-        yield _squared_over(e, variance), variance
+        yield squared_over(e, variance), variance
 
 
 def _of_strip(lines: list[LinearStrips], reduced: list[_Reduced], row: int) -> tuple[Floats, slice]:
@@ -289,6 +292,34 @@ def _of_strip(lines: list[LinearStrips], reduced: list[_Reduced], row: int) -> t
             return own.reshape(targets, 2, 2), slice(first, first + targets)
         first += S * targets
     raise IndexError(f"no target {row}")
+
+
+def respond(problem: Problem, about: Linearised, step: Step, columns: Floats) -> tuple[Floats, Floats]:
+    """What a change of the residuals does to the solution `step`, each of H columns by itself.
+
+    `columns` (J, 2, H) is the change of the whitened residuals by a unit of each. Returned are the part of it
+    that is left as residuals, all unknowns estimated (J, 2, H), and the change of theta and of the shared
+    unknowns (3 + G, H).
+    """
+    H, parts, right, last = (
+        columns.shape[2],
+        [],
+        np.zeros((len(step.solution.covariance_all), columns.shape[2])),
+        0,
+    )
+    for group, line in zip(problem.groups, about.strips):
+        first, last = last, last + group.inside.size
+        weight = step.weight[first:last].reshape(group.inside.shape)
+        part = _reduced(line, weight)
+        B = columns[first:last].reshape(len(group.place), -1, H)
+        weighted = np.repeat(weight, 2, axis=1)[:, :, None] * B
+        own = part.cov_q @ (np.swapaxes(line.X_q, 1, 2) @ weighted)
+        Z = _by_common(line) - line.X_q @ part.back[:, :, :-1]
+        right += np.einsum("sji,sjh->ih", Z, weighted)
+        parts.append((line, part, B, own, Z))
+    x = step.solution.covariance_all @ right
+    left = [B - Z @ x - line.X_q @ own for line, part, B, own, Z in parts]
+    return np.concatenate([one.reshape(-1, 2, H) for one in left]), x
 
 
 def iteration_record(step: Step, weight: Floats) -> Iteration:

@@ -38,7 +38,15 @@ from boresight.geometry.attitude_estimate import cross_matrices, with_attitudes
 from boresight.geometry.record import Bools, Floats, Ints, Texts, array, record, scalar
 from boresight.geometry.sightings import ExposureAttitudes, GroundSightings, StripSightings
 
-__all__ = ["LinearStrips", "PreparedStrip", "StripGroup", "group_strips", "linearise", "prepare_strip"]
+__all__ = [
+    "LinearStrips",
+    "PreparedStrip",
+    "StripGroup",
+    "group_strips",
+    "linearise",
+    "prepare_strip",
+    "tangent_axes",
+]
 
 
 @record(kw_only=True)
@@ -52,6 +60,9 @@ class PreparedStrip:
     target_id: Texts = array("J", "target")
     ccd: Ints = array("J", "CCD of the camera, from 0")
     sample: Floats = array("J", "position along the CCD, px")
+    line: Floats = array("J", "row, px")
+    t_s: Floats = array("J", "instant of the row, TAI seconds since the dump's epoch")
+    weights: Floats = array("J, U", "of the attitudes of the exposures used in that at the target's instant")
     curve: Ints = array("J", "curve of the residual distortion that holds there")
     place: Floats = array("J", "position along that curve, px")
     u_c: Floats = array("J, 3", "measured look directions, frame c")
@@ -65,6 +76,9 @@ class PreparedStrip:
     cov_coordinates: Floats = array("J, 3, 3", "covariance of the coordinates, the same axes, m²; µrad²")
     bias_s: Floats = array("J, 3, 4", "change of v_s by `orbit_bias.BIASES`, zero of stars by the orbit's")
     late_s: Floats = array("J, 3", "change of v_s by the true instant of the row, rad/s")
+    move_s: Floats = array(
+        "J, 3, 3", "change of v_s by the satellite's true position along the track, to the right, down, 1/m"
+    )
     ties: tuple[HeadTie, ...] = scalar("rows of the other heads")
     is_star: Bools = array("J", "targets that are stars")
     carrier: str = scalar("head that carries the strip; empty: the reference head")
@@ -149,6 +163,9 @@ def prepare_strip(strip: StripSightings, settings: CalibrationSettings) -> Prepa
         target_id=ground.target_id,
         ccd=ground.ccd,
         sample=ground.xy_px[:, 0],
+        line=ground.xy_px[:, 1],
+        t_s=ground.t_s,
+        weights=weights,
         curve=curve,
         place=place,
         u_c=ground.u_c,
@@ -160,6 +177,7 @@ def prepare_strip(strip: StripSightings, settings: CalibrationSettings) -> Prepa
         cov_coordinates=own * settings.use_target_sigma,
         bias_s=bias_columns(move_s, strip.R_oi_targets, clock[:, :, 0], settings.sigma_position_m),
         late_s=late[:, :, 0],
+        move_s=move_s @ np.swapaxes(strip.R_oi_targets.as_matrix(), 1, 2),
         ties=ties,
         is_star=ground.is_star,
         carrier=strip.carrier,
@@ -222,7 +240,7 @@ def linearise(
     C = R_cs.as_matrix()
     S = len(group.place)
     w = group.v_s @ C.T  # (S, J, 3)
-    tangent = _tangent_axes(w)  # (S, J, 2, 3)
+    tangent = tangent_axes(w)  # (S, J, 2, 3)
     difference = group.u_c - w
     measurement = tangent @ group.cov_c @ np.swapaxes(tangent, 2, 3)
     tangent_s = tangent @ C
@@ -440,7 +458,7 @@ def _along_axes(tangent: Floats, weights: Floats) -> Floats:
     return np.concatenate([x, y], axis=3)
 
 
-def _tangent_axes(w: Floats) -> Floats:
+def tangent_axes(w: Floats) -> Floats:
     """Two unit vectors (..., 2, 3) across each direction: the camera's x axis as nearly as may be, and w
     x that.
     """

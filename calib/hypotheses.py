@@ -1,0 +1,263 @@
+"""The table of hypotheses: what each error of an input, one unit large, does to the residuals of an estimate.
+
+A hypothesis is a row: what it speaks of, the file and field that state the input, a unit, and the change of
+every residual u_c - w (frame c, rad) if the input is stated one unit too large. Tests, findings, blind spots
+and minimal detectable errors all follow from it (`reliability`); a further kind of error is a further row.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from boresight.calib.star_camera_error import StarEffect, star_effects
+from boresight.calib.strips import PreparedStrip
+from boresight.geometry.attitude_estimate import cross_matrices
+from boresight.geometry.constants import ARCSEC
+from boresight.geometry.record import Floats, array, record, scalar
+from boresight.geometry.sightings import StripSightings
+from boresight.geometry.star_camera import StarCamera
+
+__all__ = ["Hypothesis", "hypotheses"]
+
+MILLI = 1e-3
+PERCENT = 1e-2
+
+
+@record(kw_only=True)
+class Hypothesis:
+    """One kind of error of one input."""
+
+    cause: str = scalar('what is wrong: "clock of a strip"')
+    item: str = scalar('what it concerns: "strip s02"')
+    unit: str = scalar("of its size")
+    words: tuple[str, str] = scalar("a positive and a negative size in words, behind the number")
+    file: str = scalar("file of the dump that states the input")
+    field: str = scalar("field of that file")
+    change_c: Floats = array(
+        "J, 3", "change of u_c - w by one unit, frame c, rad; J targets in order of strips"
+    )
+    stars: StarEffect | None = scalar("what it does to the stars of the exposures", default=None)
+
+    @property
+    def remedy(self) -> str:
+        """What to look at."""
+        return f"check {self.field} in {self.file}" if self.field else f"check {self.file}"
+
+
+def hypotheses(
+    strips: Sequence[StripSightings],
+    prepared: Sequence[PreparedStrip],
+    R_cs: Rotation,
+    pixel_rad: float,
+    star_camera: StarCamera | None,
+) -> list[Hypothesis]:
+    """All hypotheses, those of many observations first: of two that explain the same the first one is named.
+
+    `prepared` are the strips as they enter the solution and `strips` the same with the stars of their
+    exposures; `pixel_rad` is a pixel of the remote-sensing camera, and a `star_camera` the one whose model
+    gave the stars' directions.
+    """
+    C = R_cs.as_matrix()
+    strip = np.repeat(np.arange(len(prepared)), [len(one.ccd) for one in prepared])
+    ccd = np.concatenate([one.ccd for one in prepared])
+    late_c = -np.concatenate([one.late_s for one in prepared]) @ C.T  # rows dated late by 1 s
+    ground = ~np.concatenate([one.is_star for one in prepared])
+    found = [*_of_clock(prepared, strip, late_c), *_of_position(prepared, strip, ground, C)]
+    found += _of_looks(prepared, ccd, pixel_rad)
+    found += _of_attitude(prepared, strip, C)
+    found += _of_images(prepared, strip, ccd, pixel_rad)
+    if star_camera is not None:
+        found += _of_star_camera(strips, prepared, C, star_camera)
+    return [one for one in found if np.any(one.change_c) or one.stars is not None]
+
+
+def _each(prepared: Sequence[PreparedStrip]) -> Iterator[tuple[str, list[int]]]:
+    """All strips, then each strip, by name."""
+    if len(prepared) > 1:
+        yield "all strips", list(range(len(prepared)))
+    for n, one in enumerate(prepared):
+        yield f"strip {one.strip_id}", [n]
+
+
+def _of_clock(prepared: Sequence[PreparedStrip], strip: Floats, late_c: Floats) -> Iterator[Hypothesis]:
+    """Rows dated late, and a period of the rows that is too long."""
+    since = np.concatenate([_since_first_row(one) for one in prepared])
+    for item, members in _each(prepared):
+        here = np.isin(strip, members)[:, None]
+        several = len(members) > 1
+        yield Hypothesis(
+            cause="clock of the rows",
+            item=item,
+            unit="ms",
+            words=("too late", "too early"),
+            file="strips.csv",
+            field="utc_first_row" + (", and time_of_row," if several else ""),
+            change_c=MILLI * late_c * here,
+        )
+        yield Hypothesis(
+            cause="row period",
+            item=item,
+            unit="%",
+            words=("too long", "too short"),
+            file="strips.csv",
+            field="row_period_s",
+            change_c=PERCENT * since[:, None] * late_c * here,
+        )
+
+
+def _since_first_row(strip: PreparedStrip) -> Floats:
+    """Seconds (J,) from the first row of a strip to the rows of its targets; zero where one row is known."""
+    if np.ptp(strip.line) < 1.0:
+        return np.zeros(len(strip.line))
+    first, last = np.argmin(strip.line), np.argmax(strip.line)
+    period = (strip.t_s[last] - strip.t_s[first]) / (strip.line[last] - strip.line[first])
+    return np.asarray(strip.line * period)
+
+
+def _of_position(
+    prepared: Sequence[PreparedStrip], strip: Floats, ground: Floats, C: Floats
+) -> Iterator[Hypothesis]:
+    """Positions of the satellite, or of all targets: a shift of one is the opposite shift of the other."""
+    move_c = -C @ np.concatenate([one.move_s for one in prepared])
+    axes = (
+        ("along the track", 1.0, ("too far ahead", "too far back")),
+        ("across the track", 1.0, ("too far right", "too far left")),
+        ("height", -1.0, ("too high", "too low")),
+    )
+    for item, members in _each(prepared):
+        here = (np.isin(strip, members) & ground)[:, None]
+        for axis, (name, sign, words) in enumerate(axes):
+            if len(members) == 1 and axis == 0:
+                continue  # the clock of the strip, but for parts in a thousand
+            yield Hypothesis(
+                cause=f"orbit or targets, {name}",
+                item=item,
+                unit="m",
+                words=words,
+                file="orbit, targets.csv",
+                field="",
+                change_c=sign * move_c[:, :, axis] * here,
+            )
+
+
+def _of_looks(prepared: Sequence[PreparedStrip], ccd: Floats, pixel_rad: float) -> Iterator[Hypothesis]:
+    """Shifts and rotation of each CCD, all shifted alike, and the focal length."""
+    u_c = np.concatenate([one.u_c for one in prepared])
+    across = np.eye(3) - u_c[:, :, None] * u_c[:, None, :]
+    sample = np.concatenate([one.sample for one in prepared])
+    numbers = np.unique(ccd).tolist()
+    for number in (None, *(numbers if len(numbers) > 1 else ())):
+        here = np.ones(len(ccd), dtype=bool) if number is None else ccd == number
+        item = "all CCDs" if number is None else f"CCD {number}"
+        arm = (sample - sample[here].mean()) * here
+        rows = (
+            ("place along the track", "px", "x_offset_mm", -pixel_rad * here, 0),
+            ("place across the track", "px", "y_first_mm", -pixel_rad * here, 1),
+            ("rotation", "mrad", "rotation_mrad", MILLI * pixel_rad * arm, 0),
+        )
+        for name, unit, field, size, axis in rows if number is not None else rows[:2]:
+            yield Hypothesis(
+                cause=f"{name} of the CCDs" if number is None else f"{name} of a CCD",
+                item=item,
+                unit=unit,
+                words=("too large", "too small"),
+                file="remote_camera.toml",
+                field=field,
+                change_c=size[:, None] * across[:, :, axis],
+            )
+    v = u_c / u_c[:, 2:]
+    v[:, 2] = 0.0
+    yield Hypothesis(
+        cause="focal length of the remote-sensing camera",
+        item="all CCDs",
+        unit="%",
+        words=("too long", "too short"),
+        file="remote_camera.toml",
+        field="focal_length_m",
+        change_c=-PERCENT * np.einsum("jab,jb->ja", across, v) * u_c[:, 2:],
+    )
+
+
+def _of_attitude(prepared: Sequence[PreparedStrip], strip: Floats, C: Floats) -> Iterator[Hypothesis]:
+    """Attitude of a strip about the axes x and z of c; about y it is the strip's clock."""
+    if len(prepared) < 2:
+        return
+    w = np.concatenate([one.v_s for one in prepared]) @ C.T
+    turned = cross_matrices(w)
+    for n, one in enumerate(prepared):
+        for axis, name in ((0, "across the track"), (2, "about the line of sight")):
+            yield Hypothesis(
+                cause=f"attitude of a strip, {name}",
+                item=f"strip {one.strip_id}",
+                unit="″",
+                words=("too large", "too small"),
+                file="exposures.csv and the orbit",
+                field="",
+                change_c=ARCSEC * turned[:, :, axis] * (strip == n)[:, None],
+            )
+
+
+def _of_images(
+    prepared: Sequence[PreparedStrip], strip: Floats, ccd: Floats, pixel_rad: float
+) -> Iterator[Hypothesis]:
+    """Shifts of the image of one CCD in one strip."""
+    u_c = np.concatenate([one.u_c for one in prepared])
+    across = np.eye(3) - u_c[:, :, None] * u_c[:, None, :]
+    for n, one in enumerate(prepared):
+        numbers = np.unique(one.ccd).tolist()
+        for number in numbers if len(numbers) > 1 and len(prepared) > 1 else ():
+            here = pixel_rad * ((strip == n) & (ccd == number))
+            for axis, name in ((0, "lines"), (1, "samples")):
+                yield Hypothesis(
+                    cause=f"image of a CCD in one strip, {name}",
+                    item=f"CCD {number} in strip {one.strip_id}",
+                    unit="px",
+                    words=("too large", "too small"),
+                    file="strips.csv",
+                    field="file",
+                    change_c=here[:, None] * across[:, :, axis],
+                )
+
+
+def _of_star_camera(
+    strips: Sequence[StripSightings], prepared: Sequence[PreparedStrip], C: Floats, camera: StarCamera
+) -> Iterator[Hypothesis]:
+    """Parts of the star camera's model: they show in its stars, and turn the attitudes."""
+    effects = [star_effects(strip, camera) for strip in strips]
+    rows = (
+        ("focal length of the star camera", "%", "focal_length_mm", ("too long", "too short")),
+        (
+            "principal point of the star camera, column",
+            "px",
+            "principal_point_px",
+            ("too large", "too small"),
+        ),
+        ("principal point of the star camera, row", "px", "principal_point_px", ("too large", "too small")),
+        (
+            "radial distortion of the star camera",
+            "px at its corner",
+            "q1_per_mm2",
+            ("too large", "too small"),
+        ),
+    )
+    for k, (cause, unit, field, words) in enumerate(rows):
+        change = [
+            C @ (cross_matrices(one.v_s) @ (one.weights @ effect.psi[one.used, :, k])[:, :, None])
+            for one, effect in zip(prepared, effects)
+        ]
+        total = StarEffect.summed(effects, k)
+        if total.information == 0.0:
+            continue
+        yield Hypothesis(
+            cause=cause,
+            item="all exposures",
+            unit=unit,
+            words=words,
+            file="star_camera.toml",
+            field=field,
+            change_c=np.concatenate(change)[:, :, 0],
+            stars=total,
+        )

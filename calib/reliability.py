@@ -1,0 +1,406 @@
+"""Reliability of an adjustment: which error of an input explains what the estimate contradicts, which errors
+would be found, and which cannot be seen at all (Baarda 1968; Teunissen, Testing Theory, 2006; 2018).
+
+For whitened residuals r, the matrix M that takes them to what all estimated unknowns leave, and a hypothesis
+whose unit moves r by B (`hypotheses`):
+
+    size        b = Bᵀ M r / S,    S = Bᵀ M B,    variance 1 / S
+    test        T = b² S,    chi-square of one degree of freedom if the input is right
+    detectable  b_min = sqrt(lambda / S): found with probability 0.9 at the false-alarm rate of the test
+    effect      theta moves by x b, x the part of theta of the solution with B as residuals
+    redundancy  S / (S + xᵀ F x), F the information on theta: 0 if theta takes up the whole error
+
+What was rejected counts: observations are good with normal errors, or gross errors of any size at a cost k,
+the limit of their test. The evidence for a hypothesis is by how much it lowers
+
+    chi2(observations kept) + k (number rejected),
+
+each searched anew for its minimum, which is the likelihood of a mixture of good and gross observations. The
+hypothesis of most evidence becomes an unknown and the rest is tested again, three at most. The p-values of
+all hypotheses together keep the stated false-alarm rate (Holm 1979).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import brentq
+from scipy.special import chdtrc, chdtri, chndtr
+
+from boresight.calib.estimate import InstallationEstimate
+from boresight.calib.finding import Finding
+from boresight.calib.heads import aligned, carried
+from boresight.calib.hypotheses import Hypothesis, hypotheses
+from boresight.calib.joint_solution import (
+    Linearised,
+    Problem,
+    Step,
+    linearised,
+    respond,
+    solve_weighted,
+    squared_mahalanobis,
+    squared_over,
+)
+from boresight.calib.settings import CalibrationSettings
+from boresight.calib.strips import prepare_strip, tangent_axes
+from boresight.geometry.attitude_estimate import with_attitudes
+from boresight.geometry.record import Bools, Floats, array, record, scalar
+from boresight.geometry.sightings import StripSightings
+from boresight.geometry.star_camera import StarCamera
+
+__all__ = ["HypothesisTest", "Reliability", "ReliabilitySettings", "examine"]
+
+MOST_CAUSES = 3
+POWER = 0.9
+MOST_SEARCHED = 16  # hypotheses under which rejected observations are searched anew, the likeliest ones
+MOST_ROUNDS = 8  # of such a search
+AMBIGUOUS = 2.0 * np.log(19.0)  # difference of evidence below which the data do not tell two causes apart
+
+
+@record(kw_only=True)
+class ReliabilitySettings:
+    """False-alarm rates of all hypotheses together, and what counts as harm."""
+
+    probability_refuted: float = scalar("that right inputs are refuted", default=5e-4)
+    probability_found: float = scalar("that right inputs are said to look wrong", default=2e-3)
+    sigma_understated: float = scalar("tolerated factor of true over stated standard deviations", default=1.1)
+    harm_sigma: float = scalar("change of theta, in its 1-sigma, by which a cause refutes", default=1.0)
+
+
+@record(kw_only=True)
+class HypothesisTest:
+    """One hypothesis, tested at the weights of the estimate."""
+
+    cause: str = scalar("what would be wrong")
+    item: str = scalar("what it concerns")
+    unit: str = scalar("of all sizes")
+    file: str = scalar("file of the dump that states the input")
+    field: str = scalar("field of that file")
+    value: float = scalar("size of the error, stated less true; NaN: nothing shows it")
+    sigma: float = scalar("1-sigma of `value`; inf: nothing shows it")
+    statistic: float = scalar("chi-square of 1 degree of freedom if the input is right")
+    p_value: float = scalar("of `statistic`")
+    detectable: float = scalar("smallest error that is found with probability 0.9; inf: none")
+    redundancy: float = scalar("0: the matrix takes up the whole error, 1: it takes up none")
+    effect_rad: Floats = array("3", "change of theta by one unit, axes of c, rad")
+    effect_sigma: float = scalar("the same in 1-sigma of theta")
+
+
+@record
+class Reliability:
+    """Tests of all hypotheses, and the causes that they name."""
+
+    tests: tuple[HypothesisTest, ...] = scalar("every hypothesis, in the order of the table")
+    findings: tuple[Finding, ...] = scalar("causes, the one of most evidence first")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Fit:
+    """A minimum of the mixture's criterion, some hypotheses being unknowns."""
+
+    kept: Bools  # (J,)
+    criterion: float
+    theta: Floats  # (3,) about the matrix of the estimate
+    size: Floats  # (H,) of the hypotheses
+    sigma: Floats  # (H,)
+
+
+@record(kw_only=True)
+class _Adjustment:
+    """A calibration about its result, with the columns of all hypotheses."""
+
+    problem: Problem = scalar("strips of the calibration")
+    about: Linearised = scalar("about the estimated matrix")
+    step: Step = scalar("with the weights of the estimate")
+    table: list[Hypothesis] = scalar("H hypotheses")
+    B: Floats = array("J, 2, H", "change of the whitened residuals by one unit of each")
+    names: tuple[str, ...] = array("J", 'observations, "strip/target"')
+    stars: Floats = array("H, 2", "information and right-hand side of the stars")
+    limit: float = scalar("cost of a rejected observation")
+
+
+def examine(
+    estimate: InstallationEstimate,
+    strips: Sequence[StripSightings],
+    settings: CalibrationSettings,
+    *,
+    pixel_rad: float,
+    star_camera: StarCamera | None = None,
+    limits: ReliabilitySettings | None = None,
+) -> Reliability:
+    """Every hypothesis held against a calibration.
+
+    Parameters
+    ----------
+    estimate : InstallationEstimate
+        Result of `calibrate`.
+    strips : sequence of StripSightings
+        The strips given to `calibrate`. Observations among them that the estimate does not contain, those of
+        a strip that was not used, say, count as rejected.
+    settings : CalibrationSettings
+        Those given to `calibrate`.
+    pixel_rad : float
+        Angle of a pixel of the remote-sensing camera.
+    star_camera : StarCamera, optional
+        Camera whose model gave the stars' directions; None: attitudes were delivered.
+    limits : ReliabilitySettings, optional
+        False-alarm rates and what counts as harm.
+
+    Returns
+    -------
+    Reliability
+        The tests at the weights of the estimate, and at most three causes.
+    """
+    limits = limits or ReliabilitySettings()
+    one = _adjustment(estimate, strips, settings, pixel_rad, star_camera)
+    tests = _tests(one, limits)
+    return Reliability(tuple(tests), tuple(_causes(one, tests, limits)))
+
+
+def _adjustment(
+    estimate: InstallationEstimate,
+    strips: Sequence[StripSightings],
+    settings: CalibrationSettings,
+    pixel_rad: float,
+    star_camera: StarCamera | None,
+) -> _Adjustment:
+    strips = with_attitudes(sorted(strips, key=lambda strip: strip.strip_id), settings.attitudes)
+    strips = aligned(strips, {head.name: estimate.R_cs.inv() * head.R_cs for head in estimate.heads})
+    strips = [carried(strip) for strip in strips]
+    prepared = [prepare_strip(strip, settings) for strip in strips]
+    problem = Problem.of(prepared, settings)
+    members = [n for group in problem.groups for n in group.place.tolist()]
+    strips, prepared = [strips[n] for n in members], [prepared[n] for n in members]
+    about = linearised(problem, estimate.R_cs, 1.0)
+    found, places = estimate.targets, (s for s in prepared for _ in s.ccd)
+    keys = zip(found.strip_id.tolist(), found.target_id.tolist(), found.ccd.tolist(), found.sample.tolist())
+    weights = dict(zip(keys, found.weight.tolist()))
+    targets = np.concatenate([one.target_id for one in prepared]).tolist()
+    ccds = np.concatenate([one.ccd for one in prepared]).tolist()
+    samples = np.concatenate([one.sample for one in prepared]).tolist()
+    weight = np.array(
+        [weights.get((s.strip_id, *key), 0.0) for s, *key in zip(places, targets, ccds, samples)]
+    )
+    step = solve_weighted(problem, about, weight * problem.inside)
+    table = hypotheses(strips, prepared, estimate.R_cs, pixel_rad, star_camera)
+    change = np.stack([h.change_c for h in table], axis=2)
+    stars = [(h.stars.information, h.stars.right) if h.stars else (0.0, 0.0) for h in table]
+    return _Adjustment(
+        problem=problem,
+        about=about,
+        step=step,
+        table=table,
+        B=_whitened(problem, about, change),
+        names=tuple(f"{one.strip_id}/{name}" for one in prepared for name in one.target_id.tolist()),
+        stars=np.array(stars).reshape(-1, 2),
+        limit=estimate.rejection.limit,
+    )
+
+
+def _whitened(problem: Problem, about: Linearised, change_c: Floats) -> Floats:
+    """Changes (J, 3, H), frame c, as changes of the whitened residuals."""
+    parts, last = [], 0
+    for group, line in zip(problem.groups, about.strips):
+        first, last = last, last + group.inside.size
+        rows = line.whitener @ tangent_axes(group.v_s @ about.R_cs.as_matrix().T)
+        rows = rows * group.inside[:, :, None, None]
+        parts.append(rows.reshape(-1, 2, 3) @ change_c[first:last])
+    return np.concatenate(parts)
+
+
+def _tests(one: _Adjustment, limits: ReliabilitySettings) -> list[HypothesisTest]:
+    """Every hypothesis by itself, at the weights of the estimate."""
+    step = one.step
+    left, x = respond(one.problem, one.about, step, one.B)
+    weighted = step.weight[:, None, None] * one.B
+    S = np.einsum("jah,jah->h", weighted, left) + one.stars[:, 0]
+    y = np.einsum("jah,ja->h", weighted, step.whitened) + one.stars[:, 1]
+    theta = x[:3].T
+    by_theta = np.einsum("ha,ab,hb->h", theta, step.solution.information, theta)
+    redundancy = np.divide(S, S + by_theta, out=np.zeros(len(S)), where=S + by_theta > 0.0)
+    seen = redundancy > 1e-9
+    noncentrality = _noncentrality(limits.probability_found / len(S)) * limits.sigma_understated**2
+    tests = []
+    for n, h in enumerate(one.table):
+        statistic = float(y[n] ** 2 / S[n]) if seen[n] else 0.0
+        tests.append(
+            HypothesisTest(
+                cause=h.cause,
+                item=h.item,
+                unit=h.unit,
+                file=h.file,
+                field=h.field,
+                value=float(y[n] / S[n]) if seen[n] else np.nan,
+                sigma=float(S[n] ** -0.5) if seen[n] else np.inf,
+                statistic=statistic,
+                p_value=float(chdtrc(1, statistic / limits.sigma_understated**2)),
+                detectable=float(np.sqrt(noncentrality / S[n])) if seen[n] else np.inf,
+                redundancy=float(redundancy[n]),
+                effect_rad=theta[n],
+                effect_sigma=float(np.sqrt(by_theta[n])),
+            )
+        )
+    return tests
+
+
+def _noncentrality(p: float) -> float:
+    limit = float(chdtri(1, p))
+    return float(brentq(lambda size: 1.0 - chndtr(limit, 1, size) - POWER, 1e-3, 1e3))
+
+
+def _causes(one: _Adjustment, tests: Sequence[HypothesisTest], limits: ReliabilitySettings) -> list[Finding]:
+    """Forward selection: hypotheses that explain more than chance, each beside those before it."""
+    if not _suspicious(one, tests, limits):
+        return []
+    chosen: list[int] = []
+    findings: list[Finding] = []
+    n, before = len(one.table), _minimum(one, [])
+    while len(chosen) < MOST_CAUSES:
+        trials = {h: _minimum(one, [*chosen, h], before.kept) for h in _likeliest(one, chosen, before)}
+        gain = {h: before.criterion - fit.criterion for h, fit in trials.items()}
+        if not gain:
+            break
+        best = max(gain, key=lambda h: (gain[h], -h))
+        p_value = float(chdtrc(1, max(gain[best], 0.0) / limits.sigma_understated**2))
+        if p_value * (n - len(chosen)) > limits.probability_found:
+            break
+        rivals = [h for h in gain if gain[best] - gain[h] < AMBIGUOUS]
+        chosen.append(best)
+        findings.append(_finding(one, best, trials, rivals, p_value * (n - len(chosen) + 1), before, limits))
+        before = trials[best]
+    return findings
+
+
+def _suspicious(one: _Adjustment, tests: Sequence[HypothesisTest], limits: ReliabilitySettings) -> bool:
+    """Whether a test fails as it stands, or several observations are rejected or have less weight."""
+    lost = np.sum(one.problem.inside & (one.step.weight < 1.0))
+    return lost > 1 or min(test.p_value for test in tests) * len(tests) < limits.probability_found
+
+
+def _likeliest(one: _Adjustment, chosen: Sequence[int], before: _Fit) -> list[int]:
+    """Hypotheses to search under: those that explain most at the weights as they are, and with rejected
+    observations in the fit, each with what weight its residual leaves it.
+    """
+    inside = one.problem.inside
+    found: list[int] = []
+    plain = solve_weighted(one.problem, one.about, before.kept.astype(float))
+    statistic = np.maximum(squared_mahalanobis(plain), 1e-9)
+    soft = np.where(before.kept, 1.0, np.minimum(1.0, one.limit / statistic)) * inside
+    for weight in (before.kept.astype(float), soft, inside.astype(float)):
+        step = solve_weighted(one.problem, one.about, weight)
+        S, y = _normal(one, step, [*chosen, *(h for h in range(len(one.table)) if h not in chosen)])
+        k = len(chosen)
+        lift = np.linalg.solve(S[:k, :k], S[:k, k:])
+        own = np.diag(S)[k:] - np.sum(S[:k, k:] * lift, axis=0)
+        right = y[k:] - lift.T @ y[:k]
+        gain = np.divide(right**2, own, out=np.zeros(len(own)), where=own > 1e-9 * np.diag(S)[k:])
+        rest = [h for h in range(len(one.table)) if h not in chosen]
+        found += [rest[n] for n in np.argsort(-gain, kind="stable")[:MOST_SEARCHED]]
+    return list(dict.fromkeys(found))
+
+
+def _normal(one: _Adjustment, step: Step, rows: Sequence[int]) -> tuple[Floats, Floats]:
+    """Normal matrix and right-hand side of the sizes of hypotheses."""
+    B = one.B[:, :, rows]
+    left, _ = respond(one.problem, one.about, step, B)
+    weighted = (step.weight[:, None, None] * B).reshape(-1, len(rows))
+    S = weighted.T @ left.reshape(-1, len(rows)) + np.diag(one.stars[rows, 0])
+    return 0.5 * (S + S.T), weighted.T @ step.whitened.ravel() + one.stars[rows, 1]
+
+
+def _minimum(one: _Adjustment, rows: Sequence[int], start: Bools | None = None) -> _Fit:
+    """The least criterion with the hypotheses `rows` as unknowns, searched from the observations kept, from
+    `start` and from all of them.
+    """
+    inside = one.problem.inside
+    starts = [inside & (one.step.weight == 1.0), inside & (one.step.weight > 0.0), inside]
+    starts += [] if start is None else [start]
+    best: _Fit | None = None
+    tried: set[bytes] = set()
+    for kept in starts:
+        for _ in range(MOST_ROUNDS):
+            if kept.tobytes() in tried or 2 * kept.sum() < 3 + len(rows):
+                break
+            tried.add(kept.tobytes())
+            fit, statistic = _fit(one, rows, kept)
+            if best is None or fit.criterion < best.criterion:
+                best = fit
+            kept = inside & (statistic < one.limit)
+    assert best is not None
+    return best
+
+
+def _fit(one: _Adjustment, rows: Sequence[int], kept: Bools) -> tuple[_Fit, Floats]:
+    """The solution with the observations `kept` and the hypotheses `rows` as unknowns, and the statistic (J,)
+    of each observation in it.
+    """
+    step = solve_weighted(one.problem, one.about, kept.astype(float))
+    rejected = one.limit * float(np.sum(one.problem.inside & ~kept))
+    if not rows:
+        fit = _Fit(kept, step.chi2 + rejected, step.solution.theta, np.zeros(0), np.zeros(0))
+        return fit, squared_mahalanobis(step)
+    S, y = _normal(one, step, rows)
+    left, x = respond(one.problem, one.about, step, one.B[:, :, rows])
+    covariance = np.linalg.pinv(S, rcond=1e-10, hermitian=True)
+    size = covariance @ y
+    e = step.whitened - left @ size
+    leverage = step.leverage + left @ covariance @ np.swapaxes(left, 1, 2)
+    variance = np.eye(2) + np.where(kept, -1.0, 1.0)[:, None, None] * leverage
+    fit = _Fit(
+        kept,
+        step.chi2 - float(y @ size) + rejected,
+        step.solution.theta - x[:3] @ size,
+        size,
+        np.sqrt(np.diag(covariance)),
+    )
+    return fit, squared_over(e, variance)
+
+
+def _finding(
+    one: _Adjustment,
+    best: int,
+    trials: dict[int, _Fit],
+    rivals: Sequence[int],
+    p_value: float,
+    before: _Fit,
+    limits: ReliabilitySettings,
+) -> Finding:
+    """The cause `best`; its harm is that of the rival which moves the matrix most."""
+    h, fit = one.table[best], trials[best]
+    information = one.step.solution.information
+    published = one.step.solution.theta
+
+    def harm(n: int) -> float:
+        moved = trials[n].theta - published
+        return float(np.sqrt(moved @ information @ moved))
+
+    value, sigma = float(fit.size[-1]), float(fit.sigma[-1])
+    worst = max(harm(n) for n in rivals)
+    refutes = worst > limits.harm_sigma and p_value < limits.probability_refuted
+    sign = h.words[0] if value > 0.0 else h.words[1]
+    text = f"{abs(value):.3g} ± {sigma:.2g} {h.unit} {sign}: {h.remedy}"
+    if others := [one.table[n] for n in rivals if n != best][:1]:
+        text += f"; or {others[0].cause}, {others[0].item}"
+    return Finding(
+        cause=h.cause,
+        item=h.item,
+        text=f"{text}.",
+        value=value,
+        sigma=sigma,
+        unit=h.unit,
+        file=h.file,
+        field=h.field,
+        refutes=refutes,
+        effect_rad=published - fit.theta,
+        effect_sigma=worst,
+        p_value=min(p_value, 1.0),
+        targets=_explained(one, best, before),
+    )
+
+
+def _explained(one: _Adjustment, h: int, before: _Fit) -> tuple[str, ...]:
+    """Observations, "strip/target", that were rejected and that the hypothesis concerns."""
+    rows = np.flatnonzero(one.problem.inside & ~before.kept & np.any(one.B[:, :, h] != 0.0, axis=1))
+    return tuple(one.names[n] for n in rows.tolist())
