@@ -12,13 +12,11 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from boresight.calib.star_camera_error import StarEffect, star_effects
+from boresight.calib.star_camera_error import StarEffects
 from boresight.calib.strips import PreparedStrip
 from boresight.geometry.attitude_estimate import cross_matrices
 from boresight.geometry.constants import ARCSEC
-from boresight.geometry.record import Floats, array, record, scalar
-from boresight.geometry.sightings import StripSightings
-from boresight.geometry.star_camera import StarCamera
+from boresight.geometry.record import Bools, Floats, Ints, array, record, scalar
 
 __all__ = ["Hypothesis", "hypotheses"]
 
@@ -39,7 +37,7 @@ class Hypothesis:
     change_c: Floats = array(
         "J, 3", "change of u_c - w by one unit, frame c, rad; J targets in order of strips"
     )
-    stars: StarEffect | None = scalar("what it does to the stars of the exposures", default=None)
+    star_part: int = scalar("which of `star_camera_error.PARTS` it is; -1: none", default=-1)
 
     @property
     def remedy(self) -> str:
@@ -48,17 +46,16 @@ class Hypothesis:
 
 
 def hypotheses(
-    strips: Sequence[StripSightings],
     prepared: Sequence[PreparedStrip],
     R_cs: Rotation,
     pixel_rad: float,
-    star_camera: StarCamera | None,
+    effects: Sequence[StarEffects],
 ) -> list[Hypothesis]:
     """All hypotheses, those of many observations first: of two that explain the same the first one is named.
 
-    `prepared` are the strips as they enter the solution and `strips` the same with the stars of their
-    exposures; `pixel_rad` is a pixel of the remote-sensing camera, and a `star_camera` the one whose model
-    gave the stars' directions.
+    `prepared` are the strips as they enter the solution, `pixel_rad` is a pixel of the remote-sensing camera
+    and `effects` what errors of the star camera do to the exposures of each strip; empty: attitudes were
+    delivered.
     """
     C = R_cs.as_matrix()
     strip = np.repeat(np.arange(len(prepared)), [len(one.ccd) for one in prepared])
@@ -69,9 +66,9 @@ def hypotheses(
     found += _of_looks(prepared, ccd, pixel_rad)
     found += _of_attitude(prepared, strip, C)
     found += _of_images(prepared, strip, ccd, pixel_rad)
-    if star_camera is not None:
-        found += _of_star_camera(strips, prepared, C, star_camera)
-    return [one for one in found if np.any(one.change_c) or one.stars is not None]
+    if effects:
+        found += _of_star_camera(prepared, C, effects)
+    return [one for one in found if np.any(one.change_c)]
 
 
 def _each(prepared: Sequence[PreparedStrip]) -> Iterator[tuple[str, list[int]]]:
@@ -82,7 +79,7 @@ def _each(prepared: Sequence[PreparedStrip]) -> Iterator[tuple[str, list[int]]]:
         yield f"strip {one.strip_id}", [n]
 
 
-def _of_clock(prepared: Sequence[PreparedStrip], strip: Floats, late_c: Floats) -> Iterator[Hypothesis]:
+def _of_clock(prepared: Sequence[PreparedStrip], strip: Ints, late_c: Floats) -> Iterator[Hypothesis]:
     """Rows dated late, and a period of the rows that is too long."""
     since = np.concatenate([_since_first_row(one) for one in prepared])
     for item, members in _each(prepared):
@@ -118,7 +115,7 @@ def _since_first_row(strip: PreparedStrip) -> Floats:
 
 
 def _of_position(
-    prepared: Sequence[PreparedStrip], strip: Floats, ground: Floats, C: Floats
+    prepared: Sequence[PreparedStrip], strip: Ints, ground: Bools, C: Floats
 ) -> Iterator[Hypothesis]:
     """Positions of the satellite, or of all targets: a shift of one is the opposite shift of the other."""
     move_c = -C @ np.concatenate([one.move_s for one in prepared])
@@ -143,7 +140,7 @@ def _of_position(
             )
 
 
-def _of_looks(prepared: Sequence[PreparedStrip], ccd: Floats, pixel_rad: float) -> Iterator[Hypothesis]:
+def _of_looks(prepared: Sequence[PreparedStrip], ccd: Ints, pixel_rad: float) -> Iterator[Hypothesis]:
     """Shifts and rotation of each CCD, all shifted alike, and the focal length."""
     u_c = np.concatenate([one.u_c for one in prepared])
     across = np.eye(3) - u_c[:, :, None] * u_c[:, None, :]
@@ -154,13 +151,13 @@ def _of_looks(prepared: Sequence[PreparedStrip], ccd: Floats, pixel_rad: float) 
         item = "all CCDs" if number is None else f"CCD {number}"
         arm = (sample - sample[here].mean()) * here
         rows = (
-            ("place along the track", "px", "x_offset_mm", -pixel_rad * here, 0),
-            ("place across the track", "px", "y_first_mm", -pixel_rad * here, 1),
-            ("rotation", "mrad", "rotation_mrad", MILLI * pixel_rad * arm, 0),
+            ("place", ", along the track", "px", "x_offset_mm", -pixel_rad * here, 0),
+            ("place", ", across the track", "px", "y_first_mm", -pixel_rad * here, 1),
+            ("rotation", "", "mrad", "rotation_mrad", MILLI * pixel_rad * arm, 0),
         )
-        for name, unit, field, size, axis in rows if number is not None else rows[:2]:
+        for subject, axis_name, unit, field, size, axis in rows if number is not None else rows[:2]:
             yield Hypothesis(
-                cause=f"{name} of the CCDs" if number is None else f"{name} of a CCD",
+                cause=f"{subject} of {'the CCDs' if number is None else 'a CCD'}{axis_name}",
                 item=item,
                 unit=unit,
                 words=("too large", "too small"),
@@ -181,7 +178,7 @@ def _of_looks(prepared: Sequence[PreparedStrip], ccd: Floats, pixel_rad: float) 
     )
 
 
-def _of_attitude(prepared: Sequence[PreparedStrip], strip: Floats, C: Floats) -> Iterator[Hypothesis]:
+def _of_attitude(prepared: Sequence[PreparedStrip], strip: Ints, C: Floats) -> Iterator[Hypothesis]:
     """Attitude of a strip about the axes x and z of c; about y it is the strip's clock."""
     if len(prepared) < 2:
         return
@@ -201,7 +198,7 @@ def _of_attitude(prepared: Sequence[PreparedStrip], strip: Floats, C: Floats) ->
 
 
 def _of_images(
-    prepared: Sequence[PreparedStrip], strip: Floats, ccd: Floats, pixel_rad: float
+    prepared: Sequence[PreparedStrip], strip: Ints, ccd: Ints, pixel_rad: float
 ) -> Iterator[Hypothesis]:
     """Shifts of the image of one CCD in one strip."""
     u_c = np.concatenate([one.u_c for one in prepared])
@@ -223,10 +220,9 @@ def _of_images(
 
 
 def _of_star_camera(
-    strips: Sequence[StripSightings], prepared: Sequence[PreparedStrip], C: Floats, camera: StarCamera
+    prepared: Sequence[PreparedStrip], C: Floats, effects: Sequence[StarEffects]
 ) -> Iterator[Hypothesis]:
     """Parts of the star camera's model: they show in its stars, and turn the attitudes."""
-    effects = [star_effects(strip, camera) for strip in strips]
     rows = (
         ("focal length of the star camera", "%", "focal_length_mm", ("too long", "too short")),
         (
@@ -248,9 +244,6 @@ def _of_star_camera(
             C @ (cross_matrices(one.v_s) @ (one.weights @ effect.psi[one.used, :, k])[:, :, None])
             for one, effect in zip(prepared, effects)
         ]
-        total = StarEffect.summed(effects, k)
-        if total.information == 0.0:
-            continue
         yield Hypothesis(
             cause=cause,
             item="all exposures",
@@ -259,5 +252,5 @@ def _of_star_camera(
             file="star_camera.toml",
             field=field,
             change_c=np.concatenate(change)[:, :, 0],
-            stars=total,
+            star_part=k,
         )

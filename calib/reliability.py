@@ -44,6 +44,7 @@ from boresight.calib.joint_solution import (
     squared_over,
 )
 from boresight.calib.settings import CalibrationSettings
+from boresight.calib.star_camera_error import star_effects, summed
 from boresight.calib.strips import prepare_strip, tangent_axes
 from boresight.geometry.attitude_estimate import with_attitudes
 from boresight.geometry.record import Bools, Floats, array, record, scalar
@@ -117,7 +118,8 @@ class _Adjustment:
     table: list[Hypothesis] = scalar("H hypotheses")
     B: Floats = array("J, 2, H", "change of the whitened residuals by one unit of each")
     names: tuple[str, ...] = array("J", 'observations, "strip/target"')
-    stars: Floats = array("H, 2", "information and right-hand side of the stars")
+    star_information: Floats = array("H, H", "of the stars of the exposures")
+    star_right: Floats = array("H", "right-hand side of the stars")
     limit: float = scalar("cost of a rejected observation")
 
 
@@ -184,9 +186,12 @@ def _adjustment(
         [weights.get((s.strip_id, *key), 0.0) for s, *key in zip(places, targets, ccds, samples)]
     )
     step = solve_weighted(problem, about, weight * problem.inside)
-    table = hypotheses(strips, prepared, estimate.R_cs, pixel_rad, star_camera)
+    effects = star_effects(strips, star_camera, estimate.rejection.limit) if star_camera else []
+    table = hypotheses(prepared, estimate.R_cs, pixel_rad, effects)
     change = np.stack([h.change_c for h in table], axis=2)
-    stars = [(h.stars.information, h.stars.right) if h.stars else (0.0, 0.0) for h in table]
+    information, right = summed(effects)
+    parts = np.array([h.star_part for h in table])
+    of_stars = parts >= 0
     return _Adjustment(
         problem=problem,
         about=about,
@@ -194,7 +199,8 @@ def _adjustment(
         table=table,
         B=_whitened(problem, about, change),
         names=tuple(f"{one.strip_id}/{name}" for one in prepared for name in one.target_id.tolist()),
-        stars=np.array(stars).reshape(-1, 2),
+        star_information=information[np.ix_(parts, parts)] * np.outer(of_stars, of_stars),
+        star_right=right[parts] * of_stars,
         limit=estimate.rejection.limit,
     )
 
@@ -215,8 +221,8 @@ def _tests(one: _Adjustment, limits: ReliabilitySettings) -> list[HypothesisTest
     step = one.step
     left, x = respond(one.problem, one.about, step, one.B)
     weighted = step.weight[:, None, None] * one.B
-    S = np.einsum("jah,jah->h", weighted, left) + one.stars[:, 0]
-    y = np.einsum("jah,ja->h", weighted, step.whitened) + one.stars[:, 1]
+    S = np.einsum("jah,jah->h", weighted, left) + np.diag(one.star_information)
+    y = np.einsum("jah,ja->h", weighted, step.whitened) + one.star_right
     theta = x[:3].T
     by_theta = np.einsum("ha,ab,hb->h", theta, step.solution.information, theta)
     redundancy = np.divide(S, S + by_theta, out=np.zeros(len(S)), where=S + by_theta > 0.0)
@@ -275,8 +281,8 @@ def _causes(one: _Adjustment, tests: Sequence[HypothesisTest], limits: Reliabili
 
 def _suspicious(one: _Adjustment, tests: Sequence[HypothesisTest], limits: ReliabilitySettings) -> bool:
     """Whether a test fails as it stands, or several observations are rejected or have less weight."""
-    lost = np.sum(one.problem.inside & (one.step.weight < 1.0))
-    return lost > 1 or min(test.p_value for test in tests) * len(tests) < limits.probability_found
+    lost = int(np.sum(one.problem.inside & (one.step.weight < 1.0)))
+    return lost > 1 or bool(min(test.p_value for test in tests) * len(tests) < limits.probability_found)
 
 
 def _likeliest(one: _Adjustment, chosen: Sequence[int], before: _Fit) -> list[int]:
@@ -306,8 +312,8 @@ def _normal(one: _Adjustment, step: Step, rows: Sequence[int]) -> tuple[Floats, 
     B = one.B[:, :, rows]
     left, _ = respond(one.problem, one.about, step, B)
     weighted = (step.weight[:, None, None] * B).reshape(-1, len(rows))
-    S = weighted.T @ left.reshape(-1, len(rows)) + np.diag(one.stars[rows, 0])
-    return 0.5 * (S + S.T), weighted.T @ step.whitened.ravel() + one.stars[rows, 1]
+    S = weighted.T @ left.reshape(-1, len(rows)) + one.star_information[np.ix_(rows, rows)]
+    return 0.5 * (S + S.T), weighted.T @ step.whitened.ravel() + one.star_right[rows]
 
 
 def _minimum(one: _Adjustment, rows: Sequence[int], start: Bools | None = None) -> _Fit:

@@ -11,18 +11,22 @@ and the error has the information sum dᵀ W d, and the right-hand side sum dᵀ
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from boresight.geometry.attitude_estimate import cross_matrices, sums_over
-from boresight.geometry.record import Floats, Texts, array, record, scalar
+from boresight.geometry.record import Bools, Floats, Ints, Texts, array, record
 from boresight.geometry.sightings import StripSightings, information_of_directions
 from boresight.geometry.star_camera import StarCamera
 
-__all__ = ["PARTS", "StarEffect", "StarEffects", "star_effects"]
+__all__ = ["PARTS", "StarEffects", "star_effects", "summed"]
 
 PARTS = ("focal length", "principal point, column", "principal point, row", "radial distortion")
 PERCENT = 1e-2
+TELLING = 30.0  # chi-square by which a part of the model is taken to be wrong
+FARTHEST_RAD = 5e-3  # a star farther from its place is another one
+MOST_ROUNDS = 5
 
 
 @record(kw_only=True)
@@ -31,55 +35,114 @@ class StarEffects:
 
     exposure_id: Texts = array("K", "exposures")
     psi: Floats = array("K, 3, P", "change of the attitude, axes of s, rad; zero where it is not fixed")
-    information: Floats = array("K, P", "on the size of the error")
+    information: Floats = array("K, P, P", "on the sizes of the errors")
     right: Floats = array("K, P", "right-hand side")
 
 
-@record
-class StarEffect:
-    """One part of the model over all exposures."""
-
-    information: float = scalar("on the size of the error, 1/unit²")
-    right: float = scalar("right-hand side, 1/unit")
-
-    @classmethod
-    def summed(cls, effects: Sequence[StarEffects], part: int) -> StarEffect:
-        """The sum over the exposures of several strips, each counted once."""
-        once: dict[str, tuple[float, float]] = {}
-        for one in effects:
-            numbers = zip(one.information[:, part].tolist(), one.right[:, part].tolist())
-            once.update(zip(one.exposure_id.tolist(), numbers))
-        total = np.array(list(once.values())).reshape(-1, 2).sum(axis=0)
-        return cls(float(total[0]), float(total[1]))
+def summed(effects: Sequence[StarEffects]) -> tuple[Floats, Floats]:
+    """Information (P, P) and right-hand side (P,) of the exposures of several strips, each counted once."""
+    P = len(PARTS)
+    once: dict[str, tuple[Floats, Floats]] = {}
+    for one in effects:
+        once.update(zip(one.exposure_id.tolist(), zip(one.information, one.right)))
+    none = (np.zeros((P, P)), np.zeros(P))
+    informations, rights = zip(none, *once.values())
+    return np.sum(informations, axis=0), np.sum(rights, axis=0)
 
 
-def star_effects(strip: StripSightings, camera: StarCamera) -> StarEffects:
-    """What errors of `camera` do to the exposures of a strip, whose attitudes are known."""
+def star_effects(strips: Sequence[StripSightings], camera: StarCamera, limit: float) -> list[StarEffects]:
+    """What errors of `camera` do to the exposures of each strip, whose attitudes are known.
+
+    Stars that were rejected take part as far as the part of the model that explains most brings them back:
+    `limit` is that of their test. A wrong lens displaces the stars at the edge by the most, and without them
+    its size would be underestimated.
+    """
+    stars = [_stars(strip, camera) for strip in strips]
+    kept = [one.kept for one in stars]
+    for _ in range(MOST_ROUNDS):
+        found = [_effects(one, now) for one, now in zip(stars, kept)]
+        information, right = summed(found)
+        own = np.diag(information)
+        gain = np.divide(right**2, own, out=np.zeros(len(PARTS)), where=own > 0.0)
+        best = int(np.argmax(gain))
+        if gain[best] < TELLING:
+            break
+        size: Floats = np.where(np.arange(len(PARTS)) == best, right / np.maximum(own, 1e-300), 0.0)
+        again = [_within(one, now, size, limit) for one, now in zip(stars, kept)]
+        if all(np.array_equal(a, b) for a, b in zip(again, kept)):
+            break
+        kept = again
+    return found
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Stars:
+    """Stars of a strip's exposures."""
+
+    exposure_id: list[str]
+    start: Ints  # (K + 1,)
+    seen: Bools  # (K,) exposures with an attitude of their own
+    kept: Bools  # (N,)
+    turn: Floats  # (N, 3, 3) [u]x
+    W: Floats  # (N, 3, 3)
+    r: Floats  # (N, 3)
+    du: Floats  # (N, 3, P)
+
+
+def _stars(strip: StripSightings, camera: StarCamera) -> _Stars:
     attitudes, exposures = strip.attitudes, strip.exposures
     assert attitudes is not None
-    start, counts = attitudes.start, np.diff(attitudes.start)
+    counts = np.diff(attitudes.start)
     u = np.concatenate([np.zeros((0, 3)), *(one.u_s for one in exposures)])
     u_i = np.concatenate([np.zeros((0, 3)), *(one.u_i for one in exposures)])
     covariance = np.concatenate([np.zeros((0, 3, 3)), *(one.cov_s for one in exposures)])
-    usable = np.repeat(attitudes.usable, counts) & attitudes.kept
-    W = np.zeros((len(u), 3, 3))
-    W[usable] = information_of_directions(u[usable], covariance[usable])
-    r = u - np.einsum("nab,nb->na", np.repeat(attitudes.R_si, counts, axis=0), u_i)
-    du = _changes(u, camera)
-    turn = cross_matrices(u)
-    turnW = np.swapaxes(turn, 1, 2) @ W
     seen = attitudes.usable & (counts > 0)
-    N = sums_over(start, turnW @ turn)
-    N[~seen] = np.eye(3)
-    psi = -np.linalg.solve(N, sums_over(start, turnW @ du)) * seen[:, None, None]
-    d = du + turn @ np.repeat(psi, counts, axis=0)
+    r = u - np.einsum("nab,nb->na", np.repeat(attitudes.R_si, counts, axis=0), u_i)
+    near = np.repeat(seen, counts) & (np.linalg.norm(r, axis=1) < FARTHEST_RAD)
+    W = np.zeros((len(u), 3, 3))
+    W[near] = information_of_directions(u[near], covariance[near])
+    return _Stars(
+        exposure_id=[one.exposure_id for one in exposures],
+        start=attitudes.start,
+        seen=seen,
+        kept=near & attitudes.kept,
+        turn=cross_matrices(u),
+        W=W,
+        r=r,
+        du=_changes(u, camera),
+    )
+
+
+def _effects(stars: _Stars, kept: Bools) -> StarEffects:
+    W = stars.W * kept[:, None, None]
+    psi = _turned(stars, W, stars.du)
+    d = stars.du + stars.turn @ np.repeat(psi, np.diff(stars.start), axis=0)
     Wd = W @ d
     return StarEffects(
-        exposure_id=np.array([one.exposure_id for one in exposures], dtype=str),
+        exposure_id=np.array(stars.exposure_id, dtype=str),
         psi=psi,
-        information=sums_over(start, np.sum(d * Wd, axis=1)),
-        right=sums_over(start, np.sum(r[:, :, None] * Wd, axis=1)),
+        information=sums_over(stars.start, np.swapaxes(d, 1, 2) @ Wd),
+        right=sums_over(stars.start, np.sum(stars.r[:, :, None] * Wd, axis=1)),
     )
+
+
+def _turned(stars: _Stars, W: Floats, du: Floats) -> Floats:
+    """Change (K, 3, P) of the attitudes fitted to stars whose directions change by du (N, 3, P)."""
+    turnW = np.swapaxes(stars.turn, 1, 2) @ W
+    N = sums_over(stars.start, turnW @ stars.turn)
+    seen = stars.seen & (np.linalg.det(N) > 0.0)
+    N[~seen] = np.eye(3)
+    psi = -np.linalg.solve(N, sums_over(stars.start, turnW @ du)) * seen[:, None, None]
+    return np.asarray(psi)
+
+
+def _within(stars: _Stars, kept: Bools, size: Floats, limit: float) -> Bools:
+    """Stars (N,) that pass the test of their residual once errors of `size` (P,) are taken out."""
+    left = (stars.r - stars.du @ size)[:, :, None]
+    psi = _turned(stars, stars.W * kept[:, None, None], left)
+    e = (left + stars.turn @ np.repeat(psi, np.diff(stars.start), axis=0))[:, :, 0]
+    squared = np.einsum("na,nab,nb->n", e, stars.W, e)
+    return np.asarray((squared < limit) & (np.einsum("naa->n", stars.W) > 0.0))
 
 
 def _changes(u: Floats, camera: StarCamera) -> Floats:

@@ -13,7 +13,7 @@ covariance wide and the matrix no worse. What they may also mean is that the obs
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from enum import Enum
 
@@ -23,6 +23,7 @@ from scipy.special import bdtrc, chdtr, chdtrc
 
 from boresight.calib.estimate import HeadAgreement, InstallationEstimate, WhyRejected, WithoutHead
 from boresight.calib.finding import Finding
+from boresight.calib.reliability import HypothesisTest, Reliability, ReliabilitySettings
 from boresight.geometry.record import Floats, array, record, scalar
 from boresight.geometry.sightings import GroundSightings, StripSightings
 
@@ -122,6 +123,11 @@ class VerdictSettings:
     share_stars_rejected: float = scalar("tolerated share of stars with gross errors", default=0.02)
     share_targets_rejected: float = scalar("tolerated share of targets with gross errors", default=0.15)
 
+    @property
+    def of_reliability(self) -> ReliabilitySettings:
+        """Limits of the tests of inputs."""
+        return ReliabilitySettings(sigma_understated=self.sigma_understated)
+
 
 @record(kw_only=True)
 class Check:
@@ -167,6 +173,9 @@ class Verdict:
     weakest_sigma_rad: float = scalar("its 1-sigma, rad")
     dof: int = scalar("degrees of freedom of the targets' residuals, by which the matrix is checked")
     findings: tuple[Finding, ...] = scalar("probable causes, those that refute first", default=())
+    tests: tuple[HypothesisTest, ...] = scalar(
+        "what each input error would do, and what shows it", default=()
+    )
 
     def with_findings(self, more: Sequence[Finding]) -> Verdict:
         """The verdict with further findings, and the outcome that follows from all of them."""
@@ -213,6 +222,7 @@ def assess(
     settings: VerdictSettings | None = None,
     *,
     sigma_installation_rad: Floats | None = None,
+    reliability: Reliability | None = None,
 ) -> Verdict:
     """The verdict on an estimate and the sightings that it was made from.
 
@@ -226,6 +236,8 @@ def assess(
         False-alarm rate and tolerances.
     sigma_installation_rad : (3,) array, optional
         1-sigma of the starting matrix about the axes of frame c, rad; without it that check is not made.
+    reliability : Reliability, optional
+        Tests of the inputs (`reliability.examine`), whose causes decide with the checks.
 
     Returns
     -------
@@ -251,14 +263,17 @@ def assess(
     limit = settings.probability_false_alarm / (len(CheckKind) - single * len(OF_HEADS) - no_sky)
     found = [replace(check, limit=limit) for check in found]
     values, vectors = np.linalg.eigh(estimate.cov_theta)
-    return Verdict(
-        outcome=_outcome(found, estimate.dof, ()),
+    verdict = Verdict(
+        outcome=Outcome.CONSISTENT,
         checks=tuple(found),
         dof=estimate.dof,
+        tests=reliability.tests if reliability else (),
         probability_false_alarm=settings.probability_false_alarm,
         weakest_axis_c=vectors[:, -1],
         weakest_sigma_rad=float(np.sqrt(values[-1])),
     )
+    causes = [*(reliability.findings if reliability else ()), *_orbit_finding(estimate, found)]
+    return verdict.with_findings(causes)
 
 
 def _outcome(checks: Sequence[Check], dof: int, findings: Sequence[Finding]) -> Outcome:
@@ -404,6 +419,28 @@ def _orbit_bias(estimate: InstallationEstimate, settings: VerdictSettings) -> li
     p_value = float(chdtrc(len(rows), statistic / settings.sigma_understated**2))
     names = tuple((text,) for text in estimate.bias.texts() if not text.startswith("clock"))
     return [_check(CheckKind.ORBIT_BIAS, statistic, len(rows), len(rows), p_value, settings, names)]
+
+
+def _orbit_finding(estimate: InstallationEstimate, checks: Sequence[Check]) -> Iterator[Finding]:
+    """The bias of the orbit against the sky, where its check fails: the largest part of it in its sigmas."""
+    if estimate.bias is None or all(c.holds for c in checks if c.kind is CheckKind.ORBIT_BIAS):
+        return
+    bias = estimate.bias
+    rows = [n for n, name in enumerate(bias.names) if name != "clock"]
+    n = max(rows, key=lambda n: abs(bias.value[n]) / bias.sigma[n])
+    value, sigma = float(bias.value[n]), float(bias.sigma[n])
+    yield Finding(
+        cause="orbit, or datum of the targets",
+        item="all ground strips",
+        text=f"{value:+.3g} ± {sigma:.2g} m {bias.names[n]}, against the sky: check the orbit file, and "
+        "latitude, longitude and height_kind in targets.csv.",
+        value=value,
+        sigma=sigma,
+        unit="m",
+        file="orbit, targets.csv",
+        refutes=True,
+        p_value=min(c.p_value for c in checks if c.kind is CheckKind.ORBIT_BIAS),
+    )
 
 
 def _duplicates(strips: Sequence[StripSightings], settings: VerdictSettings) -> Check:

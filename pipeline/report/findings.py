@@ -16,7 +16,6 @@ import pyarrow as pa
 
 from boresight.calib.estimate import TargetResiduals
 from boresight.calib.finding import Finding
-from boresight.calib.verdict import CheckKind
 from boresight.gct_match.records import Reason
 from boresight.geometry.line_camera import end_looks
 from boresight.geometry.record import Floats
@@ -30,7 +29,6 @@ from boresight.pipeline.report.ground_map import (
     Scene,
     StripOnGround,
 )
-from boresight.pipeline.report.star_findings import Explanation, explanations
 from boresight.pipeline.stages.calibrate import Calibration
 from boresight.pipeline.stages.reasons import doubts
 from boresight.pipeline.stages.strip import compass, match_targets, pushbroom_of
@@ -40,8 +38,6 @@ __all__ = ["findings"]
 FEWEST = 3  # observations that make a pattern
 MOST_STRIPS_AGAIN = 4  # strips without any match that are searched again
 SMALL_SHARE = 0.4  # of the swath: targets within less are reported
-EXPLAINED = 0.5  # share of the excess of chi-square that an explanation must remove
-LEAST_GAIN, LEAST_SHARE = 40.0, 0.02  # of chi-square: p < 1e-7 of 2 parameters, and worth a correction
 FLAT_COUNTS = 2.0  # standard deviation of an image without content
 SHOWN = 5  # names in a sentence
 
@@ -57,8 +53,6 @@ def findings(
     share = _share_of_swath(dump, calibration)
     return [
         *calibration.verdict.findings,
-        *_common_bias(calibration),
-        *_star_camera(dump, calibration),
         *_displaced_strips(calibration, strips, dump.sigma_installation_rad),
         *silent_ccds(rows, {key: _is_flat(strips[key[0]], key[1]) for key in _lost_ccds(rows)}),
         *single_targets(rows),
@@ -66,18 +60,6 @@ def findings(
         *(cloud for strip_id, one in strips.items() for cloud in clouds(strip_id, _looks(one, rows))),
         *spread(share),
     ]
-
-
-def _common_bias(calibration: Calibration) -> Iterator[Finding]:
-    """What ground strips have in common against strips of the sky, where it is significant."""
-    bias = calibration.estimate.bias
-    if bias is not None and np.any(np.abs(bias.value) > 3.0 * bias.sigma):
-        text = f"against the sky all ground strips are off, stated less true: {', '.join(bias.texts())}"
-        yield Finding(
-            cause="orbit or datum",
-            item="all ground strips",
-            text=f"{text}. The matrix does not contain it; check the orbit, and the datum of the targets.",
-        )
 
 
 def single_targets(rows: Sequence[Mapping[str, Any]]) -> Iterator[Finding]:
@@ -337,33 +319,4 @@ def spread(share: float) -> Iterator[Finding]:
             text=f"all targets lie within {share:.0%} of the width of the swath: they hardly determine the "
             "rotation about the boresight (Z). Add targets near both ends of the swath.",
             is_fault=False,
-        )
-
-
-def _star_camera(dump: Dump, calibration: Calibration) -> Iterator[Finding]:
-    failed = {check.kind for check in calibration.verdict.refuted_by}
-    refuted = bool(failed & {CheckKind.STAR_RESIDUALS, CheckKind.STARS_REJECTED})
-    if dump.star_camera is not None:
-        yield from star_camera(
-            explanations(dump.star_camera, calibration.stars, calibration.attitudes.R_si), refuted=refuted
-        )
-
-
-def star_camera(found: Sequence[Explanation], *, refuted: bool) -> Iterator[Finding]:
-    """The change of the star camera that explains its stars best: their misfit where it is too large
-    (`refuted`), else a part of their residuals that is too large for chance.
-    """
-    for best in found[:1]:
-        if refuted and best.share > EXPLAINED:
-            text = f"{best.share:.0%} of the stars' excess of χ² disappear with a {best.part} {best.change}"
-        elif not refuted and best.gain > max(LEAST_GAIN, LEAST_SHARE * best.dof):
-            text = f"χ² of the stars falls by {best.gain:.0f} with a {best.part} {best.change} (by some 3 if "
-            text += f"the camera is right; {best.dof} degrees of freedom)"
-        else:
-            return
-        yield Finding(
-            cause=f"{best.part} of the star camera",
-            item="star_camera.toml",
-            text=f"{text}: check star_camera.toml, or calibrate the camera "
-            "(boresight star-camera-calibrate).",
         )

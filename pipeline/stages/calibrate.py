@@ -20,6 +20,7 @@ from scipy.spatial.transform import Rotation
 
 from boresight.calib.calibration import calibrate
 from boresight.calib.estimate import InstallationEstimate, NotObservable
+from boresight.calib.reliability import examine
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.verdict import Verdict, assess
 from boresight.geometry.line_camera import LineSensor
@@ -149,7 +150,21 @@ def calibrate_dump(
             break  # measured image points alone: no matrix moves them
     found = last.estimate.with_reference(heads[0].head.name)
     omissions = (*_unused_so_far(dump, heads, sky), *last.omissions, *rejections_of(found))
-    verdict = assess(found, last.strips, settings.verdict, sigma_installation_rad=dump.sigma_installation_rad)
+    reliability = examine(
+        found,
+        last.strips,
+        error_model,
+        pixel_rad=dump.line_camera.pixel_rad,
+        star_camera=dump.star_camera,
+        limits=settings.verdict.of_reliability,
+    )
+    verdict = assess(
+        found,
+        last.strips,
+        settings.verdict,
+        sigma_installation_rad=dump.sigma_installation_rad,
+        reliability=reliability,
+    )
     return Calibration(
         estimate=found,
         verdict=verdict.with_findings(input_findings(dump, last.tasks, omissions)),

@@ -20,6 +20,7 @@ from scipy.spatial.transform import Rotation
 
 from boresight.calib.calibration import calibrate
 from boresight.calib.estimate import InstallationEstimate, NotObservable
+from boresight.calib.reliability import examine
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.verdict import Verdict, assess
 from boresight.geometry.epoch import Epoch
@@ -114,7 +115,17 @@ def calibrate_jointly(
         raise DataNotSufficientError(f"all dumps together: {estimate.reason}")
     estimate = estimate.with_reference(first.dump.heads[0].name)
     sigma = first.dump.sigma_installation_rad
-    verdict = assess(estimate, strips, settings.verdict, sigma_installation_rad=sigma)
+    reliability = examine(
+        estimate,
+        strips,
+        one.settings,
+        pixel_rad=first.dump.line_camera.pixel_rad,
+        star_camera=first.dump.star_camera,
+        limits=settings.verdict.of_reliability,
+    )
+    verdict = assess(
+        estimate, strips, settings.verdict, sigma_installation_rad=sigma, reliability=reliability
+    )
     return JointCalibration(estimate, verdict, strips, one.settings, (*failed, *rejections_of(estimate)))
 
 

@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from pytest import approx
-from scipy.spatial.transform import Rotation
 
 from boresight.gct_match.locate import match_template
 from boresight.gct_match.records import Reason, Refusal
 from boresight.geometry.constants import WGS84
 from boresight.geometry.geodesy import geodetic_from_ecef, local_axes_e
-from boresight.geometry.sightings import StarSightings, isotropic_covariance
-from boresight.geometry.star_camera import StarCamera
 from boresight.pipeline.files.dump import open_dump
 from boresight.pipeline.report.findings import (
     clouds,
@@ -25,10 +21,8 @@ from boresight.pipeline.report.findings import (
     silent_ccds,
     single_targets,
     spread,
-    star_camera,
 )
 from boresight.pipeline.report.ground_map import REJECTED, UNMATCHED, USED
-from boresight.pipeline.report.star_findings import explanations
 from boresight.pipeline.results.folder import store_of
 from boresight.pipeline.stages.calibrate import calibrate_dump
 from boresight.pipeline.stages.input_findings import heights
@@ -160,61 +154,6 @@ def test_targets_in_one_part_of_the_swath_are_a_weakness_and_no_fault():
     (found,) = spread(0.37)
     assert "37%" in found.text and not found.is_fault
     assert list(spread(0.9)) == []
-
-
-CAMERA = StarCamera(
-    focal_m=0.1, pixel_m=1.5e-5, width_px=1024, height_px=768, principal_px=(515.3, 380.2), q1=2e-6
-)
-
-
-def exposures(camera, n=6, sigma_px=0.02):
-    """Stars that `camera` saw, centroids in whatever camera they are then identified with."""
-    rng, R_si, seen = np.random.default_rng(5), [], []
-    for k in range(n):
-        R = Rotation.from_rotvec(rng.normal(0.0, 1.0, 3))
-        xy = rng.uniform([20.0, 20.0], [1000.0, 740.0], (60, 2))
-        u_s = camera.directions_from_pixels(xy)
-        xy = xy + rng.normal(0.0, sigma_px, xy.shape)
-        sigma_rad = np.full(len(xy), sigma_px * camera.pixel_m / camera.focal_m)
-        seen.append(
-            StarSightings(
-                exposure_id=f"e{k}",
-                t_s=float(k),
-                hip=np.arange(len(xy)),
-                xy_px=xy,
-                u_s=u_s,
-                u_i=R.inv().apply(u_s),
-                cov_s=isotropic_covariance(u_s, sigma_rad),
-            )
-        )
-        R_si.append(R.as_matrix())
-    return seen, np.array(R_si)
-
-
-@pytest.mark.parametrize(
-    ("true", "part", "size"),
-    [
-        (replace(CAMERA, principal_px=(527.3, 375.2)), "principal point", (12.0, -5.0)),
-        (replace(CAMERA, focal_m=0.0999), "focal length", (-1e-3,)),
-        (replace(CAMERA, q1=1.8e-4), "radial distortion", (1.78e-4,)),
-    ],
-)
-def test_the_part_of_the_star_camera_that_is_wrong_is_named_with_its_size(true, part, size):
-    # Each size is some ten of its own 1-sigmas: 6 exposures of 60 stars with 0.02 px, and linear to 5 %.
-    best, *others = explanations(CAMERA, *exposures(true))
-    assert best.part == part and best.share > 0.9
-    assert best.sizes == approx(size, rel=0.1)
-    assert all(other.share < best.share for other in others)
-
-
-def test_a_camera_that_its_stars_contradict_is_named_also_where_the_tolerance_hides_it():
-    slightly = replace(CAMERA, principal_px=(519.3, 380.2))  # 4 px
-    (found,) = star_camera(explanations(CAMERA, *exposures(slightly)), refuted=False)
-    assert found.cause == "principal point of the star camera" and found.is_fault and "falls by" in found.text
-    (worse,) = star_camera(explanations(CAMERA, *exposures(slightly)), refuted=True)
-    assert "of the stars' excess" in worse.text
-    right = explanations(CAMERA, *exposures(CAMERA))
-    assert list(star_camera(right, refuted=False)) == [] and right[0].gain < 20.0
 
 
 def test_a_strip_window_of_one_grey_value_is_refused_as_such():

@@ -329,7 +329,13 @@ def visits(place: np.ndarray) -> list:
         sigma = np.full(3, 3e-3)
         head = SimpleNamespace(name="s")
         dump = SimpleNamespace(
-            epoch=epoch, ground_targets=targets, R_cs0=BOLD, sigma_installation_rad=sigma, heads=(head,)
+            epoch=epoch,
+            ground_targets=targets,
+            R_cs0=BOLD,
+            sigma_installation_rad=sigma,
+            heads=(head,),
+            line_camera=SimpleNamespace(pixel_rad=1e-6),
+            star_camera=None,
         )
         found = SimpleNamespace(strips=strips[4 * n : 4 * n + 4], settings=SETTINGS_USED)
         out.append((SimpleNamespace(name=f"d{n}", dump=dump), found))
