@@ -27,6 +27,7 @@ import tomllib
 from collections import defaultdict
 from collections.abc import Iterator
 from contextlib import redirect_stdout
+from importlib import import_module
 from io import StringIO
 from pathlib import Path
 from typing import Any
@@ -45,7 +46,11 @@ from boresight.pipeline.run.settings import Settings
 RESULTS = Path(__file__).parent / "results" / "faults_grid.txt"
 MOST_SIGMA = 4.0
 LIMIT_CPU_S, LIMIT_BYTES = 120, 6 * 2**30
-QUICK = 45  # cases
+LOADED = (  # by a calibration with report, at the least
+    "boresight.pipeline.calibration_run",
+    "boresight.pipeline.report.evidence",
+    "boresight.pipeline.report.page",
+)
 NAMED, INNOCENT = 0.95, 0.01  # shares asked for, from 3 times the smallest size on
 ITEM = re.compile(r"CCD \d+|\b(?:s|sky)\d\d(?:-[tc]\d\d)?\b|\bSTR\d\b|\be\d{4}\b")
 TOLD = ("cause", "item", "text", "file", "field", "is_fault", "refutes")
@@ -87,14 +92,8 @@ def answer_of(arguments: list[str], folder: Path) -> tuple[int, float, dict[str,
 
 def imported() -> None:
     """Load what a calibration needs, so that forked processes have it."""
-    for name in (
-        "stages.calibrate",
-        "report.page",
-        "report.evidence",
-        "results.summary",
-        "commands.calibrate",
-    ):
-        __import__(f"boresight.pipeline.{name}")
+    for name in LOADED:
+        import_module(name)
 
 
 def calibrated(dump: Path, folder: Path, work: Path | None) -> tuple[int, float, dict[str, Any]]:
@@ -199,18 +198,24 @@ def cases(options: argparse.Namespace) -> Iterator[tuple[str, int, Fault | None]
     order = np.random.default_rng(0).permutation(len(chosen))
     chosen = [chosen[k] for k in order]
     if options.quick:
-        chosen = quick(chosen)
+        chosen = one_of_each_kind(chosen)
     if options.largest_first:
         chosen.sort(key=lambda one: -one[2].times)
     yield from chosen
 
 
-def quick(every: list[tuple[str, int, Fault]]) -> list[tuple[str, int, Fault]]:
-    """One case of each kind and dump in turn, of 3 times the smallest size where there are several."""
-    taken: dict[str, tuple[str, int, Fault]] = {}
+def one_of_each_kind(every: list[tuple[str, int, Fault]]) -> list[tuple[str, int, Fault]]:
+    """A case of each kind, of 3 times the smallest size where there are several, on the dumps in turn."""
+    of_kind: dict[str, list[tuple[str, int, Fault]]] = defaultdict(list)
     for one in sorted(every, key=lambda one: abs(one[2].times - 3.0)):
-        taken.setdefault(one[2].kind, one)
-    return list(taken.values())[:QUICK]
+        of_kind[one[2].kind].append(one)
+    taken: dict[str, int] = defaultdict(int)
+    chosen = []
+    for those in of_kind.values():
+        best = [one for one in those if one[2].times == those[0][2].times]
+        chosen.append(min(best, key=lambda one: taken[one[0]]))
+        taken[chosen[-1][0]] += 1
+    return chosen
 
 
 def run(options: argparse.Namespace) -> None:
@@ -370,7 +375,7 @@ def _print_cases(every: list[Case]) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("work", type=Path, help="folder of dumps, results and finished cases")
-    parser.add_argument("--quick", action="store_true", help=f"at most {QUICK} cases, one of each kind")
+    parser.add_argument("--quick", action="store_true", help="one case of each kind")
     parser.add_argument("--only", action="append", help="a kind of fault")
     parser.add_argument("--dump", action="append", choices=DUMPS)
     parser.add_argument("--seed", action="append", type=int)
