@@ -54,6 +54,10 @@ class Cause(StrEnum):
     NOT_CALIBRATED = "no result"
     MARKED_INVALID = "marked invalid"
     REPEATED = "given twice"
+    SAME_PIXELS = "same pixels as another"
+    OUT_OF_VIEW = "in no strip"
+    OUTSIDE_CHIP = "outside chip"
+    NOT_NEEDED = "not near a strip"
     INTERNAL_ERROR = "internal error"
 
 
@@ -66,6 +70,11 @@ class Omission:
     file: str = scalar("file concerned, or empty", default="")
     reason: str = scalar("one sentence with the numbers", default="")
     cause: str = scalar("a `Cause`, or the matcher's reason", default=Cause.UNREADABLE)
+
+    @property
+    def target_id(self) -> str:
+        """The target alone, of "strip/target, CCD 1" or of a chip's name."""
+        return self.name.rpartition("/")[2].partition(",")[0]
 
     def because(self, reason: str, cause: str = Cause.UNREADABLE) -> Omission:
         """This item with a reason."""

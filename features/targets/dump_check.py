@@ -18,7 +18,8 @@ from boresight.pipeline.files.dump import Dump, dump_faults, open_dump, surface_
 from boresight.pipeline.run.executor import Executor
 from boresight.pipeline.run.settings import Settings
 from boresight.pipeline.stages.calibrate import strips_to_match
-from boresight.pipeline.stages.missing import misses
+from boresight.pipeline.stages.coordinate_slips import contradiction
+from boresight.pipeline.stages.missing import in_view, misses, uncertainty_m
 from boresight.pipeline.stages.strip import StripTask, pushbroom_of, unreadable_chips
 
 __all__ = ["DumpCheck", "TargetCheck", "check_dump", "check_lines"]
@@ -35,15 +36,37 @@ class TargetCheck:
     across_m: float = scalar("how far it misses that strip across the track, m")
     along_m: float = scalar("and along it")
     along_s: float = scalar("the same as time, s")
+    uncertain_m: float = scalar("how far the pre-launch matrix may move that strip, m", default=0.0)
+    contradiction: str = scalar("how its coordinates contradict its chip; empty: they do not", default="")
+
+    @property
+    def may_be_seen(self) -> bool:
+        """Whether it is in no strip's footprint, but in one for another matrix within the uncertainty."""
+        missed_m = float(np.hypot(self.across_m, self.along_m))
+        return bool(self.nearest) and missed_m <= self.uncertain_m
+
+    @property
+    def worth_a_look(self) -> tuple[bool, float]:
+        """Sorts targets: first those that contradict their chip, then by distance from the strips."""
+        return not self.contradiction, -float(np.hypot(self.across_m, self.along_m))
 
     @property
     def text(self) -> str:
-        """One line: seen by which strips, or the nearest miss."""
+        """One line: in which chip it is not, seen by which strips, or the nearest miss."""
+        place = self._place
+        return f"{place}; {self.contradiction}" if self.contradiction else place
+
+    @property
+    def _place(self) -> str:
         if self.seen_by:
             return f"{self.target_id}   in view of {', '.join(self.seen_by)}"
         if not self.nearest:
             return f"{self.target_id}   no strip has a footprint"
         miss = f"{self.across_m / 1e3:.2f} km across the track, {self.along_m / 1e3:.2f} km along it"
+        if self.across_m == self.along_m == 0.0:
+            return f"{self.target_id}   may be in view of {self.nearest}, in a gap between its CCDs"
+        if self.may_be_seen:
+            return f"{self.target_id}   may be in view of {self.nearest}, beside it by {miss}"
         return f"{self.target_id}   misses {self.nearest} by {miss} ({self.along_s:.2f} s)"
 
 
@@ -57,7 +80,7 @@ class DumpCheck:
     omissions: tuple[Omission, ...] = scalar("exposures, strips and chips that would not be used")
     sky_strips: int = scalar("strips of the sky", default=0)
     footprints: dict[str, Floats] = scalar("outline (N, 2) of each strip: longitude and latitude, degrees")
-    targets: tuple[TargetCheck, ...] = scalar("every target against the strips")
+    targets: tuple[TargetCheck, ...] = scalar("every target against the strips, those first that look wrong")
 
 
 def check_dump(root: Path, settings: Settings, executor: Executor | None = None) -> DumpCheck:
@@ -77,8 +100,17 @@ def check_dump(root: Path, settings: Settings, executor: Executor | None = None)
         f"{len(dump.targets)} targets, {len(dump.points)} strips with measured image points",
         *((f"{len(dump.sky_strips)} strips of the sky",) if dump.sky_strips else ()),
     )
-    missed = [(*misses(task, dump.targets), _in_view(task, dump.targets)) for task in tasks if dump.targets]
+    p_e = np.array([target.p_e for target in dump.targets]).reshape(-1, 3)
+    missed = [
+        (*misses(task, dump.targets), in_view(task, p_e), uncertainty_m(task))
+        for task in tasks
+        if dump.targets
+    ]
     names = [task.strip.strip_id for task in tasks]
+    targets = [
+        _target(n, one, names, missed, contradiction(one, chip, dump.chips))
+        for n, (one, chip) in enumerate(zip(dump.targets, dump.chips))
+    ]
     return DumpCheck(
         root=str(root),
         faults=(),
@@ -86,7 +118,7 @@ def check_dump(root: Path, settings: Settings, executor: Executor | None = None)
         omissions=(*omissions, *unreadable_chips(dump.chips)),
         sky_strips=len(dump.sky_strips),
         footprints=outlines,
-        targets=tuple(_target(n, one, names, missed) for n, one in enumerate(dump.targets)),
+        targets=tuple(sorted(targets, key=lambda one: one.worth_a_look)),
     )
 
 
@@ -96,9 +128,10 @@ def check_lines(found: DumpCheck) -> list[str]:
     if found.faults:
         return [*lines, f"{len(lines)} error(s) in the files of {found.root}; images were not checked"]
     lines = [*found.facts, *(f"not used: {o.kind} {o.name}: {o.reason}" for o in found.omissions)]
-    seen = sum(bool(one.seen_by) for one in found.targets)
-    if found.targets:
-        lines.append(f"{seen} of {len(found.targets)} targets are in view, by the pre-launch matrix:")
+    if n := len(found.targets):
+        seen, maybe = sum(bool(t.seen_by) for t in found.targets), sum(t.may_be_seen for t in found.targets)
+        counts = f"{seen} of {n} targets are in view, {maybe} may be, {n - seen - maybe} are not"
+        lines.append(f"{counts}, by the pre-launch matrix and its uncertainty:")
     return [*lines, *("  " + one.text for one in found.targets)]
 
 
@@ -110,23 +143,16 @@ def _outlines(dump: Dump, tasks: Sequence[StripTask]) -> dict[str, Floats]:
     return {t.strip.strip_id: outline_deg(pushbroom_of(t), t.strip.ccd_lines, height) for t in tasks}
 
 
-def _in_view(task: StripTask, targets: Sequence[Target]) -> Bools:
-    """Which targets (N,) some CCD of a strip shows."""
-    model, p_e = pushbroom_of(task), np.array([target.p_e for target in targets])
-    seen = np.zeros(len(targets), dtype=bool)
-    for ccd, lines in task.strip.ccd_lines.items():
-        sample, line = model.pixels_from_ground(ccd, p_e)
-        inside = (sample >= -0.5) & (sample <= task.camera.n_px(ccd) - 0.5)
-        seen |= inside & (line >= -0.5) & (line <= lines - 0.5)
-    return seen
-
-
 def _target(
-    n: int, target: Target, names: Sequence[str], missed: Sequence[tuple[Floats, float, Bools]]
+    n: int,
+    target: Target,
+    names: Sequence[str],
+    missed: Sequence[tuple[Floats, float, Bools, float]],
+    contradicts: str,
 ) -> TargetCheck:
     lat, lon, _ = geodetic_from_ecef(target.p_e[None], WGS84)
-    distances = [float(np.hypot(*outside[n])) for outside, _, _ in missed]
-    seen = tuple(name for name, (_, _, in_view) in zip(names, missed) if in_view[n])
+    distances = [float(np.hypot(*outside[n])) for outside, *_ in missed]
+    seen = tuple(name for name, (_, _, shown, _) in zip(names, missed) if shown[n])
     best = int(np.argmin(distances)) if distances and not seen else -1
     across_m, along_m = missed[best][0][n].tolist() if best >= 0 else (0.0, 0.0)
     return TargetCheck(
@@ -137,4 +163,6 @@ def _target(
         across_m=across_m,
         along_m=along_m,
         along_s=along_m / missed[best][1] if best >= 0 else 0.0,
+        uncertain_m=missed[best][3] if best >= 0 else 0.0,
+        contradiction=contradicts,
     )

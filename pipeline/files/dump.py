@@ -168,6 +168,9 @@ class Dump:
     terrain: TerrainFiles | TargetHeights = scalar("the surface of the Earth")
     star_catalogue: StarTable | None = scalar("stars of strips of the sky; None: the bundled Hipparcos")
     omissions: tuple[Omission, ...] = scalar("images that are not used, with the reasons")
+    listed: dict[str, int] = scalar(
+        "how many targets, measured points, strips and exposures of the reference head its tables list"
+    )
 
     @property
     def R_cs0(self) -> Rotation:
@@ -259,7 +262,8 @@ def open_dump(root: Path | str, *, allow_stale_eop: bool = False, threads: int =
     (strips, twice), (sky_strips, sky_twice) = (strips_once(one, head.files.strips) for one in (ground, sky))
     rows = _target_rows(paths["targets"], str(head.files.targets)) if "targets" in paths else []
     surveyed = targets_of(rows)
-    heads, exposures_twice = exposures_once(open_heads(root, head, ephemeris.epoch))
+    every_head = open_heads(root, head, ephemeris.epoch)
+    heads, exposures_twice = exposures_once(every_head)
     during = [(s.t_first_row_s, s.t_first_row_s + s.lines * s.row_period_s) for s in strips]
     for one in heads:
         check_attitudes(one, orbit, during)
@@ -283,6 +287,12 @@ def open_dump(root: Path | str, *, allow_stale_eop: bool = False, threads: int =
         terrain=_terrain(root, head, (surveyed, *of_points), threads),
         star_catalogue=_star_catalogue(paths.get("star_catalogue"), head, sky_strips),
         omissions=(*omitted, *twice, *sky_twice, *exposures_twice),
+        listed={
+            "targets": len(rows),
+            "points": sum(len(one.ccd) for one in points),
+            "strips": len(every) + sum(one.kind == "strip" for one in omitted),
+            "exposures": 0 if isinstance(heads[0].source, SolvedAttitudes) else every_head[0].n_exposures,
+        },
     )
 
 

@@ -22,16 +22,26 @@ from pyproj import CRS, Transformer
 from pyproj.exceptions import ProjError
 from rasterio.errors import RasterioError, RasterioIOError
 from rasterio.io import MemoryFile
+from rasterio.transform import Affine
 from rasterio.windows import Window
 
-from boresight.geometry.record import array, record, scalar
+from boresight.geometry.record import Bools, Floats, array, record, scalar
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.content import small_content
 from boresight.pipeline.files.deflated_tiles import read_deflated
 from boresight.pipeline.files.object_store import StoredPath
 from boresight.pipeline.files.star_images import TIFF_MAGICS, check_size, first_bytes
 
-__all__ = ["GridImage", "StripFiles", "grid_side_m", "open_geotiff", "read_grid", "read_planes", "read_tiff"]
+__all__ = [
+    "GridImage",
+    "GridPlace",
+    "StripFiles",
+    "grid_place",
+    "open_geotiff",
+    "read_grid",
+    "read_planes",
+    "read_tiff",
+]
 
 MAX_BLOCK_BYTES = 2**29  # a row of tiles or a strip of a TIFF is decoded as a whole
 PIXEL_SIDE_M = (0.01, 1e5)  # of a chip, terrain model or ground image; 1e-5 m would be a wrong unit
@@ -272,15 +282,44 @@ def read_grid(
         return GridImage(values, (a, b, c, d, e, f), wkt)
 
 
-def grid_side_m(path: Path, file: str) -> float:
-    """Length of the shorter side of a georeferenced raster on the ground, m, by its header. `RawDataError`
-    if it is none.
-    """
+@record
+class GridPlace:
+    """Where a georeferenced raster lies, by its header."""
+
+    shape: tuple[int, int] = scalar("rows, columns")
+    transform: tuple[float, float, float, float, float, float] = scalar("as of `GridImage`")
+    crs: str = scalar("coordinate reference system as WKT")
+
+    @property
+    def side_m(self) -> float:
+        """Length of its shorter side on the ground, m."""
+        return min(self.shape) * _pixel_side_m(Affine(*self.transform), CRS.from_user_input(self.crs))
+
+    def contains(self, places_deg: Floats) -> Bools:
+        """Which places (N, 2), latitude and longitude in °, lie in it."""
+        lat, lon = np.vstack([places_deg, places_deg[-1:]]).T  # of one-element arrays pyproj warns
+        to_map = Transformer.from_crs(CRS.from_epsg(4326), CRS.from_user_input(self.crs), always_xy=True)
+        a, b, c, d, e, f = self.transform
+        inverse = np.linalg.inv(np.array([[a, b], [d, e]]))
+        xy = (np.column_stack(to_map.transform(lon, lat)) - [c, f]) @ inverse.T
+        return np.asarray(((xy >= 0.0) & (xy <= self.shape[::-1])).all(axis=1))[:-1]
+
+    @property
+    def middle_deg(self) -> tuple[float, float]:
+        """Latitude and longitude of its middle, °; not finite where the map has none."""
+        rows, columns = self.shape
+        to_degrees = Transformer.from_crs(CRS.from_user_input(self.crs), CRS.from_epsg(4326), always_xy=True)
+        lon, lat = to_degrees.transform(*(Affine(*self.transform) @ (0.5 * columns, 0.5 * rows)))
+        return float(lat), float(lon)
+
+
+def grid_place(path: Path, file: str) -> GridPlace:
+    """Where a georeferenced raster lies; only its header is read. `RawDataError` if it is none."""
     with open_geotiff(path, file) as image:
         if image.crs is None:
             raise RawDataError(file, "coordinate reference system", "none", "a GeoTIFF with a CRS")
-        crs = CRS.from_user_input(_map_of(image, file))
-        return float(min(image.shape) * _pixel_side_m(image.transform, crs))
+        a, b, c, d, e, f = (float(v) for v in tuple(image.transform)[:6])
+        return GridPlace((image.height, image.width), (a, b, c, d, e, f), _map_of(image, file))
 
 
 def _check_transform(transform: Any, crs: CRS, file: str) -> None:

@@ -50,10 +50,11 @@ def _images_once(
         equal = grouped(lists, lists.__getitem__)
     else:
         equal = equal_files({k: one.path for k, one in enumerate(exposures)})
-    why = overlapping(exposures)
-    why |= _same_pixels(exposures, [[k for k in group if k not in why] for group in equal])
-    left = [k for k in range(len(exposures)) if k not in why]
-    omitted = [exposures[k].item.because(why[k], Cause.REPEATED) for k in sorted(why)]
+    twice = overlapping(exposures)
+    wrong = _same_pixels(exposures, [[k for k in group if k not in twice] for group in equal])
+    omitted = [exposures[k].item.because(why, Cause.REPEATED) for k, why in twice.items()]
+    omitted += [exposures[k].item.because(why, Cause.SAME_PIXELS) for k, why in wrong.items()]
+    left = [k for k in range(len(exposures)) if k not in twice and k not in wrong]
     once = replace(source, exposures=tuple(exposures[k] for k in left))
     if isinstance(once, StarCentroids):
         once = replace(once, lists=tuple(once.lists[k] for k in left))

@@ -34,19 +34,20 @@ def strips_once(strips: Sequence[Strip], file: str) -> tuple[tuple[Strip, ...], 
 
     `RawDataError` for two strips with the same times that show different ground. `file` is their table.
     """
-    why = _same_times(strips, file)
-    why |= _same_files(strips, why)
+    twice = _same_times(strips, file)
+    why = {key: (reason, Cause.REPEATED) for key, reason in twice.items()}
+    why |= {key: (reason, Cause.SAME_PIXELS) for key, reason in _same_files(strips, twice).items()}
     once, omitted = [], []
     for strip in strips:
         own = {ccd: why[strip.strip_id, ccd] for ccd in strip.ccd_lines if (strip.strip_id, ccd) in why}
         names = strip.images.names
         if len(own) == len(strip.ccd_lines):
-            ccd, reason = min(own.items())
-            omitted.append(Omission("strip", strip.strip_id, names.get(ccd, ""), reason, Cause.REPEATED))
+            ccd, (reason, cause) = min(own.items())
+            omitted.append(Omission("strip", strip.strip_id, names.get(ccd, ""), reason, cause))
             continue
         omitted += [
-            Omission("ccd", f"{strip.strip_id}/{ccd}", names.get(ccd, ""), reason, Cause.REPEATED)
-            for ccd, reason in own.items()
+            Omission("ccd", f"{strip.strip_id}/{ccd}", names.get(ccd, ""), reason, cause)
+            for ccd, (reason, cause) in own.items()
         ]
         left = {ccd: lines for ccd, lines in strip.ccd_lines.items() if ccd not in own}
         once.append(replace(strip, ccd_lines=left, images=strip.images.of(left)) if own else strip)

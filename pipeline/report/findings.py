@@ -85,7 +85,6 @@ def single_targets(rows: Sequence[Mapping[str, Any]]) -> Iterator[Finding]:
 
 
 SINGLE_CAUSES = {
-    "outside chip": "coordinates or chip",
     "inconsistent": "coordinates or chip",
     "target residual": "coordinates or chip",
     "chip too small": "pixel size of the chip",

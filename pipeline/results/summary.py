@@ -14,12 +14,13 @@ from boresight.calib.estimate import InstallationEstimate
 from boresight.calib.verdict import Outcome
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.installation import euler_zxy_from_theta
-from boresight.pipeline.errors import Omission
+from boresight.pipeline.errors import Cause, Omission
 from boresight.pipeline.results.validate import Validation
 from boresight.pipeline.results.writing import verdict_json
 from boresight.pipeline.stages.calibrate import Calibration
 from boresight.pipeline.stages.joint import JointCalibration
 from boresight.pipeline.stages.reasons import doubts
+from boresight.pipeline.stages.unused_rows import rows_together
 
 __all__ = [
     "REASON_WORDS",
@@ -33,6 +34,7 @@ __all__ = [
 
 Array = NDArray[np.float64]
 MOST_REASONS = 8
+UNNEEDED = (Cause.OUT_OF_VIEW, Cause.NOT_NEEDED, Cause.NO_TARGET)  # told after what went wrong
 SIGMAS = re.compile(r"([0-9.]+) sigma ")
 REASON_WORDS = {  # of causes that counts alone do not explain
     "target residual": "gross error",
@@ -48,7 +50,7 @@ REASON_WORDS = {  # of causes that counts alone do not explain
 
 def calibration_summary(found: Calibration, findings: Sequence[Mapping[str, Any]] = ()) -> str:
     """Verdict, what to look at, matrix, deviation, 1-sigma, counts, and what is not used."""
-    lines = verdict_lines(verdict_json(found.verdict)) + finding_lines(findings)
+    lines = verdict_lines(verdict_json(found.verdict, found.rows)) + finding_lines(findings)
     lines += _estimate_lines(found.estimate)
     lines += _doubt_lines(found.estimate, {one["text"] for one in findings})
     return "\n".join(lines + omission_lines(found.omissions))
@@ -56,7 +58,8 @@ def calibration_summary(found: Calibration, findings: Sequence[Mapping[str, Any]
 
 def joint_summary(of_dumps: Mapping[str, Calibration], joint: JointCalibration) -> str:
     """A line for each dump, then the joint result as that of one dump."""
-    lines = verdict_lines(verdict_json(joint.verdict))
+    together = rows_together([one.rows for one in of_dumps.values()])
+    lines = verdict_lines(verdict_json(joint.verdict, together))
     for name, one in of_dumps.items():
         if one.verdict.outcome is Outcome.REFUTED:
             lines += [f"dump {name}", *("  " + line for line in verdict_lines(verdict_json(one.verdict)))]
@@ -161,6 +164,7 @@ def omission_lines(omissions: Sequence[Omission], most: int | None = MOST_REASON
         name = "" if lines else "not used"
         lines.append(f"{name:26s}{len(those)} {kind}{'s' if len(those) > 1 else ''}: {_causes(those)}")
     shown = [o for o in omissions if o.kind not in ("star", "target")] + by_kind.get("target", [])
+    shown.sort(key=lambda o: o.cause in UNNEEDED)
     shown += by_kind.get("star", []) if most is None else []
     lines += [f"  {o.kind} {o.name}: {o.reason}" for o in shown[:most]]
     if most is not None and shown[most:]:

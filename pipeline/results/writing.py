@@ -36,6 +36,7 @@ from boresight.pipeline.stages.calibrate import Calibration
 from boresight.pipeline.stages.joint import JointCalibration
 from boresight.pipeline.stages.sky_strip import SkyTask
 from boresight.pipeline.stages.strip import MatchedTargets, StripTask
+from boresight.pipeline.stages.unused_rows import Rows, rows_together
 
 __all__ = [
     "verdict_json",
@@ -59,6 +60,7 @@ FIELDS = (
     "frames",
     "stars",
     "targets",
+    "rows",
     "chi2",
     "dof",
     "settings",
@@ -97,6 +99,7 @@ def write_installation(result: Path, calibration: Calibration, settings: Setting
     content = _installation(
         calibration.estimate,
         calibration.verdict,
+        calibration.rows,
         (calibration.settings, settings),
         ground_m_per_rad(calibration.strips, calibration.camera),
     )
@@ -118,7 +121,11 @@ def write_joint_result(
     _write_groups(tables / "omissions.parquet", [_omissions_table(joint.omissions)])
     camera = next(iter(of_dumps.values())).camera
     content = _installation(
-        estimate, joint.verdict, (joint.settings, settings), ground_m_per_rad(joint.strips, camera)
+        estimate,
+        joint.verdict,
+        rows_together([found.rows for found in of_dumps.values()]),
+        (joint.settings, settings),
+        ground_m_per_rad(joint.strips, camera),
     )
     write_json(result / "installation.json", content)
 
@@ -141,17 +148,20 @@ def write_json(path: Path, content: dict[str, Any]) -> None:
     write_text(path, text)
 
 
-def verdict_json(verdict: Verdict) -> dict[str, Any]:
+def verdict_json(verdict: Verdict, rows: Sequence[Rows] = ()) -> dict[str, Any]:
     """A verdict as installation.json has it: for each check also whether it holds, and what to look at; for
-    all of them, the sentence that console and report begin with.
+    all of them, the sentence that console and report begin with, with the rows of tables of which not all
+    are used.
     """
+    partly = [str(one) for one in rows if one.used < one.listed]
+    used = f"; used: {', '.join(partly)}" if partly else ""
     checks = [
         plain(check)
         | {"holds": check.holds, "is_caution": check.is_caution}
         | {"look_at": [suspect.value for suspect in check.look_at]}
         for check in verdict.checks
     ]
-    return plain(verdict) | {"checks": checks, "sentence": verdict.sentence}
+    return plain(verdict) | {"checks": checks, "sentence": verdict.sentence + used}
 
 
 def ground_m_per_rad(strips: Sequence[StripSightings], camera: LineSensor) -> Floats:
@@ -167,6 +177,7 @@ def ground_m_per_rad(strips: Sequence[StripSightings], camera: LineSensor) -> Fl
 def _installation(
     estimate: InstallationEstimate,
     verdict: Verdict,
+    rows: Sequence[Rows],
     given: tuple[CalibrationSettings, Settings],
     ground: Floats,
 ) -> dict[str, Any]:
@@ -175,7 +186,7 @@ def _installation(
         "calibration": dataclasses.asdict(error_model)
     }
     values = {
-        "verdict": verdict_json(verdict),
+        "verdict": verdict_json(verdict, rows),
         "R_cs": estimate.R_cs.as_matrix().tolist(),
         "quaternion": estimate.R_cs.as_quat(canonical=True).tolist(),
         "theta_rad": estimate.theta.tolist(),
@@ -185,6 +196,7 @@ def _installation(
         "frames": estimate.n_exposures,
         "stars": estimate.n_stars,
         "targets": estimate.n_targets,
+        "rows": {one.name: {"used": one.used, "listed": one.listed} for one in rows},
         "chi2": estimate.chi2,
         "dof": estimate.dof,
         "settings": used,

@@ -55,6 +55,7 @@ from boresight.pipeline.stages.strip import (
     targets_near,
 )
 from boresight.pipeline.stages.strip_sightings import strip_sightings
+from boresight.pipeline.stages.unused_rows import Rows, rows_used, unused_rows
 
 __all__ = ["Calibration", "calibrate_dump", "rejections_of", "strips_to_match", "strips_with_stars"]
 
@@ -76,6 +77,7 @@ class Calibration:
     strips: tuple[StripSightings, ...] = scalar("those that the estimate is made from, ground first")
     settings: CalibrationSettings = scalar("of the estimate, with the dump's stated errors")
     omissions: tuple[Omission, ...] = scalar("everything that is not used, with reasons")
+    rows: tuple[Rows, ...] = scalar("how many rows of each table the estimate depends on")
     n_computed: int = scalar("exposures and strips that were computed in this run")
     n_reused: int = scalar("those that were read from the store")
 
@@ -149,7 +151,13 @@ def calibrate_dump(
         if not (last.named or any(task.targets for task in last.tasks)):
             break  # measured image points alone: no matrix moves them
     found = last.estimate.with_reference(heads[0].head.name)
-    omissions = (*_unused_so_far(dump, heads, sky), *last.omissions, *rejections_of(found))
+    observed = [*last.matched, *map(as_matched, last.named)]
+    omissions = (
+        *_unused_so_far(dump, heads, sky),
+        *last.omissions,
+        *rejections_of(found),
+        *unused_rows(dump, last.tasks, observed, settings.run.exposure_margin_s),
+    )
     reliability = examine(
         found,
         last.strips,
@@ -177,6 +185,7 @@ def calibrate_dump(
         strips=last.strips,
         settings=error_model,
         omissions=omissions,
+        rows=rows_used(dump, found, last.strips),
         n_computed=sum(computed),
         n_reused=len(computed) - sum(computed),
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
@@ -13,15 +14,16 @@ from boresight.geometry.constants import WGS84
 from boresight.geometry.geodesy import geodetic_from_ecef
 from boresight.geometry.geoid import egm96
 from boresight.geometry.record import Floats
-from boresight.pipeline.errors import Omission
+from boresight.pipeline.errors import Cause, Omission
 from boresight.pipeline.files.dump import Dump, TerrainFiles, surface_of
 from boresight.pipeline.stages.strip import StripTask
 
-__all__ = ["heights", "input_findings"]
+__all__ = ["given_twice", "heights", "input_findings", "outside_chips"]
 
 FEWEST = 3  # targets that make a pattern
 SMALLEST_HEIGHT_M = 5.0  # systematic difference of heights that is reported
 SINGLE_HEIGHT_M = 30.0  # ... of one target from the others: slopes and trees stay below
+SHOWN = 4  # names in a sentence
 WRONG = (Reason.OUTSIDE_CHIP, Reason.INCONSISTENT)  # refusals of targets whose place is wrong
 
 
@@ -29,8 +31,59 @@ def input_findings(dump: Dump, tasks: Sequence[StripTask], omissions: Sequence[O
     """All such findings; `tasks` are the strips that were matched and `omissions` what is not used."""
     every = {target.target_id: target for task in tasks for target in task.targets}
     wrong = {reason.replace("_", " ") for reason in WRONG} | {WhyRejected.TARGET_RESIDUAL.value}
-    without = {one.name.partition("/")[2].partition(",")[0] for one in omissions if one.cause in wrong}
-    return [*_heights(dump, {name: target for name, target in every.items() if name not in without})]
+    without = {one.target_id for one in omissions if one.cause in wrong}
+    return [
+        *given_twice(omissions),
+        *outside_chips(omissions),
+        *_heights(dump, {name: target for name, target in every.items() if name not in without}),
+    ]
+
+
+def given_twice(omissions: Sequence[Omission]) -> Iterator[Finding]:
+    """Strips, CCDs, exposures and targets that repeat others, and images that several rows name."""
+    for kind, table in TABLES.items():
+        of_kind = [one for one in omissions if one.kind == kind]
+        for cause, text in SEVERAL.items():
+            names = [one.name for one in of_kind if one.cause == cause]
+            if names:
+                more = f" and {len(names) - SHOWN} more" if len(names) > SHOWN else ""
+                yield Finding(
+                    cause=cause.value,
+                    item=f"{len(names)} {kind}{'s' if len(names) > 1 else ''}",
+                    text=f"{', '.join(names[:SHOWN])}{more}: {text} {table}.",
+                    file=table,
+                    is_fault=kind != "target",  # chips may overlap
+                )
+
+
+TABLES = {
+    "strip": "strips.csv",
+    "ccd": "strips.csv",
+    "exposure": "exposures.csv",
+    "head": "dump.toml",
+    "target": "targets.csv",
+}
+SEVERAL = {
+    Cause.REPEATED: "not independent of others, so left out; remove from",
+    Cause.SAME_PIXELS: "one image under several times, so none is used; correct file in",
+}
+
+
+def outside_chips(omissions: Sequence[Omission]) -> Iterator[Finding]:
+    """Targets that do not lie in their chips, each once."""
+    of_target: dict[str, list[Omission]] = defaultdict(list)
+    for one in omissions:
+        if one.kind == "target" and one.cause == Cause.OUTSIDE_CHIP:
+            of_target[one.target_id].append(one)
+    for name, those in of_target.items():
+        yield Finding(
+            cause="coordinates or chip",
+            item=f"target {name}",
+            text=f"{those[0].reason}.",
+            file="targets.csv",
+            field="lat_deg, lon_deg",
+            targets=tuple(one.name for one in those if "/" in one.name),
+        )
 
 
 def _heights(dump: Dump, targets: Mapping[str, Target]) -> Iterator[Finding]:

@@ -9,7 +9,8 @@ import numpy as np
 
 from boresight.calib.estimate import NotObservable
 from boresight.gct_match.records import Target
-from boresight.geometry.record import Floats
+from boresight.geometry.constants import WGS84
+from boresight.geometry.record import Bools, Floats
 from boresight.pipeline.errors import Cause, Omission
 from boresight.pipeline.files.dump import Dump
 from boresight.pipeline.files.star_side import StarCentroids
@@ -18,7 +19,7 @@ from boresight.pipeline.stages.exposure import is_mirrored, star_tasks
 from boresight.pipeline.stages.head import HeadSightings
 from boresight.pipeline.stages.strip import MatchedTargets, StripTask, footprint_e, pushbroom_of
 
-__all__ = ["misses", "nearest_miss", "what_is_missing"]
+__all__ = ["in_view", "misses", "nearest_miss", "uncertainty_m", "what_is_missing"]
 
 MIRROR_TRIALS = 3  # exposures
 FEW_TARGETS = 4  # of a strip; fewer seldom exclude chance when the pre-launch matrix is uncertain
@@ -123,8 +124,37 @@ def misses(task: StripTask, targets: Sequence[Target]) -> tuple[Floats, float]:
     across = np.cross(along, middle / np.linalg.norm(middle))
     axes = np.stack([across, along])
     inside = (seen_e.reshape(-1, 3) - middle) @ axes.T
-    points = (np.array([target.p_e for target in targets]) - middle) @ axes.T
+    points = _along_the_ground(np.array([target.p_e for target in targets]), middle) @ axes.T
     low, high = np.nanmin(inside, axis=0), np.nanmax(inside, axis=0)
     lines = pushbroom_of(task).instants(np.array([0.0, task.strip.lines - 1.0]))
     speed_m_s = float(np.linalg.norm(last - first) / (lines[1] - lines[0]))
     return np.maximum(np.maximum(low - points, points - high), 0.0), speed_m_s
+
+
+def _along_the_ground(p_e: Floats, middle_e: Floats) -> Floats:
+    """Horizontal vectors (N, 3) from a point to places (N, 3), m, as long as the way along a sphere."""
+    up = middle_e / np.linalg.norm(middle_e)
+    level = p_e - np.outer(p_e @ up, up)
+    length = np.linalg.norm(level, axis=1)
+    way = np.linalg.norm(middle_e) * np.arctan2(length, p_e @ up)
+    return np.asarray(level * (way / np.maximum(length, 1e-9))[:, None])
+
+
+def in_view(task: StripTask, p_e: Floats) -> Bools:
+    """Which places (N, 3), ITRS in m, some CCD of a strip shows."""
+    model = pushbroom_of(task)
+    seen = np.zeros(len(p_e), dtype=bool)
+    for ccd, lines in task.strip.ccd_lines.items():
+        sample, line = model.pixels_from_ground(ccd, p_e)
+        inside = (sample >= -0.5) & (sample <= task.camera.n_px(ccd) - 0.5)
+        seen |= inside & (line >= -0.5) & (line <= lines - 0.5)
+    return seen
+
+
+def uncertainty_m(task: StripTask) -> float:
+    """How far targets in a strip may lie from their predicted places on the ground, m: the half-width of the
+    search by the installation matrix' sigma.
+    """
+    t_s = pushbroom_of(task).instants(np.array([0.5 * (task.strip.lines - 1.0)]))
+    height_m = float(np.linalg.norm(task.orbit.positions_e(t_s)[0])) - WGS84.semi_major_m
+    return task.settings.sigmas * float(task.sigma_installation_rad.max()) * height_m

@@ -15,7 +15,7 @@ from boresight.geometry.geodesy import geodetic_from_ecef, local_axes_e
 from boresight.geometry.record import Floats
 from boresight.pipeline.errors import Cause, Omission, RawDataError
 from boresight.pipeline.files.dump import ChipFile, Dump
-from boresight.pipeline.files.image_files import grid_side_m
+from boresight.pipeline.files.image_files import grid_place
 
 __all__ = ["targets_once"]
 
@@ -71,7 +71,7 @@ def _template_side_m(chips: Sequence[ChipFile], most_m: float) -> float:
     sides_m = [most_m]
     for chip in chips:
         with suppress(RawDataError):
-            sides_m.append(grid_side_m(chip.path, chip.file))
+            sides_m.append(grid_place(chip.path, chip.file).side_m)
     return min(sides_m)
 
 

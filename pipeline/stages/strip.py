@@ -34,6 +34,7 @@ from boresight.pipeline.files.dump import ChipFile, Dump, Strip, TargetHeights, 
 from boresight.pipeline.files.ground_points import NO_POINTS, StripPoints
 from boresight.pipeline.files.image_files import read_grid
 from boresight.pipeline.run.executor import Executor, InOrder
+from boresight.pipeline.stages.coordinate_slips import contradiction
 from boresight.pipeline.stages.match_pictures import NO_PICTURES, MatchPictures, match_pictures
 
 __all__ = [
@@ -244,6 +245,9 @@ def _omission(task: StripTask, refusal: Refusal) -> Omission:
         reason += (
             f"; its chip or coordinates lie about {compass(*_displaced_m(task, refusal))} of the true place"
         )
+    elif refusal.reason is Reason.OUTSIDE_CHIP:
+        n = next(n for n, one in enumerate(task.targets) if one.target_id == refusal.target_id)
+        reason += f"; {contradiction(task.targets[n], task.chips[n], task.chips)}"
     return Omission("target", name, file, reason, refusal.reason.replace("_", " "))
 
 

@@ -84,16 +84,18 @@ def test_a_sound_dump_shows_footprints_and_the_nearest_miss_of_every_target(
     one_strip: Path, tmp_path: Path
 ) -> None:
     rows = (one_strip / "targets.csv").read_text().splitlines()
-    moved = rows[1].split(",")
+    moved = rows[5].split(",")
     moved[1] = f"{float(moved[1]) + 0.5:.6f}"  # 55 km north
-    (one_strip / "targets.csv").write_text("\n".join([rows[0], ",".join(moved), *rows[2:]]) + "\n")
+    rows = [*rows[:5], ",".join(moved), *rows[6:]]
+    (one_strip / "targets.csv").write_text("\n".join(rows) + "\n")
     page = tmp_path / "check.html"
     status, text = run("dump", "check", one_strip, "--out", page, "--json", "-q")
     assert status == 0, text
     found = json.loads(text)["result"]
     assert found["errors"] == [] and list(found["footprints"]) == ["s01"]
     far, *others = found["targets"]
-    assert far["nearest"] == "s01" and far["seen_by"] == []
+    assert far["nearest"] == "s01" and far["seen_by"] == [] and far["target_id"] == moved[0]
+    assert far["contradiction"].startswith("lat_deg 36.01 for 36.51 (one digit) would lie in its chip")
     # 55.5 km along the meridian, 10 degrees off the track; the strip is 13 km long
     assert 40e3 < far["along_m"] < 56e3 and far["along_s"] == pytest.approx(far["along_m"] / 7e3, rel=0.05)
     assert sum(one["seen_by"] == ["s01"] for one in others) >= 8

@@ -46,7 +46,7 @@ def later(utc: str, ms: int) -> str:
 
 
 def reasons(dump: Dump) -> dict[str, str]:
-    assert {o.cause for o in dump.omissions} <= {Cause.REPEATED}
+    assert {o.cause for o in dump.omissions} <= {Cause.REPEATED, Cause.SAME_PIXELS}
     return {f"{o.kind} {o.name}": o.reason for o in dump.omissions}
 
 

@@ -86,7 +86,7 @@ def test_bright_places_without_contrast_are_clouds_and_dark_ones_are_not():
     assert list(clouds("s1", seen | {USED: used[:2]})) == []  # too few to know what the ground looks like
 
 
-@pytest.mark.parametrize("cause", ["inconsistent", "outside chip", "target residual"])
+@pytest.mark.parametrize("cause", ["inconsistent", "target residual"])
 def test_single_targets_that_contradict_the_rest_are_named(cause):
     (found,) = single_targets([row("s1", "t1", cause=cause), row("s1", "t2", state=USED, cause="")])
     assert "target t1 (strip s1)" in found.item and found.targets == ("s1/t1",) and found.is_fault

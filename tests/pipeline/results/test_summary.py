@@ -36,13 +36,14 @@ def calibration(**changed: Any) -> Any:
         "targets": SimpleNamespace(doubtful=()),
     } | changed
     verdict = SimpleNamespace(checks=())
-    return SimpleNamespace(estimate=SimpleNamespace(**estimate), verdict=verdict, omissions=())
+    return SimpleNamespace(estimate=SimpleNamespace(**estimate), verdict=verdict, omissions=(), rows=())
 
 
 @pytest.fixture(autouse=True)
 def plain_verdict(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(
-        "boresight.pipeline.results.summary.verdict_json", lambda verdict: {"checks": [], "sentence": ""}
+        "boresight.pipeline.results.summary.verdict_json",
+        lambda verdict, rows=(): {"checks": [], "sentence": ""},
     )
 
 

@@ -1,0 +1,110 @@
+"""Coordinates that contradict a target's chip, and the slip that would put them right.
+
+A chip shows the ground around its target. Where the target lies outside, its coordinates may have been
+mistyped, or its chip is that of another target.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from itertools import pairwise
+
+import numpy as np
+
+from boresight.gct_match.records import Target
+from boresight.geometry.constants import WGS84
+from boresight.geometry.geodesy import ecef_from_geodetic, geodetic_from_ecef
+from boresight.geometry.record import Bools, Floats, record, scalar
+from boresight.pipeline.errors import RawDataError
+from boresight.pipeline.files.dump import ChipFile
+from boresight.pipeline.files.image_files import GridPlace, grid_place
+
+__all__ = ["Slip", "contradiction", "likeliest", "slips"]
+
+DECIMALS = 7  # of a degree: a centimetre
+MOST_CHIPS = 200  # that are looked at for the one of which a target is
+
+
+@record
+class Slip:
+    """Coordinates as they may have been meant."""
+
+    lat_deg: float = scalar("latitude, °")
+    lon_deg: float = scalar("longitude, °")
+    words: str = scalar('what would have to be read: "lon_deg 102.91 for 102.19 (digits exchanged)"')
+
+
+def slips(lat_deg: float, lon_deg: float) -> list[Slip]:
+    """Coordinates that one slip turns into (`lat_deg`, `lon_deg`), °, the commonest kinds first: neighbouring
+    digits exchanged, a sign, latitude and longitude exchanged, one digit wrong.
+    """
+    lat, lon = f"{lat_deg:.{DECIMALS}f}", f"{lon_deg:.{DECIMALS}f}"
+    found = []
+    for kind, change in (("digits exchanged", _exchanged), ("sign", _negated), ("one digit", _one_digit)):
+        if kind == "one digit":
+            found.append(Slip(lon_deg, lat_deg, "lat_deg and lon_deg exchanged"))
+        found += [Slip(float(one), lon_deg, _words("lat_deg", one, lat, kind)) for one in change(lat)]
+        found += [Slip(lat_deg, float(one), _words("lon_deg", one, lon, kind)) for one in change(lon)]
+    return [one for one in found if abs(one.lat_deg) <= 90.0 and -180.0 <= one.lon_deg <= 360.0]
+
+
+def likeliest(candidates: Sequence[Slip], fits: Callable[[Floats], Bools]) -> Slip | None:
+    """The first of some slips whose places (N, 2), latitude and longitude in °, fit; None where none does."""
+    places = np.array([[one.lat_deg, one.lon_deg] for one in candidates])
+    return next((one for one, good in zip(candidates, fits(places).tolist()) if good), None)
+
+
+def contradiction(target: Target, chip: ChipFile, others: Sequence[ChipFile]) -> str:
+    """How a target's coordinates contradict its chip, with what would put them right; empty where they lie in
+    it, or it cannot be read. `others` are the chips of all targets.
+    """
+    place = _place(chip)
+    lat, lon, _ = np.degrees(geodetic_from_ecef(target.p_e[None], WGS84))
+    here = np.column_stack([lat, lon])
+    if place is None or place.contains(here)[0]:
+        return ""
+    if slip := likeliest(slips(*here[0].tolist()), place.contains):
+        return f"{slip.words} would lie in its chip; correct targets.csv"
+    for other in others[:MOST_CHIPS]:
+        if other.file != chip.file and (theirs := _place(other)) and theirs.contains(here)[0]:
+            return f"not in {chip.file} but in {other.file}, the chip of {other.target_id}: correct the files"
+    return f"{_apart_km(here[0], place):.3g} km from the middle of its chip; correct its coordinates or chip"
+
+
+def _place(chip: ChipFile) -> GridPlace | None:
+    try:
+        return grid_place(chip.path, chip.file)
+    except RawDataError:
+        return None
+
+
+def _apart_km(here_deg: Floats, place: GridPlace) -> float:
+    lat, lon = np.radians(np.array([here_deg, place.middle_deg], dtype=float)).T
+    one, other = ecef_from_geodetic(lat, lon, np.zeros(2), WGS84)
+    return 1e-3 * float(np.linalg.norm(one - other))
+
+
+def _words(name: str, meant: str, stated: str, kind: str) -> str:
+    """Both values, cut after the last digit in which they differ, at least two after the point."""
+    if len(meant) != len(stated):
+        return f"{name} {float(meant):g} for {float(stated):g} ({kind})"
+    differ = max(n for n, (a, b) in enumerate(zip(meant, stated)) if a != b)
+    end = max(differ + 1, stated.index(".") + 3)
+    return f"{name} {meant[:end]} for {stated[:end]} ({kind})"
+
+
+def _exchanged(text: str) -> Iterator[str]:
+    for a, b in pairwise(n for n, c in enumerate(text) if c.isdigit()):
+        if text[a] != text[b]:
+            yield text[:a] + text[b] + text[a + 1 : b] + text[a] + text[b + 1 :]
+
+
+def _negated(text: str) -> Iterator[str]:
+    yield text[1:] if text.startswith("-") else f"-{text}"
+
+
+def _one_digit(text: str) -> Iterator[str]:
+    for n, old in enumerate(text):
+        for new in "0123456789" if old.isdigit() else "":
+            if new != old:
+                yield text[:n] + new + text[n + 1 :]

@@ -1,0 +1,151 @@
+"""Rows of a dump's tables that no strip needs, each with its reason, and how many of every table were used.
+
+What cannot be used is reported where that is found. Here is the rest: targets that no strip shows, exposures
+far from every strip, images of strips in which no target or star was measured.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+
+import numpy as np
+
+from boresight.calib.estimate import InstallationEstimate
+from boresight.geometry.record import record, scalar
+from boresight.geometry.sightings import StripSightings
+from boresight.pipeline.errors import Cause, Omission
+from boresight.pipeline.files.dump import Dump, Strip
+from boresight.pipeline.files.star_side import SolvedAttitudes
+from boresight.pipeline.stages.coordinate_slips import contradiction
+from boresight.pipeline.stages.head import around_strips
+from boresight.pipeline.stages.missing import misses
+from boresight.pipeline.stages.strip import MatchedTargets, StripTask
+
+__all__ = [
+    "Rows",
+    "rows_together",
+    "rows_used",
+    "unneeded_exposures",
+    "unseen_targets",
+    "unused_rows",
+    "without_measurement",
+]
+
+MOST_CHIPS = 200  # of unseen targets whose chips are looked at: a list of a whole country has thousands
+
+
+@record
+class Rows:
+    """How many rows of a table were used."""
+
+    name: str = scalar("what the rows are: targets, points, strips, exposures")
+    used: int = scalar("rows that the result depends on")
+    listed: int = scalar("all rows")
+
+    def __str__(self) -> str:
+        return f"{self.used} of {self.listed} {self.name}"
+
+
+def rows_used(
+    dump: Dump, estimate: InstallationEstimate, strips: Sequence[StripSightings]
+) -> tuple[Rows, ...]:
+    """Rows of the tables of a dump that an estimate from `strips` depends on, without empty tables."""
+    kept = estimate.targets.kept
+    seen = set(zip(estimate.targets.strip_id[kept].tolist(), estimate.targets.target_id[kept].tolist()))
+    measured = {(one.strip_id, target.target_id) for one in dump.points for target in one.targets}
+    used = {
+        "targets": len({name for _, name in seen} & {target.target_id for target in dump.targets}),
+        "points": len(seen & measured),
+        "strips": len({strip_id for strip_id, _ in seen}),
+        "exposures": len({one.exposure_id for strip in strips for one in strip.exposures}),
+    }
+    return tuple(Rows(name, used[name], n) for name, n in dump.listed.items() if n)
+
+
+def rows_together(of_dumps: Sequence[Sequence[Rows]]) -> tuple[Rows, ...]:
+    """Rows of the tables of several dumps, table by table."""
+    sums: dict[str, Rows] = {}
+    for one in (row for rows in of_dumps for row in rows):
+        so_far = sums.get(one.name, Rows(one.name, 0, 0))
+        sums[one.name] = Rows(one.name, so_far.used + one.used, so_far.listed + one.listed)
+    return tuple(sums.values())
+
+
+def unused_rows(
+    dump: Dump, tasks: Sequence[StripTask], observed: Sequence[MatchedTargets], margin_s: float
+) -> list[Omission]:
+    """All of the rest. `observed` are the targets matched in strips of the ground, whose tasks are `tasks`, and
+    the stars of those of the sky; exposures are needed within `margin_s` of a strip.
+    """
+    return [
+        *unseen_targets(dump, tasks, observed),
+        *without_measurement((*dump.strips, *dump.sky_strips), observed),
+        *unneeded_exposures(dump, margin_s),
+    ]
+
+
+def unseen_targets(
+    dump: Dump, tasks: Sequence[StripTask], matched: Sequence[MatchedTargets]
+) -> list[Omission]:
+    """Targets that no strip shows: first those that do not lie in their chip either, then by distance."""
+    named = {name for one in matched for name in one.target_id.tolist()}
+    named |= {omission.target_id for one in matched for omission in one.omissions}
+    unseen = [both for both in zip(dump.targets, dump.chips) if both[0].target_id not in named]
+    if not unseen:
+        return []
+    if not tasks:
+        reason = "no strip can be used"
+        return [Omission("target", t.target_id, chip.file, reason, Cause.OUT_OF_VIEW) for t, chip in unseen]
+    off_m = np.array([np.hypot(*misses(task, [target for target, _ in unseen])[0].T) for task in tasks])
+    contradicted, others = list[Omission](), list[Omission]()
+    for n in np.argsort(off_m.min(axis=0), kind="stable").tolist():
+        (target, chip), nearest = unseen[n], int(np.argmin(off_m[:, n]))
+        reason = _beside(float(off_m[nearest, n]), tasks[nearest].strip.strip_id)
+        looked_at = len(contradicted) + len(others) < MOST_CHIPS
+        if why := contradiction(target, chip, dump.chips) if looked_at else "":
+            text = f"{reason}; {why}"
+            contradicted.append(Omission("target", target.target_id, chip.file, text, Cause.OUTSIDE_CHIP))
+        else:
+            others.append(Omission("target", target.target_id, chip.file, reason, Cause.OUT_OF_VIEW))
+    return contradicted + others
+
+
+def _beside(off_m: float, strip_id: str) -> str:
+    if off_m == 0.0:
+        return f"it lies in a gap between the CCDs of strip {strip_id}"
+    return f"it lies {off_m / 1e3:.3g} km from the nearest strip, {strip_id}"
+
+
+def unneeded_exposures(dump: Dump, margin_s: float) -> list[Omission]:
+    """Exposures, or attitudes of a head, further than `margin_s` from every strip."""
+    found = []
+    for head in dump.heads:
+        if isinstance(head.source, SolvedAttitudes):
+            far = ~around_strips(dump, head.source.rows.t_s, margin_s)
+            if far.any():
+                reason = f"{far.sum()} of {len(far)} attitudes are more than {margin_s:g} s from every strip"
+                found.append(Omission("head", head.name, head.source.file, reason, Cause.NOT_NEEDED))
+            continue
+        t_s = np.array([one.t_s for one in head.source.exposures])
+        reason = f"more than {margin_s:g} s from every strip (run.exposure_margin_s)"
+        found += [
+            head.source.exposures[k].item.because(reason, Cause.NOT_NEEDED)
+            for k in np.flatnonzero(~around_strips(dump, t_s, margin_s)).tolist()
+        ]
+    return found
+
+
+def without_measurement(strips: Sequence[Strip], observed: Sequence[MatchedTargets]) -> list[Omission]:
+    """CCDs in which nothing was measured, of strips in which something was."""
+    found = []
+    of_strip = {one.strip_id: one for one in observed}
+    for strip in (one for one in strips if one.strip_id in of_strip):
+        one = of_strip[strip.strip_id]
+        lost = Counter(o.name.rpartition(", CCD ")[2] for o in one.omissions if o.kind == "target")
+        for ccd in sorted(set(strip.ccd_lines) - set(one.ccd.tolist())) if len(one.ccd) else ():
+            n, what = lost[str(ccd)], "star" if strip.kind == "sky" else "target"
+            reason = f"none of its {n} {what}s was matched" if n else f"no {what} lies in it"
+            file = strip.images.names.get(ccd, "")
+            found.append(Omission("ccd", f"{strip.strip_id}/{ccd}", file, reason, Cause.NO_TARGET))
+    return found
