@@ -75,7 +75,7 @@ def rows_together(of_dumps: Sequence[Sequence[Rows]]) -> tuple[Rows, ...]:
 def unused_rows(
     dump: Dump, tasks: Sequence[StripTask], observed: Sequence[MatchedTargets], margin_s: float
 ) -> list[Omission]:
-    """All of the rest. `observed` are the targets matched in strips of the ground, whose tasks are `tasks`, and
+    """All of these. `observed` are the targets matched in strips of the ground (`tasks`), and
     the stars of those of the sky; exposures are needed within `margin_s` of a strip.
     """
     return [

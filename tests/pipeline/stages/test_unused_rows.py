@@ -84,7 +84,8 @@ def test_a_target_elsewhere_in_its_own_chip_is_not_accused(
     dump = open_dump(finished[0])
     kept = [one.target_id != "s01-t05" for one in dump.targets]
     far = replace(calibration.matched[0], target_id=np.where(kept, calibration.matched[0].target_id, "x"))
-    tasks = [replace(calibration.tasks[0], strip=replace(calibration.tasks[0].strip, lines=40))]
+    strip = replace(calibration.tasks[0].strip, ccd_lines=dict.fromkeys(range(4), 40))
+    tasks = [replace(calibration.tasks[0], strip=strip)]
     (one,) = unseen_targets(dump, tasks, [far])
     assert one.cause == Cause.OUT_OF_VIEW and "strip, s01" in one.reason
     assert list(outside_chips([one])) == []
