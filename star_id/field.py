@@ -35,7 +35,7 @@ from boresight.star_id.observer import (
     star_directions,
 )
 from boresight.star_id.settings import StarSettings
-from boresight.star_id.sight import field_of_camera, select_for_calibration, tangent_coordinates
+from boresight.star_id.sight import explained, field_of_camera, select_for_calibration, tangent_coordinates
 
 __all__ = [
     "LARGEST_FOV_RAD",
@@ -204,7 +204,8 @@ def solve_field(
     """
     stars = find_stars(image, settings, dark)
     size = (image.shape[1], image.shape[0])
-    return solve_list(stars, size, index, settings, camera=camera, fov_x_rad=fov_x_rad, observer=observer)
+    found = solve_list(stars, size, index, settings, camera=camera, fov_x_rad=fov_x_rad, observer=observer)
+    return explained(found, image, stars.saturation_dn) if isinstance(found, NotIdentified) else found
 
 
 def solve_list(

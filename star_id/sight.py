@@ -7,6 +7,7 @@ Outliers are rejected later and once, by the attitude fit of the exposures (`geo
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -26,6 +27,7 @@ from boresight.star_id.observer import Observer, star_directions
 from boresight.star_id.settings import StarSettings
 
 __all__ = [
+    "explained",
     "field_of_camera",
     "has_reliable_position",
     "select_for_calibration",
@@ -36,6 +38,7 @@ __all__ = [
 ]
 
 _IDENTIFICATION_ERROR_PX = 0.02  # a tenth of a faint star's centroid error
+_MOSTLY = 0.3  # of an image's pixels: a sky has far fewer that are saturated
 _REACH_SIGMA = 8.0  # widths of the PSF beyond which no star displaces another
 
 
@@ -82,7 +85,22 @@ def sight_stars(
         If the image is not (H, W) of at least 32 pixels, or the dark frame has another size.
     """
     stars = find_stars(image, settings, dark)
-    return sight_centroids(exposure_id, stars.centroids, camera, index, observer, settings, prior=prior)
+    found = sight_centroids(exposure_id, stars.centroids, camera, index, observer, settings, prior=prior)
+    return explained(found, image, stars.saturation_dn) if isinstance(found, NotIdentified) else found
+
+
+def explained(found: NotIdentified, image: NDArray, saturation_dn: float) -> NotIdentified:
+    """`found` with what its raw image (H, W) shows instead of a sky: one value, or saturated pixels."""
+    share, least = float(np.mean(image >= saturation_dn)), image.min()
+    if share > _MOSTLY:
+        seen = (
+            f"{100.0 * share:.0f} % of the pixels are saturated: Sun, Moon or Earth in view, or overexposed"
+        )
+    elif least == image.max():
+        seen = f"every pixel is {least:g}: a closed shutter, a dead detector or an empty file"
+    else:
+        return found
+    return replace(found, reason=f"{found.reason}; {seen}")
 
 
 def sight_centroids(

@@ -54,7 +54,8 @@ def score_images(
             shapes = (f"{d.shape[1]} x {d.shape[0]} px" for d in (dark_image, image))
             raise RawDataError(str(dark), "image size", *shapes)
         stars = find_stars(image, settings, dark_image)
-        top = settings.saturation_dn or float(np.iinfo(image.dtype).max)
+        whole_numbers = image.dtype.kind == "u"
+        top = settings.saturation_dn or (float(np.iinfo(image.dtype).max) if whole_numbers else np.inf)
         tables.append(_table(path, stars))
         say(
             f"{path}   {len(stars.xy_px)} stars above {stars.threshold:.2f} sigma   "

@@ -25,6 +25,7 @@ from boresight.geometry.star_camera import StarCamera
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.star_images import read_star_image
 from boresight.pipeline.run.index_cache import cached_index
+from boresight.pipeline.stages.unforeseen import UNFORESEEN, internal_error
 from boresight.star_id.catalogue import hipparcos_stars
 from boresight.star_id.field import (
     LARGEST_FOV_RAD,
@@ -40,6 +41,7 @@ from boresight.star_id.identification.triangle_index import StarIndex, equivalen
 from boresight.star_id.observer import Observer
 from boresight.star_id.planets import Planet, planets_in_view
 from boresight.star_id.settings import StarSettings
+from boresight.star_id.sight import explained
 
 __all__ = [
     "Line",
@@ -117,8 +119,13 @@ def identify_images(images: Sequence[Path], request: Request, settings: StarSett
         except RawDataError as error:
             yield _unnamed(path, width, "not read", str(error), started)
             continue
+        except UNFORESEEN as error:
+            reason = internal_error(error, "identify")
+            yield _unnamed(path, width, "not identified", reason, started)
+            continue
         if isinstance(outcome, NotIdentified):
-            line = _unnamed(path, width, "not identified", outcome.reason, started)
+            reason = explained(outcome, image, stars.saturation_dn).reason
+            line = _unnamed(path, width, "not identified", reason, started)
             yield replace(line, image=image, stars=stars)
             continue
         spent_ms = 1e3 * (time.process_time() - started)

@@ -29,8 +29,8 @@ from boresight.geometry.record import Bools, Floats, array, record, scalar
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.content import small_content
 from boresight.pipeline.files.deflated_tiles import read_deflated
+from boresight.pipeline.files.image_heads import TIFF_MAGICS, check_size, first_bytes
 from boresight.pipeline.files.object_store import StoredPath
-from boresight.pipeline.files.star_images import TIFF_MAGICS, check_size, first_bytes
 
 __all__ = [
     "GridImage",
@@ -48,6 +48,12 @@ PIXEL_SIDE_M = (0.01, 1e5)  # of a chip, terrain model or ground image; 1e-5 m w
 EARTH_RADIUS_M = 6.371e6
 MANY_PIXELS = 2**20  # of an image that several threads read: 30 ms
 MOST_THREADS = 8  # and files open at once
+_ALONE = {  # GDAL reads that file and no other: no sidecar, no network
+    "GDAL_PAM_ENABLED": "NO",
+    "GDAL_DISABLE_READDIR_ON_OPEN": "EMPTY_DIR",
+    "GDAL_TIFF_INTERNAL_MASK": "YES",
+    "CPL_VSIL_CURL_ALLOWED_EXTENSIONS": ".none",
+}
 MAX_COORDINATE = 1e9  # of a map, in its unit
 
 
@@ -74,6 +80,17 @@ def read_planes(path: Path, file: str) -> NDArray[Any]:
             raise RawDataError(file, "pixels", str(error), "pixels that decode") from error
 
 
+def planes_of_png(content: bytes, file: str) -> NDArray[Any]:
+    """All planes (K, height, width) of a PNG file in memory, by libpng; `RawDataError` if it is none."""
+    try:
+        with rasterio.Env(**_ALONE), warnings.catch_warnings(), MemoryFile(content) as memory:
+            warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)
+            with memory.open(driver="PNG") as image:
+                return np.asarray(image.read())
+    except (RasterioError, ValueError, OSError, MemoryError) as error:
+        raise RawDataError(file, "pixels", str(error), "pixels that decode") from error
+
+
 @contextmanager
 def open_geotiff(path: Path, file: str, content: bytes | None = None) -> Iterator[Any]:
     """A TIFF opened for reading by window; only its header is parsed. `RawDataError` if it is none.
@@ -84,19 +101,13 @@ def open_geotiff(path: Path, file: str, content: bytes | None = None) -> Iterato
     magic = content[:4] if content is not None else first_bytes(path, file, 4)
     if magic not in TIFF_MAGICS:
         raise RawDataError(file, "byte 0", magic.hex(" ") or "an empty file", "a TIFF (II or MM, 42 or 43)")
-    options = {
-        "GDAL_PAM_ENABLED": "NO",
-        "GDAL_DISABLE_READDIR_ON_OPEN": "EMPTY_DIR",
-        "GDAL_TIFF_INTERNAL_MASK": "YES",
-        "CPL_VSIL_CURL_ALLOWED_EXTENSIONS": ".none",
-    }
     streams: list[Any] = []
 
     def opener(name: str, mode: str = "rb") -> Any:
         streams.append(path.open(mode, buffering=0))
         return streams[-1]
 
-    with rasterio.Env(**options), warnings.catch_warnings(), ExitStack() as memory, _answered(streams):
+    with rasterio.Env(**_ALONE), warnings.catch_warnings(), ExitStack() as memory, _answered(streams):
         warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)
         try:
             source: Any = path.resolve()

@@ -2,7 +2,7 @@
 
 That is how OpenCV, Pillow and the simulator write images of noise. ISA-L inflates them in a third of the time
 of libpng, and these filters are sums of whole rows and columns. Files with the other two filters, whose sums
-are rounded pixel by pixel, are left to OpenCV. PNG: ISO/IEC 15948:2004.
+are rounded pixel by pixel, are left to Pillow. PNG: ISO/IEC 15948:2004.
 """
 
 from __future__ import annotations
@@ -24,14 +24,15 @@ NONE, SUB, UP = range(3)  # filters of a row
 FIRST_CHUNK = 33  # after signature and header
 ANCILLARY = 0x20  # bit of a chunk's first letter: readers may pass over it
 _FIRST_BYTES = 2**12  # whose rows tell the filters of most files
+_WINDOW = 2**15  # the largest that a stream may state
 _FEED_BYTES = 2**18  # compressed bytes that are inflated at once: their rows stay in the cache
 _SLAB_ROWS = 1024  # whose columns are summed at once
 
 
 def png_rows(content: bytes) -> NDArray[np.uint8] | NDArray[np.uint16] | None:
-    """Pixels (height, width) of a PNG file of 8 or 16 bits of grey; None where OpenCV has to read them.
+    """Pixels (height, width) of a PNG file of 8 or 16 bits of grey; None where Pillow has to read them.
 
-    The file's chunks are complete, the first one is IHDR. OpenCV reads what is interlaced, coloured, has a
+    The file's chunks are complete, the first one is IHDR. Pillow reads what is interlaced, coloured, has a
     transparent grey value or other filters, and what the standard forbids, of which it tells the reason.
     """
     length, width, height, depth, *kinds = struct.unpack_from(">I4xIIBBBBB", content, 8)
@@ -77,20 +78,31 @@ def _inflated(
     """Filters (height,) and filtered rows (height, length)."""
     filters, rows = np.empty(height, np.uint8), np.empty((height, length), np.uint8)
     inflate, rest, done = isal_zlib.decompressobj(), b"", 0
-    for piece in _pieces(data):
+    for n, piece in enumerate(_pieces(data)):
+        if n == 0 and not _is_plain_stream(piece, height * (1 + length)):
+            return None
         try:
             rest += inflate.decompress(piece, (height - done) * (1 + length) - len(rest) + 1)
         except IsalError:  # type: ignore[misc]  # its stub makes it a variable
             return None
-        n = len(rest) // (1 + length)
-        if done + n == height and len(rest) > n * (1 + length):
+        more = len(rest) // (1 + length)
+        if done + more == height and len(rest) > more * (1 + length):
             return None  # more than the image
-        block = np.frombuffer(rest, np.uint8, n * (1 + length)).reshape(n, 1 + length)
-        if n and block[:, 0].max() > UP:
+        block = np.frombuffer(rest, np.uint8, more * (1 + length)).reshape(more, 1 + length)
+        if more and block[:, 0].max() > UP:
             return None
-        filters[done : done + n], rows[done : done + n] = block[:, 0], block[:, 1:]
-        done, rest = done + n, rest[n * (1 + length) :]
+        filters[done : done + more], rows[done : done + more] = block[:, 0], block[:, 1:]
+        done, rest = done + more, rest[more * (1 + length) :]
     return (filters, rows) if done == height and not rest and inflate.eof else None
+
+
+def _is_plain_stream(head: bytes, length: int) -> bool:
+    """Whether a stream of `length` bytes, inflated, may refer back as far as ISA-L allows (RFC 1950, 2.2).
+
+    ISA-L takes the window for one of 32 kB whatever the stream states; zlib refuses what reaches beyond it.
+    """
+    window = 2 ** ((head[0] >> 4) + 8) if len(head) >= 2 else 0
+    return 0 < window <= _WINDOW and (window == _WINDOW or length <= window)
 
 
 def _pieces(data: list[bytes]) -> Iterator[bytes]:

@@ -13,8 +13,6 @@ from itertools import islice
 from pathlib import Path
 from typing import Any, Protocol, get_args, get_type_hints
 
-import cv2
-
 from boresight.geometry.record import record, scalar
 from boresight.pipeline.errors import Cause, Omission
 from boresight.pipeline.files.content import Identity, read_ahead, remember_digest, with_identity
@@ -22,13 +20,10 @@ from boresight.pipeline.files.record_tables import record_from_table, table_from
 from boresight.pipeline.run.digests import digest, files_in, program
 from boresight.pipeline.run.executor import Executor, InOrder
 from boresight.pipeline.run.unit_store import UnitStore, read_meta
+from boresight.pipeline.stages.unforeseen import UNFORESEEN, internal_error
 from boresight.pipeline.stages.unit_log import log_unit
 
 __all__ = ["Progress", "StageRunner", "Task", "Unit"]
-
-# What numerical code may raise on data that it was not written for. One failure does not abort the run: it is
-# counted, and its text names the exception.
-UNFORESEEN = (ValueError, ArithmeticError, cv2.error)
 
 Progress = Callable[[str, int, int], None]  # name of the stage, tasks done, tasks in all
 
@@ -114,8 +109,7 @@ class Cached:
         try:
             return self.stage(task, *self.more)
         except UNFORESEEN as error:
-            what = f"{type(error).__name__}: {str(error)[:300]}"
-            reason = f"internal error in {self.stage.__name__}: {what}; please report"
+            reason = internal_error(error, self.stage.__name__)
             return task.item.because(reason, Cause.INTERNAL_ERROR)
 
 

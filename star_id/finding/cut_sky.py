@@ -30,8 +30,11 @@ def cut_moments(counts: Floats, value: Floats, level: Floats, noise: Floats) -> 
 
     The level is the mean after the cut, the noise that before it. Blocks with too few pixels above the cut
     have the median noise of the others. Blocks whose noise is a few grey levels keep `level` and `noise`:
-    their least value is no cut.
+    their least value is no cut, and so do all where the least value is the last of the histogram: an image
+    that is saturated throughout.
     """
+    if len(value) < 2:
+        return level, noise, np.full(len(level), UNCUT)
     share = np.cumsum(counts, axis=1) / counts.sum(axis=1, keepdims=True)
     least, step = share[:, 0], value[1] - value[0]
     z = ndtri(np.clip(least + 0.05, 0.55, 0.97))

@@ -1,0 +1,61 @@
+"""What is asked of an image file before a pixel of it is decoded: first bytes, size, depth, length."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from boresight.pipeline.errors import RawDataError
+from boresight.pipeline.files.content import check_regular, content_of, small_content
+
+__all__ = ["MAX_STAR_PIXELS", "TIFF_MAGICS"]
+__all__ += ["check_length", "check_size", "encoded_content", "first_bytes", "kept_head"]
+
+TIFF_MAGICS = (b"II*\x00", b"MM\x00*", b"II+\x00", b"MM\x00+")
+MAX_STAR_PIXELS = 2**28  # an image of `identify`; those of a dump must have the camera's size
+_SPARE_BYTES = 2**20  # for tables and comments of a file, beyond twice its pixels
+
+
+def first_bytes(path: Path, file: str, n: int) -> bytes:
+    """The first `n` bytes of an image file; `RawDataError` if it cannot be read."""
+    check_regular(path, file, "an image")
+    try:
+        with path.open("rb") as stream:
+            return stream.read(n)
+    except OSError as error:
+        raise RawDataError(file, "file", error.strerror or str(error), "a readable image") from error
+
+
+def kept_head(path: Path, file: str, n: int) -> bytes:
+    """The first `n` bytes of a file that is going to be read as a whole: a small one is then kept."""
+    check_regular(path, file, "an image")
+    try:
+        content = small_content(path)
+        return first_bytes(path, file, n) if content is None else content[:n]
+    except OSError as error:
+        raise RawDataError(file, "file", error.strerror or str(error), "a readable image") from error
+
+
+def check_length(path: Path, file: str, pixel_bytes: int) -> None:
+    """`RawDataError` for a file that is longer than its pixels can account for."""
+    limit = 2 * pixel_bytes + _SPARE_BYTES
+    if (length := path.stat().st_size) > limit:
+        raise RawDataError(file, "file", f"{length} bytes", f"at most {limit} bytes for so many pixels")
+
+
+def encoded_content(path: Path, file: str, pixel_bytes: int) -> bytes:
+    """The bytes of a file whose length agrees with its number of pixels."""
+    check_length(path, file, pixel_bytes)
+    return content_of(path)
+
+
+def check_size(
+    file: str, got: tuple[int, int], expected: tuple[int, int] | None, got_bits: int, bits: int | None
+) -> None:
+    """`RawDataError` unless width and height are as expected, or few enough, and the depth 8 or 16 bits."""
+    if expected is None and got[0] * got[1] > MAX_STAR_PIXELS:
+        raise RawDataError(file, "image size", f"{got[0]} x {got[1]} px", f"at most {MAX_STAR_PIXELS} px")
+    if expected is not None and got != expected:
+        raise RawDataError(file, "image size", f"{got[0]} x {got[1]} px", f"{expected[0]} x {expected[1]} px")
+    if (bits is not None and got_bits != bits) or got_bits not in (8, 16):
+        expected_bits = f"{bits}" if bits is not None else "8 or 16"
+        raise RawDataError(file, "bit depth", f"{got_bits} bits", f"{expected_bits} bits a pixel")
