@@ -127,6 +127,9 @@ def open_geotiff(path: Path, file: str, content: bytes | None = None) -> Iterato
                 if (row := rows * max(columns, image.width) * np.dtype(kind).itemsize) > MAX_BLOCK_BYTES:
                     found = f"{columns} x {rows} px, {row} bytes in a row"
                     raise RawDataError(file, "tiles or strips", found, f"at most {MAX_BLOCK_BYTES} bytes")
+            if image.tags(ns="IMAGE_STRUCTURE").get("MINISWHITE") == "YES":
+                expected = "1, black is zero: programs disagree whether to reverse the values of 0"
+                raise RawDataError(file, "PhotometricInterpretation", "0, white is zero", expected)
             yield image
 
 

@@ -31,6 +31,7 @@ FITS_MAGIC = b"SIMPLE  ="
 NPY_MAGIC = b"\x93NUMPY"
 _GREY = np.array([0.299, 0.587, 0.114], dtype=np.float32)  # of red, green, blue (ITU-R BT.601)
 _LARGEST = 1e15  # of a floating-point value: squares and sums of it stay within single precision
+_PACKINGS = ("RICE_1", "PLIO_1", "HCOMPRESS_1")  # of FITS tiles, whose size the header bounds
 MAX_FITS_HEADER_BYTES = 100 * 2880
 
 
@@ -72,13 +73,12 @@ def _read_star_image(path: Path, file: str, size: tuple[int, int] | None, bits: 
 def _opened_fits(path: Path, file: str, **options: bool) -> Iterator[Any]:
     """The HDUs of a file; what astropy raises at damaged headers becomes a `RawDataError`."""
     from astropy.io import fits
-    from astropy.utils.exceptions import AstropyWarning
 
     if b"END" + b" " * 77 not in kept_head(path, file, MAX_FITS_HEADER_BYTES):
         raise RawDataError(file, "FITS header", "no END", f"END within {MAX_FITS_HEADER_BYTES} bytes")
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", AstropyWarning)
+            warnings.simplefilter("ignore")  # of damaged headers, which are refused where they matter
             with fits.open(
                 io.BytesIO(content_of(path)), memmap=False, lazy_load_hdus=True, **options
             ) as hdus:
@@ -127,7 +127,8 @@ def _grey(planes: NDArray[Any], file: str) -> NDArray[Any]:
         planes = planes[0]
     if planes.ndim == 2 and planes.dtype in (np.uint8, np.uint16):
         return planes
-    values = planes.astype(np.float32)
+    with np.errstate(over="ignore"):  # what becomes infinite is no number
+        values = planes.astype(np.float32)
     grey = values if values.ndim == 2 else np.tensordot(_GREY, values[:3], axes=1)
     if planes.dtype in (np.uint8, np.uint16):
         return np.rint(grey).astype(planes.dtype)
@@ -144,12 +145,18 @@ def _read_npy(path: Path, file: str) -> NDArray[Any]:
         if values.size > 4 * MAX_STAR_PIXELS:
             raise RawDataError(file, "image size", f"{values.size} values", f"at most {MAX_STAR_PIXELS} px")
         return _grey(np.array(values), file)
-    except (ValueError, OSError, EOFError) as error:
-        raise RawDataError(file, "npy", str(error), "an array without objects") from error
+    except RawDataError:
+        raise
+    except Exception as error:  # of a damaged header NumPy raises also what its tokenizer does
+        found = f"{type(error).__name__}: {error}"
+        raise RawDataError(file, "npy", found, "an array without objects") from error
 
 
 def _read_any_fits(path: Path, file: str) -> NDArray[Any]:
     """The first HDU with an image: integer or floating, scaled or not, one plane or three."""
+    with _opened_fits(path, file, disable_image_compression=True) as hdus:
+        for hdu in hdus:
+            _check_packing(hdu.header, file)
     with _opened_fits(path, file) as hdus:
         for hdu in hdus:
             if not hdu.is_image or not 2 <= hdu.header.get("NAXIS", 0) <= 4:
@@ -158,6 +165,17 @@ def _read_any_fits(path: Path, file: str) -> NDArray[Any]:
             planes = np.squeeze(np.asarray(hdu.data))
             return _grey(planes.astype(planes.dtype.newbyteorder("=")), file)
     raise RawDataError(file, "HDU", "none with an image", "an image of one plane or three")
+
+
+def _check_packing(header: Any, file: str) -> None:
+    """`RawDataError` for an HDU with tiles that are packed by gzip: astropy unpacks them to any size."""
+    if not header.get("ZIMAGE"):
+        return
+    expected = f"one of {', '.join(_PACKINGS)}, without a column of gzip; `funpack` unpacks such a file"
+    if (kind := header.get("ZCMPTYPE")) not in _PACKINGS:
+        raise RawDataError(file, "ZCMPTYPE", kind, expected)
+    if "GZIP_COMPRESSED_DATA" in header["TTYPE*"].values():
+        raise RawDataError(file, "TTYPE", "GZIP_COMPRESSED_DATA", expected)
 
 
 def _check_fits_size(hdu: Any, path: Path, file: str) -> None:

@@ -1,0 +1,177 @@
+"""Images made to harm: exposures without a sky, animated and damaged files, packed FITS."""
+
+from __future__ import annotations
+
+import gzip
+import io
+import random
+import struct
+import warnings
+import zlib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from astropy.io import fits
+from image_mutants import FORMATS, differs, mutated
+from PIL import Image
+from typer.testing import CliRunner
+
+from boresight.pipeline.cli import app
+from boresight.pipeline.errors import RawDataError
+from boresight.pipeline.files.png_rows import png_rows
+from boresight.pipeline.files.star_images import read_exposure, read_star_image
+from boresight.star_id.finding.star_list import find_stars
+from boresight.star_id.settings import StarSettings
+
+runner = CliRunner()
+SHAPE = (96, 128)
+TOP = {np.uint8: 255, np.uint16: 65535, np.float32: 1.0}
+
+
+def chunk(kind: bytes, content: bytes) -> bytes:
+    return struct.pack(">I", len(content)) + kind + content + struct.pack(">I", zlib.crc32(kind + content))
+
+
+def saved(image: np.ndarray, kind: str = "PNG", **options: object) -> bytes:
+    stream = io.BytesIO()
+    Image.fromarray(image).save(stream, kind, **options)
+    return stream.getvalue()
+
+
+def skyless(dtype: type, top: float) -> dict[str, np.ndarray]:
+    """Images in which no star can be found."""
+    sky = np.clip(np.random.default_rng(3).normal(0.1, 0.02, SHAPE), 0, 1)
+    checks = np.indices(SHAPE).sum(axis=0) % 2
+    columns, half = (sky * top).astype(dtype), (sky * top).astype(dtype)
+    columns[:, ::2], half[:, : SHAPE[1] // 2] = top, top
+    return {
+        "saturated": np.full(SHAPE, top, dtype),
+        "all zero": np.zeros(SHAPE, dtype),
+        "one value": np.full(SHAPE, 0.4 * top, dtype),
+        "checkerboard": (checks * top).astype(dtype),
+        "two highest values": (top - checks * top / 255).astype(dtype),
+        "saturated columns": columns,
+        "half saturated": half,
+    }
+
+
+@pytest.mark.parametrize("dtype", TOP)
+def test_image_without_a_sky_has_no_star_and_ends_nothing(dtype: type) -> None:
+    for name, image in skyless(dtype, TOP[dtype]).items():
+        for saturation in (None, float(TOP[dtype])):
+            with warnings.catch_warnings():
+                warnings.simplefilter("error")
+                stars = find_stars(image, StarSettings(saturation_dn=saturation))
+            assert len(stars.xy_px) == 0, name
+
+
+def test_exposures_without_a_sky_are_left_out_by_name_with_what_they_show(tmp_path: Path) -> None:
+    images = skyless(np.uint8, 255)
+    for name, image in images.items():
+        (tmp_path / f"{name}.png").write_bytes(saved(image))
+    bright = np.full(SHAPE, 1e30, np.float32)
+    bright[5, 5] = np.inf
+    fits.PrimaryHDU(bright).writeto(tmp_path / "bright.fits")
+    fits.PrimaryHDU(np.full(SHAPE, np.nan, np.float32)).writeto(tmp_path / "nan.fits")
+    paths = sorted(tmp_path.iterdir())
+    ran = runner.invoke(app, ["identify", "--fov", "20", *map(str, paths)])
+    assert isinstance(ran.exception, SystemExit) and ran.exit_code == 1, ran.output
+    lines = ran.output.splitlines()
+    reasons = {path.stem: line for path in paths for line in lines if line.startswith(f"{path} ")}
+    assert "100 % of the pixels are saturated: Sun" in reasons["saturated"]
+    assert "50 % of the pixels are saturated" in reasons["checkerboard"]
+    assert "every pixel is 0: a closed shutter" in reasons["all zero"]
+    assert "every pixel is 102" in reasons["one value"]
+    assert "a value of 1e+30" in reasons["bright"]
+    assert "none that is a number" in reasons["nan"]
+    assert all("not identified" in line or "not read" in line for line in reasons.values())
+    assert len(reasons) == len(paths) and "identified 0 of 9 images" in ran.output
+
+
+def test_animated_png_is_refused_by_name_before_it_is_decoded(tmp_path: Path) -> None:
+    path, sound = tmp_path / "e.png", saved(skyless(np.uint8, 255)["half saturated"])
+    animation = chunk(b"acTL", struct.pack(">II", 1, 0))
+    control = chunk(b"fcTL", struct.pack(">IIIIIHHBB", 0, SHAPE[1], SHAPE[0], 0, 0, 1, 1, 0, 0))
+    broken = chunk(b"fdAT", struct.pack(">I", 1) + b"no stream")
+    end = sound.index(b"IDAT") - 4
+    for content in (
+        sound[:end] + animation + control + sound[end:],
+        sound[:end] + animation + sound[end:-12] + control + broken + sound[-12:],
+    ):
+        path.write_bytes(content)
+        for read in (
+            lambda: read_star_image(path, "e.png"),
+            lambda: read_exposure(path, "e.png", width=SHAPE[1], height=SHAPE[0], bit_depth=8),
+        ):
+            with pytest.raises(RawDataError, match=r"e.png: byte \d+: found an animated PNG \(acTL\)"):
+                read()
+
+
+def test_chunk_whose_name_is_none_is_refused(tmp_path: Path) -> None:
+    path, sound = tmp_path / "e.png", saved(skyless(np.uint8, 255)["half saturated"])
+    for name in (b"a\0cd", b"ab1d", b"\xe4bcd"):
+        path.write_bytes(sound[:33] + chunk(name, b"x") + sound[33:])
+        with pytest.raises(RawDataError, match=r"byte 37: found .*, expected the name of a chunk"):
+            read_star_image(path, "e.png")
+
+
+def test_window_that_is_too_small_for_its_stream_is_left_to_pillow() -> None:
+    """A stream states how far back it refers. ISA-L takes every window for the largest."""
+    image = np.tile(np.random.default_rng(5).integers(0, 255, (1, 127), np.uint8), (90, 1))
+    rows = np.hstack([np.zeros((90, 1), np.uint8), image]).tobytes()
+    head = chunk(b"IHDR", struct.pack(">IIBBBBB", 127, 90, 8, 0, 0, 0, 0))
+    for bits, read in ((15, True), (14, True), (13, False), (9, False)):  # 11520 bytes; 2^14 = 16384
+        stream = bytearray(zlib.compress(rows, 9))
+        stream[0] = ((bits - 8) << 4) | 8
+        stream[1] = 31 - (stream[0] << 8) % 31
+        content = b"\x89PNG\r\n\x1a\n" + head + chunk(b"IDAT", bytes(stream)) + chunk(b"IEND", b"")
+        assert (png_rows(content) is not None) == read, bits
+
+
+@pytest.mark.parametrize("column", ["COMPRESSED_DATA", "GZIP_COMPRESSED_DATA"])
+def test_fits_tiles_that_may_unpack_to_any_size_are_refused(column: str, tmp_path: Path) -> None:
+    bomb = np.frombuffer(gzip.compress(bytes(2**20)), np.uint8)
+    cells = [fits.Column(column, "1PB()", array=np.array([bomb], dtype=object))]
+    table = fits.BinTableHDU.from_columns(cells)
+    kind = "GZIP_1" if column == "COMPRESSED_DATA" else "RICE_1"
+    cards = {"ZIMAGE": True, "ZCMPTYPE": kind, "ZBITPIX": 32, "ZNAXIS": 2, "ZNAXIS1": 64, "ZNAXIS2": 64}
+    table.header.update(cards)
+    fits.HDUList([fits.PrimaryHDU(), table]).writeto(tmp_path / "e.fits")
+    with pytest.raises(RawDataError, match=r"e.fits: (ZCMPTYPE|TTYPE): found (GZIP_1|GZIP_COMPRESSED_DATA)"):
+        read_star_image(tmp_path / "e.fits", "e.fits")
+
+
+def test_tiff_with_white_as_zero_is_refused(tmp_path: Path) -> None:
+    import tifffile
+
+    tifffile.imwrite(tmp_path / "e.tif", np.eye(40, dtype=np.uint8), photometric="miniswhite")
+    with pytest.raises(RawDataError, match=r"PhotometricInterpretation: found 0, white is zero"):
+        read_star_image(tmp_path / "e.tif", "e.tif")
+
+
+def test_counts_of_a_pgm_are_not_scaled_and_stay_below_the_largest_value(tmp_path: Path) -> None:
+    path, image = tmp_path / "e.pgm", np.random.default_rng(7).integers(0, 4096, (40, 50)).astype(">u2")
+    path.write_bytes(b"P5\n# by hand\n50 40\n4095\n" + image.tobytes())
+    assert np.array_equal(read_star_image(path, "e"), image)
+    path.write_bytes(b"P5 50 40 100 " + bytes(1999) + b"\xff")
+    with pytest.raises(RawDataError, match="found a value of 255, expected at most 100"):
+        read_star_image(path, "e")
+    path.write_bytes(b"P5 50 40 255 " + bytes(1999))
+    with pytest.raises(RawDataError, match="found 1999 bytes, expected 2000 bytes"):
+        read_star_image(path, "e")
+
+
+@pytest.mark.parametrize("kind", FORMATS)
+def test_damaged_image_is_refused_or_read_as_pillow_reads_it(kind: str, tmp_path: Path) -> None:
+    rng, sound, path, read = random.Random(f"9 {kind}"), FORMATS[kind](), tmp_path / "image", 0
+    for _ in range(40):
+        content = mutated(rng.choice(sound), rng)
+        path.write_bytes(content)
+        try:
+            image = read_star_image(path, "image")
+        except RawDataError:
+            continue
+        read += 1
+        assert not differs(image, content)
+    assert read > 2
