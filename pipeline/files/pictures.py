@@ -90,8 +90,9 @@ def _by_pillow(stream: IO[bytes], path: Path, file: str, kind: str) -> NDArray[A
             with Image.open(stream, formats=(kind,)) as image:
                 check_size(file, image.size, None, 8, None)
                 check_length(path, file, 4 * image.width * image.height)
-                if getattr(image, "n_frames", 1) > 1 and image.format != "MPO":  # MPO: previews follow
-                    raise RawDataError(file, "frames", str(image.n_frames), "one image")
+                frames = getattr(image, "n_frames", 1)
+                if frames > 1 and image.format != "MPO":  # MPO: previews follow
+                    raise RawDataError(file, "frames", str(frames), "one image")
                 if kind == "JPEG" and image.mode == "RGB":
                     image.draft("L", image.size)  # the luminance that the file holds
                 return _planes(image.convert("RGB") if image.mode == "P" else image, file)

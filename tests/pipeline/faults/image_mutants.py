@@ -1,4 +1,4 @@
-"""Sound star images of every format that `identify` accepts, changed at random, and what Pillow reads in them.
+"""Sound star images of every format that `identify` accepts, changed at random, beside what Pillow reads.
 
 `benchmarks/fuzz_images.py` reads ten thousand of each format, a test some dozens.
 """
