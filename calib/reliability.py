@@ -22,7 +22,7 @@ all hypotheses together keep the stated false-alarm rate (Holm 1979).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -47,14 +47,17 @@ from boresight.calib.settings import CalibrationSettings
 from boresight.calib.star_camera_error import star_effects, summed
 from boresight.calib.strips import prepare_strip, tangent_axes
 from boresight.geometry.attitude_estimate import with_attitudes
-from boresight.geometry.record import Bools, Floats, array, record, scalar
+from boresight.geometry.record import Bools, Floats, Ints, array, record, scalar
 from boresight.geometry.sightings import StripSightings
 from boresight.geometry.star_camera import StarCamera
 
-__all__ = ["HypothesisTest", "Reliability", "ReliabilitySettings", "examine"]
+__all__ = ["HypothesisTest", "Reliability", "ReliabilitySettings", "Suspect", "blind_spots", "examine"]
 
 MOST_CAUSES = 3
+LEAST_REDUNDANCY = 0.01  # an error of which so little shows is a hundred times its own size before it does
+HIDDEN_SIGMA = 2.0  # harm that may stay hidden and is told
 POWER = 0.9
+PROBABILITY_SUSPECT = 1e-3  # that any of all good observations is named
 MOST_SEARCHED = 16  # hypotheses under which rejected observations are searched anew, the likeliest ones
 MOST_ROUNDS = 8  # of such a search
 AMBIGUOUS = 2.0 * np.log(19.0)  # difference of evidence below which the data do not tell two causes apart
@@ -88,13 +91,34 @@ class HypothesisTest:
     effect_rad: Floats = array("3", "change of theta by one unit, axes of c, rad")
     effect_sigma: float = scalar("the same in 1-sigma of theta")
 
+    @property
+    def is_unseen(self) -> bool:
+        """Whether theta takes up all, but for a hundredth, that the error does to the observations."""
+        return self.redundancy < LEAST_REDUNDANCY
+
+    @property
+    def hidden_sigma(self) -> float:
+        """By how much, in 1-sigma of theta, the smallest error that is found moves theta."""
+        return self.effect_sigma * self.detectable if self.effect_sigma > 0.0 else 0.0
+
+
+@record
+class Suspect:
+    """An observation that contradicts the rest, and that no cause explains."""
+
+    strip_id: str = scalar("strip")
+    target_id: str = scalar("target, or star")
+    ccd: int = scalar("CCD of the camera, from 0")
+    distance: float = scalar("from where the rest places it, in standard errors")
+
 
 @record
 class Reliability:
-    """Tests of all hypotheses, and the causes that they name."""
+    """Tests of all hypotheses, the causes that they name, and what these do not explain."""
 
     tests: tuple[HypothesisTest, ...] = scalar("every hypothesis, in the order of the table")
     findings: tuple[Finding, ...] = scalar("causes, the one of most evidence first")
+    suspects: tuple[Suspect, ...] = scalar("observations farther off than any of so many good ones")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -104,8 +128,10 @@ class _Fit:
     kept: Bools  # (J,)
     criterion: float
     theta: Floats  # (3,) about the matrix of the estimate
+    covariance: Floats  # (3, 3) of theta
     size: Floats  # (H,) of the hypotheses
     sigma: Floats  # (H,)
+    statistic: Floats  # (J,) of the observations, chi-square of two degrees of freedom
 
 
 @record(kw_only=True)
@@ -118,9 +144,19 @@ class _Adjustment:
     table: list[Hypothesis] = scalar("H hypotheses")
     B: Floats = array("J, 2, H", "change of the whitened residuals by one unit of each")
     names: tuple[str, ...] = array("J", 'observations, "strip/target"')
+    ccds: Ints = array("J", "their CCDs")
     star_information: Floats = array("H, H", "of the stars of the exposures")
     star_right: Floats = array("H", "right-hand side of the stars")
     limit: float = scalar("cost of a rejected observation")
+
+
+def blind_spots(tests: Sequence[HypothesisTest]) -> tuple[HypothesisTest, ...]:
+    """Errors that the data cannot show, those with most effect a unit first; then those that may move theta
+    by more than 2 sigma before they are found, those that hide most first.
+    """
+    unseen = sorted((t for t in tests if t.is_unseen), key=lambda t: -t.effect_sigma)
+    hidden = (t for t in tests if not t.is_unseen and t.hidden_sigma > HIDDEN_SIGMA)
+    return (*unseen, *sorted(hidden, key=lambda t: -t.hidden_sigma))
 
 
 def examine(
@@ -158,7 +194,8 @@ def examine(
     limits = limits or ReliabilitySettings()
     one = _adjustment(estimate, strips, settings, pixel_rad, star_camera)
     tests = _tests(one, limits)
-    return Reliability(tuple(tests), tuple(_causes(one, tests, limits)))
+    findings, last = _causes(one, tests, limits)
+    return Reliability(tuple(tests), tuple(findings), tuple(_suspects(one, last)))
 
 
 def _adjustment(
@@ -198,6 +235,7 @@ def _adjustment(
         step=step,
         table=table,
         B=_whitened(problem, about, change),
+        ccds=np.concatenate([one.ccd for one in prepared]),
         names=tuple(f"{one.strip_id}/{name}" for one in prepared for name in one.target_id.tolist()),
         star_information=information[np.ix_(parts, parts)] * np.outer(of_stars, of_stars),
         star_right=right[parts] * of_stars,
@@ -256,10 +294,27 @@ def _noncentrality(p: float) -> float:
     return float(brentq(lambda size: 1.0 - chndtr(limit, 1, size) - POWER, 1e-3, 1e3))
 
 
-def _causes(one: _Adjustment, tests: Sequence[HypothesisTest], limits: ReliabilitySettings) -> list[Finding]:
-    """Forward selection: hypotheses that explain more than chance, each beside those before it."""
+def _suspects(one: _Adjustment, last: _Fit) -> Iterator[Suspect]:
+    """Observations that the last fit rejects, beyond the limit of all of them together."""
+    limit = float(chdtri(2, PROBABILITY_SUSPECT / len(one.names)))
+    for n in np.flatnonzero(one.problem.inside & ~last.kept & (last.statistic > limit)).tolist():
+        strip_id, _, target_id = one.names[n].rpartition("/")
+        yield Suspect(
+            strip_id=strip_id,
+            target_id=target_id,
+            ccd=int(one.ccds[n]),
+            distance=float(np.sqrt(last.statistic[n])),
+        )
+
+
+def _causes(
+    one: _Adjustment, tests: Sequence[HypothesisTest], limits: ReliabilitySettings
+) -> tuple[list[Finding], _Fit]:
+    """Forward selection: hypotheses that explain more than chance, each beside those before it; and the fit
+    with all of them as unknowns.
+    """
     if not _suspicious(one, tests, limits):
-        return []
+        return [], _fit(one, [], one.problem.inside & (one.step.weight > 0.0))
     chosen: list[int] = []
     findings: list[Finding] = []
     n, before = len(one.table), _minimum(one, [])
@@ -276,7 +331,7 @@ def _causes(one: _Adjustment, tests: Sequence[HypothesisTest], limits: Reliabili
         chosen.append(best)
         findings.append(_finding(one, best, trials, rivals, p_value * (n - len(chosen) + 1), before, limits))
         before = trials[best]
-    return findings
+    return findings, before
 
 
 def _suspicious(one: _Adjustment, tests: Sequence[HypothesisTest], limits: ReliabilitySettings) -> bool:
@@ -330,38 +385,38 @@ def _minimum(one: _Adjustment, rows: Sequence[int], start: Bools | None = None) 
             if kept.tobytes() in tried or 2 * kept.sum() < 3 + len(rows):
                 break
             tried.add(kept.tobytes())
-            fit, statistic = _fit(one, rows, kept)
+            fit = _fit(one, rows, kept)
             if best is None or fit.criterion < best.criterion:
                 best = fit
-            kept = inside & (statistic < one.limit)
+            kept = inside & (fit.statistic < one.limit)
     assert best is not None
     return best
 
 
-def _fit(one: _Adjustment, rows: Sequence[int], kept: Bools) -> tuple[_Fit, Floats]:
-    """The solution with the observations `kept` and the hypotheses `rows` as unknowns, and the statistic (J,)
-    of each observation in it.
-    """
+def _fit(one: _Adjustment, rows: Sequence[int], kept: Bools) -> _Fit:
+    """The solution with the observations `kept` and the hypotheses `rows` as unknowns."""
     step = solve_weighted(one.problem, one.about, kept.astype(float))
     rejected = one.limit * float(np.sum(one.problem.inside & ~kept))
     if not rows:
-        fit = _Fit(kept, step.chi2 + rejected, step.solution.theta, np.zeros(0), np.zeros(0))
-        return fit, squared_mahalanobis(step)
+        theta, none = step.solution.theta, np.zeros(0)
+        covariance, chi2 = step.solution.covariance, step.chi2 + rejected
+        return _Fit(kept, chi2, theta, covariance, none, none, squared_mahalanobis(step))
     S, y = _normal(one, step, rows)
     left, x = respond(one.problem, one.about, step, one.B[:, :, rows])
-    covariance = np.linalg.pinv(S, rcond=1e-10, hermitian=True)
-    size = covariance @ y
+    of_sizes = np.asarray(np.linalg.pinv(S, rcond=1e-10, hermitian=True), dtype=np.float64)
+    size = of_sizes @ y
     e = step.whitened - left @ size
-    leverage = step.leverage + left @ covariance @ np.swapaxes(left, 1, 2)
+    leverage = step.leverage + left @ of_sizes @ np.swapaxes(left, 1, 2)
     variance = np.eye(2) + np.where(kept, -1.0, 1.0)[:, None, None] * leverage
-    fit = _Fit(
+    return _Fit(
         kept,
         step.chi2 - float(y @ size) + rejected,
         step.solution.theta - x[:3] @ size,
+        step.solution.covariance + x[:3] @ of_sizes @ x[:3].T,
         size,
-        np.sqrt(np.diag(covariance)),
+        np.sqrt(np.diag(of_sizes)),
+        squared_over(e, variance),
     )
-    return fit, squared_over(e, variance)
 
 
 def _finding(
@@ -379,8 +434,10 @@ def _finding(
     published = one.step.solution.theta
 
     def harm(n: int) -> float:
+        """How far theta moves, less what observations that come back move it by chance."""
         moved = trials[n].theta - published
-        return float(np.sqrt(moved @ information @ moved))
+        chance = float(np.trace(information @ (one.step.solution.covariance - trials[n].covariance)))
+        return float(np.sqrt(max(float(moved @ information @ moved) - max(chance, 0.0), 0.0)))
 
     value, sigma = float(fit.size[-1]), float(fit.sigma[-1])
     worst = max(harm(n) for n in rivals)

@@ -49,7 +49,15 @@ def consistent_matches(
             break
         match, more = found[keep[worst]], (float(off[worst][0]), float(off[worst][1]))
         refused.append(
-            Refusal(Reason.INCONSISTENT, float(distance[worst]), _GATE, more, match.target_id, match.ccd)
+            Refusal(
+                Reason.INCONSISTENT,
+                float(distance[worst]),
+                _GATE,
+                more,
+                match.target_id,
+                match.ccd,
+                match,
+            )
         )
         keep.pop(worst)
     p, _ = _common_rotation(d[keep], design[keep], scatter[np.ix_(keep, keep)], sigma_rad)

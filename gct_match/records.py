@@ -124,6 +124,7 @@ class Refusal:
     more: tuple[float, ...] = scalar("further numbers of the sentence", default=())
     target_id: str = scalar("refused target; empty for a template without a target", default="")
     ccd: int = scalar("CCD; -1 if the refusal concerns the whole strip", default=-1)
+    match: TargetMatch | None = scalar("the match that contradicts the others", default=None)
 
     @property
     def sentence(self) -> str:

@@ -11,7 +11,7 @@ from boresight.geometry.constants import ARCSEC
 from boresight.geometry.record import record, scalar
 from boresight.pipeline.report.saved import Number, number_from
 
-__all__ = ["CheckRow", "VerdictView", "verdict_view"]
+__all__ = ["BlindRow", "CheckRow", "VerdictView", "verdict_view"]
 
 REMEDIES = {
     "X": "more strips average errors of position across the track; a position with a smaller error",
@@ -37,6 +37,26 @@ class CheckRow:
 
 
 @record(kw_only=True)
+class BlindRow:
+    """An error that the data cannot show, or show too late."""
+
+    cause: str = scalar("what would be wrong")
+    item: str = scalar("what it concerns")
+    unit: str = scalar("of its size")
+    where: str = scalar("file and field that state the input")
+    axis: str = scalar("X, Y or Z: the axis that it moves most")
+    effect_arcsec: Number = scalar("rotation about that axis by one unit")
+    detectable: Number = scalar("smallest size that is found with probability 0.9")
+    hidden_sigma: Number = scalar("by how much that moves theta, in its 1-sigma")
+    is_unseen: bool = scalar("nothing shows it")
+
+    @property
+    def kind(self) -> str:
+        """The cause without its direction."""
+        return self.cause.partition(",")[0]
+
+
+@record(kw_only=True)
 class VerdictView:
     """The verdict of installation.json; `outcome` is "not assessed" where it has none (older versions)."""
 
@@ -47,6 +67,16 @@ class VerdictView:
     weakest_axis: str = scalar("X, Y or Z: the axis of c nearest to the direction with the largest 1-sigma")
     weakest_arcsec: Number | None = scalar("that 1-sigma")
     direction: tuple[Number, ...] = scalar("unit vector of that direction, frame c")
+    blind: tuple[BlindRow, ...] = scalar("errors that the data cannot show, or show too late", default=())
+
+    @property
+    def unseen(self) -> tuple[BlindRow, ...]:
+        """One row of each kind that nothing shows, those with most effect a unit first."""
+        kinds: dict[str, BlindRow] = {}
+        for row in self.blind:
+            if row.is_unseen:
+                kinds.setdefault(row.kind, row)
+        return tuple(kinds.values())
 
     @property
     def is_usable(self) -> bool:
@@ -109,4 +139,27 @@ def verdict_view(installation: dict[str, Any], source: str = "installation.json"
         weakest_axis="XYZ"[int(np.argmax(np.abs(verdict["weakest_axis_c"])))],
         weakest_arcsec=number("weakest_sigma_rad", ".4f", 1.0 / ARCSEC),
         direction=tuple(number(f"weakest_axis_c.{axis}", "+.3f") for axis in range(3)),
+        blind=tuple(
+            _blind_row(installation, source, n) for n in range(len(installation.get("blind_spots", ())))
+        ),
+    )
+
+
+def _blind_row(installation: dict[str, Any], source: str, n: int) -> BlindRow:
+    one = installation["blind_spots"][n]
+    axis = int(np.argmax(np.abs(one["effect_rad"])))
+
+    def number(key: str, form: str, scale: float = 1.0) -> Number:
+        return number_from(installation, source, f"blind_spots.{n}.{key}", form, scale=scale)
+
+    return BlindRow(
+        cause=str(one["cause"]),
+        item=str(one["item"]),
+        unit=str(one["unit"]),
+        where=f"{one['file']} {one['field']}".strip(),
+        axis="XYZ"[axis],
+        effect_arcsec=number(f"effect_rad.{axis}", "+.2g", 1.0 / ARCSEC),
+        detectable=number("detectable", ".2g"),
+        hidden_sigma=number("hidden_sigma", ".1f"),
+        is_unseen=bool(one["is_unseen"]),
     )

@@ -16,7 +16,7 @@ from boresight.geometry.constants import ARCSEC
 from boresight.geometry.installation import euler_zxy_from_theta
 from boresight.pipeline.errors import Cause, Omission
 from boresight.pipeline.results.validate import Validation
-from boresight.pipeline.results.writing import verdict_json
+from boresight.pipeline.results.writing import blind_spots_json, verdict_json
 from boresight.pipeline.stages.calibrate import Calibration
 from boresight.pipeline.stages.joint import JointCalibration
 from boresight.pipeline.stages.reasons import doubts
@@ -24,10 +24,12 @@ from boresight.pipeline.stages.unused_rows import rows_together
 
 __all__ = [
     "REASON_WORDS",
+    "blind_lines",
     "calibration_summary",
     "finding_lines",
     "joint_summary",
     "omission_lines",
+    "unit_effect",
     "validation_summary",
     "verdict_lines",
 ]
@@ -35,6 +37,7 @@ __all__ = [
 Array = NDArray[np.float64]
 MOST_REASONS = 8
 UNNEEDED = (Cause.OUT_OF_VIEW, Cause.NOT_NEEDED, Cause.NO_TARGET)  # told after what went wrong
+MOST_BLIND = 3
 SIGMAS = re.compile(r"([0-9.]+) sigma ")
 REASON_WORDS = {  # of causes that counts alone do not explain
     "target residual": "gross error",
@@ -51,7 +54,7 @@ REASON_WORDS = {  # of causes that counts alone do not explain
 def calibration_summary(found: Calibration, findings: Sequence[Mapping[str, Any]] = ()) -> str:
     """Verdict, what to look at, matrix, deviation, 1-sigma, counts, and what is not used."""
     lines = verdict_lines(verdict_json(found.verdict, found.rows)) + finding_lines(findings)
-    lines += _estimate_lines(found.estimate)
+    lines += blind_lines(blind_spots_json(found.verdict)) + _estimate_lines(found.estimate)
     lines += _doubt_lines(found.estimate, {one["text"] for one in findings})
     return "\n".join(lines + omission_lines(found.omissions))
 
@@ -65,6 +68,7 @@ def joint_summary(of_dumps: Mapping[str, Calibration], joint: JointCalibration) 
             lines += [f"dump {name}", *("  " + line for line in verdict_lines(verdict_json(one.verdict)))]
     lines.append(f"{'1 sigma, arcsec, of':26s}" + "".join(f"{axis:>14s}" for axis in "XYZ"))
     lines += [_row(f"  {name}", one.estimate.sigma_theta / ARCSEC, ".4f") for name, one in of_dumps.items()]
+    lines += blind_lines(blind_spots_json(joint.verdict))
     lines.append(f"jointly from {len(of_dumps)} dumps:")
     lines += _estimate_lines(joint.estimate) + _doubt_lines(joint.estimate, ())
     return "\n".join(lines + omission_lines(joint.omissions))
@@ -90,6 +94,24 @@ def finding_lines(findings: Sequence[Mapping[str, Any]]) -> list[str]:
     """The findings of a report (`read_findings`), one line each."""
     texts = [f"{one['cause']}, {one['item']}: {one['text']}" for one in findings]
     return [f"{'look at' if n == 0 else '':26s}{text}" for n, text in enumerate(texts)]
+
+
+def blind_lines(spots: Sequence[Mapping[str, Any]]) -> list[str]:
+    """The kinds of error with most effect that the data cannot show at all, in one line."""
+    kinds: dict[str, Mapping[str, Any]] = {}
+    for one in spots:
+        if one["is_unseen"]:
+            kinds.setdefault(one["cause"].partition(",")[0], one)
+    shown = [f"{kind} ({unit_effect(one)})" for kind, one in list(kinds.items())[:MOST_BLIND]]
+    more = f"; {len(kinds) - MOST_BLIND} more in installation.json" if len(kinds) > MOST_BLIND else ""
+    return [f"{'cannot show':26s}{'; '.join(shown)}{more}"] if shown else []
+
+
+def unit_effect(one: Mapping[str, Any]) -> str:
+    """What one unit of an error does to the axis that it moves most: "1 ms: 2.8″ Y"."""
+    effect = np.abs(np.array(one["effect_rad"])) / ARCSEC
+    axis = int(np.argmax(effect))
+    return f"1 {one['unit']}: {effect[axis]:.2g}″ {'XYZ'[axis]}"
 
 
 def _equal_names(group: Sequence[str]) -> str:

@@ -16,6 +16,7 @@ import pyarrow.parquet as pq
 
 from boresight.calib.estimate import InstallationEstimate, TargetResiduals
 from boresight.calib.information import InformationPairs
+from boresight.calib.reliability import blind_spots
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.verdict import Verdict
 from boresight.geometry.installation import euler_zxy_from_theta
@@ -39,6 +40,7 @@ from boresight.pipeline.stages.strip import MatchedTargets, StripTask
 from boresight.pipeline.stages.unused_rows import Rows, rows_together
 
 __all__ = [
+    "blind_spots_json",
     "verdict_json",
     "write_dumps",
     "write_installation",
@@ -51,6 +53,7 @@ __all__ = [
 
 FIELDS = (
     "verdict",
+    "blind_spots",
     "R_cs",
     "quaternion",
     "theta_rad",
@@ -92,6 +95,7 @@ def write_sightings(result: Path, calibration: Calibration) -> None:
     _write_groups(tables / "strips.parquet", [_pairs_table(estimate.pairs)])
     _write_groups(tables / "passes.parquet", [_passes_table(calibration)])
     _write_groups(tables / "omissions.parquet", [_omissions_table(calibration.omissions)])
+    _write_groups(tables / "reliability.parquet", [_tests_table(calibration.verdict)])
 
 
 def write_installation(result: Path, calibration: Calibration, settings: Settings) -> None:
@@ -119,6 +123,7 @@ def write_joint_result(
     passes = [_passes_table(found, f"{name}/") for name, found in of_dumps.items()]
     _write_groups(tables / "passes.parquet", [pa.concat_tables(passes)])
     _write_groups(tables / "omissions.parquet", [_omissions_table(joint.omissions)])
+    _write_groups(tables / "reliability.parquet", [_tests_table(joint.verdict)])
     camera = next(iter(of_dumps.values())).camera
     content = _installation(
         estimate,
@@ -161,7 +166,16 @@ def verdict_json(verdict: Verdict, rows: Sequence[Rows] = ()) -> dict[str, Any]:
         | {"look_at": [suspect.value for suspect in check.look_at]}
         for check in verdict.checks
     ]
-    return plain(verdict) | {"checks": checks, "sentence": verdict.sentence + used}
+    facts = {key: value for key, value in plain(verdict).items() if key != "tests"}
+    return facts | {"checks": checks, "sentence": verdict.sentence + used}
+
+
+def blind_spots_json(verdict: Verdict) -> list[dict[str, Any]]:
+    """What the data cannot show, or show too late, as installation.json has it."""
+    return [
+        plain(one) | {"is_unseen": one.is_unseen, "hidden_sigma": one.hidden_sigma}
+        for one in blind_spots(verdict.tests)
+    ]
 
 
 def ground_m_per_rad(strips: Sequence[StripSightings], camera: LineSensor) -> Floats:
@@ -187,6 +201,7 @@ def _installation(
     }
     values = {
         "verdict": verdict_json(verdict, rows),
+        "blind_spots": blind_spots_json(verdict),
         "R_cs": estimate.R_cs.as_matrix().tolist(),
         "quaternion": estimate.R_cs.as_quat(canonical=True).tolist(),
         "theta_rad": estimate.theta.tolist(),
@@ -296,6 +311,19 @@ def _passes_table(calibration: Calibration, prefix: str = "") -> pa.Table:
 
 def _pairs_table(pairs: InformationPairs) -> pa.Table:
     return pa.table({name: arrow_array(values) for name, values in pairs.columns().items()})
+
+
+def _tests_table(verdict: Verdict) -> pa.Table:
+    """One row for each error of an input that was tested."""
+    tests = verdict.tests
+    texts = {
+        name: arrow_array([str(getattr(one, name)) for one in tests], pa.string())
+        for name in ("cause", "item", "unit", "file", "field")
+    }
+    numbers = ("value", "sigma", "statistic", "p_value", "detectable", "redundancy", "effect_sigma")
+    values = {name: arrow_array([getattr(one, name) for one in tests], pa.float64()) for name in numbers}
+    effect = fixed_list(np.array([one.effect_rad for one in tests]).reshape(-1, 3))
+    return pa.table(texts | values | {"effect_rad": effect})
 
 
 def _omissions_table(omissions: Sequence[Omission]) -> pa.Table:

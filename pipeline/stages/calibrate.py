@@ -20,7 +20,8 @@ from scipy.spatial.transform import Rotation
 
 from boresight.calib.calibration import calibrate
 from boresight.calib.estimate import InstallationEstimate, NotObservable
-from boresight.calib.reliability import examine
+from boresight.calib.finding import Finding
+from boresight.calib.reliability import Reliability, examine
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.verdict import Verdict, assess
 from boresight.geometry.line_camera import LineSensor
@@ -36,6 +37,7 @@ from boresight.pipeline.stages.cached import Progress, StageRunner
 from boresight.pipeline.stages.coverage import attitudes_in_s, carriers, stated_mountings
 from boresight.pipeline.stages.head import HeadSightings, sight_head
 from boresight.pipeline.stages.input_findings import input_findings
+from boresight.pipeline.stages.left_out import lost_ccds, searched_alone, with_left_out
 from boresight.pipeline.stages.matchings import match_again, match_first
 from boresight.pipeline.stages.missing import what_is_missing
 from boresight.pipeline.stages.reasons import rejection_reason
@@ -50,11 +52,13 @@ from boresight.pipeline.stages.sky_strip import NamedStars, as_matched
 from boresight.pipeline.stages.strip import (
     MatchedTargets,
     StripTask,
+    contradicting_targets,
     ground_sightings,
     orbit_around,
     targets_near,
 )
 from boresight.pipeline.stages.strip_sightings import strip_sightings
+from boresight.pipeline.stages.target_findings import lost_targets, single_targets, suspected_targets
 from boresight.pipeline.stages.unused_rows import Rows, rows_used, unused_rows
 
 __all__ = ["Calibration", "calibrate_dump", "rejections_of", "strips_to_match", "strips_with_stars"]
@@ -75,6 +79,7 @@ class Calibration:
     sky: SkySide = scalar("strips of the sky with their detections")
     named: tuple[NamedStars, ...] = scalar("named stars of the same strips")
     strips: tuple[StripSightings, ...] = scalar("those that the estimate is made from, ground first")
+    sighted: tuple[StripSightings, ...] = scalar("the same, with what was measured and left out")
     settings: CalibrationSettings = scalar("of the estimate, with the dump's stated errors")
     omissions: tuple[Omission, ...] = scalar("everything that is not used, with reasons")
     rows: tuple[Rows, ...] = scalar("how many rows of each table the estimate depends on")
@@ -140,6 +145,7 @@ def calibrate_dump(
     mountings = stated_mountings(heads)
     computed = [*sky.computed, *(flag for head in heads for flag in head.computed)]
     before: tuple[MatchedTargets, ...] = ()
+    first: _Pass | None = None
     for number in range(1, settings.run.passes + 1):
         last = _one_pass(
             number, before, dump, heads, sky, (R_cs, sigma), mountings, settings, error_model, runner
@@ -147,9 +153,10 @@ def calibrate_dump(
         R_cs, sigma = last.estimate.R_cs, _rematch_sigma(last.estimate, settings)
         mountings |= {one.name: one.R_cs for one in last.estimate.with_reference(heads[0].head.name).heads}
         computed += last.computed
-        before = last.matched
+        first, before = first or last, last.matched
         if not (last.named or any(task.targets for task in last.tasks)):
             break  # measured image points alone: no matrix moves them
+    assert first is not None
     found = last.estimate.with_reference(heads[0].head.name)
     observed = [*last.matched, *map(as_matched, last.named)]
     omissions = (
@@ -158,9 +165,10 @@ def calibrate_dump(
         *rejections_of(found),
         *unused_rows(dump, last.tasks, observed, settings.run.exposure_margin_s),
     )
+    sighted = _sighted(dump, heads, first, last)
     reliability = examine(
         found,
-        last.strips,
+        sighted,
         error_model,
         pixel_rad=dump.line_camera.pixel_rad,
         star_camera=dump.star_camera,
@@ -175,7 +183,9 @@ def calibrate_dump(
     )
     return Calibration(
         estimate=found,
-        verdict=verdict.with_findings(input_findings(dump, last.tasks, omissions)),
+        verdict=verdict.with_findings(
+            [*_target_findings(last, found, reliability), *input_findings(dump, last.tasks, omissions)]
+        ),
         stars=heads[0].stars,
         attitudes=heads[0].attitudes,
         tasks=last.tasks,
@@ -183,6 +193,7 @@ def calibrate_dump(
         sky=last.sky,
         named=last.named,
         strips=last.strips,
+        sighted=sighted,
         settings=error_model,
         omissions=omissions,
         rows=rows_used(dump, found, last.strips),
@@ -254,6 +265,28 @@ def _one_pass(
         omissions=(*uncovered, *unmatched, *_without_targets(matched), *unnamed),
         computed=tuple(flags),
     )
+
+
+def _target_findings(last: _Pass, estimate: InstallationEstimate, reliability: Reliability) -> list[Finding]:
+    """Targets that contradict the rest or were not found, and that no common cause explains."""
+    items = [one.item for one in reliability.findings]
+    suspected = suspected_targets(reliability.suspects, estimate.R_cs, last.tasks, last.matched)
+    return [*single_targets(list(suspected)), *lost_targets(last.tasks, last.matched, items)]
+
+
+def _sighted(
+    dump: Dump, heads: Sequence[HeadSightings], first: _Pass, last: _Pass
+) -> tuple[StripSightings, ...]:
+    """The strips of the last pass, with all that was measured in them by any search, each by itself too."""
+    alone = searched_alone(last.tasks, lost_ccds(last.matched), dump.sigma_installation_rad)
+    tasks = {task.strip.strip_id: task for task in last.tasks}
+    parts = (
+        (last.tasks, [contradicting_targets(one) for one in last.matched]),
+        (last.tasks, first.matched),
+        ([tasks[one.strip_id] for one in alone], alone),
+    )
+    more = [strip for of_tasks, matched in parts for strip in _strips(of_tasks, matched, heads)]
+    return with_left_out(last.strips, [*more, *named_sightings(last.sky, first.named, heads)])
 
 
 def _unused_so_far(dump: Dump, heads: Sequence[HeadSightings], sky: SkySide) -> list[Omission]:

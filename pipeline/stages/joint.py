@@ -115,9 +115,12 @@ def calibrate_jointly(
         raise DataNotSufficientError(f"all dumps together: {estimate.reason}")
     estimate = estimate.with_reference(first.dump.heads[0].name)
     sigma = first.dump.sigma_installation_rad
+    sighted = [
+        _renamed(strip, named, epoch, target_names) for named, found in calibrated for strip in found.sighted
+    ]
     reliability = examine(
         estimate,
-        strips,
+        sighted,
         one.settings,
         pixel_rad=first.dump.line_camera.pixel_rad,
         star_camera=first.dump.star_camera,

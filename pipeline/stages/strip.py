@@ -38,10 +38,13 @@ from boresight.pipeline.stages.coordinate_slips import contradiction
 from boresight.pipeline.stages.match_pictures import NO_PICTURES, MatchPictures, match_pictures
 
 __all__ = [
+    "Contradicting",
     "MatchedTargets",
     "StripTask",
     "compass",
+    "contradicting_targets",
     "covers",
+    "displaced_m",
     "footprint_e",
     "ground_sightings",
     "match_targets",
@@ -87,6 +90,17 @@ class StripTask:
 
 
 @record(kw_only=True)
+class Contradicting:
+    """A position that was measured, and that contradicts those of the other targets of its strip."""
+
+    target_id: str = scalar("id of the target in the dump")
+    ccd: int = scalar("CCD of the camera, from 0")
+    xy_px: tuple[float, ...] = scalar("(sample, line)")
+    cov_px: tuple[float, ...] = scalar("covariance, px²: xx, xy, yy")
+    distance: float = scalar("from where the others predict it, in standard errors")
+
+
+@record(kw_only=True)
 class MatchedTargets:
     """Targets matched in one strip. Row n of every array is the same match."""
 
@@ -104,6 +118,7 @@ class MatchedTargets:
         "largest distance along an axis of a position from where its template was predicted; 0: no template",
         default=0.0,
     )
+    contradicting: tuple[Contradicting, ...] = scalar("positions that do not agree with these", default=())
 
 
 def pushbroom_of(task: StripTask) -> Pushbroom:
@@ -128,7 +143,40 @@ def match_targets(task: StripTask, parts: Executor = IN_ORDER) -> MatchedTargets
     if result is None:
         return _matched(task.strip.strip_id, (), omitted)
     rejected = [_omission(task, refusal) for refusal in result.refused if not refusal.is_out_of_view]
-    return _matched(task.strip.strip_id, result.matches, [*omitted, *rejected])
+    matched = _matched(task.strip.strip_id, result.matches, [*omitted, *rejected])
+    others = [_contradicting(one.match, one.value) for one in result.refused if one.match is not None]
+    return replace(matched, contradicting=tuple(others))
+
+
+def _contradicting(match: TargetMatch, distance: float) -> Contradicting:
+    (xx, xy), (_, yy) = match.cov_px.tolist()
+    x, y = match.xy_px.tolist()
+    return Contradicting(
+        target_id=match.target_id,
+        ccd=match.ccd,
+        xy_px=(x, y),
+        cov_px=(xx, xy, yy),
+        distance=distance,
+    )
+
+
+def contradicting_targets(matched: MatchedTargets) -> MatchedTargets:
+    """The positions of a strip that contradict the others, as matched targets of it."""
+    rows, n = matched.contradicting, len(matched.contradicting)
+    xx, xy, yy = np.array([one.cov_px for one in rows], dtype=float).reshape(n, 3).T
+    unknown = np.full(n, np.nan)
+    return MatchedTargets(
+        strip_id=matched.strip_id,
+        target_id=np.array([one.target_id for one in rows], dtype=str),
+        ccd=np.array([one.ccd for one in rows], dtype=np.int64),
+        xy_px=np.array([one.xy_px for one in rows], dtype=float).reshape(n, 2),
+        cov_px=np.stack([xx, xy, xy, yy], axis=1).reshape(n, 2, 2),
+        correlation=unknown,
+        probability_wrong=unknown,
+        predicted_px=np.full((n, 2), np.nan),
+        pictures=(NO_PICTURES,) * n,
+        omissions=(),
+    )
 
 
 def no_matches(omission: Omission) -> MatchedTargets:
@@ -256,11 +304,21 @@ def _displaced_m(task: StripTask, refusal: Refusal) -> tuple[float, float]:
     shows, m.
     """
     p_e = next(one.p_e for one in task.targets if one.target_id == refusal.target_id)
+    sample, line = pushbroom_of(task).pixels_from_ground(refusal.ccd, p_e[None])
+    off_x, off_y = refusal.more
+    return displaced_m(
+        task, refusal.target_id, refusal.ccd, (float(sample[0]) + off_x, float(line[0]) + off_y)
+    )
+
+
+def displaced_m(task: StripTask, target_id: str, ccd: int, xy_px: tuple[float, ...]) -> tuple[float, float]:
+    """How far the stated place of a target lies east and north of the one that the strip shows at a
+    (sample, line), by the matrix of the task, m.
+    """
+    p_e = next(one.p_e for one in task.targets if one.target_id == target_id)
     lat, lon, height = geodetic_from_ecef(p_e[None], WGS84)
     model, level = pushbroom_of(task), ConstantHeight(float(height[0]))
-    sample, line = model.pixels_from_ground(refusal.ccd, p_e[None])
-    off_x, off_y = refusal.more
-    there = model.ground_points(refusal.ccd, sample + off_x, line + off_y, level)
+    there = model.ground_points(ccd, np.array([xy_px[0]]), np.array([xy_px[1]]), level)
     east_m, north_m = (local_axes_e(lat, lon)[0].T @ (p_e - there[0]))[:2].tolist()
     return east_m, north_m
 

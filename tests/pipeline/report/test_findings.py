@@ -12,21 +12,18 @@ from boresight.gct_match.locate import match_template
 from boresight.gct_match.records import Reason, Refusal
 from boresight.geometry.constants import WGS84
 from boresight.geometry.geodesy import geodetic_from_ecef, local_axes_e
+from boresight.pipeline.errors import Omission
 from boresight.pipeline.files.dump import open_dump
 from boresight.pipeline.report.findings import (
     clouds,
-    displaced_strip,
-    doubtful,
-    lost_strip,
-    silent_ccds,
-    single_targets,
     spread,
 )
-from boresight.pipeline.report.ground_map import REJECTED, UNMATCHED, USED
+from boresight.pipeline.report.ground_map import UNMATCHED, USED
 from boresight.pipeline.results.folder import store_of
 from boresight.pipeline.stages.calibrate import calibrate_dump
 from boresight.pipeline.stages.input_findings import heights
 from boresight.pipeline.stages.strip import _displaced_m, compass, pushbroom_of
+from boresight.pipeline.stages.target_findings import Suspected, lost_strip, lost_targets, single_targets
 
 NAMES = [f"t{n}" for n in range(12)]
 
@@ -64,19 +61,6 @@ def test_other_heights_are_named_by_size_or_by_target_and_noise_is_not():
     assert (one.cause, one.item) == ("height", "target t4") and "+31" in one.text
 
 
-def test_ccds_without_a_match_are_named_and_the_dead_ones_called_dead():
-    rows = [row(s, f"{s}{n}", ccd=2) for s in ("a", "b", "c") for n in range(3)]
-    rows += [row(s, f"{s}u", ccd=1, state=USED) for s in ("a", "b", "c")]
-    lost = {(s, 2): s != "c" for s in ("a", "b", "c")}
-    (dead,) = silent_ccds(rows, lost)
-    assert dead.cause == "dead detector or empty file" and dead.item == "CCD 2 in strips a, b"
-    assert dead.targets == ("a/a0", "a/a1", "a/a2", "b/b0", "b/b1", "b/b2")
-    (silent,) = silent_ccds(rows, dict.fromkeys(lost, False))
-    assert (silent.cause, silent.item) == ("images or look directions", "CCD 2") and len(silent.targets) == 9
-    assert "remote_camera.toml" in silent.text
-    assert list(silent_ccds(rows, {("a", 2): False})) == []  # a cloud over one strip's CCD
-
-
 def test_bright_places_without_contrast_are_clouds_and_dark_ones_are_not():
     used = [(f"u{n}", 100.0, 20.0) for n in range(3)]
     seen = {USED: used, UNMATCHED: [("white", 240.0, 3.0), ("dark", 10.0, 1.0), ("town", 240.0, 60.0)]}
@@ -86,25 +70,75 @@ def test_bright_places_without_contrast_are_clouds_and_dark_ones_are_not():
     assert list(clouds("s1", seen | {USED: used[:2]})) == []  # too few to know what the ground looks like
 
 
-@pytest.mark.parametrize("cause", ["inconsistent", "target residual"])
-def test_single_targets_that_contradict_the_rest_are_named(cause):
-    (found,) = single_targets([row("s1", "t1", cause=cause), row("s1", "t2", state=USED, cause="")])
-    assert "target t1 (strip s1)" in found.item and found.targets == ("s1/t1",) and found.is_fault
-    many = [row("s1", f"t{n}", cause=cause) for n in range(4)]
-    assert list(single_targets(many)) == []  # no matter of single targets
+def suspected(strip_id, target_id, distance=9.0):
+    return Suspected(strip_id=strip_id, target_id=target_id, distance=distance, east_m=-30.0, north_m=1.0)
 
 
-def test_targets_that_the_data_do_not_tell_apart_are_one_fault():
-    (found,) = doubtful(SimpleNamespace(doubtful=(("s1/t3", "s1/t9"),)))
-    assert (found.cause, found.item, found.is_fault) == ("gross error", "one target of 2", True)
-    assert found.text.startswith("s1/t3 or s1/t9 is wrong; the data do not tell which")
+def test_a_single_target_that_contradicts_the_rest_is_named_once_with_its_place():
+    (found,) = single_targets([suspected("s1", "t1"), suspected("s2", "t1", 12.0)])
+    assert found.item == "target t1 (strips s1, s2)" and found.targets == ("s1/t1", "s2/t1")
+    assert found.is_fault and not found.refutes
+    assert "about 30 m west of the true place (12.0 σ)" in found.text
+    assert found.value == approx(30.0, abs=0.1) and found.sigma == approx(2.5, abs=0.01)
 
 
-def test_a_gross_error_says_where_the_chip_lies():
-    # The residual is where the image shows the target minus where it is stated: 30 m to the east.
-    residual = {"residual_m": 30.0, "residual_east_m": 30.0, "residual_north_m": 1.0}
-    (found,) = single_targets([row("s1", "t1", state=REJECTED, cause="target residual", **residual)])
-    assert found.text == "why; its chip or coordinates lie about 30 m west of the true place."
+def test_many_targets_of_a_strip_are_one_finding():
+    (found,) = single_targets([suspected("s1", f"t{n}") for n in range(5)])
+    assert found.item == "5 targets in strip s1" and len(found.targets) == 5
+
+
+def strip_of(name, lost, found):
+    """A strip with targets lost, by CCD and cause, and found, by CCD."""
+    omissions = [
+        Omission("target", f"{name}/x{n}, CCD {ccd}", "", "why", cause) for n, (ccd, cause) in enumerate(lost)
+    ]
+    return SimpleNamespace(
+        strip_id=name,
+        target_id=np.array([f"y{n}" for n in range(len(found))]),
+        ccd=np.array(found),
+        omissions=tuple(omissions),
+    )
+
+
+class Images:
+    """Images of four CCDs, those in `flat` without content."""
+
+    ccds = (0, 1, 2, 3)
+
+    def __init__(self, flat=()):
+        self.flat = flat
+
+    def shape(self, ccd):
+        return 200, 100
+
+    def read(self, ccd, *window):
+        return np.arange(6400.0) % (1 if ccd in self.flat else 50)
+
+
+def task_of(name, flat=()):
+    return SimpleNamespace(strip=SimpleNamespace(strip_id=name, images=Images(flat)))
+
+
+def test_ccds_of_which_no_target_is_found_are_one_finding_and_half_of_them_refute():
+    tasks = [task_of(name) for name in "abc"]
+    one = [strip_of(name, [(2, "low correlation")] * 3, [0, 1, 3] * 3) for name in "abc"]
+    (found,) = lost_targets(tasks, one, [])
+    assert found.item == "CCD 2" and not found.refutes and len(found.targets) == 9
+    assert "0 of 9 targets found, and 27 on other CCDs" in found.text
+    assert list(lost_targets(tasks, one, ["CCD 2"])) == []  # a cause with its size is told already
+    two = [strip_of(name, [(0, "low correlation"), (2, "low correlation")] * 3, [1, 3] * 3) for name in "abc"]
+    (both,) = lost_targets(tasks, two, [])
+    assert both.item == "CCDs 0, 2" and both.refutes
+    cloud = [strip_of("a", [(2, "low correlation")] * 3, [0, 1, 3]), strip_of("b", [], [0, 1, 2, 3] * 3)]
+    assert list(lost_targets(tasks, cloud, [])) == []
+
+
+def test_an_image_of_one_grey_value_is_a_dead_detector_where_it_is_one():
+    tasks = [task_of("a", flat=(2,)), task_of("b")]
+    strips = [strip_of("a", [(2, "one grey value")], [0, 1]), strip_of("b", [(3, "one grey value")], [0])]
+    (dead,) = lost_targets(tasks, strips, [])
+    assert (dead.cause, dead.item) == ("dead detector or empty file", "CCD 2 in strip a")
+    assert dead.targets == ("a/x0",) and not dead.refutes
 
 
 def test_displacements_are_told_by_the_compass():
@@ -126,22 +160,6 @@ def test_the_place_of_an_inconsistent_chip_is_found_on_the_ground(finished):
     off = tuple((pixels[0] - pixels[1]).tolist())
     refusal = Refusal(Reason.INCONSISTENT, 9.0, 4.0, off, name, ccd)
     assert _displaced_m(task, refusal) == approx((60.0, -25.0), abs=0.05)  # m: the ground is not a plane
-
-
-def test_a_displaced_strip_is_a_matter_of_time_only_where_it_moved_along_the_lines():
-    late = displaced_strip(
-        "s2", ("s2/a",), (12, 0.2, 21.2), later_ms=19.0, motion_m_s=7000.0, sigma_position_m=2.0
-    )
-    assert (late.cause, late.item) == ("clock or orbit", "strip s2")
-    assert "19.0 ms too late" in late.text and "133 m along" in late.text and "0.3 ms, 1σ" in late.text
-    early = displaced_strip(
-        "s2", ("s2/a",), (12, 0.2, -21.2), later_ms=-19.0, motion_m_s=7000.0, sigma_position_m=2.0
-    )
-    assert "19.0 ms too early" in early.text
-    across = displaced_strip(
-        "s2", ("s2/a",), (12, 30.0, 21.2), later_ms=19.0, motion_m_s=7000.0, sigma_position_m=2.0
-    )
-    assert across.cause == "attitude, orbit or mounting" and "ms" not in across.text
 
 
 def test_a_strip_without_any_match_is_empty_or_another_one():

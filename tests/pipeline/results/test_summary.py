@@ -45,6 +45,7 @@ def plain_verdict(monkeypatch: pytest.MonkeyPatch) -> None:
         "boresight.pipeline.results.summary.verdict_json",
         lambda verdict, rows=(): {"checks": [], "sentence": ""},
     )
+    monkeypatch.setattr("boresight.pipeline.results.summary.blind_spots_json", lambda _: [])
 
 
 def test_numbers_of_the_summary_are_those_of_the_estimate() -> None:

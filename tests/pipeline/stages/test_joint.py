@@ -337,7 +337,8 @@ def visits(place: np.ndarray) -> list:
             line_camera=SimpleNamespace(pixel_rad=1e-6),
             star_camera=None,
         )
-        found = SimpleNamespace(strips=strips[4 * n : 4 * n + 4], settings=SETTINGS_USED)
+        own = strips[4 * n : 4 * n + 4]
+        found = SimpleNamespace(strips=own, sighted=own, settings=SETTINGS_USED)
         out.append((SimpleNamespace(name=f"d{n}", dump=dump), found))
     return [out, strips]
 
