@@ -24,6 +24,7 @@ SECTIONS = {
     "map",
     "matrix",
     "checks",
+    "blind",
     "targets",
     "residuals",
     "accuracy",

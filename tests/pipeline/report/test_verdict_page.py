@@ -72,7 +72,8 @@ def test_refuted_data_say_by_what_and_where_to_look_the_least_likely_first(finis
         check("equal coordinates of targets", 0.0, False, names=(("t1", "t1<b>"), ("t2", "t3"))),
     )
     text, html = first_screen(finished, verdict=verdict(*failing))
-    assert "Refuted by equal coordinates of targets, residuals of targets." in text
+    assert "Refuted." in text
+    assert text.index("equal coordinates of targets") < text.index("residuals of targets")
     assert "Look at: positions and velocities of the satellite." in text
     assert "p 1e-09" in text.replace("\N{MINUS SIGN}", "-") and "3745 where 2130 is expected" in text
     assert "t1 = t1&lt;b&gt;" in html and "<b>" not in html
@@ -81,7 +82,7 @@ def test_refuted_data_say_by_what_and_where_to_look_the_least_likely_first(finis
 
 def test_a_result_without_a_verdict_is_not_called_good(finished):
     text, html = first_screen(finished)
-    assert "Not assessed." in text and 'class="verdict good"' not in html
+    assert "Not assessed" in text and 'class="verdict good"' not in html
 
 
 def test_the_saved_verdict_of_a_good_mission_is_shown(finished):
@@ -89,7 +90,7 @@ def test_the_saved_verdict_of_a_good_mission_is_shown(finished):
     view = verdict_view(saved.installation)
     assert view.outcome == "consistent" and len(view.checks) == 8 and not view.failed
     html = report_html(saved)
-    assert "Consistent." in html and 'id="checks"' in html
+    assert "Consistent: " in html and 'id="checks"' in html
     assert all(check["kind"] in html for check in saved.installation["verdict"]["checks"])
 
 

@@ -1,0 +1,155 @@
+"""Every hypothesis injects itself at the level of sightings: no error, its detectable one, and one ten times
+as large.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from scipy.stats import binom, kstest
+
+from boresight.calib.calibration import calibrate
+from boresight.calib.finding import MOST_WORDS
+from boresight.calib.hypotheses import hypotheses
+from boresight.calib.reliability import ReliabilitySettings, blind_spots, examine
+from boresight.calib.settings import CalibrationSettings
+from boresight.calib.strips import prepare_strip
+from boresight.geometry.attitude_estimate import with_attitudes
+from boresight.geometry.constants import ARCSEC
+from boresight.geometry.installation import theta_between
+from boresight.simulator.campaign import CameraPair, StripPlan, draw_strips
+
+BOLD = Rotation.from_euler("xyz", [40, -65, 110], degrees=True)
+CAMERAS = CameraPair(BOLD, n_ccds=2, ccd_px=12288)
+PLAN = StripPlan(
+    strips=3,
+    exposures=5,
+    stars=15,
+    sigma_position_m=2.0,
+    sigma_clock_s=1e-4,
+    sigma_vibration_rad=0.1 * ARCSEC,
+    sigma_distortion_rad=3e-7,
+    sigma_target_m=0.5,
+)
+SETTINGS = CalibrationSettings(robust=False)
+EXACT = ReliabilitySettings(sigma_understated=1.0)
+DRAWS = 8
+
+
+def drawn(seed):
+    return with_attitudes(draw_strips(PLAN, CAMERAS, np.random.default_rng(seed))[0], SETTINGS.attitudes)
+
+
+def examined(strips, settings=SETTINGS):
+    estimate = calibrate(strips, BOLD, settings)
+    return estimate, examine(estimate, strips, settings, pixel_rad=CAMERAS.pixel_rad, limits=EXACT)
+
+
+def injected(strips, change_c, size):
+    """The strips with looks that move as by an error of this size."""
+    out, last = [], 0
+    for strip in strips:
+        first, last = last, last + len(strip.ground.ccd)
+        u_c = strip.ground.u_c + size * change_c[first:last]
+        u_c = u_c / np.linalg.norm(u_c, axis=1, keepdims=True)
+        out.append(replace(strip, ground=replace(strip.ground, u_c=u_c)))
+    return out
+
+
+CLEAN = {}
+
+
+def clean(seed):
+    if seed not in CLEAN:
+        strips = drawn(seed)
+        CLEAN[seed] = (strips, *examined(strips))
+    return CLEAN[seed]
+
+
+def table_of(seed):
+    strips, estimate, _ = clean(seed)
+    prepared = [prepare_strip(strip, SETTINGS) for strip in strips]
+    return hypotheses(prepared, estimate.R_cs, CAMERAS.pixel_rad, [])
+
+
+N = len(table_of(0))
+
+
+def test_right_inputs_give_uniform_p_values_and_no_finding():
+    found = [clean(seed)[2] for seed in range(DRAWS)]
+    assert not any(one.findings for one in found)
+    causes = {test.cause for test in found[0].tests}
+    p_values = {c: [t.p_value for one in found for t in one.tests if t.cause == c] for c in causes}
+    statistic = np.mean([t.statistic for one in found for t in one.tests if not t.is_unseen])
+    # 8 draws with some 12 independent numbers of variance 2: 1 sigma is 0.14, the band 3.5 of them.
+    assert 0.5 < statistic < 1.5
+    for cause in ("rotation of a CCD", "row period", "place of a CCD, across the track"):
+        assert kstest(p_values[cause], "uniform").pvalue > 1e-4, cause
+
+
+@pytest.mark.parametrize("n", range(N))
+def test_an_error_is_measured_and_moves_the_matrix_as_predicted(n):
+    seed = n % DRAWS
+    strips, estimate, reliability = clean(seed)
+    test, h = reliability.tests[n], table_of(seed)[n]
+    factor = 10.0 if n % 3 == 0 else 0.5  # a search for the cause takes half a second
+    size = factor * test.detectable if not test.is_unseen else 1.0
+    size = min(size, 2e-4 / np.abs(h.change_c).max())  # rad: linear
+    spoilt, after = examined(injected(strips, h.change_c, size))
+    moved = theta_between(spoilt.R_cs, estimate.R_cs)
+    expected = size * test.effect_rad
+    assert np.linalg.norm(moved - expected) < 0.03 * np.linalg.norm(expected) + 0.05 * estimate.sigma_theta[0]
+    if test.is_unseen:
+        return
+    assert after.tests[n].value - test.value == pytest.approx(size, rel=0.03)
+    concerned = int(np.any(h.change_c != 0.0, axis=1).sum())
+    if factor < 1.0:
+        return
+    if concerned < 3:  # no more than single observations, which are named by themselves
+        assert after.findings or after.suspects
+    elif size > 5.0 * test.detectable:
+        named = after.findings[0]
+        is_rival = f"or {h.cause}, {h.item}" in named.text  # the data do not tell them apart, and say so
+        assert (named.cause, named.item) == (h.cause, h.item) or is_rival
+        assert len(f"{named.cause} {named.item} {named.text}".split()) <= MOST_WORDS
+        if is_rival:
+            return
+        assert named.value == pytest.approx(size, abs=6.0 * named.sigma + 0.03 * size)
+
+
+def test_the_detectable_error_is_found_in_nine_of_ten():
+    found = tried = 0
+    for seed in range(DRAWS):
+        strips, _, reliability = clean(seed)
+        limit = EXACT.probability_found / N
+        for n in range(seed, N, DRAWS):
+            test = reliability.tests[n]
+            if not test.is_unseen:
+                spoilt = injected(strips, table_of(seed)[n].change_c, test.detectable)
+                tried += 1
+                found += examined(spoilt)[1].tests[n].p_value < limit
+    low, high = binom(tried, 0.9).ppf([0.001, 0.9999])
+    assert low <= found <= high
+
+
+def test_what_all_strips_share_is_unseen_and_told_first():
+    spots = blind_spots(clean(0)[2].tests)
+    unseen = {spot.cause for spot in spots if spot.is_unseen}
+    assert {"clock of the rows", "place of the CCDs, along the track"} <= unseen
+    assert all(a.is_unseen or not b.is_unseen for a, b in pairwise(spots))
+
+
+def test_a_strip_that_was_rejected_whole_still_names_its_clock():
+    settings = CalibrationSettings()
+    strips = drawn(3)
+    late = next(h for h in table_of(3) if (h.cause, h.item) == ("clock of the rows", "strip strip0002"))
+    spoilt = injected(strips, late.change_c, 20.0)
+    estimate = calibrate(spoilt[:2], BOLD, settings)  # as if nothing had been matched in it
+    found = examine(estimate, spoilt, settings, pixel_rad=CAMERAS.pixel_rad)
+    named = found.findings[0]
+    assert (named.cause, named.item, named.unit) == (late.cause, late.item, "ms")
+    assert named.value == pytest.approx(20.0, abs=5.0 * named.sigma) and len(named.targets) == 12
