@@ -12,7 +12,7 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
-from boresight.pipeline.files.content import content_of
+from boresight.pipeline.files.content import content_of, open_regular
 
 __all__ = ["time_of_image"]
 
@@ -28,7 +28,7 @@ def time_of_image(path: Path) -> str | None:
     if not path.is_file():
         return None
     try:
-        with path.open("rb") as stream:
+        with open_regular(path) as stream:
             head = stream.read(_HEAD_BYTES)
         if head.startswith(b"SIMPLE  ="):
             when = _of_fits(path)
@@ -46,7 +46,7 @@ def time_of_image(path: Path) -> str | None:
 def _of_fits(path: Path) -> datetime | None:
     from astropy.io import fits
 
-    with fits.open(path, memmap=False, lazy_load_hdus=True) as hdus:
+    with open_regular(path) as stream, fits.open(stream, memmap=False, lazy_load_hdus=True) as hdus:
         for hdu in hdus[:2]:
             if (when := _of_cards(hdu.header)) is not None:
                 return when

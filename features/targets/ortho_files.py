@@ -17,11 +17,16 @@ from boresight.geometry.geoid import egm96
 from boresight.geometry.record import Bools, Floats, array, record, scalar
 from boresight.geometry.terrain import Surface, TerrainGrid
 from boresight.pipeline.errors import RawDataError
+from boresight.pipeline.files.image_heads import first_bytes
+from boresight.pipeline.files.xml_files import read_xml
 
 __all__ = ["HeightModel", "Ortho", "read_heights", "read_ortho"]
 
 MAX_PIXELS = 20_000 * 20_000
 GREY_BANDS = 3  # of a colour image: their mean; a fourth band is infrared or transparency
+_OFFLINE = {"CPL_VSIL_CURL_ALLOWED_EXTENSIONS": ".none"}
+_LISTS = (b"<", b"{")  # first bytes of files that name others: XML, JSON
+_SOURCES = ("SourceFilename", "SourceDataset", "SourceRaster")  # of a VRT
 VERTICAL = {"egm2008": "EPSG:9518"}  # WGS84 with heights above the geoid
 
 
@@ -83,13 +88,34 @@ def read_heights(paths: list[Path], kind: str) -> HeightModel:
     return HeightModel(tuple(grids), kind)
 
 
+def _driver_of(path: Path, file: str) -> str | None:
+    """GDAL's driver of a raster, None for any that reads pixels. `RawDataError` for a list of addresses, and
+    for a VRT with code or of anything but files of pixels of this machine.
+    """
+    if not (head := first_bytes(path, file, 64).lstrip()).startswith(_LISTS):
+        return None
+    root = read_xml(path, file) if head.startswith(b"<") else None
+    if root is None or root.tag != "VRTDataset":
+        raise RawDataError(file, "byte 0", head[:16].decode("ascii", "replace"), "a GeoTIFF, COG or VRT")
+    for element in root.iter():
+        if element.tag.startswith("PixelFunction"):
+            raise RawDataError(file, element.tag, "code", "a VRT without functions of its own")
+        if element.tag in _SOURCES:
+            name = (element.text or "").strip()
+            folder = path.resolve().parent if element.get("relativeToVRT") == "1" else Path()
+            if first_bytes(folder / name, f"{file}: {name}", 1) in _LISTS:
+                raise RawDataError(file, element.tag, f"{name}, a list of others", "a file of pixels")
+    return "VRT"
+
+
 def _read(
     path: Path, band: int | None, most: int
 ) -> tuple[NDArray[np.float32], Bools, tuple[float, float, float, float, float, float], str]:
     """Mean of bands, validity, transform and CRS of a raster with a map."""
     file = str(path)
+    driver = _driver_of(path, file)
     try:
-        with rasterio.open(path) as image:
+        with rasterio.Env(**_OFFLINE), rasterio.open(path.resolve(), driver=driver) as image:
             if image.width * image.height > MAX_PIXELS:
                 size = f"{image.width} x {image.height} px"
                 raise RawDataError(file, "image size", size, f"at most {MAX_PIXELS} px; cut it into parts")

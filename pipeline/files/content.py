@@ -13,8 +13,10 @@ import stat
 from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
+from typing import BinaryIO, cast
 
 from boresight.pipeline.errors import RawDataError
+from boresight.pipeline.files.object_store import StoredPath
 
 __all__ = [
     "Identity",
@@ -22,6 +24,7 @@ __all__ = [
     "content_digest",
     "content_of",
     "identity_of",
+    "open_regular",
     "read_ahead",
     "remember_digest",
     "small_content",
@@ -32,16 +35,40 @@ KEPT_BYTES = 2**26  # three raw exposures of 20 million pixels; a strip is read 
 STREAMED_BYTES = 2**23  # read at once of a larger file, of a store in one request
 
 MOST_DIGESTS = 100_000  # remembered
+_NO_WAIT = getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_BINARY", 0)
 
 Identity = tuple[int, ...]
 
 _digests: dict[tuple[Path, Identity], str] = {}
 
 
+def open_regular(path: Path, buffering: int = -1) -> BinaryIO:
+    """A regular file, opened for reading; `OSError` for anything else, of which opening may block or act.
+
+    Everything that a dump, a result or a user names is opened here, or by a library that is given the bytes
+    or the name of a file that was checked here and may follow no name in it.
+    """
+    if isinstance(path, StoredPath):
+        return cast(BinaryIO, path.open("rb", buffering))
+    _identity(path)  # a device must not even be opened
+    descriptor = os.open(path, os.O_RDONLY | _NO_WAIT)
+    if not stat.S_ISREG(os.fstat(descriptor).st_mode):  # exchanged in between
+        os.close(descriptor)
+        raise OSError(errno.EINVAL, "not a regular file", str(path))
+    return cast(BinaryIO, os.fdopen(descriptor, "rb", buffering))
+
+
+def _read(path: Path) -> bytes:
+    if isinstance(path, StoredPath):
+        return path.read_bytes()  # in one request
+    with open_regular(path) as stream:
+        return stream.read()
+
+
 def content_of(path: Path) -> bytes:
     """All bytes of a regular file; `OSError` for anything else."""
     content = small_content(path)
-    return path.read_bytes() if content is None else content
+    return _read(path) if content is None else content
 
 
 def small_content(path: Path) -> bytes | None:
@@ -73,7 +100,7 @@ def remember_digest(path: Path, identity: Identity, digest: str) -> None:
 def read_ahead(path: Path) -> None:
     """Have the system read a small file of this machine while another is computed on; leave others."""
     with suppress(OSError, AttributeError):  # systems without such advice; what is no file its reader reports
-        stream = os.open(path, os.O_RDONLY | os.O_NONBLOCK)  # opening a FIFO would block
+        stream = os.open(path, os.O_RDONLY | _NO_WAIT)  # opening a FIFO would block
         try:
             if os.fstat(stream).st_size <= KEPT_BYTES:
                 os.posix_fadvise(stream, 0, 0, os.POSIX_FADV_WILLNEED)
@@ -114,14 +141,14 @@ def _identity(path: Path) -> Identity:
 
 @lru_cache(maxsize=1)
 def _content(path: Path, identity: Identity) -> bytes:
-    return path.read_bytes()
+    return _read(path)
 
 
 def _sha256(path: Path, identity: Identity) -> str:
     if identity[0] <= KEPT_BYTES:
         return hashlib.sha256(_content(path, identity)).hexdigest()
     state = hashlib.sha256()
-    with path.open("rb", buffering=0) as stream:
+    with open_regular(path, buffering=0) as stream:
         while piece := stream.read(STREAMED_BYTES):
             state.update(piece)
     return state.hexdigest()

@@ -17,6 +17,8 @@ from isal.igzip_lib import IsalError
 from numpy.typing import NDArray
 from rasterio.windows import Window
 
+from boresight.pipeline.files.content import open_regular
+
 __all__ = ["read_deflated"]
 
 SPARE_BYTES = 1024  # of a tile that does not compress, beyond its pixels: headers of zlib's blocks
@@ -43,7 +45,7 @@ def read_deflated(path: Path, image: Any, window: Window) -> NDArray[Any] | None
     height, width = image.block_shapes[0]
     first, last = window.col_off // width, (window.col_off + window.width - 1) // width
     pixels = np.empty((window.height, (last - first + 1) * width), kind)
-    with path.open("rb") as stream:
+    with open_regular(path) as stream:
         if stream.read(2) != b"II":
             return None
         end = window.row_off + window.height

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from boresight.pipeline.errors import RawDataError
-from boresight.pipeline.files.content import check_regular, content_of, small_content
+from boresight.pipeline.files.content import check_regular, content_of, open_regular, small_content
 
 __all__ = ["MAX_STAR_PIXELS", "TIFF_MAGICS"]
 __all__ += ["check_length", "check_size", "encoded_content", "first_bytes", "kept_head"]
@@ -19,7 +19,7 @@ def first_bytes(path: Path, file: str, n: int) -> bytes:
     """The first `n` bytes of an image file; `RawDataError` if it cannot be read."""
     check_regular(path, file, "an image")
     try:
-        with path.open("rb") as stream:
+        with open_regular(path) as stream:
             return stream.read(n)
     except OSError as error:
         raise RawDataError(file, "file", error.strerror or str(error), "a readable image") from error

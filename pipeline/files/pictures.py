@@ -19,7 +19,7 @@ from isal import isal_zlib
 from numpy.typing import NDArray
 
 from boresight.pipeline.errors import RawDataError
-from boresight.pipeline.files.content import small_content
+from boresight.pipeline.files.content import open_regular, small_content
 from boresight.pipeline.files.image_heads import check_length, check_size, encoded_content, kept_head
 from boresight.pipeline.files.png_rows import png_rows
 
@@ -76,7 +76,7 @@ def read_picture(path: Path, file: str) -> NDArray[Any]:
     if kind in ("PGM", "PPM"):
         return _read_netpbm(path, file, head)
     content = small_content(path)
-    with path.open("rb") if content is None else io.BytesIO(content) as stream:
+    with open_regular(path) if content is None else io.BytesIO(content) as stream:
         return _by_pillow(stream, path, file, kind)
 
 

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
+from xml.etree.ElementTree import Element
 
 import numpy as np
 
@@ -24,6 +25,7 @@ from boresight.star_id.whole_catalogue import all_hipparcos
 __all__ = ["StarTable", "read_star_table", "survey_of"]
 
 FORMATS = {".csv": "ascii.csv", ".fits": "fits", ".fit": "fits", ".vot": "votable", ".xml": "votable"}
+FITS_MAGIC = b"SIMPLE  ="
 MAX_BYTES = 2**28
 MAS = 1e-3 * ARCSEC
 # Name, least and largest value, value where the column is absent (None: it must be there)
@@ -74,7 +76,10 @@ def read_star_table(path: Path, file: str) -> SurveyedStars:
     from astropy.table import Table  # with pandas 0.6 s to load
 
     if kind == "votable":
-        read_xml(path, file)  # without DTD and entities, before another parser sees it
+        _check_streams(read_xml(path, file), file)  # and no DTD or entity, before another parser sees it
+    elif kind == "fits" and not content_of(path).startswith(FITS_MAGIC):
+        found = content_of(path)[:8].hex(" ")
+        raise RawDataError(file, "byte 0", found, "a FITS file that is not packed")
     try:
         table = Table.read(io.BytesIO(content_of(path)), format=kind)
     except Exception as error:  # astropy raises errors of many kinds for a damaged file
@@ -113,6 +118,15 @@ def read_star_table(path: Path, file: str) -> SurveyedStars:
         sigma_pm_rad_yr=np.hypot(c["pmra_error"], c["pmdec_error"]) / np.sqrt(2.0) * MAS,
         single=np.ones(len(dec), dtype=bool),
     )
+
+
+def _check_streams(root: Element, file: str) -> None:
+    """`RawDataError` where a VOTable's rows lie elsewhere or are packed: astropy fetches and unpacks them."""
+    for stream in root.iter("STREAM"):
+        here = {key: value for key, value in stream.attrib.items() if key != "type"}
+        if here not in ({}, {"encoding": "base64"}):
+            found = ", ".join(f'{key}="{value}"' for key, value in here.items())
+            raise RawDataError(file, "STREAM", found, 'the table itself, in encoding="base64"')
 
 
 def _column(table: Any, name: str, file: str) -> Floats:

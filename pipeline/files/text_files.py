@@ -19,7 +19,7 @@ from typing import Any, TypeVar, get_args
 from pydantic import BaseModel, ValidationError
 
 from boresight.pipeline.errors import RawDataError
-from boresight.pipeline.files.content import check_regular
+from boresight.pipeline.files.content import check_regular, content_of
 
 __all__ = [
     "NUMBER",
@@ -76,7 +76,7 @@ def read_text(path: Path, file: str, max_bytes: int = MAX_TEXT_BYTES) -> str:
     if (size := check_regular(path, file, "a readable file")) > max_bytes:
         raise RawDataError(file, "file", f"{size} bytes", f"at most {max_bytes} bytes of text")
     try:
-        raw = path.read_bytes()
+        raw = content_of(path)
     except OSError as error:
         raise RawDataError(file, "file", error.strerror or str(error), "a readable file") from error
     try:
