@@ -7,7 +7,9 @@ mass Earth in the axes of the ephemeris,
 
 and a consistent file has v = (v1 + v2) / 2 = u. Otherwise the likely cause is that frequent mistake whose
 model fits v best: zero, reversed, multiplied by a factor (units), inertial velocities in a rotating frame (v
-= u + omega x p) or the opposite. Metres, seconds.
+= u + omega x p) or the opposite. Velocities that change as in axes that rotate with the Earth, in a frame
+that is stated as inertial, or the opposite, tell a wrong frame; as in axes that rotate backwards, a mirrored
+one. Metres, seconds.
 """
 
 from __future__ import annotations
@@ -26,6 +28,8 @@ _BASELINE_S = 10.0  # noise of the positions averages out over intervals of this
 _GAP_FACTOR = 1.5  # steps longer than this times the median are gaps and not compared
 _EFFECT_M_S = 2.0  # smallest error of the velocities that is reported: 0.0014 arcsec of aberration
 _MISFIT_M_S = 20.0  # largest unexplained difference
+_SHORTEST_S = 20.0  # span of states whose accelerations are compared with models: 1 m/s apart by then 20 m/s
+_ACCELERATION_M_S2 = 0.3  # smallest unexplained acceleration that is reported; the Earth's rotation makes 1.1
 _JUMP_M = 20.0  # smallest jump of the positions that is reported
 _JUMP_SIGMAS = 12.0  # of the steps' scatter
 _JUMP_RELATIVE = 2e-4  # of a step's length: error of the quadrature for steps of minutes
@@ -41,7 +45,15 @@ class OrbitFault(Enum):
     INERTIAL_IN_ROTATING_FRAME = "the velocities are inertial, the frame rotates with the Earth"
     ROTATING_IN_INERTIAL_FRAME = "the velocities are relative to the rotating Earth, the frame is inertial"
     UNRELATED = "the velocities are not the rate of change of the positions (axes? another object?)"
+    FRAME = "the states move as in axes that rotate with the Earth, the frame is inertial"
+    INERTIAL = "the states move as in inertial axes, the frame rotates with the Earth"
+    MIRRORED = "the states move as in axes that rotate against the Earth (sign of x or y?)"
     JUMP = "the positions jump"
+
+    @property
+    def is_of_frame(self) -> bool:
+        """Whether the states are those of other axes than stated."""
+        return self in (OrbitFault.FRAME, OrbitFault.INERTIAL, OrbitFault.MIRRORED)
 
 
 @record(kw_only=True)
@@ -50,7 +62,9 @@ class OrbitFinding:
 
     fault: OrbitFault = scalar("what is inconsistent, and the likely cause")
     state: int = scalar("index of the state concerned, from 0 (jumps and order; else 0)")
-    size: float = scalar("m/s: rms error of the velocities; m: jump; s: step back in time")
+    size: float = scalar(
+        "m/s or m/s²: rms error of velocities or accelerations; m: jump; s: step back in time"
+    )
     factor: float = scalar("velocities over rate of change of the positions")
 
     def __str__(self) -> str:
@@ -59,6 +73,9 @@ class OrbitFinding:
             OrbitFault.NOT_ORDERED: f"{at}: {self.size:.6g} s back",
             OrbitFault.JUMP: f"{at}: {self.size:.4g} m against the velocities",
             OrbitFault.SCALED: f": {self.factor:.4g}",
+            OrbitFault.FRAME: f", {self.size:.2g} m/s² off",
+            OrbitFault.INERTIAL: f", {self.size:.2g} m/s² off",
+            OrbitFault.MIRRORED: f", {self.size:.2g} m/s² off",
         }.get(self.fault, f": they differ from the positions' rate of change by {self.size:.4g} m/s rms")
 
 
@@ -97,8 +114,10 @@ def find_orbit_fault(
     else:
         other, rotation = OrbitFault.ROTATING_IN_INERTIAL_FRAME, -EARTH_ROTATION_RATE
     carried = step[:, None] * np.cross([0.0, 0.0, rotation], middle)
-    return _velocity_fault(step, by_positions, by_velocities, (other, carried), compared) or _jump(
-        by_positions, by_velocities, compared
+    return (
+        _velocity_fault(step, by_positions, by_velocities, (other, carried), compared)
+        or _frame_fault(t_s, positions_m, velocities_m_s, frame)
+        or _jump(by_positions, by_velocities, compared)
     )
 
 
@@ -151,6 +170,33 @@ def _velocity_fault(
     if np.median(differences) > _MISFIT_M_S:
         return OrbitFinding(fault=OrbitFault.UNRELATED, state=0, size=rms[None], factor=factor)
     return None
+
+
+def _frame_fault(t: Floats, p: Floats, v: Floats, frame: str) -> OrbitFinding | None:
+    """Compare how the velocities change, over the first stretch of states without gaps, with the acceleration
+    in axes that do not rotate, rotate with the Earth, and rotate against it.
+    """
+    span = np.diff(t)
+    gaps = np.flatnonzero(span > _GAP_FACTOR * np.median(span))
+    n = int(gaps[0]) + 1 if len(gaps) else len(t)
+    n = min(n, int(np.searchsorted(t, t[0] + 300.0)))  # the acceleration is nearly linear over 5 minutes
+    if n < 3 or t[n - 1] - t[0] < _SHORTEST_S:
+        return None
+    t, p, v = t[:n], p[:n], v[:n]
+    slope = np.polyfit(t - t.mean(), v, 1)[0]
+    rates = {None: 0.0, OrbitFault.FRAME: 1.0, OrbitFault.MIRRORED: -1.0}
+    if frame == "ITRF":
+        rates = {None: 1.0, OrbitFault.INERTIAL: 0.0, OrbitFault.MIRRORED: -1.0}
+    gravity = -GM_EARTH * p / np.linalg.norm(p, axis=1, keepdims=True) ** 3
+    misfit = {}
+    for fault, rate in rates.items():
+        omega = np.array([0.0, 0.0, rate * EARTH_ROTATION_RATE])
+        model = gravity - np.cross(omega, 2.0 * v + np.cross(omega, p))
+        misfit[fault] = float(np.linalg.norm(slope - model.mean(axis=0)))
+    best = min(misfit, key=lambda fault: misfit[fault])
+    if best is None or misfit[None] < _ACCELERATION_M_S2 or misfit[best] > 0.3 * misfit[None]:
+        return None
+    return OrbitFinding(fault=best, state=0, size=misfit[None], factor=1.0)
 
 
 def _jump(by_positions: Floats, by_velocities: Floats, compared: Bools) -> OrbitFinding | None:

@@ -36,6 +36,7 @@ from boresight.geometry.terrain_tiles import Raster, joined
 from boresight.pipeline.errors import Omission, RawDataError
 from boresight.pipeline.files import dump_schema as schema
 from boresight.pipeline.files.content import Identity, identity_of
+from boresight.pipeline.files.dates import check_exposure_dates, check_orbit_dates, orbit_covers
 from boresight.pipeline.files.ground_points import StripPoints, SurveyedPoints, read_points, targets_of
 from boresight.pipeline.files.image_files import StripFiles, check_strip_file, read_grid
 from boresight.pipeline.files.object_store import dump_folder
@@ -167,6 +168,9 @@ class Dump:
     points: tuple[StripPoints, ...] = scalar("measured image points, one record a strip")
     terrain: TerrainFiles | TargetHeights = scalar("the surface of the Earth")
     star_catalogue: StarTable | None = scalar("stars of strips of the sky; None: the bundled Hipparcos")
+    orbit_covers: str = scalar(
+        'what the orbit covers, for messages: "orbit.oem covers 2024-11-20T03:39:49 to ..."'
+    )
     omissions: tuple[Omission, ...] = scalar("images that are not used, with the reasons")
     listed: dict[str, int] = scalar(
         "how many targets, measured points, strips and exposures of the reference head its tables list"
@@ -264,6 +268,10 @@ def open_dump(root: Path | str, *, allow_stale_eop: bool = False, threads: int =
     surveyed = targets_of(rows)
     every_head = open_heads(root, head, ephemeris.epoch)
     heads, exposures_twice = exposures_once(every_head)
+    of_strips = [(s.t_first_row_s, s.t_first_row_s + s.lines * s.row_period_s) for s in every]
+    covers = orbit_covers(ephemeris.epoch, ephemeris.t_s, ephemeris.time_system, head.files.orbit, of_strips)
+    check_orbit_dates(covers, ephemeris.epoch, ephemeris.t_s, head.files.orbit, of_strips)
+    check_exposure_dates(ephemeris.epoch, *_exposure_times(heads, head), of_strips)
     during = [(s.t_first_row_s, s.t_first_row_s + s.lines * s.row_period_s) for s in strips]
     for one in heads:
         check_attitudes(one, orbit, during)
@@ -286,6 +294,7 @@ def open_dump(root: Path | str, *, allow_stale_eop: bool = False, threads: int =
         points=_points_once(points, strips),
         terrain=_terrain(root, head, (surveyed, *of_points), threads),
         star_catalogue=_star_catalogue(paths.get("star_catalogue"), head, sky_strips),
+        orbit_covers=covers,
         omissions=(*omitted, *twice, *sky_twice, *exposures_twice),
         listed={
             "targets": len(rows),
@@ -294,6 +303,19 @@ def open_dump(root: Path | str, *, allow_stale_eop: bool = False, threads: int =
             "exposures": 0 if isinstance(heads[0].source, SolvedAttitudes) else every_head[0].n_exposures,
         },
     )
+
+
+def _exposure_times(heads: Sequence[Head], head: schema.DumpFile) -> tuple[Floats, str]:
+    """Instants of all exposures and attitudes, and the file of the first."""
+    of_head = [
+        one.source.rows.t_s
+        if isinstance(one.source, SolvedAttitudes)
+        else np.array([exposure.t_s for exposure in one.source.exposures])
+        for one in heads
+    ]
+    first = heads[0].source
+    file = first.file if isinstance(first, SolvedAttitudes) else head.files.exposures
+    return np.concatenate(of_head), file or f"exposures of {heads[0].name}"
 
 
 def dump_faults(root: Path) -> list[RawDataError]:
@@ -377,6 +399,8 @@ def orbit_of(
     """
     t, frame = ephemeris.t_s, ephemeris.frame
     if fault := find_orbit_fault(t, ephemeris.positions_m, ephemeris.velocities_m_s, frame):
+        if fault.fault.is_of_frame:
+            raise RawDataError(file, "REF_FRAME", f"{frame}, but {fault}", "the frame of the states")
         expected = f"{frame} velocities in km/s that are the rate of change of the positions, and no jumps"
         raise RawDataError(file, f"state {fault.state + 1}", str(fault), expected)
     try:

@@ -54,6 +54,7 @@ class Ephemeris:
     interpolation_degree: int = scalar("degree of the interpolating polynomial, 1 to 15")
     first_time: str = scalar("time of the first state, in the file's own time system")
     last_time: str = scalar("time of the last state, likewise")
+    time_system: str = scalar("that time system", default="UTC")
 
 
 def read_oem(path: Path, file: str) -> Ephemeris:
@@ -107,6 +108,7 @@ def _ephemeris(meta: Any, times: list[Any], values: Floats, file: str) -> Epheme
         interpolation_degree=_degree(meta, file),
         first_time=f"{times[0]}",
         last_time=f"{times[-1]}",
+        time_system=str(meta["TIME_SYSTEM"]),
     )
 
 

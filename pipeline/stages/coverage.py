@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from boresight.geometry.record import Floats, Ints
 from boresight.pipeline.errors import Cause, Omission
+from boresight.pipeline.files.dates import span_text
 from boresight.pipeline.files.dump import Dump, Strip
 from boresight.pipeline.files.star_side import SolvedAttitudes
 from boresight.pipeline.stages.head import HeadSightings
@@ -71,7 +72,8 @@ def attitudes_around(dump: Dump, strip: Strip, head: HeadSightings, margin_s: fl
     begin, end = first - margin_s, last + margin_s
     near = np.flatnonzero(head.attitudes.usable & (times >= begin) & (times <= end))
     if not covers(dump, strip):
-        reason = "the orbit has no states for all of its rows"
+        rows = span_text(dump.epoch, first, last)
+        reason = f"{dump.orbit_covers}, without gaps not all of its rows, {rows} (utc_first_row)"
     else:
         reason = _not_covered(times[near], first, last)
         if reason and (able := _others_that_cover(dump, first, last)):

@@ -88,8 +88,10 @@ def star_tasks(
 def _observer(dump: Dump, exposure: Exposure) -> Observer | Omission:
     try:
         p_i, v_i = dump.orbit.states_i(np.array([exposure.t_s]))
-    except OrbitGapError as error:
-        return exposure.item.because(str(error), Cause.NOT_COVERED)
+    except OrbitGapError:
+        utc = dump.epoch.utc_from_seconds(exposure.t_s)[0][:23]
+        reason = f"{dump.orbit_covers}, not its time {utc} (utc_mid)"
+        return exposure.item.because(reason, Cause.NOT_COVERED)
     return Observer(dump.epoch, exposure.t_s, p_i[0], v_i[0])
 
 

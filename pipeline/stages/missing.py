@@ -95,6 +95,11 @@ def _no_attitude(reference: HeadSightings) -> str:
 
 def _no_target(dump: Dump, tasks: Sequence[StripTask]) -> str:
     misses = [(nearest_miss(task, dump.targets), task.strip.strip_id) for task in tasks]
+    if not np.isfinite([miss[0][:2] for miss in misses]).any():
+        return (
+            "no strip sees the Earth: by the attitudes and the orbit the camera looks past it; check axes and "
+            "REF_FRAME of the orbit, and the pre-launch matrix (quaternion_cs: scalar last, star camera to camera)"
+        )
     (across_m, along_m, along_s, target_id), strip_id = min(misses, key=lambda m: float(np.hypot(*m[0][:2])))
     return (
         f"no target comes into view: the nearest, {target_id}, misses strip {strip_id} by "
@@ -108,7 +113,7 @@ def nearest_miss(task: StripTask, targets: Sequence[Target]) -> tuple[float, flo
     inside), the second as time (s), and its id.
     """
     outside, speed_m_s = misses(task, targets)
-    n = int(np.argmin(np.hypot(*outside.T)))
+    n = int(np.argmin(np.nan_to_num(np.hypot(*outside.T), nan=np.inf)))
     across_m, along_m = outside[n].tolist()
     return across_m, along_m, along_m / speed_m_s, targets[n].target_id
 
@@ -118,6 +123,8 @@ def misses(task: StripTask, targets: Sequence[Target]) -> tuple[Floats, float]:
     and the speed of the strip on the ground (m/s).
     """
     seen_e = footprint_e(task)
+    if not np.isfinite(seen_e[:, [0, -1]]).any(axis=(0, 2)).all():
+        return np.full((len(targets), 2), np.nan), np.nan
     first, last = np.nanmean(seen_e[:, 0], axis=0), np.nanmean(seen_e[:, -1], axis=0)
     middle = 0.5 * (first + last)
     along = (last - first) / np.linalg.norm(last - first)

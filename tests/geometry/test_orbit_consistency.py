@@ -74,6 +74,29 @@ def test_wrong_velocities_are_found_and_the_cause_is_named(fault, frame, wrong, 
         assert found.factor == pytest.approx(np.median(wrong(p, v) / v), rel=1e-3)
 
 
+@pytest.mark.parametrize(("step_s", "n"), [(0.5, 60), (1.0, 70), (30.0, 200)])
+@pytest.mark.parametrize("inclination_deg", [28.5, 97.5])
+@pytest.mark.parametrize(
+    ("fault", "true", "stated", "axes"),
+    [
+        (OrbitFault.FRAME, "ITRF", "GCRF", [1.0, 1.0, 1.0]),
+        (OrbitFault.INERTIAL, "GCRF", "ITRF", [1.0, 1.0, 1.0]),
+        (OrbitFault.MIRRORED, "ITRF", "ITRF", [-1.0, 1.0, 1.0]),
+        (OrbitFault.MIRRORED, "ITRF", "ITRF", [1.0, -1.0, 1.0]),
+    ],
+)
+def test_states_of_other_axes_are_told_by_their_acceleration(
+    fault, true, stated, axes, inclination_deg, step_s, n
+):
+    t, p, v = ephemeris(true, step_s, n, inclination_deg=inclination_deg)
+    noise = np.random.default_rng(2).normal(0.0, 0.05, v.shape)  # m/s, of a receiver
+    found = find_orbit_fault(t, p * axes, v * axes + noise, stated)
+    assert found is not None and found.fault is fault, found
+    assert (
+        0.3 < found.size < 3.0
+    )  # m/s²: twice the Earth's rate times the velocity, 1.1, seen twice if mirrored
+
+
 @pytest.mark.parametrize(("jump_m", "found"), [(5.0, False), (100.0, True), (3e5, True)])
 @pytest.mark.parametrize("last", [31, 120])
 def test_jump_of_the_positions_is_found_at_its_state(jump_m, found, last):

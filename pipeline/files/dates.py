@@ -1,0 +1,68 @@
+"""Dates of a dump's parts against one another: the orbit, star exposures and strips have times in common."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from boresight.geometry.epoch import GPS_MINUS_TAI_S, TT_MINUS_TAI_S, Epoch, tai_minus_utc_s
+from boresight.geometry.record import Floats
+from boresight.pipeline.errors import RawDataError
+
+__all__ = ["check_exposure_dates", "check_orbit_dates", "orbit_covers", "span_text"]
+
+FAR_S = 60.0  # from every strip: exposures of another pass
+
+Span = tuple[float, float]  # TAI seconds since the epoch
+
+
+def span_text(epoch: Epoch, first_s: float, last_s: float) -> str:
+    """A span of time in UTC to the second: "2024-11-20T03:39:49 to 03:40:57 UTC"."""
+    first, last = (text[:19] for text in epoch.utc_from_seconds(np.array([first_s, last_s])))
+    return f"{first} to {last[11:] if last[:10] == first[:10] else last} UTC"
+
+
+def orbit_covers(epoch: Epoch, t_s: Floats, time_system: str, file: str, strips: Sequence[Span]) -> str:
+    """What an orbit covers, for a message; and the time system in which its dates would cover every strip,
+    where they do not as stated.
+    """
+    text = f"{file} covers {span_text(epoch, float(t_s[0]), float(t_s[-1]))}"
+    if _covered(t_s, strips) < len(strips):
+        for other, later_s in _other_scales(epoch, time_system, float(t_s[0])):
+            if _covered(t_s + later_s, strips) == len(strips):
+                return f"{text}; with TIME_SYSTEM {other}, not {time_system}, it would cover every strip"
+    return text
+
+
+def check_orbit_dates(covers: str, epoch: Epoch, t_s: Floats, file: str, strips: Sequence[Span]) -> None:
+    """`RawDataError` where an orbit, which `covers` what `orbit_covers` says, has no time of any strip."""
+    if not _covered(t_s, strips):
+        expected = f"states over {_dates_of(epoch, strips)}"
+        raise RawDataError(file, "time of the states", covers.removeprefix(f"{file} covers "), expected)
+
+
+def check_exposure_dates(epoch: Epoch, t_s: Floats, file: str, strips: Sequence[Span]) -> None:
+    """`RawDataError` where exposures or attitudes of a dump, at instants (K,), are all far from its strips."""
+    if len(t_s) and not any(((t_s > first - FAR_S) & (t_s < last + FAR_S)).any() for first, last in strips):
+        found = span_text(epoch, float(t_s.min()), float(t_s.max()))
+        expected = f"times around {_dates_of(epoch, strips)}"
+        raise RawDataError(file, "time", found, expected)
+
+
+def _dates_of(epoch: Epoch, strips: Sequence[Span]) -> str:
+    first, last = min(first for first, _ in strips), max(last for _, last in strips)
+    return f"the strips, {span_text(epoch, first, last)} (utc_first_row of strips.csv)"
+
+
+def _covered(t_s: Floats, strips: Sequence[Span]) -> int:
+    """How many strips lie within the times of an orbit."""
+    return sum(bool(t_s[0] <= first and last <= t_s[-1]) for first, last in strips)
+
+
+def _other_scales(epoch: Epoch, stated: str, first_s: float) -> list[tuple[str, float]]:
+    """The other time systems, and by how much later an instant is whose date is of them."""
+    leap_s = float(tai_minus_utc_s(epoch.mjd_tai(first_s)))
+    ahead_s = {"UTC": leap_s, "TAI": 0.0, "TT": -TT_MINUS_TAI_S, "GPS": -float(GPS_MINUS_TAI_S)}
+    own = ahead_s.get(stated.strip().upper(), 0.0)
+    return [(name, value - own) for name, value in ahead_s.items() if value != own]

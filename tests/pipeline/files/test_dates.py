@@ -1,0 +1,38 @@
+"""Dates of orbit, exposures and strips that have nothing in common are told with file, found and expected."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from boresight.pipeline.errors import RawDataError
+from boresight.pipeline.files.dump import open_dump
+
+
+def test_an_orbit_of_the_next_day_is_told_with_both_dates(handmade: Path) -> None:
+    orbit = handmade / "orbit.oem"
+    orbit.write_text(orbit.read_text().replace("2024-11-20T03", "2024-11-21T03"))
+    with pytest.raises(RawDataError) as told:
+        open_dump(handmade)
+    assert (told.value.file, told.value.field) == ("orbit.oem", "time of the states")
+    assert told.value.found == "2024-11-21T03:40:00 to 03:40:39 UTC"
+    assert told.value.expected.startswith("states over the strips, 2024-11-20T03:40:19 to 03:40:20 UTC")
+
+
+@pytest.mark.parametrize("scale", ["TT", "TAI"])
+def test_a_wrong_time_system_is_named_where_it_explains_the_dates(handmade: Path, scale: str) -> None:
+    orbit = handmade / "orbit.oem"
+    orbit.write_text(orbit.read_text().replace("TIME_SYSTEM = UTC", f"TIME_SYSTEM = {scale}"))
+    with pytest.raises(RawDataError, match=f"with TIME_SYSTEM UTC, not {scale}, it would cover every strip"):
+        open_dump(handmade)
+
+
+def test_exposures_of_another_pass_are_told_with_both_dates(handmade: Path) -> None:
+    table = handmade / "exposures.csv"
+    table.write_text(re.sub("T03:40", "T05:14", table.read_text()))
+    with pytest.raises(
+        RawDataError, match=r"exposures\.csv: time: found 2024-11-20T05:14:19 to 05:14:20 UTC"
+    ):
+        open_dump(handmade)
