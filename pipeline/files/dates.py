@@ -43,7 +43,7 @@ def check_orbit_dates(covers: str, epoch: Epoch, t_s: Floats, file: str, strips:
 
 
 def check_exposure_dates(epoch: Epoch, t_s: Floats, file: str, strips: Sequence[Span]) -> None:
-    """`RawDataError` where exposures or attitudes of a dump, at instants (K,), are all far from its strips."""
+    """`RawDataError` where exposures or attitudes of a dump, at instants (K,), are all far from strips."""
     if len(t_s) and not any(((t_s > first - FAR_S) & (t_s < last + FAR_S)).any() for first, last in strips):
         found = span_text(epoch, float(t_s.min()), float(t_s.max()))
         expected = f"times around {_dates_of(epoch, strips)}"

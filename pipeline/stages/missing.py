@@ -97,10 +97,12 @@ def _no_target(dump: Dump, tasks: Sequence[StripTask]) -> str:
     misses = [(nearest_miss(task, dump.targets), task.strip.strip_id) for task in tasks]
     if not np.isfinite([miss[0][:2] for miss in misses]).any():
         return (
-            "no strip sees the Earth: by the attitudes and the orbit the camera looks past it; check axes and "
-            "REF_FRAME of the orbit, and the pre-launch matrix (quaternion_cs: scalar last, star camera to camera)"
+            "no strip sees the Earth: by the attitudes and the orbit the camera looks past it; check axes "
+            "and REF_FRAME of the orbit, and quaternion_cs of the pre-launch matrix (scalar last, s to c)"
         )
-    (across_m, along_m, along_s, target_id), strip_id = min(misses, key=lambda m: float(np.hypot(*m[0][:2])))
+    (across_m, along_m, along_s, target_id), strip_id = min(
+        misses, key=lambda m: float(np.nan_to_num(np.hypot(*m[0][:2]), nan=np.inf))
+    )
     return (
         f"no target comes into view: the nearest, {target_id}, misses strip {strip_id} by "
         f"{across_m / 1e3:.1f} km across the track and {along_m / 1e3:.1f} km along it ({along_s:.1f} s); "

@@ -32,7 +32,5 @@ def test_a_wrong_time_system_is_named_where_it_explains_the_dates(handmade: Path
 def test_exposures_of_another_pass_are_told_with_both_dates(handmade: Path) -> None:
     table = handmade / "exposures.csv"
     table.write_text(re.sub("T03:40", "T05:14", table.read_text()))
-    with pytest.raises(
-        RawDataError, match=r"exposures\.csv: time: found 2024-11-20T05:14:19 to 05:14:20 UTC"
-    ):
+    with pytest.raises(RawDataError, match=r"exposures\.csv: time: found 2024-11-20T05:14:19 to 05:14:20"):
         open_dump(handmade)
