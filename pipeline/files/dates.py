@@ -37,14 +37,18 @@ def orbit_covers(epoch: Epoch, t_s: Floats, time_system: str, file: str, strips:
 
 def check_orbit_dates(covers: str, epoch: Epoch, t_s: Floats, file: str, strips: Sequence[Span]) -> None:
     """`RawDataError` where an orbit, which `covers` what `orbit_covers` says, has no time of any strip."""
-    if not _covered(t_s, strips):
+    if strips and not _covered(t_s, strips):
         expected = f"states over {_dates_of(epoch, strips)}"
         raise RawDataError(file, "time of the states", covers.removeprefix(f"{file} covers "), expected)
 
 
 def check_exposure_dates(epoch: Epoch, t_s: Floats, file: str, strips: Sequence[Span]) -> None:
     """`RawDataError` where exposures or attitudes of a dump, at instants (K,), are all far from strips."""
-    if len(t_s) and not any(((t_s > first - FAR_S) & (t_s < last + FAR_S)).any() for first, last in strips):
+    if (
+        strips
+        and len(t_s)
+        and not any(((t_s > first - FAR_S) & (t_s < last + FAR_S)).any() for first, last in strips)
+    ):
         found = span_text(epoch, float(t_s.min()), float(t_s.max()))
         expected = f"times around {_dates_of(epoch, strips)}"
         raise RawDataError(file, "time", found, expected)
