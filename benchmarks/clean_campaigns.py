@@ -33,6 +33,7 @@ from scipy.spatial.transform import Rotation
 
 from boresight.calib.calibration import calibrate
 from boresight.calib.estimate import InstallationEstimate
+from boresight.calib.reliability import examine
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.verdict import assess
 from boresight.geometry.attitude_noise import AttitudeNoise
@@ -148,7 +149,8 @@ def sightings(runs: int) -> list[tuple[tuple[str, ...], Run]]:
         if not isinstance(found, InstallationEstimate):
             done.append((key, Run("refused", float("nan"))))
             continue
-        verdict = assess(found, strips, sigma_installation_rad=SIGMA_INSTALLATION)
+        reliability = examine(found, strips, stated, pixel_rad=CAMERAS.pixel_rad)
+        verdict = assess(found, strips, sigma_installation_rad=SIGMA_INSTALLATION, reliability=reliability)
         error = theta_between(found.R_cs, CAMERAS.R_cs)
         nees = float(error @ np.linalg.solve(found.cov_theta, error))
         done.append((key, Run(verdict.outcome.value, nees)))
