@@ -15,13 +15,8 @@ def main() -> None:
 
         print(version_text())
         return
-    from boresight.deferred import defer
-
-    defer("numpy.f2py", "numpy.testing", "boto3")  # SciPy and rasterio import them: 0.01 to 0.1 s each
-    of_3d = (f"mpl_toolkits.mplot3d.{name}" for name in ("art3d", "axis3d", "proj3d"))
-    defer("fontTools.agl", *of_3d)  # Matplotlib does, for TeX and axes in space: 0.03 s
     gc.set_threshold(FEW_COLLECTIONS)
-    from boresight.pipeline.cli import main as command_line
+    from boresight.console import main as command_line
 
     try:
         command_line()

@@ -10,7 +10,7 @@ import logging
 import shlex
 import sys
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from functools import cached_property, partial
 from importlib import import_module
@@ -72,6 +72,10 @@ class RunRequest:
     overwrite: bool = scalar("replace a result of another dump or of other settings", default=False)
     requirement: Requirement = scalar("accuracy that the report compares with", default=Requirement())
     facts: dict[str, Any] = scalar("for run.json: workers, machine, versions")
+    after_joint: tuple[Callable[[Path, list[str]], str], ...] = scalar(
+        "of several dumps: called with the folder and the names of the dumps, returns lines to print",
+        default=(),
+    )
 
 
 @record
@@ -184,7 +188,7 @@ def _jointly_calibrated(
     of_dumps = {named.name: found for named, found in calibrated}
     text = joint_summary(of_dumps, joint)
     if len(calibrated) > 1:
-        text += "\n" + _drift(out, list(of_dumps))
+        text = "\n".join([text, *(further(out, list(of_dumps)) for further in request.after_joint)])
     write_joint_result(out, joint, of_dumps, request.settings)
     roots = {named.name: str(named.dump.root) for named in dumps}
     _note(out, request, {"dumps": roots, "inputs": inputs.digest()})
@@ -311,17 +315,3 @@ def _note(
 ) -> None:
     elapsed = {"elapsed_s": time.perf_counter() - request.begun_s}
     write_run(out, dumps | elapsed | (counts or {}) | request.facts)
-
-
-def _drift(out: Path, names: list[str]) -> str:
-    """Whether the mounting moved between the dumps, written into `out`."""
-    from boresight.calib.mounting.matrix_drift import DriftSettings
-    from boresight.features.drift.drift_files import write_drift
-    from boresight.features.drift.mounting_drift import drift_of_results, drift_summary
-
-    try:
-        dated = drift_of_results({name: out / name for name in names}, DriftSettings())
-    except DataNotSufficientError as error:
-        return f"no drift: {error}"
-    write_drift(dated, out)
-    return drift_summary(dated)

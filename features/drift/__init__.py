@@ -1,1 +1,17 @@
 """Whether the mounting moved between several results."""
+
+from boresight.pipeline.console.feature import Command, Feature
+
+__all__ = ["FEATURE"]
+
+FEATURE = Feature(
+    commands=(
+        Command(
+            "drift",
+            "Merge results; test whether the mounting has moved.",
+            "features.drift.drift_command:drift",
+            with_json=True,
+        ),
+    ),
+    after_joint="features.drift.drift_files:drift_of_dumps",
+)

@@ -13,13 +13,17 @@ import pandas as pd
 from matplotlib.dates import AutoDateLocator, ConciseDateFormatter
 from matplotlib.figure import Figure
 
+from boresight.calib.mounting.matrix_drift import DriftSettings
 from boresight.features.drift.mounting_drift import (
     DatedDrift,
     drift_json,
+    drift_of_results,
+    drift_summary,
     drift_table,
     drift_verdict,
     step_dates,
 )
+from boresight.pipeline.errors import DataNotSufficientError
 from boresight.pipeline.files.whole_file import write_figure, write_whole
 from boresight.pipeline.results.writing import write_json
 
@@ -81,3 +85,13 @@ def _naive(utc: pd.Series) -> pd.Series:
     """Dates without time zone for matplotlib; second 60 is drawn as second 59."""
     text = utc.str.rstrip("Z").str.replace(":60", ":59")
     return pd.to_datetime(text, format="%Y-%m-%dT%H:%M:%S")
+
+
+def drift_of_dumps(out: Path, names: list[str]) -> str:
+    """Whether the mounting moved between the dumps of a joint result, written into its folder `out`."""
+    try:
+        dated = drift_of_results({name: out / name for name in names}, DriftSettings())
+    except DataNotSufficientError as error:
+        return f"no drift: {error}"
+    write_drift(dated, out)
+    return drift_summary(dated)

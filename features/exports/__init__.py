@@ -1,2 +1,15 @@
-"""Results in formats of other tools, one module per format: records in, text or bytes out.
-`features.exports.command` writes the files."""
+"""Results in formats that other tools read: SPICE, CCSDS, CSM, RPC, FITS, GIS."""
+
+from boresight.pipeline.console.feature import Command, Feature
+
+__all__ = ["FEATURE"]
+
+FEATURE = Feature(
+    commands=(
+        Command(
+            "export",
+            "Write a result in formats that other tools read.",
+            "features.exports.export_command:export",
+        ),
+    ),
+)

@@ -1,1 +1,20 @@
 """Pixels of a calibrated strip to places on the ground, and one virtual CCD of several."""
+
+from boresight.pipeline.console.feature import Command, Feature
+
+__all__ = ["FEATURE"]
+
+FEATURE = Feature(
+    commands=(
+        Command(
+            "geolocate",
+            "Image points of a strip to latitude and longitude.",
+            "features.geolocate.geolocate_command:geolocate",
+        ),
+        Command(
+            "virtual-ccd",
+            "Stitch the CCDs of one strip to one ideal line.",
+            "features.geolocate.virtual_ccd_command:virtual_ccd",
+        ),
+    ),
+)

@@ -1,1 +1,16 @@
-"""Calibration of the interior orientation of the remote-sensing camera."""
+"""The interior orientation of the remote-sensing camera, calibrated in orbit."""
+
+from boresight.pipeline.console.feature import Command, Feature
+
+__all__ = ["FEATURE"]
+
+FEATURE = Feature(
+    commands=(
+        Command(
+            "remote-camera-calibrate",
+            "Calibrate the interior of the remote-sensing camera.",
+            "features.interior.remote_camera_calibrate_command:remote_camera_calibrate",
+            with_json=True,
+        ),
+    ),
+)

@@ -1,1 +1,31 @@
-"""Operators' own files to a dump: what a mission has published or downlinked, without images."""
+"""Files of satellite operators: Sentinel-2 datastrips, DIMAP products, measured points."""
+
+from boresight.pipeline.console.feature import Command, Feature
+
+__all__ = ["FEATURE"]
+
+FEATURE = Feature(
+    commands=(
+        Command(
+            "import sentinel2",
+            "Make a dump of one band of a Sentinel-2 datastrip.",
+            "features.operators.import_command:sentinel2",
+        ),
+        Command(
+            "import dimap",
+            "Make a dump of a Pleiades, Pleiades Neo or SPOT strip.",
+            "features.operators.import_command:import_dimap",
+        ),
+        Command(
+            "import points",
+            "Make a points.csv of points measured elsewhere.",
+            "features.operators.import_command:import_points",
+        ),
+        Command(
+            "dimap",
+            "Geolocate pixels of a DIMAP strip, or check its grid.",
+            "features.operators.dimap_command:dimap",
+        ),
+    ),
+    groups={"import": "Make a dump of an operator's own files."},
+)

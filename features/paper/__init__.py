@@ -1,1 +1,15 @@
-"""Simulations of the paper's section 3, with its printed values beside ours, as tables and figures."""
+"""The simulations of the paper, computed anew beside its printed values."""
+
+from boresight.pipeline.console.feature import Command, Feature
+
+__all__ = ["FEATURE"]
+
+FEATURE = Feature(
+    commands=(
+        Command(
+            "experiment",
+            "Run a simulation of the paper from scratch.",
+            "features.paper.experiment_command:experiment",
+        ),
+    ),
+)

@@ -1,1 +1,22 @@
 """Before any data: what a campaign will reach, and which scans of the sky to take."""
+
+from boresight.pipeline.console.feature import Command, Feature
+
+__all__ = ["FEATURE"]
+
+FEATURE = Feature(
+    commands=(
+        Command(
+            "plan",
+            "Forecast how well a campaign determines the matrix.",
+            "features.planning.plan_command:plan",
+            with_json=True,
+        ),
+        Command(
+            "sky-strip-plan",
+            "Choose the scans of the sky that tell most.",
+            "features.planning.sky_strip_plan_command:sky_strip_plan",
+            with_json=True,
+        ),
+    ),
+)

@@ -1,1 +1,30 @@
-"""Any photograph of the sky: its stars found, named, and the camera calibrated from them."""
+"""Any photograph of the sky: its stars found and named, and the camera calibrated from them."""
+
+from boresight.pipeline.console.feature import Command, Feature
+
+__all__ = ["FEATURE"]
+
+FEATURE = Feature(
+    commands=(
+        Command(
+            "identify",
+            "Name the stars of single images, wherever they look.",
+            "features.sky_images.identify_command:identify",
+        ),
+        Command(
+            "centroids",
+            "Find the stars of images; with a truth, say how well.",
+            "features.sky_images.centroids_command:centroids",
+        ),
+        Command(
+            "star-camera-plan",
+            "Choose fields of the sky that calibrate a camera best.",
+            "features.sky_images.star_camera_plan_command:star_camera_plan",
+        ),
+        Command(
+            "star-camera-calibrate",
+            "Calibrate a star camera from images of the sky.",
+            "features.sky_images.star_camera_calibrate_command:star_camera_calibrate",
+        ),
+    ),
+)

@@ -1,1 +1,33 @@
-"""Ground calibration targets and dumps before a calibration: choose, match, begin, check."""
+"""Before a calibration: targets chosen and tried, dumps begun and checked."""
+
+from boresight.pipeline.console.feature import Command, Feature
+
+__all__ = ["FEATURE"]
+
+FEATURE = Feature(
+    commands=(
+        Command(
+            "match",
+            "Find a dump's targets in its strips, nothing more.",
+            "features.targets.match_command:match",
+            with_json=True,
+        ),
+        Command(
+            "targets suggest",
+            "Choose targets in ortho-images; write their chips.",
+            "features.targets.targets_suggest_command:suggest",
+        ),
+        Command(
+            "dump init",
+            "Write a skeleton of a dump, to be filled in.",
+            "features.targets.dump_init_command:init",
+        ),
+        Command(
+            "dump check",
+            "Check a dump: errors, footprints, targets.",
+            "features.targets.dump_check_command:check",
+            with_json=True,
+        ),
+    ),
+    groups={"targets": "Ground calibration targets.", "dump": "Dumps: begin one, check one."},
+)

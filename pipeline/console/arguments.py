@@ -1,4 +1,4 @@
-"""Arguments and options of several commands: DUMP, a folder or an address in a store; --settings."""
+"""Arguments and options of several commands."""
 
 from __future__ import annotations
 
@@ -9,7 +9,16 @@ import typer
 
 from boresight.pipeline.files.object_store import dump_folder
 
-__all__ = ["DumpArgument", "DumpOption", "DumpsArgument", "SettingsFile"]
+__all__ = [
+    "DumpArgument",
+    "DumpOption",
+    "DumpsArgument",
+    "RequireArcsec",
+    "RequireMetres",
+    "ResultArgument",
+    "SettingsFile",
+    "StaleEop",
+]
 
 DumpArgument = Annotated[
     Path,
@@ -32,3 +41,13 @@ DumpOption = Annotated[
     ),
 ]
 SettingsFile = Annotated[Path | None, typer.Option(help="TOML file of settings; unknown keys are refused.")]
+ResultArgument = Annotated[Path, typer.Argument(help="Folder that `calibrate` wrote.")]
+StaleEop = Annotated[
+    bool, typer.Option(help="Go on past the end of the Earth-orientation table, with a warning.")
+]
+RequireArcsec = Annotated[
+    float | None, typer.Option(help="Largest 1-sigma about each axis that is enough, arc-seconds.", min=0.0)
+]
+RequireMetres = Annotated[
+    float | None, typer.Option(help="Largest 1-sigma that is enough, metres on the ground.", min=0.0)
+]

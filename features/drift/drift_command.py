@@ -1,4 +1,4 @@
-"""The command for those who have calibrated more than once: drift."""
+"""`boresight drift`: several results merged, and whether the mounting moved."""
 
 from __future__ import annotations
 
@@ -7,14 +7,13 @@ from typing import Annotated
 
 import typer
 
-from boresight.pipeline.console.messages import Answer, talks
+from boresight.calib.mounting.matrix_drift import DriftSettings
+from boresight.features.drift.drift_files import write_drift
+from boresight.features.drift.mounting_drift import drift_json, drift_of_results, drift_summary, named_results
+from boresight.geometry.constants import ARCSEC, DAY_S
+from boresight.pipeline.console.messages import Answer
 
-__all__ = ["add_drift_commands"]
-
-
-def add_drift_commands(app: typer.Typer) -> None:
-    """Plug the command into the program."""
-    app.command()(talks(drift, with_json=True))
+__all__ = ["drift"]
 
 
 def drift(
@@ -38,16 +37,6 @@ def drift(
 
     Example: boresight drift results/* --out drift
     """
-    from boresight.calib.mounting.matrix_drift import DriftSettings
-    from boresight.features.drift.drift_files import write_drift
-    from boresight.features.drift.mounting_drift import (
-        drift_json,
-        drift_of_results,
-        drift_summary,
-        named_results,
-    )
-    from boresight.geometry.constants import ARCSEC, DAY_S
-
     settings = DriftSettings(
         probability_false_alarm=false_alarm,
         density_rad2_s=None if density is None else (density * ARCSEC) ** 2 / DAY_S,

@@ -1,34 +1,31 @@
-"""Commands that make a dump of an operator's own files: import sentinel2, import dimap."""
+"""`boresight import`: dumps and points of an operator's own files."""
 
 from __future__ import annotations
 
 import csv
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal, get_args
+from typing import Annotated, Literal, get_args
 
 import typer
 
+from boresight.features.operators.dimap_grid import operator_model
+from boresight.features.operators.dimap_import import dimap_mission
+from boresight.features.operators.imported_mission import ImportedMission, write_imported
+from boresight.features.operators.point_import import PointErrors, points_csv, read_measured_points
+from boresight.features.operators.sentinel2_import import AttitudeLevel, sentinel2_mission
+from boresight.features.operators.sentinel2_product import read_sentinel2
 from boresight.pipeline import __version__
-from boresight.pipeline.console.messages import Answer, say, talks, wrong_usage
+from boresight.pipeline.console.messages import Answer, say, wrong_usage
+from boresight.pipeline.files.dump import read_earth_orientation
+from boresight.pipeline.files.text_files import read_text
+from boresight.pipeline.files.whole_file import is_vacant, write_text
 
-if TYPE_CHECKING:
-    from boresight.features.operators.imported_mission import ImportedMission
-
-__all__ = ["add_import_commands"]
+__all__ = ["import_dimap", "import_points", "sentinel2"]
 
 Out = Annotated[Path, typer.Argument(help="Folder of the dump; must not exist or be empty.")]
 Points = Annotated[
     Path | None, typer.Option(help="CSV of measured image points (docs/dump-format.md); default: none yet.")
 ]
-
-
-def add_import_commands(app: typer.Typer) -> None:
-    """Add the commands to the program."""
-    imports = typer.Typer(help="Make a dump of an operator's own files.", no_args_is_help=True)
-    imports.command()(talks(sentinel2))
-    imports.command("dimap")(talks(import_dimap))
-    imports.command("points")(talks(import_points))
-    app.add_typer(imports, name="import")
 
 
 def sentinel2(
@@ -52,10 +49,6 @@ def sentinel2(
 
     Example: boresight import sentinel2 S2A_OPER_MTD_L1B_DS.xml b04 --gipp GIPP --band B04 --points gcps.csv
     """
-    from boresight.features.operators.sentinel2_import import AttitudeLevel, sentinel2_mission
-    from boresight.features.operators.sentinel2_product import read_sentinel2
-    from boresight.pipeline.files.dump import read_earth_orientation
-
     level = next((one for one in get_args(AttitudeLevel) if one == attitudes), None)
     if level is None:
         raise wrong_usage(f"--attitudes is one of {', '.join(get_args(AttitudeLevel))}, not {attitudes!r}")
@@ -78,9 +71,6 @@ def import_dimap(
 
     Example: boresight import dimap PHRDIMAP.XML pleiades --points gcps.csv
     """
-    from boresight.features.operators.dimap_grid import operator_model
-    from boresight.features.operators.dimap_import import dimap_mission
-
     return _written(out, dimap_mission(operator_model(product), _creator("dimap")), points)
 
 
@@ -104,9 +94,6 @@ def import_points(
 
     Example: boresight import points b04.points points.csv --strip b04 --height-m 12 --sigma-m 2 2 3
     """
-    from boresight.features.operators.point_import import PointErrors, points_csv, read_measured_points
-    from boresight.pipeline.files.whole_file import write_text
-
     errors = PointErrors(sigma_px=sigma_px, sigma_m=sigma_m, height_m=height_m)
     found = read_measured_points(file, errors, image)
     text = points_csv(found, strip, ccd, height_kind)
@@ -120,9 +107,6 @@ def _creator(command: str) -> str:
 
 
 def _written(out: Path, mission: ImportedMission, points: Path | None) -> Answer:
-    from boresight.features.operators.imported_mission import write_imported
-    from boresight.pipeline.files.text_files import read_text
-    from boresight.pipeline.files.whole_file import is_vacant
 
     if not is_vacant(out):
         raise wrong_usage(f"{out} is there already and is not an empty folder")

@@ -1,65 +1,23 @@
-"""Commands before any data: what a campaign will reach (plan), scans of the sky to take (sky-strip-plan)."""
+"""`boresight sky-strip-plan`: scans of the sky to take."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
+from boresight.features.planning.scan_files import scan_lines, scan_table, write_scans
+from boresight.features.planning.scan_plan import ScanCameras, ScanSettings, choose_scans
 from boresight.pipeline.console.arguments import DumpArgument
-from boresight.pipeline.console.messages import DATA_DID_NOT_ALLOW, DONE, Answer, talks
+from boresight.pipeline.console.messages import Answer
+from boresight.pipeline.errors import DataNotSufficientError, RawDataError
+from boresight.pipeline.files.dump import Dump, open_dump
+from boresight.pipeline.files.star_side import SolvedAttitudes
+from boresight.pipeline.files.star_tables import survey_of
+from boresight.pipeline.run.settings import Settings, calibration_settings
 
-if TYPE_CHECKING:
-    from boresight.features.planning.scan_plan import ScanCameras
-    from boresight.pipeline.files.dump import Dump
-
-__all__ = ["add_plan_commands"]
-
-
-def add_plan_commands(app: typer.Typer) -> None:
-    """Add the commands to the program."""
-    app.command()(talks(plan, with_json=True))
-    app.command("sky-strip-plan")(talks(sky_strip_plan, with_json=True))
-
-
-def plan(
-    plan_file: Annotated[Path, typer.Argument(metavar="PLAN", help="TOML file that describes the campaign.")],
-    target: Annotated[
-        float | None, typer.Option(help="Arcsec on every axis: how many strips are needed?", min=1e-9)
-    ] = None,
-    out: Annotated[Path | None, typer.Option(help="Folder for plan.csv and plan.png.")] = None,
-) -> Answer:
-    """Forecast how well a campaign will determine the installation matrix.
-
-    Example: boresight plan plan.toml --target 0.5 --out forecast
-    """
-    from boresight.features.paper.plots import plot_forecast
-    from boresight.features.planning.campaign_plan import forecast_plan, read_plan
-
-    found = forecast_plan(read_plan(plan_file), target)
-    text, files = found.text, tuple[Path, ...]()
-    if out is not None:
-        out.mkdir(parents=True, exist_ok=True)
-        found.table.to_csv(out / "plan.csv", index=False, float_format="%.6g")
-        plot_forecast(found.table, target, found.by_targets, found.without).savefig(
-            out / "plan.png", dpi=110, bbox_inches="tight"
-        )
-        files = (out / "plan.csv", out / "plan.png")
-        text += f"\n-> {files[0]}, {files[1]}"
-    failed = target is not None and found.strips_needed is None
-    return Answer(
-        text=text,
-        content={
-            "strips_needed": found.strips_needed,
-            "forecast": found.table.to_dict("records"),
-            "by_targets": found.by_targets.to_dict("records"),
-            "without": found.without.to_dict("records"),
-            "campaigns": found.campaigns.to_dict("records"),
-        },
-        files=files,
-        exit_status=DATA_DID_NOT_ALLOW if failed else DONE,
-    )
+__all__ = ["sky_strip_plan"]
 
 
 def sky_strip_plan(
@@ -83,13 +41,6 @@ def sky_strip_plan(
 
     Example: boresight sky-strip-plan dump --scans 2 --hours 12 --out scans
     """
-    from boresight.features.planning.scan_files import scan_lines, scan_table, write_scans
-    from boresight.features.planning.scan_plan import ScanSettings, choose_scans
-    from boresight.pipeline.errors import DataNotSufficientError, RawDataError
-    from boresight.pipeline.files.dump import open_dump
-    from boresight.pipeline.files.star_tables import survey_of
-    from boresight.pipeline.run.settings import Settings, calibration_settings
-
     opened = open_dump(dump.resolve())
     try:
         start = opened.orbit.span_s[0] if utc is None else float(opened.epoch.seconds_from_utc([utc])[0])
@@ -122,9 +73,6 @@ def sky_strip_plan(
 
 def _scan_cameras(dump: Dump) -> ScanCameras:
     """Both cameras of a dump; of a head that delivers attitudes, their usual covariance."""
-    from boresight.features.planning.scan_plan import ScanCameras
-    from boresight.pipeline.files.star_side import SolvedAttitudes
-
     head = dump.heads[0]
     source = head.source
     return ScanCameras(

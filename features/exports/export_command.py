@@ -1,0 +1,103 @@
+"""`boresight export`: a result in formats that other tools read."""
+
+from __future__ import annotations
+
+import datetime
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from boresight.features.exports.formats import FORMATS, OF_STRIPS, ExportRequest, Remark, strips_left_out
+from boresight.features.exports.formats import export as made
+from boresight.features.exports.spice_frame import SpiceFrames
+from boresight.pipeline.console.arguments import (
+    DumpOption,
+    ResultArgument,
+    StaleEop,
+)
+from boresight.pipeline.console.messages import DATA_DID_NOT_ALLOW, Answer, say, tell
+from boresight.pipeline.files.whole_file import write_whole
+
+__all__ = ["export"]
+
+
+def export(
+    result: ResultArgument,
+    formats: Annotated[
+        list[str],
+        typer.Option(
+            "--format",
+            help="spice, spice-ck, aem, acm, operator, dimap, json, csv, csm-isd, rpc, vrt, kml, asp,"
+            " geojson, envi, qgis or fits; several with commas. May be repeated.",
+        ),
+    ],
+    out: Annotated[Path | None, typer.Option(help="Folder for the files; default: RESULT/exports.")] = None,
+    dump: DumpOption = None,
+    strip: Annotated[list[str] | None, typer.Option(help="Only this strip. May be repeated.")] = None,
+    product: Annotated[Path | None, typer.Option(help="dimap: the operator's file.")] = None,
+    object_id: Annotated[
+        str, typer.Option(help="aem, acm: OBJECT_ID, such as 2015-028A; default: the mission's name.")
+    ] = "",
+    allow_stale_eop: StaleEop = False,
+    spice_spacecraft: Annotated[int, typer.Option(help="SPICE: id of the spacecraft.")] = -999,
+    spice_star_camera: Annotated[
+        str, typer.Option(help="SPICE: name of the star camera's frame.")
+    ] = "BORESIGHT_STAR_CAMERA",
+    spice_remote_camera: Annotated[
+        str, typer.Option(help="SPICE: name of the remote-sensing camera's frame.")
+    ] = "BORESIGHT_REMOTE_CAMERA",
+    spice_known_star_camera: Annotated[
+        bool, typer.Option(help="SPICE: the star camera's frame is defined by other kernels.")
+    ] = False,
+) -> Answer:
+    """Write a result in formats that other tools read.
+
+    Example: boresight export result --format geojson,qgis
+    """
+    names = [name.strip() for several in formats for name in several.split(",")]
+    if unknown := [name for name in names if name not in FORMATS]:
+        raise typer.BadParameter(f"there is no format {unknown[0]!r}, only {', '.join(FORMATS)}")
+    try:
+        frames = SpiceFrames(
+            spacecraft_id=spice_spacecraft,
+            star_camera_id=spice_spacecraft * 1000 - 1,
+            star_camera_name=spice_star_camera,
+            remote_camera_id=spice_spacecraft * 1000 - 2,
+            remote_camera_name=spice_remote_camera,
+            define_star_camera=not spice_known_star_camera,
+        )
+    except ValueError as error:
+        raise typer.BadParameter(str(error)) from error
+    now = datetime.datetime.now(datetime.UTC).strftime("%Y-%m-%dT%H:%M:%S")
+    request = ExportRequest(
+        result=result,
+        dump=dump,
+        strips=tuple(strip or ()),
+        frames=frames,
+        creation_utc=now,
+        product=product,
+        object_id=object_id,
+        allow_stale_eop=allow_stale_eop,
+    )
+    folder = out if out is not None else result / "exports"
+    folder.mkdir(parents=True, exist_ok=True)
+    for remark in strips_left_out(request) if set(names) & set(OF_STRIPS) else ():
+        say(remark.text)
+    empty = []
+    for name in names:
+        count = 0
+        for one in made(name, request):
+            if isinstance(one, Remark):
+                say(f"{name}: {one.text}")
+                continue
+            count += 1
+            file, content = one
+            raw = content.encode("utf-8") if isinstance(content, str) else content
+            write_whole(folder / file, lambda path, raw=raw: path.write_bytes(raw))
+            tell(f"{name:8s} {len(raw):10d} bytes -> {folder / file}")
+        empty += [] if count else [name]
+    if empty:
+        say(f"nothing to write as {', '.join(empty)}")
+        return Answer(exit_status=DATA_DID_NOT_ALLOW)
+    return Answer()

@@ -1,0 +1,37 @@
+"""`boresight virtual-ccd`: the CCDs of one strip stitched to one ideal line."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from boresight.features.geolocate.virtual_strip import write_virtual_strip
+from boresight.geometry.terrain import ConstantHeight
+from boresight.pipeline.console.arguments import DumpOption
+from boresight.pipeline.console.messages import tell
+from boresight.pipeline.files.dump import surface_of
+from boresight.pipeline.results.strip_model import open_calibrated, strip_model
+
+__all__ = ["virtual_ccd"]
+
+
+def virtual_ccd(
+    result: Annotated[Path, typer.Argument(help="Folder that `calibrate` wrote.")],
+    strip: Annotated[str, typer.Option(help="Id of the strip.")],
+    out: Annotated[Path, typer.Option(help="GeoTIFF to write: float32 counts, NaN where no CCD looked.")],
+    dump: DumpOption = None,
+    height_m: Annotated[
+        float | None, typer.Option(help="Ellipsoidal height to stitch at instead of the terrain model.")
+    ] = None,
+) -> None:
+    """Stitch the CCDs of one strip to one ideal line (paper, section 3.1).
+
+    Example: boresight virtual-ccd result --strip S01 --out S01.tif
+    """
+    calibrated = open_calibrated(result, dump)
+    model = strip_model(calibrated, strip)
+    surface = ConstantHeight(height_m) if height_m is not None else surface_of(calibrated.dump.terrain)
+    lines, samples = write_virtual_strip(model, surface, out)
+    tell(f"{strip}: {lines} lines, {samples} samples -> {out}")

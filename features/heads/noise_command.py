@@ -1,0 +1,45 @@
+"""`boresight noise`: the noise of the star cameras' attitudes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from boresight.features.heads.head_files import noise_json, noise_lines, write_noise
+from boresight.features.heads.stated_noise import state_noise
+from boresight.pipeline.console.arguments import DumpArgument, SettingsFile
+from boresight.pipeline.console.messages import Answer
+from boresight.pipeline.files.dump import open_dump
+from boresight.pipeline.run.settings import read_settings
+from boresight.pipeline.stages.head_records import noise_of_heads
+
+__all__ = ["noise"]
+
+
+def noise(
+    dump: DumpArgument,
+    out: Annotated[
+        Path | None,
+        typer.Option(help="Folder for noise.toml (keys for dump.toml), noise.json and noise.png."),
+    ] = None,
+    write: Annotated[
+        bool, typer.Option("--write", help="State the noise in the dump's own dump.toml.")
+    ] = False,
+    lowest_hz: Annotated[
+        float, typer.Option(help="Of a single star camera: slower motion is the satellite's.", min=0.0)
+    ] = 0.5,
+    settings: SettingsFile = None,
+) -> Answer:
+    """Estimate the noise of the star cameras' attitudes from the record: white, correlated, constant.
+
+    Example: boresight noise dump --out noise --write
+    """
+    found = noise_of_heads(open_dump(dump.resolve()), read_settings(settings), lowest_hz)
+    files = () if out is None else write_noise(found, out)
+    text = "\n".join(noise_lines(found))
+    if write:
+        stated = state_noise(dump.resolve(), dict(zip(found.names, found.fit.heads)))
+        text, files = f"{text}\nstated in {dump / 'dump.toml'}", (*files, stated)
+    return Answer(text=text, content=noise_json(found), files=files)

@@ -1,0 +1,59 @@
+"""`boresight remote-camera-calibrate`: the interior orientation in orbit."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from boresight.calib.interior.parameters import InteriorPriors
+from boresight.features.interior.interior_files import interior_json, interior_lines, write_interior
+from boresight.features.interior.interior_of_dumps import calibrate_remote_camera
+from boresight.pipeline.console.arguments import SettingsFile
+from boresight.pipeline.console.messages import Answer
+from boresight.pipeline.console.progress import progress_bars
+from boresight.pipeline.files.object_store import dump_folder
+from boresight.pipeline.run.executor import InOrder
+from boresight.pipeline.run.settings import read_settings
+
+__all__ = ["remote_camera_calibrate"]
+
+
+def remote_camera_calibrate(
+    sources: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="RESULT|DUMP",
+            parser=dump_folder,
+            help="Dumps of one camera, or what `calibrate` made of them.",
+        ),
+    ],
+    out: Annotated[Path, typer.Option(help="Folder for remote_camera.toml, interior.json and interior.png.")],
+    settings: SettingsFile = None,
+    curve_px: Annotated[
+        float, typer.Option(help="Prior 1-sigma of the distortion that the table leaves, px.", min=1e-3)
+    ] = 3.0,
+    curve_length_px: Annotated[
+        float, typer.Option(help="Length over which that distortion changes, px.", min=10.0)
+    ] = 5000.0,
+    shift_px: Annotated[float, typer.Option(help="Prior 1-sigma of the CCDs' places, px.", min=1e-3)] = 5.0,
+    stagger_us: Annotated[
+        float, typer.Option(help="Prior 1-sigma of the delay of a CCD's rows, µs; 0: none.", min=0.0)
+    ] = 0.0,
+) -> Answer:
+    """Calibrate the interior of the remote-sensing camera in orbit, from strips of sky, ground or both.
+
+    Example: boresight remote-camera-calibrate result --out camera
+    """
+    priors = InteriorPriors(
+        curve_px=curve_px, curve_length_px=curve_length_px, shift_px=shift_px, stagger_s=stagger_us * 1e-6
+    )
+    with progress_bars() as progress:
+        found = calibrate_remote_camera(sources, read_settings(settings), priors, InOrder(), progress)
+    files = write_interior(found, out)
+    return Answer(
+        text="\n".join([*interior_lines(found), f"-> {', '.join(str(path) for path in files)}"]),
+        content=interior_json(found),
+        files=files,
+    )

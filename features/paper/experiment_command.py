@@ -1,0 +1,78 @@
+"""`boresight experiment`: a simulation of the paper, its printed values beside ours."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from boresight.features.paper.comparison import COMPARISONS
+from boresight.features.paper.paper_page import run_all
+from boresight.features.paper.pixels import PixelSettings
+from boresight.features.paper.tables import EXPERIMENTS, FROM_PIXELS, run_experiment, run_from_pixels
+from boresight.features.paper.vectors import ExperimentSettings
+from boresight.pipeline.console.messages import (
+    Answer,
+    wrong_usage,
+)
+from boresight.pipeline.console.progress import progress_bars
+from boresight.pipeline.report.page import template
+
+__all__ = ["experiment"]
+
+
+def experiment(
+    name: Annotated[
+        str,
+        typer.Argument(
+            help="inputs, figure4, convergence, grid, figure8, table4, table5, readings, geometry; or all."
+        ),
+    ],
+    out: Annotated[Path, typer.Option(help="Folder for NAME.csv, .png and .txt; all: also paper.html.")],
+    runs: Annotated[
+        int | None,
+        typer.Option(help="Runs per cell; default 200 (Wang 40, table5 20, pixels 2 or 20).", min=1),
+    ] = None,
+    seed: Annotated[int, typer.Option(help="Seed of all random numbers.", min=0)] = 2020,
+    star_from_zenith_deg: Annotated[
+        float, typer.Option(help="Star camera's axis from the zenith in the Y-Z plane, degrees.")
+    ] = 15.0,
+    pixels: Annotated[
+        bool, typer.Option("--pixels", help="From rendered images: grid, table4, table5.")
+    ] = False,
+) -> Answer:
+    """Run a simulation of the paper from scratch, with its printed values beside ours.
+
+    Example: boresight experiment geometry --out paper
+    """
+    known = FROM_PIXELS if pixels else (*EXPERIMENTS, "all")
+    if name not in known:
+        raise wrong_usage(f"there is no experiment {name!r} of this kind, only {', '.join(known)}")
+    chosen = ExperimentSettings(seed=seed, from_zenith_deg=star_from_zenith_deg)
+    if runs is not None:
+        chosen = replace(chosen, runs=runs, wang_runs=runs, table5_runs=runs)
+    rendered = PixelSettings(seed=seed, runs=runs or 2, table4_runs=runs or 20)
+    with progress_bars() as told:
+        given = rendered if pixels else chosen
+        text = _experiment(name, out, given, lambda done, total: told(name, done, total))
+    return Answer(text=text)
+
+
+def _experiment(
+    name: str, out: Path, settings: ExperimentSettings | PixelSettings, progress: Callable[[int, int], None]
+) -> str:
+    """Run one experiment or all; what to print."""
+    if isinstance(settings, PixelSettings):
+        table, written = run_from_pixels(name, out, settings, progress)
+        lines = COMPARISONS[f"{name}-pixels"](table)
+    elif name == "all":
+        tables, page = run_all(out, settings, template("experiments.html.j2"), progress)
+        return f"all: {len(tables)} experiments -> {page}"
+    else:
+        table, written = run_experiment(name, out, settings, progress)
+        lines = COMPARISONS[name](table)
+    files = ", ".join(str(path) for path in written)
+    return "\n".join([*lines, f"{name}: {len(table)} rows -> {files}"])

@@ -1,0 +1,15 @@
+"""Missions with known truth, rendered as dumps."""
+
+from boresight.pipeline.console.feature import Command, Feature
+
+__all__ = ["FEATURE"]
+
+FEATURE = Feature(
+    commands=(
+        Command(
+            "simulate",
+            "Render a mission with known truth as a dump.",
+            "features.simulation.simulate_command:simulate",
+        ),
+    ),
+)

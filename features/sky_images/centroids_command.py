@@ -1,0 +1,75 @@
+"""`boresight centroids`: the stars of images found and measured; with a truth, how well."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+
+from boresight.features.sky_images.centroid_report import score_images
+from boresight.features.sky_images.options import (
+    Dark,
+    Images,
+    star_settings,
+)
+from boresight.pipeline.console.arguments import SettingsFile
+from boresight.pipeline.console.limit_options import JunitFile, held
+from boresight.pipeline.console.messages import (
+    Answer,
+    tell,
+    wrong_usage,
+)
+from boresight.pipeline.results.limits import centroid_limits
+
+__all__ = ["centroids"]
+
+
+def centroids(
+    images: Images,
+    truth: Annotated[
+        Path | None, typer.Option(help="CSV with columns x_px, y_px, flux_dn (and file, for several images).")
+    ] = None,
+    psf_sigma_px: Annotated[float | None, typer.Option(help="True width of the PSF, if known.")] = None,
+    gain: Annotated[float | None, typer.Option(help="Electrons per DN, if known.")] = None,
+    method: Annotated[
+        Literal["fit", "window"] | None, typer.Option(help="A fit of the PSF, or first moments in a window.")
+    ] = None,
+    dark: Dark = None,
+    out: Annotated[Path | None, typer.Option(help="CSV file for all centroids with their errors.")] = None,
+    plot: Annotated[
+        Path | None, typer.Option(help="PNG of error against SNR and bias against phase.")
+    ] = None,
+    max_x_bound: Annotated[
+        float | None, typer.Option(help="Limit: rms error over the Cramér-Rao bound, at most.", min=0.0)
+    ] = None,
+    min_complete: Annotated[
+        float | None, typer.Option(help="Limit: share of the true stars found, at least.", min=0.0, max=1.0)
+    ] = None,
+    from_snr: Annotated[
+        float, typer.Option(help="The limits count stars of this signal-to-noise ratio and more.", min=0.0)
+    ] = 10.0,
+    junit: JunitFile = None,
+    settings: SettingsFile = None,
+) -> Answer:
+    """Find the stars of images and place them; with a truth, say how well: completeness, error, bound,
+    bias. Exit status 4 if a limit is missed.
+
+    Example: boresight centroids sky.png --truth stars.csv --max-x-bound 1.1 --min-complete 0.99
+    """
+    begun_s = time.perf_counter()
+    if truth is None and not (max_x_bound is None and min_complete is None and junit is None):
+        raise wrong_usage("--max-x-bound, --min-complete and --junit need --truth")
+    if plot is not None and truth is None:
+        raise wrong_usage("--plot needs --truth")
+    stars = star_settings(settings)
+    if method is not None:
+        stars = replace(stars, centroid_method=method)
+    score = score_images(
+        images, truth, stars, psf_sigma_px=psf_sigma_px, gain=gain, dark=dark, out=out, plot=plot, say=tell
+    )
+    if score is None:
+        return Answer()
+    return held("centroids", centroid_limits(score, max_x_bound, min_complete, from_snr), junit, begun_s)

@@ -1,0 +1,104 @@
+"""`boresight identify`: the stars of single images named."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from boresight.features.sky_images.identify_images import Request, identify_images, own_name
+from boresight.features.sky_images.options import (
+    CameraFile,
+    Dark,
+    Fov,
+    ImagesOrLists,
+    OrbitFile,
+    Site,
+    Times,
+    star_settings,
+)
+from boresight.features.sky_images.wcs_files import write_wcs
+from boresight.features.sky_images.whereabouts import Whereabouts
+from boresight.pipeline.console.arguments import SettingsFile
+from boresight.pipeline.console.messages import (
+    DATA_DID_NOT_ALLOW,
+    DONE,
+    Answer,
+    print_data,
+    say,
+    tell,
+    wrong_usage,
+)
+
+__all__ = ["identify"]
+
+FIELDS = (
+    "file,identified,ra_deg,dec_deg,roll_deg,fov_x_deg,matches,rms_arcsec,false_alarm_probability,cpu_ms,reason,"
+    "pointing_sigma_arcsec,roll_sigma_arcsec,fov_x_sigma_deg,mirrored"
+).split(",")
+
+
+def identify(
+    images: ImagesOrLists,
+    camera: CameraFile = None,
+    fov: Fov = None,
+    dark: Dark = None,
+    as_json: Annotated[bool, typer.Option("--json", help="One JSON object a line on stdout.")] = False,
+    as_csv: Annotated[bool, typer.Option("--csv", help="One CSV row a line on stdout.")] = False,
+    as_fits: Annotated[
+        bool, typer.Option("--fits", help="Write NAME.wcs.fits here: a TAN-SIP header and the named stars.")
+    ] = False,
+    overlay: Annotated[Path | None, typer.Option(help="PNG of the image with its stars named.")] = None,
+    report: Annotated[
+        Path | None, typer.Option(help="HTML page: detections by kind, PSF, noise, stars, identified or not.")
+    ] = None,
+    out: Annotated[Path | None, typer.Option(help="Parquet file for the stars that were named.")] = None,
+    times: Times = None,
+    orbit: OrbitFile = None,
+    site: Site = None,
+    settings: SettingsFile = None,
+) -> Answer:
+    """Name the stars of single images, with no idea where they look.
+
+    Example: boresight identify sky.png --fov 18.6
+    """
+    if camera is not None and fov is not None:
+        raise wrong_usage("--camera and --fov exclude one another")
+    if as_json + as_csv + as_fits > 1:
+        raise wrong_usage("--json, --csv and --fits exclude one another")
+    if as_fits and times is not None:
+        raise wrong_usage("--fits and --times exclude one another: a header states places of the catalogue")
+    if as_csv:
+        print_data(_csv_line(FIELDS))
+    named = lines = 0
+    request = Request(camera, fov, dark, Whereabouts(times, orbit, site), as_fits, out, overlay)
+    for line in identify_images(images, request, star_settings(settings)):
+        named, lines = named + line.identified, lines + 1
+        if as_json:
+            print_data(json.dumps(line.record))
+        elif as_csv:
+            print_data(_csv_line([line.record.get(name, "") for name in FIELDS]))
+        else:
+            tell(line.text)
+        if as_fits and line.found is not None:
+            path = str(line.record["file"])
+            write_wcs(Path(f"{Path(path).stem}.wcs.fits"), path, line.found)
+        if report is not None and line.image is not None:
+            from boresight.features.sky_images.identify_page import write_sky_page  # with jinja 0.2 s to load
+
+            write_sky_page(line, own_name(report, Path(str(line.record["file"])), len(images)))
+    (say if as_json or as_csv else tell)(
+        f"identified {named} of {lines} images" + (f" -> {out}" if out else "")
+    )
+    return Answer(exit_status=DONE if named else DATA_DID_NOT_ALLOW)
+
+
+def _csv_line(values: Iterable[Any]) -> str:
+    line = io.StringIO()
+    csv.writer(line, lineterminator="").writerow(values)
+    return line.getvalue()

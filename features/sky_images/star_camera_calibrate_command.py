@@ -1,0 +1,74 @@
+"""`boresight star-camera-calibrate`: a star camera calibrated from images of the sky."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from boresight.features.sky_images.options import (
+    CameraFile,
+    Fov,
+    OrbitFile,
+    Site,
+    Times,
+    star_settings,
+)
+from boresight.features.sky_images.star_camera_report import CameraRequest, calibrate_from_images
+from boresight.features.sky_images.whereabouts import Whereabouts
+from boresight.pipeline.console.arguments import SettingsFile
+from boresight.pipeline.console.messages import (
+    DATA_DID_NOT_ALLOW,
+    DONE,
+    Answer,
+    wrong_usage,
+)
+from boresight.pipeline.console.progress import progress_bars
+from boresight.pipeline.files.object_store import dump_folder
+
+__all__ = ["star_camera_calibrate"]
+
+
+def star_camera_calibrate(
+    sources: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="SOURCES...",
+            parser=dump_folder,
+            help="Star images, or folders with a dump.toml: their exposures.",
+        ),
+    ],
+    camera: CameraFile = None,
+    fov: Fov = None,
+    out: Annotated[Path, typer.Option(help="The calibrated star_camera.toml.")] = Path("star_camera.toml"),
+    report: Annotated[
+        Path | None, typer.Option(help="JSON file: covariance, OpenCV form, residual map, stars used.")
+    ] = None,
+    plot: Annotated[Path | None, typer.Option(help="PNG of the residual map.")] = None,
+    times: Times = None,
+    orbit: OrbitFile = None,
+    site: Site = None,
+    drift: Annotated[
+        bool, typer.Option("--drift", help="Fit a drift of the focal length with time as well.")
+    ] = False,
+    settings: SettingsFile = None,
+) -> Answer:
+    """Calibrate a star camera from images of the sky: focal length, principal point, distortion.
+
+    Example: boresight star-camera-calibrate sky*.png --fov 18.6 --out star_camera.toml
+    """
+    if camera is not None and fov is not None:
+        raise wrong_usage("--camera and --fov exclude one another")
+    request = CameraRequest(
+        camera_file=camera,
+        fov_deg=fov,
+        known=Whereabouts(times, orbit, site),
+        drift=drift,
+        out=out,
+        report=report,
+        plot=plot,
+    )
+    with progress_bars() as told:
+        lines, done = calibrate_from_images(sources, request, star_settings(settings), told)
+    return Answer(text="\n".join(lines), exit_status=DONE if done else DATA_DID_NOT_ALLOW)

@@ -1,0 +1,49 @@
+"""`boresight dump check`: all about a dump that needs no calibration."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from boresight.features.targets.check_page import write_check_page
+from boresight.features.targets.dump_check import check_dump, check_lines
+from boresight.pipeline.console.arguments import DumpArgument, SettingsFile
+from boresight.pipeline.console.messages import DATA_DID_NOT_ALLOW, DONE, Answer
+from boresight.pipeline.files.record_tables import plain
+from boresight.pipeline.run.settings import read_settings
+from boresight.pipeline.run.workers import executor_for
+
+__all__ = ["check"]
+
+
+def check(
+    dump: DumpArgument,
+    out: Annotated[Path | None, typer.Option(help="HTML page with the footprints on a map.")] = None,
+    settings: SettingsFile = None,
+    workers: Annotated[int | None, typer.Option(help="Processes for the star images.", min=1)] = None,
+) -> Answer:
+    """Check everything about a dump that needs no calibration: all errors at once, footprints, targets.
+
+    Example: boresight dump check my-dump --out check.html
+    """
+    with executor_for(workers, None, 0) as executor:
+        found = check_dump(dump, read_settings(settings), executor)
+    lines = check_lines(found)
+    if out is not None:
+        write_check_page(found, out)
+        lines.append(f"-> {out}")
+    failed = bool(found.faults) or not (found.footprints or found.sky_strips)
+    return Answer(
+        text="\n".join(lines),
+        content={
+            "errors": [str(fault) for fault in found.faults],
+            "facts": list(found.facts),
+            "omitted": [plain(omission) for omission in found.omissions],
+            "targets": [plain(target) for target in found.targets],
+            "footprints": {name: outline.tolist() for name, outline in found.footprints.items()},
+        },
+        files=() if out is None else (out,),
+        exit_status=DATA_DID_NOT_ALLOW if failed else DONE,
+    )

@@ -1,0 +1,70 @@
+"""`boresight match`: a dump's targets found in its strips."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from boresight.features.targets.target_matches import match_strips, matches_table, write_matches
+from boresight.pipeline.console.arguments import DumpArgument, SettingsFile
+from boresight.pipeline.console.messages import (
+    DATA_DID_NOT_ALLOW,
+    DONE,
+    Answer,
+    say,
+    tell,
+)
+from boresight.pipeline.errors import DataNotSufficientError
+from boresight.pipeline.files.dump import open_dump
+from boresight.pipeline.files.record_tables import plain
+from boresight.pipeline.run.settings import read_settings
+from boresight.pipeline.run.workers import executor_for
+from boresight.pipeline.stages.calibrate import strips_to_match
+
+__all__ = ["match"]
+
+
+def match(
+    dump: DumpArgument,
+    out: Annotated[Path, typer.Option(help="File for matches and refusals: .csv or .parquet.")],
+    strip: Annotated[list[str] | None, typer.Option(help="Only this strip. May be repeated.")] = None,
+    overlay: Annotated[
+        Path | None, typer.Option(help="Folder for a picture of each place: predicted, found, residual.")
+    ] = None,
+    settings: SettingsFile = None,
+    workers: Annotated[int | None, typer.Option(help="Processes for the star images.", min=1)] = None,
+) -> Answer:
+    """Find a dump's targets in its strips, from the pre-launch installation matrix.
+
+    Example: boresight match dump --out matches.csv
+    """
+    chosen, opened = read_settings(settings), open_dump(dump)
+    if unknown := set(strip or []) - {s.strip_id for s in opened.strips}:
+        names = ", ".join(s.strip_id for s in opened.strips)
+        raise DataNotSufficientError(f"{dump} has no strip {', '.join(sorted(unknown))}, only {names}")
+    with executor_for(workers, None, opened.pixels) as executor:
+        tasks, omissions = strips_to_match(opened, chosen, executor)
+    wanted = [task for task in tasks if not strip or task.strip.strip_id in strip]
+    for omission in omissions:
+        say(f"not used: {omission.kind} {omission.name}: {omission.reason}")
+    lines = []
+    for line in match_strips(wanted, overlay):
+        lines.append(line)
+        tell(line.text)
+        for refusal in line.refused:
+            where = f", CCD {refusal.ccd}" if refusal.ccd >= 0 else ""
+            say(f"refused: {line.strip_id}/{refusal.target_id}{where}: {refusal.sentence}")
+    write_matches(out, lines)
+    matched = sum(len(line.matches) for line in lines)
+    return Answer(
+        text=f"matched {matched} in {len(lines)} strips -> {out}",
+        content={
+            "matched": matched,
+            "targets": matches_table(lines).to_dict("records"),
+            "omitted": [plain(omission) for omission in omissions],
+        },
+        files=(out,),
+        exit_status=DONE if matched else DATA_DID_NOT_ALLOW,
+    )

@@ -1,0 +1,68 @@
+"""`boresight targets suggest`: ground targets chosen in ortho-images."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+
+from boresight.features.targets.ortho_files import HeightModel, read_heights, read_ortho
+from boresight.features.targets.suggestions import SuggestRequest, suggest_in, suggestion_lines, write_targets
+from boresight.geometry.terrain import ConstantHeight
+from boresight.pipeline.console.messages import (
+    Answer,
+    wrong_usage,
+)
+from boresight.pipeline.files.dump import open_dump
+from boresight.pipeline.files.object_store import dump_folder
+from boresight.pipeline.run.settings import read_settings
+
+__all__ = ["suggest"]
+
+
+def suggest(
+    orthos: Annotated[
+        list[Path],
+        typer.Argument(metavar="ORTHO", help="GeoTIFF, COG or VRT with a map; where two overlap: two dates."),
+    ],
+    out: Annotated[Path, typer.Option(help="Folder for chips/ and targets.csv.")],
+    dem: Annotated[list[Path] | None, typer.Option(help="Height model. May be repeated.")] = None,
+    heights: Annotated[
+        Literal["ellipsoidal", "egm96", "egm2008"], typer.Option(help="What the heights of --dem refer to.")
+    ] = "egm96",
+    height_m: Annotated[
+        float | None, typer.Option(help="Ellipsoidal height of flat ground, in place of --dem.")
+    ] = None,
+    dump: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="PATH",
+            parser=dump_folder,
+            help="Only what its strips will show, spread for the best forecast.",
+        ),
+    ] = None,
+    size_px: Annotated[int, typer.Option(help="Side of a chip, in pixels of its image.", min=32)] = 256,
+    most: Annotated[int, typer.Option(help="So many targets at most.", min=1)] = 40,
+    band: Annotated[
+        int | None, typer.Option(help="Band of the images; default: the mean of the first three.", min=1)
+    ] = None,
+    sigma_m: Annotated[float, typer.Option(help="1-sigma of the images' georeferencing.", min=0.0)] = 1.0,
+    sigma_up_m: Annotated[float, typer.Option(help="1-sigma of the heights.", min=0.0)] = 2.0,
+    settings: Annotated[Path | None, typer.Option(help="TOML file of settings, for --dump.")] = None,
+) -> Answer:
+    """Choose ground targets in ortho-images; write their chips and the list that goes into a dump.
+
+    Example: boresight targets suggest ortho1.tif ortho2.tif --dem dem.tif --dump dump --out targets
+    """
+    if bool(dem) == (height_m is not None):
+        raise wrong_usage("give the heights by --dem or by --height-m, one of them")
+    flat = HeightModel((ConstantHeight(height_m or 0.0),), "ellipsoidal")
+    model = read_heights(dem, heights) if dem else flat
+    opened = None if dump is None else open_dump(dump)
+    request = SuggestRequest(size_px=size_px, most=most, sigma_m=sigma_m, sigma_up_m=sigma_up_m)
+    images = [read_ortho(path, band) for path in orthos]
+    found = suggest_in(images, model, request, opened, read_settings(settings))
+    table = write_targets(found.targets, out, size_px)
+    lines = [*suggestion_lines(found), f"{len(found.targets)} targets -> {table}"]
+    return Answer(text="\n".join(lines), files=(table,))

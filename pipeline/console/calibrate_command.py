@@ -1,0 +1,197 @@
+"""`boresight calibrate`: the installation matrix from raw images."""
+
+from __future__ import annotations
+
+import platform
+import time
+import warnings
+from collections.abc import Callable, Collection, Iterator
+from contextlib import AbstractContextManager, contextmanager
+from importlib import metadata
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from boresight.calib.verdict import Outcome
+from boresight.pipeline import __version__
+from boresight.pipeline.calibration_run import (
+    RunOutcome,
+    RunRequest,
+    SavedContent,
+    going_on,
+    run_dump,
+    run_dumps,
+)
+from boresight.pipeline.console.arguments import (
+    DumpsArgument,
+    RequireArcsec,
+    RequireMetres,
+    SettingsFile,
+    StaleEop,
+)
+from boresight.pipeline.console.messages import (
+    DONE,
+    LIMIT_MISSED,
+    NOT_CHECKABLE,
+    REFUTED,
+    WITH_FINDINGS,
+    Accepted,
+    Answer,
+    log,
+    say,
+    wrong_usage,
+)
+from boresight.pipeline.console.progress import progress_bars
+from boresight.pipeline.files.dump import Dump, open_dump
+from boresight.pipeline.results.requirement import Requirement
+from boresight.pipeline.run.executor import Executor
+from boresight.pipeline.run.settings import read_settings
+from boresight.pipeline.run.workers import executor_for, processors
+from boresight.pipeline.stages.joint import open_dumps
+
+__all__ = ["calibrate"]
+
+REPORTED_PACKAGES = (
+    "numpy",
+    "scipy",
+    "opencv-python-headless",
+    "astropy",
+    "astropy-iers-data",
+    "pyerfa",
+    "pyproj",
+)
+
+
+def _folder(text: str) -> Path:
+    if not text.strip():
+        raise typer.BadParameter("is empty; name a folder")
+    return Path(text)
+
+
+ResultFolder = Annotated[
+    Path,
+    typer.Option(
+        help="Folder of the result: new, empty, or that of a run to be resumed.",
+        parser=_folder,
+        metavar="PATH",
+    ),
+]
+Workers = Annotated[
+    int | None,
+    typer.Option(help="Processes on this machine; default: one a core, one for a small dump.", min=1),
+]
+Scheduler = Annotated[str | None, typer.Option(help="Address of a dask scheduler instead (docs/cluster.md).")]
+WorkerTimeout = Annotated[
+    float | None, typer.Option(help="Longest wait for a usable worker of the scheduler, s.", min=0.0)
+]
+WithReport = Annotated[bool, typer.Option(help="Write report.html at the end.")]
+AcceptInconsistent = Annotated[
+    bool, typer.Option("--accept-inconsistent", help="The same as --accept refuted.")
+]
+Accept = Annotated[
+    list[Accepted] | None,
+    typer.Option(help="Do not fail for this: exit with 0. May be given several times."),
+]
+Overwrite = Annotated[
+    bool, typer.Option("--overwrite", help="Replace a result of another dump or of other settings.")
+]
+
+
+def calibrate(
+    dumps: DumpsArgument,
+    out: ResultFolder,
+    settings: SettingsFile = None,
+    workers: Workers = None,
+    scheduler: Scheduler = None,
+    worker_timeout: WorkerTimeout = None,
+    allow_stale_eop: StaleEop = False,
+    report: WithReport = True,
+    require_arcsec: RequireArcsec = None,
+    require_m: RequireMetres = None,
+    accept_inconsistent: AcceptInconsistent = False,
+    accept: Accept = None,
+    overwrite: Overwrite = False,
+) -> Answer:
+    """Estimate the installation matrix of a dump from raw images; of several dumps, of each and of all.
+
+    Example: boresight calibrate dump --out result
+    """
+    if workers is not None and scheduler is not None:
+        raise wrong_usage("--workers and --scheduler exclude one another")
+
+    def executor_on(opened: list[Dump]) -> AbstractContextManager[Executor]:
+        probes = [dump.root / "dump.toml" for dump in opened]
+        pixels = sum(dump.pixels for dump in opened)
+        return executor_for(workers, scheduler, pixels, probes=probes, wait_s=worker_timeout, say=say)
+
+    begun_s = time.perf_counter()
+    request = RunRequest(
+        settings=read_settings(settings),
+        report=report,
+        begun_s=begun_s,
+        overwrite=overwrite,
+        requirement=Requirement(require_arcsec, require_m),
+        facts={"workers": workers, "scheduler": scheduler} | _machine(),
+    )
+    outcome = _run(dumps, out, request, executor_on, allow_stale_eop, processors(workers))
+    files = (out / "installation.json", *([out / "report.html"] if report else []))
+    took = f"{time.perf_counter() - begun_s:.1f} s -> {files[0]}{', report.html' if report else ''}"
+    return Answer(
+        text=f"{outcome.text}\n{took}",
+        content=SavedContent(out),
+        files=files,
+        exit_status=_exit_status(outcome, {*(accept or ()), *([Accepted.REFUTED] * accept_inconsistent)}),
+    )
+
+
+def _exit_status(outcome: RunOutcome, accepted: Collection[Accepted]) -> int:
+    """The exit status of a run, the gravest thing that is not accepted; 0 if there is none."""
+    cases = (
+        (Accepted.REFUTED, Outcome.REFUTED in outcome.outcomes, REFUTED),
+        (Accepted.NOT_CHECKABLE, Outcome.NOT_CHECKABLE in outcome.outcomes, NOT_CHECKABLE),
+        (Accepted.UNMET, not outcome.is_met, LIMIT_MISSED),
+        (Accepted.FINDINGS, Outcome.FINDINGS in outcome.outcomes, WITH_FINDINGS),
+    )
+    return next((status for what, found, status in cases if found and what not in accepted), DONE)
+
+
+def _machine() -> dict[str, object]:
+    """What run.json says of machine and versions."""
+    return {
+        "python": platform.python_version(),
+        "machine": platform.platform(),
+        "version": __version__,
+        "packages": {name: metadata.version(name) for name in REPORTED_PACKAGES},
+    }
+
+
+def _run(
+    dumps: list[Path],
+    out: Path,
+    request: RunRequest,
+    executor_on: Callable[[list[Dump]], AbstractContextManager[Executor]],
+    allow_stale_eop: bool,
+    threads: int,
+) -> RunOutcome:
+    """Open one dump or several, with so many threads, and carry them through."""
+    if len(dumps) == 1:
+        with _warnings_reported():
+            one = open_dump(dumps[0].resolve(), allow_stale_eop=allow_stale_eop, threads=threads)
+        with going_on(out), progress_bars() as progress, executor_on([one]) as executor:
+            return run_dump(out, one, str(dumps[0]), request, executor, progress)
+    with _warnings_reported():
+        several = open_dumps(dumps, request.settings, allow_stale_eop=allow_stale_eop, threads=threads)
+    opened = [named.dump for named in several]
+    with going_on(out), progress_bars() as progress, executor_on(opened) as executor:
+        return run_dumps(out, several, request, executor, progress)
+
+
+@contextmanager
+def _warnings_reported() -> Iterator[None]:
+    """Warnings of the library as one line each on stderr."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        yield
+    for text in dict.fromkeys(str(warning.message) for warning in caught):
+        log.warning("warning: %s", text)

@@ -1,0 +1,31 @@
+"""What a feature says of itself: its commands, and what it adds to a calibration."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+__all__ = ["AfterJoint", "Command", "Feature"]
+
+AfterJoint = Callable[[Path, list[str]], str]
+"""Of several dumps: the result folder and the names of its dumps; returns lines for the console."""
+
+
+@dataclass(frozen=True)
+class Command:
+    """A command of the program. Its module is imported when it is called."""
+
+    name: str  # words on the command line, one or two: "plan", "dump check"
+    summary: str  # one line of the program's help, at most 60 characters
+    place: str  # "module:function" below `boresight`
+    with_json: bool = False  # offers --json by the rules of docs/json.md
+
+
+@dataclass(frozen=True)
+class Feature:
+    """A job of the program."""
+
+    commands: tuple[Command, ...]
+    groups: dict[str, str] = field(default_factory=dict)  # first word of two, and its line in the help
+    after_joint: str = ""  # "module:function" below `boresight`, an `AfterJoint`

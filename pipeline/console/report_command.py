@@ -1,0 +1,50 @@
+"""`boresight report`: one HTML page about a result."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from boresight.pipeline.console.arguments import (
+    RequireArcsec,
+    RequireMetres,
+    ResultArgument,
+)
+from boresight.pipeline.console.messages import Answer
+from boresight.pipeline.report.dumps_page import write_dumps_report
+from boresight.pipeline.report.page import write_report
+from boresight.pipeline.report.pdf import print_page
+from boresight.pipeline.results.folder import dumps_in
+from boresight.pipeline.results.reading import read_result
+from boresight.pipeline.results.requirement import (
+    Requirement,
+    requirement_lines,
+    saved_requirement,
+    write_requirement,
+)
+
+__all__ = ["report"]
+
+
+def report(
+    result: ResultArgument,
+    matches: Annotated[
+        int, typer.Option(help="Show the pictures of at most so many targets that were used.", min=0)
+    ] = 200,
+    pdf: Annotated[bool, typer.Option("--pdf", help="Print the page to report.pdf, too (Chromium).")] = False,
+    require_arcsec: RequireArcsec = None,
+    require_m: RequireMetres = None,
+) -> Answer:
+    """Draw one HTML page about a result, from what was saved, readable without a network.
+
+    Example: boresight report demo-result --pdf --require-arcsec 1
+    """
+    write_requirement(result, Requirement(require_arcsec, require_m))
+    path = write_dumps_report(result) if dumps_in(result) else write_report(result, most_matches=matches)
+    lines = [f"{path.stat().st_size / 1e6:.1f} MB -> {path}"]
+    if pdf:
+        printed = print_page(path)
+        lines.append(f"{printed.stat().st_size / 1e6:.1f} MB -> {printed}")
+    lines += requirement_lines(saved_requirement(result), read_result(result).installation)
+    return Answer(text="\n".join(lines))

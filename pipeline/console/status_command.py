@@ -1,0 +1,25 @@
+"""`boresight status`: what of a run is finished and what is not used."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from boresight.pipeline.console.messages import (
+    Answer,
+)
+from boresight.pipeline.files.record_tables import plain
+from boresight.pipeline.results.status import run_status, status_lines
+
+__all__ = ["status"]
+
+
+def status(result: Annotated[Path, typer.Argument(help="Folder of a run, finished or not.")]) -> Answer:
+    """Show what of a run is finished, what it still needs, and everything that is not used and why.
+
+    Example: boresight status result
+    """
+    found = run_status(result)
+    return Answer(text="\n".join(status_lines(found)), content=plain(found))

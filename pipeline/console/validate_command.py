@@ -1,0 +1,65 @@
+"""`boresight validate`: a result against the truth of a simulated dump."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from boresight.pipeline.console.kept_validation import kept_validation
+from boresight.pipeline.console.limit_options import JunitFile, held
+from boresight.pipeline.console.messages import (
+    Answer,
+)
+from boresight.pipeline.files.dump import open_dump
+from boresight.pipeline.files.object_store import dump_folder
+from boresight.pipeline.files.record_tables import plain
+from boresight.pipeline.results.limits import validation_limits
+from boresight.pipeline.results.reading import read_for_dump
+from boresight.pipeline.results.summary import validation_summary
+from boresight.pipeline.results.validate import validate as held_against_truth
+
+__all__ = ["validate"]
+
+
+def validate(
+    result: Annotated[Path, typer.Argument(help="Folder that `calibrate` wrote.")],
+    dump: Annotated[
+        Path,
+        typer.Option(
+            parser=dump_folder,
+            metavar="PATH",
+            help="The simulated dump it was made from, with its truth/ folder.",
+        ),
+    ],
+    max_error_sigma: Annotated[
+        float | None, typer.Option(help="Limit: error of each axis over its stated sigma, at most.", min=0.0)
+    ] = None,
+    max_nees: Annotated[
+        float | None, typer.Option(help="Limit: squared error in the stated covariance, at most.", min=0.0)
+    ] = None,
+    max_ground_m: Annotated[
+        float | None, typer.Option(help="Limit: rms error on the ground, each direction, at most.", min=0.0)
+    ] = None,
+    junit: JunitFile = None,
+) -> Answer:
+    """Compare a result with the truth of a simulated dump. Exit status 4 if a limit is missed.
+
+    The errors are kept in RESULT/validation.json, and drawn into its report where it has one.
+
+    Example: boresight validate result --dump dump --max-error-sigma 4 --max-nees 16 --max-ground-m 6
+    """
+    begun_s = time.perf_counter()
+    _, saved = read_for_dump(result, dump)
+    found = held_against_truth(saved, open_dump(dump))
+    files = kept_validation(result, found)
+    limits = validation_limits(found, max_error_sigma, max_nees, max_ground_m)
+    return held(
+        "validate",
+        limits,
+        junit,
+        begun_s,
+        Answer(text=validation_summary(found), content=plain(found), files=files),
+    )
