@@ -17,6 +17,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:  # what a type checker and an editor see; at run time `__getattr__` imports the same
+    from boresight.features.geolocate.api import geolocate
+    from boresight.features.planning.api import forecast
+    from boresight.features.simulation.api import simulate
     from boresight.features.sky_images.api import (
         CameraSolution,
         Stars,
@@ -25,22 +28,15 @@ if TYPE_CHECKING:  # what a type checker and an editor see; at run time `__getat
         find_stars,
         identify,
     )
+    from boresight.features.targets.api import TargetMatches, match_targets
     from boresight.geometry.line_camera import LineCamera
     from boresight.geometry.star_camera import StarCamera
-    from boresight.matching import Match, NotMatched, TargetMatches, match_targets, match_template
-    from boresight.missions import (
-        Calibration,
-        calibrate,
-        calibrate_vectors,
-        forecast,
-        geolocate,
-        open_dump,
-        read_result,
-        simulate,
-        validate,
-    )
+    from boresight.matching import Match, NotMatched, match_template
+    from boresight.missions import Calibration, calibrate, read_result, validate
     from boresight.pipeline.errors import DataNotSufficientError, RawDataError
+    from boresight.pipeline.files.dump import open_dump
     from boresight.star_id.identification.identify import NotIdentified
+    from boresight.vectors import calibrate_vectors
     from boresight.version import __version__
 
 __all__ = [
@@ -73,14 +69,19 @@ __all__ = [
 ]
 
 _MODULES = {
-    "missions": "Calibration calibrate calibrate_vectors forecast geolocate open_dump read_result simulate"
-    " validate",
+    "features.geolocate.api": "geolocate",
+    "features.planning.api": "forecast",
+    "features.simulation.api": "simulate",
+    "features.sky_images.api": "CameraSolution StarSolution Stars calibrate_star_camera find_stars identify",
+    "features.targets.api": "TargetMatches match_targets",
     "geometry.line_camera": "LineCamera",
     "geometry.star_camera": "StarCamera",
-    "matching": "Match NotMatched TargetMatches match_targets match_template",
+    "matching": "Match NotMatched match_template",
+    "missions": "Calibration calibrate read_result validate",
     "pipeline.errors": "DataNotSufficientError RawDataError",
+    "pipeline.files.dump": "open_dump",
     "star_id.identification.identify": "NotIdentified",
-    "features.sky_images.api": "CameraSolution StarSolution Stars calibrate_star_camera find_stars identify",
+    "vectors": "calibrate_vectors",
     "version": "__version__",
 }
 _MODULE_OF = {name: module for module, names in _MODULES.items() for name in names.split()}

@@ -1,13 +1,12 @@
-"""Ground targets: a template found in a picture, and the targets of a dump found in its strips."""
+"""A template found in a picture."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import fields
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 
 from boresight.display import Outcome, Result, axes_or_new
@@ -15,16 +14,12 @@ from boresight.gct_match.locate import match_template as match_arrays
 from boresight.gct_match.records import Refusal as NotMatched
 from boresight.gct_match.records import TemplateMatch
 from boresight.gct_match.settings import MatchSettings
-from boresight.geometry.record import record, scalar
-from boresight.missions import open_dump
+from boresight.geometry.record import record
 
 if TYPE_CHECKING:
-    import pandas as pd
     from matplotlib.axes import Axes
 
-    from boresight.pipeline.files.dump import Dump
-
-__all__ = ["Match", "NotMatched", "TargetMatches", "match_targets", "match_template"]
+__all__ = ["Match", "NotMatched", "match_template"]
 
 
 @record(kw_only=True)
@@ -44,8 +39,6 @@ class Match(TemplateMatch, Outcome):
 
     def table(self) -> pd.DataFrame:
         """One row: x_px, y_px, sigma_x_px, sigma_y_px, correlation, probability_wrong."""
-        import pandas as pd
-
         (x, y), (sx, sy) = self.xy_px, np.sqrt(np.diag(self.cov_px))
         values = {"x_px": x, "y_px": y, "sigma_x_px": sx, "sigma_y_px": sy}
         values |= {"correlation": self.correlation, "probability_wrong": self.probability_wrong}
@@ -59,43 +52,6 @@ class Match(TemplateMatch, Outcome):
         ax.imshow(beside, cmap="gray", vmin=low, vmax=high)
         ax.set_title("found | residual")
         ax.set_axis_off()
-        return ax
-
-
-@record(kw_only=True)
-class TargetMatches(Result):
-    """Targets of a dump measured in its strips; `len()` counts the measurements, one a target and CCD."""
-
-    measured: pd.DataFrame = scalar("one row a measurement or rejection, as `boresight match` writes them")
-
-    __repr__ = Result.__repr__
-
-    def __len__(self) -> int:
-        return int((self.measured["outcome"] == "placed").sum())
-
-    def summary(self) -> str:
-        good = self.measured[self.measured["outcome"] == "placed"]
-        return (
-            f"{len(self)} targets measured in {good['strip_id'].nunique()} strips\n"
-            f"median 1 sigma {good['sigma_sample_px'].median():.4f} px along samples, "
-            f"{good['sigma_line_px'].median():.4f} px along lines\n"
-            f"{len(self.measured) - len(self)} rejected, with the reason in table()"
-        )
-
-    def table(self) -> pd.DataFrame:
-        """One row a measurement or rejection: strip_id, target_id, ccd, sample_px, line_px, ..., reason."""
-        return self.measured
-
-    def plot(self, ax: Axes | None = None) -> Axes:
-        """Residuals of each strip's targets about the rotation that they have in common."""
-        ax = axes_or_new(ax)
-        for strip, rows in self.measured[self.measured["outcome"] == "placed"].groupby("strip_id"):
-            ax.plot(
-                rows["residual_sample_px"], rows["residual_line_px"], "o", fillstyle="none", label=str(strip)
-            )
-        ax.set(xlabel="residual along samples, px", ylabel="residual along lines, px")
-        ax.grid(color="0.9")
-        ax.legend(title="strip")
         return ax
 
 
@@ -149,42 +105,3 @@ def match_template(
     if isinstance(found, NotMatched):
         return found
     return Match(**{field.name: getattr(found, field.name) for field in fields(found)})
-
-
-def match_targets(dump: str | Path | Dump, *, strips: Sequence[str] | None = None) -> TargetMatches:
-    """Targets of a dump found in its raw strips, starting from the pre-launch installation matrix.
-
-    Parameters
-    ----------
-    dump : path or Dump
-        Folder with a dump.toml, or what `open_dump` returned.
-    strips : sequence of str, optional
-        Ids of the strips wanted; default: all.
-
-    Returns
-    -------
-    TargetMatches
-        Measurements with covariances, and rejections with reasons.
-
-    Raises
-    ------
-    RawDataError
-        If a file of the dump is missing or wrong; the message names file, field, found and expected.
-
-    Examples
-    --------
-    >>> import boresight as bs
-    >>> matches = bs.match_targets("fixtures/mini", strips=["s01"])
-    >>> len(matches)
-    12
-    """
-    from boresight.features.targets.target_matches import match_strips, matches_table
-    from boresight.pipeline.run.settings import Settings
-    from boresight.pipeline.stages.calibrate import strips_to_match
-
-    opened = open_dump(dump)
-    if unknown := set(strips or ()) - {strip.strip_id for strip in opened.strips}:
-        raise ValueError(f"the dump has no strip {', '.join(sorted(unknown))}")
-    tasks, _ = strips_to_match(opened, Settings())
-    wanted = [task for task in tasks if strips is None or task.strip.strip_id in strips]
-    return TargetMatches(measured=matches_table(list(match_strips(wanted, None))))

@@ -1,51 +1,37 @@
-"""The installation matrix from a dump or from vectors: estimated, read back, validated and applied."""
+"""The installation matrix from a dump: estimated, read back and validated."""
 
 from __future__ import annotations
 
 import dataclasses
 import tempfile
 import time
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike
+import pandas as pd
 from scipy.spatial.transform import Rotation
 
 from boresight.display import Result, axes_or_new
 from boresight.geometry.constants import ARCSEC
-from boresight.geometry.record import Floats, Ints, array, record, scalar
-from boresight.pipeline.errors import DataNotSufficientError
-from boresight.pipeline.files.dump import Dump
-from boresight.pipeline.files.dump import open_dump as dump_at
-from boresight.pipeline.files.object_store import dump_folder
+from boresight.geometry.record import Floats, array, record, scalar
+from boresight.pipeline.calibration_run import RunRequest, run_dump
+from boresight.pipeline.files.dump import Dump, open_dump
+from boresight.pipeline.results.reading import SavedResult
+from boresight.pipeline.results.reading import read_result as saved_in
+from boresight.pipeline.results.validate import Validation
+from boresight.pipeline.results.validate import validate as against_truth
+from boresight.pipeline.results.writing import write_result
+from boresight.pipeline.run.settings import Settings, read_settings
+from boresight.pipeline.run.workers import executor_for
+from boresight.pipeline.stages.calibrate import Calibration as StageCalibration
+from boresight.pipeline.stages.calibrate import calibrate_dump
 from boresight.version import __version__
 
 if TYPE_CHECKING:
-    import pandas as pd
     from matplotlib.axes import Axes
 
-    from boresight.features.planning.campaign_plan import PlanForecast
-    from boresight.pipeline.results.reading import SavedResult
-    from boresight.pipeline.results.validate import Validation
-    from boresight.pipeline.run.settings import Settings
-    from boresight.pipeline.stages.calibrate import Calibration as StageCalibration
-
-__all__ = [
-    "Calibration",
-    "calibrate",
-    "calibrate_vectors",
-    "forecast",
-    "geolocate",
-    "open_dump",
-    "read_result",
-    "simulate",
-    "validate",
-]
-
-Vectors = Floats | Sequence[Floats]  # of one frame, or one array a frame
-Sigmas = float | Floats | Sequence[float] | Sequence[Floats]
+__all__ = ["Calibration", "calibrate", "read_result", "validate"]
 
 
 @record(kw_only=True)
@@ -100,8 +86,6 @@ class Calibration(Result):
 
     def table(self) -> pd.DataFrame:
         """One row an axis of c: theta_arcsec, sigma_arcsec, and the correlations with x, y, z."""
-        import pandas as pd
-
         sigma = np.sqrt(np.diag(self.cov_theta))
         correlation = self.cov_theta / np.outer(sigma, sigma)
         columns = {"axis": list("XYZ"), "theta_arcsec": self.theta / ARCSEC, "sigma_arcsec": sigma / ARCSEC}
@@ -129,9 +113,9 @@ class Calibration(Result):
 
         Raises `ValueError` for a result from vectors, which has no images to show.
         """
-        from boresight.pipeline.report.evidence import write_evidence
+
+        from boresight.pipeline.report.evidence import write_evidence  # with the page: Matplotlib, 0.3 s
         from boresight.pipeline.report.page import write_report
-        from boresight.pipeline.results.writing import write_result
 
         if self.folder is None and self._run is None:
             raise ValueError("a report needs the result of a dump, this one is from vectors")
@@ -143,94 +127,6 @@ class Calibration(Result):
                 write_result(folder, found, settings)
             Path(path).write_bytes(write_report(folder).read_bytes())
         return Path(path)
-
-
-def calibrate_vectors(
-    u_s: Vectors,
-    v_stars: Vectors,
-    sigma_s: Sigmas,
-    w_c: Vectors,
-    v_targets: Vectors,
-    sigma_c: Sigmas,
-    R_cs0: Rotation,
-) -> Calibration:
-    """The installation matrix from star and target vectors of one frame or many; attitudes are not needed.
-
-    A frame is one attitude. Errors are isotropic and independent from vector to vector; for strips with
-    errors of orbit, clock, vibration and distortion use `calibrate`. All six arguments are arrays for one
-    frame, or lists with one array a frame.
-
-    Parameters
-    ----------
-    u_s : (N, 3) array, or list of them
-        Measured unit vectors of stars, star-camera frame s.
-    v_stars : (N, 3) array, or list of them
-        Their apparent directions, GCRS.
-    sigma_s : float, (N,) array, or list of them
-        Their 1-sigma errors per axis, rad.
-    w_c : (J, 3) array, or list of them
-        Measured unit vectors of targets, remote-sensing-camera frame c.
-    v_targets : (J, 3) array, or list of them
-        Directions from the camera to the targets, GCRS.
-    sigma_c : float, (J,) array, or list of them
-        Their 1-sigma errors per axis, rad.
-    R_cs0 : Rotation
-        Approximate installation matrix, s to c.
-
-    Returns
-    -------
-    Calibration
-        `R_cs` and `cov_theta` (3, 3), rad², axes of c.
-
-    Raises
-    ------
-    ValueError
-        If shapes do not agree or the iteration does not converge.
-    DataNotSufficientError
-        If the vectors do not determine all three angles.
-
-    Examples
-    --------
-    >>> import boresight as bs, numpy as np
-    >>> from scipy.spatial.transform import Rotation
-    >>> R_cs = Rotation.from_euler("xyz", [150, 10, 30], degrees=True)
-    >>> stars = np.array([[0.1, 0.1, 1], [-0.1, 0.1, 1], [0.0, -0.1, 1]]); stars /= np.linalg.norm(stars[0])
-    >>> ground = np.array([[0.01, 0, 1], [-0.01, 0.01, 1]]); ground /= np.linalg.norm(ground, axis=1)[:, None]
-    >>> stars /= np.linalg.norm(stars, axis=1)[:, None]
-    >>> est = bs.calibrate_vectors(stars, stars, 1e-6, ground, R_cs.inv().apply(ground), 1e-6, R_cs)
-    >>> bool(est.sigma_arcsec[2] > est.sigma_arcsec[0])
-    True
-    """
-    import pandas as pd
-
-    from boresight.calib.frames import calibrate_frames
-    from boresight.geometry.installation import theta_between
-    from boresight.geometry.vector_sets import VectorSets
-
-    stars, targets = _frames("u_s", u_s, v_stars, sigma_s), _frames("w_c", w_c, v_targets, sigma_c)
-    vectors = VectorSets(
-        star_start=stars[0],
-        u_s=stars[1],
-        v_stars=stars[2],
-        sigma_s=stars[3],
-        target_start=targets[0],
-        w_c=targets[1],
-        v_targets=targets[2],
-        sigma_c=targets[3],
-    )
-    found = calibrate_frames(vectors, R_cs0)
-    if len(found.solution.unobservable):
-        raise DataNotSufficientError(
-            f"rotations about {found.solution.unobservable} (frame c) are not observable"
-        )
-    frames, n_stars, n_targets = len(stars[0]) - 1, int(stars[0][-1]), int(targets[0][-1])
-    return Calibration(
-        R_cs=found.R_cs,
-        theta=theta_between(found.R_cs, R_cs0),
-        cov_theta=found.solution.covariance,
-        counts=f"{frames} frames with {n_stars} star vectors and {n_targets} target vectors",
-        targets=pd.DataFrame(),
-    )
 
 
 def calibrate(
@@ -276,11 +172,6 @@ def calibrate(
     >>> est.R_cs.as_matrix().round(6).tolist()[2]
     [0.152413, 0.205592, -0.966697]
     """
-    from boresight.pipeline.calibration_run import RunRequest, run_dump
-    from boresight.pipeline.results.writing import write_result
-    from boresight.pipeline.run.workers import executor_for
-    from boresight.pipeline.stages.calibrate import calibrate_dump
-
     chosen = _settings_of(settings)
     opened = open_dump(dump, allow_stale_eop=allow_stale_eop)
     with executor_for(workers, None, opened.pixels) as executor, tempfile.TemporaryDirectory() as scratch:
@@ -296,8 +187,6 @@ def calibrate(
 
 def _settings_of(settings: str | Path | Settings | None) -> Settings:
     """The settings themselves, or those of a file, or all defaults."""
-    from boresight.pipeline.run.settings import Settings, read_settings
-
     return settings if isinstance(settings, Settings) else read_settings(Path(settings) if settings else None)
 
 
@@ -318,10 +207,6 @@ def read_result(folder: str | Path) -> Calibration:
     RawDataError
         If the folder is not a finished result, or damaged.
     """
-    import pandas as pd
-
-    from boresight.pipeline.results.reading import read_result as saved_in
-
     saved = saved_in(Path(folder))
     facts = saved.installation
     targets = pd.read_parquet(Path(folder) / "sightings" / "targets.parquet")
@@ -364,174 +249,7 @@ def validate(result: Calibration | str | Path, dump: str | Path | Dump) -> Valid
     ValueError
         If the result is from vectors.
     """
-    from boresight.pipeline.results.validate import validate as against_truth
-
     estimate = result if isinstance(result, Calibration) else read_result(result)
     if estimate.saved is None:
         raise ValueError("validate needs the result of a dump, this one is from vectors")
     return against_truth(estimate.saved, open_dump(dump))
-
-
-def geolocate(
-    result: str | Path,
-    strip: str,
-    ccd: ArrayLike,
-    sample_px: ArrayLike,
-    line_px: ArrayLike,
-    *,
-    dump: str | Path | None = None,
-    height_m: float | None = None,
-) -> pd.DataFrame:
-    """Where on the ground pixels of a strip look, with 1-sigma along and across the track.
-
-    Parameters
-    ----------
-    result : path
-        A result folder.
-    strip : str
-        Id of the strip.
-    ccd, sample_px, line_px : (N,) arrays or numbers
-        CCD number from 0, and the image point; (0, 0) is the centre of the first pixel.
-    dump : path, optional
-        The dump; default: the one that the result names.
-    height_m : float, optional
-        Ellipsoidal height of the ground, m; default: the dump's terrain model.
-
-    Returns
-    -------
-    pandas.DataFrame
-        One row a pixel: lat_deg, lon_deg, height_m, sigma_along_m, sigma_across_m; NaN where the line of
-        sight meets no known ground or the row has no attitude.
-
-    Raises
-    ------
-    RawDataError
-        If result or dump cannot be read or the strip is unknown.
-    """
-    import pandas as pd
-
-    from boresight.features.geolocate.positions import Pixels
-    from boresight.features.geolocate.positions import geolocate as positions_of
-    from boresight.geometry.terrain import ConstantHeight
-    from boresight.pipeline.files.dump import surface_of
-    from boresight.pipeline.results.strip_model import open_calibrated, strip_model
-
-    calibrated = open_calibrated(Path(result), None if dump is None else dump_folder(dump))
-    numbers = np.broadcast_arrays(*(np.atleast_1d(np.asarray(part)) for part in (ccd, sample_px, line_px)))
-    pixels = Pixels(numbers[0].astype(np.int64), numbers[1].astype(float), numbers[2].astype(float))
-    surface = surface_of(calibrated.dump.terrain) if height_m is None else ConstantHeight(height_m)
-    found = positions_of(calibrated, strip_model(calibrated, strip), pixels, surface)
-    columns = ("lat_deg", "lon_deg", "height_m", "sigma_along_m", "sigma_across_m")
-    return pd.DataFrame({name: getattr(found, name) for name in columns})
-
-
-def open_dump(dump: str | Path | Dump, *, allow_stale_eop: bool = False) -> Dump:
-    """A dump opened and checked: cameras, orbit, exposures, strips, targets; images are not decoded.
-
-    Parameters
-    ----------
-    dump : path or Dump
-        Folder with a dump.toml; an open dump is returned as it is.
-    allow_stale_eop : bool
-        Continue with a warning past the end of the Earth-orientation table.
-
-    Returns
-    -------
-    Dump
-        `star_camera`, `line_camera`, `orbit`, `exposures`, `strips`, `targets`, `R_cs0`, ...
-
-    Raises
-    ------
-    RawDataError
-        If a file is missing or wrong; the message names file, field, found and expected.
-
-    Examples
-    --------
-    >>> import boresight as bs
-    >>> dump = bs.open_dump("fixtures/mini")
-    >>> len(dump.exposures), len(dump.strips), len(dump.targets)
-    (42, 3, 36)
-    """
-    return dump if isinstance(dump, Dump) else dump_at(dump, allow_stale_eop=allow_stale_eop)
-
-
-def simulate(scenario: str, out: str | Path, *, seed: int = 1, changes: Sequence[str] = ()) -> Path:
-    """Render a mission with known truth as a dump.
-
-    Parameters
-    ----------
-    scenario : str
-        "mini", "paper", "sky", or the path of a TOML file (docs/simulator.md).
-    out : path
-        Folder to make; it must not exist or be empty.
-    seed : int
-        All random numbers come from it.
-    changes : sequence of str
-        Changed settings such as "strips.count=5".
-
-    Returns
-    -------
-    Path
-        The folder.
-
-    Raises
-    ------
-    ValueError
-        If the folder holds files, or the scenario or a change is not known.
-    """
-    from boresight.pipeline.files.dump_writer import write_dump
-    from boresight.pipeline.files.scenario_file import fly, named_scenario
-    from boresight.pipeline.files.whole_file import is_vacant
-
-    folder = Path(out)
-    if not is_vacant(folder):
-        raise ValueError(f"{folder} exists and is not an empty folder")
-    made_by = f"boresight {__version__}: simulate {scenario} --seed {seed}"
-    write_dump(fly(named_scenario(scenario, changes), seed), folder, created_by=made_by)
-    return folder
-
-
-def forecast(plan: str | Path, *, target_arcsec: float | None = None) -> PlanForecast:
-    """Expected 1-sigma of the installation matrix for a planned campaign, before any data.
-
-    Parameters
-    ----------
-    plan : path
-        TOML file that describes cameras, strips, targets and errors, as for `boresight plan`.
-    target_arcsec : float, optional
-        Wanted 1-sigma on every axis, arcsec: the number of strips that reach it is returned, too.
-
-    Returns
-    -------
-    PlanForecast
-        `table`: 1-sigma about each axis against the number of strips, arcsec; `strips_needed`.
-
-    Raises
-    ------
-    RawDataError
-        If the file has unknown or wrong entries.
-    DataNotSufficientError
-        If the campaign cannot be forecast.
-    """
-    from boresight.features.planning.campaign_plan import forecast_plan, read_plan
-
-    return forecast_plan(read_plan(Path(plan)), target_arcsec)
-
-
-def _frames(
-    name: str, vectors: Vectors, known: Vectors, sigma: Sigmas
-) -> tuple[Ints, Floats, Floats, Floats]:
-    """Start of each frame (K + 1,), and its vectors, known directions and sigmas, one after another."""
-    one = isinstance(vectors, np.ndarray) and vectors.ndim == 2
-    parts = [np.asarray(v, dtype=float) for v in ([vectors] if one else vectors)]
-    directions = [np.asarray(v, dtype=float) for v in ([known] if one else known)]
-    sigmas = [sigma] * len(parts) if one or isinstance(sigma, float | int) else list(sigma)
-    shapes = [part.shape for part in parts]
-    if shapes != [part.shape for part in directions] or any(shape[1:] != (3,) for shape in shapes):
-        found = f"{shapes}, {[part.shape for part in directions]}"
-        raise ValueError(f"{name} and its known directions must be (N, 3) in each frame, got {found}")
-    if len(sigmas) != len(parts):
-        raise ValueError(f"sigma of {name}: {len(sigmas)} given for {len(parts)} frames")
-    start = np.cumsum([0, *(len(part) for part in parts)])
-    errors = [np.broadcast_to(np.asarray(s, dtype=float), len(part)) for s, part in zip(sigmas, parts)]
-    return start.astype(np.int64), np.vstack(parts), np.vstack(directions), np.concatenate(errors)

@@ -16,12 +16,11 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from command_line import app
 from fixture_strips import strip_of_fixture
 from handmade import write_handmade_dump
 from outside import DEMO, ROOT, run
 from typer.testing import CliRunner
-
-from boresight.pipeline.cli import app
 
 IN_MEMORY = Path("/dev/shm")
 ROOM_BYTES = 4 * 2**30  # some four times what a run of all tests writes

@@ -34,7 +34,6 @@ from boresight.features.exports.spice_attitude import (
 from boresight.features.exports.spice_frame import SpiceFrames, frame_kernel
 from boresight.features.exports.star_fits import centroids_fits
 from boresight.features.exports.vrt import vrt_with_gcps, vrt_with_rpc
-from boresight.features.operators.dimap_grid import operator_model
 from boresight.geometry.constants import WGS84
 from boresight.geometry.epoch import Epoch
 from boresight.geometry.footprint import outline_deg
@@ -46,6 +45,7 @@ from boresight.geometry.sightings import StarSightings
 from boresight.geometry.terrain import ConstantHeight
 from boresight.pipeline import __version__
 from boresight.pipeline.errors import DataNotSufficientError, RawDataError
+from boresight.pipeline.files.dimap_metadata import operator_model
 from boresight.pipeline.files.dump import Strip, surface_of
 from boresight.pipeline.files.table_files import column, fixed, list_values, read_parquet
 from boresight.pipeline.results.reading import read_for_dump, read_result

@@ -14,10 +14,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
 
 from boresight.geometry.attitude import interpolation_weights
 from boresight.geometry.constants import ARCSEC, WGS84
@@ -25,19 +23,11 @@ from boresight.geometry.geodesy import ellipsoid_normals, geodetic_from_ecef
 from boresight.geometry.record import Floats, Ints, array, record
 from boresight.geometry.terrain import Surface
 from boresight.pipeline.errors import RawDataError
+from boresight.pipeline.files.pixel_table import PixelRow
 from boresight.pipeline.files.text_files import read_table
 from boresight.pipeline.results.strip_model import Calibrated, StripModel
 
 __all__ = ["GroundPlaces", "Pixels", "geolocate", "places_csv", "read_pixels"]
-
-
-class PixelRow(BaseModel):
-    """One line of the file of pixels. (0, 0) is the centre of the first pixel."""
-
-    model_config = ConfigDict(extra="forbid", allow_inf_nan=False, frozen=True)
-    ccd: Annotated[int, Field(ge=0)]
-    sample: float
-    line: float
 
 
 @record

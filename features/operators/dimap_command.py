@@ -7,8 +7,9 @@ from typing import Annotated
 
 import typer
 
-from boresight.features.operators.dimap_grid import grid_differences, operator_model, places_of_pixels
+from boresight.features.operators.dimap_grid import grid_differences, places_of_pixels
 from boresight.pipeline.console.messages import print_data, say, tell
+from boresight.pipeline.files.dimap_metadata import operator_model
 
 __all__ = ["dimap"]
 

@@ -8,24 +8,16 @@ from pathlib import Path
 import numpy as np
 import rasterio
 
-from boresight.features.geolocate.positions import PixelRow
 from boresight.geometry.constants import WGS84
-from boresight.geometry.earth_orientation import bundled_earth_orientation
 from boresight.geometry.geodesy import ecef_from_geodetic, geodetic_from_ecef
-from boresight.geometry.groundlight import LightEffects
 from boresight.geometry.terrain import ConstantHeight
 from boresight.pipeline.errors import RawDataError
-from boresight.pipeline.files.dimap_metadata import DimapStrip, read_dimap
+from boresight.pipeline.files.dimap_metadata import DimapStrip
 from boresight.pipeline.files.image_files import open_geotiff
+from boresight.pipeline.files.pixel_table import PixelRow
 from boresight.pipeline.files.text_files import read_table
 
-__all__ = ["grid_differences", "operator_model", "places_of_pixels"]
-
-
-def operator_model(path: Path) -> DimapStrip:
-    """The strip in the operator's convention: without aberration, light time and refraction."""
-    off = LightEffects(light_time=False, aberration=False, refraction=False)
-    return read_dimap(path, bundled_earth_orientation(), off)
+__all__ = ["grid_differences", "places_of_pixels"]
 
 
 def places_of_pixels(strip: DimapStrip, pixels: Path, height_m: float) -> Iterator[str]:

@@ -8,7 +8,6 @@ from typing import Annotated, Literal, get_args
 
 import typer
 
-from boresight.features.operators.dimap_grid import operator_model
 from boresight.features.operators.dimap_import import dimap_mission
 from boresight.features.operators.imported_mission import ImportedMission, write_imported
 from boresight.features.operators.point_import import PointErrors, points_csv, read_measured_points
@@ -16,6 +15,7 @@ from boresight.features.operators.sentinel2_import import AttitudeLevel, sentine
 from boresight.features.operators.sentinel2_product import read_sentinel2
 from boresight.pipeline import __version__
 from boresight.pipeline.console.messages import Answer, say, wrong_usage
+from boresight.pipeline.files.dimap_metadata import operator_model
 from boresight.pipeline.files.dump import read_earth_orientation
 from boresight.pipeline.files.text_files import read_text
 from boresight.pipeline.files.whole_file import is_vacant, write_text

@@ -20,23 +20,20 @@ from boresight.features.paper.paper_tables import (
     TABLE_4,
     TABLE_5,
 )
+from boresight.pipeline.report.panels import AXES, BOUND, GREY, INK, OURS, THIRD, panels
 
-__all__ = ["PLOTS", "plot_forecast"]
+__all__ = ["PLOTS"]
 
-AXES = ("X", "Y", "Z")
-WIDTH_IN = 7.3
-OURS, WANG, GREY, INK = "#124a86", "#e08a5b", "#7a7a7a", "#111111"  # dark, light, middle and black in grey
-BOUND = {"color": INK, "ls": "--", "lw": 1.0}
 PAPER = {"color": INK, "ls": "none", "marker": "x", "ms": 6, "mew": 1.5}
 
 
 def plot_inputs(table: pd.DataFrame) -> Figure:
     """Tables 1 to 3: error on the ground of each source, and the distortion of both cameras."""
-    figure, axes = _panels(1, 3, 3.4)
+    figure, axes = panels(1, 3, 3.4)
     ax = axes[0, 0]
     rows = table[table["source"] == "Table 1"]
     at = np.arange(len(rows))
-    ax.barh(at, rows["ours"], 0.6, color=WANG, label="ours")
+    ax.barh(at, rows["ours"], 0.6, color=THIRD, label="ours")
     ax.plot(rows["expected"], at, "|", color=INK, ms=16, mew=2, label="by arithmetic")
     ax.plot(rows["paper"], at, label="paper", **PAPER)
     ax.set_yticks(at, rows["item"].str.replace(", ", "\n"), fontsize=8)
@@ -61,12 +58,12 @@ def plot_inputs(table: pd.DataFrame) -> Figure:
 
 def plot_figure4(table: pd.DataFrame) -> Figure:
     """Fig. 4: the attitude over 24 s and what single exposures measure of it."""
-    figure, axes = _panels(3, 1, 1.7, sharex=True)
+    figure, axes = panels(3, 1, 1.7, sharex=True)
     for ax, (axis, part) in zip(axes[:, 0], table.groupby("axis", sort=False)):
         ax.axvspan(0.0, 1.8, color="#e4e4e4", label="duration of one strip, 1.8 s")
         ax.plot(part["t_s"], part["attitude_arcsec"], color=OURS, lw=1.6, label="attitude about its mean")
         noise = f"{axis}: 1σ of an exposure {part['sigma_arcsec'].iloc[0]:.2f}″"
-        ax.plot(part["t_s"], part["measured_arcsec"], ".", color=WANG, ms=4, label="exposures at 5 Hz")
+        ax.plot(part["t_s"], part["measured_arcsec"], ".", color=THIRD, ms=4, label="exposures at 5 Hz")
         ax.set_title(noise, fontsize=9, loc="left")
     title = "Attitude of the remote-sensing camera (paper: Fig. 4, without printed values)"
     return _finished(figure, axes, title, "s", "arcsec")
@@ -75,13 +72,13 @@ def plot_figure4(table: pd.DataFrame) -> Figure:
 def plot_convergence(table: pd.DataFrame) -> Figure:
     """Figs. 5 and 6: one run, the rms of many and the bound against the number of frames."""
     cells = list(table.groupby(["sigma_s_px", "sigma_c_px"]))
-    figure, axes = _panels(len(cells), 3, 2.5)
+    figure, axes = panels(len(cells), 3, 2.5)
     for row, (_, cell) in enumerate(cells):
         sigma_s, sigma_c = (float(cell[name].iloc[0]) for name in ("sigma_s_px", "sigma_c_px"))
         for column, axis in enumerate(AXES):
             part, ax = cell[cell["axis"] == axis], axes[row, column]
             one, runs = np.abs(part["error_arcsec"]), part["runs"].iloc[0]
-            ax.plot(part["frames"], one, color=WANG, lw=0.8, label="one run, |error|")
+            ax.plot(part["frames"], one, color=THIRD, lw=0.8, label="one run, |error|")
             ax.plot(part["frames"], part["rms_arcsec"], color=OURS, lw=2.0, label=f"rms of {runs} runs")
             ax.plot(part["frames"], part["bound_arcsec"], label="Cramér-Rao bound", **BOUND)
             if axis == "Z":
@@ -103,9 +100,9 @@ def plot_grid(table: pd.DataFrame) -> Figure:
     wang = table[table["method"] == "wang"]
     series = (
         (ours[ours["frames"] == frames], f"ours, {frames} frames", OURS, "o"),
-        (wang, "Wang's method, 7 strips", WANG, "s"),
+        (wang, "Wang's method, 7 strips", THIRD, "s"),
     )
-    figure, axes = _panels(1, 3, 3.6)
+    figure, axes = panels(1, 3, 3.6)
     levels = sorted(ours["sigma_s_px"].unique())
     for n, axis in enumerate(AXES):
         ax = axes[0, n]
@@ -127,11 +124,11 @@ def plot_grid(table: pd.DataFrame) -> Figure:
 
 def plot_table4(table: pd.DataFrame) -> Figure:
     """Table 4: three series of ours with their bounds, beside the paper's two."""
-    figure, axes = _panels(1, 3, 3.8)
+    figure, axes = panels(1, 3, 3.8)
     at = np.arange(len(TABLE_4))
     frames = int(table[table["method"] == "information"]["frames"].iloc[0])
     methods = (
-        ("wang", -0.27, WANG, None, "Wang's method, 7 strips"),
+        ("wang", -0.27, THIRD, None, "Wang's method, 7 strips"),
         ("strips", 0.0, "#9db9d8", "//", "ours, the same 7 strips"),
         ("information", 0.27, OURS, None, f"ours, {frames} frames"),
     )
@@ -164,9 +161,9 @@ def plot_table4(table: pd.DataFrame) -> Figure:
 
 def plot_table5(table: pd.DataFrame) -> Figure:
     """Table 5 and Fig. 10."""
-    figure, axes = _panels(1, 2, 3.6, sharey=True)
+    figure, axes = panels(1, 2, 3.6, sharey=True)
     styles: dict[str, dict[str, Any]] = {
-        "wang": {"color": WANG, "marker": "s", "ms": 8, "mfc": "none", "lw": 3.0},
+        "wang": {"color": THIRD, "marker": "s", "ms": 8, "mfc": "none", "lw": 3.0},
         "information": {"color": OURS, "marker": "o", "ms": 3, "lw": 1.2},
     }
     for ax, direction in zip(axes[0], ("along", "across")):
@@ -192,13 +189,13 @@ def plot_table5(table: pd.DataFrame) -> Figure:
 
 def plot_readings(table: pd.DataFrame) -> Figure:
     """Table 5 with one matrix per image: ours and Wang's against sigma_s, by what the paper leaves open."""
-    figure, axes = _panels(2, 2, 2.6, sharex=True, sharey=True)
+    figure, axes = panels(2, 2, 2.6, sharex=True, sharey=True)
     for row, direction in enumerate(("along", "across")):
         for column, axis in enumerate(table["axis"].unique()):
             ax, part = axes[row, column], table[(table["direction"] == direction) & (table["axis"] == axis)]
             for (gps, attitude), cell in part.groupby(["gps", "attitude"]):
                 dash, marker = "-" if attitude == "smoothed" else "--", "o" if gps == "constant" else "s"
-                for method, order, colour in (("ours", 0, OURS), ("wang", 3, WANG)):
+                for method, order, colour in (("ours", 0, OURS), ("wang", 3, THIRD)):
                     line = cell[(cell["method"] == method) & (cell["order"] == order)]
                     name = "ours" if method == "ours" else "Wang, order 3"
                     label = f"{name}, {attitude}, GPS {gps}"
@@ -222,8 +219,8 @@ def plot_readings(table: pd.DataFrame) -> Figure:
 def plot_figure8(table: pd.DataFrame) -> Figure:
     """Fig. 8: residuals of polynomials fitted to the attitude's waves."""
     spans = sorted(table["span_s"].unique(), reverse=True)
-    figure, axes = _panels(len(spans), 3, 2.5)
-    orders = ((3, WANG, "-"), (5, GREY, "--"), (7, OURS, "-"))
+    figure, axes = panels(len(spans), 3, 2.5)
+    orders = ((3, THIRD, "-"), (5, GREY, "--"), (7, OURS, "-"))
     for row, span in enumerate(spans):
         for column, axis in enumerate(("roll", "pitch", "yaw")):
             part, ax = table[(table["span_s"] == span) & (table["axis"] == axis)], axes[row, column]
@@ -255,7 +252,7 @@ def plot_geometry(table: pd.DataFrame) -> Figure:
         ("table4-few", "Table 4 alone, 400 frames of\n60 stars, 20 targets at most"),
         ("both", "Fig. 7 and Table 4,\nany numbers"),
     )
-    figure, axes = _panels(2, 2, 3.0, sharex=True, sharey=True)
+    figure, axes = panels(2, 2, 3.0, sharex=True, sharey=True)
     for ax, (goal, title) in zip(axes.ravel(), goals):
         part = table[table["goal"] == goal].pivot(
             index="from_zenith_deg", columns="azimuth_deg", values="misfit"
@@ -279,7 +276,7 @@ def plot_geometry(table: pd.DataFrame) -> Figure:
 
 def plot_grid_pixels(table: pd.DataFrame) -> Figure:
     """The grid from rendered images and from the same vectors: rms over bound by either camera's noise."""
-    figure, axes = _panels(2, 3, 2.5, sharey=True)
+    figure, axes = panels(2, 3, 2.5, sharey=True)
     pixels, vectors = (table[table["method"] == name] for name in ("pixels", "vectors"))
     for row, (column, name) in enumerate((("row_s_px", "σs, px"), ("row_c_px", "σc, px"))):
         for ax, axis in zip(axes[row], AXES):
@@ -291,7 +288,7 @@ def plot_grid_pixels(table: pd.DataFrame) -> Figure:
                 ratio.index, ratio, chance, fmt="o", color=OURS, capsize=3, label="from pixels, ±1σ of chance"
             )
             other = np.sqrt(vectors[vectors["axis"] == axis].groupby(column)["mean_square"].mean())
-            ax.plot(other.index, other, color=WANG, lw=2.5, label="the same vectors, new noise")
+            ax.plot(other.index, other, color=THIRD, lw=2.5, label="the same vectors, new noise")
             ax.axhline(1.0, label="bound", **BOUND)
             paper = part["paper_arcsec"].iloc[0] / part["paper_bound_arcsec"].iloc[0]
             label = "paper, Fig. 7: scatter over the bound of its cameras"
@@ -304,7 +301,7 @@ def plot_grid_pixels(table: pd.DataFrame) -> Figure:
 
 def plot_table4_pixels(table: pd.DataFrame) -> Figure:
     """Table 4 from rendered images: error over the bound with its chance, and the paper's over its own."""
-    figure, axes = _panels(1, 3, 3.4, sharey=True)
+    figure, axes = panels(1, 3, 3.4, sharey=True)
     runs = int(table["runs"].iloc[0])
     for ax, (axis, part) in zip(axes[0], table.groupby("axis")):
         at = np.arange(len(part))
@@ -325,9 +322,9 @@ def plot_table4_pixels(table: pd.DataFrame) -> Figure:
 
 def plot_table5_pixels(table: pd.DataFrame) -> Figure:
     """Geo-positioning from rendered images."""
-    figure, axes = _panels(1, 1, 3.4)
+    figure, axes = panels(1, 1, 3.4)
     ax = axes[0, 0]
-    for direction, colour, shift in (("along", OURS, -0.2), ("across", WANG, 0.2)):
+    for direction, colour, shift in (("along", OURS, -0.2), ("across", THIRD, 0.2)):
         part = table[table["direction"] == direction]
         place = np.arange(len(part))
         ax.bar(place + shift, part["rms_m"], 0.36, color=colour, label=f"{direction} track")
@@ -335,39 +332,6 @@ def plot_table5_pixels(table: pd.DataFrame) -> Figure:
     ax.set(xlabel="σs, σc of the sightings, px", ylabel="rms at check points, m")
     _legend(figure, ax)
     ax.set_title("Geo-positioning from pixels (mini scenario)", fontsize=10)
-    return figure
-
-
-def plot_forecast(
-    table: pd.DataFrame, target_arcsec: float | None, by_targets: pd.DataFrame, without: pd.DataFrame
-) -> Figure:
-    """1-sigma of a plan against the numbers of strips and of targets, and without each source of error."""
-    figure, axes = _panels(1, 3, 3.4)
-    strips, targets, sources = axes[0]
-    names = list(without["source"].unique())
-    for n, (axis, colour, marker) in enumerate(zip(AXES, (OURS, GREY, WANG), "os^")):
-        part = table[table["axis"] == axis]
-        strips.plot(part["strips"], part["sigma_arcsec"], color=colour, lw=1.8, label=axis)
-        floor = part["floor_arcsec"].iloc[0]
-        if floor > 0.0:
-            strips.axhline(floor, color=colour, ls=":", lw=1)
-        part = by_targets[by_targets["axis"] == axis]
-        targets.plot(part["targets"], part["sigma_arcsec"], marker, ls="-", color=colour, ms=4, label=axis)
-        part = without[without["axis"] == axis]
-        at = np.arange(len(names)) + 0.26 * (n - 1)
-        sources.barh(at, part["sigma_arcsec"], 0.24, color=colour, label=axis)
-    if target_arcsec is not None:
-        strips.axhline(target_arcsec, label=f"target {target_arcsec:g}″", **BOUND)
-    strips.set(xscale="log", yscale="log", xlabel="strips", ylabel="predicted 1σ of θ, arcsec")
-    strips.set_title("strips; dotted: never below", fontsize=9)
-    targets.set(xscale="log", yscale="log", xlabel="targets a strip")
-    targets.set_xticks([3, 6, 12, 24, 48], ["3", "6", "12", "24", "48"], minor=False)
-    targets.xaxis.minorticks_off()
-    targets.set_title("targets", fontsize=9)
-    sources.set(xscale="log", xlabel="predicted 1σ, arcsec", yticks=range(len(names)), yticklabels=names)
-    sources.set_title("without one source of error", fontsize=9)
-    sources.invert_yaxis()
-    strips.legend()
     return figure
 
 
@@ -385,18 +349,6 @@ PLOTS: dict[str, Callable[[pd.DataFrame], Figure]] = {
     "table4-pixels": plot_table4_pixels,
     "table5-pixels": plot_table5_pixels,
 }
-
-
-def _panels(
-    rows: int, columns: int, height: float, *, sharex: bool = False, sharey: bool = False
-) -> tuple[Figure, np.ndarray]:
-    figure = Figure(figsize=(WIDTH_IN, height * rows + 0.6), layout="constrained")
-    axes: np.ndarray = figure.subplots(rows, columns, squeeze=False, sharex=sharex, sharey=sharey)
-    for ax in axes.ravel():
-        ax.grid(True, which="major", color="#dddddd", lw=0.6)
-        ax.spines[["top", "right"]].set_visible(False)
-        ax.set_axisbelow(True)
-    return figure, axes
 
 
 def _finished(figure: Figure, axes: np.ndarray, title: str, x_label: str = "", y_label: str = "") -> Figure:

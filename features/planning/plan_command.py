@@ -7,8 +7,8 @@ from typing import Annotated
 
 import typer
 
-from boresight.features.paper.plots import plot_forecast
 from boresight.features.planning.campaign_plan import forecast_plan, read_plan
+from boresight.features.planning.figure import plot_forecast
 from boresight.pipeline.console.messages import DATA_DID_NOT_ALLOW, DONE, Answer
 
 __all__ = ["plan"]

@@ -27,7 +27,7 @@ from scipy.spatial.transform import Rotation
 
 from boresight.geometry.attitude import AttitudeTrack, EarthFixedAttitude
 from boresight.geometry.constants import DAY_S
-from boresight.geometry.earth_orientation import EarthOrientationTable
+from boresight.geometry.earth_orientation import EarthOrientationTable, bundled_earth_orientation
 from boresight.geometry.earth_rotation import EarthRotation
 from boresight.geometry.epoch import Epoch
 from boresight.geometry.groundlight import LightEffects
@@ -38,7 +38,7 @@ from boresight.geometry.record import Floats, record, scalar
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.xml_files import elements_of, numbers_of, read_xml, text_of, whole_of
 
-__all__ = ["DimapStrip", "read_dimap"]
+__all__ = ["DimapStrip", "operator_model", "read_dimap"]
 
 _MAX_ITEMS = 10_000  # points of the ephemeris, quaternions
 _MAX_PIXELS = 10_000_000  # rows or columns
@@ -269,3 +269,9 @@ def _utc(text: str, field: str, file: str) -> str:
     except ValueError as error:
         raise RawDataError(file, field, text, "a UTC instant, 2018-12-26T10:48:55.449Z") from error
     return text
+
+
+def operator_model(path: Path) -> DimapStrip:
+    """The strip in the operator's convention: without aberration, light time and refraction."""
+    off = LightEffects(light_time=False, aberration=False, refraction=False)
+    return read_dimap(path, bundled_earth_orientation(), off)

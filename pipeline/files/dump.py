@@ -220,13 +220,14 @@ class Dump:
         return star + sum(a * b for strip in self.strips for a, b in strip.images.shapes.values())
 
 
-def open_dump(root: Path | str, *, allow_stale_eop: bool = False, threads: int = 1) -> Dump:
-    """Read a dump and check it.
+def open_dump(root: Path | str | Dump, *, allow_stale_eop: bool = False, threads: int = 1) -> Dump:
+    """A dump read and checked: cameras, orbit, exposures, strips, targets; images are not decoded.
 
     Parameters
     ----------
     root : Path or str
-        Folder with a dump.toml (docs/dump-format.md), or its address in a store (`s3://bucket/dump`).
+        Folder with a dump.toml (docs/dump-format.md), or its address in a store (`s3://bucket/dump`); an open
+        dump is returned as it is.
     allow_stale_eop : bool
         Accept dates after the end of the Earth-orientation table, with a warning.
     threads : int
@@ -241,7 +242,16 @@ def open_dump(root: Path | str, *, allow_stale_eop: bool = False, threads: int =
     ------
     RawDataError
         A file is missing or invalid; the error names file, field, found and expected.
+
+    Examples
+    --------
+    >>> import boresight as bs
+    >>> dump = bs.open_dump("fixtures/mini")
+    >>> len(dump.exposures), len(dump.strips), len(dump.targets)
+    (42, 3, 36)
     """
+    if isinstance(root, Dump):
+        return root
     root = dump_folder(root)
     if not root.is_dir():
         raise RawDataError(str(root), "dump", "no such folder", "a folder with a dump.toml")

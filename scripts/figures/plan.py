@@ -6,8 +6,8 @@ import re
 import tempfile
 from pathlib import Path
 
-from boresight.features.paper.plots import plot_forecast
 from boresight.features.planning.campaign_plan import Plan, forecast_plan, read_plan
+from boresight.features.planning.figure import plot_forecast
 
 DOCS = Path(__file__).parents[2] / "docs"
 

@@ -76,12 +76,21 @@ def test_import_alone_loads_no_numpy() -> None:
     assert subprocess.check_output([sys.executable, "-c", code], text=True).split() == ["False", "False"]
 
 
-@pytest.mark.parametrize("module", ["stars", "matching", "calibration"])
+WITH_EXAMPLES = sorted(
+    {getattr(bs, name).__module__ for name in FUNCTIONS if ">>>" in getattr(bs, name).__doc__}
+)
+
+
+@pytest.mark.parametrize("module", WITH_EXAMPLES)
 def test_examples_of_the_docstrings_run(module: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(ROOT)
-    done = doctest.testmod(importlib.import_module(f"boresight.{module}"))
+    done = doctest.testmod(importlib.import_module(module))
     assert done.failed == 0
-    assert done.attempted > 5
+    assert done.attempted >= 2
+
+
+def test_most_functions_show_an_example() -> None:
+    assert len(WITH_EXAMPLES) >= 5
 
 
 @pytest.mark.parametrize("name", FUNCTIONS)

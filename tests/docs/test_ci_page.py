@@ -6,8 +6,7 @@ import sys
 from pathlib import Path
 
 import pytest
-
-from boresight.pipeline.cli import app
+from command_line import app
 
 ROOT = Path(__file__).parents[2]
 sys.path.insert(0, str(ROOT / "scripts"))

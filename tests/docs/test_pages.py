@@ -78,7 +78,7 @@ def test_all_formats_of_the_program_are_described():
 
 
 def test_all_commands_of_the_program_are_in_the_readme():
-    from boresight.pipeline.cli import app
+    from command_line import app
 
     text = (ROOT / "README.md").read_text()
     names = [c.name or c.callback.__name__.replace("_", "-") for c in app.registered_commands]

@@ -107,7 +107,6 @@ def test_no_program_in_a_string_imports_a_bare_room() -> None:
 
 # Rooms within `pipeline`: each may import itself and those after it; rooms on one line not one another.
 PIPELINE_FLOORS = (
-    ("cli",),
     ("console",),
     ("calibration_run",),
     ("report",),
@@ -147,10 +146,36 @@ def test_every_room_of_the_pipeline_has_its_floor() -> None:
 
 def test_nothing_prints_but_the_one_module_that_escapes():
     # A name with an escape character, printed as it is, is obeyed by the terminal.
-    for path in sorted((ROOT / "pipeline").rglob("*.py")):
-        if path.relative_to(ROOT / "pipeline").parts == ("console", "messages.py"):
+    for path in sorted([*(ROOT / "pipeline").rglob("*.py"), *(ROOT / "features").rglob("*.py")]):
+        if path.relative_to(ROOT).parts == ("pipeline", "console", "messages.py"):
             continue
         for call in (node for node in nodes(path) if isinstance(node, ast.Call)):
             name = getattr(call.func, "id", getattr(call.func, "attr", ""))
             if name in ("print", "echo", "write"):
                 assert ast.unparse(call.func) not in ("print", "typer.echo", "sys.stdout.write"), path
+
+
+FEATURES = sorted(path.name for path in (ROOT / "features").iterdir() if (path / "__init__.py").is_file())
+DOOR_FOR_FEATURES = {"display", "version"}  # how results print, and the version: what a feature may use of it
+
+
+def test_mathematics_and_spine_import_no_feature() -> None:
+    for package in ("geometry", "star_id", "gct_match", "calib", "simulator", "pipeline"):
+        assert "features" not in our_imports(package), package
+
+
+@pytest.mark.parametrize("feature", FEATURES)
+def test_a_feature_imports_no_other_feature_and_not_the_door(feature: str) -> None:
+    wrong = [
+        f"{path.relative_to(ROOT)}:{line} imports {module}"
+        for path in (ROOT / "features" / feature).rglob("*.py")
+        for line, module in imported_modules(path)
+        if (parts := module.split("."))[0] == "boresight"
+        and ((parts[1] == "features" and parts[2] != feature) or parts[1] not in ROOMS | DOOR_FOR_FEATURES)
+    ]
+    assert wrong == []
+
+
+def test_each_feature_is_one_line_of_the_table() -> None:
+    table = (ROOT / "features" / "table.py").read_text(encoding="utf-8")
+    assert sorted(re.findall(r'^    "(\w+)",$', table, re.MULTILINE)) == FEATURES

@@ -9,6 +9,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+from command_line import app
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
@@ -21,7 +22,6 @@ from boresight.features.drift.mounting_drift import drift_of_results, named_resu
 from boresight.geometry.constants import ARCSEC, DAY_S
 from boresight.geometry.epoch import Epoch
 from boresight.geometry.installation import deviation_from_theta, theta_between
-from boresight.pipeline.cli import app
 from boresight.pipeline.errors import DataNotSufficientError, RawDataError
 from boresight.pipeline.files.table_files import fixed_list
 from boresight.pipeline.results.reading import read_mounting

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from command_line import app
 from handmade_dimap import as_version_2, dimap_text
 from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
 from boresight.features.exports.dimap_product import corrected_dimap
-from boresight.features.operators.dimap_grid import operator_model
 from boresight.geometry.constants import ARCSEC, WGS84
 from boresight.geometry.geodesy import geodetic_from_ecef
 from boresight.geometry.pushbroom import Pushbroom
 from boresight.geometry.terrain import ConstantHeight
-from boresight.pipeline.cli import app
 from boresight.pipeline.errors import RawDataError
+from boresight.pipeline.files.dimap_metadata import operator_model
 
 TURN = Rotation.from_rotvec(np.array([2.5, -1.7, 6.0]) * ARCSEC)  # 12 m, 8 m, and 0.3 m at the edges
 HEADER = "id,strip,ccd,sample,line,sigma_sample_px,sigma_line_px,lat_deg,lon_deg,height_m,height_kind,"

@@ -13,6 +13,7 @@ import pytest
 import rasterio
 import spiceypy
 from astropy.io import fits
+from command_line import app
 from pyproj import CRS
 from pytest import approx
 from scipy.spatial.transform import Rotation
@@ -21,7 +22,6 @@ from typer.testing import CliRunner
 from boresight.features.exports.formats import FORMATS
 from boresight.features.exports.notes import notes_of
 from boresight.geometry.epoch import Epoch
-from boresight.pipeline.cli import app
 from boresight.pipeline.results.strip_model import open_calibrated, strip_model
 
 runner = CliRunner()

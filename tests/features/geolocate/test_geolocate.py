@@ -11,6 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from command_line import app
 from pytest import approx
 from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
@@ -21,7 +22,6 @@ from boresight.geometry.constants import ARCSEC, WGS84
 from boresight.geometry.geodesy import ecef_from_geodetic
 from boresight.geometry.pushbroom import Pushbroom
 from boresight.geometry.terrain import ConstantHeight
-from boresight.pipeline.cli import app
 from boresight.pipeline.errors import DataNotSufficientError, RawDataError
 from boresight.pipeline.results.strip_model import open_calibrated, strip_model
 

@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 import rasterio
+from command_line import app
 from typer.testing import CliRunner
 
 from boresight.calib.interior.interior_estimate import map_difference_px
 from boresight.geometry.virtual_ccd import VirtualStrip
-from boresight.pipeline.cli import app
 from boresight.pipeline.files.dump import open_dump, surface_of
 from boresight.pipeline.results.strip_model import open_calibrated, strip_model
 

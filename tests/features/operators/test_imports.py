@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from command_line import app
 from handmade_dimap import dimap_text
 from handmade_sentinel2 import write_sentinel2
 from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
-from boresight.features.operators.dimap_grid import operator_model
 from boresight.features.operators.sentinel2_grid import operator_orbit, operator_pushbroom
 from boresight.features.operators.sentinel2_product import read_sentinel2
 from boresight.geometry.attitude import AttitudeTrack
 from boresight.geometry.pushbroom import Pushbroom
 from boresight.geometry.terrain import ConstantHeight
-from boresight.pipeline.cli import app
+from boresight.pipeline.files.dimap_metadata import operator_model
 from boresight.pipeline.files.dump import Dump, open_dump
 from boresight.pipeline.files.star_side import SolvedAttitudes
 

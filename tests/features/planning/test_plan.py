@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from command_line import app
 from typer.testing import CliRunner
 
 from boresight.features.paper.tables import hipparcos_fields
@@ -21,7 +22,6 @@ from boresight.features.planning.campaign_plan import (
     forecast_plan,
     read_plan,
 )
-from boresight.pipeline.cli import app
 from boresight.pipeline.errors import DataNotSufficientError, RawDataError
 
 runner = CliRunner()

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from astropy.coordinates import get_body
 from astropy.time import Time
+from command_line import app
 from handmade import ATTITUDE_HEAD
 from typer.testing import CliRunner
 
@@ -20,7 +21,6 @@ from boresight.features.planning.scan_plan import (
     choose_scans,
 )
 from boresight.geometry.attitude_noise import NO_NOISE
-from boresight.pipeline.cli import app
 from boresight.pipeline.files.dump import open_dump
 from boresight.star_id.whole_catalogue import all_hipparcos
 

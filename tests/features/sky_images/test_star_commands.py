@@ -20,6 +20,7 @@ from typer.testing import CliRunner
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "star_id"))
 
+from command_line import app
 from frames import SMALL_CAMERA as CAMERA
 from frames import Sensor, as_seen, star_frame
 
@@ -27,7 +28,6 @@ from boresight.geometry.earth_orientation import bundled_earth_orientation
 from boresight.geometry.earth_rotation import EarthRotation
 from boresight.geometry.epoch import Epoch
 from boresight.geometry.ground_site import GroundSite
-from boresight.pipeline.cli import app
 from boresight.pipeline.errors import RawDataError
 from boresight.star_id.catalogue import hipparcos_stars
 from boresight.star_id.observer import Observer

@@ -7,9 +7,9 @@ import re
 from pathlib import Path
 
 import pytest
+from command_line import app
 from typer.testing import CliRunner
 
-from boresight.pipeline.cli import app
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.dump import dump_faults
 from boresight.pipeline.files.dump_schema import DumpFile, InstallationFile, StarCameraFile

@@ -8,9 +8,8 @@ from pathlib import Path
 import numpy as np
 import rasterio
 import rasterio.warp
+from command_line import app
 from typer.testing import CliRunner
-
-from boresight.pipeline.cli import app
 
 MINI = Path(__file__).resolve().parents[3] / "fixtures" / "mini"
 

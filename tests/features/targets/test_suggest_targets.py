@@ -12,13 +12,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 import rasterio
+from command_line import app
 from fixture_strips import FIXTURE, strip_of_fixture
 from pyproj import Transformer
 from typer.testing import CliRunner
 
 from boresight.features.targets.ortho_files import read_heights, read_ortho
 from boresight.geometry.geoid import egm96
-from boresight.pipeline.cli import app
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.dump import open_dump
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from handmade import write_handmade_dump
 
-from boresight.pipeline.cli import main
+from boresight.console import main
 
 TARGETS = "id,lat_deg,lon_deg,height_m,height_kind,sigma_east_m,sigma_north_m,sigma_up_m,chip\n"
 Change = Callable[[Path], object]

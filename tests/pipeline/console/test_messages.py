@@ -16,10 +16,10 @@ from pathlib import Path
 
 import pytest
 import typer
+from command_line import app
 from talking import worker
 from typer.testing import CliRunner
 
-from boresight.pipeline.cli import app
 from boresight.pipeline.console.messages import Answer, fitted, talks
 from boresight.pipeline.errors import Omission, RawDataError
 from boresight.pipeline.stages.cached import StageRunner

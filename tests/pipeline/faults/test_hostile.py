@@ -15,10 +15,10 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 import rasterio
+from command_line import app
 from rasterio.transform import Affine
 from typer.testing import CliRunner
 
-from boresight.pipeline.cli import app
 from boresight.pipeline.console.messages import say, tell
 from boresight.pipeline.errors import DataNotSufficientError, RawDataError
 from boresight.pipeline.files.dump import open_dump

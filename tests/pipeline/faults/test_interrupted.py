@@ -17,7 +17,7 @@ import pytest
 from fixture_strips import stopped_run
 from readers import write_sound_files
 
-from boresight.pipeline.cli import main
+from boresight.console import main
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.table_files import read_parquet
 from boresight.pipeline.files.whole_file import write_whole

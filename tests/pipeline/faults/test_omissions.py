@@ -8,11 +8,10 @@ from pathlib import Path
 
 import pyarrow.parquet as pq
 import pytest
+from command_line import app
 from fixture_strips import stopped_run
 from test_images import claiming
 from typer.testing import CliRunner
-
-from boresight.pipeline.cli import app
 
 
 @pytest.fixture(scope="module")

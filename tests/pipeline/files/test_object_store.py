@@ -13,10 +13,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 import rasterio
+from command_line import app
 from fixture_strips import begun
 from typer.testing import CliRunner
 
-from boresight.pipeline.cli import app
 from boresight.pipeline.errors import RawDataError, WorkerError
 from boresight.pipeline.files import object_store
 from boresight.pipeline.files.content import content_digest

@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
+from command_line import app
 from handmade import ATTITUDE_HEAD
 from pytest import approx
 from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
-from boresight.pipeline.cli import app
 from boresight.pipeline.files.dump import open_dump
 from boresight.pipeline.files.table_files import list_values
 

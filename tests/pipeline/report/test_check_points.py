@@ -8,12 +8,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from command_line import app
 from fixture_strips import FIXTURE
 from pyproj import Geod
 from pytest import approx
 from typer.testing import CliRunner
 
-from boresight.pipeline.cli import app
 from boresight.pipeline.report.check_points import check_points
 from boresight.pipeline.report.saved import read_saved
 from boresight.pipeline.results.folder import begin_result

@@ -6,9 +6,9 @@ import re
 import shutil
 
 import pytest
+from command_line import app
 from typer.testing import CliRunner
 
-from boresight.pipeline.cli import app
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.report import pdf
 

@@ -12,11 +12,11 @@ from pathlib import Path
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
+from command_line import app
 from matplotlib.path import Path as MplPath
 from pytest import approx
 from typer.testing import CliRunner
 
-from boresight.pipeline.cli import app
 from boresight.pipeline.report.page import report_html
 from boresight.pipeline.report.saved import read_saved
 

@@ -21,11 +21,11 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 import rasterio
+from command_line import app
 from fixture_strips import stopped_run, strip_of_fixture
 from tornado.websocket import websocket_connect
 from typer.testing import CliRunner
 
-from boresight.pipeline.cli import app
 from boresight.pipeline.report.page import report_html
 from boresight.pipeline.report.saved import read_saved
 

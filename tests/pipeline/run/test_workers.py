@@ -14,10 +14,10 @@ from functools import partial
 from pathlib import Path
 
 import pytest
+from command_line import app
 from fixture_strips import begun
 from typer.testing import CliRunner
 
-from boresight.pipeline.cli import app
 from boresight.pipeline.errors import WorkerError
 from boresight.pipeline.run import processes
 from boresight.pipeline.run.executor import InOrder

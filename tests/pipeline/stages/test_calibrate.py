@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
+from command_line import app
 from fixture_strips import FIXTURE
 from typer.testing import CliRunner
 
@@ -19,7 +20,6 @@ from boresight.geometry.constants import WGS84
 from boresight.geometry.geodesy import ellipsoid_normals, geodetic_from_ecef
 from boresight.geometry.groundlight import LightEffects, apparent_ground_directions
 from boresight.geometry.installation import theta_between
-from boresight.pipeline.cli import app
 from boresight.pipeline.errors import DataNotSufficientError
 from boresight.pipeline.files.dump import open_dump
 from boresight.pipeline.results.folder import begin_result, store_of

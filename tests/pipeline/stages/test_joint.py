@@ -14,6 +14,7 @@ from types import SimpleNamespace
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
+from command_line import app
 from fixture_strips import stopped_run, strip_of_fixture
 from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
@@ -24,7 +25,6 @@ from boresight.geometry.constants import ARCSEC, EARTH_ROTATION_RATE, WGS84
 from boresight.geometry.epoch import Epoch
 from boresight.geometry.geodesy import ecef_from_geodetic
 from boresight.geometry.installation import theta_between
-from boresight.pipeline.cli import app
 from boresight.pipeline.errors import DataNotSufficientError, Omission, RawDataError
 from boresight.pipeline.files.dump import open_dump
 from boresight.pipeline.results.folder import store_of

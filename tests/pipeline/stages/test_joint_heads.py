@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from command_line import app
 from handmade_sentinel2 import write_sentinel2
 from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
@@ -21,7 +22,6 @@ from boresight.geometry.constants import ARCSEC, WGS84
 from boresight.geometry.geodesy import geodetic_from_ecef
 from boresight.geometry.pushbroom import Pushbroom
 from boresight.geometry.terrain import ConstantHeight
-from boresight.pipeline.cli import app
 from boresight.pipeline.errors import DataNotSufficientError
 from boresight.pipeline.files.dump import Dump, open_dump
 from boresight.pipeline.files.star_side import SolvedAttitudes

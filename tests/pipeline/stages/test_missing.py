@@ -8,9 +8,9 @@ from pathlib import Path
 
 import cv2
 import pytest
+from command_line import app
 from typer.testing import CliRunner
 
-from boresight.pipeline.cli import app
 from boresight.pipeline.errors import DataNotSufficientError
 from boresight.pipeline.files.dump import open_dump
 from boresight.pipeline.stages.calibrate import calibrate_dump

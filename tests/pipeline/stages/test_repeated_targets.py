@@ -7,9 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from command_line import app
 from typer.testing import CliRunner
-
-from boresight.pipeline.cli import app
 
 runner = CliRunner()
 

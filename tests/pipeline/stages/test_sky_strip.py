@@ -9,12 +9,12 @@ import cv2
 import numpy as np
 import pytest
 import rasterio
+from command_line import app
 from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.installation import theta_between
-from boresight.pipeline.cli import app
 from boresight.pipeline.errors import DataNotSufficientError, RawDataError
 from boresight.pipeline.files.dump import open_dump
 from boresight.pipeline.files.text_files import toml_tables

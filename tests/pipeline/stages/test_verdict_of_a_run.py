@@ -5,9 +5,8 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+from command_line import app
 from typer.testing import CliRunner
-
-from boresight.pipeline.cli import app
 
 runner = CliRunner()
 
