@@ -13,11 +13,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from astropy.io import fits
+from command_line import app
 from image_mutants import FORMATS, differs, mutated
 from PIL import Image
 from typer.testing import CliRunner
 
-from boresight.pipeline.cli import app
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.png_rows import png_rows
 from boresight.pipeline.files.star_images import read_exposure, read_star_image
