@@ -1,0 +1,72 @@
+"""A feature is a folder and a line of the table: without them, everything else works."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Sequence
+from importlib import import_module
+from pathlib import Path
+
+import pytest
+from outside import ROOT
+
+ROOMS = ("geometry", "star_id", "gct_match", "calib", "simulator", "pipeline", "features")
+FEATURES = sorted(path.parent.name for path in (ROOT / "features").glob("*/__init__.py"))
+
+
+def without(features: Sequence[str], folder: Path) -> Path:
+    """A copy of the package without features; what is not taken out are links."""
+    package = folder / "boresight"
+    package.mkdir()
+    for path in (ROOT / "boresight").glob("*.py"):
+        shutil.copy(path, package)
+    for room in ROOMS[:-1]:
+        (package / room).symlink_to(ROOT / room)
+    (package / "features").mkdir()
+    for path in (ROOT / "features").iterdir():
+        if path.name not in (*features, "table.py", "__pycache__"):
+            (package / "features" / path.name).symlink_to(path)
+    table = (ROOT / "features" / "table.py").read_text(encoding="utf-8")
+    for name in features:
+        assert table.count(f'    "{name}",\n') == 1
+        table = table.replace(f'    "{name}",\n', "")
+    (package / "features" / "table.py").write_text(table, encoding="utf-8")
+    return folder
+
+
+def run_in(folder: Path, *command: str) -> str:
+    """What the program in a folder prints."""
+    code = (
+        "import sys; sys.path.insert(0, '.'); "
+        "sys.meta_path[:] = [one for one in sys.meta_path if type(one).__name__ != 'type' or "
+        "one.__name__ != 'RedirectingFinder']; "  # that of an editable install would find the whole package
+        f"sys.argv[1:] = {list(command)!r}; from boresight.console import main; main()"
+    )
+    done = subprocess.run(
+        [sys.executable, "-I", "-c", code],
+        cwd=folder,
+        env=os.environ | {"COLUMNS": "100"},
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+@pytest.mark.parametrize("feature", FEATURES)
+def test_the_program_lists_all_other_commands_without_a_feature(feature: str, tmp_path: Path) -> None:
+    listed = run_in(without([feature], tmp_path), "--help")
+    assert "calibrate" in listed
+    for name in FEATURES:
+        for command in import_module(f"boresight.features.{name}").FEATURE.commands:
+            is_listed = f"\n  {command.name.split()[0]} " in listed
+            assert is_listed == (name != feature), command.name
+
+
+def test_a_dump_is_calibrated_without_any_feature(tmp_path: Path, one_strip: Path) -> None:
+    printed = run_in(without(FEATURES, tmp_path), "calibrate", str(one_strip), "--out", "result")
+    assert "R_cs" in printed
+    assert (tmp_path / "result" / "report.html").stat().st_size > 10_000
