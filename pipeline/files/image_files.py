@@ -48,6 +48,7 @@ PIXEL_SIDE_M = (0.01, 1e5)  # of a chip, terrain model or ground image; 1e-5 m w
 EARTH_RADIUS_M = 6.371e6
 MANY_PIXELS = 2**20  # of an image that several threads read: 30 ms
 MOST_THREADS = 8  # and files open at once
+_BANDS = (1, 2, 3, 4)  # grey, colours, either with opacity
 _ALONE = {  # GDAL reads that file and no other: no sidecar, no network
     "GDAL_PAM_ENABLED": "NO",
     "GDAL_DISABLE_READDIR_ON_OPEN": "EMPTY_DIR",
@@ -71,8 +72,10 @@ def read_tiff(path: Path, file: str, size: tuple[int, int] | None, bits: int | N
 
 
 def read_planes(path: Path, file: str) -> NDArray[Any]:
-    """All bands (K, height, width) of a TIFF of any depth, read whole; `RawDataError` if it is none."""
+    """Bands (K, height, width), at most 4, of a TIFF of any depth, read whole; `RawDataError` if it is none."""
     with open_geotiff(path, file, small_content(path)) as image:
+        if image.count not in _BANDS:  # a header of some kB may state 65535 of them, which take minutes
+            raise RawDataError(file, "SamplesPerPixel", str(image.count), "1 to 4: grey or colours")
         check_size(file, (image.width * image.count, image.height), None, 16, None)
         try:
             return np.asarray(image.read())

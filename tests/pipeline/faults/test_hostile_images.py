@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import rasterio
 from astropy.io import fits
 from command_line import app
 from image_mutants import FORMATS, differs, mutated
@@ -175,3 +176,13 @@ def test_damaged_image_is_refused_or_read_as_pillow_reads_it(kind: str, tmp_path
         read += 1
         assert not differs(image, content)
     assert read > 2
+
+
+def test_tiff_of_thousands_of_bands_is_refused_before_it_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "bands.tif"
+    with rasterio.open(
+        path, "w", driver="GTiff", width=2, height=2, count=5000, dtype="uint8", interleave="pixel"
+    ) as image:
+        assert image.count == 5000
+    with pytest.raises(RawDataError, match=r"SamplesPerPixel.*5000"):
+        read_star_image(path, path.name)
