@@ -19,13 +19,25 @@ from api_contents import undocumented
 
 ROOT = Path(__file__).parents[1]
 RECORDS = ROOT / "benchmarks" / "results"
-NAME = re.compile(r"`(boresight\.(?:geometry|star_id|gct_match|calib|simulator|pipeline)(?:\.\w+)+)`")
+NAME = re.compile(
+    r"`(boresight\.(?:geometry|star_id|gct_match|calib|simulator|pipeline|features)(?:\.\w+)+)`"
+)
 EXAMPLES = {
     "star_tracker": "Find, identify, calibrate a lens",
     "matching": "Match two arrays, and a strip",
     "vectors": "From vectors to the matrix",
 }
-DOOR = ("boresight.features.sky_images.api", "boresight.matching", "boresight.missions", "boresight.display")
+DOOR = (
+    "boresight.missions",
+    "boresight.vectors",
+    "boresight.matching",
+    "boresight.features.sky_images.api",
+    "boresight.features.targets.api",
+    "boresight.features.geolocate.api",
+    "boresight.features.planning.api",
+    "boresight.features.simulation.api",
+    "boresight.display",
+)
 PLOT = re.compile(r"<!-- plot ([\w-]+): (.*?) -->")
 PACKAGES = {
     "geometry": "Constants, time, frames, light, the Earth, cameras, orbit and attitude, and the records"
@@ -34,7 +46,8 @@ PACKAGES = {
     "gct_match": "Ground targets found in a strip and measured to a few hundredths of a pixel.",
     "calib": "Directions and covariances become the installation matrix, with a covariance that holds.",
     "simulator": "Missions with known truth, as raw pixels.",
-    "pipeline": "Files, settings, command line, reports and exports: the only input and output.",
+    "pipeline": "The spine: a dump becomes a matrix, a saved result and its page.",
+    "features": "Every further job than calibrating, a folder each.",
 }
 
 
@@ -57,7 +70,7 @@ def on_files(files: Files, *, config: Any) -> Files:
         files.append(File.generated(config, f"examples/{name}.md", content=_example(name, title)))
     for package, text in PACKAGES.items():
         parts = [f"# {package}\n\n{text}\n"]
-        parts += [f"::: {module}\n" for module in modules_of(package)]
+        parts += [f"::: {module}\n" for module in modules_of(package) if module not in DOOR]
         page = File.generated(config, f"api/{package}.md", content="\n".join(parts))
         files.append(page)
     for plot in sorted(RECORDS.glob("*.png")):
@@ -81,7 +94,7 @@ def on_post_build(config: Any) -> None:
     """Stop where an API page lacks an exported name or its text."""
     for package in PACKAGES:
         page = (Path(config.site_dir) / "api" / f"{package}.html").read_text(encoding="utf-8")
-        if missing := undocumented(page, modules_of(package)):
+        if missing := undocumented(page, [one for one in modules_of(package) if one not in DOOR]):
             raise PluginError(f"api/{package}.html lacks {len(missing)} names, first {missing[0]}")
 
 

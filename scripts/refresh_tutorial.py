@@ -15,8 +15,9 @@ import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
-from command_line import app
 from typer.testing import CliRunner
+
+from boresight.console import command_line
 
 ROOT = Path(__file__).parents[1]
 TUTORIAL = ROOT / "docs" / "tutorial.md"
@@ -51,7 +52,7 @@ def run(kind: str, step: Step) -> str:
     if name == "cat":
         Path(arguments[0]).write_text(step.shown)
         return step.shown
-    done = CliRunner().invoke(app, arguments)
+    done = CliRunner().invoke(command_line(), arguments)
     if done.exit_code:
         raise RuntimeError(f"{step.command}\n{done.output}") from done.exception
     return done.stdout

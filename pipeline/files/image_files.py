@@ -72,7 +72,7 @@ def read_tiff(path: Path, file: str, size: tuple[int, int] | None, bits: int | N
 
 
 def read_planes(path: Path, file: str) -> NDArray[Any]:
-    """Bands (K, height, width), at most 4, of a TIFF of any depth, read whole; `RawDataError` if it is none."""
+    """All bands (K, height, width) of a TIFF of any depth, at most 4; `RawDataError` if it is none."""
     with open_geotiff(path, file, small_content(path)) as image:
         if image.count not in _BANDS:  # a header of some kB may state 65535 of them, which take minutes
             raise RawDataError(file, "SamplesPerPixel", str(image.count), "1 to 4: grey or colours")
