@@ -38,10 +38,10 @@ from scipy.spatial.transform import Rotation, Slerp
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "pipeline" / "exports"))
 from line_scanner import LineScanner
 
+from boresight.features.operators.sentinel2_product import read_sentinel2
 from boresight.geometry.constants import WGS84
 from boresight.geometry.geodesy import ecef_from_geodetic
 from boresight.geometry.geoid import egm96
-from boresight.pipeline.files.sentinel2 import read_sentinel2
 
 PIXEL_M = 10.0
 A, B = WGS84.semi_major_m, WGS84.semi_minor_m

@@ -2,8 +2,9 @@
 
 The quaternion q(t) of the product takes the camera's axes to ITRS axes. With the calibrated rotation
 D = R_cs R_cs0^-1 of the camera's axes the corrected one is q(t) (x) d*, d being the quaternion of D: a linear
-map of the four components, which polynomials and lists of quaternions obey alike and without loss. Rates and
-scale are in `operator_parameters`; they do not fit into the elements of every product.
+map of the four components, which polynomials and lists of quaternions obey alike and without loss. Only the
+quaternions of the model are corrected, not those of the satellite in inertial axes. Rates and scale are in
+`operator_parameters`; they do not fit into the elements of every product.
 """
 
 from __future__ import annotations
@@ -19,11 +20,12 @@ from scipy.spatial.transform import Rotation
 
 from boresight.geometry.record import Floats
 from boresight.pipeline.errors import RawDataError
+from boresight.pipeline.files.dimap_metadata import model_attitudes
 from boresight.pipeline.files.text_files import read_text
 
 __all__ = ["corrected_dimap"]
 
-POLYNOMIALS = ("Polynomial_Models", "Polynomial_Quaternions")  # V1, V2
+_OF_POLYNOMIAL = ("COEFFICIENTS", "DEGREE")
 
 
 def corrected_dimap(product: Path, correction: Rotation, notes: Mapping[str, str]) -> bytes:
@@ -33,14 +35,12 @@ def corrected_dimap(product: Path, correction: Rotation, notes: Mapping[str, str
     """
     root: Element = defusedxml.ElementTree.fromstring(read_text(product, product.name), forbid_dtd=True)
     by_components = _by_conjugate(correction)
-    polynomials = [one for name in POLYNOMIALS for one in root.iter(name)]
-    listed = list(root.iter("Quaternion"))
+    polynomials, listed, written = model_attitudes(root)
     if not polynomials and not listed:
         raise RawDataError(product.name, "attitudes", "none", "polynomials or a list of quaternions")
     for group in polynomials:
-        parts = [group.find(f"Q{k}/COEFFICIENTS") for k in range(4)]
-        degrees = [group.find(f"Q{k}/DEGREE") for k in range(4)]
-        rows = [_numbers(part) for part in parts]
+        parts, degrees = ([group.find(f"{{*}}Q{k}/{{*}}{name}") for k in range(4)] for name in _OF_POLYNOMIAL)
+        rows = [_numbers(part, product.name) for part in parts]
         coefficients = np.zeros((4, max(map(len, rows))))
         for row, values in zip(coefficients, rows):
             row[: len(values)] = values
@@ -48,9 +48,13 @@ def corrected_dimap(product: Path, correction: Rotation, notes: Mapping[str, str
             _set(part, " ".join(map(repr, row.tolist())))
             _set(degree, str(len(row) - 1))
     for one in listed:
-        parts = [one.find(f"Q{k}") for k in range(4)]
-        for part, value in zip(parts, by_components @ np.concatenate([_numbers(part) for part in parts])):
+        parts = [one.find(f"{{*}}Q{k}") for k in range(4)]
+        numbers = np.concatenate([_numbers(part, product.name) for part in parts])
+        for part, value in zip(parts, by_components @ numbers):
             _set(part, repr(float(value)))
+    for element in written:
+        if len(numbers := _numbers(element, product.name)) == 4:
+            _set(element, " ".join(map(repr, (by_components @ numbers).tolist())))
     text = "\n".join(f"{name}: {value}" for name, value in notes.items()).replace("--", "- -")
     root.insert(0, Comment(f" attitude corrected\n{text}\n"))
     return tostring(root, encoding="UTF-8", xml_declaration=True)
@@ -62,9 +66,12 @@ def _by_conjugate(rotation: Rotation) -> NDArray[np.float64]:
     return np.array([[w, -x, -y, -z], [x, w, z, -y], [y, -z, w, x], [z, y, -x, w]])
 
 
-def _numbers(element: Element | None) -> Floats:
-    assert element is not None and element.text is not None  # of a product that is read
-    return np.array(element.text.split(), dtype=float)
+def _numbers(element: Element | None, file: str) -> Floats:
+    words = [] if element is None else (element.text or "").split()
+    try:
+        return np.array(words, dtype=float)
+    except ValueError as error:
+        raise RawDataError(file, "attitudes", " ".join(words)[:64], "numbers") from error
 
 
 def _set(element: Element | None, text: str) -> None:

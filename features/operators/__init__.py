@@ -25,6 +25,13 @@ FEATURE = Feature(
             "dimap",
             "Geolocate pixels of a DIMAP strip, or check its grid.",
             "features.operators.dimap_command:dimap",
+            with_json=True,
+        ),
+        Command(
+            "sentinel2",
+            "Check a Sentinel-2 model against its location grid.",
+            "features.operators.sentinel2_command:sentinel2",
+            with_json=True,
         ),
     ),
     groups={"import": "Make a dump of an operator's own files."},

@@ -1,4 +1,6 @@
-"""`boresight dimap`: pixels of a strip in DIMAP to places, or its model against the operator's grid."""
+"""`boresight dimap`: pixels of a strip in DIMAP to places, or its model against the operator's
+location grid.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +10,8 @@ from typing import Annotated
 import typer
 
 from boresight.features.operators.dimap_grid import grid_differences, places_of_pixels
-from boresight.pipeline.console.messages import print_data, say, tell
+from boresight.features.operators.grid_agreement import Limit, agreement
+from boresight.pipeline.console.messages import Answer, print_data, say
 from boresight.pipeline.files.dimap_metadata import operator_model
 
 __all__ = ["dimap"]
@@ -21,8 +24,9 @@ def dimap(
     grid: Annotated[
         Path | None, typer.Option(help="Operator's location grid, GRID_*.tif, to compare.")
     ] = None,
-) -> None:
-    """Geolocate pixels of a Pleiades strip, or compare its model with the operator's location grid.
+    limit_m: Limit = 0.01,
+) -> Answer:
+    """Geolocate pixels of a Pleiades strip, or check its model against the operator's location grid.
 
     Example: boresight dimap PHRDIMAP.XML --grid GRID.tif
     """
@@ -30,6 +34,8 @@ def dimap(
     say(f"{strip.dataset}: {strip.width_px} x {strip.height_px} px")
     if pixels is not None:
         print_data("".join(places_of_pixels(strip, pixels, height_m)))
-    if grid is not None:
-        for altitude, rms, largest in grid_differences(strip, grid):
-            tell(f"altitude {altitude:7.1f} m   rms {rms:.5f} m   largest {largest:.5f} m")
+    if grid is None:
+        return Answer()
+    found = grid_differences(strip, grid)
+    lines = [f"altitude {h:7.1f} m   rms {rms:.5f} m   largest {largest:.5f} m" for h, rms, largest in found]
+    return agreement(lines, max(largest for _, _, largest in found), limit_m)

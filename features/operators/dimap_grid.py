@@ -59,6 +59,10 @@ def grid_differences(strip: DimapStrip, grid: Path) -> list[tuple[float, float, 
             raise RawDataError(grid.name, "bands", str(error), "pixels that decode") from error
     row, column = (axis.ravel() for axis in np.indices(bands.shape[1:]))
     sample, line = t.a * column + t.c - 0.5, t.e * row + t.f - 0.5  # (0.5, 0.5) is the first pixel's centre
+    for axis, at, size in (("columns", sample, strip.width_px), ("lines", line, strip.height_px)):
+        if at.min() < -1.0 or at.max() > size or np.ptp(at) < 0.5 * size:
+            wrong = f"nodes at {axis} {at.min():.1f} to {at.max():.1f}, counted from the first pixel's centre"
+            raise RawDataError(grid.name, "geotransform", wrong, f"nodes over the image of {size} {axis}")
     found = []
     for k, name in enumerate(names):
         altitude = float(tags[name])

@@ -1,21 +1,91 @@
-"""Ground points of pixels of a Sentinel-2 datastrip, by the operator's model or with our interpolation."""
+"""Ground points of pixels of a Sentinel-2 datastrip, by the operator's model or with our interpolation, and
+how far they are from the operator's own.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated
+
 import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
 
 from boresight.features.operators.sentinel2_product import AttitudeRecord, Sentinel2
 from boresight.geometry.attitude import AttitudeTrack, Interpolation
+from boresight.geometry.constants import WGS84
 from boresight.geometry.earth_orientation import EarthOrientationTable
 from boresight.geometry.earth_rotation import EarthRotation
+from boresight.geometry.geodesy import ecef_from_geodetic
 from boresight.geometry.groundlight import LightEffects
 from boresight.geometry.line_camera import LookAngleCamera, LookTable
 from boresight.geometry.orbit import Orbit
 from boresight.geometry.pushbroom import Pushbroom, RowClock
+from boresight.geometry.record import Floats
+from boresight.geometry.terrain import ConstantHeight
+from boresight.pipeline.errors import RawDataError
+from boresight.pipeline.files.text_files import read_table
 
-__all__ = ["operator_orbit", "operator_pushbroom", "refined_attitudes", "refined_camera"]
+__all__ = [
+    "GridRow",
+    "grid_differences",
+    "operator_orbit",
+    "operator_pushbroom",
+    "read_grid_rows",
+    "refined_attitudes",
+    "refined_camera",
+]
 
 _DEGREE = 7  # of the Hermite polynomial, four states of 1 Hz; others agree to 0.1 mm
+
+
+class GridRow(BaseModel):
+    """A pixel of a detector and where the operator puts it. Lines count from 1, samples from 0, both at the
+    centre of pixels.
+    """
+
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False, frozen=True)
+    granule: str = ""
+    band: str = ""
+    detector: Annotated[int, Field(ge=1, le=64)]
+    line: float
+    sample: float
+    lon: Annotated[float, Field(ge=-180.0, le=360.0)]
+    lat: Annotated[float, Field(ge=-90.0, le=90.0)]
+    alt: float
+
+
+def read_grid_rows(path: Path) -> list[GridRow]:
+    """The rows of an operator's location grid in CSV; `RawDataError` names line and column."""
+    rows = read_table(path, GridRow, str(path))
+    if not rows:
+        raise RawDataError(str(path), "rows", "none", "pixels with their places")
+    return rows
+
+
+def grid_differences(
+    strip: Sentinel2,
+    rows: Sequence[GridRow],
+    table: EarthOrientationTable | None,
+    interpolation: Interpolation,
+) -> Floats:
+    """Distances (N,), m, of our places of pixels from the operator's. `RawDataError` for another detector."""
+    orbit = operator_orbit(strip, table or strip.earth_orientation)
+    detector = np.array([row.detector for row in rows])
+    if (most := int(detector.max())) > strip.camera.n_ccds:
+        raise RawDataError("grid", "detector", most, f"1 to {strip.camera.n_ccds}")
+    line, sample, lon, lat, height = np.array(
+        [[row.line - 1.0, row.sample, row.lon, row.lat, row.alt] for row in rows]
+    ).T
+    places = ecef_from_geodetic(np.radians(lat), np.radians(lon), height, WGS84)
+    off = np.empty(len(rows))
+    for one in np.unique(detector).tolist():
+        model = operator_pushbroom(strip, one - 1, orbit, interpolation=interpolation)
+        for n in np.flatnonzero(detector == one).tolist():
+            level = ConstantHeight(float(height[n]))
+            ours = model.ground_points(one - 1, sample[n : n + 1], line[n : n + 1], level)[0]
+            off[n] = np.linalg.norm(ours - places[n])
+    return np.where(np.isfinite(off), off, np.inf)
 
 
 def operator_orbit(strip: Sentinel2, table: EarthOrientationTable) -> Orbit:

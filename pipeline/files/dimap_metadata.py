@@ -14,6 +14,9 @@ strip in the operator's convention, verified for V1 against the operator's locat
 * the line period is in milliseconds or microseconds, whichever the product's begin and end show (V2);
 * the operator's model has no aberration and no light time, so `LightEffects` with all effects off reproduces
   the operator's ground coordinates.
+
+Corners of the image that the product states as longitude and latitude must lie on their lines of sight: a
+product of another convention is refused, not placed kilometres away.
 """
 
 from __future__ import annotations
@@ -26,20 +29,24 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from boresight.geometry.attitude import AttitudeTrack, EarthFixedAttitude
-from boresight.geometry.constants import DAY_S
+from boresight.geometry.constants import DAY_S, WGS84
 from boresight.geometry.earth_orientation import EarthOrientationTable, bundled_earth_orientation
 from boresight.geometry.earth_rotation import EarthRotation
 from boresight.geometry.epoch import Epoch
+from boresight.geometry.geodesy import ecef_from_geodetic
 from boresight.geometry.groundlight import LightEffects
 from boresight.geometry.line_camera import LookAngleCamera, LookTable
 from boresight.geometry.orbit import Orbit
 from boresight.geometry.pushbroom import Pushbroom, RowClock
 from boresight.geometry.record import Floats, record, scalar
+from boresight.geometry.terrain import ConstantHeight
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.xml_files import elements_of, numbers_of, read_xml, text_of, whole_of
 
-__all__ = ["DimapStrip", "operator_model", "read_dimap"]
+__all__ = ["DimapStrip", "model_attitudes", "operator_model", "read_dimap"]
 
+_CORNER_M = 1000.0  # the height of a corner is not stated, products round and sharpen
+_CORNER_HEIGHTS_M = (-500.0, 9000.0)
 _MAX_ITEMS = 10_000  # points of the ephemeris, quaternions
 _MAX_PIXELS = 10_000_000  # rows or columns
 _MAX_POWERS = 20
@@ -65,6 +72,7 @@ _VIEWING = f"{_V1}/Sensor_Viewing_Model"
 _V2 = "Geometric_Data/Refined_Model"
 _CALIBRATION = f"{_V2}/Geometric_Calibration/Instrument_Calibration"
 _QUATERNIONS = f"{_V2}/Attitudes/Quaternion_List/Quaternion"
+_OF_STRIP = "Data_Strip/Satellite_Attitudes/Corrected_Attitudes"
 _VERSIONS = {
     "PHR_Dimap_Document": _Names(
         raster="Raster_Dimensions",
@@ -106,7 +114,8 @@ def read_dimap(path: Path, eop: EarthOrientationTable, effects: LightEffects) ->
     names = _VERSIONS.get(root.tag)
     if names is None or (root.tag == "Dimap_Document" and root.find(_V2) is None):
         expected = f"PHR_Dimap_Document (DIMAP V1), or Dimap_Document with {_V2} (DIMAP V2: not SPOT 1 to 5)"
-        raise RawDataError(file, "root element", root.tag, expected)
+        mission = " ".join(root.findtext(f".//{name}", "") for name in ("MISSION", "MISSION_INDEX")).strip()
+        raise RawDataError(file, "root element", f"{root.tag} {mission[:32]}".strip(), expected)
     width, height = (
         whole_of(root, f"{names.raster}/{name}", file, _MAX_PIXELS) for name in ("NCOLS", "NROWS")
     )
@@ -143,9 +152,50 @@ def read_dimap(path: Path, eop: EarthOrientationTable, effects: LightEffects) ->
         )
     except ValueError as error:  # dates without Earth orientation, states that cannot be interpolated
         raise RawDataError(file, names.point, str(error), "a strip that a satellite can take") from error
+    _check_corners(root, pushbroom, (width, height), file)
     return DimapStrip(
         pushbroom, width, height, text_of(root, "Dataset_Identification/DATASET_NAME", file)[:128]
     )
+
+
+def _check_corners(root: Element, pushbroom: Pushbroom, size: tuple[int, int], file: str) -> None:
+    """`RawDataError` where a corner that the product states is on no height of its line of sight."""
+    frames = [frame for name in ("Dataset_Frame", "Dataset_Extent") for frame in root.iter(name)]
+    for vertex in [vertex for frame in frames[:1] for vertex in frame.findall("Vertex")][:8]:
+        if any(vertex.find(name) is None for name in ("LON", "LAT", "COL", "ROW")):
+            continue
+        lon, lat, column, row = (numbers_of(vertex, n, file, 1)[0] for n in ("LON", "LAT", "COL", "ROW"))
+        if not (0.5 <= column <= size[0] + 0.5 and 0.5 <= row <= size[1] + 0.5):
+            continue
+        low, high = (
+            pushbroom.ground_points(0, [column - 1.0], [row - 1.0], ConstantHeight(height))[0]
+            - ecef_from_geodetic(np.radians(lat), np.radians(lon), height, WGS84)
+            for height in _CORNER_HEIGHTS_M
+        )
+        step = high - low
+        share = float(np.clip(-(low @ step) / max(float(step @ step), 1e-9), 0.0, 1.0))
+        off_m = float(np.linalg.norm(low + share * step))
+        if not off_m <= _CORNER_M:
+            found = f"{off_m:.0f} m from the line of sight of its pixel"
+            raise RawDataError(file, f"Vertex of COL {column:g}, ROW {row:g}", found, _CONVENTION)
+
+
+_CONVENTION = f"at most {_CORNER_M:.0f} m: the product follows a convention that is not known here"
+
+
+def model_attitudes(root: Element) -> tuple[list[Element], list[Element], list[Element]]:
+    """The elements of a product that hold the attitude of its model, whatever their namespace: groups of the
+    polynomials Q0 ... Q3; quaternions with children Q0 ... Q3; and quaternions as one text, scalar first.
+
+    Other quaternions of a product (of the satellite, in inertial axes) are not among them.
+    """
+
+    def at(*places: str) -> list[Element]:
+        paths = ("/".join("{*}" + name for name in place.split("/")) for place in places)
+        return [element for path in paths for element in root.findall(path)]
+
+    polynomials = at(f"{_V1}/Sensor_Attitudes/Polynomial_Models", f"{_V2}/Attitudes/Polynomial_Quaternions")
+    return polynomials, at(_QUATERNIONS), at(f"{_OF_STRIP}/WGS84_Attitudes_List/WGS84_Attitudes/Q_VALUES")
 
 
 def _period(root: Element, names: _Names, epoch: Epoch, height: int, file: str) -> float:
@@ -240,8 +290,8 @@ def _camera(root: Element, width: int, file: str) -> LookAngleCamera:
     else:
         place = f"{_VIEWING}/Position_In_Retina"
         first, last = (whole_of(root, f"{place}/{n}", file, 10**9) for n in ("FIRST_COL", "LAST_COL"))
-        if last - first + 1 != width:
-            raise RawDataError(file, place, f"{first} ... {last}", f"{width} columns")
+        if last - first + 1 - width not in (0, 1):  # products of 39951 columns end at LAST_COL 39952
+            raise RawDataError(file, place, f"{first} ... {last}", f"{width} columns, or one more")
         psi_x, psi_y = (_polynomial(root, f"{_VIEWING}/Viewing_Directions/Psi{a}_Model", file) for a in "XY")
     samples: Floats = np.linspace(0.0, max(width - 1.0, 1.0), _LOOK_SAMPLES, dtype=np.float64)
     powers = (samples[:, None] + first_column) ** np.arange(_MAX_POWERS + 1)

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import xml.etree.ElementTree as ET
+from pathlib import Path
+
 import numpy as np
 import pytest
 from command_line import app
@@ -18,6 +21,9 @@ from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.dimap_metadata import operator_model
 
 TURN = Rotation.from_rotvec(np.array([2.5, -1.7, 6.0]) * ARCSEC)  # 12 m, 8 m, and 0.3 m at the edges
+REAL = Path(__file__).parents[3] / ".." / "shared" / "data" / "pleiades"
+REAL = REAL / "PHRDIMAP_P1BP--2018122638935449CP.XML"
+needs_real_data = pytest.mark.skipif(not REAL.exists(), reason=f"the real product is not there: {REAL}")
 HEADER = "id,strip,ccd,sample,line,sigma_sample_px,sigma_line_px,lat_deg,lon_deg,height_m,height_kind,"
 HEADER += "sigma_east_m,sigma_north_m,sigma_up_m\n"
 
@@ -54,6 +60,46 @@ def test_corrected_product_has_the_places_of_the_corrected_camera(tmp_path, form
     assert np.linalg.norm(expected - before, axis=1).min() > 5.0  # m
     assert np.linalg.norm(found - expected, axis=1).max() < 1e-5  # m; quaternions lose no digit
     assert b"mission: A- -B" in raw
+
+
+def satellite_attitudes() -> str:
+    """Quaternions of a real product beside those of its model: Earth-fixed ones and the satellite's own."""
+    own = "<Quaternion><TAI_TIME>2018-12-26T10:49:32.4</TAI_TIME>"
+    own += "<Q_VALUES>0.6 0.0 0.8 0.0</Q_VALUES></Quaternion>"
+    same = "<WGS84_Attitudes><Q_VALUES>0.7071 0.0 -0.7071 0.0</Q_VALUES></WGS84_Attitudes>"
+    return (
+        "<Data_Strip><Satellite_Attitudes><Corrected_Attitudes><WGS84_Attitudes_List>"
+        f"{same}</WGS84_Attitudes_List></Corrected_Attitudes><Accurate_Attitudes><Quaternion_List>{own}"
+        "</Quaternion_List></Accurate_Attitudes></Satellite_Attitudes></Data_Strip>"
+    )
+
+
+@pytest.mark.parametrize("version", [1, 2])
+def test_only_the_quaternions_of_the_model_are_corrected(tmp_path, version):
+    text = dimap_text() if version == 1 else as_version_2(dimap_text(), listed=True)
+    path = tmp_path / "product.xml"
+    path.write_text(text.replace("<Geometric_Data>", satellite_attitudes() + "<Geometric_Data>"))
+    (tmp_path / "corrected.xml").write_bytes(corrected_dimap(path, TURN, {}))
+    root = ET.parse(tmp_path / "corrected.xml").getroot()
+    assert root.findtext(".//Accurate_Attitudes//Q_VALUES") == "0.6 0.0 0.8 0.0"
+    q0, x, y, z = map(float, root.findtext(".//WGS84_Attitudes/Q_VALUES").split())
+    turn = Rotation.from_quat([0.0, -0.7071, 0.0, 0.7071]) * TURN.inv()  # camera to ITRS
+    assert (Rotation.from_quat([x, y, z, q0]) * turn.inv()).magnitude() < 1e-12  # rad
+    expected = turned(operator_model(path).pushbroom, TURN).ground_points(0, *pixels(), ConstantHeight(50.0))
+    found = operator_model(tmp_path / "corrected.xml").pushbroom
+    off = found.ground_points(0, *pixels(), ConstantHeight(50.0)) - expected
+    assert np.linalg.norm(off, axis=1).max() < 1e-5  # m
+
+
+@needs_real_data
+def test_a_real_product_is_corrected(tmp_path):
+    (tmp_path / "corrected.xml").write_bytes(corrected_dimap(REAL, TURN, {"mission": "M"}))
+    sample, line = np.array([0.0, 39_999.0]), np.array([0.0, 38_247.0])
+    model = turned(operator_model(REAL).pushbroom, TURN)
+    expected = model.ground_points(0, sample, line, ConstantHeight(50.0))
+    found = operator_model(tmp_path / "corrected.xml").pushbroom
+    off = found.ground_points(0, sample, line, ConstantHeight(50.0)) - expected
+    assert np.linalg.norm(off, axis=1).max() < 1e-5  # m
 
 
 def test_calibrated_product_is_exported_and_another_one_is_refused(tmp_path):

@@ -11,6 +11,8 @@ from command_line import app
 from typer.testing import CliRunner
 
 from boresight.calib.interior.interior_estimate import map_difference_px
+from boresight.geometry.constants import WGS84
+from boresight.geometry.geodesy import ecef_from_geodetic
 from boresight.geometry.virtual_ccd import VirtualStrip
 from boresight.pipeline.files.dump import open_dump, surface_of
 from boresight.pipeline.results.strip_model import open_calibrated, strip_model
@@ -28,8 +30,12 @@ needs_real_data = pytest.mark.skipif(
 def test_dimap_agrees_with_the_operator_s_grid():
     told = runner.invoke(app, ["dimap", str(DIMAP), "--grid", str(GRID)])
     assert told.exit_code == 0
-    rms = [float(line.split("rms")[1].split()[0]) for line in told.stdout.splitlines()]
+    *altitudes, verdict = told.stdout.splitlines()
+    rms = [float(line.split("rms")[1].split()[0]) for line in altitudes]
     assert len(rms) == 9 and max(rms) < 1e-3  # m; the metadata round positions to 1 mm
+    assert verdict.startswith("the model agrees with the grid")
+    strict = runner.invoke(app, ["dimap", str(DIMAP), "--grid", str(GRID), "--limit-m", "1e-5"])
+    assert strict.exit_code == 4 and "does not agree" in strict.stdout
 
 
 @needs_real_data
@@ -61,9 +67,16 @@ def test_the_virtual_strip_shows_what_the_raw_images_show(finished, tmp_path):
     ]
     told = runner.invoke(app, asked)
     assert told.exit_code == 0, told.output
-    with pytest.warns(rasterio.errors.NotGeoreferencedWarning), rasterio.open(out) as image:
-        stitched = image.read(1)
+    with rasterio.open(out) as image:
+        stitched, (places, crs) = image.read(1), image.gcps
     virtual = VirtualStrip(model.pushbroom, surface_of(calibrated.dump.terrain))
+    assert crs.to_epsg() == 4979 and len(places) > 100
+    for place in places[:: len(places) // 4]:
+        pixel = np.array([place.col - 0.5]), np.array([place.row - 0.5])  # GDAL counts from the corner
+        expected = virtual.virtual.ground_points(0, *pixel, virtual.surface)[0]
+        lat, lon = np.radians([place.y]), np.radians([place.x])
+        off = ecef_from_geodetic(lat, lon, np.array([place.z]), WGS84)[0] - expected
+        assert np.linalg.norm(off) < 1e-6  # m
     assert stitched.shape == (model.strip.lines, virtual.width_px)
     assert np.isnan(stitched).mean() < 0.1  # lines at both ends that staggered CCDs did not see
     middle = model.strip.lines // 2

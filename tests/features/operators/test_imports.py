@@ -13,6 +13,8 @@ from typer.testing import CliRunner
 from boresight.features.operators.sentinel2_grid import operator_orbit, operator_pushbroom
 from boresight.features.operators.sentinel2_product import read_sentinel2
 from boresight.geometry.attitude import AttitudeTrack
+from boresight.geometry.constants import WGS84
+from boresight.geometry.geodesy import geodetic_from_ecef
 from boresight.geometry.pushbroom import Pushbroom
 from boresight.geometry.terrain import ConstantHeight
 from boresight.pipeline.files.dimap_metadata import operator_model
@@ -73,6 +75,26 @@ def test_places_of_an_imported_datastrip_are_the_operators(sentinel2):
         assert np.isfinite(expected).all()
         # the orbit's nanosecond (7 um) and the OEM's micrometre; 1e-9 of a line in the offset of the CCD
         assert np.linalg.norm(found - expected, axis=1).max() < 1e-4  # m
+
+
+@pytest.mark.parametrize(("east_m", "status"), [(0.0, 0), (1.0, 4)])
+def test_check_against_a_grid_has_a_verdict_and_an_exit_status(sentinel2, tmp_path, east_m, status):
+    strip = read_sentinel2(sentinel2 / "S2A_OPER_MTD_L1B_DS_TEST.xml", sentinel2, "B04")
+    orbit = operator_orbit(strip, strip.earth_orientation)
+    rows = ["granule,detector,band,line,sample,lon,lat,alt\n"]
+    for ccd in (0, 1):
+        model = operator_pushbroom(strip, ccd, orbit)
+        place = model.ground_points(ccd, [6.0], [1200.0], ConstantHeight(100.0))
+        lat, lon, height = (float(v[0]) for v in geodetic_from_ecef(place, WGS84))
+        lon += ccd * east_m / (6.378e6 * np.cos(lat))
+        place = f"{float(np.degrees(lon))!r},{float(np.degrees(lat))!r},{height!r}"
+        rows.append(f"G,{ccd + 1},B04,1201,6,{place}\n")
+    (tmp_path / "grid.csv").write_text("".join(rows))
+    asked = ["sentinel2", sentinel2 / "S2A_OPER_MTD_L1B_DS_TEST.xml", "--gipp", sentinel2, "--band", "B04"]
+    told = CliRunner().invoke(app, [str(word) for word in (*asked, "--grid", tmp_path / "grid.csv")])
+    assert told.exit_code == status, told.output
+    assert ("agrees with" in told.output) == (status == 0)
+    assert ("line 3 of the grid: detector 2" in told.output) == (status == 4)
 
 
 def test_rows_of_an_imported_strip_are_counted_from_the_earliest(sentinel2):

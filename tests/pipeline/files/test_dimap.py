@@ -10,7 +10,7 @@ from handmade_dimap import as_version_2, dimap_text
 
 from boresight.geometry.constants import WGS84
 from boresight.geometry.earth_orientation import bundled_earth_orientation
-from boresight.geometry.geodesy import ecef_from_geodetic
+from boresight.geometry.geodesy import ecef_from_geodetic, geodetic_from_ecef
 from boresight.geometry.groundlight import LightEffects
 from boresight.geometry.terrain import ConstantHeight
 from boresight.pipeline.errors import RawDataError
@@ -183,3 +183,56 @@ def test_list_of_quaternions_that_are_none_is_refused(tmp_path):
     (tmp_path / "v2.xml").write_text(text)
     with pytest.raises(RawDataError, match="length"):
         read_dimap(tmp_path / "v2.xml", bundled_earth_orientation(), OFF)
+
+
+def test_sample_0_looks_to_the_side_of_minus_psi_x(tmp_path):
+    # psi_x of column 0 is -0.01, so that u_y is +0.01; the handmade quaternion turns about y, the orbit stays
+    # on meridian 0: the line of sight leaves it eastwards by 0.01 of the distance to the ground, less 1.3e-4
+    # by which the quaternion's polynomials have turned about z until then.
+    (tmp_path / "dimap.xml").write_text(dimap_text())
+    strip = read_dimap(tmp_path / "dimap.xml", bundled_earth_orientation(), OFF)
+    first, last = strip.pushbroom.ground_points(0, [0.0, 19_999.0], [0.0, 0.0], ConstantHeight(0.0))
+    satellite = strip.pushbroom.orbit.positions_e(strip.pushbroom.instants(np.zeros(1)))[0]
+    assert first[1] == pytest.approx(0.01 * np.linalg.norm(first - satellite), rel=0.02)
+    assert last[1] == pytest.approx(-0.009999 * np.linalg.norm(last - satellite), rel=0.02)
+
+
+def test_last_column_may_be_one_beyond_the_image_but_not_two(tmp_path):
+    for last, good in ((20_001, True), (20_002, False), (19_999, False)):
+        text = dimap_text().replace("<LAST_COL>20000<", f"<LAST_COL>{last}<")
+        (tmp_path / "dimap.xml").write_text(text)
+        if good:
+            assert read_dimap(tmp_path / "dimap.xml", bundled_earth_orientation(), OFF).width_px == 20_000
+            continue
+        with pytest.raises(RawDataError, match="columns, or one more"):
+            read_dimap(tmp_path / "dimap.xml", bundled_earth_orientation(), OFF)
+
+
+def test_product_whose_corners_lie_elsewhere_is_refused(tmp_path):
+    (tmp_path / "dimap.xml").write_text(dimap_text())
+    model = read_dimap(tmp_path / "dimap.xml", bundled_earth_orientation(), OFF).pushbroom
+    column, row = np.array([1.0, 20_000.0]), np.array([1.0, 9_000.0])
+    lat, lon, _ = geodetic_from_ecef(
+        model.ground_points(0, column - 1.0, row - 1.0, ConstantHeight(800.0)), WGS84
+    )
+
+    def framed(east_deg):
+        vertices = "".join(
+            f"<Vertex><LON>{x + east_deg!r}</LON><LAT>{y!r}</LAT><COL>{c:g}</COL><ROW>{r:g}</ROW></Vertex>"
+            for x, y, c, r in zip(np.degrees(lon).tolist(), np.degrees(lat).tolist(), column, row)
+        )
+        frame = f"<Product_Frame><Dataset_Frame>{vertices}</Dataset_Frame></Product_Frame>"
+        path = tmp_path / "framed.xml"
+        path.write_text(dimap_text().replace("<Geometric_Data>", f"{frame}<Geometric_Data>"))
+        return read_dimap(path, bundled_earth_orientation(), OFF)
+
+    assert framed(0.0).width_px == 20_000  # the height of 800 m is not stated
+    with pytest.raises(RawDataError, match=r"COL 1, ROW 1.* m from the line of sight of its pixel"):
+        framed(0.05)
+
+
+def test_spot_5_is_refused_by_its_name(tmp_path):
+    mission = "<Scene_Source><MISSION>SPOT</MISSION><MISSION_INDEX>5</MISSION_INDEX></Scene_Source>"
+    (tmp_path / "spot.xml").write_text(f"<Dimap_Document>{mission}</Dimap_Document>")
+    with pytest.raises(RawDataError, match="Dimap_Document SPOT 5"):
+        read_dimap(tmp_path / "spot.xml", bundled_earth_orientation(), OFF)
