@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Any
 
@@ -69,7 +70,7 @@ def write_noise(found: HeadNoise, out: Path) -> tuple[Path, ...]:
 
 
 def _toml(name: str, noise: AttitudeNoise) -> str:
-    keys = (f"{key} = {values}" for key, values in noise_keys(noise, with_white=True).items())
+    keys = (f"{key} = {json.dumps(values)}" for key, values in noise_keys(noise, with_white=True).items())
     return "\n".join([f"[star_cameras.noise]  # of {name}", *keys, ""])
 
 

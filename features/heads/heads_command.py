@@ -34,7 +34,7 @@ def heads(
     names = dump_names(roots) if len(roots) > 1 else [""]
     lines, contents, files = list[str](), [], list[Path]()
     for root, name in zip(roots, names):
-        found = heads_alone(open_dump(root), read_settings(settings))
+        found = heads_alone(open_dump(root, sky_alone=True), read_settings(settings))
         lines += [f"dump {name}"] * bool(name) + heads_lines(found)
         contents.append({"dump": str(root)} | heads_json(found))
         files += () if out is None else write_heads(found, out / name if name else out)

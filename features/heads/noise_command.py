@@ -36,7 +36,7 @@ def noise(
 
     Example: boresight noise dump --out noise --write
     """
-    found = noise_of_heads(open_dump(dump.resolve()), read_settings(settings), lowest_hz)
+    found = noise_of_heads(open_dump(dump.resolve(), sky_alone=True), read_settings(settings), lowest_hz)
     files = () if out is None else write_noise(found, out)
     text = "\n".join(noise_lines(found))
     if write:

@@ -46,6 +46,7 @@ def dimap_mission(strip: DimapStrip, created_by: str) -> ImportedMission:
         R_cs0=Rotation.identity(),
         sigma_installation_rad=np.full(3, SIGMA_ARCSEC * ARCSEC),
         white_rad=np.full(3, MIN_WHITE_ARCSEC * ARCSEC),
+        is_measured=False,
         interpolation="lagrange",
     )
     row = ImportedStrip(

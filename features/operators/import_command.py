@@ -112,9 +112,32 @@ def _written(out: Path, mission: ImportedMission, points: Path | None) -> Answer
         raise wrong_usage(f"{out} is there already and is not an empty folder")
     text = None if points is None else read_text(points, str(points))
     write_imported(out, mission, text)
+    noise = _noise_of(out, mission)
     if text is None:
         say(f"no measured points: write them to {out / 'points.csv'} before `boresight calibrate`")
     count = 0 if text is None else sum(1 for _ in csv.reader(text.splitlines())) - 1
     heads = ", ".join(f"{head.name} ({len(head.t_s)} attitudes)" for head in mission.heads)
     summary = f"{mission.mission}: {heads}, {len(mission.strips)} CCDs, {count} points -> {out}"
-    return Answer(text=summary, files=(out / "dump.toml",))
+    return Answer(text="\n".join([summary, *noise]), files=(out / "dump.toml",))
+
+
+def _noise_of(dump: Path, mission: ImportedMission) -> list[str]:
+    """Lines about the noise of the heads, which is estimated and stated where the record allows it."""
+    from boresight.pipeline.errors import DataNotSufficientError
+    from boresight.pipeline.files.dump import open_dump
+    from boresight.pipeline.files.stated_noise import state_noise
+    from boresight.pipeline.report.heads import noise_lines
+    from boresight.pipeline.settings import Settings
+    from boresight.pipeline.stages.head_records import noise_of_heads
+
+    why = "the operator's attitude does not show its own errors"
+    if all(head.is_measured for head in mission.heads):
+        try:
+            found = noise_of_heads(open_dump(dump, sky_alone=True), Settings())
+        except DataNotSufficientError as error:
+            why = str(error)
+        else:
+            state_noise(dump, dict(zip(found.names, found.fit.heads)))
+            return ["noise of the heads, estimated from their record:", *noise_lines(found)]
+    say(f"noise of the heads: white noise is ASSUMED in dump.toml ({why}); state it in [star_cameras.noise]")
+    return []

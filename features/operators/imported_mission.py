@@ -34,7 +34,8 @@ class ImportedHead:
     R_is: Rotation = array("K", "frame s to GCRS")
     R_cs0: Rotation = scalar("installation matrix in the operator's files")
     sigma_installation_rad: Floats = array("3", "1-sigma error of `R_cs0` about the axes of c")
-    white_rad: Floats = array("3", "1-sigma of the white noise of the attitudes about the axes of s")
+    white_rad: Floats = array("3", "1-sigma of the white noise of the attitudes about the axes of s, assumed")
+    is_measured: bool = scalar("attitudes as a star camera gave them, whose record shows their noise")
     interpolation: Interpolation = scalar("of the operator's software")
 
 
@@ -139,7 +140,10 @@ def _head(mission: ImportedMission) -> dict[str, Any]:
                 "rotation": "head to inertial",
                 "aberration_removed": "annual and orbital",  # the operator corrects no more, on either side
                 "interpolation": head.interpolation,
-                "noise": {"white_arcsec": [round(v, 4) for v in (head.white_rad / ARCSEC).tolist()]},
+                "noise": {
+                    "white_arcsec": [round(v, 4) for v in (head.white_rad / ARCSEC).tolist()],
+                    "origin": "assumed",
+                },
             }
             for head in mission.heads
         ],

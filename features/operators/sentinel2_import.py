@@ -73,6 +73,7 @@ def sentinel2_mission(
                 R_cs0=R_cs0,
                 sigma_installation_rad=np.full(3, SIGMA_INSTALLATION_ARCSEC * ARCSEC),
                 white_rad=white_noise_rad(t_s, R_is),
+                is_measured=attitudes == "raw",
                 interpolation="lagrange" if attitudes == "raw" else "taylor",
             )
         )

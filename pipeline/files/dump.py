@@ -138,6 +138,9 @@ class TargetHeights:
         return float(self.heights_m.min()), float(self.heights_m.max())
 
 
+NO_TERRAIN = TargetHeights(np.zeros((0, 3)), np.zeros(0))
+
+
 @dataclass(frozen=True, slots=True)
 class TerrainFiles:
     """Terrain models that are read where they are needed. Equal files are read once (`surface_of`)."""
@@ -220,7 +223,13 @@ class Dump:
         return star + sum(a * b for strip in self.strips for a, b in strip.images.shapes.values())
 
 
-def open_dump(root: Path | str | Dump, *, allow_stale_eop: bool = False, threads: int = 1) -> Dump:
+def open_dump(
+    root: Path | str | Dump,
+    *,
+    allow_stale_eop: bool = False,
+    threads: int = 1,
+    sky_alone: bool = False,
+) -> Dump:
     """A dump read and checked: cameras, orbit, exposures, strips, targets; images are not decoded.
 
     Parameters
@@ -232,6 +241,8 @@ def open_dump(root: Path | str | Dump, *, allow_stale_eop: bool = False, threads
         Accept dates after the end of the Earth-orientation table, with a warning.
     threads : int
         How many read the terrain.
+    sky_alone : bool
+        For what needs no ground: targets, points and terrain are not read and may be missing.
 
     Returns
     -------
@@ -272,7 +283,10 @@ def open_dump(root: Path | str | Dump, *, allow_stale_eop: bool = False, threads
         root, paths["strips"], head.files.strips, ephemeris.epoch, remote, head.files.remote_camera
     )
     ground, sky = (tuple(one for one in every if one.kind == kind) for kind in ("ground", "sky"))
-    _check_what_they_show(ground, sky, head)
+    if sky_alone:
+        paths = {key: path for key, path in paths.items() if key not in ("targets", "points")}
+    else:
+        _check_what_they_show(ground, sky, head)
     (strips, twice), (sky_strips, sky_twice) = (strips_once(one, head.files.strips) for one in (ground, sky))
     rows = _target_rows(paths["targets"], str(head.files.targets)) if "targets" in paths else []
     surveyed = targets_of(rows)
@@ -302,7 +316,7 @@ def open_dump(root: Path | str | Dump, *, allow_stale_eop: bool = False, threads
         targets=surveyed.targets,
         chips=_chips(root, rows, str(head.files.targets)),
         points=_points_once(points, strips),
-        terrain=_terrain(root, head, (surveyed, *of_points), threads),
+        terrain=NO_TERRAIN if sky_alone else _terrain(root, head, (surveyed, *of_points), threads),
         star_catalogue=_star_catalogue(paths.get("star_catalogue"), head, sky_strips),
         orbit_covers=covers,
         omissions=(*omitted, *twice, *sky_twice, *exposures_twice),

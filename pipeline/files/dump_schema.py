@@ -171,6 +171,7 @@ class NoiseFile(_Strict):
     correlated_arcsec: OfAxes | None = None
     correlation_time_s: OfAxesTimes | None = None
     constant_arcsec: OfAxes | None = None
+    origin: Literal["stated", "estimated", "assumed"] = "stated"
 
     @model_validator(mode="after")
     def _correlation_is_complete(self) -> Self:

@@ -107,6 +107,7 @@ class Head:
     R_cs0: Rotation = scalar("installation rotation measured before launch, frame s to frame c")
     sigma_installation_rad: Floats = array("3", "1-sigma error of `R_cs0`: rotation about the axes of c")
     noise: AttitudeNoise = scalar("errors of its attitudes beside those of its stars")
+    noise_is_assumed: bool = scalar("nobody stated or estimated that noise", default=False)
     interpolation: Interpolation = scalar("between its attitudes")
     source: StarImages | StarCentroids | SolvedAttitudes = scalar("what the head delivers")
 
@@ -156,6 +157,7 @@ def _head(root: Path, head: schema.HeadFile, field: str, epoch: Epoch) -> Head:
         R_cs0=Rotation.from_quat(installation.quaternion_cs),
         sigma_installation_rad=np.array(installation.sigma_rad),
         noise=_noise(head.noise),
+        noise_is_assumed=head.noise.origin == "assumed",
         interpolation=head.interpolation,
         source=source,
     )

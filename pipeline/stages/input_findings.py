@@ -16,6 +16,7 @@ from boresight.geometry.geoid import egm96
 from boresight.geometry.record import Floats
 from boresight.pipeline.errors import Cause, Omission
 from boresight.pipeline.files.dump import Dump, TerrainFiles, surface_of
+from boresight.pipeline.files.star_side import Head
 from boresight.pipeline.stages.strip import StripTask
 
 __all__ = ["given_twice", "heights", "input_findings", "outside_chips"]
@@ -35,6 +36,7 @@ def input_findings(dump: Dump, tasks: Sequence[StripTask], omissions: Sequence[O
     return [
         *given_twice(omissions),
         *outside_chips(omissions),
+        *(_assumed_noise(head) for head in dump.heads if head.noise_is_assumed),
         *_heights(dump, {name: target for name, target in every.items() if name not in without}),
     ]
 
@@ -84,6 +86,18 @@ def outside_chips(omissions: Sequence[Omission]) -> Iterator[Finding]:
             field="lat_deg, lon_deg",
             targets=tuple(one.name for one in those if "/" in one.name),
         )
+
+
+def _assumed_noise(head: Head) -> Finding:
+    return Finding(
+        cause="noise of a star camera",
+        item=f"head {head.name}",
+        text="white noise is assumed: errors that last longer are not in sigma; state them in dump.toml, "
+        "or estimate them by `boresight noise --write`.",
+        file="dump.toml",
+        field="star_cameras.noise",
+        is_fault=False,
+    )
 
 
 def _heights(dump: Dump, targets: Mapping[str, Target]) -> Iterator[Finding]:
