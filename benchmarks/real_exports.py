@@ -35,7 +35,7 @@ from record import exit_status, head, verdict
 from scipy.interpolate import CubicHermiteSpline
 from scipy.spatial.transform import Rotation, Slerp
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "pipeline" / "exports"))
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "features" / "exports"))
 from line_scanner import LineScanner
 
 from boresight.features.operators.sentinel2_product import read_sentinel2

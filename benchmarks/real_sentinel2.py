@@ -28,7 +28,6 @@ from scipy.stats import chi2, f
 
 from boresight.calib.noise_spectrum import NoiseFit, Signal, fit_noise
 from boresight.calib.refining import fit_correction
-from boresight.features.heads.stated_noise import state_noise
 from boresight.features.operators.dimap_grid import grid_differences, operator_model
 from boresight.features.operators.imported_mission import write_imported
 from boresight.features.operators.sentinel2_grid import operator_orbit, operator_pushbroom
@@ -39,6 +38,7 @@ from boresight.geometry.geodesy import ecef_from_geodetic, local_axes_e
 from boresight.geometry.groundlight import apparent_ground_directions
 from boresight.geometry.terrain import ConstantHeight
 from boresight.pipeline.files.dump import open_dump, read_earth_orientation
+from boresight.pipeline.files.stated_noise import state_noise
 from boresight.pipeline.run.settings import Settings
 from boresight.pipeline.stages.calibrate import calibrate_dump
 from boresight.pipeline.stages.head_records import heads_alone, noise_of_heads

@@ -28,13 +28,13 @@ from real_sentinel2 import DATA, HEADER
 from record import exit_status, head, verdict
 from scipy.stats import chi2
 
+from boresight.features.operators.sentinel2_grid import operator_orbit, operator_pushbroom
+from boresight.features.operators.sentinel2_product import Sentinel2, read_sentinel2
 from boresight.geometry.constants import ARCSEC, WGS84
 from boresight.geometry.geodesy import geodetic_from_ecef
 from boresight.geometry.terrain import ConstantHeight
 from boresight.pipeline.files.dump import open_dump
-from boresight.pipeline.files.sentinel2 import Sentinel2, read_sentinel2
-from boresight.pipeline.results.sentinel2_places import operator_orbit, operator_pushbroom
-from boresight.pipeline.settings import Settings
+from boresight.pipeline.run.settings import Settings
 from boresight.pipeline.stages.calibrate import calibrate_dump
 
 BAND = "B04"

@@ -12,10 +12,10 @@ from scipy.special import chdtrc
 
 from boresight.calib.alignment import HeadAlignment
 from boresight.calib.noise_spectrum import allan_deviation
-from boresight.features.heads.stated_noise import noise_keys
 from boresight.geometry.attitude_noise import AttitudeNoise
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.record import Floats
+from boresight.pipeline.files.stated_noise import noise_keys
 from boresight.pipeline.files.whole_file import write_figure, write_text
 from boresight.pipeline.results.writing import write_json
 from boresight.pipeline.stages.head_records import HeadNoise, HeadsAlone

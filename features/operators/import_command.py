@@ -126,8 +126,7 @@ def _noise_of(dump: Path, mission: ImportedMission) -> list[str]:
     from boresight.pipeline.errors import DataNotSufficientError
     from boresight.pipeline.files.dump import open_dump
     from boresight.pipeline.files.stated_noise import state_noise
-    from boresight.pipeline.report.heads import noise_lines
-    from boresight.pipeline.settings import Settings
+    from boresight.pipeline.run.settings import Settings
     from boresight.pipeline.stages.head_records import noise_of_heads
 
     why = "the operator's attitude does not show its own errors"
@@ -138,6 +137,9 @@ def _noise_of(dump: Path, mission: ImportedMission) -> list[str]:
             why = str(error)
         else:
             state_noise(dump, dict(zip(found.names, found.fit.heads)))
-            return ["noise of the heads, estimated from their record:", *noise_lines(found)]
+            names = " and ".join(found.names)
+            return [
+                f"noise of {names} estimated from the record and stated in dump.toml; see `boresight noise`"
+            ]
     say(f"noise of the heads: white noise is ASSUMED in dump.toml ({why}); state it in [star_cameras.noise]")
     return []

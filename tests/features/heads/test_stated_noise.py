@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from handmade_sentinel2 import write_sentinel2
 
-from boresight.features.heads.stated_noise import state_noise
 from boresight.features.operators.imported_mission import write_imported
 from boresight.features.operators.sentinel2_import import sentinel2_mission
 from boresight.features.operators.sentinel2_product import read_sentinel2
@@ -17,6 +16,7 @@ from boresight.geometry.attitude_noise import AttitudeNoise
 from boresight.geometry.constants import ARCSEC
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.dump import open_dump
+from boresight.pipeline.files.stated_noise import state_noise
 
 MINI = Path(__file__).parents[3] / "fixtures" / "mini"
 NOISE = {
@@ -51,7 +51,8 @@ def test_noise_that_is_written_is_read_and_comments_stay(dump):
                 stated, found = getattr(NOISE[head.name], part), getattr(head.noise, part)
                 assert np.allclose(found, stated, rtol=1e-3), part
     changed = [line for line in before if line not in path.read_text().splitlines()]
-    assert all("arcsec" in line or line.strip(" ],.0123456789") == "" for line in changed)
+    assert 'origin = "assumed"' in changed  # `import` assumed it, now it is estimated
+    assert all("arcsec" in line or "origin" in line or line.strip(" ],.0123456789") == "" for line in changed)
     assert "[light]  # as the operator's software\n# by hand" in path.read_text()
 
 
