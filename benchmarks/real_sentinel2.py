@@ -28,7 +28,7 @@ from scipy.stats import chi2, f
 
 from boresight.calib.noise_spectrum import NoiseFit, Signal, fit_noise
 from boresight.calib.refining import fit_correction
-from boresight.features.operators.dimap_grid import grid_differences, operator_model
+from boresight.features.operators.dimap_grid import grid_differences
 from boresight.features.operators.imported_mission import write_imported
 from boresight.features.operators.sentinel2_grid import operator_orbit, operator_pushbroom
 from boresight.features.operators.sentinel2_import import sentinel2_mission
@@ -37,6 +37,7 @@ from boresight.geometry.constants import ARCSEC, WGS84
 from boresight.geometry.geodesy import ecef_from_geodetic, local_axes_e
 from boresight.geometry.groundlight import apparent_ground_directions
 from boresight.geometry.terrain import ConstantHeight
+from boresight.pipeline.files.dimap_metadata import operator_model
 from boresight.pipeline.files.dump import open_dump, read_earth_orientation
 from boresight.pipeline.files.stated_noise import state_noise
 from boresight.pipeline.run.settings import Settings
