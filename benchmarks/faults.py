@@ -32,7 +32,7 @@ Make = Callable[[Path], None]
 
 @dataclass(frozen=True)
 class Fault:
-    """One fault. `words` are regular expressions, all of which what is told first must match."""
+    """One fault. `words` are regular expressions, all of which what is named first must match."""
 
     kind: str
     item: str  # what is wrong: a strip, "CCD 0", a head, a target; "" for all
@@ -530,7 +530,7 @@ def _of_star_camera(facts: Facts, rng: np.random.Generator) -> Iterator[Fault]:
         (star + "|exposure|image", "mirror"),
     )
     yield Fault(
-        "star images turned by 180 deg",
+        "star images rotated by 180 deg",
         "",
         1,
         "",

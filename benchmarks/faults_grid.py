@@ -8,7 +8,7 @@ Each fault of `faults.py` is put into a copy of each dump of `fault_dumps.py` an
 leaves unchanged comes from the store of the sound dump's result. A run goes on where an earlier one of the
 same commit ended: WORK/faults_grid.jsonl keeps a line for each case; the table is written anew after each.
 
-Recorded are exit status, verdict, what is told first, and the error of the matrix against `truth/`. A case
+Recorded are exit status, verdict, what is named first, and the error of the matrix against `truth/`. A case
 is *green while wrong* if the verdict is consistent although an angle errs by more than 4 of its stated
 sigmas, and nothing of what the result says it cannot see names the fault.
 """
@@ -108,7 +108,7 @@ def calibrated(dump: Path, folder: Path, work: Path | None) -> tuple[int, float,
 
 
 def case_of(status: int, cpu_s: float, answer: dict[str, Any], R_true: Rotation) -> Case:
-    """What is told, and how wrong the matrix is."""
+    """What is named, and how wrong the matrix is."""
     result, error = answer.get("result") or {}, answer.get("error")
     case: Case = {"exit": status, "cpu_s": round(cpu_s, 2), "verdict": "", "told": [], "blind": []}
     if error or "installation" not in result:
@@ -165,7 +165,7 @@ def judged(case: Case) -> Case:
     for one in faults:
         accused |= set(ITEM.findall(one["item"] or ""))
     own = set(case["own"])
-    allowed = own | {name.partition("-")[0] for name in own}  # a target is told with its strip
+    allowed = own | {name.partition("-")[0] for name in own}  # a target is named with its strip
     innocents = accused if case["harmless"] else set() if "*" in own else accused - allowed
     blind = bool(case["blind_words"]) and any(
         re.search(case["blind_words"], one.lower()) for one in case["blind"]
@@ -285,7 +285,7 @@ def read(path: Path) -> list[Case]:
 
 
 def is_unnamed(case: Case, found: Case) -> bool:
-    """Whether something else was told first, where something had to be told."""
+    """Whether something else was told first, where something had to be named."""
     harmless = case["harmless"] or found["blind"] or (found["green"] and not found["wrong"])
     return case["times"] >= 3.0 and not found["named"] and not harmless
 

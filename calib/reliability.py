@@ -55,7 +55,7 @@ __all__ = ["HypothesisTest", "Reliability", "ReliabilitySettings", "Suspect", "b
 
 MOST_CAUSES = 3
 LEAST_REDUNDANCY = 0.01  # an error of which so little shows is a hundred times its own size before it does
-HIDDEN_SIGMA = 2.0  # harm that may stay hidden and is told
+HIDDEN_SIGMA = 2.0  # harm that may stay hidden and is named
 POWER = 0.9
 PROBABILITY_SUSPECT = 1e-3  # that any of all good observations is named
 MOST_SEARCHED = 16  # hypotheses under which rejected observations are searched anew, the likeliest ones

@@ -24,7 +24,7 @@ __all__ = ["PARTS", "StarEffects", "star_effects", "summed"]
 
 PARTS = ("focal length", "principal point, column", "principal point, row", "radial distortion")
 PERCENT = 1e-2
-TELLING = 30.0  # chi-square by which a part of the model is taken to be wrong
+INFORMATIVE = 30.0  # chi-square by which a part of the model is taken to be wrong
 FARTHEST_RAD = 5e-3  # a star farther from its place is another one
 MOST_ROUNDS = 5
 
@@ -65,7 +65,7 @@ def star_effects(strips: Sequence[StripSightings], camera: StarCamera, limit: fl
         own = np.diag(information)
         gain = np.divide(right**2, own, out=np.zeros(len(PARTS)), where=own > 0.0)
         best = int(np.argmax(gain))
-        if gain[best] < TELLING:
+        if gain[best] < INFORMATIVE:
             break
         size: Floats = np.where(np.arange(len(PARTS)) == best, right / np.maximum(own, 1e-300), 0.0)
         again = [_within(one, now, size, limit) for one, now in zip(stars, kept)]

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from importlib import import_module
 
-from boresight.pipeline.console.feature import AfterJoint, Feature
-from boresight.pipeline.console.program import function_at
+from boresight.pipeline.console.feature import Feature
 
-__all__ = ["after_joint", "features"]
+__all__ = ["features"]
 
 NAMES = (
     "sky_images",
@@ -27,8 +26,3 @@ NAMES = (
 def features() -> tuple[Feature, ...]:
     """All features, in the order of the program's help."""
     return tuple(import_module(f"boresight.features.{name}").FEATURE for name in NAMES)
-
-
-def after_joint() -> tuple[AfterJoint, ...]:
-    """What features do at the end of a calibration of several dumps."""
-    return tuple(function_at(one.after_joint) for one in features() if one.after_joint)

@@ -399,7 +399,7 @@ class LookAngleCamera:
         return 0.0
 
     def with_focal_plane(self, pixel_m: float = 1e-5) -> LineCamera:
-        """The same look directions as a camera with a focal plane, whose first pixels are `pixel_m` wide.
+        """A camera with a focal plane and these look directions, whose first pixels are `pixel_m` wide.
 
         Each detector is the chord of its table, and the table's difference from it the distortion. Exact at
         all samples, because both are cubic splines through the same ones.
@@ -409,7 +409,7 @@ class LookAngleCamera:
 
 
 def _ccd_of(table: LookTable, focal_m: float) -> Ccd:
-    """A look table as a detector in the focal plane; one of increasing `tan_y` is turned by 180 degrees."""
+    """A look table as a detector in the focal plane; one of increasing `tan_y` is rotated by 180 degrees."""
     points = -focal_m * np.column_stack([table.tan_x, table.tan_y])  # (x_f, y_f)
     k = len(table.samples) // 2
     from_principal = points - points[k]

@@ -55,6 +55,7 @@ class Stars(Result):
         return np.sqrt(0.5 * np.trace(self.cov_px, axis1=1, axis2=2))
 
     def summary(self) -> str:
+        """Three lines, as `print` shows them."""
         median = f"{np.median(self.sigma_px):.3f}" if len(self) else "-"
         return (
             f"{len(self)} stars in {self.size_px[0]} x {self.size_px[1]} px\n"
@@ -71,7 +72,7 @@ class Stars(Result):
         return pd.DataFrame(columns)
 
     def plot(self, ax: Axes | None = None, *, image: NDArray[np.generic] | None = None) -> Axes:
-        """Circles at the stars, over the image if it is given; blended stars dashed."""
+        """Circles at the stars, over the image (H, W) if it is given; blended stars dashed."""
         ax = _sky_axes(ax, self.size_px, image)
         for chosen, style in ((~self.blended, "-"), (self.blended, "--")):
             x, y = self.xy_px[chosen, 0], self.xy_px[chosen, 1]
@@ -100,6 +101,7 @@ class StarSolution(Outcome):
     __repr__ = Result.__repr__
 
     def summary(self) -> str:
+        """Three lines, as `print` shows them."""
         pointing, roll = self.sigma_arcsec
         return (
             f"RA {self.ra_deg:.5f} deg, Dec {self.dec_deg:+.5f} deg (1 sigma {pointing:.2f} arcsec), "
@@ -119,7 +121,7 @@ class StarSolution(Outcome):
         )
 
     def plot(self, ax: Axes | None = None, *, image: NDArray[np.generic] | None = None) -> Axes:
-        """Identified stars, the brightest 30 with Hipparcos numbers, over the image if it is given."""
+        """Identified stars, the brightest 30 with Hipparcos numbers, over the image (H, W) if given."""
         ax = _sky_axes(ax, self.stars.size_px, image)
         color = "black" if image is None else "yellow"
         ax.scatter(self.xy_px[:, 0], self.xy_px[:, 1], s=60, facecolors="none", edgecolors=color)
@@ -145,6 +147,7 @@ class CameraSolution(Outcome):
     __repr__ = Result.__repr__
 
     def summary(self) -> str:
+        """Three lines, as `print` shows them."""
         camera = self.camera
         x, y = camera.principal_px
         return (

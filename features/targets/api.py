@@ -33,6 +33,7 @@ class TargetMatches(Result):
         return int((self.measured["outcome"] == "placed").sum())
 
     def summary(self) -> str:
+        """Three lines, as `print` shows them."""
         good = self.measured[self.measured["outcome"] == "placed"]
         return (
             f"{len(self)} targets measured in {good['strip_id'].nunique()} strips\n"
@@ -77,6 +78,8 @@ def match_targets(dump: str | Path | Dump, *, strips: Sequence[str] | None = Non
     ------
     RawDataError
         If a file of the dump is missing or wrong; the message names file, field, found and expected.
+    ValueError
+        If the dump has no strip of that id.
 
     Examples
     --------

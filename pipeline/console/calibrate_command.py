@@ -42,6 +42,7 @@ from boresight.pipeline.console.messages import (
     say,
     wrong_usage,
 )
+from boresight.pipeline.console.program import function_at
 from boresight.pipeline.console.progress import progress_bars
 from boresight.pipeline.files.dump import Dump, open_dump
 from boresight.pipeline.results.requirement import Requirement
@@ -99,6 +100,7 @@ Overwrite = Annotated[
 
 
 def calibrate(
+    context: typer.Context,
     dumps: DumpsArgument,
     out: ResultFolder,
     settings: SettingsFile = None,
@@ -132,6 +134,7 @@ def calibrate(
         begun_s=begun_s,
         overwrite=overwrite,
         requirement=Requirement(require_arcsec, require_m),
+        after_joint=tuple(map(function_at, context.obj if len(dumps) > 1 else ())),
         facts={"workers": workers, "scheduler": scheduler} | _machine(),
     )
     outcome = _run(dumps, out, request, executor_on, allow_stale_eop, processors(workers))

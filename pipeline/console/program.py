@@ -29,12 +29,17 @@ def program(features: Iterable[Feature], words: Sequence[str] | None = None) -> 
         What follows the program's name on the command line. Only the command that they name is imported, the
         others are listed. Without it, all are imported.
     """
+    features = tuple(features)
+    after_joint = tuple(one.after_joint for one in features if one.after_joint)
     app = typer.Typer(
         name="boresight",
         help="On-orbit calibration of the installation matrix between star camera and remote-sensing camera.",
         no_args_is_help=True,
         pretty_exceptions_enable=False,
-        context_settings={"max_content_width": 110},
+        context_settings={
+            "max_content_width": 110,
+            "obj": tuple(one.after_joint for one in features if one.after_joint),
+        },
         rich_markup_mode=None,  # plain help: 0.3 s of CPU less
     )
     app.callback(invoke_without_command=True)(_program_options)

@@ -25,7 +25,7 @@ def span_text(epoch: Epoch, first_s: float, last_s: float) -> str:
 
 def orbit_covers(epoch: Epoch, t_s: Floats, time_system: str, file: str, strips: Sequence[Span]) -> str:
     """What an orbit covers, for a message; and the time system in which its dates would cover every strip,
-    where they do not as stated.
+    where they do not as stated. `t_s` (N,) are its states' times, s.
     """
     text = f"{file} covers {span_text(epoch, float(t_s[0]), float(t_s[-1]))}"
     if _covered(t_s, strips) < len(strips):
@@ -36,7 +36,8 @@ def orbit_covers(epoch: Epoch, t_s: Floats, time_system: str, file: str, strips:
 
 
 def check_orbit_dates(covers: str, epoch: Epoch, t_s: Floats, file: str, strips: Sequence[Span]) -> None:
-    """`RawDataError` where an orbit, which `covers` what `orbit_covers` says, has no time of any strip."""
+    """`RawDataError` where an orbit with states at `t_s` (N,), s, has no time of any strip; `covers` is what
+    `orbit_covers` says of it."""
     if strips and not _covered(t_s, strips):
         expected = f"states over {_dates_of(epoch, strips)}"
         raise RawDataError(file, "time of the states", covers.removeprefix(f"{file} covers "), expected)

@@ -107,7 +107,7 @@ class Head:
     R_cs0: Rotation = scalar("installation rotation measured before launch, frame s to frame c")
     sigma_installation_rad: Floats = array("3", "1-sigma error of `R_cs0`: rotation about the axes of c")
     noise: AttitudeNoise = scalar("errors of its attitudes beside those of its stars")
-    noise_is_assumed: bool = scalar("nobody stated or estimated that noise", default=False)
+    noise_is_assumed: bool = scalar("that noise is neither stated nor estimated", default=False)
     interpolation: Interpolation = scalar("between its attitudes")
     source: StarImages | StarCentroids | SolvedAttitudes = scalar("what the head delivers")
 

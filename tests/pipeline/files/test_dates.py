@@ -1,4 +1,4 @@
-"""Dates of orbit, exposures and strips that have nothing in common are told with file, found and expected."""
+"""Dates of orbit, exposures and strips with nothing in common: file, found and expected are named."""
 
 from __future__ import annotations
 

@@ -9,10 +9,11 @@ import sys
 from pathlib import Path
 
 import pytest
-from command_line import app, main
+from command_line import app
 from fixture_strips import FIXTURE, strip_of_fixture
 from typer.testing import CliRunner
 
+from boresight.console import main
 from boresight.pipeline.errors import DataNotSufficientError, RawDataError
 from boresight.pipeline.results.ownership import LOCK, MARKER, claimed, dump_identity
 from boresight.pipeline.run.settings import RunSettings, Settings

@@ -7,6 +7,7 @@ import os
 import shutil
 from dataclasses import dataclass
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 import pyarrow as pa
@@ -245,16 +246,16 @@ def test_a_run_reads_each_exposure_once(
     one_strip: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, executor: Executor, by_this_process: int
 ) -> None:
     """For key, image and digest of the inputs; what other processes have read is not read once more."""
-    dump, own = open_dump(one_strip), Path.read_bytes
+    dump, own = open_dump(one_strip), content.open_regular
     content._digests.clear()
     content._content.cache_clear()
     read: list[Path] = []
 
-    def noted(path: Path) -> bytes:
+    def noted(path: Path, buffering: int = -1) -> BinaryIO:
         read.append(path)
-        return own(path)
+        return own(path, buffering)
 
-    monkeypatch.setattr(Path, "read_bytes", noted)
+    monkeypatch.setattr(content, "open_regular", noted)
     request = RunRequest(settings=Settings(), begun_s=0.0, facts={}, report=False)
     run_dump(tmp_path / "result", dump, "one", request, executor, lambda stage, done, total: None)
     exposures = [exposure.path for exposure in dump.exposures]
