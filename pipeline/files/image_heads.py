@@ -26,8 +26,8 @@ def first_bytes(path: Path, file: str, n: int) -> bytes:
 
 
 def kept_head(path: Path, file: str, n: int) -> bytes:
-    """The first `n` bytes of a file that is then read whole, a small one being kept; `RawDataError` if it cannot
-    be read."""
+    """The first `n` bytes of a file that is then read whole, a small one being kept; `RawDataError` if it
+    cannot be read."""
     check_regular(path, file, "an image")
     try:
         content = small_content(path)

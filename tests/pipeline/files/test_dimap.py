@@ -187,8 +187,8 @@ def test_list_of_quaternions_that_are_none_is_refused(tmp_path):
 
 def test_sample_0_looks_to_the_side_of_minus_psi_x(tmp_path):
     # psi_x of column 0 is -0.01, so that u_y is +0.01; the handmade quaternion rotates about y, the orbit
-    # stays on meridian 0: the line of sight leaves it eastwards by 0.01 of the distance to the ground, less 1.3e-4
-    # by which the quaternion's polynomials have turned about z until then.
+    # stays on meridian 0: the line of sight leaves it eastwards by 0.01 of the distance to the ground, less
+    # 1.3e-4 by which the quaternion's polynomials have turned about z until then.
     (tmp_path / "dimap.xml").write_text(dimap_text())
     strip = read_dimap(tmp_path / "dimap.xml", bundled_earth_orientation(), OFF)
     first, last = strip.pushbroom.ground_points(0, [0.0, 19_999.0], [0.0, 0.0], ConstantHeight(0.0))
