@@ -38,6 +38,7 @@ OWN_FILES = (
     + [f"interior/{n}" for n in "interior.json interior.png remote_camera.toml".split()]
     + [f"drift.{kind}" for kind in ("json", "csv", "png")]
     + [f"sightings/{n}.parquet" for n in "stars exposures targets strips passes omissions".split()]
+    + ["sightings/reliability.parquet"]
     + [f"evidence/{n}.parquet" for n in "inputs convergence angles matches exposure ground".split()]
     + [f"evidence/{n}" for n in "unmatched.parquet map.parquet allan.parquet context.json".split()]
 )
