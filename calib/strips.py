@@ -33,7 +33,7 @@ from boresight.calib.shared_unknowns import (
     coordinate_covariance,
     earth_axes,
 )
-from boresight.geometry.attitude import Interpolation, interpolation_weights
+from boresight.geometry.attitude import Interpolation, InterpolationNodes, interpolation_weights
 from boresight.geometry.attitude_estimate import cross_matrices, with_attitudes
 from boresight.geometry.record import Bools, Floats, Ints, Texts, array, record, scalar
 from boresight.geometry.sightings import ExposureAttitudes, GroundSightings, StripSightings
@@ -82,6 +82,7 @@ class PreparedStrip:
     ties: tuple[HeadTie, ...] = scalar("rows of the other heads")
     is_star: Bools = array("J", "targets that are stars")
     carrier: str = scalar("head that carries the strip; empty: the reference head")
+    n_phi: int = scalar("attitude unknowns, the first of `unknowns`")
 
     def seen(self) -> SeenTargets:
         """The strip's targets, as far as other strips may share unknowns with them."""
@@ -138,23 +139,26 @@ def prepare_strip(strip: StripSightings, settings: CalibrationSettings) -> Prepa
     attitudes = with_attitudes([strip], settings.attitudes)[0].attitudes
     assert attitudes is not None
     ground, used = strip.ground, attitudes.usable
-    times = np.array([exposure.t_s for exposure in strip.exposures])[used]
-    inside, weights = _weights(times, ground.t_s, strip.interpolation)
-    R_si = _interpolated(
-        attitudes.R_si[used], strip.R_oi_exposures, used, strip.R_oi_targets, weights, inside
+    nodes = InterpolationNodes.of_exposures(
+        np.array([exposure.t_s for exposure in strip.exposures])[used],
+        Rotation.from_matrix(attitudes.R_si[used]),
+        strip.R_oi_exposures[used],
     )
+    inside, weights = _weights(nodes.t_s, ground.t_s, strip.interpolation)
+    R_si = _interpolated(nodes, strip.R_oi_targets, weights, inside)
     v_s = np.einsum("jab,jb->ja", R_si, ground.u_i)
     move_s = R_si @ _direction_by_position(ground)  # (J, 3, 3) per metre
-    root = _root_of_attitude_errors(strip, attitudes.covariance_s[used], times, settings)
+    own_s = nodes.covariance(attitudes.covariance_s[used])
+    root = _root_of_attitude_errors(strip, own_s, nodes.t_s, settings)
     phi = -cross_matrices(v_s) @ np.tensordot(weights, root, axes=1)
     position = move_s * settings.sigma_position_m
-    rate_s = _rotation_rate(times, attitudes.R_si[used])
+    rate_s = _rotation_rate(nodes)
     late = move_s @ ground.v_rel_i[:, :, None] + np.cross(rate_s, v_s)[:, :, None]
     clock = late * settings.sigma_clock_s
     own = coordinate_covariance(ground.cov_target_i, ground.t_s, ground.u_i, ground.is_star)
-    ties = _ties(strip, times, attitudes.R_si[used], used, root, settings)
+    ties = _ties(strip, nodes, root, settings)
     curve, place = places_on_curves(ground.ccd, ground.xy_px[:, 0], ground.u_c, settings.distortion_pixel_rad)
-    names = [f"phi/{k}/{axis}" for k in range(len(times)) for axis in "xyz"]
+    names = [f"phi/{k}/{axis}" for k in range(len(nodes.t_s)) for axis in "xyz"]
     return PreparedStrip(
         strip_id=strip.strip_id,
         attitudes=attitudes,
@@ -165,7 +169,7 @@ def prepare_strip(strip: StripSightings, settings: CalibrationSettings) -> Prepa
         sample=ground.xy_px[:, 0],
         line=ground.xy_px[:, 1],
         t_s=ground.t_s,
-        weights=weights,
+        weights=weights @ nodes.share,
         curve=curve,
         place=place,
         u_c=ground.u_c,
@@ -181,24 +185,18 @@ def prepare_strip(strip: StripSightings, settings: CalibrationSettings) -> Prepa
         ties=ties,
         is_star=ground.is_star,
         carrier=strip.carrier,
+        n_phi=len(names),
     )
 
 
 def _ties(
-    strip: StripSightings,
-    times: Floats,
-    R_si: Floats,
-    used: Bools,
-    root: Floats,
-    settings: CalibrationSettings,
+    strip: StripSightings, nodes: InterpolationNodes, root: Floats, settings: CalibrationSettings
 ) -> tuple[HeadTie, ...]:
     """Rows of the other heads over the strip, by the names of the heads."""
-    if not len(times):
+    if not len(nodes.t_s):
         return ()
-    carrier, nominal = Rotation.from_matrix(R_si), strip.R_oi_exposures[used]
-    vibration = settings.sigma_vibration_rad
     return tuple(
-        tie_of_head(other, times, carrier, nominal, root, vibration)
+        tie_of_head(other, nodes.t_s, nodes.R_si, nodes.R_oi, root, settings.sigma_vibration_rad)
         for other in sorted(strip.others, key=lambda one: one.head)
     )
 
@@ -226,7 +224,7 @@ def group_strips(
             continue
         n = 2 * len(_own_knots(strip, settings)) + 3 * len(_seen_again(strip, shared))
         h = sum(len(tie.r) for tie in strip.ties)
-        shapes.setdefault((int(strip.used.sum()), len(strip.ccd), n, h), []).append(place)
+        shapes.setdefault((strip.n_phi, len(strip.ccd), n, h), []).append(place)
     return [_group(strips, np.array(places), shared, settings) for places in shapes.values()]
 
 
@@ -300,7 +298,7 @@ def _group(
     looks, delays = zip(*(_interior(strip, shared) for strip in members))
     across, again, white = zip(*(_coordinates(strip, shared) for strip in members))
     fields = ("inside", "u_c", "cov_c", "v_s")
-    n_phi = 3 * int(members[0].used.sum())
+    n_phi = members[0].n_phi
     return StripGroup(
         place=place,
         shared_s=np.stack(
@@ -360,30 +358,22 @@ def _weights(times: Floats, t_s: Floats, interpolation: Interpolation) -> tuple[
 
 
 def _interpolated(
-    R_si: Floats,
-    R_oi_exposures: Rotation,
-    used: Bools,
-    R_oi_targets: Rotation,
-    weights: Floats,
-    inside: Bools,
+    nodes: InterpolationNodes, R_oi_targets: Rotation, weights: Floats, inside: Bools
 ) -> Floats:
     """Attitudes (J, 3, 3) at the targets' instants; the identity where the exposures do not cover them."""
     R_si_targets = np.tile(np.eye(3), (len(weights), 1, 1))
-    if not inside.any():
-        return R_si_targets
-    here = interpolated(
-        Rotation.from_matrix(R_si), R_oi_exposures[used], weights[inside], R_oi_targets[inside]
-    )
-    R_si_targets[inside] = here.as_matrix()
+    if inside.any():
+        here = interpolated(nodes.R_si, nodes.R_oi, weights[inside], R_oi_targets[inside])
+        R_si_targets[inside] = here.as_matrix()
     return R_si_targets
 
 
-def _rotation_rate(times: Floats, R_si: Floats) -> Floats:
+def _rotation_rate(nodes: InterpolationNodes) -> Floats:
     """Mean rotation rate (3,) of the sky in frame s, rad/s; zero for one exposure alone."""
-    if len(times) < 2:
+    if len(nodes.t_s) < 2:
         return np.zeros(3)
-    rotvec = Rotation.from_matrix(R_si[-1] @ R_si[0].T).as_rotvec()
-    return np.asarray(rotvec / (times[-1] - times[0]))
+    rotvec = (nodes.R_si[-1] * nodes.R_si[0].inv()).as_rotvec()
+    return np.asarray(rotvec / (nodes.t_s[-1] - nodes.t_s[0]))
 
 
 def _direction_by_position(ground: GroundSightings) -> Floats:

@@ -26,6 +26,7 @@ __all__ = [
     "ConstantRate",
     "EarthFixedAttitude",
     "Interpolation",
+    "InterpolationNodes",
     "NominalMotion",
     "interpolation_weights",
     "lagrange_weights",
@@ -34,6 +35,7 @@ __all__ = [
 Array = NDArray[np.float64]
 Interpolation = Literal["lagrange", "taylor"]  # names of the ways between attitudes; see `AttitudeTrack`
 _TAYLOR_POINTS = 8
+_NEAR = 0.1  # of the mean step: exposures nearer to one another give no slope
 
 
 class Attitude(Protocol):
@@ -107,8 +109,46 @@ def interpolation_weights(
 
 
 @record
+class InterpolationNodes:
+    """N nodes of an interpolation from K exposures: those nearer together than a tenth of the mean step are
+    one node, their mean.
+
+    A polynomial through two attitudes a millisecond apart has their noise as its slope. The covariance of
+    such a node is that of one exposure: vibration, the places of stars on the pixels, or the very same image
+    make errors in so short a time that are the same.
+    """
+
+    t_s: Floats = array("N", "instants, TAI seconds since the epoch")
+    R_si: Rotation = array("N", "attitudes, GCRS to frame s")
+    R_oi: Rotation = array("N", "nominal attitudes, GCRS to frame o")
+    share: Floats = array("N, K", "of each exposure in each node; rows sum to 1")
+
+    @classmethod
+    def of_exposures(cls, t_s: Floats, R_si: Rotation, R_oi: Rotation) -> InterpolationNodes:
+        """The nodes of exposures (K,) in order of time."""
+        step = np.diff(t_s)
+        near = step < _NEAR * step.mean() if len(step) else np.zeros(0, dtype=bool)
+        if not near.any():
+            return cls(t_s, R_si, R_oi, np.eye(len(t_s)))
+        group = np.concatenate([[0], np.cumsum(~near)])
+        share = (group == np.arange(group[-1] + 1)[:, None]) / np.bincount(group)[:, None]
+        first = np.flatnonzero(np.concatenate([[True], ~near]))
+
+        def mean(R: Rotation) -> Rotation:
+            return Rotation.from_rotvec(share @ (R * R[first][group].inv()).as_rotvec()) * R[first]
+
+        nominal = mean(R_oi)
+        return cls(share @ t_s, mean(R_si * R_oi.inv()) * nominal, nominal, share)
+
+    def covariance(self, of_exposures: Floats) -> Floats:
+        """Covariances (N, 3, 3) of the nodes' attitudes from those of the exposures (K, 3, 3)."""
+        return np.asarray(np.tensordot(self.share, of_exposures, axes=1))
+
+
+@record
 class AttitudeTrack:
-    """Attitudes at K exposures, interpolated between them.
+    """Attitudes at K exposures, interpolated between them; those of nearly the same instant are one node
+    (`InterpolationNodes`).
 
     Raises `ValueError` for fewer than two exposures or instants that do not increase.
     """
@@ -133,9 +173,18 @@ class AttitudeTrack:
         k = len(self.t_s)
         if k < 2 or np.any(np.diff(self.t_s) <= 0.0):
             raise ValueError(f"AttitudeTrack needs two or more instants in increasing order, got {k}")
-        R_so = self.R_si_nodes * self.nominal.R_oi(self.t_s).inv()
-        object.__setattr__(self, "_R_so_middle", R_so[k // 2])
-        object.__setattr__(self, "_rotvec_s", (R_so * R_so[k // 2].inv()).as_rotvec())
+        nodes = InterpolationNodes.of_exposures(self.t_s, self.R_si_nodes, self.nominal.R_oi(self.t_s))
+        R_so = nodes.R_si * nodes.R_oi.inv()
+        middle = R_so[len(R_so) // 2]
+        named = {
+            "t_s": nodes.t_s,
+            "R_si_nodes": nodes.R_si,
+            "cov_s": None if self.cov_s is None else nodes.covariance(self.cov_s),
+            "_R_so_middle": middle,
+            "_rotvec_s": (R_so * middle.inv()).as_rotvec(),
+        }
+        for name, value in named.items():
+            object.__setattr__(self, name, value)
 
     @property
     def span_s(self) -> tuple[float, float]:

@@ -41,6 +41,14 @@ def error_s(track, t_s, arcsec=12.0):
     return (track.R_si(t_s) * true_attitude(t_s, arcsec).inv()).as_rotvec()
 
 
+def noisy_track(t_s, sigma_rad=2e-6):
+    """Attitudes with errors of that size; equal errors at instants of the same tenth of a second."""
+    draws = np.random.default_rng(5).normal(0.0, sigma_rad, (1000, 3))[np.round(10.0 * t_s).astype(int)]
+    noise = Rotation.from_rotvec(draws)
+    covariance = np.tile(sigma_rad**2 * np.eye(3), (len(t_s), 1, 1))
+    return AttitudeTrack(t_s, noise * true_attitude(t_s), Nominal(), covariance)
+
+
 EXPOSURES = 10.0 + 0.2 * np.arange(14)
 INSIDE = np.random.default_rng(3).uniform(10.0, 12.6, 3000)
 
@@ -70,6 +78,25 @@ def test_weights_pick_the_node_itself_and_the_nearest_four():
     assert weights[0] == pytest.approx(np.eye(14)[3], abs=1e-12)
     assert np.flatnonzero(weights[1]).tolist() == [4, 5, 6, 7]
     assert weights[1][4:8] == pytest.approx([-1 / 16, 9 / 16, 9 / 16, -1 / 16], abs=1e-9)
+
+
+@pytest.mark.parametrize("copies", [2, 3, 9])
+def test_exposures_of_nearly_one_instant_are_one_node(copies):
+    repeated = (EXPOSURES[:, None] + 1e-3 * np.arange(copies)).ravel()
+    once, again = noisy_track(EXPOSURES), noisy_track(repeated)
+    inside = INSIDE[INSIDE < EXPOSURES[-1]]
+    # The mean of copies lies up to 4 ms later, in which the waves move by 0.1 arcsec.
+    apart = (again.R_si(inside) * once.R_si(inside).inv()).magnitude()
+    assert apart.max() < 0.1 * ARCSEC
+    assert np.sqrt(np.mean(error_s(again, inside) ** 2)) < 2e-6  # rad, of one exposure
+    stated = [track.covariance_s(inside).mean(axis=0) for track in (again, once)]
+    # relative: nodes 4 ms later among steps of 200 ms change a weight by some 2 %
+    np.testing.assert_allclose(*stated, rtol=0.02, atol=1e-20)
+
+
+def test_exposures_a_quarter_of_a_step_apart_stay_nodes_of_their_own():
+    uneven = np.sort(np.concatenate([EXPOSURES, EXPOSURES[:3] + 0.05]))
+    assert len(noisy_track(uneven).t_s) == len(uneven)
 
 
 def test_instants_are_taken_up_to_half_a_step_outside():
