@@ -23,6 +23,7 @@ from boresight.pipeline.errors import Cause, DataNotSufficientError, Omission, R
 from boresight.pipeline.files.dump import Dump
 from boresight.pipeline.files.record_tables import plain
 from boresight.pipeline.files.text_files import read_json
+from boresight.pipeline.files.whole_file import make_own_folder
 from boresight.pipeline.results.folder import begin_result, results_in, store_of
 from boresight.pipeline.results.ownership import claimed
 from boresight.pipeline.results.reading import read_findings, read_result
@@ -177,6 +178,7 @@ def _jointly_calibrated(
 
         try:
             folder, root = out / named.name, named.dump.root
+            make_own_folder(folder)
             with claimed(folder, [root], request.settings, overwrite=request.overwrite):
                 own = inputs_of([named.dump], request.settings)
                 found = _calibrated(folder, named.dump, str(root), own, request, executor, report_progress)
@@ -209,7 +211,7 @@ def _calibrated(
     progress: Progress,
 ) -> Calibration:
     begin_result(out)
-    (out / "work").mkdir(exist_ok=True)
+    make_own_folder(out / "work")
     inputs.know_images(executor, exposures=False)  # exposures are read once, where their stars are found
     overviews: dict[tuple[str, int], Any] = {}
     try:

@@ -9,13 +9,16 @@ import re
 import time
 import uuid
 import zlib
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+from boresight.pipeline.errors import RawDataError
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["is_vacant", "remove_abandoned", "write_figure", "write_text", "write_whole"]
+__all__ = ["is_vacant", "make_own_folder", "remove_abandoned", "write_figure", "write_text", "write_whole"]
 
 _TEMPORARY = re.compile(r"\..+\.boresight-([0-9a-f]{8})-([0-9]+)-[0-9a-f]{8}\.tmp")
 _OTHER_HOST_S = 86_400.0  # after a day another machine's temporary file counts as abandoned
@@ -42,6 +45,17 @@ def write_whole(path: Path, write: Any) -> None:
 def is_vacant(folder: Path) -> bool:
     """Whether a folder is missing or empty, and may be filled."""
     return not folder.exists() or (folder.is_dir() and not any(folder.iterdir()))
+
+
+def make_own_folder(folder: Path) -> None:
+    """Make a folder inside a result; its parent has to be there. `RawDataError` where it is a link or a file:
+    what a run writes stays inside the folder that the user named.
+    """
+    with suppress(FileExistsError):
+        folder.mkdir()
+    if folder.is_symlink() or not folder.is_dir():
+        found = "a link" if folder.is_symlink() else "a file"
+        raise RawDataError(str(folder), "folder of the result", found, "a folder; remove what is there")
 
 
 def write_text(path: Path, text: str) -> None:

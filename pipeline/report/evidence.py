@@ -46,7 +46,7 @@ from boresight.pipeline.files.record_tables import columns_of, plain
 from boresight.pipeline.files.star_side import StarImages
 from boresight.pipeline.files.table_files import arrow_array, fixed_list
 from boresight.pipeline.files.text_files import read_toml
-from boresight.pipeline.files.whole_file import write_whole
+from boresight.pipeline.files.whole_file import make_own_folder, write_whole
 from boresight.pipeline.report.findings import findings
 from boresight.pipeline.report.ground_accuracy import accuracy_by_strip, predicted_accuracy
 from boresight.pipeline.report.ground_map import USED, ground_table, scene_json, scene_pictures, scenes_of
@@ -84,7 +84,7 @@ def write_evidence(
     by strip and CCD, are not made again.
     """
     folder, executor = result / "evidence", executor or InOrder()
-    folder.mkdir(parents=True, exist_ok=True)
+    make_own_folder(folder)
     scenes = scenes_of(dump, calibration)
     ground = ground_table(scenes, dump, calibration)
     parts = (

@@ -3,7 +3,8 @@
     boresight-result.json   marks the folder; states what dump and settings the result is made from
     .boresight-lock         process and host of the run that uses the folder
 
-Only files that a run itself writes are ever removed.
+Only files that a run itself writes are ever removed. Nothing is written before the folder is accepted, and
+no link in it is followed.
 """
 
 from __future__ import annotations
@@ -13,8 +14,9 @@ import json
 import os
 import re
 import socket
+import stat
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -51,6 +53,10 @@ class Origin:
 
     dump: str = scalar("of dump.toml and the tables that it names; of several dumps, of all of these")
     settings: str = scalar("of the settings that were given")
+
+    def is_same(self, other: Origin) -> bool:
+        """Whether both digests are equal."""
+        return (self.dump, self.settings) == (other.dump, other.settings)
 
 
 def dump_identity(root: Path) -> str:
@@ -98,16 +104,25 @@ def claimed(
 ) -> Iterator[None]:
     """Own a result folder while a run writes into it. The folder is made, marked and locked.
 
-    `RawDataError` where the folder is a dump or lies in one, holds files that are not a result's, holds the
-    result of another dump or of other settings (unless `overwrite`), or is used by another run.
+    `RawDataError` where the folder is a dump or lies in one, holds files that are not a result's or links,
+    holds the result of another dump or of other settings (unless `overwrite`), is used by another run, or, at
+    the end of the block, was moved or deleted.
     """
     _check_place(result, dumps)
     identities = sorted(dump_identity(dump) for dump in dumps)
     origin = Origin(identities[0] if len(dumps) == 1 else digest(identities), digest(settings))
+    _accepted(result, origin, overwrite)
     result.mkdir(parents=True, exist_ok=True)
-    with _locked(result):
-        _take_over(result, origin, dumps, overwrite)
-        yield
+    with _locked(result) as check_is_there:
+        before = _accepted(result, origin, overwrite)
+        if before is None or not before.is_same(origin):
+            _take_over(result, origin, dumps)
+        try:
+            yield
+        except OSError:
+            check_is_there()
+            raise
+        check_is_there()
 
 
 def _check_place(result: Path, dumps: Sequence[Path]) -> None:
@@ -120,28 +135,49 @@ def _check_place(result: Path, dumps: Sequence[Path]) -> None:
             raise RawDataError("--out", str(result), f"a folder of the dump {dump}", "a folder outside of it")
 
 
-def _take_over(result: Path, origin: Origin, dumps: Sequence[Path], overwrite: bool) -> None:
+def _accepted(result: Path, origin: Origin, overwrite: bool) -> Origin | None:
+    """What the folder holds a result of, if any; `RawDataError` where a run of `origin` must not write."""
+    if not result.is_dir():
+        return None
+    if os.path.lexists(result / LOCK):
+        _check_lock(result / LOCK, os.lstat(result / LOCK))  # not opened: a close would release its lock
+    _check_no_links(result)
     before = origin_of(result)
-    same = before is not None and (before.dump, before.settings) == (origin.dump, origin.settings)
     if before is None:
         ours = re.compile(rf"{re.escape(LOCK)}|\.{re.escape(MARKER)}\..*\.tmp")
         others = sorted(entry.name for entry in result.iterdir() if not ours.fullmatch(entry.name))
         if others:
             raise _not_ours(result, others)
-    elif not same:
+    elif not before.is_same(origin) and not overwrite:
         another = "another dump" if before.dump != origin.dump else "other settings"
-        if not overwrite:
-            expected = "another folder, or --overwrite to replace that result"
-            raise RawDataError("--out", str(result), f"a result of {another}", expected)
-        _remove_own(result, work=before.dump != origin.dump)
-    if same:
-        return
+        expected = "another folder, or --overwrite to replace that result"
+        raise RawDataError("--out", str(result), f"a result of {another}", expected)
+    return before
+
+
+def _check_no_links(result: Path) -> None:
+    """`RawDataError` where the marker, or a folder that a run writes into, is a link."""
+    own = {result / MARKER, *(result / Path(name).parts[0] for name in OWN_FILES), result / "work"}
+    own |= {*(result / "work").glob("*")} if not (result / "work").is_symlink() else set()
+    if links := sorted(path for path in own if path.is_symlink()):
+        expected = "a folder without links; remove the link, or name another folder"
+        raise RawDataError("--out", str(result), f"a link, {links[0].relative_to(result)}", expected)
+
+
+def _take_over(result: Path, origin: Origin, dumps: Sequence[Path]) -> None:
+    """Remove the result of something else and mark the folder. Finished units of the same dump, or of an
+    edited one in the same place, stay: they are used again or replaced one by one.
+    """
+    folders = [str(dump) for dump in dumps]
+    if (before := origin_of(result)) is not None:
+        elsewhere = read_json(result / MARKER).get("folders") != folders
+        _remove_own(result, work=before.dump != origin.dump and elsewhere)
     content: dict[str, Any] = {
         "program": f"boresight {__version__}",
         "dump": origin.dump,
         "settings": origin.settings,
     }
-    content |= {"folders": [str(dump) for dump in dumps]}
+    content |= {"folders": folders}
     text = json.dumps(content, indent=2) + "\n"
     write_text(result / MARKER, text)
 
@@ -161,8 +197,10 @@ def _not_ours(result: Path, names: list[str]) -> RawDataError:
 def _remove_own(result: Path, *, work: bool) -> None:
     """Remove what runs wrote into a result folder and into those of its dumps; `work`: finished units too."""
     for name in dumps_in(result):
-        if origin_of(result / name) is not None:
-            _remove_own(result / name, work=True)
+        if origin_of(result / name) is None:
+            continue
+        _remove_own(result / name, work=work)
+        if work:
             (result / name / MARKER).unlink()
             (result / name / LOCK).unlink(missing_ok=True)
             _remove_empty(result / name)
@@ -182,10 +220,20 @@ def _remove_empty(folder: Path) -> None:
 
 
 @contextmanager
-def _locked(result: Path) -> Iterator[None]:
-    """Lock the folder; the system releases the lock of a process that ends in whatever way."""
+def _locked(result: Path) -> Iterator[Callable[[], None]]:
+    """Lock the folder; the system releases the lock of a process that ends in whatever way. The block gets a
+    function that raises `RawDataError` where the locked file is no longer in its place.
+    """
     path = result / LOCK
-    with path.open("a+", encoding="utf-8") as stream:
+    with open(_open_lock(path), "r+", encoding="utf-8") as stream:
+
+        def check_is_there() -> None:
+            with suppress(OSError):
+                if os.path.samestat(path.stat(follow_symlinks=False), os.fstat(stream.fileno())):
+                    return
+            found = "a folder that was moved or deleted during the run"
+            raise RawDataError("--out", str(result), found, "the folder of the run until it ends; run again")
+
         if not _lock(stream):
             stream.seek(0)
             owner = stream.read(200).strip() or "another run"
@@ -193,8 +241,30 @@ def _locked(result: Path) -> Iterator[None]:
         stream.truncate(0)
         stream.write(f"process {os.getpid()} on {socket.gethostname()}")
         stream.flush()
-        yield
+        yield check_is_there
         stream.truncate(0)
+
+
+def _open_lock(path: Path) -> int:
+    """Descriptor of the lock, which is made if it is not there; `RawDataError` for a link or another kind."""
+    flags = os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
+    try:
+        descriptor = os.open(path, flags, 0o666)
+    except OSError:
+        _check_lock(path, os.lstat(path))
+        raise
+    try:
+        _check_lock(path, os.fstat(descriptor))
+    except RawDataError:
+        os.close(descriptor)
+        raise
+    return descriptor
+
+
+def _check_lock(path: Path, status: os.stat_result) -> None:
+    if not stat.S_ISREG(status.st_mode) or status.st_nlink != 1:
+        found = "a link or another file than a run's lock"
+        raise RawDataError("--out", str(path), found, "the lock of a run; remove what is there")
 
 
 def _lock(stream: Any) -> bool:

@@ -29,7 +29,7 @@ from boresight.pipeline.errors import Omission
 from boresight.pipeline.files.record_tables import columns_of, plain
 from boresight.pipeline.files.table_files import arrow_array, arrow_rows, fixed_list
 from boresight.pipeline.files.text_files import json_text
-from boresight.pipeline.files.whole_file import remove_abandoned, write_text, write_whole
+from boresight.pipeline.files.whole_file import make_own_folder, remove_abandoned, write_text, write_whole
 from boresight.pipeline.results.folder import DUMPS
 from boresight.pipeline.run.digests import digest
 from boresight.pipeline.run.settings import Settings
@@ -86,7 +86,7 @@ def write_result(result: Path, calibration: Calibration, settings: Settings) -> 
 def write_sightings(result: Path, calibration: Calibration) -> None:
     """Write the tables in the folder `sightings`."""
     tables = result / "sightings"
-    tables.mkdir(parents=True, exist_ok=True)
+    make_own_folder(tables)
     _write_groups(tables / "stars.parquet", _star_groups(calibration))
     _write_groups(tables / "exposures.parquet", [_exposures_table(calibration)])
     matched = {one.strip_id: one for one in calibration.observed}
@@ -115,7 +115,7 @@ def write_joint_result(
 ) -> None:
     """Write the joint result of several dumps; their own stand in its folders. `installation.json` last."""
     tables = result / "sightings"
-    tables.mkdir(parents=True, exist_ok=True)
+    make_own_folder(tables)
     matched = {f"{name}/{one.strip_id}": one for name, found in of_dumps.items() for one in found.observed}
     estimate = joint.estimate
     _write_groups(tables / "targets.parquet", _target_groups(estimate.targets, joint.strips, matched))
@@ -148,9 +148,7 @@ def write_run(result: Path, facts: dict[str, Any]) -> None:
 
 def write_json(path: Path, content: dict[str, Any]) -> None:
     """Write `content` as JSON, whole or not at all; null stands for what is not finite."""
-    text = json_text(content) + "\n"
-    path.parent.mkdir(parents=True, exist_ok=True)
-    write_text(path, text)
+    write_text(path, json_text(content) + "\n")
 
 
 def verdict_json(verdict: Verdict, rows: Sequence[Rows] = ()) -> dict[str, Any]:

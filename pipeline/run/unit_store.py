@@ -19,7 +19,7 @@ import pyarrow.parquet as pq
 from boresight.geometry.record import record, scalar
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.table_files import read_parquet
-from boresight.pipeline.files.whole_file import write_whole
+from boresight.pipeline.files.whole_file import make_own_folder, write_whole
 
 __all__ = ["UnitStore", "read_meta", "read_unit"]
 
@@ -43,7 +43,8 @@ class UnitStore:
     def write(self, stage: str, name: str, key: str, table: pa.Table, meta: Mapping[str, Any]) -> Path:
         """Write a finished unit, remove older results of the same unit, and return the file's path."""
         path = self.path(stage, name, key)
-        path.parent.mkdir(parents=True, exist_ok=True)
+        for folder in (self.root, *reversed(path.relative_to(self.root).parents[:-1])):
+            make_own_folder(self.root / folder)
         remarks = json.dumps(dict(meta), sort_keys=True).encode()
         stated = table.replace_schema_metadata({META: remarks, SEAL: _seal(table, remarks)})
 

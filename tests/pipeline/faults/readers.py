@@ -155,6 +155,7 @@ def _write_result(result: Path) -> None:
 
 
 def _write_units(folder: Path) -> None:
+    (folder / "run").mkdir()
     rng, store = np.random.default_rng(1), UnitStore(folder / "run" / "work")
     u = rng.normal(size=(9, 3))
     u /= np.linalg.norm(u, axis=1, keepdims=True)

@@ -8,6 +8,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pyarrow as pa
 import pytest
 from command_line import app
 from fixture_strips import FIXTURE, strip_of_fixture
@@ -15,6 +16,8 @@ from typer.testing import CliRunner
 
 from boresight.console import main
 from boresight.pipeline.errors import DataNotSufficientError, RawDataError
+from boresight.pipeline.files.whole_file import make_own_folder, write_whole
+from boresight.pipeline.results.folder import store_of
 from boresight.pipeline.results.ownership import LOCK, MARKER, claimed, dump_identity
 from boresight.pipeline.run.settings import RunSettings, Settings
 
@@ -165,6 +168,111 @@ def test_second_run_in_one_folder_is_refused_with_the_owner(tmp_path: Path) -> N
         first.wait()
     with claimed(tmp_path / "out", [FIXTURE], Settings()):  # the lock of a killed run is released
         pass
+
+
+def everything(folder: Path) -> dict[str, bytes | str]:
+    """All files and links below a folder, links by their target."""
+    return {
+        path.relative_to(folder).as_posix(): f"-> {path.readlink()}"
+        if path.is_symlink()
+        else path.read_bytes()
+        if path.is_file()
+        else b""
+        for path in folder.rglob("*")
+    }
+
+
+LINKED = [LOCK, MARKER, "sightings", "evidence", "interior", "work", "work/exposures"]
+
+
+@pytest.mark.parametrize(("name", "hard"), [(LOCK, True), *((name, False) for name in LINKED)])
+def test_link_inside_a_result_is_refused_and_its_target_left_as_it_is(
+    name: str, hard: bool, tmp_path: Path
+) -> None:
+    out, target = tmp_path / "out", tmp_path / "target"
+    with claimed(out, [FIXTURE], Settings()):
+        (out / Path(name).parent).mkdir(exist_ok=True)
+    (out / name).unlink(missing_ok=True)
+    if name in (LOCK, MARKER):
+        target.write_text((out / MARKER).read_text() if name == LOCK else "{}")
+    else:
+        (target / "exposures").mkdir(parents=True)
+        (target / "exposures" / f"a.{32 * '0'}.parquet").write_text("precious")
+        (target / "stars.parquet").write_text("precious")
+    if hard:
+        (out / name).hardlink_to(target)
+    else:
+        (out / name).symlink_to(target)
+    before = everything(tmp_path)
+    for settings in (Settings(), Settings(run=RunSettings(passes=3))):
+        with pytest.raises(RawDataError, match=r"link.*remove"):
+            with claimed(out, [FIXTURE], settings, overwrite=True):
+                pass
+    assert everything(tmp_path) == before
+
+
+@pytest.mark.parametrize("name", ["sightings", "evidence", "work"])
+def test_link_made_while_a_run_lasts_is_not_written_through(name: str, tmp_path: Path) -> None:
+    (tmp_path / "out").mkdir()
+    (tmp_path / "target").mkdir()
+    (tmp_path / "out" / name).symlink_to(tmp_path / "target")
+    with pytest.raises(RawDataError, match=rf"out/{name}: folder of the result: found a link"):
+        if name == "work":
+            store_of(tmp_path / "out").write("exposures", "e1", 32 * "0", pa.table({"a": [1]}), {})
+        else:
+            make_own_folder(tmp_path / "out" / name)
+    assert everything(tmp_path / "target") == {}
+
+
+def test_refused_folder_of_others_gets_no_file(tmp_path: Path) -> None:
+    (tmp_path / "letter.txt").write_text("precious")
+    with pytest.raises(RawDataError, match="a new or empty folder"), claimed(tmp_path, [FIXTURE], Settings()):
+        pass
+    assert everything(tmp_path) == {"letter.txt": b"precious"}
+
+
+@pytest.mark.parametrize("event", ["moved", "deleted", "replaced"])
+def test_result_folder_that_is_moved_or_deleted_during_a_run_fails_it(
+    event: str,
+    one_strip: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture,
+) -> None:
+    out = tmp_path / "out"
+
+    def taken_away(*arguments: object) -> None:
+        if event == "deleted":
+            shutil.rmtree(out)
+        else:
+            out.rename(tmp_path / "elsewhere")
+        if event == "replaced":
+            out.mkdir()
+        write_whole(out / "sightings" / "stars.parquet", lambda path: path.write_text("x"))
+
+    monkeypatch.setattr("boresight.pipeline.calibration_run.calibrate_dump", taken_away)
+    status, said = told(monkeypatch, capsys, "calibrate", str(one_strip), "--out", str(out), "--workers", "1")
+    assert status == 1 and "moved or deleted during the run" in said
+    assert not out.exists() or everything(out) == {}
+
+
+def test_overwrite_after_an_edited_table_keeps_the_units_that_do_not_depend_on_it(
+    mine: tuple[Path, Path], tmp_path: Path
+) -> None:
+    dump, out = mine
+    marker = json.loads((out / MARKER).read_text()) | {"folders": [str(dump)]}
+    (out / MARKER).write_text(json.dumps(marker))
+    units = {name for name in contents(out) if name.startswith("work/")}
+    with (dump / "targets.csv").open("a") as file:
+        file.write("\n")
+    with claimed(out, [dump], Settings(), overwrite=True):
+        pass
+    assert set(contents(out)) == {MARKER, *units} and len(units) > 10
+    moved = shutil.copytree(dump, tmp_path / "another")
+    (moved / "targets.csv").write_text((moved / "targets.csv").read_text() + "\n")
+    with claimed(out, [moved], Settings(), overwrite=True):
+        pass
+    assert set(contents(out)) == {MARKER}
 
 
 @pytest.mark.parametrize("command", ["validate", "geolocate", "export"])

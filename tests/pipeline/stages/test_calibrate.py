@@ -179,7 +179,7 @@ def test_run_started_again_makes_nothing_twice_and_gives_the_same(
 def test_bad_exposure_is_left_out_with_its_reason_and_only_it_is_made_again(
     one_strip: Path, tmp_path: Path
 ) -> None:
-    store = store_of(tmp_path / "result")
+    store = store_of(tmp_path)
     before = calibrate_dump(open_dump(one_strip), Settings(), store, InOrder())
     names = sorted(path.name for path in (one_strip / "exposures").iterdir())[3:12:3]
     for name in names:
