@@ -24,7 +24,8 @@ from boresight.features.drift.mounting_drift import (
     step_dates,
 )
 from boresight.pipeline.errors import DataNotSufficientError
-from boresight.pipeline.files.whole_file import write_figure, write_whole
+from boresight.pipeline.files.text_tables import table_csv
+from boresight.pipeline.files.whole_file import write_figure, write_text
 from boresight.pipeline.results.writing import write_json
 
 __all__ = ["plot_drift", "write_drift"]
@@ -39,7 +40,7 @@ def write_drift(dated: DatedDrift, out: Path) -> list[Path]:
     figure = plot_drift(table, step_dates(dated) if dated.drift.moved else None, drift_verdict(dated))
     written = [out / f"drift.{ending}" for ending in ("json", "csv", "png")]
     write_json(written[0], drift_json(dated))
-    write_whole(written[1], lambda path: table.to_csv(path, index=False, float_format="%.9g"))
+    write_text(written[1], table_csv(table, "%.9g"))
     write_figure(written[2], figure)
     return written
 

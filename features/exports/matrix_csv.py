@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from typing import Any
 
 from boresight.features.exports.notes import Notes
+from boresight.pipeline.files.text_tables import csv_line
 
 __all__ = ["matrix_csv"]
 
@@ -25,9 +24,5 @@ def matrix_csv(installation: dict[str, Any], notes: Notes) -> str:
     rows += [(f"euler_{axis}_deg", value) for axis, value in zip(_AXES, installation["euler_zxy_deg"])]
     covariance = installation["covariance_rad2"]
     rows += [(f"cov_{_AXES[i]}{_AXES[j]}_rad2", covariance[i][j]) for i in range(3) for j in range(3)]
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(["name", "value"])
-    writer.writerows((name, repr(float(value))) for name, value in rows)
-    writer.writerows(notes.items().items())
-    return text.getvalue()
+    lines = [("name", "value"), *((name, float(value)) for name, value in rows), *notes.items().items()]
+    return "".join(csv_line(line) + "\n" for line in lines)

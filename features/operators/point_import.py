@@ -7,7 +7,6 @@ neither heights nor errors, a GeoTIFF no errors; both are given by the caller.
 from __future__ import annotations
 
 import csv
-import io
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
@@ -21,6 +20,7 @@ from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.content import check_regular
 from boresight.pipeline.files.dump_schema import PointRow
 from boresight.pipeline.files.text_files import check_number, read_text
+from boresight.pipeline.files.text_tables import csv_line
 
 __all__ = ["MeasuredPoints", "PointErrors", "points_csv", "read_measured_points"]
 
@@ -65,14 +65,12 @@ def read_measured_points(path: Path, errors: PointErrors, image: str | None = No
 
 def points_csv(points: MeasuredPoints, strip: str, ccd: int, height_kind: str) -> str:
     """Text of a points.csv with these points in one CCD of a strip."""
-    out = io.StringIO()
-    rows = csv.writer(out, lineterminator="\n")
-    rows.writerow(PointRow.model_fields)
+    lines = [csv_line(PointRow.model_fields)]
     for n, name in enumerate(points.names):
         measured = [*points.xy_px[n].tolist(), *points.sigma_px[n].tolist()]
         place = [*points.lat_lon_height[n].tolist(), height_kind, *points.sigma_m[n].tolist()]
-        rows.writerow([name, strip, ccd, *measured, *place])
-    return out.getvalue()
+        lines.append(csv_line([name, strip, ccd, *measured, *place]))
+    return "".join(line + "\n" for line in lines)
 
 
 def _points(

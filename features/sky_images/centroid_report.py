@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.star_images import read_star_image
 from boresight.pipeline.files.text_files import read_text
-from boresight.pipeline.files.whole_file import write_figure, write_whole
+from boresight.pipeline.files.text_tables import table_csv
+from boresight.pipeline.files.whole_file import write_figure, write_text
 from boresight.star_id.finding.star_list import StarList, find_stars
 from boresight.star_id.score import CentroidScore, score_centroids
 from boresight.star_id.settings import StarSettings
@@ -67,7 +68,7 @@ def score_images(
             truths.append(_truth_of(true_stars, path, len(images), str(truth)))
     if out is not None:
         whole = pd.concat(tables)
-        write_whole(out, lambda target: whole.to_csv(target, index=False, lineterminator="\n"))
+        write_text(out, table_csv(whole))
     if true_stars is None:
         return None
     psf = (

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import json
-from collections.abc import Iterable
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
@@ -34,6 +31,7 @@ from boresight.pipeline.console.messages import (
     tell,
     wrong_usage,
 )
+from boresight.pipeline.files.text_tables import csv_line
 
 __all__ = ["identify"]
 
@@ -74,7 +72,7 @@ def identify(
     if as_fits and times is not None:
         raise wrong_usage("--fits and --times exclude one another: a header states places of the catalogue")
     if as_csv:
-        print_data(_csv_line(FIELDS))
+        print_data(csv_line(FIELDS))
     named = lines = 0
     request = Request(camera, fov, dark, Whereabouts(times, orbit, site), as_fits, out, overlay)
     for line in identify_images(images, request, star_settings(settings)):
@@ -82,7 +80,7 @@ def identify(
         if as_json:
             print_data(json.dumps(line.record))
         elif as_csv:
-            print_data(_csv_line([line.record.get(name, "") for name in FIELDS]))
+            print_data(csv_line([line.record.get(name, "") for name in FIELDS]))
         else:
             tell(line.text)
         if as_fits and line.found is not None:
@@ -96,9 +94,3 @@ def identify(
         f"identified {named} of {lines} images" + (f" -> {out}" if out else "")
     )
     return Answer(exit_status=DONE if named else DATA_DID_NOT_ALLOW)
-
-
-def _csv_line(values: Iterable[Any]) -> str:
-    line = io.StringIO()
-    csv.writer(line, lineterminator="").writerow(values)
-    return line.getvalue()

@@ -15,6 +15,8 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from boresight.gct_match.records import Refusal, TargetMatch
+from boresight.pipeline.files.text_tables import table_csv
+from boresight.pipeline.files.whole_file import write_text
 from boresight.pipeline.stages.strip import StripTask, strip_matches
 
 __all__ = ["StripLine", "match_strips", "matches_table", "overlay_picture", "write_matches"]
@@ -57,7 +59,7 @@ def write_matches(path: Path, lines: Sequence[StripLine]) -> None:
     if path.suffix == ".parquet":
         table.to_parquet(path, index=False)
     else:
-        table.to_csv(path, index=False, lineterminator="\n")
+        write_text(path, table_csv(table))
 
 
 def matches_table(lines: Sequence[StripLine]) -> pd.DataFrame:

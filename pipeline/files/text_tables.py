@@ -1,15 +1,25 @@
-"""Write tables of text: TOML, and CSV with one line of column names."""
+"""Write tables of text: TOML, and CSV with one line of column names.
+
+Spreadsheets run a cell that begins with one of `= + - @`, tab or line end as a formula. Text from inputs
+(names of files, ids of other programs) therefore gets an apostrophe before such a character; numbers do not.
+"""
 
 from __future__ import annotations
 
 import csv
+import io
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import tomli_w
 
-__all__ = ["write_csv", "write_toml"]
+if TYPE_CHECKING:
+    import pandas as pd
+
+__all__ = ["csv_line", "table_csv", "write_csv", "write_toml"]
+
+FORMULA = ("=", "+", "-", "@", "\t", "\r", "\n")
 
 
 def write_toml(path: Path, tables: Mapping[str, Any]) -> None:
@@ -23,3 +33,20 @@ def write_csv(path: Path, columns: Sequence[str], rows: Iterable[Sequence[Any]])
         table = csv.writer(stream, lineterminator="\n")
         table.writerow(columns)
         table.writerows(rows)
+
+
+def csv_line(values: Iterable[Any]) -> str:
+    """One line of CSV, without its end, in which no text is a formula."""
+    line = io.StringIO()
+    csv.writer(line, lineterminator="\r\n").writerow([_no_formula(value) for value in values])
+    return line.getvalue().removesuffix("\r\n")  # the writer quotes what its end of lines contains
+
+
+def table_csv(table: pd.DataFrame, float_format: str | None = None) -> str:
+    """CSV text of a table, in which no text is a formula."""
+    texts = {str(n): table[n].map(_no_formula) for n in table if table[n].dtype.kind not in "biuf"}
+    return str(table.assign(**texts).to_csv(index=False, lineterminator="\n", float_format=float_format))
+
+
+def _no_formula(value: Any) -> Any:
+    return f"'{value}" if isinstance(value, str) and value.startswith(FORMULA) else value

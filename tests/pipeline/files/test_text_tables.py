@@ -1,0 +1,51 @@
+"""CSV that is written: no text of an input is a formula in a spreadsheet, and no number is changed."""
+
+from __future__ import annotations
+
+import csv
+import io
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from command_line import app
+from PIL import Image
+from typer.testing import CliRunner
+
+from boresight.pipeline.files.text_tables import csv_line, table_csv
+
+HARMFUL = ("=cmd|' /C calc'!A0", "+1+1", "-2+3", "@SUM(1)", "\t=1", "\r=1", "\n=1")
+
+
+@pytest.mark.parametrize("text", HARMFUL)
+def test_text_that_begins_like_a_formula_gets_an_apostrophe_and_is_otherwise_kept(text: str) -> None:
+    cells = next(csv.reader(io.StringIO(csv_line([text, -1.5, "a=b", None, True]), newline="")))
+    assert cells == [f"'{text}", "-1.5", "a=b", "", "True"]
+    table = pd.DataFrame({"file": [text, "sky.png"], "x": [-1.5, np.nan], "n": [-1, 2]})
+    read = list(csv.reader(io.StringIO(table_csv(table), newline="")))
+    assert read == [["file", "x", "n"], [f"'{text}", "-1.5", "-1"], ["sky.png", "", "2"]]
+
+
+def test_table_without_rows_and_numbers_of_a_stated_format() -> None:
+    empty = pd.DataFrame({"file": pd.Series(dtype=object), "x": pd.Series(dtype=float)})
+    assert table_csv(empty) == "file,x\n"
+    assert table_csv(pd.DataFrame({"x": [-1.0 / 3.0]}), "%.3g") == "x\n-0.333\n"
+
+
+def test_names_of_images_are_no_formulas_in_what_identify_and_centroids_write(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    pixels = np.random.default_rng(1).poisson(50.0, (64, 64)).astype(np.uint8)
+    pixels[30:33, 40:43] = 200
+    Image.fromarray(pixels).save("=1+1.png")
+    ran = CliRunner().invoke(app, ["identify", "./=1+1.png", "=1+1.png", "--fov", "10", "--csv"])
+    lines = list(csv.DictReader(io.StringIO(ran.stdout)))
+    assert [line["file"] for line in lines] == ["'=1+1.png", "'=1+1.png"], ran.output
+    ran = CliRunner().invoke(app, ["centroids", "=1+1.png", "--out", "stars.csv"])
+    assert ran.exit_code == 0, ran.output
+    with Path("stars.csv").open(newline="") as stream:
+        found = list(csv.DictReader(stream))
+    assert found and {row["file"] for row in found} == {"'=1+1.png"}
+    assert abs(float(found[0]["x_px"]) - 41.0) < 0.5, found[0]  # the star drawn at columns 40 to 42
