@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 from boresight.geometry.constants import ARCSEC
 from boresight.pipeline.files.dump import open_dump
 from boresight.pipeline.results.reading import read_result
-from boresight.pipeline.results.validate import Validation, validate
+from boresight.pipeline.results.validate import TruthErrors, validate
 
 COMMAND = (sys.executable, "-m", "boresight")
 
@@ -50,7 +50,7 @@ class Run:
     seed: int
     simulated: Step
     calibrated: Step
-    validation: Validation
+    validation: TruthErrors
     exposures: int
     stars: int
     targets: int

@@ -5,7 +5,7 @@
     stars = bs.find_stars(image)                   # stars of a raw image, with covariances
     solution = bs.identify(image, fov_deg=20)      # where it points; false if not identified
     match = bs.match_template(template, picture, start_px=(84, 88))
-    est = bs.calibrate("fixtures/mini")            # raw pixels to installation matrix
+    est = bs.calibrate(bs.example("mini"))         # raw pixels to installation matrix
     est.R_cs, est.cov_theta, est.report("report.html")
 
 All names of `__all__` are imported on first use. The rooms behind them (`boresight.geometry`, `.star_id`,
@@ -17,9 +17,11 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:  # what a type checker and an editor see; at run time `__getattr__` imports the same
+    from boresight.accepted import ImageLike, PathLike, RotationLike, SiteLike, TimeLike
     from boresight.features.geolocate.api import geolocate
     from boresight.features.planning.api import forecast
-    from boresight.features.simulation.api import simulate
+    from boresight.features.planning.campaign_plan import PlanForecast
+    from boresight.features.simulation.api import example, simulate
     from boresight.features.sky_images.api import (
         CameraSolution,
         Stars,
@@ -29,33 +31,51 @@ if TYPE_CHECKING:  # what a type checker and an editor see; at run time `__getat
         identify,
     )
     from boresight.features.targets.api import TargetMatches, match_targets
-    from boresight.geometry.line_camera import LineCamera
+    from boresight.gct_match.settings import MatchSettings
+    from boresight.geometry.line_camera import Ccd, LineCamera, LookAngleCamera
     from boresight.geometry.star_camera import StarCamera
     from boresight.matching import Match, NotMatched, match_template
-    from boresight.missions import Calibration, calibrate, read_result, validate
-    from boresight.pipeline.errors import DataNotSufficientError, RawDataError
-    from boresight.pipeline.files.dump import open_dump
+    from boresight.missions import Calibration, Validation, calibrate, read_result, validate
+    from boresight.pipeline.errors import DataNotSufficientError, RawDataError, WorkerError
+    from boresight.pipeline.files.dump import Dump, open_dump
+    from boresight.pipeline.run.settings import Settings
     from boresight.star_id.identification.identify import NotIdentified
+    from boresight.star_id.settings import StarSettings
     from boresight.vectors import calibrate_vectors
     from boresight.version import __version__
 
 __all__ = [
     "Calibration",
     "CameraSolution",
+    "Ccd",
     "DataNotSufficientError",
+    "Dump",
+    "ImageLike",
     "LineCamera",
+    "LookAngleCamera",
     "Match",
+    "MatchSettings",
     "NotIdentified",
     "NotMatched",
+    "PathLike",
+    "PlanForecast",
     "RawDataError",
+    "RotationLike",
+    "Settings",
+    "SiteLike",
     "StarCamera",
+    "StarSettings",
     "StarSolution",
     "Stars",
     "TargetMatches",
+    "TimeLike",
+    "Validation",
+    "WorkerError",
     "__version__",
     "calibrate",
     "calibrate_star_camera",
     "calibrate_vectors",
+    "example",
     "find_stars",
     "forecast",
     "geolocate",
@@ -69,18 +89,23 @@ __all__ = [
 ]
 
 _MODULES = {
+    "accepted": "ImageLike PathLike RotationLike SiteLike TimeLike",
     "features.geolocate.api": "geolocate",
     "features.planning.api": "forecast",
-    "features.simulation.api": "simulate",
+    "features.planning.campaign_plan": "PlanForecast",
+    "features.simulation.api": "example simulate",
     "features.sky_images.api": "CameraSolution StarSolution Stars calibrate_star_camera find_stars identify",
     "features.targets.api": "TargetMatches match_targets",
-    "geometry.line_camera": "LineCamera",
+    "gct_match.settings": "MatchSettings",
+    "geometry.line_camera": "Ccd LineCamera LookAngleCamera",
     "geometry.star_camera": "StarCamera",
     "matching": "Match NotMatched match_template",
-    "missions": "Calibration calibrate read_result validate",
-    "pipeline.errors": "DataNotSufficientError RawDataError",
-    "pipeline.files.dump": "open_dump",
+    "missions": "Calibration Validation calibrate read_result validate",
+    "pipeline.errors": "DataNotSufficientError RawDataError WorkerError",
+    "pipeline.files.dump": "Dump open_dump",
+    "pipeline.run.settings": "Settings",
     "star_id.identification.identify": "NotIdentified",
+    "star_id.settings": "StarSettings",
     "vectors": "calibrate_vectors",
     "version": "__version__",
 }

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import html
-from typing import TYPE_CHECKING, Literal
+from importlib import import_module
+from typing import TYPE_CHECKING, Any, Literal
 
 if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.axes import Axes
 
-__all__ = ["Outcome", "Result", "axes_or_new"]
+__all__ = ["Outcome", "Result", "axes_or_new", "feature_function"]
 
 
 class Result:
@@ -56,3 +57,11 @@ def axes_or_new(ax: Axes | None) -> Axes:
     figure, new = subplots(layout="constrained")
     assert isinstance(figure, Figure)
     return new
+
+
+def feature_function(feature: str, name: str) -> Any:
+    """A public function of a feature; `ImportError` where the feature was taken out of the package."""
+    try:
+        return getattr(import_module(f"boresight.features.{feature}.api"), name)
+    except ModuleNotFoundError as error:
+        raise ImportError(f"this installation has no feature {feature!r}, which {name} needs") from error

@@ -7,19 +7,24 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike
 
+from boresight.accepted import count_of, floats_of, instance_of, wrong
 from boresight.display import Outcome, Result, axes_or_new
 from boresight.gct_match.locate import match_template as match_arrays
 from boresight.gct_match.records import Refusal as NotMatched
 from boresight.gct_match.records import TemplateMatch
 from boresight.gct_match.settings import MatchSettings
-from boresight.geometry.record import record
+from boresight.geometry.record import Floats, record
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 __all__ = ["Match", "NotMatched", "match_template"]
+
+
+LEAST_RADIUS_PX, MOST_RADIUS_PX, MOST_PX = 4, 1000, 1e6
+LARGEST_VALUE = 1e15  # of a grey value: squares and sums of it stay finite
 
 
 @record(kw_only=True)
@@ -56,10 +61,10 @@ class Match(TemplateMatch, Outcome):
 
 
 def match_template(
-    template: NDArray[np.generic],
-    picture: NDArray[np.generic],
+    template: ArrayLike,
+    picture: ArrayLike,
     *,
-    start_px: tuple[float, float],
+    start_px: ArrayLike,
     radius_px: int = 8,
     settings: MatchSettings = MatchSettings(),  # noqa: B008
 ) -> Match | NotMatched:
@@ -90,7 +95,8 @@ def match_template(
     Raises
     ------
     ValueError
-        If an array is not two-dimensional, the template too small or `radius_px` below 4.
+        If an array is not two-dimensional, the template is too small or larger than the picture, `start_px`
+        is not in the picture or `radius_px` is not from 4 to 1000.
 
     Examples
     --------
@@ -101,7 +107,30 @@ def match_template(
     >>> [round(float(x), 2) for x in match.xy_px] if match else match.sentence
     [81.5, 91.5]
     """
-    found = match_arrays(template, picture, start_px, radius_px, settings=settings)
+    chosen = instance_of(settings, MatchSettings, "settings")
+    radius = count_of(radius_px, "radius_px", LEAST_RADIUS_PX, MOST_RADIUS_PX)
+    small, large = _grey_values(template, "template"), _grey_values(picture, "picture")
+    if min(small.shape) < chosen.smallest_template_px:
+        raise wrong("template", f"shape {small.shape}", f"at least {chosen.smallest_template_px} px a side")
+    if small.shape[0] > large.shape[0] or small.shape[1] > large.shape[1]:
+        raise wrong("picture", f"shape {large.shape}", f"at least {small.shape}, the template's")
+    start = floats_of(start_px, "start_px", "(2,)")
+    if start.shape != (2,) or not np.isfinite(start).all():
+        raise wrong("start_px", start_px, "(column, row), finite numbers")
+    if not (np.abs(start) <= MOST_PX).all():
+        raise wrong("start_px", start.tolist(), f"pixels up to {MOST_PX:g}")
+    found = match_arrays(small, large, (float(start[0]), float(start[1])), radius, settings=chosen)
     if isinstance(found, NotMatched):
         return found
     return Match(**{field.name: getattr(found, field.name) for field in fields(found)})
+
+
+def _grey_values(value: ArrayLike, name: str) -> Floats:
+    """Grey values (H, W); NaN marks what is not to be used."""
+    array = floats_of(value, name, "(H, W)")
+    if array.ndim != 2 or not array.size:
+        raise wrong(name, array, "grey values of shape (H, W)")
+    with np.errstate(invalid="ignore"):
+        if np.any(np.abs(array) > LARGEST_VALUE):
+            raise wrong(name, "values beyond 1e15", "grey values; NaN where there is none")
+    return array

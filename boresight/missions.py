@@ -1,37 +1,67 @@
-"""The installation matrix from a dump: estimated, read back and validated."""
+"""The installation matrix from a dump: estimated, read back, exported and validated."""
 
 from __future__ import annotations
 
 import dataclasses
+import os
+import re
+import shutil
 import tempfile
 import time
+import weakref
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 import pandas as pd
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
+from scipy.special import chdtrc
 
-from boresight.display import Result, axes_or_new
+from boresight.accepted import PathLike, count_of, listed, new_folder_of, path_of, source_of, wrong
+from boresight.display import Result, axes_or_new, feature_function
+from boresight.features.table import features
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.record import Floats, array, record, scalar
-from boresight.pipeline.calibration_run import RunRequest, run_dump
+from boresight.pipeline.calibration_run import RunRequest, run_dump, run_dumps
+from boresight.pipeline.errors import Cause, Omission, RawDataError
 from boresight.pipeline.files.dump import Dump, open_dump
+from boresight.pipeline.files.object_store import dump_folder
+from boresight.pipeline.results.folder import dumps_in
 from boresight.pipeline.results.reading import SavedResult
 from boresight.pipeline.results.reading import read_result as saved_in
-from boresight.pipeline.results.validate import Validation
+from boresight.pipeline.results.summary import validation_summary
+from boresight.pipeline.results.validate import TruthErrors
 from boresight.pipeline.results.validate import validate as against_truth
-from boresight.pipeline.results.writing import write_result
+from boresight.pipeline.results.writing import write_result, write_run
 from boresight.pipeline.run.settings import Settings, read_settings
 from boresight.pipeline.run.workers import executor_for
 from boresight.pipeline.stages.calibrate import Calibration as StageCalibration
 from boresight.pipeline.stages.calibrate import calibrate_dump
+from boresight.pipeline.stages.joint import open_dumps
 from boresight.version import __version__
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["Calibration", "calibrate", "read_result", "validate"]
+__all__ = ["Calibration", "Validation", "calibrate", "read_result", "validate"]
+
+DumpLike = PathLike | Dump
+STARS = {"exposure_id": "exposure", "hip": "hip", "normalised": "statistic", "kept": "kept"}
+TARGETS = {"strip_id": "strip_id", "target_id": "target_id", "ccd": "ccd", "correlation": "correlation"}
+MOST_LINES = 20
+
+
+class _Scratch:
+    """A folder that exists as long as this object: the files of a result that was given no folder."""
+
+    def __init__(self) -> None:
+        self.path = Path(tempfile.mkdtemp(prefix="boresight-"))
+        self._end = weakref.finalize(self, shutil.rmtree, self.path, ignore_errors=True)
 
 
 @record(kw_only=True)
@@ -39,29 +69,41 @@ class Calibration(Result):
     """The installation matrix `R_cs` with its covariance.
 
     `R_cs = exp[[theta]] R_cs0`, a rotation by -theta about the axes of the remote-sensing camera's frame c
-    (docs/conventions.md). `cov_theta` includes all errors that the mission states.
+    (docs/conventions.md). `cov_theta` includes all errors that the mission states. A calibration is
+    `os.PathLike`, the path of its result folder: functions that take that folder take the calibration, too.
     """
 
     R_cs: Rotation = scalar("star-camera frame s to remote-sensing-camera frame c")
     theta: Floats = array("3", "deviation from the pre-launch matrix R_cs0, rad, axes of c")
     cov_theta: Floats = array("3, 3", "covariance of theta, rad², axes of c")
     counts: str = scalar("exposures, stars, strips and targets that the estimate uses")
-    chi2: float | None = scalar(
-        "squared residuals of targets over their variances; None from vectors", default=None
-    )
-    dof: int | None = scalar("its degrees of freedom", default=None)
+    chi2: float = scalar("squared residuals of targets over their variances")
+    dof: int = scalar("its degrees of freedom")
     targets: pd.DataFrame = scalar(
-        "one row a target sighting: residuals in arcsec about x and y of c, kept or not"
+        "one row a target sighting: residuals in arcsec about x and y of c, statistic, p_value, kept"
+    )
+    not_used: pd.DataFrame = scalar("one row an item that the estimate does not use: kind, name, reason")
+    facts: Mapping[str, Any] = scalar("verdict and blind spots as installation.json has them", repr=False)
+    stars: pd.DataFrame | None = scalar(
+        "of vectors: one row a star; of dumps `residuals('stars')` reads them", default=None, repr=False
     )
     saved: SavedResult | None = scalar(
         "what the result folder holds; None from vectors", default=None, repr=False
     )
-    folder: Path | None = scalar("the result folder, if there is one", default=None)
+    folder: Path | None = scalar("the result folder, if one was given", default=None)
+    _scratch: _Scratch | None = scalar("files of a result without folder", default=None, repr=False)
     _run: tuple[Dump, StageCalibration, Settings] | None = scalar(
         "of a run in memory", default=None, repr=False
     )
 
     __repr__ = Result.__repr__
+
+    def __fspath__(self) -> str:
+        """The result folder; `ValueError` from vectors, which have none."""
+        place = self.folder or (self._scratch.path if self._scratch else None)
+        if place is None:
+            raise ValueError("this result is from vectors and has no folder, the result of a dump is needed")
+        return os.fspath(place)
 
     @property
     def sigma_arcsec(self) -> Floats:
@@ -70,19 +112,70 @@ class Calibration(Result):
 
     @property
     def verdict(self) -> str:
-        """`consistent` or `refuted`, by the statistics of the result itself; `not assessed` from vectors."""
-        stated = None if self.saved is None else self.saved.installation.get("verdict")
-        return str(stated["outcome"]) if isinstance(stated, dict) else "not assessed"
+        """`consistent`, `consistent, findings`, `not checkable` or `refuted`, by the statistics of the result
+        itself.
+        """
+        stated = self.facts.get("verdict")
+        return str(stated["outcome"]) if isinstance(stated, dict) and "outcome" in stated else "not assessed"
+
+    @property
+    def p_value(self) -> float:
+        """Probability of so large a chi2, if errors are as stated."""
+        return float(chdtrc(self.dof, self.chi2)) if self.dof > 0 else 1.0
+
+    @property
+    def checks(self) -> pd.DataFrame:
+        """One row a test of the verdict: kind, statistic, expected, n, p_value, limit, holds."""
+        names = ["kind", "statistic", "expected", "n", "p_value", "limit", "holds"]
+        return pd.DataFrame(self._of_verdict("checks"), columns=names)
+
+    @property
+    def findings(self) -> pd.DataFrame:
+        """One row an input that looks wrong: cause, item, text, refutes, effect_sigma."""
+        names = ["cause", "item", "text", "refutes", "effect_sigma"]
+        return pd.DataFrame(self._of_verdict("findings"), columns=names)
+
+    @property
+    def blind_spots(self) -> pd.DataFrame:
+        """One row an error of an input that the data cannot show, or only after it has moved theta by more
+        than 2 sigma: cause, item, unit, effect of one unit about x, y, z of c in arcsec, hidden_sigma.
+        """
+        rows = [
+            {name: one.get(name) for name in ("cause", "item", "unit", "is_unseen", "hidden_sigma")}
+            | {f"effect_{axis}_arcsec": e / ARCSEC for axis, e in zip("xyz", one.get("effect_rad") or [])}
+            for one in self.facts.get("blind_spots") or []
+        ]
+        effects = [f"effect_{axis}_arcsec" for axis in "xyz"]
+        return pd.DataFrame(rows, columns=["cause", "item", "unit", *effects, "is_unseen", "hidden_sigma"])
+
+    def _of_verdict(self, key: str) -> list[dict[str, Any]]:
+        stated = self.facts.get("verdict")
+        return list(stated.get(key) or []) if isinstance(stated, dict) else []
+
+    def residuals(self, of: Literal["targets", "stars"] = "targets") -> pd.DataFrame:
+        """Residuals, one row an observation, in arcsec, with statistic (chi-square of 2 degrees of freedom),
+        p_value and kept: of targets about x and y of frame c, of stars about x and y of frame s.
+        """
+        if of not in ("targets", "stars"):
+            raise wrong("of", of, "'targets' or 'stars'")
+        if of == "targets":
+            return self.targets
+        return self.stars if self.stars is not None else _star_residuals(Path(self))
 
     def summary(self) -> str:
+        """Matrix, fit, counts, the verdict's sentence, what is not used: few lines, as `print` shows them."""
         theta, sigma = self.theta / ARCSEC, self.sigma_arcsec
         angles = ", ".join(f"{name} {t:+.3f} +- {s:.3f}" for name, t, s in zip("XYZ", theta, sigma))
-        fit = (
-            "from vectors"
-            if self.chi2 is None
-            else f"{self.verdict}, chi2 / dof {self.chi2:.1f} / {self.dof}"
-        )
-        return f"R_cs: theta {angles} arcsec\n{fit}\n{self.counts}"
+        stated = self.facts.get("verdict")
+        sentence = stated.get("sentence") if isinstance(stated, dict) else None
+        fit = f"{sentence or self.verdict}\nchi2 / dof {self.chi2:.1f} / {self.dof} (p {self.p_value:.2g})"
+        return f"R_cs: theta {angles} arcsec\n{fit}\nfrom {self.counts}\n{self._not_used_line()}"
+
+    def _not_used_line(self) -> str:
+        groups = Counter(zip(self.not_used["kind"].tolist(), self.not_used["cause"].tolist()))
+        parts = [f"{n} {kind}{'s' if n > 1 else ''} ({cause})" for (kind, cause), n in groups.most_common()]
+        more = f" and {len(parts) - 6} kinds more" if len(parts) > 6 else ""
+        return f"not used: {', '.join(parts[:6]) or 'nothing'}{more}"
 
     def table(self) -> pd.DataFrame:
         """One row an axis of c: theta_arcsec, sigma_arcsec, and the correlations with x, y, z."""
@@ -92,12 +185,8 @@ class Calibration(Result):
         return pd.DataFrame(columns | {f"correlation_{name}": row for name, row in zip("xyz", correlation)})
 
     def plot(self, ax: Axes | None = None) -> Axes:
-        """Residuals of the targets about the axes of c; from vectors, the 1-sigma of each axis as bars."""
+        """Residuals of the targets about the axes of c."""
         ax = axes_or_new(ax)
-        if not len(self.targets):
-            ax.bar(list("XYZ"), self.sigma_arcsec, color="0.6", edgecolor="black")
-            ax.set_ylabel("1 sigma, arcsec")
-            return ax
         for kept, marker in ((True, "o"), (False, "x")):
             rows = self.targets[self.targets["kept"] == kept]
             label = f"{len(rows)} {'kept' if kept else 'rejected'}"
@@ -108,55 +197,132 @@ class Calibration(Result):
         ax.legend(title="targets")
         return ax
 
-    def report(self, path: str | Path) -> Path:
+    def report(self, path: PathLike) -> Path:
         """Write the report, one HTML page that needs no network; the path written.
 
-        Raises `ValueError` for a result from vectors, which has no images to show.
+        Raises `ValueError` for a result from vectors, which has no images to show, and for a joint result
+        without a folder.
         """
-
         from boresight.pipeline.report.evidence import write_evidence  # with the page: Matplotlib, 0.3 s
         from boresight.pipeline.report.page import write_report
 
+        page, folder = path_of(path, "path"), Path(self)
         if self.folder is None and self._run is None:
-            raise ValueError("a report needs the result of a dump, this one is from vectors")
-        with tempfile.TemporaryDirectory() as scratch:
-            folder = self.folder or Path(scratch)
-            if self._run is not None and self.folder is None:
-                dump, found, settings = self._run
-                write_evidence(folder, dump, found, settings)
-                write_result(folder, found, settings)
-            Path(path).write_bytes(write_report(folder).read_bytes())
-        return Path(path)
+            raise ValueError("path: found a joint result without a folder, expected one made with out=FOLDER")
+        if self._run is not None:
+            dump, found, settings = self._run
+            write_evidence(folder, dump, found, settings)
+        page.write_bytes(write_report(folder).read_bytes())
+        return page
+
+    def export(
+        self,
+        formats: str | Sequence[str],
+        path: PathLike,
+        *,
+        dump: DumpLike | None = None,
+        strips: str | Sequence[str] = (),
+    ) -> list[Path]:
+        """Write the result in formats that other tools read; the files written.
+
+        Parameters
+        ----------
+        formats : str, or sequence of str
+            `spice`, `spice-ck`, `aem`, `acm`, `operator`, `json`, `csv`, `csm-isd`, `rpc`, `vrt`, `kml`,
+            `asp`, `geojson`, `envi`, `qgis` or `fits` (docs/exports.md).
+        path : path
+            Folder for the files; it is made.
+        dump : path or Dump, optional
+            The dump; default: the one that the result was made from.
+        strips : sequence of str, optional
+            Ids of the strips wanted; default: all.
+
+        Raises `ValueError` for an unknown format and for a result from vectors, `RawDataError` for a damaged
+        result, `DataNotSufficientError` where a format has nothing to write.
+        """
+        write: Callable[..., list[Path]] = feature_function("exports", "export_files")
+        place = None if dump is None else open_dump(source_of_dump(dump)).root
+        return write(Path(self), formats, path, dump=place, strips=strips)
+
+    def geolocate(
+        self,
+        strip: str,
+        ccd: ArrayLike,
+        line: ArrayLike,
+        sample: ArrayLike,
+        *,
+        dump: DumpLike | None = None,
+        height_m: float | None = None,
+    ) -> pd.DataFrame:
+        """Where on the ground pixels (line, sample) of a strip look, as `boresight.geolocate`."""
+        find: Callable[..., pd.DataFrame] = feature_function("geolocate", "geolocate")
+        place = None if dump is None else open_dump(source_of_dump(dump)).root
+        return find(self, strip, ccd, line_px=line, sample_px=sample, dump=place, height_m=height_m)
+
+
+@record(kw_only=True)
+class Validation(TruthErrors, Result):
+    """Errors of a result, and of the matrix that it started from, against a simulated truth."""
+
+    __repr__ = Result.__repr__
+
+    def summary(self) -> str:
+        """Errors per axis and on the ground, before and after."""
+        return validation_summary(self)
+
+    def table(self) -> pd.DataFrame:
+        """One row a check point: strip_id, point_id, lat_deg, lon_deg, errors after and before in m."""
+        after = self.after
+        columns = {name: getattr(after, name) for name in ("strip_id", "point_id", "lat_deg", "lon_deg")}
+        for name, points in (("", after), ("before_", self.before)):
+            for axis in ("along", "across", "up"):
+                columns[f"{name}{axis}_m"] = getattr(points, f"{axis}_m")
+        return pd.DataFrame(columns)
+
+    def plot(self, ax: Axes | None = None) -> Axes:
+        """Errors of the check points on the ground, with the result's matrix."""
+        ax = axes_or_new(ax)
+        ax.plot(self.after.across_m, self.after.along_m, "o", fillstyle="none")
+        ax.set(xlabel="error across the track, m", ylabel="error along the track, m", aspect="equal")
+        ax.grid(color="0.9")
+        return ax
 
 
 def calibrate(
-    dump: str | Path | Dump,
+    dump: DumpLike | Sequence[DumpLike],
     *,
-    out: str | Path | None = None,
-    settings: str | Path | Settings | None = None,
+    out: PathLike | None = None,
+    settings: PathLike | Settings | None = None,
+    strips: str | Sequence[str] | None = None,
     workers: int = 1,
     allow_stale_eop: bool = False,
+    overwrite: bool = False,
 ) -> Calibration:
-    """The installation matrix of a dump, from raw star images and raw strips.
+    """The installation matrix of a dump, from raw star images and raw strips; of several dumps, jointly.
 
     Parameters
     ----------
-    dump : path or Dump
-        Folder with a dump.toml (docs/dump-format.md), or what `open_dump` returned.
+    dump : path or Dump, or sequence of them
+        Folder with a dump.toml (docs/dump-format.md), its address in a store, or what `open_dump` returned.
+        Several dumps of one mission give one matrix; with `out` each has its own result in a folder there.
     out : path, optional
         Result folder, written as by `boresight calibrate` with its report; an interrupted run continues in
-        it. Without it nothing stays on disk.
+        it. Without it nothing stays on disk once the result is no longer used.
     settings : path or Settings, optional
         TOML file of settings, or the record; default: all defaults.
+    strips : sequence of str, optional
+        Ids of the strips to use, of one dump; default: all.
     workers : int
-        Processes on this machine.
+        Processes on this machine, at least 1.
     allow_stale_eop : bool
         Continue with a warning past the end of the Earth-orientation table.
+    overwrite : bool
+        Replace the result of another dump or of other settings in `out`.
 
     Returns
     -------
     Calibration
-        `R_cs`, `cov_theta`, `table()`, `plot()`, `report(path)`.
+        `R_cs`, `cov_theta`, `verdict`, `table()`, `residuals()`, `plot()`, `report(path)`, `export(...)`.
 
     Raises
     ------
@@ -164,33 +330,140 @@ def calibrate(
         If a file of the dump is missing or wrong; the message names file, field, found and expected.
     DataNotSufficientError
         If the data do not determine all three angles; the message says what is missing.
+    ValueError
+        If an argument is not as described.
+    WorkerError
+        If a process died repeatedly, or an object store does not answer.
 
     Examples
     --------
     >>> import boresight as bs
-    >>> est = bs.calibrate("fixtures/mini")
-    >>> est.R_cs.as_matrix().round(6).tolist()[2]
-    [0.152413, 0.205592, -0.966697]
+    >>> est = bs.calibrate(bs.example("mini"))
+    >>> est.verdict, [round(float(s), 1) for s in est.sigma_arcsec]
+    ('consistent', [0.5, 0.5, 8.2])
     """
-    chosen = _settings_of(settings)
-    opened = open_dump(dump, allow_stale_eop=allow_stale_eop)
-    with executor_for(workers, None, opened.pixels) as executor, tempfile.TemporaryDirectory() as scratch:
-        if out is not None:
-            facts = {"version": __version__, "workers": workers}
-            request = RunRequest(settings=chosen, begun_s=time.perf_counter(), facts=facts)
-            run_dump(Path(out), opened, str(opened.root), request, executor, lambda stage, done, total: None)
-            return read_result(out)
-        found = calibrate_dump(opened, chosen, None, executor)
-        write_result(Path(scratch), found, chosen)
-        return dataclasses.replace(read_result(scratch), folder=None, _run=(opened, found, chosen))
+    folder = None if out is None else new_folder_of(out, "out")
+    n_workers, chosen = count_of(workers, "workers", 1, MOST_WORKERS), _settings_of(settings)
+    sources = [
+        source_of_dump(one) for one in (listed(dump, "dump", "dumps") if _is_several(dump) else [dump])
+    ]
+    if not sources:
+        raise wrong("dump", "no dumps", "at least one")
+    with _in_words_of_python():
+        request = RunRequest(
+            settings=chosen,
+            begun_s=time.perf_counter(),
+            overwrite=bool(overwrite),
+            facts={"version": __version__, "workers": n_workers},
+            report=folder is not None,
+            after_joint=_after_joint() if len(sources) > 1 else (),
+        )
+        if len(sources) > 1:
+            if strips is not None:
+                raise wrong("strips", strips, "none with several dumps: give the strips of one dump")
+            return _jointly(sources, folder, request, n_workers, bool(allow_stale_eop))
+        opened = open_dump(sources[0], allow_stale_eop=bool(allow_stale_eop))
+        if strips is not None:
+            opened = _with_strips(opened, [str(one) for one in listed(strips, "strips", "ids of strips")])
+        with executor_for(n_workers, None, opened.pixels) as executor:
+            if folder is not None:
+                run_dump(folder, opened, str(opened.root), request, executor, _silent)
+                return read_result(folder)
+            found = calibrate_dump(opened, chosen, None, executor)
+        scratch = _Scratch()
+        write_result(scratch.path, found, chosen)
+        write_run(scratch.path, {"dump": str(opened.root)} | request.facts)
+        made = read_result(scratch.path)
+        return dataclasses.replace(made, folder=None, _scratch=scratch, _run=(opened, found, chosen))
 
 
-def _settings_of(settings: str | Path | Settings | None) -> Settings:
+MOST_WORKERS = 1024
+
+
+def _silent(stage: str, done: int, total: int) -> None:
+    """No progress is shown."""
+
+
+def _is_several(dump: object) -> bool:
+    return not isinstance(dump, str | os.PathLike | Dump)
+
+
+def source_of_dump(dump: object) -> str | Path | Dump:
+    """A dump as `open_dump` takes it."""
+    if isinstance(dump, Dump):
+        return dump
+    if not isinstance(dump, str | os.PathLike):
+        raise wrong("dump", dump, "a path, an open Dump, or a sequence of them")
+    return source_of(dump, "dump")
+
+
+def _after_joint() -> tuple[Callable[[Path, list[str]], str], ...]:
+    """What features do at the end of a joint calibration."""
+    places = [one.after_joint.partition(":") for one in features() if one.after_joint]
+    return tuple(getattr(import_module(f"boresight.{module}"), name) for module, _, name in places)
+
+
+def _jointly(
+    sources: Sequence[str | Path | Dump],
+    out: Path | None,
+    request: RunRequest,
+    workers: int,
+    allow_stale_eop: bool,
+) -> Calibration:
+    """Of several dumps each and all; without a folder the results lie in one that ends with the answer."""
+    roots = [one.root if isinstance(one, Dump) else dump_folder(one) for one in sources]
+    several = open_dumps(roots, request.settings, allow_stale_eop=allow_stale_eop)
+    scratch = _Scratch() if out is None else None
+    folder = out if out is not None else scratch.path  # type: ignore[union-attr]
+    with executor_for(workers, None, sum(named.dump.pixels for named in several)) as executor:
+        run_dumps(folder, several, request, executor, _silent)
+    made = read_result(folder)
+    return made if scratch is None else dataclasses.replace(made, folder=None, _scratch=scratch)
+
+
+def _with_strips(dump: Dump, wanted: Sequence[str]) -> Dump:
+    """The dump with these strips only; the others are among its omissions."""
+    every = [*dump.strips, *dump.sky_strips]
+    names = [strip.strip_id for strip in every]
+    if unknown := [one for one in wanted if one not in names]:
+        raise wrong("strips", unknown[0], f"ids among {', '.join(names)}")
+    if not wanted:
+        raise wrong("strips", "no ids", "at least one")
+    left_out = tuple(
+        Omission("strip", name, reason="not among the strips asked for", cause=Cause.NOT_NEEDED)
+        for name in names
+        if name not in wanted
+    )
+    return dataclasses.replace(
+        dump,
+        strips=tuple(strip for strip in dump.strips if strip.strip_id in wanted),
+        sky_strips=tuple(strip for strip in dump.sky_strips if strip.strip_id in wanted),
+        points=tuple(points for points in dump.points if points.strip_id in wanted),
+        omissions=(*dump.omissions, *left_out),
+    )
+
+
+@contextmanager
+def _in_words_of_python() -> Iterator[None]:
+    """Errors of files name arguments of the function, not options of the command line."""
+    try:
+        yield
+    except RawDataError as error:
+        parts = (error.file, error.field, str(error.found), error.expected)
+        plain = [re.sub(r"--([a-z][a-z-]*)", lambda word: word[1].replace("-", "_"), text) for text in parts]
+        if tuple(plain) == parts:
+            raise
+        raise RawDataError(*plain) from error
+
+
+def _settings_of(settings: PathLike | Settings | None) -> Settings:
     """The settings themselves, or those of a file, or all defaults."""
-    return settings if isinstance(settings, Settings) else read_settings(Path(settings) if settings else None)
+    if isinstance(settings, Settings):
+        return settings
+    return read_settings(None if settings is None else path_of(settings, "settings"))
 
 
-def read_result(folder: str | Path) -> Calibration:
+def read_result(folder: PathLike) -> Calibration:
     """A finished result folder read back.
 
     Parameters
@@ -206,27 +479,75 @@ def read_result(folder: str | Path) -> Calibration:
     ------
     RawDataError
         If the folder is not a finished result, or damaged.
+    ValueError
+        If `folder` is no path.
     """
-    saved = saved_in(Path(folder))
+    place = path_of(folder, "folder")
+    saved = saved_in(place)
     facts = saved.installation
-    targets = pd.read_parquet(Path(folder) / "sightings" / "targets.parquet")
-    residual = np.array(targets["residual_c"].tolist(), dtype=float).reshape(-1, 2) / ARCSEC
-    columns = targets[["strip_id", "target_id", "ccd", "correlation", "kept"]]
-    columns = columns.assign(residual_x_arcsec=residual[:, 0], residual_y_arcsec=residual[:, 1])
+    tables = place / "sightings"
+    names = {name: facts.get(name) for name in ("frames", "stars", "targets", "chi2", "dof")}
+    if missing := [name for name, value in names.items() if not isinstance(value, int | float)]:
+        expected = "a number, as `calibrate` wrote it"
+        raise RawDataError(str(place / "installation.json"), missing[0], names[missing[0]], expected)
     return Calibration(
         R_cs=saved.R_cs,
         theta=saved.theta,
         cov_theta=saved.cov_theta,
-        chi2=facts["chi2"],
-        dof=facts["dof"],
+        chi2=float(facts["chi2"]),
+        dof=int(facts["dof"]),
         counts=f"{facts['frames']} exposures, {facts['stars']} stars, {facts['targets']} target sightings",
-        targets=columns,
+        targets=_target_residuals(tables / "targets.parquet"),
+        not_used=_columns(tables / "omissions.parquet", ["kind", "name", "reason", "cause", "file"]),
+        facts=facts,
         saved=saved,
-        folder=Path(folder),
+        folder=place,
     )
 
 
-def validate(result: Calibration | str | Path, dump: str | Path | Dump) -> Validation:
+def _columns(path: Path, names: list[str]) -> pd.DataFrame:
+    """Columns of a table of a result. `RawDataError` where it is damaged."""
+    try:
+        return pd.read_parquet(path, columns=names)
+    except Exception as error:  # pyarrow raises many kinds for damaged files
+        found = f"{type(error).__name__}: {error}"
+        raise RawDataError(str(path), "table", found, f"the columns {', '.join(names)}") from error
+
+
+def _target_residuals(path: Path) -> pd.DataFrame:
+    rows = _columns(path, [*TARGETS, "normalised", "kept", "weight", "residual_c"])
+    residual = np.array(rows["residual_c"].tolist(), dtype=float).reshape(-1, 2) / ARCSEC
+    return rows[[*TARGETS]].assign(
+        residual_x_arcsec=residual[:, 0],
+        residual_y_arcsec=residual[:, 1],
+        statistic=rows["normalised"],
+        p_value=chdtrc(2, rows["normalised"].to_numpy()),
+        kept=rows["kept"],
+        weight=rows["weight"],
+    )
+
+
+def _star_residuals(folder: Path) -> pd.DataFrame:
+    """Stars of a result; of several dumps those of each, with its name."""
+    if names := dumps_in(folder):
+        parts = [
+            _star_residuals(folder / name).assign(dump=name) for name in names if (folder / name).is_dir()
+        ]
+        return pd.concat(parts, ignore_index=True)
+    rows = _columns(folder / "sightings" / "stars.parquet", [*STARS, "xy_px", "residual_s"])
+    residual = np.array(rows["residual_s"].tolist(), dtype=float).reshape(-1, 3) / ARCSEC
+    xy = np.array(rows["xy_px"].tolist(), dtype=float).reshape(-1, 2)
+    found = rows[[*STARS]].rename(columns=STARS)
+    return found.assign(
+        x_px=xy[:, 0],
+        y_px=xy[:, 1],
+        residual_x_arcsec=residual[:, 0],
+        residual_y_arcsec=residual[:, 1],
+        p_value=chdtrc(2, found["statistic"].to_numpy()),
+    )
+
+
+def validate(result: Calibration | PathLike, dump: DumpLike) -> Validation:
     """Errors of a result against the truth of the simulated dump that it was made from.
 
     Parameters
@@ -247,9 +568,10 @@ def validate(result: Calibration | str | Path, dump: str | Path | Dump) -> Valid
     RawDataError
         If the dump has no truth.
     ValueError
-        If the result is from vectors.
+        If the result is from vectors, or an argument is no path.
     """
     estimate = result if isinstance(result, Calibration) else read_result(result)
     if estimate.saved is None:
         raise ValueError("validate needs the result of a dump, this one is from vectors")
-    return against_truth(estimate.saved, open_dump(dump))
+    found = against_truth(estimate.saved, open_dump(source_of_dump(dump)))
+    return Validation(**{field.name: getattr(found, field.name) for field in dataclasses.fields(found)})

@@ -7,7 +7,8 @@ and minimal detectable errors all follow from it (`reliability`); a further kind
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -18,10 +19,11 @@ from boresight.geometry.attitude_estimate import cross_matrices
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.record import Bools, Floats, Ints, array, record, scalar
 
-__all__ = ["Hypothesis", "hypotheses"]
+__all__ = ["Hypothesis", "HypothesisTable", "hypotheses", "vector_hypotheses"]
 
 MILLI = 1e-3
 PERCENT = 1e-2
+MOST_FRAMES = 100  # of vectors whose attitudes are tested one by one: the work grows with the square
 
 
 @record(kw_only=True)
@@ -43,6 +45,11 @@ class Hypothesis:
     def remedy(self) -> str:
         """What to look at."""
         return f"check {self.field} in {self.file}" if self.field else f"check {self.file}"
+
+
+HypothesisTable = Callable[
+    [Sequence[PreparedStrip], Rotation, float, Sequence[StarEffects]], list[Hypothesis]
+]
 
 
 def hypotheses(
@@ -68,6 +75,59 @@ def hypotheses(
     found += _of_images(prepared, strip, ccd, pixel_rad)
     if effects:
         found += _of_star_camera(prepared, C, effects)
+    return [one for one in found if np.any(one.change_c)]
+
+
+def vector_hypotheses(
+    prepared: Sequence[PreparedStrip],
+    R_cs: Rotation,
+    pixel_rad: float,
+    effects: Sequence[StarEffects],
+) -> list[Hypothesis]:
+    """The hypotheses about vectors of frames (`from_vectors`): no camera, orbit or clock is known, so they
+    concern the axes, the scale and the attitudes. `pixel_rad` is the unit of shifts of the look vectors.
+    """
+    C = R_cs.as_matrix()
+    u_c = np.concatenate([one.u_c for one in prepared])
+    across = np.eye(3) - u_c[:, :, None] * u_c[:, None, :]
+    found = [
+        Hypothesis(
+            cause=f"origin of the look vectors, {'xy'[axis]} of c",
+            item="all frames",
+            unit="″",
+            words=("too large", "too small"),
+            file="w_c",
+            field="",
+            change_c=pixel_rad * across[:, :, axis],
+        )
+        for axis in range(2)
+    ]
+    if u_c[:, 2].min() > 0.0:
+        found.append(_focal_length(u_c, across, "w_c", "", "all frames"))
+    if 1 < len(prepared) <= MOST_FRAMES:
+        w = np.concatenate([one.v_s for one in prepared]) @ C.T
+        frame, turned = (
+            np.repeat(np.arange(len(prepared)), [len(one.ccd) for one in prepared]),
+            cross_matrices(w),
+        )
+        found += [
+            Hypothesis(
+                cause=f"attitude of a frame, about {'xyz'[axis]} of c",
+                item=f"frame {one.strip_id}",
+                unit="″",
+                words=("too large", "too small"),
+                file="v_stars, v_targets",
+                field="",
+                change_c=ARCSEC * turned[:, :, axis] * (frame == n)[:, None],
+            )
+            for n, one in enumerate(prepared)
+            for axis in range(3)
+        ]
+    if effects:
+        found += [
+            replace(one, unit=one.unit.replace("px", "″"), file="u_s", field="", item="all frames")
+            for one in _of_star_camera(prepared, C, effects)
+        ]
     return [one for one in found if np.any(one.change_c)]
 
 
@@ -165,15 +225,20 @@ def _of_looks(prepared: Sequence[PreparedStrip], ccd: Ints, pixel_rad: float) ->
                 field=field,
                 change_c=size[:, None] * across[:, :, axis],
             )
+    yield _focal_length(u_c, across, "remote_camera.toml", "focal_length_m", "all CCDs")
+
+
+def _focal_length(u_c: Floats, across: Floats, file: str, field: str, item: str) -> Hypothesis:
+    """The focal length of the remote-sensing camera, by which all looks (J, 3) spread from its axis z."""
     v = u_c / u_c[:, 2:]
     v[:, 2] = 0.0
-    yield Hypothesis(
+    return Hypothesis(
         cause="focal length of the remote-sensing camera",
-        item="all CCDs",
+        item=item,
         unit="%",
         words=("too long", "too short"),
-        file="remote_camera.toml",
-        field="focal_length_m",
+        file=file,
+        field=field,
         change_c=-PERCENT * np.einsum("jab,jb->ja", across, v) * u_c[:, 2:],
     )
 

@@ -32,7 +32,7 @@ from scipy.special import chdtrc, chdtri, chndtr
 from boresight.calib.estimate import InstallationEstimate
 from boresight.calib.finding import Finding
 from boresight.calib.heads import aligned, carried
-from boresight.calib.hypotheses import Hypothesis, hypotheses
+from boresight.calib.hypotheses import Hypothesis, HypothesisTable, hypotheses
 from boresight.calib.joint_solution import (
     Linearised,
     Problem,
@@ -167,6 +167,7 @@ def examine(
     pixel_rad: float,
     star_camera: StarCamera | None = None,
     limits: ReliabilitySettings | None = None,
+    table_of: HypothesisTable = hypotheses,
 ) -> Reliability:
     """Every hypothesis held against a calibration.
 
@@ -185,6 +186,8 @@ def examine(
         Camera whose model gave the stars' directions; None: attitudes were delivered.
     limits : ReliabilitySettings, optional
         False-alarm rates and what counts as harm.
+    table_of : callable
+        Gives the table of hypotheses; default: that of dumps.
 
     Returns
     -------
@@ -192,7 +195,7 @@ def examine(
         The tests at the weights of the estimate, and at most three causes.
     """
     limits = limits or ReliabilitySettings()
-    one = _adjustment(estimate, strips, settings, pixel_rad, star_camera)
+    one = _adjustment(estimate, strips, settings, pixel_rad, star_camera, table_of)
     tests = _tests(one, limits)
     findings, last = _causes(one, tests, limits)
     return Reliability(tuple(tests), tuple(findings), tuple(_suspects(one, last)))
@@ -204,6 +207,7 @@ def _adjustment(
     settings: CalibrationSettings,
     pixel_rad: float,
     star_camera: StarCamera | None,
+    table_of: HypothesisTable,
 ) -> _Adjustment:
     strips = with_attitudes(sorted(strips, key=lambda strip: strip.strip_id), settings.attitudes)
     strips = aligned(strips, {head.name: estimate.R_cs.inv() * head.R_cs for head in estimate.heads})
@@ -224,7 +228,7 @@ def _adjustment(
     )
     step = solve_weighted(problem, about, weight * problem.inside)
     effects = star_effects(strips, star_camera, estimate.rejection.limit) if star_camera else []
-    table = hypotheses(prepared, estimate.R_cs, pixel_rad, effects)
+    table = table_of(prepared, estimate.R_cs, pixel_rad, effects)
     change = np.stack([h.change_c for h in table], axis=2)
     information, right = summed(effects)
     parts = np.array([h.star_part for h in table])

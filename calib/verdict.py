@@ -356,6 +356,11 @@ def _between_strips(estimate: InstallationEstimate, settings: VerdictSettings) -
 def _gain_of_own_matrices(F: Floats, right: Floats, prior: Floats) -> tuple[float, int]:
     """Decrease of chi2 if each of S strips had a matrix of its own, and the number of axes that it frees."""
     S, n = right.shape
+    if n == 3:  # nothing is shared: each strip by itself, in a time that grows with their number
+        each = [_explained(F[k], right[k]) for k in range(S)]
+        free, dof_free = float(sum(gain for gain, _ in each)), sum(dof for _, dof in each)
+        one, dof_one = _explained(F.sum(axis=0), right.sum(axis=0))
+        return max(free - one, 0.0), dof_free - dof_one
     apart = np.zeros((3 * S + n - 3, 3 * S + n - 3))
     b = np.concatenate([right[:, :3].ravel(), right[:, 3:].sum(axis=0)])
     apart[3 * S :, 3 * S :] = F[:, 3:, 3:].sum(axis=0) + prior

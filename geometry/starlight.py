@@ -23,6 +23,7 @@ __all__ = [
     "apparent_star_directions",
     "apparent_star_directions_at",
     "apparent_star_directions_each",
+    "catalogue_directions",
 ]
 
 Array = NDArray[np.float64]
@@ -107,6 +108,18 @@ def apparent_star_directions_each(
     states (N, 3) then.
     """
     return _seen_by(_observer(epoch, t_s, p_i, v_i), stars, epoch.julian_year(t_s) - stars.epoch_jyear)
+
+
+def catalogue_directions(u_i: Array, epoch: Epoch, t_s: float, p_i: Array, v_i: Array) -> Array:
+    """Unit vectors (N, 3), ICRS, without aberration and light deflection, from apparent ones `u_i` (N, 3).
+
+    Inverse of `apparent_star_directions` but for proper motion and parallax; ERFA's `aticq`.
+    """
+    observer = _observer(
+        epoch, np.array([t_s], dtype=float), np.reshape(p_i, (1, 3)), np.reshape(v_i, (1, 3))
+    )[0]
+    ra, dec = erfa.aticq(*erfa.c2s(u_i), observer)
+    return np.asarray(erfa.s2c(ra, dec))
 
 
 def _seen_by(observer: NDArray[np.void], stars: StarPlaces, years: Array) -> Array:

@@ -13,11 +13,18 @@ from boresight.geometry.epoch import Epoch
 from boresight.geometry.ground_site import Air, refract_by_air
 from boresight.geometry.record import Floats, Ints, array, record, scalar
 from boresight.geometry.star_camera import StarCamera
-from boresight.geometry.starlight import apparent_star_directions
+from boresight.geometry.starlight import apparent_star_directions, catalogue_directions
 from boresight.star_id.identification.triangle_index import StarIndex
 
-__all__ = ["ABERRATION_SCALE", "Observer", "proper_motion_covariance", "star_directions"]
+__all__ = [
+    "ABERRATION_SCALE",
+    "Observer",
+    "proper_motion_covariance",
+    "sky_directions",
+    "star_directions",
+]
 
+REFRACTION_STEPS = 4  # each reduces the error by the change of refraction with altitude, 100 times and more
 ABERRATION_SCALE = 9.94e-5 / 3.0**0.5  # rms change of angles by the Earth's velocity, over all directions
 
 
@@ -50,6 +57,21 @@ def star_directions(index: StarIndex, rows: Ints, observer: Observer | None) -> 
         index.stars.take(rows), observer.epoch, observer.t_s, observer.p_i, observer.v_i
     )
     return u_i if observer.air is None else refract_by_air(u_i, observer.air)
+
+
+def sky_directions(u_i: Floats, observer: Observer | None) -> Floats:
+    """Unit vectors (N, 3), ICRS, of observed ones `u_i` (N, 3): inverse of `star_directions` but for proper
+    motion and parallax. Without an observer they are taken for those of the catalogue.
+    """
+    if observer is None:
+        return u_i
+    if observer.air is not None:
+        outside = u_i
+        for _ in range(REFRACTION_STEPS):
+            outside = outside + (u_i - refract_by_air(outside, observer.air))
+            outside = outside / np.linalg.norm(outside, axis=1, keepdims=True)
+        u_i = outside
+    return catalogue_directions(u_i, observer.epoch, observer.t_s, observer.p_i, observer.v_i)
 
 
 def proper_motion_covariance(

@@ -7,6 +7,8 @@ a rotation and a scale, and the polynomials are the distortion alone.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -40,14 +42,30 @@ class TanSip:
         return cards
 
 
-def tan_sip(camera: StarCamera, R_si: Rotation, order: int = 7) -> TanSip:
-    """TAN-SIP header, polynomials of `order`, of an image taken by `camera` with attitude `R_si`."""
+def tan_sip(
+    camera: StarCamera,
+    R_si: Rotation,
+    order: int = 7,
+    *,
+    sky_of: Callable[[Floats], Floats] = lambda u_i: u_i,
+    mirrored: bool = False,
+) -> TanSip:
+    """TAN-SIP header, polynomials of `order`, of an image taken by `camera` with attitude `R_si`.
+
+    `sky_of` takes observed directions (N, 3) to those of the catalogue; `mirrored`: camera and attitude are
+    those of the image with its columns reversed.
+    """
     x, y = np.meshgrid(np.linspace(0, camera.width_px - 1, 41), np.linspace(0, camera.height_px - 1, 31))
     xy = np.column_stack([x.ravel(), y.ravel()])
-    u_s = camera.directions_from_pixels(xy)
+    to_sky = R_si.inv()
+    sky_i = sky_of(to_sky.apply(camera.directions_from_pixels(xy)))
+    axis_s = R_si.apply(sky_of(to_sky.apply(np.array([[0.0, 0.0, 1.0]]))))[0]
+    R_si = Rotation.from_rotvec(np.cross(axis_s, [0.0, 0.0, 1.0])) * R_si  # aberration at the axis
+    u_s = R_si.apply(sky_i)
     focal_px = camera.focal_m / camera.pixel_m
-    offset = xy - np.asarray(camera.principal_px)
-    ideal = -u_s[:, :2] / u_s[:, 2:] * focal_px
+    flip = np.array([-1.0 if mirrored else 1.0, 1.0])
+    offset = flip * (xy - np.asarray(camera.principal_px))
+    ideal = flip * (-u_s[:, :2] / u_s[:, 2:] * focal_px)
     powers = [(p, q) for p in range(order + 1) for q in range(order + 1 - p) if p + q >= 1]
     unit = float(np.abs(offset).max())
     scaled = offset / unit
@@ -61,7 +79,8 @@ def tan_sip(camera: StarCamera, R_si: Rotation, order: int = 7) -> TanSip:
     ra, dec = np.arctan2(axes_i[2, 1], axes_i[2, 0]), np.arcsin(axes_i[2, 2])
     east = np.array([-np.sin(ra), np.cos(ra), 0.0])
     north = np.array([-np.sin(dec) * np.cos(ra), -np.sin(dec) * np.sin(ra), np.cos(dec)])
-    cd = -np.degrees(np.array([axes_i[:2] @ east, axes_i[:2] @ north]) / focal_px)
+    cd = -flip * np.degrees(np.array([axes_i[:2] @ east, axes_i[:2] @ north]) / focal_px)
     x0, y0 = camera.principal_px
+    x0 = camera.width_px - 1.0 - x0 if mirrored else x0
     crval = (float(np.degrees(ra) % 360.0), float(np.degrees(dec)))
     return TanSip(crval_deg=crval, crpix=(x0 + 1.0, y0 + 1.0), cd=cd, a=a, b=b, largest_misfit_px=misfit)

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
+from boresight.accepted import PathLike, floats_of, number_of, path_of, source_of, wrong
 from boresight.features.geolocate.positions import Pixels
 from boresight.features.geolocate.positions import geolocate as positions_of
 from boresight.geometry.terrain import ConstantHeight
@@ -18,26 +19,31 @@ from boresight.pipeline.results.strip_model import open_calibrated, strip_model
 __all__ = ["geolocate"]
 
 
+MOST_HEIGHT_M = 1e5
+
+
 def geolocate(
-    result: str | Path,
+    result: PathLike,
     strip: str,
     ccd: ArrayLike,
+    *,
     sample_px: ArrayLike,
     line_px: ArrayLike,
-    *,
-    dump: str | Path | None = None,
+    dump: PathLike | None = None,
     height_m: float | None = None,
 ) -> pd.DataFrame:
     """Where on the ground pixels of a strip look, with 1-sigma along and across the track.
 
     Parameters
     ----------
-    result : path
-        A result folder.
+    result : path or Calibration
+        A result folder, or what `calibrate` returned.
     strip : str
         Id of the strip.
-    ccd, sample_px, line_px : (N,) arrays or numbers
-        CCD number from 0, and the image point; (0, 0) is the centre of the first pixel.
+    ccd : (N,) array or number
+        CCD number from 0.
+    sample_px, line_px : (N,) arrays or numbers
+        The image point; (0, 0) is the centre of the first pixel. Arrays and numbers are broadcast.
     dump : path, optional
         The dump; default: the one that the result names.
     height_m : float, optional
@@ -52,12 +58,41 @@ def geolocate(
     Raises
     ------
     RawDataError
-        If result or dump cannot be read or the strip is unknown.
+        If result or dump cannot be read, the strip is unknown or a pixel is outside its image.
+    DataNotSufficientError
+        If no two usable star exposures cover the strip.
+    ValueError
+        If an argument is not as described, or the result is from vectors.
     """
-    calibrated = open_calibrated(Path(result), None if dump is None else dump_folder(dump))
-    numbers = np.broadcast_arrays(*(np.atleast_1d(np.asarray(part)) for part in (ccd, sample_px, line_px)))
-    pixels = Pixels(numbers[0].astype(np.int64), numbers[1].astype(float), numbers[2].astype(float))
-    surface = surface_of(calibrated.dump.terrain) if height_m is None else ConstantHeight(height_m)
+    if not isinstance(strip, str):
+        raise wrong("strip", strip, "the id of a strip")
+    folder = path_of(result, "result")
+    place = None if dump is None else dump_folder(source_of(dump, "dump"))
+    pixels = _pixels(ccd, sample_px, line_px)
+    height = None if height_m is None else number_of(height_m, "height_m", -MOST_HEIGHT_M, MOST_HEIGHT_M)
+    calibrated = open_calibrated(folder, place)
+    surface = surface_of(calibrated.dump.terrain) if height is None else ConstantHeight(height)
     found = positions_of(calibrated, strip_model(calibrated, strip), pixels, surface)
     columns = ("lat_deg", "lon_deg", "height_m", "sigma_along_m", "sigma_across_m")
     return pd.DataFrame({name: getattr(found, name) for name in columns})
+
+
+def _pixels(ccd: ArrayLike, sample_px: ArrayLike, line_px: ArrayLike) -> Pixels:
+    """Image points of broadcast arrays."""
+    given = {"ccd": ccd, "sample_px": sample_px, "line_px": line_px}
+    parts: dict[str, NDArray[Any]] = {}
+    for name, value in given.items():
+        parts[name] = np.atleast_1d(floats_of(value, name, "(N,)"))
+        if parts[name].ndim != 1:
+            raise wrong(name, parts[name], "a number or an array of shape (N,)")
+        if not np.isfinite(parts[name]).all():
+            raise wrong(name, "values that are not finite", "finite numbers")
+    numbers = parts["ccd"]
+    if (numbers != np.rint(numbers)).any() or (np.abs(numbers) > 2**31).any():
+        raise wrong("ccd", float(numbers[0]), "whole numbers from 0")
+    try:
+        whole, sample, line = np.broadcast_arrays(*parts.values())
+    except ValueError:
+        lengths = ", ".join(f"{name} {len(part)}" for name, part in parts.items())
+        raise wrong("ccd, sample_px, line_px", lengths, "arrays of one length, or numbers") from None
+    return Pixels(whole.astype(np.int64), sample, line)

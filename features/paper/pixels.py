@@ -38,7 +38,7 @@ from boresight.pipeline.files.dump_writer import write_dump
 from boresight.pipeline.files.scenario_file import fly, named_scenario
 from boresight.pipeline.results.folder import begin_result, store_of
 from boresight.pipeline.results.reading import read_result
-from boresight.pipeline.results.validate import Validation, validate
+from boresight.pipeline.results.validate import TruthErrors, validate
 from boresight.pipeline.results.writing import write_result
 from boresight.pipeline.run.executor import InOrder
 from boresight.pipeline.run.settings import Settings
@@ -294,7 +294,7 @@ def _normal(covariance: Floats, rng: np.random.Generator) -> Floats:
     return np.asarray(np.einsum("nab,nb->na", vectors, size))
 
 
-def _mission(changes: Sequence[str], seed: int) -> tuple[tuple[float, float], Validation, Calibration]:
+def _mission(changes: Sequence[str], seed: int) -> tuple[tuple[float, float], TruthErrors, Calibration]:
     """Stated sigmas of stars and targets, px; the errors against the truth; the calibration."""
     with tempfile.TemporaryDirectory(prefix="boresight-") as folder:
         dump_folder, result = Path(folder) / "dump", Path(folder) / "result"

@@ -2,20 +2,29 @@
 
 from __future__ import annotations
 
-from pathlib import Path
+import os
+from collections.abc import Mapping
+from typing import Any
 
-from boresight.features.planning.campaign_plan import PlanForecast, forecast_plan, read_plan
+from boresight.accepted import PathLike, number_of, path_of, wrong
+from boresight.features.planning.campaign_plan import Plan, PlanForecast, forecast_plan, read_plan
+from boresight.pipeline.run.settings import filled
 
 __all__ = ["forecast"]
 
+LEAST_ARCSEC, MOST_ARCSEC = 1e-9, 1e9  # of a wanted accuracy
 
-def forecast(plan: str | Path, *, target_arcsec: float | None = None) -> PlanForecast:
+
+def forecast(
+    plan: PathLike | Mapping[str, Mapping[str, Any]] | None = None, *, target_arcsec: float | None = None
+) -> PlanForecast:
     """Expected 1-sigma of the installation matrix for a planned campaign, before any data.
 
     Parameters
     ----------
-    plan : path
-        TOML file that describes cameras, strips, targets and errors, as for `boresight plan`.
+    plan : path or mapping of mappings, optional
+        TOML file that describes cameras, strips, targets and errors, as for `boresight plan`, or the same as
+        values: `{"strips": {"count": 12}, "targets": {"sigma_px": 0.2}}`; default: the paper's campaign.
     target_arcsec : float, optional
         Wanted 1-sigma on every axis, arcsec: the number of strips that reach it is returned, too.
 
@@ -30,5 +39,29 @@ def forecast(plan: str | Path, *, target_arcsec: float | None = None) -> PlanFor
         If the file has unknown or wrong entries.
     DataNotSufficientError
         If the campaign cannot be forecast.
+    ValueError
+        If an argument is not as described.
+
+    Examples
+    --------
+    >>> import boresight as bs
+    >>> bs.forecast({"strips": {"count": 12}}, target_arcsec=1.0).strips_needed is not None
+    True
     """
-    return forecast_plan(read_plan(Path(plan)), target_arcsec)
+    wanted = (
+        None
+        if target_arcsec is None
+        else number_of(target_arcsec, "target_arcsec", LEAST_ARCSEC, MOST_ARCSEC)
+    )
+    return forecast_plan(_plan(plan), wanted)
+
+
+def _plan(plan: object) -> Plan:
+    if plan is None:
+        return Plan()
+    if isinstance(plan, Mapping):
+        values = {key: dict(part) if isinstance(part, Mapping) else part for key, part in plan.items()}
+        return filled(Plan, values, "plan", "plan")
+    if not isinstance(plan, str | os.PathLike):
+        raise wrong("plan", plan, "the path of a TOML file, or a mapping of sections")
+    return read_plan(path_of(plan, "plan"))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -130,6 +131,13 @@ class PlanForecast:
     campaigns: pd.DataFrame  # ground, sky, both: axis, sigma_arcsec; no rows without strips of the sky
     text: str
     strips_needed: int | None
+
+    def __repr__(self) -> str:
+        return self.text
+
+    def _repr_html_(self) -> str:
+        head = self.table.head(9).to_html(border=0, float_format="{:.6g}".format)
+        return f"<pre>{html.escape(self.text)}</pre>{head}"
 
 
 def read_plan(path: Path) -> Plan:

@@ -2,32 +2,64 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from pathlib import Path
-from typing import TYPE_CHECKING
+import datetime
+import os
+from collections.abc import Iterable
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
+from boresight.accepted import (
+    ImageLike,
+    SiteLike,
+    TimeLike,
+    floats_of,
+    instance_of,
+    listed,
+    number_of,
+    of_argument,
+    path_of,
+    site_of,
+    utc_of,
+    wrong,
+)
 from boresight.display import Outcome, Result, axes_or_new
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.record import Bools, Floats, Ints, array, record, scalar
 from boresight.geometry.star_camera import StarCamera
+from boresight.pipeline.errors import RawDataError
+from boresight.pipeline.files.star_images import grey_image, read_star_image
 from boresight.star_id.camera_calibration import CameraCalibration, SkyFrame, calibrate_camera
 from boresight.star_id.field import FieldSolution, nominal_camera, solve_list
 from boresight.star_id.finding.star_list import StarList
 from boresight.star_id.finding.star_list import find_stars as stars_of_image
 from boresight.star_id.identification.identify import NotIdentified
+from boresight.star_id.observer import Observer, sky_directions
 from boresight.star_id.settings import StarSettings
+from boresight.star_id.sip import TanSip, tan_sip
 
 if TYPE_CHECKING:
     import pandas as pd
+    from astropy.coordinates import SkyCoord
+    from astropy.wcs import WCS
     from matplotlib.axes import Axes
 
 __all__ = ["CameraSolution", "StarSolution", "Stars", "calibrate_star_camera", "find_stars", "identify"]
 
-Image = NDArray[np.generic] | str | Path
+NARROWEST_DEG, WIDEST_DEG = 0.5, 90.0  # fields of view that are searched
+SMALLEST_PX, MOST_COUNTS = 32, 65535  # side of an image, and its counts
+MOST_NUMBERS = 30  # in a picture
+MOST_MISFIT_PX = 1.0  # of a TAN-SIP header: beyond, the lens has none
+LARGEST_PX = 1e6  # of coordinates that are taken to the sky
+
+
+class _Pixels(NamedTuple):
+    """An image as an array, and what is to be said of it."""
+
+    pixels: NDArray[np.generic]
+    masked: int  # pixels that are no number, which the median replaces
 
 
 @record(kw_only=True)
@@ -42,6 +74,12 @@ class Stars(Result):
     blended: Bools = array("N", "displaced by a neighbour or by blooming: not for calibration")
     psf_sigma_px: float = scalar("width of the point spread function, px, 1 sigma")
     size_px: tuple[int, int] = scalar("width and height of the image, px")
+    misshapen_px: Floats = array(
+        "M, 2", "detections that are not among the stars: cosmic rays, trails, stars that touch one another"
+    )
+    hot_pixels: int = scalar("detections rejected as hot pixels")
+    masked: int = scalar("pixels without a number, taken as the median of the image")
+    saturation_dn: float = scalar("value from which a pixel is full; inf: not known, no star is saturated")
     star_list: StarList = scalar("the full record, as the functions of boresight.star_id take it")
 
     __repr__ = Result.__repr__
@@ -60,8 +98,25 @@ class Stars(Result):
         return (
             f"{len(self)} stars in {self.size_px[0]} x {self.size_px[1]} px\n"
             f"PSF sigma {self.psf_sigma_px:.2f} px, median centroid error {median} px\n"
-            f"{int(self.saturated.sum())} saturated, {int(self.blended.sum())} blended"
+            f"{int(self.saturated.sum())} saturated, {int(self.blended.sum())} blended (not for calibration)"
+            "\n"
+            f"not used: {'; '.join(self.not_used) or 'nothing'}"
         )
+
+    @property
+    def not_used(self) -> tuple[str, ...]:
+        """What is not among the stars, or not known of them, with the remedy; one sentence each."""
+        said = []
+        if len(self.misshapen_px):
+            said.append(f"{len(self.misshapen_px)} misshapen detections (misshapen_px)")
+        if self.hot_pixels:
+            said.append(f"{self.hot_pixels} hot pixels")
+        if self.masked:
+            said.append(f"{self.masked} masked pixels: not a number, taken as the median")
+        if np.isinf(self.saturation_dn):
+            remedy = "give StarSettings(saturation_dn=...)"
+            said.append(f"float image: saturation level unknown, {remedy}")
+        return tuple(said)
 
     def table(self) -> pd.DataFrame:
         """One row a star: x_px, y_px, sigma_px, flux_dn, snr, saturated, blended."""
@@ -72,11 +127,14 @@ class Stars(Result):
         return pd.DataFrame(columns)
 
     def plot(self, ax: Axes | None = None, *, image: NDArray[np.generic] | None = None) -> Axes:
-        """Circles at the stars, over the image (H, W) if it is given; blended stars dashed."""
+        """Circles at the stars, over the image (H, W) if it is given; blended stars dashed, misshapen
+        detections as crosses.
+        """
         ax = _sky_axes(ax, self.size_px, image)
         for chosen, style in ((~self.blended, "-"), (self.blended, "--")):
             x, y = self.xy_px[chosen, 0], self.xy_px[chosen, 1]
             ax.scatter(x, y, s=60, facecolors="none", edgecolors="tab:orange", linestyles=style)
+        ax.plot(*self.misshapen_px.T, "x", color="tab:blue", markersize=5)
         return ax
 
 
@@ -97,11 +155,82 @@ class StarSolution(Outcome):
     false_alarm_probability: float = scalar("upper bound of the probability that the identification is wrong")
     camera: StarCamera = scalar("the camera as given, or as fitted to this image")
     stars: Stars = scalar("all stars found in the image, identified or not")
+    mirrored: bool = scalar("whether the image is a mirror image: all is stated for its columns reversed")
+    observer: Observer | None = scalar("time and place, where given: aberration is removed", repr=False)
 
     __repr__ = Result.__repr__
 
+    def pixel_to_sky(self, xy_px: ArrayLike) -> SkyCoord:
+        """Right ascension and declination, ICRS, of pixels.
+
+        With a time, aberration, light deflection and refraction are removed, not proper motion and parallax;
+        without a time they are the directions of the catalogue that the stars of the image define.
+
+        Parameters
+        ----------
+        xy_px : (N, 2) or (2,) array
+            (column, row) of the image as given; (0, 0) is the centre of the first pixel.
+
+        Returns
+        -------
+        astropy.coordinates.SkyCoord
+            Of shape (N,), or a scalar for one pixel; NaN beyond the turning point of the distortion.
+
+        Raises `ValueError` for another shape or numbers that are not finite.
+        """
+        from astropy.coordinates import SkyCoord
+
+        xy = floats_of(xy_px, "xy_px", "(N, 2)")
+        if xy.ndim not in (1, 2) or xy.shape[-1] != 2:
+            raise wrong("xy_px", xy, "shape (N, 2) or (2,)")
+        if not (np.isfinite(xy).all() and (np.abs(xy) < LARGEST_PX).all()):
+            raise wrong("xy_px", "values that are not finite or beyond a million", "pixels")
+        one, xy = xy.ndim == 1, np.atleast_2d(xy).copy()
+        if self.mirrored:
+            xy[:, 0] = self.stars.size_px[0] - 1.0 - xy[:, 0]
+        u_i = sky_directions(self.R_si.inv().apply(self.camera.directions_from_pixels(xy)), self.observer)
+        ra, dec = np.degrees(np.arctan2(u_i[:, 1], u_i[:, 0])) % 360.0, np.degrees(np.arcsin(u_i[:, 2]))
+        return SkyCoord(ra[0] if one else ra, dec[0] if one else dec, unit="deg", frame="icrs")
+
+    def wcs(self, *, max_misfit_px: float = MOST_MISFIT_PX) -> WCS:
+        """World coordinates of the image as an astropy WCS: tangent plane with SIP polynomials of degree 7.
+
+        Its pixels count from 0 as `pixel_to_sky`'s do (`origin` 0 of astropy). `wcs_misfit_px` states the
+        largest difference from the camera. `ValueError` where it exceeds `max_misfit_px`: a wide lens has no
+        tangent plane; use `pixel_to_sky`.
+        """
+        from astropy.io import fits
+        from astropy.wcs import WCS
+
+        limit, found = number_of(max_misfit_px, "max_misfit_px", 0.0), self._tan_sip()
+        if not found.largest_misfit_px <= limit:
+            raise wrong(
+                "max_misfit_px",
+                f"a misfit of {found.largest_misfit_px:.3g} px of the TAN-SIP form of this lens",
+                f"at most {limit:g} px; pixel_to_sky has no such limit",
+            )
+        header = fits.Header()
+        for key, value in found.cards().items():
+            header[key] = value
+        header["RADESYS"] = "ICRS"
+        header["NAXIS"], header["NAXIS1"], header["NAXIS2"] = (2, *self.stars.size_px)
+        return WCS(header)
+
+    @property
+    def wcs_misfit_px(self) -> float:
+        """Largest difference of `wcs()` from the camera over the detector, px."""
+        return self._tan_sip().largest_misfit_px
+
+    def _tan_sip(self) -> TanSip:
+        return tan_sip(
+            self.camera,
+            self.R_si,
+            sky_of=lambda u_i: sky_directions(u_i, self.observer),
+            mirrored=self.mirrored,
+        )
+
     def summary(self) -> str:
-        """Three lines, as `print` shows them."""
+        """Few lines, as `print` shows them."""
         pointing, roll = self.sigma_arcsec
         return (
             f"RA {self.ra_deg:.5f} deg, Dec {self.dec_deg:+.5f} deg (1 sigma {pointing:.2f} arcsec), "
@@ -109,23 +238,48 @@ class StarSolution(Outcome):
             f"{len(self.hip)} of {len(self.stars)} stars identified, field of view {self.fov_deg:.3f} deg\n"
             f"rms residual {np.sqrt((self.residual_px**2).mean()):.3f} px per axis, "
             f"wrong with probability < {self.false_alarm_probability:.0e}"
+            f"{', MIRROR IMAGE: all is stated for its columns reversed' if self.mirrored else ''}\n"
+            f"not used: {'; '.join(self.not_used) or 'nothing'}"
         )
+
+    @property
+    def not_used(self) -> tuple[str, ...]:
+        """Stars without identification, and what the list of stars does not hold."""
+        unnamed = len(self.stars) - len(self.hip)
+        return ((f"{unnamed} stars not identified",) if unnamed else ()) + self.stars.not_used
 
     def table(self) -> pd.DataFrame:
-        """One row an identified star: hip, x_px, y_px, residual_x_px, residual_y_px."""
+        """One row an identified star: hip, x_px, y_px, residual_x_px, residual_y_px, and the measured ra_deg
+        and dec_deg.
+        """
         import pandas as pd
 
+        sky = self.pixel_to_sky(self._image_px)
         columns = {"hip": self.hip, "x_px": self.xy_px[:, 0], "y_px": self.xy_px[:, 1]}
-        return pd.DataFrame(
-            columns | {"residual_x_px": self.residual_px[:, 0], "residual_y_px": self.residual_px[:, 1]}
-        )
+        columns |= {"residual_x_px": self.residual_px[:, 0], "residual_y_px": self.residual_px[:, 1]}
+        return pd.DataFrame(columns | {"ra_deg": sky.ra.deg, "dec_deg": sky.dec.deg})
+
+    @property
+    def _image_px(self) -> Floats:
+        """(M, 2) the identified stars in the image as given."""
+        xy = self.xy_px.copy()
+        if self.mirrored:
+            xy[:, 0] = self.stars.size_px[0] - 1.0 - xy[:, 0]
+        return xy
 
     def plot(self, ax: Axes | None = None, *, image: NDArray[np.generic] | None = None) -> Axes:
-        """Identified stars, the brightest 30 with Hipparcos numbers, over the image (H, W) if given."""
+        """Identified stars, over the image (H, W) if given; of the brightest 30 the Hipparcos numbers, as far
+        as they do not overlap.
+        """
         ax = _sky_axes(ax, self.stars.size_px, image)
-        color = "black" if image is None else "yellow"
-        ax.scatter(self.xy_px[:, 0], self.xy_px[:, 1], s=60, facecolors="none", edgecolors=color)
-        for hip, (x, y) in zip(self.hip[:30].tolist(), self.xy_px[:30].tolist()):
+        color, xy = "black" if image is None else "yellow", self._image_px
+        ax.scatter(xy[:, 0], xy[:, 1], s=60, facecolors="none", edgecolors=color)
+        room = 0.03 * max(self.stars.size_px)  # a number of six digits is twice as wide
+        labelled: list[tuple[float, float]] = []
+        for hip, (x, y) in zip(self.hip[:MOST_NUMBERS].tolist(), xy[:MOST_NUMBERS].tolist()):
+            if any(abs(x - a) < 4.0 * room and abs(y - b) < room for a, b in labelled):
+                continue  # the numbers would overlap
+            labelled.append((x, y))
             ax.annotate(
                 str(hip), (x, y), (5, 5), textcoords="offset points", color=color, annotation_clip=True
             )
@@ -185,21 +339,22 @@ class CameraSolution(Outcome):
 
 
 def find_stars(
-    image: Image,
+    image: ImageLike,
     *,
-    dark: Image | None = None,
+    dark: ImageLike | None = None,
     settings: StarSettings = StarSettings(),  # noqa: B008
 ) -> Stars:
     """Stars of a raw image with centroids and their covariances, brightest first.
 
     Parameters
     ----------
-    image : (H, W) array, or path
-        Raw counts, 8 or 16 bits or floating, at least 32 px a side; or a PNG, TIFF, FITS, JPEG or BMP file.
+    image : (H, W) or (H, W, 3) array, or path
+        Raw counts, integers from 0 to 65535 or floating, at least 32 px a side; colours become grey, and what
+        is no number the median; or a PNG, TIFF, FITS, JPEG, BMP or .npy file.
     dark : (H, W) array, or path, optional
         Dark frame of the same camera and exposure time.
     settings : StarSettings
-        Detection threshold, PSF, saturation.
+        Detection threshold, PSF; `saturation_dn` for a floating image, whose saturation is not known.
 
     Returns
     -------
@@ -209,50 +364,57 @@ def find_stars(
     Raises
     ------
     ValueError
-        If the array is not (H, W) or smaller than 32 px.
+        If the array has another shape or type, is smaller than 32 px, has no pixel that is a number, or the
+        dark frame has another size.
     RawDataError
         If a file cannot be read.
 
     Examples
     --------
     >>> import boresight as bs
-    >>> stars = bs.find_stars("fixtures/mini/exposures/e0001.png")
+    >>> stars = bs.find_stars(bs.example("mini") / "exposures/e0001.png")
     >>> len(stars) > 50, stars.xy_px.shape == (len(stars), 2)
     (True, True)
     """
-    pixels = _pixels(image)
-    found = stars_of_image(pixels, settings, None if dark is None else _pixels(dark))
-    names = ("xy_px", "cov_px", "flux_dn", "snr", "saturated", "blended")
+    chosen, read = instance_of(settings, StarSettings, "settings"), _pixels(image, "image")
+    frame = None if dark is None else _pixels(dark, "dark").pixels
+    if frame is not None and frame.shape != read.pixels.shape:
+        raise wrong("dark", f"shape {frame.shape}", f"{read.pixels.shape}, that of the image")
+    found = stars_of_image(read.pixels, chosen, frame)
+    names = ("xy_px", "cov_px", "flux_dn", "snr", "saturated", "blended", "misshapen_px", "hot_pixels")
     return Stars(
         **{name: getattr(found, name) for name in names},
         psf_sigma_px=found.psf.sigma_px,
-        size_px=(pixels.shape[1], pixels.shape[0]),
+        size_px=(read.pixels.shape[1], read.pixels.shape[0]),
+        masked=read.masked,
+        saturation_dn=found.saturation_dn,
         star_list=found,
     )
 
 
 def identify(
-    image: Image | Stars,
+    image: ImageLike | Stars,
     *,
     camera: StarCamera | None = None,
     fov_deg: float | None = None,
-    time: str | None = None,
-    site: tuple[float, float, float] | None = None,
+    time: TimeLike | None = None,
+    site: SiteLike | None = None,
     settings: StarSettings = StarSettings(),  # noqa: B008
 ) -> StarSolution | NotIdentified:
     """Where an image of the sky points, and which stars it shows; no prior attitude is needed.
 
     Parameters
     ----------
-    image : (H, W) array, path, or Stars
+    image : (H, W) or (H, W, 3) array, path, or Stars
         A raw image, or what `find_stars` found in it.
     camera : StarCamera, optional
         The calibrated camera. Without it the lens is fitted to this image.
     fov_deg : float, optional
         Width of the field of view, deg, good to 10 %. Without camera and field of view, 5 to 60 deg are
         searched.
-    time : str, optional
+    time : str, datetime, datetime64 or astropy Time, optional
         Middle of the exposure, UTC, such as "2026-03-01T12:00:00": the Earth's aberration is then removed.
+        A datetime without time zone is UTC.
     site : (latitude deg, longitude deg, height m), optional
         Of a camera on the ground, with `time`: refraction is removed, too.
     settings : StarSettings
@@ -266,14 +428,15 @@ def identify(
     Raises
     ------
     ValueError
-        If camera and fov_deg are both given, or a site without time, or fov_deg is not between 0.5 and 90.
+        If camera and fov_deg are both given, or a site without time, fov_deg is not between 0.5 and 90, or
+        an argument is not as described.
     RawDataError
         If a file cannot be read or the time is not covered by the Earth-orientation tables.
 
     Examples
     --------
     >>> import boresight as bs
-    >>> solution = bs.identify("fixtures/mini/exposures/e0001.png", fov_deg=20)
+    >>> solution = bs.identify(bs.example("mini") / "exposures/e0001.png", fov_deg=20)
     >>> if solution:
     ...     print(len(solution.hip) > 50, solution.sigma_arcsec[0] < 5)
     True True
@@ -283,37 +446,54 @@ def identify(
 
     if camera is not None and fov_deg is not None:
         raise ValueError("camera and fov_deg exclude one another: the camera knows its field of view")
-    if fov_deg is not None and not 0.5 < fov_deg < 90.0:
-        raise ValueError(f"fov_deg must be between 0.5 and 90 deg, got {fov_deg}")
+    width_deg = _field_of(fov_deg)
+    known = None if camera is None else instance_of(camera, StarCamera, "camera")
+    chosen = instance_of(settings, StarSettings, "settings")
     if site is not None and time is None:
         raise ValueError("site needs time: where a place on the Earth points depends on the time")
-    stars = image if isinstance(image, Stars) else find_stars(image, settings=settings)
+    place = None if site is None else site_of(site)
+    observer = None if time is None else observer_at(utc_of(time, "time"), place)
+    stars = image if isinstance(image, Stars) else find_stars(image, settings=chosen)
+    if known is not None and (known.width_px, known.height_px) != stars.size_px:
+        raise wrong(
+            "camera", f"{known.width_px} x {known.height_px} px", f"{stars.size_px}, as the image has"
+        )
     found = solve_list(
         stars.star_list,
         stars.size_px,
-        sky_index(camera, fov_deg, settings),
-        settings,
-        camera=camera,
-        fov_x_rad=None if fov_deg is None else float(np.radians(fov_deg)),
-        observer=None if time is None else observer_at(time, site),
+        sky_index(known, width_deg, chosen),
+        chosen,
+        camera=known,
+        fov_x_rad=None if width_deg is None else float(np.radians(width_deg)),
+        observer=observer,
     )
-    return found if isinstance(found, NotIdentified) else _solution(found, stars)
+    return found if isinstance(found, NotIdentified) else _solution(found, stars, observer)
+
+
+def _field_of(fov_deg: float | None) -> float | None:
+    """A stated field of view, checked."""
+    if fov_deg is None:
+        return None
+    width = number_of(fov_deg, "fov_deg")
+    if not NARROWEST_DEG < width < WIDEST_DEG:
+        raise ValueError(f"fov_deg must be between {NARROWEST_DEG:g} and {WIDEST_DEG:g} deg, got {width:g}")
+    return width
 
 
 def calibrate_star_camera(
-    images: Sequence[Image | Stars],
+    images: Iterable[ImageLike | Stars] | ImageLike | Stars,
     *,
     camera: StarCamera | None = None,
     fov_deg: float | None = None,
-    times: Sequence[str] | None = None,
-    site: tuple[float, float, float] | None = None,
+    times: Iterable[TimeLike] | TimeLike | None = None,
+    site: SiteLike | None = None,
     settings: StarSettings = StarSettings(),  # noqa: B008
 ) -> CameraSolution | NotIdentified:
     """Focal length, principal point and distortion of a star camera from images of the sky.
 
     Parameters
     ----------
-    images : sequence of (H, W) arrays, paths, or Stars
+    images : iterable of (H, W) arrays, paths, or Stars; or one of them
         Images of one camera, of different fields or at different roll angles; 20 identified stars are needed,
         ten images are good.
     camera : StarCamera, optional
@@ -321,7 +501,7 @@ def calibrate_star_camera(
     fov_deg : float, optional
         Width of the field of view, deg, good to 10 %. Without either, the first image that can be identified
         without them gives it, and pixels are taken to be 5 µm wide.
-    times : sequence of str, optional
+    times : iterable of str, datetime, datetime64 or astropy Time, optional
         Middle of each exposure, UTC. Without them the Earth's aberration changes the focal length, by up to
         1e-4 of it.
     site : (latitude deg, longitude deg, height m), optional
@@ -337,39 +517,55 @@ def calibrate_star_camera(
     Raises
     ------
     ValueError
-        If there are no images, they differ in size, or there is not one time for each.
+        If there are no images, they differ in size, there is not one time for each, or an argument is not as
+        described.
     RawDataError
         If a file cannot be read.
 
     Examples
     --------
     >>> import boresight as bs
-    >>> folder = "fixtures/mini/exposures"
-    >>> found = bs.calibrate_star_camera([f"{folder}/e{n:04d}.png" for n in (1, 9, 17, 25)], fov_deg=20)
+    >>> folder = bs.example("mini") / "exposures"
+    >>> found = bs.calibrate_star_camera([folder / f"e{n:04d}.png" for n in (1, 9, 17, 25)], fov_deg=20)
     >>> found.rms_px < 0.2
     True
     """
     from boresight.features.sky_images.frame_facts import observer_at
     from boresight.features.sky_images.identify_images import sky_index
 
-    names = [str(image) if isinstance(image, str | Path) else f"image {n}" for n, image in enumerate(images)]
-    every = [one if isinstance(one, Stars) else find_stars(one, settings=settings) for one in images]
+    if camera is not None and fov_deg is not None:
+        raise ValueError("camera and fov_deg exclude one another: the camera knows its field of view")
+    fov_deg, chosen = _field_of(fov_deg), instance_of(settings, StarSettings, "settings")
+    camera = None if camera is None else instance_of(camera, StarCamera, "camera")
+    place = None if site is None else site_of(site)
+    if site is not None and times is None:
+        raise ValueError("site needs times: where a place on the Earth points depends on the time")
+    given = [images] if isinstance(images, Stars) else listed(images, "images", "arrays, paths or Stars")
+    if not given:
+        raise wrong("images", "none", "at least one")
+    utc = None if times is None else [utc_of(one, "times") for one in _times_of(times)]
+    if utc is not None and len(utc) != len(given):
+        raise ValueError(f"{len(utc)} times given for {len(given)} images")
+    names = [str(one) if isinstance(one, str | os.PathLike) else f"image {n}" for n, one in enumerate(given)]
+    every = [one if isinstance(one, Stars) else find_stars(one, settings=chosen) for one in given]
     if len(sizes := {stars.size_px for stars in every}) != 1:
         raise ValueError(f"images must be of one size, got {sorted(sizes)}")
-    if times is not None and len(times) != len(every):
-        raise ValueError(f"{len(times)} times given for {len(every)} images")
+    if camera is not None and (camera.width_px, camera.height_px) != every[0].size_px:
+        raise wrong(
+            "camera", f"{camera.width_px} x {camera.height_px} px", f"{every[0].size_px}, the images'"
+        )
     if camera is None:
         for stars in every if fov_deg is None else ():
-            if first := identify(stars, settings=settings):
+            if first := identify(stars, settings=chosen):
                 fov_deg = first.fov_deg
                 break
         if fov_deg is None:
             return NotIdentified(f"none of {len(every)} images can be identified without fov_deg")
         camera = nominal_camera(every[0].size_px, float(np.radians(fov_deg)))
-    index = sky_index(None, float(np.degrees(camera.fov_x_rad)), settings)
-    observers = [None] * len(every) if times is None else [observer_at(time, site) for time in times]
+    index = sky_index(None, float(np.degrees(camera.fov_x_rad)), chosen)
+    observers = [None] * len(every) if utc is None else [observer_at(one, place) for one in utc]
     frames = [SkyFrame(*one) for one in zip(names, (stars.star_list for stars in every), observers)]
-    found = calibrate_camera(frames, camera, index, settings)
+    found = calibrate_camera(frames, camera, index, chosen)
     if isinstance(found, NotIdentified):
         return found
     sigma = np.sqrt(np.diag(found.covariance))
@@ -384,15 +580,44 @@ def calibrate_star_camera(
     )
 
 
-def _pixels(image: Image) -> NDArray[np.generic]:
-    if not isinstance(image, str | Path):
-        return np.asarray(image)
-    from boresight.pipeline.files.star_images import read_star_image
+def _times_of(times: Iterable[TimeLike] | TimeLike) -> list[Any]:
+    """Times one by one; a text or a datetime is one, an astropy Time may be several."""
+    if isinstance(times, str | datetime.datetime | np.datetime64) or getattr(times, "isscalar", False):
+        return [times]
+    return listed(times, "times", "times")
 
-    return read_star_image(Path(image), str(image))
+
+def _pixels(image: object, name: str) -> _Pixels:
+    """An image of a file or an array as grey values."""
+    if isinstance(image, str | os.PathLike):
+        path = path_of(image, name)
+        pixels = read_star_image(path, str(path))
+        return _Pixels(_large(pixels, name), 0)
+    try:
+        planes = np.asarray(image)
+    except Exception:  # of ragged lists and foreign classes
+        raise wrong(name, image, "an array of shape (H, W) or (H, W, 3), or a path") from None
+    if planes.ndim not in (2, 3) or planes.dtype.kind not in "uif" or not planes.size:
+        raise wrong(name, planes, "numbers of shape (H, W) or (H, W, 3), or a path")
+    if planes.dtype.kind in "ui" and planes.dtype not in (np.uint8, np.uint16):
+        if planes.min() < 0 or planes.max() > MOST_COUNTS:
+            found = f"integers from {planes.min()} to {planes.max()}"
+            raise wrong(name, found, f"counts from 0 to {MOST_COUNTS}, or floating point")
+        planes = planes.astype(np.uint16)
+    masked = int((~np.isfinite(planes)).sum()) if planes.dtype.kind == "f" else 0
+    try:
+        return _Pixels(_large(grey_image(planes, name), name), masked)
+    except RawDataError as error:
+        raise of_argument(name, error) from error
 
 
-def _solution(found: FieldSolution, stars: Stars) -> StarSolution:
+def _large(pixels: NDArray[np.generic], name: str) -> NDArray[np.generic]:
+    if min(pixels.shape) < SMALLEST_PX:
+        raise wrong(name, f"shape {pixels.shape}", f"at least {SMALLEST_PX} px a side")
+    return pixels
+
+
+def _solution(found: FieldSolution, stars: Stars, observer: Observer | None) -> StarSolution:
     assert found.cov_s is not None  # solve_list gives it
     return StarSolution(
         ra_deg=float(np.degrees(found.ra_rad)),
@@ -408,6 +633,8 @@ def _solution(found: FieldSolution, stars: Stars) -> StarSolution:
         false_alarm_probability=found.false_alarm_probability,
         camera=found.camera,
         stars=stars,
+        mirrored=found.mirrored,
+        observer=observer,
     )
 
 

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from pathlib import Path
+import os
+from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
 import pandas as pd
 
+from boresight.accepted import PathLike, listed, source_of, wrong
 from boresight.display import Result, axes_or_new
 from boresight.features.targets.target_matches import match_strips, matches_table
 from boresight.geometry.record import record, scalar
@@ -39,8 +40,14 @@ class TargetMatches(Result):
             f"{len(self)} targets measured in {good['strip_id'].nunique()} strips\n"
             f"median 1 sigma {good['sigma_sample_px'].median():.4f} px along samples, "
             f"{good['sigma_line_px'].median():.4f} px along lines\n"
-            f"{len(self.measured) - len(self)} rejected, with the reason in table()"
+            f"not used: {self._not_used()}"
         )
+
+    def _not_used(self) -> str:
+        """Counts of what was not measured, by reason."""
+        outcomes = self.measured.loc[self.measured["outcome"] != "placed", "outcome"].value_counts()
+        counts = [f"{n} {outcome}" for outcome, n in zip(outcomes.index.tolist(), outcomes.tolist())]
+        return f"{', '.join(counts)} (reasons in table())" if counts else "nothing"
 
     def table(self) -> pd.DataFrame:
         """One row a measurement or rejection: strip_id, target_id, ccd, sample_px, line_px, ..., reason."""
@@ -59,14 +66,14 @@ class TargetMatches(Result):
         return ax
 
 
-def match_targets(dump: str | Path | Dump, *, strips: Sequence[str] | None = None) -> TargetMatches:
+def match_targets(dump: PathLike | Dump, *, strips: Iterable[str] | str | None = None) -> TargetMatches:
     """Targets of a dump found in its raw strips, starting from the pre-launch installation matrix.
 
     Parameters
     ----------
     dump : path or Dump
         Folder with a dump.toml, or what `open_dump` returned.
-    strips : sequence of str, optional
+    strips : str or iterable of str, optional
         Ids of the strips wanted; default: all.
 
     Returns
@@ -79,18 +86,23 @@ def match_targets(dump: str | Path | Dump, *, strips: Sequence[str] | None = Non
     RawDataError
         If a file of the dump is missing or wrong; the message names file, field, found and expected.
     ValueError
-        If the dump has no strip of that id.
+        If the dump has no strip of that id, or an argument is not as described.
+    DataNotSufficientError
+        If no star exposures cover any strip.
 
     Examples
     --------
     >>> import boresight as bs
-    >>> matches = bs.match_targets("fixtures/mini", strips=["s01"])
+    >>> matches = bs.match_targets(bs.example("mini"), strips=["s01"])
     >>> len(matches)
     12
     """
-    opened = open_dump(dump)
-    if unknown := set(strips or ()) - {strip.strip_id for strip in opened.strips}:
+    if not isinstance(dump, str | os.PathLike | Dump):
+        raise wrong("dump", dump, "a path or an open Dump")
+    chosen = None if strips is None else [str(one) for one in listed(strips, "strips", "ids of strips")]
+    opened = dump if isinstance(dump, Dump) else open_dump(source_of(dump, "dump"))
+    if unknown := set(chosen or ()) - {strip.strip_id for strip in opened.strips}:
         raise ValueError(f"the dump has no strip {', '.join(sorted(unknown))}")
     tasks, _ = strips_to_match(opened, Settings())
-    wanted = [task for task in tasks if strips is None or task.strip.strip_id in strips]
+    wanted = [task for task in tasks if chosen is None or task.strip.strip_id in chosen]
     return TargetMatches(measured=matches_table(list(match_strips(wanted, None))))

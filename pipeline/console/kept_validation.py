@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING
 from boresight.pipeline.console.messages import say
 
 if TYPE_CHECKING:
-    from boresight.pipeline.results.validate import Validation
+    from boresight.pipeline.results.validate import TruthErrors
 
 __all__ = ["kept_validation"]
 
 
-def kept_validation(result: Path, found: Validation) -> tuple[Path, ...]:
+def kept_validation(result: Path, found: TruthErrors) -> tuple[Path, ...]:
     """Keep the errors in the folder of the result and draw its report again; the files written. A folder
     that cannot be written is left as it is, with a remark.
     """

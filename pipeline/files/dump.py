@@ -6,6 +6,8 @@ opened. The records hold arrays and paths, so that parts of them can be sent to 
 
 from __future__ import annotations
 
+import html
+import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
@@ -33,7 +35,7 @@ from boresight.geometry.spherical import unit_vectors
 from boresight.geometry.star_camera import StarCamera
 from boresight.geometry.terrain import Surface, TerrainGrid, TerrainTiles
 from boresight.geometry.terrain_tiles import Raster, joined
-from boresight.pipeline.errors import Omission, RawDataError
+from boresight.pipeline.errors import Omission, RawDataError, printable
 from boresight.pipeline.files import dump_schema as schema
 from boresight.pipeline.files.content import Identity, identity_of
 from boresight.pipeline.files.dates import check_exposure_dates, check_orbit_dates, orbit_covers
@@ -71,6 +73,7 @@ __all__ = [
     "surface_of",
 ]
 
+MOST_NAMED = 8  # strips, and items not used, in the text of a dump
 MAX_TERRAIN_PIXELS = 8192 * 8192
 StripMember = tuple[str, schema.StripRow, float]  # where in the table, row, its time in TAI seconds
 OF_ONE_HEAD: dict[str, Any] = {
@@ -179,6 +182,26 @@ class Dump:
         "how many targets, measured points, strips and exposures of the reference head its tables list"
     )
 
+    def __repr__(self) -> str:
+        named = ", ".join(one.strip_id for one in (*self.strips, *self.sky_strips)[:MOST_NAMED])
+        more = ", ..." if len(self.strips) + len(self.sky_strips) > MOST_NAMED else ""
+        satellite = f" ({self.satellite})" if self.satellite else ""
+        points = f", {sum(len(one.ccd) for one in self.points)} measured points" if self.points else ""
+        unused = [f"{one.kind} {one.name}: {one.reason}" for one in self.omissions[:MOST_NAMED]]
+        lines = [
+            f"dump {self.mission}{satellite} in {self.root}",
+            f"{len(self.exposures)} exposures of {len(self.heads)} star cameras",
+            f"{len(self.strips)} strips of the ground and {len(self.sky_strips)} of the sky: {named}{more}",
+            f"{len(self.targets)} targets{points}",
+            self.orbit_covers,
+            f"not used: {len(self.omissions) or 'nothing'}",
+            *(f"  {printable(text)[:120]}" for text in unused),
+        ]
+        return "\n".join(lines)
+
+    def _repr_html_(self) -> str:
+        return f"<pre>{html.escape(repr(self))}</pre>"
+
     @property
     def R_cs0(self) -> Rotation:
         """Installation rotation of the reference head measured before launch, frame s to frame c."""
@@ -224,7 +247,7 @@ class Dump:
 
 
 def open_dump(
-    root: Path | str | Dump,
+    root: str | os.PathLike[str] | Dump,
     *,
     allow_stale_eop: bool = False,
     threads: int = 1,
@@ -234,7 +257,7 @@ def open_dump(
 
     Parameters
     ----------
-    root : Path or str
+    root : path, str or Dump
         Folder with a dump.toml (docs/dump-format.md), or its address in a store (`s3://bucket/dump`); an open
         dump is returned as it is.
     allow_stale_eop : bool
@@ -253,17 +276,25 @@ def open_dump(
     ------
     RawDataError
         A file is missing or invalid; the error names file, field, found and expected.
+    ValueError
+        If `root` is neither a path nor a dump.
+    WorkerError
+        If an object store does not answer.
 
     Examples
     --------
     >>> import boresight as bs
-    >>> dump = bs.open_dump("fixtures/mini")
+    >>> dump = bs.open_dump(bs.example("mini"))
     >>> len(dump.exposures), len(dump.strips), len(dump.targets)
     (42, 3, 36)
     """
     if isinstance(root, Dump):
         return root
-    root = dump_folder(root)
+    if not isinstance(root, str | os.PathLike) or not str(root).strip() or "\0" in str(root):
+        raise ValueError(
+            f"root: found {printable(repr(root))[:80]}, expected the folder of a dump, or a Dump"
+        )
+    root = dump_folder(os.fspath(root))
     if not root.is_dir():
         raise RawDataError(str(root), "dump", "no such folder", "a folder with a dump.toml")
     if not (root / "dump.toml").exists():

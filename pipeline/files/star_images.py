@@ -25,7 +25,7 @@ from boresight.pipeline.files.content import content_of
 from boresight.pipeline.files.image_heads import MAX_STAR_PIXELS, TIFF_MAGICS, check_size, kept_head
 from boresight.pipeline.files.pictures import PICTURE_MAGICS, PNG_MAGIC, read_picture, read_png
 
-__all__ = ["read_exposure", "read_star_image"]
+__all__ = ["grey_image", "read_exposure", "read_star_image"]
 
 FITS_MAGIC = b"SIMPLE  ="
 NPY_MAGIC = b"\x93NUMPY"
@@ -52,17 +52,19 @@ def read_star_image(path: Path, file: str) -> NDArray[Any]:
 def _read_star_image(path: Path, file: str, size: tuple[int, int] | None, bits: int | None) -> NDArray[Any]:
     magic = kept_head(path, file, 16)
     if magic.startswith(PNG_MAGIC):
-        return _grey(read_png(path, file, size, bits), file)
+        return grey_image(read_png(path, file, size, bits), file)
     if magic.startswith(TIFF_MAGICS):
         from boresight.pipeline.files.image_files import read_planes, read_tiff  # with GDAL 0.1 s to load
 
-        return _grey(read_planes(path, file), file) if size is None else read_tiff(path, file, size, bits)
+        return (
+            grey_image(read_planes(path, file), file) if size is None else read_tiff(path, file, size, bits)
+        )
     if magic.startswith(FITS_MAGIC):
         return _read_fits(path, file, size, bits) if size is not None else _read_any_fits(path, file)
     if size is None and magic.startswith(NPY_MAGIC):
         return _read_npy(path, file)
     if size is None and magic.startswith(tuple(PICTURE_MAGICS)):
-        return _grey(read_picture(path, file), file)
+        return grey_image(read_picture(path, file), file)
     if not magic:
         raise RawDataError(file, "byte 0", "an empty file", "a PNG, TIFF or FITS image")
     expected = "a PNG, TIFF or FITS image" + (", JPEG, BMP or .npy" if size is None else "")
@@ -114,7 +116,7 @@ def _read_fits(path: Path, file: str, size: tuple[int, int] | None, bits: int | 
     return values.astype(np.uint16)
 
 
-def _grey(planes: NDArray[Any], file: str) -> NDArray[Any]:
+def grey_image(planes: NDArray[Any], file: str) -> NDArray[Any]:
     """One plane (H, W) of an image of one (H, W), or of one, three or four planes (K, H, W) or (H, W, K)."""
     if planes.ndim == 3 and planes.shape[0] not in (1, 3, 4):
         planes = np.moveaxis(planes, 2, 0)
@@ -144,7 +146,7 @@ def _read_npy(path: Path, file: str) -> NDArray[Any]:
         values = np.load(path, mmap_mode="r", allow_pickle=False)
         if values.size > 4 * MAX_STAR_PIXELS:
             raise RawDataError(file, "image size", f"{values.size} values", f"at most {MAX_STAR_PIXELS} px")
-        return _grey(np.array(values), file)
+        return grey_image(np.array(values), file)
     except RawDataError:
         raise
     except Exception as error:  # of a damaged header NumPy raises also what its tokenizer does
@@ -163,7 +165,7 @@ def _read_any_fits(path: Path, file: str) -> NDArray[Any]:
                 continue
             _check_fits_size(hdu, path, file)
             planes = np.squeeze(np.asarray(hdu.data))
-            return _grey(planes.astype(planes.dtype.newbyteorder("=")), file)
+            return grey_image(planes.astype(planes.dtype.newbyteorder("=")), file)
     raise RawDataError(file, "HDU", "none with an image", "an image of one plane or three")
 
 

@@ -13,7 +13,7 @@ from boresight.pipeline.report.ground_accuracy import accuracy_rows
 from boresight.pipeline.report.ground_map import local_plane
 from boresight.pipeline.report.saved import Saved
 from boresight.pipeline.results.folder import VALIDATION
-from boresight.pipeline.results.validate import Validation
+from boresight.pipeline.results.validate import TruthErrors
 from boresight.pipeline.results.writing import write_json
 
 __all__ = ["CheckPoint", "check_points", "write_validation"]
@@ -29,7 +29,7 @@ class CheckPoint:
     words: str = scalar("hover text")
 
 
-def write_validation(result: Path, found: Validation) -> Path:
+def write_validation(result: Path, found: TruthErrors) -> Path:
     """Write `validation.json` into the folder of a result; its path."""
     after = found.after
     accuracy = accuracy_rows(after.strip_id, np.column_stack([after.along_m, after.across_m]))

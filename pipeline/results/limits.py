@@ -9,7 +9,7 @@ import numpy as np
 
 from boresight.geometry.record import record, scalar
 from boresight.pipeline.errors import printable
-from boresight.pipeline.results.validate import Validation
+from boresight.pipeline.results.validate import TruthErrors
 from boresight.star_id.score import CentroidScore
 
 __all__ = ["Limit", "centroid_limits", "junit_xml", "limit_lines", "validation_limits"]
@@ -40,7 +40,7 @@ class Limit:
 
 
 def validation_limits(
-    validation: Validation,
+    validation: TruthErrors,
     max_error_sigma: float | None = None,
     max_nees: float | None = None,
     max_ground_m: float | None = None,

@@ -15,7 +15,7 @@ from boresight.calib.verdict import Outcome
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.installation import euler_zxy_from_theta
 from boresight.pipeline.errors import Cause, Omission
-from boresight.pipeline.results.validate import Validation
+from boresight.pipeline.results.validate import TruthErrors
 from boresight.pipeline.results.writing import blind_spots_json, verdict_json
 from boresight.pipeline.stages.calibrate import Calibration
 from boresight.pipeline.stages.joint import JointCalibration
@@ -148,7 +148,7 @@ def _doubt_lines(estimate: InstallationEstimate, said: Collection[str]) -> list[
     return [f"{'one target in doubt':26s}{text}" for text in doubts(estimate.targets) if text not in said]
 
 
-def validation_summary(validation: Validation) -> str:
+def validation_summary(validation: TruthErrors) -> str:
     """Errors per axis and on the ground, before and after."""
     error, sigma = validation.error_rad / ARCSEC, validation.sigma_rad / ARCSEC
     lines = [

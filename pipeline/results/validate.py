@@ -24,7 +24,7 @@ from boresight.pipeline.results.reading import SavedResult
 from boresight.pipeline.results.strip_model import exposures_around, pushbroom_with, run_settings_of
 from boresight.pipeline.run.settings import effects_of
 
-__all__ = ["CheckPoints", "Validation", "true_installation", "validate"]
+__all__ = ["CheckPoints", "TruthErrors", "true_installation", "validate"]
 
 
 class TrueInstallationFile(BaseModel):
@@ -69,7 +69,7 @@ class CheckPoints:
 
 
 @record(kw_only=True)
-class Validation:
+class TruthErrors:
     """Errors of a result, and of the matrix that it started from."""
 
     error_rad: Floats = array("3", "theta of the result's error: R_result = exp[[error]] R_true")
@@ -81,7 +81,7 @@ class Validation:
     without: int = scalar("check points without attitude or ground, for which no error can be given")
 
 
-def validate(result: SavedResult, dump: Dump) -> Validation:
+def validate(result: SavedResult, dump: Dump) -> TruthErrors:
     """Errors of `result` against the truth of `dump`. `RawDataError` when the dump has no truth."""
     truth = dump.root / "truth"
     R_true = true_installation(dump)
@@ -89,7 +89,7 @@ def validate(result: SavedResult, dump: Dump) -> Validation:
     error = theta_between(result.R_cs, R_true)
     after, without = _check(points, result, dump, result.R_cs)
     before, _ = _check(points, result, dump, dump.R_cs0)
-    return Validation(
+    return TruthErrors(
         error_rad=error,
         sigma_rad=np.sqrt(np.diag(result.cov_theta)),
         nees=float(error @ np.linalg.solve(result.cov_theta, error)),

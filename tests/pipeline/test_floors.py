@@ -156,7 +156,7 @@ def test_nothing_prints_but_the_one_module_that_escapes():
 
 
 FEATURES = sorted(path.name for path in (ROOT / "features").iterdir() if (path / "__init__.py").is_file())
-DOOR_FOR_FEATURES = {"display", "version"}  # how results print, and the version: what a feature may use of it
+DOOR_FOR_FEATURES = {"accepted", "display", "version"}  # forms of arguments, how results print, the version
 
 
 def test_mathematics_and_spine_import_no_feature() -> None:

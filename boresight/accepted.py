@@ -1,0 +1,222 @@
+"""The forms in which public functions take times, rotations, paths, images and numbers; their one reading.
+
+Each `..._of` returns the one form that the package uses within, or raises a `ValueError` of one sentence that
+names the argument, what was found and what is expected.
+"""
+
+from __future__ import annotations
+
+import datetime
+import math
+import os
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar, Union
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from boresight.geometry.epoch import Epoch
+from boresight.geometry.record import Floats
+from boresight.pipeline.errors import RawDataError, printable
+from boresight.pipeline.files.object_store import is_address
+
+if TYPE_CHECKING:
+    from astropy.time import Time
+
+__all__ = [
+    "ImageLike",
+    "PathLike",
+    "RotationLike",
+    "SiteLike",
+    "TimeLike",
+    "count_of",
+    "floats_of",
+    "instance_of",
+    "listed",
+    "new_folder_of",
+    "number_of",
+    "of_argument",
+    "path_of",
+    "rotation_of",
+    "shown",
+    "site_of",
+    "source_of",
+    "utc_of",
+    "wrong",
+]
+
+PathLike: TypeAlias = Union[str, "os.PathLike[str]"]
+TimeLike: TypeAlias = Union[str, datetime.datetime, np.datetime64, "Time"]
+RotationLike: TypeAlias = Rotation | NDArray[np.floating[Any]] | Sequence[Sequence[float]]
+SiteLike: TypeAlias = Sequence[float] | NDArray[np.floating[Any]]
+ImageLike: TypeAlias = NDArray[np.generic] | PathLike
+
+ORTHONORMAL = 1e-6  # of R Rᵀ: a matrix printed with seven digits
+LONGEST_SHOWN = 80
+Kind = TypeVar("Kind")
+
+
+def wrong(name: str, found: object, expected: str) -> ValueError:
+    """The error for an argument, one sentence."""
+    return ValueError(f"{name}: found {shown(found)}, expected {expected}")
+
+
+def shown(found: object) -> str:
+    """A value as one printable line: arrays by shape and type, others as Python writes them, cut short."""
+    if isinstance(found, np.ndarray):
+        return f"an array of shape {found.shape} and type {found.dtype}"
+    try:
+        text = printable(found if isinstance(found, str) and " " in found else repr(found)).replace("\n", " ")
+    except Exception:  # whatever a foreign class raises
+        text = "?"
+    return text if len(text) <= LONGEST_SHOWN else f"{text[: LONGEST_SHOWN - 3]}..."
+
+
+def path_of(value: object, name: str) -> Path:
+    """A path of this machine."""
+    if not isinstance(value, str | os.PathLike):
+        raise wrong(name, value, "a path, as str or pathlib.Path")
+    text = os.fspath(value)
+    if not isinstance(text, str) or not text.strip() or "\0" in text:
+        raise wrong(name, value, "a path that is not empty")
+    return value if isinstance(value, Path) else Path(text)
+
+
+def source_of(value: object, name: str) -> str | Path:
+    """A path, or the address of a folder in a store (`s3://...`)."""
+    return value if isinstance(value, str) and is_address(value) else path_of(value, name)
+
+
+def new_folder_of(value: object, name: str) -> Path:
+    """A path at which a folder is or can be made; an address and a file are refused."""
+    path = path_of(value, name)
+    if isinstance(value, str) and is_address(value):
+        raise wrong(name, value, "a folder of this machine")
+    if path.exists() and not path.is_dir():
+        raise wrong(name, f"the file {path}", "a folder")
+    return path
+
+
+def listed(value: object, name: str, what: str) -> list[Any]:
+    """A list of several things: given as any iterable, a single path or text is a list of one."""
+    if isinstance(value, str | os.PathLike):
+        return [value]
+    if isinstance(value, np.ndarray) and value.ndim == 2:  # one image
+        return [value]
+    if isinstance(value, Iterable) and not isinstance(value, bytes | dict):
+        return list(value)
+    raise wrong(name, value, f"a sequence of {what}")
+
+
+def instance_of(value: object, kind: type[Kind], name: str) -> Kind:
+    """The value itself, which must be of a class."""
+    if not isinstance(value, kind):
+        raise wrong(name, value, f"a {kind.__name__}")
+    return value
+
+
+def number_of(value: object, name: str, low: float = -math.inf, high: float = math.inf) -> float:
+    """A finite number from `low` to `high`."""
+    limits = "" if (low, high) == (-math.inf, math.inf) else f" from {low:g} to {high:g}"
+    try:
+        if isinstance(value, str | bytes | bool):
+            raise TypeError
+        number = float(value)  # type: ignore[arg-type]
+    except (TypeError, ValueError, OverflowError):
+        raise wrong(name, value, f"a number{limits}") from None
+    if not (math.isfinite(number) and low <= number <= high):
+        raise wrong(name, number, f"a finite number{limits}")
+    return number
+
+
+def count_of(value: object, name: str, low: int = 0, high: int = 2**31 - 1) -> int:
+    """A whole number from `low` to `high`."""
+    limits = f" from {low}" + ("" if high == 2**31 - 1 else f" to {high}")
+    if isinstance(value, bool) or not isinstance(value, int | np.integer):
+        raise wrong(name, value, f"a whole number{limits}")
+    if not low <= int(value) <= high:
+        raise wrong(name, int(value), f"a whole number{limits}")
+    return int(value)
+
+
+def floats_of(value: object, name: str, shape: str) -> Floats:
+    """An array of floating-point numbers; `shape` is what the message asks for."""
+    try:
+        if isinstance(value, str | bytes):
+            raise TypeError
+        array = np.asarray(value)
+        if array.dtype.kind not in "iuf" and not (array.dtype == object and array.size):
+            raise TypeError
+        return array.astype(float)
+    except Exception:  # of ragged lists, strings and foreign classes that pretend to be arrays
+        raise wrong(name, value, f"numbers of shape {shape}") from None
+
+
+def rotation_of(value: object, name: str) -> Rotation:
+    """One rotation: a scipy Rotation, or a (3, 3) matrix, orthonormal to 1e-6 and of determinant +1."""
+    if isinstance(value, Rotation):
+        if not value.single:
+            raise wrong(name, f"{len(value)} rotations", "one rotation")
+        return value
+    matrix = floats_of(value, name, "(3, 3), or a scipy Rotation")
+    if matrix.shape != (3, 3):
+        raise wrong(name, matrix, "a scipy Rotation or a (3, 3) matrix")
+    if not np.isfinite(matrix).all():
+        raise wrong(name, "a matrix with values that are not finite", "finite values")
+    off = float(np.abs(matrix @ matrix.T - np.eye(3)).max())
+    if off > ORTHONORMAL:
+        raise wrong(name, f"a matrix whose R Rᵀ is {off:.1e} off the identity", f"at most {ORTHONORMAL:g}")
+    if np.linalg.det(matrix) < 0.0:
+        raise wrong(name, "a matrix of determinant -1", "+1: a rotation, no reflection")
+    return Rotation.from_matrix(matrix)
+
+
+def utc_of(value: object, name: str) -> str:
+    """UTC in ISO form of a text in that form, a datetime (without time zone: UTC), a datetime64 or an astropy
+    Time.
+    """
+    expected = 'UTC since 1972 such as "2026-03-01T12:00:00", a datetime or an astropy Time'
+    text = _utc_text(value)
+    if text is None:
+        raise wrong(name, value, expected)
+    try:
+        Epoch.from_utc(text)
+    except (ValueError, OverflowError) as error:
+        raise wrong(name, text, f"{expected} ({error})") from error
+    return text
+
+
+def _utc_text(value: Any) -> str | None:
+    if isinstance(value, str):
+        return value
+    if isinstance(value, datetime.datetime):
+        if value != value:  # pandas' NaT is a datetime
+            return None
+        utc = value if value.tzinfo is None else value.astimezone(datetime.UTC).replace(tzinfo=None)
+        return utc.isoformat(timespec="microseconds")
+    if isinstance(value, np.datetime64):
+        return None if np.isnat(value) else str(value.astype("datetime64[ns]"))
+    if type(value).__module__.startswith("astropy.time") and getattr(value, "isscalar", False):
+        precise = value.utc.copy(format="isot")
+        precise.precision = 9
+        return str(precise.value)
+    return None
+
+
+def site_of(value: object, name: str = "site") -> tuple[float, float, float]:
+    """(latitude deg, longitude deg, height m) of a place on the ground."""
+    expected = "(latitude deg, longitude deg, height m)"
+    place = floats_of(value, name, f"(3,): {expected}")
+    if place.shape != (3,) or not np.isfinite(place).all():
+        raise wrong(name, value, f"{expected}, finite numbers")
+    lat, lon, height = place.tolist()
+    if not (abs(lat) <= 90.0 and abs(lon) <= 360.0 and -500.0 <= height <= 9000.0):
+        raise wrong(name, (lat, lon, height), f"{expected}, the height from -500 to 9000 m")
+    return lat, lon, height
+
+
+def of_argument(name: str, error: RawDataError) -> ValueError:
+    """What is wrong with an argument that a reader of files has examined."""
+    return ValueError(f"{name}, {error.field}: found {error.found}, expected {error.expected}")

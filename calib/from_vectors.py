@@ -1,0 +1,128 @@
+"""The installation matrix from vectors of frames, by estimator, rejection and tests of `calibrate`.
+
+A frame is the paper's: one attitude, stars and targets at one instant. It becomes a strip with one exposure
+whose targets, like stars, no position of the satellite moves; errors that strips have in common are off.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from boresight.calib.calibration import calibrate
+from boresight.calib.estimate import InstallationEstimate, NotObservable
+from boresight.calib.hypotheses import vector_hypotheses
+from boresight.calib.reliability import examine
+from boresight.calib.settings import CalibrationSettings
+from boresight.calib.verdict import Verdict, assess
+from boresight.geometry.attitude_estimate import with_attitudes
+from boresight.geometry.constants import ARCSEC
+from boresight.geometry.record import Floats, record, scalar
+from boresight.geometry.sightings import (
+    GroundSightings,
+    StarSightings,
+    StripSightings,
+    isotropic_covariance,
+)
+from boresight.geometry.star_camera import StarCamera
+from boresight.geometry.vector_sets import VectorSets
+
+__all__ = ["VectorCalibration", "calibrate_vector_sets", "strips_of_frames"]
+
+INDEPENDENT = CalibrationSettings(
+    sigma_position_m=0.0,
+    sigma_clock_s=0.0,
+    sigma_vibration_rad=0.0,
+    sigma_distortion_rad=0.0,
+)
+WIDEST_FIELD = np.cos(np.radians(80.0))  # from the axis z: up to there an error of the focal length is tested
+
+
+@record
+class VectorCalibration:
+    """The estimate from frames, with what its residuals say of it."""
+
+    estimate: InstallationEstimate = scalar("matrix, covariance, residuals of targets, rejections")
+    verdict: Verdict = scalar("whether the vectors contradict themselves, and what they cannot show")
+    strips: tuple[StripSightings, ...] = scalar("one a frame, with the attitude that its stars give")
+
+
+def calibrate_vector_sets(frames: VectorSets, R_cs0: Rotation) -> VectorCalibration | NotObservable:
+    """The matrix from frames with independent errors, about the start `R_cs0`; `NotObservable` where they
+    leave a rotation undetermined.
+    """
+    strips = with_attitudes(strips_of_frames(frames), INDEPENDENT.attitudes)
+    estimate = calibrate(strips, R_cs0, INDEPENDENT)
+    if isinstance(estimate, NotObservable):
+        return estimate
+    reliability = examine(
+        estimate,
+        strips,
+        INDEPENDENT,
+        pixel_rad=ARCSEC,
+        star_camera=_star_camera(frames.u_s),
+        table_of=vector_hypotheses,
+    )
+    return VectorCalibration(estimate, assess(estimate, strips, reliability=reliability), tuple(strips))
+
+
+def strips_of_frames(frames: VectorSets) -> list[StripSightings]:
+    """Each frame as a strip of one exposure. Stars and targets are numbered from 0 within their frame."""
+    digits = len(str(max(len(frames) - 1, 0)))
+    return [_strip(f"{k:0{digits}d}", *frames.frame(k)) for k in range(len(frames))]
+
+
+def _strip(
+    name: str,
+    u_s: Floats,
+    v_stars: Floats,
+    sigma_s: Floats,
+    w_c: Floats,
+    v_targets: Floats,
+    sigma_c: Floats,
+) -> StripSightings:
+    N, J = len(u_s), len(w_c)
+    stars = StarSightings(
+        exposure_id=name,
+        t_s=0.0,
+        hip=np.arange(N),
+        xy_px=np.zeros((N, 2)),
+        u_s=u_s,
+        u_i=v_stars,
+        cov_s=isotropic_covariance(u_s, sigma_s),
+    )
+    targets = GroundSightings(
+        target_id=np.array([f"{name}/{j}" for j in range(J)], dtype=str),
+        ccd=np.zeros(J, dtype=np.int64),
+        xy_px=np.column_stack([np.arange(J), np.zeros(J)]).astype(float),
+        t_s=np.zeros(J),
+        u_c=w_c,
+        u_i=v_targets,
+        cov_c=isotropic_covariance(w_c, sigma_c),
+        range_m=np.full(J, np.inf),
+        v_rel_i=np.zeros((J, 3)),
+        cov_target_i=np.zeros((J, 3, 3)),
+    )
+    return StripSightings(
+        strip_id=name,
+        exposures=(stars,),
+        ground=targets,
+        R_oi_exposures=Rotation.identity(1),
+        R_oi_targets=Rotation.identity(J),
+    )
+
+
+def _star_camera(u_s: Floats) -> StarCamera | None:
+    """A camera of pixels of an arc-second about the axis z, as wide as the stars: what is tested of a star
+    camera's model. None where the stars do not lie about that axis.
+    """
+    if u_s[:, 2].min() < WIDEST_FIELD:
+        return None
+    corner = float(np.max(np.linalg.norm(u_s[:, :2] / u_s[:, 2:], axis=1))) / ARCSEC
+    side = max(int(np.ceil(np.sqrt(2.0) * corner)), 2)
+    return replace(_NOMINAL, width_px=side, height_px=side)
+
+
+_NOMINAL = StarCamera(focal_m=1.0, pixel_m=ARCSEC, width_px=2, height_px=2, principal_px=(0.0, 0.0))

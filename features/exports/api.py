@@ -1,0 +1,66 @@
+"""A result written in formats that other tools read."""
+
+from __future__ import annotations
+
+import datetime
+from collections.abc import Sequence
+from pathlib import Path
+
+from boresight.accepted import PathLike, listed, new_folder_of, path_of, wrong
+from boresight.features.exports.formats import FORMATS, ExportRequest, Remark
+from boresight.features.exports.formats import export as made
+from boresight.features.exports.spice_frame import SpiceFrames
+from boresight.pipeline.errors import DataNotSufficientError
+from boresight.pipeline.files.whole_file import write_whole
+
+__all__ = ["export_files"]
+
+SPACECRAFT = -999
+
+
+def export_files(
+    result: PathLike,
+    formats: str | Sequence[str],
+    path: PathLike,
+    *,
+    dump: PathLike | None = None,
+    strips: str | Sequence[str] = (),
+) -> list[Path]:
+    """Write a result folder in `formats` into the folder `path`; the files written.
+
+    Names and ids for SPICE are those of `boresight export`. Raises `ValueError` for an unknown format,
+    `RawDataError` for a damaged result, `DataNotSufficientError` where a format has nothing to write.
+    """
+    names = [str(name) for name in listed(formats, "formats", "names of formats")]
+    if unknown := [name for name in names if name not in FORMATS]:
+        raise wrong("formats", unknown[0], f"names among {', '.join(FORMATS)}")
+    if not names:
+        raise wrong("formats", "no names", "at least one")
+    folder = new_folder_of(path, "path")
+    request = ExportRequest(
+        result=path_of(result, "result"),
+        dump=None if dump is None else path_of(dump, "dump"),
+        strips=tuple(str(one) for one in listed(strips, "strips", "ids of strips")),
+        frames=SpiceFrames(
+            spacecraft_id=SPACECRAFT,
+            star_camera_id=SPACECRAFT * 1000 - 1,
+            star_camera_name="BORESIGHT_STAR_CAMERA",
+            remote_camera_id=SPACECRAFT * 1000 - 2,
+            remote_camera_name="BORESIGHT_REMOTE_CAMERA",
+            define_star_camera=True,
+        ),
+        creation_utc=datetime.datetime.now(datetime.UTC).strftime("%Y-%m-%dT%H:%M:%S"),
+    )
+    written = []
+    for name in names:
+        found = list(made(name, request))
+        files = [one for one in found if not isinstance(one, Remark)]
+        if not files:
+            why = "; ".join(one.text for one in found if isinstance(one, Remark))
+            raise DataNotSufficientError(f"nothing to write as {name}{f': {why}' if why else ''}")
+        folder.mkdir(parents=True, exist_ok=True)
+        for file, content in files:
+            raw = content.encode("utf-8") if isinstance(content, str) else content
+            write_whole(folder / file, lambda place, raw=raw: place.write_bytes(raw))
+            written.append(folder / file)
+    return written
