@@ -418,7 +418,7 @@ def _fit(one: _Adjustment, rows: Sequence[int], kept: Bools) -> _Fit:
         step.solution.theta - x[:3] @ size,
         step.solution.covariance + x[:3] @ of_sizes @ x[:3].T,
         size,
-        np.sqrt(np.diag(of_sizes)),
+        np.sqrt(np.maximum(np.diag(of_sizes), 0.0)),
         squared_over(e, variance),
     )
 

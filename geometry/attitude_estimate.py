@@ -201,7 +201,7 @@ def fit_attitudes(
         usable=usable,
         kept=kept,
         squared_mahalanobis=squared,
-        chi2=sums_over(start, squared * kept),
+        chi2=sums_over(start, np.where(kept, squared, 0.0)),  # a rejected one may be infinite
         dof=2 * n_kept - 3,
     )
 

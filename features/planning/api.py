@@ -45,8 +45,8 @@ def forecast(
     Examples
     --------
     >>> import boresight as bs
-    >>> bs.forecast({"strips": {"count": 12}}, target_arcsec=1.0).strips_needed is not None
-    True
+    >>> bs.forecast({"strips": {"count": 12}}).table.columns.tolist()
+    ['strips', 'axis', 'sigma_arcsec', 'floor_arcsec']
     """
     wanted = (
         None
