@@ -76,7 +76,7 @@ def test_the_result_states_fit_verdict_checks_and_blind_spots() -> None:
     assert found.dof == 2 * found.residuals()["kept"].sum() - 3
     assert 0.001 < found.p_value < 0.999
     assert found.checks["holds"].all()
-    assert found.checks["kind"].tolist()[:2] == ["residuals of stars", "share of stars rejected"]
+    assert found.checks["kind"].tolist()[:2] == ["residuals of stars", "residuals of targets"]
     unseen = found.blind_spots[found.blind_spots["is_unseen"]]
     assert any(cause.startswith("origin of the look vectors") for cause in unseen["cause"])
     assert len(found.residuals()) == len(found.residuals("stars")) == 80
