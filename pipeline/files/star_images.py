@@ -117,7 +117,10 @@ def _read_fits(path: Path, file: str, size: tuple[int, int] | None, bits: int | 
 
 
 def grey_image(planes: NDArray[Any], file: str) -> NDArray[Any]:
-    """One plane (H, W) of an image of one (H, W), or of one, three or four planes (K, H, W) or (H, W, K)."""
+    """One plane (H, W) of an image of one (H, W), or of one, three or four planes (K, H, W) or (H, W, K).
+
+    `RawDataError`, which names `file`, for other shapes and types, and where no pixel is a number.
+    """
     if planes.ndim == 3 and planes.shape[0] not in (1, 3, 4):
         planes = np.moveaxis(planes, 2, 0)
     if planes.ndim not in (2, 3) or (planes.ndim == 3 and planes.shape[0] not in (1, 3, 4)):
