@@ -143,9 +143,10 @@ def table(runs: list[Run]) -> list[str]:
 
 
 def machine() -> list[str]:
-    """Commit, date, machine, versions and the command."""
+    """Commit, digest of the code, date, machine, versions and the command."""
     from importlib.metadata import version
 
+    from code_digest import WorkingTree, code_of
     from record import commit
 
     cpu = platform.processor() or platform.machine()
@@ -153,11 +154,12 @@ def machine() -> list[str]:
         names = [s for s in Path("/proc/cpuinfo").read_text().splitlines() if s.startswith("model name")]
         cpu = names[0].split(":", 1)[1].strip() if names else cpu
     packages = ", ".join(f"{name} {version(name)}" for name in ("boresight", "numpy", "scipy", "pyerfa"))
+    command = f"python benchmarks/{Path(sys.argv[0]).name} {' '.join(sys.argv[1:])}"
     return [
-        f"Commit {commit()}, {datetime.date.today().isoformat()}, {os.cpu_count()} cores of {cpu}, "
-        f"Python {platform.python_version()}, {packages}",
+        f"Commit {commit()}, code {code_of(command, WorkingTree())}, {datetime.date.today().isoformat()}, "
+        f"{os.cpu_count()} cores of {cpu}, Python {platform.python_version()}, {packages}",
         "",
-        f"    python benchmarks/{Path(sys.argv[0]).name} {' '.join(sys.argv[1:])}",
+        f"    {command}",
         "",
     ]
 

@@ -1,4 +1,4 @@
-"""Head of a benchmark's record (commit, date, machine, versions, command) and its verdicts."""
+"""Head of a benchmark's record (commit, code, date, machine, versions, command) and its verdicts."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import scipy
+from code_digest import WorkingTree, code_of
 from scipy.stats import chi2
 
 __all__ = ["band_of_mean_nees", "commit", "exit_status", "head", "peak_mib", "program", "verdict"]
@@ -48,7 +49,7 @@ def program(checkout: Path) -> str:
 
 
 def head(title: str) -> None:
-    """Print title, commit, date, machine, versions and command."""
+    """Print title, commit, digest of the code, date, machine, versions and command."""
     cpu = platform.processor() or platform.machine()
     try:
         with open("/proc/cpuinfo") as file:
@@ -57,11 +58,13 @@ def head(title: str) -> None:
         pass
     threads = os.environ.get("OPENBLAS_NUM_THREADS", "unset")
     print(title)
+    command = f"python {' '.join(sys.argv)}"
     print(f"commit    {commit()}")
+    print(f"code      {code_of(command, WorkingTree())}")
     print(f"date      {datetime.datetime.now(datetime.UTC):%Y-%m-%d %H:%M} UTC")
     print(f"machine   {cpu}, {os.cpu_count()} cores, {platform.system()}; OPENBLAS_NUM_THREADS {threads}")
     print(f"versions  Python {platform.python_version()}, NumPy {np.__version__}, SciPy {scipy.__version__}")
-    print(f"command   python {' '.join(sys.argv)}")
+    print(f"command   {command}")
     print(flush=True)
 
 

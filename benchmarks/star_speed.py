@@ -81,13 +81,16 @@ def _work(root: Path, frames: int) -> None:
     package = "boresight." if (root / "boresight").is_dir() else ""
 
     def room(name: str) -> ModuleType:
-        return importlib.import_module(f"{package}star_id.{name}")
+        return importlib.import_module(f"{package}{name}")
 
-    triangles = room("identification.triangle_index" if package else "naming.triangles")
+    triangles = room("star_id.identification.triangle_index" if package else "star_id.naming.triangles")
     build_index, equivalent_fov = triangles.build_index, triangles.equivalent_fov
-    solve_list, solve_stars = room("field").solve_list, room("field").solve_stars
-    find_stars, hipparcos_stars = room("finding.star_list").find_stars, room("catalogue").hipparcos_stars
-    StarSettings = room("settings").StarSettings
+    solve_list, solve_stars = room("star_id.field").solve_list, room("star_id.field").solve_stars
+    find_stars, hipparcos_stars = (
+        room("star_id.finding.star_list").find_stars,
+        room("star_id.catalogue").hipparcos_stars,
+    )
+    StarSettings = room("star_id.settings").StarSettings
     import cv2
     from frames import PAPER_CAMERA as camera
     from frames import Sensor, star_frame, stars_in_view

@@ -16,6 +16,7 @@ from mkdocs.structure.files import File, Files
 sys.path.insert(0, str(Path(__file__).parent))
 from accuracy_tables import table4_markdown
 from api_contents import undocumented
+from records import BenchmarkRecord, WorkingTree, records
 
 ROOT = Path(__file__).parents[1]
 RECORDS = ROOT / "benchmarks" / "results"
@@ -111,10 +112,26 @@ def _example(name: str, title: str) -> str:
     )
 
 
+def note_of(record: BenchmarkRecord, tree: WorkingTree) -> str:
+    """What the page says above a record that is not of the present code; "" above others."""
+    state = record.state(tree)
+    if state == "present":
+        return ""
+    since = f" since commit {record.commit}" if record.commit else ""
+    return (
+        f"**Stale**: the code that this record depends on has changed{since} ({state}). "
+        "The figures are those of the commit named below.\n"
+    )
+
+
 def _records() -> Iterator[str]:
+    tree = WorkingTree()
+    known = {record.path: record for record in records()}
     for path in sorted(RECORDS.glob("*")):
         if path.suffix in (".txt", ".md", ".png"):
             yield f"### {path.stem.replace('_', ' ')}\n"
+        if path in known and (note := note_of(known[path], tree)):
+            yield note
         if path.suffix == ".txt":
             yield f"```text\n{path.read_text(encoding='utf-8').rstrip()}\n```\n"
         elif path.suffix == ".md":
