@@ -1,6 +1,7 @@
 """The command `boresight`, also as `python -m boresight`."""
 
 import gc
+import os
 import sys
 
 __all__ = ["main"]
@@ -10,6 +11,7 @@ FEW_COLLECTIONS = 1_000_000  # what modules make stays: looking for garbage amon
 
 def main() -> None:
     """Run the command line; `--version` alone is answered without importing it."""
+    _open_streams()
     if sys.argv[1:] == ["--version"]:
         from boresight.version import version_text
 
@@ -22,6 +24,15 @@ def main() -> None:
         command_line()
     finally:
         gc.freeze()  # what is left ends with the process
+
+
+def _open_streams() -> None:
+    """Standard streams that the caller closed lead nowhere; files would otherwise get their numbers."""
+    for name in ("stdin", "stdout", "stderr"):
+        if getattr(sys, name) is None:
+            stream = open(os.devnull, "r" if name == "stdin" else "w")
+            setattr(sys, name, stream)
+            setattr(sys, f"__{name}__", stream)
 
 
 if __name__ == "__main__":

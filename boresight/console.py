@@ -21,7 +21,10 @@ def command_line(words: Sequence[str] | None = None) -> typer.Typer:
 
 
 def main() -> None:
-    """Entry point of the command `boresight`."""
+    """Entry point of the command `boresight`. Matplotlib draws into files only, whatever backend a user's
+    shell names.
+    """
+    os.environ["MPLBACKEND"] = "agg"
     with errors_reported():
         command_line(_words())()
 

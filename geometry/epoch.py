@@ -36,9 +36,10 @@ _DAY = 86_400
 _NOON = 43_200
 _NOON_OF_ORIGIN = datetime.datetime(2000, 1, 1, 12)
 _MJD_1972 = 41317
-_DATE_TIME = re.compile(r"(\d{4})-(\d{2})-(\d{2})(?:[T ](\d{2}):(\d{2}):(\d{2})(?:\.(\d{1,18}))?)?Z?")
+_DATE_TIME = re.compile(r"(\d{4})-(\d{2})-(\d{2})(?:[T ](\d{2}):(\d{2}):(\d{2})(?:\.(\d{1,18}))?)?Z?", re.A)
 _MINUTE = len("2024-06-30T23:59:")
-_SECONDS = re.compile(r"([0-5]\d)(?:\.(\d{1,18}))?Z?")  # after it; a leap second is looked at with its minute
+# after the minute; a leap second is looked at with its minute
+_SECONDS = re.compile(r"([0-5]\d)(?:\.(\d{1,18}))?Z?", re.A)
 _MODIFIED_JULIAN_ZERO = datetime.date(1858, 11, 17).toordinal()
 
 

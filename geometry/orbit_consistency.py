@@ -41,7 +41,7 @@ class OrbitFault(Enum):
     NOT_ORDERED = "the times of the states do not increase"
     ZERO = "the velocities are zero"
     REVERSED = "the velocities are reversed (sign or order of time)"
-    SCALED = "the velocities are multiplied by a factor (units?)"
+    SCALED = "the velocities are multiplied by a factor"
     INERTIAL_IN_ROTATING_FRAME = "the velocities are inertial, the frame rotates with the Earth"
     ROTATING_IN_INERTIAL_FRAME = "the velocities are relative to the rotating Earth, the frame is inertial"
     UNRELATED = "the velocities are not the rate of change of the positions (axes? another object?)"
@@ -69,10 +69,11 @@ class OrbitFinding:
 
     def __str__(self) -> str:
         at = f" at state {self.state + 1}"
+        units = "" if 0.9 < self.factor < 1.1 else " (units?)"
         return self.fault.value + {
             OrbitFault.NOT_ORDERED: f"{at}: {self.size:.6g} s back",
             OrbitFault.JUMP: f"{at}: {self.size:.4g} m against the velocities",
-            OrbitFault.SCALED: f": {self.factor:.4g}",
+            OrbitFault.SCALED: f": {self.factor:.6g}{units}",
             OrbitFault.FRAME: f", {self.size:.2g} m/s² off",
             OrbitFault.INERTIAL: f", {self.size:.2g} m/s² off",
             OrbitFault.MIRRORED: f", {self.size:.2g} m/s² off",

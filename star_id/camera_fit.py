@@ -85,6 +85,8 @@ def fit_camera(
     `camera` and `rotations` (K,) are the start. `prior` holds 1-sigma deviations from the parameters of
     `expected`, or of `camera`, in their own units. The covariance is scaled by the reduced chi2 if that
     exceeds 1.
+
+    `numpy.linalg.LinAlgError` where the steps lead to a camera that cannot image all of the stars.
     """
     columns = [_ALL.index(name) for name in free]
     units = _units(camera)[columns]
@@ -96,7 +98,10 @@ def fit_camera(
     variance, weight = 0.5 * np.trace(stars.cov_px, axis1=1, axis2=2), np.linalg.inv(stars.cov_px)
     for k in range(_STEPS):
         pull = prior_weight * (first - theta[columns])
-        step = _step(theta, R, camera, stars, weight * keep[:, None, None], columns, prior_weight, pull)
+        with np.errstate(over="ignore", invalid="ignore"):  # of a fit that diverges
+            step = _step(theta, R, camera, stars, weight * keep[:, None, None], columns, prior_weight, pull)
+        if not np.isfinite(step.d_camera).all():
+            raise np.linalg.LinAlgError("the fitted camera cannot image all of the stars")
         theta = theta.copy()
         theta[columns] += step.d_camera
         R = Rotation.from_rotvec(step.d_rotation) * R

@@ -15,7 +15,9 @@ neighbours, but all stars along a column or row: stars of like columns, or rows,
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
+from typing import TypeVar
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
@@ -53,6 +55,10 @@ _MOST_PAIRS = 1_000_000  # 16 MB; of more stars narrower lines are compared
 _SIGNIFICANT = 4.0  # standard errors of the mean product
 
 
+_Case = TypeVar("_Case")
+_Fitted = TypeVar("_Fitted")
+
+
 @record(kw_only=True)
 class LensModel:
     """A camera with C coefficients of a smooth distortion (none: C = 0), and its F + C errors."""
@@ -67,12 +73,19 @@ class LensModel:
 
 
 def choose_lens(stars: IdentifiedStars, camera: StarCamera, rotations: Rotation) -> LensModel:
-    """Lens model of identified stars (N) of K images; `camera` and `rotations` (K,) are approximate."""
+    """Lens model of identified stars (N) of K images; `camera` and `rotations` (K,) are approximate.
+
+    A projection whose fit fails, as Brown's does for the widest fields, is not chosen;
+    `numpy.linalg.LinAlgError` where both fail.
+    """
     brown = replace(camera, smooth=None, q3=0.0, projection="tangent")
     if camera.projection != "tangent":
         brown = replace(brown, q1=0.0, q2=0.0)
-    plain = fit_camera(stars, brown, rotations)
-    good = _without_gross(stars, plain)
+    fisheye = replace(brown, projection="equidistant", q1=0.0, q2=0.0)
+    fits = [*_each(lambda base: _good_stars(stars, base, rotations), (brown, fisheye))]
+    if not fits:
+        raise np.linalg.LinAlgError("neither projection can be fitted")
+    plain, good = fits[0]
     inner = replace(
         stars,
         xy_px=stars.xy_px[good],
@@ -80,19 +93,27 @@ def choose_lens(stars: IdentifiedStars, camera: StarCamera, rotations: Rotation)
         u_i=stars.u_i[good],
         frame=stars.frame[good],
     )
-    fisheye = replace(brown, projection="equidistant", q1=0.0, q2=0.0)
-    trials = [
-        _Trial.of(inner, base, rotations, free)
-        for free in (PARAMETERS, (*PARAMETERS, Q3))
-        for base in (brown, fisheye)
-    ]
-    first, *others = trials
-    best = max(others, key=lambda trial: trial.log_evidence)
+    cases = [(base, free) for free in (PARAMETERS, (*PARAMETERS, Q3)) for base in (brown, fisheye)]
+    trials = [*_each(lambda case: _Trial.of(inner, case[0], rotations, case[1]), cases)]
+    if not trials:
+        raise np.linalg.LinAlgError("neither projection can be fitted to the stars without gross errors")
+    first = trials[0]
+    best = max(trials, key=lambda trial: trial.log_evidence)
+    is_plain = not first.size_px and first.camera.projection == plain.camera.projection
     if best.log_evidence > first.log_evidence + _SEEN:
         chosen = best.model(stars)
     else:
-        chosen = first.model(stars) if first.size_px else _model(plain, PARAMETERS)
+        chosen = _model(plain, PARAMETERS) if is_plain else first.model(stars)
     return chosen if chosen.size_px else replace(chosen, covariance=_covariance(chosen.camera, trials))
+
+
+def _each(fit: Callable[[_Case], _Fitted], cases: Iterable[_Case]) -> Iterator[_Fitted]:
+    """The fits of those cases in which it succeeds."""
+    for case in cases:
+        try:
+            yield fit(case)
+        except np.linalg.LinAlgError:
+            continue
 
 
 def _model(fit: CameraFit, free: tuple[str, ...]) -> LensModel:
@@ -119,13 +140,15 @@ def _covariance(camera: StarCamera, trials: list[_Trial]) -> Floats:
     design = np.concatenate(
         [pixel_derivatives(camera, u_s, every), rotation_derivatives(camera, u_s)], axis=2
     )
-    columns = design.reshape(-1, design.shape[2])
-    unit = 1.0 / np.linalg.norm(columns, axis=0)
     total = np.zeros((len(every), len(every)))
     for trial, weight in zip(smooth_free, share / share.sum()):
-        J = pixel_derivatives(trial.camera, u_s, trial.free).reshape(len(columns), -1)
-        off = (trial.camera.pixels_from_directions(u_s) - grid).reshape(-1, 1)
-        alike = np.linalg.lstsq(columns * unit, np.hstack([J, off]), rcond=None)[0] * unit[:, None]
+        off = trial.camera.pixels_from_directions(u_s) - grid
+        seen = np.isfinite(off).all(axis=1)  # of wide fields the corners may have no direction
+        J = pixel_derivatives(trial.camera, u_s[seen], trial.free)
+        columns = design[seen].reshape(-1, design.shape[2])
+        unit = 1.0 / np.linalg.norm(columns, axis=0)
+        wanted = np.concatenate([J, off[seen, :, None]], axis=2).reshape(len(columns), -1)
+        alike = np.linalg.lstsq(columns * unit, wanted, rcond=None)[0] * unit[:, None]
         by_parameter, off = alike[: len(every), :-1], alike[: len(every), -1]
         own = max(1.0, trial.solved.scale) * trial.solved.covariance
         total += weight * (by_parameter @ own @ by_parameter.T + np.outer(off, off))
@@ -158,6 +181,12 @@ def _shared_px(residual_px: Floats, sigma_px: Floats, a: Ints, b: Ints) -> float
         variance = float(product.sum() / weight.sum())
         error = float(np.sqrt((by_star**2).sum()) / weight.sum())
     return float(np.sqrt(variance)) if variance > _SIGNIFICANT * error else 0.0
+
+
+def _good_stars(stars: IdentifiedStars, camera: StarCamera, rotations: Rotation) -> tuple[CameraFit, Bools]:
+    """The fit of one projection to all stars, and the stars (N,) that are no gross errors."""
+    plain = fit_camera(stars, camera, rotations)
+    return plain, _without_gross(stars, plain)
 
 
 def _without_gross(stars: IdentifiedStars, plain: CameraFit) -> Bools:
@@ -210,10 +239,15 @@ class _System:
 
     @classmethod
     def of(cls, stars: IdentifiedStars, fit: CameraFit, free: tuple[str, ...], keep: Bools) -> _System:
-        """The equations about a fit; stars that are not in `keep` (N,) have no weight."""
+        """The equations about a fit; stars that are not in `keep` (N,) have no weight.
+
+        `numpy.linalg.LinAlgError` where a star lies beyond the turning point of the fitted distortion.
+        """
         camera = fit.camera
         u_s = np.einsum("nij,nj->ni", fit.rotations.as_matrix()[stars.frame], stars.u_i)
         xy = camera.pixels_from_directions(u_s)
+        if not np.isfinite(xy).all():
+            raise np.linalg.LinAlgError("the fitted camera cannot image all of the stars")
         J = np.concatenate(
             [pixel_derivatives(camera, u_s, free), smooth_derivatives(camera, xy, _DEGREE)], axis=2
         )

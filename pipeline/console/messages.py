@@ -225,9 +225,11 @@ class _Console(logging.Handler):
         is_result = record.levelno == RESULT
         if (is_result and not self.results) or (not is_result and record.levelno < self.remarks):
             return
-        if getattr(record, "progress", False) and sys.stderr.isatty() and shows_bars():
-            return  # bars are shown
         stream = sys.stdout if is_result else sys.stderr
+        if stream is None:  # closed by whoever called
+            return
+        if getattr(record, "progress", False) and stream.isatty() and shows_bars():
+            return  # bars are shown
         typer.echo(fitted(record.getMessage(), stream.isatty()), err=not is_result)
 
 

@@ -12,10 +12,13 @@ import typer
 
 from boresight.pipeline.console.feature import Command, Feature
 from boresight.pipeline.console.messages import DATA_DID_NOT_ALLOW, DONE, log, print_data, talks
-from boresight.pipeline.errors import DataNotSufficientError, RawDataError, WorkerError
+from boresight.pipeline.errors import DataNotSufficientError, RawDataError, WorkerError, printable
 from boresight.version import version_text
 
 __all__ = ["errors_reported", "function_at", "program"]
+
+NO_THREAD = "can't start new thread"  # what Python says
+NO_PROCESS = "error: the system starts no further thread or process; use --workers 1, or raise `ulimit -u`"
 
 
 def program(features: Iterable[Feature], words: Sequence[str] | None = None) -> typer.Typer:
@@ -65,6 +68,22 @@ def errors_reported() -> Iterator[None]:
         yield
     except (RawDataError, DataNotSufficientError, WorkerError) as error:
         log.error("error: %s", error)
+        sys.exit(DATA_DID_NOT_ALLOW)
+    except UnicodeEncodeError as error:
+        if "surrogates" not in error.reason:
+            raise
+        name = printable(str(error.object))
+        log.error("error: %s: a name that is not text in UTF-8; rename the file or folder", name)
+        sys.exit(DATA_DID_NOT_ALLOW)
+    except RuntimeError as error:
+        if str(error) != NO_THREAD:
+            raise
+        log.error("%s", NO_PROCESS)
+        sys.exit(DATA_DID_NOT_ALLOW)
+    except BlockingIOError as error:
+        if error.filename is not None:
+            raise
+        log.error("%s", NO_PROCESS)
         sys.exit(DATA_DID_NOT_ALLOW)
     except OSError as error:  # disk full, no permission: what is finished is on disk
         log.error("error: %s: %s", error.filename or "file", error.strerror or error)

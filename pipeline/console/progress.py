@@ -23,7 +23,7 @@ def progress_bars() -> Iterator[Callable[[str, int, int | None], None]]:
             tenths[stage] = tenth
             log.info("%s: %d of %s", stage, done, "?" if total is None else total, extra={"progress": True})
 
-    if not (sys.stderr.isatty() and shows_bars()):
+    if sys.stderr is None or not (sys.stderr.isatty() and shows_bars()):
         yield noted
         return
     from rich.console import Console  # takes 0.15 s to import, and most commands print one line

@@ -1,7 +1,8 @@
 """Write tables of text: TOML, and CSV with one line of column names.
 
-Spreadsheets run a cell that begins with one of `= + - @`, tab or line end as a formula. Text from inputs
-(names of files, ids of other programs) therefore gets an apostrophe before such a character; numbers do not.
+Spreadsheets run a cell that begins with one of `= + - @`, also after a tab or line end, as a formula.
+Text from inputs (names of files, ids of other programs) therefore gets an apostrophe before such a
+character, and control characters are written as escapes; numbers stay as they are.
 """
 
 from __future__ import annotations
@@ -14,12 +15,14 @@ from typing import TYPE_CHECKING, Any
 
 import tomli_w
 
+from boresight.pipeline.errors import printable
+
 if TYPE_CHECKING:
     import pandas as pd
 
 __all__ = ["csv_line", "table_csv", "write_csv", "write_toml"]
 
-FORMULA = ("=", "+", "-", "@", "\t", "\r", "\n")
+FORMULA = ("=", "+", "-", "@", "\uff1d", "\uff0b", "\uff0d", "\uff20")  # the latter of full width
 
 
 def write_toml(path: Path, tables: Mapping[str, Any]) -> None:
@@ -38,8 +41,8 @@ def write_csv(path: Path, columns: Sequence[str], rows: Iterable[Sequence[Any]])
 def csv_line(values: Iterable[Any]) -> str:
     """One line of CSV, without its end, in which no text is a formula."""
     line = io.StringIO()
-    csv.writer(line, lineterminator="\r\n").writerow([_no_formula(value) for value in values])
-    return line.getvalue().removesuffix("\r\n")  # the writer quotes what its end of lines contains
+    csv.writer(line, lineterminator="").writerow([_no_formula(value) for value in values])
+    return line.getvalue()
 
 
 def table_csv(table: pd.DataFrame, float_format: str | None = None) -> str:
@@ -49,4 +52,7 @@ def table_csv(table: pd.DataFrame, float_format: str | None = None) -> str:
 
 
 def _no_formula(value: Any) -> Any:
-    return f"'{value}" if isinstance(value, str) and value.startswith(FORMULA) else value
+    if not isinstance(value, str):
+        return value
+    text = printable(value)
+    return f"'{text}" if text.startswith(FORMULA) else text

@@ -43,7 +43,8 @@ def begin_result(result: Path) -> None:
     """
     result.mkdir(parents=True, exist_ok=True)
     remove_abandoned(result)
-    for name in ("installation.json", DUMPS, "drift.json", VALIDATION, INTERIOR):
+    of_before = ("installation.json", DUMPS, "drift.json", VALIDATION, INTERIOR, "evidence/context.json")
+    for name in of_before:
         (result / name).unlink(missing_ok=True)
 
 

@@ -128,6 +128,11 @@ def claimed(
 def _check_place(result: Path, dumps: Sequence[Path]) -> None:
     if is_address(result.as_posix().replace(":/", "://", 1)):
         raise RawDataError("--out", str(result), "an address", "a folder of this machine")
+    try:
+        str(result.resolve()).encode()
+    except UnicodeEncodeError:
+        found = "a name that is not text in UTF-8"
+        raise RawDataError("--out", str(result), found, "a folder with a name in UTF-8") from None
     if result.exists() and not result.is_dir():
         raise RawDataError("--out", str(result), "a file", "a folder")
     for dump in dumps:

@@ -125,3 +125,13 @@ def test_gps_dates_are_18_seconds_ahead_of_utc_in_2020_and_agree_with_astropy():
 def test_gps_dates_that_do_not_exist_are_refused(text):
     with pytest.raises(ValueError, match="GPS date"):
         Epoch.from_utc("2020-08-16T12:02:00").seconds_from_gps_dates([text])
+
+
+@pytest.mark.parametrize(
+    "text", ["２０２４-06-30T23:59:59Z", "2024-06-30T23:59:５9Z", "2024-06-30T23:59:59.٥Z"]
+)
+def test_digits_of_other_scripts_are_no_time(text):
+    with pytest.raises(ValueError, match="UTC must look like"):
+        Epoch.from_utc(text)
+    with pytest.raises(ValueError, match="GPS date must look like"):
+        Epoch(0).seconds_from_gps_dates([text.removesuffix("Z")])

@@ -116,3 +116,11 @@ def test_order_of_time_and_gaps():
     assert fault is not None and fault.fault is OrbitFault.NOT_ORDERED and fault.state == 1
     keep = np.r_[0:20, 45:70]
     assert find_orbit_fault(t[keep], p[keep], v[keep], "ITRF") is None
+
+
+@pytest.mark.parametrize(
+    ("factor", "text"), [(1.0004, "a factor: 1.0004"), (1e-3, "a factor: 0.001 (units?)")]
+)
+def test_factor_of_the_velocities_is_told_with_the_digits_that_matter(factor, text):
+    t, p, v = ephemeris(n=300)
+    assert str(find_orbit_fault(t, p, factor * v, "ITRF")).endswith(text)

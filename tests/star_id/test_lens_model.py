@@ -3,6 +3,7 @@ the lens is refused."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -11,10 +12,13 @@ from foreign_lenses import HEIGHT, SIZE, WIDTH, ForeignLens
 from frames import listed_stars
 from scipy.spatial.transform import Rotation
 
+from boresight.geometry.star_camera import StarCamera
 from boresight.star_id.camera_calibration import CameraCalibration, SkyFrame, calibrate_camera
+from boresight.star_id.camera_fit import IdentifiedStars
 from boresight.star_id.catalogue import hipparcos_stars
 from boresight.star_id.field import nominal_camera
 from boresight.star_id.identification.triangle_index import build_index
+from boresight.star_id.lens_model import choose_lens
 from boresight.star_id.settings import StarSettings
 
 FOREIGN = {
@@ -72,3 +76,47 @@ def test_a_detector_with_a_step_is_refused_with_the_size_of_the_misfit(name):
     _, found = calibrated(*STEPS[name])
     assert not found.explained
     assert 0.01 < found.unmodelled_px < 0.5  # px; half of the largest step is the most that can be left
+
+
+@pytest.mark.parametrize("field_deg", [90.0, 120.0, 175.0])
+def test_fisheye_of_the_widest_fields_is_fitted_from_whatever_start(field_deg):
+    """Brown's model diverges there: its fit is left out, and the fisheye's residuals are the noise alone."""
+    truth = StarCamera(
+        focal_m=5e-6 * 1000.0 / np.radians(0.5 * field_deg),  # 1000 px from the axis to the edge
+        pixel_m=5e-6,
+        width_px=2000,
+        height_px=1500,
+        principal_px=(1003.0, 742.0),
+        projection="equidistant",
+    )
+    rng, sigma_px = np.random.default_rng(int(field_deg)), 0.1
+    rotations = Rotation.random(3, random_state=rng)
+    xy, u_i, frame = [], [], []
+    for k in range(len(rotations)):
+        pixels = rng.uniform(0.0, [1999.0, 1499.0], (100, 2))
+        u_s = truth.directions_from_pixels(pixels)
+        seen = np.isfinite(u_s).all(axis=1)
+        xy.append(pixels[seen] + rng.normal(0.0, sigma_px, (seen.sum(), 2)))
+        u_i.append(rotations[k].inv().apply(u_s[seen]))
+        frame.append(np.full(seen.sum(), k))
+    n = sum(map(len, xy))
+    cov = np.tile(sigma_px**2 * np.eye(2), (n, 1, 1))
+    stars = IdentifiedStars(np.vstack(xy), cov, np.vstack(u_i), np.concatenate(frame), np.zeros(3))
+    lens = choose_lens(stars, replace(truth, projection="tangent"), rotations)
+    assert lens.camera.projection == "equidistant"
+    assert lens.camera.focal_m == pytest.approx(truth.focal_m, abs=4.0 * np.sqrt(lens.covariance[0, 0]))
+    assert 0.8 < lens.fit.chi2 / lens.fit.dof < 1.2  # 600 residuals: 1 sigma of the ratio is 0.06
+    assert np.isfinite(lens.covariance).all()
+
+
+def test_lens_that_no_projection_images_is_an_error_that_says_so():
+    u_i = Rotation.random(60, random_state=1).apply([0.0, 0.0, 1.0])  # also behind the camera
+    stars = IdentifiedStars(
+        np.random.default_rng(1).uniform(0.0, 2000.0, (60, 2)),
+        np.tile(0.01 * np.eye(2), (60, 1, 1)),
+        u_i,
+        np.zeros(60, dtype=int),
+        np.zeros(1),
+    )
+    with pytest.raises(np.linalg.LinAlgError):
+        choose_lens(stars, nominal_camera(SIZE, np.radians(90.0)), Rotation.identity(1))

@@ -15,16 +15,25 @@ from typer.testing import CliRunner
 
 from boresight.pipeline.files.text_tables import csv_line, table_csv
 
-HARMFUL = ("=cmd|' /C calc'!A0", "+1+1", "-2+3", "@SUM(1)", "\t=1", "\r=1", "\n=1")
+HARMFUL = {
+    "=cmd|' /C calc'!A0": "'=cmd|' /C calc'!A0",
+    "+1+1": "'+1+1",
+    "-2+3": "'-2+3",
+    "@SUM(1)": "'@SUM(1)",
+    "\uff1d1": "'\uff1d1",
+    "\t=1": r"\t=1",
+    "\r=1": r"\r=1",
+    "a\n=1": r"a\n=1",
+}
 
 
 @pytest.mark.parametrize("text", HARMFUL)
-def test_text_that_begins_like_a_formula_gets_an_apostrophe_and_is_otherwise_kept(text: str) -> None:
+def test_text_that_begins_like_a_formula_gets_an_apostrophe_and_controls_are_escaped(text: str) -> None:
     cells = next(csv.reader(io.StringIO(csv_line([text, -1.5, "a=b", None, True]), newline="")))
-    assert cells == [f"'{text}", "-1.5", "a=b", "", "True"]
+    assert cells == [HARMFUL[text], "-1.5", "a=b", "", "True"]
     table = pd.DataFrame({"file": [text, "sky.png"], "x": [-1.5, np.nan], "n": [-1, 2]})
     read = list(csv.reader(io.StringIO(table_csv(table), newline="")))
-    assert read == [["file", "x", "n"], [f"'{text}", "-1.5", "-1"], ["sky.png", "", "2"]]
+    assert read == [["file", "x", "n"], [HARMFUL[text], "-1.5", "-1"], ["sky.png", "", "2"]]
 
 
 def test_table_without_rows_and_numbers_of_a_stated_format() -> None:

@@ -1,0 +1,88 @@
+"""What the program finds around it: closed streams, names that are no text, exhausted limits."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+import pytest
+
+from boresight.console import main
+from boresight.pipeline.console.messages import say, tell
+from boresight.pipeline.console.program import errors_reported
+from boresight.pipeline.console.progress import progress_bars
+
+NO_TEXT = os.fsdecode(b"n\xf6t text")
+
+
+def ended(arguments: list[str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture) -> tuple:
+    monkeypatch.setattr(sys, "argv", ["boresight", *arguments])
+    with pytest.raises(SystemExit) as left:
+        main()
+    return left.value.code, "".join(capsys.readouterr())
+
+
+def test_closed_streams_and_a_backend_that_is_none_are_no_obstacle(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "boresight", "drift", "none", "--out", str(tmp_path / "drift")]
+    done = subprocess.run(
+        ["bash", "-c", 'exec "$@" <&- >&-', "bash", *command],
+        env=os.environ | {"MPLBACKEND": "nonsense"},
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    assert done.returncode == 1 and "no such file" in done.stderr, done.stderr
+    assert len(done.stderr.splitlines()) == 1
+
+
+@pytest.mark.parametrize("name", ["stdout", "stderr"])
+def test_message_for_a_closed_stream_goes_nowhere(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    with monkeypatch.context() as patch:
+        patch.setattr(sys, name, None)
+        tell("a result")
+        say("a remark")
+        with progress_bars() as progress:
+            progress("exposures", 1, 10)
+
+
+def test_result_folder_of_a_name_that_is_no_text_is_refused(
+    one_strip: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
+) -> None:
+    out = tmp_path / NO_TEXT
+    told = ended(["calibrate", str(one_strip), "--out", str(out), "--workers", "1"], monkeypatch, capsys)
+    assert told[0] == 1 and "found a name that is not text in UTF-8" in told[1] and not out.exists()
+
+
+def test_name_that_a_library_cannot_take_is_one_line(capsys: pytest.CaptureFixture) -> None:
+    with pytest.raises(SystemExit) as left, errors_reported():
+        NO_TEXT.encode()
+    assert (
+        left.value.code == 1 and "n\\udcf6t text: a name that is not text in UTF-8" in capsys.readouterr().err
+    )
+    with pytest.raises(UnicodeEncodeError), errors_reported():  # a fault of the program
+        "ö".encode("ascii")
+
+
+@pytest.mark.parametrize("limit", ["threads", "processes"])
+def test_limit_on_threads_and_processes_is_named_with_the_remedy(
+    limit: str,
+    one_strip: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture,
+) -> None:
+    def refused(*given: object, **named: object) -> None:
+        if limit == "threads":
+            raise RuntimeError("can't start new thread")
+        raise BlockingIOError(11, "Resource temporarily unavailable")
+
+    if limit == "threads":
+        monkeypatch.setattr(threading.Thread, "start", refused)
+    else:
+        monkeypatch.setattr(os, "fork", refused)
+    arguments = ["calibrate", str(one_strip), "--out", str(tmp_path / "out"), "--workers", "2"]
+    code, told = ended(arguments, monkeypatch, capsys)
+    assert code == 1 and "no further thread or process; use --workers 1" in told, told
+    assert not (tmp_path / "out/installation.json").exists()
