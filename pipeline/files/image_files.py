@@ -28,7 +28,6 @@ from rasterio.windows import Window
 from boresight.geometry.record import Bools, Floats, array, record, scalar
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.content import small_content
-from boresight.pipeline.files.deflated_tiles import read_deflated
 from boresight.pipeline.files.image_heads import TIFF_MAGICS, check_size, first_bytes
 from boresight.pipeline.files.object_store import StoredPath
 
@@ -216,7 +215,8 @@ class StripFiles:
         if not (0 <= line0 < line1 <= lines and 0 <= sample0 < sample1 <= samples):
             raise ValueError(f"window {line0}:{line1}, {sample0}:{sample1} is not inside {lines} x {samples}")
         with open_geotiff(self.paths[ccd], self.names[ccd]) as image:
-            return self._pixels(ccd, image, Window(sample0, line0, sample1 - sample0, line1 - line0))
+            window = Window(sample0, line0, sample1 - sample0, line1 - line0)
+            return _read_window(image, self.names[ccd], window)
 
     def read_bands(self, ccd: int, height: int, most_pitch: int) -> tuple[NDArray[Any], int] | None:
         """Bands of `height` lines, one below the other (rows, samples), and the lines from band to band.
@@ -230,12 +230,9 @@ class StripFiles:
             if (pitch := most_pitch // block * block) <= height:
                 return None
             tops = range(0, lines - height + 1, pitch)
-            bands = [self._pixels(ccd, image, Window(0, top, samples, height)) for top in tops]
+            windows = [Window(0, top, samples, height) for top in tops]
+            bands = [_read_window(image, self.names[ccd], window) for window in windows]
         return np.concatenate(bands), pitch
-
-    def _pixels(self, ccd: int, image: Any, window: Window) -> NDArray[Any]:
-        pixels = read_deflated(self.paths[ccd], image, window)
-        return _read_window(image, self.names[ccd], window) if pixels is None else pixels
 
 
 def check_strip_file(path: Path, file: str, *, lines: int, samples: int, bit_depth: int) -> None:
