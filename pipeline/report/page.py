@@ -18,7 +18,6 @@ from boresight.geometry.constants import ARCSEC
 from boresight.pipeline.files.table_files import column, list_values
 from boresight.pipeline.files.whole_file import write_text
 from boresight.pipeline.report import figures
-from boresight.pipeline.report.compiled_templates import CompiledTemplates
 from boresight.pipeline.report.drawing import SHAPES, strip_style
 from boresight.pipeline.report.first_screen import first_screen
 from boresight.pipeline.report.map_view import map_view
@@ -158,7 +157,6 @@ def _environment() -> jinja2.Environment:
         undefined=jinja2.StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
-        bytecode_cache=CompiledTemplates(),
     )
     environment.filters["number"] = _number
     return environment
