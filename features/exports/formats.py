@@ -21,7 +21,6 @@ from boresight.features.exports.gcp_geojson import points_geojson
 from boresight.features.exports.gcp_qgis import points_qgis
 from boresight.features.exports.kml import kml_text
 from boresight.features.exports.matrix_csv import matrix_csv
-from boresight.features.exports.matrix_json import matrix_json
 from boresight.features.exports.notes import Notes, notes_of
 from boresight.features.exports.operator_parameters import operator_parameters
 from boresight.features.exports.rpc import fit_rpc, rpc_metadata, rpc_text
@@ -123,10 +122,6 @@ def _spice_attitude(request: ExportRequest) -> Made:
         about = [f"Strip {name}: attitude of the star camera, axes of GCRS", *_line_times(model, dump.epoch)]
         comment = "\n".join([*about, *lines])
         yield f"{name}.bc", attitude_kernel(ticks, model.track.R_si(t_s), frames, f"strip {name}", comment)
-
-
-def _json(request: ExportRequest) -> Made:
-    yield "matrix.json", matrix_json(read_result(request.result).installation, _notes(request))
 
 
 def _csv(request: ExportRequest) -> Made:
@@ -330,7 +325,6 @@ FORMATS: dict[str, Callable[[ExportRequest], Made]] = {
     "acm": _acm,
     "operator": _operator,
     "dimap": _dimap,
-    "json": _json,
     "csv": _csv,
     "csm-isd": _csm_isd,
     "rpc": _rpc,

@@ -1,8 +1,7 @@
-"""JSON and CSV of the matrix hold the numbers of installation.json, bit for bit."""
+"""The CSV of the matrix holds the numbers of installation.json, bit for bit."""
 
 import csv
 import io
-import json
 
 import numpy as np
 import pytest
@@ -10,7 +9,6 @@ from orbiting_camera import NOTES
 from scipy.spatial.transform import Rotation
 
 from boresight.features.exports.matrix_csv import matrix_csv
-from boresight.features.exports.matrix_json import KEYS, matrix_json
 
 R_CS = Rotation.from_euler("xyz", [40.0, -65.0, 110.0], degrees=True)
 INSTALLATION = {
@@ -28,12 +26,6 @@ def numbers(text):
     rows = {row["name"]: row["value"] for row in csv.DictReader(io.StringIO(text))}
     assert [rows.pop(name) for name in NOTES.items()] == list(NOTES.items().values())
     return {name: float(value) for name, value in rows.items()}
-
-
-def test_json_holds_the_same_numbers():
-    content = json.loads(matrix_json(INSTALLATION, NOTES))
-    assert {key: content[key] for key in KEYS} == {key: INSTALLATION[key] for key in KEYS}
-    assert "settings" not in content and content["boresight"] == NOTES.items()
 
 
 def test_csv_holds_the_same_numbers():
