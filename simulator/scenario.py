@@ -9,11 +9,14 @@ in the units that a mission's documents use; the unit is in the name.
 
 from __future__ import annotations
 
-import dataclasses
+import json
 import types
-from dataclasses import dataclass, field, fields, is_dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import cache
 from itertools import pairwise
-from typing import Any, get_args, get_origin, get_type_hints
+from typing import Any, ClassVar
+
+from pydantic import ConfigDict, TypeAdapter, ValidationError
 
 __all__ = [
     "AttitudeSettings",
@@ -295,6 +298,8 @@ class ErrorSettings:
 class Scenario:
     """Everything that a simulated mission is made from, apart from the seed."""
 
+    __pydantic_config__: ClassVar = ConfigDict(extra="forbid")  # of its tables, too
+
     name: str
     epoch_utc: str = "2024-11-20T03:40:00"  # time zero; the Sun stands far from the zenith
     orbit: OrbitSettings = OrbitSettings()
@@ -402,80 +407,57 @@ def scenario_from_dict(values: dict[str, Any]) -> Scenario:
     what was found and what is expected, for an unknown key as for a value of the wrong type.
     """
     values = dict(values)
-    base = builtin_scenario(_text("based_on", values.pop("based_on", "paper")))
-    return _filled(base, values, "")
+    based_on = values.pop("based_on", "paper")
+    if not isinstance(based_on, str):
+        raise ScenarioError(f"based_on: expected a name, found {_shown(based_on)}")
+    merged = _merged(_codec().dump_python(builtin_scenario(based_on), mode="json"), values, "")
+    try:
+        return _codec().validate_json(json.dumps(merged, default=str), strict=True)
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        if first["type"] == "value_error":  # of `_check`
+            raise first["ctx"]["error"] from None
+        where = "".join(f".{part}" if isinstance(part, str) else f"[{part}]" for part in first["loc"])
+        says = "expected a value" if first["type"] == "missing" else first["msg"]
+        says = says.replace("Input should be", "expected").replace(
+            "Unexpected keyword argument", "unknown setting"
+        )
+        raise ScenarioError(f"{where[1:]}: {says}, found {_shown(first['input'])}") from error
 
 
 def scenario_to_dict(scenario: Scenario) -> dict[str, Any]:
     """Nested tables of plain values, tuples as lists: what `scenario_from_dict` takes. Without scans of the
     sky there is no table for them."""
-    plain: dict[str, Any] = _plain(scenario)
-    if not scenario.sky_strips.scans:
-        del plain["sky_strips"]
+    without = None if scenario.sky_strips.scans else {"sky_strips"}
+    plain: dict[str, Any] = _codec().dump_python(scenario, mode="json", exclude=without)
     return plain
 
 
-def _filled(base: Any, values: Any, path: str) -> Any:
+@cache
+def _codec() -> TypeAdapter[Scenario]:
+    return TypeAdapter(Scenario)
+
+
+def _merged(base: dict[str, Any], values: Any, path: str) -> dict[str, Any]:
+    """Tables with the given values in place of their own."""
     if not isinstance(values, dict):
         raise ScenarioError(f"{path or 'scenario'}: expected a table, found {_shown(values)}")
-    hints = get_type_hints(type(base))
-    changed = {}
+    merged = dict(base)
     for key, value in values.items():
         where = f"{path}.{key}" if path else key
-        if key not in hints:
-            raise ScenarioError(f"{where}: unknown setting; expected one of {', '.join(sorted(hints))}")
-        if is_dataclass(hints[key]):
-            changed[key] = _filled(getattr(base, key), value, where)
-        else:
-            changed[key] = _converted(hints[key], value, where)
-    return replace(base, **changed)
+        if key not in base:
+            raise ScenarioError(f"{where}: unknown setting; expected one of {', '.join(sorted(base))}")
+        merged[key] = _merged(base[key], value, where) if isinstance(base[key], dict) else value
+        _check_numbers(value, where)
+    return merged
 
 
-def _converted(hint: Any, value: Any, where: str) -> Any:
-    if get_origin(hint) is tuple:
-        return _converted_tuple(get_args(hint), value, where)
-    if is_dataclass(hint):
-        return _new(hint, value, where)
-    if hint in (int, float):
-        kinds = (int, float) if hint is float else (int,)
-        if isinstance(value, kinds) and not isinstance(value, bool) and abs(value) <= LARGEST:
-            return hint(value)
-    elif isinstance(hint, type) and isinstance(value, hint):
-        return value
-    raise ScenarioError(f"{where}: expected {getattr(hint, '__name__', hint)}, found {_shown(value)}")
-
-
-def _converted_tuple(parts: tuple[Any, ...], value: Any, where: str) -> tuple[Any, ...]:
-    if not isinstance(value, (list, tuple)):
-        raise ScenarioError(f"{where}: expected a list, found {_shown(value)}")
-    if len(parts) == 2 and parts[1] is Ellipsis:
-        parts = (parts[0],) * len(value)
-    if len(parts) != len(value):
-        raise ScenarioError(f"{where}: expected {len(parts)} values, found {len(value)}")
-    return tuple(_converted(part, item, f"{where}[{n}]") for n, (part, item) in enumerate(zip(parts, value)))
-
-
-def _new(kind: Any, value: Any, where: str) -> Any:
-    """A record of a list: nothing to be based on, so that every field without a default must be there."""
-    if not isinstance(value, dict):
-        raise ScenarioError(f"{where}: expected a table, found {_shown(value)}")
-    hints = get_type_hints(kind)
-    if unknown := set(value) - set(hints):
-        raise ScenarioError(
-            f"{where}: unknown setting {sorted(unknown)}; expected {', '.join(sorted(hints))}"
-        )
-    needed = {f.name for f in fields(kind) if f.default is dataclasses.MISSING}
-    if missing := needed - set(value):
-        raise ScenarioError(f"{where}: missing {', '.join(sorted(missing))}")
-    return kind(**{key: _converted(hints[key], item, f"{where}.{key}") for key, item in value.items()})
-
-
-def _plain(value: Any) -> Any:
-    if is_dataclass(value):
-        return {f.name: _plain(getattr(value, f.name)) for f in fields(value)}
-    if isinstance(value, tuple):
-        return [_plain(item) for item in value]
-    return value
+def _check_numbers(value: Any, where: str) -> None:
+    """Refuse what no setting comes near, of which pydantic would tell no key: NaN, integers of any length."""
+    if isinstance(value, (int, float)) and not abs(value) <= LARGEST:
+        raise ScenarioError(f"{where}: expected a number up to {LARGEST:g}, found {_shown(value)}")
+    for one in value.values() if isinstance(value, dict) else value if isinstance(value, list) else ():
+        _check_numbers(one, where)
 
 
 def _shown(value: Any) -> str:
@@ -483,12 +465,6 @@ def _shown(value: Any) -> str:
         return repr(value)[:160]
     except (ValueError, RecursionError):  # an integer of thousands of digits
         return f"a {type(value).__name__} too long to be shown"
-
-
-def _text(where: str, value: Any) -> str:
-    if not isinstance(value, str):
-        raise ScenarioError(f"{where}: expected str, found {_shown(value)}")
-    return value
 
 
 def _check(scenario: Scenario) -> None:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import tomli_w
+import tomlkit
 from numpy.typing import NDArray
 
 from boresight.features.sky_images.frame_facts import SkyImage, open_sky_images
@@ -121,7 +121,7 @@ def calibrate_from_images(
 def _write(result: CameraCalibration, request: CameraRequest, bit_depth: int) -> None:
     """The files that are asked for; the camera only if its lens model explains the residuals."""
     if result.explained:
-        table = tomli_w.dumps(star_camera_table(result.camera, bit_depth))
+        table = tomlkit.dumps(star_camera_table(result.camera, bit_depth))
         write_text(request.out, table)
     cells = residual_map(result)
     if request.report is not None:

@@ -13,7 +13,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import tomli_w
+import tomlkit
 
 from boresight.pipeline.errors import printable
 
@@ -27,7 +27,7 @@ FORMULA = ("=", "+", "-", "@", "\uff1d", "\uff0b", "\uff0d", "\uff20")  # the la
 
 def write_toml(path: Path, tables: Mapping[str, Any]) -> None:
     """Write nested tables as a TOML file."""
-    path.write_text(tomli_w.dumps(tables), encoding="utf-8")
+    path.write_text(tomlkit.dumps(tables), encoding="utf-8")
 
 
 def write_csv(path: Path, columns: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:

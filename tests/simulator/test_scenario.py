@@ -14,6 +14,8 @@ from boresight.simulator.scenario import (
     scenario_to_dict,
 )
 
+WAVE = {"axis": "roll", "period_s": 3.0, "amplitude_arcsec": 1.0}
+
 
 @pytest.mark.parametrize("name", builtin_scenario_names())
 def test_a_scenario_written_as_tables_is_read_back_the_same(name):
@@ -31,12 +33,18 @@ def test_what_a_table_leaves_out_is_taken_from_its_base():
     ("tables", "words"),
     [
         ({"orbit": {"altitude": 530}}, ["orbit.altitude", "altitude_km"]),
-        ({"strips": {"lines": "many"}}, ["strips.lines", "int", "many"]),
-        ({"strips": {"count": True}}, ["strips.count", "int"]),
+        ({"strips": {"lines": "many"}}, ["strips.lines", "a valid integer", "many"]),
+        ({"strips": {"count": True}}, ["strips.count", "a valid integer", "True"]),
         ({"strips": {"count": 0}}, ["strips.count", "positive"]),
         ({"strips": {"spacing_s": 2.0}}, ["strips.spacing_s", "2.4", "2.0"]),
-        ({"star_camera": {"principal_px": [1.0]}}, ["principal_px", "2 values", "1"]),
-        ({"attitude": {"waves": [{"axis": "roll", "period_s": 3.0}]}}, ["waves[0]", "amplitude_arcsec"]),
+        ({"star_camera": {"principal_px": [1.0]}}, ["principal_px[1]", "expected a value", "[1.0]"]),
+        (
+            {"attitude": {"waves": [{"axis": "roll", "period_s": 3.0}]}},
+            ["waves[0].amplitude_arcsec", "expected a value"],
+        ),
+        ({"attitude": {"waves": [WAVE | {"phase": 1.0}]}}, ["waves[0].phase", "unknown setting"]),
+        ({"attitude": {"waves": [WAVE | {"period_s": "3"}]}}, ["waves[0].period_s", "valid number", "'3'"]),
+        ({"installation": {"theta_rad": [1e-3] * 4}}, ["theta_rad", "at most 3", "4"]),
         (
             {"attitude": {"waves": [{"axis": "up", "period_s": 3.0, "amplitude_arcsec": 1.0}]}},
             ["axis", "up"],

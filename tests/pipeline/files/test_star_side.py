@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import tomli_w
+import tomlkit
 from handmade import ATTITUDE_HEAD, write_handmade_dump
 
 from boresight.geometry.smooth_distortion import SmoothDistortion
@@ -158,7 +158,7 @@ def test_a_foreign_lens_comes_back_from_its_file(tmp_path):
         smooth=smooth,
     )
     file, xy_px = tmp_path / "star_camera.toml", np.array([[3.0, 5.0], [700.0, 200.0]])
-    file.write_text(tomli_w.dumps(star_camera_table(camera, 12)), "utf-8")
+    file.write_text(tomlkit.dumps(star_camera_table(camera, 12)), "utf-8")
     read = star_camera_of(read_toml(file, StarCameraFile, str(file)), str(file))
     error = read.directions_from_pixels(xy_px) - camera.directions_from_pixels(xy_px)
     assert np.abs(error).max() < 1e-14  # rad: the pixel pitch is written with 14 digits
