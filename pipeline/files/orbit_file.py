@@ -2,43 +2,39 @@
 
 from __future__ import annotations
 
-import io
+import datetime
 import re
-import warnings
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from boresight.geometry.epoch import Epoch
+from boresight.geometry.epoch import GPS_MINUS_TAI_S, TT_MINUS_TAI_S, Epoch
 from boresight.geometry.inertial_frames import InertialFrame, rotation_to_gcrs
 from boresight.geometry.record import Floats, array, record, scalar
 from boresight.pipeline.errors import RawDataError
-from boresight.pipeline.files.text_files import read_text
-from boresight.pipeline.files.xml_files import numbers_of, read_xml
+from boresight.pipeline.files.text_files import NUMBER, read_text
+from boresight.pipeline.files.xml_files import elements_of, numbers_of, read_xml
+from boresight.pipeline.files.xml_files import text_of as element_text
 
 __all__ = ["Ephemeris", "read_oem", "tai_seconds"]
 
 INERTIAL: tuple[InertialFrame, ...] = ("GCRF", "ICRF", "EME2000")
-TIME_SCALES = {"UTC": "utc", "TAI": "tai", "TT": "tt", "GPS": "gps"}  # names of astropy, but for GPS
+AHEAD_OF_GPS_S = {"GPS": 0.0, "TAI": -GPS_MINUS_TAI_S, "TT": TT_MINUS_TAI_S - GPS_MINUS_TAI_S}
 LIMIT_KM = 1e9  # of a coordinate and of a velocity in km/s, far beyond those of any orbit
-GPS_BEHIND_TAI_S = 19.0  # GPS time = TAI - 19 s (IS-GPS-200)
 EXPECTED = "an OEM that follows CCSDS 502.0-B"
-# A state line without acceleration; a message may hold comments, covariances and other notations of time too.
-_TIME = r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d(?:\.\d+)?"
-_STAMP = re.compile(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d(?:\.\d{1,12})?Z?", re.ASCII)
-_STATE_CHARACTERS = b"0123456789+-.eE:TZ \t"
-_PLAIN_HEAD = re.compile(
-    rf"CCSDS_OEM_VERS = [12]\.0\s+CREATION_DATE = {_TIME}\s+ORIGINATOR = \S[^\n]*\s+META_START\s+"
-    r"((?:[A-Z_]+ = \S[^\n]*\s+)+)META_STOP\s*",
-    re.ASCII,
+# Keywords of CCSDS 502.0-B-2, tables 5-2 and 5-3: the required ones, then those that may be there.
+HEADER = ("CCSDS_OEM_VERS", "CREATION_DATE", "ORIGINATOR"), ()
+METADATA = (
+    ("OBJECT_NAME", "OBJECT_ID", "CENTER_NAME", "REF_FRAME", "TIME_SYSTEM", "START_TIME", "STOP_TIME"),
+    ("REF_FRAME_EPOCH", "USEABLE_START_TIME", "USEABLE_STOP_TIME", "INTERPOLATION", "INTERPOLATION_DEGREE"),
 )
-_REQUIRED = ("OBJECT_NAME", "OBJECT_ID", "CENTER_NAME", "REF_FRAME", "TIME_SYSTEM", "START_TIME", "STOP_TIME")
+_KEYWORD = re.compile(r"([A-Z_]+)\s*=\s*(\S.*)")
+_STAMP = re.compile(r"(\d{4})-(?:\d\d-\d\d|(\d{3}))(T\d\d:\d\d:\d\d(?:\.\d+)?)Z?", re.ASCII)
+_STATE = re.compile(rf"\S+(?:\s+{NUMBER}){{6}}(?:(?:\s+{NUMBER}){{3}})?")
 _COORDINATES = ("X", "Y", "Z", "X_DOT", "Y_DOT", "Z_DOT")
-_INTERPOLATION = ("INTERPOLATION", "INTERPOLATION_DEGREE")
 
 
 @record(kw_only=True)
@@ -60,41 +56,29 @@ class Ephemeris:
 def read_oem(path: Path, file: str) -> Ephemeris:
     """The states of an OEM of one segment; `file` names it in errors.
 
-    A message of the plain form (the usual keywords only, UTC, each state a calendar date, position, velocity)
-    is parsed here, many times faster; the library `oem` checks and reads any other, XML too. It takes
-    0.6 s to load, with astropy. States in EME2000 are rotated to GCRF. Raises `RawDataError`.
+    States in EME2000 are rotated to GCRF; comments, accelerations and covariances are not used. Raises
+    `RawDataError`.
     """
     text = read_text(path, file)
     if text.lstrip().startswith("<"):
-        return _ephemeris(*_xml_reading(path, text, file), file)
-    if not text.startswith("CCSDS_OEM_VERS"):
-        raise RawDataError(file, "line 1", "another text", "CCSDS_OEM_VERS = ..., or an OEM in XML")
-    lines = text.splitlines()
-    begin = 1 + next((n for n, line in enumerate(lines) if line.strip() == "META_STOP"), len(lines))
-    data = [line for text in lines[begin:] if (line := text.strip())]
-    plain = _plain_states(data)
-    all_plain = plain is not None
-    head = "\n".join(lines[:begin])
-    states: list[Any] = []
-    meta: Any
-    if not all_plain or (meta := _plain_metadata(head)) is None:
-        meta, states = _library_reading("\n".join([head, *(data[:1] if all_plain else lines[begin:])]), file)
-    times: list[Any]
-    if plain is not None:
-        times, values = plain
-    else:
-        _check_numbers(data, file)
-        times, values = _of_library(states)
-    return _ephemeris(meta, times, values, file)
+        return _ephemeris(*_of_xml(path, file), file)
+    return _ephemeris(*_of_lines(text, file), file)
 
 
-def _ephemeris(meta: Any, times: list[Any], values: Floats, file: str) -> Ephemeris:
-    """The checked states, SI units, in GCRF or ITRF."""
+def _ephemeris(meta: dict[str, str], times: list[str], values: Floats, file: str) -> Ephemeris:
+    """The checked states, SI units, in GCRF or ITRF, of values (N, 6) in km and km/s."""
     for name, numbers in (("position", values[:, :3]), ("velocity", values[:, 3:])):
         if len(bad := np.flatnonzero(~(np.abs(numbers) < LIMIT_KM).all(axis=1))):
             expected = f"finite numbers below {LIMIT_KM:g} (unit km)"
             raise RawDataError(file, f"state {bad[0] + 1}, {name}", str(numbers[bad[0]]), expected)
-    epoch, t_s = tai_seconds(times, str(meta["TIME_SYSTEM"]), file)
+    if not times:
+        raise RawDataError(file, "states", "0", "at least 8")
+    epoch, t_s = tai_seconds(times, meta["TIME_SYSTEM"], file)
+    _, (first, last) = tai_seconds([meta["START_TIME"], meta["STOP_TIME"]], meta["TIME_SYSTEM"], file)
+    if not first <= last:
+        raise RawDataError(
+            file, "STOP_TIME", meta["STOP_TIME"], f"a time after START_TIME, {meta['START_TIME']}"
+        )
     frame, R = _frame(meta, file)
     positions, velocities = R.apply(1e3 * values[:, :3]), R.apply(1e3 * values[:, 3:])
     _check_states(t_s, positions, velocities, file)
@@ -106,105 +90,105 @@ def _ephemeris(meta: Any, times: list[Any], values: Floats, file: str) -> Epheme
         frame=frame,
         method=_method(meta, file),
         interpolation_degree=_degree(meta, file),
-        first_time=f"{times[0]}",
-        last_time=f"{times[-1]}",
-        time_system=str(meta["TIME_SYSTEM"]),
+        first_time=times[0],
+        last_time=times[-1],
+        time_system=meta["TIME_SYSTEM"],
     )
 
 
-def _plain_states(data: list[str]) -> tuple[list[str], Floats] | None:
-    """Times and values (N, 6) of lines of a date and six decimal numbers each; None for any others."""
-    rows = [line.split() for line in data]
-    content = "".join(data)
-    if not rows or not content.isascii() or content.encode().translate(None, _STATE_CHARACTERS):
-        return None
-    if any(len(row) != 7 or not _STAMP.fullmatch(row[0]) for row in rows):
-        return None
-    try:
-        values = np.fromiter(map(float, (word for row in rows for word in row[1:])), float, 6 * len(rows))
-    except ValueError:
-        return None
-    return [row[0].removesuffix("Z") for row in rows], values.reshape(-1, 6)
+def _of_lines(text: str, file: str) -> tuple[dict[str, str], list[str], Floats]:
+    """Metadata, times and values (N, 6) of the keyword = value form."""
+    if not text.startswith("CCSDS_OEM_VERS"):
+        raise RawDataError(file, "line 1", "another text", "CCSDS_OEM_VERS = ..., or an OEM in XML")
+    lines = [
+        line for given in text.splitlines() if (line := given.strip()) and not line.startswith("COMMENT")
+    ]
+    if (segments := lines.count("META_START")) != 1 or lines.count("META_STOP") != 1:
+        raise RawDataError(file, "META_START", f"{segments} segments", "one segment")
+    begin, end = lines.index("META_START"), lines.index("META_STOP")
+    _keywords((_pair(line, file) for line in lines[:begin]), HEADER, file)
+    meta = _keywords((_pair(line, file) for line in lines[begin + 1 : end]), METADATA, file)
+    data = lines[end + 1 :]
+    if "COVARIANCE_START" in data:
+        if data[-1] != "COVARIANCE_STOP":
+            raise RawDataError(file, "last line", data[-1], "COVARIANCE_STOP")
+        data = data[: data.index("COVARIANCE_START")]
+    for n, line in enumerate(data):
+        if not _STATE.fullmatch(line):
+            expected = "a time and six numbers of ASCII digits, with accelerations nine"
+            raise RawDataError(file, f"state {n + 1}", line, expected)
+    rows = [line.split()[:7] for line in data]
+    values = np.fromiter(map(float, (word for row in rows for word in row[1:])), float, 6 * len(rows))
+    times = [_calendar(row[0], file, f"state {n + 1}") for n, row in enumerate(rows)]
+    return meta, times, values.reshape(-1, 6)
 
 
-def _plain_metadata(head: str) -> dict[str, str] | None:
-    """Metadata of a message of the plain form; None for any other, which may be right or wrong."""
-    if (match := _PLAIN_HEAD.fullmatch(head)) is None:
-        return None
-    pairs = [line.strip().split(" = ", 1) for line in match[1].splitlines() if line.strip()]
-    meta = {key: value.strip() for key, value in pairs}
-    interpolation = _INTERPOLATION if "INTERPOLATION" in meta else ()
-    if len(meta) < len(pairs) or meta.keys() != {*_REQUIRED, *interpolation} or meta["TIME_SYSTEM"] != "UTC":
-        return None
-    if interpolation and not re.fullmatch(r"\d{1,2}", meta["INTERPOLATION_DEGREE"], re.ASCII):
-        return None
-    span = meta["START_TIME"], meta["STOP_TIME"]
-    with suppress(ValueError):  # of dates that do not exist
-        if all(re.fullmatch(_TIME, time, re.ASCII) for time in span):
-            first, last = Epoch.from_utc(span[0]).seconds_from_utc(span)
-            return meta if first <= last else None
-    return None
-
-
-def _of_library(states: list[Any]) -> tuple[list[Any], Floats]:
-    """Times and values (N, 6), km and km/s, of the library's states."""
-    values = [[*state.position, *state.velocity] for state in states]
-    return [state.epoch for state in states], np.array(values, dtype=float).reshape(-1, 6)
-
-
-def _xml_reading(path: Path, text: str, file: str) -> tuple[Any, list[Any], Floats]:
-    """Metadata, times and values of the one segment of an OEM in XML, as the library reads it."""
-    from oem.parsers import parse_xml_oem
-
+def _of_xml(path: Path, file: str) -> tuple[dict[str, str], list[str], Floats]:
+    """Metadata, times and values (N, 6) of the XML form."""
     root = read_xml(path, file)  # well-formed, without DTD
     if root.tag != "oem":
         raise RawDataError(file, "root element", root.tag[:64], "oem")
-    if root.find("body/segment") is None:
-        raise RawDataError(file, "body", "no segment", "one segment with metadata and states")
-    for state in root.iter("stateVector"):
-        for name in _COORDINATES:
-            numbers_of(state, name, file, 1)
-    meta, states = _segment_of(lambda: parse_xml_oem(io.StringIO(text)), file)
-    return meta, *_of_library(states)
+    (body,) = elements_of(root, "body", file, 1, 1)
+    (segment,) = elements_of(body, "segment", file, 1, 1)
+    header = [(one.tag, one.text or "") for one in root.iterfind("header/*")]
+    _keywords([("CCSDS_OEM_VERS", root.get("version", "")), *header], HEADER, file)
+    meta = _keywords([(one.tag, one.text or "") for one in segment.iterfind("metadata/*")], METADATA, file)
+    states = segment.findall("data/stateVector")
+    values = [[numbers_of(state, name, file, 1)[0] for name in _COORDINATES] for state in states]
+    times = [
+        _calendar(element_text(one, "EPOCH", file), file, f"state {n + 1}") for n, one in enumerate(states)
+    ]
+    return meta, times, np.array(values).reshape(-1, 6)
 
 
-def _library_reading(text: str, file: str) -> tuple[Any, list[Any]]:
-    """Metadata and states of the one segment of an OEM, as the library reads it."""
-    from oem.parsers import parse_kvn_oem
+def _pair(line: str, file: str) -> tuple[str, str]:
+    if (match := _KEYWORD.fullmatch(line)) is None:
+        raise RawDataError(file, "OEM text", line, "KEYWORD = value")
+    return match[1], match[2]
 
-    return _segment_of(lambda: parse_kvn_oem(io.StringIO(text + "\n")), file)
+
+def _keywords(
+    pairs: Iterable[tuple[str, str]], known: tuple[tuple[str, ...], tuple[str, ...]], file: str
+) -> dict[str, str]:
+    """Values by keyword; `RawDataError` for an unknown, a repeated, an empty and a missing one."""
+    values: dict[str, str] = {}
+    for key, value in pairs:
+        if key == "COMMENT":
+            continue
+        if key not in known[0] + known[1]:
+            raise RawDataError(file, key, "an unknown keyword", EXPECTED)
+        if key in values:
+            raise RawDataError(file, key, "a second time", "each keyword once")
+        values[key] = value.strip()
+        if ("TIME" in key and key != "TIME_SYSTEM") or key.endswith(("DATE", "EPOCH")):
+            values[key] = _calendar(values[key], file, key)
+    for key in known[0]:
+        if not values.get(key):
+            raise RawDataError(file, key, "nothing", EXPECTED)
+    if values.get("CCSDS_OEM_VERS", "2.0") not in ("1.0", "2.0"):
+        raise RawDataError(file, "CCSDS_OEM_VERS", values["CCSDS_OEM_VERS"], "1.0 or 2.0")
+    return values
 
 
-def _segment_of(parse: Callable[[], Any], file: str) -> tuple[Any, list[Any]]:
-    """Metadata and states of the one segment of what a parser of the library gives."""
-    from oem import OrbitEphemerisMessage
-
+def _calendar(stamp: str, file: str, field: str) -> str:
+    """A time as calendar date without Z: of `2024-325T03:40:00Z` that is 2024-11-20T03:40:00."""
+    if (match := _STAMP.fullmatch(stamp)) is None:
+        expected = "a time such as 2024-11-20T03:40:00.5 or 2024-325T03:40:00.5"
+        raise RawDataError(file, field, stamp, expected)
+    year, day, time = match.groups()
+    if day is None:
+        return stamp.removesuffix("Z")
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            # Its `open` takes paths only, and unpacks archives.
-            message: Any = OrbitEphemerisMessage._from_raw_data(parse())
-            segments = message.segments
-            if len(segments) == 1:
-                return segments[0].metadata, list(segments[0].states)
-    except Exception as error:  # the library raises many kinds; the message names the line
-        raise RawDataError(file, "OEM text", f"{error}", EXPECTED) from error
-    raise RawDataError(file, "META_START", f"{len(segments)} segments", "one segment")
+        return f"{datetime.datetime.strptime(f'{year} {day}', '%Y %j').date()}{time}"
+    except ValueError as error:
+        raise RawDataError(file, field, stamp, "a day of that year") from error
 
 
-def _check_numbers(data: list[str], file: str) -> None:
-    """Refuse what Python alone reads as a number: `2_000`, digits of other scripts."""
-    for line in data:
-        keyword = "=" in line or line.strip().startswith(("COMMENT", "META_", "COVARIANCE_"))
-        if not keyword and ("_" in line or not line.isascii()):
-            raise RawDataError(file, "OEM text", line, "numbers of ASCII digits, without _")
-
-
-def _frame(meta: Any, file: str) -> tuple[Literal["GCRF", "ITRF"], Rotation]:
+def _frame(meta: dict[str, str], file: str) -> tuple[Literal["GCRF", "ITRF"], Rotation]:
     """The frame that the states are kept in, and the rotation to it from that of the file."""
-    if (centre := str(meta["CENTER_NAME"]).strip().upper()) != "EARTH":
+    if (centre := meta["CENTER_NAME"].upper()) != "EARTH":
         raise RawDataError(file, "CENTER_NAME", centre, "EARTH")
-    frame = str(meta["REF_FRAME"]).strip().upper()
+    frame = meta["REF_FRAME"].upper()
     for inertial in INERTIAL:
         if frame == inertial:
             return "GCRF", rotation_to_gcrs(inertial)
@@ -213,8 +197,8 @@ def _frame(meta: Any, file: str) -> tuple[Literal["GCRF", "ITRF"], Rotation]:
     raise RawDataError(file, "REF_FRAME", frame, "GCRF, ICRF, EME2000 or ITRF (with or without a year)")
 
 
-def _method(meta: Any, file: str) -> Literal["lagrange", "hermite"]:
-    method = str(meta["INTERPOLATION"]).strip().upper() if "INTERPOLATION" in meta else "LAGRANGE"
+def _method(meta: dict[str, str], file: str) -> Literal["lagrange", "hermite"]:
+    method = meta.get("INTERPOLATION", "LAGRANGE").upper()
     if method == "LAGRANGE":
         return "lagrange"
     if method == "HERMITE":
@@ -222,40 +206,32 @@ def _method(meta: Any, file: str) -> Literal["lagrange", "hermite"]:
     raise RawDataError(file, "INTERPOLATION", method, "LAGRANGE or HERMITE")
 
 
-def _degree(meta: Any, file: str) -> int:
+def _degree(meta: dict[str, str], file: str) -> int:
     if "INTERPOLATION" not in meta:
         return 7
-    degree = int(meta["INTERPOLATION_DEGREE"])
-    if not 1 <= degree <= 15:
-        raise RawDataError(file, "INTERPOLATION_DEGREE", str(degree), "1 to 15")
-    return degree
+    degree = meta.get("INTERPOLATION_DEGREE", "nothing")
+    if not re.fullmatch(r"[0-9]{1,2}", degree) or not 1 <= int(degree) <= 15:
+        raise RawDataError(file, "INTERPOLATION_DEGREE", degree, "1 to 15")
+    return int(degree)
 
 
-def tai_seconds(times: list[Any], time_system: str, file: str) -> tuple[Epoch, Floats]:
-    """Epoch, and TAI seconds (N,) since it, of times given as text or as the library's `Time`.
+def tai_seconds(times: Sequence[str], time_system: str, file: str) -> tuple[Epoch, Floats]:
+    """Epoch, and TAI seconds (N,) since it, of calendar dates in a time system.
 
     `RawDataError` for another time system and for times that do not exist.
     """
-    if time_system == "UTC" and isinstance(times[0], str):
-        try:
+    scale = time_system.upper()
+    if scale != "UTC" and scale not in AHEAD_OF_GPS_S:
+        raise RawDataError(file, "TIME_SYSTEM", time_system, "UTC, TAI, TT or GPS")
+    try:
+        if scale == "UTC":
             epoch = Epoch.from_utc(times[0])
             return epoch, epoch.seconds_from_utc(times)
-        except ValueError as error:
-            raise RawDataError(file, "time of the states", str(error), "times that exist") from error
-    from astropy.time import Time
-
-    scale = TIME_SCALES.get(time_system.strip().upper())
-    if scale is None:
-        raise RawDataError(file, "TIME_SYSTEM", time_system, "UTC, TAI, TT or GPS")
-    behind = GPS_BEHIND_TAI_S if scale == "gps" else 0.0
-    try:
-        tai = Time(times, scale="tai" if scale == "gps" else scale).tai
+        ahead_s = AHEAD_OF_GPS_S[scale]
+        epoch = Epoch(int(np.floor(Epoch(0).seconds_from_gps_dates(times[:1])[0] - ahead_s)))
+        return epoch, np.round(epoch.seconds_from_gps_dates(times) - ahead_s, 12)
     except ValueError as error:
         raise RawDataError(file, "time of the states", str(error), "times that exist") from error
-    whole, fraction = np.atleast_1d(tai.jd1) - 2_451_545.0, np.atleast_1d(tai.jd2)
-    tai_s = int(np.floor(whole[0] * 86_400.0 + fraction[0] * 86_400.0 + behind))
-    t_s = (whole * 86_400.0 - tai_s) + fraction * 86_400.0 + behind
-    return Epoch(tai_s), np.round(t_s, 12)
 
 
 def _check_states(t_s: Floats, positions: Floats, velocities: Floats, file: str) -> None:

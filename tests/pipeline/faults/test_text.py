@@ -183,7 +183,7 @@ def test_table_with_rows_without_end_is_refused(handmade: Path, monkeypatch: pyt
         ("targets.csv", "t1,", '"t1,', "line 3", "unexpected end of data"),
         ("targets.csv", "t1,", "t1\x00,", "line 3, id", r"found t1\\x00, expected .*letters, digits"),
         ("orbit.oem", "03:40:05.000", "03:40:03.000", "state 6, time", "strictly increasing"),
-        ("orbit.oem", "03:40:05.000", "nan", "OEM text", "found"),
+        ("orbit.oem", "03:40:05.000", "nan", "state 6", "expected a time"),
     ],
 )  # fmt: skip
 def test_number_or_time_that_cannot_be_is_named_with_its_line(
