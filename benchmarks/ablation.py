@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from boresight.calib.calibration import calibrate
+from boresight.calib.calibration import calibrate_strips
 from boresight.calib.estimate import InstallationEstimate
 from boresight.calib.settings import CalibrationSettings
 from boresight.geometry.attitude import AttitudeTrack
@@ -297,7 +297,7 @@ def errors(passes: list[Pass], how: Processing, stars: StarPlaces) -> tuple[Arra
 
 
 def _error(strips: list[StripSightings]) -> tuple[Array, float]:
-    found = calibrate(strips, R_CS0, SETTINGS)
+    found = calibrate_strips(strips, R_CS0, SETTINGS)
     assert isinstance(found, InstallationEstimate), found
     return theta_between(found.R_cs, R_CS) / ARCSEC, found.chi2 / found.dof
 

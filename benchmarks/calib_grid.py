@@ -15,7 +15,7 @@ from record import band_of_mean_nees, exit_status, head, verdict
 from scipy.stats import chi2, norm
 
 from boresight.features.paper.tables import run_experiment
-from boresight.features.paper.vectors import ExperimentSettings
+from boresight.features.paper.vector_experiments import ExperimentSettings
 
 OUT = Path(__file__).parents[1] / "build" / "experiments"  # the records of them are of `boresight experiment`
 

@@ -11,10 +11,10 @@ from dataclasses import replace
 import numpy as np
 from record import band_of_mean_nees, exit_status, head, verdict
 
-from boresight.calib.calibration import calibrate
+from boresight.calib.calibration import calibrate_strips
 from boresight.calib.estimate import InstallationEstimate
 from boresight.calib.settings import CalibrationSettings
-from boresight.features.paper.vectors import MATRIX_28, NO_NUISANCES, TABLE_1
+from boresight.features.paper.vector_experiments import MATRIX_28, NO_NUISANCES, TABLE_1
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.installation import deviation_from_theta, theta_between
 from boresight.simulator.campaign import CameraPair, StripPlan, draw_strips, installation_by_tilt
@@ -29,7 +29,7 @@ def report(name: str, plan: StripPlan, settings: CalibrationSettings, runs: int)
     wrong = missed = good = lost = 0
     for _ in range(runs):
         strips, truth = draw_strips(plan, CAMERAS, rng)
-        estimate = calibrate(strips, R_cs0, settings)
+        estimate = calibrate_strips(strips, R_cs0, settings)
         assert isinstance(estimate, InstallationEstimate)
         errors.append(theta_between(estimate.R_cs, CAMERAS.R_cs))
         covariances.append(estimate.cov_theta)

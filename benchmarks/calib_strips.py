@@ -13,10 +13,10 @@ import numpy as np
 from record import band_of_mean_nees, exit_status, head, verdict
 from scipy.spatial.transform import Rotation
 
-from boresight.calib.calibration import calibrate
+from boresight.calib.calibration import calibrate_strips
 from boresight.calib.estimate import InstallationEstimate
 from boresight.calib.settings import CalibrationSettings
-from boresight.features.paper.vectors import MATRIX_28, NO_NUISANCES, TABLE_1
+from boresight.features.paper.vector_experiments import MATRIX_28, NO_NUISANCES, TABLE_1
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.installation import deviation_from_theta, theta_between
 from boresight.geometry.sightings import StripSightings
@@ -39,7 +39,7 @@ def campaign(
         strips, _ = draw_strips(plan, CAMERAS, rng)
         if way is not None:
             strips = [part for strip in strips for part in way(strip)]
-        estimate = calibrate(strips, R_cs0, settings)
+        estimate = calibrate_strips(strips, R_cs0, settings)
         assert isinstance(estimate, InstallationEstimate)
         errors.append(theta_between(estimate.R_cs, CAMERAS.R_cs))
         covariances.append(estimate.cov_theta)

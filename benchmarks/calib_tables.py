@@ -12,7 +12,7 @@ import pandas as pd
 from record import exit_status, head, verdict
 
 from boresight.features.paper.tables import run_experiment
-from boresight.features.paper.vectors import ExperimentSettings
+from boresight.features.paper.vector_experiments import ExperimentSettings
 
 OUT = Path(__file__).parents[1] / "build" / "experiments"  # the records of them are of `boresight experiment`
 

@@ -31,7 +31,7 @@ from fault_dumps import sound_dump
 from faults_grid import Case, calibrated, case_of, imported, judged
 from scipy.spatial.transform import Rotation
 
-from boresight.calib.calibration import calibrate
+from boresight.calib.calibration import calibrate_strips
 from boresight.calib.estimate import InstallationEstimate
 from boresight.calib.reliability import examine
 from boresight.calib.settings import CalibrationSettings
@@ -144,7 +144,7 @@ def sightings(runs: int) -> list[tuple[tuple[str, ...], Run]]:
     for n in range(runs):
         kind, curve, exposures = cells[n % len(cells)]
         strips = strips_of(kind, exposures, curve, np.random.default_rng([39, n]))
-        found = calibrate(strips, R_CS0, stated)
+        found = calibrate_strips(strips, R_CS0, stated)
         key = (kind, curve, f"{exposures} exposures")
         if not isinstance(found, InstallationEstimate):
             done.append((key, Run("refused", float("nan"))))

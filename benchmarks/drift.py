@@ -31,13 +31,13 @@ from end_to_end import machine
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from boresight.calib.calibration import calibrate, strip_pairs
+from boresight.calib.calibration import calibrate_strips, strip_pairs
 from boresight.calib.distortion import prior_information
 from boresight.calib.information import InformationPairs, solve_total
 from boresight.calib.mounting.matrix_drift import DriftSettings, MountingSeries, estimate_drift
 from boresight.geometry.constants import ARCSEC, DAY_S
 from boresight.geometry.installation import deviation_from_theta, theta_between
-from boresight.pipeline.stages.forecast import settings_of_plan
+from boresight.pipeline.stages.plan_forecast import settings_of_plan
 from boresight.simulator.campaign import CameraPair, StripPlan, draw_strips, installation_by_tilt
 
 Array = NDArray[np.float64]
@@ -100,7 +100,7 @@ def months_of(job: Job) -> tuple[list[InformationPairs], float]:
     start = deviation_from_theta(2.0 * ARCSEC * rng.normal(size=3)) * R_CS
     months = [strips[job.strips * k : job.strips * (k + 1)] for k in range(len(DAYS))]
     if job.calibrated:
-        pairs = [calibrate(month, start, settings).pairs for month in months]
+        pairs = [calibrate_strips(month, start, settings).pairs for month in months]
     else:
         whole, _ = strip_pairs(strips, start, replace(settings, robust=False))
         rows = [np.isin(whole.names, [strip.strip_id for strip in month]) for month in months]

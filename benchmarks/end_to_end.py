@@ -28,8 +28,8 @@ from numpy.typing import NDArray
 
 from boresight.geometry.constants import ARCSEC
 from boresight.pipeline.files.dump import open_dump
-from boresight.pipeline.results.reading import read_result
-from boresight.pipeline.results.validate import TruthErrors, validate
+from boresight.pipeline.results.reading import read_saved_result
+from boresight.pipeline.results.validate import TruthErrors, validation_of
 
 COMMAND = (sys.executable, "-m", "boresight")
 
@@ -88,13 +88,13 @@ def run_seed(scenario: str, seed: int, scratch: Path, changes: list[str], worker
         sets = [text for change in changes for text in ("--set", change)]
         simulated = run_command("simulate", scenario, str(dump), "--seed", str(seed), *sets)
         calibrated = run_command("calibrate", str(dump), "--out", str(result), "--workers", str(workers))
-        saved = read_result(result)
+        saved = read_saved_result(result)
         facts = saved.installation
         return Run(
             seed,
             simulated,
             calibrated,
-            validate(saved, open_dump(dump)),
+            validation_of(saved, open_dump(dump)),
             facts["frames"],
             facts["stars"],
             facts["targets"],

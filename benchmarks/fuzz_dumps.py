@@ -58,7 +58,7 @@ from boresight.pipeline.results.folder import begin_result
 from boresight.pipeline.results.writing import write_result
 from boresight.pipeline.run.settings import Settings
 from boresight.pipeline.run.unit_store import UnitStore
-from boresight.pipeline.stages.calibrate import Calibration, calibrate_dump
+from boresight.pipeline.stages.calibrate import DumpCalibration, calibrate_dump
 
 FIXTURES = Path(__file__).resolve().parents[1] / "fixtures"
 TEXTS = {  # file: weight
@@ -210,7 +210,7 @@ def changed(old: str, rng: random.Random) -> str:
     return old[:at] + old[at + 1 :] if len(places) > 1 else f"{old}0"
 
 
-def in_process(folder: Path, sound: Calibration) -> dict[str, Any]:
+def in_process(folder: Path, sound: DumpCalibration) -> dict[str, Any]:
     """Outcome of a calibration in a process of its own."""
     begin, (read_end, write_end) = time.monotonic(), os.pipe()
     if not (child := os.fork()):
@@ -234,7 +234,7 @@ def in_process(folder: Path, sound: Calibration) -> dict[str, Any]:
     return json.loads(answer) | {"seconds": seconds}
 
 
-def outcome(folder: Path, sound: Calibration) -> dict[str, Any]:
+def outcome(folder: Path, sound: DumpCalibration) -> dict[str, Any]:
     """Refused, not sufficient, a traceback, or a result with its NEES and verdict."""
     try:
         dump = open_dump(folder / "dump")
@@ -266,14 +266,14 @@ def outcome(folder: Path, sound: Calibration) -> dict[str, Any]:
         return {"outcome": "traceback", "says": text}
 
 
-def nees(found: Calibration, root: Path) -> float:
+def nees(found: DumpCalibration, root: Path) -> float:
     """Normalised error squared of the three angles against the truth of the dump."""
     truth = tomllib.loads((root / "truth" / "installation.toml").read_text())["quaternion_cs"]
     error = theta_between(found.estimate.R_cs, Rotation.from_quat(truth))
     return float(error @ np.linalg.solve(found.estimate.cov_theta, error))
 
 
-def rotation_in_space(found: Calibration, sound: Calibration) -> float:
+def rotation_in_space(found: DumpCalibration, sound: DumpCalibration) -> float:
     """Rotation of the remote-sensing camera in space against the sound dump's, in units of its 1-sigma."""
     places = {star.t_s: k for k, star in enumerate(sound.stars)}
     both = [(k, places[star.t_s]) for k, star in enumerate(found.stars) if star.t_s in places]

@@ -30,7 +30,7 @@ from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
 from scipy.special import chdtrc, chndtr, softmax
 
-from boresight.calib.calibration import calibrate
+from boresight.calib.calibration import calibrate_strips
 from boresight.calib.estimate import InstallationEstimate, WhyRejected
 from boresight.calib.gross_errors import LEAST_PROBABILITY, SEPARABLE_ODDS
 from boresight.calib.joint_solution import Problem, linearised
@@ -107,7 +107,10 @@ def noncentrality(
     """
     keep_all = replace(settings, robust=False)
     row = sum(len(strip.ground.target_id) for strip in strips[:s]) + j
-    both = (calibrate(shifted(strips, s, j, sign * shift_rad), plain.R_cs0, keep_all) for sign in (1.0, -1.0))
+    both = (
+        calibrate_strips(shifted(strips, s, j, sign * shift_rad), plain.R_cs0, keep_all)
+        for sign in (1.0, -1.0)
+    )
     return float(np.mean([one.targets.statistic[row] for one in both]) - plain.targets.statistic[row])
 
 
@@ -143,10 +146,10 @@ def _run(
     power: float,
 ) -> Run:
     R_true, without = expected
-    estimate = calibrate(data, R_cs0, settings)
+    estimate = calibrate_strips(data, R_cs0, settings)
     others = (
-        calibrate([backwards(strip) for strip in data], R_cs0, settings),
-        calibrate(data, R_cs0, replace(settings, most_iterations=settings.most_iterations + 1)),
+        calibrate_strips([backwards(strip) for strip in data], R_cs0, settings),
+        calibrate_strips(data, R_cs0, replace(settings, most_iterations=settings.most_iterations + 1)),
     )
     assert isinstance(estimate, InstallationEstimate)
     out, doubtful = rejected(estimate), estimate.targets.doubtful
@@ -221,7 +224,7 @@ def drawn_anew(design: Design, limit: float, pixel_rad: float) -> None:
 def report(seeds: range) -> None:
     """Print the table and the requirements."""
     strips, R_cs0, settings, pixel_rad = sightings()
-    plain = calibrate(strips, R_cs0, settings)
+    plain = calibrate_strips(strips, R_cs0, settings)
     assert isinstance(plain, InstallationEstimate)
     test, targets = plain.rejection, plain.targets
     print(f"without a shift: {plain.n_targets} targets, {len(rejected(plain))} rejected")

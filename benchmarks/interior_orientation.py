@@ -18,7 +18,7 @@ from boresight.calib.interior.interior_estimate import InteriorEstimate, calibra
 from boresight.calib.interior.parameters import InteriorModel, InteriorPriors
 from boresight.calib.settings import CalibrationSettings
 from boresight.features.paper.geopositioning import MotionPrior, check_point_errors, smoothed_attitude
-from boresight.features.paper.vectors import MATRIX_28
+from boresight.features.paper.vector_experiments import MATRIX_28
 from boresight.geometry.attitude_estimate import with_attitudes
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.installation import deviation_from_theta

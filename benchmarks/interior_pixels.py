@@ -36,7 +36,7 @@ from boresight.pipeline.files.star_tables import read_star_table
 from boresight.pipeline.run.executor import InOrder
 from boresight.pipeline.run.settings import Settings
 from boresight.simulator.cameras import calibrated_line_camera
-from boresight.simulator.mission import simulate
+from boresight.simulator.mission import render_mission
 from boresight.simulator.mission_records import Mission
 from boresight.simulator.scenario import Scenario
 from boresight.star_id.catalogue import hipparcos_stars
@@ -91,7 +91,7 @@ def flown(scenario: Scenario, seed: int, per_deg2: float, catalogue: Path) -> Mi
     drawn_catalogue(scenario, per_deg2, np.random.default_rng([23, seed])).to_csv(catalogue, index=False)
     survey = read_star_table(catalogue, CATALOGUE)
     earth = bundled_earth_orientation()
-    return simulate(scenario, hipparcos_stars().places, earth, egm96(), seed, survey=survey)
+    return render_mission(scenario, hipparcos_stars().places, earth, egm96(), seed, survey=survey)
 
 
 def run(cameras: str, seed: int, per_deg2: float, folder: Path) -> tuple[float, ...]:

@@ -28,7 +28,7 @@ from scipy.stats import chi2, f
 
 from boresight.calib.noise_spectrum import NoiseFit, Signal, fit_noise
 from boresight.calib.refining import fit_correction
-from boresight.features.operators.dimap_grid import grid_differences
+from boresight.features.operators.dimap_grid import dimap_grid_differences
 from boresight.features.operators.imported_mission import write_imported
 from boresight.features.operators.sentinel2_grid import operator_orbit, operator_pushbroom
 from boresight.features.operators.sentinel2_import import sentinel2_mission
@@ -349,7 +349,7 @@ def pleiades(folder: Path) -> None:
     if product is None:
         print(f"NOT RUN: the data of Pleiades are not there: {folder}", file=sys.stderr)
         return
-    found = grid_differences(operator_model(product), next(folder.glob("GRID_*.tif")))
+    found = dimap_grid_differences(operator_model(product), next(folder.glob("GRID_*.tif")))
     worst = max(size for _, size, _ in found)
     verdict(
         f"Pleiades: largest rms of {len(found)} altitudes {1e3 * worst:.2f} mm, at most 1 mm", worst <= 1e-3

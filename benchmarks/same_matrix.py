@@ -26,7 +26,7 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 from record import commit, exit_status, head, program, verdict
 
-from boresight.calib.calibration import calibrate
+from boresight.calib.calibration import calibrate_strips
 from boresight.calib.estimate import InstallationEstimate
 from boresight.geometry.sightings import GroundSightings, StripSightings
 from boresight.pipeline.files.dump import open_dump
@@ -122,7 +122,7 @@ def older_places(strip: StripSightings, rows: dict[tuple[str, str, int], dict[st
 
 def theta_of(strips: Sequence[StripSightings], R_cs0: Any, settings: Any) -> NDArray[np.float64]:
     """theta (3,) rad of the present estimator."""
-    found = calibrate(strips, R_cs0, settings)
+    found = calibrate_strips(strips, R_cs0, settings)
     if not isinstance(found, InstallationEstimate):
         raise SystemExit(f"the targets that both matched do not determine the matrix: {found}")
     return np.asarray(found.theta)

@@ -14,12 +14,12 @@ import numpy as np
 from record import band_of_mean_nees, exit_status, head, verdict
 from scipy.stats import chi2, ncx2
 
-from boresight.calib.calibration import calibrate
+from boresight.calib.calibration import calibrate_strips
 from boresight.calib.estimate import InstallationEstimate
 from boresight.calib.orbit_bias import CommonBias
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.verdict import CheckKind, Verdict, VerdictSettings, assess
-from boresight.features.paper.vectors import MATRIX_28
+from boresight.features.paper.vector_experiments import MATRIX_28
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.installation import deviation_from_theta, theta_between
 from boresight.geometry.sightings import StripSightings
@@ -87,7 +87,7 @@ def ground(
 
 
 def estimated(strips: list[StripSightings], clock_s: float) -> InstallationEstimate:
-    found = calibrate(strips, R_CS0, settings_of(clock_s))
+    found = calibrate_strips(strips, R_CS0, settings_of(clock_s))
     assert isinstance(found, InstallationEstimate)
     return found
 
@@ -197,7 +197,7 @@ def lens() -> None:
             stated = replace(
                 settings_of(1e-4), distortion_length_px=LENGTH_PX, distortion_pixel_rad=pixel_rad
             )
-            found = calibrate(strips, R_CS0, stated)
+            found = calibrate_strips(strips, R_CS0, stated)
             assert isinstance(found, InstallationEstimate)
             made[name].append(found)
     print(f"\n{LENS_SEEDS} seeds, distortion smooth over the field of all CCDs")

@@ -38,11 +38,11 @@ from boresight.pipeline.files.dump_writer import write_dump
 from boresight.pipeline.files.scenario_file import fly
 from boresight.pipeline.run.settings import Settings, calibration_settings
 from boresight.pipeline.stages.cached import StageRunner
-from boresight.pipeline.stages.calibrate import Calibration, calibrate_dump
+from boresight.pipeline.stages.calibrate import DumpCalibration, calibrate_dump
 from boresight.pipeline.stages.head import sight_head
 from boresight.pipeline.stages.sky_side import find_in_sky_strips
 from boresight.pipeline.stages.sky_strip import find_sky_stars, name_sky_stars
-from boresight.simulator.cameras import true_installation
+from boresight.simulator.cameras import installation_of_scenario
 from boresight.simulator.mission_records import Mission
 from boresight.simulator.motion import flown_orbit
 from boresight.simulator.scenario import Scenario, SkyScan, SkyStripSettings, builtin_scenario
@@ -103,7 +103,7 @@ def planned(scenario: Scenario, scans: int, rng: np.random.Generator) -> tuple[S
     """Scans of the richest fields in turn, each when both cameras see past the Earth."""
     fields = rich_fields()
     orbit = orbit_of(scenario)
-    R_cs = true_installation(scenario.installation)
+    R_cs = installation_of_scenario(scenario.installation)
     chosen: list[SkyScan] = []
     for k in rng.permutation(len(fields)):
         angle = float(rng.choice([0.0, 90.0, 180.0, 270.0]))
@@ -184,7 +184,7 @@ def run(cameras: str, seed: int, scans: int, ground: int, scratch: Path) -> Outc
     )
 
 
-def wrong_names(found: Calibration, mission: Mission) -> int:
+def wrong_names(found: DumpCalibration, mission: Mission) -> int:
     """Names that are not those of the star that crosses there, to 5 px."""
     wrong = 0
     for one in found.named:

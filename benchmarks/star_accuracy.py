@@ -36,7 +36,7 @@ from boresight.features.sky_images.centroid_report import score_lines
 from boresight.star_id.catalogue import hipparcos_stars
 from boresight.star_id.field import FieldSolution, solve_list
 from boresight.star_id.finding.psf import Psf
-from boresight.star_id.finding.star_list import StarList, find_stars
+from boresight.star_id.finding.star_list import StarList, list_stars
 from boresight.star_id.identification.identify import NotIdentified
 from boresight.star_id.identification.triangle_index import StarIndex, build_index, equivalent_fov
 from boresight.star_id.score import SNR_EDGES, score_centroids
@@ -70,7 +70,7 @@ def _skies(frames: int, seed: int, sensor: Sensor, settings: StarSettings) -> No
         rng = np.random.default_rng([seed, k])
         R_si = Rotation.random(random_state=rng)
         image, truth = star_frame(camera, R_si, places, sensor, rng)
-        find_stars(image, settings)  # the first call of a process pays for memory
+        list_stars(image, settings)  # the first call of a process pays for memory
         runs = [_chain(image, camera, index, settings) for _ in range(RUNS)]
         stars, field = runs[0][:2]
         find_ms.append([run[2] for run in runs])
@@ -101,7 +101,7 @@ def _chain(
 ) -> tuple[StarList, FieldSolution | NotIdentified, float, float]:
     """Stars and attitude of a raw image, and CPU ms for the stars and for all."""
     start = time.process_time()
-    stars = find_stars(image, settings)
+    stars = list_stars(image, settings)
     found_at = time.process_time()
     field = solve_list(stars, (camera.width_px, camera.height_px), index, settings, camera=camera)
     ended = time.process_time()
@@ -116,7 +116,7 @@ def _filled(frames: int, seed: int, sensor: Sensor, settings: StarSettings) -> N
         image, xy, flux = filled_frame(sensor, np.random.default_rng([seed, 1000 + k]))
         truths.append((xy, flux))
         for method, found in lists.items():
-            found.append(find_stars(image, replace(settings, max_stars=5000, centroid_method=method)))
+            found.append(list_stars(image, replace(settings, max_stars=5000, centroid_method=method)))
     for method, name in methods.items():
         print(f"\n{frames} frames filled with stars of all SNR alike, placed by {name}")
         print("\n".join(_score_lines(lists[method], truths, sensor)))

@@ -43,7 +43,7 @@ from boresight.star_id.camera_fit import PARAMETERS
 from boresight.star_id.catalogue import hipparcos_stars
 from boresight.star_id.field import FieldSolution, nominal_camera, solve_field
 from boresight.star_id.finding.psf import Psf
-from boresight.star_id.finding.star_list import find_stars
+from boresight.star_id.finding.star_list import list_stars
 from boresight.star_id.identification.triangle_index import build_index
 from boresight.star_id.observer import Observer
 from boresight.star_id.score import cramer_rao_px
@@ -153,13 +153,13 @@ def _as_planned(rng, places, index, settings) -> list[tuple[SkyFrame, FrameTruth
     for k, pointing in enumerate(plan.pointings):
         missed = Rotation.from_rotvec(np.radians(0.2) * rng.standard_normal(3))
         image, truth = star_frame(TRUTH, missed * pointing.R_si, places, SENSOR, rng)
-        frames.append((SkyFrame(str(k), find_stars(image, settings)), truth))
+        frames.append((SkyFrame(str(k), list_stars(image, settings)), truth))
     return frames
 
 
 def sky_frame(places, rng, k, settings) -> tuple[SkyFrame, FrameTruth]:
     image, truth = star_frame(TRUTH, Rotation.random(random_state=rng), places, SENSOR, rng)
-    return SkyFrame(str(k), find_stars(image, settings)), truth
+    return SkyFrame(str(k), list_stars(image, settings)), truth
 
 
 def _map_error(found: CameraCalibration):
@@ -243,7 +243,7 @@ def _real(folder: Path) -> None:
     )  # as the names say; an hour is nothing for the Earth's motion
     observer = Observer(epoch, 0.0, np.zeros(3), np.zeros(3))
     frames = [
-        SkyFrame(path.name, find_stars(image, settings), observer) for path, image in zip(paths, images)
+        SkyFrame(path.name, list_stars(image, settings), observer) for path, image in zip(paths, images)
     ]
     found = calibrate_camera(frames, nominal_camera((1024, 768), np.radians(11.42)), index, settings)
     assert isinstance(found, CameraCalibration) and len(found.frames_used) == len(paths), found

@@ -51,7 +51,7 @@ from frames import stars_in_view
 from boresight.geometry.star_camera import StarCamera
 from boresight.star_id.catalogue import hipparcos_stars
 from boresight.star_id.field import FieldSolution, solve_list
-from boresight.star_id.finding.star_list import StarList, find_stars
+from boresight.star_id.finding.star_list import StarList, list_stars
 from boresight.star_id.identification.triangle_index import StarIndex, build_index
 from boresight.star_id.settings import StarSettings
 
@@ -228,7 +228,7 @@ def _frame(row: Row, rng, places, index: StarIndex, score: Score, peers: Peers |
             data = np.ascontiguousarray(data[:, ::-1])
     start = time.process_time()
     if not row.centroids:
-        stars = find_stars(data, settings)
+        stars = list_stars(data, settings)
     unknown = solve_list(stars, size, index, settings)
     score.cpu_ms.append(1e3 * (time.process_time() - start))
     given = solve_list(stars, size, index, settings, camera=camera)
@@ -280,7 +280,7 @@ def _list(row: Row, sky: Stars, rng) -> tuple[NDArray, StarList]:
     xy = np.vstack([sky.xy_px[bright], rng.uniform(0, row.side_px - 1, (row.false, 2))])
     xy[: row.centroids] += rng.normal(size=(row.centroids, 2)) * sigma[: row.centroids, None]
     order = np.argsort(-flux)
-    blank = find_stars(rng.normal(100.0, 2.0, (64, 64)).astype(np.float32), StarSettings())
+    blank = list_stars(rng.normal(100.0, 2.0, (64, 64)).astype(np.float32), StarSettings())
     no = np.zeros(len(order), dtype=bool)
     stars = replace(
         blank,

@@ -18,7 +18,7 @@ from record import exit_status, head, verdict
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from boresight.calib.calibration import calibrate
+from boresight.calib.calibration import calibrate_strips
 from boresight.calib.estimate import InstallationEstimate
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.verdict import assess
@@ -59,7 +59,7 @@ def main() -> None:
 
 
 def estimated(strips: list[StripSightings]) -> InstallationEstimate:
-    found = calibrate(strips, SHAKEN * MATRICES[0], SETTINGS)
+    found = calibrate_strips(strips, SHAKEN * MATRICES[0], SETTINGS)
     assert isinstance(found, InstallationEstimate)
     return found
 

@@ -31,7 +31,7 @@ from boresight.pipeline.files.dump_writer import write_dump
 from boresight.pipeline.files.scenario_file import fly, named_scenario
 from boresight.pipeline.files.text_tables import write_csv
 from boresight.pipeline.run.settings import Settings
-from boresight.pipeline.stages.calibrate import Calibration, calibrate_dump
+from boresight.pipeline.stages.calibrate import DumpCalibration, calibrate_dump
 
 HEAD = """
 [[star_cameras]]
@@ -118,7 +118,7 @@ def centroids(dump: Dump) -> None:
         )
 
 
-def attitudes(dump: Dump, found: Calibration) -> None:
+def attitudes(dump: Dump, found: DumpCalibration) -> None:
     """attitudes.csv of the exposures with their full covariances."""
     solved, usable = found.attitudes, found.attitudes.usable
     t_s = np.array([one.t_s for one in found.stars])[usable]

@@ -252,7 +252,7 @@ def _finding(peers: Peers, folder: Path, frames: int) -> None:
 
     from boresight.star_id.catalogue import hipparcos_stars
     from boresight.star_id.finding.psf import Psf
-    from boresight.star_id.finding.star_list import find_stars
+    from boresight.star_id.finding.star_list import list_stars
     from boresight.star_id.settings import StarSettings
 
     places, settings, sensor = hipparcos_stars(8.0).places, StarSettings(), Sensor(hot_pixels=2000)
@@ -269,7 +269,7 @@ def _finding(peers: Peers, folder: Path, frames: int) -> None:
             for _ in range(2):  # the second run counts
                 if tool == "boresight":
                     start = time.process_time()
-                    stars = find_stars(image, settings)
+                    stars = list_stars(image, settings)
                     cost, xy = 1e3 * (time.process_time() - start), stars.xy_px
                 else:
                     xy, cost = peers.run(tool, folder / "image.npy")
@@ -401,11 +401,11 @@ def _naming(peers: Peers, folder: Path, attitudes: int) -> None:
 def _named(camera, field, index, settings, xy, sigma):
     """Direction of the axis, empty where not identified, and the CPU time of naming alone, ms."""
     from boresight.geometry.attitude_estimate import AttitudeSettings, fit_attitude
-    from boresight.star_id.identification.identify import NotIdentified, identify
+    from boresight.star_id.identification.identify import NotIdentified, identify_stars
     from boresight.star_id.sight import tangent_coordinates
 
     start = time.process_time()
-    found = identify(tangent_coordinates(camera, xy), field, index, settings)
+    found = identify_stars(tangent_coordinates(camera, xy), field, index, settings)
     cost = 1e3 * (time.process_time() - start)
     if isinstance(found, NotIdentified):
         return np.empty(0), cost

@@ -18,10 +18,10 @@ def main() -> None:
         print(version_text())
         return
     gc.set_threshold(FEW_COLLECTIONS)
-    from boresight.console import main as command_line
+    from boresight.console import run_command_line
 
     try:
-        command_line()
+        run_command_line()
     finally:
         gc.freeze()  # what is left ends with the process
 

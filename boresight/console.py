@@ -12,7 +12,7 @@ from boresight.features.table import features
 from boresight.pipeline.console.program import errors_reported, program
 from boresight.pipeline.console.spine import SPINE
 
-__all__ = ["command_line", "main"]
+__all__ = ["command_line", "run_command_line"]
 
 
 def command_line(words: Sequence[str] | None = None) -> typer.Typer:
@@ -20,7 +20,7 @@ def command_line(words: Sequence[str] | None = None) -> typer.Typer:
     return program((SPINE, *features()), words)
 
 
-def main() -> None:
+def run_command_line() -> None:
     """Entry point of the command `boresight`. Matplotlib draws into files only, whatever backend a user's
     shell names.
     """

@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.axes import Axes
 
-__all__ = ["Outcome", "Result", "axes_or_new", "feature_function"]
+__all__ = ["Result", "SuccessfulResult", "axes_or_new", "feature_function"]
 
 
 class Result:
@@ -38,7 +38,7 @@ class Result:
         return f"<pre>{html.escape(self.summary())}</pre>{head}"
 
 
-class Outcome(Result):
+class SuccessfulResult(Result):
     """Base of results of what may fail: true in a condition, where the reason of a failure is false."""
 
     __slots__ = ()

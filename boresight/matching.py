@@ -10,8 +10,8 @@ import pandas as pd
 from numpy.typing import ArrayLike
 
 from boresight.accepted import count_of, floats_of, instance_of, wrong
-from boresight.display import Outcome, Result, axes_or_new
-from boresight.gct_match.locate import match_template as match_arrays
+from boresight.display import Result, SuccessfulResult, axes_or_new
+from boresight.gct_match.locate import locate_template as match_arrays
 from boresight.gct_match.records import Refusal as NotMatched
 from boresight.gct_match.records import TemplateMatch
 from boresight.gct_match.settings import MatchSettings
@@ -28,7 +28,7 @@ LARGEST_VALUE = 1e15  # of a grey value: squares and sums of it stay finite
 
 
 @record(kw_only=True)
-class Match(TemplateMatch, Outcome):
+class Match(TemplateMatch, SuccessfulResult):
     """A template found in a picture. Points are (column, row); (0, 0) is the centre of the first pixel."""
 
     __repr__ = Result.__repr__

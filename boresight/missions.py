@@ -33,14 +33,14 @@ from boresight.pipeline.files.dump import Dump, open_dump
 from boresight.pipeline.files.object_store import dump_folder
 from boresight.pipeline.results.folder import dumps_in
 from boresight.pipeline.results.reading import SavedResult
-from boresight.pipeline.results.reading import read_result as saved_in
+from boresight.pipeline.results.reading import read_saved_result as saved_in
 from boresight.pipeline.results.summary import validation_summary
 from boresight.pipeline.results.validate import TruthErrors
-from boresight.pipeline.results.validate import validate as against_truth
+from boresight.pipeline.results.validate import validation_of as against_truth
 from boresight.pipeline.results.writing import write_result, write_run
 from boresight.pipeline.run.settings import Settings, read_settings
 from boresight.pipeline.run.workers import executor_for
-from boresight.pipeline.stages.calibrate import Calibration as StageCalibration
+from boresight.pipeline.stages.calibrate import DumpCalibration as StageCalibration
 from boresight.pipeline.stages.calibrate import calibrate_dump
 from boresight.pipeline.stages.joint import open_dumps
 from boresight.version import __version__

@@ -63,14 +63,14 @@ from boresight.geometry.installation import deviation_from_theta, theta_between
 from boresight.geometry.record import Bools, Floats, Ints
 from boresight.geometry.sightings import ExposureAttitudes, StripSightings
 
-__all__ = ["calibrate", "strip_pairs"]
+__all__ = ["calibrate_strips", "strip_pairs"]
 
 NEGLIGIBLE_TURN_RAD = 1e-4  # of an alignment: its square is 0.002 arcsec
 MOST_ALIGNMENTS = 3  # from degrees off the second is below a microradian
 HEADS_PROBABILITY = 1e-3  # of looking for a head that contradicts where none does; the verdict decides
 
 
-def calibrate(
+def calibrate_strips(
     strips: Sequence[StripSightings],
     R_cs0: Rotation,
     settings: CalibrationSettings,

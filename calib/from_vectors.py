@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from boresight.calib.calibration import calibrate
+from boresight.calib.calibration import calibrate_strips
 from boresight.calib.estimate import InstallationEstimate, NotObservable
 from boresight.calib.hypotheses import vector_hypotheses
 from boresight.calib.reliability import examine
@@ -54,7 +54,7 @@ def calibrate_vector_sets(frames: VectorSets, R_cs0: Rotation) -> VectorCalibrat
     leave a rotation undetermined.
     """
     strips = with_attitudes(strips_of_frames(frames), INDEPENDENT.attitudes)
-    estimate = calibrate(strips, R_cs0, INDEPENDENT)
+    estimate = calibrate_strips(strips, R_cs0, INDEPENDENT)
     if isinstance(estimate, NotObservable):
         return estimate
     reliability = examine(

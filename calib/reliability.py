@@ -51,7 +51,7 @@ from boresight.geometry.record import Bools, Floats, Ints, array, record, scalar
 from boresight.geometry.sightings import StripSightings
 from boresight.geometry.star_camera import StarCamera
 
-__all__ = ["HypothesisTest", "Reliability", "ReliabilitySettings", "Suspect", "blind_spots", "examine"]
+__all__ = ["Contradiction", "HypothesisTest", "Reliability", "ReliabilitySettings", "blind_spots", "examine"]
 
 MOST_CAUSES = 3
 LEAST_REDUNDANCY = 0.01  # an error of which so little shows is a hundred times its own size before it does
@@ -103,7 +103,7 @@ class HypothesisTest:
 
 
 @record
-class Suspect:
+class Contradiction:
     """An observation that contradicts the rest, and that no cause explains."""
 
     strip_id: str = scalar("strip")
@@ -118,7 +118,7 @@ class Reliability:
 
     tests: tuple[HypothesisTest, ...] = scalar("every hypothesis, in the order of the table")
     findings: tuple[Finding, ...] = scalar("causes, the one of most evidence first")
-    suspects: tuple[Suspect, ...] = scalar("observations farther off than any of so many good ones")
+    suspects: tuple[Contradiction, ...] = scalar("observations farther off than any of so many good ones")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -298,12 +298,12 @@ def _noncentrality(p: float) -> float:
     return float(brentq(lambda size: 1.0 - chndtr(limit, 1, size) - POWER, 1e-3, 1e3))
 
 
-def _suspects(one: _Adjustment, last: _Fit) -> Iterator[Suspect]:
+def _suspects(one: _Adjustment, last: _Fit) -> Iterator[Contradiction]:
     """Observations that the last fit rejects, beyond the limit of all of them together."""
     limit = float(chdtri(2, PROBABILITY_SUSPECT / len(one.names)))
     for n in np.flatnonzero(one.problem.inside & ~last.kept & (last.statistic > limit)).tolist():
         strip_id, _, target_id = one.names[n].rpartition("/")
-        yield Suspect(
+        yield Contradiction(
             strip_id=strip_id,
             target_id=target_id,
             ccd=int(one.ccds[n]),

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from boresight.gct_match.imaging.views import View, filled, view_of, window
+from boresight.gct_match.imaging.views import View, filled_with_mean, view_of, window
 from boresight.gct_match.records import Reason, Refusal, TemplateMatch
 from boresight.gct_match.refine.least_squares import PositionFit, fit_position
 from boresight.gct_match.search.correlation import (
@@ -22,7 +22,7 @@ from boresight.gct_match.search.correlation import (
 from boresight.gct_match.settings import MatchSettings
 from boresight.geometry.record import Floats
 
-__all__ = ["locate", "match_template"]
+__all__ = ["locate", "locate_template"]
 
 _PRIOR_ABSENT = 0.05  # prior probability that the target is not visible where it should be
 _SECOND_PEAK = 0.7  # peaks of at least this share of the highest are refined too
@@ -32,7 +32,7 @@ _LEAST_RADIUS_PX = 4  # smaller windows hold too few values to estimate how prob
 _DEFAULTS = MatchSettings()
 
 
-def match_template(
+def locate_template(
     template: ArrayLike,
     picture: ArrayLike,
     start_px: tuple[float, float],
@@ -177,4 +177,4 @@ def _view(image: NDArray, name: str) -> View:
     if image.ndim != 2 or not image.size:
         raise ValueError(f"{name} must be a two-dimensional array, got shape {image.shape}")
     valid = np.isfinite(image)
-    return view_of(filled(image, valid), valid)
+    return view_of(filled_with_mean(image, valid), valid)

@@ -31,8 +31,8 @@ from boresight.geometry.sightings import (
 
 __all__ = [
     "GROSS",
-    "Attitude",
     "AttitudeSettings",
+    "EstimatedAttitude",
     "cross_matrices",
     "fit_attitude",
     "fit_attitudes",
@@ -61,7 +61,7 @@ class AttitudeSettings:
 
 
 @record
-class Attitude:
+class EstimatedAttitude:
     """Attitude of one star camera at one instant."""
 
     R_si: Rotation = scalar("GCRS to star camera")
@@ -124,7 +124,7 @@ def with_attitudes(
 
 def fit_attitude(
     u_s: Floats, u_i: Floats, cov_s: Floats, settings: AttitudeSettings = AttitudeSettings()
-) -> Attitude:
+) -> EstimatedAttitude:
     """Attitude of one exposure from measured `u_s` (N, 3), rad² covariances (N, 3, 3) and true `u_i` (N, 3).
 
     Where rejection would leave fewer than `fewest_stars`, all stars are kept. Raises `ValueError` for fewer
@@ -137,7 +137,7 @@ def fit_attitude(
     if not fit.usable[0]:
         raise ValueError(f"{len(u_s)} directions, too few or too close together to fix all three angles")
     R_si = Rotation.from_matrix(fit.R_si[0])
-    return Attitude(R_si, fit.covariance_s[0], float(fit.chi2[0]), int(fit.dof[0]), fit.kept)
+    return EstimatedAttitude(R_si, fit.covariance_s[0], float(fit.chi2[0]), int(fit.dof[0]), fit.kept)
 
 
 def fit_attitudes(

@@ -26,7 +26,7 @@ from boresight.pipeline.files.text_files import read_json
 from boresight.pipeline.files.whole_file import make_own_folder
 from boresight.pipeline.results.folder import begin_result, results_in, store_of
 from boresight.pipeline.results.ownership import claimed
-from boresight.pipeline.results.reading import read_findings, read_result
+from boresight.pipeline.results.reading import read_findings, read_saved_result
 from boresight.pipeline.results.requirement import (
     Requirement,
     is_met,
@@ -54,7 +54,7 @@ from boresight.pipeline.run.processes import Processes
 from boresight.pipeline.run.run_inputs import RunInputs, inputs_of
 from boresight.pipeline.run.settings import Settings
 from boresight.pipeline.stages.cached import Progress
-from boresight.pipeline.stages.calibrate import Calibration, calibrate_dump
+from boresight.pipeline.stages.calibrate import DumpCalibration, calibrate_dump
 from boresight.pipeline.stages.joint import NamedDump, calibrate_jointly
 
 log = logging.getLogger("boresight.commands")
@@ -169,7 +169,7 @@ def _jointly_calibrated(
 ) -> RunOutcome:
     begin_result(out)
     write_dumps(out, [named.name for named in dumps])
-    calibrated: list[tuple[NamedDump, Calibration]] = []
+    calibrated: list[tuple[NamedDump, DumpCalibration]] = []
     failed: list[Omission] = []
     for named in dumps:
 
@@ -209,7 +209,7 @@ def _calibrated(
     request: RunRequest,
     executor: Executor,
     progress: Progress,
-) -> Calibration:
+) -> DumpCalibration:
     begin_result(out)
     make_own_folder(out / "work")
     inputs.know_images(executor, exposures=False)  # exposures are read once, where their stars are found
@@ -255,7 +255,7 @@ def _overviews_ahead(
 def _write_evidence(
     out: Path,
     dump: Dump,
-    found: Calibration,
+    found: DumpCalibration,
     request: RunRequest,
     executor: Executor,
     overviews: Mapping[tuple[str, int], Any],
@@ -280,11 +280,11 @@ def _draw_dumps(out: Path) -> None:
 
 def _required(out: Path) -> list[str]:
     """Whether the matrix in a folder meets the accuracy that is required of it."""
-    return requirement_lines(saved_requirement(out), read_result(out).installation)
+    return requirement_lines(saved_requirement(out), read_saved_result(out).installation)
 
 
 def _is_met(out: Path) -> bool:
-    return is_met(saved_requirement(out), read_result(out).installation)
+    return is_met(saved_requirement(out), read_saved_result(out).installation)
 
 
 def _is_finished(out: Path, inputs: RunInputs, request: RunRequest, executor: Executor) -> bool:
@@ -304,7 +304,7 @@ def _finished(out: Path) -> RunOutcome:
     lines = [f"nothing to do: {out} holds the finished result of these inputs and settings"]
     outcomes = set()
     for result in {out, *results_in(out)}:
-        verdict = read_result(result).installation["verdict"]
+        verdict = read_saved_result(result).installation["verdict"]
         outcomes.add(outcome := Outcome(verdict["outcome"]))
         lines += verdict_lines(verdict) if outcome is not Outcome.CONSISTENT else []
         lines += finding_lines(read_findings(result))

@@ -21,9 +21,9 @@ from boresight.simulator.scenario import (
 __all__ = [
     "calibrated_line_camera",
     "distorted_line_camera",
+    "installation_of_scenario",
     "measured_installation",
     "star_camera",
-    "true_installation",
 ]
 
 Array = NDArray[np.float64]
@@ -118,7 +118,7 @@ def measured_installation(settings: InstallationSettings) -> Rotation:
     return Rotation.from_matrix(axes) * Rotation.from_rotvec([0.0, 0.0, np.radians(settings.turn_deg)])
 
 
-def true_installation(settings: InstallationSettings) -> Rotation:
+def installation_of_scenario(settings: InstallationSettings) -> Rotation:
     """R_cs = exp[[theta]] R_cs0 (paper, eqs. 11, 12 and 28)."""
     return deviation_from_theta(np.array(settings.theta_rad)) * measured_installation(settings)
 

@@ -24,8 +24,8 @@ from boresight.geometry.vector_sets import VectorSets
 __all__ = [
     "CameraPair",
     "DistortionCurve",
+    "DrawnStripMotion",
     "LinePair",
-    "StripMotion",
     "StripPlan",
     "StripTruth",
     "draw_exposures",
@@ -123,7 +123,7 @@ class StripTruth:
     wrong_targets: frozenset[tuple[str, int]] = scalar("gross errors: strip, row")
     R_ci: tuple[Rotation, ...] = array("S", "(J,) at the rows' recorded times, without vibration")
     look_c: tuple[Array, ...] = array("S", "(J, 3) true look vectors, with distortion, without noise")
-    motion: tuple[StripMotion, ...] = array("S", "orbit and attitude of each strip against time")
+    motion: tuple[DrawnStripMotion, ...] = array("S", "orbit and attitude of each strip against time")
 
 
 def draw_strips(
@@ -207,7 +207,7 @@ def noisy_frames(frames: VectorSets, rng: np.random.Generator) -> VectorSets:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class StripMotion:
+class DrawnStripMotion:
     """Circular orbit and waves of one strip."""
 
     radius_m: float
@@ -218,7 +218,7 @@ class StripMotion:
     phase: Array  # (3,)
 
     @classmethod
-    def draw(cls, plan: StripPlan, rng: np.random.Generator) -> StripMotion:
+    def draw(cls, plan: StripPlan, rng: np.random.Generator) -> DrawnStripMotion:
         """A motion of one strip drawn at random."""
         radius = WGS84.semi_major_m + plan.height_m
         return cls(
@@ -291,7 +291,7 @@ def _draw_strip(
     survey_i: Array | None,
     rng: np.random.Generator,
 ) -> tuple[StripSightings, StripTruth]:
-    motion, margin = StripMotion.draw(plan, rng), plan.exposure_margin_s
+    motion, margin = DrawnStripMotion.draw(plan, rng), plan.exposure_margin_s
     t_stars = np.asarray(np.linspace(-margin, plan.duration_s + margin, plan.exposures), dtype=np.float64)
     R_oi_stars = motion.R_oi(t_stars)
     R_ci_stars = motion.R_co(t_stars) * R_oi_stars
@@ -349,7 +349,7 @@ def _draw_targets(
     rows: tuple[Array, Rotation, Rotation],
     plan: StripPlan,
     cameras: CameraPair,
-    motion: StripMotion,
+    motion: DrawnStripMotion,
     shared: tuple[DistortionCurve, Array | None],
     rng: np.random.Generator,
 ) -> tuple[GroundSightings, list[int], Array]:

@@ -23,7 +23,7 @@ from boresight.simulator.landscape import Landscape
 from boresight.simulator.lattice_noise import fractal, smooth_noise
 from boresight.simulator.scenario import GroundSettings
 
-__all__ = ["BlurredGround", "Ground", "GroundImage", "ImageGround", "ProceduralGround", "gaussian_sigma_px"]
+__all__ = ["BlurredGround", "Ground", "GroundImage", "ImageGround", "ProceduralGround"]
 
 Patch = NDArray[np.float32]
 Array = NDArray[np.float64]
@@ -51,11 +51,6 @@ class GroundImage:
     image: NDArray[Any] = array("H, W", "grey values")
     affine: tuple[float, float, float, float, float, float] = array("6", "of pixel corners, as in rasterio")
     crs: str = scalar("coordinate reference system")
-
-
-def gaussian_sigma_px(mtf_nyquist: float) -> float:
-    """Width of the Gaussian whose transfer function has this value at half a cycle a pixel, in pixels."""
-    return float(np.sqrt(-2.0 * np.log(mtf_nyquist)) / np.pi)
 
 
 class BlurredGround:

@@ -15,10 +15,10 @@ from boresight.geometry.geodesy import ecef_from_geodetic, geodetic_from_ecef
 from boresight.geometry.geoid import Geoid
 from boresight.simulator.ground import BlurredGround
 from boresight.simulator.mission_records import ChipImage, GroundTarget, TruePoint
-from boresight.simulator.scan import Scene, read_ground
+from boresight.simulator.scan import TrueScene, read_ground
 from boresight.simulator.scenario import TargetSettings
 
-__all__ = ["Placed", "check_points", "place_targets"]
+__all__ = ["Placed", "draw_check_points", "place_targets"]
 
 Array = NDArray[np.float64]
 
@@ -36,7 +36,7 @@ class Placed:
 
 def place_targets(
     strip_id: str,
-    scene: Scene,
+    scene: TrueScene,
     lines: int,
     reference: BlurredGround,
     pixel_m: float,
@@ -71,8 +71,8 @@ def place_targets(
     ]
 
 
-def check_points(
-    strip_id: str, scene: Scene, lines: int, count: int, rng: np.random.Generator
+def draw_check_points(
+    strip_id: str, scene: TrueScene, lines: int, count: int, rng: np.random.Generator
 ) -> list[TruePoint]:
     """Points of the ground that a strip sees, spread over its rows and CCDs; known to the truth alone."""
     places = []
@@ -87,7 +87,7 @@ def check_points(
 
 
 def _somewhere(
-    n: int, scene: Scene, lines: int, settings: TargetSettings, rng: np.random.Generator
+    n: int, scene: TrueScene, lines: int, settings: TargetSettings, rng: np.random.Generator
 ) -> tuple[int, float, float]:
     """CCD, sample and line of a possible place of target n, its chip well inside the image."""
     camera = scene.model.camera
@@ -123,7 +123,7 @@ def _chip(
 
 def _surveyed(
     target_id: str,
-    scene: Scene,
+    scene: TrueScene,
     east: float,
     north: float,
     image: NDArray[np.uint8],
@@ -150,7 +150,7 @@ def _surveyed(
 
 
 def _true_points(
-    point_ids: list[str], strip_id: str, scene: Scene, lines: int, p_e: Array
+    point_ids: list[str], strip_id: str, scene: TrueScene, lines: int, p_e: Array
 ) -> list[TruePoint]:
     """Ground points (N, 3) in every CCD that sees them; in the order of the points."""
     lat, lon, height = geodetic_from_ecef(p_e, WGS84)

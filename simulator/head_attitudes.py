@@ -20,7 +20,7 @@ from boresight.geometry.sightings import (
     exposure_without_stars,
     solved_attitudes,
 )
-from boresight.simulator.campaign import StripMotion, StripTruth
+from boresight.simulator.campaign import DrawnStripMotion, StripTruth
 
 __all__ = ["HeadPlan", "correlated_noise", "with_heads"]
 
@@ -56,7 +56,7 @@ def with_heads(
 
 def _strip(
     strip: StripSightings,
-    motion: StripMotion,
+    motion: DrawnStripMotion,
     heads: Sequence[HeadPlan],
     alignment: Sequence[Rotation],
     duration_s: float,
@@ -90,7 +90,7 @@ def _strip(
 
 
 def _attitudes(
-    motion: StripMotion, head: HeadPlan, duration_s: float, rng: np.random.Generator
+    motion: DrawnStripMotion, head: HeadPlan, duration_s: float, rng: np.random.Generator
 ) -> tuple[Array, Rotation]:
     """Instants (K,) and measured attitudes (K,), GCRS to the head."""
     begin, end = -head.margin_s, duration_s + head.margin_s

@@ -25,6 +25,7 @@ from boresight.geometry.geodesy import geodetic_from_ecef
 from boresight.geometry.geoid import Geoid
 from boresight.geometry.groundlight import LightEffects
 from boresight.geometry.line_camera import LineCamera
+from boresight.geometry.optical_blur import gaussian_sigma_px
 from boresight.geometry.orbit import Orbit
 from boresight.geometry.pushbroom import Pushbroom, RowClock
 from boresight.geometry.starlight import StarPlaces, SurveyedStars
@@ -32,9 +33,9 @@ from boresight.geometry.terrain import ConstantHeight, TerrainGrid
 from boresight.simulator.cameras import (
     calibrated_line_camera,
     distorted_line_camera,
+    installation_of_scenario,
     measured_installation,
     star_camera,
-    true_installation,
 )
 from boresight.simulator.ground import (
     BlurredGround,
@@ -42,16 +43,15 @@ from boresight.simulator.ground import (
     GroundImage,
     ImageGround,
     ProceduralGround,
-    gaussian_sigma_px,
 )
-from boresight.simulator.ground_targets import Placed, check_points, place_targets
+from boresight.simulator.ground_targets import Placed, draw_check_points, place_targets
 from boresight.simulator.mission_records import (
-    Exposure,
     Installation,
     Mission,
     OrbitReport,
+    RenderedExposure,
+    RenderedStrip,
     StatedErrors,
-    Strip,
     TerrainReport,
     TrueExposure,
     TruePoint,
@@ -67,12 +67,12 @@ from boresight.simulator.motion import (
 )
 from boresight.simulator.relief import Affine, relief_grid
 from boresight.simulator.rendered_stars import StarField, with_invented_stars
-from boresight.simulator.scan import Scene, needed_sample_step, panels, panels_near, scan
+from boresight.simulator.scan import TrueScene, all_panels, needed_sample_step, panels_near, scan
 from boresight.simulator.scenario import Scenario
 from boresight.simulator.sky import hot_pixels
 from boresight.simulator.sky_scan import SkyScene, hot_columns, sky_around, sky_strip
 
-__all__ = ["simulate"]
+__all__ = ["render_mission"]
 
 Array = NDArray[np.float64]
 
@@ -82,7 +82,7 @@ _SKY_MARGIN_RAD = 0.005  # around a scan: oscillation, aberration, smear
 _AROUND_S = 1.0  # before and after a strip: a point is looked for in its rows and a little beyond
 
 
-def simulate(
+def render_mission(
     scenario: Scenario,
     stars: StarPlaces,
     table: EarthOrientationTable,
@@ -219,7 +219,7 @@ class _World:
         start, stop = min(plan.oem_s[0], 0.0) - _EARTH_MARGIN_S, plan.oem_s[-1] + _EARTH_MARGIN_S
         earth = EarthRotation.over(plan.epoch, start - 5.0, stop + 5.0, table)
         orbit = flown_orbit(scenario.orbit, start - 4.0, stop + 4.0, earth)
-        R_cs = true_installation(scenario.installation)
+        R_cs = installation_of_scenario(scenario.installation)
         chance = _rng(seed, "attitude")
         attitude = true_attitude(scenario.attitude, scenario.errors, R_cs, orbit, earth, chance)
         calibrated = calibrated_line_camera(scenario.line_camera)
@@ -266,7 +266,9 @@ def _sky_scenes(
     return scenes
 
 
-def _sky_strips(scenario: Scenario, scans: list[SkyScene], clock_s: Array, seed: int) -> tuple[Strip, ...]:
+def _sky_strips(
+    scenario: Scenario, scans: list[SkyScene], clock_s: Array, seed: int
+) -> tuple[RenderedStrip, ...]:
     """Every CCD of every scan; the time of the first row on the camera's clock."""
     camera, settings, detector = scenario.line_camera, scenario.sky_strips, scenario.ground
     gains = _gains(scenario, seed)
@@ -279,7 +281,7 @@ def _sky_strips(scenario: Scenario, scans: list[SkyScene], clock_s: Array, seed:
         return sky_strip(scans[n], ccd, detector, gains[ccd], hot[ccd], chance, rows)
 
     return tuple(
-        Strip(
+        RenderedStrip(
             strip_id=scene.strip_id,
             ccd=ccd,
             lines=settings.lines,
@@ -302,7 +304,7 @@ def _scenes(
     geoid: Geoid,
     seed: int,
     ground_image: GroundImage | None,
-) -> tuple[list[Scene], TerrainReport]:
+) -> tuple[list[TrueScene], TerrainReport]:
     """The true geometry of each strip over the true terrain, and the terrain as the user gets it."""
     models = [
         Pushbroom(
@@ -325,14 +327,14 @@ def _scenes(
         ground = _seen_ground(scenario, epsg, seed, ground_image, date=1)
         last = float(scenario.strips.lines + 64)
         step = needed_sample_step(model, surface, scenario.strips.lines)
-        scenes.append(Scene(model.tabulated(-64.0, last), surface, epsg, ground, step))
+        scenes.append(TrueScene(model.tabulated(-64.0, last), surface, epsg, ground, step))
     return scenes, _terrain_report(scenario, heights, affine, seed)
 
 
 def _ground_points(
     scenario: Scenario,
     plan: _Plan,
-    scenes: list[Scene],
+    scenes: list[TrueScene],
     geoid: Geoid,
     seed: int,
     ground_image: GroundImage | None,
@@ -347,7 +349,7 @@ def _ground_points(
         pixel_m = scenario.ground_pixel_m
         targets += place_targets(strip_id, scene, lines, reference, pixel_m, scenario.targets, geoid, chance)
         chance = _rng(seed, "check points", n)
-        checks += check_points(strip_id, scene, lines, scenario.targets.check_points_per_strip, chance)
+        checks += draw_check_points(strip_id, scene, lines, scenario.targets.check_points_per_strip, chance)
     return [item for item in targets if item.truth], checks
 
 
@@ -392,7 +394,7 @@ def _seen_during(sky: StarField, scans: list[SkyScene], scan: int) -> StarField:
 
 def _exposures(
     scenario: Scenario, plan: _Plan, sky: StarField, scans: list[SkyScene], seed: int
-) -> tuple[Exposure, ...]:
+) -> tuple[RenderedExposure, ...]:
     duration = scenario.star_camera.exposure_s
 
     def render(n: int) -> NDArray[Any]:
@@ -400,7 +402,7 @@ def _exposures(
         return seen.image(float(plan.exposures_s[n]), duration, _rng(seed, "exposure", n))
 
     return tuple(
-        Exposure(_exposure_id(n), float(t), duration, partial(render, n))
+        RenderedExposure(_exposure_id(n), float(t), duration, partial(render, n))
         for n, t in enumerate(plan.exposures_s)
     )
 
@@ -418,8 +420,8 @@ def _exposure_id(n: int) -> str:
 
 
 def _strips(
-    scenario: Scenario, plan: _Plan, scenes: list[Scene], targets: list[Placed], clock_s: Array, seed: int
-) -> tuple[Strip, ...]:
+    scenario: Scenario, plan: _Plan, scenes: list[TrueScene], targets: list[Placed], clock_s: Array, seed: int
+) -> tuple[RenderedStrip, ...]:
     """Every CCD of every strip; the time of the first row on the camera's clock."""
     camera, s, ground = scenario.line_camera, scenario.strips, scenario.ground
     gains = _gains(scenario, seed)
@@ -430,13 +432,13 @@ def _strips(
 
     def wanted(n: int, ccd: int) -> NDArray[np.bool_]:
         if not s.only_around_targets_px:
-            return panels(s.lines, camera.samples)
+            return all_panels(s.lines, camera.samples)
         seen = [p for item in targets for p in item.truth if (p.strip_id, p.ccd) == (plan.strip_ids[n], ccd)]
         places = np.array([(p.sample, p.line) for p in seen]).reshape(-1, 2)
         return panels_near(places, s.only_around_targets_px, s.lines, camera.samples)
 
     return tuple(
-        Strip(
+        RenderedStrip(
             strip_id=plan.strip_ids[n],
             ccd=ccd,
             lines=s.lines,

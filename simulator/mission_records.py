@@ -23,13 +23,13 @@ from boresight.simulator.scenario import Scenario
 
 __all__ = [
     "ChipImage",
-    "Exposure",
     "GroundTarget",
     "Installation",
     "Mission",
     "OrbitReport",
+    "RenderedExposure",
+    "RenderedStrip",
     "StatedErrors",
-    "Strip",
     "TerrainReport",
     "TrueExposure",
     "TruePoint",
@@ -71,7 +71,7 @@ class StatedErrors:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Exposure:
+class RenderedExposure:
     """One image of the star camera. `image()` renders it: (height, width), uint8 or uint16."""
 
     exposure_id: str
@@ -85,7 +85,7 @@ class Exposure:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Strip:
+class RenderedStrip:
     """What one CCD saw during one strip. The CCDs of a strip share its id."""
 
     strip_id: str
@@ -221,8 +221,8 @@ class Mission:
     line_camera: LineCamera
     installation: Installation
     errors: StatedErrors
-    exposures: tuple[Exposure, ...]
-    strips: tuple[Strip, ...]
+    exposures: tuple[RenderedExposure, ...]
+    strips: tuple[RenderedStrip, ...]
     targets: tuple[GroundTarget, ...]
     chips: tuple[ChipImage, ...]
     terrain: TerrainReport | None  # None without strips of the ground

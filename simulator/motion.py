@@ -21,7 +21,7 @@ from boresight.geometry.orbit import Orbit, orbital_frame
 from boresight.geometry.record import array, record, scalar
 from boresight.geometry.spherical import unit_vectors
 from boresight.simulator.mission_records import OrbitReport
-from boresight.simulator.scenario import AttitudeSettings, ErrorSettings, OrbitSettings, SkyScan
+from boresight.simulator.scenario import ErrorSettings, OrbitSettings, PointingSettings, SkyScan
 
 __all__ = [
     "ScanAttitude",
@@ -123,7 +123,7 @@ class TrueAttitude:
 
 
 def true_attitude(
-    settings: AttitudeSettings,
+    settings: PointingSettings,
     errors: ErrorSettings,
     R_cs: Rotation,
     orbit: Orbit,

@@ -24,10 +24,10 @@ from boresight.simulator.ground import BlurredGround
 from boresight.simulator.scenario import GroundSettings
 
 __all__ = [
-    "Scene",
+    "TrueScene",
+    "all_panels",
     "digitised_strip",
     "needed_sample_step",
-    "panels",
     "panels_near",
     "read_ground",
     "row_places",
@@ -45,7 +45,7 @@ _STEPS_OF_REMAP = 32  # OpenCV places its samples on a lattice of 1/32 texel
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Scene:
+class TrueScene:
     """One strip's true geometry, and the ground below it as the camera's optics show it."""
 
     model: Pushbroom
@@ -93,14 +93,14 @@ def needed_sample_step(model: Pushbroom, surface: TerrainGrid, lines: int) -> in
     )
 
 
-def panels(lines: int, samples: int) -> NDArray[np.bool_]:
+def all_panels(lines: int, samples: int) -> NDArray[np.bool_]:
     """Every panel that a CCD's image is rendered in, (rows of panels, panels in a row)."""
     return np.ones((-(-lines // _PANEL_LINES), -(-samples // _PANEL_SAMPLES)), dtype=bool)
 
 
 def panels_near(places_px: Array, reach_px: float, lines: int, samples: int) -> NDArray[np.bool_]:
-    """Those of `panels` that reach within `reach_px` of one of the places (N, 2), sample and line."""
-    near = ~panels(lines, samples)
+    """Those of `all_panels` that reach within `reach_px` of one of the places (N, 2), sample and line."""
+    near = ~all_panels(lines, samples)
     size = np.array([_PANEL_SAMPLES, _PANEL_LINES])
     for place in places_px:
         (left, top), (right, bottom) = ((place + way * reach_px) // size for way in (-1.0, 1.0))
@@ -109,7 +109,7 @@ def panels_near(places_px: Array, reach_px: float, lines: int, samples: int) -> 
 
 
 def scan(
-    scene: Scene,
+    scene: TrueScene,
     ccd: int,
     lines: int,
     settings: GroundSettings,
@@ -179,7 +179,9 @@ def read_ground(ground: BlurredGround, column: Array, row: Array, rng: np.random
     return np.asarray(seen, dtype=np.float32) * np.float32(1.0 / 65535.0)
 
 
-def row_places(scene: Scene, ccd: int, first: int, lines: int, sample_nodes: Array) -> tuple[Array, Array]:
+def row_places(
+    scene: TrueScene, ccd: int, first: int, lines: int, sample_nodes: Array
+) -> tuple[Array, Array]:
     """Columns and rows, (lines, nodes) each, of the ground's texels at which the samples `sample_nodes`
     (nodes,) of `lines` rows from `first` on look.
     """
@@ -191,7 +193,7 @@ def row_places(scene: Scene, ccd: int, first: int, lines: int, sample_nodes: Arr
 
 
 def _panel_row(
-    scene: Scene,
+    scene: TrueScene,
     ccd: int,
     first: int,
     lines: int,

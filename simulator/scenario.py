@@ -19,7 +19,6 @@ from typing import Any, ClassVar
 from pydantic import ConfigDict, TypeAdapter, ValidationError
 
 __all__ = [
-    "AttitudeSettings",
     "CloudSettings",
     "ErrorSettings",
     "GroundSettings",
@@ -27,6 +26,7 @@ __all__ = [
     "LineCameraSettings",
     "OrbitSettings",
     "OtherDateSettings",
+    "PointingSettings",
     "PointingWave",
     "Scenario",
     "ScenarioError",
@@ -77,7 +77,7 @@ class PointingWave:
 
 
 @dataclass(frozen=True, slots=True)
-class AttitudeSettings:
+class PointingSettings:
     """Nadir pointing (z of frame c to the centre of the Earth), offsets, and the oscillation of Fig. 4."""
 
     roll_deg: float = 0.0  # off-nadir angle across track
@@ -303,7 +303,7 @@ class Scenario:
     name: str
     epoch_utc: str = "2024-11-20T03:40:00"  # time zero; the Sun stands far from the zenith
     orbit: OrbitSettings = OrbitSettings()
-    attitude: AttitudeSettings = AttitudeSettings()
+    attitude: PointingSettings = PointingSettings()
     installation: InstallationSettings = InstallationSettings()
     star_camera: StarCameraSettings = StarCameraSettings()
     sky: SkySettings = SkySettings()

@@ -25,13 +25,13 @@ from boresight.simulator.campaign import (
     vibration,
 )
 
-__all__ = ["SkyScan", "draw_sky_strips"]
+__all__ = ["DrawnSkyScan", "draw_sky_strips"]
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SkyScan:
+class DrawnSkyScan:
     """Attitude of the remote-sensing camera during a scan: a constant rate and waves."""
 
     R_ci0: Rotation  # nominal attitude at t = 0
@@ -41,7 +41,7 @@ class SkyScan:
     phase: Array  # (3,)
 
     @classmethod
-    def draw(cls, plan: StripPlan, rate_rad_s: float, rng: np.random.Generator) -> SkyScan:
+    def draw(cls, plan: StripPlan, rate_rad_s: float, rng: np.random.Generator) -> DrawnSkyScan:
         """A scan of a field drawn at random, about the axis y of frame c."""
         return cls(
             Rotation.random(rng=rng),
@@ -77,7 +77,9 @@ def draw_sky_strips(
     curve = curve or DistortionCurve.draw(plan, cameras, rng)
     rates = [rates_rad_s[n % len(rates_rad_s)] for n in range(plan.strips)]
     return [
-        _draw_strip(f"sky{n:04d}", plan, SkyScan.draw(plan, rate, rng), cameras, curve, sigma_star_rad, rng)
+        _draw_strip(
+            f"sky{n:04d}", plan, DrawnSkyScan.draw(plan, rate, rng), cameras, curve, sigma_star_rad, rng
+        )
         for n, rate in enumerate(rates)
     ]
 
@@ -85,7 +87,7 @@ def draw_sky_strips(
 def _draw_strip(
     name: str,
     plan: StripPlan,
-    scan: SkyScan,
+    scan: DrawnSkyScan,
     cameras: CameraPair,
     curve: DistortionCurve,
     sigma_star_rad: float,

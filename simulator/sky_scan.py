@@ -30,7 +30,7 @@ from boresight.geometry.starlight import (
 from boresight.simulator.mission_records import TrueStar
 from boresight.simulator.motion import ScanAttitude
 from boresight.simulator.rendered_stars import joined_stars
-from boresight.simulator.scan import digitised_strip, panels, panels_near
+from boresight.simulator.scan import all_panels, digitised_strip, panels_near
 from boresight.simulator.scenario import GroundSettings, SkyStripSettings
 
 __all__ = ["SkyScene", "hot_columns", "sky_around", "sky_strip"]
@@ -233,7 +233,7 @@ def sky_strip(
                 target += image[top:bottom, start:stop]
         return charge * (gain * np.float32(1.0 / detector.e_per_dn)) + level
 
-    wanted = panels(lines, samples)
+    wanted = all_panels(lines, samples)
     if settings.only_around_stars_px:
         places = scene.crossings(ccd)[1]
         wanted = panels_near(places, settings.only_around_stars_px, lines, samples)

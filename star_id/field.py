@@ -23,9 +23,9 @@ from boresight.geometry.star_camera import Projection, StarCamera
 from boresight.star_id.centroids import Centroids
 from boresight.star_id.field_fit import fit_attitude_and_lens, fit_known_camera
 from boresight.star_id.field_match import match_field
-from boresight.star_id.finding.star_list import StarList, find_stars
+from boresight.star_id.finding.star_list import StarList, list_stars
 from boresight.star_id.identification.hypothesis import RESOLVED_PX, STARS_PER_DETECTION
-from boresight.star_id.identification.identify import DENSER, Identification, NotIdentified, identify
+from boresight.star_id.identification.identify import DENSER, Identification, NotIdentified, identify_stars
 from boresight.star_id.identification.tangent_plane import FieldOfView
 from boresight.star_id.identification.triangle_index import StarIndex
 from boresight.star_id.observer import (
@@ -202,7 +202,7 @@ def solve_field(
     >>> index = build_index(hipparcos_stars().places, 2026.0, (SMALLEST_FOV_RAD, LARGEST_FOV_RAD))
     >>> solution = solve_field(image, index, StarSettings())
     """
-    stars = find_stars(image, settings, dark)
+    stars = list_stars(image, settings, dark)
     size = (image.shape[1], image.shape[0])
     found = solve_list(stars, size, index, settings, camera=camera, fov_x_rad=fov_x_rad, observer=observer)
     return explained(found, image, stars.saturation_dn) if isinstance(found, NotIdentified) else found
@@ -440,7 +440,7 @@ def _identified(
         if not math.isfinite(plane.sum()):  # beyond a turning point there is no direction
             seen = np.flatnonzero(np.isfinite(plane).all(axis=1))
             plane = plane[seen]
-        found = identify(plane, field, index, settings, tried=tried)
+        found = identify_stars(plane, field, index, settings, tried=tried)
         if isinstance(found, NotIdentified):
             return found
         return found if seen is None else replace(found, detections=seen[found.detections]), camera
@@ -450,7 +450,7 @@ def _identified(
         for (fov, error), (below, _) in pairwise([*fields, (0.0, 0.0)]):
             nominal = nominal_camera(size, fov, projection)
             plane, field = tangent_coordinates(nominal, xy_px), _nominal_field(nominal, error, fov, settings)
-            found = identify(plane, field, index, settings, stages=stages, tried=tried)
+            found = identify_stars(plane, field, index, settings, stages=stages, tried=tried)
             tried = max(found.proposals, tried)
             if isinstance(found, NotIdentified):
                 best = max(best, found.best_log_odds)

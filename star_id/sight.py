@@ -19,8 +19,8 @@ from boresight.geometry.sightings import StarSightings
 from boresight.geometry.star_camera import StarCamera
 from boresight.star_id.catalogue import hipparcos_stars
 from boresight.star_id.centroids import Centroids
-from boresight.star_id.finding.star_list import find_stars
-from boresight.star_id.identification.identify import AttitudePrior, NotIdentified, identify
+from boresight.star_id.finding.star_list import list_stars
+from boresight.star_id.identification.identify import AttitudePrior, NotIdentified, identify_stars
 from boresight.star_id.identification.tangent_plane import FieldOfView
 from boresight.star_id.identification.triangle_index import StarIndex, equivalent_fov
 from boresight.star_id.observer import Observer, star_directions
@@ -84,7 +84,7 @@ def sight_stars(
     ValueError
         If the image is not (H, W) of at least 32 pixels, or the dark frame has another size.
     """
-    stars = find_stars(image, settings, dark)
+    stars = list_stars(image, settings, dark)
     found = sight_centroids(exposure_id, stars.centroids, camera, index, observer, settings, prior=prior)
     return explained(found, image, stars.saturation_dn) if isinstance(found, NotIdentified) else found
 
@@ -115,7 +115,7 @@ def sight_centroids(
 ) -> StarSightings | NotIdentified:
     """Identified stars of one exposure from its N centroids (N, 2); arguments as in `sight_stars`."""
     plane, field = tangent_coordinates(camera, stars.xy_px), field_of_camera(camera, settings)
-    found = identify(plane, field, index, settings, prior=prior)
+    found = identify_stars(plane, field, index, settings, prior=prior)
     if isinstance(found, NotIdentified):
         reason = f"exposure {exposure_id}: {found.reason}"
         return NotIdentified(reason, found.n_stars, found.proposals, found.best_log_odds)

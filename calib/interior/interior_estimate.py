@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from boresight.calib.calibration import calibrate
+from boresight.calib.calibration import calibrate_strips
 from boresight.calib.estimate import InstallationEstimate, NotObservable
 from boresight.calib.interior.parameters import Gauge, InteriorModel, InteriorPriors
 from boresight.calib.settings import CalibrationSettings
@@ -84,7 +84,7 @@ def calibrate_interior(
     model = InteriorModel.of(
         camera, priors or InteriorPriors(), stagger=_rates_differ(strips, R_cs0, settings)
     )
-    found = calibrate(strips, R_cs0, replace(settings, sigma_distortion_rad=0.0), interior=model)
+    found = calibrate_strips(strips, R_cs0, replace(settings, sigma_distortion_rad=0.0), interior=model)
     if isinstance(found, NotObservable):
         return found
     columns = [n for n, name in enumerate(found.pairs.shared) if name.startswith("interior/")]

@@ -9,7 +9,7 @@ FEATURE = Feature(
         Command(
             "drift",
             "Merge results; test whether the mounting has moved.",
-            "features.drift.drift_command:drift",
+            "features.drift.drift_command:drift_command",
             with_json=True,
         ),
     ),

@@ -13,10 +13,10 @@ from boresight.features.drift.mounting_drift import drift_json, drift_of_results
 from boresight.geometry.constants import ARCSEC, DAY_S
 from boresight.pipeline.console.messages import Answer
 
-__all__ = ["drift"]
+__all__ = ["drift_command"]
 
 
-def drift(
+def drift_command(
     results: Annotated[
         list[Path], typer.Argument(metavar="RESULT", help="Folders that `calibrate` wrote, in any order.")
     ],

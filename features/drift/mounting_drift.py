@@ -29,7 +29,7 @@ from boresight.pipeline.errors import DataNotSufficientError, RawDataError
 from boresight.pipeline.files.table_files import column, read_parquet
 from boresight.pipeline.files.text_files import read_json
 from boresight.pipeline.results.folder import results_in
-from boresight.pipeline.results.reading import read_mounting, read_result
+from boresight.pipeline.results.reading import read_mounting, read_saved_result
 
 __all__ = [
     "DatedDrift",
@@ -172,7 +172,7 @@ def drift_summary(dated: DatedDrift) -> str:
 
 
 def _read(name: str, path: Path) -> _DatedResult:
-    saved = read_result(path)
+    saved = read_saved_result(path)
     R_cs0 = deviation_from_theta(saved.theta).inv() * saved.R_cs
     pair = read_mounting(path, name)
     alike: dict[str, Any] = {}

@@ -9,7 +9,7 @@ FEATURE = Feature(
         Command(
             "export",
             "Write a result in formats that other tools read.",
-            "features.exports.export_command:export",
+            "features.exports.export_command:export_command",
         ),
     ),
 )

@@ -19,10 +19,10 @@ from boresight.pipeline.console.arguments import (
 from boresight.pipeline.console.messages import DATA_DID_NOT_ALLOW, Answer, say, tell
 from boresight.pipeline.files.whole_file import write_whole
 
-__all__ = ["export"]
+__all__ = ["export_command"]
 
 
-def export(
+def export_command(
     result: ResultArgument,
     formats: Annotated[
         list[str],

@@ -47,7 +47,7 @@ from boresight.pipeline.errors import DataNotSufficientError, RawDataError
 from boresight.pipeline.files.dimap_metadata import operator_model
 from boresight.pipeline.files.dump import Strip, surface_of
 from boresight.pipeline.files.table_files import column, fixed, list_values, read_parquet
-from boresight.pipeline.results.reading import read_for_dump, read_result
+from boresight.pipeline.results.reading import read_for_dump, read_saved_result
 from boresight.pipeline.results.strip_model import Calibrated, StripModel, open_calibrated, strip_model
 
 __all__ = ["FORMATS", "OF_STRIPS", "ExportRequest", "Remark", "export", "strips_left_out"]
@@ -100,7 +100,7 @@ def strips_left_out(request: ExportRequest) -> Iterator[Remark]:
 
 
 def _spice(request: ExportRequest) -> Made:
-    result = read_result(request.result)
+    result = read_saved_result(request.result)
     sigma = ", ".join(f"{value:.3e}" for value in np.sqrt(np.diag(result.cov_theta)))
     comment = (
         f"Installation matrix between star camera and remote-sensing camera, boresight {__version__}.\n"
@@ -125,7 +125,7 @@ def _spice_attitude(request: ExportRequest) -> Made:
 
 
 def _csv(request: ExportRequest) -> Made:
-    yield "matrix.csv", matrix_csv(read_result(request.result).installation, _notes(request))
+    yield "matrix.csv", matrix_csv(read_saved_result(request.result).installation, _notes(request))
 
 
 def _aem(request: ExportRequest) -> Made:

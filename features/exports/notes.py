@@ -16,7 +16,7 @@ from boresight.pipeline.files.object_store import dump_folder
 from boresight.pipeline.files.table_files import read_parquet
 from boresight.pipeline.files.text_files import read_json, read_toml
 from boresight.pipeline.results.ownership import origin_of
-from boresight.pipeline.results.reading import read_result
+from boresight.pipeline.results.reading import read_saved_result
 
 __all__ = ["Notes", "notes_of"]
 
@@ -47,7 +47,7 @@ class Notes:
 
 def notes_of(result: Path, dump: Path | None, created: str) -> Notes:
     """The notes of a finished result; what it does not say is "not known". `RawDataError` where damaged."""
-    installation, origin = read_result(result).installation, origin_of(result)
+    installation, origin = read_saved_result(result).installation, origin_of(result)
     verdict = installation.get("verdict")
     outcome = str(verdict.get("outcome", UNKNOWN)) if isinstance(verdict, dict) else UNKNOWN
     return Notes(

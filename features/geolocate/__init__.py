@@ -9,12 +9,12 @@ FEATURE = Feature(
         Command(
             "geolocate",
             "Image points of a strip to latitude and longitude.",
-            "features.geolocate.geolocate_command:geolocate",
+            "features.geolocate.geolocate_command:geolocate_command",
         ),
         Command(
             "virtual-ccd",
             "Stitch the CCDs of one strip to one ideal line.",
-            "features.geolocate.virtual_ccd_command:virtual_ccd",
+            "features.geolocate.virtual_ccd_command:virtual_ccd_command",
         ),
     ),
 )

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from boresight.accepted import PathLike, floats_of, number_of, path_of, source_of, wrong
 from boresight.features.geolocate.positions import Pixels
-from boresight.features.geolocate.positions import geolocate as positions_of
+from boresight.features.geolocate.positions import ground_places as positions_of
 from boresight.geometry.terrain import ConstantHeight
 from boresight.pipeline.files.dump import surface_of
 from boresight.pipeline.files.object_store import dump_folder

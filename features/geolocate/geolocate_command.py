@@ -7,8 +7,7 @@ from typing import Annotated
 
 import typer
 
-from boresight.features.geolocate.positions import geolocate as places_of
-from boresight.features.geolocate.positions import places_csv, read_pixels
+from boresight.features.geolocate.positions import ground_places, places_csv, read_pixels
 from boresight.geometry.terrain import ConstantHeight
 from boresight.pipeline.console.arguments import (
     DumpOption,
@@ -20,10 +19,10 @@ from boresight.pipeline.files.dump import surface_of
 from boresight.pipeline.files.whole_file import write_text
 from boresight.pipeline.results.strip_model import open_calibrated, strip_model
 
-__all__ = ["geolocate"]
+__all__ = ["geolocate_command"]
 
 
-def geolocate(
+def geolocate_command(
     result: ResultArgument,
     strip: Annotated[str, typer.Option(help="Id of the strip.")],
     pixels: Annotated[Path, typer.Option(help="CSV file with the columns ccd, sample, line.")],
@@ -42,7 +41,7 @@ def geolocate(
     model = strip_model(calibrated, strip)
     read = read_pixels(pixels, calibrated)
     surface = ConstantHeight(height_m) if height_m is not None else surface_of(calibrated.dump.terrain)
-    places = places_of(calibrated, model, read, surface)
+    places = ground_places(calibrated, model, read, surface)
     text = "".join(places_csv(read, places))
     if out is None:
         print_data(text)

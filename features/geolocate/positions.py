@@ -27,7 +27,7 @@ from boresight.pipeline.files.pixel_table import PixelRow
 from boresight.pipeline.files.text_files import read_table
 from boresight.pipeline.results.strip_model import Calibrated, StripModel
 
-__all__ = ["GroundPlaces", "Pixels", "geolocate", "places_csv", "read_pixels"]
+__all__ = ["GroundPlaces", "Pixels", "ground_places", "places_csv", "read_pixels"]
 
 
 @record
@@ -64,7 +64,9 @@ def read_pixels(path: Path, calibrated: Calibrated) -> Pixels:
     )
 
 
-def geolocate(calibrated: Calibrated, model: StripModel, pixels: Pixels, surface: Surface) -> GroundPlaces:
+def ground_places(
+    calibrated: Calibrated, model: StripModel, pixels: Pixels, surface: Surface
+) -> GroundPlaces:
     """Ground points and their 1-sigma. `RawDataError` for a pixel outside its CCD's image."""
     _check_inside(calibrated, model, pixels)
     n = len(pixels.line)

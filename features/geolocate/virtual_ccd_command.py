@@ -14,10 +14,10 @@ from boresight.pipeline.console.messages import tell
 from boresight.pipeline.files.dump import surface_of
 from boresight.pipeline.results.strip_model import open_calibrated, strip_model
 
-__all__ = ["virtual_ccd"]
+__all__ = ["virtual_ccd_command"]
 
 
-def virtual_ccd(
+def virtual_ccd_command(
     result: Annotated[Path, typer.Argument(help="Folder that `calibrate` wrote.")],
     strip: Annotated[str, typer.Option(help="Id of the strip.")],
     out: Annotated[Path, typer.Option(help="GeoTIFF to write: float32 counts, NaN where no CCD looked.")],

@@ -9,13 +9,13 @@ FEATURE = Feature(
         Command(
             "noise",
             "Estimate the noise of the star cameras' attitudes.",
-            "features.heads.noise_command:noise",
+            "features.heads.noise_command:noise_command",
             with_json=True,
         ),
         Command(
             "heads",
             "Align the star cameras of a satellite with one another.",
-            "features.heads.heads_command:heads",
+            "features.heads.heads_command:heads_command",
             with_json=True,
         ),
     ),

@@ -15,10 +15,10 @@ from boresight.pipeline.run.settings import read_settings
 from boresight.pipeline.stages.head_records import heads_alone
 from boresight.pipeline.stages.joint import dump_names
 
-__all__ = ["heads"]
+__all__ = ["heads_command"]
 
 
-def heads(
+def heads_command(
     dumps: DumpsArgument,
     out: Annotated[
         Path | None,

@@ -15,10 +15,10 @@ from boresight.pipeline.files.stated_noise import state_noise
 from boresight.pipeline.run.settings import read_settings
 from boresight.pipeline.stages.head_records import noise_of_heads
 
-__all__ = ["noise"]
+__all__ = ["noise_command"]
 
 
-def noise(
+def noise_command(
     dump: DumpArgument,
     out: Annotated[
         Path | None,

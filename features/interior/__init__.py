@@ -9,7 +9,7 @@ FEATURE = Feature(
         Command(
             "remote-camera-calibrate",
             "Calibrate the interior of the remote-sensing camera.",
-            "features.interior.remote_camera_calibrate_command:remote_camera_calibrate",
+            "features.interior.remote_camera_calibrate_command:remote_camera_calibrate_command",
             with_json=True,
         ),
     ),

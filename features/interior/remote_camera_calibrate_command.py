@@ -17,10 +17,10 @@ from boresight.pipeline.files.object_store import dump_folder
 from boresight.pipeline.run.executor import InOrder
 from boresight.pipeline.run.settings import read_settings
 
-__all__ = ["remote_camera_calibrate"]
+__all__ = ["remote_camera_calibrate_command"]
 
 
-def remote_camera_calibrate(
+def remote_camera_calibrate_command(
     sources: Annotated[
         list[Path],
         typer.Argument(

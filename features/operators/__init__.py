@@ -9,28 +9,28 @@ FEATURE = Feature(
         Command(
             "import sentinel2",
             "Make a dump of one band of a Sentinel-2 datastrip.",
-            "features.operators.import_command:sentinel2",
+            "features.operators.import_command:import_sentinel2_command",
         ),
         Command(
             "import dimap",
             "Make a dump of a Pleiades, Pleiades Neo or SPOT strip.",
-            "features.operators.import_command:import_dimap",
+            "features.operators.import_command:import_dimap_command",
         ),
         Command(
             "import points",
             "Make a points.csv of points measured elsewhere.",
-            "features.operators.import_command:import_points",
+            "features.operators.import_command:import_points_command",
         ),
         Command(
             "dimap",
             "Geolocate pixels of a DIMAP strip, or check its grid.",
-            "features.operators.dimap_command:dimap",
+            "features.operators.dimap_command:dimap_command",
             with_json=True,
         ),
         Command(
             "sentinel2",
             "Check a Sentinel-2 model against its location grid.",
-            "features.operators.sentinel2_command:sentinel2",
+            "features.operators.sentinel2_command:sentinel2_command",
             with_json=True,
         ),
     ),

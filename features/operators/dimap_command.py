@@ -9,15 +9,15 @@ from typing import Annotated
 
 import typer
 
-from boresight.features.operators.dimap_grid import grid_differences, places_of_pixels
+from boresight.features.operators.dimap_grid import dimap_grid_differences, places_of_pixels
 from boresight.features.operators.grid_agreement import Limit, agreement
 from boresight.pipeline.console.messages import Answer, print_data, say
 from boresight.pipeline.files.dimap_metadata import operator_model
 
-__all__ = ["dimap"]
+__all__ = ["dimap_command"]
 
 
-def dimap(
+def dimap_command(
     product: Annotated[Path, typer.Argument(metavar="FILE", help="Pleiades metadata: DIM or PHRDIMAP XML.")],
     pixels: Annotated[Path | None, typer.Option(help="CSV file with the columns ccd, sample, line.")] = None,
     height_m: Annotated[float, typer.Option(help="Ellipsoidal height of the ground for --pixels.")] = 0.0,
@@ -36,6 +36,6 @@ def dimap(
         print_data("".join(places_of_pixels(strip, pixels, height_m)))
     if grid is None:
         return Answer()
-    found = grid_differences(strip, grid)
+    found = dimap_grid_differences(strip, grid)
     lines = [f"altitude {h:7.1f} m   rms {rms:.5f} m   largest {largest:.5f} m" for h, rms, largest in found]
     return agreement(lines, max(largest for _, _, largest in found), limit_m)

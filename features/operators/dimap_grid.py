@@ -17,7 +17,7 @@ from boresight.pipeline.files.image_files import open_geotiff
 from boresight.pipeline.files.pixel_table import PixelRow
 from boresight.pipeline.files.text_files import read_table
 
-__all__ = ["grid_differences", "places_of_pixels"]
+__all__ = ["dimap_grid_differences", "places_of_pixels"]
 
 
 def places_of_pixels(strip: DimapStrip, pixels: Path, height_m: float) -> Iterator[str]:
@@ -42,7 +42,7 @@ def places_of_pixels(strip: DimapStrip, pixels: Path, height_m: float) -> Iterat
         yield f"0,{float(sample[n])!r},{float(line[n])!r},{place}\n"
 
 
-def grid_differences(strip: DimapStrip, grid: Path) -> list[tuple[float, float, float]]:
+def dimap_grid_differences(strip: DimapStrip, grid: Path) -> list[tuple[float, float, float]]:
     """(altitude, rms and largest difference) in metres for each altitude of the operator's location grid.
 
     The grid is the GeoTIFF `GRID_*.tif` of the product: bands of longitude and latitude in pairs, tags

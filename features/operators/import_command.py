@@ -20,7 +20,7 @@ from boresight.pipeline.files.dump import read_earth_orientation
 from boresight.pipeline.files.text_files import read_text
 from boresight.pipeline.files.whole_file import is_vacant, write_text
 
-__all__ = ["import_dimap", "import_points", "sentinel2"]
+__all__ = ["import_dimap_command", "import_points_command", "import_sentinel2_command"]
 
 Out = Annotated[Path, typer.Argument(help="Folder of the dump; must not exist or be empty.")]
 Points = Annotated[
@@ -28,7 +28,7 @@ Points = Annotated[
 ]
 
 
-def sentinel2(
+def import_sentinel2_command(
     datastrip: Annotated[Path, typer.Argument(help="S2?_OPER_MTD_L1B_DS_*.xml of a L1B datastrip.")],
     out: Out,
     gipp: Annotated[Path, typer.Option(help="Folder of the SPAMOD and VIEDIR files that it names.")],
@@ -61,7 +61,7 @@ def sentinel2(
     )
 
 
-def import_dimap(
+def import_dimap_command(
     product: Annotated[Path, typer.Argument(metavar="FILE", help="Metadata in DIMAP: DIM_* or PHRDIMAP_*.")],
     out: Out,
     points: Points = None,
@@ -74,7 +74,7 @@ def import_dimap(
     return _written(out, dimap_mission(operator_model(product), _creator("dimap")), points)
 
 
-def import_points(
+def import_points_command(
     file: Annotated[Path, typer.Argument(help="QGIS .points, ASP .gcp, or a GeoTIFF with GCPs.")],
     out: Annotated[Path, typer.Argument(help="The points.csv to be written.")],
     strip: Annotated[str, typer.Option(help="Id of the strip in which they are measured.")],

@@ -8,17 +8,17 @@ from typing import Annotated
 import typer
 
 from boresight.features.operators.grid_agreement import Limit, agreement
-from boresight.features.operators.sentinel2_grid import grid_differences, read_grid_rows
+from boresight.features.operators.sentinel2_grid import read_grid_rows, sentinel2_grid_differences
 from boresight.features.operators.sentinel2_product import read_sentinel2
 from boresight.pipeline.console.messages import Answer
 from boresight.pipeline.files.dump import read_earth_orientation
 
-__all__ = ["sentinel2"]
+__all__ = ["sentinel2_command"]
 
 MOST_ROWS = 20  # of a grid that are listed
 
 
-def sentinel2(
+def sentinel2_command(
     datastrip: Annotated[Path, typer.Argument(help="S2?_OPER_MTD_L1B_DS_*.xml of a L1B datastrip.")],
     gipp: Annotated[Path, typer.Option(help="Folder of the SPAMOD and VIEDIR files that it names.")],
     band: Annotated[str, typer.Option(help="B01 to B12, B8A.")],
@@ -42,7 +42,7 @@ def sentinel2(
     if earth_orientation is not None:
         table = read_earth_orientation(earth_orientation, str(earth_orientation))
     strip, rows = read_sentinel2(datastrip, gipp, band), read_grid_rows(grid)
-    off_m = grid_differences(strip, rows, table, "lagrange" if ours else "taylor")
+    off_m = sentinel2_grid_differences(strip, rows, table, "lagrange" if ours else "taylor")
     lines = []
     for detector in sorted({row.detector for row in rows}):
         own = off_m[[row.detector == detector for row in rows]]

@@ -28,12 +28,12 @@ from boresight.pipeline.files.text_files import read_table
 
 __all__ = [
     "GridRow",
-    "grid_differences",
     "operator_orbit",
     "operator_pushbroom",
     "read_grid_rows",
     "refined_attitudes",
     "refined_camera",
+    "sentinel2_grid_differences",
 ]
 
 _DEGREE = 7  # of the Hermite polynomial, four states of 1 Hz; others agree to 0.1 mm
@@ -63,7 +63,7 @@ def read_grid_rows(path: Path) -> list[GridRow]:
     return rows
 
 
-def grid_differences(
+def sentinel2_grid_differences(
     strip: Sentinel2,
     rows: Sequence[GridRow],
     table: EarthOrientationTable | None,

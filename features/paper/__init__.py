@@ -9,7 +9,7 @@ FEATURE = Feature(
         Command(
             "experiment",
             "Run a simulation of the paper from scratch.",
-            "features.paper.experiment_command:experiment",
+            "features.paper.experiment_command:experiment_command",
         ),
     ),
 )

@@ -13,7 +13,7 @@ from boresight.features.paper.comparison import COMPARISONS
 from boresight.features.paper.paper_page import run_all
 from boresight.features.paper.pixels import PixelSettings
 from boresight.features.paper.tables import EXPERIMENTS, FROM_PIXELS, run_experiment, run_from_pixels
-from boresight.features.paper.vectors import ExperimentSettings
+from boresight.features.paper.vector_experiments import ExperimentSettings
 from boresight.pipeline.console.messages import (
     Answer,
     wrong_usage,
@@ -21,10 +21,10 @@ from boresight.pipeline.console.messages import (
 from boresight.pipeline.console.progress import progress_bars
 from boresight.pipeline.report.page import template
 
-__all__ = ["experiment"]
+__all__ = ["experiment_command"]
 
 
-def experiment(
+def experiment_command(
     name: Annotated[
         str,
         typer.Argument(

@@ -16,9 +16,10 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+from boresight.features.paper.vectors import ExperimentSettings
 from scipy.spatial.transform import Rotation
 
-from boresight.calib.calibration import calibrate
+from boresight.calib.calibration import calibrate_strips
 from boresight.calib.estimate import InstallationEstimate
 from boresight.features.paper.geometry_search import bound_of_frames
 from boresight.features.paper.paper_tables import (
@@ -27,7 +28,6 @@ from boresight.features.paper.paper_tables import (
     TABLE_4,
     TABLE_5,
 )
-from boresight.features.paper.vectors import ExperimentSettings
 from boresight.features.paper.wang import attitudes_of
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.installation import theta_between
@@ -37,12 +37,12 @@ from boresight.pipeline.files.dump import Dump, open_dump
 from boresight.pipeline.files.dump_writer import write_dump
 from boresight.pipeline.files.scenario_file import fly, named_scenario
 from boresight.pipeline.results.folder import begin_result, store_of
-from boresight.pipeline.results.reading import read_result
-from boresight.pipeline.results.validate import TruthErrors, validate
+from boresight.pipeline.results.reading import read_saved_result
+from boresight.pipeline.results.validate import TruthErrors, validation_of
 from boresight.pipeline.results.writing import write_result
 from boresight.pipeline.run.executor import InOrder
 from boresight.pipeline.run.settings import Settings
-from boresight.pipeline.stages.calibrate import Calibration, calibrate_dump
+from boresight.pipeline.stages.calibrate import DumpCalibration, calibrate_dump
 from boresight.simulator.campaign import unit
 
 __all__ = [
@@ -256,7 +256,7 @@ def _long_form(cell: PixelRuns) -> Iterator[pd.DataFrame]:
 
 
 def _redrawn_runs(
-    calibration: Calibration, runs: int, rng: np.random.Generator
+    calibration: DumpCalibration, runs: int, rng: np.random.Generator
 ) -> Iterator[tuple[Floats, Floats]]:
     """Error of theta (3,), rad, and stated covariance (3, 3), rad², of `runs` calibrations of the same stars
     and targets with new noise.
@@ -264,7 +264,7 @@ def _redrawn_runs(
     R_cs = calibration.estimate.R_cs
     for _ in range(runs):
         strips = [_redrawn(strip, R_cs, rng) for strip in calibration.strips]
-        estimate = calibrate(strips, R_cs, calibration.settings)
+        estimate = calibrate_strips(strips, R_cs, calibration.settings)
         if not isinstance(estimate, InstallationEstimate):
             raise ValueError(f"redrawn vectors do not determine the matrix: {estimate.reason}")
         yield theta_between(estimate.R_cs, R_cs), estimate.cov_theta
@@ -294,7 +294,7 @@ def _normal(covariance: Floats, rng: np.random.Generator) -> Floats:
     return np.asarray(np.einsum("nab,nb->na", vectors, size))
 
 
-def _mission(changes: Sequence[str], seed: int) -> tuple[tuple[float, float], TruthErrors, Calibration]:
+def _mission(changes: Sequence[str], seed: int) -> tuple[tuple[float, float], TruthErrors, DumpCalibration]:
     """Stated sigmas of stars and targets, px; the errors against the truth; the calibration."""
     with tempfile.TemporaryDirectory(prefix="boresight-") as folder:
         dump_folder, result = Path(folder) / "dump", Path(folder) / "result"
@@ -307,11 +307,11 @@ def _mission(changes: Sequence[str], seed: int) -> tuple[tuple[float, float], Tr
         begin_result(result)
         calibration = calibrate_dump(dump, Settings(), store_of(result), InOrder())
         write_result(result, calibration, Settings())
-        compared = validate(read_result(result), dump)
+        compared = validation_of(read_saved_result(result), dump)
     return _sigmas_px(calibration, dump), compared, calibration
 
 
-def _sigmas_px(calibration: Calibration, dump: Dump) -> tuple[float, float]:
+def _sigmas_px(calibration: DumpCalibration, dump: Dump) -> tuple[float, float]:
     """Root mean square of the stated 1-sigma of stars and of targets per axis, px.
 
     Targets: of the match and of the surveyed position across the line of sight.

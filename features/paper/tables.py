@@ -1,7 +1,8 @@
 """`boresight experiment NAME`: a simulation of the paper from scratch, as long-form CSV, plot and text
 record.
 
-The simulations are in `vectors`, `geometry_search` and `pixels`; stars of Table 4 are those of Hipparcos.
+The simulations are in `vector_experiments`, `geometry_search` and `pixels`;
+stars of Table 4 are those of Hipparcos.
 """
 
 from __future__ import annotations
@@ -25,9 +26,9 @@ from boresight.features.paper.pixels import (
 )
 from boresight.features.paper.plots import PLOTS
 from boresight.features.paper.provenance import record_head
-from boresight.features.paper.vectors import (
+from boresight.features.paper.vector_experiments import (
     ExperimentSettings,
-    convergence,
+    convergence_of_runs,
     figure4,
     figure8,
     grid,
@@ -113,7 +114,7 @@ def experiment_table(
         return inputs(settings.cameras, settings.seed, settings.inputs_strips)
     if name == "geometry":
         return geometry_map(settings.cameras, settings.search)
-    return {"convergence": convergence, "figure4": figure4, "figure8": figure8}[name](settings)
+    return {"convergence": convergence_of_runs, "figure4": figure4, "figure8": figure8}[name](settings)
 
 
 def hipparcos_fields(cameras: CameraPair, fields: int, seed: int) -> list[Floats]:

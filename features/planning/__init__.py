@@ -9,13 +9,13 @@ FEATURE = Feature(
         Command(
             "plan",
             "Forecast how well a campaign determines the matrix.",
-            "features.planning.plan_command:plan",
+            "features.planning.plan_command:plan_command",
             with_json=True,
         ),
         Command(
             "sky-strip-plan",
             "Choose the scans of the sky that tell most.",
-            "features.planning.sky_strip_plan_command:sky_strip_plan",
+            "features.planning.sky_strip_plan_command:sky_strip_plan_command",
             with_json=True,
         ),
     ),

@@ -8,7 +8,7 @@ from typing import Any
 
 from boresight.accepted import PathLike, number_of, path_of, wrong
 from boresight.features.planning.campaign_plan import Plan, PlanForecast, forecast_plan, read_plan
-from boresight.pipeline.run.settings import filled
+from boresight.pipeline.run.settings import settings_from_values
 
 __all__ = ["forecast"]
 
@@ -61,7 +61,7 @@ def _plan(plan: object) -> Plan:
         return Plan()
     if isinstance(plan, Mapping):
         values = {key: dict(part) if isinstance(part, Mapping) else part for key, part in plan.items()}
-        return filled(Plan, values, "plan", "plan")
+        return settings_from_values(Plan, values, "plan", "plan")
     if not isinstance(plan, str | os.PathLike):
         raise wrong("plan", plan, "the path of a TOML file, or a mapping of sections")
     return read_plan(path_of(plan, "plan"))

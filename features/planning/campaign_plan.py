@@ -15,8 +15,8 @@ from boresight.calib.forecast import Forecast
 from boresight.geometry.constants import ARCSEC
 from boresight.pipeline.errors import DataNotSufficientError
 from boresight.pipeline.files.text_files import toml_tables
-from boresight.pipeline.run.settings import filled
-from boresight.pipeline.stages.forecast import SkyPart, compare_campaigns, forecast
+from boresight.pipeline.run.settings import settings_from_values
+from boresight.pipeline.stages.plan_forecast import SkyPart, compare_campaigns, forecast_of_plan
 from boresight.simulator.campaign import CameraPair, StripPlan, installation_by_tilt
 
 __all__ = ["Plan", "PlanForecast", "forecast_plan", "read_plan"]
@@ -142,7 +142,7 @@ class PlanForecast:
 
 def read_plan(path: Path) -> Plan:
     """The plan of a TOML file; `RawDataError` names what it does not know."""
-    return filled(Plan, toml_tables(path, str(path)), str(path), "plan")
+    return settings_from_values(Plan, toml_tables(path, str(path)), str(path), "plan")
 
 
 def forecast_plan(plan: Plan, target_arcsec: float | None = None) -> PlanForecast:
@@ -150,7 +150,7 @@ def forecast_plan(plan: Plan, target_arcsec: float | None = None) -> PlanForecas
     try:
         campaign, cameras = _campaign(plan)
         with np.errstate(over="raise", invalid="raise"):
-            found = forecast(campaign, cameras)
+            found = forecast_of_plan(campaign, cameras)
     except (ValueError, ArithmeticError) as error:
         raise DataNotSufficientError(f"this campaign cannot be forecast: {error}") from error
     counts = np.unique(np.append(np.geomspace(1, 1000, 31).astype(int), plan.strips.count))
@@ -226,7 +226,7 @@ def _sigmas(plan: Plan, name: str, campaigns: Mapping[Any, StripPlan], cameras: 
     rows = []
     for key, campaign in campaigns.items():
         try:
-            sigma = forecast(campaign, cameras, draws=DRAWS).sigma(plan.strips.count) / ARCSEC
+            sigma = forecast_of_plan(campaign, cameras, draws=DRAWS).sigma(plan.strips.count) / ARCSEC
         except (ValueError, ArithmeticError):
             sigma = np.full(3, np.nan)
         rows += [(key, axis, value) for axis, value in zip("XYZ", sigma)]

@@ -11,10 +11,10 @@ from boresight.features.planning.campaign_plan import forecast_plan, read_plan
 from boresight.features.planning.figure import plot_forecast
 from boresight.pipeline.console.messages import DATA_DID_NOT_ALLOW, DONE, Answer
 
-__all__ = ["plan"]
+__all__ = ["plan_command"]
 
 
-def plan(
+def plan_command(
     plan_file: Annotated[Path, typer.Argument(metavar="PLAN", help="TOML file that describes the campaign.")],
     target: Annotated[
         float | None, typer.Option(help="Arcsec on every axis: how many strips are needed?", min=1e-9)

@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
-from boresight.features.planning.scan_plan import ScanChoice, SkyScan
+from boresight.features.planning.scan_plan import PlannedScan, ScanChoice
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.epoch import Epoch
 from boresight.pipeline.files.whole_file import write_figure, write_whole
@@ -71,7 +71,7 @@ def write_scans(choice: ScanChoice, epoch: Epoch, out: Path) -> tuple[Path, ...]
     return files
 
 
-def _pointing(scan: SkyScan) -> tuple[float, float, float]:
+def _pointing(scan: PlannedScan) -> tuple[float, float, float]:
     """Right ascension and declination of the optical axis at the beginning, and the angle of the camera's
     x axis from north towards east, degrees.
     """

@@ -36,7 +36,7 @@ from boresight.geometry.star_camera import StarCamera
 from boresight.geometry.starlight import SurveyedStars, apparent_star_directions
 from boresight.simulator.motion import acceleration
 
-__all__ = ["ScanCameras", "ScanChoice", "ScanSettings", "SkyScan", "angles_to_bodies", "choose_scans"]
+__all__ = ["PlannedScan", "ScanCameras", "ScanChoice", "ScanSettings", "angles_to_bodies", "choose_scans"]
 
 AU_M = 1.495978707e11  # IAU 2012 resolution B2
 TRIES = 200  # pointings drawn for one candidate
@@ -87,7 +87,7 @@ class ScanCameras:
 
 
 @record(kw_only=True)
-class SkyScan:
+class PlannedScan:
     """One scan of the sky."""
 
     t_s: float = scalar("beginning, TAI seconds since the orbit's epoch")
@@ -104,7 +104,7 @@ class SkyScan:
 class ScanChoice:
     """Scans in the order in which they were taken, and what they forecast."""
 
-    scans: tuple[SkyScan, ...] = array("N", "in order")
+    scans: tuple[PlannedScan, ...] = array("N", "in order")
     sigma_rad: Floats = array("N, 3", "1-sigma about the axes of c with the scans so far")
     random_sigma_rad: Floats = array("3", "the same of as many candidates at random, medians")
     candidates: int = scalar("scans with stars, clear of Sun, Moon and Earth")
@@ -238,7 +238,7 @@ def _candidate(
     rate_rad_s: float,
     settings: ScanSettings,
     rng: np.random.Generator,
-) -> tuple[SkyScan, StripSightings] | None:
+) -> tuple[PlannedScan, StripSightings] | None:
     """A pointing that is clear of Sun, Moon and Earth from its beginning to its end."""
     t, p_i, _ = state
     least = np.radians([settings.sun_deg, settings.moon_deg, settings.earth_deg])
@@ -253,7 +253,7 @@ def _candidate(
     strip, counts = _strip(name, cameras, sky, state, (R_ci, rate_rad_s), settings)
     if strip is None:
         return None
-    scan = SkyScan(
+    scan = PlannedScan(
         t_s=t,
         R_ci=R_ci,
         rate_rad_s=rate_rad_s,

@@ -17,10 +17,10 @@ from boresight.pipeline.files.star_side import SolvedAttitudes
 from boresight.pipeline.files.star_tables import survey_of
 from boresight.pipeline.run.settings import Settings, calibration_settings
 
-__all__ = ["sky_strip_plan"]
+__all__ = ["sky_strip_plan_command"]
 
 
-def sky_strip_plan(
+def sky_strip_plan_command(
     dump: DumpArgument,
     out: Annotated[Path | None, typer.Option(help="Folder for scans.csv and scans.png.")] = None,
     utc: Annotated[

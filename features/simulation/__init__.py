@@ -9,7 +9,7 @@ FEATURE = Feature(
         Command(
             "simulate",
             "Render a mission with known truth as a dump.",
-            "features.simulation.simulate_command:simulate",
+            "features.simulation.simulate_command:simulate_command",
         ),
     ),
 )

@@ -20,10 +20,10 @@ from boresight.pipeline.files.scenario_file import fly, named_scenario
 from boresight.pipeline.files.whole_file import is_vacant
 from boresight.simulator.scenario import ScenarioError
 
-__all__ = ["simulate"]
+__all__ = ["simulate_command"]
 
 
-def simulate(
+def simulate_command(
     scenario: Annotated[str, typer.Argument(help="mini, paper, sky, or the path of a TOML file.")],
     out: Annotated[Path, typer.Argument(help="Folder to be made; must not exist or be empty.")],
     seed: Annotated[int, typer.Option(help="Seed of all random numbers.", min=0)] = 1,

@@ -9,22 +9,22 @@ FEATURE = Feature(
         Command(
             "identify",
             "Name the stars of single images, wherever they look.",
-            "features.sky_images.identify_command:identify",
+            "features.sky_images.identify_command:identify_command",
         ),
         Command(
             "centroids",
             "Find the stars of images; with a truth, say how well.",
-            "features.sky_images.centroids_command:centroids",
+            "features.sky_images.centroids_command:centroids_command",
         ),
         Command(
             "star-camera-plan",
             "Choose fields of the sky that calibrate a camera best.",
-            "features.sky_images.star_camera_plan_command:star_camera_plan",
+            "features.sky_images.star_camera_plan_command:star_camera_plan_command",
         ),
         Command(
             "star-camera-calibrate",
             "Calibrate a star camera from images of the sky.",
-            "features.sky_images.star_camera_calibrate_command:star_camera_calibrate",
+            "features.sky_images.star_camera_calibrate_command:star_camera_calibrate_command",
         ),
     ),
 )

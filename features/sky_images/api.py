@@ -25,7 +25,7 @@ from boresight.accepted import (
     utc_of,
     wrong,
 )
-from boresight.display import Outcome, Result, axes_or_new
+from boresight.display import Result, SuccessfulResult, axes_or_new
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.record import Bools, Floats, Ints, array, record, scalar
 from boresight.geometry.star_camera import StarCamera
@@ -34,7 +34,7 @@ from boresight.pipeline.files.star_images import grey_image, read_star_image
 from boresight.star_id.camera_calibration import CameraCalibration, SkyFrame, calibrate_camera
 from boresight.star_id.field import FieldSolution, nominal_camera, solve_list
 from boresight.star_id.finding.star_list import StarList
-from boresight.star_id.finding.star_list import find_stars as stars_of_image
+from boresight.star_id.finding.star_list import list_stars as stars_of_image
 from boresight.star_id.identification.identify import NotIdentified
 from boresight.star_id.observer import Observer, sky_directions
 from boresight.star_id.settings import StarSettings
@@ -139,7 +139,7 @@ class Stars(Result):
 
 
 @record(kw_only=True)
-class StarSolution(Outcome):
+class StarSolution(SuccessfulResult):
     """An identified image: pointing and stars. Row n of every array is the same star."""
 
     ra_deg: float = scalar("right ascension of the image's centre, GCRS axes, deg")
@@ -287,7 +287,7 @@ class StarSolution(Outcome):
 
 
 @record(kw_only=True)
-class CameraSolution(Outcome):
+class CameraSolution(SuccessfulResult):
     """A star camera calibrated by the stars of several images."""
 
     camera: StarCamera = scalar("focal length, principal point and distortion")

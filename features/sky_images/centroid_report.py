@@ -17,7 +17,7 @@ from boresight.pipeline.files.star_images import read_star_image
 from boresight.pipeline.files.text_files import read_text
 from boresight.pipeline.files.text_tables import table_csv
 from boresight.pipeline.files.whole_file import write_figure, write_text
-from boresight.star_id.finding.star_list import StarList, find_stars
+from boresight.star_id.finding.star_list import StarList, list_stars
 from boresight.star_id.score import CentroidScore, score_centroids
 from boresight.star_id.settings import StarSettings
 
@@ -54,7 +54,7 @@ def score_images(
         if dark_image is not None and dark_image.shape != image.shape:
             shapes = (f"{d.shape[1]} x {d.shape[0]} px" for d in (dark_image, image))
             raise RawDataError(str(dark), "image size", *shapes)
-        stars = find_stars(image, settings, dark_image)
+        stars = list_stars(image, settings, dark_image)
         whole_numbers = image.dtype.kind == "u"
         top = settings.saturation_dn or (float(np.iinfo(image.dtype).max) if whole_numbers else np.inf)
         tables.append(_table(path, stars))

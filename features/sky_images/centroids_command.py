@@ -24,10 +24,10 @@ from boresight.pipeline.console.messages import (
 )
 from boresight.pipeline.results.limits import centroid_limits
 
-__all__ = ["centroids"]
+__all__ = ["centroids_command"]
 
 
-def centroids(
+def centroids_command(
     images: Images,
     truth: Annotated[
         Path | None, typer.Option(help="CSV with columns x_px, y_px, flux_dn (and file, for several images).")

@@ -33,7 +33,7 @@ from boresight.pipeline.console.messages import (
 )
 from boresight.pipeline.files.text_tables import csv_line
 
-__all__ = ["identify"]
+__all__ = ["identify_command"]
 
 FIELDS = (
     "file,identified,ra_deg,dec_deg,roll_deg,fov_x_deg,matches,rms_arcsec,false_alarm_probability,cpu_ms,reason,"
@@ -41,7 +41,7 @@ FIELDS = (
 ).split(",")
 
 
-def identify(
+def identify_command(
     images: ImagesOrLists,
     camera: CameraFile = None,
     fov: Fov = None,

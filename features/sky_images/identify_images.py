@@ -35,7 +35,7 @@ from boresight.star_id.field import (
     solve_centroids,
     solve_list,
 )
-from boresight.star_id.finding.star_list import StarList, find_stars
+from boresight.star_id.finding.star_list import StarList, list_stars
 from boresight.star_id.identification.identify import NotIdentified
 from boresight.star_id.identification.triangle_index import StarIndex, equivalent_fov
 from boresight.star_id.observer import Observer
@@ -113,7 +113,7 @@ def identify_images(images: Sequence[Path], request: Request, settings: StarSett
                 raise RawDataError(str(request.dark_file), "image size", *shapes)
             observer = observers.get(str(path))
             known = timeless if observer is None else settings
-            stars = find_stars(image, known, dark)
+            stars = list_stars(image, known, dark)
             size = (image.shape[1], image.shape[0])
             outcome = solve_list(stars, size, index, known, camera=camera, fov_x_rad=fov, observer=observer)
         except RawDataError as error:

@@ -27,10 +27,10 @@ from boresight.pipeline.console.messages import (
 from boresight.pipeline.console.progress import progress_bars
 from boresight.pipeline.files.object_store import dump_folder
 
-__all__ = ["star_camera_calibrate"]
+__all__ = ["star_camera_calibrate_command"]
 
 
-def star_camera_calibrate(
+def star_camera_calibrate_command(
     sources: Annotated[
         list[Path],
         typer.Argument(

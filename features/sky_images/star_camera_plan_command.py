@@ -21,10 +21,10 @@ from boresight.pipeline.console.messages import (
     wrong_usage,
 )
 
-__all__ = ["star_camera_plan"]
+__all__ = ["star_camera_plan_command"]
 
 
-def star_camera_plan(
+def star_camera_plan_command(
     image: Annotated[Path, typer.Argument(help="An image of the sky by this camera, any stars.")],
     camera: CameraFile = None,
     fov: Fov = None,

@@ -35,7 +35,7 @@ from boresight.star_id.camera_calibration import (
 )
 from boresight.star_id.camera_fit import detector_grid
 from boresight.star_id.field import nominal_camera, solve_stars
-from boresight.star_id.finding.star_list import find_stars
+from boresight.star_id.finding.star_list import list_stars
 from boresight.star_id.identification.identify import NotIdentified
 from boresight.star_id.settings import StarSettings
 
@@ -83,7 +83,7 @@ def calibrate_from_images(
             continue
         read = read or (one.name, image)
         full = settings.saturation_dn or (None if one.bit_depth is None else 2.0**one.bit_depth - 1.0)
-        stars = find_stars(image, replace(settings, saturation_dn=full))
+        stars = list_stars(image, replace(settings, saturation_dn=full))
         frames.append(SkyFrame(one.name, stars, one.observer))
     progress("star images", len(sky.images), len(sky.images))
     unused = [f"{name} not used: {reason}" for name, reason in unread]

@@ -9,23 +9,23 @@ FEATURE = Feature(
         Command(
             "match",
             "Find a dump's targets in its strips, nothing more.",
-            "features.targets.match_command:match",
+            "features.targets.match_command:match_command",
             with_json=True,
         ),
         Command(
             "targets suggest",
             "Choose targets in ortho-images; write their chips.",
-            "features.targets.targets_suggest_command:suggest",
+            "features.targets.targets_suggest_command:targets_suggest_command",
         ),
         Command(
             "dump init",
             "Write a skeleton of a dump, to be filled in.",
-            "features.targets.dump_init_command:init",
+            "features.targets.dump_init_command:dump_init_command",
         ),
         Command(
             "dump check",
             "Check a dump: errors, footprints, targets.",
-            "features.targets.dump_check_command:check",
+            "features.targets.dump_check_command:dump_check_command",
             with_json=True,
         ),
     ),

@@ -10,7 +10,7 @@ import pandas as pd
 
 from boresight.accepted import PathLike, listed, source_of, wrong
 from boresight.display import Result, axes_or_new
-from boresight.features.targets.target_matches import match_strips, matches_table
+from boresight.features.targets.target_matches import matched_lines, matches_table
 from boresight.geometry.record import record, scalar
 from boresight.pipeline.files.dump import Dump, open_dump
 from boresight.pipeline.run.settings import Settings
@@ -105,4 +105,4 @@ def match_targets(dump: PathLike | Dump, *, strips: Iterable[str] | str | None =
         raise ValueError(f"the dump has no strip {', '.join(sorted(unknown))}")
     tasks, _ = strips_to_match(opened, Settings())
     wanted = [task for task in tasks if chosen is None or task.strip.strip_id in chosen]
-    return TargetMatches(measured=matches_table(list(match_strips(wanted, None))))
+    return TargetMatches(measured=matches_table(list(matched_lines(wanted, None))))

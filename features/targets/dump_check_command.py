@@ -15,10 +15,10 @@ from boresight.pipeline.files.record_tables import plain
 from boresight.pipeline.run.settings import read_settings
 from boresight.pipeline.run.workers import executor_for
 
-__all__ = ["check"]
+__all__ = ["dump_check_command"]
 
 
-def check(
+def dump_check_command(
     dump: DumpArgument,
     out: Annotated[Path | None, typer.Option(help="HTML page with the footprints on a map.")] = None,
     settings: SettingsFile = None,

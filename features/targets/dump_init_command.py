@@ -10,10 +10,10 @@ import typer
 from boresight.features.targets.dump_skeleton import Skeleton, write_skeleton
 from boresight.pipeline.console.messages import Answer
 
-__all__ = ["init"]
+__all__ = ["dump_init_command"]
 
 
-def init(
+def dump_init_command(
     folder: Annotated[Path, typer.Argument(help="New or empty folder.")],
     ask: Annotated[bool, typer.Option("--ask", help="Ask for what follows, one question each.")] = False,
     mission: Annotated[str, typer.Option(help="Name of the mission.")] = "my mission",

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from boresight.features.targets.target_matches import match_strips, matches_table, write_matches
+from boresight.features.targets.target_matches import matched_lines, matches_table, write_matches
 from boresight.pipeline.console.arguments import DumpArgument, SettingsFile
 from boresight.pipeline.console.messages import (
     DATA_DID_NOT_ALLOW,
@@ -23,10 +23,10 @@ from boresight.pipeline.run.settings import read_settings
 from boresight.pipeline.run.workers import executor_for
 from boresight.pipeline.stages.calibrate import strips_to_match
 
-__all__ = ["match"]
+__all__ = ["match_command"]
 
 
-def match(
+def match_command(
     dump: DumpArgument,
     out: Annotated[Path, typer.Option(help="File for matches and refusals: .csv or .parquet.")],
     strip: Annotated[list[str] | None, typer.Option(help="Only this strip. May be repeated.")] = None,
@@ -50,7 +50,7 @@ def match(
     for omission in omissions:
         say(f"not used: {omission.kind} {omission.name}: {omission.reason}")
     lines = []
-    for line in match_strips(wanted, overlay):
+    for line in matched_lines(wanted, overlay):
         lines.append(line)
         tell(line.text)
         for refusal in line.refused:

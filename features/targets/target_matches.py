@@ -19,7 +19,7 @@ from boresight.pipeline.files.text_tables import table_csv
 from boresight.pipeline.files.whole_file import write_text
 from boresight.pipeline.stages.strip import StripTask, strip_matches
 
-__all__ = ["StripLine", "match_strips", "matches_table", "overlay_picture", "write_matches"]
+__all__ = ["StripLine", "matched_lines", "matches_table", "overlay_picture", "write_matches"]
 
 _PANEL_PX = 256
 
@@ -34,7 +34,7 @@ class StripLine:
     text: str
 
 
-def match_strips(tasks: Sequence[StripTask], overlay: Path | None) -> Iterator[StripLine]:
+def matched_lines(tasks: Sequence[StripTask], overlay: Path | None) -> Iterator[StripLine]:
     """Match the strips one after another; pictures of every place go to the folder `overlay`."""
     for task in tasks:
         result, omitted = strip_matches(task)

@@ -18,10 +18,10 @@ from boresight.pipeline.files.dump import open_dump
 from boresight.pipeline.files.object_store import dump_folder
 from boresight.pipeline.run.settings import read_settings
 
-__all__ = ["suggest"]
+__all__ = ["targets_suggest_command"]
 
 
-def suggest(
+def targets_suggest_command(
     orthos: Annotated[
         list[Path],
         typer.Argument(metavar="ORTHO", help="GeoTIFF, COG or VRT with a map; where two overlap: two dates."),

@@ -19,7 +19,6 @@ from boresight.geometry.record import Floats
 __all__ = [
     "filtered",
     "frequency",
-    "gaussian_sigma_px",
     "padded_picture",
     "padded_shape",
     "padded_spectrum",
@@ -32,11 +31,6 @@ Shape = tuple[int, int]
 
 _PAD = 8  # mirrored pixels around a picture that is filtered
 _RING = 1.0 / 32.0  # width of a ring, cycles per pixel: hundreds of coefficients each on a 64 px chip
-
-
-def gaussian_sigma_px(mtf_at_nyquist: float) -> float:
-    """Width, px, of the Gaussian whose transfer function has this value at half a cycle per pixel."""
-    return float(np.sqrt(-2.0 * np.log(mtf_at_nyquist)) / np.pi)
 
 
 def filtered(image: Image, amplitude: Image) -> Image:

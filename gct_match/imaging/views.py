@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from boresight.gct_match.records import Image
 from boresight.geometry.record import Bools, array, record
 
-__all__ = ["View", "filled", "normalised", "view_of", "window"]
+__all__ = ["View", "filled_with_mean", "normalised", "view_of", "window"]
 
 _FINE_PX, _LOCAL_PX, _CONTRAST_PX = 0.8, 4.0, 6.0  # pass band and the neighbourhood of the contrast
 _FLOOR = 0.15  # of the median contrast: noise on flat ground is not amplified to texture
@@ -33,7 +33,7 @@ def view_of(grey: Image, valid: Bools) -> View:
     return View(grey, valid, normalised(grey, valid))
 
 
-def filled(image: NDArray, valid: Bools) -> Image:
+def filled_with_mean(image: NDArray, valid: Bools) -> Image:
     """The picture (H, W) as float32, with the mean of its valid pixels where it is not valid."""
     if valid.all():
         return image.astype(np.float32)

@@ -16,11 +16,11 @@ import numpy as np
 from pyproj import CRS, Transformer
 
 from boresight.gct_match.imaging.resample import sample
-from boresight.gct_match.imaging.spectra import gaussian_sigma_px
 from boresight.gct_match.records import Chip, Image
 from boresight.gct_match.settings import MatchSettings
 from boresight.geometry.constants import WGS84
 from boresight.geometry.geodesy import geodetic_from_ecef
+from boresight.geometry.optical_blur import gaussian_sigma_px
 from boresight.geometry.pushbroom import Pushbroom
 from boresight.geometry.record import Bools, Floats, array, record, scalar
 from boresight.geometry.terrain import Surface

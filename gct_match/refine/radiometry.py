@@ -19,7 +19,6 @@ import numpy as np
 from boresight.gct_match.imaging.resample import gradient
 from boresight.gct_match.imaging.spectra import (
     frequency,
-    gaussian_sigma_px,
     padded_picture,
     padded_shape,
     padded_spectrum,
@@ -27,6 +26,7 @@ from boresight.gct_match.imaging.spectra import (
 )
 from boresight.gct_match.records import Image
 from boresight.gct_match.refine.weighting import Weighting
+from boresight.geometry.optical_blur import gaussian_sigma_px
 
 __all__ = ["TERMS", "TONES", "fill_columns"]
 

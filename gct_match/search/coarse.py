@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from boresight.gct_match.imaging.views import filled
+from boresight.gct_match.imaging.views import filled_with_mean
 from boresight.gct_match.records import Image
 from boresight.gct_match.settings import MatchSettings
 from boresight.geometry.record import Bools, array, record, scalar
@@ -36,7 +36,7 @@ def read_window(
     """
     image = np.asarray(strip.read(ccd, line0, line1, sample0, sample1))
     valid = _usable(image, settings)
-    return filled(image, valid), valid
+    return filled_with_mean(image, valid), valid
 
 
 def read_coarse(
@@ -73,7 +73,7 @@ def means_of_usable(block: NDArray, factor: int, settings: MatchSettings) -> NDA
     if block.dtype.kind in "iu" and not limits.any():  # every value is valid
         return _block_means(block, factor)
     good = _usable(block, settings)
-    means = _block_means(filled(block, good), factor)
+    means = _block_means(filled_with_mean(block, good), factor)
     if not good.all():
         means[_block_means(good.astype(np.float32), factor) <= _LEAST_VALID] = np.nan
     return means

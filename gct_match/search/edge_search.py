@@ -21,7 +21,7 @@ from boresight.gct_match.search.edges import (
     edge_field,
     edge_similarity,
     halved,
-    normalised,
+    normalised_correlation,
 )
 from boresight.geometry.record import Ints, array, record
 
@@ -160,7 +160,7 @@ def _moved(template: Image, fields: Image, positions: Positions, scale: int) -> 
     """
     values = np.ascontiguousarray(fields[:, :, _RING:-_RING, _RING:-_RING]).reshape(len(fields), -1)
     power = 2.0 * np.einsum("kd,kd->k", values, values) / values.shape[1]
-    similar = normalised(values @ _shifted(template).T, template, power[:, None])
+    similar = normalised_correlation(values @ _shifted(template).T, template, power[:, None])
     best = similar.argmax(axis=1)
     row, column = np.divmod(best, 2 * _REACH + 1)
     move = np.column_stack([column, row]) - _REACH

@@ -20,7 +20,15 @@ import numpy as np
 
 from boresight.gct_match.records import Image
 
-__all__ = ["FULL", "centred", "coarse_edge_fields", "edge_field", "edge_similarity", "halved", "normalised"]
+__all__ = [
+    "FULL",
+    "centred",
+    "coarse_edge_fields",
+    "edge_field",
+    "edge_similarity",
+    "halved",
+    "normalised_correlation",
+]
 
 FULL = np.float32(127.0)  # 8 bit value of |z| = 1
 
@@ -73,10 +81,10 @@ def edge_similarity(template: Image, field: Image) -> Image:
     power = field[0] * field[0]
     power += field[1] * field[1]
     under = cv2.boxFilter(power, -1, (w, h), anchor=(0, 0), borderType=cv2.BORDER_CONSTANT)[inner]
-    return normalised(real + imaginary, template, under)
+    return normalised_correlation(real + imaginary, template, under)
 
 
-def normalised(product: Image, template: Image, power: Image) -> Image:
+def normalised_correlation(product: Image, template: Image, power: Image) -> Image:
     """Correlations (h, w) from a template's products with fields of mean `power`; small for empty fields."""
     own = np.float32(2.0 * np.mean(np.square(template)))
     scale = np.maximum(power, _FLOOR * own)

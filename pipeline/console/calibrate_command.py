@@ -51,7 +51,7 @@ from boresight.pipeline.run.settings import read_settings
 from boresight.pipeline.run.workers import executor_for, processors
 from boresight.pipeline.stages.joint import open_dumps
 
-__all__ = ["calibrate"]
+__all__ = ["calibrate_command"]
 
 REPORTED_PACKAGES = (
     "numpy",
@@ -99,7 +99,7 @@ Overwrite = Annotated[
 ]
 
 
-def calibrate(
+def calibrate_command(
     context: typer.Context,
     dumps: DumpsArgument,
     out: ResultFolder,

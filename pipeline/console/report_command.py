@@ -16,7 +16,7 @@ from boresight.pipeline.report.dumps_page import write_dumps_report
 from boresight.pipeline.report.page import write_report
 from boresight.pipeline.report.pdf import print_page
 from boresight.pipeline.results.folder import dumps_in
-from boresight.pipeline.results.reading import read_result
+from boresight.pipeline.results.reading import read_saved_result
 from boresight.pipeline.results.requirement import (
     Requirement,
     requirement_lines,
@@ -24,10 +24,10 @@ from boresight.pipeline.results.requirement import (
     write_requirement,
 )
 
-__all__ = ["report"]
+__all__ = ["report_command"]
 
 
-def report(
+def report_command(
     result: ResultArgument,
     matches: Annotated[
         int, typer.Option(help="Show the pictures of at most so many targets that were used.", min=0)
@@ -46,5 +46,5 @@ def report(
     if pdf:
         printed = print_page(path)
         lines.append(f"{printed.stat().st_size / 1e6:.1f} MB -> {printed}")
-    lines += requirement_lines(saved_requirement(result), read_result(result).installation)
+    lines += requirement_lines(saved_requirement(result), read_saved_result(result).installation)
     return Answer(text="\n".join(lines))

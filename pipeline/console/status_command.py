@@ -13,10 +13,12 @@ from boresight.pipeline.console.messages import (
 from boresight.pipeline.files.record_tables import plain
 from boresight.pipeline.results.status import run_status, status_lines
 
-__all__ = ["status"]
+__all__ = ["status_command"]
 
 
-def status(result: Annotated[Path, typer.Argument(help="Folder of a run, finished or not.")]) -> Answer:
+def status_command(
+    result: Annotated[Path, typer.Argument(help="Folder of a run, finished or not.")],
+) -> Answer:
     """Show what of a run is finished, what it still needs, and everything that is not used and why.
 
     Example: boresight status result

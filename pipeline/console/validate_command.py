@@ -19,12 +19,12 @@ from boresight.pipeline.files.record_tables import plain
 from boresight.pipeline.results.limits import validation_limits
 from boresight.pipeline.results.reading import read_for_dump
 from boresight.pipeline.results.summary import validation_summary
-from boresight.pipeline.results.validate import validate as held_against_truth
+from boresight.pipeline.results.validate import validation_of
 
-__all__ = ["validate"]
+__all__ = ["validate_command"]
 
 
-def validate(
+def validate_command(
     result: Annotated[Path, typer.Argument(help="Folder that `calibrate` wrote.")],
     dump: Annotated[
         Path,
@@ -53,7 +53,7 @@ def validate(
     """
     begun_s = time.perf_counter()
     _, saved = read_for_dump(result, dump)
-    found = held_against_truth(saved, open_dump(dump))
+    found = validation_of(saved, open_dump(dump))
     files = kept_validation(result, found)
     limits = validation_limits(found, max_error_sigma, max_nees, max_ground_m)
     return held(

@@ -20,7 +20,14 @@ from boresight.pipeline.files.remote_camera import remote_camera_table
 from boresight.pipeline.files.star_side import star_camera_table
 from boresight.pipeline.files.text_tables import write_csv, write_toml
 from boresight.pipeline.files.whole_file import is_vacant
-from boresight.simulator.mission_records import ChipImage, Mission, OrbitReport, Strip, TerrainReport, Truth
+from boresight.simulator.mission_records import (
+    ChipImage,
+    Mission,
+    OrbitReport,
+    RenderedStrip,
+    TerrainReport,
+    Truth,
+)
 from boresight.simulator.scenario import scenario_to_dict
 
 __all__ = ["images_in", "write_dump"]
@@ -123,7 +130,7 @@ def _write_strips(root: Path, mission: Mission, on_image: Callable[[str], None])
     write_csv(root / "strips.csv", [*columns, "kind"] if with_kind else columns, rows)
 
 
-def _write_strip_image(path: Path, strip: Strip) -> None:
+def _write_strip_image(path: Path, strip: RenderedStrip) -> None:
     profile = {
         "driver": "GTiff",
         "width": strip.samples,

@@ -17,7 +17,7 @@ from boresight.geometry.geoid import egm96
 from boresight.pipeline.files.image_files import read_grid
 from boresight.pipeline.files.text_files import toml_tables
 from boresight.simulator.ground import GroundImage
-from boresight.simulator.mission import simulate
+from boresight.simulator.mission import render_mission
 from boresight.simulator.mission_records import Mission
 from boresight.simulator.scenario import (
     Scenario,
@@ -56,7 +56,7 @@ def fly(scenario: Scenario, seed: int) -> Mission:
     ground = _ground_image(scenario.ground.image) if scenario.ground.image else None
     stars = hipparcos_stars().places
     survey = all_hipparcos() if scenario.sky_strips.scans else None
-    return simulate(scenario, stars, bundled_earth_orientation(), egm96(), seed, ground, survey)
+    return render_mission(scenario, stars, bundled_earth_orientation(), egm96(), seed, ground, survey)
 
 
 def _ground_image(name: str) -> GroundImage:

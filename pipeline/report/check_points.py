@@ -16,7 +16,7 @@ from boresight.pipeline.results.folder import VALIDATION
 from boresight.pipeline.results.validate import TruthErrors
 from boresight.pipeline.results.writing import write_json
 
-__all__ = ["CheckPoint", "check_points", "write_validation"]
+__all__ = ["CheckPoint", "check_points_on_map", "write_validation"]
 
 
 @record(kw_only=True)
@@ -38,7 +38,7 @@ def write_validation(result: Path, found: TruthErrors) -> Path:
     return path
 
 
-def check_points(saved: Saved) -> tuple[CheckPoint, ...]:
+def check_points_on_map(saved: Saved) -> tuple[CheckPoint, ...]:
     """The check points that lie in strips of the map; none where the result was not validated."""
     scene_of = {
         strip["id"]: n for n, scene in enumerate(saved.context["scenes"]) for strip in scene["strips"]

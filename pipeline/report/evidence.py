@@ -53,15 +53,15 @@ from boresight.pipeline.report.ground_map import USED, ground_table, scene_json,
 from boresight.pipeline.report.star_preview import StarPreview, star_preview
 from boresight.pipeline.report.strip_overview import Overview
 from boresight.pipeline.report.unmatched import unmatched_pictures
-from boresight.pipeline.results.angles import StripMotion, cross_angles
+from boresight.pipeline.results.angles import MeasuredStrip, cross_angles
 from boresight.pipeline.results.writing import write_json
 from boresight.pipeline.run.executor import Executor, InOrder
 from boresight.pipeline.run.settings import Settings
-from boresight.pipeline.stages.calibrate import Calibration
+from boresight.pipeline.stages.calibrate import DumpCalibration
 from boresight.pipeline.stages.exposure import exposure_image
-from boresight.pipeline.stages.forecast import improvements
 from boresight.pipeline.stages.head_records import attitude_signal
 from boresight.pipeline.stages.match_pictures import MatchPictures
+from boresight.pipeline.stages.plan_forecast import improvements
 from boresight.pipeline.stages.sky_strip import as_matched
 from boresight.pipeline.stages.star_pictures import star_pictures
 
@@ -73,7 +73,7 @@ Array = NDArray[np.float64]
 def write_evidence(
     result: Path,
     dump: Dump,
-    calibration: Calibration,
+    calibration: DumpCalibration,
     settings: Settings,
     executor: Executor | None = None,
     overviews: Mapping[tuple[str, int], Overview] | None = None,
@@ -116,7 +116,7 @@ def write_evidence(
     return found
 
 
-def _context(dump: Dump, calibration: Calibration) -> dict[str, Any]:
+def _context(dump: Dump, calibration: DumpCalibration) -> dict[str, Any]:
     estimate, camera, star = calibration.estimate, dump.line_camera, dump.star_camera
     return {
         "mission": dump.mission,
@@ -168,12 +168,12 @@ def _context(dump: Dump, calibration: Calibration) -> dict[str, Any]:
     }
 
 
-def _span_s(calibration: Calibration) -> list[float]:
+def _span_s(calibration: DumpCalibration) -> list[float]:
     """Instants of the first and the last exposure."""
     return [calibration.stars[0].t_s, calibration.stars[-1].t_s]
 
 
-def _accuracy(dump: Dump, calibration: Calibration, ground: pa.Table) -> dict[str, Any]:
+def _accuracy(dump: Dump, calibration: DumpCalibration, ground: pa.Table) -> dict[str, Any]:
     """CE90 and LE90 of residuals and of a new strip, and what more data would change."""
     estimate, camera = calibration.estimate, dump.line_camera
     range_m, speed_m_s = _over_ground(dump, calibration)
@@ -195,7 +195,7 @@ def _accuracy(dump: Dump, calibration: Calibration, ground: pa.Table) -> dict[st
     }
 
 
-def _over_ground(dump: Dump, calibration: Calibration) -> tuple[float, float]:
+def _over_ground(dump: Dump, calibration: DumpCalibration) -> tuple[float, float]:
     """Mean distance from the satellite to the targets on the ground, m, and its speed over it, m/s; where
     there are stars only, its height and its speed in ITRS.
     """
@@ -234,7 +234,7 @@ def _fingerprint(path: Path, name: str) -> tuple[str, int, str, bool]:
         return name, -1, "", False
 
 
-def _convergence(calibration: Calibration) -> pa.Table:
+def _convergence(calibration: DumpCalibration) -> pa.Table:
     """theta (rad, relative to the final matrix) and 1-sigma after each further strip in time order; NaN and
     infinity while theta is not observable.
     """
@@ -267,7 +267,7 @@ def _convergence(calibration: Calibration) -> pa.Table:
     )
 
 
-def _angles(calibration: Calibration) -> pa.Table:
+def _angles(calibration: DumpCalibration) -> pa.Table:
     angles = cross_angles(_motions(calibration), calibration.estimate.R_cs, calibration.settings)
     return pa.table(
         {
@@ -281,7 +281,7 @@ def _angles(calibration: Calibration) -> pa.Table:
     )
 
 
-def _motions(calibration: Calibration) -> list[StripMotion]:
+def _motions(calibration: DumpCalibration) -> list[MeasuredStrip]:
     attitudes, found = calibration.attitudes, calibration.estimate.targets
     index = {exposure.t_s: k for k, exposure in enumerate(calibration.stars)}
     kept = {
@@ -297,7 +297,7 @@ def _motions(calibration: Calibration) -> list[StripMotion]:
         rows = [index[exposure.t_s] for exposure in strip.exposures]
         ground = zip(strip.ground.target_id.tolist(), strip.ground.ccd.tolist())
         motions.append(
-            StripMotion(
+            MeasuredStrip(
                 strip=strip,
                 orbit=orbits[strip.strip_id],
                 R_si=Rotation.from_matrix(attitudes.R_si[rows]),
@@ -326,7 +326,7 @@ def _allan(dump: Dump, settings: Settings) -> pa.Table:
     return table.replace_schema_metadata({b"heads": names.encode()})
 
 
-def _matches(calibration: Calibration) -> pa.Table:
+def _matches(calibration: DumpCalibration) -> pa.Table:
     """Pictures of targets matched in images, and of stars; the correlation surface runs from `surface_low` to
     `_high`.
     """
@@ -344,7 +344,7 @@ def _matches(calibration: Calibration) -> pa.Table:
     return every if all(pictured) else every.filter(arrow_array(pictured, pa.bool_()))
 
 
-def _preview(dump: Dump, calibration: Calibration, settings: Settings) -> StarPreview | None:
+def _preview(dump: Dump, calibration: DumpCalibration, settings: Settings) -> StarPreview | None:
     """The exposure with the most rejected stars; among equals the one nearest the middle of the mission."""
     attitudes = calibration.attitudes
     kept = [attitudes.kept[attitudes.stars(k)] for k in range(len(calibration.stars))]
@@ -364,7 +364,7 @@ def _preview(dump: Dump, calibration: Calibration, settings: Settings) -> StarPr
     return None
 
 
-def _exposure(dump: Dump, calibration: Calibration, settings: Settings) -> pa.Table:
+def _exposure(dump: Dump, calibration: DumpCalibration, settings: Settings) -> pa.Table:
     """One row per detection; the schema's metadata holds the picture (JPEG) and the facts of the exposure."""
     preview = _preview(dump, calibration, settings)
     if preview is None:

@@ -30,7 +30,7 @@ from boresight.pipeline.report.drawing import (
     rule_axes,
 )
 from boresight.pipeline.report.ground_map import REJECTED, USED
-from boresight.pipeline.report.observations import ExposureRow, TargetRow
+from boresight.pipeline.report.observations import ExposureCard, TargetCard
 from boresight.pipeline.report.saved import Saved
 from boresight.pipeline.report.strip_stars import StripStarRow
 
@@ -162,7 +162,7 @@ def star_residual_map(saved: Saved) -> Drawing:
     return drawn(figure, "star-map", text, f"Star residuals over the detector. {text}")
 
 
-def residual_panels(saved: Saved, rows: Sequence[TargetRow]) -> list[Drawing]:
+def residual_panels(saved: Saved, rows: Sequence[TargetCard]) -> list[Drawing]:
     """Residuals of targets on the ground, along and across the track, against sample, line, time and, where
     it is stated, the temperature of the star camera.
     """
@@ -202,7 +202,7 @@ def star_residual_panels(saved: Saved, rows: Sequence[StripStarRow]) -> list[Dra
 
 
 def _residual_panel(
-    rows: Sequence[TargetRow] | Sequence[StripStarRow],
+    rows: Sequence[TargetCard] | Sequence[StripStarRow],
     name: str,
     against: tuple[str, Floats],
     both: dict[str, Floats],
@@ -301,7 +301,7 @@ def squared_residual_histogram(saved: Saved, table_name: str, what: str) -> Draw
     )
 
 
-def exposure_chi2(saved: Saved, rows: Sequence[ExposureRow]) -> Drawing:
+def exposure_chi2(saved: Saved, rows: Sequence[ExposureCard]) -> Drawing:
     """Chi-square over degrees of freedom of every exposure's attitude fit against time."""
     table = saved.exposures
     usable = column(table, "usable").astype(bool)

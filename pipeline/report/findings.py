@@ -20,10 +20,10 @@ from boresight.pipeline.report.ground_map import (
     OUT_OF_VIEW,
     UNMATCHED,
     USED,
-    Scene,
+    MapScene,
     StripOnGround,
 )
-from boresight.pipeline.stages.calibrate import Calibration
+from boresight.pipeline.stages.calibrate import DumpCalibration
 
 __all__ = ["findings"]
 
@@ -37,7 +37,7 @@ Look = tuple[str, float, float]  # target, mean and standard deviation of the st
 
 
 def findings(
-    dump: Dump, calibration: Calibration, scenes: Sequence[Scene], ground: pa.Table
+    dump: Dump, calibration: DumpCalibration, scenes: Sequence[MapScene], ground: pa.Table
 ) -> list[Finding]:
     """All findings, the most specific first; none where nothing stands out."""
     rows = [row for row in ground.to_pylist() if row["state"] != OUT_OF_VIEW]
@@ -101,7 +101,7 @@ def _window(one: StripOnGround, row: Mapping[str, Any]) -> tuple[float, float] |
     return float(window.mean()), float(window.std())
 
 
-def _share_of_swath(dump: Dump, calibration: Calibration) -> float:
+def _share_of_swath(dump: Dump, calibration: DumpCalibration) -> float:
     """Part of the swath's width that the used targets span."""
     kept = calibration.estimate.targets.kept
     y = [strip.ground.u_c[:, 1] / strip.ground.u_c[:, 2] for strip in calibration.strips]

@@ -11,7 +11,7 @@ import numpy as np
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.record import record, scalar
 from boresight.pipeline.report.ground_map import REJECTED, UNMATCHED
-from boresight.pipeline.report.observations import TargetRow
+from boresight.pipeline.report.observations import TargetCard
 from boresight.pipeline.report.saved import Number, Saved, number_from
 from boresight.pipeline.results.summary import REASON_WORDS
 
@@ -47,8 +47,8 @@ class Help:
 class Items:
     """Targets of a strip that were not used for one cause."""
 
-    rows: tuple[TargetRow, ...] = scalar("the targets")
-    shown: tuple[TargetRow, ...] = scalar("the first of them")
+    rows: tuple[TargetCard, ...] = scalar("the targets")
+    shown: tuple[TargetCard, ...] = scalar("the first of them")
 
 
 @record(kw_only=True)
@@ -59,8 +59,8 @@ class Found:
     item: str = scalar("what it concerns")
     text: str = scalar("the numbers, and what to check")
     is_fault: bool = scalar("an input is probably wrong")
-    rows: tuple[TargetRow, ...] = scalar("targets that it explains")
-    shown: tuple[TargetRow, ...] = scalar("the first of them")
+    rows: tuple[TargetCard, ...] = scalar("targets that it explains")
+    shown: tuple[TargetCard, ...] = scalar("the first of them")
 
 
 @record(kw_only=True)
@@ -81,7 +81,7 @@ class FirstScreen:
     items: tuple[Items, ...] = scalar("targets in view that were not used and that no finding explains")
 
 
-def first_screen(saved: Saved, targets: Sequence[TargetRow]) -> FirstScreen:
+def first_screen(saved: Saved, targets: Sequence[TargetCard]) -> FirstScreen:
     """The first screen of a saved result with the rows of its targets."""
     findings = _findings(saved, targets)
     explained = {row.link for one in findings for row in one.rows}
@@ -171,8 +171,8 @@ def _helps(saved: Saved, now: tuple[Number, ...], weakest: int) -> tuple[Help, .
     return tuple(sorted(helps, key=lambda one: -one.gain))
 
 
-def _findings(saved: Saved, targets: Sequence[TargetRow]) -> tuple[Found, ...]:
-    rows: dict[str, list[TargetRow]] = {}
+def _findings(saved: Saved, targets: Sequence[TargetCard]) -> tuple[Found, ...]:
+    rows: dict[str, list[TargetCard]] = {}
     for row in targets:
         rows.setdefault(f"{row.strip_id}/{row.target_id}", []).append(row)
     found = []
@@ -183,9 +183,9 @@ def _findings(saved: Saved, targets: Sequence[TargetRow]) -> tuple[Found, ...]:
     return tuple(found)
 
 
-def _items(unused: Sequence[TargetRow]) -> tuple[Items, ...]:
+def _items(unused: Sequence[TargetCard]) -> tuple[Items, ...]:
     """Groups of one strip and cause, the smallest first: single targets are likelier to be a mistake."""
-    groups: dict[tuple[str, str, str], list[TargetRow]] = {}
+    groups: dict[tuple[str, str, str], list[TargetCard]] = {}
     for row in unused:
         groups.setdefault((row.strip_id, row.state, row.why), []).append(row)
     return tuple(

@@ -32,12 +32,12 @@ from boresight.pipeline.files.star_side import SolvedAttitudes
 from boresight.pipeline.files.table_files import arrow_rows
 from boresight.pipeline.report.strip_overview import Overview, OverviewTask, overview
 from boresight.pipeline.run.executor import Executor
-from boresight.pipeline.stages.calibrate import Calibration
+from boresight.pipeline.stages.calibrate import DumpCalibration
 from boresight.pipeline.stages.strip import MatchedTargets, StripTask, pushbroom_of
 
 __all__ = [
     "STATES",
-    "Scene",
+    "MapScene",
     "StripOnGround",
     "ground_table",
     "local_plane",
@@ -88,7 +88,7 @@ class StripOnGround:
         """Positions (3,) ITRS, m, of the targets that were searched in it or measured by others."""
         return {target.target_id: target.p_e for target in (*self.task.targets, *self.task.points.targets)}
 
-    def box_m(self, scene: Scene) -> tuple[float, float, float, float]:
+    def box_m(self, scene: MapScene) -> tuple[float, float, float, float]:
         """West, south, east, north end of what it shows, m on the plane of the scene."""
         outline = scene.plane_m(self.outlines_e[np.isfinite(self.outlines_e).all(axis=2)])
         (west, south), (east, north) = outline.min(axis=0).tolist(), outline.max(axis=0).tolist()
@@ -96,7 +96,7 @@ class StripOnGround:
 
 
 @record(kw_only=True)
-class Scene:
+class MapScene:
     """Strips whose footprints touch, in a local plane."""
 
     lat_deg: float = scalar("geodetic latitude of the plane's origin")
@@ -123,7 +123,7 @@ def local_plane(lat_deg: float, lon_deg: float) -> Transformer:
     )
 
 
-def scenes_of(dump: Dump, calibration: Calibration) -> tuple[Scene, ...]:
+def scenes_of(dump: Dump, calibration: DumpCalibration) -> tuple[MapScene, ...]:
     """The strips of a calibration, grouped by footprints that touch, in order of time."""
     surface, R_cs = surface_of(dump.terrain), calibration.estimate.R_cs
     seen = [_on_ground(replace(task, R_cs=R_cs), surface) for task in calibration.tasks]
@@ -151,10 +151,10 @@ def _on_ground(task: StripTask, surface: Surface) -> StripOnGround:
     return StripOnGround(task=task, model=model, outlines_e=np.array(outlines))
 
 
-def _scene(strips: Sequence[StripOnGround]) -> Scene:
+def _scene(strips: Sequence[StripOnGround]) -> MapScene:
     points = np.concatenate([one.outlines_e.reshape(-1, 3) for one in strips])
     lat, lon, _ = geodetic_from_ecef(np.nanmean(points, axis=0)[None], WGS84)
-    scene = Scene(
+    scene = MapScene(
         lat_deg=round(float(np.degrees(lat[0])), 4),
         lon_deg=round(float(np.degrees(lon[0])), 4),
         strips=tuple(strips),
@@ -167,7 +167,7 @@ def _scene(strips: Sequence[StripOnGround]) -> Scene:
     return replace(scene, box_m=(west, south, east, north))
 
 
-def scene_json(scene: Scene) -> dict[str, object]:
+def scene_json(scene: MapScene) -> dict[str, object]:
     """What the map draws of a scene without its targets and pictures."""
     strips = []
     for one in scene.strips:
@@ -180,7 +180,7 @@ def scene_json(scene: Scene) -> dict[str, object]:
     return {"lat_deg": scene.lat_deg, "lon_deg": scene.lon_deg, "box_m": list(scene.box_m), "strips": strips}
 
 
-def ground_table(scenes: Sequence[Scene], dump: Dump, calibration: Calibration) -> pa.Table:
+def ground_table(scenes: Sequence[MapScene], dump: Dump, calibration: DumpCalibration) -> pa.Table:
     """One row for each target and CCD of a strip that was used, rejected or not matched, and for each target
     beside a scene that no strip shows (`strip_id` empty, `ccd` -1).
     """
@@ -194,7 +194,7 @@ def ground_table(scenes: Sequence[Scene], dump: Dump, calibration: Calibration) 
     return arrow_rows(rows, SCHEMA)
 
 
-def _rows_of_strip(one: StripOnGround, calibration: Calibration) -> Iterator[dict[str, object]]:
+def _rows_of_strip(one: StripOnGround, calibration: DumpCalibration) -> Iterator[dict[str, object]]:
     """Rows of the targets that a strip shows, without their places on the ground."""
     strip_id, found = one.strip_id, calibration.estimate.targets
     matched = next(m for m in calibration.matched if m.strip_id == strip_id)
@@ -275,7 +275,7 @@ def _residuals_m(one: StripOnGround, matched: MatchedTargets, rows: Ints, found:
     return residuals_m
 
 
-def _out_of_view(scene: Scene, dump: Dump, named: set[str]) -> list[dict[str, object]]:
+def _out_of_view(scene: MapScene, dump: Dump, named: set[str]) -> list[dict[str, object]]:
     """Targets on the map that no strip of the scene shows, at most `MOST_OUT_OF_VIEW`."""
     targets = [target for target in dump.targets if target.target_id not in named]
     if not targets:
@@ -292,7 +292,7 @@ def _out_of_view(scene: Scene, dump: Dump, named: set[str]) -> list[dict[str, ob
 
 
 def _placed(
-    rows: list[dict[str, object]], number: int, scene: Scene, dump: Dump
+    rows: list[dict[str, object]], number: int, scene: MapScene, dump: Dump
 ) -> Iterator[dict[str, object]]:
     """The rows with their scene and the places of their targets."""
     if not rows:
@@ -320,9 +320,9 @@ def _temperatures_c(dump: Dump, t_s: Floats) -> Floats:
 
 
 def scene_pictures(
-    scenes: Sequence[Scene],
+    scenes: Sequence[MapScene],
     dump: Dump,
-    calibration: Calibration,
+    calibration: DumpCalibration,
     executor: Executor,
     overviews: Mapping[tuple[str, int], Overview],
 ) -> pa.Table:
@@ -360,7 +360,7 @@ def _picture(
     return {"scene": scene, "strip_id": strip_id, "box_m": list(box_m), "jpeg": encoded.tobytes()}
 
 
-def _lattice(scene: Scene, box_m: Sequence[float]) -> tuple[Floats, Floats, tuple[int, int]]:
+def _lattice(scene: MapScene, box_m: Sequence[float]) -> tuple[Floats, Floats, tuple[int, int]]:
     """Latitudes and longitudes (rad) of `NODES`² nodes that span a box, north up, and the picture's (rows,
     columns).
     """
@@ -385,7 +385,7 @@ def _nodes_near(box_m: Sequence[float], outline_m: Floats) -> Bools:
     return row[:, None] & column
 
 
-def _shaded(scene: Scene, surface: Surface) -> NDArray[np.uint8]:
+def _shaded(scene: MapScene, surface: Surface) -> NDArray[np.uint8]:
     """Hill shading of the terrain."""
     lat, lon, (rows, columns) = _lattice(scene, scene.box_m)
     down_nodes, along_nodes = _weights(rows), _weights(columns)
@@ -402,7 +402,7 @@ def _shaded(scene: Scene, surface: Surface) -> NDArray[np.uint8]:
 class _View:
     """What the quicklook of one CCD's image depends on."""
 
-    scene: Scene = scalar("plane of the map")
+    scene: MapScene = scalar("plane of the map")
     strip: StripOnGround = scalar("strip with its model")
     ccd: int = scalar("number of the CCD")
     overview: Overview | None = scalar("its image, reduced; None: not made yet", default=None)

@@ -10,10 +10,10 @@ import numpy as np
 
 from boresight.geometry.record import Floats, record, scalar
 from boresight.pipeline.files.table_files import column
-from boresight.pipeline.report.check_points import CheckPoint, check_points
+from boresight.pipeline.report.check_points import CheckPoint, check_points_on_map
 from boresight.pipeline.report.drawing import strip_style
 from boresight.pipeline.report.ground_map import REJECTED, UNMATCHED
-from boresight.pipeline.report.observations import TargetRow, data_uri, strip_numbers
+from boresight.pipeline.report.observations import TargetCard, data_uri, strip_numbers
 from boresight.pipeline.report.saved import Saved
 
 __all__ = ["Layer", "MapView", "SceneView", "SpotView", "map_view"]
@@ -51,7 +51,7 @@ class SceneView:
 class SpotView:
     """One target on the sheet."""
 
-    row: TargetRow = scalar("its row of the table")
+    row: TargetCard = scalar("its row of the table")
     x: float = scalar("place")
     y: float = scalar("place")
     arrow: str = scalar("path of the residual's arrow; empty if there is none")
@@ -73,7 +73,7 @@ class MapView:
     words: str = scalar("description for screen readers")
 
 
-def map_view(saved: Saved, rows: Sequence[TargetRow]) -> MapView | None:
+def map_view(saved: Saved, rows: Sequence[TargetCard]) -> MapView | None:
     """The map, or None where no strip has a footprint."""
     scenes = saved.context["scenes"]
     if not scenes:
@@ -91,7 +91,7 @@ def map_view(saved: Saved, rows: Sequence[TargetRow]) -> MapView | None:
     causes = Counter(row.why or row.state for row in rows if row.state in (REJECTED, UNMATCHED))
     numbers = {cause: str(n) for n, (cause, _) in enumerate(causes.most_common(), start=1)}
     stretch = _stretch(column(saved.ground, "residual_m"))
-    points = check_points(saved)
+    points = check_points_on_map(saved)
     own = _stretch(np.array([np.hypot(*point.error_m) for point in points]))
     spots = tuple(_spot(saved, row, place, scale, stretch, numbers) for row in reversed(rows))
     used = sum(1 for row in rows if row.state == "used")
@@ -189,7 +189,7 @@ def _outline(points_m: Sequence[Sequence[float]], origin: tuple[float, float], s
 
 def _spot(
     saved: Saved,
-    row: TargetRow,
+    row: TargetCard,
     place: dict[int, tuple[float, float]],
     scale: float,
     stretch: float,

@@ -16,9 +16,9 @@ from boresight.pipeline.report.saved import Number, Saved
 from boresight.pipeline.results.summary import REASON_WORDS
 
 __all__ = [
-    "ExposureRow",
+    "ExposureCard",
     "Pictures",
-    "TargetRow",
+    "TargetCard",
     "data_uri",
     "exposure_rows",
     "strip_numbers",
@@ -42,7 +42,7 @@ class Pictures:
 
 
 @record(kw_only=True)
-class TargetRow:
+class TargetCard:
     """One target in one CCD of a strip, or one that no strip shows."""
 
     link: str = scalar("id of its card on the page")
@@ -86,7 +86,7 @@ class TargetRow:
 
 
 @record(kw_only=True)
-class ExposureRow:
+class ExposureCard:
     """One star exposure."""
 
     link: str = scalar("id of its card on the page")
@@ -110,7 +110,7 @@ def strip_numbers(saved: Saved) -> dict[str, int]:
     return {name: n for n, name in enumerate(names)}
 
 
-def target_rows(saved: Saved, most_pictures: int) -> tuple[TargetRow, ...]:
+def target_rows(saved: Saved, most_pictures: int) -> tuple[TargetCard, ...]:
     """All targets of evidence/ground.parquet in the order: not used, then used; at most `most_pictures` used
     ones get pictures, those with the largest residuals.
     """
@@ -133,7 +133,7 @@ def target_rows(saved: Saved, most_pictures: int) -> tuple[TargetRow, ...]:
             pictures = _pictures(saved, "unmatched", unmatched[key])
         shape, colour = strip_style(number.get(row["strip_id"], 0))
         rows.append(
-            TargetRow(
+            TargetCard(
                 link=f"t{n}",
                 row=n,
                 **{name: row[name] for name in ("strip_id", "target_id", "ccd", "state", "cause", "reason")},
@@ -189,7 +189,7 @@ def _pictures(saved: Saved, table: str, n: int) -> Pictures | None:
     )
 
 
-def exposure_rows(saved: Saved) -> tuple[ExposureRow, ...]:
+def exposure_rows(saved: Saved) -> tuple[ExposureCard, ...]:
     """All identified exposures in order of time, then those that could not be used; none where the star
     camera delivers attitudes.
     """
@@ -212,7 +212,7 @@ def exposure_rows(saved: Saved) -> tuple[ExposureRow, ...]:
         cause, reason = reasons.pop(name, ("", ""))
         size, dof = numbers["chi2"].exact, numbers["dof"].exact
         rows.append(
-            ExposureRow(
+            ExposureCard(
                 link=f"e{n}",
                 exposure_id=name,
                 state="used" if usable[n] else "rejected",
@@ -226,7 +226,7 @@ def exposure_rows(saved: Saved) -> tuple[ExposureRow, ...]:
     for n, (name, (cause, reason)) in enumerate(reasons.items(), start=len(names)):
         none: dict[str, Any] = {"numbers": {}, "p_value": float("nan"), "rejected": ()}
         rows.append(
-            ExposureRow(link=f"e{n}", exposure_id=name, state="not used", cause=cause, reason=reason, **none)
+            ExposureCard(link=f"e{n}", exposure_id=name, state="not used", cause=cause, reason=reason, **none)
         )
     return tuple(rows)
 

@@ -22,8 +22,8 @@ from boresight.pipeline.report.drawing import SHAPES, strip_style
 from boresight.pipeline.report.first_screen import first_screen
 from boresight.pipeline.report.map_view import map_view
 from boresight.pipeline.report.observations import (
-    ExposureRow,
-    TargetRow,
+    ExposureCard,
+    TargetCard,
     data_uri,
     exposure_rows,
     strip_numbers,
@@ -113,8 +113,8 @@ def report_html(saved: Saved, *, most_matches: int = MOST_MATCHES, executor: Exe
 
 def _figures(
     saved: Saved,
-    targets: Sequence[TargetRow],
-    exposures: Sequence[ExposureRow],
+    targets: Sequence[TargetCard],
+    exposures: Sequence[ExposureCard],
     strip_stars: Sequence[StripStarRow],
     executor: Executor,
 ) -> dict[str, Any]:

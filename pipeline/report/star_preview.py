@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from boresight.geometry.record import Floats, Ints, Texts, array, record, scalar
 from boresight.geometry.sightings import StarSightings
-from boresight.star_id.finding.star_list import find_stars
+from boresight.star_id.finding.star_list import list_stars
 from boresight.star_id.settings import StarSettings
 
 __all__ = ["STATES", "StarPreview", "star_preview", "stretched_jpeg"]
@@ -43,7 +43,7 @@ def star_preview(
     image: NDArray[np.uint16], sighted: StarSightings, kept: NDArray[np.bool_], settings: StarSettings
 ) -> StarPreview:
     """Preview of a raw exposure `image` (H, W) with its identified stars; `kept` (N,) marks those used."""
-    found = find_stars(image, settings)
+    found = list_stars(image, settings)
     displaced = np.where(found.saturated, "saturated", "blended")
     state = np.where(found.blended, displaced, "unused").astype("U9")
     hip = np.zeros(len(state), dtype=np.int64)

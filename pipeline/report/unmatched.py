@@ -16,7 +16,7 @@ from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.dump import Dump, surface_of
 from boresight.pipeline.files.record_tables import ITEMS
 from boresight.pipeline.files.table_files import arrow_rows
-from boresight.pipeline.report.ground_map import UNMATCHED, Scene, StripOnGround
+from boresight.pipeline.report.ground_map import UNMATCHED, MapScene, StripOnGround
 from boresight.pipeline.stages.match_pictures import MatchPictures, match_pictures
 from boresight.pipeline.stages.strip import read_chip
 
@@ -26,7 +26,7 @@ MOST = 200  # pictures of more make the page too large
 SIDE_PX, SMALLEST_PX, MARGIN_PX = 96, 8, 16  # of the template, and of the strip around it
 
 
-def unmatched_pictures(scenes: Sequence[Scene], ground: pa.Table, dump: Dump) -> pa.Table:
+def unmatched_pictures(scenes: Sequence[MapScene], ground: pa.Table, dump: Dump) -> pa.Table:
     """Pictures as of matched targets (`evidence/matches.parquet`), of at most `MOST` that were not matched
     although a CCD shows their place. The chip as expected there, the strip at that place, their difference
     and their correlation within `MARGIN_PX`.

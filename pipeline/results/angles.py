@@ -19,13 +19,13 @@ from boresight.geometry.attitude import AttitudeTrack, NominalMotion, lagrange_w
 from boresight.geometry.record import array, record, scalar
 from boresight.geometry.sightings import StripSightings
 
-__all__ = ["CrossAngles", "StripMotion", "cross_angles"]
+__all__ = ["CrossAngles", "MeasuredStrip", "cross_angles"]
 
 Array = NDArray[np.float64]
 
 
 @record(kw_only=True)
-class StripMotion:
+class MeasuredStrip:
     """A strip, its measured attitudes and which sightings are used. Exposures in the strip's order."""
 
     strip: StripSightings = scalar("sightings of the strip")
@@ -48,7 +48,7 @@ class CrossAngles:
     sigma: Array = array("N", "predicted 1 sigma of z")
 
 
-def cross_angles(motions: list[StripMotion], R_cs: Rotation, settings: CalibrationSettings) -> CrossAngles:
+def cross_angles(motions: list[MeasuredStrip], R_cs: Rotation, settings: CalibrationSettings) -> CrossAngles:
     """All pairs of kept targets and kept stars of the exposure nearest in time."""
     parts = [part for motion in motions for part in _of_strip(motion, R_cs, settings)]
     return CrossAngles(
@@ -62,7 +62,7 @@ def cross_angles(motions: list[StripMotion], R_cs: Rotation, settings: Calibrati
 
 
 def _of_strip(
-    motion: StripMotion, R_cs: Rotation, settings: CalibrationSettings
+    motion: MeasuredStrip, R_cs: Rotation, settings: CalibrationSettings
 ) -> Iterator[tuple[str, str, str, NDArray[np.int64], Array, Array]]:
     strip, ground = motion.strip, motion.strip.ground
     times = np.array([exposure.t_s for exposure in strip.exposures])
@@ -91,7 +91,7 @@ def _of_strip(
         yield (*names, stars.hip[kept], z, np.sqrt(variance))
 
 
-def _target_covariances(motion: StripMotion, R_ci: Array, settings: CalibrationSettings) -> Array:
+def _target_covariances(motion: MeasuredStrip, R_ci: Array, settings: CalibrationSettings) -> Array:
     """Covariance (J, 3, 3) of each target's direction, frame c, rad²: image measurement and stated errors.
     `R_ci` (J, 3, 3) are the attitudes of the camera.
     """

@@ -23,7 +23,14 @@ from boresight.pipeline.files.text_files import read_json
 from boresight.pipeline.results.folder import dumps_in
 from boresight.pipeline.results.ownership import check_dump_of, dump_identity, origin_of
 
-__all__ = ["SavedResult", "read_findings", "read_for_dump", "read_mounting", "read_pairs", "read_result"]
+__all__ = [
+    "SavedResult",
+    "read_findings",
+    "read_for_dump",
+    "read_mounting",
+    "read_pairs",
+    "read_saved_result",
+]
 
 EXPOSURES = {"exposure_id": pa.string(), "t_s": pa.float64(), "R_si": fixed(9), "usable": pa.bool_()}
 COORDINATES = {
@@ -66,7 +73,7 @@ def read_findings(result: Path) -> list[dict[str, Any]]:
     return list(found)
 
 
-def read_result(result: Path) -> SavedResult:
+def read_saved_result(result: Path) -> SavedResult:
     """The result in a folder; of several dumps, the joint matrix without any exposures.
 
     `RawDataError` when it is not there or damaged.
@@ -104,12 +111,12 @@ def read_for_dump(result: Path, dump: Path | None) -> tuple[Path, SavedResult]:
     if not (names := dumps_in(result)):
         if dump is not None:
             check_dump_of(result, dump)
-        return result, read_result(result)
+        return result, read_saved_result(result)
     identity = None if dump is None else dump_identity(dump)
     for name in names:
         origin = origin_of(result / name)
         if origin is not None and origin.dump == identity:
-            joint, own = read_result(result), read_result(result / name)
+            joint, own = read_saved_result(result), read_saved_result(result / name)
             matrix = {key: getattr(joint, key) for key in ("R_cs", "theta", "cov_theta", "installation")}
             return result / name, dataclasses.replace(own, **matrix)
     expected = f"one of the {len(names)} dumps of that result: {', '.join(names)}"

@@ -23,7 +23,7 @@ from boresight.pipeline.files.table_files import fixed, list_values, read_parque
 from boresight.pipeline.files.text_files import read_json, read_toml
 from boresight.pipeline.results.ownership import check_dump_of
 from boresight.pipeline.results.reading import SavedResult, read_for_dump
-from boresight.pipeline.run.settings import RunSettings, effects_of, filled
+from boresight.pipeline.run.settings import RunSettings, effects_of, settings_from_values
 
 __all__ = [
     "Calibrated",
@@ -134,7 +134,7 @@ def run_settings_of(saved: SavedResult, file: str) -> RunSettings:
     run = settings.get("run") if isinstance(settings, dict) else None
     if not isinstance(run, dict):
         raise RawDataError(file, "settings.run", type(run).__name__, "an object, as `calibrate` wrote it")
-    return filled(RunSettings, run, file, "settings.run")
+    return settings_from_values(RunSettings, run, file, "settings.run")
 
 
 def _noted_dump(result: Path) -> Path:

@@ -17,7 +17,7 @@ from boresight.geometry.installation import euler_zxy_from_theta
 from boresight.pipeline.errors import Cause, Omission
 from boresight.pipeline.results.validate import TruthErrors
 from boresight.pipeline.results.writing import blind_spots_json, verdict_json
-from boresight.pipeline.stages.calibrate import Calibration
+from boresight.pipeline.stages.calibrate import DumpCalibration
 from boresight.pipeline.stages.joint import JointCalibration
 from boresight.pipeline.stages.reasons import doubts
 from boresight.pipeline.stages.unused_rows import rows_together
@@ -51,7 +51,7 @@ REASON_WORDS = {  # of causes that counts alone do not explain
 }
 
 
-def calibration_summary(found: Calibration, findings: Sequence[Mapping[str, Any]] = ()) -> str:
+def calibration_summary(found: DumpCalibration, findings: Sequence[Mapping[str, Any]] = ()) -> str:
     """Verdict, what to look at, matrix, deviation, 1-sigma, counts, and what is not used."""
     lines = verdict_lines(verdict_json(found.verdict, found.rows)) + finding_lines(findings)
     lines += blind_lines(blind_spots_json(found.verdict)) + _estimate_lines(found.estimate)
@@ -59,7 +59,7 @@ def calibration_summary(found: Calibration, findings: Sequence[Mapping[str, Any]
     return "\n".join(lines + omission_lines(found.omissions))
 
 
-def joint_summary(of_dumps: Mapping[str, Calibration], joint: JointCalibration) -> str:
+def joint_summary(of_dumps: Mapping[str, DumpCalibration], joint: JointCalibration) -> str:
     """A line for each dump, then the joint result as that of one dump."""
     together = rows_together([one.rows for one in of_dumps.values()])
     lines = verdict_lines(verdict_json(joint.verdict, together))

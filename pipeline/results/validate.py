@@ -24,7 +24,7 @@ from boresight.pipeline.results.reading import SavedResult
 from boresight.pipeline.results.strip_model import exposures_around, pushbroom_with, run_settings_of
 from boresight.pipeline.run.settings import effects_of
 
-__all__ = ["CheckPoints", "TruthErrors", "true_installation", "validate"]
+__all__ = ["CheckPoints", "TruthErrors", "true_installation", "validation_of"]
 
 
 class TrueInstallationFile(BaseModel):
@@ -81,7 +81,7 @@ class TruthErrors:
     without: int = scalar("check points without attitude or ground, for which no error can be given")
 
 
-def validate(result: SavedResult, dump: Dump) -> TruthErrors:
+def validation_of(result: SavedResult, dump: Dump) -> TruthErrors:
     """Errors of `result` against the truth of `dump`. `RawDataError` when the dump has no truth."""
     truth = dump.root / "truth"
     R_true = true_installation(dump)

@@ -33,7 +33,7 @@ from boresight.pipeline.files.whole_file import make_own_folder, remove_abandone
 from boresight.pipeline.results.folder import DUMPS
 from boresight.pipeline.run.digests import digest
 from boresight.pipeline.run.settings import Settings
-from boresight.pipeline.stages.calibrate import Calibration
+from boresight.pipeline.stages.calibrate import DumpCalibration
 from boresight.pipeline.stages.joint import JointCalibration
 from boresight.pipeline.stages.sky_strip import SkyTask
 from boresight.pipeline.stages.strip import MatchedTargets, StripTask
@@ -77,13 +77,13 @@ TARGETS = (
 ).split()
 
 
-def write_result(result: Path, calibration: Calibration, settings: Settings) -> None:
+def write_result(result: Path, calibration: DumpCalibration, settings: Settings) -> None:
     """Write everything but run.json; `installation.json` comes last, so that where it is, all is."""
     write_sightings(result, calibration)
     write_installation(result, calibration, settings)
 
 
-def write_sightings(result: Path, calibration: Calibration) -> None:
+def write_sightings(result: Path, calibration: DumpCalibration) -> None:
     """Write the tables in the folder `sightings`."""
     tables = result / "sightings"
     make_own_folder(tables)
@@ -98,7 +98,7 @@ def write_sightings(result: Path, calibration: Calibration) -> None:
     _write_groups(tables / "reliability.parquet", [_tests_table(calibration.verdict)])
 
 
-def write_installation(result: Path, calibration: Calibration, settings: Settings) -> None:
+def write_installation(result: Path, calibration: DumpCalibration, settings: Settings) -> None:
     """Write `installation.json`; where it is, all is."""
     content = _installation(
         calibration.estimate,
@@ -111,7 +111,7 @@ def write_installation(result: Path, calibration: Calibration, settings: Setting
 
 
 def write_joint_result(
-    result: Path, joint: JointCalibration, of_dumps: Mapping[str, Calibration], settings: Settings
+    result: Path, joint: JointCalibration, of_dumps: Mapping[str, DumpCalibration], settings: Settings
 ) -> None:
     """Write the joint result of several dumps; their own stand in its folders. `installation.json` last."""
     tables = result / "sightings"
@@ -236,7 +236,7 @@ def _heads(estimate: InstallationEstimate) -> dict[str, Any]:
     return {"heads": heads, "heads_covariance_rad2": estimate.cov_heads.tolist()}
 
 
-def _star_groups(calibration: Calibration) -> list[pa.Table]:
+def _star_groups(calibration: DumpCalibration) -> list[pa.Table]:
     """Stars of each exposure, one row group an exposure."""
     attitudes, groups = calibration.attitudes, []
     for k, exposure in enumerate(calibration.stars):
@@ -252,7 +252,7 @@ def _star_groups(calibration: Calibration) -> list[pa.Table]:
     return groups
 
 
-def _exposures_table(calibration: Calibration) -> pa.Table:
+def _exposures_table(calibration: DumpCalibration) -> pa.Table:
     stars = calibration.stars
     own = {
         "exposure_id": arrow_array([s.exposure_id for s in stars], pa.string()),
@@ -286,7 +286,7 @@ def _target_groups(
     return groups
 
 
-def _passes_table(calibration: Calibration, prefix: str = "") -> pa.Table:
+def _passes_table(calibration: DumpCalibration, prefix: str = "") -> pa.Table:
     """One row for each strip of the estimate, at its middle: time, position in the orbit, camera."""
     used = {strip.strip_id for strip in calibration.strips}
     every: list[StripTask | SkyTask] = [*calibration.tasks, *calibration.sky.tasks]

@@ -20,7 +20,7 @@ from boresight.geometry.record import record, scalar
 from boresight.pipeline.errors import WorkerError
 from boresight.pipeline.files.content import content_digest
 from boresight.pipeline.files.object_store import dump_folder
-from boresight.pipeline.run.digests import library_versions, program
+from boresight.pipeline.run.digests import library_versions, program_digest
 from boresight.pipeline.run.executor import InOrder
 
 __all__ = ["Fingerprint", "OnCluster", "UnfitWorkerError", "fingerprint", "on_cluster"]
@@ -75,7 +75,7 @@ def fingerprint(probes: Sequence[str]) -> Fingerprint:
 
 @lru_cache(maxsize=1)
 def _code() -> str:
-    return program("boresight.pipeline")
+    return program_digest("boresight.pipeline")
 
 
 def guarded(expected: Fingerprint, function: Callable[[Item], Outcome], item: Item) -> Outcome:

@@ -22,7 +22,7 @@ from boresight.pipeline.files.content import Identity, content_digest, remember_
 from boresight.pipeline.run.executor import Executor
 from boresight.pipeline.run.processes import Processes
 
-__all__ = ["digest", "files_in", "know_contents", "library_versions", "numerical_program", "program"]
+__all__ = ["digest", "files_in", "know_contents", "library_versions", "numerical_program", "program_digest"]
 
 _IMPORT = re.compile(r"^\s*(?:from\s+([\w.]+)\s+import\s+(\([^)]*\)|[^\n]*)|import\s+([\w.]+))", re.MULTILINE)
 DISTRIBUTIONS = ("numpy", "scipy", "astropy", "astropy-iers-data", "pyerfa", "scikit-image")
@@ -113,7 +113,7 @@ def _feed_file(state: Any, path: Path) -> None:
 
 
 @cache
-def program(*modules: str) -> str:
+def program_digest(*modules: str) -> str:
     """Version of the program, and a digest of everything installed that results of `modules` depend on.
 
     These are the sources of the modules and of all that they import from the same package, the data files
@@ -125,7 +125,7 @@ def program(*modules: str) -> str:
 
 @cache
 def numerical_program(*modules: str) -> str:
-    """As `program`, with the libraries of numbers only and no data files: for what reads no file."""
+    """As `program_digest`, with the libraries of numbers only and no data files: for what reads no file."""
     sources = {name: text for root in modules for name, text in _sources(root).items() if type(text) is bytes}
     return f"{__version__} {digest(sources, _numerical_versions())}"
 

@@ -13,7 +13,7 @@ from typing import Any
 from boresight.geometry.record import record, scalar
 from boresight.pipeline.files.content import Identity, identity_of
 from boresight.pipeline.files.dump import Dump
-from boresight.pipeline.run.digests import digest, files_in, know_contents, program
+from boresight.pipeline.run.digests import digest, files_in, know_contents, program_digest
 from boresight.pipeline.run.executor import Executor
 from boresight.pipeline.run.settings import Settings
 
@@ -33,7 +33,7 @@ class RunInputs:
         if _identities(self.dumps) != self.at_start:
             return ""
         contents = [_content(dump) | {"errors": dump.errors.model_dump()} for dump in self.dumps]
-        return digest(contents, self.settings, program("boresight.pipeline.calibration_run"))
+        return digest(contents, self.settings, program_digest("boresight.pipeline.calibration_run"))
 
     def know_images(self, executor: Executor, *, exposures: bool) -> None:
         """Have processes of the executor read images of strips, or of exposures too, for their digests."""

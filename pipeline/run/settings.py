@@ -96,14 +96,14 @@ def settings_from_tables(tables: dict[str, Any], file: str) -> Settings:
         if not isinstance(content, dict):
             raise RawDataError(file, section, content, "a table")
     calibration = tables.get("calibration", {})
-    filled(CalibrationSettings, calibration, file, "calibration")
+    settings_from_values(CalibrationSettings, calibration, file, "calibration")
     return Settings(
-        stars=filled(StarSettings, tables.get("stars", {}), file, "stars"),
-        match=filled(MatchSettings, tables.get("match", {}), file, "match"),
+        stars=settings_from_values(StarSettings, tables.get("stars", {}), file, "stars"),
+        match=settings_from_values(MatchSettings, tables.get("match", {}), file, "match"),
         calibration=tuple(sorted(calibration.items())),
-        run=filled(RunSettings, tables.get("run", {}), file, "run"),
-        verdict=filled(VerdictSettings, tables.get("verdict", {}), file, "verdict"),
-        sky_strips=filled(StripStarSettings, tables.get("sky_strips", {}), file, "sky_strips"),
+        run=settings_from_values(RunSettings, tables.get("run", {}), file, "run"),
+        verdict=settings_from_values(VerdictSettings, tables.get("verdict", {}), file, "verdict"),
+        sky_strips=settings_from_values(StripStarSettings, tables.get("sky_strips", {}), file, "sky_strips"),
     )
 
 
@@ -129,7 +129,7 @@ def effects_of(run: RunSettings, light: LightEffects) -> LightEffects:
     )
 
 
-def filled(kind: type[Record], values: dict[str, Any], file: str, section: str) -> Record:
+def settings_from_values(kind: type[Record], values: dict[str, Any], file: str, section: str) -> Record:
     """A settings record of type `kind` with `values`; `RawDataError` names a wrong key or value."""
     hints = get_type_hints(kind)
     taken: dict[str, Any] = {}
@@ -141,7 +141,7 @@ def filled(kind: type[Record], values: dict[str, Any], file: str, section: str) 
         if dataclasses.is_dataclass(hints[key]):
             if not isinstance(value, dict):
                 raise RawDataError(file, f"{section}.{key}", value, "a table")
-            taken[key] = filled(hints[key], value, file, f"{section}.{key}")
+            taken[key] = settings_from_values(hints[key], value, file, f"{section}.{key}")
             continue
         try:
             taken[key] = TypeAdapter(hints[key], config=FINITE).validate_python(

@@ -17,7 +17,7 @@ from boresight.geometry.record import record, scalar
 from boresight.pipeline.errors import Cause, Omission
 from boresight.pipeline.files.content import Identity, read_ahead, remember_digest, with_identity
 from boresight.pipeline.files.record_tables import record_from_table, table_from_record
-from boresight.pipeline.run.digests import digest, files_in, program
+from boresight.pipeline.run.digests import digest, files_in, program_digest
 from boresight.pipeline.run.executor import Executor, InOrder
 from boresight.pipeline.run.unit_store import UnitStore, read_meta
 from boresight.pipeline.stages.unforeseen import UNFORESEEN, internal_error
@@ -96,7 +96,7 @@ class Cached:
     def __call__(self, task: Task) -> Unit:
         if self.store is None:
             return Unit(self._computed(task), True)
-        code = program(self.stage.__module__, __name__)
+        code = program_digest(self.stage.__module__, __name__)
         name, key = task.item.name, digest(self.stage.__name__, code, task)
         records = get_args(get_type_hints(self.stage)["return"])
         if (kept := self.store.read(self.folder, name, key)) is not None:

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from boresight.calib.calibration import calibrate
+from boresight.calib.calibration import calibrate_strips
 from boresight.calib.estimate import InstallationEstimate, NotObservable
 from boresight.calib.finding import Finding
 from boresight.calib.reliability import Reliability, examine
@@ -61,13 +61,13 @@ from boresight.pipeline.stages.strip_sightings import strip_sightings
 from boresight.pipeline.stages.target_findings import lost_targets, single_targets, suspected_targets
 from boresight.pipeline.stages.unused_rows import Rows, rows_used, unused_rows
 
-__all__ = ["Calibration", "calibrate_dump", "rejections_of", "strips_to_match", "strips_with_stars"]
+__all__ = ["DumpCalibration", "calibrate_dump", "rejections_of", "strips_to_match", "strips_with_stars"]
 
 Array = NDArray[np.float64]
 
 
 @record(kw_only=True)
-class Calibration:
+class DumpCalibration:
     """Everything that a calibration found, ready to be written or drawn."""
 
     estimate: InstallationEstimate = scalar("installation matrix with covariance and statistics")
@@ -108,7 +108,7 @@ def calibrate_dump(
     store: UnitStore | None = None,
     executor: Executor | None = None,
     progress: Progress = lambda stage, done, total: None,
-) -> Calibration:
+) -> DumpCalibration:
     """Installation matrix of a dump, estimated from its raw images.
 
     Parameters
@@ -181,7 +181,7 @@ def calibrate_dump(
         sigma_installation_rad=dump.sigma_installation_rad,
         reliability=reliability,
     )
-    return Calibration(
+    return DumpCalibration(
         estimate=found,
         verdict=verdict.with_findings(
             [*_target_findings(last, found, reliability), *input_findings(dump, last.tasks, omissions)]
@@ -235,7 +235,7 @@ def _one_pass(
 
     def start_from(task: StripTask, matched: MatchedTargets) -> tuple[Rotation, Array] | None:
         strips = _strips([task], [matched], heads)
-        alone = calibrate(strips, dump.R_cs0, error_model) if strips else None
+        alone = calibrate_strips(strips, dump.R_cs0, error_model) if strips else None
         if not isinstance(alone, InstallationEstimate):
             return None
         return alone.R_cs, _rematch_sigma(alone, settings)
@@ -248,7 +248,7 @@ def _one_pass(
     sky = sky.aligned(heads, mountings)
     named = name_in_sky_strips(dump, sky, *start, known=number > 1)
     strips = [*_strips(tasks, matched, heads), *named_sightings(sky, named, heads)]
-    estimate = calibrate(strips, dump.R_cs0, error_model)
+    estimate = calibrate_strips(strips, dump.R_cs0, error_model)
     unmatched = [omission for one in matched for omission in one.omissions]
     unnamed = [omission for one in named for omission in one.omissions]
     if isinstance(estimate, NotObservable):

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from boresight.calib.calibration import calibrate
+from boresight.calib.calibration import calibrate_strips
 from boresight.calib.estimate import InstallationEstimate, NotObservable
 from boresight.calib.reliability import examine
 from boresight.calib.settings import CalibrationSettings
@@ -32,7 +32,7 @@ from boresight.pipeline.files.dump_schema import DumpFile
 from boresight.pipeline.files.star_side import SolvedAttitudes
 from boresight.pipeline.files.text_files import read_toml
 from boresight.pipeline.run.settings import Settings, calibration_settings
-from boresight.pipeline.stages.calibrate import Calibration, rejections_of
+from boresight.pipeline.stages.calibrate import DumpCalibration, rejections_of
 
 __all__ = ["JointCalibration", "NamedDump", "calibrate_jointly", "dump_names", "open_dumps"]
 
@@ -95,7 +95,7 @@ def dump_names(roots: Sequence[Path]) -> list[str]:
 
 
 def calibrate_jointly(
-    calibrated: Sequence[tuple[NamedDump, Calibration]], failed: Sequence[Omission], settings: Settings
+    calibrated: Sequence[tuple[NamedDump, DumpCalibration]], failed: Sequence[Omission], settings: Settings
 ) -> JointCalibration:
     """One matrix from the strips of all dumps that have one of their own, in the order of time.
 
@@ -110,7 +110,7 @@ def calibrate_jointly(
     strips = tuple(
         _renamed(strip, named, epoch, target_names) for named, found in calibrated for strip in found.strips
     )
-    estimate = calibrate(strips, first.dump.R_cs0, one.settings)
+    estimate = calibrate_strips(strips, first.dump.R_cs0, one.settings)
     if isinstance(estimate, NotObservable):
         raise DataNotSufficientError(f"all dumps together: {estimate.reason}")
     estimate = estimate.with_reference(first.dump.heads[0].name)

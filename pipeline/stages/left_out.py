@@ -15,7 +15,7 @@ from scipy.special import bdtrc
 from boresight.geometry.record import shape_of
 from boresight.geometry.sightings import GroundSightings, StripSightings
 from boresight.pipeline.errors import Omission
-from boresight.pipeline.stages.strip import MatchedTargets, StripTask, match_targets
+from boresight.pipeline.stages.strip import MatchedTargets, StripTask, match_strip_targets
 
 __all__ = ["counts_of_ccds", "lost_ccds", "searched_alone", "with_left_out"]
 
@@ -91,7 +91,7 @@ def searched_alone(
         ]:
             strip = replace(task.strip, images=task.strip.images.of([ccd]))
             wide = replace(task, strip=strip, sigma_installation_rad=np.asarray(sigma_rad, dtype=float))
-            one = match_targets(wide)
+            one = match_strip_targets(wide)
             if not isinstance(one, Omission) and len(one.target_id) >= FEWEST:
                 found.append(one)
     return found

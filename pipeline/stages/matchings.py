@@ -21,7 +21,7 @@ from boresight.pipeline.stages.cached import StageRunner
 from boresight.pipeline.stages.strip import (
     MatchedTargets,
     StripTask,
-    match_targets,
+    match_strip_targets,
     no_matches,
     predicted_again,
     with_points,
@@ -36,7 +36,7 @@ def match_strips(
     tasks: Sequence[StripTask], runner: StageRunner, folder: str
 ) -> tuple[list[MatchedTargets], list[bool]]:
     """Targets matched in strips, and which strips were computed now."""
-    outcomes, flags = runner.run(match_targets, tasks, folder=folder, in_parts=True)
+    outcomes, flags = runner.run(match_strip_targets, tasks, folder=folder, in_parts=True)
     return [
         with_points(no_matches(one) if isinstance(one, Omission) else one, task.points)
         for task, one in zip(tasks, outcomes)

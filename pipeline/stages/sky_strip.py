@@ -40,7 +40,7 @@ from boresight.star_id.strip_stars.strip_names import (
     NoRotation,
     StripField,
     name_stars,
-    vote,
+    vote_for_rotation,
 )
 
 __all__ = [
@@ -161,7 +161,7 @@ def name_sky_stars(
         displaced = np.asarray(sigma_rad) * [1.0, 1.0, _half_swath_rad(task.camera)]
         gate = float(np.hypot(gate, _GATE_SIGMA * np.linalg.norm(displaced)))
     else:
-        voted = vote(seen, field, settings.brightest, settings.max_false_alarm_probability)
+        voted = vote_for_rotation(seen, field, settings.brightest, settings.max_false_alarm_probability)
         if isinstance(voted, NoRotation):
             reason = _not_identified(task, found, field, R_cs, voted)
             return _none_named(task, found, stars, task.item.because(reason, Cause.NOT_IDENTIFIED))
@@ -339,7 +339,8 @@ def _not_identified(
     mirrored = _directions(task, found, R_cs, line=task.strip.lines - 1.0 - found.xy_px[:, 1])
     settings = task.settings
     if not isinstance(
-        vote(mirrored, field, settings.brightest, settings.max_false_alarm_probability), NoRotation
+        vote_for_rotation(mirrored, field, settings.brightest, settings.max_false_alarm_probability),
+        NoRotation,
     ):
         return f"its rows run against the attitudes: {counts}, but with the order of rows reversed many do"
     if per_deg2 > settings.max_stars_per_deg2:

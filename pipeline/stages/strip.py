@@ -47,7 +47,7 @@ __all__ = [
     "displaced_m",
     "footprint_e",
     "ground_sightings",
-    "match_targets",
+    "match_strip_targets",
     "no_matches",
     "orbit_around",
     "predicted_again",
@@ -134,7 +134,7 @@ def pushbroom_of(task: StripTask) -> Pushbroom:
     )
 
 
-def match_targets(task: StripTask, parts: Executor = IN_ORDER) -> MatchedTargets | Omission:
+def match_strip_targets(task: StripTask, parts: Executor = IN_ORDER) -> MatchedTargets | Omission:
     """Positions of the targets of one strip; none and an omission where an image of the strip is damaged.
 
     `parts` reads the images of a wide search.

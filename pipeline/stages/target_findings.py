@@ -10,7 +10,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from boresight.calib.finding import Finding
-from boresight.calib.reliability import Suspect
+from boresight.calib.reliability import Contradiction
 from boresight.gct_match.records import Reason
 from boresight.geometry.record import record, scalar
 from boresight.pipeline.errors import Omission, RawDataError
@@ -37,7 +37,7 @@ class Suspected:
 
 
 def suspected_targets(
-    suspects: Sequence[Suspect],
+    suspects: Sequence[Contradiction],
     R_cs: Rotation,
     tasks: Sequence[StripTask],
     matched: Sequence[MatchedTargets],

@@ -1,2 +1,2 @@
-"""Stars of a raw image: detection, width of the PSF, centroids with covariances. `star_list.find_stars` runs
+"""Stars of a raw image: detection, width of the PSF, centroids with covariances. `star_list.list_stars` runs
 it."""

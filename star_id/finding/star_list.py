@@ -21,11 +21,11 @@ from boresight.star_id.finding.lines import without_lines
 from boresight.star_id.finding.mosaic import cell_response, even_image, has_mosaic, merged_cells
 from boresight.star_id.finding.psf import Psf
 from boresight.star_id.finding.shape import detect_shape, estimate_shape, filter_width_px, flat_image
-from boresight.star_id.finding.star_shape import WidthFits, fit_widths, gain_of, psf_of
+from boresight.star_id.finding.star_shape import WidthFits, fit_widths, gain_from_widths, psf_of
 from boresight.star_id.finding.windowed_centroid import windowed_centroids
 from boresight.star_id.settings import StarSettings
 
-__all__ = ["StarList", "find_stars"]
+__all__ = ["StarList", "list_stars"]
 
 _START_SIGMA_PX = 1.2
 _STARS_FOR_PSF = 40
@@ -103,7 +103,7 @@ class StarList:
         return replace(self, xy_px=xy, cov_px=cov, misshapen_px=other, psf=psf, background=sky)
 
 
-def find_stars(image: NDArray, settings: StarSettings, dark: NDArray | None = None) -> StarList:
+def list_stars(image: NDArray, settings: StarSettings, dark: NDArray | None = None) -> StarList:
     """Stars of a raw image with centroids, covariances and fluxes.
 
     Parameters
@@ -127,7 +127,7 @@ def find_stars(image: NDArray, settings: StarSettings, dark: NDArray | None = No
 
     Examples
     --------
-    >>> stars = find_stars(image, StarSettings(gain_e_per_dn=40.0))
+    >>> stars = list_stars(image, StarSettings(gain_e_per_dn=40.0))
     >>> stars.xy_px[0], stars.cov_px[0]  # the brightest star
     """
     if image.ndim != 2 or min(image.shape) < 32:
@@ -137,11 +137,11 @@ def find_stars(image: NDArray, settings: StarSettings, dark: NDArray | None = No
         image = _subtract_dark(image, dark, saturation)
     if not has_mosaic(image):
         image = without_lines(image, saturation)
-        return _find_stars(image, estimate_background(image), settings, saturation)
+        return _list_stars(image, estimate_background(image), settings, saturation)
     bright = _bright_stars(merged_cells(image, saturation), settings, saturation)
     response = cell_response(image, np.asarray(2.0 * bright + 0.5, dtype=float))
     image, background, saturation = even_image(image, response, saturation)
-    return _find_stars(image, background, settings, saturation)
+    return _list_stars(image, background, settings, saturation)
 
 
 def _bright_stars(cells: NDArray, settings: StarSettings, saturation: float) -> Ints:
@@ -156,7 +156,7 @@ def _bright_stars(cells: NDArray, settings: StarSettings, saturation: float) -> 
     return xy[cells[xy[:, 1], xy[:, 0]] < saturation][:_STARS_FOR_PSF]
 
 
-def _find_stars(
+def _list_stars(
     image: NDArray, background: Background, settings: StarSettings, saturation: float
 ) -> StarList:
     """Stars of an image (H, W) of one colour, its dark frame subtracted."""
@@ -352,7 +352,7 @@ def _detections(image: NDArray, background: Background, settings: StarSettings, 
         offset_px=found.offset_px,
         psf=psf,
         psf_stars=psf_stars,
-        gain_e_per_dn=settings.gain_e_per_dn or gain_of(shapes),
+        gain_e_per_dn=settings.gain_e_per_dn or gain_from_widths(shapes),
         threshold=threshold,
         hot_pixels=found.hot_pixels,
     )

@@ -17,7 +17,7 @@ from boresight.star_id.finding.psf import Psf, PsfImages, psf_images
 from boresight.star_id.finding.window_fit import by_parameter, newton_step, start_state
 from boresight.star_id.finding.windows import StarWindows, star_windows
 
-__all__ = ["WidthFits", "fit_widths", "gain_of", "psf_of"]
+__all__ = ["WidthFits", "fit_widths", "gain_from_widths", "psf_of"]
 
 
 _STEPS = 3
@@ -99,7 +99,7 @@ def psf_of(fits: WidthFits, start: Psf, *, find_smear: bool) -> Psf:
     return _with_smear(psf, fits) if find_smear else psf
 
 
-def gain_of(fits: WidthFits) -> float:
+def gain_from_widths(fits: WidthFits) -> float:
     """Electrons per DN, from the growth of residuals with the signal; infinite if they do not grow.
 
     What the PSF leaves of all stars alike, at each distance from their middles, is no noise and subtracted.

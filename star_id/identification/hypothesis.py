@@ -26,8 +26,8 @@ from boresight.star_id.identification.triangle_index import StarIndex
 __all__ = [
     "RESOLVED_PX",
     "STARS_PER_DETECTION",
-    "Hypothesis",
-    "Match",
+    "AcceptedPairs",
+    "AttitudeHypothesis",
     "OneToOnePairs",
     "match_within",
     "nearby_pairs",
@@ -43,7 +43,7 @@ STARS_PER_DETECTION = 1.6  # predicted stars considered, brightest first, per de
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Hypothesis:
+class AttitudeHypothesis:
     """An attitude, a distortion, and the catalogue stars that they predict in the image."""
 
     R: Floats  # (3, 3) R_si
@@ -73,7 +73,7 @@ class OneToOnePairs:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Match:
+class AcceptedPairs:
     """Accepted pairs of detections and catalogue stars."""
 
     detections: Ints  # (K,)
@@ -81,7 +81,9 @@ class Match:
     distance: Floats  # (K,) tangent plane
 
 
-def predict_field(image: PlaneDetections, index: StarIndex, R: Floats, distortion: Floats) -> Hypothesis:
+def predict_field(
+    image: PlaneDetections, index: StarIndex, R: Floats, distortion: Floats
+) -> AttitudeHypothesis:
     """Hypothesis with all index stars that may lie in the image, for attitude `R` (3, 3) and `distortion`
     (4,)."""
     field = image.field
@@ -91,15 +93,17 @@ def predict_field(image: PlaneDetections, index: StarIndex, R: Floats, distortio
     return predict_stars(index, rows.take(resolved.nonzero()[0]), R, distortion)
 
 
-def predict_stars(index: StarIndex, rows: Ints, R: Floats, distortion: Floats) -> Hypothesis:
+def predict_stars(index: StarIndex, rows: Ints, R: Floats, distortion: Floats) -> AttitudeHypothesis:
     """Hypothesis with the index stars `rows` (M,)."""
     ideal = tangents_of_directions(index.u_i.take(rows, axis=0) @ R.T)
     if not any(distortion.tolist()):  # a calibrated camera
-        return Hypothesis(R, distortion, rows, ideal)
-    return Hypothesis(R, distortion, rows, _distorted(ideal, _distortion_derivatives(ideal), distortion))
+        return AttitudeHypothesis(R, distortion, rows, ideal)
+    return AttitudeHypothesis(
+        R, distortion, rows, _distorted(ideal, _distortion_derivatives(ideal), distortion)
+    )
 
 
-def nearby_pairs(image: PlaneDetections, hypothesis: Hypothesis, sigma: Floats) -> NearbyPairs:
+def nearby_pairs(image: PlaneDetections, hypothesis: AttitudeHypothesis, sigma: Floats) -> NearbyPairs:
     """Pairs within five `sigma` (M,), of the brightest predicted stars that so many detections can show."""
     most = int(STARS_PER_DETECTION * len(image.points)) + 12
     inside = image.field.contains(hypothesis.predicted).nonzero()[0][:most]
@@ -108,7 +112,7 @@ def nearby_pairs(image: PlaneDetections, hypothesis: Hypothesis, sigma: Floats) 
 
 
 def one_to_one_pairs(
-    image: PlaneDetections, hypothesis: Hypothesis, near: NearbyPairs, sigma: Floats
+    image: PlaneDetections, hypothesis: AttitudeHypothesis, near: NearbyPairs, sigma: Floats
 ) -> OneToOnePairs:
     """For each star the nearest detection, and for each of these the star at the least distance in `sigma`
     (M,)."""
@@ -122,13 +126,15 @@ def one_to_one_pairs(
     )
 
 
-def match_within(hypothesis: Hypothesis, pairs: OneToOnePairs, limit: Floats | float) -> Match | None:
+def match_within(
+    hypothesis: AttitudeHypothesis, pairs: OneToOnePairs, limit: Floats | float
+) -> AcceptedPairs | None:
     """The pairs closer than `limit`, scalar or (K,); None if there are fewer than four."""
     close = (pairs.distance < limit).nonzero()[0]
     if len(close) < 4:
         return None
     stars = hypothesis.rows.take(pairs.stars.take(close))
-    return Match(pairs.detections.take(close), stars, pairs.distance.take(close))
+    return AcceptedPairs(pairs.detections.take(close), stars, pairs.distance.take(close))
 
 
 def robust_sigma(distance: Floats, pixel: float) -> float:
@@ -140,7 +146,7 @@ def robust_sigma(distance: Floats, pixel: float) -> float:
 
 
 def refine(
-    image: PlaneDetections, index: StarIndex, hypothesis: Hypothesis, match: Match
+    image: PlaneDetections, index: StarIndex, hypothesis: AttitudeHypothesis, match: AcceptedPairs
 ) -> tuple[Rotation, Floats, int]:
     """R_si, distortion (4,) and number of fitted parameters, from the matched stars with equal weights.
 

@@ -17,8 +17,8 @@ from scipy.spatial.transform import Rotation
 
 from boresight.geometry.record import Floats, Ints, array, record, scalar
 from boresight.star_id.identification.hypothesis import (
-    Hypothesis,
-    Match,
+    AcceptedPairs,
+    AttitudeHypothesis,
     OneToOnePairs,
     match_within,
     nearby_pairs,
@@ -34,7 +34,7 @@ from boresight.star_id.identification.tangent_plane import Complex, FieldOfView,
 from boresight.star_id.identification.triangle_index import StarIndex
 from boresight.star_id.settings import StarSettings
 
-__all__ = ["DENSER", "STAGES", "AttitudePrior", "Identification", "NotIdentified", "identify"]
+__all__ = ["DENSER", "STAGES", "AttitudePrior", "Identification", "NotIdentified", "identify_stars"]
 
 # (table, from, to): triangles of the brightest `to` detections that are not all among the brightest `from`;
 # table 1 holds larger triangles of brighter stars, which are fewer, but more robust to false detections;
@@ -85,7 +85,7 @@ class NotIdentified:
         return False
 
 
-def identify(
+def identify_stars(
     xy: Floats,
     field: FieldOfView,
     index: StarIndex,
@@ -164,7 +164,7 @@ def identify(
 class _Trial:
     """A refined hypothesis with its matches and its log likelihood ratio."""
 
-    match: Match
+    match: AcceptedPairs
     R_si: Rotation
     distortion: Floats
     log_ratio: float
@@ -220,7 +220,7 @@ def _try_proposal(
 
 
 def _refined_trial(
-    image: PlaneDetections, index: StarIndex, hypothesis: Hypothesis, sigma: Floats, *, chosen: int
+    image: PlaneDetections, index: StarIndex, hypothesis: AttitudeHypothesis, sigma: Floats, *, chosen: int
 ) -> _Trial | None:
     """The hypothesis refined by the detections that match it; None if they are fewer than four.
 

@@ -13,7 +13,7 @@ from scipy.special import erf
 
 from boresight.geometry.record import Floats, Ints, array, record
 
-__all__ = ["Columns", "candidates", "columns_of"]
+__all__ = ["Columns", "candidates", "column_levels"]
 
 _CLIP_SIGMA = 4.0
 _AROUND = np.ones((5, 5), np.uint8)  # pixels to which a star of a pixel above the clip extends
@@ -30,7 +30,7 @@ class Columns:
     good: NDArray[np.bool_] = array("W", "not much noisier than the others")
 
 
-def columns_of(block: NDArray) -> Columns:
+def column_levels(block: NDArray) -> Columns:
     """Level and noise of the columns of a block (H, W): mean and deviation without what deviates by 4 sigma,
     and without the pixels around it, whose light would displace a star towards the middle of its pixel."""
     few = np.sort(block[:: max(1, len(block) // 128)].astype(np.float32), axis=0)

@@ -19,8 +19,8 @@ from scipy.special import lambertw
 from boresight.geometry.record import Bools, Floats, Ints, array, record, scalar
 from boresight.geometry.strip_image import StripImage
 from boresight.star_id.finding.windows import StarWindows
-from boresight.star_id.strip_stars.column_blocks import Columns, candidates, columns_of
-from boresight.star_id.strip_stars.fit import TraceFits, fit_traces, gain_of, width_of
+from boresight.star_id.strip_stars.column_blocks import Columns, candidates, column_levels
+from boresight.star_id.strip_stars.fit import TraceFits, fit_traces, gain_from_windows, width_of
 from boresight.star_id.strip_stars.settings import StripStarSettings
 from boresight.star_id.strip_stars.trace import Motion, trace_images, trace_radius
 
@@ -134,7 +134,7 @@ def find_strip_stars(
     many = _bright(found, rough, inside, _BRIGHT_SNR[1:], _STARS_FOR_GAIN)
     if settings.gain_e_per_dn is None and len(many):
         chosen = found.take(many)
-        gain = gain_of(chosen.windows, rough.offset[many], chosen.motion, sigma)
+        gain = gain_from_windows(chosen.windows, rough.offset[many], chosen.motion, sigma)
     fits = _fits(found, rough.offset, sigma, gain)
     seen = _on_detector(found, fits, images) & (fits.snr > limit)
     return _listed(found, fits, seen, sigma, gain)
@@ -231,7 +231,7 @@ def _blocks(images: StripImage, ccd: int, margin: int) -> Iterator[tuple[int, ND
             if own.min() == own.max():
                 continue
             low, high = max(top - margin, begin), min(bottom + margin, end)
-            yield low, read[low - begin : high - begin], columns_of(own), slice(top - low, bottom - low)
+            yield low, read[low - begin : high - begin], column_levels(own), slice(top - low, bottom - low)
 
 
 def _fits(found: _Found, offset: Floats, sigma_px: float, gain: float) -> TraceFits:

@@ -17,7 +17,7 @@ from boresight.star_id.finding.window_fit import by_parameter, newton_step, star
 from boresight.star_id.finding.windows import StarWindows
 from boresight.star_id.strip_stars.trace import Motion, trace_curvatures, trace_images
 
-__all__ = ["TraceFits", "fit_traces", "gain_of", "width_of"]
+__all__ = ["TraceFits", "fit_traces", "gain_from_windows", "width_of"]
 
 _STEPS = 12
 _LARGEST_STEP_PX = 0.6
@@ -110,7 +110,7 @@ def width_of(windows: StarWindows, offset: Floats, motion: Motion) -> float:
     return float(found.x)
 
 
-def gain_of(windows: StarWindows, offset: Floats, motion: Motion, sigma_px: float) -> float:
+def gain_from_windows(windows: StarWindows, offset: Floats, motion: Motion, sigma_px: float) -> float:
     """Electrons per DN, from the scatter of the pixels of stars near `offset` (N, 2) in N windows.
 
     A pixel's variance is that of the background and its signal over the gain (photon transfer). The

@@ -20,7 +20,7 @@ from scipy.spatial.transform import Rotation
 
 from boresight.geometry.record import Bools, Floats, Ints, array, record, scalar
 
-__all__ = ["Directions", "NamedRows", "NoRotation", "StripField", "name_stars", "vote"]
+__all__ = ["Directions", "NamedRows", "NoRotation", "StripField", "name_stars", "vote_for_rotation"]
 
 _SAME_SIDE = 1e-9
 _REFINEMENTS = 3  # of the rotation, whose square is some pixels
@@ -56,7 +56,7 @@ class StripField:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Vote:
+class CommonRotation:
     """The common rotation that most detections agree with."""
 
     theta_rad: Floats  # (3,) R_ci = exp([theta]) R_ci0
@@ -82,7 +82,9 @@ class NamedRows:
     probability_wrong: Floats = array("N", "of the name")
 
 
-def vote(seen: Directions, field: StripField, brightest: int, max_chance: float) -> Vote | NoRotation:
+def vote_for_rotation(
+    seen: Directions, field: StripField, brightest: int, max_chance: float
+) -> CommonRotation | NoRotation:
     """The rotation of the mounting under which most of the brightest detections are catalogue stars.
 
     Returns
@@ -117,7 +119,7 @@ def vote(seen: Directions, field: StripField, brightest: int, max_chance: float)
         v = np.einsum("nab,nb->na", R_ci, field.u_i[stars[star[agreeing]]])
         step = _refined(xy[agreeing], xy[agreeing] - _tangents(v))
         best = (Rotation.from_rotvec(step) * Rotation.from_rotvec(best)).as_rotvec()
-    return Vote(best, score, chance)
+    return CommonRotation(best, score, chance)
 
 
 def name_stars(

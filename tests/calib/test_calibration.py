@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from boresight.calib.calibration import _noise_scale, calibrate
+from boresight.calib.calibration import _noise_scale, calibrate_strips
 from boresight.calib.estimate import InstallationEstimate, NotObservable, WhyRejected
 from boresight.calib.information import solve_total
 from boresight.calib.joint_solution import Problem, linear_solution
@@ -30,7 +30,7 @@ def normalised_errors(plan, settings, runs, seed):
     out = []
     for _ in range(runs):
         strips, _ = draw_strips(plan, CAMERAS, rng)
-        estimate = calibrate(strips, R_CS0, settings)
+        estimate = calibrate_strips(strips, R_CS0, settings)
         assert isinstance(estimate, InstallationEstimate) and estimate.converged
         error = theta_between(estimate.R_cs, BOLD)
         out.append(error @ np.linalg.solve(estimate.cov_theta, error))
@@ -70,7 +70,7 @@ def test_targets_that_all_strips_see_are_one_point_each():
 def test_targets_beyond_the_limit_are_counted():
     plan = replace(StripPlan(), strips=3, targets=6, sigma_target_m=5.0, same_targets=True)
     strips, _ = draw_strips(plan, CAMERAS, np.random.default_rng(1))
-    estimate = calibrate(strips, R_CS0, CalibrationSettings(most_shared_targets=4))
+    estimate = calibrate_strips(strips, R_CS0, CalibrationSettings(most_shared_targets=4))
     assert isinstance(estimate, InstallationEstimate)
     assert estimate.n_targets_treated_independent == 2
     assert sum(name.startswith("target/") for name in estimate.pairs.shared) == 12
@@ -79,7 +79,7 @@ def test_targets_beyond_the_limit_are_counted():
 def test_gross_errors_are_left_out_and_said_so():
     plan = replace(TABLE_1, gross_stars=0.2, gross_targets=0.2)
     strips, truth = draw_strips(plan, CAMERAS, np.random.default_rng(5))
-    estimate = calibrate(strips, R_CS0, CalibrationSettings())
+    estimate = calibrate_strips(strips, R_CS0, CalibrationSettings())
     assert isinstance(estimate, InstallationEstimate)
     error = theta_between(estimate.R_cs, BOLD)
     assert error @ np.linalg.solve(estimate.cov_theta, error) < chi2(3).ppf(0.999)
@@ -104,8 +104,8 @@ def test_order_of_strips_is_of_no_consequence_to_the_last_bit():
     plan = replace(TABLE_1, strips=7, gross_targets=0.1)
     strips, _ = draw_strips(plan, CAMERAS, np.random.default_rng(2))
     strips[3] = draw_strips(replace(plan, strips=4, targets=5), CAMERAS, np.random.default_rng(3))[0][3]
-    one = calibrate(strips, R_CS0, CalibrationSettings())
-    two = calibrate(strips[::-1], R_CS0, CalibrationSettings())
+    one = calibrate_strips(strips, R_CS0, CalibrationSettings())
+    two = calibrate_strips(strips[::-1], R_CS0, CalibrationSettings())
     assert isinstance(one, InstallationEstimate) and isinstance(two, InstallationEstimate)
     assert one.R_cs.as_quat().tobytes() == two.R_cs.as_quat().tobytes()
     assert one.cov_theta.tobytes() == two.cov_theta.tobytes()
@@ -115,7 +115,7 @@ def test_order_of_strips_is_of_no_consequence_to_the_last_bit():
 def test_stored_pairs_are_all_that_a_later_calibration_needs():
     strips, _ = draw_strips(TABLE_1, CAMERAS, np.random.default_rng(4))
     settings = CalibrationSettings()
-    estimate = calibrate(strips, R_CS0, settings)
+    estimate = calibrate_strips(strips, R_CS0, settings)
     assert isinstance(estimate, InstallationEstimate)
     total = estimate.pairs.total()
     again = solve_total(total.F, total.F_theta, estimate.prior_shared, sigma_observable_rad=1e-3)
@@ -141,7 +141,7 @@ def test_noise_that_was_stated_wrong_is_found_with_its_own_sigma():
         sigma_distortion_rad=0,
         estimate_noise=True,
     )
-    estimate = calibrate(stated, R_CS0, settings)
+    estimate = calibrate_strips(stated, R_CS0, settings)
     assert isinstance(estimate, InstallationEstimate)
     noise = estimate.noise
     assert abs(noise.stars - 2.0) < 4 * noise.stars_sigma < 0.1
@@ -160,7 +160,7 @@ def test_targets_in_one_spot_leave_one_turn_open_and_it_is_named():
         fields["target_id"] = g.target_id
         spot.append(replace(strip, ground=type(g)(**fields), R_oi_targets=strip.R_oi_targets[rows]))
     spot = spot[:1]
-    result = calibrate(spot, R_CS0, CalibrationSettings(sigma_distortion_rad=0.0))
+    result = calibrate_strips(spot, R_CS0, CalibrationSettings(sigma_distortion_rad=0.0))
     assert isinstance(result, NotObservable)
     assert len(result.directions_c) == 1
     along = spot[0].ground.u_c[0]
@@ -175,18 +175,18 @@ def test_targets_in_one_spot_leave_one_turn_open_and_it_is_named():
 
 def test_no_usable_strip_is_a_result_and_not_a_crash():
     strips, _ = draw_strips(StripPlan(strips=2, stars=2), CAMERAS, np.random.default_rng(8))
-    result = calibrate(strips, R_CS0, CalibrationSettings())
+    result = calibrate_strips(strips, R_CS0, CalibrationSettings())
     assert isinstance(result, NotObservable)
     assert len(result.directions_c) == 3
     assert sum(r.kind == "exposure" for r in result.rejected) == 20
     assert sum(r.kind == "strip" for r in result.rejected) == 2
-    assert isinstance(calibrate([], R_CS0, CalibrationSettings()), NotObservable)
+    assert isinstance(calibrate_strips([], R_CS0, CalibrationSettings()), NotObservable)
 
 
 def test_two_strips_of_one_name_are_a_mistake():
     strips, _ = draw_strips(StripPlan(strips=2), CAMERAS, np.random.default_rng(8))
     with pytest.raises(ValueError, match="two strips have the id 'strip0000'"):
-        calibrate([strips[0], strips[0]], R_CS0, CalibrationSettings())
+        calibrate_strips([strips[0], strips[0]], R_CS0, CalibrationSettings())
 
 
 def test_degrees_of_freedom_are_two_a_target_less_the_three_angles():
@@ -195,7 +195,7 @@ def test_degrees_of_freedom_are_two_a_target_less_the_three_angles():
     settings = CalibrationSettings(robust=False, sigma_distortion_rad=3e-6)
     rng, found = np.random.default_rng(14), []
     for _ in range(60):
-        estimate = calibrate(draw_strips(plan, CAMERAS, rng)[0], BOLD, settings)
+        estimate = calibrate_strips(draw_strips(plan, CAMERAS, rng)[0], BOLD, settings)
         assert estimate.dof == 13 and estimate.dof_stars == 2 * 8 * (2 * 15 - 3)
         found.append(estimate.chi2)
     low, high = chi2(df=13 * 60).ppf([0.0005, 0.9995]) / 60
@@ -205,13 +205,13 @@ def test_degrees_of_freedom_are_two_a_target_less_the_three_angles():
 def test_one_step_from_far_away_has_not_converged():
     strips, _ = draw_strips(replace(TABLE_1, strips=2), CAMERAS, np.random.default_rng(8))
     one_step = CalibrationSettings(most_iterations=1, robust=False)
-    estimate = calibrate(strips, R_CS0, one_step)
+    estimate = calibrate_strips(strips, R_CS0, one_step)
     assert not estimate.converged_matrix and not estimate.converged_covariance and not estimate.converged
     near = (
         deviation_from_theta(np.array([0.0, 0.0, 1e-9]))
-        * calibrate(strips, R_CS0, CalibrationSettings()).R_cs
+        * calibrate_strips(strips, R_CS0, CalibrationSettings()).R_cs
     )
-    estimate = calibrate(strips, near, one_step)
+    estimate = calibrate_strips(strips, near, one_step)
     assert not estimate.converged_matrix and estimate.converged_covariance and estimate.converged
 
 
@@ -235,7 +235,7 @@ def test_nearly_half_of_the_targets_wrong_in_one_direction_do_not_decide():
         u_c[rng.random(len(u_c)) < 0.45, :2] += 1e-6 * np.array([30.0, 20.0])
         u_c /= np.linalg.norm(u_c, axis=1, keepdims=True)
         wrong.append(replace(strip, ground=replace(strip.ground, u_c=u_c)))
-    estimate = calibrate(wrong, R_CS0, CalibrationSettings())
+    estimate = calibrate_strips(wrong, R_CS0, CalibrationSettings())
     error = theta_between(estimate.R_cs, BOLD)
     # 12 without the start by least absolute residuals, which leaves two more of the wrong ones in.
     assert error @ np.linalg.solve(estimate.cov_theta, error) < 8.0

@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose
 from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
 
-from boresight.calib.calibration import calibrate
+from boresight.calib.calibration import calibrate_strips
 from boresight.calib.distortion import prior_information
 from boresight.calib.information import InformationPairs
 from boresight.calib.mounting.matrix_drift import DriftSettings, MountingSeries, estimate_drift
@@ -35,7 +35,7 @@ DATES = 30 * DAY_S * np.arange(MONTHS)
 
 def series_of(months):
     """A calibration each month, then the series of what they say."""
-    found = [calibrate(strips, BOLD, SETTINGS) for strips in months]
+    found = [calibrate_strips(strips, BOLD, SETTINGS) for strips in months]
     none = np.zeros((0, 0))
     pairs = reduce(
         InformationPairs.merged, [one.pairs.as_one(f"m{k}", (), none) for k, one in enumerate(found)]
@@ -45,7 +45,7 @@ def series_of(months):
 
 def series_taken_as_independent(months):
     """The same from each month's own matrix and covariance."""
-    found = [calibrate(strips, BOLD, SETTINGS) for strips in months]
+    found = [calibrate_strips(strips, BOLD, SETTINGS) for strips in months]
     F = np.linalg.inv(np.array([one.cov_theta for one in found]))
     right = np.einsum("kij,kj->ki", F, [one.theta for one in found])
     pairs = InformationPairs(np.array([f"m{k}" for k in range(MONTHS)]), F, right, BOLD)
@@ -62,7 +62,7 @@ def in_months(strips):
 
 
 def test_months_merge_to_the_calibration_of_all_their_strips(strips):
-    whole = calibrate(strips, BOLD, SETTINGS)
+    whole = calibrate_strips(strips, BOLD, SETTINGS)
     merged = series_of(in_months(strips)).merged()
     # Months are linearised about matrices of their own, some arcseconds away: second order, 4e-5 of sigma and
     # 3e-4 of the covariance here.

@@ -8,7 +8,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from boresight.calib import gross_errors
-from boresight.calib.calibration import calibrate
+from boresight.calib.calibration import calibrate_strips
 from boresight.calib.estimate import InstallationEstimate, WhyRejected
 from boresight.calib.gross_errors import rejection_test, snoop
 from boresight.calib.joint_solution import (
@@ -60,12 +60,12 @@ def test_rejected_targets_depend_neither_on_order_nor_on_the_iteration_limit():
     for trial in range(12):
         strips = draw_strips(replace(TABLE_1, gross_targets=0.06, gross_reach_px=4.0), CAMERAS, rng)[0]
         strips = shifted(strips, 1, trial, PIXEL_RAD * rng.uniform(-1.5, 1.5, 2))
-        one = rejected(calibrate(strips, BOLD, SETTINGS))
+        one = rejected(calibrate_strips(strips, BOLD, SETTINGS))
         found += len(one)
         other = [reordered(strip, rng.permutation(12)) for strip in strips]
-        assert rejected(calibrate(other, BOLD, SETTINGS)) == one
+        assert rejected(calibrate_strips(other, BOLD, SETTINGS)) == one
         for most in (6, 7, 21):
-            assert rejected(calibrate(strips, BOLD, replace(SETTINGS, most_iterations=most))) == one
+            assert rejected(calibrate_strips(strips, BOLD, replace(SETTINGS, most_iterations=most))) == one
     assert found > 15  # of 12 shifted ones and 26 drawn
 
 
@@ -111,14 +111,14 @@ def test_good_targets_rejected_in_place_of_their_neighbour_are_exchanged():
 def test_minimal_detectable_bias_has_the_stated_power():
     strips, _ = draw_strips(TABLE_1, CAMERAS, np.random.default_rng(8))
     plain = replace(SETTINGS, robust=False)
-    at = calibrate(strips, BOLD, plain)
+    at = calibrate_strips(strips, BOLD, plain)
     test = rejection_test(SETTINGS.probability_false_alarm, 36)
     for row in (0, 17, 30):
         s, j, size = row // 12, row % 12, at.targets.detectable_rad[row]
         gains = []
         for axis in ([1.0, 0.0], [0.0, 1.0], [np.sqrt(0.5), np.sqrt(0.5)]):
             both = [shifted(strips, s, j, sign * size * np.array(axis)) for sign in (1.0, -1.0)]
-            statistic = [calibrate(data, BOLD, plain).targets.statistic[row] for data in both]
+            statistic = [calibrate_strips(data, BOLD, plain).targets.statistic[row] for data in both]
             gains.append(np.mean(statistic) - at.targets.statistic[row])  # the odd part, noise, cancels
         x, y, both = gains
         least = np.linalg.eigvalsh([[x, both - 0.5 * (x + y)], [both - 0.5 * (x + y), y]])[0]
@@ -140,20 +140,20 @@ def test_where_neighbours_look_alike_the_shifted_target_is_rejected_or_named():
     neighbour that shares exposures is rejected in 1.7 %: more than 3 of 36 have a chance of 0.3 %. From 20 px
     on there is no doubt."""
     strips = draw_strips(TABLE_1, CAMERAS, np.random.default_rng(34))[0]
-    assert not rejected(calibrate(strips, BOLD, SETTINGS))
+    assert not rejected(calibrate_strips(strips, BOLD, SETTINGS))
     rng, doubtful, others = np.random.default_rng(2), 0, 0
     for s, j in [(s, j) for s in range(3) for j in range(12)]:
         angle = rng.uniform(0.0, 2.0 * np.pi)
         axis = PIXEL_RAD * np.array([np.cos(angle), np.sin(angle)])
         culprit = (strips[s].strip_id, str(strips[s].ground.target_id[j]))
-        estimate = calibrate(shifted(strips, s, j, 4.0 * axis), BOLD, SETTINGS)
+        estimate = calibrate_strips(shifted(strips, s, j, 4.0 * axis), BOLD, SETTINGS)
         instead = [one for one in estimate.rejected if one.kind == "target" and one.name != culprit[1]]
         assert all("/".join(culprit) in one.rivals for one in instead)
         assert all("/".join(culprit) in group for group in estimate.targets.doubtful)
         doubtful += len(estimate.targets.doubtful)
         others += bool(instead)
     assert doubtful >= 1 and others <= 3
-    estimate = calibrate(shifted(strips, s, j, 20.0 * axis), BOLD, SETTINGS)
+    estimate = calibrate_strips(shifted(strips, s, j, 20.0 * axis), BOLD, SETTINGS)
     assert culprit in rejected(estimate) and not estimate.targets.doubtful
 
 
@@ -178,7 +178,7 @@ def test_targets_that_contradict_each_other_have_the_weight_that_their_probabili
     strips = draw_strips(TABLE_1, CAMERAS, np.random.default_rng(34))[0]
     axis = PIXEL_RAD * np.array([np.cos(np.pi / 3), np.sin(np.pi / 3)])
     wrong = shifted(strips, 1, 3, 4.0 * axis)
-    estimate, (first, other) = calibrate(wrong, BOLD, SETTINGS), (15, 16)
+    estimate, (first, other) = calibrate_strips(wrong, BOLD, SETTINGS), (15, 16)
     problem = Problem.of([prepare_strip(strip, SETTINGS) for strip in wrong], SETTINGS)
     about, every = linearised(problem, estimate.R_cs, 1.0), np.ones(36)
     whole = solve_weighted(problem, about, every)

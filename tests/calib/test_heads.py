@@ -11,7 +11,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from boresight.calib.calibration import calibrate
+from boresight.calib.calibration import calibrate_strips
 from boresight.calib.estimate import InstallationEstimate
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.verdict import assess
@@ -62,7 +62,7 @@ def flown(
 
 
 def estimated(strips: Sequence[StripSightings]) -> InstallationEstimate:
-    estimate = calibrate(strips, SHAKEN * R_A, SETTINGS)
+    estimate = calibrate_strips(strips, SHAKEN * R_A, SETTINGS)
     assert isinstance(estimate, InstallationEstimate)
     return estimate
 

@@ -12,7 +12,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import binom, kstest
 
-from boresight.calib.calibration import calibrate
+from boresight.calib.calibration import calibrate_strips
 from boresight.calib.finding import MOST_WORDS
 from boresight.calib.hypotheses import hypotheses
 from boresight.calib.reliability import ReliabilitySettings, blind_spots, examine
@@ -45,7 +45,7 @@ def drawn(seed):
 
 
 def examined(strips, settings=SETTINGS):
-    estimate = calibrate(strips, BOLD, settings)
+    estimate = calibrate_strips(strips, BOLD, settings)
     return estimate, examine(estimate, strips, settings, pixel_rad=CAMERAS.pixel_rad, limits=EXACT)
 
 
@@ -148,7 +148,7 @@ def test_a_strip_that_was_rejected_whole_still_names_its_clock():
     strips = drawn(3)
     late = next(h for h in table_of(3) if (h.cause, h.item) == ("clock of the rows", "strip strip0002"))
     spoilt = injected(strips, late.change_c, 20.0)
-    estimate = calibrate(spoilt[:2], BOLD, settings)  # as if nothing had been matched in it
+    estimate = calibrate_strips(spoilt[:2], BOLD, settings)  # as if nothing had been matched in it
     found = examine(estimate, spoilt, settings, pixel_rad=CAMERAS.pixel_rad)
     named = found.findings[0]
     assert (named.cause, named.item, named.unit) == (late.cause, late.item, "ms")

@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from boresight.calib.calibration import calibrate
+from boresight.calib.calibration import calibrate_strips
 from boresight.calib.estimate import InstallationEstimate
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.strips import prepare_strip
@@ -42,7 +42,7 @@ def nees_of(estimate):
 def test_stated_covariance_holds_from_the_sky_alone():
     rng, nees = np.random.default_rng(31), []
     for _ in range(40):
-        estimate = calibrate(
+        estimate = calibrate_strips(
             draw_sky_strips(SKY, CAMERAS, rng, sigma_star_rad=0.02 * ARCSEC), R_CS0, CalibrationSettings()
         )
         assert isinstance(estimate, InstallationEstimate) and estimate.converged
@@ -89,14 +89,14 @@ def test_a_star_in_several_strips_is_one_star(most, honest):
         (strip,) = draw_sky_strips(replace(exact, strips=1, sigma_s_px=0.001), CAMERAS, rng)
         ground = replace(strip.ground, cov_c=isotropic_covariance(strip.ground.u_c, 5e-8))
         strips = list(copies(replace(strip, ground=ground), 8, 2e-6, rng))
-        nees.append(nees_of(calibrate(strips, BOLD, settings)))
+        nees.append(nees_of(calibrate_strips(strips, BOLD, settings)))
     low, high = chi2(df=3 * 20).ppf([0.0005, 0.9995]) / 20
     assert (low < np.mean(nees) < high) == honest  # eight times as many stars as there are: far too sure
 
 
 def test_the_verdict_on_stars_is_consistent():
     strips = draw_sky_strips(replace(SKY, strips=4), CAMERAS, np.random.default_rng(8))
-    estimate = calibrate(strips, R_CS0, CalibrationSettings())
+    estimate = calibrate_strips(strips, R_CS0, CalibrationSettings())
     assert not assess(estimate, strips).refuted_by
     assert (
         np.isnan(estimate.targets.detectable_m).all() and np.isfinite(estimate.targets.detectable_rad).all()
@@ -121,7 +121,7 @@ def test_an_orbit_bias_of_5_m_is_recovered_beside_the_sky_though_2_m_were_stated
     true = {"along": 3.0, "across": -4.0, "radial": 0.0, "clock": 0.0}
     for seed in range(8):  # forty in benchmarks/sky_campaigns.py
         strips = mixed(seed)
-        estimate = calibrate(strips, R_CS0, CalibrationSettings())
+        estimate = calibrate_strips(strips, R_CS0, CalibrationSettings())
         nees.append(nees_of(estimate))
         found = estimate.bias
         assert {"along", "across"} <= set(found.names)
@@ -138,14 +138,14 @@ def test_an_orbit_bias_of_5_m_is_recovered_beside_the_sky_though_2_m_were_stated
 
 def test_without_a_bias_the_verdict_on_ground_and_sky_is_consistent():
     strips = mixed(7, replace(GROUND, orbit_bias_m=(0.0, 0.0, 0.0)))
-    estimate = calibrate(strips, R_CS0, CalibrationSettings())
+    estimate = calibrate_strips(strips, R_CS0, CalibrationSettings())
     assert not assess(estimate, strips).refuted_by
     assert np.all(np.abs(estimate.bias.value) < 4.0 * estimate.bias.sigma)
 
 
 def test_the_ground_alone_states_no_bias():
     ground = mixed(3)[: GROUND.strips]
-    estimate = calibrate(ground, R_CS0, CalibrationSettings())
+    estimate = calibrate_strips(ground, R_CS0, CalibrationSettings())
     assert estimate.bias is None and not any(name.startswith("bias") for name in estimate.pairs.shared)
     assert len(assess(estimate, ground).checks) == 7
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from boresight.calib.calibration import calibrate
+from boresight.calib.calibration import calibrate_strips
 from boresight.calib.distortion import correlation, knots_touched
 from boresight.calib.estimate import InstallationEstimate
 from boresight.calib.frames import calibrate_frames
@@ -70,7 +70,7 @@ def test_with_one_exposure_at_the_targets_instant_it_is_the_papers_frame():
         sigma_c=np.full(75, 0.3e-6),
     )
     by_frames = calibrate_frames(frames, BOLD)
-    by_strips = calibrate(strips, BOLD, replace(NONE, robust=False))
+    by_strips = calibrate_strips(strips, BOLD, replace(NONE, robust=False))
     assert isinstance(by_strips, InstallationEstimate)
     np.testing.assert_allclose(
         by_strips.cov_theta, by_frames.solution.covariance, rtol=1e-4, atol=0
@@ -81,8 +81,8 @@ def test_with_one_exposure_at_the_targets_instant_it_is_the_papers_frame():
 
 def test_exposures_doubled_a_millisecond_apart_tell_nothing_more_and_nothing_less():
     strips = strips_of(StripPlan(strips=3))
-    by_each = calibrate(strips, BOLD, NONE)
-    by_double = calibrate([doubled(strip) for strip in strips], BOLD, NONE)
+    by_each = calibrate_strips(strips, BOLD, NONE)
+    by_double = calibrate_strips([doubled(strip) for strip in strips], BOLD, NONE)
     assert isinstance(by_each, InstallationEstimate) and isinstance(by_double, InstallationEstimate)
     np.testing.assert_allclose(
         np.diag(by_double.cov_theta), np.diag(by_each.cov_theta), rtol=0.02, atol=0

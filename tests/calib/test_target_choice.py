@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from boresight.calib.calibration import calibrate
+from boresight.calib.calibration import calibrate_strips
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.target_choice import choose_targets
-from boresight.pipeline.stages.forecast import settings_of_plan
+from boresight.pipeline.stages.plan_forecast import settings_of_plan
 from boresight.simulator.campaign import CameraPair, StripPlan, draw_strips
 
 R_CS = Rotation.from_euler("xyz", [40, -65, 110], degrees=True)
@@ -39,7 +39,9 @@ def only(strip, names):
 
 def sigma_with(strips, names):
     chosen = [only(strip, names) for strip in strips]
-    return np.sqrt(np.diag(calibrate([s for s in chosen if len(s.ground.ccd)], R_CS, settings()).cov_theta))
+    return np.sqrt(
+        np.diag(calibrate_strips([s for s in chosen if len(s.ground.ccd)], R_CS, settings()).cov_theta)
+    )
 
 
 def test_forecast_is_the_covariance_of_a_calibration_with_the_chosen_targets(strips):

@@ -8,7 +8,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2, kstest
 
-from boresight.calib.calibration import calibrate
+from boresight.calib.calibration import calibrate_strips
 from boresight.calib.estimate import InstallationEstimate
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.verdict import CheckKind, Outcome, Suspect, VerdictSettings, assess
@@ -35,7 +35,7 @@ def drawn(seed, **changes):
 
 
 def verdict_on(strips, settings=None, R_cs0=BOLD, limits=None):
-    estimate = calibrate(strips, R_cs0, settings or CalibrationSettings())
+    estimate = calibrate_strips(strips, R_cs0, settings or CalibrationSettings())
     assert isinstance(estimate, InstallationEstimate)
     return assess(estimate, strips, limits, sigma_installation_rad=SIGMA_START)
 
@@ -49,7 +49,7 @@ def test_consistent_campaigns_are_consistent_and_their_p_values_uniform():
     p_values = {CheckKind.STAR_RESIDUALS: [], CheckKind.TARGET_RESIDUALS: [], CheckKind.BETWEEN_STRIPS: []}
     for seed in range(150):
         strips = drawn(seed)
-        estimate = calibrate(strips, BOLD, CalibrationSettings(robust=False))
+        estimate = calibrate_strips(strips, BOLD, CalibrationSettings(robust=False))
         assert assess(estimate, strips, sigma_installation_rad=SIGMA_START).outcome is Outcome.CONSISTENT
         verdict = assess(estimate, strips, exact)
         for kind, values in p_values.items():
@@ -169,7 +169,7 @@ def test_one_target_listed_twice_is_found_where_its_two_matches_differ_by_rows()
     fields["t_s"][3], fields["range_m"][3] = ground.t_s[2] + later, np.linalg.norm(place)
     fields["u_i"][3], fields["v_rel_i"][3] = place / np.linalg.norm(place), ground.v_rel_i[2]
     strips[1] = replace(strips[1], ground=type(ground)(**fields))
-    estimate = calibrate(strips, BOLD, CalibrationSettings())
+    estimate = calibrate_strips(strips, BOLD, CalibrationSettings())
     (names,) = check(assess(estimate, strips), CheckKind.DUPLICATED_TARGETS).names
     assert names == ("strip0001/002", "strip0001/003")
 
@@ -191,8 +191,8 @@ def test_an_estimate_that_has_not_converged_is_refuted():
 def test_agreement_between_strips_is_what_separate_matrices_gain():
     strips = drawn(7, strips=2)
     settings = CalibrationSettings(distortion_scope="strip", robust=False)
-    both = calibrate(strips, BOLD, settings)
-    alone = [calibrate([strip], BOLD, settings) for strip in strips]
+    both = calibrate_strips(strips, BOLD, settings)
+    alone = [calibrate_strips([strip], BOLD, settings) for strip in strips]
     gain = both.chi2 - sum(one.chi2 for one in alone)
     found = check(assess(both, strips), CheckKind.BETWEEN_STRIPS)
     assert found.n == 3 and found.statistic == pytest.approx(gain, rel=1e-2)  # second order in arcseconds
@@ -201,7 +201,7 @@ def test_agreement_between_strips_is_what_separate_matrices_gain():
 
 def test_weakest_axis_is_that_of_the_largest_variance():
     strips = drawn(8)
-    estimate = calibrate(strips, BOLD, CalibrationSettings())
+    estimate = calibrate_strips(strips, BOLD, CalibrationSettings())
     verdict = assess(estimate, strips)
     axis = verdict.weakest_axis_c
     assert verdict.weakest_sigma_rad == pytest.approx(np.sqrt(axis @ estimate.cov_theta @ axis))

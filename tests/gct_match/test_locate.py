@@ -11,7 +11,7 @@ from rendered_pairs import Pair, make_pair
 from scipy import ndimage
 
 from boresight.gct_match.imaging.views import normalised, view_of
-from boresight.gct_match.locate import locate, match_template
+from boresight.gct_match.locate import locate, locate_template
 from boresight.gct_match.records import Reason, Refusal, TemplateMatch
 from boresight.gct_match.search.correlation import self_similarity
 from boresight.gct_match.settings import MatchSettings
@@ -73,7 +73,7 @@ def test_picture_is_like_itself_where_it_holds_things_of_one_kind(invented: NDAr
 def test_two_arrays_give_the_position_of_the_templates_centre(invented: NDArray):
     pair = make_pair(invented, np.random.default_rng(8), size_px=64, margin_px=MARGIN, condition="clean")
     true = pair.offset_px + 31.5  # px: centre of 64
-    match = match_template(pair.template, pair.window, (true[0] + 3.2, true[1] - 2.7), 8)
+    match = locate_template(pair.template, pair.window, (true[0] + 3.2, true[1] - 2.7), 8)
     assert isinstance(match, TemplateMatch)
     assert np.abs(match.xy_px - true).max() < 0.02  # px: 4 times the bound of this chip
     assert match.cov_px.shape == (2, 2) and match.correlation > 0.9
@@ -84,14 +84,14 @@ def test_pixels_that_are_nan_are_not_used(invented: NDArray):
     pair = make_pair(invented, np.random.default_rng(8), size_px=64, margin_px=MARGIN, condition="clean")
     template = pair.template.copy()
     template[:20] = np.nan
-    match = match_template(template, pair.window, tuple(pair.offset_px + 31.5))
+    match = locate_template(template, pair.window, tuple(pair.offset_px + 31.5))
     assert isinstance(match, TemplateMatch)
     assert np.abs(match.xy_px - pair.offset_px - 31.5).max() < 0.02  # px
 
 
 def test_a_template_that_is_not_found_is_refused_with_reason_and_numbers(invented: NDArray):
     pair = make_pair(invented, np.random.default_rng(8), size_px=64, margin_px=MARGIN, condition="clean")
-    outside = match_template(pair.template, pair.window, (400.0, 20.0))
+    outside = locate_template(pair.template, pair.window, (400.0, 20.0))
     assert not outside and isinstance(outside, Refusal)
     assert outside.reason is Reason.FEW_VALID_PIXELS
     assert str(outside).startswith("0% of the template's pixels are valid") and "40% are needed" in str(
@@ -105,7 +105,7 @@ def test_a_template_that_is_not_found_is_refused_with_reason_and_numbers(invente
 )
 def test_arrays_that_cannot_be_matched_are_named(shape: tuple[int, ...], radius: int, says: str):
     with pytest.raises(ValueError, match=says):
-        match_template(np.zeros(shape), np.zeros((128, 128)), (64.0, 64.0), radius)
+        locate_template(np.zeros(shape), np.zeros((128, 128)), (64.0, 64.0), radius)
 
 
 def test_every_reason_has_a_sentence():
@@ -142,7 +142,7 @@ def test_a_position_beyond_a_limit_is_refused_with_value_and_limit(
 ):
     pair = make_pair(invented, np.random.default_rng(8), size_px=64, margin_px=MARGIN, condition="clean")
     start = (pair.offset_px[0] + 31.5, pair.offset_px[1] + 31.5)
-    refused = match_template(pair.template, pair.window, start, settings=replace(SETTINGS, **limits))
+    refused = locate_template(pair.template, pair.window, start, settings=replace(SETTINGS, **limits))
     assert isinstance(refused, Refusal) and refused.reason is reason
     assert refused.limit == next(iter(limits.values()))
     assert np.isfinite(refused.value)

@@ -6,7 +6,7 @@ import pytest
 from boresight.geometry.earth_orientation import bundled_earth_orientation
 from boresight.geometry.geoid import egm96
 from boresight.geometry.starlight import StarPlaces
-from boresight.simulator.mission import simulate
+from boresight.simulator.mission import render_mission
 from boresight.simulator.scenario import scenario_from_dict, scenario_to_dict
 
 SMALL = {
@@ -54,7 +54,7 @@ def small():
 
 @pytest.fixture(scope="session")
 def mission(small, stars, tables):
-    return simulate(small, stars, *tables, seed=11)
+    return render_mission(small, stars, *tables, seed=11)
 
 
 @pytest.fixture(scope="session")
@@ -63,4 +63,4 @@ def quiet_mission(small, stars, tables):
     values = scenario_to_dict(small)
     values["errors"].update(gps_m=0.0, vibration_arcsec=0.0, clock_s=0.0, distortion_px=0.0)
     values["targets"].update(sigma_m=[0.0, 0.0, 0.0])
-    return simulate(scenario_from_dict(values), stars, *tables, seed=11)
+    return render_mission(scenario_from_dict(values), stars, *tables, seed=11)

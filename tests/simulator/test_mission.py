@@ -11,7 +11,7 @@ from boresight.geometry.earth_rotation import EarthRotation
 from boresight.geometry.installation import theta_between
 from boresight.geometry.orbit import Orbit
 from boresight.geometry.terrain import TerrainGrid
-from boresight.simulator.mission import simulate
+from boresight.simulator.mission import render_mission
 from boresight.simulator.mission_records import Mission
 from boresight.simulator.scenario import scenario_from_dict
 
@@ -37,7 +37,7 @@ def test_the_seed_alone_decides_the_mission(stars, tables):
             "targets": {"per_strip": 1, "check_points_per_strip": 1, "chip_size_px": 40},
         }
     )
-    one, same, other = (simulate(tiny, stars, *tables, seed=seed) for seed in (11, 11, 12))
+    one, same, other = (render_mission(tiny, stars, *tables, seed=seed) for seed in (11, 11, 12))
     for a, b in ((one, same), (one, other)):
         alike = [
             np.array_equal(a.exposures[3].image(), b.exposures[3].image()),
@@ -173,7 +173,7 @@ def test_targets_and_check_points_are_seen_by_some_ccd(mission):
 def rough_mission(small, stars, tables):
     """The small mission with heights that are wrong by 3 m."""
     terrain = dataclasses.replace(small.terrain, error_m=3.0)
-    return simulate(dataclasses.replace(small, terrain=terrain), stars, *tables, seed=11)
+    return render_mission(dataclasses.replace(small, terrain=terrain), stars, *tables, seed=11)
 
 
 def test_the_terrain_that_the_user_gets_is_wrong_by_its_stated_error(mission, rough_mission):

@@ -10,15 +10,20 @@ from boresight.geometry.earth_rotation import EarthRotation
 from boresight.geometry.epoch import Epoch
 from boresight.geometry.geodesy import geodetic_from_ecef
 from boresight.geometry.groundlight import LightEffects
+from boresight.geometry.optical_blur import gaussian_sigma_px
 from boresight.geometry.pushbroom import Pushbroom, RowClock
 from boresight.geometry.terrain import ConstantHeight, TerrainGrid
-from boresight.simulator.cameras import calibrated_line_camera, distorted_line_camera, true_installation
-from boresight.simulator.ground import BlurredGround, gaussian_sigma_px
+from boresight.simulator.cameras import (
+    calibrated_line_camera,
+    distorted_line_camera,
+    installation_of_scenario,
+)
+from boresight.simulator.ground import BlurredGround
 from boresight.simulator.motion import flown_orbit, true_attitude
 from boresight.simulator.scan import (
-    Scene,
+    TrueScene,
+    all_panels,
     needed_sample_step,
-    panels,
     panels_near,
     read_ground,
     row_places,
@@ -81,7 +86,7 @@ def model(tables):
     table, _ = tables
     earth = EarthRotation.over(Epoch.from_utc(SCENARIO.epoch_utc), -20.0, 20.0, table)
     orbit = flown_orbit(SCENARIO.orbit, -10.0, 12.0, earth)
-    R_cs = true_installation(SCENARIO.installation)
+    R_cs = installation_of_scenario(SCENARIO.installation)
     rng = np.random.default_rng(4)
     attitude = true_attitude(SCENARIO.attitude, SCENARIO.errors, R_cs, orbit, earth, rng)
     camera = distorted_line_camera(calibrated_line_camera(SCENARIO.line_camera), SCENARIO.errors, rng)
@@ -113,11 +118,11 @@ def surface(model, tables):
 
 def rendered(model, surface, ground, ccd, sigma_texel=2.2, wanted=None):
     step = needed_sample_step(model, surface, LINES)
-    scene = Scene(
+    scene = TrueScene(
         model.tabulated(-10.0, LINES + 10.0), surface, EPSG, BlurredGround(ground, sigma_texel), step
     )
     gain = np.ones(SCENARIO.line_camera.samples, np.float32)
-    wanted = panels(LINES, len(gain)) if wanted is None else wanted
+    wanted = all_panels(LINES, len(gain)) if wanted is None else wanted
     rng = np.random.default_rng(3)
     return np.concatenate(list(scan(scene, ccd, LINES, SCENARIO.ground, gain, rng, 128, wanted)))
 
@@ -147,7 +152,7 @@ def test_points_appear_where_the_rigorous_model_says(model, surface, ccd):
 
 def test_places_between_the_nodes_are_those_of_the_rigorous_model(model, surface):
     step = needed_sample_step(model, surface, LINES)
-    scene = Scene(model, surface, EPSG, BlurredGround(Flat(0.4), 1.0), step)
+    scene = TrueScene(model, surface, EPSG, BlurredGround(Flat(0.4), 1.0), step)
     nodes = np.append(np.arange(0.0, 511.0, step), 511.0)
     samples, lines = np.arange(0.0, 512.0, 3.0), np.arange(100.0, 160.0)
     told = row_places(scene, 3, 100, 60, nodes)
@@ -205,9 +210,9 @@ def test_reading_the_ground_is_free_of_opencv_s_lattice():
 def test_noise_of_a_strip_is_read_and_photon_noise(model, surface):
     scenario = scenario_from_dict({"based_on": "mini", "ground": {"pixel_gain_sigma": 0.0}})
     ground = scenario.ground
-    scene = Scene(model.tabulated(-10.0, 210.0), surface, EPSG, BlurredGround(Flat(0.4), 1.0), 16)
+    scene = TrueScene(model.tabulated(-10.0, 210.0), surface, EPSG, BlurredGround(Flat(0.4), 1.0), 16)
     gain = np.ones(512, np.float32)
-    blocks = scan(scene, 1, 200, ground, gain, np.random.default_rng(3), 200, panels(200, len(gain)))
+    blocks = scan(scene, 1, 200, ground, gain, np.random.default_rng(3), 200, all_panels(200, len(gain)))
     image = np.concatenate(list(blocks)).astype(float)
     expected = ground.read_noise_dn**2 + 0.4 * 255.0 / ground.e_per_dn + 1.0 / 12.0
     # 102 400 pixels: variance to 0.44 %, five sigma.
@@ -218,7 +223,7 @@ def test_noise_of_a_strip_is_read_and_photon_noise(model, surface):
 def test_a_look_past_the_terrain_is_an_error(model, tables):
     heights = np.zeros((4, 4))
     far = TerrainGrid.from_raster(heights, (0.1, 0.0, 0.0, 0.0, -0.1, 0.0), "EPSG:4326", tables[1])
-    scene = Scene(model, far, EPSG, BlurredGround(Flat(0.4), 1.0), 16)
+    scene = TrueScene(model, far, EPSG, BlurredGround(Flat(0.4), 1.0), 16)
     with pytest.raises(ValueError, match="miss the terrain"):
         scene.texels(0, np.array([0.0, 511.0]), np.array([0.0, 1.0]))
 
@@ -257,7 +262,7 @@ def test_targets_lie_in_their_chips_middle(mission):
 
 def test_panels_near_a_place_are_all_that_a_square_around_it_touches():
     near = panels_near(np.array([[600.0, 250.0], [0.0, 999.0]]), 30.0, 1000, 1100)
-    assert near.shape == panels(1000, 1100).shape == (4, 3)
+    assert near.shape == all_panels(1000, 1100).shape == (4, 3)
     assert np.argwhere(near).tolist() == [[0, 1], [1, 1], [3, 0]]
 
 

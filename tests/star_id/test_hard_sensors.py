@@ -20,7 +20,7 @@ from boresight.star_id.finding.candidates import find_candidates
 from boresight.star_id.finding.cut_sky import limit_after_cut
 from boresight.star_id.finding.lines import without_lines
 from boresight.star_id.finding.mosaic import has_mosaic
-from boresight.star_id.finding.star_list import find_stars
+from boresight.star_id.finding.star_list import list_stars
 from boresight.star_id.identification.triangle_index import build_index
 from boresight.star_id.settings import StarSettings
 
@@ -53,7 +53,7 @@ def test_hot_columns_and_row_noise_cost_no_stars():
     image = render(xy, np.full(len(xy), 600.0), SIZE, SIZE, SENSOR, rng).astype(np.float64)
     image[:, rng.choice(SIZE, 12, replace=False)] += rng.uniform(30.0, 200.0, 12)
     image += rng.normal(0.0, 4.0, (SIZE, 1))
-    found, false, chi2 = scored(find_stars(image.round().astype(np.uint16), StarSettings()), xy)
+    found, false, chi2 = scored(list_stars(image.round().astype(np.uint16), StarSettings()), xy)
     assert found >= 0.95
     assert false <= 2
     assert 0.7 < chi2 < 1.3  # 300 coordinates: 0.08, and what is left of the offsets
@@ -75,7 +75,7 @@ def test_a_colour_mosaic_is_recognised_and_does_not_displace_stars():
     share = np.tile([[0.45, 1.0], [0.9, 0.6]], (SIZE // 2, SIZE // 2))
     image = (light * share + rng.normal(0.0, 6.0, light.shape)).round().astype(np.uint16)
     assert has_mosaic(image) and not has_mosaic(light)
-    stars = find_stars(image, StarSettings())
+    stars = list_stars(image, StarSettings())
     distance, nearest = cKDTree(stars.xy_px).query(xy)
     assert (distance < 1.0).mean() >= 0.95
     error = (stars.xy_px[nearest] - xy)[distance < 1.0]
@@ -89,7 +89,7 @@ def test_a_sky_cut_off_at_zero_gives_few_false_detections():
     rng = np.random.default_rng(4)
     xy = places(rng)
     image = render(xy, np.full(len(xy), 600.0), SIZE, SIZE, SENSOR, rng).astype(np.float64) - 200.0
-    stars = find_stars(image.clip(0).astype(np.uint16), StarSettings())
+    stars = list_stars(image.clip(0).astype(np.uint16), StarSettings())
     found, false, chi2 = scored(stars, xy)
     assert found >= 0.95 and false <= 2
     assert abs(stars.psf.sigma_px / SENSOR.sigma_px - 1.0) < 0.03  # 0.06 less if the wings had no cut
@@ -101,7 +101,7 @@ def test_faint_stars_of_a_cut_off_and_vignetted_sky_are_found():
     xy = places(rng)
     r2 = ((np.mgrid[:SIZE, :SIZE] / SIZE - 0.5) ** 2).sum(axis=0)
     image = render(xy, np.full(len(xy), 230.0), SIZE, SIZE, SENSOR, rng) - 30.0 * r2 - 200.0
-    stars = find_stars(image.round().clip(0).astype(np.uint16), StarSettings())
+    stars = list_stars(image.round().clip(0).astype(np.uint16), StarSettings())
     found, false, _ = scored(stars, xy)
     assert found >= 0.9 and false <= 2  # SNR 8 before the cut; 0.55 with the limit of a whole sky
     assert stars.background.above_cut.min() < -0.8  # of the corners 80 % are cut off
@@ -163,7 +163,7 @@ def test_coma_displaces_no_star(flux, wings, seeds):
     square = 0.0  # of the errors of scale over what is stated
     for seed in seeds:
         xy, fan, image = comatic(flux, wings, np.random.default_rng(seed))
-        stars = find_stars(image, StarSettings())
+        stars = list_stars(image, StarSettings())
         assert 4.8 < stars.psf.coma_px < 7.2  # 6 px
         distance, nearest = cKDTree(stars.xy_px).query(xy)
         seen = distance < 2.0
@@ -186,7 +186,7 @@ def test_an_even_trail_is_a_smeared_gaussian():
     points = xy[:, None] + ((np.arange(41) - 20.0) / 41.0)[:, None] * trail
     flux = rng.uniform(3000.0, 9000.0, len(xy))
     image = render(points.reshape(-1, 2), np.repeat(flux / 41.0, 41), SIZE, SIZE, SENSOR, rng)
-    stars = find_stars(image, StarSettings())
+    stars = list_stars(image, StarSettings())
     assert stars.psf.shape is None
     assert min(np.abs(stars.psf.smear_px - sign * trail).max() for sign in (1, -1)) < 0.1  # px
     assert abs(stars.gain_e_per_dn / SENSOR.e_per_dn - 1.0) < 0.15  # 80 stars: 0.05 in six such frames
@@ -203,7 +203,7 @@ def test_an_even_trail_is_a_smeared_gaussian():
 def test_defocused_rings_are_found_and_their_errors_stated(radius_px):
     rng = np.random.default_rng(5)
     xy = places(rng)
-    stars = find_stars(rings(xy, rng.uniform(3000.0, 9000.0, len(xy)), radius_px, rng), StarSettings())
+    stars = list_stars(rings(xy, rng.uniform(3000.0, 9000.0, len(xy)), radius_px, rng), StarSettings())
     shape = stars.psf.shape
     assert shape is not None
     assert np.allclose(shape, shape[::-1, ::-1], atol=1e-9)  # its noise displaces no star

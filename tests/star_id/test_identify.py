@@ -19,7 +19,12 @@ from boresight.star_id.field import (
     solve_stars,
 )
 from boresight.star_id.identification import identify as identify_module
-from boresight.star_id.identification.identify import AttitudePrior, Identification, NotIdentified, identify
+from boresight.star_id.identification.identify import (
+    AttitudePrior,
+    Identification,
+    NotIdentified,
+    identify_stars,
+)
 from boresight.star_id.identification.likelihood import log_likelihood_ratio
 from boresight.star_id.identification.proposals import _attitudes
 from boresight.star_id.identification.tangent_plane import PlaneDetections
@@ -78,7 +83,7 @@ def test_a_known_camera_is_identified_among_false_stars(index, places, stars, fa
     for _ in range(40):
         R_si = Rotation.random(random_state=rng)
         xy, hip = detections(PAPER_CAMERA, R_si, places, rng, stars=stars, false=false)
-        found = identify(
+        found = identify_stars(
             tangent_coordinates(PAPER_CAMERA, xy), field_of_camera(PAPER_CAMERA, SETTINGS), index, SETTINGS
         )
         if isinstance(found, Identification):
@@ -95,8 +100,8 @@ def test_stars_in_two_far_clusters_are_identified_by_wider_triangles(index, plac
     rng = np.random.default_rng(seed)
     xy, hip = detections(PAPER_CAMERA, Rotation.random(random_state=rng), places, rng, stars=8, false=3)
     plane, field = tangent_coordinates(PAPER_CAMERA, xy), field_of_camera(PAPER_CAMERA, SETTINGS)
-    assert isinstance(identify(plane, field, index, SETTINGS, stages=((0, 0, 18),)), NotIdentified)
-    found = identify(plane, field, index, SETTINGS)
+    assert isinstance(identify_stars(plane, field, index, SETTINGS, stages=((0, 0, 18),)), NotIdentified)
+    found = identify_stars(plane, field, index, SETTINGS)
     assert isinstance(found, Identification)
     assert share_right(index.stars.hip[found.stars], found.detections, hip) == 1.0
 
@@ -183,7 +188,7 @@ def test_noise_is_never_identified(index, wide_index):
     field, best = field_of_camera(PAPER_CAMERA, SETTINGS), -np.inf
     for _ in range(150):
         xy = rng.uniform([0, 0], SIZE, (int(rng.integers(4, 350)), 2))
-        answer = identify(tangent_coordinates(PAPER_CAMERA, xy), field, index, SETTINGS)
+        answer = identify_stars(tangent_coordinates(PAPER_CAMERA, xy), field, index, SETTINGS)
         assert isinstance(answer, NotIdentified)
         best = max(best, answer.best_log_odds)
     assert best < 6.0  # 20.7 is asked for; 150 images of noise should come to ln 150 at most
@@ -198,7 +203,7 @@ def test_stars_of_one_sky_mirrored_are_not_identified(index, places):
         mirrored = np.column_stack([PAPER_CAMERA.width_px - 1 - xy[:, 0], xy[:, 1]])
         plane = tangent_coordinates(PAPER_CAMERA, mirrored)
         assert isinstance(
-            identify(plane, field_of_camera(PAPER_CAMERA, SETTINGS), index, SETTINGS), NotIdentified
+            identify_stars(plane, field_of_camera(PAPER_CAMERA, SETTINGS), index, SETTINGS), NotIdentified
         )
 
 
@@ -211,7 +216,7 @@ def test_a_prior_attitude_is_followed_and_a_wrong_one_does_no_harm(index, places
         xy, hip = detections(PAPER_CAMERA, R_si, places, rng, false=50)
         expected = Rotation.from_rotvec(rng.normal(0, sigma_rad, 3)) * R_si
         prior = AttitudePrior(Rotation.random(random_state=rng) if wrong else expected, sigma_rad)
-        found = identify(tangent_coordinates(PAPER_CAMERA, xy), field, index, SETTINGS, prior=prior)
+        found = identify_stars(tangent_coordinates(PAPER_CAMERA, xy), field, index, SETTINGS, prior=prior)
         assert isinstance(found, Identification)
         assert share_right(index.stars.hip[found.stars], found.detections, hip) > 0.9
 
@@ -223,7 +228,7 @@ def test_faint_stars_are_named_though_bright_ones_are_better_placed(index, place
     faint = np.arange(3, len(xy), 9)
     angle = rng.uniform(0.0, 2.0 * np.pi, len(faint))
     xy[faint] += 0.7 * np.column_stack([np.cos(angle), np.sin(angle)])
-    found = identify(
+    found = identify_stars(
         tangent_coordinates(PAPER_CAMERA, xy), field_of_camera(PAPER_CAMERA, SETTINGS), index, SETTINGS
     )
     assert isinstance(found, Identification)
@@ -242,7 +247,7 @@ def test_a_star_next_to_a_brighter_one_is_not_named(index, places):
         xy, hip = detections(PAPER_CAMERA, R_si, places, rng, stars=60)
         xy, hip = xy[hip != fainter], hip[hip != fainter]
         xy[hip == brighter] += rng.normal(0, 0.7, 2)
-        found = identify(
+        found = identify_stars(
             tangent_coordinates(PAPER_CAMERA, xy), field_of_camera(PAPER_CAMERA, SETTINGS), index, SETTINGS
         )
         assert isinstance(found, Identification)
@@ -281,11 +286,11 @@ def test_a_detection_without_a_place_is_refused(index):
     plane = np.random.default_rng(11).uniform(-0.1, 0.1, (20, 2))
     plane[3, 1] = np.nan
     with pytest.raises(ValueError, match="finite"):
-        identify(plane, field_of_camera(PAPER_CAMERA, SETTINGS), index, SETTINGS)
+        identify_stars(plane, field_of_camera(PAPER_CAMERA, SETTINGS), index, SETTINGS)
 
 
 def test_too_few_stars_is_said_with_the_number():
-    answer = identify(np.zeros((3, 2)), field_of_camera(PAPER_CAMERA, SETTINGS), None, SETTINGS)
+    answer = identify_stars(np.zeros((3, 2)), field_of_camera(PAPER_CAMERA, SETTINGS), None, SETTINGS)
     assert isinstance(answer, NotIdentified) and not answer and answer.n_stars == 3
     assert answer.reason == "3 stars found, 4 are needed; lower the threshold or expose longer"
 
@@ -337,7 +342,7 @@ def test_a_guess_without_catalogue_stars_is_no_match(index):
     lonely = build_index(few, few.epoch_jyear, 0.3)
     away = Rotation.align_vectors([0.0, 0.0, 1.0], -lonely.u_i.sum(axis=0))[0]
     plane = np.random.default_rng(14).uniform(-0.05, 0.05, (20, 2))
-    answer = identify(
+    answer = identify_stars(
         plane,
         field_of_camera(PAPER_CAMERA, SETTINGS),
         lonely,

@@ -18,7 +18,7 @@ from boresight.star_id.finding.background import estimate_background
 from boresight.star_id.finding.candidates import find_candidates
 from boresight.star_id.finding.detect import detection_threshold
 from boresight.star_id.finding.psf import Psf
-from boresight.star_id.finding.star_list import find_stars
+from boresight.star_id.finding.star_list import list_stars
 from boresight.star_id.score import cramer_rao_px, score_centroids
 from boresight.star_id.settings import StarSettings
 
@@ -50,7 +50,7 @@ def test_false_alarms_come_at_the_rate_that_was_asked_for():
     settings = StarSettings(false_alarms_per_frame=2.0, psf_sigma_px=1.25)
     sensor = Sensor(background_dn=30.0, read_noise_dn=3.0)
     empty = np.empty((0, 2)), np.empty(0)
-    count = sum(len(find_stars(render(*empty, 1024, 1024, sensor, rng), settings).xy_px) for _ in range(30))
+    count = sum(len(list_stars(render(*empty, 1024, 1024, sensor, rng), settings).xy_px) for _ in range(30))
     # 60 are expected at most: peaks between pixel centres and those that fit no star fall away
     assert poisson(60).ppf(1e-4) * 0.25 < count < poisson(60).ppf(1 - 1e-4)
 
@@ -64,7 +64,7 @@ def test_the_threshold_follows_the_density_of_peaks():
 def test_stars_of_snr_8_are_found_and_hot_pixels_are_not():
     rng = np.random.default_rng(3)
     image, xy = grid_of_stars(rng, 74.0, sensor=Sensor(hot_pixels=2000))  # SNR 8.1
-    stars = find_stars(image, StarSettings(max_stars=9999))
+    stars = list_stars(image, StarSettings(max_stars=9999))
     distance = cKDTree(stars.xy_px).query(xy)[0]
     near_hot = 2000 * 50 / 1500**2  # a hot pixel within 4 px of a star may hide it
     assert (distance < 2.0).mean() > 0.985 - near_hot
@@ -111,7 +111,7 @@ def test_errors_are_at_the_bound_and_stated_honestly_without_being_told_the_psf(
     parts, truths = [], []
     for _ in range(2):
         image, xy = grid_of_stars(rng, flux, size=1000, step=24, sensor=sensor)
-        parts.append(find_stars(image, StarSettings(gain_e_per_dn=40.0, max_stars=5000)))
+        parts.append(list_stars(image, StarSettings(gain_e_per_dn=40.0, max_stars=5000)))
         truths.append((xy, np.full(len(xy), flux)))
     psf = Psf(1.25, 1.25, (0.0, 0.0), 1000, 1000)
     score = score_centroids(parts, truths, saturation_dn=255.0, psf=psf, gain_e_per_dn=40.0)
@@ -130,7 +130,7 @@ def test_stars_near_the_threshold_state_honest_errors():
         image, xy = grid_of_stars(rng, 0.0, step=24)
         snr = 5.0 * rng.uniform((5.0 / 7.0) ** 1.125, 1.0, len(xy)) ** (-1.0 / 1.125)
         image = render(xy, 9.1 * snr, 1500, 1500, Sensor(), rng)
-        stars = find_stars(image, StarSettings(gain_e_per_dn=40.0, psf_sigma_px=1.25, max_stars=9999))
+        stars = list_stars(image, StarSettings(gain_e_per_dn=40.0, psf_sigma_px=1.25, max_stars=9999))
         distance, nearest = cKDTree(xy).query(stars.xy_px)
         seen = distance < 3.1
         error = stars.xy_px[seen] - xy[nearest[seen]]
@@ -144,7 +144,7 @@ def test_no_bias_over_pixel_phase():
     parts, truths = [], []
     for _ in range(4):
         image, xy = grid_of_stars(rng, 1400.0, size=1500, step=20)
-        parts.append(find_stars(image, StarSettings(gain_e_per_dn=40.0, max_stars=10000)))
+        parts.append(list_stars(image, StarSettings(gain_e_per_dn=40.0, max_stars=10000)))
         truths.append((xy, np.full(len(xy), 1400.0)))
     score = score_centroids(parts, truths, saturation_dn=255.0)
     # 20 phases of 2000 coordinates each, standard error 0.0003 px
@@ -155,7 +155,7 @@ def test_no_bias_over_pixel_phase():
 def test_smear_is_found_and_its_centroids_are_honest():
     rng = np.random.default_rng(7)
     image, xy = grid_of_stars(rng, 700.0, size=800, sensor=Sensor(smear_px=(2.4, -1.5)))
-    stars = find_stars(image, TOLD_GAIN)
+    stars = list_stars(image, TOLD_GAIN)
     direction = np.sign(stars.psf.smear_px[0])  # a smear has no sense
     assert np.array(stars.psf.smear_px) * direction == pytest.approx([2.4, -1.5], abs=0.25)
     distance, nearest = cKDTree(xy).query(stars.xy_px)
@@ -177,7 +177,7 @@ def test_a_field_dependent_width_is_found():
     image = (
         np.clip(np.sum(parts, axis=0)[0] + rng.normal(20, 2, (size, size)), 0, 255).round().astype(np.uint8)
     )
-    psf = find_stars(image, TOLD_GAIN).psf
+    psf = list_stars(image, TOLD_GAIN).psf
     assert psf.sigma_px == pytest.approx(1.0, abs=0.06)
     assert psf.sigma_corner_px == pytest.approx(1.5, abs=0.15)
 
@@ -186,7 +186,7 @@ def test_saturated_and_blended_stars_are_flagged():
     rng = np.random.default_rng(9)
     xy = np.array([[100.2, 100.7], [300.0, 100.0], [305.0, 101.0], [200.3, 300.6]])
     image = render(xy, np.array([9000.0, 800.0, 500.0, 800.0]), 400, 400, Sensor(), rng)
-    stars = find_stars(image, TOLD_GAIN)
+    stars = list_stars(image, TOLD_GAIN)
     row = cKDTree(stars.xy_px).query(xy)[1]
     assert stars.saturated[row].tolist() == [True, False, False, False]
     assert stars.blended[row].tolist() == [False, True, True, False]
@@ -205,7 +205,7 @@ def bright_and_full_stars(rng):
 
 def test_wings_of_saturated_stars_give_centroids_near_the_bound():
     image, xy, flux = bright_and_full_stars(np.random.default_rng(12))
-    stars = find_stars(image, StarSettings())
+    stars = list_stars(image, StarSettings())
     row = cKDTree(stars.xy_px).query(xy)[1]
     assert stars.saturated[row].all()
     row, good = row[~stars.blended[row]], ~stars.blended[row]
@@ -227,7 +227,7 @@ def test_saturated_stars_whose_charge_ran_over_are_not_trusted():
     others = rng.uniform(0.0, 1800.0, (200, 2))
     places, charge = np.vstack([xy, others]), 40.0 * np.append(flux, rng.uniform(100.0, 1500.0, 200))
     image = expose(places[:, None, :], charge, (1800, 1800), sky, np.empty((0, 3)), rng)
-    stars = find_stars(image, StarSettings())
+    stars = list_stars(image, StarSettings())
     distance, nearest = cKDTree(xy).query(stars.xy_px)
     seen = np.flatnonzero(stars.saturated & (distance < 5.0))
     assert len(seen) > 60
@@ -244,7 +244,7 @@ def test_a_cosmic_ray_and_a_trail_are_not_stars():
     image[200, 150:162] = 180
     for k in range(300):
         image[50 + k // 3, 50 + k] = 200
-    stars = find_stars(image, TOLD_GAIN)
+    stars = list_stars(image, TOLD_GAIN)
     on_trail = np.abs(stars.xy_px[:, 1] - 50 - (stars.xy_px[:, 0] - 50) / 3) < 2.0
     on_ray = (np.abs(stars.xy_px[:, 1] - 200) < 2) & (stars.xy_px[:, 0] > 147) & (stars.xy_px[:, 0] < 165)
     assert (on_trail & (stars.xy_px[:, 0] > 55) & (stars.xy_px[:, 0] < 345)).sum() <= 3
@@ -258,7 +258,7 @@ def test_a_dark_frame_removes_what_it_knows():
     xy = rng.uniform(20, 380, (40, 2))
     image = render(xy, np.full(40, 700.0), 400, 400, Sensor(), rng) + pattern
     dark = np.clip(pattern + 20.0, 0, 255).astype(np.uint8)
-    stars = find_stars(np.clip(image, 0, 255).astype(np.uint8), TOLD_GAIN, dark)
+    stars = list_stars(np.clip(image, 0, 255).astype(np.uint8), TOLD_GAIN, dark)
     assert (cKDTree(stars.xy_px).query(xy)[0] < 0.5).mean() > 0.9
     assert (cKDTree(xy).query(stars.xy_px)[0] > 2.0).sum() <= 2
 
@@ -267,19 +267,19 @@ def test_a_dark_frame_removes_what_it_knows():
 def test_odd_and_small_images_are_worked_through(shape):
     rng = np.random.default_rng(12)
     xy = np.array([[20.3, 16.4]])
-    stars = find_stars(render(xy, np.array([900.0]), shape[1], shape[0], Sensor(), rng), TOLD_GAIN)
+    stars = list_stars(render(xy, np.array([900.0]), shape[1], shape[0], Sensor(), rng), TOLD_GAIN)
     assert cKDTree(stars.xy_px).query(xy)[0][0] < 0.2
 
 
 def test_an_image_too_small_or_not_flat_is_refused():
     with pytest.raises(ValueError, match="must be"):
-        find_stars(np.zeros((10, 400), np.uint8), StarSettings())
+        list_stars(np.zeros((10, 400), np.uint8), StarSettings())
     with pytest.raises(ValueError, match="must be"):
-        find_stars(np.zeros((100, 100, 3), np.uint8), StarSettings())
+        list_stars(np.zeros((100, 100, 3), np.uint8), StarSettings())
 
 
 def test_an_image_of_one_value_has_no_stars():
-    assert len(find_stars(np.full((200, 200), 17, np.uint8), StarSettings()).xy_px) == 0
+    assert len(list_stars(np.full((200, 200), 17, np.uint8), StarSettings()).xy_px) == 0
 
 
 def test_the_bound_agrees_with_the_closed_form_for_fine_pixels():

@@ -5,12 +5,12 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from boresight.star_id.strip_stars.strip_names import (
+    CommonRotation,
     Directions,
     NoRotation,
     StripField,
-    Vote,
     name_stars,
-    vote,
+    vote_for_rotation,
 )
 
 PIXEL = 1e-6
@@ -57,8 +57,8 @@ def sky(rng, stars, listed, others, theta=THETA):
 @pytest.mark.parametrize("seed", range(4))
 def test_a_rotation_of_thousands_of_pixels_is_found_among_unlisted_stars_and_names_are_right(seed):
     seen, field, row = sky(np.random.default_rng(seed), stars=9, listed=9, others=30)
-    found = vote(seen, field, 200, 1e-6)
-    assert isinstance(found, Vote) and found.stars >= 8
+    found = vote_for_rotation(seen, field, 200, 1e-6)
+    assert isinstance(found, CommonRotation) and found.stars >= 8
     # nine stars of 0.4 px over 24 000 px: 0.4 px, and a hundredth of a milliradian about the axis
     assert np.abs(found.theta_rad[:2] - THETA[:2]).max() < 3.0 * PIXEL
     assert abs(found.theta_rad[2] - THETA[2]) < 2e-4
@@ -68,7 +68,9 @@ def test_a_rotation_of_thousands_of_pixels_is_found_among_unlisted_stars_and_nam
 
 
 def test_stars_that_no_catalogue_lists_give_no_rotation():
-    refused = [vote(*sky(np.random.default_rng(100 + n), 25, 0, 15)[:2], 200, 1e-6) for n in range(12)]
+    refused = [
+        vote_for_rotation(*sky(np.random.default_rng(100 + n), 25, 0, 15)[:2], 200, 1e-6) for n in range(12)
+    ]
     assert all(isinstance(one, NoRotation) for one in refused)
     # the bound holds: an excess of a factor of ten over chance in twelve trials would be one in a hundred
     assert min(one.log10_chance for one in refused) > -3.0
@@ -76,7 +78,7 @@ def test_stars_that_no_catalogue_lists_give_no_rotation():
 
 def test_a_rotation_beyond_the_stated_limits_is_not_looked_for():
     seen, field, _ = sky(np.random.default_rng(1), 10, 10, 5, theta=np.array([0.012, 0.0, 0.0]))
-    assert isinstance(vote(seen, field, 200, 1e-6), NoRotation)
+    assert isinstance(vote_for_rotation(seen, field, 200, 1e-6), NoRotation)
 
 
 def test_a_star_of_another_brightness_gets_no_name():

@@ -5,7 +5,7 @@ import pytest
 from strip_frames import trace
 
 from boresight.star_id.finding.windows import StarWindows
-from boresight.star_id.strip_stars.fit import fit_traces, gain_of, width_of
+from boresight.star_id.strip_stars.fit import fit_traces, gain_from_windows, width_of
 from boresight.star_id.strip_stars.trace import Motion, trace_curvatures, trace_images, trace_radius
 
 SIGMA, NOISE, GAIN = 0.55, 0.85, 60.0
@@ -118,8 +118,8 @@ def test_width_and_gain_come_from_the_stars_themselves():
     motion, start = many(1.0, 0.0, 1, n), np.zeros((n, 2))
     sigma = width_of(windows, start, motion)
     assert abs(sigma - SIGMA) < 0.01  # px: 40 stars of SNR 300 know it to 0.002
-    gain = gain_of(windows, start, motion, sigma)
+    gain = gain_from_windows(windows, start, motion, sigma)
     assert abs(np.log(gain / GAIN)) < 0.45, gain  # some 2.5 pixels of a star are photon-limited: 3 x 0.15
     windows.data[:5, 40] += 60.0  # a particle in five of the windows
-    hit = gain_of(windows, start, motion, sigma)
+    hit = gain_from_windows(windows, start, motion, sigma)
     assert abs(np.log(hit / gain)) < 0.3, (gain, hit)

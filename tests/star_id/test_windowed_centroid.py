@@ -9,7 +9,7 @@ from frames import Sensor, render
 from boresight.star_id.finding.background import estimate_background
 from boresight.star_id.finding.centroid import Counts, fit_stars
 from boresight.star_id.finding.psf import Psf
-from boresight.star_id.finding.star_list import find_stars
+from boresight.star_id.finding.star_list import list_stars
 from boresight.star_id.finding.windowed_centroid import windowed_centroids
 from boresight.star_id.score import cramer_rao_px
 from boresight.star_id.settings import StarSettings
@@ -81,7 +81,7 @@ def test_the_method_is_chosen_by_the_settings_and_saturated_stars_are_fitted():
     flux = np.full(len(xy), 900.0)
     flux[0] = 9000.0
     image = render(xy, flux, SIZE, SIZE, Sensor(), rng)
-    fit, window = (find_stars(image, StarSettings(centroid_method=m)) for m in ("fit", "window"))
+    fit, window = (list_stars(image, StarSettings(centroid_method=m)) for m in ("fit", "window"))
     full_fit, full_window = (s.xy_px[s.saturated] for s in (fit, window))
     assert len(full_fit) == 1
     assert np.array_equal(full_fit, full_window)

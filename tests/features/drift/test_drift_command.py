@@ -14,7 +14,7 @@ from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
-from boresight.calib.calibration import calibrate
+from boresight.calib.calibration import calibrate_strips
 from boresight.calib.distortion import prior_information
 from boresight.calib.information import InformationPairs, solve_total
 from boresight.calib.mounting.matrix_drift import DriftSettings
@@ -25,7 +25,7 @@ from boresight.geometry.installation import deviation_from_theta, theta_between
 from boresight.pipeline.errors import DataNotSufficientError, RawDataError
 from boresight.pipeline.files.table_files import fixed_list
 from boresight.pipeline.results.reading import read_mounting
-from boresight.pipeline.stages.forecast import settings_of_plan
+from boresight.pipeline.stages.plan_forecast import settings_of_plan
 from boresight.simulator.campaign import CameraPair, DistortionCurve, StripPlan, draw_strips
 from boresight.simulator.sky_campaign import draw_sky_strips
 
@@ -124,7 +124,7 @@ def test_a_results_own_targets_are_eliminated_and_its_distortion_is_kept(tmp_pat
         strips=4, sigma_position_m=2.0, sigma_target_m=3.0, same_targets=True, sigma_distortion_rad=3e-7
     )
     strips, _ = draw_strips(plan, CameraPair(R_CS0), np.random.default_rng(6))
-    found = calibrate(strips, R_CS0, settings_of_plan(plan))
+    found = calibrate_strips(strips, R_CS0, settings_of_plan(plan))
     grounds = [strip.ground for strip in strips]
     targets = {
         "target_id": np.concatenate([ground.target_id for ground in grounds]).tolist(),
@@ -246,7 +246,7 @@ def test_a_result_from_ground_and_sky_is_one_mounting_without_its_orbits_bias(tm
         0
     ]
     strips += draw_sky_strips(replace(plan, sigma_c_px=0.05), CameraPair(R_CS0), rng, curve=curve)
-    found = calibrate(strips, R_CS0, settings_of_plan(plan))
+    found = calibrate_strips(strips, R_CS0, settings_of_plan(plan))
     (tmp_path / "sightings").mkdir()
     pq.write_table(pa.table(found.pairs.columns()), tmp_path / "sightings/strips.parquet")
     pair = read_mounting(tmp_path, "one")

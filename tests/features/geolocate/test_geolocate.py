@@ -16,7 +16,7 @@ from pytest import approx
 from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
-from boresight.features.geolocate.positions import Pixels, geolocate, read_pixels
+from boresight.features.geolocate.positions import Pixels, ground_places, read_pixels
 from boresight.geometry.attitude import AttitudeTrack
 from boresight.geometry.constants import ARCSEC, WGS84
 from boresight.geometry.geodesy import ecef_from_geodetic
@@ -79,7 +79,7 @@ def test_each_sigma_is_the_scatter_that_its_error_makes(calibrated, model, part)
     pixels = Pixels(np.array([3]), np.array([480.0]), np.array([1500.0]))
     surface = ConstantHeight(height_m)
     stated, floor = (
-        geolocate(one, strip_model(one, model.strip.strip_id), pixels, surface)
+        ground_places(one, strip_model(one, model.strip.strip_id), pixels, surface)
         for one in (alone, only(calibrated, "nothing"))
     )
     rng = np.random.default_rng(8)
@@ -167,7 +167,7 @@ def test_pixels_outside_the_image_are_refused(calibrated, model, sample, line):
     with pytest.raises(
         RawDataError, match=r"point 2, (sample|line): found .*, expected -0.5 to \d+.5, inside"
     ):
-        geolocate(calibrated, model, inside, ConstantHeight(0.0))
+        ground_places(calibrated, model, inside, ConstantHeight(0.0))
 
 
 def test_a_strip_that_is_not_there_or_has_no_attitude_is_named(calibrated):

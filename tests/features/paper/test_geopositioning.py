@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from boresight.features.paper.geopositioning import MotionPrior, ground_errors, smoothed_attitude
-from boresight.features.paper.vectors import ExperimentSettings, table5
+from boresight.features.paper.vector_experiments import ExperimentSettings, table5
 from boresight.geometry.constants import ARCSEC
 from boresight.simulator.campaign import CameraPair, StripPlan, draw_strips, installation_by_tilt
 

@@ -7,7 +7,7 @@ import pytest
 from boresight.features.paper.comparison import compare_inputs
 from boresight.features.paper.inputs import inputs
 from boresight.features.paper.plots import plot_inputs
-from boresight.features.paper.vectors import ExperimentSettings
+from boresight.features.paper.vector_experiments import ExperimentSettings
 
 
 @pytest.fixture(scope="module")

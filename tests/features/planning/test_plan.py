@@ -12,7 +12,7 @@ from command_line import app
 from typer.testing import CliRunner
 
 from boresight.features.paper.tables import hipparcos_fields
-from boresight.features.paper.vectors import ExperimentSettings
+from boresight.features.paper.vector_experiments import ExperimentSettings
 from boresight.features.planning import campaign_plan
 from boresight.features.planning.campaign_plan import (
     Plan,

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from handmade import write_handmade_dump
 
-from boresight.console import main
+from boresight.console import run_command_line
 
 TARGETS = "id,lat_deg,lon_deg,height_m,height_kind,sigma_east_m,sigma_north_m,sigma_up_m,chip\n"
 Change = Callable[[Path], object]
@@ -25,7 +25,7 @@ def printed(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> tuple[i
     """Exit status and output of a command as the program itself runs it."""
     with pytest.MonkeyPatch.context() as patch, pytest.raises(SystemExit) as ended:
         patch.setattr(sys, "argv", ["boresight", *arguments])
-        main()
+        run_command_line()
     return int(ended.value.code or 0), "".join(capsys.readouterr())
 
 

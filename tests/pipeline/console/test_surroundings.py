@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from boresight.console import main
+from boresight.console import run_command_line
 from boresight.pipeline.console.messages import say, tell
 from boresight.pipeline.console.program import errors_reported
 from boresight.pipeline.console.progress import progress_bars
@@ -21,7 +21,7 @@ NO_TEXT = os.fsdecode(b"n\xf6t text")
 def ended(arguments: list[str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture) -> tuple:
     monkeypatch.setattr(sys, "argv", ["boresight", *arguments])
     with pytest.raises(SystemExit) as left:
-        main()
+        run_command_line()
     return left.value.code, "".join(capsys.readouterr())
 
 

@@ -51,7 +51,7 @@ from boresight.pipeline.files.record_tables import record_from_table, table_from
 from boresight.pipeline.files.scenario_file import named_scenario
 from boresight.pipeline.files.star_images import read_exposure, read_star_image
 from boresight.pipeline.files.table_files import fixed_list
-from boresight.pipeline.results.reading import read_pairs, read_result
+from boresight.pipeline.results.reading import read_pairs, read_saved_result
 from boresight.pipeline.results.status import run_status, status_lines
 from boresight.pipeline.run.settings import read_settings
 from boresight.pipeline.run.unit_store import UnitStore, read_meta
@@ -320,11 +320,13 @@ READERS = (
     Reader("Sentinel-2 datastrip", DATASTRIP, _sentinel2),
     Reader("Sentinel-2 mounting", f"{SPAMOD}.xml", _sentinel2),
     Reader("Sentinel-2 looks", f"{VIEDIR}.xml", _sentinel2),
-    Reader("installation.json", "result/installation.json", lambda folder: read_result(folder / "result")),
+    Reader(
+        "installation.json", "result/installation.json", lambda folder: read_saved_result(folder / "result")
+    ),
     Reader(
         "exposures.parquet",
         "result/sightings/exposures.parquet",
-        lambda folder: read_result(folder / "result"),
+        lambda folder: read_saved_result(folder / "result"),
     ),
     Reader("strips.parquet", "result/sightings/strips.parquet", lambda folder: read_pairs(folder / "result")),
     Reader("unit of an exposure", STAR_UNIT, _star_unit),

@@ -22,7 +22,7 @@ from typer.testing import CliRunner
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.png_rows import png_rows
 from boresight.pipeline.files.star_images import read_exposure, read_star_image
-from boresight.star_id.finding.star_list import find_stars
+from boresight.star_id.finding.star_list import list_stars
 from boresight.star_id.settings import StarSettings
 
 runner = CliRunner()
@@ -63,7 +63,7 @@ def test_image_without_a_sky_has_no_star_and_ends_nothing(dtype: type) -> None:
         for saturation in (None, float(TOP[dtype])):
             with warnings.catch_warnings():
                 warnings.simplefilter("error")
-                stars = find_stars(image, StarSettings(saturation_dn=saturation))
+                stars = list_stars(image, StarSettings(saturation_dn=saturation))
             assert len(stars.xy_px) == 0, name
 
 

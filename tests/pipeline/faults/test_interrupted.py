@@ -17,7 +17,7 @@ import pytest
 from fixture_strips import stopped_run
 from readers import write_sound_files
 
-from boresight.console import main
+from boresight.console import run_command_line
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.table_files import read_parquet
 from boresight.pipeline.files.whole_file import write_whole
@@ -166,7 +166,7 @@ def test_full_disk_is_told_with_the_file_and_the_run_goes_on_when_there_is_room(
         patch.setattr(sys, "argv", command)
         patch.setattr(where, *fault)
         with pytest.raises(SystemExit) as ended:
-            main()
+            run_command_line()
     assert ended.value.code == 1
     told = "".join(capsys.readouterr().err.split("\n"))
     assert "error: " in told and named in told and "No space left on device" in told, told
@@ -176,7 +176,7 @@ def test_full_disk_is_told_with_the_file_and_the_run_goes_on_when_there_is_room(
     with monkeypatch.context() as patch:
         patch.setattr(sys, "argv", command)
         with pytest.raises(SystemExit) as ended:
-            main()
+            run_command_line()
     assert not ended.value.code
     assert (out / "installation.json").read_bytes() == expected
     assert all(path.stat().st_mtime_ns == made for path, made in units.items())
@@ -218,7 +218,7 @@ def test_interrupted_run_says_what_is_kept_and_what_it_still_needs(
     monkeypatch.setattr("boresight.pipeline.stages.head.fit_exposures", interrupt)
     monkeypatch.setattr(sys, "argv", ["boresight", *command])
     with pytest.raises(SystemExit) as ended:
-        main()
+        run_command_line()
     assert ended.value.code == 130
     said = capsys.readouterr().err.splitlines()
     assert f"finished units are kept in {result}: 4 of stage exposures" in said

@@ -10,7 +10,7 @@ import pytest
 import rasterio
 import rasterio.warp
 
-from boresight.features.geolocate.positions import Pixels, geolocate
+from boresight.features.geolocate.positions import Pixels, ground_places
 from boresight.geometry.constants import WGS84
 from boresight.geometry.geodesy import ecef_from_geodetic, geodetic_from_ecef
 from boresight.geometry.groundlight import LightEffects
@@ -150,7 +150,7 @@ def test_pixels_are_placed_on_the_ground_and_found_again(flown) -> None:
         np.array([p.sample for p in points]),
         np.array([p.line for p in points]),
     )
-    places = geolocate(calibrated, StripModel(task.strip, push, track), pixels, surface_of(dump.terrain))
+    places = ground_places(calibrated, StripModel(task.strip, push, track), pixels, surface_of(dump.terrain))
     assert np.all((places.lon_deg >= -180.0) & (places.lon_deg <= 180.0))
     p_e = ecef_from_geodetic(np.radians(places.lat_deg), np.radians(places.lon_deg), places.height_m, WGS84)
     true_e = np.array([p.p_e for p in points])

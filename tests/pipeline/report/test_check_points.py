@@ -14,7 +14,7 @@ from pyproj import Geod
 from pytest import approx
 from typer.testing import CliRunner
 
-from boresight.pipeline.report.check_points import check_points
+from boresight.pipeline.report.check_points import check_points_on_map
 from boresight.pipeline.report.saved import read_saved
 from boresight.pipeline.results.folder import begin_result
 
@@ -44,7 +44,7 @@ def test_errors_on_the_map_are_those_along_and_across_the_track(validated):
 def test_the_report_shows_each_check_point_at_its_place(validated):
     saved = read_saved(validated)
     after = saved.validation["after"]
-    points = check_points(saved)
+    points = check_points_on_map(saved)
     assert len(points) == len(after["strip_id"]) > 10
     scene = saved.context["scenes"][0]
     azimuth, _, metres = Geod(ellps="WGS84").inv(

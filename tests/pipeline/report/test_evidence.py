@@ -20,7 +20,7 @@ from boresight.pipeline.files.dump import open_dump
 from boresight.pipeline.report.evidence import write_evidence
 from boresight.pipeline.report.star_preview import star_preview
 from boresight.pipeline.report.strip_overview import overview, overview_tasks
-from boresight.pipeline.results.angles import StripMotion, cross_angles
+from boresight.pipeline.results.angles import MeasuredStrip, cross_angles
 from boresight.pipeline.results.folder import store_of
 from boresight.pipeline.run.executor import InOrder
 from boresight.pipeline.run.settings import Settings
@@ -186,7 +186,7 @@ def motion_of(strip):
         u = exposure.u_s
         information = ((np.eye(3) - u[:, :, None] * u[:, None, :]) / weight[:, None, None]).sum(axis=0)
         covariances.append(np.linalg.inv(information))
-    return StripMotion(
+    return MeasuredStrip(
         strip=strip,
         orbit=Still(strip),
         R_si=Rotation.concatenate(attitudes),

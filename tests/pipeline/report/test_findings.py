@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from pytest import approx
 
-from boresight.gct_match.locate import match_template
+from boresight.gct_match.locate import locate_template
 from boresight.gct_match.records import Reason, Refusal
 from boresight.geometry.constants import WGS84
 from boresight.geometry.geodesy import geodetic_from_ecef, local_axes_e
@@ -176,6 +176,6 @@ def test_targets_in_one_part_of_the_swath_are_a_weakness_and_no_fault():
 
 def test_a_strip_window_of_one_grey_value_is_refused_as_such():
     template = np.random.default_rng(1).uniform(0.0, 255.0, (64, 64))
-    refused = match_template(template, np.full((200, 240), 3.0), start_px=(114, 90))
+    refused = locate_template(template, np.full((200, 240), 3.0), start_px=(114, 90))
     assert not refused and refused.reason is Reason.ONE_GREY_VALUE
     assert refused.sentence.startswith("the strip has the grey value 3 ")

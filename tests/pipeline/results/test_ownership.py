@@ -14,7 +14,7 @@ from command_line import app
 from fixture_strips import FIXTURE, strip_of_fixture
 from typer.testing import CliRunner
 
-from boresight.console import main
+from boresight.console import run_command_line
 from boresight.pipeline.errors import DataNotSufficientError, RawDataError
 from boresight.pipeline.files.whole_file import make_own_folder, write_whole
 from boresight.pipeline.results.folder import store_of
@@ -39,7 +39,7 @@ def told(
     """Exit status and text of the command as a user runs it."""
     monkeypatch.setattr(sys, "argv", ["boresight", *arguments])
     with pytest.raises(SystemExit) as ended:
-        main()
+        run_command_line()
     said = capsys.readouterr()
     return int(ended.value.code or 0), said.out + said.err
 

@@ -13,8 +13,8 @@ from scipy.spatial.transform import Rotation
 
 from boresight.geometry.installation import deviation_from_theta
 from boresight.pipeline.files.dump import Dump, open_dump
-from boresight.pipeline.results.reading import SavedResult, read_result
-from boresight.pipeline.results.validate import true_installation, validate
+from boresight.pipeline.results.reading import SavedResult, read_saved_result
+from boresight.pipeline.results.validate import true_installation, validation_of
 
 
 @pytest.fixture(scope="module")
@@ -24,7 +24,7 @@ def known(finished: tuple[Path, Path], tmp_path_factory: pytest.TempPathFactory)
     shutil.copytree(finished[0], root)
     shutil.copytree(FIXTURE / "truth", root / "truth", dirs_exist_ok=True)
     dump = open_dump(root)
-    return dump, replace(read_result(finished[1]), R_cs=true_installation(dump))
+    return dump, replace(read_saved_result(finished[1]), R_cs=true_installation(dump))
 
 
 def test_nees_is_in_the_whole_covariance(known: tuple[Dump, SavedResult]) -> None:
@@ -33,7 +33,7 @@ def test_nees_is_in_the_whole_covariance(known: tuple[Dump, SavedResult]) -> Non
     sigma = np.array([1e-6, 2e-6, 4e-5])
     C = sigma[:, None] * np.array([[1.0, 0.9, 0.0], [0.9, 1.0, 0.0], [0.0, 0.0, 1.0]]) * sigma
     theta = sigma * np.array([1.0, -1.0, 1.0])
-    found = validate(replace(true, R_cs=deviation_from_theta(theta) * true.R_cs, cov_theta=C), dump)
+    found = validation_of(replace(true, R_cs=deviation_from_theta(theta) * true.R_cs, cov_theta=C), dump)
     np.testing.assert_allclose(found.error_rad, theta, rtol=1e-6)  # second order of 4e-5 rad
     assert found.nees == pytest.approx(2.0 / (1.0 - 0.9) + 1.0, rel=1e-5)
     np.testing.assert_allclose(found.sigma_rad, sigma, rtol=1e-12)
@@ -47,7 +47,7 @@ def test_errors_on_the_ground_are_told_along_and_across_the_track(
     # Earth's rotation puts less than a tenth of it into the other direction.
     dump, true = known
     wrong = replace(true, R_cs=Rotation.from_euler(axis, 1e-4) * true.R_cs)
-    rms = validate(wrong, dump).after.rms_m
+    rms = validation_of(wrong, dump).after.rms_m
     mine, other = rms if along else rms[::-1]
     assert mine > 45.0 and other < 0.15 * mine
 
@@ -61,8 +61,8 @@ def with_run(true: SavedResult, **changes: object) -> SavedResult:
 def test_ground_is_computed_with_the_settings_of_the_result(known: tuple[Dump, SavedResult]) -> None:
     # Aberration by the satellite's velocity of 7.6 km/s is 25.3 urad: 13.4 m from 530 km, along the track.
     dump, true = known
-    all_effects = validate(true, dump).after
-    fewer = validate(with_run(true, aberration=False), dump).after
+    all_effects = validation_of(true, dump).after
+    fewer = validation_of(with_run(true, aberration=False), dump).after
     moved = np.abs(np.mean(fewer.along_m - all_effects.along_m))
     assert 12.0 < moved < 16.0
     assert abs(np.mean(fewer.across_m - all_effects.across_m)) < 0.1 * moved
@@ -75,7 +75,7 @@ def test_exposures_around_a_strip_are_those_of_the_margin_of_the_result(
     first, last = dump.span_s(dump.strips[0])
     t = true.t_exposures_s
     outside = replace(true, usable=true.usable & ((t < first - 0.1) | (t > last + 0.1)))  # at most 0.4 s away
-    wide = validate(with_run(outside, exposure_margin_s=0.5), dump)
-    narrow = validate(with_run(outside, exposure_margin_s=0.1), dump)
+    wide = validation_of(with_run(outside, exposure_margin_s=0.5), dump)
+    narrow = validation_of(with_run(outside, exposure_margin_s=0.1), dump)
     assert len(wide.after.point_id) == 22
     assert len(narrow.after.point_id) == 0 and narrow.without == wide.without + 22

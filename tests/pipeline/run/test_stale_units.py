@@ -12,7 +12,7 @@ import pytest
 
 from boresight.pipeline.files.dump import open_dump
 from boresight.pipeline.results.folder import store_of
-from boresight.pipeline.run.digests import program
+from boresight.pipeline.run.digests import program_digest
 from boresight.pipeline.run.settings import settings_from_tables
 from boresight.pipeline.stages.calibrate import calibrate_dump
 
@@ -85,5 +85,5 @@ def test_other_code_or_libraries_make_everything_again(
 ) -> None:
     from boresight.pipeline.stages import cached
 
-    monkeypatch.setattr(cached, "program", lambda *modules: f"another {program(*modules)}")
+    monkeypatch.setattr(cached, "program", lambda *modules: f"another {program_digest(*modules)}")
     assert units_made(*copied) == EXPOSURES + STRIPS

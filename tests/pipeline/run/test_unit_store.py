@@ -19,14 +19,14 @@ from boresight.pipeline.files import content
 from boresight.pipeline.files.dump import Dump, open_dump
 from boresight.pipeline.files.table_files import fixed_list, list_values
 from boresight.pipeline.run import digests
-from boresight.pipeline.run.digests import digest, program
+from boresight.pipeline.run.digests import digest, program_digest
 from boresight.pipeline.run.executor import Executor, InOrder
 from boresight.pipeline.run.processes import Processes
 from boresight.pipeline.run.run_inputs import inputs_of
 from boresight.pipeline.run.settings import Settings
 from boresight.pipeline.run.unit_store import UnitStore, read_meta
 from boresight.pipeline.stages.exposure import sight_exposure
-from boresight.pipeline.stages.strip import match_targets
+from boresight.pipeline.stages.strip import match_strip_targets
 
 GEOMETRY, STARS, MATCH = "boresight.geometry", "boresight.star_id", "boresight.gct_match"
 
@@ -81,8 +81,8 @@ def test_what_has_no_digest_is_refused() -> None:
 
 
 def test_program_is_its_version_and_the_source_that_a_stage_rests_on() -> None:
-    assert program(GEOMETRY, STARS) != program(GEOMETRY, MATCH)
-    assert program(GEOMETRY, STARS) == program(GEOMETRY, STARS)
+    assert program_digest(GEOMETRY, STARS) != program_digest(GEOMETRY, MATCH)
+    assert program_digest(GEOMETRY, STARS) == program_digest(GEOMETRY, STARS)
 
 
 def test_program_knows_the_folders_within_a_package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -92,11 +92,11 @@ def test_program_knows_the_folders_within_a_package(tmp_path: Path, monkeypatch:
         (folder / "__init__.py").touch()
     monkeypatch.syspath_prepend(tmp_path)
     (inner / "module.py").write_text("A = 1\n")
-    before = program("outer_package")
+    before = program_digest("outer_package")
     (inner / "module.py").write_text("A = 2\n")
-    program.cache_clear()
+    program_digest.cache_clear()
     digests._module.cache_clear()
-    assert program("outer_package") != before
+    assert program_digest("outer_package") != before
 
 
 def test_program_follows_imports_and_knows_data_and_libraries(
@@ -117,9 +117,9 @@ def test_program_follows_imports_and_knows_data_and_libraries(
     monkeypatch.syspath_prepend(tmp_path)
 
     def key() -> str:
-        program.cache_clear()
+        program_digest.cache_clear()
         digests._module.cache_clear()
-        return program("made_package.stage")
+        return program_digest("made_package.stage")
 
     keys = [key()]
     for file in ("stage.py", "reader.py", "late.py", "deeper.py", "data/table.bin"):
@@ -135,12 +135,12 @@ def test_program_follows_imports_and_knows_data_and_libraries(
         monkeypatch.setattr(digests, "library_versions", lambda changed=changed: changed)
         keys.append(key())
     assert len(set(keys)) == 6 + len(versions)
-    program.cache_clear()
+    program_digest.cache_clear()
     digests._module.cache_clear()
 
 
 def test_program_of_a_stage_includes_the_readers_of_files() -> None:
-    for stage in (sight_exposure, match_targets):
+    for stage in (sight_exposure, match_strip_targets):
         modules = set(digests._sources(stage.__module__))
         assert {
             "boresight.pipeline.files.image_files",
@@ -149,7 +149,7 @@ def test_program_of_a_stage_includes_the_readers_of_files() -> None:
             "data of boresight.geometry",
         } <= modules
     assert "boresight.star_id.sight" in digests._sources(sight_exposure.__module__)
-    assert "boresight.gct_match.match" in digests._sources(match_targets.__module__)
+    assert "boresight.gct_match.match" in digests._sources(match_strip_targets.__module__)
 
 
 def test_digest_reads_all_bytes_of_a_large_file_and_nothing_else(tmp_path: Path) -> None:

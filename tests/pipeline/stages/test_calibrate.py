@@ -23,8 +23,8 @@ from boresight.geometry.installation import theta_between
 from boresight.pipeline.errors import DataNotSufficientError
 from boresight.pipeline.files.dump import open_dump
 from boresight.pipeline.results.folder import begin_result, store_of
-from boresight.pipeline.results.reading import read_result
-from boresight.pipeline.results.validate import validate
+from boresight.pipeline.results.reading import read_saved_result
+from boresight.pipeline.results.validate import validation_of
 from boresight.pipeline.results.writing import FIELDS, write_result
 from boresight.pipeline.run.executor import InOrder
 from boresight.pipeline.run.settings import Settings
@@ -57,7 +57,7 @@ def small(finished: tuple[Path, Path]) -> tuple[Path, bytes]:
 def test_fixture_is_calibrated_within_its_own_covariance(whole: Path) -> None:
     # Normalised error squared of three angles: chi-square of 3, below 16.27 in 999 of 1000 runs; each axis
     # within 4 of its own sigmas. The pre-launch matrix was wrong by 770 arcsec.
-    outcome = validate(read_result(whole), open_dump(FIXTURE))
+    outcome = validation_of(read_saved_result(whole), open_dump(FIXTURE))
     assert outcome.nees < 16.27
     assert np.all(np.abs(outcome.error_rad) < 4.0 * outcome.sigma_rad)
     assert np.linalg.norm(outcome.before_rad) > 100 * np.linalg.norm(outcome.error_rad)
@@ -65,7 +65,7 @@ def test_fixture_is_calibrated_within_its_own_covariance(whole: Path) -> None:
 
 def test_check_points_come_to_within_the_errors_of_position_and_clock(whole: Path) -> None:
     # 2 m of position, 0.75 m of clock (1 sigma), three strips: 8 m is three sigma; before it was a kilometre.
-    outcome = validate(read_result(whole), open_dump(FIXTURE))
+    outcome = validation_of(read_saved_result(whole), open_dump(FIXTURE))
     assert max(outcome.after.rms_m) < 8.0
     assert min(outcome.before.rms_m) > 500.0
     assert (
@@ -129,7 +129,7 @@ def test_installation_json_has_exactly_the_fields_of_the_format(whole: Path) -> 
     R = np.array(content["R_cs"])
     # Double precision: an orthonormal matrix, the same rotation in all notations.
     assert np.allclose(R @ R.T, np.eye(3), atol=1e-14)
-    saved = read_result(whole)
+    saved = read_saved_result(whole)
     assert np.allclose(saved.R_cs.as_matrix(), R, atol=1e-14)
     assert np.allclose(theta_between(saved.R_cs, open_dump(FIXTURE).R_cs0), content["theta_rad"], atol=1e-12)
 

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from boresight.calib.calibration import calibrate
-from boresight.features.paper.vectors import TABLE_1
+from boresight.calib.calibration import calibrate_strips
+from boresight.features.paper.vector_experiments import TABLE_1
 from boresight.geometry.constants import ARCSEC
-from boresight.pipeline.stages.forecast import forecast, settings_of_plan
+from boresight.pipeline.stages.plan_forecast import forecast_of_plan, settings_of_plan
 from boresight.simulator.campaign import CameraPair, StripPlan, draw_strips, installation_by_tilt
 
 CAMERAS = CameraPair(installation_by_tilt(np.radians(15.0)))
@@ -17,16 +17,16 @@ CAMERAS = CameraPair(installation_by_tilt(np.radians(15.0)))
 @pytest.mark.parametrize("pixel_rad", [0.0, CAMERAS.pixel_rad])
 def test_forecast_is_the_covariance_that_the_calibration_states(pixel_rad):
     plan = replace(TABLE_1, distortion_pixel_rad=pixel_rad)
-    found = forecast(plan, CAMERAS, draws=60)
+    found = forecast_of_plan(plan, CAMERAS, draws=60)
     rng, settings = np.random.default_rng(1), settings_of_plan(plan)
     drawn = [draw_strips(plan, CAMERAS, rng)[0] for _ in range(10)]
-    stated = [np.diag(calibrate(strips, CAMERAS.R_cs, settings).cov_theta) for strips in drawn]
+    stated = [np.diag(calibrate_strips(strips, CAMERAS.R_cs, settings).cov_theta) for strips in drawn]
     sigma = np.sqrt(np.mean(stated, axis=0))
     np.testing.assert_allclose(found.sigma(plan.strips), sigma, rtol=0.12)  # where targets fall: 96 of them
 
 
 def test_strips_needed_is_the_least_number_that_reaches_the_target():
-    found = forecast(replace(TABLE_1, sigma_distortion_rad=0.0), CAMERAS, draws=30)
+    found = forecast_of_plan(replace(TABLE_1, sigma_distortion_rad=0.0), CAMERAS, draws=30)
     target = 1.0 * ARCSEC
     n = found.strips_for(target)
     assert n is not None
@@ -35,13 +35,13 @@ def test_strips_needed_is_the_least_number_that_reaches_the_target():
 
 
 def test_what_the_strips_share_sets_a_floor_that_no_number_of_strips_breaks():
-    found = forecast(TABLE_1, CAMERAS, draws=30)
+    found = forecast_of_plan(TABLE_1, CAMERAS, draws=30)
     assert found.floor()[2] > 0.3 * ARCSEC
     assert found.strips_for(0.1 * ARCSEC) is None
 
 
 def test_targets_in_one_spot_give_no_number_about_the_line_of_sight():
-    found = forecast(replace(StripPlan(), across=(0.3, 0.3), along=(0.5, 0.5)), CAMERAS, draws=5)
+    found = forecast_of_plan(replace(StripPlan(), across=(0.3, 0.3), along=(0.5, 0.5)), CAMERAS, draws=5)
     sigma = found.sigma(8)
     assert np.isnan(sigma[2])
     assert len(found.after(8).unobservable) == 1

@@ -19,7 +19,7 @@ from fixture_strips import stopped_run, strip_of_fixture
 from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
-from boresight.calib.calibration import calibrate
+from boresight.calib.calibration import calibrate_strips
 from boresight.calib.settings import CalibrationSettings
 from boresight.geometry.constants import ARCSEC, EARTH_ROTATION_RATE, WGS84
 from boresight.geometry.epoch import Epoch
@@ -28,7 +28,7 @@ from boresight.geometry.installation import theta_between
 from boresight.pipeline.errors import DataNotSufficientError, Omission, RawDataError
 from boresight.pipeline.files.dump import open_dump
 from boresight.pipeline.results.folder import store_of
-from boresight.pipeline.results.reading import read_result
+from boresight.pipeline.results.reading import read_saved_result
 from boresight.pipeline.results.strip_model import open_calibrated, strip_model
 from boresight.pipeline.run.executor import InOrder
 from boresight.pipeline.run.settings import Settings
@@ -102,7 +102,7 @@ def test_joint_matrix_is_the_calibration_of_all_strips_at_once(dumps: list[Path]
             strips.append(
                 replace(strip, strip_id=f"{name}/{strip.strip_id}", exposures=exposures, ground=ground)
             )
-    whole = calibrate(strips, opened[0].R_cs0, found.settings)
+    whole = calibrate_strips(strips, opened[0].R_cs0, found.settings)
     content = matrix(joint)
     assert content["R_cs"] == whole.R_cs.as_matrix().tolist()
     assert content["covariance_rad2"] == whole.cov_theta.tolist()
@@ -127,7 +127,7 @@ def test_joint_matrix_is_the_merged_one_of_the_drift(joint: Path) -> None:
     np.testing.assert_allclose(
         drift["merged"]["covariance_rad2"], covariance, atol=2e-3 * np.diag(covariance).min(), rtol=0
     )
-    turn = theta_between(Rotation.from_matrix(drift["merged"]["R_cs"]), read_result(joint).R_cs)
+    turn = theta_between(Rotation.from_matrix(drift["merged"]["R_cs"]), read_saved_result(joint).R_cs)
     assert np.all(np.abs(turn) < 0.01 * np.sqrt(np.diag(covariance)))
 
 
@@ -354,7 +354,7 @@ SETTINGS_USED = CalibrationSettings(
 def test_targets_that_two_dumps_list_alike_are_one_point_each() -> None:
     calibrated, strips = visits(np.zeros(3))
     found = calibrate_jointly(calibrated, [], Settings()).estimate
-    whole = calibrate(strips, BOLD, SETTINGS_USED)
+    whole = calibrate_strips(strips, BOLD, SETTINGS_USED)
     # The Earth's rotation is known to half a second, 4e-5 rad of an error of 3 m in 530 km: 1e-5 arcsec.
     assert np.all(np.abs(theta_between(found.R_cs, whole.R_cs)) < 1e-4 * ARCSEC)
     np.testing.assert_allclose(found.cov_theta, whole.cov_theta, rtol=1e-3, atol=1e-3 * found.cov_theta[0, 0])

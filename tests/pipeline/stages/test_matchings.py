@@ -19,7 +19,7 @@ from boresight.pipeline.stages import calibrate
 from boresight.pipeline.stages.cached import StageRunner
 from boresight.pipeline.stages.calibrate import calibrate_dump, strips_to_match
 from boresight.pipeline.stages.matchings import is_settled, match_again, match_first, match_strips
-from boresight.pipeline.stages.strip import MatchedTargets, StripTask, match_targets
+from boresight.pipeline.stages.strip import MatchedTargets, StripTask, match_strip_targets
 
 
 @pytest.fixture(scope="module")
@@ -113,7 +113,7 @@ def test_a_strip_whose_templates_were_all_predicted_four_pixels_off_is_not_settl
     assert all(is_settled(one, 2.0) for one in exact.matched)
     task, farthest = exact.tasks[2], exact.matched[2].farthest_px
     turned = Rotation.from_rotvec([4.0 * task.camera.pixel_rad, 0.0, 0.0]) * task.R_cs
-    off = match_targets(replace(task, R_cs=turned))
+    off = match_strip_targets(replace(task, R_cs=turned))
     assert isinstance(off, MatchedTargets) and len(off.target_id) == len(exact.matched[2].target_id)
     assert 4.0 - farthest < off.farthest_px < 4.0 + farthest
     assert not is_settled(off, 2.0)

@@ -19,7 +19,7 @@ from boresight.pipeline.files.text_files import toml_tables
 from boresight.pipeline.files.text_tables import write_toml
 from boresight.pipeline.run.settings import Settings, calibration_settings
 from boresight.pipeline.stages.cached import StageRunner
-from boresight.pipeline.stages.calibrate import Calibration, calibrate_dump
+from boresight.pipeline.stages.calibrate import DumpCalibration, calibrate_dump
 from boresight.pipeline.stages.head import HeadSightings, sight_head
 from boresight.simulator.mission_records import Mission
 from boresight.simulator.scenario import SkyScan, builtin_scenario
@@ -83,7 +83,7 @@ def give_second_scan_to_another_head(folder: Path, R_cs: Rotation) -> Rotation:
 
 
 @pytest.fixture(scope="module")
-def found(tmp_path_factory: pytest.TempPathFactory) -> tuple[Calibration, tuple[Rotation, Rotation]]:
+def found(tmp_path_factory: pytest.TempPathFactory) -> tuple[DumpCalibration, tuple[Rotation, Rotation]]:
     """The calibration, and the true matrices of both heads."""
     folder, mission = tmp_path_factory.mktemp("heads") / "dump", two_scans()
     write_dump(mission, folder, created_by="test")

@@ -11,13 +11,13 @@ import pytest
 from boresight.geometry.constants import WGS84
 from boresight.pipeline.files.dump import open_dump
 from boresight.pipeline.results.folder import store_of
-from boresight.pipeline.stages.calibrate import Calibration, calibrate_dump
+from boresight.pipeline.stages.calibrate import DumpCalibration, calibrate_dump
 from boresight.pipeline.stages.missing import nearest_miss
 from boresight.pipeline.stages.strip import footprint_e, ground_sightings, pushbroom_of
 
 
 @pytest.fixture(scope="module")
-def calibration(finished: tuple[Path, Path]) -> Calibration:
+def calibration(finished: tuple[Path, Path]) -> DumpCalibration:
     """The one-strip dump from its finished units."""
     found = calibrate_dump(open_dump(finished[0]), store=store_of(finished[1]))
     assert found.n_computed == 0
@@ -25,7 +25,7 @@ def calibration(finished: tuple[Path, Path]) -> Calibration:
 
 
 def test_covariance_of_a_target_is_turned_from_east_north_up_to_the_inertial_axes(
-    calibration: Calibration,
+    calibration: DumpCalibration,
 ) -> None:
     task, matched = calibration.tasks[0], calibration.matched[0]
     sigma_m = np.array([1.0, 2.0, 3.0])
@@ -42,7 +42,7 @@ def test_covariance_of_a_target_is_turned_from_east_north_up_to_the_inertial_axe
             assert (R_ie @ axis) @ cov_i @ (R_ie @ axis) == pytest.approx(sigma**2, rel=1e-9)
 
 
-def test_covariance_of_a_look_vector_is_that_of_sample_and_line(calibration: Calibration) -> None:
+def test_covariance_of_a_look_vector_is_that_of_sample_and_line(calibration: DumpCalibration) -> None:
     # An error of the sample alone moves the look vector along its CCD, and not along the track.
     task, matched = calibration.tasks[0], calibration.matched[0]
     sigma_px, step_px = 0.2, 0.5
@@ -57,7 +57,7 @@ def test_covariance_of_a_look_vector_is_that_of_sample_and_line(calibration: Cal
     np.testing.assert_allclose(ground.cov_c / size, expected / size, rtol=0, atol=1e-3)
 
 
-def test_velocity_is_that_relative_to_the_ground(calibration: Calibration) -> None:
+def test_velocity_is_that_relative_to_the_ground(calibration: DumpCalibration) -> None:
     # Differences of Earth-fixed positions over 0.2 s; their curvature leaves 1e-5 m/s, the Earth's rotation
     # is 500 m/s of the velocity.
     task = calibration.tasks[0]
@@ -68,7 +68,7 @@ def test_velocity_is_that_relative_to_the_ground(calibration: Calibration) -> No
     np.testing.assert_allclose(ground.v_rel_i, v_i, atol=0.05, rtol=0)
 
 
-def test_nearest_miss_is_told_across_and_along_the_track(calibration: Calibration) -> None:
+def test_nearest_miss_is_told_across_and_along_the_track(calibration: DumpCalibration) -> None:
     task = calibration.tasks[0]
     seen_e = footprint_e(task)
     first, last = seen_e[:, 0].mean(axis=0), seen_e[:, -1].mean(axis=0)

@@ -15,7 +15,7 @@ from boresight.pipeline.errors import Cause, Omission
 from boresight.pipeline.files.dump import Dump, open_dump
 from boresight.pipeline.results.folder import store_of
 from boresight.pipeline.results.writing import verdict_json
-from boresight.pipeline.stages.calibrate import Calibration, calibrate_dump
+from boresight.pipeline.stages.calibrate import DumpCalibration, calibrate_dump
 from boresight.pipeline.stages.coordinate_slips import likeliest, slips
 from boresight.pipeline.stages.input_findings import outside_chips
 from boresight.pipeline.stages.unused_rows import (
@@ -27,7 +27,7 @@ from boresight.pipeline.stages.unused_rows import (
 
 
 @pytest.fixture(scope="module")
-def calibration(finished: tuple[Path, Path]) -> Calibration:
+def calibration(finished: tuple[Path, Path]) -> DumpCalibration:
     """The one-strip dump from its finished units: twelve targets, all used."""
     return calibrate_dump(open_dump(finished[0]), store=store_of(finished[1]))
 
@@ -60,7 +60,7 @@ SLIPPED = {
 
 
 def test_a_target_in_no_strip_has_its_distance_and_the_slip_that_explains_it(
-    calibration: Calibration, finished: tuple[Path, Path], tmp_path: Path
+    calibration: DumpCalibration, finished: tuple[Path, Path], tmp_path: Path
 ) -> None:
     more = {name: case[:3] for name, case in SLIPPED.items()}
     dump = with_targets(finished[0], tmp_path / "dump", more)
@@ -78,7 +78,7 @@ def test_a_target_in_no_strip_has_its_distance_and_the_slip_that_explains_it(
 
 
 def test_a_target_elsewhere_in_its_own_chip_is_not_accused(
-    calibration: Calibration, finished: tuple[Path, Path]
+    calibration: DumpCalibration, finished: tuple[Path, Path]
 ) -> None:
     """A list of a whole country: the chip of each target lies around it, far from the strip."""
     dump = open_dump(finished[0])
@@ -108,7 +108,9 @@ def test_slips_of_every_kind_are_found(
     assert (found.words if found else "") == words
 
 
-def test_rows_that_nothing_needs_are_counted(calibration: Calibration, finished: tuple[Path, Path]) -> None:
+def test_rows_that_nothing_needs_are_counted(
+    calibration: DumpCalibration, finished: tuple[Path, Path]
+) -> None:
     dump = open_dump(finished[0])
     assert dump.listed == {"targets": 12, "points": 0, "strips": 1, "exposures": 14}
     assert [str(one) for one in calibration.rows] == [
@@ -126,7 +128,7 @@ def test_rows_that_nothing_needs_are_counted(calibration: Calibration, finished:
     ]  # 0.4 s outside the strip
 
 
-def test_a_ccd_without_a_measurement_has_its_reason(calibration: Calibration) -> None:
+def test_a_ccd_without_a_measurement_has_its_reason(calibration: DumpCalibration) -> None:
     (task,), (matched,) = calibration.tasks, calibration.matched
     assert without_measurement([task.strip], [matched]) == []
     elsewhere = replace(matched, ccd=np.where(matched.ccd == 2, 1, matched.ccd))

@@ -17,7 +17,7 @@ import numpy as np
 import pandas as pd
 from scipy.spatial.transform import Rotation
 
-from boresight.calib.calibration import calibrate
+from boresight.calib.calibration import calibrate_strips
 from boresight.calib.estimate import InstallationEstimate
 from boresight.calib.frames import calibrate_frames
 from boresight.calib.settings import CalibrationSettings
@@ -61,7 +61,7 @@ __all__ = [
     "NO_NUISANCES",
     "TABLE_1",
     "ExperimentSettings",
-    "convergence",
+    "convergence_of_runs",
     "figure4",
     "figure8",
     "grid",
@@ -115,7 +115,7 @@ class ExperimentSettings:
         return CameraPair(installation_by_tilt(np.radians(self.from_zenith_deg)))
 
 
-def convergence(settings: ExperimentSettings) -> pd.DataFrame:
+def convergence_of_runs(settings: ExperimentSettings) -> pd.DataFrame:
     """Figs. 5 and 6: error of one run, rms of all runs and bound against the number of frames."""
     tables = []
     for cell, ((sigma_s, sigma_c), paper_z) in enumerate(FIGURES_5_6_Z_ARCSEC.items()):
@@ -364,7 +364,7 @@ def _waves(settings: ExperimentSettings, t_s: Floats) -> tuple[Floats, np.random
 def _estimated(
     strips: Sequence[StripSightings], R_cs0: Rotation, settings: CalibrationSettings
 ) -> InstallationEstimate:
-    estimate = calibrate(strips, R_cs0, settings)
+    estimate = calibrate_strips(strips, R_cs0, settings)
     if not isinstance(estimate, InstallationEstimate):
         raise ValueError(f"the installation matrix is not observable in this campaign: {estimate.reason}")
     return estimate

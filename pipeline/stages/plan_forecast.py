@@ -19,7 +19,14 @@ from boresight.geometry.sightings import StripSightings
 from boresight.simulator.campaign import CameraPair, StripPlan, draw_strips
 from boresight.simulator.sky_campaign import draw_sky_strips
 
-__all__ = ["Improvement", "SkyPart", "compare_campaigns", "forecast", "improvements", "settings_of_plan"]
+__all__ = [
+    "Improvement",
+    "SkyPart",
+    "compare_campaigns",
+    "forecast_of_plan",
+    "improvements",
+    "settings_of_plan",
+]
 
 CAMPAIGN_DRAWS = 60  # strips of each kind that stand for a campaign
 OUTER_SHARE = 0.1  # of the swath, at each end: where targets determine the rotation about the boresight best
@@ -38,7 +45,7 @@ def settings_of_plan(plan: StripPlan) -> CalibrationSettings:
     )
 
 
-def forecast(plan: StripPlan, cameras: CameraPair, *, draws: int = 100) -> Forecast:
+def forecast_of_plan(plan: StripPlan, cameras: CameraPair, *, draws: int = 100) -> Forecast:
     """The forecast of a plan from `draws` of its strips, with targets and stars at random positions."""
     settings = replace(settings_of_plan(plan), robust=False)
     strips, truth = draw_strips(replace(plan, strips=draws), cameras, np.random.default_rng(0))
