@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from boresight.features.paper.vectors import ExperimentSettings
+from boresight.features.paper.vector_experiments import ExperimentSettings
 from scipy.spatial.transform import Rotation
 
 from boresight.calib.calibration import calibrate_strips
