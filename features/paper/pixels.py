@@ -16,7 +16,6 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from boresight.features.paper.vector_experiments import ExperimentSettings
 from scipy.spatial.transform import Rotation
 
 from boresight.calib.calibration import calibrate_strips
@@ -28,6 +27,7 @@ from boresight.features.paper.paper_tables import (
     TABLE_4,
     TABLE_5,
 )
+from boresight.features.paper.vector_experiments import ExperimentSettings
 from boresight.features.paper.wang import attitudes_of
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.installation import theta_between
