@@ -31,7 +31,7 @@ from boresight.simulator.head_attitudes import correlated_noise
 from boresight.simulator.mission_records import Mission, TruePoint
 from boresight.simulator.scenario import Scenario, SkyScan, builtin_scenario
 
-__all__ = ["DUMPS", "linked", "sound_dump"]
+__all__ = ["DUMPS", "TRACKER", "TrialHead", "linked", "sound_dump", "without_images", "write_heads"]
 
 FIXTURES = Path(__file__).parents[1] / "fixtures"
 DUMPS = ("ground", "sky", "scans", "mixed", "points", "coloured", "trackers")
@@ -53,7 +53,9 @@ class _Noise:
 
 
 @dataclass(frozen=True, slots=True)
-class _Head:
+class TrialHead:
+    """A star camera that gives attitudes."""
+
     name: str
     R_sh: Rotation
     noise: _Noise
@@ -108,14 +110,14 @@ def linked(source: Path, target: Path) -> None:
 def _points(root: Path, seed: int, noise: _Noise) -> None:
     """Two heads' attitudes and the image points of targets and check points."""
     mission, rng = fly(scenario_of("points"), seed), np.random.default_rng([seed, 1])
-    write_dump(_without_images(mission), root, created_by="benchmarks/fault_dumps.py")
+    write_dump(without_images(mission), root, created_by="benchmarks/fault_dumps.py")
     heads = (
-        _Head("STR1", Rotation.identity(), noise),
-        _Head("STR2", SECOND_HEAD, noise),
+        TrialHead("STR1", Rotation.identity(), noise),
+        TrialHead("STR2", SECOND_HEAD, noise),
     )
     files = {"remote_camera": "remote_camera.toml", "orbit": "orbit.oem", "strips": "strips.csv"}
     files |= {"points": "points.csv", "terrain": "terrain/dem.tif"}
-    _write_heads(root, mission, heads, rng, files)
+    write_heads(root, mission, heads, rng, files)
     every = [*mission.truth.targets, *mission.truth.check_points]
     columns = ["id", "strip", "ccd", "sample", "line", "sigma_sample_px", "sigma_line_px", "lat_deg"]
     columns += ["lon_deg", "height_m", "height_kind", "sigma_east_m", "sigma_north_m", "sigma_up_m"]
@@ -133,7 +135,8 @@ def _points(root: Path, seed: int, noise: _Noise) -> None:
         shutil.rmtree(root / name)
 
 
-def _without_images(mission: Mission) -> Mission:
+def without_images(mission: Mission) -> Mission:
+    """A mission of which only the tables are written."""
     return replace(mission, exposures=(), strips=(), chips=(), targets=())
 
 
@@ -158,14 +161,18 @@ def _trackers(root: Path, seed: int, scans: Path) -> None:
     shutil.copytree(scans, root)
     mission, rng = fly(scenario_of("scans"), seed), np.random.default_rng([seed, 2])
     files = {"remote_camera": "remote_camera.toml", "orbit": "orbit.oem", "strips": "strips.csv"}
-    _write_heads(root, mission, (_Head("STR1", Rotation.identity(), TRACKER),), rng, files)
+    write_heads(root, mission, (TrialHead("STR1", Rotation.identity(), TRACKER),), rng, files)
     shutil.rmtree(root / "exposures")
     (root / "exposures.csv").unlink()
     (root / "star_camera.toml").unlink()
 
 
-def _write_heads(
-    root: Path, mission: Mission, heads: tuple[_Head, ...], rng: np.random.Generator, files: dict[str, str]
+def write_heads(
+    root: Path,
+    mission: Mission,
+    heads: tuple[TrialHead, ...],
+    rng: np.random.Generator,
+    files: dict[str, str],
 ) -> None:
     """Attitudes of the heads at the instants of the exposures, and a dump.toml that states them."""
     R_cs0, sigma = mission.installation.R_cs, np.asarray(mission.installation.sigma_rad).tolist()
@@ -202,7 +209,7 @@ def drawn(noise: _Noise, t_s: np.ndarray, rng: np.random.Generator) -> np.ndarra
     return error
 
 
-def table_of(head: _Head) -> str:
+def table_of(head: TrialHead) -> str:
     """The head in dump.toml."""
     text = HEAD.format(name=head.name, white=list(head.noise.white))
     if any(head.noise.coloured):

@@ -17,6 +17,7 @@ from boresight.pipeline.files.star_side import StarCentroids
 from boresight.pipeline.run.settings import Settings
 from boresight.pipeline.stages.exposure import is_mirrored, star_tasks
 from boresight.pipeline.stages.head import HeadSightings
+from boresight.pipeline.stages.sky_strip import NAME_UNSURE
 from boresight.pipeline.stages.strip import MatchedTargets, StripTask, footprint_e, pushbroom_of
 
 __all__ = ["in_view", "misses", "nearest_miss", "uncertainty_m", "what_is_missing"]
@@ -52,20 +53,22 @@ def what_is_missing(
         text = f"too few targets: at most {most} in view of a strip, so few agree on one rotation by chance; "
         text += f"{FEW_TARGETS} or more in view of a strip are needed, near both ends of the swath"
         return f"{text}; {counts}; not used: target {lost[0].name}: {lost[0].reason}"
-    if stars := Counter(o.cause for o in every if o.kind == "star"):
+    if stars := [o for o in every if o.kind == "star"]:
         counts = f"{n_stars} exposures identified, strips of the sky: {len(dump.sky_strips)}"
         return f"{outcome.reason}; {counts}{_unused_stars(stars)}"
     first = f"; not used: {every[0].kind} {every[0].name}: {every[0].reason}" if every else ""
     return f"{outcome.reason}; {counts}{first}"
 
 
-def _unused_stars(causes: Counter[str]) -> str:
-    text = ", ".join(f"{n} {cause}" for cause, n in causes.most_common())
-    if causes.most_common(1)[0][0] == "name unsure":
+def _unused_stars(stars: Sequence[Omission]) -> str:
+    causes = Counter(o.cause for o in stars).most_common()
+    text = ", ".join(f"{n} {cause}" for cause, n in causes)
+    if causes[0][0] == NAME_UNSURE:
+        first = next(o for o in stars if o.cause == NAME_UNSURE)
         text += (
-            "; within the stated errors several stars come into question: they decide, look_distortion_px "
+            f"; {first.name}: {first.reason}; state that error as small as it is, or raise max_name_error "
         )
-        text += "of dump.toml above all, and max_name_error under [sky_strips] of the settings"
+        text += "under [sky_strips] of the settings"
     return f"; stars in them that are not used: {text}"
 
 

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.line_camera import LineCamera
-from boresight.geometry.record import Floats, array, record, scalar
+from boresight.geometry.record import Floats, Ints, array, record, scalar
 from boresight.geometry.sightings import StripSightings
 from boresight.pipeline.errors import Omission
 from boresight.pipeline.files.dump import Dump
@@ -126,8 +126,6 @@ def _tasks(
         head, near = carrier
         times = np.array([head.stars[k].t_s for k in near])
         first, last = dump.span_s(strip)
-        to_c = head.head.R_cs0.as_matrix()
-        spread = np.einsum("ab,nbc,dc->nad", to_c, head.attitudes.covariance_s[near], to_c)[:, :2, :2]
         tasks.append(
             SkyTask(
                 strip=strip,
@@ -137,7 +135,7 @@ def _tasks(
                 orbit=orbit_around(dump.orbit, first - margin, last + margin),
                 t_attitude_s=times,
                 R_si=attitudes_in_s(head, near, heads[0], stated_mountings(heads)),
-                sigma_attitude_rad=float(np.sqrt(np.median(np.linalg.eigvalsh(spread)[:, 1]))),
+                covariance_c=_attitude_covariance_c(head, near),
                 R_cs0=dump.R_cs0,
                 settings=settings.sky_strips,
                 carrier=head.head.name,
@@ -145,3 +143,14 @@ def _tasks(
             )
         )
     return tasks, omitted
+
+
+def _attitude_covariance_c(head: HeadSightings, rows: Ints) -> Floats:
+    """Covariance (K, 3, K, 3) of the errors of a head's attitudes, with what they have in common, axes of c
+    by its pre-launch matrix, rad².
+    """
+    each = np.arange(len(rows))
+    covariance = head.head.noise.coloured_covariance_s(np.array([head.stars[k].t_s for k in rows]))
+    covariance[each, :, each, :] += head.attitudes.covariance_s[rows]
+    to_c = head.head.R_cs0.as_matrix()
+    return np.asarray(np.einsum("ab,kblc,dc->kald", to_c, covariance, to_c))

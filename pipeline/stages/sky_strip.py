@@ -15,7 +15,13 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from boresight.geometry.attitude import AttitudeTrack, ConstantRate, Interpolation
+from boresight.geometry.attitude import (
+    AttitudeTrack,
+    ConstantRate,
+    Interpolation,
+    InterpolationNodes,
+    interpolation_weights,
+)
 from boresight.geometry.constants import WGS84
 from boresight.geometry.epoch import Epoch
 from boresight.geometry.line_camera import LineSensor, end_looks
@@ -44,6 +50,7 @@ from boresight.star_id.strip_stars.strip_names import (
 )
 
 __all__ = [
+    "NAME_UNSURE",
     "NamedStars",
     "SkyTask",
     "as_matched",
@@ -53,9 +60,9 @@ __all__ = [
     "strip_motion",
 ]
 
+NAME_UNSURE = "name unsure"
 _NODES = 33  # lines at which the motion of the image points is given
-_GATE_SIGMA = 4.0
-_GATE_PX = 2.0
+_NOT_STATED_PX = 1.0  # 1 sigma of what displaces a star beside the stated errors
 _SLOWEST = 0.05  # pixels a row: slower, a star stays for hundreds of rows
 _FIELD_MARGIN_RAD = 0.002
 
@@ -71,7 +78,7 @@ class SkyTask:
     orbit: Orbit = scalar("states around the strip")
     t_attitude_s: Floats = array("K", "exposures around the strip, TAI seconds since the dump's epoch")
     R_si: Rotation = array("K", "their attitudes, GCRS to frame s of the reference head")
-    sigma_attitude_rad: float = scalar("1-sigma of such an attitude about the axes across the line of sight")
+    covariance_c: Floats = array("K, 3, K, 3", "of their errors, axes of c by the pre-launch matrix, rad²")
     R_cs0: Rotation = scalar("pre-launch installation matrix")
     settings: StripStarSettings = scalar("thresholds of detection and identification")
     carrier: str = scalar("head whose attitudes these are")
@@ -96,6 +103,19 @@ class SkyTask:
     def track(self) -> AttitudeTrack:
         """Attitude of the star camera against time."""
         return AttitudeTrack(self.t_attitude_s, self.R_si, self.nominal, interpolation=self.interpolation)
+
+    def attitude_errors_c(self, t_s: Floats) -> Floats:
+        """Rotation (N, 3, 3 K) of the attitude at instants (N,), axes of c, by each of 3 K independent errors
+        of the exposures, 1 sigma, rad.
+        """
+        nodes = InterpolationNodes.of_exposures(
+            self.t_attitude_s, self.R_si, self.nominal.R_oi(self.t_attitude_s)
+        )
+        weights = interpolation_weights(nodes.t_s, t_s, self.interpolation) @ nodes.share
+        K = len(self.t_attitude_s)
+        values, vectors = np.linalg.eigh(self.covariance_c.reshape(3 * K, 3 * K))
+        root = (vectors * np.sqrt(np.maximum(values, 0.0))).reshape(K, 3, 3 * K)
+        return np.tensordot(weights, root, axes=1)
 
     def instants(self, line: Floats) -> Floats:
         """Middle of the exposure of lines (N,), TAI seconds since the epoch."""
@@ -152,34 +172,37 @@ def name_sky_stars(
     With `known` the mounting is good to some pixels, so that each star is named by itself; else a vote must
     find it. `scatter_px` is the 1-sigma of what displaces one star against another: distortion, vibration.
     """
-    seen = _directions(task, found, R_cs)
-    stars, field = _field(task, survey, R_cs, sigma_rad, scatter_px)
+    seen = _directions(task, found, R_cs, scatter_px)
+    stars, field = _field(task, survey, R_cs, sigma_rad, _spread(seen, scatter_px * task.camera.pixel_rad))
     theta: Floats = np.zeros(3)
-    gate: float = field.tolerance_rad
+    root: Floats = np.diag(np.asarray(sigma_rad, dtype=float))
     settings = task.settings
-    if known:
-        displaced = np.asarray(sigma_rad) * [1.0, 1.0, _half_swath_rad(task.camera)]
-        gate = float(np.hypot(gate, _GATE_SIGMA * np.linalg.norm(displaced)))
-    else:
+    if not known:
         voted = vote_for_rotation(seen, field, settings.brightest, settings.max_false_alarm_probability)
         if isinstance(voted, NoRotation):
             reason = _not_identified(task, found, field, R_cs, voted)
             return _none_named(task, found, stars, task.item.because(reason, Cause.NOT_IDENTIFIED))
-        theta = voted.theta_rad
-    named = name_stars(seen, field, theta, gate, settings.magnitude_error)
+        theta, root = voted.theta_rad, voted.theta_root
+    named = name_stars(
+        seen,
+        field,
+        theta,
+        root,
+        magnitude_error=settings.magnitude_error,
+        max_name_error=settings.max_name_error,
+    )
     single, sharp = stars.single[named.star], ~(found.blended | found.saturated)[named.row]
     sure = named.probability_wrong < settings.max_name_error
     use = np.flatnonzero(single & sharp & sure)
-    why = np.where(
-        ~single, "not one star in linear motion", np.where(~sharp, "saturated or blended", "name unsure")
-    )
-    omitted = [
-        Omission(
-            "star", f"{task.strip.strip_id}/{stars.name} {stars.places.hip[j]}", "", str(why[k]), str(why[k])
-        )
-        for k, j in enumerate(named.star.tolist())
-        if k not in set(use.tolist())
-    ]
+    omitted = []
+    for k in np.flatnonzero(~(single & sharp & sure)).tolist():
+        cause = "not one star in linear motion" if not single[k] else "saturated or blended"
+        reason = cause
+        if single[k] and sharp[k]:
+            cause, place = NAME_UNSURE, seen.take(named.row[k : k + 1])
+            reason = _unsure(named.probability_wrong[k], place, root, scatter_px, task.camera.pixel_rad)
+        name = f"{task.strip.strip_id}/{stars.name} {stars.places.hip[named.star[k]]}"
+        omitted.append(Omission("star", name, "", reason, cause))
     if not len(use):
         reason = f"none of its {len(found.ccd)} detections is a star of {stars.name} that can be used"
         omitted.append(task.item.because(reason, Cause.NO_TARGET))
@@ -283,20 +306,55 @@ def _impossible(task: SkyTask, motion: StripMotion) -> str:
     return ""
 
 
-def _directions(task: SkyTask, found: StripStars, R_cs: Rotation, line: Floats | None = None) -> Directions:
-    """Detections as directions; `line` (N,) instead of their own."""
+def _directions(
+    task: SkyTask, found: StripStars, R_cs: Rotation, scatter_px: float, line: Floats | None = None
+) -> Directions:
+    """Detections as directions, with what displaces them; `line` (N,) instead of their own."""
     line = found.xy_px[:, 1] if line is None else line
     u_c = np.zeros((len(found.ccd), 3))
     for ccd in np.unique(found.ccd).tolist():
         here = found.ccd == ccd
         u_c[here] = task.camera.directions_from_pixels(ccd, found.xy_px[here, 0])
-    R_ci = (R_cs * task.track.R_si(task.instants(line))).as_matrix()
-    brightness = np.where(found.saturated, np.nan, -2.5 * np.log10(np.maximum(found.flux_dn, 1e-9)))
-    return Directions(u_c=u_c, R_ci=R_ci, brightness=brightness)
+    t_s = task.instants(line)
+    measured_px2 = np.trace(found.cov_px, axis1=1, axis2=2) / 2.0
+    return Directions(
+        u_c=u_c,
+        R_ci=(R_cs * task.track.R_si(t_s)).as_matrix(),
+        brightness=np.where(found.saturated, np.nan, -2.5 * np.log10(np.maximum(found.flux_dn, 1e-9))),
+        attitude_c=task.attitude_errors_c(t_s),
+        variance=(measured_px2 + scatter_px**2 + _NOT_STATED_PX**2) * task.camera.pixel_rad**2,
+    )
+
+
+def _unsure(
+    probability: float, seen: Directions, theta_root: Floats, scatter_px: float, pixel_rad: float
+) -> str:
+    """Why the name of one detection is not sure: the error that displaces it most."""
+    sigma_px = {
+        "noise of the star camera's attitudes": _largest_sigma(seen.by_attitude[0]) / pixel_rad,
+        "1-sigma of the mounting": _largest_sigma(seen.by_rotation[0] @ theta_root) / pixel_rad,
+        "look_distortion_px and vibration_arcsec of dump.toml": scatter_px,
+    }
+    error = max(sigma_px, key=lambda name: sigma_px[name])
+    return (
+        f"another star with a probability of {probability:.2g}: of the stated errors {error} displaces it "
+        f"most, by {sigma_px[error]:.1f} px"
+    )
+
+
+def _largest_sigma(moved: Floats) -> float:
+    """1-sigma along the major axis of a displacement (2, A) by A independent errors."""
+    return float(np.linalg.svd(moved, compute_uv=False)[0]) if moved.size else 0.0
+
+
+def _spread(seen: Directions, scatter_rad: float) -> Floats:
+    """Mean covariance (2, 2) of what the attitudes' errors and the stated scatter displace, rad²."""
+    moved = seen.by_attitude
+    return np.asarray((moved @ np.swapaxes(moved, 1, 2)).mean(axis=0) + scatter_rad**2 * np.eye(2))
 
 
 def _field(
-    task: SkyTask, survey: SurveyedStars, R_cs: Rotation, sigma_rad: Floats, scatter_px: float
+    task: SkyTask, survey: SurveyedStars, R_cs: Rotation, sigma_rad: Floats, spread: Floats
 ) -> tuple[SurveyedStars, StripField]:
     """The catalogue's stars that the strip may show, and the limits of the search."""
     strip, camera, settings = task.strip, task.camera, task.settings
@@ -311,13 +369,12 @@ def _field(
     unit_i = unit_vectors(survey.places.ra_rad, survey.places.dec_rad)
     near = survey.take(np.flatnonzero(unit_i @ axis_i > np.cos(radius + _FIELD_MARGIN_RAD)))
     u_i = apparent_star_directions(near.places, task.epoch, float(t_s[0]), p_i[0], v_i[0])
-    pixel = camera.pixel_rad
-    tolerance = _GATE_PX * pixel + _GATE_SIGMA * float(np.hypot(scatter_px * pixel, task.sigma_attitude_rad))
     return near, StripField(
         u_i=u_i,
         v_mag=near.places.v_mag,
         limit_rad=limit,
-        tolerance_rad=tolerance,
+        spread=spread,
+        slack_rad=2.0 * _NOT_STATED_PX * camera.pixel_rad,
         strip_area=2.0 * half_swath * long,
     )
 
@@ -336,7 +393,7 @@ def _not_identified(
         f"{len(found.ccd)} detections, {len(field.u_i)} catalogue stars around; at most {voted.stars} agree "
         f"with one rotation of the mounting"
     )
-    mirrored = _directions(task, found, R_cs, line=task.strip.lines - 1.0 - found.xy_px[:, 1])
+    mirrored = _directions(task, found, R_cs, 0.0, line=task.strip.lines - 1.0 - found.xy_px[:, 1])
     settings = task.settings
     if not isinstance(
         vote_for_rotation(mirrored, field, settings.brightest, settings.max_false_alarm_probability),

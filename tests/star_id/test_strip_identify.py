@@ -1,5 +1,7 @@
 """The vote for the mounting: a bold rotation is found, chance is refused."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -16,6 +18,7 @@ from boresight.star_id.strip_stars.strip_names import (
 PIXEL = 1e-6
 RATE, LINES = 3.6e-3, 7.2  # rad/s, s: a scan of 26 mrad
 LIMIT = np.array([9e-3, 9e-3, 9e-3])
+LIMITS = {"magnitude_error": 1.5, "max_name_error": 1e-3}
 THETA = np.array([-0.0061, 0.0074, -0.0052])
 
 
@@ -43,12 +46,15 @@ def sky(rng, stars, listed, others, theta=THETA):
         u_c=noisy[order] / np.linalg.norm(noisy[order], axis=1)[:, None],
         R_ci=R_c0i.as_matrix()[order],
         brightness=v[order] - 21.0,
+        attitude_c=np.zeros((len(v), 3, 0)),
+        variance=np.full(len(v), PIXEL**2),
     )
     field = StripField(
         u_i=np.concatenate([u_i[:listed], field_i]),
         v_mag=np.concatenate([v[:listed], rng.uniform(5.0, 9.0, around)]),
         limit_rad=LIMIT,
-        tolerance_rad=4.0 * PIXEL,
+        spread=(0.5 * PIXEL) ** 2 * np.eye(2),
+        slack_rad=2.0 * PIXEL,
         strip_area=0.0246 * 0.026,
     )
     return seen, field, row
@@ -62,7 +68,7 @@ def test_a_rotation_of_thousands_of_pixels_is_found_among_unlisted_stars_and_nam
     # nine stars of 0.4 px over 24 000 px: 0.4 px, and a hundredth of a milliradian about the axis
     assert np.abs(found.theta_rad[:2] - THETA[:2]).max() < 3.0 * PIXEL
     assert abs(found.theta_rad[2] - THETA[2]) < 2e-4
-    named = name_stars(seen, field, found.theta_rad, field.tolerance_rad, 1.5)
+    named = name_stars(seen, field, found.theta_rad, found.theta_root, **LIMITS)
     assert np.array_equal(row[named.row], named.star) and len(named.row) >= 8
     assert named.probability_wrong.max() < 1e-4
 
@@ -83,9 +89,7 @@ def test_a_rotation_beyond_the_stated_limits_is_not_looked_for():
 
 def test_a_star_of_another_brightness_gets_no_name():
     seen, field, row = sky(np.random.default_rng(7), 9, 9, 0)
-    wrong = Directions(
-        u_c=seen.u_c, R_ci=seen.R_ci, brightness=seen.brightness + np.where(np.arange(9) == 4, 3.0, 0.0)
-    )
-    named = name_stars(wrong, field, THETA, field.tolerance_rad, 1.5)
+    wrong = replace(seen, brightness=seen.brightness + np.where(np.arange(9) == 4, 3.0, 0.0))
+    named = name_stars(wrong, field, THETA, np.zeros((3, 3)), **LIMITS)
     assert 4 not in named.row and len(named.row) == 8
     assert np.array_equal(row[named.row], named.star)
