@@ -164,6 +164,7 @@ class AttitudeTrack:
         "lagrange, or taylor: to second order about the nearest exposure (`interpolation_weights`)",
         default="lagrange",
     )
+    _share: Array = field(init=False, repr=False)  # (N, K) of the exposures in the nodes
     _R_so_middle: Rotation = field(init=False, repr=False)
     _rotvec_s: Array = field(
         init=False, repr=False
@@ -180,6 +181,7 @@ class AttitudeTrack:
             "t_s": nodes.t_s,
             "R_si_nodes": nodes.R_si,
             "cov_s": None if self.cov_s is None else nodes.covariance(self.cov_s),
+            "_share": nodes.share,
             "_R_so_middle": middle,
             "_rotvec_s": (R_so * middle.inv()).as_rotvec(),
         }
@@ -209,6 +211,17 @@ class AttitudeTrack:
         for m in range(weights.shape[1]):
             rotvec += weights[:, m, None] * self._rotvec_s[start + m]
         return Rotation.from_rotvec(rotvec) * self._R_so_middle
+
+    def errors_s(self, t_s: ArrayLike, covariance_s: Array) -> Array:
+        """Rotation (N, 3, 3 K) about the axes of s, at instants (N,), by each of 3 K independent errors, 1
+        sigma, of the K exposures that the track was made from, of covariance (K, 3, K, 3), rad².
+        """
+        t = np.asarray(t_s, dtype=float)
+        weights = interpolation_weights(self.t_s, t, self.interpolation, self.points) @ self._share
+        K = len(covariance_s)
+        values, vectors = np.linalg.eigh(covariance_s.reshape(3 * K, 3 * K))
+        root = (vectors * np.sqrt(np.maximum(values, 0.0))).reshape(K, 3, 3 * K)
+        return np.asarray(np.tensordot(weights, root, axes=1))
 
     def covariance_s(self, t_s: ArrayLike) -> Array:
         """Covariance (N, 3, 3), rad^2, of a small rotation of `R_si(t_s)` about the axes of s.

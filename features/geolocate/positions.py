@@ -2,12 +2,7 @@
 
 The 1-sigma includes the errors of the installation matrix, of the star exposures' attitudes and of their
 interpolation, and those that the mission states: position, clock, vibration, look distortion, heights of the
-terrain. To first order each moves the ground point of the line of sight:
-
-    rotation delta:  r (I - u nᵀ / uᵀn) (delta x u)      satellite moved by d:  (I - u nᵀ / uᵀn) d
-    ground higher by h:  h (u / uᵀn - n)
-
-with the line of sight u, its length r and the vertical n; a rotation of the camera by delta rotates u too.
+terrain (`pipeline.results.ground_moves`).
 """
 
 from __future__ import annotations
@@ -19,12 +14,13 @@ import numpy as np
 
 from boresight.geometry.attitude import interpolation_weights
 from boresight.geometry.constants import ARCSEC, WGS84
-from boresight.geometry.geodesy import ellipsoid_normals, geodetic_from_ecef
+from boresight.geometry.geodesy import geodetic_from_ecef
 from boresight.geometry.record import Floats, Ints, array, record
 from boresight.geometry.terrain import Surface
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.pixel_table import PixelRow
 from boresight.pipeline.files.text_files import read_table
+from boresight.pipeline.results.ground_moves import ground_moves
 from boresight.pipeline.results.strip_model import Calibrated, StripModel
 
 __all__ = ["GroundPlaces", "Pixels", "ground_places", "places_csv", "read_pixels"]
@@ -118,35 +114,14 @@ def places_csv(pixels: Pixels, places: GroundPlaces) -> Iterator[str]:
 
 def _sigma(calibrated: Calibrated, model: StripModel, t_s: Floats, p_e: Floats) -> Floats:
     """1-sigma (N, 2) along and across the track, m, of ground points (N, 3) seen at instants (N,)."""
-    dump, push = calibrated.dump, model.pushbroom
-    satellite_e, motion_e = dump.orbit.positions_e(t_s), dump.orbit.velocities_e(t_s)
-    lat, lon, _ = geodetic_from_ecef(p_e, WGS84)
-    up = ellipsoid_normals(lat, lon)
-    along = motion_e - up * np.einsum("na,na->n", motion_e, up)[:, None]
-    along = along / np.linalg.norm(along, axis=1, keepdims=True)
-    to_track = np.stack([along, np.cross(along, up)], axis=1)  # (N, 2, 3)
-    sight = p_e - satellite_e
-    distance = np.linalg.norm(sight, axis=1)
-    u = sight / distance[:, None]
-    fall = u / np.einsum("na,na->n", u, up)[:, None]
-    foot = np.eye(3) - fall[:, :, None] * up[:, None, :]
-    R_ci = (push.R_cs * model.track.R_si(t_s)).as_matrix()
-    R_ec = np.swapaxes(dump.orbit.earth.matrices_ie(t_s), 1, 2) @ np.swapaxes(R_ci, 1, 2)
-    by_rotation = distance[:, None, None] * to_track @ foot @ _cross_matrices(u) @ R_ec  # (N, 2, 3), m/rad
-    by_shift = to_track @ foot
+    errors, R_ci = calibrated.dump.errors, model.pushbroom.R_cs * model.track.R_si(t_s)
+    moves = ground_moves(calibrated.dump.orbit, R_ci, t_s, p_e)
     rotation = calibrated.result.cov_theta + _attitude_covariance(model, t_s) + _rotation_variance(calibrated)
-    variance = np.einsum("nia,nab,nib->ni", by_rotation, rotation, by_rotation)
-    variance += dump.errors.position_m**2 * np.einsum("nia,nia->ni", by_shift, by_shift)
-    variance += (dump.errors.clock_s * np.einsum("nia,na->ni", by_shift, motion_e)) ** 2
-    variance += (calibrated.sigma_terrain_m * np.einsum("nia,na->ni", to_track, fall - up)) ** 2
+    variance = np.einsum("nia,nab,nib->ni", moves.by_rotation, rotation, moves.by_rotation)
+    variance += errors.position_m**2 * np.einsum("nia,nia->ni", moves.by_position, moves.by_position)
+    variance += (errors.clock_s * moves.by_clock) ** 2
+    variance += (calibrated.sigma_terrain_m * moves.by_height) ** 2
     return np.sqrt(variance)
-
-
-def _cross_matrices(u: Floats) -> Floats:
-    """(N, 3, 3): matrices that map a small rotation delta to the change delta x u of a direction."""
-    x, y, z = u.T
-    o = np.zeros_like(x)
-    return np.array([[o, z, -y], [-z, o, x], [y, -x, o]]).transpose(2, 0, 1)
 
 
 def _attitude_covariance(model: StripModel, t_s: Floats) -> Floats:

@@ -225,6 +225,16 @@ def _checked(saved: Saved) -> dict[str, Any] | None:
         "sigma": [number(f"sigma_rad.{i}", ".4f", scale=TO_ARCSEC) for i in range(3)],
         "nees": number("nees", ".2f"),
         "rows": _by_strip(saved, content["accuracy"], number),
+        "predicted": [
+            {
+                "direction": one["direction"],
+                "found": number(f"predicted.{n}.rms_m", ".2f"),
+                "predicted": number(f"predicted.{n}.predicted_m", ".2f"),
+                "p": number(f"predicted.{n}.p_value", ".2g"),
+                "allowed": one["allowed"],
+            }
+            for n, one in enumerate(content.get("predicted", ()))
+        ],
     }
 
 

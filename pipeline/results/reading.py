@@ -32,7 +32,13 @@ __all__ = [
     "read_saved_result",
 ]
 
-EXPOSURES = {"exposure_id": pa.string(), "t_s": pa.float64(), "R_si": fixed(9), "usable": pa.bool_()}
+EXPOSURES = {
+    "exposure_id": pa.string(),
+    "t_s": pa.float64(),
+    "R_si": fixed(9),
+    "covariance_s": fixed(9),
+    "usable": pa.bool_(),
+}
 COORDINATES = {
     "target_id": pa.string(),
     "t_s": pa.float64(),
@@ -55,6 +61,7 @@ class SavedResult:
     exposure_id: list[str] = array("K", "ids of the identified exposures")
     t_exposures_s: Floats = array("K", "their times, TAI seconds since the dump's epoch")
     R_si: Rotation = array("K", "their attitudes, GCRS to star camera")
+    covariance_s: Floats = array("K, 3, 3", "covariance of their errors, frame s, rad²")
     usable: Bools = array("K", "whether enough stars were kept to determine the attitude")
 
 
@@ -98,6 +105,7 @@ def read_saved_result(result: Path) -> SavedResult:
         exposure_id=[str(name) for name in table.column("exposure_id").to_pylist()],
         t_exposures_s=column(table, "t_s"),
         R_si=R_si,
+        covariance_s=list_values(table, "covariance_s", 3, 3),
         usable=column(table, "usable").astype(bool),
     )
 

@@ -19,7 +19,6 @@ from boresight.pipeline.errors import DataNotSufficientError, RawDataError
 from boresight.pipeline.files.dump import Dump, Strip, open_dump
 from boresight.pipeline.files.dump_schema import DumpFile
 from boresight.pipeline.files.object_store import dump_folder
-from boresight.pipeline.files.table_files import fixed, list_values, read_parquet
 from boresight.pipeline.files.text_files import read_json, read_toml
 from boresight.pipeline.results.ownership import check_dump_of
 from boresight.pipeline.results.reading import SavedResult, read_for_dump
@@ -33,6 +32,7 @@ __all__ = [
     "pushbroom_with",
     "run_settings_of",
     "strip_model",
+    "terrain_sigma_m",
 ]
 
 Array = NDArray[np.float64]
@@ -64,22 +64,24 @@ def open_calibrated(result: Path, dump: Path | None, *, allow_stale_eop: bool = 
     dumps, one must be given; it comes with the joint matrix.
     """
     folder, saved = read_for_dump(result, dump)
-    table = read_parquet(folder / "sightings" / "exposures.parquet", {"covariance_s": fixed(9)})
     run = run_settings_of(saved, str(result / "installation.json"))
     root = dump if dump is not None else _noted_dump(result)
     check_dump_of(folder, root)
     opened = open_dump(root, allow_stale_eop=allow_stale_eop)
-    terrain = read_toml(opened.root / "dump.toml", DumpFile, "dump.toml").terrain
-    sigma_m = terrain.sigma_m if terrain is not None else 0.0
-    covariance = list_values(table, "covariance_s", 3, 3)
     return Calibrated(
         result=saved,
         dump=opened,
-        attitude_covariance_s=covariance,
+        attitude_covariance_s=saved.covariance_s,
         effects=effects_of(run, opened.light),
-        sigma_terrain_m=sigma_m,
+        sigma_terrain_m=terrain_sigma_m(opened),
         exposure_margin_s=run.exposure_margin_s,
     )
+
+
+def terrain_sigma_m(dump: Dump) -> float:
+    """1 sigma of the heights of a dump, m; 0 without a terrain model."""
+    terrain = read_toml(dump.root / "dump.toml", DumpFile, "dump.toml").terrain
+    return terrain.sigma_m if terrain is not None else 0.0
 
 
 def strip_model(calibrated: Calibrated, strip_id: str) -> StripModel:

@@ -15,6 +15,7 @@ from boresight.calib.verdict import Outcome
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.installation import euler_zxy_from_theta
 from boresight.pipeline.errors import Cause, Omission
+from boresight.pipeline.results.check_point_test import RmsTest
 from boresight.pipeline.results.validate import TruthErrors
 from boresight.pipeline.results.writing import blind_spots_json, verdict_json
 from boresight.pipeline.stages.calibrate import DumpCalibration
@@ -26,6 +27,7 @@ __all__ = [
     "REASON_WORDS",
     "blind_lines",
     "calibration_summary",
+    "check_point_words",
     "finding_lines",
     "joint_summary",
     "omission_lines",
@@ -165,9 +167,22 @@ def validation_summary(validation: TruthErrors) -> str:
         for name, points in (("before", validation.before), ("after", validation.after)):
             along, across = points.rms_m
             lines.append(f"  {name:24s}{along:36.2f}{across:10.2f}")
+    lines += [check_point_words(one) for one in validation.predicted]
     if validation.without:
         lines.append(f"no position for {validation.without} check points: no attitude or no ground there")
     return "\n".join(lines)
+
+
+def check_point_words(test: RmsTest) -> str:
+    """One line on the errors of check points in one direction and those that were predicted."""
+    text = f"check points: {test.rms_m:.2f} m {test.direction} track where {test.predicted_m:.2f} m was "
+    text += "predicted: "
+    if test.allowed:
+        return text + f"allowed (p = {test.p_value:.2g})"
+    return (
+        f"{text}not allowed (p = {test.p_value:.2g}, limit {test.limit:g}): an error under [errors] of "
+        "dump.toml is stated too small, or an input is wrong"
+    )
 
 
 def _row(name: str, values: Array, form: str) -> str:

@@ -16,13 +16,21 @@ from boresight.geometry.constants import WGS84
 from boresight.geometry.geodesy import ecef_from_geodetic, ellipsoid_normals, local_axes_e
 from boresight.geometry.installation import theta_between
 from boresight.geometry.pushbroom import Pushbroom
-from boresight.geometry.record import Floats, Texts, array, record, scalar
+from boresight.geometry.record import Floats, Ints, Texts, array, record, scalar
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.dump import Dump, Strip, surface_of
 from boresight.pipeline.files.text_files import read_table, read_toml
+from boresight.pipeline.results.check_point_test import (
+    DIRECTIONS,
+    RmsTest,
+    StripMoves,
+    predicted_covariance,
+    rms_test,
+)
+from boresight.pipeline.results.ground_moves import ground_moves
 from boresight.pipeline.results.reading import SavedResult
 from boresight.pipeline.results.strip_model import exposures_around, pushbroom_with, run_settings_of
-from boresight.pipeline.run.settings import effects_of
+from boresight.pipeline.run.settings import RunSettings, effects_of
 
 __all__ = ["CheckPoints", "TruthErrors", "true_installation", "validation_of"]
 
@@ -78,6 +86,7 @@ class TruthErrors:
     before_rad: Floats = array("3", "error of the pre-launch matrix")
     after: CheckPoints = scalar("with the result's matrix")
     before: CheckPoints = scalar("with the pre-launch matrix")
+    predicted: tuple[RmsTest, ...] = scalar("errors of check points against those that the result predicts")
     without: int = scalar("check points without attitude or ground, for which no error can be given")
 
 
@@ -87,8 +96,8 @@ def validation_of(result: SavedResult, dump: Dump) -> TruthErrors:
     R_true = true_installation(dump)
     points = read_table(truth / "check_points.csv", CheckPointRow, "truth/check_points.csv")
     error = theta_between(result.R_cs, R_true)
-    after, without = _check(points, result, dump, result.R_cs)
-    before, _ = _check(points, result, dump, dump.R_cs0)
+    after, without, strips = _check(points, result, dump, result.R_cs)
+    before, _, _ = _check(points, result, dump, dump.R_cs0)
     return TruthErrors(
         error_rad=error,
         sigma_rad=np.sqrt(np.diag(result.cov_theta)),
@@ -96,6 +105,7 @@ def validation_of(result: SavedResult, dump: Dump) -> TruthErrors:
         before_rad=theta_between(dump.R_cs0, R_true),
         after=after,
         before=before,
+        predicted=_against_prediction(after, strips, result, dump),
         without=without,
     )
 
@@ -108,26 +118,40 @@ def true_installation(dump: Dump) -> Rotation:
 
 def _check(
     points: list[CheckPointRow], result: SavedResult, dump: Dump, R_cs: Rotation
-) -> tuple[CheckPoints, int]:
+) -> tuple[CheckPoints, int, list[StripMoves]]:
+    """Errors of the check points, how many have none, and what moves those that have one, strip by strip."""
     strips = {strip.strip_id: strip for strip in dump.strips}
     for point in points:
         if not 0 <= point.ccd < dump.line_camera.n_ccds:
             raise RawDataError("truth/check_points.csv", "ccd", str(point.ccd), "a CCD of the camera")
     found: list[CheckPointRow] = []
-    errors, without = [], 0
+    errors, without, moving = [], 0, []
     for strip_id in sorted({point.strip for point in points}):
         here = [point for point in points if point.strip == strip_id]
-        model = _pushbroom(strips[strip_id], result, dump, R_cs) if strip_id in strips else None
-        if model is None:
+        near = _exposures(strips[strip_id], result, dump) if strip_id in strips else np.zeros(0, np.int64)
+        if len(near) < 2:
             without += len(here)
             continue
+        track = _track(near, result, dump)
+        effects = effects_of(_run(result), dump.light)
+        model = pushbroom_with(track, strips[strip_id], dump, R_cs, effects)
+        t_s, places_e = [], []
         for ccd in sorted({point.ccd for point in here}):
             those = [point for point in here if point.ccd == ccd]
-            error = _error(those, ccd, model, dump)
+            error, computed_e = _error(those, ccd, model, dump)
             good = np.asarray(np.isfinite(error).all(axis=1))
             without += int((~good).sum())
             errors.append(error[good])
             found += [point for point, known in zip(those, good.tolist()) if known]
+            t_s.append(model.instants_of_lines(ccd, np.array([point.line for point in those])[good]))
+            places_e.append(computed_e[good])
+        t_found, covariance_s = np.concatenate(t_s), _attitude_covariance_s(near, result, dump)
+        moving.append(
+            StripMoves(
+                ground_moves(dump.orbit, R_cs * track.R_si(t_found), t_found, np.concatenate(places_e)),
+                R_cs.as_matrix() @ track.errors_s(t_found, covariance_s),
+            )
+        )
     along, across, up, east, north = np.vstack([np.zeros((0, 5)), *errors]).T
     checked = CheckPoints(
         strip_id=np.array([point.strip for point in found], dtype=str),
@@ -140,24 +164,45 @@ def _check(
         east_m=east,
         north_m=north,
     )
-    return checked, without
+    return checked, without, moving
 
 
-def _pushbroom(strip: Strip, result: SavedResult, dump: Dump, R_cs: Rotation) -> Pushbroom | None:
-    """The strip's model with the attitudes of the result's star exposures and its settings."""
-    run = run_settings_of(result, "installation.json")
-    near = exposures_around(result, dump, strip, run.exposure_margin_s)
-    if len(near) < 2:
-        return None
-    interpolation = dump.heads[0].interpolation
-    track = AttitudeTrack(
-        result.t_exposures_s[near], result.R_si[near], dump.orbit, interpolation=interpolation
-    )
-    return pushbroom_with(track, strip, dump, R_cs, effects_of(run, dump.light))
+def _against_prediction(
+    after: CheckPoints, strips: list[StripMoves], result: SavedResult, dump: Dump
+) -> tuple[RmsTest, ...]:
+    """The errors along and across the track, tested; none without check points."""
+    if not len(after.along_m):
+        return ()
+    covariance = predicted_covariance(strips, result.cov_theta, dump)
+    errors = (after.along_m, after.across_m)
+    return tuple(map(rms_test, DIRECTIONS, errors, covariance))
 
 
-def _error(points: list[CheckPointRow], ccd: int, model: Pushbroom, dump: Dump) -> Floats:
-    """Computed minus true (N, 5): along track, across track, up, east, north, m."""
+def _run(result: SavedResult) -> RunSettings:
+    return run_settings_of(result, "installation.json")
+
+
+def _exposures(strip: Strip, result: SavedResult, dump: Dump) -> Ints:
+    """Rows of the result's exposures around a strip, by the margin of its settings."""
+    return exposures_around(result, dump, strip, _run(result).exposure_margin_s)
+
+
+def _track(near: Ints, result: SavedResult, dump: Dump) -> AttitudeTrack:
+    """Attitude through those exposures."""
+    t_s, interpolation = result.t_exposures_s[near], dump.heads[0].interpolation
+    return AttitudeTrack(t_s, result.R_si[near], dump.orbit, interpolation=interpolation)
+
+
+def _attitude_covariance_s(near: Ints, result: SavedResult, dump: Dump) -> Floats:
+    """Covariance (K, 3, K, 3) of the errors of those exposures' attitudes, rad²."""
+    each = np.arange(len(near))
+    covariance = dump.heads[0].noise.coloured_covariance_s(result.t_exposures_s[near])
+    covariance[each, :, each, :] += result.covariance_s[near]
+    return covariance
+
+
+def _error(points: list[CheckPointRow], ccd: int, model: Pushbroom, dump: Dump) -> tuple[Floats, Floats]:
+    """Computed minus true (N, 5): along track, across track, up, east, north, m; computed places (N, 3)."""
     sample = np.array([point.sample for point in points])
     line = np.array([point.line for point in points])
     lat = np.radians([point.lat_deg for point in points])
@@ -172,4 +217,4 @@ def _error(points: list[CheckPointRow], ccd: int, model: Pushbroom, dump: Dump) 
     difference = computed_e - true_e
     east, north, _ = np.moveaxis(local_axes_e(lat, lon), 2, 0)
     axes = (along, right, up, east, north)
-    return np.column_stack([np.einsum("ni,ni->n", difference, axis) for axis in axes])
+    return np.column_stack([np.einsum("ni,ni->n", difference, axis) for axis in axes]), computed_e

@@ -15,13 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from boresight.geometry.attitude import (
-    AttitudeTrack,
-    ConstantRate,
-    Interpolation,
-    InterpolationNodes,
-    interpolation_weights,
-)
+from boresight.geometry.attitude import AttitudeTrack, ConstantRate, Interpolation
 from boresight.geometry.constants import WGS84
 from boresight.geometry.epoch import Epoch
 from boresight.geometry.line_camera import LineSensor, end_looks
@@ -103,19 +97,6 @@ class SkyTask:
     def track(self) -> AttitudeTrack:
         """Attitude of the star camera against time."""
         return AttitudeTrack(self.t_attitude_s, self.R_si, self.nominal, interpolation=self.interpolation)
-
-    def attitude_errors_c(self, t_s: Floats) -> Floats:
-        """Rotation (N, 3, 3 K) of the attitude at instants (N,), axes of c, by each of 3 K independent errors
-        of the exposures, 1 sigma, rad.
-        """
-        nodes = InterpolationNodes.of_exposures(
-            self.t_attitude_s, self.R_si, self.nominal.R_oi(self.t_attitude_s)
-        )
-        weights = interpolation_weights(nodes.t_s, t_s, self.interpolation) @ nodes.share
-        K = len(self.t_attitude_s)
-        values, vectors = np.linalg.eigh(self.covariance_c.reshape(3 * K, 3 * K))
-        root = (vectors * np.sqrt(np.maximum(values, 0.0))).reshape(K, 3, 3 * K)
-        return np.tensordot(weights, root, axes=1)
 
     def instants(self, line: Floats) -> Floats:
         """Middle of the exposure of lines (N,), TAI seconds since the epoch."""
@@ -321,7 +302,7 @@ def _directions(
         u_c=u_c,
         R_ci=(R_cs * task.track.R_si(t_s)).as_matrix(),
         brightness=np.where(found.saturated, np.nan, -2.5 * np.log10(np.maximum(found.flux_dn, 1e-9))),
-        attitude_c=task.attitude_errors_c(t_s),
+        attitude_c=task.track.errors_s(t_s, task.covariance_c),
         variance=(measured_px2 + scatter_px**2 + _NOT_STATED_PX**2) * task.camera.pixel_rad**2,
     )
 

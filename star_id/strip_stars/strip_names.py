@@ -124,7 +124,7 @@ def vote_for_rotation(
 
     Returns
     -------
-    Vote | NoRotation
+    CommonRotation | NoRotation
         `NoRotation` unless the bound of the probability of chance is below `max_chance`.
     """
     few = seen.take(np.arange(min(brightest, len(seen.u_c))))

@@ -134,6 +134,7 @@ def test_pixels_are_placed_on_the_ground_and_found_again(flown) -> None:
         exposure_id=[],
         t_exposures_s=none,
         R_si=task.R_si[:0],
+        covariance_s=np.zeros((0, 3, 3)),
         usable=none.astype(bool),
     )
     calibrated = Calibrated(

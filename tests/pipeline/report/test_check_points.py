@@ -56,6 +56,10 @@ def test_the_report_shows_each_check_point_at_its_place(validated):
     page = (validated / "report.html").read_text()
     assert page.count('<g class="check"') == len(points)
     assert f"check point ({len(points)})" in page and points[0].words in page.replace("&#39;", "'")
+    along, across = saved.validation["predicted"]
+    assert (along["direction"], across["direction"]) == ("along", "across")
+    assert along["allowed"] and across["allowed"] and along["points"] == len(points)
+    assert "Check points against the prediction, m" in page and page.count("<td>allowed</td>") == 2
     assert "Errors at check points, m" in page and "Against the truth of the simulation" in page
 
 

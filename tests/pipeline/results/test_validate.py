@@ -11,9 +11,11 @@ import pytest
 from fixture_strips import FIXTURE
 from scipy.spatial.transform import Rotation
 
+from boresight.geometry.constants import ARCSEC
 from boresight.geometry.installation import deviation_from_theta
 from boresight.pipeline.files.dump import Dump, open_dump
 from boresight.pipeline.results.reading import SavedResult, read_saved_result
+from boresight.pipeline.results.summary import validation_summary
 from boresight.pipeline.results.validate import true_installation, validation_of
 
 
@@ -79,3 +81,35 @@ def test_exposures_around_a_strip_are_those_of_the_margin_of_the_result(
     narrow = validation_of(with_run(outside, exposure_margin_s=0.1), dump)
     assert len(wide.after.point_id) == 22
     assert len(narrow.after.point_id) == 0 and narrow.without == wide.without + 22
+
+
+def test_check_points_are_held_against_the_prediction(known: tuple[Dump, SavedResult]) -> None:
+    # The true matrix with a covariance of 1 arcsec is as predicted; one that is 40 arcsec off about y, 100 m
+    # along the track, is not, and across the track it still is.
+    dump, true = known
+    stated = replace(true, cov_theta=(np.array([1.0, 1.0, 8.0]) * ARCSEC) ** 2 * np.eye(3))
+    right = validation_of(stated, dump).predicted
+    assert [one.direction for one in right] == ["along", "across"] and all(one.allowed for one in right)
+    off = replace(stated, R_cs=Rotation.from_rotvec([0.0, 40.0 * ARCSEC, 0.0]) * true.R_cs)
+    along, across = validation_of(off, dump).predicted
+    assert not along.allowed and across.allowed
+    # 1 arcsec at 530 to 545 km is 2.6 m; position 2 m, clock 0.1 ms at 7 km/s 0.7 m, vibration 0.3 m: 3.4 m
+    exact = replace(off, covariance_s=1e-20 * off.covariance_s)
+    assert validation_of(exact, dump).predicted[0].predicted_m == pytest.approx(3.4, abs=0.15)
+    # 36 exposures of 1 arcsec or less, four of them at an instant: no more than 2.6 m beside that
+    assert 3.5 < along.predicted_m < np.hypot(3.5, 2.6)
+
+
+def test_a_prediction_that_is_stated_too_small_is_told(known: tuple[Dump, SavedResult]) -> None:
+    dump, true = known
+    errors = replace_errors(dump, position_m=0.01, clock_s=0.0)
+    off = Rotation.from_rotvec([0.0, 2.0 * ARCSEC, 0.0]) * true.R_cs
+    tiny = {"cov_theta": (0.01 * ARCSEC) ** 2 * np.eye(3), "covariance_s": 1e-6 * true.covariance_s}
+    sure = replace(true, R_cs=off, **tiny)
+    along, _ = validation_of(sure, errors).predicted
+    assert not along.allowed and along.predicted_m < 1.0
+    assert "not allowed" in validation_summary(validation_of(sure, errors))
+
+
+def replace_errors(dump: Dump, **changes: float) -> Dump:
+    return replace(dump, errors=dump.errors.model_copy(update=changes))

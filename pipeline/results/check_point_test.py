@@ -1,0 +1,116 @@
+"""Whether check points are off by no more than the calibration predicts.
+
+Along the track, and across it, the errors e of N check points have a covariance C: of the matrix and the
+camera's distortion, which all points share; of a strip's attitudes, position, clock and heights, which the
+points of the strip share; of vibration, each point's own. Their mean square is
+
+    e . e / N = sum_i lambda_i z_i²,     lambda the eigenvalues of C / N, z independent standard normal
+
+and the probability that it is as large as found by chance is that of the saddlepoint approximation (Lugannani
+and Rice 1980; Kuonen 1999, Biometrika 86, 929).
+
+Predicted is the error in strips that were not used for the calibration. In one that was, the matrix has taken
+up part of the strip's own errors: its points are nearer, and fewer right results are accused than stated.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.linalg import block_diag
+from scipy.optimize import brentq
+from scipy.special import ndtr
+
+from boresight.geometry.constants import ARCSEC
+from boresight.geometry.record import Floats, array, record, scalar
+from boresight.pipeline.files.dump import Dump
+from boresight.pipeline.results.ground_moves import GroundMoves
+from boresight.pipeline.results.strip_model import terrain_sigma_m
+
+__all__ = ["RmsTest", "StripMoves", "predicted_covariance", "probability_beyond", "rms_test"]
+
+PROBABILITY_REFUSED = 1e-3  # that a right prediction is refused, both directions together
+DIRECTIONS = ("along", "across")
+AT_MEAN = 1e-4  # of a standard deviation: nearer to the mean the approximation is its limit
+
+
+@record
+class RmsTest:
+    """Errors of check points in one direction against those predicted."""
+
+    direction: str = scalar("along or across, the track")
+    points: int = scalar("check points")
+    rms_m: float = scalar("root mean square of their errors")
+    predicted_m: float = scalar("root of the mean square that is expected")
+    p_value: float = scalar("probability of an rms as large, if the prediction is right")
+    limit: float = scalar("p-value below which the prediction is refused")
+    allowed: bool = scalar("whether the errors are as predicted, or smaller")
+
+
+@record
+class StripMoves:
+    """What moves N check points of one strip."""
+
+    moves: GroundMoves = scalar("by errors that the mission states")
+    attitude_c: Floats = array("N, 3, A", "rotation of the attitude by each of A independent errors, rad")
+
+
+def rms_test(direction: str, error_m: Floats, covariance: Floats) -> RmsTest:
+    """The test of errors (N,), m, with the predicted covariance (N, N), m²."""
+    mean_square = float(np.mean(error_m**2))
+    eigenvalues = np.maximum(np.linalg.eigvalsh(covariance / len(error_m)), 0.0)
+    p, limit = probability_beyond(eigenvalues, mean_square), PROBABILITY_REFUSED / len(DIRECTIONS)
+    predicted = float(np.sqrt(eigenvalues.sum()))
+    return RmsTest(direction, len(error_m), float(np.sqrt(mean_square)), predicted, p, limit, p >= limit)
+
+
+def probability_beyond(eigenvalues: Floats, x: float) -> float:
+    """Probability that sum_i lambda_i z_i² exceeds x, z_i independent standard normal, lambda_i >= 0."""
+    lam = eigenvalues[eigenvalues > 1e-12 * eigenvalues.max(initial=0.0)]
+    if not len(lam) or x <= 0.0:
+        return float(x <= 0.0)
+
+    def slope(t: float) -> float:
+        return float(np.sum(lam / (1.0 - 2.0 * t * lam))) - x
+
+    most = 0.5 / float(lam.max())  # the generating function is finite below
+    t = brentq(slope, -len(lam) / x, most * (1.0 - 1e-12), xtol=1e-14 * most, rtol=1e-14)
+    second, third = (float(np.sum(c * (lam / (1.0 - 2.0 * t * lam)) ** n)) for c, n in ((2.0, 2), (8.0, 3)))
+    if abs(t) * np.sqrt(second) < AT_MEAN:
+        return 0.5 - third / second**1.5 / (6.0 * np.sqrt(2.0 * np.pi))
+    w = np.sign(t) * np.sqrt(2.0 * (t * x + 0.5 * float(np.sum(np.log1p(-2.0 * t * lam)))))
+    v = t * np.sqrt(second)
+    return float(np.clip(ndtr(-(w + np.log(v / w) / w)), 0.0, 1.0))
+
+
+def predicted_covariance(strips: Sequence[StripMoves], cov_theta: Floats, dump: Dump) -> Floats:
+    """Covariance (2, N, N), m², of errors along and across the track at the check points of strips, by that
+    of the matrix and by the errors that the dump states.
+    """
+    errors, camera = dump.errors, dump.line_camera
+    distortion = (errors.look_distortion_px * camera.pixel_rad) ** 2
+    common = np.linalg.cholesky(cov_theta + distortion * np.eye(3))
+    by_rotation = np.concatenate([one.moves.by_rotation for one in strips])
+    white = (errors.vibration_arcsec * ARCSEC) ** 2 * np.sum(by_rotation**2, axis=2)
+    sigma_m = terrain_sigma_m(dump)
+    covariance = []
+    for axis in range(len(DIRECTIONS)):
+        shared = by_rotation[:, axis] @ common
+        own = [_own(one, axis, errors.position_m, errors.clock_s, sigma_m) for one in strips]
+        parts = block_diag(*(root @ root.T for root in own))
+        covariance.append(shared @ shared.T + parts + np.diag(white[:, axis]))
+    return np.array(covariance)
+
+
+def _own(strip: StripMoves, axis: int, position_m: float, clock_s: float, height_m: float) -> Floats:
+    """Moves (N, A + 5) of a strip's points by the errors that they share, 1 sigma, m."""
+    moves = strip.moves
+    return np.column_stack(
+        [
+            np.einsum("na,nab->nb", moves.by_rotation[:, axis], strip.attitude_c),
+            position_m * moves.by_position[:, axis],
+            clock_s * moves.by_clock[:, axis],
+            height_m * moves.by_height[:, axis],
+        ]
+    )

@@ -1,0 +1,58 @@
+"""What each error of a calibration moves on the ground, to first order:
+
+    rotation delta:  r (I - u nᵀ / uᵀn) (delta x u)      satellite moved by d:  (I - u nᵀ / uᵀn) d
+    ground higher by h:  h (u / uᵀn - n)
+
+with the line of sight u, its length r and the vertical n; a rotation of the camera by delta rotates u too.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from boresight.geometry.constants import WGS84
+from boresight.geometry.geodesy import ellipsoid_normals, geodetic_from_ecef
+from boresight.geometry.orbit import Orbit
+from boresight.geometry.record import Floats, array, record
+
+__all__ = ["GroundMoves", "ground_moves"]
+
+
+@record
+class GroundMoves:
+    """Ground points of N lines of sight, by their errors: along the track, and across it to the right."""
+
+    by_rotation: Floats = array("N, 2, 3", "by a rotation about the axes of c, m/rad")
+    by_position: Floats = array("N, 2, 3", "by the satellite's position, axes of ITRS")
+    by_clock: Floats = array("N, 2", "by the instants of the rows, m/s")
+    by_height: Floats = array("N, 2", "by the height of the ground")
+
+
+def ground_moves(orbit: Orbit, R_ci: Rotation, t_s: Floats, p_e: Floats) -> GroundMoves:
+    """The moves of ground points (N, 3), ITRS, seen at instants (N,) with attitudes (N,), GCRS to frame c."""
+    motion_e = orbit.velocities_e(t_s)
+    lat, lon, _ = geodetic_from_ecef(p_e, WGS84)
+    up = ellipsoid_normals(lat, lon)
+    along = motion_e - up * np.einsum("na,na->n", motion_e, up)[:, None]
+    along = along / np.linalg.norm(along, axis=1, keepdims=True)
+    to_track = np.stack([along, np.cross(along, up)], axis=1)  # (N, 2, 3)
+    sight = p_e - orbit.positions_e(t_s)
+    distance = np.linalg.norm(sight, axis=1)
+    u = sight / distance[:, None]
+    fall = u / np.einsum("na,na->n", u, up)[:, None]
+    by_position = to_track @ (np.eye(3) - fall[:, :, None] * up[:, None, :])
+    R_ec = np.swapaxes(orbit.earth.matrices_ie(t_s), 1, 2) @ np.swapaxes(R_ci.as_matrix(), 1, 2)
+    return GroundMoves(
+        distance[:, None, None] * by_position @ _cross_matrices(u) @ R_ec,
+        by_position,
+        np.einsum("nia,na->ni", by_position, motion_e),
+        np.einsum("nia,na->ni", to_track, fall - up),
+    )
+
+
+def _cross_matrices(u: Floats) -> Floats:
+    """(N, 3, 3): matrices that map a small rotation delta to the change delta x u of a direction."""
+    x, y, z = u.T
+    o = np.zeros_like(x)
+    return np.array([[o, z, -y], [-z, o, x], [y, -x, o]]).transpose(2, 0, 1)
