@@ -14,6 +14,7 @@ All names of `__all__` are imported on first use. The rooms behind them (`boresi
 
 from __future__ import annotations
 
+from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:  # what a type checker and an editor see; at run time `__getattr__` imports the same
@@ -116,7 +117,6 @@ def __getattr__(name: str) -> object:
     """Import a name of `__all__` from its module when it is first asked for."""
     if name not in _MODULE_OF:
         raise AttributeError(f"module 'boresight' has no attribute {name!r}")
-    from importlib import import_module
 
     value: object = getattr(import_module(f"boresight.{_MODULE_OF[name]}"), name)
     globals()[name] = value

@@ -4,6 +4,8 @@ import gc
 import os
 import sys
 
+from boresight.version import version_text
+
 __all__ = ["main"]
 
 FEW_COLLECTIONS = 1_000_000  # what modules make stays: looking for garbage among it takes 4 % of a command
@@ -13,8 +15,6 @@ def main() -> None:
     """Run the command line; `--version` alone is answered without importing it."""
     _open_streams()
     if sys.argv[1:] == ["--version"]:
-        from boresight.version import version_text
-
         print(version_text())
         return
     gc.set_threshold(FEW_COLLECTIONS)

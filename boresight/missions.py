@@ -31,6 +31,7 @@ from boresight.pipeline.calibration_run import RunRequest, run_dump, run_dumps
 from boresight.pipeline.errors import Cause, Omission, RawDataError
 from boresight.pipeline.files.dump import Dump, open_dump
 from boresight.pipeline.files.object_store import dump_folder
+from boresight.pipeline.report.evidence import write_evidence
 from boresight.pipeline.results.folder import dumps_in
 from boresight.pipeline.results.reading import SavedResult
 from boresight.pipeline.results.reading import read_saved_result as saved_in
@@ -203,7 +204,6 @@ class Calibration(Result):
         Raises `ValueError` for a result from vectors, which has no images to show, and for a joint result
         without a folder.
         """
-        from boresight.pipeline.report.evidence import write_evidence  # with the page: Matplotlib, 0.3 s
         from boresight.pipeline.report.page import write_report
 
         page, folder = path_of(path, "path"), Path(self)

@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
+import scipy
 from scipy.linalg import cho_factor, cho_solve
 from scipy.spatial.transform import Rotation
 
@@ -75,7 +76,6 @@ def common_instants(reference: HeadTrack, other: HeadTrack) -> tuple[Ints, Ints]
 
 def carried_to(track: HeadTrack, rows: Ints, t_s: Floats, R_oi: Rotation) -> Rotation:
     """Attitudes of rows (M,), each carried to a close instant (M,) by the smoothed motion around it."""
-    from scipy.signal import savgol_filter  # with scipy.stats 0.2 s to load
 
     D = track.R_hi * track.R_oi.inv()
     away = t_s - track.t_s[rows]
@@ -86,7 +86,7 @@ def carried_to(track: HeadTrack, rows: Ints, t_s: Floats, R_oi: Rotation) -> Rot
         if np.any(away) and window >= 5 and piece.stop - piece.start >= window:
             middle = D[(piece.start + piece.stop) // 2]
             rotvec = (D[piece] * middle.inv()).as_rotvec()
-            rate[piece] = savgol_filter(rotvec, window, 2, deriv=1, delta=step, axis=0)
+            rate[piece] = scipy.signal.savgol_filter(rotvec, window, 2, deriv=1, delta=step, axis=0)
     return Rotation.from_rotvec(rate[rows] * away[:, None]) * D[rows] * R_oi
 
 

@@ -21,6 +21,7 @@ from collections.abc import Callable, Sequence
 from itertools import pairwise
 
 import numpy as np
+import scipy
 from scipy.optimize import minimize, nnls
 from scipy.spatial.transform import Rotation
 
@@ -153,13 +154,12 @@ def _periodograms(parts: Sequence[Floats], signal: Signal) -> tuple[Floats, Floa
 
     Where slow motion is to be left out, a taper over a tenth at both ends keeps it from leaking upwards.
     """
-    from scipy.signal.windows import tukey  # with scipy.stats 0.2 s to load
 
     omega: list[Floats] = []
     matrices: list[Floats] = []
     for part in parts:
         K = len(part)
-        taper = tukey(K, 0.2 if signal.lowest_hz > 0.0 else 0.0)[:, None]
+        taper = scipy.signal.windows.tukey(K, 0.2 if signal.lowest_hz > 0.0 else 0.0)[:, None]
         taper = taper / np.sqrt(np.mean(taper**2))
         X = np.fft.rfft(taper * (part - part.mean(axis=0)), axis=0)[1 : (K + 1) // 2]
         at: Floats = 2.0 * np.pi * np.arange(1, (K + 1) // 2, dtype=np.float64) / K

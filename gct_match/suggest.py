@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
+import skimage
 
 from boresight.gct_match.imaging.views import normalised
 from boresight.gct_match.records import Image
@@ -132,9 +133,8 @@ def _expected_sigma(image: Image, valid: Bools, size_px: int) -> Image:
 
 def _peaks(sigma: Image, apart: int, most: int, largest: float) -> list[tuple[int, int]]:
     """(column, row) of the minima below `largest` that are lowest within `apart` px, lowest first."""
-    from skimage.feature import peak_local_max  # here: `import boresight` need not load it
 
-    peaks = peak_local_max(
+    peaks = skimage.feature.peak_local_max(
         1.0 / sigma, min_distance=apart, threshold_abs=1.0 / largest, exclude_border=False, num_peaks=most
     )
     return [(column, row) for row, column in peaks.tolist()]

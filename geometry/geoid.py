@@ -12,6 +12,7 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
 from numpy.typing import ArrayLike, NDArray
 
 from boresight.geometry.record import array, record, scalar
@@ -141,8 +142,6 @@ class Geoid:
 @cache
 def egm96() -> Geoid:
     """EGM96 (NIMA/NASA 1998) on the 5' grid of the package, rounded to centimetres; read once per process."""
-    import pyarrow as pa
-
     path = importlib.resources.files("boresight.geometry") / "data" / "egm96-5.npy.zst"
     with path.open("rb") as file, pa.CompressedInputStream(file, "zstd") as stored:
         # Stored: second differences in centimetres along longitude and latitude; two cumulative sums invert.

@@ -36,10 +36,9 @@ else:
         kinds = {"Floats": "float64", "Ints": "int64", "Bools": "bool_", "Texts": "str_"}
         if name not in kinds:
             raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-        import numpy as np
-        from numpy.typing import NDArray
+        import numpy.typing  # records of texts and numbers alone are there before NumPy is
 
-        globals()[name] = alias = NDArray[getattr(np, kinds[name])]
+        globals()[name] = alias = numpy.typing.NDArray[getattr(numpy, kinds[name])]
         return alias
 
 
@@ -122,15 +121,13 @@ def _post_init(
     checked: tuple[tuple[str, tuple[Dimension, ...], bool], ...],
     own: Callable[[Any], None] | None,
 ) -> Callable[[Any], None]:
-    import numpy as np
-
     def __post_init__(self: Any) -> None:
         lengths = {"": 0}
         for field, shape, optional in checked:
             value = getattr(self, field)
             if value is None and optional:
                 continue
-            found = value.shape if isinstance(value, np.ndarray) else _lengths(value)
+            found = value.shape if hasattr(value, "dtype") else _lengths(value)
             if not _fits(found, shape, lengths):
                 expected = ", ".join(_shown(dimension, lengths) for dimension in shape) + "," * (
                     len(shape) == 1

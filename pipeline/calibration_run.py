@@ -24,6 +24,8 @@ from boresight.pipeline.files.dump import Dump
 from boresight.pipeline.files.record_tables import plain
 from boresight.pipeline.files.text_files import read_json
 from boresight.pipeline.files.whole_file import make_own_folder
+from boresight.pipeline.report.evidence import write_evidence
+from boresight.pipeline.report.strip_overview import overview, overview_tasks
 from boresight.pipeline.results.folder import begin_result, results_in, store_of
 from boresight.pipeline.results.ownership import claimed
 from boresight.pipeline.results.reading import read_findings, read_saved_result
@@ -244,7 +246,6 @@ def _overviews_ahead(
     if not request.report:
         yield
         return
-    from boresight.pipeline.report.strip_overview import overview, overview_tasks
 
     tasks = overview_tasks(dump.strips, request.settings.match)[:MOST_AHEAD]
     with executor.ahead(overview, tasks) as finished:
@@ -260,8 +261,6 @@ def _write_evidence(
     executor: Executor,
     overviews: Mapping[tuple[str, int], Any],
 ) -> None:
-    from boresight.pipeline.report.evidence import write_evidence
-
     with executor.beside(partial(write_evidence, out, dump, found, request.settings, executor, overviews)):
         import_module("boresight.pipeline.report.page")  # Matplotlib takes as long as half of the evidence
 

@@ -15,10 +15,14 @@ from boresight.features.operators.sentinel2_import import AttitudeLevel, sentine
 from boresight.features.operators.sentinel2_product import read_sentinel2
 from boresight.pipeline import __version__
 from boresight.pipeline.console.messages import Answer, say, wrong_usage
+from boresight.pipeline.errors import DataNotSufficientError
 from boresight.pipeline.files.dimap_metadata import operator_model
-from boresight.pipeline.files.dump import read_earth_orientation
+from boresight.pipeline.files.dump import open_dump, read_earth_orientation
+from boresight.pipeline.files.stated_noise import state_noise
 from boresight.pipeline.files.text_files import read_text
 from boresight.pipeline.files.whole_file import is_vacant, write_text
+from boresight.pipeline.run.settings import Settings
+from boresight.pipeline.stages.head_records import noise_of_heads
 
 __all__ = ["import_dimap_command", "import_points_command", "import_sentinel2_command"]
 
@@ -123,11 +127,6 @@ def _written(out: Path, mission: ImportedMission, points: Path | None) -> Answer
 
 def _noise_of(dump: Path, mission: ImportedMission) -> list[str]:
     """Lines about the noise of the heads, which is estimated and stated where the record allows it."""
-    from boresight.pipeline.errors import DataNotSufficientError
-    from boresight.pipeline.files.dump import open_dump
-    from boresight.pipeline.files.stated_noise import state_noise
-    from boresight.pipeline.run.settings import Settings
-    from boresight.pipeline.stages.head_records import noise_of_heads
 
     why = "the operator's attitude does not show its own errors"
     if all(head.is_measured for head in mission.heads):

@@ -8,6 +8,7 @@ from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+import pandas as pd
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
@@ -26,6 +27,8 @@ from boresight.accepted import (
     wrong,
 )
 from boresight.display import Result, SuccessfulResult, axes_or_new
+from boresight.features.sky_images.frame_facts import observer_at
+from boresight.features.sky_images.identify_images import sky_index
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.record import Bools, Floats, Ints, array, record, scalar
 from boresight.geometry.star_camera import StarCamera
@@ -120,7 +123,6 @@ class Stars(Result):
 
     def table(self) -> pd.DataFrame:
         """One row a star: x_px, y_px, sigma_px, flux_dn, snr, saturated, blended."""
-        import pandas as pd
 
         columns = {"x_px": self.xy_px[:, 0], "y_px": self.xy_px[:, 1], "sigma_px": self.sigma_px}
         columns |= {name: getattr(self, name) for name in ("flux_dn", "snr", "saturated", "blended")}
@@ -252,7 +254,6 @@ class StarSolution(SuccessfulResult):
         """One row an identified star: hip, x_px, y_px, residual_x_px, residual_y_px, and the measured ra_deg
         and dec_deg.
         """
-        import pandas as pd
 
         sky = self.pixel_to_sky(self._image_px)
         columns = {"hip": self.hip, "x_px": self.xy_px[:, 0], "y_px": self.xy_px[:, 1]}
@@ -318,7 +319,6 @@ class CameraSolution(SuccessfulResult):
 
     def table(self) -> pd.DataFrame:
         """One row a star of the fit: image, x_px, y_px, residual_x_px, residual_y_px, sigma_px."""
-        import pandas as pd
 
         fit = self.fit
         columns = {
@@ -441,8 +441,6 @@ def identify(
     ...     print(len(solution.hip) > 50, solution.sigma_arcsec[0] < 5)
     True True
     """
-    from boresight.features.sky_images.frame_facts import observer_at
-    from boresight.features.sky_images.identify_images import sky_index
 
     if camera is not None and fov_deg is not None:
         raise ValueError("camera and fov_deg exclude one another: the camera knows its field of view")
@@ -530,8 +528,6 @@ def calibrate_star_camera(
     >>> found.rms_px < 0.2
     True
     """
-    from boresight.features.sky_images.frame_facts import observer_at
-    from boresight.features.sky_images.identify_images import sky_index
 
     if camera is not None and fov_deg is not None:
         raise ValueError("camera and fov_deg exclude one another: the camera knows its field of view")

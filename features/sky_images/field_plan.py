@@ -8,6 +8,10 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+from astropy.coordinates import get_sun
+from astropy.time import Time
+from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
@@ -82,9 +86,6 @@ def plan_sky(path: Path, request: SkyPlanRequest, settings: StarSettings) -> tup
 def _away_from_the_sun(
     camera: StarCamera, candidates: Rotation, utc: str, least_deg: float
 ) -> tuple[Rotation, str]:
-    from astropy.coordinates import get_sun
-    from astropy.time import Time
-
     try:
         sun = get_sun(Time(utc.removesuffix("Z"), scale="utc", format="isot")).cartesian.xyz.value
     except ValueError as error:
@@ -118,8 +119,6 @@ def _table(camera: StarCamera, plan: SkyPlan) -> pd.DataFrame:
 
 def _draw(camera: StarCamera, plan: SkyPlan, table: pd.DataFrame, index: StarIndex, path: Path) -> None:
     """The fields on the sky, numbered, and how the camera becomes known with them."""
-    from matplotlib.figure import Figure
-    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
     figure = Figure(figsize=(10.5, 4.2), layout="constrained")
     sky, error = figure.subplots(1, 2, width_ratios=(1.7, 1.0))

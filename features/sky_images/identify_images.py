@@ -23,6 +23,7 @@ from boresight.geometry.constants import ARCSEC
 from boresight.geometry.record import Floats
 from boresight.geometry.star_camera import StarCamera
 from boresight.pipeline.errors import RawDataError
+from boresight.pipeline.files.centroid_files import read_centroids
 from boresight.pipeline.files.star_images import read_star_image
 from boresight.pipeline.run.index_cache import cached_index
 from boresight.pipeline.stages.unforeseen import UNFORESEEN, internal_error
@@ -155,8 +156,6 @@ def _of_centroids(
     path: Path, camera: StarCamera | None, index: StarIndex, settings: StarSettings
 ) -> Iterator[tuple[Path, FieldSolution | NotIdentified]]:
     """The images of a list of centroids by their names; `RawDataError` where the camera is not known."""
-    from boresight.pipeline.files.centroid_files import read_centroids
-
     if camera is None:
         expected = "the option --camera: a list of centroids does not tell the size of the images"
         raise RawDataError(str(path), "camera", "nothing", expected)
@@ -168,11 +167,11 @@ def read_camera(file: Path | None) -> StarCamera | None:
     """The camera of a star_camera.toml."""
     if file is None:
         return None
-    from boresight.pipeline.files.dump_schema import StarCameraFile
-    from boresight.pipeline.files.star_side import star_camera_of
-    from boresight.pipeline.files.text_files import read_toml
+    from boresight.features.sky_images.camera_file import (
+        camera_in,  # with the schemas of a dump 0.1 s to load
+    )
 
-    return star_camera_of(read_toml(file, StarCameraFile, str(file)), str(file))
+    return camera_in(file)
 
 
 def _observers(images: Sequence[Path], known: Whereabouts) -> dict[str, Observer]:

@@ -6,11 +6,14 @@ the Earth's velocity by half a degree at most (0.2 arc-seconds of aberration).
 
 from __future__ import annotations
 
+import io
 import re
 from collections.abc import Mapping
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
+
+from PIL import Image
 
 from boresight.pipeline.files.content import content_of, open_regular
 
@@ -71,10 +74,6 @@ def _of_cards(header: Mapping[str, Any]) -> datetime | None:
 
 
 def _of_exif(path: Path) -> datetime | None:
-    import io
-
-    from PIL import Image
-
     with Image.open(io.BytesIO(content_of(path))) as image:
         tags = image.getexif().get_ifd(_EXIF_IFD)
     if not (text := str(tags.get(_TAKEN, "")).strip("\0 ")):

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from boresight.pipeline.console.messages import DONE, LIMIT_MISSED, Answer
+from boresight.pipeline.files.whole_file import write_text
 
 if TYPE_CHECKING:
     from boresight.pipeline.results.limits import Limit
@@ -23,7 +24,6 @@ def held(
     command: str, limits: Sequence[Limit], junit: Path | None, begun_s: float, answer: Answer | None = None
 ) -> Answer:
     """`answer` with its limits: a line each, the JUnit file, exit status 4 if one is missed."""
-    from boresight.pipeline.files.whole_file import write_text
     from boresight.pipeline.results.limits import junit_xml, limit_lines
 
     told = answer if answer is not None else Answer()

@@ -26,6 +26,7 @@ import typer
 from boresight.geometry.record import record, scalar
 from boresight.pipeline import __version__
 from boresight.pipeline.errors import RawDataError, printable
+from boresight.pipeline.files.text_files import json_text
 
 __all__ = ["DATA_DID_NOT_ALLOW", "DONE", "LIMIT_MISSED", "NOT_CHECKABLE", "REFUTED", "WITH_FINDINGS"]
 __all__ += [
@@ -276,7 +277,6 @@ log.addHandler(_Console())
 
 def _document(command: str, answer: Answer, error: Exception | None = None) -> str:
     """The JSON object of docs/json.md."""
-    from boresight.pipeline.files.text_files import json_text
 
     content: dict[str, Any] = {
         "format": "boresight-answer",

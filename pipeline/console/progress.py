@@ -26,17 +26,16 @@ def progress_bars() -> Iterator[Callable[[str, int, int | None], None]]:
     if sys.stderr is None or not (sys.stderr.isatty() and shows_bars()):
         yield noted
         return
-    from rich.console import Console  # takes 0.15 s to import, and most commands print one line
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+    from rich import console, progress  # 0.15 s to load, and most commands print one line
 
     columns = (
-        TextColumn("{task.description}", markup=False),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
+        progress.TextColumn("{task.description}", markup=False),
+        progress.BarColumn(),
+        progress.MofNCompleteColumn(),
+        progress.TimeElapsedColumn(),
     )
-    console = Console(stderr=True, highlight=False, emoji=False, markup=False)
-    with Progress(*columns, console=console, transient=True) as bar:
+    errors = console.Console(stderr=True, highlight=False, emoji=False, markup=False)
+    with progress.Progress(*columns, console=errors, transient=True) as bar:
         bars: dict[str, Any] = {}
 
         def told(stage: str, done: int, total: int | None) -> None:

@@ -17,6 +17,7 @@ from typing import IO, TYPE_CHECKING, Any
 import numpy as np
 from isal import isal_zlib
 from numpy.typing import NDArray
+from PIL import Image
 
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.content import open_regular, small_content
@@ -82,7 +83,6 @@ def read_picture(path: Path, file: str) -> NDArray[Any]:
 
 def _by_pillow(stream: IO[bytes], path: Path, file: str, kind: str) -> NDArray[Any]:
     """What Pillow decodes as a file of one kind, and as nothing else."""
-    from PIL import Image
 
     try:
         with warnings.catch_warnings():

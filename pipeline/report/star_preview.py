@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
+import skimage
 from numpy.typing import NDArray
 
 from boresight.geometry.record import Floats, Ints, Texts, array, record, scalar
@@ -72,7 +73,6 @@ def stretched_jpeg(image: NDArray[np.generic]) -> tuple[bytes, int]:
 
     Raises `OSError` if it cannot be encoded.
     """
-    from skimage.exposure import rescale_intensity
 
     shrunk = 1
     while max(image.shape) / shrunk > LONG_SIDE_PX:
@@ -84,7 +84,7 @@ def stretched_jpeg(image: NDArray[np.generic]) -> tuple[bytes, int]:
     sky = float(np.median(small))
     sigma = max(1.4826 * float(np.median(np.abs(small - sky))), 0.5)
     low, high = (sky + s * sigma for s in SKY_SIGMAS)
-    grey = rescale_intensity(small, in_range=(low, high), out_range=(0.0, 1.0)) ** 0.6
+    grey = skimage.exposure.rescale_intensity(small, in_range=(low, high), out_range=(0.0, 1.0)) ** 0.6
     done, encoded = cv2.imencode(".jpg", (255.0 * grey).astype(np.uint8), [cv2.IMWRITE_JPEG_QUALITY, 72])
     if not done:
         raise OSError("the star image could not be encoded")

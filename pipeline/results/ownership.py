@@ -15,11 +15,15 @@ import os
 import re
 import socket
 import stat
+import sys
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
+
+if sys.platform != "win32":
+    import fcntl
 
 from boresight.geometry.record import record, scalar
 from boresight.pipeline import __version__
@@ -274,9 +278,7 @@ def _check_lock(path: Path, status: os.stat_result) -> None:
 
 def _lock(stream: Any) -> bool:
     """Lock an open file for this process; false where another process, also of another host, has it."""
-    try:
-        import fcntl
-    except ImportError:  # not a POSIX system
+    if sys.platform == "win32":
         return True
     try:
         fcntl.lockf(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)

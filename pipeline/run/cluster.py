@@ -16,6 +16,8 @@ from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any, ClassVar, TypeVar
 
+from distributed import Client, KilledWorker, get_worker, wait
+
 from boresight.geometry.record import record, scalar
 from boresight.pipeline.errors import WorkerError
 from boresight.pipeline.files.content import content_digest
@@ -87,8 +89,6 @@ def guarded(expected: Fingerprint, function: Callable[[Item], Outcome], item: It
 
 
 def _require(expected: Fingerprint) -> None:
-    from distributed import get_worker
-
     if difference := expected.difference(fingerprint(list(expected.files))):
         raise UnfitWorkerError(get_worker().address, difference)
 
@@ -225,8 +225,6 @@ class _Run:
             self.running[future] = (n, bound)
 
     def _finished(self) -> list[Any]:
-        from distributed import wait
-
         if not self.running:
             time.sleep(POLL_S)
             return []
@@ -255,8 +253,6 @@ class _Run:
         return answers
 
     def _take(self, future: Any, answers: Mapping[Any, Any]) -> None:
-        from distributed import KilledWorker
-
         n, _ = self.running.pop(future)
         try:
             self.outcomes[n] = answers[future] if future in answers else future.result()  # its error
@@ -319,10 +315,6 @@ def on_cluster(
     address: str, probes: Sequence[Path], wait_s: float | None, say: Callable[[str], None]
 ) -> Iterator[OnCluster]:
     """The executor on the cluster of the scheduler at `address`; `WorkerError` if there is none."""
-    try:
-        from distributed import Client
-    except ImportError as error:
-        raise WorkerError(f"a scheduler needs dask: pip install 'boresight[cluster]' ({error})") from error
     try:
         client = Client(address, timeout=30)
     except (OSError, TimeoutError, ValueError, TypeError) as error:  # TypeError: TLS is not configured

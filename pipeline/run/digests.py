@@ -162,13 +162,9 @@ def _module(name: str) -> tuple[bytes, list[str], list[Path] | None] | None:
 @cache
 def library_versions() -> dict[str, str]:
     """Versions of Python and of the libraries whose numbers enter the results."""
-    import cv2
-    import pyproj
-    import rasterio
+    from boresight.pipeline.run.linked_libraries import linked_versions  # with GDAL 0.1 s to load
 
-    named = {"opencv": cv2.__version__, "rasterio": rasterio.__version__, "gdal": rasterio.__gdal_version__}
-    proj = {"pyproj": pyproj.__version__, "proj": pyproj.proj_version_str}
-    return _numerical_versions() | named | proj
+    return _numerical_versions() | linked_versions()
 
 
 def _numerical_versions() -> dict[str, str]:

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
-from boresight.pipeline.run.cluster import on_cluster
+from boresight.pipeline.errors import WorkerError
 from boresight.pipeline.run.executor import Executor, InOrder
 from boresight.pipeline.run.processes import Processes
 
@@ -33,6 +33,12 @@ def executor_for(
     process does; `wait_s` is the longest time without any usable worker, and `say` is called with remarks.
     """
     if scheduler is not None:
+        try:
+            from boresight.pipeline.run.cluster import on_cluster  # dask is of the extra `cluster`
+        except ImportError as error:
+            raise WorkerError(
+                f"a scheduler needs dask: pip install 'boresight[cluster]' ({error})"
+            ) from error
         with on_cluster(scheduler, probes, wait_s, say) as executor:
             yield executor
         return

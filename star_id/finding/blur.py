@@ -15,6 +15,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
 from boresight.geometry.record import Floats
@@ -156,12 +157,13 @@ def _refined(
 ) -> tuple[Floats, Floats]:
     """Parameters (P,) of the PSF that explains the windows best, from `theta` on, which change by some
     `scale`, and their covariance (P, P) by the scatter of single stars' parts in it."""
-    from scipy.optimize import least_squares  # 0.1 s to load, and seldom needed
 
     def residuals(theta: Floats) -> Floats:
         return _fitted(windows, start, psf_of(theta), unlike)[0]
 
-    fit = least_squares(residuals, theta, diff_step=_STEP, max_nfev=8, x_scale=scale, bounds=bounds)
+    fit = scipy.optimize.least_squares(
+        residuals, theta, diff_step=_STEP, max_nfev=8, x_scale=scale, bounds=bounds
+    )
     parts = (fit.jac * fit.fun[:, None]).reshape(len(start), -1, len(theta)).sum(axis=1)
     inverse = np.linalg.pinv(fit.jac.T @ fit.jac)
     return fit.x, inverse @ (parts.T @ parts) @ inverse
@@ -178,7 +180,6 @@ def _gain(windows: StarWindows, start: Floats, psf: Psf) -> float:
     another length at each star: its square grows with theirs. Stars that stand out (their neighbours do) are
     left out.
     """
-    from scipy.optimize import nnls
 
     _, state, images = _fitted(windows, start, psf)
     _, normal, residual, weight = newton_step(windows, images, state, np.inf)
@@ -194,7 +195,8 @@ def _gain(windows: StarWindows, start: Floats, psf: Psf) -> float:
     for _ in range(_GAIN_ROUNDS):
         variance = noise2 + np.tensordot(size, terms, 1)
         used = (square < _NEIGHBOUR**2 * variance) & (weight > 0.0) & usual[:, None]
-        size = nnls((terms[:, used] / variance[used]).T, ((square - noise2) / variance)[used])[0]
+        target = (square - noise2) / variance
+        size = scipy.optimize.nnls((terms[:, used] / variance[used]).T, target[used])[0]
         chi2 = (square / (noise2 + np.tensordot(size, terms, 1))).mean(axis=1)
         usual = chi2 < 1.0 + 4.0 * np.sqrt(2.0 / square.shape[1])
     return float(1.0 / size[0]) if size[0] > 0.0 else np.inf

@@ -9,6 +9,7 @@ the level of the sky over the image remains.
 from __future__ import annotations
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
 from boresight.geometry.record import Floats, Ints
@@ -104,8 +105,6 @@ def _offsets(image: NDArray) -> NDArray[np.float32]:
 
     Of a sky that is cut off at its least value the means move less than the sky, by the share that is above.
     """
-    from scipy.ndimage import median_filter
-    from scipy.signal import savgol_filter  # 0.3 s to load, and most images have no offsets
 
     sample = image[:, :: max(1, image.shape[1] // _SAMPLES)]
     median = np.median(sample, axis=1)
@@ -113,8 +112,8 @@ def _offsets(image: NDArray) -> NDArray[np.float32]:
     limit = _CLIP_SIGMA * max(1.4826 * float(np.median(np.abs(rest))), 1.0)
     above = np.mean(sample > sample.min(), axis=1).clip(0.2)
     middle = median + np.clip(rest, -limit, limit).mean(axis=1) / above
-    around = median_filter(middle, _AROUND, mode="nearest")
+    around = scipy.ndimage.median_filter(middle, _AROUND, mode="nearest")
     off = middle - around
     inlier = np.clip(off, -3.0 * (spread := 1.4826 * np.median(np.abs(off))), 3.0 * spread)
     window = min(_SMOOTH, len(middle) // 2 * 2 - 1)
-    return np.asarray(middle - savgol_filter(around + inlier, window, 2), dtype=np.float32)
+    return np.asarray(middle - scipy.signal.savgol_filter(around + inlier, window, 2), dtype=np.float32)

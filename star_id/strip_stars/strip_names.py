@@ -21,6 +21,7 @@ from __future__ import annotations
 from dataclasses import dataclass, fields
 
 import numpy as np
+import scipy
 from scipy.spatial.transform import Rotation
 
 from boresight.geometry.record import Bools, Floats, Ints, array, record, scalar
@@ -306,13 +307,12 @@ def _log10_chance(detections: int, pairs: int, agreeing: int, tests: int, field:
     """
     if agreeing < _LEAST or detections < _LEAST:
         return 0.0
-    from scipy.stats import binom  # 0.2 s to load
 
     x, y, _ = field.limit_rad
     box = 4.0 * (y + field.reach_rad[0]) * (x + field.reach_rad[1])
     ellipse = np.pi * abs(np.linalg.det(field.tolerance))
     one = min(1.0, float(pairs / detections * ellipse / box))
-    log_tail = float(binom.logsf(agreeing - 3, detections - 2, one)) / np.log(10.0)
+    log_tail = float(scipy.stats.binom.logsf(agreeing - 3, detections - 2, one)) / np.log(10.0)
     return min(0.0, np.log10(max(tests, 1)) + log_tail)
 
 
