@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:  # what a type checker and an editor see; at run time `__getattr__` imports the same
     from boresight.accepted import ImageLike, PathLike, RotationLike, SiteLike, TimeLike
+    from boresight.array_dump import dump_from_arrays
     from boresight.features.geolocate.api import geolocate
     from boresight.features.planning.api import forecast
     from boresight.features.planning.campaign_plan import PlanForecast
@@ -76,6 +77,7 @@ __all__ = [
     "calibrate",
     "calibrate_star_camera",
     "calibrate_vectors",
+    "dump_from_arrays",
     "example",
     "find_stars",
     "forecast",
@@ -90,6 +92,7 @@ __all__ = [
 ]
 
 _MODULES = {
+    "array_dump": "dump_from_arrays",
     "accepted": "ImageLike PathLike RotationLike SiteLike TimeLike",
     "features.geolocate.api": "geolocate",
     "features.planning.api": "forecast",

@@ -28,7 +28,7 @@ from boresight.features.table import features
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.record import Floats, array, record, scalar
 from boresight.pipeline.calibration_run import RunRequest, run_dump, run_dumps
-from boresight.pipeline.errors import Cause, Omission, RawDataError
+from boresight.pipeline.errors import Omission, RawDataError
 from boresight.pipeline.files.dump import Dump, open_dump
 from boresight.pipeline.files.object_store import dump_folder
 from boresight.pipeline.report.evidence import write_evidence
@@ -430,7 +430,7 @@ def _with_strips(dump: Dump, wanted: Sequence[str]) -> Dump:
     if not wanted:
         raise wrong("strips", "no ids", "at least one")
     left_out = tuple(
-        Omission("strip", name, reason="not among the strips asked for", cause=Cause.NOT_NEEDED)
+        Omission("strip", name, reason="not among the strips asked for", cause="not asked for")
         for name in names
         if name not in wanted
     )

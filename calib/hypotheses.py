@@ -23,7 +23,7 @@ __all__ = ["Hypothesis", "HypothesisTable", "hypotheses", "vector_hypotheses"]
 
 MILLI = 1e-3
 PERCENT = 1e-2
-MOST_FRAMES = 100  # of vectors whose attitudes are tested one by one: the work grows with the square
+MOST_FRAMES = 50  # of vectors whose attitudes are tested one by one: the work grows with the square
 
 
 @record(kw_only=True)

@@ -1,6 +1,6 @@
 """A user of the matcher: one array found in another, then the targets of a whole strip.
 
-The first picture is a chip of `fixtures/mini`; the second one shows the same ground moved by a known fraction
+The first picture is a chip of the example "mini"; the second one shows the same ground moved by a known fraction
 of a pixel, in other light and with noise. Then the targets of one raw strip are measured, starting from the
 pre-launch installation matrix, which is wrong by hundreds of pixels.
 """
@@ -15,7 +15,7 @@ from scipy.ndimage import fourier_shift, gaussian_filter
 
 import boresight as bs
 
-FIXTURE = Path(__file__).parents[2] / "fixtures" / "mini"
+FIXTURE = bs.example("mini")  # elsewhere than in a checkout it is rendered at first use
 PICTURES = Path(sys.argv[1] if len(sys.argv) > 1 else Path(__file__).parents[1] / "images")
 
 with rasterio.open(FIXTURE / "chips" / "s01-t05.tif") as file:

@@ -1,6 +1,6 @@
 """A star-tracker developer: find stars, identify them, calibrate the lens.
 
-The images are the first ten exposures of `fixtures/mini`. Nothing is known of the camera but that its field
+The images are the first ten exposures of the example "mini". Nothing is known of the camera but that its field
 is about 20 degrees wide. At the end the lens is compared with the one that the images were rendered with.
 """
 
@@ -12,7 +12,7 @@ import pandas as pd
 
 import boresight as bs
 
-FIXTURE = Path(__file__).parents[2] / "fixtures" / "mini"
+FIXTURE = bs.example("mini")  # elsewhere than in a checkout it is rendered at first use
 PICTURES = Path(sys.argv[1] if len(sys.argv) > 1 else Path(__file__).parents[1] / "images")
 images = [FIXTURE / "exposures" / f"e{number:04d}.png" for number in range(1, 11)]
 
