@@ -1,8 +1,8 @@
 """A user of the matcher: one array found in another, then the targets of a whole strip.
 
 The first picture is a chip of the example "mini"; the second one shows the same ground moved by a known
-fraction of a pixel, in other light and with noise. Then the targets of one raw strip are measured, starting from the
-pre-launch installation matrix, which is wrong by hundreds of pixels.
+fraction of a pixel, in other light and with noise. Then the targets of one raw strip are measured, starting
+from the pre-launch installation matrix, which is wrong by hundreds of pixels.
 """
 
 import sys

@@ -1,7 +1,8 @@
 """A star-tracker developer: find stars, identify them, calibrate the lens.
 
 The images are the first ten exposures of the example "mini". Nothing is known of the camera but that its
-field is about 20 degrees wide. At the end the lens is compared with the one that the images were rendered with.
+field is about 20 degrees wide. At the end the lens is compared with the one that the images were rendered
+with.
 """
 
 import sys
