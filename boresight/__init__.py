@@ -14,6 +14,7 @@ All names of `__all__` are imported on first use. The rooms behind them (`boresi
 
 from __future__ import annotations
 
+import os
 from importlib import import_module
 from typing import TYPE_CHECKING
 
@@ -113,6 +114,11 @@ _MODULES = {
     "vectors": "calibrate_vectors",
     "version": "__version__",
 }
+if not os.path.isdir(os.path.join(__path__[0], "geometry")):
+    raise ImportError(
+        f"{os.path.join(__path__[0], 'geometry')} is no folder: this checkout is without symbolic links; clone"
+        " it by `git clone -c core.symlinks=true`, or install the package (a wheel has no links)"
+    )
 _MODULE_OF = {name: module for module, names in _MODULES.items() for name in names.split()}
 
 
@@ -120,7 +126,6 @@ def __getattr__(name: str) -> object:
     """Import a name of `__all__` from its module when it is first asked for."""
     if name not in _MODULE_OF:
         raise AttributeError(f"module 'boresight' has no attribute {name!r}")
-
     value: object = getattr(import_module(f"boresight.{_MODULE_OF[name]}"), name)
     globals()[name] = value
     return value
