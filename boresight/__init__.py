@@ -116,8 +116,8 @@ _MODULES = {
 }
 if not os.path.isdir(os.path.join(__path__[0], "geometry")):
     raise ImportError(
-        f"{os.path.join(__path__[0], 'geometry')} is no folder: this checkout is without symbolic links; clone"
-        " it by `git clone -c core.symlinks=true`, or install the package (a wheel has no links)"
+        f"{os.path.join(__path__[0], 'geometry')} is no folder: this checkout is without symbolic links;"
+        " clone it by `git clone -c core.symlinks=true`, or install the package (a wheel has no links)"
     )
 _MODULE_OF = {name: module for module, names in _MODULES.items() for name in names.split()}
 
