@@ -46,10 +46,17 @@ __all__ = [
 ]
 
 
-LARGEST_UNMODELLED_PX = 0.01  # more, and errors near sharp structure exceed twice what is stated
+# Largest distortion, px, that the chosen lens model may leave unexplained; beyond it errors near sharp
+# structure exceed twice what is stated, and the lens is refused (benchmarks/star_lenses.py).
+LARGEST_UNMODELLED_PX = 0.01
+# Most rounds of fitting the camera and naming more stars with it (set by hand).
 _ROUNDS = 3
-_ROUGHLY = 1.5  # reduced chi2 up to which Brown's model will do to identify stars
-_DRAWN_MAPS = 2000  # 95 % of them: good to 0.5 %
+# Reduced chi-square up to which Brown's model predicts stars well enough to name them; above it the lens
+# model is chosen by evidence first (set by hand).
+_ROUGHLY = 1.5
+# Random pixel maps drawn from the covariance for the error that holds anywhere on the detector with 95 %;
+# with 2000 the quantile's probability is good to 0.5 %, sqrt(0.95 * 0.05 / 2000).
+_DRAWN_MAPS = 2000
 
 
 @record

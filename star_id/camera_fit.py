@@ -35,15 +35,26 @@ __all__ = [
 ]
 
 
+# Names of the fitted camera parameters, as in `StarCamera`: focal length (m), principal point (px),
+# decentring p1, p2 and radial q1, q2 of Brown's model.
 PARAMETERS = ("focal_m", "x0_px", "y0_px", "p1", "p2", "q1", "q2")
+# Name of the third radial coefficient of Brown's model, 1/mm^6; fitted where the evidence asks for it.
 Q3 = "q3"
+# Name of the relative change of the focal length with time, 1/s (a lens that warms up).
 DRIFT = "focal_drift_per_s"
+# All names that may be fitted, in the order of the columns of `pixel_derivatives`.
 _ALL = (*PARAMETERS, DRIFT, Q3)
+# The prior of a camera of which nothing is known: no parameter has one.
 _NOTHING: Mapping[str, float] = MappingProxyType({})
+# Squared Mahalanobis distance (2 degrees of freedom) from which a star is an outlier, times the scatter of
+# the others: exceeded by one good star in 3000, exp(-16 / 2).
 _OUTLIER_CHI2 = 16.0
+# Most Gauss-Newton steps of a fit (set by hand).
 _STEPS = 12
-_FIRST_STEPS = 2  # taken before outliers are rejected
-_SMALL_STEP = 1e-3  # of a parameter's own error
+# Steps before outliers are rejected: from a nominal camera all stars look like outliers.
+_FIRST_STEPS = 2
+# Step, in standard errors of the parameters, at which a fit has converged.
+_SMALL_STEP = 1e-3
 
 
 @record

@@ -19,9 +19,13 @@ from boresight.geometry.starlight import StarPlaces
 
 __all__ = ["DISAGREEMENT_LIMIT_MAS", "CatalogueStars", "hipparcos_stars"]
 
+# Stars of Hipparcos to V 8, written by scripts/build_star_catalogue.py.
 _FILE = files("boresight.star_id") / "data" / "hipparcos_v8.npz"
 
-DISAGREEMENT_LIMIT_MAS = 200.0  # between two solutions of one star, in 2026: beyond it neither is used
+# Largest distance, mas, in 2026 between the places that the two Hipparcos reductions give for a star:
+# beyond it neither is used for calibration (set by hand; such stars are mostly double).
+DISAGREEMENT_LIMIT_MAS = 200.0
+# Epoch of the places in the Hipparcos catalogue, Julian year (ESA SP-1200, 1997).
 _EPOCH_JYEAR = 1991.25
 
 

@@ -49,27 +49,47 @@ __all__ = [
     "solve_stars",
 ]
 
-SMALLEST_FOV_RAD, LARGEST_FOV_RAD = np.radians(5.0), np.radians(60.0)  # of an unknown camera
-_NOMINAL_PIXEL_M = 5e-6  # only the ratio of focal length and pixel matters
-_FOV_STEP = 0.10  # largest relative error of a nominal field of view
-_SHAPE_STEP = 0.012  # largest relative change of a triangle's shape by an error of the focal length
-_WIDE_RAD = np.radians(45.0)  # wider ones may be fisheye lenses
-_STARS_TO_START = 12  # the brightest: false detections are mostly faint, and bend a lens that few stars hold
-_ENOUGH_TO_TELL, _LEAST_BRIGHT_SHARE = 20, 0.1  # detections; share of them of twice the threshold
-_MATCHINGS = 30  # of stars and lens in turn, at most
-_LEAST_RELIABLE = 4  # stars; of fewer the attitude is not better than that of all stars
-# stages of identification: first a quick search over all fields of view
+# Fields of view along x, rad, between which a camera is looked for that nothing is known of. Narrower ones
+# hold fewer than some 20 stars of the bundled catalogue to V 8.
+SMALLEST_FOV_RAD, LARGEST_FOV_RAD = np.radians(5.0), np.radians(60.0)
+# Pixel size, m, of a camera made up for an image: only the ratio of focal length and pixel matters.
+_NOMINAL_PIXEL_M = 5e-6
+# Largest relative error of the nominal fields of view that are tried one after another.
+_FOV_STEP = 0.10
+# Largest relative change of a triangle's shape that an error of the nominal focal length may cause; it
+# makes the steps of wide fields smaller than `_FOV_STEP` (set by hand).
+_SHAPE_STEP = 0.012
+# Field of view, rad, from which a lens may be a fisheye: both projections are tried. (Set by hand.)
+_WIDE_RAD = np.radians(45.0)
+# Stars that the first lens is fitted to, the brightest: false detections are mostly faint, and bend a lens
+# that few stars hold (set by hand).
+_STARS_TO_START = 12
+# Where no star gave the PSF: with so many detections, of which a share below so much has twice the
+# threshold's SNR, they are noise: of stars four in ten have it (set by hand).
+_ENOUGH_TO_TELL, _LEAST_BRIGHT_SHARE = 20, 0.1
+# Most rounds of matching stars and fitting the lens in turn (set by hand).
+_MATCHINGS = 30
+# Fewest reliable stars that give the attitude; of fewer it is not better than that of all stars.
+_LEAST_RELIABLE = 4
+# Stages (see `identify.STAGES`) of three passes over all fields of view, each a tuple of stages: the few
+# brightest detections first, which name most images; then more of them; last the dense table, should many
+# stars be missing (set by hand).
 _PASSES = (((0, 0, 6), (0, 6, 9)), ((0, 9, 13), (0, 13, 18), (1, 0, 9)), ((DENSER, 0, 8), (DENSER, 8, 12)))
-# mirror image or not, stages, projection: of a camera that is not known, and of one that is
 _Attempt = tuple[bool, tuple[tuple[tuple[int, int, int], ...], ...], Projection]
+# Attempts at an image, until one succeeds: (whether as a mirror image, passes, projection). Of an unknown
+# camera the first pass, the first pass mirrored, then the others.
 _ATTEMPTS: tuple[_Attempt, ...] = (
     (False, _PASSES[:1], "tangent"),
     (True, _PASSES[:1], "tangent"),
     (False, _PASSES[1:], "tangent"),
 )
+# The same of a camera that is known.
 _ATTEMPTS_OF_CAMERA: tuple[_Attempt, ...] = ((False, _PASSES, "tangent"), (True, _PASSES, "tangent"))
-_LARGEST_SQUARE = 18.4  # of a residual, in sigmas: stars beyond it, 1e-4 by chance, are wrong or blended
-_CLEARLY_MORE = 1.1  # times the stars of a tangent lens: then it is a fisheye
+# Squared residual of a star, in its covariance (2 degrees of freedom), at which it counts as wrong or
+# blended: exp(-18.4 / 2) = 1e-4 by chance.
+_LARGEST_SQUARE = 18.4
+# Ratio of identified stars above which a fisheye is taken instead of a tangent lens (set by hand).
+_CLEARLY_MORE = 1.1
 
 
 @record(kw_only=True)

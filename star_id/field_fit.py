@@ -20,12 +20,19 @@ from boresight.star_id.lens_misfit import LensEquations, LensErrors, lens_errors
 __all__ = ["FieldFit", "LensFit", "fit_attitude_and_lens", "fit_known_camera"]
 
 
-_LARGEST_VARIANCE = 1e12  # px^2: no degree of freedom is left
-# Stars of an image are many and its camera is only roughly known: see `limit_from_scatter`.
+# Common variance, px^2, at which the search for it ends: so large only where no degree of freedom is left.
+_LARGEST_VARIANCE = 1e12
+# Rejection of outliers from the attitude of one image: one good star in 10 000, by the scatter of the
+# stars, since the lens is only just fitted.
 _REJECTION = AttitudeSettings(probability_false_alarm=1e-4, limit_from_scatter=True)
-_HALVINGS = 50  # `scipy.optimize.brentq` takes 0.1 s to load
-_ROUNDS = 8  # of camera and common variance in turn
-_COMMON_LOG_LIKELIHOOD = 1.0  # more than without a common variance, for its one parameter (Akaike 1974)
+# Halvings of the interval of the common variance: to the last digits. `scipy.optimize.brentq` takes 0.1 s
+# to load.
+_HALVINGS = 50
+# Most rounds of fitting the camera and the common variance in turn (set by hand).
+_ROUNDS = 8
+# Gain of log likelihood by a variance common to all stars for it to be stated: one, for its one parameter
+# (Akaike 1974).
+_COMMON_LOG_LIKELIHOOD = 1.0
 
 
 @record

@@ -16,10 +16,18 @@ from boresight.geometry.record import Floats, Ints, array, record
 
 __all__ = ["FieldMatch", "match_field"]
 
-_ROUNDS = 12  # of densities and probabilities in turn
+# Rounds of estimating densities and the probabilities of matches in turn (set by hand; the matches repeat
+# before).
+_ROUNDS = 12
+# Distance of a detection from a predicted star, in standard errors of both, within which they may match:
+# exceeded by chance in 1.5e-8, exp(-36 / 2).
 _REACH_SIGMA = 6.0
-_LARGEST_REACH_PX = 40.0  # a prediction worse than that does not tell stars apart
-_STARS_PER_GROUP = 24  # of like brightness, with one probability of detection
+# The same distance in px at most: a prediction worse than that does not tell stars apart (set by hand).
+_LARGEST_REACH_PX = 40.0
+# Predicted stars of like brightness that share one probability of detection: it is then known to 0.1, 0.5 /
+# sqrt(24).
+_STARS_PER_GROUP = 24
+# Probability from which a pair of detection and star counts as a match: likelier than not.
 _LEAST_PROBABILITY = 0.5
 
 

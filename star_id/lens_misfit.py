@@ -41,14 +41,25 @@ from boresight.star_id.camera_fit import (
 
 __all__ = ["LensEquations", "LensErrors", "lens_errors"]
 
+# Degree of the polynomials of a smooth distortion of one image: one image does not show finer structure.
 _DEGREE = 6
+# Powers (i, j) of x and y of its terms.
 _TERMS = term_orders(_DEGREE)
-_WARP_LOG_EVIDENCE = 2.0  # more than without a smooth distortion, for it to count as seen
-_TRIED_SHARES = (1.0, 0.5)  # of the common variance, with a distortion of `_TRIED_WARP` of its root: where
-_TRIED_WARP = 2.0  # the evidence of neither exceeds that of none, none is seen
-_STRETCH_SIZES_PX = np.geomspace(1e-3, 1e2, 101)  # displacements at the ends of the longer side
-_STRETCH_LOG_EVIDENCE = 1.0  # more than without it, for its one parameter (Akaike 1974)
+# Gain of log evidence by a smooth distortion for it to be stated: e^2 to 1 (set by hand).
+_WARP_LOG_EVIDENCE = 2.0
+# Trials whether a smooth distortion is to be searched for at all: the variance common to all stars is
+# multiplied by these shares, and a distortion of `_TRIED_WARP` times its root is added. If neither raises
+# the evidence, no size will (set by hand).
+_TRIED_SHARES = (1.0, 0.5)
+# Size of the distortion of these trials over the root of the common variance.
+_TRIED_WARP = 2.0
+# Sizes of a stretch along one direction that are compared, px: displacement at the ends of the longer side.
+_STRETCH_SIZES_PX = np.geomspace(1e-3, 1e2, 101)
+# Gain of log evidence by a stretch for it to be stated: one, for its one parameter (Akaike 1974).
+_STRETCH_LOG_EVIDENCE = 1.0
+# Displacement of pixels, px, for numerical derivatives of the rotation and field of view.
 _STEP_PX = 0.01
+# Steps to the eight neighbours of a place in the search for the best pair of sizes.
 _NEIGHBOURS = np.array([[i, j] for i in (-1.0, 0.0, 1.0) for j in (-1.0, 0.0, 1.0) if i or j])
 
 

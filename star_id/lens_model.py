@@ -41,18 +41,33 @@ from boresight.star_id.camera_fit import (
 
 __all__ = ["LensModel", "choose_lens", "unmodelled_px"]
 
+# Degree of the polynomials of a smooth distortion of a lens, from many images.
 _DEGREE = 10
+# Prior sizes of the smooth distortion that are compared by evidence, px rms, in ratios of 1.6.
 _SIZES_PX = np.geomspace(1e-3, 30.0, 24)
-_SEEN = 4.0  # of the log evidence, that a smooth distortion has to gain
+# Gain of log evidence by a smooth distortion for it to be taken: e^4, 55 to 1.
+_SEEN = 4.0
+# Squared Mahalanobis distance (2 degrees of freedom) from which a star is an outlier, times the scatter of
+# all: exceeded by one good star in 3000, exp(-16 / 2).
 _OUTLIER_CHI2 = 16.0
+# Most rounds of rejecting outliers and fitting again (set by hand).
 _REJECTIONS = 4
+# Fewest pairs of stars near one another that show a distortion left over.
 _FEWEST_PAIRS = 50
+# Least error of a place, px, in weighing these pairs: stated errors of bright stars are smaller than what
+# the PSF is wrong by.
 _LEAST_PX = 0.01
-_Q3_CORNER = 0.002  # prior displacement of the corner by q3, of its radius
-_NEAR = (0.01, 0.02, 0.05)  # of the detector's width: stars nearer than this may see the same distortion
-_LINE = 0.02  # of the detector's width: stars of like columns or rows
-_MOST_PAIRS = 1_000_000  # 16 MB; of more stars narrower lines are compared
-_SIGNIFICANT = 4.0  # standard errors of the mean product
+# Prior displacement of the corner by q3, as a share of its radius: larger ones do not occur in lenses that
+# q1 and q2 describe (set by hand).
+_Q3_CORNER = 0.002
+# Distances, as shares of the detector's width, within which stars may see the same distortion.
+_NEAR = (0.01, 0.02, 0.05)
+# The same between columns, or between rows: for steps of a detector.
+_LINE = 0.02
+# Most pairs that are formed: 16 MB; of more stars narrower lines are compared.
+_MOST_PAIRS = 1_000_000
+# Mean product of neighbours' residuals, in standard errors, from which a distortion is left over.
+_SIGNIFICANT = 4.0
 
 
 _Case = TypeVar("_Case")

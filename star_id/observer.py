@@ -24,8 +24,11 @@ __all__ = [
     "star_directions",
 ]
 
-REFRACTION_STEPS = 4  # each reduces the error by the change of refraction with altitude, 100 times and more
-ABERRATION_SCALE = 9.94e-5 / 3.0**0.5  # rms change of angles by the Earth's velocity, over all directions
+# Steps of inverting the refraction: each reduces the error by its change with altitude, 100 times and more.
+REFRACTION_STEPS = 4
+# Rms relative change of angles by the Earth's velocity over all directions, v / c / sqrt(3), where the time
+# of an image is unknown.
+ABERRATION_SCALE = 9.94e-5 / 3.0**0.5
 
 
 @record

@@ -19,10 +19,15 @@ from boresight.star_id.observer import Observer
 
 __all__ = ["Planet", "planet_directions", "planets_in_view"]
 
+# Planets that stars' images show, with their numbers in ERFA's `plan94`; Earth is 3, Neptune is too faint.
 PLANETS = {1: "Mercury", 2: "Venus", 4: "Mars", 5: "Jupiter", 6: "Saturn", 7: "Uranus"}
+# Astronomical unit, m (IAU 2012 B2).
 _AU_M = erfa.DAU
-_ERROR_RAD, _ERROR_PX = 120.0 * ARCSEC, 3.0  # of a predicted planet, and of the lens
-_LIGHT_TIMES = 3  # iterations; the second changes Jupiter's position by 0.01"
+# Error of a predicted planet, rad (`plan94` errs by up to 86″), and that of the lens, px: a detection
+# within the larger one is the planet.
+_ERROR_RAD, _ERROR_PX = 120.0 * ARCSEC, 3.0
+# Steps of the light time; the second changes Jupiter's position by 0.01″.
+_LIGHT_TIMES = 3
 
 
 @record(kw_only=True)

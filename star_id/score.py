@@ -17,12 +17,18 @@ from boresight.star_id.finding.star_list import StarList
 __all__ = ["SNR_EDGES", "CentroidScore", "cramer_rao_px", "score_centroids"]
 
 
+# Limits of the bins of signal-to-noise ratio by which errors of centroids are reported.
 SNR_EDGES = (5.0, 7.0, 8.0, 10.0, 14.0, 20.0, 40.0, 80.0, 160.0, 1e4)
+# Parts of a pixel by which bias is reported.
 PHASES = 10
-_ISOLATED_SIGMA = 10.0  # PSF widths to the nearest relevant neighbour
-_RELEVANT_FLUX = 0.002  # flux of a neighbour over the star's own
-_MATCH_SIGMA = 2.5  # PSF widths between a detection and its true star
-_BRIGHT_SNR = 15.0  # of the stars for the pixel-phase bias
+# Distance of the nearest relevant neighbour, PSF widths, from which a star is isolated.
+_ISOLATED_SIGMA = 10.0
+# Flux of a neighbour over the star's own from which it is relevant.
+_RELEVANT_FLUX = 0.002
+# Distance of a detection from a true star, PSF widths, up to which it is this star's.
+_MATCH_SIGMA = 2.5
+# Least SNR of the stars for the bias by part of the pixel: errors of fainter ones hide it.
+_BRIGHT_SNR = 15.0
 
 
 @record(kw_only=True)

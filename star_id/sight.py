@@ -37,9 +37,14 @@ __all__ = [
     "tangent_coordinates",
 ]
 
-_IDENTIFICATION_ERROR_PX = 0.02  # a tenth of a faint star's centroid error
-_MOSTLY = 0.3  # of an image's pixels: a sky has far fewer that are saturated
-_REACH_SIGMA = 8.0  # widths of the PSF beyond which no star displaces another
+# Error, px, that removing the distortion may have for identification: a tenth of a faint star's centroid
+# error.
+_IDENTIFICATION_ERROR_PX = 0.02
+# Share of saturated pixels from which an image shows Sun, Moon or Earth, not the sky: a sky has far fewer
+# (set by hand).
+_MOSTLY = 0.3
+# Distance in PSF widths beyond which no star displaces another: a Gaussian has fallen by 1e-14.
+_REACH_SIGMA = 8.0
 
 
 def sight_stars(

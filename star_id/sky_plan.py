@@ -32,8 +32,11 @@ from boresight.star_id.sight import has_reliable_position
 __all__ = ["Pointing", "SkyPlan", "StarImageModel", "plan_pointings"]
 
 
-_MARGIN_PX = 4.0  # a star closer to the edge is not measured
-_EXCHANGES = 3  # rounds of exchanging each pointing for a better one
+# Distance from the edge, px, within which a star is not measured (set by hand; about the radius of its
+# window).
+_MARGIN_PX = 4.0
+# Rounds of exchanging each pointing for a better one (set by hand).
+_EXCHANGES = 3
 
 
 @record(kw_only=True)

@@ -20,8 +20,11 @@ from boresight.geometry.starlight import StarPlaces, SurveyedStars
 
 __all__ = ["all_hipparcos"]
 
+# All of Hipparcos, packed by scripts/build_star_catalogue.py.
 _FILE = files("boresight.star_id") / "data" / "hipparcos_all.npz"
+# Epoch of the places in the Hipparcos catalogue, Julian year (ESA SP-1200, 1997).
 _EPOCH_JYEAR = 1991.25
+# One milliarc-second, rad.
 _MAS = 1e-3 * ARCSEC
 
 

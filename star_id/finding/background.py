@@ -20,14 +20,28 @@ from boresight.star_id.finding.cut_sky import UNCUT, cut_moments, limit_after_cu
 __all__ = ["Background", "background_image", "estimate_background"]
 
 
-_SAMPLES_ACROSS_BLOCK = 64  # 4096 values a block: the level is known to 1/50 of a sigma
+# Pixels sampled along each side of a block: of 64 x 64 values the median is known to 1/50 of the noise,
+# 1.25 / 64.
+_SAMPLES_ACROSS_BLOCK = 64
+# Distance from the level, in sigmas of the noise, beyond which a pixel is a star's and not used.
 _CLIP_SIGMA = 3.0
-_SMALL_BLOCK_PX = 40.0  # where the sky is uneven within larger blocks: nebulae, clouds
-_UNEVEN = 1.5  # of the noise between neighbouring pixels: more within a block is structure
-_ALIKE = 0.15  # of such pixels have the same value
-_NEAR_PX = 4  # beyond the correlations of interpolated or compressed images
-_CUT_OFF = 0.08  # of a block's pixels at the least value: a normal distribution has far fewer
-_CLIPPED_VARIANCE = 0.973337  # variance of a unit normal within 3 sigma of its mean
+# Side of the small blocks, px, where the sky is uneven within larger ones: nebulae, clouds (set by hand).
+_SMALL_BLOCK_PX = 40.0
+# Scatter within a block over the noise between neighbouring pixels from which the sky counts as uneven
+# there (set by hand).
+_UNEVEN = 1.5
+# Share of neighbouring pixels of one value from which an image has few grey levels, and quartiles of
+# differences give no noise (a normal distribution of 2 levels a sigma has 0.14).
+_ALIKE = 0.15
+# Distance, px, of the pixels whose difference gives the noise: beyond the correlation of interpolated and
+# compressed images.
+_NEAR_PX = 4
+# Share of a block's pixels at the least value of the image from which its sky is cut off there; a whole
+# normal distribution has far fewer (set by hand).
+_CUT_OFF = 0.08
+# Variance of a unit normal cut off 3 sigma from its mean: 1 - 6 phi(3) / (2 Phi(3) - 1). Follows from
+# `_CLIP_SIGMA`.
+_CLIPPED_VARIANCE = 0.973337
 
 
 @record

@@ -26,23 +26,49 @@ from boresight.star_id.finding.windows import StarWindows, star_windows
 
 __all__ = ["explains_better", "find_coma", "find_trail"]
 
-_GROWTH = 1.05  # of the widths from the centre to the corners: less is no matter
-_LENGTH2 = 27.0  # squared length of a fan over half the trace of its second moments
-_PEAKED = 1.09  # to begin with: fourth moment over a Gaussian's, 1 + wings^2
+# Width of the stars in the corners over that in the middle from which coma is looked for (set by hand).
+_GROWTH = 1.05
+# Squared length of a comatic fan over half the trace of its second moments: turns the growth of widths into
+# the length to start from.
+_LENGTH2 = 27.0
+# Fourth moment of a star's image over a Gaussian's, 1 + wings^2, to start from: wings of 0.3.
+_PEAKED = 1.09
+# Least and largest width (px), length (px) and 1 + wings^2 of a fitted PSF: fans point outwards or inwards,
+# wings are at most 0.9.
 _BOUNDS = ([0.0, -np.inf, 1.0], [np.inf, np.inf, 1.8])
-_UNSURE = 0.1  # of a width
-_STEP = 0.02  # of a parameter, for derivatives
+# Size of the change of a width, as a share of it, by which its fit is scaled (set by hand).
+_UNSURE = 0.1
+# Relative step of a parameter for numerical derivatives (set by hand).
+_STEP = 0.02
+# Fewest bright stars that a coma or trail is fitted to (set by hand; four a parameter).
 _FEWEST = 12
+# Longest fan that is fitted, px (set by hand).
 _LONGEST_PX = 24.0
+# Newton steps of each star's place, flux and sky with a given PSF (set by hand).
 _STEPS = 3
+# Rounds of estimating the gain and leaving out stars that stand out (set by hand).
 _GAIN_ROUNDS = 8
-_UNLIKE = 0.1  # of the light in a pixel: what a real star differs by from the Gaussians of a fan
-_BETTER = 0.8  # times the misfit of the widths alone
-_BEYOND_CHANCE = 50.0  # of chi2: 6 standard errors, three parameters
-_NEIGHBOUR = 5.0  # standard deviations of a pixel: more is another star, or a hot pixel
-_TRAIL_SIGMA = 3.0  # a shorter one is found by its second moments alone
-_LIGHT = 0.1  # of the peak: what is fainter is left out of an empirical image's moments
-_AS_GOOD = 1.2  # times the misfit of the empirical image, which is fitted to the same stars
+# Share of a pixel's light by which real stars differ from a fan of Gaussians; added to the noise of fits of
+# coma (set by hand).
+_UNLIKE = 0.1
+# Chi-square in excess of its degrees of freedom over that of the other PSF, below which a PSF is better
+# (set by hand).
+_BETTER = 0.8
+# Gain of chi-square that is beyond chance: three parameters gain 3 with a standard deviation of 2.4, and
+# pixels' noise is not quite normal.
+_BEYOND_CHANCE = 50.0
+# Residual of a pixel, in standard deviations, from which it belongs to another star or is hot; not used, or
+# clipped.
+_NEIGHBOUR = 5.0
+# Length of a trail over the width from which a smeared Gaussian of sharp ends is fitted; a shorter one is a
+# Gaussian of other second moments.
+_TRAIL_SIGMA = 3.0
+# Share of the peak below which pixels of an empirical image do not enter its second moments: they are
+# noise.
+_LIGHT = 0.1
+# Excess chi-square of a smeared Gaussian over that of the empirical image up to which it is taken: the
+# latter is fitted to the same stars and follows their noise (set by hand).
+_AS_GOOD = 1.2
 
 
 def find_coma(

@@ -21,18 +21,36 @@ from boresight.star_id.finding.background import Background, extended
 
 __all__ = ["find_candidates"]
 
-_THRESHOLD_SIGMA = 3.7  # a star of SNR 8 midway between coarse pixels still reaches 5.5 in one of four sums
-_LEVELS_PER_SIGMA = 4.0  # grey levels for the noise of a pixel, half as many for the mean of four
-_LEAST_LEVELS_PER_SIGMA = 1.5  # with fewer, rounding to 8 bits costs sensitivity
-_SKY_SIGMA = 4.0  # the darkest sky is so many sigmas of a pixel above 0
-_RANGE_SIGMA = 28.0  # sigmas of a pixel that the range of a sum of four holds: 16 below the sky, 12 above
-_DARK_LEVELS = 128.0  # a sum of four from a sky darker than this needs no offset
-_COARSE_NOISE_DN = 1.2  # sky noise from which rounding means of four pixels to whole numbers costs little
-_EVEN_SIGMA = 1.0  # a threshold that varies by no more over the image is taken as constant
-_TILES_PER_BLOCK = 32  # steps of an uneven threshold within a block of the background
+# Threshold of a sum of four binned pixels, sigmas: a star of SNR 8 midway between coarse pixels still
+# reaches 5.5 in one of four sums, and noise passes it 1e-4 times a pixel; `detect` tests all.
+_THRESHOLD_SIGMA = 3.7
+# Grey levels of the 8-bit image for the noise of a pixel, half as many for the mean of four: rounding adds
+# 0.5 % to the variance.
+_LEVELS_PER_SIGMA = 4.0
+# Fewest such levels; with fewer, rounding to 8 bits costs sensitivity, and the uneven sky is subtracted
+# first.
+_LEAST_LEVELS_PER_SIGMA = 1.5
+# Height of the darkest sky above level 0, sigmas of a pixel: fewer than one pixel in 30 000 is cut off.
+_SKY_SIGMA = 4.0
+# Range of a sum of four, sigmas of a pixel, that has to fit into 255 levels beside the sky's own: 16 below
+# it, 12 above.
+_RANGE_SIGMA = 28.0
+# Level of a sum of four of the sky below which no offset is subtracted: half of the range is left.
+_DARK_LEVELS = 128.0
+# Noise of the sky, DN, from which the mean of four pixels may be rounded to whole numbers: that adds 1/12
+# DN^2 to 0.36.
+_COARSE_NOISE_DN = 1.2
+# Variation of the threshold over the image, sigmas, up to which it is taken as constant (set by hand).
+_EVEN_SIGMA = 1.0
+# Steps of an uneven threshold within a block of the background (set by hand).
+_TILES_PER_BLOCK = 32
+# Most candidates that are tested, the highest: an image with more shows no sky. Bounds time and memory.
 _MAX_CANDIDATES = 20_000
+# The pixels that a local maximum must not be lower than.
 _NEIGHBOURS = np.ones((3, 3), np.uint8)
-_BAND_ROWS = 64  # of the binned image; a multiple of 8 (`_words`)
+# Rows of the binned image that are worked on at a time, so that they stay in the processor's cache; a
+# multiple of 8 (`_words`).
+_BAND_ROWS = 64
 
 
 @dataclass(frozen=True, slots=True, eq=False)

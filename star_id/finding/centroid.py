@@ -23,16 +23,31 @@ from boresight.star_id.finding.windows import StarWindows, star_windows
 __all__ = ["Counts", "StarFits", "covariance_inflation", "fit_stars"]
 
 
-_SMALL_STEP = 0.1  # of the standard error: steps after one so small add less than a twentieth of it
-_STEPS = 2  # for all stars
-_MORE_STEPS = 5  # for those not yet converged
+# Step, in standard errors, at which a fit has converged: those after it add less than a twentieth of one.
+_SMALL_STEP = 0.1
+# Newton steps of all stars at once.
+_STEPS = 2
+# Further steps of those that have not converged (set by hand; twice as many with a flat PSF).
+_MORE_STEPS = 5
+# Longest step along an axis, px: a longer one leaves the range in which the image is linear in it.
 _LARGEST_STEP_PX = 0.8
-_DAMPING = 0.6  # of the steps with a PSF that is flat
-_SETTLED = 0.3  # of the standard error: such a fit is good enough with a flat PSF
-_UNSATURATED = 0.75  # fraction of a window's pixels; with fewer, the window is enlarged
+# Factor of each step with a PSF that is flat (rings, trails): full steps swing about the place (set by
+# hand).
+_DAMPING = 0.6
+# Step, in standard errors, at which a fit that has not converged is good enough with a flat PSF (set by
+# hand).
+_SETTLED = 0.3
+# Share of a window's pixels that are not saturated, below which the window is enlarged to the star's wings
+# (set by hand).
+_UNSATURATED = 0.75
+# Radius of that window, widths of the PSF (set by hand).
 _SATURATED_WINDOW_SIGMA = 9.0
-_WINDOW_SIGMA = 3.0  # plus half a pixel or more: 99 % of the information even on a photon-limited star
-_MISFIT_SIGMA = 3.5  # chi2 beyond which the covariance is scaled by chi2 / dof
+# Radius of other windows, widths of the PSF, at least 3 px: holds 99 % of the information on the place even
+# of a star whose photons are all the noise.
+_WINDOW_SIGMA = 3.0
+# Excess of chi-square, in its standard deviations, from which a covariance is scaled by chi2 / dof: 1 good
+# star in 4000.
+_MISFIT_SIGMA = 3.5
 
 
 @record(kw_only=True)
@@ -65,6 +80,7 @@ class StarFits:
         return StarFits(**columns)
 
 
+# Fields of `StarFits`, which all have a row a star.
 _COLUMNS = tuple(field.name for field in fields(StarFits))
 
 

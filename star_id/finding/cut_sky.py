@@ -16,11 +16,16 @@ from boresight.geometry.record import Floats
 
 __all__ = ["UNCUT", "after_cut", "cut_moments", "limit_after_cut"]
 
-UNCUT = 5.0  # sigmas above the cut, from where on nothing of a sky is cut off
-_DARKEST = -2.0  # sigmas: 2 % of the pixels are above the cut
-_LEAST_NOISE = 2.0  # grey levels
-_MOST_CUT = 0.95  # of a block's pixels, for quantiles of what is left
-_APART = 0.9  # sigmas between the quantiles
+# Height of the sky above the cut, sigmas, from where on nothing of it is cut off: 3e-7 of the pixels.
+UNCUT = 5.0
+# Lowest such height that is used, sigmas: 2 % of the pixels are above the cut there.
+_DARKEST = -2.0
+# Fewest grey levels a sigma: with coarser steps the quantiles of what is left give no noise (set by hand).
+_LEAST_NOISE = 2.0
+# Largest share of a block's pixels at the cut for which quantiles of the rest are taken.
+_MOST_CUT = 0.95
+# Distance, sigmas, of the two quantiles whose difference gives the noise (set by hand).
+_APART = 0.9
 
 
 def cut_moments(counts: Floats, value: Floats, level: Floats, noise: Floats) -> tuple[Floats, Floats, Floats]:

@@ -23,13 +23,23 @@ __all__ = ["Detections", "detect", "detection_threshold"]
 
 Pixels = NDArray[np.float32]
 
-_TAPS_SIGMA = 1.8  # radius of the filter in widths: 99 % of the signal-to-noise ratio
-_CROSS_OF_PEAK = 0.35  # four neighbours together over the pixel: less is a hot pixel
+# Radius of the matched filter, widths of the PSF: holds 99 % of the signal-to-noise ratio.
+_TAPS_SIGMA = 1.8
+# Light of a pixel's four neighbours together over its own, below which it is hot: of stars only those
+# narrower than 0.35 px have less.
+_CROSS_OF_PEAK = 0.35
+# Height of a pixel, sigmas, from which it may be called hot: in lower ones the noise of the neighbours
+# decides.
 _LEAST_HOT_SIGMA = 4.0
-_CHUNK = 128  # windows
-_LEAST_ABOVE_RING = 0.5  # fraction of a peak that must remain above the level around it
-_RING_SIGMA = 3.5  # distance, in widths, of the pixels that measure that level
-_WINGS = 1.3  # a peak lower than so much of a brighter star's wings is part of them
+# Windows filtered at a time, so that they stay in the processor's cache.
+_CHUNK = 128
+# Share of a peak that must remain above the level of the ring around it: else it is structure of the sky
+# (set by hand).
+_LEAST_ABOVE_RING = 0.5
+# Radius of that ring, widths of the PSF: a star's own light is 0.2 % of its peak there.
+_RING_SIGMA = 3.5
+# A peak lower than so many times a brighter star's wings at its place is part of them (set by hand).
+_WINGS = 1.3
 
 
 @record

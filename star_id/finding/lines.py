@@ -16,17 +16,31 @@ from boresight.geometry.record import Floats, Ints
 
 __all__ = ["without_lines"]
 
+# Pixels of a line that are summed to one number when offsets of lines are looked for (set by hand).
 _PART_PX = 32
-_LINES = 1024  # adjacent ones, that are looked at for offsets of all lines, and rows of all
-_SIGNIFICANT = 6.0  # standard errors of the covariance
-_LEAST_VARIANCE = 0.003  # of a pixel's variance: smaller offsets do no harm
-_LIKE_NOISE = 0.2  # covariance of adjacent steps over their variance: -0.5 for noise, 0.6 for rows of stars
-_STANDS_OUT = 4.0  # sigmas of both parts of a single line: by chance one line in 10^9
-_SAMPLES = 1024  # pixels of a line whose median is taken
-_AROUND = 51  # lines whose median an outlying line is compared with
-_SMOOTH = 301  # lines over which the sky is a parabola
-_RAISED = 0.05  # of the lines stand so low that their cut-off is above that of the others
-_CLIP_SIGMA = 3.0  # beyond, a pixel is a star's
+# Adjacent lines in the middle of the image that are looked at for offsets of all lines.
+_LINES = 1024
+# Mean covariance of the two halves of lines, in standard errors, from which lines have offsets.
+_SIGNIFICANT = 6.0
+# Variance of such offsets, as a share of a pixel's, below which they do no harm: 5 % of a pixel's noise.
+_LEAST_VARIANCE = 0.003
+# Covariance of adjacent steps over their variance, below which steps are a line's own: -0.5 for independent
+# offsets, 0.6 where rows of stars make them (set by hand, between both).
+_LIKE_NOISE = 0.2
+# Height of both parts of a single line, sigmas, from which it has an offset of its own: by chance one line
+# in 10^9.
+_STANDS_OUT = 4.0
+# Pixels of a line whose median is taken: known to 1/25 of a pixel's noise.
+_SAMPLES = 1024
+# Lines whose median an outlying line is compared with: odd, longer than a bright star's image.
+_AROUND = 51
+# Lines over which the level of the sky is a parabola: odd, shorter than clouds and vignetting (set by
+# hand).
+_SMOOTH = 301
+# Share of lines that stand so low that their cut-off is above that of the others.
+_RAISED = 0.05
+# Distance from the median, sigmas, beyond which the level of a line is an outlier.
+_CLIP_SIGMA = 3.0
 
 
 def without_lines(image: NDArray, saturation_dn: float) -> NDArray:

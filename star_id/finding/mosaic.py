@@ -17,12 +17,20 @@ from boresight.star_id.finding.lines import without_lines
 
 __all__ = ["cell_response", "even_image", "has_mosaic", "merged_cells"]
 
-_TILES = 3  # along each side, in which the levels of the four pixels are compared
+# Tiles along each side of the image in which the levels of the four pixels of a colour cell are compared.
+_TILES = 3
+# Side of such a tile, px: the mean of 256 pixels a colour is known to 1/16 of their noise.
 _TILE_PX = 32
-_DIFFERENT_SIGMA = 0.15  # of a pixel: differences between the four pixels that matter
-_STAR_PX = 24  # window around a star; its inner half holds the light
-_ALIKE = 0.8  # of the tiles agree on the brightest and on the darkest of the four
-_LEAST_RESPONSE = 0.1  # of the mean: a darker pixel tells nothing of a star
+# Difference between the four levels, in a pixel's noise, from which they matter (set by hand; 2.4 standard
+# errors of a tile).
+_DIFFERENT_SIGMA = 0.15
+# Side of the window around a star, px; its inner half holds the light, the rest is the sky.
+_STAR_PX = 24
+# Share of the tiles that must agree on the brightest and on the darkest of the four pixels: by chance a
+# quarter does.
+_ALIKE = 0.8
+# Least response of a colour, of the mean: a darker pixel tells nothing of a star, and would be amplified.
+_LEAST_RESPONSE = 0.1
 
 
 def has_mosaic(image: NDArray) -> bool:

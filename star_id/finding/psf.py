@@ -20,7 +20,8 @@ from boresight.geometry.record import Floats, Ints, record, scalar
 
 __all__ = ["FINE", "Psf", "PsfImages", "images_at", "psf_images", "shape_images"]
 
-FINE = 2  # points a pixel of an empirical image
+# Points along a pixel of the grid of an empirical PSF (set by hand).
+FINE = 2
 
 
 @record

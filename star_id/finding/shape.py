@@ -26,16 +26,29 @@ from boresight.star_id.finding.windows import StarWindows, star_windows
 
 __all__ = ["ShapeEstimate", "detect_shape", "estimate_shape", "filter_width_px", "flat_image"]
 
+# Most and fewest stars of which an empirical PSF is made: of 60 the noise of its mean is 1/8 of a star's,
+# fewer than 8 do not show one.
 _STARS, _FEWEST = 60, 8
-_LARGEST_RADIUS, _LEAST_RADIUS = 20, 5  # px
-_BLOB_SIGMA = 5.0  # of the smoothed image
+# Largest and least radius of an empirical PSF, px, whatever the patches of light (set by hand).
+_LARGEST_RADIUS, _LEAST_RADIUS = 20, 5
+# Height of a connected patch of the smoothed image, sigmas, from which it is a star of unknown shape.
+_BLOB_SIGMA = 5.0
+# Width of that smoothing, px: joins the parts of rings and trails (set by hand).
 _SMOOTHING_PX = 2.0
-_SMOOTHING_REACH = 8  # px: four sigma
-_BAND = 256  # rows at a time: pictures of the whole image in floating point are 80 MB for 20 million pixels
+# Rows around a band that smoothing needs, px: four times `_SMOOTHING_PX`.
+_SMOOTHING_REACH = 8
+# Rows that are worked on at a time: pictures of a whole image of 20 million pixels in floating point are 80
+# MB each.
+_BAND = 256
+# Rounds of measuring places of the stars and averaging their images (set by hand).
 _ROUNDS = 4
-_SMOOTH_CELLS = 1.2  # of the oversampled grid
+# Width of the smoothing of the mean image, cells of half a px: 0.6 px (set by hand).
+_SMOOTH_CELLS = 1.2
+# Height of a pixel above its neighbours, sigmas, from which it is hot and replaced by them.
 _HOT_SIGMA = 5.0
-_WINGS = 1.3  # a peak lower than so much of a brighter star's wings is part of them
+# A peak lower than so many times a brighter star's wings at its place is part of them (set by hand; as in
+# detect.py).
+_WINGS = 1.3
 
 
 @record

@@ -27,23 +27,46 @@ from boresight.star_id.settings import StarSettings
 
 __all__ = ["StarList", "list_stars"]
 
+# Width of the PSF, px, that detection starts with (set by hand).
 _START_SIGMA_PX = 1.2
+# Brightest unsaturated stars that the width is measured of; where fewer than `_FEW_STARS` of them are
+# point-like, of the next 200.
 _STARS_FOR_PSF = 40
+# Number of stars, and of misshapen detections, that is too small to judge the PSF by.
 _FEW_STARS = 8
-_LEAST_STARS = 3  # with fewer the width is not estimated
+# Fewest stars that give a width; with fewer the assumed one stays.
+_LEAST_STARS = 3
+# Most stars that coma and trails are fitted to, and their least SNR: below it their images show no shape.
 _STARS_FOR_BLUR, _BRIGHT_SNR = 80, 15.0
-_ROUNDS = 6  # of detection and width
-_SIGMA_AT_RESOLUTION = (0.65, 1.8)  # up to which widths stars are searched at full and half the resolution
-_SMALL_CHANGE = 0.2  # of the width: a filter that far off still has 98 % of the signal-to-noise ratio
-_WINGS_MISFIT = 4.0  # standard deviations of chi2: one good saturated star in 10 000 is lost
-_MISSHAPEN_SHARE = 0.15  # of the stars: more misshapen detections, and the PSF may be no Gaussian
-_SATURATED_SHARE = 0.1  # of the stars
-_FEWER_MISSHAPEN = 0.6  # times as many are misshapen where an empirical PSF is right
-_WELL_SHAPED = 0.85  # of the first `max_stars` detections: fewer, and more detections are fitted
-_TRIED = 3  # times as many, then
-_SAME_PX = 2.0  # between places of a star by two PSFs
-_CELLS = 8  # along each side of the image, to spread the stars that are kept
-_MISFIT_LIMIT = 0.3  # residual over star energy: more is a cosmic ray, a trail, the arm of a bloom
+# Most rounds of detection and measuring the width (set by hand; two are usual).
+_ROUNDS = 6
+# Widths, px, up to which stars are searched at full and at half the resolution; wider ones at a quarter.
+_SIGMA_AT_RESOLUTION = (0.65, 1.8)
+# Relative change of the width that ends the rounds: a filter that far off still has 98 % of the
+# signal-to-noise ratio.
+_SMALL_CHANGE = 0.2
+# Excess of chi-square, in its standard deviations, from which the wings of a saturated star do not fit the
+# PSF: loses one good one in 10 000.
+_WINGS_MISFIT = 4.0
+# Share of misshapen detections, of the stars, above which the PSF may be no Gaussian (set by hand).
+_MISSHAPEN_SHARE = 0.15
+# Share of saturated stars above which misshapen detections are the arms of their blooms (set by hand).
+_SATURATED_SHARE = 0.1
+# Misshapen detections by an empirical PSF over those by the Gaussian, below which it is right (set by
+# hand).
+_FEWER_MISSHAPEN = 0.6
+# Share of the first `max_stars` detections that must be stars; if fewer are, captions or noise fill the
+# list, and more detections are fitted (set by hand).
+_WELL_SHAPED = 0.85
+# Detections fitted then, in units of `max_stars`: three times as many (set by hand; bounds the time).
+_TRIED = 3
+# Distance, px, within which the places by two PSFs are those of one star.
+_SAME_PX = 2.0
+# Cells along each side of the image over which the stars that are kept are spread.
+_CELLS = 8
+# Residual over a star's energy (squared SNR) above which it is a cosmic ray, a trail, or the arm of a bloom
+# (set by hand; PSFs of real lenses leave up to 0.15).
+_MISFIT_LIMIT = 0.3
 
 
 @record(kw_only=True)

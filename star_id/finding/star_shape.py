@@ -20,13 +20,21 @@ from boresight.star_id.finding.windows import StarWindows, star_windows
 __all__ = ["WidthFits", "fit_widths", "gain_from_widths", "psf_of"]
 
 
+# Newton steps of place, flux, sky and width of each star.
 _STEPS = 3
+# Radius of the window, widths of the PSF assumed so far (set by hand).
 _WINDOW_SIGMA = 4.0
-_PSF_MISFIT = 0.15  # residual over star energy that a real PSF may leave on a Gaussian of free width
+# Residual over a star's energy that a real PSF may leave on a Gaussian of free width (set by hand).
+_PSF_MISFIT = 0.15
+# Fewest stars that give the gain.
 _STARS_FOR_GAIN = 5
+# Rings a px in which residuals are averaged about the star.
 _RINGS_PER_PX = 2.0
-_LARGEST_STRETCH = 0.6  # of the squared width, per round
-_OUTLIER = 40.0  # squared deviation of a star's 1 / gain over half its variance: 4.5 sigma, skewed
+# Largest change of the squared width in a round, as a share of it; the next round finds the rest.
+_LARGEST_STRETCH = 0.6
+# Squared deviation of a star's 1 / gain from the median over half its variance, above which it is left out:
+# 4.5 sigma, for a skewed distribution.
+_OUTLIER = 40.0
 
 
 @record(kw_only=True)

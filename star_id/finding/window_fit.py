@@ -18,7 +18,9 @@ from boresight.star_id.finding.windows import StarWindows
 __all__ = ["by_parameter", "newton_step", "noise_gain", "start_state"]
 
 Pixels = NDArray[np.float32]
-_LEAST_SHARE = 0.34  # of a pixel's variance, at the cut: beyond it noise is rare and large, but no outlier
+# Least variance of a pixel at the cut, as a share of an uncut one's: noise there is rare and large, but no
+# outlier (1/2 - 1/(2 pi), that of a sky cut off at its level).
+_LEAST_SHARE = 0.34
 
 
 def start_state(windows: StarWindows, offset: Floats, images: PsfImages) -> Floats:

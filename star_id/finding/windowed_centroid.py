@@ -24,10 +24,15 @@ from boresight.star_id.finding.windows import star_windows
 __all__ = ["windowed_centroids"]
 
 
-_LEAST_WIDTH_PX = 1.1  # a narrower window on a narrow star would be biased by pixel phase
-_WINDOW_SIGMA = 3.0  # where the window's weight is 1 %, and the signal 1 % of the peak
+# Least width of the window's Gaussian, px: a narrower one on a narrow star is biased by the place within
+# the pixel.
+_LEAST_WIDTH_PX = 1.1
+# Radius of the window in its widths: its weight is 1 % there, and the signal 1 % of the peak.
+_WINDOW_SIGMA = 3.0
+# Most steps of moving the window to the centroid (set by hand).
 _STEPS = 20
-_SMALL_STEP = 0.002  # of the window's width
+# Step, in widths of the window, at which it has converged.
+_SMALL_STEP = 0.002
 
 
 def windowed_centroids(

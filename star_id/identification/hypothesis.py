@@ -38,8 +38,11 @@ __all__ = [
     "robust_sigma",
 ]
 
-RESOLVED_PX = 3.0  # a star closer than this to a brighter one is not detected separately
-STARS_PER_DETECTION = 1.6  # predicted stars considered, brightest first, per detection
+# Distance, px, within which a star is not detected beside a brighter one: some two widths of a usual PSF.
+RESOLVED_PX = 3.0
+# Predicted stars, brightest first, that are held against each detection: room for stars that are missed, or
+# misjudged in brightness.
+STARS_PER_DETECTION = 1.6
 
 
 @dataclass(frozen=True, slots=True, eq=False)

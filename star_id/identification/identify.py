@@ -36,19 +36,24 @@ from boresight.star_id.settings import StarSettings
 
 __all__ = ["DENSER", "STAGES", "AttitudePrior", "Identification", "NotIdentified", "identify_stars"]
 
-# (table, from, to): triangles of the brightest `to` detections that are not all among the brightest `from`;
-# table 1 holds larger triangles of brighter stars, which are fewer, but more robust to false detections;
-# smaller triangles of more stars are tried last, should many be missing
+# Number of the table of the index with smaller triangles of more stars; 0 is the usual, 1 the wider one.
 DENSER = 2
+# Stages of identification in their order: (table, from, to) tries triangles of the brightest `to` detections
+# that are not all among the brightest `from`. Table 1 has larger triangles of brighter stars, fewer but more
+# robust to false detections; smaller triangles of more stars come last, should many be missing (set by hand).
 STAGES = (
     *((0, 0, 8), (1, 0, 10), (0, 8, 14), (0, 14, MOST_DETECTIONS), (1, 10, 18)),
     *((DENSER, 0, 14), (DENSER, 14, MOST_DETECTIONS)),
 )
-_STARS_FOR_SHIFT = 30  # brightest stars that determine the error of a prior attitude
-# log likelihood ratio below which a proposal is not refined: where errors are as expected, a right one has
-# less with probability exp(-4) at most, and an image has many right ones
+# Brightest predicted stars whose distances to detections give the error of a prior attitude (set by hand).
+_STARS_FOR_SHIFT = 30
+# Natural logarithm of the likelihood over that of chance, below which a proposal is not refined: where
+# errors are as expected a right one has less with probability exp(-4) at most, and an image has many right
+# ones.
 _HOPELESS = -4.0
-_UNAMBIGUOUS = 0.05  # of the detections' spacing: stars predicted so well are nearest to their own detections
+# Error of predictions over the mean distance of detections, below which each star's nearest detection is
+# its own: another is nearer in pi * 0.05^2, 1 %, of the cases.
+_UNAMBIGUOUS = 0.05
 
 
 @record

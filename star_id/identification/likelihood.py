@@ -19,10 +19,15 @@ from boresight.geometry.record import Floats
 
 __all__ = ["log_likelihood_ratio"]
 
-# e, the fraction of clutter among the detections, and the position error in units of the expected one
+# Shares e of false detections over which the likelihood of a hypothesis is averaged with equal weight:
+# nothing is known of them.
 _CLUTTER = np.array([0.1, 0.3, 0.6, 0.9])[:, None, None]
+# The same as odds, false over true.
 _ODDS = _CLUTTER / (1.0 - _CLUTTER)
+# Natural logarithms of e and of 1 - e.
 _LOG_CLUTTER, _LOG_STARS = np.log(_CLUTTER[:, :, 0]), np.log(1.0 - _CLUTTER[:, :, 0])
+# Inverse squares of the factors of stated errors over which the likelihood is averaged with equal weight: a
+# lens may be known better or worse than stated.
 _INVERSE_VARIANCE = np.array([0.25, 0.5, 1.0, 2.0, 4.0])[:, None] ** -2.0
 
 

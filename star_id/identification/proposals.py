@@ -32,14 +32,24 @@ from boresight.star_id.identification.triangle_index import (
 
 __all__ = ["MOST_DETECTIONS", "Proposals", "propose"]
 
-MOST_DETECTIONS = 24  # of which triangles are made
-_TRIALS = 16  # at most, per call
-_DETECTION_RATE = 0.5  # probability that an index star in the field is among the bright detections
-_MARGIN = np.log(10.0)  # a proposal is tried if its ratio is a tenth of the number of proposals
+# Brightest detections of which triangles are made: 2024 triangles.
+MOST_DETECTIONS = 24
+# Most proposals of one call that are examined where most are right (set by hand).
+_TRIALS = 16
+# Probability that an index star in the field is among the bright detections (set by hand).
+_DETECTION_RATE = 0.5
+# Natural logarithm: a proposal is examined if its likelihood ratio is a tenth of the number of proposals,
+# or more.
+_MARGIN = np.log(10.0)
+# Proposals judged at a time; bounds memory to some MB.
 _CHUNK = 1024
-_BRIGHT = 60  # detections on the map: enough to include the stars of the index
-_MAP_CELLS = 256  # at most, along x
-_CELL = 0.35  # of the camera's error at the edges: a star is then found at most one cell off
+# Brightest detections on the map that proposals are judged by: enough to include the stars of the index, 14
+# a field.
+_BRIGHT = 60
+# Most cells of that map along x (set by hand; bounds its memory).
+_MAP_CELLS = 256
+# Side of a cell in units of the camera's error at the edges: a star is then found at most one cell off.
+_CELL = 0.35
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -80,7 +90,8 @@ def propose(image: PlaneDetections, table: TriangleTable, u_i: Floats, done: int
     return Proposals(detected, R.transpose(2, 0, 1), log_scale, examined)
 
 
-# sorted by the last: the first (k choose 3) are those of the k brightest detections
+# Rows of the three detections of each triangle, sorted by the faintest: the first (k choose 3) are
+# those of the k brightest detections.
 _TRIPLES = np.array(sorted(combinations(range(MOST_DETECTIONS), 3), key=lambda t: t[2]), dtype=np.int64)
 
 

@@ -16,7 +16,9 @@ __all__ = ["Complex", "FieldOfView", "PlaneDetections", "directions_of_tangents"
 
 Complex = NDArray[np.complex128]
 
-_CALIBRATED = 2e-3  # relative error of angles below which distortion counts as known
+# Relative error of angles below which a camera's distortion counts as known: 1 px at 500 px from the
+# middle.
+_CALIBRATED = 2e-3
 
 
 @record(kw_only=True)

@@ -32,19 +32,32 @@ __all__ = [
     "triangle_shapes",
 ]
 
-STARS_PER_FIELD = 14  # index stars in the area of one field of view
-_NEIGHBOURS = 16  # nearest index stars kept for each: they fill a circle 1.2 fields of view wide
-_WIDER = 1.5  # a second table for a calibrated camera: fewer stars, sides up to 0.93 of its field
-_DENSER = 0.7  # a third one: twice as many stars, should many be missing
-CLOSE_RAD = np.radians(0.5)  # eight widths of a star's image in the coarsest camera
-LONGEST_SIDE = 0.62  # of the field of view
+# Brightest stars in each field of view that the index is made of: 364 triangles a field (set by hand).
+STARS_PER_FIELD = 14
+# Nearest index stars with which each forms triangles: they fill a circle 1.2 fields of view wide.
+_NEIGHBOURS = 16
+# Field of view of the second table of a calibrated camera over its own: fewer stars, sides up to 0.93 of
+# its field.
+_WIDER = 1.5
+# The same of the third table: twice as many stars, 1 / 0.7^2, should many be missing.
+_DENSER = 0.7
+# Distance of two stars, rad, up to which pairs are listed: eight widths of a star's image in the coarsest
+# camera.
+CLOSE_RAD = np.radians(0.5)
+# Longest side of a triangle over the field of view: longer ones seldom lie within the image.
+LONGEST_SIDE = 0.62
+# Shortest side over the field of view: of shorter ones centroid errors change the shape (set by hand).
 SHORTEST_SIDE = 0.06
-_LEVEL_STEP = 1.4  # ratio of the fields of view of successive tables of an index for uncalibrated cameras
-_CELLS = 100  # along each ratio
+# Ratio of the fields of view of successive tables of an index for uncalibrated cameras (set by hand).
+_LEVEL_STEP = 1.4
+# Cells along each of the two ratios of sides by which triangles are looked up.
+_CELLS = 100
+# Solid angle of the sky, sr.
 _FULL_SKY_SR = 4.0 * np.pi
-_NEXT, _PREV = np.array([1, 2, 0]), np.array([2, 0, 1])  # of three vertices, cyclically
-# Of three numbers, ascending, by 1 if the first exceeds the second, 2 the third, and 4 the second the third;
-# two cases cannot be.
+# The vertices after and before each of three, cyclically.
+_NEXT, _PREV = np.array([1, 2, 0]), np.array([2, 0, 1])
+# Order of three numbers, ascending, by 1 if the first exceeds the second, plus 2 if it exceeds the third, plus
+# 4 if the second exceeds the third; two of the eight cases cannot be.
 _ORDERS = np.array([[0, 1, 2], [1, 0, 2], [0, 1, 2], [1, 2, 0], [0, 2, 1], [0, 1, 2], [2, 0, 1], [2, 1, 0]])
 
 

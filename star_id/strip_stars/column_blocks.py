@@ -15,10 +15,14 @@ from boresight.geometry.record import Floats, Ints, array, record
 
 __all__ = ["Columns", "candidates", "column_levels"]
 
+# Distance from a column's level, sigmas of its noise, beyond which a pixel is a star's and not used.
 _CLIP_SIGMA = 4.0
-_AROUND = np.ones((5, 5), np.uint8)  # pixels to which a star of a pixel above the clip extends
-_LEAST_NOISE_DN = 0.3  # the rounding to whole counts
-_NOISY = 1.5  # of the median noise: such a column says little
+# Pixels around such a pixel to which the star extends.
+_AROUND = np.ones((5, 5), np.uint8)
+# Least noise of a column, DN: that of rounding to whole counts, 1 / sqrt(12).
+_LEAST_NOISE_DN = 0.3
+# Noise of a column over the median of all from which it is not used for detection (set by hand).
+_NOISY = 1.5
 
 
 @record

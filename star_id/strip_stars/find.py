@@ -26,15 +26,26 @@ from boresight.star_id.strip_stars.trace import Motion, trace_images, trace_radi
 
 __all__ = ["StripMotion", "StripStars", "find_strip_stars"]
 
-_ROWS_READ, _ROWS_ALIKE = 1024, 256  # rows read at a time; rows with one level and noise of each column
-_USUAL_SIGMA_PX = 0.6  # width of the optics until the stars have given it
+# Rows read at a time, which bounds memory; rows with one level and noise of each column.
+_ROWS_READ, _ROWS_ALIKE = 1024, 256
+# Width of the optics, px, until the stars have given it.
+_USUAL_SIGMA_PX = 0.6
+# Most stars that the width and the gain are estimated from.
 _STARS_FOR_WIDTH, _STARS_FOR_GAIN = 40, 300
-_BRIGHT_SNR = (30.0, 10.0)  # of stars that give width and gain, where there are three
+# SNR of stars that give width and gain: of the first limit that three stars reach.
+_BRIGHT_SNR = (30.0, 10.0)
+# Stars fitted at a time, which bounds memory.
 _FITTED_AT_ONCE = 100
-_MISFIT, _MISFIT_OF_SNR = 2.0, 0.05  # chi2 / dof of a star: jitter and uneven pixels show in bright ones
+# Largest chi2 / dof of a star: the first, plus the square of the second times its SNR, since jitter and
+# uneven pixels show in bright ones (set by hand).
+_MISFIT, _MISFIT_OF_SNR = 2.0, 0.05
+# Distance, px, within which two detections are one star (set by hand).
 _SAME_STAR_PX = 1.8
-_GHOST = 0.03  # of the light of a saturated star: a detection beside it is its own
-_DISTURBING = 0.01  # of a star's light
+# Light of a detection beside a saturated star over that star's, below which it is part of it (set by hand).
+_GHOST = 0.03
+# Light of a neighbour over the star's own from which it displaces it.
+_DISTURBING = 0.01
+# Most candidates of a strip; one with more shows no sky. Bounds time and memory.
 _MAX_CANDIDATES = 20_000
 
 
@@ -80,6 +91,7 @@ class StripStars:
         return replace(self, **{name: getattr(self, name)[index] for name in _COLUMNS})
 
 
+# Fields of `SkyDetections` with a row a star.
 _COLUMNS = tuple(
     f.name for f in fields(StripStars) if f.name not in ("psf_sigma_px", "gain_e_per_dn", "misshapen")
 )

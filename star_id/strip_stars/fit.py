@@ -19,15 +19,28 @@ from boresight.star_id.strip_stars.trace import Motion, trace_curvatures, trace_
 
 __all__ = ["TraceFits", "fit_traces", "gain_from_windows", "width_of"]
 
+# Most Newton steps of a star's place, flux and sky (set by hand).
 _STEPS = 12
+# Longest step along an axis, px: a longer one leaves the range in which the image is linear in it.
 _LARGEST_STEP_PX = 0.6
-_CONVERGED = 0.05  # of the standard error
-_MOST_BIAS = 0.3  # of the standard error: more is no bias of second order, the star is hardly there
-_LEAST_SHOWN = 0.67  # of the bias: less, from 0.14 px, would add more scatter than it takes bias
-_WIDTHS_PX = (0.2, 2.0)  # of optics: narrower is hidden by the pixel, wider is out of focus
-_GAINS = (0.1, 1e4)  # electrons per DN: of any detector; beyond, photons add nothing
-_GAIN_STEPS = 61  # factors of 1.2: a strip's stars tell the gain to 0.2 at best
-_MOST_OF_A_STAR = 9.0  # 3 sigma
+# Step, in standard errors, at which a fit has converged.
+_CONVERGED = 0.05
+# Largest bias that is corrected, in standard errors: more is no bias of second order, the star is hardly
+# there.
+_MOST_BIAS = 0.3
+# Least share of the bias that the fitted place shows and by which it is divided; reached at an error of
+# 0.14 px. A smaller one would add more scatter than it takes bias.
+_LEAST_SHOWN = 0.67
+# Widths of the optics that are searched, px: narrower ones are hidden by the pixel, wider ones out of
+# focus.
+_WIDTHS_PX = (0.2, 2.0)
+# Gains that are searched, electrons per DN: of any detector; beyond, photons add nothing.
+_GAINS = (0.1, 1e4)
+# Number of these, in factors of 1.2: a strip's stars tell the gain to 0.2 at best.
+_GAIN_STEPS = 61
+# Largest loss of log likelihood, times 2, that one star may have against its own best gain: 3 sigma
+# squared.
+_MOST_OF_A_STAR = 9.0
 
 
 @record(kw_only=True)

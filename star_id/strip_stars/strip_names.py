@@ -28,11 +28,16 @@ from boresight.geometry.record import Bools, Floats, Ints, array, record, scalar
 
 __all__ = ["Directions", "NamedRows", "NoRotation", "StripField", "name_stars", "vote_for_rotation"]
 
-_TWICE_RAD = 1e-4  # between look vectors of one star on two CCDs, at least
-_REFINEMENTS = 3  # of the rotation, whose square is some pixels
-_LEAST = 3  # stars that agree: two always do
-_GATE = 23.0  # chi-square of two degrees of freedom that one star in 100 000 exceeds
-_SIGMAS = 4.0  # of the attitudes' errors, within which a star agrees with a rotation
+# Distance of two look vectors on two CCDs, rad, below which they may be one star seen twice.
+_TWICE_RAD = 1e-4
+# Steps of the rotation from matched stars; its square, left out in each, is some pixels at first.
+_REFINEMENTS = 3
+# Fewest stars that must agree on a rotation: two always do.
+_LEAST = 3
+# Chi-square of two degrees of freedom up to which a star agrees: one in 100 000 exceeds it, exp(-23 / 2).
+_GATE = 23.0
+# Standard deviations of the attitudes' errors within which a star agrees with a rotation.
+_SIGMAS = 4.0
 
 
 @record(kw_only=True)

@@ -22,9 +22,14 @@ from boresight.star_id.finding.psf import PsfImages
 
 __all__ = ["Motion", "trace_curvatures", "trace_images", "trace_radius"]
 
-_NODES_IN_ROW = 5  # Gauss-Legendre: exact to 1e-4 of the peak for a pixel a row and optics of 0.4 px
+# Gauss-Legendre nodes within a row's exposure: exact to 1e-4 of the peak for a pixel a row and optics of
+# 0.4 px.
+_NODES_IN_ROW = 5
+# Radius of a star's image, widths of the optics, that is computed: 99 % of its light.
 _REACH_SIGMA = 3.0
-_STEP_SIGMA = 0.5  # between the images of stages that are computed
+# Distance, widths of the optics, between the images of stages that are computed; others are interpolated
+# (set by hand).
+_STEP_SIGMA = 0.5
 
 
 @record
