@@ -23,7 +23,7 @@ __all__ = ["FieldFit", "LensFit", "fit_attitude_and_lens", "fit_known_camera"]
 # Common variance, px^2, at which the search for it ends: so large only where no degree of freedom is left.
 _LARGEST_VARIANCE = 1e12
 # Rejection of outliers from the attitude of one image: one good star in 10 000, by the scatter of the
-# stars, since the lens is only just fitted.
+# stars (`limit_from_scatter`), since they are many and the camera is only roughly known.
 _REJECTION = AttitudeSettings(probability_false_alarm=1e-4, limit_from_scatter=True)
 # Halvings of the interval of the common variance: to the last digits. `scipy.optimize.brentq` takes 0.1 s
 # to load.

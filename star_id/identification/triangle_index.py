@@ -56,8 +56,8 @@ _CELLS = 100
 _FULL_SKY_SR = 4.0 * np.pi
 # The vertices after and before each of three, cyclically.
 _NEXT, _PREV = np.array([1, 2, 0]), np.array([2, 0, 1])
-# Order of three numbers, ascending, by 1 if the first exceeds the second, plus 2 if it exceeds the third, plus
-# 4 if the second exceeds the third; two of the eight cases cannot be.
+# Order of three numbers, ascending, by 1 if the first exceeds the second, plus 2 if it exceeds the third,
+# plus 4 if the second exceeds the third; two of the eight cases cannot be.
 _ORDERS = np.array([[0, 1, 2], [1, 0, 2], [0, 1, 2], [1, 2, 0], [0, 2, 1], [0, 1, 2], [2, 0, 1], [2, 1, 0]])
 
 
