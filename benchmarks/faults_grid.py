@@ -39,6 +39,7 @@ from fault_dumps import DUMPS, linked, sound_dump
 from faults import Fault, faults_of
 from scipy.spatial.transform import Rotation
 
+from boresight.console import run_command_line as main_of_program
 from boresight.geometry.installation import theta_between
 from boresight.pipeline.results.ownership import claimed
 from boresight.pipeline.run.settings import Settings
@@ -63,8 +64,6 @@ Case = dict[str, Any]
 
 def answer_of(arguments: list[str], folder: Path) -> tuple[int, float, dict[str, Any]]:
     """Exit status, CPU seconds and JSON object of a `boresight` command, in a forked process."""
-    from boresight.pipeline import cli
-
     out, err = folder / "answer.json", folder / "remarks.txt"
     if not (child := os.fork()):
         for path, stream in ((out, 1), (err, 2)):
@@ -74,7 +73,7 @@ def answer_of(arguments: list[str], folder: Path) -> tuple[int, float, dict[str,
         sys.argv = ["boresight", *arguments]
         status = 70  # a traceback
         try:
-            cli.main()
+            main_of_program()
             status = 0
         except SystemExit as end:
             status = end.code if isinstance(end.code, int) else 70

@@ -13,6 +13,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from boresight.calib.moved_input import MovedInput
 from boresight.calib.star_camera_error import StarEffects
 from boresight.calib.strips import PreparedStrip
 from boresight.geometry.attitude_estimate import cross_matrices
@@ -48,7 +49,8 @@ class Hypothesis:
 
 
 HypothesisTable = Callable[
-    [Sequence[PreparedStrip], Rotation, float, Sequence[StarEffects]], list[Hypothesis]
+    [Sequence[PreparedStrip], Rotation, float, Sequence[StarEffects], Sequence[MovedInput]],
+    list[Hypothesis],
 ]
 
 
@@ -57,12 +59,13 @@ def hypotheses(
     R_cs: Rotation,
     pixel_rad: float,
     effects: Sequence[StarEffects],
+    inputs: Sequence[MovedInput] = (),
 ) -> list[Hypothesis]:
     """All hypotheses, those of many observations first: of two that explain the same the first one is named.
 
-    `prepared` are the strips as they enter the solution, `pixel_rad` is a pixel of the remote-sensing camera
-    and `effects` what errors of the star camera do to the exposures of each strip; empty: attitudes were
-    delivered.
+    `prepared` are the strips as they enter the solution, `pixel_rad` is a pixel of the remote-sensing camera,
+    `effects` what errors of the star camera do to the exposures of each strip (empty: attitudes were
+    delivered) and `inputs` what moves in the prediction with further inputs.
     """
     C = R_cs.as_matrix()
     strip = np.repeat(np.arange(len(prepared)), [len(one.ccd) for one in prepared])
@@ -70,6 +73,7 @@ def hypotheses(
     late_c = -np.concatenate([one.late_s for one in prepared]) @ C.T  # rows dated late by 1 s
     ground = ~np.concatenate([one.is_star for one in prepared])
     found = [*_of_clock(prepared, strip, late_c), *_of_position(prepared, strip, ground, C)]
+    found += [_of_input(prepared, C, one) for one in inputs]
     found += _of_looks(prepared, ccd, pixel_rad)
     found += _of_attitude(prepared, strip, C)
     found += _of_images(prepared, strip, ccd, pixel_rad)
@@ -83,6 +87,7 @@ def vector_hypotheses(
     R_cs: Rotation,
     pixel_rad: float,
     effects: Sequence[StarEffects],
+    inputs: Sequence[MovedInput] = (),
 ) -> list[Hypothesis]:
     """The hypotheses about vectors of frames (`from_vectors`): no camera, orbit or clock is known, so they
     concern the axes, the scale and the attitudes. `pixel_rad` is the unit of shifts of the look vectors.
@@ -198,6 +203,28 @@ def _of_position(
                 field="",
                 change_c=sign * move_c[:, :, axis] * here,
             )
+
+
+def _of_input(prepared: Sequence[PreparedStrip], C: Floats, moved: MovedInput) -> Hypothesis:
+    """An input whose effect was predicted: v_s moves by R_si du_i + psi x v_s."""
+    change = []
+    for one in prepared:
+        dv_s = np.zeros((len(one.ccd), 3))
+        directions_i, turns_s = moved.directions_i.get(one.strip_id), moved.turns_s.get(one.strip_id)
+        if directions_i is not None:
+            dv_s = dv_s + np.einsum("jab,jb->ja", one.R_si, directions_i)
+        if turns_s is not None and len(turns_s) == len(one.used):  # else another head carries the strip
+            dv_s = dv_s + np.cross(one.weights @ turns_s[one.used], one.v_s)
+        change.append(-dv_s @ C.T)
+    return Hypothesis(
+        cause=moved.cause,
+        item=moved.item,
+        unit=moved.unit,
+        words=moved.words,
+        file=moved.file,
+        field=moved.field,
+        change_c=np.concatenate(change),
+    )
 
 
 def _of_looks(prepared: Sequence[PreparedStrip], ccd: Ints, pixel_rad: float) -> Iterator[Hypothesis]:

@@ -43,6 +43,7 @@ from boresight.calib.joint_solution import (
     squared_mahalanobis,
     squared_over,
 )
+from boresight.calib.moved_input import MovedInput
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.star_camera_error import star_effects, summed
 from boresight.calib.strips import prepare_strip, tangent_axes
@@ -60,6 +61,8 @@ POWER = 0.9
 PROBABILITY_SUSPECT = 1e-3  # that any of all good observations is named
 MOST_SEARCHED = 16  # hypotheses under which rejected observations are searched anew, the likeliest ones
 MOST_ROUNDS = 8  # of such a search
+EQUAL = 1.0  # difference of evidence by which two causes explain the same
+MOST_RIVALS = 3  # that a finding names
 AMBIGUOUS = 2.0 * np.log(19.0)  # difference of evidence below which the data do not tell two causes apart
 
 
@@ -166,6 +169,7 @@ def examine(
     *,
     pixel_rad: float,
     star_camera: StarCamera | None = None,
+    inputs: Sequence[MovedInput] = (),
     limits: ReliabilitySettings | None = None,
     table_of: HypothesisTable = hypotheses,
 ) -> Reliability:
@@ -184,6 +188,8 @@ def examine(
         Angle of a pixel of the remote-sensing camera.
     star_camera : StarCamera, optional
         Camera whose model gave the stars' directions; None: attitudes were delivered.
+    inputs : sequence of MovedInput
+        Further inputs whose errors were evaluated by prediction.
     limits : ReliabilitySettings, optional
         False-alarm rates and what counts as harm.
     table_of : callable
@@ -195,7 +201,7 @@ def examine(
         The tests at the weights of the estimate, and at most three causes.
     """
     limits = limits or ReliabilitySettings()
-    one = _adjustment(estimate, strips, settings, pixel_rad, star_camera, table_of)
+    one = _adjustment(estimate, strips, settings, pixel_rad, star_camera, inputs, table_of)
     tests = _tests(one, limits)
     findings, last = _causes(one, tests, limits)
     return Reliability(tuple(tests), tuple(findings), tuple(_suspects(one, last)))
@@ -207,6 +213,7 @@ def _adjustment(
     settings: CalibrationSettings,
     pixel_rad: float,
     star_camera: StarCamera | None,
+    inputs: Sequence[MovedInput],
     table_of: HypothesisTable,
 ) -> _Adjustment:
     strips = with_attitudes(sorted(strips, key=lambda strip: strip.strip_id), settings.attitudes)
@@ -228,7 +235,7 @@ def _adjustment(
     )
     step = solve_weighted(problem, about, weight * problem.inside)
     effects = star_effects(strips, star_camera, estimate.rejection.limit) if star_camera else []
-    table = table_of(prepared, estimate.R_cs, pixel_rad, effects)
+    table = table_of(prepared, estimate.R_cs, pixel_rad, effects, inputs)
     change = np.stack([h.change_c for h in table], axis=2)
     information, right = summed(effects)
     parts = np.array([h.star_part for h in table])
@@ -327,11 +334,14 @@ def _causes(
         gain = {h: before.criterion - fit.criterion for h, fit in trials.items()}
         if not gain:
             break
-        best = max(gain, key=lambda h: (gain[h], -h))
+        most = max(gain.values())
+        best = min(
+            h for h in gain if most - gain[h] < EQUAL
+        )  # the first of the table, of those that explain as much
         p_value = float(chdtrc(1, max(gain[best], 0.0) / limits.sigma_understated**2))
         if p_value * (n - len(chosen)) > limits.probability_found:
             break
-        rivals = [h for h in gain if gain[best] - gain[h] < AMBIGUOUS]
+        rivals = sorted(h for h in gain if most - gain[h] < AMBIGUOUS)
         chosen.append(best)
         findings.append(_finding(one, best, trials, rivals, p_value * (n - len(chosen) + 1), before, limits))
         before = trials[best]
@@ -393,8 +403,7 @@ def _minimum(one: _Adjustment, rows: Sequence[int], start: Bools | None = None) 
             if best is None or fit.criterion < best.criterion:
                 best = fit
             kept = inside & (fit.statistic < one.limit)
-    assert best is not None
-    return best
+    return best or _fit(one, rows, inside)  # too few observations for any of the starts
 
 
 def _fit(one: _Adjustment, rows: Sequence[int], kept: Bools) -> _Fit:
@@ -448,8 +457,7 @@ def _finding(
     refutes = worst > limits.harm_sigma and p_value < limits.probability_refuted
     sign = h.words[0] if value > 0.0 else h.words[1]
     text = f"{abs(value):.3g} ± {sigma:.2g} {h.unit} {sign}: {h.remedy}"
-    if others := [one.table[n] for n in rivals if n != best][:1]:
-        text += f"; or {others[0].cause}, {others[0].item}"
+    text += _rivals(h, [one.table[n] for n in rivals if n != best])
     return Finding(
         cause=h.cause,
         item=h.item,
@@ -465,6 +473,14 @@ def _finding(
         p_value=min(p_value, 1.0),
         targets=_explained(one, best, before),
     )
+
+
+def _rivals(h: Hypothesis, others: Sequence[Hypothesis]) -> str:
+    """Other causes that explain as much: the same of other items, then the first of another kind."""
+    alike = [other.item for other in others if other.cause == h.cause][:MOST_RIVALS]
+    another = [f"{other.cause}, {other.item}" for other in others if other.cause != h.cause][:1]
+    named = [*alike, *(another if len(alike) < MOST_RIVALS else ())]
+    return "".join(f"; or {name}" for name in named)
 
 
 def _explained(one: _Adjustment, h: int, before: _Fit) -> tuple[str, ...]:

@@ -67,7 +67,8 @@ class PreparedStrip:
     place: Floats = array("J", "position along that curve, px")
     u_c: Floats = array("J, 3", "measured look directions, frame c")
     cov_c: Floats = array("J, 3, 3", "covariance of their image measurement, rad²")
-    v_s: Floats = array("J, 3", "known directions of the targets, frame s by the interpolated attitude")
+    R_si: Floats = array("J, 3, 3", "attitude interpolated to the target's instant, GCRS to frame s")
+    v_s: Floats = array("J, 3", "known directions of the targets, frame s by that attitude")
     shared_s: Floats = array("J, 3, N", "change of v_s by each unknown in units of its prior sigma, rad")
     unknowns: tuple[str, ...] = array("N", "names of the columns of shared_s")
     coordinates_s: Floats = array(
@@ -174,6 +175,7 @@ def prepare_strip(strip: StripSightings, settings: CalibrationSettings) -> Prepa
         place=place,
         u_c=ground.u_c,
         cov_c=ground.cov_c,
+        R_si=R_si,
         v_s=v_s,
         shared_s=np.concatenate([phi, position, clock], axis=2),
         unknowns=(*names, "position/x", "position/y", "position/z", "clock"),

@@ -21,6 +21,7 @@ from scipy.spatial.transform import Rotation
 from boresight.calib.calibration import calibrate_strips
 from boresight.calib.estimate import InstallationEstimate, NotObservable
 from boresight.calib.finding import Finding
+from boresight.calib.moved_input import MovedInput
 from boresight.calib.reliability import Reliability, examine
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.verdict import Verdict, assess
@@ -37,11 +38,15 @@ from boresight.pipeline.stages.cached import Progress, StageRunner
 from boresight.pipeline.stages.coverage import attitudes_in_s, carriers, stated_mountings
 from boresight.pipeline.stages.head import HeadSightings, sight_head
 from boresight.pipeline.stages.input_findings import input_findings
-from boresight.pipeline.stages.left_out import lost_ccds, searched_alone, with_left_out
+from boresight.pipeline.stages.left_out import Counts, counts_of, lost_ccds, searched_alone, with_left_out
 from boresight.pipeline.stages.matchings import match_again, match_first
 from boresight.pipeline.stages.missing import what_is_missing
+from boresight.pipeline.stages.moved_inputs import moved_inputs
+from boresight.pipeline.stages.point_slips import without_hidden_points
 from boresight.pipeline.stages.reasons import rejection_reason
 from boresight.pipeline.stages.repeated_targets import targets_once
+from boresight.pipeline.stages.sky_losses import LOST_SHARE as STARS_LOST
+from boresight.pipeline.stages.sky_losses import named_alone, sky_counts, strips_without_stars
 from boresight.pipeline.stages.sky_side import (
     SkySide,
     find_in_sky_strips,
@@ -58,7 +63,12 @@ from boresight.pipeline.stages.strip import (
     targets_near,
 )
 from boresight.pipeline.stages.strip_sightings import strip_sightings
-from boresight.pipeline.stages.target_findings import lost_targets, single_targets, suspected_targets
+from boresight.pipeline.stages.target_findings import (
+    lost_stars,
+    lost_targets,
+    single_targets,
+    suspected_targets,
+)
 from boresight.pipeline.stages.unused_rows import Rows, rows_used, unused_rows
 
 __all__ = ["DumpCalibration", "calibrate_dump", "rejections_of", "strips_to_match", "strips_with_stars"]
@@ -80,6 +90,7 @@ class DumpCalibration:
     named: tuple[NamedStars, ...] = scalar("named stars of the same strips")
     strips: tuple[StripSightings, ...] = scalar("those that the estimate is made from, ground first")
     sighted: tuple[StripSightings, ...] = scalar("the same, with what was measured and left out")
+    inputs: tuple[MovedInput, ...] = scalar("what further inputs do to the sighted strips, by prediction")
     settings: CalibrationSettings = scalar("of the estimate, with the dump's stated errors")
     omissions: tuple[Omission, ...] = scalar("everything that is not used, with reasons")
     rows: tuple[Rows, ...] = scalar("how many rows of each table the estimate depends on")
@@ -165,13 +176,16 @@ def calibrate_dump(
         *rejections_of(found),
         *unused_rows(dump, last.tasks, observed, settings.run.exposure_margin_s),
     )
-    sighted = _sighted(dump, heads, first, last)
+    stars = sky_counts(dump, last.sky, last.named, found.R_cs)
+    sighted = _sighted(dump, heads, first, last, stars)
+    inputs = moved_inputs(dump, sighted, last.tasks)
     reliability = examine(
         found,
         sighted,
         error_model,
         pixel_rad=dump.line_camera.pixel_rad,
         star_camera=dump.star_camera,
+        inputs=inputs,
         limits=settings.verdict.of_reliability,
     )
     verdict = assess(
@@ -184,7 +198,10 @@ def calibrate_dump(
     return DumpCalibration(
         estimate=found,
         verdict=verdict.with_findings(
-            [*_target_findings(last, found, reliability), *input_findings(dump, last.tasks, omissions)]
+            [
+                *_target_findings(dump, last, found, reliability, stars),
+                *input_findings(dump, last.tasks, omissions),
+            ]
         ),
         stars=heads[0].stars,
         attitudes=heads[0].attitudes,
@@ -194,6 +211,7 @@ def calibrate_dump(
         named=last.named,
         strips=last.strips,
         sighted=sighted,
+        inputs=inputs,
         settings=error_model,
         omissions=omissions,
         rows=rows_used(dump, found, last.strips),
@@ -267,18 +285,27 @@ def _one_pass(
     )
 
 
-def _target_findings(last: _Pass, estimate: InstallationEstimate, reliability: Reliability) -> list[Finding]:
-    """Targets that contradict the rest or were not found, and that no common cause explains."""
+def _target_findings(
+    dump: Dump, last: _Pass, estimate: InstallationEstimate, reliability: Reliability, stars: Counts
+) -> list[Finding]:
+    """Targets and stars that contradict the rest or were not found, and that no common cause explains."""
     items = [one.item for one in reliability.findings]
+    strips = {name.rpartition("/")[0] for one in reliability.findings for name in one.targets}
     suspected = suspected_targets(reliability.suspects, estimate.R_cs, last.tasks, last.matched)
-    return [*single_targets(list(suspected)), *lost_targets(last.tasks, last.matched, items)]
+    images = {task.strip.strip_id: task.strip.images for task in last.sky.tasks}
+    return [
+        *single_targets(list(suspected)),
+        *lost_targets(last.tasks, last.matched, items),
+        *lost_stars(images, stars, STARS_LOST, items),
+        *strips_without_stars(dump, last.sky, last.named, stars, strips),
+    ]
 
 
 def _sighted(
-    dump: Dump, heads: Sequence[HeadSightings], first: _Pass, last: _Pass
+    dump: Dump, heads: Sequence[HeadSightings], first: _Pass, last: _Pass, stars: Counts
 ) -> tuple[StripSightings, ...]:
     """The strips of the last pass, with all that was measured in them by any search, each by itself too."""
-    alone = searched_alone(last.tasks, lost_ccds(last.matched), dump.sigma_installation_rad)
+    alone = searched_alone(last.tasks, lost_ccds(counts_of(last.matched)), dump.sigma_installation_rad)
     tasks = {task.strip.strip_id: task for task in last.tasks}
     parts = (
         (last.tasks, [contradicting_targets(one) for one in last.matched]),
@@ -286,7 +313,16 @@ def _sighted(
         ([tasks[one.strip_id] for one in alone], alone),
     )
     more = [strip for of_tasks, matched in parts for strip in _strips(of_tasks, matched, heads)]
-    return with_left_out(last.strips, [*more, *named_sightings(last.sky, first.named, heads)])
+    more += named_sightings(last.sky, first.named, heads)
+    alone_in_sky = {one.strip_id: one for one in named_alone(dump, last.sky, stars)}
+    of_strips = [n for n, task in enumerate(last.sky.tasks) if task.strip.strip_id in alone_in_sky]
+    side = replace(
+        last.sky,
+        tasks=tuple(last.sky.tasks[n] for n in of_strips),
+        found=tuple(last.sky.found[n] for n in of_strips),
+    )
+    more += named_sightings(side, [alone_in_sky[task.strip.strip_id] for task in side.tasks], heads)
+    return with_left_out(last.strips, more)
 
 
 def _unused_so_far(dump: Dump, heads: Sequence[HeadSightings], sky: SkySide) -> list[Omission]:
@@ -387,6 +423,8 @@ def _strip_tasks(
             interpolation=head.head.interpolation,
             carrier=head.head.name,
         )
+        task, hidden = without_hidden_points(task)
+        omitted += hidden
         targets, chips = targets_near(task, dump.targets, dump.chips)
         tasks.append(replace(task, targets=targets, chips=chips))
     return tasks, omitted

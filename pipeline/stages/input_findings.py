@@ -82,7 +82,7 @@ def outside_chips(omissions: Sequence[Omission]) -> Iterator[Finding]:
             cause="coordinates or chip",
             item=f"target {name}",
             text=f"{those[0].reason}.",
-            file="targets.csv",
+            file="points.csv" if those[0].file == "points.csv" else "targets.csv",
             field="lat_deg, lon_deg",
             targets=tuple(one.name for one in those if "/" in one.name),
         )

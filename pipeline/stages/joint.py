@@ -20,6 +20,7 @@ from scipy.spatial.transform import Rotation
 
 from boresight.calib.calibration import calibrate_strips
 from boresight.calib.estimate import InstallationEstimate, NotObservable
+from boresight.calib.moved_input import MovedInput
 from boresight.calib.reliability import examine
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.verdict import Verdict, assess
@@ -124,12 +125,31 @@ def calibrate_jointly(
         one.settings,
         pixel_rad=first.dump.line_camera.pixel_rad,
         star_camera=first.dump.star_camera,
+        inputs=_joined_inputs(calibrated),
         limits=settings.verdict.of_reliability,
     )
     verdict = assess(
         estimate, strips, settings.verdict, sigma_installation_rad=sigma, reliability=reliability
     )
     return JointCalibration(estimate, verdict, strips, one.settings, (*failed, *rejections_of(estimate)))
+
+
+def _joined_inputs(calibrated: Sequence[tuple[NamedDump, DumpCalibration]]) -> list[MovedInput]:
+    """What inputs of the same kind do in all dumps, strips with the names of their dumps."""
+    joined: dict[tuple[str, str], MovedInput] = {}
+    for named, found in calibrated:
+        for one in found.inputs:
+            before = joined.get((one.cause, one.item), replace(one, directions_i={}, turns_s={}))
+            directions, turns = (
+                {f"{named.name}/{strip_id}": change for strip_id, change in own.items()}
+                for own in (one.directions_i, one.turns_s)
+            )
+            joined[one.cause, one.item] = replace(
+                before,
+                directions_i={**before.directions_i, **directions},
+                turns_s={**before.turns_s, **turns},
+            )
+    return list(joined.values())
 
 
 Place = tuple[str, bytes, bytes]

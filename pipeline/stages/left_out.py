@@ -6,8 +6,10 @@ expects it, a target that contradicts its strip, a CCD that only a search of its
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, replace
+from math import comb
 
 import numpy as np
 from scipy.special import bdtrc
@@ -17,7 +19,7 @@ from boresight.geometry.sightings import GroundSightings, StripSightings
 from boresight.pipeline.errors import Omission
 from boresight.pipeline.stages.strip import MatchedTargets, StripTask, match_strip_targets
 
-__all__ = ["counts_of_ccds", "lost_ccds", "searched_alone", "with_left_out"]
+__all__ = ["Counts", "counts_of", "lost_ccds", "over_strips", "searched_alone", "with_left_out"]
 
 FEWEST = 3  # targets that agree by themselves
 LOST_SHARE = 0.3  # of a CCD's targets that cloud and change take away in a good strip
@@ -52,30 +54,47 @@ def _joined(strip: StripSightings, more: StripSightings) -> StripSightings:
     return replace(strip, ground=ground, R_oi_targets=R_oi)
 
 
-def lost_ccds(matched: Sequence[MatchedTargets]) -> dict[int, tuple[int, int]]:
-    """CCDs that lost more of their targets than cloud and change take away: targets found, and in view."""
-    every = counts_of_ccds(matched)
-    return {
-        ccd: (kept, n)
-        for ccd, (kept, n) in every.items()
-        if float(bdtrc(n - kept - 1, n, LOST_SHARE)) * max(len(every), 1) < PROBABILITY
-    }
+Counts = Mapping[tuple[str, int], tuple[int, int]]  # by strip and CCD: found, and in view
 
 
-def counts_of_ccds(matched: Sequence[MatchedTargets]) -> dict[int, tuple[int, int]]:
-    """Targets found, and in view, of each CCD over the strips that show any."""
-    found: dict[int, int] = {}
-    lost: dict[int, int] = {}
+def lost_ccds(counts: Counts, share: float = LOST_SHARE) -> dict[int, tuple[int, int]]:
+    """CCDs that lost more of their targets, or stars, than the share that good strips lose: found, in view.
+
+    Those of which least was found are tested together, one more at a time, against all choices of as many.
+    """
+    every = over_strips(counts)
+    order = sorted(every, key=lambda ccd: (every[ccd][0] / every[ccd][1], -every[ccd][1]))
+    lost: list[int] = []
+    for k in range(1, len(order)):
+        kept, n = (sum(every[ccd][part] for ccd in order[:k]) for part in (0, 1))
+        if float(bdtrc(n - kept - 1, n, share)) * comb(len(order), k) < PROBABILITY:
+            lost = [ccd for ccd in order[:k] if 2 * every[ccd][0] < every[ccd][1]]
+    return {ccd: every[ccd] for ccd in sorted(lost)}
+
+
+def over_strips(counts: Counts) -> dict[int, tuple[int, int]]:
+    """Found, and in view, of each CCD over the strips that show any: a strip that shows nothing says nothing
+    of its CCDs.
+    """
+    shown = {strip_id for (strip_id, _), (found, _) in counts.items() if found}
+    every: dict[int, tuple[int, int]] = {}
+    for (strip_id, ccd), (found, n) in sorted(counts.items()):
+        if strip_id in shown and n:
+            before = every.get(ccd, (0, 0))
+            every[ccd] = before[0] + found, before[1] + n
+    return every
+
+
+def counts_of(matched: Sequence[MatchedTargets]) -> Counts:
+    """Targets found, and in view, by strip and CCD."""
+    counts: dict[tuple[str, int], tuple[int, int]] = {}
     for strip in matched:
-        if not len(strip.target_id):
-            continue  # a strip that shows nothing says nothing of its CCDs
-        for ccd in strip.ccd.tolist():
-            found[ccd] = found.get(ccd, 0) + 1
-        for omission in strip.omissions:
-            _, behind, number = omission.name.partition(", CCD ")
-            if behind and number.isdigit():
-                lost[int(number)] = lost.get(int(number), 0) + 1
-    return {ccd: (found.get(ccd, 0), found.get(ccd, 0) + lost.get(ccd, 0)) for ccd in sorted({*found, *lost})}
+        found = Counter(strip.ccd.tolist())
+        behind = (one.name.partition(", CCD ")[2] for one in strip.omissions)
+        lost = Counter(int(number) for number in behind if number.isdigit())
+        for ccd in {*found, *lost}:
+            counts[strip.strip_id, ccd] = found[ccd], found[ccd] + lost[ccd]
+    return counts
 
 
 def searched_alone(

@@ -315,7 +315,8 @@ def displaced_m(task: StripTask, target_id: str, ccd: int, xy_px: tuple[float, .
     """How far the stated place of a target lies east and north of the one that the strip shows at a
     (sample, line), by the matrix of the task, m.
     """
-    p_e = next(one.p_e for one in task.targets if one.target_id == target_id)
+    every = (*task.targets, *task.points.targets)
+    p_e = next(one.p_e for one in every if one.target_id == target_id)
     lat, lon, height = geodetic_from_ecef(p_e[None], WGS84)
     model, level = pushbroom_of(task), ConstantHeight(float(height[0]))
     there = model.ground_points(ccd, np.array([xy_px[0]]), np.array([xy_px[1]]), level)

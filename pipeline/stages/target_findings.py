@@ -15,13 +15,24 @@ from boresight.gct_match.records import Reason
 from boresight.geometry.record import record, scalar
 from boresight.pipeline.errors import Omission, RawDataError
 from boresight.pipeline.files.image_files import StripFiles
-from boresight.pipeline.stages.left_out import counts_of_ccds, lost_ccds
+from boresight.pipeline.stages.left_out import Counts, counts_of, lost_ccds, over_strips
+from boresight.pipeline.stages.point_slips import fitting_slip
 from boresight.pipeline.stages.strip import MatchedTargets, StripTask, compass, displaced_m
 
-__all__ = ["Suspected", "is_flat", "lost_strip", "lost_targets", "single_targets", "suspected_targets"]
+__all__ = [
+    "Suspected",
+    "displaced_ccds",
+    "is_flat",
+    "lost_stars",
+    "lost_strip",
+    "lost_targets",
+    "single_targets",
+    "suspected_targets",
+]
 
 FEWEST = 3  # targets that make a pattern
 FLAT_COUNTS = 2.0  # standard deviation of an image without content
+FLAT_SKY_COUNTS = 0.1  # ... of the dark sky, whose noise alone is more
 SHOWN = 4  # names in a sentence
 
 
@@ -34,6 +45,8 @@ class Suspected:
     distance: float = scalar("from where the other targets place it, in standard errors")
     east_m: float = scalar("how far its stated place lies east of the one that the strip shows")
     north_m: float = scalar("the same to the north")
+    slip: str = scalar("what would have to be read in the table, behind a semicolon", default="")
+    is_point: bool = scalar("measured by others: without a chip", default=False)
 
 
 def suspected_targets(
@@ -47,15 +60,19 @@ def suspected_targets(
     by_id = {task.strip.strip_id: replace(task, R_cs=R_cs) for task in tasks}
     for one in suspects:
         xy_px, task = places.get((one.strip_id, one.target_id, one.ccd)), by_id.get(one.strip_id)
-        if xy_px is None or task is None or all(t.target_id != one.target_id for t in task.targets):
-            continue  # a star, or a point measured by others
+        if xy_px is None or task is None:
+            continue  # a star
+        points = {target.target_id: target for target in task.points.targets}
         east_m, north_m = displaced_m(task, one.target_id, one.ccd, xy_px)
+        point = points.get(one.target_id)
         yield Suspected(
             target_id=one.target_id,
             strip_id=one.strip_id,
             distance=one.distance,
             east_m=east_m,
             north_m=north_m,
+            slip=fitting_slip(task, point, one.ccd, np.array(xy_px)) if point is not None else "",
+            is_point=point is not None,
         )
 
 
@@ -87,17 +104,20 @@ def single_targets(suspected: Sequence[Suspected]) -> Iterator[Finding]:
             of_target[one.target_id].append(one)
     for target_id, those in of_target.items():
         worst = max(those, key=lambda one: one.distance)
+        file, what = ("points.csv", "it") if worst.is_point else ("targets.csv", "its chip or coordinates")
         size = float(np.hypot(worst.east_m, worst.north_m))
         strips = [one.strip_id for one in those]
         yield Finding(
-            cause="coordinates or chip",
+            cause="coordinates" if worst.is_point else "coordinates or chip",
             item=f"target {target_id} (strip{'s' if len(strips) > 1 else ''} {', '.join(strips)})",
-            text=f"its chip or coordinates lie about {compass(worst.east_m, worst.north_m)} of the true "
-            f"place ({worst.distance:.1f} σ): check targets.csv and the chip.",
+            text=f"{what} lie{'s' if worst.is_point else ''} about {compass(worst.east_m, worst.north_m)} of "
+            f"the true place ({worst.distance:.1f} σ)"
+            + (worst.slip or f": check {file}{'' if worst.is_point else ' and the chip'}")
+            + ".",
             value=size,
             sigma=size / worst.distance,
             unit="m",
-            file="targets.csv",
+            file=file,
             field="lat_deg, lon_deg",
             targets=tuple(f"{strip_id}/{target_id}" for strip_id in strips),
         )
@@ -110,23 +130,19 @@ def lost_targets(
     their own chips exclude.
     """
     images = {task.strip.strip_id: task.strip.images for task in tasks}
-    counts, lost = counts_of_ccds(matched), lost_ccds(matched)
+    by_cell = counts_of(matched)
+    counts, lost = over_strips(by_cell), lost_ccds(by_cell)
     empty = _flat_images(images, matched)
     silent = [ccd for ccd, (kept, n) in counts.items() if not kept and n >= FEWEST and ccd not in empty]
     no_majority = bool(set(lost) & set(silent)) and 2 * len(silent) >= len(counts)
     displaced = [ccd for ccd in lost if ccd not in empty and f"CCD {ccd}" not in explained]
     for ccd, strips in empty.items():
-        yield Finding(
-            cause="dead detector or empty file",
-            item=f"CCD {ccd} in strip{'s' if len(strips) > 1 else ''} {', '.join(strips)}",
-            text="its images hold a single grey value: check its files in strips.csv.",
-            file="strips.csv",
-            field="file",
-            targets=tuple(name for one in matched if one.strip_id in strips for name in _of_ccd(one, ccd)),
-        )
+        lost_there = [name for one in matched if one.strip_id in strips for name in _of_ccd(one, ccd)]
+        yield _dead_ccd(ccd, strips, tuple(lost_there))
     if displaced or no_majority:
         ccds = silent if no_majority else displaced
-        yield _displaced_ccds(ccds, counts, matched, refutes=no_majority)
+        gone = tuple(name for one in matched for ccd in ccds for name in _of_ccd(one, ccd))
+        yield displaced_ccds(ccds, counts, "targets", gone, refutes=no_majority)
     for one in matched:
         names = [o.name for o in one.omissions if o.cause == Reason.NO_COMMON_ROTATION.replace("_", " ")]
         if not len(one.target_id) and len(names) >= FEWEST and f"strip {one.strip_id}" not in explained:
@@ -135,24 +151,54 @@ def lost_targets(
         yield from _excluded(one.omissions)
 
 
-def _displaced_ccds(
+def displaced_ccds(
     ccds: Sequence[int],
-    lost: Mapping[int, tuple[int, int]],
-    matched: Sequence[MatchedTargets],
+    counts: Mapping[int, tuple[int, int]],
+    what: str,
+    names: tuple[str, ...] = (),
     *,
     refutes: bool,
 ) -> Finding:
-    kept, n = (sum(lost[ccd][k] for ccd in ccds) for k in (0, 1))
-    others = sum(int(np.sum(~np.isin(one.ccd, ccds))) for one in matched)
+    """CCDs of which too much is lost; `what` was looked for, found and in view by `counts`."""
+    kept, n = (sum(counts[ccd][k] for ccd in ccds) for k in (0, 1))
+    others = sum(found for ccd, (found, _) in counts.items() if ccd not in ccds)
     return Finding(
         cause="images or look directions of a CCD",
         item=f"CCD{'s' if len(ccds) > 1 else ''} {', '.join(map(str, ccds))}",
-        text=f"{kept} of {n} targets found, and {others} on other CCDs: check its files in strips.csv, and "
+        text=f"{kept} of {n} {what} found, and {others} on other CCDs: check its files in strips.csv, and "
         "x_offset_mm, y_first_mm in remote_camera.toml.",
         file="remote_camera.toml",
         field="x_offset_mm, y_first_mm",
         refutes=refutes,
-        targets=tuple(name for one in matched for ccd in ccds for name in _of_ccd(one, ccd)),
+        targets=names,
+    )
+
+
+def lost_stars(
+    images: Mapping[str, StripFiles], counts: Counts, share: float, explained: Sequence[str]
+) -> Iterator[Finding]:
+    """CCDs in which too many stars of strips of the sky are missing, but the items `explained`."""
+    every, lost = over_strips(counts), lost_ccds(counts, share)
+    dark: dict[int, list[str]] = {}
+    for (strip_id, ccd), (found, _) in counts.items():
+        if not found and is_flat(images[strip_id], ccd, FLAT_SKY_COUNTS):
+            dark.setdefault(ccd, []).append(strip_id)
+    for ccd, strips in dark.items():
+        yield _dead_ccd(ccd, strips)
+    displaced = [ccd for ccd in lost if ccd not in dark and f"CCD {ccd}" not in explained]
+    if displaced:
+        no_majority = 2 * len(displaced) >= len(every)
+        yield displaced_ccds(displaced, every, "bright stars", refutes=no_majority)
+
+
+def _dead_ccd(ccd: int, strips: Sequence[str], targets: tuple[str, ...] = ()) -> Finding:
+    return Finding(
+        cause="dead detector or empty file",
+        item=f"CCD {ccd} in strip{'s' if len(strips) > 1 else ''} {', '.join(strips)}",
+        text="its images hold a single grey value: check its files in strips.csv.",
+        file="strips.csv",
+        field="file",
+        targets=targets,
     )
 
 
@@ -209,11 +255,11 @@ def _excluded(omissions: Sequence[Omission]) -> Iterator[Finding]:
             )
 
 
-def is_flat(images: StripFiles, ccd: int) -> bool:
-    """Whether the image of a CCD has no content in its middle."""
+def is_flat(images: StripFiles, ccd: int, most: float = FLAT_COUNTS) -> bool:
+    """Whether the image of a CCD has no content in its middle: a standard deviation of at most `most`."""
     lines, samples = images.shape(ccd)
     try:
         middle = images.read(ccd, lines // 2, min(lines, lines // 2 + 64), 0, samples)
     except RawDataError:
         return False
-    return float(np.std(middle.astype(float))) < FLAT_COUNTS
+    return float(np.std(middle.astype(float))) < most

@@ -1,0 +1,33 @@
+"""An input of a dump, moved by one unit: what that does to known directions and to attitudes.
+
+Hypotheses that the estimate's own derivatives do not give (effects on light, the aberration that a head has
+left in, the velocity of the satellite, the clock of the star camera) are two evaluations of a prediction.
+Who reads the dump makes them; `hypotheses` turns them into changes of the residuals.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from boresight.geometry.record import Floats, record, scalar
+
+__all__ = ["MovedInput"]
+
+
+@record(kw_only=True)
+class MovedInput:
+    """What one unit too much of an input does, strip by strip; a strip that is not named does not move."""
+
+    cause: str = scalar('what is wrong: "clock of the exposures"')
+    item: str = scalar('what it concerns: "all exposures"')
+    unit: str = scalar("of its size")
+    words: tuple[str, str] = scalar("a positive and a negative size in words, behind the number")
+    file: str = scalar("file of the dump that states the input")
+    field: str = scalar("field of that file")
+    directions_i: Mapping[str, Floats] = scalar(
+        "by strip: change (J, 3) of the targets' known directions, GCRS", default_factory=dict
+    )
+    turns_s: Mapping[str, Floats] = scalar(
+        "by strip: right-handed rotation (K, 3) of the exposures' attitudes, axes of s, rad",
+        default_factory=dict,
+    )

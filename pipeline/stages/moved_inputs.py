@@ -1,0 +1,176 @@
+"""Inputs of a dump whose errors are told by predicting again: clock of the exposures, aberration left in
+attitudes, velocity of the satellite, and the effects on light from the ground.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
+
+import erfa
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from boresight.calib.moved_input import MovedInput
+from boresight.geometry.attitude import ConstantRate
+from boresight.geometry.constants import SPEED_OF_LIGHT
+from boresight.geometry.groundlight import LightEffects, apparent_ground_directions
+from boresight.geometry.record import Floats
+from boresight.geometry.sightings import StripSightings
+from boresight.pipeline.files.dump import Dump
+from boresight.pipeline.files.star_side import Head, SolvedAttitudes
+from boresight.pipeline.stages.strip import StripTask
+
+__all__ = ["moved_inputs"]
+
+AU_PER_DAY = erfa.DAU / erfa.DAYSEC  # m/s
+MILLI = 1e-3
+KM_S = 1e3
+AXES = (
+    ("along the track", ("too large", "too small")),
+    ("across the track", ("too far right", "too far left")),
+    ("radial", ("too far down", "too far up")),
+)
+Switch = Callable[[LightEffects, bool], LightEffects]
+EFFECTS: Mapping[str, Switch] = {
+    "light_time": lambda effects, on: replace(effects, light_time=on),
+    "aberration": lambda effects, on: replace(effects, aberration=on),
+    "refraction": lambda effects, on: replace(effects, refraction=on),
+}
+
+
+def moved_inputs(
+    dump: Dump, strips: Sequence[StripSightings], tasks: Sequence[StripTask]
+) -> tuple[MovedInput, ...]:
+    """All such inputs of a dump whose strips are `strips`; `tasks` are those of the ground."""
+    head = dump.heads[0]
+    found = [_clock_of_exposures(head, strips)]
+    if isinstance(head.source, SolvedAttitudes):
+        found += _aberration_of_head(dump, head, strips)
+    if sky := [strip for strip in strips if strip.ground.is_star.any()]:
+        found += _velocity(dump, head, sky)
+    by_id = {task.strip.strip_id: task for task in tasks}
+    if ground := [strip for strip in strips if strip.strip_id in by_id]:
+        found += _light(ground, by_id)
+    return tuple(found)
+
+
+def _times(strip: StripSightings) -> Floats:
+    return np.array([exposure.t_s for exposure in strip.exposures])
+
+
+def _attitudes(strip: StripSightings) -> Floats:
+    assert strip.attitudes is not None
+    return strip.attitudes.R_si
+
+
+def _clock_of_exposures(head: Head, strips: Sequence[StripSightings]) -> MovedInput:
+    """Exposures dated late: attitudes of an earlier instant, at the rate of rotation of the strip."""
+    turns = {}
+    for strip in strips:
+        seen = strip.attitudes.usable if strip.attitudes is not None else np.zeros(0, dtype=bool)
+        if seen.sum() > 1:
+            motion = ConstantRate.fitted(_times(strip)[seen], Rotation.from_matrix(_attitudes(strip)[seen]))
+            turns[strip.strip_id] = np.tile(MILLI * motion.omega_o, (len(seen), 1))
+    solved = head.source.file if isinstance(head.source, SolvedAttitudes) else ""
+    return MovedInput(
+        cause="clock of the exposures",
+        item=f"head {head.name}" if solved else "all exposures",
+        unit="ms",
+        words=("too late", "too early"),
+        file=solved or "exposures.csv",
+        field="utc" if solved else "utc_mid",
+        turns_s=turns,
+    )
+
+
+def _turned_by_velocity(R_si: Floats, v_i: Floats) -> Floats:
+    """Rotations (K, 3), axes of s, of attitudes (K, 3, 3) fitted to stars whose aberration is too large by
+    that of a velocity (K, 3): the line of sight goes back by what the stars went forward.
+    """
+    beta_s = np.einsum("kab,kb->ka", R_si, v_i) / SPEED_OF_LIGHT
+    return -np.cross([0.0, 0.0, 1.0], beta_s)
+
+
+def _aberration_of_head(dump: Dump, head: Head, strips: Sequence[StripSightings]) -> Iterator[MovedInput]:
+    def annual(t_s: Floats) -> Floats:
+        return np.asarray(erfa.epv00(*dump.epoch.tt_jd(t_s))[1]["v"] * AU_PER_DAY)
+
+    def orbital(t_s: Floats) -> Floats:
+        return dump.orbit.states_i(t_s)[1]
+
+    parts: Mapping[str, Callable[[Floats], Floats]] = {"annual": annual, "orbital": orbital}
+    for name, velocity in parts.items():
+        yield MovedInput(
+            cause=f"aberration of the attitudes, {name}",
+            item=f"head {head.name}",
+            unit="times",
+            words=("too much", "too little"),
+            file="dump.toml",
+            field=f"aberration_removed of {head.name}",
+            turns_s={
+                strip.strip_id: _turned_by_velocity(_attitudes(strip), velocity(_times(strip)))
+                for strip in strips
+                if strip.exposures
+            },
+        )
+
+
+def _velocity(dump: Dump, head: Head, strips: Sequence[StripSightings]) -> Iterator[MovedInput]:
+    """Velocity of the satellite in its orbital frame: stars show it by their aberration alone."""
+    source = head.source
+    in_attitudes = (
+        not isinstance(source, SolvedAttitudes) or source.aberration_removed != "annual and orbital"
+    )
+    for axis, (name, words) in enumerate(AXES):
+        directions, turns = {}, {}
+        for strip in strips:
+            u_i = strip.ground.u_i
+            v_i = KM_S * dump.orbit.R_oi(strip.ground.t_s).as_matrix()[:, axis]
+            along = np.sum(u_i * v_i, axis=1, keepdims=True)
+            directions[strip.strip_id] = (v_i - along * u_i) / SPEED_OF_LIGHT
+            if in_attitudes and strip.exposures:
+                v_i = KM_S * dump.orbit.R_oi(_times(strip)).as_matrix()[:, axis]
+                turns[strip.strip_id] = _turned_by_velocity(_attitudes(strip), v_i)
+        yield MovedInput(
+            cause=f"velocity of the orbit, {name}",
+            item="all strips of the sky",
+            unit="km/s",
+            words=words,
+            file="orbit",
+            field="velocity, date and frame",
+            directions_i=directions,
+            turns_s=turns,
+        )
+
+
+def _light(strips: Sequence[StripSightings], tasks: Mapping[str, StripTask]) -> Iterator[MovedInput]:
+    """Effects on light from the ground, modelled and not."""
+    for key, switched in EFFECTS.items():
+        directions = {}
+        for strip in strips:
+            task = tasks[strip.strip_id]
+            place = {one.target_id: one.p_e for one in (*task.targets, *task.points.targets)}
+            p_e = np.array([place[one] for one in strip.ground.target_id.tolist()], dtype=float).reshape(
+                -1, 3
+            )
+            on, off = (
+                apparent_ground_directions(
+                    p_e,
+                    strip.ground.t_s,
+                    task.orbit,
+                    task.orbit.earth,
+                    switched(task.effects, modelled),
+                )[0]
+                for modelled in (True, False)
+            )
+            directions[strip.strip_id] = on - off
+        yield MovedInput(
+            cause=f"light of the targets, {key.replace('_', ' ')}",
+            item="all targets",
+            unit="times",
+            words=("too much", "too little"),
+            file="dump.toml",
+            field=f"light.{key}",
+            directions_i=directions,
+        )

@@ -1,0 +1,188 @@
+"""Stars that a strip of the sky must show and that were not found in it, CCD by CCD.
+
+The catalogue and the estimated matrix tell where each bright star crosses which detector. No cloud hides it:
+a CCD, or a strip, in which many are missing is not where the dump says it is, or holds another image.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from boresight.calib.finding import Finding
+from boresight.geometry.record import Floats, Ints, array, record, scalar
+from boresight.geometry.starlight import SurveyedStars, apparent_star_directions
+from boresight.pipeline.files.dump import Dump
+from boresight.pipeline.files.star_tables import survey_of
+from boresight.pipeline.stages.left_out import Counts, lost_ccds
+from boresight.pipeline.stages.sky_side import SkySide, name_in_sky_strips
+from boresight.pipeline.stages.sky_strip import NamedStars, SkyTask
+from boresight.star_id.strip_stars.find import StripStars
+
+__all__ = [
+    "Crossings",
+    "bright_stars_found",
+    "crossings",
+    "named_alone",
+    "sky_counts",
+    "strips_without_stars",
+]
+
+FEWEST = 3  # stars that agree by themselves
+LOST_SHARE = 0.1  # of a CCD's bright stars that are missing in a good strip: none of 60 were
+
+NODES = 33  # lines between which a star's way is straight
+FAINTEST = 0.95  # of the stars that were named, in order of magnitude: brighter ones are looked for
+NEAR_PX = 16.0  # of where the matrix places a star: a detection is that star
+EDGE_PX = 8.0  # from the ends of detector and strip within which a star is not counted
+
+
+@record(kw_only=True)
+class Crossings:
+    """Catalogue stars that cross detectors of a strip. Row n of every array is the same crossing."""
+
+    strip_id: str = scalar("strip")
+    star: Ints = array("N", "row of the catalogue")
+    ccd: Ints = array("N", "CCD of the camera, from 0")
+    xy_px: Floats = array("N, 2", "where: (sample, line)")
+
+
+def crossings(task: SkyTask, survey: SurveyedStars, R_cs: Rotation) -> Crossings:
+    """Where single stars of a catalogue cross the detectors of a strip by the matrix `R_cs`."""
+    lines: Floats = np.linspace(0.0, max(task.strip.lines - 1.0, 1.0), NODES, dtype=np.float64)
+    t_s = task.instants(lines)
+    p_i, v_i = task.orbit.states_i(t_s[[NODES // 2]])
+    places = survey.places
+    u_i = apparent_star_directions(places, task.epoch, float(t_s[NODES // 2]), p_i[0], v_i[0])
+    R_ci = (R_cs * task.track.R_si(t_s)).as_matrix()
+    ahead = np.flatnonzero(survey.single & ((u_i @ R_ci[:, 2].T).max(axis=1) > np.cos(_reach(task))))
+    u_c = np.einsum("lab,sb->lsa", R_ci, u_i[ahead])
+    found: list[tuple[Ints, Ints, Floats]] = []
+    for ccd in task.strip.images.ccds:
+        sample, across = (
+            part.reshape(NODES, len(ahead))
+            for part in task.camera.samples_from_directions(ccd, u_c.reshape(-1, 3))
+        )
+        node, star = np.nonzero(across[:-1] * across[1:] <= 0.0)
+        part = across[node, star] / (across[node, star] - across[node + 1, star])
+        line = lines[node] + part * (lines[node + 1] - lines[node])
+        at = sample[node, star] + part * (sample[node + 1, star] - sample[node, star])
+        last = task.camera.n_px(ccd) - 1.0, task.strip.lines - 1.0
+        inside = (at > EDGE_PX) & (at < last[0] - EDGE_PX) & (line > EDGE_PX) & (line < last[1] - EDGE_PX)
+        rows = ahead[star[inside]]
+        found.append((rows, np.full(len(rows), ccd), np.column_stack([at, line])[inside]))
+    star_of, ccd_of, xy_px = (np.concatenate(part) for part in zip(*found))
+    return Crossings(strip_id=task.strip.strip_id, star=star_of, ccd=ccd_of, xy_px=xy_px)
+
+
+def _reach(task: SkyTask) -> float:
+    """Angle from the camera's axis beyond which no pixel looks."""
+    ends = [
+        task.camera.directions_from_pixels(ccd, np.array([0.0, task.camera.n_px(ccd) - 1.0]))
+        for ccd in task.strip.images.ccds
+    ]
+    return float(np.arccos(np.concatenate(ends)[:, 2].min())) + 1e-3
+
+
+def bright_stars_found(
+    tasks: Sequence[SkyTask], named: Sequence[NamedStars], survey: SurveyedStars, R_cs: Rotation
+) -> dict[tuple[str, int], tuple[int, int]]:
+    """By strip and CCD: stars with a detection where they must be, and all that must be there, of those as
+    bright as those that were named.
+    """
+    magnitudes = np.concatenate([one.places.places.v_mag for one in named] or [np.zeros(0)])
+    if not len(magnitudes):
+        return {}
+    bright = survey.take(np.flatnonzero(survey.places.v_mag <= np.quantile(magnitudes, FAINTEST)))
+    counts: dict[tuple[str, int], tuple[int, int]] = {}
+    for task, one in zip(tasks, named):
+        expected = crossings(task, bright, R_cs)
+        for ccd in task.strip.images.ccds:
+            there = expected.xy_px[expected.ccd == ccd]
+            off_px = np.abs(there[:, None] - one.found.xy_px[one.found.ccd == ccd]).max(axis=2)
+            found = int((off_px < NEAR_PX).any(axis=1).sum())
+            counts[task.strip.strip_id, ccd] = found, len(there)
+    return counts
+
+
+def sky_counts(dump: Dump, side: SkySide, named: Sequence[NamedStars], R_cs: Rotation) -> Counts:
+    """Bright stars found, and expected, by strip and CCD; empty without strips of the sky."""
+    return bright_stars_found(side.tasks, named, survey_of(dump.star_catalogue), R_cs) if side.tasks else {}
+
+
+def named_alone(dump: Dump, side: SkySide, counts: Counts) -> list[NamedStars]:
+    """Stars of CCDs in which too many are missing, named by those CCDs alone: all such together or, where
+    they do not agree, each by itself.
+    """
+    if not (lost := list(lost_ccds(counts, LOST_SHARE))):
+        return []
+    for ccds in dict.fromkeys([tuple(lost), *((ccd,) for ccd in lost)]):
+        of_ccds = replace(side, found=tuple(one.take(np.isin(one.ccd, ccds)) for one in side.found))
+        if found := [one for one in _named(dump, of_ccds) if len(one.rows) >= FEWEST]:
+            return found
+    return []
+
+
+Changed = Callable[[StripStars, SkyTask], StripStars]
+
+
+def _named(dump: Dump, side: SkySide) -> tuple[NamedStars, ...]:
+    """Names by the pre-launch matrix."""
+    return name_in_sky_strips(dump, side, dump.R_cs0, dump.sigma_installation_rad, known=False)
+
+
+def _is_named(dump: Dump, one: SkySide) -> bool:
+    return len(_named(dump, one)[0].rows) >= FEWEST
+
+
+def _columns_reversed(found: StripStars, task: SkyTask) -> StripStars:
+    last = np.array([task.camera.n_px(ccd) - 1.0 for ccd in range(task.camera.n_ccds)])
+    xy_px = found.xy_px.copy()
+    xy_px[:, 0] = last[found.ccd] - xy_px[:, 0]
+    return replace(found, xy_px=xy_px)
+
+
+def _rows_reversed(found: StripStars, task: SkyTask) -> StripStars:
+    return replace(found, xy_px=found.xy_px * [1.0, -1.0] + [0.0, task.strip.lines - 1.0])
+
+
+TRIALS: Mapping[str, Changed] = {
+    "with the order of columns reversed": _columns_reversed,
+    "with the order of rows reversed": _rows_reversed,
+}
+
+
+def strips_without_stars(
+    dump: Dump, side: SkySide, named: Sequence[NamedStars], counts: Counts, explained: Collection[str]
+) -> Iterator[Finding]:
+    """Strips of the sky in which no star is where it must be, but those `explained` by a cause. A strip whose
+    stars agree by themselves contradicts the others, and refutes.
+    """
+    for n, (task, one) in enumerate(zip(side.tasks, named)):
+        strip_id = task.strip.strip_id
+        expected = sum(seen for (name, _), (_, seen) in counts.items() if name == strip_id)
+        if len(one.rows) or expected < FEWEST or strip_id in explained:
+            continue
+        only = replace(side, tasks=(task,), found=(side.found[n],), computed=side.computed[n : n + 1])
+        trials = (
+            (words, replace(only, found=(changed(side.found[n], task),))) for words, changed in TRIALS.items()
+        )
+        file, cause, alone = "file, utc_first_row", "images, clock or attitudes", _is_named(dump, only)
+        if alone:
+            text = f"its stars agree by themselves, but none of {expected} is where the other strips place it"
+        elif words := next((words for words, trial in trials if _is_named(dump, trial)), ""):
+            file, cause = "file", "order of an image"
+            text = f"none of its {expected} brightest stars found, but {words} they are"
+        else:
+            text = f"none of its {expected} brightest stars is where the other strips place it"
+        yield Finding(
+            cause=cause,
+            item=f"strip {strip_id}",
+            text=f"{text}: check {file} in strips.csv.",
+            file="strips.csv",
+            field=file,
+            refutes=alone,
+        )
