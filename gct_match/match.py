@@ -12,7 +12,7 @@ in both. Every target that is not matched has a refusal.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
@@ -24,13 +24,11 @@ from boresight.gct_match.predict.template import Template, chip_points, chip_sid
 from boresight.gct_match.predict.trajectories import displacements
 from boresight.gct_match.records import (
     Chip,
-    Evidence,
     Reason,
     Refusal,
     StripMatches,
     Target,
     TargetMatch,
-    TemplateMatch,
 )
 from boresight.gct_match.search.coarse import read_window
 from boresight.gct_match.search.common_rotation import search_common_rotation
@@ -269,27 +267,16 @@ def _measured_one(
     )
     if isinstance(outcome, Refusal):
         return outcome
-    origin_px = np.array([left, top])
-    return _match(scene.targets[n].target_id, ccd, template, outcome, origin_px, xy_px)
-
-
-def _match(
-    name: str, ccd: int, template: Template, found: TemplateMatch, origin_px: Floats, expected_px: Floats
-) -> TargetMatch:
-    """A target's match from that of its template in a window of the strip that begins at `origin_px`."""
-    xy_px, first_px = found.xy_px + origin_px, np.array(template.origin_px, dtype=float)
+    of_template = {field.name: getattr(outcome, field.name) for field in fields(outcome)}
+    found_px = outcome.xy_px + np.array([left, top])
     return TargetMatch(
-        target_id=name,
+        **of_template | {"xy_px": found_px},
+        target_id=scene.targets[n].target_id,
         ccd=ccd,
-        xy_px=xy_px,
-        cov_px=found.cov_px,
-        correlation=found.correlation,
-        probability_wrong=found.probability_wrong,
-        model="affine" if found.affine.any() else "translation",
-        predicted_px=expected_px,
-        expected_px=expected_px,
-        residual_px=xy_px - expected_px,
-        evidence=Evidence(template.image, found.found, found.residual, found.surface, first_px),
+        predicted_px=xy_px,
+        expected_px=xy_px,
+        residual_px=found_px - xy_px,
+        template=template.image,
     )
 
 

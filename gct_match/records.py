@@ -15,7 +15,6 @@ from boresight.geometry.record import Bools, Floats, array, record, scalar
 
 __all__ = [
     "Chip",
-    "Evidence",
     "Image",
     "Reason",
     "Refusal",
@@ -156,42 +155,34 @@ class TemplateMatch:
     residual: Image = array("H, W", "found minus template after gain and offset, filtered, grey values")
     surface: Image = array("R, C", "correlation at whole pixels of the search window")
 
+    @property
+    def model(self) -> str:
+        """The map from template to picture: "translation" or "affine"."""
+        return "affine" if self.affine.any() else "translation"
+
     def __repr__(self) -> str:
         x, y, sigma = *self.xy_px, np.sqrt(np.diag(self.cov_px))
         return (
-            f"TemplateMatch: x {x:.4f} ± {sigma[0]:.4f} px, y {y:.4f} ± {sigma[1]:.4f} px\n"
+            f"{type(self).__name__}: x {x:.4f} ± {sigma[0]:.4f} px, y {y:.4f} ± {sigma[1]:.4f} px\n"
             f"  correlation {self.correlation:.3f}, wrong with probability {self.probability_wrong:.1g}\n"
             f"  {'affine map' if self.affine.any() else 'translation'} of {self.found.shape[1]} x "
             f"{self.found.shape[0]} px"
         )
 
 
-@record
-class Evidence:
-    """Pictures that let a person judge a match, all on the strip's own pixel grid."""
-
-    template: Image = array("H, W", "chip as the strip should show it")
-    found: Image = array("H, W", "strip resampled to the template's pixels at the position found")
-    residual: Image = array("H, W", "found minus template after gain and offset, filtered, grey values")
-    correlation: Image = array("R, C", "correlation surface of the search window")
-    origin_px: Floats = array("2", "predicted (sample, line) of the template's first pixel")
-
-
 @record(kw_only=True)
-class TargetMatch:
-    """A target matched in one CCD of a strip."""
+class TargetMatch(TemplateMatch):
+    """A target matched in one CCD of a strip: the template is its chip, and the picture the strip.
+
+    `xy_px` is the (sample, line) of the target's surveyed point.
+    """
 
     target_id: str = scalar("identifier of the target")
     ccd: int = scalar("CCD as numbered in the camera model")
-    xy_px: Floats = array("2", "(sample, line) of the target's surveyed point")
-    cov_px: Floats = array("2, 2", "covariance of xy_px, px²")
-    correlation: float = scalar("of template and strip at that position, both filtered")
-    probability_wrong: float = scalar("probability that the true position is another one")
-    model: str = scalar('"translation" or "affine"')
     predicted_px: Floats = array("2", "(sample, line) predicted with the initial installation matrix")
     expected_px: Floats = array("2", "(sample, line) predicted with the rotation that was searched for")
     residual_px: Floats = array("2", "xy_px minus the position predicted with the common rotation")
-    evidence: Evidence = scalar("pictures of the match")
+    template: Image = array("H, W", "chip as the strip should show it, on the strip's pixel grid")
 
 
 @record(kw_only=True)

@@ -103,16 +103,16 @@ def matches_table(lines: Sequence[StripLine]) -> pd.DataFrame:
 
 def overlay_picture(match: TargetMatch) -> NDArray[np.uint8]:
     """Picture (h, w): template, strip at the match, residual, correlation surface; figures below."""
-    e = match.evidence
-    low, high = np.percentile(e.found, [1.0, 99.0])
+    found, template = match.found, match.template
+    low, high = np.percentile(found, [1.0, 99.0])
     span = max(float(high - low), 1e-6)
-    template = (e.template - e.template.mean()) * (e.found.std() / max(float(e.template.std()), 1e-6))
-    residual = e.residual / (0.5 * span) + 0.5
+    shown = (template - template.mean()) * (found.std() / max(float(template.std()), 1e-6))
+    residual = match.residual / (0.5 * span) + 0.5
     panels = (
-        ("predicted", (template + e.found.mean() - low) / span),
-        ("found", (e.found - low) / span),
+        ("predicted", (shown + found.mean() - low) / span),
+        ("found", (found - low) / span),
         ("residual x2", residual),
-        ("correlation", np.clip(e.correlation, 0.0, 1.0)),
+        ("correlation", np.clip(match.surface, 0.0, 1.0)),
     )
     pictures = [_panel(name, np.asarray(image, dtype=np.float32)) for name, image in panels]
     foot = np.full((44, len(pictures) * _PANEL_PX), 255, np.uint8)

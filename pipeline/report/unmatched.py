@@ -10,7 +10,6 @@ import numpy as np
 import pyarrow as pa
 
 from boresight.gct_match.predict.template import chip_sides_px, predict_template
-from boresight.gct_match.records import Evidence
 from boresight.geometry.terrain import Surface
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.dump import Dump, surface_of
@@ -37,9 +36,8 @@ def unmatched_pictures(scenes: Sequence[MapScene], ground: pa.Table, dump: Dump)
     for row in ground.to_pylist():
         if row["state"] != UNMATCHED or row["ccd"] < 0 or len(rows) == MOST:
             continue
-        evidence = _evidence(strips[row["strip_id"]], row, surface)
-        if evidence is not None:
-            pictures = match_pictures(evidence)
+        pictures = _pictures(strips[row["strip_id"]], row, surface)
+        if pictures is not None:
             own = {name: getattr(pictures, name) for name in get_type_hints(MatchPictures)}
             rows.append({name: row[name] for name in ("strip_id", "target_id", "ccd")} | own)
     types = {"strip_id": pa.string(), "target_id": pa.string(), "ccd": pa.int64()}
@@ -47,7 +45,7 @@ def unmatched_pictures(scenes: Sequence[MapScene], ground: pa.Table, dump: Dump)
     return arrow_rows(rows, pa.schema(list(types.items())))
 
 
-def _evidence(one: StripOnGround, row: dict[str, Any], surface: Surface) -> Evidence | None:
+def _pictures(one: StripOnGround, row: dict[str, Any], surface: Surface) -> MatchPictures | None:
     """Template and strip at the expected place; None where the chip or the strip shows nothing of it."""
     task, ccd, xy_px = one.task, row["ccd"], np.array([row["sample_px"], row["line_px"]])
     order = [target.target_id for target in task.targets]
@@ -76,4 +74,4 @@ def _evidence(one: StripOnGround, row: dict[str, Any], surface: Surface) -> Evid
     design = np.column_stack([expected.ravel(), np.ones(expected.size)])
     gain, offset = np.linalg.lstsq(design, found.ravel().astype(float), rcond=None)[0]
     residual = (found - (gain * expected + offset)).astype(np.float32)
-    return Evidence(expected, found, residual, surface_px, np.array([x0, y0], dtype=float))
+    return match_pictures(expected, found, residual, surface_px)

@@ -6,7 +6,6 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from boresight.gct_match.records import Evidence
 from boresight.geometry.record import record, scalar
 
 __all__ = ["NO_PICTURES", "MatchPictures", "match_pictures", "trace_pictures"]
@@ -30,16 +29,16 @@ class MatchPictures:
 NO_PICTURES = MatchPictures(b"", b"", b"", b"", 0.0, 1.0)  # of a position that was measured elsewhere
 
 
-def match_pictures(evidence: Evidence) -> MatchPictures:
-    """Template and strip are stretched alike (1 % of the pixels black, 1 % white). The difference spans as
+def match_pictures(template: NDArray, found: NDArray, residual: NDArray, surface: NDArray) -> MatchPictures:
+    """Pictures of a template (H, W), the strip at its place, a fit's residual and the correlation surface.
+
+    Template and strip are stretched alike (1 % of the pixels black, 1 % white). The difference spans as
     many grey values of the strip from black to white as the strip's own picture.
     """
-    surface = _middle(evidence.correlation, SURFACE_PX)
+    surface = _middle(surface, SURFACE_PX)
     finite = surface[np.isfinite(surface)]
     low, high = (float(finite.min()), float(finite.max())) if finite.size else (0.0, 1.0)
-    template, found, difference = (
-        _middle(image, MOST_PX) for image in (evidence.template, evidence.found, evidence.residual)
-    )
+    template, found, difference = (_middle(image, MOST_PX) for image in (template, found, residual))
     black, white = _stretch(found)
     half = max(0.5 * (white - black), 1e-12)
     return MatchPictures(

@@ -222,7 +222,7 @@ def _matched(strip_id: str, matches: Sequence[TargetMatch], omissions: Sequence[
         correlation=np.array([m.correlation for m in matches], dtype=float),
         probability_wrong=np.array([m.probability_wrong for m in matches], dtype=float),
         predicted_px=np.array([m.predicted_px for m in matches], dtype=float).reshape(n, 2),
-        pictures=tuple(match_pictures(m.evidence) for m in matches),
+        pictures=tuple(match_pictures(m.template, m.found, m.residual, m.surface) for m in matches),
         omissions=tuple(omissions),
         farthest_px=max((float(np.abs(m.xy_px - m.expected_px).max()) for m in matches), default=0.0),
     )

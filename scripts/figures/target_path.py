@@ -39,7 +39,7 @@ def best_match() -> tuple[StripTask, TargetMatch, np.ndarray]:
 
 def paint(ink: Ink) -> Figure:
     task, match, chip = best_match()
-    template, found, surface = match.evidence.template, match.evidence.found, match.evidence.correlation
+    template, found, surface = match.template, match.found, match.surface
     h, w = template.shape
     x, y = np.round(match.xy_px).astype(int)
     reach = max(h, w)
