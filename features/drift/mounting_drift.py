@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-import pyarrow as pa
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
@@ -26,10 +25,11 @@ from boresight.geometry.installation import deviation_from_theta, theta_between
 from boresight.geometry.record import record, scalar
 from boresight.pipeline import __version__
 from boresight.pipeline.errors import DataNotSufficientError, RawDataError
-from boresight.pipeline.files.table_files import column, read_parquet
+from boresight.pipeline.files.table_files import column
 from boresight.pipeline.files.text_files import read_json
 from boresight.pipeline.results.folder import results_in
 from boresight.pipeline.results.reading import read_mounting, read_saved_result
+from boresight.pipeline.results.sightings_tables import read_sightings
 
 __all__ = [
     "DatedDrift",
@@ -44,7 +44,6 @@ __all__ = [
 
 Array = NDArray[np.float64]
 AXES = ("X", "Y", "Z")
-PASSES = {"utc_middle": pa.string(), "argument_of_latitude_rad": pa.float64(), "camera": pa.string()}
 # By which the unknowns of the distortion are measured.
 OF_DISTORTION = ("sigma_distortion_rad", "distortion_length_px", "distortion_pixel_rad")
 BY_CAMERA = ("mission", "star_camera", "remote_camera")  # of evidence/context.json: alike in all results
@@ -183,7 +182,7 @@ def _read(name: str, path: Path) -> _DatedResult:
         alike |= {f"settings.calibration.{key}": stated.get(key) for key in OF_DISTORTION}
     passes = path / "sightings" / "passes.parquet"
     if passes.is_file():
-        table = read_parquet(passes, PASSES)
+        table = read_sightings(path, "passes", "utc_middle argument_of_latitude_rad camera")
         utc = tuple(table.column("utc_middle").to_pylist())
         u = column(table, "argument_of_latitude_rad")
         cameras = sorted(set(table.column("camera").to_pylist()))

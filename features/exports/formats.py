@@ -46,8 +46,9 @@ from boresight.pipeline import __version__
 from boresight.pipeline.errors import DataNotSufficientError, RawDataError
 from boresight.pipeline.files.dimap_metadata import operator_model
 from boresight.pipeline.files.dump import Strip, surface_of
-from boresight.pipeline.files.table_files import column, fixed, list_values, read_parquet
+from boresight.pipeline.files.table_files import column, list_values
 from boresight.pipeline.results.reading import read_for_dump, read_saved_result
+from boresight.pipeline.results.sightings_tables import read_sightings
 from boresight.pipeline.results.strip_model import Calibrated, StripModel, open_calibrated, strip_model
 
 __all__ = ["FORMATS", "OF_STRIPS", "ExportRequest", "Remark", "export", "strips_left_out"]
@@ -239,9 +240,9 @@ def _geojson(request: ExportRequest) -> Made:
 
 def _fits(request: ExportRequest) -> Made:
     calibrated = _opened(request)
-    path = read_for_dump(request.result, request.dump)[0] / "sightings" / "stars.parquet"
-    read_parquet(path, STARS)  # names damage; the groups are then read one by one
-    file = pq.ParquetFile(path)
+    folder, _ = read_for_dump(request.result, request.dump)
+    read_sightings(folder, "stars", "exposure_id t_s hip xy_px u_s u_i cov_s")  # names damage
+    file = pq.ParquetFile(folder / "sightings" / "stars.parquet")
     exposures = [_exposure(file, group) for group in range(file.num_row_groups)]
     found = [exposure for exposure in exposures if exposure is not None]
     yield "centroids.fits", centroids_fits(found, calibrated.dump.epoch, _notes(request))
@@ -252,7 +253,7 @@ def _operator(request: ExportRequest) -> Made:
     calibrated, notes = _opened(request), _notes(request).items()
     dump = calibrated.dump
     folder, _ = read_for_dump(request.result, request.dump)
-    table = read_parquet(folder / "sightings" / "targets.parquet", LOOKS)
+    table = read_sightings(folder, "targets", "strip_id t_s kept u_c u_i")
     strips = np.array(table.column("strip_id").to_pylist(), dtype=str)
     kept, t_s = column(table, "kept").astype(bool), column(table, "t_s")
     u_c, u_i = list_values(table, "u_c", 3), list_values(table, "u_i", 3)
@@ -293,30 +294,6 @@ def _dimap(request: ExportRequest) -> Made:
     yield request.product.name, corrected_dimap(request.product, correction, _notes(request).items())
 
 
-TARGETS = {
-    "strip_id": pa.string(),
-    "target_id": pa.string(),
-    "ccd": pa.int64(),
-    "kept": pa.bool_(),
-    "xy_px": fixed(2),
-    "cov_px": fixed(4),
-}
-LOOKS = {
-    "strip_id": pa.string(),
-    "t_s": pa.float64(),
-    "kept": pa.bool_(),
-    "u_c": fixed(3),
-    "u_i": fixed(3),
-}
-STARS = {
-    "exposure_id": pa.string(),
-    "t_s": pa.float64(),
-    "hip": pa.int64(),
-    "xy_px": fixed(2),
-    "u_s": fixed(3),
-    "u_i": fixed(3),
-    "cov_s": fixed(9),
-}
 OF_STRIPS = "spice-ck aem acm operator csm-isd rpc kml".split()  # formats that write strips one by one
 FORMATS: dict[str, Callable[[ExportRequest], Made]] = {
     "spice": _spice,
@@ -415,7 +392,7 @@ def _ground_points(request: ExportRequest) -> list[GroundPoints]:
     """Matched targets, one record per CCD of each strip."""
     calibrated = _opened(request)
     folder, _ = read_for_dump(request.result, request.dump)
-    table = read_parquet(folder / "sightings" / "targets.parquet", TARGETS)
+    table = read_sightings(folder, "targets", "strip_id target_id ccd kept xy_px cov_px")
     strips = np.array(table.column("strip_id").to_pylist(), dtype=str)
     names = np.array(table.column("target_id").to_pylist(), dtype=str)
     ccd, kept = column(table, "ccd"), column(table, "kept").astype(bool)

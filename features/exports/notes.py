@@ -5,18 +5,16 @@ from __future__ import annotations
 import dataclasses
 from pathlib import Path
 
-import pyarrow as pa
-
 from boresight.features.exports.one_line import one_line
 from boresight.geometry.record import record, scalar
 from boresight.pipeline import __version__
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.dump_schema import DumpFile
 from boresight.pipeline.files.object_store import dump_folder
-from boresight.pipeline.files.table_files import read_parquet
 from boresight.pipeline.files.text_files import read_json, read_toml
 from boresight.pipeline.results.ownership import origin_of
 from boresight.pipeline.results.reading import read_saved_result
+from boresight.pipeline.results.sightings_tables import read_sightings
 
 __all__ = ["Notes", "notes_of"]
 
@@ -73,7 +71,5 @@ def _valid(result: Path) -> str:
     path = result / "sightings" / "passes.parquet"
     if not path.is_file():
         return UNKNOWN
-    utc = sorted(
-        str(t) for t in read_parquet(path, {"utc_middle": pa.string()}).column("utc_middle").to_pylist()
-    )
+    utc = sorted(map(str, read_sightings(result, "passes", "utc_middle").column("utc_middle").to_pylist()))
     return f"{one_line(utc[0])} to {one_line(utc[-1])}" if utc else UNKNOWN

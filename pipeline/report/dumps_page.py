@@ -6,8 +6,6 @@ import functools
 from pathlib import Path
 from typing import Any
 
-import pyarrow as pa
-
 from boresight.geometry.constants import ARCSEC
 from boresight.pipeline.files.table_files import read_parquet
 from boresight.pipeline.files.text_files import read_json
@@ -19,10 +17,9 @@ from boresight.pipeline.report.saved import Number, number_from
 from boresight.pipeline.report.verdict_section import verdict_view
 from boresight.pipeline.results.folder import dumps_in
 from boresight.pipeline.results.requirement import saved_requirement
+from boresight.pipeline.results.sightings_tables import read_sightings
 
 __all__ = ["write_dumps_report"]
-
-PASSES = {"strip_id": pa.string(), "utc_middle": pa.string()}
 
 
 def write_dumps_report(result: Path) -> Path:
@@ -71,7 +68,7 @@ def _angles(content: dict[str, Any], source: str, theta: str, covariance: str) -
 
 def _dumps(result: Path, reasons: dict[str, str]) -> list[dict[str, Any]]:
     """One row per dump: name, date and matrix, or the reason why it has none."""
-    passes = read_parquet(result / "sightings" / "passes.parquet", PASSES).to_pylist()
+    passes = read_sightings(result, "passes", "strip_id utc_middle").to_pylist()
     rows: list[dict[str, Any]] = []
     for name in dumps_in(result):
         if name in reasons:

@@ -10,9 +10,10 @@ import pyarrow as pa
 
 from boresight.geometry.record import record, scalar
 from boresight.pipeline.errors import RawDataError
-from boresight.pipeline.files.table_files import fixed, read_parquet
+from boresight.pipeline.files.table_files import read_parquet
 from boresight.pipeline.files.text_files import read_json
 from boresight.pipeline.results.folder import INTERIOR
+from boresight.pipeline.results.sightings_tables import read_sightings
 
 __all__ = ["Number", "Saved", "number_from", "read_saved"]
 
@@ -96,10 +97,9 @@ def read_saved(result: Path) -> Saved:
     if not all((result / "evidence" / name).is_file() for name in needed):
         again = "what `calibrate` writes unless --no-report is given; run it again, finished work is kept"
         raise RawDataError(str(result / "evidence"), "folder", "missing or incomplete", again)
-    tables = {
-        name: read_parquet(result / "sightings" / f"{name}.parquet", names)
-        for name, names in _SIGHTINGS.items()
-    }
+    tables = {name: read_sightings(result, name, names) for name, names in _SIGHTINGS.items()}
+    for name in ("targets", "omissions"):
+        tables[name] = read_parquet(result / "sightings" / f"{name}.parquet")
     tables |= {name: read_parquet(result / "evidence" / f"{name}.parquet") for name in _EVIDENCE}
     tables["detections"] = read_parquet(result / "evidence" / "exposure.parquet")
     own = {name: result / f"{name}.json" for name in ("run", "requirement", "validation")}
@@ -114,17 +114,8 @@ def read_saved(result: Path) -> Saved:
     )
 
 
-_SIGHTINGS: dict[str, dict[str, pa.DataType] | None] = {  # only the plotted columns of long tables
-    "stars": {"xy_px": fixed(2), "residual_s": fixed(3), "normalised": pa.float64(), "kept": pa.bool_()},
-    "exposures": {
-        "exposure_id": pa.string(),
-        "t_s": pa.float64(),
-        "stars": pa.int64(),
-        "usable": pa.bool_(),
-        "chi2": pa.float64(),
-        "dof": pa.int64(),
-    },
-    "targets": None,
-    "omissions": None,
+_SIGHTINGS = {  # only the plotted columns of long tables
+    "stars": "xy_px residual_s normalised kept",
+    "exposures": "exposure_id t_s stars usable chi2 dof",
 }
 _EVIDENCE = ("inputs", "convergence", "angles", "matches", "ground", "unmatched", "map", "allan")

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyarrow as pa
 from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
 
@@ -18,10 +17,11 @@ from boresight.calib.orbit_bias import BIASES, bias_prior
 from boresight.calib.shared_unknowns import SIGMA_ALIGNMENT_RAD, coordinate_covariance, coordinate_names
 from boresight.geometry.record import Bools, Floats, array, record, scalar
 from boresight.pipeline.errors import RawDataError
-from boresight.pipeline.files.table_files import arrow_rows, column, fixed, list_values, read_parquet
+from boresight.pipeline.files.table_files import arrow_rows, column, list_values, read_parquet
 from boresight.pipeline.files.text_files import read_json
 from boresight.pipeline.results.folder import dumps_in
 from boresight.pipeline.results.ownership import check_dump_of, dump_identity, origin_of
+from boresight.pipeline.results.sightings_tables import read_sightings, sightings_schema
 
 __all__ = [
     "SavedResult",
@@ -32,20 +32,6 @@ __all__ = [
     "read_saved_result",
 ]
 
-EXPOSURES = {
-    "exposure_id": pa.string(),
-    "t_s": pa.float64(),
-    "R_si": fixed(9),
-    "covariance_s": fixed(9),
-    "usable": pa.bool_(),
-}
-COORDINATES = {
-    "target_id": pa.string(),
-    "t_s": pa.float64(),
-    "u_i": fixed(3),
-    "range_m": pa.float64(),
-    "cov_target_i": fixed(9),
-}
 ALIGNMENT = re.compile(r"head/[A-Za-z0-9_.-]{1,64}/[xyz]")
 DISTORTION = re.compile(r"distortion/[xy]/\d{1,6}/-?\d{1,6}")
 
@@ -91,8 +77,10 @@ def read_saved_result(result: Path) -> SavedResult:
     if abs(np.linalg.norm(quaternion) - 1.0) > 1e-6:
         raise RawDataError(name, "quaternion", quaternion.tolist(), "length 1")
     path = result / "sightings" / "exposures.parquet"
-    joint = bool(dumps_in(result))
-    table = arrow_rows([], pa.schema(list(EXPOSURES.items()))) if joint else read_parquet(path, EXPOSURES)
+    if dumps_in(result):
+        table = arrow_rows([], sightings_schema("exposures"))
+    else:
+        table = read_sightings(result, "exposures", "exposure_id t_s R_si covariance_s usable")
     try:
         R_si = Rotation.from_matrix(list_values(table, "R_si", 3, 3)) if len(table) else Rotation.identity(0)
     except ValueError as error:
@@ -180,7 +168,7 @@ def _prior_of_targets(result: Path, targets: Sequence[str]) -> Floats:
     if not targets:
         return np.zeros((0, 0))
     path = result / "sightings" / "targets.parquet"
-    table = read_parquet(path, COORDINATES)
+    table = read_sightings(result, "targets", "target_id t_s u_i range_m cov_target_i")
     names = table.column("target_id").to_pylist()
     if unknown := sorted(set(targets) - set(names)):
         raise RawDataError(str(path), "target_id", "not there", f"target {unknown[0]} of strips.parquet")

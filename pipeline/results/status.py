@@ -11,11 +11,11 @@ from boresight.geometry.sightings import StarSightings
 from boresight.pipeline.errors import Omission, RawDataError
 from boresight.pipeline.files.dump import Dump, open_dump
 from boresight.pipeline.files.record_tables import record_from_table
-from boresight.pipeline.files.table_files import read_parquet
 from boresight.pipeline.files.text_files import read_json
 from boresight.pipeline.results.folder import dumps_in
 from boresight.pipeline.results.ownership import dump_folder_of
 from boresight.pipeline.results.reading import read_findings
+from boresight.pipeline.results.sightings_tables import read_sightings
 from boresight.pipeline.results.summary import finding_lines, omission_lines
 from boresight.pipeline.run.settings import Settings
 from boresight.pipeline.run.unit_store import read_meta, read_unit
@@ -164,9 +164,8 @@ def _saved_omissions(result: Path) -> list[Omission] | None:
     path = result / "sightings" / "omissions.parquet"
     if not path.is_file():
         return None
-    names = ("kind", "name", "file", "reason", "cause")
-    columns = read_parquet(path).select(names).to_pylist()
-    return [Omission(**{name: str(row[name]) for name in names}) for row in columns]
+    rows = read_sightings(result, "omissions", "kind name file reason cause").to_pylist()
+    return [Omission(**{name: str(value) for name, value in row.items()}) for row in rows]
 
 
 def _with_missing(stages: list[StageStatus], dump: Dump) -> list[StageStatus]:

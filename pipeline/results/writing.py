@@ -31,6 +31,7 @@ from boresight.pipeline.files.table_files import arrow_array, arrow_rows, fixed_
 from boresight.pipeline.files.text_files import json_text
 from boresight.pipeline.files.whole_file import make_own_folder, remove_abandoned, write_text, write_whole
 from boresight.pipeline.results.folder import DUMPS
+from boresight.pipeline.results.sightings_tables import COLUMNS, sightings_schema
 from boresight.pipeline.run.digests import digest
 from boresight.pipeline.run.settings import Settings
 from boresight.pipeline.stages.calibrate import DumpCalibration
@@ -69,12 +70,6 @@ FIELDS = (
     "settings",
     "version",
 )
-STARS = "exposure_id t_s hip xy_px u_s u_i cov_s snr residual_s normalised kept".split()
-EXPOSURES = "exposure_id t_s stars R_si covariance_s usable chi2 dof".split()
-TARGETS = (
-    "strip_id target_id ccd t_s xy_px cov_px predicted_px correlation probability_wrong u_c u_i cov_c"
-    " range_m v_rel_i cov_target_i residual_c normalised kept weight detectable_rad detectable_m"
-).split()
 
 
 def write_result(result: Path, calibration: DumpCalibration, settings: Settings) -> None:
@@ -248,7 +243,7 @@ def _star_groups(calibration: DumpCalibration) -> list[pa.Table]:
             "normalised": arrow_array(attitudes.squared_mahalanobis[rows]),
             "kept": arrow_array(attitudes.kept[rows]),
         }
-        groups.append(pa.table(columns_of(exposure) | own).select(STARS))
+        groups.append(pa.table(columns_of(exposure) | own).select(list(COLUMNS["stars"])))
     return groups
 
 
@@ -259,7 +254,7 @@ def _exposures_table(calibration: DumpCalibration) -> pa.Table:
         "t_s": arrow_array([s.t_s for s in stars], pa.float64()),
         "stars": arrow_array([len(s.hip) for s in stars], pa.int64()),
     }
-    return pa.table(own | columns_of(calibration.attitudes, "K")).select(EXPOSURES)
+    return pa.table(own | columns_of(calibration.attitudes, "K")).select(list(COLUMNS["exposures"]))
 
 
 def _target_groups(
@@ -282,7 +277,7 @@ def _target_groups(
             "detectable_m": arrow_array(found.detectable_m[rows]),
         }
         columns = columns_of(matched[strip.strip_id]) | columns_of(ground) | own
-        groups.append(pa.table(columns).select(TARGETS))
+        groups.append(pa.table(columns).select(list(COLUMNS["targets"])))
     return groups
 
 
@@ -302,9 +297,7 @@ def _passes_table(calibration: DumpCalibration, prefix: str = "") -> pa.Table:
                 "camera": digest(task.camera),
             }
         )
-    types = (pa.string(), pa.string(), pa.float64(), pa.string())
-    names = ("strip_id", "utc_middle", "argument_of_latitude_rad", "camera")
-    return arrow_rows(rows, pa.schema(list(zip(names, types))))
+    return arrow_rows(rows, sightings_schema("passes"))
 
 
 def _pairs_table(pairs: InformationPairs) -> pa.Table:
@@ -325,10 +318,8 @@ def _tests_table(verdict: Verdict) -> pa.Table:
 
 
 def _omissions_table(omissions: Sequence[Omission]) -> pa.Table:
-    names = ("kind", "name", "file", "reason", "cause")
-    return pa.table(
-        {name: arrow_array([str(getattr(o, name)) for o in omissions], pa.string()) for name in names}
-    )
+    texts = {name: [str(getattr(one, name)) for one in omissions] for name in COLUMNS["omissions"]}
+    return pa.table({name: arrow_array(values, pa.string()) for name, values in texts.items()})
 
 
 def _write_groups(path: Path, groups: Sequence[pa.Table]) -> None:
