@@ -26,11 +26,10 @@ from boresight.features.drift.mounting_drift import (
 from boresight.pipeline.errors import DataNotSufficientError
 from boresight.pipeline.files.text_tables import table_csv
 from boresight.pipeline.files.whole_file import write_figure, write_text
+from boresight.pipeline.report.panels import GREY, INK, OURS, THIRD, legend_below, panels
 from boresight.pipeline.results.writing import write_json
 
 __all__ = ["plot_drift", "write_drift"]
-
-LINE, BAND, STEP = "#1b6ca8", "#9cc3df", "#c8553d"
 
 
 def write_drift(dated: DatedDrift, out: Path) -> list[Path]:
@@ -47,38 +46,35 @@ def write_drift(dated: DatedDrift, out: Path) -> list[Path]:
 
 def plot_drift(table: pd.DataFrame, step: tuple[str, str, str] | None, title: str) -> Figure:
     """`table` as in drift.csv; `step` its most likely date and the ends of its interval (UTC), or None."""
-    figure = Figure(figsize=(8.0, 7.2), layout="constrained")
-    axes = figure.subplots(3, 1, sharex=True)
-    for ax, (axis, part) in zip(axes, table.groupby("axis", sort=True)):
+    figure, axes = panels(3, 1, 2.2, sharex=True)
+    for ax, (axis, part) in zip(axes[:, 0], table.groupby("axis", sort=True)):
         when = _naive(part["utc"])
         smoothed, sigma = part["smoothed_arcsec"], part["smoothed_sigma_arcsec"]
-        ax.axhline(0.0, color="#888888", lw=0.8, label="merged matrix")
-        ax.fill_between(when, smoothed - sigma, smoothed + sigma, color=BAND, lw=0, alpha=0.6)
-        ax.plot(when, smoothed, color=LINE, lw=1.8, label="smoothed (random walk), 1σ")
+        ax.axhline(0.0, color=GREY, lw=0.8, label="merged matrix")
+        ax.fill_between(when, smoothed - sigma, smoothed + sigma, color=OURS, lw=0, alpha=0.25)
+        ax.plot(when, smoothed, color=OURS, lw=1.8, label="smoothed (random walk), 1σ")
         ax.errorbar(
             when,
             part["theta_arcsec"],
             yerr=part["sigma_arcsec"],
             fmt="o",
             ms=4,
-            color="#111111",
+            color=INK,
             lw=1,
             capsize=2,
             label="each result, 1σ",
         )
         if step is not None:
             date, low, high = _naive(pd.Series(list(step)))
-            ax.axvspan(low, high, facecolor="none", edgecolor=STEP, hatch="///", lw=0, alpha=0.5)
-            ax.axvline(date, color=STEP, ls="--", lw=1.2, label="best step, interval of its date")
+            ax.axvspan(low, high, facecolor="none", edgecolor=THIRD, hatch="///", lw=0, alpha=0.5)
+            ax.axvline(date, color=THIRD, ls="--", lw=1.2, label="best step, interval of its date")
         ax.set_ylabel(f"θ {axis}, arcsec")
-        ax.grid(True, color="#dddddd", lw=0.6)
-        ax.spines[["top", "right"]].set_visible(False)
     locator = AutoDateLocator()
-    axes[-1].xaxis.set_major_locator(locator)
-    axes[-1].xaxis.set_major_formatter(ConciseDateFormatter(locator))
-    axes[-1].set_xlabel("date, UTC")
+    axes[-1, 0].xaxis.set_major_locator(locator)
+    axes[-1, 0].xaxis.set_major_formatter(ConciseDateFormatter(locator))
+    axes[-1, 0].set_xlabel("date, UTC")
     figure.suptitle(title, fontsize=11)
-    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=4, fontsize=8)
+    legend_below(figure, axes[0, 0])
     return figure
 
 

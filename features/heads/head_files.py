@@ -17,12 +17,12 @@ from boresight.geometry.constants import ARCSEC
 from boresight.geometry.record import Floats
 from boresight.pipeline.files.stated_noise import noise_keys
 from boresight.pipeline.files.whole_file import write_figure, write_text
+from boresight.pipeline.report.panels import GREY, SERIES, panels
 from boresight.pipeline.results.writing import write_json
 from boresight.pipeline.stages.head_records import HeadNoise, HeadsAlone
 
 __all__ = ["heads_json", "heads_lines", "noise_json", "noise_lines", "write_heads", "write_noise"]
 
-STYLES = (("#1b6ca8", "-", "o"), ("#c8553d", "--", "s"), ("#3a7d44", ":", "^"))
 MOST_SIGNALS = 3
 
 
@@ -104,13 +104,12 @@ def _noise_figure(found: HeadNoise) -> Figure:
     """Spectrum and Allan deviation of each component of the signal, measured and by the fit."""
     fit, signal = found.fit, found.signal
     shown = min(signal.values.shape[1], MOST_SIGNALS)
-    figure = Figure(figsize=(9.0, 4.2), layout="constrained")
-    left, right = figure.subplots(1, 2)
+    figure, ((left, right),) = panels(1, 2, 3.4)
     unit = ARCSEC**2 * (1.0 / signal.step_s)  # to arcsec² per Hz, two-sided
     longest = max(signal.pieces, key=lambda piece: piece.stop - piece.start)
     times, deviation = allan_deviation(signal.values[longest], signal.step_s)
     for n in range(shown):
-        colour, dash, marker = STYLES[n]
+        colour, dash, marker = SERIES[n]
         name = "xyz"[n]
         spectrum = fit.spectrum
         left.loglog(
@@ -129,8 +128,6 @@ def _noise_figure(found: HeadNoise) -> Figure:
     right.set_xlabel("averaging time, s")
     right.set_ylabel("Allan deviation of means, arcsec")
     for axes in (left, right):
-        axes.grid(True, color="#dddddd", lw=0.6)
-        axes.spines[["top", "right"]].set_visible(False)
         axes.legend(fontsize=8, frameon=False)
     what = " and ".join(found.names)
     kind = "difference of " if len(found.names) > 1 else "attitude of "
@@ -231,10 +228,9 @@ def write_heads(found: HeadsAlone, out: Path) -> tuple[Path, ...]:
     out.mkdir(parents=True, exist_ok=True)
     files = (out / "heads.json", out / "heads.png")
     write_json(files[0], heads_json(found))
-    figure = Figure(figsize=(8.0, 2.6 * len(found.alignments) + 0.6), layout="constrained")
-    for row, one in enumerate(found.alignments):
-        axes = figure.add_subplot(len(found.alignments), 1, row + 1)
-        for n, (colour, _, marker) in enumerate(STYLES):
+    figure, every = panels(len(found.alignments), 1, 2.4)
+    for one, axes in zip(found.alignments, every[:, 0]):
+        for n, (colour, _, marker) in enumerate(SERIES):
             axes.errorbar(
                 one.block_t_s + 0.004 * (n - 1) * np.ptp(one.block_t_s),
                 one.block_s[:, n] / ARCSEC,
@@ -246,14 +242,12 @@ def write_heads(found: HeadsAlone, out: Path) -> tuple[Path, ...]:
                 color=colour,
                 label="xyz"[n],
             )
-        axes.axhline(0.0, color="#888888", lw=0.8)
+        axes.axhline(0.0, color=GREY, lw=0.8)
         axes.set_title(
             f"{one.head} against {found.reference}, about the axes of {found.reference}", fontsize=9
         )
         axes.set_ylabel("arcsec")
         axes.set_xlabel("seconds since the dump's epoch")
-        axes.grid(True, color="#dddddd", lw=0.6)
-        axes.spines[["top", "right"]].set_visible(False)
         axes.legend(fontsize=8, frameon=False, ncols=3)
     write_figure(files[1], figure)
     return files

@@ -15,11 +15,11 @@ from boresight.geometry.record import Floats, Ints
 from boresight.pipeline.files.remote_camera import remote_camera_table
 from boresight.pipeline.files.text_tables import write_toml
 from boresight.pipeline.files.whole_file import write_figure, write_whole
+from boresight.pipeline.report.panels import GREY, OURS, THIRD, legend_below, panels
 from boresight.pipeline.results.writing import write_json
 
 __all__ = ["interior_json", "interior_lines", "write_interior"]
 
-COLOURS = ("#1b6ca8", "#c8553d")
 MAP_SAMPLES = 60  # of each CCD
 KINDS = {  # unit of a parameter, and its size
     "shift_along": ("px", 1.0),
@@ -127,25 +127,23 @@ def _figure(calibration: InteriorCalibration) -> Figure:
     starts = np.concatenate([[0], np.cumsum([one.n_px for one in found.camera.ccds])])
     grid_ccd, grid_sample = _all_samples(found)
     change, sigma = found.map_change_px(grid_ccd, grid_sample), found.map_sigma_px(grid_ccd, grid_sample)
-    figure = Figure(figsize=(10.5, 6.6), layout="constrained")
-    panels = figure.subplots(2, 2, sharex=True, sharey="col")
+    names = ("targets and stars", "assumed less estimated camera, 1 sigma")
+    figure, axes = panels(2, 2, 2.3, sharex=True, sharey="col")
     for row, points, line in ((0, before, -change), (1, after, np.zeros_like(change))):
         for axis, name in enumerate(("along the flight (x)", "along the detectors (y)")):
-            panel = panels[row, axis]
-            panel.plot(starts[ccd] + sample, points[:, axis], ".", color="0.45", ms=3)
+            panel = axes[row, axis]
+            panel.plot(starts[ccd] + sample, points[:, axis], ".", color=GREY, ms=3, label=names[0])
             for c in range(found.camera.n_ccds):
                 own = grid_ccd == c
                 at, middle = starts[c] + grid_sample[own], line[own, axis]
-                panel.plot(at, middle, "-", color=COLOURS[0])
+                panel.plot(at, middle, "-", color=OURS, label=names[1])
                 low, high = middle - sigma[own, axis], middle + sigma[own, axis]
-                panel.fill_between(at, low, high, color=COLOURS[1], alpha=0.4, lw=0)
+                panel.fill_between(at, low, high, color=THIRD, alpha=0.5, lw=0)
                 panel.axvline(starts[c], color="0.8", lw=0.6)
             panel.set_title(f"{('before', 'after')[row]}: residuals {name}", fontsize=10)
-            panel.grid(alpha=0.3)
-    for panel in panels[1]:
+    for panel in axes[1]:
         panel.set_xlabel("sample, CCD after CCD")
-    for panel in panels[:, 0]:
+    for panel in axes[:, 0]:
         panel.set_ylabel("px")
-    names = ["targets and stars", "assumed less estimated camera, 1 sigma"]
-    figure.legend(panels[0, 0].get_lines()[:2], names, loc="outside lower center", ncols=2)
+    legend_below(figure, axes[0, 0])
     return figure

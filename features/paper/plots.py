@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from boresight.features.paper.paper_tables import (
@@ -20,7 +19,7 @@ from boresight.features.paper.paper_tables import (
     TABLE_4,
     TABLE_5,
 )
-from boresight.pipeline.report.panels import AXES, BOUND, GREY, INK, OURS, THIRD, panels
+from boresight.pipeline.report.panels import AXES, BOUND, GREY, INK, OURS, THIRD, legend_below, panels
 
 __all__ = ["PLOTS"]
 
@@ -330,7 +329,7 @@ def plot_table5_pixels(table: pd.DataFrame) -> Figure:
         ax.bar(place + shift, part["rms_m"], 0.36, color=colour, label=f"{direction} track")
         ax.set_xticks(place, [f"{s:.3f}\n{c:.2f}" for s, c in zip(part["sigma_s_px"], part["sigma_c_px"])])
     ax.set(xlabel="σs, σc of the sightings, px", ylabel="rms at check points, m")
-    _legend(figure, ax)
+    legend_below(figure, ax)
     ax.set_title("Geo-positioning from pixels (mini scenario)", fontsize=10)
     return figure
 
@@ -354,7 +353,7 @@ PLOTS: dict[str, Callable[[pd.DataFrame], Figure]] = {
 def _finished(figure: Figure, axes: np.ndarray, title: str, x_label: str = "", y_label: str = "") -> Figure:
     """The figure with labels at the panels' edges, the first panel's legend below them, and its title."""
     _label_edges(axes, x_label, y_label)
-    _legend(figure, axes[0, 0])
+    legend_below(figure, axes[0, 0])
     figure.suptitle(title, fontsize=10)
     return figure
 
@@ -365,20 +364,6 @@ def _label_edges(axes: np.ndarray, x_label: str, y_label: str) -> None:
         ax.set_xlabel(x_label)
     for ax in axes[:, 0] if y_label else ():
         ax.set_ylabel(y_label)
-
-
-def _legend(figure: Figure, ax: Axes) -> None:
-    """One legend below all panels, each label once."""
-    entries = dict(zip(*reversed(ax.get_legend_handles_labels())))
-    columns = 2 if max(map(len, entries)) > 30 else min(len(entries), 3)
-    figure.legend(
-        list(entries.values()),
-        list(entries),
-        loc="outside lower center",
-        ncols=columns,
-        fontsize=8,
-        handlelength=3.2,  # long enough to tell dashed lines from solid ones
-    )
 
 
 def _at(table: pd.DataFrame, axis: str, sigma_s: float) -> pd.DataFrame:

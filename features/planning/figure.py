@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
-from boresight.pipeline.report.panels import AXES, BOUND, GREY, OURS, THIRD, panels
+from boresight.pipeline.report.panels import AXES, BOUND, SERIES, panels
 
 __all__ = ["plot_forecast"]
 
@@ -18,7 +18,7 @@ def plot_forecast(
     figure, axes = panels(1, 3, 3.4)
     strips, targets, sources = axes[0]
     names = list(without["source"].unique())
-    for n, (axis, colour, marker) in enumerate(zip(AXES, (OURS, GREY, THIRD), "os^")):
+    for n, (axis, (colour, _, marker)) in enumerate(zip(AXES, SERIES)):
         part = table[table["axis"] == axis]
         strips.plot(part["strips"], part["sigma_arcsec"], color=colour, lw=1.8, label=axis)
         floor = part["floor_arcsec"].iloc[0]

@@ -13,6 +13,7 @@ from boresight.features.planning.scan_plan import PlannedScan, ScanChoice
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.epoch import Epoch
 from boresight.pipeline.files.whole_file import write_figure, write_whole
+from boresight.pipeline.report.panels import INK, OURS, SERIES, panels
 
 __all__ = ["scan_lines", "scan_table", "write_scans"]
 
@@ -84,30 +85,29 @@ def _pointing(scan: PlannedScan) -> tuple[float, float, float]:
 
 def _figure(choice: ScanChoice, epoch: Epoch) -> Figure:
     """The scans on the sky with Sun and Moon, numbered, and the 1-sigma with each."""
-    figure = Figure(figsize=(10.5, 4.4), layout="constrained")
-    sky, steps = figure.subplots(1, 2, width_ratios=(1.6, 1.0))
+    figure, ((sky, steps),) = panels(1, 2, 3.2, width_ratios=(1.6, 1.0))
     for number, scan in enumerate(choice.scans, start=1):
         ra, dec, _ = _pointing(scan)
-        sky.plot(ra, dec, "o", ms=6, color="#1b6ca8")
+        sky.plot(ra, dec, "o", ms=6, color=OURS)
         sky.annotate(str(number), (ra, dec), textcoords="offset points", xytext=(6, 4), fontsize=9)
     jd = epoch.tt_jd(np.array([choice.scans[0].t_s]))
     bodies = (("Sun", -erfa.epv00(*jd)[0]["p"][0], "*"), ("Moon", erfa.moon98(*jd)["p"][0], "D"))
     for name, v, marker in bodies:
         ra, dec = np.degrees(np.arctan2(v[1], v[0])) % 360.0, np.degrees(np.arcsin(v[2] / np.linalg.norm(v)))
-        sky.plot(ra, dec, marker, ms=11, color="0.25", mfc="none", label=f"{name}, at scan 1")
+        sky.plot(ra, dec, marker, ms=11, color=INK, mfc="none", label=f"{name}, at scan 1")
     sky.set(
         xlim=(360.0, 0.0),
         ylim=(-90.0, 90.0),
         xlabel="right ascension, degrees",
         ylabel="declination, degrees",
     )
-    sky.set_title("scans of the sky, in order")
+    sky.set_title("scans of the sky, in order", fontsize=10)
     sky.legend(loc="lower left", fontsize=8)
-    sky.grid(alpha=0.3)
     n = np.arange(1, len(choice.scans) + 1)
-    for axis, style in enumerate(("o-", "s--", "^:")):
-        steps.plot(n, choice.sigma_rad[:, axis] / ARCSEC, style, label=f"about {'XYZ'[axis]}")
-    steps.set(yscale="log", xlabel="scans", ylabel="1 sigma, arcsec", xticks=n, title="installation matrix")
+    for axis, (colour, dash, marker) in enumerate(SERIES):
+        sigma = choice.sigma_rad[:, axis] / ARCSEC
+        steps.plot(n, sigma, dash, marker=marker, color=colour, label=f"about {'XYZ'[axis]}")
+    steps.set(yscale="log", xlabel="scans", ylabel="1 sigma, arcsec", xticks=n)
+    steps.set_title("installation matrix", fontsize=10)
     steps.legend(fontsize=8)
-    steps.grid(alpha=0.3, which="both")
     return figure

@@ -17,6 +17,7 @@ from boresight.pipeline.files.star_images import read_star_image
 from boresight.pipeline.files.text_files import read_text
 from boresight.pipeline.files.text_tables import table_csv
 from boresight.pipeline.files.whole_file import write_figure, write_text
+from boresight.pipeline.report.panels import GREY, SERIES, panels
 from boresight.star_id.finding.star_list import StarList, list_stars
 from boresight.star_id.score import CentroidScore, score_centroids
 from boresight.star_id.settings import StarSettings
@@ -103,26 +104,22 @@ def score_lines(score: CentroidScore, frames: int) -> list[str]:
 
 def draw_score(score: CentroidScore, path: Path) -> None:
     """Write a PNG: error and Cramér-Rao bound against SNR, mean error against pixel phase."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(9.0, 3.6), layout="constrained")
-    left, right = figure.subplots(1, 2)
+    figure, ((left, right),) = panels(1, 2, 3.0)
     middle = np.sqrt(score.snr_edges[:-1] * np.minimum(score.snr_edges[1:], 2.0 * score.snr_edges[:-1]))
-    left.loglog(middle, score.rms_px, "o", label="rms error, one axis")
-    left.loglog(middle, score.bound_px, "-", label="Cramér-Rao bound")
+    left.loglog(middle, score.rms_px, "o", color=SERIES[0][0], label="rms error, one axis")
+    left.loglog(middle, score.bound_px, "-", color=SERIES[1][0], label="Cramér-Rao bound")
     left.set_xlabel("signal-to-noise ratio")
     left.set_ylabel("px")
-    left.legend()
+    left.legend(fontsize=8, frameon=False)
     phases = len(score.phase_bias_px)
     phase = (np.arange(phases) + 0.5) / phases - 0.5
-    for axis, name in enumerate(("column", "row")):
-        right.errorbar(
-            phase, score.phase_bias_px[:, axis], score.phase_error_px[:, axis], fmt="o", label=name
-        )
-    right.axhline(0.0, color="0.6", lw=0.8)
+    for axis, (name, (colour, _, marker)) in enumerate(zip(("column", "row"), SERIES)):
+        bias, error = score.phase_bias_px[:, axis], score.phase_error_px[:, axis]
+        right.errorbar(phase, bias, error, fmt=marker, color=colour, label=name)
+    right.axhline(0.0, color=GREY, lw=0.8)
     right.set_xlabel("pixel phase, px")
     right.set_ylabel("mean error, px")
-    right.legend()
+    right.legend(fontsize=8, frameon=False)
     write_figure(path, figure)
 
 

@@ -10,7 +10,6 @@ import numpy as np
 import pandas as pd
 from astropy.coordinates import get_sun
 from astropy.time import Time
-from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
@@ -19,6 +18,7 @@ from boresight.features.sky_images.identify_images import read_camera, read_sky_
 from boresight.geometry.star_camera import StarCamera
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.whole_file import write_figure, write_whole
+from boresight.pipeline.report.panels import GREY, INK, OURS, THIRD, panels
 from boresight.star_id.field import ra_dec_roll, solve_field
 from boresight.star_id.identification.identify import NotIdentified
 from boresight.star_id.identification.triangle_index import StarIndex
@@ -120,16 +120,15 @@ def _table(camera: StarCamera, plan: SkyPlan) -> pd.DataFrame:
 def _draw(camera: StarCamera, plan: SkyPlan, table: pd.DataFrame, index: StarIndex, path: Path) -> None:
     """The fields on the sky, numbered, and how the camera becomes known with them."""
 
-    figure = Figure(figsize=(10.5, 4.2), layout="constrained")
-    sky, error = figure.subplots(1, 2, width_ratios=(1.7, 1.0))
+    figure, ((sky, error),) = panels(1, 2, 3.2, width_ratios=(1.7, 1.0))
     bright = index.stars.v_mag < 4.5
     ra, dec = np.degrees(index.stars.ra_rad[bright]) % 360.0, np.degrees(index.stars.dec_rad[bright])
-    sky.scatter(ra, dec, s=1.4 * (5.2 - index.stars.v_mag[bright]) ** 1.6, color="0.65", linewidths=0)
+    sky.scatter(ra, dec, s=1.4 * (5.2 - index.stars.v_mag[bright]) ** 1.6, color=GREY, linewidths=0)
     labels = np.empty((0, 2))
     for number, pointing in enumerate(plan.pointings, start=1):
         outline = _outline(camera, pointing.R_si)
         for x, y in _pieces(outline):
-            sky.plot(x, y, color="black", linewidth=1.0)
+            sky.plot(x, y, color=INK, linewidth=1.0)
         labels = np.vstack([labels, _free_place(np.column_stack(outline), labels)])
         around = {"boxstyle": "circle,pad=0.15", "facecolor": "white", "edgecolor": "0.5", "linewidth": 0.5}
         sky.text(*labels[-1], str(number), ha="center", va="center", fontsize=8, bbox=around)
@@ -137,16 +136,15 @@ def _draw(camera: StarCamera, plan: SkyPlan, table: pd.DataFrame, index: StarInd
     sky.set_xticks(range(0, 361, 60))
     sky.set_yticks(range(-90, 91, 30))
     sky.set_title("fields to take, in this order; stars to V = 4.5", loc="left", fontsize=10)
-    error.semilogy(table["image"], table["largest_sigma_px"], "o-", color="black", label="these")
-    error.semilogy(table["image"], table["random_sigma_px"], "s--", color="0.55", label="at random, median")
+    error.semilogy(table["image"], table["largest_sigma_px"], "o-", color=OURS, label="these")
+    error.semilogy(table["image"], table["random_sigma_px"], "s--", color=THIRD, label="at random, median")
     error.set(xlabel="images taken", ylabel="largest 1 sigma of the model, px an axis")
     error.set_title("what will be known", loc="left", fontsize=10)
-    error.grid(True, which="both", color="0.9")
     error.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     error.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     error.yaxis.set_minor_formatter(NullFormatter())
     error.legend(frameon=False)
-    write_figure(path, figure, dpi=110)
+    write_figure(path, figure)
 
 
 def _free_place(outline: NDArray[Any], taken: NDArray[Any]) -> NDArray[Any]:

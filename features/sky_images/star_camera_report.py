@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 import tomlkit
 from matplotlib.collections import EllipseCollection
-from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
 
@@ -28,6 +27,7 @@ from boresight.geometry.star_camera import StarCamera
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.star_side import star_camera_table
 from boresight.pipeline.files.whole_file import write_figure, write_text
+from boresight.pipeline.report.panels import GREY, panels
 from boresight.star_id.camera_calibration import (
     LARGEST_UNMODELLED_PX,
     CameraCalibration,
@@ -274,8 +274,8 @@ def _draw(result: CameraCalibration, cells: ResidualMap, path: Path) -> None:
     x, y = np.meshgrid((np.arange(columns) + 0.5) * width, (np.arange(rows) + 0.5) * height)
     longest = float(np.nanmax(np.hypot(*np.moveaxis(cells.mean_px, 2, 0))))
     scale = longest / (0.9 * min(width, height))  # px of residual a px of the picture
-    figure = Figure(figsize=(6.4, 4.9), layout="constrained")
-    axes = figure.subplots()
+    figure, ((axes,),) = panels(1, 1, 5.0)
+    axes.grid(False)
     size = 2.0 * cells.error_px[cells.count > 0] / scale
     axes.add_collection(
         EllipseCollection(
@@ -286,7 +286,7 @@ def _draw(result: CameraCalibration, cells: ResidualMap, path: Path) -> None:
             offsets=np.column_stack([x[cells.count > 0], y[cells.count > 0]]),
             offset_transform=axes.transData,
             facecolors="0.88",
-            edgecolors="0.6",
+            edgecolors=GREY,
             linewidths=0.6,
         )
     )
@@ -305,7 +305,7 @@ def _draw(result: CameraCalibration, cells: ResidualMap, path: Path) -> None:
     axes.set_xlim(-0.5 * width, camera.width_px + 0.5 * width)
     axes.set_ylim(camera.height_px + 0.5 * height, -0.5 * height)
     axes.add_patch(
-        Rectangle((0, 0), camera.width_px, camera.height_px, fill=False, edgecolor="0.5", linewidth=0.8)
+        Rectangle((0, 0), camera.width_px, camera.height_px, fill=False, edgecolor=GREY, linewidth=0.8)
     )
     axes.set_aspect("equal")
     axes.set_xlabel("column, px")
