@@ -81,7 +81,7 @@ class Calibration(Result):
     chi2: float = scalar("squared residuals of targets over their variances")
     dof: int = scalar("its degrees of freedom")
     targets: pd.DataFrame = scalar(
-        "one row a target sighting: residuals in arcsec about x and y of c, statistic, p_value, kept"
+        "one row a target sighting: residuals in arcsec along x and y of c, statistic, p_value, kept"
     )
     not_used: pd.DataFrame = scalar("one row an item that the estimate does not use: kind, name, reason")
     facts: Mapping[str, Any] = scalar("verdict and blind spots as installation.json has them", repr=False)
@@ -155,7 +155,7 @@ class Calibration(Result):
 
     def residuals(self, of: Literal["targets", "stars"] = "targets") -> pd.DataFrame:
         """Residuals, one row an observation, in arcsec, with statistic (chi-square of 2 degrees of freedom),
-        p_value and kept: of targets about x and y of frame c, of stars about x and y of frame s.
+        p_value and kept: of targets along x and y of frame c, of stars along x and y of frame s.
         """
         if of not in ("targets", "stars"):
             raise wrong("of", of, "'targets' or 'stars'")
@@ -186,7 +186,7 @@ class Calibration(Result):
         return pd.DataFrame(columns | {f"correlation_{name}": row for name, row in zip("xyz", correlation)})
 
     def plot(self, ax: Axes | None = None) -> Axes:
-        """Residuals of the targets about the axes of c."""
+        """Residuals of the targets along x and y of c."""
         ax = axes_or_new(ax)
         for kept, marker in ((True, "o"), (False, "x")):
             rows = self.targets[self.targets["kept"] == kept]

@@ -57,7 +57,7 @@ def array(shape: str, meaning: str, **options: Any) -> Any:
     dimensions = tuple(_dimension(part.strip()) for part in shape.split(",") if part.strip())
     options["metadata"] = {
         "shape": dimensions,
-        "shape_text": f"({shape}{chr(44) * (len(dimensions) == 1)})",
+        "shape_text": f"({shape},)" if len(dimensions) == 1 else f"({shape})",
         "meaning": meaning,
     }
     return dataclasses.field(**options)

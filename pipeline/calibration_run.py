@@ -262,7 +262,9 @@ def _write_evidence(
     overviews: Mapping[tuple[str, int], Any],
 ) -> None:
     with executor.beside(partial(write_evidence, out, dump, found, request.settings, executor, overviews)):
-        import_module("boresight.pipeline.report.page")  # Matplotlib takes as long as half of the evidence
+        # Loads Matplotlib, which the page needs next, while other processes make the evidence, which takes
+        # twice as long. An import at the top would delay every run without a report.
+        import_module("boresight.pipeline.report.page")
 
 
 def _draw(out: Path, executor: Executor) -> None:

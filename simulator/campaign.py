@@ -41,7 +41,10 @@ __all__ = [
 
 Array = NDArray[np.float64]
 
-_R_AT_NODE = Rotation.from_matrix([[0.0, 1.0, 0.0], [0.0, 0.0, -1.0], [-1.0, 0.0, 0.0]])  # orbit's axes to o
+# Takes vectors from the orbit's axes at its ascending node (x to the satellite, y along the flight, z along
+# the orbit's angular momentum) to the orbital frame o (x along the flight, y against the momentum, z to
+# nadir).
+_R_AT_NODE = Rotation.from_matrix([[0.0, 1.0, 0.0], [0.0, 0.0, -1.0], [-1.0, 0.0, 0.0]])
 
 
 def installation_by_tilt(from_zenith_rad: float, about_boresight_rad: float = 0.0) -> Rotation:

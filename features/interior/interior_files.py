@@ -47,12 +47,11 @@ def interior_lines(calibration: InteriorCalibration) -> list[str]:
     lines.append(f"{'curve, rms px':26s}" + "".join(f"{size:21.2f}" for size in curve))
     before, after = map_errors_px(found)
     lines.append(f"{'change of looks, rms px':26s}{before:.3f}; stated 1 sigma after it {after:.3f}")
-    told = f"look_distortion_px = {after:.3f}: `calibrate` does not use the covariance of the camera"
-    lines.append(f"{'in the next dump.toml':26s}{told}")
     arcsec = "  ".join(f"{one / ARCSEC:.4f}" for one in found.installation.sigma_theta)
     lines.append(f"{'1 sigma of the matrix':26s}{arcsec} arcsec")
     lines += [f"zero by constraint: {gauge.name} (not told from {gauge.reason})" for gauge in found.gauges]
-    return [*lines, f"in dump.toml now: look_distortion_px = {after:.2g}"]
+    stated = f"look_distortion_px = {after:.2g}"  # two digits: it is a 1-sigma
+    return [*lines, f"state in dump.toml: {stated}; `calibrate` does not use the covariance of the camera"]
 
 
 def map_errors_px(found: InteriorEstimate) -> tuple[float, float]:

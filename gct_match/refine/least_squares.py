@@ -25,7 +25,7 @@ from boresight.gct_match.imaging.spectra import filtered
 from boresight.gct_match.imaging.views import View
 from boresight.gct_match.records import Image
 from boresight.gct_match.refine.approach import approach, robust_weights
-from boresight.gct_match.refine.radiometry import TERMS, TONES, fill_columns
+from boresight.gct_match.refine.radiometry import TERMS, TONE_TERMS, fill_columns
 from boresight.gct_match.refine.template_blocks import Blocks, blocks_of
 from boresight.gct_match.refine.weighting import weighting
 from boresight.geometry.record import Bools, Floats, array, record, scalar
@@ -247,9 +247,9 @@ def _fit_of(pair: _Pair, last: _Round) -> PositionFit:
 
 def _tone_px2(equations: _Equations, solution: Floats) -> float:
     """Power of the fitted tone curve relative to that of the gradients, px²."""
-    tone, normal = solution[-TONES:], equations.normal
-    fixed = normal[2:-TONES, 2:-TONES], normal[2:-TONES, -TONES:]
-    alone = normal[-TONES:, -TONES:] - fixed[1].T @ _solved(*fixed)
+    tone, normal = solution[-TONE_TERMS:], equations.normal
+    fixed = normal[2:-TONE_TERMS, 2:-TONE_TERMS], normal[2:-TONE_TERMS, -TONE_TERMS:]
+    alone = normal[-TONE_TERMS:, -TONE_TERMS:] - fixed[1].T @ _solved(*fixed)
     slopes = 0.5 * equations.response**2 * (normal[0, 0] + normal[1, 1])
     return float(tone @ alone @ tone / (slopes + 1e-30))
 

@@ -28,10 +28,14 @@ from boresight.gct_match.records import Image
 from boresight.gct_match.refine.weighting import Weighting
 from boresight.geometry.optical_blur import gaussian_sigma_px
 
-__all__ = ["TERMS", "TONES", "fill_columns"]
+__all__ = ["TERMS", "TONE_TERMS", "fill_columns"]
 
+# Number of terms of the equation above: T, 1, u, v, u T, v T, lap(T), S² and S³, in the order of the columns.
 TERMS = 9
-TONES = 2  # the last of them
+# How many of them, the last, are the tone curve: S² and S³.
+TONE_TERMS = 2
+# Added to the squared response of the camera before it is inverted: frequencies of which it passes less than
+# a fourteenth, sqrt(0.005), are damped and not amplified (set by hand).
 _REGULAR = 0.005
 
 

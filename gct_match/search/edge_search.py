@@ -181,7 +181,7 @@ def _shifted(template: Image) -> Image:
 
 def _best(positions: Positions, count: int) -> Positions:
     """The best, each once."""
-    number = (positions.picture << 50) + (positions.xy[:, 1] << 25) + positions.xy[:, 0]
-    _, once = np.unique(number, return_index=True)
+    place = np.column_stack([positions.picture, positions.xy[:, ::-1]])
+    _, once = np.unique(place, axis=0, return_index=True)
     keep = once[np.argsort(-positions.value[once], kind="stable")[:count]]
     return Positions(positions.picture[keep], positions.xy[keep], positions.value[keep])

@@ -1,7 +1,7 @@
 """What commands print: results on stdout, remarks and progress on stderr, and all of it in a log file.
 
-A command returns an `Answer`. `talks` gives it the options --verbose, --quiet, --log-file and, where the
-answer has content for programs, --json; prints the answer; and turns its exit status into the program's.
+A command returns an `Answer`. `with_messages` gives it the options --verbose, --quiet, --log-file and, where
+the answer has content for programs, --json; prints the answer; and turns its exit status into the program's.
 """
 
 from __future__ import annotations
@@ -37,8 +37,8 @@ __all__ += [
     "print_data",
     "say",
     "shows_bars",
-    "talks",
     "tell",
+    "with_messages",
     "wrong_usage",
 ]
 
@@ -83,11 +83,11 @@ LogFile = Annotated[
 Json = Annotated[bool, typer.Option("--json", help="One JSON object on stdout instead of text.")]
 
 
-def talks(command: Callable[..., Answer | None], *, with_json: bool = False) -> Callable[..., None]:
+def with_messages(command: Callable[..., Answer | None], *, with_json: bool = False) -> Callable[..., None]:
     """`command` with the options of messages; its answer is printed."""
 
     @functools.wraps(command)
-    def told(
+    def run_and_print(
         *arguments: Any,
         verbose: bool = False,
         quiet: bool = False,
@@ -124,10 +124,10 @@ def talks(command: Callable[..., Answer | None], *, with_json: bool = False) -> 
         parameters.append(
             inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=kind)
         )
-    told.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
-    told.__annotations__ = hints | options
-    told.__doc__ = _with_example(inspect.getdoc(command) or "")
-    return told
+    run_and_print.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+    run_and_print.__annotations__ = hints | options
+    run_and_print.__doc__ = _with_example(inspect.getdoc(command) or "")
+    return run_and_print
 
 
 def _with_example(text: str) -> str:

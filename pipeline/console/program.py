@@ -11,7 +11,7 @@ from typing import Annotated, Any
 import typer
 
 from boresight.pipeline.console.feature import Command, Feature
-from boresight.pipeline.console.messages import DATA_DID_NOT_ALLOW, DONE, log, print_data, talks
+from boresight.pipeline.console.messages import DATA_DID_NOT_ALLOW, DONE, log, print_data, with_messages
 from boresight.pipeline.errors import DataNotSufficientError, RawDataError, WorkerError, printable
 from boresight.version import version_text
 
@@ -106,7 +106,7 @@ def _named(command: Command, words: Sequence[str]) -> bool:
 
 def _add(app: typer.Typer, name: str, command: Command, is_called: bool) -> None:
     if is_called:
-        function = talks(function_at(command.place), with_json=command.with_json)
+        function = with_messages(function_at(command.place), with_json=command.with_json)
         app.command(name, short_help=command.summary)(function)
     else:
         app.command(name, help=command.summary)(_listed)

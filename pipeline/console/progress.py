@@ -38,10 +38,10 @@ def progress_bars() -> Iterator[Callable[[str, int, int | None], None]]:
     with progress.Progress(*columns, console=errors, transient=True) as bar:
         bars: dict[str, Any] = {}
 
-        def told(stage: str, done: int, total: int | None) -> None:
+        def shown(stage: str, done: int, total: int | None) -> None:
             noted(stage, done, total)
             if stage not in bars:
                 bars[stage] = bar.add_task(stage, total=total)
             bar.update(bars[stage], completed=done, total=total)
 
-        yield told
+        yield shown

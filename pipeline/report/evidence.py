@@ -209,11 +209,9 @@ def _over_ground(dump: Dump, calibration: DumpCalibration) -> tuple[float, float
 
 
 def _inputs(dump: Dump) -> pa.Table:
-    """Input files by name with size and SHA-256; `whole` is False where only both ends of a large file are
-    hashed, as in the keys of the cache.
-    """
+    """Input files by name with size and SHA-256."""
     rows = [_fingerprint(dump.root / name, name) for name in sorted(set(_files(dump)))]
-    names = ("file", "bytes", "sha256", "whole")
+    names = ("file", "bytes", "sha256")
     return pa.table({name: arrow_array([row[n] for row in rows]) for n, name in enumerate(names)})
 
 
@@ -226,12 +224,12 @@ def _files(dump: Dump) -> Iterator[str]:
     yield from (chip.file for chip in dump.chips)
 
 
-def _fingerprint(path: Path, name: str) -> tuple[str, int, str, bool]:
-    """Name, bytes, SHA-256 (empty if unreadable), and whether the hash covers the whole file."""
+def _fingerprint(path: Path, name: str) -> tuple[str, int, str]:
+    """Name, bytes and SHA-256; -1 and empty for a file that cannot be read."""
     try:
-        return name, path.stat().st_size, content_digest(path), True
+        return name, path.stat().st_size, content_digest(path)
     except OSError:
-        return name, -1, "", False
+        return name, -1, ""
 
 
 def _convergence(calibration: DumpCalibration) -> pa.Table:

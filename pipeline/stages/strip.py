@@ -9,8 +9,9 @@ disk; the directions are computed from it each time.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import fields, replace
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -237,6 +238,10 @@ def strip_matches(task: StripTask, parts: Executor = IN_ORDER) -> tuple[StripMat
             targets.append(target)
         except RawDataError as error:
             omitted.append(Omission("chip", target.target_id, file.file, str(error)))
+
+    def map_parts(function: Callable[[Any], Any], items: Sequence[Any]) -> list[Any]:
+        return parts.map(function, items, lambda n, outcome: None)
+
     try:
         result = match_strip(
             task.strip.images,
@@ -246,7 +251,7 @@ def strip_matches(task: StripTask, parts: Executor = IN_ORDER) -> tuple[StripMat
             surface_of(task.terrain),
             task.sigma_installation_rad,
             task.settings,
-            each=lambda function, items: parts.map(function, items, lambda n, outcome: None),
+            each=map_parts,
         )
     except RawDataError as error:
         omitted.append(Omission("strip", task.strip.strip_id, error.file, str(error)))

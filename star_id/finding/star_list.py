@@ -55,6 +55,9 @@ _SATURATED_SHARE = 0.1
 # Misshapen detections by an empirical PSF over those by the Gaussian, below which it is right (set by
 # hand).
 _FEWER_MISSHAPEN = 0.6
+# Stars found by an empirical PSF over those by the Gaussian that it must exceed: it may reject false stars,
+# not real ones (set by hand).
+_LEAST_KEPT = 0.7
 # Share of the first `max_stars` detections that must be stars; if fewer are, captions or noise fill the
 # list, and more detections are fitted (set by hand).
 _WELL_SHAPED = 0.85
@@ -182,33 +185,57 @@ def _bright_stars(cells: NDArray, settings: StarSettings, saturation: float) -> 
 def _list_stars(
     image: NDArray, background: Background, settings: StarSettings, saturation: float
 ) -> StarList:
-    """Stars of an image (H, W) of one colour, its dark frame subtracted."""
+    """Stars of an image (H, W) of one colour, its dark frame subtracted: by a Gaussian PSF, or where it does
+    not fit by one with coma, a trail or an empirical one.
+    """
     found = _detections(image, background, settings, saturation)
     stars = _measured(image, found, background, settings, saturation)
     if settings.psf_sigma_px is not None or settings.smear_px is not None:
         return stars
-    if comatic := _with_blur(find_coma, image, found, stars, settings):
-        return comatic
+    comatic = _with_blur(find_coma, image, found, stars, settings)
+    return comatic or _trailed_or_shaped(image, found, stars, settings)
+
+
+def _trailed_or_shaped(image: NDArray, found: _Found, stars: StarList, settings: StarSettings) -> StarList:
+    """The stars by a trail, or by an empirical PSF where many detections are misshapen; as they are where
+    neither explains them better.
+    """
+    background, saturation = stars.background, stars.saturation_dn
     trailed = _with_blur(find_trail, image, found, stars, settings)
-    few = stars.misshapen <= _FEW_STARS + _MISSHAPEN_SHARE * len(stars.xy_px)
-    saturated = np.count_nonzero(stars.saturated) > _SATURATED_SHARE * len(stars.xy_px)
-    if not trailed and (few or saturated):
-        return stars  # the arms of saturated stars are misshapen whatever the PSF
+    if not trailed and not _may_be_no_gaussian(stars):
+        return stars
     shaped = _detections_by_shape(image, background, settings, saturation, stars)
     if shaped is None:
         return trailed or stars
     others = _measured(image, shaped, background, settings, saturation)
     by_image = _with_blur(find_trail, image, shaped, others, settings)
-    if trails := [found for found in (trailed, by_image) if found]:
-        return max(trails, key=lambda found: len(found.xy_px))  # where more are found
-    if others.misshapen >= _FEWER_MISSHAPEN * stars.misshapen or len(others.xy_px) <= 0.7 * len(stars.xy_px):
+    if trails := [one for one in (trailed, by_image) if one]:
+        return max(trails, key=lambda one: len(one.xy_px))  # where more are found
+    return _by_better_psf(image, stars, others)
+
+
+def _may_be_no_gaussian(stars: StarList) -> bool:
+    """Whether more detections are misshapen than a Gaussian PSF explains. The arms of saturated stars are so
+    whatever the PSF.
+    """
+    n = len(stars.xy_px)
+    saturated = np.count_nonzero(stars.saturated) > _SATURATED_SHARE * n
+    return not saturated and stars.misshapen > _FEW_STARS + _MISSHAPEN_SHARE * n
+
+
+def _by_better_psf(image: NDArray, stars: StarList, others: StarList) -> StarList:
+    """Of the stars by a Gaussian and the others by an empirical PSF those by the better one; where that is
+    not plain, the former that both find.
+    """
+    fewer_misshapen = others.misshapen < _FEWER_MISSHAPEN * stars.misshapen
+    if not fewer_misshapen or len(others.xy_px) <= _LEAST_KEPT * len(stars.xy_px):
         return stars
     bright = others.xy_px[~others.saturated & ~others.blended][:_STARS_FOR_BLUR]
-    if explains_better(image, bright, background, others.psf, stars.psf, saturation_dn=saturation):
+    saturation = stars.saturation_dn
+    if explains_better(image, bright, stars.background, others.psf, stars.psf, saturation_dn=saturation):
         return others
-    return stars.take(
-        cKDTree(others.xy_px).query(stars.xy_px)[0] < _SAME_PX
-    )  # the rest is like what is no star
+    distance_px, _ = cKDTree(others.xy_px).query(stars.xy_px)
+    return stars.take(distance_px < _SAME_PX)
 
 
 def _with_blur(

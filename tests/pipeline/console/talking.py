@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from boresight.pipeline.console.messages import Answer, say, talks, tell
+from boresight.pipeline.console.messages import Answer, say, tell, with_messages
 from boresight.pipeline.console.progress import progress_bars
 from boresight.pipeline.errors import RawDataError
 
@@ -30,4 +30,4 @@ def work(status: Annotated[int, typer.Option(help="Of the answer.")] = 0) -> Ans
 
 
 worker = typer.Typer()
-worker.command()(talks(work, with_json=True))
+worker.command()(with_messages(work, with_json=True))

@@ -20,7 +20,7 @@ from command_line import app
 from talking import worker
 from typer.testing import CliRunner
 
-from boresight.pipeline.console.messages import Answer, fitted, talks
+from boresight.pipeline.console.messages import Answer, fitted, with_messages
 from boresight.pipeline.errors import Omission, RawDataError
 from boresight.pipeline.stages.cached import StageRunner
 from boresight.pipeline.stages.unit_log import log_unit
@@ -58,7 +58,7 @@ def test_verbose_says_what_became_of_each_unit_and_why() -> None:
         return Answer()
 
     program = typer.Typer()
-    program.command()(talks(units))
+    program.command()(with_messages(units))
     lines = runner.invoke(program, ["-v"]).stderr.splitlines()
     assert lines[:3] == [
         "exposures e1: not used, too dark",
