@@ -26,7 +26,7 @@ sys.path[:0] = [str(TESTS), str(TESTS / "faults")]
 
 from image_mutants import FORMATS, differs, mutated  # noqa: E402
 
-LONGEST_S = 5.0  # processor time of one file
+LONGEST_S = 2.0  # processor time of one file
 
 
 def main() -> int:

@@ -1,6 +1,7 @@
 """Consistency of a strip's matches: they share one rotation and, between star exposures, the attitude error.
 
-Each match is compared with what the others predict; the worst is refused first, until all agree.
+Each match is compared with what the others predict; the worst is refused first, until all agree. Of more than
+`_MOST_TOGETHER`, those that follow one another in time are compared: time and memory grow with the number.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from boresight.geometry.record import Floats
 
 __all__ = ["consistent_matches"]
 
+_MOST_TOGETHER = 400  # matches: 10 MB, and a rotation to a twentieth of one match's error
 _GATE = 4.0  # standard errors by which a match may differ from the prediction of the others
 
 
@@ -40,30 +42,44 @@ def consistent_matches(
     ccd = np.array([match.ccd for match in found])
     d, design = displacements(model, p_e, ccd, xy)
     t_s = scene.pushbroom.instants_of_lines(ccd, xy[:, 1])
-    scatter = _scatter(scene.settings, np.array([match.cov_px for match in found]), t_s)
-    keep, refused = list(range(len(found))), []
+    cov_px = np.array([match.cov_px for match in found])
+    parts = -(-len(found) // _MOST_TOGETHER)
+    groups = np.array_split(np.argsort(t_s, kind="stable"), parts) if parts > 1 else [np.arange(len(found))]
+    keep, refused = [], []
+    information: Floats = np.diag(sigma_rad**-2.0)
+    pull: Floats = np.zeros(3)
+    for group in groups:
+        scatter = _scatter(scene.settings, cov_px[group], t_s[group])
+        left, off, distance = _agreeing(d[group], design[group], scatter, sigma_rad)
+        keep += group[left].tolist()
+        refused += [_inconsistent(found[group[n]], off[n], float(distance[n])) for n in off]
+        of_group, towards = _information(d[group][left], design[group][left], scatter[np.ix_(left, left)])
+        information, pull = information + of_group, pull + towards
+    p = np.asarray(np.linalg.solve(information, pull), dtype=float)
+    total = deviation_from_theta(p) * deviation_from_theta(theta)
+    matches = [replace(found[k], residual_px=d[k] - design[k] @ p) for k in sorted(keep)]
+    return matches, refused, theta_from_deviation(total)
+
+
+def _agreeing(
+    d: Floats, design: Floats, scatter: Floats, sigma_rad: Floats
+) -> tuple[list[int], dict[int, Floats], dict[int, float]]:
+    """Which of N displacements (N, 2) agree, and of the others, worst first, the difference (2,) px from what
+    those left predict, and its size in standard errors.
+    """
+    keep, off_px, distances = list(range(len(d))), dict[int, Floats](), dict[int, float]()
     while True:
         off, distance = _from_the_others(d[keep], design[keep], scatter[np.ix_(keep, keep)], sigma_rad)
         worst = int(np.argmax(distance))
         if distance[worst] <= _GATE or len(keep) <= 2:
-            break
-        match, more = found[keep[worst]], (float(off[worst][0]), float(off[worst][1]))
-        refused.append(
-            Refusal(
-                Reason.INCONSISTENT,
-                float(distance[worst]),
-                _GATE,
-                more,
-                match.target_id,
-                match.ccd,
-                match,
-            )
-        )
+            return keep, off_px, distances
+        off_px[keep[worst]], distances[keep[worst]] = off[worst], float(distance[worst])
         keep.pop(worst)
-    p, _ = _common_rotation(d[keep], design[keep], scatter[np.ix_(keep, keep)], sigma_rad)
-    total = deviation_from_theta(p) * deviation_from_theta(theta)
-    matches = [replace(found[k], residual_px=d[k] - design[k] @ p) for k in keep]
-    return matches, refused, theta_from_deviation(total)
+
+
+def _inconsistent(match: TargetMatch, off_px: Floats, distance: float) -> Refusal:
+    more = (float(off_px[0]), float(off_px[1]))
+    return Refusal(Reason.INCONSISTENT, distance, _GATE, more, match.target_id, match.ccd, match)
 
 
 def _scatter(settings: MatchSettings, cov_px: Floats, t_s: Floats) -> Floats:
@@ -92,12 +108,11 @@ def _from_the_others(d: Floats, design: Floats, scatter: Floats, sigma_rad: Floa
     return off, np.sqrt(np.einsum("na,na->n", off, pull))
 
 
-def _common_rotation(d: Floats, design: Floats, scatter: Floats, sigma_rad: Floats) -> tuple[Floats, Floats]:
-    """Least-squares rotation (3,), rad, of the displacements, and its covariance."""
+def _information(d: Floats, design: Floats, scatter: Floats) -> tuple[Floats, Floats]:
+    """Normal matrix (3, 3) and right side (3,) of the rotation that displacements (N, 2) have in common."""
     D = design.reshape(-1, 3)
     weighted = np.linalg.solve(_flat(scatter), D)
-    covariance = np.linalg.inv(D.T @ weighted + np.diag(sigma_rad**-2.0))
-    return covariance @ (weighted.T @ d.ravel()), covariance
+    return D.T @ weighted, weighted.T @ d.ravel()
 
 
 def _flat(blocks: Floats) -> Floats:

@@ -11,7 +11,7 @@ in both. Every target that is not matched has a refusal.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
@@ -43,9 +43,16 @@ from boresight.geometry.record import Floats
 from boresight.geometry.strip_image import StripImage
 from boresight.geometry.terrain import Surface
 
-__all__ = ["match_strip"]
+__all__ = ["keep_whole", "match_strip"]
+
+Keep = Callable[[TargetMatch], TargetMatch]
 
 _SPARE_PX = 8  # of the strip read around a search window: the filters' reach
+
+
+def keep_whole(match: TargetMatch) -> TargetMatch:
+    """The match with its pictures."""
+    return match
 
 
 def match_strip(
@@ -58,6 +65,7 @@ def match_strip(
     settings: MatchSettings,
     *,
     each: Each = map,
+    keep: Keep = keep_whole,
 ) -> StripMatches:
     """Positions of a strip's targets, from an installation matrix wrong by up to `settings.sigmas` sigma.
 
@@ -68,7 +76,7 @@ def match_strip(
     pushbroom : Pushbroom
         The rigorous model at the initial installation matrix.
     targets, chips : sequences of one length and order
-        Chip n shows the ground around target n.
+        Chip n shows the ground around target n. A sequence may read its files when they are asked for.
     surface : Surface
         Ellipsoidal heights of the ground between the targets.
     sigma_installation_rad : (3,) array
@@ -77,6 +85,8 @@ def match_strip(
         Search ranges and limits of the tests.
     each : callable, optional
         Applies a function to parts of the work that can be done at once; default: one after another.
+    keep : callable, optional
+        Takes a match and returns what is kept of it, without its pictures for instance; default: all of it.
 
     Returns
     -------
@@ -88,10 +98,8 @@ def match_strip(
     ValueError
         If targets and chips differ in number or order. Errors of `strip.read` are passed on.
     """
-    if [t.target_id for t in targets] != [c.target_id for c in chips]:
-        raise ValueError(
-            f"{len(targets)} targets and {len(chips)} chips do not belong to one another in order"
-        )
+    if len(targets) != len(chips):
+        raise ValueError(f"{len(targets)} targets and {len(chips)} chips do not belong to one another")
     if not targets or not strip.ccds:
         return _no_matches((), 1.0)
     scene = scene_of(strip, pushbroom, targets, chips, surface, sigma_installation_rad, settings)
@@ -99,11 +107,12 @@ def match_strip(
     searched = sorted({window.target for window in plan.windows})
     uncertain = bool(plan.windows) and max(w.radius_px for w in plan.windows) > 2.0 * settings.margin_px + 2.0
     if not uncertain or _is_predicted(scene):
-        found = _found(scene, searched, np.zeros(3), np.diag(scene.sigma_installation_rad**2))
+        prior = np.diag(scene.sigma_installation_rad**2)
+        found = _found(scene, searched, np.zeros(3), prior, keep)
         if not uncertain or _is_confirmed(found, settings):
             return _matches(found, refused, 1.0)
     vote = search_common_rotation(scene, plan, each)
-    found = _found(scene, searched, vote.parameters, vote.covariance)
+    found = _found(scene, searched, vote.parameters, vote.covariance, keep)
     log_chance = _log_chance(vote, found.matches, settings)
     if log_chance > np.log(settings.probability_chance):
         refused = [*refused, *_no_common_rotation(scene, searched, vote, len(found.matches), log_chance)]
@@ -120,9 +129,9 @@ class _Found:
     theta: Floats  # (3,) rad, the matches' common rotation
 
 
-def _found(scene: Scene, searched: Sequence[int], theta: Floats, covariance: Floats) -> _Found:
+def _found(scene: Scene, searched: Sequence[int], theta: Floats, covariance: Floats, keep: Keep) -> _Found:
     """Targets around the places predicted with a common rotation, (3,) rad, of a covariance (3, 3)."""
-    found, not_found = _measured(scene, searched, theta, covariance)
+    found, not_found = _measured(scene, searched, theta, covariance, keep)
     matches, inconsistent, theta = consistent_matches(scene, found, theta)
     return _Found(matches, [*not_found, *inconsistent], theta)
 
@@ -164,6 +173,8 @@ def _feasible(scene: Scene, plan: SearchPlan) -> tuple[SearchPlan, list[Refusal]
     """The plan without targets that cannot be matched, and their refusals."""
     refused, dropped = [], set()
     for n, (target, chip) in enumerate(zip(scene.targets, scene.chips)):
+        if target.target_id != chip.target_id:
+            raise ValueError(f"chip of {chip.target_id} in the place of that of {target.target_id}")
         refusal = _infeasible(target, chip, plan.sides_px.get(n), scene.settings)
         if refusal is not None:
             dropped.add(n)
@@ -215,7 +226,7 @@ def _no_matches(refused: tuple[Refusal, ...], chance: float) -> StripMatches:
 
 
 def _measured(
-    scene: Scene, searched: Sequence[int], theta: Floats, covariance: Floats
+    scene: Scene, searched: Sequence[int], theta: Floats, covariance: Floats, keep: Keep
 ) -> tuple[list[TargetMatch], list[Refusal]]:
     """Matches and refusals of targets in all CCDs, predicted with a common rotation."""
     model = scene.pushbroom.with_installation(deviation_from_theta(theta) * scene.pushbroom.R_cs)
@@ -231,13 +242,13 @@ def _measured(
         seen.update(here)
         initial_px = scene.trajectories.pixels(ccd, np.zeros(3)) if theta.any() else xy_px
         radii = _search_radii_px(scene, model, here, ccd, xy_px, covariance)
-        sides = chip_sides_px([scene.chips[n] for n in here], model, ccd, xy_px[here], scene.surface).tolist()
+        sides = chip_sides_px((scene.chips[n] for n in here), model, ccd, xy_px[here], scene.surface).tolist()
         for n, radius, side in zip(here, radii, sides):
             outcome = _measured_one(scene, model, n, ccd, xy_px[n], radius, side)
             if isinstance(outcome, Refusal):
                 refused.append(replace(outcome, target_id=scene.targets[n].target_id, ccd=ccd))
             else:
-                matches.append(replace(outcome, predicted_px=initial_px[n]))
+                matches.append(keep(replace(outcome, predicted_px=initial_px[n])))
     unseen = [scene.targets[n].target_id for n in searched if n not in seen]
     refused += [Refusal(Reason.OUTSIDE_CCDS, target_id=name) for name in unseen]
     return matches, refused

@@ -8,7 +8,7 @@ small affine map.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 from functools import lru_cache
 
 import cv2
@@ -118,19 +118,17 @@ def chip_points(chip: Chip, p_e: Floats) -> Floats:
 
 
 def chip_sides_px(
-    chips: Sequence[Chip], pushbroom: Pushbroom, ccd: int, xy_px: Floats, surface: Surface
+    chips: Iterable[Chip], pushbroom: Pushbroom, ccd: int, xy_px: Floats, surface: Surface
 ) -> Floats:
     """Shorter side of each of N chips in pixels of the strip around `xy_px` (N, 2); 0 if unknown."""
     at = xy_px[:, None, :] + 16.0 * np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
     p_e = pushbroom.ground_points(ccd, at[:, :, 0].ravel(), at[:, :, 1].ravel(), surface)
-    points = [chip_points(chip, corner_e) for chip, corner_e in zip(chips, p_e.reshape(-1, 3, 3))]
-    per_px = [np.sqrt(abs(np.linalg.det((xy[1:] - xy[0]) / 16.0))) for xy in points]
-    return np.array(
-        [
-            min(chip.image.shape) / scale if np.isfinite(scale) and scale > 0.0 else 0.0
-            for chip, scale in zip(chips, per_px)
-        ]
-    )
+    sides = []
+    for chip, corner_e in zip(chips, p_e.reshape(-1, 3, 3)):
+        xy = chip_points(chip, corner_e)
+        scale = np.sqrt(abs(np.linalg.det((xy[1:] - xy[0]) / 16.0)))
+        sides.append(min(chip.image.shape) / scale if np.isfinite(scale) and scale > 0.0 else 0.0)
+    return np.array(sides)
 
 
 def _pixels_per_template_pixel(x: Floats, y: Floats) -> float:

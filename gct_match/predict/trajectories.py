@@ -17,6 +17,7 @@ from boresight.geometry.record import Floats, Ints, array, record, scalar
 __all__ = ["Trajectories", "displacements", "trajectories_of"]
 
 _NODES = 65  # rows of a strip at which directions are computed
+_BLOCK = 256  # targets whose directions are computed at once: 10 MB of intermediate matrices
 _STEPS = 3  # of the secant method: from a 1/64 of a strip to 1e-6 px
 
 
@@ -57,9 +58,12 @@ class Trajectories:
 def trajectories_of(pushbroom: Pushbroom, p_e: Floats, rows: tuple[float, float]) -> Trajectories:
     """Trajectories of targets p_e (T, 3), ITRS in m, from the first to the last of `rows`."""
     nodes = np.asarray(np.linspace(*rows, _NODES), dtype=float)
-    points = np.repeat(p_e, _NODES, axis=0)
-    u_c = pushbroom.directions_c(points, np.tile(nodes, len(p_e)))
-    return Trajectories(pushbroom, p_e, nodes, u_c.reshape(len(p_e), _NODES, 3))
+    u_c = np.empty((len(p_e), _NODES, 3))
+    for first in range(0, len(p_e), _BLOCK):
+        part = p_e[first : first + _BLOCK]
+        looks = pushbroom.directions_c(np.repeat(part, _NODES, axis=0), np.tile(nodes, len(part)))
+        u_c[first : first + _BLOCK] = looks.reshape(len(part), _NODES, 3)
+    return Trajectories(pushbroom, p_e, nodes, u_c)
 
 
 def displacements(pushbroom: Pushbroom, p_e: Floats, ccd: Ints, xy_px: Floats) -> tuple[Floats, Floats]:

@@ -9,6 +9,7 @@ The error of the installation matrix is one small rotation for the whole strip.
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from functools import partial
@@ -70,7 +71,10 @@ def search_common_rotation(scene: Scene, plan: SearchPlan, each: Each = map) -> 
     """
     settings, sigma = scene.settings, scene.sigma_installation_rad
     pictures = _coarse_pictures(scene, plan, each)
-    templates = {n: _template(scene, plan, n) for n in sorted({w.target for w in plan.windows})}
+    windows = defaultdict[int, list[Window]](list)
+    for window in plan.windows:
+        windows[window.target].append(window)
+    templates = {n: _template(scene, plan, n, tuple(windows[n])) for n in sorted(windows)}
     texture = {n: float(np.sum(template.search.own**2)) for n, template in templates.items()}
     order = sorted(texture, key=lambda n: -texture[n])
     tolerance_px = vote_tolerance_px(plan.factor, settings)
@@ -101,9 +105,8 @@ def _picture(strip: StripImage, factor: int, settings: MatchSettings, box: Box) 
     return _Picture(search_picture(coarse.image), coarse.origin_px)
 
 
-def _template(scene: Scene, plan: SearchPlan, target: int) -> _Template:
+def _template(scene: Scene, plan: SearchPlan, target: int, windows: tuple[Window, ...]) -> _Template:
     """A target's template as seen in the middle of its largest window."""
-    windows = tuple(w for w in plan.windows if w.target == target)
     largest = max(windows, key=lambda w: w.area_px2)
     factor, middle, ccd = plan.factor, largest.middle_px, largest.ccd
     model = _seeing_at(scene.pushbroom, scene.targets[target].p_e, ccd, middle)

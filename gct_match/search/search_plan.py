@@ -69,7 +69,7 @@ def plan_search(scene: Scene) -> SearchPlan:
     for ccd in strip.ccds:
         windows += (here := tuple(_windows(scene, ccd)))
         if new := [w for w in here if w.target not in sides]:
-            chips, middles = [scene.chips[w.target] for w in new], np.array([w.middle_px for w in new])
+            chips, middles = (scene.chips[w.target] for w in new), np.array([w.middle_px for w in new])
             found = chip_sides_px(chips, scene.pushbroom, ccd, middles, scene.surface)
             sides |= {w.target: side for w, side in zip(new, found.tolist())}
     usable = [side for side in sides.values() if side >= settings.smallest_template_px]

@@ -7,6 +7,7 @@ only, without sidecar files and without network.
 
 from __future__ import annotations
 
+import io
 import warnings
 from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -27,8 +28,8 @@ from rasterio.windows import Window
 
 from boresight.geometry.record import Bools, Floats, array, record, scalar
 from boresight.pipeline.errors import RawDataError
-from boresight.pipeline.files.content import small_content
-from boresight.pipeline.files.image_heads import TIFF_MAGICS, check_size, first_bytes
+from boresight.pipeline.files.content import open_regular, small_content
+from boresight.pipeline.files.image_heads import TIFF_MAGICS, check_photometric, check_size, first_bytes
 from boresight.pipeline.files.object_store import StoredPath
 
 __all__ = [
@@ -62,6 +63,7 @@ def read_tiff(path: Path, file: str, size: tuple[int, int] | None, bits: int | N
 
     Raises `RawDataError` if it is none, or not of `size` and `bits`.
     """
+    _check_black(path, file)
     with open_geotiff(path, file, small_content(path)) as image:
         depth = _bits(image, file)
         check_size(file, (image.width, image.height), size, depth, bits)
@@ -72,6 +74,7 @@ def read_tiff(path: Path, file: str, size: tuple[int, int] | None, bits: int | N
 
 def read_planes(path: Path, file: str) -> NDArray[Any]:
     """All bands (K, height, width) of a TIFF of any depth, at most 4; `RawDataError` if it is none."""
+    _check_black(path, file)
     with open_geotiff(path, file, small_content(path)) as image:
         if image.count not in _BANDS:  # a header of some kB may state 65535 of them, which take minutes
             raise RawDataError(file, "SamplesPerPixel", str(image.count), "1 to 4: grey or colours")
@@ -80,6 +83,12 @@ def read_planes(path: Path, file: str) -> NDArray[Any]:
             return np.asarray(image.read())
         except (RasterioError, RasterioIOError, ValueError, MemoryError) as error:
             raise RawDataError(file, "pixels", str(error), "pixels that decode") from error
+
+
+def _check_black(path: Path, file: str) -> None:
+    content = small_content(path)
+    with open_regular(path) if content is None else io.BytesIO(content) as stream:
+        check_photometric(stream, file)
 
 
 def planes_of_png(content: bytes, file: str) -> NDArray[Any]:

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import struct
 from pathlib import Path
+from typing import BinaryIO
 
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.content import check_regular, content_of, open_regular, small_content
 
 __all__ = ["MAX_STAR_PIXELS", "TIFF_MAGICS"]
-__all__ += ["check_length", "check_size", "encoded_content", "first_bytes", "kept_head"]
+__all__ += ["check_length", "check_photometric", "check_size", "encoded_content", "first_bytes", "kept_head"]
 
 TIFF_MAGICS = (b"II*\x00", b"MM\x00*", b"II+\x00", b"MM\x00+")
 MAX_STAR_PIXELS = 2**28  # an image of `identify`; those of a dump must have the camera's size
+_PHOTOMETRIC, _MOST_TAGS = 262, 4096
 _SPARE_BYTES = 2**20  # for tables and comments of a file, beyond twice its pixels
 
 
@@ -60,3 +63,22 @@ def check_size(
     if (bits is not None and got_bits != bits) or got_bits not in (8, 16):
         expected_bits = f"{bits}" if bits is not None else "8 or 16"
         raise RawDataError(file, "bit depth", f"{got_bits} bits", f"{expected_bits} bits a pixel")
+
+
+def check_photometric(stream: BinaryIO, file: str) -> None:
+    """`RawDataError` unless a TIFF states once whether black is zero: of another number of values programs
+    take none, or the first.
+    """
+    head = stream.read(16)
+    order, is_big = ("<" if head[:2] == b"II" else ">"), head[2:4] in (b"+\0", b"\0+")
+    counts, entry = (order + "Q", order + "HHQ8x") if is_big else (order + "H", order + "HHI4x")
+    try:
+        stream.seek(struct.unpack_from(order + ("Q" if is_big else "I"), head, 8 if is_big else 4)[0])
+        (tags,) = struct.unpack(counts, stream.read(struct.calcsize(counts)))
+        content = stream.read(min(tags, _MOST_TAGS) * struct.calcsize(entry))
+        stated = [n for tag, _, n in struct.iter_unpack(entry, content) if tag == _PHOTOMETRIC]
+    except (struct.error, OverflowError, OSError, ValueError):
+        return  # the reader tells what is wrong
+    if len(stated) > 1 or any(n != 1 for n in stated):
+        found = f"{sum(stated)} values"
+        raise RawDataError(file, "PhotometricInterpretation", found, "one value, or none")

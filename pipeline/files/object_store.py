@@ -2,7 +2,8 @@
 
 A file there is a `StoredPath`, a path of pathlib that can only be read. Of a large file only the ranges that
 are asked for are fetched, as blocks that are kept; an answer on size and version holds for some seconds.
-Credentials are those of the environment. Nothing is listed, so a web server needs no index.
+Credentials are those of the environment. Nothing is listed, so a web server needs no index. The wait for an
+answer and the bytes that are taken of it are limited (`ANSWER_S`, `SLOWEST_BYTES_S`, `MOST_BYTES`).
 
 A file that is missing or forbidden is an `OSError`, as on a disk. A store that does not answer is a
 `WorkerError`, which stops a run instead of making its images missing ones.
@@ -13,14 +14,16 @@ from __future__ import annotations
 import errno
 import io
 import os
+import queue
 import re
 import stat
+import threading
 import time
 import zlib
 from collections.abc import Callable
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 from boresight.pipeline.errors import RawDataError, WorkerError
 
@@ -29,6 +32,9 @@ __all__ = ["StoredPath", "dump_folder", "gdal_name", "is_address"]
 BLOCK_BYTES = 2**20  # of a large file; some four tiles of 512 x 512 px of 8 bits
 KEPT_BLOCKS = 64  # of one process
 CURRENT_S = 5.0  # how long an answer on size and version of a file is taken as current
+ANSWER_S = 60.0  # longest wait for an answer, and a second more for each `SLOWEST_BYTES_S` that are asked for
+SLOWEST_BYTES_S = 100_000
+MOST_BYTES = 2**31  # of a file that is fetched whole
 FORBIDDEN, NOT_FOUND = (401, 403), 404  # status of HTTP
 OF_GDAL = {"s3": "/vsis3/", "gs": "/vsigs/", "http": "/vsicurl/http://", "https": "/vsicurl/https://"}
 
@@ -100,8 +106,10 @@ class StoredPath(type(Path())):  # type: ignore[misc]  # PosixPath or WindowsPat
         return os.stat_result((stat.S_IFREG | 0o444, version, 0, 1, 0, 0, size, 0, 0, 0))
 
     def read_bytes(self) -> bytes:
-        """All bytes of a file in one request; `OSError` if the store does not give them."""
-        return _asked(str(self), lambda store, path: store.cat_file(path))
+        """All bytes of a file in one request; `OSError` if the store does not give them, or too many."""
+        if (size := self.stat().st_size) > MOST_BYTES:
+            raise OSError(errno.EFBIG, f"{size} bytes, at most {MOST_BYTES} are fetched", str(self))
+        return _range(str(self), 0, size)
 
     def open(self, mode: str = "r", buffering: int = -1, *args: Any, **named: Any) -> Any:
         """A stream of bytes (`rb`, else `OSError`); reads of less than `BLOCK_BYTES` fetch whole blocks."""
@@ -159,11 +167,34 @@ def _block(address: str, version: int, n: int, end: int) -> bytes:
 
 
 def _range(address: str, start: int, end: int) -> bytes:
-    content = _asked(address, lambda store, path: store.cat_file(path, start=start, end=end))
+    if end == start:
+        return b""
+    content = _asked(address, lambda store, path: _part(store, path, start, end), end - start)
     if len(content) != end - start:
-        found = f"{len(content)} bytes of a range of {end - start}: the server does not serve ranges"
-        raise WorkerError(f"{address}: {found}")
+        more = "more than " if len(content) > end - start else ""
+        found = f"{more}{min(len(content), end - start)} bytes of a range of {end - start}"
+        raise WorkerError(f"{address}: {found}: the server does not serve ranges, or the file changes")
     return content
+
+
+def _part(store: Any, path: str, start: int, end: int) -> bytes:
+    """Bytes of a file from `start` to before `end`; of a web server that sends more, some more."""
+    if "http" not in store.protocol:
+        return bytes(store.cat_file(path, start=start, end=end))
+    from fsspec.asyn import sync
+
+    async def read() -> bytes:
+        session, content = await store.set_session(), bytearray()
+        headers = {"Range": f"bytes={start}-{end - 1}"}
+        async with session.get(store.encode_url(path), headers=headers) as answer:
+            store._raise_not_found_for_status(answer, path)
+            async for part in answer.content.iter_any():
+                content += part
+                if len(content) > end - start:
+                    break
+        return bytes(content)
+
+    return bytes(sync(store.loop, read))
 
 
 @lru_cache(maxsize=256)
@@ -178,14 +209,18 @@ def _state(address: str, period: int) -> tuple[int, int]:
     return int(facts["size"]), zlib.crc32(repr(told).encode())
 
 
-def _asked(address: str, question: Callable[[Any, str], Answer]) -> Answer:
-    """The answer of the store of an address; `OSError` for a file that is missing or forbidden, `WorkerError`
-    with the store's reason if there is no answer.
+def _asked(address: str, question: Callable[[Any, str], Answer], size: int = 0) -> Answer:
+    """The answer of the store of an address, of `size` bytes; `OSError` for a file that is missing or
+    forbidden, `WorkerError` with the store's reason if there is no answer, or none in time.
     """
     try:
         from fsspec.core import url_to_fs
 
-        return question(*url_to_fs(address))
+        limit_s = ANSWER_S + size / SLOWEST_BYTES_S
+        return _in_time(lambda: question(*url_to_fs(address)), limit_s)
+    except TimeoutError as error:
+        remedy = "try again, or copy the dump to a disk of this machine"
+        raise WorkerError(f"{address}: no answer within {limit_s:.3g} s; {remedy}") from error
     except ImportError as error:
         raise WorkerError(f"{address}: {error}: pip install 'boresight[cluster]'") from error
     except Exception as error:  # stores raise errors of their own, some as the cause of a FileNotFoundError
@@ -197,3 +232,23 @@ def _asked(address: str, question: Callable[[Any, str], Answer]) -> Answer:
         if status in FORBIDDEN or isinstance(cause, PermissionError):
             raise PermissionError(errno.EACCES, reason, address) from error
         raise WorkerError(f"{address}: {reason}") from error
+
+
+def _in_time(question: Callable[[], Answer], limit_s: float) -> Answer:
+    """What the question returns or raises; `TimeoutError` after `limit_s`, while it still waits."""
+    answers: queue.SimpleQueue[tuple[Answer | None, Exception | None]] = queue.SimpleQueue()
+
+    def ask() -> None:
+        try:
+            answers.put((question(), None))
+        except Exception as error:
+            answers.put((None, error))
+
+    threading.Thread(target=ask, daemon=True).start()
+    try:
+        answer, error = answers.get(timeout=limit_s)
+    except queue.Empty:
+        raise TimeoutError(limit_s) from None
+    if error is not None:
+        raise error
+    return cast(Answer, answer)

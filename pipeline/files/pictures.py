@@ -16,6 +16,7 @@ from typing import IO, TYPE_CHECKING, Any
 
 import numpy as np
 from isal import isal_zlib
+from isal.isal_zlib import IsalError
 from numpy.typing import NDArray
 from PIL import Image
 
@@ -35,13 +36,19 @@ PICTURE_MAGICS = {
     b"BM": "BMP",
     b"RIFF": "WEBP",
     b"\x00\x00\x00\x0cjP  ": "JPEG2000",
+    b"P2": "PGM",
+    b"P3": "PPM",
     b"P5": "PGM",
     b"P6": "PPM",
 }
 _MODES = ("L", "LA", "I", "I;16", "I;16B", "RGB", "RGBA")  # of Pillow
 _GREY_PNG, _PALETTE_PNG = 0, 3  # colour types
+_PNG_SAMPLES = {0: 1, 2: 3, 3: 1, 4: 2, 6: 4}  # by colour type
+_ADAM7 = ((0, 0, 8, 8), (4, 0, 8, 8), (0, 4, 4, 8), (2, 0, 4, 4), (0, 2, 2, 4), (1, 0, 2, 2), (0, 1, 1, 2))
 _SPACE = rb"(?:\s|#[^\n]{0,4096}\n)+"
-_NETPBM = re.compile(rb"P([56])" + _SPACE + rb"(\d{1,9})" + _SPACE + rb"(\d{1,9})" + _SPACE + rb"(\d{1,5})\s")
+_NETPBM = re.compile(
+    rb"P([2356])" + _SPACE + rb"(\d{1,9})" + _SPACE + rb"(\d{1,9})" + _SPACE + rb"(\d{1,5})\s"
+)
 _HEAD_BYTES = 2**16  # of a netpbm file, comments included
 
 
@@ -63,6 +70,7 @@ def read_png(path: Path, file: str, size: tuple[int, int] | None, bits: int | No
     _check_png_chunks(raw, file)
     if (image := png_rows(raw)) is not None:
         return image
+    _check_png_rows(raw, file)
     if depth == 16 and colour != _GREY_PNG:
         from boresight.pipeline.files.image_files import planes_of_png  # with GDAL 0.1 s to load
 
@@ -119,26 +127,76 @@ def _planes(image: Image.Image, file: str) -> NDArray[Any]:
 
 
 def _read_netpbm(path: Path, file: str, head: bytes) -> NDArray[Any]:
-    """Counts of a binary PGM or PPM file; its largest value, of 12 bits for instance, scales nothing."""
+    """Counts of a PGM or PPM file; its largest value, of 12 bits for instance, scales nothing."""
     if (match := _NETPBM.match(head)) is None:
-        raise RawDataError(file, "header", head[:20].hex(" "), "P5 or P6, width, height and largest value")
+        raise RawDataError(
+            file, "header", head[:20].hex(" "), "P2, P3, P5 or P6, width, height and largest value"
+        )
     kind, width, height, largest = map(int, match.groups())
     if not (width and height and 0 < largest < 2**16):
         found = f"{width} x {height} px up to {largest}"
         raise RawDataError(file, "header", found, "a size, and a largest value from 1 to 65535")
     dtype = np.dtype(">u2" if largest > 255 else "u1")
     check_size(file, (width, height), None, 8 * dtype.itemsize, None)
-    shape = (height, width) if kind == 5 else (height, width, 3)
-    need = int(np.prod(shape))
-    raw = encoded_content(path, file, need * dtype.itemsize)
-    if len(raw) - match.end() < need * dtype.itemsize:
-        found = f"{len(raw) - match.end()} bytes"
-        raise RawDataError(file, "pixels", found, f"{need * dtype.itemsize} bytes")
-    values = np.frombuffer(raw, dtype, need, match.end()).reshape(shape)
-    values = values if kind == 5 else np.moveaxis(values, 2, 0)
+    shape = (height, width) if kind in (2, 5) else (height, width, 3)
+    if kind in (2, 3):
+        values = _netpbm_text(encoded_content(path, file, 6 * int(np.prod(shape))), match.end(), shape, file)
+        dtype = np.dtype("u2" if largest > 255 else "u1")
+    else:
+        raw = encoded_content(path, file, dtype.itemsize * int(np.prod(shape)))
+        values = _netpbm_bytes(raw, match.end(), shape, dtype, file)
+    values = values if len(shape) == 2 else np.moveaxis(values, 2, 0)
     if (most := int(values.max())) > largest:
         raise RawDataError(file, "pixels", f"a value of {most}", f"at most {largest}, as the header states")
     return values.astype(dtype.newbyteorder("="))
+
+
+def _netpbm_bytes(raw: bytes, start: int, shape: tuple[int, ...], dtype: Any, file: str) -> NDArray[Any]:
+    need = int(np.prod(shape))
+    if len(raw) - start < need * dtype.itemsize:
+        raise RawDataError(file, "pixels", f"{len(raw) - start} bytes", f"{need * dtype.itemsize} bytes")
+    return np.frombuffer(raw, dtype, need, start).reshape(shape)
+
+
+def _netpbm_text(raw: bytes, start: int, shape: tuple[int, ...], file: str) -> NDArray[Any]:
+    """Values written as decimal digits, with comments."""
+    text, need = raw[start:], int(np.prod(shape))
+    if text.translate(None, b"0123456789 \t\r\n\v\f"):
+        text = re.sub(rb"#[^\n]*", b"", text)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")  # of text that is no number
+            values = np.fromstring(text, dtype=np.int64, sep=" ")[:need]
+    except (ValueError, DeprecationWarning) as error:
+        raise RawDataError(file, "pixels", str(error), f"{need} numbers") from error
+    if len(values) < need or values.min(initial=0) < 0:
+        found = f"{len(values)} numbers" if len(values) < need else f"a value of {values.min()}"
+        raise RawDataError(file, "pixels", found, f"{need} numbers from 0 on")
+    return values.reshape(shape)
+
+
+def _check_png_rows(raw: bytes, file: str) -> None:
+    """`RawDataError` where the stream of a PNG file ends before its last row: Pillow fills the rest with
+    black, so a small file may state a large image. What is damaged otherwise its reader reports.
+    """
+    width, height, depth, colour, *_, interlaced = struct.unpack(">IIBBBBB", raw[16:29])
+    bits = depth * _PNG_SAMPLES.get(colour, 1)
+    passes = _ADAM7 if interlaced else ((0, 0, 1, 1),)
+    sizes = [((width - x + dx - 1) // dx, (height - y + dy - 1) // dy) for x, y, dx, dy in passes]
+    need = sum(h * (1 + (w * bits + 7) // 8) for w, h in sizes if w > 0 and h > 0)
+    at, done, inflate = len(PNG_MAGIC), 0, isal_zlib.decompressobj()
+    while at + 12 <= len(raw) and done < need:
+        (length,) = struct.unpack_from(">I", raw, at)
+        piece = raw[at + 8 : at + 8 + length] if raw[at + 4 : at + 8] == b"IDAT" else b""
+        while piece and done < need:
+            try:
+                done += len(inflate.decompress(piece, 2**20))
+            except IsalError:  # type: ignore[misc]  # its stub makes it a variable
+                return
+            piece = inflate.unconsumed_tail
+        at += 12 + length
+    if done < need:
+        raise RawDataError(file, "pixels", f"{done} bytes", f"{need} bytes of rows")
 
 
 def _check_png_chunks(raw: bytes, file: str) -> None:

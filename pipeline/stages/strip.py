@@ -9,14 +9,16 @@ disk; the directions are computed from it each time.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields, replace
+from functools import lru_cache
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from boresight.gct_match.match import match_strip
+from boresight.gct_match.match import keep_whole, match_strip
 from boresight.gct_match.predict.trajectories import displacements
 from boresight.gct_match.records import Chip, Reason, Refusal, StripMatches, Target, TargetMatch
 from boresight.gct_match.settings import MatchSettings
@@ -61,6 +63,8 @@ __all__ = [
 ]
 
 MAX_CHIP_PIXELS = 4096 * 4096
+NOTHING = np.empty((0, 0), np.float32)  # in the place of a picture that is not kept
+MOST_CHIPS = 256  # of a strip in memory: 100 MB of 200 x 200 px; of more each is read thrice
 IN_ORDER = InOrder()
 
 
@@ -140,11 +144,18 @@ def match_strip_targets(task: StripTask, parts: Executor = IN_ORDER) -> MatchedT
 
     `parts` reads the images of a wide search.
     """
-    result, omitted = strip_matches(task, parts) if task.targets else (None, [])
+    pictures: dict[tuple[str, int], MatchPictures] = {}
+
+    def keep(match: TargetMatch) -> TargetMatch:
+        shown = match_pictures(match.template, match.found, match.residual, match.surface)
+        pictures[match.target_id, match.ccd] = shown
+        return replace(match, template=NOTHING, found=NOTHING, residual=NOTHING, surface=NOTHING)
+
+    result, omitted = strip_matches(task, parts, keep) if task.targets else (None, [])
     if result is None:
         return _matched(task.strip.strip_id, (), omitted)
     rejected = [_omission(task, refusal) for refusal in result.refused if not refusal.is_out_of_view]
-    matched = _matched(task.strip.strip_id, result.matches, [*omitted, *rejected])
+    matched = _matched(task.strip.strip_id, result.matches, [*omitted, *rejected], pictures)
     others = [_contradicting(one.match, one.value) for one in result.refused if one.match is not None]
     return replace(matched, contradicting=tuple(others))
 
@@ -212,7 +223,12 @@ def with_points(matched: MatchedTargets, points: StripPoints) -> MatchedTargets:
     return replace(matched, pictures=matched.pictures + measured.pictures, **rows)
 
 
-def _matched(strip_id: str, matches: Sequence[TargetMatch], omissions: Sequence[Omission]) -> MatchedTargets:
+def _matched(
+    strip_id: str,
+    matches: Sequence[TargetMatch],
+    omissions: Sequence[Omission],
+    pictures: Mapping[tuple[str, int], MatchPictures] = MappingProxyType({}),
+) -> MatchedTargets:
     matches, n = sorted(matches, key=lambda m: (m.target_id, m.ccd)), len(matches)
     return MatchedTargets(
         strip_id=strip_id,
@@ -223,19 +239,37 @@ def _matched(strip_id: str, matches: Sequence[TargetMatch], omissions: Sequence[
         correlation=np.array([m.correlation for m in matches], dtype=float),
         probability_wrong=np.array([m.probability_wrong for m in matches], dtype=float),
         predicted_px=np.array([m.predicted_px for m in matches], dtype=float).reshape(n, 2),
-        pictures=tuple(match_pictures(m.template, m.found, m.residual, m.surface) for m in matches),
+        pictures=tuple(pictures[m.target_id, m.ccd] for m in matches),
         omissions=tuple(omissions),
         farthest_px=max((float(np.abs(m.xy_px - m.expected_px).max()) for m in matches), default=0.0),
     )
 
 
-def strip_matches(task: StripTask, parts: Executor = IN_ORDER) -> tuple[StripMatches | None, list[Omission]]:
-    """Outcome of the matcher for one strip (None if its images are damaged), and unreadable files."""
-    chips, targets, omitted = [], [], []
-    for target, file in zip(task.targets, task.chips):
+class _Chips(Sequence[Chip]):
+    """Chips that are read from their files when they are asked for; the last of them stay in memory."""
+
+    def __init__(self, read: Callable[[int], Chip], numbers: Sequence[int]) -> None:
+        self._read, self._numbers = read, numbers
+
+    def __len__(self) -> int:
+        return len(self._numbers)
+
+    def __getitem__(self, n: Any) -> Any:
+        return self._read(self._numbers[n])
+
+
+def strip_matches(
+    task: StripTask, parts: Executor = IN_ORDER, keep: Callable[[TargetMatch], TargetMatch] = keep_whole
+) -> tuple[StripMatches | None, list[Omission]]:
+    """Outcome of the matcher for one strip (None if its images are damaged), and unreadable files. Of a match,
+    what `keep` returns is kept.
+    """
+    read = lru_cache(maxsize=MOST_CHIPS)(lambda n: read_chip(task.chips[n]))
+    readable, omitted = [], []
+    for n, (target, file) in enumerate(zip(task.targets, task.chips)):
         try:
-            chips.append(read_chip(file))
-            targets.append(target)
+            read(n)
+            readable.append(n)
         except RawDataError as error:
             omitted.append(Omission("chip", target.target_id, file.file, str(error)))
 
@@ -246,12 +280,13 @@ def strip_matches(task: StripTask, parts: Executor = IN_ORDER) -> tuple[StripMat
         result = match_strip(
             task.strip.images,
             pushbroom_of(task),
-            targets,
-            chips,
+            [task.targets[n] for n in readable],
+            _Chips(read, readable),
             surface_of(task.terrain),
             task.sigma_installation_rad,
             task.settings,
             each=map_parts,
+            keep=keep,
         )
     except RawDataError as error:
         omitted.append(Omission("strip", task.strip.strip_id, error.file, str(error)))

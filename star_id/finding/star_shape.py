@@ -76,7 +76,8 @@ def fit_widths(
         flux = state[:, 2]
         state = state + np.column_stack([np.clip(step[:, :2], -0.8, 0.8), step[:, 2:4]])
         sigma = np.clip(sigma * np.exp(np.clip(step[:, 4], -0.3, 0.3)), 0.25, 4.0 * psf.sigma_px)
-    error = sigma * np.sqrt(np.linalg.inv(normal)[:, 4, 4])
+    variance = np.linalg.inv(normal)[:, 4, 4]  # negative by rounding where the window shows no width
+    error = sigma * np.sqrt(np.where(variance > 0.0, variance, np.inf))
     moved = state[:, :2] - windows.offsets(pixels.astype(float))
     good = (np.abs(moved) < 1.5).all(axis=1) & (state[:, 2] > 0) & (sigma > 0.27) & (error < 0.15 * sigma)
     good &= sigma < 3.9 * psf.sigma_px

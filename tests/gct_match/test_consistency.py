@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.linalg import block_diag
 
-from boresight.gct_match.consistency import _common_rotation, _from_the_others, _scatter
+from boresight.gct_match.consistency import _from_the_others, _information, _scatter
 from boresight.gct_match.match import _log_chance
 from boresight.gct_match.search.vote import Vote
 from boresight.gct_match.settings import MatchSettings
@@ -33,7 +33,9 @@ def test_common_rotation_is_that_of_least_squares_with_its_prior() -> None:
     sigma_rad = np.array([2e-7, 3e-7, 1e-6])  # as strong as the data, about x and y
     scatter = np.zeros((4, 4, 2, 2))
     scatter[range(4), range(4)] = cov_px
-    found, covariance = _common_rotation(d, design, scatter, sigma_rad)
+    normal, towards = _information(d, design, scatter)
+    covariance = np.linalg.inv(normal + np.diag(sigma_rad**-2.0))
+    found = covariance @ towards
     D, W = design.reshape(8, 3), np.linalg.inv(block_diag(*cov_px))
     expected = np.linalg.inv(D.T @ W @ D + np.diag(sigma_rad**-2.0))
     np.testing.assert_allclose(covariance, expected, rtol=1e-9)

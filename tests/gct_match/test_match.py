@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 from small_strip import LINES, SURFACE, Case, SmallStrip, make_case
 
+from boresight.gct_match import consistency
 from boresight.gct_match.match import match_strip
 from boresight.gct_match.predict.scene import Scene, scene_of
 from boresight.gct_match.predict.template import predict_template
@@ -88,6 +89,23 @@ def test_target_in_the_overlap_is_placed_in_both_ccds(case: Case):
         case.strip, model, [shown], [chip], SURFACE, np.full(3, 1e-5), MatchSettings(smallest_template_px=16)
     )
     assert sorted(m.ccd for m in outcome.matches) == inside
+
+
+def test_targets_compared_in_groups_are_those_that_agree_together(
+    case: Case, outcome: StripMatches, monkeypatch: pytest.MonkeyPatch
+):
+    """Of very many, those that follow one another in time are compared: time and memory grow with them."""
+    monkeypatch.setattr(consistency, "_MOST_TOGETHER", 5)
+    matches = [*outcome.matches, *(r.match for r in outcome.refused if r.match is not None)]
+    wrong = replace(matches[3], xy_px=matches[3].xy_px + np.array([20.0, 0.0]))  # px; 0.5 px may differ
+    scene = scene_of(case.strip, case.pushbroom, case.targets, case.chips, SURFACE, SIGMA, MatchSettings())
+    kept, refused, theta = consistency.consistent_matches(
+        scene, [*matches[:3], wrong, *matches[4:]], case.theta
+    )
+    assert [one.target_id for one in refused] == [wrong.target_id] and refused[0].match is wrong
+    assert [one.target_id for one in kept] == [m.target_id for m in matches if m.target_id != wrong.target_id]
+    assert theta[:2] == pytest.approx(case.theta[:2], abs=1e-6)  # rad: as from all together
+    assert theta[2] == pytest.approx(case.theta[2], abs=2e-4)
 
 
 def test_small_uncertainty_needs_no_bootstrap(case: Case):

@@ -88,6 +88,10 @@ def _cv2(suffix: str, image: np.ndarray) -> bytes:
     return cv2.imencode(suffix, image)[1].tobytes()
 
 
+def _digits(values: np.ndarray) -> bytes:
+    return b"\n".join(b" ".join(b"%d" % value for value in row.ravel()) for row in values)
+
+
 FORMATS: dict[str, Callable[[], list[bytes]]] = {
     "PNG": lambda: [
         _saved(Image.fromarray(GREY), "PNG"),
@@ -124,6 +128,8 @@ FORMATS: dict[str, Callable[[], list[bytes]]] = {
         _saved(Image.fromarray(GREY), "PPM"),
         _saved(Image.fromarray(COLOURS), "PPM"),
         _cv2(".pgm", DEEP),
+        b"P2\n# by hand\n%d %d\n255\n" % (WIDTH, HEIGHT) + _digits(GREY),
+        b"P3 %d %d 255\n" % (WIDTH, HEIGHT) + _digits(COLOURS),
         b"P5\n# 12 bits\n%d %d\n4095\n" % (WIDTH, HEIGHT) + (DEEP >> 4).astype(">u2").tobytes(),
     ],
     "WebP": lambda: [
@@ -237,7 +243,7 @@ def differs(image: np.ndarray, content: bytes) -> bool | None:
         return None
     if image.dtype == np.uint16 and other.max(initial=0) <= 255 < image.max():
         return None  # of 16 bits Pillow keeps the upper 8
-    if content[:2] in (b"P5", b"P6"):
+    if content[:2] in (b"P2", b"P3", b"P5", b"P6"):
         largest = int(re.sub(rb"#[^\n]*\n", b" ", content).split(None, 4)[3])
         image = image * ((65535 if largest > 255 else 255) / largest)
     return image.shape != other.shape or bool(np.abs(image - other).max() > 0.51)  # grey levels: rounded

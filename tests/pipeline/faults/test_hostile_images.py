@@ -9,6 +9,7 @@ import struct
 import warnings
 import zlib
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -22,6 +23,7 @@ from typer.testing import CliRunner
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.png_rows import png_rows
 from boresight.pipeline.files.star_images import read_exposure, read_star_image
+from boresight.star_id.finding import star_shape
 from boresight.star_id.finding.star_list import list_stars
 from boresight.star_id.settings import StarSettings
 
@@ -186,3 +188,94 @@ def test_tiff_of_thousands_of_bands_is_refused_before_it_is_read(tmp_path: Path)
         assert image.count == 5000
     with pytest.raises(RawDataError, match=r"SamplesPerPixel.*5000"):
         read_star_image(path, path.name)
+
+
+def test_text_pgm_and_ppm_are_read_and_bounded(tmp_path: Path) -> None:
+    path, rng = tmp_path / "e.ppm", np.random.default_rng(8)
+    grey, colours = rng.integers(0, 4096, (30, 40)), rng.integers(0, 256, (30, 40, 3))
+    path.write_text("P2 # a comment\n40 30\n4095\n" + "\n".join(" ".join(map(str, row)) for row in grey))
+    read = read_star_image(path, "e")
+    assert read.dtype == np.uint16 and np.array_equal(read, grey)
+    rows = [" ".join(map(str, row.ravel())) + "\n" for row in colours]
+    path.write_text("P3\n40 30 255\n" + "# rows\n".join(rows))
+    expected = colours @ np.array([0.299, 0.587, 0.114])  # ITU-R BT.601
+    assert np.abs(read_star_image(path, "e") - expected).max() <= 0.51
+    for text, said in (
+        ("P2 3 2 255 1 2 3 4 5", "5 numbers, expected 6 numbers"),
+        ("P2 3 2 255 1 2 3 4 5 x", "expected 6 numbers"),
+        ("P2 3 2 255 1 2 3 4 5 -6", "a value of -6"),
+        ("P2 3 2 255 1 2 3 4 5 256", "a value of 256, expected at most 255"),
+        ("P2 3 2 255 1 2 3 4 5 99999999999999999999", "expected"),
+        ("P2 3 2 255 " + "0 " * 600_000, "bytes, expected at most"),
+    ):
+        path.write_text(text)
+        with pytest.raises(RawDataError, match=said):
+            read_star_image(path, "e")
+
+
+@pytest.mark.parametrize(("colour", "interlaced"), [(0, 1), (2, 0), (3, 0), (4, 0), (6, 1)])
+def test_png_whose_stream_ends_before_its_last_row_is_refused(
+    colour: int, interlaced: int, tmp_path: Path
+) -> None:
+    """Pillow fills what is missing with black, so that a file of 1 kB may state 50 million pixels."""
+    modes = {0: "L", 2: "RGB", 3: "P", 4: "LA", 6: "RGBA"}
+    width, height, samples = 13, 11, {0: 1, 2: 3, 3: 1, 4: 2, 6: 4}[colour]
+    adam7 = "00 88 40 88 04 48 20 44 02 24 10 22 01 12".split()  # x, y and their steps (ISO/IEC 15948, 8.2)
+    passes = [tuple(map(int, first + step)) for first, step in zip(adam7[::2], adam7[1::2])]
+    rng, rows = np.random.default_rng(3), b""
+    for x, y, dx, dy in passes if interlaced else [(0, 0, 1, 1)]:
+        columns, lines = len(range(x, width, dx)), len(range(y, height, dy))
+        for _ in range(lines if columns else 0):
+            rows += b"\0" + rng.integers(0, 255, columns * samples, dtype=np.uint8).tobytes()
+    head = chunk(b"IHDR", struct.pack(">IIBBBBB", width, height, 8, colour, 0, 0, interlaced))
+    palette = chunk(b"PLTE", bytes(range(256)) * 3) if colour == 3 else b""
+    path = tmp_path / "e.png"
+    for missing in (0, 1, len(rows) // 2):
+        stream = zlib.compress(rows[: len(rows) - missing])
+        content = b"\x89PNG\r\n\x1a\n" + head + palette + chunk(b"IDAT", stream) + chunk(b"IEND", b"")
+        path.write_bytes(content)
+        if missing:
+            found = f"found {len(rows) - missing} bytes, expected {len(rows)} bytes of rows"
+            with pytest.raises(RawDataError, match=found):
+                read_star_image(path, "e")
+        else:
+            with Image.open(path) as image:
+                assert image.mode == modes[colour]
+            assert not differs(read_star_image(path, "e"), content)
+
+
+def test_tiff_that_states_black_or_white_not_once_is_refused(tmp_path: Path) -> None:
+    import tifffile
+
+    path = tmp_path / "e.tif"
+    for big in (False, True):
+        for order in "<>":
+            tifffile.imwrite(
+                path, np.eye(40, dtype=np.uint8), photometric="minisblack", bigtiff=big, byteorder=order
+            )
+            assert read_star_image(path, "e").sum() == 40
+            raw, (number, count) = bytearray(path.read_bytes()), ((8, "Q") if big else (4, "I"))
+            at = raw.index(struct.pack(order + "HH" + count, 262, 3, 1))
+            raw[at + 4 : at + 4 + number] = struct.pack(order + count, 33)
+            path.write_bytes(raw)
+            with pytest.raises(RawDataError, match="PhotometricInterpretation: found 33 values"):
+                read_star_image(path, "e")
+
+
+@pytest.mark.filterwarnings("error")
+def test_window_that_shows_no_width_is_no_good_star_and_no_warning(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Between saturated columns the normal matrix of a star's width is singular: its variance is negative."""
+    real = star_shape.newton_step
+
+    def singular(*given: Any) -> Any:
+        step, normal, residual, weight = real(*given)
+        normal[0] = np.diag([1.0, 1.0, 1.0, 1.0, -1.0])
+        return step, normal, residual, weight
+
+    rng, image = np.random.default_rng(4), np.zeros((200, 240))
+    y, x = np.mgrid[:200, :240]
+    for x0, y0 in rng.uniform(20, 180, (12, 2)):
+        image += 3000.0 * np.exp(-0.5 * ((x - x0) ** 2 + (y - y0) ** 2) / 1.2**2)
+    monkeypatch.setattr(star_shape, "newton_step", singular)
+    stars = list_stars(rng.poisson(image + 500.0).astype(np.uint16), StarSettings())
+    assert len(stars.xy_px) > 6 and np.isfinite(stars.cov_px).all()

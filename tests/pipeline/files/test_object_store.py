@@ -7,7 +7,9 @@ import http.server
 import os
 import sys
 import threading
+import time
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -179,6 +181,50 @@ def test_server_without_ranges_is_an_error(tmp_path: Path, monkeypatch: pytest.M
         assert len(path.read_bytes()) == path.stat().st_size == 2 * object_store.BLOCK_BYTES
         with path.open("rb") as stream, pytest.raises(WorkerError, match="does not serve ranges"):
             stream.read(10)
+        server.shutdown()
+
+
+class Hostile(http.server.BaseHTTPRequestHandler):
+    """States 1000 bytes and sends without end, in chunks; of `stalls` nothing, though a size was stated."""
+
+    sent = 0
+
+    def do_HEAD(self) -> None:
+        self.send_response(200)
+        self.send_header("Content-Length", "1000")
+        self.end_headers()
+
+    def do_GET(self) -> None:
+        if "stalls" in self.path:
+            threading.Event().wait(1.0)  # twice the limit of the test
+            return
+        self.send_response(206)
+        self.send_header("Content-Range", "bytes 0-999/1000")
+        self.send_header("Connection", "close")
+        self.end_headers()
+        with suppress(OSError):
+            for _ in range(10_000):  # 10 GB
+                self.wfile.write(bytes(1_000_000))
+                Hostile.sent += 1_000_000
+
+    def log_message(self, *_: object) -> None:
+        pass
+
+
+def test_server_that_stalls_or_sends_without_end_is_named_in_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(object_store, "ANSWER_S", 0.5)
+    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), Hostile) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        root = dump_folder(f"http://127.0.0.1:{server.server_port}")
+        begun_s = time.monotonic()
+        with pytest.raises(WorkerError, match=rf"{root}/stalls: no answer within 0.51 s; .* to a disk"):
+            (root / "stalls").read_bytes()
+        with pytest.raises(WorkerError, match=rf"{root}/endless: more than 1000 bytes of a range of 1000"):
+            (root / "endless").read_bytes()
+        assert Hostile.sent < 100_000_000 and time.monotonic() - begun_s < 30.0  # buffers of the system
+        monkeypatch.setattr(object_store, "MOST_BYTES", 999)
+        with pytest.raises(OSError, match="1000 bytes, at most 999 are fetched"):
+            (root / "large").read_bytes()
         server.shutdown()
 
 
