@@ -261,8 +261,8 @@ class _Chips(Sequence[Chip]):
 def strip_matches(
     task: StripTask, parts: Executor = IN_ORDER, keep: Callable[[TargetMatch], TargetMatch] = keep_whole
 ) -> tuple[StripMatches | None, list[Omission]]:
-    """Outcome of the matcher for one strip (None if its images are damaged), and unreadable files. Of a match,
-    what `keep` returns is kept.
+    """Outcome of the matcher for one strip (None if its images are damaged), and unreadable files. `keep`
+    returns what is kept of a match.
     """
     read = lru_cache(maxsize=MOST_CHIPS)(lambda n: read_chip(task.chips[n]))
     readable, omitted = [], []
