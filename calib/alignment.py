@@ -23,6 +23,7 @@ from boresight.geometry.record import Floats, Ints, array, record, scalar
 
 __all__ = ["AlignmentTerm", "HeadAlignment", "HeadTrack", "align_heads", "carried_to", "common_instants"]
 
+# Most blocks of time into which the differences of two heads are averaged; bounds the time of the fit.
 MOST_BLOCKS = 300
 SMOOTHING_S = 2.0  # over which the rate of the motion is found that carries an attitude to a close instant
 

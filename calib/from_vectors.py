@@ -37,7 +37,9 @@ INDEPENDENT = CalibrationSettings(
     sigma_vibration_rad=0.0,
     sigma_distortion_rad=0.0,
 )
-WIDEST_FIELD = np.cos(np.radians(80.0))  # from the axis z: up to there an error of the focal length is tested
+# Cosine of the largest angle, 80°, between a star's direction and the axis z up to which an error of the
+# focal length is tested: its effect grows with the tangent.
+WIDEST_FIELD = np.cos(np.radians(80.0))
 
 
 @record
@@ -125,4 +127,5 @@ def _star_camera(u_s: Floats) -> StarCamera | None:
     return replace(_NOMINAL, width_px=side, height_px=side)
 
 
+# Camera of one arc-second a pixel that stands for the unknown one of given vectors; its size is replaced.
 _NOMINAL = StarCamera(focal_m=1.0, pixel_m=ARCSEC, width_px=2, height_px=2, principal_px=(0.0, 0.0))

@@ -22,7 +22,9 @@ from boresight.geometry.record import Bools, Floats, Ints, array, record, scalar
 
 __all__ = ["Hypothesis", "HypothesisTable", "hypotheses", "vector_hypotheses"]
 
+# One thousandth: of a second, or of a radian, in units of hypotheses.
 MILLI = 1e-3
+# One hundredth, in units of hypotheses.
 PERCENT = 1e-2
 MOST_FRAMES = 50  # of vectors whose attitudes are tested one by one: the work grows with the square
 

@@ -19,6 +19,7 @@ from boresight.geometry.record import Floats, array, record, scalar
 
 __all__ = ["LineOfSightCorrection", "fit_correction"]
 
+# Most Gauss-Newton steps (set by hand).
 _STEPS = 5
 
 

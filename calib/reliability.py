@@ -54,9 +54,15 @@ from boresight.geometry.star_camera import StarCamera
 
 __all__ = ["Contradiction", "HypothesisTest", "Reliability", "ReliabilitySettings", "blind_spots", "examine"]
 
+# Most causes that are named together for one calibration: with more, any pattern of residuals is explained
+# (set by hand).
 MOST_CAUSES = 3
-LEAST_REDUNDANCY = 0.01  # an error of which so little shows is a hundred times its own size before it does
+# Share of an error that shows in the residuals, below which it is a blind spot: it shows only at a hundred
+# times its own size.
+LEAST_REDUNDANCY = 0.01
 HIDDEN_SIGMA = 2.0  # harm that may stay hidden and is named
+# Probability with which an error of the stated minimal detectable size is found (Baarda 1968 has 0.8; set
+# by hand).
 POWER = 0.9
 PROBABILITY_SUSPECT = 1e-3  # that any of all good observations is named
 MOST_SEARCHED = 16  # hypotheses under which rejected observations are searched anew, the likeliest ones

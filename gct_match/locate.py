@@ -25,7 +25,9 @@ from boresight.geometry.record import Floats
 __all__ = ["locate", "locate_template"]
 
 _PRIOR_ABSENT = 0.05  # prior probability that the target is not visible where it should be
-_SECOND_PEAK = 0.7  # peaks of at least this share of the highest are refined too
+# Height of a correlation peak over that of the highest from which its position is refined, too, and may
+# make the place ambiguous (set by hand).
+_SECOND_PEAK = 0.7
 _SELF_SIMILAR = 0.4  # of 441 false matches that passed every other test, one had a template below this
 _LEAST_VALID = 0.4  # share of the template that clouds and the picture's edges must leave
 _LEAST_RADIUS_PX = 4  # smaller windows hold too few values to estimate how probable a false match is

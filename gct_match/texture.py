@@ -10,7 +10,9 @@ from boresight.geometry.record import Bools
 
 __all__ = ["expected_sigma_px", "noise_of", "sigma_from_gradients", "smooth_gradients"]
 
-_NOISE_SHARE = 0.04  # of the variance of white noise that each smoothed derivative keeps
+# Variance of a smoothed derivative of white noise over that of the noise, for the smoothing and the Sobel
+# filter used here.
+_NOISE_SHARE = 0.04
 
 
 def expected_sigma_px(image: Image, valid: Bools) -> float:

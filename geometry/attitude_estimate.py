@@ -44,7 +44,9 @@ __all__ = [
     "with_attitudes",
 ]
 
-GROSS = 40.0  # squared residual over variance that may bias a least-squares fit: a robust start is needed
+# Squared residual of a star over its variance that may bias a least-squares fit: 6.3 sigma, a robust start
+# is needed then (set by hand).
+GROSS = 40.0
 
 
 @dataclass(frozen=True, slots=True)

@@ -30,6 +30,8 @@ __all__ = ["EarthRotation"]
 Array = NDArray[np.float64]
 
 _NODE_DAYS = 0.25  # nutation of 9 days and 50 mas is interpolated to 1e-9 rad and better
+# Days before the end of the table from which its trend is taken: a shorter baseline is biased by tides and
+# seasons.
 _YEAR_DAYS = 365
 _NOTICEABLE_M = 0.1  # predictions with a larger stated error give a warning
 

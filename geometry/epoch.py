@@ -30,11 +30,15 @@ Array = NDArray[np.float64]
 TT_MINUS_TAI_S = 32.184  # s, IAU 1991 Recommendation IV
 GPS_MINUS_TAI_S = -19  # s, IS-GPS-200: GPS time met UTC on 1980-01-06
 J2000_JD = 2451545.0  # 2000-01-01T12:00:00, the origin of `Epoch.tai_s`
+# Julian date of MJD 0.
 MJD_ZERO_JD = 2400000.5
 MJD_OF_ORIGIN = 51544  # the day whose noon is the origin
+# Seconds of a day without leap second.
 _DAY = 86_400
+# Seconds from midnight to noon: days of UTC begin at midnight, `tai_s` counts from noon.
 _NOON = 43_200
 _NOON_OF_ORIGIN = datetime.datetime(2000, 1, 1, 12)
+# 1972-01-01, MJD: the first day of UTC with whole leap seconds.
 _MJD_1972 = 41317
 _DATE_TIME = re.compile(r"(\d{4})-(\d{2})-(\d{2})(?:[T ](\d{2}):(\d{2}):(\d{2})(?:\.(\d{1,18}))?)?Z?", re.A)
 _MINUTE = len("2024-06-30T23:59:")

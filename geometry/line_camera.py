@@ -32,6 +32,7 @@ __all__ = [
 Array = NDArray[np.float64]
 TimeOfRow = Literal["start", "middle", "end"]
 
+# Most Newton steps of inverting the distortion (set by hand).
 _NEWTON_STEPS = 20
 
 

@@ -18,6 +18,7 @@ __all__ = ["LocalMap", "fit_local_map"]
 Array = NDArray[np.float64]
 Map = Callable[[Array, Array], tuple[Array, Array]]
 
+# Degrees of the polynomials that are tried for the local map, until its error is small enough.
 _DEGREES = (3, 5, 7, 9)
 
 

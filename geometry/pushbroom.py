@@ -46,7 +46,9 @@ __all__ = ["OrbitOverTime", "Pushbroom", "RowClock"]
 
 Array = NDArray[np.float64]
 
-_POSITION_M = 1e-7  # tolerances of the table over the rows
+# Largest errors of positions (m), velocities (m/s) and elements of rotation matrices that are interpolated in
+# the table over the rows: 1e-7 of a pixel of 1 m; 1e-13 rad from 530 km are 5e-8 m (set by hand).
+_POSITION_M = 1e-7
 _VELOCITY_M_S = 1e-6
 _ROTATION = 1e-13
 _TOLERANCE = np.repeat([_POSITION_M, _VELOCITY_M_S, _ROTATION], [3, 3, 9])
@@ -55,8 +57,10 @@ _MANY = 1_500  # number of points from which a table over the rows saves time
 _MARGIN_ROWS = 256.0  # error of a predicted line that the table still covers
 _FEW = 16  # points found by a scan, from which the lines of the others are predicted
 _SCAN = 65  # lines of the scan
+# Most secant steps for the line in which a ground point is seen (set by hand).
 _SECANT_STEPS = 12
 _MIN_STEP_PX = 1e-2  # a slope from a shorter step would be noise
+# Step, px, at which that line has converged: far below any measurement.
 _CONVERGED_PX = 1e-7
 _CURVATURE_M = 2e-5  # curvature of a light path that its tangent may neglect
 _CURVATURE_LIGHT_TIME = 3e-13  # 1/m: deviation of the path over a height difference d is this times d^2

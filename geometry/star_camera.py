@@ -30,7 +30,9 @@ Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 _MM = 1e3  # mm per metre: the paper's distortion numbers are for coordinates in millimetres
+# Most Newton steps of inverting the distortion (set by hand).
 _NEWTON_STEPS = 25
+# Error of the inverse, mm, that counts as exact: the rounding of doubles at 1 m, 2e-16 of it.
 _EXACT_MM = 2e-13
 _CURVATURE_PER_MM = 0.02  # of a lens, at most: the error after a Newton step is its square times this
 

@@ -33,6 +33,7 @@ ReadStrip = Callable[
 _NODE_LINES = 16  # lattice of the mapping between the images, cubics between:
 _NODE_SAMPLES = 96  # 1 ms of motion and 50 m of ground
 _MARGIN_PX = 5  # support of the interpolation
+# Lines resampled at a time, which bounds memory.
 _BLOCK_LINES = 512
 
 

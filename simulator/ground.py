@@ -29,6 +29,7 @@ Patch = NDArray[np.float32]
 Array = NDArray[np.float64]
 Grey = NDArray[np.uint8]
 
+# Painted tiles that are kept in memory, the last used.
 KEPT_TILES = 48
 TILE = 1024  # texels: a tile of reflectance takes 2 MB, a row of tiles under one CCD's swath some 30 MB
 

@@ -23,8 +23,10 @@ __all__ = ["Landscape", "Shapes"]
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
+# Kinds of a parcel of the painted landscape, as small whole numbers.
 _FIELD, _WATER, _SETTLEMENT, _FOREST = range(4)
 _KEEP_PARCELS = 4096  # parcels drawn lately are wanted again by the neighbouring tiles
+# Twelve points (12, 2) of a unit circle: outline of pools and trees.
 _CIRCLE = np.column_stack([np.cos(np.arange(12) * np.pi / 6), np.sin(np.arange(12) * np.pi / 6)])
 _REACH_M = 12.0  # a house of 20 m by 11 m about a corner of its parcel ends 11.5 m from there
 _SPARED = -1  # a shape that leaves the roughness below it alone

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 __all__ = ["fractal", "smooth_noise", "white", "white_at"]
 
+# Mask of 32 bits: the hash of a lattice point is computed modulo 2^32.
 _WORD = 0xFFFFFFFF
 
 

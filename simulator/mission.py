@@ -77,6 +77,8 @@ __all__ = ["render_mission"]
 Array = NDArray[np.float64]
 
 _MARGIN_DEG = 0.08  # terrain beyond the strips' corners: a wrong installation matrix looks 2 km aside
+# Seconds by which the Earth's orientation is computed beyond the orbit on either side, for light times and
+# interpolation.
 _EARTH_MARGIN_S = 2.0
 _SKY_MARGIN_RAD = 0.005  # around a scan: oscillation, aberration, smear
 _AROUND_S = 1.0  # before and after a strip: a point is looked for in its rows and a little beyond

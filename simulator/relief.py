@@ -13,6 +13,7 @@ __all__ = ["relief_grid"]
 Array = NDArray[np.float64]
 Affine = tuple[float, float, float, float, float, float]
 
+# Kilometres a degree on a sphere of 6371 km: scales the relief, whose size need not be exact.
 _KM_PER_DEGREE = 111.2
 
 

@@ -23,6 +23,7 @@ __all__ = ["StarField", "joined_stars", "with_invented_stars"]
 
 Array = NDArray[np.float64]
 
+# Area of the sky, square degrees.
 _SPHERE_DEG2 = 4.0 * np.pi * np.degrees(1.0) ** 2
 _MARGIN_PX = 40.0  # stars so far outside still shed light on the detector's edge
 

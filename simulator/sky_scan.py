@@ -38,10 +38,12 @@ __all__ = ["SkyScene", "hot_columns", "sky_around", "sky_strip"]
 Array = NDArray[np.float64]
 Grey = NDArray[np.float32]
 
+# Steps of finding the instant at which a star crosses a row (set by hand).
 _CROSSING_STEPS = 8
 _REACH_SIGMA = 6.0  # beyond it 2e-9 of the light is lost
 _STEPS_A_ROW = 8  # in which a row's exposure is divided
 _BEYOND_LINES = 400.0  # stars that cross so far outside a strip still shed light on it, smeared by TDI
+# Distance, px, beside the detector from which a star is no longer rendered: its light does not reach it.
 _BESIDE_PX = 20.0
 _LISTED_BESIDE_PX = 1.5  # from the middle of the last pixel
 

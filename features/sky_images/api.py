@@ -54,7 +54,9 @@ __all__ = ["CameraSolution", "StarSolution", "Stars", "calibrate_star_camera", "
 NARROWEST_DEG, WIDEST_DEG = 0.5, 90.0  # fields of view that are searched
 SMALLEST_PX, MOST_COUNTS = 32, 65535  # side of an image, and its counts
 MOST_NUMBERS = 30  # in a picture
-MOST_MISFIT_PX = 1.0  # of a TAN-SIP header: beyond, the lens has none
+# Largest difference, px, of a TAN-SIP header from the camera for the header to be given; wide fisheye
+# lenses have none (set by hand).
+MOST_MISFIT_PX = 1.0
 LARGEST_PX = 1e6  # of coordinates that are taken to the sky
 
 

@@ -14,7 +14,8 @@ from boresight.geometry.record import Floats
 __all__ = ["change", "composed", "gradient", "largest_px", "sample", "shifted", "warped"]
 
 _GRID = 32.0  # OpenCV's remap rounds every point to this part of a pixel
-_REACH = 5  # half length of the interpolating kernel
+# Pixels on either side that the interpolating kernel takes (set by hand).
+_REACH = 5
 _TAP = np.arange(-_REACH, _REACH + 1)
 
 

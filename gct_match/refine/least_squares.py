@@ -35,7 +35,9 @@ __all__ = ["PositionFit", "fit_position"]
 _FARTHEST_PX = 2.5  # from the start
 _RIM = 3  # the filters reach this far over the template's edge, and over a hole's
 _COLUMNS = 2 + TERMS  # of the design matrix: the two derivatives and the radiometry
+# Most Gauss-Newton steps with given weights (set by hand).
 _STEPS = 5
+# Most rounds of weighting anew and fitting (set by hand).
 _ROUNDS = 4
 _NEAR_PX = 0.05  # a coherence measured at a larger misalignment is biased
 _SETTLED_PX = 0.02  # a step below this leaves a thirtieth of it as error, from errors of the derivatives

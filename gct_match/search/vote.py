@@ -17,10 +17,15 @@ from boresight.geometry.record import Floats, Ints, array, record, scalar
 
 __all__ = ["Candidates", "Vote", "fit_common", "log_chance_of_ranks", "vote"]
 
-_STEPS = 480  # of the score, to which shares of targets are rounded
+# Steps into which the score of a vote is divided; each target's share of it is rounded up to whole steps,
+# so that the probability of a sum is exact (set by hand: more steps cost time, fewer a looser bound).
+_STEPS = 480
 _NOTHING: Floats = np.eye(1, _STEPS + 1)[0]  # probabilities of a share that is none
 _LEAST = 1e-300  # probability: smaller ones are stated as this one
+# Most steps of fitting the common rotation to its supporters (set by hand).
 _REFINEMENTS = 4
+# Most values of the rotation about the line of sight that are tried with each pair of candidates (set by
+# hand; bounds the time).
 _MOST_THIRD_VALUES = 61
 
 

@@ -20,7 +20,10 @@ from numpy.typing import NDArray
 
 __all__ = ["mapped_arrays", "write_arrays"]
 
+# Start of the file: a number that marks the format and the length of the head in bytes, 32 bits each,
+# little-endian.
 _HEAD = struct.Struct("<II")
+# Bytes to multiples of which arrays are aligned in the file: a line of the processor's cache.
 _ALIGNED = 64
 
 

@@ -30,7 +30,8 @@ from boresight.pipeline.errors import RawDataError, WorkerError
 __all__ = ["StoredPath", "dump_folder", "gdal_name", "is_address"]
 
 BLOCK_BYTES = 2**20  # of a large file; some four tiles of 512 x 512 px of 8 bits
-KEPT_BLOCKS = 64  # of one process
+# Blocks of `BLOCK_BYTES` that a process keeps of files in object stores, the last used: 64 MiB.
+KEPT_BLOCKS = 64
 CURRENT_S = 5.0  # how long an answer on size and version of a file is taken as current
 ANSWER_S = 60.0  # longest wait for an answer, and a second more for each `SLOWEST_BYTES_S` that are asked for
 SLOWEST_BYTES_S = 100_000

@@ -23,7 +23,9 @@ __all__ = ["png_rows"]
 NONE, SUB, UP = range(3)  # filters of a row
 FIRST_CHUNK = 33  # after signature and header
 ANCILLARY = 0x20  # bit of a chunk's first letter: readers may pass over it
-_FIRST_BYTES = 2**12  # whose rows tell the filters of most files
+# Inflated bytes of a PNG of which the filters of the rows are looked at first: they tell those of most
+# files (set by hand).
+_FIRST_BYTES = 2**12
 _WINDOW = 2**15  # the largest that a stream may state
 _FEED_BYTES = 2**18  # compressed bytes that are inflated at once: their rows stay in the cache
 _SLAB_ROWS = 1024  # whose columns are summed at once

@@ -40,7 +40,8 @@ ITEMS: dict[Any, pa.DataType] = {
 }
 
 
-OPTIONAL = (Floats | None,)  # nulls stand for None
+# Types of record fields that may be None; their column of a table is then all null.
+OPTIONAL = (Floats | None,)
 
 
 def columns_of(record: Any, rows: str = "N") -> dict[str, pa.Array]:

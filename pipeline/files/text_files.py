@@ -41,7 +41,9 @@ MAX_TOML_BYTES = 2**20
 MAX_KEY_PARTS = 32  # of a dotted key; the parser's time grows with the square
 MAX_WRONG_ROWS = 100  # of a table, before it is given up
 MAX_ROWS = 500_000  # of a table; a record takes 1 kB
-NUMBER = r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?"  # a regular expression
+# Regular expression of a decimal number in the text files of a dump: ASCII digits, optional sign, point and
+# exponent; no nan, no inf.
+NUMBER = r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?"
 PLAIN_NUMBER = "a finite number in ASCII digits"
 _PLAIN_NUMBER = re.compile(NUMBER)
 _STRING_OR_COMMENT = re.compile(

@@ -29,7 +29,9 @@ from boresight.pipeline.run.unit_store import UnitStore
 __all__ = ["DUMPS", "INTERIOR", "VALIDATION", "begin_result", "dumps_in", "results_in", "store_of"]
 
 DUMPS, VALIDATION = "dumps.json", "validation.json"
-INTERIOR = "interior/interior.json"  # beside its picture and the camera
+# File of a result, below its folder, that holds an interior orientation; its picture and camera file lie
+# beside it.
+INTERIOR = "interior/interior.json"
 
 
 def store_of(result: Path) -> UnitStore:

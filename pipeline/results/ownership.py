@@ -48,6 +48,8 @@ OWN_FILES = (
     + [f"evidence/{n}.parquet" for n in "inputs convergence angles matches exposure ground".split()]
     + [f"evidence/{n}" for n in "unmatched.parquet map.parquet allan.parquet context.json".split()]
 )
+# Regular expression of the files of finished work that the program writes, STAGE/NAME.DIGEST.parquet: only
+# such files are removed.
 OWN_WORK = re.compile(r"(exposures|matching-\d+|sky-stars)/.+\.[0-9a-f]{32}\.parquet")
 
 

@@ -21,7 +21,8 @@ from boresight.pipeline.files.image_files import GridPlace, grid_place
 
 __all__ = ["Slip", "contradiction", "likeliest", "slips"]
 
-DECIMALS = 7  # of a degree: a centimetre
+# Decimals of latitude and longitude, degrees, in messages: 1e-7 degree is a centimetre on the ground.
+DECIMALS = 7
 MOST_CHIPS = 200  # that are looked at for the one of which a target is
 
 

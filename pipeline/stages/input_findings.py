@@ -58,6 +58,7 @@ def given_twice(omissions: Sequence[Omission]) -> Iterator[Finding]:
                 )
 
 
+# File of a dump that states a kind of thing, for the messages of findings.
 TABLES = {
     "strip": "strips.csv",
     "ccd": "strips.csv",
