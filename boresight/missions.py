@@ -32,6 +32,7 @@ from boresight.pipeline.errors import Omission, RawDataError
 from boresight.pipeline.files.dump import Dump, open_dump
 from boresight.pipeline.files.object_store import dump_folder
 from boresight.pipeline.report.evidence import write_evidence
+from boresight.pipeline.report.page import write_report
 from boresight.pipeline.results.folder import dumps_in
 from boresight.pipeline.results.reading import SavedResult
 from boresight.pipeline.results.reading import read_saved_result as saved_in
@@ -204,7 +205,6 @@ class Calibration(Result):
         Raises `ValueError` for a result from vectors, which has no images to show, and for a joint result
         without a folder.
         """
-        from boresight.pipeline.report.page import write_report
 
         page, folder = path_of(path, "path"), Path(self)
         if self.folder is None and self._run is None:

@@ -24,7 +24,10 @@ from boresight.pipeline.files.dump import Dump
 from boresight.pipeline.files.record_tables import plain
 from boresight.pipeline.files.text_files import read_json
 from boresight.pipeline.files.whole_file import make_own_folder
+from boresight.pipeline.report.dumps_page import write_dumps_report
 from boresight.pipeline.report.evidence import write_evidence
+from boresight.pipeline.report.no_result import write_no_result
+from boresight.pipeline.report.page import write_report
 from boresight.pipeline.report.strip_overview import overview, overview_tasks
 from boresight.pipeline.results.folder import begin_result, results_in, store_of
 from boresight.pipeline.results.ownership import claimed
@@ -221,8 +224,6 @@ def _calibrated(
             found = calibrate_dump(dump, request.settings, store_of(out.resolve()), executor, progress)
     except DataNotSufficientError as error:
         if request.report:
-            from boresight.pipeline.report.no_result import write_no_result
-
             write_no_result(out, dump, error)
         raise
     with executor.beside(partial(write_sightings, out, found)):
@@ -264,18 +265,14 @@ def _write_evidence(
     with executor.beside(partial(write_evidence, out, dump, found, request.settings, executor, overviews)):
         # Loads Matplotlib, which the page needs next, while other processes make the evidence, which takes
         # twice as long. An import at the top would delay every run without a report.
-        import_module("boresight.pipeline.report.page")
+        import_module("boresight.pipeline.report.page_figures")
 
 
 def _draw(out: Path, executor: Executor) -> None:
-    from boresight.pipeline.report.page import write_report
-
     write_report(out, executor=executor if isinstance(executor, Processes) else None)
 
 
 def _draw_dumps(out: Path) -> None:
-    from boresight.pipeline.report.dumps_page import write_dumps_report
-
     write_dumps_report(out)
 
 

@@ -203,8 +203,7 @@ class StarSolution(SuccessfulResult):
         largest difference from the camera. `ValueError` where it exceeds `max_misfit_px`: a wide lens has no
         tangent plane; use `pixel_to_sky`.
         """
-        from astropy.io import fits
-        from astropy.wcs import WCS
+        from boresight.features.sky_images.wcs_files import image_wcs  # with astropy 0.4 s to load
 
         limit, found = number_of(max_misfit_px, "max_misfit_px", 0.0), self._tan_sip()
         if not found.largest_misfit_px <= limit:
@@ -213,12 +212,7 @@ class StarSolution(SuccessfulResult):
                 f"a misfit of {found.largest_misfit_px:.3g} px of the TAN-SIP form of this lens",
                 f"at most {limit:g} px; pixel_to_sky has no such limit",
             )
-        header = fits.Header()
-        for key, value in found.cards().items():
-            header[key] = value
-        header["RADESYS"] = "ICRS"
-        header["NAXIS"], header["NAXIS1"], header["NAXIS2"] = (2, *self.stars.size_px)
-        return WCS(header)
+        return image_wcs(found, *self.stars.size_px)
 
     @property
     def wcs_misfit_px(self) -> float:

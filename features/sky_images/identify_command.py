@@ -19,7 +19,6 @@ from boresight.features.sky_images.options import (
     Times,
     star_settings,
 )
-from boresight.features.sky_images.wcs_files import write_wcs
 from boresight.features.sky_images.whereabouts import Whereabouts
 from boresight.pipeline.console.arguments import SettingsFile
 from boresight.pipeline.console.messages import (
@@ -84,6 +83,8 @@ def identify_command(
         else:
             tell(line.text)
         if as_fits and line.found is not None:
+            from boresight.features.sky_images.wcs_files import write_wcs  # with astropy 0.4 s to load
+
             path = str(line.record["file"])
             write_wcs(Path(f"{Path(path).stem}.wcs.fits"), path, line.found)
         if report is not None and line.image is not None:

@@ -23,7 +23,6 @@ from boresight.geometry.constants import ARCSEC
 from boresight.geometry.record import Floats
 from boresight.geometry.star_camera import StarCamera
 from boresight.pipeline.errors import RawDataError
-from boresight.pipeline.files.centroid_files import read_centroids
 from boresight.pipeline.files.star_images import read_star_image
 from boresight.pipeline.run.index_cache import cached_index
 from boresight.pipeline.stages.unforeseen import UNFORESEEN, internal_error
@@ -156,6 +155,8 @@ def _of_centroids(
     path: Path, camera: StarCamera | None, index: StarIndex, settings: StarSettings
 ) -> Iterator[tuple[Path, FieldSolution | NotIdentified]]:
     """The images of a list of centroids by their names; `RawDataError` where the camera is not known."""
+    from boresight.pipeline.files.centroid_files import read_centroids  # with pydantic 0.1 s to load
+
     if camera is None:
         expected = "the option --camera: a list of centroids does not tell the size of the images"
         raise RawDataError(str(path), "camera", "nothing", expected)

@@ -16,6 +16,7 @@ from typing import Any
 from PIL import Image
 
 from boresight.pipeline.files.content import content_of, open_regular
+from boresight.pipeline.files.star_images import opened_fits
 
 __all__ = ["time_of_image"]
 
@@ -47,9 +48,7 @@ def time_of_image(path: Path) -> str | None:
 
 
 def _of_fits(path: Path) -> datetime | None:
-    from astropy.io import fits
-
-    with open_regular(path) as stream, fits.open(stream, memmap=False, lazy_load_hdus=True) as hdus:
+    with opened_fits(path, str(path)) as hdus:
         for hdu in hdus[:2]:
             if (when := _of_cards(hdu.header)) is not None:
                 return when

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from astropy.io import fits
+from astropy.wcs import WCS
+
 from boresight.pipeline.files.whole_file import write_whole
 from boresight.star_id.field import FieldSolution
-from boresight.star_id.sip import tan_sip
+from boresight.star_id.sip import TanSip, tan_sip
 
-__all__ = ["write_wcs"]
+__all__ = ["image_wcs", "write_wcs"]
 
 
 def write_wcs(path: Path, image: str, found: FieldSolution) -> None:
@@ -16,15 +19,10 @@ def write_wcs(path: Path, image: str, found: FieldSolution) -> None:
 
     Row 0 of the image is FITS row 1, so that viewers that draw row 1 at the bottom flip the image.
     """
-    from astropy.io import fits
-
     wcs = tan_sip(found.camera, found.R_si)
-    header = fits.Header()
-    for key, value in wcs.cards().items():
-        header[key] = value
+    header = _header(wcs)
     header["NAXIS"] = 0
     header["IMAGEW"], header["IMAGEH"] = found.camera.width_px, found.camera.height_px
-    header["RADESYS"] = "ICRS"
     header["SIPERR"] = (wcs.largest_misfit_px, "largest misfit of the polynomials, px")
     header["HISTORY"] = f"stars of {_ascii(Path(image).name)} identified by boresight"
     columns = [
@@ -38,6 +36,21 @@ def write_wcs(path: Path, image: str, found: FieldSolution) -> None:
         [fits.PrimaryHDU(header=header), fits.BinTableHDU.from_columns(columns, name="STARS")]
     )
     write_whole(path, lambda target: units.writeto(target, overwrite=True))
+
+
+def image_wcs(found: TanSip, width_px: int, height_px: int) -> WCS:
+    """The world coordinates as astropy's own, for an image of this size; its pixels count from 0."""
+    header = _header(found)
+    header["NAXIS"], header["NAXIS1"], header["NAXIS2"] = (2, width_px, height_px)
+    return WCS(header)
+
+
+def _header(found: TanSip) -> fits.Header:
+    header = fits.Header()
+    for key, value in found.cards().items():
+        header[key] = value
+    header["RADESYS"] = "ICRS"
+    return header
 
 
 def _ascii(text: str) -> str:

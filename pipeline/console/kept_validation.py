@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from boresight.pipeline.console.messages import say
 from boresight.pipeline.report.check_points import write_validation
+from boresight.pipeline.report.page import write_report
 
 if TYPE_CHECKING:
     from boresight.pipeline.results.validate import TruthErrors
@@ -18,7 +19,6 @@ def kept_validation(result: Path, found: TruthErrors) -> tuple[Path, ...]:
     """Keep the errors in the folder of the result and draw its report again; the files written. A folder
     that cannot be written is left as it is, with a remark.
     """
-    from boresight.pipeline.report.page import write_report
 
     try:
         kept = write_validation(result, found)

@@ -25,7 +25,7 @@ from boresight.pipeline.files.content import content_of
 from boresight.pipeline.files.image_heads import MAX_STAR_PIXELS, TIFF_MAGICS, check_size, kept_head
 from boresight.pipeline.files.pictures import PICTURE_MAGICS, PNG_MAGIC, read_picture, read_png
 
-__all__ = ["grey_image", "read_exposure", "read_star_image"]
+__all__ = ["grey_image", "opened_fits", "read_exposure", "read_star_image"]
 
 FITS_MAGIC = b"SIMPLE  ="
 NPY_MAGIC = b"\x93NUMPY"
@@ -72,7 +72,7 @@ def _read_star_image(path: Path, file: str, size: tuple[int, int] | None, bits: 
 
 
 @contextmanager
-def _opened_fits(path: Path, file: str, **options: bool) -> Iterator[Any]:
+def opened_fits(path: Path, file: str, **options: bool) -> Iterator[Any]:
     """The HDUs of a file; what astropy raises at damaged headers becomes a `RawDataError`."""
     from astropy.io import fits
 
@@ -92,7 +92,7 @@ def _opened_fits(path: Path, file: str, **options: bool) -> Iterator[Any]:
 
 
 def _read_fits(path: Path, file: str, size: tuple[int, int] | None, bits: int | None) -> NDArray[Any]:
-    with _opened_fits(path, file, do_not_scale_image_data=True) as hdus:
+    with opened_fits(path, file, do_not_scale_image_data=True) as hdus:
         header = hdus[0].header
         naxis, bitpix = header.get("NAXIS"), header.get("BITPIX")
         if naxis != 2:
@@ -159,10 +159,10 @@ def _read_npy(path: Path, file: str) -> NDArray[Any]:
 
 def _read_any_fits(path: Path, file: str) -> NDArray[Any]:
     """The first HDU with an image: integer or floating, scaled or not, one plane or three."""
-    with _opened_fits(path, file, disable_image_compression=True) as hdus:
+    with opened_fits(path, file, disable_image_compression=True) as hdus:
         for hdu in hdus:
             _check_packing(hdu.header, file)
-    with _opened_fits(path, file) as hdus:
+    with opened_fits(path, file) as hdus:
         for hdu in hdus:
             if not hdu.is_image or not 2 <= hdu.header.get("NAXIS", 0) <= 4:
                 continue

@@ -24,15 +24,14 @@ from matplotlib.text import Text
 from matplotlib.transforms import ScaledTranslation, Transform
 
 from boresight.geometry.record import Floats, record, scalar
+from boresight.pipeline.report.marks import SHAPES
 
 __all__ = [
     "AXES",
-    "COLOURS",
     "FILL",
     "GRID",
     "INK",
     "MUTED",
-    "SHAPES",
     "WIDTH_IN",
     "Curve",
     "Drawing",
@@ -43,7 +42,6 @@ __all__ = [
     "dress_axes",
     "new_figure",
     "rule_axes",
-    "strip_style",
 ]
 
 INK, MUTED, GRID, FILL = "#010203", "#040506", "#070809", "#0a0b0c"
@@ -62,17 +60,6 @@ MARGINS_IN = (0.72, 0.2, 0.47, 0.1)  # left, right, bottom, top: room for ticks 
 LABELS_IN = (0.53, 0.28)  # of axes with these margins: y label left of them, x label below
 NUMBERS_PT = 7.0  # from an axis to its numbers
 MOST_INTERVALS = 5  # between ticks: more crowd a figure of this width
-COLOURS = 8  # of strips: --s0 to --s7 in style.css
-SHAPES = {  # marks of strips, about 20 units wide
-    "circle": "M-9 0A9 9 0 1 1 9 0A9 9 0 1 1-9 0Z",
-    "square": "M-8-8H8V8H-8Z",
-    "triangle": "M0-10.5L10 8H-10Z",
-    "diamond": "M0-11.5L11.5 0L0 11.5L-11.5 0Z",
-    "down": "M0 10.5L10-8H-10Z",
-    "plus": "M-9 0H9M0-9V9",  # of no strip
-    "cross": "M-7-7L7 7M-7 7L7-7",  # of a check point
-    "hexagon": "M-5-9H5L10 0L5 9H-5L-10 0Z",
-}
 
 
 @record
@@ -107,12 +94,6 @@ class Spot:
     link: str = scalar("id of the card")
     style: str = scalar("CSS classes: state and colour")
     shape: str = scalar("key of `SHAPES`")
-
-
-def strip_style(number: int) -> tuple[str, str]:
-    """Shape and CSS class of the colour of a strip, by its number; 24 strips differ in one or the other."""
-    shapes = [shape for shape in SHAPES if shape not in ("plus", "cross")]
-    return shapes[number % len(shapes)], f"s{number % COLOURS}"
 
 
 def new_figure(height_in: float, legend_in: float = 0.0) -> Figure:

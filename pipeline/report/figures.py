@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from typing import Any
 
@@ -353,12 +352,6 @@ def allan_plot(saved: Saved) -> Drawing | None:
     )
     text += "lies above them is correlated noise or motion of the satellite."
     return drawn(figure, "allan", text, f"Allan deviation over {len(times)} times. {text}")
-
-
-def preview_about(saved: Saved) -> dict[str, object] | None:
-    """Facts of the exposure whose picture was saved; None where there is none."""
-    metadata = saved.detections.schema.metadata or {}
-    return json.loads(metadata[b"about"]) if b"about" in metadata else None
 
 
 def _logarithmic(axes: Axes, *which: str, steps: tuple[float, ...] = (1.0, 2.0, 5.0)) -> None:

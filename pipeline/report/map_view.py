@@ -11,8 +11,8 @@ import numpy as np
 from boresight.geometry.record import Floats, record, scalar
 from boresight.pipeline.files.table_files import column
 from boresight.pipeline.report.check_points import CheckPoint, check_points_on_map
-from boresight.pipeline.report.drawing import strip_style
 from boresight.pipeline.report.ground_map import REJECTED, UNMATCHED
+from boresight.pipeline.report.marks import strip_style
 from boresight.pipeline.report.observations import TargetCard, data_uri, strip_numbers
 from boresight.pipeline.report.saved import Saved
 

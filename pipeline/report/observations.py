@@ -10,8 +10,8 @@ from scipy.special import chdtrc
 
 from boresight.geometry.record import record, scalar
 from boresight.pipeline.files.table_files import column
-from boresight.pipeline.report.drawing import strip_style
 from boresight.pipeline.report.ground_map import OUT_OF_VIEW, REJECTED, UNMATCHED, USED
+from boresight.pipeline.report.marks import strip_style
 from boresight.pipeline.report.saved import Number, Saved
 from boresight.pipeline.results.summary import REASON_WORDS
 

@@ -6,8 +6,7 @@ import functools
 import html
 import json
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
-from functools import partial
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -17,13 +16,10 @@ from markupsafe import Markup
 from boresight.geometry.constants import ARCSEC
 from boresight.pipeline.files.table_files import column, list_values
 from boresight.pipeline.files.whole_file import write_text
-from boresight.pipeline.report import figures
-from boresight.pipeline.report.drawing import SHAPES, strip_style
 from boresight.pipeline.report.first_screen import first_screen
 from boresight.pipeline.report.map_view import map_view
+from boresight.pipeline.report.marks import SHAPES, strip_style
 from boresight.pipeline.report.observations import (
-    ExposureCard,
-    TargetCard,
     data_uri,
     exposure_rows,
     strip_numbers,
@@ -32,8 +28,7 @@ from boresight.pipeline.report.observations import (
 from boresight.pipeline.report.saved import Number, Saved, number_from, read_saved
 from boresight.pipeline.report.star_image import star_detection, star_picture
 from boresight.pipeline.report.star_preview import STATES
-from boresight.pipeline.report.strip_stars import StripStarRow, strip_star_rows
-from boresight.pipeline.report.strips_on_sky import strips_on_sky
+from boresight.pipeline.report.strip_stars import strip_star_rows
 from boresight.pipeline.report.verdict_section import verdict_view
 from boresight.pipeline.results.folder import INTERIOR, VALIDATION
 from boresight.pipeline.run.executor import Executor, InOrder
@@ -60,10 +55,12 @@ def write_report(result: Path, *, most_matches: int = MOST_MATCHES, executor: Ex
 
 def report_html(saved: Saved, *, most_matches: int = MOST_MATCHES, executor: Executor | None = None) -> str:
     """The report as HTML text; `write_report` writes it."""
+    from boresight.pipeline.report.page_figures import page_figures  # with Matplotlib 0.4 s to load
+
     targets, exposures = target_rows(saved, most_matches), exposure_rows(saved)
     strip_stars = strip_star_rows(saved, most_matches)
     has_stars = saved.context["star_camera"] is not None
-    drawn = _figures(saved, targets, exposures, strip_stars, executor or InOrder())
+    drawn = page_figures(saved, targets, exposures, strip_stars, executor or InOrder())
     statistics = [drawn.get(f"of {what}") for what in ("stars", "targets", "exposures", "attitudes")]
     cards: Any = template("observations.html.j2").module
     more_cards = {row.link: str(cards.target_card(row)) for row in targets if not row.printed}
@@ -89,7 +86,7 @@ def report_html(saved: Saved, *, most_matches: int = MOST_MATCHES, executor: Exe
         residuals=drawn.get("residuals", []),
         interior=_interior(saved),
         star_residuals=drawn.get("star residuals", []),
-        on_sky=strips_on_sky(saved, strip_stars),
+        on_sky=drawn.get("on the sky"),
         seen_in=" and ".join(name for name, one in (("targets", targets), ("stars", strip_stars)) if one)
         or "targets",
         iterations=_iterations(saved),
@@ -109,39 +106,6 @@ def report_html(saved: Saved, *, most_matches: int = MOST_MATCHES, executor: Exe
         inputs_in_all=len(saved.inputs),
         most_rows=MOST_ROWS,
     )
-
-
-def _figures(
-    saved: Saved,
-    targets: Sequence[TargetCard],
-    exposures: Sequence[ExposureCard],
-    strip_stars: Sequence[StripStarRow],
-    executor: Executor,
-) -> dict[str, Any]:
-    """Drawings by name; of stars and of targets where there are any."""
-    to_draw: dict[str, Callable[[], Any]] = {
-        "of targets": partial(figures.squared_residual_histogram, saved, "targets", "targets"),
-        "of attitudes": partial(figures.allan_plot, saved),
-        "convergence": partial(figures.convergence, saved),
-        "ellipses": partial(figures.covariance_ellipses, saved),
-    }
-    if saved.context["star_camera"] is not None:
-        to_draw |= {
-            "of stars": partial(figures.squared_residual_histogram, saved, "stars", "stars"),
-            "of exposures": partial(figures.exposure_chi2, saved, exposures),
-            "angles": partial(figures.angle_histogram, saved),
-            "spread of angles": partial(figures.angle_spread, saved),
-            "star map": partial(figures.star_residual_map, saved),
-        }
-    if targets or not strip_stars:
-        to_draw["residuals"] = partial(figures.residual_panels, saved, targets)
-    if strip_stars:
-        to_draw["star residuals"] = partial(figures.star_residual_panels, saved, strip_stars)
-    return dict(zip(to_draw, executor.map(_drawn, list(to_draw.values()), lambda n, figure: None)))
-
-
-def _drawn(figure: Callable[[], Any]) -> Any:
-    return figure()
 
 
 def template(name: str) -> jinja2.Template:
@@ -269,9 +233,10 @@ def _by_strip(
 
 
 def _star_image(saved: Saved) -> dict[str, Any] | None:
-    about = figures.preview_about(saved)
-    if about is None:
+    metadata = saved.detections.schema.metadata or {}
+    if b"about" not in metadata:
         return None
+    about = json.loads(metadata[b"about"])
     table, camera = saved.detections, saved.context["star_camera"]
     places, names = list_values(table, "xy_px", 2).tolist(), table.column("hip").to_pylist()
     marks = [
@@ -281,7 +246,7 @@ def _star_image(saved: Saved) -> dict[str, Any] | None:
         )
     ]
     size_px = camera["width_px"], camera["height_px"]
-    jpeg = saved.detections.schema.metadata[b"jpeg"]
+    jpeg = metadata[b"jpeg"]
     picture = star_picture(jpeg, int(str(about["shrunk"])), size_px, marks, STATES)
     seen = ", ".join(f"{picture['counts'][name]} {text}" for name, text in STATES.items())
     words = f"Star image {about['exposure_id']} with {len(marks)} detections: {seen}"

@@ -6,7 +6,7 @@ import math
 
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.record import record, scalar
-from boresight.pipeline.report.drawing import strip_style
+from boresight.pipeline.report.marks import strip_style
 from boresight.pipeline.report.observations import Pictures, data_uri
 from boresight.pipeline.report.saved import Number, Saved
 
