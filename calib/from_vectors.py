@@ -31,6 +31,7 @@ from boresight.geometry.vector_sets import VectorSets
 
 __all__ = ["VectorCalibration", "calibrate_vector_sets", "strips_of_frames"]
 
+# Settings for vectors of independent errors, each with a stated covariance: no error is shared.
 INDEPENDENT = CalibrationSettings(
     sigma_position_m=0.0,
     sigma_clock_s=0.0,

@@ -19,6 +19,8 @@ from boresight.geometry.record import Floats, array, record
 
 __all__ = ["BIASES", "CommonBias", "bias_columns", "bias_prior", "common_bias"]
 
+# Names of the biases common to all strips: of the orbit along the track, across it and radially (m), and of
+# the row clock (s).
 BIASES = ("bias/along", "bias/across", "bias/radial", "bias/clock")
 # In units of the stated errors of one strip: wide for the orbit, which the sky has no part in. The scan of
 # the sky itself depends on the clock: a wide prior would spoil a matrix that the sky alone determines.

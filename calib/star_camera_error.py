@@ -22,6 +22,7 @@ from boresight.geometry.star_camera import StarCamera
 
 __all__ = ["PARTS", "StarEffects", "star_effects", "summed"]
 
+# Parts of the star camera's model whose errors are estimated, in the order of the columns.
 PARTS = ("focal length", "principal point, column", "principal point, row", "radial distortion")
 # One hundredth: the unit in which errors of focal length and distortion are stated.
 PERCENT = 1e-2

@@ -77,6 +77,7 @@ class Suspect(Enum):
     MOUNTING = "whether the mounting moved between the strips (boresight drift)"
 
 
+# What to look at where a check is not passed, by its kind.
 LOOK_AT = {
     CheckKind.STAR_RESIDUALS: (Suspect.STAR_CAMERA_MODEL, Suspect.STAR_SIGMA),
     CheckKind.STARS_REJECTED: (Suspect.STAR_CAMERA_MODEL, Suspect.STAR_SIGMA),

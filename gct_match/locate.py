@@ -31,6 +31,7 @@ _SECOND_PEAK = 0.7
 _SELF_SIMILAR = 0.4  # of 441 false matches that passed every other test, one had a template below this
 _LEAST_VALID = 0.4  # share of the template that clouds and the picture's edges must leave
 _LEAST_RADIUS_PX = 4  # smaller windows hold too few values to estimate how probable a false match is
+# Default settings, for the functions of this module that take single ones.
 _DEFAULTS = MatchSettings()
 
 

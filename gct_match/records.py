@@ -80,6 +80,7 @@ class Reason(StrEnum):
     INCONSISTENT = "inconsistent"
 
 
+# Sentence of each reason why a target is not matched; filled with its value, the limit and further numbers.
 _SENTENCES = {
     Reason.OUTSIDE_REACH: "outside the strip for every installation matrix within the stated uncertainty",
     Reason.OUTSIDE_CCDS: "outside every CCD's image at the common rotation",
@@ -110,6 +111,7 @@ _SENTENCES = {
     Reason.INCONSISTENT: "{value:.1f} standard errors ({more[0]:+.2f}, {more[1]:+.2f} px) from the position "
     "that the strip's other targets predict, at most {limit:.0f} are allowed",
 }
+# Stands for a value or limit that a test does not have.
 _NONE = float("nan")
 
 

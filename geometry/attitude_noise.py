@@ -54,6 +54,7 @@ class AttitudeNoise:
         return np.einsum("ka,lma,ba->lkmb", R, of_axes, R, optimize=True)
 
 
+# Attitudes without any noise: white, correlated or constant.
 NO_NOISE = AttitudeNoise(
     white_rad=np.zeros(3),
     correlated_rad=np.zeros(3),

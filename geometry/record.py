@@ -44,6 +44,7 @@ else:
 
 Record = TypeVar("Record")
 Dimension = tuple[str, int]  # a shared length plus a number; "" is the length 0
+# Regular expression of one dimension of a shape: a number, or a capital letter plus or minus a number.
 _DIMENSION = re.compile(r"(\d+)|([A-Z])(?:\s*([+-])\s*(\d+))?")
 
 

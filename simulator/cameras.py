@@ -119,7 +119,7 @@ def measured_installation(settings: InstallationSettings) -> Rotation:
 
 
 def installation_of_scenario(settings: InstallationSettings) -> Rotation:
-    """R_cs = exp[[theta]] R_cs0 (paper, eqs. 11, 12 and 28)."""
+    """True R_cs of a scenario, exp[[theta]] R_cs0 (paper, eqs. 11, 12 and 28)."""
     return deviation_from_theta(np.array(settings.theta_rad)) * measured_installation(settings)
 
 

@@ -35,6 +35,7 @@ __all__ = [
 
 Array = NDArray[np.float64]
 
+# Rows of roll, pitch and yaw in an attitude's rotation vector, orbital frame.
 _AXES = {"roll": 0, "pitch": 1, "yaw": 2}
 _SINES_OF_VIBRATION = 4  # for each axis
 

@@ -33,6 +33,7 @@ __all__ = ["Gauge", "InteriorModel", "InteriorPriors"]
 
 NODES = 49  # samples of a CCD over which means are taken
 RATE_RAD_S = 0.01  # of a scan: makes delays of rows comparable with looks
+# Parameters of each CCD: shift along and across the detector (px), rotation (rad), scale (relative).
 OF_CCD = ("shift_along", "shift_across", "rotation", "scale")
 
 

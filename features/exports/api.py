@@ -15,6 +15,7 @@ from boresight.pipeline.files.whole_file import write_whole
 
 __all__ = ["export_files"]
 
+# NAIF number of the spacecraft in SPICE files if none is given: negative, and of no mission.
 SPACECRAFT = -999
 
 

@@ -40,6 +40,7 @@ NODE_STEP_S = 2.0**-7  # node times are then exact in ephemeris seconds, which r
 MARGIN_NODES = 8  # on either side: the model interpolates with eight points
 FIT_SAMPLES = 9  # look directions per node, to which the rotation is fitted
 DISTORTION_PX = 3e-3  # largest misfit of the cubic
+# Fewest samples of a piece of a CCD that gets an ISD of its own.
 SMALLEST_PIECE_PX = 32
 _HALF_TURN = Rotation.from_quat([1.0, 0.0, 0.0, 0.0])  # c' <- c: 180 degrees about x
 

@@ -53,6 +53,7 @@ from boresight.pipeline.results.strip_model import Calibrated, StripModel, open_
 
 __all__ = ["FORMATS", "OF_STRIPS", "ExportRequest", "Remark", "export", "strips_left_out"]
 
+# Largest step of the attitudes of an exported AEM, s (set by hand).
 AEM_STEP_S = 0.05
 CK_TICKS = 32  # 1/32 s
 RPC_MARGIN_M = 100.0  # heights below and above the terrain for which an RPC is fitted

@@ -23,7 +23,9 @@ __all__ = ["Rpc", "RpcError", "fit_rpc", "rpc_metadata", "rpc_text"]
 GRID = (25, 25, 7)  # samples, lines, heights of the fit
 CUTS = (1e-3, 1e-4, 1e-5, 1e-6, 1e-8)  # of the largest singular value
 LEAST_DENOMINATOR = 0.3  # of 1 in the middle: below, a zero may lie between the points of the fit
+# Rounds of the fit, each weighted by the denominators of the one before.
 PASSES = 4
+# Points, and heights among them, at which the fitted RPC is compared with the rigorous model.
 CHECK_POINTS, CHECK_HEIGHTS = 1000, 40
 
 

@@ -31,6 +31,7 @@ __all__ = [
     "instrument_kernel",
 ]
 
+# Length of a tick of the spacecraft clock that the SCLK file defines, s; exact in binary.
 TICK_S = 1.0 / 1024.0
 _RECORD = 128  # doubles of a DAF record
 _J2000 = 1  # NAIF's number of the frame, in practice the axes of ICRF

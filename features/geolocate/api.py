@@ -19,6 +19,7 @@ from boresight.pipeline.results.strip_model import open_calibrated, strip_model
 __all__ = ["geolocate"]
 
 
+# Largest height of the ground, up or down, m, that may be asked for.
 MOST_HEIGHT_M = 1e5
 
 

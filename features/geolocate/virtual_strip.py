@@ -24,6 +24,7 @@ from boresight.pipeline.results.strip_model import StripModel
 
 __all__ = ["write_virtual_strip"]
 
+# Lines of the stitched image that are made at a time, which bounds memory.
 BLOCK_LINES = 512
 CONTROL = (17, 9)  # lines and samples of the lattice of ground control points
 

@@ -23,6 +23,7 @@ from boresight.pipeline.stages.head_records import HeadNoise, HeadsAlone
 
 __all__ = ["heads_json", "heads_lines", "noise_json", "noise_lines", "write_heads", "write_noise"]
 
+# Most components of the differences of heads that a figure draws.
 MOST_SIGNALS = 3
 
 

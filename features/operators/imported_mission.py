@@ -22,6 +22,7 @@ from boresight.pipeline.files.whole_file import is_vacant
 
 __all__ = ["ImportedHead", "ImportedMission", "ImportedStrip", "white_noise_rad", "write_imported"]
 
+# File of an imported dump that holds measured image points, if any are given.
 POINTS = "points.csv"
 
 

@@ -24,7 +24,10 @@ from boresight.pipeline.files.text_tables import csv_line
 
 __all__ = ["MeasuredPoints", "PointErrors", "points_csv", "read_measured_points"]
 
+# Image coordinates of these formats begin at the corner of the first pixel, ours in its middle: half a
+# pixel, px.
 CORNER = 0.5
+# Most points of a file.
 MOST_POINTS = 500_000
 
 

@@ -42,7 +42,9 @@ _POINTS = f"{_ANCILLARY}/Ephemeris/GPS_Points_List/GPS_Point"
 _CORRECTED = f"{_ANCILLARY}/Attitudes/Corrected_Attitudes/Values"
 _TRACKERS = f"{_ANCILLARY}/Attitudes/Raw_Attitudes/STR_List/STR"
 _SENSOR = "Image_Data_Info/Sensor_Configuration"
+# Element of a datastrip's metadata that says whether its model is refined.
 _STATE = "Image_Data_Info/Geometric_Info/Refined_Corrections_List/Refined_Corrections/MSI_State"
+# Most elements of a kind that are read from a datastrip.
 _MANY = 1_000_000
 
 

@@ -30,6 +30,7 @@ from boresight.simulator.campaign import CameraPair
 __all__ = ["COMPARISONS", "noise_law", "rms_of"]
 
 AXES = ("X", "Y", "Z")
+# Height of the paper's satellite, m.
 HEIGHT_M = 530e3
 GAIN_M = float(np.mean([row[k] - row[k + 1] for row in TABLE_5.values() for k in (0, 2)]))  # over Wang
 STAR_PIXEL_M = 6.4e-5 * HEIGHT_M  # one pixel of the star camera on the ground (Table 2)
@@ -289,7 +290,9 @@ def compare_figure8(table: pd.DataFrame) -> Iterator[str]:
 
 
 def compare_geometry(table: pd.DataFrame) -> Iterator[str]:
-    """Search for the geometry: the best fit of each goal, and the directions within 20 % of the paper."""
+    """Lines of text on the geometry that the paper may have had: the best fit to each goal, and the
+    directions within 20 % of the paper.
+    """
     yield "Geometry that fits best, closed-form covariance; misfit: largest ratio to the paper, either way"
     head = "goal         zenith  azimuth  roll    stars  targets  spread  misfit"
     yield f"{head}  Fig. 7: X, Y, Z         Table 4: X, Y, Z"

@@ -22,6 +22,7 @@ from boresight.simulator.campaign import CameraPair, StripPlan, installation_by_
 __all__ = ["Plan", "PlanForecast", "forecast_plan", "read_plan"]
 
 
+# Numbers of targets for which the forecast is made.
 TARGET_COUNTS = (3, 4, 6, 8, 12, 16, 24, 32, 48)
 ALL_ERRORS = "all errors"
 NEGLIGIBLE = 0.01  # of a sigma that cannot be zero

@@ -42,6 +42,7 @@ AU_M = 1.495978707e11  # IAU 2012 resolution B2
 TRIES = 200  # pointings drawn for one candidate
 COMPARED = 5  # of those that are clear: the one with most stars is the candidate
 FIELD_RAD = 0.012  # within which stars are counted for that
+# Steps of finding when a star crosses the detector (set by hand).
 NEWTON_STEPS = 5
 Z = np.array([0.0, 0.0, 1.0])
 

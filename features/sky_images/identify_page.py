@@ -30,6 +30,7 @@ STATES = {
     "unused": "not identified",
     "rejected": "no star: text, rays, arms of bright stars",
 }
+# Most identified stars in the page's table; most stars whose residuals about the PSF are drawn.
 MOST_MATCHES, STARS_OF_PSF = 300, 40
 PSF_SIGMAS = 4.0  # half a side of the pictures of the PSF
 

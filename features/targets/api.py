@@ -34,7 +34,7 @@ class TargetMatches(Result):
         return int((self.measured["outcome"] == "placed").sum())
 
     def summary(self) -> str:
-        """Three lines, as `print` shows them."""
+        """Three lines on what was found, as `print` shows them."""
         good = self.measured[self.measured["outcome"] == "placed"]
         return (
             f"{len(self)} targets measured in {good['strip_id'].nunique()} strips\n"

@@ -13,11 +13,12 @@ from boresight.pipeline.report.page import template
 
 __all__ = ["write_check_page"]
 
+# Most strips of which a map is drawn; maps side by side.
 MOST_MAPS, COLUMNS = 12, 2
 
 
 def write_check_page(found: DumpCheck, path: Path) -> None:
-    """Write the page, readable without a network."""
+    """Write the HTML page of a check of a dump, readable without a network."""
     drawing = _map(found) if found.footprints else None
     text = template("check.html.j2").render(check=found, map=drawing)
     write_text(path, text)

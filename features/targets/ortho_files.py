@@ -22,6 +22,7 @@ from boresight.pipeline.files.xml_files import read_xml
 
 __all__ = ["HeightModel", "Ortho", "read_heights", "read_ortho"]
 
+# Most pixels of an ortho-image that is read at once; larger ones are to be cut.
 MAX_PIXELS = 20_000 * 20_000
 GREY_BANDS = 3  # of a colour image: their mean; a fourth band is infrared or transparency
 _OFFLINE = {"CPL_VSIL_CURL_ALLOWED_EXTENSIONS": ".none"}

@@ -21,6 +21,7 @@ from boresight.pipeline.stages.strip import StripTask, strip_matches
 
 __all__ = ["StripLine", "matched_lines", "matches_table", "overlay_picture", "write_matches"]
 
+# Side of a picture of a match, px.
 _PANEL_PX = 256
 
 

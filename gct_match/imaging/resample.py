@@ -16,6 +16,7 @@ __all__ = ["change", "composed", "gradient", "largest_px", "sample", "shifted", 
 _GRID = 32.0  # OpenCV's remap rounds every point to this part of a pixel
 # Pixels on either side that the interpolating kernel takes (set by hand).
 _REACH = 5
+# Distances of the kernel's taps, px.
 _TAP = np.arange(-_REACH, _REACH + 1)
 
 

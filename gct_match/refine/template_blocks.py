@@ -37,7 +37,9 @@ class Blocks:
     information: Floats  # (B, 2, 2)
 
     def displacement(self, *, affine: bool) -> Floats:
-        """P (2, 3), px: its last column displaces the reference point; the others are 0 unless `affine`."""
+        """Correction (2, 3), px, of the map from template to picture by the residuals of the blocks: its last
+        column displaces the reference point; the others are 0 unless `affine`.
+        """
         n, g = self._sums(affine)
         P = np.zeros((2, 3))
         P[:, -g.size // 2 :] = np.linalg.solve(n, g).reshape(-1, 2).T

@@ -46,9 +46,11 @@ from boresight.pipeline.files.xml_files import elements_of, numbers_of, read_xml
 __all__ = ["DimapStrip", "model_attitudes", "operator_model", "read_dimap"]
 
 _CORNER_M = 1000.0  # the height of a corner is not stated, products round and sharpen
+# Heights, m, between which a corner of the product may lie: no ground is lower or higher.
 _CORNER_HEIGHTS_M = (-500.0, 9000.0)
 _MAX_ITEMS = 10_000  # points of the ephemeris, quaternions
 _MAX_PIXELS = 10_000_000  # rows or columns
+# Highest power of a look polynomial that is read.
 _MAX_POWERS = 20
 _LOOK_SAMPLES = 201  # a cubic spline through them holds a polynomial of degree 5 to 1e-13 rad
 

@@ -74,6 +74,7 @@ __all__ = [
 ]
 
 MOST_NAMED = 8  # strips, and items not used, in the text of a dump
+# Most pixels of a terrain model; of single precision they take 256 MiB.
 MAX_TERRAIN_PIXELS = 8192 * 8192
 StripMember = tuple[str, schema.StripRow, float]  # where in the table, row, its time in TAI seconds
 OF_ONE_HEAD: dict[str, Any] = {

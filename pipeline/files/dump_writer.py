@@ -32,6 +32,7 @@ from boresight.simulator.scenario import scenario_to_dict
 
 __all__ = ["images_in", "write_dump"]
 
+# Degree of the Lagrange interpolation that a written orbit states.
 INTERPOLATION_DEGREE = 7
 SMALL_PIXELS = 4_000_000  # smaller images are compressed as far as possible: they may become fixtures
 

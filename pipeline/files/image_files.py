@@ -45,6 +45,7 @@ __all__ = [
 
 MAX_BLOCK_BYTES = 2**29  # a row of tiles or a strip of a TIFF is decoded as a whole
 PIXEL_SIDE_M = (0.01, 1e5)  # of a chip, terrain model or ground image; 1e-5 m would be a wrong unit
+# Mean radius of the Earth, m: turns pixels in degrees into metres where only their size matters.
 EARTH_RADIUS_M = 6.371e6
 MANY_PIXELS = 2**20  # of an image that several threads read: 30 ms
 MOST_THREADS = 8  # and files open at once
@@ -315,7 +316,7 @@ class GridPlace:
 
     @property
     def side_m(self) -> float:
-        """Length of its shorter side on the ground, m."""
+        """Length of the image's shorter side on the ground, m."""
         return min(self.shape) * _pixel_side_m(Affine(*self.transform), CRS.from_user_input(self.crs))
 
     def contains(self, places_deg: Floats) -> Bools:

@@ -12,8 +12,10 @@ from boresight.pipeline.files.content import check_regular, content_of, open_reg
 __all__ = ["MAX_STAR_PIXELS", "TIFF_MAGICS"]
 __all__ += ["check_length", "check_photometric", "check_size", "encoded_content", "first_bytes", "kept_head"]
 
+# First four bytes of a TIFF: little-endian or big-endian, classic (42) or BigTIFF (43).
 TIFF_MAGICS = (b"II*\x00", b"MM\x00*", b"II+\x00", b"MM\x00+")
 MAX_STAR_PIXELS = 2**28  # an image of `identify`; those of a dump must have the camera's size
+# Number of the TIFF tag PhotometricInterpretation; most tags of a directory that are read.
 _PHOTOMETRIC, _MOST_TAGS = 262, 4096
 _SPARE_BYTES = 2**20  # for tables and comments of a file, beyond twice its pixels
 

@@ -34,6 +34,7 @@ BLOCK_BYTES = 2**20  # of a large file; some four tiles of 512 x 512 px of 8 bit
 KEPT_BLOCKS = 64
 CURRENT_S = 5.0  # how long an answer on size and version of a file is taken as current
 ANSWER_S = 60.0  # longest wait for an answer, and a second more for each `SLOWEST_BYTES_S` that are asked for
+# Slowest rate of a store, bytes per second, that is waited for; see `ANSWER_S`.
 SLOWEST_BYTES_S = 100_000
 MOST_BYTES = 2**31  # of a file that is fetched whole
 FORBIDDEN, NOT_FOUND = (401, 403), 404  # status of HTTP
@@ -72,7 +73,7 @@ class StoredPath(type(Path())):  # type: ignore[misc]  # PosixPath or WindowsPat
         return self.as_posix()
 
     def as_posix(self) -> str:
-        """The address."""
+        """The address, such as "s3://bucket/dump/strips.csv"."""
         return super().__str__().replace(os.sep, "/").replace(":/", "://", 1)
 
     __fspath__ = __str__

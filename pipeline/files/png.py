@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 __all__ = ["png_of_noise"]
 
+# Level of ISA-L's compression, of 0 to 3 (set by hand, for speed).
 _LEVEL = 1
 _CHUNK_BYTES = 2**20  # OpenCV reads no chunk of more than 8 MB
 

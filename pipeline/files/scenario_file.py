@@ -30,6 +30,7 @@ from boresight.star_id.whole_catalogue import all_hipparcos
 
 __all__ = ["fly", "named_scenario"]
 
+# Most pixels of a picture of the ground that a scenario may name: 1 GiB of bytes.
 MAX_GROUND_PIXELS = 2**30
 
 

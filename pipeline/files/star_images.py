@@ -27,11 +27,14 @@ from boresight.pipeline.files.pictures import PICTURE_MAGICS, PNG_MAGIC, read_pi
 
 __all__ = ["grey_image", "opened_fits", "read_exposure", "read_star_image"]
 
+# First bytes of a FITS file.
 FITS_MAGIC = b"SIMPLE  ="
+# First bytes of a file of numpy.save.
 NPY_MAGIC = b"\x93NUMPY"
 _GREY = np.array([0.299, 0.587, 0.114], dtype=np.float32)  # of red, green, blue (ITU-R BT.601)
 _LARGEST = 1e15  # of a floating-point value: squares and sums of it stay within single precision
 _PACKINGS = ("RICE_1", "PLIO_1", "HCOMPRESS_1")  # of FITS tiles, whose size the header bounds
+# Longest header of a FITS image, in blocks of 2880 bytes: 3600 keywords.
 MAX_FITS_HEADER_BYTES = 100 * 2880
 
 

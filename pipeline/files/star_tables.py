@@ -26,6 +26,7 @@ __all__ = ["StarTable", "read_star_table", "survey_of"]
 
 FORMATS = {".csv": "ascii.csv", ".fits": "fits", ".fit": "fits", ".vot": "votable", ".xml": "votable"}
 FITS_MAGIC = b"SIMPLE  ="
+# Largest file of a star catalogue, bytes.
 MAX_BYTES = 2**28
 MAS = 1e-3 * ARCSEC
 # Name, least and largest value, value where the column is absent (None: it must be there)

@@ -55,6 +55,7 @@ _VARIABLES = {
     _Y: "var(--y)",
     _Z: "var(--z)",
 }
+# Width of a figure on the page, inches.
 WIDTH_IN = 4.6
 MARGINS_IN = (0.72, 0.2, 0.47, 0.1)  # left, right, bottom, top: room for ticks and labels
 LABELS_IN = (0.53, 0.28)  # of axes with these margins: y label left of them, x label below
@@ -154,7 +155,9 @@ def axes_of(figure: Figure, x_label: str, y_label: str) -> Axes:
 
 
 def rule_axes(axes: Axes, x_label: str, y_label: str) -> None:
-    """Labels and placeholder colours of `Ruled` axes. The labels stand where the margins leave room."""
+    """Give `Ruled` axes (grid and numbers without ticks) their labels, placed in the margins, and the colours
+    that the page replaces.
+    """
     _dress(axes, x_label, y_label)
     left, below = LABELS_IN
     inches = axes.figure.dpi_scale_trans

@@ -47,6 +47,7 @@ __all__ = [
 ]
 
 CELLS = 14  # of the star map along its longer side
+# Fewest stars of a cell of the detector whose mean residual is drawn.
 FEWEST_IN_CELL = 5
 ELLIPSE_SIGMAS = (1.0, 2.4477)  # 39 and 95 per cent of a plane normal distribution
 

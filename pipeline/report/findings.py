@@ -39,7 +39,7 @@ Look = tuple[str, float, float]  # target, mean and standard deviation of the st
 def findings(
     dump: Dump, calibration: DumpCalibration, scenes: Sequence[MapScene], ground: pa.Table
 ) -> list[Finding]:
-    """All findings, the most specific first; none where nothing stands out."""
+    """What looks wrong in the images and targets of a calibration, the most specific first; may be empty."""
     rows = [row for row in ground.to_pylist() if row["state"] != OUT_OF_VIEW]
     strips = {one.strip_id: one for scene in scenes for one in scene.strips}
     share = _share_of_swath(dump, calibration)
@@ -111,7 +111,7 @@ def _share_of_swath(dump: Dump, calibration: DumpCalibration) -> float:
 
 
 def spread(share: float) -> Iterator[Finding]:
-    """Targets that use a small part of the swath."""
+    """A finding if the targets use a small `share` of the swath."""
     if share < SMALL_SHARE:
         yield Finding(
             cause="targets in one part of the swath",

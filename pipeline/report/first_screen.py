@@ -17,6 +17,7 @@ from boresight.pipeline.results.summary import REASON_WORDS
 
 __all__ = ["FirstScreen", "Found", "Help", "Items", "Required", "first_screen", "required", "sigma_on_ground"]
 
+# Most groups of things that are not used, and most names of each, on the page's first screen.
 MOST_GROUPS, MOST_ITEMS = 4, 4
 
 

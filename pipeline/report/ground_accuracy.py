@@ -18,6 +18,7 @@ from boresight.pipeline.files.table_files import column
 
 __all__ = ["accuracy_by_strip", "accuracy_rows", "predicted_accuracy", "radius_90"]
 
+# Share of errors within CE90 and LE90, the circular and linear errors of 90 %.
 SHARE = 0.9
 NODES = 720  # of the quadrature of a plane normal distribution: exact to 1e-5
 

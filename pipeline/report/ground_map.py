@@ -46,6 +46,7 @@ __all__ = [
     "scenes_of",
 ]
 
+# States of a target in a strip, as the tables of the evidence and the map name them.
 USED, REJECTED, UNMATCHED, OUT_OF_VIEW = STATES = ("used", "rejected", "not matched", "not in view")
 MOST_SIDE_PX = 420  # of a picture
 MOST_OUT_OF_VIEW = 500  # targets of a scene

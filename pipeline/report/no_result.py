@@ -13,6 +13,7 @@ from boresight.pipeline.report.page import template
 
 __all__ = ["write_no_result"]
 
+# Most rows of things that are not used on the page of a run without result.
 MOST_ROWS = 300
 
 

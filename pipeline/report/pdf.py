@@ -14,6 +14,7 @@ __all__ = ["chromium", "print_page"]
 
 NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 SWITCHES = ("--headless=new", "--no-sandbox", "--disable-gpu", "--no-first-run", "--no-pdf-header-footer")
+# Longest time, s, that a browser may take to print the page.
 LONGEST_S = 120.0
 
 

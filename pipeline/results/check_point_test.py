@@ -31,6 +31,8 @@ from boresight.pipeline.results.strip_model import terrain_sigma_m
 __all__ = ["RmsTest", "StripMoves", "predicted_covariance", "probability_beyond", "rms_test"]
 
 PROBABILITY_REFUSED = 1e-3  # that a right prediction is refused, both directions together
+# Names of the two directions on the ground in which errors of check points are stated: along the satellite's
+# track and across it.
 DIRECTIONS = ("along", "across")
 AT_MEAN = 1e-4  # of a standard deviation: nearer to the mean the approximation is its limit
 

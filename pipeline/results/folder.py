@@ -61,7 +61,7 @@ def dumps_in(result: Path) -> tuple[str, ...]:
 
 
 def results_in(result: Path) -> list[Path]:
-    """The result itself, or the finished ones of its dumps."""
+    """Folder of the result itself; of several dumps, the folders of those that are finished."""
     if not (names := dumps_in(result)):
         return [result]
     return [result / name for name in names if (result / name / "installation.json").is_file()]

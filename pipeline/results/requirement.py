@@ -42,7 +42,9 @@ def write_requirement(result: Path, requirement: Requirement) -> bool:
 
 
 def saved_requirement(result: Path) -> dict[str, Any]:
-    """The requirement that a result was given: `arcsec` and `m`; empty where there is none."""
+    """The accuracy required of a result: largest 1-sigma about an axis, `arcsec`, and on the ground, `m`;
+    null where none is, empty for a result without a requirement.
+    """
     path = result / FILE
     return read_json(path) if path.is_file() else {}
 

@@ -28,6 +28,7 @@ from boresight.pipeline.run.executor import InOrder
 __all__ = ["Fingerprint", "OnCluster", "UnfitWorkerError", "fingerprint", "on_cluster"]
 
 PER_THREAD = 8  # units in flight for each thread of the workers: enough while answers travel
+# Time between two looks at the state of the cluster's workers, s.
 POLL_S = 0.5
 FETCH_S = 5.0  # for outcomes that a worker says it has; doubled each time it is too short
 MAX_FAILURES = 3  # of one unit: workers that died under it or could not do it

@@ -32,6 +32,7 @@ Item = TypeVar("Item")
 Outcome = TypeVar("Outcome")
 Life = Callable[[Connection, Callable[[Any], Any], Sequence[Any]], None]  # pipe, function, items
 
+# Times that the process of one unit may die before the run ends: memory may be short once.
 MAX_DEATHS = 3
 LOWEST_PRIORITY = 19  # gets a processor that no other process wants, and 1.5 % of one beside another process
 PATIENCE_S = 3.0  # for what it has finished, and is just doing

@@ -23,6 +23,8 @@ from boresight.pipeline.files.whole_file import make_own_folder, write_whole
 
 __all__ = ["UnitStore", "read_meta", "read_unit"]
 
+# Keys of a Parquet file's metadata: remarks on the unit, and a digest of what the file's checksums do not
+# cover.
 META, SEAL = b"boresight", b"seal"
 
 

@@ -47,7 +47,7 @@ def executor_for(
 
 
 def processors(workers: int | None) -> int:
-    """How many a run may use: as many as it was told, or all of this machine."""
+    """Number of processes of a run: `workers`, or as many as this machine lends to the program."""
     if workers is not None:
         return workers
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

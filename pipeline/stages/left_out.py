@@ -24,6 +24,7 @@ __all__ = ["Counts", "counts_of", "lost_ccds", "over_strips", "searched_alone", 
 FEWEST = 3  # targets that agree by themselves
 LOST_SHARE = 0.3  # of a CCD's targets that cloud and change take away in a good strip
 PROBABILITY = 1e-4  # that a CCD is searched again without need
+# Most searches of single CCDs and targets that a run makes for what was not found; bounds their time.
 MOST_SEARCHES = 4
 
 

@@ -11,6 +11,7 @@ from boresight.geometry.record import record, scalar
 __all__ = ["NO_PICTURES", "MatchPictures", "match_pictures", "trace_pictures"]
 
 MOST_PX = 160  # a side longer than this is cut about its middle
+# Side of the part of a correlation surface that is kept for the report, px.
 SURFACE_PX = 96
 
 

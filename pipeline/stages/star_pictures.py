@@ -13,6 +13,7 @@ from boresight.star_id.strip_stars.trace import Motion, trace_images, trace_radi
 
 __all__ = ["star_pictures"]
 
+# Pixels shown around the computed image of a star of a strip.
 _MARGIN_PX = 2
 _LEVEL_ROWS = 64  # above and below, from which a column's level is taken
 

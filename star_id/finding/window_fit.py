@@ -68,7 +68,9 @@ def newton_step(
 
 
 def by_parameter(state: Floats, parameters: int) -> Floats:
-    """(N, P) factors of the columns of unit-flux images in the derivatives of the model: flux, or 1."""
+    """Factors (N, P) that turn the derivatives of unit-flux images into those of the model with `state`
+    (N, 4): the flux for place and width (columns 0, 1 and from 4 on), 1 for flux and sky.
+    """
     scale = np.ones((len(state), parameters))
     scale[:, [0, 1, *range(4, parameters)]] = state[:, 2:3]
     return scale
