@@ -32,9 +32,11 @@ __all__ = [
     "SiteLike",
     "TimeLike",
     "count_of",
+    "flag_of",
     "floats_of",
     "instance_of",
     "listed",
+    "new_file_of",
     "new_folder_of",
     "number_of",
     "of_argument",
@@ -54,6 +56,7 @@ SiteLike: TypeAlias = Sequence[float] | NDArray[np.floating[Any]]
 ImageLike: TypeAlias = NDArray[np.generic] | PathLike
 
 ORTHONORMAL = 1e-6  # of R Rᵀ: a matrix printed with seven digits
+LONGEST_PATH, LONGEST_NAME = 4096, 255  # characters of a path and of each of its parts
 LONGEST_SHOWN = 80
 Kind = TypeVar("Kind")
 
@@ -81,6 +84,9 @@ def path_of(value: object, name: str) -> Path:
     text = os.fspath(value)
     if not isinstance(text, str) or not text.strip() or "\0" in text:
         raise wrong(name, value, "a path that is not empty")
+    if len(text) > LONGEST_PATH or max(map(len, Path(text).parts), default=0) > LONGEST_NAME:
+        expected = f"at most {LONGEST_PATH} characters, {LONGEST_NAME} in each part"
+        raise wrong(name, f"a path of {len(text)} characters", expected)
     return value if isinstance(value, Path) else Path(text)
 
 
@@ -97,6 +103,21 @@ def new_folder_of(value: object, name: str) -> Path:
     if path.exists() and not path.is_dir():
         raise wrong(name, f"the file {path}", "a folder")
     return path
+
+
+def new_file_of(value: object, name: str) -> Path:
+    """A path at which a file can be written; a folder is refused."""
+    path = path_of(value, name)
+    if path.is_dir() or not path.parent.is_dir():
+        raise wrong(name, f"the path {path}", "a file in a folder that exists")
+    return path
+
+
+def flag_of(value: object, name: str) -> bool:
+    """True or False."""
+    if not isinstance(value, bool | np.bool_):
+        raise wrong(name, value, "True or False")
+    return bool(value)
 
 
 def listed(value: object, name: str, what: str) -> list[Any]:

@@ -22,7 +22,17 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 from scipy.special import chdtrc
 
-from boresight.accepted import PathLike, count_of, listed, new_folder_of, path_of, source_of, wrong
+from boresight.accepted import (
+    PathLike,
+    count_of,
+    flag_of,
+    listed,
+    new_file_of,
+    new_folder_of,
+    path_of,
+    source_of,
+    wrong,
+)
 from boresight.display import Result, axes_or_new, feature_function
 from boresight.features.table import features
 from boresight.geometry.constants import ARCSEC
@@ -206,7 +216,7 @@ class Calibration(Result):
         without a folder.
         """
 
-        page, folder = path_of(path, "path"), Path(self)
+        page, folder = new_file_of(path, "path"), Path(self)
         if self.folder is None and self._run is None:
             raise ValueError("path: found a joint result without a folder, expected one made with out=FOLDER")
         if self._run is not None:
@@ -353,16 +363,17 @@ def calibrate(
         request = RunRequest(
             settings=chosen,
             begun_s=time.perf_counter(),
-            overwrite=bool(overwrite),
+            overwrite=flag_of(overwrite, "overwrite"),
             facts={"version": __version__, "workers": n_workers},
             report=folder is not None,
             after_joint=_after_joint() if len(sources) > 1 else (),
         )
+        stale = flag_of(allow_stale_eop, "allow_stale_eop")
         if len(sources) > 1:
             if strips is not None:
                 raise wrong("strips", strips, "none with several dumps: give the strips of one dump")
-            return _jointly(sources, folder, request, n_workers, bool(allow_stale_eop))
-        opened = open_dump(sources[0], allow_stale_eop=bool(allow_stale_eop))
+            return _jointly(sources, folder, request, n_workers, stale)
+        opened = open_dump(sources[0], allow_stale_eop=stale)
         if strips is not None:
             opened = _with_strips(opened, [str(one) for one in listed(strips, "strips", "ids of strips")])
         with executor_for(n_workers, None, opened.pixels) as executor:

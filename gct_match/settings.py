@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from boresight.geometry.record import record, scalar
+from boresight.geometry.record import check_numbers, record, scalar
 
 __all__ = ["MatchSettings"]
 
@@ -38,3 +38,6 @@ class MatchSettings:
     least_correlation: float = scalar("filtered, robust: below, most of the chip has changed", default=0.4)
     saturation: float = scalar("grey values from here on are not used", default=float("inf"))
     no_data: float = scalar("grey value that marks missing data", default=float("nan"))
+
+    def __post_init__(self) -> None:
+        check_numbers(self, any_value=("saturation", "no_data"), zero=("margin_px", "attitude_sigma_px"))

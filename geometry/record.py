@@ -15,11 +15,23 @@ From this one declaration come the shape check at construction, the "Attributes"
 from __future__ import annotations
 
 import dataclasses
+import numbers
 import re
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, TypeVar, dataclass_transform, overload
+from typing import TYPE_CHECKING, Any, TypeVar, cast, dataclass_transform, overload
 
-__all__ = ["Bools", "Floats", "Ints", "Texts", "array", "record", "scalar", "shape_of"]
+__all__ = [
+    "Bools",
+    "Floats",
+    "Ints",
+    "Texts",
+    "array",
+    "check_numbers",
+    "record",
+    "scalar",
+    "shape_of",
+    "value_text",
+]
 
 if TYPE_CHECKING:
     import numpy as np
@@ -43,6 +55,7 @@ else:
 
 
 Record = TypeVar("Record")
+LARGEST_NUMBER = 1e300
 Dimension = tuple[str, int]  # a shared length plus a number; "" is the length 0
 # Regular expression of one dimension of a shape: a number, or a capital letter plus or minus a number.
 _DIMENSION = re.compile(r"(\d+)|([A-Z])(?:\s*([+-])\s*(\d+))?")
@@ -108,6 +121,33 @@ def shape_of(field: dataclasses.Field[Any]) -> tuple[int | str, ...] | None:
     if shape is None:
         return None
     return tuple(letter + (f"{n:+d}" if n else "") if letter else n for letter, n in shape)
+
+
+def value_text(value: object) -> str:
+    """A number or text as Python writes it, cut short; of anything else its type. One line."""
+    return repr(value)[:80] if isinstance(value, str | int | float) else f"a {type(value).__name__}"
+
+
+def check_numbers(record: Any, *, any_value: tuple[str, ...] = (), zero: tuple[str, ...] = ()) -> None:
+    """`ValueError` unless each field of a record that is declared as a number is one, finite and positive.
+
+    Fields of `zero` may also be 0, those of `any_value` any number, infinite and NaN too; one declared as
+    `... | None` may be None.
+    """
+    for field in dataclasses.fields(record):
+        kind, value = str(field.type), cast(Any, getattr(record, field.name))
+        name = f"{type(record).__name__}.{field.name}"
+        if kind.split(" |")[0] not in ("float", "int") or (value is None and kind.endswith("None")):
+            continue
+        whole = kind.startswith("int")
+        is_number = isinstance(value, numbers.Integral if whole else numbers.Real)
+        if isinstance(value, bool) or not is_number:
+            raise ValueError(f"{name} must be a {'whole ' if whole else ''}number, got {value_text(value)}")
+        if field.name in any_value:
+            continue
+        if not abs(value) < LARGEST_NUMBER or value < 0 or (value == 0 and field.name not in zero):
+            expected = "zero or positive" if field.name in zero else "positive"
+            raise ValueError(f"{name} must be {expected} and finite, got {value}")
 
 
 def _dimension(text: str) -> Dimension:

@@ -13,13 +13,14 @@ distortion of the image for what these leave.
 from __future__ import annotations
 
 import math
+import numbers
 from collections.abc import Callable
 from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from boresight.geometry.record import Floats, array, record, scalar
+from boresight.geometry.record import Floats, array, record, scalar, value_text
 from boresight.geometry.smooth_distortion import SmoothDistortion
 
 __all__ = ["OpenCVParameters", "Projection", "StarCamera"]
@@ -70,12 +71,14 @@ class StarCamera:
     smooth: SmoothDistortion | None = scalar("of the image, after all others", default=None)
 
     def __post_init__(self) -> None:
-        if self.projection not in get_args(Projection):
-            found = f"{' or '.join(get_args(Projection))} expected, got {self.projection}"
+        if not isinstance(self.projection, str) or self.projection not in get_args(Projection):
+            found = f"{' or '.join(get_args(Projection))} expected, got {value_text(self.projection)}"
             raise ValueError(f"StarCamera.projection: {found}")
         for name in ("focal_m", "pixel_m", "width_px", "height_px"):
-            if not getattr(self, name) > 0:
-                raise ValueError(f"StarCamera.{name} must be positive, got {getattr(self, name)}")
+            value = getattr(self, name)
+            is_number = isinstance(value, numbers.Real)
+            if not is_number or not 0 < value < math.inf:
+                raise ValueError(f"StarCamera.{name} must be a positive number, got {value_text(value)}")
 
     @property
     def field_radius_rad(self) -> float:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Literal, get_args
 
-from boresight.geometry.record import record, scalar
+from boresight.geometry.record import check_numbers, record, scalar, value_text
 
 __all__ = ["CentroidMethod", "StarSettings"]
 
@@ -40,12 +40,11 @@ class StarSettings:
     max_photocentre_shift_px: float = scalar("limit for displaced stars, px", default=0.02)
 
     def __post_init__(self) -> None:
-        if self.centroid_method not in get_args(CentroidMethod):
+        if not isinstance(self.centroid_method, str) or self.centroid_method not in get_args(CentroidMethod):
             methods = " or ".join(get_args(CentroidMethod))
-            raise ValueError(f"StarSettings.centroid_method must be {methods}, got {self.centroid_method}")
-        for name in ("false_alarms_per_frame", "max_stars", "max_false_alarm_probability", "camera_error"):
-            if not getattr(self, name) > 0:
-                raise ValueError(f"StarSettings.{name} must be positive, got {getattr(self, name)}")
-        if not self.epoch_error_years >= 0.0:
-            found = self.epoch_error_years
-            raise ValueError(f"StarSettings.epoch_error_years must not be negative, got {found}")
+            raise ValueError(
+                f"StarSettings.centroid_method must be {methods}, got {value_text(self.centroid_method)}"
+            )
+        check_numbers(self, zero=("epoch_error_years", "max_photocentre_shift_px"))
+        if self.smear_px is not None and len(self.smear_px) != 2:
+            raise ValueError(f"StarSettings.smear_px must be (column, row), got {self.smear_px}")

@@ -12,7 +12,7 @@ from typing import Literal
 from platformdirs import user_cache_path
 
 from boresight import version
-from boresight.accepted import PathLike, count_of, instance_of, listed, new_folder_of, wrong
+from boresight.accepted import PathLike, count_of, instance_of, listed, new_folder_of, path_of, wrong
 from boresight.pipeline.files.dump_writer import write_dump
 from boresight.pipeline.files.scenario_file import fly, named_scenario
 from boresight.pipeline.files.whole_file import is_vacant
@@ -97,9 +97,8 @@ def simulate(scenario: PathLike, out: PathLike, *, seed: int = 1, changes: Itera
     RawDataError
         If a file of the scenario cannot be read.
     """
-    if not isinstance(scenario, str | os.PathLike) or not os.fspath(scenario):
-        raise wrong("scenario", scenario, "the name of a scenario or the path of a TOML file")
-    name, folder, number = os.fspath(scenario), new_folder_of(out, "out"), count_of(seed, "seed")
+    name = os.fspath(path_of(scenario, "scenario"))
+    folder, number = new_folder_of(out, "out"), count_of(seed, "seed")
     wanted = [instance_of(one, str, "changes") for one in listed(changes, "changes", "texts")]
     if not is_vacant(folder):
         raise ValueError(f"{folder} exists and is not an empty folder")

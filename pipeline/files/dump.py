@@ -296,7 +296,11 @@ def open_dump(
             f"root: found {printable(repr(root))[:80]}, expected the folder of a dump, or a Dump"
         )
     root = dump_folder(os.fspath(root))
-    if not root.is_dir():
+    try:
+        is_there = root.is_dir()
+    except OSError as error:  # a name that is too long, no permission
+        raise RawDataError(str(root)[:200], "dump", error.strerror, "a folder with a dump.toml") from error
+    if not is_there:
         raise RawDataError(str(root), "dump", "no such folder", "a folder with a dump.toml")
     if not (root / "dump.toml").exists():
         expected = "the folder's dump.toml; `boresight dump init FOLDER` writes one to fill in"
