@@ -292,9 +292,8 @@ def open_dump(
     if isinstance(root, Dump):
         return root
     if not isinstance(root, str | os.PathLike) or not str(root).strip() or "\0" in str(root):
-        raise ValueError(
-            f"root: found {printable(repr(root))[:80]}, expected the folder of a dump, or a Dump"
-        )
+        found = printable(value_text(root))
+        raise ValueError(f"root: found {found}, expected the folder of a dump, or a Dump")
     root = dump_folder(os.fspath(root))
     try:
         is_there = root.is_dir()

@@ -122,7 +122,7 @@ def door(solution: bs.StarSolution, result: bs.Calibration, dump: Path, out: Pat
         Door("wcs", solution.wcs, {}, share=0.5),
         Door("residuals", result.residuals, {}),
         Door("export", result.export, {"formats": "json", "path": out / "kernels", "dump": dump}, share=0.3),
-        Door("report", result.report, {"path": ""}),
+        Door("report", result.report, {"path": ""}, share=0.1),
         Door("method geolocate", result.geolocate, {**places, "line": 9.0, "sample": 3.0}, share=0.3),
         Door("StarSettings", stars_found_with, {"image": noise}),
         Door("MatchSettings", matched_with, {"picture": noise}),
