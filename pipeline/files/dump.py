@@ -30,7 +30,7 @@ from boresight.geometry.line_camera import LineCamera, LookAngleCamera
 from boresight.geometry.orbit import Orbit
 from boresight.geometry.orbit_consistency import find_orbit_fault
 from boresight.geometry.pushbroom import RowClock
-from boresight.geometry.record import Floats, array, record, scalar
+from boresight.geometry.record import Floats, array, record, scalar, value_text
 from boresight.geometry.spherical import unit_vectors
 from boresight.geometry.star_camera import StarCamera
 from boresight.geometry.terrain import Surface, TerrainGrid, TerrainTiles
