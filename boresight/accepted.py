@@ -9,7 +9,7 @@ from __future__ import annotations
 import datetime
 import math
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar, Union
 
@@ -126,9 +126,12 @@ def listed(value: object, name: str, what: str) -> list[Any]:
         return [value]
     if isinstance(value, np.ndarray) and value.ndim == 2:  # one image
         return [value]
-    if isinstance(value, Iterable) and not isinstance(value, bytes | dict):
-        return list(value)
-    raise wrong(name, value, f"a sequence of {what}")
+    try:
+        if isinstance(value, bytes | dict):
+            raise TypeError
+        return list(value)  # type: ignore[call-overload]
+    except Exception:  # of what is no sequence, or breaks when it is asked for its items
+        raise wrong(name, value, f"a sequence of {what}") from None
 
 
 def instance_of(value: object, kind: type[Kind], name: str) -> Kind:

@@ -11,7 +11,7 @@ import pandas as pd
 from scipy.spatial.transform import Rotation
 from scipy.special import chdtrc
 
-from boresight.accepted import RotationLike, floats_of, rotation_of, shown, wrong
+from boresight.accepted import RotationLike, floats_of, listed, rotation_of, shown, wrong
 from boresight.calib.estimate import InstallationEstimate, NotObservable
 from boresight.calib.from_vectors import VectorCalibration, calibrate_vector_sets
 from boresight.geometry.constants import ARCSEC
@@ -274,7 +274,7 @@ def _tables(value: Any, name: str, one: bool) -> list[Floats]:
     """One array (N, 3) a frame."""
     if isinstance(value, str | bytes | dict) or not (one or isinstance(value, Iterable)):
         raise wrong(name, value, "vectors of shape (N, 3), or a list with one such table a frame")
-    parts = [value] if one else list(value)
+    parts = [value] if one else listed(value, name, "tables of vectors")
     if not parts:
         raise wrong(name, "no frames", "at least one")
     tables = []
@@ -295,7 +295,7 @@ def _tables(value: Any, name: str, one: bool) -> list[Floats]:
 def _sigmas(value: Any, name: str, counts: Sequence[int], one: bool) -> list[Floats]:
     """1-sigma errors (N,) of each frame, from a number, one a frame, or one a vector."""
     whole = not isinstance(value, Iterable) or np.ndim(_or_zero(value)) == 0
-    given = [value] * len(counts) if whole else [value] if one else list(value)
+    given = [value] * len(counts) if whole else [value] if one else listed(value, name, "standard errors")
     if len(given) != len(counts):
         raise wrong(name, f"{len(given)} frames", f"a number, or one entry for each of {len(counts)} frames")
     sigmas = []

@@ -40,4 +40,6 @@ class MatchSettings:
     no_data: float = scalar("grey value that marks missing data", default=float("nan"))
 
     def __post_init__(self) -> None:
-        check_numbers(self, any_value=("saturation", "no_data"), zero=("margin_px", "attitude_sigma_px"))
+        limits = ("probability_chance", "probability_chance_match", "probability_wrong", "least_correlation")
+        zero = ("margin_px", "attitude_sigma_px", *limits)
+        check_numbers(self, any_value=("saturation", "no_data"), zero=zero)

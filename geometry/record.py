@@ -143,7 +143,7 @@ def check_numbers(record: Any, *, any_value: tuple[str, ...] = (), zero: tuple[s
         is_number = isinstance(value, numbers.Integral if whole else numbers.Real)
         if isinstance(value, bool) or not is_number:
             raise ValueError(f"{name} must be a {'whole ' if whole else ''}number, got {value_text(value)}")
-        if field.name in any_value:
+        if field.name in any_value and not (isinstance(value, int) and abs(value) > LARGEST_NUMBER):
             continue
         if not abs(value) < LARGEST_NUMBER or value < 0 or (value == 0 and field.name not in zero):
             expected = "zero or positive" if field.name in zero else "positive"
@@ -194,7 +194,7 @@ def _lengths(value: Any) -> tuple[int, ...]:
     """(n,) of a tuple or of n rotations, () of one rotation and of anything without a length."""
     try:
         return (len(value),)
-    except TypeError:
+    except Exception:  # of a class that has no length, or breaks when it is asked for
         return ()
 
 

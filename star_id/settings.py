@@ -45,6 +45,10 @@ class StarSettings:
             raise ValueError(
                 f"StarSettings.centroid_method must be {methods}, got {value_text(self.centroid_method)}"
             )
-        check_numbers(self, zero=("epoch_error_years", "max_photocentre_shift_px"))
+        check_numbers(
+            self, any_value=("saturation_dn",), zero=("epoch_error_years", "max_photocentre_shift_px")
+        )
+        if self.saturation_dn is not None and not self.saturation_dn > 0.0:
+            raise ValueError(f"StarSettings.saturation_dn must be positive, got {self.saturation_dn}")
         if self.smear_px is not None and len(self.smear_px) != 2:
             raise ValueError(f"StarSettings.smear_px must be (column, row), got {self.smear_px}")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import datetime
 import os
 from collections.abc import Iterable
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -65,6 +66,7 @@ class _Pixels(NamedTuple):
 
     pixels: NDArray[np.generic]
     masked: int  # pixels that are no number, which the median replaces
+    floating: bool  # the level at which pixels are full is not known
 
 
 @record(kw_only=True)
@@ -376,6 +378,8 @@ def find_stars(
     frame = None if dark is None else _pixels(dark, "dark").pixels
     if frame is not None and frame.shape != read.pixels.shape:
         raise wrong("dark", f"shape {frame.shape}", f"{read.pixels.shape}, that of the image")
+    if read.floating and chosen.saturation_dn is None:
+        chosen = replace(chosen, saturation_dn=np.inf)
     found = stars_of_image(read.pixels, chosen, frame)
     names = ("xy_px", "cov_px", "flux_dn", "snr", "saturated", "blended", "misshapen_px", "hot_pixels")
     return Stars(
@@ -584,7 +588,7 @@ def _pixels(image: object, name: str) -> _Pixels:
     if isinstance(image, str | os.PathLike):
         path = path_of(image, name)
         pixels = read_star_image(path, str(path))
-        return _Pixels(_large(pixels, name), 0)
+        return _Pixels(_large(pixels, name), 0, pixels.dtype.kind == "f")
     try:
         planes = np.asarray(image)
     except Exception:  # of ragged lists and foreign classes
@@ -596,11 +600,20 @@ def _pixels(image: object, name: str) -> _Pixels:
             found = f"integers from {planes.min()} to {planes.max()}"
             raise wrong(name, found, f"counts from 0 to {MOST_COUNTS}, or floating point")
         planes = planes.astype(np.uint16)
-    masked = int((~np.isfinite(planes)).sum()) if planes.dtype.kind == "f" else 0
+    floating = planes.dtype.kind == "f"
+    masked = int((~np.isfinite(planes)).sum()) if floating else 0
     try:
-        return _Pixels(_large(grey_image(planes, name), name), masked)
+        grey = _large(grey_image(planes, name), name)
     except RawDataError as error:
         raise of_argument(name, error) from error
+    return _Pixels(_as_counts(grey), masked, floating)
+
+
+def _as_counts(grey: NDArray[Any]) -> NDArray[Any]:
+    """Whole numbers as 8 or 16 bits, whatever type they came in: one image has one list of stars."""
+    if grey.dtype == np.uint8 or grey.min() < 0 or grey.max() > MOST_COUNTS or (grey != np.rint(grey)).any():
+        return grey
+    return grey.astype(np.uint8 if grey.max() <= 255 else np.uint16)
 
 
 def _large(pixels: NDArray[np.generic], name: str) -> NDArray[np.generic]:

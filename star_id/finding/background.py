@@ -199,7 +199,8 @@ def _histogram_range(sample: NDArray) -> tuple[float, float, int]:
     if np.issubdtype(sample.dtype, np.integer):
         width = max(1.0, np.ceil((high - low) / bins))
         return low, low + width * bins, bins
-    return low, max(high, np.nextafter(low, np.inf)), bins
+    single = np.float32(low)  # the histogram's limits are single precision
+    return low, max(high, float(np.nextafter(single, np.float32(np.inf)))), bins
 
 
 def _clipped_moments(counts: Floats, value: Floats, width: float) -> tuple[Floats, Floats]:
