@@ -416,7 +416,7 @@ def _of_strip_images(facts: Facts, rng: np.random.Generator) -> Iterator[Fault]:
         dead,
         (f"ccd {ccd}\\b", "dead|grey|empty|image"),
         "",
-        (f"CCD {ccd}",),
+        (f"CCD {ccd}", *facts.strips),
     )
     for times, gain in ((3.0, 0.5), (30.0, 0.2)):
 
@@ -606,6 +606,7 @@ def _of_orbit(facts: Facts, rng: np.random.Generator) -> Iterator[Fault]:
         30.0,
         partial(turned, REVOLUTION_S),
         (orbit,),
+        "velocity of the orbit" if sky_only else "",
     )
     yield Fault(
         "orbit of the revolution before",
@@ -615,6 +616,7 @@ def _of_orbit(facts: Facts, rng: np.random.Generator) -> Iterator[Fault]:
         30.0,
         partial(turned, -REVOLUTION_S),
         (orbit,),
+        "velocity of the orbit" if sky_only else "",
     )
     for frame in ("GCRF", "EME2000"):
         make = partial(_oem_key, "REF_FRAME", frame)
@@ -714,7 +716,17 @@ def _of_attitudes(facts: Facts, rng: np.random.Generator) -> Iterator[Fault]:
 
         for times, arcsec in _sized(6.0, rng):
             make = partial(rotated, 0, arcsec, head)
-            yield Fault("head moves", head, arcsec, "arcsec", times, make, (head,), "attitude|head", own)
+            yield Fault(
+                "head moves",
+                head,
+                arcsec,
+                "arcsec",
+                times,
+                make,
+                (head,),
+                "attitude|head",
+                (*own, *facts.strips),
+            )
     if len(facts.heads) == 2:
 
         def exchanged(dump: Path) -> None:
@@ -742,6 +754,7 @@ def _of_ground(facts: Facts, rng: np.random.Generator) -> Iterator[Fault]:
     if not facts.listed:
         return
     listed, metres_per_deg = facts.listed, 111_200.0
+    in_chips = listed == "targets.csv"  # then a target is another point of its chip, and seen where it is
 
     def one(name: str, edit: Callable[[dict[str, str]], None], dump: Path) -> None:
         edited(listed, lambda row: edit(row) if row["id"] == name else None, dump)
@@ -765,6 +778,7 @@ def _of_ground(facts: Facts, rng: np.random.Generator) -> Iterator[Fault]:
             (name, column + "|coordinate"),
             "",
             (name,),
+            harmless=in_chips,
         )
     for digit in (0, 1, 2):
 
@@ -832,6 +846,7 @@ def _of_ground(facts: Facts, rng: np.random.Generator) -> Iterator[Fault]:
                 make,
                 ("all|common|datum|shift",),
                 "shift|target|along|across|orbit",
+                harmless=in_chips,
             )
     for times, metres in _sized(80.0, rng):
         make = partial(edited, listed, partial(add, "height_m", metres))

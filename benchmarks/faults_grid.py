@@ -10,7 +10,8 @@ same commit ended: WORK/faults_grid.jsonl keeps a line for each case; the table 
 
 Recorded are exit status, verdict, what is named first, and the error of the matrix against `truth/`. A case
 is *green while wrong* if the verdict is consistent although an angle errs by more than 4 of its stated
-sigmas, and nothing of what the result says it cannot see names the fault.
+sigmas, and nothing of what the result says it cannot see names the fault. Names are asked for from 3 times
+the smallest size on, of faults that the result does not list among what it cannot see.
 """
 
 from __future__ import annotations
@@ -283,6 +284,11 @@ def read(path: Path) -> list[Case]:
 # ---- the table ----
 
 
+def is_asked(case: Case, found: Case) -> bool:
+    """Whether the cause must be named: 3 times the smallest size, and not among what cannot be seen."""
+    return case["times"] >= 3.0 and not case["harmless"] and (found["named"] or not found["blind"])
+
+
 def is_unnamed(case: Case, found: Case) -> bool:
     """Whether something else was told first, where something had to be named."""
     harmless = case["harmless"] or found["blind"] or (found["green"] and not found["wrong"])
@@ -327,7 +333,7 @@ def _print_table(every: list[Case]) -> None:
         groups[(case["kind"], case["dump"])].append(case)
     for (kind, dump), those in sorted(groups.items()):
         found = [(case, judged(case)) for case in those]
-        large = [j for case, j in found if case["times"] >= 3.0 and not case["harmless"]]
+        large = [j for case, j in found if is_asked(case, j)]
         named = f"{sum(j['named'] for j in large)}/{len(large)}" if large else "-"
         worst = max((case["nees"] for case, j in found if j["green"]), default=float("nan"))
         refused, refuted = (sum(case["verdict"] == one for case in those) for one in ("refused", "refuted"))
@@ -358,7 +364,7 @@ def _print_cases(every: list[Case]) -> None:
         for case, _ in those:
             print(line_of(case))
     faults = [(case, j) for case, j in found if case["kind"] != "no fault"]
-    large = [j for case, j in faults if case["times"] >= 3.0 and not case["harmless"]]
+    large = [j for case, j in faults if is_asked(case, j)]
     print()
     wrong = sum(j["green_wrong"] for _, j in found)
     named = sum(j["named"] for j in large) / max(len(large), 1)

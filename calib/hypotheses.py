@@ -77,7 +77,8 @@ def hypotheses(
     found = [*_of_clock(prepared, strip, late_c), *_of_position(prepared, strip, ground, C)]
     found += [_of_input(prepared, C, one) for one in inputs]
     found += _of_looks(prepared, ccd, pixel_rad)
-    found += _of_attitude(prepared, strip, C)
+    attitudes = next((one.file for one in inputs if one.turns_s), "exposures.csv")
+    found += _of_attitude(prepared, strip, C, attitudes)
     found += _of_images(prepared, strip, ccd, pixel_rad)
     if effects:
         found += _of_star_camera(prepared, C, effects)
@@ -272,7 +273,9 @@ def _focal_length(u_c: Floats, across: Floats, file: str, field: str, item: str)
     )
 
 
-def _of_attitude(prepared: Sequence[PreparedStrip], strip: Ints, C: Floats) -> Iterator[Hypothesis]:
+def _of_attitude(
+    prepared: Sequence[PreparedStrip], strip: Ints, C: Floats, attitudes: str
+) -> Iterator[Hypothesis]:
     """Attitude of a strip about the axes x and z of c; about y it is the strip's clock."""
     if len(prepared) < 2:
         return
@@ -285,7 +288,7 @@ def _of_attitude(prepared: Sequence[PreparedStrip], strip: Ints, C: Floats) -> I
                 item=f"strip {one.strip_id}",
                 unit="″",
                 words=("too large", "too small"),
-                file="exposures.csv and the orbit",
+                file=f"{attitudes} and the orbit",
                 field="",
                 change_c=ARCSEC * turned[:, :, axis] * (strip == n)[:, None],
             )

@@ -24,17 +24,19 @@ from boresight.calib.finding import Finding
 from boresight.calib.moved_input import MovedInput
 from boresight.calib.reliability import Reliability, examine
 from boresight.calib.settings import CalibrationSettings
-from boresight.calib.verdict import Verdict, assess
+from boresight.calib.verdict import CheckKind, Verdict, assess
 from boresight.geometry.line_camera import LineSensor
 from boresight.geometry.record import array, record, scalar
 from boresight.geometry.sightings import ExposureAttitudes, StarSightings, StripSightings
 from boresight.pipeline.errors import Cause, DataNotSufficientError, Omission
 from boresight.pipeline.files.dump import Dump, surface_of
 from boresight.pipeline.files.ground_points import NO_POINTS
+from boresight.pipeline.files.star_side import SolvedAttitudes
 from boresight.pipeline.run.executor import Executor, InOrder
 from boresight.pipeline.run.settings import Settings, calibration_settings, effects_of
 from boresight.pipeline.run.unit_store import UnitStore
 from boresight.pipeline.stages.cached import Progress, StageRunner
+from boresight.pipeline.stages.conventions import likely_convention, sees_its_targets
 from boresight.pipeline.stages.coverage import attitudes_in_s, carriers, stated_mountings
 from boresight.pipeline.stages.head import HeadSightings, sight_head
 from boresight.pipeline.stages.input_findings import input_findings
@@ -195,11 +197,14 @@ def calibrate_dump(
         sigma_installation_rad=dump.sigma_installation_rad,
         reliability=reliability,
     )
+    convention = None
+    if any(not check.holds for check in verdict.checks if check.kind is CheckKind.START_MATRIX):
+        convention = likely_convention(dump, lambda changed: _agreeing_strips(changed, heads, settings))
     return DumpCalibration(
         estimate=found,
         verdict=verdict.with_findings(
             [
-                *_target_findings(dump, last, found, reliability, stars),
+                *([convention] if convention else _target_findings(dump, last, found, reliability, stars)),
                 *input_findings(dump, last.tasks, omissions),
             ]
         ),
@@ -272,6 +277,8 @@ def _one_pass(
     if isinstance(estimate, NotObservable):
         known = [*_unused_so_far(dump, heads, sky), *uncovered, *unnamed]
         text = what_is_missing(estimate, dump, settings, heads[0], tasks, matched, known)
+        if cause := _cause_of_no_result(dump, heads, strips, tasks, settings, error_model):
+            text = f"{cause.cause}, {cause.item}: {cause.text} Otherwise: {text}"
         raise DataNotSufficientError(text, [*known, *unmatched])
     return _Pass(
         estimate=estimate,
@@ -283,6 +290,53 @@ def _one_pass(
         omissions=(*uncovered, *unmatched, *_without_targets(matched), *unnamed),
         computed=tuple(flags),
     )
+
+
+def _cause_of_no_result(
+    dump: Dump,
+    heads: Sequence[HeadSightings],
+    strips: Sequence[StripSightings],
+    tasks: Sequence[StripTask],
+    settings: Settings,
+    error_model: CalibrationSettings,
+) -> Finding | None:
+    """Why strips do not determine a matrix: a convention, or what the hypotheses tell of all observations
+    together, none rejected.
+    """
+    if finding := likely_convention(dump, lambda changed: _agreeing_strips(changed, heads, settings)):
+        return finding
+    plain = replace(error_model, robust=False)
+    together = calibrate_strips(strips, dump.R_cs0, plain) if strips else None
+    if not isinstance(together, InstallationEstimate):
+        return None
+    found = examine(
+        together,
+        strips,
+        plain,
+        pixel_rad=dump.line_camera.pixel_rad,
+        star_camera=dump.star_camera,
+        inputs=moved_inputs(dump, strips, tasks),
+        limits=settings.verdict.of_reliability,
+    )
+    return next(iter(found.findings), None)
+
+
+def _agreeing_strips(dump: Dump, heads: Sequence[HeadSightings], settings: Settings) -> int:
+    """Strips of a dump that see their stars or targets by the pre-launch matrices; `heads` were sighted with
+    other conventions.
+    """
+    runner, sigma = StageRunner(None, InOrder()), dump.sigma_installation_rad
+    fit = calibration_settings(settings, dump.errors, dump.line_camera).attitudes
+    now = [
+        sight_head(dump, head, settings, fit, runner)
+        if isinstance(head.source, SolvedAttitudes)
+        else replace(before, head=head)
+        for head, before in zip(dump.heads, heads)
+    ]
+    tasks, _ = _strip_tasks(dump, now, dump.R_cs0, sigma, stated_mountings(now), settings)
+    sky = find_in_sky_strips(dump, now, settings, runner)
+    named = name_in_sky_strips(dump, sky, dump.R_cs0, sigma, known=False)
+    return sum(sees_its_targets(task, dump) for task in tasks) + sum(len(one.rows) > 0 for one in named)
 
 
 def _target_findings(

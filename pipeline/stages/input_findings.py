@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 
@@ -78,7 +79,25 @@ def outside_chips(omissions: Sequence[Omission]) -> Iterator[Finding]:
     for one in omissions:
         if one.kind == "target" and one.cause == Cause.OUTSIDE_CHIP:
             of_target[one.target_id].append(one)
+    alike: dict[str, list[str]] = defaultdict(list)
     for name, those in of_target.items():
+        if (slip := re.search(r"([^;]*) would lie in its chip", those[0].reason)) is not None:
+            alike[re.sub(r" \S+ for \S+", "", slip[1]).strip()].append(name)
+    common = {words: names for words, names in alike.items() if len(names) > FEWEST}
+    for words, names in common.items():
+        yield Finding(
+            cause="coordinates",
+            item=f"{len(names)} targets",
+            text=f"{', '.join(names[:SHOWN])} and {len(names) - SHOWN} more lie in their chips with {words}: "
+            "correct targets.csv."
+            if len(names) > SHOWN
+            else f"{', '.join(names)} lie in their chips with {words}: correct targets.csv.",
+            file="targets.csv",
+            field="lat_deg, lon_deg",
+            targets=tuple(names),
+        )
+    told = {name for names in common.values() for name in names}
+    for name, those in ((name, those) for name, those in of_target.items() if name not in told):
         yield Finding(
             cause="coordinates or chip",
             item=f"target {name}",
