@@ -60,6 +60,7 @@ MOST_CAUSES = 3
 # Share of an error that shows in the residuals, below which it is a blind spot: it shows only at a hundred
 # times its own size.
 LEAST_REDUNDANCY = 0.01
+NO_REDUNDANCY = 1e-5  # less is rounding and curvature: the error explains nothing
 HIDDEN_SIGMA = 2.0  # harm that may stay hidden and is named
 # Probability with which an error of the stated minimal detectable size is found (Baarda 1968 has 0.8; set
 # by hand).
@@ -371,24 +372,28 @@ def _likeliest(one: _Adjustment, chosen: Sequence[int], before: _Fit) -> list[in
     soft = np.where(before.kept, 1.0, np.minimum(1.0, one.limit / statistic)) * inside
     for weight in (before.kept.astype(float), soft, inside.astype(float)):
         step = solve_weighted(one.problem, one.about, weight)
-        S, y = _normal(one, step, [*chosen, *(h for h in range(len(one.table)) if h not in chosen)])
+        S, y, _, theta = _normal(one, step, [*chosen, *(h for h in range(len(one.table)) if h not in chosen)])
         k = len(chosen)
-        lift = np.linalg.solve(S[:k, :k], S[:k, k:])
+        lift = np.linalg.pinv(S[:k, :k], rcond=1e-10, hermitian=True) @ S[:k, k:]
         own = np.diag(S)[k:] - np.sum(S[:k, k:] * lift, axis=0)
         right = y[k:] - lift.T @ y[:k]
-        gain = np.divide(right**2, own, out=np.zeros(len(own)), where=own > 1e-9 * np.diag(S)[k:])
+        by_theta = np.einsum("ah,ab,bh->h", theta[:, k:], step.solution.information, theta[:, k:])
+        seen = own > np.maximum(1e-9 * np.diag(S)[k:], NO_REDUNDANCY * (own + by_theta))
+        gain = np.divide(right**2, own, out=np.zeros(len(own)), where=seen)
         rest = [h for h in range(len(one.table)) if h not in chosen]
-        found += [rest[n] for n in np.argsort(-gain, kind="stable")[:MOST_SEARCHED]]
+        found += [rest[n] for n in np.argsort(-gain, kind="stable")[:MOST_SEARCHED] if gain[n] > 0.0]
     return list(dict.fromkeys(found))
 
 
-def _normal(one: _Adjustment, step: Step, rows: Sequence[int]) -> tuple[Floats, Floats]:
-    """Normal matrix and right-hand side of the sizes of hypotheses."""
+def _normal(one: _Adjustment, step: Step, rows: Sequence[int]) -> tuple[Floats, Floats, Floats, Floats]:
+    """Normal matrix and right-hand side of the sizes of hypotheses; of a unit of each, what is left of it as
+    residuals (J, 2, H), and theta (3, H).
+    """
     B = one.B[:, :, rows]
-    left, _ = respond(one.problem, one.about, step, B)
+    left, x = respond(one.problem, one.about, step, B)
     weighted = (step.weight[:, None, None] * B).reshape(-1, len(rows))
     S = weighted.T @ left.reshape(-1, len(rows)) + one.star_information[np.ix_(rows, rows)]
-    return 0.5 * (S + S.T), weighted.T @ step.whitened.ravel() + one.star_right[rows]
+    return 0.5 * (S + S.T), weighted.T @ step.whitened.ravel() + one.star_right[rows], left, x[:3]
 
 
 def _minimum(one: _Adjustment, rows: Sequence[int], start: Bools | None = None) -> _Fit:
@@ -420,8 +425,7 @@ def _fit(one: _Adjustment, rows: Sequence[int], kept: Bools) -> _Fit:
         theta, none = step.solution.theta, np.zeros(0)
         covariance, chi2 = step.solution.covariance, step.chi2 + rejected
         return _Fit(kept, chi2, theta, covariance, none, none, squared_mahalanobis(step))
-    S, y = _normal(one, step, rows)
-    left, x = respond(one.problem, one.about, step, one.B[:, :, rows])
+    S, y, left, x = _normal(one, step, rows)
     of_sizes = np.asarray(np.linalg.pinv(S, rcond=1e-10, hermitian=True), dtype=np.float64)
     size = of_sizes @ y
     e = step.whitened - left @ size
@@ -430,8 +434,8 @@ def _fit(one: _Adjustment, rows: Sequence[int], kept: Bools) -> _Fit:
     return _Fit(
         kept,
         step.chi2 - float(y @ size) + rejected,
-        step.solution.theta - x[:3] @ size,
-        step.solution.covariance + x[:3] @ of_sizes @ x[:3].T,
+        step.solution.theta - x @ size,
+        step.solution.covariance + x @ of_sizes @ x.T,
         size,
         np.sqrt(np.maximum(np.diag(of_sizes), 0.0)),
         squared_over(e, variance),

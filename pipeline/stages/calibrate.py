@@ -348,7 +348,7 @@ def _target_findings(
     suspected = suspected_targets(reliability.suspects, estimate.R_cs, last.tasks, last.matched)
     images = {task.strip.strip_id: task.strip.images for task in last.sky.tasks}
     return [
-        *single_targets(list(suspected)),
+        *single_targets(list(suspected), is_explained=bool(reliability.findings)),
         *lost_targets(last.tasks, last.matched, items),
         *lost_stars(images, stars, STARS_LOST, items),
         *strips_without_stars(dump, last.sky, last.named, stars, strips),

@@ -81,17 +81,16 @@ def outside_chips(omissions: Sequence[Omission]) -> Iterator[Finding]:
             of_target[one.target_id].append(one)
     alike: dict[str, list[str]] = defaultdict(list)
     for name, those in of_target.items():
-        if (slip := re.search(r"([^;]*) would lie in its chip", those[0].reason)) is not None:
-            alike[re.sub(r" \S+ for \S+", "", slip[1]).strip()].append(name)
+        slip = re.search(r"([^;]*) would lie in its chip", those[0].reason)
+        alike[re.sub(r" \S+ for \S+", "", slip[1]).strip() if slip else ""].append(name)
     common = {words: names for words, names in alike.items() if len(names) > FEWEST}
     for words, names in common.items():
+        more = f" and {len(names) - SHOWN} more" if len(names) > SHOWN else ""
+        fits = f"lie in their chips with {words}" if words else "lie far outside their chips"
         yield Finding(
             cause="coordinates",
             item=f"{len(names)} targets",
-            text=f"{', '.join(names[:SHOWN])} and {len(names) - SHOWN} more lie in their chips with {words}: "
-            "correct targets.csv."
-            if len(names) > SHOWN
-            else f"{', '.join(names)} lie in their chips with {words}: correct targets.csv.",
+            text=f"{', '.join(names[:SHOWN])}{more} {fits}: correct lat_deg, lon_deg in targets.csv.",
             file="targets.csv",
             field="lat_deg, lon_deg",
             targets=tuple(names),

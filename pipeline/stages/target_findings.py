@@ -81,13 +81,15 @@ def _places(matched: MatchedTargets) -> Iterator[tuple[str, int, tuple[float, ..
     yield from ((one.target_id, one.ccd, one.xy_px) for one in matched.contradicting)
 
 
-def single_targets(suspected: Sequence[Suspected]) -> Iterator[Finding]:
-    """A finding for each target, and for strips of which more than three are off, one for the strip."""
+def single_targets(suspected: Sequence[Suspected], *, is_explained: bool = False) -> Iterator[Finding]:
+    """A finding for each target, and for strips of which more than three are off, one for the strip; none
+    for such a strip where a common cause is found already.
+    """
     of_strip: dict[str, list[Suspected]] = defaultdict(list)
     for one in suspected:
         of_strip[one.strip_id].append(one)
     crowded = {strip_id for strip_id, those in of_strip.items() if len(those) > FEWEST}
-    for strip_id in sorted(crowded):
+    for strip_id in sorted(crowded) if not is_explained else ():
         names = [one.target_id for one in of_strip[strip_id]]
         more = " and more" if len(names) > SHOWN else ""
         yield Finding(
