@@ -51,7 +51,7 @@ def axes_or_new(ax: Axes | None) -> Axes:
     """The given axes, or those of a new figure."""
     if ax is not None:
         return ax
-    from matplotlib.pyplot import figure  # 0.5 s to load; nobody needs it who draws nothing
+    from matplotlib.pyplot import figure  # 0.5 s to load; only needed to draw
 
     return figure(layout="constrained").add_subplot()
 

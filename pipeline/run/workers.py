@@ -31,6 +31,7 @@ def executor_for(
     `workers` None means one for each core, and this process alone for a job of so few `pixels` that starting
     others would take longer than the job. On a cluster every worker must read the files `probes` as this
     process does; `wait_s` is the longest time without any usable worker, and `say` is called with remarks.
+    `WorkerError` where dask is missing or no worker can be used.
     """
     if scheduler is not None:
         try:

@@ -1,4 +1,4 @@
-"""Inputs of a dump whose errors are told by predicting again: clock of the exposures, aberration left in
+"""Inputs of a dump whose errors are found by predicting again: clock of the exposures, aberration left in
 attitudes, velocity of the satellite, and the effects on light from the ground.
 """
 

@@ -50,8 +50,8 @@ def without_hidden_points(task: StripTask) -> tuple[StripTask, list[Omission]]:
 
 
 def fitting_slip(task: StripTask, target: Target, ccd: int, xy_px: Floats) -> str:
-    """What would have to be read in the table for a target to lie at a (sample, line), behind a semicolon;
-    empty where no slip explains it, or the target is near already.
+    """What would have to be read in the table for a target to lie at `xy_px` (2,), sample and line, behind a
+    semicolon; empty where no slip explains it, or the target is near already.
     """
     model = pushbroom_of(task)
     lat, lon, height = geodetic_from_ecef(target.p_e[None], WGS84)
