@@ -22,13 +22,14 @@ from boresight.geometry.inertial_frames import InertialFrame, rotation_to_gcrs
 from boresight.geometry.record import Floats, array, record, scalar
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.orbit_file import tai_seconds
-from boresight.pipeline.files.text_files import MAX_ROWS, check_number, csv_rows, read_text
-from boresight.pipeline.files.xml_files import read_xml
+from boresight.pipeline.files.text_files import MAX_ROWS, check_number, csv_rows, read_message
+from boresight.pipeline.files.xml_files import xml_root
 
 __all__ = ["AttitudeRows", "read_attitudes"]
 
 INERTIAL: tuple[InertialFrame, ...] = get_args(InertialFrame)
-COLUMNS = ("utc", "qx", "qy", "qz", "qw")
+COMPONENTS = ("qx", "qy", "qz", "qw")
+QUATERNION = ("Q1", "Q2", "Q3", "QC")  # of a message, scalar last
 SIGMAS = tuple(f"sigma_{axis}_arcsec" for axis in "xyz")
 PAIRS = ("xx", "xy", "xz", "yy", "yz", "zz")
 COVARIANCES = tuple(f"cov_{pair}_arcsec2" for pair in PAIRS)
@@ -51,7 +52,12 @@ class AttitudeRows:
 
 
 def read_attitudes(
-    path: Path, file: str, epoch: Epoch, frame: InertialFrame | None, rotation: str | None
+    path: Path,
+    file: str,
+    epoch: Epoch,
+    frame: InertialFrame | None,
+    rotation: str | None,
+    time_scale: str | None = None,
 ) -> AttitudeRows:
     """Attitudes of a CSV file or of an AEM, told apart by their first line.
 
@@ -65,24 +71,27 @@ def read_attitudes(
         Inertial axes of a CSV file: "GCRF", "ICRF" or "EME2000". An AEM states its own.
     rotation : str or None
         Sense of a CSV file's quaternions: "head to inertial" or "inertial to head". An AEM states its own.
+    time_scale : str or None
+        Time scale of a CSV file and name of its column of times: "UTC" (or None), "TAI", "GPS". An AEM states
+        its own.
 
     Raises
     ------
     RawDataError
         With file, line or field, found and expected.
     """
-    start = read_text(path, file).lstrip()
+    start = read_message(path, file).lstrip()
     message = start.startswith(("CCSDS_AEM_VERS", "<"))
-    for key, value in (("frame", frame), ("rotation", rotation)):
+    for key, value in (("frame", frame), ("rotation", rotation), ("time_scale", time_scale)):
         if message and value is not None:
             raise RawDataError("dump.toml", f"{key} of {file}", value, "no such key: an AEM states its own")
-        if not message and value is None:
+        if not message and value is None and key != "time_scale":
             raise RawDataError("dump.toml", f"{key} of {file}", "nothing", "this key, for a CSV file")
     if frame is None:
-        segments = _xml_segments(path, file) if start.startswith("<") else _kvn_segments(start, file)
+        segments = _xml_segments(start, file) if start.startswith("<") else _kvn_segments(start, file)
         rows = _from_message(list(segments), file, epoch)
     else:
-        rows = _from_csv(path, file, epoch, frame, str(rotation))
+        rows = _from_csv(path, file, epoch, frame, str(rotation), time_scale or "UTC")
     if len(rows.t_s) < 2:
         found = f"{len(rows.t_s)} valid rows, {rows.n_invalid} marked invalid"
         raise RawDataError(file, "rows", found, "at least two valid attitudes")
@@ -92,36 +101,36 @@ def read_attitudes(
     return rows
 
 
-def _from_csv(path: Path, file: str, epoch: Epoch, frame: InertialFrame, rotation: str) -> AttitudeRows:
+def _from_csv(
+    path: Path, file: str, epoch: Epoch, frame: InertialFrame, rotation: str, time_scale: str
+) -> AttitudeRows:
+    clock = time_scale.lower()  # name of the column of times
     optional = (*SIGMAS, *COVARIANCES, "valid", "temperature_c")
-    utc: list[str] = []
+    times: list[str] = []
     values: list[list[float]] = []
     names: tuple[str, ...] = ()
     invalid = 0
-    for line, row in csv_rows(path, COLUMNS, optional, file):
+    for line, row in csv_rows(path, (clock, *COMPONENTS), optional, file):
         if not names:
-            names = tuple(name for name in row if name not in ("utc", "valid"))
+            names = tuple(name for name in row if name not in (clock, "valid"))
             _check_complete(names, file)
         if (valid := row.get("valid", "1").strip()) not in ("0", "1"):
             raise RawDataError(file, f"{line}, valid", valid, "0 or 1")
         if valid == "0":
             invalid += 1
             continue
-        utc.append(row["utc"].strip())
+        times.append(row[clock].strip())
         values.append([check_number(row[name], file, f"{line}, {name}") for name in names])
-    if not utc:
+    if not times:
         raise RawDataError(
             file, "rows", f"none valid, {invalid} marked invalid", "at least two valid attitudes"
         )
-    try:
-        t_s = epoch.seconds_from_utc(utc)
-    except ValueError as error:
-        raise RawDataError(file, "utc", str(error), "UTC times that exist") from error
-    table = np.array(values, dtype=float).reshape(len(utc), len(names))
+    since, t_s = tai_seconds(times, time_scale, file, clock)
+    table = np.array(values, dtype=float).reshape(len(times), len(names))
     column = {name: table[:, n] for n, name in enumerate(names)}
-    q = np.column_stack([column[name] for name in COLUMNS[1:]])
+    q = np.column_stack([column[name] for name in COMPONENTS])
     return AttitudeRows(
-        t_s=t_s,
+        t_s=t_s + float(since.tai_s - epoch.tai_s),
         R_si=_to_gcrs(_rotations(q, file), rotation == "inertial to head", frame),
         covariance_s=_covariance(column, file),
         temperature_c=column.get("temperature_c"),
@@ -190,13 +199,14 @@ def _from_message(segments: list[Segment], file: str, epoch: Epoch) -> AttitudeR
     )
 
 
-Segment = tuple[dict[str, str], list[list[str]]]  # metadata, states as time, Q1, Q2, Q3, QC
+State = tuple[str, list[float]]  # time; Q1, Q2, Q3, QC
+Segment = tuple[dict[str, str], list[State]]  # metadata, states
 
 
 def _kvn_segments(text: str, file: str) -> Iterator[Segment]:
     """Metadata and states of each segment of a message in KVN form."""
     meta: dict[str, str] = {}
-    states: list[list[str]] = []
+    states: list[State] = []
     part = "header"
     for number, raw in enumerate(text.splitlines(), start=1):
         line = raw.strip()
@@ -205,11 +215,13 @@ def _kvn_segments(text: str, file: str) -> Iterator[Segment]:
         if line in ("META_START", "META_STOP", "DATA_START", "DATA_STOP"):
             if line == "META_START":
                 meta, states = {}, []
+            if line == "DATA_START":
+                _check_metadata(meta, file)
             if line == "DATA_STOP":
                 yield meta, states
             part = line
         elif part == "DATA_START":
-            states.append(_ordered(line.split(), meta, file, f"line {number}"))
+            states.append(_state(line.split(), meta, file, f"line {number}"))
             if len(states) > MAX_ROWS:
                 raise RawDataError(file, f"line {number}", f"more than {MAX_ROWS} states", "fewer")
         elif part == "META_START":
@@ -221,43 +233,52 @@ def _kvn_segments(text: str, file: str) -> Iterator[Segment]:
         raise RawDataError(file, "end of the file", f"after {part}", "DATA_STOP")
 
 
-def _ordered(cells: list[str], meta: dict[str, str], file: str, where: str) -> list[str]:
-    """A state line as time, Q1, Q2, Q3, QC; what may follow (rates) is not used."""
+def _check_metadata(meta: dict[str, str], file: str) -> None:
+    """`RawDataError` where a keyword is missing, or the attitudes are no quaternions."""
+    for key in ("REF_FRAME_A", "REF_FRAME_B", "TIME_SYSTEM", "ATTITUDE_TYPE"):
+        if key not in meta:
+            raise RawDataError(file, key, "nothing", "this keyword")
+    if not (kind := meta["ATTITUDE_TYPE"].upper()).startswith("QUATERNION"):
+        expected = "QUATERNION, with or without rates; other types are not read"
+        raise RawDataError(file, "ATTITUDE_TYPE", kind, expected)
+
+
+def _state(cells: list[str], meta: dict[str, str], file: str, where: str) -> State:
+    """The state of a line; what may follow (rates) is not used."""
     if len(cells) < 5:
         raise RawDataError(file, where, " ".join(cells), "a time and four components of a quaternion")
     first = meta.get("QUATERNION_TYPE", "LAST").upper() == "FIRST"
-    q = [*cells[2:5], cells[1]] if first else cells[1:5]
-    return [cells[0], *q]
+    names = (QUATERNION[3], *QUATERNION[:3]) if first else QUATERNION
+    q = {name: check_number(cell, file, f"{where}, {name}") for name, cell in zip(names, cells[1:])}
+    return cells[0], [q[name] for name in QUATERNION]
 
 
-def _xml_segments(path: Path, file: str) -> Iterator[Segment]:
+def _xml_segments(text: str, file: str) -> Iterator[Segment]:
     """Metadata and states of each segment of a message in XML form."""
-    root = read_xml(path, file)
+    root = xml_root(text, file)
     named = (one for one in root.iter() if one.tag == "aem" or one.get("id") == "CCSDS_AEM_VERS")
     message = next(named, None)
     if message is None:
         raise RawDataError(file, "root element", root.tag, "aem")
     for segment in message.iter("segment"):
         meta: dict[str, str] = {}
-        states: list[list[str]] = []
-        for element in segment.iter():
-            if element.tag == "attitudeState":
-                cells = {one.tag: (one.text or "").strip() for one in element.iter()}
-                if missing := [key for key in ("EPOCH", "Q1", "Q2", "Q3", "QC") if key not in cells]:
-                    raise RawDataError(file, f"state {len(states) + 1}", f"no {missing[0]}", EXPECTED)
-                states.append([cells[key] for key in ("EPOCH", "Q1", "Q2", "Q3", "QC")])
-            elif not len(element):
+        for element in segment.iterfind("metadata//*"):
+            if not len(element):
                 meta.setdefault(element.tag, (element.text or "").strip())
+        _check_metadata(meta, file)
+        states: list[State] = []
+        for element in segment.iter("attitudeState"):
+            where = f"state {len(states) + 1}"
+            cells = {one.tag: (one.text or "").strip() for one in element.iter()}
+            if missing := [key for key in ("EPOCH", *QUATERNION) if key not in cells]:
+                raise RawDataError(file, where, f"no {missing[0]}", EXPECTED)
+            q = [check_number(cells[name], file, f"{where}, {name}") for name in QUATERNION]
+            states.append((cells["EPOCH"], q))
         yield meta, states
 
 
-def _segment(meta: dict[str, str], states: list[list[str]], file: str, epoch: Epoch) -> AttitudeRows:
+def _segment(meta: dict[str, str], states: list[State], file: str, epoch: Epoch) -> AttitudeRows:
     """One segment of a message, whose quaternions relate an inertial frame and the head."""
-    for key in ("REF_FRAME_A", "REF_FRAME_B", "TIME_SYSTEM", "ATTITUDE_TYPE"):
-        if key not in meta:
-            raise RawDataError(file, key, "nothing", "this keyword")
-    if not meta["ATTITUDE_TYPE"].upper().startswith("QUATERNION"):
-        raise RawDataError(file, "ATTITUDE_TYPE", meta["ATTITUDE_TYPE"], "QUATERNION")
     frames = [meta[key].upper() for key in ("REF_FRAME_A", "REF_FRAME_B")]
     inertial = [frame for frame in INERTIAL if frame in frames]
     if len(inertial) != 1 or frames[0] == frames[1]:
@@ -265,11 +286,11 @@ def _segment(meta: dict[str, str], states: list[list[str]], file: str, epoch: Ep
         raise RawDataError(file, "REF_FRAME_A and REF_FRAME_B", " and ".join(frames), expected)
     if (direction := meta.get("ATTITUDE_DIR", "A2B").upper()) not in ("A2B", "B2A"):
         raise RawDataError(file, "ATTITUDE_DIR", direction, "A2B or B2A")
-    q = [[check_number(cell, file, f"state {k + 1}") for cell in state[1:]] for k, state in enumerate(states)]
     since, t_s = epoch, np.array([], dtype=float)
     if states:
-        since, t_s = tai_seconds([state[0] for state in states], meta["TIME_SYSTEM"], file)
-    R_ab = _rotations(np.array(q, dtype=float).reshape(-1, 4), file)  # components in B to components in A
+        since, t_s = tai_seconds([time for time, _ in states], meta["TIME_SYSTEM"], file)
+    q = np.array([components for _, components in states], dtype=float).reshape(-1, 4)
+    R_ab = _rotations(q, file)  # components in B to components in A
     from_b_to_a = direction == "A2B"
     head_is_b = frames[0] in INERTIAL
     return AttitudeRows(

@@ -192,6 +192,7 @@ class HeadFile(_Strict):
     attitudes: RelativePath | None = None
     frame: Literal["GCRF", "ICRF", "EME2000"] | None = None
     rotation: Literal["head to inertial", "inertial to head"] | None = None
+    time_scale: Literal["UTC", "TAI", "GPS"] | None = None  # of a CSV file of attitudes; None: UTC
     aberration_removed: Literal["none", "annual", "annual and orbital"] | None = None
     interpolation: Literal["lagrange", "taylor"] = "lagrange"  # geometry.attitude.interpolation_weights
     noise: NoiseFile = NoiseFile()
@@ -206,8 +207,9 @@ class HeadFile(_Strict):
         needed = of_level[self.level]
         if missing := sorted(name for name in needed if getattr(self, name) is None):
             raise ValueError(f"level {self.level!r} needs the key {missing[0]}")
-        allowed = needed | ({"frame", "rotation"} if self.level == "attitudes" else set())
-        for name in set.union(*of_level.values()) | {"frame", "rotation"}:
+        of_csv = {"frame", "rotation", "time_scale"}
+        allowed = needed | (of_csv if self.level == "attitudes" else set())
+        for name in set.union(*of_level.values()) | of_csv:
             if name not in allowed and getattr(self, name) is not None:
                 raise ValueError(f"level {self.level!r} has no key {name}")
         if self.level != "attitudes" and self.noise.white_arcsec is not None:

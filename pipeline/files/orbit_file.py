@@ -1,4 +1,4 @@
-"""Read the orbit of a dump: a CCSDS Orbit Ephemeris Message (OEM, CCSDS 502.0-B), keyword = value or XML."""
+"""Read the orbit of a dump: a CCSDS Orbit Ephemeris Message (OEM 1.0 to 3.0, CCSDS 502.0-B), KVN or XML."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from boresight.geometry.epoch import GPS_MINUS_TAI_S, TT_MINUS_TAI_S, Epoch
 from boresight.geometry.inertial_frames import InertialFrame, rotation_to_gcrs
 from boresight.geometry.record import Floats, array, record, scalar
 from boresight.pipeline.errors import RawDataError
-from boresight.pipeline.files.text_files import NUMBER, read_text
-from boresight.pipeline.files.xml_files import elements_of, numbers_of, read_xml
+from boresight.pipeline.files.text_files import NUMBER, PLAIN_NUMBER, read_message
+from boresight.pipeline.files.xml_files import elements_of, numbers_of, xml_root
 from boresight.pipeline.files.xml_files import text_of as element_text
 
 __all__ = ["Ephemeris", "read_oem", "tai_seconds"]
@@ -25,16 +25,19 @@ INERTIAL: tuple[InertialFrame, ...] = ("GCRF", "ICRF", "EME2000")
 AHEAD_OF_GPS_S = {"GPS": 0.0, "TAI": -GPS_MINUS_TAI_S, "TT": TT_MINUS_TAI_S - GPS_MINUS_TAI_S}
 LIMIT_KM = 1e9  # of a coordinate and of a velocity in km/s, far beyond those of any orbit
 EXPECTED = "an OEM that follows CCSDS 502.0-B"
-# Keywords of CCSDS 502.0-B-2, tables 5-2 and 5-3: the required ones, then those that may be there.
-HEADER = ("CCSDS_OEM_VERS", "CREATION_DATE", "ORIGINATOR"), ()
+VERSIONS = ("1.0", "2.0", "3.0")
+# Keywords of CCSDS 502.0-B-3, tables 5-2 and 5-3: the required ones, then those that may be there.
+HEADER = ("CCSDS_OEM_VERS", "CREATION_DATE", "ORIGINATOR"), ("CLASSIFICATION", "MESSAGE_ID")
 METADATA = (
     ("OBJECT_NAME", "OBJECT_ID", "CENTER_NAME", "REF_FRAME", "TIME_SYSTEM", "START_TIME", "STOP_TIME"),
     ("REF_FRAME_EPOCH", "USEABLE_START_TIME", "USEABLE_STOP_TIME", "INTERPOLATION", "INTERPOLATION_DEGREE"),
 )
 _KEYWORD = re.compile(r"([A-Z_]+)\s*=\s*(\S.*)")
 _STAMP = re.compile(r"(\d{4})-(?:\d\d-\d\d|(\d{3}))(T\d\d:\d\d:\d\d(?:\.\d+)?)Z?", re.ASCII)
+_NUMBER = re.compile(NUMBER)
 _STATE = re.compile(rf"\S+(?:\s+{NUMBER}){{6}}(?:(?:\s+{NUMBER}){{3}})?")
 _COORDINATES = ("X", "Y", "Z", "X_DOT", "Y_DOT", "Z_DOT")
+_ACCELERATIONS = ("X_DDOT", "Y_DDOT", "Z_DDOT")
 
 
 @record(kw_only=True)
@@ -59,9 +62,9 @@ def read_oem(path: Path, file: str) -> Ephemeris:
     States in EME2000 are rotated to GCRF; comments, accelerations and covariances are not used. Raises
     `RawDataError`.
     """
-    text = read_text(path, file)
+    text = read_message(path, file)
     if text.lstrip().startswith("<"):
-        return _ephemeris(*_of_xml(path, file), file)
+        return _ephemeris(*_of_xml(text, file), file)
     return _ephemeris(*_of_lines(text, file), file)
 
 
@@ -100,32 +103,43 @@ def _of_lines(text: str, file: str) -> tuple[dict[str, str], list[str], Floats]:
     """Metadata, times and values (N, 6) of the keyword = value form."""
     if not text.startswith("CCSDS_OEM_VERS"):
         raise RawDataError(file, "line 1", "another text", "CCSDS_OEM_VERS = ..., or an OEM in XML")
-    lines = [
-        line for given in text.splitlines() if (line := given.strip()) and not line.startswith("COMMENT")
-    ]
+    every = [given.strip() for given in text.splitlines()]
+    numbers = [n for n, line in enumerate(every, start=1) if line and not line.startswith("COMMENT")]
+    lines = [every[n - 1] for n in numbers]
     if (segments := lines.count("META_START")) != 1 or lines.count("META_STOP") != 1:
         raise RawDataError(file, "META_START", f"{segments} segments", "one segment")
     begin, end = lines.index("META_START"), lines.index("META_STOP")
-    _keywords((_pair(line, file) for line in lines[:begin]), HEADER, file)
-    meta = _keywords((_pair(line, file) for line in lines[begin + 1 : end]), METADATA, file)
-    data = lines[end + 1 :]
-    if "COVARIANCE_START" in data:
-        if data[-1] != "COVARIANCE_STOP":
-            raise RawDataError(file, "last line", data[-1], "COVARIANCE_STOP")
-        data = data[: data.index("COVARIANCE_START")]
-    for n, line in enumerate(data):
+    pairs = [_pair(number, line, file) for number, line in zip(numbers, lines[:end]) if line != "META_START"]
+    _keywords(pairs[:begin], HEADER, file)
+    meta = _keywords(pairs[begin:], METADATA, file)
+    last = len(lines)
+    if "COVARIANCE_START" in lines[end:]:
+        if lines[-1] != "COVARIANCE_STOP":
+            raise RawDataError(file, f"line {numbers[-1]}", lines[-1], "COVARIANCE_STOP")
+        last = lines.index("COVARIANCE_START", end)
+    data, numbers = lines[end + 1 : last], numbers[end + 1 : last]
+    for number, line in zip(numbers, data):
         if not _STATE.fullmatch(line):
-            expected = "a time and six numbers of ASCII digits, with accelerations nine"
-            raise RawDataError(file, f"state {n + 1}", line, expected)
+            raise _wrong_state(number, line, file)
     rows = [line.split()[:7] for line in data]
     values = np.fromiter(map(float, (word for row in rows for word in row[1:])), float, 6 * len(rows))
-    times = [_calendar(row[0], file, f"state {n + 1}") for n, row in enumerate(rows)]
+    times = [_calendar(row[0], file, f"line {number}, time") for number, row in zip(numbers, rows)]
     return meta, times, values.reshape(-1, 6)
 
 
-def _of_xml(path: Path, file: str) -> tuple[dict[str, str], list[str], Floats]:
+def _wrong_state(number: int, line: str, file: str) -> RawDataError:
+    """What is wrong with a line that is no time and six numbers, or nine with accelerations."""
+    words = line.split()
+    for name, word in zip(_COORDINATES + _ACCELERATIONS, words[1:]):
+        if not _NUMBER.fullmatch(word):
+            return RawDataError(file, f"line {number}, {name}", word, PLAIN_NUMBER)
+    expected = "a time and six numbers, with accelerations nine"
+    return RawDataError(file, f"line {number}", f"{len(words)} words: {line}", expected)
+
+
+def _of_xml(text: str, file: str) -> tuple[dict[str, str], list[str], Floats]:
     """Metadata, times and values (N, 6) of the XML form."""
-    root = read_xml(path, file)  # well-formed, without DTD
+    root = xml_root(text, file)  # well-formed, without DTD
     if root.tag != "oem":
         raise RawDataError(file, "root element", root.tag[:64], "oem")
     (body,) = elements_of(root, "body", file, 1, 1)
@@ -134,16 +148,19 @@ def _of_xml(path: Path, file: str) -> tuple[dict[str, str], list[str], Floats]:
     _keywords([("CCSDS_OEM_VERS", root.get("version", "")), *header], HEADER, file)
     meta = _keywords([(one.tag, one.text or "") for one in segment.iterfind("metadata/*")], METADATA, file)
     states = segment.findall("data/stateVector")
-    values = [[numbers_of(state, name, file, 1)[0] for name in _COORDINATES] for state in states]
+    values = [
+        [numbers_of(state, name, file, 1, f"state {n + 1}, ")[0] for name in _COORDINATES]
+        for n, state in enumerate(states)
+    ]
     times = [
         _calendar(element_text(one, "EPOCH", file), file, f"state {n + 1}") for n, one in enumerate(states)
     ]
     return meta, times, np.array(values).reshape(-1, 6)
 
 
-def _pair(line: str, file: str) -> tuple[str, str]:
+def _pair(number: int, line: str, file: str) -> tuple[str, str]:
     if (match := _KEYWORD.fullmatch(line)) is None:
-        raise RawDataError(file, "OEM text", line, "KEYWORD = value")
+        raise RawDataError(file, f"line {number}", line, "KEYWORD = value")
     return match[1], match[2]
 
 
@@ -165,8 +182,8 @@ def _keywords(
     for key in known[0]:
         if not values.get(key):
             raise RawDataError(file, key, "nothing", EXPECTED)
-    if values.get("CCSDS_OEM_VERS", "2.0") not in ("1.0", "2.0"):
-        raise RawDataError(file, "CCSDS_OEM_VERS", values["CCSDS_OEM_VERS"], "1.0 or 2.0")
+    if (version := values.get("CCSDS_OEM_VERS", VERSIONS[0])) not in VERSIONS:
+        raise RawDataError(file, "CCSDS_OEM_VERS", version, ", ".join(VERSIONS))
     return values
 
 
@@ -215,10 +232,12 @@ def _degree(meta: dict[str, str], file: str) -> int:
     return int(degree)
 
 
-def tai_seconds(times: Sequence[str], time_system: str, file: str) -> tuple[Epoch, Floats]:
+def tai_seconds(
+    times: Sequence[str], time_system: str, file: str, field: str = "time of the states"
+) -> tuple[Epoch, Floats]:
     """Epoch, and TAI seconds (N,) since it, of calendar dates in a time system.
 
-    `RawDataError` for another time system and for times that do not exist.
+    `RawDataError` for another time system and for times that do not exist, which it names by `field`.
     """
     scale = time_system.upper()
     if scale != "UTC" and scale not in AHEAD_OF_GPS_S:
@@ -231,7 +250,7 @@ def tai_seconds(times: Sequence[str], time_system: str, file: str) -> tuple[Epoc
         epoch = Epoch(int(np.floor(Epoch(0).seconds_from_gps_dates(times[:1])[0] - ahead_s)))
         return epoch, np.round(epoch.seconds_from_gps_dates(times) - ahead_s, 12)
     except ValueError as error:
-        raise RawDataError(file, "time of the states", str(error), "times that exist") from error
+        raise RawDataError(file, field, str(error), "times that exist") from error
 
 
 def _check_states(t_s: Floats, positions: Floats, velocities: Floats, file: str) -> None:

@@ -198,7 +198,7 @@ def _noise(stated: schema.NoiseFile) -> AttitudeNoise:
 
 def _attitudes(head: schema.HeadFile, path: Path, file: str, epoch: Epoch) -> SolvedAttitudes:
     """Attitudes with the one statement of their white noise: of each row, or of the head."""
-    rows = read_attitudes(path, file, epoch, head.frame, head.rotation)
+    rows = read_attitudes(path, file, epoch, head.frame, head.rotation, head.time_scale)
     stated = head.noise.white_arcsec
     if (rows.covariance_s is None) == (stated is None):
         found = "neither in the rows nor here" if stated is None else f"{stated} and in the rows of {file}"

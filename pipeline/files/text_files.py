@@ -6,11 +6,13 @@ Nothing in a file is executed: values are text and numbers, and paths stay insid
 from __future__ import annotations
 
 import csv
+import gzip
 import io
 import json
 import math
 import re
 import tomllib
+import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from difflib import get_close_matches
 from pathlib import Path, PureWindowsPath
@@ -23,21 +25,25 @@ from boresight.pipeline.files.content import check_regular, content_of
 
 __all__ = [
     "NUMBER",
+    "PLAIN_NUMBER",
     "check_number",
     "csv_rows",
     "expected_of",
     "json_text",
     "path_inside",
     "read_json",
+    "read_message",
     "read_table",
     "read_text",
     "read_toml",
     "toml_tables",
+    "unpacked",
 ]
 
 Model = TypeVar("Model", bound=BaseModel)
 MAX_TEXT_BYTES = 256 * 2**20
 MAX_TOML_BYTES = 2**20
+GZIP = b"\x1f\x8b"  # first bytes of a gzip file
 MAX_KEY_PARTS = 32  # of a dotted key; the parser's time grows with the square
 MAX_WRONG_ROWS = 100  # of a table, before it is given up
 MAX_ROWS = 500_000  # of a table; a record takes 1 kB
@@ -75,12 +81,42 @@ def path_inside(root: Path, relative: str, *, file: str, field: str) -> Path:
 
 def read_text(path: Path, file: str, max_bytes: int = MAX_TEXT_BYTES) -> str:
     """The text of a UTF-8 file without byte-order mark; `RawDataError` if it is too large or not UTF-8."""
+    return _decoded(_content(path, file, max_bytes), file)
+
+
+def read_message(path: Path, file: str, max_bytes: int = MAX_TEXT_BYTES) -> str:
+    """The text of a message, plain as `read_text` has it or compressed with gzip (RFC 1952).
+
+    `RawDataError` also for a damaged gzip file and for one of more than `max_bytes` unpacked.
+    """
+    raw = _content(path, file, max_bytes)
+    return _decoded(unpacked(raw, file, max_bytes) if raw.startswith(GZIP) else raw, file)
+
+
+def unpacked(raw: bytes, file: str, max_bytes: int) -> bytes:
+    """The content of a gzip file, at most `max_bytes`; `RawDataError` for more, or for damage."""
+    try:
+        with gzip.GzipFile(fileobj=io.BytesIO(raw)) as stream:
+            content = stream.read(max_bytes + 1)
+    except (OSError, EOFError, zlib.error) as error:
+        raise RawDataError(file, "gzip", str(error), "a whole gzip file") from error
+    if len(content) > max_bytes:
+        raise RawDataError(
+            file, "gzip", f"more than {max_bytes} bytes unpacked", f"at most {max_bytes} bytes"
+        )
+    return content
+
+
+def _content(path: Path, file: str, max_bytes: int) -> bytes:
     if (size := check_regular(path, file, "a readable file")) > max_bytes:
         raise RawDataError(file, "file", f"{size} bytes", f"at most {max_bytes} bytes of text")
     try:
-        raw = content_of(path)
+        return content_of(path)
     except OSError as error:
         raise RawDataError(file, "file", error.strerror or str(error), "a readable file") from error
+
+
+def _decoded(raw: bytes, file: str) -> str:
     try:
         return raw.decode("utf-8-sig")
     except UnicodeDecodeError as error:

@@ -17,12 +17,16 @@ from defusedxml.common import DefusedXmlException
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.text_files import NUMBER, read_text
 
-__all__ = ["elements_of", "numbers_of", "read_xml", "text_of", "whole_of"]
+__all__ = ["elements_of", "numbers_of", "read_xml", "text_of", "whole_of", "xml_root"]
 
 
 def read_xml(path: Path, file: str) -> Element:
     """The root element of an XML file; `RawDataError` for anything else, and for a DTD."""
-    text = read_text(path, file)
+    return xml_root(read_text(path, file), file)
+
+
+def xml_root(text: str, file: str) -> Element:
+    """The root element of XML text; `RawDataError` for anything else, and for a DTD."""
     try:
         root = defusedxml.ElementTree.fromstring(text, forbid_dtd=True)
     except DefusedXmlException as error:
@@ -45,24 +49,26 @@ def elements_of(root: Element, where: str, file: str, least: int, most: int) -> 
     return found
 
 
-def text_of(root: Element, where: str, file: str) -> str:
+def text_of(root: Element, where: str, file: str, inside: str = "") -> str:
     """The text of the one element at a path; `RawDataError` for none, several or an empty one."""
     found = root.findall(where)
     if len(found) != 1 or not (found[0].text or "").strip():
         raise RawDataError(
-            file, where, f"{len(found)} such elements, or an empty one", "one element with text"
+            file, inside + where, f"{len(found)} such elements, or an empty one", "one element with text"
         )
     return (found[0].text or "").strip()
 
 
-def numbers_of(root: Element, where: str, file: str, number: int) -> list[float]:
-    """The `number` finite numbers of the one element at a path; `RawDataError` for other text."""
-    words = text_of(root, where, file).split()
+def numbers_of(root: Element, where: str, file: str, number: int, inside: str = "") -> list[float]:
+    """The `number` finite numbers of the one element at a path; `RawDataError` for other text, which names
+    what the element is `inside` of ("state 7, ") and the path.
+    """
+    words = text_of(root, where, file, inside).split()
     expected = f"{number} finite number{'s' if number > 1 else ''}"
     if len(words) != number:
-        raise RawDataError(file, where, f"{len(words)} words", expected)
+        raise RawDataError(file, inside + where, f"{len(words)} words", expected)
     if wrong := [word for word in words if not re.fullmatch(NUMBER, word) or not np.isfinite(float(word))]:
-        raise RawDataError(file, where, wrong[0], expected)
+        raise RawDataError(file, inside + where, wrong[0], expected)
     return [float(word) for word in words]
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 from pathlib import Path
 
 import erfa
@@ -164,6 +165,30 @@ def test_message_in_gps_time_is_18_seconds_earlier(tmp_path: Path) -> None:
     assert np.allclose(read(tmp_path, kvn(meta, rows, "2.0"), None, None).t_s, [-8.0, -7.9, -7.8], atol=1e-9)
 
 
+@pytest.mark.parametrize(("scale", "later_s"), [("UTC", 0.0), ("TAI", -37.0), ("GPS", -18.0)])
+def test_times_of_a_table_are_in_the_scale_that_its_column_names(
+    scale: str, later_s: float, tmp_path: Path
+) -> None:
+    # 2024: TAI - UTC = 37 s, GPS - UTC = 18 s (Bulletin C of the IERS)
+    path = tmp_path / "attitudes.csv"
+    path.write_text(csv_text(R_SI.as_quat()).replace("utc,", f"{scale.lower()},"))
+    found = read_attitudes(path, "attitudes.csv", EPOCH, "GCRF", "inertial to head", scale)
+    assert np.allclose(found.t_s, np.array([10.0, 10.1, 10.2]) + later_s, atol=1e-9)  # s
+    other = "GPS" if scale == "TAI" else "TAI"
+    with pytest.raises(RawDataError, match=f"column {other.lower()}: found no such column"):
+        read_attitudes(path, "attitudes.csv", EPOCH, "GCRF", "inertial to head", other)
+
+
+@pytest.mark.parametrize("name", ["ccsds_ndm_1.0.aem", "ccsds_ndm_2.0.xml"])
+def test_compressed_message_is_the_plain_one(name: str, tmp_path: Path) -> None:
+    plain = Path(__file__).parents[3] / "fixtures" / "attitudes" / name
+    packed = tmp_path / f"{name}.gz"
+    packed.write_bytes(gzip.compress(plain.read_bytes()))
+    expected, found = (read_attitudes(path, path.name, EPOCH, None, None) for path in (plain, packed))
+    assert np.array_equal(found.t_s, expected.t_s)
+    assert np.array_equal(found.R_si.as_quat(), expected.R_si.as_quat())
+
+
 Q = "0 0 0 1"
 OK = {"REF_FRAME_A": "GCRF", "REF_FRAME_B": "ST_1"}
 
@@ -175,10 +200,22 @@ OK = {"REF_FRAME_A": "GCRF", "REF_FRAME_B": "ST_1"}
             kvn(OK | {"REF_FRAME_A": "TEME"}, [f"{t} {Q}" for t in TIMES], "2.0"),
             "REF_FRAME_A and REF_FRAME_B",
         ),
-        (kvn(OK | {"ATTITUDE_TYPE": "SPIN"}, [], "2.0"), "ATTITUDE_TYPE: found SPIN"),
+        *(
+            (
+                kvn(OK | {"ATTITUDE_TYPE": kind}, [f"{TIMES[0]} 1 2 3"], "2.0"),
+                f"ATTITUDE_TYPE: found {kind}, expected QUATERNION",
+            )
+            for kind in ("SPIN", "SPIN/NUTATION", "EULER_ANGLE", "EULER ANGLE/RATE")
+        ),
+        (
+            "<aem><body><segment><metadata><REF_FRAME_A>GCRF</REF_FRAME_A><REF_FRAME_B>ST</REF_FRAME_B>"
+            "<TIME_SYSTEM>UTC</TIME_SYSTEM><ATTITUDE_TYPE>SPIN</ATTITUDE_TYPE></metadata><data><attitudeState>"
+            "<spin><EPOCH>x</EPOCH><SPIN_ALPHA>1</SPIN_ALPHA></spin></attitudeState></data></segment></body></aem>",
+            "ATTITUDE_TYPE: found SPIN, expected QUATERNION",
+        ),
         (kvn(OK, [f"{TIMES[0]} {Q}", f"{TIMES[0]} {Q}"], "2.0"), "attitude 2, time: found 0.000000 s after"),
         (kvn(OK, [f"{TIMES[0]} {Q}"], "2.0"), "rows: found 1 valid rows"),
-        (kvn(OK, [f"{t} 0 0 1_0 1" for t in TIMES], "2.0"), "state 1: found 1_0"),
+        (kvn(OK, [f"{t} 0 0 1_0 1" for t in TIMES], "2.0"), "line 15, Q3: found 1_0"),
         (kvn(OK, [f"{t} 0 0 1 1" for t in TIMES], "2.0"), "attitude 1: found .* of length 1.41421"),
         (kvn(OK, [f"{t} {Q}" for t in TIMES], "2.0").replace("DATA_STOP", ""), "end of the file"),
         ("<aem version='2.0'><body>", "XML"),

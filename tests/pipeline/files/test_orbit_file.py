@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime
+import gzip
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -16,6 +17,7 @@ from oem import OrbitEphemerisMessage
 
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.orbit_file import read_oem
+from boresight.pipeline.files.text_files import read_message
 
 FIXTURE = Path(__file__).parents[3] / "fixtures" / "mini" / "orbit.oem"
 RADIUS_KM, RATE = 6908.0, 7.5963 / 6908.0
@@ -88,7 +90,7 @@ def test_byte_order_mark_is_no_part_of_the_text(tmp_path: Path) -> None:
 @pytest.mark.parametrize("number", ["6_908.0", "６９０８.0", "٦٩٠٨.0"])
 def test_number_that_other_programs_do_not_read_is_refused(number: str, tmp_path: Path) -> None:
     text = text_of(20).replace("6908.000000000", number, 1)
-    with pytest.raises(RawDataError, match=r"orbit.oem: state 1: found .*ASCII digits"):
+    with pytest.raises(RawDataError, match=r"orbit.oem: line 15, X: found .*ASCII digits"):
         read_oem(written(tmp_path, text), "orbit.oem")
 
 
@@ -101,10 +103,10 @@ def test_number_that_other_programs_do_not_read_is_refused(number: str, tmp_path
         ("REF_FRAME = GCRF\n", "REF_FRAME = GCRF\nREF_FRAME = ICRF\n", "REF_FRAME: found a second time"),
         ("REF_FRAME = GCRF\n", "REF_FRAME = GCRF\nCOLOUR = red\n", "COLOUR: found an unknown keyword"),
         ("REF_FRAME = GCRF\n", "REF_FRAME = GCRF\nCOLOUR\n", "found COLOUR, expected KEYWORD = value"),
-        ("CCSDS_OEM_VERS = 2.0", "CCSDS_OEM_VERS = 3.0", "expected 1.0 or 2.0"),
+        ("CCSDS_OEM_VERS = 2.0", "CCSDS_OEM_VERS = 3.5", "expected 1.0, 2.0, 3.0"),
         ("META_START", "META_START\nMETA_STOP\nMETA_START", "2 segments"),
         ("2016-12-31T23:59:31.000 ", "2016-367T23:59:31.000 ", "a day of that year"),
-        (" 0.0 ", " 0.0 1.0 ", "state 1: found .*six numbers"),
+        (" 0.0 ", " 0.0 1.0 ", "line 15: found 8 words.*six numbers"),
         ("TIME_SYSTEM = UTC", "TIME_SYSTEM = UT1", "UTC, TAI, TT or GPS"),
     ],
 )
@@ -155,7 +157,7 @@ def test_xml_is_read_as_the_keyword_form_is(tmp_path: Path) -> None:
     assert np.array_equal(xml.velocities_m_s, kvn.velocities_m_s)
     for old, new, field in (
         ("</oem>", "", "XML"),
-        ("<X>", "<X>_", "X"),
+        ("<X>", "<X>_", "state 1, X"),
         ("<oem", "<!DOCTYPE a [<!ENTITY b 'c'>]><oem", "XML"),
         ("oem", "opm", "root element"),
     ):
@@ -164,3 +166,53 @@ def test_xml_is_read_as_the_keyword_form_is(tmp_path: Path) -> None:
         with pytest.raises(RawDataError) as error:
             read_oem(damaged, "damaged.xml")
         assert error.value.field == field
+
+
+def test_third_version_with_its_own_keywords_is_read_in_both_forms(tmp_path: Path) -> None:
+    head = "CCSDS_OEM_VERS = 2.0\n"
+    own = "CCSDS_OEM_VERS = 3.0\nCLASSIFICATION = public, no limits\nMESSAGE_ID = OEM 201113719185\n"
+    text = text_of(10)
+    assert head in text
+    plain = read_oem(written(tmp_path, text), "orbit.oem")
+    third = read_oem(written(tmp_path, text.replace(head, own)), "orbit.oem")
+    assert np.array_equal(third.positions_m, plain.positions_m) and np.array_equal(third.t_s, plain.t_s)
+    OrbitEphemerisMessage.open(written(tmp_path, text)).save_as(tmp_path / "orbit.xml", file_format="xml")
+    xml = (tmp_path / "orbit.xml").read_text().replace('version="2.0"', 'version="3.0"', 1)
+    assert 'version="3.0"' in xml
+    (tmp_path / "third.xml").write_text(xml.replace("<header>", "<header><MESSAGE_ID>7</MESSAGE_ID>", 1))
+    assert np.array_equal(read_oem(tmp_path / "third.xml", "third.xml").positions_m, plain.positions_m)
+    with pytest.raises(RawDataError, match=r"CCSDS_OEM_VERS: found 4\.0, expected 1\.0, 2\.0, 3\.0"):
+        read_oem(written(tmp_path, text.replace(head, "CCSDS_OEM_VERS = 4.0\n")), "orbit.oem")
+
+
+def test_wrong_number_is_named_by_line_and_value(tmp_path: Path) -> None:
+    lines = text_of(12).splitlines()
+    row = next(n for n, line in enumerate(lines) if line.startswith("2016-12-31T23:59:33.000"))
+    words = lines[row].split()
+    for cells, complaint in (
+        ([*words[:2], "1.0O5", *words[3:]], f"line {row + 1}, Y: found 1.0O5"),
+        (words[:6], f"line {row + 1}: found 6 words: 2016-12-31T23:59:33.000"),
+        ([*words, "1", "2"], f"line {row + 1}: found 9 words"),
+        (["2016-12-31", *words[1:]], f"line {row + 1}, time: found 2016-12-31,"),
+    ):
+        with pytest.raises(RawDataError, match=complaint):
+            read_oem(
+                written(tmp_path, "\n".join([*lines[:row], " ".join(cells), *lines[row + 1 :]])), "orbit.oem"
+            )
+
+
+def test_compressed_message_is_the_plain_one_and_a_bomb_is_not_unpacked(tmp_path: Path) -> None:
+    text = text_of(30)
+    plain, packed = read_oem(written(tmp_path, text), "orbit.oem"), tmp_path / "orbit.oem.gz"
+    whole = gzip.compress(text.encode())
+    packed.write_bytes(whole)
+    assert np.array_equal(read_oem(packed, "orbit.oem.gz").positions_m, plain.positions_m)
+    packed.write_bytes(whole[:-20])
+    with pytest.raises(RawDataError, match=r"gzip: found .*, expected a whole gzip file"):
+        read_oem(packed, "orbit.oem.gz")
+    packed.write_bytes(whole[:30] + bytes([whole[30] ^ 0x55]) + whole[31:])
+    with pytest.raises(RawDataError, match="gzip: found"):
+        read_oem(packed, "orbit.oem.gz")
+    packed.write_bytes(gzip.compress(bytes(2**20)))
+    with pytest.raises(RawDataError, match="gzip: found more than 65536 bytes unpacked"):
+        read_message(packed, "orbit.oem.gz", 2**16)
