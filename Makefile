@@ -23,6 +23,7 @@ lock: install
 	$(BIN)/python -m pip install --quiet uv
 	$(BIN)/uv pip compile --quiet --universal --python-version 3.11 --generate-hashes --no-annotate $(UPGRADE) \
 	  --custom-compile-command 'make lock' --extra dev --extra docs pyproject.toml --output-file constraints.txt
+	$(BIN)/python scripts/plain_constraints.py
 
 demo: install
 	$(BIN)/boresight calibrate fixtures/mini --out demo-result

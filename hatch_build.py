@@ -1,15 +1,46 @@
-"""Build hook: the commit that a wheel or sdist is built from goes into it as `boresight/COMMIT`.
+"""Hooks of the build: the README of the metadata, and the commit that a wheel or sdist is built from.
+
+A package index shows README.md without the files beside it. Relative links therefore get the address `Source`
+of [project.urls] before them; without such an address a link becomes its text and a picture is left out.
+
+The commit goes into what is built as `boresight/COMMIT`.
 
 An sdist has no git: the file that it carries goes into the wheel built from it. Without git and without that
 file the wheel states no commit.
 """
 
+import re
 import subprocess
 import tempfile
 from pathlib import Path
 from typing import Any
 
 from hatchling.builders.hooks.plugin.interface import BuildHookInterface
+from hatchling.metadata.plugin.interface import MetadataHookInterface
+
+RELATIVE = re.compile(r"(!?)\[([^\[\]]*)\]\((?!https?://|mailto:|#)([^()\s]+)\)")
+OF_PAGE = re.compile(r"(?<!!)\[([^\[\]]*)\]\(#[^()\s]*\)")  # headings have other anchors there
+
+
+def readme_of_index(text: str, source: str = "") -> str:
+    """README text whose links work on a package index; `source` is the address of the repository's files."""
+
+    def absolute(link: re.Match[str]) -> str:
+        picture, words, target = link.groups()
+        if source:
+            return f"{picture}[{words}]({source.rstrip('/')}/{target})"
+        return "" if picture else words
+
+    return OF_PAGE.sub(r"\1", RELATIVE.sub(absolute, text))
+
+
+class ReadmeHook(MetadataHookInterface):
+    """States README.md as the long description."""
+
+    def update(self, metadata: dict[str, Any]) -> None:
+        text = (Path(self.root) / "README.md").read_text(encoding="utf-8")
+        source = metadata.get("urls", {}).get("Source", "")
+        metadata["readme"] = {"content-type": "text/markdown", "text": readme_of_index(text, source)}
 
 
 class CommitHook(BuildHookInterface):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import runpy
 import tomllib
 from pathlib import Path
 
@@ -45,3 +46,25 @@ def test_stated_python_versions_begin_with_the_required_one() -> None:
     stated = [c.split(" :: ")[-1] for c in PROJECT["classifiers"] if re.search(r":: 3\.\d+$", c)]
     assert stated == ["3.11", "3.12", "3.13"]
     assert PROJECT["requires-python"] == f">={stated[0]}"
+
+
+def test_plain_constraints_are_the_pins_without_hashes() -> None:
+    plain = (ROOT / "constraints-plain.txt").read_text(encoding="utf-8")
+    lines = [line for line in plain.splitlines() if not line.startswith("#")]
+    found = {canonicalize_name(Requirement(line).name) for line in lines}
+    assert found == set(pins()), "run `make lock`"
+    assert "--hash" not in plain
+    assert len(lines) == sum(map(len, pins().values()))
+
+
+README = """[page](docs/a.md#b) ![picture](docs/images/p.png) [site](https://example.org/x) [below](#below)"""
+
+
+def test_readme_of_an_index_has_absolute_links_or_plain_words() -> None:
+    hook = runpy.run_path(str(ROOT / "hatch_build.py"))["readme_of_index"]
+    base = "https://example.org/boresight/blob/main/"
+    with_source = hook(README, base)
+    assert f"[page]({base}docs/a.md#b) ![picture]({base}docs/images/p.png)" in with_source
+    assert hook(README) == "page  [site](https://example.org/x) below"
+    of_project = hook((ROOT / "README.md").read_text(encoding="utf-8"), PROJECT["urls"].get("Source", ""))
+    assert not re.findall(r"\]\((?!https?://)", of_project)
