@@ -27,6 +27,7 @@ from boresight.accepted import (
     count_of,
     floats_of,
     instance_of,
+    listed,
     new_folder_of,
     number_of,
     rotation_of,
@@ -206,10 +207,10 @@ def _rows(table: Table, name: str) -> list[Mapping[str, Any]]:
     """A table as mappings, one a row."""
     if isinstance(table, pd.DataFrame):
         rows: list[Any] = [dict(zip(table.columns, values)) for values in table.itertuples(index=False)]
-    elif isinstance(table, Iterable) and not isinstance(table, str | bytes | Mapping):
-        rows = list(table)
-    else:
+    elif isinstance(table, str | bytes | Mapping):
         raise wrong(name, table, "a DataFrame or a sequence of mappings")
+    else:
+        rows = listed(table, name, "mappings, or a DataFrame")
     for n, row in enumerate(rows):
         if not isinstance(row, Mapping):
             raise wrong(f"{name}, row {n}", row, "a mapping of columns")
@@ -318,7 +319,7 @@ def _write_targets(folder: Path, rows: Sequence[Mapping[str, Any]]) -> None:
 
 
 def _georeference(affine: Any, crs: Any, at: str) -> dict[str, Any]:
-    numbers = floats_of(list(affine)[:6] if isinstance(affine, Iterable) else affine, f"{at}, affine", "(6,)")
+    numbers = floats_of(listed(affine, f"{at}, affine", "six numbers")[:6], f"{at}, affine", "(6,)")
     if numbers.shape != (6,) or not np.isfinite(numbers).all():
         raise wrong(f"{at}, affine", affine, "six finite numbers a, b, c, d, e, f")
     try:
