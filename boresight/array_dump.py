@@ -37,7 +37,7 @@ from boresight.accepted import (
 from boresight.geometry.line_camera import LineCamera
 from boresight.geometry.star_camera import StarCamera
 from boresight.pipeline.files.dump import Dump, open_dump
-from boresight.pipeline.files.dump_schema import head_of_dump
+from boresight.pipeline.files.dump_schema import FILES, head_of_dump
 from boresight.pipeline.files.oem_text import orbit_message
 from boresight.pipeline.files.remote_camera import remote_camera_table
 from boresight.pipeline.files.star_side import star_camera_table
@@ -152,14 +152,7 @@ def dump_from_arrays(
         raise wrong("targets, points", "neither of them", "targets, points or strips of kind sky")
     for name in ("exposures", "strips", "chips", "terrain"):
         (folder / name).mkdir(parents=True)
-    files = {
-        "star_camera": "star_camera.toml",
-        "remote_camera": "remote_camera.toml",
-        "installation": "installation.toml",
-        "orbit": "orbit.oem",
-        "exposures": "exposures.csv",
-        "strips": "strips.csv",
-    }
+    files = dict(FILES)
     bits = _write_exposures(folder, _rows(exposures, "exposures"), star_bits)
     write_toml(folder / files["star_camera"], star_camera_table(camera, bits))
     bits = _write_strips(folder, _rows(strips, "strips"), remote_bits)

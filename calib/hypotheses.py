@@ -36,7 +36,9 @@ class Hypothesis:
     cause: str = scalar('what is wrong: "clock of a strip"')
     item: str = scalar('what it concerns: "strip s02"')
     unit: str = scalar("of its size")
-    words: tuple[str, str] = scalar("a positive and a negative size in words, behind the number")
+    words: tuple[str, str] = scalar(
+        "a positive and a negative size in words, behind the number", default=("too large", "too small")
+    )
     file: str = scalar("file of the dump that states the input")
     field: str = scalar("field of that file")
     change_c: Floats = array(
@@ -103,7 +105,6 @@ def vector_hypotheses(
             cause=f"origin of the look vectors, {'xy'[axis]} of c",
             item="all frames",
             unit="″",
-            words=("too large", "too small"),
             file="w_c",
             field="",
             change_c=pixel_rad * across[:, :, axis],
@@ -123,7 +124,6 @@ def vector_hypotheses(
                 cause=f"attitude of a frame, about {'xyz'[axis]} of c",
                 item=f"frame {one.strip_id}",
                 unit="″",
-                words=("too large", "too small"),
                 file="v_stars, v_targets",
                 field="",
                 change_c=ARCSEC * turned[:, :, axis] * (frame == n)[:, None],
@@ -250,7 +250,6 @@ def _of_looks(prepared: Sequence[PreparedStrip], ccd: Ints, pixel_rad: float) ->
                 cause=f"{subject} of {'the CCDs' if number is None else 'a CCD'}{axis_name}",
                 item=item,
                 unit=unit,
-                words=("too large", "too small"),
                 file="remote_camera.toml",
                 field=field,
                 change_c=size[:, None] * across[:, :, axis],
@@ -287,7 +286,6 @@ def _of_attitude(
                 cause=f"attitude of a strip, {name}",
                 item=f"strip {one.strip_id}",
                 unit="″",
-                words=("too large", "too small"),
                 file=f"{attitudes} and the orbit",
                 field="",
                 change_c=ARCSEC * turned[:, :, axis] * (strip == n)[:, None],
@@ -309,7 +307,6 @@ def _of_images(
                     cause=f"image of a CCD in one strip, {name}",
                     item=f"CCD {number} in strip {one.strip_id}",
                     unit="px",
-                    words=("too large", "too small"),
                     file="strips.csv",
                     field="file",
                     change_c=here[:, None] * across[:, :, axis],

@@ -95,6 +95,16 @@ class Conventions(_Strict):
     image_origin: Literal["centre of first pixel is (0, 0)"]
 
 
+FILES = {  # that every written dump has, by their names in it
+    "star_camera": "star_camera.toml",
+    "remote_camera": "remote_camera.toml",
+    "installation": "installation.toml",
+    "orbit": "orbit.oem",
+    "exposures": "exposures.csv",
+    "strips": "strips.csv",
+}
+
+
 def head_of_dump(mission: str, created_by: str) -> dict[str, Any]:
     """First keys of a dump.toml, with the conventions of the format."""
     conventions = {name: get_args(field.annotation)[0] for name, field in Conventions.model_fields.items()}

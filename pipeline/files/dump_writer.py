@@ -13,7 +13,7 @@ from rasterio.errors import NotGeoreferencedWarning
 from rasterio.transform import Affine
 from rasterio.windows import Window
 
-from boresight.pipeline.files.dump_schema import head_of_dump
+from boresight.pipeline.files.dump_schema import FILES, head_of_dump
 from boresight.pipeline.files.oem_text import orbit_message
 from boresight.pipeline.files.png import png_of_noise
 from boresight.pipeline.files.remote_camera import remote_camera_table
@@ -76,15 +76,7 @@ def _head(mission: Mission, created_by: str) -> dict[str, Any]:
     heights = {"height_kind": terrain.height_kind, "sigma_m": terrain.sigma_m} if terrain is not None else {}
     return {
         **head_of_dump(mission.scenario.name, created_by),
-        "files": {
-            "star_camera": "star_camera.toml",
-            "remote_camera": "remote_camera.toml",
-            "installation": "installation.toml",
-            "orbit": "orbit.oem",
-            "exposures": "exposures.csv",
-            "strips": "strips.csv",
-            **of_ground,
-        },
+        "files": FILES | of_ground,
         "errors": {
             "position_m": errors.position_m,
             "clock_s": errors.clock_s,

@@ -28,7 +28,6 @@ from boresight.pipeline.stages.calibrate import DumpCalibration
 __all__ = ["findings"]
 
 FEWEST = 3  # observations that make a pattern
-MOST_STRIPS_AGAIN = 4  # strips without any match that are searched again
 SMALL_SHARE = 0.4  # of the swath: targets within less are reported
 FLAT_COUNTS = 2.0  # standard deviation of an image without content
 SHOWN = 5  # names in a sentence

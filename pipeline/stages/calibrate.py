@@ -37,7 +37,7 @@ from boresight.pipeline.run.settings import Settings, calibration_settings, effe
 from boresight.pipeline.run.unit_store import UnitStore
 from boresight.pipeline.stages.cached import Progress, StageRunner
 from boresight.pipeline.stages.conventions import likely_convention, sees_its_targets
-from boresight.pipeline.stages.coverage import attitudes_in_s, carriers, stated_mountings
+from boresight.pipeline.stages.coverage import attitudes_in_s, carriers, covered_strips, stated_mountings
 from boresight.pipeline.stages.head import HeadSightings, sight_head
 from boresight.pipeline.stages.input_findings import input_findings
 from boresight.pipeline.stages.left_out import Counts, counts_of, lost_ccds, searched_alone, with_left_out
@@ -448,15 +448,11 @@ def _strip_tasks(
 
     Where another head carries the strip, its attitudes are turned to frame s by the matrices `mountings`.
     """
-    tasks, omitted = [], []
+    tasks = []
     points = {one.strip_id: one for one in dump.points}
     run = settings.run
-    covering = carriers(dump, heads, run.exposure_margin_s)
-    for strip in dump.strips:
-        if isinstance(carrier := covering[strip.strip_id], Omission):
-            omitted.append(carrier)
-            continue
-        head, near = carrier
+    covered, omitted = covered_strips(dump.strips, carriers(dump, heads, run.exposure_margin_s))
+    for strip, head, near in covered:
         times = np.array([head.stars[k].t_s for k in near])
         first, last = dump.span_s(strip)
         margin = run.exposure_margin_s

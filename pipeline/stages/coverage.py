@@ -19,6 +19,7 @@ __all__ = [
     "attitudes_around",
     "attitudes_in_s",
     "carriers",
+    "covered_strips",
     "stated_mountings",
     "turn_to_reference",
 ]
@@ -43,6 +44,15 @@ def carriers(
         covering = ((one, rows) for one, rows in others if not isinstance(rows, Omission))
         found[strip.strip_id] = next(covering, own)
     return found
+
+
+def covered_strips(
+    strips: Sequence[Strip], covering: Mapping[str, tuple[HeadSightings, Ints] | Omission]
+) -> tuple[list[tuple[Strip, HeadSightings, Ints]], list[Omission]]:
+    """Strips with what `carriers` found for them, and the omissions of all others."""
+    pairs = [(strip, covering[strip.strip_id]) for strip in strips]
+    omitted = [carrier for _, carrier in pairs if isinstance(carrier, Omission)]
+    return [(strip, *carrier) for strip, carrier in pairs if not isinstance(carrier, Omission)], omitted
 
 
 def stated_mountings(heads: Sequence[HeadSightings]) -> dict[str, Rotation]:

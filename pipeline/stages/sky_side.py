@@ -20,6 +20,7 @@ from boresight.pipeline.stages.cached import StageRunner
 from boresight.pipeline.stages.coverage import (
     attitudes_in_s,
     carriers,
+    covered_strips,
     stated_mountings,
     turn_to_reference,
 )
@@ -116,14 +117,11 @@ def _tasks(
     dump: Dump, heads: Sequence[HeadSightings], settings: Settings
 ) -> tuple[list[SkyTask], list[Omission]]:
     """A task for each strip of the sky that orbit and star exposures cover, an omission for each other."""
-    tasks, omitted = [], []
+    tasks = []
     margin, camera = settings.run.exposure_margin_s, dump.line_camera
     covering = carriers(dump, heads, margin) if dump.sky_strips else {}
-    for strip in dump.sky_strips:
-        if isinstance(carrier := covering[strip.strip_id], Omission):
-            omitted.append(carrier)
-            continue
-        head, near = carrier
+    covered, omitted = covered_strips(dump.sky_strips, covering)
+    for strip, head, near in covered:
         times = np.array([head.stars[k].t_s for k in near])
         first, last = dump.span_s(strip)
         tasks.append(
