@@ -159,7 +159,7 @@ def _of_clock(prepared: Sequence[PreparedStrip], strip: Ints, late_c: Floats) ->
             unit="ms",
             words=("too late", "too early"),
             file="strips.csv",
-            field="utc_first_row" + (", and time_of_row," if several else ""),
+            field="utc_first_row" + (" and time_of_row" if several else ""),
             change_c=MILLI * late_c * here,
         )
         yield Hypothesis(
