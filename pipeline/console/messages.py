@@ -26,7 +26,7 @@ import typer
 from boresight.geometry.record import record, scalar
 from boresight.pipeline import __version__
 from boresight.pipeline.errors import RawDataError, printable
-from boresight.pipeline.files.text_files import json_text
+from boresight.pipeline.files.json_text import json_text
 
 __all__ = ["DATA_DID_NOT_ALLOW", "DONE", "LIMIT_MISSED", "NOT_CHECKABLE", "REFUTED", "WITH_FINDINGS"]
 __all__ += [

@@ -9,7 +9,6 @@ import csv
 import gzip
 import io
 import json
-import math
 import re
 import tomllib
 import zlib
@@ -29,7 +28,6 @@ __all__ = [
     "check_number",
     "csv_rows",
     "expected_of",
-    "json_text",
     "path_inside",
     "read_json",
     "read_message",
@@ -158,21 +156,6 @@ def read_json(path: Path, file: str = "") -> dict[str, Any]:
     if not isinstance(content, dict):
         raise RawDataError(file, "JSON", type(content).__name__, "an object, as `calibrate` wrote it")
     return content
-
-
-def json_text(content: Any) -> str:
-    """`content` as JSON text; null stands for what is not finite, and a NumPy array becomes a list."""
-    return json.dumps(_finite(content), indent=2, allow_nan=False)
-
-
-def _finite(content: Any) -> Any:
-    if hasattr(content, "tolist"):  # arrays and numbers of NumPy
-        content = content.tolist()
-    if isinstance(content, dict):
-        return {key: _finite(value) for key, value in content.items()}
-    if isinstance(content, (list, tuple)):
-        return [_finite(value) for value in content]
-    return None if isinstance(content, float) and not math.isfinite(content) else content
 
 
 def read_toml(path: Path, model: type[Model], file: str) -> Model:

@@ -26,9 +26,9 @@ from boresight.geometry.record import Floats
 from boresight.geometry.sightings import StripSightings
 from boresight.pipeline import __version__
 from boresight.pipeline.errors import Omission
+from boresight.pipeline.files.json_text import json_text
 from boresight.pipeline.files.record_tables import columns_of, plain
 from boresight.pipeline.files.table_files import arrow_array, arrow_rows, fixed_list
-from boresight.pipeline.files.text_files import json_text
 from boresight.pipeline.files.whole_file import make_own_folder, remove_abandoned, write_text, write_whole
 from boresight.pipeline.results.folder import DUMPS
 from boresight.pipeline.results.sightings_tables import COLUMNS, sightings_schema

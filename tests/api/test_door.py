@@ -76,6 +76,13 @@ def test_import_alone_loads_no_numpy() -> None:
     assert subprocess.check_output([sys.executable, "-c", code], text=True).split() == ["False", "False"]
 
 
+def test_help_loads_no_library_that_only_commands_need() -> None:
+    command = [sys.executable, "-X", "importtime", "-m", "boresight", "--help"]
+    told = subprocess.run(command, capture_output=True, text=True, check=True).stderr
+    loaded = {line.rpartition("|")[2].strip() for line in told.splitlines()}
+    assert "typer" in loaded and not loaded & {"numpy", "pydantic", "rich", "pandas"}
+
+
 WITH_EXAMPLES = sorted(
     {getattr(bs, name).__module__ for name in FUNCTIONS if ">>>" in getattr(bs, name).__doc__}
 )
