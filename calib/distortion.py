@@ -1,4 +1,5 @@
-"""What is left of the remote-sensing camera's distortion after its own calibration: a curve along the field.
+"""What is left of the remote-sensing camera's distortion after its own calibration: a curve along the field,
+and a shift, a slope and a bend of each CCD.
 
 The residual of a look vector along x and y of frame c is a random curve with variance one (times
 `sigma_distortion_rad` squared) and Matérn's 3/2 correlation over `length_px`: of the angle across the field,
@@ -6,6 +7,11 @@ as the optics make it, over all CCDs; or, where the angle of a pixel is not give
 for each CCD. The area under the correlation is that of exp(-d²/2) of a distance of d lengths: it decides how
 much of the curve remains in the mean over a field. The curve is held by its values at knots half a length
 apart, straight lines between them; what straight lines miss of the variance is noise of each target.
+
+The optics make a curve that passes from one CCD to the next; where a CCD sits and how flat it is, is its own.
+Along x and along y a CCD has three unknowns more (`MODES`): Legendre polynomials of degree 0, 1 and 2 along
+its samples, each with a mean square of one over the CCD. The slope is the CCD's rotation along x, its scale
+along y.
 """
 
 from __future__ import annotations
@@ -14,6 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 __all__ = [
+    "MODES",
+    "ccd_modes",
     "correlation",
     "knot_weights",
     "knots_touched",
@@ -24,6 +32,7 @@ __all__ = [
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
+MODES = ("shift", "slope", "bend")  # of a CCD, along x and along y
 Knot = tuple[int, int]  # curve: CCD, or 0 of the whole field; number of the knot along it
 
 
@@ -66,14 +75,33 @@ def correlation(knots: tuple[Knot, ...]) -> Array:
     return (1.0 + distance) * np.exp(-distance) * (table[:, None, 0] == table[None, :, 0])
 
 
-def unknown_names(knots: tuple[Knot, ...]) -> tuple[str, ...]:
-    """Names of the camera's unknowns: the curve along x at every knot, then along y."""
-    return tuple(f"distortion/{axis}/{ccd}/{k}" for axis in "xy" for ccd, k in knots)
+def ccd_modes(ccd: Index, sample: Array, ccds: tuple[int, ...], ccd_px: tuple[int, ...]) -> Array:
+    """Change (J, 3 C) of the distortion at each target by the `MODES` of CCDs `ccds` (C,), mode by mode, in
+    units of their rms; `ccd_px` is the number of samples of every CCD of the camera.
+    """
+    if not ccds:
+        return np.zeros((len(ccd), 0))
+    t = 2.0 * sample / (np.array(ccd_px, dtype=float)[ccd] - 1.0) - 1.0
+    modes = np.stack([np.ones_like(t), np.sqrt(3.0) * t, np.sqrt(5.0) * (1.5 * t * t - 0.5)], axis=1)
+    own = ccd[:, None] == np.array(ccds)
+    return np.asarray((modes[:, :, None] * own[:, None, :]).reshape(len(ccd), -1))
+
+
+def unknown_names(knots: tuple[Knot, ...], ccds: tuple[int, ...] = ()) -> tuple[str, ...]:
+    """Names of the camera's unknowns along x, then along y: the curve at every knot, modes of the CCDs."""
+    of_knots = [f"{ccd}/{k}" for ccd, k in knots]
+    of_ccds = [f"{ccd}/{mode}" for mode in MODES for ccd in ccds]
+    return tuple(f"distortion/{axis}/{name}" for axis in "xy" for name in of_knots + of_ccds)
 
 
 def prior_information(names: tuple[str, ...]) -> Array:
     """Inverse prior covariance (n, n) of unknowns by their names, in units of the prior sigma."""
     parts = [name.split("/") for name in names]
-    knots = tuple((int(ccd), int(k)) for _, _, ccd, k in parts)
-    axis = np.array([a for _, a, _, _ in parts])
-    return np.linalg.inv(correlation(knots) * (axis[:, None] == axis[None, :])) if names else np.zeros((0, 0))
+    at_knot = np.array([last not in MODES for *_, last in parts], dtype=bool)
+    knots = tuple((int(curve), int(k)) for _, _, curve, k in parts if k not in MODES)
+    axis = np.array([a for _, a, _, k in parts if k not in MODES])
+    information = np.eye(len(names))
+    if knots:
+        alike = axis[:, None] == axis[None, :]
+        information[np.ix_(at_knot, at_knot)] = np.linalg.inv(correlation(knots) * alike)
+    return information

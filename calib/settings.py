@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 from boresight.geometry.attitude_estimate import AttitudeSettings
@@ -31,6 +31,10 @@ class CalibrationSettings:
     distortion_pixel_rad: float = (
         0.0  # of the camera's pixels: one curve over the field of all CCDs; 0: one for each CCD
     )
+    sigma_ccd_shift_rad: float = 0.0  # per axis: residual distortion of each CCD by itself, its mean,
+    sigma_ccd_slope_rad: float = 0.0  # its linear part, rms over it: rotation (along x), scale (along y),
+    sigma_ccd_bend_rad: float = 0.0  # and its quadratic part, rms over the CCD
+    ccd_px: tuple[int, ...] = ()  # samples of each CCD; none: CCDs have no residual of their own
     distortion_scope: Literal["camera", "strip"] = (
         "camera"  # one curve for all strips: the camera is the same one
     )
@@ -50,6 +54,21 @@ class CalibrationSettings:
     most_iterations: int = 20
 
     @property
+    def sigma_ccd_rad(self) -> tuple[float, float, float]:
+        """1-sigma of shift, slope and bend of a CCD, rad."""
+        return self.sigma_ccd_shift_rad, self.sigma_ccd_slope_rad, self.sigma_ccd_bend_rad
+
+    @property
+    def has_ccd_modes(self) -> bool:
+        """Whether the CCDs have residual distortions of their own."""
+        return bool(self.ccd_px) and any(self.sigma_ccd_rad)
+
+    @property
+    def without_distortion(self) -> CalibrationSettings:
+        """The same for a camera that leaves no distortion."""
+        return replace(self, sigma_distortion_rad=0.0, ccd_px=())
+
+    @property
     def attitudes(self) -> AttitudeSettings:
         """How the attitudes of the star exposures are fitted."""
         return AttitudeSettings(
@@ -67,11 +86,16 @@ class CalibrationSettings:
             "sigma_vibration_exposure_rad",
             "sigma_distortion_rad",
             "distortion_pixel_rad",
+            "sigma_ccd_shift_rad",
+            "sigma_ccd_slope_rad",
+            "sigma_ccd_bend_rad",
         ):
             if not getattr(self, name) >= 0.0:
                 raise ValueError(f"{name} must be zero or positive, got {getattr(self, name)}")
         if not self.distortion_length_px > 0.0:
             raise ValueError(f"distortion_length_px must be positive, got {self.distortion_length_px}")
+        if any(samples < 2 for samples in self.ccd_px):
+            raise ValueError(f"ccd_px must be 2 or more for every CCD, got {self.ccd_px}")
         if not 0.0 < self.probability_false_alarm < 0.5:
             raise ValueError(
                 f"probability_false_alarm must lie in (0, 0.5), got {self.probability_false_alarm}"

@@ -46,6 +46,7 @@ class SeenTargets:
     target_id: NDArray[np.str_] = array("J", "ids of the targets")
     curve: NDArray[np.int64] = array("J", "curve of the residual distortion that each sighting lies on")
     place: Array = array("J", "along that curve, px")
+    ccd: NDArray[np.int64] = array("J", "CCD of each sighting")
     cov_coordinates: Array = array("J, 3, 3", "of the coordinates, m²; of stars µrad²")
     is_star: Bools = array("J", "targets that are stars")
 
@@ -61,12 +62,13 @@ class SharedUnknowns:
     heads: tuple[str, ...] = scalar("heads beside the reference head, three unknowns each", default=())
     biases: tuple[str, ...] = scalar("of `orbit_bias.BIASES`, where ground and sky are seen", default=())
     interior: InteriorModel | None = scalar("interior orientation of the camera, if unknown", default=None)
+    ccds: tuple[int, ...] = scalar("CCDs with a residual distortion of their own, along x and y", default=())
 
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the unknowns, in the order of the matrices."""
         interior = self.interior.unknowns if self.interior else ()
-        of_camera = unknown_names(self.knots) + interior
+        of_camera = unknown_names(self.knots, self.ccds) + interior
         return of_camera + coordinate_names(self.targets) + self.biases + head_names(self.heads)
 
     def prior_information(self) -> Array:
@@ -75,7 +77,8 @@ class SharedUnknowns:
         """
         alignments = np.eye(3 * len(self.heads)) / SIGMA_ALIGNMENT_RAD**2
         interior = np.eye(len(self.interior.unknowns) if self.interior else 0)
-        parts = [prior_information(unknown_names(self.knots)), interior, *np.linalg.inv(self.cov_targets)]
+        camera = prior_information(unknown_names(self.knots, self.ccds))
+        parts = [camera, interior, *np.linalg.inv(self.cov_targets)]
         parts += [bias_prior(self.biases), alignments]
         parts = [part for part in parts if part.size]
         return np.asarray(block_diag(*parts)) if parts else np.zeros((0, 0))
@@ -121,6 +124,9 @@ def find_shared(
     if settings.distortion_scope == "camera" and settings.sigma_distortion_rad > 0.0:
         for strip in strips:
             knots.update(knots_touched(strip.curve, strip.place, settings.distortion_length_px))
+    ccds: set[int] = set()
+    if settings.distortion_scope == "camera" and settings.has_ccd_modes:
+        ccds.update(int(ccd) for strip in strips for ccd in np.unique(strip.ccd))
     count: dict[str, int] = {}
     covariance: dict[str, Array] = {}
     for strip in strips:
@@ -141,4 +147,5 @@ def find_shared(
         heads=heads,
         biases=BIASES if mixed else (),
         interior=interior,
+        ccds=tuple(sorted(ccds)),
     )

@@ -22,7 +22,14 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from boresight.calib.distortion import Knot, correlation, knot_weights, knots_touched, places_on_curves
+from boresight.calib.distortion import (
+    Knot,
+    ccd_modes,
+    correlation,
+    knot_weights,
+    knots_touched,
+    places_on_curves,
+)
 from boresight.calib.heads import HeadTie, alignment_columns, interpolated, tie_of_head
 from boresight.calib.orbit_bias import BIASES, bias_columns
 from boresight.calib.settings import CalibrationSettings
@@ -91,6 +98,7 @@ class PreparedStrip:
             target_id=self.target_id,
             curve=self.curve,
             place=self.place,
+            ccd=self.ccd,
             cov_coordinates=self.cov_coordinates,
             is_star=self.is_star,
         )
@@ -108,7 +116,7 @@ class StripGroup:
     shared_s: Floats = array("S, J, 3, N", "... and the coordinates of targets seen twice in the strip")
     white_s: Floats = array("S, J, 3, 3", "noise by the coordinates of targets seen once, rad²")
     targets_s: Floats = array("S, J, 3, T", "change of v_s by coordinates and biases that other strips share")
-    camera: Floats = array("S, J, C", "change of the look direction by each knot of the camera, rad")
+    camera: Floats = array("S, J, C", "change of the look direction by each knot and CCD mode, rad")
     interior_c: Floats = array("S, J, 3, I", "change of u_c - w by the interior orientation, frame c, rad")
     delay_s: Floats = array("S, J, 3, I", "the same by the delay of a CCD's rows, frame s, rad")
     own: Floats = array("S, J, M", "the same for the strip's own distortion, whitened")
@@ -224,7 +232,8 @@ def group_strips(
     for place, strip in enumerate(strips):
         if not strip.inside.any():
             continue
-        n = 2 * len(_own_knots(strip, settings)) + 3 * len(_seen_again(strip, shared))
+        n = 2 * len(_own_knots(strip, settings)) + 6 * len(_own_ccds(strip, settings))
+        n += 3 * len(_seen_again(strip, shared))
         h = sum(len(tie.r) for tie in strip.ties)
         shapes.setdefault((strip.n_phi, len(strip.ccd), n, h), []).append(place)
     return [_group(strips, np.array(places), shared, settings) for places in shapes.values()]
@@ -296,7 +305,7 @@ def _group(
     settings: CalibrationSettings,
 ) -> StripGroup:
     members = [strips[n] for n in place]
-    camera, own, missed = zip(*(_distortion(strip, shared.knots, settings) for strip in members))
+    camera, own, missed = zip(*(_distortion(strip, shared, settings) for strip in members))
     looks, delays = zip(*(_interior(strip, shared) for strip in members))
     across, again, white = zip(*(_coordinates(strip, shared) for strip in members))
     fields = ("inside", "u_c", "cov_c", "v_s")
@@ -424,24 +433,39 @@ def _own_knots(strip: PreparedStrip, settings: CalibrationSettings) -> tuple[Kno
     return knots_touched(strip.curve, strip.place, settings.distortion_length_px)
 
 
+def _own_ccds(strip: PreparedStrip, settings: CalibrationSettings) -> tuple[int, ...]:
+    if settings.distortion_scope == "camera" or not settings.has_ccd_modes:
+        return ()
+    return tuple(np.unique(strip.ccd).tolist())
+
+
 def _distortion(
-    strip: PreparedStrip, camera_knots: tuple[Knot, ...], settings: CalibrationSettings
+    strip: PreparedStrip, shared: SharedUnknowns, settings: CalibrationSettings
 ) -> tuple[Floats, Floats, Floats]:
-    """Weights of the camera's knots (J, g/2), whitened weights of the strip's own (J, m), white variance
-    (J,), rad².
+    """Weights of the camera's knots and CCDs (J, g/2), whitened weights of the strip's own (J, m), white
+    variance (J,), rad².
     """
     sigma, length = settings.sigma_distortion_rad, settings.distortion_length_px
     J, knots = len(strip.ccd), _own_knots(strip, settings)
-    camera: Floats = np.zeros((J, len(camera_knots)))
+    camera: Floats = np.zeros((J, len(shared.knots)))
     own: Floats = np.zeros((J, len(knots)))
     missed: Floats = np.full(J, sigma**2)
-    if camera_knots:
-        camera = knot_weights(strip.curve, strip.place, camera_knots, length)
-        missed = sigma**2 * (1.0 - np.einsum("jk,kl,jl->j", camera, correlation(camera_knots), camera))
+    if shared.knots:
+        camera = knot_weights(strip.curve, strip.place, shared.knots, length)
+        missed = sigma**2 * (1.0 - np.einsum("jk,kl,jl->j", camera, correlation(shared.knots), camera))
     if knots:
         own = knot_weights(strip.curve, strip.place, knots, length) @ np.linalg.cholesky(correlation(knots))
         missed = sigma**2 * (1.0 - np.einsum("jk,jk->j", own, own))
-    return sigma * camera, sigma * own, missed
+    of_ccds = [_by_ccds(strip, ccds, settings) for ccds in (shared.ccds, _own_ccds(strip, settings))]
+    camera, own = (np.column_stack([sigma * part, of]) for part, of in zip((camera, own), of_ccds))
+    return camera, own, missed
+
+
+def _by_ccds(strip: PreparedStrip, ccds: tuple[int, ...], settings: CalibrationSettings) -> Floats:
+    """Change (J, 3 C), rad, of the look direction by the modes of CCDs in units of their prior sigma."""
+    return ccd_modes(strip.ccd, strip.sample, ccds, settings.ccd_px) * np.repeat(
+        settings.sigma_ccd_rad, len(ccds)
+    )
 
 
 def _along_axes(tangent: Floats, weights: Floats) -> Floats:

@@ -80,8 +80,8 @@ def calibrated_line_camera(settings: LineCameraSettings) -> LineCamera:
 def distorted_line_camera(
     calibrated: LineCamera, errors: ErrorSettings, rng: np.random.Generator
 ) -> LineCamera:
-    """The camera as it is: with a smooth Gaussian process along the detectors on top of the tables, and one
-    across them.
+    """The camera as it is: with a smooth Gaussian process along the detectors on top of the tables, one
+    across them, and what each CCD has for itself (`ErrorSettings.ccd_px`).
 
     The mean over all samples is taken off, but for the share that is to be kept: a shift of the whole field
     is by definition part of the installation. The estimate's prior holds it, and is judged with a share of 1.
@@ -91,22 +91,37 @@ def distorted_line_camera(
     pixel_m = calibrated.ccds[0].pixel_m
     distance = (places[:, None] - places) / (errors.distortion_length_px * pixel_m)
     values, vectors = np.linalg.eigh(np.exp(-0.5 * distance**2))
-    starts = np.cumsum([len(table) for table in tables])[:-1]
 
-    def drawn(rms_px: float) -> list[Array]:
-        draw = vectors @ (np.sqrt(np.maximum(values, 0.0)) * rng.standard_normal(len(places)))
-        draw = (draw - (1.0 - errors.distortion_mean_share) * draw.mean()) * rms_px * pixel_m
-        return np.split(draw, starts)
+    def drawn(rms_px: float) -> Array:
+        return rms_px * vectors @ (np.sqrt(np.maximum(values, 0.0)) * rng.standard_normal(len(places)))
+
+    def of_each_ccd() -> Array:
+        return np.concatenate([_own_of_ccd(table, errors.ccd_px, rng) for table in tables])
+
+    def kept(total_px: Array) -> list[Array]:
+        left = (total_px - (1.0 - errors.distortion_mean_share) * total_px.mean()) * pixel_m
+        return np.split(left, np.cumsum([len(table) for table in tables])[:-1])
 
     along = drawn(errors.distortion_px)
-    ccds = [
-        replace(ccd, distortion_offsets_m=ccd.distortion_offsets_m + part)
-        for ccd, part in zip(calibrated.ccds, along)
-    ]
+    across: Array = np.zeros(len(places))
     if errors.distortion_across_px:
         across = drawn(errors.distortion_across_px)
-        ccds = [replace(ccd, across_offsets_m=part) for ccd, part in zip(ccds, across)]
+    if any(errors.ccd_px):
+        along, across = along + of_each_ccd(), across + of_each_ccd()
+    ccds = [
+        replace(ccd, distortion_offsets_m=ccd.distortion_offsets_m + part)
+        for ccd, part in zip(calibrated.ccds, kept(along))
+    ]
+    if across.any():
+        ccds = [replace(ccd, across_offsets_m=part) for ccd, part in zip(ccds, kept(across))]
     return replace(calibrated, ccds=tuple(ccds))
+
+
+def _own_of_ccd(samples: Array, rms_px: tuple[float, float, float], rng: np.random.Generator) -> Array:
+    """Shift, slope and bend of one CCD at its samples (N,), px, each of that rms over the CCD."""
+    t = 2.0 * (samples - samples[0]) / (samples[-1] - samples[0]) - 1.0
+    shapes = np.stack([np.ones_like(t), np.sqrt(3.0) * t, np.sqrt(5.0) * (1.5 * t**2 - 0.5)])
+    return np.asarray((rng.standard_normal(3) * rms_px) @ shapes)
 
 
 def measured_installation(settings: InstallationSettings) -> Rotation:

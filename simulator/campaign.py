@@ -109,6 +109,8 @@ class StripPlan:
     sigma_distortion_rad: float = 0.0  # per axis (Table 1: 0.3 px)
     distortion_length_px: float = 2000.0
     distortion_pixel_rad: float = 0.0  # angle of a pixel: one curve over the field; 0: one for each CCD
+    sigma_ccd_rad: tuple[float, float, float] = (0.0, 0.0, 0.0)  # per axis, rms of each CCD's own shift,
+    # slope (rotation along x, scale along y) and bend (quadratic)
     distortion_scope: str = "camera"  # one curve for all strips, or "strip"
     sigma_target_m: float = 0.0  # per axis, of the targets' own coordinates
     same_targets: bool = False  # all strips see the same ones on one and the same track: one error each
@@ -261,29 +263,37 @@ class DrawnStripMotion:
 @dataclass(frozen=True, slots=True, eq=False)
 class DistortionCurve:
     """A smooth random residual of the distortion along the detector, by Fourier waves of its own
-    correlation: one curve over the field, or one for each CCD.
+    correlation: one curve over the field, or one for each CCD; and shift, slope and bend of each CCD.
     """
 
     wave: Array  # (2, curves, M) 1/px
     phase: Array  # (2, curves, M)
     sigma_rad: float
     ccd_px: int  # length of a CCD
+    modes_rad: Array  # (2, CCDs, 3)
 
     @classmethod
     def draw(cls, plan: StripPlan, cameras: CameraPair, rng: np.random.Generator) -> DistortionCurve:
-        """The curve of the field, or those of the CCDs, drawn at random."""
+        """The curve of the field, or those of the CCDs, and what is each CCD's own, drawn at random."""
         # Matérn 3/2, (1 + a d) exp(-a d), has the spectral density of Student's t with 3 degrees of freedom
         # times a / sqrt(3), and with the area of exp(-d² / (2 length²)) a = 4 / (sqrt(2 pi) length).
         shape = (2, 1 if plan.distortion_pixel_rad else cameras.n_ccds, 200)
         wave = 4.0 / np.sqrt(6.0 * np.pi) * rng.standard_t(3, shape) / plan.distortion_length_px
-        return cls(wave, rng.uniform(0, 2 * np.pi, shape), plan.sigma_distortion_rad, cameras.ccd_px)
+        phase = rng.uniform(0, 2 * np.pi, shape)
+        modes: Array = np.zeros((2, cameras.n_ccds, 3))
+        if any(plan.sigma_ccd_rad):
+            modes = rng.standard_normal(modes.shape) * plan.sigma_ccd_rad
+        return cls(wave, phase, plan.sigma_distortion_rad, cameras.ccd_px, modes)
 
     def at(self, ccd: NDArray[np.int64], sample: Array) -> Array:
         """(J, 2) rad along x and y of c."""
+        t = 2.0 * sample / self.ccd_px - 1.0
+        legendre = np.column_stack([np.ones_like(t), t, 1.5 * t * t - 0.5]) * np.sqrt([1.0, 3.0, 5.0])
+        own = (self.modes_rad[:, ccd] * legendre).sum(axis=2).T
         if self.wave.shape[1] == 1:  # over the field, where the CCDs lie side by side
             ccd, sample = np.zeros_like(ccd), ccd * self.ccd_px + sample
         waves = np.cos(self.wave[:, ccd] * sample[:, None] + self.phase[:, ccd])
-        return self.sigma_rad * np.sqrt(2.0 / waves.shape[2]) * waves.sum(axis=2).T
+        return np.asarray(own + self.sigma_rad * np.sqrt(2.0 / waves.shape[2]) * waves.sum(axis=2).T)
 
 
 def _draw_strip(

@@ -476,6 +476,7 @@ def _stated(scenario: Scenario) -> StatedErrors:
         clock_s=errors.clock_s,
         vibration_arcsec=errors.vibration_arcsec,
         look_distortion_px=errors.distortion_px,
+        look_ccd_px=errors.ccd_px,
     )
 
 

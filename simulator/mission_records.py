@@ -68,6 +68,7 @@ class StatedErrors:
     clock_s: float  # row times against orbit and star camera, common to a strip
     vibration_arcsec: float  # each axis, too fast for the star exposures to follow
     look_distortion_px: float  # smooth along the detector
+    look_ccd_px: tuple[float, float, float] = (0.0, 0.0, 0.0)  # shift, slope and bend of each CCD by itself
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -292,6 +292,15 @@ class ErrorSettings:
     distortion_length_px: float = 1500.0  # its correlation length
     distortion_mean_share: float = 0.0  # of its mean that is kept; 0: the installation is defined without it
     distortion_across_px: float = 0.0  # rms of the same across the detectors
+    # rms of what each CCD has for itself, along and across it: constant, linear and quadratic in its samples
+    ccd_shift_px: float = 0.0
+    ccd_slope_px: float = 0.0
+    ccd_bend_px: float = 0.0
+
+    @property
+    def ccd_px(self) -> tuple[float, float, float]:
+        """Shift, slope and bend."""
+        return self.ccd_shift_px, self.ccd_slope_px, self.ccd_bend_px
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,7 +7,6 @@ They take the place of the curve that otherwise stands for the residual distorti
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -72,7 +71,7 @@ def calibrate_interior(
     camera : LineCamera
         Assumed camera, with which the strips' `u_c` were made from their samples.
     settings : CalibrationSettings
-        Priors of the other errors; `sigma_distortion_rad` is not used.
+        Priors of the other errors; those of the residual distortion are not used.
     priors : InteriorPriors, optional
         Prior 1-sigma of the parameters.
 
@@ -84,7 +83,7 @@ def calibrate_interior(
     model = InteriorModel.of(
         camera, priors or InteriorPriors(), stagger=_rates_differ(strips, R_cs0, settings)
     )
-    found = calibrate_strips(strips, R_cs0, replace(settings, sigma_distortion_rad=0.0), interior=model)
+    found = calibrate_strips(strips, R_cs0, settings.without_distortion, interior=model)
     if isinstance(found, NotObservable):
         return found
     columns = [n for n, name in enumerate(found.pairs.shared) if name.startswith("interior/")]

@@ -45,7 +45,10 @@ __all__ = [
 Array = NDArray[np.float64]
 AXES = ("X", "Y", "Z")
 # By which the unknowns of the distortion are measured.
-OF_DISTORTION = ("sigma_distortion_rad", "distortion_length_px", "distortion_pixel_rad")
+OF_DISTORTION = (
+    *("sigma_distortion_rad", "distortion_length_px", "distortion_pixel_rad"),
+    *("sigma_ccd_shift_rad", "sigma_ccd_slope_rad", "sigma_ccd_bend_rad", "ccd_px"),
+)
 BY_CAMERA = ("mission", "star_camera", "remote_camera")  # of evidence/context.json: alike in all results
 
 

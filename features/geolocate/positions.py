@@ -139,5 +139,5 @@ def _attitude_covariance(model: StripModel, t_s: Floats) -> Floats:
 def _rotation_variance(calibrated: Calibrated) -> Floats:
     """Vibration and look distortion as rotations about the axes of c, (3, 3) rad²."""
     errors, camera = calibrated.dump.errors, calibrated.dump.line_camera
-    distortion = errors.look_distortion_px * camera.pixel_rad
+    distortion = errors.look_px * camera.pixel_rad
     return np.asarray(((errors.vibration_arcsec * ARCSEC) ** 2 + distortion**2) * np.eye(3))

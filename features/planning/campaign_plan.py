@@ -14,6 +14,7 @@ import pandas as pd
 from boresight.calib.forecast import Forecast
 from boresight.geometry.constants import ARCSEC
 from boresight.pipeline.errors import DataNotSufficientError
+from boresight.pipeline.files.dump_schema import OF_LOOK_DISTORTION
 from boresight.pipeline.files.text_files import toml_tables
 from boresight.pipeline.run.settings import settings_from_values
 from boresight.pipeline.stages.plan_forecast import SkyPart, compare_campaigns, forecast_of_plan
@@ -216,7 +217,7 @@ def _without(campaign: StripPlan) -> dict[str, StripPlan]:
         "position": replace(campaign, sigma_position_m=0.0),
         "clock": replace(campaign, sigma_clock_s=0.0),
         "vibration": replace(campaign, sigma_vibration_rad=0.0),
-        "distortion": replace(campaign, sigma_distortion_rad=0.0),
+        "distortion": replace(campaign, sigma_distortion_rad=0.0, sigma_ccd_rad=(0.0, 0.0, 0.0)),
         "targets": replace(campaign, sigma_c_px=NEGLIGIBLE * campaign.sigma_c_px, sigma_target_m=0.0),
         "stars": replace(campaign, sigma_s_px=NEGLIGIBLE * campaign.sigma_s_px),
     }
@@ -282,6 +283,7 @@ def _campaign(plan: Plan) -> tuple[StripPlan, CameraPair]:
         sigma_distortion_rad=e.distortion_px * pixel_rad,
         distortion_length_px=e.distortion_length_px,
         distortion_pixel_rad=pixel_rad,
+        sigma_ccd_rad=(OF_LOOK_DISTORTION * e.distortion_px * pixel_rad,) * 3,
         sigma_target_m=t.sigma_m,
     )
     return campaign, cameras

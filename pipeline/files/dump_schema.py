@@ -6,6 +6,7 @@ ranges are wider than any instrument's; they exclude what can only be a wrong un
 
 from __future__ import annotations
 
+import math
 from itertools import pairwise
 from typing import Annotated, Any, Literal, Self, get_args
 
@@ -139,6 +140,10 @@ class Files(_Strict):
         return self.model_dump(exclude_none=True, exclude={"terrain"})
 
 
+OF_LOOK_DISTORTION = 0.4  # a CCD's own shift, slope and bend, where not stated: NEES in band for either kind
+OfCcd = Annotated[float, Field(ge=0.0, le=1e3, description="look vectors of one CCD, per axis, rms, pixels")]
+
+
 class Errors(_Strict):
     """Errors of the mission's own data, each as 1-sigma of a zero-mean error."""
 
@@ -147,6 +152,22 @@ class Errors(_Strict):
     vibration_arcsec: float = within(0.0, 3600.0, "attitude between exposures, per axis, arc-seconds")
     look_distortion_px: float = within(0.0, 1e3, "look vectors of the remote-sensing camera, pixels")
     look_distortion_length_px: float = within(1.0, 1e6, "correlation length of that error, pixels")
+    look_ccd_shift_px: OfCcd | None = None  # not stated: `OF_LOOK_DISTORTION` of look_distortion_px
+    look_ccd_slope_px: OfCcd | None = None
+    look_ccd_bend_px: OfCcd | None = None
+
+    @property
+    def look_ccd_px(self) -> tuple[float, float, float]:
+        """Shift, slope and bend of each CCD by itself, per axis, rms over the CCD, pixels."""
+        usual = OF_LOOK_DISTORTION * self.look_distortion_px
+        stated = (self.look_ccd_shift_px, self.look_ccd_slope_px, self.look_ccd_bend_px)
+        shift, slope, bend = (usual if one is None else one for one in stated)
+        return shift, slope, bend
+
+    @property
+    def look_px(self) -> float:
+        """All of the look vectors' error, per axis, pixels: the curve over the field and the CCDs' own."""
+        return math.hypot(self.look_distortion_px, *self.look_ccd_px)
 
 
 class TerrainHeights(_Strict):

@@ -73,6 +73,7 @@ def write_dump(
 def _head(mission: Mission, created_by: str) -> dict[str, Any]:
     errors, terrain = mission.errors, mission.terrain
     of_ground = {"targets": "targets.csv", "terrain": "terrain/dem.tif"} if terrain is not None else {}
+    of_ccds = dict(zip(("look_ccd_shift_px", "look_ccd_slope_px", "look_ccd_bend_px"), errors.look_ccd_px))
     heights = {"height_kind": terrain.height_kind, "sigma_m": terrain.sigma_m} if terrain is not None else {}
     return {
         **head_of_dump(mission.scenario.name, created_by),
@@ -83,6 +84,7 @@ def _head(mission: Mission, created_by: str) -> dict[str, Any]:
             "vibration_arcsec": errors.vibration_arcsec,
             "look_distortion_px": errors.look_distortion_px,
             "look_distortion_length_px": mission.scenario.errors.distortion_length_px,
+            **(of_ccds if any(errors.look_ccd_px) else {}),
         },
         **({"terrain": heights} if heights else {}),
     }

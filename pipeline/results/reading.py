@@ -12,6 +12,7 @@ import numpy as np
 from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
 
+from boresight.calib.distortion import MODES
 from boresight.calib.information import InformationPairs
 from boresight.calib.orbit_bias import BIASES, bias_prior
 from boresight.calib.shared_unknowns import SIGMA_ALIGNMENT_RAD, coordinate_covariance, coordinate_names
@@ -33,7 +34,7 @@ __all__ = [
 ]
 
 ALIGNMENT = re.compile(r"head/[A-Za-z0-9_.-]{1,64}/[xyz]")
-DISTORTION = re.compile(r"distortion/[xy]/\d{1,6}/-?\d{1,6}")
+DISTORTION = re.compile(rf"distortion/[xy]/\d{{1,6}}/(-?\d{{1,6}}|{'|'.join(MODES)})")
 
 
 @record(kw_only=True)

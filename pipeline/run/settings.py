@@ -109,6 +109,7 @@ def settings_from_tables(tables: dict[str, Any], file: str) -> Settings:
 
 def calibration_settings(settings: Settings, errors: Errors, camera: LineSensor) -> CalibrationSettings:
     """The error model of a dump, with what the user's settings say instead."""
+    shift, slope, bend = (one * camera.pixel_rad for one in errors.look_ccd_px)
     stated: dict[str, Any] = {
         "sigma_position_m": errors.position_m,
         "sigma_clock_s": errors.clock_s,
@@ -116,6 +117,10 @@ def calibration_settings(settings: Settings, errors: Errors, camera: LineSensor)
         "sigma_distortion_rad": errors.look_distortion_px * camera.pixel_rad,
         "distortion_length_px": errors.look_distortion_length_px,
         "distortion_pixel_rad": camera.pixel_rad,
+        "sigma_ccd_shift_rad": shift,
+        "sigma_ccd_slope_rad": slope,
+        "sigma_ccd_bend_rad": bend,
+        "ccd_px": tuple(camera.n_px(ccd) for ccd in range(camera.n_ccds)),
     }
     return CalibrationSettings(**(stated | dict(settings.calibration)))
 

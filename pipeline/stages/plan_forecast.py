@@ -32,8 +32,11 @@ CAMPAIGN_DRAWS = 60  # strips of each kind that stand for a campaign
 OUTER_SHARE = 0.1  # of the swath, at each end: where targets determine the rotation about the boresight best
 
 
-def settings_of_plan(plan: StripPlan) -> CalibrationSettings:
-    """Calibration settings whose priors are the errors that the plan states."""
+def settings_of_plan(plan: StripPlan, cameras: CameraPair | None = None) -> CalibrationSettings:
+    """Calibration settings whose priors are the errors that the plan states; those of CCDs by themselves need
+    the cameras.
+    """
+    shift, slope, bend = plan.sigma_ccd_rad
     return CalibrationSettings(
         sigma_position_m=plan.sigma_position_m,
         sigma_clock_s=plan.sigma_clock_s,
@@ -41,13 +44,17 @@ def settings_of_plan(plan: StripPlan) -> CalibrationSettings:
         sigma_distortion_rad=plan.sigma_distortion_rad,
         distortion_length_px=plan.distortion_length_px,
         distortion_pixel_rad=plan.distortion_pixel_rad,
+        sigma_ccd_shift_rad=shift,
+        sigma_ccd_slope_rad=slope,
+        sigma_ccd_bend_rad=bend,
+        ccd_px=(cameras.ccd_px,) * cameras.n_ccds if cameras else (),
         distortion_scope="camera" if plan.distortion_scope == "camera" else "strip",
     )
 
 
 def forecast_of_plan(plan: StripPlan, cameras: CameraPair, *, draws: int = 100) -> Forecast:
     """The forecast of a plan from `draws` of its strips, with targets and stars at random positions."""
-    settings = replace(settings_of_plan(plan), robust=False)
+    settings = replace(settings_of_plan(plan, cameras), robust=False)
     strips, truth = draw_strips(replace(plan, strips=draws), cameras, np.random.default_rng(0))
     return forecast_from_strips(strips, truth.R_cs, settings)
 
@@ -66,7 +73,7 @@ def compare_campaigns(ground: StripPlan, sky: SkyPart, cameras: CameraPair) -> d
     about an axis that is not observable.
     """
     rng = np.random.default_rng(0)
-    settings = replace(settings_of_plan(ground), robust=False)
+    settings = replace(settings_of_plan(ground, cameras), robust=False)
     below, truth = draw_strips(replace(ground, strips=CAMPAIGN_DRAWS), cameras, rng)
     rates = (-sky.rate_rad_s, sky.rate_rad_s)
     above = draw_sky_strips(replace(sky.plan, strips=CAMPAIGN_DRAWS), cameras, rng, rates_rad_s=rates)

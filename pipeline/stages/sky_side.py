@@ -87,7 +87,7 @@ def name_in_sky_strips(
     if not side.tasks:
         return ()
     vibration = dump.errors.vibration_arcsec * ARCSEC / dump.line_camera.pixel_rad
-    scatter = float(np.hypot(dump.errors.look_distortion_px, vibration))
+    scatter = float(np.hypot(dump.errors.look_px, vibration))
     survey = survey_of(dump.star_catalogue)
     return tuple(
         name_sky_stars(task, found, survey, R_cs, sigma_rad, known=known, scatter_px=scatter)

@@ -5,6 +5,8 @@ from dataclasses import replace
 import numpy as np
 
 from boresight.calib.distortion import (
+    MODES,
+    ccd_modes,
     correlation,
     knot_weights,
     knots_touched,
@@ -62,9 +64,12 @@ def test_simulated_curve_of_the_field_runs_on_from_ccd_to_ccd():
 
 
 def test_prior_is_found_again_by_the_unknowns_names_in_any_order():
-    names = unknown_names(((0, 1), (0, 2), (2, 1)))
-    order = np.array([4, 0, 5, 3, 1, 2])
+    names = unknown_names(((0, 1), (0, 2), (2, 1)), (0, 3))
+    order = np.random.default_rng(5).permutation(len(names))
     prior = prior_information(names)
+    of_modes = np.array([name.endswith(MODES) for name in names])
+    assert of_modes.sum() == 12  # three of two CCDs along two axes, each of its own
+    np.testing.assert_array_equal(prior[of_modes], np.eye(len(names))[of_modes])
     shuffled = prior_information(tuple(names[k] for k in order))
     np.testing.assert_allclose(shuffled, prior[np.ix_(order, order)], atol=1e-12)
     assert prior_information(()).shape == (0, 0)
@@ -108,3 +113,38 @@ def test_two_ccds_that_see_the_same_direction_share_the_curve_there():
     weights = knot_weights(curve, place, knots := knots_touched(curve, place, 1500.0), 1500.0)
     np.testing.assert_allclose(weights[0], weights[1], atol=1e-3)
     assert len(knots) == 2
+
+
+def test_modes_of_a_ccd_are_orthonormal_over_it_and_zero_on_others():
+    ccd_px, ccds = (300, 512), (0, 1)
+    sample = np.linspace(0.0, 511.0, 2001)
+    modes = ccd_modes(np.ones(2001, dtype=np.int64), sample, ccds, ccd_px)
+    own, other = modes[:, 1::2], modes[:, 0::2]
+    np.testing.assert_allclose(own.T @ own / 2001, np.eye(3), atol=3e-3)  # the sum's ends: 2 / 2001
+    assert not other.any()
+
+
+def test_simulated_ccds_have_the_stated_shift_slope_and_bend():
+    settings = LineCameraSettings()
+    camera = calibrated_line_camera(settings)
+    rms = (0.5, 0.2, 0.1)
+    errors = ErrorSettings(
+        distortion_px=0.0,
+        distortion_mean_share=1.0,
+        ccd_shift_px=rms[0],
+        ccd_slope_px=rms[1],
+        ccd_bend_px=rms[2],
+    )
+    rng, found = np.random.default_rng(2), []
+    table = camera.ccds[0].distortion_samples
+    modes = ccd_modes(np.zeros(len(table), dtype=np.int64), table, (0,), (settings.samples,))
+    for _ in range(100):
+        true = distorted_line_camera(camera, errors, rng)
+        for t, c in zip(true.ccds, camera.ccds):
+            residual = np.stack([t.distortion_offsets_m - c.distortion_offsets_m, t.across_offsets_m])
+            found.append(np.linalg.lstsq(modes, residual.T / c.pixel_m, rcond=None)[0].T)
+    drawn = np.concatenate(found)  # two axes, four CCDs, 100 cameras
+    scatter = drawn.T @ drawn / len(drawn)
+    np.testing.assert_allclose(np.sqrt(np.diag(scatter)), rms, rtol=0.09)  # 3.5 standard errors of 800 draws
+    neighbours = np.mean(drawn[:-2:2, 0] * drawn[2::2, 0])  # along: of one CCD and the next
+    assert abs(neighbours) < 3.5 * rms[0] ** 2 / np.sqrt(399)

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
-from typing import Any
+from dataclasses import replace
 
 import pytest
 
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.line_camera import Ccd, LineCamera
+from boresight.pipeline.files.dump_schema import Errors
 from boresight.pipeline.run.settings import Settings, calibration_settings
 
-STATED: Any = SimpleNamespace(
+STATED = Errors(
     position_m=3.0,
     clock_s=2e-4,
     vibration_arcsec=0.25,
@@ -36,3 +36,15 @@ def test_error_model_is_what_the_dump_states_in_si_units() -> None:
 def test_user_replaces_what_the_dump_states() -> None:
     used = calibration_settings(Settings(calibration=(("sigma_clock_s", 5e-4),)), STATED, CAMERA)
     assert (used.sigma_clock_s, used.sigma_position_m) == (5e-4, 3.0)
+
+
+def test_each_ccd_has_a_part_of_the_look_distortion_unless_the_dump_states_it() -> None:
+    pixel_rad = 1e-5 / 8.0
+    two = replace(CAMERA, ccds=(DETECTOR, replace(DETECTOR, n_px=300, y_first_m=0.005)))
+    usual = calibration_settings(Settings(), STATED, two)
+    assert usual.ccd_px == (512, 300)
+    assert usual.sigma_ccd_rad == pytest.approx((0.16 * pixel_rad,) * 3, rel=1e-12)  # 0.4 of 0.4 px
+    stated = STATED.model_copy(update={"look_ccd_shift_px": 0.7, "look_ccd_bend_px": 0.0})
+    used = calibration_settings(Settings(), stated, two)
+    assert used.sigma_ccd_rad == pytest.approx((0.7 * pixel_rad, 0.16 * pixel_rad, 0.0), rel=1e-12)
+    assert stated.look_px == pytest.approx((0.4**2 + 0.7**2 + 0.16**2) ** 0.5, rel=1e-12)
