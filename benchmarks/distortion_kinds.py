@@ -15,10 +15,10 @@ from record import exit_status, head, verdict
 from boresight.calib.calibration import calibrate_strips
 from boresight.calib.estimate import InstallationEstimate
 from boresight.calib.settings import CalibrationSettings
+from boresight.features.paper.vector_experiments import MATRIX_28, TABLE_1
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.installation import deviation_from_theta, theta_between
 from boresight.geometry.sightings import StripSightings
-from boresight.features.paper.vector_experiments import MATRIX_28, TABLE_1
 from boresight.pipeline.files.dump_schema import OF_LOOK_DISTORTION
 from boresight.simulator.campaign import CameraPair, StripPlan, draw_strips, installation_by_tilt
 from boresight.simulator.sky_campaign import draw_sky_strips

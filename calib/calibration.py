@@ -57,7 +57,7 @@ from boresight.calib.joint_solution import (
 from boresight.calib.orbit_bias import common_bias
 from boresight.calib.rejection import rejected_observations
 from boresight.calib.settings import CalibrationSettings
-from boresight.calib.strips import PreparedStrip, prepare_strip
+from boresight.calib.strips import PreparedStrip, prepare_strips
 from boresight.geometry.attitude_estimate import GROSS, trimmed_mean, with_attitudes
 from boresight.geometry.installation import deviation_from_theta, theta_between
 from boresight.geometry.record import Bools, Floats, Ints
@@ -177,7 +177,7 @@ def _about(
 ) -> InstallationEstimate | NotObservable:
     """The estimate about the alignments of heads that the strips assume."""
     of_heads = [carried(strip) for strip in strips]
-    prepared = [prepare_strip(strip, settings) for strip in of_heads]
+    prepared = prepare_strips(of_heads, settings)
     problem = Problem.of(prepared, settings, interior)
     test = rejection_test(settings.probability_false_alarm, int(problem.inside.sum()))
     if not problem.groups:
@@ -208,7 +208,7 @@ def strip_pairs(
     the unknowns that the strips share. `ValueError` where no strip has a target that exposures cover.
     """
     fitted = with_attitudes([carried(strip) for strip in strips], settings.attitudes)  # in one fit
-    problem = Problem.of([prepare_strip(strip, settings) for strip in fitted], settings)
+    problem = Problem.of(prepare_strips(fitted, settings), settings)
     if not problem.groups:
         raise ValueError(f"{len(strips)} strips, none with a target between usable star exposures")
     return linear_solution(problem, R_cs, problem.inside.astype(float), 1.0).pairs, problem.prior_shared

@@ -46,7 +46,7 @@ from boresight.calib.joint_solution import (
 from boresight.calib.moved_input import MovedInput
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.star_camera_error import star_effects, summed
-from boresight.calib.strips import prepare_strip, tangent_axes
+from boresight.calib.strips import prepare_strips, tangent_axes
 from boresight.geometry.attitude_estimate import with_attitudes
 from boresight.geometry.record import Bools, Floats, Ints, array, record, scalar
 from boresight.geometry.sightings import StripSightings
@@ -226,7 +226,7 @@ def _adjustment(
     strips = with_attitudes(sorted(strips, key=lambda strip: strip.strip_id), settings.attitudes)
     strips = aligned(strips, {head.name: estimate.R_cs.inv() * head.R_cs for head in estimate.heads})
     strips = [carried(strip) for strip in strips]
-    prepared = [prepare_strip(strip, settings) for strip in strips]
+    prepared = prepare_strips(strips, settings)
     problem = Problem.of(prepared, settings)
     members = [n for group in problem.groups for n in group.place.tolist()]
     strips, prepared = [strips[n] for n in members], [prepared[n] for n in members]

@@ -24,6 +24,8 @@ class CalibrationSettings:
         0.1 * ARCSEC
     )  # per axis and target: motion that the exposures cannot follow (Table 1)
     sigma_vibration_exposure_rad: float = 0.0  # the same seen by an exposure: its own time averages it away
+    sigma_motion_rad: float = 0.0  # about each axis, rms: slow motion between exposures; 0: none
+    motion_time_s: float = 0.8  # over which it is smooth; a wave of period P has P / (2 pi)
     sigma_distortion_rad: float = 3e-7  # per axis: 0.3 px of 10 µm behind 10 m (Tables 1 and 3)
     distortion_length_px: float = (
         2000.0  # along a CCD: a residual left by a calibration with a few knots a CCD
@@ -84,6 +86,7 @@ class CalibrationSettings:
             "sigma_clock_s",
             "sigma_vibration_rad",
             "sigma_vibration_exposure_rad",
+            "sigma_motion_rad",
             "sigma_distortion_rad",
             "distortion_pixel_rad",
             "sigma_ccd_shift_rad",
@@ -92,6 +95,8 @@ class CalibrationSettings:
         ):
             if not getattr(self, name) >= 0.0:
                 raise ValueError(f"{name} must be zero or positive, got {getattr(self, name)}")
+        if not self.motion_time_s > 0.0:
+            raise ValueError(f"motion_time_s must be positive, got {self.motion_time_s}")
         if not self.distortion_length_px > 0.0:
             raise ValueError(f"distortion_length_px must be positive, got {self.distortion_length_px}")
         if any(samples < 2 for samples in self.ccd_px):

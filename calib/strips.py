@@ -17,6 +17,7 @@ and is done once. Strips with equal numbers of exposures, targets and unknowns a
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -40,8 +41,10 @@ from boresight.calib.shared_unknowns import (
     coordinate_covariance,
     earth_axes,
 )
+from boresight.calib.slow_motion import AT_REST, SlowMotion, missed_covariance, motion_of
 from boresight.geometry.attitude import Interpolation, InterpolationNodes, interpolation_weights
 from boresight.geometry.attitude_estimate import cross_matrices, with_attitudes
+from boresight.geometry.constants import ARCSEC
 from boresight.geometry.record import Bools, Floats, Ints, Texts, array, record, scalar
 from boresight.geometry.sightings import ExposureAttitudes, GroundSightings, StripSightings
 
@@ -52,8 +55,11 @@ __all__ = [
     "group_strips",
     "linearise",
     "prepare_strip",
+    "prepare_strips",
     "tangent_axes",
 ]
+
+NEGLIGIBLE_MOTION_RAD = 0.01 * ARCSEC  # a tenth of the vibration of the paper's Table 1
 
 
 @record(kw_only=True)
@@ -140,8 +146,18 @@ class LinearStrips:
     tie_q: Floats  # (S, h, n)
 
 
-def prepare_strip(strip: StripSightings, settings: CalibrationSettings) -> PreparedStrip:
-    """The strip with every target in frame s at its own instant, and the unknowns common to its targets.
+def prepare_strips(strips: Sequence[StripSightings], settings: CalibrationSettings) -> list[PreparedStrip]:
+    """The strips, with the motion between exposures that all of them show."""
+    fitted = with_attitudes(strips, settings.attitudes)
+    motion = motion_of(fitted, settings)
+    return [prepare_strip(strip, settings, motion) for strip in fitted]
+
+
+def prepare_strip(
+    strip: StripSightings, settings: CalibrationSettings, motion: SlowMotion = AT_REST
+) -> PreparedStrip:
+    """The strip with every target in frame s at its own instant, and the unknowns common to its targets;
+    `motion` is what the satellite does between the exposures.
 
     Attitudes of exposures are fitted where the strip has none.
     """
@@ -160,6 +176,8 @@ def prepare_strip(strip: StripSightings, settings: CalibrationSettings) -> Prepa
     own_s = nodes.covariance(attitudes.covariance_s[used])
     root = _root_of_attitude_errors(strip, own_s, nodes.t_s, settings)
     phi = -cross_matrices(v_s) @ np.tensordot(weights, root, axes=1)
+    between = _by_motion(motion, nodes.t_s, ground.t_s, weights, inside)
+    moved = (-cross_matrices(v_s)[:, :, None, :] * between[:, None, :, None]).reshape(len(v_s), 3, -1)
     position = move_s * settings.sigma_position_m
     rate_s = _rotation_rate(nodes)
     late = move_s @ ground.v_rel_i[:, :, None] + np.cross(rate_s, v_s)[:, :, None]
@@ -168,6 +186,7 @@ def prepare_strip(strip: StripSightings, settings: CalibrationSettings) -> Prepa
     ties = _ties(strip, nodes, root, settings)
     curve, place = places_on_curves(ground.ccd, ground.xy_px[:, 0], ground.u_c, settings.distortion_pixel_rad)
     names = [f"phi/{k}/{axis}" for k in range(len(nodes.t_s)) for axis in "xyz"]
+    motions = [f"motion/{m}/{axis}" for m in range(between.shape[1]) for axis in "xyz"]
     return PreparedStrip(
         strip_id=strip.strip_id,
         attitudes=attitudes,
@@ -185,8 +204,8 @@ def prepare_strip(strip: StripSightings, settings: CalibrationSettings) -> Prepa
         cov_c=ground.cov_c,
         R_si=R_si,
         v_s=v_s,
-        shared_s=np.concatenate([phi, position, clock], axis=2),
-        unknowns=(*names, "position/x", "position/y", "position/z", "clock"),
+        shared_s=np.concatenate([phi, moved, position, clock], axis=2),
+        unknowns=(*names, *motions, "position/x", "position/y", "position/z", "clock"),
         coordinates_s=_by_coordinates(ground, R_si, move_s),
         cov_coordinates=own * settings.use_target_sigma,
         bias_s=bias_columns(move_s, strip.R_oi_targets, clock[:, :, 0], settings.sigma_position_m),
@@ -211,6 +230,17 @@ def _ties(
     )
 
 
+def _by_motion(motion: SlowMotion, nodes: Floats, t_s: Floats, weights: Floats, inside: Bools) -> Floats:
+    """Square root (J, M) of the covariance, about each axis, of the motion that the interpolation misses."""
+    root = np.zeros((len(t_s), 0))
+    if len(motion.time_s) and len(nodes) > 1 and inside.any():
+        values, vectors = np.linalg.eigh(missed_covariance(motion, t_s[inside], nodes, weights[inside]))
+        large = values > NEGLIGIBLE_MOTION_RAD**2
+        root = np.zeros((len(t_s), int(large.sum())))
+        root[inside] = vectors[:, large] * np.sqrt(values[large])
+    return root
+
+
 def _root_of_attitude_errors(
     strip: StripSightings, covariance_s: Floats, times: Floats, settings: CalibrationSettings
 ) -> Floats:
@@ -228,14 +258,15 @@ def group_strips(
     strips: list[PreparedStrip], shared: SharedUnknowns, settings: CalibrationSettings
 ) -> list[StripGroup]:
     """Groups of strips of equal shape, in order of first occurrence, without strips of no covered target."""
-    shapes: dict[tuple[int, int, int, int], list[int]] = {}
+    shapes: dict[tuple[int, ...], list[int]] = {}
     for place, strip in enumerate(strips):
         if not strip.inside.any():
             continue
         n = 2 * len(_own_knots(strip, settings)) + 6 * len(_own_ccds(strip, settings))
         n += 3 * len(_seen_again(strip, shared))
         h = sum(len(tie.r) for tie in strip.ties)
-        shapes.setdefault((strip.n_phi, len(strip.ccd), n, h), []).append(place)
+        size = strip.n_phi, strip.shared_s.shape[2]
+        shapes.setdefault((*size, len(strip.ccd), n, h), []).append(place)
     return [_group(strips, np.array(places), shared, settings) for places in shapes.values()]
 
 

@@ -140,6 +140,8 @@ class Files(_Strict):
         return self.model_dump(exclude_none=True, exclude={"terrain"})
 
 
+MotionSize = Annotated[float, Field(ge=0.0, le=3600.0, description="slow motion, rms per axis, arc-seconds")]
+MotionTime = Annotated[float, Field(ge=1e-3, le=1e3, description="time over which it is smooth, s")]
 OF_LOOK_DISTORTION = 0.4  # a CCD's own shift, slope and bend, where not stated: NEES in band for either kind
 OfCcd = Annotated[float, Field(ge=0.0, le=1e3, description="look vectors of one CCD, per axis, rms, pixels")]
 
@@ -150,6 +152,8 @@ class Errors(_Strict):
     position_m: float = within(0.0, 1e5, "orbit, per axis and strip, m; a two-line element set has some km")
     clock_s: float = within(0.0, 10.0, "time tags of the strips against those of the exposures, s")
     vibration_arcsec: float = within(0.0, 3600.0, "attitude between exposures, per axis, arc-seconds")
+    motion_arcsec: MotionSize = 6.0  # oscillations of 3 to 12 arcsec, the paper's Fig. 4
+    motion_s: MotionTime = 0.8  # of periods of 3 to 7 s
     look_distortion_px: float = within(0.0, 1e3, "look vectors of the remote-sensing camera, pixels")
     look_distortion_length_px: float = within(1.0, 1e6, "correlation length of that error, pixels")
     look_ccd_shift_px: OfCcd | None = None  # not stated: `OF_LOOK_DISTORTION` of look_distortion_px

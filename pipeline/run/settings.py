@@ -114,6 +114,8 @@ def calibration_settings(settings: Settings, errors: Errors, camera: LineSensor)
         "sigma_position_m": errors.position_m,
         "sigma_clock_s": errors.clock_s,
         "sigma_vibration_rad": errors.vibration_arcsec * ARCSEC,
+        "sigma_motion_rad": errors.motion_arcsec * ARCSEC,
+        "motion_time_s": errors.motion_s,
         "sigma_distortion_rad": errors.look_distortion_px * camera.pixel_rad,
         "distortion_length_px": errors.look_distortion_length_px,
         "distortion_pixel_rad": camera.pixel_rad,

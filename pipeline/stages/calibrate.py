@@ -39,7 +39,7 @@ from boresight.pipeline.stages.cached import Progress, StageRunner
 from boresight.pipeline.stages.conventions import likely_convention, sees_its_targets
 from boresight.pipeline.stages.coverage import attitudes_in_s, carriers, covered_strips, stated_mountings
 from boresight.pipeline.stages.head import HeadSightings, sight_head
-from boresight.pipeline.stages.input_findings import input_findings
+from boresight.pipeline.stages.input_findings import assumed_motion, input_findings
 from boresight.pipeline.stages.left_out import Counts, counts_of, lost_ccds, searched_alone, with_left_out
 from boresight.pipeline.stages.matchings import match_again, match_first
 from boresight.pipeline.stages.missing import what_is_missing
@@ -206,6 +206,7 @@ def calibrate_dump(
             [
                 *([convention] if convention else _target_findings(dump, last, found, reliability, stars)),
                 *input_findings(dump, last.tasks, omissions),
+                *assumed_motion(last.strips, error_model),
             ]
         ),
         stars=heads[0].stars,

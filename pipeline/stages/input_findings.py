@@ -10,17 +10,20 @@ import numpy as np
 
 from boresight.calib.estimate import WhyRejected
 from boresight.calib.finding import Finding
+from boresight.calib.settings import CalibrationSettings
+from boresight.calib.slow_motion import motion_is_shown
 from boresight.gct_match.records import Reason, Target
-from boresight.geometry.constants import WGS84
+from boresight.geometry.constants import ARCSEC, WGS84
 from boresight.geometry.geodesy import geodetic_from_ecef
 from boresight.geometry.geoid import egm96
 from boresight.geometry.record import Floats
+from boresight.geometry.sightings import StripSightings
 from boresight.pipeline.errors import Cause, Omission
 from boresight.pipeline.files.dump import Dump, TerrainFiles, surface_of
 from boresight.pipeline.files.star_side import Head
 from boresight.pipeline.stages.strip import StripTask
 
-__all__ = ["given_twice", "heights", "input_findings", "outside_chips"]
+__all__ = ["assumed_motion", "given_twice", "heights", "input_findings", "outside_chips"]
 
 FEWEST = 3  # targets that make a pattern
 SMALLEST_HEIGHT_M = 5.0  # systematic difference of heights that is reported
@@ -117,6 +120,23 @@ def _assumed_noise(head: Head) -> Finding:
         field="star_cameras.noise",
         is_fault=False,
     )
+
+
+def assumed_motion(strips: Sequence[StripSightings], settings: CalibrationSettings) -> Iterator[Finding]:
+    """That no strip has exposures enough to show how the satellite moves between them; `strips` with fitted
+    attitudes.
+    """
+    if settings.sigma_motion_rad and strips and not motion_is_shown(strips):
+        most = max(len(strip.exposures) for strip in strips)
+        yield Finding(
+            cause="motion between exposures",
+            item=f"{most} star exposures a strip, at most",
+            text=f"{settings.sigma_motion_rad / ARCSEC:.3g}″ within {settings.motion_time_s:.2g} s are "
+            "assumed, not measured: take 3 exposures or more, or state motion_arcsec and motion_s.",
+            file="dump.toml",
+            field="motion_arcsec, motion_s",
+            is_fault=False,
+        )
 
 
 def _heights(dump: Dump, targets: Mapping[str, Target]) -> Iterator[Finding]:
