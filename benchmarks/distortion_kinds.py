@@ -1,11 +1,16 @@
 """Whether one prior holds for cameras whose residual distortion is one curve over the field and for cameras
 whose CCDs have residuals of their own: NEES of campaigns of vectors of either kind.
 
-    OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 python benchmarks/distortion_kinds.py
+    python benchmarks/distortion_kinds.py > benchmarks/results/distortion_kinds.txt
+
+Either kind has the stated rms of 0.3 px in all: the CCDs' shift, slope and bend each 0.3 px / sqrt(3). Told
+is only that number, with the shares of the CCDs that a dump has which does not state them.
 """
 
 from __future__ import annotations
 
+import argparse
+import time
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -26,7 +31,6 @@ from boresight.simulator.sky_campaign import draw_sky_strips
 CAMERAS = CameraPair(installation_by_tilt(np.radians(15.0)))
 R_CS0 = deviation_from_theta(np.array(MATRIX_28)).inv() * CAMERAS.R_cs
 SIGMA = 0.3 * CAMERAS.pixel_rad
-RUNS = 1000
 GROUND = replace(
     TABLE_1, strips=3, exposures=11, distortion_length_px=1500.0, distortion_pixel_rad=CAMERAS.pixel_rad
 )
@@ -35,7 +39,10 @@ SKY = replace(
 )  # at a sixth of the imaging rate
 KINDS = {
     "one curve over the field": {"sigma_distortion_rad": SIGMA},
-    "shift, slope and bend of each CCD": {"sigma_distortion_rad": 0.0, "sigma_ccd_rad": (SIGMA,) * 3},
+    "shift, slope and bend of each CCD": {
+        "sigma_distortion_rad": 0.0,
+        "sigma_ccd_rad": (SIGMA / np.sqrt(3.0),) * 3,
+    },
 }
 Draw = Callable[[StripPlan, np.random.Generator], list[StripSightings]]
 
@@ -78,13 +85,11 @@ def sky(plan: StripPlan, rng: np.random.Generator) -> list[StripSightings]:
     return draw_sky_strips(plan, CAMERAS, rng, rates_rad_s=(0.0024, -0.0024))
 
 
-def table(title: str, plan: StripPlan, draw: Draw, seed: int) -> None:
-    print(
-        f"{title}, {RUNS} campaigns of each kind; stated: 0.3 px, one curve over the field, and of each CCD"
-    )
+def table(title: str, plan: StripPlan, draw: Draw, runs: int, seed: int) -> None:
+    print(f"{title}, {runs} campaigns of each kind; stated: 0.3 px, one curve over the field, and CCDs")
     print(f"{'':34s}  share  NEES   rms / sigma X, Y, Z    stated sigma X, Y, Z, arcsec")
     for kind, changes in KINDS.items():
-        for share, row in campaigns(replace(plan, **changes), draw, RUNS, seed).items():
+        for share, row in campaigns(replace(plan, **changes), draw, runs, seed).items():
             ratios, sigmas = (" ".join(f"{one:6.3f}" for one in part) for part in (row[1:4], row[4:]))
             print(f"{kind:34s}  {share:5.1f}  {row[0]:5.2f}  {ratios}   {sigmas}", flush=True)
             if share:
@@ -92,8 +97,18 @@ def table(title: str, plan: StripPlan, draw: Draw, seed: int) -> None:
     print()
 
 
-if __name__ == "__main__":
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--campaigns", type=int, default=200)
+    runs = parser.parse_args().campaigns
     head("calib: one prior for two kinds of residual distortion")
-    table("three strips of the ground, every error of Table 1", GROUND, ground, seed=11)
-    table("two strips of the sky", SKY, sky, seed=12)
+    print(f"a mean NEES of {runs} campaigns has a standard error of {np.sqrt(6.0 / runs):.2f}")
+    start = time.process_time()
+    table("three strips of the ground, every error of Table 1", GROUND, ground, runs, seed=11)
+    table("two strips of the sky", SKY, sky, runs, seed=12)
+    print(f"{time.process_time() - start:.0f} s CPU")
     raise SystemExit(exit_status())
+
+
+if __name__ == "__main__":
+    main()

@@ -93,7 +93,7 @@ def predicted_covariance(strips: Sequence[StripMoves], cov_theta: Floats, dump: 
     of the matrix and by the errors that the dump states.
     """
     errors, camera = dump.errors, dump.line_camera
-    distortion = (errors.look_distortion_px * camera.pixel_rad) ** 2
+    distortion = (errors.look_px * camera.pixel_rad) ** 2
     common = np.linalg.cholesky(cov_theta + distortion * np.eye(3))
     by_rotation = np.concatenate([one.moves.by_rotation for one in strips])
     white = (errors.vibration_arcsec * ARCSEC) ** 2 * np.sum(by_rotation**2, axis=2)

@@ -1,0 +1,101 @@
+"""Motion of the satellite between star exposures: what interpolation misses, and how much of it is shown."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from boresight.calib.calibration import calibrate_strips
+from boresight.calib.estimate import InstallationEstimate
+from boresight.calib.settings import CalibrationSettings
+from boresight.calib.slow_motion import (
+    AT_REST,
+    SlowMotion,
+    missed_covariance,
+    motion_is_shown,
+    motion_of,
+)
+from boresight.calib.strips import prepare_strips
+from boresight.geometry.attitude import lagrange_weights
+from boresight.geometry.attitude_estimate import with_attitudes
+from boresight.geometry.constants import ARCSEC
+from boresight.geometry.installation import theta_between
+from boresight.geometry.sightings import StripSightings
+from boresight.simulator.campaign import CameraPair, StripPlan, draw_strips
+
+BOLD = Rotation.from_euler("xyz", [40, -65, 110], degrees=True)
+WITHOUT = CalibrationSettings(sigma_distortion_rad=0.0)
+STATED = replace(WITHOUT, sigma_motion_rad=6.0 * ARCSEC, motion_time_s=0.8)
+STILL = (0.0, 0.0)
+
+
+def strips_of(exposures: int, seed: int = 1, **changes: object) -> list[StripSightings]:
+    plan = StripPlan(strips=3, exposures=exposures, exposure_margin_s=0.3, **changes)  # type: ignore[arg-type]
+    strips, _ = draw_strips(plan, CameraPair(BOLD), np.random.default_rng(seed))
+    return with_attitudes(strips, WITHOUT.attitudes)
+
+
+def test_what_interpolation_misses_scatters_as_stated() -> None:
+    nodes, t = np.array([0.0, 0.7, 1.4, 2.1]), np.array([0.35, 0.9, 1.9])
+    motion = SlowMotion(time_s=np.array([0.5, 1.0]), variance=np.array([4.0, 9.0]))
+    weights, both = lagrange_weights(nodes, t), np.concatenate([nodes, t])
+    covariance = motion.covariance(both, both)
+    draws = np.random.default_rng(3).multivariate_normal(np.zeros(7), covariance, 40_000)
+    missed = draws[:, 4:] - draws[:, :4] @ weights.T
+    expected = missed_covariance(motion, t, nodes, weights)
+    scale = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
+    assert np.abs(missed.T @ missed / 40_000 - expected).max() < 0.03 * scale.max()  # 4 standard errors
+    assert missed_covariance(motion, nodes, nodes, np.eye(4)) == pytest.approx(np.zeros((4, 4)), abs=1e-12)
+
+
+@pytest.mark.parametrize("arcsec", [1.0, 8.0, 60.0])
+def test_exposures_show_how_far_the_satellite_moves(arcsec: float) -> None:
+    # A wave of amplitude A has the rms 0.7 A. Of nine, a third of a period to a whole one is seen: the prior
+    # about 6 arcsec still counts.
+    strips = strips_of(10, wave_rad=(arcsec * ARCSEC, arcsec * ARCSEC))
+    rms = np.sqrt(motion_of(strips, STATED).variance.sum()) / ARCSEC
+    assert 0.3 * arcsec < rms < 3.0 * arcsec
+
+
+def test_attitudes_with_understated_noise_are_not_taken_for_motion() -> None:
+    strips = strips_of(10, wave_rad=STILL, sigma_s_px=0.5)
+    sure = [
+        replace(
+            strip,
+            attitudes=replace(strip.attitudes, covariance_s=1e-3 * strip.attitudes.covariance_s),
+        )
+        for strip in strips
+        if strip.attitudes is not None
+    ]
+    noise = np.sqrt(np.median([strip.attitudes.covariance_s[:, 0, 0] for strip in strips if strip.attitudes]))
+    assert np.sqrt(motion_of(sure, STATED).variance.sum()) < 3.0 * noise
+
+
+def test_two_exposures_show_nothing_and_the_stated_motion_holds() -> None:
+    two, three = strips_of(2), strips_of(3)
+    assert not motion_is_shown(two) and motion_is_shown(three)
+    motion = motion_of(two, STATED)
+    assert np.sqrt(motion.variance.sum()) == pytest.approx(6.0 * ARCSEC, rel=1e-12)
+    assert np.average(np.log(motion.time_s), weights=motion.variance) == pytest.approx(np.log(0.8), abs=1e-9)
+    assert motion_of(two, WITHOUT) is AT_REST
+
+
+def test_many_exposures_leave_no_motion_unknown() -> None:
+    dense = prepare_strips(strips_of(20), STATED)
+    assert not [name for strip in dense for name in strip.unknowns if name.startswith("motion/")]
+
+
+def test_with_two_exposures_the_covariance_holds_the_motion() -> None:
+    nees: dict[float, list[float]] = {0.0: [], STATED.sigma_motion_rad: []}
+    for seed in range(5):
+        strips = strips_of(2, seed)
+        for sigma, found in nees.items():
+            one = calibrate_strips(strips, BOLD, replace(STATED, sigma_motion_rad=sigma))
+            assert isinstance(one, InstallationEstimate)
+            error = theta_between(one.R_cs, BOLD)
+            found.append(float(error @ np.linalg.solve(one.cov_theta, error)))
+    without, stated = (np.mean(found) for found in nees.values())
+    assert without > 20.0 and stated < 6.9  # 99.9 % of the mean of five chi-squares of three
