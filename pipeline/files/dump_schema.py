@@ -142,7 +142,7 @@ class Files(_Strict):
 
 MotionSize = Annotated[float, Field(ge=0.0, le=3600.0, description="slow motion, rms per axis, arc-seconds")]
 MotionTime = Annotated[float, Field(ge=1e-3, le=1e3, description="time over which it is smooth, s")]
-OF_LOOK_DISTORTION = 0.3  # a CCD's own shift, slope and bend, where not stated: NEES in band for either kind
+OF_LOOK_DISTORTION = 0.2  # a CCD's own shift, slope and bend, where not stated: NEES in band for either kind
 OfCcd = Annotated[float, Field(ge=0.0, le=1e3, description="look vectors of one CCD, per axis, rms, pixels")]
 
 

@@ -43,8 +43,8 @@ def test_each_ccd_has_a_part_of_the_look_distortion_unless_the_dump_states_it() 
     two = replace(CAMERA, ccds=(DETECTOR, replace(DETECTOR, n_px=300, y_first_m=0.005)))
     usual = calibration_settings(Settings(), STATED, two)
     assert usual.ccd_px == (512, 300)
-    assert usual.sigma_ccd_rad == pytest.approx((0.12 * pixel_rad,) * 3, rel=1e-12)  # 0.3 of 0.4 px
+    assert usual.sigma_ccd_rad == pytest.approx((0.08 * pixel_rad,) * 3, rel=1e-12)  # 0.2 of 0.4 px
     stated = STATED.model_copy(update={"look_ccd_shift_px": 0.7, "look_ccd_bend_px": 0.0})
     used = calibration_settings(Settings(), stated, two)
-    assert used.sigma_ccd_rad == pytest.approx((0.7 * pixel_rad, 0.12 * pixel_rad, 0.0), rel=1e-12)
-    assert stated.look_px == pytest.approx((0.4**2 + 0.7**2 + 0.12**2) ** 0.5, rel=1e-12)
+    assert used.sigma_ccd_rad == pytest.approx((0.7 * pixel_rad, 0.08 * pixel_rad, 0.0), rel=1e-12)
+    assert stated.look_px == pytest.approx((0.4**2 + 0.7**2 + 0.08**2) ** 0.5, rel=1e-12)
