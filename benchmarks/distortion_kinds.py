@@ -3,8 +3,8 @@ whose CCDs have residuals of their own: NEES of campaigns of vectors of either k
 
     python benchmarks/distortion_kinds.py > benchmarks/results/distortion_kinds.txt
 
-Either kind has the stated rms of 0.3 px in all: the CCDs' shift, slope and bend each 0.3 px / sqrt(3). Told
-is only that number, with the shares of the CCDs that a dump has which does not state them.
+Either kind has the stated rms of 0.3 px in all: the CCDs' shift, slope and bend each 0.3 px / sqrt(3). Only
+that number is stated, with the default shares of the CCDs.
 """
 
 from __future__ import annotations

@@ -67,7 +67,7 @@ class CalibrationSettings:
 
     @property
     def without_distortion(self) -> CalibrationSettings:
-        """The same for a camera that leaves no distortion."""
+        """Settings for a camera that leaves no distortion."""
         return replace(self, sigma_distortion_rad=0.0, ccd_px=())
 
     @property

@@ -1,4 +1,4 @@
-"""Motion between star exposures that no exposure shows is told, with what is assumed of it."""
+"""Motion that no star exposure shows is a finding, with what is assumed of it."""
 
 from __future__ import annotations
 
