@@ -4,8 +4,8 @@
 
 Campaigns of vectors of three strips of the ground with every error of the paper's Table 1. The satellite
 oscillates about all axes: as the paper's Fig. 4 has it (3 to 12 arcsec, 3 to 7 s), faster, and with ten times
-and a tenth of that size. Stated are 6 arcsec and 0.8 s, the default of a dump. With two exposures nothing shows
-the motion, and what is stated decides.
+and a tenth of that size. Stated are 6 arcsec and 0.8 s, the default of a dump. With two exposures nothing
+shows the motion, and what is stated decides.
 """
 
 from __future__ import annotations
