@@ -10,7 +10,7 @@ import pandas as pd
 from numpy.typing import ArrayLike
 
 from boresight.accepted import count_of, floats_of, instance_of, wrong
-from boresight.display import Result, SuccessfulResult, axes_or_new
+from boresight.display import SuccessfulResult, axes_or_new
 from boresight.gct_match.locate import locate_template as match_arrays
 from boresight.gct_match.records import Refusal as NotMatched
 from boresight.gct_match.records import TemplateMatch
@@ -31,7 +31,8 @@ LARGEST_VALUE = 1e15  # of a grey value: squares and sums of it stay finite
 class Match(TemplateMatch, SuccessfulResult):
     """A template found in a picture. Points are (column, row); (0, 0) is the centre of the first pixel."""
 
-    __repr__ = Result.__repr__
+    def __repr__(self) -> str:
+        return self.summary()
 
     def summary(self) -> str:
         (x, y), (sx, sy) = self.xy_px, np.sqrt(np.diag(self.cov_px))

@@ -108,7 +108,8 @@ class Calibration(Result):
         "of a run in memory", default=None, repr=False
     )
 
-    __repr__ = Result.__repr__
+    def __repr__(self) -> str:
+        return self.summary()
 
     def __fspath__(self) -> str:
         """The result folder; `ValueError` from vectors, which have none."""
@@ -274,7 +275,8 @@ class Calibration(Result):
 class Validation(TruthErrors, Result):
     """Errors of a result, and of the matrix that it started from, against a simulated truth."""
 
-    __repr__ = Result.__repr__
+    def __repr__(self) -> str:
+        return self.summary()
 
     def summary(self) -> str:
         """Errors per axis and on the ground, before and after."""

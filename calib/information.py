@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -94,14 +95,14 @@ class InformationPairs:
             shared,
         )
 
-    def columns(self) -> dict[str, NDArray]:
+    def columns(self) -> dict[str, NDArray[Any]]:
         """Columns of a table, one row a pair: name, upper triangle of F, F_theta, reference (scalar last).
 
         They are `F:a:b` and `F_theta:a`, where a and b are x, y, z or the name of a shared unknown.
         """
         unknowns = ("x", "y", "z", *self.shared)
         rows, columns = np.triu_indices(len(unknowns))
-        data: dict[str, NDArray] = {"name": self.names}
+        data: dict[str, NDArray[Any]] = {"name": self.names}
         for i, j in zip(rows.tolist(), columns.tolist()):
             data[f"F:{unknowns[i]}:{unknowns[j]}"] = self.F[:, i, j]
         data |= {f"F_theta:{unknown}": self.F_theta[:, i] for i, unknown in enumerate(unknowns)}
@@ -109,7 +110,7 @@ class InformationPairs:
         return data | {f"q_ref:{i}": q * of_all for i, q in enumerate(self.R_cs_ref.as_quat())}
 
     @classmethod
-    def from_columns(cls, table: Mapping[str, NDArray]) -> InformationPairs:
+    def from_columns(cls, table: Mapping[str, NDArray[Any]]) -> InformationPairs:
         """Pairs from columns (N,) as `columns` gives them; `ValueError` if they have several references."""
         unknowns = [name.removeprefix("F_theta:") for name in table if name.startswith("F_theta:")]
         quaternions = np.column_stack([table[f"q_ref:{i}"] for i in range(4)])

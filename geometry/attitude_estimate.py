@@ -14,6 +14,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -243,7 +244,7 @@ def cross_matrices(v: Floats) -> Floats:
     return out
 
 
-def sums_over(start: Ints, values: NDArray) -> NDArray:
+def sums_over(start: Ints, values: NDArray[Any]) -> NDArray[Any]:
     """Sums (K, ...) of `values` (N, ...) over the groups start[k]:start[k+1]; an empty group gives 0."""
     full = np.flatnonzero(np.diff(start))
     if len(full) == len(start) - 1:

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import field, replace
+from typing import Any
 
 import cv2
 import numpy as np
@@ -27,7 +28,7 @@ __all__ = ["ReadStrip", "VirtualStrip", "virtual_camera"]
 Array = NDArray[np.float64]
 Image = NDArray[np.float32]
 ReadStrip = Callable[
-    [int, int, int, int, int], NDArray
+    [int, int, int, int, int], NDArray[Any]
 ]  # ccd, line0, line1, sample0, sample1 -> (lines, samples)
 
 _NODE_LINES = 16  # lattice of the mapping between the images, cubics between:

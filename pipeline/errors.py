@@ -21,8 +21,10 @@ class RawDataError(Exception):
 
     def __init__(self, file: str, field: str, found: object, expected: str) -> None:
         super().__init__(file, field, found, expected)
-        self.file, self.field = printable(file), _short(field)
-        self.found, self.expected = _short(found), printable(expected)
+        self.file: str = printable(file)
+        self.field: str = _short(field)
+        self.found: str = _short(found)
+        self.expected: str = printable(expected)
         self.others: tuple[RawDataError, ...] = ()  # further errors of that file, for `boresight dump check`
 
     def __str__(self) -> str:
@@ -36,7 +38,7 @@ class DataNotSufficientError(Exception):
 
     def __init__(self, message: str, omissions: Sequence[Omission] = ()) -> None:
         super().__init__(message)
-        self.omissions = tuple(omissions)
+        self.omissions: tuple[Omission, ...] = tuple(omissions)
 
 
 class WorkerError(Exception):

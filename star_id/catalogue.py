@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from functools import lru_cache
 from importlib.resources import files
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -77,12 +78,12 @@ def hipparcos_stars(max_v_mag: float = 8.0) -> CatalogueStars:
 
 
 @lru_cache(maxsize=1)
-def _columns() -> dict[str, NDArray]:
+def _columns() -> dict[str, NDArray[Any]]:
     with _FILE.open("rb") as stream, np.load(stream) as data:
         return {name: data[name] for name in data.files if name != "provenance"}
 
 
-def _photocentre_shift(columns: dict[str, NDArray]) -> Floats:
+def _photocentre_shift(columns: dict[str, NDArray[Any]]) -> Floats:
     """(N,) distance of a pair's photocentre from the component that the position refers to, arcsec.
 
     A component at separation s and fainter by d magnitudes shifts it by s / (1 + 10^(0.4 d)). If the position

@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -179,13 +180,13 @@ def ra_dec_roll(camera: StarCamera, R_si: Rotation) -> tuple[float, float, float
 
 
 def solve_field(
-    image: NDArray,
+    image: NDArray[Any],
     index: StarIndex,
     settings: StarSettings,
     *,
     camera: StarCamera | None = None,
     fov_x_rad: float | None = None,
-    dark: NDArray | None = None,
+    dark: NDArray[Any] | None = None,
     observer: Observer | None = None,
 ) -> FieldSolution | NotIdentified:
     """Attitude, camera and identified stars of a raw image.

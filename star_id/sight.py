@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,13 +50,13 @@ _REACH_SIGMA = 8.0
 
 def sight_stars(
     exposure_id: str,
-    image: NDArray,
+    image: NDArray[Any],
     camera: StarCamera,
     index: StarIndex,
     observer: Observer,
     settings: StarSettings,
     *,
-    dark: NDArray | None = None,
+    dark: NDArray[Any] | None = None,
     prior: AttitudePrior | None = None,
 ) -> StarSightings | NotIdentified:
     """Identified stars of one exposure, fit for calibration.
@@ -94,7 +95,7 @@ def sight_stars(
     return explained(found, image, stars.saturation_dn) if isinstance(found, NotIdentified) else found
 
 
-def explained(found: NotIdentified, image: NDArray, saturation_dn: float) -> NotIdentified:
+def explained(found: NotIdentified, image: NDArray[Any], saturation_dn: float) -> NotIdentified:
     """`found` with what its raw image (H, W) shows instead of a sky: one value, or saturated pixels."""
     share, least = float(np.mean(image >= saturation_dn)), image.min()
     if share > _MOSTLY:

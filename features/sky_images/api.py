@@ -89,7 +89,8 @@ class Stars(Result):
     saturation_dn: float = scalar("value from which a pixel is full; inf: not known, no star is saturated")
     star_list: StarList = scalar("the full record, as the functions of boresight.star_id take it")
 
-    __repr__ = Result.__repr__
+    def __repr__(self) -> str:
+        return self.summary()
 
     def __len__(self) -> int:
         return len(self.xy_px)
@@ -164,7 +165,8 @@ class StarSolution(SuccessfulResult):
     mirrored: bool = scalar("whether the image is a mirror image: all is stated for its columns reversed")
     observer: Observer | None = scalar("time and place, where given: aberration is removed", repr=False)
 
-    __repr__ = Result.__repr__
+    def __repr__(self) -> str:
+        return self.summary()
 
     def pixel_to_sky(self, xy_px: ArrayLike) -> SkyCoord:
         """Right ascension and declination, ICRS, of pixels.
@@ -297,7 +299,8 @@ class CameraSolution(SuccessfulResult):
     images_rejected: tuple[tuple[str, str], ...] = scalar("the others, (name, reason)")
     fit: CameraCalibration = scalar("residuals, full covariance and attitudes (boresight.star_id)")
 
-    __repr__ = Result.__repr__
+    def __repr__(self) -> str:
+        return self.summary()
 
     def summary(self) -> str:
         """Three lines, as `print` shows them."""

@@ -28,7 +28,8 @@ class TargetMatches(Result):
 
     measured: pd.DataFrame = scalar("one row a measurement or rejection, as `boresight match` writes them")
 
-    __repr__ = Result.__repr__
+    def __repr__(self) -> str:
+        return self.summary()
 
     def __len__(self) -> int:
         return int((self.measured["outcome"] == "placed").sum())

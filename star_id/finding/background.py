@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from itertools import pairwise
+from typing import Any
 
 import cv2
 import numpy as np
@@ -96,7 +97,7 @@ class Background:
         return [sum(grid.ravel()[corner + k] * w for k, w in zip(steps, weights)) for grid in grids]
 
 
-def estimate_background(image: NDArray) -> Background:
+def estimate_background(image: NDArray[Any]) -> Background:
     """Background of a raw image (H, W), integer or floating; stars may cover a third of a block."""
     height, width = image.shape
     side = float(np.clip(min(height, width) / 7.0, 48.0, 512.0))
@@ -116,7 +117,7 @@ def background_image(grid: Floats, shape: tuple[int, ...]) -> NDArray[np.float32
     return np.asarray(cv2.resize(grid.astype(np.float32), size, interpolation=cv2.INTER_LINEAR), np.float32)
 
 
-def _noise_between_neighbours(image: NDArray) -> float:
+def _noise_between_neighbours(image: NDArray[Any]) -> float:
     """Standard deviation of a pixel, DN, from differences of pixels near one another; inf where these do not
     tell, in a sky that is cut off or has few grey levels."""
     down, across = (max(1, size // most) for size, most in zip(image.shape, (64, 128)))
@@ -128,7 +129,7 @@ def _noise_between_neighbours(image: NDArray) -> float:
     return max(1.0483 * float(np.partition(difference, middle, axis=None)[middle]), 0.3)
 
 
-def _noise_in_blocks(image: NDArray, blocks: tuple[int, ...]) -> Floats:
+def _noise_in_blocks(image: NDArray[Any], blocks: tuple[int, ...]) -> Floats:
     """Standard deviation (R, C) of a pixel, DN, in each of so many blocks, from the same differences: photon
     noise is larger where the sky is brighter."""
     rows, columns = (size // count for size, count in zip(image.shape, blocks))
@@ -138,7 +139,7 @@ def _noise_in_blocks(image: NDArray, blocks: tuple[int, ...]) -> Floats:
     return np.asarray(1.0483 * np.median(difference, axis=(1, 3)), dtype=float)
 
 
-def _by_blocks(image: NDArray, side: float) -> Background:
+def _by_blocks(image: NDArray[Any], side: float) -> Background:
     """Background in blocks of `side`, px, or a little more."""
     height, width = image.shape
     rows, columns = max(1, round(height / side)), max(1, round(width / side))
@@ -189,7 +190,7 @@ def extended(grid: Floats, *, continued: bool = True) -> Floats:
     return padded
 
 
-def _histogram_range(sample: NDArray) -> tuple[float, float, int]:
+def _histogram_range(sample: NDArray[Any]) -> tuple[float, float, int]:
     if sample.dtype == np.uint8:
         return 0.0, 256.0, 256
     few = np.sort(sample.ravel()[:: max(1, sample.size // 20000)])

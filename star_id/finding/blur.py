@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import scipy
@@ -72,7 +73,7 @@ _AS_GOOD = 1.2
 
 
 def find_coma(
-    image: NDArray, xy_px: Floats, background: Background, psf: Psf, *, saturation_dn: float
+    image: NDArray[Any], xy_px: Floats, background: Background, psf: Psf, *, saturation_dn: float
 ) -> tuple[Psf, float] | None:
     """PSF with coma, and the gain, e-/DN, that the residuals about it show; None where it explains the images
     of the stars at `xy_px` (N, 2) no better than `psf`."""
@@ -115,7 +116,7 @@ def find_coma(
 
 
 def explains_better(
-    image: NDArray, xy_px: Floats, background: Background, psf: Psf, other: Psf, *, saturation_dn: float
+    image: NDArray[Any], xy_px: Floats, background: Background, psf: Psf, other: Psf, *, saturation_dn: float
 ) -> bool:
     """Whether the empirical PSF `psf` explains the images of the stars at `xy_px` (N, 2) better than
     `other`."""
@@ -133,7 +134,7 @@ def _is_better(windows: StarWindows, start: Floats, psf: Psf, other: Psf, unlike
 
 
 def find_trail(
-    image: NDArray, xy_px: Floats, background: Background, psf: Psf, *, saturation_dn: float
+    image: NDArray[Any], xy_px: Floats, background: Background, psf: Psf, *, saturation_dn: float
 ) -> tuple[Psf, float] | None:
     """Smeared Gaussian in place of the PSF `psf`, empirical or a Gaussian smeared by second moments, and the
     gain, e-/DN, that the residuals about it show; None where it explains the images of the stars at `xy_px`

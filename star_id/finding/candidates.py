@@ -11,6 +11,7 @@ runs in bands of rows that stay in the processor's cache, with OpenCV's vector i
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
@@ -65,7 +66,7 @@ class _GreyScale:
     threshold: NDArray[np.uint8]  # for sums of four: (1,), or one for each binned pixel
 
 
-def find_candidates(image: NDArray, background: Background, *, halvings: int = 1) -> Ints:
+def find_candidates(image: NDArray[Any], background: Background, *, halvings: int = 1) -> Ints:
     """Pixels (N, 2) as (column, row) near the local maxima of the image binned by 2 ** `halvings`.
 
     The centre of a star lies within 2 ** `halvings` - 1 pixels of one, or one more towards +x or +y.
@@ -102,7 +103,7 @@ def find_candidates(image: NDArray, background: Background, *, halvings: int = 1
     return pixels if len(pixels) <= _MAX_CANDIDATES else pixels[_highest(height[peak])]
 
 
-def _grey_scale(image: NDArray, background: Background, halvings: int) -> _GreyScale:
+def _grey_scale(image: NDArray[Any], background: Background, halvings: int) -> _GreyScale:
     """Scale for an image and its background: as many grey levels per sigma as the sky's range leaves room
     for.
 
@@ -143,14 +144,14 @@ def _threshold_levels(threshold: Floats, tolerance: float, shape: tuple[int, int
         return np.full(1, inner.mean()).astype(np.uint8)
     rows, columns = inner.shape
     tile = max(1, min(shape[0] // rows, shape[1] // columns) // _TILES_PER_BLOCK)
-    limit: NDArray = np.clip(_enlarged(threshold, shape, tile), 0.0, 255.0).astype(np.uint8)
+    limit: NDArray[Any] = np.clip(_enlarged(threshold, shape, tile), 0.0, 255.0).astype(np.uint8)
     large = (limit.shape[1] * tile, limit.shape[0] * tile)
     return np.asarray(cv2.resize(limit, large, interpolation=cv2.INTER_NEAREST), dtype=np.uint8)
 
 
-def _binned_to_8_bits(band: NDArray, grey: _GreyScale, first: int) -> NDArray:
+def _binned_to_8_bits(band: NDArray[Any], grey: _GreyScale, first: int) -> NDArray[Any]:
     """A band of full-resolution rows as rows of the binned image, from `first` on, in 8 bits."""
-    coarse: NDArray = band if grey.sky_dn is None else band.astype(np.float32)
+    coarse: NDArray[Any] = band if grey.sky_dn is None else band.astype(np.float32)
     for k in range(grey.binnings + 1):
         if k > 0:
             size = (coarse.shape[1] // 2, coarse.shape[0] // 2)
@@ -160,7 +161,7 @@ def _binned_to_8_bits(band: NDArray, grey: _GreyScale, first: int) -> NDArray:
     return coarse
 
 
-def _to_8_bits(coarse: NDArray, grey: _GreyScale, first: int) -> NDArray:
+def _to_8_bits(coarse: NDArray[Any], grey: _GreyScale, first: int) -> NDArray[Any]:
     if coarse.dtype == np.uint8 and grey.gain == 1.0:
         return coarse if grey.offset == 0.0 else cv2.subtract(coarse, np.full(1, -grey.offset))
     darkest = -grey.offset / grey.gain  # below, the conversion takes absolute values

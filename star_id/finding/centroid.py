@@ -10,6 +10,7 @@ chi2 / dof.
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -68,7 +69,7 @@ class StarFits:
         """(N,) flux over its standard error by background noise alone."""
         return self.flux_dn / self.flux_sigma_dn
 
-    def take(self, index: NDArray) -> StarFits:
+    def take(self, index: NDArray[Any]) -> StarFits:
         """The fits at indices (M,) or of a mask (N,)."""
         return StarFits(**{name: getattr(self, name)[index] for name in _COLUMNS})
 
@@ -93,7 +94,7 @@ class Counts:
 
 
 def fit_stars(
-    image: NDArray, pixels: Ints, offset: Floats, background: Background, psf: Psf, counts: Counts
+    image: NDArray[Any], pixels: Ints, offset: Floats, background: Background, psf: Psf, counts: Counts
 ) -> StarFits:
     """Fits of stars near `pixels` + `offset` (N, 2), whole pixels and starting offsets, as (column, row).
 

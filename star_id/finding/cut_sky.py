@@ -8,6 +8,8 @@ distribution of the same variance and skewness (Pearson's type III).
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import gammainccinv, ndtr, ndtri  # scipy.stats takes 0.2 s to load
@@ -66,7 +68,7 @@ def limit_after_cut(above: Floats, sigmas: float, pixels: float) -> Floats:
     return np.where(above < UNCUT, np.sqrt(variance) * gamma, sigmas)
 
 
-def after_cut(above: NDArray) -> tuple[NDArray, NDArray, NDArray]:
+def after_cut(above: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
     """Mean and variance of max(above + n, 0), n a unit normal, and the derivative of the mean by `above`;
     all of its shape (N, M)."""
     whole, density = ndtr(above), np.exp(-0.5 * above**2) * (1.0 / np.sqrt(2.0 * np.pi))

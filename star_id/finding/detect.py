@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -87,7 +88,7 @@ def detection_threshold(n_px: int, psf_sigma_px: float, false_alarms: float) -> 
 
 
 def detect(
-    image: NDArray,
+    image: NDArray[Any],
     background: Background,
     candidates: Ints,
     *,
@@ -136,7 +137,7 @@ def detect(
     )
 
 
-def _inside(xy: Ints, image: NDArray, before: int, after: int) -> Bools:
+def _inside(xy: Ints, image: NDArray[Any], before: int, after: int) -> Bools:
     """(N,) whether the image has so many pixels before and from each pixel on, along both axes."""
     x, y = xy.T
     height, width = image.shape
@@ -183,7 +184,7 @@ def _hot_pixels(filtered: _Filtered, rows: Ints, best: Ints) -> tuple[Bools, Int
     return hot, pixel, np.float32(0.25) * cross
 
 
-def _ring_dn(image: NDArray, xy: Ints, sigma: float) -> Floats:
+def _ring_dn(image: NDArray[Any], xy: Ints, sigma: float) -> Floats:
     """(N,) median of a square ring of pixels around each pixel: the level that a star stands on."""
     radius = int(np.ceil(_RING_SIGMA * sigma))
     side = 2 * radius + 1
@@ -207,7 +208,7 @@ def _outside_wings(xy: Ints, snr: Floats, sigma: float) -> Ints:
     return np.flatnonzero(~drop)
 
 
-def _parabola(flux: NDArray, row: NDArray, column: NDArray) -> Floats:
+def _parabola(flux: NDArray[Any], row: NDArray[Any], column: NDArray[Any]) -> Floats:
     """(N, 2) offset of the peak from the filter's values beside it; 0 if one of them is missing."""
     n, shifts = len(flux), flux.shape[1]
     offset = np.zeros((n, 2))

@@ -8,6 +8,8 @@ the level of the sky over the image remains.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import scipy
 from numpy.typing import NDArray
@@ -43,7 +45,7 @@ _RAISED = 0.05
 _CLIP_SIGMA = 3.0
 
 
-def without_lines(image: NDArray, saturation_dn: float) -> NDArray:
+def without_lines(image: NDArray[Any], saturation_dn: float) -> NDArray[Any]:
     """The image (H, W) without offsets of its rows and columns, or itself where there are none.
 
     Saturated pixels stay saturated.
@@ -65,7 +67,7 @@ def without_lines(image: NDArray, saturation_dn: float) -> NDArray:
     return clean
 
 
-def _has_offsets(image: NDArray, axis: int) -> bool:
+def _has_offsets(image: NDArray[Any], axis: int) -> bool:
     """Whether the rows (axis 0) or columns (axis 1) of an image have offsets."""
     if axis == 0:  # rows lie apart in memory: some will do
         first = max(0, (len(image) - _LINES) // 2)
@@ -93,7 +95,7 @@ def _has_offsets(image: NDArray, axis: int) -> bool:
     return bool(next_one < _LIKE_NOISE * product.mean())
 
 
-def _parts(image: NDArray, axis: int) -> Floats:
+def _parts(image: NDArray[Any], axis: int) -> Floats:
     """(2, N) means of two parts of the N rows (axis 0) or columns (axis 1)."""
     along = image.shape[1 - axis]
     means = []
@@ -107,14 +109,14 @@ def _parts(image: NDArray, axis: int) -> Floats:
     return np.stack(means)
 
 
-def _differ(image: NDArray, rows: Ints, limit: float) -> bool:
+def _differ(image: NDArray[Any], rows: Ints, limit: float) -> bool:
     """Whether the median of any of `rows` differs from those of the rows beside it: two hot pixels do not
     change it."""
     own, before, after = (np.median(image[rows + d, ::2], axis=1) for d in (0, -2, 2))
     return bool(np.any(np.abs(own - 0.5 * (before + after)) > limit))
 
 
-def _offsets(image: NDArray) -> NDArray[np.float32]:
+def _offsets(image: NDArray[Any]) -> NDArray[np.float32]:
     """(H,) offsets of the rows of an image: their means without stars less the smooth course of these.
 
     Of a sky that is cut off at its least value the means move less than the sky, by the share that is above.

@@ -8,6 +8,8 @@ stars; what remains of the difference is the noise, and the pixels are weighted 
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -33,7 +35,7 @@ _ALIKE = 0.8
 _LEAST_RESPONSE = 0.1
 
 
-def has_mosaic(image: NDArray) -> bool:
+def has_mosaic(image: NDArray[Any]) -> bool:
     """Whether a raw image (H, W) shows four different levels in the pixels of each 2 x 2 cell."""
     height, width = image.shape
     rows, columns = (
@@ -55,7 +57,7 @@ def has_mosaic(image: NDArray) -> bool:
     return bool(min(agree) >= _ALIKE and max(darkest.max(), brightest.max()) >= _ALIKE * len(tiles))
 
 
-def cell_response(image: NDArray, xy_px: Floats) -> Floats:
+def cell_response(image: NDArray[Any], xy_px: Floats) -> Floats:
     """(2, 2) response of a cell's pixels to starlight, of mean one, by the light of unsaturated stars at
     `xy_px` (N, 2) of the raw image (H, W); ones without stars."""
     size = np.array(image.shape[::-1])
@@ -73,7 +75,7 @@ def cell_response(image: NDArray, xy_px: Floats) -> Floats:
 
 
 def even_image(
-    image: NDArray, response: Floats, saturation_dn: float
+    image: NDArray[Any], response: Floats, saturation_dn: float
 ) -> tuple[NDArray[np.float32], Background, float]:
     """The raw image (H, W) with the backgrounds of a cell's four pixels subtracted and their `response`
     divided out, what background then remains, and the value from which its pixels are saturated.
@@ -100,7 +102,7 @@ def even_image(
     return even, sky, top
 
 
-def merged_cells(image: NDArray, saturation_dn: float) -> NDArray[np.float32]:
+def merged_cells(image: NDArray[Any], saturation_dn: float) -> NDArray[np.float32]:
     """Means (H // 2, W // 2) of 2 x 2 pixels; saturated if one of them is."""
     height, width = (size // 2 * 2 for size in image.shape)
     cells = image[:height, :width].reshape(height // 2, 2, width // 2, 2)

@@ -10,6 +10,7 @@ grows with the distance from the image's centre. Stars of any other form have an
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,11 +45,11 @@ class Psf:
         "1-sigma error of all distances from the image's middle, relative, by that of the fan",
         default=0.0,
     )
-    shape: NDArray | None = scalar(
+    shape: NDArray[Any] | None = scalar(
         "(T, T) spline coefficients of a star's image, FINE points a pixel; None: a smeared Gaussian",
         default=None,
     )
-    error_factor: NDArray | None = scalar(
+    error_factor: NDArray[Any] | None = scalar(
         "(2, 2) errors of centroids over those of stars that look like `shape`", default=None
     )
 
@@ -126,7 +127,7 @@ def images_at(psf: Psf, pixels: Ints, offset: Floats, sigma: Floats, radius: int
     return psf_images(offset, sigma, psf.smear_px, radius, coma=coma, wings=psf.wings)
 
 
-def shape_images(shape: NDArray, offset: Floats, radius: int) -> PsfImages:
+def shape_images(shape: NDArray[Any], offset: Floats, radius: int) -> PsfImages:
     """Images as in `images_at` from the spline coefficients (T, T) of an empirical image."""
     grid, middle = np.arange(-radius, radius + 1.0), shape.shape[0] // 2
     at = [
@@ -137,7 +138,7 @@ def shape_images(shape: NDArray, offset: Floats, radius: int) -> PsfImages:
         )
     ]
 
-    def sampled(rows: float, columns: float) -> NDArray:
+    def sampled(rows: float, columns: float) -> NDArray[Any]:
         moved = [at[0] + rows, at[1] + columns]
         return map_coordinates(shape, moved, order=3, prefilter=False, mode="constant").reshape(
             len(offset), -1
@@ -187,7 +188,9 @@ def psf_images(
     d_x, d_y = slope[:, :, 0], slope[:, :, 1] * weights[:, None]
     columns = np.empty((n, 5 if widths else 4, side, side), dtype=np.float32)
 
-    def product(rows: NDArray, columns: NDArray, out: NDArray | None = None) -> NDArray[np.float32]:
+    def product(
+        rows: NDArray[Any], columns: NDArray[Any], out: NDArray[Any] | None = None
+    ) -> NDArray[np.float32]:
         if rows.shape[1] == 1:
             return np.multiply(rows[:, 0, :, None], columns[:, 0, None, :], out=out)
         return np.matmul(rows.transpose(0, 2, 1), columns, out=out)

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from typing import Any
 
 import cv2
 import numpy as np
@@ -55,14 +56,14 @@ _WINGS = 1.3
 class ShapeEstimate:
     """Empirical image of a star."""
 
-    shape: NDArray = array("T, T", "spline coefficients of the unit image, FINE points a pixel")
+    shape: NDArray[Any] = array("T, T", "spline coefficients of the unit image, FINE points a pixel")
     sigma_px: float = scalar("standard deviation of the light along one axis, px")
     error_factor: Floats = array("2, 2", "of centroids, over that of stars that look like `shape`")
     stars: int = scalar("stars that it is the mean of")
     gain_e_per_dn: float = scalar("from residuals that grow with the signal; infinite if they do not")
 
 
-def flat_image(image: NDArray, background: Background) -> NDArray[np.float32]:
+def flat_image(image: NDArray[Any], background: Background) -> NDArray[np.float32]:
     """The image (H, W) less its background, in units of its noise, without hot pixels."""
     flat: NDArray[np.float32] = image.astype(np.float32)
     flat -= background_image(background.level_dn, image.shape)
@@ -82,7 +83,7 @@ def _bands(rows: int, reach: int) -> Iterator[tuple[slice, slice]]:
 
 
 def estimate_shape(
-    image: NDArray, flat: NDArray[np.float32], background: Background, saturation_dn: float
+    image: NDArray[Any], flat: NDArray[np.float32], background: Background, saturation_dn: float
 ) -> ShapeEstimate | None:
     """Image of a star, the mean of many bright ones; None without enough of them.
 
@@ -136,7 +137,7 @@ def _error_factor(
     return np.asarray(np.linalg.solve(0.5 * (of_stars + of_stars.T), of_image))
 
 
-def filter_width_px(shape: NDArray) -> float:
+def filter_width_px(shape: NDArray[Any]) -> float:
     """Width of the Gaussian whose matched filter has as many noise peaks as that of `shape` (T, T).
 
     The density of peaks depends on the mean squared slope of the filter's noise (Adler 1981), 1 / (2 s^2) for
@@ -147,14 +148,16 @@ def filter_width_px(shape: NDArray) -> float:
     return float(np.mean(slopes) ** -0.5 / np.sqrt(2.0))
 
 
-def _kernel(shape: NDArray) -> NDArray:
+def _kernel(shape: NDArray[Any]) -> NDArray[Any]:
     """Matched filter (S, S) whose sum of squares is one."""
     radius = (shape.shape[0] // FINE - 1) // 2
-    unit: NDArray = shape_images(shape, np.zeros((1, 2)), radius).value.reshape(2 * radius + 1, -1).clip(0.0)
+    unit: NDArray[Any] = (
+        shape_images(shape, np.zeros((1, 2)), radius).value.reshape(2 * radius + 1, -1).clip(0.0)
+    )
     return np.asarray(unit / np.sqrt((unit**2).sum()))
 
 
-def detect_shape(flat: NDArray[np.float32], shape: NDArray, threshold: float) -> Ints:
+def detect_shape(flat: NDArray[np.float32], shape: NDArray[Any], threshold: float) -> Ints:
     """Pixels (N, 2) of the peaks of the matched filter above `threshold` sigmas, the highest first.
 
     `flat` (H, W) is the image of `flat_image`, `shape` (T, T) that of `ShapeEstimate`. A peak near a higher
@@ -198,7 +201,7 @@ def _peaks(height: NDArray[np.float32], threshold: float) -> tuple[Ints, Ints]:
     return y, x
 
 
-def _blobs(image: NDArray, flat: NDArray[np.float32], saturation: float) -> tuple[Ints, int]:
+def _blobs(image: NDArray[Any], flat: NDArray[np.float32], saturation: float) -> tuple[Ints, int]:
     """Middles (N, 2) of bright patches of one size, far from others, and the radius that holds one, px."""
     above, light = np.empty(flat.shape, dtype=np.uint8), []
     for band, around in _bands(len(flat), _SMOOTHING_REACH):
@@ -239,7 +242,7 @@ def _grid(radius: int) -> tuple[Floats, Floats]:
     return y.ravel(), x.ravel()
 
 
-def _stacked(windows: StarWindows, offset: Floats, flux: Floats, sky: Floats) -> NDArray:
+def _stacked(windows: StarWindows, offset: Floats, flux: Floats, sky: Floats) -> NDArray[Any]:
     """Spline coefficients of the stars' common image: weighted means in the cells of an oversampled grid,
     pixels that stand out left out."""
     radius = windows.radius
@@ -267,7 +270,9 @@ def _stacked(windows: StarWindows, offset: Floats, flux: Floats, sky: Floats) ->
     return np.asarray(spline_filter(mean * (FINE**2 / mean.sum()), order=3))
 
 
-def _fitted(windows: StarWindows, offset: Floats, shape: NDArray) -> tuple[Floats, Floats, Floats, NDArray]:
+def _fitted(
+    windows: StarWindows, offset: Floats, shape: NDArray[Any]
+) -> tuple[Floats, Floats, Floats, NDArray[Any]]:
     """Positions, fluxes and skies of the stars with a given shape, and which of them it fits."""
     images: PsfImages = shape_images(shape, offset, windows.radius)
     state = start_state(windows, offset, images)

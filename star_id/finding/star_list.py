@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -107,7 +108,7 @@ class StarList:
             psf_sigma_px=float(np.hypot(self.psf.sigma_px, self.psf.smear_sigma_px)),
         )
 
-    def take(self, index: NDArray) -> StarList:
+    def take(self, index: NDArray[Any]) -> StarList:
         """List of the stars at indices (M,) or of a mask (N,), everything else unchanged."""
         names = ("xy_px", "cov_px", "flux_dn", "snr", "saturated", "blended")
         return replace(self, **{name: getattr(self, name)[index] for name in names})
@@ -129,7 +130,7 @@ class StarList:
         return replace(self, xy_px=xy, cov_px=cov, misshapen_px=other, psf=psf, background=sky)
 
 
-def list_stars(image: NDArray, settings: StarSettings, dark: NDArray | None = None) -> StarList:
+def list_stars(image: NDArray[Any], settings: StarSettings, dark: NDArray[Any] | None = None) -> StarList:
     """Stars of a raw image with centroids, covariances and fluxes.
 
     Parameters
@@ -170,7 +171,7 @@ def list_stars(image: NDArray, settings: StarSettings, dark: NDArray | None = No
     return _list_stars(image, background, settings, saturation)
 
 
-def _bright_stars(cells: NDArray, settings: StarSettings, saturation: float) -> Ints:
+def _bright_stars(cells: NDArray[Any], settings: StarSettings, saturation: float) -> Ints:
     """Pixels (N, 2) of bright unsaturated stars in an image of merged 2 x 2 cells."""
     sigma, smear = settings.psf_sigma_px, settings.smear_px
     of_cells = replace(
@@ -183,7 +184,7 @@ def _bright_stars(cells: NDArray, settings: StarSettings, saturation: float) -> 
 
 
 def _list_stars(
-    image: NDArray, background: Background, settings: StarSettings, saturation: float
+    image: NDArray[Any], background: Background, settings: StarSettings, saturation: float
 ) -> StarList:
     """Stars of an image (H, W) of one colour, its dark frame subtracted: by a Gaussian PSF, or where it does
     not fit by one with coma, a trail or an empirical one.
@@ -196,7 +197,9 @@ def _list_stars(
     return comatic or _trailed_or_shaped(image, found, stars, settings)
 
 
-def _trailed_or_shaped(image: NDArray, found: _Found, stars: StarList, settings: StarSettings) -> StarList:
+def _trailed_or_shaped(
+    image: NDArray[Any], found: _Found, stars: StarList, settings: StarSettings
+) -> StarList:
     """The stars by a trail, or by an empirical PSF where many detections are misshapen; as they are where
     neither explains them better.
     """
@@ -223,7 +226,7 @@ def _may_be_no_gaussian(stars: StarList) -> bool:
     return not saturated and stars.misshapen > _FEW_STARS + _MISSHAPEN_SHARE * n
 
 
-def _by_better_psf(image: NDArray, stars: StarList, others: StarList) -> StarList:
+def _by_better_psf(image: NDArray[Any], stars: StarList, others: StarList) -> StarList:
     """Of the stars by a Gaussian and the others by an empirical PSF those by the better one; where that is
     not plain, the former that both find.
     """
@@ -240,7 +243,7 @@ def _by_better_psf(image: NDArray, stars: StarList, others: StarList) -> StarLis
 
 def _with_blur(
     find_blur: Callable[..., tuple[Psf, float] | None],
-    image: NDArray,
+    image: NDArray[Any],
     found: _Found,
     stars: StarList,
     settings: StarSettings,
@@ -257,7 +260,7 @@ def _with_blur(
 
 
 def _measured(
-    image: NDArray, found: _Found, background: Background, settings: StarSettings, saturation: float
+    image: NDArray[Any], found: _Found, background: Background, settings: StarSettings, saturation: float
 ) -> StarList:
     """List of the detections that are stars, with centroids."""
     first = np.arange(min(len(found.xy_px), settings.max_stars))
@@ -289,7 +292,7 @@ def _measured(
 
 
 def _fits_of(
-    image: NDArray,
+    image: NDArray[Any],
     found: _Found,
     rows: Ints,
     background: Background,
@@ -322,7 +325,7 @@ class _Found:
 
 
 def _detections_by_shape(
-    image: NDArray, background: Background, settings: StarSettings, saturation: float, before: StarList
+    image: NDArray[Any], background: Background, settings: StarSettings, saturation: float, before: StarList
 ) -> _Found | None:
     """Detections by an empirical PSF; None where the image shows none."""
     flat = flat_image(image, background)
@@ -345,7 +348,7 @@ def _detections_by_shape(
     )
 
 
-def _spread_over_image(xy_px: NDArray, most: int, shape: tuple[int, ...]) -> Ints:
+def _spread_over_image(xy_px: NDArray[Any], most: int, shape: tuple[int, ...]) -> Ints:
     """Rows of at most so many places (N, 2), px, brightest first: of the brightest of each cell of the image,
     then the second brightest, and so on."""
     if len(xy_px) <= most:
@@ -359,7 +362,7 @@ def _spread_over_image(xy_px: NDArray, most: int, shape: tuple[int, ...]) -> Int
 
 
 def _windowed_or_fitted(
-    image: NDArray, pixels: Ints, offset: Floats, background: Background, psf: Psf, counts: Counts
+    image: NDArray[Any], pixels: Ints, offset: Floats, background: Background, psf: Psf, counts: Counts
 ) -> StarFits:
     """Windowed centroids; PSF fits for saturated stars, whose middle pixels are lost."""
     stars = windowed_centroids(image, pixels, offset, background, psf, counts)
@@ -367,7 +370,9 @@ def _windowed_or_fitted(
     return stars.with_rows(full, fit_stars(image, pixels[full], offset[full], background, psf, counts))
 
 
-def _detections(image: NDArray, background: Background, settings: StarSettings, saturation: float) -> _Found:
+def _detections(
+    image: NDArray[Any], background: Background, settings: StarSettings, saturation: float
+) -> _Found:
     """Detections by a Gaussian PSF, smeared or not.
 
     Detection and PSF are repeated until the filter is as wide as the stars.
@@ -409,7 +414,7 @@ def _detections(image: NDArray, background: Background, settings: StarSettings, 
 
 
 def _shapes(
-    image: NDArray, found: Detections, background: Background, psf: Psf, saturation: float
+    image: NDArray[Any], found: Detections, background: Background, psf: Psf, saturation: float
 ) -> WidthFits:
     """Width fits of the 40 brightest unsaturated detections; if fewer than 8 are point-like, of the next
     200."""
@@ -423,7 +428,7 @@ def _shapes(
     return shapes
 
 
-def _saturation_level(image: NDArray) -> float:
+def _saturation_level(image: NDArray[Any]) -> float:
     """Value from which a pixel counts as saturated: the top of the bit depth that the brightest value
     suggests."""
     if not np.issubdtype(image.dtype, np.integer):
@@ -438,7 +443,7 @@ def _saturation_level(image: NDArray) -> float:
     return float(0.98 * top) if brightest <= 2**16 - 1 else float(top)
 
 
-def _subtract_dark(image: NDArray, dark: NDArray, saturation: float) -> NDArray:
+def _subtract_dark(image: NDArray[Any], dark: NDArray[Any], saturation: float) -> NDArray[Any]:
     """The image less its dark frame, plus the dark frame's median; saturated pixels stay saturated."""
     if dark.shape != image.shape:
         raise ValueError(f"dark frame is {dark.shape}, image is {image.shape}")
@@ -448,7 +453,7 @@ def _subtract_dark(image: NDArray, dark: NDArray, saturation: float) -> NDArray:
 
 
 def _merge_saturated_peaks(
-    image: NDArray, pixels: Ints, offset: Floats, saturation: float
+    image: NDArray[Any], pixels: Ints, offset: Floats, saturation: float
 ) -> tuple[Ints, Floats]:
     """Pixels and offsets with the peaks on one plateau of saturated pixels replaced by its middle."""
     full = image[pixels[:, 1], pixels[:, 0]] >= saturation if len(pixels) else np.empty(0, dtype=bool)

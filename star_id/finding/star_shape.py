@@ -7,6 +7,7 @@ to all stars about a round image its smear, and residuals that grow with the sig
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,7 +59,13 @@ class WidthFits:
 
 
 def fit_widths(
-    image: NDArray, pixels: Ints, start: Floats, background: Background, psf: Psf, *, saturation_dn: float
+    image: NDArray[Any],
+    pixels: Ints,
+    start: Floats,
+    background: Background,
+    psf: Psf,
+    *,
+    saturation_dn: float,
 ) -> WidthFits:
     """Fits of stars near `pixels` + `start` (N, 2), from the width of `psf`, whose smear is kept."""
     radius = max(3, int(np.ceil(_WINDOW_SIGMA * psf.sigma_px + 0.5 * np.hypot(*psf.smear_px))))

@@ -7,6 +7,8 @@ photon noise of the star. Of a sky that is cut off, the model is the mean of wha
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -42,7 +44,7 @@ def newton_step(
     P is 4, or 5 if the images include the derivative by width.
     """
     signal = images.value * state[:, 2:3].astype(np.float32)
-    variance: NDArray = windows.noise2[:, None].astype(np.float32)
+    variance: NDArray[Any] = windows.noise2[:, None].astype(np.float32)
     if np.isfinite(gain_e_per_dn):
         variance = variance + np.maximum(signal, np.float32(0.0)) * np.float32(1.0 / gain_e_per_dn)
     residual = windows.data - signal

@@ -11,6 +11,8 @@ window's width,
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -36,7 +38,7 @@ _SMALL_STEP = 0.002
 
 
 def windowed_centroids(
-    image: NDArray, pixels: Ints, offset: Floats, background: Background, psf: Psf, counts: Counts
+    image: NDArray[Any], pixels: Ints, offset: Floats, background: Background, psf: Psf, counts: Counts
 ) -> StarFits:
     """Centroids of stars near `pixels` + `offset` (N, 2), with the arguments of `centroid.fit_stars`.
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +28,7 @@ class StarWindows:
         "N", "sigmas from the least value up to the sky; None: nothing of it is cut off", default=None
     )
 
-    def take(self, index: NDArray) -> StarWindows:
+    def take(self, index: NDArray[Any]) -> StarWindows:
         """The windows at indices (M,) or of a mask (N,)."""
         names = ("corner", "data", "good", "noise2", "saturated")
         above = None if self.above_cut is None else self.above_cut[index]
@@ -38,7 +39,7 @@ class StarWindows:
         return np.asarray(xy_px - self.corner - self.radius, dtype=np.float64)
 
 
-def windows_at(image: NDArray, corners: Ints, side: int) -> NDArray:
+def windows_at(image: NDArray[Any], corners: Ints, side: int) -> NDArray[Any]:
     """Cut-outs (N, side, side) whose first pixels (column, row) are `corners` (N, 2), all inside the
     image."""
     height, width = image.shape
@@ -50,7 +51,7 @@ def windows_at(image: NDArray, corners: Ints, side: int) -> NDArray:
 
 
 def star_windows(
-    image: NDArray, pixels: Ints, background: Background, radius: int, saturation_dn: float
+    image: NDArray[Any], pixels: Ints, background: Background, radius: int, saturation_dn: float
 ) -> StarWindows:
     """Windows centred on `pixels` (N, 2), shifted inwards at the image's edges."""
     height, width = image.shape

@@ -115,7 +115,7 @@ class StarIndex:
     to_brighter_rad: Floats = array("N", "distance of the nearest brighter star, rad; inf beyond `CLOSE_RAD`")
 
     @property
-    def arrays(self) -> dict[str, NDArray]:
+    def arrays(self) -> dict[str, NDArray[Any]]:
         """Pairs and tables as named arrays (N, ...), a row per pair, triangle or star, for `from_arrays`."""
         tables = {
             f"{k}.{field.name}": np.asarray(getattr(table, field.name))
@@ -125,7 +125,9 @@ class StarIndex:
         return tables | {"close": self.close}
 
     @classmethod
-    def from_arrays(cls, stars: StarPlaces, epoch_jyear: float, arrays: Mapping[str, NDArray]) -> StarIndex:
+    def from_arrays(
+        cls, stars: StarPlaces, epoch_jyear: float, arrays: Mapping[str, NDArray[Any]]
+    ) -> StarIndex:
         """Index from `arrays` saved by `arrays()`, rows (N, ...), for the same stars and epoch.
 
         Raises `ValueError` naming the array if one is missing or inconsistent.
@@ -217,7 +219,7 @@ def _sorted(stars: StarPlaces, epoch_jyear: float) -> tuple[StarPlaces, Floats]:
     return stars, _directions_at(stars, epoch_jyear)
 
 
-def _checked(arrays: Mapping[str, NDArray], k: str, stars: int) -> TriangleTable:
+def _checked(arrays: Mapping[str, NDArray[Any]], k: str, stars: int) -> TriangleTable:
     """Table `k` of `arrays`, checked for consistency with an index of `stars` stars."""
     expected = {field.name: f"{k}.{field.name}" for field in fields(TriangleTable)}
     if missing := [name for name in expected.values() if name not in arrays]:
@@ -242,7 +244,7 @@ def equivalent_fov(width_px: int, height_px: int, focal_px: float) -> float:
     return 2.0 * math.atan(0.5 * math.sqrt(width_px * height_px / 0.75) / focal_px)
 
 
-def triangle_shapes(u: Floats, triples: NDArray[np.integer]) -> tuple[NDArray, Floats]:
+def triangle_shapes(u: Floats, triples: NDArray[np.integer]) -> tuple[NDArray[Any], Floats]:
     """Vertices in canonical order (T, 3), and shapes (T, 3) of triangles of unit vectors `u` (N, 3).
 
     A shape is middle / longest side, shortest / longest side, and the longest side in rad, negative where the

@@ -6,6 +6,8 @@ taken column by column, so that a hot column is not a star.
 
 from __future__ import annotations
 
+from typing import Any
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -34,7 +36,7 @@ class Columns:
     good: NDArray[np.bool_] = array("W", "not much noisier than the others")
 
 
-def column_levels(block: NDArray) -> Columns:
+def column_levels(block: NDArray[Any]) -> Columns:
     """Level and noise of the columns of a block (H, W): mean and deviation without what deviates by 4 sigma,
     and without the pixels around it, whose light would displace a star towards the middle of its pixel."""
     few = np.sort(block[:: max(1, len(block) // 128)].astype(np.float32), axis=0)
@@ -61,7 +63,7 @@ def _unclipped(deviation: Floats, limit: Floats) -> Floats:
     return np.asarray(noise)
 
 
-def candidates(block: NDArray, columns: Columns, image: NDArray, threshold: float) -> Ints:
+def candidates(block: NDArray[Any], columns: Columns, image: NDArray[Any], threshold: float) -> Ints:
     """Pixels (N, 2), (column, row), where the filter matched to `image` (S, S) has a peak above `threshold`
     of its noise.
     """

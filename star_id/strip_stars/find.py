@@ -86,7 +86,7 @@ class StripStars:
     gain_e_per_dn: float = scalar("infinite where no photon noise is seen")
     misshapen: int = scalar("detections that are no trace of a star: cosmic rays, defects")
 
-    def take(self, index: NDArray) -> StripStars:
+    def take(self, index: NDArray[Any]) -> StripStars:
         """The detections at indices (M,) or of a mask (N,)."""
         return replace(self, **{name: getattr(self, name)[index] for name in _COLUMNS})
 
@@ -106,7 +106,7 @@ class _Found:
     start: Floats = array("N, 2", "place from the middle of the window, px")
     motion: Motion = scalar("(N,)")
 
-    def take(self, index: NDArray) -> _Found:
+    def take(self, index: NDArray[Any]) -> _Found:
         return _Found(self.ccd[index], self.windows.take(index), self.start[index], self.motion.take(index))
 
 

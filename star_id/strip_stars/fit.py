@@ -6,6 +6,8 @@ the gain are those that fit the bright stars of the strip best.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
@@ -87,7 +89,7 @@ def fit_traces(
 
 
 def _bias(
-    images: PsfImages, curvatures: Floats, state: Floats, covariance: NDArray, weight: NDArray
+    images: PsfImages, curvatures: Floats, state: Floats, covariance: NDArray[Any], weight: NDArray[Any]
 ) -> Floats:
     """(N, 2) bias of the places, px, of second order in the noise: 0.06 of the standard error at SNR 7.
 

@@ -13,6 +13,8 @@ rate (r = 1, d = 0) all stages see the same; else their images lie side by side:
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
@@ -40,7 +42,7 @@ class Motion:
     drift: Floats = array("N", "samples in a row period")
     stages: int = scalar("TDI stages of the detector")
 
-    def take(self, index: NDArray) -> Motion:
+    def take(self, index: NDArray[Any]) -> Motion:
         """The motions at indices (M,) or of a mask (N,)."""
         return Motion(self.rate[index], self.drift[index], self.stages)
 
