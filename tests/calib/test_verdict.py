@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from scipy.stats import chi2, kstest
+from scipy.stats import kstest
 
 from boresight.calib.calibration import calibrate_strips
 from boresight.calib.estimate import InstallationEstimate
@@ -196,7 +196,9 @@ def test_agreement_between_strips_is_what_separate_matrices_gain():
     gain = both.chi2 - sum(one.chi2 for one in alone)
     found = check(assess(both, strips), CheckKind.BETWEEN_STRIPS)
     assert found.n == 3 and found.statistic == pytest.approx(gain, rel=1e-2)  # second order in arcseconds
-    assert found.p_value == pytest.approx(chi2.sf(found.statistic / 1.21, 3))
+    drawn_chi2 = (1.1 * np.random.default_rng(1).normal(size=(400_000, 3))) ** 2  # errors may be 10 % larger
+    share = np.mean(drawn_chi2.sum(axis=1) > found.statistic)
+    assert found.p_value == pytest.approx(share, abs=4.0 * np.sqrt(share / 400_000) + 1e-5)
 
 
 def test_weakest_axis_is_that_of_the_largest_variance():

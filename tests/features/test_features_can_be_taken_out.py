@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 import subprocess
@@ -43,7 +44,7 @@ def run_in(folder: Path, *command: str) -> str:
         "import sys; sys.path.insert(0, '.'); "
         "sys.meta_path[:] = [one for one in sys.meta_path if type(one).__name__ != 'type' or "
         "one.__name__ != 'RedirectingFinder']; "  # that of an editable install would find the whole package
-        f"sys.argv[1:] = {list(command)!r}; from boresight.console import main; main()"
+        f"sys.argv[1:] = {list(command)!r}; from boresight.console import run_command_line; run_command_line()"
     )
     done = subprocess.run(
         [sys.executable, "-I", "-c", code],
@@ -68,5 +69,8 @@ def test_the_program_lists_all_other_commands_without_a_feature(feature: str, tm
 
 def test_a_dump_is_calibrated_without_any_feature(tmp_path: Path, one_strip: Path) -> None:
     printed = run_in(without(FEATURES, tmp_path), "calibrate", str(one_strip), "--out", "result")
-    assert "R_cs" in printed
-    assert (tmp_path / "result" / "report.html").stat().st_size > 10_000
+    (row,) = [line for line in printed.splitlines() if line.startswith("theta, rad")]
+    theta = json.loads((tmp_path / "result" / "installation.json").read_text())["theta_rad"]
+    assert row.split()[2:] == [f"{value:+.9f}" for value in theta]
+    page = (tmp_path / "result" / "report.html").read_text()
+    assert page.rstrip().endswith("</html>") and 'id="targets"' in page

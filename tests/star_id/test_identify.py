@@ -208,7 +208,10 @@ def test_stars_of_one_sky_mirrored_are_not_identified(index, places):
 
 
 @pytest.mark.parametrize("sigma_rad", [0.0, 2e-4, 5e-3])
-def test_a_prior_attitude_is_followed_and_a_wrong_one_does_no_harm(index, places, sigma_rad):
+def test_a_prior_attitude_is_followed_and_a_wrong_one_does_no_harm(index, places, sigma_rad, monkeypatch):
+    proposals = []
+    real = identify_module._try_proposal
+    monkeypatch.setattr(identify_module, "_try_proposal", lambda *given: proposals.append(1) or real(*given))
     rng = np.random.default_rng(5)
     field = field_of_camera(PAPER_CAMERA, SETTINGS)
     for wrong in (False, False, False, True):
@@ -216,8 +219,10 @@ def test_a_prior_attitude_is_followed_and_a_wrong_one_does_no_harm(index, places
         xy, hip = detections(PAPER_CAMERA, R_si, places, rng, false=50)
         expected = Rotation.from_rotvec(rng.normal(0, sigma_rad, 3)) * R_si
         prior = AttitudePrior(Rotation.random(random_state=rng) if wrong else expected, sigma_rad)
+        proposals.clear()
         found = identify_stars(tangent_coordinates(PAPER_CAMERA, xy), field, index, SETTINGS, prior=prior)
         assert isinstance(found, Identification)
+        assert bool(proposals) == wrong  # near the prior no triangle is looked up
         assert share_right(index.stars.hip[found.stars], found.detections, hip) > 0.9
 
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import rasterio
 from command_line import app
+from drawn_pictures import OURS, shows_curves
 from typer.testing import CliRunner
 
 from boresight.calib.interior.interior_estimate import map_difference_px
@@ -100,7 +101,7 @@ def test_the_remote_cameras_interior_is_calibrated_from_a_result(finished, tmp_p
     parameters = {one["name"]: one for one in content["parameters"]}
     assert abs(parameters["focal"]["value"]) < 4.0 * parameters["focal"]["sigma"]  # nothing is wrong with it
     assert any("installation matrix" in one["not_told_from"] for one in content["gauge"])
-    assert (out / "interior.png").stat().st_size > 10_000
+    assert shows_curves(out / "interior.png", OURS)
     assert runner.invoke(app, ["report", str(result)]).exit_code == 0
     page = (result / "report.html").read_text()
     assert 'id="interior"' in page and page.count('data-source="interior/interior.json"') == 3

@@ -10,6 +10,7 @@ import pytest
 from astropy.coordinates import get_body
 from astropy.time import Time
 from command_line import app
+from drawn_pictures import OURS, SERIES_COLOURS, shows_curves
 from handmade import ATTITUDE_HEAD
 from typer.testing import CliRunner
 
@@ -79,7 +80,7 @@ def test_the_command_writes_its_table_and_picture(tmp_path):
     assert told.exit_code == 0, told.output
     header, *rows = (tmp_path / "scans.csv").read_text().splitlines()
     assert header.startswith("scan,utc,ra_deg,dec_deg") and len(rows) == 2
-    assert (tmp_path / "scans.png").stat().st_size > 10_000
+    assert shows_curves(tmp_path / "scans.png", OURS, *SERIES_COLOURS[:3])
     assert CliRunner().invoke(app, [*asked[:2], "--utc", "tonight"]).exit_code != 0
 
 

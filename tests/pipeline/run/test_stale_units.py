@@ -12,7 +12,7 @@ import pytest
 
 from boresight.pipeline.files.dump import open_dump
 from boresight.pipeline.results.folder import store_of
-from boresight.pipeline.run.digests import program_digest
+from boresight.pipeline.run import digests
 from boresight.pipeline.run.settings import settings_from_tables
 from boresight.pipeline.stages.calibrate import calibrate_dump
 
@@ -80,10 +80,31 @@ def test_changed_pixels_make_again_their_exposure_or_strip(copied: tuple[Path, P
     assert 1 <= units_made(dump, result) <= 1 + STRIPS
 
 
-def test_other_code_or_libraries_make_everything_again(
-    copied: tuple[Path, Path], monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(
+    ("changed", "made"),
+    [
+        ("boresight.geometry.constants", {EXPOSURES + STRIPS}),
+        ("boresight.gct_match.locate", {STRIPS, EXPOSURES + STRIPS}),
+        ("boresight.star_id.finding.centroid", {EXPOSURES, EXPOSURES + STRIPS}),
+        ("boresight.pipeline.report.page", {0}),
+        ("a library", {EXPOSURES + STRIPS}),
+    ],
+)
+def test_other_code_or_libraries_make_again_what_depends_on_them(
+    changed: str, made: set[int], copied: tuple[Path, Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from boresight.pipeline.stages import cached
+    """One byte more in the source of a module, or another version of a library, as digests read them."""
+    read, versions = digests._module.__wrapped__, digests.library_versions()
 
-    monkeypatch.setattr(cached, "program", lambda *modules: f"another {program_digest(*modules)}")
-    assert units_made(*copied) == EXPOSURES + STRIPS
+    def source(name: str) -> object:
+        module = read(name)
+        return (module[0] + b"\n", *module[1:]) if module is not None and name == changed else module
+
+    monkeypatch.setattr(digests, "_module", source)
+    if changed == "a library":
+        monkeypatch.setattr(digests, "library_versions", lambda: versions | {"scipy": "0.0.1"})
+    digests.program_digest.cache_clear()
+    try:
+        assert units_made(*copied) in made
+    finally:
+        digests.program_digest.cache_clear()

@@ -190,7 +190,11 @@ def test_joint_matrix_serves_each_of_its_dumps(dumps: list[Path], joint: Path, t
     covariance = [[float(rows[f"cov_{i}{j}_rad2"]) for j in "xyz"] for i in "xyz"]
     assert covariance == matrix(joint)["covariance_rad2"]
     ran("export", joint, "--format", "aem,geojson,fits", "--dump", dumps[2], "--out", tmp_path)
-    assert (tmp_path / "s01.aem").is_file()
+    message = (tmp_path / "s01.aem").read_text()
+    rows = [line.split() for line in message.splitlines() if re.match(r"\d{4}-\d\d-\d\dT", line)]
+    assert len(rows) > 2
+    q = np.array([[float(value) for value in row[1:5]] for row in rows])
+    np.testing.assert_allclose(np.linalg.norm(q, axis=1), 1.0, atol=1e-9)
     with pytest.raises(
         RawDataError, match=r"--dump: found nothing, expected one of the 3 dumps of that result: november, "
     ):

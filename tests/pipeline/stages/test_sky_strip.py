@@ -176,7 +176,6 @@ def test_a_wrong_kind_and_a_missing_image_are_errors_of_the_table(dump, old, new
 
 
 def test_the_command_writes_result_report_and_status_of_a_dump_of_the_sky_alone(result):
-    assert (result / "report.html").stat().st_size > 100_000
     page = (result / "report.html").read_text()
     assert page.count('data-link="s') == 6 * 15  # each on the sky, in four panels of residuals, in the table
     assert 'id="targets"' not in page and "No strip has a footprint" not in page
