@@ -245,5 +245,6 @@ def differs(image: np.ndarray, content: bytes) -> bool | None:
         return None  # of 16 bits Pillow keeps the upper 8
     if content[:2] in (b"P2", b"P3", b"P5", b"P6"):
         largest = int(re.sub(rb"#[^\n]*\n", b" ", content).split(None, 4)[3])
-        image = image * ((65535 if largest > 255 else 255) / largest)
+        deep = largest > 255 and content[:2] in (b"P2", b"P5")  # Pillow reads colours with 8 bits
+        image = image * ((65535 if deep else 255) / largest)
     return image.shape != other.shape or bool(np.abs(image - other).max() > 0.51)  # grey levels: rounded
