@@ -13,6 +13,10 @@
 Each mutation is made in a copy of the working tree, and its tests run there until the first failure. One that
 survives is a gap in the tests, or a line that does nothing. The record goes to benchmarks/results/mutants.md;
 the exit status is 1 if a mutation without `equivalent` survives.
+
+    python scripts/mutants.py --draw SEED --count N [--room ROOM]
+
+draws mutations itself (`drawn_mutants.py`) and prints which survive; the status is 1 if more than 8 % do.
 """
 
 from __future__ import annotations
@@ -20,6 +24,7 @@ from __future__ import annotations
 import argparse
 import os
 import platform
+import re
 import shutil
 import subprocess
 import sys
@@ -33,9 +38,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from queue import Queue
 
+from drawn_mutants import drawn_changes, nearest_tests
+
 ROOT = Path(__file__).parents[1]
 LISTS = ROOT / "scripts" / "mutants"
 RECORD = ROOT / "benchmarks" / "results" / "mutants.md"
+LEAST_KILLED = 0.92  # of drawn mutations
 LONGEST_CPU_S = 240  # a mutation that makes its tests hang counts as killed
 
 
@@ -98,17 +106,30 @@ def copy_of_tree(folder: Path) -> Path:
 
 def is_killed(mutant: Mutant, tree: Path) -> bool:
     """Whether the nearest tests fail with the mutation made in `tree`, which is restored afterwards."""
+    return bool(killer(mutant, tree))
+
+
+def killer(mutant: Mutant, tree: Path) -> str:
+    """The first test that fails with the mutation made in `tree`, which is restored afterwards; else ""."""
     path = tree / mutant.file
     sound = path.read_text(encoding="utf-8")
     path.write_text(sound.replace(mutant.old, mutant.new, 1), encoding="utf-8")
-    command = [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", *mutant.tests]
-    environment = os.environ | {"PYTHONPATH": str(tree), "PYTHONDONTWRITEBYTECODE": "1"}
-    limited = ["bash", "-c", f'ulimit -t {LONGEST_CPU_S}; exec "$@"', "bash", *command]
     try:
-        done = subprocess.run(limited, cwd=tree, env=environment, capture_output=True)
-        return done.returncode != 0
+        return first_failure(mutant.tests, tree)
     finally:
         path.write_text(sound, encoding="utf-8")
+
+
+def first_failure(tests: Sequence[str], tree: Path) -> str:
+    """The first of some tests that fails in a tree, or a file that cannot be imported; "" where all pass."""
+    command = [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", *tests]
+    environment = os.environ | {"PYTHONPATH": str(tree), "PYTHONDONTWRITEBYTECODE": "1"}
+    limited = ["bash", "-c", f'ulimit -t {LONGEST_CPU_S}; exec "$@"', "bash", *command]
+    done = subprocess.run(limited, cwd=tree, env=environment, capture_output=True, text=True)
+    if done.returncode == 0:
+        return ""
+    named = re.search(r"^(?:FAILED|ERROR) (\S+)", done.stdout, re.MULTILINE)
+    return named[1] if named else tests[0]
 
 
 def failures_without_mutation(chosen: Sequence[Mutant], jobs: int) -> str:
@@ -178,6 +199,40 @@ def record(rows: Sequence[tuple[Mutant, bool, float]], seconds: float) -> str:
     return "\n".join(lines) + "\n"
 
 
+def drawn(seed: int, count: int, room: str) -> list[Mutant]:
+    """Mutations drawn by a seed, each with its nearest tests; a whole file is replaced."""
+    found = []
+    for change in drawn_changes(ROOT, seed, count, room):
+        source = (ROOT / change.file).read_text(encoding="utf-8")
+        tests = nearest_tests(ROOT, change.file)
+        place = change.file.partition("/")[0]
+        found.append(Mutant(place, str(change), change.file, source, change.applied(source), tests))
+    return found
+
+
+def try_drawn(chosen: Sequence[Mutant]) -> int:
+    """Print each drawn mutation with its outcome, and the rates by room. A test that also fails without a
+    mutation kills none.
+    """
+    killed, total, sound = Counter[str](), Counter[str](), dict[str, bool]()
+    with tempfile.TemporaryDirectory() as folder:
+        tree = copy_of_tree(Path(folder))
+        for mutant in chosen:
+            test = killer(mutant, tree)
+            if test and test not in sound:
+                sound[test] = not first_failure([test], tree)
+            outcome = "SURVIVES" if not test else "killed" if sound[test] else "UNSOUND"
+            killed[mutant.room] += outcome == "killed"
+            total[mutant.room] += outcome != "UNSOUND"
+            print(f"{outcome:9s} {mutant.what}{f'  by {test}' if test else ''}", flush=True)
+    print(f"\n{'room':12s}{'drawn':>7s}{'killed':>8s}")
+    for room in sorted(total):
+        print(f"{room:12s}{total[room]:7d}{killed[room]:8d}")
+    share = killed.total() / max(total.total(), 1)
+    print(f"{'all':12s}{total.total():7d}{killed.total():8d}  {share:.0%}")
+    return int(share < LEAST_KILLED)
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
@@ -186,7 +241,12 @@ def main() -> int:
         "--only", default="", help="mutations whose room, file or description contains this text"
     )
     parser.add_argument("--jobs", type=int, default=os.cpu_count(), help="copies of the tree to work in")
+    parser.add_argument("--draw", type=int, metavar="SEED", help="draw mutations instead")
+    parser.add_argument("--count", type=int, default=40, help="how many are drawn")
+    parser.add_argument("--room", default="", help="draw from the modules of this room only")
     options = parser.parse_args()
+    if options.draw is not None:
+        return try_drawn(drawn(options.draw, options.count, options.room))
     chosen = [m for m in mutants() if options.only in f"{m.room} {m.file} {m.what}"]
     if wrong := [text for mutant in chosen for text in faults(mutant)]:
         print("\n".join(wrong))

@@ -2,14 +2,52 @@
 
 from __future__ import annotations
 
+import ast
 import sys
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
 sys.path.insert(0, str(ROOT / "scripts"))
 
+from drawn_mutants import changes_of, drawn_changes, nearest_tests  # noqa: E402
 from mutants import faults, mutants  # noqa: E402
 
 
 def test_every_mutation_changes_one_line_that_exists_and_names_tests_that_exist() -> None:
     assert [text for mutant in mutants() for text in faults(mutant)] == []
+
+
+SAMPLE = """
+import numpy as np
+def f(a: int, R, dof_of):
+    name = "x" + "y"
+    dof = 2 * len(a) - 3
+    v = R.T @ a.sum(axis=0) + 0.5 * np.radians(a[0])
+    return -v if dof < 1 else R.inv().apply(v) / ARCSEC
+"""
+
+
+def test_drawn_mutations_are_of_every_kind_and_leave_a_module_that_can_be_parsed():
+    found = changes_of(SAMPLE, "calib/sample.py")
+    kinds = {change.kind for change in found}
+    assert kinds == {
+        *("sign", "factor", "transposition", "dropped term", "off by one", "axes", "unit"),
+        "degrees of freedom",
+    }
+    for change in found:
+        assert ast.parse(change.applied(SAMPLE)) and change.applied(SAMPLE) != SAMPLE
+        assert '"x" + "y"' in change.applied(SAMPLE)  # text is left alone
+    texts = {change.new for change in found}
+    assert {"(R)", "(v)", "1.0", "np.degrees((a[0]))", "((2 * len(a) - 3) + 1)"} <= texts
+
+
+def test_a_seed_draws_the_same_mutations_with_tests_near_their_modules():
+    first, again = (drawn_changes(ROOT, 3, 30) for _ in range(2))
+    assert first == again and len({(one.file, one.line) for one in first}) == 30
+    assert first != drawn_changes(ROOT, 4, 30)
+    for change in first:
+        source = (ROOT / change.file).read_text()
+        assert source[change.start : change.end] == change.old
+        ast.parse(change.applied(source))
+        assert nearest_tests(ROOT, change.file), change.file
+    assert nearest_tests(ROOT, "calib/verdict.py")[0] == "tests/calib/test_verdict.py"

@@ -44,7 +44,7 @@ def run_in(folder: Path, *command: str) -> str:
         "import sys; sys.path.insert(0, '.'); "
         "sys.meta_path[:] = [one for one in sys.meta_path if type(one).__name__ != 'type' or "
         "one.__name__ != 'RedirectingFinder']; "  # that of an editable install would find the whole package
-        f"sys.argv[1:] = {list(command)!r}; from boresight.console import run_command_line; run_command_line()"
+        f"sys.argv[1:] = {list(command)!r}; import boresight.console as it; it.run_command_line()"
     )
     done = subprocess.run(
         [sys.executable, "-I", "-c", code],
