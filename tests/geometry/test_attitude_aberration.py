@@ -1,0 +1,50 @@
+"""Attitudes of heads that leave aberration in: as a head solves them from a narrow field of stars."""
+
+from __future__ import annotations
+
+import astropy.units as units
+import numpy as np
+import pytest
+from astropy.coordinates import get_body_barycentric_posvel
+from astropy.time import Time
+from lopsided import ATTITUDES, EPOCH, TIMES_S, VELOCITIES_I
+from scipy.spatial.transform import Rotation
+
+from boresight.geometry.attitude_aberration import with_all_aberration
+from boresight.geometry.constants import ARCSEC, SPEED_OF_LIGHT
+
+FIELD = 1e-4 * np.array([[0.0, 0.0], [1.0, 0.2], [-0.6, 0.9], [-0.3, -1.1], [0.8, -0.7]])  # rad
+
+
+def seen_by(u: np.ndarray, velocity_m_s: np.ndarray) -> np.ndarray:
+    """Directions (N, 3) of stars for an observer who moves: Lorentz transformation of a photon's momentum."""
+    beta = velocity_m_s / SPEED_OF_LIGHT
+    gamma = 1.0 / np.sqrt(1.0 - beta @ beta)
+    along = u @ beta
+    moved = (u / gamma + beta + (gamma / (1.0 + gamma)) * along[:, None] * beta) / (1.0 + along)[:, None]
+    return moved / np.linalg.norm(moved, axis=1, keepdims=True)
+
+
+@pytest.mark.parametrize("removed", ["none", "annual", "annual and orbital"])
+@pytest.mark.parametrize("k", range(len(TIMES_S)))
+def test_attitude_is_the_one_that_apparent_directions_give(removed: str, k: int) -> None:
+    utc = Time(EPOCH.utc_from_seconds([TIMES_S[k]])[0], scale="utc")
+    earth = get_body_barycentric_posvel("earth", utc)[1].xyz.to_value(units.m / units.s)
+    u_s = np.column_stack([FIELD, np.ones(len(FIELD))])
+    u_s /= np.linalg.norm(u_s, axis=1, keepdims=True)
+    apparent = ATTITUDES[k].inv().apply(u_s)
+    catalogue = seen_by(apparent, -(earth + VELOCITIES_I[k]))  # of velocities below 1e-4 c: to 1e-8
+    of_the_head = {
+        "none": catalogue,
+        "annual": seen_by(catalogue, earth),
+        "annual and orbital": apparent,
+    }[removed]
+    reported, _ = Rotation.align_vectors(u_s, of_the_head)
+    got = with_all_aberration(
+        Rotation.concatenate([reported]), removed, EPOCH, TIMES_S[k : k + 1], VELOCITIES_I[k : k + 1]
+    )[0]
+    across = (got * ATTITUDES[k].inv()).as_rotvec()[:2]
+    # 20 and 5 arc-seconds are put right; 1e-4 of the velocity squared and of the field are left
+    assert np.abs(across).max() < 0.005 * ARCSEC
+    turned = (reported * ATTITUDES[k].inv()).magnitude()
+    assert removed == "annual and orbital" or turned > 0.8 * ARCSEC

@@ -1,0 +1,38 @@
+"""Covariance of a head's attitude errors, against errors that are drawn about the head's own axes."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from lopsided import HEADS
+
+DRAWS = 40_000
+T_S = np.array([0.0, 0.9, 4.3])
+
+
+@pytest.mark.parametrize("name", HEADS)
+def test_covariance_is_that_of_drawn_errors(name: str) -> None:
+    noise, rng = HEADS[name], np.random.default_rng(1)
+    drawn = np.empty((DRAWS, len(T_S), 3))
+    for axis in range(3):
+        state = noise.correlated_rad[axis] * rng.standard_normal(DRAWS)
+        constant = noise.constant_rad[axis] * rng.standard_normal(DRAWS)
+        for k, step in enumerate(np.diff(T_S, prepend=T_S[0])):
+            kept = np.exp(-step / noise.correlation_time_s[axis])
+            fresh = noise.correlated_rad[axis] * np.sqrt(1.0 - kept**2) * rng.standard_normal(DRAWS)
+            state = kept * state + fresh
+            drawn[:, k, axis] = state + constant
+    drawn_s = noise.R_sn.apply(drawn.reshape(-1, 3)).reshape(DRAWS, -1)
+    stated = noise.coloured_covariance_s(T_S).reshape(9, 9)
+    error = np.sqrt((np.outer(np.diag(stated), np.diag(stated)) + stated**2) / DRAWS)  # Wishart
+    assert (np.abs(drawn_s.T @ drawn_s / DRAWS - stated) < 4.5 * error).all()
+
+
+@pytest.mark.parametrize("name", HEADS)
+def test_white_part_has_the_stated_error_about_each_axis_of_the_head(name: str) -> None:
+    noise = HEADS[name]
+    for axis in range(3):
+        of_the_head = noise.R_sn.apply(np.eye(3)[axis])  # in frame s
+        assert of_the_head @ noise.white_covariance_s @ of_the_head == pytest.approx(
+            noise.white_rad[axis] ** 2
+        )
