@@ -1,7 +1,7 @@
 """A mission in which nothing is symmetric: no term vanishes, no two axes or numbers are alike.
 
-The date is far from an equinox, the satellite moves in no coordinate plane, heads point in bold directions with
-unequal noise about each axis, and places lie south and west.
+The date is far from an equinox, the satellite moves in no coordinate plane, heads point in bold directions
+with unequal noise about each axis, and places lie south and west.
 """
 
 from __future__ import annotations
