@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import re
 from pathlib import Path
 from typing import Annotated, Literal, get_args
 
@@ -30,6 +31,9 @@ Out = Annotated[Path, typer.Argument(help="Folder of the dump; must not exist or
 Points = Annotated[
     Path | None, typer.Option(help="CSV of measured image points (docs/dump-format.md); default: none yet.")
 ]
+ObjectId = Annotated[
+    str, typer.Option(help="OBJECT_ID in orbit.oem, such as 2015-028A; default: the mission's name.")
+]
 
 
 def import_sentinel2_command(
@@ -48,6 +52,7 @@ def import_sentinel2_command(
         typer.Option(help="CSV of mjd_utc, ut1_utc_s, x_arcsec, y_arcsec; else its bulletin."),
     ] = None,
     points: Points = None,
+    object_id: ObjectId = "",
 ) -> Answer:
     """Make a dump of one band of a Sentinel-2 datastrip: trackers, orbit, look tables, line times.
 
@@ -60,22 +65,22 @@ def import_sentinel2_command(
     if earth_orientation is not None:
         table = read_earth_orientation(earth_orientation, str(earth_orientation))
     strip = read_sentinel2(datastrip, gipp, band)
-    return _written(
-        out, sentinel2_mission(strip, _creator("sentinel2"), attitudes=level, earth_orientation=table), points
-    )
+    mission = sentinel2_mission(strip, _creator("sentinel2"), attitudes=level, earth_orientation=table)
+    return _written(out, mission, points, object_id)
 
 
 def import_dimap_command(
     product: Annotated[Path, typer.Argument(metavar="FILE", help="Metadata in DIMAP: DIM_* or PHRDIMAP_*.")],
     out: Out,
     points: Points = None,
+    object_id: ObjectId = "",
 ) -> Answer:
     """Make a dump of a strip of Pleiades (DIMAP V1, V2), Pleiades Neo, SPOT 6 or 7 (V2): the operator's
     attitude as a head, orbit, look table, line times.
 
     Example: boresight import dimap PHRDIMAP.XML pleiades --points gcps.csv
     """
-    return _written(out, dimap_mission(operator_model(product), _creator("dimap")), points)
+    return _written(out, dimap_mission(operator_model(product), _creator("dimap")), points, object_id)
 
 
 def import_points_command(
@@ -110,12 +115,13 @@ def _creator(command: str) -> str:
     return f"boresight {__version__}: import {command}"
 
 
-def _written(out: Path, mission: ImportedMission, points: Path | None) -> Answer:
-
+def _written(out: Path, mission: ImportedMission, points: Path | None, object_id: str) -> Answer:
+    if object_id and not re.fullmatch(r"[0-9]{4}-[0-9]{3}[A-Z]{1,3}", object_id):
+        raise wrong_usage(f"--object-id is an international designator such as 2015-028A, not {object_id!r}")
     if not is_vacant(out):
         raise wrong_usage(f"{out} is there already and is not an empty folder")
     text = None if points is None else read_text(points, str(points))
-    write_imported(out, mission, text)
+    write_imported(out, mission, text, object_id)
     noise = _noise_of(out, mission)
     if text is None:
         say(f"no measured points: write them to {out / 'points.csv'} before `boresight calibrate`")

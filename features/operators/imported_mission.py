@@ -76,8 +76,11 @@ def white_noise_rad(t_s: Floats, R_is: Rotation) -> Floats:
     return np.asarray(np.maximum(np.sqrt((third**2).mean(axis=0) / 20.0), 1e-3 * ARCSEC))
 
 
-def write_imported(root: Path, mission: ImportedMission, points: str | None = None) -> None:
+def write_imported(
+    root: Path, mission: ImportedMission, points: str | None = None, object_id: str = ""
+) -> None:
     """Write the dump to `root`; `points` is the text of a table of measured points; None: an empty one.
+    `object_id` is the satellite's international designator; empty: the mission's name.
 
     Raises `FileExistsError` if `root` is not empty.
     """
@@ -94,6 +97,7 @@ def write_imported(root: Path, mission: ImportedMission, points: str | None = No
         utc(orbit.t_s),
         orbit.positions_m,
         orbit.velocities_m_s,
+        object_id,
     )
     (root / "orbit.oem").write_text(message, encoding="utf-8")
     for head in mission.heads:

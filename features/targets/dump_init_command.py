@@ -16,6 +16,12 @@ __all__ = ["dump_init_command"]
 def dump_init_command(
     folder: Annotated[Path, typer.Argument(help="New or empty folder.")],
     ask: Annotated[bool, typer.Option("--ask", help="Ask for what follows, one question each.")] = False,
+    attitudes: Annotated[
+        bool, typer.Option("--attitudes", help="Attitudes that a star tracker has solved, no star images.")
+    ] = False,
+    points: Annotated[
+        bool, typer.Option("--points", help="Measured image points, no targets and strips' images.")
+    ] = False,
     mission: Annotated[str, typer.Option(help="Name of the mission.")] = "my mission",
     star_focal_mm: Annotated[float, typer.Option(help="Star camera: focal length.", min=1.0)] = 100.0,
     star_pixel_um: Annotated[float, typer.Option(help="Star camera: pixel pitch.", min=0.1)] = 6.4,
@@ -35,7 +41,8 @@ def dump_init_command(
     """
     given = {name: value for name, value in locals().items() if name in Skeleton.__annotations__}
     if ask:
-        given = {name: typer.prompt(name, default=value, err=True) for name, value in given.items()}
-    files = tuple(write_skeleton(folder, Skeleton(**given)))
+        asked = [name for name in given if not (attitudes and name.startswith("star_"))]
+        given |= {name: typer.prompt(name, default=given[name], err=True) for name in asked}
+    files = tuple(write_skeleton(folder, Skeleton(**given), attitudes=attitudes, points=points))
     text = f"{len(files)} files -> {folder}; fill them in, then: boresight dump check {folder}"
     return Answer(text=text, files=files)

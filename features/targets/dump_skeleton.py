@@ -23,13 +23,10 @@ quaternions = "scalar-last"
 image_origin = "centre of first pixel is (0, 0)"
 
 [files]                        # paths relative to this folder
-star_camera = "star_camera.toml"
-remote_camera = "remote_camera.toml"
-installation = "installation.toml"
+{star_files}remote_camera = "remote_camera.toml"
 orbit = "orbit.oem"
-exposures = "exposures.csv"
 strips = "strips.csv"
-targets = "targets.csv"
+{ground_file}
 # terrain = "terrain/dem.tif"  # with the table [terrain] below
 
 [errors]                       # 1-sigma of errors of the mission's data; better too large than too small
@@ -42,6 +39,25 @@ look_distortion_length_px = 1500.0
 # [terrain]
 # height_kind = "egm96"        # or "ellipsoidal"
 # sigma_m = 5.0
+{heads}"""
+STAR_FILES = """star_camera = "star_camera.toml"
+installation = "installation.toml"
+exposures = "exposures.csv"
+"""
+HEADS = """
+[[star_cameras]]               # one table for each head; the first is the reference
+name = "STR1"
+level = "attitudes"
+installation = "installation.toml"
+attitudes = "str1.csv"         # or a CCSDS AEM, without the three keys that follow: it states its own
+frame = "GCRF"                 # or "ICRF", "EME2000"
+rotation = "head to inertial"  # what the quaternions do with vectors, or "inertial to head"
+time_scale = "UTC"             # or "TAI", "GPS", with a column tai or gps in place of utc
+aberration_removed = "annual and orbital"   # by the head: or "annual", "none"
+
+[star_cameras.noise]           # 1-sigma about x, y, z of frame s; `boresight noise --write` estimates it
+white_arcsec = [2.0, 2.0, 10.0]
+origin = "assumed"
 """
 STAR_CAMERA = """# Frame s: z along the optical axis; x and y opposite to column and row.
 focal_length_mm = {star_focal_mm}
@@ -95,11 +111,12 @@ STOP_TIME = 2000-01-01T00:00:00
 META_STOP
 
 """
-TABLES = {
-    "exposures.csv": "id,file,utc_mid,exposure_s\n",
-    "strips.csv": "id,ccd,file,utc_first_row,row_period_s,lines\n",
-    "targets.csv": "id,lat_deg,lon_deg,height_m,height_kind,sigma_east_m,sigma_north_m,sigma_up_m,chip\n",
-}
+STRIPS = "id,ccd,file,utc_first_row,row_period_s,lines\n"
+EXPOSURES = "id,file,utc_mid,exposure_s\n"
+ATTITUDES = "utc,qx,qy,qz,qw\n"
+PLACE = "lat_deg,lon_deg,height_m,height_kind,sigma_east_m,sigma_north_m,sigma_up_m"
+TARGETS = f"id,{PLACE},chip\n"
+POINTS = f"id,strip,ccd,sample,line,sigma_sample_px,sigma_line_px,{PLACE}\n"
 
 
 @record(kw_only=True)
@@ -120,10 +137,14 @@ class Skeleton:
     clock_s: float = scalar("1-sigma of the strips' times, s")
 
 
-def write_skeleton(folder: Path, known: Skeleton) -> list[Path]:
+def write_skeleton(
+    folder: Path, known: Skeleton, *, attitudes: bool = False, points: bool = False
+) -> list[Path]:
     """Write the files and the folders for images into a new or empty folder; their paths.
 
-    `RawDataError` where the folder has files.
+    With `attitudes` the star side is what a head has solved itself, in place of star images; with `points`
+    the ground side is measured image points, in place of targets and images of strips. `RawDataError` where
+    the folder has files.
     """
     if not is_vacant(folder):
         raise RawDataError(str(folder), "folder", "not empty", "a new or empty folder")
@@ -137,15 +158,23 @@ def write_skeleton(folder: Path, known: Skeleton) -> list[Path]:
         for n in range(known.ccds)
     ]
     files = {
-        "dump.toml": DUMP.format(**values),
-        "star_camera.toml": STAR_CAMERA.format(**values, **middle),
+        "dump.toml": DUMP.format(
+            star_files="" if attitudes else STAR_FILES,
+            ground_file='points = "points.csv"' if points else 'targets = "targets.csv"',
+            heads=HEADS if attitudes else "",
+            **values,
+        ),
+        **({} if attitudes else {"star_camera.toml": STAR_CAMERA.format(**values, **middle)}),
         "remote_camera.toml": REMOTE_CAMERA.format(**values) + "".join(ccds),
         "installation.toml": INSTALLATION,
         "orbit.oem": ORBIT.format(**values),
-        **TABLES,
+        **({"str1.csv": ATTITUDES} if attitudes else {"exposures.csv": EXPOSURES}),
+        "strips.csv": STRIPS,
+        **({"points.csv": POINTS} if points else {"targets.csv": TARGETS}),
     }
-    for name in ("exposures", "strips", "chips"):
-        (folder / name).mkdir(parents=True, exist_ok=True)
+    folder.mkdir(parents=True, exist_ok=True)
+    for name in ([] if attitudes else ["exposures"]) + ([] if points else ["strips", "chips"]):
+        (folder / name).mkdir()
     for name, text in files.items():
         (folder / name).write_text(text, encoding="utf-8")
     return [folder / name for name in files]

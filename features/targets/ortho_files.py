@@ -48,6 +48,7 @@ class HeightModel:
 
     grids: tuple[Surface, ...] = scalar("heights as the files have them, one grid a file")
     kind: str = scalar("ellipsoidal, egm96 or egm2008")
+    files: tuple[str, ...] = scalar("paths of the rasters", default=())
 
     def stated(self, lat_deg: Floats, lon_deg: Floats) -> tuple[Floats, str]:
         """Heights (N,) of points (N,) and their kind as targets.csv has it; NaN where no raster covers."""
@@ -86,7 +87,7 @@ def read_heights(paths: list[Path], kind: str) -> HeightModel:
             grids.append(TerrainGrid.from_raster(heights, transform, crs, None))
         except ValueError as error:
             raise RawDataError(str(path), "heights", str(error), "a grid of heights") from error
-    return HeightModel(tuple(grids), kind)
+    return HeightModel(tuple(grids), kind, tuple(map(str, paths)))
 
 
 def _driver_of(path: Path, file: str) -> str | None:

@@ -39,6 +39,10 @@ __all__ = ["Candidate", "SuggestRequest", "Suggestion", "suggest_in", "suggestio
 CANDIDATES = 4  # for each target wanted
 LEAST_CORRELATION = 0.3  # between dates; below it a place has changed
 MOVE_PX = 8  # of one date's image against another's, px
+OVERLAP_PLACES = 400  # places of an image that are looked up in the height model
+# 1-sigma by which a place moves between two dates, each axis, px: other shadows and plants. 0.054 px on the
+# pair of Sentinel-2 in benchmarks/results/match_real_pairs.txt, chips of 64 px; pairs elsewhere had 0.07 px.
+SIGMA_OF_DATES_PX = 0.07
 LEAST_IN_VIEW = 0.05  # probability below which a strip counts as not showing a candidate
 # docs/dump-format.md
 TARGET_COLUMNS = "id lat_deg lon_deg height_m height_kind sigma_east_m sigma_north_m sigma_up_m chip".split()
@@ -90,6 +94,8 @@ def suggest_in(
 
     `RawDataError` for an image too small for its chips, `DataNotSufficientError` where no place is suitable.
     """
+    for ortho in orthos:
+        _check_overlap(ortho, heights)
     found = [one for ortho in orthos for one in _candidates(ortho, orthos, heights, request)]
     named = [replace(one, target_id=f"t{n:03d}") for n, one in enumerate(found, start=1)]
     if not named:
@@ -114,7 +120,8 @@ def suggestion_lines(found: Suggestion) -> list[str]:
     for one in found.targets:
         place = one.place
         where = f"{Path(one.ortho.file).name}: column {place.column:.0f}, row {place.row:.0f}"
-        quality = f"expected sigma {place.sigma_px:.4f} px, best rival {place.rival:.2f}"
+        sigma_px = np.hypot(place.sigma_px, SIGMA_OF_DATES_PX)
+        quality = f"expected sigma {sigma_px:.4f} px, best rival {place.rival:.2f}"
         lines.append(f"{one.target_id}   {where}   {quality}, alike {one.alike:.2f}")
     if found.choice is not None:
         x, y, z = found.choice.sigma_rad[-1] / ARCSEC
@@ -133,6 +140,20 @@ def write_targets(targets: Sequence[Candidate], out: Path, size_px: int) -> Path
         rows.append([one.target_id, *place, *(f"{value:.3f}" for value in one.sigma_m), name])
     write_csv(out / "targets.csv", TARGET_COLUMNS, rows)
     return out / "targets.csv"
+
+
+def _check_overlap(ortho: Ortho, heights: HeightModel) -> None:
+    """`RawDataError` where no height model covers any of some places all over an image."""
+    rows, columns = np.nonzero(ortho.valid)
+    some = np.linspace(0, len(rows) - 1, OVERLAP_PLACES).astype(int)
+    a, b, c, d, e, f = ortho.transform
+    column, row = columns[some] + 0.5, rows[some] + 0.5
+    x, y = a * column + b * row + c, d * column + e * row + f
+    lon, lat = (np.array(v, dtype=float) for v in _to_degrees(ortho.crs).transform(x, y))
+    if not np.isfinite(heights.stated(lat, lon)[0]).any():
+        found = f"latitude {lat.min():.4f} to {lat.max():.4f}, longitude {lon.min():.4f} to {lon.max():.4f}"
+        files = ", ".join(heights.files)
+        raise RawDataError(ortho.file, "place", found, f"ground that a height model covers: {files} does not")
 
 
 def _candidates(
@@ -162,7 +183,7 @@ def _candidates(
         alike = _alike(ortho, place, lon[n], lat[n], [o for o in orthos if o is not ortho], request.size_px)
         if alike < LEAST_CORRELATION:
             continue
-        level = float(np.hypot(request.sigma_m, place.sigma_px * pixel_m))
+        level = float(np.hypot(request.sigma_m, np.hypot(place.sigma_px, SIGMA_OF_DATES_PX) * pixel_m))
         found.append(
             Candidate(
                 target_id="",
@@ -273,13 +294,13 @@ def _in_view(task: StripTask, named: Sequence[Candidate]) -> tuple[MatchedTarget
             [np.clip(sample, 0, camera.n_px(ccd) - 1), np.clip(line, 0, lines - 1)]
         )[better]
     rows = np.flatnonzero(chance > LEAST_IN_VIEW)
-    sigma_px = np.array([named[n].place.sigma_px for n in rows])
+    sigma_px = np.hypot([named[n].place.sigma_px for n in rows], SIGMA_OF_DATES_PX)
     matched = MatchedTargets(
         strip_id=task.strip.strip_id,
         target_id=np.array([named[n].target_id for n in rows], dtype=str),
         ccd=ccds[rows],
         xy_px=places[rows],
-        cov_px=np.maximum(sigma_px, 0.05)[:, None, None] ** 2 * np.eye(2),
+        cov_px=sigma_px[:, None, None] ** 2 * np.eye(2),
         correlation=np.ones(len(rows)),
         probability_wrong=np.zeros(len(rows)),
         predicted_px=places[rows],

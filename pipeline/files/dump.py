@@ -168,6 +168,8 @@ class Dump:
     errors: schema.Errors = scalar("errors of the mission's data as it states them")
     light: LightEffects = scalar("effects on light that the mission's own software models")
     orbit: Orbit = scalar("trajectory of the satellite")
+    earth_table: EarthOrientationTable = scalar("Earth orientation of that orbit")
+    earth_file: str = scalar("the mission's own file of it; empty: the bundled table")
     strips: tuple[Strip, ...] = scalar("of the ground, in order of time")
     sky_strips: tuple[Strip, ...] = scalar("of the sky, in order of time")
     targets: tuple[Target, ...] = scalar("in the order of targets.csv")
@@ -346,6 +348,8 @@ def open_dump(
         errors=head.errors,
         light=LightEffects(**head.light.model_dump()),
         orbit=orbit,
+        earth_table=table,
+        earth_file=own or "",
         strips=strips,
         sky_strips=sky_strips,
         targets=surveyed.targets,

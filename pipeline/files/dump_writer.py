@@ -34,6 +34,7 @@ __all__ = ["images_in", "write_dump"]
 
 # Degree of the Lagrange interpolation that a written orbit states.
 INTERPOLATION_DEGREE = 7
+SIMULATED_ID = "2024-000A"  # international designator that no satellite has
 SMALL_PIXELS = 4_000_000  # smaller images are compressed as far as possible: they may become fixtures
 
 
@@ -98,6 +99,7 @@ def _oem(mission: Mission, orbit: OrbitReport) -> str:
         mission.epoch.utc_from_seconds(orbit.t_s),
         orbit.positions_m,
         orbit.velocities_m_s,
+        SIMULATED_ID,
     )
 
 

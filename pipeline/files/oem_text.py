@@ -16,9 +16,11 @@ def orbit_message(
     utc: Sequence[str],
     positions_m: Floats,
     velocities_m_s: Floats,
+    object_id: str = "",
 ) -> str:
     """Text of the message, one segment of N states: positions (N, 3) to the micrometre, velocities (N, 3) to
     the nanometre per second, in `frame` (GCRF or ITRF), with the name and degree of their interpolation.
+    Where the international designator `object_id` ("2015-028A") is empty, the name stands for it.
     """
     utc = [text.rstrip("Z") for text in utc]
     lines = [
@@ -28,7 +30,7 @@ def orbit_message(
         "",
         "META_START",
         f"OBJECT_NAME = {object_name.upper()}",
-        "OBJECT_ID = 2024-000A",
+        f"OBJECT_ID = {object_id or object_name.upper()}",
         "CENTER_NAME = EARTH",
         f"REF_FRAME = {frame}",
         "TIME_SYSTEM = UTC",

@@ -29,7 +29,7 @@ from boresight.geometry.line_camera import LineSensor
 from boresight.geometry.record import array, record, scalar
 from boresight.geometry.sightings import ExposureAttitudes, StarSightings, StripSightings
 from boresight.pipeline.errors import Cause, DataNotSufficientError, Omission
-from boresight.pipeline.files.dump import Dump, surface_of
+from boresight.pipeline.files.dump import Dump, bundled_table, surface_of
 from boresight.pipeline.files.ground_points import NO_POINTS
 from boresight.pipeline.files.star_side import SolvedAttitudes
 from boresight.pipeline.run.executor import Executor, InOrder
@@ -38,6 +38,7 @@ from boresight.pipeline.run.unit_store import UnitStore
 from boresight.pipeline.stages.cached import Progress, StageRunner
 from boresight.pipeline.stages.conventions import likely_convention, sees_its_targets
 from boresight.pipeline.stages.coverage import attitudes_in_s, carriers, covered_strips, stated_mountings
+from boresight.pipeline.stages.earth_table import EarthTableCheck, check_earth_table, earth_findings
 from boresight.pipeline.stages.head import HeadSightings, sight_head
 from boresight.pipeline.stages.input_findings import assumed_motion, input_findings
 from boresight.pipeline.stages.left_out import Counts, counts_of, lost_ccds, searched_alone, with_left_out
@@ -84,6 +85,7 @@ class DumpCalibration:
 
     estimate: InstallationEstimate = scalar("installation matrix with covariance and statistics")
     verdict: Verdict = scalar("whether the data contradict themselves")
+    earth_table: EarthTableCheck = scalar("how well the Earth orientation is known at the dump's date")
     stars: tuple[StarSightings, ...] = array("K", "all identified exposures, in order of time")
     attitudes: ExposureAttitudes = scalar("attitudes of the same exposures")
     tasks: tuple[StripTask, ...] = array("S", "strips of the last matching")
@@ -197,6 +199,7 @@ def calibrate_dump(
         sigma_installation_rad=dump.sigma_installation_rad,
         reliability=reliability,
     )
+    earth = check_earth_table(dump.orbit, dump.earth_table, bundled_table())
     convention = None
     if any(not check.holds for check in verdict.checks if check.kind is CheckKind.START_MATRIX):
         convention = likely_convention(dump, lambda changed: _agreeing_strips(changed, heads, settings))
@@ -207,8 +210,10 @@ def calibrate_dump(
                 *([convention] if convention else _target_findings(dump, last, found, reliability, stars)),
                 *input_findings(dump, last.tasks, omissions),
                 *assumed_motion(last.strips, error_model),
+                *earth_findings(earth, dump.earth_file),
             ]
         ),
+        earth_table=earth,
         stars=heads[0].stars,
         attitudes=heads[0].attitudes,
         tasks=last.tasks,

@@ -45,6 +45,26 @@ def test_a_skeleton_lacks_only_what_is_to_be_filled_in(tmp_path: Path) -> None:
     assert isinstance(again.exception, RawDataError) and "not empty" in str(again.exception)
 
 
+def test_skeleton_of_attitudes_and_points_lacks_only_what_is_to_be_filled_in(tmp_path: Path) -> None:
+    folder = tmp_path / "new"
+    status, _ = run("dump", "init", folder, "--attitudes", "--points")
+    assert status == 0
+    assert sorted(path.name for path in folder.iterdir()) == [
+        "dump.toml",
+        "installation.toml",
+        "orbit.oem",
+        "points.csv",
+        "remote_camera.toml",
+        "str1.csv",
+        "strips.csv",
+    ]
+    head = read_toml(folder / "dump.toml", DumpFile, "dump.toml")
+    assert head.star_cameras[0].level == "attitudes" and head.files.points == "points.csv"
+    assert {fault.file for fault in dump_faults(folder)} == {"orbit.oem", "str1.csv", "strips.csv"}
+    status, _ = run("dump", "init", tmp_path / "asked", "--ask", "--attitudes", given="Eos\n" + "\n" * 7)
+    assert status == 0 and 'mission = "Eos"' in (tmp_path / "asked/dump.toml").read_text()
+
+
 def test_questions_have_the_options_as_answers(tmp_path: Path) -> None:
     status, _ = run("dump", "init", tmp_path / "d", "--ask", "--focal-m", 3, given="Eos\n" + "\n" * 11)
     assert status == 0 and 'mission = "Eos"' in (tmp_path / "d/dump.toml").read_text()

@@ -152,6 +152,29 @@ def test_places_that_changed_between_two_dates_are_avoided(tmp_path: Path) -> No
     assert len({(row["lat_deg"], row["lon_deg"]) for row in rows}) == 6
 
 
+def test_heights_of_another_place_are_named_with_the_image(tmp_path: Path) -> None:
+    ortho = write(tmp_path / "o.tif", texture(1))
+    elsewhere = write(
+        tmp_path / "far.tif",
+        np.full((60, 60), 100.0, np.float32),
+        crs="EPSG:4326",
+        transform=rasterio.Affine(1 / 60, 0, 3.3, 0, -1 / 60, 45.5),
+    )
+    words = ["targets", "suggest", str(ortho), "--dem", str(elsewhere), "--out", str(tmp_path / "t")]
+    ran = CliRunner().invoke(app, words)
+    assert isinstance(ran.exception, RawDataError) and "o.tif: place: found latitude 45." in str(
+        ran.exception
+    )
+    assert "longitude 13." in str(ran.exception) and "far.tif does not" in str(ran.exception)
+    assert len(suggested(tmp_path / "both", ortho, "--dem", elsewhere, "--dem", dem(tmp_path / "d.tif"))) == 6
+
+
+def test_sigma_has_what_two_dates_differ_by(tmp_path: Path) -> None:
+    rows = suggested(tmp_path / "t", write(tmp_path / "o.tif", texture(1)), "--height-m", 1, "--sigma-m", 0)
+    # 0.07 px of 2 m; the part of the texture, 0.002 px, adds 4 % of a millimetre
+    assert {row["sigma_east_m"] for row in rows} == {row["sigma_north_m"] for row in rows} == {"0.140"}
+
+
 def test_heights_are_needed_and_one_kind_of_them(tmp_path: Path) -> None:
     ortho = str(write(tmp_path / "o.tif", texture(1)))
     for given in ([], ["--height-m", "1", "--dem", "d.tif"]):
