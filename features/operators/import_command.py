@@ -39,7 +39,9 @@ ObjectId = Annotated[
 def import_sentinel2_command(
     datastrip: Annotated[Path, typer.Argument(help="S2?_OPER_MTD_L1B_DS_*.xml of a L1B datastrip.")],
     out: Out,
-    gipp: Annotated[Path, typer.Option(help="Folder of the SPAMOD and VIEDIR files that it names.")],
+    gipp: Annotated[
+        Path, typer.Option(help="Folder or tar archive of the SPAMOD and VIEDIR files that it names.")
+    ],
     band: Annotated[str, typer.Option(help="B01 to B12, B8A.")],
     attitudes: Annotated[
         str,

@@ -24,6 +24,7 @@ from xml.etree.ElementTree import Element
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from boresight.features.operators.gipp_files import find_gipp_files, gipp_root
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.earth_orientation import EarthOrientationTable
 from boresight.geometry.epoch import Epoch
@@ -100,7 +101,7 @@ class Sentinel2:
 
 
 def read_sentinel2(datastrip: Path, gipp: Path, band: str) -> Sentinel2:
-    """One band of a datastrip; `gipp` is the folder with the SPAMOD and VIEDIR files that it names.
+    """One band of a datastrip; `gipp` is the folder or archive of the SPAMOD and VIEDIR files that it names.
 
     Raises `RawDataError` for anything missing, damaged or out of range.
     """
@@ -118,8 +119,8 @@ def read_sentinel2(datastrip: Path, gipp: Path, band: str) -> Sentinel2:
         t_middle = float(epoch.seconds_from_utc([start, stop]).mean())
     except ValueError as error:
         raise RawDataError(file, "DATASTRIP_SENSING_START, STOP", f"{start}, {stop}", str(error)) from error
-    looks_file, looks = _gipp(root, gipp, "VIEDIR", band, file)
-    model_file, model = _gipp(root, gipp, "SPAMOD", "B00", file)
+    looks_file, looks = _gipp(root, gipp, "VIEDIR", band, start, file)
+    model_file, model = _gipp(root, gipp, "SPAMOD", "B00", start, file)
     stamps = _SENSOR + "/Time_Stamp"
     period = 1e-3 * numbers_of(root, f"{stamps}/LINE_PERIOD", file, 1)[0] * pixel_m / _FIRST_PIXEL_M
     if not 1e-5 < period < 1.0:
@@ -171,17 +172,35 @@ def _band(root: Element, band: str, file: str) -> tuple[int, float]:
     return int(number), float(whole_of(bands[band], "RESOLUTION", file, 1000))
 
 
-def _gipp(root: Element, folder: Path, kind: str, band: str, file: str) -> tuple[str, Element]:
-    """Name and root of the one GIPP file of a kind that the datastrip names."""
+def _gipp(root: Element, place: Path, kind: str, band: str, at: str, file: str) -> tuple[str, Element]:
+    """Name and root of the GIPP file of a kind that the datastrip names; of several the one that is valid at
+    the UTC date `at`, or of these the only one at hand.
+    """
     listed = [
         (element.text or "").strip()
         for element in root.findall("Auxiliary_Data_Info/GIPP_List/GIPP_FILENAME")
     ]
     pattern = rf"S2[A-Z]_[A-Za-z0-9_]*GIP_{kind}_[A-Za-z0-9_]*_{band}"
-    names = [name for name in listed if re.fullmatch(pattern, name)]
+    names = [name for name in dict.fromkeys(listed) if re.fullmatch(pattern, name)]
+    there = find_gipp_files(place, pattern)
+    day = re.sub("[-:]", "", at)[:15]
+    if len(names) > 1:
+        names = [name for name in names if _is_valid(name, day)] or names
+    if len(names) > 1:
+        names = [name for name in names if name in there] or names
     if len(names) != 1:
-        raise RawDataError(file, "GIPP_List", f"{len(names)} files {kind} of {band}", "one")
-    return f"{names[0]}.xml", read_xml(folder / f"{names[0]}.xml", f"{names[0]}.xml")
+        choice = f"one of them alone in --gipp: {' or '.join(names)}" if names else "one"
+        raise RawDataError(file, "GIPP_List", f"{len(names)} files {kind} of {band} valid at {day}", choice)
+    if names[0] not in there:
+        found = ", ".join(there) or f"none of kind {kind}"
+        raise RawDataError(str(place), "GIPP files", found, names[0])
+    return there[names[0]].file, gipp_root(there[names[0]], names[0])
+
+
+def _is_valid(name: str, day: str) -> bool:
+    """Whether a date lies in the span that the name of a GIPP file states; true where it states none."""
+    span = re.search(r"_V([0-9]{8}T[0-9]{6})_([0-9]{8}T[0-9]{6})_", name)
+    return span is None or span[1] <= day < span[2]
 
 
 def _tdi(root: Element, band_id: int) -> str:

@@ -23,6 +23,7 @@ from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.content import check_regular, content_of
 
 __all__ = [
+    "GZIP",
     "NUMBER",
     "PLAIN_NUMBER",
     "check_number",
@@ -36,6 +37,7 @@ __all__ = [
     "read_toml",
     "toml_tables",
     "unpacked",
+    "utf8_text",
 ]
 
 Model = TypeVar("Model", bound=BaseModel)
@@ -79,7 +81,7 @@ def path_inside(root: Path, relative: str, *, file: str, field: str) -> Path:
 
 def read_text(path: Path, file: str, max_bytes: int = MAX_TEXT_BYTES) -> str:
     """The text of a UTF-8 file without byte-order mark; `RawDataError` if it is too large or not UTF-8."""
-    return _decoded(_content(path, file, max_bytes), file)
+    return utf8_text(_content(path, file, max_bytes), file)
 
 
 def read_message(path: Path, file: str, max_bytes: int = MAX_TEXT_BYTES) -> str:
@@ -88,7 +90,7 @@ def read_message(path: Path, file: str, max_bytes: int = MAX_TEXT_BYTES) -> str:
     `RawDataError` also for a damaged gzip file and for one of more than `max_bytes` unpacked.
     """
     raw = _content(path, file, max_bytes)
-    return _decoded(unpacked(raw, file, max_bytes) if raw.startswith(GZIP) else raw, file)
+    return utf8_text(unpacked(raw, file, max_bytes) if raw.startswith(GZIP) else raw, file)
 
 
 def unpacked(raw: bytes, file: str, max_bytes: int) -> bytes:
@@ -114,7 +116,8 @@ def _content(path: Path, file: str, max_bytes: int) -> bytes:
         raise RawDataError(file, "file", error.strerror or str(error), "a readable file") from error
 
 
-def _decoded(raw: bytes, file: str) -> str:
+def utf8_text(raw: bytes, file: str) -> str:
+    """The text of bytes in UTF-8, without a byte-order mark; `RawDataError` for others."""
     try:
         return raw.decode("utf-8-sig")
     except UnicodeDecodeError as error:

@@ -142,4 +142,4 @@ def test_wrong_usage_is_told(sentinel2, tmp_path):
         assert result.exit_code == 2 and said in result.output
     arguments[3] = tmp_path / "new"
     result = CliRunner().invoke(app, [str(one) for one in (*arguments, "--gipp", tmp_path, "--band", "B04")])
-    assert result.exit_code == 1 and "no such file" in str(result.exception)
+    assert result.exit_code == 1 and "none of kind VIEDIR" in str(result.exception)

@@ -6,8 +6,11 @@ outcomes: something is read, or one of the errors in `DOCUMENTED` is raised.
 
 from __future__ import annotations
 
+import gzip
 import json
 import random
+import shutil
+import tarfile
 import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -75,7 +78,17 @@ class Reader:
 
     @property
     def is_text(self) -> bool:
-        return Path(self.file).suffix in (".toml", ".csv", ".oem", ".aem", ".xml", ".json", ".points", ".gcp")
+        return Path(self.file).suffix in (
+            ".toml",
+            ".csv",
+            ".oem",
+            ".aem",
+            ".xml",
+            ".DBL",
+            ".json",
+            ".points",
+            ".gcp",
+        )
 
 
 def write_sound_files(folder: Path) -> Path:
@@ -107,9 +120,25 @@ def write_sound_files(folder: Path) -> Path:
     for name, text in (ATTITUDES | POINTS).items():
         (folder / name).write_text(text)
     write_sentinel2(folder)
+    _write_packed(folder)
     _write_result(folder / "result")
     _write_units(folder)
     return folder
+
+
+def _write_packed(folder: Path) -> None:
+    """Messages and GIPP files as they are distributed: compressed, in archives; an OEM of version 3."""
+    oem = (folder / "dump/orbit.oem").read_text()
+    own = "CCSDS_OEM_VERS = 3.0\nCLASSIFICATION = none\nMESSAGE_ID = 7"
+    (folder / "third.oem").write_text(oem.replace("CCSDS_OEM_VERS = 2.0", own, 1))
+    (folder / "orbit.oem.gz").write_bytes(gzip.compress(oem.encode(), mtime=0))
+    (folder / "attitudes.aem.gz").write_bytes(gzip.compress((folder / "attitudes.aem").read_bytes(), mtime=0))
+    (folder / "dbl").mkdir()
+    for name in (SPAMOD, VIEDIR):
+        shutil.copy(folder / f"{name}.xml", folder / "dbl" / f"{name}.DBL")
+    for name, mode in (("gipp.tar", "w:"), ("gipp.tgz", "w:gz")):
+        with tarfile.open(folder / name, mode) as archive:
+            archive.add(folder / "dbl", "GIPP")
 
 
 def _write_gcps(path: Path) -> None:
@@ -235,8 +264,8 @@ def _terrain(folder: Path) -> Any:
     return surface.height_m(np.zeros(3), np.radians([102.9, 103.0, 103.1]))
 
 
-def _sentinel2(folder: Path) -> Any:
-    return read_sentinel2(folder / DATASTRIP, folder, "B04")
+def _sentinel2(gipp: str = "") -> Callable[[Path], Any]:
+    return lambda folder: read_sentinel2(folder / DATASTRIP, folder / gipp, "B04")
 
 
 def _dimap(name: str) -> Callable[[Path], Any]:
@@ -317,9 +346,15 @@ READERS = (
     Reader("points, QGIS", "gcps.points", _measured("gcps.points")),
     Reader("points, ASP", "gcps.gcp", _measured("gcps.gcp")),
     Reader("points, GeoTIFF", "gcps.tif", _measured("gcps.tif")),
-    Reader("Sentinel-2 datastrip", DATASTRIP, _sentinel2),
-    Reader("Sentinel-2 mounting", f"{SPAMOD}.xml", _sentinel2),
-    Reader("Sentinel-2 looks", f"{VIEDIR}.xml", _sentinel2),
+    Reader("Sentinel-2 datastrip", DATASTRIP, _sentinel2()),
+    Reader("Sentinel-2 mounting", f"{SPAMOD}.xml", _sentinel2()),
+    Reader("Sentinel-2 looks", f"{VIEDIR}.xml", _sentinel2()),
+    Reader("GIPP file, DBL", f"dbl/{SPAMOD}.DBL", _sentinel2("dbl")),
+    Reader("GIPP files, tar", "gipp.tar", _sentinel2("gipp.tar")),
+    Reader("GIPP files, tgz", "gipp.tgz", _sentinel2("gipp.tgz")),
+    Reader("OEM 3.0", "third.oem", lambda folder: read_oem(folder / "third.oem", "third.oem")),
+    Reader("OEM, gzip", "orbit.oem.gz", lambda folder: read_oem(folder / "orbit.oem.gz", "orbit.oem.gz")),
+    Reader("attitudes, AEM, gzip", "attitudes.aem.gz", _attitudes("attitudes.aem.gz")),
     Reader(
         "installation.json", "result/installation.json", lambda folder: read_saved_result(folder / "result")
     ),

@@ -241,7 +241,7 @@ def test_orbit_is_text_and_nothing_else(handmade: Path) -> None:
 
 def test_nothing_that_is_read_can_be_run_or_unpacked() -> None:
     """No module calls what would run code out of data, unpack an archive or start a program, but the browser
-    that prints our own page at the user's request."""
+    that prints our own page at the user's request, and the reader of archives of GIPP files in memory."""
     forbidden = {"pickle", "marshal", "shelve", "joblib", "dill", "yaml", "tarfile", "subprocess"}
     calls = {
         "eval",
@@ -261,7 +261,8 @@ def test_nothing_that_is_read_can_be_run_or_unpacked() -> None:
                 if isinstance(node, ast.Import):
                     names = {alias.name.split(".")[0] for alias in node.names}
                     browser = {"subprocess"} if path == ROOT / "pipeline/report/pdf.py" else set()
-                    assert not names & forbidden - browser, path
+                    archives = {"tarfile"} if path == ROOT / "features/operators/gipp_files.py" else set()
+                    assert not names & forbidden - browser - archives, path
                 elif isinstance(node, ast.ImportFrom):
                     assert (node.module or "").split(".")[0] not in forbidden, path
                 elif isinstance(node, ast.Call):

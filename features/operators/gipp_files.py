@@ -1,0 +1,123 @@
+"""GIPP files of Sentinel-2 as they are distributed: NAME.xml, NAME.DBL beside NAME.HDR, or NAME.tgz and
+NAME.tar.gz with these; in a folder, in folders of it, or in one archive of several.
+
+Archives are read in memory: of their members only regular files with a wanted name are looked at, and nothing
+is written. A DBL is the document itself, or the Data_Block of an Earth Explorer file.
+"""
+
+from __future__ import annotations
+
+import io
+import re
+import tarfile
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path, PurePosixPath
+from xml.etree.ElementTree import Element
+
+from boresight.geometry.record import record, scalar
+from boresight.pipeline.errors import RawDataError
+from boresight.pipeline.files.content import check_regular, content_of
+from boresight.pipeline.files.text_files import GZIP, unpacked, utf8_text
+from boresight.pipeline.files.xml_files import xml_root
+
+__all__ = ["GippFile", "find_gipp_files", "gipp_root"]
+
+DOCUMENTS = (".xml", ".eof", ".dbl")
+ARCHIVES = (".tgz", ".tar.gz", ".tar")
+MAX_BYTES = 128 * 2**20  # of a file, packed and unpacked; all GIPP files of a satellite take 40 MB
+MAX_MEMBERS = 10_000
+MAX_DEPTH = 2  # archives inside an archive
+
+
+@record
+class GippFile:
+    """One GIPP file, not yet read."""
+
+    file: str = scalar("its name for messages, of a member of an archive with the archive's")
+    content: Callable[[], bytes] = scalar("reads it")
+
+
+def find_gipp_files(place: Path, stem: str) -> dict[str, GippFile]:
+    """Files by name without suffix, of which the whole name matches the regular expression `stem`.
+
+    `place` is a folder or an archive. Of several packings of one file a document is taken before an archive.
+    """
+    if not place.is_dir():
+        raw = _content(place, place.name)
+        return _members(raw, place.name, stem)
+    inside = [path for path in sorted(place.iterdir()) if path.is_dir() and re.fullmatch(stem, path.name)]
+    paths = [path for folder in (place, *inside) for path in sorted(folder.iterdir()) if not path.is_dir()]
+    files = {path.relative_to(place).as_posix(): path for path in paths}
+    return {
+        name: GippFile(file, partial(_content, files[file], file))
+        for name, file in _wanted(list(files), stem).items()
+    }
+
+
+def gipp_root(gipp: GippFile, stem: str, depth: int = 0) -> Element:
+    """The element with the data of a file of that name without suffix.
+
+    `RawDataError` for a damaged file, for an archive without such a document, and for more than the limits.
+    """
+    raw = gipp.content()
+    raw = unpacked(raw, gipp.file, MAX_BYTES) if raw.startswith(GZIP) else raw
+    if not _is_archive(raw):
+        return _data(xml_root(utf8_text(raw, gipp.file), gipp.file))
+    members = _members(raw, gipp.file, re.escape(stem))
+    if stem not in members or depth == MAX_DEPTH:
+        raise RawDataError(gipp.file, "members", "no such document", f"{stem}.DBL, .xml or .EOF")
+    return gipp_root(members[stem], stem, depth + 1)
+
+
+def _data(root: Element) -> Element:
+    """The document itself, or that in the Data_Block of an Earth Explorer file."""
+    return next((one for one in root.iterfind("Data_Block/*") if one.find("DATA") is not None), root)
+
+
+def _content(path: Path, file: str) -> bytes:
+    if (size := check_regular(path, file, "a folder, a GIPP file or an archive of them")) > MAX_BYTES:
+        raise RawDataError(file, "file", f"{size} bytes", f"at most {MAX_BYTES} bytes")
+    try:
+        return content_of(path)
+    except OSError as error:
+        raise RawDataError(file, "file", error.strerror or str(error), "a readable file") from error
+
+
+def _wanted(files: list[str], stem: str) -> dict[str, str]:
+    """Of names of files those wanted, by their names without suffix."""
+    found: dict[str, str] = {}
+    for suffix in (*DOCUMENTS, *ARCHIVES):
+        for file in files:
+            name = PurePosixPath(file).name
+            if name.lower().endswith(suffix) and re.fullmatch(stem, own := name[: -len(suffix)]):
+                found.setdefault(own, file)
+    return found
+
+
+def _is_archive(raw: bytes) -> bool:
+    return raw[257:262] == b"ustar"
+
+
+def _members(raw: bytes, file: str, stem: str) -> dict[str, GippFile]:
+    """Wanted files of an archive, plain or compressed with gzip; their bytes are copied here."""
+    raw = unpacked(raw, file, MAX_BYTES) if raw.startswith(GZIP) else raw
+    if not _is_archive(raw):
+        expected = "a folder of GIPP files, or a tar archive of them, plain or with gzip"
+        raise RawDataError(file, "byte 257", "no tar archive", expected)
+    try:
+        with tarfile.open(fileobj=io.BytesIO(raw), mode="r:") as archive:
+            regular: dict[str, tarfile.TarInfo] = {}
+            for count, member in enumerate(archive):
+                if count == MAX_MEMBERS:
+                    raise RawDataError(file, "members", f"more than {MAX_MEMBERS}", "fewer")
+                if member.isreg() and not member.issparse() and member.size <= len(raw):
+                    regular[member.name] = member
+            found = {}
+            for own, name in _wanted(list(regular), stem).items():
+                stream = archive.extractfile(regular[name])
+                assert stream is not None  # of a regular file
+                found[own] = GippFile(f"{file}: {PurePosixPath(name).name}", partial(bytes, stream.read()))
+    except (tarfile.TarError, OSError, EOFError, ValueError, OverflowError) as error:
+        raise RawDataError(file, "archive", str(error), "a whole tar archive") from error
+    return found

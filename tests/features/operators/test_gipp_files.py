@@ -1,0 +1,162 @@
+"""GIPP files in their packings give what the plain XML gives; several SPAMOD are told apart by date."""
+
+from __future__ import annotations
+
+import io
+import tarfile
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from handmade_sentinel2 import DATASTRIP, SPAMOD, VIEDIR, write_sentinel2
+
+from boresight.features.operators import gipp_files
+from boresight.features.operators.sentinel2_product import Sentinel2, read_sentinel2
+from boresight.pipeline.errors import RawDataError
+
+
+def tar_of(members: dict[str, bytes], mode: str) -> bytes:
+    stream = io.BytesIO()
+    with tarfile.open(fileobj=stream, mode=f"w:{mode}") as archive:
+        for name, raw in members.items():
+            info = tarfile.TarInfo(name)
+            info.size = len(raw)
+            archive.addfile(info, io.BytesIO(raw))
+    return stream.getvalue()
+
+
+def in_data_block(raw: bytes) -> bytes:
+    body = raw.decode().partition("?>")[2] if raw.startswith(b"<?xml") else raw.decode()
+    head = "<Earth_Explorer_Header><Fixed_Header/></Earth_Explorer_Header>"
+    return f'<Earth_Explorer_File xmlns="http://x">{head}<Data_Block type="xml">{body}</Data_Block></Earth_Explorer_File>'.encode()  # noqa: E501
+
+
+HEADER = b"<Earth_Explorer_Header/>"
+
+
+def as_dbl(place: Path, files: dict[str, bytes]) -> Path:
+    for name, raw in files.items():
+        (place / f"{name}.DBL").write_bytes(raw)
+        (place / f"{name}.HDR").write_bytes(HEADER)
+    return place
+
+
+def as_data_blocks_in_folders(place: Path, files: dict[str, bytes]) -> Path:
+    for name, raw in files.items():
+        (place / name).mkdir()
+        (place / name / f"{name}.DBL").write_bytes(in_data_block(raw))
+    return place
+
+
+def as_archives(place: Path, files: dict[str, bytes]) -> Path:
+    for suffix, (name, raw) in zip(("tar.gz", "TGZ"), files.items()):
+        inside = {f"{name}/{name}.HDR": HEADER, f"{name}/{name}.DBL": raw}
+        (place / f"{name}.{suffix}").write_bytes(tar_of(inside, "gz"))
+    return place
+
+
+def as_one_archive(place: Path, files: dict[str, bytes]) -> Path:
+    inside = {f"GIPP/{name}.tgz": tar_of({f"{name}.DBL": raw}, "gz") for name, raw in files.items()}
+    (place / "gipp.tar").write_bytes(tar_of(inside | {"GIPP/README": b"all"}, ""))
+    return place / "gipp.tar"
+
+
+@pytest.fixture(scope="module")
+def plain(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, bytes]]:
+    folder = tmp_path_factory.mktemp("plain")
+    write_sentinel2(folder)
+    return folder, {name: (folder / f"{name}.xml").read_bytes() for name in (SPAMOD, VIEDIR)}
+
+
+def assert_same(found: Sentinel2, expected: Sentinel2) -> None:
+    assert np.array_equal(found.mounting_angles_rad, expected.mounting_angles_rad)
+    assert np.array_equal(found.R_ps["STR2"].as_quat(), expected.R_ps["STR2"].as_quat())
+    samples = np.arange(24.0)
+    for ccd in range(2):
+        there, here = (one.camera.directions_from_pixels(ccd, samples) for one in (found, expected))
+        assert np.array_equal(there, here)
+
+
+@pytest.mark.parametrize("packed", [as_dbl, as_data_blocks_in_folders, as_archives, as_one_archive])
+def test_every_packing_is_read_as_the_plain_files_are(
+    packed: Callable[[Path, dict[str, bytes]], Path], plain: tuple[Path, dict[str, bytes]], tmp_path: Path
+) -> None:
+    folder, files = plain
+    expected = read_sentinel2(folder / DATASTRIP, folder, "B04")
+    assert_same(read_sentinel2(folder / DATASTRIP, packed(tmp_path, files), "B04"), expected)
+
+
+def test_nothing_is_written_and_links_are_no_members(
+    plain: tuple[Path, dict[str, bytes]], tmp_path: Path
+) -> None:
+    folder, files = plain
+    stream = io.BytesIO()
+    with tarfile.open(fileobj=stream, mode="w:gz") as archive:
+        link = tarfile.TarInfo(f"{SPAMOD}.DBL")
+        link.type, link.linkname = tarfile.SYMTYPE, str(folder / f"{SPAMOD}.xml")
+        archive.addfile(link)
+        outside = tarfile.TarInfo(f"../../{VIEDIR}.DBL")
+        outside.size = len(files[VIEDIR])
+        archive.addfile(outside, io.BytesIO(files[VIEDIR]))
+    (tmp_path / "gipp.tgz").write_bytes(stream.getvalue())
+    with pytest.raises(RawDataError, match=f"GIPP files: found none of kind SPAMOD, expected {SPAMOD}"):
+        read_sentinel2(folder / DATASTRIP, tmp_path / "gipp.tgz", "B04")
+    assert [path.name for path in tmp_path.iterdir()] == ["gipp.tgz"]
+
+
+def test_damage_and_bombs_are_told(
+    plain: tuple[Path, dict[str, bytes]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder, files = plain
+    whole = tar_of({f"{name}.DBL": raw for name, raw in files.items()}, "gz")
+    for raw, complaint in (
+        (whole[: len(whole) // 2], "gzip: found"),
+        (b"PK\x03\x04" + bytes(500), "byte 257: found no tar archive"),
+        (
+            tar_of({f"{SPAMOD}.tgz": tar_of({"other.xml": b"<a/>"}, "gz"), f"{VIEDIR}.xml": b"<a/>"}, "gz"),
+            "members",
+        ),
+        (tar_of({f"{SPAMOD}.DBL": b"\xff\xfe", f"{VIEDIR}.DBL": b"<a/>"}, ""), "byte 0: found byte 0xff"),
+    ):
+        (tmp_path / "gipp.tgz").write_bytes(raw)
+        with pytest.raises(RawDataError, match=complaint):
+            read_sentinel2(folder / DATASTRIP, tmp_path / "gipp.tgz", "B04")
+    monkeypatch.setattr(gipp_files, "MAX_BYTES", 2**16)
+    (tmp_path / "gipp.tgz").write_bytes(tar_of({f"{SPAMOD}.DBL": bytes(2**20)}, "gz"))
+    with pytest.raises(RawDataError, match="gzip: found more than 65536 bytes unpacked"):
+        read_sentinel2(folder / DATASTRIP, tmp_path / "gipp.tgz", "B04")
+
+
+OLD, NEW, LATE = (
+    f"S2A_OPER_GIP_SPAMOD_MPC__20190101T000000_V{span}_B00"
+    for span in (
+        "20150703T000000_20190101T000000",
+        "20190101T000000_21000101T000000",
+        "20200101T000000_21000101T000000",
+    )
+)
+
+
+def test_of_several_mountings_the_one_valid_at_the_date_is_taken(
+    plain: tuple[Path, dict[str, bytes]], tmp_path: Path
+) -> None:
+    folder, files = plain
+    as_dbl(tmp_path, {OLD: b"<damaged", NEW: files[SPAMOD], VIEDIR: files[VIEDIR]})
+    text = (folder / DATASTRIP).read_text()
+    assert f"<GIPP_FILENAME>{SPAMOD}</GIPP_FILENAME>" in text
+
+    def naming(*names: str) -> Path:
+        listed = "".join(f"<GIPP_FILENAME>{name}</GIPP_FILENAME>" for name in names)
+        (tmp_path / DATASTRIP).write_text(text.replace(f"<GIPP_FILENAME>{SPAMOD}</GIPP_FILENAME>", listed))
+        return tmp_path / DATASTRIP
+
+    expected = read_sentinel2(folder / DATASTRIP, folder, "B04")
+    assert_same(read_sentinel2(naming(OLD, NEW), tmp_path, "B04"), expected)
+    assert_same(read_sentinel2(naming(NEW, LATE), tmp_path, "B04"), expected)  # the other one is not there
+    with pytest.raises(RawDataError, match=f"GIPP files: found {OLD}, {NEW}, expected {LATE}"):
+        read_sentinel2(naming(LATE), tmp_path, "B04")
+    as_dbl(tmp_path, {LATE: files[SPAMOD]})
+    expected_text = f"found 2 files SPAMOD of B00 valid at 20200816T120202, expected .*{NEW} or {LATE}"
+    with pytest.raises(RawDataError, match=expected_text):
+        read_sentinel2(naming(OLD, NEW, LATE), tmp_path, "B04")
