@@ -29,8 +29,8 @@ from pathlib import Path
 from types import FrameType
 from typing import Any
 
-TESTS = Path(__file__).resolve().parents[1] / "tests" / "pipeline"
-sys.path[:0] = [str(TESTS), str(TESTS / "faults")]
+TESTS = Path(__file__).resolve().parents[1] / "tests"
+sys.path[:0] = [str(TESTS), str(TESTS / "pipeline" / "faults")]
 
 LONGEST_S = 5
 MOST_KIB = 2**20
