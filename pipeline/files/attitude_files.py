@@ -218,6 +218,8 @@ def _kvn_segments(text: str, file: str) -> Iterator[Segment]:
             if line == "DATA_START":
                 _check_metadata(meta, file)
             if line == "DATA_STOP":
+                if part != "DATA_START":
+                    raise RawDataError(file, f"line {number}", line, "DATA_START before it")
                 yield meta, states
             part = line
         elif part == "DATA_START":

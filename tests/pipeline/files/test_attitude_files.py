@@ -218,6 +218,10 @@ OK = {"REF_FRAME_A": "GCRF", "REF_FRAME_B": "ST_1"}
         (kvn(OK, [f"{t} 0 0 1_0 1" for t in TIMES], "2.0"), "line 15, Q3: found 1_0"),
         (kvn(OK, [f"{t} 0 0 1 1" for t in TIMES], "2.0"), "attitude 1: found .* of length 1.41421"),
         (kvn(OK, [f"{t} {Q}" for t in TIMES], "2.0").replace("DATA_STOP", ""), "end of the file"),
+        (
+            kvn(OK, [f"{t} {Q}" for t in TIMES], "2.0").replace("DATA_START\n", ""),
+            "DATA_STOP, expected DATA_START",
+        ),
         ("<aem version='2.0'><body>", "XML"),
         ("<!DOCTYPE a [<!ENTITY b 'c'>]><aem>&b;</aem>", "XML"),
         ("<oem/>", "root element: found oem"),
