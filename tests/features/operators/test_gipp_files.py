@@ -1,4 +1,4 @@
-"""GIPP files in their packings give what the plain XML gives; several SPAMOD are told apart by date."""
+"""GIPP files in their packings give what the plain XML gives; several SPAMOD are distinguished by date."""
 
 from __future__ import annotations
 
