@@ -30,8 +30,16 @@ from boresight.geometry.attitude import InterpolationNodes
 from boresight.geometry.record import Floats, array, record
 from boresight.geometry.sightings import StripSightings
 
-__all__ = ["AT_REST", "SlowMotion", "missed_covariance", "motion_is_shown", "motion_of"]
+__all__ = [
+    "AT_REST",
+    "SlowMotion",
+    "has_few_exposures",
+    "missed_covariance",
+    "motion_is_shown",
+    "motion_of",
+]
 
+MANY = 8  # exposures of a strip that follow the motion; scatter of so many is to be reported, not explained
 FEWEST_SHOW = 3  # exposures of a strip: two determine constant and rate
 SPREAD = (1.0, 0.5, 1.0)  # 1-sigma of the logarithms of a, T and the factor of the noise
 AMPLITUDES = np.exp(np.linspace(-4.0, 3.0, 29))  # in units of the stated values
@@ -66,14 +74,21 @@ def missed_covariance(motion: SlowMotion, t: Floats, nodes: Floats, weights: Flo
     return np.asarray(difference @ motion.covariance(both, both) @ difference.T)
 
 
+def has_few_exposures(strip: StripSightings) -> bool:
+    """Whether a strip with fitted attitudes has fewer exposures than follow the motion."""
+    return len(_nodes_of(strip)[0].t_s) < MANY
+
+
 def motion_is_shown(strips: Sequence[StripSightings]) -> bool:
     """Whether any of strips with fitted attitudes has exposures enough to show how far it moves."""
     return any(len(_nodes_of(strip)[0].t_s) >= FEWEST_SHOW for strip in strips)
 
 
 def motion_of(strips: Sequence[StripSightings], settings: CalibrationSettings) -> SlowMotion:
-    """The motion that the exposures of strips with fitted attitudes show, else the stated one."""
-    if settings.sigma_motion_rad == 0.0:
+    """The motion that the exposures of strips with fitted attitudes show, else the stated one; none where all
+    have `MANY` exposures.
+    """
+    if settings.sigma_motion_rad == 0.0 or not any(map(has_few_exposures, strips)):
         return AT_REST
     log_a, log_t = np.log(AMPLITUDES), np.log(TIMES)
     times_s = settings.motion_time_s * TIMES

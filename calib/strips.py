@@ -41,7 +41,7 @@ from boresight.calib.shared_unknowns import (
     coordinate_covariance,
     earth_axes,
 )
-from boresight.calib.slow_motion import AT_REST, SlowMotion, missed_covariance, motion_of
+from boresight.calib.slow_motion import AT_REST, SlowMotion, has_few_exposures, missed_covariance, motion_of
 from boresight.geometry.attitude import Interpolation, InterpolationNodes, interpolation_weights
 from boresight.geometry.attitude_estimate import cross_matrices, with_attitudes
 from boresight.geometry.constants import ARCSEC
@@ -150,7 +150,9 @@ def prepare_strips(strips: Sequence[StripSightings], settings: CalibrationSettin
     """The strips, with the motion between exposures that all of them show."""
     fitted = with_attitudes(strips, settings.attitudes)
     motion = motion_of(fitted, settings)
-    return [prepare_strip(strip, settings, motion) for strip in fitted]
+    return [
+        prepare_strip(strip, settings, motion if has_few_exposures(strip) else AT_REST) for strip in fitted
+    ]
 
 
 def prepare_strip(

@@ -64,6 +64,10 @@ def open_calibrated(result: Path, dump: Path | None, *, allow_stale_eop: bool = 
     dumps, one must be given; it comes with the joint matrix.
     """
     folder, saved = read_for_dump(result, dump)
+    if np.isnan(saved.covariance_s).any():
+        file = str(folder / "sightings" / "exposures.parquet")
+        expected = "that of `calibrate`; calibrate anew"
+        raise RawDataError(file, "column covariance_s", "no such column", expected)
     run = run_settings_of(saved, str(result / "installation.json"))
     root = dump if dump is not None else _noted_dump(result)
     check_dump_of(folder, root)

@@ -170,8 +170,10 @@ def _check(
 def _against_prediction(
     after: CheckPoints, strips: list[StripMoves], result: SavedResult, dump: Dump
 ) -> tuple[RmsTest, ...]:
-    """The errors along and across the track, tested; none without check points."""
-    if not len(after.along_m):
+    """The errors along and across the track, tested; none without check points, or without covariances of
+    the attitudes, as in results of earlier versions.
+    """
+    if not len(after.along_m) or np.isnan(result.covariance_s).any():
         return ()
     covariance = predicted_covariance(strips, result.cov_theta, dump)
     errors = (after.along_m, after.across_m)

@@ -55,13 +55,13 @@ def test_what_interpolation_misses_scatters_as_stated() -> None:
 def test_exposures_show_how_far_the_satellite_moves(arcsec: float) -> None:
     # A wave of amplitude A has the rms 0.7 A. Of nine, a third of a period to a whole one is seen: the prior
     # about 6 arcsec still counts.
-    strips = strips_of(10, wave_rad=(arcsec * ARCSEC, arcsec * ARCSEC))
+    strips = strips_of(7, wave_rad=(arcsec * ARCSEC, arcsec * ARCSEC))
     rms = np.sqrt(motion_of(strips, STATED).variance.sum()) / ARCSEC
     assert 0.3 * arcsec < rms < 3.0 * arcsec
 
 
 def test_attitudes_with_understated_noise_are_not_taken_for_motion() -> None:
-    strips = strips_of(10, wave_rad=STILL, sigma_s_px=0.5)
+    strips = strips_of(7, wave_rad=STILL, sigma_s_px=0.5)
     sure = [
         replace(
             strip,
