@@ -49,8 +49,8 @@ def carriers(
 def covered_strips(
     strips: Sequence[Strip], covering: Mapping[str, tuple[HeadSightings, Ints] | Omission]
 ) -> tuple[list[tuple[Strip, HeadSightings, Ints]], list[Omission]]:
-    """Strips with what `carriers` found for them, head and rows (K,) of its exposures, and the omissions of all
-    others.
+    """Strips with what `carriers` found for them, head and rows (K,) of its exposures, and the omissions of
+    all others.
     """
     pairs = [(strip, covering[strip.strip_id]) for strip in strips]
     omitted = [carrier for _, carrier in pairs if isinstance(carrier, Omission)]
