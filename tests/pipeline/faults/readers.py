@@ -32,6 +32,7 @@ from scipy.spatial.transform import Rotation
 
 from boresight.calib.information import InformationPairs
 from boresight.features.geolocate.positions import read_pixels
+from boresight.features.operators.gipp_files import find_gipp_files, gipp_root
 from boresight.features.operators.point_import import PointErrors, read_measured_points
 from boresight.features.operators.sentinel2_product import read_sentinel2
 from boresight.features.planning.campaign_plan import forecast_plan, read_plan
@@ -264,8 +265,18 @@ def _terrain(folder: Path) -> Any:
     return surface.height_m(np.zeros(3), np.radians([102.9, 103.0, 103.1]))
 
 
-def _sentinel2(gipp: str = "") -> Callable[[Path], Any]:
-    return lambda folder: read_sentinel2(folder / DATASTRIP, folder / gipp, "B04")
+def _sentinel2(folder: Path) -> Any:
+    return read_sentinel2(folder / DATASTRIP, folder, "B04")
+
+
+def _gipp(name: str) -> Callable[[Path], Any]:
+    def read(folder: Path) -> Any:
+        found = find_gipp_files(folder / name, SPAMOD)
+        if SPAMOD not in found:
+            raise RawDataError(name, "members", "another name", SPAMOD)
+        return gipp_root(found[SPAMOD], SPAMOD)
+
+    return read
 
 
 def _dimap(name: str) -> Callable[[Path], Any]:
@@ -346,12 +357,12 @@ READERS = (
     Reader("points, QGIS", "gcps.points", _measured("gcps.points")),
     Reader("points, ASP", "gcps.gcp", _measured("gcps.gcp")),
     Reader("points, GeoTIFF", "gcps.tif", _measured("gcps.tif")),
-    Reader("Sentinel-2 datastrip", DATASTRIP, _sentinel2()),
-    Reader("Sentinel-2 mounting", f"{SPAMOD}.xml", _sentinel2()),
-    Reader("Sentinel-2 looks", f"{VIEDIR}.xml", _sentinel2()),
-    Reader("GIPP file, DBL", f"dbl/{SPAMOD}.DBL", _sentinel2("dbl")),
-    Reader("GIPP files, tar", "gipp.tar", _sentinel2("gipp.tar")),
-    Reader("GIPP files, tgz", "gipp.tgz", _sentinel2("gipp.tgz")),
+    Reader("Sentinel-2 datastrip", DATASTRIP, _sentinel2),
+    Reader("Sentinel-2 mounting", f"{SPAMOD}.xml", _sentinel2),
+    Reader("Sentinel-2 looks", f"{VIEDIR}.xml", _sentinel2),
+    Reader("GIPP file, DBL", f"dbl/{SPAMOD}.DBL", _gipp("dbl")),
+    Reader("GIPP files, tar", "gipp.tar", _gipp("gipp.tar")),
+    Reader("GIPP files, tgz", "gipp.tgz", _gipp("gipp.tgz")),
     Reader("OEM 3.0", "third.oem", lambda folder: read_oem(folder / "third.oem", "third.oem")),
     Reader("OEM, gzip", "orbit.oem.gz", lambda folder: read_oem(folder / "orbit.oem.gz", "orbit.oem.gz")),
     Reader("attitudes, AEM, gzip", "attitudes.aem.gz", _attitudes("attitudes.aem.gz")),
