@@ -6,7 +6,7 @@ the stated errors of position, clock, vibration and looks are those of exact poi
 gives the matrices of both trackers with their covariance; three windows must agree within it.
 
 The data (`../shared/data/sentinel2`) are not part of the project: without them the script says so and stops.
-5 minutes of CPU time.
+6 minutes of CPU time.
 
     python benchmarks/real_windows.py [--folder DATA]
 """
