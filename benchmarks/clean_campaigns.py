@@ -21,6 +21,7 @@ import shutil
 import tempfile
 import tomllib
 from collections import defaultdict
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -137,9 +138,9 @@ def settings() -> CalibrationSettings:
     return calibration_settings(Settings(), STATED, calibrated_line_camera(LineCameraSettings()))
 
 
-def sightings(runs: int) -> list[tuple[tuple[str, ...], Run]]:
-    """Campaigns of all combinations in turn."""
-    cells = list(itertools.product(KINDS, CURVES, EXPOSURES))
+def sightings(runs: int, counts: Sequence[int]) -> list[tuple[tuple[str, ...], Run]]:
+    """Campaigns of all combinations in turn, `counts` the exposures a strip."""
+    cells = list(itertools.product(KINDS, CURVES, counts))
     stated, done = settings(), []
     for n in range(runs):
         kind, curve, exposures = cells[n % len(cells)]
@@ -237,11 +238,12 @@ def main() -> None:
     parser.add_argument("what", choices=tuple(MOST_FINDINGS))
     parser.add_argument("work", type=Path, nargs="?", help="folder, for dumps")
     parser.add_argument("--runs", type=int, default=100)
+    parser.add_argument("--exposures", type=int, action="append", help="a strip, of sightings")
     parser.add_argument("--first-seed", type=int, default=101)
     options = parser.parse_args()
     record.head(f"Campaigns without a fault: {options.what}")
     if options.what == "sightings":
-        report(sightings(options.runs), "sightings")
+        report(sightings(options.runs, options.exposures or EXPOSURES), "sightings")
     else:
         work = options.work or Path(tempfile.mkdtemp())
         report(dumps(options.runs, work, options.first_seed), "dumps")

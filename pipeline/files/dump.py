@@ -45,6 +45,7 @@ from boresight.pipeline.files.object_store import dump_folder
 from boresight.pipeline.files.orbit_file import Ephemeris, read_oem
 from boresight.pipeline.files.remote_camera import read_remote_camera
 from boresight.pipeline.files.repeated_exposures import exposures_once
+from boresight.pipeline.files.repeated_points import points_once
 from boresight.pipeline.files.repeated_strips import strips_once
 from boresight.pipeline.files.star_side import (
     Exposure,
@@ -337,6 +338,7 @@ def open_dump(
     for one in heads:
         check_attitudes(one, orbit, during)
     points, of_points = _points(paths.get("points"), head, ground)
+    single_points, points_twice = points_once(points, str(head.files.points))
     return Dump(
         root=root,
         mission=head.mission,
@@ -354,11 +356,11 @@ def open_dump(
         sky_strips=sky_strips,
         targets=surveyed.targets,
         chips=_chips(root, rows, str(head.files.targets)),
-        points=_points_once(points, strips),
+        points=_points_of(single_points, strips),
         terrain=NO_TERRAIN if sky_alone else _terrain(root, head, (surveyed, *of_points), threads),
         star_catalogue=_star_catalogue(paths.get("star_catalogue"), head, sky_strips),
         orbit_covers=covers,
-        omissions=(*omitted, *twice, *sky_twice, *exposures_twice),
+        omissions=(*omitted, *twice, *sky_twice, *exposures_twice, *points_twice),
         listed={
             "targets": len(rows),
             "points": sum(len(one.ccd) for one in points),
@@ -618,7 +620,7 @@ def _points(
     return points, (surveyed,)
 
 
-def _points_once(points: Sequence[StripPoints], strips: Sequence[Strip]) -> tuple[StripPoints, ...]:
+def _points_of(points: Sequence[StripPoints], strips: Sequence[Strip]) -> tuple[StripPoints, ...]:
     """The points in CCDs of strips that are used."""
     ccds = {strip.strip_id: list(strip.ccd_lines) for strip in strips}
     return tuple(one.of(ccds[one.strip_id]) for one in points if one.strip_id in ccds)

@@ -12,7 +12,7 @@ from boresight.gct_match.records import Target
 from boresight.geometry.constants import WGS84
 from boresight.geometry.geodesy import ecef_from_geodetic
 from boresight.geometry.geoid import egm96
-from boresight.geometry.record import Floats, Ints, array, record, scalar
+from boresight.geometry.record import Bools, Floats, Ints, array, record, scalar
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files import dump_schema as schema
 from boresight.pipeline.files.text_files import read_table
@@ -44,7 +44,11 @@ class StripPoints:
 
     def of(self, ccds: Sequence[int]) -> StripPoints:
         """The measurements in some of the CCDs."""
-        rows = np.flatnonzero(np.isin(self.ccd, ccds))
+        return self.take(np.isin(self.ccd, ccds))
+
+    def take(self, which: Bools) -> StripPoints:
+        """The measurements that a mask (N,) selects."""
+        rows = np.flatnonzero(which)
         return replace(
             self,
             targets=tuple(self.targets[n] for n in rows),

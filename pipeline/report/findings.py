@@ -115,7 +115,7 @@ def spread(share: float) -> Iterator[Finding]:
         yield Finding(
             cause="targets in one part of the swath",
             item="all strips",
-            text=f"all targets lie within {share:.0%} of the width of the swath: they hardly determine the "
-            "rotation about the boresight (Z). Add targets near both ends of the swath.",
+            text=f"they span {share:.0%} of its width and hardly determine the rotation about the boresight "
+            "(Z): add targets near both ends.",
             is_fault=False,
         )

@@ -47,8 +47,10 @@ def input_findings(dump: Dump, tasks: Sequence[StripTask], omissions: Sequence[O
 
 def given_twice(omissions: Sequence[Omission]) -> Iterator[Finding]:
     """Strips, CCDs, exposures and targets that repeat others, and images that several rows name."""
-    for kind, table in TABLES.items():
-        of_kind = [one for one in omissions if one.kind == kind]
+    tables = [*TABLES.items(), ("target", "points.csv")]
+    for kind, table in tables:
+        of_points = table == "points.csv"
+        of_kind = [one for one in omissions if one.kind == kind and (one.file == "points.csv") == of_points]
         for cause, text in SEVERAL.items():
             names = [one.name for one in of_kind if one.cause == cause]
             if names:
@@ -58,7 +60,7 @@ def given_twice(omissions: Sequence[Omission]) -> Iterator[Finding]:
                     item=f"{len(names)} {kind}{'s' if len(names) > 1 else ''}",
                     text=f"{', '.join(names[:SHOWN])}{more}: {text} {table}.",
                     file=table,
-                    is_fault=kind != "target",  # chips may overlap
+                    is_fault=kind != "target" or of_points,  # chips may overlap
                 )
 
 
@@ -155,15 +157,17 @@ def heights(names: Sequence[str], above_m: Floats, geoid_m: float) -> Iterator[F
     middle = float(np.median(above_m[known]))
     scatter = 1.4826 * float(np.median(np.abs(above_m[known] - middle)))
     if abs(middle) >= max(SMALLEST_HEIGHT_M, 3.0 * scatter / np.sqrt(known.sum())):
-        text = f"{known.sum()} targets differ from the terrain model by {middle:+.1f} m (median)"
-        cause = "heights of targets or terrain"
+        n, size = int(known.sum()), f"{middle:+.1f} m (median)"
+        text = f"{n} targets differ from the terrain model by {size}: check height_m."
+        cause, item = "heights of targets or terrain", "all targets, or the terrain model"
         if abs(abs(middle) - abs(geoid_m)) < 0.2 * abs(geoid_m):
-            cause = "kind of height"
-            kinds = ("ellipsoidal", "EGM96") if middle * geoid_m > 0.0 else ("EGM96", "ellipsoidal")
-            text += f", as much as the geoid lies from the ellipsoid there ({geoid_m:+.1f} m): the targets' "
-            text += f"heights are {kinds[0]} but stated as {kinds[1]} (height_kind in targets.csv), or those "
-            text += f"of the terrain {kinds[1]} but stated as {kinds[0]} ([terrain] in dump.toml)"
-        yield Finding(cause=cause, item="all targets, or the terrain model", text=f"{text}.")
+            cause, item = "kind of height", "all targets"
+            true, stated = ("ellipsoidal", "EGM96") if middle * geoid_m > 0.0 else ("EGM96", "ellipsoidal")
+            text = (
+                f"{n} targets differ by {size}, as the geoid: the targets' heights are {true} but stated as "
+                f"{stated}, or the terrain's conversely: check height_kind."
+            )
+        yield Finding(cause=cause, item=item, text=text, file="targets.csv", field="height_m, height_kind")
     off = np.abs(np.where(known, above_m - middle, 0.0))
     for n in np.flatnonzero(off > max(SINGLE_HEIGHT_M, 6.0 * scatter))[:FEWEST].tolist():
         text = f"it lies {above_m[n] - middle:+.0f} m above the terrain, compared with the other targets"

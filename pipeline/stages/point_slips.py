@@ -31,14 +31,6 @@ def without_hidden_points(task: StripTask) -> tuple[StripTask, list[Omission]]:
     hidden = np.sum(up_e * (task.orbit.positions_e(t_s) - p_e), axis=1) <= 0.0
     if not hidden.any():
         return task, []
-    kept = np.flatnonzero(~hidden)
-    rest = replace(
-        points,
-        targets=tuple(points.targets[n] for n in kept),
-        ccd=points.ccd[kept],
-        xy_px=points.xy_px[kept],
-        cov_px=points.cov_px[kept],
-    )
     found = []
     for n in np.flatnonzero(hidden).tolist():
         target = points.targets[n]
@@ -46,7 +38,7 @@ def without_hidden_points(task: StripTask) -> tuple[StripTask, list[Omission]]:
         name = f"{task.strip.strip_id}/{target.target_id}"
         reason = f"beyond the horizon of the satellite{slip or '; correct points.csv'}"
         found.append(Omission("target", name, "points.csv", reason, Cause.OUTSIDE_CHIP))
-    return replace(task, points=rest), found
+    return replace(task, points=points.take(~hidden)), found
 
 
 def fitting_slip(task: StripTask, target: Target, ccd: int, xy_px: Floats) -> str:

@@ -3,6 +3,7 @@
 import json
 import re
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -20,6 +21,9 @@ from boresight.pipeline.files.dump import open_dump
 from boresight.pipeline.files.text_files import toml_tables
 from boresight.pipeline.run.unit_store import UnitStore
 from boresight.pipeline.stages.calibrate import calibrate_dump
+from boresight.pipeline.stages.left_out import lost_ccds
+from boresight.pipeline.stages.sky_losses import LOST_SHARE, named_alone, sky_counts, strips_without_stars
+from boresight.pipeline.stages.sky_strip import NamedStars
 from boresight.pipeline.stages.star_pictures import star_pictures
 
 SKY = Path(__file__).parents[3] / "fixtures" / "sky"
@@ -193,3 +197,59 @@ def test_a_camera_stated_so_uncertain_that_no_name_is_sure_says_so(dump):
         DataNotSufficientError, match=r"sky: 1; .*name unsure, .*: of the stated errors look_distortion_px"
     ):
         calibrate_dump(open_dump(dump))
+
+
+def test_stars_missing_in_a_strip_are_told_by_ccd_by_image_and_by_strip(calibration):
+    dump, side, named = open_dump(SKY), calibration.sky, calibration.named
+    counts = sky_counts(dump, side, named, calibration.estimate.R_cs)
+    seen = [found for found, _ in counts.values()]
+    expected = [n for _, n in counts.values()]
+    assert sum(expected) >= 15 and sum(seen) == sum(expected)  # no star of this sky is lost
+    assert list(strips_without_stars(dump, side, named, counts, [])) == []
+
+    (found,) = side.found
+    moved = found.xy_px + np.where(found.ccd == 1, 300.0, 0.0)[:, None] * [
+        0.0,
+        1.0,
+    ]  # along the scan
+    shifted = replace(side, found=(replace(found, xy_px=moved),))
+    (one,) = named
+    gone = replace_named(one, shifted.found[0], one.rows[found.ccd[one.rows] != 1])
+    counts = sky_counts(dump, shifted, [gone], calibration.estimate.R_cs)
+    assert lost_ccds(counts, LOST_SHARE).keys() == {1}
+    (alone,) = named_alone(dump, shifted, counts)  # by its own vote, for the test of its place
+    assert set(alone.found.ccd[alone.rows].tolist()) == {1} and len(alone.rows) >= 3
+
+    empty = replace_named(one, found, one.rows[:0])
+    counts = {key: (0, n) for key, (_, n) in sky_counts(dump, side, named, calibration.estimate.R_cs).items()}
+    (told,) = strips_without_stars(dump, side, [empty], counts, [])
+    assert told.refutes and "agree by themselves" in told.text  # named by its own vote: contradicts
+    assert list(strips_without_stars(dump, side, [empty], counts, ["sky01"])) == []  # a cause explains it
+    last = np.array([side.tasks[0].camera.n_px(ccd) - 1.0 for ccd in range(4)])
+    mirrored = found.xy_px.copy()
+    mirrored[:, 0] = last[found.ccd] - mirrored[:, 0]
+    reversed_side = replace(side, found=(replace(found, xy_px=mirrored),))
+    (told,) = strips_without_stars(dump, reversed_side, [empty], counts, [])
+    assert (told.cause, told.item) == ("order of an image", "strip sky01") and "columns reversed" in told.text
+
+
+def replace_named(one, found, rows):
+    """The named stars of a strip of which only the detections `rows` have names."""
+    keep = np.isin(one.rows, rows)
+    return NamedStars(
+        strip_id=one.strip_id,
+        found=found,
+        rows=one.rows[keep],
+        places=one.places.take(np.flatnonzero(keep)),
+        probability_wrong=one.probability_wrong[keep],
+        omissions=(),
+    )
+
+
+def test_what_several_ccds_lost_counts_together():
+    cloud = {("s", 0): (1, 3), ("s", 1): (2, 3), ("s", 2): (3, 3), ("s", 3): (2, 3)}
+    assert lost_ccds(cloud) == {}
+    few = {("s", 0): (0, 3), ("s", 1): (5, 5), ("s", 2): (0, 4), ("s", 3): (4, 4)}
+    assert lost_ccds({**few, ("s", 2): (4, 4)}, LOST_SHARE) == {}  # three stars of one CCD may be chance
+    assert lost_ccds(few, LOST_SHARE) == {0: (0, 3), 2: (0, 4)}
+    assert lost_ccds({("s", ccd): (0, 5) for ccd in range(4)}) == {}  # a strip that shows nothing

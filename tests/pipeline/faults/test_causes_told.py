@@ -1,0 +1,215 @@
+"""Faults of a dump's inputs and what is told of them: the cause with its size, its item, its file and field.
+
+Measured points of three strips and two heads: nothing is searched in images, so a calibration is short. Each
+fault is another one than those of `benchmarks/faults.py`.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator
+from functools import partial
+from importlib import import_module
+from pathlib import Path
+
+import numpy as np
+import pytest
+from outside import ROOT
+
+from boresight.calib.finding import MOST_WORDS
+from boresight.calib.reliability import blind_spots
+from boresight.calib.verdict import Outcome
+from boresight.pipeline.errors import DataNotSufficientError
+from boresight.pipeline.files.dump import open_dump
+from boresight.pipeline.stages.calibrate import DumpCalibration, calibrate_dump
+
+sys.path[:0] = [str(ROOT / "benchmarks")]
+faults, fault_dumps = import_module("faults"), import_module("fault_dumps")
+change, edited, later = faults.change, faults.edited, faults.later
+PITCH_MM = 0.12  # of a pixel of the remote-sensing camera
+NO_ABERRATION = "[light]\naberration = false\n\n"
+Make = Callable[[Path], None]
+
+
+@pytest.fixture(scope="module")
+def sound(made_once) -> Path:
+    """The dump without a fault."""
+    return (
+        made_once("measured-points", lambda folder: fault_dumps.sound_dump("points", 1, folder)) / "points-1"
+    )
+
+
+@pytest.fixture(scope="module")
+def right(sound: Path) -> DumpCalibration:
+    """The calibration of the dump without a fault."""
+    return calibrate_dump(open_dump(sound))
+
+
+@pytest.fixture
+def told(sound: Path, tmp_path: Path) -> Iterator[Callable[[Make], DumpCalibration]]:
+    """What a calibration of the dump with a fault gives."""
+
+    def calibrated(make: Make) -> DumpCalibration:
+        fault_dumps.linked(sound, tmp_path / "dump")
+        make(tmp_path / "dump")
+        return calibrate_dump(open_dump(tmp_path / "dump"))
+
+    return calibrated
+
+
+def rows_late(strip: str, seconds: float, dump: Path) -> None:
+    def edit(row: dict[str, str]) -> None:
+        if row["id"] == strip:
+            row["utc_first_row"] = later(row["utc_first_row"], seconds)
+
+    edited("strips.csv", edit, dump)
+
+
+def period(strip: str, factor: float, dump: Path) -> None:
+    def edit(row: dict[str, str]) -> None:
+        if row["id"] == strip:
+            row["row_period_s"] = repr(float(row["row_period_s"]) * factor)
+
+    edited("strips.csv", edit, dump)
+
+
+def camera(key: str, ccd: int | None, add: float, dump: Path) -> None:
+    faults.toml_number("remote_camera.toml", key, lambda value: value + add, ccd, dump)
+
+
+def focal_length(dump: Path) -> None:
+    faults.toml_number("remote_camera.toml", "focal_length_m", lambda value: value * 1.0004, None, dump)
+
+
+def one_point(name: str, column: str, new: Callable[[str], str], dump: Path) -> None:
+    def edit(row: dict[str, str]) -> None:
+        if row["id"] == name:
+            row[column] = new(row[column])
+
+    edited("points.csv", edit, dump)
+
+
+CAUSES = [
+    # fault, cause, item, size (NaN: none is told), file
+    (partial(rows_late, "s02", -7e-3), "clock of the rows", "strip s02", -7.0, "strips.csv"),
+    (partial(rows_late, "s03", 9e-3), "clock of the rows", "strip s03", 9.0, "strips.csv"),
+    (partial(period, "s01", 1.0018), "row period", "strip s01", 0.18, "strips.csv"),
+    (
+        partial(camera, "x_offset_mm", 1, 0.7 * PITCH_MM),
+        "place of a CCD, along the track",
+        "CCD 1",
+        0.7,
+        "remote_camera.toml",
+    ),
+    (
+        partial(camera, "y_first_mm", 3, -0.8 * PITCH_MM),
+        "place of a CCD, across the track",
+        "CCD 3",
+        -0.8,
+        "remote_camera.toml",
+    ),
+    (
+        focal_length,
+        "orbit or targets, height",
+        "all strips",
+        -212.0,
+        "orbit, targets.csv",
+    ),  # "or focal length"
+    (
+        partial(one_point, "s01-t07", "lat_deg", lambda v: f"{float(v) + 2.5e-4:.10f}"),
+        "coordinates",
+        "target s01-t07 (strip s01)",
+        27.8,
+        "points.csv",
+    ),
+]
+
+
+@pytest.mark.parametrize(("make", "cause", "item", "size", "file"), CAUSES)
+def test_a_cause_is_told_first_with_its_size_and_accuses_nothing_else(told, make, cause, item, size, file):
+    verdict = told(make).verdict
+    first, *others = [one for one in verdict.findings if one.is_fault]
+    assert (first.cause, first.item, first.file) == (cause, item, file), first
+    assert first.value == pytest.approx(size, abs=max(5.0 * first.sigma, 0.15 * abs(size)))
+    assert others == []
+    assert verdict.outcome in (Outcome.REFUTED, Outcome.FINDINGS)
+    assert len(f"{first.cause} {first.item} {first.text}".split()) <= MOST_WORDS
+
+
+def test_the_sound_dump_has_no_finding_and_names_what_it_cannot_show(right):
+    found = right
+    assert found.verdict.outcome is Outcome.CONSISTENT
+    assert [one for one in found.verdict.findings if one.is_fault] == []
+    unseen = {(one.cause, one.item) for one in blind_spots(found.verdict.tests) if one.is_unseen}
+    assert {
+        ("aberration of the attitudes, annual", "head STR1"),
+        ("aberration of the attitudes, orbital", "head STR1"),
+        ("clock of the exposures", "head STR1"),
+        ("clock of the rows", "all strips"),
+        ("light of the targets, aberration", "all targets"),
+    } <= unseen
+
+
+@pytest.mark.parametrize(
+    ("make", "cause"),
+    [
+        (
+            lambda dump: change(dump / "dump.toml", '"annual and orbital"', '"none"'),
+            "aberration of the attitudes, annual",
+        ),
+        (
+            lambda dump: change(
+                dump / "dump.toml", r"(?m)^\[errors\]", "[light]\naberration = false\n\n[errors]"
+            ),
+            "light of the targets, aberration",
+        ),
+    ],
+)
+def test_an_error_that_leaves_no_residual_moves_the_matrix_as_its_blind_spot_says(told, right, make, cause):
+    wrong = told(make)
+    (spot,) = [one for one in blind_spots(wrong.verdict.tests) if one.cause == cause]
+    moved = (wrong.estimate.R_cs * right.estimate.R_cs.inv()).as_rotvec()
+    size = np.linalg.norm(spot.effect_rad)
+    assert spot.is_unseen
+    if cause.startswith("light"):  # alone; the label of a head is one effect of two
+        assert np.linalg.norm(moved) == pytest.approx(size, rel=0.05)
+    assert np.max(np.abs(moved) / right.estimate.sigma_theta) > 4.0
+
+
+def exchanged_heads(dump: Path) -> None:
+    one, other = dump / "STR1.csv", dump / "STR2.csv"
+    one.rename(dump / "kept")
+    other.rename(one)
+    (dump / "kept").rename(other)
+
+
+def test_exchanged_heads_are_named_by_what_the_strips_then_see(told):
+    (first, *_) = told(exchanged_heads).verdict.findings
+    assert first.refutes and (first.cause, first.item) == ("files of two heads", "heads STR1 and STR2")
+    assert "exchanged, 3 of 3 strips see" in first.text and "as stated 0" in first.text
+
+
+def test_a_point_beyond_the_horizon_is_named_with_the_slip_that_fits(told):
+    found = told(partial(one_point, "s03-t02", "lon_deg", lambda value: f"-{value}"))
+    (first,) = [one for one in found.verdict.findings if one.is_fault]
+    assert first.item == "target s03-t02" and first.file == "points.csv"
+    assert "beyond the horizon" in first.text and "(sign) would fit" in first.text
+
+
+def test_offsets_of_all_ccds_that_are_zero_are_told_by_ccd_where_no_matrix_is_determined(told):
+    def zero(dump: Path) -> None:
+        faults.toml_number("remote_camera.toml", "x_offset_mm", lambda value: 0.0, None, dump)
+
+    with pytest.raises(DataNotSufficientError, match=r"^place of a CCD, along the track, CCD \d:.*x_offset"):
+        told(zero)
+
+
+def test_the_same_points_under_other_ids_count_once(told, right):
+    def twice(dump: Path) -> None:
+        header, *rows = faults.table(dump / "points.csv")
+        faults.write(dump / "points.csv", [header, *rows, *([f"{row[0]}x", *row[1:]] for row in rows)])
+
+    again = told(twice)
+    assert again.estimate.cov_theta.tolist() == right.estimate.cov_theta.tolist()
+    (finding,) = [one for one in again.verdict.findings if one.is_fault]
+    assert (finding.cause, finding.file) == ("given twice", "points.csv")

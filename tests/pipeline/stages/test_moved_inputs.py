@@ -1,0 +1,69 @@
+"""Inputs moved by prediction: against ERFA, and against what the residuals then do."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from boresight.calib.hypotheses import hypotheses
+from boresight.calib.moved_input import MovedInput
+from boresight.calib.settings import CalibrationSettings
+from boresight.calib.strips import prepare_strip
+from boresight.geometry.attitude_aberration import with_all_aberration
+from boresight.geometry.attitude_estimate import with_attitudes
+from boresight.geometry.constants import ARCSEC
+from boresight.geometry.epoch import Epoch
+from boresight.pipeline.stages.moved_inputs import _turned_by_velocity
+from boresight.simulator.campaign import CameraPair, StripPlan, draw_strips
+
+BOLD = Rotation.from_euler("xyz", [40, -65, 110], degrees=True)
+CAMERAS = CameraPair(BOLD, n_ccds=2, ccd_px=12288)
+SETTINGS = CalibrationSettings(robust=False)
+
+
+def test_attitudes_turn_with_a_velocity_as_by_the_aberration_that_a_head_left_in():
+    epoch, t_s = Epoch.from_utc("2024-11-20T04:00:00"), np.array([0.0, 60.0, 4000.0])
+    R_si = Rotation.random(3, random_state=5)
+    v_i = np.array([[7400.0, 900.0, -1200.0], [-300.0, 7500.0, 800.0], [100.0, -200.0, 7600.0]])
+    turned = with_all_aberration(R_si, "annual", epoch, t_s, v_i)  # the orbital part is put in
+    expected = (turned * R_si.inv()).as_rotvec()
+    # Of second order in v/c, 6e-10 rad, and the annual part's own change: far below 1e-3 of 5 arc-seconds.
+    assert np.abs(_turned_by_velocity(R_si.as_matrix(), v_i) - expected).max() < 1e-3 * 5.0 * ARCSEC
+
+
+def test_a_moved_input_changes_the_residuals_as_its_column_says():
+    rng = np.random.default_rng(11)
+    plan = StripPlan(strips=2, exposures=5, stars=15, sigma_target_m=0.5)
+    strips = with_attitudes(draw_strips(plan, CAMERAS, rng)[0], SETTINGS.attitudes)
+    size = 3e-6  # rad: its square is 1e-11
+    directions = {one.strip_id: size * rng.normal(size=one.ground.u_i.shape) for one in strips}
+    for one in strips:  # along the sphere
+        u_i, du = one.ground.u_i, directions[one.strip_id]
+        directions[one.strip_id] = du - np.sum(u_i * du, axis=1, keepdims=True) * u_i
+    turns = {one.strip_id: np.tile(size * rng.normal(size=3), (len(one.exposures), 1)) for one in strips}
+    moved = MovedInput(
+        cause="trial",
+        item="all",
+        unit="",
+        words=("", ""),
+        file="",
+        field="",
+        directions_i=directions,
+        turns_s=turns,
+    )
+    prepared = [prepare_strip(one, SETTINGS) for one in strips]
+    table = hypotheses(prepared, BOLD, CAMERAS.pixel_rad, [], [moved])
+    (column,) = [one.change_c for one in table if one.cause == "trial"]
+
+    def stated_otherwise(one):
+        turn = Rotation.from_rotvec(turns[one.strip_id])
+        R_si = (turn * Rotation.from_matrix(one.attitudes.R_si)).as_matrix()
+        u_i = one.ground.u_i + directions[one.strip_id]
+        ground = replace(one.ground, u_i=u_i / np.linalg.norm(u_i, axis=1, keepdims=True))
+        return replace(one, ground=ground, attitudes=replace(one.attitudes, R_si=R_si))
+
+    after = [prepare_strip(stated_otherwise(one), SETTINGS) for one in strips]
+    change = [-(b.v_s - a.v_s) @ BOLD.as_matrix().T for a, b in zip(prepared, after)]
+    assert np.abs(column - np.concatenate(change)).max() < 1e-3 * size

@@ -1,0 +1,64 @@
+"""Findings are short: cause, item and text of every one have at most `MOST_WORDS` words."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+
+import pytest
+from outside import ROOT
+
+from boresight.calib.finding import MOST_WORDS
+
+ROOMS = ("calib", "pipeline", "features")
+
+
+def calls() -> Iterator[tuple[str, ast.FunctionDef, ast.Call]]:
+    """Every place that makes a finding, and the function that it stands in."""
+    for path in sorted(one for room in ROOMS for one in (ROOT / room).rglob("*.py")):
+        for function in ast.walk(ast.parse(path.read_text())):
+            if isinstance(function, ast.FunctionDef):
+                for node in ast.walk(function):
+                    if isinstance(node, ast.Call) and getattr(node.func, "id", "") == "Finding":
+                        yield f"{path.relative_to(ROOT)}:{node.lineno}", function, node
+
+
+def texts(node: ast.expr, function: ast.FunctionDef) -> list[str]:
+    """What an expression of text may be, each value that is put in as one word."""
+    match node:
+        case ast.Constant(value=str(value)):
+            return [value]
+        case ast.JoinedStr(values=parts):
+            return ["".join(part.value if isinstance(part, ast.Constant) else "x" for part in parts)]
+        case ast.IfExp(body=body, orelse=other):
+            return [*texts(body, function), *texts(other, function)]
+        case ast.BinOp(left=left, right=right):
+            return [a + b for a in texts(left, function) for b in texts(right, function)]
+        case ast.Name(id=name):
+            return assigned(name, function) or ["x"]
+    return ["x"]
+
+
+def assigned(name: str, function: ast.FunctionDef) -> list[str]:
+    found: list[str] = []
+    for node in ast.walk(function):
+        match node:
+            case ast.Assign(targets=[ast.Name(id=other)], value=value) if other == name:
+                if not any(isinstance(one, ast.Name) and one.id == name for one in ast.walk(value)):
+                    found += texts(value, function)
+    return found
+
+
+EVERY = list(calls())
+
+
+def test_findings_are_made_in_many_places():
+    assert len(EVERY) > 15
+
+
+@pytest.mark.parametrize(("place", "function", "call"), EVERY, ids=[one[0] for one in EVERY])
+def test_a_finding_has_at_most_thirty_words(place, function, call):
+    parts = {one.arg: one.value for one in call.keywords if one.arg in ("cause", "item", "text")}
+    assert set(parts) == {"cause", "item", "text"}, place
+    most = sum(max(len(text.split()) for text in texts(value, function)) for value in parts.values())
+    assert most <= MOST_WORDS, (place, most)
