@@ -39,6 +39,7 @@ from boresight.pipeline.stages.cached import Progress, StageRunner
 from boresight.pipeline.stages.conventions import likely_convention, sees_its_targets
 from boresight.pipeline.stages.coverage import attitudes_in_s, carriers, covered_strips, stated_mountings
 from boresight.pipeline.stages.earth_table import EarthTableCheck, check_earth_table, earth_findings
+from boresight.pipeline.stages.exchanged_files import exchanged_in_ground, exchanged_in_sky
 from boresight.pipeline.stages.head import HeadSightings, sight_head
 from boresight.pipeline.stages.input_findings import assumed_motion, input_findings
 from boresight.pipeline.stages.left_out import Counts, counts_of, lost_ccds, searched_alone, with_left_out
@@ -353,7 +354,12 @@ def _target_findings(
     strips = {name.rpartition("/")[0] for one in reliability.findings for name in one.targets}
     suspected = suspected_targets(reliability.suspects, estimate.R_cs, last.tasks, last.matched)
     images = {task.strip.strip_id: task.strip.images for task in last.sky.tasks}
+    exchanged = [
+        *exchanged_in_ground(last.tasks, last.matched),
+        *exchanged_in_sky(dump, last.sky, last.named, stars, estimate.R_cs),
+    ]
     return [
+        *exchanged,
         *single_targets(list(suspected), is_explained=bool(reliability.findings)),
         *lost_targets(last.tasks, last.matched, items),
         *lost_stars(images, stars, STARS_LOST, items),

@@ -21,6 +21,7 @@ from boresight.pipeline.files.dump import open_dump
 from boresight.pipeline.files.text_files import toml_tables
 from boresight.pipeline.run.unit_store import UnitStore
 from boresight.pipeline.stages.calibrate import calibrate_dump
+from boresight.pipeline.stages.exchanged_files import exchanged_in_sky
 from boresight.pipeline.stages.left_out import lost_ccds
 from boresight.pipeline.stages.sky_losses import LOST_SHARE, named_alone, sky_counts, strips_without_stars
 from boresight.pipeline.stages.sky_strip import NamedStars
@@ -208,17 +209,23 @@ def test_stars_missing_in_a_strip_are_told_by_ccd_by_image_and_by_strip(calibrat
     assert list(strips_without_stars(dump, side, named, counts, [])) == []
 
     (found,) = side.found
-    moved = found.xy_px + np.where(found.ccd == 1, 300.0, 0.0)[:, None] * [
+    moved = found.xy_px + np.where(np.isin(found.ccd, [1, 2]), 300.0, 0.0)[:, None] * [
         0.0,
         1.0,
     ]  # along the scan
     shifted = replace(side, found=(replace(found, xy_px=moved),))
     (one,) = named
-    gone = replace_named(one, shifted.found[0], one.rows[found.ccd[one.rows] != 1])
+    gone = replace_named(one, shifted.found[0], one.rows[~np.isin(found.ccd[one.rows], [1, 2])])
     counts = sky_counts(dump, shifted, [gone], calibration.estimate.R_cs)
-    assert lost_ccds(counts, LOST_SHARE).keys() == {1}
+    assert lost_ccds(counts, LOST_SHARE).keys() == {1, 2}
     (alone,) = named_alone(dump, shifted, counts)  # by its own vote, for the test of its place
-    assert set(alone.found.ccd[alone.rows].tolist()) == {1} and len(alone.rows) >= 3
+    assert set(alone.found.ccd[alone.rows].tolist()) == {1, 2} and len(alone.rows) >= 3
+
+    exchanged = replace(found, ccd=np.array([0, 2, 1, 3])[found.ccd])
+    gone = replace_named(one, exchanged, one.rows[~np.isin(found.ccd[one.rows], [1, 2])])
+    counts = sky_counts(dump, side, [gone], calibration.estimate.R_cs)
+    (told,) = exchanged_in_sky(dump, side, [gone], counts, calibration.estimate.R_cs)
+    assert told.item == "CCD 1 and CCD 2 in strip sky01" and told.file == "strips.csv"
 
     empty = replace_named(one, found, one.rows[:0])
     counts = {key: (0, n) for key, (_, n) in sky_counts(dump, side, named, calibration.estimate.R_cs).items()}

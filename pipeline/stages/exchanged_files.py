@@ -1,0 +1,83 @@
+"""Exchanged files of two CCDs of a strip: what is missing on both is found with the image of the other."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from itertools import combinations
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from boresight.calib.finding import Finding
+from boresight.pipeline.errors import Omission
+from boresight.pipeline.files.dump import Dump
+from boresight.pipeline.files.image_files import StripFiles
+from boresight.pipeline.stages.left_out import Counts, counts_of
+from boresight.pipeline.stages.sky_losses import sky_counts
+from boresight.pipeline.stages.sky_side import SkySide
+from boresight.pipeline.stages.sky_strip import NamedStars
+from boresight.pipeline.stages.strip import MatchedTargets, StripTask, match_strip_targets
+
+__all__ = ["exchanged_in_ground", "exchanged_in_sky"]
+
+FEWEST = 3  # targets or stars that are found with the exchange
+LEAST_OF_CCD = 2  # in view of each of the two
+Found = Callable[[int, int], int]
+
+
+def exchanged_in_ground(tasks: Sequence[StripTask], matched: Sequence[MatchedTargets]) -> Iterator[Finding]:
+    """Pairs of CCDs of strips of the ground on which nothing matches, but with the image of the other."""
+    for task, one in zip(tasks, matched):
+
+        def found(a: int, b: int, task: StripTask = task) -> int:
+            images = _exchanged(task.strip.images, a, b).of([a, b])
+            if images.shape(a) != images.shape(b):
+                return 0
+            outcome = match_strip_targets(replace(task, strip=replace(task.strip, images=images)))
+            return 0 if isinstance(outcome, Omission) else len(outcome.ccd)
+
+        if len(one.ccd):
+            yield from _findings(task.strip.strip_id, counts_of([one]), found, "targets")
+
+
+def exchanged_in_sky(
+    dump: Dump, side: SkySide, named: Sequence[NamedStars], counts: Counts, R_cs: Rotation
+) -> Iterator[Finding]:
+    """Pairs of CCDs of strips of the sky whose bright stars all are on the other one."""
+    for n, (task, one) in enumerate(zip(side.tasks, named)):
+        strip_id = task.strip.strip_id
+        only = replace(side, tasks=(task,), found=(side.found[n],), computed=side.computed[n : n + 1])
+
+        def found(a: int, b: int, one: NamedStars = one, only: SkySide = only) -> int:
+            ccd = one.found.ccd
+            other = replace(one.found, ccd=np.where(ccd == a, b, np.where(ccd == b, a, ccd)))
+            again = sky_counts(dump, only, [replace(one, found=other)], R_cs)
+            return again[one.strip_id, a][0] + again[one.strip_id, b][0]
+
+        own = {key: value for key, value in counts.items() if key[0] == strip_id}
+        yield from _findings(strip_id, own, found, "bright stars")
+
+
+def _findings(strip_id: str, counts: Counts, found: Found, what: str) -> Iterator[Finding]:
+    empty = [ccd for (_, ccd), (kept, n) in sorted(counts.items()) if not kept and n >= LEAST_OF_CCD]
+    for a, b in combinations(empty, 2):
+        n, seen = sum(counts[strip_id, ccd][1] for ccd in (a, b)), found(a, b)
+        if seen >= max(FEWEST, 0.5 * n):
+            yield Finding(
+                cause="files of two CCDs",
+                item=f"CCD {a} and CCD {b} in strip {strip_id}",
+                text=f"exchanged, {seen} of {n} {what} are found, as stated none: check file in strips.csv.",
+                file="strips.csv",
+                field="file",
+            )
+
+
+def _exchanged(images: StripFiles, a: int, b: int) -> StripFiles:
+    other = {a: b, b: a}
+    return StripFiles(
+        *(
+            {ccd: one[other.get(ccd, ccd)] for ccd in one}
+            for one in (images.paths, images.names, images.shapes)
+        )
+    )
