@@ -31,7 +31,7 @@ def exchanged_in_ground(tasks: Sequence[StripTask], matched: Sequence[MatchedTar
     for task, one in zip(tasks, matched):
 
         def found(a: int, b: int, task: StripTask = task) -> int:
-            images = _exchanged(task.strip.images, a, b).of([a, b])
+            images = _exchanged(task.strip.images, a, b)
             if images.shape(a) != images.shape(b):
                 return 0
             outcome = match_strip_targets(replace(task, strip=replace(task.strip, images=images)))
@@ -74,10 +74,9 @@ def _findings(strip_id: str, counts: Counts, found: Found, what: str) -> Iterato
 
 
 def _exchanged(images: StripFiles, a: int, b: int) -> StripFiles:
-    other = {a: b, b: a}
+    """The images of two CCDs, each as that of the other."""
     return StripFiles(
-        *(
-            {ccd: one[other.get(ccd, ccd)] for ccd in one}
-            for one in (images.paths, images.names, images.shapes)
-        )
+        {a: images.paths[b], b: images.paths[a]},
+        {a: images.names[b], b: images.names[a]},
+        {a: images.shapes[b], b: images.shapes[a]},
     )

@@ -1,4 +1,4 @@
-"""Faults of a dump's inputs and what is told of them: the cause with its size, its item, its file and field.
+"""Faults of inputs and what is reported of them: the cause with its size, its item, its file and field.
 
 Measured points of three strips and two heads: nothing is searched in images, so a calibration is short. Each
 fault is another one than those of `benchmarks/faults.py`.
@@ -90,7 +90,7 @@ def one_point(name: str, column: str, new: Callable[[str], str], dump: Path) -> 
 
 
 CAUSES = [
-    # fault, cause, item, size (NaN: none is told), file
+    # fault, cause, item, size (NaN: none is reported), file
     (partial(rows_late, "s02", -7e-3), "clock of the rows", "strip s02", -7.0, "strips.csv"),
     (partial(rows_late, "s03", 9e-3), "clock of the rows", "strip s03", 9.0, "strips.csv"),
     (partial(period, "s01", 1.0018), "row period", "strip s01", 0.18, "strips.csv"),
