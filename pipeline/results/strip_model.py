@@ -61,7 +61,8 @@ class StripModel:
 
 def open_calibrated(result: Path, dump: Path | None, *, allow_stale_eop: bool = False) -> Calibrated:
     """A finished result with its dump: the one given, or else the one that the run's notes name. Of several
-    dumps, one must be given; it comes with the joint matrix.
+    dumps, one must be given; it comes with the joint matrix. `RawDataError` for a result without covariances
+    of the attitudes, of an earlier version.
     """
     folder, saved = read_for_dump(result, dump)
     if np.isnan(saved.covariance_s).any():
