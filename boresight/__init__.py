@@ -114,9 +114,9 @@ _MODULES = {
     "vectors": "calibrate_vectors",
     "version": "__version__",
 }
-if not os.path.isdir(os.path.join(__path__[0], "geometry")):
+if os.path.isfile(os.path.join(__path__[0], "geometry")):  # what git makes of a link where it may not
     raise ImportError(
-        f"{os.path.join(__path__[0], 'geometry')} is no folder: this checkout is without symbolic links;"
+        f"{os.path.join(__path__[0], 'geometry')} is a file: this checkout is without symbolic links;"
         " clone it by `git clone -c core.symlinks=true`, or install the package (a wheel has no links)"
     )
 _MODULE_OF = {name: module for module, names in _MODULES.items() for name in names.split()}
