@@ -74,6 +74,9 @@ def identify_command(
         print_data(csv_line(FIELDS))
     named = lines = 0
     request = Request(camera, fov, dark, Whereabouts(times, orbit, site), as_fits, out, overlay)
+    if as_fits or report is not None:
+        from boresight.features.sky_images import identify_page, wcs_files  # with astropy 0.4 s to load
+
     for line in identify_images(images, request, star_settings(settings)):
         named, lines = named + line.identified, lines + 1
         if as_json:
@@ -83,14 +86,10 @@ def identify_command(
         else:
             tell(line.text)
         if as_fits and line.found is not None:
-            from boresight.features.sky_images.wcs_files import write_wcs  # with astropy 0.4 s to load
-
             path = str(line.record["file"])
-            write_wcs(Path(f"{Path(path).stem}.wcs.fits"), path, line.found)
+            wcs_files.write_wcs(Path(f"{Path(path).stem}.wcs.fits"), path, line.found)
         if report is not None and line.image is not None:
-            from boresight.features.sky_images.identify_page import write_sky_page  # with jinja 0.2 s to load
-
-            write_sky_page(line, own_name(report, Path(str(line.record["file"])), len(images)))
+            identify_page.write_sky_page(line, own_name(report, Path(str(line.record["file"])), len(images)))
     (say if as_json or as_csv else tell)(
         f"identified {named} of {lines} images" + (f" -> {out}" if out else "")
     )

@@ -11,6 +11,7 @@ import typer
 
 from boresight.pipeline.console.messages import DONE, LIMIT_MISSED, Answer
 from boresight.pipeline.files.whole_file import write_text
+from boresight.pipeline.results.limits import junit_xml, limit_lines
 
 if TYPE_CHECKING:
     from boresight.pipeline.results.limits import Limit
@@ -24,7 +25,6 @@ def held(
     command: str, limits: Sequence[Limit], junit: Path | None, begun_s: float, answer: Answer | None = None
 ) -> Answer:
     """`answer` with its limits: a line each, the JUnit file, exit status 4 if one is missed."""
-    from boresight.pipeline.results.limits import junit_xml, limit_lines
 
     told = answer if answer is not None else Answer()
     if junit is not None:

@@ -7,6 +7,8 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
+from rich import console, progress
+
 from boresight.pipeline.console.messages import log, shows_bars
 
 __all__ = ["progress_bars"]
@@ -26,7 +28,6 @@ def progress_bars() -> Iterator[Callable[[str, int, int | None], None]]:
     if sys.stderr is None or not (sys.stderr.isatty() and shows_bars()):
         yield noted
         return
-    from rich import console, progress  # 0.15 s to load, and most commands print one line
 
     columns = (
         progress.TextColumn("{task.description}", markup=False),

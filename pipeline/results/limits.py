@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 from xml.etree import ElementTree
 
 import numpy as np
 
 from boresight.geometry.record import record, scalar
 from boresight.pipeline.errors import printable
-from boresight.pipeline.results.validate import TruthErrors
-from boresight.star_id.score import CentroidScore
+
+if TYPE_CHECKING:  # whoever states limits need not load the models of geo-positioning, 0.2 s
+    from boresight.pipeline.results.validate import TruthErrors
+    from boresight.star_id.score import CentroidScore
 
 __all__ = ["Limit", "centroid_limits", "junit_xml", "limit_lines", "validation_limits"]
 
