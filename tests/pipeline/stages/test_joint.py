@@ -344,7 +344,7 @@ def visits(place: np.ndarray) -> list:
             star_camera=None,
         )
         own = strips[4 * n : 4 * n + 4]
-        found = SimpleNamespace(strips=own, sighted=own, settings=SETTINGS_USED)
+        found = SimpleNamespace(strips=own, sighted=own, settings=SETTINGS_USED, inputs=())
         out.append((SimpleNamespace(name=f"d{n}", dump=dump), found))
     return [out, strips]
 
