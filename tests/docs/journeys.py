@@ -95,7 +95,7 @@ def public_name(code: CodeType) -> str:
     """Dotted name of a public function of the program; "" for other code."""
     path, name = Path(code.co_filename), code.co_qualname.split(".<locals>")[0]
     private = any(part.startswith(("_", "<")) for part in name.split(".") if part != "__call__")
-    if private or not path.is_relative_to(ROOT) or "tests" in path.parts:
+    if private or not path.is_relative_to(ROOT) or {"tests", "site-packages"} & {*path.parts}:
         return ""
     parts = path.relative_to(ROOT).with_suffix("").parts
     return ".".join([*parts[parts[0] == "boresight" :], name])

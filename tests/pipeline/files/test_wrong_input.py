@@ -77,7 +77,7 @@ WRONG = {
     "orbit about Mars": (change("orbit.oem", "= EARTH", "= MARS"), "orbit.oem", "CENTER_NAME", "MARS", "EARTH"),  # noqa: E501
     "orbit in another frame": (change("orbit.oem", "GCRF", "TEME"), "orbit.oem", "REF_FRAME", "TEME", "GCRF"),
     "orbit in metres": (change("orbit.oem", "6908.000000000 0", "6908000.000 0"), "orbit.oem", "state 1, position", "6908000", "unit km"),  # noqa: E501
-    "NaN in the orbit": (change("orbit.oem", "6908.000000000 0", "nan 0"), "orbit.oem", "state 1, position", "nan", "finite"),  # noqa: E501
+    "NaN in the orbit": (change("orbit.oem", "6908.000000000 0", "nan 0"), "orbit.oem", "line 15, X", "nan", "finite"),  # noqa: E501
 }  # fmt: skip
 
 

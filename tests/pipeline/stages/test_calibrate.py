@@ -125,7 +125,7 @@ def test_targets_are_seen_through_the_air_and_from_an_orbit_over_rotating_ground
 
 def test_installation_json_has_exactly_the_fields_of_the_format(whole: Path) -> None:
     content = json.loads((whole / "installation.json").read_text())
-    assert tuple(content) == FIELDS
+    assert tuple(content) == (*FIELDS, "earth_orientation")
     R = np.array(content["R_cs"])
     # Double precision: an orthonormal matrix, the same rotation in all notations.
     assert np.allclose(R @ R.T, np.eye(3), atol=1e-14)
