@@ -48,8 +48,8 @@ def test_matrix_is_that_of_searching_every_strip(
     everywhere = calibrate_dump(dump, again, store).estimate
     sigma = np.sqrt(np.diag(everywhere.cov_theta))
     # The second matching starts from matrices that differ by a tenth of a pixel; positions then agree to some
-    # 1e-4 px, where 1 sigma of the matrix is 0.4 px and more. About Z, which one strip determines little, 1.2e-3
-    # sigma were seen.
+    # 1e-4 px, where 1 sigma of the matrix is 0.4 px and more. About Z, which one strip determines little,
+    # 1.2e-3 sigma were seen.
     assert np.all(np.abs(from_one.theta - everywhere.theta) < 2e-3 * sigma)
     assert from_one.n_targets == everywhere.n_targets
 
