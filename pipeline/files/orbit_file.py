@@ -34,6 +34,7 @@ METADATA = (
 )
 _KEYWORD = re.compile(r"([A-Z_]+)\s*=\s*(\S.*)")
 _STAMP = re.compile(r"(\d{4})-(?:\d\d-\d\d|(\d{3}))(T\d\d:\d\d:\d\d(?:\.\d+)?)Z?", re.ASCII)
+_CALENDAR_STAMP = re.compile(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d(?:\.\d+)?", re.ASCII)  # nearly all
 _NUMBER = re.compile(NUMBER)
 _STATE = re.compile(rf"\S+(?:\s+{NUMBER}){{6}}(?:(?:\s+{NUMBER}){{3}})?")
 _COORDINATES = ("X", "Y", "Z", "X_DOT", "Y_DOT", "Z_DOT")
@@ -121,10 +122,16 @@ def _of_lines(text: str, file: str) -> tuple[dict[str, str], list[str], Floats]:
     for number, line in zip(numbers, data):
         if not _STATE.fullmatch(line):
             raise _wrong_state(number, line, file)
-    rows = [line.split()[:7] for line in data]
-    values = np.fromiter(map(float, (word for row in rows for word in row[1:])), float, 6 * len(rows))
-    times = [_calendar(row[0], file, f"line {number}, time") for number, row in zip(numbers, rows)]
-    return meta, times, values.reshape(-1, 6)
+    words = " ".join(data).split()
+    if len(words) not in (7 * len(data), 10 * len(data)):  # some lines have accelerations
+        words = [word for line in data for word in line.split()[:7]]
+    width = len(words) // len(data) if data else 7
+    values = np.array([list(map(float, words[k::width])) for k in range(1, 7)]).T
+    stamps = words[::width]
+    times = [stamp.removesuffix("Z") for stamp in stamps]
+    for n in [n for n, time in enumerate(times) if not _CALENDAR_STAMP.fullmatch(time)]:
+        times[n] = _calendar(stamps[n], file, f"line {numbers[n]}, time")
+    return meta, times, np.ascontiguousarray(values)
 
 
 def _wrong_state(number: int, line: str, file: str) -> RawDataError:

@@ -388,15 +388,22 @@ def test_a_thousand_targets_open_within_a_second(address, finished, tmp_path):
         before = await spent(browser)
         await browser.go(page, 1280, "light")
         after = await spent(browser)
+        await browser.value(LOOP)
+        slower = max(1.0, (await spent(browser) - after) / LOOP_S)
         rows = await browser.value("document.querySelectorAll('#target-table tbody tr').length")
         assert browser.complaints() == []
         text = await browser.value("document.querySelector('#target-table output').textContent")
-        return after - before, rows, text
+        return (after - before) / slower, rows, text
 
     seconds, rows, text = asyncio.run(look())
     assert rows == 25 and text.startswith("1 to 25 of 1")
     assert int(text.split()[-1]) >= 1000
     assert seconds <= 1.0
+
+
+# A processor that others use is slower by its caches and its clock: the same loop tells by how much.
+LOOP = "(() => { let sum = 0; for (let i = 0; i < 1e8; i++) sum += Math.sqrt(i); return sum; })()"
+LOOP_S = 1.0  # on an idle core of 2 x 2.4 GHz, where the page takes 0.7 s
 
 
 async def spent(browser: Browser) -> float:

@@ -21,6 +21,7 @@ import pytest
 from boresight.pipeline.errors import WorkerError
 from boresight.pipeline.run import cluster
 from boresight.pipeline.run.cluster import Fingerprint, OnCluster, fingerprint, on_cluster
+from boresight.pipeline.run.workers import executor_for
 
 dask = pytest.importorskip("dask", reason="dask is in the extra `cluster`")
 distributed = pytest.importorskip("distributed", reason="dask is in the extra `cluster`")
@@ -307,8 +308,9 @@ def test_scheduler_with_certificates_deadly_units_and_lost_schedulers(
 
 def test_without_dask_the_message_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "distributed", None)
+    monkeypatch.delitem(sys.modules, "boresight.pipeline.run.cluster")
     with pytest.raises(WorkerError, match=r"pip install 'boresight\[cluster\]'"):
-        with on_cluster("tcp://127.0.0.1:1", [], None, lambda text: None):
+        with executor_for(None, "tcp://127.0.0.1:1", 0):
             pass
 
 
