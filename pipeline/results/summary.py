@@ -108,8 +108,9 @@ def blind_lines(spots: Sequence[Mapping[str, Any]]) -> list[str]:
         if one["is_unseen"]:
             kinds.setdefault(one["cause"].partition(",")[0], one)
     shown = [f"{kind} ({unit_effect(one)})" for kind, one in list(kinds.items())[:MOST_BLIND]]
-    more = f"; {len(kinds) - MOST_BLIND} more in installation.json" if len(kinds) > MOST_BLIND else ""
-    return [f"{'cannot show':26s}{'; '.join(shown)}{more}"] if shown else []
+    if len(kinds) > MOST_BLIND:
+        shown.append(f"{len(kinds) - MOST_BLIND} more in installation.json")
+    return [f"{'cannot show' if n == 0 else '':26s}{text}" for n, text in enumerate(shown)]
 
 
 def unit_effect(one: Mapping[str, Any]) -> str:
