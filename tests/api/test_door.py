@@ -98,6 +98,11 @@ def test_examples_of_the_docstrings_run(module: str, monkeypatch: pytest.MonkeyP
 
 def test_most_functions_show_an_example() -> None:
     assert len(WITH_EXAMPLES) >= 5
+    finder = doctest.DocTestFinder()
+    lines = [
+        len(test.examples) for name in WITH_EXAMPLES for test in finder.find(importlib.import_module(name))
+    ]
+    assert sum(lines) > 18  # as when three modules held them, more than five each
 
 
 @pytest.mark.parametrize("name", FUNCTIONS)

@@ -38,13 +38,18 @@ def test_closed_streams_and_a_backend_that_is_none_are_no_obstacle(tmp_path: Pat
 
 
 @pytest.mark.parametrize("name", ["stdout", "stderr"])
-def test_message_for_a_closed_stream_goes_nowhere(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_message_for_a_closed_stream_goes_nowhere(
+    name: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
+) -> None:
     with monkeypatch.context() as patch:
         patch.setattr(sys, name, None)
         tell("a result")
         say("a remark")
         with progress_bars() as progress:
             progress("exposures", 1, 10)
+    told = capsys.readouterr()
+    assert told.out == ("" if name == "stdout" else "a result\n")
+    assert ("a remark" in told.err) == (name == "stdout")
 
 
 def test_result_folder_of_a_name_that_is_no_text_is_refused(
