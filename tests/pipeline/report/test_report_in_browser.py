@@ -385,25 +385,19 @@ def test_a_thousand_targets_open_within_a_second(address, finished, tmp_path):
     async def look() -> tuple[float, int, str]:
         browser = await opened(address)
         await browser.do("Performance.enable", timeDomain="threadTicks")
-        before = await spent(browser)
-        await browser.go(page, 1280, "light")
-        after = await spent(browser)
-        await browser.value(LOOP)
-        slower = max(1.0, (await spent(browser) - after) / LOOP_S)
+        loads = []
+        for _ in range(3):  # each in a new renderer; what else the machine does makes a load longer, never shorter
+            await browser.go(page, 1280, "light")
+            loads.append(await spent(browser))
         rows = await browser.value("document.querySelectorAll('#target-table tbody tr').length")
         assert browser.complaints() == []
         text = await browser.value("document.querySelector('#target-table output').textContent")
-        return (after - before) / slower, rows, text
+        return min(loads), rows, text
 
     seconds, rows, text = asyncio.run(look())
     assert rows == 25 and text.startswith("1 to 25 of 1")
     assert int(text.split()[-1]) >= 1000
     assert seconds <= 1.0
-
-
-# A processor that others use is slower by its caches and its clock: the same loop tells by how much.
-LOOP = "(() => { let sum = 0; for (let i = 0; i < 1e8; i++) sum += Math.sqrt(i); return sum; })()"
-LOOP_S = 1.0  # on an idle core of 2 x 2.4 GHz, where the page takes 0.7 s
 
 
 async def spent(browser: Browser) -> float:
