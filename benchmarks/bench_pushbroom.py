@@ -22,6 +22,7 @@ from pyproj import Transformer
 from record import exit_status, head, verdict
 from scipy.spatial.transform import Rotation
 
+from boresight.features.geolocate.virtual_ccd import VirtualStrip
 from boresight.geometry.attitude import AttitudeTrack
 from boresight.geometry.constants import GM_EARTH, WGS84
 from boresight.geometry.earth_orientation import bundled_earth_orientation
@@ -33,7 +34,6 @@ from boresight.geometry.line_camera import Ccd, LineCamera
 from boresight.geometry.orbit import Orbit
 from boresight.geometry.pushbroom import Pushbroom, RowClock
 from boresight.geometry.terrain import ConstantHeight, TerrainGrid
-from boresight.geometry.virtual_ccd import VirtualStrip
 from boresight.pipeline.files.dimap_metadata import read_dimap
 
 Array = NDArray[np.float64]

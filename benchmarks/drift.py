@@ -34,7 +34,7 @@ from scipy.spatial.transform import Rotation
 from boresight.calib.calibration import calibrate_strips, strip_pairs
 from boresight.calib.distortion import prior_information
 from boresight.calib.information import InformationPairs, solve_total
-from boresight.calib.mounting.matrix_drift import DriftSettings, MountingSeries, estimate_drift
+from boresight.features.drift.matrix_drift import DriftSettings, MountingSeries, estimate_drift
 from boresight.geometry.constants import ARCSEC, DAY_S
 from boresight.geometry.installation import deviation_from_theta, theta_between
 from boresight.pipeline.stages.plan_forecast import settings_of_plan

@@ -14,9 +14,13 @@ import numpy as np
 from record import exit_status, head, verdict
 from scipy.spatial.transform import Rotation
 
-from boresight.calib.interior.interior_estimate import InteriorEstimate, calibrate_interior, map_difference_px
-from boresight.calib.interior.parameters import InteriorModel, InteriorPriors
+from boresight.calib.interior_parameters import InteriorModel, InteriorPriors
 from boresight.calib.settings import CalibrationSettings
+from boresight.features.interior.interior_estimate import (
+    InteriorEstimate,
+    calibrate_interior,
+    map_difference_px,
+)
 from boresight.features.paper.geopositioning import MotionPrior, check_point_errors, smoothed_attitude
 from boresight.features.paper.vector_experiments import MATRIX_28
 from boresight.geometry.attitude_estimate import with_attitudes

@@ -24,8 +24,8 @@ import pandas as pd
 from record import exit_status, head, verdict
 from sky_strips import scenario_of, seeds
 
-from boresight.calib.interior.interior_estimate import map_difference_px
-from boresight.calib.interior.parameters import InteriorModel, InteriorPriors
+from boresight.calib.interior_parameters import InteriorModel, InteriorPriors
+from boresight.features.interior.interior_estimate import map_difference_px
 from boresight.features.interior.interior_of_dumps import calibrate_remote_camera
 from boresight.geometry.earth_orientation import bundled_earth_orientation
 from boresight.geometry.geoid import egm96

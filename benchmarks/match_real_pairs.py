@@ -21,13 +21,13 @@ from numpy.typing import NDArray
 from record import exit_status, head, verdict
 from rendered_pairs import DATA, Pair
 
+from boresight.features.targets.suggest import suggest_targets
 from boresight.gct_match.imaging.views import normalised
 from boresight.gct_match.search.common_rotation import vote_tolerance_px
 from boresight.gct_match.search.correlation import correlation_surface
 from boresight.gct_match.search.edge_search import best_positions, search_picture, search_template
 from boresight.gct_match.search.search_plan import pyramid_factor
 from boresight.gct_match.search.vote import Candidates, Vote, log_chance_of_ranks, vote
-from boresight.gct_match.suggest import suggest_targets
 
 SIZE, REACH = 96, 120  # of a NAIP chip and of the search to each side, px
 FAR_PX = 3.0  # the files' georeferencing is good to a pixel

@@ -19,11 +19,11 @@ from scipy.spatial.transform import Rotation
 from boresight.calib.frames import calibrate_frames, frame_pairs, prepare_frames
 from boresight.calib.information import solve_total
 from boresight.calib.ten_steps import calibrate_literally, frame_information_literally
+from boresight.features.geolocate.virtual_ccd import virtual_camera
 from boresight.geometry.attitude_estimate import fit_attitude
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.installation import deviation_from_theta, theta_between
 from boresight.geometry.sightings import information_of_directions, isotropic_covariance
-from boresight.geometry.virtual_ccd import virtual_camera
 from boresight.simulator.cameras import calibrated_line_camera, star_camera
 from boresight.simulator.campaign import CameraPair, draw_frames, noisy_frames
 from boresight.simulator.scenario import paper_scenario

@@ -27,7 +27,7 @@ from record import exit_status, head, verdict
 from scipy.stats import chi2, f
 
 from boresight.calib.noise_spectrum import NoiseFit, Signal, fit_noise
-from boresight.calib.refining import fit_correction
+from boresight.features.exports.refining import fit_correction
 from boresight.features.operators.dimap_grid import dimap_grid_differences
 from boresight.features.operators.imported_mission import write_imported
 from boresight.features.operators.sentinel2_grid import operator_orbit, operator_pushbroom

@@ -28,7 +28,7 @@ from scipy.special import ndtr
 
 from boresight.geometry.star_camera import StarCamera
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "star_id"))
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 
 from frames import PAPER_CAMERA, Sensor, render, star_frame
 

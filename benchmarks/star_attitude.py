@@ -24,7 +24,7 @@ from record import band_of_mean_nees, exit_status, head, verdict
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "star_id"))
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 
 from frames import PAPER_CAMERA, Sensor, as_seen, star_frame
 

@@ -32,10 +32,11 @@ from scipy.optimize import least_squares
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "star_id"))
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 
 from frames import PAPER_CAMERA, FrameTruth, Sensor, star_frame
 
+from boresight.features.sky_images.sky_plan import StarImageModel, plan_pointings
 from boresight.geometry.epoch import Epoch
 from boresight.geometry.star_camera import StarCamera
 from boresight.star_id.camera_calibration import CameraCalibration, SkyFrame, calibrate_camera
@@ -48,7 +49,6 @@ from boresight.star_id.identification.triangle_index import build_index
 from boresight.star_id.observer import Observer
 from boresight.star_id.score import cramer_rao_px
 from boresight.star_id.settings import StarSettings
-from boresight.star_id.sky_plan import StarImageModel, plan_pointings
 
 TRUTH = replace(PAPER_CAMERA, principal_px=(2571.3, 1911.2))
 NOMINAL = StarCamera(

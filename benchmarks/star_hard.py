@@ -44,7 +44,7 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2, expon
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "star_id"))
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 
 from frames import stars_in_view
 

@@ -23,6 +23,7 @@ from record import exit_status, head, verdict
 from scipy.spatial.transform import Rotation
 from scipy.stats import binom
 
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "star_id"))
 
 from foreign_lenses import HEIGHT, SIZE, WIDTH, ForeignLens

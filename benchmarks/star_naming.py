@@ -19,7 +19,7 @@ import numpy as np
 from record import exit_status, head, verdict
 from scipy.spatial.transform import Rotation
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "star_id"))
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 
 from frames import PAPER_CAMERA, stars_in_view
 

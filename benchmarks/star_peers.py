@@ -227,7 +227,7 @@ def main() -> None:
     parser.add_argument("--attitudes", type=int, default=150)
     parser.add_argument("--cameras", type=int, default=5)
     arguments = parser.parse_args()
-    sys.path[:0] = [str(HERE.parent), str(HERE.parent / "tests" / "star_id"), str(HERE)]
+    sys.path[:0] = [str(HERE.parent), str(HERE.parent / "tests"), str(HERE)]
     import cv2
     from record import head
 

@@ -77,7 +77,7 @@ def _asked(worker: subprocess.Popen[str], frame: int) -> list[float]:
 
 def _work(root: Path, frames: int) -> None:
     """Answer each number of a frame with the CPU ms of the work on it."""
-    sys.path[:0] = [str(root), str(root / "tests" / "star_id"), str(HERE.parent)]
+    sys.path[:0] = [str(root), str(root / "tests"), str(root / "tests" / "star_id"), str(HERE.parent)]
     package = "boresight." if (root / "boresight").is_dir() else ""
 
     def room(name: str) -> ModuleType:

@@ -45,7 +45,7 @@ from boresight.calib.heads import (
     without_head,
 )
 from boresight.calib.information import InformationPairs, Solution
-from boresight.calib.interior.parameters import InteriorModel
+from boresight.calib.interior_parameters import InteriorModel
 from boresight.calib.joint_solution import (
     Problem,
     Step,

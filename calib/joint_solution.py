@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from boresight.calib.estimate import HeadAgreement, Iteration
 from boresight.calib.heads import alignment_columns
 from boresight.calib.information import InformationPairs, Solution, solve_total
-from boresight.calib.interior.parameters import InteriorModel
+from boresight.calib.interior_parameters import InteriorModel
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.shared_unknowns import SIGMA_ALIGNMENT_RAD, SharedUnknowns, find_shared
 from boresight.calib.strips import LinearStrips, PreparedStrip, StripGroup, group_strips, linearise

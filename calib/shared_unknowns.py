@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from boresight.calib.distortion import Knot, knots_touched, prior_information, unknown_names
 from boresight.calib.heads import head_names
-from boresight.calib.interior.parameters import InteriorModel
+from boresight.calib.interior_parameters import InteriorModel
 from boresight.calib.orbit_bias import BIASES, bias_prior
 from boresight.calib.settings import CalibrationSettings
 from boresight.geometry.constants import EARTH_ROTATION_RATE

@@ -7,8 +7,8 @@ from typing import Annotated
 
 import typer
 
-from boresight.calib.mounting.matrix_drift import DriftSettings
 from boresight.features.drift.drift_files import write_drift
+from boresight.features.drift.matrix_drift import DriftSettings
 from boresight.features.drift.mounting_drift import drift_json, drift_of_results, drift_summary, named_results
 from boresight.geometry.constants import ARCSEC, DAY_S
 from boresight.pipeline.console.messages import Answer

@@ -13,7 +13,7 @@ import pandas as pd
 from matplotlib.dates import AutoDateLocator, ConciseDateFormatter
 from matplotlib.figure import Figure
 
-from boresight.calib.mounting.matrix_drift import DriftSettings
+from boresight.features.drift.matrix_drift import DriftSettings
 from boresight.features.drift.mounting_drift import (
     DatedDrift,
     drift_json,

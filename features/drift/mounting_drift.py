@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 
 from boresight.calib.distortion import prior_information
 from boresight.calib.information import InformationPairs
-from boresight.calib.mounting.matrix_drift import Drift, DriftSettings, MountingSeries, estimate_drift
+from boresight.features.drift.matrix_drift import Drift, DriftSettings, MountingSeries, estimate_drift
 from boresight.geometry.constants import ARCSEC, DAY_S
 from boresight.geometry.epoch import Epoch
 from boresight.geometry.installation import deviation_from_theta, theta_between

@@ -10,7 +10,6 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from scipy.spatial.transform import Rotation
 
-from boresight.calib.refining import fit_correction
 from boresight.features.exports.ccsds_aem import AemHeader, attitude_message, comprehensive_message
 from boresight.features.exports.csm_isd import IsdNames, line_scanner_isds
 from boresight.features.exports.dimap_product import corrected_dimap
@@ -23,6 +22,7 @@ from boresight.features.exports.kml import kml_text
 from boresight.features.exports.matrix_csv import matrix_csv
 from boresight.features.exports.notes import Notes, notes_of
 from boresight.features.exports.operator_parameters import operator_parameters
+from boresight.features.exports.refining import fit_correction
 from boresight.features.exports.rpc import fit_rpc, rpc_metadata, rpc_text
 from boresight.features.exports.spice_attitude import (
     attitude_kernel,

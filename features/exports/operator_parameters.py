@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from boresight.calib.refining import LineOfSightCorrection
+from boresight.features.exports.refining import LineOfSightCorrection
 from boresight.geometry.epoch import Epoch
 
 __all__ = ["operator_parameters"]

@@ -13,11 +13,11 @@ import rasterio
 from rasterio.control import GroundControlPoint
 from rasterio.windows import Window
 
+from boresight.features.geolocate.virtual_ccd import VirtualStrip
 from boresight.geometry.constants import WGS84
 from boresight.geometry.geodesy import geodetic_from_ecef
 from boresight.geometry.line_camera import LookAngleCamera
 from boresight.geometry.terrain import Surface
-from boresight.geometry.virtual_ccd import VirtualStrip
 from boresight.pipeline.errors import DataNotSufficientError
 from boresight.pipeline.files.whole_file import write_whole
 from boresight.pipeline.results.strip_model import StripModel

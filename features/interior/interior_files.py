@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from boresight.calib.interior.interior_estimate import InteriorEstimate
+from boresight.features.interior.interior_estimate import InteriorEstimate
 from boresight.features.interior.interior_of_dumps import InteriorCalibration
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.record import Floats, Ints

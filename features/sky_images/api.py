@@ -30,6 +30,7 @@ from boresight.accepted import (
 from boresight.display import Result, SuccessfulResult, axes_or_new
 from boresight.features.sky_images.frame_facts import observer_at
 from boresight.features.sky_images.identify_images import sky_index
+from boresight.features.sky_images.sip import TanSip, tan_sip
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.record import Bools, Floats, Ints, array, record, scalar
 from boresight.geometry.star_camera import StarCamera
@@ -42,7 +43,6 @@ from boresight.star_id.finding.star_list import list_stars as stars_of_image
 from boresight.star_id.identification.identify import NotIdentified
 from boresight.star_id.observer import Observer, sky_directions
 from boresight.star_id.settings import StarSettings
-from boresight.star_id.sip import TanSip, tan_sip
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from boresight.features.sky_images.identify_images import read_camera, read_sky_image, sky_index
+from boresight.features.sky_images.sky_plan import SkyPlan, StarImageModel, plan_pointings
 from boresight.geometry.star_camera import StarCamera
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.whole_file import write_figure, write_whole
@@ -23,7 +24,6 @@ from boresight.star_id.field import ra_dec_roll, solve_field
 from boresight.star_id.identification.identify import NotIdentified
 from boresight.star_id.identification.triangle_index import StarIndex
 from boresight.star_id.settings import StarSettings
-from boresight.star_id.sky_plan import SkyPlan, StarImageModel, plan_pointings
 
 __all__ = ["SkyPlanRequest", "plan_sky"]
 

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from boresight.features.sky_images.image_time import time_of_image
+from boresight.features.sky_images.planets import Planet, planets_in_view
 from boresight.features.sky_images.whereabouts import NOWHERE, Whereabouts
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.record import Floats
@@ -39,7 +40,6 @@ from boresight.star_id.finding.star_list import StarList, list_stars
 from boresight.star_id.identification.identify import NotIdentified
 from boresight.star_id.identification.triangle_index import StarIndex, equivalent_fov
 from boresight.star_id.observer import Observer
-from boresight.star_id.planets import Planet, planets_in_view
 from boresight.star_id.settings import StarSettings
 from boresight.star_id.sight import explained
 

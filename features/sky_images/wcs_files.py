@@ -7,9 +7,9 @@ from pathlib import Path
 from astropy.io import fits
 from astropy.wcs import WCS
 
+from boresight.features.sky_images.sip import TanSip, tan_sip
 from boresight.pipeline.files.whole_file import write_whole
 from boresight.star_id.field import FieldSolution
-from boresight.star_id.sip import TanSip, tan_sip
 
 __all__ = ["image_wcs", "write_wcs"]
 

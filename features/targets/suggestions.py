@@ -19,10 +19,10 @@ from numpy.typing import NDArray
 from pyproj import CRS, Transformer
 from scipy.stats import norm
 
-from boresight.calib.target_choice import TargetChoice, choose_targets
 from boresight.features.targets.ortho_files import HeightModel, Ortho
+from boresight.features.targets.suggest import SuggestedTarget, suggest_targets
+from boresight.features.targets.target_choice import TargetChoice, choose_targets
 from boresight.gct_match.records import Target
-from boresight.gct_match.suggest import SuggestedTarget, suggest_targets
 from boresight.geometry.constants import ARCSEC, WGS84
 from boresight.geometry.geodesy import ecef_from_geodetic
 from boresight.geometry.record import Floats, array, record, scalar

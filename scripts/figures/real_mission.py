@@ -17,7 +17,7 @@ from style import Ink, draw
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
 from real_sentinel2 import BULLETIN, DATA, grid_of, looks
 
-from boresight.calib.refining import fit_correction
+from boresight.features.exports.refining import fit_correction
 from boresight.features.operators.sentinel2_grid import operator_orbit
 from boresight.features.operators.sentinel2_product import AttitudeRecord, Sentinel2, read_sentinel2
 from boresight.geometry.attitude import AttitudeTrack

@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 from small_strip import LINES, SURFACE, Case, SmallStrip, make_case
 
+from boresight.features.geolocate.virtual_ccd import VirtualStrip
 from boresight.gct_match import consistency
 from boresight.gct_match.match import match_strip
 from boresight.gct_match.predict.scene import Scene, scene_of
@@ -23,7 +24,6 @@ from boresight.gct_match.search.coarse import read_coarse
 from boresight.gct_match.search.search_plan import SearchPlan, extents, plan_search
 from boresight.gct_match.settings import MatchSettings
 from boresight.geometry.installation import deviation_from_theta, theta_between
-from boresight.geometry.virtual_ccd import VirtualStrip
 
 SIGMA = np.full(3, 0.003)  # rad: what a mission says of a matrix that is wrong by (28)
 

@@ -10,6 +10,7 @@ from astropy.wcs import WCS
 from frames import PAPER_CAMERA, as_seen, directions_of, listed_stars
 from scipy.spatial.transform import Rotation
 
+from boresight.features.sky_images.sip import tan_sip
 from boresight.geometry.epoch import Epoch
 from boresight.geometry.star_camera import StarCamera
 from boresight.star_id.camera_calibration import CameraCalibration, SkyFrame, calibrate_camera, residual_map
@@ -18,7 +19,6 @@ from boresight.star_id.identification.identify import NotIdentified
 from boresight.star_id.identification.triangle_index import build_index
 from boresight.star_id.observer import Observer
 from boresight.star_id.settings import StarSettings
-from boresight.star_id.sip import tan_sip
 
 TRUTH = replace(PAPER_CAMERA, principal_px=(2571.3, 1911.2))
 NOMINAL = StarCamera(

@@ -5,22 +5,16 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from foreign_lenses import SIZE, ForeignLens
-from frames import direction, listed_stars
+from frames import PLACES, WIDE, direction, listed_stars
 from scipy.spatial.transform import Rotation
 
 from boresight.geometry.star_camera import StarCamera
-from boresight.star_id.catalogue import hipparcos_stars
 from boresight.star_id.field import FieldSolution, solve_list
 from boresight.star_id.field_fit import fit_attitude_and_lens
 from boresight.star_id.field_match import match_field
 from boresight.star_id.identification.triangle_index import build_index
 from boresight.star_id.lens_misfit import _largest
 from boresight.star_id.settings import StarSettings
-
-PLACES = hipparcos_stars(8.0).places
-WIDE = StarCamera(
-    focal_m=0.011, pixel_m=5e-6, width_px=2048, height_px=2048, principal_px=(1030.2, 1019.4), q1=-3e-4
-)
 
 
 def test_a_star_is_matched_as_far_as_its_prediction_is_uncertain():

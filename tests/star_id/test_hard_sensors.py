@@ -6,12 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from frames import Sensor, listed_stars, render
+from frames import PLACES, WIDE, Sensor, listed_stars, render
 from scipy.signal import fftconvolve
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2 as chi2_limit
-from test_field_match import PLACES, WIDE
 
 from boresight.star_id.field import FieldSolution, solve_list
 from boresight.star_id.finding.background import estimate_background

@@ -17,7 +17,7 @@ from typer.testing import CliRunner
 from boresight.calib.calibration import calibrate_strips
 from boresight.calib.distortion import prior_information
 from boresight.calib.information import InformationPairs, solve_total
-from boresight.calib.mounting.matrix_drift import DriftSettings
+from boresight.features.drift.matrix_drift import DriftSettings
 from boresight.features.drift.mounting_drift import drift_of_results, named_results
 from boresight.geometry.constants import ARCSEC, DAY_S
 from boresight.geometry.epoch import Epoch

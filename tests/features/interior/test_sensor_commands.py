@@ -11,10 +11,10 @@ from command_line import app
 from drawn_pictures import OURS, shows_curves
 from typer.testing import CliRunner
 
-from boresight.calib.interior.interior_estimate import map_difference_px
+from boresight.features.geolocate.virtual_ccd import VirtualStrip
+from boresight.features.interior.interior_estimate import map_difference_px
 from boresight.geometry.constants import WGS84
 from boresight.geometry.geodesy import ecef_from_geodetic
-from boresight.geometry.virtual_ccd import VirtualStrip
 from boresight.pipeline.files.dump import open_dump, surface_of
 from boresight.pipeline.results.strip_model import open_calibrated, strip_model
 

@@ -8,7 +8,7 @@ import pytest
 from handmade_sentinel2 import SPAMOD, VIEDIR, write_sentinel2
 from scipy.spatial.transform import Rotation
 
-from boresight.calib.refining import fit_correction
+from boresight.features.exports.refining import fit_correction
 from boresight.features.operators.sentinel2_grid import operator_orbit, operator_pushbroom
 from boresight.features.operators.sentinel2_product import read_sentinel2
 from boresight.geometry.constants import ARCSEC, WGS84

@@ -386,7 +386,9 @@ def test_a_thousand_targets_open_within_a_second(address, finished, tmp_path):
         browser = await opened(address)
         await browser.do("Performance.enable", timeDomain="threadTicks")
         loads = []
-        for _ in range(3):  # each in a new renderer; what else the machine does makes a load longer, never shorter
+        for _ in range(
+            3
+        ):  # each in a new renderer; what else the machine does makes a load longer, never shorter
             await browser.go(page, 1280, "light")
             loads.append(await spent(browser))
         rows = await browser.value("document.querySelectorAll('#target-table tbody tr').length")

@@ -15,9 +15,11 @@ from scipy.spatial.transform import Rotation
 from scipy.special import ndtr
 
 from boresight.geometry.ground_site import refract_by_air
+from boresight.geometry.star_camera import StarCamera
 from boresight.geometry.starlight import apparent_star_directions
 from boresight.simulator.cameras import star_camera
 from boresight.simulator.scenario import StarCameraSettings
+from boresight.star_id.catalogue import hipparcos_stars
 from boresight.star_id.finding.background import Background
 from boresight.star_id.finding.psf import Psf
 from boresight.star_id.finding.star_list import StarList
@@ -26,6 +28,11 @@ PAPER_CAMERA = star_camera(StarCameraSettings())  # Table 2
 # The same lens before a detector of a sixteenth of the pixels, its axis off the middle.
 SMALL_CAMERA = replace(
     PAPER_CAMERA, pixel_m=25.6e-6, width_px=1280, height_px=960, principal_px=(641.3, 477.2)
+)
+# A wide lens, and the stars that it shows.
+PLACES = hipparcos_stars(8.0).places
+WIDE = StarCamera(
+    focal_m=0.011, pixel_m=5e-6, width_px=2048, height_px=2048, principal_px=(1030.2, 1019.4), q1=-3e-4
 )
 
 STARS_AT_ONCE = 500  # rendered as one array, of 10 MB for the longest trails

@@ -12,8 +12,8 @@ from scipy.spatial.transform import Rotation
 from boresight.calib.calibration import calibrate_strips
 from boresight.calib.distortion import prior_information
 from boresight.calib.information import InformationPairs
-from boresight.calib.mounting.matrix_drift import DriftSettings, MountingSeries, estimate_drift
 from boresight.calib.settings import CalibrationSettings
+from boresight.features.drift.matrix_drift import DriftSettings, MountingSeries, estimate_drift
 from boresight.geometry.constants import ARCSEC, DAY_S
 from boresight.geometry.installation import deviation_from_theta, theta_between
 from boresight.simulator.campaign import CameraPair, StripPlan, draw_strips

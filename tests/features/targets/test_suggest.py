@@ -5,10 +5,16 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from small_strip import texture
 
-from boresight.gct_match.suggest import suggest_targets
+from boresight.features.targets.suggest import suggest_targets
 
 TRANSFORM = (0.5, 0.0, 4000.0, 0.0, -0.5, 9000.0)
+
+
+@pytest.fixture(scope="module")
+def invented() -> NDArray:
+    return texture(np.random.default_rng(1), 1400)
 
 
 def test_lakes_and_repeated_patterns_are_left_out(invented: NDArray):

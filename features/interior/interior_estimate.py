@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from boresight.calib.calibration import calibrate_strips
 from boresight.calib.estimate import InstallationEstimate, NotObservable
-from boresight.calib.interior.parameters import Gauge, InteriorModel, InteriorPriors
+from boresight.calib.interior_parameters import Gauge, InteriorModel, InteriorPriors
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.strips import prepare_strip
 from boresight.geometry.line_camera import LineCamera

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import binom, chi2
 
 from boresight.calib.information import InformationPairs
-from boresight.calib.mounting.matrix_drift import DriftSettings, MountingSeries, estimate_drift
+from boresight.features.drift.matrix_drift import DriftSettings, MountingSeries, estimate_drift
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.installation import deviation_from_theta, theta_between
 

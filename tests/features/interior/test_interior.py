@@ -9,9 +9,13 @@ import pytest
 from four_ccds import four_ccds
 from scipy.spatial.transform import Rotation
 
-from boresight.calib.interior.interior_estimate import InteriorEstimate, calibrate_interior, map_difference_px
-from boresight.calib.interior.parameters import STAGGER, InteriorModel, InteriorPriors
+from boresight.calib.interior_parameters import STAGGER, InteriorModel, InteriorPriors
 from boresight.calib.settings import CalibrationSettings
+from boresight.features.interior.interior_estimate import (
+    InteriorEstimate,
+    calibrate_interior,
+    map_difference_px,
+)
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.line_camera import LineCamera
 from boresight.simulator.campaign import CameraPair, LinePair, StripPlan, draw_strips

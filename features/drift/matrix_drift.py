@@ -23,7 +23,7 @@ from scipy.spatial.transform import Rotation
 from scipy.special import chdtrc
 
 from boresight.calib.information import InformationPairs
-from boresight.calib.mounting.random_walk import WalkProblem, likely_density
+from boresight.features.drift.random_walk import WalkProblem, likely_density
 from boresight.geometry.installation import deviation_from_theta, theta_between
 from boresight.geometry.record import array, record, scalar
 

@@ -8,13 +8,13 @@ from scipy.fft import irfft2, rfft2, rfftfreq
 from scipy.ndimage import gaussian_filter, map_coordinates, spline_filter
 from strips import EARTH, PERIOD_S, R_CS, attitude, orbit
 
+from boresight.features.geolocate.virtual_ccd import VirtualStrip, virtual_camera
 from boresight.geometry.constants import WGS84
 from boresight.geometry.geodesy import ecef_from_geodetic, geodetic_from_ecef, local_axes_e
 from boresight.geometry.groundlight import LightEffects
 from boresight.geometry.line_camera import Ccd, LineCamera
 from boresight.geometry.pushbroom import Pushbroom, RowClock
 from boresight.geometry.terrain import ConstantHeight, TerrainGrid
-from boresight.geometry.virtual_ccd import VirtualStrip, virtual_camera
 
 WIDTH, OVERLAP, LINES, HEIGHT_M = 400, 64, 2400, 250.0
 STEP_M = 0.5  # of the texture

@@ -10,7 +10,8 @@ import pytest
 from frames import PAPER_CAMERA, Sensor, listed_stars, star_frame
 from scipy.spatial.transform import Rotation
 
-from boresight.star_id import sky_plan
+from boresight.features.sky_images import sky_plan
+from boresight.features.sky_images.sky_plan import StarImageModel, plan_pointings
 from boresight.star_id.camera_calibration import CameraCalibration, SkyFrame, calibrate_camera
 from boresight.star_id.camera_fit import detector_grid
 from boresight.star_id.catalogue import hipparcos_stars
@@ -18,7 +19,6 @@ from boresight.star_id.field import solve_field, solve_stars
 from boresight.star_id.finding.psf import Psf
 from boresight.star_id.identification.triangle_index import build_index
 from boresight.star_id.settings import StarSettings
-from boresight.star_id.sky_plan import StarImageModel, plan_pointings
 
 TRUTH = replace(PAPER_CAMERA, principal_px=(2571.3, 1893.2))
 ROUGH = replace(PAPER_CAMERA, focal_m=0.101, p1=0.0, p2=0.0, q1=0.0, q2=0.0)  # what a plan may know

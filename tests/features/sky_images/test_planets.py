@@ -6,15 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from frames import listed_stars
+from frames import PLACES, WIDE, listed_stars
 from scipy.spatial.transform import Rotation
-from test_field_match import PLACES, WIDE
 
+from boresight.features.sky_images.planets import planet_directions, planets_in_view
 from boresight.geometry.epoch import Epoch
 from boresight.star_id.field import FieldSolution, solve_list
 from boresight.star_id.identification.triangle_index import build_index
 from boresight.star_id.observer import Observer
-from boresight.star_id.planets import planet_directions, planets_in_view
 from boresight.star_id.settings import StarSettings
 
 

@@ -1,1 +1,0 @@
-"""The mounting against time: does it move, how, and since when."""
