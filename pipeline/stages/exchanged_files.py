@@ -13,11 +13,13 @@ from boresight.calib.finding import Finding
 from boresight.pipeline.errors import Omission
 from boresight.pipeline.files.dump import Dump
 from boresight.pipeline.files.image_files import StripFiles
+from boresight.pipeline.files.star_tables import survey_of
 from boresight.pipeline.stages.left_out import Counts, counts_of
-from boresight.pipeline.stages.sky_losses import sky_counts
+from boresight.pipeline.stages.sky_losses import as_bright_as_named, stars_found
 from boresight.pipeline.stages.sky_side import SkySide
-from boresight.pipeline.stages.sky_strip import NamedStars
+from boresight.pipeline.stages.sky_strip import NamedStars, SkyTask
 from boresight.pipeline.stages.strip import MatchedTargets, StripTask, match_strip_targets
+from boresight.star_id.strip_stars.find import StripStars
 
 __all__ = ["exchanged_in_ground", "exchanged_in_sky"]
 
@@ -45,18 +47,18 @@ def exchanged_in_sky(
     dump: Dump, side: SkySide, named: Sequence[NamedStars], counts: Counts, R_cs: Rotation
 ) -> Iterator[Finding]:
     """Pairs of CCDs of strips of the sky whose bright stars all are on the other one."""
-    for n, (task, one) in enumerate(zip(side.tasks, named)):
-        strip_id = task.strip.strip_id
-        only = replace(side, tasks=(task,), found=(side.found[n],), computed=side.computed[n : n + 1])
+    if not counts:
+        return
+    bright = as_bright_as_named(survey_of(dump.star_catalogue), named)
+    for task, one in zip(side.tasks, named):
 
-        def found(a: int, b: int, one: NamedStars = one, only: SkySide = only) -> int:
-            ccd = one.found.ccd
-            other = replace(one.found, ccd=np.where(ccd == a, b, np.where(ccd == b, a, ccd)))
-            again = sky_counts(dump, only, [replace(one, found=other)], R_cs)
-            return again[one.strip_id, a][0] + again[one.strip_id, b][0]
+        def found(a: int, b: int, task: SkyTask = task, stars: StripStars = one.found) -> int:
+            other = replace(stars, ccd=np.where(stars.ccd == a, b, np.where(stars.ccd == b, a, stars.ccd)))
+            again = stars_found(task, other, bright, R_cs)
+            return again[task.strip.strip_id, a][0] + again[task.strip.strip_id, b][0]
 
-        own = {key: value for key, value in counts.items() if key[0] == strip_id}
-        yield from _findings(strip_id, own, found, "bright stars")
+        own = {key: value for key, value in counts.items() if key[0] == task.strip.strip_id}
+        yield from _findings(task.strip.strip_id, own, found, "bright stars")
 
 
 def _findings(strip_id: str, counts: Counts, found: Found, what: str) -> Iterator[Finding]:

@@ -24,10 +24,11 @@ from boresight.star_id.strip_stars.find import StripStars
 
 __all__ = [
     "Crossings",
-    "bright_stars_found",
+    "as_bright_as_named",
     "crossings",
     "named_alone",
     "sky_counts",
+    "stars_found",
     "strips_without_stars",
 ]
 
@@ -87,30 +88,31 @@ def _reach(task: SkyTask) -> float:
     return float(np.arccos(np.concatenate(ends)[:, 2].min())) + 1e-3
 
 
-def bright_stars_found(
-    tasks: Sequence[SkyTask], named: Sequence[NamedStars], survey: SurveyedStars, R_cs: Rotation
-) -> dict[tuple[str, int], tuple[int, int]]:
-    """By strip and CCD: stars with a detection where they must be, and all that must be there, of those as
-    bright as those that were named.
-    """
+def as_bright_as_named(survey: SurveyedStars, named: Sequence[NamedStars]) -> SurveyedStars:
+    """Stars of a catalogue as bright as those that were named in any strip: none, if none was."""
     magnitudes = np.concatenate([one.places.places.v_mag for one in named] or [np.zeros(0)])
-    if not len(magnitudes):
-        return {}
-    bright = survey.take(np.flatnonzero(survey.places.v_mag <= np.quantile(magnitudes, FAINTEST)))
+    faintest = np.quantile(magnitudes, FAINTEST) if len(magnitudes) else -np.inf
+    return survey.take(np.flatnonzero(survey.places.v_mag <= faintest))
+
+
+def stars_found(task: SkyTask, found: StripStars, bright: SurveyedStars, R_cs: Rotation) -> Counts:
+    """By strip and CCD: stars with a detection where they must be, and all that must be there."""
+    expected = crossings(task, bright, R_cs)
     counts: dict[tuple[str, int], tuple[int, int]] = {}
-    for task, one in zip(tasks, named):
-        expected = crossings(task, bright, R_cs)
-        for ccd in task.strip.images.ccds:
-            there = expected.xy_px[expected.ccd == ccd]
-            off_px = np.abs(there[:, None] - one.found.xy_px[one.found.ccd == ccd]).max(axis=2)
-            found = int((off_px < NEAR_PX).any(axis=1).sum())
-            counts[task.strip.strip_id, ccd] = found, len(there)
+    for ccd in task.strip.images.ccds:
+        there = expected.xy_px[expected.ccd == ccd]
+        off_px = np.abs(there[:, None] - found.xy_px[found.ccd == ccd]).max(axis=2)
+        counts[task.strip.strip_id, ccd] = int((off_px < NEAR_PX).any(axis=1).sum()), len(there)
     return counts
 
 
 def sky_counts(dump: Dump, side: SkySide, named: Sequence[NamedStars], R_cs: Rotation) -> Counts:
-    """Bright stars found, and expected, by strip and CCD; empty without strips of the sky."""
-    return bright_stars_found(side.tasks, named, survey_of(dump.star_catalogue), R_cs) if side.tasks else {}
+    """Bright stars found, and expected, by strip and CCD; empty where no strip of the sky has a name."""
+    if not any(len(one.rows) for one in named):
+        return {}
+    bright = as_bright_as_named(survey_of(dump.star_catalogue), named)
+    each = [stars_found(task, one.found, bright, R_cs) for task, one in zip(side.tasks, named)]
+    return {key: count for counts in each for key, count in counts.items()}
 
 
 def named_alone(dump: Dump, side: SkySide, counts: Counts) -> list[NamedStars]:

@@ -13,7 +13,8 @@ import pytest
 ROOT = Path(__file__).parents[2]
 METHOD = (ROOT / "docs" / "method.md").read_text()
 ROW = re.compile(r"^\| \((A?\d+)\) \|[^|]*\| ([^|]*) \|", re.MULTILINE)
-NAME = re.compile(r"`(boresight\.(?:geometry|star_id|gct_match|calib|simulator|pipeline|features)(?:\.\w+)+)`")
+ROOMS = "geometry|star_id|gct_match|calib|simulator|pipeline|features"
+NAME = re.compile(rf"`(boresight\.(?:{ROOMS})(?:\.\w+)+)`")
 LINK = re.compile(r"\]\(([^)#\s]+)(#[\w-]+)?\)")
 
 

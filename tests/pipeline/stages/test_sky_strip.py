@@ -227,6 +227,16 @@ def test_stars_missing_in_a_strip_are_told_by_ccd_by_image_and_by_strip(calibrat
     (told,) = exchanged_in_sky(dump, side, [gone], counts, calibration.estimate.R_cs)
     assert told.item == "CCD 1 and CCD 2 in strip sky01" and told.file == "strips.csv"
 
+    empty = replace_named(one, exchanged, one.rows[:0])  # a strip without any name, beside one that has them
+    none = {(strip_id, ccd): (0, n) for (strip_id, ccd), (_, n) in counts.items()}
+    beside = (
+        replace(side, tasks=side.tasks * 2, found=side.found * 2, computed=side.computed * 2),
+        [empty, one],
+    )
+    assert [told.item for told in exchanged_in_sky(dump, *beside, none, calibration.estimate.R_cs)] == [
+        "CCD 1 and CCD 2 in strip sky01"
+    ]
+
     empty = replace_named(one, found, one.rows[:0])
     counts = {key: (0, n) for key, (_, n) in sky_counts(dump, side, named, calibration.estimate.R_cs).items()}
     (told,) = strips_without_stars(dump, side, [empty], counts, [])
