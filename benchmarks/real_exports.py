@@ -15,7 +15,6 @@ The data (`../shared/data/sentinel2`) are not part of the project: without them 
 
 from __future__ import annotations
 
-import argparse
 import csv
 import json
 import subprocess
@@ -30,7 +29,7 @@ import numpy as np
 import spiceypy
 from rasterio.rpc import RPC
 from rasterio.transform import RPCTransformer
-from real_sentinel2 import BULLETIN, DATA, grid_of, places_e, points_csv
+from real_sentinel2 import BULLETIN, grid_of, places_e, points_csv, real_folder
 from record import exit_status, head, verdict
 from scipy.interpolate import CubicHermiteSpline
 from scipy.spatial.transform import Rotation, Slerp
@@ -296,14 +295,7 @@ def told(name: str, miss_px: np.ndarray) -> None:
 
 def main() -> int:
     """Print all figures; 1 where a limit is missed."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--folder", type=Path, default=DATA, help="folder with sentinel2/")
-    real = parser.parse_args().folder / "sentinel2"
-    if not (real / "grid_B04.csv").exists():
-        print(f"NOT RUN: the data of Sentinel-2 are not there: {real}", file=sys.stderr)
-        return 2
+    real = real_folder(__doc__) / "sentinel2"
     head("What leaves: places and exports of Sentinel-2A, detectors that begin at different times")
     with tempfile.TemporaryDirectory() as scratch:
         work = Path(scratch)

@@ -298,17 +298,23 @@ def between_trackers(root: Path) -> None:
     verdict(f"the operator's angle is off by 5.4\", {abs(off) / sigma:.0f} sigma, more than 5", significant)
 
 
-def main() -> int:
-    """Print all figures; 1 where a limit is missed."""
+def real_folder(description: str | None) -> Path:
+    """The folder of real data that the command line names; status 2 where Sentinel-2's are missing."""
     parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+        description=description, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--folder", type=Path, default=DATA, help="folder with sentinel2/ and pleiades/")
-    folder = parser.parse_args().folder
+    folder: Path = parser.parse_args().folder
+    if not (folder / "sentinel2" / "grid_B04.csv").exists():
+        print(f"NOT RUN: the data of Sentinel-2 are not there: {folder / 'sentinel2'}", file=sys.stderr)
+        sys.exit(2)
+    return folder
+
+
+def main() -> int:
+    """Print all figures; 1 where a limit is missed."""
+    folder = real_folder(__doc__)
     real = folder / "sentinel2"
-    if not (real / "grid_B04.csv").exists():
-        print(f"NOT RUN: the data of Sentinel-2 are not there: {real}", file=sys.stderr)
-        return 2
     head("A flying mission: Sentinel-2A, 2020-08-16, Madeira")
     with tempfile.TemporaryDirectory() as scratch:
         work = Path(scratch)

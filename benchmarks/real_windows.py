@@ -13,7 +13,6 @@ The data (`../shared/data/sentinel2`) are not part of the project: without them 
 
 from __future__ import annotations
 
-import argparse
 import csv
 import re
 import shutil
@@ -24,7 +23,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from real_sentinel2 import DATA, HEADER
+from real_sentinel2 import HEADER, real_folder
 from record import exit_status, head, verdict
 from scipy.stats import chi2
 
@@ -109,14 +108,7 @@ def compared(noise: str, strip: Sentinel2, plain: Path, work: Path) -> str:
 
 def main() -> int:
     """Print all figures; 1 where a limit is missed."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--folder", type=Path, default=DATA, help="folder with sentinel2/")
-    real = parser.parse_args().folder / "sentinel2"
-    if not (real / "grid_B04.csv").exists():
-        print(f"NOT RUN: the data of Sentinel-2 are not there: {real}", file=sys.stderr)
-        return 2
+    real = real_folder(__doc__) / "sentinel2"
     head("Windows of one telemetry record against each other: Sentinel-2A")
     with tempfile.TemporaryDirectory() as scratch:
         work, plain = Path(scratch), Path(scratch) / "plain"

@@ -8,7 +8,7 @@ and minimal detectable errors all follow from it (`reliability`); a further kind
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -20,7 +20,7 @@ from boresight.geometry.attitude_estimate import cross_matrices
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.record import Bools, Floats, Ints, array, record, scalar
 
-__all__ = ["Hypothesis", "HypothesisTable", "hypotheses", "vector_hypotheses"]
+__all__ = ["Hypothesis", "HypothesisInputs", "HypothesisTable", "hypotheses", "vector_hypotheses"]
 
 # One thousandth: of a second, or of a radian, in units of hypotheses.
 MILLI = 1e-3
@@ -52,52 +52,45 @@ class Hypothesis:
         return f"check {self.field} in {self.file}" if self.field else f"check {self.file}"
 
 
-HypothesisTable = Callable[
-    [Sequence[PreparedStrip], Rotation, float, Sequence[StarEffects], Sequence[MovedInput]],
-    list[Hypothesis],
-]
+@dataclass(frozen=True)
+class HypothesisInputs:
+    """What a table of hypotheses is computed from."""
+
+    prepared: Sequence[PreparedStrip]  # as they enter the solution
+    R_cs: Rotation  # the estimate
+    pixel_rad: float  # of the remote-sensing camera
+    effects: Sequence[StarEffects] = ()  # errors of the star camera, by strip; none: attitudes were delivered
+    inputs: Sequence[MovedInput] = ()  # what moves in the prediction with further inputs
 
 
-def hypotheses(
-    prepared: Sequence[PreparedStrip],
-    R_cs: Rotation,
-    pixel_rad: float,
-    effects: Sequence[StarEffects],
-    inputs: Sequence[MovedInput] = (),
-) -> list[Hypothesis]:
-    """All hypotheses, those of many observations first: of two that explain the same the first one is named.
+HypothesisTable = Callable[[HypothesisInputs], list[Hypothesis]]
 
-    `prepared` are the strips as they enter the solution, `pixel_rad` is a pixel of the remote-sensing camera,
-    `effects` what errors of the star camera do to the exposures of each strip (empty: attitudes were
-    delivered) and `inputs` what moves in the prediction with further inputs.
-    """
-    C = R_cs.as_matrix()
+
+def hypotheses(of: HypothesisInputs) -> list[Hypothesis]:
+    """All hypotheses, those of many observations first: of two that explain the same the first is named."""
+    prepared, pixel_rad = of.prepared, of.pixel_rad
+    C = of.R_cs.as_matrix()
     strip = np.repeat(np.arange(len(prepared)), [len(one.ccd) for one in prepared])
     ccd = np.concatenate([one.ccd for one in prepared])
     late_c = -np.concatenate([one.late_s for one in prepared]) @ C.T  # rows dated late by 1 s
     ground = ~np.concatenate([one.is_star for one in prepared])
     found = [*_of_clock(prepared, strip, late_c), *_of_position(prepared, strip, ground, C)]
-    found += [_of_input(prepared, C, one) for one in inputs]
+    found += [_of_input(prepared, C, one) for one in of.inputs]
     found += _of_looks(prepared, ccd, pixel_rad)
-    attitudes = next((one.file for one in inputs if one.turns_s), "exposures.csv")
+    attitudes = next((one.file for one in of.inputs if one.turns_s), "exposures.csv")
     found += _of_attitude(prepared, strip, C, attitudes)
     found += _of_images(prepared, strip, ccd, pixel_rad)
-    if effects:
-        found += _of_star_camera(prepared, C, effects)
+    if of.effects:
+        found += _of_star_camera(prepared, C, of.effects)
     return [one for one in found if np.any(one.change_c)]
 
 
-def vector_hypotheses(
-    prepared: Sequence[PreparedStrip],
-    R_cs: Rotation,
-    pixel_rad: float,
-    effects: Sequence[StarEffects],
-    inputs: Sequence[MovedInput] = (),
-) -> list[Hypothesis]:
+def vector_hypotheses(of: HypothesisInputs) -> list[Hypothesis]:
     """The hypotheses about vectors of frames (`from_vectors`): no camera, orbit or clock is known, so they
     concern the axes, the scale and the attitudes. `pixel_rad` is the unit of shifts of the look vectors.
     """
-    C = R_cs.as_matrix()
+    prepared, pixel_rad = of.prepared, of.pixel_rad
+    C = of.R_cs.as_matrix()
     u_c = np.concatenate([one.u_c for one in prepared])
     across = np.eye(3) - u_c[:, :, None] * u_c[:, None, :]
     found = [
@@ -131,10 +124,10 @@ def vector_hypotheses(
             for n, one in enumerate(prepared)
             for axis in range(3)
         ]
-    if effects:
+    if of.effects:
         found += [
             replace(one, unit=one.unit.replace("px", "″"), file="u_s", field="", item="all frames")
-            for one in _of_star_camera(prepared, C, effects)
+            for one in _of_star_camera(prepared, C, of.effects)
         ]
     return [one for one in found if np.any(one.change_c)]
 

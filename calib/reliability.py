@@ -32,7 +32,7 @@ from scipy.special import chdtrc, chdtri, chndtr
 from boresight.calib.estimate import InstallationEstimate
 from boresight.calib.finding import Finding
 from boresight.calib.heads import aligned, carried
-from boresight.calib.hypotheses import Hypothesis, HypothesisTable, hypotheses
+from boresight.calib.hypotheses import Hypothesis, HypothesisInputs, HypothesisTable, hypotheses
 from boresight.calib.joint_solution import (
     Linearised,
     Problem,
@@ -242,7 +242,7 @@ def _adjustment(
     )
     step = solve_weighted(problem, about, weight * problem.inside)
     effects = star_effects(strips, star_camera, estimate.rejection.limit) if star_camera else []
-    table = table_of(prepared, estimate.R_cs, pixel_rad, effects, inputs)
+    table = table_of(HypothesisInputs(prepared, estimate.R_cs, pixel_rad, effects, inputs))
     change = np.stack([h.change_c for h in table], axis=2)
     information, right = summed(effects)
     parts = np.array([h.star_part for h in table])

@@ -14,7 +14,7 @@ from scipy.stats import binom, kstest
 
 from boresight.calib.calibration import calibrate_strips
 from boresight.calib.finding import MOST_WORDS
-from boresight.calib.hypotheses import hypotheses
+from boresight.calib.hypotheses import HypothesisInputs, hypotheses
 from boresight.calib.reliability import ReliabilitySettings, blind_spots, examine
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.strips import prepare_strip
@@ -73,7 +73,7 @@ def clean(seed):
 def table_of(seed):
     strips, estimate, _ = clean(seed)
     prepared = [prepare_strip(strip, SETTINGS) for strip in strips]
-    return hypotheses(prepared, estimate.R_cs, CAMERAS.pixel_rad, [])
+    return hypotheses(HypothesisInputs(prepared, estimate.R_cs, CAMERAS.pixel_rad))
 
 
 N = len(table_of(0))

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from boresight.calib.hypotheses import hypotheses
+from boresight.calib.hypotheses import HypothesisInputs, hypotheses
 from boresight.calib.moved_input import MovedInput
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.strips import prepare_strip
@@ -54,7 +54,7 @@ def test_a_moved_input_changes_the_residuals_as_its_column_says():
         turns_s=turns,
     )
     prepared = [prepare_strip(one, SETTINGS) for one in strips]
-    table = hypotheses(prepared, BOLD, CAMERAS.pixel_rad, [], [moved])
+    table = hypotheses(HypothesisInputs(prepared, BOLD, CAMERAS.pixel_rad, inputs=[moved]))
     (column,) = [one.change_c for one in table if one.cause == "trial"]
 
     def stated_otherwise(one):
