@@ -11,8 +11,11 @@ import typer
 from boresight.features.table import features
 from boresight.pipeline.console.program import errors_reported, program
 from boresight.pipeline.console.spine import SPINE
+from boresight.version import __version__
 
-__all__ = ["command_line", "run_command_line"]
+__all__ = ["begin", "command_line", "run_command_line"]
+
+SILENT = {"--quiet", "-q", "--json", "--help", "-h"}
 
 
 def command_line(words: Sequence[str] | None = None) -> typer.Typer:
@@ -25,8 +28,17 @@ def run_command_line() -> None:
     shell names.
     """
     os.environ["MPLBACKEND"] = "agg"
+    words = _words()
+    begin(words)
     with errors_reported():
-        command_line(_words())()
+        command_line(words)()
+
+
+def begin(words: Sequence[str]) -> None:
+    """On a terminal, say at once what begins: loading a command's libraries takes a second."""
+    is_asked = words and not words[0].startswith("-") and "_BORESIGHT_COMPLETE" not in os.environ
+    if is_asked and sys.stderr is not None and sys.stderr.isatty() and not SILENT & set(words):
+        print(f"boresight {__version__}: {words[0]} ...", file=sys.stderr, flush=True)
 
 
 def _words() -> list[str]:

@@ -1,6 +1,6 @@
 """Whether the mounting moved between several results."""
 
-from boresight.pipeline.console.feature import Command, Feature
+from boresight.pipeline.console.feature import Command, Feature, Job
 
 __all__ = ["FEATURE"]
 
@@ -8,6 +8,7 @@ FEATURE = Feature(
     commands=(
         Command(
             "drift",
+            Job.CALIBRATE,
             "Merge results; test whether the mounting has moved.",
             "features.drift.drift_command:drift_command",
             with_json=True,

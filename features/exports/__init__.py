@@ -1,6 +1,6 @@
 """Results in formats that other tools read: SPICE, CCSDS, CSM, RPC, FITS, GIS."""
 
-from boresight.pipeline.console.feature import Command, Feature
+from boresight.pipeline.console.feature import Command, Feature, Job
 
 __all__ = ["FEATURE"]
 
@@ -8,6 +8,7 @@ FEATURE = Feature(
     commands=(
         Command(
             "export",
+            Job.EXCHANGE,
             "Write a result in formats that other tools read.",
             "features.exports.export_command:export_command",
         ),

@@ -1,6 +1,6 @@
 """Pixels of a calibrated strip to places on the ground, and one virtual CCD of several."""
 
-from boresight.pipeline.console.feature import Command, Feature
+from boresight.pipeline.console.feature import Command, Feature, Job
 
 __all__ = ["FEATURE"]
 
@@ -8,11 +8,13 @@ FEATURE = Feature(
     commands=(
         Command(
             "geolocate",
-            "Image points of a strip to latitude and longitude.",
+            Job.LOOK,
+            "Image points of a strip to latitude, longitude.",
             "features.geolocate.geolocate_command:geolocate_command",
         ),
         Command(
             "virtual-ccd",
+            Job.LOOK,
             "Stitch the CCDs of one strip to one ideal line.",
             "features.geolocate.virtual_ccd_command:virtual_ccd_command",
         ),

@@ -1,6 +1,6 @@
 """The star cameras of one satellite against one another, and the noise of their attitudes."""
 
-from boresight.pipeline.console.feature import Command, Feature
+from boresight.pipeline.console.feature import Command, Feature, Job
 
 __all__ = ["FEATURE"]
 
@@ -8,13 +8,15 @@ FEATURE = Feature(
     commands=(
         Command(
             "noise",
-            "Estimate the noise of the star cameras' attitudes.",
+            Job.CALIBRATE,
+            "Estimate the noise of star cameras' attitudes.",
             "features.heads.noise_command:noise_command",
             with_json=True,
         ),
         Command(
             "heads",
-            "Align the star cameras of a satellite with one another.",
+            Job.CALIBRATE,
+            "Align a satellite's star cameras with one another.",
             "features.heads.heads_command:heads_command",
             with_json=True,
         ),

@@ -1,6 +1,6 @@
 """The interior orientation of the remote-sensing camera, calibrated in orbit."""
 
-from boresight.pipeline.console.feature import Command, Feature
+from boresight.pipeline.console.feature import Command, Feature, Job
 
 __all__ = ["FEATURE"]
 
@@ -8,7 +8,8 @@ FEATURE = Feature(
     commands=(
         Command(
             "remote-camera-calibrate",
-            "Calibrate the interior of the remote-sensing camera.",
+            Job.CALIBRATE,
+            "Calibrate the interior of the remote camera.",
             "features.interior.remote_camera_calibrate_command:remote_camera_calibrate_command",
             with_json=True,
         ),

@@ -1,6 +1,6 @@
 """Files of satellite operators: Sentinel-2 datastrips, DIMAP products, measured points."""
 
-from boresight.pipeline.console.feature import Command, Feature
+from boresight.pipeline.console.feature import Command, Feature, Job
 
 __all__ = ["FEATURE"]
 
@@ -8,28 +8,33 @@ FEATURE = Feature(
     commands=(
         Command(
             "import sentinel2",
+            Job.EXCHANGE,
             "Make a dump of one band of a Sentinel-2 datastrip.",
             "features.operators.import_command:import_sentinel2_command",
         ),
         Command(
             "import dimap",
+            Job.EXCHANGE,
             "Make a dump of a Pleiades, Pleiades Neo or SPOT strip.",
             "features.operators.import_command:import_dimap_command",
         ),
         Command(
             "import points",
+            Job.EXCHANGE,
             "Make a points.csv of points measured elsewhere.",
             "features.operators.import_command:import_points_command",
         ),
         Command(
             "dimap",
-            "Geolocate pixels of a DIMAP strip, or check its grid.",
+            Job.EXCHANGE,
+            "Geolocate by a DIMAP product, or check its grid.",
             "features.operators.dimap_command:dimap_command",
             with_json=True,
         ),
         Command(
             "sentinel2",
-            "Check a Sentinel-2 model against its location grid.",
+            Job.EXCHANGE,
+            "Check a Sentinel-2 model against its grid.",
             "features.operators.sentinel2_command:sentinel2_command",
             with_json=True,
         ),

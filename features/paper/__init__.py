@@ -1,6 +1,6 @@
 """The simulations of the paper, computed anew beside its printed values."""
 
-from boresight.pipeline.console.feature import Command, Feature
+from boresight.pipeline.console.feature import Command, Feature, Job
 
 __all__ = ["FEATURE"]
 
@@ -8,6 +8,7 @@ FEATURE = Feature(
     commands=(
         Command(
             "experiment",
+            Job.PLAN,
             "Run a simulation of the paper from scratch.",
             "features.paper.experiment_command:experiment_command",
         ),

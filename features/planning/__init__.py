@@ -1,6 +1,6 @@
 """Before any data: what a campaign will reach, and which scans of the sky to take."""
 
-from boresight.pipeline.console.feature import Command, Feature
+from boresight.pipeline.console.feature import Command, Feature, Job
 
 __all__ = ["FEATURE"]
 
@@ -8,12 +8,14 @@ FEATURE = Feature(
     commands=(
         Command(
             "plan",
-            "Forecast how well a campaign determines the matrix.",
+            Job.PLAN,
+            "Forecast how well a campaign tells the matrix.",
             "features.planning.plan_command:plan_command",
             with_json=True,
         ),
         Command(
             "sky-strip-plan",
+            Job.PLAN,
             "Choose the scans of the sky that tell most.",
             "features.planning.sky_strip_plan_command:sky_strip_plan_command",
             with_json=True,

@@ -1,6 +1,6 @@
 """Missions with known truth, rendered as dumps."""
 
-from boresight.pipeline.console.feature import Command, Feature
+from boresight.pipeline.console.feature import Command, Feature, Job
 
 __all__ = ["FEATURE"]
 
@@ -8,6 +8,7 @@ FEATURE = Feature(
     commands=(
         Command(
             "simulate",
+            Job.PLAN,
             "Render a mission with known truth as a dump.",
             "features.simulation.simulate_command:simulate_command",
         ),

@@ -1,6 +1,6 @@
 """Any photograph of the sky: its stars found and named, and the camera calibrated from them."""
 
-from boresight.pipeline.console.feature import Command, Feature
+from boresight.pipeline.console.feature import Command, Feature, Job
 
 __all__ = ["FEATURE"]
 
@@ -8,21 +8,25 @@ FEATURE = Feature(
     commands=(
         Command(
             "identify",
-            "Name the stars of single images, wherever they look.",
+            Job.STARS,
+            "Name the stars of images, wherever they look.",
             "features.sky_images.identify_command:identify_command",
         ),
         Command(
             "centroids",
-            "Find the stars of images; with a truth, say how well.",
+            Job.STARS,
+            "Find the stars of images; with truth, say how well.",
             "features.sky_images.centroids_command:centroids_command",
         ),
         Command(
             "star-camera-plan",
-            "Choose fields of the sky that calibrate a camera best.",
+            Job.STARS,
+            "Choose the fields that calibrate a camera best.",
             "features.sky_images.star_camera_plan_command:star_camera_plan_command",
         ),
         Command(
             "star-camera-calibrate",
+            Job.STARS,
             "Calibrate a star camera from images of the sky.",
             "features.sky_images.star_camera_calibrate_command:star_camera_calibrate_command",
         ),

@@ -142,10 +142,18 @@ def calibrate_command(
     took = f"{time.perf_counter() - begun_s:.1f} s -> {files[0]}{', report.html' if report else ''}"
     return Answer(
         text=f"{outcome.text}\n{took}",
+        line=f"{_gravest(outcome)} -> {files[0]}",
         content=SavedContent(out),
         files=files,
         exit_status=_exit_status(outcome, {*(accept or ()), *([Accepted.REFUTED] * accept_inconsistent)}),
     )
+
+
+def _gravest(outcome: RunOutcome) -> str:
+    """The gravest of a run's verdicts, and whether the required accuracy is missed."""
+    order = (Outcome.REFUTED, Outcome.NOT_CHECKABLE, Outcome.FINDINGS, Outcome.CONSISTENT)
+    worst = next(one for one in order if one in outcome.outcomes)
+    return worst.value if outcome.is_met else f"{worst.value}, required accuracy not reached"
 
 
 def _exit_status(outcome: RunOutcome, accepted: Collection[Accepted]) -> int:

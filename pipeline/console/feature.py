@@ -4,12 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from enum import StrEnum
 from pathlib import Path
 
-__all__ = ["AfterJoint", "Command", "Feature"]
+__all__ = ["AfterJoint", "Command", "Feature", "Job"]
 
 AfterJoint = Callable[[Path, list[str]], str]
 """Of several dumps: the result folder and the names of its dumps; returns lines for the console."""
+
+
+class Job(StrEnum):
+    """Headings under which the program's help lists its commands, in this order."""
+
+    CALIBRATE = "Calibrate a mission"
+    STARS = "Star images"
+    PLAN = "Plan and simulate"
+    LOOK = "Look at ground and targets"
+    EXCHANGE = "Exchange with other programs"
 
 
 @dataclass(frozen=True)
@@ -17,7 +28,8 @@ class Command:
     """A command of the program. Its module is imported when it is called."""
 
     name: str  # words on the command line, one or two: "plan", "dump check"
-    summary: str  # one line of the program's help, at most 60 characters
+    job: Job  # where the help lists it
+    summary: str  # one line of the program's help, uncut on a terminal of 80 columns
     place: str  # "module:function" below `boresight`
     with_json: bool = False  # offers --json by the rules of docs/json.md
 

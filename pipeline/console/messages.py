@@ -9,6 +9,7 @@ from __future__ import annotations
 import functools
 import inspect
 import logging
+import os
 import re
 import shlex
 import shutil
@@ -64,6 +65,7 @@ class Answer:
     """What a command found."""
 
     text: str = scalar("for the reader; empty: nothing more to print", default="")
+    line: str = scalar("what --quiet leaves of the text; empty: all of it", default="")
     content: Mapping[str, Any] = scalar("for programs: the key `result` of --json", default_factory=dict)
     files: tuple[Path, ...] = scalar("files written", default=())
     exit_status: int = scalar("0, or why the command did not succeed", default=DONE)
@@ -75,7 +77,9 @@ Verbose = Annotated[
         "--verbose", "-v", help="A line for each exposure and strip as it ends, every reason, and times."
     ),
 ]
-Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress and no remarks, only errors.")]
+Quiet = Annotated[
+    bool, typer.Option("--quiet", "-q", help="No progress, no remarks; of a calibration one line.")
+]
 LogFile = Annotated[
     Path | None,
     typer.Option("--log-file", help="Append progress, remarks and results to this file, with times."),
@@ -107,7 +111,7 @@ def with_messages(command: Callable[..., Answer | None], *, with_json: bool = Fa
                 if as_json and not isinstance(error, (typer.Exit, typer.Abort)):
                     typer.echo(_document(name, Answer(exit_status=DATA_DID_NOT_ALLOW), error))
                 raise
-            tell(answer.text)
+            tell(answer.line if quiet and answer.line else answer.text)
             if as_json:
                 typer.echo(_document(name, answer))
             log.debug("%.1f s, exit status %d", time.perf_counter() - begun_s, answer.exit_status)
@@ -231,7 +235,24 @@ class _Console(logging.Handler):
             return
         if getattr(record, "progress", False) and stream.isatty() and shows_bars():
             return  # bars are shown
-        typer.echo(fitted(record.getMessage(), stream.isatty()), err=not is_result)
+        text = fitted(record.getMessage(), stream.isatty())
+        shows_colour = stream.isatty() and not os.environ.get("NO_COLOR") and os.environ.get("TERM") != "dumb"
+        typer.echo(coloured(text) if is_result and shows_colour else text, err=not is_result)
+
+
+# Words of `calib.verdict.Outcome`, which is not imported for every command; the longer before its beginning.
+COLOURS = {
+    "consistent, findings": "yellow",
+    "consistent": "green",
+    "refuted": "red",
+    "not checkable": "yellow",
+}
+_VERDICT = re.compile(rf"^(verdict +|)({'|'.join(COLOURS)})(?= |:|$)", re.MULTILINE)
+
+
+def coloured(text: str) -> str:
+    """`text` with the outcome of a verdict in its colour, as a terminal shows it."""
+    return _VERDICT.sub(lambda found: found[1] + typer.style(found[2], fg=COLOURS[found[2]], bold=True), text)
 
 
 class _Printable(logging.Filter):

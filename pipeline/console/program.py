@@ -9,14 +9,16 @@ from importlib import import_module
 from typing import Annotated, Any
 
 import typer
+from typer.core import TyperGroup
 
-from boresight.pipeline.console.feature import Command, Feature
+from boresight.pipeline.console.feature import Command, Feature, Job
 from boresight.pipeline.console.messages import DATA_DID_NOT_ALLOW, DONE, log, print_data, with_messages
 from boresight.pipeline.errors import DataNotSufficientError, RawDataError, WorkerError, printable
 from boresight.version import version_text
 
 __all__ = ["errors_reported", "function_at", "program"]
 
+HELP = ["--help", "-h"]  # the first is what an error refers to
 NO_THREAD = "can't start new thread"  # what Python says
 NO_PROCESS = "error: the system starts no further thread or process; use --workers 1, or raise `ulimit -u`"
 
@@ -39,7 +41,8 @@ def program(features: Iterable[Feature], words: Sequence[str] | None = None) -> 
         help="On-orbit calibration of the installation matrix between star camera and remote-sensing camera.",
         no_args_is_help=True,
         pretty_exceptions_enable=False,
-        context_settings={"max_content_width": 110, "obj": after_joint},
+        cls=_ByJob,
+        context_settings={"max_content_width": 110, "obj": after_joint, "help_option_names": HELP},
         rich_markup_mode=None,  # plain help: 0.3 s of CPU less
     )
     app.callback(invoke_without_command=True)(_program_options)
@@ -49,7 +52,9 @@ def program(features: Iterable[Feature], words: Sequence[str] | None = None) -> 
             group, _, name = command.name.rpartition(" ")
             if group and group not in groups:
                 about = feature.groups[group]
-                groups[group] = typer.Typer(help=about, no_args_is_help=True, rich_markup_mode=None)
+                groups[group] = typer.Typer(
+                    help=about, no_args_is_help=True, cls=_ByJob, rich_markup_mode=None
+                )
                 app.add_typer(groups[group], name=group)
             _add(groups.get(group, app), name, command, words is None or _named(command, words))
     return app
@@ -107,9 +112,26 @@ def _named(command: Command, words: Sequence[str]) -> bool:
 def _add(app: typer.Typer, name: str, command: Command, is_called: bool) -> None:
     if is_called:
         function = with_messages(function_at(command.place), with_json=command.with_json)
-        app.command(name, short_help=command.summary)(function)
+        app.command(name, short_help=command.summary, rich_help_panel=command.job)(function)
     else:
-        app.command(name, help=command.summary)(_listed)
+        app.command(name, help=command.summary, rich_help_panel=command.job)(_listed)
+
+
+class _ByJob(TyperGroup):
+    """Help that lists commands under their jobs, those of groups too, with their whole summaries."""
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        """Write the lists of commands."""
+        rows: dict[Job, list[tuple[str, str]]] = {job: [] for job in Job}
+        for name, command in self.commands.items():
+            inner = command.commands.items() if isinstance(command, TyperGroup) else [("", command)]
+            for last, one in inner:
+                job = Job(getattr(one, "rich_help_panel", Job.CALIBRATE))
+                rows[job].append((f"{name} {last}".rstrip(), str(one.short_help or one.help)))
+        for job, listed in rows.items():
+            if listed:
+                with formatter.section(job.value):
+                    formatter.write_dl(listed)
 
 
 def _listed() -> None:

@@ -10,6 +10,7 @@ from typing import Any
 from rich import console, progress
 
 from boresight.pipeline.console.messages import log, shows_bars
+from boresight.pipeline.stages.stage_words import stage_words
 
 __all__ = ["progress_bars"]
 
@@ -23,7 +24,13 @@ def progress_bars() -> Iterator[Callable[[str, int, int | None], None]]:
         tenth = 10 * done // total if total else 0
         if tenths.get(stage, -1) < tenth:
             tenths[stage] = tenth
-            log.info("%s: %d of %s", stage, done, "?" if total is None else total, extra={"progress": True})
+            log.info(
+                "%s: %d of %s",
+                stage_words(stage),
+                done,
+                "?" if total is None else total,
+                extra={"progress": True},
+            )
 
     if sys.stderr is None or not (sys.stderr.isatty() and shows_bars()):
         yield noted
@@ -42,7 +49,7 @@ def progress_bars() -> Iterator[Callable[[str, int, int | None], None]]:
         def shown(stage: str, done: int, total: int | None) -> None:
             noted(stage, done, total)
             if stage not in bars:
-                bars[stage] = bar.add_task(stage, total=total)
+                bars[stage] = bar.add_task(stage_words(stage), total=total)
             bar.update(bars[stage], completed=done, total=total)
 
         yield shown

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from boresight.pipeline.console.feature import Command, Feature
+from boresight.pipeline.console.feature import Command, Feature, Job
 
 __all__ = ["SPINE"]
 
@@ -11,22 +11,30 @@ SPINE = Feature(
     commands=(
         Command(
             "calibrate",
+            Job.CALIBRATE,
             "Estimate the installation matrix from raw images.",
             f"{_CONSOLE}.calibrate_command:calibrate_command",
             with_json=True,
         ),
         Command(
             "validate",
-            "Compare a result with the truth of a simulated dump.",
+            Job.CALIBRATE,
+            "Compare a result with a simulated dump's truth.",
             f"{_CONSOLE}.validate_command:validate_command",
             with_json=True,
         ),
         Command(
             "status",
-            "Show what of a run is finished, and what is not used.",
+            Job.CALIBRATE,
+            "Show what of a run is finished, and what is unused.",
             f"{_CONSOLE}.status_command:status_command",
             with_json=True,
         ),
-        Command("report", "Draw one HTML page about a result.", f"{_CONSOLE}.report_command:report_command"),
+        Command(
+            "report",
+            Job.CALIBRATE,
+            "Draw one HTML page about a result.",
+            f"{_CONSOLE}.report_command:report_command",
+        ),
     ),
 )

@@ -21,6 +21,7 @@ from boresight.pipeline.run.settings import Settings
 from boresight.pipeline.run.unit_store import read_meta, read_unit
 from boresight.pipeline.stages.exposure import star_tasks
 from boresight.pipeline.stages.matchings import is_settled
+from boresight.pipeline.stages.stage_words import stage_words
 from boresight.pipeline.stages.strip import MatchedTargets, covers
 from boresight.star_id.strip_stars.find import StripStars
 
@@ -91,14 +92,14 @@ def status_lines(status: RunStatus) -> list[str]:
     for stage in status.stages:
         damaged = f", {stage.damaged} damaged files" if stage.damaged else ""
         not_used = f", {stage.not_used} not used" if stage.not_used else ""
-        lines.append(f"{stage.stage:14s}{len(stage.done)} done{damaged}{not_used}")
+        lines.append(f"{stage_words(stage.stage):26s}{len(stage.done)} done{damaged}{not_used}")
     lines += finding_lines(status.findings)
     if status.omissions or not status.dumps:
         lines += omission_lines(status.omissions, None)
     for stage in status.stages:
         if stage.missing and not status.finished:
             names = ", ".join(stage.missing[:8]) + (" ..." if len(stage.missing) > 8 else "")
-            lines.append(f"needs         {stage.stage}: {len(stage.missing)} more: {names}")
+            lines.append(f"{'needs':26s}{stage_words(stage.stage)}: {len(stage.missing)} more: {names}")
     lines += [status.unknown] if status.unknown else []
     whole = "all dumps together: " if status.dumps else ""
     if not status.finished:
@@ -113,7 +114,7 @@ def kept_units(result: Path) -> str:
     """What a run that is interrupted has finished, for a message."""
     folders = sorted({*result.glob("work/*"), *result.glob("*/work/*")})
     counts = [(path.name, len(list(path.glob("*.parquet")))) for path in folders if path.is_dir()]
-    done = ", ".join(f"{n} of stage {name}" for name, n in counts if n)
+    done = ", ".join(f"{n} of {stage_words(name)}" for name, n in counts if n)
     return f"finished units are kept in {result}: {done}" if done else f"no unit is finished yet in {result}"
 
 

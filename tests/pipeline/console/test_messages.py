@@ -20,7 +20,11 @@ from command_line import app
 from talking import worker
 from typer.testing import CliRunner
 
-from boresight.pipeline.console.messages import Answer, fitted, with_messages
+from boresight.calib.verdict import Outcome
+from boresight.features.table import features
+from boresight.pipeline.console.feature import Job
+from boresight.pipeline.console.messages import COLOURS, Answer, coloured, fitted, with_messages
+from boresight.pipeline.console.spine import SPINE
 from boresight.pipeline.errors import Omission, RawDataError
 from boresight.pipeline.stages.cached import StageRunner
 from boresight.pipeline.stages.unit_log import log_unit
@@ -45,6 +49,40 @@ def test_quiet_leaves_results_and_verbose_adds_times() -> None:
     quiet, verbose = runner.invoke(worker, ["-q"]), runner.invoke(worker, ["-v"])
     assert quiet.stderr == "" and quiet.stdout == verbose.stdout
     assert re.fullmatch(r"\d+\.\d s, exit status 0", verbose.stderr.splitlines()[-1])
+
+
+def test_quiet_leaves_one_line_of_an_answer_that_has_one() -> None:
+    program = typer.Typer()
+    program.command()(with_messages(lambda: Answer(text="many\nlines", line="refuted -> place")))
+    assert runner.invoke(program, ["-q"]).stdout == "refuted -> place\n"
+    assert runner.invoke(program, []).stdout == "many\nlines\n"
+
+
+def test_the_outcome_of_a_verdict_has_its_colour_and_no_other_word_has_one() -> None:
+    assert {one.value for one in Outcome} == set(COLOURS)
+    plain = "verdict                   consistent, findings: 1 input looks wrong\nnot consistent: a remark"
+    assert coloured(plain) == plain.replace(
+        "consistent, findings", "\x1b[33m\x1b[1mconsistent, findings\x1b[0m"
+    )
+    assert coloured("refuted -> out") == "\x1b[31m\x1b[1mrefuted\x1b[0m -> out"
+
+
+@pytest.mark.parametrize("width", [80, 120])
+def test_help_lists_every_command_under_its_job_with_its_whole_summary(width: int) -> None:
+    ran = runner.invoke(app, ["-h"], env={"COLUMNS": str(width)}, terminal_width=width)
+    lines = ran.stdout.splitlines()
+    assert max(map(len, lines)) <= width and "..." not in ran.stdout.replace("COMMAND [ARGS]...", "")
+    listed = {command.name: command for one in (SPINE, *features()) for command in one.commands}
+    assert len(listed) == len(COMMANDS)
+    heading = ""
+    for line in lines[lines.index(f"{Job.CALIBRATE}:") :]:
+        if line.endswith(":"):
+            heading = line[:-1]
+        elif line:
+            name, _, summary = line.strip().partition("  ")
+            command = listed.pop(name)
+            assert (command.job, command.summary) == (heading, summary.strip())
+    assert not listed
 
 
 def test_verbose_says_what_became_of_each_unit_and_why() -> None:

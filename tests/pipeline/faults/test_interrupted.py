@@ -197,7 +197,7 @@ def test_unit_damaged_on_the_disk_is_made_anew_and_counted_by_status(tmp_path: P
         # Some bytes bear no meaning: statistics, the name of the writer.
         assert table is None or table.to_pylist() == content.to_pylist()
     path.write_bytes(sound[:-100])
-    assert "exposures     0 done, 1 damaged files" in status_lines(run_status(root / "run"))
+    assert "star exposures            0 done, 1 damaged files" in status_lines(run_status(root / "run"))
 
 
 def test_error_of_a_file_names_the_file(tmp_path: Path) -> None:
@@ -221,11 +221,14 @@ def test_interrupted_run_says_what_is_kept_and_what_it_still_needs(
         run_command_line()
     assert ended.value.code == 130
     said = capsys.readouterr().err.splitlines()
-    assert f"finished units are kept in {result}: 4 of stage exposures" in said
+    assert f"finished units are kept in {result}: 4 of star exposures" in said
     assert f"go on with: boresight calibrate {handmade} --out '{result}' --workers 1" in said
     assert f"look at it with: boresight status '{result}'" in said and said[-1] == "interrupted"
     lines = status_lines(run_status(result))
-    assert "exposures     4 done, 4 not used" in lines and "needs         matching-1: 1 more: s1" in lines
+    assert (
+        "star exposures            4 done, 4 not used" in lines
+        and "needs                     targets, pass 1: 1 more: s1" in lines
+    )
     assert sum(line.startswith("  exposure 000") for line in lines) == 4
     assert lines[-1] == "not finished: no installation.json yet; the same `boresight calibrate` goes on"
     shutil.rmtree(handmade)

@@ -81,7 +81,7 @@ def test_run_killed_at_any_moment_goes_on_to_the_same_bytes(
     assert (tmp_path / "installation.json").read_bytes() == expected
     assert all(path.stat().st_mtime_ns == made for path, made in kept.items())  # nothing was made twice
     status = ran("status", str(tmp_path))
-    assert "exposures     14 done" in status and "\nfinished" in status
+    assert "star exposures            14 done" in status and "\nfinished" in status
 
 
 def test_full_disk_stops_with_a_message_and_the_next_run_goes_on(
